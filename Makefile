@@ -1,0 +1,34 @@
+# Two commands do all the set-up: `make demo` runs the main job, `make test` the tests.
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+STAMP  := $(VENV)/.installed
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint bench clean
+
+help: ## show this list
+	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1|/' | column -t -s '|'
+
+$(STAMP): pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	touch $@
+
+demo: $(STAMP) ## set up, run a rectifier, a crowd and a friction oscillator, draw pictures into results/
+	$(BIN)/python -m nsmodel.demo
+
+test: $(STAMP) ## set up and run the tests
+	$(BIN)/python -m pytest
+
+lint: $(STAMP) ## ruff and pyright
+	$(BIN)/ruff check nsmodel cases tests
+	$(BIN)/ruff format --check nsmodel cases tests
+	$(BIN)/pyright
+
+bench: $(STAMP) ## time the steppers beside a plain Python loop (and the peers, where installed)
+	$(BIN)/python tests/bench/run.py
+
+clean: ## remove the environment, caches and results
+	rm -rf $(VENV) results build dist .pytest_cache .ruff_cache *.egg-info
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,26 @@
+"""Dry friction and the potential beta |x|: two nonsmooth terms, with step 1.
+
+What to see: for beta > alpha the only equilibrium is 0, and it is reached after finitely many steps, here 14. With
+beta < alpha every point is an equilibrium: with --set beta=0.04 the sequence stays where it starts.
+
+Source: Cabot, Discretization of a nonlinear oscillator under dry friction (2004), Example 4.2.
+"""
+
+import casadi as ca
+
+from nsmodel import FrictionOscillator
+
+x, s, alpha, beta = (ca.SX.sym(name) for name in ("x", "s", "alpha", "beta"))
+
+model = FrictionOscillator(
+    x=x,
+    potential=beta * ca.fabs(x),
+    friction=alpha * s,
+    s=s,
+    x0=2,
+    x1=2,
+    step=1,
+    t_end=60,
+    parameters={alpha: 0.05, beta: 0.1},
+    title="Cabot, Example 4.2",
+)

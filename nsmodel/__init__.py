@@ -1,0 +1,59 @@
+"""nsmodel: nonsmooth dynamics on CasADi. Declare a model, run it, and get a trajectory in which every step was verified."""
+
+from nsmodel.errors import (
+    MissingExtraError,
+    ModelError,
+    NsmodelError,
+    PlotError,
+    StepError,
+    StorageError,
+    UsageError,
+)
+from nsmodel.loader import load
+from nsmodel.model.first_order import FirstOrderSystem
+from nsmodel.model.inclusion import MonotoneInclusion
+from nsmodel.model.laws import (
+    Law,
+    ball,
+    box,
+    complementarity,
+    equality,
+    polyhedron,
+    product,
+    relay,
+    second_order_cone,
+)
+from nsmodel.model.lure import LureSystem
+from nsmodel.model.oscillator import FrictionOscillator
+from nsmodel.model.sweeping import SweepingProcess
+from nsmodel.simulate import RunInterrupted, explain, simulate
+from nsmodel.trajectory import Trajectory
+
+__all__ = [
+    "FirstOrderSystem",
+    "FrictionOscillator",
+    "Law",
+    "LureSystem",
+    "MissingExtraError",
+    "ModelError",
+    "MonotoneInclusion",
+    "NsmodelError",
+    "PlotError",
+    "RunInterrupted",
+    "StepError",
+    "StorageError",
+    "SweepingProcess",
+    "Trajectory",
+    "UsageError",
+    "ball",
+    "box",
+    "complementarity",
+    "equality",
+    "explain",
+    "load",
+    "polyhedron",
+    "product",
+    "relay",
+    "second_order_cone",
+    "simulate",
+]

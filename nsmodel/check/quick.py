@@ -1,0 +1,113 @@
+"""What a run says about hypotheses before it starts: cheap checks at the start, in words; a start outside the set is refused."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.errors import UsageError
+from nsmodel.model.base import Model
+from nsmodel.model.inclusion import MonotoneInclusion
+from nsmodel.model.lure import LureSystem
+from nsmodel.model.oscillator import FrictionOscillator
+from nsmodel.model.sweeping import SweepingProcess
+from nsmodel.scheme import catching_up
+from nsmodel.solve.choose import Plan, least_eigenvalue
+
+SPEEDS = np.concatenate([[0.0], np.logspace(-6, 3, 60)])  # Where theta' and theta'' are sampled.
+
+
+def refuse_start(model: Model) -> None:
+    """Refuse a start outside the set that the state must stay in (S-start).
+
+    Raises:
+        UsageError: names the constraint, its value and the start.
+    """
+    if isinstance(model, SweepingProcess):
+        _refuse(model.g, model.multiplier_names, model.t, model.q, model.q0, "q0")
+    elif isinstance(model, MonotoneInclusion):
+        c, names = catching_up.constraints(model)
+        _refuse(c, names, model.t, model.x, model.x0, "x0")
+    elif isinstance(model, FrictionOscillator) and model.constraint_names:
+        c = ca.vertcat(*model.constraints.values())
+        _refuse(c, model.constraint_names, model.t, model.x, model.x0, "x0")
+
+
+def _refuse(g: ca.SX, names: tuple[str, ...], t: ca.SX, q: ca.SX, start: ca.SX, label: str) -> None:
+    if not g.numel():
+        return
+    f = ca.Function("g", [t, q], [ca.densify(g), ca.densify(ca.jacobian(g, q))])
+    q0 = np.array(ca.DM(start)).ravel()
+    value, gradient = (np.array(v) for v in f(0, q0))
+    value = value.ravel()
+    size = np.linalg.norm(gradient, axis=1)
+    for i in range(value.size):
+        if not (np.isfinite(value[i]) and np.isfinite(size[i])):
+            what = "value" if not np.isfinite(value[i]) else "gradient"
+            raise UsageError(
+                f"constraint '{names[i]}': its {what} at the start {label} = {_short(q0)} is not a finite number "
+                "(a norm at 0, a root or division by 0?); move the start or rewrite the constraint"
+            )
+        if value[i] < -1e-10 * size[i] * np.linalg.norm(q0) - 1e-14:
+            raise UsageError(
+                f"constraint '{names[i]}' = {value[i]:.6g} < 0 at the start {label} = {_short(q0)}: the start is outside the "
+                "set; move it to where every constraint is >= 0"
+            )
+
+
+def warnings_of(model: Model, plan: Plan) -> list[str]:
+    """Return what the user should know before trusting uniqueness or convergence; an empty list where nothing was found."""
+    found = []
+    if isinstance(model, SweepingProcess):
+        found += _not_convex(model)
+    elif isinstance(model, FrictionOscillator):
+        found += _friction(model)
+    elif isinstance(model, LureSystem) and model.D.numel():
+        least = least_eigenvalue(np.array(ca.DM(model.D)))
+        if least < -1e-12:
+            found.append(f"D is not positive semidefinite (least eigenvalue of its scaled symmetric part {least:.3g})")
+    if not plan.monotone:
+        found.append(
+            f"the one-step problem is not monotone (least eigenvalue {plan.least_eigenvalue:.3g}): "
+            "uniqueness of the solution is not guaranteed"
+        )
+    return found
+
+
+def _not_convex(model: SweepingProcess) -> list[str]:
+    """Constraints whose Hessian at q0 has a negative eigenvalue: the scheme's feasibility rests on convexity (S-convex)."""
+    found, q0 = [], np.array(ca.DM(model.q0)).ravel()
+    flat = [(name, column[i]) for name, column in model.constraints.items() for i in range(column.numel())]
+    curved = [(name, g) for name, g in flat if ca.jacobian(ca.gradient(g, model.q), model.q).nnz()]
+    for name, g in curved[:50]:
+        H = np.array(ca.Function("H", [model.t, model.q], [ca.hessian(g, model.q)[0]])(0, q0))
+        least = np.linalg.eigvalsh(H)[0] if np.isfinite(H).all() else 0.0
+        if least < -1e-10 * np.abs(H).max():
+            found.append(f"constraint '{name}' is not convex at q0 (least eigenvalue of its Hessian {least:.3g}): feasibility may be lost")
+    return found
+
+
+def _friction(model: FrictionOscillator) -> list[str]:
+    found = []
+    for element in model.elements:
+        slope = ca.gradient(element.theta, model.s)
+        f = ca.Function("theta", [model.s], [slope, ca.gradient(slope, model.s)])
+        first, second = (np.array(v).ravel() for v in f.map(SPEEDS.size)(SPEEDS[None, :]))
+        if np.nanmin(first) < 0:
+            s = SPEEDS[int(np.nanargmin(first))]
+            found.append(f"theta of '{element.name}' decreases: theta'({s:.3g}) = {np.nanmin(first):.3g} < 0")
+        if np.nanmin(second) < -1e-12 * np.nanmax(np.abs(first)):
+            s = SPEEDS[int(np.nanargmin(second))]
+            found.append(f"theta of '{element.name}' is not convex: theta''({s:.3g}) = {np.nanmin(second):.3g} < 0")
+    x0 = np.array(ca.DM(model.x0)).ravel()
+    smooth = model.potential_split.smooth
+    if ca.jacobian(ca.gradient(smooth, model.x), model.x).nnz() and not model.potential_split.tau.numel():
+        H = np.array(ca.Function("H", [model.x], [ca.hessian(smooth, model.x)[0]])(x0))
+        if np.isfinite(H).all() and np.linalg.eigvalsh(H)[0] < -1e-12 * np.abs(H).max():
+            found.append(f"the potential is not convex at x0 (least eigenvalue of its Hessian {np.linalg.eigvalsh(H)[0]:.3g})")
+    return found
+
+
+def _short(values: np.ndarray) -> str:
+    text = ", ".join(f"{v:.6g}" for v in values[:6])
+    return f"({text}{', ...' if values.size > 6 else ''})"

@@ -1,0 +1,52 @@
+"""The exceptions of nsmodel, one family: each says what is wrong, where, the value and shape, and the fix."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from nsmodel.trajectory import Trajectory
+
+
+class NsmodelError(Exception):
+    """Base of every error that nsmodel raises on purpose."""
+
+
+class ModelError(NsmodelError, ValueError):
+    """A model was declared wrongly: shapes, undeclared symbols, NaN, lower > upper, a file without a model."""
+
+
+class UsageError(NsmodelError, ValueError):
+    """An argument of a run is wrong: a negative step, an unknown solver, a solver that does not apply."""
+
+
+class StepError(NsmodelError, RuntimeError):
+    """A step could not be verified; the run stopped there.
+
+    Attributes:
+        step: index k of the step t_k -> t_{k+1} that failed.
+        time: t_{k+1}.
+        component: the user's name of the constraint or row with the worst residual, or None.
+        residual: the best residual that any solver reached (inf if none gave an answer).
+        trajectory: what was computed before the failure; None until the time loop has attached it.
+    """
+
+    def __init__(self, message: str, *, residual: float = float("inf"), component: str | None = None) -> None:
+        super().__init__(message)
+        self.step: int | None = None
+        self.time: float | None = None
+        self.component = component
+        self.residual = residual
+        self.trajectory: Trajectory | None = None
+
+
+class StorageError(NsmodelError, OSError):
+    """A result file is missing, damaged, or belongs to another model."""
+
+
+class PlotError(NsmodelError, ValueError):
+    """A picture was asked for that this run cannot give."""
+
+
+class MissingExtraError(NsmodelError, ImportError):
+    """An optional package is needed and not installed."""

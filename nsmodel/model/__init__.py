@@ -1,0 +1,1 @@
+"""What users write: the five model classes and the laws."""

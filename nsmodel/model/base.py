@@ -1,0 +1,249 @@
+"""What the five model classes share: time, parameters, names, the conversion of what the user wrote, and its checks."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from types import MappingProxyType
+from typing import Any, Self
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.errors import ModelError, UsageError
+from nsmodel.model.convert import Converter, Declared, declare
+
+# Attributes of every Trajectory: a state may not take these names.
+RESERVED = frozenset(
+    "t multipliers y index_set residual step active status title arrays metadata multiplier save load to_csv to_xarray "
+    "plot summary summary_text energy reactions newton gap".split()
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Model:
+    """Arguments of all classes.
+
+    Attributes:
+        t: the time symbol, where an expression uses it.
+        t_end: end of the run, > 0 (it starts at 0).
+        step: the time step h > 0, constant; or
+        steps: the time steps h_0, h_1, ...: a sequence of numbers > 0 (then ``t_end`` is their sum).
+        parameters: {symbol or name: value}; a value of None must be given when the model is run.
+        names: one name for each state, where the symbols' own are not wanted.
+        units: {name: unit} for states, multipliers and "t"; used by pictures and tables.
+        exact: the exact state, where known: a callable t (N,) -> (N, n), or n expressions of ``t``.
+        title: one line for pictures and tables.
+
+    After construction every expression is a CasADi SX in the symbols ``t``, the state and ``p`` (the parameters, in the
+    order of ``parameters``).
+    """
+
+    t: Any = None
+    t_end: float | None = None
+    step: float | None = None
+    steps: Sequence[float] | None = None
+    parameters: Mapping[Any, float | None] = field(default_factory=dict)
+    names: Sequence[str] | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
+    exact: Any = None
+    title: str = ""
+
+    def _set(self, **fields: Any) -> None:
+        for name, value in fields.items():
+            object.__setattr__(self, name, value)
+
+    def _settle(self, state: str, **symbols: Any) -> Converter:
+        """Declare t, the state and the other symbols, check the common arguments, return the converter."""
+        declared = {label: declare(value, label) for label, value in symbols.items() if value is not None}
+        time = declare(ca.SX.sym("t") if self.t is None else self.t, "t")
+        if len(time.names) != 1:
+            raise ModelError(f"t: {len(time.names)} symbols given; expected one scalar time symbol")
+        p, values = _parameters(self.parameters)
+        known = [*([] if self.t is None else [time]), *declared.values(), *p]
+        converter = Converter(known)
+        own = declared[state]
+        names, stems = _state_names(self.names, own, state)
+        self._set(
+            t=time.sx,
+            p=ca.vertcat(ca.SX(0, 1), *(item.sx for item in p)),
+            parameters=MappingProxyType(values),
+            names=tuple(names),
+            stems=MappingProxyType(stems),
+            units=MappingProxyType(dict(self.units)),
+            **{label: item.sx for label, item in declared.items()},
+        )
+        self._set(**_grid(self.t_end, self.step, self.steps))
+        if self.exact is not None and not callable(self.exact):
+            column = self._vector(converter, self.exact, "exact", len(names))
+            self._set(exact=_sampled(ca.Function("exact", [self.t], [column]), len(names)))
+        return converter
+
+    def _vector(self, converter: Converter, value: Any, label: str, size: int, allow: Sequence[ca.SX] | None = None) -> ca.SX:
+        """A column of ``size`` expressions; a scalar 0 stands for zeros; only the symbols in ``allow`` where given."""
+        column = ca.densify(ca.SX(converter.convert(value, label)))
+        if column.shape[0] == 1 and column.shape[1] == size:
+            column = column.T
+        if column.numel() == 1 and size != 1 and column.is_zero():
+            column = ca.SX.zeros(size)
+        if column.shape != (size, 1):
+            raise ModelError(f"{label}: shape {column.shape}; expected {size} entries, one for each of {size} components")
+        if allow is not None:
+            self._only(column, label, allow)
+        return column
+
+    def _matrix(self, converter: Converter, value: Any, label: str, shape: tuple[int, int]) -> ca.SX:
+        """A matrix of numbers or expressions of the parameters, of the given shape; vectors are laid along it."""
+        matrix = ca.densify(ca.SX(converter.convert(value, label)))
+        if matrix.shape != shape and matrix.shape == shape[::-1] and 1 in shape:
+            matrix = matrix.T
+        if matrix.shape != shape:
+            raise ModelError(f"{label}: shape {matrix.shape}; expected {shape} (rows, columns)")
+        self._only(matrix, label, [self.t])
+        return matrix
+
+    def _numbers(self, converter: Converter, value: Any, label: str, size: int) -> ca.SX:
+        """A start value: ``size`` finite numbers, or expressions of the parameters."""
+        column = self._vector(converter, value, label, size, [])
+        for i in range(size):
+            if column[i].is_constant() and not np.isfinite(float(column[i])):
+                raise ModelError(f"{label}[{i}] = {float(column[i])}; expected a finite number")
+        return column
+
+    def _only(self, expression: ca.SX, label: str, allow: Sequence[ca.SX]) -> None:
+        allowed = {str(s) for group in [*allow, self.p] for s in ca.symvar(ca.SX(group))}
+        for symbol in ca.symvar(expression):
+            if symbol.name() not in allowed:
+                raise ModelError(
+                    f"{label} depends on '{symbol.name()}', but may depend only on "
+                    f"{', '.join(sorted(allowed)) or 'numbers'}; move that term elsewhere"
+                )
+
+    def _named_constraints(self, converter: Converter, constraints: Any, label: str) -> tuple[dict[str, ca.SX], list[str]]:
+        """{name: column of expressions >= 0} and one name for each row."""
+        if not isinstance(constraints, Mapping):
+            raise ModelError(f"{label}: expected a dictionary {{name: expression >= 0}}, not a {type(constraints).__name__}")
+        columns, names = {}, []
+        for name, value in constraints.items():
+            column = ca.densify(ca.vec(ca.SX(converter.convert(value, f"constraint '{name}'"))))
+            columns[str(name)] = column
+            names += [str(name)] if column.numel() == 1 else [f"{name}[{i}]" for i in range(column.numel())]
+        return columns, names
+
+    def bind(self, values: Mapping[str, float] | None = None) -> Self:
+        """Return the model with its parameters replaced by numbers: ``values`` first, then those declared.
+
+        Raises:
+            UsageError: an unknown name in ``values``, or a parameter without a value.
+        """
+        values = dict(values or {})
+        for name in values:
+            if name not in self.parameters:
+                hint = difflib.get_close_matches(name, list(self.parameters), 1)
+                raise UsageError(
+                    f"parameter '{name}' is not declared; the model has {', '.join(self.parameters) or 'none'}"
+                    + (f". Did you mean '{hint[0]}'?" if hint else "")
+                )
+        numbers = {**self.parameters, **values}
+        missing = [name for name, value in numbers.items() if value is None]
+        if missing:
+            raise UsageError(f"parameter '{missing[0]}' has no value; give it with --set {missing[0]}=VALUE or set={{...}}")
+        checked = {name: _number(value, f"parameter '{name}'") for name, value in numbers.items()}
+        if not checked:
+            return self
+        p, p_value = self.p, ca.SX(list(checked.values()))
+
+        def put(expression: Any) -> Any:
+            if isinstance(expression, ca.SX):
+                return ca.substitute(expression, p, p_value) if expression.numel() else expression
+            if is_dataclass(expression) and not isinstance(expression, type):
+                return replace(expression, **{f.name: put(getattr(expression, f.name)) for f in fields(expression)})
+            if isinstance(expression, tuple):
+                items = [put(item) for item in expression]
+                return type(expression)(*items) if hasattr(expression, "_fields") else tuple(items)
+            if isinstance(expression, Mapping):
+                return MappingProxyType({key: put(item) for key, item in expression.items()})
+            return expression
+
+        bound = copy(self)
+        bound._set(**{name: put(value) for name, value in vars(self).items() if name not in ("p", "t", "parameters")})
+        bound._set(p=ca.SX(0, 1), parameters=MappingProxyType({}), bound_parameters=MappingProxyType(checked))
+        return bound
+
+
+def _parameters(given: Any) -> tuple[list[Declared], dict[str, float | None]]:
+    if not isinstance(given, Mapping):
+        raise ModelError(f"parameters: expected a dictionary {{symbol or name: value}}, not a {type(given).__name__}")
+    symbols, values = [], {}
+    for key, value in given.items():
+        symbol = declare(ca.SX.sym(key) if isinstance(key, str) else key, "parameters")
+        for name in symbol.names:
+            if name in values:
+                raise ModelError(f"parameters: '{name}' is declared twice; keep one")
+        numbers = [None] * len(symbol.names) if value is None else np.ravel(value).tolist()
+        if len(numbers) != len(symbol.names):
+            raise ModelError(f"parameter '{symbol.stem}': {len(numbers)} values for {len(symbol.names)} symbols")
+        for name, number in zip(symbol.names, numbers, strict=True):
+            values[name] = None if number is None else _number(number, f"parameter '{name}'")
+        symbols.append(symbol)
+    return symbols, values
+
+
+def _number(value: Any, label: str) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError, RuntimeError):
+        raise ModelError(f"{label} = {value!r} is not a number") from None
+    if not np.isfinite(number):
+        raise ModelError(f"{label} = {number}; expected a finite number")
+    return number
+
+
+def _state_names(names: Sequence[str] | None, state: Declared, label: str) -> tuple[list[str], dict[str, list[int]]]:
+    n = len(state.names)
+    if names is not None:
+        if isinstance(names, str) or len(names) != n:
+            raise ModelError(f"names: {names!r}; expected {n} names, one for each of {', '.join(state.names)}")
+        chosen, stems = list(map(str, names)), {str(name): [i] for i, name in enumerate(names)}
+    elif state.stem is not None:
+        chosen, stems = list(state.names), {state.stem: list(range(n))}
+    else:
+        chosen, stems = list(state.names), {name: [i] for i, name in enumerate(state.names)}
+    if len(set(chosen)) != n:
+        raise ModelError(f"names: {chosen} repeats a name; give each state its own")
+    for name in stems:
+        if name in RESERVED or (name == "x" and n > 1 and len(stems) > 1):
+            raise ModelError(f"{label}: the state '{name}' clashes with run.{name}; rename it, or give names=[...]")
+    return chosen, stems
+
+
+def _grid(t_end: Any, step: Any, steps: Any) -> dict[str, Any]:
+    if steps is not None:
+        if step is not None:
+            raise ModelError("step and steps are both given; keep one")
+        array = np.asarray(steps, float).ravel()
+        bad = np.flatnonzero(~(np.isfinite(array) & (array > 0)))
+        if bad.size or not array.size:
+            where = f"steps[{bad[0]}] = {array[bad[0]]:g}" if bad.size else "steps is empty"
+            raise ModelError(f"{where}; expected finite numbers > 0")
+        total = float(array.sum())
+        if t_end is not None and abs(_number(t_end, "t_end") - total) > 1e-9 * total:
+            raise ModelError(f"t_end = {t_end:g} but the steps sum to {total:g}; leave t_end out")
+        return {"steps": array, "t_end": total, "step": None}
+    if t_end is None:
+        raise ModelError("t_end is missing; give the end of the run, a number > 0")
+    found = {"t_end": _number(t_end, "t_end"), "step": None if step is None else _number(step, "step")}
+    for name, value in found.items():
+        if value is not None and value <= 0:
+            raise ModelError(f"{name} = {value:g}; expected a number > 0")
+    return found
+
+
+def _sampled(function: ca.Function, n: int) -> Callable[[Any], np.ndarray]:
+    def exact(t: Any) -> np.ndarray:
+        times = np.atleast_1d(np.asarray(t, float))
+        return np.array(function.map(len(times))(times[None, :])).reshape(n, -1).T
+
+    return exact

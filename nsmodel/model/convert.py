@@ -1,0 +1,351 @@
+"""What a user may write (numbers, lists, NumPy, CasADi DM, SX and MX, SymPy) turned into CasADi SX.
+
+Symbols are matched by name, so that ``parameters={"k": 2.0}`` fits any expression with a symbol called k. A vector symbol
+stands for its scalars q_0, q_1, ..., the names that ``SX.sym("q", 2)`` gives; ``MX.sym("q", 2)`` has the same ones here.
+"""
+
+from __future__ import annotations
+
+import numbers
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.errors import ModelError
+
+
+@dataclass(frozen=True, eq=False)
+class Declared:
+    """Symbols that the user declared under one label (x=, t=, a key of parameters).
+
+    Attributes:
+        names: the n scalar names, in order.
+        stem: the name of the whole: q for q_0, q_1, ...; the name itself for one scalar; None where there is none.
+        sx: SX (n, 1) of scalar symbols, the user's own where they are SX.
+        source: the user's objects: SX scalars, MX symbols, SymPy symbols or names.
+    """
+
+    names: tuple[str, ...]
+    stem: str | None
+    sx: ca.SX
+    source: tuple[Any, ...]
+
+
+def declare(value: Any, label: str) -> Declared:
+    """Read ``value`` as symbols: SX or MX (vertcat allowed), a SymPy Symbol or Matrix of them, a name, or a list of these.
+
+    Raises:
+        ModelError: something else than symbols, or a name that repeats.
+
+    >>> declare([ca.SX.sym("q_0"), ca.SX.sym("q_1")], "q").stem
+    'q'
+    """
+    pairs = _symbols(value, label)
+    names = tuple(name for name, _, _ in pairs)
+    _refuse_repeats(names, label)
+    source = tuple(item for i, (_, _, item) in enumerate(pairs) if i == 0 or item is not pairs[i - 1][2])
+    return Declared(names, _stem(names), _column([symbol for _, symbol, _ in pairs]), source)
+
+
+@dataclass(frozen=True, eq=False)
+class Converter:
+    """Turns expressions of the declared symbols into SX.
+
+    Raises:
+        ModelError: on construction, when two declarations share a name.
+
+    >>> Converter([declare(ca.SX.sym("x"), "x")]).convert([1, 2], "x0")
+    SX([1, 2])
+    """
+
+    declared: Sequence[Declared]
+
+    def __post_init__(self) -> None:
+        _refuse_repeats([name for item in self.declared for name in item.names], "the declared symbols")
+
+    @property
+    def symbols(self) -> dict[str, ca.SX]:
+        """{scalar name: SX symbol} of everything declared."""
+        return {
+            name: symbol for d in self.declared for name, symbol in zip(d.names, ca.vertsplit(d.sx), strict=False)
+        }
+
+    def convert(self, value: Any, label: str) -> ca.SX:
+        """See :func:`to_sx`."""
+        return to_sx(value, self.symbols, label)
+
+
+def to_sx(value: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
+    """Convert ``value`` to an SX matrix in the given symbols.
+
+    Args:
+        value: a number, a list (a column; its entries may be numbers or scalar expressions of any kind, or columns) or nested
+            list (rows of a matrix), a NumPy or SciPy array, DM, SX, MX, a SymPy expression or Matrix.
+        symbols: {scalar name: SX symbol}.
+        label: the user's name of ``value``, for messages.
+
+    Raises:
+        ModelError: an undeclared symbol, a NaN, rows of unequal length, an unknown function or type.
+    """
+    result = _convert(value, symbols, label)
+    known = {symbol.element_hash() for symbol in symbols.values()}
+    used = ca.symvar(result)
+    _refuse_undeclared((symbol.name() for symbol in used), symbols, label)
+    strange = [symbol for symbol in used if symbol.element_hash() not in known]
+    if strange:
+        result = ca.substitute(result, _column(strange), _column([symbols[symbol.name()] for symbol in strange]))
+    _refuse_nan(result, label)
+    return result
+
+
+def expand_mx(
+    exprs: Sequence[ca.MX], mx_symbols: Sequence[ca.MX], sx_symbols: Sequence[ca.SX], label: str
+) -> list[ca.SX]:
+    """Write MX expressions with SX operations, ``sx_symbols[i]`` (of the same shape) in place of ``mx_symbols[i]``.
+
+    Raises:
+        ModelError: an operation that has no SX form.
+    """
+    try:
+        return list(ca.Function("expand", list(mx_symbols), list(exprs)).expand().call(list(sx_symbols), True))
+    except RuntimeError as error:
+        reason = str(error).strip().splitlines()[-1]
+        raise ModelError(
+            f"{label} cannot be written with scalar operations ({reason}); build it from SX symbols and elementary "
+            "functions: ca.pw_lin for a table, ca.mtimes(ca.inv(A), b) of SX for a linear solve"
+        ) from None
+
+
+# -- symbols -------------------------------------------------------------------------------------------------------------
+
+_Named = tuple[str, ca.SX, Any]
+
+
+def _symbols(value: Any, label: str) -> list[_Named]:
+    """List (scalar name, SX symbol, the user's object)."""
+    if isinstance(value, str):
+        return [(value, ca.SX.sym(value), value)]
+    if isinstance(value, ca.SX) and value.is_dense() and value.is_valid_input():
+        return [(s.name(), s, s) for s in ca.vertsplit(ca.vec(value))]
+    if isinstance(value, ca.MX) and value.is_dense() and value.is_valid_input():
+        return [(name, ca.SX.sym(name), mx) for mx in ca.symvar(value) for name in _mx_names(mx)]
+    if isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.dtype == object):
+        return [pair for item in (value.ravel() if isinstance(value, np.ndarray) else value) for pair in _symbols(item, label)]
+    if _is_sympy(value):
+        if hasattr(value, "tolist"):
+            return _symbols(_flat(value.tolist()), label)
+        if getattr(value, "is_Symbol", False) and not hasattr(value, "shape"):
+            return [(value.name, ca.SX.sym(value.name), value)]
+    raise ModelError(
+        f"{label}: {_shown(value)} is not a symbol; expected symbols only, such as ca.SX.sym('{_word(label)}', 2), "
+        "a list of scalar symbols, or SymPy symbols"
+    )
+
+
+def _mx_names(symbol: ca.MX) -> list[str]:
+    """Name the scalars as SX.sym does, in the order of the columns."""
+    return [symbol.name()] if symbol.numel() == 1 else [f"{symbol.name()}_{i}" for i in range(symbol.numel())]
+
+
+def _stem(names: tuple[str, ...]) -> str | None:
+    if len(names) == 1:
+        return names[0]
+    stem = names[0].removesuffix("_0") if names else ""
+    return stem if stem and names == tuple(f"{stem}_{i}" for i in range(len(names))) else None
+
+
+def _refuse_repeats(names: Sequence[str], label: str) -> None:
+    repeated = [name for name, count in Counter(names).items() if count > 1]
+    if repeated:
+        raise ModelError(f"{label}: the symbol '{repeated[0]}' is declared twice; give each symbol its own name")
+
+
+def _refuse_undeclared(names: Any, symbols: Mapping[str, ca.SX], label: str) -> None:
+    for name in names:
+        if name not in symbols:
+            raise ModelError(
+                f"{label} uses the symbol '{name}', which is not declared: add it to parameters={{...}} or declare it as x=, t=; "
+                f"declared are {', '.join(symbols) or 'none'}"
+            )
+
+
+# -- values --------------------------------------------------------------------------------------------------------------
+
+
+def _convert(value: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
+    if isinstance(value, ca.SX):
+        return value
+    if isinstance(value, ca.DM):
+        return ca.SX(value)
+    if isinstance(value, ca.MX):
+        return _from_mx(value, symbols, label)
+    if isinstance(value, np.ndarray | np.generic):
+        return _from_array(value, symbols, label)
+    if isinstance(value, numbers.Real):
+        return ca.SX(float(value))
+    if isinstance(value, list | tuple):
+        return _from_list(value, symbols, label)
+    if _is_sympy(value):
+        return _from_list(value.tolist(), symbols, label) if hasattr(value, "tolist") else _from_sympy(value, symbols, label)
+    if hasattr(value, "toarray"):
+        return ca.SX(ca.DM(value.toarray()))
+    hint = "; call it with your symbols" if callable(value) else ""
+    raise ModelError(
+        f"{label}: {_shown(value)} is not an expression{hint}; expected a number, a list, an array, CasADi SX or MX, or SymPy"
+    )
+
+
+def _from_mx(value: ca.MX, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
+    own = ca.symvar(value)
+    _refuse_undeclared((name for mx in own for name in _mx_names(mx)), symbols, label)
+    columns = [ca.reshape(_column([symbols[name] for name in _mx_names(mx)]), *mx.shape) for mx in own]
+    return expand_mx([value], own, columns, label)[0]
+
+
+def _from_array(value: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
+    if value.ndim > 2:
+        raise ModelError(f"{label}: shape {value.shape}; expected a scalar, a vector or a matrix")
+    if value.dtype.kind in "biuf":
+        return ca.SX(ca.DM(value.astype(float))) if value.size else ca.SX(*value.shape, *([1] * (2 - value.ndim)))
+    if value.ndim == 2:
+        return _rows([[_convert(entry, symbols, label) for entry in row] for row in value.tolist()], label)
+    return _convert(value.tolist() if value.ndim else value.item(), symbols, label)
+
+
+def _from_list(value: Sequence[Any], symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
+    """A list of rows where any entry is a list or 1-D array, else a column of scalars and columns."""
+    if any(isinstance(item, list | tuple) or np.ndim(item) == 1 for item in value if not _is_casadi(item)):
+        return _rows([[_convert(entry, symbols, label) for entry in _entries(row)] for row in value], label)
+    pieces = [_convert(item, symbols, label) for item in value]
+    for i, piece in enumerate(pieces):
+        if piece.shape[1] != 1:
+            raise ModelError(f"{label}[{i}]: shape {piece.shape}; expected a scalar or a column; stack matrices with ca.vertcat")
+    return _column(pieces)
+
+
+def _rows(rows: list[list[ca.SX]], label: str) -> ca.SX:
+    lengths = [len(row) for row in rows]
+    if len(set(lengths)) > 1:
+        raise ModelError(f"{label}: the rows have {', '.join(map(str, lengths))} entries; expected rows of one length")
+    for i, row in enumerate(rows):
+        for j, entry in enumerate(row):
+            if entry.numel() != 1:
+                raise ModelError(f"{label}[{i}][{j}]: shape {entry.shape}; expected a scalar in each entry of a nested list")
+    return ca.vertcat(*(ca.horzcat(*row) for row in rows)) if rows and lengths[0] else ca.SX(len(rows), 0)
+
+
+def _entries(row: Any) -> list[Any]:
+    return list(row) if isinstance(row, list | tuple | np.ndarray) else [row]
+
+
+def _refuse_nan(value: ca.SX, label: str) -> None:
+    if not _has_nan(value):
+        return
+    rows, columns = value.shape
+    where = next((i, j) for i in range(rows) for j in range(columns) if _has_nan(value[i, j]))
+    index = "" if value.numel() == 1 else f"[{where[0]}]" if columns == 1 else f"[{where[0]}, {where[1]}]"
+    raise ModelError(f"{label}{index} holds a NaN; give a number (inf is allowed) or an expression")
+
+
+def _has_nan(value: ca.SX) -> bool:
+    function = ca.Function("nan", [_column(ca.symvar(value))], [value])
+    return any(
+        function.instruction_id(i) == ca.OP_CONST and np.isnan(function.instruction_constant(i))
+        for i in range(function.n_instructions())
+    )
+
+
+# -- SymPy, which is never imported here ---------------------------------------------------------------------------------
+
+
+def _heaviside(u: ca.SX, at_zero: ca.SX | float = 0.5) -> ca.SX:
+    """(1 + sign u)/2, so that split_discontinuities sees the jump."""
+    step = (1 + ca.sign(u)) / 2
+    return step if float(at_zero) == 0.5 else ca.if_else(u == 0, at_zero, step)
+
+
+_SYMPY: dict[str, Callable[..., ca.SX]] = {
+    "Add": lambda *args: reduce(lambda a, b: a + b, args),
+    "Mul": lambda *args: reduce(lambda a, b: a * b, args),
+    "Max": lambda *args: reduce(ca.fmax, args),
+    "Min": lambda *args: reduce(ca.fmin, args),
+    "Pow": lambda base, exponent: ca.sqrt(base) if exponent.is_constant() and float(exponent) == 0.5 else base**exponent,
+    "Abs": ca.fabs,
+    "Heaviside": _heaviside,
+    "ceiling": ca.ceil,
+    "LessThan": lambda a, b: a <= b,
+    "StrictLessThan": lambda a, b: a < b,
+    "GreaterThan": lambda a, b: a >= b,
+    "StrictGreaterThan": lambda a, b: a > b,
+    "Equality": lambda a, b: a == b,
+    "Unequality": lambda a, b: a != b,
+    "And": lambda *args: reduce(ca.logic_and, args),
+    "Or": lambda *args: reduce(ca.logic_or, args),
+    "Not": ca.logic_not,
+    "BooleanTrue": lambda: ca.SX(1),
+    "BooleanFalse": lambda: ca.SX(0),
+    **{
+        name: getattr(ca, name)
+        for name in "exp log sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh atanh sign floor erf".split()
+    },
+}
+
+
+def _from_sympy(expr: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
+    name = type(expr).__name__
+    if name in ("Symbol", "Dummy"):
+        _refuse_undeclared([expr.name], symbols, label)
+        return symbols[expr.name]
+    if expr.is_Number or getattr(expr, "is_NumberSymbol", False):
+        return ca.SX(float(expr))
+    if name == "Piecewise":
+        return _from_piecewise(expr, symbols, label)
+    if name not in _SYMPY:
+        raise ModelError(
+            f"{label}: '{name}' in {expr} has no CasADi counterpart; write it with elementary functions, "
+            "sqrt, Abs, Max, Min, sign or Piecewise, or call .doit() first"
+        )
+    return _SYMPY[name](*(_from_sympy(arg, symbols, label) for arg in expr.args))
+
+
+def _from_piecewise(expr: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
+    pieces = [(_from_sympy(piece, symbols, label), _from_sympy(cond, symbols, label)) for piece, cond in expr.args]
+    if not pieces[-1][1].is_one():
+        raise ModelError(f"{label}: {expr} has no value where none of its conditions hold; end it with (expression, True)")
+    result = pieces[-1][0]
+    for piece, condition in reversed(pieces[:-1]):
+        result = ca.if_else(condition, piece, result)
+    return result
+
+
+# -- small helpers -------------------------------------------------------------------------------------------------------
+
+
+def _is_sympy(value: Any) -> bool:
+    return type(value).__module__.partition(".")[0] == "sympy"
+
+
+def _is_casadi(value: Any) -> bool:
+    return isinstance(value, ca.SX | ca.MX | ca.DM) or _is_sympy(value)
+
+
+def _flat(rows: Any) -> list[Any]:
+    return [item for row in rows for item in _flat(row)] if isinstance(rows, list) else [rows]
+
+
+def _column(items: Sequence[ca.SX]) -> ca.SX:
+    return ca.vertcat(ca.SX(0, 1), *items)
+
+
+def _shown(value: Any) -> str:
+    text = str(value)
+    return f"{text if len(text) <= 60 else text[:57] + '...'} (a {type(value).__name__})"
+
+
+def _word(label: str) -> str:
+    return label if label.isidentifier() else "x"

@@ -1,0 +1,87 @@
+"""First-order nonsmooth systems with a nonlinear relation (the class of Siconos' EulerMoreau integrator)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import casadi as ca
+
+from nsmodel.errors import ModelError
+from nsmodel.model.base import Model
+from nsmodel.model.laws import Law
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FirstOrderSystem(Model):
+    """M x' = f(t, x) + r,   y = h(t, x, l),   r = g(t, x, l),   -y ∈ N_K(l),   x(0) = x0.
+
+    Attributes:
+        x: the state symbols (n).
+        lam: the multiplier symbols l (m); left out with ``law``: a smooth system.
+        f: n expressions of t and x.
+        h: the output, m expressions of t, x and l.
+        g: the input, n expressions of t, x and l.
+        M: mass matrix (n, n), constant; left out: the identity.
+        law: the relation between l and y, of size m.
+        x0: the start (n); lam0: first guess of l (m), only used by Newton's method and, where gamma < 1, replaced by the
+            solution of the law at the start.
+        theta, gamma: weights in [0, 1] of f and r at the end of the step.
+
+    Raises:
+        ModelError: wrong shapes, undeclared symbols, NaN, theta or gamma outside [0, 1].
+    """
+
+    x: Any
+    lam: Any = None
+    f: Any
+    h: Any = None
+    g: Any = None
+    M: Any = None
+    law: Law | None = None
+    x0: Any
+    lam0: Any = None
+    theta: float = 1.0
+    gamma: float = 1.0
+
+    paper: ClassVar[str] = "Acary and Perignon, Siconos developer's notes: theta-gamma scheme, Newton linearisation, MLCP"
+
+    def __post_init__(self) -> None:
+        c = self._settle("x", x=self.x, lam=self.lam)
+        n = len(self.names)
+        given = {name: getattr(self, name) is not None for name in ("lam", "h", "g", "law")}
+        if any(given.values()) and not all(given.values()):
+            missing = [name for name, there in given.items() if not there]
+            raise ModelError(f"{', '.join(missing)} missing: lam, h, g and law are given together, or none of them")
+        law = Law(()) if self.law is None else checked_law(self.law)
+        lam = ca.SX(0, 1) if self.lam is None else self.lam
+        m = lam.numel()
+        if law.size != m:
+            raise ModelError(f"law: it has {law.size} components, but lam = {lam} has {m}; make them equal")
+        self._set(
+            lam=lam,
+            f=self._vector(c, self.f, "f", n, [self.t, self.x]),
+            h=self._vector(c, [] if self.h is None else self.h, "h", m, [self.t, self.x, lam]) if m else ca.SX(0, 1),
+            g=self._vector(c, 0 if self.g is None else self.g, "g", n, [self.t, self.x, lam]),
+            M=ca.SX.eye(n) if self.M is None else self._matrix(c, self.M, "M", (n, n)),
+            law=law,
+            x0=self._numbers(c, self.x0, "x0", n),
+            lam0=self._numbers(c, 0 if self.lam0 is None else self.lam0, "lam0", m) if m else ca.SX(0, 1),
+            multiplier_names=tuple(str(symbol) for symbol in ca.vertsplit(lam)) if m else (),
+        )
+        self._only(self.M, "M", [])
+        check_weights(self.theta, self.gamma)
+
+
+def checked_law(law: Any) -> Law:
+    """Return ``law`` if it is one, else say what a law looks like."""
+    if not isinstance(law, Law):
+        raise ModelError(f"law: expected a law such as complementarity(2) or relay(1, -1, 1), not {law!r}")
+    return law
+
+
+def check_weights(theta: Any, gamma: Any) -> None:
+    """Refuse theta and gamma outside [0, 1]."""
+    for name, value in (("theta", theta), ("gamma", gamma)):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1:
+            raise ModelError(f"{name} = {value!r}; expected a number in [0, 1]")

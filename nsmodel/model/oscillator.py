@@ -1,0 +1,97 @@
+"""Nonlinear oscillators under dry friction (Cabot 2004)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import casadi as ca
+
+from nsmodel.errors import ModelError
+from nsmodel.model.base import Model
+from nsmodel.model.convex import split
+
+
+class Friction(NamedTuple):
+    """One friction element theta(|H v|): its name, H (m, n), theta(s) and the symbol s."""
+
+    name: str
+    H: ca.SX
+    theta: ca.SX
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrictionOscillator(Model):
+    """x'' + dPhi(x') + M x' + dg(x) ∋ 0 with Phi(v) = sum_j theta_j(|H_j v|), unit mass, no explicit time.
+
+    Attributes:
+        x: the position symbols (n).
+        potential: g(x), convex; fabs, fmax, norm_2 and if_else(condition, g, inf) are understood as what they are.
+        friction: theta(s) for isotropic friction theta(|v|), or {name: (H_j, theta_j(s))}.
+        s: the symbol of theta's argument.
+        damping: M (n, n) with M + M' >= 0, a linear part of the friction operator; left out: none.
+        constraints: {name: c(x)}, kept >= 0, concave: the domain of g.
+        x0, v0: position and velocity at t = 0 (v0 left out: 0): the older position is x0 - h v0; or
+        x0, x1: the two positions that start the paper's recursion: rows 0 and 1 of the run.
+
+    Raises:
+        ModelError: wrong shapes, undeclared symbols, NaN, a constant theta, a term of g that is not convex by its sign.
+    """
+
+    x: Any
+    potential: Any = 0
+    friction: Any = None
+    s: Any = None
+    damping: Any = None
+    constraints: Any = None
+    x0: Any
+    v0: Any = None
+    x1: Any = None
+
+    paper: ClassVar[str] = "Cabot, Discretization of a nonlinear oscillator under dry friction (2004)"
+
+    def __post_init__(self) -> None:
+        c = self._settle("x", x=self.x, s=self.s)
+        n = len(self.names)
+        if "v" in self.stems:
+            raise ModelError("x: the state 'v' clashes with run.v, the velocity; rename it, or give names=[...]")
+        if self.v0 is not None and self.x1 is not None:
+            raise ModelError("v0 and x1 are both given; keep v0 (a velocity) or x1 (the second position)")
+        potential = self._vector(c, self.potential, "potential", 1, [self.x])
+        constraints, names = self._named_constraints(c, self.constraints or {}, "constraints")
+        for name, column in constraints.items():
+            self._only(column, f"constraint '{name}'", [self.x])
+        self._set(
+            potential=potential,
+            potential_split=split(potential, self.x, "potential"),
+            elements=tuple(self._elements(c, n)),
+            damping=None if self.damping is None else self._matrix(c, self.damping, "damping", (n, n)),
+            constraints=constraints,
+            constraint_names=tuple(names),
+            x0=self._numbers(c, self.x0, "x0", n),
+            v0=None if self.x1 is not None else self._numbers(c, 0 if self.v0 is None else self.v0, "v0", n),
+            x1=None if self.x1 is None else self._numbers(c, self.x1, "x1", n),
+        )
+
+    def _elements(self, c: Any, n: int) -> list[Friction]:
+        given = {} if self.friction is None else self.friction
+        if not isinstance(given, Mapping):
+            given = {"friction": (ca.SX.eye(n), given)}
+        if given and (self.s is None or self.s.numel() != 1):
+            raise ModelError("friction: theta is a function of one scalar symbol; declare it with s=")
+        elements = []
+        for name, item in given.items():
+            label = f"friction '{name}'"
+            if not isinstance(item, tuple | list) or len(item) != 2:
+                raise ModelError(f"{label}: expected a pair (H, theta), H with {n} columns, not {item!r}")
+            H = ca.densify(ca.SX(c.convert(item[0], f"{label} H")))
+            H = H.T if H.shape[1] == 1 and n != 1 else H
+            if H.shape[1] != n or H.shape[0] == 0:
+                raise ModelError(f"{label}: H has shape {H.shape}; expected (m, {n}), one column for each state")
+            self._only(H, f"{label} H", [])
+            theta = self._vector(c, item[1], f"{label} theta", 1, [self.s])
+            if not ca.depends_on(theta, self.s):
+                raise ModelError(f"{label}: theta = {theta} does not depend on s = {self.s}; for Coulomb friction write mu*s")
+            elements.append(Friction(str(name), H, theta))
+        return elements

@@ -1,0 +1,41 @@
+"""The papers' schemes: each turns a model into the nonsmooth problem of one step."""
+
+from __future__ import annotations
+
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from nsmodel.model.base import Model
+from nsmodel.model.first_order import FirstOrderSystem
+from nsmodel.model.inclusion import MonotoneInclusion
+from nsmodel.model.lure import LureSystem
+from nsmodel.model.oscillator import FrictionOscillator
+from nsmodel.model.sweeping import SweepingProcess
+from nsmodel.scheme import catching_up, inertial_proximal, lure_euler, prediction_correction, theta_gamma
+from nsmodel.scheme.problem import OneStepProblem
+
+SCHEMES: dict[type[Model], ModuleType] = {
+    SweepingProcess: prediction_correction,
+    FrictionOscillator: inertial_proximal,
+    FirstOrderSystem: theta_gamma,
+    LureSystem: lure_euler,
+    MonotoneInclusion: catching_up,
+}
+
+
+def one_step_problem(model: Model) -> OneStepProblem:
+    """Return the one-step problem of the paper's scheme for the model's class."""
+    return SCHEMES[type(model)].one_step_problem(model)
+
+
+def initial_rows(model: Any, h: float) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
+    """Return (state, records) of the rows that are known before the first step; h is the first step."""
+    return SCHEMES[type(model)].initial_rows(model, h)
+
+
+def derived_columns(model: Any, arrays: dict[str, np.ndarray], h_next: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the columns that follow from others: reactions, energy. ``h_next`` is the step that starts at each row."""
+    derive = getattr(SCHEMES[type(model)], "derived_columns", None)
+    return {} if derive is None else derive(model, arrays, h_next)

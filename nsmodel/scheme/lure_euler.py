@@ -1,0 +1,88 @@
+"""Implicit Euler for multivalued Lur'e systems (Brogliato and Goeleven 2013), with theta and gamma for comparison.
+
+    x_{k+1} = x_k + h th (A(x_{k+1}) + f(t_{k+1})) + h (1-th) (A(x_k) + f(t_k)) + h ga B l_{k+1} + h (1-ga) B l_k
+    y_{k+1} = C x_{k+1} + D l_{k+1},      -y_{k+1} ∈ N_K(l_{k+1})  or  l_{k+1} ∈ -dPhi(y_{k+1})
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.model.lure import LureSystem
+from nsmodel.scheme.problem import OneStepProblem, basic_law, subdifferential
+
+
+def one_step_problem(model: LureSystem) -> OneStepProblem:
+    """Return the step in z = x_{k+1}, or (x_{k+1}, y_{k+1}) where Phi is given and D is not 0."""
+    t, h, n, th, ga = model.t, ca.SX.sym("h"), model.x.numel(), model.theta, model.gamma
+    x_k, r_k, x = model.x, ca.SX.sym("r_k", n), ca.SX.sym("x_next", n)
+    rate_k = model.A + model.f
+    rate = ca.substitute([rate_k], [t, x_k], [t + h, x])[0]
+    law = _law(model, x)
+    E = x - x_k - h * th * rate - h * (1 - th) * rate_k - h * ga * model.B @ law.multipliers - h * (1 - ga) * (r_k if ga < 1 else 0)
+    return OneStepProblem(
+        scheme="implicit Euler" if th == ga == 1 else f"theta-gamma, theta = {th:g}, gamma = {ga:g}",
+        t=t, h=h, state=ca.vertcat(x_k, r_k) if ga < 1 else x_k, p=model.p,
+        z=ca.vertcat(x, law.z), l=law.l, y=ca.SX.sym("y", law.l.numel()),
+        E=ca.vertcat(E, law.E), Y=law.Y,
+        law=law.law,
+        rows=law.rows,
+        guess=ca.vertcat(x_k, ca.substitute([law.guess], [x], [x_k])[0]),
+        next_state=ca.vertcat(x, model.B @ law.multipliers) if ga < 1 else x,
+        multipliers=law.user_multipliers,
+        outputs=law.user_outputs,
+        start=_start(model, h, ca.vertcat(x_k, r_k)) if ga < 1 else None,
+    )  # fmt: skip
+
+
+class _LawOnX:
+    """The law as rows on (x, l): from ``law`` directly, from ``phi`` by its split."""
+
+    def __init__(self, model: LureSystem, x: ca.SX) -> None:
+        self.z = self.E = self.guess = ca.SX(0, 1)
+        self.user_multipliers = self.user_outputs = None
+        m = model.B.shape[1]
+        if model.law is not None:
+            y = ca.SX.sym("y", m)
+            basic = basic_law(model.law, model.multiplier_names, y)
+            self.law, self.l, self.rows, self.multipliers = basic.law, basic.l, basic.rows, basic.multipliers
+            output = model.C @ x + model.D @ self.multipliers
+            self.Y = ca.substitute(basic.Y, y, output)
+            if basic.l.numel() != m:
+                self.user_multipliers, self.user_outputs = self.multipliers, output
+            return
+        part = subdifferential(model.phi_split, model.y, "phi")
+        implicit = not model.D.is_zero()
+        y = ca.SX.sym("y_next", m) if implicit else model.C @ x
+        self.multipliers, self.Y = ca.substitute([part.force, part.u], [model.y], [y])
+        self.law, self.l, self.rows = part.law, part.l, part.rows
+        self.user_multipliers, self.user_outputs = self.multipliers, y
+        if implicit:
+            self.z, self.E = y, y - model.C @ x - model.D @ self.multipliers
+            self.guess = model.C @ x
+
+
+def _law(model: LureSystem, x: ca.SX) -> _LawOnX:
+    return _LawOnX(model, x)
+
+
+def _start(model: LureSystem, h: ca.SX, state: ca.SX) -> OneStepProblem:
+    """l_0 solves the law at x_0: the first B l_k where gamma < 1."""
+    law = _LawOnX(model, model.x)
+    return OneStepProblem(
+        scheme="multiplier at the start",
+        t=model.t, h=h, state=state, p=model.p,
+        z=law.z, l=law.l, y=ca.SX.sym("y", law.l.numel()),
+        E=law.E, Y=law.Y,
+        law=law.law,
+        rows=law.rows,
+        guess=law.guess,
+        next_state=ca.vertcat(model.x, model.B @ law.multipliers),
+    )  # fmt: skip
+
+
+def initial_rows(model: LureSystem, h: float) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
+    """x_0, and room for r_0 where gamma < 1."""
+    x0 = np.array(ca.DM(model.x0)).ravel()
+    return [(np.concatenate([x0, np.zeros(x0.size)]) if model.gamma < 1 else x0, {})]

@@ -1,0 +1,137 @@
+"""The one-step nonsmooth problem: what every scheme makes of a model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import casadi as ca
+
+from nsmodel.model.convex import ConvexSplit
+from nsmodel.model.laws import Law, ball, box, complementarity, equality, product, relay
+
+
+@dataclass(frozen=True)
+class OneStepProblem:
+    """Find (z, l): E(z, l; k) = 0, y = Y(z, l; k), -y ∈ N_K(l), where k = (t, h, state, p).
+
+    Attributes:
+        scheme: name and source of the scheme.
+        t, h: time t_k and step, t_{k+1} = t + h.
+        state: what the scheme carries from step to step; its first n entries are the model's state.
+        p: parameters still symbolic.
+        z, l: the unknowns; y: a symbol for Y, for use in ``records``.
+        E, Y: expressions of z, l and k.
+        law: K, made of boxes, balls and cones.
+        rows: the user's name of each row of l and y.
+        guess: first z, an expression of k: the value for which nothing moves.
+        next_state: expression of z, l and k.
+        multipliers, outputs: l and y as the user declared them, where they differ from l and y; else None.
+        records: further columns of the trajectory, expressions of z, l, y and k.
+        start: problem that turns (x0, 0) into the first state, where the scheme needs a multiplier at t = 0.
+    """
+
+    scheme: str
+    t: ca.SX
+    h: ca.SX
+    state: ca.SX
+    p: ca.SX
+    z: ca.SX
+    l: ca.SX
+    y: ca.SX
+    E: ca.SX
+    Y: ca.SX
+    law: Law
+    rows: tuple[str, ...]
+    guess: ca.SX
+    next_state: ca.SX
+    multipliers: ca.SX | None = None
+    outputs: ca.SX | None = None
+    records: dict[str, ca.SX] = field(default_factory=dict)
+    start: OneStepProblem | None = None
+
+
+class BasicLaw(NamedTuple):
+    """A law rewritten for boxes, balls and cones: multipliers = L(l), and rows Y(l, y) of the rewritten law."""
+
+    law: Law
+    l: ca.SX
+    multipliers: ca.SX
+    rows: tuple[str, ...]
+    Y: ca.SX
+
+
+def basic_law(law: Law, names: tuple[str, ...], y: ca.SX) -> BasicLaw:
+    """Rewrite polyhedra {l : H l >= K}: l free with y - H' n = 0, and 0 <= n ⟂ H l - K >= 0.
+
+    ``y`` (m, 1) is the output that the user's law speaks of; it must not depend on the new symbols.
+    """
+    blocks, symbols, multipliers, rows, outputs, at = [], [], [], [], [], 0
+    for block in law.blocks:
+        part, labels = y[at : at + block.size], names[at : at + block.size]
+        at += block.size
+        l = ca.SX.sym("l", block.size)
+        multipliers.append(l)
+        if block.kind != "polyhedron":
+            blocks.append(Law((block,)))
+            symbols.append(l)
+            rows += labels
+            outputs.append(part)
+            continue
+        n = ca.SX.sym("n", len(block.K))
+        blocks += [equality(block.size), complementarity(len(block.K))]
+        symbols += [l, n]
+        rows += [*labels, *(f"{labels[0]} face {i}" for i in range(len(block.K)))]
+        outputs += [part - ca.DM(block.H.T) @ n, ca.DM(block.H) @ l - ca.DM(block.K)]
+    return BasicLaw(product(*blocks), _stack(symbols), _stack(multipliers), tuple(rows), _stack(outputs))
+
+
+class Subdifferential(NamedTuple):
+    """l ∈ -dPhi(y) written with basic laws: l = gradient(l'), and rows of the law on (l', u)."""
+
+    law: Law
+    l: ca.SX
+    force: ca.SX
+    u: ca.SX
+    rows: tuple[str, ...]
+
+
+def subdifferential(phi: ConvexSplit, y: ca.SX, name: str) -> Subdifferential:
+    """Write -dPhi(y) as ``force``, an expression of y and new multipliers l' with -u ∈ N_K(l').
+
+    |u| gives a relay, max(u, 0) a box, |u|_2 a ball, an indicator a complementarity; nested terms their epigraph:
+    tau free with 0 = d/dtau, 0 <= l ⟂ tau_j - u_i(y, tau) >= 0.
+    """
+    laws, symbols, us, rows = [], [], [], []
+    lagrangian = phi.smooth
+    for i, term in enumerate(phi.terms):
+        m = term.u.numel()
+        l = ca.SX.sym("l", m)
+        laws.append(_LAW_OF_TERM[term.kind](m, term.weight))
+        symbols.append(l)
+        us.append(term.u)
+        rows += [f"{name} term {i}"] * m
+        lagrangian = lagrangian - ca.dot(l, term.u)
+    if phi.tau.numel():
+        n = ca.SX.sym("n", phi.epigraph.numel())
+        gaps = ca.vertcat(*(phi.tau[j] for j in phi.epigraph_of)) - phi.epigraph
+        lagrangian = lagrangian - ca.dot(n, gaps)
+        laws += [equality(phi.tau.numel()), complementarity(n.numel())]
+        symbols += [phi.tau, n]
+        us += [ca.gradient(lagrangian, phi.tau), gaps]
+        rows += [f"{name} level {j}" for j in range(phi.tau.numel())] + [f"{name} piece {i}" for i in range(n.numel())]
+    force = -ca.gradient(lagrangian, y)
+    return Subdifferential(product(*laws), _stack(symbols), force, _stack(us), tuple(rows))
+
+
+_LAW_OF_TERM = {
+    "abs": lambda m, w: relay(m, -w, w),
+    "max": lambda m, w: box(ca.repmat(-w, m, 1), ca.SX.zeros(m)),
+    "norm": ball,
+    "indicator": lambda m, w: complementarity(m),
+    "equality": lambda m, w: equality(m),
+}
+
+
+def _stack(columns: list[ca.SX]) -> ca.SX:
+    return ca.vertcat(ca.SX(0, 1), *columns)

@@ -1,0 +1,1 @@
+"""From the one-step problem to a verified step."""

@@ -1,0 +1,133 @@
+"""What a scene needs and what it does not: the choice of path and solvers, with reasons (`--explain`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nsmodel.errors import UsageError
+from nsmodel.scheme.problem import OneStepProblem
+from nsmodel.solve import mlcp, qp
+from nsmodel.solve.certificate import EPS, NumericLaw
+from nsmodel.solve.structure import Structure
+
+IPOPT = "ipopt"
+OWN = {"active-set": mlcp.INDEX_SET, "lemke": mlcp.LEMKE, "enumeration": mlcp.ENUMERATION, "semismooth": mlcp.SEMISMOOTH}
+SOLVERS = ("auto", *qp.SOLVERS, IPOPT, *OWN)
+ENUMERATE_UP_TO = 10
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a step is computed.
+
+    Attributes:
+        path: "kernel" (constant matrices) or "newton".
+        chain: solvers of the affine problem in the order in which they are tried.
+        use_last: whether the last index set is tried before the chain.
+        ipopt: whether the whole step goes to IPOPT, always ("always") or when the chain has failed ("last").
+        monotone: whether W + W' is psd at the start; least_eigenvalue: its least eigenvalue, scaled by W's diagonal.
+        used, left_out: lines for `--explain`.
+    """
+
+    path: str
+    chain: tuple[str, ...]
+    use_last: bool
+    ipopt: str
+    monotone: bool
+    least_eigenvalue: float
+    used: tuple[str, ...]
+    left_out: tuple[str, ...]
+
+    def text(self, problem: OneStepProblem) -> str:
+        """The plan for a person."""
+        lines = [f"scheme    {problem.scheme}"]
+        lines += [f"{'used' if i == 0 else '':9} {line}" for i, line in enumerate(self.used)]
+        lines += [f"{'left out' if i == 0 else '':9} {line}" for i, line in enumerate(self.left_out)]
+        return "\n".join(lines)
+
+
+def least_eigenvalue(W: np.ndarray) -> float:
+    """Least eigenvalue of (W + W')/2 after scaling rows and columns alike, so that units do not matter; inf for m = 0."""
+    if not W.size:
+        return np.inf
+    S = (W + W.T) / 2
+    d = np.sqrt(np.abs(S).max(axis=1))
+    d[d == 0] = 1
+    return float(np.linalg.eigvalsh(S / np.outer(d, d))[0])
+
+
+def choose(problem: OneStepProblem, structure: Structure, law: NumericLaw, W: np.ndarray | None, solver: str) -> Plan:
+    """Decide, from the structure and from W at the start (None where it has none).
+
+    Raises:
+        UsageError: ``solver`` is unknown, or does not apply to this problem.
+    """
+    if solver not in SOLVERS:
+        raise UsageError(f"solver '{solver}' is unknown; choose one of {', '.join(SOLVERS)}")
+    least = least_eigenvalue(W) if W is not None else -np.inf
+    monotone = least >= -64 * EPS * max(structure.m, 1)
+    path = "kernel" if structure.constant else "newton"
+    used, left_out = _lines(problem, structure, law, monotone, least)
+    if solver == "auto":
+        chain = _chain(structure, law, monotone)
+        if chain:
+            used.append("solvers, each answer polished on its index set and certified: " + ", ".join(["last index set", *chain, IPOPT]))
+        return Plan(path, chain, True, "last" if structure.m else "never", monotone, least, tuple(used), tuple(left_out))
+    _check_applies(solver, structure, law, monotone, least)
+    used.append(f"solver {solver} alone (forced), its answer polished on the index set and certified")
+    chain = () if solver == IPOPT else (OWN.get(solver, solver),)
+    always = "always" if solver == IPOPT else "never"
+    return Plan(path, chain, False, always, monotone, least, tuple(used), tuple(left_out))
+
+
+def _chain(structure: Structure, law: NumericLaw, monotone: bool) -> tuple[str, ...]:
+    if not structure.m:
+        return ()
+    if law.curved:
+        return (mlcp.SEMISMOOTH,)
+    enumeration = (mlcp.ENUMERATION,) if structure.m <= ENUMERATE_UP_TO else ()
+    return (mlcp.INDEX_SET, *(("qpoases",) if monotone else ()), mlcp.LEMKE, *enumeration)
+
+
+def _check_applies(solver: str, structure: Structure, law: NumericLaw, monotone: bool, least: float) -> None:
+    if not structure.m:
+        raise UsageError(f"solver '{solver}' does not apply: the model has no multipliers; leave --solver out")
+    if law.curved and solver not in (IPOPT, "semismooth"):
+        raise UsageError(f"solver '{solver}' does not apply: the law has balls or cones; use semismooth or ipopt")
+    if solver in qp.SOLVERS and not monotone:
+        raise UsageError(
+            f"solver '{solver}' does not apply: the step is not a convex QP (least eigenvalue of W + W' {least:.3g}); "
+            "use active-set, lemke, enumeration or ipopt"
+        )
+
+
+def _lines(
+    problem: OneStepProblem, structure: Structure, law: NumericLaw, monotone: bool, least: float
+) -> tuple[list[str], list[str]]:
+    n, m = structure.n, structure.m
+    used, left_out = [f"{n} unknowns, {m} multipliers, {structure.nonzeros} nonzeros of {(n + m) ** 2}"], []
+    if not m:
+        left_out.append("multipliers and every solver: the model has no law")
+    if structure.constant:
+        used.append("constant matrices: factored once for each step size, one function call a step")
+        left_out.append("Newton iterations, Jacobian evaluations: E and Y are affine with constant coefficients")
+    elif structure.affine:
+        used.append("one linearisation a step")
+        left_out.append("Newton iterations: E and Y are affine in the unknowns")
+    else:
+        used.append("Newton's method with exact Jacobians: E or Y is not affine")
+    if structure.identity and n:
+        left_out.append("linear systems: E_z is the identity")
+    if m and not law.curved:
+        if monotone and structure.symmetric:
+            used.append("W symmetric psd: a box QP")
+        elif monotone:
+            used.append("W psd, not symmetric: a gap QP")
+        else:
+            used.append(f"W not psd (least eigenvalue {least:.3g}): complementarity conditions; uniqueness is not guaranteed")
+            left_out.append("quadratic programmes: not convex here")
+    if m > 24 and structure.symmetric and not structure.constant:
+        left_out.append("rows that the prediction satisfies: they enter only if the solution violates them")
+    return used, left_out

@@ -1,0 +1,54 @@
+"""Why a step has no verified solution, in the user's words."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nsmodel.scheme.problem import OneStepProblem
+from nsmodel.solve.active_set import index_sets
+from nsmodel.solve.certificate import NumericLaw
+from nsmodel.solve.choose import ENUMERATE_UP_TO, Plan
+
+
+def why(
+    problem: OneStepProblem, law: NumericLaw, plan: Plan, W: np.ndarray | None, b: np.ndarray | None, state: np.ndarray
+) -> str:
+    """Return the most specific reason that can be proved, else what is known."""
+    if not np.isfinite(state).all():
+        return "the state is not finite"
+    if W is None or b is None:
+        return "the linearised step is singular at this step size; change the step, or check M, A and K"
+    bad = np.flatnonzero(~(np.isfinite(b) & np.isfinite(W).all(axis=1)))
+    if bad.size:
+        return (
+            f"'{problem.rows[bad[0]]}' or its gradient is not a finite number at the present state "
+            "(a square root or norm at 0, a division by 0?)"
+        )
+    opposed = opposing_rows(W, b, law) if plan.monotone else None
+    if opposed:
+        names = [f"'{problem.rows[i]}' (weight {u:.3g})" for i, u in opposed]
+        return "the constraints leave no point: " + " and ".join(names) + " oppose each other"
+    if not plan.monotone and law.size <= ENUMERATE_UP_TO and not law.curved:
+        count = sum(1 for _ in index_sets(law, np.zeros(law.size, np.int8)))
+        return (
+            f"W is not psd (least eigenvalue {plan.least_eigenvalue:.3g}) and none of its {count} index sets gives a solution"
+        )
+    if not plan.use_last:
+        return "the forced solver did not find it"
+    return "no solver reached the tolerance"
+
+
+def opposing_rows(W: np.ndarray, b: np.ndarray, law: NumericLaw) -> list[tuple[int, float]] | None:
+    """Return [(row, weight), ...] of a proof that 0 <= l ⟂ W l + b >= 0 has no solution, W psd: u >= 0, W u = 0, b'u < 0."""
+    from scipy.optimize import linprog
+
+    if law.curved or not ((law.lower == 0).all() and np.isposinf(law.upper).all()) or not law.size:
+        return None
+    S = W + W.T
+    scale = np.abs(S).max(axis=1)
+    scale[scale == 0] = 1
+    A = np.vstack([S / scale[:, None], np.ones(law.size)])
+    found = linprog(b / max(np.abs(b).max(), 1e-300), A_eq=A, b_eq=np.append(np.zeros(law.size), 1.0), bounds=(0, None))
+    if not found.success or found.fun > -1e-9:
+        return None
+    return [(int(i), float(found.x[i])) for i in np.argsort(-found.x) if found.x[i] > 1e-6][:6]

@@ -1,0 +1,159 @@
+"""A step whose matrices depend on h alone: everything but the index set is one CasADi function called through buffer().
+
+With E = E_0 + E_z z + E_l l and Y = Y_0 + Y_z z + Y_l l, constant matrices give z = z_0 + Z l, y = W l + b with
+Z = -E_z^{-1} E_l, W = Y_l + Y_z Z, and on an index set l = S b + s: S and s change with the index set only.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.scheme.problem import OneStepProblem
+from nsmodel.solve.certificate import EPS, NumericLaw, box_residual_sx
+from nsmodel.solve.layout import Layout, extras
+from nsmodel.solve.structure import Structure, jacobians
+
+class Kernel:
+    """The step for one value of h. ``evaluate(t, state)`` fills ``out`` for the index set given by ``load``.
+
+    Raises:
+        numpy.linalg.LinAlgError: E_z is singular at this h.
+    """
+
+    def __init__(self, problem: OneStepProblem, structure: Structure, law: NumericLaw, where: Layout, h: float) -> None:
+        E_z, E_l, Y_z, Y_l = _matrices(problem, h)
+        n, m = structure.n, structure.m
+        inverse = np.linalg.inv(E_z)
+        self.Z = -inverse @ E_l
+        self.W = Y_l + Y_z @ self.Z
+        self.w_max = np.abs(self.W).max(axis=1, initial=0.0)
+        self.h = h
+        function, self.b_function = _functions(problem, structure, law, h, (E_z, E_l, Y_z, Y_l), inverse, self.Z, self.W)
+        self._t, self._state = np.zeros(1), np.zeros(problem.state.numel())
+        self._S, self._s, self._free = np.zeros((m, m), order="F"), np.zeros(m), np.zeros(m)
+        self.out = np.zeros(where.width)
+        buffer, self._run = function.buffer()
+        for i, array in enumerate((self._t, self._state, self._S, self._s, self._free)):
+            buffer.set_arg(i, memoryview(array.reshape(-1, order="F")))
+        buffer.set_res(0, memoryview(self.out))
+        self._buffer = buffer
+        self._maps: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+        self.loaded: np.ndarray | None = None
+        self.law = law
+
+    def evaluate(self, t: float, state: np.ndarray) -> np.ndarray:
+        """Fill and return ``out`` (not a copy)."""
+        self._t[0] = t
+        self._state[:] = state
+        self._run()
+        return self.out
+
+    def load(self, index: np.ndarray) -> bool:
+        """Put the index set's map l = S b + s in place; False where it has none (a bound that is infinite)."""
+        key = index.tobytes()
+        if key not in self._maps:
+            if len(self._maps) > 256:
+                self._maps.clear()
+            found = _index_map(self.W, self.law, index)
+            if found is None:
+                return False
+            self._maps[key] = found
+        self._S[:], self._s[:] = self._maps[key]
+        self._free[:] = index == 0
+        self.loaded = index
+        return True
+
+    def load_multiplier(self, l: np.ndarray, index: np.ndarray) -> None:
+        """Make ``evaluate`` use this l."""
+        self._S[:], self._s[:] = 0.0, l
+        self._free[:] = index == 0
+        self.loaded = None
+
+    def b(self, t: float, state: np.ndarray) -> np.ndarray:
+        """The vector b of y = W l + b."""
+        return np.array(self.b_function(t, state)).ravel()
+
+
+def _matrices(problem: OneStepProblem, h: float) -> tuple[np.ndarray, ...]:
+    known = ca.vertcat(problem.t, problem.state, problem.z, problem.l)
+    f = ca.Function("matrices", [problem.h, known], [ca.densify(J) for J in jacobians(problem)])
+    return tuple(np.array(v).reshape(v.shape) for v in f.call([ca.DM(h), ca.DM.zeros(known.numel())]))
+
+
+def _index_map(W: np.ndarray, law: NumericLaw, index: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    m = law.size
+    S, s = np.zeros((m, m)), np.where(index < 0, law.lower, np.where(index > 0, law.upper, 0.0))
+    if not np.isfinite(s).all():
+        return None
+    free = np.flatnonzero(index == 0)
+    if free.size:
+        block = W[np.ix_(free, free)]
+        try:
+            inverse = np.linalg.inv(block)
+        except np.linalg.LinAlgError:
+            inverse = np.linalg.pinv(block)
+        if np.abs(inverse).max() * np.abs(block).max() > 1e13:
+            inverse = np.linalg.pinv(block)
+        S[np.ix_(free, free)] = -inverse
+        s[free] = -inverse @ (W[free] @ s)
+    return S, s
+
+
+def _functions(
+    problem: OneStepProblem, structure: Structure, law: NumericLaw, h: float, matrices: tuple[np.ndarray, ...],
+    inverse: np.ndarray, Z: np.ndarray, W: np.ndarray,
+) -> tuple[ca.Function, ca.Function]:  # fmt: skip
+    """The packed step as a function of (t, state, S, s, free), and b as a function of (t, state)."""
+    p, n, m = problem, structure.n, structure.m
+    E_z, E_l, Y_z, Y_l = (ca.sparsify(ca.DM(M)) for M in matrices)
+    inverse, Z, W_sx = ca.sparsify(ca.DM(inverse)), ca.sparsify(ca.DM(Z)), ca.sparsify(ca.DM(W))
+
+    def at_h(e: ca.SX) -> ca.SX:
+        return ca.substitute(e, p.h, h) if e.numel() else e
+
+    E, Y, guess = at_h(p.E), at_h(p.Y), at_h(p.guess)
+
+    def origin(e: ca.SX) -> ca.SX:
+        return ca.substitute([e], [p.z, p.l], [ca.SX.zeros(n), ca.SX.zeros(m)])[0] if e.numel() else e
+
+    guess = origin(guess)
+    E_0, Y_0 = origin(E), origin(Y)
+    E_guess = ca.substitute([E], [p.z, p.l], [guess, ca.SX.zeros(m)])[0] if n else E
+    S, s, free = ca.SX.sym("S", m, m), ca.SX.sym("s", m), ca.SX.sym("free", m)
+    z_0 = -inverse @ E_0
+    b = Y_0 + Y_z @ z_0
+    l = S @ b + s
+    z = z_0 + Z @ l
+    for row, column, factor in structure.unit_rows:
+        z[column] = ca.if_else(free[row], -Y_0[row] / factor, z[column])
+
+    size_E = ca.fabs(E_z) @ ca.fabs(z) + ca.fabs(E_l) @ ca.fabs(l) + ca.fabs(E_0)
+    size_Y = ca.fabs(Y_z) @ ca.fabs(z) + ca.fabs(Y_l) @ ca.fabs(l) + ca.fabs(Y_0)
+    round_off = 4 * (n + m + 4) * EPS
+    E_here, Y_here = ca.substitute([E, Y], [p.z, p.l], [z, l])
+    # The scale of E: what moves in the step, not where it happens (positions far from 0 do not excuse an error).
+    s_E = ca.fabs(E_guess) + ca.fabs(E_z) @ ca.fabs(z - guess) + ca.fabs(E_l) @ ca.fabs(l)
+    excess = ca.fmax(ca.fabs(E_here) - round_off * size_E, 0)
+    residual = _largest([ca.if_else(excess[i] == 0, 0, excess[i] / s_E[i]) for i in range(n)])
+    if m:
+        s_y = ca.fabs(b) + ca.fabs(W_sx) @ ca.fabs(l)
+        w_max = np.abs(W).max(axis=1)
+        box = [i for i in range(m) if not any(rows.start <= i < rows.stop for _, rows, _ in law.curved)]
+        judged = (e[box] for e in (l, Y_here, s_y, round_off * size_Y))
+        residual = ca.fmax(residual, box_residual_sx(law.lower[box], law.upper[box], w_max[box], *judged))
+    residual = ca.if_else(residual >= 0, residual, ca.inf)
+    y = ca.if_else(free, 0, Y_here) if m else Y_here
+    rest = ca.substitute(
+        [at_h(e) for e in (p.next_state, *extras(p).values())], [p.z, p.l, p.y], [z, l, y]
+    )
+    packed = ca.densify(ca.vertcat(rest[0], l, y, residual, 1, *rest[1:]))
+    step = ca.Function("step", [p.t, p.state, S, s, free], [packed], {"cse": True})
+    return step, ca.Function("b", [p.t, p.state], [ca.densify(b)])
+
+
+def _largest(items: list[ca.SX]) -> ca.SX:
+    worst = ca.SX(0)
+    for item in items:
+        worst = ca.fmax(worst, ca.if_else(item >= 0, item, ca.inf))
+    return worst

@@ -1,0 +1,270 @@
+"""The general step: Newton's linearisation in (z, l), an affine problem in l for each iterate, until all residuals vanish.
+
+At (z, l): E_z dz + E_l dl + E = 0 gives dz = dz_0 + Z dl with dz_0 = -E_z^{-1} E, Z = -E_z^{-1} E_l, and
+y+ = W l+ + b with W = Y_l + Y_z Z, b = Y + Y_z dz_0 - W l. For theta-gamma stepping these are the W_mlcp, x_free, x_p, b of
+`scheme.theta_gamma`. An affine problem takes one iteration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.scheme.problem import OneStepProblem
+from nsmodel.solve import active_set, mlcp
+from nsmodel.solve.certificate import EPS, NumericLaw, law_residual
+from nsmodel.solve.layout import Layout, extras
+from nsmodel.solve.structure import Structure, jacobians
+
+ITERATIONS = 30
+WORKING_SET_ABOVE = 24
+
+
+@dataclass
+class Linearisation:
+    """E, Y and their Jacobians at one (z, l)."""
+
+    E: np.ndarray
+    Y: np.ndarray
+    E_z: np.ndarray
+    E_l: np.ndarray
+    Y_z: np.ndarray
+    Y_l: np.ndarray
+
+
+@dataclass
+class Iterate:
+    """(z, l), its index set, the certificate with the row that is worst, and how it was found."""
+
+    z: np.ndarray
+    l: np.ndarray
+    index: np.ndarray
+    y: np.ndarray
+    residual: float
+    worst_row: int | None
+    solver: str
+    iterations: int
+
+
+class Newton:
+    """Newton's method for one problem; ``solve`` gives the best iterate that the chain reaches."""
+
+    def __init__(
+        self, problem: OneStepProblem, structure: Structure, law: NumericLaw, where: Layout, chain: Sequence[str], tolerance: float
+    ) -> None:
+        self.problem, self.structure, self.law, self.where = problem, structure, law, where
+        self.chain, self.tolerance = tuple(chain), tolerance
+        p = problem
+        known = [p.t, p.h, p.state]
+        parts = [p.E, p.Y, *jacobians(p)]
+        self._linearise = _Buffered("linearise", [*known, p.z, p.l], parts, matrices=4)
+        guess_0 = ca.substitute([p.guess], [p.l], [ca.SX.zeros(p.l.shape)])[0] if p.l.numel() else p.guess
+        E_guess = ca.substitute([p.E], [p.z, p.l], [guess_0, ca.SX.zeros(p.l.shape)])[0] if p.z.numel() else p.E
+        self._guess = _Buffered("guess", [*known, p.l], [p.guess, guess_0, E_guess])
+        self._pack = _Buffered("pack", [*known, p.z, p.l, p.y], [p.next_state, *extras(p).values()])
+        self._complementarity = bool((law.lower == 0).all() and np.isposinf(law.upper).all() and not law.curved)
+
+    def linearise(self, t: float, h: float, state: np.ndarray, z: np.ndarray, l: np.ndarray) -> Linearisation:
+        """Evaluate E, Y and the exact Jacobians."""
+        return Linearisation(*self._linearise(t, h, state, z, l))
+
+    def guess(self, t: float, h: float, state: np.ndarray, l: np.ndarray) -> np.ndarray:
+        """The first z."""
+        return self._guess(t, h, state, l)[0]
+
+    def matrix_at(self, t: float, h: float, state: np.ndarray, z: np.ndarray, l: np.ndarray) -> np.ndarray | None:
+        """W linearised at (z, l); None where it is singular or not finite."""
+        at = self.linearise(t, h, state, z, l)
+        eliminated = self._eliminate(at)
+        W = None if eliminated is None else at.Y_l + at.Y_z @ eliminated[1]
+        return W if W is not None and np.isfinite(W).all() else None
+
+    def affine_problem(self, t: float, h: float, state: np.ndarray, l: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """(W, b) of the first iterate; (None, None) where the linear system is singular."""
+        at = self.linearise(t, h, state, self.guess(t, h, state, l), l)
+        eliminated = self._eliminate(at)
+        if eliminated is None:
+            return None, None
+        dz_0, Z = eliminated
+        return at.Y_l + at.Y_z @ Z, at.Y + at.Y_z @ (dz_0 - Z @ l) - at.Y_l @ l
+
+    def solve(self, t: float, h: float, state: np.ndarray, l: np.ndarray, index: np.ndarray) -> Iterate:
+        """Return the accepted iterate, or the best one found (residual above the tolerance)."""
+        z, guess_0, E_guess = self._guess(t, h, state, l)
+        guess = (guess_0, np.abs(E_guess))
+        best = None
+        at = self.linearise(t, h, state, z, l)
+        for iteration in range(1, ITERATIONS + 1):
+            moved = self._advance(at, z, l, index)
+            if moved is None:
+                break
+            z, l, index, solver = moved
+            at = self.linearise(t, h, state, z, l)
+            found = self.judge(at, z, l, index, guess, solver, iteration)
+            if best is not None and found.residual <= self.tolerance and found.residual > best.residual / 10:
+                return min(found, best, key=lambda i: i.residual)
+            best = found if best is None or found.residual < best.residual else best
+            if found.residual <= 1e-2 * self.tolerance or (self.structure.affine and found.residual <= self.tolerance):
+                return found
+            if not np.isfinite(found.residual) and not (np.isfinite(z).all() and np.isfinite(l).all()):
+                break
+        return best if best is not None else Iterate(z, l, index, np.full(l.size, np.nan), np.inf, None, "none", 0)
+
+    def _advance(
+        self, at: Linearisation, z: np.ndarray, l: np.ndarray, index: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, str] | None:
+        """One Newton iteration: the next (z, l, index set) and the solver of its affine problem."""
+        eliminated = self._eliminate(at)
+        if eliminated is None:
+            return None
+        dz_0, Z = eliminated
+        solver = "none needed"
+        l_next = l
+        if l.size:
+            b = at.Y + at.Y_z @ (dz_0 - Z @ l) - at.Y_l @ l
+            found = self._solve_rows(at, Z, b, l, index)
+            if not np.isfinite(found.l).all():
+                return None
+            l_next, index, solver = found.l, found.index, found.solver
+        z_next = z + dz_0 + Z @ (l_next - l)
+        if self.structure.unit_rows:
+            E_0 = at.Y - at.Y_z @ z - at.Y_l @ l
+            for row, column, factor in self.structure.unit_rows:
+                if index[row] == 0:
+                    z_next[column] = -E_0[row] / factor
+        return z_next, l_next, index, solver
+
+    def _eliminate(self, at: Linearisation) -> tuple[np.ndarray, np.ndarray] | None:
+        """dz_0 = -E_z^{-1} E and Z = -E_z^{-1} E_l; None where E_z is singular."""
+        if self.structure.identity:
+            return -at.E, -at.E_l
+        try:
+            both = np.linalg.solve(at.E_z, np.column_stack([at.E, at.E_l]))
+        except np.linalg.LinAlgError:
+            return None
+        return -both[:, 0], -both[:, 1:]
+
+    def _solve_rows(self, at: Linearisation, Z: np.ndarray, b: np.ndarray, l: np.ndarray, index: np.ndarray) -> mlcp.Solution:
+        """Solve the affine problem; of many complementarity rows only those that act (violated ones are added until none is)."""
+        if not (self._complementarity and self.structure.symmetric and l.size > WORKING_SET_ABOVE):
+            W = at.Y_l + at.Y_z @ Z
+            return mlcp.solve(W, b, self.law, l, index, self.chain, self.structure.symmetric, self.tolerance / 10)
+        chosen = (b < 0) | (index == 0)
+        for _ in range(l.size + 1):
+            rows = np.flatnonzero(chosen)
+            law = NumericLaw(self.law.lower[rows], self.law.upper[rows], ())
+            W = at.Y_z[rows] @ Z[:, rows] + at.Y_l[np.ix_(rows, rows)]
+            part = mlcp.solve(W, b[rows], law, l[rows], index[rows], self.chain, True, self.tolerance / 10)
+            if not np.isfinite(part.l).all():
+                return mlcp.Solution(np.full(l.size, np.nan), index, np.inf, part.solver)
+            full, code = np.zeros(l.size), np.full(l.size, -1, np.int8)
+            full[rows], code[rows] = part.l, part.index
+            y = b + at.Y_z @ (Z[:, rows] @ part.l) + at.Y_l[:, rows] @ part.l
+            scale = np.abs(b) + np.abs(at.Y_z) @ np.abs(Z[:, rows] @ part.l)
+            violated = (y < -4 * (Z.shape[0] + 4) * EPS * scale) & ~chosen
+            if not violated.any():
+                return mlcp.Solution(full, code, part.residual, part.solver if rows.size else "none needed")
+            chosen |= violated
+        raise AssertionError("unreachable: every pass adds a row")  # pragma: no cover
+
+    def judge(
+        self, at: Linearisation, z: np.ndarray, l: np.ndarray, index: np.ndarray, guess: tuple[np.ndarray, np.ndarray],
+        solver: str, iterations: int,
+    ) -> Iterate:  # fmt: skip
+        """The certificate at (z, l): E against what moves in the step, and the law at the model's own y."""
+        n, m = z.size, l.size
+        round_off = 4 * (n + m + 4) * EPS
+        abs_z, abs_l = np.abs(z), np.abs(l)
+        E_z, E_l = np.abs(at.E_z), np.abs(at.E_l)
+        E_0 = at.E - at.E_z @ z - at.E_l @ l
+        size_E = E_z @ abs_z + E_l @ abs_l + np.abs(E_0)
+        s_E = guess[1] + E_z @ np.abs(z - guess[0]) + E_l @ abs_l
+        excess = np.maximum(np.abs(at.E) - round_off * size_E, 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            dynamics = np.where(excess == 0, 0, excess / s_E).max(initial=0.0)
+        worst, row = float(dynamics) if np.isfinite(dynamics) else np.inf, None
+        y = at.Y
+        if m:
+            rows, s_y, w_max, slack = self._law_scales(at, z, l, index, round_off)
+            residual = law_residual(self.law, l, at.Y, s_y, w_max, slack)
+            if residual.max() >= worst or not np.isfinite(residual).all():
+                row = int(np.argmax(np.where(np.isnan(residual), np.inf, residual)))
+                worst = float(residual[row])
+            y = np.where(index == 0, 0.0, at.Y)
+        if not (np.isfinite(z).all() and np.isfinite(at.E).all()):
+            worst = np.inf
+        return Iterate(z, l, index, y, worst, row, solver, iterations)
+
+    def _law_scales(self, at: Linearisation, z, l, index, round_off):  # noqa: ANN001, ANN202
+        """s_y, max_j |W_ij| and the round-off of Y, computed for the columns with l != 0 and the rows that act."""
+        eliminated = self._eliminate(at)
+        Z = np.zeros((z.size, l.size)) if eliminated is None else eliminated[1]
+        columns = np.flatnonzero(l)
+        W_active = at.Y_l[:, columns] + at.Y_z @ Z[:, columns]
+        b = at.Y - W_active @ l[columns]
+        s_y = np.abs(b) + np.abs(W_active) @ np.abs(l[columns])
+        rows = np.flatnonzero((l != self.law.lower) | (index == 0)) if self._complementarity else np.arange(l.size)
+        w_max = np.ones(l.size)
+        w_max[rows] = np.abs(at.Y_l[rows] + at.Y_z[rows] @ Z).max(axis=1, initial=0.0)
+        Y_0 = at.Y - at.Y_z @ z - at.Y_l @ l
+        slack = round_off * (np.abs(at.Y_z) @ np.abs(z) + np.abs(at.Y_l) @ np.abs(l) + np.abs(Y_0))
+        return rows, s_y, w_max, slack
+
+    def on_index_set(self, t: float, h: float, state: np.ndarray, z: np.ndarray, l: np.ndarray, index: np.ndarray) -> Iterate | None:
+        """Damped Newton for the smooth system E = 0, Y_i = 0 (code 0), l_i at its bound (code +-1), from (z, l)."""
+        _, guess_0, E_guess = self._guess(t, h, state, l)
+        guess = (guess_0, np.abs(E_guess))
+        l = np.where(index < 0, self.law.lower, np.where(index > 0, self.law.upper, l))
+        if not np.isfinite(l).all():
+            return None
+        free, n = np.flatnonzero(index == 0), z.size
+        at = self.linearise(t, h, state, z, l)
+        size = np.linalg.norm(np.concatenate([at.E, at.Y[free]]))
+        for iteration in range(1, ITERATIONS + 1):
+            J = np.block([[at.E_z, at.E_l[:, free]], [at.Y_z[free], at.Y_l[np.ix_(free, free)]]])
+            if not np.isfinite(J).all():
+                return None
+            step = active_set.solve_or_least_squares(J, -np.concatenate([at.E, at.Y[free]])) if J.size else np.zeros(0)
+            t_step = 1.0
+            while True:
+                z_new, l_new = z + t_step * step[:n], l.copy()
+                l_new[free] += t_step * step[n:]
+                at_new = self.linearise(t, h, state, z_new, l_new)
+                new = np.linalg.norm(np.concatenate([at_new.E, at_new.Y[free]]))
+                if new <= (1 - 1e-4 * t_step) * size or t_step < 1e-6 or size == 0:
+                    break
+                t_step /= 2
+            z, l, at, stalled, size = z_new, l_new, at_new, new >= size / 2, new
+            found = self.judge(at, z, l, index, guess, "newton on the index set", iteration)
+            if found.residual <= 1e-2 * self.tolerance or (stalled and iteration > 3):
+                return found
+        return found
+
+    def pack(self, t: float, h: float, state: np.ndarray, found: Iterate) -> np.ndarray:
+        """The packed row of an iterate."""
+        parts = self._pack(t, h, state, found.z, found.l, found.y)
+        return np.concatenate([parts[0], found.l, found.y, [found.residual, found.iterations], *parts[1:]])
+
+
+class _Buffered:
+    """A CasADi function called through buffer(): columns come back as fresh 1-D arrays, the last ``matrices`` outputs as 2-D."""
+
+    def __init__(self, name: str, inputs: list[ca.SX], outputs: list[ca.SX], matrices: int = 0) -> None:
+        function = ca.Function(name, inputs, [ca.densify(e) for e in outputs], {"cse": True})
+        self._in = [np.zeros(e.numel()) for e in inputs]
+        columns = len(outputs) - matrices
+        self._out = [np.zeros(e.numel() if i < columns else e.shape, order="F") for i, e in enumerate(outputs)]
+        self._buffer, self._run = function.buffer()
+        for i, array in enumerate(self._in):
+            self._buffer.set_arg(i, memoryview(array))
+        for i, array in enumerate(self._out):
+            self._buffer.set_res(i, memoryview(array.reshape(-1, order="F")))
+
+    def __call__(self, *values: float | np.ndarray) -> list[np.ndarray]:
+        for array, value in zip(self._in, values, strict=True):
+            array[:] = value
+        self._run()
+        return [out.copy(order="F") for out in self._out]

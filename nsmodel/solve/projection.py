@@ -1,0 +1,237 @@
+"""The step of catching-up: choose a velocity, predict, project on C as well as the tolerance asks.
+
+Exact (no tolerance): a clip where C is a box, else the projection problem with its certificate. With a tolerance eps_k the
+point is wrong by what is allowed: for a box, moved towards the interior until 0.9 eps_k is used; for smooth constraints, the
+first iterate of Newton's method whose pull-back into C is certified by the distance to a polyhedron that contains C.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.errors import ModelError, StepError
+from nsmodel.model.inclusion import MonotoneInclusion
+from nsmodel.scheme import catching_up
+from nsmodel.scheme.problem import OneStepProblem
+from nsmodel.solve import mlcp
+from nsmodel.solve.build import Stepper
+from nsmodel.solve.certificate import EPS, NumericLaw, numeric_law
+from nsmodel.solve.layout import Layout
+from nsmodel.solve.stepper import StepResult, Warm
+
+USED = 0.9  # Part of eps_k that an approximate projection on a box uses up.
+ITERATIONS = 60
+
+
+class CatchingUp:
+    """The step of a bound MonotoneInclusion; see `stepper` for the contract."""
+
+    def __init__(
+        self, model: MonotoneInclusion, problem: OneStepProblem, solver: str, tolerance: float, *, h: float, state: np.ndarray
+    ) -> None:
+        n, m = problem.state.numel(), problem.l.numel()
+        self.problem, self.tolerance, self.rows = problem, tolerance, problem.rows
+        chosen = catching_up.selection(model)
+        self.layout = Layout.of(problem, v=n, selection=chosen.l.numel(), defect=n, predictor_distance=1, excess=1, tolerance=1)
+        c, _ = catching_up.constraints(model)
+        self._face = numeric_law(chosen.law)
+        A = ca.densify(ca.jacobian(chosen.velocity, chosen.l))
+        at_zero = ca.substitute([chosen.velocity], [chosen.l], [ca.SX.zeros(chosen.l.shape)])[0]
+        self._velocity = ca.Function("velocity", [model.x], [ca.densify(e) for e in (at_zero, A, chosen.u)])
+        self._c = ca.Function("c", [model.x], [ca.densify(c), ca.densify(ca.jacobian(c, model.x))])
+        self._box = not model.constraints
+        self._lower, self._upper = (np.array(ca.DM(b)).ravel() for b in (model.lower, model.upper))
+        self._eps = _tolerance_function(model)
+        self._count = 0
+        self.exact = model.tolerances is None
+        self._stepper = Stepper(problem, solver, tolerance, h=h, state=state)
+        self._clip = self._box and solver == "auto"
+        self.plan = self._stepper.plan if not self._clip else _clip_plan(self._stepper.plan, self.exact)
+        self._interior = None if self.exact or self._box else _interior_point(model, c, state)
+        self._n, self._m = n, m
+
+    def cold(self) -> Warm:
+        """The warm start of a first step."""
+        return self._stepper.cold()
+
+    def __call__(self, t: float, h: float, state: np.ndarray, warm: Warm, k: int = 0) -> StepResult:
+        """Advance ``state`` by mu_k = h; ``k`` picks eps_k where tolerances are a sequence.
+
+        Raises:
+            StepError: no selection or projection could be verified.
+        """
+        v, selection, slack = self._select(t, state)
+        y = state + h * v
+        eps = self._eps(k, h)
+        if self._clip:
+            x, l, solver = np.clip(y, self._lower, self._upper), None, "clip"
+            d2 = float(np.sum((x - y) ** 2))
+            l = self._box_multipliers(x - y)
+            index = np.where(l > 0, 0, -1).astype(np.int8)
+            residual, newton = slack, 0
+            if eps > 0:
+                x = self._use_tolerance(x, y, eps)
+        elif eps > 0:
+            x, l, d2, index, newton = self._approximate(t, y, eps, warm)
+            residual, solver = slack, "outer approximation"
+        else:
+            found = self._stepper(t, h, y, warm)
+            inner = self._stepper.layout
+            x, l, index, solver = found.row[inner.state], found.row[inner.l], found.warm.index, found.solver
+            residual, newton = max(slack, found.row[inner.residual]), found.row[inner.newton]
+            d2 = float(np.sum((x - y) ** 2))
+        e = x - y
+        excess = max(float(e @ e) - d2, 0.0)
+        c = np.array(self._c(x)[0]).ravel()
+        row = np.concatenate([x, l, c, [residual, newton], v, selection, e, [np.sqrt(d2), excess, eps]])
+        return StepResult(row, Warm(l, index), solver)
+
+    def _select(self, t: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """v ∈ F(x) - S(x) of least |P_{T_C(x)} v|, the element l of S that gives it, and the residual of that choice."""
+        v_0, A, u = (np.array(part) for part in self._velocity(x))
+        v_0, u, face = v_0.ravel(), u.ravel(), self._face
+        if not np.isfinite(v_0).all():
+            raise StepError(f"field - operator is not finite at t = {t:.10g}, x = {x}: a division by 0 or a root of a negative number?")
+        l, tied = np.zeros(u.size), np.zeros(u.size, bool)
+        for i in range(u.size):
+            if u[i] == 0:
+                tied[i] = True
+            else:
+                l[i] = face.lower[i] if u[i] > 0 else face.upper[i]
+        for kind, rows, radius in face.curved:
+            size = np.linalg.norm(u[rows])
+            tied[rows] = size == 0
+            if kind == "ball" and size:
+                l[rows] = -radius * u[rows] / size
+        if not tied.any():
+            return v_0 + A @ l, l, 0.0
+        c, J = (np.array(part) for part in self._c(x))
+        normals = J[np.flatnonzero(c.ravel() <= 0)]
+        fixed = np.flatnonzero(~tied)
+        base, free = v_0 + A[:, fixed] @ l[fixed], np.flatnonzero(tied)
+        M = np.hstack([A[:, free], normals.T])
+        W, b = M.T @ M, M.T @ base
+        k = normals.shape[0]
+        position = {int(i): j for j, i in enumerate(free)}
+        curved = tuple(
+            (kind, slice(position[rows.start], position[rows.start] + rows.stop - rows.start), radius)
+            for kind, rows, radius in face.curved if tied[rows].all()
+        )  # fmt: skip
+        law = NumericLaw(
+            np.concatenate([face.lower[free], np.zeros(k)]), np.concatenate([face.upper[free], np.full(k, np.inf)]), curved
+        )
+        chain = (mlcp.SEMISMOOTH,) if curved else (mlcp.INDEX_SET, "qpoases", mlcp.LEMKE)
+        found = mlcp.solve(W, b, law, np.zeros(b.size), np.zeros(b.size, np.int8), chain, True, self.tolerance / 10)
+        if found.residual > self.tolerance:
+            raise StepError(f"no verified selection of the operator at t = {t:.10g}, x = {x}", residual=found.residual)
+        l[free] = found.l[: free.size]
+        return v_0 + A @ l, l, found.residual
+
+    def _box_multipliers(self, e: np.ndarray) -> np.ndarray:
+        l = []
+        for i in range(self._n):
+            l += [max(e[i], 0.0)] if np.isfinite(self._lower[i]) else []
+            l += [max(-e[i], 0.0)] if np.isfinite(self._upper[i]) else []
+        return np.array(l)
+
+    def _use_tolerance(self, p: np.ndarray, y: np.ndarray, eps: float) -> np.ndarray:
+        """A point of C with |x - y|^2 <= d_C(y)^2 + 0.9 eps: from the projection p towards the middle of the box."""
+        lo, up = self._lower, self._upper
+        both = np.isfinite(lo) & np.isfinite(up)
+        reach = 1 + np.abs(p)
+        middle = np.where(both, (lo + up) / 2, np.where(np.isfinite(lo), p + reach, np.where(np.isfinite(up), p - reach, p)))
+        d = middle - p
+        size, slope = float(d @ d), float((p - y) @ d)
+        if size == 0:
+            return p
+        s = (-slope + np.sqrt(slope**2 + size * USED * eps)) / size
+        return np.clip(p + min(s, 1.0) * d, lo, up)
+
+    def _approximate(
+        self, t: float, y: np.ndarray, eps: float, warm: Warm
+    ) -> tuple[np.ndarray, np.ndarray, float, np.ndarray, int]:
+        """x ∈ C with |x - y|^2 < d^2 + eps for a certified d <= d_C(y): (x, l, d^2, index set, iterations)."""
+        c, J = self._values(y)
+        if (c >= 0).all():
+            return y.copy(), np.zeros(self._m), 0.0, np.full(self._m, -1, np.int8), 0
+        z, best = y.copy(), np.inf
+        cuts = [(J, c - J @ y)]
+        for iteration in range(1, ITERATIONS + 1):
+            A, a = np.vstack([cut[0] for cut in cuts]), np.concatenate([cut[1] for cut in cuts])
+            z, l = self._project_on_cuts(t, A, a, y)
+            d2 = float(np.sum((z - y) ** 2))
+            x = self._pull_back(z)
+            best = float(np.sum((x - y) ** 2)) - d2
+            if best < eps:
+                l = l[-self._m :]
+                return x, l, d2, np.where(l > 0, 0, -1).astype(np.int8), iteration
+            c, J = self._values(z)
+            # C lies in every {c(z) + J(z)(x - z) >= 0}; those that no longer act are dropped.
+            cuts = [(Ai[keep], ai[keep]) for Ai, ai in cuts if (keep := np.abs(Ai @ z + ai) <= 1e-9 * (1 + np.abs(ai))).any()]
+            cuts.append((J, c - J @ z))
+        raise StepError(f"approximate projection at t = {t:.10g}: excess {best:.3g} stays above eps_k = {eps:.3g}", residual=best)
+
+    def _project_on_cuts(self, t: float, A: np.ndarray, a: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        m = a.size
+        law = NumericLaw(np.zeros(m), np.full(m, np.inf), ())
+        W, b = A @ A.T, A @ y + a
+        found = mlcp.solve(
+            W, b, law, np.zeros(m), np.where(b < 0, 0, -1).astype(np.int8), (mlcp.INDEX_SET, "qpoases", mlcp.LEMKE), True, 1e-10
+        )
+        if found.residual > self.tolerance:
+            raise StepError(f"approximate projection at t = {t:.10g}: the linearised set could not be projected on", residual=found.residual)
+        return y + A.T @ found.l, found.l
+
+    def _pull_back(self, z: np.ndarray) -> np.ndarray:
+        """The first point of C from z towards the interior point (c concave: bisection on one crossing)."""
+        assert self._interior is not None  # noqa: S101
+        if (self._values(z)[0] >= 0).all():
+            return z
+        low, high = 0.0, 1.0
+        for _ in range(80):
+            middle = (low + high) / 2
+            if (self._values(z + middle * (self._interior - z))[0] >= 0).all():
+                high = middle
+            else:
+                low = middle
+            if high - low <= 4 * EPS * high:
+                break
+        return z + high * (self._interior - z)
+
+    def _values(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        c, J = self._c(x)
+        return np.array(c).ravel(), np.array(J).reshape(-1, self._n)
+
+
+def _tolerance_function(model: MonotoneInclusion) -> Callable[[int, float], float]:
+    given = model.tolerances
+    if given is None:
+        return lambda k, h: 0.0
+    if callable(given):
+        return lambda k, h: float(given(h))
+    values = np.atleast_1d(np.asarray(given, float))
+    return lambda k, h: float(values[min(k, values.size - 1)])
+
+
+def _clip_plan(plan, exact: bool):  # noqa: ANN001, ANN202
+    from dataclasses import replace
+
+    used = ("projection on bounds: a clip" + ("" if exact else ", then moved inwards by what eps_k allows"),)
+    return replace(plan, path="clip", chain=(), ipopt="never", used=used, left_out=("every solver: C is a box",))
+
+
+def _interior_point(model: MonotoneInclusion, c: ca.SX, x0: np.ndarray) -> np.ndarray:
+    """A point with c > 0 (Slater), as deep as IPOPT finds within distance 1 of the start."""
+    s = ca.SX.sym("s")
+    solver = ca.nlpsol(
+        "interior", "ipopt", {"x": ca.vertcat(model.x, s), "f": -s, "g": c - s},
+        {"print_time": False, "error_on_fail": False, "ipopt": {"print_level": 0, "sb": "yes"}},
+    )  # fmt: skip
+    found = np.array(solver(x0=np.append(x0, 0.0), lbg=0, ubx=np.append(np.full(x0.size, np.inf), 1.0))["x"]).ravel()
+    value = np.array(ca.Function("c", [model.x], [c])(found[:-1])).min(initial=np.inf)
+    if not value > 0:
+        raise ModelError("constraints: C seems to have no interior point (none with all c(x) > 0 was found); the scheme needs one")
+    return found[:-1]

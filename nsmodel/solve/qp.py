@@ -1,0 +1,86 @@
+"""y = W l + b, -y ∈ N_[lower, upper](l) with W psd as a quadratic programme for CasADi's conic solvers.
+
+Symmetric W: the box QP min 1/2 l'W l + b'l. Otherwise the gap QP, whose value is 0 iff the problem is solvable:
+min l'(W l + b) - lower'y+ + upper'y- over lower <= l <= upper, y+ - y- = W l + b, y+, y- >= 0.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Iterator
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.solve.certificate import NumericLaw
+
+OPTIONS = {
+    "qpoases": {"printLevel": "none", "terminationTolerance": 1e-14, "boundTolerance": 1e-14},
+    "qrqp": {"print_iter": False, "print_header": False, "constr_viol_tol": 1e-12, "dual_inf_tol": 1e-12},
+    "daqp": {},
+    "osqp": {"osqp": {"verbose": False, "eps_abs": 1e-10, "eps_rel": 1e-10, "max_iter": 100000, "polish": True}},
+    "highs": {"highs": {"output_flag": False}},
+    "proxqp": {},
+    "piqp": {},
+    "ipqp": {"print_header": False, "print_iter": False, "print_info": False},
+}
+SOLVERS = tuple(OPTIONS)
+# These keep a hot start between calls: built afresh each time, so that a step depends on its arguments alone.
+HIDDEN_MEMORY = frozenset({"qpoases", "osqp", "proxqp", "piqp"})
+
+
+def solve(name: str, W: np.ndarray, b: np.ndarray, law: NumericLaw, symmetric: bool) -> np.ndarray | None:
+    """Return l (m,) as the solver gives it, unverified; None where it gives nothing finite."""
+    m = law.size
+    if symmetric:
+        H, g, A, rhs, lower, upper = (W + W.T) / 2, b, np.zeros((0, m)), np.zeros(0), law.lower, law.upper
+    else:
+        H, g, A, rhs, lower, upper = _gap_programme(W, b, law)
+    solver = (_build.__wrapped__ if name in HIDDEN_MEMORY else _build)(name, g.size, rhs.size)
+    with _quiet():
+        try:
+            found = np.array(solver(h=H, g=g, a=A, lba=rhs, uba=rhs, lbx=lower, ubx=upper)["x"]).ravel()[:m]
+        except RuntimeError:
+            return None
+    return found if np.isfinite(found).all() else None
+
+
+def _gap_programme(W: np.ndarray, b: np.ndarray, law: NumericLaw) -> tuple[np.ndarray, ...]:
+    m, has_lo, has_up = law.size, np.isfinite(law.lower), np.isfinite(law.upper)
+    H = np.zeros((3 * m, 3 * m))
+    H[:m, :m] = W + W.T
+    g = np.concatenate([b, np.where(has_lo, -law.lower, 0.0), np.where(has_up, law.upper, 0.0)])
+    A = np.hstack([W, -np.eye(m), np.eye(m)])
+    lower = np.concatenate([law.lower, np.zeros(2 * m)])
+    upper = np.concatenate([law.upper, np.where(has_lo, np.inf, 0.0), np.where(has_up, np.inf, 0.0)])
+    return H, g, A, -b, lower, upper
+
+
+@lru_cache(maxsize=64)
+def _build(name: str, n: int, rows: int) -> ca.Function:
+    with _quiet():
+        return ca.conic(
+            "step", name, {"h": ca.Sparsity.dense(n, n), "a": ca.Sparsity.dense(rows, n)},
+            {"error_on_fail": False, "print_problem": False, "verbose": False, **OPTIONS[name]},
+        )  # fmt: skip
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Solvers print banners from C: send file descriptors 1 and 2 to nowhere while one runs."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    saved, null = [(fd, os.dup(fd)) for fd in (1, 2)], os.open(os.devnull, os.O_WRONLY)
+    try:
+        with contextlib.redirect_stdout(None), contextlib.redirect_stderr(None):
+            for fd, _ in saved:
+                os.dup2(null, fd)
+            yield
+    finally:
+        for fd, copy in saved:
+            os.dup2(copy, fd)
+            os.close(copy)
+        os.close(null)

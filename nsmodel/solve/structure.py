@@ -1,0 +1,100 @@
+"""What the expressions of a one-step problem say by themselves: affine, constant, identity, symmetric, unit rows.
+
+A structure that is not recognised costs speed, never correctness: every step is certified whatever was assumed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.scheme.problem import OneStepProblem
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Facts about E and Y.
+
+    Attributes:
+        affine: E and Y are affine in (z, l): one linearisation is exact.
+        constant: the matrices depend on the step h alone: factor once.
+        identity: E_z is the identity: no linear system.
+        symmetric: W is symmetric by construction (E_z symmetric, E_l a multiple of -Y_z', Y_l symmetric).
+        unit_rows: (row, column, factor) of rows y_i = factor z_j + c(k): z_j is exact where y_i = 0.
+        n, m: numbers of unknowns z and of multipliers.
+        nonzeros: structural nonzeros of the matrix [E_z E_l; Y_z Y_l], out of (n + m)^2.
+    """
+
+    affine: bool
+    constant: bool
+    identity: bool
+    symmetric: bool
+    unit_rows: tuple[tuple[int, int, float], ...]
+    n: int
+    m: int
+    nonzeros: int
+
+
+def read(problem: OneStepProblem) -> Structure:
+    """Read the structure of a problem whose parameters are numbers."""
+    z, l = problem.z, problem.l
+    E_z, E_l, Y_z, Y_l = jacobians(problem)
+    matrices = ca.veccat(E_z, E_l, Y_z, Y_l)
+    affine = not _depends(matrices, ca.vertcat(z, l))
+    known = ca.vertcat(problem.t, problem.state)
+    identity = E_z.is_constant() and E_z.shape == ca.SX.eye(z.numel()).shape and _is_zero(E_z - ca.SX.eye(z.numel()))
+    return Structure(
+        affine=affine,
+        constant=affine and not _depends(matrices, known),
+        identity=identity,
+        symmetric=_symmetric(E_z, E_l, Y_z, Y_l, problem),
+        unit_rows=tuple(_unit_rows(Y_z, Y_l)) if affine else (),
+        n=z.numel(),
+        m=l.numel(),
+        nonzeros=sum(J.nnz() for J in (E_z, E_l, Y_z, Y_l)),
+    )
+
+
+def jacobians(problem: OneStepProblem) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+    """(E_z, E_l, Y_z, Y_l), sparse, exact."""
+    return tuple(ca.simplify(ca.jacobian(e, v)) for e in (problem.E, problem.Y) for v in (problem.z, problem.l))
+
+
+def _depends(expression: ca.SX, symbols: ca.SX) -> bool:
+    return bool(symbols.numel() and expression.numel() and ca.depends_on(expression, symbols))
+
+
+def _is_zero(expression: ca.SX) -> bool:
+    return expression.numel() == 0 or bool(ca.simplify(ca.sparsify(expression)).is_zero())
+
+
+def _symmetric(E_z: ca.SX, E_l: ca.SX, Y_z: ca.SX, Y_l: ca.SX, problem: OneStepProblem) -> bool:
+    """E_z = E_z', E_l = -a Y_z' with one factor a > 0, Y_l = Y_l': decided at three generic points of the unknowns."""
+    if not problem.l.numel():
+        return True
+    symbols = ca.vertcat(problem.t, problem.h, problem.state, problem.z, problem.l)
+    f = ca.Function("matrices", [symbols], [ca.densify(e) for e in (E_z, E_l, Y_z, Y_l)])
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        Ez, El, Yz, Yl = (np.array(v) for v in f(rng.uniform(0.5, 1.5, symbols.numel())))
+        if not all(np.isfinite(v).all() for v in (Ez, El, Yz, Yl)):
+            return False
+        factor = np.vdot(-El.T, Yz) / max(np.vdot(Yz, Yz), 1e-300)
+        if not (_equal(Ez, Ez.T) and _equal(-El, factor * Yz.T) and _equal(Yl, Yl.T) and factor >= 0):
+            return False
+    return True
+
+
+def _equal(a: np.ndarray, b: np.ndarray) -> bool:
+    return bool(np.abs(a - b).max(initial=0.0) <= 1e-13 * np.abs(a).max(initial=0.0))
+
+
+def _unit_rows(Y_z: ca.SX, Y_l: ca.SX) -> list[tuple[int, int, float]]:
+    rows = []
+    for i in range(Y_z.shape[0]):
+        entries = [(j, Y_z[i, j]) for j in range(Y_z.shape[1]) if not Y_z[i, j].is_zero()]
+        if len(entries) == 1 and entries[0][1].is_constant() and Y_l[i, :].nnz() == 0:
+            rows.append((i, entries[0][0], float(entries[0][1])))
+    return rows

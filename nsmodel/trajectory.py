@@ -1,0 +1,327 @@
+"""The result of a run: named arrays, one row a time, and metadata that JSON can hold."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Container, Iterator, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nsmodel.errors import MissingExtraError, StorageError, UsageError
+from nsmodel.storage import dumps, read_npz, write_csv, write_npz
+
+_WIDTH = 100
+_STATES_SHOWN = 8
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Trajectory:
+    """A run of N steps; row 0 of every array is the start, where multipliers, outputs and residual are NaN.
+
+    ``arrays`` is {name: array of N+1 rows}, among them t (N+1,) and x (N+1, n); ``metadata`` holds title, model class,
+    names, units, parameters, scheme, solver counts, warnings, status, ... ``len(run)`` is N.
+
+    The state is also an attribute under the user's own symbols (``run.q``, (N+1, k); (N+1,) for a scalar symbol), each
+    state under its name, and each further array under its own (``run.energy``); AttributeError lists what there is.
+    """
+
+    arrays: dict[str, np.ndarray]
+    metadata: dict[str, Any]
+
+    @property
+    def t(self) -> np.ndarray:
+        """Times (N+1,)."""
+        return self._array("t")
+
+    @property
+    def x(self) -> np.ndarray:
+        """States (N+1, n)."""
+        return self._array("x")
+
+    @property
+    def multipliers(self) -> np.ndarray:
+        """Multipliers l (N+1, m)."""
+        return self._array("multipliers")
+
+    @property
+    def y(self) -> np.ndarray:
+        """Outputs y of the law (N+1, m)."""
+        return self._array("y")
+
+    @property
+    def index_set(self) -> np.ndarray:
+        """Codes (N+1, m') int8: 0 where y_i = 0, -1 and +1 where l_i is at its lower and upper end, -2 at the start."""
+        return self._array("index_set")
+
+    @property
+    def residual(self) -> np.ndarray:
+        """Residual of each step without unit (N+1,); inf where it is unknown."""
+        return self._array("residual")
+
+    @property
+    def step(self) -> np.ndarray:
+        """Length of the step that ended at each row (N+1,)."""
+        return self._array("step")
+
+    @property
+    def active(self) -> np.ndarray:
+        """True where y_i = 0: contact, stick, sliding (N+1, m')."""
+        return self.index_set == 0
+
+    @property
+    def status(self) -> str:
+        """How the run ended."""
+        return self.metadata.get("status", "unknown")
+
+    @property
+    def title(self) -> str:
+        """The model's title."""
+        return self.metadata.get("title") or "untitled"
+
+    def multiplier(self, name: str) -> np.ndarray:
+        """Return the multiplier called ``name`` (N+1,), or all k called ``name[...]`` (N+1, k); else UsageError."""
+        names = multiplier_names(self)
+        if name in names:
+            return self.multipliers[:, names.index(name)]
+        columns = [i for i, full in enumerate(names) if full.startswith(f"{name}[")]
+        if not columns:
+            raise UsageError(f"no multiplier is called '{name}'; this run has {', '.join(names) or 'none'}")
+        return self.multipliers[:, columns]
+
+    def save(self, path: str | Path) -> None:
+        """Write one npz file with all arrays and the metadata; StorageError where that fails."""
+        write_npz(path, self.arrays, self.metadata)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Trajectory:
+        """Read what ``save`` wrote; StorageError for a missing, damaged or foreign file."""
+        arrays, metadata = read_npz(path)
+        missing = [name for name in ("t", "x") if name not in arrays]
+        if missing:
+            raise StorageError(f"{path} holds no array '{missing[0]}': it is no trajectory; give a run's own npz file")
+        return cls(arrays, metadata)
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write columns t, the states, ``multiplier:NAME``, ``y:NAME``, residual, each entry of the other arrays."""
+        write_csv(path, dict(_columns(self)))
+
+    def to_xarray(self) -> Any:
+        """Return an ``xarray.Dataset`` along ``time``: a variable a state, other arrays whole, metadata as attributes.
+
+        MissingExtraError where xarray is not installed.
+        """
+        return _dataset(self)
+
+    def plot(self, **options: Any) -> Any:
+        """Draw an overview of the run; the options are those of ``nsmodel.plot.overview``."""
+        from nsmodel.plot import overview
+
+        return overview(self, **options)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the run in short as numbers, strings, lists and dictionaries; None for what does not apply."""
+        return _summary(self)
+
+    def summary_text(self) -> str:
+        """Return the run in short as a table of at most 100 columns."""
+        return _text(_summary(self))
+
+    def _array(self, name: str) -> np.ndarray:
+        if name not in self.arrays:
+            raise AttributeError(f"this run has no '{name}'; it has {', '.join(self._found())}")
+        return self.arrays[name]
+
+    def _found(self) -> list[str]:
+        stems, names = self.metadata.get("stems", ()), self.metadata.get("state_names", ())
+        return list(dict.fromkeys([*stems, *names, *self.arrays]))
+
+    def __getattr__(self, name: str) -> np.ndarray:
+        """Find a state by its symbol or name, or an array by its own."""
+        # copy and pickle ask an empty instance for dunder names before it has arrays.
+        if name.startswith("__") or name in ("arrays", "metadata"):
+            raise AttributeError(name)
+        stems, names = self.metadata.get("stems", {}), self.metadata.get("state_names", ())
+        if name in stems:
+            columns = stems[name]
+            return self.x[:, columns[0]] if len(columns) == 1 else self.x[:, columns]
+        if name in names:
+            return self.x[:, list(names).index(name)]
+        return self._array(name)
+
+    def __dir__(self) -> list[str]:
+        """List the states and arrays among the attributes."""
+        return sorted({*super().__dir__(), *self._found()})
+
+    def __len__(self) -> int:
+        """Return the number of steps."""
+        return len(self.t) - 1
+
+    def __repr__(self) -> str:
+        """Return one line: title, class, steps, times, status."""
+        kind, span = self.metadata.get("model_class", "model"), f"t = {self.t[0]:.6g} to {self.t[-1]:.6g}"
+        return f"Trajectory({self.title!r}, {kind}, {len(self)} steps, {span}, {self.status})"
+
+
+def state_names(run: Trajectory) -> list[str]:
+    """Return one name for each column of ``run.x``."""
+    return _names(run.metadata.get("state_names"), "x", run.x.shape[1])
+
+
+def multiplier_names(run: Trajectory) -> list[str]:
+    """Return one name for each column of ``run.multipliers``; none where the run has no multipliers."""
+    width = run.multipliers.shape[1] if "multipliers" in run.arrays else 0
+    return _names(run.metadata.get("multiplier_names"), "l", width)
+
+
+def units_of(run: Trajectory) -> dict[str, str]:
+    """Return {name: unit} as declared, with the unit of a symbol or group handed on to each of its members."""
+    units, names = dict(run.metadata.get("units", {})), state_names(run)
+    for stem, columns in run.metadata.get("stems", {}).items():
+        if stem in units:
+            units |= {names[i]: units.get(names[i], units[stem]) for i in columns}
+    for name in multiplier_names(run):
+        if (group := name.split("[")[0]) in units:
+            units.setdefault(name, units[group])
+    return units
+
+
+def _names(given: Sequence[str] | None, stem: str, width: int) -> list[str]:
+    return list(given) if given is not None and len(given) == width else [f"{stem}_{i}" for i in range(width)]
+
+
+def _free(name: str, taken: Container[str], prefix: str) -> str:
+    return f"{prefix}:{name}" if name in taken else name
+
+
+def _columns(run: Trajectory) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield (name, column) of the CSV file; no name comes twice."""
+    multipliers = multiplier_names(run)
+    named = {"x": state_names(run), "multipliers": [f"multiplier:{name}" for name in multipliers]}
+    if "y" in run.arrays and run.y.shape[1:] == (len(multipliers),):
+        named["y"] = [f"y:{name}" for name in multipliers]
+    first = [name for name in ("t", "x", "multipliers", "y", "residual") if name in run.arrays]
+    taken: set[str] = set()
+    for name in dict.fromkeys([*first, *run.arrays]):
+        array = run.arrays[name]
+        indices = np.ndindex(array.shape[1:])
+        titles = named.get(name) or [name + "".join(f"_{i}" for i in index) for index in indices]
+        for title, column in zip(titles, array.reshape(len(array), len(titles)).T, strict=True):
+            yield (free := _free(title, taken, "array")), column
+            taken.add(free)
+
+
+def _dataset(run: Trajectory) -> Any:
+    xarray = _extra("xarray")
+
+    units = {name: {"units": unit} for name, unit in units_of(run).items()}
+    names, data = multiplier_names(run), {}
+    for name, column in zip(state_names(run), run.x.T, strict=True):
+        data[_free(name, {*run.arrays, "time", "multiplier"}, "state")] = ("time", column, units.get(name))
+    for name, array in run.arrays.items():
+        if name not in ("t", "x"):
+            shared = name in ("multipliers", "y") and array.shape[1:] == (len(names),)
+            rest = ["multiplier"] if shared else [f"{name}_dim_{axis}" for axis in range(1, array.ndim)]
+            data[name] = (("time", *rest), array, units.get(name))
+    coords = {"time": ("time", run.t, units.get("t")), **({"multiplier": names} if names else {})}
+    # netCDF has no attribute that is true, None or nested.
+    plain = {key: type(value) in (str, int, float) for key, value in run.metadata.items()}
+    attrs = {key: value if plain[key] else dumps(value) for key, value in run.metadata.items()}
+    return xarray.Dataset(data, coords, attrs)
+
+
+def _extra(package: str) -> Any:
+    try:
+        return import_module(package)
+    except ImportError as error:
+        raise MissingExtraError(f"{package} is not installed; pip install 'nsmodel[{package}]'") from error
+
+
+def _summary(run: Trajectory) -> dict[str, Any]:
+    arrays, about, n, units = run.arrays, run.metadata, len(run), units_of(run)
+    steps = arrays.get("step", np.diff(run.t, prepend=np.nan))[1:]
+    # A residual that is not a number is as unknown as an infinite one.
+    residual = np.nan_to_num(arrays.get("residual", np.zeros(0))[1:], nan=np.inf, posinf=np.inf)
+    worst = int(np.argmax(residual)) + 1 if residual.size else None
+    codes = arrays.get("index_set", np.zeros((0, 0)))[1:]
+    newton = _finite(arrays.get("newton", np.zeros(0))[1:])
+    sweeping = about.get("model_class") == "SweepingProcess"
+    gap = _finite(arrays.get("gap", arrays.get("y", np.zeros(0)))) if sweeping else np.zeros(0)
+    energy = arrays.get("energy", np.zeros(0))
+    return {
+        "title": run.title,
+        "model_class": about.get("model_class"),
+        "scheme": about.get("scheme"),
+        "status": run.status,
+        "steps": n,
+        "t": {"start": float(run.t[0]), "end": float(run.t[-1]), "unit": units.get("t", "")},
+        "step": {"min": float(steps.min()), "max": float(steps.max())} if n else None,
+        "residual": {"worst": float(residual[worst - 1]), "t": float(run.t[worst]), "row": worst} if worst else None,
+        "index_set_changes": int((codes[1:] != codes[:-1]).any(axis=1).sum()) if codes.size else None,
+        "solver_counts": dict(about.get("solver_counts") or {}),
+        "newton": {"mean": float(newton.mean()), "max": int(newton.max())} if newton.size else None,
+        "gap_min": float(gap.min()) if gap.size else None,
+        "energy": {"start": float(energy[0]), "end": float(energy[-1])} if energy.ndim == 1 and energy.size else None,
+        "convergence": about.get("convergence"),
+        "final_state": [
+            {"name": name, "value": float(value), "unit": units.get(name, "")}
+            for name, value in zip(state_names(run), run.x[-1], strict=True)
+        ],
+        "warnings": list(about.get("warnings") or []),
+    }
+
+
+def _finite(array: np.ndarray) -> np.ndarray:
+    return array[np.isfinite(array)]
+
+
+def _text(summary: dict[str, Any]) -> str:
+    s, t, changes = summary, summary["t"], summary["index_set_changes"]
+    counts = sorted(s["solver_counts"].items(), key=lambda item: (-item[1], item[0]))
+    shown = [(one["name"], f"{one['value']: .6g} {one['unit']}") for one in s["final_state"]]
+    if len(shown) > _STATES_SHOWN:
+        shown = [*shown[: _STATES_SHOWN - 2], (f"... {len(shown) - _STATES_SHOWN + 1} more", ""), shown[-1]]
+    lines: dict[str, str | list[str] | None] = {
+        "model class": s["model_class"],
+        "scheme": s["scheme"] and str(s["scheme"]),
+        "status": s["status"],
+        "steps": f"{s['steps']}, t = {t['start']:.6g} to {t['end']:.6g} {t['unit']}",
+        "step size": s["step"] and _range(s["step"]["min"], s["step"]["max"], t["unit"]),
+        "worst residual": s["residual"] and f"{s['residual']['worst']:.6g} at t = {s['residual']['t']:.6g} {t['unit']}",
+        "index set": None if changes is None else f"changed at {changes} step{'' if changes == 1 else 's'}",
+        "solver calls": _aligned([(name, f"{int(count):>8d}") for name, count in counts]),
+        "newton": s["newton"] and f"{s['newton']['mean']:.6g} iterations a step, at most {s['newton']['max']}",
+        "smallest gap": None if s["gap_min"] is None else f"{s['gap_min']:.6g}",
+        "energy": s["energy"] and f"{s['energy']['start']:.6g} at the start, {s['energy']['end']:.6g} at the end",
+        "convergence": s["convergence"] and _convergence(s["convergence"]),
+        "final state": _aligned(shown),
+        "warnings": s["warnings"],
+    }
+    table = textwrap.wrap(s["title"], _WIDTH)
+    width = max(map(len, lines)) + 4
+    for label, texts in lines.items():
+        for i, line in enumerate([texts] if isinstance(texts, str) else texts or []):
+            first, rest = f"  {label if i == 0 else '':{width - 2}}", " " * (width + 2)
+            table += textwrap.wrap(line, _WIDTH, initial_indent=first, subsequent_indent=rest)
+    return "\n".join(table)
+
+
+def _aligned(pairs: Sequence[tuple[str, str]]) -> list[str]:
+    width = min(max((len(name) for name, _ in pairs), default=0), 40)
+    return [f"{name:{width}}  {value}".rstrip() for name, value in pairs]
+
+
+def _range(low: float, high: float, unit: str) -> str:
+    same = high - low <= 1e-9 * abs(high)
+    return f"{high:.6g} {unit}" if same else f"{low:.6g} to {high:.6g} {unit}"
+
+
+def _convergence(found: dict[str, Any]) -> str:
+    head = "in finite time" if found.get("finite") else "not shown to be finite"
+    labels = {"n_0": "n_0", "t_0": "t_0", "margin": "margin", "distance": "distance", "theta_prime_0": "theta'(0)"}
+    known = [(label, found[key]) for key, label in labels.items() if found.get(key) is not None]
+    numbers = ", ".join(f"{label}={value if isinstance(value, int) else f'{value:.6g}'}" for label, value in known)
+    return "; ".join(part for part in (head, numbers, found.get("reason")) if part)

@@ -1,0 +1,383 @@
+"""Closed forms to test against, in plain NumPy, independent of the package. All are vectorised in t (N,)."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from scipy.optimize import brentq
+
+# ---------------------------------------------------------------------------------------------- sweeping processes
+
+
+def half_plane(t):
+    """Return q (N, 2) for x >= sin 2t, f = (0, 1), q(0) = 0, t <= 2: in contact until pi/4."""
+    t = np.asarray(t, float)
+    return np.column_stack([np.sin(2 * np.minimum(t, np.pi / 4)), t])
+
+
+def half_plane_multiplier(t):
+    """Return the reaction (N,) of ``half_plane``."""
+    return np.maximum(2 * np.cos(2 * np.minimum(t, np.pi / 4)), 0)
+
+
+def half_line(t):
+    """Return q (N, 1) for q >= sin t, f = -q, q(0) = 0, t <= 3: in contact until 3 pi/4."""
+    leave = 3 * np.pi / 4
+    return (np.sin(np.minimum(t, leave)) * np.exp(-np.maximum(np.asarray(t) - leave, 0)))[:, None]
+
+
+def half_line_multiplier(t):
+    """Return the reaction (N,) of ``half_line``: cos t + sin t in contact."""
+    return np.where(np.asarray(t) <= 3 * np.pi / 4, np.cos(t) + np.sin(t), 0)
+
+
+def _past_disc(t, R, U, x0, y0):
+    """Return (touch, leave, theta (N,)) for a point carried past a disc; 0 < y0 < R, x0 < 0 outside the disc."""
+    start = np.pi - np.arcsin(y0 / R)
+    touch = (-np.sqrt(R**2 - y0**2) - x0) / U
+    leave = touch + R / U * np.log(np.tan(start / 2))
+    theta = 2 * np.arctan(np.tan(start / 2) * np.exp(-U / R * (np.clip(t, touch, leave) - touch)))
+    return touch, leave, theta
+
+
+def point_past_disc(t, R=1.0, U=1.0, x0=-1.5, y0=0.3):
+    """Return q (N, 2) of a point carried with velocity (U, 0) past the fixed disc of radius R at 0."""
+    t = np.asarray(t, float)
+    touch, leave, theta = _past_disc(t, R, U, x0, y0)
+    x = np.where(t < touch, x0 + U * t, np.where(t < leave, R * np.cos(theta), U * (t - leave)))
+    return np.column_stack([x, np.where(t < touch, y0, np.where(t < leave, R * np.sin(theta), R))])
+
+
+def point_past_disc_multiplier(t, R=1.0, U=1.0, x0=-1.5, y0=0.3):
+    """Return the reaction (N,) of ``point_past_disc``."""
+    touch, leave, theta = _past_disc(t, R, U, x0, y0)
+    return np.where((t >= touch) & (t <= leave), -U * np.cos(theta), 0)
+
+
+def moving_disc(t, R=1.0, c=1.0, x0=1.5, y0=0.3):
+    """Return q (N, 2) of a resting point pushed by the disc of radius R and centre (c t, 0); 0 < y0 < R < x0."""
+    t = np.asarray(t, float)
+    mirrored = point_past_disc(t, R, c, -x0, y0)
+    return np.column_stack([c * t - mirrored[:, 0], mirrored[:, 1]])
+
+
+def moving_disc_multiplier(t, R=1.0, c=1.0, x0=1.5, y0=0.3):
+    """Return the reaction (N,) of ``moving_disc``."""
+    return point_past_disc_multiplier(t, R, c, -x0, y0)
+
+
+def two_discs(t, u1=1.0, u2=0.4, r=0.3):
+    """Return q (N, 4) of two discs of radius r that start at -1 and 1 on a line with velocities u1 and -u2."""
+    touch = (2 - 2 * r) / (u1 + u2)
+    before, after = np.minimum(t, touch), np.maximum(np.asarray(t) - touch, 0) * (u1 - u2) / 2
+    zero = np.zeros_like(before)
+    return np.column_stack([-1 + u1 * before + after, zero, 1 - u2 * before + after, zero])
+
+
+def two_discs_multiplier(t, u1=1.0, u2=0.4, r=0.3):
+    """Return the reaction (N,) of ``two_discs``."""
+    return np.where(np.asarray(t) >= (2 - 2 * r) / (u1 + u2), (u1 + u2) / 2, 0.0)
+
+
+# ---------------------------------------------------------------------------------------------- dry friction
+
+
+def _swing(tau, d0, v0, w, zeta):
+    """Return (d, d') at tau after (d0, v0) for d'' + 2 zeta w d' + w^2 d = 0."""
+    wd = w * np.sqrt(1 - zeta**2)
+    decay, cos, sin = np.exp(-zeta * w * tau), np.cos(wd * tau), np.sin(wd * tau)
+    d = decay * (d0 * cos + (v0 + zeta * w * d0) / wd * sin)
+    return d, decay * (v0 * cos - (w**2 * d0 + zeta * w * v0) / wd * sin)
+
+
+def _friction_phases(x0, v0, w, a, zeta, t_end=np.inf):
+    """Return the slip phases [(start, x, v, sign)] and the final rest (time, x), (inf, nan) if not reached by t_end."""
+    c, wd = a / w**2, w * np.sqrt(1 - zeta**2)
+    time, x, v, phases = 0.0, float(x0), float(v0), []
+    while time <= t_end:
+        if v == 0 and abs(x) <= c:
+            return phases, (time, x)
+        sign = np.sign(v) if v != 0 else -np.sign(x)
+        phases.append((time, x, v, sign))
+        d = x + sign * c
+        tau = np.pi / wd if v == 0 else np.mod(np.arctan2(wd * v, w**2 * d + zeta * w * v), np.pi) / wd
+        x, v, time = _swing(tau, d, v, w, zeta)[0] - sign * c, 0.0, time + tau
+    return phases, (np.inf, np.nan)
+
+
+def friction_free(t, x0, v0=0.0, w=1.0, a=1.0, zeta=0.0):
+    """Return (x, x') (N, 2) of x'' + 2 zeta w x' + w^2 x + a Sgn(x') ∋ 0, 0 <= zeta < 1, a > 0."""
+    t = np.asarray(t, float)
+    phases, (stop, rest) = _friction_phases(x0, v0, w, a, zeta, t.max(initial=0.0))
+    out = np.empty((t.size, 2))
+    for start, x, v, sign in phases:
+        on = t >= start
+        d, speed = _swing(t[on] - start, x + sign * a / w**2, v, w, zeta)
+        out[on] = np.column_stack([d - sign * a / w**2, speed])
+    out[t >= stop] = (rest, 0.0)
+    return out
+
+
+def friction_stop(x0, v0=0.0, w=1.0, a=1.0, zeta=0.0):
+    """Return (T_stop, x_stop) of ``friction_free``."""
+    return _friction_phases(x0, v0, w, a, zeta)[1]
+
+
+def friction_stop_formula(x0, w=1.0, a=1.0):
+    """Return (T_stop, x_stop) for zeta = 0 and v0 = 0, without following the phases."""
+    c = a / w**2
+    n = max(0, int(np.ceil((abs(x0) / c - 1) / 2)))
+    return n * np.pi / w, (-1) ** n * np.sign(x0) * (abs(x0) - 2 * n * c)
+
+
+def friction_forced(t, x0, v0=0.0, w=1.0, a=1.0, F=2.0, W=0.7):
+    """Return (x, x') (N, 2) of x'' + w^2 x + a Sgn(x') ∋ F cos W t, W != w.
+
+    Slip phases are closed forms; their ends are found as roots.
+    """
+    t = np.asarray(t, float)
+    t_end, k, fine = t.max(initial=0.0), F / (w**2 - W**2), 0.01 * min(1 / w, 1 / W)
+    time, x, v, out = 0.0, float(x0), float(v0), np.empty((t.size, 2))
+
+    def first_root(function, start):
+        """First sign change after ``start``, or inf; the function may vanish at ``start``."""
+        grid = start + fine * np.arange(1, int((t_end - start) / fine) + 3)
+        change = np.flatnonzero(np.diff(np.sign(function(grid))))
+        return brentq(function, grid[change[0]], grid[change[0] + 1], xtol=1e-14) if change.size else np.inf
+
+    while time <= t_end:
+        force = F * np.cos(W * time) - w**2 * x
+        if v == 0 and abs(force) <= a * (1 + 1e-12):
+            bound = [first_root(lambda u, s=s, x=x: F * np.cos(W * u) - w**2 * x - s * a, time) for s in (1, -1)]
+            leave, sign = min(bound), 1 if bound[0] <= bound[1] else -1
+            out[t >= time] = (x, 0.0)
+            time = leave
+            if time > t_end:
+                break
+        else:
+            sign = np.sign(v) if v != 0 else np.sign(force)
+        P, Q = x + sign * a / w**2 - k * np.cos(W * time), (v + k * W * np.sin(W * time)) / w
+        start = time
+
+        def slip(u, P=P, Q=Q, start=start, sign=sign):
+            angle = w * (u - start)
+            return np.stack(
+                [
+                    -sign * a / w**2 + k * np.cos(W * u) + P * np.cos(angle) + Q * np.sin(angle),
+                    -k * W * np.sin(W * u) + w * (Q * np.cos(angle) - P * np.sin(angle)),
+                ],
+                axis=-1,
+            )
+
+        on = t >= start
+        out[on] = slip(t[on])
+        time = first_root(lambda u, slip=slip: slip(u)[..., 1], start)
+        if np.isfinite(time):
+            x, v = slip(time)[0], 0.0
+    return out
+
+
+# ---------------------------------------------------------------------------------------------- relays
+
+
+def sliding_relay_reach():
+    """Return the time at which x1 + x2 = 0 is reached."""
+    return brentq(lambda t: 2 - t - t**2 - np.sin(t) - np.cos(t), 0.1, 1.0, xtol=1e-15)
+
+
+def sliding_relay(t):
+    """Return (x1, x2) (N, 2) of x1' = x2, x2' = 2 l + sin t, l in -Sgn(x1 + x2), x(0) = (1, 0)."""
+    t, reach = np.asarray(t, float), sliding_relay_reach()
+    at_reach = 1 + reach - reach**2 - np.sin(reach)
+    x1 = np.where(t < reach, 1 + t - t**2 - np.sin(t), at_reach * np.exp(-(t - reach)))
+    return np.column_stack([x1, np.where(t < reach, 1 - 2 * t - np.cos(t), -x1)])
+
+
+def sliding_relay_multiplier(t):
+    """Return l (N,) of ``sliding_relay``: -1, then strictly inside (-1, 1)."""
+    t = np.asarray(t, float)
+    return np.where(t < sliding_relay_reach(), -1.0, -(sliding_relay(t)[:, 1] + np.sin(t)) / 2)
+
+
+def ball_rest(height=1.0, speed=5.0, restitution=1 / 3, G=9.81):
+    """Return (time of the first impact, its speed, time from which the ball lies still)."""
+    impact = np.sqrt(speed**2 + 2 * G * height)
+    first = (speed + impact) / G
+    return first, impact, first + 2 * impact / G * restitution / (1 - restitution)
+
+
+def bouncing_ball(t, height=1.0, speed=5.0, restitution=1 / 3, G=9.81):
+    """Return (height, velocity, number of impacts so far) (N, 3) of a ball thrown up; (0, 0, inf) at rest."""
+    t = np.asarray(t, float)
+    first, impact, rest = ball_rest(height, speed, restitution, G)
+    out = np.zeros((t.size, 3))
+    start, y, v, k = 0.0, height, speed, 0
+    while start < rest:
+        flight = first if k == 0 else 2 * v / G
+        on = (t >= start) & (t < min(start + flight, rest))
+        tau = t[on] - start
+        out[on] = np.column_stack([y + v * tau - G * tau**2 / 2, v - G * tau, np.full(tau.size, k)])
+        k += 1
+        if start + flight == start:
+            break
+        start, y, v = start + flight, 0.0, impact * restitution**k
+    out[t >= rest] = (0, 0, np.inf)
+    return out
+
+
+def zhuravlev_ivanov(t, kappa=0.5, G=9.81, x0=(1.0, 10.0)):
+    """Return x (N, 2) of the transformed ball: x_1 = s height, s x_2 (1 - kappa sgn(s x_2)) = velocity, s = +-1.
+
+    s changes sign at each impact. With s = sgn x_1, p = s x_2: |x_1|' = p (1 - kappa sgn p), p' = -G/(1 - kappa sgn p),
+    so that |x_1|'' = -G, and at an impact p changes sign with x_2 continuous: the speed is |p| (1 + kappa) before it,
+    |p| (1 - kappa) after it.
+    """
+    y, v, impacts = bouncing_ball(t, x0[0], x0[1] * (1 - kappa), (1 - kappa) / (1 + kappa), G).T
+    side = np.where(np.isfinite(impacts), (-1.0) ** np.where(np.isfinite(impacts), impacts, 0), 0)
+    return np.column_stack([side * y, side * v / (1 - kappa * np.sign(v))])
+
+
+# ---------------------------------------------------------------------------------------------- monotone inclusions
+
+
+def inclusion_8_1(t, a=1.0, b=-1.0, x0=2.0):
+    """Return x (N, 1) of x' = b - (1 + a) x kept >= 0, a >= 0, x0 >= 0."""
+    rest = b / (1 + a)
+    return np.maximum(rest + (x0 - rest) * np.exp(-(1 + a) * np.asarray(t, float)), 0)[:, None]
+
+
+def inclusion_8_2_diagonal(t, K, b, mu, lower, upper, x0):
+    """Return x (N, n) of x_i' in b_i - K_i x_i - mu_i Sgn(x_i) - N_[lower_i, upper_i](x_i), K_i > 0, x0 in the box."""
+    t = np.asarray(t, float)
+    columns = []
+    for k, f, m, lo, up, start in np.broadcast(K, b, mu, lower, upper, x0):
+        side = np.sign(start)
+        goal = (f - side * m) / k
+        zero = np.log1p(-start / goal) / k if goal * side < 0 else 0.0 if side == 0 else np.inf
+        rest = np.sign(f) * max(abs(f) - m, 0) / k
+        x = np.where(t < zero, goal + (start - goal) * np.exp(-k * t), rest * -np.expm1(-k * np.maximum(t - zero, 0)))
+        columns.append(np.clip(x, lo, up))
+    return np.column_stack(columns)
+
+
+def _slope_interval(x, mu, lower, upper):
+    """Return the ends of mu Sgn(x) + N_[lower, upper](x), componentwise."""
+    low = np.where(x > 0, mu, -mu)
+    high = np.where(x < 0, -mu, mu)
+    return np.where(x <= lower, -np.inf, low), np.where(x >= upper, np.inf, high)
+
+
+def inclusion_8_2_velocity(x, K, b, mu, lower, upper):
+    """Return the right derivative (n,) at x: the element of least norm of b - K x - mu Sgn(x) - N(x)."""
+    low, high = _slope_interval(np.asarray(x, float), mu, lower, upper)
+    drive = b - K @ x
+    return np.maximum(drive - high, 0) + np.minimum(drive - low, 0)
+
+
+def inclusion_8_2_equilibrium(K, b, mu, lower, upper):
+    """Return the minimiser (n,) of x'Kx/2 - b'x + sum mu |x| on the box, by trying all 5^n cases."""
+    K, n = np.asarray(K, float), len(b)
+    mu, lower, upper = (np.broadcast_to(np.asarray(v, float), (n,)) for v in (mu, lower, upper))
+    best, residual = None, np.inf
+    for case in itertools.product(range(5), repeat=n):
+        case = np.array(case)
+        free = case < 2
+        side = np.where(case == 0, 1.0, -1.0)
+        x = np.select([case == 2, case == 3], [lower, upper], 0.0)
+        if free.any():
+            right = (b - side * mu - K @ x)[free]
+            x[free] = np.linalg.solve(K[np.ix_(free, free)], right)
+        if np.any(x < lower) or np.any(x > upper) or np.any(free & (side * x < 0)):
+            continue
+        worst = np.abs(inclusion_8_2_velocity(x, K, b, mu, lower, upper)).max()
+        if worst < residual:
+            best, residual = x, worst
+    if residual > 1e-10:
+        raise ArithmeticError(f"no case is an equilibrium: least residual {residual:g}")
+    return best
+
+
+def inclusion_8_2_reference(t, K, b, mu, lower, upper, x0):
+    """Return x (N, n) for a symmetric positive definite K, to about 1e-12: exact exponentials between events.
+
+    In each interval the held components (stuck at 0 or at a bound) are constant and the free ones solve a linear
+    equation; an interval ends when a free component comes to 0 or to a bound, or when a held one is torn off.
+    """
+    t, K = np.asarray(t, float), np.asarray(K, float)
+    n, t_end = len(b), t.max(initial=0.0)
+    mu, lower, upper = (np.broadcast_to(np.asarray(v, float), (n,)) for v in (mu, lower, upper))
+    x, time, out, torn = np.array(x0, float), 0.0, np.empty((t.size, n)), {}
+    fine = 0.01 / np.linalg.eigvalsh(K).max()
+    for _ in range(1000):
+        low, high = _slope_interval(x, mu, lower, upper)
+        velocity = inclusion_8_2_velocity(x, K, b, mu, lower, upper)
+        free = (velocity != 0) | (low == high)
+        slope = np.where(velocity > 0, high, low)
+        for i, up in torn.items():
+            free[i], slope[i] = True, high[i] if up else low[i]
+        state = _linear_flow(time, x, free, slope, K, b)
+        on = t >= time
+        out[on] = state(t[on])
+        events = _events(x, free, slope, low, high, lower, upper, state, K, b)
+        time, hit = _first_event(events, time, t_end, fine)
+        if hit is None:
+            return out
+        kind, i, value = hit
+        x, torn = state(np.array([time]))[0], {}
+        if kind == "arrives":
+            x[i] = value
+        else:
+            torn = {i: value}
+    raise ArithmeticError(f"more than 1000 events up to t = {time:g}")
+
+
+def _linear_flow(time, x, free, slope, K, b):
+    """Return the state as a function of times (N,) -> (N, n) while the free components keep their slope."""
+    lam, V = np.linalg.eigh(K[np.ix_(free, free)])
+    goal = V.T @ (b - slope - K[:, ~free] @ x[~free])[free] / lam
+    start = V.T @ x[free]
+
+    def state(times):
+        out = np.tile(x, (np.size(times), 1))
+        if free.any():
+            tau = np.reshape(times, (-1, 1)) - time
+            out[:, free] = (start * np.exp(-lam * tau) - goal * np.expm1(-lam * tau)) @ V.T
+        return out
+
+    return state
+
+
+def _events(x, free, slope, low, high, lower, upper, state, K, b):
+    """Return [(what, function of times)]: each function is >= 0 until its event."""
+    events = []
+    for i in np.flatnonzero(free):
+        side = np.sign(x[i]) or np.sign(slope[i])
+        for value, sign in ((lower[i], 1), (upper[i], -1), (0.0, side)):
+            if np.isfinite(value) and lower[i] <= value <= upper[i] and sign != 0:
+                events.append((("arrives", i, value), lambda s, i=i, v=value, g=sign: g * (state(s)[:, i] - v)))
+    for i in np.flatnonzero(~free):
+        if np.isfinite(high[i]):
+            events.append((("torn", i, True), lambda s, i=i: high[i] - b[i] + state(s) @ K[i]))
+        if np.isfinite(low[i]):
+            events.append((("torn", i, False), lambda s, i=i: b[i] - state(s) @ K[i] - low[i]))
+    return events
+
+
+def _first_event(events, time, t_end, fine):
+    """Return (time, what) of the first event; an event function may vanish at the start of the interval."""
+    grid = time + fine * np.arange(1, max(int((t_end - time) / fine), 0) + 3)
+    first, hit = np.inf, None
+    for what, function in events:
+        below = np.flatnonzero(function(grid) < -1e-14)
+        if not below.size or grid[below[0]] > first + fine:
+            continue
+        j = below[0]
+        left = grid[j - 1] if j else time
+        if function(np.array([left]))[0] > 0:
+            root = brentq(lambda s, function=function: function(np.array([s]))[0], left, grid[j], xtol=1e-15)
+        else:
+            root = left
+        if root < first:
+            first, hit = root, what
+    return (first, hit) if first <= t_end else (np.inf, None)
