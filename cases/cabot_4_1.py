@@ -1,6 +1,6 @@
 """Dry friction and a quadratic potential, with the paper's own start (x_0, x_1) and step 1.
 
-What to see: the sequence swings, and stops after 32 steps inside the dead zone [-alpha/beta, alpha/beta], at 0.1766.
+What to see: the sequence swings, and stops inside the dead zone [-alpha/beta, alpha/beta]: x_n = 0.1766 from n = 32 on.
 
 Source: Cabot, Discretization of a nonlinear oscillator under dry friction (2004), Example 4.1.
 """

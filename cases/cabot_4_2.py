@@ -1,7 +1,7 @@
 """Dry friction and the potential beta |x|: two nonsmooth terms, with step 1.
 
-What to see: for beta > alpha the only equilibrium is 0, and it is reached after finitely many steps, here 14. With
-beta < alpha every point is an equilibrium: with --set beta=0.04 the sequence stays where it starts.
+What to see: for beta > alpha the only equilibrium is 0, and it is reached in finitely many steps: x_n = 0 from
+n = 20 on. With beta < alpha every point is an equilibrium: with --set beta=0.02 the sequence stays where it starts.
 
 Source: Cabot, Discretization of a nonlinear oscillator under dry friction (2004), Example 4.2.
 """
@@ -21,6 +21,6 @@ model = FrictionOscillator(
     x1=2,
     step=1,
     t_end=60,
-    parameters={alpha: 0.05, beta: 0.1},
+    parameters={alpha: 0.03, beta: 0.1},
     title="Cabot, Example 4.2",
 )

@@ -2,8 +2,8 @@
 
 Everyone wants to walk to the door at 1 m/s; the velocity that is closest to this and admissible is what happens.
 
-What to see: the jam in front of the door. The reactions between people are the pressure. The run ends before the first
-person is half a metre outside.
+What to see: people close up in front of the door and push each other and the posts; the reactions are the pressure.
+Nobody overlaps. The run ends before the first person is half a metre outside.
 
 Source: the model of Maury and Venel, stepped as in Bernicot and Venel, Convergence order of a numerical scheme for
 sweeping process (2010).

@@ -2,8 +2,8 @@
 
     x' in b - K x - sum mu_i Sgn(x_i) e_i - N_[lower, upper](x)
 
-What to see: the first state crosses 0 and ends at its upper bound, the second sticks at 0 (|b_1| <= mu_1), the third
-crosses 0 and goes to (b_2 + mu_2)/K_22.
+What to see: the first state crosses 0 and ends at its upper bound, the second sticks at 0 (|b_1| <= mu_1; the scheme is
+explicit in the friction and stays within a step's motion of 0), the third crosses 0 and goes to (b_2 + mu_2)/K_22.
 
 Source: Convergence and stability of a catching-up algorithm with maximal monotone operators (2026), Example 8.2.
 """

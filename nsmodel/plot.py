@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 MAX_POINTS = 20_000
 MAX_LINES = 12
 MAX_ROWS = 30
-STRIP_COLUMNS = 700  # about a pixel each
+STRIP_COLUMNS = 1_400  # about half a pixel each
 GRID = 240
 
 LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#5E4FA2", "#4D4D4D")
@@ -43,7 +43,7 @@ WORDS: dict[str, dict[int, tuple[str, str]]] = {
     "relay": {-1: (LOWER, "l at lower"), 0: (ZERO, "sticking / sliding (y = 0)"), 1: (UPPER, "l at upper")},
     "box": {-1: (LOWER, "l at lower"), 0: (ZERO, "l between its bounds (y = 0)"), 1: (UPPER, "l at upper")},
     "equality": {0: (ZERO, "equality (y = 0)")},
-    "ball": {-1: (LOWER, "l = 0"), 0: (ZERO, "l inside the ball (y = 0)"), 1: (UPPER, "l on the sphere")},
+    "ball": {0: (ZERO, "l inside the ball (y = 0)"), 1: (UPPER, "l on the sphere")},
     "cone": {-1: (PALE, "open (l = 0)"), 0: (ZERO, "l inside the cone (y = 0)"), 1: (UPPER, "l on the cone")},
 }
 
@@ -86,7 +86,7 @@ def _time_label(run: Trajectory) -> str:
 
 
 def _at(run: Trajectory, row: int) -> str:
-    return f"t = {run.t[row]:.4g} {_unit(run, 't')}".rstrip()
+    return _text(f"t = {run.t[row]:.4g} {_unit(run, 't')}".rstrip())
 
 
 def _keep(*columns: np.ndarray, limit: int = MAX_POINTS) -> np.ndarray:
@@ -166,7 +166,7 @@ def _legend(ax: Axes, handles: Sequence[Any], *, column: bool = False) -> None:
         ax.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=len(handles), columnspacing=1.2, **style)
     else:
         rows = next((n for n in range(1, len(widths)) if sum(_columns(widths, n)) < 1.15 * width), len(widths))
-        ax.set_title(title, loc="left", fontsize=10, fontweight="bold", color=INK, pad=6 + 13 * rows)
+        ax.set_title(title, loc="left", fontsize=10, fontweight="bold", color=INK, pad=7 + 13 * rows)
         # the raised title already holds the room; a legend wider than the axes must not shrink them
         style |= {"ncols": len(_columns(widths, rows)), "columnspacing": 1.2}
         ax.legend(loc="lower left", bbox_to_anchor=(0, 1), **style).set_in_layout(False)
@@ -232,7 +232,7 @@ def _pick_states(run: Trajectory, wanted: Sequence[str] | None, limit: int) -> t
 def _second_axis(values: np.ndarray, units: Sequence[str]) -> list[int]:
     """Columns for an axis of their own: those in the second of two units; or, no units given, of a size 20 apart."""
     kinds = list(dict.fromkeys(units))
-    if not 2 <= len(units) <= 8 or len(kinds) > 2:
+    if not 2 <= len(units) <= 6 or len(kinds) > 2:
         return []
     if len(kinds) == 2:
         return [k for k, unit in enumerate(units) if unit == kinds[1]]
@@ -502,8 +502,8 @@ def residual(run: Trajectory, *, ax: Axes | None = None) -> Axes:
     values, tolerance = _extra(run, "residual", "residual").copy(), run.metadata.get("tolerance")
     values[0] = np.nan
     usual = np.isfinite(values) & (values > 0)
-    marks = [*values[usual], *([tolerance] if tolerance else [])]
-    low, high = (min(marks) / 30, max(marks) * 10) if marks else (1e-16, 1)
+    marks = np.append(values[usual], tolerance or [])
+    low, high = (marks.min() / 30, marks.max() * 10) if len(marks) else (1e-16, 1)
     handles = []
     for mask, place, marker, colour, words in (
         (usual, None, ".", LINES[0], "steps"),

@@ -16,9 +16,11 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.check.quick import refuse_start, warnings_of
+from nsmodel.check.rest import finite_convergence
 from nsmodel.errors import StepError, StorageError, UsageError
 from nsmodel.model.base import Model
 from nsmodel.model.inclusion import MonotoneInclusion
+from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.scheme import derived_columns, initial_rows, one_step_problem
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.build import Stepper
@@ -187,6 +189,7 @@ class _Run:
         self.rows = np.full((self.capacity, self.layout.width), np.nan)
         self.index = np.full((self.capacity, m), UNSET, np.int8)
         self.t, self.h, self.h_next = (np.full(self.capacity, np.nan) for _ in range(3))
+        self.number = np.zeros(self.capacity, int)
         self.filled = 0
 
     def _known_row(self, k: int, state: np.ndarray, records: dict[str, np.ndarray]) -> None:
@@ -194,7 +197,7 @@ class _Run:
         self.rows[r, : state.size] = state
         for name, value in records.items():
             self.rows[r, self.layout.slices[name]] = value
-        self.t[r], self.h_next[r] = self.grid.time(k), self.grid.step(min(k, self.grid.N - 1))
+        self.t[r], self.h_next[r], self.number[r] = self.grid.time(k), self.grid.step(min(k, self.grid.N - 1)), k
         self.filled += 1
 
     def go(self, progress: bool) -> Trajectory:
@@ -242,7 +245,7 @@ class _Run:
                 if k % every == 0 or k == N:
                     r = self.filled
                     self.rows[r] = row
-                    self.index[r] = warm.index
+                    self.index[r], self.number[r] = warm.index, k
                     self.t[r], self.h[r], self.h_next[r] = grid.time(k), h_k, grid.step(k if k < N else N - 1)
                     self.filled = r + 1
                     if self.filled == self.capacity and self.store is not None:
@@ -283,8 +286,23 @@ class _Run:
                 arrays[name] = rows[:, at.start].copy() if scalar else rows[:, at].copy()
         return arrays | derived_columns(self.model, arrays, self.h_next[r])
 
+    def _note_motion(self) -> None:
+        """Remember the last saved row of an oscillator that moved: finite convergence is judged at the end."""
+        if isinstance(self.model, FrictionOscillator):
+            rows, n = self.rows[: self.filled], len(self.model.names)
+            v = rows[:, self.layout.slices["v"]]
+            moving = np.flatnonzero((v != 0).any(axis=1) & np.isfinite(v).all(axis=1))
+            if moving.size:
+                self.totals["rest_from"] = None
+            rest = moving[-1] + 1 if moving.size else 0
+            if self.totals.get("rest_from") is None and rest < self.filled:
+                self.totals["rest_from"] = [int(self.number[rest]), float(self.t[rest])]
+            self.totals["last_x"] = rows[-1, :n].tolist()
+            self.totals["last_v"] = [*self.totals.get("last_v", []), *v[-2:].tolist()][-2:]
+
     def _flush(self, status: str, message: str) -> None:
         """Write the filled rows as a chunk with the checkpoint to continue from, and start a new chunk."""
+        self._note_motion()
         checkpoint = {
             "k": self.k, "state": self.state.tolist(), "l": self.warm.l.tolist(), "index": self.warm.index.tolist(),
             "counts": dict(self.counts), "totals": self.totals, "settings": self.settings,
@@ -307,6 +325,8 @@ class _Run:
         self.counts, self.totals = Counter(saved["counts"]), dict(saved["totals"])
 
     def _finish(self, status: str, message: str) -> Trajectory:
+        if self.filled:
+            self._note_motion()
         metadata = self._metadata(status, message)
         if self.store is None:
             return Trajectory(self._columns(), metadata)
@@ -344,6 +364,9 @@ class _Run:
             "model_hash": self.settings["hash"],
             "versions": self.settings["versions"],
         }
+        if isinstance(model, FrictionOscillator) and "last_v" in self.totals:
+            x, v = (np.array(self.totals[key]) for key in ("last_x", "last_v"))
+            data["convergence"] = finite_convergence(model, x, v, self.totals["rest_from"])
         if getattr(model, "scene", None):
             data["scene"] = {key: value.tolist() for key, value in model.scene.items()}
         return data

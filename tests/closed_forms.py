@@ -308,7 +308,7 @@ def inclusion_8_2_reference(t, K, b, mu, lower, upper, x0):
     n, t_end = len(b), t.max(initial=0.0)
     mu, lower, upper = (np.broadcast_to(np.asarray(v, float), (n,)) for v in (mu, lower, upper))
     x, time, out, torn = np.array(x0, float), 0.0, np.empty((t.size, n)), {}
-    fine = 0.01 / np.linalg.eigvalsh(K).max()
+    fine = 0.05 / np.linalg.eigvalsh(K).max()
     for _ in range(1000):
         low, high = _slope_interval(x, mu, lower, upper)
         velocity = inclusion_8_2_velocity(x, K, b, mu, lower, upper)

@@ -1,7 +1,7 @@
 """What a user may write (numbers, lists, NumPy, CasADi DM, SX and MX, SymPy) turned into CasADi SX.
 
-Symbols are matched by name, so that ``parameters={"k": 2.0}`` fits any expression with a symbol called k. A vector symbol
-stands for its scalars q_0, q_1, ..., the names that ``SX.sym("q", 2)`` gives; ``MX.sym("q", 2)`` has the same ones here.
+Symbols are matched by name, so that ``parameters={"k": 2.0}`` fits any expression with a symbol called k. A vector
+symbol stands for its scalars q_0, q_1, ...: the names that ``SX.sym("q", 2)`` gives, and here ``MX.sym("q", 2)`` too.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Declared:
 
 
 def declare(value: Any, label: str) -> Declared:
-    """Read ``value`` as symbols: SX or MX (vertcat allowed), a SymPy Symbol or Matrix of them, a name, or a list of these.
+    """Read ``value`` as symbols: SX or MX (vertcat allowed), SymPy Symbol or Matrix of them, a name, a list of these.
 
     Raises:
         ModelError: something else than symbols, or a name that repeats.
@@ -66,14 +66,13 @@ class Converter:
     declared: Sequence[Declared]
 
     def __post_init__(self) -> None:
+        """Refuse a name declared twice."""
         _refuse_repeats([name for item in self.declared for name in item.names], "the declared symbols")
 
     @property
     def symbols(self) -> dict[str, ca.SX]:
         """{scalar name: SX symbol} of everything declared."""
-        return {
-            name: symbol for d in self.declared for name, symbol in zip(d.names, ca.vertsplit(d.sx), strict=False)
-        }
+        return {name: symbol for d in self.declared for name, symbol in zip(d.names, ca.vertsplit(d.sx), strict=False)}
 
     def convert(self, value: Any, label: str) -> ca.SX:
         """See :func:`to_sx`."""
@@ -84,7 +83,7 @@ def to_sx(value: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
     """Convert ``value`` to an SX matrix in the given symbols.
 
     Args:
-        value: a number, a list (a column; its entries may be numbers or scalar expressions of any kind, or columns) or nested
+        value: a number, a list (a column; its entries numbers, scalar expressions of any kind, or columns), a nested
             list (rows of a matrix), a NumPy or SciPy array, DM, SX, MX, a SymPy expression or Matrix.
         symbols: {scalar name: SX symbol}.
         label: the user's name of ``value``, for messages.
@@ -117,11 +116,11 @@ def expand_mx(
         reason = str(error).strip().splitlines()[-1]
         raise ModelError(
             f"{label} cannot be written with scalar operations ({reason}); build it from SX symbols and elementary "
-            "functions: ca.pw_lin for a table, ca.mtimes(ca.inv(A), b) of SX for a linear solve"
+            "functions: ca.pw_lin in place of a table or interpolant, ca.solve(A, b) with A, b of SX for a linear solve"
         ) from None
 
 
-# -- symbols -------------------------------------------------------------------------------------------------------------
+# -- symbols -----------------------------------------------------------------------------------------------------------
 
 _Named = tuple[str, ca.SX, Any]
 
@@ -133,9 +132,11 @@ def _symbols(value: Any, label: str) -> list[_Named]:
     if isinstance(value, ca.SX) and value.is_dense() and value.is_valid_input():
         return [(s.name(), s, s) for s in ca.vertsplit(ca.vec(value))]
     if isinstance(value, ca.MX) and value.is_dense() and value.is_valid_input():
-        return [(name, ca.SX.sym(name), mx) for mx in ca.symvar(value) for name in _mx_names(mx)]
-    if isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.dtype == object):
-        return [pair for item in (value.ravel() if isinstance(value, np.ndarray) else value) for pair in _symbols(item, label)]
+        return [(name, ca.SX.sym(name), mx) for mx in value.primitives() for name in _mx_names(mx)]
+    if isinstance(value, np.ndarray) and value.dtype == object:
+        return _symbols(value.ravel().tolist(), label)
+    if isinstance(value, list | tuple):
+        return [pair for item in value for pair in _symbols(item, label)]
     if _is_sympy(value):
         if hasattr(value, "tolist"):
             return _symbols(_flat(value.tolist()), label)
@@ -169,12 +170,12 @@ def _refuse_undeclared(names: Any, symbols: Mapping[str, ca.SX], label: str) -> 
     for name in names:
         if name not in symbols:
             raise ModelError(
-                f"{label} uses the symbol '{name}', which is not declared: add it to parameters={{...}} or declare it as x=, t=; "
-                f"declared are {', '.join(symbols) or 'none'}"
+                f"{label} uses the symbol '{name}', which is not declared: add it to parameters={{...}} "
+                f"or declare it as x=, t=; declared are {', '.join(symbols) or 'none'}"
             )
 
 
-# -- values --------------------------------------------------------------------------------------------------------------
+# -- values ------------------------------------------------------------------------------------------------------------
 
 
 def _convert(value: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
@@ -191,12 +192,14 @@ def _convert(value: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
     if isinstance(value, list | tuple):
         return _from_list(value, symbols, label)
     if _is_sympy(value):
-        return _from_list(value.tolist(), symbols, label) if hasattr(value, "tolist") else _from_sympy(value, symbols, label)
+        matrix = hasattr(value, "tolist")
+        return _from_list(value.tolist(), symbols, label) if matrix else _from_sympy(value, symbols, label)
     if hasattr(value, "toarray"):
         return ca.SX(ca.DM(value.toarray()))
     hint = "; call it with your symbols" if callable(value) else ""
     raise ModelError(
-        f"{label}: {_shown(value)} is not an expression{hint}; expected a number, a list, an array, CasADi SX or MX, or SymPy"
+        f"{label}: {_shown(value)} is not an expression{hint}; expected a number, a list, an array, "
+        "CasADi SX or MX, or SymPy"
     )
 
 
@@ -218,13 +221,15 @@ def _from_array(value: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
 
 
 def _from_list(value: Sequence[Any], symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
-    """A list of rows where any entry is a list or 1-D array, else a column of scalars and columns."""
+    """Read a list of rows where any entry is a list or 1-D array, else a column of scalars and columns."""
     if any(isinstance(item, list | tuple) or np.ndim(item) == 1 for item in value if not _is_casadi(item)):
         return _rows([[_convert(entry, symbols, label) for entry in _entries(row)] for row in value], label)
     pieces = [_convert(item, symbols, label) for item in value]
     for i, piece in enumerate(pieces):
         if piece.shape[1] != 1:
-            raise ModelError(f"{label}[{i}]: shape {piece.shape}; expected a scalar or a column; stack matrices with ca.vertcat")
+            raise ModelError(
+                f"{label}[{i}]: shape {piece.shape}; expected a scalar or a column; stack matrices with ca.vertcat"
+            )
     return _column(pieces)
 
 
@@ -235,7 +240,9 @@ def _rows(rows: list[list[ca.SX]], label: str) -> ca.SX:
     for i, row in enumerate(rows):
         for j, entry in enumerate(row):
             if entry.numel() != 1:
-                raise ModelError(f"{label}[{i}][{j}]: shape {entry.shape}; expected a scalar in each entry of a nested list")
+                raise ModelError(
+                    f"{label}[{i}][{j}]: shape {entry.shape}; a nested list holds scalars; for blocks use ca.blockcat"
+                )
     return ca.vertcat(*(ca.horzcat(*row) for row in rows)) if rows and lengths[0] else ca.SX(len(rows), 0)
 
 
@@ -260,13 +267,17 @@ def _has_nan(value: ca.SX) -> bool:
     )
 
 
-# -- SymPy, which is never imported here ---------------------------------------------------------------------------------
+# -- SymPy, which is never imported here -------------------------------------------------------------------------------
 
 
-def _heaviside(u: ca.SX, at_zero: ca.SX | float = 0.5) -> ca.SX:
+def _equals(value: ca.SX, number: float) -> bool:
+    return value.is_constant() and float(value) == number
+
+
+def _heaviside(u: ca.SX, at_zero: ca.SX) -> ca.SX:
     """(1 + sign u)/2, so that split_discontinuities sees the jump."""
     step = (1 + ca.sign(u)) / 2
-    return step if float(at_zero) == 0.5 else ca.if_else(u == 0, at_zero, step)
+    return step if _equals(at_zero, 0.5) else ca.if_else(u == 0, at_zero, step)
 
 
 _SYMPY: dict[str, Callable[..., ca.SX]] = {
@@ -274,7 +285,7 @@ _SYMPY: dict[str, Callable[..., ca.SX]] = {
     "Mul": lambda *args: reduce(lambda a, b: a * b, args),
     "Max": lambda *args: reduce(ca.fmax, args),
     "Min": lambda *args: reduce(ca.fmin, args),
-    "Pow": lambda base, exponent: ca.sqrt(base) if exponent.is_constant() and float(exponent) == 0.5 else base**exponent,
+    "Pow": lambda base, exponent: ca.sqrt(base) if _equals(exponent, 0.5) else base**exponent,
     "Abs": ca.fabs,
     "Heaviside": _heaviside,
     "ceiling": ca.ceil,
@@ -316,18 +327,20 @@ def _from_sympy(expr: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
 def _from_piecewise(expr: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
     pieces = [(_from_sympy(piece, symbols, label), _from_sympy(cond, symbols, label)) for piece, cond in expr.args]
     if not pieces[-1][1].is_one():
-        raise ModelError(f"{label}: {expr} has no value where none of its conditions hold; end it with (expression, True)")
+        raise ModelError(
+            f"{label}: {expr} has no value where none of its conditions holds; end it with (expression, True)"
+        )
     result = pieces[-1][0]
     for piece, condition in reversed(pieces[:-1]):
         result = ca.if_else(condition, piece, result)
     return result
 
 
-# -- small helpers -------------------------------------------------------------------------------------------------------
+# -- small helpers -----------------------------------------------------------------------------------------------------
 
 
 def _is_sympy(value: Any) -> bool:
-    return type(value).__module__.partition(".")[0] == "sympy"
+    return any(str(base.__module__).partition(".")[0] == "sympy" for base in type(value).__mro__)
 
 
 def _is_casadi(value: Any) -> bool:

@@ -1,15 +1,16 @@
 """A convex potential Phi split into a smooth part and terms whose subdifferential is known.
 
 The expression is replayed node by node. A nonsmooth node (fabs, fmax, fmin, the square root of a squared distance, an
-``if_else`` with the value inf) becomes a symbol s with a known meaning; what is left is smooth in y and s. A symbol that enters
-with a constant weight gives a :class:`Term`; the others are nested and take the epigraph form. Conventions of signs: for
-l ∈ -dPhi(y), each term has a multiplier l' with -u ∈ N_K(l') and contributes J_u' l' to l.
+``if_else`` with the value inf) becomes a symbol s with a known meaning; what is left is smooth in y and s. A symbol
+that enters with a constant weight gives a :class:`Term`; the others are nested and take the epigraph form. Signs: for
+l ∈ -dPhi(y), each term has a multiplier l' with -u ∈ N_K(l') and contributes J_u' l' to l (J_u' is the transpose).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import casadi as ca
 import numpy as np
@@ -63,7 +64,11 @@ class ConvexSplit:
 
 @dataclass(frozen=True, eq=False)
 class _Node:
-    """A symbol and its meaning; ``args`` may hold the symbols of earlier nodes, ``text`` is what the user wrote."""
+    """A symbol and its meaning; ``args`` may hold the symbols of earlier nodes, ``text`` is what the user wrote.
+
+    Kinds: "abs" |args|, "norm" |args|_2, "max" the largest of args, "domain" 0 where the condition args is false and
+    inf elsewhere (its text is the domain), "branch" args[1] where the condition args[0] is true and 0 elsewhere.
+    """
 
     kind: str
     symbol: ca.SX
@@ -73,13 +78,14 @@ class _Node:
 
 @dataclass(frozen=True, eq=False)
 class _Parts:
-    """Phi = value(y, s) on the domain, a tuple of ("indicator" | "equality" | "cone", expression, what the user wrote)."""
+    """Phi = value(y, s) on the domain, a tuple of ("indicator" | "equality" | "cone", expression, its text)."""
 
     value: ca.SX
     nodes: tuple[_Node, ...]
     domain: tuple[tuple[str, ca.SX, str], ...] = ()
 
 
+_Rule = Callable[[int, list[ca.SX], ca.SX], ca.SX | None]
 _UNSUPPORTED = {
     ca.OP_SIGN: "sign",
     ca.OP_FLOOR: "floor",
@@ -106,7 +112,7 @@ def split(phi: ca.SX, y: ca.SX, label: str) -> ConvexSplit:
         label: the user's name of ``phi``, for messages.
 
     Raises:
-        ModelError: ``phi`` is not scalar, is not convex, or holds a nonsmooth operation without a known subdifferential.
+        ModelError: ``phi`` is not scalar, not seen to be convex, or holds an operation without a known subdifferential.
 
     >>> y = ca.SX.sym("y", 2)
     >>> parts = split(3 * ca.fabs(y[0] - 1) + y[1] ** 2, y, "phi")
@@ -115,7 +121,8 @@ def split(phi: ca.SX, y: ca.SX, label: str) -> ConvexSplit:
     """
     if phi.shape != (1, 1):
         raise ModelError(f"{label}: shape {phi.shape}; expected one scalar expression, the potential")
-    parts = _live(_put_back_smooth(_push_into_domain(_resolve(_read(phi, y, label), label), y, label), y))
+    parts = _push_into_domain(_resolve(_read(phi, y, label), label), y, label)
+    parts = _live(_flatten(_put_back_smooth(parts, y)))
     symbols = ca.vertcat(y, *(node.symbol for node in parts.nodes))
     for node in parts.nodes:
         if node.kind == "abs" and not _is_affine(node.args, symbols):
@@ -155,7 +162,9 @@ def split_discontinuities(expr: ca.SX, x: ca.SX, label: str) -> tuple[ca.SX, ca.
         if op != ca.OP_SIGN or not ca.depends_on(old, x):
             return None
         if symbols and ca.depends_on(args[0], ca.vertcat(*symbols)):
-            raise ModelError(f"{label}: {old} has a sign inside a sign; write the field with separate sign(u), u continuous")
+            raise ModelError(
+                f"{label}: {old} has a sign inside a sign; write {label} with separate sign(u), u continuous"
+            )
         for symbol, argument in zip(symbols, arguments, strict=True):
             if _same(argument, args[0]):
                 return symbol
@@ -166,11 +175,11 @@ def split_discontinuities(expr: ca.SX, x: ca.SX, label: str) -> tuple[ca.SX, ca.
     return _replay(expr, rule, (ca.OP_SIGN,), label), _column(symbols), _column(arguments)
 
 
-# -- reading the expression ----------------------------------------------------------------------------------------------
+# -- reading the expression --------------------------------------------------------------------------------------------
 
 
-def _replay(expr: ca.SX, rule: Callable[[int, list[ca.SX], ca.SX], ca.SX | None], ops: Sequence[int], label: str) -> ca.SX:
-    """Rebuild ``expr``; ``rule(op, new arguments, old node)`` is asked at nodes of ``ops`` and may give a replacement."""
+def _replay(expr: ca.SX, rule: _Rule, ops: Sequence[int], label: str) -> ca.SX:
+    """Rebuild ``expr``; ``rule(op, new arguments, old node)`` is asked at nodes of ``ops``; None leaves the node."""
     symbols = ca.symvar(expr)
     function = ca.Function("replay", [_column(symbols)], [ca.densify(expr)])
     ids = [function.instruction_id(i) for i in range(function.n_instructions())]
@@ -212,7 +221,9 @@ def _read(phi: ca.SX, y: ca.SX, label: str) -> _Parts:
         if not ca.depends_on(old, y):
             return None
         if op in _UNSUPPORTED:
-            raise ModelError(f"{label}: {_UNSUPPORTED[op]} in {old} has no subdifferential; write {label} with fabs, fmax, norm_2")
+            raise ModelError(
+                f"{label}: {_UNSUPPORTED[op]} in {old} has no subdifferential; write {label} with fabs, fmax, norm_2"
+            )
         if op == ca.OP_FABS:
             return add("abs", args[0], old)
         if op == ca.OP_FMAX:
@@ -241,13 +252,15 @@ def _read_branch(
     condition, value = args
     if value.is_constant() and np.isinf(float(value)):
         if float(value) < 0:
-            raise ModelError(f"{label} takes the value -inf where {old.dep(0)}; a convex potential is +inf outside its domain")
-        return add("domain", condition, old)
+            raise ModelError(
+                f"{label} takes the value -inf where {old.dep(0)}; a convex potential is +inf outside its domain"
+            )
+        return add("domain", condition, ca.logic_not(old.dep(0)))
     return add("branch", ca.vertcat(condition, value), old) if ca.depends_on(old.dep(0), y) else None
 
 
 def _norm_argument(op: int, args: list[ca.SX], z: ca.SX, old: ca.SX, label: str) -> ca.SX | None:
-    """Return u affine in z with ``old`` = |u|_2 (to the power 2 args[1] for a power) where |u| has a zero, else None."""
+    """Return u affine in z with ``old`` = |u|_2 (its power 2 args[1] for a power) where |u| has a zero, else None."""
     if op == ca.OP_CONSTPOW and not 0 < float(args[1]) < 1:
         return None
     q = args[0] ** 2 + args[1] ** 2 if op == ca.OP_HYPOT else args[0]
@@ -265,7 +278,7 @@ def _norm_argument(op: int, args: list[ca.SX], z: ca.SX, old: ca.SX, label: str)
 
 
 def _squares(q: ca.SX, z: ca.SX) -> list[ca.SX] | None:
-    """Read q as a sum of squares u_i^2, factors that do not depend on z taken into the square; None if it is not one."""
+    """Read q as a sum of squares u_i^2, factors without z taken into the square; None if it is not one."""
     op = q.op()
     if not ca.depends_on(q, z):
         return None if q.is_constant() and float(q) < 0 else [] if q.is_zero() else [ca.sqrt(q)]
@@ -286,7 +299,9 @@ def _squares(q: ca.SX, z: ca.SX) -> list[ca.SX] | None:
     else:
         return None
     entries = _squares(inner, z)
-    return None if entries is None or (factor.is_constant() and float(factor) < 0) else [ca.sqrt(factor) * e for e in entries]
+    if entries is None or (factor.is_constant() and float(factor) < 0):
+        return None
+    return [ca.sqrt(factor) * entry for entry in entries]
 
 
 def _quadratic_root(q: ca.SX, z: ca.SX, old: ca.SX, label: str) -> ca.SX | None:
@@ -298,7 +313,9 @@ def _quadratic_root(q: ca.SX, z: ca.SX, old: ca.SX, label: str) -> ca.SX | None:
     n = z.numel()
     H, g, q0 = at_zero[: n * n], at_zero[n * n : -1], at_zero[-1]
     if not H.is_constant():
-        raise ModelError(f"{label}: the coefficients of {old} hold {ca.symvar(H)[0]}; write it as norm_2 of an affine expression")
+        raise ModelError(
+            f"{label}: the coefficients of {old} hold {ca.symvar(H)[0]}; write it as norm_2 of an affine expression"
+        )
     values, vectors = np.linalg.eigh(np.array(ca.DM(H)).reshape(n, n) / 2)
     tol = 1e-12 * np.abs(values).max()
     if tol == 0 or values.min() < -tol:
@@ -325,7 +342,7 @@ def _stays_positive(u: ca.SX, z: ca.SX) -> bool:
     return False
 
 
-# -- the domain of Phi ---------------------------------------------------------------------------------------------------
+# -- the domain of Phi -------------------------------------------------------------------------------------------------
 
 _Literal = tuple[str, ca.SX, ca.SX]
 
@@ -339,15 +356,15 @@ def _resolve(parts: _Parts, label: str) -> _Parts:
             literals = _literals(node.args, False)
             if literals is None or any(relation == "!=" for relation, _, _ in literals):
                 raise ModelError(
-                    f"{label} is not convex: the set where {node.text} is finite is not given by a conjunction of <=, >=, ==; "
-                    "write one condition of the domain, joined by logic_and"
+                    f"{label} is not convex: its domain {node.text} is not a conjunction of <=, >=, ==; "
+                    "write the domain as such conditions joined by logic_and"
                 )
             known += literals
-            domain += [("indicator" if r == "<=" else "equality", b - a, node.text) for r, a, b in literals]
+            domain += [
+                ("indicator", b - a, node.text) if r == "<=" else ("equality", a - b, node.text) for r, a, b in literals
+            ]
     parts = replace(parts, domain=tuple(domain))
-    parts = replace(
-        parts, nodes=tuple(replace(n, args=ca.SX(0, 1)) if n.kind == "domain" else n for n in parts.nodes)
-    )
+    parts = replace(parts, nodes=tuple(replace(n, args=ca.SX(0, 1)) if n.kind == "domain" else n for n in parts.nodes))
     for node in [node for node in parts.nodes if node.kind == "branch"]:
         truth = _truth(node.args[0], known)
         if truth is None:
@@ -355,13 +372,13 @@ def _resolve(parts: _Parts, label: str) -> _Parts:
                 f"{label}: {node.text} switches between finite values; write it with fmax, fmin or fabs, "
                 "or give the value inf outside the domain"
             )
-        current = next(n for n in parts.nodes if n is node or n.symbol.element_hash() == node.symbol.element_hash())
+        current = _node_of(node.symbol, parts)
         parts = _put(parts, current, current.args[1] if truth else ca.SX(0))
     return parts
 
 
 def _literals(condition: ca.SX, holds: bool) -> list[_Literal] | None:
-    """Write a condition (or its negation) as a list of ("<=" | "==" | "!=", a, b) that hold together; None if it is not one."""
+    """Write a condition, or its negation, as a conjunction of ("<=" | "==" | "!=", a, b); None if it is not one."""
     op = condition.op()
     if op == ca.OP_NOT:
         return _literals(condition.dep(0), not holds)
@@ -390,7 +407,10 @@ def _truth(condition: ca.SX, known: list[_Literal]) -> bool | None:
         return decisive if decisive in both else None if None in both else not decisive
     for holds in (True, False):
         literals = _literals(condition, holds)
-        if literals and any(r == literals[0][0] and _same(a, literals[0][1]) and _same(b, literals[0][2]) for r, a, b in known):
+        if not literals:
+            continue
+        relation, left, right = literals[0]
+        if any(r == relation and _same(a, left) and _same(b, right) for r, a, b in known):
             return holds
     return None
 
@@ -402,34 +422,35 @@ def _push_into_domain(parts: _Parts, y: ca.SX, label: str) -> _Parts:
         kind, v, text = queue.pop(0)
         inside = [node for node in parts.nodes if ca.depends_on(v, node.symbol)]
         if kind == "equality" and (inside or not _is_affine(v, y)):
-            raise ModelError(f"{label} is not convex: the equality in {text} is not affine; give an affine one")
+            raise ModelError(
+                f"{label} is not convex: the equality in its domain {text} is not affine; give an affine one"
+            )
         if not inside and v.is_constant():
             if float(v) < 0 or (kind == "equality" and float(v) != 0):
-                raise ModelError(f"{label} is +inf everywhere: the condition in {text} never holds; correct it")
+                raise ModelError(f"{label} is +inf everywhere: its domain {text} is empty; correct the condition")
             continue
         weight = ca.jacobian(v, inside[0].symbol) if len(inside) == 1 else ca.SX.sym("several")
         if not weight.is_constant():
             done.append((kind, v, text))
             continue
         if float(weight) > 0:
-            raise ModelError(f"{label} is not convex: the set where {text} is finite is not convex; turn the inequality round")
+            raise ModelError(f"{label} is not convex: its domain {text} is not convex; turn the inequality round")
         node = inside[0]
         if node.kind == "norm":
             r = ca.substitute(v, node.symbol, 0)
             done.append(("cone", ca.vertcat(r / -float(weight), node.args), text))
         else:
-            pieces = [node.args, -node.args] if node.kind == "abs" else ca.vertsplit(node.args)
-            queue = [(kind, ca.substitute(v, node.symbol, piece), text) for piece in pieces] + queue
+            queue = [(kind, ca.substitute(v, node.symbol, piece), text) for piece in _pieces(node)] + queue
     return replace(parts, domain=tuple(done))
 
 
-# -- sorting the nodes ---------------------------------------------------------------------------------------------------
+# -- sorting the nodes -------------------------------------------------------------------------------------------------
 
 
 def _put_back_smooth(parts: _Parts, y: ca.SX) -> _Parts:
     """Put the node itself back where its kink does not show, as in fabs(y)^1.5 or fmax(y, 0)^2."""
     for symbol in [node.symbol for node in parts.nodes if node.kind in ("abs", "max")]:
-        node = next(n for n in parts.nodes if n.symbol.element_hash() == symbol.element_hash())
+        node = _node_of(symbol, parts)
         u = node.args if node.kind == "abs" else node.args[0] - node.args[1]
         if ca.depends_on(u, ca.vertcat(*(n.symbol for n in parts.nodes))) or not _is_affine(u, y):
             continue
@@ -445,6 +466,23 @@ def _put_back_smooth(parts: _Parts, y: ca.SX) -> _Parts:
     return parts
 
 
+def _flatten(parts: _Parts) -> _Parts:
+    """Write max(a + w |u|, b), w > 0, as max(a + w u, a - w u, b), and so for a max in a max: one tau, not two."""
+    done: list[_Node] = []
+    for node in parts.nodes:
+        queue, pieces = ca.vertsplit(node.args) if node.kind == "max" else [], []
+        while queue:
+            piece = queue.pop(0)
+            inside = [other for other in done if ca.depends_on(piece, other.symbol)]
+            weight = ca.jacobian(piece, inside[0].symbol) if len(inside) == 1 else ca.SX(0)
+            if weight.is_constant() and float(weight) > 0 and inside[0].kind in ("abs", "max"):
+                queue = [ca.substitute(piece, inside[0].symbol, inner) for inner in _pieces(inside[0])] + queue
+            else:
+                pieces.append(piece)
+        done.append(replace(node, args=_column(pieces)) if pieces else node)
+    return replace(parts, nodes=tuple(done))
+
+
 def _live(parts: _Parts) -> _Parts:
     """Drop the nodes that nothing uses any more, last first."""
     used = [parts.value, *(v for _, v, _ in parts.domain)]
@@ -457,11 +495,12 @@ def _live(parts: _Parts) -> _Parts:
 
 
 def _is_nested(node: _Node, parts: _Parts, z: ca.SX) -> bool:
-    """Whether the node holds, or is held by, another one, or does not enter with a weight that is constant in z."""
+    """Whether the node takes a tau: it holds or is held by another, has over two pieces, or a varying weight."""
     symbols = z[z.numel() - len(parts.nodes) :]
     users = [*(other.args for other in parts.nodes), *(v for _, v, _ in parts.domain)]
     return (
         ca.depends_on(node.args, symbols)
+        or (node.kind == "max" and node.args.numel() > 2)
         or any(ca.depends_on(user, node.symbol) for user in users)
         or not _is_constant(ca.jacobian(parts.value, node.symbol), z)
     )
@@ -474,8 +513,8 @@ def _check_growth(parts: _Parts, nested: list[_Node], y: ca.SX, label: str) -> N
     decrease in tau_k. This is weaker than growth in all tau at once, and enough for the minimum.
     """
     slack = ca.SX.sym("slack", len(nested))
-    bounds = [v if kind == "indicator" else v[0] - ca.norm_2(v[1:]) for kind, v, _ in parts.domain if kind != "equality"]
-    watched = ca.vertcat(parts.value, *(-bound for bound in bounds))
+    domain = [(kind, v) for kind, v, _ in parts.domain if kind != "equality"]
+    watched = ca.vertcat(parts.value, *(-v if kind == "indicator" else ca.norm_2(v[1:]) - v[0] for kind, v in domain))
     for node in reversed(parts.nodes):
         j = next((j for j, other in enumerate(nested) if other is node), None)
         watched = ca.substitute(watched, node.symbol, _meaning(node) + (0 if j is None else slack[j]))
@@ -497,9 +536,7 @@ def _check_growth(parts: _Parts, nested: list[_Node], y: ca.SX, label: str) -> N
             )
 
 
-def _assemble(
-    parts: _Parts, simple: list[_Node], nested: list[_Node], z: ca.SX, y: ca.SX, label: str
-) -> ConvexSplit:
+def _assemble(parts: _Parts, simple: list[_Node], nested: list[_Node], z: ca.SX, y: ca.SX, label: str) -> ConvexSplit:
     terms = [term for node in simple for term in _simple_term(node, parts, z, label)]
     smooth = parts.value
     for node in simple:
@@ -514,17 +551,16 @@ def _assemble(
 
     rows, of = [], []
     for j, node in enumerate(levels):
-        args = rename(node.args)
         if node.kind == "norm":
-            terms.append(Term("cone", ca.SX(1), ca.vertcat(tau[j], args)))
+            terms.append(Term("cone", ca.SX(1), ca.vertcat(tau[j], rename(node.args))))
         else:
-            pieces = [args, -args] if node.kind == "abs" else ca.vertsplit(args)
+            pieces = [rename(piece) for piece in _pieces(node)]
             rows += pieces
             of += [j] * len(pieces)
     for kind, v, text in parts.domain:
         u = rename(v)
         if kind == "indicator" and not _is_concave(u, ca.vertcat(y, tau)):
-            raise ModelError(f"{label} is not convex: the set where {text} is finite is not convex; write it as concave >= 0")
+            raise ModelError(f"{label} is not convex: its domain {text} is not convex; write it as concave >= 0")
         terms.append(Term(kind, ca.SX(1), u))
     result = ConvexSplit(rename(smooth), tuple(terms), tau, _column(rows), tuple(of))
     _refuse_leftovers(ca.vertcat(result.smooth, result.epigraph, *(t.u for t in terms)), ca.vertcat(y, tau), label)
@@ -537,9 +573,12 @@ def _index(nodes: list[_Node], node: _Node) -> int:
 
 def _simple_term(node: _Node, parts: _Parts, z: ca.SX, label: str) -> list[Term]:
     weight = ca.substitute(ca.densify(ca.jacobian(parts.value, node.symbol)), z, 0)
+    if weight.is_constant() and float(weight) < 0 and node.kind == "domain":
+        raise ModelError(f"{label} takes the value -inf outside of {node.text}; write + if_else({node.text}, 0, inf)")
     if weight.is_constant() and float(weight) < 0:
         raise ModelError(
-            f"{label} is not convex: the term {node.text} enters with the weight {float(weight):g}; weights must be >= 0"
+            f"{label} is not convex: the term {node.text} enters with the weight {float(weight):g}; "
+            "make every weight >= 0"
         )
     if weight.is_zero() or node.kind == "domain":
         return []
@@ -551,7 +590,7 @@ def _refuse_leftovers(expr: ca.SX, z: ca.SX, label: str) -> None:
     function = ca.Function("smooth", [_column(ca.symvar(expr))], [expr])
     for i in range(function.n_instructions()):
         if function.instruction_id(i) == ca.OP_CONST and np.isinf(function.instruction_constant(i)):
-            raise ModelError(f"{label} holds inf outside of an if_else; write {label} = if_else(domain, expression, inf)")
+            raise ModelError(f"{label} holds inf outside of an if_else; write {label} as if_else(domain, value, inf)")
 
     def rule(op: int, args: list[ca.SX], old: ca.SX) -> None:
         if ca.depends_on(old, z):
@@ -563,7 +602,7 @@ def _refuse_leftovers(expr: ca.SX, z: ca.SX, label: str) -> None:
     _replay(expr, rule, _COMPARISONS, label)
 
 
-# -- expressions ---------------------------------------------------------------------------------------------------------
+# -- expressions -------------------------------------------------------------------------------------------------------
 
 
 def _column(items: Sequence[ca.SX]) -> ca.SX:
@@ -578,8 +617,17 @@ def _meaning(node: _Node) -> ca.SX:
     if node.kind == "abs":
         return ca.fabs(node.args)
     if node.kind == "max":
-        return ca.fmax(node.args[0], node.args[1])
+        return reduce(ca.fmax, ca.vertsplit(node.args))
     return ca.norm_2(node.args) if node.kind == "norm" else ca.SX(0)
+
+
+def _pieces(node: _Node) -> list[ca.SX]:
+    """Return the expressions whose maximum is an "abs" or "max" node."""
+    return [node.args, -node.args] if node.kind == "abs" else ca.vertsplit(node.args)
+
+
+def _node_of(symbol: ca.SX, parts: _Parts) -> _Node:
+    return next(node for node in parts.nodes if node.symbol.element_hash() == symbol.element_hash())
 
 
 def _exact(expr: ca.SX, nodes: Sequence[_Node]) -> ca.SX:

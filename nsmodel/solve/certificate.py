@@ -92,7 +92,8 @@ def project(kind: str, radius: float, u: np.ndarray) -> np.ndarray:
 
 def _ratio(a: Any, s: Any) -> Any:
     """a / s with 0/0 = 0."""
-    return np.where(a == 0, 0.0, a / s)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(a == 0, 0.0, a / s)
 
 
 def box_residual_sx(lo: np.ndarray, up: np.ndarray, w_max: np.ndarray, l: Any, y: Any, s_y: Any, slack: Any) -> Any:

@@ -20,7 +20,7 @@ from nsmodel.solve.certificate import NumericLaw
 OPTIONS = {
     "qpoases": {"printLevel": "none", "terminationTolerance": 1e-14, "boundTolerance": 1e-14},
     "qrqp": {"print_iter": False, "print_header": False, "constr_viol_tol": 1e-12, "dual_inf_tol": 1e-12},
-    "daqp": {},
+    "daqp": {"daqp": {"eps_prox": 1e-6}},
     "osqp": {"osqp": {"verbose": False, "eps_abs": 1e-10, "eps_rel": 1e-10, "max_iter": 100000, "polish": True}},
     "highs": {"highs": {"output_flag": False}},
     "proxqp": {},
@@ -35,28 +35,38 @@ HIDDEN_MEMORY = frozenset({"qpoases", "osqp", "proxqp", "piqp"})
 def solve(name: str, W: np.ndarray, b: np.ndarray, law: NumericLaw, symmetric: bool) -> np.ndarray | None:
     """Return l (m,) as the solver gives it, unverified; None where it gives nothing finite."""
     m = law.size
+    # Congruent scaling: QP solvers have absolute tolerances, a model has units.
+    s = np.sqrt(np.abs(W).max(axis=1, initial=0.0) + np.abs(W).max(axis=0, initial=0.0))
+    s = np.where(s > 0, 1 / np.where(s > 0, s, 1), 1.0)
+    size = np.abs(s * b).max(initial=0.0) or 1.0
+    W, b = s[:, None] * W * s, s * b / size
+    law = NumericLaw(law.lower / (s * size), law.upper / (s * size), ())
     if symmetric:
-        H, g, A, rhs, lower, upper = (W + W.T) / 2, b, np.zeros((0, m)), np.zeros(0), law.lower, law.upper
+        H, g, A, below, above = (W + W.T) / 2, b, np.zeros((0, m)), np.zeros(0), np.zeros(0)
+        lower, upper = law.lower, law.upper
     else:
-        H, g, A, rhs, lower, upper = _gap_programme(W, b, law)
-    solver = (_build.__wrapped__ if name in HIDDEN_MEMORY else _build)(name, g.size, rhs.size)
+        H, g, A, below, above, lower, upper = _gap_programme(W, b, law)
+    solver = (_build.__wrapped__ if name in HIDDEN_MEMORY else _build)(name, g.size, below.size)
     with _quiet():
         try:
-            found = np.array(solver(h=H, g=g, a=A, lba=rhs, uba=rhs, lbx=lower, ubx=upper)["x"]).ravel()[:m]
+            found = np.array(solver(h=H, g=g, a=A, lba=below, uba=above, lbx=lower, ubx=upper)["x"]).ravel()[:m]
         except RuntimeError:
             return None
-    return found if np.isfinite(found).all() else None
+    return found * s * size if np.isfinite(found).all() else None
 
 
 def _gap_programme(W: np.ndarray, b: np.ndarray, law: NumericLaw) -> tuple[np.ndarray, ...]:
-    m, has_lo, has_up = law.size, np.isfinite(law.lower), np.isfinite(law.upper)
-    H = np.zeros((3 * m, 3 * m))
+    """The gap QP in (l, y-), y+ = W l + b + y- eliminated; y- only where upper is finite, y+ = 0 where lower is not."""
+    m, has_lo, capped = law.size, np.isfinite(law.lower), np.flatnonzero(np.isfinite(law.upper))
+    lo, k = np.where(has_lo, law.lower, 0.0), capped.size
+    down = np.eye(m)[:, capped]
+    H = np.zeros((m + k, m + k))
     H[:m, :m] = W + W.T
-    g = np.concatenate([b, np.where(has_lo, -law.lower, 0.0), np.where(has_up, law.upper, 0.0)])
-    A = np.hstack([W, -np.eye(m), np.eye(m)])
-    lower = np.concatenate([law.lower, np.zeros(2 * m)])
-    upper = np.concatenate([law.upper, np.where(has_lo, np.inf, 0.0), np.where(has_up, np.inf, 0.0)])
-    return H, g, A, -b, lower, upper
+    g = np.concatenate([b - W.T @ lo, law.upper[capped] - lo[capped]])
+    A = np.hstack([W, down])
+    lower = np.concatenate([law.lower, np.zeros(k)])
+    upper = np.concatenate([law.upper, np.full(k, np.inf)])
+    return H, g, A, -b, np.where(has_lo, np.inf, -b), lower, upper
 
 
 @lru_cache(maxsize=64)

@@ -1,0 +1,107 @@
+"""Finite convergence of an oscillator's run (Cabot 2004, Theorem 4.1 and Corollary 4.2)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.model.oscillator import FrictionOscillator
+from nsmodel.scheme.inertial_proximal import slope_at_zero
+from nsmodel.scheme.problem import subdifferential
+from nsmodel.solve import mlcp
+from nsmodel.solve.certificate import EPS, numeric_law
+
+ROUNDING = 64  # Margins below 64 eps times the forces are not told from 0.
+
+
+def finite_convergence(model: FrictionOscillator, x: np.ndarray, v: np.ndarray, rest_from: tuple[int, float] | None) -> dict[str, Any]:
+    """Say whether a run has come to rest for ever, and why.
+
+    Args:
+        model: bound.
+        x: the last position (n,); v: the last two velocities (2, n).
+        rest_from: (n_0, t_0), the first row from which v == 0 and its time; None where it still moves.
+
+    Returns:
+        finite: v = 0 twice in a row and the margin theta'(0) - d(0, dg(x)) exceeds the rounding bound; n_0, t_0 or None;
+        margin, distance = d(0, dg(x)), theta_prime_0; reason in words.
+    """
+    radii = np.array([float(ca.DM(slope_at_zero(e, model.s))) for e in model.elements])
+    force = least_force(model, x)
+    margin, bound = _margin(model, force, radii)
+    still = bool((v == 0).all())
+    finite = bool(still and rest_from is not None and margin > bound)
+    if not still:
+        reason = "still moving at the end of the run"
+    elif finite:
+        reason = "v = 0 and 0 is interior to A(0) + dg(x): at rest for ever (Theorem 4.1 iii)"
+    elif not np.isfinite(margin):
+        reason = "v = 0, but the friction acts in some directions only: 0 is not interior to A(0)"
+    else:
+        reason = f"v rounds to 0, but the margin is not above its rounding bound {bound:.2g}: convergence need not be finite"
+    return {
+        "finite": finite,
+        "n_0": rest_from[0] if finite else None,
+        "t_0": rest_from[1] if finite else None,
+        "margin": float(margin),
+        "distance": float(np.linalg.norm(force)),
+        "theta_prime_0": float(radii.min()) if radii.size else 0.0,
+        "reason": reason,
+    }
+
+
+def least_force(model: FrictionOscillator, x: np.ndarray) -> np.ndarray:
+    """The element of least norm of dg(x) (n,): smooth gradient, kinks and active constraints."""
+    g = subdifferential(model.potential_split, model.x, "potential")
+    c = ca.vertcat(ca.SX(0, 1), *model.constraints.values())
+    n = ca.SX.sym("n", c.numel())
+    l, u = ca.vertcat(g.l, n), ca.vertcat(g.u, c)
+    total = -g.force - ca.jacobian(c, model.x).T @ n
+    f = ca.Function("force", [model.x, l], [ca.densify(total), ca.densify(ca.jacobian(total, l)), ca.densify(u)])
+    law = numeric_law(g.law)
+    lower = np.concatenate([law.lower, np.zeros(n.numel())])
+    upper = np.concatenate([law.upper, np.full(n.numel(), np.inf)])
+    base, A, u_x = (np.array(value) for value in f(x, np.zeros(l.numel())))
+    base, u_x = base.ravel(), u_x.ravel()
+    # Rows with u != 0 have one multiplier; the rest is free in its face. A norm's ball is treated by its bounding box corners
+    # only where u = 0, so it joins as a ball law below.
+    scale = 1e-12 * (1 + np.abs(x).max(initial=0.0))
+    tied = np.abs(u_x) <= scale
+    for _, rows, _ in law.curved:
+        tied[rows] = bool((np.abs(u_x[rows]) <= scale).all())
+    fixed = np.where(u_x > 0, lower, upper)
+    for kind, rows, radius in law.curved:
+        size = np.linalg.norm(u_x[rows])
+        fixed[rows] = -radius * u_x[rows] / size if kind == "ball" and size else 0.0
+    fixed = np.where(tied, 0.0, fixed)
+    base = base + A @ np.where(np.isfinite(fixed), fixed, 0.0)
+    free = np.flatnonzero(tied)
+    if not free.size:
+        return base
+    position = {int(i): j for j, i in enumerate(free)}
+    curved = tuple(
+        (kind, slice(position[rows.start], position[rows.start] + rows.stop - rows.start), radius)
+        for kind, rows, radius in law.curved if tied[rows].all()
+    )  # fmt: skip
+    sub = type(law)(lower[free], upper[free], curved)
+    M = A[:, free]
+    chain = (mlcp.SEMISMOOTH,) if curved else (mlcp.INDEX_SET, mlcp.LEMKE, "qpoases")
+    found = mlcp.solve(M.T @ M, M.T @ base, sub, np.zeros(free.size), np.zeros(free.size, np.int8), chain, True, 1e-10)
+    return base + M @ found.l
+
+
+def _margin(model: FrictionOscillator, force: np.ndarray, radii: np.ndarray) -> tuple[float, float]:
+    """theta'(0) - d(0, dg(x)) for one isotropic element; for several, the least margin of a split of the force among them."""
+    if not model.elements:
+        return -np.inf, 0.0
+    H = np.vstack([np.array(ca.DM(e.H)) for e in model.elements])
+    if np.linalg.matrix_rank(H) < H.shape[1]:
+        return -np.inf, 0.0
+    parts = np.linalg.lstsq(H.T, force, rcond=None)[0]
+    sizes, at = [], 0
+    for element in model.elements:
+        sizes.append(np.linalg.norm(parts[at : at + element.H.shape[0]]))
+        at += element.H.shape[0]
+    return float((radii - sizes).min()), ROUNDING * EPS * float(max(radii.max(), np.abs(force).max(), max(sizes)))
