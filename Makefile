@@ -16,7 +16,7 @@ $(STAMP): pyproject.toml
 	touch $@
 
 demo: $(STAMP) ## set up, run a rectifier, a crowd and a friction oscillator, draw pictures into results/
-	$(BIN)/python -m nsmodel.demo
+	$(BIN)/nsmodel run cases/diode_bridge.py cases/crowd_room.py cases/friction_oscillator.py --plot --out results
 
 test: $(STAMP) ## set up and run the tests
 	$(BIN)/python -m pytest

@@ -459,9 +459,7 @@ def _largest(size: np.ndarray, limit: int) -> np.ndarray:
     return np.sort(np.concatenate([above, ties[_spread(len(ties), limit - len(above))]]))
 
 
-def multipliers(
-    run: Trajectory, *, which: str = "multipliers", limit: int = MAX_LINES, ax: Axes | None = None
-) -> Axes:
+def multipliers(run: Trajectory, *, which: str = "multipliers", limit: int = MAX_LINES, ax: Axes | None = None) -> Axes:
     """Draw the multipliers over time, each over the step it belongs to.
 
     Args:
@@ -503,7 +501,7 @@ def residual(run: Trajectory, *, ax: Axes | None = None) -> Axes:
     values[0] = np.nan
     usual = np.isfinite(values) & (values > 0)
     marks = np.append(values[usual], tolerance or [])
-    low, high = (marks.min() / 30, marks.max() * 10) if len(marks) else (1e-16, 1)
+    low, high = (min(marks.min(), 1e-15) / 30, marks.max() * 10) if len(marks) else (1e-16, 1)
     handles = []
     for mask, place, marker, colour, words in (
         (usual, None, ".", LINES[0], "steps"),
@@ -801,14 +799,16 @@ def _title(run: Trajectory) -> str:
 
 def _subtitle(run: Trajectory) -> str:
     """One line: the class, the number of steps, the step and how the run ended."""
-    steps, unit = np.diff(run.t), _unit(run, "t")
+    steps, unit = np.asarray(run.arrays.get("step", np.diff(run.t, prepend=np.nan)))[1:], _unit(run, "t")
     size = ""
     if len(steps):
         low, high = steps.min(), steps.max()
         size = f"{high:.4g}" if high - low <= 1e-6 * high else f"{low:.3g} to {high:.4g}"
         size = f"step {size} {unit}".rstrip()
     status = f"status: {run.status}" if "status" in run.metadata else ""
-    parts = [run.metadata.get("model_class"), f"{len(run.t) - 1} steps", size, status]
+    every = run.metadata.get("save_every", 1)
+    kept = f"rows kept: one in {every}" if every > 1 else ""
+    parts = [run.metadata.get("model_class"), f"{run.metadata.get('steps', len(run.t) - 1)} steps", size, kept, status]
     return ", ".join(str(part) for part in parts if part)
 
 

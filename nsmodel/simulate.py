@@ -369,6 +369,7 @@ class _Run:
             data["convergence"] = finite_convergence(model, x, v, self.totals["rest_from"])
         if getattr(model, "scene", None):
             data["scene"] = {key: value.tolist() for key, value in model.scene.items()}
+            data["constraint_bodies"] = _bodies(model)
         return data
 
 
@@ -387,6 +388,13 @@ def _start_state(problem: OneStepProblem, state: np.ndarray, h: float, tolerance
         return stepper(0.0, h, state, stepper.cold()).row[stepper.layout.state]
     except StepError as error:
         raise UsageError(f"gamma < 1 needs a multiplier at the start, and the law has none there: {error}") from None
+
+
+def _bodies(model: Any) -> list[list[int]]:
+    """For each constraint of a planar scene, the discs whose coordinates it contains."""
+    depends = ca.jacobian(model.g, model.q).sparsity()
+    pairs = np.array(depends.get_triplet()).T
+    return [sorted({int(column) // 2 for row, column in pairs if row == i}) for i in range(model.g.numel())]
 
 
 def fingerprint(model: Model, grid: Grid, solver: str, tolerance: float, save_every: int) -> str:

@@ -31,7 +31,7 @@ def value(expr, point=POINT):
     return np.array(ca.Function("f", [ca.vertcat(Q, K)], [ca.densify(ca.SX(expr))])(point))
 
 
-# -- declarations --------------------------------------------------------------------------------------------------------
+# -- declarations ------------------------------------------------------------------------------------------------------
 
 a, b = sympy.symbols("a b")
 
@@ -91,7 +91,7 @@ def test_a_name_declared_twice_is_refused():
         Converter([declare(K, "x"), declare("k", "parameters")])
 
 
-# -- values --------------------------------------------------------------------------------------------------------------
+# -- values ------------------------------------------------------------------------------------------------------------
 
 MQ, MK = ca.MX.sym("q", 2), ca.MX.sym("k")
 SQ0, SQ1, SK = sympy.symbols("q_0 q_1 k", real=True)
@@ -197,7 +197,7 @@ def test_importing_does_not_import_sympy():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-# -- errors --------------------------------------------------------------------------------------------------------------
+# -- errors ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -211,7 +211,9 @@ def test_importing_does_not_import_sympy():
     ],
 )
 def test_an_undeclared_symbol_is_named(converter, given):
-    message = r"f uses the symbol 'm', which is not declared: add it to parameters=\{...\} or declare it as x=, t=; .*q_0, q_1, k"
+    message = (
+        r"f uses the symbol 'm', which is not declared: add it to parameters=\{...\} or declare it as x=, t=; .*, k"
+    )
     with pytest.raises(ModelError, match=message):
         converter.convert(given, "f")
 

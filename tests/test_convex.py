@@ -17,7 +17,7 @@ INF = np.inf
 
 
 class Case(NamedTuple):
-    """Phi written twice, the kinds of terms and the number of tau expected, and points where Phi is not differentiable."""
+    """Phi written twice, the kinds of terms and the number of tau expected, points where it is not differentiable."""
 
     n: int
     symbolic: Callable
@@ -253,7 +253,7 @@ CASES = {
 }
 
 
-# -- the split, evaluated ------------------------------------------------------------------------------------------------
+# -- the split, evaluated ----------------------------------------------------------------------------------------------
 
 
 def number(expr, y, y0, tau=None, tau0=None):
@@ -368,9 +368,9 @@ def test_split_has_the_value_and_the_subgradients_of_phi(name):
         assert np.isfinite(phi)
         assert split_value(parts, y, p) == pytest.approx(phi, abs=1e-7)
         for _ in range(4):
-            l = random_multiplier(parts, y, p, rng)
+            multiplier = random_multiplier(parts, y, p, rng)
             for other, value in zip(others, values, strict=True):
-                assert value >= phi - l @ (other - p) - 1e-7 * (1 + abs(phi) + np.linalg.norm(l))
+                assert value >= phi - multiplier @ (other - p) - 1e-7 * (1 + abs(phi) + np.linalg.norm(multiplier))
 
 
 @pytest.mark.parametrize("name", [name for name, case in CASES.items() if case.levels and "cone" not in case.kinds])
@@ -413,7 +413,7 @@ def test_linear_epigraph_by_linear_programming(name):
         assert value == pytest.approx(case.numeric(p), abs=1e-9)
 
 
-# -- form of the answer --------------------------------------------------------------------------------------------------
+# -- form of the answer ------------------------------------------------------------------------------------------------
 
 Y = ca.SX.sym("y", 2)
 MU = ca.SX.sym("mu")
@@ -455,7 +455,7 @@ def test_with_terms_replaces_the_terms_only():
     assert isinstance(parts.terms[0], Term)
 
 
-# -- errors --------------------------------------------------------------------------------------------------------------
+# -- errors ------------------------------------------------------------------------------------------------------------
 
 TABLE = ca.interpolant("lut", "linear", [[0, 1, 2]], [0, 1, 4])
 MX = ca.MX.sym("y", 2)
@@ -512,7 +512,7 @@ def test_what_cannot_be_split_is_refused(phi, message):
         split(phi, Y, "phi")
 
 
-# -- discontinuities -----------------------------------------------------------------------------------------------------
+# -- discontinuities ---------------------------------------------------------------------------------------------------
 
 
 def test_split_discontinuities_replaces_each_sign_once():
@@ -534,7 +534,7 @@ def test_split_discontinuities_leaves_a_continuous_field_alone():
 
 
 def test_split_discontinuities_refuses_what_it_cannot_read():
-    with pytest.raises(ModelError, match="operator: sign.* has a sign inside a sign"):
+    with pytest.raises(ModelError, match=r"operator: sign.* has a sign inside a sign"):
         split_discontinuities(ca.sign(Y[0] + ca.sign(Y[1])), Y, "operator")
     with pytest.raises(ModelError, match="operator calls a Function that cannot be looked into"):
         split_discontinuities(ca.sign(Y[0]) + SAMPLED, Y, "operator")

@@ -554,6 +554,12 @@ def test_nothing_in_an_overview_overlaps_or_is_cut_off(case):
             assert same or other is own or not other.yaxis.get_tightbbox().overlaps(key), f"{name} on {title(other)}"
 
 
+def test_the_footer_counts_steps_not_rows():
+    run = altered(bridge(), steps=2800, save_every=7)
+    words = plot.overview(run).get_supxlabel()
+    assert words == "LureSystem, 2800 steps, step 1.25e-05 s, rows kept: one in 7, status: done"
+
+
 def test_overview_of_the_barest_run():
     run = Trajectory({"t": np.linspace(0, 1, 5), "x": np.zeros((5, 1))}, {"model_class": "FirstOrderSystem"})
     figure = plot.overview(run)

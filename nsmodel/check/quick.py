@@ -77,13 +77,21 @@ def warnings_of(model: Model, plan: Plan) -> list[str]:
 def _not_convex(model: SweepingProcess) -> list[str]:
     """Constraints whose Hessian at q0 has a negative eigenvalue: the scheme's feasibility rests on convexity (S-convex)."""
     found, q0 = [], np.array(ca.DM(model.q0)).ravel()
-    flat = [(name, column[i]) for name, column in model.constraints.items() for i in range(column.numel())]
-    curved = [(name, g) for name, g in flat if ca.jacobian(ca.gradient(g, model.q), model.q).nnz()]
-    for name, g in curved[:50]:
-        H = np.array(ca.Function("H", [model.t, model.q], [ca.hessian(g, model.q)[0]])(0, q0))
-        least = np.linalg.eigvalsh(H)[0] if np.isfinite(H).all() else 0.0
-        if least < -1e-10 * np.abs(H).max():
+    for name, g in zip(model.multiplier_names, ca.vertsplit(model.g), strict=True) if model.multiplier_names else ():
+        own = [i for i, symbol in enumerate(ca.vertsplit(model.q)) if ca.depends_on(g, symbol)]
+        gradient = ca.gradient(g, model.q[own]) if own else ca.SX(0, 1)
+        if not own or not ca.depends_on(gradient, model.q[own]):
+            continue
+        f = ca.Function("H", [model.t, model.q], [ca.densify(ca.jacobian(gradient, model.q[own])), gradient])
+        H, slope = (np.array(v) for v in f(0, q0))
+        if not np.isfinite(H).all():
+            continue
+        least, size = np.linalg.eigvalsh(H)[0], np.linalg.norm(slope) / max(np.linalg.norm(q0), 1e-300)
+        # Below round-off beside |gradient| / |q| a Hessian is that of a plane.
+        if least < -1e-9 * max(np.abs(H).max(), 1e-6 * size):
             found.append(f"constraint '{name}' is not convex at q0 (least eigenvalue of its Hessian {least:.3g}): feasibility may be lost")
+        if len(found) == 5:
+            break
     return found
 
 

@@ -420,7 +420,7 @@ def _push_into_domain(parts: _Parts, y: ca.SX, label: str) -> _Parts:
     queue, done = list(parts.domain), []
     while queue:
         kind, v, text = queue.pop(0)
-        inside = [node for node in parts.nodes if ca.depends_on(v, node.symbol)]
+        inside = _inside(v, parts.nodes)
         if kind == "equality" and (inside or not _is_affine(v, y)):
             raise ModelError(
                 f"{label} is not convex: the equality in its domain {text} is not affine; give an affine one"
@@ -473,7 +473,7 @@ def _flatten(parts: _Parts) -> _Parts:
         queue, pieces = ca.vertsplit(node.args) if node.kind == "max" else [], []
         while queue:
             piece = queue.pop(0)
-            inside = [other for other in done if ca.depends_on(piece, other.symbol)]
+            inside = _inside(piece, done)
             weight = ca.jacobian(piece, inside[0].symbol) if len(inside) == 1 else ca.SX(0)
             if weight.is_constant() and float(weight) > 0 and inside[0].kind in ("abs", "max"):
                 queue = [ca.substitute(piece, inside[0].symbol, inner) for inner in _pieces(inside[0])] + queue
@@ -628,6 +628,12 @@ def _pieces(node: _Node) -> list[ca.SX]:
 
 def _node_of(symbol: ca.SX, parts: _Parts) -> _Node:
     return next(node for node in parts.nodes if node.symbol.element_hash() == symbol.element_hash())
+
+
+def _inside(expr: ca.SX, nodes: Sequence[_Node]) -> list[_Node]:
+    """Return the nodes whose symbol ``expr`` holds."""
+    held = {symbol.element_hash() for symbol in ca.symvar(expr)}
+    return [node for node in nodes if node.symbol.element_hash() in held]
 
 
 def _exact(expr: ca.SX, nodes: Sequence[_Node]) -> ca.SX:

@@ -15,6 +15,9 @@ from nsmodel.model.convex import ConvexSplit, split, split_discontinuities
 from nsmodel.model.laws import Law
 
 
+DOMAIN = ("indicator", "cone")  # Terms of a potential that bound its domain.
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MonotoneInclusion(Model):
     """x'(t) ∈ F(x(t)) - T(x(t)),   T = S + N_C, C closed convex with interior,   x(0) = x0 in C.
@@ -59,10 +62,10 @@ class MonotoneInclusion(Model):
         for name, column in constraints.items():
             self._only(column, f"constraint '{name}'", [self.x])
         if potential is not None:
-            domain = [term for term in potential.terms if term.kind == "indicator"]
-            for i, term in enumerate(domain):
-                constraints[f"domain {i}"] = term.u
-                names += [f"domain {i}"] if term.u.numel() == 1 else [f"domain {i}[{j}]" for j in range(term.u.numel())]
+            for i, term in enumerate(term for term in potential.terms if term.kind in DOMAIN):
+                rows = term.u if term.kind == "indicator" else term.u[0] - ca.norm_2(term.u[1:])
+                constraints[f"domain {i}"] = rows
+                names += [f"domain {i}"] if rows.numel() == 1 else [f"domain {i}[{j}]" for j in range(rows.numel())]
         smooth, symbols, arguments = split_discontinuities(operator, self.x, "operator")
         self._set(
             field=self._vector(c, self.field, "field", n, [self.x]),
@@ -90,6 +93,8 @@ class MonotoneInclusion(Model):
             potential = split(self._vector(c, self.phi, "phi", 1, [self.x]), self.x, "phi")
             if potential.tau.numel():
                 raise ModelError("phi: nested nonsmooth terms have no explicit selection; write phi as a sum of fabs, fmax, norm_2")
+            if any(term.kind == "equality" for term in potential.terms):
+                raise ModelError("phi: an equality leaves C without interior; eliminate a state instead")
             return ca.SX.zeros(n), potential, lower, upper
         if isinstance(self.operator, Law):
             return self._from_law(self.operator, n, lower, upper)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from nsmodel.model.inclusion import MonotoneInclusion
+from nsmodel.model.inclusion import DOMAIN, MonotoneInclusion
 from nsmodel.model.laws import Law, complementarity, relay
 from nsmodel.scheme.problem import OneStepProblem, subdifferential
 
@@ -33,7 +33,7 @@ class Selection:
 def selection(model: MonotoneInclusion) -> Selection:
     """Return F - S with its discontinuities written as multipliers."""
     if model.potential_split is not None:
-        smooth = [term for term in model.potential_split.terms if term.kind not in ("indicator", "equality")]
+        smooth = [term for term in model.potential_split.terms if term.kind not in DOMAIN]
         part = subdifferential(model.potential_split.with_terms(smooth), model.x, "phi")
         return Selection(model.x, part.l, model.field + part.force, part.u, part.law)
     m = model.sign_symbols.numel()

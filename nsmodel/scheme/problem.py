@@ -8,7 +8,7 @@ from typing import NamedTuple
 import casadi as ca
 
 from nsmodel.model.convex import ConvexSplit
-from nsmodel.model.laws import Law, ball, box, complementarity, equality, product, relay
+from nsmodel.model.laws import Law, ball, box, complementarity, equality, product, relay, second_order_cone
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class Subdifferential(NamedTuple):
 def subdifferential(phi: ConvexSplit, y: ca.SX, name: str) -> Subdifferential:
     """Write -dPhi(y) as ``force``, an expression of y and new multipliers l' with -u ∈ N_K(l').
 
-    |u| gives a relay, max(u, 0) a box, |u|_2 a ball, an indicator a complementarity; nested terms their epigraph:
+    |u| gives a relay, max(u, 0) a box, |u|_2 a ball, an indicator a complementarity or a cone; nested terms their epigraph:
     tau free with 0 = d/dtau, 0 <= l ⟂ tau_j - u_i(y, tau) >= 0.
     """
     laws, symbols, us, rows = [], [], [], []
@@ -130,6 +130,7 @@ _LAW_OF_TERM = {
     "norm": ball,
     "indicator": lambda m, w: complementarity(m),
     "equality": lambda m, w: equality(m),
+    "cone": lambda m, w: second_order_cone(m),
 }
 
 

@@ -16,7 +16,6 @@ from nsmodel.solve.nlp import Programme
 from nsmodel.solve.stepper import StepResult, Warm
 from nsmodel.solve.structure import read
 
-FAST = 1e-12  # Residual up to which the last index set is taken without asking a solver.
 KERNELS = 8  # Step sizes for which constant matrices are kept factored; beyond, one linearisation a step is cheaper.
 
 
@@ -58,7 +57,7 @@ class Stepper:
         if self.plan.use_last:
             if warm.index is kernel.loaded or kernel.load(warm.index):
                 out = kernel.evaluate(t, state)
-                if out[self.layout.residual] <= FAST and not self.law.curved:
+                if kernel.settled[0] and out[self.layout.residual] <= self.tolerance and not self.law.curved:
                     return StepResult(out.copy(), warm, "last index set")
         return self._kernel_step(kernel, t, h, state, warm)
 
@@ -66,7 +65,7 @@ class Stepper:
         if self.plan.path != "kernel" or len(self._kernels) >= KERNELS:
             return None
         try:
-            self._kernels[h] = Kernel(self.problem, self.structure, self.law, self.layout, h)
+            self._kernels[h] = Kernel(self.problem, self.structure, self.law, self.layout, h, self.tolerance)
         except np.linalg.LinAlgError:
             raise StepError(
                 f"the step's matrix is singular at h = {h:g} (t = {t:g}): change the step a little, or check M, A and K"
@@ -108,7 +107,7 @@ class Stepper:
         if self.law.curved:
             l, y = out[self.layout.l], kernel.W @ out[self.layout.l] + b
             s_y = np.abs(b) + np.abs(kernel.W) @ np.abs(l)
-            all_rows = law_residual(self.law, l, y, s_y, kernel.w_max, 8 * (l.size + 4) * 2.3e-16 * s_y)
+            all_rows = law_residual(self.law, l, y, s_y, kernel.w_max)
             residual = max(residual, *(float(all_rows[rows].max()) for _, rows, _ in self.law.curved))
         return residual if np.isfinite(residual) else np.inf
 

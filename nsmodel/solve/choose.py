@@ -66,7 +66,10 @@ def choose(problem: OneStepProblem, structure: Structure, law: NumericLaw, W: np
     """
     if solver not in SOLVERS:
         raise UsageError(f"solver '{solver}' is unknown; choose one of {', '.join(SOLVERS)}")
-    least = least_eigenvalue(W) if W is not None else -np.inf
+    if structure.gram:
+        least = 0.0  # W = Y_z Y_z' has no negative eigenvalue.
+    else:
+        least = least_eigenvalue(W) if W is not None else -np.inf
     monotone = least >= -64 * EPS * max(structure.m, 1)
     path = "kernel" if structure.constant else "newton"
     used, left_out = _lines(problem, structure, law, monotone, least)

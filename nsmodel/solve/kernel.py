@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.scheme.problem import OneStepProblem
-from nsmodel.solve.certificate import EPS, NumericLaw, box_residual_sx
+from nsmodel.solve.certificate import EPS, NumericLaw, box_residual_sx, settled_sx
 from nsmodel.solve.layout import Layout, extras
 from nsmodel.solve.structure import Structure, jacobians
 
@@ -21,7 +21,7 @@ class Kernel:
         numpy.linalg.LinAlgError: E_z is singular at this h.
     """
 
-    def __init__(self, problem: OneStepProblem, structure: Structure, law: NumericLaw, where: Layout, h: float) -> None:
+    def __init__(self, problem: OneStepProblem, structure: Structure, law: NumericLaw, where: Layout, h: float, tolerance: float) -> None:
         E_z, E_l, Y_z, Y_l = _matrices(problem, h)
         n, m = structure.n, structure.m
         inverse = np.linalg.inv(E_z)
@@ -29,7 +29,7 @@ class Kernel:
         self.W = Y_l + Y_z @ self.Z
         self.w_max = np.abs(self.W).max(axis=1, initial=0.0)
         self.h = h
-        function, self.b_function = _functions(problem, structure, law, h, (E_z, E_l, Y_z, Y_l), inverse, self.Z, self.W)
+        function, self.b_function = _functions(problem, structure, law, h, tolerance, (E_z, E_l, Y_z, Y_l), inverse, self.Z, self.W)
         self._t, self._state = np.zeros(1), np.zeros(problem.state.numel())
         self._S, self._s, self._free = np.zeros((m, m), order="F"), np.zeros(m), np.zeros(m)
         self.out = np.zeros(where.width)
@@ -37,6 +37,8 @@ class Kernel:
         for i, array in enumerate((self._t, self._state, self._S, self._s, self._free)):
             buffer.set_arg(i, memoryview(array.reshape(-1, order="F")))
         buffer.set_res(0, memoryview(self.out))
+        self.settled = np.zeros(1)  # 1 where no other index set is called for.
+        buffer.set_res(1, memoryview(self.settled))
         self._buffer = buffer
         self._maps: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
         self.loaded: np.ndarray | None = None
@@ -101,10 +103,10 @@ def _index_map(W: np.ndarray, law: NumericLaw, index: np.ndarray) -> tuple[np.nd
 
 
 def _functions(
-    problem: OneStepProblem, structure: Structure, law: NumericLaw, h: float, matrices: tuple[np.ndarray, ...],
+    problem: OneStepProblem, structure: Structure, law: NumericLaw, h: float, tolerance: float, matrices: tuple[np.ndarray, ...],
     inverse: np.ndarray, Z: np.ndarray, W: np.ndarray,
 ) -> tuple[ca.Function, ca.Function]:  # fmt: skip
-    """The packed step as a function of (t, state, S, s, free), and b as a function of (t, state)."""
+    """The packed step and whether it is settled as a function of (t, state, S, s, free), and b as a function of (t, state)."""
     p, n, m = problem, structure.n, structure.m
     E_z, E_l, Y_z, Y_l = (ca.sparsify(ca.DM(M)) for M in matrices)
     inverse, Z, W_sx = ca.sparsify(ca.DM(inverse)), ca.sparsify(ca.DM(Z)), ca.sparsify(ca.DM(W))
@@ -134,21 +136,23 @@ def _functions(
     E_here, Y_here = ca.substitute([E, Y], [p.z, p.l], [z, l])
     # The scale of E: what moves in the step, not where it happens (positions far from 0 do not excuse an error).
     s_E = ca.fabs(E_guess) + ca.fabs(E_z) @ ca.fabs(z - guess) + ca.fabs(E_l) @ ca.fabs(l)
-    excess = ca.fmax(ca.fabs(E_here) - round_off * size_E, 0)
-    residual = _largest([ca.if_else(excess[i] == 0, 0, excess[i] / s_E[i]) for i in range(n)])
+    s_E = ca.fmax(s_E, round_off / tolerance * size_E)
+    residual = _largest([ca.if_else(E_here[i] == 0, 0, ca.fabs(E_here[i]) / s_E[i]) for i in range(n)])
+    settled = ca.SX(1)
     if m:
-        s_y = ca.fabs(b) + ca.fabs(W_sx) @ ca.fabs(l)
+        s_y = ca.fmax(ca.fabs(b) + ca.fabs(W_sx) @ ca.fabs(l), round_off / tolerance * size_Y)
         w_max = np.abs(W).max(axis=1)
         box = [i for i in range(m) if not any(rows.start <= i < rows.stop for _, rows, _ in law.curved)]
-        judged = (e[box] for e in (l, Y_here, s_y, round_off * size_Y))
-        residual = ca.fmax(residual, box_residual_sx(law.lower[box], law.upper[box], w_max[box], *judged))
+        bounds = law.lower[box], law.upper[box]
+        residual = ca.fmax(residual, box_residual_sx(*bounds, w_max[box], *(e[box] for e in (l, Y_here, s_y))))
+        settled = settled_sx(*bounds, *(e[box] for e in (l, Y_here, free, round_off * size_Y)))
     residual = ca.if_else(residual >= 0, residual, ca.inf)
     y = ca.if_else(free, 0, Y_here) if m else Y_here
     rest = ca.substitute(
         [at_h(e) for e in (p.next_state, *extras(p).values())], [p.z, p.l, p.y], [z, l, y]
     )
     packed = ca.densify(ca.vertcat(rest[0], l, y, residual, 1, *rest[1:]))
-    step = ca.Function("step", [p.t, p.state, S, s, free], [packed], {"cse": True})
+    step = ca.Function("step", [p.t, p.state, S, s, free], [packed, settled], {"cse": True})
     return step, ca.Function("b", [p.t, p.state], [ca.densify(b)])
 
 

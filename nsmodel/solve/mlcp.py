@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nsmodel.solve import active_set, cone, qp
-from nsmodel.solve.certificate import EPS, NumericLaw, law_residual
+from nsmodel.solve.certificate import NumericLaw, law_residual
 
 INDEX_SET, LEMKE, ENUMERATION, SEMISMOOTH = "index set", "lemke", "enumeration", "semismooth"
 
@@ -26,7 +26,7 @@ def residual(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray) -> np
     """Return the law's residual of each row at y = W l + b."""
     s_y = np.abs(b) + np.abs(W) @ np.abs(l)
     w_max = np.abs(W).max(axis=1, initial=0.0)
-    return law_residual(law, l, W @ l + b, s_y, w_max, 2 * (l.size + 4) * EPS * s_y)
+    return law_residual(law, l, W @ l + b, s_y, w_max)
 
 
 def solve(

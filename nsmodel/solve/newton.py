@@ -182,14 +182,14 @@ class Newton:
         E_0 = at.E - at.E_z @ z - at.E_l @ l
         size_E = E_z @ abs_z + E_l @ abs_l + np.abs(E_0)
         s_E = guess[1] + E_z @ np.abs(z - guess[0]) + E_l @ abs_l
-        excess = np.maximum(np.abs(at.E) - round_off * size_E, 0)
+        s_E = np.maximum(s_E, round_off / self.tolerance * size_E)
         with np.errstate(divide="ignore", invalid="ignore"):
-            dynamics = np.where(excess == 0, 0, excess / s_E).max(initial=0.0)
+            dynamics = np.where(at.E == 0, 0, np.abs(at.E) / s_E).max(initial=0.0)
         worst, row = float(dynamics) if np.isfinite(dynamics) else np.inf, None
         y = at.Y
         if m:
-            rows, s_y, w_max, slack = self._law_scales(at, z, l, index, round_off)
-            residual = law_residual(self.law, l, at.Y, s_y, w_max, slack)
+            s_y, w_max, floor = self._law_scales(at, z, l, index, round_off / self.tolerance)
+            residual = law_residual(self.law, l, at.Y, s_y, w_max, floor)
             if residual.max() >= worst or not np.isfinite(residual).all():
                 row = int(np.argmax(np.where(np.isnan(residual), np.inf, residual)))
                 worst = float(residual[row])
@@ -198,8 +198,10 @@ class Newton:
             worst = np.inf
         return Iterate(z, l, index, y, worst, row, solver, iterations)
 
-    def _law_scales(self, at: Linearisation, z, l, index, round_off):  # noqa: ANN001, ANN202
-        """s_y, max_j |W_ij| and the round-off of Y, computed for the columns with l != 0 and the rows that act."""
+    def _law_scales(
+        self, at: Linearisation, z: np.ndarray, l: np.ndarray, index: np.ndarray, round_off: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """s_y, max_j |W_ij| and the floor of s_y, computed for the columns with l != 0 and the rows that act."""
         eliminated = self._eliminate(at)
         Z = np.zeros((z.size, l.size)) if eliminated is None else eliminated[1]
         columns = np.flatnonzero(l)
@@ -210,8 +212,8 @@ class Newton:
         w_max = np.ones(l.size)
         w_max[rows] = np.abs(at.Y_l[rows] + at.Y_z[rows] @ Z).max(axis=1, initial=0.0)
         Y_0 = at.Y - at.Y_z @ z - at.Y_l @ l
-        slack = round_off * (np.abs(at.Y_z) @ np.abs(z) + np.abs(at.Y_l) @ np.abs(l) + np.abs(Y_0))
-        return rows, s_y, w_max, slack
+        floor = round_off * (np.abs(at.Y_z) @ np.abs(z) + np.abs(at.Y_l) @ np.abs(l) + np.abs(Y_0))
+        return s_y, w_max, floor
 
     def on_index_set(self, t: float, h: float, state: np.ndarray, z: np.ndarray, l: np.ndarray, index: np.ndarray) -> Iterate | None:
         """Damped Newton for the smooth system E = 0, Y_i = 0 (code 0), l_i at its bound (code +-1), from (z, l)."""

@@ -18,7 +18,7 @@ from nsmodel.scheme import catching_up
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import mlcp
 from nsmodel.solve.build import Stepper
-from nsmodel.solve.certificate import EPS, NumericLaw, numeric_law
+from nsmodel.solve.certificate import EPS, NumericLaw, law_residual, numeric_law
 from nsmodel.solve.layout import Layout
 from nsmodel.solve.stepper import StepResult, Warm
 
@@ -71,7 +71,10 @@ class CatchingUp:
             d2 = float(np.sum((x - y) ** 2))
             l = self._box_multipliers(x - y)
             index = np.where(l > 0, 0, -1).astype(np.int8)
-            residual, newton = slack, 0
+            law = NumericLaw(self._lower, self._upper, ())
+            size = np.abs(y) + np.abs(x)
+            clip_residual = law_residual(law, x, x - y, size, np.ones(x.size)).max(initial=0.0)
+            residual, newton = max(slack, float(clip_residual)), 0
             if eps > 0:
                 x = self._use_tolerance(x, y, eps)
         elif eps > 0:

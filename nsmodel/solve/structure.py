@@ -23,6 +23,7 @@ class Structure:
         identity: E_z is the identity: no linear system.
         symmetric: W is symmetric by construction (E_z symmetric, E_l a multiple of -Y_z', Y_l symmetric).
         unit_rows: (row, column, factor) of rows y_i = factor z_j + c(k): z_j is exact where y_i = 0.
+        gram: W = Y_z Y_z' by construction (identity, symmetric, no Y_l): psd.
         n, m: numbers of unknowns z and of multipliers.
         nonzeros: structural nonzeros of the matrix [E_z E_l; Y_z Y_l], out of (n + m)^2.
     """
@@ -32,6 +33,7 @@ class Structure:
     identity: bool
     symmetric: bool
     unit_rows: tuple[tuple[int, int, float], ...]
+    gram: bool
     n: int
     m: int
     nonzeros: int
@@ -45,12 +47,14 @@ def read(problem: OneStepProblem) -> Structure:
     affine = not _depends(matrices, ca.vertcat(z, l))
     known = ca.vertcat(problem.t, problem.state)
     identity = E_z.is_constant() and E_z.shape == ca.SX.eye(z.numel()).shape and _is_zero(E_z - ca.SX.eye(z.numel()))
+    symmetric = _symmetric(E_z, E_l, Y_z, Y_l, problem)
     return Structure(
         affine=affine,
         constant=affine and not _depends(matrices, known),
         identity=identity,
-        symmetric=_symmetric(E_z, E_l, Y_z, Y_l, problem),
+        symmetric=symmetric,
         unit_rows=tuple(_unit_rows(Y_z, Y_l)) if affine else (),
+        gram=identity and symmetric and Y_l.nnz() == 0,
         n=z.numel(),
         m=l.numel(),
         nonzeros=sum(J.nnz() for J in (E_z, E_l, Y_z, Y_l)),
