@@ -1,0 +1,110 @@
+"""Time of a step, in one process and one run: nsmodel's interpreted stepper beside plain Python and the peers installed.
+
+CPU time, one warm-up, the minimum over repeats; nsmodel's time includes its time loop and the recording of every row.
+"""
+
+import itertools
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+import nsmodel
+from nsmodel.simulate import _Run, make_grid
+
+CASES = Path(__file__).resolve().parents[2] / "cases"
+REPEATS = 7
+
+
+def least(job: Callable[[], object]) -> float:
+    """CPU seconds of the quickest of several runs, after a warm-up."""
+    job()
+    times = []
+    for _ in range(REPEATS):
+        start = time.process_time()
+        job()
+        times.append(time.process_time() - start)
+    return min(times)
+
+
+def driver_loop(name: str) -> tuple[float, int]:
+    """Seconds a run's time loop takes (set-up excluded), and its number of steps."""
+    model = nsmodel.load(CASES / f"{name}.py").bind()
+    grid = make_grid(model, None, None, None)
+    times = []
+    for _ in range(REPEATS + 1):
+        run = _Run(model, grid, "auto", 1e-9, 1, None, False)
+        run.stepper(0.0, grid.step(0), run.state, run.warm)  # builds the kernel
+        start = time.process_time()
+        run._loop(None)
+        times.append(time.process_time() - start)
+    return min(times[1:]), grid.N
+
+
+def plain_bridge(steps: int) -> np.ndarray:
+    """The diode bridge as one writes it with NumPy: last index set first, all sixteen otherwise; nothing verified."""
+    L, C, R, h = 1e-2, 1e-6, 1e3, 1e-6
+    A = np.array([[0, -1 / C], [1 / L, 0]])
+    B = np.array([[0, 0, -1 / C, 1 / C], [0, 0, 0, 0]])
+    Cm = np.array([[0, 0], [0, 0], [-1, 0], [1, 0.0]])
+    D = np.array([[1 / R, 1 / R, -1, 0], [1 / R, 1 / R, 0, -1], [1, 0, 0, 0], [0, 1, 0, 0]])
+    inverse = np.linalg.inv(np.eye(2) - h / 2 * A)
+    F, G = inverse @ (np.eye(2) + h / 2 * A), h * inverse @ B
+    W, N = Cm @ G + D, Cm @ F
+    maps = []
+    for index in itertools.product((False, True), repeat=4):
+        rows = np.flatnonzero(index)
+        S = np.zeros((4, 4))
+        try:
+            S[np.ix_(rows, rows)] = -np.linalg.inv(W[np.ix_(rows, rows)])
+        except np.linalg.LinAlgError:
+            continue
+        maps.append(S)
+    x, last, out = np.array([10.0, 0.0]), 0, np.empty((steps, 2))
+    for k in range(steps):
+        b = N @ x
+        for i in (last, *range(len(maps))):
+            l = maps[i] @ b
+            if (l >= -1e-12).all() and (W @ l + b >= -1e-12).all():
+                last = i
+                break
+        x = F @ x + G @ l
+        out[k] = x
+    return out
+
+
+def siconos_bridge(steps: int) -> float | None:
+    """Microseconds a step in Siconos, run by the first Python that has it."""
+    script = Path(__file__).with_name("siconos_bridge.py")
+    for python in (sys.executable, "/usr/bin/python3", shutil.which("python3") or ""):
+        if python:
+            done = subprocess.run([python, str(script), str(steps)], capture_output=True, text=True, check=False)
+            if done.returncode == 0:
+                return float(done.stdout.split()[-1])
+    return None
+
+
+def main() -> None:
+    """Print the tables."""
+    seconds, steps = driver_loop("diode_bridge")
+    ours = 1e6 * seconds / steps
+    plain = 1e6 * least(lambda: plain_bridge(steps)) / steps
+    print(f"diode bridge, {steps} steps, us a step (CPU)                      ratio to nsmodel")
+    print(f"  nsmodel, interpreted, verified, every row kept {ours:9.2f}")
+    print(f"  plain NumPy loop, nothing verified             {plain:9.2f}          {plain / ours:6.2f}")
+    peer = siconos_bridge(steps)
+    print("  Siconos                                        not installed: skipped" if peer is None else
+          f"  Siconos 4, its C++ step driven from Python     {peer:9.2f}          {peer / ours:6.2f}")  # fmt: skip
+    print()
+    print("every case, us a step of the time loop (CPU, set-up excluded)")
+    for path in sorted(CASES.glob("*.py")):
+        seconds, steps = driver_loop(path.stem)
+        print(f"  {path.stem:30s} {1e6 * seconds / steps:9.2f}   {steps} steps")
+
+
+if __name__ == "__main__":
+    main()
