@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from nsmodel.trajectory import Trajectory
+from typing import Any
 
 
 class NsmodelError(Exception):
@@ -28,7 +25,7 @@ class StepError(NsmodelError, RuntimeError):
         time: t_{k+1}.
         component: the user's name of the constraint or row with the worst residual, or None.
         residual: the best residual that any solver reached (inf if none gave an answer).
-        trajectory: what was computed before the failure; None until the time loop has attached it.
+        trajectory: the Trajectory computed before the failure; None until the time loop has attached it.
     """
 
     def __init__(self, message: str, *, residual: float = float("inf"), component: str | None = None) -> None:
@@ -37,7 +34,7 @@ class StepError(NsmodelError, RuntimeError):
         self.time: float | None = None
         self.component = component
         self.residual = residual
-        self.trajectory: Trajectory | None = None
+        self.trajectory: Any = None
 
 
 class StorageError(NsmodelError, OSError):

@@ -7,7 +7,7 @@ import platform
 import sys
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ import numpy as np
 from nsmodel.check.quick import refuse_start, warnings_of
 from nsmodel.check.rest import finite_convergence
 from nsmodel.errors import StepError, StorageError, UsageError
+from nsmodel.grid import Grid, make_grid
 from nsmodel.model.base import Model
 from nsmodel.model.inclusion import MonotoneInclusion
 from nsmodel.model.oscillator import FrictionOscillator
@@ -31,63 +32,6 @@ from nsmodel.trajectory import Trajectory
 
 UNSET = -2  # Index-set code of a row that no step has computed.
 CHUNK_BYTES = 64 << 20
-
-
-@dataclass(frozen=True)
-class Grid:
-    """N steps: t_k = k h with a shorter last step where T/h is not whole within 1e-9, or given steps and their sums."""
-
-    N: int
-    h: float
-    last: float
-    steps: np.ndarray | None = None
-    times: np.ndarray | None = None
-
-    def step(self, k: int) -> float:
-        """h_k = t_{k+1} - t_k."""
-        if self.steps is not None:
-            return float(self.steps[k])
-        return self.h if k < self.N - 1 else self.last
-
-    def time(self, k: int) -> float:
-        """t_k, not accumulated when the step is constant."""
-        if self.times is not None:
-            return float(self.times[k])
-        return k * self.h if k < self.N or self.last == self.h else (self.N - 1) * self.h + self.last
-
-
-def make_grid(model: Model, step: float | None, steps: Sequence[float] | None, t_end: float | None) -> Grid:
-    """Return the grid of a run; ``step``, ``steps`` and ``t_end`` override the model's own.
-
-    Raises:
-        UsageError: not finite, not positive, contradictory, or missing.
-    """
-    for name, value in (("step", step), ("t_end", t_end)):
-        if value is not None and not (np.isfinite(value) and value > 0):
-            raise UsageError(f"{name} = {value:g}; expected a finite number > 0")
-    if step is not None and steps is not None:
-        raise UsageError("step and steps are both given; keep one")
-    steps = model.steps if steps is None and step is None else steps
-    if steps is not None:
-        array = np.asarray(steps, float).ravel()
-        bad = np.flatnonzero(~(np.isfinite(array) & (array > 0)))
-        if bad.size or not array.size:
-            raise UsageError(f"steps[{bad[0]}] = {array[bad[0]]:g}; expected finite numbers > 0" if bad.size else "steps is empty")
-        if t_end is not None:
-            raise UsageError("t_end is given with steps, which already say where the run ends; leave it out")
-        return Grid(array.size, float(array[0]), float(array[-1]), array, np.concatenate([[0.0], np.cumsum(array)]))
-    h = model.step if step is None else float(step)
-    if h is None:
-        raise UsageError("no time step: give the model step=, or the run step=H (--step H)")
-    T = float(model.t_end if t_end is None else t_end)
-    ratio = T / h
-    if ratio > 1e12:
-        raise UsageError(f"t_end / step = {ratio:.3g} steps; choose a larger step or a shorter run")
-    N = max(round(ratio), 1)
-    if abs(ratio - N) <= 1e-9 * N:
-        return Grid(N, h, h)
-    N = int(np.floor(ratio)) + 1
-    return Grid(N, h, T - (N - 1) * h)
 
 
 def make_stepper(model: Model, problem: OneStepProblem, solver: str, tolerance: float, *, h: float, state: np.ndarray) -> Any:
@@ -142,7 +86,9 @@ def simulate(
     return run.go(progress)
 
 
-def explain(model: Model, *, step: float | None = None, parameters: Mapping[str, float] | None = None, solver: str = "auto") -> str:
+def explain(
+    model: Model, *, step: float | None = None, parameters: Mapping[str, float] | None = None, solver: str = "auto"
+) -> str:
     """What a run would use and what it leaves out, and why, as text."""
     bound = model.bind(parameters)
     run = _Run(bound, make_grid(bound, step, None, None), solver, 1e-9, 1, None, False)
@@ -168,10 +114,14 @@ class _Run:
         self.layout = self.stepper.layout
         self.state, self.warm = state, self.stepper.cold()
         self.counts: Counter[str] = Counter()
-        self.totals = {"worst_residual": 0.0, "worst_residual_t": None, "newton": 0.0, "newton_max": 0.0, "index_set_changes": 0, "steps": 0}
-        self.settings = {
-            "hash": fingerprint(model, grid, solver, tolerance, save_every), "versions": versions(), "short_last_step": grid.last != grid.h
+        self.totals = {
+            "worst_residual": 0.0, "worst_residual_t": None, "newton": 0.0, "newton_max": 0.0, "index_set_changes": 0, "steps": 0,
         }  # fmt: skip
+        self.settings = {
+            "hash": fingerprint(model, grid, solver, tolerance, save_every),
+            "versions": versions(),
+            "short_last_step": grid.last != grid.h,
+        }
         width = 8 * (self.layout.width + 2) + self.stepper.cold().index.size
         total = grid.N // save_every + 2 + len(known)
         self.capacity = total if out is None else int(min(total, max(64, CHUNK_BYTES // max(width, 1))))
@@ -316,7 +266,10 @@ class _Run:
         for key, now in self.settings.items():
             if saved["settings"][key] != now and key != "short_last_step":
                 what = {"hash": "another model, step or setting", "versions": "other versions"}[key]
-                raise StorageError(f"{self.out}: the run there was made with {what} ({saved['settings'][key]} != {now}); start afresh without resume")
+                raise StorageError(
+                    f"{self.out}: the run there was made with {what} ({saved['settings'][key]} != {now}); "
+                    "start afresh without resume"
+                )
         if saved["settings"]["short_last_step"] and saved["k"] >= self.grid.N:
             raise StorageError(f"{self.out}: the run there ended with a shortened step; it cannot be continued on the same grid")
         self.k = saved["k"]
@@ -373,7 +326,7 @@ class _Run:
         return data
 
 
-class RunInterrupted(KeyboardInterrupt):  # noqa: N818
+class RunInterrupted(KeyboardInterrupt):
     """Ctrl-C during a run; ``trajectory`` holds what was computed."""
 
     def __init__(self, trajectory: Trajectory) -> None:

@@ -89,7 +89,9 @@ def _not_convex(model: SweepingProcess) -> list[str]:
         least, size = np.linalg.eigvalsh(H)[0], np.linalg.norm(slope) / max(np.linalg.norm(q0), 1e-300)
         # Below round-off beside |gradient| / |q| a Hessian is that of a plane.
         if least < -1e-9 * max(np.abs(H).max(), 1e-6 * size):
-            found.append(f"constraint '{name}' is not convex at q0 (least eigenvalue of its Hessian {least:.3g}): feasibility may be lost")
+            found.append(
+                f"constraint '{name}' is not convex at q0 (least eigenvalue of its Hessian {least:.3g}): feasibility may be lost"
+            )
         if len(found) == 5:
             break
     return found

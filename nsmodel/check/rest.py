@@ -16,7 +16,9 @@ from nsmodel.solve.certificate import EPS, numeric_law
 ROUNDING = 64  # Margins below 64 eps times the forces are not told from 0.
 
 
-def finite_convergence(model: FrictionOscillator, x: np.ndarray, v: np.ndarray, rest_from: tuple[int, float] | None) -> dict[str, Any]:
+def finite_convergence(
+    model: FrictionOscillator, x: np.ndarray, v: np.ndarray, rest_from: tuple[int, float] | None
+) -> dict[str, Any]:
     """Say whether a run has come to rest for ever, and why.
 
     Args:
@@ -65,8 +67,7 @@ def least_force(model: FrictionOscillator, x: np.ndarray) -> np.ndarray:
     upper = np.concatenate([law.upper, np.full(n.numel(), np.inf)])
     base, A, u_x = (np.array(value) for value in f(x, np.zeros(l.numel())))
     base, u_x = base.ravel(), u_x.ravel()
-    # Rows with u != 0 have one multiplier; the rest is free in its face. A norm's ball is treated by its bounding box corners
-    # only where u = 0, so it joins as a ball law below.
+    # Rows with u != 0 have one multiplier; those with u = 0 any in their face.
     scale = 1e-12 * (1 + np.abs(x).max(initial=0.0))
     tied = np.abs(u_x) <= scale
     for _, rows, _ in law.curved:

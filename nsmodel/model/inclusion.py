@@ -14,7 +14,6 @@ from nsmodel.model.base import Model
 from nsmodel.model.convex import ConvexSplit, split, split_discontinuities
 from nsmodel.model.laws import Law
 
-
 DOMAIN = ("indicator", "cone")  # Terms of a potential that bound its domain.
 
 

@@ -1,14 +1,17 @@
 """Implicit Euler for multivalued Lur'e systems (Brogliato and Goeleven 2013), with theta and gamma for comparison.
 
-    x_{k+1} = x_k + h th (A(x_{k+1}) + f(t_{k+1})) + h (1-th) (A(x_k) + f(t_k)) + h ga B l_{k+1} + h (1-ga) B l_k
-    y_{k+1} = C x_{k+1} + D l_{k+1},      -y_{k+1} ∈ N_K(l_{k+1})  or  l_{k+1} ∈ -dPhi(y_{k+1})
+x_{k+1} = x_k + h th (A(x_{k+1}) + f(t_{k+1})) + h (1-th) (A(x_k) + f(t_k)) + h ga B l_{k+1} + h (1-ga) B l_k
+y_{k+1} = C x_{k+1} + D l_{k+1},      -y_{k+1} ∈ N_K(l_{k+1})  or  l_{k+1} ∈ -dPhi(y_{k+1})
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import casadi as ca
 import numpy as np
 
+from nsmodel.model.laws import Law
 from nsmodel.model.lure import LureSystem
 from nsmodel.scheme.problem import OneStepProblem, basic_law, subdifferential
 
@@ -19,8 +22,9 @@ def one_step_problem(model: LureSystem) -> OneStepProblem:
     x_k, r_k, x = model.x, ca.SX.sym("r_k", n), ca.SX.sym("x_next", n)
     rate_k = model.A + model.f
     rate = ca.substitute([rate_k], [t, x_k], [t + h, x])[0]
-    law = _law(model, x)
-    E = x - x_k - h * th * rate - h * (1 - th) * rate_k - h * ga * model.B @ law.multipliers - h * (1 - ga) * (r_k if ga < 1 else 0)
+    law = _rows(model, x)
+    r = model.B @ law.multipliers
+    E = x - x_k - h * th * rate - h * (1 - th) * rate_k - h * ga * r - h * (1 - ga) * (r_k if ga < 1 else 0)
     return OneStepProblem(
         scheme="implicit Euler" if th == ga == 1 else f"theta-gamma, theta = {th:g}, gamma = {ga:g}",
         t=t, h=h, state=ca.vertcat(x_k, r_k) if ga < 1 else x_k, p=model.p,
@@ -29,47 +33,48 @@ def one_step_problem(model: LureSystem) -> OneStepProblem:
         law=law.law,
         rows=law.rows,
         guess=ca.vertcat(x_k, ca.substitute([law.guess], [x], [x_k])[0]),
-        next_state=ca.vertcat(x, model.B @ law.multipliers) if ga < 1 else x,
-        multipliers=law.user_multipliers,
-        outputs=law.user_outputs,
+        next_state=ca.vertcat(x, r) if ga < 1 else x,
+        multipliers=law.multipliers if law.rewritten else None,
+        outputs=law.outputs if law.rewritten else None,
         start=_start(model, h, ca.vertcat(x_k, r_k)) if ga < 1 else None,
     )  # fmt: skip
 
 
-class _LawOnX:
-    """The law as rows on (x, l): from ``law`` directly, from ``phi`` by its split."""
+class _Rows(NamedTuple):
+    """The law of a Lur'e system on (x, l): l in K with rows Y, the user's multipliers and outputs, and y as an unknown."""
 
-    def __init__(self, model: LureSystem, x: ca.SX) -> None:
-        self.z = self.E = self.guess = ca.SX(0, 1)
-        self.user_multipliers = self.user_outputs = None
-        m = model.B.shape[1]
-        if model.law is not None:
-            y = ca.SX.sym("y", m)
-            basic = basic_law(model.law, model.multiplier_names, y)
-            self.law, self.l, self.rows, self.multipliers = basic.law, basic.l, basic.rows, basic.multipliers
-            output = model.C @ x + model.D @ self.multipliers
-            self.Y = ca.substitute(basic.Y, y, output)
-            if basic.l.numel() != m:
-                self.user_multipliers, self.user_outputs = self.multipliers, output
-            return
-        part = subdifferential(model.phi_split, model.y, "phi")
-        implicit = not model.D.is_zero()
-        y = ca.SX.sym("y_next", m) if implicit else model.C @ x
-        self.multipliers, self.Y = ca.substitute([part.force, part.u], [model.y], [y])
-        self.law, self.l, self.rows = part.law, part.l, part.rows
-        self.user_multipliers, self.user_outputs = self.multipliers, y
-        if implicit:
-            self.z, self.E = y, y - model.C @ x - model.D @ self.multipliers
-            self.guess = model.C @ x
+    law: Law
+    l: ca.SX
+    rows: tuple[str, ...]
+    Y: ca.SX
+    multipliers: ca.SX
+    outputs: ca.SX
+    rewritten: bool
+    z: ca.SX = ca.SX(0, 1)
+    E: ca.SX = ca.SX(0, 1)
+    guess: ca.SX = ca.SX(0, 1)
 
 
-def _law(model: LureSystem, x: ca.SX) -> _LawOnX:
-    return _LawOnX(model, x)
+def _rows(model: LureSystem, x: ca.SX) -> _Rows:
+    """y = C x + D l with the declared law, or l ∈ -dPhi(y): there y joins the unknowns unless D = 0."""
+    m = model.B.shape[1]
+    y = ca.SX.sym("y_next", m)
+    if model.law is not None:
+        basic = basic_law(model.law, model.multiplier_names, y)
+        output = model.C @ x + model.D @ basic.multipliers
+        Y = ca.substitute(basic.Y, y, output)
+        return _Rows(basic.law, basic.l, basic.rows, Y, basic.multipliers, output, basic.l.numel() != m)
+    part = subdifferential(model.phi_split, model.y, "phi")
+    implicit = not model.D.is_zero()
+    output = y if implicit else model.C @ x
+    l, Y = ca.substitute([part.force, part.u], [model.y], [output])
+    rows = _Rows(part.law, part.l, part.rows, Y, l, output, True)
+    return rows._replace(z=y, E=y - model.C @ x - model.D @ l, guess=model.C @ x) if implicit else rows
 
 
 def _start(model: LureSystem, h: ca.SX, state: ca.SX) -> OneStepProblem:
     """l_0 solves the law at x_0: the first B l_k where gamma < 1."""
-    law = _LawOnX(model, model.x)
+    law = _rows(model, model.x)
     return OneStepProblem(
         scheme="multiplier at the start",
         t=model.t, h=h, state=state, p=model.p,

@@ -58,7 +58,7 @@ def primal_dual(
     W: np.ndarray, b: np.ndarray, law: NumericLaw, index: np.ndarray, sweeps: int = 12
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Iterate polish and classify from ``index`` until the set repeats; None if it cycles or breaks."""
-    c, seen = row_scale(W), set()
+    seen: set[bytes] = set()
     for _ in range(sweeps):
         l = polish(W, b, law, index)
         key = index.tobytes()

@@ -1,14 +1,17 @@
-"""From a one-step problem to a stepper: the kernel or Newton path, with the fallbacks and the errors."""
+"""The stepper of a one-step problem: attempts in order, the first certified one is the step."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
 from nsmodel.errors import StepError
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import active_set, cone, diagnose, mlcp
-from nsmodel.solve.certificate import NumericLaw, law_residual, numeric_law
-from nsmodel.solve.choose import Plan, choose
+from nsmodel.solve.certificate import law_residual, numeric_law
+from nsmodel.solve.choose import choose
 from nsmodel.solve.kernel import Kernel
 from nsmodel.solve.layout import Layout
 from nsmodel.solve.newton import Iterate, Newton
@@ -17,31 +20,38 @@ from nsmodel.solve.stepper import StepResult, Warm
 from nsmodel.solve.structure import read
 
 KERNELS = 8  # Step sizes for which constant matrices are kept factored; beyond, one linearisation a step is cheaper.
+NEARBY = 400  # Index sets around the last one that are tried where Newton's method does not settle.
+STARTS = 3  # Random starts of IPOPT, after the last multiplier and 0.
+
+
+class Attempt(NamedTuple):
+    """What one way of computing the step gave."""
+
+    residual: float
+    row: np.ndarray
+    warm: Warm
+    solver: str
+    worst_row: int | None = None
 
 
 class Stepper:
     """The step of one bound model; see `stepper` for the contract."""
 
-    def __init__(
-        self, problem: OneStepProblem, solver: str = "auto", tolerance: float = 1e-9, *, t: float = 0.0, h: float, state: np.ndarray
-    ) -> None:
+    def __init__(self, problem: OneStepProblem, solver: str, tolerance: float, *, h: float, state: np.ndarray) -> None:
         self.problem, self.structure = problem, read(problem)
         self.law, self.layout, self.tolerance = numeric_law(problem.law), Layout.of(problem), tolerance
         self.rows = problem.rows
         self._kernels: dict[float, Kernel] = {}
         self._programme: Programme | None = None
-        self._newton = Newton(problem, self.structure, self.law, self.layout, (), tolerance)
+        self._newton = Newton(problem, self.structure, self.law, tolerance)
         zero = np.zeros(self.structure.m)
-        start = self._newton.matrix_at(t, h, state, self._newton.guess(t, h, state, zero), zero)
-        self.plan: Plan = choose(problem, self.structure, self.law, start, solver)
-        self._newton.chain = self.plan.chain
+        start = self._newton.matrix_at(0.0, h, state, self._newton.guess(0.0, h, state, zero), zero)
+        self.plan = choose(problem, self.structure, self.law, start, solver)
 
     def cold(self) -> Warm:
         """The warm start of a first step: l = 0 moved into K, everything inactive that can be."""
-        law = self.law
-        l = np.clip(np.zeros(law.size), law.lower, law.upper)
-        index = np.where(law.lower == 0, -1, 0).astype(np.int8)
-        return Warm(l, index)
+        l = np.clip(np.zeros(self.law.size), self.law.lower, self.law.upper)
+        return Warm(l, np.where(self.law.lower == 0, -1, 0).astype(np.int8))
 
     def __call__(self, t: float, h: float, state: np.ndarray, warm: Warm) -> StepResult:
         """Advance ``state`` (packed) from t to t + h.
@@ -49,19 +59,21 @@ class Stepper:
         Raises:
             StepError: no solver reached the tolerance.
         """
-        kernel = self._kernels.get(h) if self.plan.path == "kernel" else None
-        if kernel is None:
-            kernel = self._kernel(h, t)
-            if kernel is None:
-                return self._newton_step(t, h, state, warm)
-        if self.plan.use_last:
-            if warm.index is kernel.loaded or kernel.load(warm.index):
-                out = kernel.evaluate(t, state)
-                if kernel.settled[0] and out[self.layout.residual] <= self.tolerance and not self.law.curved:
-                    return StepResult(out.copy(), warm, "last index set")
-        return self._kernel_step(kernel, t, h, state, warm)
+        kernel = self._kernels.get(h) or self._kernel(t, h)
+        if kernel is not None and self.plan.use_last and (warm.index is kernel.loaded or kernel.load(warm.index)):
+            out = kernel.evaluate(t, state)
+            if kernel.settled[0] and out[self.layout.residual] <= self.tolerance and not self.law.curved:
+                return StepResult(out.copy(), warm, "last index set")
+        best: Attempt | None = None
+        for attempt in self._attempts(kernel, t, h, state, warm):
+            if attempt.residual <= self.tolerance:
+                return StepResult(attempt.row, attempt.warm, attempt.solver)
+            if best is None or attempt.residual < best.residual:
+                best = attempt
+        raise self._failure(t, h, state, warm, best)
 
-    def _kernel(self, h: float, t: float) -> Kernel | None:
+    def _kernel(self, t: float, h: float) -> Kernel | None:
+        """The kernel of this h, built at its first use; None where the matrices vary or there are too many step sizes."""
         if self.plan.path != "kernel" or len(self._kernels) >= KERNELS:
             return None
         try:
@@ -72,123 +84,91 @@ class Stepper:
             ) from None
         return self._kernels[h]
 
-    def _kernel_step(self, kernel: Kernel, t: float, h: float, state: np.ndarray, warm: Warm) -> StepResult:
-        best_row, best_index, best_residual, best_solver = None, warm.index, np.inf, "none"
+    def _attempts(self, kernel: Kernel | None, t: float, h: float, state: np.ndarray, warm: Warm) -> Iterator[Attempt]:
         if self.plan.ipopt != "always":
-            b = kernel.b(t, state)
-            found = mlcp.solve(
-                kernel.W, b, self.law, warm.l, warm.index, self.plan.chain, self.structure.symmetric, self.tolerance / 10
-            ) if self.structure.m else mlcp.Solution(np.zeros(0), warm.index, 0.0, "none needed")  # fmt: skip
-            if np.isfinite(found.l).all():
-                for way in ("map", "multiplier"):
-                    if way == "map" and (self.law.curved or not kernel.load(found.index)):
-                        continue
-                    if way == "multiplier":
-                        kernel.load_multiplier(found.l, found.index)
-                    out = kernel.evaluate(t, state)
-                    residual = self._with_curved(kernel, out, b)
-                    if residual < best_residual:
-                        out[self.layout.residual] = residual
-                        best_row, best_index, best_residual, best_solver = out.copy(), found.index, residual, found.solver
-                    if best_residual <= self.tolerance:
-                        return StepResult(best_row, Warm(best_row[self.layout.l], best_index), best_solver)
+            if kernel is not None:
+                yield from self._by_kernel(kernel, t, state, warm)
+            else:
+                found = self._newton.solve(t, h, state, warm.l, warm.index, self.plan.chain)
+                yield self._packed(t, h, state, found)
+                if self.plan.use_last and not self.law.curved:
+                    yield from self._nearby_index_sets(t, h, state, warm)
         if self.plan.ipopt != "never":
-            iterate = self._ipopt(t, h, state, warm)
-            if iterate is not None and iterate.residual <= self.tolerance:
-                row = self._newton.pack(t, h, state, iterate)
-                return StepResult(row, Warm(iterate.l, iterate.index), iterate.solver)
-            if iterate is not None and iterate.residual < best_residual:
-                best_residual = iterate.residual
-        raise self._failure(t, h, state, best_residual, kernel.W, kernel.b(t, state), None)
+            yield from self._by_ipopt(t, h, state, warm)
 
-    def _with_curved(self, kernel: Kernel, out: np.ndarray, b: np.ndarray) -> float:
-        """The kernel's residual, with the curved blocks' own: they are not in its expressions."""
-        residual = float(out[self.layout.residual])
-        if self.law.curved:
-            l, y = out[self.layout.l], kernel.W @ out[self.layout.l] + b
-            s_y = np.abs(b) + np.abs(kernel.W) @ np.abs(l)
-            all_rows = law_residual(self.law, l, y, s_y, kernel.w_max)
-            residual = max(residual, *(float(all_rows[rows].max()) for _, rows, _ in self.law.curved))
-        return residual if np.isfinite(residual) else np.inf
+    def _by_kernel(self, kernel: Kernel, t: float, state: np.ndarray, warm: Warm) -> Iterator[Attempt]:
+        """Solve y = W l + b, then evaluate the step on the index set found, else at the multiplier found."""
+        b = kernel.b(t, state)
+        found = mlcp.solve(
+            kernel.W, b, self.law, warm.l, warm.index, self.plan.chain, self.structure.symmetric, self.tolerance / 10
+        )
+        if not np.isfinite(found.l).all():
+            return
+        if not self.law.curved and kernel.load(found.index):
+            yield self._evaluated(kernel, t, state, found.index, found.solver)
+        kernel.load_multiplier(found.l, found.index)
+        attempt = self._evaluated(kernel, t, state, found.index, found.solver)
+        for kind, rows, radius in self.law.curved:  # the kernel's own residual covers the boxes only
+            law = type(self.law)(self.law.lower, self.law.upper, ((kind, rows, radius),))
+            s_y = np.abs(b) + np.abs(kernel.W) @ np.abs(found.l)
+            own = law_residual(law, found.l, kernel.W @ found.l + b, s_y, kernel.w_max)[rows].max()
+            attempt = attempt._replace(residual=max(attempt.residual, float(own)))
+        attempt.row[self.layout.residual] = attempt.residual
+        yield attempt
 
-    def _newton_step(self, t: float, h: float, state: np.ndarray, warm: Warm) -> StepResult:
-        best: Iterate | None = None
-        if self.plan.ipopt != "always":
-            best = self._newton.solve(t, h, state, warm.l, warm.index)
-            if best.residual > self.tolerance and self.plan.use_last:
-                best = min(best, self._nearby_index_sets(t, h, state, warm) or best, key=lambda i: i.residual)
-        if (best is None or best.residual > self.tolerance) and self.plan.ipopt != "never":
-            found = self._ipopt(t, h, state, warm)
-            best = min((i for i in (best, found) if i is not None), key=lambda i: i.residual, default=None)
-        if best is None or not best.residual <= self.tolerance:
-            residual = np.inf if best is None else best.residual
-            W, b = self._newton.affine_problem(t, h, state, warm.l)
-            raise self._failure(t, h, state, residual, W, b, None if best is None else best.worst_row)
-        return StepResult(self._newton.pack(t, h, state, best), Warm(best.l, best.index), best.solver)
+    def _evaluated(self, kernel: Kernel, t: float, state: np.ndarray, index: np.ndarray, solver: str) -> Attempt:
+        row = kernel.evaluate(t, state).copy()
+        return Attempt(float(row[self.layout.residual]), row, Warm(row[self.layout.l], index), solver)
 
-    def _nearby_index_sets(self, t: float, h: float, state: np.ndarray, warm: Warm) -> Iterate | None:
-        """At a switch Newton's index set may alternate: try the index sets around the last one, each a smooth system."""
-        best = None
-        if self.law.curved:
-            return None
+    def _packed(self, t: float, h: float, state: np.ndarray, found: Iterate) -> Attempt:
+        row = self._newton.pack(t, h, state, found)
+        return Attempt(found.residual, row, Warm(found.l, found.index), found.solver, found.worst_row)
+
+    def _nearby_index_sets(self, t: float, h: float, state: np.ndarray, warm: Warm) -> Iterator[Attempt]:
+        """At a switch Newton's index set may alternate: try those around the last one, each a smooth system."""
         z = self._newton.guess(t, h, state, warm.l)
         for count, index in enumerate(active_set.index_sets(self.law, warm.index)):
-            if count >= 400:
-                break
+            if count == NEARBY:
+                return
             found = self._newton.on_index_set(t, h, state, z, warm.l, index)
-            if found is not None and (best is None or found.residual < best.residual):
-                best = found
-            if best is not None and best.residual <= self.tolerance:
-                return best
-        return best
+            if found is not None:
+                yield self._packed(t, h, state, found)
 
-    def _ipopt(self, t: float, h: float, state: np.ndarray, warm: Warm) -> Iterate | None:
+    def _by_ipopt(self, t: float, h: float, state: np.ndarray, warm: Warm) -> Iterator[Attempt]:
         """IPOPT on the whole step from the last multiplier, from 0 and from a spread of starts; polished on its index set."""
         if self._programme is None:
             self._programme = Programme(self.problem, self.law)
-        best, z0 = None, self._newton.guess(t, h, state, warm.l)
-        rng = np.random.default_rng(0)
-        inside = np.clip(np.zeros(self.law.size), self.law.lower, self.law.upper)
-        span = np.where(np.isfinite(self.law.upper - self.law.lower), self.law.upper - self.law.lower, 1 + np.abs(warm.l))
-        starts = [warm.l, inside, *(np.clip(inside + span * rng.uniform(-1, 1, inside.size), self.law.lower, self.law.upper) for _ in range(3))]
-        for start in starts:
-            found = self._programme.solve(t, h, state, z0, start)
-            if found is None:
-                continue
-            iterate = self._polish_ipopt(t, h, state, *found)
-            if iterate is not None and (best is None or iterate.residual < best.residual):
-                best = iterate
-            if best is not None and best.residual <= self.tolerance:
-                break
-        return best
+        law, z = self.law, self._newton.guess(t, h, state, warm.l)
+        inside = np.clip(np.zeros(law.size), law.lower, law.upper)
+        span = np.where(np.isfinite(law.upper - law.lower), law.upper - law.lower, 1 + np.abs(warm.l))
+        spread = np.random.default_rng(0).uniform(-1, 1, (STARTS, law.size))
+        for start in (warm.l, inside, *np.clip(inside + span * spread, law.lower, law.upper)):
+            found = self._programme.solve(t, h, state, z, start)
+            polished = None if found is None else self._polish(t, h, state, *found)
+            if polished is not None:
+                polished.solver = "ipopt"
+                yield self._packed(t, h, state, polished)
 
-    def _polish_ipopt(self, t: float, h: float, state: np.ndarray, z: np.ndarray, l: np.ndarray, y: np.ndarray) -> Iterate | None:
+    def _polish(self, t: float, h: float, state: np.ndarray, z: np.ndarray, l: np.ndarray, y: np.ndarray) -> Iterate | None:
         W = self._newton.matrix_at(t, h, state, z, l)
         if W is None:
             return None
         if self.law.curved:
             index = cone.index_set(self.law, l, y, cone.block_scale(W, self.law))
-            chain, self._newton.chain = self._newton.chain, (mlcp.SEMISMOOTH,)
-            try:
-                found = self._newton.solve(t, h, state, l, index)
-            finally:
-                self._newton.chain = chain
-        else:
-            index = active_set.classify(l, y, self.law, active_set.row_scale(W))
-            found = self._newton.on_index_set(t, h, state, z, l, index)
-        if found is not None:
-            found.solver = "ipopt"
-        return found
+            return self._newton.solve(t, h, state, l, index, (mlcp.SEMISMOOTH,))
+        index = active_set.classify(l, y, self.law, active_set.row_scale(W))
+        return self._newton.on_index_set(t, h, state, z, l, index)
 
-    def _failure(
-        self, t: float, h: float, state: np.ndarray, residual: float, W: np.ndarray | None, b: np.ndarray | None, row: int | None
-    ) -> StepError:
-        reason = diagnose.why(self.problem, self.law, self.plan, W, b, state)
-        worst = "" if row is None else f"; worst row: '{self.rows[row]}'"
+    def _failure(self, t: float, h: float, state: np.ndarray, warm: Warm, best: Attempt | None) -> StepError:
+        W, b = self._newton.affine_problem(t, h, state, warm.l)
+        reason = diagnose.why(self.problem, self.structure, self.law, self.plan, W, b, state)
+        residual = np.inf if best is None else best.residual
+        component = None if best is None or best.worst_row is None else self.rows[best.worst_row]
+        worst = "" if component is None else f", worst row '{component}'"
         tried = ", ".join([*self.plan.chain, *(["ipopt"] if self.plan.ipopt != "never" else [])]) or "a linear solve"
         return StepError(
-            f"no verified step from t = {t:.10g} to {t + h:.10g}: {reason}. Best residual {residual:.3g} (tolerance {self.tolerance:.3g})"
-            f"{worst}. Tried: {tried}",
+            f"no verified step from t = {t:.10g} to {t + h:.10g}: {reason}. "
+            f"Best residual {residual:.3g} (tolerance {self.tolerance:.3g}){worst}. Tried: {tried}",
             residual=residual,
-            component=None if row is None else self.rows[row],
+            component=component,
         )

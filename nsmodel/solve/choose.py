@@ -76,7 +76,8 @@ def choose(problem: OneStepProblem, structure: Structure, law: NumericLaw, W: np
     if solver == "auto":
         chain = _chain(structure, law, monotone)
         if chain:
-            used.append("solvers, each answer polished on its index set and certified: " + ", ".join(["last index set", *chain, IPOPT]))
+            first = () if law.curved or path == "newton" else ("last index set",)
+            used.append("solvers, each answer polished and certified: " + ", ".join([*first, *chain, IPOPT]))
         return Plan(path, chain, True, "last" if structure.m else "never", monotone, least, tuple(used), tuple(left_out))
     _check_applies(solver, structure, law, monotone, least)
     used.append(f"solver {solver} alone (forced), its answer polished on the index set and certified")

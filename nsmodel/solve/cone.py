@@ -114,7 +114,8 @@ def exact_zeros(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray) ->
     """Polish: keep the curved rows' smooth branch, put l = 0 and l = bound exactly where the index set says so."""
     c = block_scale(W, law)
     code = index_set(law, l, W @ l + b, c)
-    l = np.where(code < 0, np.where(np.isfinite(law.lower), law.lower, 0.0), np.where((code > 0) & np.isfinite(law.upper), law.upper, l))
+    l = np.where(code < 0, np.where(np.isfinite(law.lower), law.lower, 0.0), l)
+    l = np.where((code > 0) & np.isfinite(law.upper), law.upper, l)
     for kind, rows, radius in law.curved:
         if code[rows][0] == 1:
             l[rows] = l[rows] * (radius / np.linalg.norm(l[rows])) if kind == "ball" else _onto_boundary(l[rows])

@@ -8,11 +8,13 @@ from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.active_set import index_sets
 from nsmodel.solve.certificate import NumericLaw
 from nsmodel.solve.choose import ENUMERATE_UP_TO, Plan
+from nsmodel.solve.structure import Structure
 
 
 def why(
-    problem: OneStepProblem, law: NumericLaw, plan: Plan, W: np.ndarray | None, b: np.ndarray | None, state: np.ndarray
-) -> str:
+    problem: OneStepProblem, structure: Structure, law: NumericLaw, plan: Plan, W: np.ndarray | None, b: np.ndarray | None,
+    state: np.ndarray,
+) -> str:  # fmt: skip
     """Return the most specific reason that can be proved, else what is known."""
     if not np.isfinite(state).all():
         return "the state is not finite"
@@ -30,8 +32,10 @@ def why(
         return "the constraints leave no point: " + " and ".join(names) + " oppose each other"
     if not plan.monotone and law.size <= ENUMERATE_UP_TO and not law.curved:
         count = sum(1 for _ in index_sets(law, np.zeros(law.size, np.int8)))
+        which = "has no solution" if structure.affine else "seems to have no solution"
         return (
-            f"W is not psd (least eigenvalue {plan.least_eigenvalue:.3g}) and none of its {count} index sets gives a solution"
+            f"the step {which}: W is not psd (least eigenvalue {plan.least_eigenvalue:.3g}) and none of the {count} index sets "
+            "satisfies the law"
         )
     if not plan.use_last:
         return "the forced solver did not find it"

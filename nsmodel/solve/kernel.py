@@ -14,6 +14,9 @@ from nsmodel.solve.certificate import EPS, NumericLaw, box_residual_sx, settled_
 from nsmodel.solve.layout import Layout, extras
 from nsmodel.solve.structure import Structure, jacobians
 
+CSE_BELOW = 80  # Unknowns up to which sharing common subexpressions pays for the time it takes.
+
+
 class Kernel:
     """The step for one value of h. ``evaluate(t, state)`` fills ``out`` for the index set given by ``load``.
 
@@ -21,15 +24,16 @@ class Kernel:
         numpy.linalg.LinAlgError: E_z is singular at this h.
     """
 
-    def __init__(self, problem: OneStepProblem, structure: Structure, law: NumericLaw, where: Layout, h: float, tolerance: float) -> None:
-        E_z, E_l, Y_z, Y_l = _matrices(problem, h)
-        n, m = structure.n, structure.m
+    def __init__(
+        self, problem: OneStepProblem, structure: Structure, law: NumericLaw, where: Layout, h: float, tolerance: float
+    ) -> None:
+        E_z, E_l, Y_z, Y_l = matrices = _matrices(problem, h)
+        m = structure.m
         inverse = np.linalg.inv(E_z)
         self.Z = -inverse @ E_l
         self.W = Y_l + Y_z @ self.Z
         self.w_max = np.abs(self.W).max(axis=1, initial=0.0)
-        self.h = h
-        function, self.b_function = _functions(problem, structure, law, h, tolerance, (E_z, E_l, Y_z, Y_l), inverse, self.Z, self.W)
+        function, self.b_function = _functions(problem, structure, law, h, tolerance, matrices, inverse, self.Z, self.W)
         self._t, self._state = np.zeros(1), np.zeros(problem.state.numel())
         self._S, self._s, self._free = np.zeros((m, m), order="F"), np.zeros(m), np.zeros(m)
         self.out = np.zeros(where.width)
@@ -148,11 +152,9 @@ def _functions(
         settled = settled_sx(*bounds, *(e[box] for e in (l, Y_here, free, round_off * size_Y)))
     residual = ca.if_else(residual >= 0, residual, ca.inf)
     y = ca.if_else(free, 0, Y_here) if m else Y_here
-    rest = ca.substitute(
-        [at_h(e) for e in (p.next_state, *extras(p).values())], [p.z, p.l, p.y], [z, l, y]
-    )
+    rest = ca.substitute([at_h(e) for e in (p.next_state, *extras(p).values())], [p.z, p.l, p.y], [z, l, y])
     packed = ca.densify(ca.vertcat(rest[0], l, y, residual, 1, *rest[1:]))
-    step = ca.Function("step", [p.t, p.state, S, s, free], [packed, settled], {"cse": True})
+    step = ca.Function("step", [p.t, p.state, S, s, free], [packed, settled], {"cse": n + m < CSE_BELOW})
     return step, ca.Function("b", [p.t, p.state], [ca.densify(b)])
 
 

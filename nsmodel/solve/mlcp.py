@@ -48,7 +48,7 @@ def solve(
     return best
 
 
-def _candidates(name, W, b, law, warm, index, symmetric):  # noqa: ANN001, ANN202
+def _candidates(name, W, b, law, warm, index, symmetric):
     """Yield (l, index set) of one solver: first polished, then as it came."""
     if name == INDEX_SET:
         found = active_set.primal_dual(W, b, law, index)

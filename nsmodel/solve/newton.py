@@ -16,7 +16,7 @@ import numpy as np
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import active_set, mlcp
 from nsmodel.solve.certificate import EPS, NumericLaw, law_residual
-from nsmodel.solve.layout import Layout, extras
+from nsmodel.solve.layout import extras
 from nsmodel.solve.structure import Structure, jacobians
 
 ITERATIONS = 30
@@ -50,13 +50,10 @@ class Iterate:
 
 
 class Newton:
-    """Newton's method for one problem; ``solve`` gives the best iterate that the chain reaches."""
+    """Newton's method for one problem; ``solve`` gives the best iterate that a chain of solvers reaches."""
 
-    def __init__(
-        self, problem: OneStepProblem, structure: Structure, law: NumericLaw, where: Layout, chain: Sequence[str], tolerance: float
-    ) -> None:
-        self.problem, self.structure, self.law, self.where = problem, structure, law, where
-        self.chain, self.tolerance = tuple(chain), tolerance
+    def __init__(self, problem: OneStepProblem, structure: Structure, law: NumericLaw, tolerance: float) -> None:
+        self.problem, self.structure, self.law, self.tolerance = problem, structure, law, tolerance
         p = problem
         known = [p.t, p.h, p.state]
         parts = [p.E, p.Y, *jacobians(p)]
@@ -91,14 +88,14 @@ class Newton:
         dz_0, Z = eliminated
         return at.Y_l + at.Y_z @ Z, at.Y + at.Y_z @ (dz_0 - Z @ l) - at.Y_l @ l
 
-    def solve(self, t: float, h: float, state: np.ndarray, l: np.ndarray, index: np.ndarray) -> Iterate:
+    def solve(self, t: float, h: float, state: np.ndarray, l: np.ndarray, index: np.ndarray, chain: Sequence[str]) -> Iterate:
         """Return the accepted iterate, or the best one found (residual above the tolerance)."""
         z, guess_0, E_guess = self._guess(t, h, state, l)
         guess = (guess_0, np.abs(E_guess))
         best = None
         at = self.linearise(t, h, state, z, l)
         for iteration in range(1, ITERATIONS + 1):
-            moved = self._advance(at, z, l, index)
+            moved = self._advance(at, z, l, index, chain)
             if moved is None:
                 break
             z, l, index, solver = moved
@@ -114,7 +111,7 @@ class Newton:
         return best if best is not None else Iterate(z, l, index, np.full(l.size, np.nan), np.inf, None, "none", 0)
 
     def _advance(
-        self, at: Linearisation, z: np.ndarray, l: np.ndarray, index: np.ndarray
+        self, at: Linearisation, z: np.ndarray, l: np.ndarray, index: np.ndarray, chain: Sequence[str]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, str] | None:
         """One Newton iteration: the next (z, l, index set) and the solver of its affine problem."""
         eliminated = self._eliminate(at)
@@ -125,7 +122,7 @@ class Newton:
         l_next = l
         if l.size:
             b = at.Y + at.Y_z @ (dz_0 - Z @ l) - at.Y_l @ l
-            found = self._solve_rows(at, Z, b, l, index)
+            found = self._solve_rows(at, Z, b, l, index, chain)
             if not np.isfinite(found.l).all():
                 return None
             l_next, index, solver = found.l, found.index, found.solver
@@ -147,17 +144,19 @@ class Newton:
             return None
         return -both[:, 0], -both[:, 1:]
 
-    def _solve_rows(self, at: Linearisation, Z: np.ndarray, b: np.ndarray, l: np.ndarray, index: np.ndarray) -> mlcp.Solution:
+    def _solve_rows(
+        self, at: Linearisation, Z: np.ndarray, b: np.ndarray, l: np.ndarray, index: np.ndarray, chain: Sequence[str]
+    ) -> mlcp.Solution:
         """Solve the affine problem; of many complementarity rows only those that act (violated ones are added until none is)."""
         if not (self._complementarity and self.structure.symmetric and l.size > WORKING_SET_ABOVE):
             W = at.Y_l + at.Y_z @ Z
-            return mlcp.solve(W, b, self.law, l, index, self.chain, self.structure.symmetric, self.tolerance / 10)
+            return mlcp.solve(W, b, self.law, l, index, chain, self.structure.symmetric, self.tolerance / 10)
         chosen = (b < 0) | (index == 0)
         for _ in range(l.size + 1):
             rows = np.flatnonzero(chosen)
             law = NumericLaw(self.law.lower[rows], self.law.upper[rows], ())
             W = at.Y_z[rows] @ Z[:, rows] + at.Y_l[np.ix_(rows, rows)]
-            part = mlcp.solve(W, b[rows], law, l[rows], index[rows], self.chain, True, self.tolerance / 10)
+            part = mlcp.solve(W, b[rows], law, l[rows], index[rows], chain, True, self.tolerance / 10)
             if not np.isfinite(part.l).all():
                 return mlcp.Solution(np.full(l.size, np.nan), index, np.inf, part.solver)
             full, code = np.zeros(l.size), np.full(l.size, -1, np.int8)
@@ -215,7 +214,9 @@ class Newton:
         floor = round_off * (np.abs(at.Y_z) @ np.abs(z) + np.abs(at.Y_l) @ np.abs(l) + np.abs(Y_0))
         return s_y, w_max, floor
 
-    def on_index_set(self, t: float, h: float, state: np.ndarray, z: np.ndarray, l: np.ndarray, index: np.ndarray) -> Iterate | None:
+    def on_index_set(
+        self, t: float, h: float, state: np.ndarray, z: np.ndarray, l: np.ndarray, index: np.ndarray
+    ) -> Iterate | None:
         """Damped Newton for the smooth system E = 0, Y_i = 0 (code 0), l_i at its bound (code +-1), from (z, l)."""
         _, guess_0, E_guess = self._guess(t, h, state, l)
         guess = (guess_0, np.abs(E_guess))

@@ -2,7 +2,8 @@
 
     min sum of gaps   s.t.  E(z, l) = 0,  y = Y(z, l),  l ∈ K
 
-gap of a box row: (l - lower) y+ + (upper - l) y-, y = y+ - y-, y+, y- >= 0; of a ball: l'y + radius s, |y| <= s; of a cone: l'y, y ∈ K.
+The gap of a box row is (l - lower) y+ + (upper - l) y-, with y = y+ - y-, y+, y- >= 0; of a ball l'y + radius |y|; of a cone
+l'y with y ∈ K.
 Its value is 0 iff (z, l) solves the step.
 """
 
@@ -14,6 +15,7 @@ import numpy as np
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.certificate import NumericLaw
 
+TINY = 1e-30  # Keeps the derivative of |y| finite at 0.
 OPTIONS = {
     "print_time": False,
     "error_on_fail": False,
@@ -41,8 +43,7 @@ class Programme:
         for kind, rows, radius in law.curved:
             l, y_block = p.l[rows.start : rows.stop], y[rows.start : rows.stop]
             if kind == "ball":
-                s = up[rows.start] + down[rows.start]
-                gap += ca.dot(l, y_block) + radius * ca.sqrt(ca.sumsqr(y_block) + 1e-30 * s**2)
+                gap += ca.dot(l, y_block) + radius * ca.sqrt(ca.sumsqr(y_block) + TINY)
                 extra.append(radius**2 - ca.sumsqr(l))
             else:
                 gap += ca.dot(l, y_block)
@@ -53,10 +54,9 @@ class Programme:
         self._n, self._m, self._equations = p.z.numel(), m, equations.numel()
         self._inequalities = len(extra)
         self._lower = np.concatenate([np.full(self._n, -np.inf), law.lower, np.zeros(2 * m)])
-        free_part = curved
         self._upper = np.concatenate([
             np.full(self._n, np.inf), law.upper,
-            np.where(has_lo | free_part, np.inf, 0.0), np.where(has_up | free_part, np.inf, 0.0),
+            np.where(has_lo | curved, np.inf, 0.0), np.where(has_up | curved, np.inf, 0.0),
         ])  # fmt: skip
         nlp = {"x": unknowns, "f": gap, "g": ca.vertcat(equations, *extra), "p": ca.vertcat(p.t, p.h, p.state)}
         self._solver = ca.nlpsol("step", "ipopt", nlp, OPTIONS)

@@ -8,6 +8,7 @@ first iterate of Newton's method whose pull-back into C is certified by the dist
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -19,6 +20,7 @@ from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import mlcp
 from nsmodel.solve.build import Stepper
 from nsmodel.solve.certificate import EPS, NumericLaw, law_residual, numeric_law
+from nsmodel.solve.choose import Plan
 from nsmodel.solve.layout import Layout
 from nsmodel.solve.stepper import StepResult, Warm
 
@@ -45,7 +47,6 @@ class CatchingUp:
         self._box = not model.constraints
         self._lower, self._upper = (np.array(ca.DM(b)).ravel() for b in (model.lower, model.upper))
         self._eps = _tolerance_function(model)
-        self._count = 0
         self.exact = model.tolerances is None
         self._stepper = Stepper(problem, solver, tolerance, h=h, state=state)
         self._clip = self._box and solver == "auto"
@@ -97,7 +98,9 @@ class CatchingUp:
         v_0, A, u = (np.array(part) for part in self._velocity(x))
         v_0, u, face = v_0.ravel(), u.ravel(), self._face
         if not np.isfinite(v_0).all():
-            raise StepError(f"field - operator is not finite at t = {t:.10g}, x = {x}: a division by 0 or a root of a negative number?")
+            raise StepError(
+                f"field - operator is not finite at t = {t:.10g}, x = {x}: a division by 0 or a root of a negative number?"
+            )
         l, tied = np.zeros(u.size), np.zeros(u.size, bool)
         for i in range(u.size):
             if u[i] == 0:
@@ -185,7 +188,9 @@ class CatchingUp:
             W, b, law, np.zeros(m), np.where(b < 0, 0, -1).astype(np.int8), (mlcp.INDEX_SET, "qpoases", mlcp.LEMKE), True, 1e-10
         )
         if found.residual > self.tolerance:
-            raise StepError(f"approximate projection at t = {t:.10g}: the linearised set could not be projected on", residual=found.residual)
+            raise StepError(
+                f"approximate projection at t = {t:.10g}: the linearised set could not be projected on", residual=found.residual
+            )
         return y + A.T @ found.l, found.l
 
     def _pull_back(self, z: np.ndarray) -> np.ndarray:
@@ -219,9 +224,7 @@ def _tolerance_function(model: MonotoneInclusion) -> Callable[[int, float], floa
     return lambda k, h: float(values[min(k, values.size - 1)])
 
 
-def _clip_plan(plan, exact: bool):  # noqa: ANN001, ANN202
-    from dataclasses import replace
-
+def _clip_plan(plan: Plan, exact: bool) -> Plan:
     used = ("projection on bounds: a clip" + ("" if exact else ", then moved inwards by what eps_k allows"),)
     return replace(plan, path="clip", chain=(), ipopt="never", used=used, left_out=("every solver: C is a box",))
 
@@ -236,5 +239,5 @@ def _interior_point(model: MonotoneInclusion, c: ca.SX, x0: np.ndarray) -> np.nd
     found = np.array(solver(x0=np.append(x0, 0.0), lbg=0, ubx=np.append(np.full(x0.size, np.inf), 1.0))["x"]).ravel()
     value = np.array(ca.Function("c", [model.x], [c])(found[:-1])).min(initial=np.inf)
     if not value > 0:
-        raise ModelError("constraints: C seems to have no interior point (none with all c(x) > 0 was found); the scheme needs one")
+        raise ModelError("constraints: no point with all c(x) > 0 was found; C needs an interior")
     return found[:-1]

@@ -96,9 +96,10 @@ def _equal(a: np.ndarray, b: np.ndarray) -> bool:
 
 
 def _unit_rows(Y_z: ca.SX, Y_l: ca.SX) -> list[tuple[int, int, float]]:
-    rows = []
-    for i in range(Y_z.shape[0]):
-        entries = [(j, Y_z[i, j]) for j in range(Y_z.shape[1]) if not Y_z[i, j].is_zero()]
-        if len(entries) == 1 and entries[0][1].is_constant() and Y_l[i, :].nnz() == 0:
-            rows.append((i, entries[0][0], float(entries[0][1])))
-    return rows
+    by_row: dict[int, list[int]] = {}
+    for i, j in zip(*Y_z.sparsity().get_triplet(), strict=True):
+        if not Y_z[i, j].is_zero():
+            by_row.setdefault(i, []).append(j)
+    coupled = set(Y_l.sparsity().get_triplet()[0])
+    single = [(i, columns[0]) for i, columns in sorted(by_row.items()) if len(columns) == 1 and i not in coupled]
+    return [(i, j, float(Y_z[i, j])) for i, j in single if Y_z[i, j].is_constant()]

@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 
 import nsmodel
-from nsmodel.simulate import _Run, make_grid
+from nsmodel.grid import make_grid
+from nsmodel.simulate import _Run
 
 CASES = Path(__file__).resolve().parents[2] / "cases"
 REPEATS = 7

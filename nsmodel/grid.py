@@ -1,0 +1,70 @@
+"""Time grids of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nsmodel.errors import UsageError
+from nsmodel.model.base import Model
+
+
+@dataclass(frozen=True)
+class Grid:
+    """N steps: t_k = k h with a shorter last step where T/h is not whole within 1e-9, or given steps and their sums."""
+
+    N: int
+    h: float
+    last: float
+    steps: np.ndarray | None = None
+    times: np.ndarray | None = None
+
+    def step(self, k: int) -> float:
+        """h_k = t_{k+1} - t_k."""
+        if self.steps is not None:
+            return float(self.steps[k])
+        return self.h if k < self.N - 1 else self.last
+
+    def time(self, k: int) -> float:
+        """t_k, not accumulated when the step is constant."""
+        if self.times is not None:
+            return float(self.times[k])
+        return k * self.h if k < self.N or self.last == self.h else (self.N - 1) * self.h + self.last
+
+
+def make_grid(model: Model, step: float | None, steps: Sequence[float] | None, t_end: float | None) -> Grid:
+    """Return the grid of a run; ``step``, ``steps`` and ``t_end`` override the model's own.
+
+    Raises:
+        UsageError: not finite, not positive, contradictory, or missing.
+    """
+    for name, value in (("step", step), ("t_end", t_end)):
+        if value is not None and not (np.isfinite(value) and value > 0):
+            raise UsageError(f"{name} = {value:g}; expected a finite number > 0")
+    if step is not None and steps is not None:
+        raise UsageError("step and steps are both given; keep one")
+    steps = model.steps if steps is None and step is None else steps
+    if steps is not None:
+        array = np.asarray(steps, float).ravel()
+        bad = np.flatnonzero(~(np.isfinite(array) & (array > 0)))
+        if bad.size or not array.size:
+            raise UsageError(
+                f"steps[{bad[0]}] = {array[bad[0]]:g}; expected finite numbers > 0" if bad.size else "steps is empty"
+            )
+        if t_end is not None:
+            raise UsageError("t_end is given with steps, which already say where the run ends; leave it out")
+        return Grid(array.size, float(array[0]), float(array[-1]), array, np.concatenate([[0.0], np.cumsum(array)]))
+    h = model.step if step is None else float(step)
+    if h is None:
+        raise UsageError("no time step: give the model step=, or the run step=H (--step H)")
+    T = float(model.t_end if t_end is None else t_end)
+    ratio = T / h
+    if ratio > 1e12:
+        raise UsageError(f"t_end / step = {ratio:.3g} steps; choose a larger step or a shorter run")
+    N = max(round(ratio), 1)
+    if abs(ratio - N) <= 1e-9 * N:
+        return Grid(N, h, h)
+    N = int(np.floor(ratio)) + 1
+    return Grid(N, h, T - (N - 1) * h)
