@@ -32,13 +32,16 @@ from nsmodel.trajectory import Trajectory
 
 UNSET = -2  # Index-set code of a row that no step has computed.
 CHUNK_BYTES = 64 << 20
+FEW_STEPS = 8  # Different step sizes up to which constant matrices are factored once for each.
 
 
-def make_stepper(model: Model, problem: OneStepProblem, solver: str, tolerance: float, *, h: float, state: np.ndarray) -> Any:
+def make_stepper(
+    model: Model, problem: OneStepProblem, solver: str, tolerance: float, *, h: float, state: np.ndarray, few_steps: bool = True
+) -> Any:
     """Return the stepper of a bound model."""
     if isinstance(model, MonotoneInclusion):
         return CatchingUp(model, problem, solver, tolerance, h=h, state=state)
-    return Stepper(problem, solver, tolerance, h=h, state=state)
+    return Stepper(problem, solver, tolerance, h=h, state=state, few_steps=few_steps)
 
 
 def simulate(
@@ -109,7 +112,8 @@ class _Run:
         if self.problem.start is not None:
             state = _start_state(self.problem.start, state, grid.step(0), tolerance)
         self.k = len(known) - 1
-        self.stepper = make_stepper(model, self.problem, solver, tolerance, h=grid.step(0), state=state)
+        few = grid.steps is None or np.unique(grid.steps).size <= FEW_STEPS
+        self.stepper = make_stepper(model, self.problem, solver, tolerance, h=grid.step(0), state=state, few_steps=few)
         self.warnings = warnings_of(model, self.stepper.plan)
         self.layout = self.stepper.layout
         self.state, self.warm = state, self.stepper.cold()
@@ -285,7 +289,7 @@ class _Run:
             return Trajectory(self._columns(), metadata)
         if self.filled:
             self._flush(status, message)
-        path = self.out / "trajectory.npz"
+        path = self.store.directory / "trajectory.npz"
         self.store.join(path, metadata)
         return Trajectory.load(path)
 

@@ -34,7 +34,8 @@ def finite_convergence(
     force = least_force(model, x)
     margin, bound = _margin(model, force, radii)
     still = bool((v == 0).all())
-    finite = bool(still and rest_from is not None and margin > bound)
+    n_0, t_0 = rest_from if still and rest_from is not None and margin > bound else (None, None)
+    finite = n_0 is not None
     if not still:
         reason = "still moving at the end of the run"
     elif finite:
@@ -45,8 +46,8 @@ def finite_convergence(
         reason = f"v rounds to 0, but the margin is not above its rounding bound {bound:.2g}: convergence need not be finite"
     return {
         "finite": finite,
-        "n_0": rest_from[0] if finite else None,
-        "t_0": rest_from[1] if finite else None,
+        "n_0": n_0,
+        "t_0": t_0,
         "margin": float(margin),
         "distance": float(np.linalg.norm(force)),
         "theta_prime_0": float(radii.min()) if radii.size else 0.0,

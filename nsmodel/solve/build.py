@@ -19,7 +19,6 @@ from nsmodel.solve.nlp import Programme
 from nsmodel.solve.stepper import StepResult, Warm
 from nsmodel.solve.structure import read
 
-KERNELS = 8  # Step sizes for which constant matrices are kept factored; beyond, one linearisation a step is cheaper.
 NEARBY = 400  # Index sets around the last one that are tried where Newton's method does not settle.
 STARTS = 3  # Random starts of IPOPT, after the last multiplier and 0.
 
@@ -37,7 +36,10 @@ class Attempt(NamedTuple):
 class Stepper:
     """The step of one bound model; see `stepper` for the contract."""
 
-    def __init__(self, problem: OneStepProblem, solver: str, tolerance: float, *, h: float, state: np.ndarray) -> None:
+    def __init__(
+        self, problem: OneStepProblem, solver: str, tolerance: float, *, h: float, state: np.ndarray, few_steps: bool = True
+    ) -> None:
+        """Prepare steps from ``state``; ``few_steps`` says that few step sizes will occur, so that each may be factored."""
         self.problem, self.structure = problem, read(problem)
         self.law, self.layout, self.tolerance = numeric_law(problem.law), Layout.of(problem), tolerance
         self.rows = problem.rows
@@ -46,7 +48,7 @@ class Stepper:
         self._newton = Newton(problem, self.structure, self.law, tolerance)
         zero = np.zeros(self.structure.m)
         start = self._newton.matrix_at(0.0, h, state, self._newton.guess(0.0, h, state, zero), zero)
-        self.plan = choose(problem, self.structure, self.law, start, solver)
+        self.plan = choose(problem, self.structure, self.law, start, solver, few_steps)
 
     def cold(self) -> Warm:
         """The warm start of a first step: l = 0 moved into K, everything inactive that can be."""
@@ -73,8 +75,8 @@ class Stepper:
         raise self._failure(t, h, state, warm, best)
 
     def _kernel(self, t: float, h: float) -> Kernel | None:
-        """The kernel of this h, built at its first use; None where the matrices vary or there are too many step sizes."""
-        if self.plan.path != "kernel" or len(self._kernels) >= KERNELS:
+        """The kernel of this h, built at its first use; None where a step is linearised instead."""
+        if self.plan.path != "kernel":
             return None
         try:
             self._kernels[h] = Kernel(self.problem, self.structure, self.law, self.layout, h, self.tolerance)

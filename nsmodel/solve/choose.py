@@ -58,7 +58,14 @@ def least_eigenvalue(W: np.ndarray) -> float:
     return float(np.linalg.eigvalsh(S / np.outer(d, d))[0])
 
 
-def choose(problem: OneStepProblem, structure: Structure, law: NumericLaw, W: np.ndarray | None, solver: str) -> Plan:
+def choose(
+    problem: OneStepProblem,
+    structure: Structure,
+    law: NumericLaw,
+    W: np.ndarray | None,
+    solver: str,
+    few_steps: bool = True,
+) -> Plan:
     """Decide, from the structure and from W at the start (None where it has none).
 
     Raises:
@@ -71,8 +78,8 @@ def choose(problem: OneStepProblem, structure: Structure, law: NumericLaw, W: np
     else:
         least = least_eigenvalue(W) if W is not None else -np.inf
     monotone = least >= -64 * EPS * max(structure.m, 1)
-    path = "kernel" if structure.constant else "newton"
-    used, left_out = _lines(problem, structure, law, monotone, least)
+    path = "kernel" if structure.constant and few_steps else "newton"
+    used, left_out = _lines(path, structure, law, monotone, least)
     if solver == "auto":
         chain = _chain(structure, law, monotone)
         if chain:
@@ -108,13 +115,13 @@ def _check_applies(solver: str, structure: Structure, law: NumericLaw, monotone:
 
 
 def _lines(
-    problem: OneStepProblem, structure: Structure, law: NumericLaw, monotone: bool, least: float
+    path: str, structure: Structure, law: NumericLaw, monotone: bool, least: float
 ) -> tuple[list[str], list[str]]:
     n, m = structure.n, structure.m
     used, left_out = [f"{n} unknowns, {m} multipliers, {structure.nonzeros} nonzeros of {(n + m) ** 2}"], []
     if not m:
         left_out.append("multipliers and every solver: the model has no law")
-    if structure.constant:
+    if path == "kernel":
         used.append("constant matrices: factored once for each step size, one function call a step")
         left_out.append("Newton iterations, Jacobian evaluations: E and Y are affine with constant coefficients")
     elif structure.affine:

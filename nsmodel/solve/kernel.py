@@ -113,7 +113,7 @@ def _functions(
     """The packed step and whether it is settled as a function of (t, state, S, s, free), and b as a function of (t, state)."""
     p, n, m = problem, structure.n, structure.m
     E_z, E_l, Y_z, Y_l = (ca.sparsify(ca.DM(M)) for M in matrices)
-    inverse, Z, W_sx = ca.sparsify(ca.DM(inverse)), ca.sparsify(ca.DM(Z)), ca.sparsify(ca.DM(W))
+    inverse_sx, Z_sx, W_sx = (ca.sparsify(ca.DM(M)) for M in (inverse, Z, W))
 
     def at_h(e: ca.SX) -> ca.SX:
         return ca.substitute(e, p.h, h) if e.numel() else e
@@ -127,10 +127,10 @@ def _functions(
     E_0, Y_0 = origin(E), origin(Y)
     E_guess = ca.substitute([E], [p.z, p.l], [guess, ca.SX.zeros(m)])[0] if n else E
     S, s, free = ca.SX.sym("S", m, m), ca.SX.sym("s", m), ca.SX.sym("free", m)
-    z_0 = -inverse @ E_0
+    z_0 = -inverse_sx @ E_0
     b = Y_0 + Y_z @ z_0
     l = S @ b + s
-    z = z_0 + Z @ l
+    z = z_0 + Z_sx @ l
     for row, column, factor in structure.unit_rows:
         z[column] = ca.if_else(free[row], -Y_0[row] / factor, z[column])
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,7 +13,8 @@ from nsmodel.solve.certificate import NumericLaw, law_residual
 INDEX_SET, LEMKE, ENUMERATION, SEMISMOOTH = "index set", "lemke", "enumeration", "semismooth"
 
 
-class Solution(NamedTuple):
+@dataclass(frozen=True)
+class Solution:
     """l (m,), its index set (m,), the law's residual, and the solver that found it."""
 
     l: np.ndarray

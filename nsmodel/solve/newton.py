@@ -122,6 +122,8 @@ class Newton:
         l_next = l
         if l.size:
             b = at.Y + at.Y_z @ (dz_0 - Z @ l) - at.Y_l @ l
+            if not np.isfinite(b).all():
+                return None
             found = self._solve_rows(at, Z, b, l, index, chain)
             if not np.isfinite(found.l).all():
                 return None
@@ -225,7 +227,7 @@ class Newton:
             return None
         free, n = np.flatnonzero(index == 0), z.size
         at = self.linearise(t, h, state, z, l)
-        size = np.linalg.norm(np.concatenate([at.E, at.Y[free]]))
+        size, found = np.linalg.norm(np.concatenate([at.E, at.Y[free]])), None
         for iteration in range(1, ITERATIONS + 1):
             J = np.block([[at.E_z, at.E_l[:, free]], [at.Y_z[free], at.Y_l[np.ix_(free, free)]]])
             if not np.isfinite(J).all():

@@ -8,6 +8,7 @@ and changes nothing, when no solver reaches the tolerance.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -15,7 +16,8 @@ import numpy as np
 from nsmodel.solve.layout import Layout
 
 
-class Warm(NamedTuple):
+@dataclass(frozen=True)
+class Warm:
     """Where the next step starts to look: the last multiplier l (m,) and its index set (m,) int8."""
 
     l: np.ndarray
