@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from nsmodel.errors import ModelError, NsmodelError, StepError, StorageError, UsageError
-from nsmodel.loader import load, takes
+from nsmodel.loader import load_with
 from nsmodel.model.base import Model
 from nsmodel.simulate import RunInterrupted, explain, simulate
 from nsmodel.solve.choose import SOLVERS
@@ -28,13 +28,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     except NsmodelError as error:
         return _refused(error)
     except KeyboardInterrupt:
+        print("nsmodel: interrupted", file=sys.stderr)
         return INTERRUPTED
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="nsmodel", description="Nonsmooth dynamics: run a model file, every step verified.",
-        epilog="exit status: 0 done; 2 usage, missing file or wrong model; 3 a step failed (what was computed is saved); 130 interrupted",
+        epilog="exit status: 0 done; 2 usage, missing file or wrong model; "
+        "3 a step failed, 130 interrupted (what was computed is saved)",
     )  # fmt: skip
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     run = commands.add_parser("run", help="simulate a model file", description="Simulate a model file and print a summary.")
@@ -42,18 +44,19 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--step", type=float, metavar="H", help="time step (default: the model's)")
     run.add_argument("--t-end", type=float, metavar="T", help="end of the run (default: the model's)")
     run.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE", help="value of a parameter or of an argument of model(); repeatable"
-    )
+        "--set", action="append", default=[], metavar="NAME=VALUE",
+        help="value of a parameter or of an argument of model(); repeatable",
+    )  # fmt: skip
     run.add_argument("--solver", default="auto", metavar="NAME", help=f"use this solver alone: {', '.join(SOLVERS[1:])}")
     run.add_argument("--tolerance", type=float, default=1e-9, metavar="TOL", help="largest accepted residual (default 1e-9)")
     run.add_argument("--save-every", type=int, default=1, metavar="N", help="keep every N-th row")
     run.add_argument("--resume", action="store_true", help="continue the run found in --out")
     run.add_argument("--out", metavar="DIR", help="folder for trajectory.npz, summary.json and pictures")
-    run.add_argument("--csv", metavar="FILE", help="also write the trajectory as CSV")
+    run.add_argument("--csv", metavar="PATH", help="also write the trajectory as CSV")
     run.add_argument("--plot", action="store_true", help="write pictures into --out (default: FILE-run)")
     run.add_argument("--explain", action="store_true", help="say what is used and what is left out, and why; then run")
     run.add_argument("--json", action="store_true", help="print the summary as JSON")
-    run.add_argument("--quiet", action="store_true", help="print errors only")
+    run.add_argument("--quiet", action="store_true", help="print warnings and errors only")
     run.set_defaults(command=_run)
     return parser
 
@@ -62,19 +65,35 @@ def _run(arguments: argparse.Namespace) -> int:
     """Run each file; several files end in a table. The status is that of the worst run."""
     if arguments.resume and arguments.out is None:
         raise UsageError("--resume needs --out DIR, the folder of the run to continue")
-    results = [_run_file(arguments, file, _folder(arguments, file)) for file in arguments.files]
-    if len(results) > 1 and not (arguments.json or arguments.quiet):
-        print(_table([(Path(file).stem, *result[1:]) for file, result in zip(arguments.files, results, strict=True)]))
-    return max(status for status, *_ in results)
+    several = len(arguments.files) > 1
+    stems = [Path(file).stem for file in arguments.files]
+    if (arguments.out or arguments.plot) and len(set(stems)) < len(stems):
+        twice = next(stem for stem in stems if stems.count(stem) > 1)
+        raise UsageError(f"two files are called '{twice}': their results would go to one folder; run them one by one")
+    if several and arguments.csv:
+        raise UsageError("--csv takes one model file; for several give --out DIR and read the trajectory.npz in it")
+    results: list[Result] = []
+    for file in arguments.files:
+        results.append(_run_file(arguments, file, _folder(arguments, file)))
+        if results[-1].status == INTERRUPTED:
+            break
+    if arguments.json:
+        documents = [result.document for result in results]
+        print(dumps(documents if several else documents[0], indent=2))
+    elif several and not arguments.quiet:
+        print(_table(results))
+    return max(result.status for result in results)
 
 
 class Result(NamedTuple):
-    """What became of one file."""
+    """What became of one file; ``document`` is what --json prints."""
 
     status: int
+    file: str
     run: Trajectory | None
     seconds: float
     folder: Path | None
+    document: dict[str, Any]
 
 
 def _run_file(arguments: argparse.Namespace, file: str, folder: Path | None) -> Result:
@@ -88,15 +107,14 @@ def _run_file(arguments: argparse.Namespace, file: str, folder: Path | None) -> 
             tolerance=arguments.tolerance, save_every=arguments.save_every, out=folder, resume=arguments.resume,
             progress=not (arguments.quiet or arguments.json),
         )  # fmt: skip
+        return _report(arguments, file, run, time.perf_counter() - start, model.bind(values), folder)
     except StepError as error:
-        return _stopped(arguments, file, folder, error.trajectory, f"error: {error}", FAILED_STEP)
+        return _stopped(arguments, file, folder, error.trajectory, f"error: {error}", FAILED_STEP, start)
     except RunInterrupted as stop:
-        return _stopped(arguments, file, folder, stop.trajectory, str(stop), INTERRUPTED)
+        return _stopped(arguments, file, folder, stop.trajectory, str(stop), INTERRUPTED, start)
     except NsmodelError as error:
-        return Result(_refused(error), None, 0.0, None)
-    seconds = time.perf_counter() - start
-    _report(arguments, run, seconds, model.bind(values), folder)
-    return Result(DONE, run, seconds, folder)
+        document = {"file": file, "status": "refused", "message": str(error)}
+        return Result(_refused(error), file, None, 0.0, None, document)
 
 
 def _load(file: str, settings: Sequence[str]) -> tuple[Model, dict[str, float]]:
@@ -110,11 +128,7 @@ def _load(file: str, settings: Sequence[str]) -> tuple[Model, dict[str, float]]:
             values[name.strip()] = int(text) if text.strip().lstrip("+-").isdigit() else float(text)
         except ValueError:
             raise UsageError(f"--set {setting}: '{text}' is not a number") from None
-    model = load(file)
-    own = {name: value for name, value in values.items() if name in takes(file) and name not in model.parameters}
-    if own:
-        model = load(file, **own)
-    return model, {name: value for name, value in values.items() if name not in own}
+    return load_with(file, values)
 
 
 def _folder(arguments: argparse.Namespace, file: str) -> Path | None:
@@ -125,49 +139,70 @@ def _folder(arguments: argparse.Namespace, file: str) -> Path | None:
     return Path(arguments.out) / stem if len(arguments.files) > 1 else Path(arguments.out)
 
 
-def _report(arguments: argparse.Namespace, run: Trajectory, seconds: float, model: Model, folder: Path | None) -> None:
-    summary = {**run.summary(), "seconds": seconds}
+def _report(
+    arguments: argparse.Namespace, file: str, run: Trajectory, seconds: float, model: Model, folder: Path | None
+) -> Result:
+    """Write what was asked for; print the summary of a single run."""
     pictures = []
-    if folder is not None:
-        write_json(folder / "summary.json", summary)
     if arguments.csv:
         run.to_csv(arguments.csv)
     if arguments.plot and folder is not None:
         from nsmodel.plot import save_all
 
         pictures = [str(path) for path in save_all(run, model, folder)]
-    if arguments.json:
-        plan = {key: run.metadata[key] for key in ("scheme", "used", "left_out")}
-        print(dumps({**summary, "pictures": pictures, "plan": plan}, indent=2))
-        return
-    for warning in run.metadata["warnings"]:
-        print(f"nsmodel: warning: {warning}", file=sys.stderr)
-    if arguments.quiet or len(arguments.files) > 1:
-        return
-    print(run.summary_text())
-    steps = max(run.metadata["steps"], 1)
-    print(f"  run time        {seconds:.3g} s ({1e6 * seconds / steps:.3g} us a step, loading and set-up included)")
+    document = _document(file, run, seconds, folder, pictures)
     if folder is not None:
-        print(f"  saved           {folder / 'trajectory.npz'}")
-    for path in pictures:
-        print(f"  picture         {path}")
+        write_json(folder / "summary.json", document)
+    where = f"{file}: " if len(arguments.files) > 1 else ""
+    for warning in run.metadata["warnings"]:
+        print(f"nsmodel: {where}warning: {warning}", file=sys.stderr)
+    if not (arguments.json or arguments.quiet or len(arguments.files) > 1):
+        _print_summary(run, seconds)
+        if folder is not None:
+            print(f"  saved           {folder / 'trajectory.npz'}")
+        for path in pictures:
+            print(f"  picture         {path}")
+    return Result(DONE, file, run, seconds, folder, document)
 
 
 def _stopped(
-    arguments: argparse.Namespace, file: str, folder: Path | None, run: Trajectory | None, message: str, status: int
+    arguments: argparse.Namespace, file: str, folder: Path | None, run: Trajectory | None, message: str, status: int, start: float
 ) -> Result:
     """Save what a stopped run has computed, and say where."""
-    print(f"nsmodel: {message}", file=sys.stderr)
+    seconds = time.perf_counter() - start
+    where = f"{file}: " if len(arguments.files) > 1 else ""
     if run is None:
-        return Result(status, None, 0.0, folder)
+        print(f"nsmodel: {where}{message}", file=sys.stderr)
+        return Result(status, file, None, seconds, None, {"file": file, "status": "failed", "message": message})
+    resumable = folder is not None
     if folder is None:
         folder = Path(f"{Path(file).stem}-run")
         run.save(folder / "trajectory.npz")
-    write_json(folder / "summary.json", run.summary())
-    print(f"nsmodel: {run.metadata['steps']} verified steps are saved in {folder / 'trajectory.npz'}", file=sys.stderr)
-    if arguments.json:
-        print(dumps(run.summary(), indent=2))
-    return Result(status, run, 0.0, folder)
+    document = _document(file, run, seconds, folder, [])
+    write_json(folder / "summary.json", document)
+    if not (arguments.json or arguments.quiet or len(arguments.files) > 1):
+        _print_summary(run, seconds)
+        sys.stdout.flush()
+    steps = sum(run.metadata["solver_counts"].values())
+    how = "; go on with --resume" if resumable and status == INTERRUPTED else ""
+    print(f"nsmodel: {where}{message}", file=sys.stderr)
+    print(f"nsmodel: {where}{steps} verified steps are saved in {folder / 'trajectory.npz'}{how}", file=sys.stderr)
+    return Result(status, file, run, seconds, folder, document)
+
+
+def _document(file: str, run: Trajectory, seconds: float, folder: Path | None, pictures: list[str]) -> dict[str, Any]:
+    """What --json prints and summary.json holds: the summary with its plan, its files and its run time."""
+    plan = {key: run.metadata[key] for key in ("scheme", "used", "left_out")}
+    saved = None if folder is None else str(folder / "trajectory.npz")
+    return {"file": file, **run.summary(), "seconds": seconds, "saved": saved, "pictures": pictures, "plan": plan}
+
+
+def _print_summary(run: Trajectory, seconds: float) -> None:
+    each = seconds / max(run.metadata["steps"], 1)
+    text = f"{1e6 * each:.3g} us" if each < 1e-3 else f"{1e3 * each:.3g} ms" if each < 1 else f"{each:.3g} s"
+    # Warnings have their own stream.
+    print(run.summary_text(warnings=False))
+    print(f"  run time        {seconds:.3g} s ({text} a step, loading and set-up included)")
 
 
 def _refused(error: NsmodelError) -> int:
@@ -176,18 +211,19 @@ def _refused(error: NsmodelError) -> int:
     return USAGE
 
 
-def _table(rows: Sequence[tuple[str, Trajectory | None, float, Path | None]]) -> str:
+def _table(results: Sequence[Result]) -> str:
     """One line a file: steps, time simulated and used, worst residual, index-set changes, the overview picture."""
     head = ("model", "status", "steps", "t", "worst residual", "index set changes", "run time", "picture")
     lines = [head]
-    for name, run, seconds, folder in rows:
+    for result in results:
+        name, run, folder = Path(result.file).stem, result.run, result.folder
         if run is None:
-            lines.append((name, "refused", *[""] * 6))
+            lines.append((name, result.document["status"], *[""] * 6))
             continue
         totals, picture = run.metadata["totals"], None if folder is None else folder / "overview.png"
         lines.append((
             name, run.status, str(totals["steps"]), f"{run.t[-1]:g}", f"{totals['worst_residual']:.2g}",
-            str(totals["index_set_changes"]), f"{seconds:.2f} s", str(picture) if picture and picture.exists() else "",
+            str(totals["index_set_changes"]), f"{result.seconds:.2f} s", str(picture) if picture and picture.exists() else "",
         ))  # fmt: skip
     widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
     return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines)

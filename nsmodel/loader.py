@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib.util
 import inspect
 import sys
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,63 +18,113 @@ def load(path: str | Path, **parameters: Any) -> Model:
     """Return the model that a file defines; ``parameters`` go to its ``model`` function where it is one.
 
     Raises:
-        UsageError: the file is missing, or a parameter that its function does not take.
+        UsageError: the file is missing, or a parameter that its function does not take, or lacks.
         ModelError: the file fails, defines no ``model``, or something that is not one.
     """
     path = Path(path)
+    found = _definition(path)
+    if _is_function(found):
+        taken = _arguments(found)
+        for name in parameters:
+            if taken is not None and name not in taken:
+                raise UsageError(f"{path}: model() takes no '{name}'; it takes {', '.join(taken) or 'nothing'}")
+        return _called(found, path, parameters)
+    if parameters:
+        raise UsageError(f"{path} defines a model, not a function: it takes no {', '.join(parameters)}")
+    return _checked(found, path)
+
+
+def load_with(path: str | Path, values: Mapping[str, float]) -> tuple[Model, dict[str, float]]:
+    """Return the model built with those ``values`` that its function takes, and the values of its own parameters.
+
+    Raises:
+        UsageError: a name that is neither; and as for `load`.
+        ModelError: as for `load`.
+    """
+    path = Path(path)
+    found = _definition(path)
+    taken = _arguments(found) if _is_function(found) else ()
+    own = {name: value for name, value in values.items() if taken is None or name in taken}
+    model = _called(found, path, own) if _is_function(found) else _checked(found, path)
+    for name in values:
+        if name not in own and name not in model.parameters:
+            known = [*(taken or ()), *model.parameters]
+            hint = difflib.get_close_matches(name, known, 1)
+            raise UsageError(
+                f"{path} takes no '{name}': arguments of model() are {', '.join(taken or ()) or 'none'}, parameters of the model "
+                f"{', '.join(model.parameters) or 'none'}" + (f". Did you mean '{hint[0]}'?" if hint else "")
+            )
+    return model, {name: value for name, value in values.items() if name in model.parameters}
+
+
+def _definition(path: Path) -> Any:
+    """What the file calls ``model``."""
     if not path.is_file():
-        raise UsageError(f"model file '{path}' does not exist; give the path of a Python file that defines model = ...")
+        what = "is a folder" if path.is_dir() else "does not exist"
+        raise UsageError(f"model file '{path}' {what}; give the path of a Python file that defines model = ...")
     name = f"nsmodel_file_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise UsageError(f"'{path}' is not a Python file (.py)")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
-    try:
-        spec.loader.exec_module(module)
-    except NsmodelError:
-        raise
-    except Exception as error:
-        raise ModelError(f"{path}:{_line_in(error, path)}: {type(error).__name__}: {error}") from error
-    found = getattr(module, "model", None)
-    if found is None:
+    _run(lambda: spec.loader.exec_module(module), path)
+    if not hasattr(module, "model"):
         raise ModelError(f"{path} defines no 'model'; end the file with model = LureSystem(...) or def model(): ...")
-    if callable(found) and not isinstance(found, Model):
-        found = _call(found, path, parameters)
-    elif parameters:
-        raise UsageError(f"{path} defines a model, not a function: it takes no {', '.join(parameters)}")
+    return module.model
+
+
+def _is_function(found: Any) -> bool:
+    return callable(found) and not isinstance(found, Model)
+
+
+def _arguments(function: Callable) -> tuple[str, ...] | None:
+    """Names that a function takes as keywords; None where it takes any."""
+    try:
+        given = inspect.signature(function).parameters.values()
+    except (TypeError, ValueError):
+        return ()
+    if any(p.kind is p.VAR_KEYWORD for p in given):
+        return None
+    return tuple(p.name for p in given if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY))
+
+
+def _called(function: Callable, path: Path, arguments: Mapping[str, Any]) -> Model:
+    needed = inspect.signature(function).parameters.values() if inspect.isfunction(function) else ()
+    for p in needed:
+        if p.default is p.empty and p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY) and p.name not in arguments:
+            raise UsageError(f"{path}: model() needs a value for '{p.name}'; give it with --set {p.name}=VALUE, or a default")
+    return _checked(_run(lambda: function(**arguments), path), path)
+
+
+def _checked(found: Any, path: Path) -> Model:
     if not isinstance(found, Model):
-        raise ModelError(f"{path}: model is a {type(found).__name__}; expected one of nsmodel's model classes")
+        raise ModelError(f"{path}: model is of type {type(found).__name__}; expected one of nsmodel's model classes")
     return found
 
 
-def takes(path: str | Path) -> tuple[str, ...]:
-    """Names of the arguments of the file's ``model`` function; empty where ``model`` is not a function."""
-    module = sys.modules.get(f"nsmodel_file_{Path(path).stem}")
-    found = getattr(module, "model", None)
-    return tuple(inspect.signature(found).parameters) if inspect.isfunction(found) else ()
-
-
-def _call(function: Any, path: Path, parameters: dict[str, Any]) -> Any:
-    known = inspect.signature(function).parameters
-    if not any(p.kind is p.VAR_KEYWORD for p in known.values()):
-        for name in parameters:
-            if name not in known:
-                raise UsageError(f"{path}: model() takes no '{name}'; it takes {', '.join(known) or 'nothing'}")
+def _run(action: Callable[[], Any], path: Path) -> Any:
+    """Run code of the file; whatever fails in it becomes an error that names the file and the line."""
     try:
-        return function(**parameters)
-    except NsmodelError:
-        raise
-    except Exception as error:
-        raise ModelError(f"{path}:{_line_in(error, path)}: {type(error).__name__}: {error}") from error
+        return action()
+    except NsmodelError as error:
+        raise type(error)(f"{path}:{_line_in(error, path)}: {error}") from error
+    except (Exception, SystemExit) as error:
+        what = error.msg if isinstance(error, SyntaxError) else error
+        raise ModelError(f"{path}:{_line_in(error, path)}: {type(error).__name__}: {what}") from error
 
 
 def _line_in(error: BaseException, path: Path) -> int | str:
+    """The last line of the file that took part; the line itself for a syntax error."""
+    if isinstance(error, SyntaxError) and error.filename and _same(error.filename, path):
+        return error.lineno or "?"
     trace, line = error.__traceback__, "?"
-    if isinstance(error, SyntaxError) and error.lineno:
-        return error.lineno
     while trace is not None:
-        if Path(trace.tb_frame.f_code.co_filename) == path:
+        if _same(trace.tb_frame.f_code.co_filename, path):
             line = trace.tb_lineno
         trace = trace.tb_next
     return line
+
+
+def _same(name: str, path: Path) -> bool:
+    return Path(name).absolute() == path.absolute()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import csv
+import hashlib
 import io
 import json
 import math
@@ -110,20 +111,31 @@ class ChunkStore:
     """
 
     def __init__(self, directory: str | Path) -> None:
-        """Start a new, empty store; nothing is written before the first ``append``."""
+        """Start a new, empty store; no file is written before the first ``append``.
+
+        StorageError where the directory cannot be made or written: now, and not when hours of work are to be saved.
+        """
         self.directory = Path(directory)
         self._manifest = _manifest([], {}, {})
+        try:
+            self.directory.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise StorageError(f"cannot write into {directory}: {error}; take a folder that is writable") from error
+        if not os.access(self.directory, os.W_OK | os.X_OK):
+            raise StorageError(f"cannot write into {directory}: no permission; take a folder that is writable")
 
     @classmethod
     def open(cls, directory: str | Path) -> ChunkStore:
         """Open the run in ``directory``, and check that each chunk its manifest lists is whole."""
-        store = cls(directory)
-        path = store.directory / MANIFEST
+        path = Path(directory) / MANIFEST
         if not path.exists():
             raise StorageError(f"nothing to resume in {directory}: no {MANIFEST}; start the run without resuming")
+        store = cls(directory)
         manifest = read_json(path)
         if not (isinstance(manifest, dict) and manifest.get("format") == FORMAT and manifest.get("chunks")):
             raise StorageError(f"{path} is not a manifest of format {FORMAT}; start the run without resuming")
+        if manifest.pop("checksum", None) != _checksum(manifest):
+            raise StorageError(f"{path} was changed after it was written; start the run without resuming")
         store._manifest = manifest
         store._layout()
         return store
@@ -175,9 +187,9 @@ class ChunkStore:
         return [self.directory / chunk["file"] for chunk in self._manifest["chunks"]]
 
     def _commit(self, chunks: list[dict[str, Any]], checkpoint: Metadata, metadata: Metadata) -> None:
-        manifest = _manifest(chunks, checkpoint, metadata)
-        write_json(self.directory / MANIFEST, manifest)
-        self._manifest = loads(dumps(manifest))
+        manifest = loads(dumps(_manifest(chunks, checkpoint, metadata)))
+        write_json(self.directory / MANIFEST, manifest | {"checksum": _checksum(manifest)})
+        self._manifest = manifest
 
     def _layout(self) -> Layout:
         """Check the chunks by their headers; return data type and shape of each array of the whole run."""
@@ -267,6 +279,10 @@ def _same_layout(first: Layout, other: Layout, where: Path) -> None:
             raise StorageError(f"array '{name}' in {where} differs from chunk one: expected {expected}, got {got}")
 
 
+def _checksum(manifest: Metadata) -> str:
+    return hashlib.sha256(dumps(manifest).encode()).hexdigest()[:16]
+
+
 def _manifest(chunks: list[dict[str, Any]], checkpoint: Metadata, metadata: Metadata) -> dict[str, Any]:
     rows = sum(chunk["rows"] for chunk in chunks)
     state = {"checkpoint": checkpoint, "metadata": metadata, "status": metadata.get("status", "running")}
@@ -283,9 +299,7 @@ def _reading(path: Path) -> Iterator[zipfile.ZipFile]:
     except FileNotFoundError as error:
         raise StorageError(f"{path} does not exist; check the path, or run the model again") from error
     except MemoryError as error:
-        raise StorageError(
-            f"{path} does not fit in memory ({error}); read it with numpy.load, array by array"
-        ) from error
+        raise StorageError(f"{path} does not fit in memory ({error}); read it with numpy.load, array by array") from error
     except Exception as error:  # damaged bytes make zipfile and numpy raise nearly anything
         fault = f"{path} is not a whole npz file ({error or type(error).__name__})"
         raise StorageError(f"{fault}: it was cut short or another program wrote it; run the model again") from error

@@ -126,9 +126,10 @@ class Trajectory:
         """Return the run in short as numbers, strings, lists and dictionaries; None for what does not apply."""
         return _summary(self)
 
-    def summary_text(self) -> str:
-        """Return the run in short as a table of at most 100 columns."""
-        return _text(_summary(self))
+    def summary_text(self, *, warnings: bool = True) -> str:
+        """Return the run in short as a table of at most 100 columns; ``warnings=False`` leaves those out."""
+        summary = _summary(self)
+        return _text(summary if warnings else summary | {"warnings": []})
 
     def _array(self, name: str) -> np.ndarray:
         if name not in self.arrays:
@@ -241,30 +242,29 @@ def _extra(package: str) -> Any:
 
 
 def _summary(run: Trajectory) -> dict[str, Any]:
-    arrays, about, n, units = run.arrays, run.metadata, len(run), units_of(run)
-    steps = arrays.get("step", np.diff(run.t, prepend=np.nan))[1:]
-    # A residual that is not a number is as unknown as an infinite one.
-    residual = np.nan_to_num(arrays.get("residual", np.zeros(0))[1:], nan=np.inf, posinf=np.inf)
-    worst = int(np.argmax(residual)) + 1 if residual.size else None
-    codes = arrays.get("index_set", np.zeros((0, 0)))[1:]
-    newton = _finite(arrays.get("newton", np.zeros(0))[1:])
-    sweeping = about.get("model_class") == "SweepingProcess"
-    gap = _finite(arrays.get("gap", arrays.get("y", np.zeros(0)))) if sweeping else np.zeros(0)
+    """The numbers of a run; those of all steps come from metadata["totals"] where it is, since rows may be a sample."""
+    arrays, about, units = run.arrays, run.metadata, units_of(run)
+    totals = about.get("totals") or {}
+    steps = arrays.get("step", np.diff(run.t, prepend=np.nan))
+    computed = np.flatnonzero(np.isfinite(steps))
     energy = arrays.get("energy", np.zeros(0))
+    energy = _finite(energy) if energy.ndim == 1 else np.zeros(0)
     return {
         "title": run.title,
         "model_class": about.get("model_class"),
         "scheme": about.get("scheme"),
         "status": run.status,
-        "steps": n,
+        "message": about.get("message") or "",
+        "steps": totals.get("steps", len(run)),
+        "save_every": about.get("save_every", 1),
         "t": {"start": float(run.t[0]), "end": float(run.t[-1]), "unit": units.get("t", "")},
-        "step": {"min": float(steps.min()), "max": float(steps.max())} if n else None,
-        "residual": {"worst": float(residual[worst - 1]), "t": float(run.t[worst]), "row": worst} if worst else None,
-        "index_set_changes": int((codes[1:] != codes[:-1]).any(axis=1).sum()) if codes.size else None,
+        "step": {"min": float(steps[computed].min()), "max": float(steps[computed].max())} if computed.size else None,
+        "residual": _worst(run, totals, computed),
+        "index_set_changes": _changes(run, totals, computed),
         "solver_counts": dict(about.get("solver_counts") or {}),
-        "newton": {"mean": float(newton.mean()), "max": int(newton.max())} if newton.size else None,
-        "gap_min": float(gap.min()) if gap.size else None,
-        "energy": {"start": float(energy[0]), "end": float(energy[-1])} if energy.ndim == 1 and energy.size else None,
+        "newton": _newton(run, totals, computed),
+        **_smallest_gap(run),
+        "energy": {"start": float(energy[0]), "end": float(energy[-1])} if energy.size else None,
         "convergence": about.get("convergence"),
         "final_state": [
             {"name": name, "value": float(value), "unit": units.get(name, "")}
@@ -274,29 +274,75 @@ def _summary(run: Trajectory) -> dict[str, Any]:
     }
 
 
+def _worst(run: Trajectory, totals: dict[str, Any], computed: np.ndarray) -> dict[str, Any] | None:
+    """The largest residual, its time and saved row; None where no step was computed."""
+    if not computed.size or "residual" not in run.arrays:
+        return None
+    if "worst_residual" in totals:
+        worst, t = totals["worst_residual"], totals.get("worst_residual_t")
+        rows = np.flatnonzero(run.t == t) if t is not None else []
+        return {"worst": worst, "t": t, "row": int(rows[0]) if len(rows) else None}
+    # A residual that is not a number is as unknown as an infinite one.
+    residual = np.nan_to_num(run.residual[computed], nan=np.inf, posinf=np.inf)
+    row = int(computed[np.argmax(residual)])
+    return {"worst": float(residual.max()), "t": float(run.t[row]), "row": row}
+
+
+def _changes(run: Trajectory, totals: dict[str, Any], computed: np.ndarray) -> int | None:
+    codes = run.arrays.get("index_set", np.zeros((0, 0)))
+    if not codes.size or not computed.size:
+        return None
+    codes = codes[computed]
+    return totals.get("index_set_changes", int((codes[1:] != codes[:-1]).any(axis=1).sum()))
+
+
+def _newton(run: Trajectory, totals: dict[str, Any], computed: np.ndarray) -> dict[str, Any] | None:
+    if "newton" not in run.arrays or not computed.size:
+        return None
+    counts = sum((run.metadata.get("solver_counts") or {}).values())
+    if "newton" in totals and counts:
+        return {"mean": totals["newton"] / counts, "max": int(totals["newton_max"])}
+    newton = run.arrays["newton"][computed]
+    return {"mean": float(newton.mean()), "max": int(newton.max())}
+
+
+def _smallest_gap(run: Trajectory) -> dict[str, Any]:
+    """The smallest gap of the saved rows of a sweeping process, the constraint and the time."""
+    gap = run.arrays.get("gap", run.arrays.get("y", np.zeros((0, 0))))
+    if run.metadata.get("model_class") != "SweepingProcess" or not np.isfinite(gap).any():
+        return {"gap_min": None, "gap_min_name": None, "gap_min_t": None}
+    row, column = np.unravel_index(np.nanargmin(gap), gap.shape)
+    names = multiplier_names(run)
+    name = names[column] if len(names) == gap.shape[1] else str(column)
+    return {"gap_min": float(gap[row, column]), "gap_min_name": name, "gap_min_t": float(run.t[row])}
+
+
 def _finite(array: np.ndarray) -> np.ndarray:
     return array[np.isfinite(array)]
 
 
 def _text(summary: dict[str, Any]) -> str:
     s, t, changes = summary, summary["t"], summary["index_set_changes"]
+    unit = f" {t['unit']}" if t["unit"] else ""
     counts = sorted(s["solver_counts"].items(), key=lambda item: (-item[1], item[0]))
-    shown = [(one["name"], f"{one['value']: .6g} {one['unit']}") for one in s["final_state"]]
+    # Adding 0 turns -0 into 0.
+    shown = [(one["name"], f"{one['value'] + 0.0: .6g} {one['unit']}") for one in s["final_state"]]
     if len(shown) > _STATES_SHOWN:
         shown = [*shown[: _STATES_SHOWN - 2], (f"... {len(shown) - _STATES_SHOWN + 1} more", ""), shown[-1]]
+    sample = "" if s["save_every"] == 1 else f" (1 row saved of {s['save_every']})"
     lines: dict[str, str | list[str] | None] = {
         "model class": s["model_class"],
         "scheme": s["scheme"] and str(s["scheme"]),
-        "status": s["status"],
-        "steps": f"{s['steps']}, t = {t['start']:.6g} to {t['end']:.6g} {t['unit']}",
-        "step size": s["step"] and _range(s["step"]["min"], s["step"]["max"], t["unit"]),
-        "worst residual": s["residual"] and f"{s['residual']['worst']:.6g} at t = {s['residual']['t']:.6g} {t['unit']}",
+        "status": s["message"] if s["message"].startswith(s["status"]) else ": ".join(filter(None, (s["status"], s["message"]))),
+        "steps": f"{s['steps']}{sample}, t = {t['start']:.6g} to {t['end']:.6g}{unit}",
+        "step size": s["step"] and _range(s["step"]["min"], s["step"]["max"], unit),
+        "worst residual": s["residual"] and f"{s['residual']['worst']:.3g}{_at(s['residual']['t'], unit)}",
         "index set": None if changes is None else f"changed at {changes} step{'' if changes == 1 else 's'}",
         "solver calls": _aligned([(name, f"{int(count):>8d}") for name, count in counts]),
-        "newton": s["newton"] and f"{s['newton']['mean']:.6g} iterations a step, at most {s['newton']['max']}",
-        "smallest gap": None if s["gap_min"] is None else f"{s['gap_min']:.6g}",
+        "newton": s["newton"] and _iterations(s["newton"]["mean"], s["newton"]["max"]),
+        "smallest gap": _gap(s["gap_min"], s["gap_min_name"], s["gap_min_t"], unit),
         "energy": s["energy"] and f"{s['energy']['start']:.6g} at the start, {s['energy']['end']:.6g} at the end",
-        "convergence": s["convergence"] and _convergence(s["convergence"]),
+        "convergence": s["convergence"] and _convergence(s["convergence"], unit),
         "final state": _aligned(shown),
         "warnings": s["warnings"],
     }
@@ -309,6 +355,20 @@ def _text(summary: dict[str, Any]) -> str:
     return "\n".join(table)
 
 
+def _at(t: float | None, unit: str) -> str:
+    return "" if t is None else f" at t = {t:.6g}{unit}"
+
+
+def _gap(value: float | None, name: str, t: float, unit: str) -> str | None:
+    return None if value is None else f"{value:.6g} of '{name}'{_at(t, unit)}"
+
+
+def _iterations(mean: float, most: int) -> str:
+    if mean == most:
+        return f"{most} iteration{'s' if most > 1 else ''} at every step"
+    return f"{mean:.3g} iterations a step, at most {most}"
+
+
 def _aligned(pairs: Sequence[tuple[str, str]]) -> list[str]:
     width = min(max((len(name) for name, _ in pairs), default=0), 40)
     return [f"{name:{width}}  {value}".rstrip() for name, value in pairs]
@@ -316,12 +376,13 @@ def _aligned(pairs: Sequence[tuple[str, str]]) -> list[str]:
 
 def _range(low: float, high: float, unit: str) -> str:
     same = high - low <= 1e-9 * abs(high)
-    return f"{high:.6g} {unit}" if same else f"{low:.6g} to {high:.6g} {unit}"
+    return f"{high:.6g}{unit}" if same else f"{low:.6g} to {high:.6g}{unit}"
 
 
-def _convergence(found: dict[str, Any]) -> str:
-    head = "in finite time" if found.get("finite") else "not shown to be finite"
-    labels = {"n_0": "n_0", "t_0": "t_0", "margin": "margin", "distance": "distance", "theta_prime_0": "theta'(0)"}
-    known = [(label, found[key]) for key, label in labels.items() if found.get(key) is not None]
-    numbers = ", ".join(f"{label}={value if isinstance(value, int) else f'{value:.6g}'}" for label, value in known)
-    return "; ".join(part for part in (head, numbers, found.get("reason")) if part)
+def _convergence(found: dict[str, Any], unit: str) -> list[str]:
+    head = "not shown to be finite"
+    if found.get("finite"):
+        head = f"in finite time: at rest from t = {found['t_0']:.6g}{unit} on, step {found['n_0']}"
+    labels = {"theta_prime_0": "theta'(0)", "distance": "d(0, dg(x))", "margin": "margin"}
+    numbers = ", ".join(f"{label} = {found[key]:.6g}" for key, label in labels.items() if found.get(key) is not None)
+    return [line for line in (head, found.get("reason"), numbers) if line]

@@ -261,7 +261,7 @@ def test_summary_text(run):
         "  solver calls    last index set      4990\n"
         "                  qpoases                3\n"
         "  newton          2 iterations a step, at most 3\n"
-        "  smallest gap    0.25\n"
+        "  smallest gap    0.25 of 'disc' at t = 0.4 s\n"
         "  energy          1 at the start, 0.0909091 at the end\n"
         "  final state     q_0   8 m\n"
         "                  q_1   1 m\n"
@@ -306,7 +306,7 @@ def test_summary_of_bare_and_empty_runs():
 
 
 @pytest.mark.parametrize(
-    ("found", "line"),
+    ("found", "lines"),
     [
         (
             {
@@ -318,16 +318,17 @@ def test_summary_of_bare_and_empty_runs():
                 "theta_prime_0": 1,
                 "reason": "r",
             },
-            "in finite time; n_0=1234567, t_0=0.5, margin=0.1, distance=0, theta'(0)=1; r",
+            ["in finite time: at rest from t = 0.5 s on, step 1234567", "r", "theta'(0) = 1, d(0, dg(x)) = 0, margin = 0.1"],
         ),
         (
             {"finite": False, "n_0": None, "t_0": None, "reason": "the limit is on the boundary"},
-            "not shown to be finite; the limit is on the boundary",
+            ["not shown to be finite", "the limit is on the boundary"],
         ),
     ],
 )
-def test_convergence_is_one_line(found, line):
-    assert f"  convergence     {line}\n" in make_run(convergence=found).summary_text()
+def test_convergence_says_when_why_and_by_how_much(found, lines):
+    text = make_run(convergence=found).summary_text()
+    assert "  convergence     " + ("\n" + " " * 18).join(lines) + "\n" in text
 
 
 def test_table_is_narrow_and_long_states_are_abbreviated():

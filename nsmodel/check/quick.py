@@ -12,17 +12,19 @@ from nsmodel.model.lure import LureSystem
 from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.scheme import catching_up
+from nsmodel.scheme.inertial_proximal import slope_at_zero
 from nsmodel.solve.choose import Plan, least_eigenvalue
 
 SPEEDS = np.concatenate([[0.0], np.logspace(-6, 3, 60)])  # Where theta' and theta'' are sampled.
 
 
 def refuse_start(model: Model) -> None:
-    """Refuse a start outside the set that the state must stay in (S-start).
+    """Refuse a start outside the set that the state must stay in (S-start), and laws that the parameters made empty.
 
     Raises:
-        UsageError: names the constraint, its value and the start.
+        UsageError: names the constraint, its value and the start; the friction element; the term; the law's component.
     """
+    _refuse_ends(model)
     if isinstance(model, SweepingProcess):
         _refuse(model.g, model.multiplier_names, model.t, model.q, model.q0, "q0")
     elif isinstance(model, MonotoneInclusion):
@@ -31,6 +33,39 @@ def refuse_start(model: Model) -> None:
     elif isinstance(model, FrictionOscillator) and model.constraint_names:
         c = ca.vertcat(*model.constraints.values())
         _refuse(c, model.constraint_names, model.t, model.x, model.x0, "x0")
+        if model.x1 is not None:
+            _refuse(c, model.constraint_names, model.t, model.x, model.x1, "x1")
+
+
+def _refuse_ends(model: Model) -> None:
+    """Refuse lower > upper, a radius or weight < 0, theta'(0) < 0: with numbers for the parameters each has a sign."""
+    values = getattr(model, "bound_parameters", {})
+    given = " with " + ", ".join(f"{name} = {value:g}" for name, value in values.items()) if values else ""
+    for element in getattr(model, "elements", ()):
+        slope = float(ca.DM(slope_at_zero(element, model.s)))
+        if not 0 <= slope < np.inf:
+            raise UsageError(
+                f"friction '{element.name}': theta = {element.theta} has theta'(0) = {slope:g}{given}; "
+                "the friction force at rest must be a finite number >= 0"
+            )
+    split = getattr(model, "potential_split", getattr(model, "phi_split", None))
+    for term in split.terms if split is not None else ():
+        if term.weight.is_constant() and not 0 <= float(term.weight) < np.inf:
+            raise UsageError(
+                f"{'potential' if isinstance(model, FrictionOscillator) else 'phi'}: the term '{term.kind}' of {term.u} has the "
+                f"weight {float(term.weight):g}{given}; a convex potential needs finite weights >= 0"
+            )
+    for block in model.law.blocks if getattr(model, "law", None) is not None else ():
+        for i in range(block.size):
+            low, high = float(block.lower[i]), float(block.upper[i])
+            if block.kind == "ball" and not 0 <= high < np.inf:
+                raise UsageError(f"law: the ball has the radius {high:g}{given}; expected a finite number >= 0")
+            if not low <= high:
+                raise UsageError(f"law: {block.label} has lower[{i}] = {low:g} above upper[{i}] = {high:g}{given}")
+    if isinstance(model, MonotoneInclusion):
+        low, high = (np.array(ca.DM(bound)).ravel() for bound in (model.lower, model.upper))
+        for i in np.flatnonzero(~(low < high)):
+            raise UsageError(f"lower[{i}] = {low[i]:g}, upper[{i}] = {high[i]:g}{given}: C needs an interior, lower < upper")
 
 
 def _refuse(g: ca.SX, names: tuple[str, ...], t: ca.SX, q: ca.SX, start: ca.SX, label: str) -> None:
@@ -110,6 +145,10 @@ def _friction(model: FrictionOscillator) -> list[str]:
             s = SPEEDS[int(np.nanargmin(second))]
             found.append(f"theta of '{element.name}' is not convex: theta''({s:.3g}) = {np.nanmin(second):.3g} < 0")
     x0 = np.array(ca.DM(model.x0)).ravel()
+    if model.damping is not None:
+        least = least_eigenvalue(np.array(ca.DM(model.damping)))
+        if least < -1e-12:
+            found.append(f"damping is not positive semidefinite (least eigenvalue of its scaled symmetric part {least:.3g})")
     smooth = model.potential_split.smooth
     if ca.jacobian(ca.gradient(smooth, model.x), model.x).nnz() and not model.potential_split.tau.numel():
         H = np.array(ca.Function("H", [model.x], [ca.hessian(smooth, model.x)[0]])(x0))

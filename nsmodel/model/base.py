@@ -12,14 +12,16 @@ from typing import Any, Self
 import casadi as ca
 import numpy as np
 
-from nsmodel.errors import ModelError, UsageError
+from nsmodel.errors import ModelError, NsmodelError, UsageError
 from nsmodel.model.convert import Converter, Declared, declare
 
 # Attributes of every Trajectory: a state may not take these names.
 RESERVED = frozenset(
     "t multipliers y index_set residual step active status title arrays metadata multiplier save load to_csv to_xarray "
-    "plot summary summary_text energy reactions newton gap".split()
+    "plot summary summary_text energy reactions newton gap residual_R residual_Ry residual_Rr defect selection "
+    "predictor_distance excess tolerance".split()
 )
+COMPARISONS = (ca.OP_LE, ca.OP_LT, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_NOT)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,10 +60,12 @@ class Model:
     def _settle(self, state: str, **symbols: Any) -> Converter:
         """Declare t, the state and the other symbols, check the common arguments, return the converter."""
         declared = {label: declare(value, label) for label, value in symbols.items() if value is not None}
+        if state not in declared or not declared[state].names:
+            raise ModelError(f"{state}: no state symbols are given; give for example {state}=ca.SX.sym('{state}', 2)")
         time = declare(ca.SX.sym("t") if self.t is None else self.t, "t")
         if len(time.names) != 1:
             raise ModelError(f"t: {len(time.names)} symbols given; expected one scalar time symbol")
-        p, values = _parameters(self.parameters)
+        p, values = parameter_symbols(self.parameters)
         known = [*([] if self.t is None else [time]), *declared.values(), *p]
         converter = Converter(known)
         own = declared[state]
@@ -72,45 +76,49 @@ class Model:
             parameters=MappingProxyType(values),
             names=tuple(names),
             stems=MappingProxyType(stems),
-            units=MappingProxyType(dict(self.units)),
+            units=MappingProxyType(_units(self.units)),
+            title="" if self.title is None else str(self.title),
             **{label: item.sx for label, item in declared.items()},
         )
         self._set(**_grid(self.t_end, self.step, self.steps))
         if self.exact is not None and not callable(self.exact):
-            column = self._vector(converter, self.exact, "exact", len(names))
-            self._set(exact=_sampled(ca.Function("exact", [self.t], [column]), len(names)))
+            self._set(exact=self._vector(converter, self.exact, "exact", len(names), [self.t]))
+            if not self.p.numel():
+                self._set(exact=_sampled(self.t, self.exact))
         return converter
 
-    def _vector(self, converter: Converter, value: Any, label: str, size: int, allow: Sequence[ca.SX] | None = None) -> ca.SX:
-        """A column of ``size`` expressions; a scalar 0 stands for zeros; only the symbols in ``allow`` where given."""
+    def _vector(
+        self, converter: Converter, value: Any, label: str, size: int, allow: Sequence[ca.SX], *, infinite: bool = False
+    ) -> ca.SX:
+        """A column of ``size`` expressions of the symbols in ``allow``; a scalar 0 stands for zeros."""
         column = ca.densify(ca.SX(converter.convert(value, label)))
         if column.shape[0] == 1 and column.shape[1] == size:
             column = column.T
         if column.numel() == 1 and size != 1 and column.is_zero():
             column = ca.SX.zeros(size)
         if column.shape != (size, 1):
-            raise ModelError(f"{label}: shape {column.shape}; expected {size} entries, one for each of {size} components")
-        if allow is not None:
-            self._only(column, label, allow)
+            expected = "one scalar expression" if size == 1 else f"a column of {size} entries"
+            raise ModelError(f"{label}: shape {column.shape}; expected {expected}")
+        self._only(column, label, allow)
+        if not infinite:
+            refuse_infinite(column, label)
         return column
 
-    def _matrix(self, converter: Converter, value: Any, label: str, shape: tuple[int, int]) -> ca.SX:
+    def _matrix(self, converter: Converter, value: Any, label: str, shape: tuple[int, int], why: str) -> ca.SX:
         """A matrix of numbers or expressions of the parameters, of the given shape; vectors are laid along it."""
         matrix = ca.densify(ca.SX(converter.convert(value, label)))
         if matrix.shape != shape and matrix.shape == shape[::-1] and 1 in shape:
             matrix = matrix.T
         if matrix.shape != shape:
-            raise ModelError(f"{label}: shape {matrix.shape}; expected {shape} (rows, columns)")
-        self._only(matrix, label, [self.t])
+            hint = "; it seems to be transposed" if matrix.shape == shape[::-1] else ""
+            raise ModelError(f"{label}: shape {matrix.shape}; expected {shape}, {why}{hint}")
+        self._only(matrix, label, [])
+        refuse_infinite(matrix, label)
         return matrix
 
     def _numbers(self, converter: Converter, value: Any, label: str, size: int) -> ca.SX:
         """A start value: ``size`` finite numbers, or expressions of the parameters."""
-        column = self._vector(converter, value, label, size, [])
-        for i in range(size):
-            if column[i].is_constant() and not np.isfinite(float(column[i])):
-                raise ModelError(f"{label}[{i}] = {float(column[i])}; expected a finite number")
-        return column
+        return self._vector(converter, value, label, size, [])
 
     def _only(self, expression: ca.SX, label: str, allow: Sequence[ca.SX]) -> None:
         allowed = {str(s) for group in [*allow, self.p] for s in ca.symvar(ca.SX(group))}
@@ -121,13 +129,21 @@ class Model:
                     f"{', '.join(sorted(allowed)) or 'numbers'}; move that term elsewhere"
                 )
 
-    def _named_constraints(self, converter: Converter, constraints: Any, label: str) -> tuple[dict[str, ca.SX], list[str]]:
+    def _named_constraints(
+        self, converter: Converter, constraints: Any, allow: Sequence[ca.SX]
+    ) -> tuple[dict[str, ca.SX], list[str]]:
         """{name: column of expressions >= 0} and one name for each row."""
+        constraints = {} if constraints is None else constraints
         if not isinstance(constraints, Mapping):
-            raise ModelError(f"{label}: expected a dictionary {{name: expression >= 0}}, not a {type(constraints).__name__}")
+            raise ModelError(f"constraints: expected a dictionary {{name: expression >= 0}}, not a {type(constraints).__name__}")
         columns, names = {}, []
         for name, value in constraints.items():
-            column = ca.densify(ca.vec(ca.SX(converter.convert(value, f"constraint '{name}'"))))
+            label = f"constraint '{name}'"
+            column = ca.densify(ca.vec(ca.SX(converter.convert(value, label))))
+            for row in ca.vertsplit(column):
+                if row.op() in COMPARISONS:
+                    raise ModelError(f"{label}: {row} is a comparison; give the expression that stays >= 0, such as q[0] - 1")
+            self._only(column, label, allow)
             columns[str(name)] = column
             names += [str(name)] if column.numel() == 1 else [f"{name}[{i}]" for i in range(column.numel())]
         return columns, names
@@ -138,7 +154,10 @@ class Model:
         Raises:
             UsageError: an unknown name in ``values``, or a parameter without a value.
         """
-        values = dict(values or {})
+        values = {} if values is None else values
+        if not isinstance(values, Mapping):
+            raise UsageError(f"parameters: expected a dictionary {{name: value}}, not a {type(values).__name__}")
+        values = {str(name): value for name, value in values.items()}
         for name in values:
             if name not in self.parameters:
                 hint = difflib.get_close_matches(name, list(self.parameters), 1)
@@ -149,7 +168,8 @@ class Model:
         numbers = {**self.parameters, **values}
         missing = [name for name, value in numbers.items() if value is None]
         if missing:
-            raise UsageError(f"parameter '{missing[0]}' has no value; give it with --set {missing[0]}=VALUE or set={{...}}")
+            name = missing[0]
+            raise UsageError(f"parameter '{name}' has no value; give it with --set {name}=VALUE or parameters={{...}}")
         checked = {name: _number(value, f"parameter '{name}'") for name, value in numbers.items()}
         if not checked:
             return self
@@ -170,10 +190,20 @@ class Model:
         bound = copy(self)
         bound._set(**{name: put(value) for name, value in vars(self).items() if name not in ("p", "t", "parameters")})
         bound._set(p=ca.SX(0, 1), parameters=MappingProxyType({}), bound_parameters=MappingProxyType(checked))
+        bound._refuse_undefined(", ".join(f"{name} = {value:g}" for name, value in checked.items()))
+        if isinstance(bound.exact, ca.SX):
+            bound._set(exact=_sampled(bound.t, bound.exact))
         return bound
 
+    def _refuse_undefined(self, given: str) -> None:
+        """Refuse entries that the parameters made infinite or NaN; bounds and the ends of a law may be infinite."""
+        for name, value in vars(self).items():
+            if isinstance(value, ca.SX) and name not in ("lower", "upper"):
+                refuse_infinite(value, f"with {given}, {name}", UsageError)
 
-def _parameters(given: Any) -> tuple[list[Declared], dict[str, float | None]]:
+
+def parameter_symbols(given: Any) -> tuple[list[Declared], dict[str, float | None]]:
+    """The symbols of the parameters, and {name: value} of each scalar."""
     if not isinstance(given, Mapping):
         raise ModelError(f"parameters: expected a dictionary {{symbol or name: value}}, not a {type(given).__name__}")
     symbols, values = [], {}
@@ -182,17 +212,38 @@ def _parameters(given: Any) -> tuple[list[Declared], dict[str, float | None]]:
         for name in symbol.names:
             if name in values:
                 raise ModelError(f"parameters: '{name}' is declared twice; keep one")
-        numbers = [None] * len(symbol.names) if value is None else np.ravel(value).tolist()
+        numbers = [None] * len(symbol.names) if value is None else _listed(value)
         if len(numbers) != len(symbol.names):
-            raise ModelError(f"parameter '{symbol.stem}': {len(numbers)} values for {len(symbol.names)} symbols")
+            own = ", ".join(symbol.names)
+            raise ModelError(f"parameter '{symbol.stem or own}': {len(numbers)} values for {len(symbol.names)} symbols ({own})")
         for name, number in zip(symbol.names, numbers, strict=True):
             values[name] = None if number is None else _number(number, f"parameter '{name}'")
         symbols.append(symbol)
     return symbols, values
 
 
+def refuse_infinite(matrix: ca.SX, label: str, error: type[NsmodelError] = ModelError) -> None:
+    """Refuse a constant entry that is not finite."""
+    symbols = ca.vertcat(ca.SX(0, 1), *ca.symvar(matrix))
+    values = ca.Function("values", [symbols], [ca.densify(matrix)])(np.full(symbols.numel(), 0.7))
+    for i, j in np.argwhere(~np.isfinite(np.array(values))):
+        entry = matrix[int(i), int(j)]
+        if entry.is_constant():
+            index = "" if matrix.numel() == 1 else f"[{i}]" if matrix.shape[1] == 1 else f"[{i}, {j}]"
+            raise error(f"{label}{index} = {float(entry)}; expected a finite number")
+
+
+def _listed(value: Any) -> list[Any]:
+    """The values given for the symbols of one parameter."""
+    if isinstance(value, ca.DM | np.ndarray):
+        return np.array(value).ravel().tolist()
+    return list(value) if isinstance(value, list | tuple) else [value]
+
+
 def _number(value: Any, label: str) -> float:
     try:
+        if isinstance(value, str | bool | np.bool_ | ca.SX | ca.MX):
+            raise TypeError
         number = float(value)
     except (TypeError, ValueError, RuntimeError):
         raise ModelError(f"{label} = {value!r} is not a number") from None
@@ -201,11 +252,19 @@ def _number(value: Any, label: str) -> float:
     return number
 
 
+def _units(units: Any) -> dict[str, str]:
+    given = {} if units is None else units
+    if not isinstance(given, Mapping) or not all(isinstance(part, str) for pair in given.items() for part in pair):
+        raise ModelError(f"units: {given!r}; expected a dictionary {{name: unit}} of strings, such as {{'t': 's', 'q': 'm'}}")
+    return dict(given)
+
+
 def _state_names(names: Sequence[str] | None, state: Declared, label: str) -> tuple[list[str], dict[str, list[int]]]:
     n = len(state.names)
     if names is not None:
-        if isinstance(names, str) or len(names) != n:
-            raise ModelError(f"names: {names!r}; expected {n} names, one for each of {', '.join(state.names)}")
+        listed = isinstance(names, list | tuple | np.ndarray) and all(isinstance(name, str) and name for name in names)
+        if not listed or len(names) != n:
+            raise ModelError(f"names: {names!r}; expected a list of {n} names, one for each of {', '.join(state.names)}")
         chosen, stems = list(map(str, names)), {str(name): [i] for i, name in enumerate(names)}
     elif state.stem is not None:
         chosen, stems = list(state.names), {state.stem: list(range(n))}
@@ -223,7 +282,12 @@ def _grid(t_end: Any, step: Any, steps: Any) -> dict[str, Any]:
     if steps is not None:
         if step is not None:
             raise ModelError("step and steps are both given; keep one")
-        array = np.asarray(steps, float).ravel()
+        try:
+            array = np.asarray(steps, float)
+        except (TypeError, ValueError, RuntimeError):
+            array = None
+        if array is None or array.ndim != 1:
+            raise ModelError(f"steps: expected a list or 1-D array of numbers > 0, not {shown(steps)}")
         bad = np.flatnonzero(~(np.isfinite(array) & (array > 0)))
         if bad.size or not array.size:
             where = f"steps[{bad[0]}] = {array[bad[0]]:g}" if bad.size else "steps is empty"
@@ -241,7 +305,15 @@ def _grid(t_end: Any, step: Any, steps: Any) -> dict[str, Any]:
     return found
 
 
-def _sampled(function: ca.Function, n: int) -> Callable[[Any], np.ndarray]:
+def shown(value: Any) -> str:
+    """A value as a message shows it: short, with its type."""
+    text = " ".join(repr(value).split())
+    return f"{text if len(text) <= 60 else text[:57] + '...'} (a {type(value).__name__})"
+
+
+def _sampled(t: ca.SX, column: ca.SX) -> Callable[[Any], np.ndarray]:
+    function, n = ca.Function("exact", [t], [column]), column.numel()
+
     def exact(t: Any) -> np.ndarray:
         times = np.atleast_1d(np.asarray(t, float))
         return np.array(function.map(len(times))(times[None, :])).reshape(n, -1).T

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from numbers import Real
 from typing import Any, ClassVar
 
 import casadi as ca
 
 from nsmodel.errors import ModelError
-from nsmodel.model.base import Model
+from nsmodel.model.base import Model, shown
+from nsmodel.model.convert import Converter
 from nsmodel.model.laws import Law
 
 
@@ -53,7 +55,7 @@ class FirstOrderSystem(Model):
         if any(given.values()) and not all(given.values()):
             missing = [name for name, there in given.items() if not there]
             raise ModelError(f"{', '.join(missing)} missing: lam, h, g and law are given together, or none of them")
-        law = Law(()) if self.law is None else checked_law(self.law)
+        law = Law(()) if self.law is None else checked_law(self, c, self.law)
         lam = ca.SX(0, 1) if self.lam is None else self.lam
         m = lam.numel()
         if law.size != m:
@@ -63,25 +65,30 @@ class FirstOrderSystem(Model):
             f=self._vector(c, self.f, "f", n, [self.t, self.x]),
             h=self._vector(c, [] if self.h is None else self.h, "h", m, [self.t, self.x, lam]) if m else ca.SX(0, 1),
             g=self._vector(c, 0 if self.g is None else self.g, "g", n, [self.t, self.x, lam]),
-            M=ca.SX.eye(n) if self.M is None else self._matrix(c, self.M, "M", (n, n)),
+            M=ca.SX.eye(n) if self.M is None else self._matrix(c, self.M, "M", (n, n), f"as there are {n} states"),
             law=law,
             x0=self._numbers(c, self.x0, "x0", n),
             lam0=self._numbers(c, 0 if self.lam0 is None else self.lam0, "lam0", m) if m else ca.SX(0, 1),
             multiplier_names=tuple(str(symbol) for symbol in ca.vertsplit(lam)) if m else (),
         )
-        self._only(self.M, "M", [])
         check_weights(self.theta, self.gamma)
 
 
-def checked_law(law: Any) -> Law:
-    """Return ``law`` if it is one, else say what a law looks like."""
+def checked_law(model: Model, converter: Converter, law: Any, label: str = "law") -> Law:
+    """Return ``law`` with its ends in the symbols of the model's parameters; refuse what is no law, and other symbols."""
     if not isinstance(law, Law):
-        raise ModelError(f"law: expected a law such as complementarity(2) or relay(1, -1, 1), not {law!r}")
-    return law
+        raise ModelError(f"{label}: expected a law such as complementarity(2) or relay(1, -1, 1), not {shown(law)}")
+
+    def end(value: ca.SX, name: str) -> ca.SX:
+        column = converter.convert(value, f"{label}: {name}")
+        model._only(column, f"{label}: {name}", [])
+        return column
+
+    return Law(tuple(replace(b, lower=end(b.lower, "lower"), upper=end(b.upper, "upper")) for b in law.blocks))
 
 
 def check_weights(theta: Any, gamma: Any) -> None:
     """Refuse theta and gamma outside [0, 1]."""
     for name, value in (("theta", theta), ("gamma", gamma)):
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1:
+        if isinstance(value, bool) or not isinstance(value, Real) or not 0 <= value <= 1:
             raise ModelError(f"{name} = {value!r}; expected a number in [0, 1]")

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError
-from nsmodel.model.base import Model
+from nsmodel.model.base import Model, shown
 from nsmodel.model.convex import ConvexSplit, split, split_discontinuities
+from nsmodel.model.first_order import checked_law
 from nsmodel.model.laws import Law
 
 DOMAIN = ("indicator", "cone")  # Terms of a potential that bound its domain.
@@ -51,15 +53,15 @@ class MonotoneInclusion(Model):
     def __post_init__(self) -> None:
         c = self._settle("x", x=self.x)
         n = len(self.names)
+        if "v" in self.stems:
+            raise ModelError("x: the state 'v' clashes with run.v, the velocity; rename it, or give names=[...]")
         lower, upper = self._bound(c, self.lower, "lower", -np.inf), self._bound(c, self.upper, "upper", np.inf)
         operator, potential, lower, upper = self._operator(c, n, lower, upper)
         for i in range(n):
             a, b = lower[i], upper[i]
             if a.is_constant() and b.is_constant() and not float(a) < float(b):
                 raise ModelError(f"lower[{i}] = {float(a):g}, upper[{i}] = {float(b):g}: C needs an interior, lower < upper")
-        constraints, names = self._named_constraints(c, self.constraints or {}, "constraints")
-        for name, column in constraints.items():
-            self._only(column, f"constraint '{name}'", [self.x])
+        constraints, names = self._named_constraints(c, self.constraints, [self.x])
         if potential is not None:
             for i, term in enumerate(term for term in potential.terms if term.kind in DOMAIN):
                 rows = term.u if term.kind == "indicator" else term.u[0] - ca.norm_2(term.u[1:])
@@ -83,7 +85,7 @@ class MonotoneInclusion(Model):
     def _bound(self, c: Any, value: Any, label: str, default: float) -> ca.SX:
         n = len(self.names)
         column = ca.vec(ca.SX(c.convert(default if value is None else value, label)))
-        return self._vector(c, ca.repmat(column, n, 1) if column.numel() == 1 else column, label, n, [])
+        return self._vector(c, ca.repmat(column, n, 1) if column.numel() == 1 else column, label, n, [], infinite=True)
 
     def _operator(self, c: Any, n: int, lower: ca.SX, upper: ca.SX) -> tuple[ca.SX, ConvexSplit | None, ca.SX, ca.SX]:
         if self.operator is not None and self.phi is not None:
@@ -91,12 +93,12 @@ class MonotoneInclusion(Model):
         if self.phi is not None:
             potential = split(self._vector(c, self.phi, "phi", 1, [self.x]), self.x, "phi")
             if potential.tau.numel():
-                raise ModelError("phi: nested nonsmooth terms have no explicit selection; write phi as a sum of fabs, fmax, norm_2")
+                raise ModelError("phi: nested nonsmooth terms have no explicit selection; write a sum of fabs, fmax, norm_2")
             if any(term.kind == "equality" for term in potential.terms):
                 raise ModelError("phi: an equality leaves C without interior; eliminate a state instead")
             return ca.SX.zeros(n), potential, lower, upper
         if isinstance(self.operator, Law):
-            return self._from_law(self.operator, n, lower, upper)
+            return self._from_law(checked_law(self, c, self.operator, "operator"), n, lower, upper)
         zero = self.operator is None
         return self._vector(c, 0 if zero else self.operator, "operator", n, [self.x]), None, lower, upper
 
@@ -119,11 +121,34 @@ class MonotoneInclusion(Model):
         return S, None, lower, upper
 
     def _check_tolerances(self) -> None:
-        if self.tolerances is None or callable(self.tolerances):
+        if self.tolerances is None:
             return
-        values = np.atleast_1d(np.asarray(self.tolerances, float))
+        if callable(self.tolerances):
+            self._set(tolerances=_checked(self.tolerances))
+            return
+        try:
+            values = np.atleast_1d(np.asarray(self.tolerances, float))
+        except (TypeError, ValueError, RuntimeError):
+            values = np.zeros(0)
+        if values.ndim != 1 or not values.size:
+            raise ModelError(
+                f"tolerances: expected a number, a sequence of numbers or a function of the step, not {shown(self.tolerances)}"
+            )
         bad = np.flatnonzero(~(np.isfinite(values) & (values >= 0)))
         if bad.size:
             raise ModelError(f"tolerances[{bad[0]}] = {values[bad[0]]:g}; expected finite numbers >= 0")
         if self.steps is not None and values.size not in (1, len(self.steps)):
             raise ModelError(f"tolerances: {values.size} values for {len(self.steps)} steps; give one for each")
+
+
+def _checked(function: Callable[[float], float]) -> Callable[[float], float]:
+    def tolerance(h: float) -> float:
+        try:
+            value = function(h)
+        except Exception as error:
+            raise ModelError(f"tolerances: called with the step {h:g}, the function fails: {error}") from error
+        if not isinstance(value, Real) or not 0 <= value < np.inf:
+            raise ModelError(f"tolerances({h:g}) = {value!r}; expected a finite number >= 0")
+        return float(value)
+
+    return tolerance

@@ -79,18 +79,18 @@ def relay(m: int, lower: Any = -1, upper: Any = 1) -> Law:
 
 def box(lower: Any, upper: Any) -> Law:
     """-y ∈ N_[lower, upper](l); an infinite end is allowed on one or both sides. The longer argument gives m."""
-    m = max(_length(lower), _length(upper))
+    ends = {"lower": lower, "upper": upper}
+    m = max(_entries("box", name, end).numel() for name, end in ends.items())
     return _boxes("box", m, lower, upper)
 
 
 def ball(m: int, radius: Any = 1) -> Law:
     """-y ∈ N(l) for {|l| <= radius} in R^m: isotropic Coulomb friction; l = -radius y/|y| where y != 0."""
-    m = _count("ball", m)
-    if m == 1:
-        return _boxes("relay", 1, -ca.SX(radius), radius)
-    r = _column("ball", "radius", radius, 1)
+    m, r = _count("ball", m), _column("ball", "radius", radius, 1)
     if r.is_constant() and not 0 <= float(r) < np.inf:
         raise ModelError(f"ball: radius = {float(r):g} must be finite and not negative")
+    if m == 1:
+        return _boxes("relay", 1, -r, r)
     return Law((Block("ball", "ball", m, -ca.SX.inf(m), ca.repmat(r, m, 1)),))
 
 
@@ -105,9 +105,11 @@ def second_order_cone(m: int) -> Law:
 def polyhedron(H: Any, K: Any) -> Law:
     """-y ∈ N(l) for {l : H l >= K}; H (r, m), K (r,), numbers."""
     try:
-        h, k = np.atleast_2d(np.asarray(H, float)), np.atleast_1d(np.asarray(K, float))
-    except (TypeError, ValueError, RuntimeError) as error:
-        raise ModelError(f"polyhedron: H and K must be numbers ({error})") from None
+        if isinstance(H, ca.SX | ca.MX) or isinstance(K, ca.SX | ca.MX):
+            raise TypeError
+        h, k = np.atleast_2d(np.asarray(H, float)), np.ravel(np.asarray(K, float))
+    except (TypeError, ValueError, RuntimeError):
+        raise ModelError(f"polyhedron: H = {H!r}, K = {K!r}; expected numbers") from None
     if h.ndim != 2 or k.shape != (h.shape[0],):
         raise ModelError(f"polyhedron: H has shape {h.shape} and K {k.shape}; expected (r, m) and (r,) with the same r")
     if not (np.isfinite(h).all() and np.isfinite(k).all()):
@@ -145,20 +147,23 @@ def _count(label: str, m: Any) -> int:
     return int(m)
 
 
-def _length(value: Any) -> int:
-    return int(value.numel()) if isinstance(value, ca.SX | ca.DM) else int(np.size(value))
+def _entries(label: str, name: str, value: Any) -> ca.SX:
+    """The numbers or expressions in ``value`` as a column."""
+    try:
+        if isinstance(value, ca.MX):
+            raise TypeError
+        column = value if isinstance(value, ca.SX) else ca.vertcat(ca.SX(0, 1), *map(ca.SX, np.ravel(value)))
+    except (NotImplementedError, TypeError, ValueError, RuntimeError):
+        raise ModelError(f"{label}: {name} = {value!r}; expected a number, a list of numbers or a CasADi SX") from None
+    return ca.densify(ca.vec(column))
 
 
 def _column(label: str, name: str, value: Any, m: int) -> ca.SX:
-    try:
-        column = value if isinstance(value, ca.SX) else ca.vertcat(ca.SX(0, 1), *map(ca.SX, np.ravel(value)))
-    except (NotImplementedError, TypeError, RuntimeError) as error:
-        raise ModelError(f"{label}: {name} = {value!r} is not a number, a list of numbers or a CasADi SX ({error})") from None
-    column = ca.densify(ca.vec(column))
+    column = _entries(label, name, value)
     if column.numel() == 1 and m != 1:
         column = ca.repmat(column, m, 1)
     if column.numel() != m:
-        raise ModelError(f"{label}: {name} has {column.numel()} values; expected 1 or {m}")
+        raise ModelError(f"{label}: {name} has {column.numel()} values; expected {'1' if m == 1 else f'1 or {m}'}")
     for i in range(m):
         if column[i].is_constant() and np.isnan(float(column[i])):
             raise ModelError(f"{label}: {name}[{i}] is NaN; give a number or +-inf")

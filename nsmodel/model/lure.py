@@ -8,7 +8,8 @@ from typing import Any, ClassVar
 import casadi as ca
 
 from nsmodel.errors import ModelError
-from nsmodel.model.base import Model
+from nsmodel.model.base import Model, parameter_symbols
+from nsmodel.model.convert import Converter
 from nsmodel.model.convex import split
 from nsmodel.model.first_order import check_weights, checked_law
 from nsmodel.model.laws import Law
@@ -45,37 +46,52 @@ class LureSystem(Model):
     theta: float = 1.0
     gamma: float = 1.0
 
-    paper: ClassVar[str] = "Brogliato and Goeleven, Existence, uniqueness of solutions and stability of nonsmooth multivalued Lur'e systems (2013)"
+    paper: ClassVar[str] = (
+        "Brogliato and Goeleven, Existence, uniqueness of solutions and stability of nonsmooth multivalued Lur'e systems (2013)"
+    )
 
     def __post_init__(self) -> None:
-        anonymous = self.x is None
-        n_start = 1 if isinstance(self.x0, int | float) else len(self.x0) if hasattr(self.x0, "__len__") else self.x0.numel()
-        c = self._settle("x", x=ca.SX.sym("x", n_start) if anonymous else self.x, y=self.y)
+        c = self._settle("x", x=ca.SX.sym("x", self._count_states()) if self.x is None else self.x, y=self.y)
         n = len(self.names)
         if (self.law is None) == (self.phi is None):
             raise ModelError("law and phi: give exactly one of them (phi with its symbols y=)")
         if self.phi is not None and self.y is None:
             raise ModelError("phi: declare its argument with y=")
-        law = None if self.law is None else checked_law(self.law)
+        law = None if self.law is None else checked_law(self, c, self.law)
         m = self.y.numel() if law is None else law.size
-        A = ca.densify(ca.SX(c.convert(self.A, "A")))
-        linear = A.shape == (n, n) and not ca.depends_on(A, self.x)
-        if linear:
-            self._only(A, "A", [])
-        A = ca.mtimes(A, self.x) if linear else self._vector(c, self.A, "A", n, [self.x])
+        what = f"{m} components of the law" if law is not None else f"{m} symbols of y"
+        square = f"a row and a column for each of {what}"
         self._set(
-            A=A,
-            B=self._matrix(c, self.B, "B", (n, m)),
-            C=self._matrix(c, self.C, "C", (m, n)),
-            D=ca.SX.zeros(m, m) if self.D is None else self._matrix(c, self.D, "D", (m, m)),
+            A=self._rate(c, n),
+            B=self._matrix(c, self.B, "B", (n, m), f"a row for each of {n} states, a column for each of {what}"),
+            C=self._matrix(c, self.C, "C", (m, n), f"a row for each of {what}, a column for each of {n} states"),
+            D=ca.SX.zeros(m, m) if self.D is None else self._matrix(c, self.D, "D", (m, m), square),
             f=self._vector(c, 0 if self.f is None else self.f, "f", n, [self.t]),
             law=law,
             x0=self._numbers(c, self.x0, "x0", n),
             multiplier_names=tuple(f"l_{i}" for i in range(m)),
         )
-        for name in "BCD":
-            self._only(getattr(self, name), name, [])
         if law is None:
             phi = self._vector(c, self.phi, "phi", 1, [self.y])
             self._set(phi=phi, phi_split=split(phi, self.y, "phi"))
         check_weights(self.theta, self.gamma)
+
+    def _count_states(self) -> int:
+        """The number of entries of x0, where no state symbols are given."""
+        x0 = Converter(parameter_symbols(self.parameters)[0]).convert(self.x0, "x0")
+        if not x0.numel() or 1 not in x0.shape:
+            raise ModelError(f"x0: shape {x0.shape}; expected a column, one number for each state")
+        return x0.numel()
+
+    def _rate(self, c: Converter, n: int) -> ca.SX:
+        """A x for a matrix of numbers, else the n expressions."""
+        A = ca.densify(ca.SX(c.convert(self.A, "A")))
+        if ca.depends_on(A, self.x):
+            if A.shape == (n, n) and n > 1:
+                raise ModelError(f"A: a matrix {A.shape} with entries of x; write the product with x, as {n} expressions")
+            return self._vector(c, A, "A", n, [self.x])
+        if A.is_zero() and A.numel() == 1:
+            return ca.SX.zeros(n)
+        states = f"{n} state{'s' if n > 1 else ''} {', '.join(self.names[:3])}{', ...' if n > 3 else ''}"
+        why = f"a row and a column for each of {states}; or give {n} expression{'s' if n > 1 else ''} of the state"
+        return ca.mtimes(self._matrix(c, A, "A", (n, n), why), self.x)

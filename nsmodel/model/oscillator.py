@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 import casadi as ca
 
 from nsmodel.errors import ModelError
-from nsmodel.model.base import Model
+from nsmodel.model.base import Model, refuse_infinite, shown
 from nsmodel.model.convex import split
 
 
@@ -59,14 +59,15 @@ class FrictionOscillator(Model):
         if self.v0 is not None and self.x1 is not None:
             raise ModelError("v0 and x1 are both given; keep v0 (a velocity) or x1 (the second position)")
         potential = self._vector(c, self.potential, "potential", 1, [self.x])
-        constraints, names = self._named_constraints(c, self.constraints or {}, "constraints")
-        for name, column in constraints.items():
-            self._only(column, f"constraint '{name}'", [self.x])
+        constraints, names = self._named_constraints(c, self.constraints, [self.x])
+        damping = self.damping
+        if damping is not None:
+            damping = self._matrix(c, damping, "damping", (n, n), f"as there are {n} states")
         self._set(
             potential=potential,
             potential_split=split(potential, self.x, "potential"),
             elements=tuple(self._elements(c, n)),
-            damping=None if self.damping is None else self._matrix(c, self.damping, "damping", (n, n)),
+            damping=damping,
             constraints=constraints,
             constraint_names=tuple(names),
             x0=self._numbers(c, self.x0, "x0", n),
@@ -84,12 +85,13 @@ class FrictionOscillator(Model):
         for name, item in given.items():
             label = f"friction '{name}'"
             if not isinstance(item, tuple | list) or len(item) != 2:
-                raise ModelError(f"{label}: expected a pair (H, theta), H with {n} columns, not {item!r}")
+                raise ModelError(f"{label}: expected a pair (H, theta), H with {n} columns, not {shown(item)}")
             H = ca.densify(ca.SX(c.convert(item[0], f"{label} H")))
             H = H.T if H.shape[1] == 1 and n != 1 else H
             if H.shape[1] != n or H.shape[0] == 0:
                 raise ModelError(f"{label}: H has shape {H.shape}; expected (m, {n}), one column for each state")
             self._only(H, f"{label} H", [])
+            refuse_infinite(H, f"{label} H")
             theta = self._vector(c, item[1], f"{label} theta", 1, [self.s])
             if not ca.depends_on(theta, self.s):
                 raise ModelError(f"{label}: theta = {theta} does not depend on s = {self.s}; for Coulomb friction write mu*s")

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError
-from nsmodel.model.base import Model
+from nsmodel.model.base import Model, shown
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,7 +41,9 @@ class SweepingProcess(Model):
     def __post_init__(self) -> None:
         c = self._settle("q", q=self.q)
         n = len(self.names)
-        constraints, names = self._named_constraints(c, self.constraints or {}, "constraints")
+        if not isinstance(self.mean_forcing, bool):
+            raise ModelError(f"mean_forcing = {self.mean_forcing!r}; expected True or False")
+        constraints, names = self._named_constraints(c, self.constraints, [self.t, self.q])
         self._set(
             f=self._vector(c, 0 if self.f is None else self.f, "f", n, [self.t, self.q]),
             constraints=constraints,
@@ -49,8 +51,6 @@ class SweepingProcess(Model):
             q0=self._numbers(c, self.q0, "q0", n),
             scene=None if self.scene is None else _scene(self.scene, n),
         )
-        for name, column in constraints.items():
-            self._only(column, f"constraint '{name}'", [self.t, self.q])
 
     @property
     def g(self) -> ca.SX:
@@ -58,9 +58,16 @@ class SweepingProcess(Model):
         return ca.vertcat(ca.SX(0, 1), *self.constraints.values())
 
 
-def _scene(scene: Mapping[str, Any], n: int) -> dict[str, np.ndarray]:
-    radii = np.asarray(scene.get("radii", []), float).ravel()
-    walls = np.asarray(scene.get("walls", np.zeros((0, 2, 2))), float)
+def _scene(scene: Any, n: int) -> dict[str, np.ndarray]:
+    if not isinstance(scene, Mapping) or not set(scene) <= {"radii", "walls"}:
+        raise ModelError(f"scene: {shown(scene)}; expected a dictionary {{'radii': [...], 'walls': [...]}}")
+    try:
+        radii = np.asarray(scene.get("radii", []), float).ravel()
+        walls = np.asarray(scene.get("walls", np.zeros((0, 2, 2))), float)
+    except (TypeError, ValueError):
+        raise ModelError("scene: radii and walls must be numbers, walls of shape (W, 2, 2)") from None
+    if not ((radii > 0).all() and np.isfinite(radii).all() and np.isfinite(walls).all()):
+        raise ModelError("scene: radii must be finite numbers > 0, walls finite numbers")
     if 2 * radii.size != n:
         raise ModelError(f"scene: {radii.size} radii for {n} states; expected one radius for each pair (x_i, y_i)")
     if walls.ndim != 3 or walls.shape[1:] != (2, 2):

@@ -54,6 +54,17 @@ def row_scale(W: np.ndarray) -> np.ndarray:
     return np.where(w > 0, 1 / np.where(w > 0, w, 1), 1.0)
 
 
+def equilibrate(W: np.ndarray, b: np.ndarray, law: NumericLaw) -> tuple[np.ndarray, np.ndarray, NumericLaw, np.ndarray]:
+    """The problem in units in which the entries of W and b are about 1: (W, b, box, s), l = s l' (Ruiz' iteration)."""
+    s = np.ones(law.size)
+    for _ in range(8):
+        scaled = np.abs(s[:, None] * W * s)
+        most = np.maximum(scaled.max(axis=1, initial=0.0), scaled.max(axis=0, initial=0.0))
+        s = s / np.sqrt(np.where(most > 0, most, 1.0))
+    size = np.abs(s * b).max(initial=0.0) or 1.0
+    return s[:, None] * W * s, s * b / size, NumericLaw(law.lower / (s * size), law.upper / (s * size), ()), s * size
+
+
 def primal_dual(
     W: np.ndarray, b: np.ndarray, law: NumericLaw, index: np.ndarray, sweeps: int = 12
 ) -> tuple[np.ndarray, np.ndarray] | None:
@@ -76,31 +87,51 @@ def primal_dual(
     return None
 
 
-def lemke(W: np.ndarray, b: np.ndarray, law: NumericLaw, pivots: int = 20) -> np.ndarray | None:
-    """Lemke's complementary pivoting; None where it ends in a ray (for psd W: there is no solution) or does not end.
+def lemke(W: np.ndarray, b: np.ndarray, law: NumericLaw) -> np.ndarray | None:
+    """Lemke's complementary pivoting; None where it ends in a ray, for psd W because there is no solution.
 
     One-sided rows are shifted to 0 <= l' ⟂ y' >= 0; an upper bound beside a lower one adds a slack row; a free row is split
-    in two. For psd W the method ends with a solution or proves that there is none (Cottle, Pang and Stone, Theorem 4.4.12).
+    in two. Where round-off makes a ray of a singular W, W + 1e-9 I suggests the index set. For psd W the method ends with a solution or proves that there is none (Cottle, Pang and Stone, Theorem 4.4.12).
     """
+    W, b, law, s = equilibrate(W, b, law)
+    W[np.abs(W) < 8 * EPS] = 0  # A pivot on round-off would be a solution at infinity.
     columns, offset, signs = _standard_form(law)
     M, q = signs[:, None] * W[np.ix_(columns, columns)] * signs, signs * (b + W @ offset)[columns]
     caps = np.flatnonzero(np.isfinite(law.lower) & np.isfinite(law.upper))
-    where = [int(np.flatnonzero(columns == i)[0]) for i in caps]
     n, k = len(columns), len(caps)
     if k:
         S = np.zeros((n, k))
-        S[where, range(k)] = 1
+        S[caps, range(k)] = 1
         M = np.block([[M, S], [-S.T, np.zeros((k, k))]])
         q = np.concatenate([q, (law.upper - law.lower)[caps]])
-    z = _lemke_standard(M, q, pivots * (n + k) + 50)
-    if z is None:
+    for regular in (0.0, 1e-9):
+        z = _lemke_standard(M + regular * np.eye(n + k), q, 20 * (n + k) + 50)
+        if z is None:
+            continue
+        l = offset.copy()
+        np.add.at(l, columns, signs * z[:n])
+        l = np.clip(l, law.lower, law.upper)
+        found = _polished(W, b, law, l) if regular else l
+        if found is not None:
+            return found * s
+    return None
+
+
+def _polished(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray) -> np.ndarray | None:
+    """The solution on l's index set, if it is one: what a regularised problem suggests is not believed otherwise."""
+    index = classify(l, W @ l + b, law, row_scale(W))
+    exact = polish(W, b, law, index)
+    if exact is None:
         return None
-    l = offset.copy()
-    np.add.at(l, columns, signs * z[:n])
-    return l
+    y = W @ exact + b
+    scale = np.abs(b).max(initial=0.0)
+    wrong = np.where(index == 0, np.abs(y), np.maximum(index * y, 0)).max(initial=0.0)
+    outside = np.maximum(law.lower - exact, exact - law.upper).max(initial=0.0)
+    return np.clip(exact, law.lower, law.upper) if wrong <= 1e-10 * scale and outside <= 1e-10 * np.abs(exact).max() else None
 
 
 def _standard_form(law: NumericLaw) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """l = offset + sum of signs z on ``columns``: every row once, free rows a second time with the other sign."""
     has_lo, has_up = np.isfinite(law.lower), np.isfinite(law.upper)
     free = np.flatnonzero(~has_lo & ~has_up)
     offset = np.where(has_lo, law.lower, np.where(has_up, law.upper, 0.0))
@@ -110,35 +141,51 @@ def _standard_form(law: NumericLaw) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def _lemke_standard(M: np.ndarray, q: np.ndarray, pivots: int) -> np.ndarray | None:
-    """Solve 0 <= z ⟂ M z + q >= 0 with the covering vector d (rows scaled to 1)."""
+    """Solve 0 <= z ⟂ M z + q >= 0. Columns: w (0..n-1), z (n..2n-1), z0 (2n) of w - M z - z0 = q.
+
+    The basis is factored afresh at every pivot, so that round-off does not grow, and ties are broken lexicographically, so
+    that degenerate problems do not cycle.
+    """
     n = q.size
     if (q >= 0).all():
         return np.zeros(n)
-    scale = np.maximum(np.abs(M).max(axis=1, initial=0.0), np.abs(q))
-    scale[scale == 0] = 1
-    # Columns: w (0..n-1), z (n..2n-1), z0 (2n), right-hand side. Tableau of w - M z - d z0 = q.
-    T = np.hstack([np.eye(n), -M / scale[:, None], -np.ones((n, 1)), (q / scale)[:, None]])
-    basis, entering = list(range(n)), 2 * n
-    row = int(np.argmin(T[:, -1]))
+    A = np.hstack([np.eye(n), -M, -np.ones((n, 1))])
+    right = np.column_stack([q, np.eye(n)])
+    basis, entering = np.arange(n), 2 * n
+    row = _least(right, np.arange(n))
     for _ in range(pivots):
-        T[row] /= T[row, entering]
-        others = np.arange(n) != row
-        T[others] -= np.outer(T[others, entering], T[row])
         leaving, basis[row] = basis[row], entering
+        try:
+            inverse = np.linalg.inv(A[:, basis])
+        except np.linalg.LinAlgError:
+            return None
         if leaving == 2 * n:
             z = np.zeros(2 * n + 1)
-            z[basis] = T[:, -1]
+            z[basis] = inverse @ q
             return np.maximum(z[n : 2 * n], 0)
         entering = leaving + n if leaving < n else leaving - n
-        column = T[:, entering]
-        usable = np.flatnonzero(column > 1e-11 * max(1.0, np.abs(column).max()))
+        column = inverse @ A[:, entering]
+        noise = 64 * EPS * np.abs(inverse) @ np.abs(A[:, entering])
+        usable = np.flatnonzero(column > np.maximum(noise, 1e-12 * np.abs(column).max()))
         if not usable.size:
             return None
-        ratios = np.maximum(T[usable, -1], 0) / column[usable]
-        ties = usable[ratios <= ratios.min() * (1 + 1e-12) + 1e-15]
-        artificial = [r for r in ties if basis[r] == 2 * n]
-        row = int(artificial[0] if artificial else ties[np.argmax(column[ties])])
+        table = (inverse @ right)[usable] / column[usable, None]
+        artificial = np.flatnonzero(basis[usable] == 2 * n)
+        if artificial.size and table[artificial[0], 0] <= table[:, 0].min() + 1e-13 * np.abs(table[:, 0]).max():
+            row = int(usable[artificial[0]])
+        else:
+            row = int(usable[_least(table, np.arange(usable.size))])
     return None
+
+
+def _least(table: np.ndarray, rows: np.ndarray) -> int:
+    """The lexicographically least of the rows of a table."""
+    for column in table.T:
+        values = column[rows]
+        rows = rows[values <= values.min() + 1e-12 * np.abs(values).max()]
+        if rows.size == 1:
+            break
+    return int(rows[0])
 
 
 def index_sets(law: NumericLaw, last: np.ndarray, most: int = 20000) -> Iterator[np.ndarray]:

@@ -10,7 +10,7 @@ import numpy as np
 from nsmodel.errors import StepError
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import active_set, cone, diagnose, mlcp
-from nsmodel.solve.certificate import law_residual, numeric_law
+from nsmodel.solve.certificate import law_residual, numeric_law, output_scale
 from nsmodel.solve.choose import choose
 from nsmodel.solve.kernel import Kernel
 from nsmodel.solve.layout import Layout
@@ -112,7 +112,7 @@ class Stepper:
         attempt = self._evaluated(kernel, t, state, found.index, found.solver)
         for kind, rows, radius in self.law.curved:  # the kernel's own residual covers the boxes only
             law = type(self.law)(self.law.lower, self.law.upper, ((kind, rows, radius),))
-            s_y = np.abs(b) + np.abs(kernel.W) @ np.abs(found.l)
+            s_y = output_scale(b, np.abs(kernel.W) @ np.abs(found.l), kernel.w_max)
             own = law_residual(law, found.l, kernel.W @ found.l + b, s_y, kernel.w_max)[rows].max()
             attempt = attempt._replace(residual=max(attempt.residual, float(own)))
         attempt.row[self.layout.residual] = attempt.residual

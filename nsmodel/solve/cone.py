@@ -118,7 +118,7 @@ def exact_zeros(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray) ->
     l = np.where((code > 0) & np.isfinite(law.upper), law.upper, l)
     for kind, rows, radius in law.curved:
         if code[rows][0] == 1:
-            l[rows] = l[rows] * (radius / np.linalg.norm(l[rows])) if kind == "ball" else _onto_boundary(l[rows])
+            l[rows] = project(kind, radius, l[rows] * 2) if kind == "ball" else _onto_boundary(l[rows])
     free, rest = code == 0, code != 0
     if free.any():
         l = l.copy()

@@ -10,6 +10,8 @@ from nsmodel.solve.certificate import NumericLaw
 from nsmodel.solve.choose import ENUMERATE_UP_TO, Plan
 from nsmodel.solve.structure import Structure
 
+PROOF = 1e-14  # Largest positive entry of W'u, beside W's, in a proof that is believed.
+
 
 def why(
     problem: OneStepProblem, structure: Structure, law: NumericLaw, plan: Plan, W: np.ndarray | None, b: np.ndarray | None,
@@ -43,16 +45,21 @@ def why(
 
 
 def opposing_rows(W: np.ndarray, b: np.ndarray, law: NumericLaw) -> list[tuple[int, float]] | None:
-    """Return [(row, weight), ...] of a proof that 0 <= l ⟂ W l + b >= 0 has no solution, W psd: u >= 0, W u = 0, b'u < 0."""
+    """Return [(row, weight), ...] of a proof that {l >= 0, W l + b >= 0} is empty: u >= 0, W'u <= 0, b'u < 0 (Farkas).
+
+    For W psd that is the same as: 0 <= l ⟂ W l + b >= 0 has no solution. None where there is no proof above round-off.
+    """
     from scipy.optimize import linprog
 
     if law.curved or not ((law.lower == 0).all() and np.isposinf(law.upper).all()) or not law.size:
         return None
-    S = W + W.T
-    scale = np.abs(S).max(axis=1)
+    scale = np.abs(W).max(axis=0)
     scale[scale == 0] = 1
-    A = np.vstack([S / scale[:, None], np.ones(law.size)])
-    found = linprog(b / max(np.abs(b).max(), 1e-300), A_eq=A, b_eq=np.append(np.zeros(law.size), 1.0), bounds=(0, None))
-    if not found.success or found.fun > -1e-9:
+    A, size = W.T / scale[:, None], np.abs(b).max() or 1.0
+    found = linprog(b / size, A_ub=A, b_ub=np.zeros(law.size), A_eq=np.ones((1, law.size)), b_eq=[1.0], bounds=(0, None))
+    if not found.success:
         return None
-    return [(int(i), float(found.x[i])) for i in np.argsort(-found.x) if found.x[i] > 1e-6][:6]
+    u = np.where(found.x > 1e-9, found.x, 0.0)
+    if (A @ u).max() > PROOF or b @ u / size > -1e-6:
+        return None
+    return [(int(i), float(u[i])) for i in np.argsort(-u) if u[i] > 0][:6]

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.scheme.problem import OneStepProblem
-from nsmodel.solve.certificate import EPS, NumericLaw, box_residual_sx, settled_sx
+from nsmodel.solve.certificate import EPS, NumericLaw, box_residual_sx, output_scale_sx, settled_sx
 from nsmodel.solve.layout import Layout, extras
 from nsmodel.solve.structure import Structure, jacobians
 
@@ -144,12 +144,12 @@ def _functions(
     residual = _largest([ca.if_else(E_here[i] == 0, 0, ca.fabs(E_here[i]) / s_E[i]) for i in range(n)])
     settled = ca.SX(1)
     if m:
-        s_y = ca.fmax(ca.fabs(b) + ca.fabs(W_sx) @ ca.fabs(l), round_off / tolerance * size_Y)
         w_max = np.abs(W).max(axis=1)
+        s_y = output_scale_sx(b, ca.fabs(W_sx) @ ca.fabs(l), w_max)
+        s_y = ca.fmax(s_y, round_off / tolerance * size_Y)
         box = [i for i in range(m) if not any(rows.start <= i < rows.stop for _, rows, _ in law.curved)]
-        bounds = law.lower[box], law.upper[box]
-        residual = ca.fmax(residual, box_residual_sx(*bounds, w_max[box], *(e[box] for e in (l, Y_here, s_y))))
-        settled = settled_sx(*bounds, *(e[box] for e in (l, Y_here, free, round_off * size_Y)))
+        residual = ca.fmax(residual, box_residual_sx(law, box, w_max, l, Y_here, s_y))
+        settled = settled_sx(law, box, l, Y_here, free, round_off * size_Y)
     residual = ca.if_else(residual >= 0, residual, ca.inf)
     y = ca.if_else(free, 0, Y_here) if m else Y_here
     rest = ca.substitute([at_h(e) for e in (p.next_state, *extras(p).values())], [p.z, p.l, p.y], [z, l, y])

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nsmodel.solve import active_set, cone, qp
-from nsmodel.solve.certificate import NumericLaw, law_residual
+from nsmodel.solve.certificate import NumericLaw, law_residual, output_scale
 
 INDEX_SET, LEMKE, ENUMERATION, SEMISMOOTH = "index set", "lemke", "enumeration", "semismooth"
 
@@ -25,9 +25,8 @@ class Solution:
 
 def residual(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray) -> np.ndarray:
     """Return the law's residual of each row at y = W l + b."""
-    s_y = np.abs(b) + np.abs(W) @ np.abs(l)
     w_max = np.abs(W).max(axis=1, initial=0.0)
-    return law_residual(law, l, W @ l + b, s_y, w_max)
+    return law_residual(law, l, W @ l + b, output_scale(b, np.abs(W) @ np.abs(l), w_max), w_max)
 
 
 def solve(

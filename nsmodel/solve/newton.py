@@ -15,7 +15,7 @@ import numpy as np
 
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import active_set, mlcp
-from nsmodel.solve.certificate import EPS, NumericLaw, law_residual
+from nsmodel.solve.certificate import EPS, NumericLaw, law_residual, output_scale
 from nsmodel.solve.layout import extras
 from nsmodel.solve.structure import Structure, jacobians
 
@@ -208,10 +208,10 @@ class Newton:
         columns = np.flatnonzero(l)
         W_active = at.Y_l[:, columns] + at.Y_z @ Z[:, columns]
         b = at.Y - W_active @ l[columns]
-        s_y = np.abs(b) + np.abs(W_active) @ np.abs(l[columns])
         rows = np.flatnonzero((l != self.law.lower) | (index == 0)) if self._complementarity else np.arange(l.size)
         w_max = np.ones(l.size)
         w_max[rows] = np.abs(at.Y_l[rows] + at.Y_z[rows] @ Z).max(axis=1, initial=0.0)
+        s_y = output_scale(b, np.abs(W_active) @ np.abs(l[columns]), w_max)
         Y_0 = at.Y - at.Y_z @ z - at.Y_l @ l
         floor = round_off * (np.abs(at.Y_z) @ np.abs(z) + np.abs(at.Y_l) @ np.abs(l) + np.abs(Y_0))
         return s_y, w_max, floor

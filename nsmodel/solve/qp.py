@@ -15,6 +15,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from nsmodel.solve.active_set import equilibrate
 from nsmodel.solve.certificate import NumericLaw
 
 OPTIONS = {
@@ -35,12 +36,8 @@ HIDDEN_MEMORY = frozenset({"qpoases", "osqp", "proxqp", "piqp"})
 def solve(name: str, W: np.ndarray, b: np.ndarray, law: NumericLaw, symmetric: bool) -> np.ndarray | None:
     """Return l (m,) as the solver gives it, unverified; None where it gives nothing finite."""
     m = law.size
-    # Congruent scaling: QP solvers have absolute tolerances, a model has units.
-    s = np.sqrt(np.abs(W).max(axis=1, initial=0.0) + np.abs(W).max(axis=0, initial=0.0))
-    s = np.where(s > 0, 1 / np.where(s > 0, s, 1), 1.0)
-    size = np.abs(s * b).max(initial=0.0) or 1.0
-    W, b = s[:, None] * W * s, s * b / size
-    law = NumericLaw(law.lower / (s * size), law.upper / (s * size), ())
+    # QP solvers have absolute tolerances, a model has units.
+    W, b, law, s = equilibrate(W, b, law)
     if symmetric:
         H, g, A, below, above = (W + W.T) / 2, b, np.zeros((0, m)), np.zeros(0), np.zeros(0)
         lower, upper = law.lower, law.upper
@@ -52,7 +49,7 @@ def solve(name: str, W: np.ndarray, b: np.ndarray, law: NumericLaw, symmetric: b
             found = np.array(solver(h=H, g=g, a=A, lba=below, uba=above, lbx=lower, ubx=upper)["x"]).ravel()[:m]
         except RuntimeError:
             return None
-    return found * s * size if np.isfinite(found).all() else None
+    return found * s if np.isfinite(found).all() else None
 
 
 def _gap_programme(W: np.ndarray, b: np.ndarray, law: NumericLaw) -> tuple[np.ndarray, ...]:

@@ -1,0 +1,309 @@
+"""Reading a potential: each nonsmooth node of the expression becomes a symbol with a known meaning."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import reduce
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.errors import ModelError
+
+Rule = Callable[[int, list[ca.SX], ca.SX], ca.SX | None]
+_UNSUPPORTED = {
+    ca.OP_SIGN: "sign",
+    ca.OP_FLOOR: "floor",
+    ca.OP_CEIL: "ceil",
+    ca.OP_FMOD: "fmod",
+    ca.OP_REMAINDER: "remainder",
+    ca.OP_COPYSIGN: "copysign",
+}
+_NONSMOOTH = (*_UNSUPPORTED, ca.OP_SQRT, ca.OP_HYPOT, ca.OP_CONSTPOW, ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN)
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """A symbol and its meaning; ``args`` may hold the symbols of earlier nodes, ``text`` is what the user wrote.
+
+    Kinds: "abs" |args|, "norm" |args|_2, "max" the largest of args, "domain" 0 on the domain ``text``, inf elsewhere.
+    """
+
+    kind: str
+    symbol: ca.SX
+    args: ca.SX
+    text: str
+
+    @property
+    def pieces(self) -> list[ca.SX]:
+        """The expressions whose maximum is an "abs" or "max" node."""
+        return [self.args, -self.args] if self.kind == "abs" else ca.vertsplit(self.args)
+
+    @property
+    def meaning(self) -> ca.SX:
+        """The value of the symbol (0 for the domain)."""
+        if self.kind == "domain":
+            return ca.SX(0)
+        return ca.norm_2(self.args) if self.kind == "norm" else reduce(ca.fmax, self.pieces)
+
+
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """A condition of the domain: "indicator" u >= 0, "equality" u = 0 or "cone" |u[1:]| <= u[0]."""
+
+    kind: str
+    u: ca.SX
+    text: str
+
+
+def read(phi: ca.SX, y: ca.SX, label: str) -> tuple[ca.SX, list[Node], list[Bound]]:
+    """Return the value, smooth in y and the nodes' symbols, the nodes in their order, and the domain."""
+    value, nodes, bounds = _conditions(phi, y, label)
+
+    def add(kind: str, args: ca.SX, old: ca.SX) -> ca.SX:
+        for node in nodes:
+            if node.kind == kind and same(node.args, args):
+                return node.symbol
+        nodes.append(Node(kind, ca.SX.sym(f"{label}_s{len(nodes)}"), args, str(old)))
+        return nodes[-1].symbol
+
+    def rule(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
+        if op in _UNSUPPORTED:
+            raise ModelError(
+                f"{label}: {_UNSUPPORTED[op]} in {old} has no subdifferential; write {label} with fabs, fmax, norm_2"
+            )
+        if op == ca.OP_FABS:
+            return add("abs", args[0], old)
+        if op in (ca.OP_FMAX, ca.OP_FMIN):
+            sign = 1 if op == ca.OP_FMAX else -1
+            return sign * add("max", sign * ca.vertcat(*(args[::-1] if args[0].is_constant() else args)), sign * old)
+        u = _norm_argument(op, args, ca.vertcat(y, *(node.symbol for node in nodes)), old, label)
+        if u is None:
+            return None
+        distance = add("abs" if u.numel() == 1 else "norm", u, old)
+        return distance ** (2 * args[1]) if op == ca.OP_CONSTPOW else distance
+
+    value, *us = ca.vertsplit(replay(ca.vertcat(value, *(bound.u for bound in bounds)), rule, _NONSMOOTH, y, label))
+    return value, nodes, [Bound(bound.kind, u, bound.text) for bound, u in zip(bounds, us, strict=True)]
+
+
+def replay(expr: ca.SX, rule: Rule, ops: Sequence[int], x: ca.SX, label: str) -> ca.SX:
+    """Rebuild ``expr`` (n, 1); ``rule(op, new arguments, old node)`` is asked at the nodes of ``ops`` that hold x.
+
+    Where the rule gives None, the node stays.
+    """
+    symbols, own = ca.symvar(expr), keys(x)
+    function = ca.Function("replay", [column(symbols)], [ca.densify(expr)])
+    ids = [function.instruction_id(i) for i in range(function.n_instructions())]
+    if not set(ids) & set(ops):
+        return expr
+    if ca.OP_CALL in ids:
+        raise ModelError(f"{label} calls a Function that cannot be looked into; write it with elementary operations")
+    work: dict[int, tuple[ca.SX, ca.SX, bool]] = {}  # new node, old node, whether it holds x
+    result = ca.SX.zeros(*expr.shape)
+    for i, op in enumerate(ids):
+        source, target = function.instruction_input(i), function.instruction_output(i)
+        if op == ca.OP_OUTPUT:
+            result[target[1]] = work[source[0]][0]
+        elif op == ca.OP_INPUT:
+            symbol = symbols[source[1]]
+            work[target[0]] = symbol, symbol, symbol.element_hash() in own
+        elif op == ca.OP_CONST:
+            work[target[0]] = *(ca.SX(function.instruction_constant(i)),) * 2, False
+        else:
+            build = ca.SX.unary if len(source) == 1 else ca.SX.binary
+            new, old = [work[j][0] for j in source], build(op, *(work[j][1] for j in source))
+            holds = any(work[j][2] for j in source)
+            put = rule(op, new, old) if holds and op in ops else None
+            work[target[0]] = build(op, *new) if put is None else put, old, holds
+    return result
+
+
+# -- conditions --------------------------------------------------------------------------------------------------------
+
+_Literal = tuple[str, ca.SX, ca.SX]
+
+
+def _conditions(phi: ca.SX, y: ca.SX, label: str) -> tuple[ca.SX, list[Node], list[Bound]]:
+    """Turn the conditions of the values inf into the domain, and settle the finite branches on it."""
+    nodes: list[Node] = []
+    known: list[_Literal] = []
+    bounds: list[Bound] = []
+
+    def find(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
+        condition, value = args
+        if not (value.is_constant() and np.isinf(float(value))):
+            return None
+        if float(value) < 0:
+            raise ModelError(f"{label} takes the value -inf where {old.dep(0)}; a convex potential is +inf outside its domain")
+        text, literals = str(ca.logic_not(old.dep(0))), _literals(condition, False)
+        if literals is None or any(relation == "!=" for relation, _, _ in literals):
+            raise ModelError(
+                f"{label} is not convex: its domain {text} is not a conjunction of <=, >=, ==; "
+                "write the domain as such conditions joined by logic_and"
+            )
+        for relation, a, b in literals:
+            if not _is_known((relation, a, b), known):
+                bounds.append(Bound("indicator", b - a, text) if relation == "<=" else Bound("equality", a - b, text))
+        known.extend(literals)
+        nodes.append(Node("domain", ca.SX.sym(f"{label}_s{len(nodes)}"), ca.SX(0, 1), text))
+        return nodes[-1].symbol
+
+    def settle(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
+        if not ca.depends_on(args[0], y):
+            return None
+        for holds in (True, False):
+            literals = _literals(args[0], holds)
+            if literals is not None and all(_is_known(literal, known) for literal in literals):
+                return args[1] if holds else ca.SX(0)
+        raise ModelError(
+            f"{label}: {old} switches between finite values; write it with fmax, fmin or fabs, "
+            "or give the value inf outside the domain"
+        )
+
+    value = replay(phi, find, (ca.OP_IF_ELSE_ZERO,), y, label)
+    return replay(value, settle, (ca.OP_IF_ELSE_ZERO,), y, label), nodes, bounds
+
+
+def _is_known(literal: _Literal, known: Iterable[_Literal]) -> bool:
+    relation, a, b = literal
+    return any(relation == other and same(a, left) and same(b, right) for other, left, right in known)
+
+
+def _literals(condition: ca.SX, holds: bool) -> list[_Literal] | None:
+    """Write a condition, or its negation, as a conjunction of ("<=" | "==" | "!=", a, b); None if it is not one."""
+    op = condition.op()
+    if op == ca.OP_NOT:
+        return _literals(condition.dep(0), not holds)
+    if op in (ca.OP_AND, ca.OP_OR):
+        if holds != (op == ca.OP_AND):
+            return None
+        left, right = _literals(condition.dep(0), holds), _literals(condition.dep(1), holds)
+        return None if left is None or right is None else left + right
+    if op in (ca.OP_LE, ca.OP_LT):
+        a, b = condition.dep(0), condition.dep(1)
+        return [("<=", a, b) if holds else ("<=", b, a)]
+    if op in (ca.OP_EQ, ca.OP_NE):
+        return [("==" if holds == (op == ca.OP_EQ) else "!=", condition.dep(0), condition.dep(1))]
+    return None
+
+
+# -- norms -------------------------------------------------------------------------------------------------------------
+
+
+def _norm_argument(op: int, args: list[ca.SX], z: ca.SX, old: ca.SX, label: str) -> ca.SX | None:
+    """Return u affine in z with ``old`` = |u|_2 (its power 2 args[1] for a power) where |u| has a zero, else None."""
+    if op == ca.OP_CONSTPOW and not 0 < float(args[1]) < 1:
+        return None
+    q = args[0] ** 2 + args[1] ** 2 if op == ca.OP_HYPOT else args[0]
+    entries = _squares(q, z)
+    u = _quadratic_root(q, z, old, label) if entries is None else column(entries)
+    if u is None:
+        return None
+    if is_affine(u, z):
+        return None if _never_zero(u, z) else u
+    if any(not ca.depends_on(entry, z) for entry in ca.vertsplit(u)):
+        return None
+    raise ModelError(f"{label}: {old} is the norm of a nonlinear expression; write it as norm_2 of an affine one")
+
+
+def _squares(q: ca.SX, z: ca.SX) -> list[ca.SX] | None:
+    """Read q as a sum of squares u_i^2, factors without z taken into the square; None if it is not one."""
+    op = q.op()
+    if not ca.depends_on(q, z):
+        return None if q.is_constant() and float(q) < 0 else [] if q.is_zero() else [ca.sqrt(q)]
+    if op == ca.OP_SQ:
+        return [q.dep(0)]
+    if op == ca.OP_ADD:
+        left, right = _squares(q.dep(0), z), _squares(q.dep(1), z)
+        return None if left is None or right is None else left + right
+    if op == ca.OP_TWICE:
+        factor, inner = ca.SX(2), q.dep(0)
+    elif op == ca.OP_MUL and not ca.depends_on(q.dep(0), z):
+        factor, inner = q.dep(0), q.dep(1)
+    elif op == ca.OP_MUL and not ca.depends_on(q.dep(1), z):
+        factor, inner = q.dep(1), q.dep(0)
+    elif op == ca.OP_DIV and not ca.depends_on(q.dep(1), z):
+        factor, inner = 1 / q.dep(1), q.dep(0)
+    else:
+        return None
+    entries = _squares(inner, z)
+    if entries is None or (factor.is_constant() and float(factor) < 0):
+        return None
+    return [ca.sqrt(factor) * entry for entry in entries]
+
+
+def _quadratic_root(q: ca.SX, z: ca.SX, old: ca.SX, label: str) -> ca.SX | None:
+    """Return u = L z + c with q = |u|^2, from the eigenvectors of the Hessian; None if q is not such a quadratic."""
+    hessian, gradient = ca.hessian(q, z)
+    if not is_constant(hessian, z):
+        return None
+    H, g = ca.substitute([ca.densify(hessian), gradient], [z], [ca.SX.zeros(z.numel())])
+    if not H.is_constant():
+        raise ModelError(f"{label}: the coefficients of {old} hold {ca.symvar(H)[0]}; write it as norm_2 of an affine expression")
+    values, vectors = np.linalg.eigh(np.array(ca.DM(H)) / 2)
+    tol = 1e-12 * np.abs(values).max()
+    if tol == 0 or values.min() < -tol:
+        return None
+    L = np.sqrt(values[values > tol])[:, None] * vectors[:, values > tol].T
+    L[np.abs(L) < 1e-15 * np.abs(L).max()] = 0
+    u = ca.DM(L) @ z + ca.DM(np.linalg.pinv(L.T)) @ g / 2
+    rest = q - ca.sumsqr(u)
+    both = ca.vertcat(rest, ca.gradient(rest, z), q, gradient)
+    rest0, scale = np.split(np.abs(evaluate(both, z, np.zeros((1, z.numel())))[0]), 2)
+    return u if rest0.max() <= 1e-12 * (1 + scale.max()) else None
+
+
+def _never_zero(u: ca.SX, z: ca.SX) -> bool:
+    """Whether the affine u(z) has no zero, for generic values of the other symbols."""
+    both = evaluate(ca.horzcat(u, ca.jacobian(u, z)), z, np.zeros((1, z.numel())))
+    c, *A = both.reshape(-1, u.numel())
+    rest = c - np.transpose(A) @ np.linalg.lstsq(np.transpose(A), c, rcond=None)[0]
+    return bool(np.linalg.norm(rest) > 1e-12 * (1 + np.linalg.norm(c)))
+
+
+# -- expressions -------------------------------------------------------------------------------------------------------
+
+
+def column(items: Iterable[ca.SX]) -> ca.SX:
+    """Stack the items; (0, 1) where there are none."""
+    return ca.vertcat(ca.SX(0, 1), *items)
+
+
+def same(a: ca.SX, b: ca.SX) -> bool:
+    """Whether two expressions are the same node for node."""
+    return a.shape == b.shape and ca.is_equal(a, b, 20)
+
+
+def keys(expr: ca.SX) -> set[int]:
+    """What tells the symbols in ``expr`` apart."""
+    return {symbol.element_hash() for symbol in ca.symvar(expr)}
+
+
+def is_constant(expr: ca.SX, z: ca.SX) -> bool:
+    """Whether ``expr`` does not change with z: read off, or else (y - y is not simplified) seen at sample points."""
+    if not ca.depends_on(expr, z):
+        return True
+    values = evaluate(expr, z, points(z.numel(), 6))
+    return bool(np.allclose(values, values[0], rtol=1e-9, atol=1e-12))
+
+
+def is_affine(expr: ca.SX, z: ca.SX) -> bool:
+    """Whether ``expr`` is affine in z."""
+    return is_constant(ca.jacobian(expr, z), z)
+
+
+def points(n: int, count: int) -> np.ndarray:
+    """Sample points (count, n) of sizes from 0.1 to 10."""
+    rng = np.random.default_rng(0)
+    return rng.normal(size=(count, n)) * 10.0 ** rng.uniform(-1, 1, (count, 1))
+
+
+def evaluate(expr: ca.SX, z: ca.SX, *samples: np.ndarray) -> np.ndarray:
+    """Values (count, numel) of ``expr`` at points (count, n) of z; each other symbol gets one number in (0.5, 2)."""
+    own = keys(z)
+    others = column(symbol for symbol in ca.symvar(expr) if symbol.element_hash() not in own)
+    numbers = np.random.default_rng(0).uniform(0.5, 2, others.numel())
+    function = ca.Function("values", [z, others], [ca.densify(ca.vec(expr))])
+    return np.array(function(np.concatenate(samples).T, numbers)).T

@@ -1,0 +1,23 @@
+"""Pictures of a run: each function takes a run, an optional `ax` to draw on, and returns the `ax` it drew on.
+
+Matplotlib is imported inside the functions only, and figures are built without pyplot: nothing global is left behind
+and no display is needed. Long runs are thinned so that no extremum and no event is lost. Row k of the multipliers and
+of the index set belongs to the step that *ends* at t_k, and is drawn from t_{k-1} to t_k.
+"""
+
+from nsmodel.plot.figures import overview, save_all
+from nsmodel.plot.plane import configuration, phase
+from nsmodel.plot.strip import index_strip
+from nsmodel.plot.time import energy, multipliers, residual, states
+
+__all__ = [
+    "configuration",
+    "energy",
+    "index_strip",
+    "multipliers",
+    "overview",
+    "phase",
+    "residual",
+    "save_all",
+    "states",
+]

@@ -1,0 +1,148 @@
+"""Whole figures: the overview, and the files of a run."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nsmodel.plot import style
+from nsmodel.plot.plane import configuration, phase
+from nsmodel.plot.strip import MAX_ROWS, index_strip
+from nsmodel.plot.time import MAX_LINES, energy, multipliers, residual, states
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from nsmodel.trajectory import Trajectory
+
+    Panel = tuple[float, Callable[..., Axes]]  # height, what draws it on ax=
+
+TIME = ("states", "index_strip", "multipliers", "reactions")
+# file: (its panels, its width in inches, inches for a unit of height)
+SHEETS = {
+    "states": (("states", "index_strip"), 9, 1.2),
+    "phase": (("phase",), 7, 1.75),
+    "multipliers": (("multipliers", "reactions"), 9, 1.5),
+    "energy": (("energy",), 9, 1.9),
+    "configuration": (("configuration",), 8, 1.7),
+}
+
+
+def overview(run: Trajectory, model: Any = None) -> Figure:
+    """One figure of the whole run, 1400 x 900 pixels, composed of what the run holds.
+
+    On the left, over a shared time axis: states, index set, multipliers, reactions. On the right: the configuration of
+    a planar sweeping process (or else the phase portrait), the energy and the residual.
+    """
+    figure = style.blank(14, 9)
+    figure.suptitle(_title(run), fontsize=13, fontweight="bold", color=style.INK)
+    figure.supxlabel(style.text(_subtitle(run)), fontsize=9, color="#5B6570")
+    panels = _panels(run, model, lines=8, rows=12)
+    plane = [panels[name] for name in ("configuration", "phase") if name in panels][:1]
+    left = [panels[name] for name in TIME if name in panels]
+    checks = [panels[name] for name in ("energy", "residual") if name in panels]
+    if plane:
+        grid = figure.add_gridspec(1, 2, width_ratios=[1.15, 1])
+        _stack(figure, grid[0], left, shared=True)
+        _stack(figure, grid[1], plane + checks, shared=False)
+    else:
+        _stack(figure, figure.add_gridspec(1, 1)[0], left + checks, shared=True)
+    return figure
+
+
+def save_all(run: Trajectory, model: Any, directory: str | Path, prefix: str = "") -> list[Path]:
+    """Write all pictures the run can give, each beside its place and then renamed; returns their paths.
+
+    `states.png` (with the index set), `phase.png`, `multipliers.png`, `energy.png`, `configuration.png` (a planar
+    sweeping process) and `overview.png`, each with `prefix` before its name.
+
+    Args:
+        run: the run.
+        model: its model, or None: then no configuration of one or two states.
+        directory: made where missing.
+        prefix: put before each file name.
+
+    """
+    directory = Path(directory)
+    directory.mkdir(parents=True, exist_ok=True)
+    panels = _panels(run, model, lines=MAX_LINES, rows=MAX_ROWS)
+    draws = {
+        name: partial(_sheet, run, [panels[part] for part in parts if part in panels], width, scale)
+        for name, (parts, width, scale) in SHEETS.items()
+        if parts[0] in panels
+    }
+    paths = []
+    for name, draw in {**draws, "overview": partial(overview, run, model)}.items():
+        path = directory / f"{prefix}{name}.png"
+        part = path.with_name(f".{path.name}.part")
+        try:
+            draw().savefig(part, format="png", dpi=100)
+            os.replace(part, path)
+        finally:
+            part.unlink(missing_ok=True)
+        paths.append(path)
+    return paths
+
+
+def _panels(run: Trajectory, model: Any, *, lines: int, rows: int) -> dict[str, Panel]:
+    """What the run can give, with at most so many lines and rows of the index set."""
+    kind, n = run.metadata.get("model_class"), run.x.shape[1]
+    panels: dict[str, Panel] = {"states": (2.6, partial(states, run, limit=lines))}
+    if bands := min(rows, style.table(run, "index_set").shape[1]):
+        panels["index_strip"] = (0.5 + 0.16 * bands, partial(index_strip, run, limit=rows))
+        panels["multipliers"] = (2, partial(multipliers, run, limit=lines))
+        if "reactions" in run.arrays:
+            panels["reactions"] = (2, partial(multipliers, run, which="reactions", limit=lines))
+    if kind == "SweepingProcess" and (run.metadata.get("scene") or (model is not None and n <= 2)):
+        panels["configuration"] = (3.6, partial(configuration, run, model))
+    if n > 1 or (kind == "FrictionOscillator" and "v" in run.arrays):
+        panels["phase"] = (2.6, partial(phase, run))
+    for name, draw in (("energy", energy), ("residual", residual)):
+        if name in run.arrays:
+            panels[name] = (1.6, partial(draw, run))
+    return panels
+
+
+def _sheet(run: Trajectory, panels: Sequence[Panel], width: float, scale: float) -> Figure:
+    """Build a titled figure of one column."""
+    figure = style.blank(width, 1.5 + scale * sum(height for height, _ in panels))
+    figure.suptitle(_title(run), fontsize=12, fontweight="bold", color=style.INK)
+    _stack(figure, figure.add_gridspec(1, 1)[0], panels, shared=True)
+    return figure
+
+
+def _stack(figure: Figure, spec: Any, panels: Sequence[Panel], *, shared: bool) -> None:
+    """Panels below each other; with a shared time axis only the lowest keeps its label."""
+    grid = spec.subgridspec(len(panels), 1, height_ratios=[height for height, _ in panels])
+    first: Axes | None = None
+    for k, (_, draw) in enumerate(panels):
+        ax = draw(ax=figure.add_subplot(grid[k], sharex=first if shared else None))
+        first = first or ax
+        if shared and k < len(panels) - 1:
+            ax.set_xlabel("")
+            ax.tick_params(labelbottom=False)
+
+
+def _title(run: Trajectory) -> str:
+    return style.text(run.metadata.get("title") or run.metadata.get("model_class") or run.title)
+
+
+def _subtitle(run: Trajectory) -> str:
+    """One line: the class, the number of steps, the step and how the run ended."""
+    steps = run.arrays.get("step", np.diff(run.t, prepend=np.nan))
+    steps, unit, size = steps[np.isfinite(steps)], style.unit(run, "t"), ""
+    if len(steps):
+        low, high = steps.min(), steps.max()
+        size = f"{high:.4g}" if high - low <= 1e-6 * high else f"{low:.3g} to {high:.4g}"
+        size = f"step {size} {unit}".rstrip()
+    status = f"status: {run.status}" if "status" in run.metadata else ""
+    every = run.metadata.get("save_every", 1)
+    kept = f"rows kept: one in {every}" if every > 1 else ""
+    parts = [run.metadata.get("model_class"), f"{run.metadata.get('steps', len(run))} steps", size, kept, status]
+    return ", ".join(str(part) for part in parts if part)

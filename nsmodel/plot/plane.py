@@ -1,0 +1,214 @@
+"""Pictures in the plane: the phase portrait, and where a sweeping process is and may not be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nsmodel.errors import PlotError
+from nsmodel.plot import style
+from nsmodel.plot.scene import discs
+from nsmodel.trajectory import state_names
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from nsmodel.trajectory import Trajectory
+
+    Gap = Callable[..., np.ndarray]
+
+GRID = 240
+
+
+# -- phase portrait ----------------------------------------------------------------------------------------------------
+
+
+def phase(run: Trajectory, i: int = 0, j: int | None = None, *, ax: Axes | None = None) -> Axes:
+    """Draw the phase portrait of states i and j, with its start and its end.
+
+    Args:
+        run: the run.
+        i: the state across.
+        j: the state up; by default the velocity of i for an oscillator, else the next state that has another unit
+            than i, or the next one.
+        ax: where to draw; a new figure by default.
+
+    Raises:
+        PlotError: there is no such state, or only one.
+
+    """
+    x, y, up = run.x[:, _checked(run, i)], *_second_column(run, i, j)
+    ax = style.axes(ax, 6, 5)
+    known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))  # a velocity may start a row later
+    kept = known[style.thin(x[known], y[known])]
+    ax.plot(x[kept], y[kept], color=style.LINES[0], linewidth=1.2)
+    style.dress(ax, "Phase portrait", style.label(run, state_names(run)[i]), up)
+    if y[kept].min() < 0 < y[kept].max():
+        ax.axhline(0, color="#C4C9D0", linewidth=0.8, zorder=1)
+    style.legend(ax, _ends(ax, run, x, y, kept[0], kept[-1]))
+    return ax
+
+
+def _second_column(run: Trajectory, i: int, j: int | None) -> tuple[np.ndarray, str]:
+    """What a phase portrait has upwards, and its label."""
+    n, names = run.x.shape[1], state_names(run)
+    if j is None and run.metadata.get("model_class") == "FrictionOscillator" and "v" in run.arrays:
+        length, time = style.unit(run, names[i]), style.unit(run, "t")
+        unit = f"{length}/{time}" if length and time else ""
+        return run.arrays["v"][:, i], style.with_unit(f"velocity of {style.short(names[i])}", unit)
+    if n < 2:
+        raise PlotError(f"a phase portrait needs two states, or a velocity; this run has the state {names[0]} alone")
+    if j is None:
+        others = [(i + k) % n for k in range(1, n)]
+        j = next((k for k in others if style.unit(run, names[k]) != style.unit(run, names[i])), others[0])
+    return run.x[:, _checked(run, j)], style.label(run, names[j])
+
+
+def _checked(run: Trajectory, state: int) -> int:
+    n = run.x.shape[1]
+    if not 0 <= state < n:
+        raise PlotError(f"state {state} does not exist: states are numbered 0 to {n - 1}")
+    return state
+
+
+def _ends(ax: Axes, run: Trajectory, x: np.ndarray, y: np.ndarray, first: int, last: int) -> list[Any]:
+    """Markers of the start and of the end, with their times."""
+    end = "end" if last == len(run.t) - 1 else "now"
+    handles: list[Any] = []
+    for row, marker, fill, size, word in ((first, "o", "white", 7, "start"), (last, "s", style.INK, 5, end)):
+        look = {"markeredgecolor": style.INK, "markerfacecolor": fill, "markersize": size, "zorder": 5, "clip_on": False}
+        handles += ax.plot(x[row], y[row], marker, label=f"{word} ({style.at(run, row)})", **look)
+    return handles
+
+
+# -- configuration -----------------------------------------------------------------------------------------------------
+
+
+def configuration(run: Trajectory, model: Any = None, row: int = -1, *, ax: Axes | None = None) -> Axes:
+    """Draw where a sweeping process is, and where it may not be.
+
+    One state: the plane (t, q) with the forbidden set shaded. Two: the plane with the forbidden set at the time of
+    `row`, its boundary at some earlier times, and the path so far. A scene of discs: the discs, walls and paths so far.
+
+    Args:
+        run: the run of a `SweepingProcess`.
+        model: its model with numbers for all parameters: `t`, `q` (CasADi SX) and `constraints`, each >= 0. A scene
+            can do without.
+        row: the row of the run shown; the last by default.
+        ax: where to draw; a new figure by default.
+
+    Raises:
+        PlotError: another class of model, more than two states and no scene, no model, or no such row.
+
+    """
+    n, rows, scene = run.x.shape[1], len(run.t), run.metadata.get("scene")
+    kind = run.metadata.get("model_class")
+    if kind != "SweepingProcess":
+        raise PlotError(f"a configuration is drawn for a SweepingProcess, and this run is of a {kind}")
+    if not -rows <= row < rows:
+        raise PlotError(f"row {row} does not exist: this run has rows 0 to {rows - 1}")
+    if not scene and n > 2:
+        raise PlotError(f"a configuration needs one state, two, or a scene of discs; this run has {n} and no scene")
+    if not scene and model is None:
+        raise PlotError("the forbidden set is drawn from the constraints: give the model as well")
+    row %= rows
+    if scene:
+        return discs(style.axes(ax, 7, 6.5), run, scene, row)
+    gap, moving = _gap(model, n)
+    if n == 1:
+        return _half_plane(style.axes(ax, 8, 5), run, gap, row)
+    return _plane(style.axes(ax, 7, 6.5), run, gap, row, moving=moving)
+
+
+def _gap(model: Any, n: int) -> tuple[Gap, bool]:
+    """min_i g_i(t, q) on many points at once, negative where q is forbidden; and whether it depends on t."""
+    import casadi as ca
+
+    stack = ca.vertcat(ca.SX.inf(1), *model.constraints.values())
+    if model.q.numel() != n:
+        raise PlotError(f"the model has {model.q.numel()} states and the run {n}: they do not belong together")
+    free = [s.name() for s in ca.symvar(stack) if not ca.depends_on(ca.vertcat(model.t, ca.vec(model.q)), s)]
+    if free:
+        raise PlotError(f"the constraints still hold {', '.join(free)}: bind the parameters to numbers first")
+    function = ca.Function("g", [model.t, model.q], [ca.mmin(stack)])
+
+    def gap(t: np.ndarray | float, *q: np.ndarray) -> np.ndarray:
+        times = np.broadcast_to(t, q[0].shape).reshape(1, -1)
+        values = function.map(times.size)(times, np.stack([part.ravel() for part in q]))
+        return np.ma.masked_invalid(np.array(values).reshape(q[0].shape))
+
+    return gap, ca.depends_on(stack, model.t)
+
+
+def _half_plane(ax: Axes, run: Trajectory, gap: Gap, row: int) -> Axes:
+    """One state: the plane (t, q)."""
+    ((low, high),) = _window(run.x[:, 0], margin=0.25)
+    times, values = np.meshgrid(np.linspace(run.t[0], run.t[-1], GRID), np.linspace(low, high, GRID))
+    shade = _shade(ax, times, values, gap(times, values), "forbidden (g < 0)")
+    path = _path(ax, run, run.t[: row + 1], run.x[: row + 1, 0])
+    ax.set_ylim(low, high)
+    style.over_time(ax, run, "Configuration", style.label(run, state_names(run)[0]), grid=False)
+    style.legend(ax, [*path, *shade])
+    return ax
+
+
+def _plane(ax: Axes, run: Trajectory, gap: Gap, row: int, *, moving: bool) -> Axes:
+    """Two states: the plane."""
+    for margin in (0.25, 0.5, 1.0):  # far enough to see some of the forbidden set
+        limits = style.filled(ax, *_window(*run.x.T, margin=margin))
+        if (gap(run.t[row], *np.meshgrid(*(np.linspace(*limit, 40) for limit in limits))) < 0).mean() > 0.05:
+            break
+    across, up = np.meshgrid(*(np.linspace(*limit, GRID) for limit in limits))
+    shade = _shade(ax, across, up, gap(run.t[row], across, up), f"forbidden at {style.at(run, row)}")
+    if moving and row:
+        earlier = style.spread(row + 1, 5)[:-1]
+        for k in earlier:
+            _edge(ax, across, up, gap(run.t[k], across, up), colors=style.EARLIER, linewidths=0.9, linestyles="--")
+        times = ", ".join(f"{run.t[k]:.3g}" for k in earlier)
+        label = f"its edge at t = {times} {style.unit(run, 't')}".rstrip()
+        shade += ax.plot([], [], "--", color=style.EARLIER, linewidth=0.9, label=label)
+    path = _path(ax, run, *run.x[: row + 1].T)
+    ax.set(xlim=limits[0], ylim=limits[1], aspect="equal")
+    style.dress(ax, f"Configuration at {style.at(run, row)}", *(style.label(run, name) for name in state_names(run)), grid=False)
+    style.legend(ax, [*path, *shade])
+    return ax
+
+
+def _window(*columns: np.ndarray, margin: float) -> list[tuple[float, float]]:
+    """Limits around each column with a margin on both sides, none far narrower than the widest."""
+    low, high = np.nanmin(columns, axis=1), np.nanmax(columns, axis=1)
+    widest = (high - low).max() or 1.0
+    reach = np.maximum(high - low, 0.6 * widest) * (0.5 + margin)
+    return [(c - r, c + r) for c, r in zip((low + high) / 2, reach, strict=True)]
+
+
+def _path(ax: Axes, run: Trajectory, x: np.ndarray, y: np.ndarray) -> list[Any]:
+    """Draw the path so far, coloured by contact, and its two ends."""
+    from matplotlib.collections import LineCollection
+
+    kept = style.thin(x, y)
+    points, touching = np.stack([x[kept], y[kept]], axis=1), (style.table(run, "index_set")[kept[1:]] == 0).any(axis=1)
+    pieces = np.stack([points[:-1], points[1:]], axis=1)
+    handles: list[Any] = []
+    for mask, colour, width, words in ((~touching, style.FREE, 1.6, "free"), (touching, style.ZERO, 2.6, "in contact")):
+        if mask.any():
+            handles += ax.plot([], [], color=colour, linewidth=width, label=words)
+            ax.add_collection(LineCollection(list(pieces[mask]), colors=colour, linewidths=width, capstyle="round"))
+    return [*handles, *_ends(ax, run, x, y, 0, len(x) - 1)]
+
+
+def _shade(ax: Axes, across: np.ndarray, up: np.ndarray, gap: np.ndarray, label: str) -> list[Any]:
+    """Shades gap < 0 and draws its edge; the handle of the legend."""
+    from matplotlib.patches import Patch
+
+    if (gap < 0).any():
+        ax.contourf(across, up, gap, levels=[float(gap.min()) - 1, 0], colors=[style.FORBIDDEN], zorder=0)
+    _edge(ax, across, up, gap, colors=style.EDGE, linewidths=1.4)
+    return [Patch(facecolor=style.FORBIDDEN, edgecolor=style.EDGE, label=label)]
+
+
+def _edge(ax: Axes, across: np.ndarray, up: np.ndarray, gap: np.ndarray, **style: Any) -> None:
+    if (gap < 0).any() and (gap > 0).any():
+        ax.contour(across, up, gap, levels=[0], zorder=1, **style)

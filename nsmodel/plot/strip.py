@@ -1,0 +1,127 @@
+"""The index set as a strip chart: one band a row of the law, a colour for each of its states."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nsmodel.errors import PlotError
+from nsmodel.plot import style
+from nsmodel.plot.style import LOWER, PALE, UPPER, ZERO
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from nsmodel.trajectory import Trajectory
+
+    Words = dict[int, tuple[str, str]]  # index-set code: (colour, words)
+
+MAX_ROWS = 30
+COLUMNS = 800  # about a pixel each
+CHATTER = "split band: changes within a pixel"
+
+WORDS: dict[str, Words] = {
+    "complementarity": {-1: (PALE, "open (l = 0)"), 0: (ZERO, "contact (y = 0)")},
+    "relay": {-1: (LOWER, "l at lower"), 0: (ZERO, "stick or sliding mode (y = 0)"), 1: (UPPER, "l at upper")},
+    "box": {-1: (LOWER, "l at lower"), 0: (ZERO, "l between its bounds (y = 0)"), 1: (UPPER, "l at upper")},
+    "equality": {0: (ZERO, "equality (y = 0)")},
+    "ball": {0: (ZERO, "l inside the ball (y = 0)"), 1: (UPPER, "l on the sphere")},
+    "cone": {-1: (PALE, "open (l = 0)"), 0: (ZERO, "l inside the cone (y = 0)"), 1: (UPPER, "l on the cone")},
+}
+# The same laws where they are the dry friction of an oscillator.
+FRICTION: dict[str, tuple[str, Words]] = {
+    "relay": ("friction", {-1: (LOWER, "slip (y > 0)"), 0: (ZERO, "stick (y = 0)"), 1: (UPPER, "slip (y < 0)")}),
+    "ball": ("isotropic friction", {0: (ZERO, "stick (y = 0)"), 1: (UPPER, "slip (l on the sphere)")}),
+}
+
+
+def index_strip(run: Trajectory, *, limit: int = MAX_ROWS, ax: Axes | None = None) -> Axes:
+    """Draw the index set as a strip chart: one band a row, a colour for each of the law's states.
+
+    Args:
+        run: the run.
+        limit: at most so many bands; beyond, those that change most are shown and the title says so.
+        ax: where to draw; a new figure by default.
+
+    Raises:
+        PlotError: the run has no index set, or a kind of law is unknown.
+
+    """
+    codes = style.table(run, "index_set")
+    count = codes.shape[1]
+    if not count:
+        raise PlotError("this run has no index set: its model has no multipliers")
+    names = run.metadata.get("index_names") or [f"row {k}" for k in range(count)]
+    laws = _laws(run, names)
+    changes = np.count_nonzero(np.diff(codes[1:], axis=0), axis=0)
+    shown = np.sort(np.argsort(-changes, kind="stable")[:limit])
+    ax = style.axes(ax, 8, 1.3 + 0.22 * len(shown))
+    split = [_band(ax, run.t, codes[:, k], laws[k][1], place) for place, k in enumerate(shown)]
+    style.over_time(ax, run, "Index set" + style.of(len(shown), count, "those that change most"), "", grid=False)
+    size = min(8.0, max(5.0, 55 * style.inches(ax)[1] / len(shown)))
+    ax.set_yticks(range(len(shown)), [style.text(style.short(names[k], 18)) for k in shown], fontsize=size)
+    ax.set_ylim(len(shown) - 0.5, -0.5)
+    ax.tick_params(axis="y", length=0)
+    _legend(ax, dict(laws[k] for k in shown), chatter=max(split) > 0.05)
+    return ax
+
+
+def _laws(run: Trajectory, names: Sequence[str]) -> list[tuple[str, Words]]:
+    """Kind and words of each row."""
+    kinds = [kind.removeprefix("second-order ") for kind in run.metadata.get("law_kinds") or ["complementarity"] * len(names)]
+    if len(kinds) != len(names) or set(kinds) - set(WORDS):
+        raise PlotError(f"law_kinds must name one of {', '.join(WORDS)} for each of {len(names)} rows, and is {kinds[:8]}")
+    friction = run.metadata.get("model_class") == "FrictionOscillator"
+    return [
+        FRICTION[kind] if friction and kind in FRICTION and not name.startswith("potential ") else (kind, WORDS[kind])
+        for kind, name in zip(kinds, names, strict=True)
+    ]
+
+
+def _band(ax: Axes, t: np.ndarray, column: np.ndarray, words: Words, place: int) -> float:
+    """Draw one row of the index set. Returns the share of buckets that are split."""
+    from matplotlib.collections import PolyCollection
+
+    starts, shares = _shares(column, list(words))
+    changes = np.flatnonzero(np.r_[True, (shares[:, 1:] != shares[:, :-1]).any(axis=0)][: len(starts)])
+    left, right = t[starts[changes] - 1], np.r_[t[starts[changes[1:]] - 1], t[-1:]]
+    top = place + 0.38 - 0.76 * np.cumsum(shares[:, changes], axis=0)
+    for k, (colour, _) in enumerate(words.values()):
+        keep = shares[k, changes] > 0
+        high, low = top[k, keep], top[k, keep] + 0.76 * shares[k, changes[keep]]
+        corners = [(left[keep], low), (right[keep], low), (right[keep], high), (left[keep], high)]
+        if keep.any():
+            boxes = np.stack([np.stack(corner, axis=1) for corner in corners], axis=1)
+            ax.add_collection(PolyCollection(list(boxes), facecolor=colour, linewidth=0, snap=False))
+    return float(((shares > 0).sum(axis=0) > 1).mean()) if len(starts) else 0.0
+
+
+def _shares(column: np.ndarray, codes: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    """First row of each bucket, and the share of each code in it (codes, buckets).
+
+    A run has a bucket a row, a long run COLUMNS. There a bucket that the code leaves and enters once shows the code
+    between, so that no event is lost; with more changes each code that occurs has a fourth of it at least.
+    """
+    n = len(column) - 1
+    starts = 1 + np.arange(min(n, COLUMNS)) * n // max(1, min(n, COLUMNS))
+    ends = np.append(starts, n + 1)[1:]
+    border = np.flatnonzero(np.r_[True, column[2:] != column[1:-1], True]) + 1  # rows where another code begins
+    first, after = np.searchsorted(border, starts), np.searchsorted(border, ends, side="right")
+    shown = column[np.where(after - first == 2, border[first], starts)]
+    counts = np.array([np.add.reduceat(column == code, starts, dtype=float) for code in codes]) / (ends - starts)
+    counts = np.where(counts > 0, np.maximum(counts, 0.25), 0)
+    return starts, np.where(after - first > 2, counts / np.maximum(1, counts.sum(axis=0)), shown == np.array(codes)[:, None])
+
+
+def _legend(ax: Axes, laws: dict[str, Words], *, chatter: bool) -> None:
+    """Put the words of each kind of law in the legend; the kind is named where there are several."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: list[Any] = []
+    for kind, words in laws.items():
+        prefix = f"{kind}: " if len(laws) > 1 and kind != "equality" else ""
+        handles += [Patch(color=colour, label=prefix + word) for colour, word in words.values()]
+    style.legend(ax, handles + [Line2D([], [], linestyle="none", label=CHATTER)] * chatter)

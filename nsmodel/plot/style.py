@@ -1,0 +1,189 @@
+"""What all pictures share: colours, labels, thinning, axes and legends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nsmodel.errors import PlotError
+from nsmodel.trajectory import units_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from nsmodel.trajectory import Trajectory
+
+MAX_POINTS = 20_000
+
+LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#5E4FA2", "#4D4D4D")
+LOWER, ZERO, UPPER, PALE = "#9CC9E3", "#2F5D8A", "#E3A857", "#DDE1E6"
+INK, FREE, ALERT = "#30363D", "#8F9BAA", "#C8501E"
+FORBIDDEN, EDGE, EARLIER = "#EADDCF", "#9A7B5F", "#C9B5A2"
+TITLE: dict[str, Any] = {"loc": "left", "fontsize": 10, "fontweight": "bold", "color": INK}
+
+
+# -- labels ------------------------------------------------------------------------------------------------------------
+
+
+def text(words: str) -> str:
+    """Make words safe to draw: broken mathtext is shown as typed, a leading underscore does not hide a label."""
+    from matplotlib.mathtext import MathTextParser
+
+    words = f" {words}" if words.startswith("_") else words
+    try:
+        MathTextParser("path").parse(words)
+    except ValueError:
+        return words.replace("$", r"\$")
+    return words
+
+
+def short(name: str, width: int = 22) -> str:
+    """Cut the middle out of a long name."""
+    return name if len(name) <= width else f"{name[: width // 2 - 1]}…{name[-(width // 2) :]}"
+
+
+def unit(run: Trajectory, name: str) -> str:
+    """Return the unit of a state, multiplier or array; empty where there is none."""
+    return units_of(run).get(name, "")
+
+
+def with_unit(name: str, unit: str) -> str:
+    """Return "name [unit]"."""
+    return f"{name} [{unit}]" if unit else name
+
+
+def label(run: Trajectory, name: str) -> str:
+    """Return "name [unit]" of a state, an array or the time."""
+    return with_unit(short(name, 40), unit(run, name))
+
+
+def at(run: Trajectory, row: int) -> str:
+    """Return "t = ..." of a row, with its unit."""
+    return text(f"t = {run.t[row]:.4g} {unit(run, 't')}".rstrip())
+
+
+def of(shown: int, count: int, why: str) -> str:
+    """Return the bracket for the title where not everything is shown."""
+    return f" ({shown} of {count} shown, {why})" if shown < count else ""
+
+
+# -- arrays ------------------------------------------------------------------------------------------------------------
+
+
+def table(run: Trajectory, name: str) -> np.ndarray:
+    """Return an array with a column a multiplier or row; no columns where the run does not hold it."""
+    return run.arrays.get(name, np.empty((len(run.t), 0)))
+
+
+def needed(run: Trajectory, name: str) -> np.ndarray:
+    """Return an array that must be there; else PlotError."""
+    if name not in run.arrays:
+        raise PlotError(f"this run holds no {name}: its arrays are {', '.join(sorted(run.arrays))}")
+    return run.arrays[name]
+
+
+def sizes(values: np.ndarray) -> np.ndarray:
+    """Return the largest absolute value of each column, NaN left out."""
+    return np.abs(np.nan_to_num(values)).max(axis=0)
+
+
+def spread(count: int, limit: int) -> np.ndarray:
+    """Return at most `limit` of 0..count-1, evenly spread, both ends kept."""
+    return np.unique(np.linspace(0, count - 1, min(count, limit)).round().astype(int))
+
+
+def thin(*columns: np.ndarray, limit: int = MAX_POINTS) -> np.ndarray:
+    """Return the rows to draw: all, or the first, the last and each column's smallest and largest in each bucket (<= limit)."""
+    n = len(columns[0])
+    if n <= limit:
+        return np.arange(n)
+    width = -(-n // (limit // (2 * len(columns)) - 1))
+    first = np.arange(0, n, width)
+    kept = [np.array([0, n - 1])]
+    for column in columns:
+        buckets = np.full((len(first), width), np.nan)
+        buckets.flat[:n] = column
+        kept.append(first + np.nan_to_num(buckets, nan=np.inf).argmin(axis=1))
+        kept.append(first + np.nan_to_num(buckets, nan=-np.inf).argmax(axis=1))
+    return np.unique(np.concatenate(kept))
+
+
+# -- axes --------------------------------------------------------------------------------------------------------------
+
+
+def blank(width: float, height: float) -> Figure:
+    """Return an empty figure that arranges its axes itself."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    figure.get_layout_engine().set(w_pad=0.1, h_pad=0.1, hspace=0.02, wspace=0.02)
+    return figure
+
+
+def axes(ax: Axes | None, width: float = 8.0, height: float = 4.5) -> Axes:
+    """Return the axes given, or those of a new figure."""
+    return blank(width, height).add_subplot() if ax is None else ax
+
+
+def dress(ax: Axes, title: str, xlabel: str, ylabel: str, *, grid: bool = True) -> None:
+    """Give the axes their words and the look of all pictures."""
+    ax.set_title(text(title), **TITLE)
+    ax.set_xlabel(text(xlabel), fontsize=9)
+    ax.set_ylabel(text(ylabel), fontsize=9)
+    ax.tick_params(labelsize=8)
+    ax.grid(grid, **({"color": "#E6E8EB", "linewidth": 0.6} if grid else {}))
+    ax.set_axisbelow(True)
+    ax.spines[["top", "right"]].set_visible(False)
+
+
+def over_time(ax: Axes, run: Trajectory, title: str, ylabel: str, *, grid: bool = True) -> None:
+    """Dress axes over time: from the start to the end of the run and no more, the same for all its pictures."""
+    dress(ax, title, label(run, "t"), ylabel, grid=grid)
+    if run.t[-1] > run.t[0]:
+        ax.set_xlim(run.t[0], run.t[-1])
+
+
+def inches(ax: Axes) -> tuple[float, float]:
+    """Return the width and height of the axes, before the layout leaves room for labels."""
+    box = ax.get_position()
+    width, height = ax.get_figure(root=True).get_size_inches()
+    return box.width * width, box.height * height
+
+
+def filled(ax: Axes, *limits: tuple[float, float]) -> list[tuple[float, float]]:
+    """Widen one of two limits, so that a picture of equal scales fills its panel."""
+    spans, panel = np.array([b - a for a, b in limits]), np.maximum(np.array([1.1, 0.9]) * inches(ax), 0.5)
+    more = np.clip(max(spans / panel) * panel, spans, 2 * spans) - spans
+    return [(a - m / 2, b + m / 2) for (a, b), m in zip(limits, more, strict=True)]
+
+
+def legend(ax: Axes, handles: Sequence[Any], *, column: bool = False) -> None:
+    """Put the legend beside the title where both fit, else in rows between title and axes; or outside on the right."""
+    widths, (width, height) = [0.067 * (len(handle.get_label()) + 7) for handle in handles], inches(ax)
+    style: dict[str, Any] = {"handles": handles, "fontsize": 8, "frameon": False, "borderaxespad": 0.2}
+    title = ax.get_title(loc="left")
+    if column:
+        style |= {"fontsize": 7, "labelspacing": 0.3, "ncols": -(-len(handles) // max(1, int(height / 0.135)))}
+        ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1), **style)
+    elif 0.1 * len(title) + sum(widths) < width:
+        ax.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=len(handles), columnspacing=1.2, **style)
+    else:
+        count = len(widths)
+        tries = (-(-count // rows) for rows in range(1, count))  # matplotlib fills columns one by one
+        columns = next((n for n in tries if sum(map(max, np.array_split(widths, n))) < 1.15 * width), 1)
+        ax.set_title(title, pad=7 + 13 * -(-count // columns), **TITLE)
+        # The raised title already holds the room; a legend wider than the axes must not shrink them.
+        style |= {"ncols": columns, "columnspacing": 1.2}
+        ax.legend(loc="lower left", bbox_to_anchor=(0, 1), **style).set_in_layout(False)
+
+
+def colours(count: int) -> list[Any]:
+    """Return distinct colours for a few lines; a scale from dark to light for many, which are ordered (a chain, a crowd)."""
+    if count <= len(LINES):
+        return list(LINES[:count])
+    from matplotlib import colormaps
+
+    return [colormaps["viridis"](s) for s in np.linspace(0, 0.9, count)]

@@ -1,0 +1,191 @@
+"""Pictures over time: states, multipliers, residual, energy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nsmodel.errors import PlotError
+from nsmodel.plot import style
+from nsmodel.trajectory import multiplier_names, state_names
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from nsmodel.trajectory import Trajectory
+
+MAX_LINES = 12
+# Each dash over the one before: lines that coincide stay visible.
+DASHES: tuple[tuple[float, Any], ...] = ((2.4, "-"), (1.6, (0, (7, 3))), (1.6, (0, (3.5, 3.5))), (1.4, (0, (1.5, 1.5))))
+
+
+def states(run: Trajectory, names: Sequence[str] | None = None, *, limit: int = MAX_LINES, ax: Axes | None = None) -> Axes:
+    """Draw the states over time.
+
+    A run with more than `limit` states shows some, evenly spread, and the title says so; `names` may ask for more.
+    Where two units are mixed (or, no units given, two very different sizes), the second has its axis on the right.
+
+    Args:
+        run: the run.
+        names: names of states (`"q_0"`) or stems (`"q"`).
+        limit: at most so many lines where `names` is left out.
+        ax: where to draw; a new figure by default.
+
+    Raises:
+        PlotError: no state has that name.
+
+    """
+    known, note = state_names(run), ""
+    discs = names is None and bool(run.metadata.get("scene"))
+    if names is not None:
+        picks = _named(run, names)
+    elif discs:  # x and y of a disc: one colour, two dashes
+        bodies = style.spread(len(known) // 2, max(1, limit // 2))
+        picks = np.stack([2 * bodies, 2 * bodies + 1], axis=1).ravel().tolist()
+        note = style.of(len(picks), len(known), "bodies evenly spread")
+    else:
+        picks = style.spread(len(known), limit).tolist()
+        note = style.of(len(picks), len(known), "evenly spread")
+    paint = [colour for colour in style.colours(len(picks) // 2) for _ in "xy"] if discs else style.colours(len(picks))
+    looks = [{"color": c, "linewidth": 1.5, "linestyle": "--" if discs and k % 2 else "-"} for k, c in enumerate(paint)]
+    ax, chosen = style.axes(ax), [known[k] for k in picks]
+    _series(ax, run, f"States{note}", "state", run.x[:, picks], chosen, [style.unit(run, name) for name in chosen], looks)
+    return ax
+
+
+def _named(run: Trajectory, wanted: Sequence[str]) -> list[int]:
+    """Columns of the states and stems with these names."""
+    names, stems = state_names(run), run.metadata.get("stems") or {}
+    picks: list[int] = []
+    for name in [wanted] if isinstance(wanted, str) else wanted:
+        if name not in names and name not in stems:
+            known = [*names[:20], *(["..."] if len(names) > 20 else []), *stems]
+            raise PlotError(f"no state is called {name!r}; the states are {', '.join(known)}")
+        picks += [names.index(name)] if name in names else list(stems[name])
+    if not picks:
+        raise PlotError("names is empty: give at least one state, or leave names out to see them all")
+    return picks
+
+
+def multipliers(run: Trajectory, *, which: str = "multipliers", limit: int = MAX_LINES, ax: Axes | None = None) -> Axes:
+    """Draw the multipliers over time, each over the step it belongs to.
+
+    Args:
+        run: the run.
+        which: "multipliers", or "reactions" (multipliers divided by the step).
+        limit: at most so many lines; beyond, those that reach the most are shown and the title says so.
+        ax: where to draw; a new figure by default.
+
+    Raises:
+        PlotError: the run has none.
+
+    """
+    if which not in ("multipliers", "reactions"):
+        raise PlotError(f"which is {which!r}: give 'multipliers' or 'reactions'")
+    values = style.table(run, which) if which == "multipliers" else style.needed(run, which)
+    if not values.shape[1]:
+        raise PlotError("this run has no multipliers: its model has no law")
+    picks = _largest(style.sizes(values), limit)
+    looks = [
+        {"color": c, "drawstyle": "steps-pre", "linewidth": DASHES[k % 4][0], "linestyle": DASHES[k % 4][1]}
+        for k, c in enumerate(style.colours(len(picks)))
+    ]
+    title = "Multipliers" if which == "multipliers" else "Reactions (multipliers / step)"
+    title += style.of(len(picks), values.shape[1], "the largest")
+    ax, names = style.axes(ax), [multiplier_names(run)[k] for k in picks]
+    units = [style.unit(run, which if which == "reactions" else name) for name in names]
+    _series(ax, run, title, which[:-1], values[:, picks], names, units, looks)
+    return ax
+
+
+def _largest(size: np.ndarray, limit: int) -> np.ndarray:
+    """Positions, in their order, of the largest sizes; of those that tie for the last places, some evenly spread."""
+    cut = np.sort(size)[-min(limit, len(size))]
+    above, ties = np.flatnonzero(size > cut), np.flatnonzero(size == cut)
+    return np.sort(np.concatenate([above, ties[style.spread(len(ties), limit - len(above))]]))
+
+
+def _series(
+    ax: Axes, run: Trajectory, title: str, word: str, values: np.ndarray, names: Sequence[str], units: Sequence[str],
+    looks: Sequence[dict[str, Any]],
+) -> None:  # fmt: skip
+    """Draw columns over time, with units, with a second axis on the right where two units or sizes are mixed."""
+    labels, second = [style.short(name) for name in names], _second_axis(values, units)
+    first, right = [k for k in range(len(names)) if k not in second], ax.twinx() if second else ax
+    lines = []
+    for k, label in enumerate(labels):
+        side, where = (right, " (right axis)") if k in second else (ax, "")
+        label = style.with_unit(label, units[k]) if second or len(set(units)) > 1 else label
+        kept = style.thin(values[:, k])
+        lines += side.plot(run.t[kept], values[kept, k], label=style.text(label + where), **looks[k])
+    for side, group, heading in ((ax, first, title), (right, second, ""))[: 2 if second else 1]:
+        few = ", ".join(labels[k] for k in group) if len(group) <= 3 else f"{word}s"
+        few = f"{word} of {few}" if len(names) == 1 and word != "state" else few
+        unit = ", ".join(dict.fromkeys(units[k] for k in group if units[k]))
+        style.over_time(side, run, heading, style.with_unit(few, unit), grid=group is first)
+        if second and len(group) == 1:
+            side.yaxis.label.set_color(lines[group[0]].get_color())
+    if second:
+        right.spines["right"].set_visible(True)
+    if len(names) > 1:
+        style.legend(ax, lines, column=len(names) > 6)
+
+
+def _second_axis(values: np.ndarray, units: Sequence[str]) -> list[int]:
+    """Columns for an axis of their own: those in the second of two units; or, no units given, of a size 20 apart."""
+    kinds = list(dict.fromkeys(units))
+    if not 2 <= len(units) <= 6 or len(kinds) > 2:
+        return []
+    if len(kinds) == 2:
+        return [k for k, unit in enumerate(units) if unit == kinds[1]]
+    if kinds != [""]:
+        return []
+    size = style.sizes(values)
+    small = (0 < size) & (20 * size <= size.max())
+    return np.flatnonzero(small != small[0]).tolist()
+
+
+def residual(run: Trajectory, *, ax: Axes | None = None) -> Axes:
+    """Draw the residual of each step on a logarithmic scale, with the tolerance it was accepted at.
+
+    A residual of exactly 0 has no place on this scale: it is drawn at the bottom, and an unknown one (inf) at the top;
+    the legend counts them.
+    """
+    ax = style.axes(ax)
+    t, values, tolerance = run.t[1:], style.needed(run, "residual")[1:], run.metadata.get("tolerance")
+    usual = np.isfinite(values) & (values > 0)
+    marks = np.append(values[usual], tolerance or 1e-9)
+    low, high = min(marks.min(), 1e-15) / 30, marks.max() * 10
+    handles = []
+    for mask, shown, marker, colour, words in (
+        (usual, values, ".", style.LINES[0], "steps"),
+        (values == 0, np.full(len(t), low * 1.6), "v", style.FREE, "exactly 0: {}, at the bottom"),
+        (np.isposinf(values), np.full(len(t), high / 1.6), "^", style.ALERT, "unknown: {}, at the top"),
+    ):
+        if mask.any():
+            kept = np.flatnonzero(mask)[style.thin(shown[mask])]
+            label = words.format(f"{mask.sum()} of {len(t)}")
+            handles += ax.plot(t[kept], shown[kept], marker, color=colour, markersize=4, label=label)
+    ax.set_yscale("log")
+    ax.set_ylim(low, high)
+    if tolerance:
+        handles.append(ax.axhline(tolerance, color=style.ALERT, linewidth=1.2, label=f"tolerance {tolerance:.3g}"))
+    style.over_time(ax, run, "Residual", "residual, no unit")
+    style.legend(ax, handles)
+    return ax
+
+
+def energy(run: Trajectory, *, ax: Axes | None = None) -> Axes:
+    """Draw the energy over time.
+
+    Raises:
+        PlotError: the run holds no energy.
+
+    """
+    values = style.needed(run, "energy")
+    ax, kept = style.axes(ax), style.thin(values)
+    ax.plot(run.t[kept], values[kept], color=style.LINES[0], linewidth=1.6)
+    style.over_time(ax, run, "Energy", style.label(run, "energy"))
+    return ax

@@ -1,0 +1,63 @@
+"""Where case files and reference data are, and runs that several tests look at."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nsmodel
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+SHARED = REPOSITORY / ".." / "shared"
+CASES = sorted((REPOSITORY / "cases").glob("*.py"))
+
+
+def pytest_generate_tests(metafunc):
+    """A test with the argument ``case_file`` runs for every case file."""
+    if "case_file" in metafunc.fixturenames:
+        metafunc.parametrize("case_file", CASES, ids=[path.stem for path in CASES])
+
+
+@pytest.fixture(scope="session")
+def load_case():
+    """Return load_case(stem, **parameters) -> Model."""
+    return lambda stem, **parameters: nsmodel.load(REPOSITORY / "cases" / f"{stem}.py", **parameters)
+
+
+@pytest.fixture(scope="session")
+def cases_of(load_case):
+    """Return cases_of(class) -> {stem: Model} of all case files of one model class."""
+    models = {path.stem: load_case(path.stem) for path in CASES}
+    return lambda kind: {stem: model for stem, model in models.items() if type(model) is kind}
+
+
+@pytest.fixture(scope="session")
+def run_case(load_case):
+    """Return run_case(stem) -> Trajectory of the case file as it stands, shared by all tests; do not change its arrays."""
+
+    @cache
+    def run(stem):
+        return nsmodel.simulate(load_case(stem))
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def reference():
+    """Return reference(name) -> array of a Siconos reference file, time first; the test is skipped where it is absent."""
+
+    @cache
+    def read(name):
+        path = SHARED / "data" / "siconos" / f"{name}.ref"
+        if not path.is_file():
+            pytest.skip(f"no reference data: {path}")
+        with path.open() as file:
+            shape = tuple(map(int, file.readline().split()))
+            table = np.loadtxt(file)
+        assert table.shape == shape
+        return table
+
+    return read

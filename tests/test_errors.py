@@ -1,0 +1,743 @@
+"""Wrong models and wrong runs: each message names what is wrong in the user's words, the value or shape, and the fix."""
+
+import re
+
+import casadi as ca
+import numpy as np
+import pytest
+import scipy.sparse
+import sympy
+
+import nsmodel
+from nsmodel import (
+    FirstOrderSystem,
+    FrictionOscillator,
+    LureSystem,
+    ModelError,
+    MonotoneInclusion,
+    StepError,
+    StorageError,
+    SweepingProcess,
+    UsageError,
+    ball,
+    box,
+    complementarity,
+    equality,
+    polyhedron,
+    product,
+    relay,
+    second_order_cone,
+    simulate,
+)
+from nsmodel.model.base import RESERVED
+
+nan, inf = float("nan"), float("inf")
+t, q, x, s, lam, y, k = (
+    ca.SX.sym(name, size) for name, size in (("t", 1), ("q", 2), ("x", 2), ("s", 1), ("l", 1), ("y", 1), ("k", 1))
+)
+
+
+def lure(**other):
+    given = {"A": [[0, 1], [-1, 0]], "B": [0, 1], "C": [0, 1], "law": relay(1), "x0": [1, 0], "t_end": 1, "step": 0.1}
+    return LureSystem(**(given | other))
+
+
+def lure_2(**other):
+    """Return a system of three states and a law of two components."""
+    given = {"A": np.eye(3), "B": np.ones((3, 2)), "C": np.ones((2, 3)), "law": relay(2), "x0": [1, 0, 2]}
+    return lure(**(given | other))
+
+
+def lure_phi(phi, **other):
+    return lure(law=None, phi=phi, **({"y": y} | other))
+
+
+def sweeping(**other):
+    disc = ca.norm_2(q) - 1
+    given = {"t": t, "q": q, "f": [1, 0], "constraints": {"disc": disc}, "q0": [-2, 0.1], "t_end": 1, "step": 0.1}
+    return SweepingProcess(**(given | other))
+
+
+def oscillator(**other):
+    given = {"x": x, "potential": ca.sumsqr(x) / 2, "friction": 0.1 * s, "s": s, "x0": [1, 0], "t_end": 1, "step": 0.1}
+    return FrictionOscillator(**(given | other))
+
+
+def first_order(**other):
+    given = {"x": x, "lam": lam, "f": [x[1], 0], "h": x[1], "g": [0, lam], "law": relay(1), "x0": [1, 0], "t_end": 1, "step": 0.1}
+    return FirstOrderSystem(**(given | other))
+
+
+def inclusion(**other):
+    given = {"x": x, "field": -x, "operator": ca.sign(x), "lower": -1, "upper": 2, "x0": [1, 0], "t_end": 1, "step": 0.1}
+    return MonotoneInclusion(**(given | other))
+
+
+def mx_that_does_not_expand():
+    value = ca.MX.sym("q", 2)
+    return ca.solve(ca.diag(1 + value**2), value)
+
+
+# What is wrong: (builder, what is given, what the message says). Each is refused when the model is declared.
+SHAPES = [
+    (
+        lure,
+        {"A": [[0, 1], [1, 0], [0, 0]]},
+        "A: shape (3, 2); expected (2, 2), a row and a column for each of 2 states x_0, x_1; or give",
+    ),
+    (lure, {"A": [1, 2, 3]}, "A: shape (3, 1); expected (2, 2)"),
+    (lure, {"A": [0, 1]}, "A: shape (2, 1); expected (2, 2)"),
+    (lure, {"A": 5}, "A: shape (1, 1); expected (2, 2)"),
+    (lure, {"A": [[1, 2], [3]]}, "A: the rows have 2, 1 entries; expected rows of one length"),
+    (lure, {"A": np.zeros((2, 2, 2))}, "A: shape (2, 2, 2); expected a scalar, a vector or a matrix"),
+    (
+        lure,
+        {"x": x, "A": [[x[0], 0], [0, 1]]},
+        "A: a matrix (2, 2) with entries of x; write the product with x, as 2 expressions",
+    ),
+    (lure, {"x": x, "A": [x[0], 0, 1]}, "A: shape (3, 1); expected a column of 2 entries"),
+    (
+        lure_2,
+        {"B": np.ones((2, 3))},
+        "B: shape (2, 3); expected (3, 2), a row for each of 3 states, a column for each of 2 components of the",
+    ),
+    (lure_2, {"B": np.ones((2, 3))}, "it seems to be transposed"),
+    (
+        lure_2,
+        {"C": np.ones((3, 2))},
+        "C: shape (3, 2); expected (2, 3), a row for each of 2 components of the law, a column for each of 3 states; it",
+    ),
+    (lure_2, {"D": np.ones((2, 3))}, "D: shape (2, 3); expected (2, 2), a row and a column for each of 2 components of the law"),
+    (lure_2, {"D": [1, 2]}, "D: shape (2, 1); expected (2, 2)"),
+    (lure_2, {"B": [1, 2, 3]}, "B: shape (3, 1); expected (3, 2)"),
+    (
+        lure,
+        {"law": relay(2)},
+        "B: shape (2, 1); expected (2, 2), a row for each of 2 states, a column for each of 2 components of the law",
+    ),
+    (
+        lure,
+        {"law": None, "phi": ca.fabs(y), "y": ca.SX.sym("y", 2)},
+        "B: shape (2, 1); expected (2, 2), a row for each of 2 states, a column for each of 2 symbols of y",
+    ),
+    (lure, {"f": [0, 1, 2]}, "f: shape (3, 1); expected a column of 2 entries"),
+    (lure, {"f": 5}, "f: shape (1, 1); expected a column of 2 entries"),
+    (lure, {"x0": [1, 0, 0]}, "A: shape (2, 2); expected (3, 3), a row and a column for each of 3 states x_0, x_1, x_2"),
+    (lure, {"x0": np.eye(2)}, "x0: shape (2, 2); expected a column, one number for each state"),
+    (lure, {"x0": []}, "x0: shape (0, 1); expected a column, one number for each state"),
+    (lure, {"x": x, "x0": [1]}, "x0: shape (1, 1); expected a column of 2 entries"),
+    (lure_phi, {"phi": [ca.fabs(y), 1]}, "phi: shape (2, 1); expected one scalar expression"),
+    (sweeping, {"q0": [1, 2, 3]}, "q0: shape (3, 1); expected a column of 2 entries"),
+    (sweeping, {"f": [1]}, "f: shape (1, 1); expected a column of 2 entries"),
+    (oscillator, {"potential": x}, "potential: shape (2, 1); expected one scalar expression"),
+    (oscillator, {"damping": np.eye(3)}, "damping: shape (3, 3); expected (2, 2), as there are 2 states"),
+    (
+        oscillator,
+        {"friction": {"floor": (np.eye(3), 0.1 * s)}},
+        "friction 'floor': H has shape (3, 3); expected (m, 2), one column for each state",
+    ),
+    (oscillator, {"friction": {"floor": (np.zeros((0, 2)), s)}}, "friction 'floor': H has shape (0, 2); expected (m, 2)"),
+    (oscillator, {"v0": [1]}, "v0: shape (1, 1); expected a column of 2 entries"),
+    (oscillator, {"x1": [1]}, "x1: shape (1, 1); expected a column of 2 entries"),
+    (first_order, {"M": [1, 2]}, "M: shape (2, 1); expected (2, 2), as there are 2 states"),
+    (first_order, {"h": [1, 2]}, "h: shape (2, 1); expected one scalar expression"),
+    (first_order, {"g": [lam]}, "g: shape (1, 1); expected a column of 2 entries"),
+    (first_order, {"lam0": [1, 2]}, "lam0: shape (2, 1); expected one scalar expression"),
+    (first_order, {"law": relay(2)}, "law: it has 2 components, but lam = l has 1; make them equal"),
+    (inclusion, {"field": [1]}, "field: shape (1, 1); expected a column of 2 entries"),
+    (inclusion, {"lower": [0, 0, 0]}, "lower: shape (3, 1); expected a column of 2 entries"),
+    (
+        inclusion,
+        {"operator": relay(1)},
+        "operator: a law of size 2 made of boxes is expected; for other convex potentials use phi=",
+    ),
+]
+
+SYMBOLS = [
+    (
+        lure,
+        {"A": [[k, 0], [0, 1]]},
+        "A uses the symbol 'k', which is not declared: add it to parameters={...} or declare it as x=, t=; declared are x_0, x_1",
+    ),
+    (lure, {"B": [0, k]}, "B uses the symbol 'k', which is not declared"),
+    (lure, {"f": [t, 0]}, "f uses the symbol 't', which is not declared"),
+    (lure, {"x0": [k, 0]}, "x0 uses the symbol 'k', which is not declared: add it to parameters={...}"),
+    (lure, {"law": relay(1, -k, k)}, "law: lower uses the symbol 'k', which is not declared: add it to parameters={...}"),
+    (
+        lure,
+        {"t": t, "law": relay(1, -1, t)},
+        "law: upper depends on 't', but may depend only on numbers; move that term elsewhere",
+    ),
+    (lure, {"t": t, "A": [[t, 0], [0, 1]]}, "A depends on 't', but may depend only on numbers"),
+    (lure, {"t": t, "D": t}, "D depends on 't', but may depend only on numbers"),
+    (lure, {"f": [0, ca.SX.sym("x_0")]}, "f depends on 'x_0', but may depend only on t"),
+    (lure_phi, {"phi": k * ca.fabs(y)}, "phi uses the symbol 'k', which is not declared"),
+    (lure, {"exact": [t, k], "t": t}, "exact uses the symbol 'k', which is not declared"),
+    (lure, {"exact": [ca.SX.sym("x_0"), 0]}, "exact depends on 'x_0', but may depend only on t"),
+    (
+        sweeping,
+        {"constraints": {"wall": q[0] + s}},
+        "constraint 'wall' uses the symbol 's', which is not declared: add it to parameters={...}",
+    ),
+    (sweeping, {"q0": q}, "q0 depends on 'q_0', but may depend only on numbers; move that term elsewhere"),
+    (sweeping, {"q": ca.SX.sym("z", 2)}, "constraint 'disc' uses the symbol 'q_0', which is not declared"),
+    (sweeping, {"q": [q[0], q[0]]}, "q: the symbol 'q_0' is declared twice; give each symbol its own name"),
+    (sweeping, {"t": q[0]}, "the declared symbols: the symbol 'q_0' is declared twice"),
+    (sweeping, {"t": ca.SX.sym("t", 2)}, "t: 2 symbols given; expected one scalar time symbol"),
+    (sweeping, {"t": 2 * t}, "t: (2.*t) (a SX) is not a symbol; expected symbols only, such as ca.SX.sym('t', 2)"),
+    (sweeping, {"q": None}, "q: no state symbols are given; give for example q=ca.SX.sym('q', 2)"),
+    (oscillator, {"x": []}, "x: no state symbols are given"),
+    (oscillator, {"potential": ca.sumsqr(x) + s}, "potential depends on 's', but may depend only on x_0, x_1"),
+    (oscillator, {"friction": 0.1 * k}, "friction 'friction' theta uses the symbol 'k', which is not declared"),
+    (
+        oscillator,
+        {"friction": {"floor": ([1, 0], s * x[0])}},
+        "friction 'floor' theta depends on 'x_0', but may depend only on s",
+    ),
+    (oscillator, {"friction": {"floor": ([x[0], 0], s)}}, "friction 'floor' H depends on 'x_0', but may depend only on numbers"),
+    (oscillator, {"s": None}, "friction: theta is a function of one scalar symbol; declare it with s="),
+    (oscillator, {"s": ca.SX.sym("s", 2)}, "friction: theta is a function of one scalar symbol; declare it with s="),
+    (
+        oscillator,
+        {"t": t, "constraints": {"wall": x[0] + t}},
+        "constraint 'wall' depends on 't', but may depend only on x_0, x_1",
+    ),
+    (first_order, {"f": [lam, 0]}, "f depends on 'l', but may depend only on t, x_0, x_1"),
+    (first_order, {"M": [[x[0], 0], [0, 1]]}, "M depends on 'x_0', but may depend only on numbers"),
+    (inclusion, {"t": t, "field": [t, 0]}, "field depends on 't', but may depend only on x_0, x_1"),
+    (inclusion, {"lower": x}, "lower depends on 'x_0', but may depend only on numbers"),
+    (inclusion, {"operator": relay(2, -k, 1)}, "operator: lower uses the symbol 'k', which is not declared"),
+]
+
+NUMBERS = [
+    (lure, {"A": [[nan, 1], [0, 1]]}, "A[0, 0] holds a NaN; give a number"),
+    (lure, {"A": [[0, inf], [0, 1]]}, "A[0, 1] = inf; expected a finite number"),
+    (lure, {"B": [nan, 1]}, "B[0] holds a NaN"),
+    (lure, {"B": [0, -inf]}, "B[1] = -inf; expected a finite number"),
+    (lure, {"C": [nan, 1]}, "C[0] holds a NaN"),
+    (lure, {"D": nan}, "D holds a NaN"),
+    (lure, {"f": [inf, 0]}, "f[0] = inf; expected a finite number"),
+    (lure, {"x0": [nan, 0]}, "x0[0] holds a NaN"),
+    (lure, {"x0": [0, inf]}, "x0[1] = inf; expected a finite number"),
+    (sweeping, {"q0": [0, nan]}, "q0[1] holds a NaN"),
+    (sweeping, {"constraints": {"wall": q[0] * nan}}, "constraint 'wall' holds a NaN"),
+    (oscillator, {"friction": {"floor": ([1, inf], s)}}, "friction 'floor' H[0, 1] = inf; expected a finite number"),
+    (oscillator, {"v0": [0, inf]}, "v0[1] = inf; expected a finite number"),
+    (oscillator, {"x1": [inf, 0]}, "x1[0] = inf; expected a finite number"),
+    (oscillator, {"potential": inf}, "potential = inf; expected a finite number"),
+    (first_order, {"M": [[inf, 0], [0, 1]]}, "M[0, 0] = inf; expected a finite number"),
+    (first_order, {"lam0": inf}, "lam0 = inf; expected a finite number"),
+    (inclusion, {"lower": [-1, nan]}, "lower[1] holds a NaN"),
+    (inclusion, {"lower": 2, "upper": 1}, "lower[0] = 2, upper[0] = 1: C needs an interior, lower < upper"),
+    (inclusion, {"lower": [0, 1], "upper": [2, 1]}, "lower[1] = 1, upper[1] = 1: C needs an interior"),
+    (inclusion, {"upper": -inf}, "lower[0] = -1, upper[0] = -inf: C needs an interior"),
+    (inclusion, {"tolerances": -1}, "tolerances[0] = -1; expected finite numbers >= 0"),
+    (inclusion, {"tolerances": [0, nan]}, "tolerances[1] = nan; expected finite numbers >= 0"),
+    (
+        inclusion,
+        {"tolerances": "small"},
+        "tolerances: expected a number, a sequence of numbers or a function of the step, not 'small' (a str)",
+    ),
+    (
+        inclusion,
+        {"tolerances": []},
+        "tolerances: expected a number, a sequence of numbers or a function of the step, not [] (a list)",
+    ),
+    (
+        inclusion,
+        {"tolerances": [1] * 3, "steps": [0.1, 0.1], "step": None, "t_end": None},
+        "tolerances: 3 values for 2 steps; give one for each",
+    ),
+]
+
+WORDS = [
+    (lure, {"law": None}, "law and phi: give exactly one of them (phi with its symbols y=)"),
+    (lure, {"phi": ca.fabs(y), "y": y}, "law and phi: give exactly one of them"),
+    (lure, {"law": None, "phi": ca.fabs(y)}, "phi: declare its argument with y="),
+    (lure, {"law": "relay"}, "law: expected a law such as complementarity(2) or relay(1, -1, 1), not 'relay' (a str)"),
+    (lure, {"law": relay}, "law: expected a law such as complementarity(2) or relay(1, -1, 1), not <function relay"),
+    (lure, {"theta": 1.1}, "theta = 1.1; expected a number in [0, 1]"),
+    (lure, {"theta": True}, "theta = True; expected a number in [0, 1]"),
+    (lure, {"gamma": -0.5}, "gamma = -0.5; expected a number in [0, 1]"),
+    (first_order, {"gamma": nan}, "gamma = nan; expected a number in [0, 1]"),
+    (first_order, {"theta": "implicit"}, "theta = 'implicit'; expected a number in [0, 1]"),
+    (first_order, {"law": None}, "law missing: lam, h, g and law are given together, or none of them"),
+    (first_order, {"h": None, "g": None}, "h, g missing: lam, h, g and law are given together, or none of them"),
+    (lure_phi, {"phi": -ca.fabs(y)}, "phi is not convex: the term fabs(y) enters with the weight -1; make every weight >= 0"),
+    (lure_phi, {"phi": ca.sign(y)}, "phi: sign in sign(y) has no subdifferential; write phi with fabs, fmax, norm_2"),
+    (lure_phi, {"phi": ca.floor(y)}, "phi: floor in floor(y) has no subdifferential"),
+    (oscillator, {"potential": -ca.fabs(x[0])}, "potential is not convex: the term fabs(x_0) enters with the weight -1"),
+    (oscillator, {"v0": [1, 0], "x1": [1, 0]}, "v0 and x1 are both given; keep v0 (a velocity) or x1 (the second position)"),
+    (oscillator, {"friction": 0.1}, "friction 'friction': theta = 0.1 does not depend on s = s; for Coulomb friction write mu*s"),
+    (
+        oscillator,
+        {"friction": {"floor": 0.1 * s}},
+        "friction 'floor': expected a pair (H, theta), H with 2 columns, not SX((0.1*s)) (a SX)",
+    ),
+    (
+        oscillator,
+        {"friction": {"floor": ([1, 0],)}},
+        "friction 'floor': expected a pair (H, theta), H with 2 columns, not ([1, 0],) (a tuple)",
+    ),
+    (sweeping, {"constraints": [q[0]]}, "constraints: expected a dictionary {name: expression >= 0}, not a list"),
+    (oscillator, {"constraints": x[0]}, "constraints: expected a dictionary {name: expression >= 0}, not a SX"),
+    (inclusion, {"constraints": "x_0"}, "constraints: expected a dictionary {name: expression >= 0}, not a str"),
+    (
+        sweeping,
+        {"constraints": {"wall": q[0] >= -5}},
+        "constraint 'wall': (-5<=q_0) is a comparison; give the expression that stays >= 0, such as q[0] - 1",
+    ),
+    (
+        inclusion,
+        {"operator": equality(2)},
+        "operator: component 0 is an equality; C would have no interior. Eliminate that state",
+    ),
+    (inclusion, {"operator": ball(2)}, "operator: a law of size 2 made of boxes is expected"),
+    (inclusion, {"phi": ca.fabs(x[0])}, "operator and phi are both given; keep one"),
+    (
+        inclusion,
+        {"operator": None, "phi": ca.fmax(ca.fabs(x[0]), ca.fmax(x[1], x[0]))},
+        "phi: nested nonsmooth terms have no explicit selection; write a sum of fabs, fmax, norm_2",
+    ),
+    (
+        inclusion,
+        {"operator": None, "phi": ca.if_else(x[0] == 0, 0, inf)},
+        "phi: an equality leaves C without interior; eliminate a state instead",
+    ),
+    (inclusion, {"operator": ca.sign(ca.sign(x))}, "operator: sign(sign(x_0)) has a sign inside a sign"),
+    (sweeping, {"mean_forcing": "no"}, "mean_forcing = 'no'; expected True or False"),
+    (sweeping, {"scene": 5}, "scene: 5 (a int); expected a dictionary {'radii': [...], 'walls': [...]}"),
+    (
+        sweeping,
+        {"scene": {"radius": [1]}},
+        "scene: {'radius': [1]} (a dict); expected a dictionary {'radii': [...], 'walls': [...]}",
+    ),
+    (sweeping, {"scene": {"radii": ["a"]}}, "scene: radii and walls must be numbers, walls of shape (W, 2, 2)"),
+    (sweeping, {"scene": {"radii": [-1]}}, "scene: radii must be finite numbers > 0, walls finite numbers"),
+    (sweeping, {"scene": {"radii": [1, 2]}}, "scene: 2 radii for 2 states; expected one radius for each pair (x_i, y_i)"),
+    (
+        sweeping,
+        {"scene": {"radii": [1], "walls": [[0, 0], [1, 1]]}},
+        "scene: walls has shape (2, 2); expected (W, 2, 2), two end points for each wall",
+    ),
+    (
+        sweeping,
+        {"f": [sympy.Function("drift")(sympy.Symbol("q_0")), 0]},
+        "f: 'drift' in drift(q_0) has no CasADi counterpart; write it with elementary functions",
+    ),
+    (sweeping, {"f": mx_that_does_not_expand()}, "f cannot be written with scalar operations"),
+]
+
+TYPES = [
+    (lure, {"A": "A"}, "A: A (a str) is not an expression; expected a number, a list, an array, CasADi SX or MX, or SymPy"),
+    (lure, {"A": None}, "A: None (a NoneType) is not an expression"),
+    (lure, {"A": [["a", "b"], ["c", "d"]]}, "A: a (a str) is not an expression"),
+    (lure, {"A": {"a": 1}}, "A: {'a': 1} (a dict) is not an expression"),
+    (lure, {"A": [[1j, 0], [0, 1]]}, "A: 1j (a complex) is not an expression"),
+    (lure, {"B": np.array([0, 1j])}, "(a complex) is not an expression"),
+    (lure, {"B": ["0", "1"]}, "B: 0 (a str) is not an expression"),
+    (lure, {"A": lambda x: x}, "(a function) is not an expression; call it with your symbols"),
+    (lure, {"x0": None}, "x0: None (a NoneType) is not an expression"),
+    (lure, {"x0": {"position": 1}}, "x0: {'position': 1} (a dict) is not an expression"),
+    (sweeping, {"q": 5}, "q: 5 (a int) is not a symbol; expected symbols only, such as ca.SX.sym('q', 2)"),
+    (sweeping, {"f": ["q_1", "0"]}, "f: q_1 (a str) is not an expression"),
+    (sweeping, {"constraints": {"disc": None}}, "constraint 'disc': None (a NoneType) is not an expression"),
+    (oscillator, {"potential": None}, "potential: None (a NoneType) is not an expression"),
+    (first_order, {"lam": 5}, "lam: 5 (a int) is not a symbol"),
+]
+
+GRIDS = [
+    ({"t_end": None}, "t_end is missing; give the end of the run, a number > 0"),
+    ({"t_end": 0}, "t_end = 0; expected a number > 0"),
+    ({"t_end": "1"}, "t_end = '1' is not a number"),
+    ({"t_end": True}, "t_end = True is not a number"),
+    ({"t_end": k}, "t_end = SX(k) is not a number"),
+    ({"t_end": inf}, "t_end = inf; expected a finite number"),
+    ({"step": -1}, "step = -1; expected a number > 0"),
+    ({"step": 0}, "step = 0; expected a number > 0"),
+    ({"step": nan}, "step = nan; expected a finite number"),
+    ({"step": inf}, "step = inf; expected a finite number"),
+    ({"step": [0.1]}, "step = [0.1] is not a number"),
+    ({"steps": [0.1]}, "step and steps are both given; keep one"),
+    ({"step": None, "t_end": None, "steps": []}, "steps is empty; expected finite numbers > 0"),
+    ({"step": None, "t_end": None, "steps": [0.1, 0]}, "steps[1] = 0; expected finite numbers > 0"),
+    ({"step": None, "t_end": None, "steps": [nan]}, "steps[0] = nan; expected finite numbers > 0"),
+    ({"step": None, "t_end": None, "steps": "ab"}, "steps: expected a list or 1-D array of numbers > 0, not 'ab' (a str)"),
+    ({"step": None, "t_end": None, "steps": np.ones((2, 2))}, "steps: expected a list or 1-D array of numbers > 0, not array("),
+    ({"step": None, "t_end": 5, "steps": [0.1, 0.1]}, "t_end = 5 but the steps sum to 0.2; leave t_end out"),
+    ({"parameters": [1]}, "parameters: expected a dictionary {symbol or name: value}, not a list"),
+    ({"parameters": {"k": nan}}, "parameter 'k' = nan; expected a finite number"),
+    ({"parameters": {"k": "2"}}, "parameter 'k' = '2' is not a number"),
+    ({"parameters": {"k": [1, 2]}}, "parameter 'k': 2 values for 1 symbols (k)"),
+    ({"parameters": {("a", "b"): 1}}, "parameter 'a, b': 1 values for 2 symbols (a, b)"),
+    ({"parameters": {"k": 1, k: 2}}, "parameters: 'k' is declared twice; keep one"),
+    ({"parameters": {2 * k: 1}}, "parameters: (2.*k) (a SX) is not a symbol"),
+    ({"parameters": {"x_0": 1}}, "the declared symbols: the symbol 'x_0' is declared twice"),
+    ({"names": ["a"]}, "names: ['a']; expected a list of 2 names, one for each of x_0, x_1"),
+    ({"names": "ab"}, "names: 'ab'; expected a list of 2 names"),
+    ({"names": ["a", 2]}, "names: ['a', 2]; expected a list of 2 names"),
+    ({"names": ["a", "a"]}, "names: ['a', 'a'] repeats a name; give each state its own"),
+    ({"names": ["energy", "b"]}, "x: the state 'energy' clashes with run.energy; rename it, or give names=[...]"),
+    ({"units": "m"}, "units: 'm'; expected a dictionary {name: unit} of strings"),
+    ({"units": {"t": 1}}, "units: {'t': 1}; expected a dictionary {name: unit} of strings"),
+    ({"exact": [1, 2, 3]}, "exact: shape (3, 1); expected a column of 2 entries"),
+]
+
+
+def declared_with(rows):
+    """Parametrise by rows of (builder, what is given, what the message says)."""
+    ids = [f"{builder.__name__}-{'-'.join(given)}-{i}" for i, (builder, given, _) in enumerate(rows)]
+    return pytest.mark.parametrize(("builder", "given", "message"), rows, ids=ids)
+
+
+@declared_with(SHAPES + SYMBOLS + NUMBERS + WORDS + TYPES + [(lure, *row) for row in GRIDS])
+def test_a_wrong_model_is_refused_when_it_is_declared(builder, given, message):
+    with pytest.raises(ModelError, match=re.escape(message)):
+        builder(**given)
+
+
+@pytest.mark.parametrize("name", sorted(RESERVED))
+def test_no_state_takes_the_name_of_an_attribute_of_the_run(name):
+    for given in ({"names": [name, "other"]}, {"x": ca.SX.sym(name, 2), "A": np.eye(2)}):
+        with pytest.raises(ModelError, match=rf"x: the state '{name}' clashes with run\.{name}; rename it"):
+            lure(**given)
+
+
+def test_reserved_names_are_all_attributes_and_arrays_of_every_class():
+    runs = [simulate(build()) for build in (lure, sweeping, oscillator, first_order, inclusion)]
+    runs.append(simulate(first_order(h=x[1] + lam**3)))
+    taken = {name for name in dir(nsmodel.Trajectory) if not name.startswith("_")}
+    taken |= {name for run in runs for name in run.arrays}
+    assert taken - {"x", "v"} <= RESERVED
+    for builder in (oscillator, inclusion):
+        with pytest.raises(ModelError, match=r"x: the state 'v' clashes with run\.v, the velocity; rename it"):
+            builder(names=["v", "w"])
+    with pytest.raises(ModelError, match=r"x: the state 'x' clashes with run\.x"):
+        lure(names=["x", "y0"])
+    np.testing.assert_array_equal(simulate(lure(names=["u", "v"])).v[0], 0)  # A Lur'e system has no other v.
+
+
+# laws
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: relay(-1), "relay: the number of components must be a whole number >= 0, not -1"),
+        (lambda: complementarity(1.5), "complementarity: the number of components must be a whole number >= 0, not 1.5"),
+        (lambda: equality("a"), "equality: the number of components must be a whole number >= 0, not 'a'"),
+        (lambda: second_order_cone(True), "second_order_cone: the number of components must be a whole number >= 0, not True"),
+        (lambda: ball([2]), "ball: the number of components must be a whole number >= 0, not [2]"),
+        (lambda: relay(1, 1, -1), "relay: lower[0] = 1 is above upper[0] = -1; exchange them"),
+        (lambda: box([0, 1], [1, 0]), "box: lower[1] = 1 is above upper[1] = 0; exchange them"),
+        (lambda: relay(2, [k, 1], [2, 0]), "relay: lower[1] = 1 is above upper[1] = 0; exchange them"),
+        (lambda: box(inf, inf), "box: component 0 has the empty interval [inf, inf]; give lower < inf, upper > -inf"),
+        (lambda: relay(1, nan, 1), "relay: lower[0] is NaN; give a number or +-inf"),
+        (lambda: relay(2, [1, 2, 3], 5), "relay: lower has 3 values; expected 1 or 2"),
+        (lambda: ball(2, [1, 2]), "ball: radius has 2 values; expected 1"),
+        (lambda: relay(1, "a", 1), "relay: lower = 'a'; expected a number, a list of numbers or a CasADi SX"),
+        (lambda: relay(1, None), "relay: lower = None; expected a number"),
+        (lambda: relay(1, 1j), "relay: lower = 1j; expected a number"),
+        (lambda: relay(1, {}), "relay: lower = {}; expected a number"),
+        (lambda: box([[0, 1], [1]], 1), "box: lower = [[0, 1], [1]]; expected a number"),
+        (lambda: relay(1, ca.MX.sym("k")), "relay: lower = MX(k); expected a number, a list of numbers or a CasADi SX"),
+        (lambda: ball(2, -1), "ball: radius = -1 must be finite and not negative"),
+        (lambda: ball(1, -1), "ball: radius = -1 must be finite and not negative"),
+        (lambda: ball(2, inf), "ball: radius = inf must be finite and not negative"),
+        (lambda: ball(1, "a"), "ball: radius = 'a'; expected a number"),
+        (
+            lambda: polyhedron([[1, 0]], [1, 2]),
+            "polyhedron: H has shape (1, 2) and K (2,); expected (r, m) and (r,) with the same r",
+        ),
+        (lambda: polyhedron("a", 1), "polyhedron: H = 'a', K = 1; expected numbers"),
+        (lambda: polyhedron(k, 1), "polyhedron: H = SX(k), K = 1; expected numbers"),
+        (
+            lambda: polyhedron([[1, inf]], [1]),
+            "polyhedron: H and K must be finite; leave a row out instead of making it infinite",
+        ),
+        (lambda: product(relay(1), 5), "product: argument 1 is a int; expected a law such as relay(2)"),
+    ],
+)
+def test_a_wrong_law_is_refused(build, message):
+    with pytest.raises(ModelError, match=f"^{re.escape(message)}"):
+        build()
+
+
+# what is right, in forms that are easily taken for wrong
+
+
+@pytest.mark.parametrize(
+    ("builder", "given"),
+    [
+        (lure, {"A": scipy.sparse.csr_matrix([[0, 1], [-1, 0]])}),
+        (lure, {"A": ca.DM([[0, 1], [-1, 0]]), "x0": ca.DM([1, 0])}),
+        (lure, {"x": x, "A": [x[1], -x[0]]}),
+        (lure, {"B": [[0, 1]], "C": [[0], [1]]}),
+        (lure, {"B": np.array([False, True])}),
+        (lure, {"x0": np.array([[1.0], [0.0]])}),
+        (lure, {"theta": np.float32(0.5), "gamma": 1}),
+        (lure, {"parameters": {"k": 2}, "law": relay(1, -k, k)}),
+        (lure, {"parameters": {("a", "b"): [1, 2]}, "x0": [ca.SX.sym("a"), ca.SX.sym("b")]}),
+        (lure, {"title": None, "units": None}),
+        (lure_phi, {"phi": 0}),
+        (sweeping, {"constraints": None}),
+        (sweeping, {"f": [sympy.Symbol("q_1"), 0]}),
+        (sweeping, {"f": 2 * ca.MX.sym("q", 2)}),
+        (oscillator, {"friction": None, "s": None}),
+        (inclusion, {"lower": None, "upper": [1, inf]}),
+        (inclusion, {"tolerances": lambda h: h**2}),
+    ],
+)
+def test_other_forms_of_a_right_model_run(builder, given):
+    assert simulate(builder(**given)).status == "done"
+
+
+def test_parameters_of_a_law_are_the_declared_ones():
+    """A law with a symbol that is not declared once ran with NaN for it."""
+    by_name = simulate(lure(parameters={"k": 0.5}, law=relay(1, -k, k)))
+    np.testing.assert_array_equal(by_name.x, simulate(lure(law=relay(1, -0.5, 0.5))).x)
+
+
+def test_the_exact_solution_takes_the_values_of_the_parameters():
+    model = lure(t=t, parameters={k: None}, exact=[ca.exp(-k * t), 0]).bind({"k": 2})
+    np.testing.assert_allclose(model.exact([0, 1]), [[1, 0], [np.exp(-2), 0]])
+
+
+# runs that are refused
+
+
+@pytest.mark.parametrize(
+    ("model", "message"),
+    [
+        (
+            lambda: sweeping(q0=[0.5, 0]),
+            "constraint 'disc' = -0.5 < 0 at the start q0 = (0.5, 0): the start is outside the set; move it to where",
+        ),
+        (lambda: sweeping(constraints={"wall": t - 1}), "constraint 'wall' = -1 < 0 at the start q0 = (-2, 0.1)"),
+        (lambda: sweeping(constraints={"walls": ca.vertcat(q[0] + 5, q[1] - 1)}), "constraint 'walls[1]' = -0.9 < 0"),
+        (
+            lambda: sweeping(q0=[0, 0]),
+            "constraint 'disc': its gradient at the start q0 = (0, 0) is not a finite number (a norm at 0",
+        ),
+        (
+            lambda: sweeping(constraints={"root": ca.sqrt(q[0])}),
+            "constraint 'root': its value at the start q0 = (-2, 0.1) is not a finite number",
+        ),
+        (lambda: inclusion(x0=[3, 0]), "constraint 'upper x_0' = -1 < 0 at the start x0 = (3, 0)"),
+        (
+            lambda: inclusion(constraints={"disc": 1 - ca.sumsqr(x)}, x0=[1, 1]),
+            "constraint 'disc' = -1 < 0 at the start x0 = (1, 1)",
+        ),
+        (lambda: oscillator(constraints={"wall": x[0] - 5}), "constraint 'wall' = -4 < 0 at the start x0 = (1, 0)"),
+        (
+            lambda: oscillator(constraints={"wall": x[0] - 1}, x1=[0.5, 0]),
+            "constraint 'wall' = -0.5 < 0 at the start x1 = (0.5, 0)",
+        ),
+        (
+            lambda: oscillator(friction={"floor": ([1, 0], -0.3 * s)}),
+            "friction 'floor': theta = (-0.3*s) has theta'(0) = -0.3; the friction force at rest must be a finite number >= 0",
+        ),
+        (
+            lambda: oscillator(friction={"floor": (np.eye(2), k * s)}, parameters={k: -2}),
+            "has theta'(0) = -2 with k = -2; the friction force at rest must be",
+        ),
+        (lambda: oscillator(friction=ca.sqrt(s)), "friction 'friction': theta = sqrt(s) has theta'(0) = inf"),
+        (
+            lambda: oscillator(potential=k * ca.fabs(x[0]), parameters={k: -1}),
+            "potential: the term 'abs' of x_0 has the weight -1 with k = -1; a convex potential needs finite weights >= 0",
+        ),
+        (
+            lambda: oscillator(potential=k * ca.norm_2(x), parameters={k: -1}),
+            "potential: the term 'norm' of [x_0, x_1] has the weight -1",
+        ),
+        (lambda: lure_phi(k * ca.fmax(y, 0), parameters={k: -1}), "phi: the term 'max' of y has the weight -1 with k = -1"),
+        (
+            lambda: inclusion(operator=None, phi=k * ca.fabs(x[0]), parameters={k: -1}),
+            "phi: the term 'abs' of x_0 has the weight -1",
+        ),
+        (lambda: lure(law=relay(1, -k, k), parameters={k: -1}), "law: relay has lower[0] = 1 above upper[0] = -1 with k = -1"),
+        (lambda: first_order(law=box(k, 1), parameters={k: 5}), "law: box has lower[0] = 5 above upper[0] = 1 with k = 5"),
+        (
+            lambda: lure_2(law=ball(2, k), parameters={k: -1}),
+            "law: the ball has the radius -1 with k = -1; expected a finite number >= 0",
+        ),
+        (
+            lambda: inclusion(lower=k, parameters={k: 5}),
+            "lower[0] = 5, upper[0] = 2 with k = 5: C needs an interior, lower < upper",
+        ),
+        (lambda: lure(B=[0, 1 / k], parameters={k: 0}), "with k = 0, B[1] = inf; expected a finite number"),
+        (lambda: lure(x0=[ca.sqrt(k), 0], parameters={k: -1}), "with k = -1, x0[0] = nan; expected a finite number"),
+        (lambda: lure(parameters={k: None}), "parameter 'k' has no value; give it with --set k=VALUE or parameters={...}"),
+        (lambda: lure(step=None), "no time step: give the model step=, or the run step=H (--step H)"),
+        (lambda: lure(step=1e-13), "t_end / step = 1e+13 steps; choose a larger step or a shorter run"),
+        (
+            lambda: first_order(law=complementarity(1), x0=[1, -1], gamma=0.5),
+            "gamma < 1 needs a multiplier at the start, and the law has none there",
+        ),
+    ],
+)
+def test_a_run_that_cannot_start_is_refused(model, message):
+    declared = model()
+    with pytest.raises(UsageError, match=re.escape(message)):
+        simulate(declared)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"step": -1}, "step = -1; expected a finite number > 0"),
+        ({"t_end": nan}, "t_end = nan; expected a finite number > 0"),
+        ({"step": 0.1, "steps": [0.1]}, "step and steps are both given; keep one"),
+        ({"steps": []}, "steps is empty"),
+        ({"steps": [0.1, -1]}, "steps[1] = -1; expected finite numbers > 0"),
+        ({"steps": [0.1], "t_end": 1}, "t_end is given with steps, which already say where the run ends; leave it out"),
+        ({"tolerance": 0}, "tolerance = 0; expected a number between 0 and 1"),
+        ({"tolerance": 1}, "tolerance = 1; expected a number between 0 and 1"),
+        ({"save_every": 0}, "save_every = 0; expected a whole number >= 1"),
+        ({"save_every": 1.5}, "save_every = 1.5; expected a whole number >= 1"),
+        ({"save_every": True}, "save_every = True; expected a whole number >= 1"),
+        ({"resume": True}, "resume needs out=, the folder of the run to continue"),
+        ({"parameters": {"kk": 1}}, "parameter 'kk' is not declared; the model has k. Did you mean 'k'?"),
+        ({"parameters": {"other": 1}}, "parameter 'other' is not declared; the model has k"),
+        ({"parameters": [1]}, "parameters: expected a dictionary {name: value}, not a list"),
+        ({"solver": "simplex"}, "solver 'simplex' is unknown; choose one of auto, qpoases"),
+    ],
+)
+def test_a_wrong_argument_of_a_run_is_refused(given, message):
+    with pytest.raises(UsageError, match=re.escape(message)):
+        simulate(lure(parameters={k: 1}), **given)
+
+
+def test_a_wrong_value_for_a_parameter_is_refused():
+    with pytest.raises(ModelError, match=r"parameter 'k' = nan; expected a finite number"):
+        simulate(lure(parameters={k: None}), parameters={"k": nan})
+
+
+@pytest.mark.parametrize(
+    ("model", "solver", "message"),
+    [
+        (
+            lambda: lure(law=complementarity(0), B=np.zeros((2, 0)), C=np.zeros((0, 2))),
+            "qpoases",
+            "solver 'qpoases' does not apply: the model has no multipliers; leave --solver out",
+        ),
+        (
+            lambda: lure_2(law=ball(2)),
+            "qpoases",
+            "solver 'qpoases' does not apply: the law has balls or cones; use semismooth or ipopt",
+        ),
+        (
+            lambda: lure(D=-5),
+            "qrqp",
+            "solver 'qrqp' does not apply: the step is not a convex QP (least eigenvalue of W + W' -1); use active-set",
+        ),
+    ],
+)
+def test_a_solver_that_does_not_apply_is_refused_with_the_reason(model, solver, message):
+    with pytest.raises(UsageError, match=re.escape(message)):
+        simulate(model(), solver=solver)
+
+
+@pytest.mark.parametrize(
+    ("tolerances", "message"),
+    [
+        (lambda h: -h, "tolerances(0.1) = -0.1; expected a finite number >= 0"),
+        (lambda h: "small", "tolerances(0.1) = 'small'; expected a finite number >= 0"),
+        (lambda: 1, "tolerances: called with the step 0.1, the function fails"),
+    ],
+)
+def test_a_wrong_tolerance_function_is_refused(tolerances, message):
+    with pytest.raises(ModelError, match=re.escape(message)):
+        simulate(inclusion(tolerances=tolerances))
+
+
+def test_a_set_without_interior_is_refused_where_the_scheme_needs_one():
+    line = {"right": x[0], "left": -x[0]}
+    with pytest.raises(ModelError, match=r"constraints: no point with all c\(x\) > 0 was found; C needs an interior"):
+        simulate(inclusion(constraints=line, lower=None, upper=None, x0=[0, 0], tolerances=1e-3))
+
+
+# hypotheses that fail load and run, with a warning
+
+
+@pytest.mark.parametrize(
+    ("model", "warning"),
+    [
+        (lambda: lure(D=-1), "D is not positive semidefinite (least eigenvalue of its scaled symmetric part -1)"),
+        (lambda: lure(D=-1), "the one-step problem is not monotone"),
+        (lambda: oscillator(friction=s - 1e-3 * s**2), "theta of 'friction' decreases: theta'(1e+03) = -1 < 0"),
+        (lambda: oscillator(friction={"floor": ([1, 0], ca.log(1 + s))}), "theta of 'floor' is not convex: theta''(0) = -1 < 0"),
+        (
+            lambda: oscillator(potential=ca.sumsqr(x) / 2 - 2 * x[1] ** 2),
+            "the potential is not convex at x0 (least eigenvalue of its Hessian -3)",
+        ),
+        (
+            lambda: oscillator(damping=-0.1 * np.eye(2)),
+            "damping is not positive semidefinite (least eigenvalue of its scaled symmetric part -1)",
+        ),
+        (
+            lambda: sweeping(constraints={"room": 9 - ca.sumsqr(q)}),
+            "constraint 'room' is not convex at q0 (least eigenvalue of its Hessian -2): feasibility may be lost",
+        ),
+    ],
+)
+def test_a_hypothesis_that_fails_is_a_warning(model, warning):
+    run = simulate(model())
+    assert run.status == "done"
+    assert any(warning in line for line in run.metadata["warnings"]), run.metadata["warnings"]
+    assert "warnings" in run.summary_text()
+
+
+@pytest.mark.parametrize("build", [lure, sweeping, oscillator, first_order, inclusion])
+def test_a_model_that_keeps_to_its_hypotheses_has_no_warning(build):
+    assert simulate(build()).metadata["warnings"] == []
+
+
+# steps that fail
+
+
+@pytest.mark.parametrize(
+    ("model", "message"),
+    [
+        (
+            lambda: sweeping(f=[0, 0], constraints={"left": 1 - t - q[0], "right": q[0] + 0.5 - t}, q0=[0, 0]),
+            "step 7: no verified step from t = 0.7 to 0.8: the constraints leave no point: 'left' (weight "
+            "0.5) and 'right' (weight 0.5) oppose each other",
+        ),
+        (
+            lambda: first_order(f=[ca.sqrt(x[1]), -1], g=[0, 0 * lam], x0=[1, 0.75]),
+            "step 7: no verified step from t = 0.7 to 0.8: ",
+        ),
+        (
+            lambda: inclusion(field=1 / x),
+            "step 0: field - operator is not finite at t = 0, x = [1. 0.]: a division by 0 or a root of a negative number?",
+        ),
+        (lambda: first_order(M=np.zeros((2, 2)), f=[0, 0]), "step 0: the step's matrix is singular at h = 0.1"),
+    ],
+)
+def test_a_step_that_fails_says_why(model, message):
+    with pytest.raises(StepError, match=re.escape(message)) as caught:
+        simulate(model())
+    error = caught.value
+    assert error.trajectory.status == "failed"
+    assert error.trajectory.metadata["message"] == str(error)
+    assert len(error.trajectory) == error.step
+    assert error.time == pytest.approx(0.1 * (error.step + 1))
+
+
+# results
+
+
+def test_errors_of_a_trajectory(tmp_path):
+    run = simulate(lure())
+    with pytest.raises(UsageError, match=r"no multiplier is called 'force'; this run has l_0"):
+        run.multiplier("force")
+    with pytest.raises(AttributeError, match=r"this run has no 'q'; it has x, x_0, x_1, t, multipliers"):
+        _ = run.q
+    with pytest.raises(StorageError, match=r"missing\.npz does not exist; check the path"):
+        nsmodel.Trajectory.load(tmp_path / "missing.npz")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError, match=r"cannot write .*file/a\.npz: .*; take a folder that is writable"):
+        run.save(tmp_path / "file" / "a.npz")
+    with pytest.raises(StorageError, match=r"cannot write into .*file/out: .*; take a folder that is writable"):
+        simulate(lure(), out=tmp_path / "file" / "out")
