@@ -75,7 +75,7 @@ def inclusion(**other):
 
 def mx_that_does_not_expand():
     value = ca.MX.sym("q", 2)
-    return ca.solve(ca.diag(1 + value**2), value)
+    return ca.solve(ca.vertcat(ca.horzcat(1, value[0]), ca.horzcat(value[1], 2)), value)
 
 
 # What is wrong: (builder, what is given, what the message says). Each is refused when the model is declared.
