@@ -200,8 +200,8 @@ def _document(file: str, run: Trajectory, seconds: float, folder: Path | None, p
 def _print_summary(run: Trajectory, seconds: float) -> None:
     each = seconds / max(run.metadata["steps"], 1)
     text = f"{1e6 * each:.3g} us" if each < 1e-3 else f"{1e3 * each:.3g} ms" if each < 1 else f"{each:.3g} s"
-    # Warnings have their own stream.
-    print(run.summary_text(warnings=False))
+    # Warnings and errors have their own stream.
+    print(run.summary_text(messages=False))
     print(f"  run time        {seconds:.3g} s ({text} a step, loading and set-up included)")
 
 

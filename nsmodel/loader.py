@@ -7,6 +7,7 @@ import importlib.util
 import inspect
 import sys
 from collections.abc import Callable, Mapping
+from copy import copy
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +76,7 @@ def _definition(path: Path) -> Any:
 
 
 def _is_function(found: Any) -> bool:
-    return callable(found) and not isinstance(found, Model)
+    return callable(found) and not isinstance(found, Model | type)
 
 
 def _arguments(function: Callable) -> tuple[str, ...] | None:
@@ -98,9 +99,16 @@ def _called(function: Callable, path: Path, arguments: Mapping[str, Any]) -> Mod
 
 
 def _checked(found: Any, path: Path) -> Model:
+    """``found`` if it is a model, with the file's name as its title where it has none."""
+    if isinstance(found, type):
+        raise ModelError(f"{path}: model is the class {found.__name__} itself; write model = {found.__name__}(...)")
     if not isinstance(found, Model):
         raise ModelError(f"{path}: model is of type {type(found).__name__}; expected one of nsmodel's model classes")
-    return found
+    if found.title:
+        return found
+    titled = copy(found)
+    titled._set(title=path.stem)
+    return titled
 
 
 def _run(action: Callable[[], Any], path: Path) -> Any:

@@ -22,7 +22,7 @@ from nsmodel.grid import Grid, make_grid
 from nsmodel.model.base import Model
 from nsmodel.model.inclusion import MonotoneInclusion
 from nsmodel.model.oscillator import FrictionOscillator
-from nsmodel.scheme import derived_columns, initial_rows, one_step_problem
+from nsmodel.scheme import derived_columns, initial_rows, one_step_problem, shortened
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.build import Stepper
 from nsmodel.solve.projection import CatchingUp
@@ -184,7 +184,8 @@ class _Run:
                     t, h_k = k * h, h if k < N - 1 else grid.last
                 else:
                     t, h_k = grid.time(k), grid.step(k)
-                result = step(t, h_k, state, warm, k) if by_index else step(t, h_k, state, warm)
+                start = state if h_k == h or not constant or k == 0 else shortened(self.model, state, h_k / h)
+                result = step(t, h_k, start, warm, k) if by_index else step(t, h_k, start, warm)
                 row, warm, solver = result
                 state = row[state_at]
                 counts[solver] += 1
@@ -200,7 +201,8 @@ class _Run:
                     r = self.filled
                     self.rows[r] = row
                     self.index[r], self.number[r] = warm.index, k
-                    self.t[r], self.h[r], self.h_next[r] = grid.time(k), h_k, grid.step(k if k < N else N - 1)
+                    self.t[r], self.h[r] = grid.time(k), h_k
+                    self.h_next[r] = h_k if constant or k == N else grid.step(k)
                     self.filled = r + 1
                     if self.filled == self.capacity and self.store is not None:
                         self.k, self.state, self.warm = k, state, warm
@@ -240,8 +242,14 @@ class _Run:
                 arrays[name] = rows[:, at.start].copy() if scalar else rows[:, at].copy()
         return arrays | derived_columns(self.model, arrays, self.h_next[r])
 
-    def _note_motion(self) -> None:
-        """Remember the last saved row of an oscillator that moved: finite convergence is judged at the end."""
+    def _note(self) -> None:
+        """Keep of the filled rows what the end will ask for: the distance to the exact state, when an oscillator last moved."""
+        if self.model.exact is not None:
+            x, t = self.rows[: self.filled, : len(self.model.names)], self.t[: self.filled]
+            exact = np.asarray(self.model.exact(t), float)
+            if exact.shape != x.shape:
+                raise UsageError(f"exact: it returned shape {exact.shape} for {t.size} times; expected {x.shape}")
+            self.totals["largest_error"] = max(self.totals.get("largest_error", 0.0), float(np.abs(x - exact).max()))
         if isinstance(self.model, FrictionOscillator):
             rows, n = self.rows[: self.filled], len(self.model.names)
             v = rows[:, self.layout.slices["v"]]
@@ -256,7 +264,7 @@ class _Run:
 
     def _flush(self, status: str, message: str) -> None:
         """Write the filled rows as a chunk with the checkpoint to continue from, and start a new chunk."""
-        self._note_motion()
+        self._note()
         checkpoint = {
             "k": self.k, "state": self.state.tolist(), "l": self.warm.l.tolist(), "index": self.warm.index.tolist(),
             "counts": dict(self.counts), "totals": self.totals, "settings": self.settings,
@@ -283,7 +291,7 @@ class _Run:
 
     def _finish(self, status: str, message: str) -> Trajectory:
         if self.filled:
-            self._note_motion()
+            self._note()
         metadata = self._metadata(status, message)
         if self.store is None:
             return Trajectory(self._columns(), metadata)

@@ -126,10 +126,10 @@ class Trajectory:
         """Return the run in short as numbers, strings, lists and dictionaries; None for what does not apply."""
         return _summary(self)
 
-    def summary_text(self, *, warnings: bool = True) -> str:
-        """Return the run in short as a table of at most 100 columns; ``warnings=False`` leaves those out."""
+    def summary_text(self, *, messages: bool = True) -> str:
+        """Return the run in short as a table of at most 100 columns; ``messages=False`` leaves out warnings and errors."""
         summary = _summary(self)
-        return _text(summary if warnings else summary | {"warnings": []})
+        return _text(summary if messages else summary | {"warnings": [], "message": ""})
 
     def _array(self, name: str) -> np.ndarray:
         if name not in self.arrays:

@@ -328,7 +328,7 @@ def test_what_is_not_a_number_has_residual_inf(bad):
         found = law_residual(law, np.array(l, float), np.array(y, float), one, one)
         assert found[0] == INF
         symbols = ca.SX.sym("l", 2), ca.SX.sym("y", 2)
-        residual = ca.Function("r", list(symbols), [box_residual_sx(law.lower, law.upper, one, *symbols, ca.SX(one))])
+        residual = ca.Function("r", list(symbols), [box_residual_sx(law, [0, 1], one, *symbols, ca.SX(one))])
         assert float(residual(l, y)) == INF
     for curved in (ball(2, 1), second_order_cone(2)):
         assert law_residual(numeric_law(curved), np.array([bad, 0.0]), np.zeros(2), one, one).max() == INF

@@ -443,6 +443,21 @@ def test_what_does_not_depend_on_y_stays():
     assert not parts.tau.numel()
 
 
+def test_large_norms():
+    y = ca.SX.sym("y", 50)
+    assert len(split(ca.norm_1(y), y, "phi").terms) == 50
+    parts = split(ca.norm_inf(y), y, "phi")
+    assert parts.tau.numel() == 1
+    assert {str(piece) for piece in ca.vertsplit(parts.epigraph)} >= {str(piece) for piece in ca.vertsplit(ca.vertcat(y, -y))}
+
+
+def test_a_branch_may_hang_on_the_domain_and_stand_in_a_condition():
+    nonnegative = Y[0] >= 0
+    inner = ca.if_else(nonnegative, Y[1], 2 * Y[1])
+    parts = split(ca.if_else(ca.logic_and(nonnegative, inner <= 1), Y[0], ca.inf), Y, "phi")
+    assert [str(term.u) for term in parts.terms] == ["y_0", "(1-y_1)"]
+
+
 def test_a_condition_that_always_holds_gives_no_term():
     assert split(ca.if_else(ca.fmax(ca.fabs(Y[0]), 1) <= 2, 0, ca.inf), Y, "phi").terms[0].kind == "indicator"
     assert len(split(ca.if_else(ca.fmax(ca.fabs(Y[0]), 1) <= 2, 0, ca.inf), Y, "phi").terms) == 2

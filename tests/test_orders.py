@@ -8,6 +8,7 @@ x_i = log2 h_i - mean is wrong by at most c sum|x_i| / sum x_i^2: that is the ba
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 
 import casadi as ca
@@ -38,6 +39,20 @@ def chance(grids, factor):
 def sup(run, closed):
     """Return the largest error of a state at a grid point; ``closed`` (N+1, n)."""
     return np.abs(run.x - closed).max()
+
+
+@pytest.fixture(scope="module")
+def runs_of(load_case):
+    """Return runs_of(stem, t_end, grids, parameters) -> the runs of a case on grids of so many steps, each made once."""
+
+    @cache
+    def runs(stem, t_end, grids, parameters):
+        model = load_case(stem, **dict(parameters))
+        made = [simulate(model, step=t_end / n, t_end=t_end) for n in grids]
+        assert [len(run) for run in made] == list(grids)
+        return made
+
+    return lambda stem, t_end, grids=GRIDS, parameters=(): runs(stem, t_end, grids, parameters)
 
 
 # ---------------------------------------------------------------------------------------------- the orders of all schemes
@@ -85,12 +100,10 @@ ORDERS = [
 
 
 @pytest.mark.parametrize("seen", ORDERS, ids=lambda seen: "-".join([seen.stem, *(f"{k}={v}" for k, v in seen.parameters)]))
-def test_observed_order(seen, load_case):
-    model = load_case(seen.stem, **dict(seen.parameters))
-    steps = [seen.t_end / n for n in seen.grids]
-    runs = [simulate(model, step=h, t_end=seen.t_end) for h in steps]
-    assert [len(run) for run in runs] == list(seen.grids)
-    assert abs(order(steps, [sup(run, seen.closed(run.t)) for run in runs]) - seen.order) <= seen.band
+def test_observed_order(seen, runs_of):
+    runs = runs_of(seen.stem, seen.t_end, seen.grids, seen.parameters)
+    errors = [sup(run, seen.closed(run.t)) for run in runs]
+    assert abs(order(seen.t_end / np.array(seen.grids), errors) - seen.order) <= seen.band
 
 
 def test_every_scheme_has_an_observed_order(load_case):
@@ -120,10 +133,9 @@ def test_half_plane_is_exact_in_contact_and_second_order_where_it_lets_go():
         ("moving_disc", exact.moving_disc_multiplier, 4, (0.5460607985830543, 2.419881041110468)),
     ],
 )
-def test_reactions_converge_with_order_one(stem, closed, t_end, contact, load_case):
+def test_reactions_converge_with_order_one(stem, closed, t_end, contact, runs_of):
     errors = []
-    for n in GRIDS:
-        run = simulate(load_case(stem), step=t_end / n, t_end=t_end)
+    for run in runs_of(stem, t_end):
         inside = run.t > 0 if contact is None else (run.t > contact[0] + 0.2) & (run.t < contact[1] - 0.2)
         errors.append(np.abs(run.reactions[inside, 0] - closed(run.t[inside])).max())
     assert abs(order(t_end / np.array(GRIDS), errors) - 1) <= 0.1
@@ -261,10 +273,9 @@ def test_order_while_the_diode_conducts(theta, gamma, expected, as_first_order):
 # ---------------------------------------------------------------------------------------------- monotone inclusions
 
 
-def test_8_1_reaches_zero_and_stays(load_case):
+def test_8_1_reaches_zero_and_stays(runs_of):
     """x' = -1 - 2 x from 2 arrives at t = log(5)/2; the scheme follows within a few steps, at exactly 0."""
-    for n in GRIDS:
-        run = simulate(load_case("inclusion_8_1"), step=2 / n)
+    for run in runs_of("inclusion_8_1", 2):
         late = run.t >= np.log(5) / 2 + 3 * run.step[1]
         assert (run.x[late] == 0).all()
         assert (run.x[run.t < np.log(5) / 2 - 3 * run.step[1]] > 0).all()
@@ -293,27 +304,22 @@ def test_8_2_sticks_within_a_steps_motion(load_case):
     assert run.x[-1, [0, 2]] == pytest.approx(found[[0, 2]], abs=1e-10)
 
 
-DEFECTS = ["inclusion_8_1", "inclusion_8_2", "inclusion_8_2_full"]
-
-
-@pytest.mark.parametrize("stem", DEFECTS)
-def test_projection_defects_are_square_summable_of_the_order_of_the_mesh(stem, load_case):
-    model = load_case(stem)
-    steps, squares, distances = model.t_end / np.array(GRIDS), [], []
-    for h in steps:
-        run = simulate(model, step=h)
+@pytest.mark.parametrize(("stem", "t_end"), [("inclusion_8_1", 2), ("inclusion_8_2", 4), ("inclusion_8_2_full", 6)])
+def test_projection_defects_are_square_summable_of_the_order_of_the_mesh(stem, t_end, runs_of):
+    steps, squares, distances = t_end / np.array(GRIDS), [], []
+    for run in runs_of(stem, t_end):
         squares.append((run.defect[1:] ** 2).sum())
-        distances.append((run.predictor_distance[1:] * run.step[1:]).sum() / model.t_end)
+        distances.append((run.predictor_distance[1:] * run.step[1:]).sum() / t_end)
         assert run.predictor_distance[1:] == pytest.approx(np.linalg.norm(run.defect[1:], axis=1), abs=1e-15)
     assert abs(order(steps, squares) - 1) <= 0.1
     assert abs(order(steps, distances) - 1) <= 0.1
     assert all(fine < coarse for coarse, fine in pairwise(distances))
 
 
-def test_8_1_defects_are_what_the_bound_pushes_back(load_case):
+def test_8_1_defects_are_what_the_bound_pushes_back(runs_of):
     """At rest at 0 each step predicts -h and is pushed back: sum |e|^2 = h (T - t_0), mean distance h (T - t_0)/T, to O(h^2)."""
-    for n in GRIDS:
-        run, h = simulate(load_case("inclusion_8_1"), step=2 / n), 2 / n
-        rest = 2 - np.log(5) / 2
+    rest = 2 - np.log(5) / 2
+    for run in runs_of("inclusion_8_1", 2):
+        h = run.step[1]
         assert abs((run.defect[1:] ** 2).sum() - h * rest) <= 3 * h**2
         assert abs(run.predictor_distance[1:].mean() - h * rest / 2) <= 2 * h**2

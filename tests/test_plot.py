@@ -15,6 +15,7 @@ from matplotlib.image import imread
 
 from nsmodel import plot
 from nsmodel.errors import PlotError
+from nsmodel.model import laws
 from nsmodel.plot import strip, style
 from nsmodel.trajectory import Trajectory
 
@@ -276,6 +277,26 @@ def test_the_strip_speaks_each_laws_words(kind, words):
     assert legend(plot.index_strip(run)) == words
 
 
+def test_friction_sticks_and_slips():
+    words = ["slip (y > 0)", "stick (y = 0)", "slip (y < 0)"]
+    assert legend(plot.index_strip(oscillator())) == words
+    mixed = altered(bridge(), law_kinds=["relay", "relay", "ball", "ball"], model_class="FrictionOscillator")
+    run = altered(mixed, index_names=["friction", "potential term 0", "plane[0]", "plane[1]"])
+    assert legend(plot.index_strip(run)) == [
+        *(f"friction: {word}" for word in words),
+        *(f"relay: {word}" for _, word in strip.WORDS["relay"].values()),
+        "isotropic friction: stick (y = 0)",
+        "isotropic friction: slip (l on the sphere)",
+    ]
+
+
+def test_the_strip_knows_the_label_of_every_law():
+    blocks = [*laws.equality(1).blocks, *laws.complementarity(1).blocks, *laws.relay(1).blocks, *laws.box(0, 1).blocks]
+    blocks += [*laws.ball(2).blocks, *laws.second_order_cone(2).blocks]
+    for block in blocks:
+        plot.index_strip(altered(oscillator(), law_kinds=[block.label]))
+
+
 def test_the_strip_tells_mixed_laws_apart():
     run = altered(bridge(), law_kinds=["complementarity", "relay", "equality", "relay"])
     assert legend(plot.index_strip(run))[:3] == [
@@ -329,6 +350,16 @@ def test_the_strip_of_a_long_run_loses_no_event_and_hides_no_chatter():
     assert {tuple(round(255 * part) for part in to_rgb(colour)) for colour in (style.PALE, style.ZERO)} <= colours
 
 
+def test_the_strip_of_a_long_run_has_clean_edges():
+    rows = 5 * strip.COLUMNS + 3
+    codes = np.where(np.arange(rows) < rows // 3, -1, 0)[:, None]
+    codes[-1] = -1
+    ax = plot.index_strip(fabricate(np.linspace(0, 1, rows), np.zeros(rows), np.zeros((rows, 1)), codes))
+    boxes = [path.vertices for pieces in ax.collections for path in pieces.get_paths()]
+    assert all(np.ptp(box[:, 1]) == pytest.approx(0.76) for box in boxes)
+    assert sorted(box[:, 0].min() for box in boxes) == pytest.approx([0, 1 / 3, 1], abs=2 / strip.COLUMNS)
+
+
 def test_the_strip_refuses_what_it_cannot_draw():
     with pytest.raises(PlotError, match="law_kinds must name one of complementarity, relay"):
         plot.index_strip(altered(oscillator(), law_kinds=["magic"]))
@@ -351,6 +382,21 @@ def test_phase_of_an_oscillator_is_position_against_velocity():
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("x [m]", "velocity of x [m/s]")
     np.testing.assert_array_equal(ax.lines[0].get_ydata(), oscillator().v[:, 0])
     assert plot.phase(chain(), 2, 5).get_ylabel() == "x_5 [mm]"
+
+
+def test_phase_starts_where_the_velocity_is_known():
+    run = oscillator()
+    v = run.v.copy()
+    v[0] = np.nan
+    ax = plot.phase(altered(run, {"v": v}))
+    assert legend(ax)[0] == f"start (t = {run.t[1]:.4g} s)"
+    assert ax.lines[0].get_xdata()[0] == run.x[1, 0]
+
+
+def test_phase_prefers_a_state_with_another_unit():
+    run = altered(chain(), units={"x_0": "m", "x_1": "m", "x_2": "m/s"}, stems={}, model_class="LureSystem")
+    assert plot.phase(run).get_ylabel() == "x_2 [m/s]"
+    assert plot.phase(altered(run, units={})).get_ylabel() == "x_1"
 
 
 def test_phase_refuses_what_is_not_there():
@@ -560,6 +606,13 @@ def test_the_footer_counts_steps_not_rows():
     run = altered(bridge(), steps=2800, save_every=7)
     words = plot.overview(run).get_supxlabel()
     assert words == "LureSystem, 2800 steps, step 1.25e-05 s, rows kept: one in 7, status: done"
+
+
+def test_the_footer_leaves_unknown_steps_out():
+    run = oscillator()
+    step = run.step.copy()
+    step[1] = np.nan
+    assert "step 0.06667 s" in plot.overview(altered(run, {"step": step})).get_supxlabel()
 
 
 def test_overview_of_the_barest_run():

@@ -162,16 +162,17 @@ def test_jacobians_of_every_case(case_file, load_case):
 # ---------------------------------------------------------------------------------------------- Cabot's energy inequality
 
 
-def energy_excess(model, run):
+def energy_excess(model, run, short_end=False):
     """E_{n+1} - E_n + l_n |v| theta'(|v|) (Proposition 4.1) of each step over its round-off bound, from the run's x and v alone.
 
     E at a row is |v l_before / l_next|^2/2 + g(x): the last difference over the step that comes next; at the end it is the last.
+    A last step that only the end of the run shortens keeps the velocity.
     """
     model = model.bind()
     g = ca.Function("g", [model.x], [model.potential])
     first = 1 if model.x1 is not None else 0  # the row at which the recursion starts
     l = np.where(np.isfinite(run.step), run.step, run.t - np.roll(run.t, 1))[1:]
-    ratio = np.append(l[0], l) / np.append(l, l[-1])
+    ratio = np.ones(len(run.t)) if short_end else np.append(l[0], l) / np.append(l, l[-1])
     E = ((run.v * ratio[:, None]) ** 2).sum(axis=1) / 2 + np.array(g(run.x.T)).ravel()
     assert run.energy[first:] == pytest.approx(E[first:], rel=1e-12)
     power = np.zeros(len(run.t))
@@ -199,6 +200,12 @@ def test_energy_inequality_with_growing_steps(growth, cases_of):
         run = simulate(model, steps=steps)
         assert run.t[1:] == pytest.approx(np.cumsum(steps), rel=1e-14)
         assert energy_excess(model, run).max() <= 1, stem
+
+
+def test_energy_inequality_needs_nondecreasing_steps():
+    """A halved step takes the older difference for a doubled velocity: O-steps is no empty hypothesis."""
+    model = coulomb_oscillator(x0=3, v0=-1, t_end=1, step=0.1)
+    assert energy_excess(model, simulate(model, steps=[0.1, 0.1, 0.05, 0.05])).max() > 1e6
 
 
 def test_energy_inequality_in_the_plane():
@@ -252,19 +259,19 @@ def test_tolerances_on_a_box_are_used_and_kept():
 
 
 def test_tolerances_on_a_smooth_set_are_used_and_kept():
-    """A point driven out of the unit disc: d_C is |y| - 1; what is recorded is a bound below it, and an excess above the true one.
+    """A point driven out of the unit disc: d_C is |y| - 1; what is recorded is a bound below it, an excess above the true one.
 
     It slides to the point of the disc that is furthest along the field; sqrt(eps)/mu is the velocity that the tolerance may add.
     """
     x = ca.SX.sym("x", 2)
     disc = {"disc": 1 - ca.sumsqr(x)}
-    outwards = {"field": [1, 0.5], "x0": [-0.5, 0.6], "t_end": 8, "step": 2e-2}
+    outwards = {"field": [1, 0.5], "x0": [-0.5, 0.6], "t_end": 6, "step": 4e-2}
     run = simulate(MonotoneInclusion(x=x, constraints=disc, tolerances=lambda mu: mu**3, **outwards))
     assert (np.linalg.norm(run.x, axis=1) <= 1).all()
     predictors = run.x[1:] - run.defect[1:]
     by_hand = check_tolerances(run, np.maximum(np.linalg.norm(predictors, axis=1) - 1, 0))
-    assert (by_hand < 8e-6).all()
-    assert run.x[-1] == pytest.approx(np.array([1, 0.5]) / np.hypot(1, 0.5), abs=np.sqrt(2e-2))
+    assert (by_hand < 4e-2**3).all()
+    assert run.x[-1] == pytest.approx(np.array([1, 0.5]) / np.hypot(1, 0.5), abs=np.sqrt(4e-2))
 
 
 def test_tolerances_by_number_and_by_step():
@@ -362,13 +369,22 @@ def test_a_whole_number_of_steps_within_rounding_has_no_stray_step(load_case):
 
 def test_a_shorter_last_step_keeps_an_oscillators_velocity():
     """At t = 2.005 = 200.5 steps the mass slides: x and x' are as close to the closed form as in the row before."""
-    run = simulate(coulomb_oscillator(x0=5.3, v0=0, t_end=2.005, step=1e-2))
+    model = coulomb_oscillator(x0=5.3, v0=0, t_end=2.005, step=1e-2)
+    run = simulate(model)
     error = np.abs(np.column_stack([run.x, run.v]) - exact.friction_free(run.t, 5.3)).max(axis=1)
     assert len(run) == 201
     assert run.t[-1] == pytest.approx(2.005, abs=1e-15)
     assert error[-2] <= 0.05
     assert error[-1] <= 2 * error[-2]
-    assert energy_excess(coulomb_oscillator(x0=5.3, v0=0, t_end=2.005, step=1e-2), run).max() <= 1
+    assert energy_excess(model, run, short_end=True).max() <= 1
+
+
+def test_a_run_of_one_shortened_step_starts_with_its_velocity():
+    x0, v0, l = 3.0, 2.0, 0.05
+    run = simulate(coulomb_oscillator(x0=x0, v0=v0, t_end=l, step=0.1))
+    assert run.t.tolist() == [0, l]
+    assert run.v[0, 0] == v0
+    assert run.v[1, 0] == pytest.approx((v0 - l * x0 - l) / (1 + l**2), abs=1e-14)
 
 
 def test_oscillator_starts_from_a_velocity():

@@ -101,6 +101,8 @@ def warnings_of(model: Model, plan: Plan) -> list[str]:
         least = least_eigenvalue(np.array(ca.DM(model.D)))
         if least < -1e-12:
             found.append(f"D is not positive semidefinite (least eigenvalue of its scaled symmetric part {least:.3g})")
+    if isinstance(model, LureSystem) and model.law is None:
+        found += _concave(model.phi_split.smooth, model.y, np.zeros(model.y.numel()), "phi is not convex at y = 0")
     if not plan.monotone:
         found.append(
             f"the one-step problem is not monotone (least eigenvalue {plan.least_eigenvalue:.3g}): "
@@ -149,12 +151,16 @@ def _friction(model: FrictionOscillator) -> list[str]:
         least = least_eigenvalue(np.array(ca.DM(model.damping)))
         if least < -1e-12:
             found.append(f"damping is not positive semidefinite (least eigenvalue of its scaled symmetric part {least:.3g})")
-    smooth = model.potential_split.smooth
-    if ca.jacobian(ca.gradient(smooth, model.x), model.x).nnz() and not model.potential_split.tau.numel():
-        H = np.array(ca.Function("H", [model.x], [ca.hessian(smooth, model.x)[0]])(x0))
-        if np.isfinite(H).all() and np.linalg.eigvalsh(H)[0] < -1e-12 * np.abs(H).max():
-            found.append(f"the potential is not convex at x0 (least eigenvalue of its Hessian {np.linalg.eigvalsh(H)[0]:.3g})")
-    return found
+    return found + _concave(model.potential_split.smooth, model.x, x0, "the potential is not convex at x0")
+
+
+def _concave(smooth: ca.SX, x: ca.SX, at: np.ndarray, what: str) -> list[str]:
+    """A warning where the Hessian of ``smooth`` at a point has a negative eigenvalue."""
+    if any(not ca.depends_on(x, symbol) for symbol in ca.symvar(smooth)):
+        return []  # It contains the levels of nested terms: not a function of x alone.
+    H = np.array(ca.Function("H", [x], [ca.hessian(smooth, x)[0]])(at))
+    least = np.linalg.eigvalsh(H)[0] if np.isfinite(H).all() else 0.0
+    return [f"{what} (least eigenvalue of its Hessian {least:.3g})"] if least < -1e-12 * np.abs(H).max() else []
 
 
 def _short(values: np.ndarray) -> str:

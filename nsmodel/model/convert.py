@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError
+from nsmodel.model.expressions import column, constants
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +50,7 @@ def declare(value: Any, label: str) -> Declared:
     names = tuple(name for name, _, _ in pairs)
     _refuse_repeats(names, label)
     source = tuple(item for i, (_, _, item) in enumerate(pairs) if i == 0 or item is not pairs[i - 1][2])
-    return Declared(names, _stem(names), _column([symbol for _, symbol, _ in pairs]), source)
+    return Declared(names, _stem(names), column([symbol for _, symbol, _ in pairs]), source)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,14 +98,12 @@ def to_sx(value: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
     _refuse_undeclared((symbol.name() for symbol in used), symbols, label)
     strange = [symbol for symbol in used if symbol.element_hash() not in known]
     if strange:
-        result = ca.substitute(result, _column(strange), _column([symbols[symbol.name()] for symbol in strange]))
+        result = ca.substitute(result, column(strange), column([symbols[symbol.name()] for symbol in strange]))
     _refuse_nan(result, label)
     return result
 
 
-def expand_mx(
-    exprs: Sequence[ca.MX], mx_symbols: Sequence[ca.MX], sx_symbols: Sequence[ca.SX], label: str
-) -> list[ca.SX]:
+def expand_mx(exprs: Sequence[ca.MX], mx_symbols: Sequence[ca.MX], sx_symbols: Sequence[ca.SX], label: str) -> list[ca.SX]:
     """Write MX expressions with SX operations, ``sx_symbols[i]`` (of the same shape) in place of ``mx_symbols[i]``.
 
     Raises:
@@ -198,15 +197,14 @@ def _convert(value: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
         return ca.SX(ca.DM(value.toarray()))
     hint = "; call it with your symbols" if callable(value) else ""
     raise ModelError(
-        f"{label}: {_shown(value)} is not an expression{hint}; expected a number, a list, an array, "
-        "CasADi SX or MX, or SymPy"
+        f"{label}: {_shown(value)} is not an expression{hint}; expected a number, a list, an array, CasADi SX or MX, or SymPy"
     )
 
 
 def _from_mx(value: ca.MX, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
     own = ca.symvar(value)
     _refuse_undeclared((name for mx in own for name in _mx_names(mx)), symbols, label)
-    columns = [ca.reshape(_column([symbols[name] for name in _mx_names(mx)]), *mx.shape) for mx in own]
+    columns = [ca.reshape(column([symbols[name] for name in _mx_names(mx)]), *mx.shape) for mx in own]
     return expand_mx([value], own, columns, label)[0]
 
 
@@ -227,10 +225,8 @@ def _from_list(value: Sequence[Any], symbols: Mapping[str, ca.SX], label: str) -
     pieces = [_convert(item, symbols, label) for item in value]
     for i, piece in enumerate(pieces):
         if piece.shape[1] != 1:
-            raise ModelError(
-                f"{label}[{i}]: shape {piece.shape}; expected a scalar or a column; stack matrices with ca.vertcat"
-            )
-    return _column(pieces)
+            raise ModelError(f"{label}[{i}]: shape {piece.shape}; expected a scalar or a column; stack matrices with ca.vertcat")
+    return column(pieces)
 
 
 def _rows(rows: list[list[ca.SX]], label: str) -> ca.SX:
@@ -251,20 +247,12 @@ def _entries(row: Any) -> list[Any]:
 
 
 def _refuse_nan(value: ca.SX, label: str) -> None:
-    if not _has_nan(value):
+    if not np.isnan(constants(value)).any():
         return
     rows, columns = value.shape
-    where = next((i, j) for i in range(rows) for j in range(columns) if _has_nan(value[i, j]))
+    where = next((i, j) for i in range(rows) for j in range(columns) if np.isnan(constants(value[i, j])).any())
     index = "" if value.numel() == 1 else f"[{where[0]}]" if columns == 1 else f"[{where[0]}, {where[1]}]"
     raise ModelError(f"{label}{index} holds a NaN; give a number (inf is allowed) or an expression")
-
-
-def _has_nan(value: ca.SX) -> bool:
-    function = ca.Function("nan", [_column(ca.symvar(value))], [value])
-    return any(
-        function.instruction_id(i) == ca.OP_CONST and np.isnan(function.instruction_constant(i))
-        for i in range(function.n_instructions())
-    )
 
 
 # -- SymPy, which is never imported here -------------------------------------------------------------------------------
@@ -327,9 +315,7 @@ def _from_sympy(expr: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
 def _from_piecewise(expr: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
     pieces = [(_from_sympy(piece, symbols, label), _from_sympy(cond, symbols, label)) for piece, cond in expr.args]
     if not pieces[-1][1].is_one():
-        raise ModelError(
-            f"{label}: {expr} has no value where none of its conditions holds; end it with (expression, True)"
-        )
+        raise ModelError(f"{label}: {expr} has no value where none of its conditions holds; end it with (expression, True)")
     result = pieces[-1][0]
     for piece, condition in reversed(pieces[:-1]):
         result = ca.if_else(condition, piece, result)
@@ -349,10 +335,6 @@ def _is_casadi(value: Any) -> bool:
 
 def _flat(rows: Any) -> list[Any]:
     return [item for row in rows for item in _flat(row)] if isinstance(rows, list) else [rows]
-
-
-def _column(items: Sequence[ca.SX]) -> ca.SX:
-    return ca.vertcat(ca.SX(0, 1), *items)
 
 
 def _shown(value: Any) -> str:

@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError
+from nsmodel.model.expressions import column, evaluate, is_affine, is_constant, keys, same
 
 Rule = Callable[[int, list[ca.SX], ca.SX], ca.SX | None]
-_UNSUPPORTED = {
-    ca.OP_SIGN: "sign",
-    ca.OP_FLOOR: "floor",
-    ca.OP_CEIL: "ceil",
-    ca.OP_FMOD: "fmod",
-    ca.OP_REMAINDER: "remainder",
-    ca.OP_COPYSIGN: "copysign",
-}
+_UNSUPPORTED = {getattr(ca, f"OP_{name.upper()}"): name for name in "sign floor ceil fmod remainder copysign".split()}
 _NONSMOOTH = (*_UNSUPPORTED, ca.OP_SQRT, ca.OP_HYPOT, ca.OP_CONSTPOW, ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN)
 
 
@@ -43,9 +37,9 @@ class Node:
     @property
     def meaning(self) -> ca.SX:
         """The value of the symbol (0 for the domain)."""
-        if self.kind == "domain":
-            return ca.SX(0)
-        return ca.norm_2(self.args) if self.kind == "norm" else reduce(ca.fmax, self.pieces)
+        if self.kind == "max":
+            return reduce(ca.fmax, self.pieces)
+        return {"abs": ca.fabs, "norm": ca.norm_2, "domain": lambda _: ca.SX(0)}[self.kind](self.args)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +51,52 @@ class Bound:
     text: str
 
 
-def read(phi: ca.SX, y: ca.SX, label: str) -> tuple[ca.SX, list[Node], list[Bound]]:
-    """Return the value, smooth in y and the nodes' symbols, the nodes in their order, and the domain."""
-    value, nodes, bounds = _conditions(phi, y, label)
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """Phi = ``value``, smooth in y and the symbols of the nodes, on the domain given by the bounds."""
+
+    value: ca.SX
+    nodes: list[Node]
+    bounds: list[Bound]
+
+    @property
+    def symbols(self) -> ca.SX:
+        """The symbols of the nodes."""
+        return column(node.symbol for node in self.nodes)
+
+    @property
+    def slopes(self) -> list[ca.SX]:
+        """The derivative of the value by each symbol."""
+        return ca.horzsplit(ca.densify(ca.jacobian(self.value, self.symbols)))
+
+    @property
+    def held(self) -> set[int]:
+        """The symbols that other nodes or the bounds hold."""
+        return keys(column([*(node.args for node in self.nodes), *(bound.u for bound in self.bounds)]))
+
+    def inside(self, expr: ca.SX) -> list[Node]:
+        """Return the nodes whose symbol ``expr`` holds."""
+        held = keys(expr)
+        return [node for node in self.nodes if node.symbol.element_hash() in held]
+
+    def only(self, expr: ca.SX) -> tuple[Node | None, float]:
+        """Return the node inside and its weight, where there is one node and its weight is a number."""
+        inside = self.inside(expr)
+        weight = ca.jacobian(expr, inside[0].symbol) if len(inside) == 1 else None
+        return (None, 0.0) if weight is None or not weight.is_constant() else (inside[0], float(weight))
+
+    def meanings(self, slack: dict[Node, ca.SX]) -> ca.SX:
+        """Return what the symbols stand for in terms of y alone, plus the slack of each node that has some."""
+        values = ca.SX(0, 1)
+        for k, node in enumerate(self.nodes):
+            exact = ca.substitute(node.meaning, column(other.symbol for other in self.nodes[:k]), values)
+            values = ca.vertcat(values, exact + slack.get(node, 0))
+        return values
+
+
+def read(phi: ca.SX, y: ca.SX, label: str) -> Parts:
+    """Put a symbol in place of every nonsmooth node that depends on y."""
+    expr, nodes, bounds = _conditions(phi, y, label)
 
     def add(kind: str, args: ca.SX, old: ca.SX) -> ca.SX:
         for node in nodes:
@@ -84,8 +121,8 @@ def read(phi: ca.SX, y: ca.SX, label: str) -> tuple[ca.SX, list[Node], list[Boun
         distance = add("abs" if u.numel() == 1 else "norm", u, old)
         return distance ** (2 * args[1]) if op == ca.OP_CONSTPOW else distance
 
-    value, *us = ca.vertsplit(replay(ca.vertcat(value, *(bound.u for bound in bounds)), rule, _NONSMOOTH, y, label))
-    return value, nodes, [Bound(bound.kind, u, bound.text) for bound, u in zip(bounds, us, strict=True)]
+    value, *us = ca.vertsplit(replay(expr, rule, _NONSMOOTH, y, label))
+    return Parts(value, nodes, [replace(bound, u=u) for bound, u in zip(bounds, us, strict=True)])
 
 
 def replay(expr: ca.SX, rule: Rule, ops: Sequence[int], x: ca.SX, label: str) -> ca.SX:
@@ -126,15 +163,19 @@ _Literal = tuple[str, ca.SX, ca.SX]
 
 
 def _conditions(phi: ca.SX, y: ca.SX, label: str) -> tuple[ca.SX, list[Node], list[Bound]]:
-    """Turn the conditions of the values inf into the domain, and settle the finite branches on it."""
+    """Turn the conditions of the values inf into the domain, settle finite branches on it; a column of value and bounds."""
     nodes: list[Node] = []
     known: list[_Literal] = []
     bounds: list[Bound] = []
+    branches: list[tuple[ca.SX, ca.SX, ca.SX, str]] = []
 
-    def find(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
-        condition, value = args
+    def rule(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
+        (condition, value), symbol = args, ca.SX.sym(f"{label}_c{len(nodes) + len(branches)}")
         if not (value.is_constant() and np.isinf(float(value))):
-            return None
+            if not ca.depends_on(old.dep(0), y):
+                return None
+            branches.append((symbol, condition, value, str(old)))
+            return symbol
         if float(value) < 0:
             raise ModelError(f"{label} takes the value -inf where {old.dep(0)}; a convex potential is +inf outside its domain")
         text, literals = str(ca.logic_not(old.dep(0))), _literals(condition, False)
@@ -143,27 +184,24 @@ def _conditions(phi: ca.SX, y: ca.SX, label: str) -> tuple[ca.SX, list[Node], li
                 f"{label} is not convex: its domain {text} is not a conjunction of <=, >=, ==; "
                 "write the domain as such conditions joined by logic_and"
             )
-        for relation, a, b in literals:
-            if not _is_known((relation, a, b), known):
-                bounds.append(Bound("indicator", b - a, text) if relation == "<=" else Bound("equality", a - b, text))
-        known.extend(literals)
-        nodes.append(Node("domain", ca.SX.sym(f"{label}_s{len(nodes)}"), ca.SX(0, 1), text))
-        return nodes[-1].symbol
+        new = [literal for literal in literals if not _is_known(literal, known)]
+        bounds.extend(Bound("indicator", b - a, text) if r == "<=" else Bound("equality", a - b, text) for r, a, b in new)
+        known.extend(new)
+        nodes.append(Node("domain", symbol, ca.SX(0, 1), text))
+        return symbol
 
-    def settle(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
-        if not ca.depends_on(args[0], y):
-            return None
-        for holds in (True, False):
-            literals = _literals(args[0], holds)
-            if literals is not None and all(_is_known(literal, known) for literal in literals):
-                return args[1] if holds else ca.SX(0)
-        raise ModelError(
-            f"{label}: {old} switches between finite values; write it with fmax, fmin or fabs, "
-            "or give the value inf outside the domain"
-        )
-
-    value = replay(phi, find, (ca.OP_IF_ELSE_ZERO,), y, label)
-    return replay(value, settle, (ca.OP_IF_ELSE_ZERO,), y, label), nodes, bounds
+    value = replay(phi, rule, (ca.OP_IF_ELSE_ZERO,), y, label)
+    expr = ca.vertcat(value, *(bound.u for bound in bounds))
+    for symbol, condition, branch, text in reversed(branches):
+        cases = [_literals(condition, holds) for holds in (True, False)]
+        holds = [case is not None and all(_is_known(literal, known) for literal in case) for case in cases]
+        if not any(holds):
+            raise ModelError(
+                f"{label}: {text} switches between finite values; write it with fmax, fmin or fabs, "
+                "or give the value inf outside the domain"
+            )
+        expr = ca.substitute(expr, symbol, branch if holds[0] else 0)
+    return expr, nodes, bounds
 
 
 def _is_known(literal: _Literal, known: Iterable[_Literal]) -> bool:
@@ -219,17 +257,14 @@ def _squares(q: ca.SX, z: ca.SX) -> list[ca.SX] | None:
         left, right = _squares(q.dep(0), z), _squares(q.dep(1), z)
         return None if left is None or right is None else left + right
     if op == ca.OP_TWICE:
-        factor, inner = ca.SX(2), q.dep(0)
-    elif op == ca.OP_MUL and not ca.depends_on(q.dep(0), z):
-        factor, inner = q.dep(0), q.dep(1)
-    elif op == ca.OP_MUL and not ca.depends_on(q.dep(1), z):
-        factor, inner = q.dep(1), q.dep(0)
-    elif op == ca.OP_DIV and not ca.depends_on(q.dep(1), z):
-        factor, inner = 1 / q.dep(1), q.dep(0)
+        inner, factor = q.dep(0), ca.SX(2)
+    elif op in (ca.OP_MUL, ca.OP_DIV):
+        inner, factor = q.dep(0), q.dep(1) if op == ca.OP_MUL else 1 / q.dep(1)
+        inner, factor = (inner, factor) if ca.depends_on(inner, z) else (factor, inner)
     else:
         return None
     entries = _squares(inner, z)
-    if entries is None or (factor.is_constant() and float(factor) < 0):
+    if entries is None or ca.depends_on(factor, z) or (factor.is_constant() and float(factor) < 0):
         return None
     return [ca.sqrt(factor) * entry for entry in entries]
 
@@ -246,9 +281,10 @@ def _quadratic_root(q: ca.SX, z: ca.SX, old: ca.SX, label: str) -> ca.SX | None:
     tol = 1e-12 * np.abs(values).max()
     if tol == 0 or values.min() < -tol:
         return None
-    L = np.sqrt(values[values > tol])[:, None] * vectors[:, values > tol].T
+    squares = values[values > tol, None]
+    L = np.sqrt(squares) * vectors[:, values > tol].T
     L[np.abs(L) < 1e-15 * np.abs(L).max()] = 0
-    u = ca.DM(L) @ z + ca.DM(np.linalg.pinv(L.T)) @ g / 2
+    u = ca.DM(L) @ z + ca.DM(L / squares) @ g / 2
     rest = q - ca.sumsqr(u)
     both = ca.vertcat(rest, ca.gradient(rest, z), q, gradient)
     rest0, scale = np.split(np.abs(evaluate(both, z, np.zeros((1, z.numel())))[0]), 2)
@@ -261,49 +297,3 @@ def _never_zero(u: ca.SX, z: ca.SX) -> bool:
     c, *A = both.reshape(-1, u.numel())
     rest = c - np.transpose(A) @ np.linalg.lstsq(np.transpose(A), c, rcond=None)[0]
     return bool(np.linalg.norm(rest) > 1e-12 * (1 + np.linalg.norm(c)))
-
-
-# -- expressions -------------------------------------------------------------------------------------------------------
-
-
-def column(items: Iterable[ca.SX]) -> ca.SX:
-    """Stack the items; (0, 1) where there are none."""
-    return ca.vertcat(ca.SX(0, 1), *items)
-
-
-def same(a: ca.SX, b: ca.SX) -> bool:
-    """Whether two expressions are the same node for node."""
-    return a.shape == b.shape and ca.is_equal(a, b, 20)
-
-
-def keys(expr: ca.SX) -> set[int]:
-    """What tells the symbols in ``expr`` apart."""
-    return {symbol.element_hash() for symbol in ca.symvar(expr)}
-
-
-def is_constant(expr: ca.SX, z: ca.SX) -> bool:
-    """Whether ``expr`` does not change with z: read off, or else (y - y is not simplified) seen at sample points."""
-    if not ca.depends_on(expr, z):
-        return True
-    values = evaluate(expr, z, points(z.numel(), 6))
-    return bool(np.allclose(values, values[0], rtol=1e-9, atol=1e-12))
-
-
-def is_affine(expr: ca.SX, z: ca.SX) -> bool:
-    """Whether ``expr`` is affine in z."""
-    return is_constant(ca.jacobian(expr, z), z)
-
-
-def points(n: int, count: int) -> np.ndarray:
-    """Sample points (count, n) of sizes from 0.1 to 10."""
-    rng = np.random.default_rng(0)
-    return rng.normal(size=(count, n)) * 10.0 ** rng.uniform(-1, 1, (count, 1))
-
-
-def evaluate(expr: ca.SX, z: ca.SX, *samples: np.ndarray) -> np.ndarray:
-    """Values (count, numel) of ``expr`` at points (count, n) of z; each other symbol gets one number in (0.5, 2)."""
-    own = keys(z)
-    others = column(symbol for symbol in ca.symvar(expr) if symbol.element_hash() not in own)
-    numbers = np.random.default_rng(0).uniform(0.5, 2, others.numel())
-    function = ca.Function("values", [z, others], [ca.densify(ca.vec(expr))])
-    return np.array(function(np.concatenate(samples).T, numbers)).T

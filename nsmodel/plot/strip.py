@@ -111,8 +111,8 @@ def _shares(column: np.ndarray, codes: Sequence[int]) -> tuple[np.ndarray, np.nd
     first, after = np.searchsorted(border, starts), np.searchsorted(border, ends, side="right")
     shown = column[np.where(after - first == 2, border[first], starts)]
     counts = np.array([np.add.reduceat(column == code, starts, dtype=float) for code in codes]) / (ends - starts)
-    counts = np.where(counts > 0, np.maximum(counts, 0.25), 0)
-    return starts, np.where(after - first > 2, counts / np.maximum(1, counts.sum(axis=0)), shown == np.array(codes)[:, None])
+    counts = np.where(counts > 0, np.maximum(np.round(4 * counts), 1) / 4, 0)  # fourths: like neighbours join
+    return starts, np.where(after - first > 2, counts / counts.sum(axis=0).clip(0.25), shown == np.array(codes)[:, None])
 
 
 def _legend(ax: Axes, laws: dict[str, Words], *, chatter: bool) -> None:

@@ -121,7 +121,8 @@ def _series(
         kept = style.thin(values[:, k])
         lines += side.plot(run.t[kept], values[kept, k], label=style.text(label + where), **looks[k])
     for side, group, heading in ((ax, first, title), (right, second, ""))[: 2 if second else 1]:
-        few = ", ".join(labels[k] for k in group) if len(group) <= 3 else f"{word}s"
+        few = ", ".join(labels[k] for k in group)
+        few = few if len(few) <= 30 else f"{word}s"
         few = f"{word} of {few}" if len(names) == 1 and word != "state" else few
         unit = ", ".join(dict.fromkeys(units[k] for k in group if units[k]))
         style.over_time(side, run, heading, style.with_unit(few, unit), grid=group is first)

@@ -39,3 +39,9 @@ def derived_columns(model: Any, arrays: dict[str, np.ndarray], h_next: np.ndarra
     """Return the columns that follow from others: reactions, energy. ``h_next`` is the step that starts at each row."""
     derive = getattr(SCHEMES[type(model)], "derived_columns", None)
     return {} if derive is None else derive(model, arrays, h_next)
+
+
+def shortened(model: Any, state: np.ndarray, ratio: float) -> np.ndarray:
+    """Return the state before a last step that is shorter than the others by ``ratio``."""
+    shorten = getattr(SCHEMES[type(model)], "shortened", None)
+    return state if shorten is None else shorten(state, ratio)

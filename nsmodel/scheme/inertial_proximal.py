@@ -20,6 +20,8 @@ from nsmodel.model.laws import ball, complementarity, product
 from nsmodel.model.oscillator import Friction, FrictionOscillator
 from nsmodel.scheme.problem import OneStepProblem, subdifferential
 
+LEAST = 1e-150
+
 
 def one_step_problem(model: FrictionOscillator) -> OneStepProblem:
     """Return the step as a nonsmooth problem in d, with the friction forces and the reactions of dg as multipliers."""
@@ -31,7 +33,7 @@ def one_step_problem(model: FrictionOscillator) -> OneStepProblem:
     xi = [ca.SX.sym(f"xi_{e.name}", e.H.shape[0]) for e in elements]
     smooth = ca.SX.zeros(n) if model.damping is None else model.damping @ v
     for element, l in zip(elements, xi, strict=True):
-        smooth += element.H.T @ (rest_over_s(element, model.s, v) * (element.H @ v) - l)
+        smooth += element.H.T @ (rest(element, model.s, element.H @ v) - l)
 
     g = subdifferential(model.potential_split, x, "potential")
     c = ca.vertcat(ca.SX(0, 1), *model.constraints.values())
@@ -59,25 +61,33 @@ def slope_at_zero(element: Friction, s: ca.SX) -> ca.SX:
     return ca.substitute(ca.gradient(element.theta, s), s, 0)
 
 
-def rest_over_s(element: Friction, s: ca.SX, v: ca.SX) -> ca.SX:
-    """(theta'(s) - theta'(0)) / s at s = |H v|, continued by theta''(0): constant for a quadratic theta."""
+def rest(element: Friction, s: ca.SX, u: ca.SX) -> ca.SX:
+    """(theta'(|u|) - theta'(0)) u/|u|, the smooth part of the friction at u = H v: 0 at u = 0, linear for a quadratic theta."""
     slope = ca.gradient(element.theta, s)
     curvature = ca.gradient(slope, s)
     if not ca.depends_on(curvature, s):
-        return curvature
-    u = element.H @ v
-    size = ca.fabs(u) if u.numel() == 1 else ca.sqrt(ca.sumsqr(u))
-    # At |u| = 0 the derivative of the norm is not a number; below `tiny` the quotient is theta''(0) to rounding anyway.
-    tiny = 1e-12
-    safe = ca.if_else(size > tiny, ca.fmax(size, tiny), tiny) if u.numel() == 1 else ca.sqrt(ca.sumsqr(u) + tiny**2)
-    quotient = (ca.substitute(slope, s, safe) - slope_at_zero(element, s)) / safe
-    return ca.if_else(safe > 1e-6, quotient, ca.substitute(curvature, s, safe))
+        return curvature * u
+    # The least size keeps derivatives finite at u = 0, in any unit of length.
+    scalar = u.numel() == 1
+    size = ca.fmax(ca.fabs(u), LEAST) if scalar else ca.sqrt(ca.sumsqr(u) + LEAST**2)
+    direction = ca.sign(u) if scalar else u / size
+    return (ca.substitute(slope, s, size) - slope_at_zero(element, s)) * direction
 
 
 def energy(model: FrictionOscillator) -> ca.Function:
     """E_n = |x_{n+1} - x_n|^2 / (2 l_n^2) + g(x_{n+1}) (14), as a function of (x_{n+1}, (x_{n+1} - x_n)/l_n)."""
     w = ca.SX.sym("w", model.x.numel())
     return ca.Function("energy", [model.x, w], [ca.sumsqr(w) / 2 + model.potential])
+
+
+def shortened(state: np.ndarray, ratio: float) -> np.ndarray:
+    """The state before a last step shortened by ``ratio``: the older position is moved so that the velocity is kept.
+
+    The paper divides the older difference by the new step, for steps that do not decrease; a step that only the end of the
+    run shortens is not meant to be a kick.
+    """
+    n = state.size // 2
+    return np.concatenate([state[:n], state[n:] * ratio])
 
 
 def at(expression: ca.SX, x: ca.SX, value: ca.SX) -> ca.SX:

@@ -29,7 +29,8 @@ def solve_or_least_squares(A: np.ndarray, rhs: np.ndarray) -> np.ndarray:
     """Solve A x = rhs with one refinement; the least-squares solution of least norm where A is singular."""
     try:
         x = np.linalg.solve(A, rhs)
-        x += np.linalg.solve(A, rhs - A @ x)
+        if np.isfinite(x).all():
+            x = x + np.linalg.solve(A, rhs - A @ x)
     except np.linalg.LinAlgError:
         return np.linalg.lstsq(A, rhs, rcond=None)[0]
     size = np.abs(A) @ np.abs(x)
@@ -80,7 +81,8 @@ def primal_dual(
         y[index == 0] = 0.0
         l_in = np.clip(l, law.lower, law.upper)
         tiny = 8 * EPS * np.abs(l)
-        settled = np.where(index == 0, np.abs(l - l_in) <= tiny, index * y <= 0)
+        noise = 4 * EPS * (np.abs(W) @ np.abs(l) + np.abs(b))
+        settled = np.where(index == 0, np.abs(l - l_in) <= tiny, index * y <= noise)
         if settled.all():
             return l, index
         index = np.where(settled, index, np.where(index == 0, np.where(l < law.lower, -1, 1), 0)).astype(np.int8)
@@ -120,9 +122,9 @@ def lemke(W: np.ndarray, b: np.ndarray, law: NumericLaw) -> np.ndarray | None:
 def _polished(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray) -> np.ndarray | None:
     """The solution on l's index set, if it is one: what a regularised problem suggests is not believed otherwise."""
     index = classify(l, W @ l + b, law, row_scale(W))
-    exact = polish(W, b, law, index)
-    if exact is None:
-        return None
+    free, exact = index == 0, np.where(index < 0, law.lower, np.where(index > 0, law.upper, 0.0))
+    if free.any():  # W may be singular: the solution of least norm, which is what the regularised one tends to
+        exact[free] = np.linalg.lstsq(W[np.ix_(free, free)], -(b[free] + W[free] @ exact), rcond=1e-12)[0]
     y = W @ exact + b
     scale = np.abs(b).max(initial=0.0)
     wrong = np.where(index == 0, np.abs(y), np.maximum(index * y, 0)).max(initial=0.0)

@@ -2,7 +2,8 @@
 
 With y = W l + b, w_i = max_j |W_ij| and s_y,i = |b_i| + sum_j |W_ij l_j|, s_l,i = s_y,i / w_i, the residual is the least
 max(|l - l^| / s_l, |y - y^| / s_y) over points (l^, y^) of the graph {-y^ ∈ N_K(l^)}; 0/0 = 0. Three limits on the scales:
-- a row of zeros in W is judged on y, and on l beside the size of l and of its bounds;
+- s_l stays below the size of l_i, of its bounds, and of 1e-6 of the other multipliers in its unit: where y is far from 0, an
+  l off its bound would else be measured against what it takes to move y (4e-3 would pass for the relay oscillator);
 - s_y stays below 1000 sqrt(w_i) max_k |b_k| / sqrt(w_k): multipliers that grow without bound, because the step has no
   solution, do not excuse a violation;
 - s_y stays above (round-off of evaluating y) / tolerance: what double precision cannot see does not fail a step.
@@ -19,6 +20,7 @@ import numpy as np
 from nsmodel.model.laws import Law
 
 EPS = np.finfo(float).eps
+NEGLIGIBLE = 1e-6  # Part of the largest multiplier that another one need not resolve better than to the tolerance.
 GROWTH = 1e3  # How far the multipliers' terms may raise the scale of y above that of b.
 
 
@@ -64,7 +66,7 @@ def law_residual(
     s_y = np.maximum(s_y, floor)
     lo, up = law.lower, law.upper
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        s_l, size = np.where(w_max > 0, s_y / w_max, np.maximum(np.abs(l), bound_size(law))), np.abs(y)
+        s_l, size = np.minimum(np.where(w_max > 0, s_y / w_max, np.inf), multiplier_scale(law, l, w_max)), np.abs(y)
         outside = np.maximum(np.maximum(lo - l, l - up), 0)
         at_lower = np.maximum(_ratio(np.abs(l - lo), s_l), _ratio(np.where(y < 0, size, 0), s_y))
         at_upper = np.maximum(_ratio(np.abs(l - up), s_l), _ratio(np.where(y > 0, size, 0), s_y))
@@ -72,8 +74,8 @@ def law_residual(
         between = np.maximum(_ratio(outside, s_l), _ratio(size, s_y))
         residual = np.minimum(np.minimum(at_lower, at_upper), between)
         for block in law.curved:
-            residual[block[1]] = _curved_residual(block, l, y, s_y, w_max)
-    return np.where(np.isfinite(l) & np.isfinite(y), residual, np.inf)
+            residual[block[1]] = _curved_residual(block, l, y, s_y, s_l, w_max)
+    return np.where(np.isnan(residual) | ~(np.isfinite(l) & np.isfinite(y)), np.inf, residual)
 
 
 def bound_size(law: NumericLaw) -> np.ndarray:
@@ -81,12 +83,23 @@ def bound_size(law: NumericLaw) -> np.ndarray:
     return np.maximum(*(np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (law.lower, law.upper)))
 
 
-def _curved_residual(block: Any, l: Any, y: Any, s_y: Any, w_max: Any) -> float:
-    """|l - P_K(l - c y)| / s_l, c = s_l / s_y: by Minty the graph point (P_K(u), (P_K(u) - u)/c) is that far in both scales."""
+def multiplier_scale(law: NumericLaw, l: np.ndarray, w_max: np.ndarray) -> np.ndarray:
+    """max(|l_i|, its finite bounds, 1e-6 max_j |l_j| sqrt(w_j / w_i)) (m,); a ball's radius counts as a bound."""
+    size, root = np.abs(l), np.sqrt(w_max)
+    largest = (size * root).max(initial=0.0)
+    others = np.divide(NEGLIGIBLE * largest, root, out=np.zeros_like(root), where=root > 0)
+    scale = np.maximum(np.maximum(size, bound_size(law)), others)
+    for kind, rows, radius in law.curved:
+        scale[rows] = max(np.linalg.norm(size[rows]), radius if kind == "ball" else 0.0, others[rows].max())
+    return scale
+
+
+def _curved_residual(block: Any, l: Any, y: Any, s_y: Any, s_l: Any, w_max: Any) -> float:
+    """|l - P_K(l - c y)| / s_l: by Minty (P_K(u), (P_K(u) - u)/c), u = l - c y, is a point of the graph, c = 1 / w."""
     kind, rows, radius = block
     l, y = l[rows], y[rows]
     c = 1 / w_max[rows].max() if w_max[rows].any() else 1.0
-    scale = c * np.linalg.norm(s_y[rows])
+    scale = min(c * np.linalg.norm(s_y[rows]), s_l[rows].max())
     distance = np.linalg.norm(l - project(kind, radius, l - c * y))
     return float(distance / scale) if distance else 0.0
 
@@ -127,10 +140,13 @@ def box_residual_sx(law: NumericLaw, rows: list[int], w_max: np.ndarray, l: Any,
     def ratio(a: Any, s: Any) -> Any:
         return ca.if_else(a == 0, 0, a / s)
 
-    worst, bounds = ca.SX(0), bound_size(law)
+    worst, bounds, root = ca.SX(0), bound_size(law), np.sqrt(w_max)
+    largest = NEGLIGIBLE * ca.mmax(ca.fabs(l) * root)
     for i in rows:
         lo, up, size = law.lower[i], law.upper[i], ca.fabs(y[i])
-        s_l = s_y[i] / w_max[i] if w_max[i] > 0 else ca.fmax(ca.fabs(l[i]), bounds[i])
+        s_l = ca.fmax(ca.fabs(l[i]), bounds[i])
+        if root[i] > 0:
+            s_l = ca.fmin(s_y[i] / w_max[i], ca.fmax(s_l, largest / root[i]))
         best = ca.fmax(ratio(ca.fmax(ca.fmax(lo - l[i], l[i] - up), 0), s_l), ratio(size, s_y[i]))
         if np.isfinite(lo):
             at_lower = ca.fmax(ratio(ca.fabs(l[i] - lo), s_l), ratio(ca.if_else(y[i] < 0, size, 0), s_y[i]))
@@ -138,7 +154,9 @@ def box_residual_sx(law: NumericLaw, rows: list[int], w_max: np.ndarray, l: Any,
         if np.isfinite(up):
             at_upper = ca.fmax(ratio(ca.fabs(l[i] - up), s_l), ratio(ca.if_else(y[i] > 0, size, 0), s_y[i]))
             best = ca.fmin(best, at_upper)
-        worst = ca.fmax(worst, ca.if_else(best >= 0, best, ca.inf))  # a NaN compares false: it becomes inf
+        # fmax and fmin pass over a NaN; comparisons with one are false.
+        finite = ca.logic_and(ca.fabs(l[i]) < ca.inf, size < ca.inf)
+        worst = ca.fmax(worst, ca.if_else(finite, ca.if_else(best < ca.inf, best, ca.inf), ca.inf))
     return worst
 
 

@@ -6,6 +6,8 @@ Z = -E_z^{-1} E_l, W = Y_l + Y_z Z, and on an index set l = S b + s: S and s cha
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import casadi as ca
 import numpy as np
 
@@ -38,7 +40,8 @@ class Kernel:
         self._S, self._s, self._free = np.zeros((m, m), order="F"), np.zeros(m), np.zeros(m)
         self.out = np.zeros(where.width)
         buffer, self._run = function.buffer()
-        for i, array in enumerate((self._t, self._state, self._S, self._s, self._free)):
+        self._one = np.ones(1)
+        for i, array in enumerate((self._t, self._state, self._S, self._s, self._free, self._one)):
             buffer.set_arg(i, memoryview(array.reshape(-1, order="F")))
         buffer.set_res(0, memoryview(self.out))
         self.settled = np.zeros(1)  # 1 where no other index set is called for.
@@ -106,60 +109,89 @@ def _index_map(W: np.ndarray, law: NumericLaw, index: np.ndarray) -> tuple[np.nd
     return S, s
 
 
+class _AtStep(NamedTuple):
+    """The problem at one value of h: expressions of (t, state) and of the symbols z and l; its constant matrices, sparse."""
+
+    E: ca.SX
+    Y: ca.SX
+    E_0: ca.SX
+    Y_0: ca.SX
+    guess: ca.SX
+    E_guess: ca.SX
+    rest: list[ca.SX]
+    E_z: ca.DM
+    E_l: ca.DM
+    Y_z: ca.DM
+    Y_l: ca.DM
+
+
+def _at_step(p: OneStepProblem, h: float, matrices: tuple[np.ndarray, ...]) -> _AtStep:
+    def put(e: ca.SX, z: ca.SX = p.z, l: ca.SX = p.l) -> ca.SX:
+        return ca.substitute([e], [p.h, p.z, p.l], [ca.SX(h), z, l])[0] if e.numel() else e
+
+    zero_z, zero_l = ca.SX.zeros(p.z.shape), ca.SX.zeros(p.l.shape)
+    guess = put(p.guess, zero_z, zero_l)
+    return _AtStep(
+        put(p.E), put(p.Y), put(p.E, zero_z, zero_l), put(p.Y, zero_z, zero_l), guess, put(p.E, guess, zero_l),
+        [put(e) for e in (p.next_state, *extras(p).values())], *(ca.sparsify(ca.DM(M)) for M in matrices),
+    )  # fmt: skip
+
+
 def _functions(
-    problem: OneStepProblem, structure: Structure, law: NumericLaw, h: float, tolerance: float, matrices: tuple[np.ndarray, ...],
+    p: OneStepProblem, structure: Structure, law: NumericLaw, h: float, tolerance: float, matrices: tuple[np.ndarray, ...],
     inverse: np.ndarray, Z: np.ndarray, W: np.ndarray,
 ) -> tuple[ca.Function, ca.Function]:  # fmt: skip
-    """The packed step and whether it is settled as a function of (t, state, S, s, free), and b as a function of (t, state)."""
-    p, n, m = problem, structure.n, structure.m
-    E_z, E_l, Y_z, Y_l = (ca.sparsify(ca.DM(M)) for M in matrices)
-    inverse_sx, Z_sx, W_sx = (ca.sparsify(ca.DM(M)) for M in (inverse, Z, W))
+    """The packed step and whether it is settled as a function of (t, state, S, s, free), and b as a function of (t, state).
 
-    def at_h(e: ca.SX) -> ca.SX:
-        return ca.substitute(e, p.h, h) if e.numel() else e
-
-    E, Y, guess = at_h(p.E), at_h(p.Y), at_h(p.guess)
-
-    def origin(e: ca.SX) -> ca.SX:
-        return ca.substitute([e], [p.z, p.l], [ca.SX.zeros(n), ca.SX.zeros(m)])[0] if e.numel() else e
-
-    guess = origin(guess)
-    E_0, Y_0 = origin(E), origin(Y)
-    E_guess = ca.substitute([E], [p.z, p.l], [guess, ca.SX.zeros(m)])[0] if n else E
+    Between solving and judging stands a factor ``one``, an input that is 1: in one expression graph the residual would be
+    simplified with the formula that produced the answer, and a NaN would vanish.
+    """
+    at, m = _at_step(p, h, matrices), structure.m
     S, s, free = ca.SX.sym("S", m, m), ca.SX.sym("s", m), ca.SX.sym("free", m)
-    z_0 = -inverse_sx @ E_0
-    b = Y_0 + Y_z @ z_0
+    inverse_sx, Z_sx = (ca.sparsify(ca.DM(M)) for M in (inverse, Z))
+    z_0 = -inverse_sx @ at.E_0
+    b = at.Y_0 + at.Y_z @ z_0
     l = S @ b + s
     z = z_0 + Z_sx @ l
     for row, column, factor in structure.unit_rows:
-        z[column] = ca.if_else(free[row], -Y_0[row] / factor, z[column])
+        z[column] = ca.if_else(free[row], -at.Y_0[row] / factor, z[column])
+    one = ca.SX.sym("one")
+    judged = _judge(p, at, structure, law, tolerance, W).call([p.t, p.state, *(one * ca.densify(e) for e in (z, l, b)), free])
+    step = ca.Function("step", [p.t, p.state, S, s, free, one], judged, {"cse": structure.n + m < CSE_BELOW})
+    return step, ca.Function("b", [p.t, p.state], [ca.densify(b)])
 
-    size_E = ca.fabs(E_z) @ ca.fabs(z) + ca.fabs(E_l) @ ca.fabs(l) + ca.fabs(E_0)
-    size_Y = ca.fabs(Y_z) @ ca.fabs(z) + ca.fabs(Y_l) @ ca.fabs(l) + ca.fabs(Y_0)
+
+def _judge(
+    p: OneStepProblem, at: _AtStep, structure: Structure, law: NumericLaw, tolerance: float, W: np.ndarray
+) -> ca.Function:
+    """The certificate and the packed row as a function of (t, state, z, l, b, free): `Newton.judge` in symbols."""
+    n, m, z, l = structure.n, structure.m, p.z, p.l
+    b, free = ca.SX.sym("b", m), ca.SX.sym("free", m)
+    size_E = ca.fabs(at.E_z) @ ca.fabs(z) + ca.fabs(at.E_l) @ ca.fabs(l) + ca.fabs(at.E_0)
+    size_Y = ca.fabs(at.Y_z) @ ca.fabs(z) + ca.fabs(at.Y_l) @ ca.fabs(l) + ca.fabs(at.Y_0)
     round_off = 4 * (n + m + 4) * EPS
-    E_here, Y_here = ca.substitute([E, Y], [p.z, p.l], [z, l])
     # The scale of E: what moves in the step, not where it happens (positions far from 0 do not excuse an error).
-    s_E = ca.fabs(E_guess) + ca.fabs(E_z) @ ca.fabs(z - guess) + ca.fabs(E_l) @ ca.fabs(l)
+    s_E = ca.fabs(at.E_guess) + ca.fabs(at.E_z) @ ca.fabs(z - at.guess) + ca.fabs(at.E_l) @ ca.fabs(l)
     s_E = ca.fmax(s_E, round_off / tolerance * size_E)
-    residual = _largest([ca.if_else(E_here[i] == 0, 0, ca.fabs(E_here[i]) / s_E[i]) for i in range(n)])
+    residual = _largest([ca.if_else(at.E[i] == 0, 0, ca.fabs(at.E[i]) / s_E[i]) for i in range(n)])
     settled = ca.SX(1)
     if m:
         w_max = np.abs(W).max(axis=1)
-        s_y = output_scale_sx(b, ca.fabs(W_sx) @ ca.fabs(l), w_max)
+        s_y = output_scale_sx(b, ca.fabs(ca.sparsify(ca.DM(W))) @ ca.fabs(l), w_max)
         s_y = ca.fmax(s_y, round_off / tolerance * size_Y)
         box = [i for i in range(m) if not any(rows.start <= i < rows.stop for _, rows, _ in law.curved)]
-        residual = ca.fmax(residual, box_residual_sx(law, box, w_max, l, Y_here, s_y))
-        settled = settled_sx(law, box, l, Y_here, free, round_off * size_Y)
-    residual = ca.if_else(residual >= 0, residual, ca.inf)
-    y = ca.if_else(free, 0, Y_here) if m else Y_here
-    rest = ca.substitute([at_h(e) for e in (p.next_state, *extras(p).values())], [p.z, p.l, p.y], [z, l, y])
+        residual = ca.fmax(residual, box_residual_sx(law, box, w_max, l, at.Y, s_y))
+        settled = settled_sx(law, box, l, at.Y, free, round_off * size_Y)
+    residual = ca.if_else(residual < ca.inf, residual, ca.inf)
+    y = ca.if_else(free, 0, at.Y) if m else at.Y
+    rest = [ca.substitute(e, p.y, y) if e.numel() and m else e for e in at.rest]
     packed = ca.densify(ca.vertcat(rest[0], l, y, residual, 1, *rest[1:]))
-    step = ca.Function("step", [p.t, p.state, S, s, free], [packed, settled], {"cse": n + m < CSE_BELOW})
-    return step, ca.Function("b", [p.t, p.state], [ca.densify(b)])
+    return ca.Function("judge", [p.t, p.state, z, l, b, free], [packed, ca.densify(settled)])
 
 
 def _largest(items: list[ca.SX]) -> ca.SX:
     worst = ca.SX(0)
     for item in items:
-        worst = ca.fmax(worst, ca.if_else(item >= 0, item, ca.inf))
+        # fmax passes over a NaN; comparisons with one are false.
+        worst = ca.fmax(worst, ca.if_else(item < ca.inf, item, ca.inf))
     return worst

@@ -38,6 +38,8 @@ def solve(
     ``warm`` and ``index`` are the last multiplier and index set. An answer that no solver could give has residual inf.
     """
     best = Solution(np.full(law.size, np.nan), index, np.inf, "none")
+    if not (np.isfinite(W).all() and np.isfinite(b).all()):
+        return best
     for name in chain:
         for l, code in _candidates(name, W, b, law, warm, index, symmetric):
             worst = float(residual(W, b, law, l).max(initial=0.0))

@@ -60,6 +60,10 @@ class Newton:
         self._linearise = _Buffered("linearise", [*known, p.z, p.l], parts, matrices=4)
         guess_0 = ca.substitute([p.guess], [p.l], [ca.SX.zeros(p.l.shape)])[0] if p.l.numel() else p.guess
         E_guess = ca.substitute([p.E], [p.z, p.l], [guess_0, ca.SX.zeros(p.l.shape)])[0] if p.z.numel() else p.E
+        unit = [row for row, *_ in structure.unit_rows]
+        at_zero = ca.substitute([p.Y], [p.z, p.l], [ca.SX.zeros(p.z.shape), ca.SX.zeros(p.l.shape)])[0] if unit else p.Y
+        self._offset = _Buffered("offset", known, [at_zero[unit] if unit else ca.SX(0, 1)])
+        self._offsets = np.zeros(len(unit))
         self._guess = _Buffered("guess", [*known, p.l], [p.guess, guess_0, E_guess])
         self._pack = _Buffered("pack", [*known, p.z, p.l, p.y], [p.next_state, *extras(p).values()])
         self._complementarity = bool((law.lower == 0).all() and np.isposinf(law.upper).all() and not law.curved)
@@ -92,7 +96,7 @@ class Newton:
         """Return the accepted iterate, or the best one found (residual above the tolerance)."""
         z, guess_0, E_guess = self._guess(t, h, state, l)
         guess = (guess_0, np.abs(E_guess))
-        best = None
+        best, self._offsets = None, self._offset(t, h, state)[0]
         at = self.linearise(t, h, state, z, l)
         for iteration in range(1, ITERATIONS + 1):
             moved = self._advance(at, z, l, index, chain)
@@ -129,12 +133,14 @@ class Newton:
                 return None
             l_next, index, solver = found.l, found.index, found.solver
         z_next = z + dz_0 + Z @ (l_next - l)
-        if self.structure.unit_rows:
-            E_0 = at.Y - at.Y_z @ z - at.Y_l @ l
-            for row, column, factor in self.structure.unit_rows:
-                if index[row] == 0:
-                    z_next[column] = -E_0[row] / factor
+        self._make_exact(z_next, index)
         return z_next, l_next, index, solver
+
+    def _make_exact(self, z: np.ndarray, index: np.ndarray) -> None:
+        """Put z_j where y_i = factor z_j + c is exactly 0, for the rows coded 0 (stick is a difference of exactly 0)."""
+        for (row, column, factor), offset in zip(self.structure.unit_rows, self._offsets, strict=True):
+            if index[row] == 0:
+                z[column] = -offset / factor
 
     def _eliminate(self, at: Linearisation) -> tuple[np.ndarray, np.ndarray] | None:
         """dz_0 = -E_z^{-1} E and Z = -E_z^{-1} E_l; None where E_z is singular."""
@@ -225,7 +231,7 @@ class Newton:
         l = np.where(index < 0, self.law.lower, np.where(index > 0, self.law.upper, l))
         if not np.isfinite(l).all():
             return None
-        free, n = np.flatnonzero(index == 0), z.size
+        free, n, self._offsets = np.flatnonzero(index == 0), z.size, self._offset(t, h, state)[0]
         at = self.linearise(t, h, state, z, l)
         size, found = np.linalg.norm(np.concatenate([at.E, at.Y[free]])), None
         for iteration in range(1, ITERATIONS + 1):
@@ -237,6 +243,8 @@ class Newton:
             while True:
                 z_new, l_new = z + t_step * step[:n], l.copy()
                 l_new[free] += t_step * step[n:]
+                if t_step == 1.0:
+                    self._make_exact(z_new, index)
                 at_new = self.linearise(t, h, state, z_new, l_new)
                 new = np.linalg.norm(np.concatenate([at_new.E, at_new.Y[free]]))
                 if new <= (1 - 1e-4 * t_step) * size or t_step < 1e-6 or size == 0:

@@ -53,7 +53,7 @@ def read(problem: OneStepProblem) -> Structure:
         constant=affine and not _depends(matrices, known),
         identity=identity,
         symmetric=symmetric,
-        unit_rows=tuple(_unit_rows(Y_z, Y_l)) if affine else (),
+        unit_rows=tuple(_unit_rows(Y_z, Y_l)),
         gram=identity and symmetric and Y_l.nnz() == 0,
         n=z.numel(),
         m=l.numel(),

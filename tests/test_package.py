@@ -1,0 +1,128 @@
+"""What the package promises as a whole: a light import, documented names, cases that explain themselves."""
+
+import ast
+import doctest
+import importlib
+import inspect
+import os
+import pkgutil
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import nsmodel
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+CASES = sorted((REPOSITORY / "cases").glob("*.py"))
+MODULES = sorted(module.name for module in pkgutil.walk_packages(nsmodel.__path__, "nsmodel."))
+
+
+def test_import_is_light():
+    """Plots, SymPy, SciPy and the progress bar are loaded by who uses them."""
+    heavy = ["matplotlib", "sympy", "scipy", "tqdm", "xarray", "pandas", "nsmodel.plot"]
+    code = f"import sys, nsmodel; print([name for name in {heavy} if name in sys.modules])"
+    environment = os.environ | {"PYTHONPATH": str(Path(nsmodel.__file__).parents[1])}
+    found = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert (found.stdout, found.stderr) == ("[]\n", "")
+
+
+def test_a_run_without_pictures_stays_light(tmp_path):
+    """A CasADi model is run, saved and summed up without any of them."""
+    code = (
+        "import sys\nfrom nsmodel.cli import main\n"
+        f"main(['run', {str(CASES[0])!r}, '--out', 'results', '--csv', 'run.csv', '--json'])\n"
+        "print([name for name in ('matplotlib', 'sympy', 'tqdm', 'xarray') if name in sys.modules], file=sys.stderr)\n"
+    )
+    environment = os.environ | {"PYTHONPATH": str(Path(nsmodel.__file__).parents[1])}
+    found = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+    )
+    assert found.stderr == "[]\n"
+
+
+def test_version_is_that_of_the_project():
+    declared = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]["version"]
+    assert re.fullmatch(r"\d+\.\d+\.\d+", declared)
+    assert nsmodel.__version__ == declared
+    run = nsmodel.simulate(nsmodel.load(REPOSITORY / "cases" / "sliding_relay.py"), t_end=0.1)
+    assert run.metadata["versions"]["nsmodel"] == declared
+
+
+def test_all_names_exist_and_are_sorted():
+    assert nsmodel.__all__ == sorted(set(nsmodel.__all__))
+    for name in nsmodel.__all__:
+        assert getattr(nsmodel, name).__module__.startswith("nsmodel.") or name == "__version__"
+    public = {
+        name
+        for name, value in vars(nsmodel).items()
+        if not name.startswith("_") and not inspect.ismodule(value) and getattr(value, "__module__", "").startswith("nsmodel.")
+    }
+    assert public <= set(nsmodel.__all__)
+
+
+@pytest.mark.parametrize("name", nsmodel.__all__)
+def test_every_public_name_is_documented(name):
+    value = getattr(nsmodel, name)
+    if isinstance(value, str):
+        return
+    text = inspect.getdoc(value)
+    assert text
+    assert text[0].isupper() or text[0].isdigit() or not text[0].isalpha() or "=" in text or "'" in text
+    assert text.splitlines()[0].endswith((".", ":"))
+    for label, member in vars(value).items() if inspect.isclass(value) else ():
+        if not label.startswith("_") and (inspect.isfunction(member) or isinstance(member, property | classmethod)):
+            assert inspect.getdoc(getattr(value, label)), f"{name}.{label}"
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_every_module_says_what_it_is_for_and_its_examples_run(name):
+    module = importlib.import_module(name)
+    assert module.__doc__
+    failed, _ = doctest.testmod(module, optionflags=doctest.NORMALIZE_WHITESPACE)
+    assert failed == 0
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_imports_run_downwards_only(name):
+    """The model knows no scheme, the scheme no solver, the solver no time loop; matplotlib is for plots."""
+    above = {
+        "model": ("scheme", "solve", "check", "simulate", "plot", "cli", "loader"),
+        "scheme": ("solve", "check", "simulate", "plot", "cli", "loader"),
+        "solve": ("check", "simulate", "plot", "cli", "loader"),
+        "storage": ("model", "scheme", "solve", "check", "simulate", "plot", "cli", "loader", "trajectory"),
+        "simulate": ("plot", "cli", "loader"),
+    }
+    part = name.split(".")[1]
+    path = importlib.import_module(name).__file__
+    tree = ast.parse(Path(path).read_text())
+    guarded = {id(inner) for node in ast.walk(tree) if isinstance(node, ast.If) for inner in ast.walk(node)}
+    for node in ast.walk(tree):
+        names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+        names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        for imported in names:
+            if part != "plot":
+                assert not imported.startswith("matplotlib"), imported
+            if imported.startswith("nsmodel.") and id(node) not in guarded:
+                assert imported.split(".")[1] not in above.get(part, ()), imported
+
+
+@pytest.mark.parametrize("path", CASES, ids=lambda path: path.stem)
+def test_every_case_explains_itself(path):
+    text = path.read_text()
+    doc = ast.get_docstring(ast.parse(text))
+    assert doc.splitlines()[0].endswith(".")
+    assert "What to see:" in doc
+    assert not re.search(r"\b(assert|pytest|unittest)\b", text)
+    model = nsmodel.load(path)
+    assert model.title
+    assert model.title != path.stem
+    assert model.step is not None or model.steps is not None
+
+
+def test_there_are_cases_of_every_class():
+    classes = {type(nsmodel.load(path)).__name__ for path in CASES}
+    assert classes == {"SweepingProcess", "FrictionOscillator", "FirstOrderSystem", "LureSystem", "MonotoneInclusion"}
