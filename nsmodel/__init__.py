@@ -1,5 +1,7 @@
 """nsmodel: nonsmooth dynamics on CasADi. Declare a model, run it, and get a trajectory in which every step was verified."""
 
+from importlib.metadata import version
+
 from nsmodel.errors import (
     MissingExtraError,
     ModelError,
@@ -28,6 +30,8 @@ from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.simulate import RunInterrupted, explain, simulate
 from nsmodel.trajectory import Trajectory
+
+__version__ = version("nsmodel")
 
 __all__ = [
     "FirstOrderSystem",

@@ -15,7 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.check.quick import refuse_start, warnings_of
+from nsmodel.check.quick import UNIQUENESS, refuse_start, warnings_of
 from nsmodel.check.rest import finite_convergence
 from nsmodel.errors import StepError, StorageError, UsageError
 from nsmodel.grid import Grid, make_grid
@@ -27,6 +27,7 @@ from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.build import Stepper
 from nsmodel.solve.projection import CatchingUp
 from nsmodel.solve.stepper import Warm
+from nsmodel.solve.structure import is_monotone
 from nsmodel.storage import ChunkStore
 from nsmodel.trajectory import Trajectory
 
@@ -250,6 +251,9 @@ class _Run:
             if exact.shape != x.shape:
                 raise UsageError(f"exact: it returned shape {exact.shape} for {t.size} times; expected {x.shape}")
             self.totals["largest_error"] = max(self.totals.get("largest_error", 0.0), float(np.abs(x - exact).max()))
+        least = min(self.stepper.least_eigenvalue, self.totals.get("least_eigenvalue", np.inf))
+        if np.isfinite(least):
+            self.totals["least_eigenvalue"] = float(least)
         if isinstance(self.model, FrictionOscillator):
             rows, n = self.rows[: self.filled], len(self.model.names)
             v = rows[:, self.layout.slices["v"]]
@@ -301,6 +305,12 @@ class _Run:
         self.store.join(path, metadata)
         return Trajectory.load(path)
 
+    def _lost_monotonicity(self) -> list[str]:
+        least = self.totals.get("least_eigenvalue", np.inf)
+        if not self.stepper.plan.monotone or is_monotone(least, self.warm.index.size):
+            return []
+        return [f"the one-step problem was not monotone all the time (least eigenvalue {least:.3g}): {UNIQUENESS}"]
+
     def _metadata(self, status: str, message: str) -> dict[str, Any]:
         model, plan = self.model, self.stepper.plan
         labels = [label for block in self.problem.law.blocks for label in [block.label] * block.size]
@@ -323,7 +333,7 @@ class _Run:
             "left_out": list(plan.left_out),
             "solver_counts": dict(sorted(self.counts.items())),
             "totals": dict(self.totals),
-            "warnings": self.warnings,
+            "warnings": [*self.warnings, *self._lost_monotonicity()],
             "status": status,
             "message": message,
             "model_hash": self.settings["hash"],

@@ -264,6 +264,7 @@ def _summary(run: Trajectory) -> dict[str, Any]:
         "solver_counts": dict(about.get("solver_counts") or {}),
         "newton": _newton(run, totals, computed),
         **_smallest_gap(run),
+        "largest_error": totals.get("largest_error"),
         "energy": {"start": float(energy[0]), "end": float(energy[-1])} if energy.size else None,
         "convergence": about.get("convergence"),
         "final_state": [
@@ -341,6 +342,7 @@ def _text(summary: dict[str, Any]) -> str:
         "solver calls": _aligned([(name, f"{int(count):>8d}") for name, count in counts]),
         "newton": s["newton"] and _iterations(s["newton"]["mean"], s["newton"]["max"]),
         "smallest gap": _gap(s["gap_min"], s["gap_min_name"], s["gap_min_t"], unit),
+        "largest error": None if s["largest_error"] is None else f"{s['largest_error']:.3g} from the exact state",
         "energy": s["energy"] and f"{s['energy']['start']:.6g} at the start, {s['energy']['end']:.6g} at the end",
         "convergence": s["convergence"] and _convergence(s["convergence"], unit),
         "final state": _aligned(shown),

@@ -314,7 +314,7 @@ def test_load_says_what_a_file_takes(tmp_path):
     ],
 )
 def test_what_the_parser_refuses_has_status_2(capsys, arguments, message):
-    with pytest.raises(SystemExit) as caught:
+    with pytest.raises(SystemExit, match=r"^2$") as caught:
         main(arguments)
     assert caught.value.code == 2
     assert message in capsys.readouterr().err
@@ -522,6 +522,11 @@ def test_a_start_of_two_positions_has_no_step_for_the_second(run):
 def test_a_residual_of_zero_has_no_time(run):
     _, out, _ = run(str(CASES / "inclusion_8_1.py"), None)
     assert "  worst residual  0\n" in out
+
+
+def test_a_run_with_an_exact_solution_shows_its_largest_error(run):
+    _, out, _ = run(str(CASES / "sliding_relay.py"), None)
+    assert re.search(r"  largest error   0\.00\d+ from the exact state\n", out)
 
 
 def test_the_smallest_gap_has_the_name_of_its_constraint(run):

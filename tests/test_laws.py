@@ -606,7 +606,9 @@ def ellipse_projection(u):
 SETS = {
     "disc": ({"disc": 1 - ca.sumsqr(X)}, lambda u: project_ball(u, 1.0), [0.3, 0.2]),
     "two discs": (
-        {"a": 1 - ca.sumsqr(X + ca.DM([0.5, 0])), "b": 1 - ca.sumsqr(X - ca.DM([0.5, 0]))}, two_discs_projection, [0.3, 0.2]
+        {"a": 1 - ca.sumsqr(X + ca.DM([0.5, 0])), "b": 1 - ca.sumsqr(X - ca.DM([0.5, 0]))},
+        two_discs_projection,
+        [0.3, 0.2],
     ),
     "ellipse": ({"ellipse": 1 - X[0] ** 2 / 4 - X[1] ** 2}, ellipse_projection, [1.0, 0.2]),
 }

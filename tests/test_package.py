@@ -3,6 +3,7 @@
 import ast
 import doctest
 import importlib
+import importlib.metadata
 import inspect
 import os
 import pkgutil
@@ -47,7 +48,7 @@ def test_a_run_without_pictures_stays_light(tmp_path):
 def test_version_is_that_of_the_project():
     declared = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]["version"]
     assert re.fullmatch(r"\d+\.\d+\.\d+", declared)
-    assert nsmodel.__version__ == declared
+    assert importlib.metadata.version("nsmodel") == declared
     run = nsmodel.simulate(nsmodel.load(REPOSITORY / "cases" / "sliding_relay.py"), t_end=0.1)
     assert run.metadata["versions"]["nsmodel"] == declared
 
@@ -55,7 +56,7 @@ def test_version_is_that_of_the_project():
 def test_all_names_exist_and_are_sorted():
     assert nsmodel.__all__ == sorted(set(nsmodel.__all__))
     for name in nsmodel.__all__:
-        assert getattr(nsmodel, name).__module__.startswith("nsmodel.") or name == "__version__"
+        assert getattr(nsmodel, name).__module__.startswith("nsmodel.")
     public = {
         name
         for name, value in vars(nsmodel).items()
@@ -67,12 +68,9 @@ def test_all_names_exist_and_are_sorted():
 @pytest.mark.parametrize("name", nsmodel.__all__)
 def test_every_public_name_is_documented(name):
     value = getattr(nsmodel, name)
-    if isinstance(value, str):
-        return
     text = inspect.getdoc(value)
     assert text
-    assert text[0].isupper() or text[0].isdigit() or not text[0].isalpha() or "=" in text or "'" in text
-    assert text.splitlines()[0].endswith((".", ":"))
+    assert text.splitlines()[0].endswith(".")
     for label, member in vars(value).items() if inspect.isclass(value) else ():
         if not label.startswith("_") and (inspect.isfunction(member) or isinstance(member, property | classmethod)):
             assert inspect.getdoc(getattr(value, label)), f"{name}.{label}"

@@ -236,6 +236,15 @@ def test_resuming_a_finished_run_changes_nothing(tmp_path, whole):
         assert (tmp_path / build.__name__ / "trajectory.npz").read_bytes() == whole(build)
 
 
+@reported
+def test_a_last_chunk_of_one_row_is_noted_once(tmp_path, small_chunks):
+    """The verdict on finite convergence takes the last two rows, wherever the chunks end."""
+    end = 64 * 0.04
+    in_memory = simulate(oscillator(), t_end=end)
+    simulate(oscillator(), t_end=end, out=tmp_path)
+    assert_equal_runs(in_memory, simulate(oscillator(), t_end=end, out=tmp_path, resume=True))
+
+
 def slow_down(seconds):
     """Make every step of this process take longer."""
     make = loop.make_stepper
@@ -281,6 +290,7 @@ def test_a_killed_run_is_resumed_to_the_same_bytes(build, tmp_path, whole):
     process = start(body, tmp_path)
     end = time.monotonic() + 60
     while not (tmp_path / "run" / "chunk-000002.npz").exists():
+        assert process.poll() is None
         assert time.monotonic() < end
         time.sleep(1e-4)
     process.kill()

@@ -13,8 +13,10 @@ from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.scheme import catching_up
 from nsmodel.scheme.inertial_proximal import slope_at_zero
-from nsmodel.solve.choose import Plan, least_eigenvalue
+from nsmodel.solve.choose import Plan
+from nsmodel.solve.structure import least_eigenvalue
 
+UNIQUENESS = "uniqueness of the solution is not guaranteed"
 SPEEDS = np.concatenate([[0.0], np.logspace(-6, 3, 60)])  # Where theta' and theta'' are sampled.
 
 
@@ -30,11 +32,13 @@ def refuse_start(model: Model) -> None:
     elif isinstance(model, MonotoneInclusion):
         c, names = catching_up.constraints(model)
         _refuse(c, names, model.t, model.x, model.x0, "x0")
-    elif isinstance(model, FrictionOscillator) and model.constraint_names:
-        c = ca.vertcat(*model.constraints.values())
-        _refuse(c, model.constraint_names, model.t, model.x, model.x0, "x0")
-        if model.x1 is not None:
-            _refuse(c, model.constraint_names, model.t, model.x, model.x1, "x1")
+    elif isinstance(model, FrictionOscillator):
+        domain = [row for rows in model.potential_split.domain for row in ca.vertsplit(rows)]
+        c = ca.vertcat(ca.SX(0, 1), *model.constraints.values(), *domain)
+        names = (*model.constraint_names, *(f"potential: {row} >= 0" for row in domain))
+        for label, start in (("x0", model.x0), ("x1", model.x1)):
+            if start is not None:
+                _refuse(c, names, model.t, model.x, start, label)
 
 
 def _refuse_ends(model: Model) -> None:
@@ -94,7 +98,7 @@ def warnings_of(model: Model, plan: Plan) -> list[str]:
     """Return what the user should know before trusting uniqueness or convergence; an empty list where nothing was found."""
     found = []
     if isinstance(model, SweepingProcess):
-        found += _not_convex(model)
+        found += _flat(model) + _not_convex(model)
     elif isinstance(model, FrictionOscillator):
         found += _friction(model)
     elif isinstance(model, LureSystem) and model.D.numel():
@@ -104,11 +108,16 @@ def warnings_of(model: Model, plan: Plan) -> list[str]:
     if isinstance(model, LureSystem) and model.law is None:
         found += _concave(model.phi_split.smooth, model.y, np.zeros(model.y.numel()), "phi is not convex at y = 0")
     if not plan.monotone:
-        found.append(
-            f"the one-step problem is not monotone (least eigenvalue {plan.least_eigenvalue:.3g}): "
-            "uniqueness of the solution is not guaranteed"
-        )
+        found.append(f"the one-step problem is not monotone (least eigenvalue {plan.least_eigenvalue:.3g}): {UNIQUENESS}")
     return found
+
+
+def _flat(model: SweepingProcess) -> list[str]:
+    """Constraints without gradient at q0: their linearisation is a number, and the scheme cannot use them."""
+    gradient = ca.Function("G", [model.t, model.q], [ca.densify(ca.jacobian(model.g, model.q))])
+    G = np.array(gradient(0, np.array(ca.DM(model.q0)).ravel())).reshape(len(model.multiplier_names), len(model.names))
+    flat = [name for name, row in zip(model.multiplier_names, G, strict=True) if not row.any()]
+    return [f"constraint '{name}' has a zero gradient at q0: near there it acts on nothing" for name in flat[:5]]
 
 
 def _not_convex(model: SweepingProcess) -> list[str]:
@@ -123,9 +132,9 @@ def _not_convex(model: SweepingProcess) -> list[str]:
         H, slope = (np.array(v) for v in f(0, q0))
         if not np.isfinite(H).all():
             continue
-        least, size = np.linalg.eigvalsh(H)[0], np.linalg.norm(slope) / max(np.linalg.norm(q0), 1e-300)
-        # Below round-off beside |gradient| / |q| a Hessian is that of a plane.
-        if least < -1e-9 * max(np.abs(H).max(), 1e-6 * size):
+        least, distance = np.linalg.eigvalsh(H)[0], np.linalg.norm(q0)
+        # A radius of curvature of 1e9 |q0| and more is round-off: a plane.
+        if least < -1e-9 * max(np.abs(H).max(), np.linalg.norm(slope) / distance if distance else 0.0):
             found.append(
                 f"constraint '{name}' is not convex at q0 (least eigenvalue of its Hessian {least:.3g}): feasibility may be lost"
             )

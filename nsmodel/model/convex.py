@@ -18,6 +18,8 @@ from nsmodel.errors import ModelError
 from nsmodel.model.convex_read import Bound, Node, Parts, read, replay
 from nsmodel.model.expressions import column, constants, evaluate, is_affine, is_concave, is_constant, keys, points, same
 
+DOMAIN = ("indicator", "cone")  # Terms that bound the domain.
+
 
 @dataclass(frozen=True, eq=False)
 class Term:
@@ -61,6 +63,14 @@ class ConvexSplit:
     def with_terms(self, terms: Iterable[Term]) -> ConvexSplit:
         """Return the same split with other terms."""
         return replace(self, terms=tuple(terms))
+
+    @property
+    def domain(self) -> list[ca.SX]:
+        """Columns of expressions of y that are >= 0 where Phi is finite."""
+        bounds = [
+            term for term in self.terms if term.kind in DOMAIN and not (self.tau.numel() and ca.depends_on(term.u, self.tau))
+        ]
+        return [term.u if term.kind == "indicator" else term.u[0] - ca.norm_2(term.u[1:]) for term in bounds]
 
 
 def split(phi: ca.SX, y: ca.SX, label: str) -> ConvexSplit:

@@ -16,8 +16,6 @@ from nsmodel.model.convex import ConvexSplit, split, split_discontinuities
 from nsmodel.model.first_order import checked_law
 from nsmodel.model.laws import Law
 
-DOMAIN = ("indicator", "cone")  # Terms of a potential that bound its domain.
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MonotoneInclusion(Model):
@@ -63,8 +61,7 @@ class MonotoneInclusion(Model):
                 raise ModelError(f"lower[{i}] = {float(a):g}, upper[{i}] = {float(b):g}: C needs an interior, lower < upper")
         constraints, names = self._named_constraints(c, self.constraints, [self.x])
         if potential is not None:
-            for i, term in enumerate(term for term in potential.terms if term.kind in DOMAIN):
-                rows = term.u if term.kind == "indicator" else term.u[0] - ca.norm_2(term.u[1:])
+            for i, rows in enumerate(potential.domain):
                 constraints[f"domain {i}"] = rows
                 names += [f"domain {i}"] if rows.numel() == 1 else [f"domain {i}[{j}]" for j in range(rows.numel())]
         smooth, symbols, arguments = split_discontinuities(operator, self.x, "operator")

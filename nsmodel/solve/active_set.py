@@ -93,7 +93,8 @@ def lemke(W: np.ndarray, b: np.ndarray, law: NumericLaw) -> np.ndarray | None:
     """Lemke's complementary pivoting; None where it ends in a ray, for psd W because there is no solution.
 
     One-sided rows are shifted to 0 <= l' ⟂ y' >= 0; an upper bound beside a lower one adds a slack row; a free row is split
-    in two. Where round-off makes a ray of a singular W, W + 1e-7 I suggests the index set. For psd W the method ends with a solution or proves that there is none (Cottle, Pang and Stone, Theorem 4.4.12).
+    in two. For psd W the method ends with a solution or proves that there is none (Cottle, Pang and Stone, Theorem 4.4.12);
+    where round-off makes a ray of a singular W, W + 1e-7 I suggests the index set.
     """
     W, b, law, s = equilibrate(W, b, law)
     W[np.abs(W) < 8 * EPS] = 0  # A pivot on round-off would be a solution at infinity.

@@ -50,6 +50,11 @@ class Stepper:
         start = self._newton.matrix_at(0.0, h, state, self._newton.guess(0.0, h, state, zero), zero)
         self.plan = choose(problem, self.structure, self.law, start, solver, few_steps)
 
+    @property
+    def least_eigenvalue(self) -> float:
+        """Least eigenvalue of the scaled W + W' met so far, at the start included."""
+        return min(self.plan.least_eigenvalue, self._newton.least_eigenvalue)
+
     def cold(self) -> Warm:
         """The warm start of a first step: l = 0 moved into K, everything inactive that can be."""
         l = np.clip(np.zeros(self.law.size), self.law.lower, self.law.upper)
@@ -65,7 +70,7 @@ class Stepper:
         if kernel is not None and self.plan.use_last and (warm.index is kernel.loaded or kernel.load(warm.index)):
             out = kernel.evaluate(t, state)
             if kernel.settled[0] and out[self.layout.residual] <= self.tolerance and not self.law.curved:
-                return StepResult(out.copy(), warm, "last index set")
+                return StepResult(out + 0.0, warm, "last index set")  # + 0.0: a copy without -0
         best: Attempt | None = None
         for attempt in self._attempts(kernel, t, h, state, warm):
             if attempt.residual <= self.tolerance:
@@ -119,7 +124,7 @@ class Stepper:
         yield attempt
 
     def _evaluated(self, kernel: Kernel, t: float, state: np.ndarray, index: np.ndarray, solver: str) -> Attempt:
-        row = kernel.evaluate(t, state).copy()
+        row = kernel.evaluate(t, state) + 0.0
         return Attempt(float(row[self.layout.residual]), row, Warm(row[self.layout.l], index), solver)
 
     def _packed(self, t: float, h: float, state: np.ndarray, found: Iterate) -> Attempt:
@@ -163,7 +168,11 @@ class Stepper:
 
     def _failure(self, t: float, h: float, state: np.ndarray, warm: Warm, best: Attempt | None) -> StepError:
         W, b = self._newton.affine_problem(t, h, state, warm.l)
-        reason = diagnose.why(self.problem, self.structure, self.law, self.plan, W, b, state)
+        at = self._newton.linearise(t, h, state, self._newton.guess(t, h, state, warm.l), warm.l)
+        finite = bool(np.isfinite(at.E).all())
+        reason = diagnose.why(
+            self.problem, self.structure, self.law, self.plan, W, b, state, finite, self._newton.least_eigenvalue
+        )
         residual = np.inf if best is None else best.residual
         component = None if best is None or best.worst_row is None else self.rows[best.worst_row]
         worst = "" if component is None else f", worst row '{component}'"

@@ -21,6 +21,7 @@ from nsmodel.model.laws import Law
 
 EPS = np.finfo(float).eps
 NEGLIGIBLE = 1e-6  # Part of the largest multiplier that another one need not resolve better than to the tolerance.
+UNRESOLVED = 1e-280  # Scales below this are lost in denormal numbers.
 GROWTH = 1e3  # How far the multipliers' terms may raise the scale of y above that of b.
 
 
@@ -63,7 +64,7 @@ def law_residual(
     law: NumericLaw, l: np.ndarray, y: np.ndarray, s_y: np.ndarray, w_max: np.ndarray, floor: np.ndarray | float = 0.0
 ) -> np.ndarray:
     """Return the residual of each row (m,): y the output, s_y its scale, not below ``floor``, w_max = max_j |W_ij|."""
-    s_y = np.maximum(s_y, floor)
+    s_y = np.maximum(np.maximum(s_y, floor), UNRESOLVED)
     lo, up = law.lower, law.upper
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         s_l, size = np.minimum(np.where(w_max > 0, s_y / w_max, np.inf), multiplier_scale(law, l, w_max)), np.abs(y)

@@ -9,8 +9,8 @@ import numpy as np
 from nsmodel.errors import UsageError
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import mlcp, qp
-from nsmodel.solve.certificate import EPS, NumericLaw
-from nsmodel.solve.structure import Structure
+from nsmodel.solve.certificate import NumericLaw
+from nsmodel.solve.structure import Structure, is_monotone, least_eigenvalue
 
 IPOPT = "ipopt"
 OWN = {"active-set": mlcp.INDEX_SET, "lemke": mlcp.LEMKE, "enumeration": mlcp.ENUMERATION, "semismooth": mlcp.SEMISMOOTH}
@@ -48,16 +48,6 @@ class Plan:
         return "\n".join(lines)
 
 
-def least_eigenvalue(W: np.ndarray) -> float:
-    """Least eigenvalue of (W + W')/2 after scaling rows and columns alike, so that units do not matter; inf for m = 0."""
-    if not W.size:
-        return np.inf
-    S = (W + W.T) / 2
-    d = np.sqrt(np.abs(S).max(axis=1))
-    d[d == 0] = 1
-    return float(np.linalg.eigvalsh(S / np.outer(d, d))[0])
-
-
 def choose(
     problem: OneStepProblem,
     structure: Structure,
@@ -77,7 +67,7 @@ def choose(
         least = 0.0  # W = Y_z Y_z' has no negative eigenvalue.
     else:
         least = least_eigenvalue(W) if W is not None else -np.inf
-    monotone = least >= -64 * EPS * max(structure.m, 1)
+    monotone = is_monotone(least, structure.m)
     path = "kernel" if structure.constant and few_steps else "newton"
     used, left_out = _lines(path, structure, law, monotone, least)
     if solver == "auto":
@@ -114,9 +104,7 @@ def _check_applies(solver: str, structure: Structure, law: NumericLaw, monotone:
         )
 
 
-def _lines(
-    path: str, structure: Structure, law: NumericLaw, monotone: bool, least: float
-) -> tuple[list[str], list[str]]:
+def _lines(path: str, structure: Structure, law: NumericLaw, monotone: bool, least: float) -> tuple[list[str], list[str]]:
     n, m = structure.n, structure.m
     used, left_out = [f"{n} unknowns, {m} multipliers, {structure.nonzeros} nonzeros of {(n + m) ** 2}"], []
     if not m:

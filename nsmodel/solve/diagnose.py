@@ -8,18 +8,22 @@ from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.active_set import index_sets
 from nsmodel.solve.certificate import NumericLaw
 from nsmodel.solve.choose import ENUMERATE_UP_TO, Plan
-from nsmodel.solve.structure import Structure
+from nsmodel.solve.structure import Structure, is_monotone, least_eigenvalue
 
 PROOF = 1e-14  # Largest positive entry of W'u, beside W's, in a proof that is believed.
 
 
 def why(
     problem: OneStepProblem, structure: Structure, law: NumericLaw, plan: Plan, W: np.ndarray | None, b: np.ndarray | None,
-    state: np.ndarray,
+    state: np.ndarray, finite: bool, least: float,
 ) -> str:  # fmt: skip
     """Return the most specific reason that can be proved, else what is known."""
     if not np.isfinite(state).all():
         return "the state is not finite"
+    if not finite:
+        return (
+            "the model's expressions are not finite at the present state and time (a root of a negative number, a division by 0?)"
+        )
     if W is None or b is None:
         return "the linearised step is singular at this step size; change the step, or check M, A and K"
     bad = np.flatnonzero(~(np.isfinite(b) & np.isfinite(W).all(axis=1)))
@@ -28,16 +32,19 @@ def why(
             f"'{problem.rows[bad[0]]}' or its gradient is not a finite number at the present state "
             "(a square root or norm at 0, a division by 0?)"
         )
-    opposed = opposing_rows(W, b, law) if plan.monotone else None
+    least = 0.0 if structure.gram else min(least_eigenvalue(W), least)
+    monotone = is_monotone(least, law.size)
+    opposed = opposing_rows(W, b, law) if monotone else None
     if opposed:
         names = [f"'{problem.rows[i]}' (weight {u:.3g})" for i, u in opposed]
+        if len(names) == 1:
+            return f"no multiplier can keep {names[0]} from being violated"
         return "the constraints leave no point: " + " and ".join(names) + " oppose each other"
-    if not plan.monotone and law.size <= ENUMERATE_UP_TO and not law.curved:
+    if not monotone and law.size <= ENUMERATE_UP_TO and not law.curved:
         count = sum(1 for _ in index_sets(law, np.zeros(law.size, np.int8)))
         which = "has no solution" if structure.affine else "seems to have no solution"
         return (
-            f"the step {which}: W is not psd (least eigenvalue {plan.least_eigenvalue:.3g}) and none of the {count} index sets "
-            "satisfies the law"
+            f"the step {which}: W is not psd (least eigenvalue {least:.3g}) and none of the {count} index sets satisfies the law"
         )
     if not plan.use_last:
         return "the forced solver did not find it"

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.scheme.problem import OneStepProblem
-from nsmodel.solve.certificate import EPS, NumericLaw, box_residual_sx, output_scale_sx, settled_sx
+from nsmodel.solve.certificate import EPS, UNRESOLVED, NumericLaw, box_residual_sx, output_scale_sx, settled_sx
 from nsmodel.solve.layout import Layout, extras
 from nsmodel.solve.structure import Structure, jacobians
 
@@ -156,14 +156,15 @@ def _functions(
     for row, column, factor in structure.unit_rows:
         z[column] = ca.if_else(free[row], -at.Y_0[row] / factor, z[column])
     one = ca.SX.sym("one")
-    judged = _judge(p, at, structure, law, tolerance, W).call([p.t, p.state, *(one * ca.densify(e) for e in (z, l, b)), free])
+    judged = _judge(p, at, structure, law, tolerance, W, matrices[0], inverse).call([p.t, p.state, *(one * ca.densify(e) for e in (z, l, b)), free])
     step = ca.Function("step", [p.t, p.state, S, s, free, one], judged, {"cse": structure.n + m < CSE_BELOW})
     return step, ca.Function("b", [p.t, p.state], [ca.densify(b)])
 
 
 def _judge(
-    p: OneStepProblem, at: _AtStep, structure: Structure, law: NumericLaw, tolerance: float, W: np.ndarray
-) -> ca.Function:
+    p: OneStepProblem, at: _AtStep, structure: Structure, law: NumericLaw, tolerance: float, W: np.ndarray, E_z: np.ndarray,
+    inverse: np.ndarray,
+) -> ca.Function:  # fmt: skip
     """The certificate and the packed row as a function of (t, state, z, l, b, free): `Newton.judge` in symbols."""
     n, m, z, l = structure.n, structure.m, p.z, p.l
     b, free = ca.SX.sym("b", m), ca.SX.sym("free", m)
@@ -172,13 +173,14 @@ def _judge(
     round_off = 4 * (n + m + 4) * EPS
     # The scale of E: what moves in the step, not where it happens (positions far from 0 do not excuse an error).
     s_E = ca.fabs(at.E_guess) + ca.fabs(at.E_z) @ ca.fabs(z - at.guess) + ca.fabs(at.E_l) @ ca.fabs(l)
-    s_E = ca.fmax(s_E, round_off / tolerance * size_E)
+    seen = ca.sparsify(ca.DM(np.abs(E_z) @ np.abs(inverse))) @ size_E  # the round-off of z, seen by E
+    s_E = ca.fmax(s_E, ca.fmax(round_off / tolerance * seen, UNRESOLVED))
     residual = _largest([ca.if_else(at.E[i] == 0, 0, ca.fabs(at.E[i]) / s_E[i]) for i in range(n)])
     settled = ca.SX(1)
     if m:
         w_max = np.abs(W).max(axis=1)
         s_y = output_scale_sx(b, ca.fabs(ca.sparsify(ca.DM(W))) @ ca.fabs(l), w_max)
-        s_y = ca.fmax(s_y, round_off / tolerance * size_Y)
+        s_y = ca.fmax(s_y, ca.fmax(round_off / tolerance * size_Y, UNRESOLVED))
         box = [i for i in range(m) if not any(rows.start <= i < rows.stop for _, rows, _ in law.curved)]
         residual = ca.fmax(residual, box_residual_sx(law, box, w_max, l, at.Y, s_y))
         settled = settled_sx(law, box, l, at.Y, free, round_off * size_Y)

@@ -15,9 +15,9 @@ import numpy as np
 
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import active_set, mlcp
-from nsmodel.solve.certificate import EPS, NumericLaw, law_residual, output_scale
+from nsmodel.solve.certificate import EPS, UNRESOLVED, NumericLaw, law_residual, output_scale
 from nsmodel.solve.layout import extras
-from nsmodel.solve.structure import Structure, jacobians
+from nsmodel.solve.structure import Structure, jacobians, least_eigenvalue
 
 ITERATIONS = 30
 WORKING_SET_ABOVE = 24
@@ -66,6 +66,7 @@ class Newton:
         self._offsets = np.zeros(len(unit))
         self._guess = _Buffered("guess", [*known, p.l], [p.guess, guess_0, E_guess])
         self._pack = _Buffered("pack", [*known, p.z, p.l, p.y], [p.next_state, *extras(p).values()])
+        self.least_eigenvalue = np.inf  # of the W + W' met so far: a monitor, no step depends on it
         self._complementarity = bool((law.lower == 0).all() and np.isposinf(law.upper).all() and not law.curved)
 
     def linearise(self, t: float, h: float, state: np.ndarray, z: np.ndarray, l: np.ndarray) -> Linearisation:
@@ -158,6 +159,8 @@ class Newton:
         """Solve the affine problem; of many complementarity rows only those that act (violated ones are added until none is)."""
         if not (self._complementarity and self.structure.symmetric and l.size > WORKING_SET_ABOVE):
             W = at.Y_l + at.Y_z @ Z
+            if l.size <= WORKING_SET_ABOVE and not self.structure.gram:
+                self.least_eigenvalue = min(self.least_eigenvalue, least_eigenvalue(W))
             return mlcp.solve(W, b, self.law, l, index, chain, self.structure.symmetric, self.tolerance / 10)
         chosen = (b < 0) | (index == 0)
         for _ in range(l.size + 1):
@@ -188,8 +191,10 @@ class Newton:
         E_z, E_l = np.abs(at.E_z), np.abs(at.E_l)
         E_0 = at.E - at.E_z @ z - at.E_l @ l
         size_E = E_z @ abs_z + E_l @ abs_l + np.abs(E_0)
+        if not self.structure.identity and n:
+            size_E = self._seen(at.E_z, size_E)
         s_E = guess[1] + E_z @ np.abs(z - guess[0]) + E_l @ abs_l
-        s_E = np.maximum(s_E, round_off / self.tolerance * size_E)
+        s_E = np.maximum(np.maximum(s_E, round_off / self.tolerance * size_E), UNRESOLVED)
         with np.errstate(divide="ignore", invalid="ignore"):
             dynamics = np.where(at.E == 0, 0, np.abs(at.E) / s_E).max(initial=0.0)
         worst, row = float(dynamics) if np.isfinite(dynamics) else np.inf, None
@@ -204,6 +209,14 @@ class Newton:
         if not (np.isfinite(z).all() and np.isfinite(at.E).all()):
             worst = np.inf
         return Iterate(z, l, index, y, worst, row, solver, iterations)
+
+    @staticmethod
+    def _seen(E_z: np.ndarray, size: np.ndarray) -> np.ndarray:
+        """The round-off of z, which is that of E through E_z^{-1}, as E sees it: |E_z| |E_z^{-1}| size."""
+        try:
+            return np.abs(E_z) @ (np.abs(np.linalg.inv(E_z)) @ size)
+        except np.linalg.LinAlgError:
+            return size
 
     def _law_scales(
         self, at: Linearisation, z: np.ndarray, l: np.ndarray, index: np.ndarray, round_off: float
@@ -259,7 +272,7 @@ class Newton:
     def pack(self, t: float, h: float, state: np.ndarray, found: Iterate) -> np.ndarray:
         """The packed row of an iterate."""
         parts = self._pack(t, h, state, found.z, found.l, found.y)
-        return np.concatenate([parts[0], found.l, found.y, [found.residual, found.iterations], *parts[1:]])
+        return np.concatenate([parts[0], found.l, found.y, [found.residual, found.iterations], *parts[1:]]) + 0.0
 
 
 class _Buffered:

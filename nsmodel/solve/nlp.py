@@ -19,6 +19,7 @@ TINY = 1e-30  # Keeps the derivative of |y| finite at 0.
 OPTIONS = {
     "print_time": False,
     "error_on_fail": False,
+    "show_eval_warnings": False,
     "ipopt": {
         "print_level": 0, "sb": "yes", "tol": 1e-12, "acceptable_tol": 1e-9, "max_iter": 500, "bound_relax_factor": 0.0,
         "mu_strategy": "adaptive", "honor_original_bounds": "yes",

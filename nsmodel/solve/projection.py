@@ -54,6 +54,11 @@ class CatchingUp:
         self._interior = None if self.exact or self._box else _interior_point(model, c, state)
         self._n, self._m = n, m
 
+    @property
+    def least_eigenvalue(self) -> float:
+        """Least eigenvalue of the scaled W + W' of the projections so far."""
+        return self._stepper.least_eigenvalue
+
     def cold(self) -> Warm:
         """The warm start of a first step."""
         return self._stepper.cold()

@@ -43,9 +43,9 @@ def solve(name: str, W: np.ndarray, b: np.ndarray, law: NumericLaw, symmetric: b
         lower, upper = law.lower, law.upper
     else:
         H, g, A, below, above, lower, upper = _gap_programme(W, b, law)
-    solver = (_build.__wrapped__ if name in HIDDEN_MEMORY else _build)(name, g.size, below.size)
     with _quiet():
         try:
+            solver = (_build.__wrapped__ if name in HIDDEN_MEMORY else _build)(name, g.size, below.size)
             found = np.array(solver(h=H, g=g, a=A, lba=below, uba=above, lbx=lower, ubx=upper)["x"]).ravel()[:m]
         except RuntimeError:
             return None
@@ -68,11 +68,10 @@ def _gap_programme(W: np.ndarray, b: np.ndarray, law: NumericLaw) -> tuple[np.nd
 
 @lru_cache(maxsize=64)
 def _build(name: str, n: int, rows: int) -> ca.Function:
-    with _quiet():
-        return ca.conic(
-            "step", name, {"h": ca.Sparsity.dense(n, n), "a": ca.Sparsity.dense(rows, n)},
-            {"error_on_fail": False, "print_problem": False, "verbose": False, **OPTIONS[name]},
-        )  # fmt: skip
+    return ca.conic(
+        "step", name, {"h": ca.Sparsity.dense(n, n), "a": ca.Sparsity.dense(rows, n)},
+        {"error_on_fail": False, "print_problem": False, "verbose": False, **OPTIONS[name]},
+    )  # fmt: skip
 
 
 @contextlib.contextmanager

@@ -103,3 +103,18 @@ def _unit_rows(Y_z: ca.SX, Y_l: ca.SX) -> list[tuple[int, int, float]]:
     coupled = set(Y_l.sparsity().get_triplet()[0])
     single = [(i, columns[0]) for i, columns in sorted(by_row.items()) if len(columns) == 1 and i not in coupled]
     return [(i, j, float(Y_z[i, j])) for i, j in single if Y_z[i, j].is_constant()]
+
+
+def least_eigenvalue(W: np.ndarray) -> float:
+    """Least eigenvalue of (W + W')/2 after scaling rows and columns alike, so that units do not matter; inf for m = 0."""
+    if not W.size:
+        return np.inf
+    S = (W + W.T) / 2
+    d = np.sqrt(np.abs(S).max(axis=1))
+    d[d == 0] = 1
+    return float(np.linalg.eigvalsh(S / np.outer(d, d))[0])
+
+
+def is_monotone(least: float, m: int) -> bool:
+    """Whether a least eigenvalue of a scaled (m, m) matrix is >= 0 up to round-off."""
+    return least >= -64 * np.finfo(float).eps * max(m, 1)
