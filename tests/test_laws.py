@@ -623,7 +623,8 @@ def test_catching_up_on_smooth_sets(name, tolerances):
         x=X, field=FIELD, constraints=constraints, x0=x0, t_end=3, steps=[0.03] * 100, tolerances=tolerances
     )
     run = simulate(model)
-    inside = ca.Function("c", [X], [ca.vertcat(*constraints.values())])
+    c = ca.vertcat(*constraints.values())
+    inside, slopes = ca.Function("c", [X], [c]), ca.Function("J", [X], [ca.densify(ca.jacobian(c, X))])
     field = ca.Function("f", [X], [ca.vertcat(*FIELD)])
     eps = np.zeros(100) if tolerances is None else np.broadcast_to(tolerances(0.03) if callable(tolerances) else tolerances, 100)
     touched = used = 0
@@ -635,6 +636,8 @@ def test_catching_up_on_smooth_sets(name, tolerances):
         assert float(ca.mmin(inside(x))) >= (-1e-12 if tolerances is None else 0)
         if tolerances is None:
             np.testing.assert_allclose(x, exact, atol=1e-12)
+            np.testing.assert_allclose(x - y, np.array(slopes(x)).T @ run.multipliers[k + 1], atol=1e-12)
+            assert run.multipliers[k + 1].min() >= 0
         else:
             assert np.sum((x - y) ** 2) < d2 + eps[k]
             assert run.excess[k + 1] < eps[k]

@@ -156,7 +156,9 @@ def _functions(
     for row, column, factor in structure.unit_rows:
         z[column] = ca.if_else(free[row], -at.Y_0[row] / factor, z[column])
     one = ca.SX.sym("one")
-    judged = _judge(p, at, structure, law, tolerance, W, matrices[0], inverse).call([p.t, p.state, *(one * ca.densify(e) for e in (z, l, b)), free])
+    judged = _judge(p, at, structure, law, tolerance, W, matrices[0], inverse).call(
+        [p.t, p.state, *(one * ca.densify(e) for e in (z, l, b)), free]
+    )
     step = ca.Function("step", [p.t, p.state, S, s, free, one], judged, {"cse": structure.n + m < CSE_BELOW})
     return step, ca.Function("b", [p.t, p.state], [ca.densify(b)])
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.certificate import NumericLaw
+from nsmodel.solve.quiet import quiet
 
 TINY = 1e-30  # Keeps the derivative of |y| finite at 0.
 OPTIONS = {
@@ -72,11 +73,12 @@ class Programme:
         start = np.concatenate([z, l, np.maximum(y, 0), np.maximum(-y, 0)])
         zero = np.zeros(self._equations)
         try:
-            found = self._solver(
-                x0=start, p=known, lbx=self._lower, ubx=self._upper,
-                lbg=np.concatenate([zero, np.zeros(self._inequalities)]),
-                ubg=np.concatenate([zero, np.full(self._inequalities, np.inf)]),
-            )  # fmt: skip
+            with quiet():
+                found = self._solver(
+                    x0=start, p=known, lbx=self._lower, ubx=self._upper,
+                    lbg=np.concatenate([zero, np.zeros(self._inequalities)]),
+                    ubg=np.concatenate([zero, np.full(self._inequalities, np.inf)]),
+                )  # fmt: skip
         except RuntimeError:
             return None
         x = np.array(found["x"]).ravel()

@@ -6,10 +6,6 @@ min l'(W l + b) - lower'y+ + upper'y- over lower <= l <= upper, y+ - y- = W l + 
 
 from __future__ import annotations
 
-import contextlib
-import os
-import sys
-from collections.abc import Iterator
 from functools import lru_cache
 
 import casadi as ca
@@ -17,6 +13,7 @@ import numpy as np
 
 from nsmodel.solve.active_set import equilibrate
 from nsmodel.solve.certificate import NumericLaw
+from nsmodel.solve.quiet import quiet
 
 OPTIONS = {
     "qpoases": {"printLevel": "none", "terminationTolerance": 1e-14, "boundTolerance": 1e-14},
@@ -43,7 +40,7 @@ def solve(name: str, W: np.ndarray, b: np.ndarray, law: NumericLaw, symmetric: b
         lower, upper = law.lower, law.upper
     else:
         H, g, A, below, above, lower, upper = _gap_programme(W, b, law)
-    with _quiet():
+    with quiet():
         try:
             solver = (_build.__wrapped__ if name in HIDDEN_MEMORY else _build)(name, g.size, below.size)
             found = np.array(solver(h=H, g=g, a=A, lba=below, uba=above, lbx=lower, ubx=upper)["x"]).ravel()[:m]
@@ -72,21 +69,3 @@ def _build(name: str, n: int, rows: int) -> ca.Function:
         "step", name, {"h": ca.Sparsity.dense(n, n), "a": ca.Sparsity.dense(rows, n)},
         {"error_on_fail": False, "print_problem": False, "verbose": False, **OPTIONS[name]},
     )  # fmt: skip
-
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Solvers print banners from C: send file descriptors 1 and 2 to nowhere while one runs."""
-    sys.stdout.flush()
-    sys.stderr.flush()
-    saved, null = [(fd, os.dup(fd)) for fd in (1, 2)], os.open(os.devnull, os.O_WRONLY)
-    try:
-        with contextlib.redirect_stdout(None), contextlib.redirect_stderr(None):
-            for fd, _ in saved:
-                os.dup2(null, fd)
-            yield
-    finally:
-        for fd, copy in saved:
-            os.dup2(copy, fd)
-            os.close(copy)
-        os.close(null)

@@ -1,0 +1,26 @@
+"""Silence for solvers that print from C."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Iterator
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Solvers print banners from C: send file descriptors 1 and 2 to nowhere while one runs."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    saved, null = [(fd, os.dup(fd)) for fd in (1, 2)], os.open(os.devnull, os.O_WRONLY)
+    try:
+        with contextlib.redirect_stdout(None), contextlib.redirect_stderr(None):
+            for fd, _ in saved:
+                os.dup2(null, fd)
+            yield
+    finally:
+        for fd, copy in saved:
+            os.dup2(copy, fd)
+            os.close(copy)
+        os.close(null)
