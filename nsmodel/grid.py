@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from nsmodel.errors import UsageError
-from nsmodel.model.base import Model
+from nsmodel.model.base import Model, shown
 
 
 @dataclass(frozen=True)
@@ -41,18 +42,13 @@ def make_grid(model: Model, step: float | None, steps: Sequence[float] | None, t
         UsageError: not finite, not positive, contradictory, or missing.
     """
     for name, value in (("step", step), ("t_end", t_end)):
-        if value is not None and not (np.isfinite(value) and value > 0):
-            raise UsageError(f"{name} = {value:g}; expected a finite number > 0")
+        if value is not None and not (is_number(value) and np.isfinite(value) and value > 0):
+            raise UsageError(f"{name} = {written(value)}; expected a finite number > 0")
     if step is not None and steps is not None:
         raise UsageError("step and steps are both given; keep one")
     steps = model.steps if steps is None and step is None else steps
     if steps is not None:
-        array = np.asarray(steps, float).ravel()
-        bad = np.flatnonzero(~(np.isfinite(array) & (array > 0)))
-        if bad.size or not array.size:
-            raise UsageError(
-                f"steps[{bad[0]}] = {array[bad[0]]:g}; expected finite numbers > 0" if bad.size else "steps is empty"
-            )
+        array = _step_array(steps)
         if t_end is not None:
             raise UsageError("t_end is given with steps, which already say where the run ends; leave it out")
         return Grid(array.size, float(array[0]), float(array[-1]), array, np.concatenate([[0.0], np.cumsum(array)]))
@@ -68,3 +64,25 @@ def make_grid(model: Model, step: float | None, steps: Sequence[float] | None, t
         return Grid(N, h, h)
     N = int(np.floor(ratio)) + 1
     return Grid(N, h, T - (N - 1) * h)
+
+
+def _step_array(steps: Any) -> np.ndarray:
+    if isinstance(steps, str | bytes) or np.ndim(steps) != 1:
+        raise UsageError(f"steps: expected a list or 1-D array of numbers > 0, not {shown(steps)} (a {type(steps).__name__})")
+    array = np.asarray(steps, float)
+    bad = np.flatnonzero(~(np.isfinite(array) & (array > 0)))
+    if not array.size:
+        raise UsageError("steps is empty; expected finite numbers > 0")
+    if bad.size:
+        raise UsageError(f"steps[{bad[0]}] = {array[bad[0]]:g}; expected finite numbers > 0")
+    return array
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value is a real number; True and False are not."""
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
+
+
+def written(value: Any) -> str:
+    """A value as a message shows it."""
+    return f"{value:g}" if is_number(value) else repr(value)

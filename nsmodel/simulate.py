@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
-import platform
+import contextlib
+import os
+import signal
 import sys
+import threading
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, is_dataclass
-from importlib.metadata import version
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +18,13 @@ import numpy as np
 from nsmodel.check.quick import UNIQUENESS, refuse_start, warnings_of
 from nsmodel.check.rest import finite_convergence
 from nsmodel.errors import StepError, StorageError, UsageError
-from nsmodel.grid import Grid, make_grid
-from nsmodel.model.base import Model
+from nsmodel.grid import Grid, is_number, make_grid, written
+from nsmodel.identity import difference, settings, versions
+from nsmodel.model.base import Model, shown
 from nsmodel.model.inclusion import MonotoneInclusion
 from nsmodel.model.oscillator import FrictionOscillator
-from nsmodel.scheme import derived_columns, initial_rows, one_step_problem, shortened
+from nsmodel.record import Record
+from nsmodel.scheme import initial_rows, one_step_problem, shortened
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.build import Stepper
 from nsmodel.solve.projection import CatchingUp
@@ -31,7 +33,6 @@ from nsmodel.solve.structure import is_monotone
 from nsmodel.storage import ChunkStore
 from nsmodel.trajectory import Trajectory
 
-UNSET = -2  # Index-set code of a row that no step has computed.
 CHUNK_BYTES = 64 << 20
 FEW_STEPS = 8  # Different step sizes up to which constant matrices are factored once for each.
 
@@ -78,15 +79,16 @@ def simulate(
         RunInterrupted: Ctrl-C; ``error.trajectory`` as above.
         StorageError: ``resume`` without a matching run.
     """
-    if not 0 < tolerance < 1:
-        raise UsageError(f"tolerance = {tolerance:g}; expected a number between 0 and 1")
-    if isinstance(save_every, bool) or int(save_every) != save_every or save_every < 1:
-        raise UsageError(f"save_every = {save_every!r}; expected a whole number >= 1")
+    _check_model(model)
+    if not (is_number(tolerance) and 0 < tolerance < 1):
+        raise UsageError(f"tolerance = {written(tolerance)}; expected a number between 0 and 1")
+    if not (is_number(save_every) and save_every >= 1 and float(save_every).is_integer()):
+        raise UsageError(f"save_every = {written(save_every)}; expected a whole number >= 1")
     if resume and out is None:
         raise UsageError("resume needs out=, the folder of the run to continue")
     bound = model.bind(parameters)
     grid = make_grid(bound, step, steps, t_end)
-    run = _Run(bound, grid, solver, tolerance, int(save_every), None if out is None else Path(out), resume)
+    run = _Run(bound, grid, solver, float(tolerance), int(save_every), None if out is None else Path(out), resume)
     return run.go(progress)
 
 
@@ -94,215 +96,199 @@ def explain(
     model: Model, *, step: float | None = None, parameters: Mapping[str, float] | None = None, solver: str = "auto"
 ) -> str:
     """What a run would use and what it leaves out, and why, as text."""
+    _check_model(model)
     bound = model.bind(parameters)
     run = _Run(bound, make_grid(bound, step, None, None), solver, 1e-9, 1, None, False)
     return run.stepper.plan.text(run.problem)
 
 
+class RunInterrupted(KeyboardInterrupt):
+    """Ctrl-C during a run; ``trajectory`` holds what was computed."""
+
+    def __init__(self, trajectory: Trajectory) -> None:
+        super().__init__(trajectory.metadata["message"])
+        self.trajectory = trajectory
+
+
 class _Run:
-    """One run: the stepper, the rows of the chunk being filled, the checkpoint."""
+    """One run: the stepper, where it stands (k, state, warm), what it has counted, and the rows not yet written."""
 
     def __init__(
         self, model: Model, grid: Grid, solver: str, tolerance: float, save_every: int, out: Path | None, resume: bool
     ) -> None:
         self.model, self.grid, self.save_every, self.out = model, grid, save_every, out
         refuse_start(model)
+        self._check_exact()
         self.problem = one_step_problem(model)
         known = initial_rows(model, grid.step(0))
-        state = known[-1][0]
+        self.k, self.state = len(known) - 1, known[-1][0]
         if self.problem.start is not None:
-            state = _start_state(self.problem.start, state, grid.step(0), tolerance)
-        self.k = len(known) - 1
+            self.state = _start_state(self.problem.start, self.state, grid.step(0), tolerance)
         few = grid.steps is None or np.unique(grid.steps).size <= FEW_STEPS
-        self.stepper = make_stepper(model, self.problem, solver, tolerance, h=grid.step(0), state=state, few_steps=few)
+        self.stepper = make_stepper(model, self.problem, solver, tolerance, h=grid.step(0), state=self.state, few_steps=few)
+        self.warm, self.last_index = self.stepper.cold(), None
         self.warnings = warnings_of(model, self.stepper.plan)
-        self.layout = self.stepper.layout
-        self.state, self.warm = state, self.stepper.cold()
         self.counts: Counter[str] = Counter()
-        self.totals = {
+        self.totals: dict[str, Any] = {
             "worst_residual": 0.0, "worst_residual_t": None, "newton": 0.0, "newton_max": 0.0, "index_set_changes": 0, "steps": 0,
         }  # fmt: skip
-        self.settings = {
-            "hash": fingerprint(model, grid, solver, tolerance, save_every),
-            "versions": versions(),
-            "short_last_step": grid.last != grid.h,
-        }
-        width = 8 * (self.layout.width + 2) + self.stepper.cold().index.size
-        total = grid.N // save_every + 2 + len(known)
-        self.capacity = total if out is None else int(min(total, max(64, CHUNK_BYTES // max(width, 1))))
-        self._chunks: list[dict[str, np.ndarray]] = []
-        self._allocate()
+        self.settings = settings(model, grid, solver, tolerance, save_every)
+        self.record = Record(model, self.stepper.layout, self.warm.index.size, self._capacity(len(known)))
         self.store = None if out is None else (ChunkStore.open(out) if resume else ChunkStore(out))
         if resume:
             self._restore()
         else:
-            for k, (row_state, records) in enumerate(known):
-                self._known_row(k, row_state, records)
+            for k, (state, records) in enumerate(known):
+                self.record.known(k, grid.time(k), grid.step(min(k, grid.N - 1)), state, records)
 
-    def _allocate(self) -> None:
-        m = self.warm.index.size
-        self.rows = np.full((self.capacity, self.layout.width), np.nan)
-        self.index = np.full((self.capacity, m), UNSET, np.int8)
-        self.t, self.h, self.h_next = (np.full(self.capacity, np.nan) for _ in range(3))
-        self.number = np.zeros(self.capacity, int)
-        self.filled = 0
+    def _check_exact(self) -> None:
+        if self.model.exact is not None:
+            got, expected = np.shape(self.model.exact(np.zeros(2))), (2, len(self.model.names))
+            if got != expected:
+                raise UsageError(f"exact: it returned shape {got} for 2 times; expected {expected}")
 
-    def _known_row(self, k: int, state: np.ndarray, records: dict[str, np.ndarray]) -> None:
-        r = self.filled
-        self.rows[r, : state.size] = state
-        for name, value in records.items():
-            self.rows[r, self.layout.slices[name]] = value
-        self.t[r], self.h_next[r], self.number[r] = self.grid.time(k), self.grid.step(min(k, self.grid.N - 1)), k
-        self.filled += 1
+    def _capacity(self, known: int) -> int:
+        """Rows kept in memory: all of them, or a chunk where they go to a folder."""
+        row = 8 * (self.stepper.layout.width + 5) + self.warm.index.size
+        total = self.grid.N // self.save_every + 1 + known
+        if self.out is not None:
+            return int(min(total, max(64, CHUNK_BYTES // row)))
+        if total * row > _memory():
+            raise UsageError(
+                f"{self.grid.N} steps do not fit in memory ({total * row / 2**30:.3g} GiB); give out=DIR (--out DIR), "
+                "and save_every=N (--save-every N) to keep fewer rows"
+            )
+        return int(total)
 
     def go(self, progress: bool) -> Trajectory:
         """Run to the end; on failure or Ctrl-C save what there is and say so."""
         bar = _bar(progress, self.k, self.grid.N)
-        try:
-            self._loop(bar)
-        except StepError as error:
-            error.step, error.time = self.k, self.grid.time(self.k) + self.grid.step(self.k)
-            error.args = (f"step {self.k}: {error.args[0]}",)
-            error.trajectory = self._finish("failed", str(error))
-            raise
-        except KeyboardInterrupt:
-            raise RunInterrupted(self._finish("interrupted", f"interrupted at t = {self.grid.time(self.k):.10g}")) from None
-        finally:
-            if bar is not None:
-                bar.close()
-        return self._finish("done", "")
+        with _deferred_interrupt() as interrupted:
+            try:
+                self._loop(bar, interrupted)
+            except StepError as error:
+                error.step, error.time = self.k, self.grid.time(self.k) + self.grid.step(self.k)
+                error.args = (f"step {self.k}: {error.args[0]}",)
+                error.trajectory = self._finish("failed", str(error))
+                raise
+            finally:
+                if bar is not None:
+                    bar.close()
+            if self.k < self.grid.N:
+                raise RunInterrupted(self._finish("interrupted", f"interrupted at t = {self.grid.time(self.k):.10g}"))
+            return self._finish("done", "")
 
-    def _loop(self, bar: Any) -> None:
+    def _loop(self, bar: Any = None, interrupted: Sequence[bool] = ()) -> None:
         """The hot loop. Attributes are local here and written back when it ends, however it ends."""
-        grid, step, every, N, totals, counts = self.grid, self.stepper, self.save_every, self.grid.N, self.totals, self.counts
-        k, state, warm, residual_at, newton_at = self.k, self.state, self.warm, self.layout.residual, self.layout.newton
-        state_at, constant, h = self.layout.state, grid.steps is None, grid.h
-        worst, worst_k, newton, newton_max, changes, last_index = totals["worst_residual"], None, 0.0, 0.0, 0, warm.index
-        by_index = isinstance(step, CatchingUp)
+        grid, step, every, N, counts, record = self.grid, self.stepper, self.save_every, self.grid.N, self.counts, self.record
+        k, state, warm, last = self.k, self.state, self.warm, self.last_index
+        layout, constant, h = self.stepper.layout, grid.steps is None, grid.h
+        state_at, residual_at, newton_at = layout.state, layout.residual, layout.newton
+        worst, worst_k, newton, newton_max, changes = self.totals["worst_residual"], None, 0.0, 0.0, 0
+        by_index, counting, seen = isinstance(step, CatchingUp), step.plan.path == "newton", None
         try:
-            while k < N:
+            while k < N and not interrupted:
                 if constant:
                     t, h_k = k * h, h if k < N - 1 else grid.last
                 else:
                     t, h_k = grid.time(k), grid.step(k)
                 start = state if h_k == h or not constant or k == 0 else shortened(self.model, state, h_k / h)
-                result = step(t, h_k, start, warm, k) if by_index else step(t, h_k, start, warm)
-                row, warm, solver = result
+                row, warm, solver = step(t, h_k, start, warm, k) if by_index else step(t, h_k, start, warm)
                 state = row[state_at]
                 counts[solver] += 1
                 if row[residual_at] > worst:
                     worst, worst_k = row[residual_at], k + 1
-                if solver != "last index set":
-                    newton += row[newton_at]
-                    newton_max = max(newton_max, row[newton_at])
-                    changes += not np.array_equal(warm.index, last_index)
-                    last_index = warm.index
+                if warm is not seen:  # the same object as long as the last index set holds
+                    changes += last is not None and not np.array_equal(warm.index, last)
+                    seen, last = warm, warm.index
+                    if counting:
+                        newton += row[newton_at]
+                        newton_max = max(newton_max, row[newton_at])
                 k += 1
                 if k % every == 0 or k == N:
-                    r = self.filled
-                    self.rows[r] = row
-                    self.index[r], self.number[r] = warm.index, k
-                    self.t[r], self.h[r] = grid.time(k), h_k
-                    self.h_next[r] = h_k if constant or k == N else grid.step(k)
-                    self.filled = r + 1
-                    if self.filled == self.capacity and self.store is not None:
-                        self.k, self.state, self.warm = k, state, warm
-                        self._add(worst, worst_k, newton, newton_max, changes)
+                    record.add(k, grid.time(k), h_k, h_k if constant or k == N else grid.step(k), row, warm.index)
+                    if record.full and self.store is not None:
+                        self._put(k, state, warm, last, worst, worst_k, newton, newton_max, changes)
                         worst_k, newton, newton_max, changes = None, 0.0, 0.0, 0
                         self._flush("running", "")
                 if bar is not None and k % 64 == 0:
                     bar.update(64)
         finally:
-            self.k, self.state, self.warm = k, state, warm
-            self._add(worst, worst_k, newton, newton_max, changes)
+            self._put(k, state, warm, last, worst, worst_k, newton, newton_max, changes)
 
-    def _add(self, worst: float, worst_k: int | None, newton: float, newton_max: float, changes: int) -> None:
-        t = self.totals
+    def _put(
+        self, k: int, state: np.ndarray, warm: Warm, last: np.ndarray | None, worst: float, worst_k: int | None, newton: float,
+        newton_max: float, changes: int,
+    ) -> None:  # fmt: skip
+        """Write the loop's variables back."""
+        self.k, self.state, self.warm, self.last_index = k, state, warm, last
+        totals = self.totals
         if worst_k is not None:
-            t["worst_residual"], t["worst_residual_t"] = float(worst), self.grid.time(worst_k)
-        t["newton"] += float(newton)
-        t["newton_max"] = max(t["newton_max"], float(newton_max))
-        t["index_set_changes"] += int(changes)
-        t["steps"] = self.k
-
-    def _columns(self) -> dict[str, np.ndarray]:
-        """The filled rows as named arrays."""
-        n, r, where = len(self.model.names), slice(0, self.filled), self.layout
-        rows = self.rows[r]
-        arrays = {"t": self.t[r].copy(), "x": rows[:, :n].copy()}
-        s = where.slices
-        arrays["multipliers"] = rows[:, s.get("multipliers", where.l)].copy()
-        arrays["y"] = rows[:, s.get("outputs", where.y)].copy()
-        arrays["index_set"] = self.index[r].copy()
-        arrays["residual"], arrays["step"] = rows[:, where.residual].copy(), self.h[r].copy()
-        if self.stepper.plan.path == "newton":
-            arrays["newton"] = rows[:, where.newton].copy()
-        for name, at in s.items():
-            if name not in ("state", "l", "y", "residual", "newton", "multipliers", "outputs"):
-                scalar = at.stop - at.start == 1 and name not in ("v", "gap", "defect", "selection")
-                arrays[name] = rows[:, at.start].copy() if scalar else rows[:, at].copy()
-        return arrays | derived_columns(self.model, arrays, self.h_next[r])
+            totals["worst_residual"], totals["worst_residual_t"] = float(worst), self.grid.time(worst_k)
+        totals["newton"] += float(newton)
+        totals["newton_max"] = max(totals["newton_max"], float(newton_max))
+        totals["index_set_changes"] += int(changes)
+        totals["steps"] = k
 
     def _note(self) -> None:
-        """Keep of the filled rows what the end will ask for: the distance to the exact state, when an oscillator last moved."""
+        """Keep of the rows what the end will ask for: the distance to the exact state, when an oscillator last moved."""
+        if not self.record.filled:
+            return
+        t, x = self.record.t[: self.record.filled], self.record.states
         if self.model.exact is not None:
-            x, t = self.rows[: self.filled, : len(self.model.names)], self.t[: self.filled]
-            exact = np.asarray(self.model.exact(t), float)
-            if exact.shape != x.shape:
-                raise UsageError(f"exact: it returned shape {exact.shape} for {t.size} times; expected {x.shape}")
-            self.totals["largest_error"] = max(self.totals.get("largest_error", 0.0), float(np.abs(x - exact).max()))
+            error = float(np.abs(x - np.asarray(self.model.exact(t), float)).max())
+            self.totals["largest_error"] = max(self.totals.get("largest_error", 0.0), error)
         least = min(self.stepper.least_eigenvalue, self.totals.get("least_eigenvalue", np.inf))
         if np.isfinite(least):
             self.totals["least_eigenvalue"] = float(least)
         if isinstance(self.model, FrictionOscillator):
-            rows, n = self.rows[: self.filled], len(self.model.names)
-            v = rows[:, self.layout.slices["v"]]
+            v = self.record.column("v")
             moving = np.flatnonzero((v != 0).any(axis=1) & np.isfinite(v).all(axis=1))
+            rest = moving[-1] + 1 if moving.size else 0
             if moving.size:
                 self.totals["rest_from"] = None
-            rest = moving[-1] + 1 if moving.size else 0
-            if self.totals.get("rest_from") is None and rest < self.filled:
-                self.totals["rest_from"] = [int(self.number[rest]), float(self.t[rest])]
-            self.totals["last_x"] = rows[-1, :n].tolist()
+            if self.totals.get("rest_from") is None and rest < len(v):
+                self.totals["rest_from"] = [int(self.record.number[rest]), float(t[rest])]
+            self.totals["last_x"] = x[-1].tolist()
             self.totals["last_v"] = [*self.totals.get("last_v", []), *v[-2:].tolist()][-2:]
 
     def _flush(self, status: str, message: str) -> None:
-        """Write the filled rows as a chunk with the checkpoint to continue from, and start a new chunk."""
+        """Write the rows in memory as a chunk, with the checkpoint to continue from."""
         self._note()
         checkpoint = {
-            "k": self.k, "state": self.state.tolist(), "l": self.warm.l.tolist(), "index": self.warm.index.tolist(),
+            "k": self.k, "t": self.grid.time(self.k), "state": self.state.tolist(), "l": self.warm.l.tolist(),
+            "index": self.warm.index.tolist(), "last_index": None if self.last_index is None else self.last_index.tolist(),
             "counts": dict(self.counts), "totals": self.totals, "settings": self.settings,
         }  # fmt: skip
-        self.store.append(self._columns(), checkpoint, self._metadata(status, message))
-        self._allocate()
+        self.store.append(self.record.columns(self.stepper.plan.path == "newton"), checkpoint, self._metadata(status, message))
+        self.record.clear()
 
     def _restore(self) -> None:
-        """Take up the checkpoint of the run in ``out``; refuse another model, other settings, other versions."""
+        """Take up the checkpoint of the run in ``out``; refuse another model, other settings, other versions, another grid."""
         saved = self.store.manifest["checkpoint"]
-        for key, now in self.settings.items():
-            if saved["settings"][key] != now and key != "short_last_step":
-                what = {"hash": "another model, step or setting", "versions": "other versions"}[key]
-                raise StorageError(
-                    f"{self.out}: the run there was made with {what} ({saved['settings'][key]} != {now}); "
-                    "start afresh without resume"
-                )
-        if saved["settings"]["short_last_step"] and saved["k"] >= self.grid.N:
-            raise StorageError(f"{self.out}: the run there ended with a shortened step; it cannot be continued on the same grid")
-        self.k = saved["k"]
-        self.state = np.array(saved["state"], float)
+        other = difference(saved["settings"], self.settings)
+        if other is not None:
+            raise StorageError(f"{self.out}: the run there was made with {other}; start afresh without resuming")
+        if saved["k"] > self.grid.N:
+            raise StorageError(f"{self.out}: the run there has reached t = {saved['t']:g}, past this run's end; give a later end")
+        if abs(self.grid.time(saved["k"]) - saved["t"]) > 1e-9 * saved["t"]:
+            raise StorageError(
+                f"{self.out}: the run there ended at t = {saved['t']:g} with a shortened step, which is no time of this run's "
+                "grid; start afresh without resuming"
+            )
+        self.k, self.state = saved["k"], np.array(saved["state"], float)
         self.warm = Warm(np.array(saved["l"], float), np.array(saved["index"], np.int8))
+        self.last_index = None if saved["last_index"] is None else np.array(saved["last_index"], np.int8)
         self.counts, self.totals = Counter(saved["counts"]), dict(saved["totals"])
 
     def _finish(self, status: str, message: str) -> Trajectory:
-        if self.filled:
-            self._note()
-        metadata = self._metadata(status, message)
         if self.store is None:
-            return Trajectory(self._columns(), metadata)
-        if self.filled:
+            self._note()
+            return Trajectory(self.record.columns(self.stepper.plan.path == "newton"), self._metadata(status, message))
+        if self.record.filled:
             self._flush(status, message)
         path = self.store.directory / "trajectory.npz"
-        self.store.join(path, metadata)
+        self.store.join(path, self._metadata(status, message))
         return Trajectory.load(path)
 
     def _lost_monotonicity(self) -> list[str]:
@@ -313,7 +299,6 @@ class _Run:
 
     def _metadata(self, status: str, message: str) -> dict[str, Any]:
         model, plan = self.model, self.stepper.plan
-        labels = [label for block in self.problem.law.blocks for label in [block.label] * block.size]
         data = {
             "title": model.title,
             "model_class": type(model).__name__,
@@ -323,7 +308,7 @@ class _Run:
             "stems": {stem: list(at) for stem, at in model.stems.items()},
             "multiplier_names": list(getattr(model, "multiplier_names", self.problem.rows)),
             "index_names": list(self.problem.rows),
-            "law_kinds": labels,
+            "law_kinds": self.problem.law.labels,
             "units": dict(model.units),
             "parameters": dict(getattr(model, "bound_parameters", {})),
             "tolerance": self.stepper.tolerance,
@@ -336,10 +321,10 @@ class _Run:
             "warnings": [*self.warnings, *self._lost_monotonicity()],
             "status": status,
             "message": message,
-            "model_hash": self.settings["hash"],
-            "versions": self.settings["versions"],
+            "model_hash": self.settings["model"],
+            "versions": versions(),
         }
-        if isinstance(model, FrictionOscillator) and "last_v" in self.totals:
+        if "last_v" in self.totals:
             x, v = (np.array(self.totals[key]) for key in ("last_x", "last_v"))
             data["convergence"] = finite_convergence(model, x, v, self.totals["rest_from"])
         if getattr(model, "scene", None):
@@ -348,12 +333,9 @@ class _Run:
         return data
 
 
-class RunInterrupted(KeyboardInterrupt):
-    """Ctrl-C during a run; ``trajectory`` holds what was computed."""
-
-    def __init__(self, trajectory: Trajectory) -> None:
-        super().__init__(trajectory.metadata["message"])
-        self.trajectory = trajectory
+def _check_model(model: Any) -> None:
+    if not isinstance(model, Model):
+        raise UsageError(f"expected a model such as LureSystem(...), not {shown(model)}; a file is read with nsmodel.load(path)")
 
 
 def _start_state(problem: OneStepProblem, state: np.ndarray, h: float, tolerance: float) -> np.ndarray:
@@ -367,48 +349,38 @@ def _start_state(problem: OneStepProblem, state: np.ndarray, h: float, tolerance
 
 def _bodies(model: Any) -> list[list[int]]:
     """For each constraint of a planar scene, the discs whose coordinates it contains."""
-    depends = ca.jacobian(model.g, model.q).sparsity()
-    pairs = np.array(depends.get_triplet()).T
-    return [sorted({int(column) // 2 for row, column in pairs if row == i}) for i in range(model.g.numel())]
+    bodies: list[set[int]] = [set() for _ in range(model.g.numel())]
+    for row, column in zip(*ca.jacobian(model.g, model.q).sparsity().get_triplet(), strict=True):
+        bodies[row].add(column // 2)
+    return [sorted(found) for found in bodies]
 
 
-def fingerprint(model: Model, grid: Grid, solver: str, tolerance: float, save_every: int) -> str:
-    """A hash of all that a run's numbers depend on, t_end excepted: a run may be continued to a later end."""
-    digest = hashlib.sha256(type(model).__name__.encode())
-
-    def add(item: Any) -> None:
-        if isinstance(item, ca.SX):
-            digest.update(ca.Function("e", ca.symvar(item), [item]).serialize().encode())
-        elif is_dataclass(item) and not isinstance(item, type):
-            for field in fields(item):
-                add(getattr(item, field.name))
-        elif isinstance(item, Mapping):
-            for key, value in item.items():
-                digest.update(str(key).encode())
-                add(value)
-        elif isinstance(item, tuple | list):
-            for value in item:
-                add(value)
-        elif isinstance(item, np.ndarray):
-            digest.update(item.tobytes())
-        elif isinstance(item, Callable):
-            return
-        else:
-            digest.update(repr(item).encode())
-
-    # What only names or describes the run does not enter, nor do the functions of the model file (exact, tolerances).
-    skipped = {"exact", "title", "units", "scene", "t_end", "step", "steps", "t", "p", "parameters"}
-    for name, value in sorted(vars(model).items()):
-        if name not in skipped:
-            digest.update(name.encode())
-            add(value)
-    add([grid.h, grid.steps if grid.steps is not None else "constant", solver, tolerance, save_every])
-    return digest.hexdigest()[:16]
+def _memory() -> float:
+    """Bytes that a run may take: 0.8 of the machine's memory."""
+    try:
+        return 0.8 * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return 8 * 2**30
 
 
-def versions() -> dict[str, str]:
-    """Versions of what the numbers depend on."""
-    return {"nsmodel": version("nsmodel"), "casadi": ca.__version__, "numpy": np.__version__, "python": platform.python_version()}
+@contextlib.contextmanager
+def _deferred_interrupt() -> Iterator[list[bool]]:
+    """Ctrl-C inside puts an entry into the list instead of cutting a step in two; a second one raises at once."""
+    interrupted: list[bool] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield interrupted
+        return
+    usual = signal.getsignal(signal.SIGINT)
+
+    def note(number: int, frame: Any) -> None:
+        interrupted.append(True)
+        signal.signal(signal.SIGINT, usual)
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield interrupted
+    finally:
+        signal.signal(signal.SIGINT, usual)
 
 
 def _bar(progress: bool, k: int, N: int) -> Any:

@@ -17,7 +17,6 @@ import nsmodel
 from nsmodel.cli import main
 from nsmodel.storage import loads
 
-reported = pytest.mark.xfail(reason="reported, with a fix for nsmodel/simulate.py", strict=False)
 CASES = Path(__file__).resolve().parents[1] / "cases"
 RELAY = """
 from nsmodel import LureSystem, relay
@@ -452,7 +451,6 @@ def wait_for(path, process, seconds=60):
         time.sleep(0.02)
 
 
-@reported
 @pytest.mark.parametrize("out", [True, False])
 def test_ctrl_c_saves_what_was_computed(tmp_path, out):
     """The model steps smoothly, so that no solver is at work when the signal comes."""

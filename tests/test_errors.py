@@ -37,7 +37,6 @@ t, q, x, s, lam, y, k = (
 )
 
 
-reported = pytest.mark.xfail(reason="reported, with a fix for nsmodel/simulate.py", strict=False)
 
 
 def lure(**other):
@@ -611,7 +610,6 @@ def test_a_wrong_argument_of_a_run_is_refused(given, message):
         simulate(lure(parameters={k: 1}), **given)
 
 
-@reported
 @pytest.mark.parametrize(
     ("given", "message"),
     [
@@ -632,7 +630,6 @@ def test_an_argument_of_another_type_is_refused(given, message):
         simulate(lure(), **given)
 
 
-@reported
 @pytest.mark.parametrize("model", [None, "model.py", LureSystem])
 def test_what_is_no_model_is_not_run(model):
     for call in (simulate, nsmodel.explain):
@@ -746,7 +743,6 @@ def test_a_model_that_keeps_to_its_hypotheses_has_no_warning(build):
         pytest.param(
             lambda: first_order(f=[ca.sqrt(x[1]), -1], g=[0, 0 * lam], x0=[1, 0.75]),
             "step 7: no verified step from t = 0.7 to 0.8: ",
-            marks=reported,
         ),
         (
             lambda: inclusion(field=1 / x),

@@ -95,7 +95,6 @@ def inclusion_in_a_box(**other):
 
 
 MODELS = [sweeping, oscillator, first_order, lure, inclusion, inclusion_in_a_box]
-reported = pytest.mark.xfail(reason="reported, with a fix for nsmodel/simulate.py", strict=False)
 every_model = pytest.mark.parametrize("build", MODELS, ids=lambda build: build.__name__)
 
 
@@ -228,7 +227,6 @@ def test_a_run_is_continued_to_a_later_end(build, steps, tmp_path, whole):
     assert (tmp_path / "trajectory.npz").read_bytes() == whole(build)
 
 
-@reported
 def test_resuming_a_finished_run_changes_nothing(tmp_path, whole):
     for build in MODELS:
         simulate(build(), out=tmp_path / build.__name__)
@@ -236,7 +234,6 @@ def test_resuming_a_finished_run_changes_nothing(tmp_path, whole):
         assert (tmp_path / build.__name__ / "trajectory.npz").read_bytes() == whole(build)
 
 
-@reported
 def test_a_last_chunk_of_one_row_is_noted_once(tmp_path, small_chunks):
     """The verdict on finite convergence takes the last two rows, wherever the chunks end."""
     end = 64 * 0.04
@@ -306,7 +303,6 @@ def test_a_killed_run_is_resumed_to_the_same_bytes(build, tmp_path, whole):
     ]
 
 
-@reported
 def test_ctrl_c_never_cuts_a_step_in_two(tmp_path, monkeypatch):
     """The signal comes at any instruction of the loop: no row may be lost, none counted twice."""
 
@@ -347,7 +343,6 @@ def test_ctrl_c_never_cuts_a_step_in_two(tmp_path, monkeypatch):
 # runs that must not be continued
 
 
-@reported
 @pytest.mark.parametrize(
     ("model", "options", "what"),
     [
@@ -373,7 +368,6 @@ def test_another_run_is_not_continued(model, options, what, tmp_path):
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
-@reported
 def test_other_versions_do_not_continue_a_run(tmp_path, monkeypatch):
     simulate(lure(), out=tmp_path, t_end=1)
     monkeypatch.setattr(ca, "__version__", "3.0.0")
@@ -381,7 +375,6 @@ def test_other_versions_do_not_continue_a_run(tmp_path, monkeypatch):
         simulate(lure(), out=tmp_path, resume=True)
 
 
-@reported
 def test_another_tolerance_function_is_another_model(tmp_path):
     simulate(inclusion(), out=tmp_path, t_end=3)
     with pytest.raises(StorageError, match=r"the run there was made with another model"):
@@ -394,7 +387,6 @@ def test_what_only_describes_a_run_may_change(tmp_path):
     assert (run.title, len(run)) == ("A new title", 200)
 
 
-@reported
 def test_a_shortened_step_is_no_time_of_a_longer_grid(tmp_path):
     """Once the run went on from t = 1 as if it were t = 1.2."""
     simulate(lure(step=0.3, t_end=1), out=tmp_path)
@@ -404,7 +396,6 @@ def test_a_shortened_step_is_no_time_of_a_longer_grid(tmp_path):
     np.testing.assert_allclose(same.t, [0, 0.3, 0.6, 0.9, 1.0])
 
 
-@reported
 def test_a_run_is_not_continued_to_an_earlier_end(tmp_path):
     simulate(lure(), out=tmp_path, t_end=2)
     with pytest.raises(StorageError, match=r"the run there has reached t = 2, past this run's end; give a later end"):
@@ -518,7 +509,6 @@ def test_every_nth_row_survives_an_interrupt(tmp_path, monkeypatch, small_chunks
     assert (tmp_path / "trajectory.npz").read_bytes() == whole(lure, save_every=3)
 
 
-@reported
 @every_model
 def test_the_totals_are_those_of_the_rows(build):
     run = simulate(build())
@@ -551,7 +541,6 @@ def test_memory_does_not_grow_with_the_number_of_steps(tmp_path):
     assert long - short < 8e3  # kB
 
 
-@reported
 def test_a_run_too_long_for_memory_is_told_to_go_to_disk():
     with pytest.raises(
         nsmodel.UsageError, match=r"100000000000 steps do not fit in memory \(.* GiB\); give out=DIR \(--out DIR\)"

@@ -144,7 +144,9 @@ class Newton:
                 z[column] = -offset / factor
 
     def _eliminate(self, at: Linearisation) -> tuple[np.ndarray, np.ndarray] | None:
-        """dz_0 = -E_z^{-1} E and Z = -E_z^{-1} E_l; None where E_z is singular."""
+        """dz_0 = -E_z^{-1} E and Z = -E_z^{-1} E_l; None where E_z is singular or not finite."""
+        if not (np.isfinite(at.E).all() and np.isfinite(at.E_z).all() and np.isfinite(at.E_l).all()):
+            return None
         if self.structure.identity:
             return -at.E, -at.E_l
         try:

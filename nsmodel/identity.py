@@ -1,0 +1,79 @@
+"""What a run is, for resuming it: a hash of the model, the settings, the versions."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from importlib.metadata import version
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.grid import Grid
+from nsmodel.model.base import Model
+
+# What only names or describes a run does not change its numbers; the grid is a setting of its own.
+DESCRIPTIVE = frozenset({"exact", "title", "units", "scene", "t_end", "step", "steps", "t", "p", "parameters"})
+
+
+def settings(model: Model, grid: Grid, solver: str, tolerance: float, save_every: int) -> dict[str, Any]:
+    """All that a run's numbers depend on, t_end excepted: a run may be continued to a later end."""
+    step = grid.h if grid.steps is None else f"{grid.N} given steps, {_hash([grid.steps])}"
+    return {
+        "model": fingerprint(model, grid),
+        "step": step,
+        "solver": solver,
+        "tolerance": tolerance,
+        "save every": save_every,
+        **{f"version of {name}": number for name, number in versions().items()},
+    }
+
+
+def difference(there: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
+    """Name the first setting that differs: "another step (0.1 there, 0.2 now)"; None where all agree."""
+    for key, value in now.items():
+        if there.get(key) != value:
+            return "another model" if key == "model" else f"another {key} ({there.get(key)} there, {value} now)"
+    return None
+
+
+def fingerprint(model: Model, grid: Grid) -> str:
+    """A hash of the bound model's expressions, laws and numbers."""
+    parts = [type(model).__name__, {k: v for k, v in sorted(vars(model).items()) if k not in DESCRIPTIVE}]
+    tolerances = getattr(model, "tolerances", None)
+    if callable(tolerances):
+        parts.append([float(tolerances(h)) for h in ([grid.h, grid.last] if grid.steps is None else grid.steps.tolist())])
+    return _hash(parts)
+
+
+def versions() -> dict[str, str]:
+    """Versions of what the numbers depend on."""
+    return {"nsmodel": version("nsmodel"), "casadi": ca.__version__, "numpy": np.__version__, "python": platform.python_version()}
+
+
+def _hash(items: list[Any]) -> str:
+    digest = hashlib.sha256()
+
+    def add(item: Any) -> None:
+        if isinstance(item, ca.SX):
+            digest.update(ca.Function("e", ca.symvar(item), [item]).serialize().encode())
+        elif is_dataclass(item) and not isinstance(item, type):
+            for field in fields(item):
+                add(getattr(item, field.name))
+        elif isinstance(item, Mapping):
+            for key, value in item.items():
+                digest.update(str(key).encode())
+                add(value)
+        elif isinstance(item, tuple | list):
+            for value in item:
+                add(value)
+        elif isinstance(item, np.ndarray):
+            digest.update(item.tobytes())
+        elif not callable(item):
+            digest.update(repr(item).encode())
+
+    add(items)
+    return digest.hexdigest()[:16]
