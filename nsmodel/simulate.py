@@ -171,6 +171,8 @@ class _Run:
                 error.args = (f"step {self.k}: {error.args[0]}",)
                 error.trajectory = self._finish("failed", str(error))
                 raise
+            except KeyboardInterrupt:  # a second Ctrl-C, in the middle of a step: the step did not happen
+                pass
             finally:
                 if bar is not None:
                     bar.close()

@@ -162,9 +162,11 @@ def _lemke_standard(M: np.ndarray, q: np.ndarray, pivots: int) -> np.ndarray | N
             inverse = np.linalg.inv(A[:, basis])
         except np.linalg.LinAlgError:
             return None
-        if leaving == 2 * n:
+        value = inverse @ q
+        artificial = np.flatnonzero(basis == 2 * n)
+        if not artificial.size or value[artificial[0]] <= 1e-13 * np.abs(q).max():
             z = np.zeros(2 * n + 1)
-            z[basis] = inverse @ q
+            z[basis] = value
             return np.maximum(z[n : 2 * n], 0)
         entering = leaving + n if leaving < n else leaving - n
         column = inverse @ A[:, entering]
@@ -173,9 +175,9 @@ def _lemke_standard(M: np.ndarray, q: np.ndarray, pivots: int) -> np.ndarray | N
         if not usable.size:
             return None
         table = (inverse @ right)[usable] / column[usable, None]
-        artificial = np.flatnonzero(basis[usable] == 2 * n)
-        if artificial.size and table[artificial[0], 0] <= table[:, 0].min() + 1e-13 * np.abs(table[:, 0]).max():
-            row = int(usable[artificial[0]])
+        its_row = np.flatnonzero(basis[usable] == 2 * n)
+        if its_row.size and table[its_row[0], 0] <= table[:, 0].min() + 1e-13 * np.abs(table[:, 0]).max():
+            row = int(usable[its_row[0]])
         else:
             row = int(usable[_least(table, np.arange(usable.size))])
     return None

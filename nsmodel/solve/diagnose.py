@@ -63,7 +63,15 @@ def opposing_rows(W: np.ndarray, b: np.ndarray, law: NumericLaw) -> list[tuple[i
     scale = np.abs(W).max(axis=0)
     scale[scale == 0] = 1
     A, size = W.T / scale[:, None], np.abs(b).max() or 1.0
-    found = linprog(b / size, A_ub=A, b_ub=np.zeros(law.size), A_eq=np.ones((1, law.size)), b_eq=[1.0], bounds=(0, None))
+    found = linprog(
+        b / size,
+        A_ub=A,
+        b_ub=np.zeros(law.size),
+        A_eq=np.ones((1, law.size)),
+        b_eq=[1.0],
+        bounds=(0, None),
+        options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
+    )
     if not found.success:
         return None
     u = np.where(found.x > 1e-9, found.x, 0.0)

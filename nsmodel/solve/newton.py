@@ -188,6 +188,8 @@ class Newton:
     ) -> Iterate:  # fmt: skip
         """The certificate at (z, l): E against what moves in the step, and the law at the model's own y."""
         n, m = z.size, l.size
+        if not all(np.isfinite(part).all() for part in (z, l, at.E, at.Y, at.E_z, at.E_l, at.Y_z, at.Y_l)):
+            return Iterate(z, l, index, at.Y, np.inf, None, solver, iterations)
         round_off = 4 * (n + m + 4) * EPS
         abs_z, abs_l = np.abs(z), np.abs(l)
         E_z, E_l = np.abs(at.E_z), np.abs(at.E_l)
@@ -208,8 +210,6 @@ class Newton:
                 row = int(np.argmax(np.where(np.isnan(residual), np.inf, residual)))
                 worst = float(residual[row])
             y = np.where(index == 0, 0.0, at.Y)
-        if not (np.isfinite(z).all() and np.isfinite(at.E).all()):
-            worst = np.inf
         return Iterate(z, l, index, y, worst, row, solver, iterations)
 
     @staticmethod
