@@ -31,11 +31,7 @@ def model(n: int = 30, seed: int = 1) -> SweepingProcess:
 
     q = ca.SX.sym("q", 2 * n)
     people = ca.vertsplit(q, 2)
-    pairs = {
-        f"pair {i}-{j}": ca.norm_2(people[i] - people[j]) - radii[i] - radii[j]
-        for i in range(n)
-        for j in range(i + 1, n)
-    }
+    pairs = {f"pair {i}-{j}": ca.norm_2(people[i] - people[j]) - radii[i] - radii[j] for i in range(n) for j in range(i + 1, n)}
     contacts = {
         f"person {i} wall {w}": distance(person, *wall) - radii[i]
         for i, person in enumerate(people)

@@ -69,7 +69,7 @@ def simulate(
         solver: "auto", or one solver to use alone ("qpoases", "qrqp", "daqp", "ipopt", "lemke", ...).
         tolerance: largest accepted residual (relative, without unit).
         save_every: keep every n-th row, and the last.
-        out: folder for numbered chunks (constant memory), checkpoints and ``trajectory.npz``.
+        out: folder for numbered chunks (constant memory while it runs), checkpoints and ``trajectory.npz``.
         resume: continue the run found in ``out``.
         progress: show a progress bar where standard error is a terminal.
 

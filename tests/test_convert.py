@@ -74,13 +74,9 @@ def test_declare_keeps_the_users_own_sx_symbols_and_the_source():
     assert declare([a, b], "x").source == (a, b)
 
 
-@pytest.mark.parametrize(
-    "given", [2 * Q, 3.0, ca.vertcat(Q, 1), ca.SX(2, 1), 2 * ca.MX.sym("m"), a + 1, None, {"q": 1}]
-)
+@pytest.mark.parametrize("given", [2 * Q, 3.0, ca.vertcat(Q, 1), ca.SX(2, 1), 2 * ca.MX.sym("m"), a + 1, None, {"q": 1}])
 def test_declare_refuses_what_is_not_a_symbol(given):
-    with pytest.raises(
-        ModelError, match=r"state: .* is not a symbol; expected symbols only, such as ca.SX.sym\('state', 2\)"
-    ):
+    with pytest.raises(ModelError, match=r"state: .* is not a symbol; expected symbols only, such as ca.SX.sym\('state', 2\)"):
         declare(given, "state")
 
 
@@ -211,9 +207,7 @@ def test_importing_does_not_import_sympy():
     ],
 )
 def test_an_undeclared_symbol_is_named(converter, given):
-    message = (
-        r"f uses the symbol 'm', which is not declared: add it to parameters=\{...\} or declare it as x=, t=; .*, k"
-    )
+    message = r"f uses the symbol 'm', which is not declared: add it to parameters=\{...\} or declare it as x=, t=; .*, k"
     with pytest.raises(ModelError, match=message):
         converter.convert(given, "f")
 
@@ -263,9 +257,7 @@ def test_other_values_are_refused(converter, given, message):
 
 def test_an_mx_operation_without_a_scalar_form_is_refused(converter):
     matrix = ca.vertcat(ca.horzcat(MK, 0), ca.horzcat(0, MQ[0]))
-    with pytest.raises(
-        ModelError, match=r"f cannot be written with scalar operations \(.*LinsolQr.*\); build it from SX"
-    ):
+    with pytest.raises(ModelError, match=r"f cannot be written with scalar operations \(.*LinsolQr.*\); build it from SX"):
         converter.convert(ca.solve(matrix, MQ), "f")
 
 

@@ -51,9 +51,7 @@ CASES = {
         0,
         ((1,), (-1,)),
     ),
-    "same abs twice": Case(
-        1, lambda y: 2 * ca.fabs(y - 1) + ca.fabs(y - 1), lambda y: 3 * abs(y[0] - 1), "abs", 0, ((1,),)
-    ),
+    "same abs twice": Case(1, lambda y: 2 * ca.fabs(y - 1) + ca.fabs(y - 1), lambda y: 3 * abs(y[0] - 1), "abs", 0, ((1,),)),
     "root of a square": Case(
         2, lambda y: ca.sqrt(y[0] ** 2 - 2 * y[0] * y[1] + y[1] ** 2), lambda y: abs(y[0] - y[1]), "abs", 0, ((1, 1),)
     ),
@@ -80,9 +78,7 @@ CASES = {
         0,
         (ON_A,),
     ),
-    "norm_2 tall": Case(
-        2, lambda y: ca.norm_2(ca.DM(A) @ y + ca.DM(c)), lambda y: np.linalg.norm(A @ y + c), "norm", 0, (ON_A,)
-    ),
+    "norm_2 tall": Case(2, lambda y: ca.norm_2(ca.DM(A) @ y + ca.DM(c)), lambda y: np.linalg.norm(A @ y + c), "norm", 0, (ON_A,)),
     "norm_2 that never vanishes": Case(
         1, lambda y: ca.norm_2(ca.vertcat(y - 1, y + 1)), lambda y: np.hypot(y[0] - 1, y[0] + 1), ""
     ),
@@ -139,12 +135,8 @@ CASES = {
     "power 3/2 of abs": Case(1, lambda y: ca.fabs(y) ** 1.5, lambda y: abs(y[0]) ** 1.5, "", 0, ((0,),)),
     "cube of abs": Case(1, lambda y: ca.fabs(y) ** 3, lambda y: abs(y[0]) ** 3, "", 0, ((0,),)),
     "square of abs": Case(1, lambda y: ca.fabs(y) * ca.fabs(y), lambda y: y[0] ** 2, "", 0, ((0,),)),
-    "square of the positive part": Case(
-        1, lambda y: ca.fmax(y - 1, 0) ** 2, lambda y: max(y[0] - 1, 0) ** 2, "", 0, ((1,),)
-    ),
-    "power 3/2 of the norm": Case(
-        2, lambda y: ca.norm_2(y) ** 1.5, lambda y: np.linalg.norm(y) ** 1.5, "cone", 1, ((0, 0),)
-    ),
+    "square of the positive part": Case(1, lambda y: ca.fmax(y - 1, 0) ** 2, lambda y: max(y[0] - 1, 0) ** 2, "", 0, ((1,),)),
+    "power 3/2 of the norm": Case(2, lambda y: ca.norm_2(y) ** 1.5, lambda y: np.linalg.norm(y) ** 1.5, "cone", 1, ((0, 0),)),
     "power 3/4 of the square": Case(2, lambda y: ca.sumsqr(y) ** 0.75, lambda y: (y @ y) ** 0.75, "cone", 1, ((0, 0),)),
     "interval": Case(
         1,
@@ -531,9 +523,7 @@ def test_what_cannot_be_split_is_refused(phi, message):
 
 
 def test_split_discontinuities_replaces_each_sign_once():
-    field = ca.vertcat(
-        2 * Y[0] + 3 * ca.sign(Y[0] - 1), MU * ca.sign(Y[0] - 1) * ca.sign(Y[1]), ca.sign(MU) * ca.fabs(Y[1])
-    )
+    field = ca.vertcat(2 * Y[0] + 3 * ca.sign(Y[0] - 1), MU * ca.sign(Y[0] - 1) * ca.sign(Y[1]), ca.sign(MU) * ca.fabs(Y[1]))
     expr, symbols, arguments = split_discontinuities(field, Y, "operator")
     assert (symbols.shape, str(arguments)) == ((2, 1), "[(y_0-1), y_1]")
     f = ca.Function("f", [Y, MU, symbols], [expr])

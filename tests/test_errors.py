@@ -1,6 +1,7 @@
 """Wrong models and wrong runs: each message names what is wrong in the user's words, the value or shape, and the fix."""
 
 import re
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -30,13 +31,12 @@ from nsmodel import (
     simulate,
 )
 from nsmodel.model.base import RESERVED
+from nsmodel.solve import projection
 
 nan, inf = float("nan"), float("inf")
 t, q, x, s, lam, y, k = (
     ca.SX.sym(name, size) for name, size in (("t", 1), ("q", 2), ("x", 2), ("s", 1), ("l", 1), ("y", 1), ("k", 1))
 )
-
-
 
 
 def lure(**other):
@@ -759,6 +759,24 @@ def test_a_step_that_fails_says_why(model, message):
     assert error.trajectory.metadata["message"] == str(error)
     assert len(error.trajectory) == error.step
     assert error.time == pytest.approx(0.1 * (error.step + 1))
+
+
+@pytest.mark.parametrize(
+    ("start", "solves", "iterations", "message"),
+    [
+        ([0, 0], False, 60, "no verified selection of the operator at t = 0, x = [0. 0.]"),
+        ([0.9, 0.1], False, 60, "approximate projection at t = 0: the linearised set could not be projected on"),
+        ([0.9, 0.1], True, 0, "approximate projection at t = 0: excess inf stays above eps_k = 0.001"),
+    ],
+)
+def test_catching_up_says_what_it_could_not_verify(monkeypatch, start, solves, iterations, message):
+    """No model is known that brings these about: the solver is made to fail."""
+    solve = projection.mlcp.solve
+    monkeypatch.setattr(projection, "ITERATIONS", iterations)
+    monkeypatch.setattr(projection.mlcp, "solve", lambda *args: solve(*args) if solves else replace(solve(*args), residual=inf))
+    disc = {"disc": 1 - ca.sumsqr(x)}
+    with pytest.raises(StepError, match=re.escape(message)):
+        simulate(inclusion(field=[5, 0], constraints=disc, lower=None, upper=None, x0=start, tolerances=1e-3))
 
 
 # results

@@ -439,7 +439,5 @@ def test_append_refuses_other_arrays(tmp_path):
 def test_join_refuses_an_empty_run_and_a_chunk_name(tmp_path):
     with pytest.raises(StorageError, match=r"nothing to join in .*: no chunk was appended"):
         ChunkStore(tmp_path).join(tmp_path / "trajectory.npz", {})
-    with pytest.raises(
-        StorageError, match=r"cannot join into .*chunk-000002\.npz: names like this are the chunks' own"
-    ):
+    with pytest.raises(StorageError, match=r"cannot join into .*chunk-000002\.npz: names like this are the chunks' own"):
         fill(tmp_path, []).join(tmp_path / "chunk-000002.npz", {})

@@ -68,9 +68,7 @@ def make_run_fixture():
 # attributes
 
 
-@pytest.mark.parametrize(
-    "name", ["t", "x", "multipliers", "y", "index_set", "residual", "step", "energy", "gap", "newton"]
-)
+@pytest.mark.parametrize("name", ["t", "x", "multipliers", "y", "index_set", "residual", "step", "energy", "gap", "newton"])
 def test_arrays_are_attributes(run, name):
     assert getattr(run, name) is run.arrays[name]
 
