@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -68,7 +69,7 @@ def simulate(
         parameters: values of parameters by name.
         solver: "auto", or one solver to use alone ("qpoases", "qrqp", "daqp", "ipopt", "lemke", ...).
         tolerance: largest accepted residual (relative, without unit).
-        save_every: keep every n-th row, and the last.
+        save_every: keep every n-th row, and the last (that of each part, where a run was resumed).
         out: folder for numbered chunks (constant memory while it runs), checkpoints and ``trajectory.npz``.
         resume: continue the run found in ``out``.
         progress: show a progress bar where standard error is a terminal.
@@ -119,6 +120,9 @@ class _Run:
         self.model, self.grid, self.save_every, self.out = model, grid, save_every, out
         refuse_start(model)
         self._check_exact()
+        given = getattr(model, "tolerances", None)
+        if given is not None and not callable(given) and 1 < np.size(given) < grid.N:
+            raise UsageError(f"tolerances: {np.size(given)} values for {grid.N} steps; give one for each, or one for all")
         self.problem = one_step_problem(model)
         known = initial_rows(model, grid.step(0))
         self.k, self.state = len(known) - 1, known[-1][0]
@@ -143,7 +147,10 @@ class _Run:
 
     def _check_exact(self) -> None:
         if self.model.exact is not None:
-            got, expected = np.shape(self.model.exact(np.zeros(2))), (2, len(self.model.names))
+            try:
+                got, expected = np.shape(self.model.exact(np.zeros(2))), (2, len(self.model.names))
+            except Exception as error:
+                raise UsageError(f"exact: it raised {type(error).__name__} at t = 0: {error}") from error
             if got != expected:
                 raise UsageError(f"exact: it returned shape {got} for 2 times; expected {expected}")
 
@@ -180,7 +187,7 @@ class _Run:
                 raise RunInterrupted(self._finish("interrupted", f"interrupted at t = {self.grid.time(self.k):.10g}"))
             return self._finish("done", "")
 
-    def _loop(self, bar: Any = None, interrupted: Sequence[bool] = ()) -> None:
+    def _loop(self, bar: Any = None, interrupted: Sequence[float] = ()) -> None:
         """The hot loop. Attributes are local here and written back when it ends, however it ends."""
         grid, step, every, N, counts, record = self.grid, self.stepper, self.save_every, self.grid.N, self.counts, self.record
         k, state, warm, last = self.k, self.state, self.warm, self.last_index
@@ -238,8 +245,7 @@ class _Run:
             return
         t, x = self.record.t[: self.record.filled], self.record.states
         if self.model.exact is not None:
-            error = float(np.abs(x - np.asarray(self.model.exact(t), float)).max())
-            self.totals["largest_error"] = max(self.totals.get("largest_error", 0.0), error)
+            self.totals["largest_error"] = max(self.totals.get("largest_error", 0.0), self._distance_to_exact(t, x))
         least = min(self.stepper.least_eigenvalue, self.totals.get("least_eigenvalue", np.inf))
         if np.isfinite(least):
             self.totals["least_eigenvalue"] = float(least)
@@ -253,6 +259,14 @@ class _Run:
                 self.totals["rest_from"] = [int(self.record.number[rest]), float(t[rest])]
             self.totals["last_x"] = x[-1].tolist()
             self.totals["last_v"] = [*self.totals.get("last_v", []), *v[-2:].tolist()][-2:]
+
+    def _distance_to_exact(self, t: np.ndarray, x: np.ndarray) -> float:
+        """max |x - exact(t)|; inf where the user's function fails or gives NaN: no reason to lose the run."""
+        try:
+            distance = float(np.abs(x - np.asarray(self.model.exact(t), float)).max())
+        except Exception:
+            return np.inf
+        return distance if np.isfinite(distance) else np.inf
 
     def _flush(self, status: str, message: str) -> None:
         """Write the rows in memory as a chunk, with the checkpoint to continue from."""
@@ -366,17 +380,18 @@ def _memory() -> float:
 
 
 @contextlib.contextmanager
-def _deferred_interrupt() -> Iterator[list[bool]]:
-    """Ctrl-C inside puts an entry into the list instead of cutting a step in two; a second one raises at once."""
-    interrupted: list[bool] = []
+def _deferred_interrupt() -> Iterator[list[float]]:
+    """Ctrl-C inside puts its time into the list instead of cutting a step in two; one more a second later raises."""
+    interrupted: list[float] = []
     if threading.current_thread() is not threading.main_thread():
         yield interrupted
         return
-    usual = signal.getsignal(signal.SIGINT)
+    usual = signal.getsignal(signal.SIGINT) or signal.default_int_handler
 
     def note(number: int, frame: Any) -> None:
-        interrupted.append(True)
-        signal.signal(signal.SIGINT, usual)
+        interrupted.append(time.monotonic())
+        if interrupted[-1] - interrupted[0] > 1:
+            raise KeyboardInterrupt
 
     signal.signal(signal.SIGINT, note)
     try:

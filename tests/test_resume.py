@@ -553,3 +553,22 @@ def test_a_run_too_long_for_memory_is_told_to_go_to_disk():
         nsmodel.UsageError, match=r"100000000000 steps do not fit in memory \(.* GiB\); give out=DIR \(--out DIR\)"
     ):
         simulate(lure(gamma=1), t_end=1e8, step=1e-3)
+
+
+def test_an_exact_solution_that_fails_does_not_lose_the_run():
+    def late(t):
+        if np.max(t) > 0.5:
+            raise ZeroDivisionError
+        return np.zeros((np.size(t), 2))
+
+    for exact in (late, lambda t: np.full((np.size(t), 2), np.nan)):
+        run = simulate(lure(exact=exact), t_end=1)
+        assert run.status == "done"
+        assert run.metadata["totals"]["largest_error"] == np.inf
+    with pytest.raises(nsmodel.UsageError, match=r"exact: it raised ZeroDivisionError at t = 0"):
+        simulate(lure(exact=lambda t: 1 / 0))
+
+
+def test_a_list_of_tolerances_must_cover_the_run():
+    with pytest.raises(nsmodel.UsageError, match=r"tolerances: 3 values for \d+ steps; give one for each, or one for all"):
+        simulate(inclusion(tolerances=[1e-3, 1e-4, 1e-5]))
