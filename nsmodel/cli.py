@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import os
+import signal
 import sys
 import time
 from collections.abc import Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,6 +33,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("nsmodel: interrupted", file=sys.stderr)
         return INTERRUPTED
+    except BrokenPipeError:  # the reader (head, less) has gone
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -38,6 +44,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog="exit status: 0 done; 2 usage, missing file or wrong model; "
         "3 a step failed, 130 interrupted (what was computed is saved)",
     )  # fmt: skip
+    parser.add_argument("--version", action="version", version=f"nsmodel {version('nsmodel')}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     run = commands.add_parser("run", help="simulate a model file", description="Simulate a model file and print a summary.")
     run.add_argument("files", metavar="FILE", nargs="+", help="a Python file that defines model = ... or def model(...)")
@@ -174,6 +181,7 @@ def _stopped(
     if run is None:
         print(f"nsmodel: {where}{message}", file=sys.stderr)
         return Result(status, file, None, seconds, None, {"file": file, "status": "failed", "message": message})
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # one more Ctrl-C would cost what is being saved
     resumable = folder is not None
     if folder is None:
         folder = Path(f"{Path(file).stem}-run")

@@ -699,7 +699,7 @@ def test_a_set_without_interior_is_refused_where_the_scheme_needs_one():
 @pytest.mark.parametrize(
     ("model", "warning"),
     [
-        (lambda: lure(D=-1), "D is not positive semidefinite (least eigenvalue of its scaled symmetric part -1)"),
+        (lambda: lure(D=-1), "D is not positive semidefinite (least eigenvalue of its symmetric part -1)"),
         (lambda: lure(D=-1), "the one-step problem is not monotone"),
         (lambda: oscillator(friction=s - 1e-3 * s**2), "theta of 'friction' decreases: theta'(1e+03) = -1 < 0"),
         (lambda: oscillator(friction={"floor": ([1, 0], ca.log(1 + s))}), "theta of 'floor' is not convex: theta''(0) = -1 < 0"),
@@ -709,7 +709,7 @@ def test_a_set_without_interior_is_refused_where_the_scheme_needs_one():
         ),
         (
             lambda: oscillator(damping=-0.1 * np.eye(2)),
-            "damping is not positive semidefinite (least eigenvalue of its scaled symmetric part -1)",
+            "damping is not positive semidefinite (least eigenvalue of its symmetric part -0.1)",
         ),
         (
             lambda: sweeping(constraints={"room": 9 - ca.sumsqr(q)}),

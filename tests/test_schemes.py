@@ -425,3 +425,30 @@ def test_older_difference_is_divided_by_the_new_step():
     assert (x[2:] - 2 * x[1:-1] + x[:-2]) / l**2 - 1 + x[2:] == pytest.approx(np.zeros(5), abs=1e-11)
     assert run.t == pytest.approx(np.append(0, np.cumsum(l)), abs=1e-15)
     assert run.v[1:, 0] == pytest.approx(np.diff(run.x[:, 0]) / l, abs=1e-13)
+
+
+@pytest.mark.parametrize("kink", [ca.fabs, lambda s: ca.fmax(s, 0), lambda s: ca.if_else(s > 0, s, 0), lambda s: ca.sqrt(s**2)])
+def test_friction_written_with_a_kink_at_zero_is_the_friction_beside_it(kink):
+    """theta is a function on s >= 0: |s|, max(s, 0) and s are the same friction there."""
+    x, s = ca.SX.sym("x"), ca.SX.sym("s")
+    model = {"x": x, "potential": x**2 / 2, "s": s, "x0": 5.3, "t_end": 12, "step": 1e-2}
+    plain, kinked = (simulate(FrictionOscillator(friction=theta, **model)) for theta in (0.9 * s + s**2, 0.9 * kink(s) + s**2))
+    np.testing.assert_allclose(kinked.x, plain.x, rtol=0, atol=1e-12)
+    assert kinked.metadata["convergence"]["theta_prime_0"] == pytest.approx(0.9, rel=1e-12)
+
+
+def test_friction_without_dry_part_has_a_slope_of_exactly_zero():
+    x, s = ca.SX.sym("x"), ca.SX.sym("s")
+    for theta in (s**2, ca.log(ca.cosh(s)), s**1.5):
+        run = simulate(FrictionOscillator(x=x, potential=x**2 / 2, friction=theta, s=s, x0=1, t_end=1, step=0.1))
+        assert run.metadata["convergence"]["theta_prime_0"] == 0.0
+
+
+def test_the_margin_is_that_of_the_element_nearest_to_sliding():
+    x, s = ca.SX.sym("x", 2), ca.SX.sym("s")
+    friction = {"weak": ([[1, 0]], 0.3 * s), "strong": ([[0, 1]], 0.6 * s)}
+    run = simulate(FrictionOscillator(x=x, potential=ca.sumsqr(x) / 2, friction=friction, s=s, x0=[0.1, -0.5], t_end=1, step=0.1))
+    found = run.metadata["convergence"]
+    assert (found["element"], found["theta_prime_0"], found["distance"]) == ("strong", 0.6, 0.5)
+    assert found["margin"] == pytest.approx(0.1, abs=1e-15)
+    assert found["n_0"] == 0

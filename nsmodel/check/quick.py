@@ -102,14 +102,25 @@ def warnings_of(model: Model, plan: Plan) -> list[str]:
     elif isinstance(model, FrictionOscillator):
         found += _friction(model)
     elif isinstance(model, LureSystem) and model.D.numel():
-        least = least_eigenvalue(np.array(ca.DM(model.D)))
-        if least < -1e-12:
-            found.append(f"D is not positive semidefinite (least eigenvalue of its scaled symmetric part {least:.3g})")
+        found += _not_psd("D", model.D)
     if isinstance(model, LureSystem) and model.law is None:
         found += _concave(model.phi_split.smooth, model.y, np.zeros(model.y.numel()), "phi is not convex at y = 0")
     if not plan.monotone:
-        found.append(f"the one-step problem is not monotone (least eigenvalue {plan.least_eigenvalue:.3g}): {UNIQUENESS}")
+        found.append(
+            f"the one-step problem is not monotone (least eigenvalue of W + W', scaled to 1: {plan.least_eigenvalue:.3g}): "
+            + UNIQUENESS
+        )
     return found
+
+
+def _not_psd(name: str, matrix: ca.SX) -> list[str]:
+    """A warning where a matrix is not psd: decided without unit, told in the user's own."""
+    M = np.array(ca.DM(matrix))
+    if least_eigenvalue(M) >= -1e-12:
+        return []
+    return [
+        f"{name} is not positive semidefinite (least eigenvalue of its symmetric part {np.linalg.eigvalsh((M + M.T) / 2)[0]:.3g})"
+    ]
 
 
 def _flat(model: SweepingProcess) -> list[str]:
@@ -157,9 +168,7 @@ def _friction(model: FrictionOscillator) -> list[str]:
             found.append(f"theta of '{element.name}' is not convex: theta''({s:.3g}) = {np.nanmin(second):.3g} < 0")
     x0 = np.array(ca.DM(model.x0)).ravel()
     if model.damping is not None:
-        least = least_eigenvalue(np.array(ca.DM(model.damping)))
-        if least < -1e-12:
-            found.append(f"damping is not positive semidefinite (least eigenvalue of its scaled symmetric part {least:.3g})")
+        found += _not_psd("damping", model.damping)
     return found + _concave(model.potential_split.smooth, model.x, x0, "the potential is not convex at x0")
 
 

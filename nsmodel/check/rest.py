@@ -28,11 +28,12 @@ def finite_convergence(
 
     Returns:
         finite: v = 0 twice in a row and the margin theta'(0) - d(0, dg(x)) exceeds the rounding bound; n_0, t_0 or None;
-        margin, distance = d(0, dg(x)), theta_prime_0; reason in words.
+        margin = theta_prime_0 - distance, for one isotropic element theta'(0) and d(0, dg(x)); for several, those of the
+        element that is nearest to sliding, and its name; reason in words.
     """
     radii = np.array([float(ca.DM(slope_at_zero(e, model.s))) for e in model.elements])
     force = least_force(model, x)
-    margin, bound = _margin(model, force, radii)
+    margin, bound, binding, part = _margin(model, force, radii)
     still = bool((v == 0).all())
     n_0, t_0 = rest_from if still and rest_from is not None and margin > bound else (None, None)
     finite = n_0 is not None
@@ -49,8 +50,9 @@ def finite_convergence(
         "n_0": n_0,
         "t_0": t_0,
         "margin": float(margin),
-        "distance": float(np.linalg.norm(force)),
-        "theta_prime_0": float(radii.min()) if radii.size else 0.0,
+        "distance": part,
+        "theta_prime_0": float(radii[binding]) if radii.size else 0.0,
+        "element": model.elements[binding].name if radii.size else None,
         "reason": reason,
     }
 
@@ -94,16 +96,20 @@ def least_force(model: FrictionOscillator, x: np.ndarray) -> np.ndarray:
     return base + M @ found.l
 
 
-def _margin(model: FrictionOscillator, force: np.ndarray, radii: np.ndarray) -> tuple[float, float]:
-    """theta'(0) - d(0, dg(x)) for one isotropic element; for several, the least margin of a split of the force among them."""
+def _margin(model: FrictionOscillator, force: np.ndarray, radii: np.ndarray) -> tuple[float, float, int, float]:
+    """(margin, rounding bound, element, its part of the force) of the element with the least margin theta_j'(0) - |xi_j|.
+
+    For one isotropic element that is theta'(0) - d(0, dg(x)); for several the force is split among them with least norm.
+    """
+    size = float(np.linalg.norm(force))
     if not model.elements:
-        return -np.inf, 0.0
+        return -np.inf, 0.0, 0, size
     H = np.vstack([np.array(ca.DM(e.H)) for e in model.elements])
     if np.linalg.matrix_rank(H) < H.shape[1]:
-        return -np.inf, 0.0
+        return -np.inf, 0.0, 0, size
     parts = np.linalg.lstsq(H.T, force, rcond=None)[0]
-    sizes, at = [], 0
-    for element in model.elements:
-        sizes.append(np.linalg.norm(parts[at : at + element.H.shape[0]]))
-        at += element.H.shape[0]
-    return float((radii - sizes).min()), ROUNDING * EPS * float(max(radii.max(), np.abs(force).max(), max(sizes)))
+    ends = np.cumsum([e.H.shape[0] for e in model.elements])
+    sizes = np.array([np.linalg.norm(part) for part in np.split(parts, ends[:-1])])
+    binding = int(np.argmin(radii - sizes))
+    bound = ROUNDING * EPS * float(max(radii.max(), np.abs(force).max(), sizes.max()))
+    return float(radii[binding] - sizes[binding]), bound, binding, float(sizes[binding])

@@ -57,8 +57,13 @@ def one_step_problem(model: FrictionOscillator) -> OneStepProblem:
 
 
 def slope_at_zero(element: Friction, s: ca.SX) -> ca.SX:
-    """theta'(0): the radius of A(0) (Proposition 2.2)."""
-    return ca.substitute(ca.gradient(element.theta, s), s, 0)
+    """theta'(0), from the right: the radius of A(0) (Proposition 2.2).
+
+    theta is given for s >= 0. Where it is written with a kink at 0 (fabs(s), fmax(s, 0)) the derivative there is taken for
+    something else than the slope that it has just beside: equal slopes at two least sizes tell.
+    """
+    at_zero, beside, further = (ca.substitute(ca.gradient(element.theta, s), s, value) for value in (0, LEAST, 1e10 * LEAST))
+    return ca.if_else(ca.fabs(further - beside) <= 1e-9 * ca.fabs(beside), beside, at_zero)
 
 
 def rest(element: Friction, s: ca.SX, u: ca.SX) -> ca.SX:

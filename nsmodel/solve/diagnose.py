@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from nsmodel.scheme.problem import OneStepProblem
+from nsmodel.solve import mlcp
 from nsmodel.solve.active_set import index_sets
 from nsmodel.solve.certificate import NumericLaw
-from nsmodel.solve.choose import ENUMERATE_UP_TO, Plan
+from nsmodel.solve.choose import Plan
 from nsmodel.solve.structure import Structure, is_monotone, least_eigenvalue
 
 PROOF = 1e-14  # Largest positive entry of W'u, beside W's, in a proof that is believed.
@@ -40,14 +41,19 @@ def why(
         if len(names) == 1:
             return f"no multiplier can keep {names[0]} from being violated"
         return "the constraints leave no point: " + " and ".join(names) + " oppose each other"
-    if not monotone and law.size <= ENUMERATE_UP_TO and not law.curved:
+    if not monotone and mlcp.ENUMERATION in plan.chain:
         count = sum(1 for _ in index_sets(law, np.zeros(law.size, np.int8)))
         which = "has no solution" if structure.affine else "seems to have no solution"
         return (
             f"the step {which}: W is not psd (least eigenvalue {least:.3g}) and none of the {count} index sets satisfies the law"
         )
-    if not plan.use_last:
+    if not plan.use_last and plan.chain:
         return "the forced solver did not find it"
+    if not (structure.affine and law.size):
+        return (
+            "Newton's method did not converge; a jump in the model (sign, floor, if_else) must be written as a law, such as "
+            "relay or complementarity"
+        )
     return "no solver reached the tolerance"
 
 
