@@ -75,7 +75,7 @@ def simulate(
         progress: show a progress bar where standard error is a terminal.
 
     Raises:
-        UsageError: a wrong argument, an unknown or inapplicable solver, a start outside the set.
+        UsageError: a wrong argument, an unknown or inapplicable solver, a start outside the set, an unfinished run in ``out``.
         StepError: a step could not be verified; ``error.trajectory`` holds what was computed, saved in ``out`` if given.
         RunInterrupted: Ctrl-C; ``error.trajectory`` as above.
         StorageError: ``resume`` without a matching run.
@@ -138,6 +138,8 @@ class _Run:
         }  # fmt: skip
         self.settings = settings(model, grid, solver, tolerance, save_every)
         self.record = Record(model, self.stepper.layout, self.warm.index.size, self._capacity(len(known)))
+        if out is not None and not resume:
+            _keep_unfinished(out)
         self.store = None if out is None else (ChunkStore.open(out) if resume else ChunkStore(out))
         if resume:
             self._restore()
@@ -361,6 +363,19 @@ def _start_state(problem: OneStepProblem, state: np.ndarray, h: float, tolerance
         return stepper(0.0, h, state, stepper.cold()).row[stepper.layout.state]
     except StepError as error:
         raise UsageError(f"gamma < 1 needs a multiplier at the start, and the law has none there: {error}") from None
+
+
+def _keep_unfinished(out: Path) -> None:
+    """Refuse to overwrite a run that can be continued."""
+    try:
+        manifest = ChunkStore.open(out).manifest
+    except StorageError:
+        return
+    if manifest["status"] in ("running", "interrupted"):
+        raise UsageError(
+            f"{out} holds an unfinished run, up to t = {manifest['checkpoint']['t']:g}; go on with resume=True (--resume), "
+            "or remove the folder"
+        )
 
 
 def _bodies(model: Any) -> list[list[int]]:

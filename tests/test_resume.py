@@ -572,3 +572,14 @@ def test_an_exact_solution_that_fails_does_not_lose_the_run():
 def test_a_list_of_tolerances_must_cover_the_run():
     with pytest.raises(nsmodel.UsageError, match=r"tolerances: 3 values for \d+ steps; give one for each, or one for all"):
         simulate(inclusion(tolerances=[1e-3, 1e-4, 1e-5]))
+
+
+def test_an_unfinished_run_is_not_overwritten(tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:
+        stop_at(patch, 20, KeyboardInterrupt())
+        with pytest.raises(RunInterrupted):
+            simulate(lure(), out=tmp_path)
+    with pytest.raises(nsmodel.UsageError, match=r"holds an unfinished run, up to t = 0\.95; go on with resume=True"):
+        simulate(lure(), out=tmp_path)
+    assert simulate(lure(), out=tmp_path, resume=True).status == "done"
+    assert simulate(lure(), out=tmp_path).status == "done"
