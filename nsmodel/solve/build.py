@@ -10,7 +10,7 @@ import numpy as np
 from nsmodel.errors import StepError
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import active_set, cone, diagnose, mlcp
-from nsmodel.solve.certificate import law_residual, numeric_law, output_scale
+from nsmodel.solve.certificate import numeric_law
 from nsmodel.solve.choose import choose
 from nsmodel.solve.kernel import Kernel
 from nsmodel.solve.layout import Layout
@@ -48,7 +48,7 @@ class Stepper:
         self._newton = Newton(problem, self.structure, self.law, tolerance)
         zero = np.zeros(self.structure.m)
         start = self._newton.matrix_at(0.0, h, state, self._newton.guess(0.0, h, state, zero), zero)
-        self.plan = choose(problem, self.structure, self.law, start, solver, few_steps)
+        self.plan = choose(self.structure, self.law, start, solver, few_steps)
 
     @property
     def least_eigenvalue(self) -> float:
@@ -115,11 +115,10 @@ class Stepper:
             yield self._evaluated(kernel, t, state, found.index, found.solver)
         kernel.load_multiplier(found.l, found.index)
         attempt = self._evaluated(kernel, t, state, found.index, found.solver)
-        for kind, rows, radius in self.law.curved:  # the kernel's own residual covers the boxes only
-            law = type(self.law)(self.law.lower, self.law.upper, ((kind, rows, radius),))
-            s_y = output_scale(b, np.abs(kernel.W) @ np.abs(found.l), kernel.w_max)
-            own = law_residual(law, found.l, kernel.W @ found.l + b, s_y, kernel.w_max)[rows].max()
-            attempt = attempt._replace(residual=max(attempt.residual, float(own)))
+        if self.law.curved:  # the kernel's own residual covers the boxes only
+            by_row = mlcp.residual(kernel.W, b, self.law, found.l)
+            curved = max(float(by_row[rows].max()) for _, rows, _ in self.law.curved)
+            attempt = attempt._replace(residual=max(attempt.residual, curved))
         attempt.row[self.layout.residual] = attempt.residual
         yield attempt
 

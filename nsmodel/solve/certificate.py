@@ -38,6 +38,11 @@ class NumericLaw:
         """Number of rows m."""
         return self.lower.size
 
+    @property
+    def is_complementarity(self) -> bool:
+        """Whether every row is 0 <= l ⟂ y >= 0."""
+        return bool((self.lower == 0).all() and np.isposinf(self.upper).all() and not self.curved)
+
 
 def numeric_law(law: Law) -> NumericLaw:
     """Return the law with its bounds evaluated (they must be constants)."""

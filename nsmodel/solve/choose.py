@@ -10,6 +10,7 @@ from nsmodel.errors import UsageError
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import mlcp, qp
 from nsmodel.solve.certificate import NumericLaw
+from nsmodel.solve.newton import works_on_rows
 from nsmodel.solve.structure import Structure, is_monotone, least_eigenvalue
 
 IPOPT = "ipopt"
@@ -48,14 +49,7 @@ class Plan:
         return "\n".join(lines)
 
 
-def choose(
-    problem: OneStepProblem,
-    structure: Structure,
-    law: NumericLaw,
-    W: np.ndarray | None,
-    solver: str,
-    few_steps: bool = True,
-) -> Plan:
+def choose(structure: Structure, law: NumericLaw, W: np.ndarray | None, solver: str, few_steps: bool = True) -> Plan:
     """Decide, from the structure and from W at the start (None where it has none).
 
     Raises:
@@ -127,6 +121,6 @@ def _lines(path: str, structure: Structure, law: NumericLaw, monotone: bool, lea
         else:
             used.append(f"W not psd (least eigenvalue {least:.3g}): complementarity conditions; uniqueness is not guaranteed")
             left_out.append("quadratic programmes: not convex here")
-    if m > 24 and structure.symmetric and not structure.constant:
+    if path == "newton" and works_on_rows(structure, law):
         left_out.append("rows that the prediction satisfies: they enter only if the solution violates them")
     return used, left_out

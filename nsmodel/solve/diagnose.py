@@ -64,7 +64,7 @@ def opposing_rows(W: np.ndarray, b: np.ndarray, law: NumericLaw) -> list[tuple[i
     """
     from scipy.optimize import linprog
 
-    if law.curved or not ((law.lower == 0).all() and np.isposinf(law.upper).all()) or not law.size:
+    if not law.size or not law.is_complementarity:
         return None
     scale = np.abs(W).max(axis=0)
     scale[scale == 0] = 1

@@ -34,7 +34,6 @@ class Kernel:
         inverse = np.linalg.inv(E_z)
         self.Z = -inverse @ E_l
         self.W = Y_l + Y_z @ self.Z
-        self.w_max = np.abs(self.W).max(axis=1, initial=0.0)
         function, self.b_function = _functions(problem, structure, law, h, tolerance, matrices, inverse, self.Z, self.W)
         self._t, self._state = np.zeros(1), np.zeros(problem.state.numel())
         self._S, self._s, self._free = np.zeros((m, m), order="F"), np.zeros(m), np.zeros(m)

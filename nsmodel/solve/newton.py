@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -21,6 +22,12 @@ from nsmodel.solve.structure import Structure, jacobians, least_eigenvalue
 
 ITERATIONS = 30
 WORKING_SET_ABOVE = 24
+UNKNOWN = object()  # Not computed yet.
+
+
+def works_on_rows(structure: Structure, law: NumericLaw) -> bool:
+    """Whether only the complementarity rows that act enter the affine problem."""
+    return law.is_complementarity and structure.symmetric and law.size > WORKING_SET_ABOVE
 
 
 @dataclass
@@ -33,6 +40,11 @@ class Linearisation:
     E_l: np.ndarray
     Y_z: np.ndarray
     Y_l: np.ndarray
+    eliminated: Any = UNKNOWN
+
+    def offset(self, dz_0: np.ndarray, Z: np.ndarray, l: np.ndarray) -> np.ndarray:
+        """The b of y+ = W l+ + b, from the iterate l."""
+        return self.Y + self.Y_z @ (dz_0 - Z @ l) - self.Y_l @ l
 
 
 @dataclass
@@ -67,7 +79,8 @@ class Newton:
         self._guess = _Buffered("guess", [*known, p.l], [p.guess, guess_0, E_guess])
         self._pack = _Buffered("pack", [*known, p.z, p.l, p.y], [p.next_state, *extras(p).values()])
         self.least_eigenvalue = np.inf  # of the W + W' met so far: a monitor, no step depends on it
-        self._complementarity = bool((law.lower == 0).all() and np.isposinf(law.upper).all() and not law.curved)
+        self._complementarity = law.is_complementarity
+        self._by_rows = works_on_rows(structure, law)
 
     def linearise(self, t: float, h: float, state: np.ndarray, z: np.ndarray, l: np.ndarray) -> Linearisation:
         """Evaluate E, Y and the exact Jacobians."""
@@ -91,7 +104,7 @@ class Newton:
         if eliminated is None:
             return None, None
         dz_0, Z = eliminated
-        return at.Y_l + at.Y_z @ Z, at.Y + at.Y_z @ (dz_0 - Z @ l) - at.Y_l @ l
+        return at.Y_l + at.Y_z @ Z, at.offset(dz_0, Z, l)
 
     def solve(self, t: float, h: float, state: np.ndarray, l: np.ndarray, index: np.ndarray, chain: Sequence[str]) -> Iterate:
         """Return the accepted iterate, or the best one found (residual above the tolerance)."""
@@ -126,7 +139,7 @@ class Newton:
         solver = "none needed"
         l_next = l
         if l.size:
-            b = at.Y + at.Y_z @ (dz_0 - Z @ l) - at.Y_l @ l
+            b = at.offset(dz_0, Z, l)
             if not np.isfinite(b).all():
                 return None
             found = self._solve_rows(at, Z, b, l, index, chain)
@@ -144,7 +157,12 @@ class Newton:
                 z[column] = -offset / factor
 
     def _eliminate(self, at: Linearisation) -> tuple[np.ndarray, np.ndarray] | None:
-        """dz_0 = -E_z^{-1} E and Z = -E_z^{-1} E_l; None where E_z is singular or not finite."""
+        """dz_0 = -E_z^{-1} E and Z = -E_z^{-1} E_l, computed once; None where E_z is singular or not finite."""
+        if at.eliminated is UNKNOWN:
+            at.eliminated = self._eliminated(at)
+        return at.eliminated
+
+    def _eliminated(self, at: Linearisation) -> tuple[np.ndarray, np.ndarray] | None:
         if not (np.isfinite(at.E).all() and np.isfinite(at.E_z).all() and np.isfinite(at.E_l).all()):
             return None
         if self.structure.identity:
@@ -159,7 +177,7 @@ class Newton:
         self, at: Linearisation, Z: np.ndarray, b: np.ndarray, l: np.ndarray, index: np.ndarray, chain: Sequence[str]
     ) -> mlcp.Solution:
         """Solve the affine problem; of many complementarity rows only those that act (violated ones are added until none is)."""
-        if not (self._complementarity and self.structure.symmetric and l.size > WORKING_SET_ABOVE):
+        if not self._by_rows:
             W = at.Y_l + at.Y_z @ Z
             if l.size <= WORKING_SET_ABOVE and not self.structure.gram:
                 self.least_eigenvalue = min(self.least_eigenvalue, least_eigenvalue(W))
