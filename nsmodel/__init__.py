@@ -2,6 +2,7 @@
 
 from importlib.metadata import version
 
+from nsmodel.checking import check
 from nsmodel.errors import (
     MissingExtraError,
     ModelError,
@@ -11,6 +12,7 @@ from nsmodel.errors import (
     StorageError,
     UsageError,
 )
+from nsmodel.hypotheses.findings import Finding, Report
 from nsmodel.loader import load
 from nsmodel.model.first_order import FirstOrderSystem
 from nsmodel.model.inclusion import MonotoneInclusion
@@ -34,6 +36,7 @@ from nsmodel.trajectory import Trajectory
 __version__ = version("nsmodel")
 
 __all__ = [
+    "Finding",
     "FirstOrderSystem",
     "FrictionOscillator",
     "Law",
@@ -43,6 +46,7 @@ __all__ = [
     "MonotoneInclusion",
     "NsmodelError",
     "PlotError",
+    "Report",
     "RunInterrupted",
     "StepError",
     "StorageError",
@@ -51,6 +55,7 @@ __all__ = [
     "UsageError",
     "ball",
     "box",
+    "check",
     "complementarity",
     "equality",
     "explain",

@@ -1,4 +1,4 @@
-"""The command line: ``nsmodel run FILE``."""
+"""The command line: ``nsmodel run FILE``, ``nsmodel check FILE``."""
 
 from __future__ import annotations
 
@@ -6,25 +6,31 @@ import argparse
 import os
 import signal
 import sys
+import textwrap
 import time
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from nsmodel.checking import check
 from nsmodel.errors import ModelError, NsmodelError, StepError, StorageError, UsageError
+from nsmodel.hypotheses.findings import VIOLATED, Report
 from nsmodel.loader import load_with
 from nsmodel.model.base import Model
 from nsmodel.simulate import RunInterrupted, explain, simulate
 from nsmodel.solve.choose import SOLVERS
-from nsmodel.storage import dumps, write_json
+from nsmodel.storage import dumps, write_json, write_text
 from nsmodel.trajectory import Trajectory
 
-DONE, USAGE, FAILED_STEP, INTERRUPTED = 0, 2, 3, 130
+DONE, AT_FAULT, USAGE, FAILED_STEP, INTERRUPTED = 0, 1, 2, 3, 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line and return the exit status: 0 done, 2 usage or model, 3 a step failed, 130 interrupted."""
+    """Run the command line and return the exit status.
+
+    0 done; 1 a hypothesis is violated (``check --strict``); 2 usage or model; 3 a step failed; 130 interrupted.
+    """
     arguments = _parser().parse_args(argv)
     try:
         return arguments.command(arguments)
@@ -40,8 +46,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="nsmodel", description="Nonsmooth dynamics: run a model file, every step verified.",
-        epilog="exit status: 0 done; 2 usage, missing file or wrong model; "
+        prog="nsmodel", description="Nonsmooth dynamics: run a model file, every step verified; check its hypotheses.",
+        epilog="exit status: 0 done; 1 a hypothesis is violated (check --strict); 2 usage, missing file or wrong model; "
         "3 a step failed, 130 interrupted (what was computed is saved)",
     )  # fmt: skip
     parser.add_argument("--version", action="version", version=f"nsmodel {version('nsmodel')}")
@@ -50,10 +56,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("files", metavar="FILE", nargs="+", help="a Python file that defines model = ... or def model(...)")
     run.add_argument("--step", type=float, metavar="H", help="time step (default: the model's)")
     run.add_argument("--t-end", type=float, metavar="T", help="end of the run (default: the model's)")
-    run.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE",
-        help="value of a parameter or of an argument of model(); repeatable",
-    )  # fmt: skip
+    _add_set(run)
     run.add_argument("--solver", default="auto", metavar="NAME", help=f"use this solver alone: {', '.join(SOLVERS[1:])}")
     run.add_argument("--tolerance", type=float, default=1e-9, metavar="TOL", help="largest accepted residual (default 1e-9)")
     run.add_argument("--save-every", type=int, default=1, metavar="N", help="keep every N-th row")
@@ -65,7 +68,70 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--json", action="store_true", help="print the summary as JSON")
     run.add_argument("--quiet", action="store_true", help="print warnings and errors only")
     run.set_defaults(command=_run)
+    about = "Decide the hypotheses that the theory of the model's class rests on, and say what follows from them."
+    checker = commands.add_parser("check", help="check the hypotheses behind a model file", description=about)
+    checker.add_argument("files", metavar="FILE", nargs="+", help="a Python file that defines model = ... or def model(...)")
+    _add_set(checker)
+    checker.add_argument(
+        "--region", action="append", default=[], metavar="NAME=LOW:HIGH",
+        help="interval of a state, where no proof covers all states (default: around the run); repeatable",
+    )  # fmt: skip
+    checker.add_argument("--quick", action="store_true", help="skip runs and global searches")
+    checker.add_argument("--strict", action="store_true", help="exit with status 1 where a hypothesis is violated")
+    checker.add_argument("--json", action="store_true", help="print the report as JSON")
+    checker.add_argument("--markdown", metavar="PATH", help="also write the report as Markdown, with the equations")
+    checker.set_defaults(command=_check)
     return parser
+
+
+def _add_set(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE",
+        help="value of a parameter or of an argument of model(); repeatable",
+    )  # fmt: skip
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    """Check each file; several end in a line a file. The status is that of the worst."""
+    several = len(arguments.files) > 1
+    if several and arguments.markdown:
+        raise UsageError("--markdown takes one model file; check them one by one")
+    region = dict(_interval(setting) for setting in arguments.region)
+    reports: list[tuple[str, Report | None, int]] = []
+    documents = []
+    for file in arguments.files:
+        try:
+            model, values = _load(file, arguments.set)
+            report = check(model, parameters=values, region=region, quick=arguments.quick)
+        except NsmodelError as error:
+            reports.append((file, None, _refused(error)))
+            documents.append({"file": file, "status": "refused", "message": str(error)})
+            continue
+        at_fault = arguments.strict and report.having(VIOLATED)
+        reports.append((file, report, AT_FAULT if at_fault else DONE))
+        documents.append({"file": file, **report.document()} if arguments.json else {})
+        if not arguments.json:
+            print(report.text(), end="\n\n" if several else "\n")
+    if arguments.markdown and reports[0][1] is not None:
+        write_text(Path(arguments.markdown), reports[0][1].markdown())
+    if arguments.json:
+        print(dumps(documents if several else documents[0], indent=2))
+    elif several:
+        width = max(len(Path(file).stem) for file, _, _ in reports)
+        for file, report, _ in reports:
+            print(f"{Path(file).stem:{width}}  {'refused' if report is None else report.verdict}")
+    return max(status for *_, status in reports)
+
+
+def _interval(setting: str) -> tuple[str, tuple[float, float]]:
+    name, equals, text = setting.partition("=")
+    low, colon, high = text.partition(":")
+    try:
+        if not (equals and colon and name.strip()):
+            raise ValueError
+        return name.strip(), (float(low), float(high))
+    except ValueError:
+        raise UsageError(f"--region {setting}: expected NAME=LOW:HIGH, for example --region q_0=-2:2") from None
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -157,7 +223,8 @@ def _report(
         from nsmodel.plot import save_all
 
         pictures = [str(path) for path in save_all(run, model, folder)]
-    document = _document(file, run, seconds, folder, pictures)
+    hypotheses = check(model, [run], quick=True)
+    document = _document(file, run, seconds, folder, pictures) | {"hypotheses": hypotheses.verdict}
     if folder is not None:
         write_json(folder / "summary.json", document)
     where = f"{file}: " if len(arguments.files) > 1 else ""
@@ -165,6 +232,7 @@ def _report(
         print(f"nsmodel: {where}warning: {warning}", file=sys.stderr)
     if not (arguments.json or arguments.quiet or len(arguments.files) > 1):
         _print_summary(run, seconds)
+        print(textwrap.fill(hypotheses.verdict, 100, initial_indent="  hypotheses      ", subsequent_indent=" " * 18))
         if folder is not None:
             print(f"  saved           {folder / 'trajectory.npz'}")
         for path in pictures:

@@ -16,10 +16,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.check.quick import UNIQUENESS, refuse_start, warnings_of
-from nsmodel.check.rest import finite_convergence
 from nsmodel.errors import StepError, StorageError, UsageError
 from nsmodel.grid import Grid, is_number, make_grid, written
+from nsmodel.hypotheses.quick import UNIQUENESS, refuse_start, warnings_of
+from nsmodel.hypotheses.rest import finite_convergence
 from nsmodel.identity import difference, settings, versions
 from nsmodel.model.base import Model, shown
 from nsmodel.model.inclusion import MonotoneInclusion

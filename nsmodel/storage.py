@@ -53,7 +53,11 @@ def loads(text: str) -> Any:
 
 def write_json(path: str | Path, data: Any) -> None:
     """Write ``data`` as ``dumps`` spells it, indented."""
-    text = dumps(data, indent=1)
+    write_text(path, dumps(data, indent=1))
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write ``text`` and a line end."""
     with _beside(Path(path)) as stream:
         stream.write(f"{text}\n".encode())
 

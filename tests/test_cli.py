@@ -88,7 +88,8 @@ def test_a_run_prints_its_summary_and_nothing_on_stderr(run):
         "  steps           20, t = 0 to 2 s",
         "  step size       0.1 s",
     ]
-    assert re.fullmatch(r"  run time        \S+ s \(\S+ (us|ms) a step, loading and set-up included\)", lines[-1])
+    assert re.fullmatch(r"  run time        \S+ s \(\S+ (us|ms) a step, loading and set-up included\)", lines[-2])
+    assert lines[-1] == "  hypotheses      10 proved (quick: global searches skipped)"
     assert not list(Path().glob("*-run"))
 
 

@@ -148,8 +148,10 @@ class Model:
             names += [str(name)] if column.numel() == 1 else [f"{name}[{i}]" for i in range(column.numel())]
         return columns, names
 
-    def bind(self, values: Mapping[str, float] | None = None) -> Self:
+    def bind(self, values: Mapping[str, float] | None = None, *, partly: bool = False) -> Self:
         """Return the model with its parameters replaced by numbers: ``values`` first, then those declared.
+
+        With ``partly``, parameters without a value stay symbols.
 
         Raises:
             UsageError: an unknown name in ``values``, or a parameter without a value.
@@ -167,13 +169,14 @@ class Model:
                 )
         numbers = {**self.parameters, **values}
         missing = [name for name, value in numbers.items() if value is None]
-        if missing:
+        if missing and not partly:
             name = missing[0]
             raise UsageError(f"parameter '{name}' has no value; give it with --set {name}=VALUE or parameters={{...}}")
-        checked = {name: _number(value, f"parameter '{name}'") for name, value in numbers.items()}
+        checked = {name: _number(value, f"parameter '{name}'") for name, value in numbers.items() if value is not None}
         if not checked:
             return self
-        p, p_value = self.p, ca.SX(list(checked.values()))
+        given = [i for i, value in enumerate(numbers.values()) if value is not None]
+        p, p_value = self.p[given], ca.SX(list(checked.values()))
 
         def put(expression: Any) -> Any:
             if isinstance(expression, ca.SX):
@@ -189,9 +192,10 @@ class Model:
 
         bound = copy(self)
         bound._set(**{name: put(value) for name, value in vars(self).items() if name not in ("p", "t", "parameters")})
-        bound._set(p=ca.SX(0, 1), parameters=MappingProxyType({}), bound_parameters=MappingProxyType(checked))
+        rest = ca.vertcat(ca.SX(0, 1), *(self.p[i] for i in range(self.p.numel()) if i not in given))
+        bound._set(p=rest, parameters=MappingProxyType(dict.fromkeys(missing)), bound_parameters=MappingProxyType(checked))
         bound._refuse_undefined(", ".join(f"{name} = {value:g}" for name, value in checked.items()))
-        if isinstance(bound.exact, ca.SX):
+        if isinstance(bound.exact, ca.SX) and not missing:
             bound._set(exact=_sampled(bound.t, bound.exact))
         return bound
 

@@ -32,6 +32,13 @@ def least(job: Callable[[], object]) -> float:
     return min(times)
 
 
+def timed(job: Callable[[], object]) -> float:
+    """Wall seconds of one run."""
+    start = time.perf_counter()
+    job()
+    return time.perf_counter() - start
+
+
 def driver_loop(name: str) -> tuple[float, int]:
     """Seconds a run's time loop takes (set-up excluded), and its number of steps."""
     model = nsmodel.load(CASES / f"{name}.py").bind()
@@ -105,6 +112,13 @@ def main() -> None:
     for path in sorted(CASES.glob("*.py")):
         seconds, steps = driver_loop(path.stem)
         print(f"  {path.stem:30s} {1e6 * seconds / steps:9.2f}   {steps} steps")
+    print()
+    print("every case, seconds of a whole check (wall, its runs included; goal 5, crowd 20) and of a quick one, one run each")
+    for path in sorted(CASES.glob("*.py")):
+        model = nsmodel.load(path)
+        full, quick = (timed(lambda quick=quick, model=model: nsmodel.check(model, quick=quick)) for quick in (False, True))
+        late = "" if full < (20 if path.stem == "crowd_room" else 5) else "   above the goal"
+        print(f"  {path.stem:30s} {full:9.2f} {quick:9.2f}{late}")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,218 @@
+"""The inequalities that must hold along a run, evaluated on its rows from the model's own expressions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, found
+from nsmodel.model.base import Model
+from nsmodel.model.inclusion import MonotoneInclusion
+from nsmodel.model.oscillator import FrictionOscillator
+from nsmodel.model.sweeping import SweepingProcess
+from nsmodel.scheme import catching_up
+from nsmodel.scheme.inertial_proximal import energy
+from nsmodel.trajectory import Trajectory
+
+EPS = np.finfo(float).eps
+SLACK = 64 * EPS  # relative rounding of a sum of a few terms
+
+RESIDUAL = Hypothesis("run-residual", "every step solves its one-step problem: residual <= tolerance", "definition")
+FEASIBLE = Hypothesis("run-feasible", "every constraint is >= 0 at every row", "definition of Q(t), of C, of dom g")
+ENERGY = Hypothesis("run-energy", "E_{n+1} - E_n <= -l_n <v, A(v)>: friction takes energy away", "Cabot 2004, Proposition 4.1")
+DISSIPATED = Hypothesis("run-dissipated", "sum l_n <v_n, A(v_n)> <= E_0 - inf g", "Cabot 2004, Proposition 4.1")
+BOUND = Hypothesis(
+    "run-bound",
+    "|x_{k+1}|^2 <= |x_k|^2 - 2 mu (alpha |x_k|^2 - beta) + mu^2 |v_k|^2 + projection error",
+    "catching-up 2026, Lemma 4.4",
+)
+CESARO = Hypothesis(
+    "run-cesaro", "d_C(y_k) <= mu_k |v_k|: the predictor leaves C by O(mu), so that its mean distance vanishes",
+    "catching-up 2026, Corollary 6.4",
+)  # fmt: skip
+DEFECTS = Hypothesis(
+    "run-defects", "|e_k|^2 <= mu_k^2 |v_k|^2 + eps_k: projection errors are square-summable", "catching-up 2026, Lemma 6.1"
+)
+CONTRACTION = Hypothesis(
+    "run-contraction", "|x(t) - x~(t)| <= e^{L t} |x_0 - x~_0| for two runs", "catching-up 2026, one-sided Lipschitz bound"
+)
+HYPOTHESES = (RESIDUAL, FEASIBLE, ENERGY, DISSIPATED, BOUND, DEFECTS, CESARO, CONTRACTION)
+
+
+def along(model: Model, run: Trajectory, findings: Sequence[Finding], twin: Trajectory | None = None) -> list[Finding]:
+    """Return one finding for each inequality that this class promises.
+
+    Args:
+        model: bound.
+        run: a run of it.
+        findings: of the hypotheses; their numbers enter the bounds.
+        twin: a run of the same model on the same grid from another start.
+    """
+    numbers = {finding.id: finding for finding in findings}
+    checked, every_row = [_residual(run)], run.metadata["save_every"] == 1 and len(run.t) > 1
+    if isinstance(model, SweepingProcess):
+        checked += _feasible(run, model.g, model.multiplier_names, model.t, model.q)
+    elif isinstance(model, FrictionOscillator):
+        c = ca.vertcat(ca.SX(0, 1), *model.constraints.values())
+        checked += _feasible(run, c, model.constraint_names, model.t, model.x)
+        checked += _oscillator(model, run, numbers) if every_row else _rows_missing(ENERGY, DISSIPATED)
+    elif isinstance(model, MonotoneInclusion):
+        checked += _feasible(run, *catching_up.constraints(model), model.t, model.x)
+        checked += _inclusion(model, run, numbers) if every_row else _rows_missing(BOUND, DEFECTS, CESARO)
+        if twin is not None:
+            checked.append(_contraction(run, twin, numbers["M-24"]))
+    return checked
+
+
+def _rows_missing(*hypotheses: Hypothesis) -> list[Finding]:
+    return [found(hypothesis, UNKNOWN, "the run does not hold every row (save_every)") for hypothesis in hypotheses]
+
+
+def _residual(run: Trajectory) -> Finding:
+    totals = run.metadata["totals"]
+    worst, tolerance = float(totals["worst_residual"]), float(run.metadata["tolerance"])
+    verdict = HOLDS if worst <= tolerance else VIOLATED
+    time = totals["worst_residual_t"]
+    how = f"recomputed from the definition of the law at each of {totals['steps']} steps"
+    return found(
+        RESIDUAL, verdict, how, {"worst residual": worst, "tolerance": tolerance}, {"t": "no row" if time is None else time}
+    )
+
+
+def _feasible(run: Trajectory, c: ca.SX, names: Sequence[str], t: ca.SX, x: ca.SX) -> list[Finding]:
+    """The least value of every constraint; what evaluating it in doubles cannot see is no violation."""
+    if not c.numel():
+        return []
+    f = ca.Function("c", [t, x], [ca.densify(c), ca.densify(ca.jacobian(c, x))])
+    k = len(run.t)
+    values, gradients = (np.array(v) for v in f.map(k)(run.t[None, :], run.x.T))
+    values = values.T
+    size = np.linalg.norm(gradients.reshape(c.numel(), k, x.numel()), axis=2).T
+    values = np.where(np.isfinite(values), values, -np.inf)
+    row, i = np.unravel_index(np.argmin(values), values.shape)
+    unseen = 1e-10 * np.where(np.isfinite(size), size, 0) * (1 + np.linalg.norm(run.x, axis=1)[:, None])
+    broken = values < -unseen
+    if broken.any():
+        row, i = np.unravel_index(np.argmin(np.where(broken, values, np.inf)), values.shape)
+    witness = {"constraint": names[i], "t": run.t[row], "state": run.x[row]}
+    how = f"evaluated at {k} rows; a deficit below 1e-10 of the state's size counts as rounding"
+    return [found(FEASIBLE, VIOLATED if broken.any() else HOLDS, how, {"least value": values[row, i]}, witness)]
+
+
+def _oscillator(model: FrictionOscillator, run: Trajectory, numbers: Mapping[str, Finding]) -> list[Finding]:
+    """Proposition 4.1 from x and v alone: E at a row has the last difference over the step that comes next."""
+    first = 1 if model.x1 is not None else 0
+    l = np.where(np.isfinite(run.step), run.step, run.t - np.roll(run.t, 1))[1:]
+    nominal = np.append(l[0], l) / np.append(l, l[-1])
+    if model.steps is None and len(l) > 1 and l[-1] < l[-2]:
+        nominal[-2] = 1.0  # a last step that only the end of the run shortens keeps the velocity
+    v = run.arrays["v"]
+    E = np.array(energy(model).map(len(run.t))(run.x.T, (v * nominal[:, None]).T)).ravel()
+    power = _friction_power(model, v)[first + 1 :]
+    rise = np.diff(E[first:]) + l[first:] * power
+    rounding = SLACK * max(np.nanmax(np.abs(E[first:])), np.finfo(float).tiny)
+    k = int(np.argmax(rise))
+    witness = {"t": run.t[first + k + 1], "E before": E[first + k], "E after": E[first + k + 1]}
+    values = {"largest excess": rise[k], "rounding bound": rounding}
+    steps_ok = numbers["O-steps"].verdict == HOLDS and numbers["O-g"].verdict != VIOLATED
+    if rise[k] <= rounding:
+        energy_finding = found(ENERGY, HOLDS, f"evaluated at {rise.size} steps", values, witness)
+    elif steps_ok:
+        energy_finding = found(ENERGY, VIOLATED, f"evaluated at {rise.size} steps", values, witness)
+    else:
+        how = "the energy grows, and the proposition does not apply: O-steps or O-g does not hold"
+        energy_finding = found(ENERGY, VIOLATED, how, values, witness)
+    total = float(np.sum(l[first:] * power))
+    least = numbers["O-g"].value.get("inf g", -np.inf)
+    if not np.isfinite(least):
+        return [energy_finding, found(DISSIPATED, UNKNOWN, "inf g is not known", {"dissipated": total})]
+    budget = E[first] - least
+    verdict = HOLDS if total <= budget + rise.size * rounding else VIOLATED
+    values = {"dissipated": total, "E_0 - inf g": budget}
+    return [energy_finding, found(DISSIPATED, verdict, f"summed over {rise.size} steps", values, {"t": run.t[-1]})]
+
+
+def _friction_power(model: FrictionOscillator, v: np.ndarray) -> np.ndarray:
+    """<v, A(v)> at each row: sum_j |H_j v| theta_j'(|H_j v|) + <v, M v>."""
+    power = np.zeros(len(v))
+    for element in model.elements:
+        s = np.linalg.norm(v @ np.array(ca.DM(element.H)).T, axis=1)
+        slope = np.array(ca.Function("slope", [model.s], [ca.gradient(element.theta, model.s)])(s[None, :])).ravel()
+        power += np.where(s > 0, s * slope, 0.0)
+    if model.damping is not None:
+        power += np.einsum("ki,ij,kj->k", v, np.array(ca.DM(model.damping)), v)
+    return power
+
+
+def _inclusion(model: MonotoneInclusion, run: Trajectory, numbers: Mapping[str, Finding]) -> list[Finding]:
+    """Lemma 4.4, Lemma 6.1 and Corollary 6.4 step by step: with 0 in C, |P_C(y)| <= |y| and |x_{k+1} - P_C(y)|^2 <= eps_k."""
+    x, mu = run.x[:-1], run.step[1:]
+    v, e = run.arrays["v"][1:], run.arrays["defect"][1:]
+    eps, distance = (run.arrays[name][1:].ravel() for name in ("tolerance", "predictor_distance"))
+    speed = np.linalg.norm(v, axis=1)
+    scale = SLACK * (1 + np.linalg.norm(run.x, axis=1)).max() ** 2
+    mean = float(np.sum(mu * distance) / np.sum(mu))
+    k = int(np.argmax(distance))
+    over = distance - mu * speed
+    cesaro = found(
+        CESARO, HOLDS if over.max() <= scale else VIOLATED, f"evaluated at {mu.size} steps",
+        {"mean of d_C(y)": mean, "largest d_C(y)": distance[k]}, {"t": run.t[k + 1], "mu |v|": mu[k] * speed[k]},
+    )  # fmt: skip
+    squares = (e**2).sum(axis=1)
+    over = squares - (mu * speed) ** 2 - eps
+    k = int(np.argmax(over))
+    defects = found(
+        DEFECTS, HOLDS if over[k] <= scale else VIOLATED, f"evaluated at {mu.size} steps",
+        {"sum |e_k|^2": squares.sum(), "sum of the bounds": ((mu * speed) ** 2 + eps).sum()}, {"t": run.t[k + 1]},
+    )  # fmt: skip
+    return [_growth(model, run, numbers["M-A3"], x, mu, speed, eps, scale), defects, cesaro]
+
+
+def _growth(
+    model: MonotoneInclusion, run: Trajectory, dissipative: Finding, x: np.ndarray, mu: np.ndarray, speed: np.ndarray,
+    eps: np.ndarray, scale: float,
+) -> Finding:  # fmt: skip
+    alpha, beta = dissipative.value.get("alpha", np.nan), dissipative.value.get("beta", np.nan)
+    if not np.isfinite(alpha + beta):
+        return found(BOUND, UNKNOWN, f"M-A3 gives no alpha and beta: it is {dissipative.verdict}")
+    square = (run.x**2).sum(axis=1)
+    reach = np.sqrt(square[:-1]) + mu * speed
+    allowed = square[:-1] - 2 * mu * (alpha * square[:-1] - beta) + (mu * speed) ** 2 + 2 * reach * np.sqrt(eps) + eps
+    over = square[1:] - allowed
+    k = int(np.argmax(over))
+    values = {"largest excess": over[k], "alpha": alpha, "beta": beta, "largest |x|": np.sqrt(square.max())}
+    witness = {"t": run.t[k + 1], "|x|^2": square[k + 1], "bound": allowed[k]}
+    if over[k] <= scale:
+        return found(BOUND, HOLDS, f"evaluated at {mu.size} steps", values, witness)
+    c, _ = catching_up.constraints(model)
+    at_zero = np.array(ca.Function("c", [model.x], [ca.densify(c)])(np.zeros(model.x.numel()))) if c.numel() else np.zeros(1)
+    if (at_zero < 0).any():
+        return found(BOUND, UNKNOWN, "0 is not in C: the step may move outwards by O(mu^2) more than the bound", values, witness)
+    return found(BOUND, VIOLATED, f"evaluated at {mu.size} steps", values, witness)
+
+
+def _contraction(run: Trajectory, twin: Trajectory, lipschitz: Finding) -> Finding:
+    """The distance of two runs beside e^{L t}: the predictor is explicit, so that the scheme adds O(mu)."""
+    L = lipschitz.value.get("L", np.nan)
+    rows = min(len(run.t), len(twin.t))
+    gap = np.linalg.norm(run.x[:rows] - twin.x[:rows], axis=1)
+    if not (np.isfinite(L) and gap[0] > 0):
+        why = "M-24 gives no L" if gap[0] > 0 else "both runs have the same start"
+        return found(CONTRACTION, UNKNOWN, why)
+    with np.errstate(over="ignore"):
+        bound = np.exp(np.minimum(L * run.t[:rows], 700.0)) * gap[0]
+    velocity = np.hypot(*(np.linalg.norm(r.arrays["v"][1:rows], axis=1).max(initial=0.0) for r in (run, twin)))
+    slack = 2 * velocity * np.nanmax(run.step[1:rows])
+    k = int(np.argmax(gap - bound))
+    values = {"largest excess": gap[k] - bound[k], "L": L, "distance at the start": gap[0], "distance at the end": gap[-1]}
+    witness = {"t": run.t[k], "distance": gap[k], "e^{Lt} |x_0 - x~_0|": bound[k]}
+    how = (
+        f"two runs of {rows} rows, from the model's start and from {_short(twin.x[0])}; one step's motion {slack:.2g} is allowed"
+    )
+    return found(CONTRACTION, HOLDS if gap[k] <= bound[k] + slack else VIOLATED, how, values, witness)
+
+
+def _short(x: np.ndarray) -> str:
+    return "(" + ", ".join(f"{value:.4g}" for value in x[:4]) + (", ...)" if x.size > 4 else ")")

@@ -1,0 +1,267 @@
+"""A set {x : c(x) >= 0} given by concave rows: is it convex, has it interior, in which box does it lie."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.hypotheses.convex import convexity
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
+from nsmodel.hypotheses.proof import exact, extremum, feasibility, interval, polynomial
+from nsmodel.solve.quiet import quiet
+
+POINTS = 512
+
+
+class ConvexSet:
+    """{x : rows >= 0, equalities = 0}; ``names`` has one name for each row."""
+
+    def __init__(self, x: ca.SX, rows: ca.SX, names: Sequence[str], equalities: ca.SX | None = None) -> None:
+        self.x, self.rows, self.names, self.n = x, rows, tuple(names), x.numel()
+        self.equalities = ca.SX(0, 1) if equalities is None else equalities
+
+    @cached_property
+    def polynomials(self) -> list[polynomial.Polynomial | None]:
+        """Each row as an exact polynomial where it is one."""
+        return polynomial.read(self.rows, self.x)
+
+    @cached_property
+    def affine(self) -> list[int]:
+        """The rows that are affine, exactly."""
+        return [i for i, p in enumerate(self.polynomials) if p is not None and polynomial.degree(p) <= 1]
+
+    @cached_property
+    def half_spaces(self) -> tuple[np.ndarray, np.ndarray]:
+        """N (k, n) and h (k, 1), rational: the affine rows are N x + h >= 0."""
+        parts = [polynomial.quadratic(self.polynomials[i], self.n) for i in self.affine]
+        kept = [part for part in parts if part is not None]
+        if not kept:
+            return exact.zeros(0, self.n), exact.zeros(0, 1)
+        return np.hstack([part.q for part in kept]).T, exact.rational([[part.c] for part in kept])
+
+    @property
+    def is_polyhedron(self) -> bool:
+        """Whether every row is affine."""
+        return len(self.affine) == self.rows.numel() and not self.equalities.numel()
+
+    @cached_property
+    def hull(self) -> tuple[np.ndarray, np.ndarray]:
+        """A box (lower, upper) that holds the set, with infinite ends where no row bounds a state by itself."""
+        lower, upper = np.full(self.n, -np.inf), np.full(self.n, np.inf)
+        N, h = self.half_spaces
+        for row, (number,) in zip(N, h, strict=True):
+            used = np.flatnonzero(row.astype(bool))
+            if used.size == 1:
+                j, end = int(used[0]), -number / row[used[0]]
+                if row[j] > 0:
+                    lower[j] = max(lower[j], _below(end))
+                else:
+                    upper[j] = min(upper[j], _above(end))
+        for p in self.polynomials:
+            _ellipsoid(p, self.n, lower, upper)
+        return lower, upper
+
+    def outer(self, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """N, h, rational, of a polyhedron that holds the set: its affine rows and tangents of its concave polynomial rows.
+
+        The tangents touch at the point and one unit along each axis from it.
+        """
+        N, h = self.half_spaces
+        left = [i for i, p in enumerate(self.polynomials) if p is not None and polynomial.degree(p) > 1]
+        if not left:
+            return N, h
+        proved = [i for i, s in zip(left, convexity.everywhere(self.rows[left], self.x), strict=True) if s.concave]
+        base = [Fraction(round(float(entry) * 2**20), 2**20) for entry in point]
+        touched = [base, *([b + (sign if j == i else 0) for j, b in enumerate(base)] for i in range(self.n) for sign in (1, -1))]
+        for p in (self.polynomials[i] for i in proved):
+            for x in touched if p is not None else ():
+                slope = [polynomial.value(polynomial.derivative(p, j), x) for j in range(self.n)]
+                N = np.vstack([N, exact.rational([slope])])
+                offset = polynomial.value(p, x) - sum((a * b for a, b in zip(slope, x, strict=True)), Fraction(0))
+                h = np.vstack([h, exact.rational([[offset]])])
+        return N, h
+
+    @property
+    def bounded(self) -> bool:
+        """Whether the box that holds the set is bounded."""
+        return bool(np.isfinite(self.hull).all())
+
+    def values(self, points: np.ndarray) -> np.ndarray:
+        """The rows (k, m) at points (k, n)."""
+        if not self.rows.numel():
+            return np.zeros((len(points), 0))
+        return np.array(ca.Function("rows", [self.x], [ca.densify(self.rows)])(points.T)).T
+
+    def surely_inside(self, point: np.ndarray) -> float | None:
+        """A lower bound > 0 of every row at the point, rounding included; None where there is none."""
+        if self.equalities.numel():
+            return None
+        if not self.rows.numel():
+            return np.inf
+        low, _ = interval.enclose(self.rows, self.x, point, point)
+        least = float(np.min(low))
+        return least if least > 0 else None
+
+
+class Part(NamedTuple):
+    """One part of a hypothesis: verdict, reason, numbers, witness."""
+
+    verdict: str
+    how: str
+    value: dict[str, float]
+    witness: dict[str, Any]
+
+
+def is_convex(C: ConvexSet, lower: np.ndarray, upper: np.ndarray, *, quick: bool) -> Part:
+    """Whether every row is concave: by exact arithmetic or the rules of convex functions, else by its Hessian on the box."""
+    if not C.rows.numel():
+        return Part(HOLDS, "no constraint", {}, {})
+    left = [i for i in range(C.rows.numel()) if i not in set(C.affine)]
+    if left:
+        proved = convexity.everywhere(C.rows[left], C.x)
+        left = [i for i, shape in zip(left, proved, strict=True) if not shape.concave]
+    if not left:
+        return Part(HOLDS, "every constraint is concave everywhere (affine, or by the rules of convex functions)", {}, {})
+    low, high = np.maximum(C.hull[0], lower), np.minimum(C.hull[1], upper)
+    inside = bool((C.hull[0] >= lower).all() and (C.hull[1] <= upper).all())
+    for i in left:
+        found = extremum.largest_eigenvalue(ca.hessian(C.rows[i], C.x)[0], C.x, low, high, bound_to=0.0, quick=quick)
+        if not found.bound <= 0:
+            return _not_concave(C, i, low, high)
+    where = "on the box that holds the set" if inside else "on the box"
+    return Part(HOLDS, f"every constraint is concave {where}: bounds of its Hessian", {}, {})
+
+
+def has_interior(C: ConvexSet, start: np.ndarray) -> Part:
+    """Whether there is a strictly feasible point: verified with interval arithmetic; its absence by exact multipliers."""
+    if C.equalities.numel():
+        return Part(VIOLATED, "an equality leaves no interior", {}, {"equality": str(C.equalities[0])})
+    if not C.rows.numel():
+        return Part(HOLDS, "the whole space", {}, {})
+    best: tuple[float, np.ndarray] | None = None
+    for point in (_deepest(C, start), start):
+        margin = None if point is None else C.surely_inside(point)
+        if point is not None and margin is not None and (best is None or margin > best[0]):
+            best = margin, point
+    if best is not None:
+        return Part(HOLDS, "a strictly feasible point", {"interior margin": best[0]}, {"interior point": best[1]})
+    opposed = _opposed(C)
+    if opposed is not None:
+        how = "no point satisfies these constraints strictly: their weighted sum is never > 0 (exact multipliers)"
+        return Part(VIOLATED, how, {}, opposed)
+    if C.is_polyhedron:
+        point = _exact_interior(C)
+        if point is not None:
+            margin = max(float(C.values(point[None, :]).min()), np.finfo(float).tiny)
+            how = "a strictly feasible point, in exact arithmetic; nearer to the boundary than rounding"
+            return Part(HOLDS, how, {"interior margin": margin}, {"interior point": point})
+    return Part(UNKNOWN, "no strictly feasible point was found, and no proof that there is none", {}, {})
+
+
+# -- parts -------------------------------------------------------------------------------------------------------------
+
+
+def _below(number: Fraction) -> float:
+    near = float(number)
+    return near if Fraction(near) <= number else float(np.nextafter(near, -np.inf))
+
+
+def _above(number: Fraction) -> float:
+    return -_below(-number)
+
+
+def _ellipsoid(p: polynomial.Polynomial | None, n: int, lower: np.ndarray, upper: np.ndarray) -> None:
+    """Narrow the box by a row c - x'Px/2 + q'x >= 0 with P definite on the variables that it holds."""
+    if p is None or polynomial.degree(p) != 2:
+        return
+    used = polynomial.variables(p)
+    found = polynomial.quadratic(p, n)
+    if found is None or len(used) > 12:
+        return
+    P, q = -found.H[np.ix_(used, used)], found.q[used]
+    if not exact.psd(P).definite:
+        return
+    inverse = exact.inverse(P)
+    if inverse is None:
+        return
+    # max of x_i on {x : c + q'x - x'Px/2 >= 0} is m_i + sqrt(2 r (P^-1)_ii), m = P^-1 q, r = c + q'm/2.
+    centre = exact.product(inverse, q)
+    r = found.c + exact.product(q.T, centre)[0, 0] / 2
+    for k, i in enumerate(used):
+        reach = _above(Fraction(float(np.sqrt(max(_above(2 * r * inverse[k, k]), 0.0))) * (1 + 1e-15)))
+        lower[i] = max(lower[i], _below(centre[k, 0] - Fraction(reach)))
+        upper[i] = min(upper[i], _above(centre[k, 0] + Fraction(reach)))
+
+
+def _not_concave(C: ConvexSet, i: int, lower: np.ndarray, upper: np.ndarray) -> Part:
+    """Row i is not proved concave: look for two points of the set whose middle lies outside."""
+    pairs = 0
+    for box in ((lower, upper), C.hull):
+        points = extremum.samples(*box, POINTS)
+        values = C.values(points)
+        inside = points[np.isfinite(values).all(axis=1) & (values >= 0).all(axis=1)]
+        half = len(inside) // 2
+        a, b = inside[:half], inside[half : 2 * half]
+        middle = C.values((a + b) / 2)
+        if not half or not np.isfinite(middle).all():
+            continue
+        pairs += half
+        scaled = middle / (1 + np.abs(C.values(a)) + np.abs(C.values(b)))
+        k, row = np.unravel_index(np.argmin(scaled), scaled.shape)
+        if scaled[k, row] < -1e-9:
+            witness = {"constraint": C.names[row], "x": a[k], "y": b[k], "middle": (a[k] + b[k]) / 2}
+            how = "two points of the set whose middle is not in it: the set is not convex"
+            return Part(VIOLATED, how, {"least value at the middle": float(middle[k, row])}, witness)
+    how = f"constraint '{C.names[i]}' is not proved concave; {pairs} pairs of points in the set had their middle in it"
+    return Part(SAMPLED if pairs else UNKNOWN, how, {"pairs": pairs}, {})
+
+
+def _deepest(C: ConvexSet, start: np.ndarray) -> np.ndarray | None:
+    """A point of the largest margin (up to 1, rows scaled where they are affine), in doubles."""
+    if C.is_polyhedron:
+        from scipy.optimize import linprog
+
+        N, h = (exact.doubles(part) for part in C.half_spaces)
+        size = np.linalg.norm(N, axis=1)
+        cost = np.append(np.zeros(C.n), -1.0)
+        A = np.column_stack([-N, size])
+        found = linprog(cost, A_ub=A, b_ub=h.ravel(), bounds=[(None, None)] * C.n + [(None, 1.0)], method="highs")
+        return found.x[: C.n] if found.status == 0 else None
+    t = ca.SX.sym("t")
+    problem = {"x": ca.vertcat(C.x, t), "f": -t, "g": C.rows - t}
+    options = {"ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False, "error_on_fail": False, "ipopt.max_iter": 200}
+    with quiet():
+        solver = ca.nlpsol("interior", "ipopt", problem, options)
+        least = C.values(start[None, :]).min()
+        found = solver(x0=np.append(start, least if np.isfinite(least) else 0.0), lbg=0, ubx=[*[np.inf] * C.n, 1.0])
+    point = np.array(found["x"]).ravel()[: C.n]
+    return point if np.isfinite(point).all() else None
+
+
+def _strict_system(C: ConvexSet) -> feasibility.System:
+    """N x + h tau = s with tau > 0, s > 0: columns x, tau, s."""
+    N, h = C.half_spaces
+    A = np.hstack([N, h, -exact.eye(len(N))]) if len(N) else exact.zeros(0, C.n + 1)
+    return feasibility.System(A, tuple(range(C.n, A.shape[1])))
+
+
+def _opposed(C: ConvexSet) -> dict[str, Any] | None:
+    """Weights >= 0 of affine rows whose sum is never > 0, exactly; None where they have a common interior point."""
+    if not C.affine:
+        return None
+    separator = feasibility.decide(_strict_system(C)).separator
+    if separator is None:
+        return None
+    weights = -separator.ravel()  # w'(N, h, -I) = (0, >= 0, >= 0), so that -w >= 0 weighs the rows.
+    used = [i for i in range(len(weights)) if weights[i]]
+    return {"constraints": [C.names[C.affine[i]] for i in used], "weights": [float(weights[i]) for i in used]}
+
+
+def _exact_interior(C: ConvexSet) -> np.ndarray | None:
+    point = feasibility.decide(_strict_system(C)).point
+    return None if point is None else np.array([float(entry / point[C.n]) for entry in point[: C.n]])

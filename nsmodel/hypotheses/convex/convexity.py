@@ -1,0 +1,382 @@
+"""Is an expression convex, by the rules of convex functions: a walk through its graph that keeps what is proved of each node.
+
+A node is known as affine, convex or concave on a box from its operation, its arguments' curvature and their bounds: a convex
+nondecreasing function of a convex one is convex, and so on; quadratic nodes are decided exactly, in rational arithmetic.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.hypotheses.proof import exact, interval, polynomial
+from nsmodel.model.convex_read import read, replay
+from nsmodel.model.expressions import column
+
+CONDITIONS = (ca.OP_LE, ca.OP_LT, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR)
+MOST_VARIABLES = 40  # Quadratic nodes in more variables are not decided one by one.
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What is proved of an expression on a box: both flags for an affine one; ``low`` and ``high`` bound its values."""
+
+    convex: bool
+    concave: bool
+    low: float
+    high: float
+    log_convex: bool = False
+
+    @property
+    def affine(self) -> bool:
+        """Whether it is affine."""
+        return self.convex and self.concave
+
+
+@dataclass(frozen=True)
+class _Node:
+    op: int
+    source: tuple[int, ...]
+    expr: ca.SX
+    constant: bool
+
+
+def shapes(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> list[Shape]:
+    """Return what the rules prove of each entry of ``expr`` on the box (ends may be infinite).
+
+    >>> x = ca.SX.sym("x")
+    >>> [s.convex for s in shapes(ca.vertcat(ca.exp(x) + ca.fabs(x - 1), x**3), x, np.full(1, -np.inf), np.full(1, np.inf))]
+    [True, False]
+    """
+    nodes, outputs = _nodes(expr, z)
+    if not nodes:
+        return []
+    numeric = [k for k, node in enumerate(nodes) if node.op not in CONDITIONS]
+    low, high = np.full(len(nodes), -np.inf), np.full(len(nodes), np.inf)
+    bounds = interval.enclose(column(nodes[k].expr for k in numeric), z, lower, upper)
+    low[numeric], high[numeric] = (np.asarray(end).ravel() for end in bounds)
+    walk = _Walk(nodes, low, high, z.numel())
+    return [walk.shape(k) for k in outputs]
+
+
+def everywhere(expr: ca.SX, z: ca.SX) -> list[Shape]:
+    """The same for all z."""
+    return shapes(expr, z, np.full(z.numel(), -np.inf), np.full(z.numel(), np.inf))
+
+
+def without_domain(phi: ca.SX, x: ca.SX, label: str) -> ca.SX:
+    """The potential without the conditions that make it +inf: a function that is finite where they fail, too."""
+    finite = []
+
+    def rule(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
+        if args[1].is_constant() and np.isinf(float(args[1])):
+            return ca.SX(0)
+        finite.append(old)
+        return None
+
+    direct = replay(phi, rule, (ca.OP_IF_ELSE_ZERO,), x, label)
+    if not finite:
+        return direct
+    parts = read(phi, x, label)
+    return ca.substitute(parts.value, parts.symbols, parts.meanings({})) if parts.nodes else parts.value
+
+
+def domain_rows(phi: ca.SX, x: ca.SX, label: str) -> tuple[list[ca.SX], list[ca.SX]]:
+    """The domain of a potential as expressions that are >= 0, and those that are 0, in terms of x alone."""
+    parts = read(phi, x, label)
+    meanings = parts.meanings({})
+    rows, equalities = [], []
+    for bound in parts.bounds:
+        u = ca.substitute(bound.u, parts.symbols, meanings) if parts.nodes else bound.u
+        (equalities if bound.kind == "equality" else rows).append(u)
+    return rows, equalities
+
+
+def simplified(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, label: str) -> ca.SX:
+    """``expr`` with each fabs, fmax, fmin and sign whose case is settled on the whole box replaced by that case."""
+
+    def rule(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
+        u = args[0] if len(args) == 1 else args[0] - args[1]
+        (low,), (high,) = (np.asarray(end).ravel() for end in interval.enclose(u, z, lower, upper))
+        if op == ca.OP_SIGN:
+            return ca.SX(1) if low > 0 else ca.SX(-1) if high < 0 else None
+        case = 0 if low >= 0 else 1 if high <= 0 else None
+        if case is None:
+            return None
+        if op == ca.OP_FABS:
+            return (u, -u)[case]
+        return args[case] if op == ca.OP_FMAX else args[1 - case]
+
+    return replay(expr, rule, (ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN, ca.OP_SIGN), z, label)
+
+
+def _nodes(expr: ca.SX, z: ca.SX) -> tuple[list[_Node], list[int]]:
+    """The graph in single assignment form, each node with its expression, and the node of each entry."""
+    symbols = ca.symvar(expr)
+    function = ca.Function("graph", [column(symbols)], [ca.densify(ca.vec(expr))])
+    nodes: list[_Node] = []
+    last: dict[int, int] = {}
+    outputs = [0] * expr.numel()
+    for i in range(function.n_instructions()):
+        op, source, target = function.instruction_id(i), function.instruction_input(i), function.instruction_output(i)
+        if op == ca.OP_OUTPUT:
+            outputs[target[1]] = last[source[0]]
+            continue
+        if op == ca.OP_INPUT:
+            node = _Node(op, (), symbols[source[1]], not ca.depends_on(symbols[source[1]], z))
+        elif op == ca.OP_CONST:
+            node = _Node(op, (), ca.SX(function.instruction_constant(i)), True)
+        else:
+            where = tuple(last[j] for j in source)
+            build = ca.SX.unary if len(where) == 1 else ca.SX.binary
+            node = _Node(op, where, build(op, *(nodes[j].expr for j in where)), all(nodes[j].constant for j in where))
+        last[target[0]] = len(nodes)
+        nodes.append(node)
+    return nodes, outputs
+
+
+# -- functions of one variable -----------------------------------------------------------------------------------------
+
+Pieces = Callable[[float, float], tuple[int, int] | None]  # (curvature, slope) signs on [low, high], None where unknown
+
+
+def _even(low: float, high: float) -> tuple[int, int] | None:
+    return 1, 1 if low >= 0 else -1 if high <= 0 else 0
+
+
+def _odd(sign: int) -> Pieces:
+    """Increasing, of curvature ``sign`` on the right and -sign on the left, as x^3 or tanh (sign -1)."""
+    return lambda low, high: (sign, 1) if low >= 0 else (-sign, 1) if high <= 0 else None
+
+
+def _on(least: float, curvature: int, slope: int, *, strict: bool) -> Pieces:
+    """Defined above ``least`` only."""
+    return lambda low, high: (curvature, slope) if (low > least if strict else low >= least) else None
+
+
+_UNARY: dict[int, Pieces] = {
+    ca.OP_SQ: _even, ca.OP_FABS: _even, ca.OP_COSH: _even,
+    ca.OP_EXP: lambda low, high: (1, 1), ca.OP_EXPM1: lambda low, high: (1, 1),
+    ca.OP_LOG: _on(0, -1, 1, strict=True), ca.OP_LOG1P: _on(-1, -1, 1, strict=True), ca.OP_SQRT: _on(0, -1, 1, strict=False),
+    ca.OP_SINH: _odd(1), ca.OP_TANH: _odd(-1), ca.OP_ATAN: _odd(-1), ca.OP_ASINH: _odd(-1), ca.OP_ERF: _odd(-1),
+}  # fmt: skip
+
+
+def _power(exponent: float) -> Pieces:
+    """x^p, with real values on the range."""
+
+    def pieces(low: float, high: float) -> tuple[int, int] | None:
+        if exponent in (0, 1):
+            return None
+        if exponent == int(exponent) and exponent > 1:
+            return _even(low, high) if exponent % 2 == 0 else _odd(1)(low, high)
+        if exponent < 0:
+            return (1, -1) if low > 0 else None
+        return ((1 if exponent > 1 else -1), 1) if low >= 0 else None
+
+    return pieces
+
+
+def _inverse(low: float, high: float) -> tuple[int, int] | None:
+    return (1, -1) if low > 0 else (-1, -1) if high < 0 else None
+
+
+class _Walk:
+    """Shapes of the nodes of a graph, each found once."""
+
+    def __init__(self, nodes: list[_Node], low: np.ndarray, high: np.ndarray, n: int) -> None:
+        self.nodes, self.low, self.high, self.n = nodes, low, high, n
+        self.known: list[Shape] = []
+        self.polynomials: list[polynomial.Polynomial | None] = []
+        self.powers: list[tuple[int, bool, float]] = []  # (node u, whether |u|, p): the node is u^p or |u|^p
+        for k in range(len(nodes)):
+            self._visit(k)
+
+    def shape(self, k: int) -> Shape:
+        """What is known of node k."""
+        return self.known[k]
+
+    def _visit(self, k: int) -> None:
+        node = self.nodes[k]
+        self.polynomials.append(self._polynomial(node))
+        self.powers.append(self._as_power(k))
+        if node.constant:
+            self.known.append(Shape(True, True, self.low[k], self.high[k], self.low[k] > 0))
+            return
+        if node.op == ca.OP_INPUT:
+            self.known.append(Shape(True, True, self.low[k], self.high[k]))
+            return
+        up, down = self._rule(k, 1), self._rule(k, -1)
+        if not (up or down):
+            up, down = self._quadratic(k)
+        self.known.append(Shape(up, down, self.low[k], self.high[k], self._log_convex(node)))
+
+    def _polynomial(self, node: _Node) -> polynomial.Polynomial | None:
+        if node.op == ca.OP_INPUT:
+            # The symbol itself is the variable's name: only sums and products of few are looked at.
+            return None if node.constant else {((_hash(node.expr), 1),): Fraction(1)}
+        if node.op == ca.OP_CONST:
+            return polynomial.constant(float(node.expr))
+        args = [self.polynomials[j] for j in node.source]
+        if any(arg is None or polynomial.degree(arg) > 2 for arg in args):
+            return None
+        return polynomial.apply(node.op, [arg for arg in args if arg is not None])
+
+    def _as_power(self, k: int) -> tuple[int, bool, float]:
+        """Node k as u^p or |u|^p."""
+        node = self.nodes[k]
+        args = [self.powers[j] for j in node.source]
+        if node.op == ca.OP_FABS:
+            return (args[0][0], True, args[0][2]) if args[0][2] == int(args[0][2]) else (k, False, 1.0)
+        if node.op == ca.OP_SQ and args[0][2] == int(args[0][2]):
+            return args[0][0], args[0][1], 2 * args[0][2]
+        if node.op == ca.OP_SQRT and not args[0][1] and self.low[args[0][0]] >= 0:
+            return args[0][0], False, args[0][2] / 2
+        if node.op == ca.OP_MUL and args[0][0] == args[1][0]:
+            (u, one, p), (_, other, q) = args
+            whole = p == int(p) and q == int(q)
+            if whole and (one == other or (not one and p % 2 == 0) or (not other and q % 2 == 0)):
+                return u, one or other, p + q
+            if not (one or other) and self.low[u] >= 0:
+                return u, False, p + q
+        return k, False, 1.0
+
+    # -- rules ---------------------------------------------------------------------------------------------------------
+
+    def _rule(self, k: int, sign: int) -> bool:
+        """Whether sign times node k is proved convex."""
+        node = self.nodes[k]
+        if node.op == ca.OP_ASSIGN or node.op == ca.OP_TWICE:
+            return self._is(node.source[0], sign)
+        if node.op == ca.OP_NEG:
+            return self._is(node.source[0], -sign)
+        if node.op in (ca.OP_ADD, ca.OP_SUB):
+            return self._is(node.source[0], sign) and self._is(node.source[1], sign if node.op == ca.OP_ADD else -sign)
+        if node.op in (ca.OP_FMAX, ca.OP_FMIN):
+            return (sign > 0) == (node.op == ca.OP_FMAX) and all(self._is(j, sign) for j in node.source)
+        if node.op in (ca.OP_MUL, ca.OP_DIV):
+            return self._product(k, sign)
+        if node.op == ca.OP_SQRT and sign > 0 and self._is_norm(node.source[0]):
+            return True
+        if node.op == ca.OP_HYPOT:
+            return sign > 0 and all(self._norm_entry(j) for j in node.source)
+        if node.op in (ca.OP_LOG, ca.OP_LOG1P) and sign > 0 and self.known[node.source[0]].log_convex:
+            return True
+        return self._composed(k, sign)
+
+    def _is(self, k: int, sign: int) -> bool:
+        return self.known[k].convex if sign > 0 else self.known[k].concave
+
+    def _product(self, k: int, sign: int) -> bool:
+        node = self.nodes[k]
+        left, right = node.source
+        if self.nodes[left].constant and node.op == ca.OP_MUL:
+            left, right = right, left
+        if self.nodes[right].constant:
+            low, high = self.low[right], self.high[right]
+            return (low >= 0 and self._is(left, sign)) or (high <= 0 and self._is(left, -sign))
+        if self.nodes[left].constant:  # c / u
+            low, high = self.low[left], self.high[left]
+            factor = 1 if low >= 0 else -1 if high <= 0 else 0
+            return bool(factor) and self._compose(_inverse, right, sign * factor)
+        u, absolute, p = self.powers[k]
+        if u == k:
+            return False
+        return self._compose_power(u, absolute, p, sign)
+
+    def _composed(self, k: int, sign: int) -> bool:
+        node = self.nodes[k]
+        u, absolute, p = self.powers[k]
+        if u != k and p != 1 and self._compose_power(u, absolute, p, sign):
+            return True
+        if node.op in (ca.OP_POW, ca.OP_CONSTPOW):
+            base, exponent = node.source
+            if not self.nodes[exponent].constant or self.low[exponent] != self.high[exponent]:
+                return False
+            return self._compose(_power(float(self.low[exponent])), base, sign)
+        if node.op == ca.OP_INV:
+            return self._compose(_inverse, node.source[0], sign)
+        return node.op in _UNARY and self._compose(_UNARY[node.op], node.source[0], sign)
+
+    def _compose_power(self, u: int, absolute: bool, p: float, sign: int) -> bool:
+        return self._compose(_even if absolute and p >= 1 else _power(p), u, sign)
+
+    def _compose(self, pieces: Pieces, u: int, sign: int) -> bool:
+        """Whether sign f(u) is convex: f of that curvature, and u affine or curved the way that f's slope asks for."""
+        found = pieces(self.low[u], self.high[u])
+        if found is None or found[0] != sign:
+            return False
+        inner = self.known[u]
+        return inner.affine or (found[1] != 0 and self._is(u, sign * found[1]))
+
+    def _is_norm(self, q: int) -> bool:
+        """Whether sqrt(q) is a norm: q a sum of squares, or a quadratic that is one by exact arithmetic."""
+        return self._squares(q) or self._nonnegative_quadratic(q)
+
+    def _squares(self, q: int) -> bool:
+        node = self.nodes[q]
+        if node.constant:
+            return bool(self.low[q] >= 0)
+        if node.op == ca.OP_SQ:
+            return self._norm_entry(node.source[0])
+        if node.op in (ca.OP_ADD, ca.OP_TWICE):
+            return all(self._squares(j) for j in node.source)
+        if node.op in (ca.OP_MUL, ca.OP_DIV):
+            left, right = node.source
+            left, right = (right, left) if self.nodes[left].constant and node.op == ca.OP_MUL else (left, right)
+            return self.nodes[right].constant and bool(self.low[right] >= 0) and self._squares(left)
+        return False
+
+    def _norm_entry(self, u: int) -> bool:
+        """Whether |u| is convex, and so a norm of several such is."""
+        inner = self.known[u]
+        return inner.affine or (inner.convex and inner.low >= 0) or (inner.concave and inner.high <= 0)
+
+    def _log_convex(self, node: _Node) -> bool:
+        args = [self.known[j] for j in node.source]
+        if node.op == ca.OP_EXP:
+            return args[0].convex
+        if node.op == ca.OP_COSH:
+            return args[0].affine
+        if node.op in (ca.OP_ADD, ca.OP_MUL, ca.OP_TWICE):
+            return all(arg.log_convex for arg in args)
+        if node.op == ca.OP_DIV:
+            return args[0].log_convex and self.nodes[node.source[1]].constant and args[1].low > 0
+        return False
+
+    # -- quadratic nodes -----------------------------------------------------------------------------------------------
+
+    def _quadratic(self, k: int) -> tuple[bool, bool]:
+        found = self._matrices(k)
+        if found is None:
+            return False, False
+        return exact.psd(found.H).psd, exact.psd(-found.H).psd
+
+    def _nonnegative_quadratic(self, q: int) -> bool:
+        """Whether x'Hx/2 + q'x + c is a sum of squares of affine functions: [[H, q], [q', 2c]] psd."""
+        found = self._matrices(q)
+        if found is None:
+            return False
+        n = len(found.H)
+        whole = exact.zeros(n + 1, n + 1)
+        whole[:n, :n], whole[:n, n:], whole[n:, :n], whole[n, n] = found.H, found.q, found.q.T, 2 * found.c
+        return exact.psd(whole).psd
+
+    def _matrices(self, k: int) -> polynomial.Quadratic | None:
+        p = self.polynomials[k]
+        if p is None or polynomial.degree(p) > 2:
+            return None
+        used = polynomial.variables(p)
+        if len(used) > MOST_VARIABLES:
+            return None
+        place = {variable: i for i, variable in enumerate(used)}
+        short = {tuple(sorted((place[v], power) for v, power in monomial)): number for monomial, number in p.items()}
+        return polynomial.quadratic(short, len(used))
+
+
+def _hash(symbol: ca.SX) -> int:
+    return symbol.element_hash()

@@ -1,0 +1,66 @@
+"""The least value of a potential on a convex set: exactly for a quadratic, else by IPOPT with kinks as constraints."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.hypotheses.convex.convex_sets import ConvexSet
+from nsmodel.hypotheses.proof import exact, polynomial
+from nsmodel.model.convex_read import replay
+from nsmodel.model.expressions import column
+from nsmodel.solve.quiet import quiet
+
+IPOPT = {
+    "print_time": False, "error_on_fail": False, "show_eval_warnings": False, "ipopt.print_level": 0, "ipopt.sb": "yes",
+    "ipopt.max_iter": 200, "ipopt.tol": 1e-10, "ipopt.bound_relax_factor": 0.0,
+}  # fmt: skip
+
+
+def least_value(g: ca.SX, C: ConvexSet, start: np.ndarray) -> tuple[np.ndarray, float]:
+    """(a point of C, the least value of g met), in doubles: the exact minimum of a quadratic, else by IPOPT."""
+    f = ca.Function("g", [C.x], [g])
+    candidates = [start, np.zeros(C.n)]
+    P = polynomial.quadratic(polynomial.read(g, C.x)[0], C.n)
+    if P is not None:
+        solved = exact.solve(P.H, -P.q)
+        candidates += [exact.doubles(solved).ravel()] if solved is not None else []
+    if P is None or C.rows.numel():
+        for point in _ipopt(g, C, start):
+            candidates += [np.round(point, digits) for digits in (2, 4, 6, 8)] + [point]
+    points = np.array(candidates)
+    rows = C.values(points)
+    inside = (rows >= -1e-12 * (1 + np.abs(points).max(axis=1, keepdims=True))).all(axis=1)
+    values = np.array(f(points.T)).ravel()
+    values = np.where(inside & np.isfinite(values), values, np.inf)
+    k = int(np.argmin(values))
+    return points[k], float(values[k])
+
+
+def _ipopt(g: ca.SX, C: ConvexSet, start: np.ndarray) -> list[np.ndarray]:
+    """Points of C where g may be least: |u| and max(u, v) replaced by levels above them, roots rounded off; and g as it is."""
+    levels, rows = [], []
+    softness = ca.SX.sym("softness")
+
+    def rule(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX:
+        if op == ca.OP_SQRT:
+            return ca.sqrt(args[0] + softness)
+        level = ca.SX.sym(f"level{len(levels)}")
+        rows.extend([level - args[0], level - (-args[0] if op == ca.OP_FABS else args[1])])
+        levels.append((level, old))
+        return level
+
+    smooth = replay(g, rule, (ca.OP_FABS, ca.OP_FMAX, ca.OP_SQRT), C.x, "potential")
+    symbols = column(level for level, _ in levels)
+    above = ca.Function("above", [C.x], [column(old for _, old in levels)])
+    problem = {"x": ca.vertcat(C.x, symbols), "f": smooth, "g": ca.vertcat(C.rows, *rows), "p": softness}
+    point, found = start, []
+    with quiet():
+        solver = ca.nlpsol("least", "ipopt", problem, IPOPT)
+        for soft in (1e-8, 1e-16) if ca.depends_on(smooth, softness) else (0.0,):
+            answer = np.array(solver(x0=ca.vertcat(point, above(point)), lbg=0, p=soft)["x"]).ravel()[: C.n]
+            point = answer if np.isfinite(answer).all() else point
+        found.append(point)
+        direct = ca.nlpsol("least", "ipopt", {"x": C.x, "f": g, "g": C.rows}, IPOPT)
+        found.append(np.array(direct(x0=start, lbg=0)["x"]).ravel())
+    return [point for point in found if np.isfinite(point).all()]

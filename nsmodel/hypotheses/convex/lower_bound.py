@@ -1,0 +1,294 @@
+"""Is a convex potential bounded below on its domain: proved term by term, by linear programming duality, or on a box's faces.
+
+A quadratic plus weighted |a'x + c| and max(a'x + c, 0) on a polyhedron {N x + h >= 0} is bounded below if and only if its
+stationarity system has a solution (Frank and Wolfe): H y + q + sum l_j a_j - N'n = 0, |l_j| <= w_j or 0 <= l_j <= w_j, n >= 0.
+That is decided in rational arithmetic. Other terms are left out where they have a lower bound of their own.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.hypotheses.convex.convex_sets import ConvexSet
+from nsmodel.hypotheses.convex.least_value import least_value
+from nsmodel.hypotheses.convex.piecewise import pieces
+from nsmodel.hypotheses.convex.ridges import ridges
+from nsmodel.hypotheses.proof import exact, extremum, feasibility, interval, polynomial
+
+ENDLESS = 1e12  # A least value below minus this, beside the value at the start, is no minimum.
+
+
+class Below(NamedTuple):
+    """What is known of inf g: ``bounded`` True or False where proved, None where not.
+
+    ``bound`` is a rigorous lower bound where there is one (else -inf), ``value`` the least value met, at ``at``;
+    ``direction`` is one of unbounded descent.
+    """
+
+    bounded: bool | None
+    how: str
+    bound: float
+    value: float
+    at: np.ndarray
+    direction: np.ndarray | None = None
+
+
+class Kink(NamedTuple):
+    """A term f(a'x) that stays above l a'x + a number for each l of [low, high] (None: infinite)."""
+
+    a: np.ndarray
+    low: Fraction | None
+    high: Fraction | None
+
+
+def additive_terms(expr: ca.SX) -> list[tuple[Fraction, ca.SX]]:
+    """The expression as a sum of factor times term, as far as its graph shows one."""
+    out, left = [], [(Fraction(1), expr)]
+    while left:
+        factor, term = left.pop()
+        op = term.op() if not term.is_constant() and not term.is_symbolic() else None
+        if op in (ca.OP_ADD, ca.OP_SUB):
+            left += [(factor if op == ca.OP_ADD else -factor, term.dep(1)), (factor, term.dep(0))]
+        elif op in (ca.OP_NEG, ca.OP_TWICE):
+            left.append((factor * (-1 if op == ca.OP_NEG else 2), term.dep(0)))
+        elif op == ca.OP_MUL and term.dep(0).is_constant():
+            left.append((factor * Fraction(float(term.dep(0))), term.dep(1)))
+        elif op in (ca.OP_MUL, ca.OP_DIV) and term.dep(1).is_constant() and float(term.dep(1)):
+            number = Fraction(float(term.dep(1)))
+            left.append((factor * (number if op == ca.OP_MUL else 1 / number), term.dep(0)))
+        else:
+            out.append((factor, term))
+    return out
+
+
+def bounded_below(g: ca.SX, C: ConvexSet, start: np.ndarray, *, convex: bool) -> Below:
+    """Decide inf g > -inf on C.
+
+    Args:
+        g: the potential without its domain, finite on C.
+        C: the domain.
+        start: a point to begin the search for the minimum at.
+        convex: whether g is proved convex on C.
+    """
+    at, value = least_value(g, C, start)
+    low, _ = interval.enclose(g, C.x, *C.hull)
+    bound = float(np.min(low))
+    if np.isfinite(bound):
+        return Below(True, "bounds of g over its whole domain", bound, max(value, bound), at)
+    parts = _parts(g, C)
+    if parts is not None:
+        P, kinks, rest = parts
+        duality = _dual(P, kinks, C.outer(at)[0])
+        if duality:
+            return Below(True, "the stationarity system has an exact solution", bound, value, at)
+        if duality is False and not rest and C.is_polyhedron:
+            direction = _descent(P, kinks, C)
+            if direction is not None:
+                return Below(
+                    False, "a direction of unbounded descent; no multipliers balance it", -np.inf, -np.inf, at, direction
+                )
+            return Below(None, "bounded below up to rounding only", -np.inf, value, at)
+    if convex and np.isfinite(value):
+        found = _well(g, C, at, value)
+        if found is not None:
+            return Below(True, "g is larger on the faces of a box around its minimum, and convex", found, value, at)
+    direction = _falls(g, C, at) if value > -ENDLESS * (1 + abs(_value(g, C, start))) else at / np.linalg.norm(at)
+    if direction is not None and _falls_for_ever(g, C, start, direction):
+        return Below(False, "g falls without end along a ray (a polynomial there, exact)", -np.inf, -np.inf, at, direction)
+    if direction is not None:
+        return Below(None, "g seems to fall without end", -np.inf, value, at, direction)
+    return Below(None, "no lower bound was proved; the least value found is given", -np.inf, value, at)
+
+
+def _value(g: ca.SX, C: ConvexSet, point: np.ndarray) -> float:
+    value = float(ca.Function("g", [C.x], [g])(point))
+    return value if np.isfinite(value) else 0.0
+
+
+# -- duality, exactly --------------------------------------------------------------------------------------------------
+
+
+def _parts(g: ca.SX, C: ConvexSet) -> tuple[polynomial.Quadratic, list[Kink], list[ca.SX]] | None:
+    """g as a convex quadratic, kinks, and terms with a lower bound of their own; None where that does not work."""
+    total: polynomial.Polynomial | None = {}
+    kinks, rest = [], []
+    for factor, term in additive_terms(g):
+        (p,) = polynomial.read(term, C.x)
+        if p is not None and polynomial.degree(p) <= 2:
+            total = polynomial.add(total, p, factor)
+            continue
+        kink, tilt = _kink(factor, term, C)
+        if kink is not None:
+            kinks.append(kink)
+            total = polynomial.add(total, tilt, factor)
+            continue
+        low, _ = interval.enclose(float(factor) * term, C.x, *C.hull)
+        if not np.isfinite(low).all():
+            return None
+        rest.append(term)
+    P = polynomial.quadratic(total, C.n)
+    return None if P is None or not exact.psd(P.H).psd else (P, kinks, rest)
+
+
+def _kink(factor: Fraction, term: ca.SX, C: ConvexSet) -> tuple[Kink | None, polynomial.Polynomial]:
+    """factor times a term as a kink, plus factor times a polynomial.
+
+    max(u, v) = max(u - v, 0) + v with affine u and v; and a function of one direction that is a polynomial on pieces: its
+    slopes at both ends, where they are finite.
+    """
+    if term.is_constant() or term.is_symbolic():
+        return None, {}
+    if term.op() in (ca.OP_FMAX, ca.OP_FMIN) and (factor > 0) == (term.op() == ca.OP_FMAX):
+        u, v = polynomial.read(ca.vertcat(term.dep(0), term.dep(1)), C.x)
+        if u is not None and v is not None and max(polynomial.degree(u), polynomial.degree(v)) <= 1:
+            sign = 1 if term.op() == ca.OP_FMAX else -1
+            found = polynomial.quadratic(polynomial.add(u, v, Fraction(-1)), C.n)
+            return (None, {}) if found is None else (Kink(sign * found.q, Fraction(0), abs(factor)), v)
+    split = ridges(term, C.x)
+    if split is None or split.s.numel() != 1:
+        return None, {}
+    ends = []
+    for sign in (-1, 1):
+        found = pieces(ca.substitute(split.h, split.s, sign * split.s), split.s)
+        if found is None:
+            return None, {}
+        c = [factor * number for number in found[-1].c]
+        power = max((k for k, number in enumerate(c) if number), default=0)
+        if power > 1 and c[power] < 0:
+            return None, {}
+        ends.append(None if power > 1 else sign * (c[1] if len(c) > 1 else Fraction(0)))
+    if None not in ends and ends[0] > ends[1]:
+        return None, {}
+    return Kink(split.a.T, ends[0], ends[1]), {}
+
+
+def _dual(P: polynomial.Quadratic, kinks: list[Kink], N: np.ndarray) -> bool | None:
+    """Whether H y + q + sum l_j a_j - N'n = 0 can be solved with multipliers in their bounds, exactly; None: undecided."""
+    n, m, k = len(P.H), len(kinks), len(N)
+    # Columns: y, l (free), tau, n, slacks of the upper and lower bounds of l (all >= 0, tau > 0 wanted).
+    A = exact.zeros(n + 2 * m, n + m + 1 + k + 2 * m)
+    A[:n, :n], A[:n, n + m] = P.H, P.q.ravel()
+    if k:
+        A[:n, n + m + 1 : n + m + 1 + k] = -N.T
+    for j, kink in enumerate(kinks):
+        A[:n, n + j] = kink.a.ravel()
+        for row, sign, end in ((n + 2 * j, Fraction(-1), kink.high), (n + 2 * j + 1, Fraction(1), kink.low)):
+            if end is not None:  # end tau - l = s, or l - end tau = s
+                A[row, n + j], A[row, n + m] = sign, -sign * end
+                A[row, n + m + 1 + k + row - n] = Fraction(-1)
+    return _solvable(A, list(range(n + m, A.shape[1])), n + m)
+
+
+def _solvable(A: np.ndarray, signed: list[int], column: int) -> bool | None:
+    """Whether A u = 0 has a solution with u >= 0 on the ``signed`` columns and u > 0 on one of them; None: undecided.
+
+    Columns that a separator shows to be 0 at every solution are left out, until the rest is solved strictly.
+    """
+    left = list(range(A.shape[1]))
+    while column in left:
+        own = {j: i for i, j in enumerate(left)}
+        part = feasibility.System(A[:, left], tuple(own[j] for j in signed if j in own))
+        answer = feasibility.decide(part)
+        if answer.point is not None:
+            return True
+        if answer.separator is None:
+            return None
+        z = exact.product(answer.separator[None, :], part.A).ravel()
+        left = [j for j in left if j not in signed or not z[own[j]]]
+    return False
+
+
+def _descent(P: polynomial.Quadratic, kinks: list[Kink], C: ConvexSet) -> np.ndarray | None:
+    """A direction d of C with H d = 0 along which g falls at a rate clear of rounding, by linear programming."""
+    from scipy.optimize import linprog
+
+    n, m = C.n, len(kinks)
+    N, _ = (exact.doubles(part) for part in C.half_spaces)
+    H, q = exact.doubles(P.H), exact.doubles(P.q).ravel()
+    # A kink's rate along d is s >= high a'd, s >= low a'd; a side where it grows faster than linearly is closed.
+    rows = [np.hstack([-N, np.zeros((len(N), m))])]
+    sizes = [0.0]
+    for j, kink in enumerate(kinks):
+        a, unit = exact.doubles(kink.a).ravel(), np.eye(m)[j]
+        for sign, end in ((1.0, kink.high), (-1.0, kink.low)):
+            row = np.append(sign * a, np.zeros(m)) if end is None else np.append(float(end) * a, -unit)
+            rows.append(row[None, :])
+            sizes.append(0.0 if end is None else abs(float(end)) * float(np.abs(a).max()))
+    w = np.ones(m)
+    bounds = [(-1, 1)] * n + [(None, None)] * m
+    A_ub = np.vstack(rows)
+    scale = max(np.abs(H).max(initial=0.0), np.finfo(float).tiny)
+    kernel = {"A_eq": np.hstack([H / scale, np.zeros((n, m))]), "b_eq": np.zeros(n)} if np.abs(H).any() else {}
+    found = linprog(np.append(q, w), A_ub=A_ub, b_ub=np.zeros(len(A_ub)), bounds=bounds, method="highs", **kernel)
+    size = np.abs(q).max(initial=0.0) + max(sizes)
+    if found.status != 0 or not found.fun < -1e-9 * max(size, np.finfo(float).tiny):
+        return None
+    return found.x[:n]
+
+
+# -- other convex functions --------------------------------------------------------------------------------------------
+
+
+def _well(g: ca.SX, C: ConvexSet, at: np.ndarray, value: float) -> float | None:
+    """A lower bound of a convex g on C: its bound on a box around ``at`` on whose faces it is larger than g(at).
+
+    A convex function that is larger at every point of C on the box's boundary than at a point inside grows on along each ray.
+    """
+    scale = max(1.0, float(np.abs(at).max()))
+    slack = float(np.max(interval.enclose(g, C.x, at, at)[1]))
+    for size in (1.0, 10.0, 1000.0):
+        low, high = np.maximum(at - size * scale, C.hull[0]), np.minimum(at + size * scale, C.hull[1])
+        faces = [
+            (i, end)
+            for i in range(C.n)
+            for end, hull in ((low[i], C.hull[0][i]), (high[i], C.hull[1][i]))
+            if end != hull or not np.isfinite(hull)
+        ]
+        if all(_above_on_face(g, C, low, high, i, end, slack) for i, end in faces):
+            found = extremum.supremum(-g, C.x, low, high, where=C.rows if C.rows.numel() else None, points=at[None, :])
+            bound = -found.bound
+            if np.isfinite(bound):
+                return float(bound)
+    return None
+
+
+def _above_on_face(g: ca.SX, C: ConvexSet, low: np.ndarray, high: np.ndarray, i: int, end: float, level: float) -> bool:
+    face_low, face_high = low.copy(), high.copy()
+    face_low[i] = face_high[i] = end
+    bound, _ = interval.enclose(g, C.x, face_low, face_high)
+    if float(np.min(bound)) > level:
+        return True
+    found = extremum.supremum(-g, C.x, face_low, face_high, bound_to=-level)
+    return bool(found.bound < -level)
+
+
+def _falls(g: ca.SX, C: ConvexSet, at: np.ndarray) -> np.ndarray | None:
+    """A direction along which g keeps falling at three sizes, of the 2 n along the axes and the gradient's."""
+    f = ca.Function("g", [C.x], [g, ca.gradient(g, C.x)])
+    slope = np.array(f(at)[1]).ravel()
+    directions = [*np.eye(C.n), *-np.eye(C.n)]
+    if np.isfinite(slope).all() and np.linalg.norm(slope):
+        directions.append(-slope / np.linalg.norm(slope))
+    for d in directions:
+        points = at + np.array([1.0, 1e3, 1e6])[:, None] * d
+        values = np.array(f(points.T)[0]).ravel()
+        if (C.values(points) >= 0).all() and np.isfinite(values).all() and (np.diff(values) < -1.0).all():
+            return d
+    return None
+
+
+def _falls_for_ever(g: ca.SX, C: ConvexSet, start: np.ndarray, d: np.ndarray) -> bool:
+    """Whether the ray start + t d stays in C and g tends to -inf on it, its last piece being a polynomial: exactly."""
+    if C.rows.numel() and not (C.is_polyhedron and C.surely_inside(start) is not None):
+        return False
+    N, _ = C.half_spaces
+    if any(number < 0 for number in exact.product(N, exact.rational(d[:, None])).ravel()):
+        return False
+    t = ca.SX.sym("t")
+    found = pieces(ca.substitute(g, C.x, ca.DM(start) + t * ca.DM(d)), t)
+    growing = [number for number in found[-1].c[1:] if number] if found else []
+    return bool(growing) and growing[-1] < 0

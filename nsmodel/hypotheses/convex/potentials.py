@@ -1,0 +1,192 @@
+"""Is a potential convex on its domain: exactly where it is quadratic, by the rules of convex functions, else by its Hessian."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.hypotheses.convex import convexity
+from nsmodel.hypotheses.convex.convex_sets import ConvexSet, Part
+from nsmodel.hypotheses.convex.lower_bound import additive_terms
+from nsmodel.hypotheses.convex.ridges import Ridges, ridges
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED
+from nsmodel.hypotheses.proof import exact, extremum, halfline, interval, polynomial
+
+EPS = float(np.finfo(float).eps)
+ROUNDING = 64 * EPS  # A least eigenvalue above minus this, beside the matrix, is not told from 0.
+MOST_DIRECTIONS = 12
+LEAST = "least eigenvalue of D2 g"
+
+
+class Smooth(NamedTuple):
+    """A potential as ``smooth`` plus terms each proved convex for all x."""
+
+    smooth: ca.SX
+    convex: bool  # Whether the smooth part is proved convex for all x as well.
+
+
+def is_convex(g: ca.SX, C: ConvexSet, lower: np.ndarray, upper: np.ndarray, *, quick: bool) -> Part:
+    """Decide whether g, finite on C, is convex there; the value holds the least eigenvalue of the Hessian of its smooth part."""
+    P = polynomial.quadratic(polynomial.read(g, C.x)[0], C.n)
+    if P is not None:
+        return _quadratic(P, C)
+    parts = _split(g, C.x)
+    P = polynomial.quadratic(polynomial.read(parts.smooth, C.x)[0], C.n)
+    if P is not None:
+        found = _quadratic(P, C)
+        if found.verdict != HOLDS or P.H.any():
+            return found._replace(how=f"terms convex by the rules of convex functions, and a quadratic: {found.how}")
+        return found._replace(how="everywhere, by the rules of convex functions")
+    H = ca.densify(ca.hessian(parts.smooth, C.x)[0])
+    low, high = np.maximum(C.hull[0], lower), np.minimum(C.hull[1], upper)
+    if parts.convex or convexity.everywhere(g, C.x)[0].convex:
+        return Part(HOLDS, "everywhere, by the rules of convex functions", _seen(H, C, low, high), {})
+    if _univariate(parts.smooth, C):
+        return Part(
+            HOLDS, "everywhere: a sum of polynomials in one state each, decided by Sturm's theorem", _seen(H, C, low, high), {}
+        )
+    return _by_hessian(parts.smooth, H, C, (low, high), quick=quick)
+
+
+def _quadratic(P: polynomial.Quadratic, C: ConvexSet) -> Part:
+    decided, H = exact.psd(P.H), exact.doubles(P.H)
+    values, vectors = np.linalg.eigh(H) if C.n else (np.zeros(0), np.zeros((0, 0)))
+    least, size = float(values.min(initial=np.inf)), float(np.abs(values).max(initial=0.0))
+    if decided.psd:
+        # Its exact sign is known: a double below 0 is rounding.
+        return Part(HOLDS, "everywhere: the constant Hessian is psd in exact arithmetic", {LEAST: max(least, 0.0)}, {})
+    witness = {"vector": vectors[:, 0], "x": "any"}
+    if least >= -ROUNDING * size:
+        how = "the constant Hessian is psd up to rounding only"
+        return Part(SAMPLED, how, {LEAST: least, "rounding bound": ROUNDING * size}, witness)
+    return Part(VIOLATED, "the constant Hessian has a negative eigenvalue", {LEAST: least}, witness)
+
+
+def _split(g: ca.SX, x: ca.SX) -> Smooth:
+    """Set aside the convex terms with kinks; what is left is to be smooth, quadratic terms included."""
+    kept, proved = ca.SX(0), True
+    terms = additive_terms(g)
+    scaled = [_times(factor, term) for factor, term in terms]
+    if any(term is None for term in scaled):
+        return Smooth(g, False)
+    shapes = convexity.everywhere(ca.vertcat(*scaled), x)
+    polynomials = polynomial.read(ca.vertcat(*scaled), x)
+    for term, shape, p in zip(scaled, shapes, polynomials, strict=True):
+        if shape.convex and p is None and not _smooth_everywhere(term, x):
+            continue
+        kept += term
+        proved = proved and shape.convex
+    return Smooth(kept, proved)
+
+
+def _times(factor: Fraction, term: ca.SX) -> ca.SX | None:
+    """The same number as a real one, without rounding; None where doubles do not hold it."""
+    top, bottom = float(factor.numerator), float(factor.denominator)
+    if Fraction(float(factor)) == factor:
+        return float(factor) * term
+    return top * term / bottom if (Fraction(top), Fraction(bottom)) == (factor.numerator, factor.denominator) else None
+
+
+def _smooth_everywhere(term: ca.SX, x: ca.SX) -> bool:
+    unbounded = np.full(x.numel(), np.inf)
+    return interval.is_continuous(ca.vertcat(term, ca.gradient(term, x)), x, -unbounded, unbounded)
+
+
+def _seen(H: ca.SX, C: ConvexSet, lower: np.ndarray, upper: np.ndarray) -> dict[str, float]:
+    """The least eigenvalue at some points of the box, for the reader."""
+    if not H.nnz():
+        return {}
+    points = extremum.samples(lower, upper, 64)
+    points = points[(C.values(points) >= 0).all(axis=1)]
+    if not len(points):
+        return {}
+    values = np.array(ca.Function("H", [C.x], [H]).map(len(points))(points.T)).reshape(C.n, len(points), C.n).transpose(1, 0, 2)
+    values = values[np.isfinite(values).all(axis=(1, 2))]
+    return {LEAST: float(np.linalg.eigvalsh(values)[:, 0].min())} if len(values) else {}
+
+
+def _univariate(smooth: ca.SX, C: ConvexSet) -> bool:
+    """Whether the smooth part is a sum of convex polynomials in one state each, for all x."""
+    (p,) = polynomial.read(smooth, C.x)
+    if p is None or any(len(monomial) > 1 for monomial in p):
+        return False
+    for variable in polynomial.variables(p):
+        own = {monomial: number for monomial, number in p.items() if monomial and monomial[0][0] == variable}
+        second = halfline.derivative(halfline.derivative(polynomial.coefficients(own)))
+        if halfline.negative_point(second, None, None) is not None:
+            return False
+    return True
+
+
+def _by_hessian(smooth: ca.SX, H: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray], *, quick: bool) -> Part:
+    """Bounds of the eigenvalues of -D2 g: on the box that holds C, then on the box looked at."""
+    gradient = ca.vertcat(smooth, ca.gradient(smooth, C.x))
+    where = C.rows if C.rows.numel() else None
+    if interval.is_continuous(gradient, C.x, *C.hull):
+        found = extremum.largest_eigenvalue(-H, C.x, *C.hull, where=where, bound_to=0.0, quick=True)
+        if found.bound <= 0:
+            return Part(HOLDS, "everywhere: bounds of the eigenvalues of the Hessian", {LEAST: -found.value}, {})
+    split = ridges(smooth, C.x)
+    if split is not None and _convex_in_directions(split, C.x, C.hull, quick=True):
+        how = "everywhere: bounds of the Hessian in the directions that the operations act on"
+        return Part(HOLDS, how, _seen(H, C, *box), {})
+    found = extremum.largest_eigenvalue(-H, C.x, *box, where=where, bound_to=0.0, quick=quick)
+    value = {} if found.at is None else {LEAST: -found.value}
+    down = downwards(H, C.x, found.at)
+    if down:
+        return Part(VIOLATED, "the Hessian has a negative eigenvalue", value, down)
+    proved = found.bound <= 0 and interval.is_continuous(gradient, C.x, *box)
+    if proved or (split is not None and _convex_in_directions(split, C.x, box, quick=quick)):
+        how = "on the box: bounds of the eigenvalues of the Hessian"
+        outside = extremum.largest_eigenvalue(-H, C.x, *C.hull, where=where, quick=True)
+        if downwards(H, C.x, outside.at):
+            return Part(HOLDS, f"{how}; not outside", value, {"not convex at": outside.at})
+        return Part(HOLDS, how, value, {})
+    broken = _broken(smooth, C, box)
+    if broken is not None:
+        return broken
+    how = f"no negative eigenvalue of the Hessian at {found.count} points of the box"
+    return Part(SAMPLED, how, value or {LEAST: np.nan}, {} if found.at is None else {"x": found.at})
+
+
+def _convex_in_directions(split: Ridges, x: ca.SX, box: tuple[np.ndarray, np.ndarray], *, quick: bool) -> bool:
+    """Whether the function of the directions is convex on the box that they range over."""
+    if not split.s.numel() or split.s.numel() > MOST_DIRECTIONS:
+        return not split.s.numel()
+    ends = split.box(x, *box)
+    if not interval.is_continuous(ca.vertcat(split.h, ca.gradient(split.h, split.s)), split.s, *ends):
+        return False
+    H = ca.densify(ca.hessian(split.h, split.s)[0])
+    return bool(extremum.largest_eigenvalue(-H, split.s, *ends, bound_to=0.0, quick=quick).bound <= 0)
+
+
+def downwards(H: ca.SX, x: ca.SX, at: np.ndarray | None) -> dict[str, np.ndarray]:
+    """The point and a vector v with v'Hv < 0 there, rounding included; empty where there is none."""
+    if at is None:
+        return {}
+    values = np.array(ca.Function("H", [x], [H])(at))
+    if not np.isfinite(values).all():
+        return {}
+    v = np.linalg.eigh((values + values.T) / 2)[1][:, 0]
+    _, high = interval.enclose(ca.DM(v).T @ H @ ca.DM(v), x, at, at)
+    return {"x": np.asarray(at), "vector": v} if float(np.max(high)) < 0 else {}
+
+
+def _broken(g: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray]) -> Part | None:
+    """Two points of C where g in the middle is larger than the mean, beyond rounding: kinks that bend downwards."""
+    points = extremum.samples(*box, 1024)
+    points = points[(C.values(points) >= 0).all(axis=1)]
+    half = len(points) // 2
+    a, b = points[:half], points[half : 2 * half]
+    f = ca.Function("g", [C.x], [g])
+    left, right, middle = (np.array(f(part.T)).ravel() for part in (a, b, (a + b) / 2))
+    excess = middle - (left + right) / 2
+    excess = np.where(np.isfinite(excess), excess - 1e-9 * (1 + np.abs(left) + np.abs(right)), -np.inf)
+    if not half or excess.max() <= 0:
+        return None
+    k = int(np.argmax(excess))
+    how = "two points in whose middle the potential is larger than the mean of both"
+    return Part(VIOLATED, how, {"excess at the middle": float(excess[k])}, {"x": a[k], "y": b[k]})

@@ -1,0 +1,175 @@
+"""What a check returns: one finding a hypothesis, what follows from them, and the report of both."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+HOLDS, SAMPLED, VIOLATED, UNKNOWN = "holds", "sampled", "violated", "unknown"
+VERDICTS = (HOLDS, SAMPLED, VIOLATED, UNKNOWN)  # from proved to undecided
+
+
+class Hypothesis(NamedTuple):
+    """What a paper asks for: its id, what it says in words, where it stands."""
+
+    id: str
+    statement: str
+    source: str
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What was found out about one hypothesis.
+
+    Attributes:
+        id: of the hypothesis: "A5", "5.1", "O-dry", ...
+        statement: what it says, in words.
+        verdict: "holds" (proved: exactly, or by a bound over the whole region), "sampled" (no violation at the points looked
+            at), "violated" (``witness`` says where) or "unknown" (``how`` says why).
+        value: {name: number}, the numbers that the theory asks for.
+        witness: {name: number, list or text}: the point, vector or index set of the worst value found.
+        source: paper and number.
+        how: how it was decided, and over which region.
+    """
+
+    id: str
+    statement: str
+    verdict: str
+    value: Mapping[str, float]
+    witness: Mapping[str, Any]
+    source: str
+    how: str
+
+
+def found(
+    hypothesis: Hypothesis,
+    verdict: str,
+    how: str,
+    value: Mapping[str, float] | None = None,
+    witness: Mapping[str, Any] | None = None,
+) -> Finding:
+    """Return the finding; a verdict without its number, witness or reason is a defect and refused.
+
+    Raises:
+        ValueError: an unknown verdict, no reason, no number (but for "unknown"), no witness of a violation.
+    """
+    if verdict not in VERDICTS:
+        raise ValueError(f"{hypothesis.id}: verdict {verdict!r}; expected one of {', '.join(VERDICTS)}")
+    if not how or (verdict != UNKNOWN and not value) or (verdict == VIOLATED and not witness):
+        raise ValueError(f"{hypothesis.id}: '{verdict}' needs a reason, a number, and where violated a witness")
+    plain = MappingProxyType({name: _plain(item) for name, item in (witness or {}).items()})
+    numbers = MappingProxyType({name: float(number) for name, number in (value or {}).items()})
+    return Finding(hypothesis.id, hypothesis.statement, verdict, numbers, plain, hypothesis.source, how)
+
+
+@dataclass(frozen=True)
+class Consequence:
+    """What follows from hypotheses.
+
+    Attributes:
+        name: "well posed", "step bound", "K_L", ...
+        statement: in words or as a formula.
+        rests_on: ids of the findings that it needs.
+        verdict: "holds" where all of them are proved, "sampled" where one is sampled only, "violated" where its number
+            contradicts the claim, "unknown" where a hypothesis is violated or undecided: then nothing follows.
+        value: {name: number}.
+        source: paper and number.
+    """
+
+    name: str
+    statement: str
+    rests_on: tuple[str, ...]
+    verdict: str
+    value: Mapping[str, float]
+    source: str
+
+
+def follows(
+    name: str, statement: str, findings: Sequence[Finding], rests_on: Sequence[str], source: str,
+    value: Mapping[str, float] | None = None,
+) -> Consequence:  # fmt: skip
+    """Return the consequence; its verdict is the weakest of those that it rests on."""
+    verdicts = {finding.id: finding.verdict for finding in findings}
+    own = [verdicts[id] for id in rests_on]
+    verdict = UNKNOWN if {VIOLATED, UNKNOWN} & set(own) else SAMPLED if SAMPLED in own else HOLDS
+    numbers = MappingProxyType({key: float(number) for key, number in (value or {}).items()})
+    return Consequence(name, statement, tuple(rests_on), verdict, numbers, source)
+
+
+@dataclass(frozen=True)
+class Report:
+    """All findings about one model.
+
+    Attributes:
+        title, model_class, paper: of the model.
+        region: where hypotheses about a region were decided, in words.
+        quick: whether global searches were skipped.
+        findings: one for each hypothesis of the class, then those about the runs.
+        consequences: what follows.
+        parameters: values by name; None where a parameter stayed a symbol.
+        notes: what the reader should know beside (a run that stopped, parameters without value).
+        model: the model with its parameters bound.
+    """
+
+    title: str
+    model_class: str
+    paper: str
+    region: str
+    quick: bool
+    findings: tuple[Finding, ...]
+    consequences: tuple[Consequence, ...]
+    parameters: Mapping[str, float | None]
+    notes: tuple[str, ...]
+    model: Any = field(repr=False, compare=False)
+
+    def text(self) -> str:
+        """The report as a table for a terminal, 100 columns wide."""
+        from nsmodel.hypotheses.report.table import text
+
+        return text(self)
+
+    def document(self) -> dict[str, Any]:
+        """The report as a dictionary that JSON can hold."""
+        from nsmodel.hypotheses.report.table import document
+
+        return document(self)
+
+    def markdown(self) -> str:
+        """The report as a Markdown page, with the model's equations in LaTeX."""
+        from nsmodel.hypotheses.report.markdown import markdown
+
+        return markdown(self, self.model)
+
+    def __getitem__(self, id: str) -> Finding:
+        """Return the finding of a hypothesis: ``report["A5"]``."""
+        for finding in self.findings:
+            if finding.id == id:
+                return finding
+        raise KeyError(f"no finding '{id}'; the report has {', '.join(finding.id for finding in self.findings)}")
+
+    def having(self, verdict: str) -> tuple[Finding, ...]:
+        """The findings with this verdict."""
+        return tuple(finding for finding in self.findings if finding.verdict == verdict)
+
+    @property
+    def verdict(self) -> str:
+        """One line: how many hypotheses hold, and the ids of the others."""
+        parts = [f"{len(self.having(HOLDS))} proved"]
+        for verdict in (SAMPLED, VIOLATED, UNKNOWN):
+            ids = [finding.id for finding in self.having(verdict)]
+            if ids:
+                parts.append(f"{len(ids)} {verdict} ({', '.join(ids)})")
+        return ", ".join(parts) + (" (quick: global searches skipped)" if self.quick else "")
+
+
+def _plain(item: Any) -> Any:
+    """Numbers, text and nested lists of them, so that a witness can be written as JSON."""
+    if hasattr(item, "tolist"):
+        item = item.tolist()
+    if isinstance(item, list | tuple):
+        return [_plain(part) for part in item]
+    if isinstance(item, bool | int | str) or item is None:
+        return item
+    return float(item)

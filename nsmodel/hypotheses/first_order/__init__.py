@@ -1,0 +1,1 @@
+"""Hypotheses of the theta-gamma scheme for first-order nonsmooth systems."""

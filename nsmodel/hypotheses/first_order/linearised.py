@@ -1,0 +1,212 @@
+"""The matrices of Newton's linearisation of a first-order system, exactly where they are constant, and where to look at them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.hypotheses.lure.domains import ends
+from nsmodel.hypotheses.proof import exact
+from nsmodel.hypotheses.proof.extremum import samples
+from nsmodel.hypotheses.proof.jumps import Jump, find_jump, jumps_in
+from nsmodel.hypotheses.region import GROWTH, Region
+from nsmodel.model.first_order import FirstOrderSystem
+from nsmodel.model.laws import Law
+from nsmodel.trajectory import Trajectory
+
+ROWS = 100  # of the runs that are looked at
+SAMPLES = 32  # points where there is no run
+
+
+class Jacobians(NamedTuple):
+    """A = f_x, C = h_x, D = h_l, K = g_x, B = g_l as expressions of (t, x, l)."""
+
+    A: ca.SX
+    C: ca.SX
+    D: ca.SX
+    K: ca.SX
+    B: ca.SX
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """What the findings share.
+
+    Attributes:
+        model, jacobians: as they are.
+        z: (t, x, l), with ``names``.
+        lower, upper: the box of z: the region, and K or the box around the run's multipliers; ``where`` says so.
+        points: (k, 1 + n + m) rows of the runs, or samples of the box.
+        along: what the points are, in words.
+        steps: the step lengths that occur, increasing.
+    """
+
+    model: FirstOrderSystem
+    jacobians: Jacobians
+    z: ca.SX
+    names: tuple[str, ...]
+    lower: np.ndarray
+    upper: np.ndarray
+    where: str
+    points: np.ndarray
+    along: str
+    steps: np.ndarray
+
+    @property
+    def affine(self) -> bool:
+        """Whether f, h and g are affine in x and l: then one Newton iteration is exact."""
+        return not self.switches and not any(ca.depends_on(J, self.z[1:]) for J in self.jacobians if J.numel())
+
+    @cached_property
+    def switches(self) -> bool:
+        """Whether f, h or g has an operation that can jump with x or l; its derivative, 0, does not show that."""
+        return bool(jumps_in(ca.vertcat(self.model.f, self.model.h, self.model.g), self.z[1:]))
+
+    @cached_property
+    def jump(self) -> Jump | None:
+        """A point of the box where f, h or g jumps; None where none is found."""
+        if not self.switches:
+            return None
+        stacked = ca.vertcat(self.model.f, self.model.h, self.model.g)
+        return find_jump(stacked, self.z, self.lower, self.upper, lambda points: np.full(len(points), True))
+
+    @property
+    def constant(self) -> bool:
+        """Whether all Jacobians are numbers."""
+        return not any(ca.symvar(J) for J in self.jacobians)
+
+    @cached_property
+    def G(self) -> ca.SX:
+        """Theta A + gamma K: W = M - h G."""
+        return ca.simplify(self.model.theta * self.jacobians.A + self.model.gamma * self.jacobians.K)
+
+    @property
+    def constant_W(self) -> bool:
+        """Whether W does not change with t, x and l."""
+        return not ca.symvar(self.jacobians.A if self.model.theta else ca.SX(1)) and not ca.symvar(
+            self.jacobians.K if self.model.gamma else ca.SX(1)
+        )
+
+    @cached_property
+    def M(self) -> np.ndarray:
+        """The mass matrix in Fractions."""
+        return exact.rational(numbers(self.model.M))
+
+    def exact_G(self) -> np.ndarray:
+        """Theta A + gamma K in Fractions, where it is constant."""
+        theta, gamma = exact.rational([self.model.theta, self.model.gamma])
+        n = len(self.M)
+        A = exact.rational(numbers(self.jacobians.A)) if theta else exact.zeros(n, n)
+        K = exact.rational(numbers(self.jacobians.K)) if gamma else exact.zeros(n, n)
+        return theta * A + gamma * K
+
+    def exact_W(self, h: float) -> np.ndarray:
+        """M - h (theta A + gamma K) in Fractions, where it is constant."""
+        return self.M - exact.rational([h])[0] * self.exact_G()
+
+    def exact_mlcp(self, h: float) -> np.ndarray | None:
+        """W_mlcp in Fractions, where all is constant; None where W is singular."""
+        B, C, D = (exact.rational(numbers(J)) for J in (self.jacobians.B, self.jacobians.C, self.jacobians.D))
+        W, (step, gamma) = self.exact_W(h), exact.rational([h, self.model.gamma])
+        if exact.rank(W) < len(W):
+            return None
+        through = exact.solve(W, B) if B.shape[1] else B
+        return D + step * gamma * exact.product(C, through)
+
+    def values(self, matrix: ca.SX) -> np.ndarray:
+        """A matrix at all points, (k, rows, columns)."""
+        f = ca.Function("values", [self.z], [ca.densify(matrix)])
+        return np.array([np.array(f(point)).reshape(matrix.shape) for point in self.points])
+
+    def mlcp_values(self, h: float) -> np.ndarray:
+        """W_mlcp at all points (k, m, m), NaN where W is singular."""
+        W = numbers(self.model.M) - h * self.values(self.G)
+        B, C, D = (self.values(J) for J in (self.jacobians.B, self.jacobians.C, self.jacobians.D))
+        out = np.full(D.shape, np.nan)
+        for k in range(len(W)):
+            if np.isfinite(W[k]).all() and np.linalg.cond(W[k]) < 1e15:
+                out[k] = D[k] + h * self.model.gamma * C[k] @ np.linalg.solve(W[k], B[k])
+        return out
+
+    def at(self, point: np.ndarray) -> dict[str, object]:
+        """A point as a witness."""
+        n = len(self.model.names)
+        shown = {"t": point[0], "x": point[1 : n + 1]}
+        return {**shown, "l": point[n + 1 :]} if len(point) > n + 1 else shown
+
+
+def numbers(matrix: ca.SX) -> np.ndarray:
+    """A constant matrix as doubles."""
+    return np.array(ca.DM(ca.densify(matrix))).reshape(matrix.shape)
+
+
+def linearised(model: FirstOrderSystem, region: Region, runs: Sequence[Trajectory]) -> Linearised:
+    """Differentiate the model, and choose the box and the points."""
+    J = Jacobians(*(ca.simplify(ca.jacobian(e, s)) for e, s in (
+        (model.f, model.x), (model.h, model.x), (model.h, model.lam), (model.g, model.x), (model.g, model.lam),
+    )))  # fmt: skip
+    points = _along(runs)
+    low_l, high_l, where = _multipliers(model.law, points[:, 1 + len(model.names) :])
+    steps = _steps(model, runs)
+    end = region.t1 + steps.max(initial=0.0)
+    lower = np.concatenate([[region.t0], region.lower, low_l])
+    upper = np.concatenate([[end], region.upper, high_l])
+    along = f"{len(points)} rows of the run"
+    if not len(points):
+        start = [0.0, *numbers(model.x0).ravel(), *np.clip(numbers(model.lam0).ravel(), low_l, high_l)]
+        points = np.vstack([start, samples(lower, upper, SAMPLES)])
+        along = f"{len(points)} points of the region"
+    names = ("t", *region.names, *model.multiplier_names)
+    z = ca.vertcat(model.t, model.x, model.lam)
+    return Linearised(model, J, z, names, lower, upper, where, points, along, steps)
+
+
+def _along(runs: Sequence[Trajectory]) -> np.ndarray:
+    """Rows (t, x, l) of the runs, evenly spread."""
+    rows = []
+    for run in runs:
+        parts = [run.t[1:, None], run.x[1:], *([run.multipliers[1:]] if "multipliers" in run.arrays else [])]
+        table = np.hstack(parts)
+        rows.append(table[np.isfinite(table).all(axis=1)])
+    if not rows:
+        return np.zeros((0, 0))
+    table = np.vstack(rows)
+    return table[np.unique(np.linspace(0, len(table) - 1, min(ROWS, len(table))).astype(int))] if len(table) else table
+
+
+def _multipliers(law: Law, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray, str]:
+    """The box of l: K where it is bounded, else the box around the run, else the whole line."""
+    low, high = [], []
+    for block in law.blocks:
+        if block.kind == "box":
+            ends_low, ends_high = ends(block)
+        elif block.kind == "ball":
+            ends_high = np.full(block.size, float(block.upper[0]))
+            ends_low = -ends_high
+        else:
+            ends_low, ends_high = np.full(block.size, -np.inf), np.full(block.size, np.inf)
+        low.append(ends_low)
+        high.append(ends_high)
+    lower, upper = np.concatenate([np.zeros(0), *low]), np.concatenate([np.zeros(0), *high])
+    if np.isfinite(lower).all() and np.isfinite(upper).all():
+        return lower, upper, "the region, all times and all l in K" if lower.size else "the region and all times"
+    if not len(seen):
+        return lower, upper, "the region, all times and all l in K"
+    middle, half = (seen.max(axis=0) + seen.min(axis=0)) / 2, GROWTH * (seen.max(axis=0) - seen.min(axis=0)) / 2
+    lower = np.where(np.isfinite(lower), lower, middle - half)
+    upper = np.where(np.isfinite(upper), upper, middle + half)
+    return lower, upper, f"the region, all times, and l within {GROWTH:g} times its range along the run"
+
+
+def _steps(model: FirstOrderSystem, runs: Sequence[Trajectory]) -> np.ndarray:
+    """Step lengths of the runs, or the model's own."""
+    parts = [run.step[1:] for run in runs if "step" in run.arrays]
+    if not parts:
+        parts = [model.steps if model.steps is not None else [] if model.step is None else [model.step]]
+    steps = np.unique(np.concatenate([np.asarray(part, float) for part in parts]))
+    return steps[np.isfinite(steps) & (steps > 0)]

@@ -1,0 +1,122 @@
+"""Matrices of a step, decided exactly: P-matrices, and up to which step M - s G stays regular."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+
+from nsmodel.hypotheses.proof import exact
+
+MOST_MINORS = 12  # Rows up to which all principal minors are looked at: 2^12.
+MOST_ROOTS = 12  # States up to which the roots of det(M - s G) are counted exactly.
+
+
+class Minor(NamedTuple):
+    """The least principal minor found, in units in which the diagonal is 1 where it is not 0, and its rows."""
+
+    value: float
+    rows: list[int]
+
+
+def p_matrix(W: np.ndarray) -> tuple[bool | None, Minor]:
+    """Whether all principal minors of W (rational) are > 0; None where W is too large for that.
+
+    Each minor is a product of pivots; one that is <= 0 ends the search (Tsatsomeros and Li's recursion on Schur complements).
+    """
+    diagonal = [W[i, i] for i in range(len(W))]
+    if any(entry <= 0 for entry in diagonal):
+        i = int(np.argmin(exact.doubles(np.array(diagonal, dtype=object))))
+        return False, Minor(float(diagonal[i]), [i])
+    scaled = W / np.array(diagonal, dtype=object)[:, None]
+    if len(W) > MOST_MINORS:
+        dominant = all(2 > sum(abs(entry) for entry in row) for row in scaled)
+        return (True if dominant else None), Minor(np.nan, [])
+    rows, least = _bad_minor(scaled, list(range(len(W))))
+    return rows is None, Minor(float(least), rows or [])
+
+
+def _bad_minor(W: np.ndarray, rows: list[int]) -> tuple[list[int] | None, Fraction]:
+    """Rows of a principal minor <= 0, or None; and that minor, else the least one."""
+    least: Fraction | None = None
+    stack = [(W, rows, [], Fraction(1))]
+    while stack:
+        part, left, chosen, minor = stack.pop()
+        if not left:
+            continue
+        pivot = part[0, 0]
+        value = minor * pivot
+        least = value if least is None else min(least, value)
+        if pivot <= 0:
+            return [*chosen, left[0]], value
+        rest = part[1:, 1:]
+        stack.append((rest, left[1:], chosen, minor))
+        schur = rest - np.outer(part[1:, 0] / pivot, part[0, 1:])
+        stack.append((schur, left[1:], [*chosen, left[0]], value))
+    return None, Fraction(1) if least is None else least
+
+
+class Steps(NamedTuple):
+    """``regular``: whether M - s G is regular for 0 < s <= h (None: not decided exactly); ``least``: h*, in floating point."""
+
+    regular: bool | None
+    least: float
+    vector: np.ndarray | None
+    bound: float
+
+
+def regular_steps(M: np.ndarray, G: np.ndarray, h: float) -> Steps:
+    """Decide M - s G for 0 < s <= h, M and G rational.
+
+    h* = 1 / (largest real eigenvalue > 0 of M^{-1} G) is where it first becomes singular. ``bound`` = 1 / |M^{-1} G| is a lower
+    bound of h*, 0 where M is singular.
+    """
+    X = exact.solve(M, G) if exact.rank(M) == len(M) else None
+    if X is None:
+        least, vector = _least_step(exact.doubles(M), exact.doubles(G))
+        return Steps(None, least, vector, 0.0)
+    least, vector = _least_step(np.eye(len(M)), exact.doubles(X))
+    norms = [max((sum(abs(entry) for entry in row) for row in part), default=Fraction(0)) for part in (X, X.T)]
+    bound = float(1 / min(norms)) if min(norms) else np.inf
+    if Fraction(h) * min(norms) < 1:
+        return Steps(True, least, vector, bound)
+    if len(X) > MOST_ROOTS:
+        return Steps(None, least, vector, bound)
+    return Steps(_count_roots(_determinant(X), h) == 0, least, vector, bound)
+
+
+def _least_step(M: np.ndarray, G: np.ndarray) -> tuple[float, np.ndarray | None]:
+    """The least s > 0 with det(M - s G) = 0 and a null vector, in floating point; (inf, None) where there is none."""
+    from scipy.linalg import eig
+
+    if not len(M):
+        return np.inf, None
+    values, vectors = eig(G, M)[:2]
+    real = np.isfinite(values) & (np.abs(values.imag) <= 1e-9 * np.abs(values)) & (values.real > 0)
+    if not real.any():
+        return np.inf, None
+    k = int(np.argmax(np.where(real, values.real, -np.inf)))
+    return float(1 / values[k].real), vectors[:, k].real
+
+
+def _determinant(X: np.ndarray) -> list[Fraction]:
+    """Coefficients c_0 = 1, c_1, ... of det(I - s X), by Faddeev and LeVerrier."""
+    n, coefficients, power = len(X), [Fraction(1)], exact.eye(len(X))
+    for k in range(1, n + 1):
+        power = exact.product(X, power)
+        coefficients.append(-sum((power[i, i] for i in range(n)), Fraction(0)) / k)
+        for i in range(n):
+            power[i, i] += coefficients[-1]
+    return coefficients
+
+
+def _count_roots(coefficients: list[Fraction], h: float) -> int:
+    """Number of real roots in (0, h], by Sturm's theorem; c_0 is not 0."""
+    import sympy
+
+    s = sympy.Symbol("s")
+    whole = [sympy.Rational(c.numerator, c.denominator) for c in reversed(coefficients)]
+    polynomial = sympy.Poly(whole, s, domain="QQ")
+    step = Fraction(h)
+    return 0 if polynomial.degree() < 1 else int(polynomial.count_roots(0, sympy.Rational(step.numerator, step.denominator)))

@@ -1,0 +1,1 @@
+"""Hypotheses of maximal monotone inclusions by catching-up (2026)."""

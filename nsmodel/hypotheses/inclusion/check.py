@@ -1,0 +1,281 @@
+"""Hypotheses of catching-up for maximal monotone inclusions (2026 paper, Section 3 and (24)), and what follows from them.
+
+x'(t) ∈ F(x(t)) - S(x(t)) - N_C(x(t)),   T = S + N_C,   G = F - S
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from copy import copy
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.hypotheses.convex import potentials
+from nsmodel.hypotheses.convex.convex_sets import ConvexSet, Part, has_interior, is_convex
+from nsmodel.hypotheses.convex.convexity import without_domain
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, follows, found
+from nsmodel.hypotheses.inclusion.growth import linear_growth
+from nsmodel.hypotheses.inclusion.one_sided import one_sided, switching_point
+from nsmodel.hypotheses.inclusion.selected_field import Field, field_of, set_of
+from nsmodel.hypotheses.inclusion.tangent import dissipativity
+from nsmodel.hypotheses.proof import exact, extremum, interval, polynomial
+from nsmodel.hypotheses.region import Region
+from nsmodel.model.convex_read import replay
+from nsmodel.model.inclusion import MonotoneInclusion
+from nsmodel.trajectory import Trajectory
+
+PAPER = "catching-up 2026"
+OPERATOR = Hypothesis("M-T", "T = S + N_C is maximal monotone", f"{PAPER}, Section 2, (5)")
+SET = Hypothesis("M-C", "C = cl dom T is closed and convex, with interior", f"{PAPER}, Section 2")
+A1 = Hypothesis("M-A1", "F is continuous and locally bounded", f"{PAPER}, (A1)")
+A2 = Hypothesis("M-A2", "|F(x) - S(x)| <= a_1 + a_2 |x| on C", f"{PAPER}, (A2)")
+A3 = Hypothesis("M-A3", "<x, w> <= -alpha |x|^2 + beta for w in P_{T_C(x)}(F(x) - S(x)), x in C", f"{PAPER}, (A3)")
+LIPSCHITZ = Hypothesis("M-24", "<G(x) - G(y), x - y> <= L |x - y|^2, G = F - S", f"{PAPER}, (24)")
+HYPOTHESES = (OPERATOR, SET, A1, A2, A3, LIPSCHITZ)
+KINKS = {ca.OP_FABS: "fabs", ca.OP_FMAX: "fmax", ca.OP_FMIN: "fmin"}
+JUMPS = (ca.OP_SIGN, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_FLOOR, ca.OP_CEIL)
+HALVINGS = 6
+
+
+def check(
+    model: MonotoneInclusion, region: Region, runs: Sequence[Trajectory], quick: bool
+) -> tuple[list[Finding], list[Consequence]]:
+    """Return one finding a hypothesis, and what follows.
+
+    Args:
+        model: bound.
+        region: the box in which what is not settled everywhere is looked at.
+        runs: of this model; their steps enter the tolerances.
+        quick: skip global searches.
+    """
+    C = set_of(model)
+    field = field_of(model, C)
+    box = region.lower, region.upper
+    x0 = np.array(ca.DM(model.x0)).ravel()
+    a, operator = linear_growth(field, box, quick=quick), _operator(model, C, box, quick)
+    monotone = operator.verdict == HOLDS and "on the box" not in operator.how
+    parts = (
+        (OPERATOR, operator),
+        (SET, _set(C, box, x0, quick)),
+        (A1, _continuous(model, C, box)),
+        (A2, a),
+        (A3, dissipativity(field, a, quick=quick)),
+        (LIPSCHITZ, one_sided(field, box, quick=quick, alone=model.field if monotone else None)),
+    )
+    findings = [found(hypothesis, part.verdict, part.how, part.value, part.witness) for hypothesis, part in parts]
+    return findings, _consequences(model, findings, x0, runs)
+
+
+# -- M-C ---------------------------------------------------------------------------------------------------------------
+
+
+def _set(C: ConvexSet, box: tuple[np.ndarray, np.ndarray], x0: np.ndarray, quick: bool) -> Part:
+    convex, interior = is_convex(C, *box, quick=quick), has_interior(C, x0)
+    order = (VIOLATED, UNKNOWN, SAMPLED, HOLDS)
+    verdict = min(convex.verdict, interior.verdict, key=order.index)
+    told = [part for part in (convex, interior) if part.verdict == verdict]
+    values = {**convex.value, **interior.value} or {"constraints": 0}
+    return Part(verdict, "; ".join(part.how for part in told), values, {k: w for part in told for k, w in part.witness.items()})
+
+
+# -- M-T ---------------------------------------------------------------------------------------------------------------
+
+
+def _operator(model: MonotoneInclusion, C: ConvexSet, box: tuple[np.ndarray, np.ndarray], quick: bool) -> Part:
+    if model.potential_split is not None:
+        part = potentials.is_convex(without_domain(model.phi, model.x, "phi"), C, *box, quick=quick)
+        value = {"least eigenvalue of sym S'": part.value[potentials.LEAST]} if potentials.LEAST in part.value else part.value
+        return part._replace(how=f"T = dphi, phi convex: {part.how}", value=value or {"terms": len(model.potential_split.terms)})
+    field = field_of(_alone(model), C)
+    if field.jumps:
+        return _broken_monotony(field)
+    S, x = -field.rest, model.x
+    entries = polynomial.read(S, x)
+    if all(p is not None and polynomial.degree(p) <= 1 for p in entries):
+        return _linear_operator(entries, x.numel(), bool(field.aligned))
+    return _smooth_operator(S, C, box, quick)
+
+
+def _alone(model: MonotoneInclusion) -> MonotoneInclusion:
+    """The same operator without F."""
+    alone = copy(model)
+    alone._set(field=ca.SX.zeros(model.x.numel()))
+    return alone
+
+
+def _linear_operator(entries: Sequence[polynomial.Polynomial | None], n: int, switches: bool) -> Part:
+    rows = [polynomial.quadratic(p, n) for p in entries]
+    A = np.hstack([row.q for row in rows if row is not None]).T
+    decided, M = exact.psd(A), exact.doubles(A)
+    values, vectors = np.linalg.eigh((M + M.T) / 2)
+    least, rounding = float(values[0]), potentials.ROUNDING * float(np.abs(values).max(initial=0.0))
+    label = "least eigenvalue of sym S'"
+    if decided.psd:
+        how = "S = 0" if not any(entries) else "everywhere: S is monotone in exact arithmetic"
+        how += ", and its switches are subdifferentials of weighted |a'x + c|" if switches else ""
+        return Part(HOLDS, how, {label: max(least, 0.0)}, {})
+    witness = {"direction": vectors[:, 0]}
+    if least >= -rounding:
+        return Part(SAMPLED, "S is monotone up to rounding only", {label: least, "rounding bound": rounding}, witness)
+    return Part(VIOLATED, "S is not monotone: <S(x) - S(y), x - y> < 0 along the direction", {label: least}, witness)
+
+
+def _smooth_operator(S: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray], quick: bool) -> Part:
+    J = ca.jacobian(S, C.x)
+    symmetric = (J + J.T) / 2
+    label = "least eigenvalue of sym S'"
+    where = C.rows if C.rows.numel() else None
+    low, high = np.maximum(C.hull[0], box[0]), np.minimum(C.hull[1], box[1])
+    searches = (("everywhere on C", C.hull, True), ("on the box", (low, high), quick))
+    for place, ends, fast in searches:
+        if not interval.is_continuous(S, C.x, *ends):
+            continue
+        sup = extremum.largest_eigenvalue(-symmetric, C.x, *ends, where=where, bound_to=0.0, quick=fast)
+        if sup.bound <= 0:
+            value = {label: -sup.value if sup.at is not None else -sup.bound}
+            return Part(HOLDS, f"{place}: bounds of the eigenvalues of the symmetric Jacobian of S", value, {})
+        down = potentials.downwards(ca.densify(symmetric), C.x, sup.at)
+        if down:
+            how = "the symmetric Jacobian of S has a negative eigenvalue: S is not monotone"
+            return Part(VIOLATED, how, {label: -sup.value}, down)
+    sup = extremum.largest_eigenvalue(-symmetric, C.x, low, high, where=where, quick=True)
+    if sup.at is None:
+        return Part(UNKNOWN, "S is not proved continuous on the box, and its Jacobian could not be looked at", {}, {})
+    how = f"no negative eigenvalue of the symmetric Jacobian of S at {sup.count} points of the box"
+    return Part(SAMPLED, how, {label: -sup.value}, {"x": sup.at})
+
+
+def _broken_monotony(field: Field) -> Part:
+    part = one_sided(field, field.C.hull, quick=True)
+    if part.verdict == VIOLATED:
+        return Part(VIOLATED, "S jumps downwards across a switching surface: it is not monotone", part.value, part.witness)
+    return Part(UNKNOWN, f"the switches of S are not seen to be monotone: {part.how}", {}, {})
+
+
+# -- M-A1 --------------------------------------------------------------------------------------------------------------
+
+
+def _continuous(model: MonotoneInclusion, C: ConvexSet, box: tuple[np.ndarray, np.ndarray]) -> Part:
+    F, x, x0 = model.field, model.x, np.array(ca.DM(model.x0)).ravel()
+    kinks: list[str] = []
+    replay(F, lambda op, args, old: kinks.append(KINKS[op]), tuple(KINKS), x, "field")
+    note = f"; kinks: {', '.join(f'{kinks.count(name)} {name}' for name in dict.fromkeys(kinks))}" if kinks else ""
+    value = {"kinks": len(kinks)}
+    n = x.numel()
+    for place, (low, high) in (
+        ("everywhere", (np.full(n, -np.inf), np.full(n, np.inf))),
+        ("everywhere on C", C.hull),
+        ("on the box", (np.maximum(C.hull[0], box[0]), np.minimum(C.hull[1], box[1]))),
+    ):
+        if interval.is_continuous(F, x, low, high):
+            outside = _jump(F, C, C.hull, x0) if place == "on the box" else None
+            more = "" if outside is None else "; outside of it F jumps"
+            witness = {} if outside is None else outside.witness
+            return Part(HOLDS, f"{place}: no operation of F jumps or has a pole there{more}{note}", value, witness)
+    jump = _jump(F, C, box, x0)
+    if jump is not None:
+        return jump
+    return Part(UNKNOWN, "an operation of F may jump or have a pole on the box; no jump was seen", {}, {})
+
+
+def _jump(F: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray], x0: np.ndarray) -> Part | None:
+    """A point of C where F jumps: on both sides of the zero of a switching argument."""
+    arguments: list[ca.SX] = []
+
+    def rule(op: int, args: list[ca.SX], old: ca.SX) -> None:
+        arguments.append(args[0] if len(args) == 1 else args[0] - args[1])
+
+    replay(F, rule, JUMPS, C.x, "field")
+    f = ca.Function("F", [C.x], [F])
+    for u in arguments:
+        point = switching_point(C, u, box, x0)
+        if point is None:
+            continue
+        slope = np.array(ca.Function("slope", [C.x], [ca.gradient(u, C.x)])(point)).ravel()
+        if not slope.any():
+            continue
+        d = 1e-7 * (1 + np.linalg.norm(point)) * slope / np.linalg.norm(slope)
+        sizes = [np.linalg.norm(np.array(f(point + k * d)) - np.array(f(point - k * d))) for k in (1.0, 0.1)]
+        if np.isfinite(sizes).all() and sizes[1] > 0.5 * sizes[0] > 0 and sizes[1] > 1e-6:
+            how = "F jumps across a switching surface inside C"
+            return Part(VIOLATED, how, {"jump": float(sizes[1])}, {"x": point, "switch": str(u)})
+    return None
+
+
+# -- consequences ------------------------------------------------------------------------------------------------------
+
+
+def _consequences(
+    model: MonotoneInclusion, findings: Sequence[Finding], x0: np.ndarray, runs: Sequence[Trajectory]
+) -> list[Consequence]:
+    numbers = {finding.id: finding.value for finding in findings}
+    base = ["M-T", "M-C", "M-A1", "M-A2", "M-A3"]
+    local = any(
+        "on the box" in finding.how for finding in findings if finding.verdict == HOLDS and finding.id in ("M-T", "M-C", "M-A1")
+    )
+    stay = " (as long as the state stays in the box)" if local else ""
+    out = [
+        follows("well posed", f"one and only one solution for each start in C, for all t{stay}", findings, [*base, "M-24"],
+                f"{PAPER}, Theorem 5.6, Theorem 7.3"),
+    ]  # fmt: skip
+    alpha, beta = numbers["M-A3"].get("alpha", np.nan), numbers["M-A3"].get("beta", np.nan)
+    if np.isfinite(alpha + beta):
+        radius = float(np.sqrt(max(x0 @ x0, beta / alpha)))
+        statement = (
+            f"|x(t)|^2 <= e^(-2 alpha t) |x_0|^2 + (beta/alpha)(1 - e^(-2 alpha t)): |x| <= {radius:.6g} for all t, and every "
+            f"ball of radius >= {np.sqrt(beta / alpha):.6g} in C is invariant"
+        )
+        values = {"alpha": alpha, "beta": beta, "radius": radius, "absorbing radius": float(np.sqrt(beta / alpha))}
+        out.append(follows("bounded", statement, findings, ["M-C", "M-A3"], f"{PAPER}, Proposition 4.1", values))
+    L = numbers["M-24"].get("L", np.nan)
+    if np.isfinite(L):
+        word = "contraction" if L < 0 else "stability"
+        local = any("on the box" in finding.how for finding in findings if finding.id in ("M-C", "M-A1", "M-24"))
+        end = " while both stay in the box" if local else ": all solutions approach each other" if L < 0 else ""
+        statement = f"|x(t) - y(t)| <= e^({L:.6g} t) |x_0 - y_0|{end}"
+        out.append(follows(word, statement, findings, ["M-T", "M-C", "M-A1", "M-24"], f"{PAPER}, Theorem 7.3", {"L": L}))
+    statement = (
+        "the iterates converge to the solution, uniformly on every finite interval; the order is measured, not claimed" + stay
+    )
+    tolerances = _tolerances(model, runs)
+    scheme = follows("convergence of the scheme", statement, findings, [*base, "M-24"], f"{PAPER}, Theorem 5.3, Corollary 5.4")
+    order = (UNKNOWN, SAMPLED, HOLDS)
+    verdict = min(scheme.verdict, tolerances.verdict, key=order.index)
+    return [*out, Consequence(scheme.name, statement, scheme.rests_on, verdict, {}, scheme.source), tolerances]
+
+
+def _tolerances(model: MonotoneInclusion, runs: Sequence[Trajectory]) -> Consequence:
+    """eps_k/mu_k^2 -> 0 as the mesh is refined."""
+    name, source = "tolerances", f"{PAPER}, Definition 4.3"
+    given = model.tolerances
+    zero = given is None or (not callable(given) and not np.any(np.asarray(given, float)))
+    if zero:
+        return Consequence(name, "projections are exact: eps_k = 0", (), HOLDS, {"max eps_k/mu_k^2": 0.0}, source)
+    steps = np.concatenate([run.step[np.isfinite(run.step)] for run in runs]) if runs else _model_steps(model)
+    if callable(given):
+        h = float(steps.max()) if steps.size else 1e-2
+        ratios = np.array([_ratio(given, h / 2**k) for k in range(HALVINGS)])
+        values = {"max eps_k/mu_k^2": max((_ratio(given, float(step)) for step in steps), default=float(ratios[0]))}
+        powers = np.diff(np.log2(np.maximum(ratios, 1e-300))) / -1.0
+        power = float(powers[-1])
+        falls = bool((np.diff(ratios) < 0).all()) and power > 0.05
+        values["power p of eps/mu^2 ~ mu^p"] = power
+        text = f"eps(mu)/mu^2 behaves like mu^{power:.3g} as mu is halved {HALVINGS - 1} times: it " + (
+            "vanishes" if falls else "does not vanish"
+        )
+        return Consequence(name, text, (), SAMPLED if falls else UNKNOWN, values, source)
+    eps = np.atleast_1d(np.asarray(given, float))
+    largest = float(np.max(eps) / np.min(steps) ** 2) if steps.size else np.nan
+    text = "eps_k does not depend on the step: eps_k/mu_k^2 grows as the mesh is refined; give a function of the step, as mu**3"
+    return Consequence(name, text, (), UNKNOWN, {"max eps_k/mu_k^2": largest} if np.isfinite(largest) else {}, source)
+
+
+def _model_steps(model: MonotoneInclusion) -> np.ndarray:
+    if model.steps is not None:
+        return np.asarray(model.steps, float)
+    return np.array([model.step]) if model.step is not None else np.zeros(0)
+
+
+def _ratio(tolerance: Callable[[float], float], mu: float) -> float:
+    return tolerance(mu) / mu**2

@@ -1,0 +1,90 @@
+"""The one-sided Lipschitz constant of G = F - S: <G(x) - G(y), x - y> <= L |x - y|^2 (24)."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.hypotheses.convex.convex_sets import ConvexSet, Part, has_interior
+from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED
+from nsmodel.hypotheses.inclusion.growth import affine
+from nsmodel.hypotheses.inclusion.selected_field import Field
+from nsmodel.hypotheses.proof import exact, extremum, interval
+
+
+def one_sided(field: Field, region: tuple[np.ndarray, np.ndarray], *, quick: bool, alone: ca.SX | None = None) -> Part:
+    """(24): L, on C where it can be had there, else on the box looked at.
+
+    Args:
+        field: G.
+        region: lower, upper.
+        quick: skip global searches.
+        alone: F, where S is proved monotone on all of C: then L of F serves for G.
+    """
+    if field.jumps:
+        return _jumps_up(field)
+    found = affine(field)
+    if found is not None and found.exact:
+        A = exact.doubles(found.A)
+        values, vectors = np.linalg.eigh((A + A.T) / 2)
+        L = float(A[0, 0]) if A.size == 1 else float(values[-1])
+        return Part(HOLDS, "everywhere: the largest eigenvalue of a constant matrix", {"L": L}, {"direction": vectors[:, -1]})
+    hull, box = field.C.hull, (np.maximum(field.C.hull[0], region[0]), np.minimum(field.C.hull[1], region[1]))
+    tries = [("everywhere on C", field.rest, hull, quick or not field.C.bounded), ("on the box", field.rest, box, quick)]
+    if alone is not None:
+        tries.insert(1, ("everywhere on C, S being monotone", alone, hull, quick or not field.C.bounded))
+    for where, G, (low, high), fast in tries:
+        if (low > high).any() or not interval.is_continuous(G, field.x, low, high):
+            continue
+        J = ca.jacobian(G, field.x)
+        sup = extremum.largest_eigenvalue((J + J.T) / 2, field.x, low, high, quick=fast)
+        if np.isfinite(sup.bound):
+            witness = {} if sup.at is None else {"attained near": sup.at}
+            values = {"L": sup.bound} | ({} if sup.at is None or G is alone else {"attained": sup.value})
+            return Part(HOLDS, f"{where}: bounds of the eigenvalues of the symmetric Jacobian", values, witness)
+    return Part(UNKNOWN, "F - S is not proved continuous with a bounded Jacobian on the box looked at", {}, {})
+
+
+def _jumps_up(field: Field) -> Part:
+    """A jump that is no subdifferential: a point where it switches, and a direction along which G jumps outwards."""
+    inner = np.asarray(
+        has_interior(field.C, np.clip(np.zeros(field.C.n), *field.C.hull)).witness.get("interior point", np.zeros(field.C.n))
+    )
+    for jump in field.jumps:
+        point = switching_point(field.C, jump.u, field.C.hull, inner)
+        if point is None:
+            continue
+        f = ca.Function(
+            "jump", [field.x], [ca.gradient(jump.u, field.x), ca.substitute(jump.B, field.l, ca.SX.zeros(field.l.shape))]
+        )
+        a, B = (np.array(part).ravel() for part in f(point))
+        a, B = a / max(np.linalg.norm(a), 1e-300), B / max(np.linalg.norm(B), 1e-300)
+        d = a - B
+        if np.linalg.norm(d) < 1e-6:
+            continue
+        d = d / np.linalg.norm(d)
+        rate = float((jump.lower - jump.upper) * (d @ np.array(f(point)[1]).ravel()))
+        if rate > 0:
+            how = "F - S jumps outwards across a switching surface: no L bounds the quotient (it grows like jump/distance)"
+            return Part(VIOLATED, how, {"jump along d": rate}, {"x": point, "direction": d, "switch": str(jump.u)})
+    names = ", ".join(str(jump.u) for jump in field.jumps)
+    how = f"the switches at {names} = 0 are no subdifferentials, and no point inside C was found where one jumps outwards"
+    return Part(UNKNOWN, how, {}, {})
+
+
+def switching_point(C: ConvexSet, u: ca.SX, box: tuple[np.ndarray, np.ndarray], inner: np.ndarray) -> np.ndarray | None:
+    """A point inside C with u = 0, by Newton's method from points of a box and around a point inside."""
+    f = ca.Function("u", [C.x], [u, ca.gradient(u, C.x)])
+    low, high = (np.clip(end, -1e3, 1e3) for end in (np.maximum(C.hull[0], box[0]), np.minimum(C.hull[1], box[1])))
+    around_it = inner + np.random.default_rng(0).normal(size=(32, C.n)) * (1 + np.abs(inner))
+    for start in np.vstack([extremum.samples(low, np.maximum(low, high), 32), inner, around_it]):
+        x = start
+        for _ in range(30):
+            value, slope = float(f(x)[0]), np.array(f(x)[1]).ravel()
+            if not np.isfinite(value) or not slope @ slope > 0:
+                break
+            x = x - value * slope / (slope @ slope)
+        inside = np.isfinite(x).all() and C.surely_inside(x) is not None
+        if inside and abs(float(f(x)[0])) <= 1e-9 * (1 + np.linalg.norm(x)):
+            return x
+    return None

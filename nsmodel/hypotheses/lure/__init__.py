@@ -1,0 +1,1 @@
+"""Hypotheses of multivalued Lur'e systems (Brogliato and Goeleven 2013)."""

@@ -1,0 +1,165 @@
+"""Assumption 5.2 of Brogliato and Goeleven (2013): R A(-R^{-1} .) + omega I is maximal monotone, R^2 = P.
+
+For continuous A this is P J + J'P <= 2 omega P for the Jacobians J of A: with z = -R x the operator's monotonicity
+constant is -omega. The Jacobians lie in the hull of finitely many matrices, plus a cone where an entry is unbounded.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, found
+from nsmodel.hypotheses.lure.dissipation import Rate, least_rate
+from nsmodel.hypotheses.lure.jacobian_hull import bounded_hull, sampled_hull, tidy
+from nsmodel.hypotheses.lure.pairing import condition, well_conditioned
+from nsmodel.hypotheses.lure.passivity import PAPER, Passivity
+from nsmodel.hypotheses.proof import exact, extremum, interval
+from nsmodel.hypotheses.proof.jumps import find_jump, jumps_in
+from nsmodel.hypotheses.region import Region
+from nsmodel.model.lure import LureSystem
+
+HYPOMONOTONE = Hypothesis(
+    "5.2", "R A(-R^{-1} .) + omega I is maximal monotone for some omega, R^2 = P", f"{PAPER}, Assumption 5.2"
+)
+# Operations that are defined and continuous everywhere.
+CONTINUOUS = {
+    ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER, ca.OP_ASSIGN, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_NEG, ca.OP_SQ,
+    ca.OP_TWICE, ca.OP_FABS, ca.OP_FMIN, ca.OP_FMAX, ca.OP_SIN, ca.OP_COS, ca.OP_ATAN, ca.OP_TANH, ca.OP_SINH, ca.OP_COSH,
+    ca.OP_ASINH, ca.OP_EXP, ca.OP_EXPM1, ca.OP_ERF,
+}  # fmt: skip
+LIFT = 1e-12  # relative, above the rounding of R J R^{-1} in doubles
+
+
+class Growth(NamedTuple):
+    """What 5.2 gives.
+
+    Attributes:
+        finding: the verdict.
+        P: (n, n) doubles, the P of ``omega``; None where there is none.
+        omega: |x(t) - y(t)|_P <= e^{omega t} |x_0 - y_0|_P; inf where none is known.
+        everywhere: whether this is for all states, not on the box alone.
+        accuracy: an omega below this may be 0 in truth.
+    """
+
+    finding: Finding
+    P: np.ndarray | None = None
+    omega: float = np.inf
+    everywhere: bool = True
+    accuracy: float = 0.0
+
+
+def hypomonotone(model: LureSystem, passivity: Passivity, region: Region, quick: bool) -> Growth:
+    """Decide 5.2 with an omega as small as can be found.
+
+    Args:
+        model: bound.
+        passivity: the decision on 5.1.
+        region: where A' is bounded if it is not bounded everywhere.
+        quick: no semidefinite programs, no searches.
+    """
+    A, x = model.A, model.x
+    J = ca.densify(ca.jacobian(A, x))
+    if passivity.pairing is None:
+        numbers = {}
+        if not ca.depends_on(J, x):
+            M = _numbers(J)
+            numbers = {"omega for P = I": np.linalg.eigvalsh((M + M.T) / 2)[-1]}
+        why = "no P > 0 with P B = C' exists" if passivity.finding.verdict == VIOLATED else "no P with P B = C' is known"
+        return Growth(found(HYPOMONOTONE, UNKNOWN, f"{why} (5.1), and R is the square root of such a P", numbers))
+    if not ca.depends_on(J, x) and not np.isfinite(_numbers(J)).all():
+        return Growth(found(HYPOMONOTONE, UNKNOWN, "A has a coefficient that is not finite"))
+    if not ca.depends_on(J, x) and not jumps_in(A, x):
+        rate = least_rate(passivity.pairing, [_numbers(J)], quick=quick)
+        return _growth(passivity, rate, "everywhere (A is linear)", quick, proof="in rational arithmetic")
+    return _nonlinear(J, model, passivity, region, quick)
+
+
+def _nonlinear(J: ca.SX, model: LureSystem, passivity: Passivity, region: Region, quick: bool) -> Growth:
+    A, x, n = model.A, model.x, model.x.numel()
+    J = ca.reshape(ca.vertcat(*(tidy(entry, x) for entry in ca.vertsplit(ca.vec(J)))), n, n)
+    infinite = np.full(n, np.inf)
+    jump = _jump(A, x)
+    if jump is not None:
+        return Growth(jump)
+    if _continuous(A, x, -infinite, infinite):
+        hull = bounded_hull(J, x, -infinite, infinite)
+        rate = least_rate(passivity.pairing, hull.vertices, hull.cones, quick=quick) if hull is not None else None
+        if rate is not None:
+            return _growth(passivity, rate, "everywhere", quick, proof="in rational arithmetic, from bounds of the entries of A'")
+    if not _continuous(A, x, region.lower, region.upper):
+        how = "A is not seen to be continuous on the box, though no jump was found"
+        return Growth(found(HYPOMONOTONE, UNKNOWN, how))
+    hull = bounded_hull(J, x, region.lower, region.upper) or sampled_hull(J, x, region.lower, region.upper)
+    rate = least_rate(passivity.pairing, hull.vertices, hull.cones, quick=quick)
+    if rate is None:
+        return Growth(found(HYPOMONOTONE, UNKNOWN, "A' is not bounded on the box, and no P is found that allows for it"))
+    P = exact.doubles(passivity.pairing.storage(rate.Y))
+    if not hull.sure or not quick:
+        rate = _on_box(J, x, P, region, rate, hull.sure, quick)
+    if rate is None:
+        return Growth(found(HYPOMONOTONE, UNKNOWN, "no bound of the largest eigenvalue of sym(R A' R^{-1}) on the box is found"))
+    return _growth(passivity, rate, "on the box", quick, proof="by bounds over the whole box")
+
+
+def _on_box(J: ca.SX, x: ca.SX, P: np.ndarray, region: Region, rate: Rate, sure: bool, quick: bool) -> Rate | None:
+    """The rate of the same P from the largest eigenvalue over the box, where that is known to be smaller."""
+    size, vectors = np.linalg.eigh(P)
+    R, inverse = (vectors * size**power @ vectors.T for power in (0.5, -0.5))
+    top = extremum.largest_eigenvalue(ca.DM(R) @ J @ ca.DM(inverse), x, region.lower, region.upper, quick=quick, bound_to=None)
+    bound = top.bound + LIFT * (np.linalg.norm(R, 2) * np.linalg.norm(inverse, 2) + abs(top.bound))
+    if sure and rate.omega <= bound:
+        return rate
+    return rate._replace(omega=bound) if np.isfinite(bound) else None
+
+
+def _growth(passivity: Passivity, rate: Rate | None, where: str, quick: bool, proof: str) -> Growth:
+    """The finding for a rate; the verdict is no better than that on 5.1, whose P it needs."""
+    linear = "linear" in where
+    verdict = HOLDS if passivity.finding.verdict == HOLDS else SAMPLED
+    if rate is None:  # A linear, ill conditioned beyond the last rounding: Remark 5.3 iii).
+        Y = well_conditioned(passivity.pairing)
+        P = exact.doubles(passivity.pairing.storage(Y))
+        how = f"{where}: A is Lipschitz (Remark 5.3); no useful omega is found"
+        return Growth(found(HYPOMONOTONE, verdict, how, {"omega": np.inf}, {"P": P}), P)
+    P = exact.doubles(passivity.pairing.storage(rate.Y))
+    texts = [f"{where}, proved {proof} for the P given"]
+    if verdict == SAMPLED:
+        texts.append("which solves P B = C' up to rounding")
+    if abs(rate.omega) <= rate.rounding and rate.omega:
+        texts.append("omega is zero up to rounding of A")
+    elif abs(rate.omega) <= rate.accuracy and rate.omega:
+        texts.append("omega is zero up to the accuracy of the search for P")
+    elif rate.omega <= rate.least + 1e-6 * abs(rate.least):
+        texts.append("no P gives less")
+    elif linear:
+        texts.append(f"no P gives less than {rate.least:.4g}")
+        texts.append("a smaller omega was not looked for" if quick else "a smaller omega may need a worse conditioned P")
+    value = {"omega": rate.omega, "cond P": condition(P)}
+    finding = found(HYPOMONOTONE, verdict, "; ".join(texts), value, {"P": P})
+    return Growth(finding, P, rate.omega, where != "on the box", rate.accuracy)
+
+
+def _jump(A: ca.SX, x: ca.SX) -> Finding | None:
+    """A jump of A: a single-valued maximal monotone operator on all of R^n is continuous."""
+    infinite = np.full(x.numel(), np.inf)
+    jump = find_jump(A, x, -infinite, infinite, lambda points: np.full(len(points), True))
+    values = np.array(ca.Function("A", [x], [A])(extremum.samples(-np.ones(x.numel()), np.ones(x.numel()), 256).T))
+    if jump is None or jump.size <= 1e-6 * np.abs(values[np.isfinite(values)]).max(initial=0.0):
+        return None
+    how = "A jumps, and no single-valued operator that jumps is maximal monotone; write the jump as a relay law"
+    witness = {"x": jump.at, "A on one side": jump.below, "A on the other": jump.above}
+    return found(HYPOMONOTONE, VIOLATED, how, {"jump": jump.size}, witness)
+
+
+def _continuous(A: ca.SX, x: ca.SX, lower: np.ndarray, upper: np.ndarray) -> bool:
+    """Whether A is proved continuous: read off its operations, or by interval bounds."""
+    function = ca.Function("A", [x], [A])
+    operations = {function.instruction_id(i) for i in range(function.n_instructions())}
+    return operations <= CONTINUOUS or interval.is_continuous(A, x, lower, upper)
+
+
+def _numbers(matrix: ca.SX) -> np.ndarray:
+    return np.array(ca.DM(matrix)).reshape(matrix.shape)

@@ -1,0 +1,1 @@
+"""Hypotheses of oscillators under dry friction (Cabot 2004)."""

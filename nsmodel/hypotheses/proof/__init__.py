@@ -1,0 +1,1 @@
+"""Means of proof: rigorous bounds over boxes, exact rational arithmetic, certificates of feasibility."""

@@ -1,0 +1,167 @@
+"""Fewer coordinates: an expression that feels z only through a few affine functions of it, as |q_1 - q_2| does."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from fractions import Fraction
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.hypotheses.proof.interval import natural
+from nsmodel.hypotheses.proof.interval_functions import OPERATIONS
+from nsmodel.hypotheses.proof.program import Program, is_double, program
+
+LONG = 3000  # Instructions; longer programs are left as they are.
+
+
+class Reduced(NamedTuple):
+    """``expr`` in the symbols d (r, 1), which stand for affine functions of z.
+
+    Attributes:
+        expr: as given, but in d.
+        d: (r, 1).
+        lower, upper: (r,) rigorous bounds of d over the box of z.
+        matrix, constant: d = matrix z + constant but for rounding, (r, n) and (r,).
+    """
+
+    expr: ca.SX
+    d: ca.SX
+    lower: np.ndarray
+    upper: np.ndarray
+    matrix: np.ndarray
+    constant: np.ndarray
+
+
+class _Affine(NamedTuple):
+    """coefficients z + constant, exactly."""
+
+    coefficients: Mapping[int, Fraction]
+    constant: Fraction
+
+    def scaled(self, factor: Fraction) -> _Affine:
+        """Return factor times this."""
+        return _Affine({i: factor * c for i, c in self.coefficients.items() if factor}, factor * self.constant)
+
+    def plus(self, other: _Affine) -> _Affine:
+        """Return the sum."""
+        total = dict(self.coefficients)
+        for i, c in other.coefficients.items():
+            total[i] = total.get(i, Fraction(0)) + c
+        return _Affine({i: c for i, c in total.items() if c}, self.constant + other.constant)
+
+
+def reduced(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> Reduced | None:
+    """Return a column ``expr`` in fewer symbols, or None where it takes as many as it holds.
+
+    The greatest affine parts of the expression are taken as new symbols, those that are multiples of one another (plus a
+    number) as one. What holds for all d in their box holds for all z in theirs; d may range over more.
+    """
+    code = program(expr, z)
+    used = sorted(frozenset().union(*(code.uses[j] for j in code.outputs)))
+    if len(used) < 2 or len(code.steps) > LONG or any(step.sources and step.op not in OPERATIONS for step in code.steps):
+        return None
+    affine = _affine_parts(code)
+    atoms, links = _grouped(affine, _greatest(code, affine))
+    if len(atoms) >= len(used):
+        return None
+    d = ca.SX.sym("d", len(atoms))
+    nodes = _rebuilt(code, dict(zip(used, ca.vertsplit(z[used]), strict=True)), {})
+    exprs, matrix = [], np.zeros((len(atoms), code.inputs))
+    for row, atom in enumerate(atoms):
+        for i, c in atom.part.coefficients.items():
+            matrix[row, i] = float(c)
+        exprs.append(ca.dot(ca.SX(ca.DM(matrix[row])), z) if atom.node is None else nodes[atom.node])
+    lo, hi = natural(program(ca.vertcat(*exprs), z), lower[None], upper[None])
+    values = _rebuilt(code, {}, {i: factor * d[row] + offset for i, (row, factor, offset) in links.items()})
+    constant = np.array([float(atom.part.constant) for atom in atoms])
+    return Reduced(ca.vertcat(*(values[j] for j in code.outputs)), d, lo[:, 0], hi[:, 0], matrix, constant)
+
+
+def _affine_parts(code: Program) -> dict[int, _Affine]:
+    """Return the values that are affine in z."""
+    found: dict[int, _Affine] = {}
+    for i, step in enumerate(code.steps):
+        if step.op == ca.OP_INPUT:
+            found[i] = _Affine({step.slot: Fraction(1)}, Fraction(0))
+        elif step.op == ca.OP_CONST and np.isfinite(step.number):
+            found[i] = _Affine({}, Fraction(step.number))
+        elif step.sources and all(j in found for j in step.sources):
+            result = _combined(step.op, [found[j] for j in step.sources])
+            if result is not None:
+                found[i] = result
+    return found
+
+
+def _combined(op: int, args: list[_Affine]) -> _Affine | None:
+    """Return the result of an operation where it is affine."""
+    first, last = args[0], args[-1]
+    if op in (ca.OP_ADD, ca.OP_SUB):
+        return first.plus(last.scaled(Fraction(1 if op == ca.OP_ADD else -1)))
+    if op in (ca.OP_NEG, ca.OP_TWICE):
+        return first.scaled(Fraction(-1 if op == ca.OP_NEG else 2))
+    if op == ca.OP_MUL and not (first.coefficients and last.coefficients):
+        return last.scaled(first.constant) if last.coefficients else first.scaled(last.constant)
+    if op == ca.OP_DIV and not last.coefficients and last.constant:
+        return first.scaled(1 / last.constant)
+    return None
+
+
+def _greatest(code: Program, affine: Mapping[int, _Affine]) -> list[int]:
+    """Return the affine values with symbols that others than affine values use."""
+    wanted = set(code.outputs)
+    for i, step in enumerate(code.steps):
+        if i not in affine:
+            wanted |= set(step.sources)
+    return sorted(i for i in wanted if i in affine and affine[i].coefficients)
+
+
+class _Atom(NamedTuple):
+    """What a new symbol stands for: an affine function with exact doubles in it, or else the value ``node`` itself."""
+
+    part: _Affine
+    node: int | None
+
+
+def _grouped(affine: Mapping[int, _Affine], parts: list[int]) -> tuple[list[_Atom], dict[int, tuple[int, float, float]]]:
+    """Return an atom for each direction, and each part as (its atom, factor, offset), these two exact doubles."""
+    atoms: list[_Atom] = []
+    rows: dict[frozenset[tuple[int, Fraction]], list[int]] = {}
+    links: dict[int, tuple[int, float, float]] = {}
+    for index in parts:
+        own = affine[index]
+        pivot = own.coefficients[min(own.coefficients)]
+        plain = _Affine({i: c / pivot for i, c in own.coefficients.items()}, Fraction(0))
+        key = frozenset(plain.coefficients.items())
+        if key not in rows and all(is_double(c) for c in plain.coefficients.values()):
+            rows[key] = [len(atoms)]
+            atoms.append(_Atom(plain, None))
+        for row in rows.setdefault(key, []):
+            first = atoms[row].part
+            factor = pivot / first.coefficients[min(first.coefficients)]
+            offset = own.constant - factor * first.constant
+            if is_double(factor) and is_double(offset):
+                links[index] = row, float(factor), float(offset)
+                break
+        else:
+            links[index] = len(atoms), 1.0, 0.0
+            rows[key].append(len(atoms))
+            atoms.append(_Atom(own, index))
+    return atoms, links
+
+
+def _rebuilt(code: Program, symbols: Mapping[int, ca.SX], known: Mapping[int, ca.SX]) -> list[ca.SX]:
+    """Return all values as expressions; those in ``known`` are given, and what only they need is left out (NaN)."""
+    values: list[ca.SX] = []
+    for i, step in enumerate(code.steps):
+        if i in known:
+            values.append(known[i])
+        elif step.op == ca.OP_INPUT:
+            values.append(symbols.get(step.slot, ca.SX(np.nan)))
+        elif step.op == ca.OP_CONST:
+            values.append(ca.SX(step.number))
+        else:
+            build = ca.SX.unary if len(step.sources) == 1 else ca.SX.binary
+            values.append(build(step.op, *(values[j] for j in step.sources)))
+    return values

@@ -1,0 +1,312 @@
+"""Linear algebra in exact rational arithmetic, on doubles taken as the rational numbers that they are.
+
+Matrices are NumPy arrays of dtype object that hold :class:`~fractions.Fraction`; ``+``, ``-`` and ``.T`` are NumPy's own.
+Elimination works on rows of whole numbers without common factor, which keeps them short and leaves zeros alone.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from math import gcd, lcm, log2
+from typing import Any, NamedTuple
+
+import numpy as np
+
+EPS = float(np.finfo(float).eps)
+VERIFIED = 12  # From this size a floating-point Cholesky factorisation with a rounding bound is tried first.
+
+
+class Definite(NamedTuple):
+    """Sign of the quadratic form v'Sv of a symmetric part S = (M + M')/2.
+
+    Attributes:
+        psd: v'Sv >= 0 for all v.
+        definite: v'Sv > 0 for all v != 0.
+        rank: of S where it is psd; otherwise the number of pivots > 0 met before the sign was clear.
+        vector: (n,) doubles with v'Sv < 0 where S is not psd, None where it is.
+    """
+
+    psd: bool
+    definite: bool
+    rank: int
+    vector: np.ndarray | None
+
+
+def rational(matrix: Any) -> np.ndarray:
+    """Return the matrix (or vector) with each entry as a Fraction, exactly.
+
+    Raises:
+        ValueError: an entry is not finite.
+
+    >>> rational([[0.5, 0.1]])[0, 0]
+    Fraction(1, 2)
+    """
+    entries = np.asarray(matrix)
+    if entries.dtype == object and all(type(entry) is Fraction for entry in entries.flat):
+        return entries
+    if entries.dtype != object:
+        entries = entries.astype(float)
+        if not np.isfinite(entries).all():
+            raise ValueError("exact arithmetic: an entry is not a finite number")
+    out = np.empty(entries.shape, dtype=object)
+    out.ravel()[:] = [entry if isinstance(entry, Fraction) else Fraction(entry) for entry in entries.ravel().tolist()]
+    return out
+
+
+def doubles(matrix: np.ndarray) -> np.ndarray:
+    """Return the doubles nearest to rational entries."""
+    return np.array([float(entry) for entry in matrix.ravel()]).reshape(matrix.shape)
+
+
+def eye(n: int) -> np.ndarray:
+    """The unit matrix (n, n)."""
+    matrix = zeros(n, n)
+    np.fill_diagonal(matrix, Fraction(1))
+    return matrix
+
+
+def zeros(rows: int, columns: int) -> np.ndarray:
+    """The zero matrix."""
+    matrix = np.empty((rows, columns), dtype=object)
+    matrix.fill(Fraction(0))
+    return matrix
+
+
+def product(*factors: Any) -> np.ndarray:
+    """Return the product of matrices, exactly.
+
+    >>> bool(product([[0.1]], [[10.0]])[0, 0] == 1)
+    False
+    """
+    result = rational(factors[0])
+    for factor in factors[1:]:
+        left, right = _integers(result), _integers(rational(factor).T)
+        whole = _whole_product(left.rows, right.rows.T)
+        result = zeros(*whole.shape)
+        for i, j in zip(*np.nonzero(whole), strict=True):
+            result[i, j] = Fraction(int(whole[i, j]), left.factors[i] * right.factors[j])
+    return result
+
+
+def is_symmetric(matrix: Any) -> bool:
+    """Whether M = M', to the last bit."""
+    M = rational(matrix)
+    return M.shape[0] == M.shape[1] and bool((M == M.T).all())
+
+
+def rank(matrix: Any) -> int:
+    """Rank of a matrix."""
+    return len(_reduced(rational(matrix))[1])
+
+
+def nullspace(matrix: Any) -> np.ndarray:
+    """Return a basis (n, k) of {v : M v = 0}, in columns; the free entries of v are a unit matrix."""
+    M = rational(matrix)
+    rows, pivots = _reduced(M)
+    free = [j for j in range(M.shape[1]) if j not in set(pivots)]
+    basis = zeros(M.shape[1], len(free))
+    for k, j in enumerate(free):
+        basis[j, k] = Fraction(1)
+        for i, pivot in enumerate(pivots):
+            if rows[i, j]:
+                basis[pivot, k] = Fraction(-rows[i, j], rows[i, pivot])
+    return basis
+
+
+def independent_columns(matrix: Any) -> list[int]:
+    """Indices of the first columns that span the range of a matrix."""
+    return _reduced(rational(matrix))[1]
+
+
+def solve(matrix: Any, right: Any) -> np.ndarray | None:
+    """Return one X with M X = right (free entries 0), or None where there is none; ``right`` is (n, k)."""
+    M, b = rational(matrix), rational(right)
+    n = M.shape[1]
+    rows, pivots = _reduced(np.hstack([M, b]), n)
+    if any(rows[i].any() for i in range(len(pivots), len(rows))):
+        return None
+    X = zeros(n, b.shape[1])
+    for i, pivot in enumerate(pivots):
+        for k in range(b.shape[1]):
+            if rows[i, n + k]:
+                X[pivot, k] = Fraction(rows[i, n + k], rows[i, pivot])
+    return X
+
+
+def inverse(matrix: Any) -> np.ndarray | None:
+    """Return the inverse of a square matrix, or None where it is singular."""
+    M = rational(matrix)
+    return solve(M, eye(len(M))) if rank(M) == len(M) else None
+
+
+def psd(matrix: Any) -> Definite:
+    """Decide whether v'Mv >= 0 for all v, exactly on the given doubles or Fractions; M (n, n) need not be symmetric.
+
+    The symmetric part is eliminated with diagonal pivots, one connected block of its nonzeros after the other.
+    """
+    S = _symmetric_part(matrix)
+    total, definite = 0, True
+    for block in _blocks(S):
+        part = _block_psd(S[np.ix_(block, block)])
+        total, definite = total + part.rank, definite and part.definite
+        if part.vector is not None:
+            vector = np.zeros(len(S))
+            vector[block] = part.vector
+            return Definite(False, False, total, vector)
+    return Definite(True, definite, total, None)
+
+
+def is_psd(matrix: Any) -> bool:
+    """Whether v'Mv >= 0 for all v, as ``psd`` but without a witness."""
+    S = _symmetric_part(matrix)
+    return all(_pivots(S[np.ix_(block, block)])[1] is None for block in _blocks(S))
+
+
+def _symmetric_part(matrix: Any) -> np.ndarray:
+    """M + M'."""
+    M = rational(matrix)
+    S = M.copy()
+    for i, j in zip(*np.nonzero(M.T), strict=True):
+        S[i, j] = S[i, j] + M[j, i]
+    return S
+
+
+class _Integers(NamedTuple):
+    """Rows of whole numbers; row i is ``factors[i]`` times the rational one."""
+
+    rows: np.ndarray
+    factors: list[int]
+
+
+def _integers(M: np.ndarray) -> _Integers:
+    rows, factors = np.empty(M.shape, dtype=object), []
+    for i, row in enumerate(M):
+        factor = lcm(*(entry.denominator for entry in row))
+        rows[i] = [entry.numerator * (factor // entry.denominator) for entry in row]
+        factors.append(factor)
+    return _Integers(rows, factors)
+
+
+def _whole_product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Product of matrices of whole numbers; in doubles where nothing can be rounded."""
+    largest = max(map(abs, left.flat), default=0), max(map(abs, right.flat), default=0)
+    if 0 in largest:
+        return np.zeros((len(left), right.shape[1]), dtype=int)
+    if left.shape[1] * largest[0] * largest[1] < 2**53:
+        return (left.astype(float) @ right.astype(float)).astype(np.int64)
+    return left @ right
+
+
+def _primitive(row: np.ndarray) -> np.ndarray:
+    """The row divided by the common factor of its entries."""
+    common = gcd(*row)
+    return row // common if common > 1 else row
+
+
+def _eliminate(row: np.ndarray, pivot_row: np.ndarray, j: int) -> np.ndarray:
+    """Make row[j] = 0 with a multiple of a row whose entry j is > 0; the row is multiplied by a number > 0."""
+    a, p = row[j], pivot_row[j]
+    common = gcd(a, p)
+    return _primitive((p // common) * row - (a // common) * pivot_row)
+
+
+def _reduced(M: np.ndarray, columns: int | None = None) -> tuple[np.ndarray, list[int]]:
+    """Reduced echelon form of whole numbers, pivots > 0 in the first ``columns`` columns; the rows and the pivot columns."""
+    rows = _integers(M).rows
+    pivots: list[int] = []
+    for j in range(M.shape[1] if columns is None else columns):
+        top = len(pivots)
+        below = [i for i in range(top, len(rows)) if rows[i, j]]
+        if not below:
+            continue
+        chosen = min(below, key=lambda i: (np.count_nonzero(rows[i]), abs(rows[i, j])))
+        rows[[top, chosen]] = rows[[chosen, top]]
+        rows[top] = _primitive(rows[top] if rows[top, j] > 0 else -rows[top])
+        for i in range(len(rows)):
+            if i != top and rows[i, j]:
+                rows[i] = _eliminate(rows[i], rows[top], j)
+        pivots.append(j)
+    return rows, pivots
+
+
+def _blocks(S: np.ndarray) -> list[list[int]]:
+    """Connected components of the graph of nonzeros of a symmetric matrix."""
+    nonzero = S.astype(bool)
+    left, blocks = set(range(len(S))), []
+    while left:
+        block, front = set(), {min(left)}
+        while front:
+            block |= front
+            front = {int(j) for i in front for j in np.flatnonzero(nonzero[i])} - block
+        blocks.append(sorted(block))
+        left -= block
+    return blocks
+
+
+def _block_psd(S: np.ndarray) -> Definite:
+    """Decide one block of rational entries."""
+    chosen, direction = _pivots(S)
+    if direction is None:
+        return Definite(True, len(chosen) == len(S), len(chosen), None)
+    return Definite(False, False, len(chosen), _downhill(S, chosen, direction))
+
+
+def _pivots(S: np.ndarray) -> tuple[list[int], dict[int, int] | None]:
+    """Rows with a pivot > 0, and a direction in which their Schur complement falls, None where there is none."""
+    n = len(S)
+    if n >= VERIFIED and _surely_definite(S):
+        return list(range(n)), None
+    rows, chosen, left = _integers(S).rows, [], list(range(n))
+    while left:
+        diagonal = {i: rows[i, i] for i in left}
+        negative = [i for i in left if diagonal[i] < 0]
+        if negative:
+            return chosen, {negative[0]: 1}
+        positive = [i for i in left if diagonal[i] > 0]
+        if not positive:
+            coupled = [(i, j) for i in left for j in left if rows[i, j]]
+            if not coupled:
+                break
+            i, j = coupled[0]
+            return chosen, {i: 1, j: -1 if rows[i, j] > 0 else 1}
+        pivot = min(positive, key=lambda i: (np.count_nonzero(rows[i]), diagonal[i]))
+        left.remove(pivot)
+        chosen.append(pivot)
+        for i in left:
+            if rows[i, pivot]:
+                rows[i] = _eliminate(rows[i], rows[pivot], pivot)
+    return chosen, None
+
+
+def _downhill(S: np.ndarray, chosen: list[int], direction: dict[int, int]) -> np.ndarray:
+    """Doubles v with v'Sv < 0: ``direction`` in the Schur complement of the rows ``chosen``, least in those rows."""
+    v = zeros(len(S), 1)
+    for i, entry in direction.items():
+        v[i, 0] = Fraction(entry)
+    if chosen:
+        least = solve(S[np.ix_(chosen, chosen)], -product(S[chosen], v))
+        if least is not None:
+            v[chosen] = least
+    exact = v.ravel() / max(abs(entry) for entry in v.ravel())
+    candidates = [doubles(exact)]
+    scale = max(abs(entry) for entry in S.ravel())
+    candidates.append(np.linalg.eigh(doubles(S / scale))[1][:, 0])
+    for candidate in candidates:
+        if product(candidate[None, :], S, candidate[:, None])[0, 0] < 0:
+            return candidate
+    return candidates[0]  # The sign is lost when v is rounded to doubles; the decision itself is exact.
+
+
+def _surely_definite(S: np.ndarray) -> bool:
+    """Whether a floating-point Cholesky factorisation of S - c I ends, c above all rounding (Rump 2006): a proof of S > 0."""
+    n, diagonal = len(S), [entry for entry in np.diagonal(S)]
+    if min(diagonal) <= 0:
+        return False
+    scale = np.array([Fraction(2) ** round((log2(s.numerator) - log2(s.denominator)) / 2) for s in diagonal], dtype=object)
+    near = doubles(S / scale[:, None] / scale[None, :])
+    rounding = 8 * (n + 2) * EPS * (np.trace(near) + 2 * np.abs(near).sum(axis=1).max())
+    try:
+        np.linalg.cholesky(near - rounding * np.eye(n))
+    except np.linalg.LinAlgError:
+        return False
+    return True

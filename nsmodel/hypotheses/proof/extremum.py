@@ -1,0 +1,266 @@
+"""The largest value of an expression, of a norm or of an eigenvalue over a box: the best point found, and a bound."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.hypotheses.proof.branch import Bounded
+from nsmodel.hypotheses.proof.interval import boxes, mean_value, natural
+from nsmodel.hypotheses.proof.program import Program
+from nsmodel.hypotheses.proof.search import Goal, Scene, Supremum, search
+from nsmodel.hypotheses.proof.search import samples as samples
+
+LARGE = 64  # A matrix of more entries is bounded without slopes.
+
+
+def supremum(
+    expr: ca.SX,
+    z: ca.SX,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    *,
+    where: ca.SX | None = None,
+    points: np.ndarray | None = None,
+    quick: bool = False,
+    bound_to: float | None = None,
+) -> Supremum:
+    """Return the largest value of a scalar expression over a box: a point that attains it nearly, and a rigorous bound.
+
+    Args:
+        expr: scalar, in the symbols z.
+        z: (n, 1) symbols.
+        lower, upper: (n,); ends may be infinite.
+        where: rows that are >= 0 where the expression counts; None: everywhere in the box.
+        points: (k, n) to look at first; those outside the box are left out.
+        quick: look at these and 256 more points, and bound the box as a whole.
+        bound_to: what is to be proved: cutting ends as soon as bound <= bound_to, or value > bound_to.
+
+    Raises:
+        ValueError: other symbols than z, or no box.
+    """
+    return _scalar(expr, _scene(z, lower, upper, where, points, quick, bound_to), -np.inf)
+
+
+def _scene(
+    z: ca.SX, lower: np.ndarray, upper: np.ndarray, where: ca.SX | None, points: np.ndarray | None, quick: bool,
+    bound_to: float | None,
+) -> Scene:  # fmt: skip
+    (low,), (high,) = boxes(z, lower, upper)
+    given = np.zeros((0, low.size)) if points is None else np.asarray(points, float).reshape(-1, low.size)
+    rows = ca.SX(0, 1) if where is None else ca.vec(ca.densify(ca.SX(where)))
+    limit = np.inf if bound_to is None else float(bound_to)
+    return Scene(ca.vec(ca.SX(z)), low, high, rows, given[((given >= low) & (given <= high)).all(axis=1)], quick, limit)
+
+
+def _scalar(expr: ca.SX, scene: Scene, enough: float) -> Supremum:
+    expr = ca.densify(ca.SX(expr))
+
+    def bounds(code: Program, lower: np.ndarray, upper: np.ndarray) -> Bounded:
+        found = mean_value(code, lower, upper)
+        slope_lo, slope_hi = found.slope_lo[0], found.slope_hi[0]
+        return Bounded(found.hi[0], np.maximum(np.abs(slope_lo), np.abs(slope_hi)), slope_lo >= 0, slope_hi <= 0, found)
+
+    goal = Goal(expr, lambda entries: entries[:, 0], bounds, 1, (expr, [], lambda entries: np.zeros(0)))
+    return search(goal, scene, enough)
+
+
+# -- matrices ----------------------------------------------------------------------------------------------------------
+
+
+def spectral_norm(
+    J: ca.SX,
+    z: ca.SX,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    *,
+    where: ca.SX | None = None,
+    points: np.ndarray | None = None,
+    quick: bool = False,
+    bound_to: float | None = None,
+) -> Supremum:
+    """Return the largest singular value of a matrix (m, n) over a box; arguments as for ``supremum``."""
+    J, scene = ca.SX(J), _scene(z, lower, upper, where, points, quick, bound_to)
+    return _over_blocks([_norm_of_block(J[rows, columns]) for rows, columns in _blocks(J)], scene)
+
+
+def largest_eigenvalue(
+    S: ca.SX,
+    z: ca.SX,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    *,
+    where: ca.SX | None = None,
+    points: np.ndarray | None = None,
+    quick: bool = False,
+    bound_to: float | None = None,
+) -> Supremum:
+    """Return the largest eigenvalue of a symmetric matrix (its symmetric part) over a box; arguments as for ``supremum``."""
+    S, scene = ca.SX(S), _scene(z, lower, upper, where, points, quick, bound_to)
+    n = S.shape[0]
+    pattern = np.array(ca.DM(S.sparsity(), 1)) != 0 if S.nnz() else np.zeros((n, n), bool)
+    groups = _components(pattern | pattern.T)
+    return _over_blocks([_eigenvalue_of_block(S[group, group]) for group in groups], scene)
+
+
+class _Matrix(NamedTuple):
+    """A matrix with what measures it: ``kind`` "norm" or "eigenvalue"."""
+
+    kind: str
+    entries: ca.SX
+
+
+def _over_blocks(parts: list[ca.SX | _Matrix], scene: Scene) -> Supremum:
+    """Return the largest over the parts; a part that cannot exceed what was found already is not looked at closely."""
+    best = Supremum(-np.inf, None, -np.inf, 0)
+    for part in parts or [ca.SX(0)]:
+        found = _matrix(part, scene, best.value) if isinstance(part, _Matrix) else _scalar(part, scene, best.value)
+        value, at = (found.value, found.at) if found.value > best.value or best.at is None else (best.value, best.at)
+        best = Supremum(value, at, max(best.bound, found.bound), max(best.count, found.count))
+    return best
+
+
+def _blocks(J: ca.SX) -> list[tuple[list[int], list[int]]]:
+    """Return rows and columns of the blocks that a matrix falls into under permutations."""
+    m, n = J.shape
+    pattern = np.zeros((m + n, m + n), bool)
+    rows, columns = J.sparsity().get_triplet()
+    pattern[rows, m + np.array(columns, int)] = True
+    groups = _components(pattern | pattern.T)
+    return [([i for i in g if i < m], [i - m for i in g if i >= m]) for g in groups if min(g) < m <= max(g)]
+
+
+def _components(pattern: np.ndarray) -> list[list[int]]:
+    """Return the connected parts of a symmetric pattern."""
+    left, groups = set(range(len(pattern))), []
+    while left:
+        group, todo = set(), [min(left)]
+        while todo:
+            i = todo.pop()
+            if i not in group:
+                group.add(i)
+                todo.extend(int(j) for j in np.flatnonzero(pattern[i]))
+        left -= group
+        groups.append(sorted(group))
+    return groups
+
+
+def _length(entries: list[ca.SX]) -> ca.SX:
+    """Return the Euclidean norm, written so that its slopes stay bounded at 0."""
+    total = ca.fabs(entries[0])
+    for entry in entries[1:]:
+        total = ca.hypot(total, entry)
+    return total
+
+
+def _norm_of_block(J: ca.SX) -> ca.SX | _Matrix:
+    J = ca.densify(J)
+    if min(J.shape) == 1:
+        return _length(ca.vertsplit(ca.vec(J)))
+    if J.shape == (2, 2):
+        a, c, b, d = ca.vertsplit(ca.vec(J))
+        return (ca.hypot(a + d, b - c) + ca.hypot(a - d, b + c)) / 2
+    return _Matrix("norm", J)
+
+
+def _eigenvalue_of_block(S: ca.SX) -> ca.SX | _Matrix:
+    S = ca.densify(S)
+    if S.shape == (1, 1):
+        return S
+    if S.shape == (2, 2):
+        a, c, b, d = ca.vertsplit(ca.vec(S))
+        return (a + d + ca.hypot(a - d, b + c)) / 2
+    return _Matrix("eigenvalue", S)
+
+
+def _shaped(entries: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return matrices (..., m, n) from their entries (..., m n), column by column."""
+    return entries.reshape(*entries.shape[:-1], *shape[::-1]).swapaxes(-1, -2)
+
+
+def _measured(full: np.ndarray, norm: bool) -> np.ndarray:
+    """Return the largest singular value or eigenvalue of each matrix (k, m, n)."""
+    return np.linalg.norm(full, 2, axis=(1, 2)) if norm else np.linalg.eigvalsh((full + full.swapaxes(1, 2)) / 2)[:, -1]
+
+
+def _matrix(part: _Matrix, scene: Scene, enough: float) -> Supremum:
+    A, norm, (m, n) = part.entries, part.kind == "norm", part.entries.shape
+
+    def bounds(code: Program, lower: np.ndarray, upper: np.ndarray) -> Bounded:
+        lo, hi, rate = _entries(code, lower, upper)
+        top = (_norm_bound if norm else _eigenvalue_bound)(_shaped(lo.T, A.shape), _shaped(hi.T, A.shape))
+        return Bounded(top, rate, rate == 0, rate == 0, None)
+
+    def begin(entries: np.ndarray) -> np.ndarray:
+        full = _shaped(entries, A.shape)
+        if not norm:
+            return np.linalg.eigh((full + full.T) / 2)[1][:, -1]
+        left, _, right = np.linalg.svd(full)
+        return np.concatenate([left[:, 0], right[0]])
+
+    left, right = ca.SX.sym("u", m), ca.SX.sym("v", n)
+    ascent = (ca.bilin(A, left, right), [left, right]) if norm else (ca.bilin(A, right, right), [right])
+    goal = Goal(A, lambda entries: _measured(_shaped(entries, A.shape), norm), bounds, 2 * m * n * min(m, n), (*ascent, begin))
+    return search(goal, scene, enough)
+
+
+def _entries(code: Program, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return bounds (numel, k) of the entries, and of the rate (k, n) of change of the matrix by each coordinate."""
+    if len(code.outputs) <= LARGE:
+        lo, hi, slope_lo, slope_hi, *_ = mean_value(code, lower, upper)
+        with np.errstate(all="ignore"):
+            return lo, hi, np.sqrt((np.maximum(np.abs(slope_lo), np.abs(slope_hi)) ** 2).sum(axis=0))
+    rate = np.zeros(lower.shape)
+    rate[:, sorted(frozenset().union(*(code.uses[j] for j in code.outputs)))] = np.inf
+    return *natural(code, lower, upper), rate
+
+
+def _sizes(lo: np.ndarray, hi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the middle of interval matrices (k, m, n) and a bound of the distance from it, entry by entry."""
+    with np.errstate(all="ignore"):
+        middle = lo + (hi - lo) / 2
+    middle = np.where(np.isfinite(middle), middle, 0.0)
+    with np.errstate(all="ignore"):
+        return middle, np.nextafter(np.maximum(hi - middle, middle - lo), np.inf)
+
+
+def _more(x: np.ndarray, terms: int) -> np.ndarray:
+    """Return sums of non-negative terms, or roots of them, widened by more than their rounding."""
+    return np.nextafter(x * (1 + 4 * (terms + 8) * np.finfo(float).eps), np.inf)
+
+
+def _norm_bound(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
+    """Bounds (k,) of the largest singular value of interval matrices (k, m, n)."""
+    m, n = lo.shape[1:]
+    size, (middle, radius) = np.maximum(np.abs(lo), np.abs(hi)), _sizes(lo, hi)
+    with np.errstate(all="ignore"):
+        frobenius = _more(np.sqrt((size**2).sum(axis=(1, 2))), m * n)
+        by_sums = _more(np.sqrt(size.sum(axis=1).max(axis=1) * size.sum(axis=2).max(axis=1)), m + n)
+        scale = np.sqrt((middle**2).sum(axis=(1, 2)))
+        spectral = np.linalg.norm(middle, 2, axis=(1, 2)) + 16 * (m + n) * np.finfo(float).eps * scale
+        around = _more(spectral + np.sqrt((radius**2).sum(axis=(1, 2))), m * n)
+    return _least(frobenius, by_sums, around)
+
+
+def _eigenvalue_bound(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
+    """Bounds (k,) of the largest eigenvalue of the symmetric parts of interval matrices (k, n, n)."""
+    n = lo.shape[1]
+    lo, hi = np.nextafter((lo + lo.swapaxes(1, 2)) / 2, -np.inf), np.nextafter((hi + hi.swapaxes(1, 2)) / 2, np.inf)
+    size, (middle, radius) = np.maximum(np.abs(lo), np.abs(hi)), _sizes(lo, hi)
+    diagonal = np.arange(n)
+    with np.errstate(all="ignore"):
+        off = size.copy()
+        off[:, diagonal, diagonal] = 0.0
+        discs = np.nextafter(hi[:, diagonal, diagonal] + _more(off.sum(axis=2), n), np.inf).max(axis=1)
+        scale = np.sqrt((middle**2).sum(axis=(1, 2)))
+        slack = 32 * n * np.finfo(float).eps * scale
+        radius_norm = np.minimum(_more(np.sqrt((radius**2).sum(axis=(1, 2))), n * n), _more(radius.sum(axis=2).max(axis=1), n))
+        around = np.nextafter(np.linalg.eigvalsh(middle)[:, -1] + _more(radius_norm + slack, 4), np.inf)
+    return _least(discs, around)
+
+
+def _least(*bounds: np.ndarray) -> np.ndarray:
+    """Return the least of several bounds; NaN is no bound."""
+    return np.minimum.reduce([np.where(np.isnan(bound), np.inf, bound) for bound in bounds])

@@ -1,0 +1,188 @@
+"""Interval arithmetic on arrays: sums, products, quotients, squares and roots, rounded outwards.
+
+An interval is a pair (lo, hi) of arrays; ends may be infinite, they are never NaN, and lo < inf, hi > -inf. An operation returns
+bounds of its values wherever it is defined; where arguments may leave its domain by more than rounding the result is
+(-inf, inf). Results that are exact are not widened, so that bounds at whole numbers are sharp. The double that a computer finds
+lies inside too, since rounding is monotone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+Array = np.ndarray
+Pair = tuple[Array, Array]
+
+LARGEST = np.finfo(float).max
+LIBRARY = 2e-15  # Relative error allowed to a library function: 9 ulps or more.
+ROUNDING = 4 * np.finfo(float).eps  # An argument outside a domain by less, beside its other end or 1, counts as rounded.
+PI_BELOW, PI_ABOVE = np.nextafter(np.pi, 0), np.nextafter(np.pi, 4)
+HALF_PI = PI_ABOVE / 2
+ONE, ZERO = (np.ones(1), np.ones(1)), (np.zeros(1), np.zeros(1))
+UNBOUNDED = (np.full(1, -np.inf), np.full(1, np.inf))
+
+
+# -- rounding ----------------------------------------------------------------------------------------------------------
+
+
+def pair(lo: Array, hi: Array) -> Pair:
+    """Return the interval: no bound in place of NaN, and no end beyond all numbers."""
+    return np.where(np.isnan(lo), -np.inf, np.minimum(lo, LARGEST)), np.where(np.isnan(hi), np.inf, np.maximum(hi, -LARGEST))
+
+
+def point(number: float) -> Pair:
+    """Return the interval that holds one number."""
+    return pair(np.array([number]), np.array([number]))
+
+
+def down(x: Array) -> Array:
+    """Return the next double below."""
+    return np.nextafter(x, -np.inf)
+
+
+def up(x: Array) -> Array:
+    """Return the next double above."""
+    return np.nextafter(x, np.inf)
+
+
+def below(x: Array, error: float = LIBRARY) -> Array:
+    """Return a lower bound of a number known with a relative error."""
+    return np.where(np.isinf(x), x, down(x - error * np.abs(x)))
+
+
+def above(x: Array, error: float = LIBRARY) -> Array:
+    """Return an upper bound of a number known with a relative error."""
+    return np.where(np.isinf(x), x, up(x + error * np.abs(x)))
+
+
+def short(*numbers: Array) -> Array:
+    """Whether all numbers have at most 24 significant bits: their products are exact doubles."""
+    mask = np.ones(1, bool)
+    for x in numbers:
+        mask = mask & (x.astype(np.float32) == x)
+    return mask
+
+
+def choose(mask: Array, a: Pair, b: Pair) -> Pair:
+    """Return a where the mask holds, else b."""
+    return np.where(mask, a[0], b[0]), np.where(mask, a[1], b[1])
+
+
+def meet(a: Pair, b: Pair) -> Pair:
+    """Return the intersection of two intervals that are known to meet; the first where rounding parts them."""
+    lo, hi = np.maximum(a[0], b[0]), np.minimum(a[1], b[1])
+    return choose(lo <= hi, (lo, hi), a)
+
+
+def hull(*pairs: Pair) -> Pair:
+    """Return the least interval around several."""
+    lo, hi = pairs[0]
+    for other in pairs[1:]:
+        lo, hi = np.minimum(lo, other[0]), np.maximum(hi, other[1])
+    return lo, hi
+
+
+def magnitude(x: Pair) -> Pair:
+    """Return the interval of |x|."""
+    a, b = np.abs(x[0]), np.abs(x[1])
+    return np.where((x[0] <= 0) & (x[1] >= 0), 0.0, np.minimum(a, b)), np.maximum(a, b)
+
+
+def excludes(x: Pair, number: float = 0.0) -> Array:
+    """Whether the interval does not hold the number."""
+    return (x[0] > number) | (x[1] < number)
+
+
+def is_point(x: Pair) -> Array:
+    """Whether the interval holds one number only."""
+    return x[0] == x[1]
+
+
+# -- rational operations -----------------------------------------------------------------------------------------------
+
+
+def _sum(a: Array, b: Array) -> tuple[Array, Array]:
+    """Return the rounded sum and its error (Knuth); NaN error where it overflows."""
+    s = a + b
+    part = s - a
+    return s, (a - (s - part)) + (b - part)
+
+
+def add(x: Pair, y: Pair) -> Pair:
+    """Return x + y."""
+    (lo, below), (hi, above) = _sum(x[0], y[0]), _sum(x[1], y[1])
+    return pair(np.where(below >= 0, lo, down(lo)), np.where(above <= 0, hi, up(hi)))
+
+
+def neg(x: Pair) -> Pair:
+    """Return -x."""
+    return -x[1], -x[0]
+
+
+def sub(x: Pair, y: Pair) -> Pair:
+    """Return x - y."""
+    return add(x, neg(y))
+
+
+def _corners(products: list[Array], exact: Array, positive: Array, negative: Array) -> Pair:
+    """Return the outward rounded hull of corner values; NaN is 0 times infinity or inf / inf and counts 0."""
+    corners = [np.where(np.isnan(p), 0.0, p) for p in products]
+    lo = np.minimum(np.minimum(corners[0], corners[1]), np.minimum(corners[2], corners[3]))
+    hi = np.maximum(np.maximum(corners[0], corners[1]), np.maximum(corners[2], corners[3]))
+    lo, hi = np.where(exact, lo, down(lo)), np.where(exact, hi, up(hi))
+    return pair(np.where(positive, np.maximum(lo, 0), lo), np.where(negative, np.minimum(hi, 0), hi))
+
+
+def mul(x: Pair, y: Pair) -> Pair:
+    """Return x y, with 0 times anything 0."""
+    positive = ((x[0] >= 0) & (y[0] >= 0)) | ((x[1] <= 0) & (y[1] <= 0))
+    negative = ((x[0] >= 0) & (y[1] <= 0)) | ((x[1] <= 0) & (y[0] >= 0))
+    return _corners([x[0] * y[0], x[0] * y[1], x[1] * y[0], x[1] * y[1]], short(*x, *y), positive, negative)
+
+
+def div(x: Pair, y: Pair) -> Pair:
+    """Return x / y; no bound where y holds 0 inside."""
+    lo, hi = y[0] + 0.0, np.where(y[1] == 0, -0.0, y[1])
+    quotients = [x[0] / lo, x[0] / hi, x[1] / lo, x[1] / hi]
+    exact = short(lo, hi, *quotients)
+    for q, a, b in zip(quotients, (x[0], x[0], x[1], x[1]), (lo, hi, lo, hi), strict=True):
+        exact = exact & (q * b == a)
+    positive = ((x[0] >= 0) & (y[0] >= 0)) | ((x[1] <= 0) & (y[1] <= 0))
+    negative = ((x[0] >= 0) & (y[1] <= 0)) | ((x[1] <= 0) & (y[0] >= 0))
+    inside = ((y[0] < 0) & (y[1] > 0)) | ((y[0] == 0) & (y[1] == 0))
+    return choose(inside, UNBOUNDED, _corners(quotients, exact, positive, negative))
+
+
+def inv(x: Pair) -> Pair:
+    """Return 1 / x."""
+    return div(ONE, x)
+
+
+def square(x: Pair) -> Pair:
+    """Return x^2."""
+    lo, hi = magnitude(x)
+    exact = short(*x)
+    return pair(np.where(exact, lo * lo, np.maximum(down(lo * lo), 0)), np.where(exact, hi * hi, up(hi * hi)))
+
+
+def scale(x: Pair, number: float) -> Pair:
+    """Return a number times x."""
+    return mul(x, point(number))
+
+
+def in_domain(x: Pair, low: float, high: float) -> Array:
+    """Whether the interval lies in [low, high] but for rounding (and does not lie outside altogether)."""
+    slack = ROUNDING * np.minimum(np.maximum(np.abs(x[0]), np.abs(x[1])), 1.0)
+    return (x[0] >= low - slack) & (x[1] <= high + slack) & (x[1] >= low) & (x[0] <= high)
+
+
+def root(x: Pair) -> Pair:
+    """Return sqrt(x)."""
+
+    def ends(value: Array) -> tuple[Array, Array]:
+        r = np.sqrt(np.maximum(value, 0))
+        return r, short(r) & (r * r == value)
+
+    (lo, exact_lo), (hi, exact_hi) = ends(x[0]), ends(x[1])
+    inner = pair(np.where(exact_lo, lo, np.maximum(down(lo), 0)), np.where(exact_hi, hi, up(hi)))
+    return choose(in_domain(x, 0.0, np.inf), inner, UNBOUNDED)

@@ -1,0 +1,107 @@
+"""Jumps of an expression: which of its operations switch, and points on both sides of a switch where its value differs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.hypotheses.proof import extremum
+from nsmodel.model.convex_read import replay
+
+SWITCHES = (ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE)  # Their values are steps.
+OTHERS = (ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN, ca.OP_ATAN2, ca.OP_IF_ELSE_ZERO, ca.OP_NOT, ca.OP_AND, ca.OP_OR)
+POINTS = 4096
+
+
+class Jump(NamedTuple):
+    """A point z (n,) where an expression jumps by ``size`` (the norm), and the two values beside it."""
+
+    at: np.ndarray
+    size: float
+    below: np.ndarray
+    above: np.ndarray
+
+
+def jumps_in(expr: ca.SX, x: ca.SX) -> list[ca.SX]:
+    """Return the nodes of an expression that can jump and whose arguments depend on x."""
+    return _nodes(expr, x, (*SWITCHES, *OTHERS))
+
+
+def _nodes(expr: ca.SX, x: ca.SX, ops: tuple[int, ...]) -> list[ca.SX]:
+    nodes: list[ca.SX] = []
+
+    def note(op: int, args: list[ca.SX], old: ca.SX) -> None:
+        if not any(ca.is_equal(old, other, 3) for other in nodes):
+            nodes.append(old)
+
+    replay(ca.densify(ca.vec(expr)), note, ops, x, "expression")
+    return nodes
+
+
+def _step(node: ca.SX) -> ca.SX:
+    """Return a step function that changes wherever the operation can jump."""
+    op = node.op()
+    if op in (ca.OP_FMOD, ca.OP_REMAINDER):
+        ratio = node.dep(0) / node.dep(1)
+        return ca.floor(ratio if op == ca.OP_FMOD else ratio + 0.5)
+    if op in (ca.OP_COPYSIGN, ca.OP_ATAN2):
+        return ca.sign(node.dep(1 if op == ca.OP_COPYSIGN else 0))
+    return node.dep(0) != 0 if op == ca.OP_IF_ELSE_ZERO else node
+
+
+def surface_points(
+    expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, count: int = POINTS
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return pairs of points (k, n), an ulp or so apart, between which an operation of ``expr`` switches."""
+    nodes = [_step(node) for node in _nodes(expr, z, (*SWITCHES, *OTHERS))]
+    if not nodes:
+        return np.zeros((0, z.numel())), np.zeros((0, z.numel()))
+    state = ca.Function("state", [z], [ca.vertcat(*nodes)])
+    points = extremum.samples(lower, upper, count)
+    at = np.array(state(points.T))
+    pairs = []
+    for k in range(len(nodes)):
+        order = np.argsort(at[k], kind="stable")
+        low, high = points[order], points[order[::-1]]
+        apart = (at[k][order] != at[k][order[::-1]])[: count // 2]
+        x, y = low[: count // 2][apart], high[: count // 2][apart]
+        if not len(x):
+            continue
+        start = np.array(state(x.T))[k]
+        for _ in range(60):
+            middle = (x + y) / 2
+            same = (np.array(state(middle.T))[k] == start)[:, None]
+            x, y = np.where(same, middle, x), np.where(same, y, middle)
+        pairs.append((x, y))
+    if not pairs:
+        return np.zeros((0, z.numel())), np.zeros((0, z.numel()))
+    return np.vstack([x for x, _ in pairs]), np.vstack([y for _, y in pairs])
+
+
+def find_jump(
+    expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, admissible: Callable[[np.ndarray], np.ndarray]
+) -> Jump | None:
+    """Return the largest jump found at points (k, n) of the box that are ``admissible``; None where there was none.
+
+    A difference counts as a jump when it is far above what the size of the values rounds to.
+    """
+    x, y = surface_points(expr, z, lower, upper)
+    if not len(x):
+        return None
+    keep = admissible(x) & admissible(y)
+    x, y = x[keep], y[keep]
+    if not len(x):
+        return None
+    f = ca.Function("f", [z], [ca.densify(ca.vec(expr))])
+    below, above = np.array(f(x.T)).T, np.array(f(y.T)).T
+    with np.errstate(all="ignore"):
+        size = np.linalg.norm(above - below, axis=1)
+        scale = np.linalg.norm(below, axis=1) + np.linalg.norm(above, axis=1)
+        size = np.where(np.isfinite(size) & (size > 1e-7 * scale), size, 0.0)
+    if not size.any():
+        return None
+    k = int(np.argmax(size))
+    return Jump(x[k], float(size[k]), below[k], above[k])

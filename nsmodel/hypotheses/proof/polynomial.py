@@ -1,0 +1,230 @@
+"""Polynomials with rational coefficients, read off an expression without any rounding: its doubles are taken as what they are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.hypotheses.proof.exact import zeros
+from nsmodel.model.convex_read import replay
+from nsmodel.model.expressions import column
+
+Monomial = tuple[tuple[int, int], ...]  # ((variable, power), ...), variables increasing, powers > 0
+Polynomial = dict[Monomial, Fraction]  # without zeros
+TERMS, DEGREE = 4000, 30  # Beyond these nothing is read: None.
+
+
+class Quadratic(NamedTuple):
+    """x'Hx/2 + q'x + c with H (n, n) symmetric, q (n, 1) and c rational."""
+
+    H: np.ndarray
+    q: np.ndarray
+    c: Fraction
+
+
+def read(expr: ca.SX, z: ca.SX) -> list[Polynomial | None]:
+    """Return each entry of ``expr`` as a polynomial in z (n, 1), None where it is not one.
+
+    >>> x = ca.SX.sym("x", 2)
+    >>> read((x[0] - 0.5) ** 2 * x[1], x)
+    [{((0, 2), (1, 1)): Fraction(1, 1), ((0, 1), (1, 1)): Fraction(-1, 1), ((1, 1),): Fraction(1, 4)}]
+    """
+    symbols = ca.symvar(expr)
+    place = {symbol.element_hash(): i for i, symbol in enumerate(ca.vertsplit(z))} if z.numel() else {}
+    function = ca.Function("read", [column(symbols)], [ca.densify(ca.vec(expr))])
+    work: dict[int, Polynomial | None] = {}
+    found: list[Polynomial | None] = [None] * expr.numel()
+    for i in range(function.n_instructions()):
+        op, source, target = function.instruction_id(i), function.instruction_input(i), function.instruction_output(i)
+        if op == ca.OP_OUTPUT:
+            found[target[1]] = work[source[0]]
+        elif op == ca.OP_INPUT:
+            index = place.get(symbols[source[1]].element_hash())
+            work[target[0]] = None if index is None else {((index, 1),): Fraction(1)}
+        elif op == ca.OP_CONST:
+            work[target[0]] = constant(function.instruction_constant(i))
+        else:
+            args = [work[j] for j in source]
+            work[target[0]] = None if any(arg is None for arg in args) else apply(op, [a for a in args if a is not None])
+    return found
+
+
+def ratio(expr: ca.SX, z: ca.SX) -> tuple[Polynomial, Polynomial] | None:
+    """Return a scalar as a quotient of polynomials in z, None where it is not one.
+
+    >>> s = ca.SX.sym("s")
+    >>> ratio(s + 2 / (1 + s), s)
+    ({((0, 1),): Fraction(1, 1), ((0, 2),): Fraction(1, 1), (): Fraction(2, 1)}, {(): Fraction(1, 1), ((0, 1),): Fraction(1, 1)})
+    """
+    divisors: list[tuple[ca.SX, ca.SX, ca.SX]] = []  # symbol for 1/u, u, symbols before it
+
+    def rule(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX:
+        divisors.append((ca.SX.sym("inverse"), args[-1], column(symbol for symbol, _, _ in divisors)))
+        return (args[0] if op == ca.OP_DIV else 1) * divisors[-1][0]
+
+    flat = replay(expr, rule, (ca.OP_DIV, ca.OP_INV), z, "expression")
+    fractions: list[tuple[Polynomial, Polynomial]] = []
+    for u, before in [*((u, before) for _, u, before in divisors), (flat, column(symbol for symbol, _, _ in divisors))]:
+        (p,) = read(u, ca.vertcat(z, before))
+        found = None if p is None else _cleared(p, z.numel(), fractions)
+        if found is None or (u is not flat and not found[0]):
+            return None
+        fractions.append(found if u is flat else (found[1], found[0]))
+    return fractions[-1]
+
+
+def _cleared(p: Polynomial, n: int, inverses: Sequence[tuple[Polynomial, Polynomial]]) -> tuple[Polynomial, Polynomial] | None:
+    """p(z, y) with y_j = num_j / den_j as one quotient."""
+    most = [max((dict(monomial).get(n + j, 0) for monomial in p), default=0) for j in range(len(inverses))]
+    top: Polynomial | None = {}
+    bottom = _product([inverses[j][1] for j, power in enumerate(most) for _ in range(power)])
+    for monomial, number in p.items():
+        powers = dict(monomial)
+        own = tuple((variable, power) for variable, power in monomial if variable < n)
+        factors = [{own: number}]
+        for j, (num, den) in enumerate(inverses):
+            power = powers.get(n + j, 0)
+            factors += [num] * power + [den] * (most[j] - power)
+        term = _product(factors)
+        top = None if top is None or term is None else add(top, term)
+    return None if top is None or bottom is None else (top, bottom)
+
+
+def _product(factors: Sequence[Polynomial]) -> Polynomial | None:
+    total: Polynomial | None = {(): Fraction(1)}
+    for factor in factors:
+        total = None if total is None else multiply(total, factor)
+    return total
+
+
+def constant(value: float) -> Polynomial | None:
+    """The constant as a polynomial; None where it is not finite."""
+    return None if not np.isfinite(value) else {(): Fraction(value)} if value else {}
+
+
+def apply(op: int, args: Sequence[Polynomial]) -> Polynomial | None:
+    """Apply an operation of CasADi to polynomials; None where the result is none, or too long."""
+    a, b = args[0], args[-1]
+    if op == ca.OP_ADD:
+        return add(a, b)
+    if op == ca.OP_SUB:
+        return add(a, b, Fraction(-1))
+    if op in (ca.OP_NEG, ca.OP_TWICE, ca.OP_ASSIGN):
+        return scaled(a, Fraction({ca.OP_NEG: -1, ca.OP_TWICE: 2, ca.OP_ASSIGN: 1}[op]))
+    if op in (ca.OP_MUL, ca.OP_SQ):
+        return multiply(a, b)
+    if op == ca.OP_DIV and is_constant(b) and b:
+        return scaled(a, 1 / b[()])
+    if op == ca.OP_INV and is_constant(a) and a:
+        return {(): 1 / a[()]}
+    if op in (ca.OP_POW, ca.OP_CONSTPOW) and is_constant(b):
+        return _power(a, b.get((), Fraction(0)))
+    return None
+
+
+def is_constant(p: Polynomial) -> bool:
+    """Whether the polynomial is a number."""
+    return not p or set(p) == {()}
+
+
+def degree(p: Polynomial) -> int:
+    """The degree, 0 for numbers."""
+    return max((sum(power for _, power in monomial) for monomial in p), default=0)
+
+
+def variables(p: Polynomial) -> list[int]:
+    """Indices of the variables in the polynomial."""
+    return sorted({variable for monomial in p for variable, _ in monomial})
+
+
+def add(a: Polynomial, b: Polynomial, factor: Fraction = Fraction(1)) -> Polynomial:
+    """a + factor b."""
+    total = dict(a)
+    for monomial, number in b.items():
+        value = total.pop(monomial, Fraction(0)) + factor * number
+        if value:
+            total[monomial] = value
+    return total
+
+
+def scaled(p: Polynomial, factor: Fraction) -> Polynomial:
+    """Factor times p."""
+    return {monomial: factor * number for monomial, number in p.items()} if factor else {}
+
+
+def multiply(a: Polynomial, b: Polynomial) -> Polynomial | None:
+    """A times b; None where it has too many terms or too high a degree."""
+    if len(a) * len(b) > TERMS or degree(a) + degree(b) > DEGREE:
+        return None
+    total: Polynomial = {}
+    for left, x in a.items():
+        for right, y in b.items():
+            monomial = _joined(left, right)
+            total[monomial] = total.get(monomial, Fraction(0)) + x * y
+    return {monomial: number for monomial, number in total.items() if number}
+
+
+def value(p: Polynomial, x: Sequence[Fraction] | Mapping[int, Fraction]) -> Fraction:
+    """The exact value at rational x."""
+    total = Fraction(0)
+    for monomial, number in p.items():
+        for variable, power in monomial:
+            number *= x[variable] ** power
+        total += number
+    return total
+
+
+def quadratic(p: Polynomial | None, n: int) -> Quadratic | None:
+    """The polynomial in n variables as x'Hx/2 + q'x + c; None where its degree is above 2."""
+    if p is None or degree(p) > 2:
+        return None
+    H, q, c = zeros(n, n), zeros(n, 1), Fraction(0)
+    for monomial, number in p.items():
+        where = [variable for variable, power in monomial for _ in range(power)]
+        if len(where) == 2:
+            H[where[0], where[1]] += number
+            H[where[1], where[0]] += number
+        elif where:
+            q[where[0], 0] += number
+        else:
+            c = number
+    return Quadratic(H, q, c)
+
+
+def coefficients(p: Polynomial) -> list[Fraction]:
+    """Coefficients c_0, c_1, ... of a polynomial in one variable (whichever)."""
+    powers = {sum(power for _, power in monomial): number for monomial, number in p.items()}
+    return [powers.get(k, Fraction(0)) for k in range(max(powers, default=0) + 1)]
+
+
+def derivative(p: Polynomial, variable: int) -> Polynomial:
+    """Partial derivative."""
+    total: Polynomial = {}
+    for monomial, number in p.items():
+        powers = dict(monomial)
+        power = powers.pop(variable, 0)
+        if power:
+            if power > 1:
+                powers[variable] = power - 1
+            total[tuple(sorted(powers.items()))] = number * power
+    return total
+
+
+def _joined(left: Monomial, right: Monomial) -> Monomial:
+    powers = dict(left)
+    for variable, power in right:
+        powers[variable] = powers.get(variable, 0) + power
+    return tuple(sorted(powers.items()))
+
+
+def _power(a: Polynomial, exponent: Fraction) -> Polynomial | None:
+    if exponent.denominator != 1 or not 0 <= exponent <= DEGREE:
+        return None
+    result: Polynomial | None = {(): Fraction(1)}
+    for _ in range(int(exponent)):
+        result = None if result is None else multiply(result, a)
+    return result

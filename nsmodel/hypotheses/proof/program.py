@@ -1,0 +1,159 @@
+"""The instructions of a CasADi expression as a list of values, with powers of one value recognised as such."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+MEMORY = 4_000_000  # Numbers kept at once while a program runs.
+HIGH = 64  # Powers beyond this are left as they are.
+
+
+class Step(NamedTuple):
+    """One instruction: values[target] = op(values[sources]); ``number`` of a constant; ``slot`` of an input."""
+
+    op: int
+    sources: tuple[int, ...]
+    number: float
+    slot: int
+
+
+@dataclass(frozen=True)
+class Program:
+    """The instructions of an expression, each value written once.
+
+    Attributes:
+        steps: in order; value i is the result of step i.
+        outputs: (numel,) the value of each entry of the expression, column by column.
+        shape: of the expression.
+        inputs: number of entries of z.
+        uses: for each step the slots of z that it depends on.
+    """
+
+    steps: tuple[Step, ...]
+    outputs: tuple[int, ...]
+    shape: tuple[int, int]
+    inputs: int
+    uses: tuple[frozenset[int], ...]
+
+    @property
+    def rows_at_once(self) -> int:
+        """How many boxes are worth running together."""
+        return max(16, MEMORY // (2 * len(self.steps) + 1))
+
+
+def program(expr: ca.SX, z: ca.SX) -> Program:
+    """Return the instructions of ``expr`` in the symbols z (n, 1).
+
+    CasADi writes 3 x^2, a derivative, as x^2 + (2 x) x, whose least value on an interval around 0 would be bounded by a
+    negative number: such sums and products of powers of one value are written as one power.
+
+    Raises:
+        ValueError: the expression holds other symbols.
+    """
+    z, expr = ca.SX(z), ca.SX(expr)
+    own = {symbol.element_hash() for symbol in ca.vertsplit(ca.vec(z))}
+    strange = [str(symbol) for symbol in ca.symvar(expr) if symbol.element_hash() not in own]
+    if strange:
+        raise ValueError(f"the expression holds {', '.join(strange)}, which are not among the symbols of the box")
+    function = ca.Function("program", [ca.vec(z)], [ca.densify(ca.vec(expr))], {"live_variables": False, "cse": True})
+    outputs = [0] * expr.numel()
+    list_ = _List()
+    register: dict[int, int] = {}
+    for i in range(function.n_instructions()):
+        op, source, target = function.instruction_id(i), function.instruction_input(i), function.instruction_output(i)
+        if op == ca.OP_OUTPUT:
+            outputs[target[1]] = register[source[0]]
+        elif op == ca.OP_INPUT:
+            register[target[0]] = list_.put(Step(op, (), 0.0, source[1]))
+        elif op == ca.OP_CONST:
+            register[target[0]] = list_.constant(function.instruction_constant(i))
+        else:
+            sources = tuple(register[j] for j in source)
+            for j in target:
+                register[j] = list_.result(op, sources) if len(target) == 1 else list_.put(Step(-1, sources, 0.0, -1))
+    return Program(tuple(list_.steps), tuple(outputs), expr.shape, z.numel(), tuple(list_.uses))
+
+
+class _Power(NamedTuple):
+    """factor times the value ``base`` to a power."""
+
+    base: int
+    power: int
+    factor: Fraction
+
+
+class _List:
+    """Values written so far, and which of them are known to be powers of another."""
+
+    def __init__(self) -> None:
+        self.steps: list[Step] = []
+        self.uses: list[frozenset[int]] = []
+        self._known: dict[Step, int] = {}
+        self._powers: dict[int, _Power] = {}
+
+    def put(self, step: Step) -> int:
+        """Return the index of a step; one that was written already is not written again."""
+        if step.op >= 0 and step in self._known:
+            return self._known[step]
+        self._known[step] = len(self.steps)
+        self.steps.append(step)
+        self.uses.append(frozenset({step.slot}) if step.slot >= 0 else frozenset().union(*(self.uses[k] for k in step.sources)))
+        return len(self.steps) - 1
+
+    def constant(self, number: float) -> int:
+        """Return the index of a constant."""
+        return self.put(Step(ca.OP_CONST, (), number, -1))
+
+    def result(self, op: int, sources: tuple[int, ...]) -> int:
+        """Return the index of the result of an operation."""
+        power = self._power(op, sources)
+        several = op in (ca.OP_MUL, ca.OP_ADD, ca.OP_SUB) and all(self.uses[j] for j in sources)
+        index = self._written(power) if power is not None and several else self.put(Step(op, sources, 0.0, -1))
+        if power is not None:
+            self._powers[index] = power
+        return index
+
+    def _power(self, op: int, sources: tuple[int, ...]) -> _Power | None:
+        """Return the result as a power of one value with a factor that is a double; None if it is not seen to be one."""
+        first, last = (self._powers.get(j, _Power(j, 1, Fraction(1))) for j in (sources[0], sources[-1]))
+        if op == ca.OP_SQ:
+            found = _Power(first.base, 2 * first.power, first.factor**2)
+        elif op in (ca.OP_NEG, ca.OP_TWICE):
+            found = first._replace(factor=first.factor * (-1 if op == ca.OP_NEG else 2))
+        elif op == ca.OP_MUL and not (self.uses[sources[0]] and self.uses[sources[1]]):
+            number, other = (first, last) if self.uses[sources[1]] else (last, first)
+            step = self.steps[number.base]
+            if step.op != ca.OP_CONST or not np.isfinite(step.number):
+                return None
+            found = other._replace(factor=other.factor * Fraction(step.number))
+        elif op == ca.OP_MUL and first.base == last.base:
+            found = _Power(first.base, first.power + last.power, first.factor * last.factor)
+        elif op in (ca.OP_ADD, ca.OP_SUB) and first[:2] == last[:2]:
+            found = first._replace(factor=first.factor + last.factor * (1 if op == ca.OP_ADD else -1))
+        else:
+            return None
+        return found if found.factor and found.power <= HIGH and is_double(found.factor) else None
+
+    def _written(self, power: _Power) -> int:
+        """Return the index of a power."""
+        index = power.base
+        if power.power == 2:
+            index = self.put(Step(ca.OP_SQ, (index,), 0.0, -1))
+        elif power.power > 2:
+            index = self.put(Step(ca.OP_CONSTPOW, (index, self.constant(float(power.power))), 0.0, -1))
+        if power.factor == 1:
+            return index
+        return self.put(Step(ca.OP_MUL, (self.constant(float(power.factor)), index), 0.0, -1))
+
+
+def is_double(number: Fraction) -> bool:
+    """Whether a double is this number."""
+    try:
+        return Fraction(float(number)) == number
+    except OverflowError:
+        return False

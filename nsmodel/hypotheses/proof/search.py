@@ -1,0 +1,286 @@
+"""Searching a box for the largest value of an expression: sample points, local searches, branch and bound."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.hypotheses.proof import branch
+from nsmodel.hypotheses.proof.branch import Bounded, Task
+from nsmodel.hypotheses.proof.directions import Reduced, reduced
+from nsmodel.hypotheses.proof.interval import centre
+from nsmodel.hypotheses.proof.program import Program, program
+from nsmodel.model.expressions import column, keys
+from nsmodel.solve.quiet import quiet
+
+FEW, MANY = 256, 2048  # Sample points of a quick and of a full search.
+STARTS = 4  # Local searches.
+BOXES, WORK = 20_000, 3_000_000  # A search looks at so many boxes at most, fewer where the expression has many instructions.
+WIDE = 6  # Constraints' own coordinates are cut too where there are no more than so many in all.
+IPOPT = {
+    "print_time": False,
+    "error_on_fail": False,
+    "show_eval_warnings": False,
+    "ipopt": {
+        "print_level": 0, "sb": "yes", "tol": 1e-10, "max_iter": 100, "bound_relax_factor": 0.0, "honor_original_bounds": "yes",
+    },
+}  # fmt: skip
+
+
+class Supremum(NamedTuple):
+    """What is known of the largest value of f over {lower <= z <= upper, where >= 0}.
+
+    Attributes:
+        value: f at ``at``, the best point found; -inf where no feasible point was found. f > c somewhere if value > c.
+        at: (n,) or None.
+        bound: f <= bound at every feasible point where f is defined (inf: no bound is known). sup f <= c is proved if
+            bound <= c.
+        count: feasible points at which f was evaluated.
+    """
+
+    value: float
+    at: np.ndarray | None
+    bound: float
+    count: int  # pyright: ignore[reportIncompatibleMethodOverride]
+
+
+class Scene(NamedTuple):
+    """Where to look: the arguments that all searches share."""
+
+    z: ca.SX
+    lower: np.ndarray
+    upper: np.ndarray
+    where: ca.SX
+    points: np.ndarray
+    quick: bool
+    bound_to: float
+
+
+class Goal(NamedTuple):
+    """What to maximise: a number that belongs to the entries of ``held``.
+
+    Attributes:
+        held: expression of any shape.
+        values: its entries at points (k, numel) -> (k,).
+        bounds: the program of ``held``, boxes -> bounds.
+        cost: of a value, in operations.
+        ascent: (objective, v, start): the value is the maximum of the objective over |v_i| = 1, start(entries) -> v.
+    """
+
+    held: ca.SX
+    values: Callable[[np.ndarray], np.ndarray]
+    bounds: Callable[[Program, np.ndarray, np.ndarray], Bounded]
+    cost: int
+    ascent: tuple[ca.SX, list[ca.SX], Callable[[np.ndarray], np.ndarray]]
+
+
+def samples(lower: np.ndarray, upper: np.ndarray, count: int) -> np.ndarray:
+    """Return points (count, n) spread evenly over a box; with heavy tails towards infinite ends.
+
+    Kronecker's sequence of the roots of primes: the same points each time, the first of them the middle of the box.
+    """
+    lower, upper = np.asarray(lower, float), np.asarray(upper, float)
+    u = (0.5 + np.arange(count)[:, None] * np.sqrt(_primes(lower.size))) % 1.0
+    with np.errstate(all="ignore"):
+        inside = lower * (1 - u) + upper * u
+        right, left = lower + u / (1 - u), upper - (1 - u) / np.maximum(u, 1e-12)
+        both = np.tan(np.pi * (u - 0.5))
+    out = np.where(np.isfinite(upper), left, both)
+    out = np.where(np.isfinite(lower), np.where(np.isfinite(upper), inside, right), out)
+    return np.clip(out, lower, upper)
+
+
+def _primes(count: int) -> np.ndarray:
+    found: list[int] = []
+    number = 2
+    while len(found) < count:
+        if all(number % p for p in found):
+            found.append(number)
+        number += 1
+    return np.array(found, float)
+
+
+class _Watch:
+    """Evaluates a goal at points, keeps those that are feasible and counts them."""
+
+    def __init__(self, goal: Goal, scene: Scene) -> None:
+        self._goal, self._scene = goal, scene
+        self._numel = goal.held.numel()
+        self._constant = not ca.symvar(goal.held)
+        both = ca.vertcat(ca.vec(goal.held), scene.where)
+        names = keys(both)
+        self.used = [i for i in range(scene.z.numel()) if scene.z[i].element_hash() in names]
+        self._function = ca.Function("values", [scene.z[self.used]], [ca.densify(both)])
+        self.count = 0
+
+    def at(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the values (k,), -inf where not feasible or not finite, the entries, and the worst constraint (k,)."""
+        if not len(points):
+            return np.zeros(0), np.zeros((0, self._numel)), np.zeros(0)
+        if self.used:
+            both = np.array(self._function(points[:, self.used].T)).reshape(-1, len(points)).T
+        else:
+            both = np.tile(np.array(self._function(np.zeros(0))).reshape(1, -1), (len(points), 1))
+        entries, rows = both[:, : self._numel], both[:, self._numel :]
+        finite = np.isfinite(entries).all(axis=1)
+        worst = np.where(np.isnan(rows), -np.inf, rows).min(axis=1, initial=np.inf)
+        good = finite & (worst >= 0)
+        self.count += int(good.sum())
+        values = np.full(len(points), -np.inf)
+        if good.any():
+            values[good] = self._goal.values(entries[good][:1] if self._constant else entries[good])
+        return values, entries, worst
+
+    def best(self, points: np.ndarray) -> tuple[float, np.ndarray | None]:
+        """Return the largest value and its point; -inf and None where no point is feasible."""
+        values = self.at(points)[0]
+        i = int(np.argmax(values)) if len(values) else -1
+        return (-np.inf, None) if i < 0 or values[i] == -np.inf else (float(values[i]), points[i].copy())
+
+
+def search(goal: Goal, scene: Scene, enough: float) -> Supremum:
+    """Look at points, bound the box, and where that does not settle it climb from the best points and cut the box.
+
+    Args:
+        goal: what to maximise.
+        scene: where.
+        enough: a value that is known elsewhere: bounds below it are of no use.
+    """
+    watch = _Watch(goal, scene)
+    task, size = _task(goal, scene, watch, enough)
+    state = branch.start(task)
+    if state.bound <= enough:
+        return Supremum(-np.inf, None, float(state.bound), 0)
+    state = branch.better(state, *task.best(branch.middles(state), None))
+    if state.value > -np.inf and state.bound - state.value <= branch.CLOSE * abs(state.value):
+        return Supremum(state.value, state.at, float(state.bound), watch.count)
+    number = FEW if scene.quick else int(np.clip(4e7 // (size + goal.cost), 64, MANY))
+    looked = np.vstack([scene.points, *_spread(scene, watch.used, number)])
+    values, entries, worst = watch.at(looked)
+    first = int(np.argmax(values))
+    if values[first] > -np.inf:
+        state = branch.better(state, float(values[first]), looked[first].copy())
+    state = branch.better(state, *task.best(branch.middles(state), state.at))
+    if not scene.quick:
+        feasible = values[values > -np.inf]
+        spread = float(np.median(np.abs(feasible - np.median(feasible)))) if feasible.size else 0.0
+        task, budget = task._replace(tolerance=branch.CLOSE * spread), int(np.clip(WORK // (size + goal.cost), 400, BOXES))
+        state = branch.search(task, state, min(budget, 128))
+        if not branch.finished(task, state):
+            for points in _climbed(goal, scene, looked, values, entries, worst):
+                state = branch.better(state, *watch.best(points))
+            state = branch.search(task, state, budget)
+    return Supremum(state.value, state.at, float(state.bound), watch.count)
+
+
+def _spread(scene: Scene, used: list[int], number: int) -> list[np.ndarray]:
+    """Return corners of the box (not those at infinity, 64 at most) and sample points, in the coordinates that matter."""
+    free = np.array([i for i in used if scene.lower[i] < scene.upper[i]], int)
+    inner = centre(scene.lower, scene.upper)
+    spread = np.tile(inner, (number, 1))
+    spread[:, used] = samples(scene.lower[used], scene.upper[used], number)
+    if not free.size or not np.isfinite([scene.lower[free], scene.upper[free]]).all():
+        return [spread]
+    corners = np.tile(inner, (2 ** min(free.size, 6), 1))
+    bits = (np.arange(len(corners))[:, None] >> (np.arange(free.size) % 6)) & 1
+    corners[:, free] = np.where(bits, scene.upper[free], scene.lower[free])
+    return [corners, spread]
+
+
+def _task(goal: Goal, scene: Scene, watch: _Watch, enough: float) -> tuple[Task, int]:
+    """Return what is left to branch and bound, in as few coordinates as the goal needs, and the number of its instructions."""
+    own = keys(goal.held)
+    rows = [row for row in ca.vertsplit(scene.where) if keys(row) & own or not ca.symvar(row)] if scene.where.numel() else []
+    whole = ca.vertcat(ca.vec(ca.densify(goal.held)), *rows)
+    less = reduced(whole, scene.z, scene.lower, scene.upper)
+    if less is None:
+        symbols, lower, upper = scene.z, scene.lower, scene.upper
+    else:
+        whole, symbols, lower, upper = less.expr, less.d, less.lower, less.upper
+    held, limits = ca.reshape(whole[: goal.held.numel()], *goal.held.shape), whole[goal.held.numel() :]
+    code = program(held, symbols)
+    free = _free(held, limits, symbols, lower, upper)
+
+    def best(points: np.ndarray, at: np.ndarray | None) -> tuple[float, np.ndarray | None]:
+        return watch.best(_completed(points, at, free, scene) if less is None else _lifted(points, at, less, scene))
+
+    return Task(
+        lambda low, high: goal.bounds(code, low, high), best, program(limits, symbols) if rows else None, lower, upper, free,
+        scene.bound_to, enough, 0.0,
+    ), len(code.steps)  # fmt: skip
+
+
+def _free(held: ca.SX, limits: ca.SX, symbols: ca.SX, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Return the coordinates to cut: those of the goal and, if they are few, of its constraints."""
+    joint = keys(ca.vertcat(ca.vec(held), limits))
+    wanted = joint if len(joint) <= WIDE else keys(held)
+    names = [symbol.element_hash() for symbol in ca.vertsplit(symbols)] if symbols.numel() else []
+    return np.array([i for i, name in enumerate(names) if name in wanted and lower[i] < upper[i]], int)
+
+
+def _completed(points: np.ndarray, at: np.ndarray | None, free: np.ndarray, scene: Scene) -> np.ndarray:
+    """Return the points with the coordinates that are not cut taken from the best point."""
+    if at is not None:
+        fixed = np.setdiff1d(np.flatnonzero(scene.lower < scene.upper), free)
+        points[:, fixed] = at[fixed]
+    return points
+
+
+def _lifted(points: np.ndarray, at: np.ndarray | None, less: Reduced, scene: Scene) -> np.ndarray:
+    """Return points z (k, n) of the box with d = points, as far as there are any; the nearest to the best point."""
+    base = centre(scene.lower, scene.upper) if at is None else at
+    inverse = np.linalg.pinv(less.matrix)
+    z = np.tile(base, (len(points), 1))
+    for _ in range(3):  # Clipping to the box moves d; what is left over goes to the coordinates that are free.
+        z = np.clip(z + (points - z @ less.matrix.T - less.constant) @ inverse.T, scene.lower, scene.upper)
+    return z
+
+
+def _climbed(
+    goal: Goal, scene: Scene, looked: np.ndarray, values: np.ndarray, entries: np.ndarray, worst: np.ndarray
+) -> list[np.ndarray]:
+    """Return points (k, n) on the way to local maxima, from the best points looked at; not all of them are feasible."""
+    objective, extra, begin = goal.ascent
+    order = np.lexsort((-worst, -values))
+    order = order[np.isfinite(entries[order]).all(axis=1)][:64]
+    if not order.size or not ca.symvar(goal.held):
+        return []
+    v, unit = column(extra), column(ca.sumsqr(part) - 1 for part in extra)
+    nlp = {"x": ca.vertcat(scene.z, v), "f": -objective, "g": ca.vertcat(scene.where, unit)}
+    large = {"hessian_approximation": "limited-memory"} if ca.n_nodes(objective) > 3000 or scene.z.numel() > 30 else {}
+    found = []
+    with quiet():
+        try:
+            solver = ca.nlpsol("climb", "ipopt", nlp, {**IPOPT, "ipopt": {**IPOPT["ipopt"], **large}})
+            for i in _apart(looked[order], scene):
+                begun = looked[order[i]]
+                answer = solver(
+                    x0=np.concatenate([begun, begin(entries[order[i]])]),
+                    lbx=np.concatenate([scene.lower, np.full(v.numel(), -1.5)]),
+                    ubx=np.concatenate([scene.upper, np.full(v.numel(), 1.5)]),
+                    lbg=np.zeros(nlp["g"].numel()),
+                    ubg=np.concatenate([np.full(scene.where.numel(), np.inf), np.zeros(unit.numel())]),
+                )  # fmt: skip
+                end = np.clip(np.array(answer["x"]).ravel()[: begun.size], scene.lower, scene.upper)
+                if np.isfinite(end).all():
+                    back = np.concatenate([[0.0], 2.0 ** -np.arange(50.0, 0, -2)])[:, None]
+                    found.append(end + back * (begun - end))
+        except RuntimeError:  # CasADi gives up where derivatives are not defined
+            return found
+    return found
+
+
+def _apart(points: np.ndarray, scene: Scene) -> list[int]:
+    """Return indices of the first points that lie apart from each other."""
+    size = np.where(np.isfinite(scene.upper - scene.lower), scene.upper - scene.lower, 1.0)
+    scaled = points / np.where(size > 0, size, 1.0)
+    kept: list[int] = []
+    for i, point in enumerate(scaled):
+        if all(np.abs(point - scaled[j]).max(initial=0.0) > 0.1 for j in kept):
+            kept.append(i)
+        if len(kept) == STARTS:
+            break
+    return kept

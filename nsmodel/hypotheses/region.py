@@ -1,0 +1,74 @@
+"""The region over which hypotheses about all states are decided: a box of states and an interval of time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.errors import UsageError
+from nsmodel.model.base import Model
+from nsmodel.trajectory import Trajectory
+
+GROWTH = 1.5  # The box is this much wider than the runs.
+
+
+@dataclass(frozen=True)
+class Region:
+    """A box: lower (n,), upper (n,) of the states, t0 <= t <= t1; ``origin`` says where it comes from."""
+
+    lower: np.ndarray
+    upper: np.ndarray
+    t0: float
+    t1: float
+    names: tuple[str, ...]
+    origin: str
+
+    def with_time(self) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds (n + 1,) of (t, x)."""
+        return np.concatenate([[self.t0], self.lower]), np.concatenate([[self.t1], self.upper])
+
+    @property
+    def text(self) -> str:
+        """One line, for reports."""
+        n = len(self.names)
+        shown = [f"{name} in [{a:.4g}, {b:.4g}]" for name, a, b in zip(self.names, self.lower, self.upper, strict=True)]
+        states = ", ".join(shown if n <= 6 else [*shown[:4], f"... ({n} states)"])
+        return f"{states}, t in [{self.t0:.4g}, {self.t1:.4g}] ({self.origin})"
+
+
+def region_of(model: Model, runs: Sequence[Trajectory], given: Mapping[str, Any] | None = None) -> Region:
+    """Return the box around the runs, wider by half; states named in ``given`` have their own interval.
+
+    Args:
+        model: bound.
+        runs: trajectories; without any, the box lies around the start.
+        given: {state or stem: (low, high)}.
+
+    Raises:
+        UsageError: an unknown name, or no interval low < high of finite numbers.
+    """
+    start = np.array(ca.DM(model.x0 if hasattr(model, "x0") else model.q0)).ravel()
+    x = np.vstack([start[None, :], *(run.x[np.isfinite(run.x).all(axis=1)] for run in runs)])
+    centre, half = (x.max(axis=0) + x.min(axis=0)) / 2, (x.max(axis=0) - x.min(axis=0)) / 2
+    widest = half.max(initial=0.0) or max(1.0, np.abs(centre).max(initial=0.0))
+    half = np.maximum(GROWTH * half, np.maximum(0.1 * np.abs(centre), 0.25 * widest))
+    lower, upper = centre - half, centre + half
+    origin = f"{GROWTH:g} times the box around the run" if runs else "a box around the start"
+    for name, interval in (given or {}).items():
+        rows = [model.names.index(name)] if name in model.names else model.stems.get(name)
+        if rows is None:
+            raise UsageError(f"region: '{name}' is no state; the model has {', '.join(model.names)}")
+        try:
+            low, high = (float(end) for end in interval)
+        except (TypeError, ValueError):
+            low = high = np.nan
+        if not -np.inf < low < high < np.inf:
+            raise UsageError(f"region: {name} = {interval!r}; expected a pair (low, high) of finite numbers, low < high")
+        lower[rows], upper[rows] = low, high
+        origin = "as given"
+    t1 = max((float(run.t[-1]) for run in runs), default=float(model.t_end or 0.0))
+    return Region(lower, upper, 0.0, t1, tuple(model.names), origin)

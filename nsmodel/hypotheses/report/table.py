@@ -1,0 +1,159 @@
+"""A report as a table for the terminal, and as data."""
+
+from __future__ import annotations
+
+import textwrap
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED, Consequence, Finding, Report
+
+LONGEST = 6  # Entries of a vector that are shown.
+ENTRIES = 12  # Entries of a witness that are shown.
+LABEL = 14  # A label longer than this stands on its own line.
+
+
+def text(report: Report, width: int = 100) -> str:
+    """Return the report as lines of at most ``width`` (>= 60) characters: a block a finding, then what follows from them."""
+    labels = [finding.id for finding in report.findings] + [consequence.name for consequence in report.consequences]
+    page = _Page(max([len(label) for label in labels if len(label) <= LABEL], default=4) + 2, width, _usual_source(report))
+    findings = [line for finding in report.findings for line in _finding(finding, page)]
+    follows = [line for consequence in report.consequences for line in _consequence(consequence, page)]
+    notes = [line for note in report.notes for line in _hanging("note  ", note, width)]
+    blocks = [_head(report, width), findings, ["What follows", "", *follows] if follows else [], notes]
+    return "\n\n".join("\n".join(block) for block in blocks if block)
+
+
+def document(report: Report) -> dict[str, Any]:
+    """Return all of the report as text, numbers, lists and dictionaries, as :func:`nsmodel.storage.dumps` writes them."""
+    return {
+        "title": report.title,
+        "model_class": report.model_class,
+        "paper": report.paper,
+        "region": report.region,
+        "quick": report.quick,
+        "verdict": report.verdict,
+        "parameters": dict(report.parameters),
+        "findings": [
+            {
+                "id": finding.id,
+                "statement": finding.statement,
+                "verdict": finding.verdict,
+                "value": dict(finding.value),
+                "witness": dict(finding.witness),
+                "how": finding.how,
+                "source": finding.source,
+            }
+            for finding in report.findings
+        ],
+        "consequences": [
+            {
+                "name": consequence.name,
+                "statement": consequence.statement,
+                "verdict": consequence.verdict,
+                "rests_on": list(consequence.rests_on),
+                "value": dict(consequence.value),
+                "source": consequence.source,
+            }
+            for consequence in report.consequences
+        ],
+        "notes": list(report.notes),
+    }
+
+
+def shown(item: Any) -> str:
+    """A number, text, or a list of them as a reader wants it: 5 digits, long lists abbreviated.
+
+    >>> shown([1, 0.123456, float("inf")])
+    '(1, 0.12346, inf)'
+    """
+    if isinstance(item, list | tuple):
+        entries = [shown(part) for part in item]
+        if len(entries) > LONGEST:
+            return f"({', '.join([*entries[: LONGEST - 2], '...', entries[-1]])}; {len(entries)} entries)"
+        return f"({', '.join(entries)})"
+    return f"{item:.5g}" if isinstance(item, float) else str(item)
+
+
+def pairs(numbers: Mapping[str, Any]) -> list[str]:
+    """Name = value for each entry."""
+    return [f"{name} = {shown(item)}" for name, item in numbers.items()]
+
+
+def witness(finding: Finding) -> list[str]:
+    """The witness where a hypothesis fails or was only looked at, of a long one the first entries; of a proof the P it found."""
+    told = finding.witness if finding.verdict in (VIOLATED, SAMPLED) else {k: v for k, v in finding.witness.items() if k == "P"}
+    entries = pairs(told)
+    return entries if len(entries) <= ENTRIES else [*entries[: ENTRIES - 2], f"... ({len(entries)} entries)"]
+
+
+def _head(report: Report, width: int) -> list[str]:
+    given = [f"{name} = {'no value' if value is None else shown(value)}" for name, value in report.parameters.items()]
+    rows = {"model": f"{report.model_class}; {report.paper}", "region": report.region}
+    lines = [line for name, value in rows.items() for line in _hanging(f"  {name:<12}", value, width)]
+    lines += _packed("  parameters  ", given, width) if given else []
+    return [*textwrap.wrap(report.title, width), *lines, *_hanging("  findings    ", report.verdict, width)]
+
+
+class _Page(NamedTuple):
+    """Where the second column begins, how wide the page is, and the source that need not be repeated."""
+
+    column: int
+    width: int
+    source: str
+
+    @property
+    def margin(self) -> str:
+        return " " * self.column
+
+    def cited(self, source: str) -> str:
+        own = source.removeprefix(self.source)
+        return own if own.startswith("(") else f"[{own}]"
+
+    def labelled(self, label: str, verdict: str, statement: str) -> list[str]:
+        """The first lines of a block; a long label has a line of its own."""
+        own_line = len(label) > LABEL
+        lines = textwrap.wrap(label, self.width) if own_line else []
+        first = f"{'' if own_line else label:<{self.column}}{verdict:<10}"
+        return lines + _hanging(first, statement, self.width)
+
+
+def _usual_source(report: Report) -> str:
+    """The paper that most sources begin with, as the head of the page names it already."""
+    papers = Counter(finding.source.rpartition(", ")[0] for finding in report.findings)
+    paper, count = max(papers.items(), key=lambda item: item[1], default=("", 0))
+    return f"{paper}, " if paper and count > 1 else ""
+
+
+def _finding(finding: Finding, page: _Page) -> list[str]:
+    lines = page.labelled(finding.id, finding.verdict, finding.statement)
+    lines += _packed(page.margin, pairs(finding.value), page.width)
+    lines += _packed(f"{page.margin}{'with' if finding.verdict == HOLDS else 'at'} ", witness(finding), page.width)
+    return lines + _hanging(page.margin, f"{finding.how} {page.cited(finding.source)}", page.width)
+
+
+def _consequence(consequence: Consequence, page: _Page) -> list[str]:
+    lines = page.labelled(consequence.name, consequence.verdict, consequence.statement)
+    lines += _packed(page.margin, pairs(consequence.value), page.width)
+    rests = f"rests on {', '.join(consequence.rests_on)} " if consequence.rests_on else ""
+    return lines + _hanging(page.margin, f"{rests}{page.cited(consequence.source)}", page.width)
+
+
+def _hanging(first: str, body: str, width: int) -> list[str]:
+    """``body`` wrapped behind ``first``, its further lines below its beginning."""
+    wrapped = textwrap.wrap(body, width - len(first), break_on_hyphens=False) or [""]
+    return [f"{head}{line}".rstrip() for head, line in zip([first] + [" " * len(first)] * len(wrapped), wrapped, strict=False)]
+
+
+def _packed(first: str, items: Iterable[str], width: int) -> list[str]:
+    """The items with commas between them, as many a line as fit; one that is too long by itself is wrapped."""
+    lines: list[str] = []
+    for item in items:
+        if lines and len(lines[-1]) + len(item) + 2 <= width - len(first):
+            lines[-1] += f", {item}"
+        else:
+            lines += [item]
+    room = width - len(first)
+    broken = [piece for line in lines for piece in textwrap.wrap(line, room, break_on_hyphens=False, subsequent_indent="  ")]
+    return [f"{first if i == 0 else ' ' * len(first)}{line}" for i, line in enumerate(broken)]

@@ -1,0 +1,1 @@
+"""Hypotheses of sweeping processes (Bernicot and Venel 2010)."""

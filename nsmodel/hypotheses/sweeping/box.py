@@ -1,0 +1,187 @@
+"""S-convex and A0 to A4 of a constraint of no known shape, by bounds over the box and U_i = {g_i > -delta}."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.hypotheses.convex import convexity
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED
+from nsmodel.hypotheses.proof import extremum, interval
+from nsmodel.hypotheses.proof.jumps import find_jump, jumps_in
+from nsmodel.hypotheses.sweeping.constraint import (
+    EVERYWHERE,
+    ON_THE_BOX,
+    Answer,
+    Answers,
+    Constraint,
+    flat,
+    over_time,
+    root,
+    values,
+)
+
+FLAT = 1e-8  # A gradient that is this much shorter than the longest one is 0 to rounding.
+
+
+def on_the_box(c: Constraint, missing: set[str], known: Answers, quick: bool) -> Answers:
+    """Decide what is missing by bounds over the box, intersected with U_i = {g_i > -delta}."""
+    found: Answers = {}
+    gradient = ca.gradient(c.g, c.q)
+    H = ca.jacobian(gradient, c.q)
+    if "S-convex" in missing:
+        found["S-convex"] = _convex(c, H, quick)
+    if "A2" in missing:
+        speed = ca.fabs(ca.jacobian(c.g, c.t))
+        found["A2"] = _on_box("b", extremum.supremum(speed, c.z, c.lower, c.upper, quick=quick))
+    if not {"A0", "A1", "A3", "A4"} & missing:
+        return found
+    lowest = extremum.supremum(-c.g, c.z, c.lower, c.upper, quick=True)
+    delta = known["A0"].value.get("delta") if "A0" in known else None
+    if delta is None:
+        delta = _depth(c, gradient, lowest)
+    where = c.g + delta if np.isfinite(delta) else None
+    smooth, broken = _kink(c, gradient, delta)
+    if broken is not None:
+        return found | {id: broken for id in ("A0", "A1", "A3", "A4") if id in missing}
+    turn = ca.jacobian(gradient, c.t)
+    if "A3" in missing:
+        found["A3"] = _on_box("M", root(_sup(c, ca.sumsqr(turn), where, quick)))
+    if "A4" in missing:
+        found["A4"] = _curvature(c, H, where, quick, smooth)
+    if {"A0", "A1"} & missing:
+        found |= _slope(c, gradient, where, delta, lowest, quick, found.get("S-convex", known.get("S-convex")))
+    return {id: answer for id, answer in found.items() if id in missing}
+
+
+def _depth(c: Constraint, gradient: ca.SX, lowest: Any) -> float:
+    """delta: half the depth of g on the box, less where the gradient vanishes nearer to 0; inf where g > 0 on the whole box."""
+    delta = lowest.value / 2 if lowest.value > 0 else np.inf
+    size = ca.sumsqr(gradient)
+    largest = extremum.supremum(size, c.z, c.lower, c.upper, quick=True)
+    for _ in range(3 if np.isfinite(delta) and not c.shape.convex else 0):
+        least = extremum.supremum(-size, c.z, c.lower, c.upper, where=c.g + delta)
+        if least.at is None or -least.value > FLAT**2 * largest.value or values(c, least.at) >= 0:
+            break
+        delta = -0.5 * float(values(c, least.at))
+    return delta
+
+
+def _sup(c: Constraint, expr: ca.SX, where: ca.SX | None, quick: bool, bound_to: float | None = None) -> Any:
+    return extremum.supremum(expr, c.z, c.lower, c.upper, where=where, quick=quick, bound_to=bound_to)
+
+
+def _curvature(c: Constraint, H: ca.SX, where: ca.SX | None, quick: bool, smooth: bool) -> Answer:
+    wide = extremum.spectral_norm(H, c.z, c.lower, c.upper, where=where, quick=quick)
+    near = extremum.spectral_norm(H, c.z, c.lower, c.upper, where=c.g, quick=quick)
+    proved = smooth and wide.bound < np.inf
+    value = {name: max(top.bound if top.bound < np.inf else top.value, 0.0) for name, top in (("M", wide), ("M_contact", near))}
+    how = _found(proved, wide) if smooth else f"the gradient was not proved continuous; {wide.count} points"
+    return Answer(HOLDS if proved else SAMPLED, value, ON_THE_BOX, how, c.point(wide.at) if wide.at is not None else {})
+
+
+def _slope(
+    c: Constraint, gradient: ca.SX, where: ca.SX | None, delta: float, lowest: Any, quick: bool, convex: Answer | None
+) -> Answers:
+    """A1 and A0: the least and the largest gradient on U_i."""
+    size = ca.sumsqr(gradient)
+    largest, least = _sup(c, size, where, quick), _sup(c, -size, where, quick)
+    b = np.sqrt(largest.bound if np.isfinite(largest.bound) else max(largest.value, 0.0))
+    attained = np.sqrt(max(-least.value, 0.0)) if np.isfinite(least.value) else np.inf
+    proved_a = np.sqrt(max(-least.bound, 0.0))
+    if convex is not None and convex.verdict == HOLDS and np.isfinite(delta):
+        proved_a = max(proved_a, _by_convexity(c, lowest, delta))
+    if attained <= FLAT * b and least.at is not None and values(c, least.at) >= 0:
+        return flat(c, least.at, f"the gradient is {attained:.2g} at an admissible point, 0 to rounding")
+    proved = proved_a > 0 and np.isfinite(largest.bound)
+    verdict, a = (HOLDS, proved_a) if proved else (SAMPLED, attained)
+    how = _found(proved, least)
+    if np.isfinite(delta):
+        A0 = Answer(
+            verdict, {"c": delta / b, "delta": delta}, ON_THE_BOX, f"U_i = {{g_i > -{delta:.6g}}}, half the depth of g_i; " + how
+        )
+    else:
+        A0 = Answer(verdict, {"c": np.inf}, ON_THE_BOX, "g_i > 0 on the whole box: U_i is all of it")
+    witness = c.point(least.at) if least.at is not None else {"constraint": c.name}
+    return {"A1": Answer(verdict, {"a": a, "b": b}, ON_THE_BOX, how, witness), "A0": A0}
+
+
+def _by_convexity(c: Constraint, lowest: Any, delta: float) -> float:
+    """For convex g and a point q* with g(t, q*) <= -m, m > delta: |grad g| >= (m - delta) / |q - q*| on U_i."""
+    q = np.asarray(lowest.at)[1:]
+    over = over_time(c, ca.substitute(c.g, c.q, ca.DM(q)))
+    reach = np.linalg.norm(np.maximum(np.abs(c.lower[1:] - q), np.abs(c.upper[1:] - q)))
+    return max((-over.bound - delta) / reach, 0.0)
+
+
+def _kink(c: Constraint, gradient: ca.SX, delta: float) -> tuple[bool, Answer | None]:
+    """(whether g is proved C1 on the box as far as its operations can jump, an answer where it is seen not to be on U_i)."""
+    both = ca.vertcat(c.g, gradient)
+    if not jumps_in(both, c.q) or interval.is_continuous(both, c.z, c.lower, c.upper):
+        return True, None
+    floor = -delta if np.isfinite(delta) else -np.inf
+    jump = find_jump(both, c.z, c.lower, c.upper, lambda points: values(c, points) >= 0)
+    if jump is None:
+        jump = find_jump(both, c.z, c.lower, c.upper, lambda points: values(c, points) >= floor)
+    if jump is None:
+        return False, None
+    inside = "at an admissible point" if values(c, jump.at) >= 0 else "in U_i"
+    how = f"g_i or its gradient jumps by {jump.size:.3g} {inside}: g_i is not C^2 there"
+    return False, Answer(VIOLATED, {"jump": jump.size}, ON_THE_BOX, how, c.point(jump.at))
+
+
+def _convex(c: Constraint, H: ca.SX, quick: bool) -> Answer:
+    """Convex in q: by the rules of convex functions, else by the least eigenvalue of the Hessian over the box."""
+    if c.shape.convex:
+        return Answer(HOLDS, {"least": 0.0}, EVERYWHERE, "a sum of convex terms")
+    if not c.shape.time:
+        if convexity.everywhere(c.g, c.q)[0].convex:
+            return Answer(HOLDS, {"least": 0.0}, EVERYWHERE, "by the rules of convex functions")
+        if convexity.shapes(c.g, c.q, c.lower[1:], c.upper[1:])[0].convex:
+            return Answer(HOLDS, {"least": 0.0}, ON_THE_BOX, "by the rules of convex functions")
+    elif convexity.shapes(c.g, c.z, c.lower, c.upper)[0].convex:
+        return Answer(HOLDS, {"least": 0.0}, ON_THE_BOX, "by the rules of convex functions")
+    bent = _chord(c)
+    top = extremum.largest_eigenvalue(-H, c.z, c.lower, c.upper, quick=quick, bound_to=0.0)
+    f = ca.Function("H", [c.z], [ca.densify(H)])
+    if top.at is not None and np.isfinite(top.value):
+        matrix = np.array(f(top.at))
+        values, vectors = np.linalg.eigh(matrix)
+        if values[0] < -1e-9 * max(np.abs(matrix).max(), 1e-300):
+            witness = c.point(top.at) | {"states": list(c.names), "eigenvector": vectors[:, 0]}
+            how = "the Hessian has a negative eigenvalue"
+            return Answer(VIOLATED, {"least": values[0]}, ON_THE_BOX, how, witness)
+    if bent is not None:
+        return bent
+    if top.bound <= 0 and not jumps_in(ca.vertcat(c.g, ca.gradient(c.g, c.q)), c.q):
+        return Answer(HOLDS, {"least": -top.bound}, ON_THE_BOX, "the least eigenvalue of the Hessian is bounded below by 0")
+    return Answer(SAMPLED, {"least": -top.value}, ON_THE_BOX, f"{top.count} points, 1024 chords", {"constraint": c.name})
+
+
+def _chord(c: Constraint) -> Answer | None:
+    """A violation where g in the middle of a chord lies above the mean of its ends."""
+    points = extremum.samples(np.tile(c.lower, 2), np.tile(c.upper, 2), 1024)
+    x, y = np.split(points, 2, axis=1)
+    y[:, 0] = x[:, 0]  # At one time.
+    ends, middle = [values(c, part) for part in (x, y)], values(c, (x + y) / 2)
+    with np.errstate(all="ignore"):
+        rise = middle - (ends[0] + ends[1]) / 2
+        scale = np.abs(middle) + np.abs(ends[0]) + np.abs(ends[1])
+        rise = np.where(np.isfinite(rise) & (rise > 1e-9 * scale), rise, 0.0)
+    if not rise.any():
+        return None
+    k = int(np.argmax(rise))
+    witness = c.point((x[k] + y[k]) / 2) | {"states": list(c.names), "from": x[k, 1:], "to": y[k, 1:]}
+    how = f"in the middle of a chord g_i is {rise[k]:.3g} above the mean of its ends"
+    return Answer(VIOLATED, {"least": -8 * rise[k] / float(np.sum((x[k, 1:] - y[k, 1:]) ** 2))}, ON_THE_BOX, how, witness)
+
+
+def _on_box(name: str, top: Any) -> Answer:
+    proved = np.isfinite(top.bound)
+    return Answer(HOLDS if proved else SAMPLED, {name: top.bound if proved else top.value}, ON_THE_BOX, _found(proved, top))
+
+
+def _found(proved: bool, top: Any) -> str:
+    return "a bound over the whole box" if proved else f"no bound was found; {top.count} points"

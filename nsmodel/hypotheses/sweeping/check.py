@@ -1,0 +1,195 @@
+"""The hypotheses of Bernicot and Venel (2010) for a sweeping process, and what follows from them."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, found
+from nsmodel.hypotheses.proof import interval
+from nsmodel.hypotheses.region import Region
+from nsmodel.hypotheses.sweeping.admissible import Scene, admissible_points, scene_of
+from nsmodel.hypotheses.sweeping.consequences import consequences_of
+from nsmodel.hypotheses.sweeping.constants import answers
+from nsmodel.hypotheses.sweeping.constraint import EVERYWHERE, ON_THE_BOX, Answers, Constraint
+from nsmodel.hypotheses.sweeping.qualification import Qualified, qualification
+from nsmodel.hypotheses.sweeping.shapes import read_shapes
+from nsmodel.hypotheses.sweeping.start import start_value
+from nsmodel.hypotheses.sweeping.velocity import velocity
+from nsmodel.model.sweeping import SweepingProcess
+from nsmodel.trajectory import Trajectory
+
+Point = tuple[float, np.ndarray]
+PAPER = "Bernicot and Venel 2010"
+S_CONVEX = Hypothesis("S-convex", "g_i(t, .) is convex", f"{PAPER}, section 2")
+A0 = Hypothesis("A0", "the boundary of U_i(t) stays at a distance > c from Q_i(t)", f"{PAPER}, (A0)")
+A1 = Hypothesis("A1", "a <= |grad_q g_i| <= b on U_i(t)", f"{PAPER}, (A1)")
+A2 = Hypothesis("A2", "|d_t g_i| <= b", f"{PAPER}, (A2)")
+A3 = Hypothesis("A3", "|d_t grad_q g_i| <= M on U_i(t)", f"{PAPER}, (A3)")
+A4 = Hypothesis("A4", "|D^2_q g_i| <= M on U_i(t)", f"{PAPER}, (A4)")
+A5 = Hypothesis(
+    "A5", "sum l_i |grad g_i| <= gamma |sum l_i grad g_i| for all l >= 0, over the i with g_i <= rho, at every q in Q(t)",
+    f"{PAPER}, (A5)",
+)  # fmt: skip
+A5_ACTIVE = Hypothesis("A5'", "the same over the active constraints, g_i = 0 (quantified MFCQ)", f"{PAPER}, (A5')")
+S_F = Hypothesis("S-f", "|f(t,q) - f(t,q')| <= K_f |q - q'|, |f(t,q)| <= L_f (1 + |q|)", f"{PAPER}, (7) and (8)")
+S_START = Hypothesis("S-start", "q_0 is in Q(0)", f"{PAPER}, (4)")
+HYPOTHESES = (S_CONVEX, A0, A1, A2, A3, A4, A5, A5_ACTIVE, S_F, S_START)
+
+LEAST = ("a", "c", "least")  # Of these numbers the least over the constraints counts, of the others the largest.
+FEW = 24  # With more states fewer points are looked at.
+PLENTY = 40  # From so many constraints without a known shape on, bounds over the box are not refined.
+
+
+def check(
+    model: SweepingProcess, region: Region, runs: Sequence[Trajectory], quick: bool
+) -> tuple[list[Finding], list[Consequence]]:
+    """Decide the hypotheses of a sweeping process.
+
+    Args:
+        model: bound.
+        region: a box of states and times; constraints of known shape are decided for all states.
+        runs: of this model.
+        quick: no searches.
+
+    Returns:
+        One finding for each of ``HYPOTHESES``, and the consequences.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # NaN and inf are met on purpose, where gradients do not exist.
+        constraints = _constraints(model, region)
+        scene = scene_of(model, region, runs, 32 if len(constraints) <= 60 else 12)
+        unknown = sum(c.shape.kind == "other" for c in constraints)
+        each = _grouped(constraints, quick or unknown > PLENTY)
+        findings = [_joined(hypothesis, constraints, each) for hypothesis in HYPOTHESES[:6]]
+        points = (
+            admissible_points(scene, 12 if len(model.names) > FEW else 24 if quick else 64) if constraints else list(scene.known)
+        )
+        near, active = _qualified(constraints, each, scene, points, model, quick)
+        findings += [_gamma(A5, near, region), _gamma(A5_ACTIVE, active, region)]
+        findings.append(_velocity(model, scene, points, quick))
+        findings.append(_start(model, constraints))
+    return findings, consequences_of(model, findings, runs, len(constraints))
+
+
+def _constraints(model: SweepingProcess, region: Region) -> list[Constraint]:
+    lower, upper = region.with_time()
+    found = []
+    for name, g, shape in zip(
+        model.multiplier_names, ca.vertsplit(model.g), read_shapes(model.g, model.q, model.t), strict=True
+    ) if model.multiplier_names else ():  # fmt: skip
+        ends = [0, *(1 + i for i in shape.own)]
+        names = tuple(model.names[i] for i in shape.own)
+        found.append(Constraint(name, g, shape, model.t, model.q[list(shape.own)], names, lower[ends], upper[ends]))
+    return found
+
+
+def _grouped(constraints: Sequence[Constraint], quick: bool) -> list[Answers]:
+    """The answers of each constraint."""
+    return [answers(constraint, quick) for constraint in constraints]
+
+
+def _joined(hypothesis: Hypothesis, constraints: Sequence[Constraint], each: Sequence[Answers]) -> Finding:
+    """One finding from the answers of all constraints: the weakest verdict, the worst numbers."""
+    own = [item[hypothesis.id] for item in each]
+    if not own:
+        empty = {"A0": {"c": np.inf}, "A1": {"a": np.inf, "b": 0.0}, "A2": {"b": 0.0}, "S-convex": {"least": np.inf}}
+        return found(hypothesis, HOLDS, "no constraint", empty.get(hypothesis.id, {"M": 0.0}))
+    order = (VIOLATED, UNKNOWN, SAMPLED, HOLDS)
+    worst = min(range(len(own)), key=lambda k: order.index(own[k].verdict))
+    verdict = own[worst].verdict
+    value, witness = {}, {}
+    for name in dict.fromkeys(name for answer in own for name in answer.value if name not in ("delta", "jump")):
+        pick = min if name in LEAST else max
+        k = pick((k for k in range(len(own)) if name in own[k].value), key=lambda k: own[k].value[name])
+        value[name] = own[k].value[name]
+        if name in ("a", "b", "c", "M") and len(own) > 1:
+            witness[f"{name} of"] = constraints[k].name
+    if verdict != HOLDS:
+        witness = {**own[worst].witness} or {"constraint": constraints[worst].name}
+    if verdict == VIOLATED and "jump" in own[worst].value:
+        value["jump"] = own[worst].value["jump"]
+    return found(hypothesis, verdict, _how(own, worst), value, witness)
+
+
+def _how(own: Sequence, worst: int) -> str:
+    if own[worst].verdict != HOLDS:
+        return f"{own[worst].where}: {own[worst].how}"
+    places = [answer for answer in own if answer.where == ON_THE_BOX]
+    where = (
+        EVERYWHERE
+        if not places
+        else ON_THE_BOX
+        if len(places) == len(own)
+        else f"{len(places)} of {len(own)} on the box, the others everywhere"
+    )
+    return f"{where}: " + "; ".join(dict.fromkeys(answer.how for answer in own))
+
+
+def _qualified(
+    constraints: Sequence[Constraint], each: Sequence[Answers], scene: Scene, points: list[Point], model: SweepingProcess,
+    quick: bool,
+) -> tuple[Qualified, Qualified]:  # fmt: skip
+    acting = [k for k, constraint in enumerate(constraints) if constraint.shape.own]  # A gradient 0 adds nothing to either side.
+    if len(acting) < len(constraints):
+        scene = scene.part(acting, range(len(model.names)))
+        constraints, each = [constraints[k] for k in acting], [each[k] for k in acting]
+    slope = np.array([item["A1"].value.get("b", np.inf) for item in each])
+    # Twice delta is the radius or the depth; where there is none, half the way across the box.
+    depth = [2 * item["A0"].value.get("delta", np.inf) for item in each]
+    across = np.where(np.isfinite(slope) & (slope > 0), slope, 1.0) * 0.5 * scene.size
+    reach = min((d if np.isfinite(d) else w for d, w in zip(depth, across, strict=True)), default=1.0)
+    # A bound of |grad g_i| on U_i that was only sampled is none.
+    proved = np.array([item["A1"].verdict == HOLDS for item in each], bool)
+    return qualification(constraints, scene, np.where(proved, slope, np.inf), reach, points, model.names, quick)
+
+
+def _gamma(hypothesis: Hypothesis, result: Qualified, region: Region) -> Finding:
+    value = {"gamma": result.gamma, "rho": result.rho, "attained": result.attained}
+    if hypothesis is A5_ACTIVE:
+        value.pop("rho")
+    witness = result.witness or ({"t": region.t0} if result.verdict == VIOLATED else {})
+    return found(hypothesis, result.verdict, f"{result.where}: {result.how}", value, witness)
+
+
+def _velocity(model: SweepingProcess, scene: Scene, points: list[Point], quick: bool) -> Finding:
+    answer = velocity(model.f, scene, points, model.names, quick)
+    return found(S_F, answer.verdict, f"{answer.where}: {answer.how}", answer.value, answer.witness)
+
+
+def _start(model: SweepingProcess, constraints: Sequence[Constraint]) -> Finding:
+    """The sign of each g_i(0, q_0): by rational arithmetic where the shape allows, else by interval arithmetic."""
+    if not constraints:
+        return found(S_START, HOLDS, "no constraint", {"min g": np.inf})
+    q0 = np.array(ca.DM(model.q0)).ravel()
+    z0 = np.concatenate([[0.0], q0])
+    low, high = (end.ravel() for end in interval.enclose(model.g, ca.vertcat(model.t, model.q), z0, z0))
+    f = ca.Function("g", [model.t, model.q], [model.g, ca.jacobian(model.g, model.q)])
+    g, G = (np.array(item) for item in f(0.0, q0))
+    g = g.ravel()
+    size = np.linalg.norm(G.reshape(g.size, -1), axis=1) * max(1.0, np.linalg.norm(q0))
+    undecided = []
+    for k in np.flatnonzero(~(low >= 0)):
+        sign = start_value(constraints[k], q0)
+        if sign is not None and sign >= 0:
+            continue
+        if not high[k] >= -1e-12 * size[k]:
+            witness = {"constraint": constraints[k].name, "g": float(g[k])} | dict(
+                zip(constraints[k].names, q0[list(constraints[k].shape.own)], strict=True)
+            )
+            return found(S_START, VIOLATED, "g_i(0, q_0) < 0, rounding included", {"min g": float(g.min())}, witness)
+        undecided.append(k)
+    k = int(np.argmin(g))
+    value, witness = {"min g": float(g[k])}, {"constraint": constraints[k].name}
+    if undecided:
+        return found(
+            S_START,
+            SAMPLED,
+            "to rounding: the sign of g_i(0, q_0) is lost in it",
+            value,
+            {"constraint": constraints[undecided[0]].name},
+        )
+    return found(S_START, HOLDS, "the sign of each g_i(0, q_0) was decided with rounding included", value, witness)

@@ -1,0 +1,243 @@
+"""S-convex and A0 to A4 of one constraint: proved from its shape for all states where it has one, else bounded on the box."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from fractions import Fraction
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED
+from nsmodel.hypotheses.proof import exact, extremum, interval
+from nsmodel.hypotheses.proof.jumps import find_jump, jumps_in
+from nsmodel.hypotheses.sweeping.box import on_the_box
+from nsmodel.hypotheses.sweeping.constraint import (
+    EVERYWHERE,
+    ON_THE_BOX,
+    Answer,
+    Answers,
+    Constraint,
+    bounded,
+    flat,
+    over_time,
+    root,
+    steady,
+)
+from nsmodel.hypotheses.sweeping.forms import Affine, Offset, Squares, expression, hessian
+
+
+def answers(constraint: Constraint, quick: bool) -> Answers:
+    """Return the answer of a constraint to each of S-convex, A0, A1, A2, A3, A4.
+
+    delta, with U_i = {g_i > -delta}, is infinite for planes, half the reach r for a distance minus r, and half the depth
+    -min g_i otherwise: deeper sets come near to where the gradient vanishes.
+    """
+    by_shape: dict[str, Callable[[Constraint], Answers | None]] = {
+        "plane": _plane, "distance": _distance, "quadratic": _quadratic,
+    }  # fmt: skip
+    rule = by_shape.get(constraint.shape.kind)
+    known = rule(constraint) if rule is not None else _turning_plane(constraint)
+    known = dict(known or {}) | _in_steps(constraint)
+    missing = {"S-convex", "A0", "A1", "A2", "A3", "A4"} - set(known)
+    return known | (on_the_box(constraint, missing, known, quick) if missing else {})
+
+
+def _in_steps(c: Constraint) -> Answers:
+    """A2 of a constraint that jumps in time, where d_t g says nothing."""
+    if not c.shape.time or not jumps_in(c.g, c.t) or interval.is_continuous(c.g, c.z, c.lower, c.upper):
+        return {}
+    jump = find_jump(c.g, c.z, c.lower, c.upper, lambda points: np.ones(len(points), bool))
+    if jump is None:
+        return {"A2": Answer(UNKNOWN, {}, ON_THE_BOX, "g_i was not proved continuous", {"constraint": c.name})}
+    how = f"g_i jumps by {jump.size:.3g}: Q(t) is not Lipschitz in t"
+    return {"A2": Answer(VIOLATED, {"b": np.inf}, ON_THE_BOX, how, c.point(jump.at))}
+
+
+# -- planes ------------------------------------------------------------------------------------------------------------
+
+
+def _plane(c: Constraint) -> Answers:
+    a: Affine = c.shape.form.affine
+    size = _length(list(a.row.values()))
+    speed = over_time(c, ca.fabs(_rate(c, a.offset)))
+    text = "affine with a constant gradient: U_i is the whole space"
+    if not size:
+        A1 = Answer(VIOLATED, {"a": 0.0, "b": 0.0}, EVERYWHERE, "does not depend on the state", {"constraint": c.name})
+    else:
+        A1 = Answer(HOLDS, {"a": size, "b": size}, EVERYWHERE, text)
+    return {
+        "S-convex": Answer(HOLDS, {"least": 0.0}, EVERYWHERE, "affine"),
+        "A0": Answer(HOLDS, {"c": np.inf}, EVERYWHERE, text),
+        "A1": A1,
+        "A2": bounded("b", speed),
+        "A3": Answer(HOLDS, {"M": 0.0}, EVERYWHERE, text),
+        "A4": Answer(HOLDS, {"M": 0.0, "M_contact": 0.0}, EVERYWHERE, text),
+    }
+
+
+def _turning_plane(c: Constraint) -> Answers | None:
+    """An affine function of the state whose gradient depends on time."""
+    gradient = ca.gradient(c.g, c.q)
+    if ca.depends_on(gradient, c.q) or jumps_in(c.g, c.q):
+        return None
+    size = ca.sumsqr(gradient)
+    largest, least = over_time(c, size), over_time(c, -size)
+    text = "affine, with a gradient that turns in time: U_i is the whole space"
+    known = {
+        "S-convex": Answer(HOLDS, {"least": 0.0}, EVERYWHERE, "affine"),
+        "A0": Answer(HOLDS, {"c": np.inf}, EVERYWHERE, text),
+        "A3": bounded("M", root(over_time(c, ca.sumsqr(ca.jacobian(gradient, c.t))))),
+        "A4": Answer(HOLDS, {"M": 0.0, "M_contact": 0.0}, EVERYWHERE, text),
+    }
+    if -least.bound > 0 and np.isfinite(largest.bound):
+        known["A1"] = Answer(HOLDS, {"a": np.sqrt(-least.bound), "b": np.sqrt(largest.bound)}, EVERYWHERE, text)
+    return known
+
+
+# -- distances ---------------------------------------------------------------------------------------------------------
+
+
+def _distance(c: Constraint) -> Answers | None:
+    """w |u| - r(t): u = A q - c(t), or the distance to a segment or a box, whose gradient is A'n with |n| = 1 too."""
+    (weight, squares), moving = c.shape.form.norms[0], c.shape.form.affine.offset
+    w, A = float(weight), _matrix(c, squares)
+    gram = A @ A.T
+    diagonal = not (gram - np.diag(np.diag(gram))).any()
+    sigma = np.sqrt(np.sort(np.diag(gram))[::-1]) if diagonal else np.linalg.svd(A, compute_uv=False)
+    if len(A) > A.shape[1] or not sigma.size or sigma[-1] <= 1e-9 * sigma[0]:
+        return {"S-convex": Answer(HOLDS, {"least": 0.0}, EVERYWHERE, "the norm of an affine function")}
+    least_reach = over_time(c, expression(moving))  # sup of -r
+    reach = -least_reach.bound
+    text = "distance" if c.shape.clips else "the norm of an affine function"
+    known = {"S-convex": Answer(HOLDS, {"least": 0.0}, EVERYWHERE, text + " less a number")}
+    if least_reach.value >= 0:
+        t = float(np.ravel(least_reach.at)[0])
+        return known | _no_reach(c, squares, t, -least_reach.value)
+    if not reach > 0:
+        return known
+    delta, b = reach / 2, w * float(sigma[0])
+    rates = [np.sqrt(float(v)) * _rate(c, a.offset) for v, a in squares]
+    speed = ca.norm_2(ca.vertcat(*rates)) if any(not r.is_zero() for r in rates) else ca.SX(0)
+    centre = over_time(c, speed)
+    # |u| >= (r - delta)/w on U_i, r/w on Q_i; the second derivative is w A'(I - nn')A / |u|, 0 for one row.
+    curved = len(A) > 1
+    M, M_contact = (curved * w * w * float(sigma[0]) ** 2 / (reach - part) for part in (delta, 0.0))
+    turning = curved * w * w * float(sigma[0]) / (reach - delta)
+    how = f"{text}: the gradient is A'n with |n| = 1"
+    clipped = ", a Lipschitz constant of the gradient (the Hessian jumps beyond the end points)" if c.shape.clips else ""
+    return known | {
+        "A0": Answer(HOLDS, {"c": delta / b, "delta": delta}, EVERYWHERE, "U_i = {g_i > -r/2}"),
+        "A1": Answer(HOLDS, {"a": w * float(sigma[-1]), "b": b}, EVERYWHERE, how),
+        "A2": bounded("b", over_time(c, w * speed + ca.fabs(_rate(c, moving)))),
+        "A3": bounded("M", centre, turning),
+        "A4": Answer(HOLDS, {"M": M, "M_contact": M_contact}, EVERYWHERE, f"{text}: |A|^2 / distance{clipped}"),
+    }
+
+
+def _no_reach(c: Constraint, squares: Squares, t: float, reach: float) -> Answers:
+    """r <= 0: the point where u = 0, and g has no gradient, is admissible."""
+    A = _matrix(c, squares)
+    offset = np.array([np.sqrt(float(v)) * _at_time(c, a.offset, t) for v, a in squares])
+    q = np.linalg.lstsq(A, -offset, rcond=None)[0]
+    text = f"the distance need not be > 0 (r = {reach + 0.0:.6g}): where it is 0 g_i has no gradient, and that is admissible"
+    found = not c.shape.clips and np.isclose(A @ q + offset, 0).all()
+    witness: Mapping[str, Any] = c.point(np.append(t, q)) if found else {"constraint": c.name, "t": t, "reach": reach}
+    return {
+        id: Answer(VIOLATED, value, EVERYWHERE, text, witness)
+        for id, value in (("A0", {"c": 0.0}), ("A1", {"a": 0.0}), ("A4", {"M": np.inf, "M_contact": np.inf}))
+    } | {"A3": Answer(VIOLATED, {"M": np.inf}, EVERYWHERE, text, witness) if c.shape.time else steady("M")}
+
+
+def _matrix(c: Constraint, squares: Squares) -> np.ndarray:
+    """A (m, k) in the constraint's own states."""
+    place = {i: k for k, i in enumerate(c.shape.own)}
+    A = np.zeros((len(squares), len(place)))
+    for row, (w, a) in enumerate(squares):
+        for i, value in a.row.items():
+            if i >= 0:
+                A[row, place[i]] = np.sqrt(float(w)) * float(value)
+    return A
+
+
+# -- quadratics --------------------------------------------------------------------------------------------------------
+
+
+def _quadratic(c: Constraint) -> Answers:
+    """q'Hq/2 + b(t)'q + c(t) with a constant H, rational."""
+    H_exact, _ = hessian(c.shape.form)
+    sign, H = exact.psd(H_exact), exact.doubles(H_exact)
+    values = np.linalg.eigvalsh(H)
+    spectral = float(np.abs(values).max())
+    known = {"A4": Answer(HOLDS, {"M": spectral, "M_contact": spectral}, EVERYWHERE, "the Hessian is constant")}
+    if sign.vector is not None:
+        v = np.linalg.eigh(H)[1][:, 0] if values[0] < 0 else sign.vector / np.linalg.norm(sign.vector)
+        witness = {"constraint": c.name, "states": list(c.names), "eigenvector": v}
+        how = "the constant Hessian has a negative eigenvalue (exact)"
+        return (
+            known
+            | {"S-convex": Answer(VIOLATED, {"least": min(float(values[0]), 0.0)}, EVERYWHERE, how, witness)}
+            | _centre(c, H)
+        )
+    least = float(values[0]) if sign.definite else 0.0
+    known["S-convex"] = Answer(HOLDS, {"least": max(least, 0.0)}, EVERYWHERE, "the constant Hessian is psd (exact)")
+    gradient = ca.gradient(c.g, c.q)
+    turn = ca.jacobian(gradient, c.t)
+    if not ca.depends_on(turn, c.q):
+        known["A3"] = bounded("M", root(over_time(c, ca.sumsqr(turn))))
+    if sign.definite and values[0] > 1e-9 * spectral:
+        known |= _depth(c, H, values, gradient)
+    return known
+
+
+def _depth(c: Constraint, H: np.ndarray, values: np.ndarray, gradient: ca.SX) -> Answers:
+    """H > 0: with m(t) = min g, 2 lambda_1 (g - m) <= |grad g|^2 <= 2 lambda_n (g - m), so -m/2 is a good delta."""
+    b, c0 = (ca.substitute(expr, c.q, 0) for expr in (gradient, c.g))
+    bottom = c0 - ca.dot(b, ca.DM(np.linalg.inv(H)) @ b) / 2
+    above = over_time(c, bottom)  # sup of m
+    if above.value >= 0:
+        t = float(np.ravel(above.at)[0])
+        q = -np.linalg.solve(H, np.array(ca.Function("b", [c.t], [b])(t)).ravel())
+        return flat(c, np.append(t, q), "the gradient vanishes at its minimum, which is admissible")
+    if not above.bound < 0:
+        return {}
+    deepest = over_time(c, -bottom)
+    delta = -above.bound / 2
+    a = np.sqrt(2 * values[0] * delta)
+    known = {"A0": Answer(UNKNOWN)} if not np.isfinite(deepest.bound) else {
+        "A0": Answer(HOLDS, {"c": delta / np.sqrt(2 * values[-1] * deepest.bound), "delta": delta}, EVERYWHERE,
+                     "|grad g|^2 <= 2 lambda_n (g - min g) between Q_i and the boundary of U_i = {g_i > min g_i / 2}"),
+    }  # fmt: skip
+    largest = extremum.supremum(ca.sumsqr(gradient), c.z, c.lower, c.upper)
+    if np.isfinite(largest.bound):
+        how = "|grad g|^2 >= 2 lambda_1 (g - min g) everywhere; b on the box: it grows with the distance"
+        known["A1"] = Answer(HOLDS, {"a": a, "b": np.sqrt(largest.bound)}, ON_THE_BOX, how)
+    return known
+
+
+def _centre(c: Constraint, H: np.ndarray) -> Answers:
+    """Where a quadratic that is not convex is admissible at its stationary point, the gradient vanishes there."""
+    f = ca.Function("g", [c.t, c.q], [ca.gradient(c.g, c.q), c.g])
+    for t in np.linspace(c.lower[0], c.upper[0], 33):
+        b = np.array(f(t, np.zeros(len(H)))[0]).ravel()
+        q = np.linalg.lstsq(H, -b, rcond=None)[0]
+        gradient, value = (np.array(item).ravel() for item in f(t, q))
+        if np.linalg.norm(gradient) <= 1e-12 * (np.linalg.norm(b) + np.linalg.norm(H)) and value[0] >= 0:
+            return flat(c, np.append(t, q), "the gradient vanishes at an admissible point")
+    return {}
+
+
+# -- small things ------------------------------------------------------------------------------------------------------
+
+
+def _rate(c: Constraint, offset: Offset) -> ca.SX:
+    return ca.SX(0) if isinstance(offset, Fraction) else ca.densify(ca.jacobian(offset, c.t))
+
+
+def _at_time(c: Constraint, offset: Offset, t: float) -> float:
+    return float(offset) if isinstance(offset, Fraction) else float(ca.Function("o", [c.t], [offset])(t))
+
+
+def _length(entries: list[Fraction]) -> float:
+    return float(np.sqrt(float(sum((x * x for x in entries), Fraction(0)))))

@@ -1,0 +1,116 @@
+"""One constraint of a sweeping process, and what it answers to one hypothesis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED
+from nsmodel.hypotheses.proof import extremum
+from nsmodel.hypotheses.sweeping.forms import Shape
+
+EVERYWHERE, ON_THE_BOX = "everywhere", "on the box"
+
+
+@dataclass(frozen=True, eq=False)
+class Constraint:
+    """One constraint in its own states.
+
+    Attributes:
+        name: the user's.
+        g: SX, a function of t and q.
+        shape: what it is made of.
+        t: SX symbol; q: SX (k, 1), its own states; names: their names.
+        lower, upper: (1 + k,) bounds of (t, q).
+    """
+
+    name: str
+    g: ca.SX
+    shape: Shape
+    t: ca.SX
+    q: ca.SX
+    names: tuple[str, ...]
+    lower: np.ndarray
+    upper: np.ndarray
+
+    @property
+    def z(self) -> ca.SX:
+        """(t, q)."""
+        return ca.vertcat(self.t, self.q)
+
+    def point(self, z: np.ndarray) -> dict[str, Any]:
+        """The witness of a point (t, q)."""
+        return {"constraint": self.name} | ({"t": z[0]} if self.shape.time else {}) | dict(zip(self.names, z[1:], strict=True))
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What one constraint says to one hypothesis: a verdict, numbers, where they are true, how that was found, a witness."""
+
+    verdict: str
+    value: Mapping[str, float] = field(default_factory=dict)
+    where: str = EVERYWHERE
+    how: str = ""
+    witness: Mapping[str, Any] = field(default_factory=dict)
+
+
+Answers = dict[str, Answer]
+
+
+@dataclass(frozen=True)
+class Top:
+    """A supremum in the shape of :class:`extremum.Supremum`: a number, or the root of one."""
+
+    value: float
+    bound: float
+    at: np.ndarray | None = None
+    count: int = 1
+
+
+def over_time(c: Constraint, expr: ca.SX) -> Top:
+    """Return the supremum over [t0, t1] of an expression of time alone."""
+    if not ca.depends_on(expr, c.t):
+        value = float(ca.Function("value", [], [expr])()["o0"])
+        return Top(value, value, c.lower[:1])
+    top = extremum.supremum(expr, c.t, c.lower[:1], c.upper[:1])
+    return Top(top.value, top.bound, top.at, top.count)
+
+
+def root(top: Any) -> Top:
+    """Return the supremum of the root."""
+    return Top(np.sqrt(max(top.value, 0.0)), np.sqrt(max(top.bound, 0.0)), top.at, top.count)
+
+
+def bounded(name: str, top: Any, factor: float = 1.0) -> Answer:
+    """Return ``factor`` times a supremum over time as an answer: 0 and proved where the factor is 0."""
+    if factor == 0 or top.bound == 0:
+        return steady(name)
+    if np.isfinite(top.bound):
+        return Answer(HOLDS, {name: factor * top.bound}, EVERYWHERE, "bounded over the interval of time")
+    t = {"t": float(np.ravel(top.at)[0])} if top.at is not None else {}
+    return Answer(SAMPLED, {name: factor * top.value}, EVERYWHERE, f"no bound over time was found; {top.count} points", t)
+
+
+def steady(name: str) -> Answer:
+    """The answer of what does not change with time."""
+    return Answer(HOLDS, {name: 0.0}, EVERYWHERE, "it does not change with time")
+
+
+def flat(c: Constraint, z: np.ndarray, how: str) -> Answers:
+    """The answers where the gradient vanishes at an admissible point."""
+    witness = c.point(z)
+    return {
+        "A0": Answer(VIOLATED, {"c": 0.0}, EVERYWHERE, f"no U_i has A1: {how}", witness),
+        "A1": Answer(VIOLATED, {"a": 0.0}, EVERYWHERE, how, witness),
+    }
+
+
+def values(c: Constraint, points: np.ndarray) -> np.ndarray:
+    """Return g at points (count, 1 + k), or at one."""
+    rows = np.atleast_2d(points)
+    g = np.array(ca.Function("g", [c.z], [c.g])(rows.T)).ravel()
+    return g if np.ndim(points) > 1 else g[0]

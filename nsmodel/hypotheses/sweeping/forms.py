@@ -1,0 +1,134 @@
+"""Forms of constraints in exact rational arithmetic: sums of squares, an affine function, norms.
+
+    sum_k w_k a_k^2  +  a_0  +  sum_j v_j |(a_j1, a_j2, ...)|,      a affine in q and in the clipped parts tau
+
+with rational coefficients; only the offsets of the a's may depend on time. A clipped part tau = min(max(a(q), lo), hi) is what
+the distance to a segment or a box is written with.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.hypotheses.proof.exact import psd
+
+Offset = Fraction | ca.SX  # A number, or an expression of time.
+_ZERO = Fraction(0)
+
+
+@dataclass(frozen=True, eq=False)
+class Affine:
+    """row . (q, tau) + offset; ``row`` is {index: coefficient}, indices < 0 are clipped parts."""
+
+    row: Mapping[int, Fraction]
+    offset: Offset
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """tau = min(max(a(q), low), high); an end may be None."""
+
+    a: Affine
+    low: Fraction | None
+    high: Fraction | None
+
+
+Squares = tuple[tuple[Fraction, Affine], ...]  # sum of w a^2
+
+
+@dataclass(frozen=True, eq=False)
+class Form:
+    """sum of squares + affine + norms, with the clipped parts that occur in them."""
+
+    squares: Squares
+    affine: Affine
+    norms: tuple[tuple[Fraction, Squares], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A constraint g(t, q) in its own states.
+
+    Attributes:
+        kind: "plane" row q + o(t); "quadratic" sum w_k a_k^2 + a_0; "distance" w |u| - r, u affine in q and in clipped
+            parts that minimise |u|; "other".
+        convex: proved for all q and t.
+        own: indices of the states it depends on.
+        time: whether it depends on t.
+        form: its form; None for some of kind "other".
+        clips: {index: Clip} of the clipped parts in it.
+    """
+
+    kind: str
+    convex: bool
+    own: tuple[int, ...]
+    time: bool
+    form: Form | None
+    clips: Mapping[int, Clip] = field(default_factory=dict)
+
+
+def plus(a: Offset, b: Offset) -> Offset:
+    """a + b."""
+    return a + b if isinstance(a, Fraction) and isinstance(b, Fraction) else expression(a) + expression(b)
+
+
+def times(c: Fraction, a: Offset) -> Offset:
+    """c a."""
+    return c * a if isinstance(a, Fraction) else float(c) * a
+
+
+def expression(a: Offset) -> ca.SX:
+    """The offset as an expression."""
+    return ca.SX(float(a)) if isinstance(a, Fraction) else a
+
+
+def combined(a: Affine, c: Fraction, b: Affine) -> Affine:
+    """a + c b."""
+    row = dict(a.row)
+    for i, value in b.row.items():
+        row[i] = row.get(i, _ZERO) + c * value
+    return Affine({i: value for i, value in row.items() if value}, plus(a.offset, times(c, b.offset)))
+
+
+def scaled(part: Form, c: Fraction) -> Form:
+    """c times a form."""
+    if not c:
+        return Form((), Affine({}, _ZERO), ())
+    squares, norms = (tuple((c * w, item) for w, item in items) for items in (part.squares, part.norms))
+    return Form(squares, combined(Affine({}, _ZERO), c, part.affine), norms)  # pyright: ignore
+
+
+def is_zero(a: Affine) -> bool:
+    """Whether an affine function is 0."""
+    return not a.row and isinstance(a.offset, Fraction) and not a.offset
+
+
+def affines(form: Form) -> list[Affine]:
+    """The affine functions in a form."""
+    return [form.affine, *(a for _, a in form.squares), *(a for _, squares in form.norms for _, a in squares)]
+
+
+def sums_of_convex(form: Form) -> bool:
+    """Whether a form without clipped parts is convex: norms with weights >= 0, and squares whose Hessian is psd."""
+    if any(i < 0 for a in affines(form) for i in a.row) or any(w < 0 for w, _ in form.norms):
+        return False
+    if all(w >= 0 for w, _ in form.squares):
+        return True
+    return psd(hessian(form)[0]).psd
+
+
+def hessian(form: Form) -> tuple[np.ndarray, list[int]]:
+    """The constant Hessian of a form without norms: Fractions (k, k), and the indices of its rows."""
+    indices = sorted({i for a in affines(form) for i in a.row})
+    place = {i: k for k, i in enumerate(indices)}
+    H = np.full((len(indices), len(indices)), _ZERO, dtype=object)
+    for w, a in form.squares:
+        for i, x in a.row.items():
+            for j, y in a.row.items():
+                H[place[i], place[j]] += 2 * w * x * y
+    return H, indices

@@ -1,0 +1,117 @@
+"""Positive combinations of unit normals: the constant gamma of a qualified set of constraints, and bounds of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+EPS = float(np.finfo(float).eps)
+IN_HULL = 1e-13  # A hull of unit vectors that is nearer to 0 than this contains 0, up to rounding.
+
+
+def mfcq_constant(normals: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return gamma with sum l_i |g_i| <= gamma |sum l_i g_i| for all l >= 0, and the weights that attain it.
+
+    With unit normals n_i = g_i / |g_i|, 1/gamma is the distance from 0 to their convex hull: the minimum of |sum u_i n_i| over
+    u >= 0, sum u_i = 1, found by Wolfe's method and accurate to 1e-10 as long as gamma < 1e6.
+
+    Args:
+        normals: gradients (k, n), not necessarily of length one.
+
+    Returns:
+        gamma: 1 where there is no normal, inf where 0 is in the hull: then the gradients are positively dependent.
+        weights: the minimiser u (k,).
+
+    >>> mfcq_constant(np.array([[1.0, 0.0], [0.0, 1.0]]))
+    (1.414213562373095, array([0.5, 0.5]))
+    """
+    k = len(normals)
+    size = np.linalg.norm(normals, axis=1)
+    if k == 0:
+        return 1.0, np.zeros(0)
+    if not size.all():
+        return np.inf, (size == 0) / np.count_nonzero(size == 0)
+    N = normals / size[:, None]
+    corral, u, z = _start(N)
+    for _ in range(20 * k + 100):
+        distance = float(np.linalg.norm(z))
+        if distance <= IN_HULL:
+            break
+        products = N @ z
+        j = int(np.argmin(products))
+        if products[j] >= distance**2 - 32 * EPS * distance - 1e-14 * distance**2 or j in corral:
+            break
+        before = corral, u, z
+        corral, u, z = _minor_cycle(N, [*corral, j], np.append(u, 0.0))
+        if np.linalg.norm(z) >= distance:
+            corral, u, z = before
+            break
+    weights = np.zeros(k)
+    weights[corral] = u
+    distance = float(np.linalg.norm(z))
+    return (1 / distance if distance > IN_HULL else np.inf), weights
+
+
+def _start(N: np.ndarray) -> tuple[list[int], np.ndarray, np.ndarray]:
+    """A corral to start with: the support of a non-negative least-squares solution, which has 0 nearest for small hulls."""
+    from scipy.optimize import nnls
+
+    if len(N) > 2:
+        try:
+            guess = nnls(np.vstack([N.T, np.ones(len(N))]), np.append(np.zeros(N.shape[1]), 1.0))[0]
+        except RuntimeError:  # It did not converge; one vertex is a start too.
+            guess = np.zeros(len(N))
+        support = [int(i) for i in np.flatnonzero(guess > 1e-12 * guess.max(initial=0.0))]
+        if len(support) > 1 and np.linalg.matrix_rank(N[support[1:]] - N[support[0]]) == len(support) - 1:
+            return _minor_cycle(N, support, guess[support] / guess[support].sum())
+    return [0], np.ones(1), N[0]
+
+
+def _minor_cycle(N: np.ndarray, corral: list[int], u: np.ndarray) -> tuple[list[int], np.ndarray, np.ndarray]:
+    """Go to the point of least norm of the affine hull, dropping what gets a negative weight on the way."""
+    while True:
+        v, z = _affine_minimum(N[corral])
+        if (v > 0).all():
+            return corral, v, z
+        out = v <= 0
+        ratio = np.where(out, u / np.where(out, np.maximum(u - v, 1e-300), 1.0), np.inf)
+        u = u + min(1.0, float(ratio.min())) * (v - u)
+        keep = np.arange(len(u)) != int(np.argmin(ratio))
+        corral, u = [i for i, kept in zip(corral, keep, strict=True) if kept], np.maximum(u[keep], 0.0)
+
+
+def _affine_minimum(N: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Weights (sum 1) of the point of least norm of the affine hull of the rows, and that point."""
+    if len(N) == 1:
+        return np.ones(1), N[0]
+    D = (N[1:] - N[0]).T
+    y = np.linalg.lstsq(D, -N[0], rcond=None)[0]
+    z = N[0] + D @ y
+    correction = np.linalg.lstsq(D, -z, rcond=None)[0]  # Once more: z is then orthogonal to D relative to its own size.
+    y, z = y + correction, z + D @ correction
+    return np.append(1 - y.sum(), y), z
+
+
+def discs_in_a_row(k: int) -> float:
+    """Return gamma of k equal discs in a row, each in contact with the next: sqrt((k^3 - k) / 6), and 1 for k < 2.
+
+    The k - 1 unit normals (-e, e) / sqrt(2) have the Gram matrix tridiag(-1/2, 1, -1/2) =: T/2, all weights of the minimiser are
+    positive, and so gamma^2 = 1'(T/2)^{-1} 1 = (k - 1) k (k + 1) / 6.
+    """
+    return float(np.sqrt((k**3 - k) / 6)) if k > 1 else 1.0
+
+
+def gram_bound(G: np.ndarray) -> float:
+    """Return an upper bound of gamma from lower bounds G (k, k) <= 0 of the scalar products of unit normals; inf: none.
+
+    G has ones on its diagonal. Then |sum u_i n_i|^2 >= u'Gu for u >= 0, and if G is positive definite (an M-matrix: its inverse
+    is >= 0) the minimum over the simplex is 1/(1'G^{-1}1), for every subset of the normals no less.
+    """
+    if np.linalg.eigvalsh(G)[0] <= 1e-9:
+        return np.inf
+    return float(np.sqrt(np.linalg.solve(G, np.ones(len(G))).sum()))
+
+
+def row_space(A: np.ndarray) -> np.ndarray:
+    """Return an orthonormal basis (n, r) of the space of the rows of A (m, n)."""
+    _, values, vectors = np.linalg.svd(A, full_matrices=False)
+    return vectors[values > 1e-12 * values.max(initial=0.0)].T

@@ -1,0 +1,290 @@
+"""S-f: is the velocity field Lipschitz in the state, of linear growth, and Lipschitz in time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED
+from nsmodel.hypotheses.proof import extremum, interval
+from nsmodel.hypotheses.proof.jumps import SWITCHES, surface_points
+from nsmodel.hypotheses.sweeping.admissible import Scene, named
+from nsmodel.hypotheses.sweeping.constraint import EVERYWHERE, ON_THE_BOX, Answer
+from nsmodel.model.convex_read import replay
+from nsmodel.model.expressions import column
+
+BASES, JUMPS = 4, 256  # Admissible states from which jumps are looked for, and switching points tried.
+PAIRS = 32
+
+
+class Block(NamedTuple):
+    """Components of f that share states with each other only; blocks of one formula share ``f`` and ``q``.
+
+    Attributes:
+        f: SX (r, 1) in t, q and s.
+        q: SX (k, 1).
+        s, s_lower, s_upper: switches that depend on time alone, as symbols within bounds.
+        members: (rows, columns) of each block with this formula, in the model.
+        lower, upper: (1 + k,) bounds of (t, q) around all members.
+    """
+
+    f: ca.SX
+    q: ca.SX
+    t: ca.SX
+    s: ca.SX
+    s_lower: np.ndarray
+    s_upper: np.ndarray
+    members: list[tuple[list[int], list[int]]]
+    lower: np.ndarray
+    upper: np.ndarray
+
+    @property
+    def z(self) -> ca.SX:
+        """(t, q, s)."""
+        return ca.vertcat(self.t, self.q, self.s)
+
+    def box(self, everywhere: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of z; of all states where ``everywhere``."""
+        k = self.q.numel()
+        lower = np.concatenate([self.lower[:1], np.full(k, -np.inf) if everywhere else self.lower[1:], self.s_lower])
+        upper = np.concatenate([self.upper[:1], np.full(k, np.inf) if everywhere else self.upper[1:], self.s_upper])
+        return lower, upper
+
+
+def velocity(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]], names: Sequence[str], quick: bool) -> Answer:
+    """Return K_f, L_f and L_t with the verdict on K_f and L_f; ``points`` (t, q) are in Q(t)."""
+    blocks = _blocks(f, scene)
+    L_t, steady = _in_time(f, scene, quick)
+    lipschitz = [_lipschitz(block, quick) for block in blocks]
+    worst = max((K for _, K, _, _ in lipschitz), default=0.0)
+    if all(verdict == HOLDS for verdict, *_ in lipschitz):
+        where = ON_THE_BOX if any(place == ON_THE_BOX for *_, place, _ in lipschitz) else EVERYWHERE
+        L_f = _growth(f, scene, blocks, worst, where, quick)
+        how = "f is continuous and |f_q| is bounded" if worst else "f does not depend on the state"
+        return Answer(HOLDS, {"K_f": worst, "L_f": L_f, "L_t": L_t}, where, how + steady)
+    L_f = _growth(f, scene, blocks, np.inf, ON_THE_BOX, quick)
+    jump = _worst_jump(blocks, scene, points, names)
+    if jump is not None:
+        size, count, witness = jump
+        how = f"f jumps at {count} points found inside Q(t), so it is not Lipschitz there; the one nearest to the runs is shown"
+        return Answer(VIOLATED, {"K_f": np.inf, "jump": size, "L_f": L_f, "L_t": L_t}, ON_THE_BOX, how + steady, witness)
+    steep = _steep(blocks, lipschitz, scene, points, names)
+    if steep is not None:
+        value = {"K_f": np.inf, "L_f": L_f, "L_t": L_t}
+        return Answer(VIOLATED, value, ON_THE_BOX, "difference quotients grow without bound near this point", steep)
+    worst = max(worst, _quotient(f, scene, points))
+    count = sum(number for *_, number in lipschitz)
+    how = f"{count} points; f was not proved continuous with a bounded derivative, no jump was found inside Q(t)"
+    return Answer(SAMPLED, {"K_f": worst, "L_f": L_f, "L_t": L_t}, ON_THE_BOX, how + steady)
+
+
+# -- blocks ------------------------------------------------------------------------------------------------------------
+
+
+def _blocks(f: ca.SX, scene: Scene) -> list[Block]:
+    """Split f where its components share no states, and put blocks of the same formula together."""
+    rows, columns = _pattern(f, scene.q)
+    groups: list[tuple[set[int], set[int]]] = []
+    for i in sorted(set(rows)):
+        own_rows, own, apart = {i}, {j for k, j in zip(rows, columns, strict=True) if k == i}, []
+        for others, states in groups:
+            if states & own:
+                own_rows, own = own_rows | others, own | states
+            else:
+                apart.append((others, states))
+        groups = [*apart, (own_rows, own)]
+    found: dict[str, Block] = {}
+    for own_rows, own in groups:
+        r, j = sorted(own_rows), sorted(own)
+        block = _block(f[r], scene, r, j)
+        text = str(block.f)
+        if text in found:
+            first = found[text]
+            first.members.append((r, j))
+            np.minimum(first.lower, block.lower, out=first.lower)
+            np.maximum(first.upper, block.upper, out=first.upper)
+        else:
+            found[text] = block
+    return list(found.values())
+
+
+def _pattern(f: ca.SX, q: ca.SX) -> tuple[list[int], list[int]]:
+    """Which components depend on which states: a sign or a comparison counts, though its derivative is 0."""
+    pattern = ca.Function("f", [q, column(_others(f, q))], [ca.densify(f)]).jac_sparsity(0, 0)
+    return pattern.get_triplet()
+
+
+def _others(f: ca.SX, q: ca.SX) -> list[ca.SX]:
+    own = {symbol.element_hash() for symbol in ca.vertsplit(q)}
+    return [symbol for symbol in ca.symvar(f) if symbol.element_hash() not in own]
+
+
+def _block(f: ca.SX, scene: Scene, rows: list[int], columns: list[int]) -> Block:
+    own = scene.q[columns]
+    plain = ca.SX.sym("q", len(columns))
+    formula = ca.substitute(f, own, plain)
+    nodes: list[tuple[ca.SX, ca.SX]] = []
+
+    def in_time(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
+        if ca.depends_on(old, plain):
+            return None
+        nodes.append((ca.SX.sym(f"s{len(nodes)}"), old))
+        return nodes[-1][0]
+
+    formula = replay(formula, in_time, SWITCHES, scene.t, "f")
+    ends = [0, *(1 + j for j in columns)]
+    lower, upper = scene.lower[ends].copy(), scene.upper[ends].copy()
+    bounds = interval.enclose(column(old for _, old in nodes), scene.t, lower[:1], upper[:1]) if nodes else (np.zeros(0),) * 2
+    s = column(symbol for symbol, _ in nodes)
+    return Block(formula, plain, scene.t, s, np.ravel(bounds[0]), np.ravel(bounds[1]), [(rows, columns)], lower, upper)
+
+
+# -- bounds ------------------------------------------------------------------------------------------------------------
+
+
+def _lipschitz(block: Block, quick: bool) -> tuple[str, float, str, int]:
+    """(verdict, K, where, points): proved for all states, else on the box, else the largest |f_q| seen."""
+    J = ca.jacobian(block.f, block.q)
+    for everywhere in (True, False):
+        lower, upper = block.box(everywhere)
+        if interval.is_continuous(block.f, block.z, lower, upper):
+            top = extremum.spectral_norm(J, block.z, lower, upper, quick=quick)
+            if np.isfinite(top.bound):
+                return HOLDS, max(top.bound, 0.0), EVERYWHERE if everywhere else ON_THE_BOX, top.count
+    top = extremum.spectral_norm(J, block.z, *block.box(False), quick=True)
+    return SAMPLED, top.value, ON_THE_BOX, top.count
+
+
+def _growth(f: ca.SX, scene: Scene, blocks: list[Block], K: float, where: str, quick: bool) -> float:
+    """L_f: max(K_f, sup |f(t, 0)|) where K_f holds everywhere; on the box sup |f| / (1 + |q|), bounded block by block."""
+    if where == EVERYWHERE:
+        at_zero = ca.sumsqr(ca.substitute(f, scene.q, ca.DM.zeros(scene.q.numel())))
+        return max(K, float(np.sqrt(max(_over_time(at_zero, scene).bound, 0.0))))
+    total = 0.0
+    for block in blocks:
+        top = extremum.supremum(ca.sumsqr(block.f), block.z, *block.box(False), quick=True)
+        total += len(block.members) * (top.bound if np.isfinite(top.bound) else max(top.value, 0.0))
+    rest = [i for i in range(f.numel()) if not any(i in rows for block in blocks for rows, _ in block.members)]
+    if rest:
+        total += max(_over_time(ca.sumsqr(f[rest]), scene).bound, 0.0)
+    nearest = np.clip(0.0, scene.lower[1:], scene.upper[1:])
+    return float(np.sqrt(total) / (1 + np.linalg.norm(nearest)))
+
+
+def _over_time(expr: ca.SX, scene: Scene) -> extremum.Supremum:
+    return extremum.supremum(expr, scene.t, scene.lower[:1], scene.upper[:1])
+
+
+def _in_time(f: ca.SX, scene: Scene, quick: bool) -> tuple[float, str]:
+    """L_t, and a remark where f jumps in time."""
+    if not ca.depends_on(f, scene.t):
+        return 0.0, ""
+    rate = ca.jacobian(f, scene.t)
+    if not interval.is_continuous(f, scene.z, scene.lower, scene.upper):
+        return np.inf, "; f is not continuous in t: no L_t, and no order is proved"
+    top = extremum.supremum(ca.norm_2(rate), scene.z, scene.lower, scene.upper, quick=quick)
+    return (float(top.bound), "") if np.isfinite(top.bound) else (float(top.value), "; L_t is the largest |f_t| seen")
+
+
+# -- violations --------------------------------------------------------------------------------------------------------
+
+
+def _worst_jump(
+    blocks: list[Block], scene: Scene, points_of_Q: Sequence[tuple[float, np.ndarray]], names: Sequence[str]
+) -> tuple[float, int, dict[str, Any]] | None:
+    """(largest jump, number of jumps found, the one nearest to the known states) at states of Q(t).
+
+    From an admissible state only the states of one block are moved, to a point where its formula switches.
+    """
+    found: list[tuple[float, float, dict[str, Any]]] = []
+    bases = [points_of_Q[k] for k in np.unique(np.linspace(0, len(points_of_Q) - 1, BASES, dtype=int)) if len(points_of_Q)]
+    for block in blocks:
+        x, y, size = _jumps(block)
+        if not len(x):
+            continue
+        for _, columns in block.members:
+            own = slice(1, 1 + len(columns))
+            admits = _admits(scene, columns)
+            for t, q in bases:
+                times = x[:, 0] if ca.depends_on(block.f, block.t) else np.full(len(x), t)
+                points = np.tile(q, (len(x), 1))
+                far = np.linalg.norm(x[:, own] - q[columns], axis=1)
+                inside = np.ones(len(x), bool)
+                for side in (y, x):
+                    points[:, columns] = side[:, own]
+                    inside &= admits(times, points)
+                for k in np.flatnonzero(inside):
+                    witness = {"t": times[k], "size": size[k], "moved": [names[j] for j in columns], "to": points[k, columns]}
+                    found.append((far[k], size[k], witness | named(names, points[k])))
+    if not found:
+        return None
+    return float(max(size for _, size, _ in found)), len(found), min(found, key=lambda item: item[0])[2]
+
+
+def _jumps(block: Block) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points on both sides of switches of a block, where its value jumps, and the size of the jump."""
+    x, y = surface_points(block.f, block.z, *block.box(False))
+    if not len(x):
+        return x, y, np.zeros(0)
+    f = ca.Function("f", [block.z], [ca.densify(block.f)])
+    below, above = np.array(f(x.T)).T, np.array(f(y.T)).T
+    with np.errstate(all="ignore"):
+        size = np.linalg.norm(above - below, axis=1)
+        real = np.isfinite(size) & (size > 1e-7 * (np.linalg.norm(below, axis=1) + np.linalg.norm(above, axis=1)))
+    some = np.flatnonzero(real)[:: max(1, int(real.sum()) // JUMPS)]
+    return x[some], y[some], size[some]
+
+
+def _admits(scene: Scene, columns: list[int]) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """Return admits(times (k,), states (k, n)): whether all constraints that touch these columns are >= 0."""
+    pattern = ca.Function("g", [scene.q, scene.t], [ca.densify(scene.g)]).jac_sparsity(0, 0)
+    touched, states = pattern.get_triplet()
+    rows = sorted({i for i, j in zip(touched, states, strict=True) if j in columns})
+    if not rows:
+        return lambda times, points: np.ones(len(times), bool)
+    g = ca.Function("g", [scene.t, scene.q], [ca.densify(scene.g[rows])])
+    return lambda times, points: (np.array(g(times[None], points.T)) >= 0).all(axis=0)
+
+
+def _quotient(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]]) -> float:
+    """The largest |f(t, q) - f(t, q')| / |q - q'| over pairs of admissible points."""
+    value, worst = ca.Function("f", [scene.t, scene.q], [ca.densify(f)]), 0.0
+    some = [points[k] for k in np.unique(np.linspace(0, len(points) - 1, PAIRS, dtype=int))] if points else []
+    for k, (t, q) in enumerate(some):
+        for _, other in some[:k]:
+            far = np.linalg.norm(q - other)
+            if far > 0 and (not scene.rows or scene.admits(*scene.at(t, other))):
+                worst = max(worst, float(np.linalg.norm(np.array(value(t, q) - value(t, other))) / far))
+    return worst
+
+
+def _steep(
+    blocks: list[Block], lipschitz: list[tuple[str, float, str, int]], scene: Scene,
+    points: Sequence[tuple[float, np.ndarray]], names: Sequence[str],
+) -> dict[str, Any] | None:  # fmt: skip
+    """A point of Q(t) near which difference quotients keep growing as the points come together."""
+    if not points:
+        return None
+    base_t, base = points[0]
+    for block, (verdict, *_) in zip(blocks, lipschitz, strict=True):
+        if verdict == HOLDS:
+            continue
+        J = ca.jacobian(block.f, block.q)
+        lower, upper = block.box(False)
+        top = extremum.supremum(ca.sumsqr(J), block.z, lower, upper)
+        if top.at is None:
+            continue
+        f = ca.Function("f", [block.z], [ca.densify(block.f)])
+        columns, k = block.members[0][1], block.q.numel()
+        for direction in np.eye(k):
+            step = np.concatenate([[0.0], direction, np.zeros(block.s.numel())])
+            size = [float(np.linalg.norm(np.array(f(top.at + h * step) - f(top.at)))) / h for h in (1e-3, 1e-6, 1e-9)]
+            if np.isfinite(size).all() and size[1] > 5 * size[0] > 0 and size[2] > 5 * size[1]:
+                point = base.copy()
+                point[columns] = top.at[1 : 1 + k]
+                if not scene.rows or scene.admits(*scene.at(base_t, point)):
+                    return {"t": float(top.at[0])} | named(names, point)
+    return None

@@ -1,0 +1,124 @@
+"""Every case file against its hypotheses: what must be proved, what is known to fail, what may stay open and why."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from conftest import CASES, REPOSITORY
+
+import nsmodel
+from nsmodel.checking import CLASSES, hypotheses_of
+from nsmodel.hypotheses import along
+from nsmodel.hypotheses.findings import VERDICTS
+
+# The hypotheses of each case that must be proved. "sampled" where a proof exists is a defect.
+HOLDS = {
+    "cabot_4_1": "O-theta O-g O-dry O-steps",
+    "cabot_4_2": "O-theta O-g O-dry O-steps",
+    "cabot_4_3": "O-theta O-g O-dry O-steps",
+    "crowd_room": "S-convex A0 A1 A2 A3 A4 S-start",
+    "diode_bridge": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0 7.1",
+    "friction_chain": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
+    "friction_oscillator": "O-theta O-g O-dry O-steps",
+    "friction_oscillator_relay": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0 7.1",
+    "gene_network": "F-jacobians F-W F-step",
+    "inclusion_8_1": "M-T M-C M-A1 M-A2 M-A3 M-24",
+    "inclusion_8_2": "M-T M-C M-A1 M-A2 M-A3 M-24",
+    "inclusion_8_2_full": "M-T M-C M-A1 M-A2 M-A3 M-24",
+    "moving_disc": "S-convex A0 A1 A2 A3 A4 A5 A5' S-f S-start",
+    "moving_half_line": "S-convex A0 A1 A2 A3 A4 A5 A5' S-f S-start",
+    "point_past_disc": "S-convex A0 A1 A2 A3 A4 A5 A5' S-f S-start",
+    "relay_oscillator": "3.1 4.1 5.4a 5.4b 5.4c 5.x0 7.1",
+    "rlc_diode": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0 7.1",
+    "sliding_relay": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
+    "two_discs": "S-convex A0 A1 A2 A3 A4 A5 A5' S-f S-start",
+    "two_masses": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
+    "zhuravlev_ivanov": "F-jacobians F-W F-step",
+}
+# What really fails, and why: a report without these would be wrong.
+VIOLATED = {
+    "crowd_room": {"S-f": "the desired velocity jumps where a body crosses the door's line beside the opening"},
+    "friction_chain": {"7.1": "it is forced"},
+    "gene_network": {"F-mlcp": "the multipliers enter as a product: W_mlcp is indefinite"},
+    "relay_oscillator": {"5.1": "C B = 0"},
+    "sliding_relay": {"7.1": "it is forced"},
+    "two_masses": {"7.1": "it is forced"},
+    "zhuravlev_ivanov": {"F-mlcp": "the multipliers enter as a product: W_mlcp is indefinite"},
+}
+# What is not decided, and the reason that the report gives.
+UNKNOWN = {"relay_oscillator": {"5.2": "no P > 0 with P B = C' exists"}}
+
+
+@pytest.fixture(scope="module")
+def report_of(load_case, run_case):
+    """Return report_of(stem), each made once from the case's own run."""
+    reports = {}
+
+    def report(stem):
+        if stem not in reports:
+            reports[stem] = nsmodel.check(load_case(stem), [run_case(stem)])
+        return reports[stem]
+
+    return report
+
+
+def test_every_case_is_listed():
+    assert sorted(HOLDS) == [path.stem for path in CASES]
+
+
+def test_a_case_has_each_hypothesis_once_and_those_that_must_be_proved_are(case_file, load_case, report_of):
+    stem = case_file.stem
+    report = report_of(stem)
+    asked = [hypothesis.id for hypothesis in hypotheses_of(type(load_case(stem)))]
+    ids = [finding.id for finding in report.findings]
+    assert ids[: len(asked)] == asked
+    assert len(set(ids)) == len(ids)
+    assert {id: report[id].verdict for id in HOLDS[stem].split()} == dict.fromkeys(HOLDS[stem].split(), "holds")
+    for verdict, known in (("violated", VIOLATED), ("unknown", UNKNOWN)):
+        assert {finding.id for finding in report.having(verdict)} == set(known.get(stem, {}))
+    for id, reason in UNKNOWN.get(stem, {}).items():
+        assert reason in report[id].how
+
+
+def test_findings_of_a_case_carry_numbers_reasons_and_sources(case_file, report_of):
+    for finding in report_of(case_file.stem).findings:
+        assert finding.verdict in VERDICTS
+        assert finding.statement
+        assert finding.how
+        assert finding.source
+        assert finding.value or finding.verdict == "unknown"
+        if finding.verdict == "violated":
+            assert finding.witness
+
+
+def test_a_quick_check_never_says_more_than_a_full_one(case_file, load_case, report_of):
+    """What is proved quickly is proved; what fails quickly fails."""
+    full = report_of(case_file.stem)
+    quick = nsmodel.check(load_case(case_file.stem), quick=True)
+    assert "quick" in quick.verdict
+    for finding in quick.findings:
+        if finding.verdict in ("holds", "violated"):
+            assert full[finding.id].verdict == finding.verdict, finding.id
+
+
+def test_consequences_rest_on_findings_of_the_report(case_file, report_of):
+    report = report_of(case_file.stem)
+    ids = {finding.id for finding in report.findings}
+    assert report.consequences
+    for consequence in report.consequences:
+        assert set(consequence.rests_on) <= ids
+        weakest = {report[id].verdict for id in consequence.rests_on}
+        if consequence.verdict == "holds":
+            assert weakest <= {"holds"}
+
+
+def test_every_hypothesis_has_a_paragraph_in_the_docs_and_a_case():
+    page = (REPOSITORY / "docs" / "hypotheses.md").read_text()
+    headings = set(re.findall(r"^### (\S+)", page, flags=re.M))
+    hypotheses = [hypothesis for kind in CLASSES for hypothesis in hypotheses_of(kind)]
+    hypotheses += along.HYPOTHESES
+    ids = [hypothesis.id for hypothesis in hypotheses]
+    assert len(set(ids)) == len(ids)
+    assert set(ids) <= headings
+    assert all(hypothesis.statement and hypothesis.source for hypothesis in hypotheses)
