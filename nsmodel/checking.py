@@ -88,7 +88,7 @@ def check(
         twin = own[1] if len(own) > 1 and len(own[1].t) == len(own[0].t) else None
         findings += along(bound, own[0], findings, twin)
         if not given:
-            consequences += _observed_order(bound, own[0])
+            consequences += _refined(bound, own[0])
     return _report(bound, box.text, findings, consequences, getattr(bound, "bound_parameters", {}), notes, quick)
 
 
@@ -146,31 +146,53 @@ def _started_at(model: Model, x0: np.ndarray) -> Model:
     return other
 
 
-def _observed_order(model: Model, run: Trajectory) -> list[Consequence]:
-    """log2 of the ratio of differences between runs with steps 4h, 2h, h, at common times."""
+def _refined(model: Model, run: Trajectory) -> list[Consequence]:
+    """What runs with the steps 4h, 2h, h show together: the order, and how fast the predictors of catching-up reach C."""
     h, N = model.step, len(run.t) - 1
-    if h is None or N < 16 or run.status != "done":
+    if h is None or N < 16 or run.status != "done" or getattr(model, "x1", None) is not None:
         return []
     try:
-        coarse = [simulate(model, step=factor * h, t_end=float(run.t[-1])).x for factor in (2, 4)]
+        runs = [run, *(simulate(model, step=factor * h, t_end=float(run.t[-1])) for factor in (2, 4))]
     except (StepError, UsageError):
         return []
-    rows = min(N // 4, (len(coarse[0]) - 1) // 2, len(coarse[1]) - 1)
-    if N % 4:
-        rows -= 1  # the last row of a coarse run may be a shortened step
-    a, b, c = run.x[: 4 * rows + 1 : 4], coarse[0][: 2 * rows + 1 : 2], coarse[1][: rows + 1]
-    start = 1 if getattr(model, "x1", None) is None else 2
-    fine, wide = np.abs(b - a)[start:].max(initial=0.0), np.abs(c - b)[start:].max(initial=0.0)
-    floor = ROUND_OFF * max(np.abs(run.x).max(), np.finfo(float).tiny)
-    value = {"difference h, 2h": fine, "difference 2h, 4h": wide, "h": h}
-    if fine <= floor:
-        statement = "runs with steps 4h, 2h, h agree to rounding: the scheme is exact on this scene"
-    elif not ASYMPTOTIC[0] <= (order := np.log2(wide / fine) if wide else 0.0) <= ASYMPTOTIC[1]:
-        statement = "no order is seen at steps 4h, 2h, h: they are too large, or switches fall between rows differently"
-    else:
-        value = {"order": order, **value}
-        statement = "the error shrinks like h^order, seen at steps 4h, 2h, h"
-    error = run.metadata["totals"].get("largest_error")
+    seen = [_observed_order(h, runs)]
+    if isinstance(model, MonotoneInclusion):
+        seen.append(_predictor_feasibility(h, runs))
+    return seen
+
+
+def _measured(name: str, statement: str, value: Mapping[str, float]) -> Consequence:
+    return Consequence(name, statement, (), SAMPLED, {key: float(number) for key, number in value.items()}, "measured on runs")
+
+
+def _observed_order(h: float, runs: Sequence[Trajectory]) -> Consequence:
+    """log2 of the ratio of the differences between neighbouring runs, at common times."""
+    N = len(runs[0].t) - 1
+    rows = N // 4 - (1 if N % 4 else 0)  # the last row of a coarse run may be a shortened step
+    fine, medium, wide = (other.x[: factor * rows + 1 : factor] for factor, other in zip((4, 2, 1), runs, strict=True))
+    near, far = np.abs(medium - fine).max(), np.abs(wide - medium).max()
+    value = {"difference h, 2h": near, "difference 2h, 4h": far, "h": h}
+    error = runs[0].metadata["totals"].get("largest_error")
     if error is not None:
         value["largest error"] = error
-    return [Consequence("observed order", statement, (), SAMPLED, {k: float(v) for k, v in value.items()}, "measured on runs")]
+    if near <= ROUND_OFF * max(np.abs(runs[0].x).max(), np.finfo(float).tiny):
+        return _measured(
+            "observed order", "runs with steps 4h, 2h, h agree to rounding: the scheme is exact on this scene", value
+        )
+    order = np.log2(far / near) if far else 0.0
+    if not ASYMPTOTIC[0] <= order <= ASYMPTOTIC[1]:
+        why = "no order is seen at steps 4h, 2h, h: they are too large, or switches fall between rows differently"
+        return _measured("observed order", why, value)
+    return _measured("observed order", "the error shrinks like h^order, seen at steps 4h, 2h, h", {"order": order, **value})
+
+
+def _predictor_feasibility(h: float, runs: Sequence[Trajectory]) -> Consequence:
+    """The time mean of d_C(y_k) at the steps h, 2h, 4h (Corollary 6.4: it tends to 0)."""
+    means = [float(np.average(run.arrays["predictor_distance"][1:].ravel(), weights=run.step[1:])) for run in runs]
+    value = {f"mean d_C at {name}": mean for name, mean in zip(("h", "2h", "4h"), means, strict=True)}
+    if not means[0]:
+        return _measured("predictor feasibility", "the predictor never leaves C", value)
+    rate = np.log2(means[2] / means[0]) / 2
+    return _measured(
+        "predictor feasibility", "the mean distance of the predictor from C shrinks like h^rate", {"rate": rate, **value}
+    )
