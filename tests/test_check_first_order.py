@@ -313,3 +313,45 @@ def test_cases(cases_of, run_case):
     for stem, model in cases.items():
         found = report(model, [run_case(stem)])[0]
         assert {id: finding.verdict for id, finding in found.items()} == expected, stem
+
+
+# -- jumps and sizes ------------------------------------------------------------------------------------------------------
+
+
+def test_a_jump_is_no_linear_function_though_its_derivative_is_zero():
+    x, lam = ca.SX.sym("x"), ca.SX.sym("l")
+    given = {"x": x, "x0": 0.05, "t_end": 1, "step": 0.1}
+    box_around = {"x": (-1, 1)}
+    for f in (ca.sign(x), ca.if_else(x > 0, 1, -1), x - ca.floor(x), ca.fmod(x, 0.5)):
+        findings, made = report(FirstOrderSystem(f=f, **given), region=box_around)
+        assert findings["F-jacobians"].verdict == "violated"
+        assert findings["F-jacobians"].value["jump"] > 0.4
+        assert findings["F-unique"].verdict == "unknown"  # x = x_k + h sign(x) has two solutions for |x_k| < h
+        assert made["one trajectory"].verdict == "unknown"
+        assert "one Newton iteration" not in made
+    inside = {"h": x + lam, "g": ca.sign(x) + lam, "lam": lam, "law": complementarity(1)}
+    findings, _ = report(FirstOrderSystem(f=-x, **inside, **given), region=box_around)
+    assert findings["F-jacobians"].verdict == "violated"
+    assert findings["F-unique"].verdict != "holds"
+    forced = FirstOrderSystem(f=-x + ca.if_else(T > 0.5, 1, 0), t=T, **given)  # a jump in time alone leaves each step linear
+    assert report(forced)[0]["F-unique"].verdict == "holds"
+
+
+def test_a_slope_that_is_zero_by_chance_is_no_wrong_jacobian():
+    x = ca.SX.sym("x")
+    model = FirstOrderSystem(x=x, f=-(x**3), x0=0.5, t_end=1, step=0.1)
+    run = simulate(FirstOrderSystem(x=x, f=-(x**3) - ca.if_else(x > 0, 3 * x, 0), x0=0.5, t_end=20, step=0.1))
+    assert abs(run.x[-1, 0]) < 1e-9
+    assert report(model, [run])[0]["F-jacobians"].verdict == "holds"
+
+
+def test_matrices_near_the_end_of_the_range_of_doubles():
+    assert verdicts(linear([[-1e200]], [[1e200]], [[1e200]], law=relay(1)), quick=True)["F-mlcp"] == "holds"
+
+
+def test_iterates_that_run_away_on_a_wrong_index_set_are_left_out():
+    x, lam = ca.SX.sym("x", 1), ca.SX.sym("l", 1)
+    model = FirstOrderSystem(
+        x=x, f=10 * x**3 - x, h=x + 1 + lam**3 - lam, g=10 * lam, lam=lam, law=complementarity(1), x0=1e60, t_end=1, step=0.5
+    )
+    assert verdicts(model)["F-unique"] in ("unknown", "sampled", "violated")

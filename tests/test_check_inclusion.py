@@ -459,3 +459,16 @@ def test_tolerances_must_vanish_faster_than_the_square_of_the_step(tolerances, v
     assert found.value.get("power p of eps/mu^2 ~ mu^p") == (None if power is None else pytest.approx(power, abs=1e-9))
     if callable(tolerances):
         assert found.value["max eps_k/mu_k^2"] == pytest.approx(tolerances(0.01) / 1e-4)
+
+
+@pytest.mark.parametrize(
+    ("u", "verdict"), [(lambda x: x**3, "unknown"), (lambda x: x**2 - 1, "violated"), (lambda x: -x, "violated")]
+)
+def test_a_switch_is_violated_only_where_its_argument_changes_sign_the_wrong_way(u, verdict):
+    """sign(x^3) is sign(x); sign(x^2 - 1) jumps downwards at -1."""
+    x = ca.SX.sym("x")
+    found, _ = check(made(x=x, field=-x, operator=ca.sign(u(x)), x0=[0.5]))
+    assert {found["M-T"].verdict, found["M-24"].verdict} == {verdict}
+    if verdict == "violated":
+        at, d = found["M-T"].witness["x"][0], 1e-6 * found["M-T"].witness["direction"][0]
+        assert (np.sign(float(u(at + d))) - np.sign(float(u(at - d)))) * d < 0

@@ -573,3 +573,32 @@ def test_conditions_of_symbols_agree_with_numbers():
             assert eval(text, {}, values) == (decided.verdict == "holds")
             seen.add((id, decided.verdict))
     assert len(seen) == 4
+
+
+def test_units_in_which_the_energy_is_found_exactly():
+    for unit in (1e9, 1e-9, 1e5):
+        model = LureSystem(A=[[0, 1], [-1, 0]], B=[0, unit], C=[0, 1 / unit], law=relay(1), x0=[1, 0], t_end=1, step=0.1)
+        report = nsmodel.check(model, quick=True)
+        assert report["5.2"].value["omega"] == 0
+        assert {c.name: c.verdict for c in report.consequences}["Lyapunov stable"] == "holds"
+
+
+def test_numbers_whose_products_leave_the_range_of_doubles():
+    for unit in (1e150, 1e-150, 1e200, 1e-200, 1e300):
+        for B, C in ((unit, 1 / unit), (unit, unit), (unit, 1.0), (1.0, unit)):
+            passivity = storage(np.array([[0.0], [B]]), np.array([[0.0, C]]))
+            assert passivity.finding.verdict in ("holds", "unknown")
+
+
+def test_a_forcing_is_looked_at_up_to_the_end_though_the_run_stopped_before():
+    t = ca.SX.sym("t")
+    model = LureSystem(A=[[-1]], B=[1], C=[1], f=[1 / (t - 0.5)], t=t, law=relay(1), x0=[1], t_end=1, step=0.1)
+    well_posed = nsmodel.check(model).consequences[0]
+    assert (well_posed.name, well_posed.verdict) == ("well posed", "unknown")
+    assert "f is not seen to be continuous" in well_posed.statement
+
+
+def test_a_coefficient_that_is_not_finite_proves_nothing():
+    x = ca.SX.sym("x")
+    model = LureSystem(x=x, A=[x * 1e308 * 1e308], B=[1], C=[1], law=relay(1), x0=[1], t_end=1, step=0.1)
+    assert nsmodel.check(model, quick=True)["5.2"].verdict == "unknown"

@@ -442,3 +442,71 @@ def test_the_run_of_example_4_1_is_finite_and_that_of_4_3_is_not(load_case, run_
     longer = nsmodel.simulate(load_case("cabot_4_3"), t_end=80)
     _, follows = check(load_case("cabot_4_3"), [longer])
     assert follows["finite convergence"].verdict == "unknown"
+
+
+# -- what is easily overlooked -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "g",
+    [
+        lambda x: 10 * ca.fmax(x, 0) ** 2 + 10 * ca.fmax(-x, 0) ** 2 - x**2,
+        lambda x: 10 * ca.fabs(x) ** 1.5 - 0.1 * x**2,
+    ],
+    ids=["two halves", "power"],
+)
+def test_terms_with_kinks_may_make_up_for_a_part_that_is_not_convex(g):
+    x = ca.SX.sym("x")
+    assert check(made(x=x, potential=g(x), x0=[0.5]))[0]["O-g"].verdict == "sampled"
+
+
+def test_the_vector_of_a_potential_with_kinks_is_one_of_its_own_hessian():
+    x = ca.SX.sym("x", 2)
+    g = 2 * ca.norm_2(x) + 1e-3 * x[0] ** 3
+    found = check(made(x=x, potential=g, x0=[-0.5, 0.5]))[0]["O-g"]
+    assert found.verdict == "violated"
+    H, v = np.array(ca.Function("H", [x], [ca.hessian(g, x)[0]])(found.witness["x"])), np.array(found.witness["vector"])
+    assert v @ H @ v < 0
+
+
+def test_convex_on_the_box_says_nothing_of_a_lower_bound():
+    """x^2 - 1e-6 exp(x) is convex near 0 and falls without end."""
+    x = ca.SX.sym("x")
+    found = check(made(x=x, potential=x**2 - 1e-6 * ca.exp(x), x0=[0.5]))[0]["O-g"]
+    assert found.verdict != "holds"
+
+
+def test_rest_points_of_a_potential_convex_on_the_box_hold_as_long_as_it_is_not_left():
+    x = ca.SX.sym("x")
+    well = made(x=x, potential=x**4 - x**2, friction=lambda _, s: 0.3 * s, x0=[1.0])
+    findings, consequences = oscillator.check(well, region_of(well, [], {"x": (0.5, 2)}), [], False)
+    found = {finding.id: finding for finding in findings}
+    assert found["O-g"].verdict == "holds"
+    assert found["O-g"].value["lower bound of g"] == pytest.approx(-0.25)
+    (rest,) = (item for item in consequences if item.name == "rest points")
+    assert "in the box" in rest.statement
+
+
+def test_theta_with_steps_is_not_C1():
+    assert law(lambda s: s + ca.floor(s)).verdict == "violated"
+    assert law(lambda s: s + ca.sign(s)).witness["s"] == 0
+    assert law(lambda s: s * ca.sign(s)).verdict == "holds"
+
+
+def test_the_radius_of_A0_with_elements_of_very_different_size():
+    """sigma(d) = 1e-6 |d_1 - d_0| + sqrt(2) 1e-3 |d_1| is least at d = (1, 1e-3) or so, not above its value at (1, 0)."""
+    friction = {"a": ([[-1, 1]], 1e-6), "b": ([[0, 1e-9], [0, 1e-9]], 1e6)}
+    found = check(made(friction=lambda x, s: {name: (H, r * s) for name, (H, r) in friction.items()}))[0]["O-dry"]
+    assert found.value["radius of A(0)"] <= 1e-6
+    pair = {"a": ([[1, 0]], 3), "b": ([[1, 1]], 1), "c": ([[0, 1]], 0.1)}
+    found = check(made(friction=lambda x, s: {name: (H, r * s) for name, (H, r) in pair.items()}))[0]["O-dry"]
+    assert found.value["radius of A(0)"] == pytest.approx(1.1, rel=1e-14)
+
+
+def test_the_least_value_behind_constraints_with_kinks():
+    """On the plane 2 x_0 + 7 x_1 + 2 x_2 = 2, which the domain meets, g is 0."""
+    x = ca.SX.sym("x", 3)
+    g = 2 * ca.fabs(2 * x[0] + 7 * x[1] + 2 * x[2] - 2)
+    wedge = 3 - ca.fabs(2 * x[0] - 2 * x[1] + x[2] - 0.262) - ca.fabs(x[0] - 0.05)
+    found = check(made(x=x, potential=g, constraints={"wedge": wedge}, x0=[0.05, 0.1, 0.1]))[0]["O-g"]
+    assert found.value["inf g"] == pytest.approx(0, abs=1e-8)

@@ -562,3 +562,98 @@ def test_no_point_contradicts_what_holds():
             proved[id] += item.verdict == HOLDS
     assert proved["S-convex"] == proved["A1"] == proved["A4"] == 200
     assert proved["A5"] > 90
+
+
+# -- what is easily overlooked -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "g",
+    [
+        lambda q: q[0] * (2 + ca.sign(t - 1)) + q[1] + 5,
+        lambda q: ca.norm_2(q - ca.vertcat(ca.if_else(t < 1, 0, 1), 0)) - 0.1,
+        lambda q: ca.sumsqr(q - ca.vertcat(ca.if_else(t < 1, 0, 1), 0)) - 0.1,
+        lambda q: q[0] ** 2 + q[1] ** 4 * (2 + ca.sign(t - 1)) - 0.1,
+    ],
+    ids=["plane", "disc", "quadratic", "quartic"],
+)
+def test_a_gradient_that_jumps_in_time_breaks_A3(g):
+    q = ca.SX.sym("q", 2)
+    found = decided({"g": g(q)}, q, [2, 2])["A3"]
+    assert found.verdict == VIOLATED
+    at = [found.witness[f"q_{i}"] for i in range(2)]
+    slope = ca.Function("slope", [t, q], [ca.gradient(g(q), q)])
+    before, after = (np.array(slope(found.witness["t"] + step, at)) for step in (-1e-9, 1e-9))
+    assert np.linalg.norm(after - before) > 0.01
+
+
+def test_a_step_in_time_outside_of_the_interval_is_none():
+    q = ca.SX.sym("q", 2)
+    found = decided({"g": q[0] * (2 + ca.sign(t + 1)) + q[1] + 5}, q, [1, 1])
+    assert {found[id].verdict for id in ("A2", "A3")} == {HOLDS}
+
+
+@pytest.mark.parametrize(("offset", "verdict"), [(0.0, VIOLATED), (1.0, HOLDS)])
+def test_a_disc_far_from_the_origin_has_its_own_depth(offset, verdict):
+    """(1e8)^2 - 1 is 1e16 in doubles: an expanded minimum would be 0."""
+    q = ca.SX.sym("q", 2)
+    found = decided({"g": (q[0] - 1e8) ** 2 + (q[1] - 1e8 / 3) ** 2 - offset}, q, [3, 3])
+    assert found["A1"].verdict == found["A0"].verdict == verdict
+    if offset:
+        assert found["A1"].value["a"] == pytest.approx(np.sqrt(2))
+    else:
+        assert [found["A1"].witness[f"q_{i}"] for i in range(2)] == [1e8, 1e8 / 3]
+
+
+def test_blocks_of_f_that_differ_in_late_digits_or_in_their_switches_are_apart():
+    q = ca.SX.sym("q", 2)
+    by_digits = ca.vertcat((q[0] - 1000000) ** 2, (q[1] - 1000004) ** 2)
+    assert decided({}, q, [0, 0], by_digits)["S-f"].value["K_f"] == pytest.approx(2 * 1000006.5)
+    by_switches = ca.vertcat(ca.floor(1 + 0.1 * t) * q[0], ca.floor(5 * t) * q[1])
+    assert decided({}, q, [1, 1], by_switches, t_end=1.0)["S-f"].value["K_f"] == 5
+
+
+def test_switches_in_time_that_exclude_each_other_make_no_jump():
+    q = ca.SX.sym("q")
+    for constant, verdict in ((-1, SAMPLED), (1, VIOLATED)):
+        assert decided({}, q, [1], ((t < 0.5) + (t >= 0.5) + constant) * ca.sign(q))["S-f"].verdict == verdict
+
+
+@pytest.mark.parametrize("f", [ca.if_else(t < 1, 1, -1), -ca.sqrt(t)], ids=["jump", "root"])
+def test_no_order_is_proved_where_f_is_not_lipschitz_in_time(f):
+    q = ca.SX.sym("q")
+    found = decided({"wall": q}, q, [1], f)
+    assert found["S-f"].verdict == found["well posed"].verdict == HOLDS
+    assert found["S-f"].value["L_t"] == np.inf
+    assert found["order 1/2"].verdict == UNKNOWN
+    assert decided({"wall": q}, q, [1], -ca.sin(t))["order 1/2"].verdict == HOLDS
+
+
+def test_a_quick_check_does_not_look_for_jumps_and_says_so():
+    q = ca.SX.sym("q")
+    found = decided({"wall": q}, q, [1], ca.if_else(q > 0.5, 1, -1), quick=True)["S-f"]
+    assert found.verdict == UNKNOWN
+    assert "quick" in found.how
+    assert decided({"wall": q}, q, [1], ca.if_else(q > 0.5, 1, -1))["S-f"].verdict == VIOLATED
+
+
+def test_bodies_of_different_dimensions_with_walls():
+    """Three discs and three balls, all in contact in pairs, each kind with a wall."""
+    q = ca.SX.sym("q", 15)
+    bodies = [q[:2], q[2:4], q[4:6], q[6:9], q[9:12], q[12:15]]
+    pairs = {f"{i}{j}": ca.norm_2(bodies[i] - bodies[j]) - 1 for i, j in ((0, 1), (0, 2), (1, 2), (3, 4), (3, 5), (4, 5))}
+    found = decided(pairs | {"a": q[0] + 5, "b": q[6] + 5}, q, [0, 0, 2, 0, 0, 3, 0, 0, 0, 0, 0, 3, 0, 3, 0], quick=True)
+    assert found["A5"].verdict == HOLDS
+
+
+@pytest.mark.parametrize("width", [1e-12, 5e-10, 1.0])
+def test_a_narrow_corridor_is_no_contact_of_both_walls(width):
+    q = ca.SX.sym("q")
+    found = decided({"left": q, "right": width - q}, q, [width / 2], quick=True)["A5'"]
+    assert found.verdict == HOLDS
+    assert found.value["gamma"] == found.value["attained"] == 1
+
+
+def test_a_jump_outside_of_the_box_does_not_matter_to_convexity():
+    q = ca.SX.sym("q")
+    assert decided({"g": ca.if_else(q > -50, q**2, 0) + q + 3}, q, [0])["S-convex"].verdict == HOLDS

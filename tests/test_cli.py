@@ -89,7 +89,7 @@ def test_a_run_prints_its_summary_and_nothing_on_stderr(run):
         "  step size       0.1 s",
     ]
     assert re.fullmatch(r"  run time        \S+ s \(\S+ (us|ms) a step, loading and set-up included\)", lines[-2])
-    assert lines[-1] == "  hypotheses      10 proved (quick: global searches skipped)"
+    assert lines[-1] == "  hypotheses      9 proved (quick: global searches skipped); along the run: 1 of 1 met"
     assert not list(Path().glob("*-run"))
 
 

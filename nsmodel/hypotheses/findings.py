@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 HOLDS, SAMPLED, VIOLATED, UNKNOWN = "holds", "sampled", "violated", "unknown"
 VERDICTS = (HOLDS, SAMPLED, VIOLATED, UNKNOWN)  # from proved to undecided
+ALONG_A_RUN = "run-"  # Ids of findings about a run begin with it.
 
 
 class Hypothesis(NamedTuple):
@@ -155,13 +156,21 @@ class Report:
 
     @property
     def verdict(self) -> str:
-        """One line: how many hypotheses hold, and the ids of the others."""
-        parts = [f"{len(self.having(HOLDS))} proved"]
-        for verdict in (SAMPLED, VIOLATED, UNKNOWN):
-            ids = [finding.id for finding in self.having(verdict)]
-            if ids:
-                parts.append(f"{len(ids)} {verdict} ({', '.join(ids)})")
-        return ", ".join(parts) + (" (quick: global searches skipped)" if self.quick else "")
+        """One line: how many hypotheses are proved, the ids of the others, and how many inequalities the run met."""
+        hypotheses = [finding for finding in self.findings if not finding.id.startswith(ALONG_A_RUN)]
+        along = [finding for finding in self.findings if finding.id.startswith(ALONG_A_RUN)]
+        parts = [f"{sum(finding.verdict == HOLDS for finding in hypotheses)} proved", *_others(hypotheses)]
+        text = ", ".join(parts) + (" (quick: global searches skipped)" if self.quick else "")
+        if along:
+            met = sum(finding.verdict == HOLDS for finding in along)
+            text += f"; along the run: {', '.join([f'{met} of {len(along)} met', *_others(along)])}"
+        return text
+
+
+def _others(findings: Sequence[Finding]) -> list[str]:
+    """How many findings are not "holds", and which."""
+    ids = {verdict: [finding.id for finding in findings if finding.verdict == verdict] for verdict in VERDICTS[1:]}
+    return [f"{len(own)} {verdict} ({', '.join(own)})" for verdict, own in ids.items() if own]
 
 
 def _plain(item: Any) -> Any:

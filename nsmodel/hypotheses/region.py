@@ -54,7 +54,7 @@ def region_of(model: Model, runs: Sequence[Trajectory], given: Mapping[str, Any]
     start = np.array(ca.DM(model.x0 if hasattr(model, "x0") else model.q0)).ravel()
     x = np.vstack([start[None, :], *(run.x[np.isfinite(run.x).all(axis=1)] for run in runs)])
     centre, half = (x.max(axis=0) + x.min(axis=0)) / 2, (x.max(axis=0) - x.min(axis=0)) / 2
-    widest = half.max(initial=0.0) or max(1.0, np.abs(centre).max(initial=0.0))
+    widest = half.max(initial=0.0) or np.abs(centre).max(initial=0.0) or 1.0
     half = np.maximum(GROWTH * half, np.maximum(0.1 * np.abs(centre), 0.25 * widest))
     lower, upper = centre - half, centre + half
     origin = f"{GROWTH:g} times the box around the run" if runs else "a box around the start"

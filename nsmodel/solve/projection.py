@@ -153,7 +153,8 @@ class CatchingUp:
         lo, up = self._lower, self._upper
         both = np.isfinite(lo) & np.isfinite(up)
         reach = 1 + np.abs(p)
-        middle = np.where(both, (lo + up) / 2, np.where(np.isfinite(lo), p + reach, np.where(np.isfinite(up), p - reach, p)))
+        with np.errstate(invalid="ignore"):  # inf - inf where there is no bound
+            middle = np.where(both, (lo + up) / 2, np.where(np.isfinite(lo), p + reach, np.where(np.isfinite(up), p - reach, p)))
         d = middle - p
         size, slope = float(d @ d), float((p - y) @ d)
         if size == 0:

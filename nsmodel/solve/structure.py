@@ -85,8 +85,9 @@ def _symmetric(E_z: ca.SX, E_l: ca.SX, Y_z: ca.SX, Y_l: ca.SX, problem: OneStepP
         Ez, El, Yz, Yl = (np.array(v) for v in f(rng.uniform(0.5, 1.5, symbols.numel())))
         if not all(np.isfinite(v).all() for v in (Ez, El, Yz, Yl)):
             return False
-        factor = np.vdot(-El.T, Yz) / max(np.vdot(Yz, Yz), 1e-300)
-        if not (_equal(Ez, Ez.T) and _equal(-El, factor * Yz.T) and _equal(Yl, Yl.T) and factor >= 0):
+        with np.errstate(over="ignore", invalid="ignore"):
+            factor = np.vdot(-El.T, Yz) / max(np.vdot(Yz, Yz), 1e-300)
+        if not (np.isfinite(factor) and _equal(Ez, Ez.T) and _equal(-El, factor * Yz.T) and _equal(Yl, Yl.T) and factor >= 0):
             return False
     return True
 

@@ -6,11 +6,12 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.convex.convex_sets import ConvexSet
-from nsmodel.hypotheses.proof import exact, polynomial
+from nsmodel.hypotheses.proof import exact, extremum, polynomial
 from nsmodel.model.convex_read import replay
 from nsmodel.model.expressions import column
 from nsmodel.solve.quiet import quiet
 
+SAMPLES = 512
 IPOPT = {
     "print_time": False, "error_on_fail": False, "show_eval_warnings": False, "ipopt.print_level": 0, "ipopt.sb": "yes",
     "ipopt.max_iter": 200, "ipopt.tol": 1e-10, "ipopt.bound_relax_factor": 0.0,
@@ -21,6 +22,8 @@ def least_value(g: ca.SX, C: ConvexSet, start: np.ndarray) -> tuple[np.ndarray, 
     """(a point of C, the least value of g met), in doubles: the exact minimum of a quadratic, else by IPOPT."""
     f = ca.Function("g", [C.x], [g])
     candidates = [start, np.zeros(C.n)]
+    if C.rows.numel() > len(C.affine):  # Along a curved boundary IPOPT may run away; these show that g falls there.
+        candidates += list(extremum.samples(*C.hull, SAMPLES))
     P = polynomial.quadratic(polynomial.read(g, C.x)[0], C.n)
     if P is not None:
         solved = exact.solve(P.H, -P.q)
@@ -50,10 +53,20 @@ def _ipopt(g: ca.SX, C: ConvexSet, start: np.ndarray) -> list[np.ndarray]:
         levels.append((level, old))
         return level
 
+    def below(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX:
+        if op != ca.OP_FMIN:
+            return rule(op, args, old)
+        level = ca.SX.sym(f"level{len(levels)}")
+        rows.extend([args[0] - level, args[1] - level])
+        levels.append((level, old))
+        return level
+
     smooth = replay(g, rule, (ca.OP_FABS, ca.OP_FMAX, ca.OP_SQRT), C.x, "potential")
+    # Concave rows hold |u| and max with weights < 0, min with weights > 0; other points fail the test of the caller.
+    domain = replay(C.rows, below, (ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN), C.x, "domain") if C.rows.numel() else C.rows
     symbols = column(level for level, _ in levels)
     above = ca.Function("above", [C.x], [column(old for _, old in levels)])
-    problem = {"x": ca.vertcat(C.x, symbols), "f": smooth, "g": ca.vertcat(C.rows, *rows), "p": softness}
+    problem = {"x": ca.vertcat(C.x, symbols), "f": smooth, "g": ca.vertcat(domain, *rows), "p": softness}
     point, found = start, []
     with quiet():
         solver = ca.nlpsol("least", "ipopt", problem, IPOPT)

@@ -17,7 +17,7 @@ from nsmodel.hypotheses.convex.convex_sets import ConvexSet
 from nsmodel.hypotheses.convex.least_value import least_value
 from nsmodel.hypotheses.convex.piecewise import pieces
 from nsmodel.hypotheses.convex.ridges import ridges
-from nsmodel.hypotheses.proof import exact, extremum, feasibility, interval, polynomial
+from nsmodel.hypotheses.proof import exact, extremum, feasibility, halfline, interval, polynomial
 
 ENDLESS = 1e12  # A least value below minus this, beside the value at the start, is no minimum.
 
@@ -72,13 +72,16 @@ def bounded_below(g: ca.SX, C: ConvexSet, start: np.ndarray, *, convex: bool) ->
         g: the potential without its domain, finite on C.
         C: the domain.
         start: a point to begin the search for the minimum at.
-        convex: whether g is proved convex on C.
+        convex: whether g is proved convex on all of C, not on a box only.
     """
     at, value = least_value(g, C, start)
     low, _ = interval.enclose(g, C.x, *C.hull)
     bound = float(np.min(low))
     if np.isfinite(bound):
         return Below(True, "bounds of g over its whole domain", bound, max(value, bound), at)
+    separate = _separate(g, C)
+    if separate is not None:
+        return Below(True, "a sum of polynomials in one state each, bounded exactly", separate, max(value, separate), at)
     parts = _parts(g, C)
     if parts is not None:
         P, kinks, rest = parts
@@ -96,7 +99,7 @@ def bounded_below(g: ca.SX, C: ConvexSet, start: np.ndarray, *, convex: bool) ->
         found = _well(g, C, at, value)
         if found is not None:
             return Below(True, "g is larger on the faces of a box around its minimum, and convex", found, value, at)
-    direction = _falls(g, C, at) if value > -ENDLESS * (1 + abs(_value(g, C, start))) else at / np.linalg.norm(at)
+    direction = _falls(g, C, at) if value > -ENDLESS * (1 + abs(_value(g, C, start))) else _unit(at)
     if direction is not None and _falls_for_ever(g, C, start, direction):
         return Below(False, "g falls without end along a ray (a polynomial there, exact)", -np.inf, -np.inf, at, direction)
     if direction is not None:
@@ -104,9 +107,36 @@ def bounded_below(g: ca.SX, C: ConvexSet, start: np.ndarray, *, convex: bool) ->
     return Below(None, "no lower bound was proved; the least value found is given", -np.inf, value, at)
 
 
+def _unit(v: np.ndarray) -> np.ndarray:
+    """v / |v|, also where |v|^2 overflows."""
+    v = v / np.abs(v).max()
+    return v / np.linalg.norm(v)
+
+
 def _value(g: ca.SX, C: ConvexSet, point: np.ndarray) -> float:
     value = float(ca.Function("g", [C.x], [g])(point))
     return value if np.isfinite(value) else 0.0
+
+
+def _separate(g: ca.SX, C: ConvexSet) -> float | None:
+    """A lower bound of a sum of polynomials of degree > 2 in one state each, verified exactly; None where there is none."""
+    (p,) = polynomial.read(g, C.x)
+    if p is None or polynomial.degree(p) <= 2 or any(len(monomial) > 1 for monomial in p):
+        return None
+    total = p.get((), Fraction(0))
+    for i in polynomial.variables(p):
+        c = polynomial.coefficients({monomial: number for monomial, number in p.items() if monomial and monomial[0][0] == i})
+        a, b = (Fraction(float(end[i])) if np.isfinite(end[i]) else None for end in C.hull)
+        least = halfline.minimum(c, a, b)[0]
+        levels = (
+            [Fraction(least) - Fraction(less * (1 + abs(least))) for less in (1e-12, 1e-9, 1e-6)] if np.isfinite(least) else []
+        )
+        proved = [level for level in levels if halfline.negative_point([c[0] - level, *c[1:]], a, b) is None]
+        if not proved:
+            return None
+        total += proved[0]
+    near = float(total)
+    return near if Fraction(near) <= total else float(np.nextafter(near, -np.inf))
 
 
 # -- duality, exactly --------------------------------------------------------------------------------------------------

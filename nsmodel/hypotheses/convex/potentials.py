@@ -26,6 +26,7 @@ class Smooth(NamedTuple):
 
     smooth: ca.SX
     convex: bool  # Whether the smooth part is proved convex for all x as well.
+    whole: bool  # Whether it is all of the potential.
 
 
 def is_convex(g: ca.SX, C: ConvexSet, lower: np.ndarray, upper: np.ndarray, *, quick: bool) -> Part:
@@ -37,6 +38,8 @@ def is_convex(g: ca.SX, C: ConvexSet, lower: np.ndarray, upper: np.ndarray, *, q
     P = polynomial.quadratic(polynomial.read(parts.smooth, C.x)[0], C.n)
     if P is not None:
         found = _quadratic(P, C)
+        if found.verdict != HOLDS and not parts.whole:
+            return _altogether(g, C, (np.maximum(C.hull[0], lower), np.minimum(C.hull[1], upper)))
         if found.verdict != HOLDS or P.H.any():
             return found._replace(how=f"terms convex by the rules of convex functions, and a quadratic: {found.how}")
         return found._replace(how="everywhere, by the rules of convex functions")
@@ -48,7 +51,8 @@ def is_convex(g: ca.SX, C: ConvexSet, lower: np.ndarray, upper: np.ndarray, *, q
         return Part(
             HOLDS, "everywhere: a sum of polynomials in one state each, decided by Sturm's theorem", _seen(H, C, low, high), {}
         )
-    return _by_hessian(parts.smooth, H, C, (low, high), quick=quick)
+    found = _by_hessian(parts.smooth, H, C, (low, high), quick=quick)
+    return found if found.verdict == HOLDS or parts.whole else _altogether(g, C, (low, high))
 
 
 def _quadratic(P: polynomial.Quadratic, C: ConvexSet) -> Part:
@@ -67,19 +71,20 @@ def _quadratic(P: polynomial.Quadratic, C: ConvexSet) -> Part:
 
 def _split(g: ca.SX, x: ca.SX) -> Smooth:
     """Set aside the convex terms with kinks; what is left is to be smooth, quadratic terms included."""
-    kept, proved = ca.SX(0), True
+    kept, proved, whole = ca.SX(0), True, True
     terms = additive_terms(g)
     scaled = [_times(factor, term) for factor, term in terms]
     if any(term is None for term in scaled):
-        return Smooth(g, False)
+        return Smooth(g, False, True)
     shapes = convexity.everywhere(ca.vertcat(*scaled), x)
     polynomials = polynomial.read(ca.vertcat(*scaled), x)
     for term, shape, p in zip(scaled, shapes, polynomials, strict=True):
         if shape.convex and p is None and not _smooth_everywhere(term, x):
+            whole = False
             continue
         kept += term
         proved = proved and shape.convex
-    return Smooth(kept, proved)
+    return Smooth(kept, proved, whole)
 
 
 def _times(factor: Fraction, term: ca.SX) -> ca.SX | None:
@@ -173,6 +178,27 @@ def downwards(H: ca.SX, x: ca.SX, at: np.ndarray | None) -> dict[str, np.ndarray
     v = np.linalg.eigh((values + values.T) / 2)[1][:, 0]
     _, high = interval.enclose(ca.DM(v).T @ H @ ca.DM(v), x, at, at)
     return {"x": np.asarray(at), "vector": v} if float(np.max(high)) < 0 else {}
+
+
+def _altogether(g: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray]) -> Part:
+    """A potential whose smooth part is not convex by itself: terms with kinks may make up for that, so all of it is looked at."""
+    points = extremum.samples(*box, 512)
+    points = points[(C.values(points) >= 0).all(axis=1)]
+    H = ca.densify(ca.hessian(g, C.x)[0])
+    seen = np.inf
+    if len(points):
+        values = np.array(ca.Function("H", [C.x], [H])(points.T)).reshape(C.n, -1, C.n).transpose(1, 0, 2)
+        kept = np.isfinite(values).all(axis=(1, 2))
+        points, least = points[kept], np.linalg.eigvalsh(values[kept])[:, 0]
+        seen = float(least.min(initial=np.inf))
+        down = downwards(H, C.x, points[int(np.argmin(least))]) if len(points) else {}
+        if down:
+            return Part(VIOLATED, "the Hessian has a negative eigenvalue", {LEAST: seen}, down)
+    broken = _broken(g, C, box)
+    if broken is not None:
+        return broken
+    how = f"its terms with kinks are convex, the rest is not; together no violation was seen at {len(points)} points of the box"
+    return Part(SAMPLED, how, {LEAST: seen if np.isfinite(seen) else np.nan}, {})
 
 
 def _broken(g: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray]) -> Part | None:

@@ -226,7 +226,8 @@ def _affine(newton: Newton, law: NumericLaw, state: State, h: float) -> Iterator
 def _nonlinear(newton: Newton, law: NumericLaw, state: State, h: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     z = newton.guess(state.t, h, state.packed, state.l)
     for index in _sets(law):
-        found_ = newton.on_index_set(state.t, h, state.packed, z, state.l, index)
+        with np.errstate(all="ignore"):  # iterates on a wrong index set may run away
+            found_ = newton.on_index_set(state.t, h, state.packed, z, state.l, index)
         if found_ is not None and found_.residual <= TOLERANCE:
             yield found_.z, found_.l
 

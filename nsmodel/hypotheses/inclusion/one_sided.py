@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import casadi as ca
 import numpy as np
 
@@ -40,7 +42,7 @@ def one_sided(field: Field, region: tuple[np.ndarray, np.ndarray], *, quick: boo
         sup = extremum.largest_eigenvalue((J + J.T) / 2, field.x, low, high, quick=fast)
         if np.isfinite(sup.bound):
             witness = {} if sup.at is None else {"attained near": sup.at}
-            values = {"L": sup.bound} | ({} if sup.at is None or G is alone else {"attained": sup.value})
+            values = {"L": sup.bound + 0.0} | ({} if sup.at is None or G is alone else {"attained": sup.value})
             return Part(HOLDS, f"{where}: bounds of the eigenvalues of the symmetric Jacobian", values, witness)
     return Part(UNKNOWN, "F - S is not proved continuous with a bounded Jacobian on the box looked at", {}, {})
 
@@ -50,21 +52,23 @@ def _jumps_up(field: Field) -> Part:
     inner = np.asarray(
         has_interior(field.C, np.clip(np.zeros(field.C.n), *field.C.hull)).witness.get("interior point", np.zeros(field.C.n))
     )
-    for jump in field.jumps:
-        point = switching_point(field.C, jump.u, field.C.hull, inner)
-        if point is None:
-            continue
+    places = ((jump, point) for jump in field.jumps for point in switching_points(field.C, jump.u, field.C.hull, inner))
+    for jump, point in places:
         f = ca.Function(
-            "jump", [field.x], [ca.gradient(jump.u, field.x), ca.substitute(jump.B, field.l, ca.SX.zeros(field.l.shape))]
+            "jump",
+            [field.x],
+            [ca.gradient(jump.u, field.x), ca.substitute(jump.B, field.l, ca.SX.zeros(field.l.shape)), jump.u],
         )
-        a, B = (np.array(part).ravel() for part in f(point))
-        a, B = a / max(np.linalg.norm(a), 1e-300), B / max(np.linalg.norm(B), 1e-300)
-        d = a - B
+        a, B = (np.array(part).ravel() for part in f(point)[:2])
+        if not (np.linalg.norm(a) > 0 and np.linalg.norm(B) > 0):
+            continue  # Where u is flat its sign need not change.
+        d = a / np.linalg.norm(a) - B / np.linalg.norm(B)
         if np.linalg.norm(d) < 1e-6:
             continue
         d = d / np.linalg.norm(d)
-        rate = float((jump.lower - jump.upper) * (d @ np.array(f(point)[1]).ravel()))
-        if rate > 0:
+        rate = float((jump.lower - jump.upper) * (d @ B))
+        step = 1e-6 * (1 + np.linalg.norm(point)) * d
+        if rate > 0 and float(f(point + step)[2]) > 0 > float(f(point - step)[2]):
             how = "F - S jumps outwards across a switching surface: no L bounds the quotient (it grows like jump/distance)"
             return Part(VIOLATED, how, {"jump along d": rate}, {"x": point, "direction": d, "switch": str(jump.u)})
     names = ", ".join(str(jump.u) for jump in field.jumps)
@@ -73,18 +77,28 @@ def _jumps_up(field: Field) -> Part:
 
 
 def switching_point(C: ConvexSet, u: ca.SX, box: tuple[np.ndarray, np.ndarray], inner: np.ndarray) -> np.ndarray | None:
-    """A point inside C with u = 0, by Newton's method from points of a box and around a point inside."""
+    """A point inside C with u = 0; None where none was found."""
+    return next(switching_points(C, u, box, inner), None)
+
+
+def switching_points(C: ConvexSet, u: ca.SX, box: tuple[np.ndarray, np.ndarray], inner: np.ndarray) -> Iterator[np.ndarray]:
+    """Points inside C with u = 0, by Newton's method from points of a box and around a point inside."""
     f = ca.Function("u", [C.x], [u, ca.gradient(u, C.x)])
     low, high = (np.clip(end, -1e3, 1e3) for end in (np.maximum(C.hull[0], box[0]), np.minimum(C.hull[1], box[1])))
     around_it = inner + np.random.default_rng(0).normal(size=(32, C.n)) * (1 + np.abs(inner))
     for start in np.vstack([extremum.samples(low, np.maximum(low, high), 32), inner, around_it]):
-        x = start
-        for _ in range(30):
-            value, slope = float(f(x)[0]), np.array(f(x)[1]).ravel()
-            if not np.isfinite(value) or not slope @ slope > 0:
-                break
-            x = x - value * slope / (slope @ slope)
+        x = _newton(f, start)
         inside = np.isfinite(x).all() and C.surely_inside(x) is not None
         if inside and abs(float(f(x)[0])) <= 1e-9 * (1 + np.linalg.norm(x)):
-            return x
-    return None
+            yield x
+
+
+def _newton(f: ca.Function, x: np.ndarray) -> np.ndarray:
+    """Where Newton's method for u = 0 ends, from x; f: x -> u, its gradient."""
+    with np.errstate(all="ignore"):  # It may run away.
+        for _ in range(30):
+            value, slope = float(f(x)[0]), np.array(f(x)[1]).ravel()
+            if not (np.isfinite(value) and 0 < slope @ slope < np.inf and np.isfinite(x).all()):
+                break
+            x = x - value * slope / (slope @ slope)
+    return x

@@ -100,22 +100,24 @@ def _of_potential(hypothesis: Hypothesis, model: LureSystem, p: Potential) -> Fi
             return found(hypothesis, HOLDS, "Phi is affine along no direction (exact), so that dom Phi* has an interior.", value)
         how = "Phi is affine along this direction of y, so that dom Phi* lies in a hyperplane."
         return found(hypothesis, VIOLATED, how, value, {"direction": exact.doubles(flat[:, 0])})
-    least = _curvature(model, rows)
-    if least > 0:
-        how = "The Hessian of Phi's smooth part at y = 0, with the normals of the other terms, is definite (interval arithmetic)."
-        return found(hypothesis, HOLDS, how, {"least eigenvalue": least})
+    ones = np.ones(model.y.numel())
+    for place, name in ((0 * ones, "y = 0"), *((ones, "y = (1, ..., 1)"),) * p.finite):
+        least = _curvature(model, rows, place)
+        if least > 0:
+            how = f"The Hessian of Phi's smooth part at {name}, with the normals of the other terms, is definite"
+            return found(hypothesis, HOLDS, f"{how} (interval arithmetic).", {"least eigenvalue": least})
     return found(hypothesis, UNKNOWN, "the smooth part of phi is not quadratic, and its Hessian at y = 0 leaves a direction open")
 
 
-def _curvature(model: LureSystem, rows: np.ndarray) -> float:
-    """A lower bound of the least eigenvalue of the Hessian at y = 0, plus the terms' normals; <= 0 where none is proved."""
+def _curvature(model: LureSystem, rows: np.ndarray, place: np.ndarray) -> float:
+    """A lower bound of the least eigenvalue of the Hessian at ``place``, plus the terms' normals; <= 0 where none is proved."""
     if model.phi_split.tau.numel():
         return 0.0
-    hessian, zero = ca.hessian(model.phi_split.smooth, model.y)[0], np.zeros(model.y.numel())
-    low, high = interval.enclose(hessian, model.y, zero, zero)
+    hessian = ca.hessian(model.phi_split.smooth, model.y)[0]
+    low, high = interval.enclose(hessian, model.y, place, place)
     if not (np.isfinite(low).all() and np.isfinite(high).all()):
         return 0.0
     J = exact.doubles(rows)
     J = J / np.maximum(np.linalg.norm(J, axis=1, keepdims=True), 1e-300)
     middle, scale = (low + high) / 2 + J.T @ J, max(np.abs(low).max(), np.abs(high).max(), 1.0)
-    return float(np.linalg.eigvalsh((middle + middle.T) / 2)[0] - np.linalg.norm(high - low) - 1e-12 * len(zero) * scale)
+    return float(np.linalg.eigvalsh((middle + middle.T) / 2)[0] - np.linalg.norm(high - low) - 1e-12 * len(place) * scale)

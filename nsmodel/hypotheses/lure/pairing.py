@@ -81,15 +81,16 @@ def units(B: np.ndarray, C: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The root of top / bottom; where one of them is 0, what makes the other 1."""
         top, bottom = np.where(top > 0, top, np.where(bottom > 0, 1 / np.where(bottom > 0, bottom, 1), 1.0)), bottom
         bottom = np.where(bottom > 0, bottom, 1 / top)
-        return np.sqrt(top / bottom)
+        return np.sqrt(top) / np.sqrt(bottom)
 
     d, e = np.ones(len(B)), np.ones(B.shape[1])
     for _ in range(20):
         b, c = largest(B * d[:, None] * e), largest((C * e[:, None] / d).T)
         d_step = power(ratio(c, b))
         b, c = largest((B * (d * d_step)[:, None] * e).T), largest(C * e[:, None] / (d * d_step))
-        both = np.where(b * c > 0, b * c, np.maximum(b, c) ** 2)
-        e_step = power(1 / np.sqrt(np.where(both > 0, both, 1.0)))
+        root_b, root_c = np.sqrt(b), np.sqrt(c)
+        both = np.where(root_b * root_c > 0, root_b * root_c, np.maximum(b, c))
+        e_step = power(1 / np.where(both > 0, both, 1.0))
         d, e = d * d_step, e * e_step
         if (d_step == 1).all() and (e_step == 1).all():
             break
@@ -149,7 +150,7 @@ def _conditioned(T: np.ndarray, inverse: np.ndarray, G: np.ndarray) -> list[np.n
     if not low > 0:
         return []
     if not b.any():
-        return [_symmetric(W @ W.T) * np.sqrt(low * high)]
+        return [_symmetric(W @ W.T) * (np.sqrt(low) * np.sqrt(high))]
 
     def bounds(position: float) -> tuple[float, np.ndarray, np.ndarray]:
         alpha = low / (1 + np.exp(position))

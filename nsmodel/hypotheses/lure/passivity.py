@@ -21,6 +21,7 @@ D_PSD = Hypothesis("4.1", "D is positive semidefinite: <D z, z> >= 0 for all z",
 STORAGE = Hypothesis("5.1", "there is P = P' > 0 with P B = C'", f"{PAPER}, Assumption 5.1")
 
 EXACTLY = "exact rational arithmetic on the given numbers"
+REACH = 1e-75, 1e75  # Sizes of entries from which products of four stay in the range of doubles.
 ROUNDING = 64 * EPS  # relative rounding of a given number, and of one operation with it
 
 
@@ -52,6 +53,10 @@ def input_output(D: np.ndarray) -> Finding:
 
 def storage(B: np.ndarray, C: np.ndarray) -> Passivity:
     """Decide 5.1 for numbers B (n, m), C (m, n)."""
+    sizes = np.abs(np.concatenate([B[B != 0], C[C != 0]]))
+    if sizes.size and not REACH[0] <= sizes.min() <= sizes.max() <= REACH[1]:
+        how = f"B and C have entries of size {sizes.min():.1g} to {sizes.max():.1g}, of which P would not fit into doubles: "
+        return Passivity(found(STORAGE, UNKNOWN, how + "choose other units"), None)
     Bq, Cq = exact.rational(B), exact.rational(C)
     broken = _broken(Bq, Cq, np.abs(C) @ np.abs(B))
     if not broken:

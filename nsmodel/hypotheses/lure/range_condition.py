@@ -25,7 +25,7 @@ from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Findi
 from nsmodel.hypotheses.lure import domains
 from nsmodel.hypotheses.lure.domains import TAU, Domains, Empty, Potential, Undecided
 from nsmodel.hypotheses.lure.interior import interior
-from nsmodel.hypotheses.lure.passivity import PAPER, input_output
+from nsmodel.hypotheses.lure.passivity import PAPER, ROUNDING, input_output
 from nsmodel.hypotheses.lure.rest_point import rest_point
 from nsmodel.hypotheses.proof import exact, feasibility
 from nsmodel.model.laws import Law
@@ -97,7 +97,8 @@ def _softened(at: Setting, finding: Finding) -> Finding:
     if not at.rounded or (at.domains is not None and at.domains.loose.all()):
         return finding
     verdict = {HOLDS: SAMPLED, VIOLATED: UNKNOWN}.get(finding.verdict, finding.verdict)
-    return replace(finding, verdict=verdict, how=f"{finding.how} But D is psd up to rounding only (4.1).")
+    why = "D + D' is regular by rounding of D only" if exact.psd(at.D).psd else "D is psd up to rounding only (4.1)"
+    return replace(finding, verdict=verdict, how=f"{finding.how} But {why}.")
 
 
 def _setting(model: LureSystem) -> Setting:
@@ -119,10 +120,17 @@ def _setting(model: LureSystem) -> Setting:
         reason = str(undecided)
     line = None if own is None or own.loose.all() or not kernel else _line(own, exact.rational(D))
     psd = exact.psd(D).psd
-    rounded = input_output(D).verdict == SAMPLED
+    rounded = input_output(D).verdict == SAMPLED or (psd and _rank_in_doubles(D) < len(S) - kernel)
     return Setting(
         model, exact.rational(C), exact.rational(D), psd or rounded, rounded, kernel, potential, own, reason, broken, line
     )
+
+
+def _rank_in_doubles(D: np.ndarray) -> int:
+    """Rank of D + D', D psd, scaled to a unit diagonal, where eigenvalues of the size of rounding count as 0."""
+    root = np.sqrt(np.diagonal(D)[np.diagonal(D) > 0])
+    S = (D + D.T)[np.ix_(np.diagonal(D) > 0, np.diagonal(D) > 0)] / 2 / root[:, None] / root
+    return int((np.linalg.eigvalsh(S) > len(D) * ROUNDING).sum()) if len(S) else 0
 
 
 def _line(own: Domains, D: np.ndarray) -> np.ndarray | None:
@@ -225,10 +233,10 @@ def _admissible(at: Setting, hypothesis: Hypothesis, output: np.ndarray) -> Find
         return found(hypothesis, UNKNOWN, _close(answer.margin))
     w = _spread(own, answer.separator)
     gap = float(exact.product(answer.separator[None, :], system.A[:, TAU])[0, 0] / max(map(abs, answer.separator)))
-    where = "outside the closure of the set" if gap > 0 else "on the boundary of the set, not inside it"
+    where = "outside the closure of the set" if gap > 0 else "on the boundary of the set, where the theorem says nothing"
     how = (
-        f"Decided exactly: -C x0 is {where}: <D w, k> + <w, y> - <w, C x0> >= gap for all k in dom Xi and y in dom Phi."
-        + _literal(at)
+        f"Decided exactly: -C x0 is {where}: <D w, k> + <w, y> - <w, C x0> >= gap for all k in dom Xi and y in dom Phi. "
+        f"A start with <w, C x0> larger, or a little resistance in D, changes this.{_literal(at)}"
     )
     return found(hypothesis, VIOLATED, how, {"gap": gap}, {"w": w, **_named(at, w), "C x0": exact.doubles(output.ravel())})
 

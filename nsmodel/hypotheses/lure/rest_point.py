@@ -31,7 +31,9 @@ def rest_point(hypothesis: Hypothesis, model: LureSystem, potential: Potential |
         own = [part for part in parts if part[1] == verdict]
         if own:
             how = "; ".join(f"{name} {_WORDS[verdict]}: {why.rstrip('.')}" for name, _, _, why in own) + "."
-            witness = {key: item for _, _, more, _ in own for key, item in more.items()} | {"parts": [part[0] for part in own]}
+            witness = {key: item for _, _, more, _ in own for key, item in more.items()} | {
+                "part": ", ".join(part[0] for part in own)
+            }
             return found(hypothesis, verdict, how, size, witness)
     return found(hypothesis, HOLDS, "Exactly: 0 is admissible, A(0) = 0, 0 is on the graph of the law, and f = 0.", size)
 

@@ -110,7 +110,7 @@ def _potential(
     parts = [("convex", convex), ("domain", closed), ("interior", interior)]
     if interior.verdict != VIOLATED:
         start = np.asarray(interior.witness.get("interior point", x0))
-        below = lower_bound.bounded_below(g, domain, start, convex=convex.verdict == HOLDS)
+        below = lower_bound.bounded_below(g, domain, start, convex=convex.verdict == HOLDS and "on the box" not in convex.how)
         parts.insert(1, ("inf g", _bounded(below)))
     verdict = _worst([part.verdict for _, part in parts])
     values = {name: number for _, part in parts for name, number in part.value.items()}
@@ -174,16 +174,28 @@ def ball(dry: Sequence[tuple[float, np.ndarray]], n: int) -> tuple[float, np.nda
         sigma = float(sum(r * np.linalg.norm(H[:, 0]) for r, H in dry))
         return sigma, np.eye(n)[0], sigma
     starts = [*np.linalg.svd(stacked)[2], *np.eye(n)]
-    best: tuple[float, np.ndarray] = np.inf, starts[0]
+    best = min(((_support(dry, d), d) for d in starts), key=lambda item: item[0])
     for d in starts:
         for _ in range(50):
-            sizes = [max(float(np.linalg.norm(H @ d)), 1e-9) for _, H in dry]
+            sizes = [max(float(np.linalg.norm(H @ d)), 1e-9 * float(np.linalg.norm(H))) for _, H in dry]
             weighted = sum((r / size * H.T @ H for (r, H), size in zip(dry, sizes, strict=True)), np.zeros((n, n)))
             d = np.linalg.eigh(weighted)[1][:, 0]
-            sigma = float(sum(r * np.linalg.norm(H @ d) for r, H in dry))
-            if sigma < best[0]:
-                best = sigma, d
+            best = min(best, (_support(dry, d), d), key=lambda item: item[0])
+        # sigma is least where some of its terms vanish: exactly there, not up to the 1e-9 above.
+        small = [H / np.linalg.norm(H) for _, H in dry if np.linalg.norm(H @ d) <= 1e-6 * np.linalg.norm(H)]
+        if small:
+            _, values, vectors = np.linalg.svd(np.vstack(small))
+            free = vectors[np.count_nonzero(values > 1e-9) :]
+            d = free.T @ (free @ d)
+            if np.linalg.norm(d) > 0.5:
+                d = d / np.linalg.norm(d)
+                best = min(best, (_support(dry, d), d), key=lambda item: item[0])
     return best[0], best[1], least * (1 - 1e-12)
+
+
+def _support(dry: Sequence[tuple[float, np.ndarray]], d: np.ndarray) -> float:
+    """sigma(d) = sum_j r_j |H_j d|."""
+    return float(sum(r * np.linalg.norm(H @ d) for r, H in dry))
 
 
 # -- O-steps -----------------------------------------------------------------------------------------------------------
@@ -249,7 +261,7 @@ def _consequences(
     out = [follows(name, statement + stay, findings, rests_on, source) for name, statement, rests_on, source in statements]
     radius = next(finding for finding in findings if finding.id == "O-dry").value.get("radius of A(0)", 0.0)
     if below is not None and below.bounded and radius > 0:
-        out += rest_points.consequences(model, findings, every, g, domain, below, radius, f"{theorem} (ii)")
+        out += rest_points.consequences(model, findings, every, g, domain, below, radius, f"{theorem} (ii)", stay)
     condition = f"x_n = x_inf from some n_0 on if {strict}{stay}"
     if not runs:
         out.append(follows("finite convergence", condition, findings, every, f"{theorem} (iii)"))

@@ -13,12 +13,14 @@ from nsmodel.hypotheses.convex import convexity, piecewise
 from nsmodel.hypotheses.convex.convex_sets import Part
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED
 from nsmodel.hypotheses.proof import extremum, halfline, interval, polynomial
+from nsmodel.hypotheses.proof.jumps import find_jump, jumps_in
 from nsmodel.model.convex_read import replay
 from nsmodel.model.expressions import column
 from nsmodel.model.oscillator import Friction
 
 ZERO, INFINITY = np.zeros(1), np.full(1, np.inf)
 SLOPE, CURVATURE = "min theta'", "min theta''"
+TINY = 1e-300
 SPEEDS = np.concatenate([[0.0], np.logspace(-6, 3, 400)])
 ROUNDING = Fraction(1, 2**46)  # 64 eps
 
@@ -162,6 +164,12 @@ def _not_smooth(theta: ca.SX, first: ca.SX, s: ca.SX) -> Part | None:
     if np.isinf(values[0]) or np.isinf(slopes[0]):
         how = "theta or its slope is infinite at s = 0: it is not C1 on [0, inf)"
         return Part(VIOLATED, how, {"theta'(0)": slopes[0]}, {"s": 0.0})
+    if jumps_in(theta, s):
+        jump = find_jump(theta, s, ZERO, SPEEDS[-1:], lambda points: points[:, 0] >= 0)
+        start = abs(float(f(TINY)[0]) - values[0])
+        if jump is not None or start > 1e-7 * (1 + abs(values[0])):
+            place, size = (float(jump.at[0]), jump.size) if jump is not None else (0.0, start)
+            return Part(VIOLATED, f"theta jumps at s = {place:.6g}", {"jump": size}, {"s": place})
     for place in _switches(theta, s):
         step = 1e-7 * max(place, 1e-3)
         around = place + step * np.array([-2.0, -1.0, 0.0, 1.0, 2.0])

@@ -46,7 +46,7 @@ def _step(node: ca.SX) -> ca.SX:
     op = node.op()
     if op in (ca.OP_FMOD, ca.OP_REMAINDER):
         ratio = node.dep(0) / node.dep(1)
-        return ca.floor(ratio if op == ca.OP_FMOD else ratio + 0.5)
+        return ca.floor(ca.fabs(ratio) if op == ca.OP_FMOD else ratio + 0.5)  # fmod rounds towards 0
     if op in (ca.OP_COPYSIGN, ca.OP_ATAN2):
         return ca.sign(node.dep(1 if op == ca.OP_COPYSIGN else 0))
     return node.dep(0) != 0 if op == ca.OP_IF_ELSE_ZERO else node
@@ -86,7 +86,7 @@ def find_jump(
 ) -> Jump | None:
     """Return the largest jump found at points (k, n) of the box that are ``admissible``; None where there was none.
 
-    A difference counts as a jump when it is far above what the size of the values rounds to.
+    A difference counts as a jump when it is far above what the size of the values, there and elsewhere, rounds to.
     """
     x, y = surface_points(expr, z, lower, upper)
     if not len(x):
@@ -98,9 +98,11 @@ def find_jump(
     f = ca.Function("f", [z], [ca.densify(ca.vec(expr))])
     below, above = np.array(f(x.T)).T, np.array(f(y.T)).T
     with np.errstate(all="ignore"):
+        sizes = np.linalg.norm(np.array(f(extremum.samples(lower, upper, 256).T)), axis=0)
+        typical = np.median(sizes[np.isfinite(sizes)]) if np.isfinite(sizes).any() else 0.0
         size = np.linalg.norm(above - below, axis=1)
         scale = np.linalg.norm(below, axis=1) + np.linalg.norm(above, axis=1)
-        size = np.where(np.isfinite(size) & (size > 1e-7 * scale), size, 0.0)
+        size = np.where(np.isfinite(size) & (size > 1e-7 * scale) & (size > 1e-12 * typical), size, 0.0)
     if not size.any():
         return None
     k = int(np.argmax(size))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations_with_replacement
-from typing import NamedTuple
 
 import numpy as np
 
@@ -12,7 +13,8 @@ SPREAD = 1e3  # 1/SPREAD <= Y <= SPREAD: a smaller omega would cost a worse cond
 TINY = 1e-9  # of balanced numbers, which are about 1
 
 
-class Balanced(NamedTuple):
+@dataclass(frozen=True)
+class Balanced:
     """Coordinates z_hat = left z, z = back z_hat, in which G = I and J has rows and columns of like size.
 
     Attributes:
@@ -28,7 +30,7 @@ class Balanced(NamedTuple):
     back: np.ndarray
     r: int
 
-    @property
+    @cached_property
     def scale(self) -> float:
         """The largest |J|_2."""
         return max((float(np.linalg.norm(J, 2)) for J in self.J), default=0.0) or 1.0

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from nsmodel.hypotheses.findings import Consequence, Finding, Report
-from nsmodel.hypotheses.report.table import pairs, shown, witness
+from nsmodel.hypotheses.report.table import pairs, rests, shown, witness
 from nsmodel.hypotheses.report.typeset import equations
 from nsmodel.model.base import Model
 
@@ -22,7 +22,7 @@ def markdown(report: Report, model: Model) -> str:
     parts += ["## Hypotheses", _table(header, [_finding_row(finding) for finding in report.findings])]
     if report.consequences:
         header = ("", "what follows", "verdict", "numbers", "rests on", "source")
-        parts += ["## Consequences", _table(header, [_consequence_row(item) for item in report.consequences])]
+        parts += ["## Consequences", _table(header, [_consequence_row(item, report) for item in report.consequences])]
     if report.notes:
         parts += ["## Notes", "\n".join(f"- {_escaped(note)}" for note in report.notes)]
     return "\n\n".join(parts) + "\n"
@@ -48,13 +48,13 @@ def _finding_row(finding: Finding) -> list[str]:
     ]
 
 
-def _consequence_row(item: Consequence) -> list[str]:
+def _consequence_row(item: Consequence, report: Report) -> list[str]:
     return [
         f"**{_escaped(item.name)}**",
         _escaped(item.statement),
         item.verdict,
         _stacked(pairs(item.value)),
-        _escaped(", ".join(item.rests_on)),
+        _escaped(rests(item, report).replace("rests on ", "")),
         _escaped(item.source),
     ]
 

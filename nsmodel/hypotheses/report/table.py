@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
-from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED, Consequence, Finding, Report
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding, Report
 
 LONGEST = 6  # Entries of a vector that are shown.
 ENTRIES = 12  # Entries of a witness that are shown.
@@ -19,7 +19,7 @@ def text(report: Report, width: int = 100) -> str:
     labels = [finding.id for finding in report.findings] + [consequence.name for consequence in report.consequences]
     page = _Page(max([len(label) for label in labels if len(label) <= LABEL], default=4) + 2, width, _usual_source(report))
     findings = [line for finding in report.findings for line in _finding(finding, page)]
-    follows = [line for consequence in report.consequences for line in _consequence(consequence, page)]
+    follows = [line for consequence in report.consequences for line in _consequence(consequence, report, page)]
     notes = [line for note in report.notes for line in _hanging("note  ", note, width)]
     blocks = [_head(report, width), findings, ["What follows", "", *follows] if follows else [], notes]
     return "\n\n".join("\n".join(block) for block in blocks if block)
@@ -133,11 +133,18 @@ def _finding(finding: Finding, page: _Page) -> list[str]:
     return lines + _hanging(page.margin, f"{finding.how} {page.cited(finding.source)}", page.width)
 
 
-def _consequence(consequence: Consequence, page: _Page) -> list[str]:
+def rests(consequence: Consequence, report: Report) -> str:
+    """The findings that a consequence needs; where nothing follows, first those that spoil it."""
+    verdicts = {finding.id: finding.verdict for finding in report.findings}
+    spoiled = [f"{id} ({verdicts[id]})" for id in consequence.rests_on if verdicts.get(id) in (VIOLATED, UNKNOWN)]
+    needs = f"rests on {', '.join(consequence.rests_on)}" if consequence.rests_on else ""
+    return f"does not follow without {', '.join(spoiled)}; {needs}" if spoiled else needs
+
+
+def _consequence(consequence: Consequence, report: Report, page: _Page) -> list[str]:
     lines = page.labelled(consequence.name, consequence.verdict, consequence.statement)
     lines += _packed(page.margin, pairs(consequence.value), page.width)
-    rests = f"rests on {', '.join(consequence.rests_on)} " if consequence.rests_on else ""
-    return lines + _hanging(page.margin, f"{rests}{page.cited(consequence.source)}", page.width)
+    return lines + _hanging(page.margin, f"{rests(consequence, report)} {page.cited(consequence.source)}".strip(), page.width)
 
 
 def _hanging(first: str, body: str, width: int) -> list[str]:

@@ -155,7 +155,8 @@ def _convex(c: Constraint, H: ca.SX, quick: bool) -> Answer:
             return Answer(VIOLATED, {"least": values[0]}, ON_THE_BOX, how, witness)
     if bent is not None:
         return bent
-    if top.bound <= 0 and not jumps_in(ca.vertcat(c.g, ca.gradient(c.g, c.q)), c.q):
+    both = ca.vertcat(c.g, ca.gradient(c.g, c.q))
+    if top.bound <= 0 and (not jumps_in(both, c.q) or interval.is_continuous(both, c.z, c.lower, c.upper)):
         return Answer(HOLDS, {"least": -top.bound}, ON_THE_BOX, "the least eigenvalue of the Hessian is bounded below by 0")
     return Answer(SAMPLED, {"least": -top.value}, ON_THE_BOX, f"{top.count} points, 1024 chords", {"constraint": c.name})
 

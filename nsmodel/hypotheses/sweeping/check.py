@@ -65,14 +65,21 @@ def check(
         unknown = sum(c.shape.kind == "other" for c in constraints)
         each = _grouped(constraints, quick or unknown > PLENTY)
         findings = [_joined(hypothesis, constraints, each) for hypothesis in HYPOTHESES[:6]]
-        points = (
-            admissible_points(scene, 12 if len(model.names) > FEW else 24 if quick else 64) if constraints else list(scene.known)
-        )
+        points = _points(scene, len(model.names) > FEW, quick)
         near, active = _qualified(constraints, each, scene, points, model, quick)
         findings += [_gamma(A5, near, region), _gamma(A5_ACTIVE, active, region)]
         findings.append(_velocity(model, scene, points, quick))
         findings.append(_start(model, constraints))
     return findings, consequences_of(model, findings, runs, len(constraints))
+
+
+def _points(scene: Scene, many: bool, quick: bool) -> list[Point]:
+    """Points of Q(t); with many states the quick check takes what is known."""
+    if not scene.rows:
+        return list(scene.known)
+    if many and quick:
+        return [(t, q) for t, q in scene.known if scene.admits(*scene.at(t, q))]
+    return admissible_points(scene, 12 if many else 24 if quick else 64)
 
 
 def _constraints(model: SweepingProcess, region: Region) -> list[Constraint]:
@@ -165,18 +172,17 @@ def _start(model: SweepingProcess, constraints: Sequence[Constraint]) -> Finding
     if not constraints:
         return found(S_START, HOLDS, "no constraint", {"min g": np.inf})
     q0 = np.array(ca.DM(model.q0)).ravel()
-    z0 = np.concatenate([[0.0], q0])
-    low, high = (end.ravel() for end in interval.enclose(model.g, ca.vertcat(model.t, model.q), z0, z0))
-    f = ca.Function("g", [model.t, model.q], [model.g, ca.jacobian(model.g, model.q)])
-    g, G = (np.array(item) for item in f(0.0, q0))
-    g = g.ravel()
-    size = np.linalg.norm(G.reshape(g.size, -1), axis=1) * max(1.0, np.linalg.norm(q0))
+    signs = [start_value(constraint, q0) for constraint in constraints]
+    left = [k for k, sign in enumerate(signs) if sign is None or sign < 0]
+    low, high = _at_the_start(model, left, q0)
+    g = np.array(ca.Function("g", [model.t, model.q], [ca.densify(model.g)])(0.0, q0)).ravel()
+    slopes = ca.Function("slopes", [model.t, model.q], [ca.densify(ca.jacobian(model.g[left], model.q))])
+    size = np.linalg.norm(np.array(slopes(0.0, q0)).reshape(len(left), q0.size), axis=1) * max(1.0, np.linalg.norm(q0))
     undecided = []
-    for k in np.flatnonzero(~(low >= 0)):
-        sign = start_value(constraints[k], q0)
-        if sign is not None and sign >= 0:
+    for k, scale in zip(left, size, strict=True):
+        if low[k] >= 0:
             continue
-        if not high[k] >= -1e-12 * size[k]:
+        if not high[k] >= -1e-12 * scale:
             witness = {"constraint": constraints[k].name, "g": float(g[k])} | dict(
                 zip(constraints[k].names, q0[list(constraints[k].shape.own)], strict=True)
             )
@@ -193,3 +199,13 @@ def _start(model: SweepingProcess, constraints: Sequence[Constraint]) -> Finding
             {"constraint": constraints[undecided[0]].name},
         )
     return found(S_START, HOLDS, "the sign of each g_i(0, q_0) was decided with rounding included", value, witness)
+
+
+def _at_the_start(model: SweepingProcess, rows: list[int], q0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rigorous bounds (p,) of some g_i(0, q_0); of the others none."""
+    low, high = np.full(model.g.numel(), -np.inf), np.full(model.g.numel(), np.inf)
+    if rows:
+        z0 = np.concatenate([[0.0], q0])
+        bounds = interval.enclose(model.g[rows], ca.vertcat(model.t, model.q), z0, z0)
+        low[rows], high[rows] = (np.ravel(end) for end in bounds)
+    return low, high

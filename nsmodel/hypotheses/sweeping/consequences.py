@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from nsmodel.hypotheses.findings import Consequence, Finding, follows
+from nsmodel.hypotheses.findings import UNKNOWN, Consequence, Finding, follows
 from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.trajectory import Trajectory
 
@@ -78,9 +79,12 @@ def _order(
         statement += "; C_0 with K and C of the runs"
     elif np.isfinite(L_t):
         statement += "; C_0 needs a run, for bounds K of |q_h'| and C of |q_h|"
+    if not np.isfinite(L_t):
+        statement += "; it needs f to be Lipschitz in t, and no L_t is known"
     rests_on = ("S-convex", "A0", "A1", "A2", "A3", "A4", "A5", "A5'", "S-f", "S-start")
     source = f"{PAPER}, Theorem 3.4, whose proof bounds the square of the error"
-    return follows("order 1/2", statement, findings, rests_on, source, value)
+    found = follows("order 1/2", statement, findings, rests_on, source, value)
+    return found if np.isfinite(L_t) else replace(found, verdict=UNKNOWN)
 
 
 def log_error_constant(

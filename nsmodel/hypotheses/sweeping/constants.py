@@ -24,6 +24,7 @@ from nsmodel.hypotheses.sweeping.constraint import (
     over_time,
     root,
     steady,
+    values,
 )
 from nsmodel.hypotheses.sweeping.forms import Affine, Offset, Squares, expression, hessian
 
@@ -39,7 +40,7 @@ def answers(constraint: Constraint, quick: bool) -> Answers:
     }  # fmt: skip
     rule = by_shape.get(constraint.shape.kind)
     known = rule(constraint) if rule is not None else _turning_plane(constraint)
-    known = dict(known or {}) | _in_steps(constraint)
+    known = dict(known or {}) | _in_steps(constraint) | _turning_in_steps(constraint)
     missing = {"S-convex", "A0", "A1", "A2", "A3", "A4"} - set(known)
     return known | (on_the_box(constraint, missing, known, quick) if missing else {})
 
@@ -53,6 +54,19 @@ def _in_steps(c: Constraint) -> Answers:
         return {"A2": Answer(UNKNOWN, {}, ON_THE_BOX, "g_i was not proved continuous", {"constraint": c.name})}
     how = f"g_i jumps by {jump.size:.3g}: Q(t) is not Lipschitz in t"
     return {"A2": Answer(VIOLATED, {"b": np.inf}, ON_THE_BOX, how, c.point(jump.at))}
+
+
+def _turning_in_steps(c: Constraint) -> Answers:
+    """A3 of a constraint whose gradient may jump in time, where d_t grad g says nothing."""
+    gradient = ca.gradient(c.g, c.q)
+    nodes = [node for node in jumps_in(gradient, c.t) if not ca.depends_on(node, c.q)] if c.shape.time else []
+    if not nodes or interval.is_continuous(ca.vertcat(*nodes), c.t, c.lower[:1], c.upper[:1]):
+        return {}
+    jump = find_jump(gradient, c.z, c.lower, c.upper, lambda points: values(c, points) >= 0)
+    if jump is None:
+        return {"A3": Answer(UNKNOWN, {}, ON_THE_BOX, "the gradient was not proved continuous in t", {"constraint": c.name})}
+    how = f"the gradient jumps by {jump.size:.3g} at an admissible point"
+    return {"A3": Answer(VIOLATED, {"M": np.inf}, ON_THE_BOX, how, c.point(jump.at))}
 
 
 # -- planes ------------------------------------------------------------------------------------------------------------
@@ -192,17 +206,32 @@ def _quadratic(c: Constraint) -> Answers:
 
 
 def _depth(c: Constraint, H: np.ndarray, values: np.ndarray, gradient: ca.SX) -> Answers:
-    """H > 0: with m(t) = min g, 2 lambda_1 (g - m) <= |grad g|^2 <= 2 lambda_n (g - m), so -m/2 is a good delta."""
-    b, c0 = (ca.substitute(expr, c.q, 0) for expr in (gradient, c.g))
-    bottom = c0 - ca.dot(b, ca.DM(np.linalg.inv(H)) @ b) / 2
+    """H > 0: with m(t) = min g, 2 lambda_1 (g - m) <= |grad g|^2 <= 2 lambda_n (g - m), so -m/2 is a good delta.
+
+    m(t) = g(t, y) - b'H^-1 b / 2 with b the gradient at any y; far from the minimum these two cancel, so y is near to it.
+    """
+    slope = ca.Function("slope", [c.t, c.q], [gradient])
+
+    def minimum(t: float) -> np.ndarray:
+        q = np.zeros(len(H))
+        for _ in range(3):
+            q = q - np.linalg.solve(H, np.array(slope(t, q)).ravel())
+        return q
+
+    y = ca.DM(minimum(float(c.lower[0] + c.upper[0]) / 2))
+    b, c0 = (ca.substitute(expr, c.q, y) for expr in (gradient, c.g))
+    # The inverse is rounded by less than 1e-6, as H is not worse conditioned than 1e9.
+    bottom, lowest = (c0 - factor * ca.dot(b, ca.DM(np.linalg.inv(H)) @ b) / 2 for factor in (1 - 1e-6, 1 + 1e-6))
     above = over_time(c, bottom)  # sup of m
     if above.value >= 0:
         t = float(np.ravel(above.at)[0])
-        q = -np.linalg.solve(H, np.array(ca.Function("b", [c.t], [b])(t)).ravel())
-        return flat(c, np.append(t, q), "the gradient vanishes at its minimum, which is admissible")
+        z = np.append(t, minimum(t))
+        if float(np.min(interval.enclose(c.g, c.z, z, z)[0])) >= 0:
+            return flat(c, z, "the gradient vanishes at its minimum, which is admissible")
+        return {}
     if not above.bound < 0:
         return {}
-    deepest = over_time(c, -bottom)
+    deepest = over_time(c, -lowest)
     delta = -above.bound / 2
     a = np.sqrt(2 * values[0] * delta)
     known = {"A0": Answer(UNKNOWN)} if not np.isfinite(deepest.bound) else {

@@ -73,6 +73,8 @@ class Top:
 
 def over_time(c: Constraint, expr: ca.SX) -> Top:
     """Return the supremum over [t0, t1] of an expression of time alone."""
+    if expr.is_constant():
+        return Top(float(expr), float(expr), c.lower[:1])
     if not ca.depends_on(expr, c.t):
         value = float(ca.Function("value", [], [expr])()["o0"])
         return Top(value, value, c.lower[:1])

@@ -103,7 +103,8 @@ def _decide(
     proof = everywhere(constraints, rho)
     if proof is not None:
         if np.isfinite(proof.gamma):
-            return Qualified(HOLDS, proof.gamma, proof.rho, EVERYWHERE, proof.how, worst.gamma, witness)
+            # What counts as active to rounding may lie beyond what the proof excludes exactly.
+            return Qualified(HOLDS, proof.gamma, proof.rho, EVERYWHERE, proof.how, min(worst.gamma, proof.gamma), witness)
         own = sorted({i for constraint in constraints for i in constraint.shape.own})
         opposed = {"constraints": [constraints[i].name for i in proof.opposed], "weights": list(proof.weights)}
         where = {"t": proof.at[0]} | named([names[i] for i in own], proof.at[1:]) if proof.at is not None else {}

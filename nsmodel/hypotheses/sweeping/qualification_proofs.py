@@ -112,6 +112,8 @@ def _discs(constraints: Sequence[Constraint], rho: float) -> Proof | None:
         return Proof(
             l / D * discs_in_a_row(k), rho, f"{k} bodies that touch only each other: blown up from the centre they all part"
         )
+    if len({len(normal) for normal in normals}) > 1:
+        return None
     away = mfcq_constant(np.array(normals))[0]
     if not np.isfinite(away):
         return None
@@ -191,8 +193,10 @@ def _apart(constraints: Sequence[Constraint], J: Sequence[int], rho: float) -> b
     total = Fraction(0)
     for weight, j in zip(u, J, strict=True):
         total = plus(total, times(weight, constraints[j].shape.form.affine.offset))
+    if isinstance(total, Fraction):
+        return total > Fraction(rho) * sum(u, Fraction(0))
     least = -over_time(constraints[J[0]], -expression(total)).bound
-    return bool(least > rho * float(sum(u)) + 1e-9)
+    return bool(least > rho * float(sum(u)) * (1 + 1e-12) and least > 0)
 
 
 def _offsets(constraints: Sequence[Constraint]) -> Offsets:
@@ -239,7 +243,7 @@ def _feasible(
     if not (np.isfinite(low).all() and np.isfinite(high).all()):
         return np.append((a + b) / 2, np.zeros(len(states)))
     place, n, p = {i: k for k, i in enumerate(states)}, len(states), len(constraints)
-    loose = 1e-9 * (1.0 + rho + np.abs(np.concatenate([low, high])).max())
+    loose = 1e-9 * (max(rho, float(np.abs(np.concatenate([low, high])).max())) or 1.0)
     # Columns: q, the homogenising h > 0, a slack > 0 for each row.
     A = exact.zeros(p + len(J), n + 1 + p + len(J))
     for row, (i, sign) in enumerate([*((i, 1) for i in range(p)), *((j, -1) for j in J)]):

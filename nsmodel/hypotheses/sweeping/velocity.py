@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.hypotheses.proof import extremum, interval
-from nsmodel.hypotheses.proof.jumps import SWITCHES, surface_points
+from nsmodel.hypotheses.proof.jumps import SWITCHES, jumps_in, surface_points
 from nsmodel.hypotheses.sweeping.admissible import Scene, named
 from nsmodel.hypotheses.sweeping.constraint import EVERYWHERE, ON_THE_BOX, Answer
 from nsmodel.model.convex_read import replay
@@ -55,30 +55,39 @@ class Block(NamedTuple):
 
 
 def velocity(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]], names: Sequence[str], quick: bool) -> Answer:
-    """Return K_f, L_f and L_t with the verdict on K_f and L_f; ``points`` (t, q) are in Q(t)."""
+    """Return K_f, L_f and L_t with the verdict on K_f and L_f; ``points`` (t, q) are in Q(t).
+
+    L_t is infinite where it is not bounded: "largest |f_t| seen" stands beside it.
+    """
     blocks = _blocks(f, scene)
-    L_t, steady = _in_time(f, scene, quick)
+    rate, steady = _in_time(f, scene, quick)
     lipschitz = [_lipschitz(block, quick) for block in blocks]
     worst = max((K for _, K, _, _ in lipschitz), default=0.0)
     if all(verdict == HOLDS for verdict, *_ in lipschitz):
         where = ON_THE_BOX if any(place == ON_THE_BOX for *_, place, _ in lipschitz) else EVERYWHERE
         L_f = _growth(f, scene, blocks, worst, where, quick)
         how = "f is continuous and |f_q| is bounded" if worst else "f does not depend on the state"
-        return Answer(HOLDS, {"K_f": worst, "L_f": L_f, "L_t": L_t}, where, how + steady)
+        return Answer(HOLDS, {"K_f": worst, "L_f": L_f} | rate, where, how + steady)
     L_f = _growth(f, scene, blocks, np.inf, ON_THE_BOX, quick)
-    jump = _worst_jump(blocks, scene, points, names)
+    count = sum(number for *_, number in lipschitz)
+    if quick:
+        worst = max(worst, _quotient(f, scene, points))
+        how = f"{count} points; neither jumps of f nor steep places were looked for (quick)"
+        verdict = UNKNOWN if any(jumps_in(block.f, block.q) for block in blocks) else SAMPLED
+        how = "f has operations that jump; " + how if verdict == UNKNOWN else how
+        return Answer(verdict, {"K_f": worst, "L_f": L_f} | rate, ON_THE_BOX, how + steady)
+    jump = _worst_jump(f, blocks, scene, points, names)
     if jump is not None:
         size, count, witness = jump
         how = f"f jumps at {count} points found inside Q(t), so it is not Lipschitz there; the one nearest to the runs is shown"
-        return Answer(VIOLATED, {"K_f": np.inf, "jump": size, "L_f": L_f, "L_t": L_t}, ON_THE_BOX, how + steady, witness)
+        return Answer(VIOLATED, {"K_f": np.inf, "jump": size, "L_f": L_f} | rate, ON_THE_BOX, how + steady, witness)
     steep = _steep(blocks, lipschitz, scene, points, names)
     if steep is not None:
-        value = {"K_f": np.inf, "L_f": L_f, "L_t": L_t}
+        value = {"K_f": np.inf, "L_f": L_f} | rate
         return Answer(VIOLATED, value, ON_THE_BOX, "difference quotients grow without bound near this point", steep)
     worst = max(worst, _quotient(f, scene, points))
-    count = sum(number for *_, number in lipschitz)
     how = f"{count} points; f was not proved continuous with a bounded derivative, no jump was found inside Q(t)"
-    return Answer(SAMPLED, {"K_f": worst, "L_f": L_f, "L_t": L_t}, ON_THE_BOX, how + steady)
+    return Answer(SAMPLED, {"K_f": worst, "L_f": L_f} | rate, ON_THE_BOX, how + steady)
 
 
 # -- blocks ------------------------------------------------------------------------------------------------------------
@@ -96,19 +105,26 @@ def _blocks(f: ca.SX, scene: Scene) -> list[Block]:
             else:
                 apart.append((others, states))
         groups = [*apart, (own_rows, own)]
-    found: dict[str, Block] = {}
+    found: dict[tuple, Block] = {}
     for own_rows, own in groups:
         r, j = sorted(own_rows), sorted(own)
         block = _block(f[r], scene, r, j)
-        text = str(block.f)
-        if text in found:
-            first = found[text]
+        first = found.setdefault(_formula(block), block)
+        if first is not block:
             first.members.append((r, j))
-            np.minimum(first.lower, block.lower, out=first.lower)
-            np.maximum(first.upper, block.upper, out=first.upper)
-        else:
-            found[text] = block
+            for least, other in ((first.lower, block.lower), (first.s_lower, block.s_lower)):
+                np.minimum(least, other, out=least)
+            for largest, other in ((first.upper, block.upper), (first.s_upper, block.s_upper)):
+                np.maximum(largest, other, out=largest)
     return list(found.values())
+
+
+def _formula(block: Block) -> tuple:
+    """The operations of a block with all digits of their constants, whatever the symbols are called."""
+    f = ca.Function("f", [block.t, block.q, block.s], [ca.densify(block.f)])
+    steps = [(f.instruction_id(i), *f.instruction_input(i), -1, *f.instruction_output(i)) for i in range(f.n_instructions())]
+    constants = [f.instruction_constant(i) for i, step in enumerate(steps) if step[0] == ca.OP_CONST]
+    return tuple(steps), tuple(constants), block.q.numel(), block.s.numel()
 
 
 def _pattern(f: ca.SX, q: ca.SX) -> tuple[list[int], list[int]]:
@@ -178,22 +194,24 @@ def _over_time(expr: ca.SX, scene: Scene) -> extremum.Supremum:
     return extremum.supremum(expr, scene.t, scene.lower[:1], scene.upper[:1])
 
 
-def _in_time(f: ca.SX, scene: Scene, quick: bool) -> tuple[float, str]:
-    """L_t, and a remark where f jumps in time."""
+def _in_time(f: ca.SX, scene: Scene, quick: bool) -> tuple[dict[str, float], str]:
+    """L_t where it is bounded, and a remark where it is not."""
     if not ca.depends_on(f, scene.t):
-        return 0.0, ""
+        return {"L_t": 0.0}, ""
     rate = ca.jacobian(f, scene.t)
     if not interval.is_continuous(f, scene.z, scene.lower, scene.upper):
-        return np.inf, "; f is not continuous in t: no L_t, and no order is proved"
+        return {"L_t": np.inf}, "; f was not proved continuous in t: no L_t, and no order is proved"
     top = extremum.supremum(ca.norm_2(rate), scene.z, scene.lower, scene.upper, quick=quick)
-    return (float(top.bound), "") if np.isfinite(top.bound) else (float(top.value), "; L_t is the largest |f_t| seen")
+    if np.isfinite(top.bound):
+        return {"L_t": float(top.bound)}, ""
+    return {"L_t": np.inf, "largest |f_t| seen": float(top.value)}, "; |f_t| was not bounded: no L_t, and no order is proved"
 
 
 # -- violations --------------------------------------------------------------------------------------------------------
 
 
 def _worst_jump(
-    blocks: list[Block], scene: Scene, points_of_Q: Sequence[tuple[float, np.ndarray]], names: Sequence[str]
+    f: ca.SX, blocks: list[Block], scene: Scene, points_of_Q: Sequence[tuple[float, np.ndarray]], names: Sequence[str]
 ) -> tuple[float, int, dict[str, Any]] | None:
     """(largest jump, number of jumps found, the one nearest to the known states) at states of Q(t).
 
@@ -201,52 +219,72 @@ def _worst_jump(
     """
     found: list[tuple[float, float, dict[str, Any]]] = []
     bases = [points_of_Q[k] for k in np.unique(np.linspace(0, len(points_of_Q) - 1, BASES, dtype=int)) if len(points_of_Q)]
+    touched = _touched(scene)
     for block in blocks:
-        x, y, size = _jumps(block)
+        x, y = _jumps(block)
         if not len(x):
             continue
-        for _, columns in block.members:
-            own = slice(1, 1 + len(columns))
-            admits = _admits(scene, columns)
+        own, moves = slice(1, 1 + block.q.numel()), bool(ca.depends_on(block.f, ca.vertcat(block.t, block.s)))
+        for rows, columns in block.members:
+            sides = _sides(f[rows], scene, touched, columns)
             for t, q in bases:
-                times = x[:, 0] if ca.depends_on(block.f, block.t) else np.full(len(x), t)
-                points = np.tile(q, (len(x), 1))
+                times = x[:, 0] if moves else np.full(len(x), t)
+                size = sides(times, x[:, own], y[:, own], q)
                 far = np.linalg.norm(x[:, own] - q[columns], axis=1)
-                inside = np.ones(len(x), bool)
-                for side in (y, x):
-                    points[:, columns] = side[:, own]
-                    inside &= admits(times, points)
-                for k in np.flatnonzero(inside):
-                    witness = {"t": times[k], "size": size[k], "moved": [names[j] for j in columns], "to": points[k, columns]}
-                    found.append((far[k], size[k], witness | named(names, points[k])))
+                for k in np.flatnonzero(size):
+                    point = q.copy()
+                    point[columns] = x[k, own]
+                    witness = {"t": times[k], "size": size[k], "moved": [names[j] for j in columns], "to": x[k, own]}
+                    found.append((far[k], size[k], witness | named(names, point)))
     if not found:
         return None
     return float(max(size for _, size, _ in found)), len(found), min(found, key=lambda item: item[0])[2]
 
 
-def _jumps(block: Block) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points on both sides of switches of a block, where its value jumps, and the size of the jump."""
+def _jumps(block: Block) -> tuple[np.ndarray, np.ndarray]:
+    """Points on both sides of switches of a block, where its value jumps."""
     x, y = surface_points(block.f, block.z, *block.box(False))
     if not len(x):
-        return x, y, np.zeros(0)
+        return x, y
     f = ca.Function("f", [block.z], [ca.densify(block.f)])
-    below, above = np.array(f(x.T)).T, np.array(f(y.T)).T
+    some = np.flatnonzero(_differ(np.array(f(x.T)).T, np.array(f(y.T)).T))
+    some = some[:: max(1, some.size // JUMPS)]
+    return x[some], y[some]
+
+
+def _differ(below: np.ndarray, above: np.ndarray) -> np.ndarray:
+    """The size (k,) of the jumps between values (k, r); 0 where rounding explains it."""
     with np.errstate(all="ignore"):
         size = np.linalg.norm(above - below, axis=1)
-        real = np.isfinite(size) & (size > 1e-7 * (np.linalg.norm(below, axis=1) + np.linalg.norm(above, axis=1)))
-    some = np.flatnonzero(real)[:: max(1, int(real.sum()) // JUMPS)]
-    return x[some], y[some], size[some]
+        scale = np.linalg.norm(below, axis=1) + np.linalg.norm(above, axis=1)
+        return np.where(np.isfinite(size) & (size > 1e-7 * scale), size, 0.0)
 
 
-def _admits(scene: Scene, columns: list[int]) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """Return admits(times (k,), states (k, n)): whether all constraints that touch these columns are >= 0."""
+def _touched(scene: Scene) -> list[set[int]]:
+    """The states that each constraint depends on."""
     pattern = ca.Function("g", [scene.q, scene.t], [ca.densify(scene.g)]).jac_sparsity(0, 0)
-    touched, states = pattern.get_triplet()
-    rows = sorted({i for i, j in zip(touched, states, strict=True) if j in columns})
-    if not rows:
-        return lambda times, points: np.ones(len(times), bool)
-    g = ca.Function("g", [scene.t, scene.q], [ca.densify(scene.g[rows])])
-    return lambda times, points: (np.array(g(times[None], points.T)) >= 0).all(axis=0)
+    found: list[set[int]] = [set() for _ in range(scene.g.numel())]
+    for i, j in zip(*pattern.get_triplet(), strict=True):
+        found[i].add(j)
+    return found
+
+
+def _sides(f: ca.SX, scene: Scene, touched: list[set[int]], columns: list[int]) -> Callable[..., np.ndarray]:
+    """Return sides(times (k,), x (k, c), y (k, c), q): how far f jumps (k,) from x to y, 0 where one of them is not in Q(t)."""
+    rows = [i for i, states in enumerate(touched) if states & set(columns)]
+    others = [j for j in range(scene.q.numel()) if j not in set(columns)]
+    together = ca.vertcat(scene.t, scene.q[columns])
+    r, value = f.numel(), ca.densify(ca.vertcat(f, scene.g[rows]))
+    function = ca.Function("sides", [together, scene.q[others]], [value])
+
+    def sides(times: np.ndarray, x: np.ndarray, y: np.ndarray, q: np.ndarray) -> np.ndarray:
+        # The other states are one column: CasADi repeats it.
+        both = np.hstack([np.vstack([times, side.T]) for side in (x, y)])
+        values = np.array(function(both, q[others])).T.reshape(2, len(x), -1)
+        inside = (values[:, :, r:] >= 0).all(axis=(0, 2))
+        return np.where(inside, _differ(values[0, :, :r], values[1, :, :r]), 0.0)
+
+    return sides
 
 
 def _quotient(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]]) -> float:
