@@ -19,7 +19,7 @@ demo: $(STAMP) ## set up, run a rectifier, a crowd and a friction oscillator, dr
 	$(BIN)/nsmodel run cases/diode_bridge.py cases/crowd_room.py cases/friction_oscillator.py --plot --out results
 
 test: $(STAMP) ## set up and run the tests
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 lint: $(STAMP) ## ruff and pyright
 	$(BIN)/ruff check nsmodel cases tests
