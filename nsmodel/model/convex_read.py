@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError
-from nsmodel.model.expressions import column, evaluate, is_affine, is_constant, keys, same
+from nsmodel.model.expressions import applied, column, evaluate, fold, is_affine, is_constant, keys, operations, same
 
 Rule = Callable[[int, list[ca.SX], ca.SX], ca.SX | None]
 _UNSUPPORTED = {getattr(ca, f"OP_{name.upper()}"): name for name in "sign floor ceil fmod remainder copysign".split()}
@@ -130,31 +131,33 @@ def replay(expr: ca.SX, rule: Rule, ops: Sequence[int], x: ca.SX, label: str) ->
 
     Where the rule gives None, the node stays.
     """
-    symbols, own = ca.symvar(expr), keys(x)
-    function = ca.Function("replay", [column(symbols)], [ca.densify(expr)])
-    ids = [function.instruction_id(i) for i in range(function.n_instructions())]
-    if not set(ids) & set(ops):
+    own, there = keys(x), operations(expr)
+    if not there & set(ops):
         return expr
-    if ca.OP_CALL in ids:
+    if ca.OP_CALL in there:
         raise ModelError(f"{label} calls a Function that cannot be looked into; write it with elementary operations")
-    work: dict[int, tuple[ca.SX, ca.SX, bool]] = {}  # new node, old node, whether it holds x
-    result = ca.SX.zeros(*expr.shape)
-    for i, op in enumerate(ids):
-        source, target = function.instruction_input(i), function.instruction_output(i)
-        if op == ca.OP_OUTPUT:
-            result[target[1]] = work[source[0]][0]
-        elif op == ca.OP_INPUT:
-            symbol = symbols[source[1]]
-            work[target[0]] = symbol, symbol, symbol.element_hash() in own
-        elif op == ca.OP_CONST:
-            work[target[0]] = *(ca.SX(function.instruction_constant(i)),) * 2, False
-        else:
-            build = ca.SX.unary if len(source) == 1 else ca.SX.binary
-            new, old = [work[j][0] for j in source], build(op, *(work[j][1] for j in source))
-            holds = any(work[j][2] for j in source)
-            put = rule(op, new, old) if holds and op in ops else None
-            work[target[0]] = build(op, *new) if put is None else put, old, holds
-    return result
+
+    def symbol(symbol: ca.SX) -> _Replayed:
+        return _Replayed(symbol, symbol, symbol.element_hash() in own)
+
+    def number(value: float) -> _Replayed:
+        return _Replayed(ca.SX(value), ca.SX(value), False)
+
+    def apply(op: int, args: list[_Replayed]) -> _Replayed:
+        new, old = [arg.new for arg in args], applied(op, [arg.old for arg in args])
+        holds = any(arg.holds for arg in args)
+        put = rule(op, new, old) if holds and op in ops else None
+        return _Replayed(applied(op, new) if put is None else put, old, holds)
+
+    return ca.reshape(column(node.new for node in fold(expr, symbol, number, apply)), *expr.shape)
+
+
+class _Replayed(NamedTuple):
+    """A node as it is rebuilt, as it was, and whether it holds x."""
+
+    new: ca.SX
+    old: ca.SX
+    holds: bool
 
 
 # -- conditions --------------------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ import numpy as np
 
 from nsmodel.hypotheses.proof import exact, interval, polynomial
 from nsmodel.model.convex_read import read, replay
-from nsmodel.model.expressions import column
+from nsmodel.model.expressions import applied, column, fold, operations
 
 CONDITIONS = (ca.OP_LE, ca.OP_LT, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR)
 MOST_VARIABLES = 40  # Quadratic nodes in more variables are not decided one by one.
@@ -52,6 +52,8 @@ def shapes(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> list[
     >>> [s.convex for s in shapes(ca.vertcat(ca.exp(x) + ca.fabs(x - 1), x**3), x, np.full(1, -np.inf), np.full(1, np.inf))]
     [True, False]
     """
+    if ca.OP_CALL in operations(expr):  # nothing is known of what cannot be looked into
+        return [Shape(False, False, -np.inf, np.inf)] * expr.numel()
     nodes, outputs = _nodes(expr, z)
     if not nodes:
         return []
@@ -116,26 +118,22 @@ def simplified(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, labe
 
 def _nodes(expr: ca.SX, z: ca.SX) -> tuple[list[_Node], list[int]]:
     """The graph in single assignment form, each node with its expression, and the node of each entry."""
-    symbols = ca.symvar(expr)
-    function = ca.Function("graph", [column(symbols)], [ca.densify(ca.vec(expr))])
     nodes: list[_Node] = []
-    last: dict[int, int] = {}
-    outputs = [0] * expr.numel()
-    for i in range(function.n_instructions()):
-        op, source, target = function.instruction_id(i), function.instruction_input(i), function.instruction_output(i)
-        if op == ca.OP_OUTPUT:
-            outputs[target[1]] = last[source[0]]
-            continue
-        if op == ca.OP_INPUT:
-            node = _Node(op, (), symbols[source[1]], not ca.depends_on(symbols[source[1]], z))
-        elif op == ca.OP_CONST:
-            node = _Node(op, (), ca.SX(function.instruction_constant(i)), True)
-        else:
-            where = tuple(last[j] for j in source)
-            build = ca.SX.unary if len(where) == 1 else ca.SX.binary
-            node = _Node(op, where, build(op, *(nodes[j].expr for j in where)), all(nodes[j].constant for j in where))
-        last[target[0]] = len(nodes)
+
+    def put(node: _Node) -> int:
         nodes.append(node)
+        return len(nodes) - 1
+
+    def apply(op: int, where: list[int]) -> int:
+        args = [nodes[j] for j in where]
+        return put(_Node(op, tuple(where), applied(op, [arg.expr for arg in args]), all(arg.constant for arg in args)))
+
+    outputs = fold(
+        expr,
+        lambda symbol: put(_Node(ca.OP_INPUT, (), symbol, not ca.depends_on(symbol, z))),
+        lambda number: put(_Node(ca.OP_CONST, (), ca.SX(number), True)),
+        apply,
+    )
     return nodes, outputs
 
 

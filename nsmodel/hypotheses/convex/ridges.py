@@ -13,10 +13,12 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.proof import interval, polynomial
-from nsmodel.model.expressions import column
+from nsmodel.hypotheses.proof.program import is_double
+from nsmodel.model.expressions import applied, column, fold
 
 ROUNDED = 1e-12  # Part of the terms of a'x by which its bounds are widened, for coefficients rounded to doubles.
 Direction = tuple[tuple[int, Fraction], ...]  # (variable, coefficient), the first coefficient 1
+_Rewritten = tuple[ca.SX, polynomial.Polynomial | None]  # a node, and its polynomial where it is affine
 
 
 class Ridges(NamedTuple):
@@ -45,37 +47,23 @@ def ridges(expr: ca.SX, x: ca.SX) -> Ridges | None:
         return None
 
 
-def _read(expr: ca.SX, x: ca.SX) -> Ridges | None:
-    symbols = ca.symvar(expr)
+def _read(expr: ca.SX, x: ca.SX) -> Ridges:
     place = {symbol.element_hash(): i for i, symbol in enumerate(ca.vertsplit(x))}
-    function = ca.Function("ridges", [column(symbols)], [expr])
     known: dict[Direction, ca.SX] = {}
-    work: dict[int, tuple[ca.SX, polynomial.Polynomial | None]] = {}  # new node; the polynomial of an affine one
-    result = ca.SX(0)
-    for i in range(function.n_instructions()):
-        op, source, target = function.instruction_id(i), function.instruction_input(i), function.instruction_output(i)
-        if op == ca.OP_OUTPUT:
-            result = _shown(*work[source[0]], known)
-            continue
-        if op == ca.OP_INPUT:
-            index = place.get(symbols[source[1]].element_hash())
-            if index is None:
-                return None
-            work[target[0]] = symbols[source[1]], {((index, 1),): Fraction(1)}
-            continue
-        if op == ca.OP_CONST:
-            number = function.instruction_constant(i)
-            work[target[0]] = ca.SX(number), polynomial.constant(number)
-            continue
-        if len(source) > 2:
-            return None
-        args = [work[j] for j in source]
+
+    def variable(symbol: ca.SX) -> _Rewritten:
+        if symbol.element_hash() not in place:
+            raise ValueError("another symbol than x")
+        return symbol, {((place[symbol.element_hash()], 1),): Fraction(1)}
+
+    def apply(op: int, args: list[_Rewritten]) -> _Rewritten:
         p = polynomial.apply(op, [q for _, q in args if q is not None]) if all(q is not None for _, q in args) else None
-        build = ca.SX.unary if len(source) == 1 else ca.SX.binary
         if p is not None and polynomial.degree(p) <= 1:
-            work[target[0]] = build(op, *(node for node, _ in args)), p
-        else:
-            work[target[0]] = build(op, *(_shown(node, q, known) for node, q in args)), None
+            return applied(op, [node for node, _ in args]), p
+        return applied(op, [_shown(node, q, known) for node, q in args]), None
+
+    (last,) = fold(expr, variable, lambda number: (ca.SX(number), polynomial.constant(number)), apply)
+    result = _shown(*last, known)
     a = [[dict(direction).get(j, Fraction(0)) for j in range(x.numel())] for direction in known]
     return Ridges(result, column(known.values()), np.array(a, dtype=object).reshape(len(known), x.numel()))
 
@@ -86,7 +74,7 @@ def _shown(node: ca.SX, p: polynomial.Polynomial | None, known: dict[Direction, 
         return node
     linear = sorted((monomial[0][0], number) for monomial, number in p.items() if monomial)
     first, offset = linear[0][1], p.get((), Fraction(0))
-    if Fraction(float(first)) != first or Fraction(float(offset)) != offset:
+    if not (is_double(first) and is_double(offset)):
         raise ValueError("a coefficient is no double")
     direction = tuple((variable, number / first) for variable, number in linear)
     symbol = known.setdefault(direction, ca.SX.sym(f"direction{len(known)}"))

@@ -23,6 +23,7 @@ from nsmodel.hypotheses.first_order.step_matrix import Steps, regular_steps
 from nsmodel.hypotheses.proof import exact, interval
 from nsmodel.hypotheses.proof.extremum import spectral_norm
 from nsmodel.hypotheses.region import Region
+from nsmodel.model.expressions import operations
 from nsmodel.model.first_order import FirstOrderSystem
 from nsmodel.trajectory import Trajectory
 
@@ -96,9 +97,7 @@ def _jacobians(at: Linearised) -> Finding:
 
 def _kinks(model: FirstOrderSystem) -> list[str]:
     """Names of the operations in f, h and g that have kinks or jumps."""
-    expr = ca.vertcat(model.f, model.h, model.g)
-    function = ca.Function("f", [ca.vertcat(ca.SX(0, 1), *ca.symvar(expr))], [expr])
-    return sorted({KINKS[op] for op in map(function.instruction_id, range(function.n_instructions())) if op in KINKS})
+    return sorted(KINKS[op] for op in operations(ca.vertcat(model.f, model.h, model.g)) if op in KINKS)
 
 
 def _difference_quotients(at: Linearised, one_sided: bool) -> tuple[float, dict[str, Any]]:

@@ -19,6 +19,7 @@ from nsmodel.hypotheses.lure.passivity import PAPER, Passivity
 from nsmodel.hypotheses.proof import exact, extremum, interval
 from nsmodel.hypotheses.proof.jumps import find_jump, jumps_in
 from nsmodel.hypotheses.region import Region
+from nsmodel.model.expressions import operations
 from nsmodel.model.lure import LureSystem
 
 HYPOMONOTONE = Hypothesis(
@@ -156,9 +157,7 @@ def _jump(A: ca.SX, x: ca.SX) -> Finding | None:
 
 def _continuous(A: ca.SX, x: ca.SX, lower: np.ndarray, upper: np.ndarray) -> bool:
     """Whether A is proved continuous: read off its operations, or by interval bounds."""
-    function = ca.Function("A", [x], [A])
-    operations = {function.instruction_id(i) for i in range(function.n_instructions())}
-    return operations <= CONTINUOUS or interval.is_continuous(A, x, lower, upper)
+    return operations(A) <= CONTINUOUS or interval.is_continuous(A, x, lower, upper)
 
 
 def _numbers(matrix: ca.SX) -> np.ndarray:

@@ -11,7 +11,7 @@ from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Findi
 from nsmodel.hypotheses.lure import domains
 from nsmodel.hypotheses.lure.domains import TAU, Affine, Domains, Potential
 from nsmodel.hypotheses.proof import exact, feasibility
-from nsmodel.hypotheses.report.formula import fold
+from nsmodel.model.expressions import fold
 from nsmodel.model.laws import Law
 from nsmodel.model.lure import LureSystem
 
@@ -73,6 +73,8 @@ def _constant(number: float) -> Fraction | None:
 
 def exact_value(op: int, args: list[Fraction | None]) -> Fraction | None:
     """The exact value of an operation of CasADi on rational numbers; None where it is not rational or not defined."""
+    if op == ca.OP_CALL:
+        return None
     a, b = args[0], args[-1]
     if a is None or b is None:
         zero = op == ca.OP_MUL and (a == 0 or b == 0)

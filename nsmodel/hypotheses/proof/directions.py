@@ -12,6 +12,7 @@ import numpy as np
 from nsmodel.hypotheses.proof.interval import natural
 from nsmodel.hypotheses.proof.interval_functions import OPERATIONS
 from nsmodel.hypotheses.proof.program import Program, is_double, program
+from nsmodel.model.expressions import applied
 
 LONG = 3000  # Instructions; longer programs are left as they are.
 
@@ -162,6 +163,5 @@ def _rebuilt(code: Program, symbols: Mapping[int, ca.SX], known: Mapping[int, ca
         elif step.op == ca.OP_CONST:
             values.append(ca.SX(step.number))
         else:
-            build = ca.SX.unary if len(step.sources) == 1 else ca.SX.binary
-            values.append(build(step.op, *(values[j] for j in step.sources)))
+            values.append(applied(step.op, [values[j] for j in step.sources]))
     return values

@@ -11,7 +11,7 @@ import numpy as np
 
 from nsmodel.hypotheses.proof.exact import zeros
 from nsmodel.model.convex_read import replay
-from nsmodel.model.expressions import column
+from nsmodel.model.expressions import column, fold
 
 Monomial = tuple[tuple[int, int], ...]  # ((variable, power), ...), variables increasing, powers > 0
 Polynomial = dict[Monomial, Fraction]  # without zeros
@@ -33,24 +33,17 @@ def read(expr: ca.SX, z: ca.SX) -> list[Polynomial | None]:
     >>> read((x[0] - 0.5) ** 2 * x[1], x)
     [{((0, 2), (1, 1)): Fraction(1, 1), ((0, 1), (1, 1)): Fraction(-1, 1), ((1, 1),): Fraction(1, 4)}]
     """
-    symbols = ca.symvar(expr)
     place = {symbol.element_hash(): i for i, symbol in enumerate(ca.vertsplit(z))} if z.numel() else {}
-    function = ca.Function("read", [column(symbols)], [ca.densify(ca.vec(expr))])
-    work: dict[int, Polynomial | None] = {}
-    found: list[Polynomial | None] = [None] * expr.numel()
-    for i in range(function.n_instructions()):
-        op, source, target = function.instruction_id(i), function.instruction_input(i), function.instruction_output(i)
-        if op == ca.OP_OUTPUT:
-            found[target[1]] = work[source[0]]
-        elif op == ca.OP_INPUT:
-            index = place.get(symbols[source[1]].element_hash())
-            work[target[0]] = None if index is None else {((index, 1),): Fraction(1)}
-        elif op == ca.OP_CONST:
-            work[target[0]] = constant(function.instruction_constant(i))
-        else:
-            args = [work[j] for j in source]
-            work[target[0]] = None if any(arg is None for arg in args) else apply(op, [a for a in args if a is not None])
-    return found
+
+    def variable(symbol: ca.SX) -> Polynomial | None:
+        index = place.get(symbol.element_hash())
+        return None if index is None else {((index, 1),): Fraction(1)}
+
+    def result(op: int, args: list[Polynomial | None]) -> Polynomial | None:
+        known = [arg for arg in args if arg is not None]
+        return apply(op, known) if known and len(known) == len(args) else None
+
+    return fold(expr, variable, constant, result)
 
 
 def ratio(expr: ca.SX, z: ca.SX) -> tuple[Polynomial, Polynomial] | None:

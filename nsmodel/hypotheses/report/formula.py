@@ -22,7 +22,7 @@ from nsmodel.hypotheses.report.notation import (
     number_piece,
     symbol_latex,
 )
-from nsmodel.model.expressions import column
+from nsmodel.model.expressions import fold
 
 T = TypeVar("T")
 LARGEST = 250  # Formulas of more nodes are named, not written out.
@@ -40,36 +40,19 @@ _IDENTITIES = (ca.OP_ASSIGN, ca.OP_LIFT, ca.OP_PRINTME)
 INPUT, CONST = ca.OP_INPUT, ca.OP_CONST
 
 
-def fold(expr: ca.SX, symbol: Callable[[str], T], number: Callable[[float], T], apply: Callable[[int, list[T]], T]) -> list[T]:
-    """Replay the instructions of ``expr`` in another algebra: one result for each entry, column by column.
-
-    Args:
-        expr: SX of any shape.
-        symbol, number: what a symbol's name and a constant become.
-        apply: what an operation (its CasADi code) on results becomes.
+def written(expr: ca.SX, symbol: Callable[[str], T], number: Callable[[float], T], apply: Callable[[int, list[T]], T]) -> list[T]:
+    """Write the entries of ``expr`` in another language, column by column: a symbol by its name, the rest as in ``fold``.
 
     Raises:
         ModelError: ``expr`` calls a Function that cannot be looked into.
     """
-    symbols = ca.symvar(expr)
-    function = ca.Function("formula", [column(symbols)], [ca.densify(expr)])
-    work: dict[int, T] = {}
-    results: dict[int, T] = {}
-    for i in range(function.n_instructions()):
-        op, source, target = function.instruction_id(i), function.instruction_input(i), function.instruction_output(i)
-        if op == ca.OP_OUTPUT:
-            results[target[1]] = work[source[0]]
-        elif op == ca.OP_INPUT:
-            work[target[0]] = symbol(symbols[source[1]].name())
-        elif op == ca.OP_CONST:
-            work[target[0]] = number(function.instruction_constant(i))
-        elif op == ca.OP_CALL:
+
+    def apply_known(op: int, args: list[T]) -> T:
+        if op == ca.OP_CALL:
             raise ModelError("the expression calls a Function that cannot be looked into; write it with elementary operations")
-        elif op in _IDENTITIES:
-            work[target[0]] = work[source[0]]
-        else:
-            work[target[0]] = apply(op, [work[j] for j in source])
-    return [results[i] for i in range(expr.numel())]
+        return args[0] if op in _IDENTITIES else apply(op, args)
+
+    return fold(expr, lambda node: symbol(node.name()), number, apply_known)
 
 
 @dataclass(frozen=True)
@@ -92,7 +75,7 @@ def formulas(expr: ca.SX, names: Names) -> list[str]:
             return Piece(rf"\left[\text{{{size} operations}}\right]", ATOM, op=INPUT, size=size)
         return replace(_applied(op, args, names), op=op, args=tuple(args), size=size)
 
-    return [piece.text for piece in fold(expr, symbol, number_piece, apply)]
+    return [piece.text for piece in written(expr, symbol, number_piece, apply)]
 
 
 # -- the operations ----------------------------------------------------------------------------------------------------

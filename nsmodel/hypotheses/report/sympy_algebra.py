@@ -32,7 +32,7 @@ def counted(a: Any) -> Any:
 
 
 def operation() -> Any:
-    """apply(op, args) for :func:`fold`; a condition used as a number counts 1 where it holds, a number != 0 holds."""
+    """apply(op, args) for :func:`.formula.written`; a condition used as a number counts 1 where it holds, a number != 0 holds."""
     import sympy as sp
 
     def holds(a: Any) -> Any:

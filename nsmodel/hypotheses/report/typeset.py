@@ -10,7 +10,7 @@ import numpy as np
 
 from nsmodel.errors import ModelError
 from nsmodel.hypotheses.report import sympy_algebra
-from nsmodel.hypotheses.report.formula import Names, fold, formulas
+from nsmodel.hypotheses.report.formula import Names, formulas, written
 from nsmodel.hypotheses.report.notation import bracketed, decimal, listed, symbol_latex, words
 from nsmodel.model.base import Model
 from nsmodel.model.convex import ConvexSplit
@@ -45,7 +45,7 @@ def to_sympy(expr: ca.SX) -> sympy.Matrix:
     """
     import sympy as sp
 
-    entries = fold(ca.SX(expr), lambda name: sp.Symbol(name, real=True), sympy_algebra.number, sympy_algebra.operation())
+    entries = written(ca.SX(expr), lambda name: sp.Symbol(name, real=True), sympy_algebra.number, sympy_algebra.operation())
     rows, columns = expr.shape
     return sp.Matrix(rows, columns, lambda i, j: sympy_algebra.counted(entries[i + rows * j]))
 

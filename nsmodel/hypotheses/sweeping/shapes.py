@@ -24,6 +24,7 @@ from nsmodel.hypotheses.sweeping.forms import (
     scaled,
     sums_of_convex,
 )  # fmt: skip
+from nsmodel.model.expressions import applied, fold
 
 TOLERANCE = Fraction(1, 2**46)  # 64 eps: what the user's own constants (1/|e|^2, say) are rounded to.
 _ZERO, _ONE = Fraction(0), Fraction(1)
@@ -69,7 +70,7 @@ class _Reader:
     """Runs through the instructions of a constraint's graph once, with :class:`Part` in place of numbers."""
 
     def __init__(self, q: ca.SX, t: ca.SX) -> None:
-        self.q, self.t = q, t
+        self.t, self.place = t, {symbol.element_hash(): i for i, symbol in enumerate(ca.vertsplit(q))}
         self.clips: dict[int, Clip] = {}
         self.unary = {
             ca.OP_ASSIGN: lambda a: a,
@@ -94,20 +95,7 @@ class _Reader:
 
     def parts(self, g: ca.SX) -> list[Part]:
         """Return the part of each entry."""
-        function = ca.Function("g", [self.q, self.t], [ca.densify(g)])
-        work: dict[int, Part] = {}
-        result = [_number(0.0)] * g.numel()
-        for i in range(function.n_instructions()):
-            op, source, target = function.instruction_id(i), function.instruction_input(i), function.instruction_output(i)
-            if op == ca.OP_OUTPUT:
-                result[target[1]] = work[source[0]]
-            elif op == ca.OP_CONST:
-                work[target[0]] = _number(function.instruction_constant(i))
-            elif op == ca.OP_INPUT:
-                work[target[0]] = self._symbol(source[0], source[1])
-            else:
-                work[target[0]] = self._apply(op, [work[j] for j in source])
-        return result
+        return fold(g, self._symbol, _number, self._apply)
 
     def shape(self, part: Part) -> Shape:
         """Say what a constraint is."""
@@ -124,16 +112,16 @@ class _Reader:
             return Shape("distance", True, own, part.time, form, clips)
         return Shape("other", convex, own, part.time, form, clips)
 
-    def _symbol(self, group: int, index: int) -> Part:
-        if group == 0:
-            return Part(Form((), Affine({index: _ONE}, _ZERO), ()), True, True, False, frozenset([index]))
-        return _of_time(self.t, False)
+    def _symbol(self, symbol: ca.SX) -> Part:
+        index = self.place.get(symbol.element_hash())
+        if index is None:
+            return _of_time(self.t, False)
+        return Part(Form((), Affine({index: _ONE}, _ZERO), ()), True, True, False, frozenset([index]))
 
     def _apply(self, op: int, parts: list[Part]) -> Part:
         own, time = frozenset().union(*(part.own for part in parts)), any(part.time for part in parts)
-        if not own and all(part.value is not None for part in parts):
-            build = ca.SX.unary if len(parts) == 1 else ca.SX.binary
-            value = build(op, *(part.value for part in parts))
+        if not own and op != ca.OP_CALL and all(part.value is not None for part in parts):
+            value = applied(op, [part.value for part in parts])
             nonnegative = op in (ca.OP_SQ, ca.OP_FABS, ca.OP_EXP, ca.OP_SQRT) or (
                 op in (ca.OP_ADD, ca.OP_MUL) and all(part.nonnegative for part in parts)
             )
