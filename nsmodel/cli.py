@@ -223,21 +223,31 @@ def _report(
         from nsmodel.plot import save_all
 
         pictures = [str(path) for path in save_all(run, model, folder)]
-    hypotheses = check(model, [run], quick=True)
-    document = _document(file, run, seconds, folder, pictures) | {"hypotheses": hypotheses.verdict}
+    printed = not (arguments.json or arguments.quiet or len(arguments.files) > 1)
+    document = _document(file, run, seconds, folder, pictures)
+    if printed or arguments.json or folder is not None:
+        document["hypotheses"] = _verdict(model, run)
     if folder is not None:
         write_json(folder / "summary.json", document)
     where = f"{file}: " if len(arguments.files) > 1 else ""
     for warning in run.metadata["warnings"]:
         print(f"nsmodel: {where}warning: {warning}", file=sys.stderr)
-    if not (arguments.json or arguments.quiet or len(arguments.files) > 1):
+    if printed:
         _print_summary(run, seconds)
-        print(textwrap.fill(hypotheses.verdict, 100, initial_indent="  hypotheses      ", subsequent_indent=" " * 18))
+        print(textwrap.fill(document["hypotheses"], 100, initial_indent="  hypotheses      ", subsequent_indent=" " * 18))
         if folder is not None:
             print(f"  saved           {folder / 'trajectory.npz'}")
         for path in pictures:
             print(f"  picture         {path}")
     return Result(DONE, file, run, seconds, folder, document)
+
+
+def _verdict(model: Model, run: Trajectory) -> str:
+    """What the quick check says, in one line; a run that is done is not refused for what cannot be checked."""
+    try:
+        return check(model, [run], quick=True).verdict
+    except NsmodelError as error:
+        return f"not checked: {error}"
 
 
 def _stopped(

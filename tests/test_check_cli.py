@@ -139,13 +139,39 @@ def test_a_run_shows_the_verdict_in_one_line_and_loads_no_sympy(nsmodel, tmp_pat
     assert status == 0
     line = next(line for line in out.splitlines() if line.startswith("  hypotheses "))
     assert "proved" in line
-    code = (
-        "import sys; from nsmodel.cli import main; main(['run', 'relay.py', 'disc.py', '--quiet']); print('sympy' in sys.modules)"
-    )
+    code = "import sys; from nsmodel.cli import main; [main(['run', f'{name}.py']) for name in ('relay', 'disc')]"
+    code += "; print('sympy' in sys.modules)"
     result = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert result.stdout.strip() == "False"
+    assert result.stdout.count("  hypotheses  ") == 2
+    assert result.stdout.splitlines()[-1] == "False"
 
 
 def test_json_of_a_run_has_the_verdict(nsmodel):
     _, out, _ = nsmodel("run", "anti.py", "--json")
     assert "violated (5.1" in loads(out)["hypotheses"]
+
+
+CALL = """
+import casadi as ca
+from nsmodel import MonotoneInclusion
+u, x = ca.SX.sym("u"), ca.SX.sym("x")
+drag = ca.Function("drag", [u], [u**3], {"never_inline": True})
+model = MonotoneInclusion(x=x, field=-ca.fmax(drag(x), x), x0=1, t_end=1, step=0.1)
+"""
+
+
+def test_a_run_that_is_done_is_not_refused_for_what_cannot_be_checked(nsmodel, tmp_path):
+    (tmp_path / "call.py").write_text(CALL)
+    status, out, err = nsmodel("run", "call.py", "--out", "results")
+    assert (status, err) == (0, "")
+    assert "  status          done" in out
+    assert "not checked: field calls a Function that cannot be looked into" in " ".join(out.split())
+    assert loads((tmp_path / "results" / "summary.json").read_text())["hypotheses"].startswith("not checked: ")
+    status, _, err = nsmodel("check", "call.py", "--quick")
+    assert status == 2
+    assert "field calls a Function that cannot be looked into" in err
+
+
+def test_a_quiet_run_is_not_checked_for_nothing(nsmodel, monkeypatch):
+    monkeypatch.setattr("nsmodel.cli.check", None)
+    assert nsmodel("run", "relay.py", "--quiet")[0] == 0
