@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import copy
 from importlib import import_module
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -38,7 +39,11 @@ ASYMPTOTIC = 0.3, 2.5  # Orders seen outside of this range are chance.
 
 def hypotheses_of(kind: type[Model]) -> tuple[Hypothesis, ...]:
     """Return the hypotheses that are decided for a model class, in the order of its report."""
-    return import_module(f"nsmodel.hypotheses.{CLASSES[kind]}.check").HYPOTHESES
+    return _checker(kind).HYPOTHESES
+
+
+def _checker(kind: type[Model]) -> Any:
+    return import_module(f"nsmodel.hypotheses.{CLASSES[kind]}.check")
 
 
 def check(
@@ -82,8 +87,7 @@ def check(
     given = runs is not None or quick
     own = list(runs or ()) if given else _runs(bound, notes)
     box = region_of(bound, own, region)
-    module = import_module(f"nsmodel.hypotheses.{CLASSES[type(bound)]}.check")
-    findings, consequences = module.check(bound, box, own, quick)
+    findings, consequences = _checker(type(bound)).check(bound, box, own, quick)
     if own:
         twin = own[1] if len(own) > 1 and len(own[1].t) == len(own[0].t) else None
         findings += along(bound, own[0], findings, twin)
@@ -104,10 +108,9 @@ def _report(
 
 def _symbolic(model: LureSystem, values: Mapping[str, float | None], missing: Sequence[str]) -> Report:
     """The conditions on parameters that have no value."""
-    from nsmodel.hypotheses.lure.check import symbolic_findings
-
     note = f"parameters without value: {', '.join(missing)}; give them with parameters={{...}} or --set to decide the rest"
-    return _report(model, "no region: parameters are symbols", symbolic_findings(model), [], values, [note], False)
+    findings = _checker(LureSystem).symbolic_findings(model)
+    return _report(model, "no region: parameters are symbols", findings, [], values, [note], False)
 
 
 def _runs(model: Model, notes: list[str]) -> list[Trajectory]:

@@ -14,9 +14,9 @@ from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.scheme import catching_up
 from nsmodel.scheme.inertial_proximal import energy
+from nsmodel.solve.certificate import EPS
 from nsmodel.trajectory import Trajectory
 
-EPS = np.finfo(float).eps
 SLACK = 64 * EPS  # relative rounding of a sum of a few terms
 
 RESIDUAL = Hypothesis("run-residual", "every step solves its one-step problem: residual <= tolerance", "definition")

@@ -14,10 +14,10 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.proof import exact, interval, polynomial
+from nsmodel.model.base import COMPARISONS
 from nsmodel.model.convex_read import read, replay
 from nsmodel.model.expressions import applied, column, fold, operations
 
-CONDITIONS = (ca.OP_LE, ca.OP_LT, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR)
 MOST_VARIABLES = 40  # Quadratic nodes in more variables are not decided one by one.
 
 
@@ -57,7 +57,7 @@ def shapes(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> list[
     nodes, outputs = _nodes(expr, z)
     if not nodes:
         return []
-    numeric = [k for k, node in enumerate(nodes) if node.op not in CONDITIONS]
+    numeric = [k for k, node in enumerate(nodes) if node.op not in COMPARISONS]
     low, high = np.full(len(nodes), -np.inf), np.full(len(nodes), np.inf)
     bounds = interval.enclose(column(nodes[k].expr for k in numeric), z, lower, upper)
     low[numeric], high[numeric] = (np.asarray(end).ravel() for end in bounds)

@@ -14,8 +14,8 @@ from nsmodel.hypotheses.convex.lower_bound import additive_terms
 from nsmodel.hypotheses.convex.ridges import Ridges, ridges
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED
 from nsmodel.hypotheses.proof import exact, extremum, halfline, interval, polynomial
+from nsmodel.hypotheses.proof.exact import EPS
 
-EPS = float(np.finfo(float).eps)
 ROUNDING = 64 * EPS  # A least eigenvalue above minus this, beside the matrix, is not told from 0.
 MOST_DIRECTIONS = 12
 LEAST = "least eigenvalue of D2 g"

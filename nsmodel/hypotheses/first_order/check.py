@@ -21,6 +21,7 @@ from nsmodel.hypotheses.first_order.linearised import Linearised, linearised, nu
 from nsmodel.hypotheses.first_order.solvable_mlcp import solvable
 from nsmodel.hypotheses.first_order.step_matrix import Steps, regular_steps
 from nsmodel.hypotheses.proof import exact, interval
+from nsmodel.hypotheses.proof.exact import EPS
 from nsmodel.hypotheses.proof.extremum import spectral_norm
 from nsmodel.hypotheses.region import Region
 from nsmodel.model.expressions import operations
@@ -39,7 +40,6 @@ KINKS = {
     ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil",
 }  # fmt: skip
 DIFFERENCES = 1e-4  # A difference quotient further off than this part of the Jacobian's largest entry is no rounding.
-EPS = float(np.finfo(float).eps)
 MOST_STEPS = 50  # Different step lengths that are decided one by one.
 
 

@@ -20,6 +20,7 @@ from nsmodel.hypotheses.inclusion.one_sided import one_sided, switching_point
 from nsmodel.hypotheses.inclusion.selected_field import Field, field_of, set_of
 from nsmodel.hypotheses.inclusion.tangent import dissipativity
 from nsmodel.hypotheses.proof import exact, extremum, interval, polynomial
+from nsmodel.hypotheses.proof.jumps import SWITCHES
 from nsmodel.hypotheses.region import Region
 from nsmodel.model.convex_read import replay
 from nsmodel.model.inclusion import MonotoneInclusion
@@ -34,7 +35,6 @@ A3 = Hypothesis("M-A3", "<x, w> <= -alpha |x|^2 + beta for w in P_{T_C(x)}(F(x) 
 LIPSCHITZ = Hypothesis("M-24", "<G(x) - G(y), x - y> <= L |x - y|^2, G = F - S", f"{PAPER}, (24)")
 HYPOTHESES = (OPERATOR, SET, A1, A2, A3, LIPSCHITZ)
 KINKS = {ca.OP_FABS: "fabs", ca.OP_FMAX: "fmax", ca.OP_FMIN: "fmin"}
-JUMPS = (ca.OP_SIGN, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_FLOOR, ca.OP_CEIL)
 HALVINGS = 6
 
 
@@ -186,7 +186,7 @@ def _jump(F: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray], x0: np.nda
     def rule(op: int, args: list[ca.SX], old: ca.SX) -> None:
         arguments.append(args[0] if len(args) == 1 else args[0] - args[1])
 
-    replay(F, rule, JUMPS, C.x, "field")
+    replay(F, rule, SWITCHES, C.x, "field")
     f = ca.Function("F", [C.x], [F])
     for u in arguments:
         point = switching_point(C, u, box, x0)

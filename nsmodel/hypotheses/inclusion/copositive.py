@@ -8,6 +8,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 
 from nsmodel.hypotheses.proof import exact
+from nsmodel.hypotheses.proof.conic import minimise
 
 MOST_ROWS, MOST_STATES = 14, 12
 CAP = 1e4
@@ -52,7 +53,6 @@ def _symmetric(N: np.ndarray, i: int, j: int) -> np.ndarray:
 def _solve(S: np.ndarray, basis: list[np.ndarray]) -> tuple[float, np.ndarray] | None:
     """The largest k with S - k I - sum w_ij basis_ij psd, 0 <= w <= CAP |S|, k <= |S|, by Clarabel."""
     import clarabel
-    from scipy import sparse
 
     n, m = len(S), len(basis)
     size = float(np.abs(S).max()) or 1.0
@@ -69,11 +69,7 @@ def _solve(S: np.ndarray, basis: list[np.ndarray]) -> tuple[float, np.ndarray] |
     A = np.vstack([psd, np.eye(m + 1), -np.eye(m + 1)[1:]])
     b = np.concatenate([packed(S / size), np.ones(1), np.full(m, CAP), np.zeros(m)])
     cones = [clarabel.PSDTriangleConeT(n), clarabel.NonnegativeConeT(2 * m + 1)]
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    cost = np.append(-1.0, np.full(m, 1e-6))
-    solver = clarabel.DefaultSolver(sparse.csc_matrix((m + 1, m + 1)), cost, sparse.csc_matrix(A), b, cones, settings)
-    x = np.array(solver.solve().x)
+    x = np.array(minimise(np.append(-1.0, np.full(m, 1e-6)), A, b, cones).x)
     if not np.isfinite(x).all() or x[0] <= 1e-7:
         return None
     return float(x[0]) * size * (1 - 1e-6), x[1:] * size / np.array(scale)

@@ -11,6 +11,7 @@ import numpy as np
 
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, found
 from nsmodel.hypotheses.lure.passivity import D_PSD, STORAGE
+from nsmodel.hypotheses.proof.components import components
 from nsmodel.hypotheses.report.typeset import to_sympy
 from nsmodel.model.lure import LureSystem
 
@@ -87,7 +88,7 @@ def _for_positive(expr: sp.Expr) -> sp.Expr:
 def _semidefinite(M: sp.Matrix) -> _Conditions | str:
     """M psd: all principal minors of the blocks of its symmetric part >= 0."""
     positive = []
-    for block in _blocks(S := _simple((M + M.T) / 2)):
+    for block in components(_nonzero(S := _simple((M + M.T) / 2))):
         if len(block) > MINORS:
             return f"a block of {len(block)} rows: its minors are not written out; give the parameters values"
         sets = [rows for size in range(1, len(block) + 1) for rows in combinations(block, size)]
@@ -106,7 +107,7 @@ def _pairing(B: sp.Matrix, C: sp.Matrix) -> _Conditions | str:
         row = sum((echelon[k, j] * C[column, :] for k, column in enumerate(columns)), start=sp.zeros(1, C.cols))
         zero += [_short(entry) for entry in sp.Matrix(C[j, :] - row).flat()]
     positive = []
-    for block in _blocks(G):
+    for block in components(_nonzero(G)):
         if len(block) > MINORS:
             return f"a block of {len(block)} rows of C B: its minors are not written out; give the parameters values"
         positive += [_short(G.extract(block[:size], block[:size]).det()) for size in range(1, len(block) + 1)]
@@ -136,17 +137,10 @@ def _distinct(expressions: Sequence[sp.Expr], *, keep_zero: bool) -> list[sp.Exp
     return kept
 
 
-def _blocks(S: sp.Matrix) -> list[list[int]]:
-    """Connected components of the nonzeros of a square matrix."""
-    left, blocks = set(range(S.rows)), []
-    while left:
-        block, front = set(), {min(left)}
-        while front:
-            block |= front
-            front = {j for i in front for j in range(S.rows) if S[i, j] != 0 or S[j, i] != 0} - block
-        blocks.append(sorted(block))
-        left -= block
-    return blocks
+def _nonzero(S: sp.Matrix) -> np.ndarray:
+    """Where S or S' is not 0."""
+    pattern = np.array([[S[i, j] != 0 for j in range(S.cols)] for i in range(S.rows)], bool).reshape(S.shape)
+    return pattern | pattern.T
 
 
 def _solved(conditions: _Conditions) -> tuple[str, dict[str, float]]:

@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nsmodel.hypotheses.proof.components import components
+
 EPS = float(np.finfo(float).eps)
 VERIFIED = 12  # From this size a floating-point Cholesky factorisation with a rounding bound is tried first.
 
@@ -146,7 +148,7 @@ def psd(matrix: Any) -> Definite:
     """
     S = _symmetric_part(matrix)
     total, definite = 0, True
-    for block in _blocks(S):
+    for block in components(S != 0):
         part = _block_psd(S[np.ix_(block, block)])
         total, definite = total + part.rank, definite and part.definite
         if part.vector is not None:
@@ -159,7 +161,7 @@ def psd(matrix: Any) -> Definite:
 def is_psd(matrix: Any) -> bool:
     """Whether v'Mv >= 0 for all v, as ``psd`` but without a witness."""
     S = _symmetric_part(matrix)
-    return all(_pivots(S[np.ix_(block, block)])[1] is None for block in _blocks(S))
+    return all(_pivots(S[np.ix_(block, block)])[1] is None for block in components(S != 0))
 
 
 def _symmetric_part(matrix: Any) -> np.ndarray:
@@ -227,20 +229,6 @@ def _reduced(M: np.ndarray, columns: int | None = None) -> tuple[np.ndarray, lis
                 rows[i] = _eliminate(rows[i], rows[top], j)
         pivots.append(j)
     return rows, pivots
-
-
-def _blocks(S: np.ndarray) -> list[list[int]]:
-    """Connected components of the graph of nonzeros of a symmetric matrix."""
-    nonzero = S.astype(bool)
-    left, blocks = set(range(len(S))), []
-    while left:
-        block, front = set(), {min(left)}
-        while front:
-            block |= front
-            front = {int(j) for i in front for j in np.flatnonzero(nonzero[i])} - block
-        blocks.append(sorted(block))
-        left -= block
-    return blocks
 
 
 def _block_psd(S: np.ndarray) -> Definite:

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.proof.branch import Bounded
+from nsmodel.hypotheses.proof.components import components
 from nsmodel.hypotheses.proof.interval import boxes, mean_value, natural
 from nsmodel.hypotheses.proof.program import Program
 from nsmodel.hypotheses.proof.search import Goal, Scene, Supremum, search
@@ -101,7 +102,7 @@ def largest_eigenvalue(
     S, scene = ca.SX(S), _scene(z, lower, upper, where, points, quick, bound_to)
     n = S.shape[0]
     pattern = np.array(ca.DM(S.sparsity(), 1)) != 0 if S.nnz() else np.zeros((n, n), bool)
-    groups = _components(pattern | pattern.T)
+    groups = components(pattern | pattern.T)
     return _over_blocks([_eigenvalue_of_block(S[group, group]) for group in groups], scene)
 
 
@@ -128,23 +129,8 @@ def _blocks(J: ca.SX) -> list[tuple[list[int], list[int]]]:
     pattern = np.zeros((m + n, m + n), bool)
     rows, columns = J.sparsity().get_triplet()
     pattern[rows, m + np.array(columns, int)] = True
-    groups = _components(pattern | pattern.T)
+    groups = components(pattern | pattern.T)
     return [([i for i in g if i < m], [i - m for i in g if i >= m]) for g in groups if min(g) < m <= max(g)]
-
-
-def _components(pattern: np.ndarray) -> list[list[int]]:
-    """Return the connected parts of a symmetric pattern."""
-    left, groups = set(range(len(pattern))), []
-    while left:
-        group, todo = set(), [min(left)]
-        while todo:
-            i = todo.pop()
-            if i not in group:
-                group.add(i)
-                todo.extend(int(j) for j in np.flatnonzero(pattern[i]))
-        left -= group
-        groups.append(sorted(group))
-    return groups
 
 
 def _length(entries: list[ca.SX]) -> ca.SX:

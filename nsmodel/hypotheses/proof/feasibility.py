@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nsmodel.hypotheses.proof import exact
+from nsmodel.hypotheses.proof.conic import minimise
 
 SMALL, LARGE = 1000, 20000  # Entries of A below which the simplex method goes first, above which it is not tried.
 
@@ -182,7 +183,6 @@ def _by_interior_point(system: System) -> Answer:
 def _optimised(system: System) -> tuple[np.ndarray | None, np.ndarray | None, float]:
     """Maximise t subject to A u = 0, u - t inside the cones, sum of the bounded entries <= 1: u, w and t."""
     import clarabel
-    from scipy import sparse
 
     A, rows, columns = _scaled(system)
     r, n = A.shape
@@ -201,11 +201,7 @@ def _optimised(system: System) -> tuple[np.ndarray | None, np.ndarray | None, fl
         G.append(block)
         h.append(np.zeros(len(cone)))
         cones.append(clarabel.SecondOrderConeT(len(cone)))
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    cost = np.concatenate([np.zeros(n), [-1.0]])
-    stacked = sparse.csc_matrix(np.vstack(G))
-    found = clarabel.DefaultSolver(sparse.csc_matrix((n + 1, n + 1)), cost, stacked, np.concatenate(h), cones, settings).solve()
+    found = minimise(np.concatenate([np.zeros(n), [-1.0]]), np.vstack(G), np.concatenate(h), cones)
     x, z = np.array(found.x), np.array(found.z)
     if not (np.isfinite(x).all() and np.isfinite(z).all()):
         return None, None, np.nan

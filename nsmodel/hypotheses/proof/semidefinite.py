@@ -9,6 +9,8 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
+from nsmodel.hypotheses.proof.conic import minimise
+
 SPREAD = 1e3  # 1/SPREAD <= Y <= SPREAD: a smaller omega would cost a worse conditioned P.
 TINY = 1e-9  # of balanced numbers, which are about 1
 
@@ -130,7 +132,6 @@ def program(near: Balanced, omega: float, kernels: Sequence[np.ndarray] | None =
     With ``kernels``, one basis (n, k) for each J: slack(Y, J, omega) v = 0 on them, and >= t on their complements.
     """
     import clarabel
-    from scipy import sparse
 
     s, n = near.free, len(near.left)
     parts, zero = units(s), np.zeros((s, s))
@@ -161,12 +162,7 @@ def program(near: Balanced, omega: float, kernels: Sequence[np.ndarray] | None =
     blocks.append(np.eye(1, 1 + len(parts)))
     offsets.append(np.array([1.0]))
     cones.append(clarabel.NonnegativeConeT(1))
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    rows, cost = sparse.csc_matrix(np.vstack(blocks)), np.zeros(1 + len(parts))
-    cost[0] = -1.0
-    quadratic = sparse.csc_matrix((1 + len(parts),) * 2)
-    solution = clarabel.DefaultSolver(quadratic, cost, rows, np.concatenate(offsets), cones, settings).solve()
+    solution = minimise(-np.eye(1, 1 + len(parts))[0], np.vstack(blocks), np.concatenate(offsets), cones)
     if str(solution.status) not in ("Solved", "AlmostSolved"):
         return None
     return np.tensordot(solution.x[1:], parts, 1)

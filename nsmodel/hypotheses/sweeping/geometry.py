@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-EPS = float(np.finfo(float).eps)
+from nsmodel.hypotheses.proof.exact import EPS
+
 IN_HULL = 1e-13  # A hull of unit vectors that is nearer to 0 than this contains 0, up to rounding.
 
 

@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
+from nsmodel.hypotheses.proof.components import sharing
 from nsmodel.hypotheses.sweeping.admissible import Scene, named
 from nsmodel.hypotheses.sweeping.constraint import EVERYWHERE, ON_THE_BOX, Constraint
 from nsmodel.hypotheses.sweeping.geometry import mfcq_constant
@@ -112,7 +113,7 @@ def _decide(
         return Qualified(VIOLATED, np.inf, rho, EVERYWHERE, how, np.inf, opposed | where)
     if np.isinf(worst.gamma):
         return Qualified(VIOLATED, np.inf, rho, ON_THE_BOX, "opposing normals at an admissible point", np.inf, witness)
-    groups = _components(constraints)
+    groups = sharing([set(constraint.shape.own) for constraint in constraints])
     if len(groups) > 1:
         return _together(constraints, scene, slope, rho, points, names, quick, groups, worst, witness)
     if len(scene.columns) <= FEW_STATES and not quick:
@@ -186,20 +187,6 @@ def _together(constraints, scene, slope, rho, points, names, quick, groups, wors
     reached = min(item.rho for item in found)
     how = f"{len(groups)} groups of constraints without common states; " + "; ".join(sorted({item.how for item in found}))
     return Qualified(least.verdict, gamma, reached, where, how, worst.gamma, witness)
-
-
-def _components(constraints: Sequence[Constraint]) -> list[list[int]]:
-    """Groups of constraints that share states, directly or through others."""
-    groups: list[tuple[set[int], list[int]]] = []
-    for k, constraint in enumerate(constraints):
-        own, rows, apart = set(constraint.shape.own), [k], []
-        for states, members in groups:
-            if states & own:
-                own, rows = own | states, members + rows
-            else:
-                apart.append((states, members))
-        groups = [*apart, (own, rows)]
-    return [sorted(rows) for _, rows in groups]
 
 
 def _worst(scene: Scene, points: Sequence[tuple[float, np.ndarray]], rho: float) -> Worst:

@@ -10,11 +10,12 @@ import numpy as np
 
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.hypotheses.proof import extremum, interval
+from nsmodel.hypotheses.proof.components import sharing
 from nsmodel.hypotheses.proof.jumps import SWITCHES, jumps_in, surface_points
 from nsmodel.hypotheses.sweeping.admissible import Scene, named
 from nsmodel.hypotheses.sweeping.constraint import EVERYWHERE, ON_THE_BOX, Answer
 from nsmodel.model.convex_read import replay
-from nsmodel.model.expressions import column
+from nsmodel.model.expressions import column, keys
 
 BASES, JUMPS = 4, 256  # Admissible states from which jumps are looked for, and switching points tried.
 PAIRS = 32
@@ -96,18 +97,11 @@ def velocity(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]],
 def _blocks(f: ca.SX, scene: Scene) -> list[Block]:
     """Split f where its components share no states, and put blocks of the same formula together."""
     rows, columns = _pattern(f, scene.q)
-    groups: list[tuple[set[int], set[int]]] = []
-    for i in sorted(set(rows)):
-        own_rows, own, apart = {i}, {j for k, j in zip(rows, columns, strict=True) if k == i}, []
-        for others, states in groups:
-            if states & own:
-                own_rows, own = own_rows | others, own | states
-            else:
-                apart.append((others, states))
-        groups = [*apart, (own_rows, own)]
+    entries = sorted(set(rows))
+    states = [{j for k, j in zip(rows, columns, strict=True) if k == i} for i in entries]
     found: dict[tuple, Block] = {}
-    for own_rows, own in groups:
-        r, j = sorted(own_rows), sorted(own)
+    for group in sharing(states):
+        r, j = [entries[k] for k in group], sorted(set().union(*(states[k] for k in group)))
         block = _block(f[r], scene, r, j)
         first = found.setdefault(_formula(block), block)
         if first is not block:
@@ -134,7 +128,7 @@ def _pattern(f: ca.SX, q: ca.SX) -> tuple[list[int], list[int]]:
 
 
 def _others(f: ca.SX, q: ca.SX) -> list[ca.SX]:
-    own = {symbol.element_hash() for symbol in ca.vertsplit(q)}
+    own = keys(q)
     return [symbol for symbol in ca.symvar(f) if symbol.element_hash() not in own]
 
 
