@@ -1,4 +1,4 @@
-"""The command line: ``nsmodel run FILE``, ``nsmodel check FILE``."""
+"""The command line: ``nsmodel run FILE``, ``nsmodel check FILE``, ``nsmodel codegen FILE``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from nsmodel.checking import check
-from nsmodel.errors import ModelError, NsmodelError, StepError, StorageError, UsageError
+from nsmodel.errors import CodegenError, ModelError, NsmodelError, StepError, StorageError, UsageError
 from nsmodel.hypotheses.findings import VIOLATED, Report
 from nsmodel.loader import load_with
 from nsmodel.model.base import Model
@@ -23,13 +23,13 @@ from nsmodel.solve.choose import SOLVERS
 from nsmodel.storage import dumps, write_json, write_text
 from nsmodel.trajectory import Trajectory
 
-DONE, AT_FAULT, USAGE, FAILED_STEP, INTERRUPTED = 0, 1, 2, 3, 130
+DONE, AT_FAULT, USAGE, FAILED_STEP, REFUSED, INTERRUPTED = 0, 1, 2, 3, 4, 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status.
 
-    0 done; 1 a hypothesis is violated (``check --strict``); 2 usage or model; 3 a step failed; 130 interrupted.
+    0 done; 1 a hypothesis is violated (``check --strict``); 2 usage or model; 3 a step failed; 4 no C code; 130 interrupted.
     """
     arguments = _parser().parse_args(argv)
     try:
@@ -46,9 +46,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="nsmodel", description="Nonsmooth dynamics: run a model file, every step verified; check its hypotheses.",
+        prog="nsmodel",
+        description="Nonsmooth dynamics: run a model file, every step verified; check its hypotheses; write its step in C.",
         epilog="exit status: 0 done; 1 a hypothesis is violated (check --strict); 2 usage, missing file or wrong model; "
-        "3 a step failed, 130 interrupted (what was computed is saved)",
+        "3 a step failed, 130 interrupted (what was computed is saved); 4 the model has no C counterpart",
     )  # fmt: skip
     parser.add_argument("--version", action="version", version=f"nsmodel {version('nsmodel')}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
@@ -58,6 +59,10 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--t-end", type=float, metavar="T", help="end of the run (default: the model's)")
     _add_set(run)
     run.add_argument("--solver", default="auto", metavar="NAME", help=f"use this solver alone: {', '.join(SOLVERS[1:])}")
+    run.add_argument(
+        "--compiled", action="store_true",
+        help="step in C, built once for this model (left out: only where the run is long enough to pay for it)",
+    )  # fmt: skip
     run.add_argument("--tolerance", type=float, default=1e-9, metavar="TOL", help="largest accepted residual (default 1e-9)")
     run.add_argument("--save-every", type=int, default=1, metavar="N", help="keep every N-th row")
     run.add_argument("--resume", action="store_true", help="continue the run found in --out")
@@ -81,6 +86,16 @@ def _parser() -> argparse.ArgumentParser:
     checker.add_argument("--json", action="store_true", help="print the report as JSON")
     checker.add_argument("--markdown", metavar="PATH", help="also write the report as Markdown, with the equations")
     checker.set_defaults(command=_check)
+    about = "Write the model's verified step as a C99 library: header, source, Makefile, example, description, README."
+    writer = commands.add_parser("codegen", help="write a model's step as a C library", description=about)
+    writer.add_argument("file", metavar="FILE", help="a Python file that defines model = ... or def model(...)")
+    writer.add_argument("--out", metavar="DIR", help="folder of the library (default: FILE-c)")
+    writer.add_argument("--name", metavar="NAME", help="prefix of all names in C (default: the file's name)")
+    writer.add_argument("--step", type=float, metavar="H", help="time step of the code (default: the model's)")
+    writer.add_argument("--any-step", action="store_true", help="let a linear scene take any step, not this one alone")
+    writer.add_argument("--tolerance", type=float, default=1e-9, metavar="TOL", help="largest accepted residual (default 1e-9)")
+    _add_set(writer)
+    writer.set_defaults(command=_codegen)
     return parser
 
 
@@ -121,6 +136,21 @@ def _check(arguments: argparse.Namespace) -> int:
         for file, report, _ in reports:
             print(f"{Path(file).stem:{width}}  {'refused' if report is None else report.verdict}")
     return max(status for *_, status in reports)
+
+
+def _codegen(arguments: argparse.Namespace) -> int:
+    """Write the C library of a file; a parameter given with --set becomes a number in the code."""
+    from nsmodel import codegen
+
+    model, values = _load(arguments.file, arguments.set)
+    stem = Path(arguments.file).stem
+    name = codegen.identifier(stem) if arguments.name is None else arguments.name
+    written = codegen.write(
+        model, arguments.out or f"{stem}-c", name=name, step=arguments.step, any_step=arguments.any_step, parameters=values,
+        tolerance=arguments.tolerance,
+    )  # fmt: skip
+    print(written.text())
+    return DONE
 
 
 def _interval(setting: str) -> tuple[str, tuple[float, float]]:
@@ -170,15 +200,19 @@ class Result(NamedTuple):
 
 
 def _run_file(arguments: argparse.Namespace, file: str, folder: Path | None) -> Result:
-    start = time.perf_counter()
+    start, compiled = time.perf_counter(), True if arguments.compiled else "auto"
     try:
         model, values = _load(file, arguments.set)
         if arguments.explain and not arguments.json:
-            print(explain(model, step=arguments.step, parameters=values, solver=arguments.solver), end="\n\n")
+            how = explain(
+                model, step=arguments.step, t_end=arguments.t_end, parameters=values, solver=arguments.solver,
+                tolerance=arguments.tolerance, compiled=compiled,
+            )  # fmt: skip
+            print(how, end="\n\n")
         run = simulate(
             model, step=arguments.step, t_end=arguments.t_end, parameters=values, solver=arguments.solver,
             tolerance=arguments.tolerance, save_every=arguments.save_every, out=folder, resume=arguments.resume,
-            progress=not (arguments.quiet or arguments.json),
+            progress=not (arguments.quiet or arguments.json), compiled=compiled,
         )  # fmt: skip
         return _report(arguments, file, run, time.perf_counter() - start, model.bind(values), folder)
     except StepError as error:
@@ -292,9 +326,9 @@ def _print_summary(run: Trajectory, seconds: float) -> None:
 
 
 def _refused(error: NsmodelError) -> int:
-    kind = "model error" if isinstance(error, ModelError) else "storage error" if isinstance(error, StorageError) else "error"
-    print(f"nsmodel: {kind}: {error}", file=sys.stderr)
-    return USAGE
+    kinds = ((ModelError, "model error"), (StorageError, "storage error"), (CodegenError, "no C code"), (NsmodelError, "error"))
+    print(f"nsmodel: {next(name for kind, name in kinds if isinstance(error, kind))}: {error}", file=sys.stderr)
+    return REFUSED if isinstance(error, CodegenError) else USAGE
 
 
 def _table(results: Sequence[Result]) -> str:

@@ -37,6 +37,10 @@ class StepError(NsmodelError, RuntimeError):
         self.trajectory: Any = None
 
 
+class CodegenError(NsmodelError, RuntimeError):
+    """A model has no C step function, or the one written could not be compiled or loaded."""
+
+
 class StorageError(NsmodelError, OSError):
     """A result file is missing, damaged, or belongs to another model."""
 

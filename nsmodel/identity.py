@@ -6,6 +6,7 @@ import hashlib
 import platform
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
+from functools import cache
 from importlib.metadata import version
 from typing import Any
 
@@ -18,8 +19,11 @@ from nsmodel.model.base import Model
 # What only names or describes a run does not change its numbers; the grid is a setting of its own.
 DESCRIPTIVE = frozenset({"exact", "title", "units", "scene", "t_end", "step", "steps", "t", "p", "parameters"})
 
+WAY = "way of stepping"  # The setting that says whether steps are compiled, and by what: their last bits differ.
+INTERPRETED = "interpreted"
 
-def settings(model: Model, grid: Grid, solver: str, tolerance: float, save_every: int) -> dict[str, Any]:
+
+def settings(model: Model, grid: Grid, solver: str, tolerance: float, save_every: int, way: str) -> dict[str, Any]:
     """All that a run's numbers depend on, t_end excepted: a run may be continued to a later end."""
     step = grid.h if grid.steps is None else f"{grid.N} given steps, {_hash([grid.steps])}"
     return {
@@ -28,6 +32,7 @@ def settings(model: Model, grid: Grid, solver: str, tolerance: float, save_every
         "solver": solver,
         "tolerance": tolerance,
         "save every": save_every,
+        WAY: way,
         **{f"version of {name}": number for name, number in versions().items()},
     }
 
@@ -51,7 +56,12 @@ def fingerprint(model: Model, grid: Grid) -> str:
 
 def versions() -> dict[str, str]:
     """Versions of what the numbers depend on."""
-    return {"nsmodel": version("nsmodel"), "casadi": ca.__version__, "numpy": np.__version__, "python": platform.python_version()}
+    return {"nsmodel": _own_version(), "casadi": ca.__version__, "numpy": np.__version__, "python": platform.python_version()}
+
+
+@cache
+def _own_version() -> str:
+    return version("nsmodel")
 
 
 def _hash(items: list[Any]) -> str:

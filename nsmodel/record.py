@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from nsmodel.grid import Grid
 from nsmodel.model.base import Model
 from nsmodel.scheme import derived_columns
 from nsmodel.solve.layout import Layout
 
+BLOCK = 4096  # Rows that are taken apart at a time.
 UNSET = -2  # Index-set code of a row that no step has computed.
 INNER = frozenset({"state", "l", "y", "residual", "newton", "multipliers", "outputs"})
 VECTORS = frozenset({"v", "gap", "defect", "selection"})  # Two-dimensional even where they have one column.
@@ -20,10 +20,9 @@ class Record:
 
     def __init__(self, model: Model, layout: Layout, m: int, capacity: int) -> None:
         self.model, self.layout = model, layout
-        self.rows = np.full((capacity, layout.width), np.nan)
-        self.index = np.full((capacity, m), UNSET, np.int8)
-        self.t, self.h, self.h_next = (np.full(capacity, np.nan) for _ in range(3))
-        self.number = np.zeros(capacity, int)
+        self.rows, self.index = np.empty((capacity, layout.width)), np.empty((capacity, m), np.int8)
+        self.t, self.h, self.h_next = (np.empty(capacity) for _ in range(3))
+        self.number = np.empty(capacity, int)
         self.clear()
 
     def clear(self) -> None:
@@ -33,7 +32,7 @@ class Record:
     def known(self, k: int, t: float, h_next: float, state: np.ndarray, records: dict[str, np.ndarray]) -> None:
         """Add a row that no step computed: the start."""
         r = self.filled
-        self.rows[r] = np.nan
+        self.rows[r], self.index[r] = np.nan, UNSET
         self.rows[r, : state.size] = state
         for name, value in records.items():
             self.rows[r, self.layout.slices[name]] = value
@@ -44,6 +43,18 @@ class Record:
         self.rows[self.filled] = row
         self.index[self.filled] = index
         self._close(k, t, h, h_next)
+
+    def extend(self, numbers: np.ndarray, grid: Grid) -> None:
+        """Take up the rows of these numbers, which were written into ``rows`` and ``index`` from ``filled`` on."""
+        r = slice(self.filled, self.filled + numbers.size)
+        self.number[r] = numbers
+        if grid.steps is None:
+            self.t[r], self.h[r], self.h_next[r] = numbers * grid.h, grid.h, grid.h
+        else:
+            self.t[r], self.h[r] = grid.times[numbers], grid.steps[numbers - 1]
+            self.h_next[r] = grid.steps[np.minimum(numbers, grid.N - 1)]
+        self.filled = r.stop
+        self.full = self.filled == len(self.t)
 
     def _close(self, k: int, t: float, h: float, h_next: float) -> None:
         r = self.filled
@@ -61,21 +72,29 @@ class Record:
         return self.rows[: self.filled, self.layout.slices[name]]
 
     def columns(self, newton: bool) -> dict[str, np.ndarray]:
-        """The rows as the arrays of a trajectory; ``newton``: with the iterations of each step."""
+        """The rows as the arrays of a trajectory, until ``clear``; ``newton``: with the iterations of each step."""
         r, slices = slice(0, self.filled), self.layout.slices
-        arrays: dict[str, Any] = {
-            "t": self.t[r].copy(),
-            "x": self.states.copy(),
-            "multipliers": self.column("multipliers" if "multipliers" in slices else "l").copy(),
-            "y": self.column("outputs" if "outputs" in slices else "y").copy(),
-            "index_set": self.index[r].copy(),
-            "residual": self.rows[r, self.layout.residual].copy(),
-            "step": self.h[r].copy(),
-        }
-        if newton:
-            arrays["newton"] = self.rows[r, self.layout.newton].copy()
-        for name, at in slices.items():
-            if name not in INNER:
-                values = self.column(name).copy()
-                arrays[name] = values[:, 0] if at.stop - at.start == 1 and name not in VECTORS else values
+        own = {name: at for name, at in slices.items() if name not in INNER}
+        apart = self._apart({
+            "x": slice(0, len(self.model.names)),
+            "multipliers": slices.get("multipliers", slices["l"]),
+            "y": slices.get("outputs", slices["y"]),
+            "residual": self.layout.residual,
+            **({"newton": self.layout.newton} if newton else {}),
+            **{name: at if name in VECTORS or at.stop - at.start != 1 else at.start for name, at in own.items()},
+        })  # fmt: skip
+        arrays = {
+            "t": self.t[r], "x": apart["x"], "multipliers": apart["multipliers"], "y": apart["y"],
+            "index_set": self.index[r], "residual": apart["residual"], "step": self.h[r],
+        } | apart  # fmt: skip
         return arrays | derived_columns(self.model, arrays, self.h_next[r])
+
+    def _apart(self, columns: dict[str, slice | int]) -> dict[str, np.ndarray]:
+        """Columns of the packed rows, each in memory of its own; copied by blocks of rows that a processor's cache holds."""
+        rows = self.rows[: self.filled]
+        out = {name: np.empty_like(rows[:, at], order="C") for name, at in columns.items()}
+        for start in range(0, self.filled, BLOCK):
+            block = slice(start, start + BLOCK)
+            for name, at in columns.items():
+                out[name][block] = rows[block, at]
+        return out

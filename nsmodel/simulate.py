@@ -10,24 +10,25 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from nsmodel.errors import StepError, StorageError, UsageError
+from nsmodel.errors import CodegenError, StepError, StorageError, UsageError
 from nsmodel.grid import Grid, is_number, make_grid, written
 from nsmodel.hypotheses.quick import UNIQUENESS, refuse_start, warnings_of
 from nsmodel.hypotheses.rest import finite_convergence
-from nsmodel.identity import difference, settings, versions
+from nsmodel.identity import INTERPRETED, WAY, difference, settings, versions
 from nsmodel.model.base import Model, shown
 from nsmodel.model.inclusion import MonotoneInclusion
 from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.record import Record
 from nsmodel.scheme import initial_rows, one_step_problem, shortened
 from nsmodel.scheme.problem import OneStepProblem
-from nsmodel.solve.build import Stepper
+from nsmodel.solve.build import Stepper, start_state
 from nsmodel.solve.projection import CatchingUp
 from nsmodel.solve.stepper import Warm
 from nsmodel.solve.structure import is_monotone
@@ -35,6 +36,8 @@ from nsmodel.storage import ChunkStore
 from nsmodel.trajectory import Trajectory
 
 CHUNK_BYTES = 64 << 20
+LONG_IF_QUICK, LONG = 500_000, 30_000  # Steps that take some seconds when interpreted: more than compiling them.
+IN_C = "steps in C, compiled for this model; a step that C cannot certify is taken as above"
 FEW_STEPS = 8  # Different step sizes up to which constant matrices are factored once for each.
 
 
@@ -60,6 +63,7 @@ def simulate(
     out: str | Path | None = None,
     resume: bool = False,
     progress: bool = False,
+    compiled: bool | str = "auto",
 ) -> Trajectory:
     """Run a model and return its trajectory; every step in it was verified.
 
@@ -73,6 +77,9 @@ def simulate(
         out: folder for numbered chunks (constant memory while it runs), checkpoints and ``trajectory.npz``.
         resume: continue the run found in ``out``.
         progress: show a progress bar where standard error is a terminal.
+        compiled: True: step in C, built once for this model and kept in the user's cache folder (a step that C cannot certify
+            is taken by the interpreted solvers); False: never; "auto": from 30 000 steps on, and where matrices are constant
+            from 500 000: then building takes less time than it saves. A run that is resumed goes on as it began.
 
     Raises:
         UsageError: a wrong argument, an unknown or inapplicable solver, a start outside the set, an unfinished run in ``out``.
@@ -80,27 +87,33 @@ def simulate(
         RunInterrupted: Ctrl-C; ``error.trajectory`` as above.
         StorageError: ``resume`` without a matching run.
     """
-    _check_model(model)
-    if not (is_number(tolerance) and 0 < tolerance < 1):
-        raise UsageError(f"tolerance = {written(tolerance)}; expected a number between 0 and 1")
+    _check(model, solver, tolerance, compiled)
     if not (is_number(save_every) and save_every >= 1 and float(save_every).is_integer()):
         raise UsageError(f"save_every = {written(save_every)}; expected a whole number >= 1")
     if resume and out is None:
         raise UsageError("resume needs out=, the folder of the run to continue")
     bound = model.bind(parameters)
     grid = make_grid(bound, step, steps, t_end)
-    run = _Run(bound, grid, solver, float(tolerance), int(save_every), None if out is None else Path(out), resume)
+    run = _Run(bound, grid, solver, float(tolerance), int(save_every), None if out is None else Path(out), resume, compiled)
     return run.go(progress)
 
 
 def explain(
-    model: Model, *, step: float | None = None, parameters: Mapping[str, float] | None = None, solver: str = "auto"
+    model: Model,
+    *,
+    step: float | None = None,
+    t_end: float | None = None,
+    parameters: Mapping[str, float] | None = None,
+    solver: str = "auto",
+    tolerance: float = 1e-9,
+    compiled: bool | str = "auto",
 ) -> str:
-    """What a run would use and what it leaves out, and why, as text."""
-    _check_model(model)
+    """What a run with these arguments would use and what it leaves out, and why, as text."""
+    _check(model, solver, tolerance, compiled)
     bound = model.bind(parameters)
-    run = _Run(bound, make_grid(bound, step, None, None), solver, 1e-9, 1, None, False)
-    return run.stepper.plan.text(run.problem)
+    grid = make_grid(bound, step, None, t_end)
+    run = _Run(bound, grid, solver, float(tolerance), grid.N, None, False, compiled)
+    return run.plan.text(run.problem)
 
 
 class RunInterrupted(KeyboardInterrupt):
@@ -115,8 +128,9 @@ class _Run:
     """One run: the stepper, where it stands (k, state, warm), what it has counted, and the rows not yet written."""
 
     def __init__(
-        self, model: Model, grid: Grid, solver: str, tolerance: float, save_every: int, out: Path | None, resume: bool
-    ) -> None:
+        self, model: Model, grid: Grid, solver: str, tolerance: float, save_every: int, out: Path | None, resume: bool,
+        compiled: bool | str = False,
+    ) -> None:  # fmt: skip
         self.model, self.grid, self.save_every, self.out = model, grid, save_every, out
         refuse_start(model)
         self._check_exact()
@@ -125,9 +139,7 @@ class _Run:
             raise UsageError(f"tolerances: {np.size(given)} values for {grid.N} steps; give one for each, or one for all")
         self.problem = one_step_problem(model)
         known = initial_rows(model, grid.step(0))
-        self.k, self.state = len(known) - 1, known[-1][0]
-        if self.problem.start is not None:
-            self.state = _start_state(self.problem.start, self.state, grid.step(0), tolerance)
+        self.k, self.state = len(known) - 1, start_state(self.problem, known[-1][0], grid.step(0), tolerance)
         few = grid.steps is None or np.unique(grid.steps).size <= FEW_STEPS
         self.stepper = make_stepper(model, self.problem, solver, tolerance, h=grid.step(0), state=self.state, few_steps=few)
         self.warm, self.last_index = self.stepper.cold(), None
@@ -136,16 +148,43 @@ class _Run:
         self.totals: dict[str, Any] = {
             "worst_residual": 0.0, "worst_residual_t": None, "newton": 0.0, "newton_max": 0.0, "index_set_changes": 0, "steps": 0,
         }  # fmt: skip
-        self.settings = settings(model, grid, solver, tolerance, save_every)
-        self.record = Record(model, self.stepper.layout, self.warm.index.size, self._capacity(len(known)))
         if out is not None and not resume:
             _keep_unfinished(out)
         self.store = None if out is None else (ChunkStore.open(out) if resume else ChunkStore(out))
+        self.plan, self.rollout = self.stepper.plan, None
+        self._compile(compiled, solver, self.store.manifest["checkpoint"]["settings"].get(WAY) if resume else None)
+        way = INTERPRETED if self.rollout is None else self.rollout.way
+        self.settings = settings(model, grid, solver, tolerance, save_every, way)
+        self.record = Record(model, self.stepper.layout, self.warm.index.size, self._capacity(len(known)))
         if resume:
             self._restore()
         else:
             for k, (state, records) in enumerate(known):
                 self.record.known(k, grid.time(k), grid.step(min(k, grid.N - 1)), state, records)
+
+    def _compile(self, compiled: bool | str, solver: str, there: str | None) -> None:
+        """Get the steps in C where they are asked for, or pay; ``there``: how the run that is resumed was stepped."""
+        wanted = compiled is True
+        if compiled == "auto":
+            wanted = solver == "auto" and self._pays() if there is None else there != INTERPRETED
+        if not wanted:
+            return
+        from nsmodel.codegen.rollout import Rollout
+
+        try:
+            self.rollout = Rollout(self.model, self.grid, self.stepper.tolerance)
+            self.plan = replace(self.plan, used=(*self.plan.used, IN_C))
+        except CodegenError as error:
+            if there not in (None, INTERPRETED):
+                raise StorageError(f"{self.out}: the run there is {there}, which it cannot be here: {error}") from error
+            self.plan = replace(self.plan, left_out=(*self.plan.left_out, f"steps in C: {error}"))
+            if compiled is True:
+                self.warnings.append(f"not compiled, the steps are interpreted: {error}")
+
+    def _pays(self) -> bool:
+        """Whether a run is long enough to be compiled, by what a step takes when it is interpreted."""
+        quick = self.plan.path == "kernel" and not isinstance(self.model, MonotoneInclusion)  # a function call a step
+        return self.grid.N >= (LONG_IF_QUICK if quick else LONG)
 
     def _check_exact(self) -> None:
         if self.model.exact is not None:
@@ -174,7 +213,10 @@ class _Run:
         bar = _bar(progress, self.k, self.grid.N)
         with _deferred_interrupt() as interrupted:
             try:
-                self._loop(bar, interrupted)
+                if self.rollout is None:
+                    self._loop(bar, interrupted)
+                else:
+                    self._loop_in_c(bar, interrupted)
             except StepError as error:
                 error.step, error.time = self.k, self.grid.time(self.k) + self.grid.step(self.k)
                 error.args = (f"step {self.k}: {error.args[0]}",)
@@ -189,22 +231,61 @@ class _Run:
                 raise RunInterrupted(self._finish("interrupted", f"interrupted at t = {self.grid.time(self.k):.10g}"))
             return self._finish("done", "")
 
-    def _loop(self, bar: Any = None, interrupted: Sequence[float] = ()) -> None:
+    def _loop_in_c(self, bar: Any, interrupted: Sequence[float]) -> None:
+        """The loop over compiled steps, a block at a time; a step that C cannot certify, or a shortened one, is interpreted."""
+        grid = self.grid
+        end = grid.N - 1 if grid.steps is None and grid.last != grid.h else grid.N
+        while self.k < grid.N and not interrupted:
+            k = self.k
+            stuck = k == end or self._block(end)
+            if self.record.full and self.store is not None:
+                self._flush("running", "")
+            if stuck:
+                self._loop(None, interrupted, self.k + 1)
+            if bar is not None:
+                bar.update(self.k - k)
+
+    def _block(self, end: int) -> bool:
+        """Take compiled steps and record them, as many as there is time and room for; whether then one was not certified."""
+        grid, every, record, totals, k = self.grid, self.save_every, self.record, self.totals, self.k
+        free = slice(record.filled, None)
+        room = (len(record.t) - record.filled) * every - k % every
+        steps = 1 if self.last_index is None else min(end - k, room)  # the first alone: no index set has changed before it
+        counting = self.plan.path == "newton"
+        least = min(self.stepper.least_eigenvalue, totals.get("least_eigenvalue", np.inf)) if counting else -np.inf
+        done = self.rollout.advance(k, steps, self.state, self.warm, least, every, record.rows[free], record.index[free])
+        if done.steps:
+            last = k + done.steps
+            numbers = np.arange(k - k % every + every, last + 1, every)
+            if last == grid.N and last % every:
+                numbers = np.append(numbers, last)
+            record.extend(numbers, grid)
+            self.counts.update(done.solvers)
+            if counting:
+                self.stepper.met(done.least_eigenvalue)
+            worst_k = done.worst_step if done.worst > totals["worst_residual"] else None
+            newton = (done.newton, done.newton_max) if counting else (0.0, 0.0)
+            changes = 0 if self.last_index is None else done.changes
+            self._put(last, done.state, done.warm, done.warm.index, done.worst, worst_k, *newton, changes)
+        return done.stuck
+
+    def _loop(self, bar: Any = None, interrupted: Sequence[float] = (), end: int | None = None) -> None:
         """The hot loop. Attributes are local here and written back when it ends, however it ends."""
-        grid, step, every, N, counts, record = self.grid, self.stepper, self.save_every, self.grid.N, self.counts, self.record
+        grid, step, every, counts, record = self.grid, self.stepper, self.save_every, self.counts, self.record
+        N, end = self.grid.N, self.grid.N if end is None else end
         k, state, warm, last = self.k, self.state, self.warm, self.last_index
         layout, constant, h = self.stepper.layout, grid.steps is None, grid.h
         state_at, residual_at, newton_at = layout.state, layout.residual, layout.newton
         worst, worst_k, newton, newton_max, changes = self.totals["worst_residual"], None, 0.0, 0.0, 0
-        by_index, counting, seen = isinstance(step, CatchingUp), step.plan.path == "newton", None
+        counting, seen = step.plan.path == "newton", None
         try:
-            while k < N and not interrupted:
+            while k < end and not interrupted:
                 if constant:
                     t, h_k = k * h, h if k < N - 1 else grid.last
                 else:
                     t, h_k = grid.time(k), grid.step(k)
                 start = state if h_k == h or not constant or k == 0 else shortened(self.model, state, h_k / h)
-                row, warm, solver = step(t, h_k, start, warm, k) if by_index else step(t, h_k, start, warm)
+                row, warm, solver = step(t, h_k, start, warm, k)
                 state = row[state_at]
                 counts[solver] += 1
                 if row[residual_at] > worst:
@@ -286,7 +367,8 @@ class _Run:
         saved = self.store.manifest["checkpoint"]
         other = difference(saved["settings"], self.settings)
         if other is not None:
-            raise StorageError(f"{self.out}: the run there was made with {other}; start afresh without resuming")
+            same_way = "leave compiled (--compiled) out to go on as it began, or " if WAY in other else ""
+            raise StorageError(f"{self.out}: the run there was made with {other}; {same_way}start afresh without resuming")
         if saved["k"] > self.grid.N:
             raise StorageError(f"{self.out}: the run there has reached t = {saved['t']:g}, past this run's end; give a later end")
         if abs(self.grid.time(saved["k"]) - saved["t"]) > 1e-9 * saved["t"]:
@@ -316,7 +398,7 @@ class _Run:
         return [f"the one-step problem was not monotone all the time (least eigenvalue {least:.3g}): {UNIQUENESS}"]
 
     def _metadata(self, status: str, message: str) -> dict[str, Any]:
-        model, plan = self.model, self.stepper.plan
+        model, plan = self.model, self.plan
         data = {
             "title": model.title,
             "model_class": type(model).__name__,
@@ -351,18 +433,16 @@ class _Run:
         return data
 
 
-def _check_model(model: Any) -> None:
+def _check(model: Any, solver: str, tolerance: Any, compiled: Any) -> None:
+    """Refuse what a run and its explanation cannot use."""
     if not isinstance(model, Model):
         raise UsageError(f"expected a model such as LureSystem(...), not {shown(model)}; a file is read with nsmodel.load(path)")
-
-
-def _start_state(problem: OneStepProblem, state: np.ndarray, h: float, tolerance: float) -> np.ndarray:
-    """(x_0, r_0): the multiplier at the start solves the law there."""
-    stepper = Stepper(problem, "auto", tolerance, h=h, state=state)
-    try:
-        return stepper(0.0, h, state, stepper.cold()).row[stepper.layout.state]
-    except StepError as error:
-        raise UsageError(f"gamma < 1 needs a multiplier at the start, and the law has none there: {error}") from None
+    if not (is_number(tolerance) and 0 < tolerance < 1):
+        raise UsageError(f"tolerance = {written(tolerance)}; expected a number between 0 and 1")
+    if not (isinstance(compiled, bool) or (isinstance(compiled, str) and compiled == "auto")):
+        raise UsageError(f"compiled = {compiled!r}; expected True, False or 'auto'")
+    if compiled is True and solver != "auto":
+        raise UsageError(f"solver '{solver}' and compiled=True are both given: compiled steps bring their own solvers; keep one")
 
 
 def _keep_unfinished(out: Path) -> None:

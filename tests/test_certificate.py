@@ -541,7 +541,7 @@ def spoil_map(function):
 @pytest.mark.usefixtures("without_fallbacks")
 def test_wrong_matrices_are_found_out(name, entry, monkeypatch):
     """The kernel is given matrices that are off by 1e-6: the step is judged by the model's own expressions."""
-    model, honest = LIARS[name], kernel_module._matrices
+    model, honest = LIARS[name], kernel_module.matrices_at
     truth = simulate(model)
 
     def wrong(*arguments):
@@ -549,7 +549,7 @@ def test_wrong_matrices_are_found_out(name, entry, monkeypatch):
         matrices[entry] *= 1 + 1e-6
         return tuple(matrices)
 
-    monkeypatch.setattr(kernel_module, "_matrices", wrong)
+    monkeypatch.setattr(kernel_module, "matrices_at", wrong)
     stopped = assert_right_or_stopped(model, truth)
     assert stopped or entry >= 2
 

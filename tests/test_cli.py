@@ -458,7 +458,7 @@ def test_ctrl_c_saves_what_was_computed(tmp_path, out):
     (tmp_path / "long.py").write_text(
         "from pathlib import Path\n"
         "from nsmodel import LureSystem, relay\n"
-        "model = LureSystem(A=[[0, 1], [-1, 0]], B=[0, 1], C=[0, 0], D=1, law=relay(1), x0=[1, 0], t_end=1e3, step=1e-3)\n"
+        "model = LureSystem(A=[[0, 1], [-1, 0]], B=[0, 1], C=[0, 0], D=1, law=relay(1), x0=[1, 0], t_end=450, step=1e-3)\n"
         "Path('loaded').touch()\n"
     )
     environment = os.environ | {"PYTHONPATH": str(Path(nsmodel.__file__).parents[1])}

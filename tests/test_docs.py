@@ -1,7 +1,8 @@
 """Every code block of the documentation runs, and prints what the page shows.
 
 A ``python`` block runs as a script. ``python model-file NAME.py exit=3`` is a model file: it must run with this exit status
-(0 where none is given). A ``text`` block right after either is its output. In a ``console`` block each ``$ nsmodel ...`` line
+(0 where none is given). One marked ``compiler`` is left out where there is none.
+A ``text`` block right after either is its output. In a ``console`` block each ``$ nsmodel ...`` line
 runs, and the lines after it are its output. Each block runs in a new folder with the page's model files and ``cases/`` in it.
 """
 
@@ -18,6 +19,7 @@ from pathlib import Path
 import pytest
 
 from nsmodel.cli import main
+from nsmodel.codegen import library as codegen_library
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").glob("*.md"))]
@@ -119,6 +121,8 @@ def settled(text):
 
 @blocks("python")
 def test_python_block_runs_and_prints_what_the_page_shows(block, folder):
+    if "compiler" in block.words and codegen_library.compiler() is None:
+        pytest.skip("no C compiler")
     if block.is_model_file:
         options = dict(word.split("=") for word in block.words[3:])
         status, output = printed(main, ["run", block.words[2]])

@@ -540,7 +540,7 @@ def test_memory_does_not_grow_with_the_number_of_steps(tmp_path):
         test_resume.loop.Trajectory.load = lambda path: None
         for end in (1e2, 1e3):
             model = nsmodel.LureSystem(A=[[-1]], B=1, C=1, law=nsmodel.relay(1, -0.5, 0.5), x0=1, t_end=end, step=1e-3)
-            nsmodel.simulate(model, out=f"run{end:g}")
+            nsmodel.simulate(model, out=f"run{end:g}", compiled=False)
             print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
     """
     short, long = map(int, start(body, tmp_path).communicate(timeout=300)[0].split())

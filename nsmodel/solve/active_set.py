@@ -202,8 +202,9 @@ def index_sets(law: NumericLaw, last: np.ndarray, most: int = 20000) -> Iterator
     if np.prod([float(len(c)) for c in choices]) > most:
         return
     usable = np.array([code if code in c else c[0] for code, c in zip(last, choices, strict=True)], np.int8)
-    for changes in range(law.size + 1):
-        for rows in combinations(range(law.size), changes):
+    free = [i for i, c in enumerate(choices) if len(c) > 1]
+    for changes in range(len(free) + 1):
+        for rows in combinations(free, changes):
             for codes in product(*([c for c in choices[i] if c != usable[i]] for i in rows)):
                 index = usable.copy()
                 index[list(rows)] = codes

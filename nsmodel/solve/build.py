@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsmodel.errors import StepError
+from nsmodel.errors import StepError, UsageError
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import active_set, cone, diagnose, mlcp
 from nsmodel.solve.certificate import numeric_law
@@ -55,13 +55,17 @@ class Stepper:
         """Least eigenvalue of the scaled W + W' met so far, at the start included."""
         return min(self.plan.least_eigenvalue, self._newton.least_eigenvalue)
 
+    def met(self, least_eigenvalue: float) -> None:
+        """Note what steps met that were computed elsewhere."""
+        self._newton.least_eigenvalue = min(self._newton.least_eigenvalue, least_eigenvalue)
+
     def cold(self) -> Warm:
         """The warm start of a first step: l = 0 moved into K, everything inactive that can be."""
         l = np.clip(np.zeros(self.law.size), self.law.lower, self.law.upper)
         return Warm(l, np.where(self.law.lower == 0, -1, 0).astype(np.int8))
 
-    def __call__(self, t: float, h: float, state: np.ndarray, warm: Warm) -> StepResult:
-        """Advance ``state`` (packed) from t to t + h.
+    def __call__(self, t: float, h: float, state: np.ndarray, warm: Warm, k: int = 0) -> StepResult:
+        """Advance ``state`` (packed) from t to t + h; the step's number ``k`` changes nothing.
 
         Raises:
             StepError: no solver reached the tolerance.
@@ -182,3 +186,18 @@ class Stepper:
             residual=residual,
             component=component,
         )
+
+
+def start_state(problem: OneStepProblem, state: np.ndarray, h: float, tolerance: float) -> np.ndarray:
+    """What a run starts from: ``state``, completed by the multiplier that solves the law there where the scheme needs one.
+
+    Raises:
+        UsageError: the law has no multiplier at the start.
+    """
+    if problem.start is None:
+        return state
+    stepper = Stepper(problem.start, "auto", tolerance, h=h, state=state)
+    try:
+        return stepper(0.0, h, state, stepper.cold()).row[stepper.layout.state]
+    except StepError as error:
+        raise UsageError(f"gamma < 1 needs a multiplier at the start, and the law has none there: {error}") from None

@@ -11,6 +11,7 @@ max(|l - l^| / s_l, |y - y^| / s_y) over points (l^, y^) of the graph {-y^ ∈ N
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -96,7 +97,7 @@ def multiplier_scale(law: NumericLaw, l: np.ndarray, w_max: np.ndarray) -> np.nd
     others = np.divide(NEGLIGIBLE * largest, root, out=np.zeros_like(root), where=root > 0)
     scale = np.maximum(np.maximum(size, bound_size(law)), others)
     for kind, rows, radius in law.curved:
-        scale[rows] = max(np.linalg.norm(size[rows]), radius if kind == "ball" else 0.0, others[rows].max())
+        scale[rows] = max(norm(size[rows]), radius if kind == "ball" else 0.0, others[rows].max())
     return scale
 
 
@@ -105,17 +106,22 @@ def _curved_residual(block: Any, l: Any, y: Any, s_y: Any, s_l: Any, w_max: Any)
     kind, rows, radius = block
     l, y = l[rows], y[rows]
     c = 1 / w_max[rows].max() if w_max[rows].any() else 1.0
-    scale = min(c * np.linalg.norm(s_y[rows]), s_l[rows].max())
-    distance = np.linalg.norm(l - project(kind, radius, l - c * y))
+    scale = min(c * norm(s_y[rows]), s_l[rows].max())
+    distance = norm(l - project(kind, radius, l - c * y))
     return float(distance / scale) if distance else 0.0
+
+
+def norm(u: np.ndarray) -> float:
+    """|u|, whose squares may overflow."""
+    return math.hypot(*u)
 
 
 def project(kind: str, radius: float, u: np.ndarray) -> np.ndarray:
     """P_K(u) for a ball of the given radius or the second-order cone."""
     if kind == "ball":
-        size = np.linalg.norm(u)
+        size = norm(u)
         return u if size <= radius else u * (radius / size)
-    head, size = u[0], np.linalg.norm(u[1:])
+    head, size = u[0], norm(u[1:])
     if size <= head:
         return u
     if size <= -head:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nsmodel.solve.active_set import row_scale, solve_or_least_squares
-from nsmodel.solve.certificate import EPS, NumericLaw, project
+from nsmodel.solve.certificate import EPS, NumericLaw, norm, project
 
 
 def block_scale(W: np.ndarray, law: NumericLaw) -> np.ndarray:
@@ -33,7 +33,7 @@ def projection_jacobian(law: NumericLaw, u: np.ndarray) -> np.ndarray:
 
 
 def _ball_jacobian(u: np.ndarray, radius: float) -> np.ndarray:
-    size = np.linalg.norm(u)
+    size = norm(u)
     if size <= radius:
         return np.eye(u.size)
     e = u / size
@@ -41,7 +41,7 @@ def _ball_jacobian(u: np.ndarray, radius: float) -> np.ndarray:
 
 
 def _cone_jacobian(u: np.ndarray) -> np.ndarray:
-    size = np.linalg.norm(u[1:])
+    size = norm(u[1:])
     if size <= u[0]:
         return np.eye(u.size)
     if size <= -u[0]:
@@ -57,7 +57,7 @@ def index_set(law: NumericLaw, l: np.ndarray, y: np.ndarray, c: np.ndarray) -> n
     u = l - c * y
     code = np.where(u <= law.lower, -1, np.where(u >= law.upper, 1, 0)).astype(np.int8)
     for kind, rows, radius in law.curved:
-        head, size = u[rows][0], np.linalg.norm(u[rows] if kind == "ball" else u[rows][1:])
+        head, size = u[rows][0], norm(u[rows] if kind == "ball" else u[rows][1:])
         if kind == "ball":
             code[rows] = 1 if size > radius else 0
         else:
@@ -69,26 +69,45 @@ def semismooth_newton(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarr
     """Solve l = P_K(l - c (W l + b)) from ``l``; None if it does not converge."""
     c, eye = block_scale(W, law), np.eye(law.size)
     l = projection(law, l)
+    if not np.isfinite(l).all():
+        return None
 
     def natural(l: np.ndarray) -> np.ndarray:
         return l - projection(law, l - c * (W @ l + b))
 
-    F, best, scale = natural(l), np.inf, np.abs(c * b).max(initial=0.0) + np.abs(l).max(initial=0.0)
+    F, best = natural(l), np.inf
     for _ in range(iterations):
-        size = np.linalg.norm(F)
-        if size <= 4 * EPS * scale or (size <= 1e-13 * scale and size >= best / 2):
+        size, relative = norm(F), _relative(F, c, W, b, law, l)
+        if relative <= 4 * EPS or (relative <= 1e-13 and relative >= best / 2):
             return l
-        best = min(best, size)
+        best = min(best, relative)
         P = projection_jacobian(law, l - c * (W @ l + b))
         step = solve_or_least_squares(eye - P @ (eye - c[:, None] * W), -F)
         if not np.isfinite(step).all():
             return None
         t = 1.0
-        while np.linalg.norm(natural(l + t * step)) > (1 - 1e-4 * t) * size and t > 1e-4:
+        while norm(natural(l + t * step)) > (1 - 1e-4 * t) * size and t > 1e-4:
             t /= 2
         l = l + t * step
-        F, scale = natural(l), max(scale, np.abs(l).max(initial=0.0))
-    return l if np.linalg.norm(F) <= 1e-11 * scale else None
+        F = natural(l)
+    return l if _relative(F, c, W, b, law, l) <= 1e-11 else None
+
+
+def _relative(F: np.ndarray, c: np.ndarray, W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray) -> float:
+    """The largest part of the natural map beside what it consists of: |l|, c |W| |l|, and the radius of a ball, or c |b| for
+    other rows, which at a bound have F = 0. A row far from its bound, or a ball that slides fast, says nothing about the size
+    of the others.
+    """
+    size, extent = np.abs(F), c * np.abs(b)
+    for kind, rows, radius in law.curved:
+        if kind == "ball":
+            extent[rows] = radius
+    scale = np.abs(l) + c * (np.abs(W) @ np.abs(l)) + extent
+    for _, rows, _ in law.curved:
+        size[rows], scale[rows] = size[rows].max(), scale[rows].max()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(size == 0, 0.0, size / scale)
+    return float(np.where(np.isnan(ratio), np.inf, ratio).max(initial=0.0))
 
 
 def gauss_seidel(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray, sweeps: int = 400) -> np.ndarray:
@@ -127,4 +146,4 @@ def exact_zeros(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray) ->
 
 
 def _onto_boundary(l: np.ndarray) -> np.ndarray:
-    return np.concatenate(([np.linalg.norm(l[1:])], l[1:]))
+    return np.concatenate(([norm(l[1:])], l[1:]))

@@ -29,7 +29,7 @@ class Kernel:
     def __init__(
         self, problem: OneStepProblem, structure: Structure, law: NumericLaw, where: Layout, h: float, tolerance: float
     ) -> None:
-        E_z, E_l, Y_z, Y_l = matrices = _matrices(problem, h)
+        E_z, E_l, Y_z, Y_l = matrices = matrices_at(problem, h)
         m = structure.m
         inverse = np.linalg.inv(E_z)
         self.Z = -inverse @ E_l
@@ -83,7 +83,8 @@ class Kernel:
         return np.array(self.b_function(t, state)).ravel()
 
 
-def _matrices(problem: OneStepProblem, h: float) -> tuple[np.ndarray, ...]:
+def matrices_at(problem: OneStepProblem, h: float) -> tuple[np.ndarray, ...]:
+    """(E_z, E_l, Y_z, Y_l) at h, dense, where they depend on nothing else."""
     known = ca.vertcat(problem.t, problem.state, problem.z, problem.l)
     f = ca.Function("matrices", [problem.h, known], [ca.densify(J) for J in jacobians(problem)])
     return tuple(np.array(v).reshape(v.shape) for v in f.call([ca.DM(h), ca.DM.zeros(known.numel())]))
@@ -108,7 +109,7 @@ def _index_map(W: np.ndarray, law: NumericLaw, index: np.ndarray) -> tuple[np.nd
     return S, s
 
 
-class _AtStep(NamedTuple):
+class AtStep(NamedTuple):
     """The problem at one value of h: expressions of (t, state) and of the symbols z and l; its constant matrices, sparse."""
 
     E: ca.SX
@@ -124,13 +125,15 @@ class _AtStep(NamedTuple):
     Y_l: ca.DM
 
 
-def _at_step(p: OneStepProblem, h: float, matrices: tuple[np.ndarray, ...]) -> _AtStep:
+def at_step(p: OneStepProblem, h: float, matrices: tuple[np.ndarray, ...]) -> AtStep:
+    """The problem with h a number."""
+
     def put(e: ca.SX, z: ca.SX = p.z, l: ca.SX = p.l) -> ca.SX:
         return ca.substitute([e], [p.h, p.z, p.l], [ca.SX(h), z, l])[0] if e.numel() else e
 
     zero_z, zero_l = ca.SX.zeros(p.z.shape), ca.SX.zeros(p.l.shape)
     guess = put(p.guess, zero_z, zero_l)
-    return _AtStep(
+    return AtStep(
         put(p.E), put(p.Y), put(p.E, zero_z, zero_l), put(p.Y, zero_z, zero_l), guess, put(p.E, guess, zero_l),
         [put(e) for e in (p.next_state, *extras(p).values())], *(ca.sparsify(ca.DM(M)) for M in matrices),
     )  # fmt: skip
@@ -145,7 +148,7 @@ def _functions(
     Between solving and judging stands a factor ``one``, an input that is 1: in one expression graph the residual would be
     simplified with the formula that produced the answer, and a NaN would vanish.
     """
-    at, m = _at_step(p, h, matrices), structure.m
+    at, m = at_step(p, h, matrices), structure.m
     S, s, free = ca.SX.sym("S", m, m), ca.SX.sym("s", m), ca.SX.sym("free", m)
     inverse_sx, Z_sx = (ca.sparsify(ca.DM(M)) for M in (inverse, Z))
     z_0 = -inverse_sx @ at.E_0
@@ -163,7 +166,7 @@ def _functions(
 
 
 def _judge(
-    p: OneStepProblem, at: _AtStep, structure: Structure, law: NumericLaw, tolerance: float, W: np.ndarray, E_z: np.ndarray,
+    p: OneStepProblem, at: AtStep, structure: Structure, law: NumericLaw, tolerance: float, W: np.ndarray, E_z: np.ndarray,
     inverse: np.ndarray,
 ) -> ca.Function:  # fmt: skip
     """The certificate and the packed row as a function of (t, state, z, l, b, free): `Newton.judge` in symbols."""

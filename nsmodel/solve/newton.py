@@ -21,6 +21,7 @@ from nsmodel.solve.layout import extras
 from nsmodel.solve.structure import Structure, jacobians, least_eigenvalue
 
 ITERATIONS = 30
+HIDDEN = 1e-3  # Part of its terms that round-off may hide of E at most, where E_z is singular to rounding.
 WORKING_SET_ABOVE = 24
 UNKNOWN = object()  # Not computed yet.
 
@@ -214,12 +215,16 @@ class Newton:
         E_0 = at.E - at.E_z @ z - at.E_l @ l
         size_E = E_z @ abs_z + E_l @ abs_l + np.abs(E_0)
         if not self.structure.identity and n:
-            size_E = self._seen(at.E_z, size_E)
-        s_E = guess[1] + E_z @ np.abs(z - guess[0]) + E_l @ abs_l
+            size_E = np.minimum(self._seen(at.E_z, size_E), HIDDEN / round_off * size_E)
+        dz = z - guess[0]
+        # E where nothing moves counts no more than the linearisation at the answer makes of it: far away, it may be anything.
+        unmoved = np.minimum(guess[1], np.abs(at.E - at.E_z @ dz - at.E_l @ l))
+        s_E = unmoved + E_z @ np.abs(dz) + E_l @ abs_l
         s_E = np.maximum(np.maximum(s_E, round_off / self.tolerance * size_E), UNRESOLVED)
         with np.errstate(divide="ignore", invalid="ignore"):
             dynamics = np.where(at.E == 0, 0, np.abs(at.E) / s_E).max(initial=0.0)
-        worst, row = float(dynamics) if np.isfinite(dynamics) else np.inf, None
+        sized = np.isfinite(dynamics) and np.isfinite(s_E).all()  # an infinite scale excuses nothing
+        worst, row = float(dynamics) if sized else np.inf, None
         y = at.Y
         if m:
             s_y, w_max, floor = self._law_scales(at, z, l, index, round_off / self.tolerance)

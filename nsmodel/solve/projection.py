@@ -46,18 +46,22 @@ class CatchingUp:
         self._c = ca.Function("c", [model.x], [ca.densify(c), ca.densify(ca.jacobian(c, model.x))])
         self._box = not model.constraints
         self._lower, self._upper = (np.array(ca.DM(b)).ravel() for b in (model.lower, model.upper))
-        self._eps = _tolerance_function(model)
+        self._eps = tolerance_function(model)
         self.exact = model.tolerances is None
         self._stepper = Stepper(problem, solver, tolerance, h=h, state=state)
         self._clip = self._box and solver == "auto"
         self.plan = self._stepper.plan if not self._clip else _clip_plan(self._stepper.plan, self.exact)
-        self._interior = None if self.exact or self._box else _interior_point(model, c, state)
+        self._interior = None if self.exact or self._box else interior_point(model, c, state)
         self._n, self._m = n, m
 
     @property
     def least_eigenvalue(self) -> float:
         """Least eigenvalue of the scaled W + W' of the projections so far."""
         return self._stepper.least_eigenvalue
+
+    def met(self, least_eigenvalue: float) -> None:
+        """Note what steps met that were computed elsewhere."""
+        self._stepper.met(least_eigenvalue)
 
     def cold(self) -> Warm:
         """The warm start of a first step."""
@@ -81,6 +85,8 @@ class CatchingUp:
             size = np.abs(y) + np.abs(x)
             clip_residual = law_residual(law, x, x - y, size, np.ones(x.size)).max(initial=0.0)
             residual, newton = max(slack, float(clip_residual)), 0
+            if not residual <= self.tolerance:
+                raise StepError(f"no verified projection at t = {t:.10g}: the predictor is {y}", residual=residual)
             if eps > 0:
                 x = self._use_tolerance(x, y, eps)
         elif eps > 0:
@@ -102,7 +108,7 @@ class CatchingUp:
         """v ∈ F(x) - S(x) of least |P_{T_C(x)} v|, the element l of S that gives it, and the residual of that choice."""
         v_0, A, u = (np.array(part) for part in self._velocity(x))
         v_0, u, face = v_0.ravel(), u.ravel(), self._face
-        if not np.isfinite(v_0).all():
+        if not (np.isfinite(v_0).all() and np.isfinite(u).all()):
             raise StepError(
                 f"field - operator is not finite at t = {t:.10g}, x = {x}: a division by 0 or a root of a negative number?"
             )
@@ -170,7 +176,7 @@ class CatchingUp:
         if (c >= 0).all():
             return y.copy(), np.zeros(self._m), 0.0, np.full(self._m, -1, np.int8), 0
         z, best = y.copy(), np.inf
-        cuts = [(J, c - J @ y)]
+        cuts = [(J, c - J @ y, np.arange(self._m))]
         for iteration in range(1, ITERATIONS + 1):
             A, a = np.vstack([cut[0] for cut in cuts]), np.concatenate([cut[1] for cut in cuts])
             z, l = self._project_on_cuts(t, A, a, y)
@@ -178,12 +184,13 @@ class CatchingUp:
             x = self._pull_back(z)
             best = float(np.sum((x - y) ** 2)) - d2
             if best < eps:
-                l = l[-self._m :]
+                l = np.bincount(np.concatenate([cut[2] for cut in cuts]), l, self._m)  # the cuts of one constraint share it
                 return x, l, d2, np.where(l > 0, 0, -1).astype(np.int8), iteration
             c, J = self._values(z)
             # C lies in every {c(z) + J(z)(x - z) >= 0}; those that no longer act are dropped.
-            cuts = [(Ai[keep], ai[keep]) for Ai, ai in cuts if (keep := np.abs(Ai @ z + ai) <= 1e-9 * (1 + np.abs(ai))).any()]
-            cuts.append((J, c - J @ z))
+            acts = [np.abs(Ai @ z + ai) <= 1e-9 * (1 + np.abs(ai)) for Ai, ai, _ in cuts]
+            cuts = [tuple(part[keep] for part in cut) for cut, keep in zip(cuts, acts, strict=True) if keep.any()]
+            cuts.append((J, c - J @ z, np.arange(self._m)))
         raise StepError(f"approximate projection at t = {t:.10g}: excess {best:.3g} stays above eps_k = {eps:.3g}", residual=best)
 
     def _project_on_cuts(self, t: float, A: np.ndarray, a: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -220,7 +227,8 @@ class CatchingUp:
         return np.array(c).ravel(), np.array(J).reshape(-1, self._n)
 
 
-def _tolerance_function(model: MonotoneInclusion) -> Callable[[int, float], float]:
+def tolerance_function(model: MonotoneInclusion) -> Callable[[int, float], float]:
+    """eps_k as a function of the step's number and length."""
     given = model.tolerances
     if given is None:
         return lambda k, h: 0.0
@@ -235,7 +243,7 @@ def _clip_plan(plan: Plan, exact: bool) -> Plan:
     return replace(plan, path="clip", chain=(), ipopt="never", used=used, left_out=("every solver: C is a box",))
 
 
-def _interior_point(model: MonotoneInclusion, c: ca.SX, x0: np.ndarray) -> np.ndarray:
+def interior_point(model: MonotoneInclusion, c: ca.SX, x0: np.ndarray) -> np.ndarray:
     """A point with c > 0 (Slater), as deep as IPOPT finds within distance 1 of the start."""
     s = ca.SX.sym("s")
     solver = ca.nlpsol(

@@ -1,6 +1,6 @@
 """The contract of a step, shared by simulation, studies and generated code.
 
-    step(t, h, state, warm) -> StepResult
+    step(t, h, state, warm, k) -> StepResult
 
 is a pure function of its arguments: the same arguments give the same bits, whatever was called before. It raises StepError,
 and changes nothing, when no solver reaches the tolerance.
@@ -44,8 +44,8 @@ class Step(Protocol):
     layout: Layout
     rows: tuple[str, ...]
 
-    def __call__(self, t: float, h: float, state: np.ndarray, warm: Warm) -> StepResult:
-        """Advance ``state`` from t to t + h."""
+    def __call__(self, t: float, h: float, state: np.ndarray, warm: Warm, k: int = 0) -> StepResult:
+        """Advance ``state`` from t to t + h; ``k`` is the number of the step, for tolerances that are a sequence."""
         ...
 
     def cold(self) -> Warm:

@@ -19,7 +19,7 @@ class Structure:
 
     Attributes:
         affine: E and Y are affine in (z, l): one linearisation is exact.
-        constant: the matrices depend on the step h alone: factor once.
+        constant: the matrices depend on the step h (and parameters) alone: factor once.
         identity: E_z is the identity: no linear system.
         symmetric: W is symmetric by construction (E_z symmetric, E_l a multiple of -Y_z', Y_l symmetric).
         unit_rows: (row, column, factor) of rows y_i = factor z_j + c(k): z_j is exact where y_i = 0.
@@ -40,7 +40,7 @@ class Structure:
 
 
 def read(problem: OneStepProblem) -> Structure:
-    """Read the structure of a problem whose parameters are numbers."""
+    """Read the structure of a problem; what is said of it holds for any value of parameters left symbolic."""
     z, l = problem.z, problem.l
     E_z, E_l, Y_z, Y_l = jacobians(problem)
     matrices = ca.veccat(E_z, E_l, Y_z, Y_l)
@@ -78,7 +78,7 @@ def _symmetric(E_z: ca.SX, E_l: ca.SX, Y_z: ca.SX, Y_l: ca.SX, problem: OneStepP
     """E_z = E_z', E_l = -a Y_z' with one factor a > 0, Y_l = Y_l': decided at three generic points of the unknowns."""
     if not problem.l.numel():
         return True
-    symbols = ca.vertcat(problem.t, problem.h, problem.state, problem.z, problem.l)
+    symbols = ca.vertcat(problem.t, problem.h, problem.state, problem.p, problem.z, problem.l)
     f = ca.Function("matrices", [symbols], [ca.densify(e) for e in (E_z, E_l, Y_z, Y_l)])
     rng = np.random.default_rng(0)
     for _ in range(3):

@@ -4,13 +4,11 @@ CPU time, one warm-up, the minimum over repeats; nsmodel's time includes its tim
 """
 
 import itertools
-import shutil
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
+import compiled
 import numpy as np
 
 import nsmodel
@@ -85,17 +83,6 @@ def plain_bridge(steps: int) -> np.ndarray:
     return out
 
 
-def siconos_bridge(steps: int) -> float | None:
-    """Microseconds a step in Siconos, run by the first Python that has it."""
-    script = Path(__file__).with_name("siconos_bridge.py")
-    for python in (sys.executable, "/usr/bin/python3", shutil.which("python3") or ""):
-        if python:
-            done = subprocess.run([python, str(script), str(steps)], capture_output=True, text=True, check=False)
-            if done.returncode == 0:
-                return float(done.stdout.split()[-1])
-    return None
-
-
 def main() -> None:
     """Print the tables."""
     seconds, steps = driver_loop("diode_bridge")
@@ -104,9 +91,11 @@ def main() -> None:
     print(f"diode bridge, {steps} steps, us a step (CPU)                      ratio to nsmodel")
     print(f"  nsmodel, interpreted, verified, every row kept {ours:9.2f}")
     print(f"  plain NumPy loop, nothing verified             {plain:9.2f}          {plain / ours:6.2f}")
-    peer = siconos_bridge(steps)
+    peer = compiled.siconos(["diode_bridge"]).get("diode_bridge")
     print("  Siconos                                        not installed: skipped" if peer is None else
           f"  Siconos 4, its C++ step driven from Python     {peer:9.2f}          {peer / ours:6.2f}")  # fmt: skip
+    print()
+    compiled.main()
     print()
     print("every case, us a step of the time loop (CPU, set-up excluded)")
     for path in sorted(CASES.glob("*.py")):

@@ -1,0 +1,54 @@
+"""Print the table of docs/codegen.md: what the C library of each case costs. Run it after a change of the generator."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import tempfile
+from pathlib import Path
+
+import nsmodel
+from nsmodel import codegen
+
+CASES = Path(__file__).resolve().parents[2] / "cases"
+HEAD = ("case", "a step", "source, kB", "code, kB", "RAM, bytes", "linear systems, at most")
+MAIN = '#include "{name}.h"\n#include <stdio.h>\nint main(void) {{ printf("%lu", (unsigned long)sizeof({name}_solver)); return 0; }}\n'
+
+
+def row(path: Path, folder: Path) -> tuple[str, ...]:
+    """The line of one case."""
+    name = path.stem
+    about = codegen.write(nsmodel.load(path), folder, name=name).about
+    source = sum((folder / f"{name}.{end}").stat().st_size for end in "hc")
+    subprocess.run(["gcc", "-std=c99", "-O2", "-c", f"{name}.c"], cwd=folder, check=True)
+    text = subprocess.run(["size", f"{name}.o"], cwd=folder, check=True, capture_output=True, text=True).stdout
+    (folder / "ram.c").write_text(MAIN.format(name=name))
+    subprocess.run(["gcc", "-o", "ram", "ram.c"], cwd=folder, check=True)
+    ram = subprocess.run(["./ram"], cwd=folder, check=True, capture_output=True, text=True).stdout
+    code = int(re.findall(r"^\s*(\d+)", text, re.MULTILINE)[0])
+    return name, kind(about), f"{source / 1000:.1f}", f"{code / 1000:.1f}", f"{int(ram):,}", f"{about['max_iterations']:,}"
+
+
+def kind(about: dict) -> str:
+    """How a step is computed, in a few words."""
+    used = " ".join(about["used"])
+    for words, name in (
+        ("clip", "clip"), ("outer polyhedron", "cuts"), ("written down", "fixed matrices"), ("not in each step", "prepared matrices"),
+        ("one linearisation", "linearised"),
+    ):  # fmt: skip
+        if words in used:
+            return name
+    return "Newton"
+
+
+def main() -> None:
+    """Print the table."""
+    print("| " + " | ".join(HEAD) + " |")
+    print("| --- | --- |" + " ---: |" * (len(HEAD) - 2))
+    for path in sorted(CASES.glob("*.py")):
+        with tempfile.TemporaryDirectory() as folder:
+            print("| " + " | ".join(row(path, Path(folder))) + " |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

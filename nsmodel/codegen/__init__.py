@@ -1,0 +1,125 @@
+"""C step functions: ``write`` a model's step as a self-contained C99 library, ``load`` it in Python."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from nsmodel.codegen.files import all_files, description
+from nsmodel.codegen.library import Library, Solver, is_library, load
+from nsmodel.codegen.scene import make_scene
+from nsmodel.codegen.source import write_source
+from nsmodel.errors import UsageError
+from nsmodel.grid import is_number, make_grid, written
+from nsmodel.identity import fingerprint
+from nsmodel.model.base import Model
+from nsmodel.storage import write_text
+
+__all__ = ["Library", "Solver", "Written", "identifier", "load", "write"]
+
+# No prefix: keywords, the standard headers (NAME.h would hide them), the example.
+_RESERVED = frozenset(
+    "auto break case char const continue default do double else enum extern float for goto if inline int long register restrict "
+    "return short signed sizeof static struct switch typedef union unsigned void volatile while "
+    "assert complex ctype errno fenv inttypes iso646 limits locale math setjmp signal stdarg stdbool stddef stdint stdio stdlib "
+    "string tgmath time wchar wctype example_main".split()
+)
+
+
+class Written(NamedTuple):
+    """What ``write`` has written: the folder, the files in it, and the library."""
+
+    folder: Path
+    files: list[str]
+    about: dict[str, Any]
+
+    def text(self) -> str:
+        """The library for a person."""
+        about, name = self.about, self.about["name"]
+        source = sum((self.folder / f"{name}.{end}").stat().st_size for end in "hc")
+        lines = [f"{about['title'] or name}: {name}.h and {name}.c, {source / 1000:.1f} kB of C99, in {self.folder}"]
+        sections = {
+            "scheme": [about["scheme"]],
+            "used": about["used"],
+            "left out": about["left_out"],
+            "step": [f"{about['step']:g}" + (", or any other" if about["any_step"] else " only (--any-step for others)")],
+            "parameters": [", ".join(f"{key} = {value:g}" for key, value in about["parameters"].items()) or "none to set"],
+            "bound": [f"{about['max_iterations']} linear systems in a step at most"],
+            "build and run": [f"make -C {self.folder} run"],
+        }
+        for head, texts in sections.items():
+            lines += [f"  {head if i == 0 else '':15} {text}" for i, text in enumerate(texts)]
+        return "\n".join(lines)
+
+
+def write(
+    model: Model,
+    out: str | os.PathLike[str],
+    *,
+    name: str | None = None,
+    step: float | None = None,
+    any_step: bool = False,
+    parameters: Mapping[str, float] | None = None,
+    tolerance: float = 1e-9,
+) -> Written:
+    """Write a model's verified step as a C library into the folder ``out``.
+
+    Args:
+        model: any of the five classes.
+        out: the folder; the files of a library of this name are replaced.
+        name: prefix of all names in C; left out: made from the model's title.
+        step: time step of the code; left out: the model's.
+        any_step: form the matrices of a linear scene when the step is set, so that any step may be used.
+        parameters: values that become numbers in the code; the model's other parameters can be set in C.
+        tolerance: largest accepted residual (relative, without unit).
+
+    Raises:
+        CodegenError: the model has no C counterpart; nothing is written.
+        UsageError: a wrong argument, or a folder with files that are not this library's; nothing is written.
+        StorageError: the folder cannot be written.
+    """
+    if not (is_number(tolerance) and 0 < tolerance < 1):
+        raise UsageError(f"tolerance = {written(tolerance)}; expected a number between 0 and 1")
+    name = identifier(model.title or type(model).__name__) if name is None else _checked(name)
+    bound = model.bind(parameters)
+    grid = make_grid(bound, step, None, None)
+    scene = make_scene(model, parameters, grid, any_step or grid.steps is not None, float(tolerance))
+    mark = fingerprint(bound, grid)
+    source = write_source(scene, name, mark)
+    files = all_files(scene, source, grid, mark)
+    folder = _free(Path(out), name, files)
+    for file, text in files.items():
+        write_text(folder / file, text.rstrip())
+    return Written(folder, list(files), description(scene, source, mark))
+
+
+def identifier(text: str) -> str:
+    """A prefix for C made from a title or a file's name."""
+    name = re.sub(r"\W+", "_", text.lower(), flags=re.ASCII).strip("_")
+    name = f"model_{name}" if not name or name[0].isdigit() or name in _RESERVED else name
+    return name[:40].rstrip("_")
+
+
+def _checked(name: str) -> str:
+    if not (isinstance(name, str) and re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name)) or name.lower() in _RESERVED:
+        raise UsageError(
+            f"name = {name!r}; expected letters, digits and _, beginning with a letter, no keyword or header of C: "
+            "it prefixes all names in C"
+        )
+    return name
+
+
+def _free(folder: Path, name: str, files: Iterable[str]) -> Path:
+    """The folder, if it has none of the files, or those of a library of this name."""
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"{folder} is a file; expected a folder for the library")
+    there = [file for file in files if (folder / file).exists()]
+    if there and not is_library(folder / f"{name}.json"):
+        raise UsageError(
+            f"{folder} has {', '.join(there)} already, which {'is' if len(there) == 1 else 'are'} not of a library '{name}'; "
+            "name another folder"
+        )
+    return folder

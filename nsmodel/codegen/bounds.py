@@ -1,0 +1,46 @@
+"""How much work a step takes at most: the linear systems that it solves. The constants are those of the files in ``c/``."""
+
+from __future__ import annotations
+
+from collections.abc import Set
+
+from nsmodel.codegen import fixed
+from nsmodel.codegen.needs import MOST_INDEX_SETS
+from nsmodel.solve.certificate import NumericLaw
+
+PRIMAL_DUAL_SWEEPS = 12
+SEMISMOOTH_ITERATIONS = 60
+NEWTON_ITERATIONS = {"AFFINE": 3, "other": 30}
+NEARBY_SETS = 400
+SMOOTH_ITERATIONS = 30
+CUT_ITERATIONS = 60
+
+
+def iteration_bound(law: NumericLaw, flags: Set[str], sizes: dict[str, int]) -> int:
+    """Most linear systems that a step solves."""
+    sets = fixed.index_sets(law, MOST_INDEX_SETS)
+    bound = 0
+    if "FIXED" in flags:
+        bound += 1 + 2 * sizes["SETS"] if "ENUMERATED" in flags else 2 + _affine(flags, sizes, sets) if "LAW" in flags else 0
+    if "NEWTON" in flags:
+        iterations = NEWTON_ITERATIONS["AFFINE" if "AFFINE" in flags else "other"]
+        solved = (sizes["M"] + 1 if "ROWS" in flags else 1) * _affine(flags, sizes, sets) if "LAW" in flags else 0
+        starts = 2 if "LAW" in flags else 1  # from the last multiplier, then from 0
+        bound += starts * iterations * (solved + 1) + 1
+        bound += 2 * SMOOTH_ITERATIONS * min(NEARBY_SETS, sets) if "NEARBY" in flags else 0
+    if "SELECTION" in flags:  # with the active constraints
+        bound += _affine(flags, sizes, 3 ** sizes["SELECTION"] * 2 ** sizes["M"])
+    if "CUTS" in flags:  # where all cuts cannot be projected on, the new ones alone
+        bound += 2 * CUT_ITERATIONS * _affine(flags, sizes, 2 ** sizes["CUTS"])
+    return max(bound, 1)
+
+
+def _affine(flags: Set[str], sizes: dict[str, int], sets: int) -> int:
+    """Most linear systems of an affine problem with at most ``sets`` index sets."""
+    bound = 0
+    if "BOX_PROBLEM" in flags:  # primal-dual; Lemke twice (20 pivots a row, 50 more) and its polish; every index set
+        bound += PRIMAL_DUAL_SWEEPS + (2 * (20 * sizes["LEMKE"] + 50) + 2 if "PIVOTING" in flags else 0)
+        bound += min(sets, MOST_INDEX_SETS) if "ENUMERATION" in flags else 0
+    if "CURVED" in flags or "SELECTION_CURVED" in flags:  # from two starts, each once more after Gauss-Seidel sweeps
+        bound += 2 * (2 * SEMISMOOTH_ITERATIONS + 1)
+    return bound

@@ -1,0 +1,277 @@
+/* The interface. */
+
+/* Compute the next step in s->work; the state stays. */
+static int attempt(model_solver *s)
+{
+    s->t = s->t_0 + s->steps*s->h;
+    if (!is_finite(s->t) || !is_finite(s->t_0 + (s->steps + 1)*s->h) || !all_finite(MODEL_NSTATE, s->x))
+        return MODEL_NOT_FINITE;
+#if INCLUSION
+    s->work.solver = step_by_catching_up(s);
+#else
+#if FIXED
+    s->work.solver = step_by_matrices(s);
+#else
+    s->work.solver = step_by_newton(s);
+#endif
+#endif
+    if (s->work.solver == NONE)
+        return MODEL_NOT_SOLVED;
+#if REWRITTEN
+    advance(s, s->work.z, s->work.l, s->work.y, s->work.x_next, s->work.multipliers, s->work.outputs);
+#else
+#if LAW
+    advance(s, s->work.z, s->work.l, s->work.y, s->work.x_next);
+#else
+    advance(s, s->work.z, s->work.x_next);
+#endif
+#endif
+    return all_finite(MODEL_NSTATE, s->work.x_next) ? MODEL_OK : MODEL_NOT_FINITE;
+}
+
+/* Make what attempt() has computed the state. */
+static void commit(model_solver *s)
+{
+    memcpy(s->x, s->work.x_next, sizeof s->x);
+#if LAW
+    memcpy(s->l, s->work.l, sizeof s->l);
+    memcpy(s->y, s->work.y, sizeof s->y);
+    memcpy(s->index, s->work.code, sizeof s->index);
+#endif
+#if REWRITTEN
+    memcpy(s->multipliers, s->work.multipliers, sizeof s->multipliers);
+    memcpy(s->outputs, s->work.outputs, sizeof s->outputs);
+#endif
+    s->residual = s->work.residual;
+    s->iterations = s->work.iterations;
+    s->solver = s->work.solver;
+    s->steps += 1;
+    s->t = s->t_0 + s->steps*s->h;
+#if TOLERANCE_OF_NUMBER
+    s->number += 1;
+#endif
+}
+
+int model_step(model_solver *s)
+{
+    s->status = attempt(s);
+    if (s->status == MODEL_OK)
+        commit(s);
+    return s->status;
+}
+
+#if LAW_OF_PARAMETERS
+/* Take the ends of the law from the parameters; 0, and no change, where they are no ends or bound other sides. */
+static int law_changes(model_solver *s)
+{
+    double *lo = s->work.l, *up = s->work.y;
+#if CURVED
+    double radius[MODEL_CURVED];
+    law_of_parameters(s, lo, up, radius);
+    for (int i = 0; i < MODEL_CURVED; i++)
+        if (curved[i].kind == 0 && !(radius[i] >= 0 && is_finite(radius[i])))
+            return 0;
+#else
+    law_of_parameters(s, lo, up);
+#endif
+    for (int i = 0; i < MODEL_M; i++)
+        if (!(lo[i] <= up[i]) || is_finite(lo[i]) != bounded_below[i] || is_finite(up[i]) != bounded_above[i])
+            return 0;
+    memcpy(s->lower, lo, sizeof s->lower);
+    memcpy(s->upper, up, sizeof s->upper);
+#if CURVED
+    memcpy(s->radius, radius, sizeof radius);
+#endif
+    return 1;
+}
+#endif
+
+int model_init(model_solver *s)
+{
+    memset(s, 0, sizeof *s);
+    s->h = MODEL_STEP;
+#if PARAMETERS
+    memcpy(s->p, default_p, sizeof s->p);
+#endif
+#if LAW_OF_PARAMETERS
+    if (!law_changes(s))
+        return MODEL_BAD_PARAMETER;
+#endif
+    return model_reset(s);
+}
+
+int model_reset(model_solver *s)
+{
+    double x[MODEL_NSTATE];
+    start(s, x);
+    if (!all_finite(MODEL_NSTATE, x))
+        return MODEL_BAD_PARAMETER;
+    memcpy(s->x, x, sizeof x);
+    s->t_0 = 0;
+    s->steps = START_STEPS;
+    s->t = s->t_0 + s->steps*s->h;
+    s->status = MODEL_OK;
+    s->residual = 0;
+    s->iterations = s->solver = 0;
+#if TOLERANCE_OF_NUMBER
+    s->number = 0;
+#endif
+#if LAW
+    first_multiplier(s, s->l, s->index);
+    memset(s->y, 0, sizeof s->y);
+#endif
+#if REWRITTEN
+    memset(s->multipliers, 0, sizeof s->multipliers);
+    memset(s->outputs, 0, sizeof s->outputs);
+#endif
+#if FIXED_MAPS
+    s->fixed.current = -1;
+#endif
+    return MODEL_OK;
+}
+
+int model_set_time(model_solver *s, double t)
+{
+    if (!is_finite(t))
+        return MODEL_NOT_FINITE;
+    s->t = s->t_0 = t;
+    s->steps = 0;
+    return MODEL_OK;
+}
+
+int model_set_step(model_solver *s, double h)
+{
+#if ONE_STEP
+    (void)s;
+    return h == MODEL_STEP ? MODEL_OK : MODEL_BAD_STEP;
+#else
+    if (!(h > 0) || !is_finite(h))
+        return MODEL_BAD_STEP;
+    if (h == s->h)
+        return MODEL_OK;
+    s->t_0 = s->t;
+    s->steps = 0;
+    s->h = h;
+#if CONSTANT
+    s->newton.prepared = 0;
+#endif
+    return MODEL_OK;
+#endif
+}
+
+int model_set_state(model_solver *s, const double *x)
+{
+    if (!all_finite(MODEL_NX, x))
+        return MODEL_NOT_FINITE;
+    memcpy(s->x, x, MODEL_NX*sizeof *x);
+    return MODEL_OK;
+}
+
+#if VELOCITY
+/* The difference of the last two positions is kept: a velocity belongs to the step in use. */
+int model_set_velocity(model_solver *s, const double *v)
+{
+    if (!all_finite(MODEL_NX, v))
+        return MODEL_NOT_FINITE;
+    for (int i = 0; i < MODEL_NX; i++)
+        s->x[MODEL_NX + i] = s->h*v[i];
+    return MODEL_OK;
+}
+
+void model_get_velocity(const model_solver *s, double *v)
+{
+    for (int i = 0; i < MODEL_NX; i++)
+        v[i] = s->x[MODEL_NX + i]/s->h;
+}
+#endif
+
+#if FORCE
+int model_set_force(model_solver *s, const double *r)
+{
+    if (!all_finite(MODEL_NX, r))
+        return MODEL_NOT_FINITE;
+    memcpy(s->x + MODEL_NX, r, MODEL_NX*sizeof *r);
+    return MODEL_OK;
+}
+
+void model_get_force(const model_solver *s, double *r) { memcpy(r, s->x + MODEL_NX, MODEL_NX*sizeof *r); }
+#endif
+
+#if PARAMETERS
+int model_set_parameters(model_solver *s, const double *p)
+{
+    if (!all_finite(MODEL_NP, p))
+        return MODEL_NOT_FINITE;
+#if LAW_OF_PARAMETERS
+    double old[MODEL_NP];
+    memcpy(old, s->p, sizeof old);
+    memcpy(s->p, p, sizeof s->p);
+    if (!law_changes(s)) {
+        memcpy(s->p, old, sizeof old);
+        return MODEL_BAD_PARAMETER;
+    }
+#else
+    memcpy(s->p, p, sizeof s->p);
+#endif
+#if CONSTANT
+    s->newton.prepared = 0;
+#endif
+    return MODEL_OK;
+}
+#endif
+
+double model_get_time(const model_solver *s) { return s->t; }
+
+void model_get_state(const model_solver *s, double *x) { memcpy(x, s->x, MODEL_NX*sizeof *x); }
+
+#if REWRITTEN
+void model_get_multipliers(const model_solver *s, double *l) { memcpy(l, s->multipliers, sizeof s->multipliers); }
+
+void model_get_outputs(const model_solver *s, double *y) { memcpy(y, s->outputs, sizeof s->outputs); }
+#else
+#if LAW
+void model_get_multipliers(const model_solver *s, double *l) { memcpy(l, s->l, sizeof s->l); }
+
+void model_get_outputs(const model_solver *s, double *y) { memcpy(y, s->y, sizeof s->y); }
+#endif
+#endif
+
+#if LAW
+void model_get_index_set(const model_solver *s, signed char *index) { memcpy(index, s->index, sizeof s->index); }
+#endif
+
+double model_get_residual(const model_solver *s) { return s->residual; }
+
+int model_get_iterations(const model_solver *s) { return s->iterations; }
+
+int model_get_status(const model_solver *s) { return s->status; }
+
+const char *model_status_text(int status)
+{
+    switch (status) {
+    case MODEL_OK:
+        return "done";
+    case MODEL_NOT_SOLVED:
+        return "no answer passed the certificate: the step may have no solution (a set that is empty?); try a smaller step";
+    case MODEL_NOT_FINITE:
+        return "a state, time, step or parameter is NaN or infinite, or the step overflows";
+    case MODEL_BAD_STEP:
+        return "the time step must be @STEP_RULE@";
+    case MODEL_BAD_PARAMETER:
+        return "the parameters give the law empty bounds or other infinite ones, or no finite start";
+    default:
+        return "unknown status";
+    }
+}
+
+#ifndef MODEL_NO_MALLOC
+model_solver *model_create(void)
+{
+    model_solver *s = malloc(sizeof *s);
+    if (s != NULL)
+        model_init(s);
+    return s;
+}
+
+void model_free(model_solver *s) { free(s); }
+#endif

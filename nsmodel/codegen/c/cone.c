@@ -1,0 +1,272 @@
+/*
+ * y = W l + b, -y ∈ N_K(l) where K has balls or second-order cones: semismooth Newton, with block Gauss-Seidel behind it.
+ */
+
+#define NEWTON_ON_CONES 60
+#define GAUSS_SEIDEL_SWEEPS 400
+
+static double norm(int n, const double *x)
+{
+    double size = 0;
+    for (int i = 0; i < n; i++)
+        size = hypot(size, x[i]); /* squares may overflow */
+    return size;
+}
+
+/* |u| for a ball, |(u_2, ...)| for a cone. */
+static double block_norm(const curved_block *k, const double *u)
+{
+    return k->kind == BALL ? norm(k->size, u) : norm(k->size - 1, u + 1);
+}
+
+/* u = P_K(u) for the rows of block k, which begin at u. */
+static void project_block(const model_solver *s, int k, double *u)
+{
+    double head, tail;
+    project(curved[k].kind, s->cone.radius[k], u[0], block_norm(&curved[k], u), &head, &tail);
+    for (int i = 1; i < curved[k].size; i++)
+        u[i] *= tail;
+    u[0] = head;
+}
+
+/* u = P_K(u). */
+static void project_all(const model_solver *s, const affine_problem *p, double *u)
+{
+    for (int i = 0; i < p->m; i++)
+        u[i] = clip(u[i], p->lo[i], p->up[i]);
+    for (int k = 0; k < MODEL_CURVED; k++)
+        project_block(s, k, u + curved[k].start);
+}
+
+/* Entry (i, j) of an element of the generalised Jacobian of P_K at a block's u, size = block_norm(u). */
+static double projection_jacobian(int kind, double radius, const double *u, double size, int i, int j)
+{
+    const double same = i == j;
+    if (kind == BALL)
+        return size <= radius ? same : radius/size*(same - u[i]/size*(u[j]/size));
+    if (size <= u[0])
+        return same;
+    if (size <= -u[0])
+        return 0;
+    if (i == 0 || j == 0)
+        return i == j ? 0.5 : u[i + j]/size/2;
+    return ((1 + u[0]/size)*same - u[0]/size*(u[i]/size*(u[j]/size)))/2;
+}
+
+/* The natural map cone.F = l - P_K(u) with cone.u = l - c (W l + b); return |F|. */
+static double natural_map(model_solver *s, const affine_problem *p, const double *l)
+{
+    affine_output(p, l, s->affine.y);
+    for (int i = 0; i < p->m; i++)
+        s->cone.F[i] = s->cone.u[i] = l[i] - s->cone.c[i]*s->affine.y[i];
+    project_all(s, p, s->cone.F);
+    for (int i = 0; i < p->m; i++)
+        s->cone.F[i] = l[i] - s->cone.F[i];
+    return norm(p->m, s->cone.F);
+}
+
+/* The largest part of cone.F beside what it consists of: |l|, c |W| |l|, and the radius of a ball, or c |b| for other rows, which
+   at a bound have F = 0. A row far from its bound, or a ball that slides fast, says nothing about the size of the others. */
+static double relative_map(const model_solver *s, const affine_problem *p, const double *l)
+{
+    double worst = 0;
+    for (int i = 0, k = 0; i < p->m;) {
+        const int in_block = k < MODEL_CURVED && i == curved[k].start, end = in_block ? i + curved[k].size : i + 1;
+        const int in_ball = in_block && curved[k].kind == BALL;
+        double size = 0, scale = 0;
+        for (; i < end; i++) {
+            double terms = in_ball ? s->cone.radius[k] : s->cone.c[i]*fabs(p->b[i]);
+            for (int j = 0; j < p->m; j++)
+                terms += s->cone.c[i]*fabs(p->W[i*p->m + j]*l[j]);
+            scale = max_of(scale, terms + fabs(l[i]));
+            size = max_of(size, fabs(s->cone.F[i]));
+        }
+        worst = max_of(worst, ratio(size, scale));
+        k += in_block;
+    }
+    return worst;
+}
+
+/* The Jacobian I - P (I - c W) of the natural map, P that of the projection at cone.u. */
+static void natural_jacobian(model_solver *s, const affine_problem *p)
+{
+    const int m = p->m;
+    const double *u = s->cone.u, *c = s->cone.c;
+    double *J = s->affine.block;
+    for (int i = 0; i < m; i++)
+        for (int j = 0; j < m; j++)
+            J[i*m + j] = u[i] > p->lo[i] && u[i] < p->up[i] ? c[i]*p->W[i*m + j] : i == j;
+    for (int k = 0; k < MODEL_CURVED; k++) {
+        const int start = curved[k].start, end = start + curved[k].size;
+        const double size = block_norm(&curved[k], u + start);
+        for (int i = start; i < end; i++)
+            for (int j = 0; j < m; j++) {
+                J[i*m + j] = i == j;
+                for (int r = start; r < end; r++)
+                    J[i*m + j] -= projection_jacobian(curved[k].kind, s->cone.radius[k], u + start, size, i - start, r - start)
+                                    * ((r == j) - c[r]*p->W[r*m + j]);
+            }
+    }
+}
+
+/* Solve l = P_K(l - c (W l + b)) from cone.l, in place. Return 0, or 1 where it does not converge. */
+static int semismooth_newton(model_solver *s, const affine_problem *p)
+{
+    const int m = p->m;
+    double *l = s->cone.l, *trial = s->cone.trial, best = INFINITY;
+    project_all(s, p, l);
+    double size = natural_map(s, p, l);
+    for (int iteration = 0; iteration < NEWTON_ON_CONES; iteration++) {
+        const double relative = relative_map(s, p, l);
+        if (relative <= 4*EPS || (relative <= 1e-13 && relative >= best/2))
+            return 0;
+        best = min_of(best, relative);
+        natural_jacobian(s, p);
+        for (int i = 0; i < m; i++)
+            s->cone.step[i] = -s->cone.F[i];
+        if (solve_or_least_squares(s, m, s->affine.block, s->cone.step))
+            return 1;
+        for (double t = 1;; t /= 2) {
+            for (int i = 0; i < m; i++)
+                trial[i] = l[i] + t*s->cone.step[i];
+            const double now = natural_map(s, p, trial);
+            if (!(now > (1 - 1e-4*t)*size) || t <= 1e-4) {
+                size = now;
+                break;
+            }
+        }
+        memcpy(l, trial, m*sizeof *l);
+    }
+    return !(relative_map(s, p, l) <= 1e-11);
+}
+
+/* 1 / |W_kk| for the diagonal block of n rows from ``start``, in the spectral norm. */
+static double inverse_norm(model_solver *s, const affine_problem *p, int start, int n)
+{
+    for (int i = 0; i < n; i++)
+        memcpy(s->linear.lu + i*n, p->W + (start + i)*p->m + start, n*sizeof *p->W);
+    double unit;
+    const double most = decompose(s, n, &unit);
+    return 1/max_of(sqrt(most)*unit, DBL_MIN);
+}
+
+/* One projected gradient step of n rows from ``start``, in cone.l: those of the curved block k, or a row of a box where k < 0.
+   Return the largest change. */
+static double relax(model_solver *s, const affine_problem *p, int k, int start, int n)
+{
+    double *u = s->cone.u, *l = s->cone.l, change = 0;
+    for (int i = start; i < start + n; i++)
+        u[i] = l[i] - s->cone.step[start]*(dot(p->m, p->W + i*p->m, l) + p->b[i]);
+    if (k >= 0)
+        project_block(s, k, u + start);
+    else
+        u[start] = clip(u[start], p->lo[start], p->up[start]);
+    for (int i = start; i < start + n; i++) {
+        change = max_of(change, fabs(u[i] - l[i]));
+        l[i] = u[i];
+    }
+    return change;
+}
+
+/* Projected block gradient sweeps on cone.l: slow, but convergent for symmetric psd W. Gives Newton a start near the solution. */
+static void gauss_seidel(model_solver *s, const affine_problem *p)
+{
+    project_all(s, p, s->cone.l);
+    for (int i = 0; i < p->m; i++)
+        s->cone.step[i] = inverse_norm(s, p, i, 1);
+    for (int k = 0; k < MODEL_CURVED; k++)
+        s->cone.step[curved[k].start] = inverse_norm(s, p, curved[k].start, curved[k].size);
+    for (int sweep = 0; sweep < GAUSS_SEIDEL_SWEEPS; sweep++) {
+        double change = 0;
+        for (int k = 0; k < MODEL_CURVED; k++)
+            change = max_of(change, relax(s, p, k, curved[k].start, curved[k].size));
+        for (int i = 0, k = 0; i < p->m; i++)
+            if (k < MODEL_CURVED && i == curved[k].start)
+                i += curved[k++].size - 1;
+            else
+                change = max_of(change, relax(s, p, -1, i, 1));
+        if (change <= 1e-10*largest(p->m, s->cone.l))
+            break;
+    }
+}
+
+/* Codes of cone.l: 0 where y = 0, -1 where l = 0 (cone), +1 on the curved boundary; the rows of a block share one. */
+static void curved_index_set(model_solver *s, const affine_problem *p)
+{
+    const double *u = s->cone.u;
+    natural_map(s, p, s->cone.l);
+    for (int i = 0; i < p->m; i++)
+        s->affine.code[i] = u[i] <= p->lo[i] ? -1 : u[i] >= p->up[i] ? 1 : 0;
+    for (int k = 0; k < MODEL_CURVED; k++) {
+        const curved_block *block = &curved[k];
+        const double first = u[block->start], size = block_norm(block, u + block->start);
+        int code = size > s->cone.radius[k];
+        if (block->kind == SECOND_ORDER_CONE)
+            code = size <= first ? 0 : size <= -first ? -1 : 1;
+        memset(s->affine.code + block->start, code, block->size);
+    }
+}
+
+/* Polish cone.l into affine.l: keep the curved rows' smooth branch, put l = 0 and l = bound exactly where the index set says
+   so. Return 0, or 1 where that is not finite. */
+static int exact_zeros(model_solver *s, const affine_problem *p)
+{
+    const signed char *code = s->affine.code;
+    double *l = s->affine.l;
+    for (int i = 0; i < p->m; i++) {
+        l[i] = s->cone.l[i];
+        if (code[i] < 0)
+            l[i] = is_finite(p->lo[i]) ? p->lo[i] : 0;
+        else if (code[i] > 0 && is_finite(p->up[i]))
+            l[i] = p->up[i];
+    }
+    for (int k = 0; k < MODEL_CURVED; k++) {
+        double *block = l + curved[k].start;
+        if (code[curved[k].start] != 1)
+            continue;
+        if (curved[k].kind == SECOND_ORDER_CONE) {
+            block[0] = block_norm(&curved[k], block);
+            continue;
+        }
+        for (int i = 0; i < curved[k].size; i++)
+            block[i] *= 2;
+        project_block(s, k, block);
+    }
+    return solve_free_rows(s, p, code, l);
+}
+
+/* The factor c of the natural map, equal within a block, and the radii. */
+static void block_scale(model_solver *s, const affine_problem *p)
+{
+    for (int i = 0; i < p->m; i++)
+        s->cone.c[i] = row_scale(p, i);
+    for (int k = 0; k < MODEL_CURVED; k++) {
+        double *c = s->cone.c + curved[k].start, least = INFINITY;
+        s->cone.radius[k] = RADIUS(k);
+        for (int i = 0; i < curved[k].size; i++)
+            least = min_of(least, c[i]);
+        for (int i = 0; i < curved[k].size; i++)
+            c[i] = least;
+    }
+}
+
+static int solve_curved(model_solver *s, const affine_problem *p, const double *warm, double accepted)
+{
+    block_scale(s, p);
+    for (int attempt = 0; attempt < 4; attempt++) { /* from the last multiplier, then from 0; directly, then after sweeps */
+        for (int i = 0; i < p->m; i++)
+            s->cone.l[i] = attempt < 2 ? warm[i] : 0;
+        if (attempt % 2)
+            gauss_seidel(s, p);
+        if (semismooth_newton(s, p))
+            continue;
+        curved_index_set(s, p);
+        if (!exact_zeros(s, p) && passes(s, p, accepted))
+            return SEMISMOOTH;
+        memcpy(s->affine.l, s->cone.l, p->m*sizeof *s->affine.l);
+        if (passes(s, p, accepted))
+            return SEMISMOOTH;
+        attempt |= 1; /* no sweeps where Newton's method has converged */
+    }
+    return NONE;
+}

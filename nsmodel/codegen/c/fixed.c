@@ -1,0 +1,287 @@
+/*
+ * A step whose matrices are numbers: z = z_0 + Z l, y = W l + b, and on an index set l is affine in b. The last index set is
+ * tried first, with its inverse kept; every answer is judged on E = E_0 + E_z z + E_l l and Y = Y_0 + Y_z z + Y_l l.
+ */
+
+/* The larger of worst and part/size; inf where that is NaN. */
+static double worst_of(double worst, double part, double size)
+{
+    if (part <= worst*size)
+        return worst;
+    const double r = part/max_of(size, UNRESOLVED);
+    return r <= worst ? worst : r < INFINITY ? r : INFINITY;
+}
+
+/* The residual of E at s->work.z, beside what moves in the step; the round-off of z is looked at only where it may matter. */
+static double dynamics_residual(model_solver *s)
+{
+    double *E = s->fixed.E, *scale = s->fixed.scale, worst = 0;
+#if LAW
+    scale_E(s, s->fixed.E_0, s->work.z, s->work.l, scale);
+#else
+    scale_E(s, s->fixed.E_0, s->work.z, scale);
+#endif
+    for (int i = 0; i < MODEL_N; i++)
+        worst = worst_of(worst, fabs(E[i]), scale[i]);
+    if (worst <= CLEAR)
+        return worst;
+#if LAW
+    round_off_E(s, s->fixed.E_0, s->work.z, s->work.l, s->fixed.seen);
+#else
+    round_off_E(s, s->fixed.E_0, s->work.z, s->fixed.seen);
+#endif
+    worst = 0;
+    for (int i = 0; i < MODEL_N; i++)
+        worst = worst_of(worst, fabs(E[i]), max_of(scale[i], ROUND_OFF/TOLERANCE*s->fixed.seen[i]));
+    return worst;
+}
+
+#if LAW
+#if CURVED
+/* The residual of the law at (l, Y); the round-off of Y is looked at only where it may matter. */
+static double residual_of_law(model_solver *s)
+{
+    const double *l = s->work.l;
+    double *s_y = s->fixed.s_y;
+    output_scale(MODEL_M, s->fixed.b, s->fixed.terms, w_max, s_y);
+    const double residual = law_residual(s, MODEL_M, lower, upper, l, s->fixed.Y, s_y, w_max);
+    if (residual <= CLEAR)
+        return residual;
+    round_off_Y(s, s->fixed.Y_0, s->work.z, l, s->fixed.size_Y);
+    for (int i = 0; i < MODEL_M; i++)
+        s_y[i] = max_of(s_y[i], ROUND_OFF/TOLERANCE*s->fixed.size_Y[i]);
+    return law_residual(s, MODEL_M, lower, upper, l, s->fixed.Y, s_y, w_max);
+}
+#else
+/* The largest |b_j| / sqrt(w_j): multipliers that run away, because a step has no solution, must not raise the scale of y. */
+static double largest_b(const model_solver *s)
+{
+    double most = 0;
+    for (int j = 0; j < MODEL_M; j++)
+        if (fabs(s->fixed.b[j]) > most*w_root[j] && w_root[j] > 0)
+            most = fabs(s->fixed.b[j])/w_root[j];
+    return most;
+}
+
+/* s_y of row i: |b_i| + sum |W_ij l_j|, within GROWTH of what b is; *most is largest_b, once it is known. */
+static double output_scale_of(const model_solver *s, int i, double *most)
+{
+    const double size = fabs(s->fixed.b[i]), terms = s->fixed.terms[i];
+    if (w_root[i] == 0)
+        return size;
+    if (terms <= GROWTH*size)
+        return size + terms;
+    if (*most < 0)
+        *most = largest_b(s);
+    return min_of(size + terms, max_of(GROWTH*w_root[i]*(*most), size));
+}
+
+/* s_l of row i: what moves y by s_y, but not more than the size of l, of its bounds, or a small part of the other multipliers. */
+static double multiplier_scale_of(const model_solver *s, int i, double s_y)
+{
+    double size = max_of(fabs(s->work.l[i]), bound_size[i]);
+    if (w_root[i] == 0)
+        return size;
+    for (int j = 0; j < MODEL_M; j++)
+        size = max_of(size, NEGLIGIBLE*fabs(s->work.l[j])*w_root[j]/w_root[i]);
+    return min_of(s_y/(w_root[i]*w_root[i]), size);
+}
+
+/* The residual of the law at (l, Y), the graph point chosen by the index set: an upper bound of the distance to the graph.
+   *settled: whether no other index set is called for. The round-off of Y is looked at only where it may matter. */
+static double box_residual(model_solver *s, int *settled)
+{
+    const double *l = s->work.l, *Y = s->fixed.Y, *size_Y = s->fixed.size_Y;
+    double worst = 0, sum = 0, most = -1;
+    int looked = 0;
+    *settled = 1;
+    for (int i = 0; i < MODEL_M; i++) {
+        const int code = s->work.code[i];
+        const double y = Y[i];
+        double wrong = fabs(y), off = 0; /* of y, of l */
+        sum += y + l[i];
+        if (code == 0) {
+            if (l[i] < lower[i])
+                off = lower[i] - l[i];
+            else if (l[i] > upper[i])
+                off = l[i] - upper[i];
+            if (off > 8*EPS*fabs(l[i]))
+                *settled = 0;
+        } else {
+            off = fabs(l[i] - (code < 0 ? lower[i] : upper[i]));
+            if (code*y <= 0)
+                wrong = 0;
+        }
+        if (wrong == 0 && off == 0)
+            continue;
+        double s_y = output_scale_of(s, i, &most);
+        if (code != 0 || wrong > CLEAR*s_y) {
+            if (!looked)
+                round_off_Y(s, s->fixed.Y_0, s->work.z, l, s->fixed.size_Y);
+            looked = 1;
+            s_y = max_of(s_y, ROUND_OFF/TOLERANCE*size_Y[i]);
+            if (code != 0 && wrong > ROUND_OFF*size_Y[i])
+                *settled = 0;
+        }
+        worst = worst_of(worst, wrong, s_y);
+        if (off > 0)
+            worst = worst_of(worst, off, multiplier_scale_of(s, i, max_of(s_y, UNRESOLVED)));
+    }
+    return is_finite(sum) ? worst : INFINITY;
+}
+#endif
+#endif
+
+/* Certify s->work.l with s->work.code: 1 where the step passes, 2 where also no other index set is called for. */
+static int certified(model_solver *s)
+{
+    int settled = 1;
+#if LAW
+    double *z = s->work.z;
+    const double *l = s->work.l;
+    respond(s, s->fixed.z_0, l, z);
+#if UNIT_ROWS
+    /* z_j where y_i = factor z_j + c is exactly 0: stick is a difference of exactly 0 */
+    for (int i = 0; i < MODEL_UNIT; i++)
+        if (s->work.code[unit_row[i]] == 0)
+            z[unit_column[i]] = -s->fixed.Y_0[unit_row[i]]/unit_factor[i];
+#endif
+    residuals(s, s->fixed.E_0, s->fixed.Y_0, z, l, s->fixed.E, s->fixed.Y);
+#else
+    memcpy(s->work.z, s->fixed.z_0, sizeof s->work.z);
+    residuals(s, s->fixed.E_0, s->work.z, s->fixed.E);
+#endif
+    double residual = dynamics_residual(s);
+#if LAW
+    scale_Y(s, l, s->fixed.terms);
+#if CURVED
+    residual = max_of(residual, residual_of_law(s));
+#else
+    residual = max_of(residual, box_residual(s, &settled));
+#endif
+    for (int i = 0; i < MODEL_M; i++)
+        s->work.y[i] = s->work.code[i] == 0 ? 0.0 : s->fixed.Y[i];
+#endif
+    s->work.residual = residual;
+    s->work.iterations = 1;
+    return residual <= TOLERANCE ? 1 + settled : 0;
+}
+
+#if FIXED_MAPS
+/* The map l = offset - inverse b on an index set, from the few that are kept; -1 where a bound is infinite. */
+static int find_map(model_solver *s, const signed char *code)
+{
+    if (s->fixed.current >= 0 && memcmp(s->fixed.maps[s->fixed.current].code, code, MODEL_M) == 0)
+        return s->fixed.current;
+    for (int k = 0; k < s->fixed.filled; k++)
+        if (memcmp(s->fixed.maps[k].code, code, MODEL_M) == 0)
+            return s->fixed.current = k;
+    int k = s->fixed.filled < MODEL_MAPS ? s->fixed.filled : s->fixed.oldest;
+    int n = 0;
+    for (int i = 0; i < MODEL_M; i++) {
+        double bound = code[i] < 0 ? lower[i] : code[i] > 0 ? upper[i] : 0.0;
+        if (!is_finite(bound))
+            return -1;
+        s->fixed.maps[k].code[i] = 2; /* no code: the entry is being written */
+        s->fixed.maps[k].at_bound[i] = bound;
+        if (code[i] == 0)
+            s->fixed.maps[k].free[n++] = i;
+    }
+    const int *free = s->fixed.maps[k].free;
+    double *inverse = s->fixed.maps[k].inverse, *offset = s->fixed.maps[k].offset;
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++)
+            s->fixed.block[n*i + j] = W[MODEL_M*free[i] + free[j]];
+    if (n > 0 && invert(s, n, s->fixed.block, inverse) != 0)
+        return -1;
+    for (int i = 0; i < n; i++) {
+        offset[i] = 0;
+        for (int j = 0; j < n; j++) {
+            double shift = 0;
+            for (int c = 0; c < MODEL_M; c++)
+                shift += W[MODEL_M*free[j] + c]*s->fixed.maps[k].at_bound[c];
+            offset[i] -= inverse[n*i + j]*shift;
+        }
+    }
+    s->fixed.maps[k].n = n;
+    memcpy(s->fixed.maps[k].code, code, MODEL_M);
+    if (s->fixed.filled < MODEL_MAPS)
+        s->fixed.filled++;
+    else
+        s->fixed.oldest = (s->fixed.oldest + 1) % MODEL_MAPS;
+    return s->fixed.current = k;
+}
+
+/* Put l on an index set; 0 where the set has no map. */
+static int on_index_set(model_solver *s, const signed char *code)
+{
+    int k = find_map(s, code);
+    if (k < 0)
+        return 0;
+    int n = s->fixed.maps[k].n;
+    const int *free = s->fixed.maps[k].free;
+    const double *inverse = s->fixed.maps[k].inverse, *offset = s->fixed.maps[k].offset, *b = s->fixed.b;
+    memcpy(s->work.l, s->fixed.maps[k].at_bound, sizeof s->work.l);
+    for (int i = 0; i < n; i++) {
+        double sum = 0;
+        for (int j = 0; j < n; j++)
+            sum += inverse[n*i + j]*b[free[j]];
+        s->work.l[free[i]] = offset[i] - sum;
+    }
+    memcpy(s->work.code, code, MODEL_M);
+    return 1;
+}
+
+#endif
+
+#if ENUMERATED
+/* Try every index set, those nearest to the last one first; where none is settled, one that is certified will do. */
+static int nearest_index_set(model_solver *s)
+{
+    signed char *code = s->fixed.code;
+    for (int strict = 1; strict >= 0; strict--)
+        for (int changes = 0; changes <= MODEL_M; changes++)
+            for (int set = 0; set < MODEL_SETS; set++) {
+                int different = 0, rest = set;
+                for (int i = 0; i < MODEL_M; i++) {
+                    code[i] = choices[i][rest % choice_count[i]];
+                    rest /= choice_count[i];
+                    different += code[i] != s->index[i];
+                }
+                if (different == changes && on_index_set(s, code) && certified(s) > strict)
+                    return ENUMERATION;
+            }
+    return NONE;
+}
+#endif
+
+/* The step; the solver whose answer was certified, or NONE. */
+static int step_by_matrices(model_solver *s)
+{
+#if LAW
+    constant_part(s, s->fixed.E_0, s->fixed.Y_0);
+    predict(s, s->fixed.E_0, s->fixed.Y_0, s->fixed.z_0, s->fixed.b);
+#if FIXED_MAPS
+    if (on_index_set(s, s->index) && certified(s) == 2)
+        return LAST_INDEX_SET;
+#endif
+#if ENUMERATED
+    return all_finite(MODEL_M, s->fixed.b) ? nearest_index_set(s) : NONE;
+#else
+    memcpy(s->fixed.l, s->l, sizeof s->l);
+    memcpy(s->fixed.code, s->index, sizeof s->index);
+    int solver = affine_solve(s, MODEL_M, W, s->fixed.b, lower, upper, s->fixed.l, s->fixed.code, TOLERANCE/10);
+#if FIXED_MAPS
+    if (on_index_set(s, s->fixed.code) && certified(s))
+        return solver == NONE ? INDEX_SET : solver;
+#endif
+    memcpy(s->work.l, s->fixed.l, sizeof s->work.l);
+    memcpy(s->work.code, s->fixed.code, sizeof s->work.code);
+    return certified(s) ? (solver == NONE ? INDEX_SET : solver) : NONE;
+#endif
+#else
+    constant_part(s, s->fixed.E_0);
+    predict(s, s->fixed.E_0, s->fixed.z_0);
+    return certified(s) ? NONE_NEEDED : NONE;
+#endif
+}

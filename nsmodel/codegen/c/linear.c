@@ -1,0 +1,225 @@
+/*
+ * Linear systems: LU with partial pivoting, and the singular values where a matrix is singular to rounding.
+ */
+
+#define SVD_SWEEPS 60 /* Jacobi's method needs about 10. */
+#if INVERT
+#define PINV_CUT 1e-15 /* Singular values below this part of the largest count as 0 in a pseudo-inverse. */
+#endif
+
+/* Factor A = P L U in place, row pivot[k] swapped with row k at step k. Return 0, or 1 where A is singular or not finite. */
+static int lu_factor(int n, double *A, int *pivot)
+{
+    for (int k = 0; k < n; k++) {
+        int p = k;
+        for (int i = k + 1; i < n; i++)
+            if (fabs(A[i*n + k]) > fabs(A[p*n + k]))
+                p = i;
+        if (A[p*n + k] == 0 || !is_finite(A[p*n + k]))
+            return 1;
+        pivot[k] = p;
+        if (p != k)
+            for (int j = 0; j < n; j++) {
+                const double held = A[k*n + j];
+                A[k*n + j] = A[p*n + j];
+                A[p*n + j] = held;
+            }
+        for (int i = k + 1; i < n; i++) {
+            const double factor = A[i*n + k] /= A[k*n + k];
+            if (factor != 0)
+                for (int j = k + 1; j < n; j++)
+                    A[i*n + j] -= factor*A[k*n + j];
+        }
+    }
+    return 0;
+}
+
+/* Solve A x = x_0 with the factors of A, x_0 in x. */
+static void lu_solve(int n, const double *LU, const int *pivot, double *x)
+{
+    for (int k = 0; k < n; k++) {
+        const double held = x[pivot[k]];
+        x[pivot[k]] = x[k];
+        x[k] = held;
+    }
+    for (int i = 1; i < n; i++) {
+        double sum = x[i];
+        for (int j = 0; j < i; j++)
+            sum -= LU[i*n + j]*x[j];
+        x[i] = sum;
+    }
+    for (int i = n - 1; i >= 0; i--) {
+        double sum = x[i];
+        for (int j = i + 1; j < n; j++)
+            sum -= LU[i*n + j]*x[j];
+        x[i] = sum/LU[i*n + i];
+    }
+}
+
+static int all_finite(int n, const double *x)
+{
+    for (int i = 0; i < n; i++)
+        if (!is_finite(x[i]))
+            return 0;
+    return 1;
+}
+
+static double largest(int n, const double *x)
+{
+    double most = 0;
+    for (int i = 0; i < n; i++)
+        most = max_of(most, fabs(x[i]));
+    return most;
+}
+
+static double dot(int n, const double *x, const double *y)
+{
+    double sum = 0;
+    for (int i = 0; i < n; i++)
+        sum += x[i]*y[i];
+    return sum;
+}
+
+static void rotate(int n, double c, double s, double *x, double *y)
+{
+    for (int i = 0; i < n; i++) {
+        const double held = x[i];
+        x[i] = c*held - s*y[i];
+        y[i] = s*held + c*y[i];
+    }
+}
+
+/* The SVD A = U S V' of the matrix in linear.lu by one-sided Jacobi rotations: the rows of linear.lu become the columns of U S,
+   the rows of linear.v those of V, and linear.x holds the squares of the singular values, the largest of which is returned.
+   A is first divided by a power of 2, *unit, so that squares neither overflow nor vanish. */
+static double decompose(model_solver *s, int n, double *unit)
+{
+    double *G = s->linear.lu, *V = s->linear.v, most = 0;
+    int exponent, rotated = 1;
+    frexp(largest(n*n, G), &exponent);
+    *unit = ldexp(1, exponent > -1000 ? exponent - 1 : -1000);
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j <= i; j++) {
+            const double held = G[i*n + j];
+            G[i*n + j] = G[j*n + i] / *unit;
+            G[j*n + i] = held / *unit;
+            V[i*n + j] = V[j*n + i] = i == j;
+        }
+    for (int sweep = 0; sweep < SVD_SWEEPS && rotated; sweep++) {
+        rotated = 0;
+        for (int p = 0; p < n; p++)
+            for (int q = p + 1; q < n; q++) {
+                double *x = G + p*n, *y = G + q*n;
+                const double alpha = dot(n, x, x), beta = dot(n, y, y), gamma = dot(n, x, y);
+                if (!(fabs(gamma) > n*EPS*sqrt(alpha)*sqrt(beta)))
+                    continue;
+                const double zeta = (beta - alpha)/(2*gamma);
+                const double t = (zeta < 0 ? -1 : 1)/(fabs(zeta) + sqrt(1 + zeta*zeta));
+                const double c = 1/sqrt(1 + t*t);
+                rotate(n, c, c*t, x, y);
+                rotate(n, c, c*t, V + p*n, V + q*n);
+                rotated = 1;
+            }
+    }
+    for (int j = 0; j < n; j++) {
+        s->linear.x[j] = dot(n, G + j*n, G + j*n);
+        most = max_of(most, s->linear.x[j]);
+    }
+    return most;
+}
+
+/* Minimise |A x - x_0|, and of all such x take the least: A in linear.lu, x_0 in x. Singular values up to the part ``cut`` of the
+   largest count as 0. Return 0, or 1 where x is not finite. */
+static int least_squares(model_solver *s, int n, double cut, double *x)
+{
+    if (!all_finite(n*n, s->linear.lu))
+        return 1;
+    double unit;
+    const double most = decompose(s, n, &unit);
+    memcpy(s->linear.rhs, x, n*sizeof *x);
+    memset(x, 0, n*sizeof *x);
+    for (int j = 0; j < n; j++)
+        if (s->linear.x[j] > cut*cut*most) {
+            const double part = dot(n, s->linear.lu + j*n, s->linear.rhs)/s->linear.x[j]/unit;
+            for (int i = 0; i < n; i++)
+                x[i] += part*s->linear.v[j*n + i];
+        }
+    return !all_finite(n, x);
+}
+
+/* Solve A x = x_0, x_0 in x, with one refinement; the least-squares solution of least norm where A is singular.
+   Return 0, or 1 where x is not finite. */
+static int solve_or_least_squares(model_solver *s, int n, const double *A, double *x)
+{
+    double *rhs = s->linear.rhs, *more = s->linear.x, size = 0;
+    memcpy(rhs, x, n*sizeof *x);
+    memcpy(s->linear.lu, A, n*n*sizeof *A);
+    if (!lu_factor(n, s->linear.lu, s->linear.pivot)) {
+        lu_solve(n, s->linear.lu, s->linear.pivot, x);
+        for (int i = 0; i < n; i++)
+            more[i] = rhs[i] - dot(n, A + i*n, x);
+        lu_solve(n, s->linear.lu, s->linear.pivot, more);
+        for (int i = 0; i < n; i++)
+            x[i] += more[i];
+        for (int i = 0; i < n; i++) {
+            double terms = 0;
+            for (int j = 0; j < n; j++)
+                terms += fabs(A[i*n + j]*x[j]);
+            size = max_of(size, terms);
+        }
+        /* Cancellation by 1e12 means that A is singular to rounding: take the solution of least norm instead. */
+        if (all_finite(n, x) && size <= 1e12*largest(n, rhs))
+            return 0;
+    }
+    memcpy(x, rhs, n*sizeof *x);
+    memcpy(s->linear.lu, A, n*n*sizeof *A);
+    return least_squares(s, n, n*EPS, x);
+}
+#if INVERSE
+
+/* The inverse of the matrix whose factors are in linear.lu. */
+static void lu_inverse(model_solver *s, int n, double *inverse)
+{
+    double *x = s->linear.x;
+    for (int j = 0; j < n; j++) {
+        for (int i = 0; i < n; i++)
+            x[i] = i == j;
+        lu_solve(n, s->linear.lu, s->linear.pivot, x);
+        for (int i = 0; i < n; i++)
+            inverse[i*n + j] = x[i];
+    }
+}
+#endif
+#if INVERT
+
+#if REGULAR_SETS
+/* The inverse of A. Return 0, or 1 where A is singular to rounding: an index set with a regular matrix solves the problem too. */
+#else
+/* The inverse of A; its pseudo-inverse where A is singular to rounding. Return 0, or 1 where that is not finite. */
+#endif
+static int invert(model_solver *s, int n, const double *A, double *inverse)
+{
+    if (!all_finite(n*n, A))
+        return 1;
+    memcpy(s->linear.lu, A, n*n*sizeof *A);
+    if (!lu_factor(n, s->linear.lu, s->linear.pivot)) {
+        lu_inverse(s, n, inverse);
+        if (all_finite(n*n, inverse) && largest(n*n, inverse)*largest(n*n, A) <= 1e13)
+            return 0;
+    }
+#if REGULAR_SETS
+    return 1;
+#else
+    memcpy(s->linear.lu, A, n*n*sizeof *A);
+    double unit;
+    const double most = decompose(s, n, &unit);
+    memset(inverse, 0, n*n*sizeof *A);
+    for (int k = 0; k < n; k++)
+        if (s->linear.x[k] > PINV_CUT*PINV_CUT*most)
+            for (int i = 0; i < n; i++)
+                for (int j = 0; j < n; j++)
+                    inverse[i*n + j] += s->linear.v[k*n + i]*(s->linear.lu[k*n + j]/s->linear.x[k]/unit);
+    return !all_finite(n*n, inverse);
+#endif
+}
+#endif

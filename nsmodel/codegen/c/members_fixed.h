@@ -1,0 +1,22 @@
+    struct {
+        double E_0[MODEL_N], z_0[MODEL_N], E[MODEL_N], scale[MODEL_N], seen[MODEL_N];
+#if LAW
+        double Y_0[MODEL_M], b[MODEL_M], Y[MODEL_M], size_Y[MODEL_M], terms[MODEL_M];
+#if CURVED
+        double s_y[MODEL_M];
+#endif
+#if !ENUMERATED
+        double l[MODEL_M];
+#endif
+        signed char code[MODEL_M];
+#endif
+#if FIXED_MAPS
+        double block[MODEL_M * MODEL_M];
+        struct {
+            double inverse[MODEL_M * MODEL_M], offset[MODEL_M], at_bound[MODEL_M];
+            int n, free[MODEL_M];
+            signed char code[MODEL_M];
+        } maps[MODEL_MAPS]; /* of the index sets met last */
+        int filled, oldest, current;
+#endif
+    } fixed;

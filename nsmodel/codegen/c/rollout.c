@@ -1,0 +1,204 @@
+/* Many steps in one call, for a caller that keeps their rows. */
+#include <time.h>
+
+#define LOOK 256 /* steps between two looks at the clock, at most */
+
+enum { /* a row: state | l | y | residual | newton | multipliers | outputs | records */
+    AT_L = MODEL_NSTATE, AT_Y = AT_L + MODEL_M, AT_RESIDUAL = AT_Y + MODEL_M, AT_EXTRA = AT_RESIDUAL + 2,
+    AT_RECORDS = AT_EXTRA + @REWRITTEN_COLUMNS@
+};
+
+typedef struct {
+    double worst, newton, newton_max; /* residual, Newton iterations in all and in one step */
+    double worst_step, changes; /* the step with the worst residual, from 1; how often the index set changed */
+    double least; /* eigenvalue of W + W' so far, scaled as in Python; -inf: not looked at */
+    double counts[16]; /* steps by solver */
+    double status; /* of the step that ended the block; MODEL_OK: all steps are taken, or the time is over */
+} model_totals;
+
+/* Where a run stands: what the next step starts from. */
+void model_place(model_solver *s, double k, double h, const double *x, const double *l, const signed char *index);
+/* Take `steps` steps from number `k` of `last`, fewer where one fails or `seconds` are over; t[i], h[i] for each, or NULL where
+   t = k h. Keep every `every`-th row, and the last; return how many steps were taken. */
+long model_rollout(model_solver *s, double k, long steps, double last, long every, double seconds, const double *t,
+                   const double *h, double *rows, signed char *index, model_totals *totals);
+void model_fetch(const model_solver *s, double *x, double *l, signed char *index);
+long model_size(void);
+
+#if INCLUSION
+static void inclusion_columns(const model_solver *s, double *columns)
+{
+    memcpy(columns, s->inclusion.v, sizeof s->inclusion.v);
+    columns += MODEL_NX;
+#if SELECTION
+    memcpy(columns, s->inclusion.selection, sizeof s->inclusion.selection);
+    columns += MODEL_SELECTION;
+#endif
+    memcpy(columns, s->inclusion.defect, sizeof s->inclusion.defect);
+    columns += MODEL_NX;
+    columns[0] = s->inclusion.predictor_distance;
+    columns[1] = s->inclusion.excess;
+    columns[2] = s->inclusion.tolerance;
+}
+
+#endif
+#if MONOTONE
+/* Whether S - shift is positive definite: Cholesky's method, in L. */
+static int exceeds(double (*S)[MODEL_M], double shift, double (*L)[MODEL_M])
+{
+    for (int i = 0; i < MODEL_M; i++)
+        for (int j = 0; j <= i; j++) {
+            double sum = i == j ? S[i][i] - shift : S[i][j];
+            for (int k = 0; k < j; k++)
+                sum -= L[i][k]*L[j][k];
+            if (i == j && !(sum > 0))
+                return 0;
+            L[i][j] = i == j ? sqrt(sum) : sum/L[j][j];
+        }
+    return 1;
+}
+
+/* The least eigenvalue of (W + W')/2, rows and columns scaled alike, where it is below 0 and the least so far; else that. */
+static double least_eigenvalue(const double *W, double least)
+{
+    double S[MODEL_M][MODEL_M], L[MODEL_M][MODEL_M], d[MODEL_M];
+    for (int i = 0; i < MODEL_M; i++) {
+        d[i] = 0;
+        for (int j = 0; j < MODEL_M; j++) {
+            S[i][j] = (W[MODEL_M*i + j] + W[MODEL_M*j + i])/2;
+            if (fabs(S[i][j]) > d[i])
+                d[i] = fabs(S[i][j]);
+        }
+        d[i] = d[i] > 0 ? sqrt(d[i]) : 1.0;
+    }
+    for (int i = 0; i < MODEL_M; i++)
+        for (int j = 0; j < MODEL_M; j++)
+            S[i][j] /= d[i]*d[j];
+    double high = least < 0 ? least : 0.0, low = -MODEL_M - 1.0;
+    high -= 1e-3*fabs(high) + 64*MODEL_M*EPS; /* no search for what is nearly known */
+    if (exceeds(S, high, L))
+        return least;
+    while (high - low > 1e-9*fabs(high)) {
+        const double middle = (low + high)/2;
+        if (exceeds(S, middle, L))
+            low = middle;
+        else
+            high = middle;
+    }
+    return high;
+}
+
+#endif
+void model_place(model_solver *s, double k, double h, const double *x, const double *l, const signed char *index)
+{
+    memcpy(s->x, x, sizeof s->x);
+    s->h = h;
+    s->t_0 = 0;
+    s->steps = k;
+#if LAW
+    memcpy(s->l, l, sizeof s->l);
+    memcpy(s->index, index, sizeof s->index);
+#else
+    (void)l;
+    (void)index;
+#endif
+#if TOLERANCE_OF_NUMBER
+    s->number = k;
+#endif
+}
+
+long model_rollout(model_solver *s, double k, long steps, double last, long every, double seconds, const double *t,
+                   const double *h, double *rows, signed char *index, model_totals *totals)
+{
+    const clock_t start = clock();
+    long row = 0, look = 1;
+    totals->status = MODEL_OK;
+#if !LAW
+    (void)index;
+#endif
+    for (long i = 0; i < steps; i++) {
+        if (i == look) {
+            if ((double)(clock() - start) >= seconds*CLOCKS_PER_SEC)
+                return i;
+            look += look < LOOK ? look : LOOK;
+        }
+        if (t != NULL) {
+            s->t_0 = t[i];
+            s->steps = 0;
+#if !ONE_STEP
+#if CONSTANT
+            if (s->h != h[i])
+                s->newton.prepared = 0;
+#endif
+            s->h = h[i];
+#else
+            (void)h;
+#endif
+        }
+        int status = attempt(s);
+        totals->status = status;
+        if (status != MODEL_OK)
+            return i;
+        const double number = k + (double)(i + 1);
+        int keep = every == 1 || fmod(number, (double)every) == 0 || number == last;
+        if (keep) {
+            double *at = rows + (long)@WIDTH@*row;
+            memcpy(at, s->work.x_next, sizeof s->work.x_next);
+            at[AT_RESIDUAL] = s->work.residual;
+            at[AT_RESIDUAL + 1] = s->work.iterations;
+#if LAW
+            memcpy(at + AT_L, s->work.l, sizeof s->work.l);
+            memcpy(at + AT_Y, s->work.y, sizeof s->work.y);
+            memcpy(index + (long)MODEL_M*row, s->work.code, sizeof s->work.code);
+#endif
+#if REWRITTEN
+            memcpy(at + AT_EXTRA, s->work.multipliers, sizeof s->work.multipliers);
+            memcpy(at + AT_EXTRA + MODEL_NL, s->work.outputs, sizeof s->work.outputs);
+#endif
+#if RECORDS
+#if LAW
+            records(s, s->work.z, s->work.l, s->work.y, at + AT_RECORDS);
+#else
+            records(s, s->work.z, at + AT_RECORDS);
+#endif
+#endif
+#if INCLUSION
+            inclusion_columns(s, at + AT_RECORDS);
+#endif
+            for (int j = 0; j < @WIDTH@; j++)
+                at[j] += 0.0; /* no -0 */
+            row++;
+        }
+#if LAW
+        totals->changes += memcmp(s->index, s->work.code, sizeof s->index) != 0;
+#endif
+#if MONOTONE
+        if (totals->least > -INFINITY)
+            totals->least = least_eigenvalue(s->newton.W, totals->least);
+#endif
+        if (s->work.residual > totals->worst) {
+            totals->worst = s->work.residual;
+            totals->worst_step = number;
+        }
+        totals->newton += s->work.iterations;
+        if (s->work.iterations > totals->newton_max)
+            totals->newton_max = s->work.iterations;
+        totals->counts[s->work.solver] += 1;
+        commit(s);
+    }
+    return steps;
+}
+
+void model_fetch(const model_solver *s, double *x, double *l, signed char *index)
+{
+    memcpy(x, s->x, sizeof s->x);
+#if LAW
+    memcpy(l, s->l, sizeof s->l);
+    memcpy(index, s->index, sizeof s->index);
+#else
+    (void)l;
+    (void)index;
+#endif
+}
+
+long model_size(void) { return (long)sizeof(model_solver); }

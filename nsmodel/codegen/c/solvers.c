@@ -1,0 +1,16 @@
+#if LAW
+/* What a first step starts from: l = 0 moved into K, everything inactive that can be. */
+static void first_multiplier(const model_solver *s, double *l, signed char *code)
+{
+    (void)s;
+    for (int i = 0; i < MODEL_M; i++) {
+        l[i] = min_of(max_of(0.0, LOWER[i]), UPPER[i]);
+        code[i] = LOWER[i] == 0 ? -1 : 0;
+    }
+}
+
+#endif
+/* Whose answer a step is. */
+enum {
+    NONE, LAST_INDEX_SET, INDEX_SET, LEMKE, ENUMERATION, SEMISMOOTH, NEARBY_INDEX_SET, CLIP, OUTER_APPROXIMATION, NONE_NEEDED
+};

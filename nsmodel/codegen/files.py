@@ -1,0 +1,128 @@
+"""The files around the C library: Makefile, example, description, README."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import numpy as np
+
+from nsmodel.codegen.about import left_out, used
+from nsmodel.codegen.fragments import fragment
+from nsmodel.codegen.scene import Scene
+from nsmodel.codegen.source import Source, names
+from nsmodel.grid import Grid
+from nsmodel.identity import versions
+
+STEPS_IN_EXAMPLE = 100_000  # A longer list of steps is not written into the example.
+WIDTH = 100  # Characters of the table's header in a line of the example,
+LONGEST_STRING = 900  # and of one name: C99 asks for strings of 4095 bytes, escapes counted.
+
+
+def all_files(scene: Scene, source: Source, grid: Grid, fingerprint: str) -> dict[str, str]:
+    """Return every file of the library by name."""
+    name = source.name
+    return {
+        f"{name}.h": source.header,
+        f"{name}.c": source.code,
+        "example_main.c": _example(scene, source, grid),
+        "Makefile": fragment("Makefile", frozenset(), {"NAME": name}),
+        f"{name}.json": json.dumps(description(scene, source, fingerprint), indent=2) + "\n",
+        "README.md": _readme(scene, source),
+    }
+
+
+def description(scene: Scene, source: Source, fingerprint: str) -> dict:
+    """What the library is, for programs."""
+    model, problem = scene.model, scene.problem
+    return {
+        "name": source.name,
+        "title": model.title,
+        "model_class": type(model).__name__,
+        "scheme": problem.scheme,
+        "paper": model.paper,
+        "sizes": {key: source.sizes[key] for key in ("NX", "NSTATE", "NP", "NL", "N", "M")},
+        "states": list(model.names),
+        "parameters": scene.parameters,
+        "multipliers": list(getattr(model, "multiplier_names", problem.rows)),
+        "rows": list(problem.rows),
+        "units": dict(model.units),
+        "step": scene.h,
+        "any_step": "ONE_STEP" not in source.flags,
+        "tolerance": scene.tolerance,
+        "max_iterations": source.bound,
+        "used": used(source.flags, source.sizes),
+        "left_out": left_out(source.flags),
+        "velocity": "VELOCITY" in source.flags,
+        "force": "FORCE" in source.flags,
+        "model_hash": fingerprint,
+        "versions": versions(),
+    }
+
+
+def _example(scene: Scene, source: Source, grid: Grid) -> str:
+    model, first = scene.model, 1 if getattr(scene.model, "x1", None) is not None else 0
+    whole = grid.N if grid.steps is not None or grid.last == grid.h else grid.N - 1
+    given = np.zeros(0) if grid.steps is None else grid.steps[:STEPS_IN_EXAMPLE]
+    steps = given.tolist()
+    flags = source.flags | ({"MANY_STEPS"} if np.unique(given).size > 1 else set())
+    names = list(model.names or ())
+    columns = ["t", *names]
+    columns += [f"v_{name}" for name in names] if "VELOCITY" in flags else []
+    columns += list(getattr(model, "multiplier_names", scene.problem.rows)) if "LAW" in flags else []
+    words = {
+        "NAME": source.name,
+        "VELOCITIES": ", velocities" if "VELOCITY" in flags else "",
+        "MULTIPLIERS": ", multipliers" if "LAW" in flags else "",
+        "STEPS": "\n".join("        " + ", ".joinmap(repr, steps[i : i + 5]) + "," for i in range(0, len(steps), 5)),
+        "LAST": str(min(whole, len(steps)) if steps else whole),
+        "FIRST": str(first),
+        "COLUMNS": "\n".join(f'    fputs("{_c_string(line)}", stdout);' for line in _lines(columns)),
+    }
+    return fragment("example_main.c", flags, words)
+
+
+def _lines(columns: list[str]) -> list[str]:
+    """The header of the table in pieces that a C string may hold, names with CSV quotes where they need them."""
+    pieces = [""]
+    for column in columns:
+        name = '"' + column.replace('"', '""') + '"' if set(column) & set(',"\r\n') else column
+        for part in _cut(name + ",", LONGEST_STRING):
+            if len(pieces[-1]) + len(part) > WIDTH:
+                pieces.append("")
+            pieces[-1] += part
+    return [piece for piece in [*pieces[:-1], pieces[-1][:-1] + "\n"] if piece]
+
+
+def _cut(text: str, size: int) -> list[str]:
+    return [text[i : i + size] for i in range(0, len(text), size)]
+
+
+def _c_string(text: str) -> str:
+    """Text between the quotes of a C string; no two ? beside each other, which may begin a trigraph."""
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n").replace("??", "?\\?").replace("??", "?\\?")
+    return re.sub(r"[\x00-\x1f\x7f]", lambda match: f"\\{ord(match[0]):03o}", escaped)
+
+
+def _readme(scene: Scene, source: Source) -> str:
+    flags = source.flags | ({"LEFT_OUT"} if left_out(source.flags) else set())
+    return fragment("README.md", flags, readme_words(scene, source))
+
+
+def readme_words(scene: Scene, source: Source) -> dict[str, str]:
+    """The words of the README."""
+    listed = names(scene)
+    return {
+        "NAME": source.name,
+        "UPPER": source.name.upper(),
+        "TITLE": " ".join(scene.model.title.split()) or source.name,
+        "SCHEME": scene.problem.scheme,
+        "STATES": listed["x"],
+        "PARAMETERS": listed["p"],
+        "MULTIPLIERS": listed["multipliers"],
+        "STEP": f"{scene.h:g}",
+        "TOLERANCE": f"{scene.tolerance:g}",
+        "BOUND": str(source.bound),
+        "USED": "\n".join(f"- {line[0].upper()}{line[1:]}." for line in used(source.flags, source.sizes)),
+        "LEFT_OUT": "\n".join(f"- {line[0].upper()}{line[1:]}." for line in left_out(source.flags)),
+    }

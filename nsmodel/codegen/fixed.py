@@ -1,0 +1,122 @@
+"""The functions and tables of a step whose matrices are numbers (see ``c/fixed.c``)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.codegen.expression import c_function
+from nsmodel.codegen.tables import table, unit_tables
+from nsmodel.scheme.problem import OneStepProblem
+from nsmodel.solve.certificate import NumericLaw, bound_size
+from nsmodel.solve.kernel import at_step, matrices_at
+from nsmodel.solve.structure import Structure
+
+MOST_INDEX_SETS = 81  # Up to which every index set may be tried: no pivoting.
+MOST_NUMBERS = 6000  # Coefficients written into the code; a larger step forms its matrices when it is prepared.
+
+
+class Matrices(NamedTuple):
+    """Of z = z_0 + Z l, y = W l + b at one h, dense: E_z (n, n), E_l (n, m), Y_z (m, n), Y_l (m, m), E_z^{-1}, Z, W."""
+
+    E_z: np.ndarray
+    E_l: np.ndarray
+    Y_z: np.ndarray
+    Y_l: np.ndarray
+    inverse: np.ndarray
+    Z: np.ndarray
+    W: np.ndarray
+
+    @property
+    def numbers(self) -> int:
+        """How many coefficients the code holds."""
+        return sum(int(np.count_nonzero(M)) for M in self)
+
+
+def matrices(problem: OneStepProblem, h: float) -> Matrices | None:
+    """Return the matrices at h; None where E_z is singular."""
+    E_z, E_l, Y_z, Y_l = matrices_at(problem, h)
+    try:
+        inverse = np.linalg.inv(E_z)
+    except np.linalg.LinAlgError:
+        return None
+    Z = -inverse @ E_l
+    return Matrices(E_z, E_l, Y_z, Y_l, inverse, Z, Y_l + Y_z @ Z)
+
+
+def text(problem: OneStepProblem, structure: Structure, law: NumericLaw, h: float, M: Matrices) -> str:
+    """The C functions and tables."""
+    at, m = at_step(problem, h, tuple(M[:4])), problem.l.numel()
+    E_0, Y_0, z_0 = (ca.SX.sym(name, size) for name, size in (("E_0", M.E_z.shape[0]), ("Y_0", m), ("z_0", M.E_z.shape[0])))
+    z, l = problem.z, problem.l
+    inverse, Z = (ca.sparsify(ca.DM(A)) for A in (M.inverse, M.Z))
+    known = {"s->t": problem.t, "s->x": problem.state}
+    E, Y = {"E_0": E_0}, ({"Y_0": Y_0} if m else {})
+    multiplier = {"l": l} if m else {}
+    predicted = -inverse @ E_0
+    size_E = ca.fabs(at.E_z) @ ca.fabs(z) + ca.fabs(E_0) + (ca.fabs(at.E_l) @ ca.fabs(l) if m else 0)
+    moved = ca.fabs(E_0 + at.E_z @ at.guess) + ca.fabs(at.E_z) @ ca.fabs(z - at.guess)
+    functions = [
+        c_function("constant_part", known, {"E_0": at.E_0} | ({"Y_0": at.Y_0} if m else {}), "E and Y at z = 0, l = 0"),
+        c_function(
+            "predict", E | Y, {"z_0": predicted} | ({"b": Y_0 + at.Y_z @ predicted} if m else {}),
+            "the solution without multipliers" + (", and y there" if m else ""),
+        ),
+        c_function(
+            "residuals", E | Y | {"z": z} | multiplier,
+            {"E": E_0 + at.E_z @ z + (at.E_l @ l if m else 0)} | ({"Y": Y_0 + at.Y_z @ z + at.Y_l @ l} if m else {}),
+        ),
+        c_function(
+            "scale_E", known | E | {"z": z} | multiplier, {"scale": moved + (ca.fabs(at.E_l) @ ca.fabs(l) if m else 0)},
+            "what moves in the step",
+        ),
+        c_function(
+            "round_off_E", E | {"z": z} | multiplier,
+            {"seen": ca.sparsify(ca.DM(np.abs(M.E_z) @ np.abs(M.inverse))) @ size_E}, "the round-off of z, as E sees it, in EPS",
+        ),
+    ]  # fmt: skip
+    if not m:
+        return "\n".join(functions)
+    functions += [
+        c_function("respond", {"z_0": z_0, "l": l}, {"z": z_0 + Z @ l}, "z = z_0 + Z l"),
+        c_function("scale_Y", {"l": l}, {"terms": ca.fabs(ca.sparsify(ca.DM(M.W))) @ ca.fabs(l)}, "|W| |l|"),
+        c_function(
+            "round_off_Y", Y | {"z": z, "l": l},
+            {"size_Y": ca.fabs(at.Y_z) @ ca.fabs(z) + ca.fabs(at.Y_l) @ ca.fabs(l) + ca.fabs(Y_0)},
+        ),
+    ]  # fmt: skip
+    w_max = np.abs(M.W).max(axis=1)
+    tables = [
+        table("W", M.W.ravel(), "MODEL_M*MODEL_M", "y = W l + b"),
+        *(
+            [table("w_max", w_max, "MODEL_M", "max_j |W_ij|")]
+            if law.curved
+            else [
+                table("w_root", np.sqrt(w_max), "MODEL_M", "sqrt(max_j |W_ij|)"),
+                table("bound_size", bound_size(law), "MODEL_M"),
+            ]
+        ),
+        unit_tables(structure.unit_rows),
+    ]
+    codes = choices(law)
+    if index_sets(law):
+        rows = ", ".join("{" + ", ".join(map(str, (codes[i] + [0, 0])[:3])) + "}" for i in range(m))
+        tables.append(f"static const signed char choices[MODEL_M][3] = {{{rows}}}; /* codes that a row can have */\n")
+        tables.append(table("choice_count", [len(c) for c in codes], "MODEL_M", kind="int"))
+    return "".join(tables) + "\n" + "\n".join(functions)
+
+
+def choices(law: NumericLaw) -> list[list[int]]:
+    """The codes that each row can have."""
+    return [
+        [code for code, bound in ((0, 0.0), (-1, lo), (1, up)) if np.isfinite(bound)]
+        for lo, up in zip(law.lower, law.upper, strict=True)
+    ]
+
+
+def index_sets(law: NumericLaw, most: int = MOST_INDEX_SETS) -> int:
+    """How many index sets there are, where they are at most ``most``; else, and with curved blocks, 0."""
+    count = np.prod([float(len(c)) for c in choices(law)])
+    return int(count) if count <= most and not law.curved else 0

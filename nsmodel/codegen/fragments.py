@@ -1,0 +1,69 @@
+"""The parts of the C library that are the same for all models: files in ``c/``, written for a model called "model"."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Set
+from pathlib import Path
+
+FOLDER = Path(__file__).with_name("c")
+
+
+def fragment(name: str, flags: Set[str], words: Mapping[str, str]) -> str:
+    """Return the file ``name`` with its ``#if FLAG`` resolved, the model's name in its names and its ``@WORD@`` filled."""
+    text = prefixed(resolved((FOLDER / name).read_text(encoding="utf-8"), flags), words.get("NAME", "model"))
+    return re.sub(r"@([A-Z_]+)@", lambda match: words[match[1]], text)
+
+
+def resolved(text: str, flags: Set[str]) -> str:
+    """Keep the lines of ``#if FLAG``, ``#if !FLAG``, ``#else``, ``#endif`` that hold for ``flags``; other conditions stay."""
+    kept: list[str] = []
+    conditions: list[tuple[bool, bool]] = []  # (is it one of ours, are its lines kept)
+    for line in text.splitlines(keepends=True):
+        word = line.split(maxsplit=1)[0] if line.strip() else ""
+        ours = re.fullmatch(r"#if (!?)([A-Z_]+)", line.strip())
+        if ours:
+            conditions.append((True, (ours[2] in flags) != bool(ours[1])))
+            continue
+        if word in ("#if", "#ifdef", "#ifndef"):
+            conditions.append((False, True))
+        elif word == "#else" and conditions[-1][0]:
+            conditions[-1] = (True, not conditions[-1][1])
+            continue
+        elif word == "#endif" and conditions.pop()[0]:
+            continue
+        if all(keep for _, keep in conditions):
+            kept.append(line)
+    return re.sub(r"\n{3,}", "\n\n", "".join(kept))
+
+
+def prefixed(text: str, prefix: str) -> str:
+    """Put the model's name into names that begin with model_ or MODEL_."""
+    return re.sub(r"\bMODEL_", prefix.upper() + "_", re.sub(r"\bmodel_", prefix + "_", text))
+
+
+def comment(text: str) -> str:
+    """The user's words as they may stand in a comment of C: on one line, and without its ends."""
+    return re.sub(r"[\x00-\x1f\x7f]+", " ", text).replace("*/", "* /").replace("/*", "/ *").replace("??/", "? ?/")
+
+
+_COMMENT = r"(?:/\*(?:(?!\*/).)*\*/\n)?"
+CONSTANT = re.compile(r"^#define (\w+) [^\n]*\n", re.MULTILINE)
+DECLARATION = re.compile(_COMMENT + r"^static [^;{}=\n]*?\b(\w+)\([^;{}]*\);\n", re.MULTILINE | re.DOTALL)
+FUNCTION = re.compile(_COMMENT + r"^static [^;{}=]*?\b(\w+)\([^;{}]*\)(?:\n\{\n.*?^\}\n| \{[^\n]*\}\n)", re.MULTILINE | re.DOTALL)
+
+
+def pruned(text: str) -> str:
+    """Leave out the static functions that nothing calls, their declarations, and the constants that nothing uses."""
+    while True:
+        words = Counter(re.findall(r"\w+", re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)))
+        declared = Counter(match[1] for match in DECLARATION.finditer(text))
+        unused = [match for match in FUNCTION.finditer(text) if words[match[1]] == 1 + declared[match[1]]]
+        names = {match[1] for match in unused}
+        unused += [match for match in DECLARATION.finditer(text) if match[1] in names]
+        unused += [match for match in CONSTANT.finditer(text) if words[match[1]] == 1]
+        if not unused:
+            return re.sub(r"\n{3,}", "\n\n", text)
+        for match in sorted(unused, key=lambda match: -match.start()):
+            text = text[: match.start()] + text[match.end() :]

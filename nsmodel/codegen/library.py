@@ -1,0 +1,252 @@
+"""A generated library in Python: built with the machine's C compiler, loaded with ctypes."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import os
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nsmodel.errors import CodegenError
+
+FLAGS = ("-std=c99", "-O2", "-Werror=implicit-function-declaration", "-fPIC", "-shared")
+COMPILERS = ("cc", "gcc", "clang")
+DOUBLES = ctypes.POINTER(ctypes.c_double)
+
+
+def compiler() -> str | None:
+    """The C compiler: the one that CC names, else cc, gcc or clang, whichever is there; None where there is none."""
+    named = os.environ.get("CC", "").strip()
+    for name in [named] if named else COMPILERS:
+        if shutil.which(name.split()[0]):
+            return name
+    return None
+
+
+def no_compiler() -> CodegenError:
+    """The error where ``compiler`` gives None."""
+    named = os.environ.get("CC", "").strip()
+    missing = f"CC names {named}, which is not there" if named else f"none of {', '.join(COMPILERS)}"
+    return CodegenError(f"no C compiler was found ({missing}); install one (apt install gcc, xcode-select --install)")
+
+
+def compile_library(source: Path, target: Path, flags: tuple[str, ...] = FLAGS) -> None:
+    """Compile one C file into a shared library; ``target`` appears whole or not at all.
+
+    Raises:
+        CodegenError: there is no compiler, or it fails.
+    """
+    name = compiler()
+    if name is None:
+        raise no_compiler()
+    try:
+        with tempfile.TemporaryDirectory(dir=target.parent) as folder:
+            built = Path(folder) / target.name
+            command = [*name.split(), *flags, "-o", str(built), str(source), "-lm"]
+            done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+            if done.returncode:
+                raise CodegenError(f"{name} could not compile {source.name}: {_first_error(done)}")
+            built.replace(target)
+    except OSError as error:
+        raise CodegenError(f"{target} could not be built with {name} ({error}); its folder must be writable") from error
+
+
+def _first_error(done: subprocess.CompletedProcess[str]) -> str:
+    """What the compiler complains of first."""
+    lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+    return next((line for line in lines if "error" in line), lines[0] if lines else f"exit status {done.returncode}")
+
+
+def load(folder: str | Path) -> Library:
+    """Build (where it is not built yet) and load the library that ``nsmodel codegen`` wrote into ``folder``.
+
+    Raises:
+        CodegenError: no library there, no compiler, or it fails.
+    """
+    folder = Path(folder)
+    found = [path for path in sorted(folder.glob("*.json")) if is_library(path) and path.with_suffix(".c").exists()]
+    if len(found) != 1:
+        raise CodegenError(
+            f"{folder} has {len(found) or 'no'} libraries; expected one NAME.json beside NAME.c, as nsmodel codegen writes them"
+        )
+    about = json.loads(found[0].read_bytes())
+    source, built = found[0].with_suffix(".c"), folder / f"lib{about['name']}.so"
+    newest = max(path.stat().st_mtime_ns for path in folder.glob(f"{about['name']}.[ch]"))
+    if not built.exists() or built.stat().st_mtime_ns <= newest:
+        compile_library(source, built)
+    return Library(built, about)
+
+
+def is_library(path: Path) -> bool:
+    """Whether ``path`` is the NAME.json of a library that ``nsmodel codegen`` wrote."""
+    try:
+        about = json.loads(path.read_bytes())
+    except (OSError, ValueError):
+        return False
+    return isinstance(about, dict) and about.get("name") == path.stem and {"sizes", "model_hash"} <= about.keys()
+
+
+class Library:
+    """A loaded library; ``solver()`` makes a solver."""
+
+    def __init__(self, path: Path, about: dict[str, Any]) -> None:
+        """Load the library at ``path``; ``about`` is its NAME.json."""
+        self.path, self.about = path, about
+        try:
+            with tempfile.TemporaryDirectory() as folder:
+                # Libraries are known by their paths: under one that is new, a file built again is not taken for the old one.
+                link = Path(folder) / path.name
+                link.symlink_to(path.resolve())
+                self._library = ctypes.CDLL(str(link))
+        except OSError as error:
+            raise CodegenError(f"{path} could not be loaded ({error}); remove it, and it is built again") from error
+
+    def function(self, name: str, result: Any, *arguments: Any) -> Any:
+        """An exported function by its name without prefix.
+
+        Raises:
+            CodegenError: the library has no such function.
+        """
+        found = getattr(self._library, f"{self.about['name']}_{name}", None)
+        if found is None:
+            raise CodegenError(f"the library {self.about['name']} has no function {name}: its model has no use for it")
+        found.restype, found.argtypes = result, list(arguments)
+        return found
+
+    def solver(self) -> Solver:
+        """Return a new solver at the model's start."""
+        return Solver(self)
+
+    def status_text(self, status: int) -> str:
+        """What a status means."""
+        return self.function("status_text", ctypes.c_char_p, ctypes.c_int)(status).decode()
+
+
+class Solver:
+    """One solver of a library: the C interface with arrays.
+
+    ``step`` and the setters return a status as in C: 0 done; else see ``library.status_text``, and nothing has changed. Arrays
+    of a wrong size, and functions that the library does not have, raise CodegenError. Solvers are independent: threads may
+    step different ones at the same time.
+    """
+
+    def __init__(self, library: Library) -> None:
+        """Allocate and initialise: the start, step and parameters of the model."""
+        self.library, sizes = library, library.about["sizes"]
+        self._nx, self._nl, self._m = sizes["NX"], sizes["NL"], sizes["M"]
+        self._np = sizes["NP"]
+        self._address = ctypes.c_void_p(library.function("create", ctypes.c_void_p)())
+        if not self._address.value:
+            raise CodegenError(f"{library.about['name']}: no memory for a solver")
+
+    def __del__(self) -> None:
+        """Free the memory."""
+        if getattr(self, "_address", None):
+            self.library.function("free", None, ctypes.c_void_p)(self._address)
+            self._address = None
+
+    def _call(self, name: str, *values: Any) -> int:
+        kinds = [DOUBLES if isinstance(value, np.ndarray) else ctypes.c_double for value in values]
+        given = [value.ctypes.data_as(DOUBLES) if isinstance(value, np.ndarray) else value for value in values]
+        return self.library.function(name, ctypes.c_int, ctypes.c_void_p, *kinds)(self._address, *given)
+
+    def _set(self, name: str, value: Any, size: int) -> int:
+        array = np.ascontiguousarray(value, float).ravel()
+        if array.size != size:
+            raise CodegenError(f"{name}: {array.size} numbers given; expected {size}")
+        return self._call(f"set_{name}", array)
+
+    def set_time(self, t: float) -> int:
+        """Put the time of the state; return the status."""
+        return self._call("set_time", float(t))
+
+    def set_step(self, h: float) -> int:
+        """Put the time step; return the status."""
+        return self._call("set_step", float(h))
+
+    def set_state(self, x: Any) -> int:
+        """Put the state (n,); return the status."""
+        return self._set("state", x, self._nx)
+
+    def set_velocity(self, v: Any) -> int:
+        """Put an oscillator's velocity (n,); return the status."""
+        return self._set("velocity", v, self._nx)
+
+    def set_force(self, r: Any) -> int:
+        """Put the reaction (n,) at the state, which a step with gamma < 1 starts from; return the status."""
+        return self._set("force", r, self._nx)
+
+    def set_parameters(self, p: Any) -> int:
+        """Put the parameters, in the order of ``about['parameters']``; return the status. The state stays."""
+        return self._set("parameters", p, self._np)
+
+    def reset(self) -> int:
+        """Go back to the start; return the status."""
+        return self._call("reset")
+
+    def step(self) -> int:
+        """Go from t to t + h; return the status."""
+        return self._call("step")
+
+    def _get(self, name: str, size: int, kind: Any = ctypes.c_double) -> np.ndarray:
+        out = np.zeros(size, kind)
+        if size:
+            pointer = ctypes.POINTER(kind)
+            self.library.function(f"get_{name}", None, ctypes.c_void_p, pointer)(self._address, out.ctypes.data_as(pointer))
+        return out
+
+    @property
+    def t(self) -> float:
+        """Time of the state."""
+        return self.library.function("get_time", ctypes.c_double, ctypes.c_void_p)(self._address)
+
+    @property
+    def x(self) -> np.ndarray:
+        """The state (n,)."""
+        return self._get("state", self._nx)
+
+    @property
+    def v(self) -> np.ndarray:
+        """The velocity (n,) of an oscillator: the last difference of positions over the step in use."""
+        return self._get("velocity", self._nx)
+
+    @property
+    def force(self) -> np.ndarray:
+        """The reaction (n,) at the state, which a step with gamma < 1 starts from."""
+        return self._get("force", self._nx)
+
+    @property
+    def multipliers(self) -> np.ndarray:
+        """The multipliers of the last step, as the model declares them."""
+        return self._get("multipliers", self._nl)
+
+    @property
+    def y(self) -> np.ndarray:
+        """The outputs of the last step."""
+        return self._get("outputs", self._nl)
+
+    @property
+    def index_set(self) -> np.ndarray:
+        """The index set of the last step (m,): 0 where y = 0; -1, 1 where l is at its lower, upper end."""
+        return self._get("index_set", self._m, ctypes.c_byte)
+
+    @property
+    def residual(self) -> float:
+        """The certified residual of the last step."""
+        return self.library.function("get_residual", ctypes.c_double, ctypes.c_void_p)(self._address)
+
+    @property
+    def iterations(self) -> int:
+        """Linearisations of the last step, or rounds of its projection."""
+        return self.library.function("get_iterations", ctypes.c_int, ctypes.c_void_p)(self._address)
+
+    @property
+    def status(self) -> int:
+        """The status of the last step."""
+        return self.library.function("get_status", ctypes.c_int, ctypes.c_void_p)(self._address)

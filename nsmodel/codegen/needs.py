@@ -1,0 +1,100 @@
+"""What the code of a scene needs: the flags that choose its parts, the sizes of its arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nsmodel.codegen import fixed, inclusion, newton
+from nsmodel.codegen.scene import FIXED, INCLUSION, NEWTON, Scene
+from nsmodel.model.first_order import FirstOrderSystem
+from nsmodel.model.lure import LureSystem
+from nsmodel.model.oscillator import FrictionOscillator
+from nsmodel.solve.certificate import NumericLaw
+from nsmodel.solve.choose import ENUMERATE_UP_TO
+from nsmodel.solve.structure import is_monotone, least_eigenvalue
+
+MOST_INDEX_SETS = 20000  # Up to which those around the last one are tried, as in `solve.active_set.index_sets`.
+MAPS_BYTES = 16 << 10  # Memory for the inverses of index sets; between 2 and 8 are kept.
+
+
+def flags_of(scene: Scene) -> frozenset[str]:
+    """What the code of a scene has, as the flags of the fragments in ``c/``."""
+    structure, law, problem, model = scene.structure, scene.law, scene.problem, scene.model
+    stepped = scene.path == NEWTON or inclusion.projects(scene)
+    has = {
+        "LAW": structure.m > 0,
+        "FIXED": scene.path == FIXED,
+        "NEWTON": stepped,
+        "INCLUSION": scene.path == INCLUSION,
+        "AFFINE": structure.affine,
+        "CONSTANT": structure.constant and stepped,
+        "IDENTITY": structure.identity,
+        "ROWS": scene.by_rows,
+        "ENUMERATION": structure.m <= ENUMERATE_UP_TO or fixed.index_sets(law) > 0,
+        "FEEDTHROUGH": scene.jacobians[3].nnz() > 0,
+        "TRANSPOSED": stepped and newton.transposed(scene),
+        "UNIT_ROWS": bool(structure.unit_rows),
+        "PARAMETERS": bool(scene.parameters),
+        "LAW_OF_PARAMETERS": scene.law_of_parameters,
+        "CURVED_OF_PARAMETERS": scene.law_of_parameters and bool(law.curved),
+        "REWRITTEN": problem.multipliers is not None,
+        "VELOCITY": isinstance(model, FrictionOscillator),
+        "FORCE": isinstance(model, FirstOrderSystem | LureSystem) and problem.state.numel() > len(model.names),
+        "FIXED_MAPS": scene.path == FIXED and structure.m > 0 and not law.curved,
+        "ONE_STEP": scene.path == FIXED or inclusion.one_step(scene),
+    } | inclusion.flags(scene)
+    has["CURVED"] = bool(law.curved) or has.get("SELECTION_CURVED", False)
+    has["ENUMERATED"] = has["FIXED_MAPS"] and fixed.index_sets(law) > 0
+    has["REGULAR_SETS"] = has["ENUMERATED"] and _regular_sets_suffice(scene)
+    has["AFFINE_PROBLEM"] = (has["LAW"] and (stepped or scene.path == FIXED) and not has["ENUMERATED"]) or has.get("GRAM", False)
+    has["BOX_PROBLEM"] = has["AFFINE_PROBLEM"] and not law.curved
+    few = fixed.index_sets(law)  # then every one of them is tried, and a psd W needs no pivoting
+    has["PIVOTING"] = has["BOX_PROBLEM"] and (has.get("GRAM", False) or not (few and structure.gram))
+    has["NEARBY"] = stepped and has["LAW"] and not (few and structure.affine) and fixed.index_sets(law, MOST_INDEX_SETS) > 0
+    has["INDEX_SETS"] = has["NEARBY"] or (has["BOX_PROBLEM"] and has["ENUMERATION"])
+    has["INVERT"] = has["FIXED_MAPS"]
+    has["INVERSE"] = has["FIXED_MAPS"] or has["PIVOTING"]
+    return frozenset(name for name, holds in has.items() if holds)
+
+
+def _regular_sets_suffice(scene: Scene) -> bool:
+    """Whether a solvable step has a solution on an index set whose block of W is regular: W psd and each row with an end, by
+    Lemke's method, which ends in such a set (Cottle, Pang and Stone, Theorem 4.4.12).
+    """
+    W, law = scene.matrices.W, scene.law
+    has_end = np.isfinite(law.lower) | np.isfinite(law.upper)
+    return bool(has_end.all()) and is_monotone(least_eigenvalue(W), law.size)
+
+
+def sizes_of(scene: Scene, flags: frozenset[str]) -> dict[str, int]:
+    """The constants of the header by name, without prefix."""
+    n, m, law, problem = scene.structure.n, scene.structure.m, scene.law, scene.problem
+    rows = min(m, 4 * n) if scene.by_rows else m
+    sizes = {
+        "NX": len(scene.model.names),
+        "NSTATE": len(scene.model.names) if scene.path == INCLUSION else problem.state.numel(),
+        "NP": len(scene.parameters),
+        "NL": m if problem.multipliers is None else problem.multipliers.numel(),
+        "N": n,
+        "M": m,
+        "ROWS": rows,
+        "LEMKE": _lemke_size(law, rows, scene.by_rows),
+        "CURVED": len(law.curved),
+        "UNIT": len(scene.structure.unit_rows),
+        "SETS": fixed.index_sets(law) if m and scene.path == FIXED else 0,
+        "LINEAR": 0,
+        "MAPS": int(np.clip(MAPS_BYTES // (8 * m * (m + 2) + 1), 2, 8)),
+    }
+    if scene.by_rows:
+        sizes |= {"Y_Z": scene.jacobians[2].nnz(), "E_L": scene.jacobians[1].nnz()}
+    sizes |= inclusion.sizes(scene, sizes)
+    systems = [(sizes["ROWS"], "AFFINE_PROBLEM"), (m, "FIXED_MAPS"), (sizes["LEMKE"], "PIVOTING"), (n + m, "NEARBY")]
+    return sizes | {"LINEAR": max((size for size, flag in systems if flag in flags), default=0)}
+
+
+def _lemke_size(law: NumericLaw, rows: int, by_rows: bool) -> int:
+    """Rows of the standard form: each row once, free rows twice, one more for two finite ends."""
+    if by_rows:
+        return rows
+    lower, upper = np.isfinite(law.lower), np.isfinite(law.upper)
+    return rows + int((~lower & ~upper).sum() + (lower & upper).sum())

@@ -1,0 +1,106 @@
+"""Whole runs in C: many steps of a model a call, compiled once (see `cache`)."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import NamedTuple
+
+import numpy as np
+
+from nsmodel.codegen.cache import NAME, cached
+from nsmodel.codegen.library import Library, compiler, no_compiler
+from nsmodel.grid import Grid
+from nsmodel.model.base import Model
+from nsmodel.solve.stepper import Warm
+
+SECONDS = 0.05  # A call takes about as long: so late comes Ctrl-C.
+SOLVERS = (
+    "none", "last index set", "index set", "lemke", "enumeration", "semismooth", "newton on the index set", "clip",
+    "outer approximation", "none needed",
+)  # fmt: skip
+
+
+class _Totals(ctypes.Structure):
+    """As ``model_totals`` in C."""
+
+    _fields_ = [
+        ("worst", ctypes.c_double), ("newton", ctypes.c_double), ("newton_max", ctypes.c_double),
+        ("worst_step", ctypes.c_double), ("changes", ctypes.c_double), ("least", ctypes.c_double),
+        ("counts", ctypes.c_double * 16), ("status", ctypes.c_double),
+    ]  # fmt: skip
+
+
+class Block(NamedTuple):
+    """Some steps, and what they add up to.
+
+    Attributes:
+        steps: how many were taken; stuck: whether the next one was not certified.
+        state, warm: where the next one starts.
+        worst, worst_step: the largest residual, and the number of the step that ended with it.
+        newton, newton_max: Newton iterations in all, and most in a step.
+        changes: how often the index set changed.
+        least_eigenvalue: of the W + W' met, where one is below what was known.
+        solvers: number of steps by the solver whose answer was accepted.
+    """
+
+    steps: int
+    stuck: bool
+    state: np.ndarray
+    warm: Warm
+    worst: float
+    worst_step: int
+    newton: float
+    newton_max: float
+    changes: int
+    least_eigenvalue: float
+    solvers: dict[str, int]
+
+
+class Rollout:
+    """The steps of one bound model on one grid, compiled; ``way``: by what.
+
+    Raises:
+        CodegenError: the model has no C counterpart, or there is no compiler, or it fails.
+    """
+
+    def __init__(self, model: Model, grid: Grid, tolerance: float) -> None:
+        name = compiler()
+        if name is None:
+            raise no_compiler()
+        self.way, self.grid = f"compiled by {name}", grid
+        library = Library(cached(model, grid, tolerance, name), {"name": NAME})
+        pointer, number, whole = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
+        self._place = library.function("place", None, pointer, number, number, pointer, pointer, pointer)
+        self._fetch = library.function("fetch", None, pointer, pointer, pointer, pointer)
+        self._rollout = library.function(
+            "rollout", whole, pointer, number, whole, number, whole, number, pointer, pointer, pointer, pointer,
+            ctypes.POINTER(_Totals),
+        )  # fmt: skip
+        self._memory = np.zeros(library.function("size", whole)() // 8 + 1)
+        self._solver = self._memory.ctypes.data
+        library.function("init", ctypes.c_int, pointer)(self._solver)
+
+    def advance(
+        self, k: int, steps: int, state: np.ndarray, warm: Warm, least: float, every: int, rows: np.ndarray, index: np.ndarray
+    ) -> Block:
+        """Take up to ``steps`` steps from number k, for about SECONDS, until one is not certified.
+
+        ``rows`` and ``index`` are filled with every ``every``-th row and the grid's last; ``least`` is the least eigenvalue
+        known of W + W', -inf where none is looked for.
+        """
+        grid, totals = self.grid, _Totals(least=least)
+        x, l, codes = np.array(state, float), np.array(warm.l, float), np.array(warm.index, np.int8)
+        times = lengths = None
+        if grid.steps is not None:
+            times, lengths = grid.times[k : k + steps].ctypes.data, grid.steps[k : k + steps].ctypes.data
+        at = x.ctypes.data, l.ctypes.data, codes.ctypes.data
+        self._place(self._solver, k, grid.h, *at)
+        done = self._rollout(
+            self._solver, k, steps, grid.N, every, SECONDS, times, lengths, rows.ctypes.data, index.ctypes.data,
+            ctypes.byref(totals),
+        )  # fmt: skip
+        self._fetch(self._solver, *at)
+        return Block(
+            done, totals.status != 0, x, Warm(l, codes), totals.worst, int(totals.worst_step), totals.newton, totals.newton_max,
+            int(totals.changes), totals.least, {SOLVERS[i]: int(count) for i, count in enumerate(totals.counts) if count},
+        )  # fmt: skip

@@ -1,0 +1,115 @@
+"""What is generated for a model: its one-step problem, what of it is a number, and which way the step is computed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.codegen import fixed
+from nsmodel.errors import CodegenError
+from nsmodel.grid import Grid
+from nsmodel.model.base import Model
+from nsmodel.model.inclusion import MonotoneInclusion
+from nsmodel.scheme import one_step_problem
+from nsmodel.scheme.problem import OneStepProblem
+from nsmodel.solve.certificate import NumericLaw, numeric_law
+from nsmodel.solve.newton import works_on_rows
+from nsmodel.solve.projection import tolerance_function
+from nsmodel.solve.structure import Structure, jacobians, read
+
+FIXED, NEWTON, INCLUSION = "FIXED", "NEWTON", "INCLUSION"
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A model of which code is written.
+
+    Attributes:
+        model: parameters that stay parameters of the code are symbols, all others numbers.
+        numbers: the same model with numbers for all parameters.
+        h: the time step; any_step: whether others may be used.
+        tolerance: largest accepted residual.
+        allowed: eps_k of an inclusion's approximate projections: of each step, or one for all.
+    """
+
+    model: Model
+    numbers: Model
+    h: float
+    any_step: bool
+    tolerance: float
+    allowed: tuple[float, ...] = ()
+
+    @cached_property
+    def problem(self) -> OneStepProblem:
+        """The one-step problem, symbolic in the parameters left."""
+        return one_step_problem(self.model)
+
+    @cached_property
+    def structure(self) -> Structure:
+        """What the expressions say, whatever the parameters."""
+        return read(self.problem)
+
+    @cached_property
+    def jacobians(self) -> tuple[ca.SX, ...]:
+        """E_z, E_l, Y_z, Y_l, without entries that are 0."""
+        return tuple(ca.sparsify(J) for J in jacobians(self.problem))
+
+    @cached_property
+    def law(self) -> NumericLaw:
+        """The law at the default parameters."""
+        return numeric_law(one_step_problem(self.numbers).law)
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The parameters left, with their default values."""
+        return {name: self.numbers.bound_parameters[name] for name in self.model.parameters} if self.model.p.numel() else {}
+
+    @cached_property
+    def matrices(self) -> fixed.Matrices | None:
+        """The matrices where they are numbers, and few enough to be written down."""
+        if not self.structure.constant or self.any_step or self.model.p.numel():
+            return None
+        found = fixed.matrices(self.problem, self.h)
+        if found is None:
+            raise CodegenError(f"the step's matrix is singular at h = {self.h:g}: change the step, or check M, A and K")
+        return found if found.numbers <= fixed.MOST_NUMBERS else None
+
+    @property
+    def path(self) -> str:
+        """How the step is computed."""
+        if isinstance(self.model, MonotoneInclusion):
+            return INCLUSION
+        return NEWTON if self.matrices is None else FIXED
+
+    @cached_property
+    def law_of_parameters(self) -> bool:
+        """Whether bounds of the law depend on parameters of the code."""
+        bounds = ca.vertcat(ca.SX(0, 1), self.problem.law.lower, self.problem.law.upper)
+        return bool(bounds.numel() and self.model.p.numel() and ca.depends_on(bounds, self.model.p))
+
+    @cached_property
+    def by_rows(self) -> bool:
+        """Whether only the rows that act enter a step's affine problem."""
+        return self.path == NEWTON and works_on_rows(self.structure, self.law) and not self.law_of_parameters
+
+
+def make_scene(model: Model, parameters: Mapping[str, float] | None, grid: Grid, any_step: bool, tolerance: float) -> Scene:
+    """Return the scene of a model; ``parameters`` become numbers, the others stay parameters of the code."""
+    numbers = model.bind(parameters)
+    left = dict.fromkeys(name for name in model.parameters if name not in (parameters or {}))
+    kept = model.bind({**(parameters or {}), **left}, partly=True) if left else numbers
+    return Scene(kept, numbers, grid.step(0), any_step, tolerance, allowed_tolerances(numbers, grid))
+
+
+def allowed_tolerances(model: Model, grid: Grid) -> tuple[float, ...]:
+    """eps_k of each step, or one for all; nothing where projections are exact."""
+    if not isinstance(model, MonotoneInclusion) or model.tolerances is None:
+        return ()
+    eps = tolerance_function(model)
+    count = (1 if grid.steps is None else grid.N) if callable(model.tolerances) else np.size(model.tolerances)
+    values = tuple(eps(k, grid.step(min(k, grid.N - 1))) for k in range(count))
+    return values[:1] if len(set(values)) == 1 else values

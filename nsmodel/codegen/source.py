@@ -1,0 +1,237 @@
+"""The C library of a scene as text: ``<name>.h`` and ``<name>.c``."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.codegen import fixed, inclusion, newton
+from nsmodel.codegen.bounds import iteration_bound
+from nsmodel.codegen.expression import c_function, number
+from nsmodel.codegen.fragments import FOLDER, FUNCTION, comment, fragment, prefixed, pruned, resolved
+from nsmodel.codegen.needs import flags_of, sizes_of
+from nsmodel.codegen.scene import FIXED, INCLUSION, Scene
+from nsmodel.codegen.tables import table
+from nsmodel.model.oscillator import FrictionOscillator
+from nsmodel.scheme import initial_rows, one_step_problem
+from nsmodel.solve.build import start_state
+from nsmodel.solve.layout import extras
+from nsmodel.solve.newton import WORKING_SET_ABOVE
+
+
+@dataclass(frozen=True)
+class Source:
+    """The C of one scene: ``files`` by name; ``flags``: what the code has; ``sizes``: the constants of the header."""
+
+    name: str
+    header: str
+    code: str
+    rollout: str
+    flags: frozenset[str]
+    sizes: dict[str, int]
+    bound: int
+
+
+def write_source(scene: Scene, name: str, fingerprint: str) -> Source:
+    """Return the C library of a scene under the prefix ``name``."""
+    flags = flags_of(scene)
+    sizes = sizes_of(scene, flags)
+    bound = iteration_bound(scene.law, flags, sizes)
+    words = _words(name, scene, flags, sizes, bound, fingerprint)
+
+    def part(file: str) -> str:
+        return fragment(file, flags, words)
+
+    struct = [f"members_{group}.h" for group in ("fixed", "newton", "affine", "inclusion") if _has_memory(group, flags, sizes)]
+    words["MEMBERS"] = "".join(map(part, struct))
+    own = prefixed(_tables(scene, flags) + "\n" + _functions(scene, flags), name)
+    parts = [
+        part("prelude.c"),
+        part("common.c"),
+        own,
+        *(part(file) for file in _FRAGMENTS if _has(file.removesuffix(".c"), flags)),
+    ]
+    code = pruned("\n".join(parts))
+    rollout = prefixed(_records(scene), name) + "\n" + fragment("rollout.c", flags | _run_flags(scene, flags), words)
+    rollout = f'#include "{name}.c"\n\n{_missing(rollout, code)}{rollout}'
+    words["SIZES"] = _inner_sizes(name, sizes, part("header.h") + code + rollout)
+    return Source(name, part("header.h"), code, rollout, flags, sizes, bound)
+
+
+def _has_memory(group: str, flags: frozenset[str], sizes: dict[str, int]) -> bool:
+    """Whether the work arrays of a group of fragments are needed."""
+    return sizes["LINEAR"] > 0 if group == "affine" else _has(group, flags)
+
+
+def _missing(text: str, code: str) -> str:
+    """The common functions that ``text`` uses and ``code`` does not have."""
+    common = pruned(resolved((FOLDER / "common.c").read_text(encoding="utf-8"), frozenset()) + "\n" + text)
+    wanted = [match for match in FUNCTION.finditer(common) if match[0] not in text]
+    return "".join(match[0] for match in wanted if f" {match[1]}(" not in code)
+
+
+_FRAGMENTS = ("solvers.c", "linear.c", "affine.c", "cone.c", "lemke.c", "fixed.c", "newton.c", "rows.c", "inclusion.c", "api.c")
+
+
+def _has(part: str, flags: frozenset[str]) -> bool:
+    """Whether a fragment belongs into the code."""
+    return {
+        "fixed": "FIXED" in flags,
+        "newton": "NEWTON" in flags,
+        "rows": "ROWS" in flags,
+        "inclusion": "INCLUSION" in flags,
+        "affine": "AFFINE_PROBLEM" in flags,
+        "lemke": "PIVOTING" in flags,
+        "cone": "CURVED" in flags,
+    }.get(part, True)
+
+
+def _words(name: str, scene: Scene, flags: frozenset[str], sizes: dict[str, int], bound: int, fingerprint: str) -> dict[str, str]:
+    model, problem = scene.model, scene.problem
+    one = "MODEL_STEP: the matrices in the code belong to it" if scene.path == FIXED else "MODEL_STEP"
+    carried = {1: "", 2: ", then the reaction of the last step" if not isinstance(model, FrictionOscillator) else
+               ", then the last difference of positions"}[1 if sizes["NSTATE"] == sizes["NX"] else 2]  # fmt: skip
+    return {
+        "NAME": name,
+        "TITLE": comment(model.title) or type(model).__name__,
+        "SCHEME": problem.scheme,
+        "NAMES": "\n".join([" *", *(f" *   {head:12} {text}" for head, text in names(scene).items() if text)]),
+        "CARRIED": carried,
+        "STEP": number(scene.h).text,
+        "TOLERANCE": number(scene.tolerance).text,
+        "BOUND": str(bound),
+        "HASH": fingerprint,
+        "STEP_RULE": prefixed(one, name) if "ONE_STEP" in flags else "a finite number > 0",
+        "UNIT_T": f", {comment(model.units['t'])}" if "t" in model.units else "",
+        "SIZES": "",
+        "MATRICES": "".join(f", s->newton.{key}" for key in newton.matrices(scene)),
+        "REWRITTEN_COLUMNS": str(0 if problem.multipliers is None else 2 * sizes["NL"]),
+        "WIDTH": str(row_width(scene)),
+    } | {key: str(value) for key, value in sizes.items()}
+
+
+_PUBLIC = {"NX", "NSTATE", "NP", "NL", "N", "M"}
+
+
+def _inner_sizes(name: str, sizes: dict[str, int], text: str) -> str:
+    """The sizes of the work arrays that ``text`` has."""
+    seen = set(re.findall(r"\w+", text))
+    inner = {key: value for key, value in sizes.items() if key not in _PUBLIC and f"{name.upper()}_{key}" in seen}
+    lines = "".join(f"#define MODEL_{key} {value}\n" for key, value in inner.items())
+    return prefixed(f"\n/* Sizes of what a step works in. */\n{lines}", name) if lines else ""
+
+
+def row_width(scene: Scene) -> int:
+    """Numbers in a packed row of a run (see `solve.layout`)."""
+    own = 2 * scene.structure.m + 2 + sum(e.numel() for e in extras(scene.problem).values())
+    return scene.problem.state.numel() + own + inclusion.columns(scene)
+
+
+def names(scene: Scene) -> dict[str, str]:
+    """What stands where in the arrays, with units."""
+    units = scene.model.units
+
+    def listed(names: Iterable[str]) -> str:
+        each = [comment(f"{name} [{units[name]}]" if name in units else name) for name in names]
+        return ", ".join(each if len(each) <= 40 else [*each[:39], f"... ({len(each)} in all)"])
+
+    multipliers = getattr(scene.model, "multiplier_names", scene.problem.rows)
+    return {"x": listed(scene.model.names), "p": listed(scene.parameters), "multipliers": listed(multipliers)}
+
+
+def _tables(scene: Scene, flags: frozenset[str]) -> str:
+    """The law, the start, the default parameters."""
+    law, lines = scene.law, []
+    if "LAW" in flags:
+        if "LAW_OF_PARAMETERS" in flags:
+            lines.append("#define LOWER s->lower\n#define UPPER s->upper\n")
+            lines += [table("bounded_below", np.isfinite(law.lower), "MODEL_M", "sides that the law bounds", "int"),
+                      table("bounded_above", np.isfinite(law.upper), "MODEL_M", kind="int")]  # fmt: skip
+        else:
+            lines += [table("lower", law.lower, "MODEL_M", "ends of the law"), table("upper", law.upper, "MODEL_M")]
+            lines.append("#define LOWER lower\n#define UPPER upper\n")
+    curved = inclusion.selection_law(scene).curved if "SELECTION_CURVED" in flags else law.curved
+    if curved:
+        lines.append("typedef struct { int kind, start, size; double radius; } curved_block; /* kind 0 a ball, 1 a cone */\n")
+        blocks = (
+            f"{{{int(kind != 'ball')}, {rows.start}, {rows.stop - rows.start}, {number(radius).text}}}"
+            for kind, rows, radius in curved
+        )
+        lines.append(f"static const curved_block curved[MODEL_CURVED] = {{{', '.join(blocks)}}};\n")
+    if scene.parameters:
+        lines.append(table("default_p", list(scene.parameters.values()), "MODEL_NP"))
+    lines.append(f"#define START_STEPS {1 if getattr(scene.model, 'x1', None) is not None else 0}\n")
+    return "".join(lines)
+
+
+def _functions(scene: Scene, flags: frozenset[str]) -> str:
+    """The model's own functions."""
+    problem, h = scene.problem, scene.h
+    known = {"s->t": problem.t, "s->h": problem.h, "s->x": problem.state, "s->p": problem.p}
+    if scene.path == INCLUSION:
+        known["s->work.predictor"] = known.pop("s->x")
+    known = {key: value for key, value in known.items() if value.numel()}
+    parts = [
+        c_function("start", {key: known[key] for key in ("s->h", "s->p") if key in known}, {"x": _start(scene)}, "the start")
+    ]
+    if "LAW_OF_PARAMETERS" in flags:
+        parts.append(c_function("law_of_parameters", {"s->p": problem.p}, _bounds(scene), "the ends of the law"))
+    if "FIXED" in flags:
+        parts.append(fixed.text(problem, scene.structure, scene.law, h, scene.matrices))
+    if "NEWTON" in flags:
+        parts.append(newton.text(scene, known))
+    if "INCLUSION" in flags:
+        parts.append(inclusion.text(scene))
+    at = known | {"z": problem.z} | ({"l": problem.l, "y": problem.y} if problem.l.numel() else {})
+    out = {"x_next": problem.next_state}
+    if "REWRITTEN" in flags:
+        out |= {"multipliers": problem.multipliers, "outputs": problem.outputs}
+    values = {key: ca.substitute(e, problem.h, h) for key, e in out.items()} if "FIXED" in flags else out
+    parts.append(
+        c_function("advance", at, values, "the next state" + (", the multipliers as declared" if "REWRITTEN" in flags else ""))
+    )
+    return "\n".join(parts)
+
+
+def _bounds(scene: Scene) -> dict[str, ca.SX]:
+    """The ends of the law as expressions of the parameters; the radius of each curved block."""
+    lower, upper = ca.densify(ca.SX(scene.problem.law.lower)), ca.densify(ca.SX(scene.problem.law.upper))
+    radii = []
+    for kind, rows, _ in scene.law.curved:
+        radii.append(upper[rows.start] if kind == "ball" else ca.SX(ca.inf))
+        lower[rows.start : rows.stop], upper[rows.start : rows.stop] = -ca.inf, ca.inf
+    return {"lower": lower, "upper": upper} | ({"radius": ca.vertcat(*radii)} if radii else {})
+
+
+def _start(scene: Scene) -> ca.SX:
+    """The state that a run starts from, as an expression of h and the parameters."""
+    model, h = scene.model, scene.problem.h
+    if isinstance(model, FrictionOscillator):
+        return ca.vertcat(model.x0, h * model.v0) if model.x1 is None else ca.vertcat(model.x1, model.x1 - model.x0)
+    x0 = model.q0 if hasattr(model, "q0") else model.x0
+    numbers = initial_rows(scene.numbers, scene.h)[-1][0]
+    carried = start_state(one_step_problem(scene.numbers), numbers, scene.h, scene.tolerance)
+    return ca.vertcat(x0, ca.DM(carried[x0.numel() :]))
+
+
+def _records(scene: Scene) -> str:
+    """Further columns of a run, computed while the old state is still there."""
+    problem = scene.problem
+    if not problem.records:
+        return ""
+    known = {"s->t": problem.t, "s->h": problem.h, "s->x": problem.state, "s->p": problem.p}
+    known = {key: value for key, value in known.items() if value.numel()}
+    at = known | {"z": problem.z} | ({"l": problem.l, "y": problem.y} if problem.l.numel() else {})
+    return c_function("records", at, {"columns": ca.vertcat(*(ca.vec(e) for e in problem.records.values()))})
+
+
+def _run_flags(scene: Scene, flags: frozenset[str]) -> frozenset[str]:
+    """What only whole runs have: further columns; a look at W where it may cease to be monotone."""
+    structure = scene.structure
+    watched = {"NEWTON", "LAW"} <= flags and structure.m <= WORKING_SET_ABOVE and not (scene.by_rows or structure.gram)
+    has = {"RECORDS": bool(scene.problem.records), "MONOTONE": watched}
+    return frozenset(name for name, holds in has.items() if holds)

@@ -1,0 +1,137 @@
+"""Time of a compiled step beside Siconos, in one run: the generated C in a loop of its own, and whole runs from Python.
+
+CPU time, one warm-up, the minimum over repeats. Siconos' time is that of computeOneStep and nextStep, driven from Python.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import nsmodel
+from nsmodel import codegen
+from nsmodel.codegen.library import compiler
+
+CASES = Path(__file__).resolve().parents[2] / "cases"
+FLAGS = ["-std=c99", "-O2"]
+REPEATS = 9
+
+# scene: (goal: how many times faster than Siconos, steps of a run, arguments of the model, parameters that become numbers)
+SCENES = {
+    "diode_bridge": (50, 5000, {}, {}),
+    "relay_oscillator": (50, 10000, {}, {}),
+    "friction_oscillator_relay": (50, 10000, {}, {}),
+    "two_masses": (25, 10000, {}, {"m1": 1, "m2": 1, "mu1": 1, "mu2": 1, "k": 10}),
+    "gene_network": (10, 3000, {}, {}),
+    "zhuravlev_ivanov": (10, 10000, {}, {}),
+    "friction_chain": (50, 1000, {}, {}),
+}
+PEER = {"friction_chain": "friction_chain_10"}
+
+LOOP = """
+#include "NAME.h"
+#include <stdio.h>
+#include <time.h>
+
+int main(void)
+{
+    static NAME_solver s;
+    double least = 1e30, worst = 0;
+    const long runs = 1 + RUN_FOR/STEPS;
+    for (int repeat = 0; repeat <= REPEATS; repeat++) {
+        const clock_t start = clock();
+        for (long run = 0; run < runs; run++) {
+            NAME_init(&s);
+            for (long k = 0; k < STEPS; k++) {
+                if (NAME_step(&s) != 0)
+                    return 1;
+                if (s.residual > worst)
+                    worst = s.residual;
+            }
+        }
+        const double each = (double)(clock() - start)/CLOCKS_PER_SEC/runs/STEPS;
+        if (repeat > 0 && each < least)
+            least = each;
+    }
+    printf("%.17g %.17g\\n", 1e9*least, worst);
+    return 0;
+}
+"""
+
+
+def generated(name: str, folder: Path) -> float:
+    """Nanoseconds a step of the generated C."""
+    _, steps, arguments, parameters = SCENES[name]
+    model = nsmodel.load(CASES / f"{name}.py", **arguments)
+    codegen.write(model, folder, name=name, parameters=parameters)
+    text = LOOP.replace("NAME", name).replace("RUN_FOR", "100000").replace("STEPS", str(steps)).replace("REPEATS", str(REPEATS))
+    (folder / "loop.c").write_text(text)
+    command = [*compiler().split(), *FLAGS, "-o", "loop", "loop.c", f"{name}.c", "-lm"]
+    subprocess.run(command, cwd=folder, check=True)
+    done = subprocess.run(["./loop"], cwd=folder, capture_output=True, text=True, check=True)
+    return float(done.stdout.split()[0])
+
+
+def siconos(names: list[str]) -> dict[str, float]:
+    """Microseconds a step in Siconos by scene, run by the first Python that has it; nothing where none has."""
+    script = Path(__file__).with_name("siconos_peer.py")
+    for python in (sys.executable, "/usr/bin/python3", shutil.which("python3") or ""):
+        probe = [python, "-c", "import siconos.kernel"]
+        if python and subprocess.run(probe, capture_output=True, check=False).returncode == 0:
+            done = subprocess.run([python, str(script), *names], capture_output=True, text=True, check=False)
+            lines = [line.split() for line in done.stdout.splitlines()]
+            return {line[0]: float(line[1]) for line in lines if len(line) == 2 and line[0] in names}
+    return {}
+
+
+def steps_in_c() -> None:
+    """The table of single steps."""
+    peers = siconos([PEER.get(name, name) for name in SCENES])
+    print("a compiled step, gcc -O2, certificate included                ns        Siconos ns    times faster   goal")
+    for name, (goal, *_) in SCENES.items():
+        with tempfile.TemporaryDirectory() as folder:
+            ours = generated(name, Path(folder))
+        peer = peers.get(PEER.get(name, name))
+        beside = "not installed: skipped" if peer is None else f"{1e3 * peer:12.0f} {1e3 * peer / ours:12.0f}      {goal:6d}"
+        print(f"  {name:52s} {ours:9.1f}    {beside}")
+
+
+def runs_from_python() -> None:
+    """A million steps of the bridge: interpreted and compiled, every row kept."""
+    model = nsmodel.load(CASES / "diode_bridge.py")
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["XDG_CACHE_HOME"] = folder
+        start = time.perf_counter()
+        nsmodel.simulate(model, t_end=1e-5, compiled=True)
+        building = time.perf_counter() - start
+        seconds = {}
+        for compiled in (False, True):
+            times = []
+            for _ in range(1 if not compiled else 3):
+                start = time.perf_counter()
+                nsmodel.simulate(model, t_end=1.0, compiled=compiled)
+                times.append(time.perf_counter() - start)
+            seconds[compiled] = min(times)
+    print("a run of the diode bridge from Python, 1e6 steps, every row kept, wall seconds")
+    faster = seconds[False] / seconds[True]
+    print(f"  interpreted {seconds[False]:.3f}, compiled {seconds[True]:.3f}: {faster:.1f} times faster (goal 20)")
+    print(f"  building, once for a model: {building:.2f}")
+
+
+def main() -> None:
+    """Print the tables."""
+    if compiler() is None:
+        print("compiled steps: no C compiler, skipped")
+        return
+    steps_in_c()
+    print()
+    runs_from_python()
+
+
+if __name__ == "__main__":
+    main()

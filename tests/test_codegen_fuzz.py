@@ -1,0 +1,658 @@
+"""Random states, parameters and steps, hostile ones among them, through the C libraries of different kinds of models.
+
+Every accepted step is judged again from the model's own mathematics, in extended precision, with nothing of `nsmodel.solve`.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from nsmodel import FirstOrderSystem, FrictionOscillator, MonotoneInclusion, SweepingProcess, codegen, relay
+
+COMPILER = shutil.which("gcc") or shutil.which("cc")
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
+SANITIZE = ("-O0", "-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all")
+COUNT = 1500  # Inputs of a model: 10 500 in all.
+SECONDS = 60  # All inputs of a model take less than a second: what takes longer hangs.
+
+DONE, NOT_SOLVED, NOT_FINITE, BAD_STEP, BAD_PARAMETER = range(5)
+STEP = 5  # The column of its status; the setters' are before it.
+SPECIAL = np.array([
+    np.nan, np.inf, -np.inf, 1e308, -1e308, 1e200, -1e160, 1e90, -1e60, 1e30, 1e-30, 1e-90, -1e-200, 1e-308, 5e-324, 0, -0.0, -1
+])  # fmt: skip
+EPS = np.finfo(float).eps
+UNRESOLVED = 1e-280  # Nothing below this is looked at: doubles lose digits there.
+# Twice the tolerance of the library, whose scales are others:
+LAW = 2e-9  # Largest residual of a law, by the scales of `box_law` and `ball_law`.
+MOTION = 2e-9  # Largest residual of the equations of motion beside what moves in the step,
+ROUND_OFF = 64 * EPS  # and beside all that is added up in them.
+UNDERFLOW = 1e-322  # Coefficients below 1e-308 are rounded to this.
+
+pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler")
+
+
+# ---------------------------------------------------------------------------------------------- the harness
+
+
+HARNESS = """
+#include "scene.h"
+#include <stddef.h>
+#include <stdio.h>
+#include <string.h>
+
+static scene_solver s, before;
+static double untouched;
+
+/* What is refused must change nothing but the status. */
+static double checked(int status)
+{
+    if (status != SCENE_OK) {
+        before.status = s.status;
+        if (memcmp(&s, &before, offsetof(scene_solver, work)) != 0)
+            untouched = 0;
+    }
+    before = s;
+    return status;
+}
+
+int main(int count, char **names)
+{
+    double in[3 + 2*SCENE_NX + SCENE_NP];
+    double out[10 + 2*SCENE_NSTATE + SCENE_NP + SCENE_NL]; /* statuses, untouched, t, h, residual, before, p, after, l */
+    FILE *from = count == 3 ? fopen(names[1], "rb") : NULL, *to = count == 3 ? fopen(names[2], "wb") : NULL;
+    if (from == NULL || to == NULL || scene_init(&s) != SCENE_OK)
+        return 2;
+    before = s;
+    while (fread(in, sizeof in, 1, from) == 1) {
+        const double *x = in + 3, *second = x + SCENE_NX;
+        double *at = out + 10;
+        memset(out, 0, sizeof out);
+        untouched = 1;
+        if (in[0] != 0)
+            checked(scene_reset(&s));
+        out[0] = checked(scene_set_time(&s, in[1]));
+#if SCENE_NP > 0
+        out[1] = checked(scene_set_parameters(&s, second + SCENE_NX));
+#endif
+        out[2] = checked(scene_set_step(&s, in[2]));
+        out[3] = checked(scene_set_state(&s, x));
+#if VELOCITY
+        out[4] = checked(scene_set_velocity(&s, second));
+#elif FORCE
+        out[4] = checked(scene_set_force(&s, second));
+#else
+        (void)second;
+#endif
+        out[7] = s.t;
+        out[8] = s.h;
+        memcpy(at, s.x, sizeof s.x);
+        at += SCENE_NSTATE;
+#if SCENE_NP > 0
+        memcpy(at, s.p, sizeof s.p);
+        at += SCENE_NP;
+#endif
+        out[5] = checked(scene_step(&s));
+        if (out[5] != scene_get_status(&s) || scene_status_text(scene_get_status(&s)) == NULL)
+            return 3;
+        out[6] = untouched;
+        out[9] = scene_get_residual(&s);
+        memcpy(at, s.x, sizeof s.x);
+        at += SCENE_NSTATE;
+#if SCENE_NL > 0
+        scene_get_multipliers(&s, at);
+#endif
+        fwrite(out, sizeof out, 1, to);
+    }
+    return fclose(from) | fclose(to);
+}
+"""
+
+
+@dataclass
+class Input:
+    """What the harness is given; ``second`` is a velocity or a force, where the model has one."""
+
+    t: float
+    h: float
+    x: np.ndarray
+    second: np.ndarray
+    p: np.ndarray
+    reset: bool = False
+
+    def packed(self) -> np.ndarray:
+        return np.concatenate([[self.reset, self.t, self.h], self.x, self.second, self.p])
+
+
+@dataclass
+class Step:
+    """What was in effect when a step was accepted, and what it gave; all in extended precision."""
+
+    t: Any
+    h: Any
+    state: np.ndarray
+    p: np.ndarray
+    after: np.ndarray
+    l: np.ndarray
+
+
+class Binary:
+    """The library of a model behind the harness."""
+
+    def __init__(self, model: Any, folder: Path, flags: tuple[str, ...], lie: tuple[str, str] = ("", ""), **options: Any):
+        folder.mkdir(parents=True, exist_ok=True)
+        about = codegen.write(model, folder, name="scene", **options).about
+        sizes = about["sizes"]
+        self.nx, self.np, self.width = sizes["NX"], sizes["NP"], 10 + 2 * sizes["NSTATE"] + sizes["NP"] + sizes["NL"]
+        self.ends = np.cumsum([10, sizes["NSTATE"], sizes["NP"], sizes["NSTATE"]])
+        code = (folder / "scene.c").read_text()
+        assert lie[0] in code
+        (folder / "scene.c").write_text(code.replace(*lie))
+        (folder / "harness.c").write_text(HARNESS)
+        self.folder, self.program = folder, folder / "harness"
+        defined = (f"-DVELOCITY={int(about['velocity'])}", f"-DFORCE={int(about['force'])}")
+        command = [COMPILER, *STRICT, *flags, *defined, "-o", self.program, folder / "harness.c", folder / "scene.c", "-lm"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr[:3000]
+
+    def run(self, inputs: list[Input]) -> np.ndarray:
+        """One row for each input; a crash, a finding of a sanitizer or a hang is a failure."""
+        np.array([given.packed() for given in inputs]).tofile(self.folder / "in")
+        command = [self.program, self.folder / "in", self.folder / "out"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=SECONDS)
+        assert done.returncode == 0, done.stderr[-3000:]
+        assert not done.stderr
+        rows = np.fromfile(self.folder / "out").reshape(-1, self.width)
+        assert len(rows) == len(inputs)
+        return rows
+
+    def step(self, row: np.ndarray) -> Step:
+        head, state, p, after, l = np.split(row.astype(np.longdouble), self.ends)
+        return Step(head[7], head[8], state, p, after, l)
+
+
+# ---------------------------------------------------------------------------------------------- independent residuals
+
+
+def ratios(part: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """|part| / scale, infinite where it is not a number."""
+    r = np.abs(part) / np.maximum(scale, UNRESOLVED)
+    return np.where(np.isnan(r), np.inf, r)
+
+
+def motion(E: np.ndarray, moved: np.ndarray, terms: np.ndarray, lost: Any = 0.0) -> float:
+    """|E| beside what moves in the step, in units of MOTION; round-off of the terms is no motion."""
+    return float(ratios(E, MOTION * moved + ROUND_OFF * terms + lost).max()) * MOTION
+
+
+def box_law(l: np.ndarray, y: np.ndarray, lower: Any, upper: Any, size_y: np.ndarray, unit: Any = 1.0, other: Any = 0.0) -> float:
+    """-y in N_[lower, upper](l): the distance to the nearest branch of each row, y beside the terms that it consists of, l beside
+    itself and its bounds, or 1e-6 of the largest multiplier (or of another force) in its unit, which may hide it.
+    """
+    size_l = np.maximum(np.abs(l), 1e-6 * unit * np.maximum((np.abs(l) / unit).max(initial=0), other))
+    for end in (lower, upper):
+        size_l = np.maximum(size_l, np.abs(end) if np.isfinite(end) else 0)
+    best = np.maximum(ratios(np.maximum(np.maximum(lower - l, l - upper), 0), size_l), ratios(y, size_y))
+    for end, wrong in ((lower, np.maximum(-y, 0)), (upper, np.maximum(y, 0))):
+        if np.isfinite(end):
+            best = np.minimum(best, np.maximum(ratios(l - end, size_l), ratios(wrong, size_y)))
+    return float(best.max(initial=0))
+
+
+def ball_law(l: np.ndarray, y: np.ndarray, radius: Any, size_y: Any, other: Any) -> float:
+    """l = -radius y/|y|, or y = 0 and |l| <= radius; l beside the radius, or 1e-6 of another force, which may hide it."""
+    size_l, far, scale = np.sqrt(l @ l), np.sqrt(y @ y), max(radius, 1e-6 * other)
+    sticks = max(ratios(max(size_l - radius, 0), scale), ratios(far, size_y))
+    return float(sticks if far == 0 else min(sticks, ratios(l + radius * y / far, scale).max()))
+
+
+def magnitude(rng: np.random.Generator, size: int, low: float = -6, high: float = 6) -> np.ndarray:
+    """Numbers of either sign whose sizes are spread over the decades from ``low`` to ``high``."""
+    return rng.choice([-1, 1], size) * 10 ** rng.uniform(low, high, size)
+
+
+# ---------------------------------------------------------------------------------------------- the models
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A model under test.
+
+    Attributes:
+        model: load_case -> Model.
+        ordinary: rng -> Input that is finite and feasible.
+        judge: Step -> (residual of the law, residual of the motion).
+        impossible: Step-like row in effect -> whether the step surely has no solution.
+        options: of `codegen.write`.
+    """
+
+    model: Callable[[Callable[..., Any]], Any]
+    ordinary: Callable[[np.random.Generator], Input]
+    judge: Callable[[Step], tuple[float, float]]
+    impossible: Callable[[Step], bool] = lambda step: False
+    options: tuple[tuple[str, Any], ...] = ()
+
+
+NONE = np.zeros(0)
+
+
+def linear_step(step: Step, A: np.ndarray, B: np.ndarray, f: Any, theta: float) -> float:
+    """x+ - x = h theta (A x+ + f(t+h)) + h (1 - theta) (A x + f(t)) + h B l."""
+    x, z, l, h = step.state, step.after, step.l, step.h
+    ahead, behind = f(np.longdouble(float(step.t) + float(h))), f(step.t)
+    rest = h * (theta * (A @ x + ahead) + (1 - theta) * (A @ x + behind))
+    E = z - x - h * theta * (A @ (z - x)) - rest - h * (B @ l)
+    moved = np.abs(z - x) + h * theta * (np.abs(A) @ np.abs(z - x)) + np.abs(rest) + h * (np.abs(B) @ np.abs(l))
+    terms = (
+        np.abs(z) + np.abs(x) + h * (np.abs(A) @ (np.abs(x) + np.abs(z)) + np.abs(ahead) + np.abs(behind) + np.abs(B) @ np.abs(l))
+    )
+    lost = UNDERFLOW * (1 + h) * (1 + np.abs(A).max()) * (np.abs(x).sum() + np.abs(z).sum() + np.abs(l).sum())
+    return motion(E, moved, carried(np.eye(x.size) - h * theta * A, terms), lost)
+
+
+def carried(M: np.ndarray, terms: np.ndarray) -> np.ndarray:
+    """Round-off of the terms of a linear system with matrix M, as its solution carries it from row to row."""
+    try:
+        seen = np.abs(M) @ np.abs(np.linalg.inv(M.astype(float))) @ terms
+    except np.linalg.LinAlgError:
+        return terms
+    return np.where(np.isfinite(seen), np.maximum(seen, terms), terms)
+
+
+# Diode bridge: L = 10 mH, C = 1 uF, R = 1 kOhm; natural sizes 1 V and 1 mA, natural time sqrt(L C) = 1e-4 s.
+
+
+def bridge_input(rng: np.random.Generator, any_step: bool) -> Input:
+    h = 1e-4 * 10 ** rng.uniform(-6, 3) if any_step else 1e-6
+    return Input(rng.uniform(0, 1), h, magnitude(rng, 2) * [1, 1e-3], np.zeros(2), NONE)
+
+
+def judge_bridge(step: Step) -> tuple[float, float]:
+    L, C, R = np.longdouble(1e-2), np.longdouble(1e-6), np.longdouble(1e3)
+    A = np.array([[0, -1 / C], [1 / L, 0]])
+    B = np.array([[0, 0, -1 / C, 1 / C], [0, 0, 0, 0]])
+    v, (p, q, i, j) = step.after[0], step.l
+    y = np.array([(p + q) / R - i, (p + q) / R - j, p - v, q + v])
+    size = np.array([(abs(p) + abs(q)) / R + abs(i), (abs(p) + abs(q)) / R + abs(j), abs(p) + abs(v), abs(q) + abs(v)])
+    law = box_law(step.l, y, 0, np.inf, size, np.array([R, R, 1, 1]))
+    return law, linear_step(step, A, B, lambda t: np.zeros(2), 0.5)
+
+
+# Two masses: all sizes are of order 1; masses, friction forces and stiffness are parameters.
+
+
+def masses_input(rng: np.random.Generator) -> Input:
+    p = 10 ** rng.uniform(-3, 3, 5)
+    return Input(rng.uniform(0, 100), 10 ** rng.uniform(-6, 3), magnitude(rng, 4), np.zeros(4), p)
+
+
+def judge_masses(step: Step) -> tuple[float, float]:
+    m1, m2, mu1, mu2, k = step.p
+    A = np.array([[0, 1, 0, 0], [-k / m1, 0, k / m1, 0], [0, 0, 0, 1], [k / m2, 0, -k / m2, 0]])
+    B = np.array([[0, 0], [mu1 / m1, 0], [0, 0], [0, mu2 / m2]])
+    v, w = step.after[[1, 3]], step.h * np.array([mu1 / m1, mu2 / m2])
+    law = box_law(step.l, v, -1, 1, np.abs(v) + np.abs(w * step.l), 1 / np.sqrt(np.maximum(np.abs(w), np.finfo(w.dtype).tiny)))
+    return law, linear_step(step, A, B, lambda t: np.array([0, 2 * np.sin(t) / m1, 0, 0]), 0.5)
+
+
+# Two genes: concentrations of order 1, rates of order 1; they switch at 4 and at 8, where more than chance puts the states.
+
+
+def genes_input(rng: np.random.Generator) -> Input:
+    x = magnitude(rng, 2)
+    near = rng.random(2) < 0.3
+    x = np.where(near, rng.choice([4, 8], 2) + magnitude(rng, 2, -6, 0) * rng.integers(0, 2, 2), x)
+    return Input(rng.uniform(0, 100), 10 ** rng.uniform(-6, 3), x, np.zeros(2), NONE)
+
+
+def judge_genes(step: Step) -> tuple[float, float]:
+    (a, b), l, x, h = step.after, step.l, step.state, step.h
+    rate = np.array([4.5, 1.5])
+    force = 40 * np.array([l[1] * (1 - l[2]), l[0] * (1 - l[3])])
+    y = np.array([4 - a, 4 - b, 8 - a, 8 - b])
+    law = box_law(l, y, 0, 1, np.array([4, 4, 8, 8]) + np.abs([a, b, a, b]))
+    E = step.after - x + h * rate * (step.after + x) / 2 - h * force
+    moved = np.abs(step.after - x) * (1 + h * rate / 2) + h * np.abs(rate * x) + h * np.abs(force)
+    return law, motion(E, moved, (1 + h * rate) * (np.abs(step.after) + np.abs(x)))
+
+
+# Three discs of radius 0.5 between walls that close: |x|, |y| <= 5 - t, so that t + h > 4.5 leaves no room.
+
+RADIUS, WIDE = 0.5, 5.0
+PAIRS = [(1, 0), (2, 0), (2, 1)]
+
+
+def room(load_case: Callable[..., Any]) -> SweepingProcess:
+    t, q = ca.SX.sym("t"), ca.SX.sym("q", 6)
+    at = ca.vertsplit(q, 2)
+    pairs = {f"{i}-{j}": ca.norm_2(at[i] - at[j]) - 2 * RADIUS for i, j in PAIRS}
+    walls = {"right": WIDE - t - RADIUS - q, "left": WIDE - t - RADIUS + q}
+    f = ca.vertcat(*(ca.vertcat(1 - p[0], ca.sin(t) - p[1]) for p in at))
+    return SweepingProcess(t=t, q=q, f=f, constraints=pairs | walls, q0=[-2, 0, 0, 0, 2, 0], t_end=2, step=0.01)
+
+
+def room_input(rng: np.random.Generator) -> Input:
+    """Discs that do not overlap, inside of the walls as they are after the step."""
+    h = 10 ** rng.uniform(-6, 0.3)
+    t = rng.uniform(0, 1) * (WIDE - 1.6 - h)
+    free = WIDE - t - h - RADIUS
+    while True:
+        q = rng.uniform(-free, free, (3, 2))
+        if rng.random() < 0.3:
+            q[1] = q[0] + np.array([1, 0]) * (2 * RADIUS + 10 ** rng.uniform(-9, 0))
+        gaps = [np.hypot(*(q[i] - q[j])) - 2 * RADIUS for i, j in PAIRS]
+        if min(gaps) >= 0 and np.abs(q).max() <= free:
+            return Input(t, h, q.ravel(), np.zeros(6), NONE)
+
+
+def no_room(step: Step) -> bool:
+    """The walls overlap, by more than what is small beside the way to them."""
+    way = 1 + (1 + step.h) * (np.abs(step.state).max() + 1)
+    return step.t + step.h > WIDE - RADIUS + 1e-5 * way
+
+
+def judge_room(step: Step) -> tuple[float, float]:
+    q, z, h, t = step.state, step.after, step.h, step.t
+    here = q.reshape(3, 2)
+    if min(np.abs(here[i] - here[j]).max() for i, j in PAIRS) < 1e-140:
+        return 0.0, 0.0  # the square of the distance, and with it the direction, is lost
+    rows, gaps = np.zeros((15, 6), np.longdouble), np.zeros(15, np.longdouble)
+    for k, (i, j) in enumerate(PAIRS):
+        difference = here[i] - here[j]
+        far = np.sqrt(difference @ difference)
+        rows[k, 2 * i : 2 * i + 2], rows[k, 2 * j : 2 * j + 2] = difference / far, -difference / far
+        gaps[k] = far - 2 * RADIUS
+    rows[3:9], rows[9:15] = -np.eye(6), np.eye(6)
+    gaps[3:] = WIDE - t - h - RADIUS - np.concatenate([q, -q])
+    f = (np.array([[1, np.sin(t)]]) - here).ravel()
+    y = gaps + rows @ (z - q)
+    size = np.abs(gaps) + np.abs(rows) @ (np.abs(q) + h * np.abs(f) + np.abs(rows.T) @ step.l) + 1
+    law = box_law(step.l, y, 0, np.inf, size)
+    E = z - q - h * f - rows.T @ step.l
+    moved = np.abs(z - q) + h * np.abs(f) + np.abs(rows.T) @ np.abs(step.l)
+    return law, motion(E, moved, np.abs(z) + (1 + h) * np.abs(q) + h)
+
+
+# A mass in the plane, isotropic dry and quadratic friction, a quartic potential, linear damping, a round wall of radius 2.
+
+STIFF, DAMPING = np.array([1.0, 3.0]), np.array([[0.2, 0.3], [-0.3, 0.1]])
+
+
+def rubbing(load_case: Callable[..., Any]) -> FrictionOscillator:
+    x, s, mu = ca.SX.sym("x", 2), ca.SX.sym("s"), ca.SX.sym("mu")
+    return FrictionOscillator(
+        x=x, potential=ca.dot(STIFF, x**2) / 2 + x[0] ** 4 / 4, friction=mu * s + s**3 / 3, s=s, damping=DAMPING,
+        constraints={"wall": 4 - ca.sumsqr(x)}, x0=[1, 0], v0=[0, 1], t_end=5, step=0.01, parameters={mu: 0.5},
+    )  # fmt: skip
+
+
+def rubbing_input(rng: np.random.Generator) -> Input:
+    """Within the wall; a free motion of up to 5000 radii in a step."""
+    x, h = rng.normal(size=2), 10 ** rng.uniform(-6, 3)
+    x *= 2 * rng.random() ** 0.5 / np.hypot(*x)
+    return Input(0.0, h, x, np.clip(magnitude(rng, 2), -7e3 / h, 7e3 / h), 10 ** rng.uniform(-6, 3, 1))
+
+
+def judge_rubbing(step: Step) -> tuple[float, float]:
+    x, old, h, (mu,) = step.state[:2], step.state[2:], step.h, step.p
+    z, d, xi, n = step.after[:2], step.after[2:], step.l[:2], step.l[2:]
+    spring = STIFF * z + np.array([z[0] ** 3, 0])
+    parts = [d, -old, h * (DAMPING @ d), np.sqrt(d @ d) * d, -(h**2) * xi, h**2 * spring, h**2 * 2 * n * z]
+    # What is off free motion, d - old, and what that does to each force.
+    stiff = (1 + 2 * np.sqrt(d @ d)) * np.eye(2) + h * np.abs(DAMPING) + h**2 * np.diag(STIFF + 3 * z**2 + 2 * np.abs(n))
+    moved = stiff @ np.abs(d - old) + h**2 * (np.abs(xi) + 2 * np.abs(n * z))
+    E = motion(np.sum(parts, axis=0), moved, np.sum(np.abs(parts), axis=0) + stiff @ (np.abs(x) + np.abs(d)))
+    gap = 4 - z @ z
+    pushed = h**2 * np.abs(2 * z) @ (np.abs(xi) + np.abs(2 * n * z))
+    felt = ROUND_OFF / LAW * np.abs(2 * z) @ (np.abs(x) + np.abs(d))
+    size, unit = np.array([4 + z @ z + pushed + felt]), 1 / np.abs(2 * z).max()
+    wall = box_law(n, np.array([gap]), 0, np.inf, size, unit, np.abs(xi).max())
+    moved_by_d = ratios(z - x - d, 4 * EPS * (np.abs(z) + np.abs(x) + np.abs(d))).max() * LAW
+    slides = d if min(h**2, 1) * mu > 1e9 * UNRESOLVED else np.zeros(2)  # else friction is too weak to be looked at
+    rubs = ball_law(xi, slides, mu, np.sum(np.abs(parts)), np.abs(2 * n * z).max())
+    return max(rubs, wall, float(moved_by_d)), E
+
+
+# A point in half a disc, driven against friction; projections may be off by eps.
+
+FEEDBACK, DRIVE, FRICTION = np.array([[2.0, -0.5], [0.5, 1.0]]), np.array([3.0, -0.4]), np.array([0.5, 1.0])
+LEFT, SLACK = -0.5, 1e-6
+
+
+def half_disc(load_case: Callable[..., Any]) -> MonotoneInclusion:
+    x = ca.SX.sym("x", 2)
+    return MonotoneInclusion(
+        x=x, field=DRIVE - FEEDBACK @ x, phi=ca.dot(FRICTION, ca.fabs(x)), constraints={"disc": 1 - ca.sumsqr(x)},
+        lower=[LEFT, -np.inf], tolerances=SLACK, x0=[0, 0], t_end=3, step=0.01,
+    )  # fmt: skip
+
+
+def half_disc_input(rng: np.random.Generator) -> Input:
+    x = rng.normal(size=2)
+    x *= rng.random() ** 0.5 / np.hypot(*x)
+    x[0] = max(x[0], LEFT)
+    x *= rng.random(2) < 0.8
+    return Input(0.0, 10 ** rng.uniform(-6, 3), x, np.zeros(2), NONE)
+
+
+def judge_half_disc(step: Step) -> tuple[float, float]:
+    x, z, h = step.state, step.after, step.h
+    field = DRIVE - FEEDBACK @ x
+    v = np.where(x == 0, field - np.clip(field, -FRICTION, FRICTION), field - FRICTION * np.sign(x))
+    inside = max(LEFT - z[0], z @ z - 1, 0) / (8 * EPS)
+    if (x == 0).any() and (x[0] <= LEFT or x @ x >= 1):
+        return inside * LAW, 0.0  # another velocity may have been chosen
+    y = x + h * v
+    corner = np.array([LEFT, np.copysign(np.sqrt(1 - np.longdouble(LEFT) ** 2), y[1])])
+    candidates = [y, y / np.sqrt(y @ y) if y.any() else y, np.array([LEFT, y[1]]), corner]
+    # z ** 2 - 1 is round-off on the circle; the nearest point of C is the nearest admissible candidate.
+    nearest = min((p - y) @ (p - y) for p in candidates if p[0] >= LEFT and p @ p <= 1 + 4 * EPS)
+    excess = (z - y) @ (z - y) - nearest
+    round_off = 64 * EPS * (nearest + (x @ x) + h * h * (field @ field))
+    return inside * LAW, max(float((excess - SLACK) / (round_off + EPS)), 0) * MOTION
+
+
+SUBJECTS = {
+    "diode bridge": Subject(lambda load: load("diode_bridge"), lambda rng: bridge_input(rng, False), judge_bridge),
+    "diode bridge, any step": Subject(
+        lambda load: load("diode_bridge"), lambda rng: bridge_input(rng, True), judge_bridge, options=(("any_step", True),)
+    ),
+    "two masses": Subject(lambda load: load("two_masses"), masses_input, judge_masses),
+    "genes": Subject(lambda load: load("gene_network"), genes_input, judge_genes),
+    "closing room": Subject(room, room_input, judge_room, no_room),
+    "rubbing": Subject(rubbing, rubbing_input, judge_rubbing),
+    "half disc": Subject(half_disc, half_disc_input, judge_half_disc),
+}
+
+
+def hostile(rng: np.random.Generator, given: Input) -> Input:
+    """Some of the numbers replaced by special ones, or all by numbers of any size."""
+    packed = given.packed()[1:]
+    if rng.random() < 0.7:
+        places = rng.integers(0, packed.size, rng.integers(1, 4))
+        packed[places] = rng.choice(SPECIAL, places.size)
+    else:
+        packed = magnitude(rng, packed.size, -320, 308)
+    packed[0] += 0.0  # -0 becomes 0 in the sum t_0 + k h
+    packed[1] = abs(packed[1]) if rng.random() < 0.5 else packed[1]
+    n = given.x.size
+    return Input(packed[0], packed[1], packed[2 : 2 + n], packed[2 + n : 2 + 2 * n], packed[2 + 2 * n :], rng.random() < 0.2)
+
+
+def inputs_of(subject: Subject, count: int, seed: int) -> tuple[list[Input], np.ndarray]:
+    """(inputs, whether each is finite and feasible): 60 % are; what follows a hostile one starts from what that left."""
+    rng = np.random.default_rng(seed)
+    ordinary = rng.random(count) < 0.6
+    given = [subject.ordinary(rng) for _ in range(count)]
+    return [one if good else hostile(rng, one) for one, good in zip(given, ordinary, strict=True)], ordinary
+
+
+@pytest.fixture(scope="module")
+def binary(tmp_path_factory, load_case):
+    """Return binary(name, *flags) -> Binary of a subject, compiled once."""
+    base = tmp_path_factory.mktemp("fuzz")
+
+    @cache
+    def build(name, *flags):
+        folder = base / f"{len(list(base.iterdir()))}"
+        return Binary(SUBJECTS[name].model(load_case), folder, flags, **dict(SUBJECTS[name].options))
+
+    return build
+
+
+def judged(binary: Binary, subject: Subject, row: np.ndarray) -> tuple[float, float]:
+    with np.errstate(all="ignore"):  # hostile numbers; what is not a number is no pass
+        return subject.judge(binary.step(row))
+
+
+# ---------------------------------------------------------------------------------------------- the fuzz
+
+
+@pytest.mark.parametrize("name", SUBJECTS)
+def test_every_accepted_step_is_right_and_every_other_input_is_refused(binary, name):
+    """A status for every call, no crash, no hang; what is refused changes nothing; what is feasible is accepted."""
+    subject, built = SUBJECTS[name], binary(name, "-O2")
+    inputs, ordinary = inputs_of(subject, COUNT, 1)
+    rows = built.run(inputs)
+    status, fixed = rows[:, :6].astype(int), name == "diode bridge"
+    assert rows[:, 6].all(), "a refused call has changed something"
+
+    def codes(parts, refused):
+        return np.array([DONE if np.isfinite(part).all() else refused for part in parts])
+
+    lengths = np.array([given.h for given in inputs])
+    good_length = lengths == 1e-6 if fixed else (lengths > 0) & (lengths < np.inf)
+    np.testing.assert_array_equal(status[:, 0], codes([given.t for given in inputs], NOT_FINITE))
+    np.testing.assert_array_equal(status[:, 2], np.where(good_length, DONE, BAD_STEP))
+    np.testing.assert_array_equal(status[:, 3], codes([given.x for given in inputs], NOT_FINITE))
+    bad_radius = np.array([name == "rubbing" and given.p[0] < 0 for given in inputs])
+    finite_p = codes([given.p for given in inputs], NOT_FINITE)
+    np.testing.assert_array_equal(status[:, 1], np.where(bad_radius & (finite_p == DONE), BAD_PARAMETER, finite_p))
+    if name == "rubbing":
+        np.testing.assert_array_equal(status[:, 4], codes([given.second for given in inputs], NOT_FINITE))
+
+    assert set(status[:, STEP]) <= {DONE, NOT_SOLVED, NOT_FINITE}
+    accepted = status[:, STEP] == DONE
+    assert accepted[ordinary].mean() >= 0.99
+    assert 0.1 < accepted[~ordinary].mean() < 0.99
+    assert (rows[accepted, 9] <= 1e-9).all()
+    assert np.isfinite(rows[accepted]).all()
+    impossible = [subject.impossible(built.step(row)) for row in rows]
+    assert not (accepted & impossible).any()
+    assert any(impossible) or name != "closing room"
+    for row in rows[accepted]:
+        law, moved = judged(built, subject, row)
+        assert law <= LAW
+        assert moved <= MOTION
+
+
+@pytest.mark.parametrize("name", SUBJECTS)
+def test_the_same_under_the_sanitizers(binary, name):
+    """Nothing is read or written out of bounds, nothing is undefined; and an unoptimised build gives the same statuses."""
+    inputs, _ = inputs_of(SUBJECTS[name], 400, 2)
+    rows = binary(name, *SANITIZE).run(inputs)
+    np.testing.assert_array_equal(rows[:, : STEP + 1], binary(name, "-O2").run(inputs)[:, : STEP + 1])
+
+
+@pytest.mark.parametrize("name", SUBJECTS)
+def test_what_a_wrong_step_looks_like(tmp_path, load_case, name):
+    """The checks above see an answer that is wrong in its sixth digit; a projection may be so by its eps."""
+    subject, rng = SUBJECTS[name], np.random.default_rng(3)
+    wrong = f"s->x[i] = {1.01 if name == 'half disc' else 1.000001}*s->work.x_next[i]"
+    lie = ("memcpy(s->x, s->work.x_next, sizeof s->x);", f"for (int i = 0; i < SCENE_NSTATE; i++) {wrong};")
+    built = Binary(subject.model(load_case), tmp_path, ("-O1",), lie, **dict(subject.options))
+    rows = built.run([subject.ordinary(rng) for _ in range(100)])
+    caught = [law > LAW or moved > MOTION for law, moved in (judged(built, subject, row) for row in rows if row[STEP] == DONE)]
+    assert np.mean(caught) > 0.5
+
+
+def test_a_huge_state_does_not_spoil_the_steps_after_it(binary):
+    """The multiplier of a state of 1e100 V is no start for one of 1 V, but the step is found all the same."""
+    built = binary("diode bridge, any step", "-O2")
+    huge, after = (Input(0.0, 1e-7, np.array(x), np.zeros(2), NONE) for x in ([1e100, 0.0], [1.0, 0.0]))
+    rows = built.run([huge, after, after])
+    np.testing.assert_array_equal(rows[:, STEP], DONE)
+    assert max(judged(built, SUBJECTS["diode bridge, any step"], rows[2])) <= LAW
+
+
+def test_a_step_that_would_move_far_excuses_nothing(binary):
+    """Free motion would end at x = 8e4, where the quartic potential is 4e19: beside that, no force near the answer counts."""
+    built, subject = binary("rubbing", "-O2"), SUBJECTS["rubbing"]
+    x, v = np.array([0.3596151815160936, -0.05883490423365626]), np.array([282.0, -15.0])
+    rows = built.run([Input(0.0, h, x, v, np.array([mu])) for h in (250.0, 286.4, 320.0) for mu in (3e-5, 0.5, 20.0)])
+    assert (rows[:, STEP] == DONE).sum() >= 5
+    assert max(judged(built, subject, row)[1] for row in rows if row[STEP] == DONE) <= MOTION
+
+
+# ---------------------------------------------------------------------------------------------- names
+
+
+HOSTILE_NAMES = {
+    "ends of comments": ("a */ b /* c /*/", ["*/", "/*"], "*/ m"),
+    "quotes and escapes": ('say "x" \\', ['q"', "a\\n\\"], "\\"),
+    "lines": ("two\nlines \\\n#error", ["a\nb", "\tc\r"], "\n"),
+    "formats": ("100 % %s %n", ["%s%n%d", "@NAME@"], "%"),
+    "trigraphs": ("??/ *??/", ["??/", "???=?"], "??/"),
+    "prefixes": ("model_a MODEL_B", ["model_x", "MODEL_Y"], "model_"),
+    "a digit first": ("3 discs", ["int", "while"], "1"),
+    "a keyword": ("int", ["double", "x,y"], "void"),
+    "unicode": ("Überdruck 中文 ∈", ["é", "😀" * 2000], "µm"),
+    "nothing": ("", [" ", "''"], ""),
+    "control": ("\x01\x7f", ["\x0b1", "\x1f7" * 2000], "\x02"),
+    "long": ("x" * 5000, ["y" * 9000, "z"], "w" * 5000),
+}
+
+
+@pytest.mark.parametrize("kind", HOSTILE_NAMES)
+def test_what_the_user_writes_stays_words(kind, tmp_path):
+    """Titles, states, parameters and units of any text: strict C, a valid table and description, and the names unchanged."""
+    title, names, word = HOSTILE_NAMES[kind]
+    x, l, p = ca.SX.sym("x", 2), ca.SX.sym("l", 2), ca.SX.sym(f"p{word}")
+    model = FirstOrderSystem(
+        x=x, lam=l, f=[-p * x[0], x[0]], h=x, g=l, law=relay(2), x0=[1, 2], t_end=0.1, step=0.01, parameters={p: 2.0},
+        names=names, units={names[0]: word, "t": word}, title=title,
+    )  # fmt: skip
+    about = codegen.write(model, tmp_path).about
+    name = about["name"]
+    command = [COMPILER, *STRICT, "-O0", "-o", "example", "example_main.c", f"{name}.c", "-lm"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[:3000]
+    output = subprocess.run([tmp_path / "example"], capture_output=True, check=True).stdout.decode()
+    rows = list(csv.reader(io.StringIO(output, newline="")))
+    assert rows[0] == ["t", *names, "l_0", "l_1"]
+    assert len(rows) == 12
+    assert json.loads((tmp_path / f"{name}.json").read_text())["states"] == names
+    if kind == "quotes and escapes":
+        assert codegen.load(tmp_path).solver().step() == DONE
+
+
+def test_no_name_in_the_code_is_one_that_a_title_can_make():
+    """A library called "newton" has a newton_step: no static function may have the name of an exported one behind a prefix."""
+    text = "\n".join(path.read_text() for path in (Path(codegen.__file__).parent / "c").glob("*.[ch]"))
+    exported = set(re.findall(r"\bmodel_(\w+)\(", text)) - {"place", "rollout", "fetch", "size"}  # those in a run of their own
+    static = set(re.findall(r"^static [^;{}=]*?\b(\w+)\(", text, re.MULTILINE))
+    assert {"step", "init", "set_state", "status_text"} <= exported
+    assert {"step_by_newton", "lu_factor"} <= static
+    assert not [name for name in static if any(name.endswith(f"_{end}") for end in exported)]
+
+
+@pytest.mark.parametrize("name", ["newton", "fixed", "catching_up", "model"])
+def test_a_library_may_have_the_name_of_a_method(name, tmp_path, load_case):
+    for stem in ("gene_network", "diode_bridge", "inclusion_8_2"):
+        codegen.write(load_case(stem), tmp_path / stem, name=name)
+        command = [COMPILER, *STRICT, "-fsyntax-only", f"{name}.c", "example_main.c"]
+        done = subprocess.run(command, cwd=tmp_path / stem, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr[:3000]
