@@ -43,7 +43,7 @@ def compiled(folder, inputs, outputs, name="f"):
     given = ", ".join([*(f"const double *{key}" for key in inputs), *(f"double *{key}" for key in outputs)])
     text += f"void call({given});\nvoid call({given}) {{ model_solver s = {{0, 0}}; {name}(&s, {arguments}); }}\n"
     source = folder / f"{name}.c"
-    source.write_text("#include <math.h>\n" + pruned(prefixed(text, "model")))
+    source.write_text("#include <math.h>\n#include <string.h>\n" + pruned(prefixed(text, "model")))
     command = [
         "gcc",
         "-std=c99",
@@ -123,6 +123,20 @@ def test_matrices_come_row_by_row(tmp_path):
     x = ca.SX.sym("x", 2)
     A = ca.vertcat(ca.horzcat(x[0], 0, 3), ca.horzcat(x[1], x[0] * x[1], 0))
     assert_same(compiled(tmp_path, {"x": x}, {"A": A})([2, 5]), [2, 0, 3, 5, 10, 0])
+
+
+@pytest.mark.parametrize("size", [12, 60])  # 60: the function is cut into several
+def test_a_sparse_matrix_is_cleared_and_not_set_zero_by_zero(size, tmp_path):
+    x, band = ca.SX.sym("x", size), range(-(size // 8), size // 8)
+    sparse = sum(ca.sparsify(ca.diag(ca.sin(k * x) * (x + k) + ca.cos(x))) @ ca.sparsify(ca.DM(np.eye(size, k=k))) for k in band)
+    outputs = {"first": sparse, "second": ca.SX.ones(size, 1), "third": ca.sparsify(ca.SX(2, 2))}
+    text = c_function("f", {"x": x}, outputs)
+    assert text.count("memset") == text.count(f"memset(first, 0, {size * size}*sizeof *first);") == 1
+    assert text.count("first[") == sparse.nnz()
+    assert ("f_1(" in text) == (size == 60)
+    at = np.linspace(-2, 2, size)
+    expected = [np.array(value).ravel() for value in ca.Function("e", [x], list(outputs.values()))(at)]
+    assert_same(compiled(tmp_path, {"x": x}, outputs)(at), np.concatenate(expected))
 
 
 def test_empty_outputs_and_unused_inputs_compile(tmp_path):

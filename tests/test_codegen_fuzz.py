@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from nsmodel import FirstOrderSystem, FrictionOscillator, MonotoneInclusion, SweepingProcess, codegen, relay
+from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, MonotoneInclusion, SweepingProcess, codegen, relay
 
 COMPILER = shutil.which("gcc") or shutil.which("cc")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
@@ -656,3 +656,39 @@ def test_a_library_may_have_the_name_of_a_method(name, tmp_path, load_case):
         command = [COMPILER, *STRICT, "-fsyntax-only", f"{name}.c", "example_main.c"]
         done = subprocess.run(command, cwd=tmp_path / stem, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr[:3000]
+
+
+# ---------------------------------------------------------------------------------------------- found by fuzzing
+
+
+def accepted_from_random_states(folder: Path, model: Any, count: int, lie: tuple[str, str] = ("", "")) -> float:
+    rng = np.random.default_rng(0)
+    binary = Binary(model, folder, ("-O1",), lie)
+    empty = np.zeros(binary.nx)
+    rows = binary.run([Input(1.0, 0.05, magnitude(rng, binary.nx, -3, 1), empty, NONE, True) for _ in range(count)])
+    return float((rows[:, STEP] == DONE).mean())
+
+
+def test_a_smooth_potential_has_multipliers_without_a_law(tmp_path):
+    """l = -dPhi(y) is an expression: no row, no solver, and still the user's multiplier."""
+    y = ca.SX.sym("y")
+    model = LureSystem(A=[[-1]], B=[[1]], C=[[1]], y=y, phi=ca.cosh(y), x0=[1], t_end=1, step=0.05)
+    about = codegen.write(model, tmp_path, name="scene").about
+    assert (about["sizes"]["M"], about["sizes"]["NL"]) == (0, 1)
+    solver = codegen.load(tmp_path).solver()
+    assert solver.step() == DONE
+    np.testing.assert_allclose(solver.multipliers, -np.sinh(solver.x), rtol=1e-9)
+    assert accepted_from_random_states(tmp_path / "b", model, 50) == 1
+
+
+def test_a_level_that_is_0_is_0_and_not_round_off(tmp_path):
+    """A max in a max has a level, 0 where its argument is negative; beside its own round-off nothing would pass."""
+    y = ca.SX.sym("y", 3)
+    first = 0.6 * y[2] - 0.3 * y[0] + 0.7 * y[1] + 0.8
+    second = 1.1 * y[2] - 1.6 * y[0] - 1.5 * y[1] - 0.1
+    phi = sum(1.7 * ca.fmax(ca.fmax(e, 0), 2 * e - 1) for e in (first, second))
+    D = [[1.2, 0.8, -0.1], [-0.2, 2.9, -1.7], [0.3, -0.7, 0.9]]
+    model = LureSystem(A=[[-2]], B=[[-0.5, 0.3, 1]], C=[[-0.5], [0.3], [1]], D=D, y=y, phi=phi, x0=[1], t_end=1, step=0.05)
+    assert accepted_from_random_states(tmp_path / "a", model, 200) == 1
+    blunt = ("return fabs(sum) <= 4*EPS*size ? 0 : sum;", "(void)size; return sum;")
+    assert accepted_from_random_states(tmp_path / "b", model, 200, blunt) < 1

@@ -7,12 +7,14 @@ import ctypes
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
 import textwrap
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
@@ -114,18 +116,16 @@ def make_calls(monkeypatch):
     return calls
 
 
-def failing(monkeypatch, condition, status=1):
+def failing(monkeypatch, condition):
     """Let steps fail in C where ``condition``, in terms of the number ``k``, holds; the library has a cache of its own."""
     write = cache.write_source
 
     def changed(*args):
         source = write(*args)
-        head = "static int attempt(st" + re.search(r"static int attempt\(st(.*?)\n\{\n", source.code, re.DOTALL)[1] + "\n{\n"
-        assert head in source.code
-        code = source.code.replace(
-            head, f"{head}    const long k = (long)s->steps;\n    if ({condition})\n        return {status};\n"
-        )
-        return type(source)(source.name, source.header, code, source.rollout, source.flags, source.sizes, source.bound)
+        head = re.search(r"^static int attempt\([^;]*?\)\n\{\n", source.code, re.MULTILINE)[0]
+        failure = f"    const long k = (long)s->steps;\n    if ({condition})\n        return 1;\n"
+        code = source.code.replace(head, head + failure)
+        return replace(source, code=code)
 
     monkeypatch.setattr(cache, "write_source", changed)
 
@@ -262,7 +262,6 @@ SCENES = {
     "varied steps, tolerance of each": lambda: inclusion_in_a_box(tolerances=1e-4 / (1 + np.arange(150.0)), **VARIED),
     "tolerances of each step": lambda: inclusion(tolerances=1e-4 / (1 + np.arange(300.0)) ** 2),
     "exact projections": lambda: inclusion(tolerances=None),
-    "simplex": lambda: with_law(SIMPLEX),
     "all laws": lambda: with_law(product(relay(1), complementarity(1), ball(2, 0.5), second_order_cone(3), SIMPLEX)),
     "phi with kinks": lambda: with_phi(kinks),
     "phi with kinks, varied steps": lambda: with_phi(kinks, **VARIED),
@@ -350,7 +349,7 @@ def test_a_step_without_solution_has_the_same_error(build, tmp_path, monkeypatch
 
 @compiles
 @pytest.mark.parametrize("build", MODELS, ids=lambda build: build.__name__)
-@pytest.mark.parametrize("every", [1, 3, 1000])
+@pytest.mark.parametrize("every", [1, 3])
 def test_however_it_is_cut_a_run_is_the_same_to_the_last_bit(build, every, tmp_path, monkeypatch, small_chunks, whole):
     """Step by step, with small chunks on disk, or at once in memory: nothing that a solver keeps may matter."""
     advance = Rollout.advance
@@ -381,7 +380,7 @@ def test_a_run_on_disk_needs_no_more_memory_when_it_is_longer(tmp_path):
     body = """
         import resource
         loop.Trajectory.load, loop.CHUNK_BYTES = lambda path: None, 1 << 20
-        for end in (1e3, 5e3):
+        for end in (5e2, 3e3):
             model = nsmodel.LureSystem(A=[[-1]], B=1, C=1, law=nsmodel.relay(1, -0.5, 0.5), x0=1, t_end=end, step=1e-3)
             nsmodel.simulate(model, out=f"run{end:g}", save_every=10, compiled=True)
             print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
@@ -451,7 +450,7 @@ def start(body, folder):
 
 
 @compiles
-@pytest.mark.parametrize("build", [sweeping, oscillator, first_order], ids=lambda build: build.__name__)
+@pytest.mark.parametrize("build", [sweeping, oscillator], ids=lambda build: build.__name__)
 def test_a_killed_run_is_resumed_to_the_same_bytes(build, tmp_path, whole):
     body = f"""
         advance = Rollout.advance
@@ -491,7 +490,7 @@ def test_ctrl_c_at_any_moment_loses_no_row(tmp_path, monkeypatch):
     monkeypatch.setattr(Rollout, "advance", arming)
     old = signal.signal(signal.SIGALRM, lambda number, frame: os.kill(os.getpid(), signal.SIGINT))
     try:
-        for i in range(8):
+        for i in range(6):
             armed.clear()
             try:
                 simulate(build(), out=tmp_path / str(i), **options)
@@ -590,7 +589,8 @@ def test_a_run_goes_on_as_it_began(tmp_path, monkeypatch):
     ],
 )
 def test_without_compiler_or_cache_a_run_is_interpreted_with_a_message(environment, message, monkeypatch, fresh_cache, capsys):
-    if "XDG_CACHE_HOME" in environment and library.compiler() is None:
+    compiler = environment.get("CC") if environment.get("CC") in ("false", "cat") else library.compiler()
+    if "PATH" not in environment and (compiler is None or shutil.which(compiler.split()[0]) is None):
         pytest.skip("no C compiler")
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
@@ -634,6 +634,7 @@ def test_a_compiler_may_have_flags_and_what_it_refuses_is_told_in_a_line(monkeyp
     assert len(warning) < 300
 
 
+@compiles
 def test_a_model_without_c_counterpart_is_interpreted_with_a_message():
     x = ca.SX.sym("x")
     outside = ca.Function("outside", [x], [ca.sin(x)], {"never_inline": True})
@@ -661,10 +662,10 @@ def test_a_damaged_library_is_built_again(fresh_cache):
 @compiles
 def test_two_processes_may_build_at_once(fresh_cache, tmp_path):
     body = "print(nsmodel.simulate(test_resume.lure(), compiled=True).metadata['warnings'])"
-    processes = [start(body, tmp_path) for _ in range(3)]
-    assert [process.communicate(timeout=60)[0] for process in processes] == ["[]\n"] * 3
-    assert [process.returncode for process in processes] == [0] * 3
-    assert 1 <= len(list(fresh_cache.iterdir())) <= 3
+    processes = [start(body, tmp_path) for _ in range(2)]
+    assert [process.communicate(timeout=60)[0] for process in processes] == ["[]\n"] * 2
+    assert [process.returncode for process in processes] == [0] * 2
+    assert 1 <= len(list(fresh_cache.iterdir())) <= 2
     assert all(re.fullmatch(r"[0-9a-f]{24}-[0-9a-f]{24}\.so", path.name) for path in fresh_cache.iterdir())
 
 
@@ -719,12 +720,11 @@ def test_what_is_built_once_is_not_built_again(fresh_cache, monkeypatch):
 # ---------------------------------------------------------------------------------------------- auto
 
 
-def test_auto_is_for_long_runs(case_file, load_case, monkeypatch):
-    """No case is: nothing is built by `nsmodel run` as it stands."""
+@pytest.mark.parametrize("stem", [*SMALLER, *PART])
+def test_auto_builds_nothing_for_a_case_as_it_stands(stem, load_case, monkeypatch):
+    """The other cases are run by auto in ``run_case``, to which compiled runs are compared above."""
     monkeypatch.setattr(cache, "cached", None)
-    model = load_case(case_file.stem)
-    if case_file.stem != "crowd_room":
-        assert "in C" not in explain(model)
+    assert IN_C not in explain(load_case(stem, **SMALLER.get(stem, {})))
 
 
 @compiles

@@ -74,7 +74,7 @@ def _example(scene: Scene, source: Source, grid: Grid) -> str:
         "NAME": source.name,
         "VELOCITIES": ", velocities" if "VELOCITY" in flags else "",
         "MULTIPLIERS": ", multipliers" if "LAW" in flags else "",
-        "STEPS": "\n".join("        " + ", ".joinmap(repr, steps[i : i + 5]) + "," for i in range(0, len(steps), 5)),
+        "STEPS": "\n".join("        " + ", ".join(map(repr, steps[i : i + 5])) + "," for i in range(0, len(steps), 5)),
         "LAST": str(min(whole, len(steps)) if steps else whole),
         "FIRST": str(first),
         "COLUMNS": "\n".join(f'    fputs("{_c_string(line)}", stdout);' for line in _lines(columns)),

@@ -38,6 +38,7 @@ def flags_of(scene: Scene) -> frozenset[str]:
         "LAW_OF_PARAMETERS": scene.law_of_parameters,
         "CURVED_OF_PARAMETERS": scene.law_of_parameters and bool(law.curved),
         "REWRITTEN": problem.multipliers is not None,
+        "MULTIPLIERS": structure.m > 0 or problem.multipliers is not None,
         "VELOCITY": isinstance(model, FrictionOscillator),
         "FORCE": isinstance(model, FirstOrderSystem | LureSystem) and problem.state.numel() > len(model.names),
         "FIXED_MAPS": scene.path == FIXED and structure.m > 0 and not law.curved,

@@ -18,7 +18,11 @@ static int attempt(model_solver *s)
     if (s->work.solver == NONE)
         return MODEL_NOT_SOLVED;
 #if REWRITTEN
+#if LAW
     advance(s, s->work.z, s->work.l, s->work.y, s->work.x_next, s->work.multipliers, s->work.outputs);
+#else
+    advance(s, s->work.z, s->work.x_next, s->work.multipliers, s->work.outputs);
+#endif
 #else
 #if LAW
     advance(s, s->work.z, s->work.l, s->work.y, s->work.x_next);

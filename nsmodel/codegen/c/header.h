@@ -127,9 +127,11 @@ void model_get_velocity(const model_solver *s, double *v); /* the last differenc
 #if FORCE
 void model_get_force(const model_solver *s, double *r); /* the reaction at the state */
 #endif
-#if LAW
+#if MULTIPLIERS
 void model_get_multipliers(const model_solver *s, double *l); /* l[MODEL_NL] */
 void model_get_outputs(const model_solver *s, double *y); /* y[MODEL_NL] */
+#endif
+#if LAW
 void model_get_index_set(const model_solver *s, signed char *index); /* index[MODEL_M] */
 #endif
 double model_get_residual(const model_solver *s);

@@ -34,6 +34,27 @@ static int lu_factor(int n, double *A, int *pivot)
     return 0;
 }
 
+#if ENUMERATED
+/* x - the sum of a_j b_j; exactly 0 where nothing but round-off is left: a multiplier that must be 0 shall be just that. */
+static double less(double x, int n, const double *a, const double *b)
+{
+    double sum = x, size = fabs(x);
+    for (int j = 0; j < n; j++) {
+        sum -= a[j]*b[j];
+        size += fabs(a[j]*b[j]);
+    }
+    return fabs(sum) <= 4*EPS*size ? 0 : sum;
+}
+#else
+/* x - the sum of a_j b_j. */
+static double less(double x, int n, const double *a, const double *b)
+{
+    for (int j = 0; j < n; j++)
+        x -= a[j]*b[j];
+    return x;
+}
+#endif
+
 /* Solve A x = x_0 with the factors of A, x_0 in x. */
 static void lu_solve(int n, const double *LU, const int *pivot, double *x)
 {
@@ -42,18 +63,10 @@ static void lu_solve(int n, const double *LU, const int *pivot, double *x)
         x[pivot[k]] = x[k];
         x[k] = held;
     }
-    for (int i = 1; i < n; i++) {
-        double sum = x[i];
-        for (int j = 0; j < i; j++)
-            sum -= LU[i*n + j]*x[j];
-        x[i] = sum;
-    }
-    for (int i = n - 1; i >= 0; i--) {
-        double sum = x[i];
-        for (int j = i + 1; j < n; j++)
-            sum -= LU[i*n + j]*x[j];
-        x[i] = sum/LU[i*n + i];
-    }
+    for (int i = 1; i < n; i++)
+        x[i] = less(x[i], i, LU + i*n, x);
+    for (int i = n - 1; i >= 0; i--)
+        x[i] = less(x[i], n - 1 - i, LU + i*n + i + 1, x + i + 1)/LU[i*n + i];
 }
 
 static int all_finite(int n, const double *x)
