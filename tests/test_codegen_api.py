@@ -1004,7 +1004,8 @@ def test_the_fix_of_a_parameter_of_the_set(tmp_path, monkeypatch, capsys):
 
 GOOD = f"model = FirstOrderSystem(x=x, f=[x[1], -k * x[0]], parameters={{k: 2}}, {GRID})"
 WRONG = {
-    "--name int": r"name = 'int'; expected letters, digits and _",
+    "--name int": r"name = 'int'; expected up to 63 letters, digits and _",
+    f"--name {'a' * 64}": r"expected up to 63 letters",
     "--name a-b": r"name = 'a-b'",
     "--name 1a": r"name = '1a'",
     "--name _a": r"name = '_a'",

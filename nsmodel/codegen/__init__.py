@@ -104,9 +104,9 @@ def identifier(text: str) -> str:
 
 
 def _checked(name: str) -> str:
-    if not (isinstance(name, str) and re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name)) or name.lower() in _RESERVED:
+    if not (isinstance(name, str) and re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,62}", name)) or name.lower() in _RESERVED:
         raise UsageError(
-            f"name = {name!r}; expected letters, digits and _, beginning with a letter, no keyword or header of C: "
+            f"name = {name!r}; expected up to 63 letters, digits and _, beginning with a letter, no keyword or header of C: "
             "it prefixes all names in C"
         )
     return name
