@@ -1078,7 +1078,7 @@ def test_a_library_is_replaced_by_its_own_name_only(tmp_path):
 
 @pytest.mark.parametrize("name", ["", "a b", "a\n", 3, "while"])
 def test_wrong_names(name, tmp_path):
-    with pytest.raises(UsageError, match=r"name = .*expected letters"):
+    with pytest.raises(UsageError, match=r"name = .*expected up to 63 letters"):
         codegen.write(smooth(), tmp_path / "none", name=name)
     assert not (tmp_path / "none").exists()
 

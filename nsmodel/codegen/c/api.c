@@ -30,6 +30,12 @@ static int attempt(model_solver *s)
     advance(s, s->work.z, s->work.x_next);
 #endif
 #endif
+    for (int i = 0; i < MODEL_NSTATE; i++)
+        s->work.x_next[i] += 0.0; /* no -0 */
+#if LAW
+    for (int i = 0; i < MODEL_M; i++)
+        s->work.l[i] += 0.0;
+#endif
     return all_finite(MODEL_NSTATE, s->work.x_next) ? MODEL_OK : MODEL_NOT_FINITE;
 }
 
