@@ -30,6 +30,7 @@ from test_resume import (
     lure,
     oscillator,
     sweeping,
+    whole_runs,
 )
 
 import nsmodel
@@ -88,18 +89,7 @@ def make_small_chunks(monkeypatch):
 
 @pytest.fixture(name="whole", scope="module")
 def make_whole(tmp_path_factory):
-    """Return whole(build) -> bytes of the trajectory of a compiled run that nothing stopped."""
-    kept = {}
-
-    def whole(build, **options):
-        key = (build, *sorted(options.items()))
-        if key not in kept:
-            folder = tmp_path_factory.mktemp(build.__name__)
-            assert simulate(build(), out=folder, compiled=True, **options).status == "done"
-            kept[key] = (folder / "trajectory.npz").read_bytes()
-        return kept[key]
-
-    return whole
+    return whole_runs(tmp_path_factory, compiled=True)
 
 
 @pytest.fixture(name="calls")

@@ -98,20 +98,24 @@ MODELS = [sweeping, oscillator, first_order, lure, inclusion, inclusion_in_a_box
 every_model = pytest.mark.parametrize("build", MODELS, ids=lambda build: build.__name__)
 
 
-@pytest.fixture(name="whole", scope="module")
-def make_whole(tmp_path_factory):
-    """Return whole(build) -> bytes of the trajectory of a run that nothing stopped."""
+def whole_runs(tmp_path_factory, **given):
+    """Return whole(build) -> bytes of the trajectory of a run that nothing stopped; ``given`` are options of every run."""
     kept = {}
 
     def whole(build, **options):
         key = (build, *sorted(options.items()))
         if key not in kept:
             folder = tmp_path_factory.mktemp(build.__name__)
-            assert simulate(build(), out=folder, **options).status == "done"
+            assert simulate(build(), out=folder, **given, **options).status == "done"
             kept[key] = (folder / "trajectory.npz").read_bytes()
         return kept[key]
 
     return whole
+
+
+@pytest.fixture(name="whole", scope="module")
+def make_whole(tmp_path_factory):
+    return whole_runs(tmp_path_factory)
 
 
 @pytest.fixture(name="small_chunks")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Set
 
 from nsmodel.codegen import fixed
-from nsmodel.codegen.needs import MOST_INDEX_SETS
+from nsmodel.solve.active_set import MOST_INDEX_SETS
 from nsmodel.solve.certificate import NumericLaw
 
 PRIMAL_DUAL_SWEEPS = 12

@@ -10,6 +10,7 @@ import numpy as np
 from nsmodel.codegen.expression import c_function
 from nsmodel.codegen.tables import table, unit_tables
 from nsmodel.scheme.problem import OneStepProblem
+from nsmodel.solve.active_set import choices
 from nsmodel.solve.certificate import NumericLaw, bound_size
 from nsmodel.solve.kernel import at_step, matrices_at
 from nsmodel.solve.structure import Structure
@@ -106,14 +107,6 @@ def text(problem: OneStepProblem, structure: Structure, law: NumericLaw, h: floa
         tables.append(f"static const signed char choices[MODEL_M][3] = {{{rows}}}; /* codes that a row can have */\n")
         tables.append(table("choice_count", [len(c) for c in codes], "MODEL_M", kind="int"))
     return "".join(tables) + "\n" + "\n".join(functions)
-
-
-def choices(law: NumericLaw) -> list[list[int]]:
-    """The codes that each row can have."""
-    return [
-        [code for code, bound in ((0, 0.0), (-1, lo), (1, up)) if np.isfinite(bound)]
-        for lo, up in zip(law.lower, law.upper, strict=True)
-    ]
 
 
 def index_sets(law: NumericLaw, most: int = MOST_INDEX_SETS) -> int:

@@ -9,11 +9,11 @@ from nsmodel.codegen.scene import FIXED, INCLUSION, NEWTON, Scene
 from nsmodel.model.first_order import FirstOrderSystem
 from nsmodel.model.lure import LureSystem
 from nsmodel.model.oscillator import FrictionOscillator
+from nsmodel.solve.active_set import MOST_INDEX_SETS
 from nsmodel.solve.certificate import NumericLaw
 from nsmodel.solve.choose import ENUMERATE_UP_TO
 from nsmodel.solve.structure import is_monotone, least_eigenvalue
 
-MOST_INDEX_SETS = 20000  # Up to which those around the last one are tried, as in `solve.active_set.index_sets`.
 MAPS_BYTES = 16 << 10  # Memory for the inverses of index sets; between 2 and 8 are kept.
 
 
@@ -21,6 +21,7 @@ def flags_of(scene: Scene) -> frozenset[str]:
     """What the code of a scene has, as the flags of the fragments in ``c/``."""
     structure, law, problem, model = scene.structure, scene.law, scene.problem, scene.model
     stepped = scene.path == NEWTON or inclusion.projects(scene)
+    few = fixed.index_sets(law) > 0  # then every one of them is tried, and a psd W needs no pivoting
     has = {
         "LAW": structure.m > 0,
         "FIXED": scene.path == FIXED,
@@ -30,7 +31,7 @@ def flags_of(scene: Scene) -> frozenset[str]:
         "CONSTANT": structure.constant and stepped,
         "IDENTITY": structure.identity,
         "ROWS": scene.by_rows,
-        "ENUMERATION": structure.m <= ENUMERATE_UP_TO or fixed.index_sets(law) > 0,
+        "ENUMERATION": structure.m <= ENUMERATE_UP_TO or few,
         "FEEDTHROUGH": scene.jacobians[3].nnz() > 0,
         "TRANSPOSED": stepped and newton.transposed(scene),
         "UNIT_ROWS": bool(structure.unit_rows),
@@ -45,15 +46,13 @@ def flags_of(scene: Scene) -> frozenset[str]:
         "ONE_STEP": scene.path == FIXED or inclusion.one_step(scene),
     } | inclusion.flags(scene)
     has["CURVED"] = bool(law.curved) or has.get("SELECTION_CURVED", False)
-    has["ENUMERATED"] = has["FIXED_MAPS"] and fixed.index_sets(law) > 0
+    has["ENUMERATED"] = has["FIXED_MAPS"] and few
     has["REGULAR_SETS"] = has["ENUMERATED"] and _regular_sets_suffice(scene)
     has["AFFINE_PROBLEM"] = (has["LAW"] and (stepped or scene.path == FIXED) and not has["ENUMERATED"]) or has.get("GRAM", False)
     has["BOX_PROBLEM"] = has["AFFINE_PROBLEM"] and not law.curved
-    few = fixed.index_sets(law)  # then every one of them is tried, and a psd W needs no pivoting
     has["PIVOTING"] = has["BOX_PROBLEM"] and (has.get("GRAM", False) or not (few and structure.gram))
     has["NEARBY"] = stepped and has["LAW"] and not (few and structure.affine) and fixed.index_sets(law, MOST_INDEX_SETS) > 0
     has["INDEX_SETS"] = has["NEARBY"] or (has["BOX_PROBLEM"] and has["ENUMERATION"])
-    has["INVERT"] = has["FIXED_MAPS"]
     has["INVERSE"] = has["FIXED_MAPS"] or has["PIVOTING"]
     return frozenset(name for name, holds in has.items() if holds)
 

@@ -93,8 +93,8 @@ def _has(part: str, flags: frozenset[str]) -> bool:
 def _words(name: str, scene: Scene, flags: frozenset[str], sizes: dict[str, int], bound: int, fingerprint: str) -> dict[str, str]:
     model, problem = scene.model, scene.problem
     one = "MODEL_STEP: the matrices in the code belong to it" if scene.path == FIXED else "MODEL_STEP"
-    carried = {1: "", 2: ", then the reaction of the last step" if not isinstance(model, FrictionOscillator) else
-               ", then the last difference of positions"}[1 if sizes["NSTATE"] == sizes["NX"] else 2]  # fmt: skip
+    last = "last difference of positions" if isinstance(model, FrictionOscillator) else "reaction of the last step"
+    carried = "" if sizes["NSTATE"] == sizes["NX"] else f", then the {last}"
     return {
         "NAME": name,
         "TITLE": comment(model.title) or type(model).__name__,
@@ -171,10 +171,7 @@ def _tables(scene: Scene, flags: frozenset[str]) -> str:
 def _functions(scene: Scene, flags: frozenset[str]) -> str:
     """The model's own functions."""
     problem, h = scene.problem, scene.h
-    known = {"s->t": problem.t, "s->h": problem.h, "s->x": problem.state, "s->p": problem.p}
-    if scene.path == INCLUSION:
-        known["s->work.predictor"] = known.pop("s->x")
-    known = {key: value for key, value in known.items() if value.numel()}
+    known = _known(scene)
     parts = [
         c_function("start", {key: known[key] for key in ("s->h", "s->p") if key in known}, {"x": _start(scene)}, "the start")
     ]
@@ -186,15 +183,32 @@ def _functions(scene: Scene, flags: frozenset[str]) -> str:
         parts.append(newton.text(scene, known))
     if "INCLUSION" in flags:
         parts.append(inclusion.text(scene))
-    at = known | {"z": problem.z} | ({"l": problem.l, "y": problem.y} if problem.l.numel() else {})
     out = {"x_next": problem.next_state}
     if "REWRITTEN" in flags:
         out |= {"multipliers": problem.multipliers, "outputs": problem.outputs}
     values = {key: ca.substitute(e, problem.h, h) for key, e in out.items()} if "FIXED" in flags else out
     parts.append(
-        c_function("advance", at, values, "the next state" + (", the multipliers as declared" if "REWRITTEN" in flags else ""))
+        c_function(
+            "advance",
+            _solved(scene),
+            values,
+            "the next state" + (", the multipliers as declared" if "REWRITTEN" in flags else ""),
+        )
     )
     return "\n".join(parts)
+
+
+def _known(scene: Scene) -> dict[str, ca.SX]:
+    """What a step knows when it begins, by the C names; the problem of an inclusion begins at the predictor."""
+    problem, state = scene.problem, "s->work.predictor" if scene.path == INCLUSION else "s->x"
+    known = {"s->t": problem.t, "s->h": problem.h, state: problem.state, "s->p": problem.p}
+    return {key: value for key, value in known.items() if value.numel()}
+
+
+def _solved(scene: Scene) -> dict[str, ca.SX]:
+    """What it knows when it is solved."""
+    problem = scene.problem
+    return _known(scene) | {"z": problem.z} | ({"l": problem.l, "y": problem.y} if problem.l.numel() else {})
 
 
 def _bounds(scene: Scene) -> dict[str, ca.SX]:
@@ -223,10 +237,7 @@ def _records(scene: Scene) -> str:
     problem = scene.problem
     if not problem.records:
         return ""
-    known = {"s->t": problem.t, "s->h": problem.h, "s->x": problem.state, "s->p": problem.p}
-    known = {key: value for key, value in known.items() if value.numel()}
-    at = known | {"z": problem.z} | ({"l": problem.l, "y": problem.y} if problem.l.numel() else {})
-    return c_function("records", at, {"columns": ca.vertcat(*(ca.vec(e) for e in problem.records.values()))})
+    return c_function("records", _solved(scene), {"columns": ca.vertcat(*(ca.vec(e) for e in problem.records.values()))})
 
 
 def _run_flags(scene: Scene, flags: frozenset[str]) -> frozenset[str]:

@@ -12,6 +12,8 @@ import numpy as np
 
 from nsmodel.solve.certificate import EPS, NumericLaw
 
+MOST_INDEX_SETS = 20000  # More are not tried one by one.
+
 
 def polish(W: np.ndarray, b: np.ndarray, law: NumericLaw, index: np.ndarray) -> np.ndarray | None:
     """Return l with y = 0 on the rows coded 0 and l at its bound elsewhere; None where that has no solution."""
@@ -193,19 +195,24 @@ def _least(table: np.ndarray, rows: np.ndarray) -> int:
     return int(rows[0])
 
 
-def index_sets(law: NumericLaw, last: np.ndarray, most: int = 20000) -> Iterator[np.ndarray]:
-    """Every index set of a small law, those nearest to ``last`` first; nothing when there are more than ``most``."""
-    choices = [
+def choices(law: NumericLaw) -> list[list[int]]:
+    """The codes that each row of a box can have."""
+    return [
         [code for code, bound in ((0, 0.0), (-1, lo), (1, up)) if np.isfinite(bound)]
         for lo, up in zip(law.lower, law.upper, strict=True)
     ]
-    if np.prod([float(len(c)) for c in choices]) > most:
+
+
+def index_sets(law: NumericLaw, last: np.ndarray, most: int = MOST_INDEX_SETS) -> Iterator[np.ndarray]:
+    """Every index set of a small law, those nearest to ``last`` first; nothing when there are more than ``most``."""
+    codes_of = choices(law)
+    if np.prod([float(len(c)) for c in codes_of]) > most:
         return
-    usable = np.array([code if code in c else c[0] for code, c in zip(last, choices, strict=True)], np.int8)
-    free = [i for i, c in enumerate(choices) if len(c) > 1]
+    usable = np.array([code if code in c else c[0] for code, c in zip(last, codes_of, strict=True)], np.int8)
+    free = [i for i, c in enumerate(codes_of) if len(c) > 1]
     for changes in range(len(free) + 1):
         for rows in combinations(free, changes):
-            for codes in product(*([c for c in choices[i] if c != usable[i]] for i in rows)):
+            for codes in product(*([c for c in codes_of[i] if c != usable[i]] for i in rows)):
                 index = usable.copy()
                 index[list(rows)] = codes
                 yield index

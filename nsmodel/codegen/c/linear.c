@@ -3,7 +3,7 @@
  */
 
 #define SVD_SWEEPS 60 /* Jacobi's method needs about 10. */
-#if INVERT
+#if FIXED_MAPS
 #define PINV_CUT 1e-15 /* Singular values below this part of the largest count as 0 in a pseudo-inverse. */
 #endif
 
@@ -203,7 +203,7 @@ static void lu_inverse(model_solver *s, int n, double *inverse)
     }
 }
 #endif
-#if INVERT
+#if FIXED_MAPS
 
 #if REGULAR_SETS
 /* The inverse of A. Return 0, or 1 where A is singular to rounding: an index set with a regular matrix solves the problem too. */
