@@ -179,7 +179,9 @@ def _judge(
     s_E = ca.fabs(at.E_guess) + ca.fabs(at.E_z) @ ca.fabs(z - at.guess) + ca.fabs(at.E_l) @ ca.fabs(l)
     seen = ca.sparsify(ca.DM(np.abs(E_z) @ np.abs(inverse))) @ size_E  # the round-off of z, seen by E
     s_E = ca.fmax(s_E, ca.fmax(round_off / tolerance * seen, UNRESOLVED))
-    residual = _largest([ca.if_else(at.E[i] == 0, 0, ca.fabs(at.E[i]) / s_E[i]) for i in range(n)])
+    # An infinite scale excuses nothing.
+    ratios = [ca.if_else(s_E[i] < ca.inf, ca.fabs(at.E[i]) / s_E[i], ca.inf) for i in range(n)]
+    residual = _largest([ca.if_else(at.E[i] == 0, 0, ratios[i]) for i in range(n)])
     settled = ca.SX(1)
     if m:
         w_max = np.abs(W).max(axis=1)

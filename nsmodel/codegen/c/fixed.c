@@ -3,11 +3,13 @@
  * tried first, with its inverse kept; every answer is judged on E = E_0 + E_z z + E_l l and Y = Y_0 + Y_z z + Y_l l.
  */
 
-/* The larger of worst and part/size; inf where that is NaN. */
+/* The larger of worst and part/size; inf where that is NaN. An infinite size excuses nothing. */
 static double worst_of(double worst, double part, double size)
 {
-    if (part <= worst*size)
+    if (size < INFINITY ? part <= worst*size : part == 0)
         return worst;
+    if (!(size < INFINITY))
+        return INFINITY;
     const double r = part/max_of(size, UNRESOLVED);
     return r <= worst ? worst : r < INFINITY ? r : INFINITY;
 }
