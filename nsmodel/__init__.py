@@ -30,7 +30,8 @@ from nsmodel.model.laws import (
 from nsmodel.model.lure import LureSystem
 from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.sweeping import SweepingProcess
-from nsmodel.simulate import RunInterrupted, explain, simulate
+from nsmodel.run import RunInterrupted
+from nsmodel.simulate import explain, simulate
 from nsmodel.trajectory import Trajectory
 
 __version__ = version("nsmodel")

@@ -18,7 +18,8 @@ from nsmodel.errors import CodegenError, ModelError, NsmodelError, StepError, St
 from nsmodel.hypotheses.findings import VIOLATED, Report
 from nsmodel.loader import load_with
 from nsmodel.model.base import Model
-from nsmodel.simulate import RunInterrupted, explain, simulate
+from nsmodel.run import RunInterrupted
+from nsmodel.simulate import explain, simulate
 from nsmodel.solve.choose import SOLVERS
 from nsmodel.storage import dumps, write_json, write_text
 from nsmodel.trajectory import Trajectory
@@ -57,6 +58,8 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("files", metavar="FILE", nargs="+", help="a Python file that defines model = ... or def model(...)")
     run.add_argument("--step", type=float, metavar="H", help="time step (default: the model's)")
     run.add_argument("--t-end", type=float, metavar="T", help="end of the run (default: the model's)")
+    run.add_argument("--rtol", type=float, metavar="R", help="choose the steps by error control: error allowed, relative")
+    run.add_argument("--atol", type=float, metavar="A", help="error allowed besides, absolute (default 0)")
     _add_set(run)
     run.add_argument("--solver", default="auto", metavar="NAME", help=f"use this solver alone: {', '.join(SOLVERS[1:])}")
     run.add_argument(
@@ -212,7 +215,7 @@ def _run_file(arguments: argparse.Namespace, file: str, folder: Path | None) -> 
         run = simulate(
             model, step=arguments.step, t_end=arguments.t_end, parameters=values, solver=arguments.solver,
             tolerance=arguments.tolerance, save_every=arguments.save_every, out=folder, resume=arguments.resume,
-            progress=not (arguments.quiet or arguments.json), compiled=compiled,
+            progress=not (arguments.quiet or arguments.json), compiled=compiled, rtol=arguments.rtol, atol=arguments.atol,
         )  # fmt: skip
         return _report(arguments, file, run, time.perf_counter() - start, model.bind(values), folder)
     except StepError as error:

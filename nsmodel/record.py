@@ -25,6 +25,13 @@ class Record:
         self.number = np.empty(capacity, int)
         self.clear()
 
+    def grow(self) -> None:
+        """Make room for as many rows again."""
+        for name in ("rows", "index", "t", "h", "h_next", "number"):
+            array = getattr(self, name)
+            setattr(self, name, np.concatenate([array, np.empty_like(array)]))
+        self.full = False
+
     def clear(self) -> None:
         """Forget the rows."""
         self.filled, self.full = 0, False

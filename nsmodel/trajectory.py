@@ -16,6 +16,7 @@ from nsmodel.storage import dumps, read_npz, write_csv, write_npz
 
 _WIDTH = 100
 _STATES_SHOWN = 8
+CONTROL = ("rtol", "accepted", "rejected", "extrapolated", "at_least_step", "least_step")
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -259,6 +260,7 @@ def _summary(run: Trajectory) -> dict[str, Any]:
         "save_every": about.get("save_every", 1),
         "t": {"start": float(run.t[0]), "end": float(run.t[-1]), "unit": units.get("t", "")},
         "step": {"min": float(steps[computed].min()), "max": float(steps[computed].max())} if computed.size else None,
+        "error_control": {key: totals[key] for key in CONTROL} if "rtol" in totals else None,
         "residual": _worst(run, totals, computed),
         "index_set_changes": _changes(run, totals, computed),
         "solver_counts": dict(about.get("solver_counts") or {}),
@@ -337,6 +339,7 @@ def _text(summary: dict[str, Any]) -> str:
         "status": s["message"] if s["message"].startswith(s["status"]) else ": ".join(filter(None, (s["status"], s["message"]))),
         "steps": f"{s['steps']}{sample}, t = {t['start']:.6g} to {t['end']:.6g}{unit}",
         "step size": s["step"] and _range(s["step"]["min"], s["step"]["max"], unit),
+        "error control": s["error_control"] and _control(**s["error_control"]),
         "worst residual": s["residual"] and f"{s['residual']['worst']:.3g}{_at(s['residual']['t'], unit)}",
         "index set": None if changes is None else f"changed at {changes} step{'' if changes == 1 else 's'}",
         "solver calls": _aligned([(name, f"{int(count):>8d}") for name, count in counts]),
@@ -355,6 +358,11 @@ def _text(summary: dict[str, Any]) -> str:
             first, rest = f"  {label if i == 0 else '':{width - 2}}", " " * (width + 2)
             table += textwrap.wrap(line, _WIDTH, initial_indent=first, subsequent_indent=rest)
     return "\n".join(table)
+
+
+def _control(rtol: float, accepted: int, rejected: int, extrapolated: int, at_least_step: int, least_step: float) -> str:
+    tail = f"; {at_least_step} at the least step, whatever their error" if at_least_step else ""
+    return f"rtol {rtol:g}: {accepted} steps accepted, {extrapolated} of them extrapolated, {rejected} refused{tail}"
 
 
 def _at(t: float | None, unit: str) -> str:

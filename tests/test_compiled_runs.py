@@ -55,9 +55,10 @@ from nsmodel.cli import main
 from nsmodel.codegen import cache, library
 from nsmodel.codegen.rollout import SOLVERS, Rollout
 from nsmodel.grid import make_grid
-from nsmodel.simulate import IN_C, explain
+from nsmodel.run import IN_C
+from nsmodel.simulate import explain
 
-loop = sys.modules["nsmodel.simulate"]  # The name nsmodel.simulate is the function.
+loop = sys.modules["nsmodel.run"]
 QUICK = tuple("-O0" if flag == "-O2" else flag for flag in library.FLAGS)
 NO_UNIQUE_MULTIPLIERS = {"zhuravlev_ivanov"}
 CASES = Path(__file__).resolve().parents[1] / "cases"
@@ -423,7 +424,7 @@ import test_resume
 import nsmodel
 from nsmodel.codegen import cache
 from nsmodel.codegen.rollout import Rollout
-loop = sys.modules["nsmodel.simulate"]
+loop = sys.modules["nsmodel.run"]
 cache.FLAGS = {flags!r}
 print("ready", flush=True)
 {body}

@@ -32,7 +32,7 @@ from nsmodel import (
     simulate,
 )
 
-loop = sys.modules["nsmodel.simulate"]  # The name nsmodel.simulate is the function.
+loop = sys.modules["nsmodel.run"]
 FEW_ROWS = 1  # Chunks of the least number of rows, 64.
 
 

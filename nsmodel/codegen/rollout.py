@@ -11,7 +11,8 @@ from nsmodel.codegen.cache import NAME, cached
 from nsmodel.codegen.library import Library, compiler, no_compiler
 from nsmodel.grid import Grid
 from nsmodel.model.base import Model
-from nsmodel.solve.stepper import Warm
+from nsmodel.solve.layout import Layout
+from nsmodel.solve.stepper import StepResult, Warm
 
 SECONDS = 0.05  # A call takes about as long: so late comes Ctrl-C.
 SOLVERS = (
@@ -76,6 +77,7 @@ class Rollout:
             "rollout", whole, pointer, number, whole, number, whole, number, pointer, pointer, pointer, pointer,
             ctypes.POINTER(_Totals),
         )  # fmt: skip
+        self._steps = np.zeros(2)
         self._memory = np.zeros(library.function("size", whole)() // 8 + 1)
         self._solver = self._memory.ctypes.data
         library.function("init", ctypes.c_int, pointer)(self._solver)
@@ -104,3 +106,18 @@ class Rollout:
             done, totals.status != 0, x, Warm(l, codes), totals.worst, int(totals.worst_step), totals.newton, totals.newton_max,
             int(totals.changes), totals.least, {SOLVERS[i]: int(count) for i, count in enumerate(totals.counts) if count},
         )  # fmt: skip
+
+    def step(self, t: float, h: float, state: np.ndarray, warm: Warm, layout: Layout) -> StepResult | None:
+        """One step as the contract of `solve.stepper` has it; None where it is not certified. The grid must have given steps."""
+        totals, row, codes = _Totals(least=-np.inf), np.empty(layout.width), np.empty(warm.index.size, np.int8)
+        x, l, index = (np.ascontiguousarray(part) for part in (state, warm.l, warm.index))
+        self._steps[:] = t, h
+        at = self._steps.ctypes.data
+        self._place(self._solver, 0, h, x.ctypes.data, l.ctypes.data, index.ctypes.data)
+        done = self._rollout(
+            self._solver, 0, 1, 1, 1, SECONDS, at, at + self._steps.itemsize, row.ctypes.data, codes.ctypes.data,
+            ctypes.byref(totals),
+        )  # fmt: skip
+        if not done:
+            return None
+        return StepResult(row, Warm(row[layout.l], codes), SOLVERS[next(i for i, count in enumerate(totals.counts) if count)])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import ModuleType
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from nsmodel.model.base import Model
@@ -39,6 +40,15 @@ def derived_columns(model: Any, arrays: dict[str, np.ndarray], h_next: np.ndarra
     """Return the columns that follow from others: reactions, energy. ``h_next`` is the step that starts at each row."""
     derive = getattr(SCHEMES[type(model)], "derived_columns", None)
     return {} if derive is None else derive(model, arrays, h_next)
+
+
+def constraints(model: Any) -> ca.SX:
+    """Return what the state is kept within, as rows c(t, state) >= 0."""
+    if isinstance(model, SweepingProcess):
+        return model.g
+    if isinstance(model, MonotoneInclusion):
+        return catching_up.constraints(model)[0]
+    return ca.vertcat(ca.SX(0, 1), *getattr(model, "constraints", {}).values())
 
 
 def shortened(model: Any, state: np.ndarray, ratio: float) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 
 import nsmodel
 from nsmodel.grid import make_grid
-from nsmodel.simulate import _Run
+from nsmodel.run import Run
 
 CASES = Path(__file__).resolve().parents[2] / "cases"
 REPEATS = 7
@@ -43,7 +43,7 @@ def driver_loop(name: str) -> tuple[float, int]:
     grid = make_grid(model, None, None, None)
     times = []
     for _ in range(REPEATS + 1):
-        run = _Run(model, grid, "auto", 1e-9, 1, None, False)
+        run = Run(model, grid, "auto", 1e-9, 1, None, False)
         run.stepper(0.0, grid.step(0), run.state, run.warm)  # builds the kernel
         start = time.process_time()
         run._loop(None)

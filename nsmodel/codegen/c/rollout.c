@@ -92,6 +92,12 @@ static double least_eigenvalue(const double *W, double least)
 void model_place(model_solver *s, double k, double h, const double *x, const double *l, const signed char *index)
 {
     memcpy(s->x, x, sizeof s->x);
+#if !ONE_STEP
+#if CONSTANT
+    if (s->h != h)
+        s->newton.prepared = 0;
+#endif
+#endif
     s->h = h;
     s->t_0 = 0;
     s->steps = k;

@@ -1,0 +1,332 @@
+"""Steps chosen by local error control: each step is taken once with h and again as two steps of h/2.
+
+    e = max_i |x_fine - x_coarse|_i / (atol_i + rtol s_i),      s_i = the largest |x_i| so far
+
+is the error in units of what is allowed; an oscillator's velocities count among the x_i. The schemes are of first order: e
+falls like h^2 in smooth phases and like h across a switch; 2 x_fine - x_coarse is of second order in smooth phases. A step
+is accepted
+
+- with the state 2 x_fine - x_coarse where e <= 1, the index sets are equal and every constraint is >= 0 there (a sweeping
+  process is projected once more, as its scheme does, where one is not);
+- else as it is where e <= h/T, so that the errors of all steps add up to the tolerance; or where e <= SWITCH and the index
+  set changes: that error falls like h, whatever the order.
+
+The rows of the run are the half steps. Each is verified; its multipliers and outputs are those of its step, and
+``correction`` tells how far extrapolation has then moved the state, in units of s.
+
+Steps are T/2^j and start at multiples of themselves: times are exact, the last step ends at T, and the first half of a
+refused step is the next trial. At T/2^LEAST every verified step is accepted, and counted: at an accumulation of switches a
+run goes on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.errors import StepError, UsageError
+from nsmodel.grid import Grid, is_number, make_grid, written
+from nsmodel.model.base import Model
+from nsmodel.model.oscillator import FrictionOscillator
+from nsmodel.model.sweeping import SweepingProcess
+from nsmodel.run import Run, keep_unfinished
+from nsmodel.scheme import constraints, shortened
+from nsmodel.solve.certificate import EPS
+from nsmodel.solve.stepper import StepResult, Warm
+from nsmodel.trajectory import Trajectory
+
+LARGEST, LEAST = 4, 40  # Steps are T/2^j with j between these.
+FIRST = 7  # j of the first step where none is given.
+SWITCH = 0.25  # Part of the allowed error that a step across a switch may use.
+GROW = 0.5  # A step is doubled where the error expected of it stays below this part of what is allowed.
+NEGLIGIBLE = 1e-6  # A state that stays below this part of the largest of its symbol is measured beside that.
+MOST = 10_000_000  # Accepted steps after which a run stops: its tolerance is out of reach.
+ROWS = 4096
+
+
+@dataclass
+class Ladder:
+    """Times of the rows so far, and the step that is tried; it stands where another run has its `Grid`."""
+
+    h: float
+    times: list[float] = field(default_factory=lambda: [0.0])
+    N: int = 2 * MOST
+    steps: None = None
+
+    @property
+    def last(self) -> float:
+        """No step is shortened."""
+        return self.h
+
+    def step(self, k: int) -> float:
+        """The step that is tried."""
+        return self.h
+
+    def time(self, k: int) -> float:
+        """Time of row k."""
+        return self.times[k]
+
+
+class Place(NamedTuple):
+    """Where a step starts: the time in units of T/2^(LEAST + 1), the step T/2^j, the state for it; and what came before.
+
+    ``watched``: the x_i; ``rate``: their change per time in the last half step; ``index_set``: that of the half step.
+    """
+
+    t: int
+    j: int
+    state: np.ndarray
+    warm: Warm
+    watched: np.ndarray
+    rate: np.ndarray
+    index_set: np.ndarray | None
+
+    @property
+    def half(self) -> int:
+        """Half a step in units of time."""
+        return 2 ** (LEAST - self.j)
+
+
+class Trial(NamedTuple):
+    """One step taken both ways; ``error`` in units of what is allowed; ``smooth``: one index set from before it to its end."""
+
+    coarse: StepResult
+    half: StepResult
+    fine: StepResult
+    error: float
+    smooth: bool
+
+
+class Accepted(NamedTuple):
+    """A step that is accepted: where it started, its two rows, how far the second was moved, where the next one starts."""
+
+    start: Place
+    trial: Trial
+    row: np.ndarray
+    correction: float
+    end: Place
+
+
+class AdaptiveRun(Run):
+    """A run with error control; see `simulate` for the arguments."""
+
+    def __init__(
+        self, model: Model, step: float | None, t_end: float | None, solver: str, tolerance: float, out: Path | None,
+        compiled: bool | str, rtol: float | None, atol: Any,
+    ) -> None:  # fmt: skip
+        self.T = T = float(model.t_end if t_end is None else t_end)
+        h = model.step if step is None else step
+        h = T / 2**FIRST if h is None else h
+        make_grid(model, h, None, t_end)  # refuses what is no step or no end
+        self.rtol, self.atol = _tolerances(model, rtol, atol)
+        _refuse_fixed(model)
+        self.folder = out
+        if out is not None:
+            keep_unfinished(out)
+        j = min(max(math.ceil(math.log2(T / h)), LARGEST), LEAST)
+        super().__init__(model, Ladder(self._h(j)), solver, tolerance, 1, None, False, compiled is True)
+        self.totals |= {"accepted": 0, "rejected": 0, "extrapolated": 0, "at_least_step": 0, "least_step": None, "rtol": rtol}
+        n, slices = len(model.names), self.stepper.layout.slices
+        self._watched = np.r_[0:n, slices["v"]] if isinstance(model, FrictionOscillator) else np.arange(n)
+        self._groups = [np.array(at) + shift for shift in range(0, self._watched.size, n) for at in model.stems.values()]
+        watched = self.record.rows[0, self._watched]
+        self._size, self.place = np.abs(watched), Place(0, j, self.state, self.warm, watched, np.full(watched.size, np.nan), None)
+        state, c = model.q if isinstance(model, SweepingProcess) else model.x, constraints(model)
+        self._c: Any = (
+            ca.Function("c", [model.t, state], [ca.densify(c), ca.densify(ca.jacobian(c, state))]) if c.numel() else None
+        )
+        self._corrections = [0.0]
+
+    def _h(self, j: int) -> float:
+        return math.ldexp(self.T, -j)
+
+    def _grid_in_c(self) -> Grid:
+        return Grid(1, self.grid.h, self.grid.h, np.array([self.grid.h]), np.array([0.0, self.grid.h]))
+
+    def _capacity(self, known: int) -> int:
+        return ROWS
+
+    @property
+    def _ended(self) -> bool:
+        return self.place.t == 2 ** (LEAST + 1)
+
+    def _advance(self, bar: Any, interrupted: Sequence[float]) -> None:
+        first = None
+        while not (self._ended or interrupted):
+            self.grid.h = self._h(self.place.j)
+            trial = self._trial(self.place, first)
+            accepted = None if trial is None else self._accepted(self.place, trial)
+            if accepted is not None:
+                self._record(accepted)
+                self.place, first = accepted.end, None
+            else:
+                self.totals["rejected"] += 1
+                after = shortened(self.model, self.place.state, 0.5)
+                self.place = self.place._replace(j=self.place.j + 1, state=after)
+                first = None if trial is None else trial.half
+
+    def _trial(self, at: Place, coarse: StepResult | None) -> Trial | None:
+        """The step from here both ways, None where a step has no answer; ``coarse``: where it is known already."""
+        h, t, middle = self._h(at.j), self._time(at.t), self._time(at.t + at.half)
+        try:
+            coarse = self._step(t, h, at.state, at.warm) if coarse is None else coarse
+            half = self._step(t, h / 2, shortened(self.model, at.state, 0.5), at.warm)
+            fine = self._step(middle, h / 2, half.row[self.stepper.layout.state], half.warm)
+        except StepError:
+            if at.j == LEAST:
+                raise
+            return None
+        sets = [self._index(result) for result in (coarse, half, fine)]
+        before = sets[0] if at.index_set is None else at.index_set
+        smooth = all(np.array_equal(one, before) for one in sets)
+        return Trial(coarse, half, fine, self._error(at, coarse, half, fine, smooth), smooth)
+
+    def _step(self, t: float, h: float, state: np.ndarray, warm: Warm) -> StepResult:
+        found = None if self.rollout is None else self.rollout.step(t, h, state, warm, self.stepper.layout)
+        return self.stepper(t, h, state, warm, self.k) if found is None else found
+
+    def _time(self, t: int) -> float:
+        return math.ldexp(t, -LEAST - 1) * self.T
+
+    def _error(self, at: Place, coarse: StepResult, half: StepResult, fine: StepResult, smooth: bool) -> float:
+        """|x_fine - x_coarse|; at a switch not less than the bends within the step and at its start, which nothing hides."""
+        x_coarse, x_half, x_fine = (result.row[self._watched] for result in (coarse, half, fine))
+        difference, size = np.abs(x_fine - x_coarse), np.maximum(self._size, np.abs(x_fine))
+        if not smooth:
+            moved = x_half - at.watched
+            bends = np.abs(x_fine - x_half - moved), np.abs(moved - self._h(at.j) / 2 * at.rate)
+            difference = np.fmax(difference, np.fmax(*bends))
+        for group in self._groups:
+            size[group] = np.maximum(size[group], NEGLIGIBLE * size[group].max())
+        allowed = self.atol + self.rtol * size
+        units = np.divide(difference, allowed, out=np.where(difference > 0, np.inf, 0.0), where=allowed > 0)
+        return float(np.nan_to_num(units, nan=np.inf).max(initial=0.0))
+
+    def _index(self, result: StepResult) -> np.ndarray:
+        """The index set of a step; for catching-up also the sides of the selection, which no row of its law tells."""
+        selection = self.stepper.layout.slices.get("selection", slice(0, 0))
+        return np.concatenate([result.warm.index, np.sign(result.row[selection])])
+
+    def _accepted(self, at: Place, trial: Trial) -> Accepted | None:
+        """The step as it is kept; None where its error is too large."""
+        error, least, h = trial.error, at.j == LEAST, self._h(at.j)
+        state = self._extrapolated(at, trial) if error <= 1 and trial.smooth else None
+        allowed, order = (1.0, 2) if state is not None else (h / self.T, 2) if trial.smooth else (SWITCH, 1)
+        if error > allowed and not least:
+            return None
+        row, correction = trial.fine.row, 0.0
+        if state is not None:
+            row, correction = self._moved(at, trial, state), error * self.rtol
+        j, t = at.j, at.t + 2 * at.half
+        of_double = 2.0 if trial.smooth and state is None else 1.0
+        if j > LARGEST and error * 2**order <= GROW * allowed * of_double and t % (4 * at.half) == 0:
+            j -= 1
+        after = shortened(self.model, row[self.stepper.layout.state], self._h(j) / (h / 2))
+        rate = (trial.fine.row - trial.half.row)[self._watched] / (h / 2)
+        end = Place(t, j, after, trial.fine.warm, row[self._watched], rate, self._index(trial.fine))
+        return Accepted(at, trial, row, correction, end)
+
+    def _extrapolated(self, at: Place, trial: Trial) -> np.ndarray | None:
+        """2 x_fine - x_coarse, where every constraint is >= 0 at it and no velocity changes its sign."""
+        states = self.stepper.layout.state
+        fine, coarse = trial.fine.row[states], shortened(self.model, trial.coarse.row[states], 0.5)
+        state = fine + (fine - coarse)
+        if isinstance(self.model, FrictionOscillator):
+            n = len(self.model.names)
+            if (np.sign(state[n:]) != np.sign(fine[n:])).any():
+                return None
+        end = at.t + 2 * at.half
+        if self._feasible(self._time(end), state):
+            return state
+        if not isinstance(self.model, SweepingProcess):
+            return None
+        try:
+            return self._step(self._time(end - 1), self._h(LEAST + 1), state, trial.fine.warm).row[states]
+        except StepError:
+            return None
+
+    def _feasible(self, t: float, state: np.ndarray) -> bool:
+        """Whether every constraint is >= 0, to the rounding of evaluating it."""
+        if self._c is None:
+            return True
+        x = state[: len(self.model.names)]
+        c, J = (np.array(part) for part in self._c(t, x))
+        return bool((c.ravel() >= -4 * EPS * (np.abs(J) @ np.abs(x))).all())
+
+    def _moved(self, at: Place, trial: Trial, state: np.ndarray) -> np.ndarray:
+        """The second row with another state, and what follows from the state alone: gaps, velocities."""
+        layout, n, row = self.stepper.layout, len(self.model.names), trial.fine.row.copy()
+        row[layout.state] = state
+        if "gap" in layout.slices:
+            row[layout.slices["gap"]] = np.array(self._c(self._time(at.t + 2 * at.half), state[:n])[0]).ravel()
+        if isinstance(self.model, FrictionOscillator):
+            row[layout.slices["v"]] = state[n:] / (self._h(at.j) / 2)
+        return row
+
+    def _record(self, accepted: Accepted) -> None:
+        at, trial, totals = accepted.start, accepted.trial, self.totals
+        h = self._h(at.j) / 2
+        for row, result, moved in ((trial.half.row, trial.half, 0.0), (accepted.row, trial.fine, accepted.correction)):
+            self._add(self.grid.times[-1] + h, h, row, result, moved)
+        self.grid.times[-1] = self._time(accepted.end.t)
+        self._size = np.maximum(self._size, np.abs(accepted.row[self._watched]))
+        totals["accepted"] += 1
+        totals["extrapolated"] += int(accepted.correction > 0)
+        totals["at_least_step"] += int(at.j == LEAST)
+        totals["least_step"] = min(totals["least_step"] or np.inf, h)
+        if totals["accepted"] > MOST:
+            raise StepError(f"{MOST:,} steps were accepted and more are needed: ask for less accuracy (rtol)")
+
+    def _add(self, t: float, h: float, row: np.ndarray, result: StepResult, correction: float) -> None:
+        """Add the row of a half step."""
+        if self.record.full:
+            self.record.grow()
+        layout, totals, index = self.stepper.layout, self.totals, result.warm.index
+        self.k += 1
+        self.grid.times.append(t)
+        self.record.add(self.k, t, h, h, row, index)
+        self._corrections.append(correction)
+        self.counts[result.solver] += 1
+        if row[layout.residual] > totals["worst_residual"]:
+            totals["worst_residual"], totals["worst_residual_t"] = float(row[layout.residual]), t
+        if self.stepper.plan.path == "newton":
+            totals["newton"] += float(row[layout.newton])
+            totals["newton_max"] = max(totals["newton_max"], float(row[layout.newton]))
+        totals["index_set_changes"] += int(self.last_index is not None and not np.array_equal(index, self.last_index))
+        totals["steps"], self.last_index = self.k, index
+
+    def _finish(self, status: str, message: str) -> Trajectory:
+        run = super()._finish(status, message)
+        run.arrays["correction"] = np.array(self._corrections)
+        if self.folder is not None:
+            run.save(self.folder / "trajectory.npz")
+        return run
+
+
+def _tolerances(model: Model, rtol: Any, atol: Any) -> tuple[float, np.ndarray]:
+    rtol = 0.0 if rtol is None else rtol
+    if not (is_number(rtol) and (1e-12 <= rtol < 1 or (rtol == 0 and atol is not None))):
+        raise UsageError(f"rtol = {written(rtol)}; expected a number between 1e-12 and 1")
+    n = len(model.names) * (2 if isinstance(model, FrictionOscillator) else 1)
+    try:
+        array = np.asarray(0.0 if atol is None else atol, float)
+    except (TypeError, ValueError):
+        array = np.full(1, np.nan)
+    if array.ndim > 1 or array.size not in (1, len(model.names)) or not (np.isfinite(array) & (array >= 0)).all():
+        raise UsageError(f"atol = {atol!r}; expected a number >= 0, or one for each of {', '.join(model.names)}")
+    return float(rtol), np.resize(array, n)
+
+
+def _refuse_fixed(model: Any) -> None:
+    """Refuse what is bound to steps that are known beforehand."""
+    if getattr(model, "x1", None) is not None:
+        raise UsageError("x1 is a position one constant step after x0; with rtol give the velocity v0 instead")
+    tolerances = getattr(model, "tolerances", None)
+    if tolerances is not None and not callable(tolerances) and np.size(tolerances) > 1:
+        raise UsageError("tolerances is a value a step; with rtol give a function of the step, such as lambda mu: mu**3")

@@ -1,0 +1,442 @@
+"""One run: a model's scheme stepped over a grid, every step verified, nothing lost when it stops."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.errors import CodegenError, StepError, StorageError, UsageError
+from nsmodel.grid import Grid
+from nsmodel.hypotheses.quick import UNIQUENESS, refuse_start, warnings_of
+from nsmodel.hypotheses.rest import finite_convergence
+from nsmodel.identity import INTERPRETED, WAY, difference, settings, versions
+from nsmodel.model.base import Model
+from nsmodel.model.inclusion import MonotoneInclusion
+from nsmodel.model.oscillator import FrictionOscillator
+from nsmodel.record import Record
+from nsmodel.scheme import initial_rows, one_step_problem, shortened
+from nsmodel.scheme.problem import OneStepProblem
+from nsmodel.solve.build import Stepper, start_state
+from nsmodel.solve.projection import CatchingUp
+from nsmodel.solve.stepper import Warm
+from nsmodel.solve.structure import is_monotone
+from nsmodel.storage import ChunkStore
+from nsmodel.trajectory import Trajectory
+
+CHUNK_BYTES = 64 << 20
+LONG_IF_QUICK, LONG = 500_000, 30_000  # Steps that take some seconds when interpreted: more than compiling them.
+IN_C = "steps in C, compiled for this model; a step that C cannot certify is taken as above"
+FEW_STEPS = 8  # Different step sizes up to which constant matrices are factored once for each.
+
+
+def make_stepper(
+    model: Model, problem: OneStepProblem, solver: str, tolerance: float, *, h: float, state: np.ndarray, few_steps: bool = True
+) -> Any:
+    """Return the stepper of a bound model."""
+    if isinstance(model, MonotoneInclusion):
+        return CatchingUp(model, problem, solver, tolerance, h=h, state=state)
+    return Stepper(problem, solver, tolerance, h=h, state=state, few_steps=few_steps)
+
+
+class RunInterrupted(KeyboardInterrupt):
+    """Ctrl-C during a run; ``trajectory`` holds what was computed."""
+
+    def __init__(self, trajectory: Trajectory) -> None:
+        super().__init__(trajectory.metadata["message"])
+        self.trajectory = trajectory
+
+
+class Run:
+    """One run: the stepper, where it stands (k, state, warm), what it has counted, and the rows not yet written."""
+
+    def __init__(
+        self, model: Model, grid: Grid, solver: str, tolerance: float, save_every: int, out: Path | None, resume: bool,
+        compiled: bool | str = False,
+    ) -> None:  # fmt: skip
+        self.model, self.grid, self.save_every, self.out = model, grid, save_every, out
+        refuse_start(model)
+        self._check_exact()
+        given = getattr(model, "tolerances", None)
+        if given is not None and not callable(given) and 1 < np.size(given) < grid.N:
+            raise UsageError(f"tolerances: {np.size(given)} values for {grid.N} steps; give one for each, or one for all")
+        self.problem = one_step_problem(model)
+        known = initial_rows(model, grid.step(0))
+        self.k, self.state = len(known) - 1, start_state(self.problem, known[-1][0], grid.step(0), tolerance)
+        few = grid.steps is None or np.unique(grid.steps).size <= FEW_STEPS
+        self.stepper = make_stepper(model, self.problem, solver, tolerance, h=grid.step(0), state=self.state, few_steps=few)
+        self.warm, self.last_index = self.stepper.cold(), None
+        self.warnings = warnings_of(model, self.stepper.plan)
+        self.counts: Counter[str] = Counter()
+        self.totals: dict[str, Any] = {
+            "worst_residual": 0.0, "worst_residual_t": None, "newton": 0.0, "newton_max": 0.0, "index_set_changes": 0, "steps": 0,
+        }  # fmt: skip
+        if out is not None and not resume:
+            keep_unfinished(out)
+        self.store = None if out is None else (ChunkStore.open(out) if resume else ChunkStore(out))
+        self.plan, self.rollout = self.stepper.plan, None
+        self._compile(compiled, solver, self.store.manifest["checkpoint"]["settings"].get(WAY) if resume else None)
+        way = INTERPRETED if self.rollout is None else self.rollout.way
+        self.settings = settings(model, grid, solver, tolerance, save_every, way)
+        self.record = Record(model, self.stepper.layout, self.warm.index.size, self._capacity(len(known)))
+        if resume:
+            self._restore()
+        else:
+            for k, (state, records) in enumerate(known):
+                self.record.known(k, grid.time(k), grid.step(min(k, grid.N - 1)), state, records)
+
+    def _compile(self, compiled: bool | str, solver: str, there: str | None) -> None:
+        """Get the steps in C where they are asked for, or pay; ``there``: how the run that is resumed was stepped."""
+        wanted = compiled is True
+        if compiled == "auto":
+            wanted = solver == "auto" and self._pays() if there is None else there != INTERPRETED
+        if not wanted:
+            return
+        from nsmodel.codegen.rollout import Rollout
+
+        try:
+            self.rollout = Rollout(self.model, self._grid_in_c(), self.stepper.tolerance)
+            self.plan = replace(self.plan, used=(*self.plan.used, IN_C))
+        except CodegenError as error:
+            if there not in (None, INTERPRETED):
+                raise StorageError(f"{self.out}: the run there is {there}, which it cannot be here: {error}") from error
+            self.plan = replace(self.plan, left_out=(*self.plan.left_out, f"steps in C: {error}"))
+            if compiled is True:
+                self.warnings.append(f"not compiled, the steps are interpreted: {error}")
+
+    def _grid_in_c(self) -> Grid:
+        """The grid that the C is written for: one step size, or any."""
+        return self.grid
+
+    def _pays(self) -> bool:
+        """Whether a run is long enough to be compiled, by what a step takes when it is interpreted."""
+        quick = self.plan.path == "kernel" and not isinstance(self.model, MonotoneInclusion)  # a function call a step
+        return self.grid.N >= (LONG_IF_QUICK if quick else LONG)
+
+    def _check_exact(self) -> None:
+        if self.model.exact is not None:
+            try:
+                got, expected = np.shape(self.model.exact(np.zeros(2))), (2, len(self.model.names))
+            except Exception as error:
+                raise UsageError(f"exact: it raised {type(error).__name__} at t = 0: {error}") from error
+            if got != expected:
+                raise UsageError(f"exact: it returned shape {got} for 2 times; expected {expected}")
+
+    def _capacity(self, known: int) -> int:
+        """Rows kept in memory: all of them, or a chunk where they go to a folder."""
+        row = 8 * (self.stepper.layout.width + 5) + self.warm.index.size
+        total = self.grid.N // self.save_every + 1 + known
+        if self.out is not None:
+            return int(min(total, max(64, CHUNK_BYTES // row)))
+        if total * row > _memory():
+            raise UsageError(
+                f"{self.grid.N} steps do not fit in memory ({total * row / 2**30:.3g} GiB); give out=DIR (--out DIR), "
+                "and save_every=N (--save-every N) to keep fewer rows"
+            )
+        return int(total)
+
+    def go(self, progress: bool = False) -> Trajectory:
+        """Run to the end; on failure or Ctrl-C save what there is and say so."""
+        bar = _bar(progress, self.k, self.grid.N)
+        with _deferred_interrupt() as interrupted:
+            try:
+                self._advance(bar, interrupted)
+            except StepError as error:
+                error.step, error.time = self.k, self.grid.time(self.k) + self.grid.step(self.k)
+                error.args = (f"step {self.k}: {error.args[0]}",)
+                error.trajectory = self._finish("failed", str(error))
+                raise
+            except KeyboardInterrupt:  # a second Ctrl-C, in the middle of a step: the step did not happen
+                pass
+            finally:
+                if bar is not None:
+                    bar.close()
+            if not self._ended:
+                raise RunInterrupted(self._finish("interrupted", f"interrupted at t = {self.grid.time(self.k):.10g}"))
+            return self._finish("done", "")
+
+    @property
+    def _ended(self) -> bool:
+        return self.k >= self.grid.N
+
+    def warm_up(self) -> None:
+        """Take a step and forget it: what is built at its first use is built."""
+        with contextlib.suppress(StepError):
+            self.stepper(0.0, self.grid.step(0), self.state, self.warm)
+
+    def _advance(self, bar: Any, interrupted: Sequence[float]) -> None:
+        """Step until the run has ended or is interrupted."""
+        if self.rollout is None:
+            self._loop(bar, interrupted)
+        else:
+            self._loop_in_c(bar, interrupted)
+
+    def _loop_in_c(self, bar: Any, interrupted: Sequence[float]) -> None:
+        """The loop over compiled steps, a block at a time; a step that C cannot certify, or a shortened one, is interpreted."""
+        grid = self.grid
+        end = grid.N - 1 if grid.steps is None and grid.last != grid.h else grid.N
+        while self.k < grid.N and not interrupted:
+            k = self.k
+            stuck = k == end or self._block(end)
+            if self.record.full and self.store is not None:
+                self._flush("running", "")
+            if stuck:
+                self._loop(None, interrupted, self.k + 1)
+            if bar is not None:
+                bar.update(self.k - k)
+
+    def _block(self, end: int) -> bool:
+        """Take compiled steps and record them, as many as there is time and room for; whether then one was not certified."""
+        grid, every, record, totals, k = self.grid, self.save_every, self.record, self.totals, self.k
+        free = slice(record.filled, None)
+        room = (len(record.t) - record.filled) * every - k % every
+        steps = 1 if self.last_index is None else min(end - k, room)  # the first alone: no index set has changed before it
+        counting = self.plan.path == "newton"
+        least = min(self.stepper.least_eigenvalue, totals.get("least_eigenvalue", np.inf)) if counting else -np.inf
+        done = self.rollout.advance(k, steps, self.state, self.warm, least, every, record.rows[free], record.index[free])
+        if done.steps:
+            last = k + done.steps
+            numbers = np.arange(k - k % every + every, last + 1, every)
+            if last == grid.N and last % every:
+                numbers = np.append(numbers, last)
+            record.extend(numbers, grid)
+            self.counts.update(done.solvers)
+            if counting:
+                self.stepper.met(done.least_eigenvalue)
+            worst_k = done.worst_step if done.worst > totals["worst_residual"] else None
+            newton = (done.newton, done.newton_max) if counting else (0.0, 0.0)
+            changes = 0 if self.last_index is None else done.changes
+            self._put(last, done.state, done.warm, done.warm.index, done.worst, worst_k, *newton, changes)
+        return done.stuck
+
+    def _loop(self, bar: Any = None, interrupted: Sequence[float] = (), end: int | None = None) -> None:
+        """The hot loop. Attributes are local here and written back when it ends, however it ends."""
+        grid, step, every, counts, record = self.grid, self.stepper, self.save_every, self.counts, self.record
+        N, end = self.grid.N, self.grid.N if end is None else end
+        k, state, warm, last = self.k, self.state, self.warm, self.last_index
+        layout, constant, h = self.stepper.layout, grid.steps is None, grid.h
+        state_at, residual_at, newton_at = layout.state, layout.residual, layout.newton
+        worst, worst_k, newton, newton_max, changes = self.totals["worst_residual"], None, 0.0, 0.0, 0
+        counting, seen = step.plan.path == "newton", None
+        try:
+            while k < end and not interrupted:
+                if constant:
+                    t, h_k = k * h, h if k < N - 1 else grid.last
+                else:
+                    t, h_k = grid.time(k), grid.step(k)
+                start = state if h_k == h or not constant or k == 0 else shortened(self.model, state, h_k / h)
+                row, warm, solver = step(t, h_k, start, warm, k)
+                state = row[state_at]
+                counts[solver] += 1
+                if row[residual_at] > worst:
+                    worst, worst_k = row[residual_at], k + 1
+                if warm is not seen:  # the same object as long as the last index set holds
+                    changes += last is not None and not np.array_equal(warm.index, last)
+                    seen, last = warm, warm.index
+                    if counting:
+                        newton += row[newton_at]
+                        newton_max = max(newton_max, row[newton_at])
+                k += 1
+                if k % every == 0 or k == N:
+                    record.add(k, grid.time(k), h_k, h_k if constant or k == N else grid.step(k), row, warm.index)
+                    if record.full and self.store is not None:
+                        self._put(k, state, warm, last, worst, worst_k, newton, newton_max, changes)
+                        worst_k, newton, newton_max, changes = None, 0.0, 0.0, 0
+                        self._flush("running", "")
+                if bar is not None and k % 64 == 0:
+                    bar.update(64)
+        finally:
+            self._put(k, state, warm, last, worst, worst_k, newton, newton_max, changes)
+
+    def _put(
+        self, k: int, state: np.ndarray, warm: Warm, last: np.ndarray | None, worst: float, worst_k: int | None, newton: float,
+        newton_max: float, changes: int,
+    ) -> None:  # fmt: skip
+        """Write the loop's variables back."""
+        self.k, self.state, self.warm, self.last_index = k, state, warm, last
+        totals = self.totals
+        if worst_k is not None:
+            totals["worst_residual"], totals["worst_residual_t"] = float(worst), self.grid.time(worst_k)
+        totals["newton"] += float(newton)
+        totals["newton_max"] = max(totals["newton_max"], float(newton_max))
+        totals["index_set_changes"] += int(changes)
+        totals["steps"] = k
+
+    def _note(self) -> None:
+        """Keep of the rows what the end will ask for: the distance to the exact state, when an oscillator last moved."""
+        if not self.record.filled:
+            return
+        t, x = self.record.t[: self.record.filled], self.record.states
+        if self.model.exact is not None:
+            self.totals["largest_error"] = max(self.totals.get("largest_error", 0.0), self._distance_to_exact(t, x))
+        least = min(self.stepper.least_eigenvalue, self.totals.get("least_eigenvalue", np.inf))
+        if np.isfinite(least):
+            self.totals["least_eigenvalue"] = float(least)
+        if isinstance(self.model, FrictionOscillator):
+            v = self.record.column("v")
+            moving = np.flatnonzero((v != 0).any(axis=1) & np.isfinite(v).all(axis=1))
+            rest = moving[-1] + 1 if moving.size else 0
+            if moving.size:
+                self.totals["rest_from"] = None
+            if self.totals.get("rest_from") is None and rest < len(v):
+                self.totals["rest_from"] = [int(self.record.number[rest]), float(t[rest])]
+            self.totals["last_x"] = x[-1].tolist()
+            self.totals["last_v"] = [*self.totals.get("last_v", []), *v[-2:].tolist()][-2:]
+
+    def _distance_to_exact(self, t: np.ndarray, x: np.ndarray) -> float:
+        """max |x - exact(t)|; inf where the user's function fails or gives NaN: no reason to lose the run."""
+        try:
+            distance = float(np.abs(x - np.asarray(self.model.exact(t), float)).max())
+        except Exception:
+            return np.inf
+        return distance if np.isfinite(distance) else np.inf
+
+    def _flush(self, status: str, message: str) -> None:
+        """Write the rows in memory as a chunk, with the checkpoint to continue from."""
+        self._note()
+        checkpoint = {
+            "k": self.k, "t": self.grid.time(self.k), "state": self.state.tolist(), "l": self.warm.l.tolist(),
+            "index": self.warm.index.tolist(), "last_index": None if self.last_index is None else self.last_index.tolist(),
+            "counts": dict(self.counts), "totals": self.totals, "settings": self.settings,
+        }  # fmt: skip
+        self.store.append(self.record.columns(self.stepper.plan.path == "newton"), checkpoint, self._metadata(status, message))
+        self.record.clear()
+
+    def _restore(self) -> None:
+        """Take up the checkpoint of the run in ``out``; refuse another model, other settings, other versions, another grid."""
+        saved = self.store.manifest["checkpoint"]
+        other = difference(saved["settings"], self.settings)
+        if other is not None:
+            same_way = "leave compiled (--compiled) out to go on as it began, or " if WAY in other else ""
+            raise StorageError(f"{self.out}: the run there was made with {other}; {same_way}start afresh without resuming")
+        if saved["k"] > self.grid.N:
+            raise StorageError(f"{self.out}: the run there has reached t = {saved['t']:g}, past this run's end; give a later end")
+        if abs(self.grid.time(saved["k"]) - saved["t"]) > 1e-9 * saved["t"]:
+            raise StorageError(
+                f"{self.out}: the run there ended at t = {saved['t']:g} with a shortened step, which is no time of this run's "
+                "grid; start afresh without resuming"
+            )
+        self.k, self.state = saved["k"], np.array(saved["state"], float)
+        self.warm = Warm(np.array(saved["l"], float), np.array(saved["index"], np.int8))
+        self.last_index = None if saved["last_index"] is None else np.array(saved["last_index"], np.int8)
+        self.counts, self.totals = Counter(saved["counts"]), dict(saved["totals"])
+
+    def _finish(self, status: str, message: str) -> Trajectory:
+        if self.store is None:
+            self._note()
+            return Trajectory(self.record.columns(self.stepper.plan.path == "newton"), self._metadata(status, message))
+        if self.record.filled:
+            self._flush(status, message)
+        path = self.store.directory / "trajectory.npz"
+        self.store.join(path, self._metadata(status, message))
+        return Trajectory.load(path)
+
+    def _lost_monotonicity(self) -> list[str]:
+        least = self.totals.get("least_eigenvalue", np.inf)
+        if not self.stepper.plan.monotone or is_monotone(least, self.warm.index.size):
+            return []
+        return [f"the one-step problem was not monotone all the time (least eigenvalue {least:.3g}): {UNIQUENESS}"]
+
+    def _metadata(self, status: str, message: str) -> dict[str, Any]:
+        model, plan = self.model, self.plan
+        data = {
+            "title": model.title,
+            "model_class": type(model).__name__,
+            "scheme": self.problem.scheme,
+            "paper": model.paper,
+            "state_names": list(model.names),
+            "stems": {stem: list(at) for stem, at in model.stems.items()},
+            "multiplier_names": list(getattr(model, "multiplier_names", self.problem.rows)),
+            "index_names": list(self.problem.rows),
+            "law_kinds": self.problem.law.labels,
+            "units": dict(model.units),
+            "parameters": dict(getattr(model, "bound_parameters", {})),
+            "tolerance": self.stepper.tolerance,
+            "save_every": self.save_every,
+            "steps": self.totals["steps"],
+            "used": list(plan.used),
+            "left_out": list(plan.left_out),
+            "solver_counts": dict(sorted(self.counts.items())),
+            "totals": dict(self.totals),
+            "warnings": [*self.warnings, *self._lost_monotonicity()],
+            "status": status,
+            "message": message,
+            "model_hash": self.settings["model"],
+            "versions": versions(),
+        }
+        if "last_v" in self.totals:
+            x, v = (np.array(self.totals[key]) for key in ("last_x", "last_v"))
+            data["convergence"] = finite_convergence(model, x, v, self.totals["rest_from"])
+        if getattr(model, "scene", None):
+            data["scene"] = {key: value.tolist() for key, value in model.scene.items()}
+            data["constraint_bodies"] = _bodies(model)
+        return data
+
+
+def keep_unfinished(out: Path) -> None:
+    """Refuse to overwrite a run that can be continued."""
+    try:
+        manifest = ChunkStore.open(out).manifest
+    except StorageError:
+        return
+    if manifest["status"] in ("running", "interrupted"):
+        raise UsageError(
+            f"{out} holds an unfinished run, up to t = {manifest['checkpoint']['t']:g}; go on with resume=True (--resume), "
+            "or remove the folder"
+        )
+
+
+def _bodies(model: Any) -> list[list[int]]:
+    """For each constraint of a planar scene, the discs whose coordinates it contains."""
+    bodies: list[set[int]] = [set() for _ in range(model.g.numel())]
+    for row, column in zip(*ca.jacobian(model.g, model.q).sparsity().get_triplet(), strict=True):
+        bodies[row].add(column // 2)
+    return [sorted(found) for found in bodies]
+
+
+def _memory() -> float:
+    """Bytes that a run may take: 0.8 of the machine's memory."""
+    try:
+        return 0.8 * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return 8 * 2**30
+
+
+@contextlib.contextmanager
+def _deferred_interrupt() -> Iterator[list[float]]:
+    """Ctrl-C inside puts its time into the list instead of cutting a step in two; one more a second later raises."""
+    interrupted: list[float] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield interrupted
+        return
+    usual = signal.getsignal(signal.SIGINT) or signal.default_int_handler
+
+    def note(number: int, frame: Any) -> None:
+        interrupted.append(time.monotonic())
+        if interrupted[-1] - interrupted[0] > 1:
+            raise KeyboardInterrupt
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield interrupted
+    finally:
+        signal.signal(signal.SIGINT, usual)
+
+
+def _bar(progress: bool, k: int, N: int) -> Any:
+    if not (progress and sys.stderr.isatty()):
+        return None
+    from tqdm import tqdm
+
+    return tqdm(total=N, initial=k, unit="step", delay=1.0, leave=False, dynamic_ncols=True)

@@ -1,0 +1,266 @@
+"""Steps chosen by error control: against closed forms of every class, at switches, at accumulations, with wrong input."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from closed_forms import (
+    ball_rest,
+    friction_free,
+    half_line,
+    half_plane,
+    moving_disc,
+    point_past_disc,
+    sliding_relay,
+    sliding_relay_reach,
+    zhuravlev_ivanov,
+)
+
+from nsmodel import (
+    FirstOrderSystem,
+    FrictionOscillator,
+    LureSystem,
+    MonotoneInclusion,
+    StepError,
+    SweepingProcess,
+    Trajectory,
+    UsageError,
+    complementarity,
+    relay,
+    simulate,
+)
+from nsmodel.codegen.rollout import Rollout
+from nsmodel.grid import make_grid
+from nsmodel.model.units import in_units
+from nsmodel.run import make_stepper
+from nsmodel.scheme import one_step_problem
+from nsmodel.simulate import prepare
+
+T, X, S = ca.SX.sym("t"), ca.SX.sym("x"), ca.SX.sym("s")
+Q, Q2 = ca.SX.sym("q"), ca.SX.sym("q", 2)
+
+
+def sliding():
+    return LureSystem(
+        t=T, A=[[0, 1], [0, 0]], B=[0, 2], C=[[1, 1]], f=[0, ca.sin(T)], law=relay(1), x0=[1, 0], t_end=5, step=0.01
+    )
+
+
+def oscillator():
+    return FrictionOscillator(x=X, potential=X**2 / 2, friction=S, s=S, x0=5.3, v0=0, t_end=12)
+
+
+def past_disc():
+    return SweepingProcess(q=Q2, f=[1, 0], constraints={"disc": ca.norm_2(Q2) - 1}, q0=[-1.5, 0.3], t_end=3, step=0.01)
+
+
+SCENES = {
+    "sweeping, a wall that moves": (
+        SweepingProcess(t=T, q=Q, f=-Q, constraints={"wall": Q - ca.sin(T)}, q0=0, t_end=3), half_line,
+    ),
+    "sweeping, a half plane": (
+        SweepingProcess(t=T, q=Q2, f=[0, 1], constraints={"wall": Q2[0] - ca.sin(2 * T)}, q0=[0, 0], t_end=2), half_plane,
+    ),
+    "sweeping, past a disc": (past_disc(), point_past_disc),
+    "sweeping, pushed by a disc": (
+        SweepingProcess(
+            t=T, q=Q2, f=[0, 0], constraints={"disc": ca.norm_2(Q2 - ca.vertcat(T, 0)) - 1}, q0=[1.5, 0.3], t_end=4, step=0.5
+        ),
+        moving_disc,
+    ),
+    "oscillator": (oscillator(), lambda t: friction_free(t, 5.3)[:, :1]),
+    "Lur'e, a relay that slides": (sliding(), sliding_relay),
+    "first order, the same": (
+        FirstOrderSystem(
+            t=T, x=Q2, lam=X, f=[Q2[1], ca.sin(T)], g=[0, 2 * X], h=Q2[0] + Q2[1], law=relay(1), x0=[1, 0], t_end=5, step=0.01
+        ),
+        sliding_relay,
+    ),
+    "first order, theta = gamma = 1/2": (
+        FirstOrderSystem(
+            t=T, x=Q2, lam=X, f=[Q2[1], ca.sin(T)], g=[0, 2 * X], h=Q2[0] + Q2[1], law=relay(1), x0=[1, 0], t_end=0.4, step=0.01,
+            theta=0.5, gamma=0.5,
+        ),
+        sliding_relay,
+    ),
+    "inclusion": (
+        MonotoneInclusion(x=X, field=-1 - X, lower=0, x0=2, t_end=2),
+        lambda t: np.maximum(3 * np.exp(-t) - 1, 0)[:, None],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_tolerance_is_met(name):
+    """The error of the whole run stays below 3 rtol of the largest state, and falls with rtol."""
+    model, exact = SCENES[name]
+    errors = []
+    for rtol in (1e-3, 1e-5):
+        run = simulate(model, rtol=rtol)
+        assert run.t[-1] == model.t_end
+        assert run.residual[1:].max() <= 1e-9
+        errors.append(np.abs(run.x - exact(run.t)).max() / np.abs(exact(run.t)).max())
+        assert errors[-1] <= 3 * rtol
+    assert errors[1] <= max(errors[0] / 10, 1e-5)
+
+
+@pytest.mark.parametrize("name", ["oscillator", "Lur'e, a relay that slides", "sweeping, past a disc", "inclusion"])
+def test_smooth_phases_are_of_second_order(name):
+    """For 100 times less error 10 times more steps: the extrapolated value is of second order (a first-order one takes 100)."""
+    model, _ = SCENES[name]
+    few, many = (simulate(model, rtol=rtol, compiled=True).metadata["totals"] for rtol in (1e-4, 1e-6))
+    assert 5 <= many["accepted"] / few["accepted"] <= 14
+    assert many["extrapolated"] >= 0.9 * many["accepted"]
+
+
+def test_steps_shrink_at_a_switch_and_grow_after_it():
+    run = simulate(sliding(), rtol=1e-4)
+    switch = sliding_relay_reach()
+    k = int(np.searchsorted(run.t, switch))
+    assert run.step[k] <= 1e-3 * run.step[1:].max()
+    assert run.step[k - 25 : k].max() >= 50 * run.step[k]
+    assert run.step[k : k + 25].max() >= 50 * run.step[k]
+    assert (run.multipliers[1:k, 0] == -1).all()
+
+
+def test_an_accumulation_of_impacts_is_passed():
+    """The ball of Zhuravlev and Ivanov bounces infinitely often before it rests."""
+    x, l, kappa, G = Q2, ca.SX.sym("l", 2), 0.5, 9.81
+    g = [-kappa * l[0] * l[1] * x[1], G * l[0] / (1 - kappa * l[0] * l[1])]
+    ball = FirstOrderSystem(x=x, lam=l, f=[x[1], 0], h=x, g=g, law=relay(2), x0=[1, 10], t_end=3, step=1e-3)
+    run = simulate(ball, rtol=1e-4, compiled=True)
+    _, _, rest = ball_rest(1.0, 5.0, 1 / 3)
+    assert rest < 3
+    np.testing.assert_allclose(run.x, zhuravlev_ivanov(run.t), atol=3e-3)
+    assert len(run) < 5000
+    assert run.step[1:].min() > 1e-9
+
+
+def test_rows_are_verified_steps():
+    """Each half step solves the scheme from the row before; only what extrapolation moved starts elsewhere."""
+    run = simulate(past_disc(), rtol=1e-3)
+    assert len(run.correction) == len(run.t)
+    assert run.gap.min() >= -1e-14
+    for k in range(1, len(run.t)):
+        if run.correction[k]:
+            assert run.correction[k] <= 1e-3
+            continue
+        q, h = run.x[k - 1], run.step[k]
+        n = q / np.linalg.norm(q)
+        y = q + h * np.array([1.0, 0])
+        y += max(0.0, -(np.linalg.norm(q) - 1 + n @ (y - q))) * n
+        np.testing.assert_allclose(run.x[k], y, atol=1e-14)
+    np.testing.assert_array_equal(run.reactions[1:], run.multipliers[1:] / run.step[1:, None])
+
+
+def test_stick_is_exact():
+    run = simulate(oscillator(), rtol=1e-4)
+    still = run.t > 3 * np.pi + 1e-2
+    assert (run.v[still] == 0).all()
+    assert len(np.unique(run.x[still])) == 1
+    assert run.x[-1, 0] == pytest.approx(0.7, abs=1e-3)
+    assert run.metadata["convergence"]["finite"]
+
+
+def test_a_run_in_c_is_the_same_run():
+    for model in (sliding(), oscillator(), past_disc()):
+        plain, compiled = (simulate(model, rtol=1e-3, compiled=how) for how in (False, True))
+        np.testing.assert_array_equal(plain.t, compiled.t)
+        np.testing.assert_allclose(plain.x, compiled.x, rtol=1e-11, atol=1e-12)
+
+
+@pytest.mark.parametrize("units", [(1e-9, 1.0), (1e9, 1e-9)], ids=str)
+def test_units_do_not_matter(units):
+    u, tau = units
+    for model in (oscillator(), past_disc()):
+        run, other = simulate(model, rtol=1e-3), simulate(in_units(model, u, tau), rtol=1e-3)
+        np.testing.assert_allclose(other.t / tau, run.t, rtol=1e-12)
+        np.testing.assert_allclose(other.x / u, run.x, rtol=1e-9, atol=1e-9)
+
+
+def test_a_jump_of_the_state_is_passed_at_the_least_step():
+    """A wall that jumps at t = 0.3 takes the point along at once, whatever the step."""
+    wall = Q - ca.if_else(T < 0.3, 0, 1)
+    run = simulate(SweepingProcess(t=T, q=Q, f=-1, constraints={"wall": wall}, q0=0.5, t_end=1), rtol=1e-3)
+    totals = run.metadata["totals"]
+    assert 1 <= totals["at_least_step"] <= 4
+    assert totals["least_step"] == pytest.approx(2.0**-41)
+    np.testing.assert_allclose(run.x[:, 0], np.where(run.t < 0.3, 0.5 - run.t, 1), atol=1e-11)
+    assert "at the least step" in " ".join(run.summary_text().split())
+    assert len(run) < 500
+
+
+def test_what_cannot_go_on_says_where_and_keeps_the_rows(tmp_path):
+    walls = {"left": Q + 1 - T, "right": 1 - T - Q}
+    with pytest.raises(StepError, match=r"'left'.*'right'") as caught:
+        simulate(SweepingProcess(t=T, q=Q, f=1, constraints=walls, q0=0, t_end=2), rtol=1e-3, out=tmp_path)
+    run = caught.value.trajectory
+    assert run.t[-1] == pytest.approx(1, abs=1e-9)
+    np.testing.assert_allclose(run.x[:, 0], np.minimum(run.t, 1 - run.t), atol=1e-9)
+    np.testing.assert_array_equal(Trajectory.load(tmp_path / "trajectory.npz").x, run.x)
+
+
+def test_absolute_tolerances():
+    model = LureSystem(A=[[-1, 0], [0, -1000]], x0=[1, 1e-6], t_end=1, step=0.01, B=np.zeros((2, 0)), C=np.zeros((0, 2)),
+                       law=complementarity(0))  # fmt: skip
+    relative = simulate(model, rtol=1e-4)
+    assert len(simulate(model, rtol=1e-4, atol=[0, 1e-6])) < len(relative) / 1.2
+    run = simulate(model, atol=1e-5)
+    assert np.abs(run.x[:, 0] - np.exp(-run.t)).max() <= 3e-5
+
+
+def test_a_resting_state_takes_few_steps():
+    run = simulate(SweepingProcess(q=Q2, f=[0, 0], constraints={"wall": Q2[0]}, q0=[0, 0], t_end=1), rtol=1e-9)
+    assert len(run) <= 300
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"rtol": 0}, "rtol = 0; expected"),
+        ({"rtol": -1e-3}, "rtol = -0.001"),
+        ({"rtol": np.nan}, "rtol = nan"),
+        ({"rtol": "1e-3"}, "rtol = '1e-3'"),
+        ({"rtol": 1e-3, "atol": [1, 2, 3]}, "atol .* one for each of x_0, x_1"),
+        ({"rtol": 1e-3, "atol": -1}, "atol = -1"),
+        ({"rtol": 1e-3, "atol": "a"}, "atol = 'a'"),
+        ({"rtol": 1e-3, "steps": [0.1]}, "steps and rtol"),
+        ({"rtol": 1e-3, "save_every": 2}, "save_every and rtol"),
+        ({"rtol": 1e-3, "resume": True, "out": "nowhere"}, "resume and rtol"),
+        ({"rtol": 1e-3, "step": 0}, "step = 0"),
+        ({"rtol": 1e-3, "t_end": -1}, "t_end = -1"),
+    ],
+    ids=str,
+)
+def test_wrong_arguments(options, words):
+    with pytest.raises(UsageError, match=words):
+        simulate(sliding(), **options)
+
+
+def test_models_bound_to_their_steps_are_refused():
+    pair = FrictionOscillator(x=X, potential=X**2, friction=S, s=S, x0=1, x1=1, t_end=1, step=0.1)
+    with pytest.raises(UsageError, match=r"x1 .* give the velocity v0"):
+        simulate(pair, rtol=1e-3)
+    given = MonotoneInclusion(x=X, field=-1, lower=0, x0=1, t_end=1, step=0.1, tolerances=[1e-3] * 10)
+    with pytest.raises(UsageError, match="tolerances is a value a step"):
+        simulate(given, rtol=1e-3)
+
+
+def test_prepared_runs_are_the_runs():
+    for options in ({}, {"rtol": 1e-3}, {"compiled": True}):
+        np.testing.assert_array_equal(prepare(sliding(), **options).go().x, simulate(sliding(), **options).x)
+
+
+def test_a_step_size_that_comes_back_finds_its_own_matrices():
+    """Matrices kept from one call must not serve the first step of the next call, where that has the grid's first size."""
+    model = sliding().bind()
+    grid = make_grid(model, None, [0.01, 0.3, 0.01, 0.01], None)
+    problem = one_step_problem(model)
+    state = np.array([1.0, 0.0])
+    step = make_stepper(model, problem, "auto", 1e-9, h=0.01, state=state)
+    rollout, warm = Rollout(model, grid, 1e-9), step.cold()
+    rows, index = np.empty((4, step.layout.width)), np.empty((4, 1), np.int8)
+    first = rollout.advance(0, 2, state, warm, -np.inf, 1, rows, index)
+    assert first.steps == 2
+    second = rollout.advance(2, 1, first.state, first.warm, -np.inf, 1, rows, index)
+    expected = step(grid.time(2), 0.01, first.state, first.warm).row
+    np.testing.assert_allclose(second.state, expected[step.layout.state], atol=1e-13)
