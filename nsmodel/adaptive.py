@@ -7,12 +7,12 @@ falls like h^2 in smooth phases and like h across a switch; 2 x_fine - x_coarse 
 is accepted
 
 - with the state 2 x_fine - x_coarse where e <= 1, the index sets are equal and every constraint is >= 0 there (a sweeping
-  process is projected once more, as its scheme does, where one is not);
+  process is projected once more, as its scheme does);
 - else as it is where e <= h/T, so that the errors of all steps add up to the tolerance; or where e <= SWITCH and the index
   set changes: that error falls like h, whatever the order.
 
 The rows of the run are the half steps. Each is verified; its multipliers and outputs are those of its step, and
-``correction`` tells how far extrapolation has then moved the state, in units of s.
+``correction`` tells how far extrapolation has then moved the state, in units of what is allowed.
 
 Steps are T/2^j and start at multiples of themselves: times are exact, the last step ends at T, and the first half of a
 refused step is the next trial. At T/2^LEAST every verified step is accepted, and counted: at an accumulation of switches a
@@ -22,6 +22,7 @@ run goes on.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -35,7 +36,7 @@ from nsmodel.grid import Grid, is_number, make_grid, written
 from nsmodel.model.base import Model
 from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.sweeping import SweepingProcess
-from nsmodel.run import Run, keep_unfinished
+from nsmodel.run import Run, keep_unfinished, progress_bar
 from nsmodel.scheme import constraints, shortened
 from nsmodel.solve.certificate import EPS
 from nsmodel.solve.stepper import StepResult, Warm
@@ -152,24 +153,79 @@ class AdaptiveRun(Run):
     def _capacity(self, known: int) -> int:
         return ROWS
 
+    def _bar(self) -> Any:
+        return progress_bar(total=100, unit="%", bar_format="{percentage:3.0f}%|{bar}| {elapsed}<{remaining}")
+
     @property
     def _ended(self) -> bool:
         return self.place.t == 2 ** (LEAST + 1)
 
     def _advance(self, bar: Any, interrupted: Sequence[float]) -> None:
-        first = None
         while not (self._ended or interrupted):
+            if self.rollout is None or not self.rollout.adaptive or self._block_in_c():
+                self._advance_one()
+            if bar is not None:
+                bar.update(100 * math.ldexp(self.place.t, -LEAST - 1) - bar.n)
+
+    def _advance_one(self) -> None:
+        """Take one step, at whatever length it is accepted."""
+        accepted = first = None
+        while accepted is None:
             self.grid.h = self._h(self.place.j)
             trial = self._trial(self.place, first)
             accepted = None if trial is None else self._accepted(self.place, trial)
             if accepted is not None:
                 self._record(accepted)
-                self.place, first = accepted.end, None
+                self.place = accepted.end
             else:
                 self.totals["rejected"] += 1
                 after = shortened(self.model, self.place.state, 0.5)
                 self.place = self.place._replace(j=self.place.j + 1, state=after)
                 first = None if trial is None else trial.half
+
+    def _block_in_c(self) -> bool:
+        """Take steps in C and record them, as many as there is time and room for; whether then one was not certified."""
+        record, totals, place = self.record, self.totals, self.place
+        if len(record.t) - record.filled < 2:
+            record.grow()
+        free, m = slice(record.filled, None), place.warm.index.size
+        control = self.rollout.control(place.state.size, m, self._watched.size)
+        given = {
+            "T": self.T, "rtol": self.rtol, "largest": LARGEST, "least": LEAST, "crossing": SWITCH, "grow": GROW,
+            "negligible": NEGLIGIBLE, "t": place.t, "j": place.j, "fresh": place.index_set is None, "x": place.state,
+            "least_step": totals["least_step"] or np.inf, "atol": self.atol, "size": self._size, "watched": place.watched,
+            "rate": place.rate,
+        }  # fmt: skip
+        for name, value in given.items():
+            control[name] = value
+        control["l"][:m], control["index"][:m] = place.warm.l, place.warm.index
+        for number, group in enumerate(self._groups):
+            control["group"][group] = number
+        columns = np.empty((3, len(record.t) - record.filled))
+        counting = self.stepper.plan.path == "newton"
+        least = min(self.stepper.least_eigenvalue, totals.get("least_eigenvalue", np.inf)) if counting else -np.inf
+        done = self.rollout.adapt(control, self.k, least, record.rows[free], record.index[free], columns)
+        times, lengths, moved = columns[:, : done.steps]
+        if done.steps:
+            record.extend(np.arange(self.k + 1, self.k + 1 + done.steps), times, lengths, lengths)
+            self.grid.times.extend(times.tolist())
+            self._corrections.extend(moved.tolist())
+            self.last_index = record.index[record.filled - 1].copy()
+            worst_k = done.worst_step if done.worst > totals["worst_residual"] else None
+            self._size, self.counts = control["size"].copy(), self.counts + Counter(done.solvers)
+            newton = (done.newton, done.newton_max) if counting else (0.0, 0.0)
+            self._put(self.k + done.steps, self.state, self.warm, self.last_index, done.worst, worst_k, *newton, done.changes)
+            if counting:
+                self.stepper.met(done.least_eigenvalue)
+        for name in ("accepted", "rejected", "extrapolated", "at_least_step"):
+            totals[name] += int(control[name])
+        totals["least_step"] = float(control["least_step"]) if np.isfinite(control["least_step"]) else None
+        warm = Warm(control["l"][:m].copy(), control["index"][:m].astype(np.int8))
+        known = None if control["fresh"] else warm.index.astype(float)
+        state, watched, rate = (control[name].copy() for name in ("x", "watched", "rate"))
+        self.place = Place(int(control["t"]), int(control["j"]), state, warm, watched, rate, known)
+        self._refuse_endless()
+        return done.stuck
 
     def _trial(self, at: Place, coarse: StepResult | None) -> Trial | None:
         """The step from here both ways, None where a step has no answer; ``coarse``: where it is known already."""
@@ -222,7 +278,7 @@ class AdaptiveRun(Run):
             return None
         row, correction = trial.fine.row, 0.0
         if state is not None:
-            row, correction = self._moved(at, trial, state), error * self.rtol
+            row, correction = self._moved(at, trial, *state), error
         j, t = at.j, at.t + 2 * at.half
         of_double = 2.0 if trial.smooth and state is None else 1.0
         if j > LARGEST and error * 2**order <= GROW * allowed * of_double and t % (4 * at.half) == 0:
@@ -232,39 +288,37 @@ class AdaptiveRun(Run):
         end = Place(t, j, after, trial.fine.warm, row[self._watched], rate, self._index(trial.fine))
         return Accepted(at, trial, row, correction, end)
 
-    def _extrapolated(self, at: Place, trial: Trial) -> np.ndarray | None:
-        """2 x_fine - x_coarse, where every constraint is >= 0 at it and no velocity changes its sign."""
+    def _extrapolated(self, at: Place, trial: Trial) -> tuple[np.ndarray, np.ndarray | None] | None:
+        """2 x_fine - x_coarse, and its gaps; None where a velocity changes its sign or a constraint is broken."""
         states = self.stepper.layout.state
         fine, coarse = trial.fine.row[states], shortened(self.model, trial.coarse.row[states], 0.5)
-        state = fine + (fine - coarse)
+        state, end = fine + (fine - coarse), at.t + 2 * at.half
         if isinstance(self.model, FrictionOscillator):
             n = len(self.model.names)
             if (np.sign(state[n:]) != np.sign(fine[n:])).any():
                 return None
-        end = at.t + 2 * at.half
-        if self._feasible(self._time(end), state):
-            return state
+        if self._c is None:
+            return state, None
         if not isinstance(self.model, SweepingProcess):
-            return None
+            return (state, None) if self._feasible(self._time(end), state) else None
         try:
-            return self._step(self._time(end - 1), self._h(LEAST + 1), state, trial.fine.warm).row[states]
+            closing = self._step(self._time(end - 1), self._h(LEAST + 1), state, trial.fine.warm).row
         except StepError:
             return None
+        return closing[states], closing[self.stepper.layout.slices["gap"]]
 
     def _feasible(self, t: float, state: np.ndarray) -> bool:
         """Whether every constraint is >= 0, to the rounding of evaluating it."""
-        if self._c is None:
-            return True
         x = state[: len(self.model.names)]
         c, J = (np.array(part) for part in self._c(t, x))
         return bool((c.ravel() >= -4 * EPS * (np.abs(J) @ np.abs(x))).all())
 
-    def _moved(self, at: Place, trial: Trial, state: np.ndarray) -> np.ndarray:
+    def _moved(self, at: Place, trial: Trial, state: np.ndarray, gaps: np.ndarray | None) -> np.ndarray:
         """The second row with another state, and what follows from the state alone: gaps, velocities."""
         layout, n, row = self.stepper.layout, len(self.model.names), trial.fine.row.copy()
         row[layout.state] = state
-        if "gap" in layout.slices:
-            row[layout.slices["gap"]] = np.array(self._c(self._time(at.t + 2 * at.half), state[:n])[0]).ravel()
+        if gaps is not None:
+            row[layout.slices["gap"]] = gaps
         if isinstance(self.model, FrictionOscillator):
             row[layout.slices["v"]] = state[n:] / (self._h(at.j) / 2)
         return row
@@ -280,7 +334,10 @@ class AdaptiveRun(Run):
         totals["extrapolated"] += int(accepted.correction > 0)
         totals["at_least_step"] += int(at.j == LEAST)
         totals["least_step"] = min(totals["least_step"] or np.inf, h)
-        if totals["accepted"] > MOST:
+        self._refuse_endless()
+
+    def _refuse_endless(self) -> None:
+        if self.totals["accepted"] > MOST:
             raise StepError(f"{MOST:,} steps were accepted and more are needed: ask for less accuracy (rtol)")
 
     def _add(self, t: float, h: float, row: np.ndarray, result: StepResult, correction: float) -> None:

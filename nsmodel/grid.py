@@ -34,6 +34,12 @@ class Grid:
             return float(self.times[k])
         return k * self.h if k < self.N or self.last == self.h else (self.N - 1) * self.h + self.last
 
+    def around(self, rows: np.ndarray) -> tuple[Any, Any, Any]:
+        """The times of these rows, the steps that end there and those that start there; no row is that of a shortened step."""
+        if self.steps is None:
+            return rows * self.h, self.h, self.h
+        return self.times[rows], self.steps[rows - 1], self.steps[np.minimum(rows, self.N - 1)]
+
 
 def make_grid(model: Model, step: float | None, steps: Sequence[float] | None, t_end: float | None) -> Grid:
     """Return the grid of a run; ``step``, ``steps`` and ``t_end`` override the model's own.

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from nsmodel.grid import Grid
 from nsmodel.model.base import Model
 from nsmodel.scheme import derived_columns
 from nsmodel.solve.layout import Layout
@@ -51,15 +52,10 @@ class Record:
         self.index[self.filled] = index
         self._close(k, t, h, h_next)
 
-    def extend(self, numbers: np.ndarray, grid: Grid) -> None:
+    def extend(self, numbers: np.ndarray, t: Any, h: Any, h_next: Any) -> None:
         """Take up the rows of these numbers, which were written into ``rows`` and ``index`` from ``filled`` on."""
         r = slice(self.filled, self.filled + numbers.size)
-        self.number[r] = numbers
-        if grid.steps is None:
-            self.t[r], self.h[r], self.h_next[r] = numbers * grid.h, grid.h, grid.h
-        else:
-            self.t[r], self.h[r] = grid.times[numbers], grid.steps[numbers - 1]
-            self.h_next[r] = grid.steps[np.minimum(numbers, grid.N - 1)]
+        self.number[r], self.t[r], self.h[r], self.h_next[r] = numbers, t, h, h_next
         self.filled = r.stop
         self.full = self.filled == len(self.t)
 

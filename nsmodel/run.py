@@ -148,8 +148,9 @@ class Run:
 
     def go(self, progress: bool = False) -> Trajectory:
         """Run to the end; on failure or Ctrl-C save what there is and say so."""
-        bar = _bar(progress, self.k, self.grid.N)
+        bar = self._bar() if progress else None
         with _deferred_interrupt() as interrupted:
+            start = time.process_time()
             try:
                 self._advance(bar, interrupted)
             except StepError as error:
@@ -160,11 +161,15 @@ class Run:
             except KeyboardInterrupt:  # a second Ctrl-C, in the middle of a step: the step did not happen
                 pass
             finally:
+                self.cpu_seconds = time.process_time() - start
                 if bar is not None:
                     bar.close()
             if not self._ended:
                 raise RunInterrupted(self._finish("interrupted", f"interrupted at t = {self.grid.time(self.k):.10g}"))
             return self._finish("done", "")
+
+    def _bar(self) -> Any:
+        return progress_bar(total=self.grid.N, initial=self.k, unit="step")
 
     @property
     def _ended(self) -> bool:
@@ -210,7 +215,7 @@ class Run:
             numbers = np.arange(k - k % every + every, last + 1, every)
             if last == grid.N and last % every:
                 numbers = np.append(numbers, last)
-            record.extend(numbers, grid)
+            record.extend(numbers, *grid.around(numbers))
             self.counts.update(done.solvers)
             if counting:
                 self.stepper.met(done.least_eigenvalue)
@@ -434,9 +439,10 @@ def _deferred_interrupt() -> Iterator[list[float]]:
         signal.signal(signal.SIGINT, usual)
 
 
-def _bar(progress: bool, k: int, N: int) -> Any:
-    if not (progress and sys.stderr.isatty()):
+def progress_bar(**options: Any) -> Any:
+    """A bar on standard error that leaves nothing behind; None where that is no terminal."""
+    if not sys.stderr.isatty():
         return None
     from tqdm import tqdm
 
-    return tqdm(total=N, initial=k, unit="step", delay=1.0, leave=False, dynamic_ncols=True)
+    return tqdm(delay=1.0, leave=False, dynamic_ncols=True, **options)

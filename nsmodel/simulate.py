@@ -64,7 +64,7 @@ def simulate(
 
 
 def prepare(model: Model, **options: Any) -> Run:
-    """Return a run that has all its set-up behind it, for timing the steps alone: ``prepare(model, ...).go()``, once.
+    """Return a run that has all its set-up behind it: ``run.go()``, once, then ``run.cpu_seconds`` is what its steps took.
 
     The options are those of ``simulate`` but ``out``, ``resume`` and ``progress``.
     """

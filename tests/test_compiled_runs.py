@@ -520,7 +520,7 @@ def test_ctrl_c_is_heard_soon_and_the_bar_moves_however_slow_the_steps_are(monke
         def close(self):
             pass
 
-    monkeypatch.setattr(loop, "_bar", lambda *args: Bar())
+    monkeypatch.setattr(loop, "progress_bar", lambda **options: Bar())
     with pytest.raises(RunInterrupted) as caught:
         simulate(lure(t_end=5e4), compiled=True, progress=True, save_every=100)
     assert time.monotonic() - sent[0] < 1
@@ -537,7 +537,7 @@ def test_the_bar_counts_each_step_once(monkeypatch, fresh_cache):
         update = staticmethod(counted.append)
         close = staticmethod(lambda: None)
 
-    monkeypatch.setattr(loop, "_bar", lambda *args: Bar())
+    monkeypatch.setattr(loop, "progress_bar", lambda **options: Bar())
     simulate(lure(t_end=10.02), compiled=True, progress=True)
     assert sum(counted) == 201
 

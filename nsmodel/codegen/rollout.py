@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import ctypes
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from nsmodel.codegen.cache import NAME, cached
 from nsmodel.codegen.library import Library, compiler, no_compiler
+from nsmodel.errors import CodegenError
 from nsmodel.grid import Grid
 from nsmodel.model.base import Model
 from nsmodel.solve.layout import Layout
@@ -78,6 +79,13 @@ class Rollout:
             ctypes.POINTER(_Totals),
         )  # fmt: skip
         self._steps = np.zeros(2)
+        try:
+            self._adapt: Any = library.function(
+                "adapt", whole, pointer, pointer, whole, number, number, pointer, pointer, pointer, pointer, pointer,
+                ctypes.POINTER(_Totals),
+            )  # fmt: skip
+        except CodegenError:
+            self._adapt = None
         self._memory = np.zeros(library.function("size", whole)() // 8 + 1)
         self._solver = self._memory.ctypes.data
         library.function("init", ctypes.c_int, pointer)(self._solver)
@@ -102,10 +110,39 @@ class Rollout:
             ctypes.byref(totals),
         )  # fmt: skip
         self._fetch(self._solver, *at)
-        return Block(
-            done, totals.status != 0, x, Warm(l, codes), totals.worst, int(totals.worst_step), totals.newton, totals.newton_max,
-            int(totals.changes), totals.least, {SOLVERS[i]: int(count) for i, count in enumerate(totals.counts) if count},
+        return _block(done, totals, x, Warm(l, codes))
+
+    @property
+    def adaptive(self) -> bool:
+        """Whether steps under error control can be taken here."""
+        return self._adapt is not None
+
+    @staticmethod
+    def control(state: int, m: int, watched: int) -> np.ndarray:
+        """``model_control`` in C, by name: numbers, then the state, the multipliers and what is watched of the state."""
+        numbers = (
+            "T", "rtol", "largest", "least", "crossing", "grow", "negligible", "t", "j", "fresh", "accepted", "rejected",
+            "extrapolated", "at_least_step", "least_step",
         )  # fmt: skip
+        arrays = {"x": state, "l": max(m, 1), "index": max(m, 1)}
+        arrays |= dict.fromkeys(("atol", "size", "group", "watched", "rate"), watched)
+        return np.zeros((), [*((name, float) for name in numbers), *((name, float, (size,)) for name, size in arrays.items())])
+
+    def adapt(
+        self, control: np.ndarray, number: int, least: float, rows: np.ndarray, index: np.ndarray, columns: np.ndarray
+    ) -> Block:
+        """Take steps under error control for about SECONDS, until there is no more room or one is not certified.
+
+        Args:
+            control: a record laid out by ``control``, which is brought up to date.
+            number: of the row where they start; least: as in ``advance``.
+            rows, index: filled with two rows a step; columns (3, rows): with the times, the lengths of their half steps, and how
+                far extrapolation has moved their states.
+        """
+        totals = _Totals(least=least)
+        at = (part.ctypes.data for part in (rows, index, *columns))
+        done = self._adapt(self._solver, control.ctypes.data, len(rows), number, SECONDS, *at, ctypes.byref(totals))
+        return _block(done, totals, control["x"].copy(), Warm(control["l"].copy(), control["index"].astype(np.int8)))
 
     def step(self, t: float, h: float, state: np.ndarray, warm: Warm, layout: Layout) -> StepResult | None:
         """One step as the contract of `solve.stepper` has it; None where it is not certified. The grid must have given steps."""
@@ -121,3 +158,10 @@ class Rollout:
         if not done:
             return None
         return StepResult(row, Warm(row[layout.l], codes), SOLVERS[next(i for i, count in enumerate(totals.counts) if count)])
+
+
+def _block(done: int, totals: _Totals, state: np.ndarray, warm: Warm) -> Block:
+    return Block(
+        done, totals.status != 0, state, warm, totals.worst, int(totals.worst_step), totals.newton, totals.newton_max,
+        int(totals.changes), totals.least, {SOLVERS[i]: int(count) for i, count in enumerate(totals.counts) if count},
+    )  # fmt: skip

@@ -17,7 +17,8 @@ from nsmodel.codegen.needs import flags_of, sizes_of
 from nsmodel.codegen.scene import FIXED, INCLUSION, Scene
 from nsmodel.codegen.tables import table
 from nsmodel.model.oscillator import FrictionOscillator
-from nsmodel.scheme import initial_rows, one_step_problem
+from nsmodel.model.sweeping import SweepingProcess
+from nsmodel.scheme import constraints, initial_rows, one_step_problem
 from nsmodel.solve.build import start_state
 from nsmodel.solve.layout import extras
 from nsmodel.solve.newton import WORKING_SET_ABOVE
@@ -56,7 +57,9 @@ def write_source(scene: Scene, name: str, fingerprint: str) -> Source:
         *(part(file) for file in _FRAGMENTS if _has(file.removesuffix(".c"), flags)),
     ]
     code = pruned("\n".join(parts))
-    rollout = prefixed(_records(scene), name) + "\n" + fragment("rollout.c", flags | _run_flags(scene, flags), words)
+    run_flags = flags | _run_flags(scene, flags)
+    loops = ("rollout.c", "adaptive.c") if "ADAPTIVE" in run_flags else ("rollout.c",)
+    rollout = prefixed(_records(scene), name) + "\n" + "".join(fragment(file, run_flags, words) for file in loops)
     rollout = f'#include "{name}.c"\n\n{_missing(rollout, code)}{rollout}'
     words["SIZES"] = _inner_sizes(name, sizes, part("header.h") + code + rollout)
     return Source(name, part("header.h"), code, rollout, flags, sizes, bound)
@@ -241,8 +244,14 @@ def _records(scene: Scene) -> str:
 
 
 def _run_flags(scene: Scene, flags: frozenset[str]) -> frozenset[str]:
-    """What only whole runs have: further columns; a look at W where it may cease to be monotone."""
+    """What only whole runs have: further columns; a look at W where it may cease to be monotone; error control."""
     structure = scene.structure
     watched = {"NEWTON", "LAW"} <= flags and structure.m <= WORKING_SET_ABOVE and not (scene.by_rows or structure.gram)
-    has = {"RECORDS": bool(scene.problem.records), "MONOTONE": watched}
+    sweeping, kept = isinstance(scene.model, SweepingProcess), bool(constraints(scene.model).numel())
+    has = {
+        "RECORDS": bool(scene.problem.records),
+        "MONOTONE": watched,
+        "ADAPTIVE": not {"ONE_STEP", "INCLUSION"} & flags and (sweeping or not kept),
+        "CLOSING": sweeping and kept,
+    }
     return frozenset(name for name, holds in has.items() if holds)

@@ -89,6 +89,34 @@ static double least_eigenvalue(const double *W, double least)
 }
 
 #endif
+/* The step that was attempted last, as a row. */
+static void write_row(const model_solver *s, double *at)
+{
+    memcpy(at, s->work.x_next, sizeof s->work.x_next);
+    at[AT_RESIDUAL] = s->work.residual;
+    at[AT_RESIDUAL + 1] = s->work.iterations;
+#if LAW
+    memcpy(at + AT_L, s->work.l, sizeof s->work.l);
+    memcpy(at + AT_Y, s->work.y, sizeof s->work.y);
+#endif
+#if REWRITTEN
+    memcpy(at + AT_EXTRA, s->work.multipliers, sizeof s->work.multipliers);
+    memcpy(at + AT_EXTRA + MODEL_NL, s->work.outputs, sizeof s->work.outputs);
+#endif
+#if RECORDS
+#if LAW
+    records(s, s->work.z, s->work.l, s->work.y, at + AT_RECORDS);
+#else
+    records(s, s->work.z, at + AT_RECORDS);
+#endif
+#endif
+#if INCLUSION
+    inclusion_columns(s, at + AT_RECORDS);
+#endif
+    for (int j = 0; j < @WIDTH@; j++)
+        at[j] += 0.0; /* no -0 */
+}
+
 void model_place(model_solver *s, double k, double h, const double *x, const double *l, const signed char *index)
 {
     memcpy(s->x, x, sizeof s->x);
@@ -148,31 +176,10 @@ long model_rollout(model_solver *s, double k, long steps, double last, long ever
         const double number = k + (double)(i + 1);
         int keep = every == 1 || fmod(number, (double)every) == 0 || number == last;
         if (keep) {
-            double *at = rows + (long)@WIDTH@*row;
-            memcpy(at, s->work.x_next, sizeof s->work.x_next);
-            at[AT_RESIDUAL] = s->work.residual;
-            at[AT_RESIDUAL + 1] = s->work.iterations;
+            write_row(s, rows + (long)@WIDTH@*row);
 #if LAW
-            memcpy(at + AT_L, s->work.l, sizeof s->work.l);
-            memcpy(at + AT_Y, s->work.y, sizeof s->work.y);
             memcpy(index + (long)MODEL_M*row, s->work.code, sizeof s->work.code);
 #endif
-#if REWRITTEN
-            memcpy(at + AT_EXTRA, s->work.multipliers, sizeof s->work.multipliers);
-            memcpy(at + AT_EXTRA + MODEL_NL, s->work.outputs, sizeof s->work.outputs);
-#endif
-#if RECORDS
-#if LAW
-            records(s, s->work.z, s->work.l, s->work.y, at + AT_RECORDS);
-#else
-            records(s, s->work.z, at + AT_RECORDS);
-#endif
-#endif
-#if INCLUSION
-            inclusion_columns(s, at + AT_RECORDS);
-#endif
-            for (int j = 0; j < @WIDTH@; j++)
-                at[j] += 0.0; /* no -0 */
             row++;
         }
 #if LAW

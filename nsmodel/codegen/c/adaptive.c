@@ -1,0 +1,249 @@
+
+/* Steps chosen by local error control: the rules, the names and the order of operations are those of nsmodel/adaptive.py. */
+#if VELOCITY
+#define WATCHED (2*MODEL_NX)
+#else
+#define WATCHED MODEL_NX
+#endif
+#define ROOM(size) ((size) > 0 ? (size) : 1)
+
+typedef struct { /* doubles only: the caller lays it out by name */
+    double T, rtol, largest, least, crossing, grow, negligible; /* the constants of adaptive.py; j between largest and least */
+    double t, j, fresh; /* time in units of T/2^(least + 1); the step is T/2^j; fresh: no step has been taken */
+    double accepted, rejected, extrapolated, at_least_step, least_step;
+    double x[MODEL_NSTATE], l[ROOM(MODEL_M)], index[ROOM(MODEL_M)];
+    double atol[WATCHED], size[WATCHED], group[WATCHED], watched[WATCHED], rate[WATCHED];
+} model_control;
+
+/* Take steps, two rows each, until there is no room for more, the end is reached, `seconds` are over, or a step is not certified
+   here. moved: how far extrapolation has moved the state of a row, in units of what is allowed. Return the number of rows. */
+long model_adapt(model_solver *s, model_control *c, long room, double number, double seconds, double *rows, signed char *index,
+                 double *times, double *lengths, double *moved, model_totals *totals);
+long model_control_size(void);
+
+typedef struct {
+    double x[MODEL_NSTATE], l[ROOM(MODEL_M)], watched[WATCHED];
+    signed char index[ROOM(MODEL_M)];
+    double residual, iterations;
+    int solver;
+} model_result;
+
+long model_control_size(void) { return (long)sizeof(model_control); }
+
+static double time_at(const model_control *c, double t) { return ldexp(t, -(int)c->least - 1)*c->T; }
+
+/* One step as a result; 0 where it is not certified. */
+static int take(model_solver *s, double t, double h, const double *x, const double *l, const signed char *index, model_result *r)
+{
+    model_place(s, 0, h, x, l, index);
+    s->t_0 = t;
+    if (attempt(s) != MODEL_OK)
+        return 0;
+    memcpy(r->x, s->work.x_next, sizeof r->x);
+#if LAW
+    memcpy(r->l, s->work.l, sizeof s->work.l);
+    memcpy(r->index, s->work.code, sizeof s->work.code);
+#endif
+    for (int i = 0; i < MODEL_NX; i++)
+        r->watched[i] = r->x[i];
+#if VELOCITY
+    for (int i = MODEL_NX; i < WATCHED; i++)
+        r->watched[i] = r->x[i]/h;
+#endif
+    r->residual = s->work.residual;
+    r->iterations = s->work.iterations;
+    r->solver = s->work.solver;
+    return 1;
+}
+
+#if VELOCITY
+/* The state for a step that is `ratio` as long: the difference of positions keeps its velocity. */
+static void shorten(double *x, double ratio)
+{
+    for (int i = MODEL_NX; i < MODEL_NSTATE; i++)
+        x[i] *= ratio;
+}
+
+#endif
+/* The error in units of what is allowed. */
+static double error_of(const model_control *c, double h, const model_result *coarse, const model_result *half,
+                       const model_result *fine, int smooth)
+{
+    double size[WATCHED], worst = 0;
+    for (int i = 0; i < WATCHED; i++)
+        size[i] = max_of(c->size[i], fabs(fine->watched[i]));
+    for (int i = 0; i < WATCHED; i++) {
+        double difference = fabs(fine->watched[i] - coarse->watched[i]), floor = 0;
+        if (!smooth) {
+            const double step = half->watched[i] - c->watched[i];
+            const double within = fabs(fine->watched[i] - half->watched[i] - step), before = fabs(step - h/2*c->rate[i]);
+            difference = fmax(difference, fmax(within, before));
+        }
+        for (int k = 0; k < WATCHED; k++)
+            if (c->group[k] == c->group[i])
+                floor = max_of(floor, c->negligible*max_of(c->size[k], fabs(fine->watched[k])));
+        const double allowed = c->atol[i] + c->rtol*max_of(size[i], floor);
+        const double units = allowed > 0 ? difference/allowed : difference > 0 ? INFINITY : 0.0;
+        if (!(units <= worst))
+            worst = units < INFINITY ? units : INFINITY;
+    }
+    return worst;
+}
+
+/* x = 2 x_fine - x_coarse; 0 where a velocity would change its sign, or it cannot be projected. */
+static int extrapolate(model_solver *s, const model_control *c, double end, const model_result *coarse, const model_result *fine,
+                       double *x)
+{
+    for (int i = 0; i < MODEL_NSTATE; i++) {
+#if VELOCITY
+        const double other = i < MODEL_NX ? coarse->x[i] : coarse->x[i]*0.5;
+#else
+        const double other = coarse->x[i];
+#endif
+        x[i] = fine->x[i] + (fine->x[i] - other);
+#if VELOCITY
+        if (i >= MODEL_NX && ((x[i] > 0) != (fine->x[i] > 0) || (x[i] < 0) != (fine->x[i] < 0)))
+            return 0;
+#endif
+    }
+#if CLOSING
+    model_result closing;
+    if (!take(s, time_at(c, end - 1), ldexp(c->T, -(int)c->least - 1), x, fine->l, fine->index, &closing))
+        return 0;
+    memcpy(x, closing.x, sizeof closing.x);
+#else
+    (void)s;
+    (void)c;
+    (void)end;
+#endif
+    return 1;
+}
+
+static void count(model_totals *totals, const model_result *r, const signed char *before, double number)
+{
+#if LAW
+    totals->changes += before != NULL && memcmp(before, r->index, MODEL_M) != 0;
+#else
+    (void)before;
+#endif
+    if (r->residual > totals->worst) {
+        totals->worst = r->residual;
+        totals->worst_step = number;
+    }
+    totals->newton += r->iterations;
+    if (r->iterations > totals->newton_max)
+        totals->newton_max = r->iterations;
+    totals->counts[r->solver] += 1;
+}
+
+long model_adapt(model_solver *s, model_control *c, long room, double number, double seconds, double *rows, signed char *index,
+                 double *times, double *lengths, double *moved, model_totals *totals)
+{
+    const clock_t start = clock();
+    const double last = ldexp(1.0, (int)c->least + 1);
+    model_result coarse, half, fine;
+    signed char before[ROOM(MODEL_M)];
+    int known = 0; /* whether coarse is known: the first half of a step that was refused */
+    long row = 0, tried = 0;
+    totals->status = MODEL_OK;
+    for (int i = 0; i < ROOM(MODEL_M); i++)
+        before[i] = (signed char)c->index[i];
+    while (c->t < last && row + 2 <= room) {
+        if (++tried % LOOK == 0 && (double)(clock() - start) >= seconds*CLOCKS_PER_SEC)
+            return row;
+        const double h = ldexp(c->T, -(int)c->j), halves = ldexp(1.0, (int)(c->least - c->j));
+        double *at = rows + (long)@WIDTH@*row, x[MODEL_NSTATE];
+        memcpy(x, c->x, sizeof x);
+        if (!known && !take(s, time_at(c, c->t), h, x, c->l, before, &coarse))
+            break;
+#if VELOCITY
+        shorten(x, 0.5);
+#endif
+        if (!take(s, time_at(c, c->t), h/2, x, c->l, before, &half))
+            break;
+        write_row(s, at);
+#if MONOTONE
+        if (totals->least > -INFINITY)
+            totals->least = least_eigenvalue(s->newton.W, totals->least);
+#endif
+        if (!take(s, time_at(c, c->t + halves), h/2, half.x, half.l, half.index, &fine))
+            break;
+        write_row(s, at + @WIDTH@);
+        int smooth = 1;
+#if LAW
+        const signed char *set = c->fresh != 0 ? coarse.index : before;
+        smooth = memcmp(set, coarse.index, MODEL_M) == 0 && memcmp(set, half.index, MODEL_M) == 0
+                 && memcmp(set, fine.index, MODEL_M) == 0;
+#endif
+        const double error = error_of(c, h, &coarse, &half, &fine, smooth), end = c->t + 2*halves;
+        const int least = c->j >= c->least, better = error <= 1 && smooth && extrapolate(s, c, end, &coarse, &fine, x);
+        const double allowed = better ? 1.0 : smooth ? h/c->T : c->crossing;
+        if (error > allowed && !least) {
+            c->rejected += 1;
+            c->j += 1;
+#if VELOCITY
+            shorten(c->x, 0.5);
+#endif
+            coarse = half;
+            known = 1;
+            continue;
+        }
+        known = 0;
+        times[row] = time_at(c, c->t) + h/2;
+        times[row + 1] = time_at(c, end);
+        lengths[row] = lengths[row + 1] = h/2;
+        moved[row] = 0;
+        moved[row + 1] = better ? error : 0.0;
+#if LAW
+        memcpy(index + (long)MODEL_M*row, half.index, MODEL_M);
+        memcpy(index + (long)MODEL_M*(row + 1), fine.index, MODEL_M);
+#endif
+        count(totals, &half, c->fresh != 0 ? NULL : before, number + (double)row + 1);
+        count(totals, &fine, half.index, number + (double)row + 2);
+        for (int i = 0; i < WATCHED; i++) {
+            c->rate[i] = (fine.watched[i] - half.watched[i])/(h/2);
+            c->watched[i] = fine.watched[i];
+        }
+        memcpy(c->x, fine.x, sizeof fine.x);
+        if (better) {
+            memcpy(c->x, x, sizeof x);
+            for (int i = 0; i < MODEL_NX; i++)
+                c->watched[i] = x[i];
+#if CLOSING
+            double *gaps = at + @WIDTH@ + AT_RECORDS;
+            records(s, s->work.z, s->work.l, s->work.y, gaps);
+            for (int i = 0; i < @WIDTH@ - AT_RECORDS; i++)
+                gaps[i] += 0.0;
+#endif
+#if VELOCITY
+            for (int i = MODEL_NX; i < WATCHED; i++)
+                c->watched[i] = at[@WIDTH@ + AT_RECORDS + i - MODEL_NX] = x[i]/(h/2) + 0.0;
+#endif
+            for (int i = 0; i < MODEL_NSTATE; i++)
+                at[@WIDTH@ + i] = x[i] + 0.0;
+        }
+        for (int i = 0; i < WATCHED; i++)
+            c->size[i] = max_of(c->size[i], fabs(c->watched[i]));
+        memcpy(c->l, fine.l, sizeof fine.l);
+        memcpy(before, fine.index, sizeof before);
+        c->fresh = 0;
+        c->accepted += 1;
+        c->extrapolated += better && error > 0;
+        c->at_least_step += least;
+        c->least_step = h/2 < c->least_step ? h/2 : c->least_step;
+        c->t = end;
+        const double doubled = (smooth ? 4.0 : 2.0)*error, budget = c->grow*allowed*(smooth && !better ? 2.0 : 1.0);
+        const double j = c->j;
+        if (j > c->largest && doubled <= budget && fmod(end, 4*halves) == 0)
+            c->j -= 1;
+#if VELOCITY
+        shorten(c->x, ldexp(2.0, (int)(j - c->j)));
+#endif
+        row += 2;
+        for (int i = 0; i < ROOM(MODEL_M); i++)
+            c->index[i] = before[i];
+    }
+    if (c->t < last && row + 2 <= room)
+        totals->status = MODEL_NOT_SOLVED;
+    return row;
+}
