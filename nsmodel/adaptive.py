@@ -47,6 +47,7 @@ FIRST = 7  # j of the first step where none is given.
 SWITCH = 0.25  # Part of the allowed error that a step across a switch may use.
 GROW = 0.5  # A step is doubled where the error expected of it stays below this part of what is allowed.
 NEGLIGIBLE = 1e-6  # A state that stays below this part of the largest of its symbol is measured beside that.
+UNSOLVED = 4  # How often a step without an answer is halved at once: to find that out takes every solver.
 MOST = 10_000_000  # Accepted steps after which a run stops: its tolerance is out of reach.
 ROWS = 4096
 
@@ -179,8 +180,9 @@ class AdaptiveRun(Run):
                 self.place = accepted.end
             else:
                 self.totals["rejected"] += 1
-                after = shortened(self.model, self.place.state, 0.5)
-                self.place = self.place._replace(j=self.place.j + 1, state=after)
+                shorter = 1 if trial is not None else min(UNSOLVED, LEAST - self.place.j)
+                after = shortened(self.model, self.place.state, 0.5**shorter)
+                self.place = self.place._replace(j=self.place.j + shorter, state=after)
                 first = None if trial is None else trial.half
 
     def _block_in_c(self) -> bool:

@@ -48,7 +48,7 @@ def make_grid(model: Model, step: float | None, steps: Sequence[float] | None, t
         UsageError: not finite, not positive, contradictory, or missing.
     """
     for name, value in (("step", step), ("t_end", t_end)):
-        if value is not None and not (is_number(value) and np.isfinite(value) and value > 0):
+        if value is not None and not (is_number(value) and 0 < value < np.inf):
             raise UsageError(f"{name} = {written(value)}; expected a finite number > 0")
     if step is not None and steps is not None:
         raise UsageError("step and steps are both given; keep one")
@@ -73,9 +73,12 @@ def make_grid(model: Model, step: float | None, steps: Sequence[float] | None, t
 
 
 def _step_array(steps: Any) -> np.ndarray:
-    if isinstance(steps, str | bytes) or np.ndim(steps) != 1:
-        raise UsageError(f"steps: expected a list or 1-D array of numbers > 0, not {shown(steps)} (a {type(steps).__name__})")
-    array = np.asarray(steps, float)
+    try:
+        array = np.asarray(steps, float)
+    except (TypeError, ValueError, RuntimeError, OverflowError):
+        array = None
+    if array is None or array.ndim != 1:
+        raise UsageError(f"steps: expected a list or 1-D array of numbers > 0, not {shown(steps)}")
     bad = np.flatnonzero(~(np.isfinite(array) & (array > 0)))
     if not array.size:
         raise UsageError("steps is empty; expected finite numbers > 0")
@@ -85,10 +88,12 @@ def _step_array(steps: Any) -> np.ndarray:
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is a real number; True and False are not."""
-    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    """Whether a value is a real number that a double can hold; True and False are not."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        return abs(value) <= int(np.finfo(float).max)
+    return isinstance(value, float | np.floating | np.integer)
 
 
 def written(value: Any) -> str:
     """A value as a message shows it."""
-    return f"{value:g}" if is_number(value) else repr(value)
+    return f"{value:g}" if is_number(value) else repr(value)[:60]

@@ -25,6 +25,7 @@ from nsmodel.identity import INTERPRETED, WAY, difference, settings, versions
 from nsmodel.model.base import Model
 from nsmodel.model.inclusion import MonotoneInclusion
 from nsmodel.model.oscillator import FrictionOscillator
+from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.record import Record
 from nsmodel.scheme import initial_rows, one_step_problem, shortened
 from nsmodel.scheme.problem import OneStepProblem
@@ -35,7 +36,7 @@ from nsmodel.solve.structure import is_monotone
 from nsmodel.storage import ChunkStore
 from nsmodel.trajectory import Trajectory
 
-CHUNK_BYTES = 64 << 20
+CHUNK_BYTES, CHUNK_SECONDS = 64 << 20, 10.0  # Rows go to the folder when they fill the one or have waited for the other.
 LONG_IF_QUICK, LONG = 500_000, 30_000  # Steps that take some seconds when interpreted: more than compiling them.
 IN_C = "steps in C, compiled for this model; a step that C cannot certify is taken as above"
 FEW_STEPS = 8  # Different step sizes up to which constant matrices are factored once for each.
@@ -89,6 +90,7 @@ class Run:
         self._compile(compiled, solver, self.store.manifest["checkpoint"]["settings"].get(WAY) if resume else None)
         way = INTERPRETED if self.rollout is None else self.rollout.way
         self.settings = settings(model, grid, solver, tolerance, save_every, way)
+        self._flushed = time.monotonic()
         self.record = Record(model, self.stepper.layout, self.warm.index.size, self._capacity(len(known)))
         if resume:
             self._restore()
@@ -194,7 +196,7 @@ class Run:
         while self.k < grid.N and not interrupted:
             k = self.k
             stuck = k == end or self._block(end)
-            if self.record.full and self.store is not None:
+            if self.store is not None and self._due:
                 self._flush("running", "")
             if stuck:
                 self._loop(None, interrupted, self.k + 1)
@@ -233,7 +235,7 @@ class Run:
         layout, constant, h = self.stepper.layout, grid.steps is None, grid.h
         state_at, residual_at, newton_at = layout.state, layout.residual, layout.newton
         worst, worst_k, newton, newton_max, changes = self.totals["worst_residual"], None, 0.0, 0.0, 0
-        counting, seen = step.plan.path == "newton", None
+        counting, seen, saving = step.plan.path == "newton", None, self.store is not None
         try:
             while k < end and not interrupted:
                 if constant:
@@ -255,7 +257,7 @@ class Run:
                 k += 1
                 if k % every == 0 or k == N:
                     record.add(k, grid.time(k), h_k, h_k if constant or k == N else grid.step(k), row, warm.index)
-                    if record.full and self.store is not None:
+                    if saving and self._due:
                         self._put(k, state, warm, last, worst, worst_k, newton, newton_max, changes)
                         worst_k, newton, newton_max, changes = None, 0.0, 0.0, 0
                         self._flush("running", "")
@@ -288,6 +290,8 @@ class Run:
         least = min(self.stepper.least_eigenvalue, self.totals.get("least_eigenvalue", np.inf))
         if np.isfinite(least):
             self.totals["least_eigenvalue"] = float(least)
+        if isinstance(self.model, SweepingProcess) and self.model.g.numel():
+            self._note_overrun(t, x)
         if isinstance(self.model, FrictionOscillator):
             v = self.record.column("v")
             moving = np.flatnonzero((v != 0).any(axis=1) & np.isfinite(v).all(axis=1))
@@ -299,6 +303,26 @@ class Run:
             self.totals["last_x"] = x[-1].tolist()
             self.totals["last_v"] = [*self.totals.get("last_v", []), *v[-2:].tolist()][-2:]
 
+    def _note_overrun(self, t: np.ndarray, x: np.ndarray) -> None:
+        """Keep the worst gap below 0, beyond rounding: a linearised constraint can be overrun where it is not convex."""
+        gap, model = self.record.column("gap"), self.model
+        if not gap.min() < 0:
+            return
+        slopes = ca.Function("slopes", [model.t, model.q], [ca.densify(ca.jacobian(model.g, model.q))])
+        for i, k in enumerate(gap.argmin(axis=0)):
+            rounding = 1e-10 * np.linalg.norm(np.array(slopes(t[k], x[k]))[i]) * (1 + np.linalg.norm(x[k]))
+            if gap[k, i] < min(-rounding, self.totals.get("overrun", {"gap": 0.0})["gap"]):
+                self.totals["overrun"] = {"gap": float(gap[k, i]), "constraint": model.multiplier_names[i], "t": float(t[k])}
+
+    def _overrun(self) -> list[str]:
+        if "overrun" not in self.totals:
+            return []
+        worst = self.totals["overrun"]
+        return [
+            f"constraint '{worst['constraint']}' was overrun, at worst by {-worst['gap']:.3g} at t = {worst['t']:.6g}: the "
+            "scheme keeps a constraint >= 0 only where it is convex"
+        ]
+
     def _distance_to_exact(self, t: np.ndarray, x: np.ndarray) -> float:
         """max |x - exact(t)|; inf where the user's function fails or gives NaN: no reason to lose the run."""
         try:
@@ -306,6 +330,11 @@ class Run:
         except Exception:
             return np.inf
         return distance if np.isfinite(distance) else np.inf
+
+    @property
+    def _due(self) -> bool:
+        """Whether rows wait that a killed run should not lose."""
+        return self.record.full or (self.record.filled > 0 and time.monotonic() - self._flushed >= CHUNK_SECONDS)
 
     def _flush(self, status: str, message: str) -> None:
         """Write the rows in memory as a chunk, with the checkpoint to continue from."""
@@ -317,6 +346,7 @@ class Run:
         }  # fmt: skip
         self.store.append(self.record.columns(self.stepper.plan.path == "newton"), checkpoint, self._metadata(status, message))
         self.record.clear()
+        self._flushed = time.monotonic()
 
     def _restore(self) -> None:
         """Take up the checkpoint of the run in ``out``; refuse another model, other settings, other versions, another grid."""
@@ -374,7 +404,7 @@ class Run:
             "left_out": list(plan.left_out),
             "solver_counts": dict(sorted(self.counts.items())),
             "totals": dict(self.totals),
-            "warnings": [*self.warnings, *self._lost_monotonicity()],
+            "warnings": [*self.warnings, *self._lost_monotonicity(), *self._overrun()],
             "status": status,
             "message": message,
             "model_hash": self.settings["model"],

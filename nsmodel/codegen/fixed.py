@@ -12,7 +12,7 @@ from nsmodel.codegen.tables import table, unit_tables
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.active_set import choices
 from nsmodel.solve.certificate import NumericLaw, bound_size
-from nsmodel.solve.kernel import at_step, matrices_at
+from nsmodel.solve.kernel import at_step, matrices_at, regular_inverse
 from nsmodel.solve.structure import Structure
 
 MOST_INDEX_SETS = 81  # Up to which every index set may be tried: no pivoting.
@@ -40,7 +40,7 @@ def matrices(problem: OneStepProblem, h: float) -> Matrices | None:
     """Return the matrices at h; None where E_z is singular."""
     E_z, E_l, Y_z, Y_l = matrices_at(problem, h)
     try:
-        inverse = np.linalg.inv(E_z)
+        inverse = regular_inverse(E_z)
     except np.linalg.LinAlgError:
         return None
     Z = -inverse @ E_l
@@ -88,6 +88,9 @@ def text(problem: OneStepProblem, structure: Structure, law: NumericLaw, h: floa
             {"size_Y": ca.fabs(at.Y_z) @ ca.fabs(z) + ca.fabs(at.Y_l) @ ca.fabs(l) + ca.fabs(Y_0)},
         ),
     ]  # fmt: skip
+    if structure.projection:
+        reach = ca.sumsqr(z - at.guess) + ca.sumsqr(E_0 + at.E_z @ at.guess)
+        functions.append(c_function("moved", known | E | {"z": z}, {"reach": reach}, "the square of what moves"))
     w_max = np.abs(M.W).max(axis=1)
     tables = [
         table("W", M.W.ravel(), "MODEL_M*MODEL_M", "y = W l + b"),

@@ -34,6 +34,7 @@ def flags_of(scene: Scene) -> frozenset[str]:
         "ENUMERATION": structure.m <= ENUMERATE_UP_TO or few,
         "FEEDTHROUGH": scene.jacobians[3].nnz() > 0,
         "TRANSPOSED": stepped and newton.transposed(scene),
+        "PROJECTION": structure.projection,
         "UNIT_ROWS": bool(structure.unit_rows),
         "PARAMETERS": bool(scene.parameters),
         "LAW_OF_PARAMETERS": scene.law_of_parameters,

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, found
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, found
+from nsmodel.hypotheses.sweeping.geometry import mfcq_constant
 from nsmodel.model.base import Model
 from nsmodel.model.inclusion import MonotoneInclusion
 from nsmodel.model.oscillator import FrictionOscillator
@@ -17,10 +18,15 @@ from nsmodel.scheme.inertial_proximal import energy
 from nsmodel.solve.certificate import EPS
 from nsmodel.trajectory import Trajectory
 
+MOST_ROWS = 2000  # of a run, where gamma is evaluated
 SLACK = 64 * EPS  # relative rounding of a sum of a few terms
 
 RESIDUAL = Hypothesis("run-residual", "every step solves its one-step problem: residual <= tolerance", "definition")
 FEASIBLE = Hypothesis("run-feasible", "every constraint is >= 0 at every row", "definition of Q(t), of C, of dom g")
+QUALIFIED = Hypothesis(
+    "run-mfcq", "the constraints that one step can close leave a common escape direction: gamma(rho) < inf at every row",
+    "Bernicot and Venel 2010, (A5)",
+)  # fmt: skip
 ENERGY = Hypothesis("run-energy", "E_{n+1} - E_n <= -l_n <v, A(v)>: friction takes energy away", "Cabot 2004, Proposition 4.1")
 DISSIPATED = Hypothesis("run-dissipated", "sum l_n <v_n, A(v_n)> <= E_0 - inf g", "Cabot 2004, Proposition 4.1")
 BOUND = Hypothesis(
@@ -38,7 +44,7 @@ DEFECTS = Hypothesis(
 CONTRACTION = Hypothesis(
     "run-contraction", "|x(t) - x~(t)| <= e^{L t} |x_0 - x~_0| for two runs", "catching-up 2026, one-sided Lipschitz bound"
 )
-HYPOTHESES = (RESIDUAL, FEASIBLE, ENERGY, DISSIPATED, BOUND, DEFECTS, CESARO, CONTRACTION)
+HYPOTHESES = (RESIDUAL, FEASIBLE, QUALIFIED, ENERGY, DISSIPATED, BOUND, DEFECTS, CESARO, CONTRACTION)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a run that diverges is judged like any other
@@ -55,6 +61,7 @@ def along(model: Model, run: Trajectory, findings: Sequence[Finding], twin: Traj
     checked, every_row = [_residual(run)], run.metadata["save_every"] == 1 and len(run.t) > 1
     if isinstance(model, SweepingProcess):
         checked += _feasible(run, model.g, model.multiplier_names, model.t, model.q)
+        checked += _qualified(model, run)
     elif isinstance(model, FrictionOscillator):
         c = ca.vertcat(ca.SX(0, 1), *model.constraints.values())
         checked += _feasible(run, c, model.constraint_names, model.t, model.x)
@@ -100,6 +107,31 @@ def _feasible(run: Trajectory, c: ca.SX, names: Sequence[str], t: ca.SX, x: ca.S
     witness = {"constraint": names[i], "t": run.t[row], "state": run.x[row]}
     how = f"evaluated at {k} rows; a deficit below 1e-10 of the state's size counts as rounding"
     return [found(FEASIBLE, VIOLATED if broken.any() else HOLDS, how, {"least value": values[row, i]}, witness)]
+
+
+def _qualified(model: SweepingProcess, run: Trajectory) -> list[Finding]:
+    """gamma(rho) of (A5) along the run, rho the most that a constraint closed from one row to the next."""
+    gap = run.arrays.get("gap", np.zeros((1, 0)))
+    if gap.shape[1] < 2 or len(gap) < 2:
+        return []
+    rho = max(float(np.max(gap[:-1] - gap[1:])), 0.0)
+    near = gap <= rho
+    crowded = np.flatnonzero(near.sum(axis=1) > 1)
+    rows = crowded[np.unique(np.linspace(0, crowded.size - 1, min(crowded.size, MOST_ROWS), dtype=int))]
+    slopes = ca.Function("slopes", [model.t, model.q], [ca.densify(ca.jacobian(model.g, model.q))])
+    worst, witness = 1.0, {}
+    for k in rows:
+        at = np.flatnonzero(near[k])
+        gamma, weights = mfcq_constant(np.array(slopes(run.t[k], run.x[k]))[at])
+        if gamma > worst:
+            worst = gamma
+            opposed = {model.multiplier_names[at[i]]: float(weights[i]) for i in np.argsort(-weights) if weights[i] > 0}
+            witness = {"constraints": list(opposed), "weights": list(opposed.values()), "t": run.t[k], "state": run.x[k]}
+            if np.isinf(gamma):
+                break
+    verdict = VIOLATED if np.isinf(worst) else HOLDS if rows.size == crowded.size else SAMPLED
+    how = f"evaluated at {rows.size} of {crowded.size} rows with several constraints within rho, the most that one closes"
+    return [found(QUALIFIED, verdict, how, {"gamma": worst, "rho": rho}, witness)]
 
 
 def _oscillator(model: FrictionOscillator, run: Trajectory, numbers: Mapping[str, Finding]) -> list[Finding]:

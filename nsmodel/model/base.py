@@ -246,10 +246,10 @@ def _listed(value: Any) -> list[Any]:
 
 def _number(value: Any, label: str) -> float:
     try:
-        if isinstance(value, str | bool | np.bool_ | ca.SX | ca.MX):
+        if isinstance(value, str | bool | np.bool_ | complex | np.complexfloating | ca.SX | ca.MX):
             raise TypeError
         number = float(value)
-    except (TypeError, ValueError, RuntimeError):
+    except (OverflowError, TypeError, ValueError, RuntimeError):
         raise ModelError(f"{label} = {value!r} is not a number") from None
     if not np.isfinite(number):
         raise ModelError(f"{label} = {number}; expected a finite number")
@@ -266,7 +266,8 @@ def _units(units: Any) -> dict[str, str]:
 def _state_names(names: Sequence[str] | None, state: Declared, label: str) -> tuple[list[str], dict[str, list[int]]]:
     n = len(state.names)
     if names is not None:
-        listed = isinstance(names, list | tuple | np.ndarray) and all(isinstance(name, str) and name for name in names)
+        row = isinstance(names, list | tuple) or (isinstance(names, np.ndarray) and names.ndim == 1)
+        listed = row and all(isinstance(name, str) and name for name in names)
         if not listed or len(names) != n:
             raise ModelError(f"names: {names!r}; expected a list of {n} names, one for each of {', '.join(state.names)}")
         chosen, stems = list(map(str, names)), {str(name): [i] for i, name in enumerate(names)}
@@ -288,7 +289,7 @@ def _grid(t_end: Any, step: Any, steps: Any) -> dict[str, Any]:
             raise ModelError("step and steps are both given; keep one")
         try:
             array = np.asarray(steps, float)
-        except (TypeError, ValueError, RuntimeError):
+        except (OverflowError, TypeError, ValueError, RuntimeError):
             array = None
         if array is None or array.ndim != 1:
             raise ModelError(f"steps: expected a list or 1-D array of numbers > 0, not {shown(steps)}")

@@ -110,7 +110,7 @@ def expand_mx(exprs: Sequence[ca.MX], mx_symbols: Sequence[ca.MX], sx_symbols: S
         ModelError: an operation that has no SX form.
     """
     try:
-        return list(ca.Function("expand", list(mx_symbols), list(exprs)).expand().call(list(sx_symbols), True))
+        return [ca.SX(e) for e in ca.Function("expand", list(mx_symbols), list(exprs)).expand().call(list(sx_symbols), True)]
     except RuntimeError as error:
         reason = str(error).strip().splitlines()[-1]
         raise ModelError(
@@ -187,7 +187,10 @@ def _convert(value: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
     if isinstance(value, np.ndarray | np.generic):
         return _from_array(value, symbols, label)
     if isinstance(value, numbers.Real):
-        return ca.SX(float(value))
+        try:
+            return ca.SX(float(value))
+        except OverflowError:
+            raise ModelError(f"{label}: a whole number beyond 1.8e308; expected one that a double can hold") from None
     if isinstance(value, list | tuple):
         return _from_list(value, symbols, label)
     if _is_sympy(value):
@@ -243,7 +246,7 @@ def _rows(rows: list[list[ca.SX]], label: str) -> ca.SX:
 
 
 def _entries(row: Any) -> list[Any]:
-    return list(row) if isinstance(row, list | tuple | np.ndarray) else [row]
+    return list(row) if isinstance(row, list | tuple) or (isinstance(row, np.ndarray) and row.ndim) else [row]
 
 
 def _refuse_nan(value: ca.SX, label: str) -> None:

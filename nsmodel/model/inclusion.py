@@ -124,8 +124,10 @@ class MonotoneInclusion(Model):
             self._set(tolerances=_checked(self.tolerances))
             return
         try:
+            if isinstance(self.tolerances, ca.SX | ca.MX):
+                raise TypeError
             values = np.atleast_1d(np.asarray(self.tolerances, float))
-        except (TypeError, ValueError, RuntimeError):
+        except (OverflowError, TypeError, ValueError, RuntimeError):
             values = np.zeros(0)
         if values.ndim != 1 or not values.size:
             raise ModelError(

@@ -11,7 +11,7 @@ import numpy as np
 from nsmodel.errors import ModelError
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Block:
     """One factor of K, of one kind.
 
@@ -32,7 +32,7 @@ class Block:
     K: Any = None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Law:
     """A product of blocks: l and y are stacked in their order. Build it with the functions of this module."""
 
@@ -107,7 +107,10 @@ def polyhedron(H: Any, K: Any) -> Law:
     try:
         if isinstance(H, ca.SX | ca.MX) or isinstance(K, ca.SX | ca.MX):
             raise TypeError
-        h, k = np.atleast_2d(np.asarray(H, float)), np.ravel(np.asarray(K, float))
+        h, k = np.atleast_2d(np.asarray(H)), np.ravel(np.asarray(K))
+        if not {h.dtype.kind, k.dtype.kind} <= set("biuf"):
+            raise TypeError
+        h, k = h.astype(float), k.astype(float)
     except (TypeError, ValueError, RuntimeError):
         raise ModelError(f"polyhedron: H = {H!r}, K = {K!r}; expected numbers") from None
     if h.ndim != 2 or k.shape != (h.shape[0],):
@@ -152,8 +155,8 @@ def _entries(label: str, name: str, value: Any) -> ca.SX:
     try:
         if isinstance(value, ca.MX):
             raise TypeError
-        column = value if isinstance(value, ca.SX) else ca.vertcat(ca.SX(0, 1), *map(ca.SX, np.ravel(value)))
-    except (NotImplementedError, TypeError, ValueError, RuntimeError):
+        column = ca.SX(value) if isinstance(value, ca.SX | ca.DM) else ca.vertcat(ca.SX(0, 1), *map(ca.SX, np.ravel(value)))
+    except (NotImplementedError, OverflowError, TypeError, ValueError, RuntimeError):
         raise ModelError(f"{label}: {name} = {value!r}; expected a number, a list of numbers or a CasADi SX") from None
     return ca.densify(ca.vec(column))
 

@@ -54,9 +54,8 @@ def in_units(model: Model, u: float, tau: float) -> Model:
             gamma=model.gamma, **law, **common,
         )  # fmt: skip
     if isinstance(model, LureSystem):
-        law = {"law": _law(model.law, u)}
-        if model.phi is not None:
-            law = {"y": model.y, "phi": u**2 * _at(model.phi, (model.y, model.y / u))}
+        y = (model.y, None if model.y is None else model.y / u)
+        law = {"law": _law(model.law, u)} if model.phi is None else {"y": model.y, "phi": u**2 * _at(model.phi, y)}
         n = model.x.numel()
         return LureSystem(
             A=ca.SX.zeros(n, n) if model.A.is_zero() else u / tau * _at(model.A, x), B=model.B / tau, C=model.C, D=model.D,

@@ -6,8 +6,10 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from nsmodel.model.convex import ConvexSplit
+from nsmodel.model.expressions import operations
 from nsmodel.model.laws import Law, ball, box, complementarity, equality, product, relay, second_order_cone
 
 
@@ -86,6 +88,9 @@ def basic_law(law: Law, names: tuple[str, ...], y: ca.SX) -> BasicLaw:
     return BasicLaw(product(*blocks), _stack(symbols), _stack(multipliers), tuple(rows), _stack(outputs))
 
 
+ENDING = {ca.OP_LOG, ca.OP_LOG1P, ca.OP_ATANH}  # Their derivatives are numbers also where they are none.
+
+
 class Subdifferential(NamedTuple):
     """l ∈ -dPhi(y) written with basic laws: l = gradient(l'), and rows of the law on (l', u)."""
 
@@ -121,6 +126,8 @@ def subdifferential(phi: ConvexSplit, y: ca.SX, name: str) -> Subdifferential:
         us += [ca.gradient(lagrangian, phi.tau), gaps]
         rows += [f"{name} level {j}" for j in range(phi.tau.numel())] + [f"{name} piece {i}" for i in range(n.numel())]
     force = -ca.gradient(lagrangian, y)
+    if operations(phi.smooth) & ENDING:
+        force = ca.if_else(ca.fabs(phi.smooth) < np.inf, force, np.nan)
     return Subdifferential(product(*laws), _stack(symbols), force, _stack(us), tuple(rows))
 
 

@@ -180,8 +180,10 @@ class Stepper:
         component = None if best is None or best.worst_row is None else self.rows[best.worst_row]
         worst = "" if component is None else f", worst row '{component}'"
         tried = ", ".join([*self.plan.chain, *(["ipopt"] if self.plan.ipopt != "never" else [])]) or "a linear solve"
+        start, end = f"{t:.10g}", f"{t + h:.10g}"
+        span = f"from t = {start} to {end}" if start != end else f"of {h:.3g} from t = {start}"
         return StepError(
-            f"no verified step from t = {t:.10g} to {t + h:.10g}: {reason}. "
+            f"no verified step {span}: {reason}. "
             f"Best residual {residual:.3g} (tolerance {self.tolerance:.3g}){worst}. Tried: {tried}",
             residual=residual,
             component=component,

@@ -113,6 +113,7 @@ def _relative(F: np.ndarray, c: np.ndarray, W: np.ndarray, b: np.ndarray, law: N
 def gauss_seidel(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray, sweeps: int = 400) -> np.ndarray:
     """Projected block gradient sweeps: slow, but convergent for symmetric psd W. Gives Newton a start near the solution."""
     l = projection(law, l)
+    start = l.copy()
     blocks = [(rows, kind, radius) for kind, rows, radius in law.curved]
     in_block = np.zeros(law.size, bool)
     for rows, _, _ in blocks:
@@ -120,6 +121,8 @@ def gauss_seidel(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray, s
     blocks += [(slice(i, i + 1), "box", np.inf) for i in np.flatnonzero(~in_block)]
     steps = [1 / max(np.linalg.norm(W[rows, rows], 2), np.finfo(float).tiny) for rows, _, _ in blocks]
     for _ in range(sweeps):
+        if not np.isfinite(l).all() or np.abs(l).max(initial=0.0) > 1e100:  # it diverges: W is not symmetric psd
+            return start
         old = l.copy()
         for (rows, kind, radius), step in zip(blocks, steps, strict=True):
             u = l[rows] - step * (W[rows] @ l + b[rows])

@@ -11,6 +11,7 @@ from nsmodel.solve.certificate import NumericLaw
 from nsmodel.solve.choose import Plan
 from nsmodel.solve.structure import Structure, is_monotone, least_eigenvalue
 
+OPPOSITE = 1e-7  # 1/gamma below which W holds too little of the angle between opposing rows.
 PROOF = 1e-14  # Largest positive entry of W'u, beside W's, in a proof that is believed.
 
 
@@ -41,6 +42,13 @@ def why(
         if len(names) == 1:
             return f"no multiplier can keep {names[0]} from being violated"
         return "the constraints leave no point: " + " and ".join(names) + " oppose each other"
+    inverse_gamma, rows = nearly_opposite(W) if structure.projection else (1.0, [])
+    if inverse_gamma < OPPOSITE:
+        names = " and ".join(f"'{problem.rows[i]}' (weight {u:.3g})" for i, u in rows)
+        return (
+            f"{names} are nearly opposite (gamma > {1 / OPPOSITE:.0e}): double precision does not tell "
+            "where between them the state is; leave more room between them, or join them to an equality"
+        )
     if not monotone and mlcp.ENUMERATION in plan.chain:
         count = sum(1 for _ in index_sets(law, np.zeros(law.size, np.int8)))
         which = "has no solution" if structure.affine else "seems to have no solution"
@@ -55,6 +63,19 @@ def why(
             "relay or complementarity"
         )
     return "no solver reached the tolerance"
+
+
+def nearly_opposite(W: np.ndarray) -> tuple[float, list[tuple[int, float]]]:
+    """1/gamma, the distance from 0 to the hull of the unit normals whose products are W, and the rows with their weights."""
+    from scipy.optimize import nnls
+
+    size = np.sqrt(np.diag(W))
+    size[size == 0] = 1
+    value, V = np.linalg.eigh(W / np.outer(size, size))
+    root = np.sqrt(np.maximum(value, 0))[:, None] * V.T
+    u, _ = nnls(np.vstack([root, np.ones(len(W))]), np.append(np.zeros(len(W)), 1.0))
+    u = u / u.sum()
+    return float(np.linalg.norm(root @ u)), [(int(i), float(u[i])) for i in np.argsort(-u) if u[i] > 1e-6][:6]
 
 
 def opposing_rows(W: np.ndarray, b: np.ndarray, law: NumericLaw) -> list[tuple[int, float]] | None:

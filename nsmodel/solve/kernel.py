@@ -16,6 +16,7 @@ from nsmodel.solve.certificate import EPS, UNRESOLVED, NumericLaw, box_residual_
 from nsmodel.solve.layout import Layout, extras
 from nsmodel.solve.structure import Structure, jacobians
 
+UNDETERMINED = 1e-2  # Part of z that rounding may decide.
 CSE_BELOW = 80  # Unknowns up to which sharing common subexpressions pays for the time it takes.
 
 
@@ -31,7 +32,7 @@ class Kernel:
     ) -> None:
         E_z, E_l, Y_z, Y_l = matrices = matrices_at(problem, h)
         m = structure.m
-        inverse = np.linalg.inv(E_z)
+        inverse = regular_inverse(E_z)
         self.Z = -inverse @ E_l
         self.W = Y_l + Y_z @ self.Z
         function, self.b_function = _functions(problem, structure, law, h, tolerance, matrices, inverse, self.Z, self.W)
@@ -81,6 +82,24 @@ class Kernel:
     def b(self, t: float, state: np.ndarray) -> np.ndarray:
         """The vector b of y = W l + b."""
         return np.array(self.b_function(t, state)).ravel()
+
+
+def regular_inverse(E_z: np.ndarray) -> np.ndarray:
+    """The inverse of E_z.
+
+    Raises:
+        numpy.linalg.LinAlgError: E_z is singular, or rounding its entries moves z by more than UNDETERMINED in the best units:
+            by EPS times the spectral radius of |E_z^-1| |E_z|.
+    """
+    inverse = np.linalg.inv(E_z)
+    v = np.ones(len(E_z))
+    for _ in range(30):
+        v = np.abs(inverse) @ (np.abs(E_z) @ v)
+        v /= v.max(initial=0.0) or 1.0
+    w = np.abs(inverse) @ (np.abs(E_z) @ v)
+    if not EPS * np.max(w[v > 0] / v[v > 0], initial=1.0) <= UNDETERMINED:
+        raise np.linalg.LinAlgError
+    return inverse
 
 
 def matrices_at(problem: OneStepProblem, h: float) -> tuple[np.ndarray, ...]:
@@ -190,6 +209,11 @@ def _judge(
         box = [i for i in range(m) if not any(rows.start <= i < rows.stop for _, rows, _ in law.curved)]
         residual = ca.fmax(residual, box_residual_sx(law, box, w_max, l, at.Y, s_y))
         settled = settled_sx(law, box, l, at.Y, free, round_off * size_Y)
+    if structure.projection:  # <l, y> bounds the square of the distance to the projection
+        gap = ca.dot(ca.fmax(l, 0), ca.fmax(at.Y, 0))
+        reach = ca.sumsqr(z - at.guess) + ca.sumsqr(at.E_guess)
+        unseen = ca.dot(ca.fabs(l), round_off * size_Y)
+        residual = ca.fmax(residual, ca.if_else(gap > unseen, gap / ca.fmax(reach, UNRESOLVED), 0))
     residual = ca.if_else(residual < ca.inf, residual, ca.inf)
     y = ca.if_else(free, 0, at.Y) if m else at.Y
     rest = [ca.substitute(e, p.y, y) if e.numel() and m else e for e in at.rest]

@@ -42,6 +42,7 @@ class Linearisation:
     Y_z: np.ndarray
     Y_l: np.ndarray
     eliminated: Any = UNKNOWN
+    known: tuple[Any, ...] = ()
 
     def offset(self, dz_0: np.ndarray, Z: np.ndarray, l: np.ndarray) -> np.ndarray:
         """The b of y+ = W l+ + b, from the iterate l."""
@@ -81,11 +82,12 @@ class Newton:
         self._pack = _Buffered("pack", [*known, p.z, p.l, p.y], [p.next_state, *extras(p).values()])
         self.least_eigenvalue = np.inf  # of the W + W' met so far: a monitor, no step depends on it
         self._complementarity = law.is_complementarity
+        self._felt: _Buffered | None = None
         self._by_rows = works_on_rows(structure, law)
 
     def linearise(self, t: float, h: float, state: np.ndarray, z: np.ndarray, l: np.ndarray) -> Linearisation:
         """Evaluate E, Y and the exact Jacobians."""
-        return Linearisation(*self._linearise(t, h, state, z, l))
+        return Linearisation(*self._linearise(t, h, state, z, l), known=(t, h, state))
 
     def guess(self, t: float, h: float, state: np.ndarray, l: np.ndarray) -> np.ndarray:
         """The first z."""
@@ -205,7 +207,28 @@ class Newton:
         self, at: Linearisation, z: np.ndarray, l: np.ndarray, index: np.ndarray, guess: tuple[np.ndarray, np.ndarray],
         solver: str, iterations: int,
     ) -> Iterate:  # fmt: skip
-        """The certificate at (z, l): E against what moves in the step, and the law at the model's own y."""
+        """The certificate at (z, l): E against what moves in the step, and the law at the model's own y.
+
+        What the round-off of the state makes of E and Y is looked at only where the step would fail without it.
+        """
+        found = self._judged(at, z, l, index, guess, solver, iterations)
+        if self.tolerance < found.residual < np.inf:
+            again = self._judged(at, z, l, index, guess, solver, iterations, *self._felt_of_state(at, z, l))
+            return again if again.residual <= self.tolerance else found
+        return found
+
+    def _felt_of_state(self, at: Linearisation, z: np.ndarray, l: np.ndarray) -> tuple[np.ndarray, ...]:
+        """|E_k| |k| and |Y_k| |k|, k the state: its round-off in E and Y, in EPS."""
+        if self._felt is None:
+            p = self.problem
+            felt = [ca.fabs(ca.jacobian(e, p.state)) @ ca.fabs(p.state) for e in (p.E, p.Y)]
+            self._felt = _Buffered("felt", [p.t, p.h, p.state, p.z, p.l], felt)
+        return self._felt(*at.known, z, l)
+
+    def _judged(
+        self, at: Linearisation, z: np.ndarray, l: np.ndarray, index: np.ndarray, guess: tuple[np.ndarray, np.ndarray],
+        solver: str, iterations: int, felt_E: np.ndarray | float = 0.0, felt_Y: np.ndarray | float = 0.0,
+    ) -> Iterate:  # fmt: skip
         n, m = z.size, l.size
         if not all(np.isfinite(part).all() for part in (z, l, at.E, at.Y, at.E_z, at.E_l, at.Y_z, at.Y_l)):
             return Iterate(z, l, index, at.Y, np.inf, None, solver, iterations)
@@ -213,7 +236,7 @@ class Newton:
         abs_z, abs_l = np.abs(z), np.abs(l)
         E_z, E_l = np.abs(at.E_z), np.abs(at.E_l)
         E_0 = at.E - at.E_z @ z - at.E_l @ l
-        size_E = E_z @ abs_z + E_l @ abs_l + np.abs(E_0)
+        size_E = E_z @ abs_z + E_l @ abs_l + np.abs(E_0) + felt_E
         if not self.structure.identity and n:
             size_E = np.minimum(self._seen(at.E_z, size_E), HIDDEN / round_off * size_E)
         dz = z - guess[0]
@@ -228,12 +251,24 @@ class Newton:
         y = at.Y
         if m:
             s_y, w_max, floor = self._law_scales(at, z, l, index, round_off / self.tolerance)
+            floor = floor + round_off / self.tolerance * felt_Y
             residual = law_residual(self.law, l, at.Y, s_y, w_max, floor)
             if residual.max() >= worst or not np.isfinite(residual).all():
                 row = int(np.argmax(np.where(np.isnan(residual), np.inf, residual)))
                 worst = float(residual[row])
+            if self.structure.projection:
+                worst = max(worst, self._gap(at, z, l, dz, guess[1], round_off))
             y = np.where(index == 0, 0.0, at.Y)
         return Iterate(z, l, index, y, worst, row, solver, iterations)
+
+    @staticmethod
+    def _gap(
+        at: Linearisation, z: np.ndarray, l: np.ndarray, dz: np.ndarray, unmoved: np.ndarray, round_off: float
+    ) -> float:  # fmt: skip
+        """<l, y>, which bounds the square of the distance to the projection, beside the square of what moves; 0 if rounding."""
+        gap = float(np.maximum(l, 0) @ np.maximum(at.Y, 0))
+        size = np.abs(at.Y_z) @ np.abs(z) + np.abs(at.Y - at.Y_z @ z)
+        return gap / max(float(dz @ dz + unmoved @ unmoved), UNRESOLVED) if gap > round_off * (np.abs(l) @ size) else 0.0
 
     @staticmethod
     def _seen(E_z: np.ndarray, size: np.ndarray) -> np.ndarray:
@@ -288,7 +323,7 @@ class Newton:
                 if new <= (1 - 1e-4 * t_step) * size or t_step < 1e-6 or size == 0:
                     break
                 t_step /= 2
-            z, l, at, stalled, size = z_new, l_new, at_new, new >= size / 2, new
+            z, l, at, stalled, size = z_new, l_new, at_new, new >= (1 - 1e-4 * t_step) * size, new
             found = self.judge(at, z, l, index, guess, "newton on the index set", iteration)
             if found.residual <= 1e-2 * self.tolerance or (stalled and iteration > 3):
                 return found

@@ -12,6 +12,8 @@ import numpy as np
 
 from nsmodel.scheme.problem import OneStepProblem
 
+EPS = np.finfo(float).eps
+
 
 @dataclass(frozen=True)
 class Structure:
@@ -24,6 +26,7 @@ class Structure:
         symmetric: W is symmetric by construction (E_z symmetric, E_l a multiple of -Y_z', Y_l symmetric).
         unit_rows: (row, column, factor) of rows y_i = factor z_j + c(k): z_j is exact where y_i = 0.
         gram: W = Y_z Y_z' by construction (identity, symmetric, no Y_l): psd.
+        projection: z is the projection of a point on {Y >= 0}: gram with E_l = -Y_z', and complementarity in every row.
         n, m: numbers of unknowns z and of multipliers.
         nonzeros: structural nonzeros of the matrix [E_z E_l; Y_z Y_l], out of (n + m)^2.
     """
@@ -34,6 +37,7 @@ class Structure:
     symmetric: bool
     unit_rows: tuple[tuple[int, int, float], ...]
     gram: bool
+    projection: bool
     n: int
     m: int
     nonzeros: int
@@ -47,14 +51,17 @@ def read(problem: OneStepProblem) -> Structure:
     affine = not _depends(matrices, ca.vertcat(z, l))
     known = ca.vertcat(problem.t, problem.state)
     identity = E_z.is_constant() and E_z.shape == ca.SX.eye(z.numel()).shape and _is_zero(E_z - ca.SX.eye(z.numel()))
-    symmetric = _symmetric(E_z, E_l, Y_z, Y_l, problem)
+    factors = _factors(E_z, E_l, Y_z, Y_l, problem)
+    symmetric = factors is not None
+    gram = identity and symmetric and Y_l.nnz() == 0
     return Structure(
         affine=affine,
         constant=affine and not _depends(matrices, known),
         identity=identity,
         symmetric=symmetric,
         unit_rows=tuple(_unit_rows(Y_z, Y_l)),
-        gram=identity and symmetric and Y_l.nnz() == 0,
+        gram=gram,
+        projection=gram and np.allclose(factors, 1, rtol=1e-13, atol=0) and set(problem.law.labels) == {"complementarity"},
         n=z.numel(),
         m=l.numel(),
         nonzeros=sum(J.nnz() for J in (E_z, E_l, Y_z, Y_l)),
@@ -74,22 +81,23 @@ def _is_zero(expression: ca.SX) -> bool:
     return expression.numel() == 0 or bool(ca.simplify(ca.sparsify(expression)).is_zero())
 
 
-def _symmetric(E_z: ca.SX, E_l: ca.SX, Y_z: ca.SX, Y_l: ca.SX, problem: OneStepProblem) -> bool:
-    """E_z = E_z', E_l = -a Y_z' with one factor a > 0, Y_l = Y_l': decided at three generic points of the unknowns."""
+def _factors(E_z: ca.SX, E_l: ca.SX, Y_z: ca.SX, Y_l: ca.SX, problem: OneStepProblem) -> list[float] | None:
+    """The a >= 0 with E_z = E_z', E_l = -a Y_z', Y_l = Y_l' at three generic points of the unknowns; None where there is none."""
     if not problem.l.numel():
-        return True
+        return []
     symbols = ca.vertcat(problem.t, problem.h, problem.state, problem.p, problem.z, problem.l)
     f = ca.Function("matrices", [symbols], [ca.densify(e) for e in (E_z, E_l, Y_z, Y_l)])
-    rng = np.random.default_rng(0)
+    rng, factors = np.random.default_rng(0), []
     for _ in range(3):
         Ez, El, Yz, Yl = (np.array(v) for v in f(rng.uniform(0.5, 1.5, symbols.numel())))
         if not all(np.isfinite(v).all() for v in (Ez, El, Yz, Yl)):
-            return False
+            return None
         with np.errstate(over="ignore", invalid="ignore"):
             factor = np.vdot(-El.T, Yz) / max(np.vdot(Yz, Yz), 1e-300)
         if not (np.isfinite(factor) and _equal(Ez, Ez.T) and _equal(-El, factor * Yz.T) and _equal(Yl, Yl.T) and factor >= 0):
-            return False
-    return True
+            return None
+        factors.append(float(factor))
+    return factors
 
 
 def _equal(a: np.ndarray, b: np.ndarray) -> bool:
@@ -113,7 +121,10 @@ def least_eigenvalue(W: np.ndarray) -> float:
     S = (W + W.T) / 2
     d = np.sqrt(np.abs(S).max(axis=1))
     d[d == 0] = 1
-    return float(np.linalg.eigvalsh(S / np.outer(d, d))[0])
+    least = float(np.linalg.eigvalsh(S / np.outer(d, d))[0])
+    # A skew part that is larger by far brings its round-off into S.
+    unseen = EPS * np.linalg.norm(np.abs(W) / np.outer(d, d), 2)
+    return 0.0 if -unseen <= least < 0 else least
 
 
 def is_monotone(least: float, m: int) -> bool:

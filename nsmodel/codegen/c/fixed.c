@@ -134,6 +134,26 @@ static double box_residual(model_solver *s, int *settled)
 #endif
 #endif
 
+#if PROJECTION
+/* <l, y>, which bounds the square of the distance to the projection, beside the square of what moves; 0 if rounding. */
+static double gap_residual(model_solver *s)
+{
+    const double *l = s->work.l, *Y = s->fixed.Y;
+    double gap = 0, reach[1], unseen = 0;
+    for (int i = 0; i < MODEL_M; i++)
+        gap += max_of(l[i], 0)*max_of(Y[i], 0);
+    if (gap == 0)
+        return 0;
+    moved(s, s->fixed.E_0, s->work.z, reach);
+    if (gap <= CLEAR*reach[0])
+        return gap/max_of(reach[0], UNRESOLVED);
+    round_off_Y(s, s->fixed.Y_0, s->work.z, l, s->fixed.size_Y);
+    for (int i = 0; i < MODEL_M; i++)
+        unseen += ROUND_OFF*fabs(l[i])*s->fixed.size_Y[i];
+    return gap > unseen ? gap/max_of(reach[0], UNRESOLVED) : 0;
+}
+
+#endif
 /* Certify s->work.l with s->work.code: 1 where the step passes, 2 where also no other index set is called for. */
 static int certified(model_solver *s)
 {
@@ -160,6 +180,9 @@ static int certified(model_solver *s)
     residual = max_of(residual, residual_of_law(s));
 #else
     residual = max_of(residual, box_residual(s, &settled));
+#endif
+#if PROJECTION
+    residual = max_of(residual, gap_residual(s));
 #endif
     for (int i = 0; i < MODEL_M; i++)
         s->work.y[i] = s->work.code[i] == 0 ? 0.0 : s->fixed.Y[i];

@@ -514,6 +514,25 @@ static double certified_law(model_solver *s)
 }
 #endif
 
+#if PROJECTION
+/* <l, y>, which bounds the square of the distance to the projection, beside the square of what moves; 0 if rounding. */
+static double gap_residual(const model_solver *s)
+{
+    const double *l = s->work.l, *z = s->work.z, *Y = s->newton.Y;
+    double gap = 0, reach = 0, unseen = 0;
+    for (int i = 0; i < MODEL_M; i++)
+        gap += max_of(l[i], 0)*max_of(Y[i], 0);
+    if (gap == 0)
+        return 0;
+    for (int i = 0; i < MODEL_N; i++)
+        reach += (z[i] - s->newton.guess[i])*(z[i] - s->newton.guess[i]) + s->newton.E_guess[i]*s->newton.E_guess[i];
+    if (gap > CLEAR*reach)
+        for (int i = 0; i < MODEL_M; i++)
+            unseen += ROUND_OFF*fabs(l[i])*(Y_z_size(s, i, z) + fabs(Y[i] - Y_z_times(s, i, z)));
+    return gap > unseen ? gap/max_of(reach, UNRESOLVED) : 0;
+}
+#endif
+
 /* Judge (z, l) with its index set. Return its residual, with the step's y in work.y where it passes; where E does not pass, the
    law is not looked at. */
 static double judge(model_solver *s)
@@ -529,6 +548,9 @@ static double judge(model_solver *s)
             law = min_of(law, certified_law(s));
 #endif
         residual = max_of(residual, law);
+#if PROJECTION
+        residual = max_of(residual, gap_residual(s));
+#endif
         for (int i = 0; i < MODEL_M; i++)
             s->work.y[i] = s->work.code[i] == 0 ? 0 : s->newton.Y[i];
     }
@@ -683,6 +705,7 @@ static int on_index_set(model_solver *s)
     double size = defect(s, free);
     for (int iteration = 1; iteration <= SMOOTH_ITERATIONS; iteration++) {
         const double old = size;
+        int better = 0;
         if (smooth_direction(s, free) != 0)
             return 0;
         memcpy(s->newton.z_0, z, sizeof s->work.z);
@@ -698,14 +721,15 @@ static int on_index_set(model_solver *s)
                 make_exact(s);
 #endif
             size = evaluate(s) ? defect(s, free) : INFINITY;
-            if (size <= (1 - 1e-4*t)*old || old == 0)
+            better = size < (1 - 1e-4*t)*old;
+            if (better || size == (1 - 1e-4*t)*old || old == 0)
                 break;
         }
         if (!(size < INFINITY))
             return 0;
         s->work.iterations = iteration;
         const double residual = judge(s);
-        if (residual <= 1e-2*TOLERANCE || (size >= old/2 && iteration > 3))
+        if (residual <= 1e-2*TOLERANCE || (!better && iteration > 3))
             return residual <= TOLERANCE;
     }
     return s->work.residual <= TOLERANCE;

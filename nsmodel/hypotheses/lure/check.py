@@ -139,7 +139,7 @@ def contraction(model: LureSystem, P: np.ndarray, omega: float, run_a: Trajector
     size = np.linalg.norm(d @ L, axis=1)
     if not size[0] > 0:
         return found(CONTRACTION, UNKNOWN, "the two runs have the same start")
-    t, bound = run_a.t - run_a.t[0], size[0] * np.exp(omega * (run_a.t - run_a.t[0]))
+    t, bound = run_a.t - run_a.t[0], size[0] * np.exp(np.minimum(omega * (run_a.t - run_a.t[0]), 700.0))
     discrete = size[0] * np.exp(np.concatenate([[0.0], np.cumsum(_growth_of_steps(model, L, omega, run_a, run_b, h))]))
     tolerance = max(float(run.metadata["tolerance"]) for run in (run_a, run_b))
     rounding = (64 * EPS + tolerance) * np.arange(1, len(t) + 1) * np.linalg.norm(run_a.x @ L, axis=1).max(initial=1.0)

@@ -111,7 +111,7 @@ def _proved(problem: _Problem, Y: np.ndarray, least: float) -> Rate | None:
         return None
     rounding = 64 * EPS * len(P) * near.scale
     tries = [omega + lift * near.scale for lift in (8 * EPS, 64 * EPS, 1e-12, 1e-9, 1e-7, 1e-5, 1e-3)]
-    plain = 0.0 if abs(omega) <= ZERO * near.scale else float(f"{omega:.9g}")
+    plain = 0.0 if -rounding <= omega <= ZERO * near.scale else float(f"{omega:.9g}")
     tries = [plain, *tries] if abs(plain - omega) <= ZERO * near.scale else tries
     for above in tries:
         if _holds(problem, Y, above):

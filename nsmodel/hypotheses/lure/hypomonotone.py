@@ -131,7 +131,7 @@ def _growth(passivity: Passivity, rate: Rate | None, where: str, quick: bool, pr
         texts.append("which solves P B = C' up to rounding")
     if abs(rate.omega) <= rate.rounding and rate.omega:
         texts.append("omega is zero up to rounding of A")
-    elif abs(rate.omega) <= rate.accuracy and rate.omega:
+    elif 0 < rate.omega <= rate.accuracy:
         texts.append("omega is zero up to the accuracy of the search for P")
     elif rate.omega <= rate.least + 1e-6 * abs(rate.least):
         texts.append("no P gives less")
