@@ -32,6 +32,8 @@ from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.run import RunInterrupted
 from nsmodel.simulate import explain, simulate
+from nsmodel.stress import Stress, stress
+from nsmodel.study import Study, study
 from nsmodel.trajectory import Trajectory
 
 __version__ = version("nsmodel")
@@ -51,6 +53,8 @@ __all__ = [
     "RunInterrupted",
     "StepError",
     "StorageError",
+    "Stress",
+    "Study",
     "SweepingProcess",
     "Trajectory",
     "UsageError",
@@ -66,4 +70,6 @@ __all__ = [
     "relay",
     "second_order_cone",
     "simulate",
+    "stress",
+    "study",
 ]

@@ -1,4 +1,4 @@
-"""The command line: ``nsmodel run FILE``, ``nsmodel check FILE``, ``nsmodel codegen FILE``."""
+"""The command line: ``nsmodel run FILE``, and ``check``, ``study``, ``stress``, ``codegen``."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import textwrap
 import time
 from collections.abc import Sequence
 from importlib.metadata import version
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,6 +23,8 @@ from nsmodel.run import RunInterrupted
 from nsmodel.simulate import explain, simulate
 from nsmodel.solve.choose import SOLVERS
 from nsmodel.storage import dumps, write_json, write_text
+from nsmodel.stress import push
+from nsmodel.study import StudyInterrupted, study
 from nsmodel.trajectory import Trajectory
 
 DONE, AT_FAULT, USAGE, FAILED_STEP, REFUSED, INTERRUPTED = 0, 1, 2, 3, 4, 130
@@ -30,7 +33,8 @@ DONE, AT_FAULT, USAGE, FAILED_STEP, REFUSED, INTERRUPTED = 0, 1, 2, 3, 4, 130
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status.
 
-    0 done; 1 a hypothesis is violated (``check --strict``); 2 usage or model; 3 a step failed; 4 no C code; 130 interrupted.
+    0 done; 1 a hypothesis is violated (``check --strict``) or a cell is wrong (``stress``); 2 usage or model; 3 a step failed;
+    4 no C code; 130 interrupted.
     """
     arguments = _parser().parse_args(argv)
     try:
@@ -49,8 +53,9 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="nsmodel",
         description="Nonsmooth dynamics: run a model file, every step verified; check its hypotheses; write its step in C.",
-        epilog="exit status: 0 done; 1 a hypothesis is violated (check --strict); 2 usage, missing file or wrong model; "
-        "3 a step failed, 130 interrupted (what was computed is saved); 4 the model has no C counterpart",
+        epilog="exit status: 0 done; 1 a hypothesis is violated (check --strict) or a cell is wrong (stress); "
+        "2 usage, missing file or wrong model; 3 a step failed, 130 interrupted (what was computed is saved); "
+        "4 the model has no C counterpart",
     )  # fmt: skip
     parser.add_argument("--version", action="version", version=f"nsmodel {version('nsmodel')}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
@@ -89,6 +94,31 @@ def _parser() -> argparse.ArgumentParser:
     checker.add_argument("--json", action="store_true", help="print the report as JSON")
     checker.add_argument("--markdown", metavar="PATH", help="also write the report as Markdown, with the equations")
     checker.set_defaults(command=_check)
+    about = "Measure how accurate the schemes and solvers that apply to a model are for what they cost."
+    measurer = commands.add_parser("study", help="measure errors and times: a work-precision study", description=about)
+    measurer.add_argument("file", metavar="FILE", help="a Python file that defines model = ... or def model(...)")
+    measurer.add_argument("--steps", metavar="H1,H2,...", help="time steps (default: 16 h, 8 h, ... h/8 around the model's own)")
+    measurer.add_argument("--target", type=float, metavar="ERROR", help="say what this relative error costs")
+    measurer.add_argument("--t-end", type=float, metavar="T", help="end of the runs (default: the model's)")
+    _add_set(measurer)
+    measurer.add_argument("--solvers", metavar="A,B,...", help="solvers to time alone (default: all that apply; '' for none)")
+    measurer.add_argument("--budget", type=float, default=60.0, metavar="SECONDS", help="wall time of the study (default 60)")
+    measurer.add_argument("--json", action="store_true", help="print the study as JSON")
+    measurer.add_argument("--csv", metavar="PATH", help="also write one row a point as CSV")
+    measurer.add_argument("--out", metavar="DIR", help="folder for study.txt, study.json, study.csv and study.png")
+    measurer.set_defaults(command=_study)
+    about = "Push a model: its step, its units, its parameters; say of each short run whether it is right, stopped or wrong."
+    pusher = commands.add_parser("stress", help="push a model's step, units and parameters", description=about)
+    pusher.add_argument("file", metavar="FILE", help="a Python file that defines model = ... or def model(...)")
+    _add_set(pusher)
+    pusher.add_argument(
+        "--vary", action="append", default=[], metavar="NAME=V1,V2,...",
+        help="values of a parameter or of an argument of model(); repeatable: all combinations are run",
+    )  # fmt: skip
+    pusher.add_argument("--step", type=float, metavar="H", help="the step that is taken for 1 (default: the model's)")
+    pusher.add_argument("--json", action="store_true", help="print all cells as JSON")
+    pusher.add_argument("--out", metavar="DIR", help="folder for stress.txt, stress.json and stress.png")
+    pusher.set_defaults(command=_stress)
     about = "Write the model's verified step as a C99 library: header, source, Makefile, example, description, README."
     writer = commands.add_parser("codegen", help="write a model's step as a C library", description=about)
     writer.add_argument("file", metavar="FILE", help="a Python file that defines model = ... or def model(...)")
@@ -139,6 +169,81 @@ def _check(arguments: argparse.Namespace) -> int:
         for file, report, _ in reports:
             print(f"{Path(file).stem:{width}}  {'refused' if report is None else report.verdict}")
     return max(status for *_, status in reports)
+
+
+def _study(arguments: argparse.Namespace) -> int:
+    """Measure a file's model; Ctrl-C keeps what was measured."""
+    model, values = _load(arguments.file, arguments.set)
+    status, given = DONE, arguments.solvers
+    try:
+        found = study(
+            model, steps=None if arguments.steps is None else _steps(arguments.steps), target=arguments.target,
+            t_end=arguments.t_end, parameters=values, budget=arguments.budget, progress=not arguments.json,
+            solvers=None if given is None else [name for name in map(str.strip, given.split(",")) if name],
+        )  # fmt: skip
+    except StudyInterrupted as stop:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # one more Ctrl-C would cost what is being saved
+        found, status = stop.study, INTERRUPTED
+    document = {"file": arguments.file, **found.document()}
+    print(dumps(document, indent=2) if arguments.json else found.text())
+    if arguments.csv:
+        found.to_csv(arguments.csv)
+    if arguments.out:
+        folder = Path(arguments.out)
+        write_text(folder / "study.txt", found.text())
+        write_json(folder / "study.json", document)
+        found.to_csv(folder / "study.csv")
+        names = ["study.txt", "study.json", "study.csv"]
+        if any(point.drawn for line in found.lines for point in line.points):
+            from nsmodel.plot import save
+
+            save(found.plot().figure, folder / "study.png")
+            names.append("study.png")
+        if not arguments.json:
+            print(f"\nsaved in {folder}: {', '.join(names)}")
+    if status == INTERRUPTED:
+        print("nsmodel: interrupted; what was measured before is above", file=sys.stderr)
+    return status
+
+
+def _stress(arguments: argparse.Namespace) -> int:
+    """Push a file's model, for each combination of the values given with --vary; the status says whether a cell is wrong."""
+    names = [setting.partition("=")[0].strip() for setting in arguments.vary]
+    variants = []
+    for values in product(*map(_varied, arguments.vary)):
+        varied = dict(zip(names, values, strict=True))
+        model, own = _load(arguments.file, [*arguments.set, *(f"{name}={value!r}" for name, value in varied.items())])
+        variants.append((varied, model.bind(own)))
+    found = push(variants, step=arguments.step, progress=not arguments.json)
+    document = {"file": arguments.file, **found.document()}
+    print(dumps(document, indent=2) if arguments.json else found.text())
+    if arguments.out:
+        folder = Path(arguments.out)
+        write_text(folder / "stress.txt", found.text())
+        write_json(folder / "stress.json", document)
+        from nsmodel.plot import save
+
+        save(found.plot().figure, folder / "stress.png")
+        if not arguments.json:
+            print(f"\nsaved in {folder}: stress.txt, stress.json, stress.png")
+    return AT_FAULT if found.wrong else DONE
+
+
+def _varied(setting: str) -> list[float]:
+    name, equals, text = setting.partition("=")
+    try:
+        if not equals or not name.strip():
+            raise ValueError
+        return [int(one) if one.strip().lstrip("+-").isdigit() else float(one) for one in text.split(",")]
+    except ValueError:
+        raise UsageError(f"--vary {setting}: expected NAME=V1,V2,..., for example --vary mu=0.1,0.5,1") from None
+
+
+def _steps(text: str) -> list[float]:
+    try:
+        return [float(step) for step in text.split(",")]
+    except ValueError:
+        raise UsageError(f"--steps {text}: expected numbers with commas between, for example --steps 1e-2,5e-3") from None
 
 
 def _codegen(arguments: argparse.Namespace) -> int:

@@ -5,9 +5,11 @@ and no display is needed. Long runs are thinned so that no extremum and no event
 of the index set belongs to the step that *ends* at t_k, and is drawn from t_{k-1} to t_k.
 """
 
-from nsmodel.plot.figures import overview, save_all
+from nsmodel.plot.figures import overview, save, save_all
 from nsmodel.plot.plane import configuration, phase
+from nsmodel.plot.stress import stress
 from nsmodel.plot.strip import index_strip
+from nsmodel.plot.study import work_precision
 from nsmodel.plot.time import energy, multipliers, residual, states
 
 __all__ = [
@@ -18,6 +20,9 @@ __all__ = [
     "overview",
     "phase",
     "residual",
+    "save",
     "save_all",
     "states",
+    "stress",
+    "work_precision",
 ]

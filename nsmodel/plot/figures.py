@@ -79,15 +79,19 @@ def save_all(run: Trajectory, model: Any, directory: str | Path, prefix: str = "
     }
     paths = []
     for name, draw in {**draws, "overview": partial(overview, run, model)}.items():
-        path = directory / f"{prefix}{name}.png"
-        part = path.with_name(f".{path.name}.part")
-        try:
-            draw().savefig(part, format="png", dpi=100)
-            os.replace(part, path)
-        finally:
-            part.unlink(missing_ok=True)
-        paths.append(path)
+        paths.append(directory / f"{prefix}{name}.png")
+        save(draw(), paths[-1])
     return paths
+
+
+def save(figure: Figure, path: Path, dpi: int = 100) -> None:
+    """Write a figure as PNG, beside its place and then renamed."""
+    part = path.with_name(f".{path.name}.part")
+    try:
+        figure.savefig(part, format="png", dpi=dpi)
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def _panels(run: Trajectory, model: Any, *, lines: int, rows: int) -> dict[str, Panel]:

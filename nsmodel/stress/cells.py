@@ -1,0 +1,204 @@
+"""Pushing a model: its step, its units, its parameters; each cell one short run, judged by what the solvers do not know."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
+from itertools import product
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.checking import check
+from nsmodel.errors import NsmodelError, StepError, UsageError
+from nsmodel.grid import is_number, written
+from nsmodel.hypotheses.along import QUALIFIED
+from nsmodel.hypotheses.findings import ALONG_A_RUN, VIOLATED
+from nsmodel.hypotheses.quick import UNIQUENESS
+from nsmodel.model.base import Model, shown
+from nsmodel.model.inclusion import MonotoneInclusion
+from nsmodel.model.lure import LureSystem
+from nsmodel.model.units import in_units
+from nsmodel.run import progress_bar
+from nsmodel.simulate import simulate
+from nsmodel.stress.judge import ROUNDING, by_formulas
+from nsmodel.stress.result import RIGHT, STOPPED, WRONG, Cell, Stress
+from nsmodel.trajectory import Trajectory
+
+STEPS = 24
+FACTORS = (1e-12, 1e-9, 1e-6, 1e-3, 0.1, 1.0, 10.0, 1e3)
+UNITS = ((1.0, 1.0), (1e-9, 1.0), (1e9, 1.0), (1.0, 1e-9), (1.0, 1e9), (1e-9, 1e9), (1e9, 1e-9))
+AGREE = 1e-7  # Largest difference of two runs that must be equal, beside the motion.
+PREMISES = ("S-convex", "O-theta", "O-g", "4.1", "5.1", "5.2", "M-T", "M-C")  # Where one is violated nothing is promised.
+ALONE = ("daqp", "lemke", "ipopt")  # The first that applies is run alone.
+
+
+def stress(
+    model: Model,
+    *,
+    vary: Mapping[str, Sequence[float]] | None = None,
+    parameters: Mapping[str, float] | None = None,
+    step: float | None = None,
+    steps: int = STEPS,
+    progress: bool = False,
+) -> Stress:
+    """Push a model and say of each cell whether what came out is right, stopped with a message, or wrong.
+
+    A cell is a run of a few steps: one of 8 steps (1e-12 to 1e3 times the model's own) in one of 7 pairs of units (state and
+    time 1e-9 to 1e9 times), for each combination of the values in ``vary``. Judged by the formulas of the scheme put into the
+    model's expressions, by another solver alone, by the same run in the model's own units, and by the inequalities that its
+    class promises along a run (energy, feasibility, contraction) where the hypotheses hold.
+
+    Args:
+        model: any of the five classes.
+        vary: {name of a parameter: values}; all combinations are run.
+        parameters: values of the other parameters.
+        step: the step that is taken for 1; left out: the model's own.
+        steps: steps of each run.
+        progress: show a progress bar where standard error is a terminal.
+
+    Raises:
+        UsageError: no model, no step, an unknown parameter, a value that is no number.
+    """
+    if not isinstance(model, Model):
+        raise UsageError(f"stress: expected a model, such as LureSystem(...), not {shown(model)}")
+    combinations = [dict(zip(vary or {}, values, strict=True)) for values in product(*_values(vary))]
+    variants = [(values, model.bind({**(parameters or {}), **values})) for values in combinations]
+    return push(variants, step=step, steps=steps, progress=progress)
+
+
+def push(
+    variants: Sequence[tuple[Mapping[str, float], Model]],
+    *,
+    step: float | None = None,
+    steps: int = STEPS,
+    progress: bool = False,
+) -> Stress:
+    """Push bound models that differ in the values named beside each; see `stress`."""
+    if not (is_number(steps) and steps >= 3 and float(steps).is_integer()):
+        raise UsageError(f"steps = {written(steps)}; expected a whole number >= 3")
+    if step is not None and not (is_number(step) and 0 < step < np.inf):
+        raise UsageError(f"step = {written(step)}; expected a finite number > 0")
+    cells: list[Cell] = []
+    total = len(variants) * len(FACTORS) * len(UNITS)
+    bar = progress_bar(total=total, unit="cell") if progress else None
+    for values, model in variants:
+        h = _own_step(model) if step is None else float(step)
+        for factor in FACTORS:
+            for cell in _column(model, values, factor, h, int(steps)):
+                cells.append(cell)
+                if bar is not None:
+                    bar.update()
+    if bar is not None:
+        bar.close()
+    first = variants[0][1]
+    return Stress(
+        title=first.title or "untitled", model_class=type(first).__name__, names=tuple(first.names),
+        time_unit=first.units.get("t", ""), step=_own_step(first) if step is None else float(step), cells=tuple(cells),
+    )  # fmt: skip
+
+
+def _values(vary: Mapping[str, Sequence[float]] | None) -> list[list[float]]:
+    if vary is not None and not isinstance(vary, Mapping):
+        raise UsageError(f"vary: expected a dictionary {{name: values}}, not {shown(vary)}")
+    lists = []
+    for name, values in (vary or {}).items():
+        if isinstance(values, str) or np.ndim(values) != 1 or not len(values) or not all(map(is_number, values)):
+            raise UsageError(f"vary: {name} = {values!r}; expected a list of numbers, such as [0.1, 1, 10]")
+        lists.append([float(value) for value in values])
+    return lists
+
+
+def _own_step(model: Model) -> float:
+    if model.step is None and model.steps is None:
+        raise UsageError("no time step: give the model step=, or give stress step=H (--step H)")
+    return float(model.step if model.steps is None else np.mean(model.steps))
+
+
+def _column(model: Model, values: Mapping[str, float], factor: float, h: float, steps: int) -> Iterator[Cell]:
+    """The cells of one step size: the model as it is, judged by all means, then in other units, compared with it."""
+    own: Trajectory | None = None
+    for u, tau in UNITS:
+        there = model if (u, tau) == (1.0, 1.0) else in_units(model, u, tau)
+        run, message = _run(there, factor * h * tau, steps)
+        checks = {} if run is None else {f"formula: {name}": value for name, value in by_formulas(there, run).items()}
+        if own is None:
+            own = run
+            if run is not None:
+                checks |= _alone(model, run, factor * h, steps) | _promised(model, run, factor * h, steps)
+        elif run is not None and own is not None:
+            checks |= _difference("other units", model, own, run, run.x / u, own.x)
+        verdict = WRONG if any(not value <= 1 for value in checks.values()) else STOPPED if message else RIGHT
+        yield Cell(dict(values), factor, factor * h, u, tau, verdict, checks, message, 0 if run is None else len(run))
+
+
+def _run(model: Model, h: float, steps: int, **options: Any) -> tuple[Trajectory | None, str]:
+    """A run of so many steps as far as it came, and why it stopped."""
+    try:
+        return simulate(_plain(model), step=h, t_end=steps * h, compiled=False, **options), ""
+    except NsmodelError as error:
+        return getattr(error, "trajectory", None), str(error)
+
+
+def _plain(model: Model) -> Model:
+    """The model without its exact solution and its own steps, of which more or fewer are taken here."""
+    plain = copy(model)
+    plain._set(exact=None)
+    return plain
+
+
+def _alone(model: Model, own: Trajectory, h: float, steps: int) -> dict[str, float]:
+    """The same run by another solver alone, as far as it comes."""
+    for solver in ALONE:
+        try:
+            run = simulate(_plain(model), step=h, t_end=steps * h, compiled=False, solver=solver)
+        except StepError as error:
+            run = error.trajectory
+        except UsageError:
+            continue
+        if run is not None and len(run) > 0:
+            return _difference(f"solver {solver} alone", model, own, run, run.x, own.x)
+    return {}
+
+
+def _difference(what: str, model: Model, own: Trajectory, run: Trajectory, x: np.ndarray, known: np.ndarray) -> dict[str, float]:
+    """Two runs that must be the same, where the solution is unique: AGREE beside the motion so far, and rounding."""
+    if any(UNIQUENESS in text for text in (*own.metadata["warnings"], *run.metadata["warnings"])):
+        return {}
+    rows = min(len(x), len(known))
+    x, known = x[:rows], known[:rows]
+    motion = np.maximum.accumulate(np.abs(known - known[0]).max(axis=1))
+    size = np.maximum.accumulate(np.abs(known).max(axis=1))
+    allowed = AGREE * motion + rows * ROUNDING * size
+    if isinstance(model, MonotoneInclusion) and own.arrays["selection"].shape[1]:
+        # Explicit in a discontinuous S: beside its jump rounding decides, and one step goes the other way.
+        allowed = allowed + 2 * np.nanmax(np.abs(own.step[1:, None] * own.v[1:]))
+    if isinstance(model, MonotoneInclusion):
+        allowed = allowed + 2 * np.cumsum(np.sqrt(np.nan_to_num(own.tolerance[:rows]))).ravel()  # what projections may be off
+    error = np.abs(x - known).max(axis=1)
+    with np.errstate(all="ignore"):
+        ratio = np.where(error == 0, 0.0, error / allowed)
+    return {what: float(np.max(np.where(np.isnan(ratio), np.inf, ratio)))}
+
+
+@np.errstate(all="ignore")
+def _promised(model: Model, run: Trajectory, h: float, steps: int) -> dict[str, float]:
+    """Infinity for each inequality along the run that is broken, 0 for each that is met, where the hypotheses hold."""
+    runs = [run]
+    if len(run) < 3:
+        return {}
+    if isinstance(model, LureSystem | MonotoneInclusion):
+        twin = copy(model)
+        twin._set(x0=ca.SX(ca.DM((run.x[0] + run.x[-1]) / 2)))
+        other, message = _run(twin, h, steps)
+        if not message and not np.array_equal(other.x[0], run.x[0]):
+            runs.append(other)
+    try:
+        findings = check(model, runs, quick=True).findings
+    except NsmodelError:
+        return {}
+    if any(finding.id in PREMISES and finding.verdict == VIOLATED for finding in findings):
+        return {}
+    along = [finding for finding in findings if finding.id.startswith(ALONG_A_RUN) and finding.id != QUALIFIED.id]
+    return {f"along: {f.id.removeprefix(ALONG_A_RUN)}": np.inf if f.verdict == VIOLATED else 0.0 for f in along}

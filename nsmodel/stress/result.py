@@ -1,0 +1,154 @@
+"""What came of pushing a model: cells, their verdicts, a table, JSON."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+RIGHT, STOPPED, WRONG = "right", "stopped", "wrong"
+_WIDTH = 100
+_SHOWN = 12
+_WORDS = {RIGHT: "ok", STOPPED: "stop", WRONG: "WRONG"}
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One run.
+
+    Attributes:
+        values: the varied parameters.
+        factor, step: the step beside the one that is taken for 1, and itself (in the model's own unit of time).
+        u, tau: how many times as large the numbers of states and times were.
+        verdict: "right", "stopped" (the run refused to go on, and what it had computed is right) or "wrong".
+        checks: {what: misfit beside what is allowed}; above 1 is wrong.
+        message: why it stopped.
+        steps: how many steps were taken.
+    """
+
+    values: Mapping[str, float]
+    factor: float
+    step: float
+    u: float
+    tau: float
+    verdict: str
+    checks: Mapping[str, float]
+    message: str
+    steps: int
+
+    @property
+    def worst(self) -> tuple[str, float]:
+        """The check that came nearest to what is allowed, or passed it most, and its ratio; ("", 0) without checks."""
+        return max(self.checks.items(), key=lambda item: item[1], default=("", 0.0))
+
+    @property
+    def row(self) -> str:
+        """Where the cell stands, but for its step: values and units."""
+        values = [f"{name} = {value:g}" for name, value in self.values.items()]
+        units = [f"{what} x {size:g}" for what, size in (("state", self.u), ("time", self.tau)) if size != 1]
+        return ", ".join([*values, *(units or ["own units"])])
+
+
+@dataclass(frozen=True)
+class Stress:
+    """All cells of a model.
+
+    Attributes:
+        title, model_class, names: of the model and its states.
+        time_unit: the user's word for it, or "".
+        step: the step that is taken for 1.
+        cells: in the order in which they ran.
+    """
+
+    title: str
+    model_class: str
+    names: tuple[str, ...]
+    time_unit: str
+    step: float
+    cells: tuple[Cell, ...]
+
+    def count(self, verdict: str) -> int:
+        """How many cells are "right", "stopped" or "wrong"."""
+        return sum(cell.verdict == verdict for cell in self.cells)
+
+    @property
+    def wrong(self) -> tuple[Cell, ...]:
+        """The cells that are wrong."""
+        return tuple(cell for cell in self.cells if cell.verdict == WRONG)
+
+    @property
+    def rows(self) -> list[str]:
+        """Labels of the rows of the table: values and units."""
+        return list(dict.fromkeys(cell.row for cell in self.cells))
+
+    @property
+    def factors(self) -> list[float]:
+        """Step sizes of the columns of the table, beside ``step``."""
+        return sorted({cell.factor for cell in self.cells})
+
+    def text(self) -> str:
+        """Return the table, the reasons of the cells that stopped, and what is wrong."""
+        unit = f" {self.time_unit}" if self.time_unit else ""
+        counts = ", ".join(f"{self.count(verdict)} {verdict}" for verdict in (RIGHT, STOPPED, WRONG))
+        lines = [self.title, f"  model class  {self.model_class}", f"  cells        {len(self.cells)}: {counts}"]
+        lines += _wrapped("  judged by    ", ", ".join(_kinds(self.cells)))
+        lines += ["", *self._table(f"step, in units of {self.step:g}{unit}"), ""]
+        wrong = sorted(self.wrong, key=lambda cell: -cell.worst[1])
+        if wrong:
+            lines.append("Wrong (misfit beside what is allowed)")
+            lines += [
+                f"  {cell.row}, step x {cell.factor:g}: {cell.worst[0]}, {_ratio(cell.worst[1])}" for cell in wrong[:_SHOWN]
+            ]
+            lines += [f"  ... {len(wrong) - _SHOWN} more"] * (len(wrong) > _SHOWN) + [""]
+        stopped = [cell for cell in self.cells if cell.verdict == STOPPED]
+        if stopped:
+            lines.append("Stopped")
+            for cell in stopped[:_SHOWN]:
+                lines += _wrapped("  ", f"{cell.row}, step x {cell.factor:g}, after {cell.steps} steps: {cell.message}")
+            lines += [f"  ... {len(stopped) - _SHOWN} more"] * (len(stopped) > _SHOWN) + [""]
+        return "\n".join(lines).rstrip()
+
+    def _table(self, head: str) -> list[str]:
+        rows, factors = self.rows, self.factors
+        verdicts = {(cell.row, cell.factor): cell.verdict for cell in self.cells}
+        width = max(len(row) for row in rows)
+        lines = [f"  {'':{width}}  {head}", f"  {'':{width}} " + "".join(f"{factor:>7g}" for factor in factors)]
+        for row in rows:
+            words = (_WORDS[verdicts[row, f]] if (row, f) in verdicts else "" for f in factors)
+            lines.append(f"  {row:{width}} " + "".join(f"{word:>7}" for word in words))
+        return lines
+
+    def document(self) -> dict[str, Any]:
+        """Return all as dictionaries, lists, numbers and strings, for JSON."""
+        return {
+            "title": self.title, "model_class": self.model_class, "step": self.step,
+            **{verdict: self.count(verdict) for verdict in (RIGHT, STOPPED, WRONG)},
+            "cells": [{**vars(cell), "values": dict(cell.values), "checks": dict(cell.checks)} for cell in self.cells],
+        }  # fmt: skip
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the table as a heat map: `nsmodel.plot.stress`."""
+        from nsmodel.plot import stress
+
+        return stress(self, ax=ax)
+
+
+def _kinds(cells: Iterable[Cell]) -> list[str]:
+    """What the cells were judged by, each kind once, formulas and promises gathered."""
+    names = list(dict.fromkeys(name for cell in cells for name in cell.checks))
+    gathered = []
+    for kind, words in (("formula: ", "formulas"), ("along: ", "along the run")):
+        parts = [name.removeprefix(kind) for name in names if name.startswith(kind)]
+        gathered += [f"{words} ({', '.join(parts)})"] if parts else []
+    return gathered + [name for name in names if ": " not in name]
+
+
+def _ratio(value: float) -> str:
+    return "broken" if not np.isfinite(value) else f"{value:.3g} times"
+
+
+def _wrapped(start: str, words: str) -> list[str]:
+    return textwrap.wrap(words, _WIDTH, initial_indent=start, subsequent_indent=" " * max(len(start), 4))

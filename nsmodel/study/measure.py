@@ -1,0 +1,269 @@
+"""The study itself: the steps, the reference, every method at every step within a budget of time."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from copy import copy
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from nsmodel.checking import check
+from nsmodel.errors import NsmodelError, UsageError
+from nsmodel.grid import is_number, written
+from nsmodel.hypotheses.along import along
+from nsmodel.hypotheses.findings import Finding
+from nsmodel.model.base import Model, shown
+from nsmodel.model.first_order import FirstOrderSystem
+from nsmodel.model.lure import LureSystem
+from nsmodel.study import methods
+from nsmodel.study.lines import DONE, LEFT_OUT, SCHEME, SOLVER, Line, Point
+from nsmodel.study.methods import Measured, Method
+from nsmodel.study.reference import Reference, Rows
+from nsmodel.study.result import Study, StudyInterrupted
+from nsmodel.study.search import Search
+from nsmodel.study.text import number
+from nsmodel.trajectory import Trajectory
+
+BUDGET = 60.0  # s
+UNTIL = {"schemes": 0.7, "variable steps": 0.85}  # Parts of what the reference leaves, after which none is begun.
+WORTH = 0.05  # s: a point that takes less is measured even where its line has used up its share.
+COARSEST, FINEST = 16, 8  # The default steps: from COARSEST h to h / FINEST, halved each time.
+FEW = 8  # Steps of the coarsest run, at least, where the model's own has more.
+HARDER = 10.0**0.5  # Steps that a tolerance ten times smaller takes for one, where order is two.
+SHARES = {"reference": 1 / 3, SCHEME: 1 / 4, SOLVER: 1 / 16}  # Parts of the budget that one of these may take.
+
+
+def study(
+    model: Model,
+    *,
+    steps: Sequence[float] | None = None,
+    target: float | None = None,
+    t_end: float | None = None,
+    parameters: Mapping[str, float] | None = None,
+    solvers: Sequence[str] | None = None,
+    tolerance: float = 1e-9,
+    budget: float = BUDGET,
+    progress: bool = False,
+) -> Study:
+    """Measure how accurate a model's schemes are for what they cost, and return the lines of a work-precision diagram.
+
+    Args:
+        model: any of the five classes.
+        steps: time steps; left out: 16 h, 8 h, ... h/8 around the model's own h, changed a little so that the grids nest.
+        target: a relative error whose price is wanted.
+        t_end, parameters: override the model's own.
+        solvers: solvers to run alone beside the default chain; left out: all that are installed and apply; []: none.
+        tolerance: largest accepted residual of a step.
+        budget: wall time in seconds that the study may take, a third of it for the reference; runs that would exceed it are
+            left out, and named.
+        progress: say on standard error what is measured, where that is a terminal.
+
+    Raises:
+        UsageError: a wrong argument; a solver that is unknown.
+        StepError: no run with small steps comes to its end: there is nothing to compare with.
+        StudyInterrupted: Ctrl-C; ``error.study`` holds what was measured.
+    """
+    if not isinstance(model, Model):
+        raise UsageError(f"study: expected a model such as LureSystem(...), not {shown(model)}; a file is read with nsmodel.load")
+    for name, value in (("target", target), ("budget", budget), ("t_end", t_end)):
+        if value is not None and not (is_number(value) and np.isfinite(value) and value > 0):
+            raise UsageError(f"{name} = {written(value)}; expected a finite number > 0")
+    if isinstance(solvers, str):
+        raise UsageError(f"solvers = {solvers!r}; expected a list of names")
+    bound = copy(model.bind(parameters))
+    exact = bound.exact
+    T = float(bound.t_end if t_end is None else t_end)
+    bound._set(exact=None, steps=None, t_end=T, step=_own_step(bound, T))  # comparing is not part of what is timed
+    counts = _counts(T, bound.step) if steps is None else _given(steps, T)
+    session = _Session(bound, T, exact, tolerance, float(budget), progress)
+    try:
+        session.run(counts, steps is None, solvers)
+    except KeyboardInterrupt:
+        raise StudyInterrupted(session.result(target, "interrupted")) from None
+    return session.result(target, DONE)
+
+
+def _own_step(model: Model, T: float) -> float:
+    if model.step is not None:
+        return float(model.step)
+    return T / (256 if model.steps is None else len(model.steps))
+
+
+def _counts(T: float, h: float) -> list[float]:
+    """Numbers of steps, each twice the one before, from about T / (16 h) to 8 T / h."""
+    own = max(T / h, 1.0)
+    first = max(round(own / COARSEST), min(FEW, round(own)), 1)
+    return [float(first << j) for j in range(1 + int(math.log2(1.01 * FINEST * own / first)))]
+
+
+def _given(steps: Any, T: float) -> list[float]:
+    """Numbers of steps, not always whole, for the steps that the user wants."""
+    if isinstance(steps, str | bytes) or np.ndim(steps) != 1 or not len(steps):
+        raise UsageError(f"steps: expected a list of numbers > 0, such as [1e-2, 5e-3], not {shown(steps)}")
+    for k, step in enumerate(steps):
+        if not (is_number(step) and np.isfinite(step) and 0 < step <= T):
+            raise UsageError(f"steps[{k}] = {written(step)}; expected a number > 0 and at most t_end = {T:g}")
+    return sorted({T / float(step) for step in steps})
+
+
+class _Session:
+    """What a study has measured so far."""
+
+    def __init__(self, model: Model, T: float, exact: Any, tolerance: float, budget: float, progress: bool) -> None:
+        self.model, self.T, self.exact, self.tolerance, self.budget = model, T, exact, tolerance, budget
+        self.said = progress and sys.stderr.isatty()
+        self.begin, self.until = time.perf_counter(), budget
+        self.reference: Reference | None = None
+        self.lines: dict[str, Line] = {}
+        self.notes: list[str] = []
+        self.findings: list[Finding] | None = None
+        self.took: dict[str, tuple[float, float, float]] = {}  # last point: preparing, running; all points: in all
+        self.kept: dict[str, list[tuple[Point, Rows]]] = {}
+
+    def run(self, counts: list[float], may_drop: bool, solvers: Sequence[str] | None) -> None:
+        """Find the reference, then measure: the schemes first, solvers alone last."""
+        own, *others = methods.schemes(self.model)
+        alone = methods.with_solvers(own, solvers)
+        search = Search(self.model, self.T, self.tolerance, self.budget * SHARES["reference"], self.say, self.notes)
+        self.reference, counts, first = search.find(self.exact, methods.ways(own), others, counts, may_drop)
+        self.findings = self._hypotheses(first)
+        now, rest = time.perf_counter() - self.begin, self.budget * (1 - SHARES["reference"])
+        self.until = now + rest * UNTIL["schemes"]
+        self._constant([way for scheme in (own, *others) for way in methods.ways(scheme)], counts)
+        self.until = now + rest * UNTIL["variable steps"]
+        self._variable(methods.ways(own))
+        self._extrapolated(methods.ways(own))
+        self.until = now + rest
+        self._constant(alone, counts)
+
+    def _constant(self, chosen: list[Method], counts: list[float]) -> None:
+        """Constant steps, all methods at one before the next: what the budget cuts off is the finest."""
+        self.lines |= {method.name: Line(method.name, (), kind=method.kind) for method in chosen}
+        for i, count in enumerate(counts):
+            for method in chosen:
+                self._point(method, f"h = {self.T / count:.4g}", {"step": self.T / count}, count / counts[i - 1] if i else 1.0)
+
+    def _variable(self, ways: Sequence[Method]) -> None:
+        """Steps chosen by error control, each way."""
+        chosen = [way.but("variable steps") for way in ways]
+        self.lines |= {method.name: Line(method.name, ()) for method in chosen}
+        for rtol in methods.TOLERANCES:
+            for method in chosen:
+                self._point(method, f"rtol = {number(rtol)}", {"rtol": rtol}, HARDER)
+
+    def _extrapolated(self, ways: Sequence[Method]) -> None:
+        """Richardson's extrapolation of whole runs, at the cost of both: of compiled runs where there are some."""
+        way = max(ways, key=lambda way: (len(self.kept.get(way.name, [])), way is ways[-1]))
+        p, points = way.order, []
+        for (wide, coarse), (near, fine) in pairwise(self.kept.get(way.name, [])):
+            if len(fine.t) == 2 * len(coarse.t) - 1 and np.allclose(fine.t[::2], coarse.t, rtol=0, atol=1e-9 * self.T):
+                rows = Rows(coarse.t, (2**p * fine.x[::2] - coarse.x) / (2**p - 1))
+                point = self.reference.point(f"{wide.label} and h/2", rows, wide.seconds + near.seconds, wide.step)
+                points.append(replace(point, steps=wide.steps + near.steps))
+        name = way.but("Richardson").name
+        self.lines[name] = Line(name, tuple(points), f"(2^p x_h/2 - x_h)/(2^p - 1) with p = {p}, at the cost of both runs")
+
+    def _point(self, method: Method, label: str, options: dict[str, Any], ratio: float) -> None:
+        """Measure one point, of ``ratio`` times the work of the last, or leave it out; a line that does not apply goes."""
+        if method.name not in self.lines:
+            return
+        preparing, running, spent = self.took.get(method.name, (0.0, 0.0, 0.0))
+        expected, gone = preparing + running * ratio, time.perf_counter() - self.begin
+        share = self.budget * SHARES[method.kind]
+        line, step = self.lines[method.name], options.get("step")
+        cut = any(point.status == LEFT_OUT for point in line.points)
+        if cut or gone + expected > self.until or (expected > WORTH and spent + expected > share):
+            self._add(method, Point.left_out(label, "the time budget", step=step))
+            return
+        self.say(f"{method.name}, {label}")
+        start = time.perf_counter()
+        try:
+            measured = methods.timed(method.model, {**options, **method.options, "tolerance": self.tolerance})
+        except NsmodelError as error:
+            if isinstance(error, UsageError) and not line.points:
+                self._drop(method, str(error))
+                return
+            self._add(method, Point.failed(label, str(error), step=step))
+            preparing, running = 0.0, time.perf_counter() - start
+        else:
+            why = methods.not_compiled(measured.run.metadata["warnings"])
+            if why and method.options.get("compiled"):
+                self._drop(method, why)
+                return
+            preparing, running = measured.preparing, measured.running
+            self._add(method, self._measured(label, measured, step, method))
+        self.took[method.name] = preparing, running, spent + time.perf_counter() - start
+
+    def _drop(self, method: Method, why: str) -> None:
+        del self.lines[method.name]
+        self.notes.append(f"{method.name} is left out: {why}")
+
+    def _add(self, method: Method, point: Point) -> None:
+        line = self.lines[method.name]
+        self.lines[method.name] = replace(line, points=(*line.points, point))
+
+    def _measured(self, label: str, measured: Measured, step: float | None, method: Method) -> Point:
+        run, rows = measured.run, Rows.of(measured.run)
+        totals = run.metadata["totals"]
+        point = replace(
+            self.reference.point(label, rows, measured.seconds, step),
+            steps=int(totals["steps"]),
+            setup=measured.setup,
+            residual=float(totals["worst_residual"]),
+            **self._along(run),
+        )
+        if step is not None and method.kind == SCHEME:
+            self.kept.setdefault(method.name, []).append((point, Rows(rows.t, rows.x)))
+        return point
+
+    def _hypotheses(self, run: Trajectory) -> list[Finding] | None:
+        """What the inequalities along a run rest on; None where the class promises none."""
+        if isinstance(self.model, FirstOrderSystem | LureSystem):
+            return None
+        try:
+            return list(check(self.model, [run], quick=True).findings)
+        except NsmodelError:
+            return None
+
+    def _along(self, run: Trajectory) -> dict[str, float]:
+        """Deepest violation of a constraint, and largest gain of energy beside that at the start."""
+        if self.findings is None:
+            return {}
+        found = {finding.id: finding.value for finding in along(self.model, run, self.findings)}
+        values = {}
+        if "least value" in found.get("run-feasible", {}):
+            values["violation"] = max(0.0, -found["run-feasible"]["least value"])
+        if "largest excess" in found.get("run-energy", {}) and "rtol" not in run.metadata["totals"]:
+            energy = run.energy[np.isfinite(run.energy)]
+            size = abs(energy[0]) or np.abs(energy).max() or 1.0
+            values["energy"] = float(max(0.0, found["run-energy"]["largest excess"]) / size)
+        return values
+
+    def result(self, target: float | None, status: str) -> Study:
+        """Return what there is."""
+        self.say("")
+        return Study(
+            title=self.model.title or "untitled",
+            model_class=type(self.model).__name__,
+            states=len(self.model.names),
+            t_end=self.T,
+            time_unit=self.model.units.get("t", ""),
+            lines=tuple(line for line in self.lines.values() if line.points),
+            reference=self.reference,
+            target=target,
+            status=status,
+            notes=tuple(self.notes),
+            seconds=time.perf_counter() - self.begin,
+        )
+
+    def say(self, words: str) -> None:
+        """Show what is being done, in place of what was."""
+        if self.said:
+            sys.stderr.write(f"\r\x1b[K{words[:90]}")
+            sys.stderr.flush()

@@ -1,0 +1,200 @@
+"""What runs are compared with: the closed form a model declares, or a refined run that shows its own error; and the errors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nsmodel.errors import UsageError
+from nsmodel.model.base import Model
+from nsmodel.model.inclusion import MonotoneInclusion
+from nsmodel.scheme.problem import OneStepProblem
+from nsmodel.solve.active_set import equilibrate
+from nsmodel.solve.certificate import NumericLaw, numeric_law
+from nsmodel.solve.newton import Newton
+from nsmodel.solve.structure import read
+from nsmodel.study.lines import Point
+from nsmodel.trajectory import Trajectory
+
+CLEAR = 5.0  # A point is resolved where its error is so many times the reference's own.
+ROUNDING = 1e-14  # What a closed form is known to, relative.
+UNSEEN = 1e-9  # A state smaller than this part of its group is no more than rounding.
+ORDERS = 0.5, 2.0  # The schemes' orders; outside of them an order seen on three runs is chance.
+REGULAR = 1e-10  # Least singular value, relative to the largest, of a matrix that determines its multipliers.
+INDEX_SETS = 60  # So many different index sets of a run are looked at.
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What is compared of a run: times (N+1,), states (N+1, n), and multipliers (N+1, m) where they are unique."""
+
+    t: np.ndarray
+    x: np.ndarray
+    multipliers: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, run: Trajectory) -> Rows:
+        """Return the rows of a run; the multipliers of a sweeping process are its reactions."""
+        return cls(run.t, run.x, run.arrays.get("reactions", run.arrays.get("multipliers")))
+
+    def at(self, t: np.ndarray) -> np.ndarray:
+        """Return the states at other times, linear between rows."""
+        return _between(t, self.t, self.x)
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The state that counts as right.
+
+    Attributes:
+        text: what it is, in a line; run: what the refined run is, empty where there was none.
+        state: times (N,) -> states (N, n).
+        scale: what an error of each state is divided by (n,).
+        rows: the refined run, None where there was none.
+        own: its own error by measure, of the same kind as the errors measured with it.
+        without_multipliers: why multipliers are not compared, empty where they are.
+    """
+
+    text: str
+    run: str
+    state: Callable[[np.ndarray], np.ndarray]
+    scale: np.ndarray
+    rows: Rows | None
+    own: Mapping[str, float]
+    without_multipliers: str = ""
+
+    def errors(self, rows: Rows) -> dict[str, float]:
+        """Return the errors of a run: "max", "end", "l2", and "multipliers" where both have them."""
+        found = _state_errors(rows, self.state(rows.t), self.scale)
+        if self.rows is not None and not self.without_multipliers:
+            error = _multiplier_error(rows, self.rows)
+            if error is not None:
+                found["multipliers"] = error
+        return found
+
+    def point(self, label: str, rows: Rows, seconds: float | None, step: float | None = None) -> Point:
+        """Return a run as a point, with its errors; those that are not clear of the reference's own are unresolved."""
+        errors = self.errors(rows)
+        unresolved = tuple(key for key, error in errors.items() if error < CLEAR * self.own[key])
+        return Point(label, seconds, errors, step=step, steps=len(rows.t) - 1, unresolved=unresolved)
+
+
+def closed_form(
+    exact: Callable[[np.ndarray], np.ndarray],
+    model: Model,
+    t: np.ndarray,
+    refined: Reference | None,
+    without_multipliers: str = "",
+) -> Reference:
+    """Return the closed form as reference, with the multipliers of a refined run where there is one.
+
+    Raises:
+        UsageError: it raises, gives another shape, or what is not finite.
+    """
+
+    def state(times: np.ndarray) -> np.ndarray:
+        try:
+            found = np.asarray(exact(times), float)
+        except Exception as error:
+            raise UsageError(f"exact: it raised {type(error).__name__}: {error}") from error
+        if found.shape != (len(times), len(model.names)) or not np.isfinite(found).all():
+            size = f"shape {found.shape} for {len(times)} times; expected {(len(times), len(model.names))}, all finite"
+            raise UsageError(f"exact: it returned {size}")
+        return found
+
+    own, scale = dict.fromkeys(("max", "end", "l2"), ROUNDING), scale_of(model, state(t))
+    text = "the closed form that the model declares"
+    if refined is None:
+        return Reference(text, "", state, scale, None, own, without_multipliers or "there is no refined run")
+    own |= {key: value for key, value in refined.own.items() if key == "multipliers"}
+    return Reference(text, refined.run, state, scale, refined.rows, own)
+
+
+def refined_run(model: Model, run: str, runs: list[Rows], without_multipliers: str) -> Reference:
+    """Return the last of three runs, each with half the step of the one before, as reference with an estimate of its error.
+
+    The order p is read off the three (within ORDERS), and the error is |x_h - x_2h|/(2^p - 1), measure by measure.
+    """
+    wide, medium, fine = runs
+    reference = Reference(run, run, fine.at, scale_of(model, fine.x), fine, {}, without_multipliers)
+    far, near = reference.errors(wide), reference.errors(medium)
+    own = {measure: _own(far[measure], near[measure]) for measure in near}
+    return replace(reference, own=own)
+
+
+def scale_of(model: Model, x: np.ndarray) -> np.ndarray:
+    """Return the largest value of each state; of its symbol's group where it is zero all the time, 1 where all of that is."""
+    sizes = np.abs(x).max(axis=0)
+    scale = sizes.copy()
+    for columns in model.stems.values():
+        group = sizes[columns].max()
+        scale[columns] = np.where(sizes[columns] > UNSEEN * group, sizes[columns], group if group > 0 else 1.0)
+    return scale
+
+
+def _own(far: float, near: float) -> float:
+    p = np.log2(max(far / near - 1, 1e-3)) if near > 0 else ORDERS[1]
+    return max(near / (2 ** np.clip(p, *ORDERS) - 1), ROUNDING)
+
+
+def _state_errors(rows: Rows, right: np.ndarray, scale: np.ndarray) -> dict[str, float]:
+    error = np.abs(rows.x - right) / scale
+    steps = np.diff(rows.t)
+    square = (steps[:, None] * error[1:] ** 2).sum(axis=0) / steps.sum()
+    return {"max": float(error.max()), "end": float(error[-1].max()), "l2": float(np.sqrt(square.max()))}
+
+
+def _multiplier_error(rows: Rows, right: Rows) -> float | None:
+    """The integral of sum |l - l_ref| over that of sum |l_ref|; None where a run has none."""
+    if rows.multipliers is None or right.multipliers is None or not rows.multipliers.size:
+        return None
+    (t, steps, l), (times, lengths, expected) = _known(rows), _known(right)
+    size = lengths @ np.abs(expected).sum(axis=1)
+    error = steps @ np.abs(l - _between(t, times, expected)).sum(axis=1)
+    return float(error / size) if size > 0 else None
+
+
+def _known(rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times, steps and multipliers of the rows that have multipliers: not the start."""
+    known = np.isfinite(rows.multipliers).all(axis=1)
+    return rows.t[known], np.diff(rows.t, prepend=rows.t[0])[known], rows.multipliers[known]
+
+
+def _between(t: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    return np.column_stack([np.interp(t, times, column) for column in values.T])
+
+
+def why_not_unique(model: Model, problem: OneStepProblem, run: Trajectory) -> str:
+    """Say why the multipliers of a run are not unique, as its index sets show; empty where they are.
+
+    They are where the rows and columns of W with y_i = 0 are a regular matrix: y = W l + b then has one solution with this
+    index set.
+    """
+    if isinstance(model, MonotoneInclusion):
+        return "catching-up has no multipliers: it projects"
+    if not problem.l.numel():
+        return "the model has none"
+    law = numeric_law(problem.law)
+    newton = Newton(problem, read(problem), law, run.metadata["tolerance"])
+    n, m, codes = len(model.names), law.size, run.index_set
+    _, rows = np.unique(codes, axis=0, return_index=True)
+    for k in [k for k in np.sort(rows) if codes[k].min() >= -1][:INDEX_SETS]:
+        held = np.flatnonzero(codes[k] == 0)
+        state = np.zeros(problem.state.numel())
+        state[:n] = run.x[k - 1]
+        l = run.multipliers[k] if run.multipliers.shape[1] == m else np.zeros(m)
+        W, _ = newton.affine_problem(float(run.t[k - 1]), float(run.step[k]), state, l)
+        if W is None:
+            return f"not known to be unique: the step's matrix is singular at t = {run.t[k]:.4g}"
+        if held.size and not _regular(W[np.ix_(held, held)]):
+            names = [problem.rows[i] for i in held[:4]] + (["..."] if held.size > 4 else [])
+            return f"not unique: the matrix of the active rows ({', '.join(names)}) is singular at t = {run.t[k]:.4g}"
+    return ""
+
+
+def _regular(W: np.ndarray) -> bool:
+    free = NumericLaw(np.full(len(W), -np.inf), np.full(len(W), np.inf), ())
+    values = np.linalg.svd(equilibrate(W, np.zeros(len(W)), free)[0], compute_uv=False)
+    return bool(values[-1] > REGULAR * values[0])

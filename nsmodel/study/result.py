@@ -1,0 +1,163 @@
+"""The result of a study: lines, reference, the cost of a target; as text, JSON, CSV and a figure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nsmodel.errors import UsageError
+from nsmodel.storage import write_csv
+from nsmodel.study.lines import DONE, ERRORS, Cost, Line, Point, quickest
+from nsmodel.study.reference import Reference, Rows
+from nsmodel.study.text import price, study_text
+
+NUMBERS = ("seconds", "setup", "residual", "violation", "energy")
+
+
+@dataclass(frozen=True)
+class Study:
+    """What was measured of one model.
+
+    Attributes:
+        title, model_class, states, t_end, time_unit: of the model.
+        lines: one a method.
+        reference: what errors are measured against; None where the study was interrupted before it was known.
+        target: the relative error whose price was asked for; None where none was.
+        status: "done" or "interrupted".
+        notes: methods that do not apply, and what was dropped for the budget.
+        seconds: wall time of the whole study.
+    """
+
+    title: str
+    model_class: str
+    states: int
+    t_end: float
+    time_unit: str
+    lines: tuple[Line, ...]
+    reference: Reference | None
+    target: float | None = None
+    status: str = DONE
+    notes: tuple[str, ...] = ()
+    seconds: float = 0.0
+
+    def line(self, name: str) -> Line:
+        """Return the line of that name; else UsageError."""
+        for line in self.lines:
+            if line.name == name:
+                return line
+        raise UsageError(f"no line is called '{name}'; this study has {', '.join(line.name for line in self.lines) or 'none'}")
+
+    def with_lines(self, lines: Sequence[Line]) -> Study:
+        """Return the study with further lines, measured elsewhere: see `Line.measured` and `point`."""
+        return replace(self, lines=(*self.lines, *lines))
+
+    def point(
+        self, label: str, t: Any, x: Any, seconds: float | None, *, step: float | None = None, multipliers: Any = None
+    ) -> Point:
+        """Return the run of another program as a point, its errors measured like those of the study.
+
+        Args:
+            label: what tells the run from the others of its line.
+            t: increasing times from 0 to the end (N+1,).
+            x: states at these times (N+1, n), in the order of the model's.
+            seconds: CPU time of its steps.
+            step: its step, where constant.
+            multipliers: (N+1, m), where they have the same meaning as the model's.
+
+        Raises:
+            UsageError: wrong shapes, other times, values that are not finite.
+        """
+        if self.reference is None:
+            raise UsageError("point: the study was interrupted before its reference was known; run it again")
+        times, states = np.asarray(t, float), np.asarray(x, float)
+        states = states[:, None] if states.ndim == 1 else states
+        if times.ndim != 1 or states.shape != (times.size, self.states) or times.size < 2:
+            shapes = f"t of shape {times.shape} and x of shape {states.shape}; expected (N+1,) and (N+1, {self.states})"
+            raise UsageError(f"point '{label}': {shapes}")
+        if not (np.isfinite(states).all() and (np.diff(times) > 0).all()):
+            raise UsageError(f"point '{label}': t must increase and x be finite; for a run that failed take Point.failed")
+        if abs(times[0]) > 1e-9 * self.t_end or abs(times[-1] - self.t_end) > 1e-6 * self.t_end:
+            raise UsageError(f"point '{label}': t goes from {times[0]:g} to {times[-1]:g}; expected 0 to {self.t_end:g}")
+        l = None if multipliers is None else np.asarray(multipliers, float)
+        return self.reference.point(label, Rows(times, states, l), seconds, step)
+
+    def cost(self, target: float) -> Cost | None:
+        """Return what the relative error ``target`` costs with the quickest method; None where none would reach it."""
+        if not (np.isfinite(target) and target > 0):
+            raise UsageError(f"target = {target}; expected a finite number > 0")
+        return quickest(self.lines, target, 0.0 if self.reference is None else self.reference.own["max"])
+
+    def text(self) -> str:
+        """The study for a person, at most 100 columns wide."""
+        return study_text(self)
+
+    def document(self) -> dict[str, Any]:
+        """The study as dictionaries and lists that JSON can hold."""
+        return _document(self)
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write one row a point; empty cells are "nan"."""
+        rows = [_row(line, point) for line in self.lines for point in line.points]
+        names = list(_row(Line("", ()), Point("")))
+        write_csv(path, {name: np.array([row[name] for row in rows]) for name in names})
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw errors and times; see `nsmodel.plot.study`."""
+        from nsmodel.plot.study import work_precision
+
+        return work_precision(self, ax=ax)
+
+
+class StudyInterrupted(KeyboardInterrupt):
+    """Ctrl-C during a study; ``study`` holds what was measured."""
+
+    def __init__(self, study: Study) -> None:
+        super().__init__("the study was interrupted")
+        self.study = study
+
+
+# -- JSON and CSV ------------------------------------------------------------------------------------------------------
+
+
+def _document(study: Study) -> dict[str, Any]:
+    reference = study.reference
+    document = {
+        "title": study.title,
+        "model_class": study.model_class,
+        "states": study.states,
+        "t_end": study.t_end,
+        "time_unit": study.time_unit,
+        "status": study.status,
+        "seconds": study.seconds,
+        "notes": list(study.notes),
+        "reference": None if reference is None else {
+            "text": reference.text,
+            "own_error": dict(reference.own),
+            "scale": reference.scale.tolist(),
+            "without_multipliers": reference.without_multipliers,
+        },
+        "lines": [_line_document(line) for line in study.lines],
+    }  # fmt: skip
+    if study.target is not None:
+        cost = study.cost(study.target)
+        document["target"] = {"error": study.target, "text": price(study, study.target), "cost": cost and vars(cost)}
+    return document
+
+
+def _line_document(line: Line) -> dict[str, Any]:
+    points = [{**vars(point), "errors": dict(point.errors)} for point in line.points]
+    orders = {measure: vars(line.order(measure)) for measure in ERRORS if any(measure in point.errors for point in line.points)}
+    return {"name": line.name, "kind": line.kind, "note": line.note, "orders": orders, "points": points}
+
+
+def _row(line: Line, point: Point) -> dict[str, Any]:
+    """A point as a row of the table; what is not known is nan."""
+    known = {"step": point.step, "steps": point.steps, **{f"error_{key}": point.errors.get(key) for key in ERRORS}}
+    known |= {key: getattr(point, key) for key in NUMBERS}
+    numbers = {key: np.nan if value is None else value for key, value in known.items()}
+    words = {"status": point.status, "message": point.message, "unresolved": " ".join(point.unresolved)}
+    return {"line": line.name, "kind": line.kind, "label": point.label, **numbers, **words}

@@ -1,0 +1,139 @@
+"""The search for the reference: a probe, the refined runs that fit in their time, the best of them, the closed form if any."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from nsmodel.errors import NsmodelError, StepError
+from nsmodel.model.base import Model
+from nsmodel.scheme import one_step_problem
+from nsmodel.simulate import prepare
+from nsmodel.study.methods import Method, not_compiled
+from nsmodel.study.reference import Reference, Rows, closed_form, refined_run, why_not_unique
+from nsmodel.trajectory import Trajectory
+
+REFINED, LEAST = 8, 2  # The reference has REFINED steps for one of the finest run; LEAST where there is no time for more.
+KEPT = 3  # So many numbers of steps are measured whatever their reference costs.
+PARTS = 1 + 1 / 2 + 1 / 4  # Steps of the three runs behind a reference, for one of the last.
+MEMORY = 1 << 30  # Bytes that they may take.
+TELLING = 0.02  # s: a run that takes so long tells what a step takes.
+
+
+@dataclass(frozen=True)
+class Probe:
+    """A first run: the method that made it, wall seconds of its preparation and of one of its steps."""
+
+    method: Method
+    run: Trajectory
+    setup: float
+    each: float
+
+
+@dataclass(frozen=True)
+class Search:
+    """What the search needs: the model, its end, the tolerance, seconds of wall time; ``say`` tells what is done."""
+
+    model: Model
+    T: float
+    tolerance: float
+    seconds: float
+    say: Callable[[str], None]
+    notes: list[str]
+
+    def prepared(self, method: Method, count: float) -> Any:
+        """Return a run of so many steps, ready to go."""
+        return prepare(method.model, step=self.T / count, tolerance=self.tolerance, **method.options)
+
+    def probe(self, method: Method, counts: Sequence[float]) -> Probe:
+        """Run a method with the first number of steps that tells.
+
+        Raises:
+            StepError: no run comes to its end.
+        """
+        found, failure = None, None
+        for count in counts:
+            self.say(f"{method.name}, {count:.0f} steps")
+            start = time.perf_counter()
+            run = self.prepared(method, count)
+            setup, start = time.perf_counter() - start, time.perf_counter()
+            try:
+                done = run.go(progress=False)
+            except StepError as error:
+                failure = error
+                continue
+            wall = time.perf_counter() - start
+            found = Probe(method, done, setup, wall / count)
+            if wall > TELLING or setup > 10 * TELLING:
+                break
+        if found is None:
+            raise failure or StepError("no steps were given")
+        return found
+
+    def find(
+        self, exact: Any, ways: Sequence[Method], others: Sequence[Method], counts: list[float], may_drop: bool
+    ) -> tuple[Reference, list[float], Trajectory]:
+        """Return the reference, the numbers of steps left where one for the finest would take too long, and a first run.
+
+        It is interpreted where there is time for that, else compiled.
+
+        Raises:
+            StepError: no refined run comes to its end, and there is no closed form.
+        """
+        interpreted, compiled = ways
+        probe = self.probe(interpreted, counts)
+        why = why_not_unique(self.model, one_step_problem(self.model), probe.run)
+        if exact is not None and why:
+            return closed_form(exact, self.model, probe.run.t, None, why), counts, probe.run
+        finer = [other for other in others if other.order > interpreted.order]
+        most = self._most(probe, 1 + len(finer))
+        if counts[-1] * REFINED > most:
+            with_c = self.probe(compiled, counts)
+            if not not_compiled(with_c.run.metadata["warnings"]) and self._most(with_c, 1 + len(finer)) > most:
+                probe, most = with_c, self._most(with_c, 1 + len(finer))
+        kept, factor = list(counts), REFINED
+        while may_drop and exact is None and len(kept) > KEPT and kept[-1] * factor > most:
+            kept.pop()
+        while factor > LEAST and kept[-1] * factor > most:
+            factor //= 2
+        if len(kept) < len(counts):
+            gone = ", ".join(f"h = {self.T / count:.4g}" for count in counts[len(kept) :])
+            self.notes.append(f"{gone}: left out, their reference would take more than {self.seconds:.3g} s; see budget")
+        quick = probe.method
+        candidates = [quick, *(replace(quick, name=other.name, model=other.model, order=other.order) for other in finer)]
+        refined = self._refined(candidates, kept[-1] * factor, why)
+        if exact is not None:
+            return closed_form(exact, self.model, probe.run.t, refined, why), kept, probe.run
+        if refined is None:
+            raise StepError(f"no refined run comes to its end, so there is nothing to compare with: {self.notes[-1]}")
+        return refined, kept, probe.run
+
+    def _most(self, probe: Probe, candidates: int) -> float:
+        """The steps that a reference can have: there are three runs for each candidate."""
+        left = self.seconds / candidates - 3 * probe.setup
+        row = 8 * (len(self.model.names) + 3 * probe.run.multipliers.shape[1] + 8)
+        return min(left / probe.each, MEMORY / row) / PARTS
+
+    def _refined(self, candidates: Sequence[Method], count: float, why: str) -> Reference | None:
+        """The candidates that show the least error of their own, in states and in multipliers; None where none ends."""
+        found: list[Reference] = []
+        for method in candidates:
+            runs = []
+            try:
+                for n in (count / 4, count / 2, count):
+                    self.say(f"reference: {n:.0f} steps, {method.name}")
+                    runs.append(Rows.of(self.prepared(method, n).go(progress=False)))
+            except NsmodelError as error:
+                self.notes.append(f"no reference by {method.name} with {count:.0f} steps: {error}")
+            else:
+                found.append(refined_run(self.model, f"a run of {count:.0f} steps, {method.name}", runs, why))
+        if not found:
+            return None
+        best = min(found, key=lambda reference: reference.own["max"])
+        if "multipliers" not in best.own:
+            return best
+        # theta = gamma = 1/2 may have the better states, and multipliers that swing from step to step.
+        calm = min(found, key=lambda reference: reference.own["multipliers"])
+        return replace(best, run=calm.run, rows=calm.rows, own={**best.own, "multipliers": calm.own["multipliers"]})
