@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 # ---------------------------------------------------------------------------------------------- sweeping processes
@@ -78,6 +80,93 @@ def two_discs(t, u1=1.0, u2=0.4, r=0.3):
 def two_discs_multiplier(t, u1=1.0, u2=0.4, r=0.3):
     """Return the reaction (N,) of ``two_discs``."""
     return np.where(np.asarray(t) >= (2 - 2 * r) / (u1 + u2), (u1 + u2) / 2, 0.0)
+
+
+@dataclass(frozen=True)
+class Wedge:
+    """Two planes y >= A(t) + alpha(t) x and y >= C(t) - alpha(t) x whose heights shake in turn, and the point that they lift.
+
+    Block k = 0, 1, ... of ``count`` has N_k whole periods P_k = 2^-(coarsest + k), about ``2^(-beta k)`` long in all, and then a
+    pause of a quarter of that, in which the slope alpha_k = sqrt(P_k/T_k)/2 goes linearly to the next one; or alpha is ``slope``
+    throughout. In each period A, then C, rises from P_k/4 below the point's height y, lifts it by P_k/4 and sinks back. f = 0.
+    """
+
+    beta: float = 0.0
+    coarsest: int = 4
+    count: int = 10
+    slope: float | None = None
+
+    @property
+    def period(self):
+        """P_k (count,)."""
+        return 2.0 ** -(self.coarsest + np.arange(self.count))
+
+    @property
+    def periods(self):
+        """N_k (count,)."""
+        return np.maximum(1, np.round(2 ** (-self.beta * np.arange(self.count)) / self.period))
+
+    @property
+    def alpha(self):
+        """The slope of each block (count,)."""
+        return 0.5 / np.sqrt(self.periods) if self.slope is None else np.full(self.count, self.slope)
+
+    @property
+    def pause(self):
+        """The length of each pause (count,)."""
+        return self.period * np.maximum(1, np.round(self.periods / 4))
+
+    @property
+    def start(self):
+        """The start of each block, and the end of the last pause (count + 1,)."""
+        return np.concatenate([[0], np.cumsum(self.periods * self.period + self.pause)])
+
+    @property
+    def height(self):
+        """The height of the point at the start of each block (count,): half of P_k is gained in each period."""
+        return np.concatenate([[0], np.cumsum(self.periods * self.period / 2)])[:-1]
+
+    def _at(self, t):
+        """(block, whole periods in it, part of the next one, part of the pause) at times (N,)."""
+        k = np.clip(np.searchsorted(self.start, t, side="right") - 1, 0, self.count - 1)
+        s = np.minimum((t - self.start[k]) / self.period[k], self.periods[k])
+        pause = (t - self.start[k] - self.periods[k] * self.period[k]) / self.pause[k]
+        return k, np.floor(s), s - np.floor(s), np.clip(pause, 0, 1)
+
+    def planes(self, t):
+        """Return A, C and alpha (N,) at times (N,)."""
+        k, n, u, pause = self._at(np.asarray(t, float))
+        P, following = self.period[k], np.minimum(k + 1, self.count - 1)
+        alpha, top = self.alpha[k], (1 + self.alpha[k] ** 2) * P / 4
+        low = -(P + (self.period[following] - P) * pause) / 4
+        y = self.height[k] + n * P / 2
+        A = y + np.where(u < 0.5, low + (top - low) * 2 * u, top + (P / 4 - top) * (2 * u - 1))
+        C = y + P * np.where(u < 0.5, -u / 2, -0.25 + 0.75 * (2 * u - 1))
+        return A, C, alpha + (self.alpha[following] - alpha) * pause
+
+    def path(self, t):
+        """Return q (N, 2): A pushes along (-alpha, 1), C along (alpha, 1), and at the end of each period x = 0."""
+        t = np.asarray(t, float)
+        k, n, u, _ = self._at(t)
+        A, C, _ = self.planes(t)
+        P, alpha, y = self.period[k], self.alpha[k], self.height[k] + n * self.period[k] / 2
+        by_A = np.where(u < 0.5, np.maximum(A - y, 0) / (1 + alpha**2), P / 4)
+        by_C = np.where(u < 0.5, 0, np.maximum(C + alpha**2 * P / 4 - y - P / 4, 0) / (1 + alpha**2))
+        return np.column_stack([alpha * (by_C - by_A), y + by_A + by_C])
+
+    def drift(self, k):
+        """Return x at the end of block k of a run with the step P_k, which sees C at its tops and A never at its."""
+        return self.alpha[k] * self.periods[k] * self.period[k] / 2 / (1 + self.alpha[k] ** 2)
+
+
+def lacunary(t, theta, count=40):
+    """Return (f, its integral from 0) (N,) of f = sum_j 2^(-theta j) cos(2 pi 2^j t), j = 1..count: Hoelder theta at best."""
+    t, f, integral = np.asarray(t, float), 0.0, 0.0
+    for j in range(1, count + 1):
+        turns = 2.0**j * t % 1.0
+        f = f + 2 ** (-theta * j) * np.cos(2 * np.pi * turns)
+        integral = integral + 2 ** (-theta * j) * np.sin(2 * np.pi * turns) / (2 * np.pi * 2.0**j)
+    return f, integral
 
 
 # ---------------------------------------------------------------------------------------------- dry friction
@@ -200,6 +289,63 @@ def sliding_relay_multiplier(t):
     return np.where(t < sliding_relay_reach(), -1.0, -(sliding_relay(t)[:, 1] + np.sin(t)) / 2)
 
 
+def _flow(M, x, t):
+    """Return e^{M t} x (N, n) for a matrix with distinct eigenvalues."""
+    values, vectors = np.linalg.eig(M)
+    return ((np.exp(np.outer(t, values)) * np.linalg.solve(vectors, x)) @ vectors.T).real
+
+
+def rlc_diode(t, L=1e-2, C=1e-6, R=1e3, start=10.0):
+    """Return (v, i) (N, 2) of C v' = -i - max(v, 0)/R, L i' = v, from (start > 0, 0): two linear flows in turn."""
+    t, time, x, conducts = np.asarray(t, float), 0.0, np.array([start, 0.0]), True
+    fine, out = 0.01 * np.sqrt(L * C), np.empty((np.size(t), 2))
+    while time <= t.max(initial=0.0):
+        M = np.array([[-conducts / (R * C), -1 / C], [1 / L, 0]])
+        on = t >= time
+        out[on] = _flow(M, x, t[on] - time)
+        grid = fine * np.arange(1, 2000)
+        past = np.flatnonzero((_flow(M, x, grid)[:, 0] > 0) != conducts)[0]
+        end = brentq(lambda s, M=M, x=x: _flow(M, x, [s])[0, 0], grid[past - 1], grid[past], xtol=1e-18)
+        x, time, conducts = np.array([0.0, _flow(M, x, [end])[0, 1]]), time + end, not conducts
+    return out
+
+
+def diode_bridge(t, L=1e-2, C=1e-6, R=1e3, start=10.0):
+    """Return (v, i) (N, 2) of the bridge: behind four ideal diodes the resistor takes v/R for either sign of v."""
+    return _flow(np.array([[-1 / (R * C), -1 / C], [1 / L, 0]]), [start, 0], np.asarray(t, float))
+
+
+def cone_start(t, kind, zv=0.3):
+    """Return x (N, 3) of x' = l, y = x + D l, l and y in the second-order cone K of R^3, D of rank one; see ``cone_D``.
+
+    In the coordinates (u, v, w) = ((l_1 + l_2), (l_1 - l_2), sqrt(2) l_3)/sqrt(2), K is 2 u v >= w^2, and z = (z_u, z_v, z_w)
+    is x. "u": D acts on u, z(0) = (0, zv, 1), u = max(z_w^2/(2 z_v) - z_u, 0), v = u z_w^2/(2 z_v^2), w = -u z_w/z_v.
+    "w": D acts on w, z(0) = (zv, 1, 1), -w = max(z_w - sqrt(2 z_u z_v), 0), u = -w sqrt(z_v/(2 z_u)), v = -w sqrt(z_u/(2 z_v)).
+    zv = 0 starts on the boundary, where the velocity is infinite: the first instant is its expansion.
+    """
+    t, first = np.asarray(t, float), 1e-14
+
+    def on_u(_, z):
+        u = max(z[2] ** 2 / (2 * z[1]) - z[0], 0)
+        return [u, u * z[2] ** 2 / (2 * z[1] ** 2), -u * z[2] / z[1]]
+
+    def on_w(_, z):
+        w = max(z[2] - np.sqrt(2 * z[0] * z[1]), 0)
+        return [w * np.sqrt(z[1] / (2 * z[0])), w * np.sqrt(z[0] / (2 * z[1])), -w]
+
+    if kind == "u":
+        z0 = [0, zv, 1] if zv else [2 / 3 * first**0.75, first**0.25, 1 - first**0.5]
+    else:
+        z0 = [zv, 1, 1] if zv else [(1.5 * first / np.sqrt(2)) ** (2 / 3), 1, 1]
+    begin = 0.0 if zv else first
+    rate = on_u if kind == "u" else on_w
+    found = solve_ivp(rate, (begin, t.max()), z0, method="LSODA", rtol=1e-11, atol=1e-13, dense_output=True)
+    return found.sol(np.maximum(t, begin)).T @ CONE
+
+
+CONE = np.array([[1, 1, 0], [1, -1, 0], [0, 0, np.sqrt(2)]]) / np.sqrt(2)  # (u, v, w) = CONE l, symmetric and orthogonal
+
+
 def ball_rest(height=1.0, speed=5.0, restitution=1 / 3, G=9.81):
     """Return (time of the first impact, its speed, time from which the ball lies still)."""
     impact = np.sqrt(speed**2 + 2 * G * height)
@@ -259,6 +405,14 @@ def inclusion_8_2_diagonal(t, K, b, mu, lower, upper, x0):
         x = np.where(t < zero, goal + (start - goal) * np.exp(-k * t), rest * -np.expm1(-k * np.maximum(t - zero, 0)))
         columns.append(np.clip(x, lo, up))
     return np.column_stack(columns)
+
+
+def inside_disc(t, x0=-0.5, y0=0.6):
+    """Return x (N, 2) carried with velocity (1, 0) inside the unit disc: free, then along the circle towards (1, 0)."""
+    t, meets = np.asarray(t, float), np.sqrt(1 - y0**2)
+    angle = 2 * np.arctan(np.tan(np.arcsin(y0) / 2) * np.exp(-np.maximum(t - (meets - x0), 0)))
+    free = t < meets - x0
+    return np.column_stack([np.where(free, x0 + t, np.cos(angle)), np.where(free, y0, np.sin(angle))])
 
 
 def _slope_interval(x, mu, lower, upper):

@@ -7,9 +7,12 @@ x_i = log2 h_i - mean is wrong by at most c sum|x_i| / sum x_i^2: that is the ba
 
 from __future__ import annotations
 
+import importlib.util
+import sys
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 
 import casadi as ca
 import closed_forms as exact
@@ -323,3 +326,104 @@ def test_8_1_defects_are_what_the_bound_pushes_back(runs_of):
         h = run.step[1]
         assert abs((run.defect[1:] ** 2).sum() - h * rest) <= 3 * h**2
         assert abs(run.predictor_distance[1:].mean() - h * rest / 2) <= 2 * h**2
+
+
+# ---------------------------------------------------------------------------------------------- docs/orders.md
+
+
+@pytest.fixture(scope="module")
+def page():
+    """The script that writes the tables of docs/orders.md, as a module."""
+    path = Path(__file__).resolve().parents[1] / "docs" / "figures" / "orders.py"
+    spec = importlib.util.spec_from_file_location("orders_page", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+WEDGES = [exact.Wedge(count=4), exact.Wedge(beta=1 / 3, count=4), exact.Wedge(beta=0.1, coarsest=5, count=3)]
+
+
+@pytest.mark.parametrize("scene", WEDGES, ids=str)
+def test_wedge_solves_its_inclusion(scene):
+    """q' = sum l n with l >= 0 on planes that are touched, by differences; heights and slope continuous, |d_t g| <= 3/2."""
+    rng = np.random.default_rng(0)
+    t, d = rng.uniform(1e-6, scene.start[-1] - 1e-6, 4000), 1e-9
+    A, C, alpha = scene.planes(t)
+    q, rate = scene.path(t), (scene.path(t + d) - scene.path(t - d)) / (2 * d)
+    gaps = np.column_stack([q[:, 1] - A - alpha * q[:, 0], q[:, 1] - C + alpha * q[:, 0]])
+    assert gaps.min() >= -1e-15
+    normals = np.stack([np.column_stack([-alpha, 1 + 0 * t]), np.column_stack([alpha, 1 + 0 * t])], axis=1)
+    push = np.linalg.solve(normals.transpose(0, 2, 1), rate[..., None])[..., 0]  # rate = push_A n_A + push_C n_C
+    assert push.min() >= -1e-6
+    assert np.abs(push[gaps > 1e-8]).max() <= 1e-6
+    fine = np.linspace(0, scene.start[-1], 200_001)
+    for heights in scene.planes(fine):
+        assert np.abs(np.diff(heights)).max() <= 1.51 * fine[1]
+
+
+@pytest.mark.parametrize(("beta", "expected"), [(0.0, 1 / 2), (1 / 3, 2 / 3)])
+def test_a_sweeping_scene_within_the_theory_has_order_one_half(beta, expected, page):
+    """The error is the derived one to rounding, h^((1 + beta)/2) up to 1 + a^2; extrapolation does not change its order."""
+    scene = exact.Wedge(beta=beta, count=4)
+    seen = page.wedge("", scene, coarsest=4, finest=7)
+    assert seen.errors == pytest.approx(scene.drift(np.arange(4)), rel=1e-9)
+    assert abs(seen.order - expected) <= 0.02
+    assert abs(seen.order_extrapolated - expected) <= 0.05
+
+
+def test_the_same_shaking_with_a_fixed_slope_has_order_one(page):
+    """The drift ends where the other plane is met: h/(8 a)."""
+    seen = page.wedge("", exact.Wedge(count=3, slope=0.5), coarsest=4, finest=6)
+    assert seen.errors == pytest.approx(seen.h / 4, rel=1e-9)
+
+
+@pytest.mark.parametrize("theta", [0.25, 0.5])
+def test_a_hoelder_f_gives_its_exponent(theta, page):
+    closed = lambda t: exact.lacunary(t, theta)[1][:, None]  # noqa: E731
+    seen = page.line("", closed, lambda t: page.lacunary(t, theta), lambda t: 0 * t - 9)
+    assert abs(seen.order - theta) <= 0.01
+
+
+@pytest.mark.parametrize(("kind", "start", "expected"), [("w", 0.3, 1), ("w", 0, 2 / 3), ("u", 0.3, 1), ("u", 0, 1 / 4)])
+def test_lure_order_from_the_interior_and_from_the_edge_of_a_cone(kind, start, expected, page):
+    closed = lambda t: exact.cone_start(t, kind, start)  # noqa: E731
+    seen = page.measure("", [(page.cone(kind, start), closed)], page.halved(0.2, 100, 3), 0.2)
+    assert abs(seen.order - expected) <= 0.07
+
+
+@pytest.mark.parametrize(("theta", "gamma", "expected"), [(1.0, 1.0, 1), (0.5, 0.5, 2), (0.5, 1.0, 1)])
+def test_switches_of_a_continuous_multiplier_cost_nothing(theta, gamma, expected, page):
+    """A diode switches on and off: the orders of a smooth phase, and 2 for extrapolated runs."""
+    models = [(page.case("rlc_diode", theta=theta, gamma=gamma), exact.rlc_diode)]
+    seen = page.measure("", models, page.halved(2e-3, 800, 4), 2e-3, scale=np.array([10, 0.1]))
+    assert abs(seen.order - expected) <= 0.1
+    assert abs(seen.order_extrapolated - 2) <= 0.1
+
+
+def test_order_two_where_a_relay_starts_to_slide_and_one_where_it_jumps(page):
+    models = [(page.sliding(a, 0.5, 0.5), lambda t, a=a: page.sliding_exact(t, a)) for a in np.linspace(1, 1.4, 4)]
+    steps = page.halved(3, 100, 4)
+    assert abs(page.measure("", models, steps, 3).order - 2) <= chance(steps, 2)
+    models = [(page.relay_oscillator(v, 0.5, 0.5), lambda t, v=v: exact.friction_free(t, 12, v)) for v in page.SPEEDS]
+    steps = page.halved(9, 225, 4)
+    seen = page.measure("", models, steps, 9)
+    assert abs(seen.order - 1) <= chance(steps, 2)
+    assert abs(seen.order_extrapolated - 1) <= chance(steps[:-1], 3)
+
+
+@pytest.mark.parametrize(("power", "expected"), [(None, 1), (2, 0), (3, 1 / 2), (4, 1)])
+def test_catching_up_with_tolerances_that_are_used_up(power, expected, page):
+    """min(1, p/2 - 1) on a half-line, 8.1."""
+    eps = None if power is None else (lambda mu: mu**power)
+    seen = page.measure("", [(page.case("inclusion_8_1", tolerances=eps), exact.inclusion_8_1)], page.halved(2, 400, 3), 2)
+    assert abs(seen.order - expected) <= 0.1
+
+
+@pytest.mark.parametrize("power", [None, 2])
+def test_catching_up_on_a_disc_does_not_use_its_tolerance(power, page):
+    """The first iterate that is certified is far better than eps."""
+    eps = None if power is None else (lambda mu: mu**power)
+    seen = page.measure("", [(page.disc(eps), exact.inside_disc)], page.halved(3, 40, 3), 3)
+    assert abs(seen.order - 1) <= 0.1

@@ -6,12 +6,12 @@ CPU time, one warm-up, the minimum over repeats. Siconos' time is that of comput
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
+
+from peers import programs
 
 import nsmodel
 from nsmodel import codegen
@@ -77,21 +77,9 @@ def generated(name: str, folder: Path) -> float:
     return float(done.stdout.split()[0])
 
 
-def siconos(names: list[str]) -> dict[str, float]:
-    """Microseconds a step in Siconos by scene, run by the first Python that has it; nothing where none has."""
-    script = Path(__file__).with_name("siconos_peer.py")
-    for python in (sys.executable, "/usr/bin/python3", shutil.which("python3") or ""):
-        probe = [python, "-c", "import siconos.kernel"]
-        if python and subprocess.run(probe, capture_output=True, check=False).returncode == 0:
-            done = subprocess.run([python, str(script), *names], capture_output=True, text=True, check=False)
-            lines = [line.split() for line in done.stdout.splitlines()]
-            return {line[0]: float(line[1]) for line in lines if len(line) == 2 and line[0] in names}
-    return {}
-
-
 def steps_in_c() -> None:
     """The table of single steps."""
-    peers = siconos([PEER.get(name, name) for name in SCENES])
+    peers = programs.speed([PEER.get(name, name) for name in SCENES])
     print("a compiled step, gcc -O2, certificate included                ns        Siconos ns    times faster   goal")
     for name, (goal, *_) in SCENES.items():
         with tempfile.TemporaryDirectory() as folder:

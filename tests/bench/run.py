@@ -10,6 +10,7 @@ from pathlib import Path
 
 import compiled
 import numpy as np
+from peers import programs
 
 import nsmodel
 from nsmodel.grid import make_grid
@@ -91,7 +92,7 @@ def main() -> None:
     print(f"diode bridge, {steps} steps, us a step (CPU)                      ratio to nsmodel")
     print(f"  nsmodel, interpreted, verified, every row kept {ours:9.2f}")
     print(f"  plain NumPy loop, nothing verified             {plain:9.2f}          {plain / ours:6.2f}")
-    peer = compiled.siconos(["diode_bridge"]).get("diode_bridge")
+    peer = programs.speed(["diode_bridge"]).get("diode_bridge")
     print("  Siconos                                        not installed: skipped" if peer is None else
           f"  Siconos 4, its C++ step driven from Python     {peer:9.2f}          {peer / ours:6.2f}")  # fmt: skip
     print()

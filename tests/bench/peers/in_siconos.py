@@ -1,8 +1,13 @@
-"""Scenes of ``cases/`` in Siconos, run by the Python that has it: prints microseconds a step of computeOneStep + nextStep.
+"""Scenes of ``cases/`` in Siconos, run by the Python that has it: the speed of its step, or runs at several steps.
 
-CPU time, one warm-up, the minimum over repeats. A forcing is evaluated in Python, as Siconos' own Python examples do.
+CPU time of computeOneStep + nextStep, one warm-up, the minimum over repeats; set-up is not timed. A forcing, and a relation that
+is not linear, is evaluated in Python, as Siconos' own Python examples do.
+
+    in_siconos.py speed SCENE...    a line a scene: its name, microseconds a step
+    in_siconos.py runs SCENE        a line a run, JSON: method, label, seconds, t, x, message
 """
 
+import json
 import sys
 import time
 
@@ -100,6 +105,35 @@ class Bouncing(sk.FirstOrderNonLinearR):
         B[:] = [[-k * l[1] * x[1], -k * l[0] * x[1]], [self.G / q, self.G * k * l[0] ** 2 / q]]
 
 
+class Disc(sk.FirstOrderNonLinearR):
+    """The relation of a point outside the unit disc: y = |q| - 1, r = l q/|q|."""
+
+    def computeh(self, t, x, l, z, y):
+        """Evaluate y."""
+        y[0] = np.hypot(x[0], x[1]) - 1
+
+    def computeg(self, t, x, l, z, r):
+        """Evaluate r."""
+        r[:] = l[0] * x[:2] / np.hypot(x[0], x[1])
+
+    def computeJachx(self, t, x, l, z, C):
+        """Evaluate dh/dx."""
+        C[:] = x[:2] / np.hypot(x[0], x[1])
+
+    def computeJachlambda(self, t, x, l, z, D):
+        """Evaluate dh/dl."""
+        D[:] = 0
+
+    def computeJacgx(self, t, x, l, z, K):
+        """Evaluate dg/dx."""
+        n = x[:2] / np.hypot(x[0], x[1])
+        K[:] = l[0] * (np.eye(2) - np.outer(n, n)) / np.hypot(x[0], x[1])
+
+    def computeJacglambda(self, t, x, l, z, B):
+        """Evaluate dg/dl."""
+        B[:, 0] = x[:2] / np.hypot(x[0], x[1])
+
+
 def linear(A, B, C, D, law, x0, forced=None):
     """System, relation, law and solver of a linear scene; ``forced`` is (rows, forcing)."""
     A, B, C = (np.array(M, float) for M in (A, B, C))
@@ -112,6 +146,14 @@ def linear(A, B, C, D, law, x0, forced=None):
 
 def scene(name):
     """(system, relation, law, solver), step, number of steps, theta, and the settings of a Newton loop where one is needed."""
+    if name == "friction_oscillator":
+        return linear([[0, 1], [-1, 0]], [[0], [1]], [[0, 1]], None, relay(1), [5.3, 0.0]), 1e-3, 12000, 1.0, None
+    if name == "sliding_relay":
+        forced = slice(1, 2), np.sin
+        return linear([[0, 1], [0, 0]], [[0], [2]], [[1, 1]], None, relay(1), [1.0, 0.0], forced), 1e-2, 500, 1.0, None
+    if name == "point_past_disc":
+        system = sk.FirstOrderLinearDS([-1.5, 0.3], np.zeros((2, 2)), [1.0, 0.0])
+        return (system, Disc(), *complementarity(1)), 1e-2, 450, 1.0, (1e-10, 40)
     n = int(name.removeprefix("friction_chain_")) if name.startswith("friction_chain_") else 0
     if n:
         springs = 100 * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
@@ -145,14 +187,16 @@ def scene(name):
     raise SystemExit(f"no scene is called {name}")
 
 
-def seconds(name):
-    """(CPU seconds of all steps, their number) of one run."""
-    (system, relation, law, solver), h, steps, theta, newton = scene(name)
+def prepare(name, h=None, steps=None, theta=None, gamma=None):
+    """Return (TimeStepping, system, number of steps); what is None is the scene's own."""
+    (system, relation, law, solver), own_h, own_steps, own_theta, newton = scene(name)
+    h, steps, theta = h or own_h, steps or own_steps, theta or own_theta
     interaction = sk.Interaction(law, relation)
     dynamics = sk.NonSmoothDynamicalSystem(0, 10 * steps * h)
     dynamics.insertDynamicalSystem(system)
     dynamics.link(interaction, system)
-    stepping = sk.TimeStepping(dynamics, sk.TimeDiscretisation(0, h), sk.EulerMoreauOSI(theta), solver)
+    integrator = sk.EulerMoreauOSI(theta) if gamma is None else sk.EulerMoreauOSI(theta, gamma)
+    stepping = sk.TimeStepping(dynamics, sk.TimeDiscretisation(0, h), integrator, solver)
     if newton is not None:
         stepping.setComputeResiduY(True)
         stepping.setComputeResiduR(True)
@@ -160,21 +204,83 @@ def seconds(name):
         stepping.setNewtonMaxIteration(newton[1])
         stepping.setUseRelativeConvergenceCriteron(False)
         stepping.setResetAllLambda(False)
-    KEEP.append((system, relation, law, solver, interaction, dynamics, stepping))
+    KEEP.append((system, relation, law, solver, interaction, dynamics, integrator, stepping))
+    return stepping, system, steps
+
+
+def seconds(stepping, steps):
+    """CPU seconds of all steps."""
     one, following = stepping.computeOneStep, stepping.nextStep
     start = time.process_time()
     for _ in range(steps):
         one()
         following()
-    return time.process_time() - start, steps
+    return time.process_time() - start
 
 
-def main(names):
+def speed(names):
     """Print a line a scene: its name and microseconds a step."""
     for name in names:
-        found = [seconds(name) for _ in range(REPEATS + 1)][1:]
-        print(name, 1e6 * min(found)[0] / found[0][1], flush=True)
+        found = []
+        for _ in range(REPEATS + 1):
+            stepping, _, steps = prepare(name)
+            found.append(seconds(stepping, steps) / steps)
+        print(name, 1e6 * min(found[1:]), flush=True)
+
+
+# scene: (end time, numbers of steps, (theta, gamma): Siconos' own choice is 1/2, 1, columns of the state)
+STUDIES = {
+    "friction_oscillator": (12.0, [2**k for k in range(6, 17)], [(1.0, 1.0), (0.5, 1.0)], [0]),
+    "sliding_relay": (5.0, [2**k for k in range(5, 16)], [(1.0, 1.0), (0.5, 1.0)], [0, 1]),
+    "diode_bridge": (5e-3, [2**k for k in range(7, 17)], [(0.5, 1.0), (0.5, 0.5)], [0, 1]),
+    "point_past_disc": (4.5, [2**k for k in range(5, 13)], [(1.0, 1.0)], [0, 1]),
+}
+WORDS = {0.5: "1/2", 1.0: "1"}
+ROWS = 512
+ENOUGH = 0.2  # s: what took longer is not repeated.
+
+
+def runs(name):
+    """Print a line a run: its time, and the states of another run with the same steps at up to ROWS + 1 times."""
+    end, counts, weights, columns = STUDIES[name]
+    for theta, gamma in weights:
+        for N in counts:
+            line = {"method": f"Siconos, theta = {WORDS[theta]}, gamma = {WORDS[gamma]}", "label": f"h = {end / N:.3g}"}
+            try:
+                line["seconds"] = quickest(name, end / N, N, theta, gamma)
+                line["t"], x, line["message"] = states(name, end / N, N, theta, gamma)
+                line["x"] = x[:, columns].tolist()
+            except Exception as error:
+                line["message"] = f"{type(error).__name__}: {error}"
+            print(json.dumps(line), flush=True)
+
+
+def quickest(*run):
+    """CPU seconds of the quickest of several runs after a warm-up."""
+    found = []
+    while len(found) <= REPEATS and (len(found) < 2 or sum(found[1:]) < ENOUGH):
+        stepping, _, steps = prepare(*run)
+        found.append(seconds(stepping, steps))
+    return min(found[1:])
+
+
+def states(name, h, N, theta, gamma):
+    """Times and states of a run, every so many steps; and in how many steps Newton's method did not converge, in words."""
+    stepping, system, _ = prepare(name, h, N, theta, gamma)
+    t, x, failed = [0.0], [np.array(system.x())], 0
+    for k in range(1, N + 1):
+        stepping.computeOneStep()
+        failed += not stepping.isNewtonConverge()
+        stepping.nextStep()
+        if k % max(N // ROWS, 1) == 0:
+            t.append(k * h)
+            x.append(np.array(system.x()))
+    nonlinear = scene(name)[4] is not None
+    return t, np.array(x), f"Newton's method did not converge in {failed} of {N} steps" if failed and nonlinear else ""
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    if sys.argv[1] == "speed":
+        speed(sys.argv[2:])
+    else:
+        runs(sys.argv[2])
