@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint bench clean
+.PHONY: help demo test lint bench study clean
 
 help: ## show this list
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1|/' | column -t -s '|'
@@ -22,12 +22,15 @@ test: $(STAMP) ## set up and run the tests
 	$(BIN)/python -m pytest -n auto --dist loadfile
 
 lint: $(STAMP) ## ruff and pyright
-	$(BIN)/ruff check nsmodel cases tests
-	$(BIN)/ruff format --check nsmodel cases tests
+	$(BIN)/ruff check nsmodel cases tests docs/figures
+	$(BIN)/ruff format --check nsmodel cases tests docs/figures
 	$(BIN)/pyright
 
 bench: $(STAMP) ## time the steppers beside a plain Python loop (and the peers, where installed)
 	$(BIN)/python tests/bench/run.py
+
+study: $(STAMP) ## make the figures and tables of docs/ anew (with the peers, where installed)
+	for page in hypotheses codegen orders stability study; do $(BIN)/python docs/figures/$$page.py || exit 1; done
 
 clean: ## remove the environment, caches and results
 	rm -rf $(VENV) results build dist .pytest_cache .ruff_cache *.egg-info

@@ -1,4 +1,4 @@
-"""Print the table of docs/codegen.md: what the C library of each case costs. Run it after a change of the generator."""
+"""Rewrite the table of docs/codegen.md: what the C library of each case costs. Run it after a change of the generator."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ import subprocess
 import tempfile
 from pathlib import Path
 
+from page import put
+
 import nsmodel
 from nsmodel import codegen
 
 CASES = Path(__file__).resolve().parents[2] / "cases"
 HEAD = ("case", "a step", "source, kB", "code, kB", "RAM, bytes", "linear systems, at most")
-MAIN = '#include "{name}.h"\n#include <stdio.h>\nint main(void) {{ printf("%lu", (unsigned long)sizeof({name}_solver)); return 0; }}\n'
+SIZE = "(unsigned long)sizeof({name}_solver)"
+MAIN = '#include "{name}.h"\n#include <stdio.h>\nint main(void) {{ printf("%lu", ' + SIZE + "); return 0; }}\n"
 
 
 def row(path: Path, folder: Path) -> tuple[str, ...]:
@@ -33,8 +36,8 @@ def kind(about: dict) -> str:
     """How a step is computed, in a few words."""
     used = " ".join(about["used"])
     for words, name in (
-        ("clip", "clip"), ("outer polyhedron", "cuts"), ("written down", "fixed matrices"), ("not in each step", "prepared matrices"),
-        ("one linearisation", "linearised"),
+        ("clip", "clip"), ("outer polyhedron", "cuts"), ("written down", "fixed matrices"),
+        ("not in each step", "prepared matrices"), ("one linearisation", "linearised"),
     ):  # fmt: skip
         if words in used:
             return name
@@ -42,12 +45,12 @@ def kind(about: dict) -> str:
 
 
 def main() -> None:
-    """Print the table."""
-    print("| " + " | ".join(HEAD) + " |")
-    print("| --- | --- |" + " ---: |" * (len(HEAD) - 2))
+    """Measure and rewrite the table."""
+    lines = ["| " + " | ".join(HEAD) + " |", "| --- | --- |" + " ---: |" * (len(HEAD) - 2)]
     for path in sorted(CASES.glob("*.py")):
         with tempfile.TemporaryDirectory() as folder:
-            print("| " + " | ".join(row(path, Path(folder))) + " |", flush=True)
+            lines.append("| " + " | ".join(row(path, Path(folder))) + " |")
+    put("codegen.md", "cost", "\n".join(lines))
 
 
 if __name__ == "__main__":

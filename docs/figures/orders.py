@@ -6,7 +6,6 @@ docs/images/orders_wedge.png. References are the closed forms of tests/closed_fo
 
 from __future__ import annotations
 
-import re
 import sys
 from collections.abc import Callable, Iterable
 from copy import copy
@@ -19,6 +18,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
+from page import put
 from scipy.optimize import brentq
 
 import nsmodel
@@ -30,7 +30,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests"))
 import closed_forms as exact  # noqa: E402
 
-PAGE, IMAGES, CASES = ROOT / "docs" / "orders.md", ROOT / "docs" / "images", ROOT / "cases"
+IMAGES, CASES = ROOT / "docs" / "images", ROOT / "cases"
 INK, GREY, BLUE, RED, GREEN, ORANGE = "#30363D", "#8F9BAA", "#0072B2", "#C8501E", "#00795A", "#B7791F"
 COMPILED = compiler() is not None
 
@@ -462,17 +462,6 @@ def artefacts() -> str:
     return "\n".join(["| what is measured | slope | the truth |", "| --- | ---: | --- |", *lines])
 
 
-def rewrite(tables: dict[str, str]) -> None:
-    """Put each table between its marks on the page."""
-    page = PAGE.read_text(encoding="utf-8")
-    for name, text in tables.items():
-        mark = re.compile(rf"(<!-- table: {name} -->\n).*?(<!-- end -->)", re.DOTALL)
-        page, n = mark.subn(lambda m, text=text: f"{m[1]}\n{text}\n\n{m[2]}", page)
-        if n != 1:
-            raise SystemExit(f"{PAGE}: expected one mark for the table {name}, found {n}")
-    PAGE.write_text(page, encoding="utf-8")
-
-
 # -- the pictures ------------------------------------------------------------------------------------------------------
 
 
@@ -590,9 +579,8 @@ def main() -> None:
     ]
     tables = {name: table(measured, extrapolated=name != "broken") for name, measured in found.items()}
     tables |= {"search": searched(shaken), "artefacts": artefacts()}
-    rewrite(tables)
     for name, text in tables.items():
-        print(f"{name}\n\n{text}\n")
+        put("orders.md", name, text)
     overview(found).savefig(IMAGES / "orders.png", dpi=85)
     valley().savefig(IMAGES / "orders_wedge.png", dpi=110)
 

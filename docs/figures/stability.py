@@ -5,7 +5,6 @@ Run it from anywhere; it writes docs/images/stability_*.png and the tables of do
 
 from __future__ import annotations
 
-import re
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
@@ -15,12 +14,13 @@ import casadi as ca
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from page import put
 
 from nsmodel import FirstOrderSystem, FrictionOscillator, MonotoneInclusion, SweepingProcess, Trajectory, relay, simulate
 from nsmodel.plot.stress import heat_map
 
 DOCS = Path(__file__).resolve().parents[1]
-IMAGES, PAGE = DOCS / "images", DOCS / "stability.md"
+IMAGES = DOCS / "images"
 sys.path.insert(0, str(DOCS.parent / "tests"))
 
 INK, GREY = "#30363D", "#8F9BAA"
@@ -241,22 +241,14 @@ def spread(values: Sequence[float]) -> str:
     return f"{min(values):.3g} ... {max(values):.3g}"
 
 
-def put(name: str, lines: Sequence[str]) -> None:
-    """Put lines between the two marks of that name in docs/stability.md, and print them."""
-    text, block = PAGE.read_text(encoding="utf-8"), "\n".join(lines)
-    pattern = rf"(<!-- {name} -->\n).*?(\n<!-- end -->)"
-    PAGE.write_text(re.sub(pattern, lambda found: found[1] + block + found[2], text, flags=re.DOTALL), encoding="utf-8")
-    print(f"{name}\n{block}\n")
-
-
 def main() -> None:
     """Write the pictures and the tables."""
     for name, measure in (("factors", factors), ("ringing", ringing), ("cells", cells)):
         figure, lines = measure()
         figure.savefig(IMAGES / f"stability_{name}.png", dpi=110)
-        put(name, lines)
+        put("stability.md", name, "\n".join(lines))
     for name, measure in (("explicit", explicit_table), ("stick", stick_table), ("damping", damping_table)):
-        put(name, measure())
+        put("stability.md", name, "\n".join(measure()))
 
 
 if __name__ == "__main__":

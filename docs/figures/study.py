@@ -7,7 +7,6 @@ by the Python that NSMODEL_NOSNOC_PYTHON names.
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from page import put
 
 import nsmodel
 from nsmodel import LureSystem, relay
@@ -27,7 +27,7 @@ sys.path.insert(0, str(ROOT / "tests" / "bench"))
 
 from peers import programs  # noqa: E402
 
-IMAGES, PAGE = ROOT / "docs" / "images", ROOT / "docs" / "study.md"
+IMAGES = ROOT / "docs" / "images"
 TARGETS = (1e-2, 1e-4, 1e-6)
 MEASURES = {"end": "relative error at the end", "max": "largest relative error over the run"}
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
@@ -160,9 +160,8 @@ def timed(model: Any, **options: Any) -> tuple[Any, float]:
     found: list[float] = []
     while len(found) < 2 or (len(found) <= REPEATS and sum(found) < ENOUGH):
         prepared = prepare(model, **options)
-        start = time.process_time()
-        run = prepared.go(progress=False)
-        found.append(time.process_time() - start)
+        run = prepared.go()
+        found.append(prepared.cpu_seconds)
     return run, min(found[1:])
 
 
@@ -208,6 +207,9 @@ def draw(scene: Scene, lines: list[Line]) -> Figure:
             failed = sum(point.status == "failed" for point in line.points)
             label = f"{line.name} ({failed} failed)" if failed else line.name
             ax.loglog(errors, seconds, color=COLOURS[k], marker=MARKERS[k], markersize=4.5, label=label, **look)
+            for point in (drawn[0], drawn[-1]) if line.kind != "peer" and drawn else ():
+                at = point.errors[measure], point.seconds
+                ax.annotate(point.label, at, (3, 4), textcoords="offset points", fontsize=6.5, color=COLOURS[k])
         dress(ax, scene.title if measure == "end" else "", words, "CPU time of the steps [s]" if measure == "end" else "")
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=8, frameon=False)
@@ -234,28 +236,19 @@ def table(lines: list[Line]) -> str:
     return "\n".join(out)
 
 
-def rewrite(case: str, text: str) -> None:
-    """Put a table into the page, between its marks."""
-    page = PAGE.read_text()
-    begin, end = f"<!-- table: {case} -->", "<!-- end -->"
-    before, _, rest = page.partition(begin)
-    _, _, after = rest.partition(end)
-    if rest:
-        PAGE.write_text(f"{before}{begin}\n\n{text}\n\n{end}{after}")
-
-
 def main() -> None:
     """Write the figures, print the tables; rewrite those of the page where no program is missing."""
     missing = [name for name, python in (("Siconos", programs.siconos()), ("nosnoc", programs.nosnoc())) if python is None]
     if missing:
-        print(f"{' and '.join(missing)}: not installed, skipped; the tables of {PAGE.name} stay as they are\n")
+        print(f"{' and '.join(missing)}: not installed, skipped; the tables of docs/study.md stay as they are\n")
     for scene in (friction_oscillator(), sliding_relay(), diode_bridge(), point_past_disc()):
         lines = [*ours(scene), *others(scene)]
         draw(scene, lines).savefig(IMAGES / f"study_{scene.case}.png", dpi=110)
         text = "\n".join([table(lines), *remarks(lines)])
-        print(f"{scene.title}: CPU seconds to reach a relative error\n\n{text}\n", flush=True)
-        if not missing:
-            rewrite(scene.case, text)
+        if missing:
+            print(f"{scene.case}\n\n{text}\n", flush=True)
+        else:
+            put("study.md", scene.case, text)
 
 
 def remarks(lines: list[Line]) -> list[str]:

@@ -1,0 +1,20 @@
+"""Tables of a page, each between two marks: ``<!-- table: NAME -->`` and ``<!-- end -->``."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+DOCS = Path(__file__).resolve().parents[1]
+
+
+def put(page: str, name: str, text: str) -> None:
+    """Print a table and write it between its marks on a page of docs/."""
+    print(f"{name}\n\n{text}\n", flush=True)
+    path = DOCS / page
+    before = path.read_text(encoding="utf-8")
+    mark = re.compile(rf"(<!-- table: {re.escape(name)} -->\n).*?(<!-- end -->)", re.DOTALL)
+    after, found = mark.subn(lambda marks: f"{marks[1]}\n{text}\n\n{marks[2]}", before)
+    if found != 1:
+        raise SystemExit(f"{path}: expected one mark for the table {name}, found {found}")
+    path.write_text(after, encoding="utf-8")
