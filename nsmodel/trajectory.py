@@ -191,6 +191,11 @@ def units_of(run: Trajectory) -> dict[str, str]:
     return units
 
 
+def extrapolated(run: Trajectory) -> np.ndarray:
+    """Return, for each row (N+1,), whether error control has moved its state off what its step gave."""
+    return run.arrays.get("correction", np.zeros(len(run.t))) > 0
+
+
 def _names(given: Sequence[str] | None, stem: str, width: int) -> list[str]:
     return list(given) if given is not None and len(given) == width else [f"{stem}_{i}" for i in range(width)]
 

@@ -24,6 +24,7 @@ from nsmodel import (
     SweepingProcess,
     Trajectory,
     UsageError,
+    check,
     complementarity,
     relay,
     simulate,
@@ -159,6 +160,14 @@ def test_stick_is_exact():
     assert len(np.unique(run.x[still])) == 1
     assert run.x[-1, 0] == pytest.approx(0.7, abs=1e-3)
     assert run.metadata["convergence"]["finite"]
+
+
+def test_the_inequalities_of_the_theory_hold_at_the_steps_of_the_scheme():
+    """Error control carries the velocity over, so that the energy needs no order of the steps."""
+    report = check(oscillator(), [simulate(oscillator(), rtol=1e-3)], quick=True)
+    assert report["O-steps"].verdict == report["run-energy"].verdict == "holds"
+    inclusion = SCENES["inclusion"][0]
+    assert not check(inclusion, [simulate(inclusion, rtol=1e-3)], quick=True).having("violated")
 
 
 def test_a_run_in_c_is_the_same_run():

@@ -27,7 +27,7 @@ sys.path.insert(0, str(ROOT / "tests" / "bench"))
 
 from peers import programs  # noqa: E402
 
-IMAGES = ROOT / "docs" / "images"
+IMAGES, RESULTS = ROOT / "docs" / "images", ROOT / "results"
 TARGETS = (1e-2, 1e-4, 1e-6)
 MEASURES = {"end": "relative error at the end", "max": "largest relative error over the run"}
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
@@ -237,13 +237,14 @@ def table(lines: list[Line]) -> str:
 
 
 def main() -> None:
-    """Write the figures, print the tables; rewrite those of the page where no program is missing."""
+    """Write figures and tables; where a program is missing the page stays as it is, and the figures go to results/."""
     missing = [name for name, python in (("Siconos", programs.siconos()), ("nosnoc", programs.nosnoc())) if python is None]
     if missing:
-        print(f"{' and '.join(missing)}: not installed, skipped; the tables of docs/study.md stay as they are\n")
+        print(f"{' and '.join(missing)}: not installed, skipped; docs/study.md stays as it is, the figures go to {RESULTS}\n")
+        RESULTS.mkdir(exist_ok=True)
     for scene in (friction_oscillator(), sliding_relay(), diode_bridge(), point_past_disc()):
         lines = [*ours(scene), *others(scene)]
-        draw(scene, lines).savefig(IMAGES / f"study_{scene.case}.png", dpi=110)
+        draw(scene, lines).savefig((RESULTS if missing else IMAGES) / f"study_{scene.case}.png", dpi=110)
         text = "\n".join([table(lines), *remarks(lines)])
         if missing:
             print(f"{scene.case}\n\n{text}\n", flush=True)

@@ -16,7 +16,7 @@ from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.scheme import catching_up
 from nsmodel.scheme.inertial_proximal import energy
 from nsmodel.solve.certificate import EPS
-from nsmodel.trajectory import Trajectory
+from nsmodel.trajectory import Trajectory, extrapolated
 
 MOST_ROWS = 2000  # of a run, where gamma is evaluated
 SLACK = 64 * EPS  # relative rounding of a sum of a few terms
@@ -139,24 +139,32 @@ def _oscillator(model: FrictionOscillator, run: Trajectory, numbers: Mapping[str
     first = 1 if model.x1 is not None else 0
     l = np.where(np.isfinite(run.step), run.step, run.t - np.roll(run.t, 1))[1:]
     nominal = np.append(l[0], l) / np.append(l, l[-1])
-    if model.steps is None and len(l) > 1 and l[-1] < l[-2]:
+    moved = extrapolated(run)[1:]  # the inequality is about steps of the scheme
+    if "correction" in run.arrays:
+        nominal[:] = 1.0
+    elif model.steps is None and len(l) > 1 and l[-1] < l[-2]:
         nominal[-2] = 1.0  # a last step that only the end of the run shortens keeps the velocity
     v = run.arrays["v"]
     E = np.array(energy(model).map(len(run.t))(run.x.T, (v * nominal[:, None]).T)).ravel()
     power = _friction_power(model, v)[first + 1 :]
-    rise = np.diff(E[first:]) + l[first:] * power
+    rise = np.where(moved[first:], -np.inf, np.diff(E[first:]) + l[first:] * power)
     rounding = SLACK * max(np.nanmax(np.abs(E[first:])), np.finfo(float).tiny)
     k = int(np.argmax(rise))
     witness = {"t": run.t[first + k + 1], "E before": E[first + k], "E after": E[first + k + 1]}
     values = {"largest excess": rise[k], "rounding bound": rounding}
+    evaluated = f"evaluated at {rise.size - moved[first:].sum()} steps" + (
+        ", where nothing was extrapolated" if moved.any() else ""
+    )
     steps_ok = numbers["O-steps"].verdict == HOLDS and numbers["O-g"].verdict != VIOLATED
     if rise[k] <= rounding:
-        energy_finding = found(ENERGY, HOLDS, f"evaluated at {rise.size} steps", values, witness)
+        energy_finding = found(ENERGY, HOLDS, evaluated, values, witness)
     elif steps_ok:
-        energy_finding = found(ENERGY, VIOLATED, f"evaluated at {rise.size} steps", values, witness)
+        energy_finding = found(ENERGY, VIOLATED, evaluated, values, witness)
     else:
         how = "the energy grows, and the proposition does not apply: O-steps or O-g does not hold"
         energy_finding = found(ENERGY, VIOLATED, how, values, witness)
+    if moved.any():
+        return [energy_finding]
     total = float(np.sum(l[first:] * power))
     least = numbers["O-g"].value.get("inf g", -np.inf)
     if not np.isfinite(least):
@@ -214,6 +222,7 @@ def _growth(
     reach = np.sqrt(square[:-1]) + mu * speed
     allowed = square[:-1] - 2 * mu * (alpha * square[:-1] - beta) + (mu * speed) ** 2 + 2 * reach * np.sqrt(eps) + eps
     over = np.nan_to_num(square[1:] - allowed, nan=-np.inf)  # inf - inf: a square beyond the doubles
+    over[extrapolated(run)[1:]] = -np.inf
     k = int(np.argmax(over))
     values = {"largest excess": over[k], "alpha": alpha, "beta": beta, "largest |x|": np.sqrt(square.max())}
     witness = {"t": run.t[k + 1], "|x|^2": square[k + 1], "bound": allowed[k]}
