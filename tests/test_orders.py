@@ -338,7 +338,9 @@ def page():
     spec = importlib.util.spec_from_file_location("orders_page", path)
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(path.parent)  # as for a script, beside which page.py lies
+        spec.loader.exec_module(module)
     return module
 
 
