@@ -452,3 +452,18 @@ def test_the_margin_is_that_of_the_element_nearest_to_sliding():
     assert (found["element"], found["theta_prime_0"], found["distance"]) == ("strong", 0.6, 0.5)
     assert found["margin"] == pytest.approx(0.1, abs=1e-15)
     assert found["n_0"] == 0
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("cubic", [0.0, 0.1])
+def test_rest_is_exact_where_friction_acts_on_combinations(cubic, compiled):
+    """H_1 = (1, 1), H_2 = (1, -2): both stick together or the mass moves; then v = 0, not the rounding of a linear system."""
+    x, s = ca.SX.sym("x", 2), ca.SX.sym("s")
+    friction = {"a": ([[1, 1]], s + cubic * s**3), "b": ([[1, -2]], 0.7 * s)}
+    potential = ca.dot(x, x) / 2 + 0.2 * x[0] * x[1]
+    model = FrictionOscillator(x=x, potential=potential, friction=friction, s=s, x0=[3, 1.5], v0=[0, 1], t_end=6, step=0.01)
+    run = simulate(model, compiled=compiled)
+    still = np.flatnonzero((run.index_set == 0).all(axis=1))
+    assert still.size > 100
+    assert (run.v[still] == 0).all()
+    assert run.metadata["convergence"]["finite"]

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.codegen.expression import c_function
-from nsmodel.codegen.tables import table, unit_tables
+from nsmodel.codegen.tables import exact_tables, table
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.active_set import choices
 from nsmodel.solve.certificate import NumericLaw, bound_size
@@ -102,7 +102,7 @@ def text(problem: OneStepProblem, structure: Structure, law: NumericLaw, h: floa
                 table("bound_size", bound_size(law), "MODEL_M"),
             ]
         ),
-        unit_tables(structure.unit_rows),
+        exact_tables(structure),
     ]
     codes = choices(law)
     if index_sets(law):

@@ -6,7 +6,7 @@ import casadi as ca
 
 from nsmodel.codegen.expression import c_function
 from nsmodel.codegen.scene import Scene
-from nsmodel.codegen.tables import table, unit_tables
+from nsmodel.codegen.tables import exact_tables, table
 
 
 def text(scene: Scene, known: dict[str, ca.SX]) -> str:
@@ -39,9 +39,9 @@ def text(scene: Scene, known: dict[str, ca.SX]) -> str:
             table("E_l_start", E_l.sparsity().colind(), "MODEL_M + 1", "E_l by columns", "int"),
             table("E_l_row", E_l.sparsity().row(), "MODEL_E_L", kind="int"),
         ]
+    tables.append(exact_tables(structure))
     if structure.unit_rows:
         rows = [row for row, *_ in structure.unit_rows]
-        tables.append(unit_tables(structure.unit_rows))
         functions.append(c_function("unit_offsets", known, {"offset": _put(p.Y, [p.z, p.l], [no_z, no_l])[rows]}))
     return "".join(tables) + "\n" + "\n".join(functions)
 

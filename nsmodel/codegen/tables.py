@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from nsmodel.codegen.expression import number
+from nsmodel.solve.structure import Structure
 
 
 def table(name: str, values: Sequence[float] | np.ndarray, size: str, comment: str = "", kind: str = "double") -> str:
@@ -19,13 +20,15 @@ def table(name: str, values: Sequence[float] | np.ndarray, size: str, comment: s
     return line if len(line) <= 130 else f"static const {kind} {name}[{size}] = {{{about}\n{listed}\n}};\n"
 
 
-def unit_tables(rows: Sequence[tuple[int, int, float]]) -> str:
-    """Rows y_i = factor z_j + offset (see `solve.structure`)."""
-    if not rows:
-        return ""
-    i, j, factors = zip(*rows, strict=True)
+def exact_tables(structure: Structure) -> str:
+    """Rows where unknowns are known exactly: y_i = factor z_j + offset, and those that rest together."""
+    rest = table("rest_row", structure.rest_rows, "MODEL_REST", "z = 0 where all are coded 0", "int")
+    if not structure.unit_rows:
+        return rest if structure.rest_rows else ""
+    i, j, factors = zip(*structure.unit_rows, strict=True)
     return (
         table("unit_row", i, "MODEL_UNIT", "y_i = factor z_j + offset", "int")
         + table("unit_column", j, "MODEL_UNIT", kind="int")
         + table("unit_factor", factors, "MODEL_UNIT")
+        + (rest if structure.rest_rows else "")
     )

@@ -176,6 +176,8 @@ def _functions(
     z = z_0 + Z_sx @ l
     for row, column, factor in structure.unit_rows:
         z[column] = ca.if_else(free[row], -at.Y_0[row] / factor, z[column])
+    if structure.rest_rows:
+        z = ca.if_else(ca.sum1(free[list(structure.rest_rows)]) == len(structure.rest_rows), 0, z)
     one = ca.SX.sym("one")
     judged = _judge(p, at, structure, law, tolerance, W, matrices[0], inverse).call(
         [p.t, p.state, *(one * ca.densify(e) for e in (z, l, b)), free]

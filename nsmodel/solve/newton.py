@@ -154,10 +154,13 @@ class Newton:
         return z_next, l_next, index, solver
 
     def _make_exact(self, z: np.ndarray, index: np.ndarray) -> None:
-        """Put z_j where y_i = factor z_j + c is exactly 0, for the rows coded 0 (stick is a difference of exactly 0)."""
+        """Put z_j where y_i = factor z_j + c is exactly 0, for the rows coded 0, and z = 0 at rest: stick is exactly 0."""
         for (row, column, factor), offset in zip(self.structure.unit_rows, self._offsets, strict=True):
             if index[row] == 0:
                 z[column] = -offset / factor
+        rest = self.structure.rest_rows
+        if rest and not index[list(rest)].any():
+            z[:] = 0.0
 
     def _eliminate(self, at: Linearisation) -> tuple[np.ndarray, np.ndarray] | None:
         """dz_0 = -E_z^{-1} E and Z = -E_z^{-1} E_l, computed once; None where E_z is singular or not finite."""

@@ -25,6 +25,7 @@ class Structure:
         identity: E_z is the identity: no linear system.
         symmetric: W is symmetric by construction (E_z symmetric, E_l a multiple of -Y_z', Y_l symmetric).
         unit_rows: (row, column, factor) of rows y_i = factor z_j + c(k): z_j is exact where y_i = 0.
+        rest_rows: rows y = A z with a constant A of full column rank: z = 0 exactly where all of them are 0.
         gram: W = Y_z Y_z' by construction (identity, symmetric, no Y_l): psd.
         projection: z is the projection of a point on {Y >= 0}: gram with E_l = -Y_z', and complementarity in every row.
         n, m: numbers of unknowns z and of multipliers.
@@ -36,6 +37,7 @@ class Structure:
     identity: bool
     symmetric: bool
     unit_rows: tuple[tuple[int, int, float], ...]
+    rest_rows: tuple[int, ...]
     gram: bool
     projection: bool
     n: int
@@ -59,7 +61,8 @@ def read(problem: OneStepProblem) -> Structure:
         constant=affine and not _depends(matrices, known),
         identity=identity,
         symmetric=symmetric,
-        unit_rows=tuple(_unit_rows(Y_z, Y_l)),
+        unit_rows=tuple(unit := _unit_rows(Y_z, Y_l)),
+        rest_rows=() if len({j for _, j, _ in unit}) == z.numel() else _rest_rows(problem, Y_z, Y_l),
         gram=gram,
         projection=gram and np.allclose(factors, 1, rtol=1e-13, atol=0) and set(problem.law.labels) == {"complementarity"},
         n=z.numel(),
@@ -112,6 +115,16 @@ def _unit_rows(Y_z: ca.SX, Y_l: ca.SX) -> list[tuple[int, int, float]]:
     coupled = set(Y_l.sparsity().get_triplet()[0])
     single = [(i, columns[0]) for i, columns in sorted(by_row.items()) if len(columns) == 1 and i not in coupled]
     return [(i, j, float(Y_z[i, j])) for i, j in single if Y_z[i, j].is_constant()]
+
+
+def _rest_rows(problem: OneStepProblem, Y_z: ca.SX, Y_l: ca.SX) -> tuple[int, ...]:
+    m, n = problem.l.numel(), problem.z.numel()
+    if not (m and n):
+        return ()
+    at_zero = ca.substitute([problem.Y], [problem.z, problem.l], [ca.SX.zeros(n), ca.SX.zeros(m)])[0]
+    rows = [i for i in range(m) if at_zero[i].is_zero() and Y_z[i, :].is_constant() and Y_l[i, :].nnz() == 0]
+    A = np.array(ca.DM(Y_z[rows, :])) if rows else np.zeros((0, n))
+    return tuple(rows) if np.isfinite(A).all() and np.linalg.matrix_rank(A) == n else ()
 
 
 def least_eigenvalue(W: np.ndarray) -> float:

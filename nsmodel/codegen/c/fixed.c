@@ -168,6 +168,13 @@ static int certified(model_solver *s)
         if (s->work.code[unit_row[i]] == 0)
             z[unit_column[i]] = -s->fixed.Y_0[unit_row[i]]/unit_factor[i];
 #endif
+#if REST_ROWS
+    int moving = 0;
+    for (int i = 0; i < MODEL_REST; i++)
+        moving |= s->work.code[rest_row[i]] != 0;
+    if (!moving)
+        memset(z, 0, sizeof s->work.z);
+#endif
     residuals(s, s->fixed.E_0, s->fixed.Y_0, z, l, s->fixed.E, s->fixed.Y);
 #else
     memcpy(s->work.z, s->fixed.z_0, sizeof s->work.z);

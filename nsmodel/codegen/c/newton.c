@@ -262,14 +262,23 @@ static int solve_affine(model_solver *s, int m, const double *W, const double *b
 #endif
 }
 #endif
-#if UNIT_ROWS
+#if EXACT_ROWS
 
-/* Put z_j where y_i = factor z_j + offset is exactly 0, for the rows coded 0: stick is a difference of exactly 0. */
+/* Put z_j where y_i = factor z_j + offset is exactly 0, for the rows coded 0, and z = 0 at rest: stick is exactly 0. */
 static void make_exact(model_solver *s)
 {
+#if UNIT_ROWS
     for (int i = 0; i < MODEL_UNIT; i++)
         if (s->work.code[unit_row[i]] == 0)
             s->work.z[unit_column[i]] = -s->newton.offset[i]/unit_factor[i];
+#endif
+#if REST_ROWS
+    int moving = 0;
+    for (int i = 0; i < MODEL_REST; i++)
+        moving |= s->work.code[rest_row[i]] != 0;
+    if (!moving)
+        memset(s->work.z, 0, sizeof s->work.z);
+#endif
 }
 #endif
 
@@ -313,7 +322,7 @@ static int iterate(model_solver *s)
     S_times(s, l_next, v);
     for (int i = 0; i < MODEL_N; i++)
         z[i] += dz[i] - v[i];
-#if UNIT_ROWS
+#if EXACT_ROWS
     make_exact(s);
 #endif
     return solver;
@@ -716,7 +725,7 @@ static int on_index_set(model_solver *s)
                 z[i] = s->newton.z_0[i] + t*s->newton.step[i];
             for (int i = 0; i < free; i++)
                 l[s->newton.free[i]] = s->newton.l_0[s->newton.free[i]] + t*s->newton.step[MODEL_N + i];
-#if UNIT_ROWS
+#if EXACT_ROWS
             if (k == 0)
                 make_exact(s);
 #endif
