@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from functools import cache
 from pathlib import Path
 
@@ -61,3 +62,11 @@ def reference():
         return table
 
     return read
+
+
+@pytest.fixture(autouse=True)
+def own_interrupts():
+    """A command that was interrupted ignores Ctrl-C from then on: the next test must not."""
+    usual = signal.getsignal(signal.SIGINT)
+    yield
+    signal.signal(signal.SIGINT, usual)
