@@ -42,7 +42,6 @@ class Linearisation:
     Y_z: np.ndarray
     Y_l: np.ndarray
     eliminated: Any = UNKNOWN
-    known: tuple[Any, ...] = ()
 
     def offset(self, dz_0: np.ndarray, Z: np.ndarray, l: np.ndarray) -> np.ndarray:
         """The b of y+ = W l+ + b, from the iterate l."""
@@ -87,7 +86,7 @@ class Newton:
 
     def linearise(self, t: float, h: float, state: np.ndarray, z: np.ndarray, l: np.ndarray) -> Linearisation:
         """Evaluate E, Y and the exact Jacobians."""
-        return Linearisation(*self._linearise(t, h, state, z, l), known=(t, h, state))
+        return Linearisation(*self._linearise(t, h, state, z, l))
 
     def guess(self, t: float, h: float, state: np.ndarray, l: np.ndarray) -> np.ndarray:
         """The first z."""
@@ -129,7 +128,9 @@ class Newton:
                 return found
             if not np.isfinite(found.residual) and not (np.isfinite(z).all() and np.isfinite(l).all()):
                 break
-        return best if best is not None else Iterate(z, l, index, np.full(l.size, np.nan), np.inf, None, "none", 0)
+        if best is None:
+            return Iterate(z, l, index, np.full(l.size, np.nan), np.inf, None, "none", 0)
+        return self._with_state(best, t, h, state, guess)
 
     def _advance(
         self, at: Linearisation, z: np.ndarray, l: np.ndarray, index: np.ndarray, chain: Sequence[str]
@@ -206,32 +207,29 @@ class Newton:
             chosen |= violated
         raise AssertionError("unreachable: every pass adds a row")  # pragma: no cover
 
-    def judge(
-        self, at: Linearisation, z: np.ndarray, l: np.ndarray, index: np.ndarray, guess: tuple[np.ndarray, np.ndarray],
-        solver: str, iterations: int,
+    def _with_state(
+        self, found: Iterate, t: float, h: float, state: np.ndarray, guess: tuple[np.ndarray, np.ndarray]
     ) -> Iterate:  # fmt: skip
-        """The certificate at (z, l): E against what moves in the step, and the law at the model's own y.
-
-        What the round-off of the state makes of E and Y is looked at only where the step would fail without it.
-        """
-        found = self._judged(at, z, l, index, guess, solver, iterations)
-        if self.tolerance < found.residual < np.inf:
-            again = self._judged(at, z, l, index, guess, solver, iterations, *self._felt_of_state(at, z, l))
-            return again if again.residual <= self.tolerance else found
-        return found
-
-    def _felt_of_state(self, at: Linearisation, z: np.ndarray, l: np.ndarray) -> tuple[np.ndarray, ...]:
-        """|E_k| |k| and |Y_k| |k|, k the state: its round-off in E and Y, in EPS."""
+        """An iterate that fails, judged once more with the round-off of the state: |E_k| |k| and |Y_k| |k|, k the state."""
+        if not self.tolerance < found.residual < np.inf:
+            return found
         if self._felt is None:
             p = self.problem
             felt = [ca.fabs(ca.jacobian(e, p.state)) @ ca.fabs(p.state) for e in (p.E, p.Y)]
             self._felt = _Buffered("felt", [p.t, p.h, p.state, p.z, p.l], felt)
-        return self._felt(*at.known, z, l)
+        z, l = found.z, found.l
+        at, felt = self.linearise(t, h, state, z, l), self._felt(t, h, state, z, l)
+        again = self.judge(at, z, l, found.index, guess, found.solver, found.iterations, *felt)
+        return again if again.residual <= self.tolerance else found
 
-    def _judged(
+    def judge(
         self, at: Linearisation, z: np.ndarray, l: np.ndarray, index: np.ndarray, guess: tuple[np.ndarray, np.ndarray],
         solver: str, iterations: int, felt_E: np.ndarray | float = 0.0, felt_Y: np.ndarray | float = 0.0,
     ) -> Iterate:  # fmt: skip
+        """The certificate at (z, l): E against what moves in the step, and the law at the model's own y.
+
+        ``felt_E``, ``felt_Y``: the round-off of the state in E and Y, in EPS, where it is looked at.
+        """
         n, m = z.size, l.size
         if not all(np.isfinite(part).all() for part in (z, l, at.E, at.Y, at.E_z, at.E_l, at.Y_z, at.Y_l)):
             return Iterate(z, l, index, at.Y, np.inf, None, solver, iterations)
@@ -329,8 +327,8 @@ class Newton:
             z, l, at, stalled, size = z_new, l_new, at_new, new >= (1 - 1e-4 * t_step) * size, new
             found = self.judge(at, z, l, index, guess, "newton on the index set", iteration)
             if found.residual <= 1e-2 * self.tolerance or (stalled and iteration > 3):
-                return found
-        return found
+                break
+        return None if found is None else self._with_state(found, t, h, state, guess)
 
     def pack(self, t: float, h: float, state: np.ndarray, found: Iterate) -> np.ndarray:
         """The packed row of an iterate."""
