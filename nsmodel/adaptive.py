@@ -32,7 +32,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import StepError, UsageError
-from nsmodel.grid import Grid, is_number, make_grid, written
+from nsmodel.grid import Grid, check_times, is_number, make_grid, written
 from nsmodel.model.base import Model
 from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.sweeping import SweepingProcess
@@ -122,10 +122,11 @@ class AdaptiveRun(Run):
         self, model: Model, step: float | None, t_end: float | None, solver: str, tolerance: float, out: Path | None,
         compiled: bool | str, rtol: float | None, atol: Any,
     ) -> None:  # fmt: skip
+        check_times(step=step, t_end=t_end)
         self.T = T = float(model.t_end if t_end is None else t_end)
         h = model.step if step is None else step
         h = T / 2**FIRST if h is None else h
-        make_grid(model, h, None, t_end)  # refuses what is no step or no end
+        make_grid(model, h, None, t_end)  # refuses a step far too small for the run
         self.rtol, self.atol = _tolerances(model, rtol, atol)
         _refuse_fixed(model)
         self.folder = out

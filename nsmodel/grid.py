@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from nsmodel.errors import UsageError
-from nsmodel.model.base import Model, shown
+from nsmodel.model.base import Model, step_array
 
 
 @dataclass(frozen=True)
@@ -47,14 +47,12 @@ def make_grid(model: Model, step: float | None, steps: Sequence[float] | None, t
     Raises:
         UsageError: not finite, not positive, contradictory, or missing.
     """
-    for name, value in (("step", step), ("t_end", t_end)):
-        if value is not None and not (is_number(value) and 0 < value < np.inf):
-            raise UsageError(f"{name} = {written(value)}; expected a finite number > 0")
+    check_times(step=step, t_end=t_end)
     if step is not None and steps is not None:
         raise UsageError("step and steps are both given; keep one")
     steps = model.steps if steps is None and step is None else steps
     if steps is not None:
-        array = _step_array(steps)
+        array = step_array(steps, UsageError)
         if t_end is not None:
             raise UsageError("t_end is given with steps, which already say where the run ends; leave it out")
         return Grid(array.size, float(array[0]), float(array[-1]), array, np.concatenate([[0.0], np.cumsum(array)]))
@@ -72,19 +70,11 @@ def make_grid(model: Model, step: float | None, steps: Sequence[float] | None, t
     return Grid(N, h, T - (N - 1) * h)
 
 
-def _step_array(steps: Any) -> np.ndarray:
-    try:
-        array = np.asarray(steps, float)
-    except (TypeError, ValueError, RuntimeError, OverflowError):
-        array = None
-    if array is None or array.ndim != 1:
-        raise UsageError(f"steps: expected a list or 1-D array of numbers > 0, not {shown(steps)}")
-    bad = np.flatnonzero(~(np.isfinite(array) & (array > 0)))
-    if not array.size:
-        raise UsageError("steps is empty; expected finite numbers > 0")
-    if bad.size:
-        raise UsageError(f"steps[{bad[0]}] = {array[bad[0]]:g}; expected finite numbers > 0")
-    return array
+def check_times(**times: Any) -> None:
+    """Refuse a time, given by its name, that is neither None nor a finite number > 0."""
+    for name, value in times.items():
+        if value is not None and not (is_number(value) and 0 < value < np.inf):
+            raise UsageError(f"{name} = {written(value)}; expected a finite number > 0")
 
 
 def is_number(value: Any) -> bool:

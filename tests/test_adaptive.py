@@ -237,6 +237,8 @@ def test_a_resting_state_takes_few_steps():
         ({"rtol": 1e-3, "resume": True, "out": "nowhere"}, "resume and rtol"),
         ({"rtol": 1e-3, "step": 0}, "step = 0"),
         ({"rtol": 1e-3, "t_end": -1}, "t_end = -1"),
+        ({"rtol": 1e-3, "t_end": "5"}, "t_end = '5'; expected a finite number"),
+        ({"rtol": 1e-3, "t_end": 10**400}, "t_end = 1000"),
     ],
     ids=str,
 )

@@ -287,16 +287,7 @@ def _grid(t_end: Any, step: Any, steps: Any) -> dict[str, Any]:
     if steps is not None:
         if step is not None:
             raise ModelError("step and steps are both given; keep one")
-        try:
-            array = np.asarray(steps, float)
-        except (OverflowError, TypeError, ValueError, RuntimeError):
-            array = None
-        if array is None or array.ndim != 1:
-            raise ModelError(f"steps: expected a list or 1-D array of numbers > 0, not {shown(steps)}")
-        bad = np.flatnonzero(~(np.isfinite(array) & (array > 0)))
-        if bad.size or not array.size:
-            where = f"steps[{bad[0]}] = {array[bad[0]]:g}" if bad.size else "steps is empty"
-            raise ModelError(f"{where}; expected finite numbers > 0")
+        array = step_array(steps, ModelError)
         total = float(array.sum())
         if t_end is not None and abs(_number(t_end, "t_end") - total) > 1e-9 * total:
             raise ModelError(f"t_end = {t_end:g} but the steps sum to {total:g}; leave t_end out")
@@ -308,6 +299,21 @@ def _grid(t_end: Any, step: Any, steps: Any) -> dict[str, Any]:
         if value is not None and value <= 0:
             raise ModelError(f"{name} = {value:g}; expected a number > 0")
     return found
+
+
+def step_array(steps: Any, error: type[NsmodelError]) -> np.ndarray:
+    """The steps h_0, h_1, ... as an array; ``error`` where they are no finite numbers > 0."""
+    try:
+        array = np.asarray(steps, float)
+    except (OverflowError, TypeError, ValueError, RuntimeError):
+        array = None
+    if array is None or array.ndim != 1:
+        raise error(f"steps: expected a list or 1-D array of numbers > 0, not {shown(steps)}")
+    bad = np.flatnonzero(~(np.isfinite(array) & (array > 0)))
+    if bad.size or not array.size:
+        where = f"steps[{bad[0]}] = {array[bad[0]]:g}" if bad.size else "steps is empty"
+        raise error(f"{where}; expected finite numbers > 0")
+    return array
 
 
 def shown(value: Any) -> str:
