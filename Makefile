@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint bench study clean
+.PHONY: help demo test lint bench bench-large study clean
 
 help: ## show this list
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1|/' | column -t -s '|'
@@ -29,8 +29,11 @@ lint: $(STAMP) ## ruff and pyright
 bench: $(STAMP) ## time the steppers beside a plain Python loop (and the peers, where installed)
 	$(BIN)/python tests/bench/run.py
 
+bench-large: $(STAMP) ## crowds of up to 20 000 and chains of up to 10 000 (with the peers, where installed); a quarter of an hour
+	$(BIN)/python tests/bench/large.py
+
 study: $(STAMP) ## make the figures and tables of docs/ anew (with the peers, where installed)
-	for page in hypotheses codegen orders stability study; do $(BIN)/python docs/figures/$$page.py || exit 1; done
+	for page in hypotheses codegen orders stability crowd study; do $(BIN)/python docs/figures/$$page.py || exit 1; done
 
 clean: ## remove the environment, caches and results
 	rm -rf $(VENV) results build dist .pytest_cache .ruff_cache *.egg-info

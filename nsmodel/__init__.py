@@ -14,6 +14,7 @@ from nsmodel.errors import (
 )
 from nsmodel.hypotheses.findings import Finding, Report
 from nsmodel.loader import load
+from nsmodel.model.bodies import Bodies, Family, Items, ManyBodies, neighbours
 from nsmodel.model.first_order import FirstOrderSystem
 from nsmodel.model.inclusion import MonotoneInclusion
 from nsmodel.model.laws import (
@@ -39,11 +40,15 @@ from nsmodel.trajectory import Trajectory
 __version__ = version("nsmodel")
 
 __all__ = [
+    "Bodies",
+    "Family",
     "Finding",
     "FirstOrderSystem",
     "FrictionOscillator",
+    "Items",
     "Law",
     "LureSystem",
+    "ManyBodies",
     "MissingExtraError",
     "ModelError",
     "MonotoneInclusion",
@@ -65,6 +70,7 @@ __all__ = [
     "equality",
     "explain",
     "load",
+    "neighbours",
     "polyhedron",
     "product",
     "relay",

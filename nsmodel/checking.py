@@ -15,6 +15,7 @@ from nsmodel.hypotheses.along import along
 from nsmodel.hypotheses.findings import SAMPLED, Consequence, Finding, Hypothesis, Report
 from nsmodel.hypotheses.region import region_of
 from nsmodel.model.base import Model, shown
+from nsmodel.model.bodies import ManyBodies
 from nsmodel.model.first_order import FirstOrderSystem
 from nsmodel.model.inclusion import MonotoneInclusion
 from nsmodel.model.lure import LureSystem
@@ -31,9 +32,11 @@ CLASSES: Mapping[type[Model], str] = {
     FirstOrderSystem: "first_order",
     LureSystem: "lure",
     MonotoneInclusion: "inclusion",
+    ManyBodies: "bodies",
 }
 ROUND_OFF = 1e-11  # Differences of runs below this part of the state are not told from rounding.
 FEW_STEPS = 4000  # Steps looked at where each needs Newton's method.
+BODY_STEPS = 100_000, 20_000  # Bodies times steps of a run that is made; up to the second, also with the steps 2h and 4h.
 ASYMPTOTIC = 0.3, 2.5  # Orders seen outside of this range are chance.
 
 
@@ -57,7 +60,7 @@ def check(
     """Decide each hypothesis that the theory of this model class rests on, and say what follows.
 
     Args:
-        model: any of the five classes. Parameters may stay without value for a LureSystem: the conditions on them are found.
+        model: any of the six classes. Parameters may stay without value for a LureSystem: the conditions on them are found.
         runs: finished runs of this model; left out, the model is run (twice more with larger steps, for the observed order,
             and for two classes from another start, for the contraction).
         parameters: values of parameters by name.
@@ -88,9 +91,11 @@ def check(
     own = list(runs or ()) if given else _runs(bound, notes)
     box = region_of(bound, own, region)
     findings, consequences = _checker(type(bound)).check(bound, box, own, quick)
+    if isinstance(bound, ManyBodies):
+        notes += _of_bodies(bound, [] if given else own)
     if own:
         twin = own[1] if len(own) > 1 and len(own[1].t) == len(own[0].t) else None
-        findings += along(bound, own[0], findings, twin)
+        findings += along(bound, own[0], findings, twin, quick)
         if not given:
             consequences += _refined(bound, own[0])
     return _report(bound, box.text, findings, consequences, getattr(bound, "bound_parameters", {}), notes, quick)
@@ -117,7 +122,7 @@ def _runs(model: Model, notes: list[str]) -> list[Trajectory]:
     """The model's own run, and for two classes one more from half way to where the first one ends."""
     t_end = _end(model)
     if t_end is not None:
-        notes.append(f"the run was cut at t = {t_end:g}, after {FEW_STEPS} steps; check(model, [run]) takes any run")
+        notes.append(f"the run was cut at t = {t_end:g}, after {t_end / model.step:.0f} steps; check(model, [run]) takes any run")
     try:
         run = simulate(model, t_end=t_end)
     except StepError as error:
@@ -136,11 +141,22 @@ def _runs(model: Model, notes: list[str]) -> list[Trajectory]:
     return [run]
 
 
+def _of_bodies(model: ManyBodies, runs: Sequence[Trajectory]) -> list[str]:
+    """What the reader of a report on many bodies should know beside."""
+    changing = model.leave is not None or model.enter.any()
+    notes = ["bodies leave or enter: the theory speaks of each interval between such times"] if changing else []
+    n, steps = model.bodies.count, len(runs[0].t) - 1 if runs else 0
+    if n * steps > BODY_STEPS[1]:
+        notes.append(f"no runs with the steps 2h and 4h: {n} bodies times {steps} steps are too many")
+    return notes
+
+
 def _end(model: Model) -> float | None:
     """Where to cut a long run whose steps are dear; None where it is run as the model says."""
-    if model.step is None or model.t_end is None or model.t_end <= FEW_STEPS * model.step:
+    few = max(BODY_STEPS[0] // model.bodies.count, 1) if isinstance(model, ManyBodies) else FEW_STEPS
+    if model.step is None or model.t_end is None or model.t_end <= few * model.step:
         return None
-    return None if read(one_step_problem(model)).affine else FEW_STEPS * model.step
+    return few * model.step if isinstance(model, ManyBodies) or not read(one_step_problem(model)).affine else None
 
 
 def _started_at(model: Model, x0: np.ndarray) -> Model:
@@ -153,6 +169,8 @@ def _refined(model: Model, run: Trajectory) -> list[Consequence]:
     """What runs with the steps 4h, 2h, h show together: the order, and how fast the predictors of catching-up reach C."""
     h, N = model.step, len(run.t) - 1
     if h is None or N < 16 or run.status != "done" or getattr(model, "x1", None) is not None:
+        return []
+    if isinstance(model, ManyBodies) and model.bodies.count * N > BODY_STEPS[1]:
         return []
     try:
         runs = [run, *(simulate(model, step=factor * h, t_end=float(run.t[-1])) for factor in (2, 4))]
@@ -173,12 +191,12 @@ def _observed_order(h: float, runs: Sequence[Trajectory]) -> Consequence:
     N = len(runs[0].t) - 1
     rows = N // 4 - (1 if N % 4 else 0)  # the last row of a coarse run may be a shortened step
     fine, medium, wide = (other.x[: factor * rows + 1 : factor] for factor, other in zip((4, 2, 1), runs, strict=True))
-    near, far = np.abs(medium - fine).max(), np.abs(wide - medium).max()
+    near, far = np.nanmax(np.abs(medium - fine)), np.nanmax(np.abs(wide - medium))  # NaN: bodies that are absent in one of two.
     value = {"difference h, 2h": near, "difference 2h, 4h": far, "h": h}
     error = runs[0].metadata["totals"].get("largest_error")
     if error is not None:
         value["largest error"] = error
-    if near <= ROUND_OFF * max(np.abs(runs[0].x).max(), np.finfo(float).tiny):
+    if near <= ROUND_OFF * max(np.nanmax(np.abs(runs[0].x)), np.finfo(float).tiny):
         return _measured(
             "observed order", "runs with steps 4h, 2h, h agree to rounding: the scheme is exact on this scene", value
         )

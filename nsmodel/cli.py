@@ -77,6 +77,7 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--out", metavar="DIR", help="folder for trajectory.npz, summary.json and pictures")
     run.add_argument("--csv", metavar="PATH", help="also write the trajectory as CSV")
     run.add_argument("--plot", action="store_true", help="write pictures into --out (default: FILE-run)")
+    run.add_argument("--film", metavar="PATH", help="write a film of bodies in the plane: .gif, or .mp4 with ffmpeg")
     run.add_argument("--explain", action="store_true", help="say what is used and what is left out, and why; then run")
     run.add_argument("--json", action="store_true", help="print the summary as JSON")
     run.add_argument("--quiet", action="store_true", help="print warnings and errors only")
@@ -283,6 +284,8 @@ def _run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"two files are called '{twice}': their results would go to one folder; run them one by one")
     if several and arguments.csv:
         raise UsageError("--csv takes one model file; for several give --out DIR and read the trajectory.npz in it")
+    if several and arguments.film:
+        raise UsageError("--film takes one model file; run them one by one")
     results: list[Result] = []
     for file in arguments.files:
         results.append(_run_file(arguments, file, _folder(arguments, file)))
@@ -365,6 +368,10 @@ def _report(
         from nsmodel.plot import save_all
 
         pictures = [str(path) for path in save_all(run, model, folder)]
+    if arguments.film:
+        from nsmodel.plot import animate
+
+        pictures.append(str(animate(run, arguments.film)))
     printed = not (arguments.json or arguments.quiet or len(arguments.files) > 1)
     document = _document(file, run, seconds, folder, pictures)
     if printed or arguments.json or folder is not None:

@@ -15,6 +15,8 @@ import numpy as np
 
 from nsmodel.grid import Grid
 from nsmodel.model.base import Model
+from nsmodel.model.bodies import Items, ManyBodies, Member
+from nsmodel.model.expressions import column
 
 # What only names or describes a run does not change its numbers; the grid is a setting of its own.
 DESCRIPTIVE = frozenset({"exact", "title", "units", "scene", "t_end", "step", "steps", "t", "p", "parameters"})
@@ -51,6 +53,8 @@ def fingerprint(model: Model, grid: Grid) -> str:
     tolerances = getattr(model, "tolerances", None)
     if callable(tolerances):
         parts.append([float(tolerances(h)) for h in ([grid.h, grid.last] if grid.steps is None else grid.steps.tolist())])
+    if isinstance(model, ManyBodies) and not isinstance(model.f, ca.SX):
+        parts.append(np.array(model.f(0.0, model.bodies.q0.copy()), float))  # a function is known by what it gives
     return _hash(parts)
 
 
@@ -69,10 +73,15 @@ def _hash(items: list[Any]) -> str:
 
     def add(item: Any) -> None:
         if isinstance(item, ca.SX):
-            digest.update(ca.Function("e", ca.symvar(item), [item]).serialize().encode())
+            digest.update(ca.Function("e", [column(ca.symvar(item))], [item]).serialize().encode())
         elif is_dataclass(item) and not isinstance(item, type):
             for field in fields(item):
                 add(getattr(item, field.name))
+        elif isinstance(item, Items):
+            add(item.numbers)
+        elif isinstance(item, Member):
+            digest.update(item.name.encode())
+            add(item.group)
         elif isinstance(item, Mapping):
             for key, value in item.items():
                 digest.update(str(key).encode())

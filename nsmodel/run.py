@@ -30,6 +30,7 @@ from nsmodel.record import Record
 from nsmodel.scheme import initial_rows, one_step_problem, shortened
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.build import Stepper, start_state
+from nsmodel.solve.choose import Plan, worth_compiling
 from nsmodel.solve.projection import CatchingUp
 from nsmodel.solve.stepper import Warm
 from nsmodel.solve.structure import is_monotone
@@ -59,8 +60,192 @@ class RunInterrupted(KeyboardInterrupt):
         self.trajectory = trajectory
 
 
-class Run:
-    """One run: the stepper, where it stands (k, state, warm), what it has counted, and the rows not yet written."""
+class Loop:
+    """What every run is: where it stands (k and what a class adds), what it has counted, the rows not yet written.
+
+    A class sets model, grid, save_every, out, store, k, plan, record, settings, counts, totals and warnings, and says how to
+    advance, what it continues from, and what more a trajectory tells.
+    """
+
+    model: Any
+    grid: Any
+    save_every: int
+    out: Path | None
+    store: ChunkStore | None
+    k: int
+    problem: Any
+    plan: Plan
+    record: Any
+    settings: dict[str, Any]
+    counts: Counter[str]
+    totals: dict[str, Any]
+    warnings: list[str]
+
+    def go(self, progress: bool = False) -> Trajectory:
+        """Run to the end; on failure or Ctrl-C save what there is and say so."""
+        bar = self._bar() if progress else None
+        with _deferred_interrupt() as interrupted:
+            start = time.process_time()
+            try:
+                self._advance(bar, interrupted)
+            except StepError as error:
+                error.step, error.time = self.k, self.grid.time(self.k) + self.grid.step(self.k)
+                error.args = (f"step {self.k}: {error.args[0]}",)
+                error.trajectory = self._finish("failed", str(error))
+                raise
+            except KeyboardInterrupt:  # a second Ctrl-C, in the middle of a step: the step did not happen
+                pass
+            finally:
+                self.cpu_seconds = time.process_time() - start
+                if bar is not None:
+                    bar.close()
+            if not self._ended:
+                raise RunInterrupted(self._finish("interrupted", f"interrupted at t = {self.grid.time(self.k):.10g}"))
+            return self._finish("done", "")
+
+    def warm_up(self) -> None:
+        """Take a step and forget it: what is built at its first use is built."""
+        raise NotImplementedError
+
+    def _advance(self, bar: Any, interrupted: Sequence[float]) -> None:
+        """Step until the run has ended or is interrupted."""
+        raise NotImplementedError
+
+    def _columns(self) -> dict[str, np.ndarray]:
+        """The rows in memory as the arrays of a trajectory."""
+        raise NotImplementedError
+
+    def _standing(self) -> dict[str, Any]:
+        """What to continue from, for the checkpoint."""
+        raise NotImplementedError
+
+    def _stand(self, saved: dict[str, Any]) -> None:
+        """Take up what ``_standing`` gave."""
+        raise NotImplementedError
+
+    def _note(self) -> None:
+        """Keep of the rows in memory what the end will ask for."""
+
+    def _bar(self) -> Any:
+        return progress_bar(total=self.grid.N, initial=self.k, unit="step")
+
+    @property
+    def _ended(self) -> bool:
+        return self.k >= self.grid.N
+
+    def _start_store(self, resume: bool) -> None:
+        """Open the folder of the run, or take a new one; a run that can be continued is not overwritten."""
+        if self.out is not None and not resume:
+            keep_unfinished(self.out)
+        self.store = None if self.out is None else (ChunkStore.open(self.out) if resume else ChunkStore(self.out))
+
+    @property
+    def _way_there(self) -> str | None:
+        """How the run that is resumed was stepped; None for a new one."""
+        return self.store.manifest["checkpoint"]["settings"].get(WAY) if self.store and self.store.manifest["chunks"] else None
+
+    def _rows_in_memory(self, row: int, known: int) -> int:
+        """Rows of so many bytes kept in memory: all of them, or a chunk where they go to a folder."""
+        total = self.grid.N // self.save_every + 1 + known
+        if self.out is not None:
+            return int(min(total, max(64, CHUNK_BYTES // row)))
+        if total * row > _memory():
+            raise UsageError(
+                f"{self.grid.N} steps do not fit in memory ({total * row / 2**30:.3g} GiB); give out=DIR (--out DIR), "
+                "and save_every=N (--save-every N) to keep fewer rows"
+            )
+        return int(total)
+
+    def _check_exact(self) -> None:
+        if self.model.exact is not None:
+            try:
+                got, expected = np.shape(self.model.exact(np.zeros(2))), (2, len(self.model.names))
+            except Exception as error:
+                raise UsageError(f"exact: it raised {type(error).__name__} at t = 0: {error}") from error
+            if got != expected:
+                raise UsageError(f"exact: it returned shape {got} for 2 times; expected {expected}")
+
+    def _distance_to_exact(self, t: np.ndarray, x: np.ndarray) -> float:
+        """max |x - exact(t)|; inf where the user's function fails or gives NaN: no reason to lose the run."""
+        try:
+            distance = float(np.abs(x - np.asarray(self.model.exact(t), float)).max())
+        except Exception:
+            return np.inf
+        return distance if np.isfinite(distance) else np.inf
+
+    @property
+    def _due(self) -> bool:
+        """Whether rows wait that a killed run should not lose."""
+        return self.record.full or (self.record.filled > 0 and time.monotonic() - self._flushed >= CHUNK_SECONDS)
+
+    def _flush(self, status: str, message: str) -> None:
+        """Write the rows in memory as a chunk, with the checkpoint to continue from."""
+        self._note()
+        checkpoint = {
+            "k": self.k, "t": self.grid.time(self.k), **self._standing(),
+            "counts": dict(self.counts), "totals": self.totals, "settings": self.settings,
+        }  # fmt: skip
+        self.store.append(self._columns(), checkpoint, self._metadata(status, message))
+        self.record.clear()
+        self._flushed = time.monotonic()
+
+    def _restore(self) -> None:
+        """Take up the checkpoint of the run in ``out``; refuse another model, other settings, other versions, another grid."""
+        saved = self.store.manifest["checkpoint"]
+        other = difference(saved["settings"], self.settings)
+        if other is not None:
+            same_way = "leave compiled (--compiled) out to go on as it began, or " if WAY in other else ""
+            raise StorageError(f"{self.out}: the run there was made with {other}; {same_way}start afresh without resuming")
+        if saved["k"] > self.grid.N:
+            raise StorageError(f"{self.out}: the run there has reached t = {saved['t']:g}, past this run's end; give a later end")
+        if abs(self.grid.time(saved["k"]) - saved["t"]) > 1e-9 * saved["t"]:
+            raise StorageError(
+                f"{self.out}: the run there ended at t = {saved['t']:g} with a shortened step, which is no time of this run's "
+                "grid; start afresh without resuming"
+            )
+        self.k = saved["k"]
+        self.counts, self.totals = Counter(saved["counts"]), dict(saved["totals"])
+        self._stand(saved)
+
+    def _finish(self, status: str, message: str) -> Trajectory:
+        if self.store is None:
+            self._note()
+            return Trajectory(self._columns(), self._metadata(status, message))
+        if self.record.filled:
+            self._flush(status, message)
+        path = self.store.directory / "trajectory.npz"
+        self.store.join(path, self._metadata(status, message))
+        return Trajectory.load(path)
+
+    def _metadata(self, status: str, message: str) -> dict[str, Any]:
+        model, plan = self.model, self.plan
+        data = {
+            "title": model.title,
+            "model_class": type(model).__name__,
+            "paper": model.paper,
+            "state_names": list(model.names),
+            "stems": {stem: list(at) for stem, at in model.stems.items()},
+            "units": dict(model.units),
+            "parameters": dict(getattr(model, "bound_parameters", {})),
+            "save_every": self.save_every,
+            "steps": self.totals["steps"],
+            "used": list(plan.used),
+            "left_out": list(plan.left_out),
+            "solver_counts": dict(sorted(self.counts.items())),
+            "totals": dict(self.totals),
+            "warnings": list(self.warnings),
+            "status": status,
+            "message": message,
+            "model_hash": self.settings["model"],
+            "versions": versions(),
+        }
+        if getattr(model, "scene", None):
+            data["scene"] = {key: value.tolist() for key, value in model.scene.items()}
+        return data
+
+
+class Run(Loop):
+    """A run of a scheme that is one nonsmooth problem a step: the stepper, and where it stands (k, state, warm)."""
 
     def __init__(
         self, model: Model, grid: Grid, solver: str, tolerance: float, save_every: int, out: Path | None, resume: bool,
@@ -83,11 +268,9 @@ class Run:
         self.totals: dict[str, Any] = {
             "worst_residual": 0.0, "worst_residual_t": None, "newton": 0.0, "newton_max": 0.0, "index_set_changes": 0, "steps": 0,
         }  # fmt: skip
-        if out is not None and not resume:
-            keep_unfinished(out)
-        self.store = None if out is None else (ChunkStore.open(out) if resume else ChunkStore(out))
+        self._start_store(resume)
         self.plan, self.rollout = self.stepper.plan, None
-        self._compile(compiled, solver, self.store.manifest["checkpoint"]["settings"].get(WAY) if resume else None)
+        self._compile(compiled, solver, self._way_there)
         way = INTERPRETED if self.rollout is None else self.rollout.way
         self.settings = settings(model, grid, solver, tolerance, save_every, way)
         self._flushed = time.monotonic()
@@ -123,62 +306,17 @@ class Run:
 
     def _pays(self) -> bool:
         """Whether a run is long enough to be compiled, by what a step takes when it is interpreted."""
+        if self.plan.path == "sparse":  # C has it for one time step
+            return self._grid_in_c().steps is None and worth_compiling(self.stepper.structure, self.grid.N)
         quick = self.plan.path == "kernel" and not isinstance(self.model, MonotoneInclusion)  # a function call a step
         return self.grid.N >= (LONG_IF_QUICK if quick else LONG)
 
-    def _check_exact(self) -> None:
-        if self.model.exact is not None:
-            try:
-                got, expected = np.shape(self.model.exact(np.zeros(2))), (2, len(self.model.names))
-            except Exception as error:
-                raise UsageError(f"exact: it raised {type(error).__name__} at t = 0: {error}") from error
-            if got != expected:
-                raise UsageError(f"exact: it returned shape {got} for 2 times; expected {expected}")
-
     def _capacity(self, known: int) -> int:
-        """Rows kept in memory: all of them, or a chunk where they go to a folder."""
-        row = 8 * (self.stepper.layout.width + 5) + self.warm.index.size
-        total = self.grid.N // self.save_every + 1 + known
-        if self.out is not None:
-            return int(min(total, max(64, CHUNK_BYTES // row)))
-        if total * row > _memory():
-            raise UsageError(
-                f"{self.grid.N} steps do not fit in memory ({total * row / 2**30:.3g} GiB); give out=DIR (--out DIR), "
-                "and save_every=N (--save-every N) to keep fewer rows"
-            )
-        return int(total)
-
-    def go(self, progress: bool = False) -> Trajectory:
-        """Run to the end; on failure or Ctrl-C save what there is and say so."""
-        bar = self._bar() if progress else None
-        with _deferred_interrupt() as interrupted:
-            start = time.process_time()
-            try:
-                self._advance(bar, interrupted)
-            except StepError as error:
-                error.step, error.time = self.k, self.grid.time(self.k) + self.grid.step(self.k)
-                error.args = (f"step {self.k}: {error.args[0]}",)
-                error.trajectory = self._finish("failed", str(error))
-                raise
-            except KeyboardInterrupt:  # a second Ctrl-C, in the middle of a step: the step did not happen
-                pass
-            finally:
-                self.cpu_seconds = time.process_time() - start
-                if bar is not None:
-                    bar.close()
-            if not self._ended:
-                raise RunInterrupted(self._finish("interrupted", f"interrupted at t = {self.grid.time(self.k):.10g}"))
-            return self._finish("done", "")
-
-    def _bar(self) -> Any:
-        return progress_bar(total=self.grid.N, initial=self.k, unit="step")
-
-    @property
-    def _ended(self) -> bool:
-        return self.k >= self.grid.N
+        """Rows kept in memory."""
+        return self._rows_in_memory(8 * (self.stepper.layout.width + 5) + self.warm.index.size, known)
 
     def warm_up(self) -> None:
-        """Take a step and forget it: what is built at its first use is built."""
+        """Take a step and forget it."""
         with contextlib.suppress(StepError):
             self.stepper(0.0, self.grid.step(0), self.state, self.warm)
 
@@ -323,98 +461,38 @@ class Run:
             "scheme keeps a constraint >= 0 only where it is convex"
         ]
 
-    def _distance_to_exact(self, t: np.ndarray, x: np.ndarray) -> float:
-        """max |x - exact(t)|; inf where the user's function fails or gives NaN: no reason to lose the run."""
-        try:
-            distance = float(np.abs(x - np.asarray(self.model.exact(t), float)).max())
-        except Exception:
-            return np.inf
-        return distance if np.isfinite(distance) else np.inf
-
-    @property
-    def _due(self) -> bool:
-        """Whether rows wait that a killed run should not lose."""
-        return self.record.full or (self.record.filled > 0 and time.monotonic() - self._flushed >= CHUNK_SECONDS)
-
-    def _flush(self, status: str, message: str) -> None:
-        """Write the rows in memory as a chunk, with the checkpoint to continue from."""
-        self._note()
-        checkpoint = {
-            "k": self.k, "t": self.grid.time(self.k), "state": self.state.tolist(), "l": self.warm.l.tolist(),
-            "index": self.warm.index.tolist(), "last_index": None if self.last_index is None else self.last_index.tolist(),
-            "counts": dict(self.counts), "totals": self.totals, "settings": self.settings,
-        }  # fmt: skip
-        self.store.append(self.record.columns(self.stepper.plan.path == "newton"), checkpoint, self._metadata(status, message))
-        self.record.clear()
-        self._flushed = time.monotonic()
-
-    def _restore(self) -> None:
-        """Take up the checkpoint of the run in ``out``; refuse another model, other settings, other versions, another grid."""
-        saved = self.store.manifest["checkpoint"]
-        other = difference(saved["settings"], self.settings)
-        if other is not None:
-            same_way = "leave compiled (--compiled) out to go on as it began, or " if WAY in other else ""
-            raise StorageError(f"{self.out}: the run there was made with {other}; {same_way}start afresh without resuming")
-        if saved["k"] > self.grid.N:
-            raise StorageError(f"{self.out}: the run there has reached t = {saved['t']:g}, past this run's end; give a later end")
-        if abs(self.grid.time(saved["k"]) - saved["t"]) > 1e-9 * saved["t"]:
-            raise StorageError(
-                f"{self.out}: the run there ended at t = {saved['t']:g} with a shortened step, which is no time of this run's "
-                "grid; start afresh without resuming"
-            )
-        self.k, self.state = saved["k"], np.array(saved["state"], float)
-        self.warm = Warm(np.array(saved["l"], float), np.array(saved["index"], np.int8))
-        self.last_index = None if saved["last_index"] is None else np.array(saved["last_index"], np.int8)
-        self.counts, self.totals = Counter(saved["counts"]), dict(saved["totals"])
-
-    def _finish(self, status: str, message: str) -> Trajectory:
-        if self.store is None:
-            self._note()
-            return Trajectory(self.record.columns(self.stepper.plan.path == "newton"), self._metadata(status, message))
-        if self.record.filled:
-            self._flush(status, message)
-        path = self.store.directory / "trajectory.npz"
-        self.store.join(path, self._metadata(status, message))
-        return Trajectory.load(path)
-
     def _lost_monotonicity(self) -> list[str]:
         least = self.totals.get("least_eigenvalue", np.inf)
         if not self.stepper.plan.monotone or is_monotone(least, self.warm.index.size):
             return []
         return [f"the one-step problem was not monotone all the time (least eigenvalue {least:.3g}): {UNIQUENESS}"]
 
+    def _columns(self) -> dict[str, np.ndarray]:
+        return self.record.columns(self.stepper.plan.path == "newton")
+
+    def _standing(self) -> dict[str, Any]:
+        last = None if self.last_index is None else self.last_index.tolist()
+        return {"state": self.state.tolist(), "l": self.warm.l.tolist(), "index": self.warm.index.tolist(), "last_index": last}
+
+    def _stand(self, saved: dict[str, Any]) -> None:
+        self.state = np.array(saved["state"], float)
+        self.warm = Warm(np.array(saved["l"], float), np.array(saved["index"], np.int8))
+        self.last_index = None if saved["last_index"] is None else np.array(saved["last_index"], np.int8)
+
     def _metadata(self, status: str, message: str) -> dict[str, Any]:
-        model, plan = self.model, self.plan
-        data = {
-            "title": model.title,
-            "model_class": type(model).__name__,
+        model = self.model
+        data = super()._metadata(status, message) | {
             "scheme": self.problem.scheme,
-            "paper": model.paper,
-            "state_names": list(model.names),
-            "stems": {stem: list(at) for stem, at in model.stems.items()},
             "multiplier_names": list(getattr(model, "multiplier_names", self.problem.rows)),
             "index_names": list(self.problem.rows),
             "law_kinds": self.problem.law.labels,
-            "units": dict(model.units),
-            "parameters": dict(getattr(model, "bound_parameters", {})),
             "tolerance": self.stepper.tolerance,
-            "save_every": self.save_every,
-            "steps": self.totals["steps"],
-            "used": list(plan.used),
-            "left_out": list(plan.left_out),
-            "solver_counts": dict(sorted(self.counts.items())),
-            "totals": dict(self.totals),
             "warnings": [*self.warnings, *self._lost_monotonicity(), *self._overrun()],
-            "status": status,
-            "message": message,
-            "model_hash": self.settings["model"],
-            "versions": versions(),
         }
         if "last_v" in self.totals:
             x, v = (np.array(self.totals[key]) for key in ("last_x", "last_v"))
             data["convergence"] = finite_convergence(model, x, v, self.totals["rest_from"])
         if getattr(model, "scene", None):
-            data["scene"] = {key: value.tolist() for key, value in model.scene.items()}
             data["constraint_bodies"] = _bodies(model)
         return data
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,8 @@ from nsmodel.adaptive import AdaptiveRun
 from nsmodel.errors import UsageError
 from nsmodel.grid import is_number, make_grid, written
 from nsmodel.model.base import Model, shown
-from nsmodel.run import Run
+from nsmodel.model.bodies import ManyBodies
+from nsmodel.run import Loop, Run
 from nsmodel.trajectory import Trajectory
 
 
@@ -34,7 +35,7 @@ def simulate(
     """Run a model and return its trajectory; every step in it was verified.
 
     Args:
-        model: any of the five classes.
+        model: any of the six classes.
         step, steps, t_end: override the model's own grid.
         parameters: values of parameters by name.
         solver: "auto", or one solver to use alone ("qpoases", "qrqp", "daqp", "ipopt", "lemke", ...).
@@ -44,8 +45,9 @@ def simulate(
         resume: continue the run found in ``out``.
         progress: show a progress bar where standard error is a terminal.
         compiled: True: step in C, built once for this model and kept in the user's cache folder (a step that C cannot certify
-            is taken by the interpreted solvers); False: never; "auto": from 30 000 steps on, and where matrices are constant
-            from 500 000: then building takes less time than it saves. A run that is resumed goes on as it began.
+            is taken by the interpreted solvers); False: never; "auto": from 30 000 steps on, where matrices are constant from
+            500 000 (fewer where they are large and sparse), of many bodies where bodies times steps are 20 000: then building
+            takes less time than it saves. A run that is resumed goes on as it began.
         rtol: choose the steps by local error control (see `adaptive`), so that each state errs by about ``rtol`` of its largest
             value so far; ``step`` is then the first step.
         atol: an absolute error allowed besides, one for all states or one for each; 0 if left out.
@@ -63,7 +65,7 @@ def simulate(
     return run.go(progress)
 
 
-def prepare(model: Model, **options: Any) -> Run:
+def prepare(model: Model, **options: Any) -> Loop:
     """Return a run that has all its set-up behind it: ``run.go()``, once, then ``run.cpu_seconds`` is what its steps took.
 
     The options are those of ``simulate`` but ``out``, ``resume`` and ``progress``.
@@ -87,7 +89,7 @@ def explain(
     _check(model, solver, tolerance, compiled)
     bound = model.bind(parameters)
     grid = make_grid(bound, step, None, t_end)
-    run = Run(bound, grid, solver, float(tolerance), grid.N, None, False, compiled)
+    run = _run_of(bound)(bound, grid, solver, float(tolerance), grid.N, None, False, compiled)
     return run.plan.text(run.problem)
 
 
@@ -106,7 +108,7 @@ def _arranged(
     compiled: bool | str = "auto",
     rtol: float | None = None,
     atol: float | Sequence[float] | None = None,
-) -> Run:
+) -> Loop:
     """The run that these arguments ask for; see ``simulate``."""
     _check(model, solver, tolerance, compiled)
     if not (is_number(save_every) and save_every >= 1 and float(save_every).is_integer()):
@@ -116,11 +118,22 @@ def _arranged(
     bound = model.bind(parameters)
     if rtol is None and atol is None:
         grid = make_grid(bound, step, steps, t_end)
-        return Run(bound, grid, solver, float(tolerance), int(save_every), out, resume, compiled)
+        return _run_of(bound)(bound, grid, solver, float(tolerance), int(save_every), out, resume, compiled)
+    if isinstance(bound, ManyBodies):
+        raise UsageError("rtol and atol do not apply to many bodies, whose contacts change at nearly every step; give step=")
     if steps is not None or resume or save_every != 1:
         name = "steps" if steps is not None else "resume" if resume else "save_every"
         raise UsageError(f"{name} and rtol are both given: error control chooses the steps, and keeps them all; leave one out")
     return AdaptiveRun(bound, step, t_end, solver, float(tolerance), out, compiled, rtol, atol)
+
+
+def _run_of(model: Model) -> Callable[..., Loop]:
+    """The kind of run that a model takes."""
+    if not isinstance(model, ManyBodies):
+        return Run
+    from nsmodel.bodies_run import BodiesRun
+
+    return BodiesRun
 
 
 def _check(model: Any, solver: str, tolerance: Any, compiled: Any) -> None:

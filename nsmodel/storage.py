@@ -30,6 +30,7 @@ Metadata = Mapping[str, Any]
 Layout = dict[str, tuple[np.dtype, tuple[int, ...]]]
 
 FORMAT = 1
+LIST = "contact_"  # Arrays whose names begin so are lists: their length is not the number of rows, but one of their own.
 MANIFEST = "manifest.json"
 _METADATA = "metadata.json"
 _BLOCK = 1 << 20
@@ -146,14 +147,20 @@ class ChunkStore:
 
     @property
     def manifest(self) -> dict[str, Any]:
-        """A copy of {format, chunks: [{file, rows}], rows, checkpoint, metadata, status}, as it is on disk."""
+        """A copy of {format, chunks: [{file, rows}], rows, checkpoint, metadata, status}, as it is on disk.
+
+        Where there are lists (see LIST), each chunk and the whole have ``listed``, their length.
+        """
         return copy.deepcopy(self._manifest)
 
     def append(self, arrays: Mapping[str, np.ndarray], checkpoint: Metadata, metadata: Metadata) -> None:
-        """Add the rows of ``arrays``, all of one length, and replace ``checkpoint``, ``metadata`` and its "status"."""
+        """Add the rows of ``arrays``, all of one length, and replace ``checkpoint``, ``metadata`` and its "status".
+
+        Lists (see LIST) have another length, all the same.
+        """
         data = {name: np.asarray(array) for name, array in arrays.items()}
-        lengths = {array.shape[:1] for array in data.values()}
-        if len(lengths) != 1 or lengths == {()}:
+        lengths = _lengths({name: (array.dtype, array.shape) for name, array in data.items()})
+        if lengths is None:
             shapes = ", ".join(f"{name} {array.shape}" for name, array in data.items()) or "no array"
             raise StorageError(f"a chunk in {self.directory} needs arrays of one number of rows, got {shapes}")
         if self._manifest["chunks"]:
@@ -165,7 +172,7 @@ class ChunkStore:
         chunks = self._manifest["chunks"]
         name = f"chunk-{len(chunks) + 1:06d}.npz"
         write_npz(self.directory / name, data, {})
-        self._commit([*chunks, {"file": name, "rows": lengths.pop()[0]}], checkpoint, metadata)
+        self._commit([*chunks, {"file": name, **lengths}], checkpoint, metadata)
 
     def join(self, path: str | Path, metadata: Metadata) -> None:
         """Make one file of all chunks at ``path``, with the bytes that ``write_npz`` would give; then it is chunk one.
@@ -181,8 +188,8 @@ class ChunkStore:
         members = {name: _Member(dtype, shape, _blocks(files, name)) for name, (dtype, shape) in layout.items()}
         _write_archive(path, members, metadata)
         inside = path.resolve().parent == self.directory.resolve()
-        chunk = {"file": path.name if inside else str(path.resolve()), "rows": self._manifest["rows"]}
-        self._commit([chunk], self._manifest["checkpoint"], metadata)
+        whole = {"file": path.name if inside else str(path.resolve()), **_total(self._manifest["chunks"])}
+        self._commit([whole], self._manifest["checkpoint"], metadata)
         for stale in self.directory.iterdir():
             if _CHUNK.fullmatch(stale.name):
                 stale.unlink()
@@ -200,22 +207,23 @@ class ChunkStore:
         first = self._first()
         for file, chunk in zip(self._files(), self._manifest["chunks"], strict=True):
             header = _header(file)
-            found = {shape[0] for _, shape in header.values()}
-            if found != {chunk["rows"]}:
-                fault = f"{file} holds {sorted(found)} rows where {MANIFEST} says {chunk['rows']}"
-                raise StorageError(f"{fault}: it was changed after it was written; start the run without resuming")
+            for key, numbers in _found(header).items():
+                if numbers != [chunk.get(key)]:
+                    fault = f"{file} holds {numbers} {key} where {MANIFEST} says {chunk.get(key)}"
+                    raise StorageError(f"{fault}: it was changed after it was written; start the run without resuming")
             _same_layout(first, header, file)
-        return {name: (dtype, (self._manifest["rows"], *shape[1:])) for name, (dtype, shape) in first.items()}
+        total = _total(self._manifest["chunks"])
+        return {name: (dtype, (total[_length(name)], *shape[1:])) for name, (dtype, shape) in first.items()}
 
     def _first(self) -> Layout:
         """Read the header of the first chunk.
 
         Where it holds all rows, a join was cut off after its file was renamed, before the manifest was: finish it.
         """
-        chunk, rows = self._manifest["chunks"][0], self._manifest["rows"]
+        chunk, total = self._manifest["chunks"][0], _total(self._manifest["chunks"])
         header = _header(self.directory / chunk["file"])
-        if {shape[0] for _, shape in header.values()} == {rows}:
-            self._manifest["chunks"] = [chunk | {"rows": rows}]
+        if _lengths(header) == total:
+            self._manifest["chunks"] = [chunk | total]
         return header
 
 
@@ -275,6 +283,32 @@ def _blocks(files: Iterable[Path], name: str) -> Iterator[bytes]:
                 yield block
 
 
+def _length(name: str) -> str:
+    """What the length of an array is called in the manifest."""
+    return "listed" if name.startswith(LIST) else "rows"
+
+
+def _found(layout: Layout) -> dict[str, list[int]]:
+    """The numbers of rows, and the lengths of lists where there are any: one of each if the arrays agree."""
+    found: dict[str, set[int]] = {"rows": set()}
+    for name, (_, shape) in layout.items():
+        found.setdefault(_length(name), set()).add(shape[0] if shape else -1)
+    return {key: sorted(numbers) for key, numbers in found.items()}
+
+
+def _lengths(layout: Layout) -> dict[str, int] | None:
+    """The number of rows, and the length of the lists where there are any; None where arrays do not agree."""
+    found = _found(layout)
+    agree = all(len(numbers) == 1 and numbers[0] >= 0 for numbers in found.values())
+    return {key: numbers[0] for key, numbers in found.items()} if agree else None
+
+
+def _total(chunks: list[dict[str, Any]]) -> dict[str, int]:
+    """The lengths of the whole run."""
+    keys = [key for key in ("rows", "listed") if all(key in chunk for chunk in chunks)]
+    return {key: sum(chunk[key] for chunk in chunks) for key in keys}
+
+
 def _same_layout(first: Layout, other: Layout, where: Path) -> None:
     one, two = ({name: (dtype, shape[1:]) for name, (dtype, shape) in header.items()} for header in (first, other))
     for name in sorted(one.keys() | two.keys()):
@@ -288,9 +322,8 @@ def _checksum(manifest: Metadata) -> str:
 
 
 def _manifest(chunks: list[dict[str, Any]], checkpoint: Metadata, metadata: Metadata) -> dict[str, Any]:
-    rows = sum(chunk["rows"] for chunk in chunks)
     state = {"checkpoint": checkpoint, "metadata": metadata, "status": metadata.get("status", "running")}
-    return {"format": FORMAT, "chunks": chunks, "rows": rows, **state}
+    return {"format": FORMAT, "chunks": chunks, **({"rows": 0} | _total(chunks)), **state}
 
 
 @contextmanager

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from nsmodel.contacts import Contacts
 from nsmodel.errors import MissingExtraError, StorageError, UsageError
-from nsmodel.storage import dumps, read_npz, write_csv, write_npz
+from nsmodel.storage import LIST, dumps, read_npz, write_csv, write_npz
 
 _WIDTH = 100
 _STATES_SHOWN = 8
@@ -25,6 +26,10 @@ class Trajectory:
 
     ``arrays`` is {name: array of N+1 rows}, among them t (N+1,) and x (N+1, n); ``metadata`` holds title, model class,
     names, units, parameters, scheme, solver counts, warnings, status, ... ``len(run)`` is N.
+
+    A run of many bodies has x = NaN where a body is not there, gap_min (N+1,) the least of all constraints, pressure
+    (N+1, bodies) the sum of the reactions on each body, and lists of all K contacts, row after row: ``contact_row (K,)``,
+    ``contact_family``, ``contact_first``, ``contact_second``, ``contact_reaction``; ``contacts`` gives those of a row.
 
     The state is also an attribute under the user's own symbols (``run.q``, (N+1, k); (N+1,) for a scalar symbol), each
     state under its name, and each further array under its own (``run.energy``); AttributeError lists what there is.
@@ -93,6 +98,19 @@ class Trajectory:
             raise UsageError(f"no multiplier is called '{name}'; this run has {', '.join(names) or 'none'}")
         return self.multipliers[:, columns]
 
+    def contacts(self, row: int) -> Contacts:
+        """Return the contacts that acted in the step that ended at a row, sorted by family and members.
+
+        ``family`` counts in ``metadata["families"]``. UsageError for another model's run, or a row that is not there.
+        """
+        if "contact_row" not in self.arrays:
+            raise UsageError("this run has no contacts: they belong to a model of many bodies (ManyBodies)")
+        if not -len(self.t) <= row < len(self.t):
+            raise UsageError(f"row {row}: the run has the rows 0 to {len(self.t) - 1}")
+        row = range(len(self.t))[row]
+        at = slice(*np.searchsorted(self.arrays["contact_row"], [row, row + 1]))
+        return Contacts(*(self.arrays[f"contact_{name}"][at] for name in Contacts._fields))
+
     def save(self, path: str | Path) -> None:
         """Write one npz file with all arrays and the metadata; StorageError where that fails."""
         write_npz(path, self.arrays, self.metadata)
@@ -107,7 +125,7 @@ class Trajectory:
         return cls(arrays, metadata)
 
     def to_csv(self, path: str | Path) -> None:
-        """Write columns t, the states, ``multiplier:NAME``, ``y:NAME``, residual, each entry of the other arrays."""
+        """Write columns t, the states, ``multiplier:NAME``, ``y:NAME``, residual, each entry of the other arrays but lists."""
         write_csv(path, dict(_columns(self)))
 
     def to_xarray(self) -> Any:
@@ -212,7 +230,7 @@ def _columns(run: Trajectory) -> Iterator[tuple[str, np.ndarray]]:
         named["y"] = [f"y:{name}" for name in multipliers]
     first = [name for name in ("t", "x", "multipliers", "y", "residual") if name in run.arrays]
     taken: set[str] = set()
-    for name in dict.fromkeys([*first, *run.arrays]):
+    for name in dict.fromkeys([*first, *(name for name in run.arrays if not name.startswith(LIST))]):
         array = run.arrays[name]
         indices = np.ndindex(array.shape[1:])
         titles = named.get(name) or [name + "".join(f"_{i}" for i in index) for index in indices]
@@ -231,8 +249,9 @@ def _dataset(run: Trajectory) -> Any:
     for name, array in run.arrays.items():
         if name not in ("t", "x"):
             shared = name in ("multipliers", "y") and array.shape[1:] == (len(names),)
+            along = "contact" if name.startswith(LIST) else "time"
             rest = ["multiplier"] if shared else [f"{name}_dim_{axis}" for axis in range(1, array.ndim)]
-            data[name] = (("time", *rest), array, units.get(name))
+            data[name] = ((along, *rest), array, units.get(name))
     coords = {"time": ("time", run.t, units.get("t")), **({"multiplier": names} if names else {})}
     # netCDF has no attribute that is true, None or nested.
     plain = {key: type(value) in (str, int, float) for key, value in run.metadata.items()}
@@ -271,10 +290,13 @@ def _summary(run: Trajectory) -> dict[str, Any]:
         "solver_counts": dict(about.get("solver_counts") or {}),
         "newton": _newton(run, totals, computed),
         **_smallest_gap(run),
+        "bodies": _bodies(run, totals),
         "largest_error": totals.get("largest_error"),
         "energy": {"start": float(energy[0]), "end": float(energy[-1])} if energy.size else None,
         "convergence": about.get("convergence"),
-        "final_state": [
+        "final_state": []
+        if "contact_row" in arrays
+        else [
             {"name": name, "value": float(value), "unit": units.get(name, "")}
             for name, value in zip(state_names(run), run.x[-1], strict=True)
         ],
@@ -298,6 +320,8 @@ def _worst(run: Trajectory, totals: dict[str, Any], computed: np.ndarray) -> dic
 
 def _changes(run: Trajectory, totals: dict[str, Any], computed: np.ndarray) -> int | None:
     codes = run.arrays.get("index_set", np.zeros((0, 0)))
+    if "contact_row" in run.arrays:
+        return totals.get("index_set_changes")
     if not codes.size or not computed.size:
         return None
     codes = codes[computed]
@@ -325,6 +349,17 @@ def _smallest_gap(run: Trajectory) -> dict[str, Any]:
     return {"gap_min": float(gap[row, column]), "gap_min_name": name, "gap_min_t": float(run.t[row])}
 
 
+def _bodies(run: Trajectory, totals: dict[str, Any]) -> dict[str, Any] | None:
+    """Many bodies in short: who is there, what touches at the end, the least gap and the largest pressure of all steps."""
+    if "contact_row" not in run.arrays:
+        return None
+    keys = ("least_gap", "least_gap_t", "largest_pressure", "largest_pressure_t", "largest_pressure_body", "most_contacts")
+    touching = run.contacts(-1)
+    pressed = int(np.count_nonzero(np.nan_to_num(run.arrays["pressure"][-1]) > 0))
+    found = {"contacts": len(touching.first), "in_contact": pressed, **{key: totals.get(key) for key in keys}}
+    return {**run.metadata.get("bodies", {}), **found}
+
+
 def _finite(array: np.ndarray) -> np.ndarray:
     return array[np.isfinite(array)]
 
@@ -346,10 +381,13 @@ def _text(summary: dict[str, Any]) -> str:
         "step size": s["step"] and _range(s["step"]["min"], s["step"]["max"], unit),
         "error control": s["error_control"] and _control(**s["error_control"]),
         "worst residual": s["residual"] and f"{s['residual']['worst']:.3g}{_at(s['residual']['t'], unit)}",
-        "index set": None if changes is None else f"changed at {changes} step{'' if changes == 1 else 's'}",
+        "contacts" if s["bodies"] else "index set": (
+            None if changes is None else f"changed at {changes} step{'' if changes == 1 else 's'}"
+        ),
         "solver calls": _aligned([(name, f"{int(count):>8d}") for name, count in counts]),
         "newton": s["newton"] and _iterations(s["newton"]["mean"], s["newton"]["max"]),
         "smallest gap": _gap(s["gap_min"], s["gap_min_name"], s["gap_min_t"], unit),
+        **_bodies_lines(s["bodies"], unit),
         "largest error": None if s["largest_error"] is None else f"{s['largest_error']:.3g} from the exact state",
         "energy": s["energy"] and f"{s['energy']['start']:.6g} at the start, {s['energy']['end']:.6g} at the end",
         "convergence": s["convergence"] and _convergence(s["convergence"], unit),
@@ -363,6 +401,24 @@ def _text(summary: dict[str, Any]) -> str:
             first, rest = f"  {label if i == 0 else '':{width - 2}}", " " * (width + 2)
             table += textwrap.wrap(line, _WIDTH, initial_indent=first, subsequent_indent=rest)
     return "\n".join(table)
+
+
+def _bodies_lines(bodies: dict[str, Any] | None, unit: str) -> dict[str, str]:
+    """Many bodies as lines of the table."""
+    if not bodies:
+        return {}
+    b, gap = bodies, bodies["least_gap"]
+    lines = {
+        "bodies": f"{b['count']}: {b['there']} there at the end, {b['left']} left"
+        + (f", {b['waiting']} waiting" if b["waiting"] else ""),
+        "in contact": f"{b['in_contact']} bodies, {b['contacts']} contacts at the end; at most {b['most_contacts']} contacts",
+    }
+    if gap is not None and np.isfinite(gap):
+        lines["least gap"] = f"{gap:.6g}{_at(b['least_gap_t'], unit)}"
+    if b["largest_pressure_t"] is not None:
+        at = _at(b["largest_pressure_t"], unit)
+        lines["pressure"] = f"at most {b['largest_pressure']:.6g}, on body {b['largest_pressure_body']}{at}"
+    return lines
 
 
 def _control(rtol: float, accepted: int, rejected: int, extrapolated: int, at_least_step: int, least_step: float) -> str:

@@ -6,6 +6,7 @@ table in which small multiples of 1/4 are as frequent as any others: ties, zeros
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -32,7 +33,7 @@ from nsmodel import (
     second_order_cone,
 )
 
-COUNT = 400  # Models of each class.
+COUNT = int(os.environ.get("NSMODEL_FUZZ", "400"))  # Models of each class.
 
 
 def repeatable(count: int) -> settings:

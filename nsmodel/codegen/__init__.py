@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from nsmodel.codegen import bodies
 from nsmodel.codegen.files import all_files, description
 from nsmodel.codegen.library import Library, Solver, is_library, load
 from nsmodel.codegen.scene import make_scene
@@ -16,6 +17,7 @@ from nsmodel.errors import UsageError
 from nsmodel.grid import is_number, make_grid, written
 from nsmodel.identity import fingerprint
 from nsmodel.model.base import Model
+from nsmodel.model.bodies import ManyBodies
 from nsmodel.storage import write_text
 
 __all__ = ["Library", "Solver", "Written", "identifier", "load", "write"]
@@ -47,7 +49,11 @@ class Written(NamedTuple):
             "left out": about["left_out"],
             "step": [f"{about['step']:g}" + (", or any other" if about["any_step"] else " only (--any-step for others)")],
             "parameters": [", ".join(f"{key} = {value:g}" for key, value in about["parameters"].items()) or "none to set"],
-            "bound": [f"{about['max_iterations']} linear systems in a step at most"],
+            "bound": [
+                f"{about['max_iterations']} linear systems in a step at most"
+                if "max_iterations" in about
+                else f"{about['memory'] / 1e6:.3g} MB to work in; a jam that needs more is refused"
+            ],
             "build and run": [f"make -C {self.folder} run"],
         }
         for head, texts in sections.items():
@@ -68,7 +74,7 @@ def write(
     """Write a model's verified step as a C library into the folder ``out``.
 
     Args:
-        model: any of the five classes.
+        model: any of the classes.
         out: the folder; the files of a library of this name are replaced.
         name: prefix of all names in C; left out: made from the model's title.
         step: time step of the code; left out: the model's.
@@ -86,14 +92,17 @@ def write(
     name = identifier(model.title or type(model).__name__) if name is None else _checked(name)
     bound = model.bind(parameters)
     grid = make_grid(bound, step, None, None)
-    scene = make_scene(model, parameters, grid, any_step or grid.steps is not None, float(tolerance))
     mark = fingerprint(bound, grid)
-    source = write_source(scene, name, mark)
-    files = all_files(scene, source, grid, mark)
+    if isinstance(bound, ManyBodies):
+        files, about = bodies.all_files(bound, name, grid, float(tolerance), mark)
+    else:
+        scene = make_scene(model, parameters, grid, any_step or grid.steps is not None, float(tolerance))
+        source = write_source(scene, name, mark)
+        files, about = all_files(scene, source, grid, mark), description(scene, source, mark)
     folder = _free(Path(out), name, files)
     for file, text in files.items():
         write_text(folder / file, text.rstrip())
-    return Written(folder, list(files), description(scene, source, mark))
+    return Written(folder, list(files), about)
 
 
 def identifier(text: str) -> str:

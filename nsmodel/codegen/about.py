@@ -10,6 +10,13 @@ def used(flags: Set[str], sizes: dict[str, int]) -> list[str]:
     lines = []
     if "FIXED" in flags:
         lines.append("matrices written down as numbers for one time step")
+    elif "BANDED" in flags:
+        lines.append(
+            f"sparse matrices written down for one time step: a band of {sizes['BELOW']} + 1 + {sizes['UPPER'] - sizes['BELOW']} "
+            "diagonals, factored again where the index set changes"
+        )
+        if "LAW" in flags:
+            lines.append("index sets: the last one, then block principal pivoting from it")
     elif "NEWTON" in flags and "CONSTANT" in flags:
         lines.append("matrices factored when the step or a parameter is set, not in each step")
     elif "NEWTON" in flags and "AFFINE" in flags:
@@ -40,6 +47,8 @@ def left_out(flags: Set[str]) -> list[str]:
     lines = []
     if "LAW" not in flags:
         lines.append("multipliers and every solver of a law: the model has none")
+    if "BANDED" in flags:
+        lines.append("Newton's method, Jacobians, dense matrices: the matrices are constant and sparse")
     if "FIXED" in flags:
         lines.append("Newton's method, Jacobians, linear systems in the state: the matrices are constant")
     elif "NEWTON" in flags and "IDENTITY" in flags:

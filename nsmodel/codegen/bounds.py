@@ -14,6 +14,7 @@ NEWTON_ITERATIONS = {"AFFINE": 3, "other": 30}
 NEARBY_SETS = 400
 SMOOTH_ITERATIONS = 30
 CUT_ITERATIONS = 60
+BANDED_SETS, BANDED_SOLVES = 200, 6  # index sets; the solution on one and its refinements
 
 
 def iteration_bound(law: NumericLaw, flags: Set[str], sizes: dict[str, int]) -> int:
@@ -22,6 +23,8 @@ def iteration_bound(law: NumericLaw, flags: Set[str], sizes: dict[str, int]) -> 
     bound = 0
     if "FIXED" in flags:
         bound += 1 + 2 * sizes["SETS"] if "ENUMERATED" in flags else 2 + _affine(flags, sizes, sets) if "LAW" in flags else 0
+    if "BANDED" in flags:
+        bound += BANDED_SETS * BANDED_SOLVES
     if "NEWTON" in flags:
         iterations = NEWTON_ITERATIONS["AFFINE" if "AFFINE" in flags else "other"]
         solved = (sizes["M"] + 1 if "ROWS" in flags else 1) * _affine(flags, sizes, sets) if "LAW" in flags else 0

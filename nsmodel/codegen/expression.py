@@ -77,16 +77,16 @@ def c_function(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.
     head = f"/* {comment} */\n" if comment else ""
     if whole.n_instructions() <= LONGEST:
         body = _body(whole, list(inputs), [target for target, _ in entries])
-        return head + _written(name, arguments, [*given, *outputs], [*cleared, *body])
+        return head + written(name, arguments, [*given, *outputs], [*cleared, *body])
     parts = -(-whole.n_instructions() // LONGEST)
     size = -(-len(entries) // parts)
     text, calls = "", []
     for k in range(0, len(entries), size):
         part = entries[k : k + size]
         body = _body(_function(inputs, part), list(inputs), [target for target, _ in part])
-        text += _written(f"{name}_{k // size}", arguments, [*given, *outputs], body) + "\n"
+        text += written(f"{name}_{k // size}", arguments, [*given, *outputs], body) + "\n"
         calls.append(f"{name}_{k // size}({', '.join([*given, *outputs])});")
-    return text + head + _written(name, arguments, [*given, *outputs], [*cleared, *calls])
+    return text + head + written(name, arguments, [*given, *outputs], [*cleared, *calls])
 
 
 def _function(inputs: Mapping[str, ca.SX], entries: list[tuple[str, ca.SX]]) -> ca.Function:
@@ -94,7 +94,7 @@ def _function(inputs: Mapping[str, ca.SX], entries: list[tuple[str, ca.SX]]) -> 
     return ca.Function("f", list(inputs.values()), [column], {"cse": True})
 
 
-def _written(name: str, arguments: list[str], names: list[str], body: list[str]) -> str:
+def written(name: str, arguments: list[str], names: list[str], body: list[str]) -> str:
     """A function with this body; names that it does not use are marked."""
     text = "\n".join(f"    {line}" for line in body)
     used = set(_words(text))
@@ -108,10 +108,9 @@ def _words(text: str) -> list[str]:
 
 def _body(function: ca.Function, inputs: list[str], targets: list[str]) -> list[str]:
     """The assignments of a function's graph in single-assignment form."""
-    nodes, stores, uses = _graph(function)
+    nodes, stores, uses = graph(function)
     lines: list[str] = []
     pieces: dict[int, Piece] = {}
-    names = 0
     for i, (op, args, extra) in enumerate(nodes):
         if not uses[i]:
             continue
@@ -122,13 +121,16 @@ def _body(function: ca.Function, inputs: list[str], targets: list[str]) -> list[
         if op == ca.OP_CONST:
             pieces[i] = number(extra)
             continue
-        piece = _apply(op, [pieces[j] for j in args])
-        if uses[i] > 1 or len(piece.text) > WIDTH:
-            names += 1
-            lines.append(f"const double a{names} = {piece.text};")
-            piece = Piece(f"a{names}")
-        pieces[i] = piece
+        pieces[i], line = assigned(apply(op, [pieces[j] for j in args]), uses[i], f"a{len(lines) + 1}")
+        lines += line
     return lines + _assignments([(targets[entry], pieces[i].text, nodes[i][0] == ca.OP_CONST) for (_, entry), i in stores])
+
+
+def assigned(piece: Piece, uses: int, name: str) -> tuple[Piece, list[str]]:
+    """A piece as it is used: by name where it is used often or is long, with the line that gives it the name."""
+    if uses > 1 or len(piece.text) > WIDTH:
+        return Piece(name), [f"const double {name} = {piece.text};"]
+    return piece, []
 
 
 def _assignments(stores: list[tuple[str, str, bool]]) -> list[str]:
@@ -145,7 +147,7 @@ def _assignments(stores: list[tuple[str, str, bool]]) -> list[str]:
     return lines
 
 
-def _graph(function: ca.Function) -> tuple[list[tuple], list[tuple[tuple[int, int], int]], list[int]]:
+def graph(function: ca.Function) -> tuple[list[tuple], list[tuple[tuple[int, int], int]], list[int]]:
     """(nodes, stores, uses): each operation once, with the nodes it takes; what is stored where; how often a node is needed."""
     nodes: list[tuple] = []
     stores, uses, at = [], [], {}
@@ -166,7 +168,7 @@ def _graph(function: ca.Function) -> tuple[list[tuple], list[tuple[tuple[int, in
     return nodes, stores, uses
 
 
-def _apply(op: int, args: list[Piece]) -> Piece:
+def apply(op: int, args: list[Piece]) -> Piece:
     """The C of one operation."""
     if op in _INFIX:
         sign, binds, left, right = _INFIX[op]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import casadi as ca
@@ -114,5 +115,5 @@ def text(problem: OneStepProblem, structure: Structure, law: NumericLaw, h: floa
 
 def index_sets(law: NumericLaw, most: int = MOST_INDEX_SETS) -> int:
     """How many index sets there are, where they are at most ``most``; else, and with curved blocks, 0."""
-    count = np.prod([float(len(c)) for c in choices(law)])
+    count = math.prod(map(len, choices(law)))
     return int(count) if count <= most and not law.curved else 0

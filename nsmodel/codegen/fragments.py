@@ -49,6 +49,7 @@ def comment(text: str) -> str:
 
 
 _COMMENT = r"(?:/\*(?:(?!\*/).)*\*/\n)?"
+LONG_TABLE = re.compile(r"\{[-+.,e\d\s]{1000,}\};")  # Numbers alone: nothing to look for.
 CONSTANT = re.compile(r"^#define (\w+) [^\n]*\n", re.MULTILINE)
 DECLARATION = re.compile(_COMMENT + r"^static [^;{}=\n]*?\b(\w+)\([^;{}]*\);\n", re.MULTILINE | re.DOTALL)
 FUNCTION = re.compile(_COMMENT + r"^static [^;{}=]*?\b(\w+)\([^;{}]*\)(?:\n\{\n.*?^\}\n| \{[^\n]*\}\n)", re.MULTILINE | re.DOTALL)
@@ -56,6 +57,17 @@ FUNCTION = re.compile(_COMMENT + r"^static [^;{}=]*?\b(\w+)\([^;{}]*\)(?:\n\{\n.
 
 def pruned(text: str) -> str:
     """Leave out the static functions that nothing calls, their declarations, and the constants that nothing uses."""
+    numbers: list[str] = []
+
+    def kept(match: re.Match[str]) -> str:
+        numbers.append(match[0])
+        return f"{{@{len(numbers) - 1}@}};"
+
+    text = _pruned(re.sub(LONG_TABLE, kept, text))
+    return re.sub(r"\{@(\d+)@\};", lambda match: numbers[int(match[1])], text)
+
+
+def _pruned(text: str) -> str:
     while True:
         words = Counter(re.findall(r"\w+", re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)))
         declared = Counter(match[1] for match in DECLARATION.finditer(text))

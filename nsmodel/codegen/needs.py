@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nsmodel.codegen import fixed, inclusion, newton
-from nsmodel.codegen.scene import FIXED, INCLUSION, NEWTON, Scene
+from nsmodel.codegen.scene import BANDED, FIXED, INCLUSION, NEWTON, Scene
 from nsmodel.model.first_order import FirstOrderSystem
 from nsmodel.model.lure import LureSystem
 from nsmodel.model.oscillator import FrictionOscillator
@@ -25,6 +25,7 @@ def flags_of(scene: Scene) -> frozenset[str]:
     has = {
         "LAW": structure.m > 0,
         "FIXED": scene.path == FIXED,
+        "BANDED": scene.path == BANDED,
         "NEWTON": stepped,
         "INCLUSION": scene.path == INCLUSION,
         "AFFINE": structure.affine,
@@ -46,7 +47,7 @@ def flags_of(scene: Scene) -> frozenset[str]:
         "VELOCITY": isinstance(model, FrictionOscillator),
         "FORCE": isinstance(model, FirstOrderSystem | LureSystem) and problem.state.numel() > len(model.names),
         "FIXED_MAPS": scene.path == FIXED and structure.m > 0 and not law.curved,
-        "ONE_STEP": scene.path == FIXED or inclusion.one_step(scene),
+        "ONE_STEP": scene.path in (FIXED, BANDED) or inclusion.one_step(scene),
     } | inclusion.flags(scene)
     has["CURVED"] = bool(law.curved) or has.get("SELECTION_CURVED", False)
     has["ENUMERATED"] = has["FIXED_MAPS"] and few
@@ -92,6 +93,8 @@ def sizes_of(scene: Scene, flags: frozenset[str]) -> dict[str, int]:
     if scene.by_rows:
         sizes |= {"Y_Z": scene.jacobians[2].nnz(), "E_L": scene.jacobians[1].nnz()}
     sizes |= inclusion.sizes(scene, sizes)
+    if scene.path == BANDED:
+        sizes |= scene.band.sizes
     systems = [(sizes["ROWS"], "AFFINE_PROBLEM"), (m, "FIXED_MAPS"), (sizes["LEMKE"], "PIVOTING"), (n + m, "NEARBY")]
     return sizes | {"LINEAR": max((size for size, flag in systems if flag in flags), default=0)}
 

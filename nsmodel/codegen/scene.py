@@ -9,7 +9,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from nsmodel.codegen import fixed
+from nsmodel.codegen import banded, fixed
 from nsmodel.errors import CodegenError
 from nsmodel.grid import Grid
 from nsmodel.model.base import Model
@@ -17,11 +17,14 @@ from nsmodel.model.inclusion import MonotoneInclusion
 from nsmodel.scheme import one_step_problem
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.certificate import NumericLaw, numeric_law
+from nsmodel.solve.choose import pays
 from nsmodel.solve.newton import works_on_rows
 from nsmodel.solve.projection import tolerance_function
-from nsmodel.solve.structure import Structure, jacobians, read
+from nsmodel.solve.sparse import BAND
+from nsmodel.solve.structure import Structure, read
 
-FIXED, NEWTON, INCLUSION = "FIXED", "NEWTON", "INCLUSION"
+FIXED, BANDED, NEWTON, INCLUSION = "FIXED", "BANDED", "NEWTON", "INCLUSION"
+DENSE = 1500  # Unknowns and multipliers up to which C has dense matrices.
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +59,17 @@ class Scene:
     @cached_property
     def jacobians(self) -> tuple[ca.SX, ...]:
         """E_z, E_l, Y_z, Y_l, without entries that are 0."""
-        return tuple(ca.sparsify(J) for J in jacobians(self.problem))
+        return tuple(ca.sparsify(J) for J in self.problem.jacobians)
 
     @cached_property
     def law(self) -> NumericLaw:
         """The law at the default parameters."""
-        return numeric_law(one_step_problem(self.numbers).law)
+        return numeric_law(self.problem_of_numbers.law)
+
+    @cached_property
+    def problem_of_numbers(self) -> OneStepProblem:
+        """The one-step problem at the default parameters."""
+        return self.problem if self.model is self.numbers else one_step_problem(self.numbers)
 
     @property
     def parameters(self) -> dict[str, float]:
@@ -71,18 +79,52 @@ class Scene:
     @cached_property
     def matrices(self) -> fixed.Matrices | None:
         """The matrices where they are numbers, and few enough to be written down."""
-        if not self.structure.constant or self.any_step or self.model.p.numel():
+        if not self._of_numbers or pays(self.structure, self.law):
             return None
         found = fixed.matrices(self.problem, self.h)
         if found is None:
-            raise CodegenError(f"the step's matrix is singular at h = {self.h:g}: change the step, or check M, A and K")
+            raise self._singular
         return found if found.numbers <= fixed.MOST_NUMBERS else None
 
+    @cached_property
+    def band(self) -> banded.Matrices | None:
+        """The matrices of a large, sparse step where they are numbers."""
+        if not self._of_numbers or not pays(self.structure, self.law):
+            return None
+        found = banded.matrices(self.problem, self.h, self.structure.n)
+        if found is None:
+            raise self._singular
+        order = found.at.order
+        if not order.is_band:
+            width = max(order.below, order.above)
+            raise CodegenError(f"sparse LU has no counterpart in C: the step's band is {width} wide, more than {BAND}")
+        return found
+
     @property
+    def _of_numbers(self) -> bool:
+        return self.structure.constant and not (self.any_step or self.model.p.numel())
+
+    @property
+    def _singular(self) -> CodegenError:
+        return CodegenError(f"the step's matrix is singular at h = {self.h:g}: change the step, or check M, A and K")
+
+    @cached_property
     def path(self) -> str:
-        """How the step is computed."""
+        """How the step is computed.
+
+        Raises:
+            CodegenError: it is too large for what C has.
+        """
         if isinstance(self.model, MonotoneInclusion):
             return INCLUSION
+        if self.band is not None:
+            return BANDED
+        size = self.structure.n + self.structure.m
+        if size > DENSE:
+            raise CodegenError(
+                f"{size} unknowns and multipliers are more than {DENSE}: C keeps them sparse only with constant matrices, one "
+                "time step and no parameters left to set"
+            )
         return NEWTON if self.matrices is None else FIXED
 
     @cached_property

@@ -9,16 +9,17 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from nsmodel.codegen import fixed, inclusion, newton
+from nsmodel.codegen import banded, fixed, inclusion, newton
 from nsmodel.codegen.bounds import iteration_bound
-from nsmodel.codegen.expression import c_function, number
+from nsmodel.codegen.expression import number
 from nsmodel.codegen.fragments import FOLDER, FUNCTION, comment, fragment, prefixed, pruned, resolved
+from nsmodel.codegen.loops import c_function
 from nsmodel.codegen.needs import flags_of, sizes_of
-from nsmodel.codegen.scene import FIXED, INCLUSION, Scene
+from nsmodel.codegen.scene import BANDED, FIXED, INCLUSION, Scene
 from nsmodel.codegen.tables import table
 from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.sweeping import SweepingProcess
-from nsmodel.scheme import constraints, initial_rows, one_step_problem
+from nsmodel.scheme import constraints, initial_rows
 from nsmodel.solve.build import start_state
 from nsmodel.solve.layout import extras
 from nsmodel.solve.newton import WORKING_SET_ABOVE
@@ -47,7 +48,8 @@ def write_source(scene: Scene, name: str, fingerprint: str) -> Source:
     def part(file: str) -> str:
         return fragment(file, flags, words)
 
-    struct = [f"members_{group}.h" for group in ("fixed", "newton", "affine", "inclusion") if _has_memory(group, flags, sizes)]
+    groups = ("fixed", "banded", "newton", "affine", "inclusion")
+    struct = [f"members_{group}.h" for group in groups if _has_memory(group, flags, sizes)]
     words["MEMBERS"] = "".join(map(part, struct))
     own = prefixed(_tables(scene, flags) + "\n" + _functions(scene, flags), name)
     parts = [
@@ -77,13 +79,14 @@ def _missing(text: str, code: str) -> str:
     return "".join(match[0] for match in wanted if f" {match[1]}(" not in code)
 
 
-_FRAGMENTS = ("solvers.c", "linear.c", "affine.c", "cone.c", "lemke.c", "fixed.c", "newton.c", "rows.c", "inclusion.c", "api.c")
+_FRAGMENTS = [f"{name}.c" for name in "solvers linear affine cone lemke fixed banded newton rows inclusion api".split()]
 
 
 def _has(part: str, flags: frozenset[str]) -> bool:
     """Whether a fragment belongs into the code."""
     return {
         "fixed": "FIXED" in flags,
+        "banded": "BANDED" in flags,
         "newton": "NEWTON" in flags,
         "rows": "ROWS" in flags,
         "inclusion": "INCLUSION" in flags,
@@ -95,7 +98,7 @@ def _has(part: str, flags: frozenset[str]) -> bool:
 
 def _words(name: str, scene: Scene, flags: frozenset[str], sizes: dict[str, int], bound: int, fingerprint: str) -> dict[str, str]:
     model, problem = scene.model, scene.problem
-    one = "MODEL_STEP: the matrices in the code belong to it" if scene.path == FIXED else "MODEL_STEP"
+    one = "MODEL_STEP: the matrices in the code belong to it" if scene.path in (FIXED, BANDED) else "MODEL_STEP"
     last = "last difference of positions" if isinstance(model, FrictionOscillator) else "reaction of the last step"
     carried = "" if sizes["NSTATE"] == sizes["NX"] else f", then the {last}"
     return {
@@ -182,6 +185,8 @@ def _functions(scene: Scene, flags: frozenset[str]) -> str:
         parts.append(c_function("law_of_parameters", {"s->p": problem.p}, _bounds(scene), "the ends of the law"))
     if "FIXED" in flags:
         parts.append(fixed.text(problem, scene.structure, scene.law, h, scene.matrices))
+    if "BANDED" in flags:
+        parts.append(banded.text(problem, scene.structure, h, scene.band))
     if "NEWTON" in flags:
         parts.append(newton.text(scene, known))
     if "INCLUSION" in flags:
@@ -189,7 +194,7 @@ def _functions(scene: Scene, flags: frozenset[str]) -> str:
     out = {"x_next": problem.next_state}
     if "REWRITTEN" in flags:
         out |= {"multipliers": problem.multipliers, "outputs": problem.outputs}
-    values = {key: ca.substitute(e, problem.h, h) for key, e in out.items()} if "FIXED" in flags else out
+    values = {key: ca.substitute(e, problem.h, h) for key, e in out.items()} if {"FIXED", "BANDED"} & flags else out
     parts.append(
         c_function(
             "advance",
@@ -231,7 +236,7 @@ def _start(scene: Scene) -> ca.SX:
         return ca.vertcat(model.x0, h * model.v0) if model.x1 is None else ca.vertcat(model.x1, model.x1 - model.x0)
     x0 = model.q0 if hasattr(model, "q0") else model.x0
     numbers = initial_rows(scene.numbers, scene.h)[-1][0]
-    carried = start_state(one_step_problem(scene.numbers), numbers, scene.h, scene.tolerance)
+    carried = start_state(scene.problem_of_numbers, numbers, scene.h, scene.tolerance)
     return ca.vertcat(x0, ca.DM(carried[x0.numel() :]))
 
 

@@ -2,22 +2,35 @@
 
 from __future__ import annotations
 
-import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from nsmodel.codegen.expression import number
 from nsmodel.solve.structure import Structure
 
+WIDTH = 120  # Characters of a line.
+
 
 def table(name: str, values: Sequence[float] | np.ndarray, size: str, comment: str = "", kind: str = "double") -> str:
     """Return ``static const kind name[size] = {...};``."""
     numbers = [number(float(v)).text if kind == "double" else str(int(v)) for v in values]
     about = f" /* {comment} */" if comment else ""
-    listed = textwrap.fill(", ".join(numbers), 120, initial_indent="    ", subsequent_indent="    ")
+    listed = "\n".join(_lines(numbers))
     line = f"static const {kind} {name}[{size}] = {{{listed.strip()}}};{about}\n"
     return line if len(line) <= 130 else f"static const {kind} {name}[{size}] = {{{about}\n{listed}\n}};\n"
+
+
+def _lines(numbers: Sequence[str]) -> Iterator[str]:
+    """The numbers in lines that are indented and up to WIDTH long."""
+    line = "   "
+    for i, text in enumerate(numbers):
+        item = f" {text}," if i + 1 < len(numbers) else f" {text}"
+        if len(line) + len(item) > WIDTH and len(line) > 3:
+            yield line
+            line = "   "
+        line += item
+    yield line
 
 
 def exact_tables(structure: Structure) -> str:

@@ -7,14 +7,17 @@ from collections.abc import Mapping, Sequence
 import casadi as ca
 import numpy as np
 
+from nsmodel.hypotheses.bodies import along as bodies
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, found
 from nsmodel.hypotheses.sweeping.geometry import mfcq_constant
 from nsmodel.model.base import Model
+from nsmodel.model.bodies import ManyBodies
 from nsmodel.model.inclusion import MonotoneInclusion
 from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.scheme import catching_up
 from nsmodel.scheme.inertial_proximal import energy
+from nsmodel.scheme.many_bodies import BodiesProblem
 from nsmodel.solve.certificate import EPS
 from nsmodel.trajectory import Trajectory, extrapolated
 
@@ -44,11 +47,17 @@ DEFECTS = Hypothesis(
 CONTRACTION = Hypothesis(
     "run-contraction", "|x(t) - x~(t)| <= e^{L t} |x_0 - x~_0| for two runs", "catching-up 2026, one-sided Lipschitz bound"
 )
-HYPOTHESES = (RESIDUAL, FEASIBLE, QUALIFIED, ENERGY, DISSIPATED, BOUND, DEFECTS, CESARO, CONTRACTION)
+MOTION = Hypothesis(
+    "run-motion", "|q_{k+1} - q_k| <= h |f(t_k, q_k)|, over all bodies together: constraints only slow down",
+    "projection on a convex set that holds q_k",
+)  # fmt: skip
+HYPOTHESES = (RESIDUAL, FEASIBLE, QUALIFIED, MOTION, ENERGY, DISSIPATED, BOUND, DEFECTS, CESARO, CONTRACTION)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a run that diverges is judged like any other
-def along(model: Model, run: Trajectory, findings: Sequence[Finding], twin: Trajectory | None = None) -> list[Finding]:
+def along(
+    model: Model, run: Trajectory, findings: Sequence[Finding], twin: Trajectory | None = None, quick: bool = False
+) -> list[Finding]:
     """Return one finding for each inequality that this class promises.
 
     Args:
@@ -56,10 +65,13 @@ def along(model: Model, run: Trajectory, findings: Sequence[Finding], twin: Traj
         run: a run of it.
         findings: of the hypotheses; their numbers enter the bounds.
         twin: a run of the same model on the same grid from another start.
+        quick: of many bodies look at fewer rows.
     """
     numbers = {finding.id: finding for finding in findings}
     checked, every_row = [_residual(run)], run.metadata["save_every"] == 1 and len(run.t) > 1
-    if isinstance(model, SweepingProcess):
+    if isinstance(model, ManyBodies):
+        checked += _bodies(model, run, numbers, quick)
+    elif isinstance(model, SweepingProcess):
         checked += _feasible(run, model.g, model.multiplier_names, model.t, model.q)
         checked += _qualified(model, run)
     elif isinstance(model, FrictionOscillator):
@@ -72,6 +84,16 @@ def along(model: Model, run: Trajectory, findings: Sequence[Finding], twin: Traj
         if twin is not None:
             checked.append(_contraction(run, twin, numbers["M-24"]))
     return checked
+
+
+def _bodies(model: ManyBodies, run: Trajectory, numbers: Mapping[str, Finding], quick: bool) -> list[Finding]:
+    problem, slope = BodiesProblem(model), numbers["A1"].value.get("b", 1.0)
+    answers = {
+        FEASIBLE: bodies.feasible(problem, run, quick),
+        QUALIFIED: bodies.qualified(problem, run, slope, quick),
+        MOTION: bodies.shorter(problem, run),
+    }
+    return [found(id, item.verdict, item.how, item.value, item.witness) for id, item in answers.items() if item is not None]
 
 
 def _rows_missing(*hypotheses: Hypothesis) -> list[Finding]:

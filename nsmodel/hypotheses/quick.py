@@ -7,6 +7,7 @@ import numpy as np
 
 from nsmodel.errors import UsageError
 from nsmodel.model.base import Model
+from nsmodel.model.bodies import ManyBodies
 from nsmodel.model.inclusion import MonotoneInclusion
 from nsmodel.model.lure import LureSystem
 from nsmodel.model.oscillator import FrictionOscillator
@@ -17,6 +18,7 @@ from nsmodel.solve.choose import Plan
 from nsmodel.solve.structure import least_eigenvalue
 
 UNIQUENESS = "uniqueness of the solution is not guaranteed"
+DENSE = 1500  # Rows up to which a matrix is looked at with all its eigenvalues.
 SPEEDS = np.concatenate([[0.0], np.logspace(-6, 3, 60)])  # Where theta' and theta'' are sampled.
 
 
@@ -97,6 +99,8 @@ def _refuse(g: ca.SX, names: tuple[str, ...], t: ca.SX, q: ca.SX, start: ca.SX, 
 def warnings_of(model: Model, plan: Plan) -> list[str]:
     """Return what the user should know before trusting uniqueness or convergence; an empty list where nothing was found."""
     found = []
+    if isinstance(model, ManyBodies):
+        return _of_families(model)
     if isinstance(model, SweepingProcess):
         found += _flat(model) + _not_convex(model)
     elif isinstance(model, FrictionOscillator):
@@ -115,6 +119,18 @@ def warnings_of(model: Model, plan: Plan) -> list[str]:
 
 def _not_psd(name: str, matrix: ca.SX) -> list[str]:
     """A warning where a matrix is not psd: decided without unit, told in the user's own."""
+    if matrix.is_zero():
+        return []
+    if matrix.shape[0] > DENSE:
+        import scipy.sparse as sp
+        from scipy.sparse.linalg import aslinearoperator
+
+        M = ca.DM(matrix).sparse().tocsr()
+        seen = np.flatnonzero(abs(M + M.T).sum(axis=1))
+        M = M[seen][:, seen]
+        d = 1 / np.sqrt(abs(M + M.T).max(axis=1).toarray().ravel() / 2)
+        least = least_eigenvalue(aslinearoperator(sp.diags(d) @ M @ sp.diags(d)))
+        return [f"{name} is not positive semidefinite (an eigenvalue, scaled, is at most {least:.3g})"] if least < 0 else []
     M = np.array(ca.DM(matrix))
     if least_eigenvalue(M) >= -1e-12:
         return []
@@ -129,6 +145,27 @@ def _flat(model: SweepingProcess) -> list[str]:
     G = np.array(gradient(0, np.array(ca.DM(model.q0)).ravel())).reshape(len(model.multiplier_names), len(model.names))
     flat = [name for name, row in zip(model.multiplier_names, G, strict=True) if not row.any()]
     return [f"constraint '{name}' has a zero gradient at q0: near there it acts on nothing" for name in flat[:5]]
+
+
+def _of_families(model: ManyBodies) -> list[str]:
+    """Of each family one member where the bodies start: has its constraint a gradient, and is it convex there."""
+    found = []
+    for name, family in model.constraints.items():
+        others = [] if family.second is None else [family.second.symbols]
+        q = ca.vertcat(family.first.q, family.second.q) if family.of_pairs else family.first.q
+        H, slope = ca.hessian(family.g, q)
+        f = ca.Function("H", [model.t, family.first.symbols, *others], [ca.densify(H), ca.densify(slope)])
+        i, j = (0, int(family.of_pairs)) if family.over is None else family.over[0] if len(family.over) else (0, -1)
+        if family.of_pairs and j >= model.bodies.count:
+            continue
+        given = [family.second.group.table[j]] if others else []
+        H, slope = (np.array(value) for value in f(0, model.bodies.table[i], *given))
+        label = f"constraint '{name} {i}'" if not others else f"constraint '{name} {i}-{j}'"
+        if not slope.any():
+            found.append(f"{label} has a zero gradient at q0: near there it acts on nothing")
+        if np.isfinite(H).all() and (least := np.linalg.eigvalsh(H)[0]) < -1e-9 * np.abs(H).max():
+            found.append(f"{label} is not convex at q0 (least eigenvalue of its Hessian {least:.3g}): feasibility may be lost")
+    return found
 
 
 def _not_convex(model: SweepingProcess) -> list[str]:

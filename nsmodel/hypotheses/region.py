@@ -11,6 +11,7 @@ import numpy as np
 
 from nsmodel.errors import UsageError
 from nsmodel.model.base import Model
+from nsmodel.model.bodies import ManyBodies
 from nsmodel.trajectory import Trajectory
 
 GROWTH = 1.5  # The box is this much wider than the runs.
@@ -43,6 +44,8 @@ class Region:
 def region_of(model: Model, runs: Sequence[Trajectory], given: Mapping[str, Any] | None = None) -> Region:
     """Return the box around the runs, wider by half; states named in ``given`` have their own interval.
 
+    Of `ManyBodies` it is the box of one body, around all of them: its states are ``i.q_0``, ``i.q_1``, ..., its stem is ``i.q``.
+
     Args:
         model: bound.
         runs: trajectories; without any, the box lies around the start.
@@ -51,17 +54,16 @@ def region_of(model: Model, runs: Sequence[Trajectory], given: Mapping[str, Any]
     Raises:
         UsageError: an unknown name, or no interval low < high of finite numbers.
     """
-    start = np.array(ca.DM(model.x0 if hasattr(model, "x0") else model.q0)).ravel()
-    x = np.vstack([start[None, :], *(run.x[np.isfinite(run.x).all(axis=1)] for run in runs)])
+    names, stems, x = _of_one(model, runs) if isinstance(model, ManyBodies) else _of_all(model, runs)
     centre, half = (x.max(axis=0) + x.min(axis=0)) / 2, (x.max(axis=0) - x.min(axis=0)) / 2
     widest = half.max(initial=0.0) or np.abs(centre).max(initial=0.0) or 1.0
     half = np.maximum(GROWTH * half, np.maximum(0.1 * np.abs(centre), 0.25 * widest))
     lower, upper = centre - half, centre + half
     origin = f"{GROWTH:g} times the box around the run" if runs else "a box around the start"
     for name, interval in (given or {}).items():
-        rows = [model.names.index(name)] if name in model.names else model.stems.get(name)
+        rows = [names.index(name)] if name in names else stems.get(name)
         if rows is None:
-            raise UsageError(f"region: '{name}' is no state; the model has {', '.join(model.names)}")
+            raise UsageError(f"region: '{name}' is no state; the model has {', '.join(names)}")
         try:
             low, high = (float(end) for end in interval)
         except (TypeError, ValueError):
@@ -71,4 +73,24 @@ def region_of(model: Model, runs: Sequence[Trajectory], given: Mapping[str, Any]
         lower[rows], upper[rows] = low, high
         origin = "as given"
     t1 = max((float(run.t[-1]) for run in runs), default=float(model.t_end or 0.0))
-    return Region(lower, upper, 0.0, t1, tuple(model.names), origin)
+    return Region(lower, upper, 0.0, t1, names, origin)
+
+
+_States = tuple[tuple[str, ...], Mapping[str, Sequence[int]], np.ndarray]
+
+
+def _of_all(model: Any, runs: Sequence[Trajectory]) -> _States:
+    """Names, stems and rows (k, n) of all states."""
+    start = np.array(ca.DM(model.x0 if hasattr(model, "x0") else model.q0)).ravel()
+    x = np.vstack([start[None, :], *(run.x[np.isfinite(run.x).all(axis=1)] for run in runs)])
+    return tuple(model.names), model.stems, x
+
+
+def _of_one(model: ManyBodies, runs: Sequence[Trajectory]) -> _States:
+    """Names and stem of the states of one body, and the ends (k, d) of what all bodies go through; NaN: absent."""
+    d = model.bodies.d
+    ends = [model.q0, *(end(run.x, axis=0, where=np.isfinite(run.x), initial=worst)
+                        for run in runs for end, worst in ((np.min, np.inf), (np.max, -np.inf)))]  # fmt: skip
+    x = np.vstack(ends).reshape(-1, d)
+    names = tuple(symbol.name() for symbol in ca.vertsplit(model.me.q))
+    return names, {f"{model.me.name}.q": range(d)}, x[np.isfinite(x).all(axis=1)]

@@ -14,10 +14,11 @@ import numpy as np
 
 from nsmodel.errors import ModelError, NsmodelError, UsageError
 from nsmodel.model.convert import Converter, Declared, declare
+from nsmodel.model.expressions import column
 
 # Attributes of every Trajectory: a state may not take these names.
 RESERVED = frozenset(
-    "t multipliers y index_set residual step active status title arrays metadata multiplier save load to_csv to_xarray "
+    "t multipliers y index_set residual step active status title arrays metadata multiplier contacts save load to_csv to_xarray "
     "plot summary summary_text energy reactions newton gap residual_R residual_Ry residual_Rr defect selection "
     "predictor_distance excess tolerance".split()
 )
@@ -105,8 +106,8 @@ class Model:
         return column
 
     def _matrix(self, converter: Converter, value: Any, label: str, shape: tuple[int, int], why: str) -> ca.SX:
-        """A matrix of numbers or expressions of the parameters, of the given shape; vectors are laid along it."""
-        matrix = ca.densify(ca.SX(converter.convert(value, label)))
+        """A matrix of numbers or expressions of the parameters, of the given shape, without zeros; vectors are laid along it."""
+        matrix = ca.sparsify(ca.SX(converter.convert(value, label)))
         if matrix.shape != shape and matrix.shape == shape[::-1] and 1 in shape:
             matrix = matrix.T
         if matrix.shape != shape:
@@ -228,10 +229,11 @@ def parameter_symbols(given: Any) -> tuple[list[Declared], dict[str, float | Non
 
 def refuse_infinite(matrix: ca.SX, label: str, error: type[NsmodelError] = ModelError) -> None:
     """Refuse a constant entry that is not finite."""
-    symbols = ca.vertcat(ca.SX(0, 1), *ca.symvar(matrix))
-    values = ca.Function("values", [symbols], [ca.densify(matrix)])(np.full(symbols.numel(), 0.7))
-    for i, j in np.argwhere(~np.isfinite(np.array(values))):
-        entry = matrix[int(i), int(j)]
+    entries, symbols = column(matrix.nonzeros()), column(ca.symvar(matrix))
+    values = np.array(ca.Function("values", [symbols], [entries])(np.full(symbols.numel(), 0.7))).ravel()
+    where = np.column_stack(matrix.sparsity().get_triplet())
+    for k in np.flatnonzero(~np.isfinite(values)):
+        entry, (i, j) = entries[int(k)], where[k]
         if entry.is_constant():
             index = "" if matrix.numel() == 1 else f"[{i}]" if matrix.shape[1] == 1 else f"[{i}, {j}]"
             raise error(f"{label}{index} = {float(entry)}; expected a finite number")

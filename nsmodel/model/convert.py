@@ -10,7 +10,7 @@ import numbers
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import reduce
+from functools import cached_property, reduce
 from typing import Any
 
 import casadi as ca
@@ -70,7 +70,7 @@ class Converter:
         """Refuse a name declared twice."""
         _refuse_repeats([name for item in self.declared for name in item.names], "the declared symbols")
 
-    @property
+    @cached_property
     def symbols(self) -> dict[str, ca.SX]:
         """{scalar name: SX symbol} of everything declared."""
         return {name: symbol for d in self.declared for name, symbol in zip(d.names, ca.vertsplit(d.sx), strict=False)}
@@ -93,8 +93,8 @@ def to_sx(value: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
         ModelError: an undeclared symbol, a NaN, rows of unequal length, an unknown function or type.
     """
     result = _convert(value, symbols, label)
-    known = {symbol.element_hash() for symbol in symbols.values()}
     used = ca.symvar(result)
+    known = {symbol.element_hash() for symbol in symbols.values()} if used else set()
     _refuse_undeclared((symbol.name() for symbol in used), symbols, label)
     strange = [symbol for symbol in used if symbol.element_hash() not in known]
     if strange:
@@ -196,8 +196,8 @@ def _convert(value: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
     if _is_sympy(value):
         matrix = hasattr(value, "tolist")
         return _from_list(value.tolist(), symbols, label) if matrix else _from_sympy(value, symbols, label)
-    if hasattr(value, "toarray"):
-        return ca.SX(ca.DM(value.toarray()))
+    if hasattr(value, "tocsc"):
+        return _from_sparse(value, label)
     hint = "; call it with your symbols" if callable(value) else ""
     raise ModelError(
         f"{label}: {_shown(value)} is not an expression{hint}; expected a number, a list, an array, CasADi SX or MX, or SymPy"
@@ -219,6 +219,15 @@ def _from_array(value: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
     if value.ndim == 2:
         return _rows([[_convert(entry, symbols, label) for entry in row] for row in value.tolist()], label)
     return _convert(value.tolist() if value.ndim else value.item(), symbols, label)
+
+
+def _from_sparse(value: Any, label: str) -> ca.SX:
+    """A sparse array of SciPy, entries given twice added up."""
+    if value.ndim != 2 or value.dtype.kind not in "biuf":
+        raise ModelError(f"{label}: a sparse array of shape {value.shape} and type {value.dtype}; expected a real matrix")
+    matrix = value.tocsc().astype(float)
+    matrix.sum_duplicates()
+    return ca.SX(ca.DM(matrix))
 
 
 def _from_list(value: Sequence[Any], symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
@@ -250,11 +259,11 @@ def _entries(row: Any) -> list[Any]:
 
 
 def _refuse_nan(value: ca.SX, label: str) -> None:
-    if not np.isnan(constants(value)).any():
+    numbers = np.array(ca.DM(value).nonzeros()) if value.is_constant() else constants(value)
+    if not np.isnan(numbers).any():
         return
-    rows, columns = value.shape
-    where = next((i, j) for i in range(rows) for j in range(columns) if np.isnan(constants(value[i, j])).any())
-    index = "" if value.numel() == 1 else f"[{where[0]}]" if columns == 1 else f"[{where[0]}, {where[1]}]"
+    where = next((i, j) for i, j in zip(*value.sparsity().get_triplet(), strict=True) if np.isnan(constants(value[i, j])).any())
+    index = "" if value.numel() == 1 else f"[{where[0]}]" if value.shape[1] == 1 else f"[{where[0]}, {where[1]}]"
     raise ModelError(f"{label}{index} holds a NaN; give a number (inf is allowed) or an expression")
 
 

@@ -24,7 +24,7 @@ class FirstOrderSystem(Model):
         f: n expressions of t and x.
         h: the output, m expressions of t, x and l.
         g: the input, n expressions of t, x and l.
-        M: mass matrix (n, n), constant; left out: the identity.
+        M: mass matrix (n, n), constant, also sparse (SciPy, CasADi); left out: the identity.
         law: the relation between l and y, of size m.
         x0: the start (n); lam0: first guess of l (m), only used by Newton's method and, where gamma < 1, replaced by the
             solution of the law at the start.

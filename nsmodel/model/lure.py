@@ -21,7 +21,7 @@ class LureSystem(Model):
 
     Attributes:
         A: matrix (n, n), or n expressions of ``x``.
-        B, C, D: (n, m), (m, n), (m, m); D left out: 0.
+        B, C, D: (n, m), (m, n), (m, m); D left out: 0. Matrices may be sparse (SciPy, CasADi), and stay so.
         f: n expressions of t; left out: 0.
         law: the relation between l and y, of size m; or
         phi, y: a convex potential Phi as an expression of the m symbols ``y``.
@@ -65,7 +65,7 @@ class LureSystem(Model):
             A=self._rate(c, n),
             B=self._matrix(c, self.B, "B", (n, m), f"a row for each of {n} states, a column for each of {what}"),
             C=self._matrix(c, self.C, "C", (m, n), f"a row for each of {what}, a column for each of {n} states"),
-            D=ca.SX.zeros(m, m) if self.D is None else self._matrix(c, self.D, "D", (m, m), square),
+            D=ca.SX(m, m) if self.D is None else self._matrix(c, self.D, "D", (m, m), square),
             f=self._vector(c, 0 if self.f is None else self.f, "f", n, [self.t]),
             law=law,
             x0=self._numbers(c, self.x0, "x0", n),
@@ -85,7 +85,7 @@ class LureSystem(Model):
 
     def _rate(self, c: Converter, n: int) -> ca.SX:
         """A x for a matrix of numbers, else the n expressions."""
-        A = ca.densify(ca.SX(c.convert(self.A, "A")))
+        A = ca.SX(c.convert(self.A, "A"))
         if ca.depends_on(A, self.x):
             if A.shape == (n, n) and n > 1:
                 raise ModelError(f"A: a matrix {A.shape} with entries of x; write the product with x, as {n} expressions")
@@ -94,4 +94,4 @@ class LureSystem(Model):
             return ca.SX.zeros(n)
         states = f"{n} state{'s' if n > 1 else ''} {', '.join(self.names[:3])}{', ...' if n > 3 else ''}"
         why = f"a row and a column for each of {states}; or give {n} expression{'s' if n > 1 else ''} of the state"
-        return ca.mtimes(self._matrix(c, A, "A", (n, n), why), self.x)
+        return ca.densify(ca.mtimes(self._matrix(c, A, "A", (n, n), why), self.x))

@@ -5,6 +5,7 @@ and no display is needed. Long runs are thinned so that no extremum and no event
 of the index set belongs to the step that *ends* at t_k, and is drawn from t_{k-1} to t_k.
 """
 
+from nsmodel.plot.crowd import animate
 from nsmodel.plot.figures import overview, save, save_all
 from nsmodel.plot.plane import configuration, phase
 from nsmodel.plot.stress import stress
@@ -13,6 +14,7 @@ from nsmodel.plot.study import work_precision
 from nsmodel.plot.time import energy, multipliers, residual, states
 
 __all__ = [
+    "animate",
     "configuration",
     "energy",
     "index_strip",

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel.plot import style
+from nsmodel.crowd.measure import maps
+from nsmodel.plot import crowd, style
 from nsmodel.plot.plane import configuration, phase
 from nsmodel.plot.strip import MAX_ROWS, index_strip
 from nsmodel.plot.time import MAX_LINES, energy, multipliers, residual, states
@@ -23,7 +24,8 @@ if TYPE_CHECKING:
 
     Panel = tuple[float, Callable[..., Axes]]  # height, what draws it on ax=
 
-TIME = ("states", "index_strip", "multipliers", "reactions")
+TIME = ("states", "index_strip", "multipliers", "reactions", "pressures")
+CROWD = (("frame", "evacuation"), ("density", "pressure", "pressures"))  # its overview, column by column
 # file: (its panels, its width in inches, inches for a unit of height)
 SHEETS = {
     "states": (("states", "index_strip"), 9, 1.2),
@@ -31,6 +33,10 @@ SHEETS = {
     "multipliers": (("multipliers", "reactions"), 9, 1.5),
     "energy": (("energy",), 9, 1.9),
     "configuration": (("configuration",), 8, 1.7),
+    "frame": (("frame",), 8, 1.7),
+    "evacuation": (("evacuation", "pressures"), 9, 1.5),
+    "maps": (("density", "pressure", "velocity"), 8, 1.7),
+    "paths": (("paths",), 8, 1.7),
 }
 
 
@@ -38,12 +44,13 @@ def overview(run: Trajectory, model: Any = None) -> Figure:
     """One figure of the whole run, 1400 x 900 pixels, composed of what the run holds.
 
     On the left, over a shared time axis: states, index set, multipliers, reactions. On the right: the configuration of
-    a planar sweeping process (or else the phase portrait), the energy and the residual.
+    a planar sweeping process (or else the phase portrait), the energy and the residual. Of many bodies in the plane: the moment
+    of most pressure, how many are there, maps of density and pressure.
     """
-    figure = style.blank(14, 9)
-    figure.suptitle(_title(run), fontsize=13, fontweight="bold", color=style.INK)
-    figure.supxlabel(style.text(_subtitle(run)), fontsize=9, color="#5B6570")
+    figure = _titled(run)
     panels = _panels(run, model, lines=8, rows=12)
+    if "frame" in panels:
+        return _of_crowd(figure, panels)
     plane = [panels[name] for name in ("configuration", "phase") if name in panels][:1]
     left = [panels[name] for name in TIME if name in panels]
     checks = [panels[name] for name in ("energy", "residual") if name in panels]
@@ -60,7 +67,8 @@ def save_all(run: Trajectory, model: Any, directory: str | Path, prefix: str = "
     """Write all pictures the run can give, each beside its place and then renamed; returns their paths.
 
     `states.png` (with the index set), `phase.png`, `multipliers.png`, `energy.png`, `configuration.png` (a planar
-    sweeping process) and `overview.png`, each with `prefix` before its name.
+    sweeping process) and `overview.png`, each with `prefix` before its name. Of many bodies in the plane `frame.png`,
+    `evacuation.png`, `maps.png`, `paths.png` and `overview.png`.
 
     Args:
         run: the run.
@@ -77,8 +85,11 @@ def save_all(run: Trajectory, model: Any, directory: str | Path, prefix: str = "
         for name, (parts, width, scale) in SHEETS.items()
         if parts[0] in panels
     }
+    draws["overview"] = partial(overview, run, model)
+    if "frame" in panels:  # Its maps are made but once.
+        draws["overview"] = lambda: _of_crowd(_titled(run), panels)
     paths = []
-    for name, draw in {**draws, "overview": partial(overview, run, model)}.items():
+    for name, draw in draws.items():
         paths.append(directory / f"{prefix}{name}.png")
         save(draw(), paths[-1])
     return paths
@@ -97,6 +108,8 @@ def save(figure: Figure, path: Path, dpi: int = 100) -> None:
 def _panels(run: Trajectory, model: Any, *, lines: int, rows: int) -> dict[str, Panel]:
     """What the run can give, with at most so many lines and rows of the index set."""
     kind, n = run.metadata.get("model_class"), run.x.shape[1]
+    if kind == "ManyBodies" and "radii" in (run.metadata.get("scene") or {}):
+        return _crowd(run)
     panels: dict[str, Panel] = {"states": (2.6, partial(states, run, limit=lines))}
     if bands := min(rows, style.table(run, "index_set").shape[1]):
         panels["index_strip"] = (0.5 + 0.16 * bands, partial(index_strip, run, limit=rows))
@@ -105,11 +118,44 @@ def _panels(run: Trajectory, model: Any, *, lines: int, rows: int) -> dict[str, 
             panels["reactions"] = (2, partial(multipliers, run, which="reactions", limit=lines))
     if kind == "SweepingProcess" and (run.metadata.get("scene") or (model is not None and n <= 2)):
         panels["configuration"] = (3.6, partial(configuration, run, model))
+    if "pressure" in run.arrays:
+        panels["pressures"] = (2, partial(crowd.pressures, run))
     if n > 1 or (kind == "FrictionOscillator" and "v" in run.arrays):
         panels["phase"] = (2.6, partial(phase, run))
     for name, draw in (("energy", energy), ("residual", residual)):
         if name in run.arrays:
             panels[name] = (1.6, partial(draw, run))
+    return panels
+
+
+def _titled(run: Trajectory) -> Figure:
+    """An empty overview."""
+    figure = style.blank(14, 9)
+    figure.suptitle(_title(run), fontsize=13, fontweight="bold", color=style.INK)
+    figure.supxlabel(style.text(_subtitle(run)), fontsize=9, color="#5B6570")
+    return figure
+
+
+def _of_crowd(figure: Figure, panels: dict[str, Panel]) -> Figure:
+    """The overview of many bodies in the plane."""
+    grid = figure.add_gridspec(1, 2, width_ratios=[1.15, 1])
+    for k, names in enumerate(CROWD):
+        _stack(figure, grid[k], [panels[name] for name in names if name in panels], shared=False)
+    return figure
+
+
+def _crowd(run: Trajectory) -> dict[str, Panel]:
+    """What a run of many bodies in the plane can give; maps where it knows a room with exits."""
+    panels: dict[str, Panel] = {
+        "frame": (3.6, partial(crowd.frame, run)),
+        "evacuation": (1.8, partial(crowd.evacuation, run)),
+        "paths": (3.6, partial(crowd.paths, run)),
+    }
+    if len(run.metadata["scene"].get("exits", ())):
+        found = maps(run)
+        for draw in (crowd.density, crowd.pressure, crowd.velocity):
+            panels[draw.__name__] = (2.2, partial(draw, found, run))
+    panels["pressures"] = (1.4, partial(crowd.pressures, run))
     return panels
 
 

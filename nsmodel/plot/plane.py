@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nsmodel.errors import PlotError
-from nsmodel.plot import style
+from nsmodel.plot import crowd, style
 from nsmodel.plot.scene import discs
 from nsmodel.trajectory import state_names
 
@@ -90,10 +90,11 @@ def configuration(run: Trajectory, model: Any = None, row: int = -1, *, ax: Axes
     """Draw where a sweeping process is, and where it may not be.
 
     One state: the plane (t, q) with the forbidden set shaded. Two: the plane with the forbidden set at the time of
-    `row`, its boundary at some earlier times, and the path so far. A scene of discs: the discs, walls and paths so far.
+    `row`, its boundary at some earlier times, and the path so far. A scene of discs: the discs, walls and paths so far;
+    of many bodies what `crowd.frame` draws.
 
     Args:
-        run: the run of a `SweepingProcess`.
+        run: the run of a `SweepingProcess`, or of `ManyBodies` in the plane.
         model: its model with numbers for all parameters: `t`, `q` (CasADi SX) and `constraints`, each >= 0. A scene
             can do without.
         row: the row of the run shown; the last by default.
@@ -105,6 +106,8 @@ def configuration(run: Trajectory, model: Any = None, row: int = -1, *, ax: Axes
     """
     n, rows, scene = run.x.shape[1], len(run.t), run.metadata.get("scene")
     kind = run.metadata.get("model_class")
+    if kind == "ManyBodies":
+        return crowd.frame(run, row, ax=ax)
     if kind != "SweepingProcess":
         raise PlotError(f"a configuration is drawn for a SweepingProcess, and this run is of a {kind}")
     if not -rows <= row < rows:

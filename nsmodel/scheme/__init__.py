@@ -9,12 +9,13 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.model.base import Model
+from nsmodel.model.bodies import ManyBodies
 from nsmodel.model.first_order import FirstOrderSystem
 from nsmodel.model.inclusion import MonotoneInclusion
 from nsmodel.model.lure import LureSystem
 from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.sweeping import SweepingProcess
-from nsmodel.scheme import catching_up, inertial_proximal, lure_euler, prediction_correction, theta_gamma
+from nsmodel.scheme import catching_up, inertial_proximal, lure_euler, many_bodies, prediction_correction, theta_gamma
 from nsmodel.scheme.problem import OneStepProblem
 
 SCHEMES: dict[type[Model], ModuleType] = {
@@ -23,6 +24,7 @@ SCHEMES: dict[type[Model], ModuleType] = {
     FirstOrderSystem: theta_gamma,
     LureSystem: lure_euler,
     MonotoneInclusion: catching_up,
+    ManyBodies: many_bodies,
 }
 
 

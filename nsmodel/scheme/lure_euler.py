@@ -23,7 +23,7 @@ def one_step_problem(model: LureSystem) -> OneStepProblem:
     rate_k = model.A + model.f
     rate = ca.substitute([rate_k], [t, x_k], [t + h, x])[0]
     law = _rows(model, x)
-    r = model.B @ law.multipliers
+    r = ca.densify(model.B @ law.multipliers)
     E = x - x_k - h * th * rate - h * (1 - th) * rate_k - h * ga * r - h * (1 - ga) * (r_k if ga < 1 else 0)
     return OneStepProblem(
         scheme="implicit Euler" if th == ga == 1 else f"theta-gamma, theta = {th:g}, gamma = {ga:g}",
@@ -61,15 +61,15 @@ def _rows(model: LureSystem, x: ca.SX) -> _Rows:
     y = ca.SX.sym("y_next", m)
     if model.law is not None:
         basic = basic_law(model.law, model.multiplier_names, y)
-        output = model.C @ x + model.D @ basic.multipliers
+        output = ca.densify(model.C @ x + model.D @ basic.multipliers)
         Y = ca.substitute(basic.Y, y, output)
         return _Rows(basic.law, basic.l, basic.rows, Y, basic.multipliers, output, basic.l.numel() != m)
     part = subdifferential(model.phi_split, model.y, "phi")
     implicit = not model.D.is_zero()
-    output = y if implicit else model.C @ x
+    output = y if implicit else ca.densify(model.C @ x)
     l, Y = ca.substitute([part.force, part.u], [model.y], [output])
     rows = _Rows(part.law, part.l, part.rows, Y, l, output, True)
-    return rows._replace(z=y, E=y - model.C @ x - model.D @ l, guess=model.C @ x) if implicit else rows
+    return rows._replace(z=y, E=y - model.C @ x - model.D @ l, guess=ca.densify(model.C @ x)) if implicit else rows
 
 
 def _start(model: LureSystem, h: ca.SX, state: ca.SX) -> OneStepProblem:
@@ -83,7 +83,7 @@ def _start(model: LureSystem, h: ca.SX, state: ca.SX) -> OneStepProblem:
         law=law.law,
         rows=law.rows,
         guess=law.guess,
-        next_state=ca.vertcat(model.x, model.B @ law.multipliers),
+        next_state=ca.vertcat(model.x, ca.densify(model.B @ law.multipliers)),
     )  # fmt: skip
 
 

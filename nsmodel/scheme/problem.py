@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import casadi as ca
@@ -51,6 +52,11 @@ class OneStepProblem:
     outputs: ca.SX | None = None
     records: dict[str, ca.SX] = field(default_factory=dict)
     start: OneStepProblem | None = None
+
+    @cached_property
+    def jacobians(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """(E_z, E_l, Y_z, Y_l), sparse, exact."""
+        return tuple(ca.simplify(ca.jacobian(e, v)) for e in (self.E, self.Y) for v in (self.z, self.l))
 
 
 class BasicLaw(NamedTuple):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from nsmodel.errors import StepError, UsageError
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import active_set, cone, diagnose, mlcp
 from nsmodel.solve.certificate import numeric_law
-from nsmodel.solve.choose import choose
+from nsmodel.solve.choose import choose, pays
 from nsmodel.solve.kernel import Kernel
 from nsmodel.solve.layout import Layout
 from nsmodel.solve.newton import Iterate, Newton
@@ -19,7 +20,11 @@ from nsmodel.solve.nlp import Programme
 from nsmodel.solve.stepper import StepResult, Warm
 from nsmodel.solve.structure import read
 
+if TYPE_CHECKING:  # SciPy is loaded by who uses it.
+    from nsmodel.solve.sparse import AtStep, Sparse
+
 NEARBY = 400  # Index sets around the last one that are tried where Newton's method does not settle.
+DENSE = 1500  # Unknowns and multipliers of a sparse step up to which solvers with dense matrices are tried where it fails.
 STARTS = 3  # Random starts of IPOPT, after the last multiplier and 0.
 
 
@@ -45,15 +50,27 @@ class Stepper:
         self.rows = problem.rows
         self._kernels: dict[float, Kernel] = {}
         self._programme: Programme | None = None
-        self._newton = Newton(problem, self.structure, self.law, tolerance)
-        zero = np.zeros(self.structure.m)
-        start = self._newton.matrix_at(0.0, h, state, self._newton.guess(0.0, h, state, zero), zero)
-        self.plan = choose(self.structure, self.law, start, solver, few_steps)
+        self._sparse: Sparse | None = None
+        order = None
+        if solver == "auto" and pays(self.structure, self.law):
+            from nsmodel.solve.sparse import Sparse
+
+            self._sparse = Sparse(problem, self.structure, self.law, tolerance)
+            at = self._matrices(0.0, h)
+            start, order = at.W(), at.order
+        else:
+            zero = np.zeros(self.structure.m)
+            start = self._newton.matrix_at(0.0, h, state, self._newton.guess(0.0, h, state, zero), zero)
+        self.plan = choose(self.structure, self.law, start, solver, few_steps, order)
+
+    @cached_property
+    def _newton(self) -> Newton:
+        return Newton(self.problem, self.structure, self.law, self.tolerance)
 
     @property
     def least_eigenvalue(self) -> float:
         """Least eigenvalue of the scaled W + W' met so far, at the start included."""
-        return min(self.plan.least_eigenvalue, self._newton.least_eigenvalue)
+        return min(self.plan.least_eigenvalue, np.inf if self._sparse else self._newton.least_eigenvalue)
 
     def met(self, least_eigenvalue: float) -> None:
         """Note what steps met that were computed elsewhere."""
@@ -70,6 +87,8 @@ class Stepper:
         Raises:
             StepError: no solver reached the tolerance.
         """
+        if self._sparse is not None:
+            return self._sparse_step(self._sparse, t, h, state, warm)
         kernel = self._kernels.get(h) or self._kernel(t, h)
         if kernel is not None and self.plan.use_last and (warm.index is kernel.loaded or kernel.load(warm.index)):
             out = kernel.evaluate(t, state)
@@ -83,6 +102,29 @@ class Stepper:
                 best = attempt
         raise self._failure(t, h, state, warm, best)
 
+    def _sparse_step(self, sparse: Sparse, t: float, h: float, state: np.ndarray, warm: Warm) -> StepResult:
+        """The step of a large scene; one that is small enough for dense matrices goes to the other solvers where that fails."""
+        self._matrices(t, h)
+        found = sparse.solve(t, h, state, warm.index)
+        if not found.residual <= self.tolerance:
+            if self.structure.n + self.structure.m > DENSE or not np.isfinite(state).all():
+                raise self._sparse_failure(t, h, state, found)
+            chain = (mlcp.INDEX_SET, *(("qpoases",) if self.plan.monotone else ()), mlcp.LEMKE)
+            found = self._newton.solve(t, h, state, warm.l, warm.index, chain)
+            if not found.residual <= self.tolerance:
+                raise self._failure(t, h, state, warm, self._packed(t, h, state, found))
+        row = sparse.pack(t, h, state, found)
+        same = np.array_equal(found.index, warm.index)
+        return StepResult(row, warm if same else Warm(row[self.layout.l], found.index), found.solver)
+
+    def _matrices(self, t: float, h: float) -> AtStep:
+        """The matrices of a large scene at this h."""
+        assert self._sparse is not None  # noqa: S101
+        try:
+            return self._sparse.at(h)
+        except np.linalg.LinAlgError:
+            raise singular(t, h) from None
+
     def _kernel(self, t: float, h: float) -> Kernel | None:
         """The kernel of this h, built at its first use; None where a step is linearised instead."""
         if self.plan.path != "kernel":
@@ -90,9 +132,7 @@ class Stepper:
         try:
             self._kernels[h] = Kernel(self.problem, self.structure, self.law, self.layout, h, self.tolerance)
         except np.linalg.LinAlgError:
-            raise StepError(
-                f"the step's matrix is singular at h = {h:g} (t = {t:g}): change the step a little, or check M, A and K"
-            ) from None
+            raise singular(t, h) from None
         return self._kernels[h]
 
     def _attempts(self, kernel: Kernel | None, t: float, h: float, state: np.ndarray, warm: Warm) -> Iterator[Attempt]:
@@ -169,6 +209,24 @@ class Stepper:
         index = active_set.classify(l, y, self.law, active_set.row_scale(W))
         return self._newton.on_index_set(t, h, state, z, l, index)
 
+    def _sparse_failure(self, t: float, h: float, state: np.ndarray, found: Iterate) -> StepError:
+        size = self.structure.n + self.structure.m
+        if not np.isfinite(state).all():
+            reason = "the state is not finite"
+        else:
+            reason = (
+                f"no index set was found that satisfies the law, by block principal pivoting from the last one ({size} unknowns "
+                f"and multipliers; above {DENSE} no dense solver is tried); try a smaller step"
+            )
+        component = None if found.worst_row is None else self.rows[found.worst_row]
+        worst = "" if component is None else f", worst row '{component}'"
+        return StepError(
+            f"no verified step from t = {t:.10g} to {t + h:.10g}: {reason}. "
+            f"Best residual {found.residual:.3g} (tolerance {self.tolerance:.3g}){worst}",
+            residual=found.residual,
+            component=component,
+        )
+
     def _failure(self, t: float, h: float, state: np.ndarray, warm: Warm, best: Attempt | None) -> StepError:
         W, b = self._newton.affine_problem(t, h, state, warm.l)
         at = self._newton.linearise(t, h, state, self._newton.guess(t, h, state, warm.l), warm.l)
@@ -188,6 +246,11 @@ class Stepper:
             residual=residual,
             component=component,
         )
+
+
+def singular(t: float, h: float) -> StepError:
+    """The error where E_z is singular."""
+    return StepError(f"the step's matrix is singular at h = {h:g} (t = {t:g}): change the step a little, or check M, A and K")
 
 
 def start_state(problem: OneStepProblem, state: np.ndarray, h: float, tolerance: float) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,10 +14,17 @@ from nsmodel.solve.certificate import NumericLaw
 from nsmodel.solve.newton import works_on_rows
 from nsmodel.solve.structure import Structure, is_monotone, least_eigenvalue
 
+if TYPE_CHECKING:  # SciPy is loaded by who uses it.
+    from scipy.sparse.linalg import LinearOperator
+
+    from nsmodel.solve.sparse import Order
+
 IPOPT = "ipopt"
 OWN = {"active-set": mlcp.INDEX_SET, "lemke": mlcp.LEMKE, "enumeration": mlcp.ENUMERATION, "semismooth": mlcp.SEMISMOOTH}
 SOLVERS = ("auto", *qp.SOLVERS, IPOPT, *OWN)
 ENUMERATE_UP_TO = 10
+SPARSE_FROM = 120  # Unknowns and multipliers from which on a sparse step pays.
+FILLED = 0.1  # Part of its matrix that may be nonzero.
 
 
 @dataclass(frozen=True)
@@ -24,7 +32,7 @@ class Plan:
     """How a step is computed.
 
     Attributes:
-        path: "kernel" (constant matrices) or "newton".
+        path: "sparse" (large, constant, sparse matrices), "kernel" (constant matrices) or "newton".
         chain: solvers of the affine problem in the order in which they are tried.
         use_last: whether the last index set is tried before the chain.
         ipopt: whether the whole step goes to IPOPT, always ("always") or when the chain has failed ("last").
@@ -49,8 +57,24 @@ class Plan:
         return "\n".join(lines)
 
 
-def choose(structure: Structure, law: NumericLaw, W: np.ndarray | None, solver: str, few_steps: bool = True) -> Plan:
-    """Decide, from the structure and from W at the start (None where it has none).
+def pays(structure: Structure, law: NumericLaw) -> bool:
+    """Whether a step is large, sparse and of constant matrices, and its law a box."""
+    size = structure.n + structure.m
+    sparse = size >= SPARSE_FROM and structure.nonzeros <= FILLED * size**2
+    return sparse and structure.constant and not law.curved and not structure.projection
+
+
+def worth_compiling(structure: Structure, steps: int) -> bool:
+    """Whether so many interpreted steps take three times as long as compiling them: seconds, as measured for chains."""
+    size = structure.n + structure.m
+    return steps * (1.3e-4 + 2.8e-7 * size) > 3 * (1.0 + 3.5e-4 * size)
+
+
+def choose(
+    structure: Structure, law: NumericLaw, W: np.ndarray | LinearOperator | None, solver: str, few_steps: bool = True,
+    order: Order | None = None,
+) -> Plan:  # fmt: skip
+    """Decide, from the structure and from W at the start (None where it has none); ``order``: of a step that stays sparse.
 
     Raises:
         UsageError: ``solver`` is unknown, or does not apply to this problem.
@@ -62,8 +86,12 @@ def choose(structure: Structure, law: NumericLaw, W: np.ndarray | None, solver: 
     else:
         least = least_eigenvalue(W) if W is not None else -np.inf
     monotone = is_monotone(least, structure.m)
-    path = "kernel" if structure.constant and few_steps else "newton"
+    path = "sparse" if order is not None else "kernel" if structure.constant and few_steps else "newton"
     used, left_out = _lines(path, structure, law, monotone, least)
+    if order is not None:
+        used[1:1] = _sparse_lines(order, structure)
+        left_out.append("W, which is dense: each index set gives one sparse system for the unknowns and the multipliers")
+        return Plan(path, (), True, "never", monotone, least, tuple(used), tuple(left_out))
     if solver == "auto":
         chain = _chain(structure, law, monotone)
         if chain:
@@ -75,6 +103,14 @@ def choose(structure: Structure, law: NumericLaw, W: np.ndarray | None, solver: 
     chain = () if solver == IPOPT else (OWN.get(solver, solver),)
     always = "always" if solver == IPOPT else "never"
     return Plan(path, chain, False, always, monotone, least, tuple(used), tuple(left_out))
+
+
+def _sparse_lines(order: Order, structure: Structure) -> list[str]:
+    how = f"a band of {order.below} + 1 + {order.above} diagonals" if order.is_band else "sparse LU, the band being wide"
+    lines = [f"sparse matrices, constant: {how}, factored again where the index set changes"]
+    if structure.m:
+        lines.append("index sets: the last one, then block principal pivoting from it; each answer certified")
+    return lines
 
 
 def _chain(structure: Structure, law: NumericLaw, monotone: bool) -> tuple[str, ...]:
@@ -103,7 +139,9 @@ def _lines(path: str, structure: Structure, law: NumericLaw, monotone: bool, lea
     used, left_out = [f"{n} unknowns, {m} multipliers, {structure.nonzeros} nonzeros of {(n + m) ** 2}"], []
     if not m:
         left_out.append("multipliers and every solver: the model has no law")
-    if path == "kernel":
+    if path == "sparse":
+        left_out.append("Newton iterations, Jacobian evaluations: E and Y are affine with constant coefficients")
+    elif path == "kernel":
         used.append("constant matrices: factored once for each step size, one function call a step")
         left_out.append("Newton iterations, Jacobian evaluations: E and Y are affine with constant coefficients")
     elif structure.affine:

@@ -14,7 +14,7 @@ import numpy as np
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.certificate import EPS, UNRESOLVED, NumericLaw, box_residual_sx, output_scale_sx, settled_sx
 from nsmodel.solve.layout import Layout, extras
-from nsmodel.solve.structure import Structure, jacobians
+from nsmodel.solve.structure import Structure
 
 UNDETERMINED = 1e-2  # Part of z that rounding may decide.
 CSE_BELOW = 80  # Unknowns up to which sharing common subexpressions pays for the time it takes.
@@ -105,7 +105,7 @@ def regular_inverse(E_z: np.ndarray) -> np.ndarray:
 def matrices_at(problem: OneStepProblem, h: float) -> tuple[np.ndarray, ...]:
     """(E_z, E_l, Y_z, Y_l) at h, dense, where they depend on nothing else."""
     known = ca.vertcat(problem.t, problem.state, problem.z, problem.l)
-    f = ca.Function("matrices", [problem.h, known], [ca.densify(J) for J in jacobians(problem)])
+    f = ca.Function("matrices", [problem.h, known], [ca.densify(J) for J in problem.jacobians])
     return tuple(np.array(v).reshape(v.shape) for v in f.call([ca.DM(h), ca.DM.zeros(known.numel())]))
 
 

@@ -18,11 +18,12 @@ from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import active_set, mlcp
 from nsmodel.solve.certificate import EPS, UNRESOLVED, NumericLaw, law_residual, output_scale
 from nsmodel.solve.layout import extras
-from nsmodel.solve.structure import Structure, jacobians, least_eigenvalue
+from nsmodel.solve.structure import Structure, least_eigenvalue
 
 ITERATIONS = 30
 HIDDEN = 1e-3  # Part of its terms that round-off may hide of E at most, where E_z is singular to rounding.
 WORKING_SET_ABOVE = 24
+SHARED_BELOW = 5000  # Inputs up to which looking for common subexpressions pays for the time it takes.
 UNKNOWN = object()  # Not computed yet.
 
 
@@ -69,19 +70,19 @@ class Newton:
         self.problem, self.structure, self.law, self.tolerance = problem, structure, law, tolerance
         p = problem
         known = [p.t, p.h, p.state]
-        parts = [p.E, p.Y, *jacobians(p)]
-        self._linearise = _Buffered("linearise", [*known, p.z, p.l], parts, matrices=4)
+        parts = [p.E, p.Y, *p.jacobians]
+        self._linearise = Buffered("linearise", [*known, p.z, p.l], parts, matrices=4)
         guess_0 = ca.substitute([p.guess], [p.l], [ca.SX.zeros(p.l.shape)])[0] if p.l.numel() else p.guess
         E_guess = ca.substitute([p.E], [p.z, p.l], [guess_0, ca.SX.zeros(p.l.shape)])[0] if p.z.numel() else p.E
         unit = [row for row, *_ in structure.unit_rows]
         at_zero = ca.substitute([p.Y], [p.z, p.l], [ca.SX.zeros(p.z.shape), ca.SX.zeros(p.l.shape)])[0] if unit else p.Y
-        self._offset = _Buffered("offset", known, [at_zero[unit] if unit else ca.SX(0, 1)])
+        self._offset = Buffered("offset", known, [at_zero[unit] if unit else ca.SX(0, 1)])
         self._offsets = np.zeros(len(unit))
-        self._guess = _Buffered("guess", [*known, p.l], [p.guess, guess_0, E_guess])
-        self._pack = _Buffered("pack", [*known, p.z, p.l, p.y], [p.next_state, *extras(p).values()])
+        self._guess = Buffered("guess", [*known, p.l], [p.guess, guess_0, E_guess])
+        self._pack = Buffered("pack", [*known, p.z, p.l, p.y], [p.next_state, *extras(p).values()])
         self.least_eigenvalue = np.inf  # of the W + W' met so far: a monitor, no step depends on it
         self._complementarity = law.is_complementarity
-        self._felt: _Buffered | None = None
+        self._felt: Buffered | None = None
         self._by_rows = works_on_rows(structure, law)
 
     def linearise(self, t: float, h: float, state: np.ndarray, z: np.ndarray, l: np.ndarray) -> Linearisation:
@@ -216,7 +217,7 @@ class Newton:
         if self._felt is None:
             p = self.problem
             felt = [ca.fabs(ca.jacobian(e, p.state)) @ ca.fabs(p.state) for e in (p.E, p.Y)]
-            self._felt = _Buffered("felt", [p.t, p.h, p.state, p.z, p.l], felt)
+            self._felt = Buffered("felt", [p.t, p.h, p.state, p.z, p.l], felt)
         z, l = found.z, found.l
         at, felt = self.linearise(t, h, state, z, l), self._felt(t, h, state, z, l)
         again = self.judge(at, z, l, found.index, guess, found.solver, found.iterations, *felt)
@@ -336,11 +337,12 @@ class Newton:
         return np.concatenate([parts[0], found.l, found.y, [found.residual, found.iterations], *parts[1:]]) + 0.0
 
 
-class _Buffered:
+class Buffered:
     """A CasADi function called through buffer(): columns come back as fresh 1-D arrays, the last ``matrices`` outputs as 2-D."""
 
     def __init__(self, name: str, inputs: list[ca.SX], outputs: list[ca.SX], matrices: int = 0) -> None:
-        function = ca.Function(name, inputs, [ca.densify(e) for e in outputs], {"cse": True})
+        shared = sum(e.numel() for e in inputs) < SHARED_BELOW
+        function = ca.Function(name, inputs, [ca.densify(e) for e in outputs], {"cse": shared})
         self._in = [np.zeros(e.numel()) for e in inputs]
         columns = len(outputs) - matrices
         self._out = [np.zeros(e.numel() if i < columns else e.shape, order="F") for i, e in enumerate(outputs)]
@@ -351,6 +353,7 @@ class _Buffered:
             self._buffer.set_res(i, memoryview(array.reshape(-1, order="F")))
 
     def __call__(self, *values: float | np.ndarray) -> list[np.ndarray]:
+        """The outputs at these inputs."""
         for array, value in zip(self._in, values, strict=True):
             array[:] = value
         self._run()

@@ -6,13 +6,20 @@ A structure that is not recognised costs speed, never correctness: every step is
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
 
+from nsmodel.model.expressions import column
 from nsmodel.scheme.problem import OneStepProblem
 
+if TYPE_CHECKING:  # SciPy is loaded by who uses it.
+    from scipy.sparse.linalg import LinearOperator
+
 EPS = np.finfo(float).eps
+DENSE = 300  # Rows up to which all eigenvalues are computed.
+LANCZOS_ERROR = 1e-9  # Of an operator scaled to 1: what is nearer to 0 is not told from it.
 
 
 @dataclass(frozen=True)
@@ -48,8 +55,8 @@ class Structure:
 def read(problem: OneStepProblem) -> Structure:
     """Read the structure of a problem; what is said of it holds for any value of parameters left symbolic."""
     z, l = problem.z, problem.l
-    E_z, E_l, Y_z, Y_l = jacobians(problem)
-    matrices = ca.veccat(E_z, E_l, Y_z, Y_l)
+    E_z, E_l, Y_z, Y_l = problem.jacobians
+    matrices = column(entry for J in (E_z, E_l, Y_z, Y_l) for entry in J.nonzeros())
     affine = not _depends(matrices, ca.vertcat(z, l))
     known = ca.vertcat(problem.t, problem.state)
     identity = E_z.is_constant() and E_z.shape == ca.SX.eye(z.numel()).shape and _is_zero(E_z - ca.SX.eye(z.numel()))
@@ -71,11 +78,6 @@ def read(problem: OneStepProblem) -> Structure:
     )
 
 
-def jacobians(problem: OneStepProblem) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-    """(E_z, E_l, Y_z, Y_l), sparse, exact."""
-    return tuple(ca.simplify(ca.jacobian(e, v)) for e in (problem.E, problem.Y) for v in (problem.z, problem.l))
-
-
 def _depends(expression: ca.SX, symbols: ca.SX) -> bool:
     return bool(symbols.numel() and expression.numel() and ca.depends_on(expression, symbols))
 
@@ -89,37 +91,37 @@ def _factors(E_z: ca.SX, E_l: ca.SX, Y_z: ca.SX, Y_l: ca.SX, problem: OneStepPro
     if not problem.l.numel():
         return []
     symbols = ca.vertcat(problem.t, problem.h, problem.state, problem.p, problem.z, problem.l)
-    f = ca.Function("matrices", [symbols], [ca.densify(e) for e in (E_z, E_l, Y_z, Y_l)])
+    f = ca.Function("matrices", [symbols], [E_z, E_l, Y_z, Y_l])
     rng, factors = np.random.default_rng(0), []
     for _ in range(3):
-        Ez, El, Yz, Yl = (np.array(v) for v in f(rng.uniform(0.5, 1.5, symbols.numel())))
-        if not all(np.isfinite(v).all() for v in (Ez, El, Yz, Yl)):
+        Ez, El, Yz, Yl = f(rng.uniform(0.5, 1.5, symbols.numel()))
+        if not all(np.isfinite(v.nonzeros()).all() for v in (Ez, El, Yz, Yl)):
             return None
         with np.errstate(over="ignore", invalid="ignore"):
-            factor = np.vdot(-El.T, Yz) / max(np.vdot(Yz, Yz), 1e-300)
+            factor = float(ca.dot(-El.T, Yz)) / max(float(ca.dot(Yz, Yz)), 1e-300)
         if not (np.isfinite(factor) and _equal(Ez, Ez.T) and _equal(-El, factor * Yz.T) and _equal(Yl, Yl.T) and factor >= 0):
             return None
         factors.append(float(factor))
     return factors
 
 
-def _equal(a: np.ndarray, b: np.ndarray) -> bool:
-    return bool(np.abs(a - b).max(initial=0.0) <= 1e-13 * np.abs(a).max(initial=0.0))
+def _equal(a: ca.DM, b: ca.DM) -> bool:
+    return bool(np.abs((a - b).nonzeros()).max(initial=0.0) <= 1e-13 * np.abs(a.nonzeros()).max(initial=0.0))
 
 
 def _unit_rows(Y_z: ca.SX, Y_l: ca.SX) -> list[tuple[int, int, float]]:
-    by_row: dict[int, list[int]] = {}
-    for i, j in zip(*Y_z.sparsity().get_triplet(), strict=True):
-        if not Y_z[i, j].is_zero():
-            by_row.setdefault(i, []).append(j)
+    by_row: dict[int, list[tuple[int, ca.SX]]] = {}
+    for i, j, entry in zip(*Y_z.sparsity().get_triplet(), Y_z.nonzeros(), strict=True):
+        if not entry.is_zero():
+            by_row.setdefault(i, []).append((j, entry))
     coupled = set(Y_l.sparsity().get_triplet()[0])
-    single = [(i, columns[0]) for i, columns in sorted(by_row.items()) if len(columns) == 1 and i not in coupled]
-    return [(i, j, float(Y_z[i, j])) for i, j in single if Y_z[i, j].is_constant()]
+    single = [(i, *entries[0]) for i, entries in sorted(by_row.items()) if len(entries) == 1 and i not in coupled]
+    return [(i, j, float(entry)) for i, j, entry in single if entry.is_constant()]
 
 
 def _rest_rows(problem: OneStepProblem, Y_z: ca.SX, Y_l: ca.SX) -> tuple[int, ...]:
     m, n = problem.l.numel(), problem.z.numel()
-    if not (m and n):
+    if not n or Y_z.nnz() < n or m < n:
         return ()
     at_zero = ca.substitute([problem.Y], [problem.z, problem.l], [ca.SX.zeros(n), ca.SX.zeros(m)])[0]
     rows = [i for i in range(m) if at_zero[i].is_zero() and Y_z[i, :].is_constant() and Y_l[i, :].nnz() == 0]
@@ -127,8 +129,15 @@ def _rest_rows(problem: OneStepProblem, Y_z: ca.SX, Y_l: ca.SX) -> tuple[int, ..
     return tuple(rows) if np.isfinite(A).all() and np.linalg.matrix_rank(A) == n else ()
 
 
-def least_eigenvalue(W: np.ndarray) -> float:
-    """Least eigenvalue of (W + W')/2 after scaling rows and columns alike, so that units do not matter; inf for m = 0."""
+def least_eigenvalue(W: np.ndarray | LinearOperator) -> float:
+    """Least eigenvalue of (W + W')/2 after scaling rows and columns alike, so that units do not matter; inf for m = 0.
+
+    Of an operator of more than DENSE rows, scaled already, it is what Lanczos' method finds: not below the true one.
+    """
+    if not isinstance(W, np.ndarray):
+        if W.shape[0] > DENSE:
+            return _by_lanczos(W)
+        W = np.column_stack([W.matvec(e) for e in np.eye(W.shape[0])]) if W.shape[0] else np.zeros((0, 0))
     if not W.size:
         return np.inf
     S = (W + W.T) / 2
@@ -138,6 +147,21 @@ def least_eigenvalue(W: np.ndarray) -> float:
     # A skew part that is larger by far brings its round-off into S.
     unseen = EPS * np.linalg.norm(np.abs(W) / np.outer(d, d), 2)
     return 0.0 if -unseen <= least < 0 else least
+
+
+def _by_lanczos(W: LinearOperator) -> float:
+    from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
+
+    symmetric = LinearOperator(W.shape, matvec=lambda v: (W.matvec(v) + W.rmatvec(v)) / 2)
+    start = np.random.default_rng(0).normal(size=W.shape[0])
+    try:
+        found = eigsh(symmetric, 1, which="SA", v0=start, tol=1e-3, maxiter=20, return_eigenvectors=False)
+    except ArpackNoConvergence as error:
+        found = error.eigenvalues
+    least = float(found.min(initial=np.inf))
+    if not np.isfinite(least):  # no Ritz value has settled: the quotient of the start is above the least eigenvalue too
+        least = float(start @ symmetric.matvec(start) / (start @ start))
+    return 0.0 if -LANCZOS_ERROR <= least < 0 else least
 
 
 def is_monotone(least: float, m: int) -> bool:

@@ -17,6 +17,7 @@ from nsmodel.hypotheses.along import QUALIFIED
 from nsmodel.hypotheses.findings import ALONG_A_RUN, VIOLATED
 from nsmodel.hypotheses.quick import UNIQUENESS
 from nsmodel.model.base import Model, shown
+from nsmodel.model.bodies import ManyBodies
 from nsmodel.model.inclusion import MonotoneInclusion
 from nsmodel.model.lure import LureSystem
 from nsmodel.model.units import in_units
@@ -51,7 +52,7 @@ def stress(
     class promises along a run (energy, feasibility, contraction) where the hypotheses hold.
 
     Args:
-        model: any of the five classes.
+        model: of any class but ManyBodies.
         vary: {name of a parameter: values}; all combinations are run.
         parameters: values of the other parameters.
         step: the step that is taken for 1; left out: the model's own.
@@ -59,7 +60,7 @@ def stress(
         progress: show a progress bar where standard error is a terminal.
 
     Raises:
-        UsageError: no model, no step, an unknown parameter, a value that is no number.
+        UsageError: no model, a model of many bodies, no step, an unknown parameter, a value that is no number.
     """
     if not isinstance(model, Model):
         raise UsageError(f"stress: expected a model, such as LureSystem(...), not {shown(model)}")
@@ -76,6 +77,12 @@ def push(
     progress: bool = False,
 ) -> Stress:
     """Push bound models that differ in the values named beside each; see `stress`."""
+    many = next((model for _, model in variants if isinstance(model, ManyBodies)), None)
+    if many is not None:
+        raise UsageError(
+            f"stress: '{many.title or 'ManyBodies'}' is a model of many bodies, whose steps are judged as they are taken; "
+            "push a small scene written out, stress(model.written_out())"
+        )
     if not (is_number(steps) and steps >= 3 and float(steps).is_integer()):
         raise UsageError(f"steps = {written(steps)}; expected a whole number >= 3")
     if step is not None and not (is_number(step) and 0 < step < np.inf):

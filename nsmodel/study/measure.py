@@ -19,6 +19,7 @@ from nsmodel.grid import is_number, written
 from nsmodel.hypotheses.along import along
 from nsmodel.hypotheses.findings import Finding
 from nsmodel.model.base import Model, shown
+from nsmodel.model.bodies import ManyBodies
 from nsmodel.model.first_order import FirstOrderSystem
 from nsmodel.model.lure import LureSystem
 from nsmodel.study import methods
@@ -54,7 +55,7 @@ def study(
     """Measure how accurate a model's schemes are for what they cost, and return the lines of a work-precision diagram.
 
     Args:
-        model: any of the five classes.
+        model: of any class but ManyBodies.
         steps: time steps; left out: 16 h, 8 h, ... h/8 around the model's own h, changed a little so that the grids nest.
         target: a relative error whose price is wanted.
         t_end, parameters: override the model's own.
@@ -65,12 +66,17 @@ def study(
         progress: say on standard error what is measured, where that is a terminal.
 
     Raises:
-        UsageError: a wrong argument; a solver that is unknown.
+        UsageError: a wrong argument; a solver that is unknown; a model of many bodies.
         StepError: no run with small steps comes to its end: there is nothing to compare with.
         StudyInterrupted: Ctrl-C; ``error.study`` holds what was measured.
     """
     if not isinstance(model, Model):
         raise UsageError(f"study: expected a model such as LureSystem(...), not {shown(model)}; a file is read with nsmodel.load")
+    if isinstance(model, ManyBodies):
+        raise UsageError(
+            f"study: '{model.title or 'ManyBodies'}' is a model of many bodies, whose states come and go; study a small scene "
+            "written out, study(model.written_out()), or compare two runs of simulate(model, step=...)"
+        )
     for name, value in (("target", target), ("budget", budget), ("t_end", t_end)):
         if value is not None and not (is_number(value) and np.isfinite(value) and value > 0):
             raise UsageError(f"{name} = {written(value)}; expected a finite number > 0")

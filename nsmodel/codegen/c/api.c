@@ -11,7 +11,11 @@ static int attempt(model_solver *s)
 #else
 #if FIXED
     s->work.solver = step_by_matrices(s);
-#else
+#endif
+#if BANDED
+    s->work.solver = step_by_band(s);
+#endif
+#if NEWTON
     s->work.solver = step_by_newton(s);
 #endif
 #endif

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, follows, found
-from nsmodel.hypotheses.lure import range_condition
+from nsmodel.hypotheses.lure import large, range_condition
 from nsmodel.hypotheses.lure.hypomonotone import HYPOMONOTONE, Growth, hypomonotone
 from nsmodel.hypotheses.lure.passivity import D_PSD, PAPER, STORAGE, input_output, storage
 from nsmodel.hypotheses.lure.passivity_symbolic import symbolic_findings
@@ -37,6 +37,9 @@ def check(model: LureSystem, region: Region, runs: Sequence[Trajectory], quick: 
         runs: where there are two from different starts, their distance is compared with (40).
         quick: no searches, no semidefinite programs.
     """
+    if large.is_large(model):
+        growth, ordered = large.findings(model)
+        return list(ordered), _consequences(model, region, growth, ordered)
     B, C, D = (np.array(ca.DM(matrix)).reshape(matrix.shape) for matrix in (model.B, model.C, model.D))
     passivity = storage(B, C)
     growth = hypomonotone(model, passivity, region, quick)

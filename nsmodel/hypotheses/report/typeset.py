@@ -13,6 +13,7 @@ from nsmodel.hypotheses.report import sympy_algebra
 from nsmodel.hypotheses.report.formula import Names, formulas, written
 from nsmodel.hypotheses.report.notation import bracketed, decimal, listed, symbol_latex, words
 from nsmodel.model.base import Model
+from nsmodel.model.bodies import Bodies, ManyBodies, Member
 from nsmodel.model.convex import ConvexSplit
 from nsmodel.model.expressions import column
 from nsmodel.model.first_order import FirstOrderSystem
@@ -56,6 +57,8 @@ def equations(model: Model) -> list[str]:
     Args:
         model: bound or not; parameters without a number stay symbols.
     """
+    if isinstance(model, ManyBodies):
+        return _many_bodies(model)
     names = _names(model)
     if isinstance(model, SweepingProcess):
         first, *rest = _sweeping(model, names)
@@ -95,7 +98,7 @@ def law_latex(law: Law) -> str:
     return "K = " + r" \times ".join(powers or [r"\emptyset"]) + (rf" \quad {bracketed(word)}" if word else "")
 
 
-# -- the five classes --------------------------------------------------------------------------------------------------
+# -- the six classes ---------------------------------------------------------------------------------------------------
 
 
 def _sweeping(model: SweepingProcess, names: Names) -> list[str]:
@@ -111,6 +114,35 @@ def _sweeping(model: SweepingProcess, names: Names) -> list[str]:
         rf"{Q} = \left\{{ q \in {_space(len(model.names))} : {rows} \right\}}" if p else f"Q = {_space(len(model.names))}"
     )
     return [*lines, *_constraint_lines("g", model.constraints, model, names, "q"), _start("q(0)", model.q0, names)]
+
+
+def _many_bodies(model: ManyBodies) -> list[str]:
+    """The equation of one body, and of each family the constraint of any of its members."""
+    n, d = model.bodies.q0.shape
+    timed = any(ca.depends_on(family.g, model.t) for family in model.constraints.values())
+    Q, i = "Q(t)" if timed else "Q", model.me.name
+    f = _call("f", model.f, model, _of_members(model.me), f"q_{i}") if isinstance(model.f, ca.SX) else f"f_{i}(t, q)"
+    lines = [rf"\dot{{q}}_{i} + N_{{{Q}}}(q)_{i} \ni {f},\quad {i} = 0, \ldots, {n - 1},\quad q_{i} \in {_space(d)}"]
+    lines += _vector_lines(f, model.f, _of_members(model.me)) if isinstance(model.f, ca.SX) else []
+    rows = []
+    for name, family in model.constraints.items():
+        members = [member for member in (family.first, family.second) if member is not None]
+        states = [f"q_{member.name}" for member in members if isinstance(member.group, Bodies)]
+        left = _call(rf"g_{{{words(name)}}}", family.g, model, _of_members(*members), *states)
+        text = _text(ca.SX(family.g), _of_members(*members))[0]
+        rows.append(rf"{left} = {text} \geq 0 \quad {words(f'({family.count} constraints)')}")
+    lines.append(rf"{Q} = \left\{{ q : g \geq 0 \right\}}" if rows else rf"{Q} = {_space(n * d)}")
+    return [*lines, *rows]
+
+
+def _of_members(*members: Member) -> Names:
+    """The state and the numbers of each member with its name as an index."""
+    shown = {}
+    for member in members:
+        for key in member.group.numbers:
+            own = [symbol.name() for symbol in ca.vertsplit(getattr(member, key))]
+            shown |= {name: symbol_latex("_".join([key, member.name, *name.split("_")[1:]])) for name in own}
+    return Names(shown, {})
 
 
 def _oscillator(model: FrictionOscillator, names: Names) -> list[str]:

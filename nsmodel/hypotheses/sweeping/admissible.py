@@ -79,6 +79,11 @@ def scene_of(model: SweepingProcess, region: Region, runs: Sequence[Trajectory],
     return _scene(model.g, model.q, model.t, *names, *region.with_time(), finite)
 
 
+def part_without_constraints(q: ca.SX, t: ca.SX, lower: np.ndarray, upper: np.ndarray) -> Scene:
+    """Return the scene of some states alone, on the box (1 + n,) of (t, q)."""
+    return _scene(ca.SX(0, 1), q, t, (), tuple(range(q.numel())), lower, upper, ())
+
+
 def _scene(g, q, t, rows, columns, lower, upper, known) -> Scene:
     function = ca.Function("g", [t, q], [ca.densify(g), ca.densify(ca.jacobian(g, q))])
     return Scene(g, q, t, rows, columns, lower, upper, known, function, _evaluator(function, len(rows), len(columns)))

@@ -61,16 +61,28 @@ def check(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # NaN and inf are met on purpose, where gradients do not exist.
         constraints = _constraints(model, region)
-        scene = scene_of(model, region, runs, 32 if len(constraints) <= 60 else 12)
+        scene = _scene(model, constraints, region, runs)
         unknown = sum(c.shape.kind == "other" for c in constraints)
         each = _grouped(constraints, quick or unknown > PLENTY)
-        findings = [_joined(hypothesis, constraints, each) for hypothesis in HYPOTHESES[:6]]
+        findings = [joined(hypothesis, constraints, each) for hypothesis in HYPOTHESES[:6]]
         points = _points(scene, len(model.names) > FEW, quick)
         near, active = _qualified(constraints, each, scene, points, model, quick)
-        findings += [_gamma(A5, near, region), _gamma(A5_ACTIVE, active, region)]
+        findings += [gamma(A5, near, region), gamma(A5_ACTIVE, active, region)]
         findings.append(_velocity(model, scene, points, quick))
         findings.append(_start(model, constraints))
     return findings, consequences_of(model, findings, runs, len(constraints))
+
+
+def qualified(model: SweepingProcess, region: Region, runs: Sequence[Trajectory], quick: bool) -> tuple[Qualified, Qualified]:
+    """Return A5 and A5' alone."""
+    constraints = _constraints(model, region)
+    scene = _scene(model, constraints, region, runs)
+    points = _points(scene, len(model.names) > FEW, quick)
+    return _qualified(constraints, _grouped(constraints, quick), scene, points, model, quick)
+
+
+def _scene(model: SweepingProcess, constraints: Sequence[Constraint], region: Region, runs: Sequence[Trajectory]) -> Scene:
+    return scene_of(model, region, runs, 32 if len(constraints) <= 60 else 12)
 
 
 def _points(scene: Scene, many: bool, quick: bool) -> list[Point]:
@@ -99,7 +111,7 @@ def _grouped(constraints: Sequence[Constraint], quick: bool) -> list[Answers]:
     return [answers(constraint, quick) for constraint in constraints]
 
 
-def _joined(hypothesis: Hypothesis, constraints: Sequence[Constraint], each: Sequence[Answers]) -> Finding:
+def joined(hypothesis: Hypothesis, constraints: Sequence[Constraint], each: Sequence[Answers]) -> Finding:
     """One finding from the answers of all constraints: the weakest verdict, the worst numbers."""
     own = [item[hypothesis.id] for item in each]
     if not own:
@@ -154,7 +166,8 @@ def _qualified(
     return qualification(constraints, scene, np.where(proved, slope, np.inf), reach, points, model.names, quick)
 
 
-def _gamma(hypothesis: Hypothesis, result: Qualified, region: Region) -> Finding:
+def gamma(hypothesis: Hypothesis, result: Qualified, region: Region) -> Finding:
+    """Return the finding on A5 or A5'."""
     value = {"gamma": result.gamma, "rho": result.rho, "attained": result.attained}
     if hypothesis is A5_ACTIVE:
         value.pop("rho")

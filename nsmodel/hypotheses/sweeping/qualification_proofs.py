@@ -41,7 +41,7 @@ def everywhere(constraints: Sequence[Constraint], rho: float) -> Proof | None:
         return Proof(1.0, np.inf, "no constraint")
     if len(constraints) == 1:
         return Proof(1.0, np.inf, "one constraint")
-    for rule in (_planes, _independent, _discs):
+    for rule in (_planes, _independent, discs):
         proof = rule(constraints, rho)
         if proof is not None:
             return proof
@@ -84,13 +84,15 @@ def _gradient_space(shape: Shape, states: Sequence[int]) -> np.ndarray:
 # -- discs -------------------------------------------------------------------------------------------------------------
 
 
-def _discs(constraints: Sequence[Constraint], rho: float) -> Proof | None:
+def discs(constraints: Sequence[Constraint], rho: float, count: int | None = None) -> Proof | None:
     """Distances between bodies, and planes for single bodies whose normals have an escape direction e: <n, e> >= kappa > 0.
 
     A connected group of k bodies is blown up from its centre and moved along e, v = (q - centre) + s (e, ..., e). With ``l``
     the largest distance in contact and D the least one: pairs gain <n_ij, v> = |q_i - q_j| / sqrt(2) >= D / sqrt(2), and planes
     <n, v> >= s kappa - R, R = l (k - 1)/2; s makes both equal. |q - centre|^2 <= l^2 (k^3 - k)/12 (a row is the worst), so
     gamma^2 <= (l^2 (k^3 - k)/12 + k s^2) / (D^2/2). gamma^2 adds up over groups, and one group of all is the worst.
+
+    ``count``: there are so many bodies, and each constraint is like one of these.
     """
     pairs = [pair for c in constraints if c.shape.kind == "distance" and (pair := _pair(c)) is not None]
     planes = [c.shape.form.affine.row for c in constraints if c.shape.kind == "plane"]
@@ -107,7 +109,7 @@ def _discs(constraints: Sequence[Constraint], rho: float) -> Proof | None:
         if only is None:
             return None
         normals.append([float(row.get(i, 0)) for i in only])
-    k, D, l = len(bodies), min(low for *_, low, _, _ in pairs), max((high + rho / w) for *_, high, w in pairs)
+    k, D, l = count or len(bodies), min(low for *_, low, _, _ in pairs), max((high + rho / w) for *_, high, w in pairs)
     if not normals:
         return Proof(
             l / D * discs_in_a_row(k), rho, f"{k} bodies that touch only each other: blown up from the centre they all part"

@@ -62,15 +62,15 @@ def velocity(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]],
     """
     blocks = _blocks(f, scene)
     rate, steady = _in_time(f, scene, quick)
-    lipschitz = [_lipschitz(block, quick) for block in blocks]
-    worst = max((K for _, K, _, _ in lipschitz), default=0.0)
-    if all(verdict == HOLDS for verdict, *_ in lipschitz):
-        where = ON_THE_BOX if any(place == ON_THE_BOX for *_, place, _ in lipschitz) else EVERYWHERE
+    norms = [lipschitz(block, quick) for block in blocks]
+    worst = max((K for _, K, _, _ in norms), default=0.0)
+    if all(verdict == HOLDS for verdict, *_ in norms):
+        where = ON_THE_BOX if any(place == ON_THE_BOX for *_, place, _ in norms) else EVERYWHERE
         L_f = _growth(f, scene, blocks, worst, where, quick)
         how = "f is continuous and |f_q| is bounded" if worst else "f does not depend on the state"
         return Answer(HOLDS, {"K_f": worst, "L_f": L_f} | rate, where, how + steady)
     L_f = _growth(f, scene, blocks, np.inf, ON_THE_BOX, quick)
-    count = sum(number for *_, number in lipschitz)
+    count = sum(number for *_, number in norms)
     if quick:
         worst = max(worst, _quotient(f, scene, points))
         how = f"{count} points; neither jumps of f nor steep places were looked for (quick)"
@@ -82,10 +82,10 @@ def velocity(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]],
         size, count, witness = jump
         how = f"f jumps at {count} points found inside Q(t), so it is not Lipschitz there; the one nearest to the runs is shown"
         return Answer(VIOLATED, {"K_f": np.inf, "jump": size, "L_f": L_f} | rate, ON_THE_BOX, how + steady, witness)
-    steep = _steep(blocks, lipschitz, scene, points, names)
-    if steep is not None:
+    point = steep(blocks, norms, scene, points, names)
+    if point is not None:
         value = {"K_f": np.inf, "L_f": L_f} | rate
-        return Answer(VIOLATED, value, ON_THE_BOX, "difference quotients grow without bound near this point", steep)
+        return Answer(VIOLATED, value, ON_THE_BOX, "difference quotients grow without bound near this point", point)
     worst = max(worst, _quotient(f, scene, points))
     how = f"{count} points; f was not proved continuous with a bounded derivative, no jump was found inside Q(t)"
     return Answer(SAMPLED, {"K_f": worst, "L_f": L_f} | rate, ON_THE_BOX, how + steady)
@@ -155,7 +155,7 @@ def _block(f: ca.SX, scene: Scene, rows: list[int], columns: list[int]) -> Block
 # -- bounds ------------------------------------------------------------------------------------------------------------
 
 
-def _lipschitz(block: Block, quick: bool) -> tuple[str, float, str, int]:
+def lipschitz(block: Block, quick: bool) -> tuple[str, float, str, int]:
     """(verdict, K, where, points): proved for all states, else on the box, else the largest |f_q| seen."""
     J = ca.jacobian(block.f, block.q)
     for everywhere in (True, False):
@@ -215,7 +215,7 @@ def _worst_jump(
     bases = [points_of_Q[k] for k in np.unique(np.linspace(0, len(points_of_Q) - 1, BASES, dtype=int)) if len(points_of_Q)]
     touched = _touched(scene)
     for block in blocks:
-        x, y = _jumps(block)
+        x, y = jumps(block)
         if not len(x):
             continue
         own, moves = slice(1, 1 + block.q.numel()), bool(ca.depends_on(block.f, ca.vertcat(block.t, block.s)))
@@ -235,18 +235,18 @@ def _worst_jump(
     return float(max(size for _, size, _ in found)), len(found), min(found, key=lambda item: item[0])[2]
 
 
-def _jumps(block: Block) -> tuple[np.ndarray, np.ndarray]:
+def jumps(block: Block) -> tuple[np.ndarray, np.ndarray]:
     """Points on both sides of switches of a block, where its value jumps."""
     x, y = surface_points(block.f, block.z, *block.box(False))
     if not len(x):
         return x, y
     f = ca.Function("f", [block.z], [ca.densify(block.f)])
-    some = np.flatnonzero(_differ(np.array(f(x.T)).T, np.array(f(y.T)).T))
+    some = np.flatnonzero(differ(np.array(f(x.T)).T, np.array(f(y.T)).T))
     some = some[:: max(1, some.size // JUMPS)]
     return x[some], y[some]
 
 
-def _differ(below: np.ndarray, above: np.ndarray) -> np.ndarray:
+def differ(below: np.ndarray, above: np.ndarray) -> np.ndarray:
     """The size (k,) of the jumps between values (k, r); 0 where rounding explains it."""
     with np.errstate(all="ignore"):
         size = np.linalg.norm(above - below, axis=1)
@@ -276,7 +276,7 @@ def _sides(f: ca.SX, scene: Scene, touched: list[set[int]], columns: list[int]) 
         both = np.hstack([np.vstack([times, side.T]) for side in (x, y)])
         values = np.array(function(both, q[others])).T.reshape(2, len(x), -1)
         inside = (values[:, :, r:] >= 0).all(axis=(0, 2))
-        return np.where(inside, _differ(values[0, :, :r], values[1, :, :r]), 0.0)
+        return np.where(inside, differ(values[0, :, :r], values[1, :, :r]), 0.0)
 
     return sides
 
@@ -293,15 +293,15 @@ def _quotient(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]]
     return worst
 
 
-def _steep(
-    blocks: list[Block], lipschitz: list[tuple[str, float, str, int]], scene: Scene,
+def steep(
+    blocks: list[Block], norms: list[tuple[str, float, str, int]], scene: Scene,
     points: Sequence[tuple[float, np.ndarray]], names: Sequence[str],
 ) -> dict[str, Any] | None:  # fmt: skip
     """A point of Q(t) near which difference quotients keep growing as the points come together."""
     if not points:
         return None
     base_t, base = points[0]
-    for block, (verdict, *_) in zip(blocks, lipschitz, strict=True):
+    for block, (verdict, *_) in zip(blocks, norms, strict=True):
         if verdict == HOLDS:
             continue
         J = ca.jacobian(block.f, block.q)

@@ -15,6 +15,7 @@ import numpy as np
 
 HERE = Path(__file__).resolve().parent
 NOSNOC = "NSMODEL_NOSNOC_PYTHON"  # names the Python that has nosnoc
+CROMOSIM = "NSMODEL_CROMOSIM_PYTHON"  # and cromosim
 LIMIT = 240  # s for one program on one scene
 
 
@@ -38,6 +39,18 @@ def siconos() -> str | None:
 def nosnoc() -> str | None:
     """The Python named in NSMODEL_NOSNOC_PYTHON, where it has nosnoc."""
     return _that_has("nosnoc", [os.environ.get(NOSNOC)])
+
+
+def cromosim() -> str | None:
+    """The first Python that has cromosim, the one named in NSMODEL_CROMOSIM_PYTHON before this one."""
+    return _that_has("cromosim", [os.environ.get(CROMOSIM), sys.executable])
+
+
+def crowd_steps(scene: Path) -> tuple[dict[str, float] | None, str]:
+    """Milliseconds of the parts of cromosim's step from the state in a file; None where it is not installed, or failed: why."""
+    lines, stopped = _ask(cromosim(), "in_cromosim.py", str(scene))
+    found = [json.loads(line) for line in lines if line.startswith("{")]
+    return (found[0], "") if found else (None, stopped)
 
 
 def _that_has(module: str, pythons: list[str | None]) -> str | None:

@@ -1,0 +1,319 @@
+"""A run of many bodies: the step of `solve.many_bodies` over a grid, bodies that leave and enter, and the contacts that acted."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nsmodel.contacts import NO_CONTACTS, Contacts, in_order
+from nsmodel.errors import CodegenError, StepError, StorageError, UsageError
+from nsmodel.grid import Grid
+from nsmodel.hypotheses.quick import warnings_of
+from nsmodel.identity import INTERPRETED, settings
+from nsmodel.model.bodies import ManyBodies
+from nsmodel.run import IN_C, Loop
+from nsmodel.scheme.many_bodies import BodiesProblem, Rows
+from nsmodel.solve.certificate import EPS
+from nsmodel.solve.choose import Plan
+from nsmodel.solve.many_bodies import COLD, BodiesStep, BodiesStepper, BodiesWarm, explained
+from nsmodel.solve.near import least_gap, near
+
+PAYS = 20_000  # Bodies times steps from which on compiling takes less time than it saves.
+CONTACTS_EACH = 3  # Contacts of a body for which memory is planned.
+OVERRUN = 1e5  # A gap below 0 by more than so many times the rounding of the positions is told.
+
+
+class BodiesRecord:
+    """Rows in memory: ``capacity`` of them, then it is ``full`` and must be cleared; contacts are lists beside them."""
+
+    def __init__(self, bodies: int, d: int, capacity: int) -> None:
+        self.t, self.h, self.residual, self.gap_min = (np.empty(capacity) for _ in range(4))
+        self.x, self.pressure = np.empty((capacity, bodies * d)), np.empty((capacity, bodies))
+        self.contacts: list[Contacts] = []
+        self.first = 0  # Number of the first row in memory.
+        self.filled, self.full = 0, False
+
+    def add(
+        self, t: float, h: float, q: np.ndarray, gap: float, residual: float, pressure: np.ndarray | float, contacts: Contacts
+    ) -> None:  # fmt: skip
+        """Add a row."""
+        r = self.filled
+        self.t[r], self.h[r], self.x[r], self.gap_min[r], self.residual[r] = t, h, q.ravel(), gap, residual
+        self.pressure[r] = pressure
+        self.contacts.append(contacts)
+        self.filled = r + 1
+        self.full = self.filled == len(self.t)
+
+    def clear(self) -> None:
+        """Forget the rows."""
+        self.first += self.filled
+        self.filled, self.full, self.contacts = 0, False, []
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """The rows as the arrays of a trajectory."""
+        rows = slice(0, self.filled)
+        names = ("t", "x", "residual", "h", "gap_min", "pressure")
+        arrays = {"step" if name == "h" else name: getattr(self, name)[rows].copy() for name in names}
+        counts = [len(one.first) for one in self.contacts]
+        row = np.repeat(np.arange(self.first, self.first + self.filled), counts)
+        parts = [np.concatenate(part) for part in zip(*self.contacts, strict=True)]
+        return arrays | {"contact_row": row} | {f"contact_{k}": v for k, v in zip(Contacts._fields, parts, strict=True)}
+
+
+class BodiesRun(Loop):
+    """A run of many bodies; see `simulate` for the arguments.
+
+    It stands at (k, q, waiting, warm): ``q (N, d)`` is NaN where a body is not there, ``waiting (N,)`` who has not yet entered.
+    ``seconds``: run time of the interpreted steps by what they do.
+    """
+
+    def __init__(
+        self, model: ManyBodies, grid: Grid, solver: str, tolerance: float, save_every: int, out: Path | None, resume: bool,
+        compiled: bool | str = False,
+    ) -> None:  # fmt: skip
+        self.model, self.grid, self.save_every, self.out, self.tolerance = model, grid, save_every, out, tolerance
+        self._check_exact()
+        self.problem = BodiesProblem(model)
+        self.stepper = BodiesStepper(self.problem, solver, tolerance)
+        self.plan = Plan("bodies", (), True, "never", True, 0.0, *map(tuple, explained(self.problem, solver)))
+        self.counts, self._looked_at = Counter(), 0.0
+        self.warnings = warnings_of(model, self.plan)
+        self.totals: dict[str, Any] = {
+            "worst_residual": 0.0, "worst_residual_t": None, "index_set_changes": 0, "steps": 0, "left": 0, "entered": 0,
+            "least_gap": np.inf, "least_gap_t": None, "largest_pressure": 0.0, "largest_pressure_t": None,
+            "largest_pressure_body": None, "most_contacts": 0,
+        }  # fmt: skip
+        self._check_f()
+        self._start_store(resume)
+        self.step: Any = self.stepper
+        way = self._compile(compiled, solver, self._way_there)
+        self.settings = settings(model, grid, solver, tolerance, save_every, way)
+        N, d = model.bodies.q0.shape
+        row = 8 * (N * d + N + 4) + 25 * CONTACTS_EACH * N
+        self.record = BodiesRecord(N, d, self._rows_in_memory(row, 1))
+        self.k, self.warm, self.waiting = 0, COLD, model.enter > 0
+        self.q = np.where(self.waiting[:, None], np.nan, model.bodies.q0)
+        self._flushed = time.monotonic()
+        if resume:
+            self._restore()
+            self.record.first = self.store.manifest["rows"]
+        else:
+            gap = refuse_start(self.problem, self.q)
+            self._note_gap(gap, 0.0)
+            self.record.add(0.0, np.nan, self.q, gap, np.nan, np.nan, NO_CONTACTS)
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Seconds that the steps have taken: {"search", "assembly", "solve"}."""
+        return self.step.seconds
+
+    def warm_up(self) -> None:
+        """Take a step and forget it, and its run time."""
+        with contextlib.suppress(StepError):
+            self.step(0.0, self.grid.step(0), self.q, self._present(), self.warm, 0)
+        self.seconds.update(dict.fromkeys(self.seconds, 0.0))
+
+    def _check_f(self) -> None:
+        """Refuse a function f that fails at the start."""
+        try:
+            self.problem.f(0.0, self.model.bodies.q0, np.ones(self.problem.count, bool))
+        except StepError as error:
+            raise UsageError(str(error)) from error
+
+    def _compile(self, compiled: bool | str, solver: str, there: str | None) -> str:
+        """Get the step in C where it is asked for, or pays; return the way of stepping."""
+        wanted = compiled is True
+        if compiled == "auto":
+            pays = solver == "auto" and self.grid.N * self.problem.count >= PAYS
+            wanted = pays if there is None else there != INTERPRETED
+        if not wanted:
+            return INTERPRETED
+        try:
+            from nsmodel.codegen.bodies_step import CompiledStep
+            from nsmodel.codegen.library import compiler
+
+            self.step = CompiledStep(self.model, self.tolerance)
+        except (CodegenError, ImportError) as error:
+            if there not in (None, INTERPRETED):
+                raise StorageError(f"{self.out}: the run there is {there}, which it cannot be here: {error}") from error
+            self.plan = replace(self.plan, left_out=(*self.plan.left_out, f"steps in C: {error}"))
+            if compiled is True:
+                self.warnings.append(f"not compiled, the steps are interpreted: {error}")
+            return INTERPRETED
+        self.plan = replace(self.plan, used=(*self.plan.used, IN_C))
+        return f"compiled by {compiler()}"
+
+    def _present(self) -> np.ndarray:
+        """Who takes part in the next step (N,): those that are there and do not leave."""
+        there = np.isfinite(self.q).all(axis=1)
+        return there & ~self.problem.leaves(self.grid.time(self.k), self.q, there)
+
+    def _advance(self, bar: Any, interrupted: Sequence[float]) -> None:
+        grid = self.grid
+        while self.k < grid.N and not interrupted:
+            t, h = grid.time(self.k), grid.step(self.k)
+            present = self._present()
+            result = self._take(t, h, np.where(present[:, None], self.q, np.nan), present)
+            left = int(np.isfinite(self.q).all(axis=1).sum() - present.sum())
+            # From here on nothing fails: the step has happened, or it has not.
+            pressure = self._pressure(result.contacts, present)
+            q = result.q
+            entering = self._entering(t + h, q) if self.waiting.any() else np.zeros(0, int)
+            q[entering] = self.model.bodies.q0[entering]
+            self._count(t + h, result, pressure, left, entering)
+            self.k, self.q, self.warm = self.k + 1, q, result.warm
+            if self.k % self.save_every == 0 or self.k == grid.N:
+                contacts = in_order(result.contacts)
+                self.record.add(grid.time(self.k), h, q, result.gap_min, result.residual, pressure, contacts)
+                if self.store is not None and self._due:
+                    self._flush("running", "")
+            if bar is not None:
+                bar.update()
+
+    def _take(self, t: float, h: float, q: np.ndarray, present: np.ndarray) -> BodiesStep:
+        """The step; a compiled one that fails is taken once more interpreted."""
+        try:
+            return self.step(t, h, q, present, self.warm, self.k)
+        except StepError:
+            if self.step is self.stepper:
+                raise
+        return self.stepper(t, h, q, present, self.warm, self.k)
+
+    def _pressure(self, contacts: Contacts, present: np.ndarray) -> np.ndarray:
+        """The sum of the reactions on each body (N,), NaN where none is there."""
+        count = self.problem.count
+        pairs = np.array([family.of_pairs for family in self.problem.families], bool)[contacts.family]
+        total = np.bincount(contacts.first, contacts.reaction, count)
+        total += np.bincount(contacts.second[pairs], contacts.reaction[pairs], count)
+        return np.where(present, total, np.nan)
+
+    def _entering(self, t: float, q: np.ndarray) -> np.ndarray:
+        """Who enters at t: those whose time has come and whose start is free, in the order of their numbers."""
+        due = self.waiting & (self.model.enter <= t + 1e-9 * self.grid.h)
+        if not due.any():
+            return np.zeros(0, int)
+        placed = np.where(due[:, None], self.model.bodies.q0, q)
+        rows = near(self.problem, t, placed, np.isfinite(placed).all(axis=1), 0.0)
+        rows = rows.at(rows.g < -_rounding(rows, placed))
+        both = rows.pair & due[rows.first] & due[rows.other]
+        refused = np.zeros(len(due), bool)
+        for member in (rows.first[~both], rows.second[~both & rows.pair]):  # by bodies that are there, and by items
+            refused[member] |= due[member]
+        for first, second in sorted(zip(rows.first[both].tolist(), rows.second[both].tolist(), strict=True)):
+            if not (refused[first] or refused[second]):
+                refused[max(first, second)] = True
+        return np.flatnonzero(due & ~refused)
+
+    def _count(self, t: float, result: BodiesStep, pressure: np.ndarray, left: int, entering: np.ndarray) -> None:
+        """What is known of all steps, whichever rows are kept."""
+        totals, contacts, last = self.totals, in_order(result.contacts), in_order(self.warm.contacts)
+        self.counts[result.solver] += 1
+        if result.residual > totals["worst_residual"]:
+            totals["worst_residual"], totals["worst_residual_t"] = float(result.residual), t
+        totals["index_set_changes"] += int(
+            totals["steps"] > 0 and not all(np.array_equal(a, b) for a, b in zip(contacts[:3], last[:3], strict=True))
+        )
+        totals["steps"] += 1
+        totals["left"] += left
+        totals["entered"] += len(entering)
+        totals["most_contacts"] = max(totals["most_contacts"], len(contacts.first))
+        if len(contacts.first) and (most := np.nanmax(pressure)) > totals["largest_pressure"]:
+            body = int(np.nanargmax(pressure))
+            totals |= {"largest_pressure": float(most), "largest_pressure_t": t, "largest_pressure_body": body}
+        self._note_gap(result.gap_min, t, result.q)
+        self.waiting[entering] = False
+
+    def _note_gap(self, gap: float, t: float, q: np.ndarray | None = None) -> None:
+        """Keep the least gap; one below 0 beyond rounding is named: a linearised constraint can be overrun where not convex."""
+        totals = self.totals
+        if gap < totals["least_gap"]:
+            totals["least_gap"], totals["least_gap_t"] = float(gap), t
+        if q is None or gap >= 2 * self._looked_at:  # all rows are looked at only when it has become twice as bad
+            return
+        self._looked_at = min(gap, 0.0)
+        rows = near(self.problem, t, q, np.isfinite(q).all(axis=1), 0.0)
+        over = rows.g + OVERRUN * _rounding(rows, q)
+        if over.size and over.min() < 0:
+            i = int(over.argmin())
+            name = self.problem.name(int(rows.family[i]), int(rows.first[i]), int(rows.second[i]))
+            totals["overrun"] = {"gap": float(rows.g[i]), "constraint": name, "t": t}
+
+    def _note(self) -> None:
+        if self.model.exact is not None and self.record.filled:
+            rows = slice(0, self.record.filled)
+            distance = self._distance_to_exact(self.record.t[rows], self.record.x[rows])
+            self.totals["largest_error"] = max(self.totals.get("largest_error", 0.0), distance)
+
+    def _columns(self) -> dict[str, np.ndarray]:
+        return self.record.columns()
+
+    def _standing(self) -> dict[str, Any]:
+        contacts = {name: value.tolist() for name, value in self.warm.contacts._asdict().items()}
+        return {"q": self.q.ravel(), "waiting": np.flatnonzero(self.waiting), "moved": self.warm.moved, "contacts": contacts}
+
+    def _stand(self, saved: dict[str, Any]) -> None:
+        self.q = np.array(saved["q"], float).reshape(self.q.shape)
+        self.waiting = np.isin(np.arange(self.problem.count), saved["waiting"])
+        contacts = (np.array(saved["contacts"][name], kind.dtype) for name, kind in NO_CONTACTS._asdict().items())
+        self.warm = BodiesWarm(Contacts(*contacts), saved["moved"])
+
+    def _overrun(self) -> list[str]:
+        if "overrun" not in self.totals:
+            return []
+        worst = self.totals["overrun"]
+        return [
+            f"constraint '{worst['constraint']}' was overrun, at worst by {-worst['gap']:.3g} at t = {worst['t']:.6g}: the "
+            "scheme keeps a constraint >= 0 only where it is convex"
+        ]
+
+    def _metadata(self, status: str, message: str) -> dict[str, Any]:
+        there = self._present()
+        return super()._metadata(status, message) | {
+            "scheme": self.problem.scheme,
+            "tolerance": self.tolerance,
+            "families": list(self.problem.names),
+            "of_pairs": [family.of_pairs for family in self.problem.families],
+            "body_numbers": {name: value.tolist() for name, value in self.model.bodies.numbers.items() if name != "q"},
+            "bodies": {"count": self.problem.count, "d": self.problem.d, "there": int(there.sum()),
+                       "waiting": int(self.waiting.sum()), "left": int(self.problem.count - there.sum() - self.waiting.sum())},
+            "warnings": [*self.warnings, *self._overrun()],
+        }  # fmt: skip
+
+
+def refuse_start(problem: BodiesProblem, q: np.ndarray) -> float:
+    """Refuse a start outside the set; return its least gap. Bodies that enter later have q = NaN.
+
+    Raises:
+        UsageError: names the constraint, its value, the bodies and where they are.
+    """
+    present = np.isfinite(q).all(axis=1)
+    rows = near(problem, 0.0, q, present, 0.0)
+    bad = np.flatnonzero(~(rows.g >= -_rounding(rows, q)))
+    if bad.size:
+        i = int(bad[np.argmin(np.nan_to_num(rows.g[bad], nan=-np.inf))])
+        first, second, pair = int(rows.first[i]), int(rows.second[i]), bool(rows.pair[i])
+        name = problem.name(int(rows.family[i]), first, second)
+        where = f"body {first} at {_short(q[first])}" + (f" and body {second} at {_short(q[second])}" if pair else "")
+        if not np.isfinite(rows.g[i]):
+            raise UsageError(f"constraint '{name}' is not a finite number at the start, {where}: a root or division by 0?")
+        raise UsageError(
+            f"constraint '{name}' = {rows.g[i]:.6g} < 0 at the start, {where}: the start is outside the set; move it to where "
+            f"every constraint is >= 0{f' ({bad.size} constraints are < 0)' if bad.size > 1 else ''}"
+        )
+    return least_gap(problem, 0.0, q, present)
+
+
+def _rounding(rows: Rows, q: np.ndarray) -> np.ndarray:
+    """How far g may be below 0 by the rounding of positions (R,)."""
+    return 8 * EPS * rows.size * (np.abs(q[np.isfinite(q)]).max(initial=0.0) + np.abs(rows.g))
+
+
+def _short(values: np.ndarray) -> str:
+    return f"({', '.join(f'{v:.6g}' for v in values)})"

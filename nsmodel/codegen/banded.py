@@ -1,0 +1,60 @@
+"""The functions and tables of a large step whose matrices are numbers and sparse (see ``c/banded.c``)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.codegen.loops import c_function
+from nsmodel.codegen.tables import exact_tables, table
+from nsmodel.scheme.problem import OneStepProblem
+from nsmodel.solve.sparse import AtStep, matrix_at
+from nsmodel.solve.structure import Structure
+
+
+class Matrices(NamedTuple):
+    """J = [E_z E_l; Y_z Y_l] at one h, in the order and scales of its band."""
+
+    at: AtStep
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """The constants of the header."""
+        order = self.at.order
+        upper = order.above + order.below  # of U, with what row interchanges fill in
+        return {
+            "SIZE": self.at.J.shape[0], "NONZEROS": self.at.J.nnz, "BELOW": order.below, "UPPER": upper,
+            "BAND": order.below + upper + 1,
+        }  # fmt: skip
+
+
+def matrices(problem: OneStepProblem, h: float, n: int) -> Matrices | None:
+    """Return the matrices at h; None where E_z is singular."""
+    try:
+        return Matrices(AtStep(matrix_at(problem, h), n))
+    except np.linalg.LinAlgError:
+        return None
+
+
+def text(problem: OneStepProblem, structure: Structure, h: float, M: Matrices) -> str:
+    """The C functions and tables."""
+    at, n, m = M.at, structure.n, structure.m
+    zero_z, zero_l = ca.SX.zeros(n), ca.SX.zeros(m)
+    both = ca.vertcat(problem.E, problem.Y)
+    constant, guess = ca.substitute([both, problem.guess], [problem.h, problem.z, problem.l], [ca.SX(h), zero_z, zero_l])
+    function = c_function(
+        "constant_part", {"s->t": problem.t, "s->x": problem.state}, {"constant": constant, "guess": ca.vertcat(guess, zero_l)},
+        "E and Y at z = 0, l = 0; the z for which nothing moves",
+    )  # fmt: skip
+    tables = [
+        table("J", at.J.data, "MODEL_NONZEROS", "[E_z E_l; Y_z Y_l] by rows"),
+        table("J_column", at.J.indices, "MODEL_NONZEROS", kind="int"),
+        table("J_start", at.J.indptr, "MODEL_SIZE + 1", kind="int"),
+        table("place", at.order.place, "MODEL_SIZE", "of each unknown and equation in the band", "int"),
+        table("row_scale", at.rows, "MODEL_SIZE", "powers of 2"),
+        table("column_scale", at.columns, "MODEL_SIZE"),
+        exact_tables(structure),
+    ]
+    return "".join(tables) + "\n" + function

@@ -1,0 +1,186 @@
+"""The step of many bodies in C, for runs: built once for a model, with the contract of the interpreted step."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import platform
+import tempfile
+import time
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.codegen.bodies import item_size, model_source, solver_source
+from nsmodel.codegen.cache import cache_folder
+from nsmodel.codegen.library import compile_library, compiler, no_compiler
+from nsmodel.errors import CodegenError, StepError
+from nsmodel.model.bodies import ManyBodies
+from nsmodel.scheme.many_bodies import BodiesProblem, searched
+from nsmodel.solve.many_bodies import COLD, BodiesStep, BodiesWarm, Contacts
+from nsmodel.solve.near import least_gap
+
+FLAGS = ("-std=c99", "-O3", "-march=native", "-Werror=implicit-function-declaration", "-fPIC", "-shared")
+NO_ROOM = 3  # A status in ``c/bodies_header.h``.
+
+
+def library(text: str, part: str) -> ctypes.CDLL:
+    """The compiled ``text``, built once and kept in the user's cache folder.
+
+    Raises:
+        CodegenError: there is no compiler or it fails, or the folder cannot be used.
+    """
+    name = compiler()
+    if name is None:
+        raise no_compiler()
+    folder = cache_folder()
+    key = hashlib.sha256(repr([text, FLAGS, name, platform.machine(), platform.node()]).encode()).hexdigest()[:24]
+    path = folder / f"{part}-{key}.so"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not path.exists():
+            with tempfile.TemporaryDirectory(dir=folder, prefix="building-") as place:
+                written, built = Path(place) / f"{part}.c", Path(place) / f"{part}.so"
+                written.write_text(text, encoding="utf-8")
+                compile_library(written, built, FLAGS)
+                built.replace(path)
+        return ctypes.CDLL(str(path))
+    except OSError as error:
+        raise CodegenError(f"the cache folder {folder} cannot be used ({error}); name another with XDG_CACHE_HOME") from error
+
+
+class _Motion(ctypes.Structure):
+    """``model_motion`` in ``c/bodies.c``."""
+
+    _fields_ = tuple(
+        (name, kind)
+        for kind, names in (
+            (ctypes.c_void_p, "model"), (ctypes.c_double, "t h tolerance"), (ctypes.c_int, "n"),
+            (ctypes.c_void_p, "q present velocity numbers items item_count over over_count farthest p"),
+            (ctypes.c_double, "motion"), (ctypes.c_int, "contacts"),
+            (ctypes.c_void_p, "family first second multiplier q_next leaves"), (ctypes.c_int, "contacts_out"),
+            (ctypes.c_void_p, "family_out first_out second_out multiplier_out"),
+        )
+        for name in names.split()
+    )  # fmt: skip
+
+
+class Report(ctypes.Structure):
+    """``model_report`` in ``c/bodies.c``: what a step met."""
+
+    _fields_ = (
+        *((name, ctypes.c_double) for name in ("residual", "gap", "motion", "cutoff")),
+        *((name, ctypes.c_int) for name in ("worst_family", "worst_first", "worst_second", "rows", "entered", "groups", "largest",
+          "factorisations", "repeats", "by_active_set", "by_interior", "unsettled")),
+        *((name, ctypes.c_double) for name in ("search", "assembly", "solve")),
+    )  # fmt: skip
+
+
+class CompiledStep:
+    """``step(t, h, q, present, warm, k) -> BodiesStep`` in C; the contract is that of `solve.many_bodies.BodiesStepper`.
+
+    Attributes:
+        way: by what it was compiled.
+        report: what the last step met.
+        seconds: CPU seconds so far of search, assembly (with the certificate) and solve.
+    """
+
+    def __init__(self, model: ManyBodies, tolerance: float) -> None:
+        """Build or find the library; CodegenError where there is none."""
+        self.model, self.problem, self.way = model, BodiesProblem(model), f"compiled by {compiler()}"
+        self._run = library(solver_source(model.bodies.d), "bodies").move_bodies
+        self._own = library(model_source(model), "families")
+        self._run.restype = ctypes.c_int
+        n, d = model.bodies.q0.shape
+        families = list(model.constraints.values())
+        tables = [family.second.group.table if item_size(family) else np.zeros((0, 1)) for family in families]
+        over = [np.zeros(0) if family.over is None else family.over for family in families]
+        self._tables = [np.ascontiguousarray(table) for table in tables]
+        self._over = [np.ascontiguousarray(pairs, np.intc) for pairs in over]
+        self._counts = np.array([[len(table) for table in tables], [len(pairs) for pairs in over]], np.intc)
+        self._pointers = np.array([
+            [_at(table) for table in self._tables],
+            [0 if family.over is None else _at(pairs) for family, pairs in zip(families, self._over, strict=True)],
+        ], np.uintp)  # fmt: skip
+        self._fixed_reach = all(not ca.depends_on(family.reach, model.t) for family in families if searched(family))
+        self._q, self._present, self._velocity = np.zeros((n, d)), np.zeros(n, np.uint8), np.zeros((n, d))
+        self._next, self._leaves = np.zeros((n, d)), np.zeros(n, np.uint8)
+        self._numbers = np.ascontiguousarray(model.bodies.table[:, d:])
+        self._farthest = np.full(len(families) + 1, -1.0)
+        self._memory = np.empty(4096 * (n + 64), np.uint8)
+        self._missing, self.report = ctypes.c_size_t(0), Report()
+        self.seconds = {"search": 0.0, "assembly": 0.0, "solve": 0.0}
+        s = self._motion = _Motion()
+        s.model = ctypes.addressof(ctypes.c_char.in_dll(self._own, "own_functions"))
+        s.n, s.tolerance = n, tolerance
+        s.q, s.present, s.numbers, s.farthest = map(_at, (self._q, self._present, self._numbers, self._farthest))
+        s.velocity = None if isinstance(model.f, ca.SX) else _at(self._velocity)
+        s.items, s.over, s.item_count, s.over_count = map(_at, (*self._pointers, *self._counts))
+        s.q_next, s.leaves = _at(self._next), _at(self._leaves)
+        self._reach(0.0)
+
+    def _reach(self, t: float) -> None:
+        for k, family in enumerate(self.problem.families):
+            if searched(family):
+                self._farthest[k] = max(self.problem.reach(k, t), 0.0)
+
+    def __call__(
+        self, t: float, h: float, q: np.ndarray, present: np.ndarray, warm: BodiesWarm = COLD, k: int = 0
+    ) -> BodiesStep:  # fmt: skip
+        """Advance the bodies that are present from t to t + h.
+
+        Raises:
+            StepError: the step could not be verified; f or a constraint is not finite.
+        """
+        s, report = self._motion, self.report
+        self._q[:], self._present[:] = q, present
+        if s.velocity:
+            self._velocity[:] = self.problem.f(t, q, present)
+        if not self._fixed_reach:
+            self._reach(t + h)
+        contacts = warm.contacts
+        order = np.argsort(contacts.first, kind="stable")
+        given = [contacts.family[order].astype(np.intc), contacts.first[order].astype(np.intc),
+                 contacts.second[order].astype(np.intc), contacts.reaction[order] * h]  # fmt: skip
+        s.t, s.h, s.motion, s.contacts = t, h, warm.moved / 2, len(order)
+        s.family, s.first, s.second, s.multiplier = map(_at, given)
+        while True:
+            status = self._run(
+                ctypes.byref(s), ctypes.c_void_p(_at(self._memory)), ctypes.c_size_t(self._memory.size),
+                ctypes.byref(self._missing), ctypes.byref(report),
+            )  # fmt: skip
+            if status != NO_ROOM:
+                break
+            self._memory = np.empty(2 * (self._memory.size + self._missing.value), np.uint8)
+        for part in self.seconds:
+            self.seconds[part] += getattr(report, part)
+        if status:
+            raise StepError(f"no verified step in C from t = {t:.10g}: residual {report.residual:.3g}", residual=report.residual)
+        after = np.where(present[:, None], self._next, np.nan)
+        found = Contacts(
+            self._out(s.family_out, np.intc).astype(np.int8), self._out(s.first_out, np.intc).copy(),
+            self._out(s.second_out, np.intc).copy(), self._out(s.multiplier_out, np.float64) / h,
+        )  # fmt: skip
+        gap = report.gap
+        if not gap <= report.cutoff - report.motion:
+            start = time.process_time()
+            gap = least_gap(self.problem, t + h, after, present)
+            self.seconds["search"] += time.process_time() - start
+        solver = "none needed" if not s.contacts_out else "interior point" if report.by_interior else "active set"
+        return BodiesStep(after, found, gap, report.residual, BodiesWarm(found, 2 * report.motion), solver, report.groups)
+
+    def _out(self, address: int, kind: type) -> np.ndarray:
+        """The contacts' numbers at an address in the memory of the step."""
+        start = address - _at(self._memory)
+        return self._memory[start : start + self._motion.contacts_out * np.dtype(kind).itemsize].view(kind)
+
+    @property
+    def leaves(self) -> np.ndarray:
+        """Which bodies leave after the last step (N,); all False where the model has no ``leave``."""
+        return self._leaves.astype(bool)
+
+
+def _at(array: np.ndarray) -> int:
+    """Where an array begins."""
+    return array.__array_interface__["data"][0]

@@ -1,0 +1,455 @@
+/* ---- A group of bodies that touch: min |w|^2 / 2 subject to G w + b >= 0, that is w = G' m, 0 <= m with y = G w + b >= 0 ---- */
+
+/* In units in which the rows of G and the w wanted are of order 1. */
+typedef struct {
+    int n, m;
+    int most;                     /* rows m ... most - 1 wait: they enter where w comes near to violating them */
+    const double *x;              /* (n, DIM) positions: the order of elimination */
+    int *row;                     /* (most) the rows' numbers outside */
+    int *first, *second;          /* (most) bodies of a row; second < 0: none */
+    double *g;                    /* (most, 2 DIM) gradients in first and second */
+    double *b;                    /* (most) */
+    double *multiplier;           /* (most) in: a guess; out: m */
+    double *w;                    /* (n, DIM) */
+    unsigned char *acts;          /* (most) rows with y = 0 */
+    int *slot;
+    double *slack, *ds, *dm, *theta, *value, *kept, *along, *safe, *rhs, *dw, *first_dw, *ordered;
+    model_ldl factor;
+    int close;                    /* the guess solves the group but for some new rows */
+    int factorisations;
+} model_group;
+
+/* The row i of G w. */
+static double row_of(const model_group *p, const double *w, int i)
+{
+    const double *g = p->g + (size_t)2*DIM*i, *one = w + (size_t)DIM*p->first[i];
+    double y = 0.0;
+    int k;
+    for (k = 0; k < DIM; k++) y += g[k]*one[k];
+    if (p->second[i] >= 0) {
+        const double *other = w + (size_t)DIM*p->second[i];
+        for (k = 0; k < DIM; k++) y += g[DIM + k]*other[k];
+    }
+    return y;
+}
+
+/* out := out + G' m */
+static void add_transposed(const model_group *p, const double *m, double *out)
+{
+    int i, k;
+    for (i = 0; i < p->m; i++) {
+        const double *g = p->g + (size_t)2*DIM*i;
+        double *one = out + (size_t)DIM*p->first[i];
+        if (m[i] == 0.0) continue;
+        for (k = 0; k < DIM; k++) one[k] += g[k]*m[i];
+        if (p->second[i] >= 0) {
+            double *other = out + (size_t)DIM*p->second[i];
+            for (k = 0; k < DIM; k++) other[k] += g[DIM + k]*m[i];
+        }
+    }
+}
+
+/* w := G' m */
+static void set_w(model_group *p)
+{
+    memset(p->w, 0, (size_t)DIM*p->n*sizeof *p->w);
+    add_transposed(p, p->multiplier, p->w);
+}
+
+/* Factor I + G' diag(theta) G. */
+static int factor_group(model_group *p)
+{
+    model_ldl *f = &p->factor;
+    const double *theta = p->theta;
+    int i, r, s, n = p->n;
+    p->factorisations++;
+    memset(f->a, 0, (size_t)BLOCK*f->up[n]*sizeof *f->a);
+    memset(f->diagonal, 0, (size_t)BLOCK*n*sizeof *f->diagonal);
+    for (i = 0; i < n; i++)
+        for (r = 0; r < DIM; r++) f->diagonal[(size_t)BLOCK*i + r*DIM + r] = 1.0;
+    for (i = 0; i < p->m; i++) {
+        const double *g = p->g + (size_t)2*DIM*i, *h = g + DIM;
+        double *own;
+        if (theta[i] == 0.0) continue;
+        own = f->diagonal + (size_t)BLOCK*f->place[p->first[i]];
+        for (r = 0; r < DIM; r++)
+            for (s = 0; s < DIM; s++) own[r*DIM + s] += theta[i]*g[r]*g[s];
+        if (p->second[i] >= 0) {
+            int one = f->place[p->first[i]], other = f->place[p->second[i]];
+            double *off = f->a + (size_t)BLOCK*p->slot[i];
+            own = f->diagonal + (size_t)BLOCK*other;
+            for (r = 0; r < DIM; r++)
+                for (s = 0; s < DIM; s++) {
+                    own[r*DIM + s] += theta[i]*h[r]*h[s];
+                    off[r*DIM + s] += theta[i]*(one < other ? g[r]*h[s] : h[r]*g[s]);
+                }
+        }
+    }
+    return factor_ldl(f);
+}
+
+/* dw := (I + G' Theta G)^-1 rhs */
+static void solve_for_dw(model_group *p)
+{
+    int i, k;
+    for (i = 0; i < p->n; i++)
+        for (k = 0; k < DIM; k++) p->ordered[(size_t)DIM*p->factor.place[i] + k] = p->rhs[(size_t)DIM*i + k];
+    solve_ldl(&p->factor, p->ordered);
+    for (i = 0; i < p->n; i++)
+        for (k = 0; k < DIM; k++) p->dw[(size_t)DIM*i + k] = p->ordered[(size_t)DIM*p->factor.place[i] + k];
+}
+
+#define STIFF 1e6       /* weight of the rows that act in the preconditioner */
+#define SETTLED 1e-13   /* a row that acts is at 0 to this */
+#define WRONG 1e-11     /* a multiplier or a row below minus this changes the index set */
+#define PROXIMAL 4      /* proximal steps on an index set */
+#define SOFT 1e3        /* weight of the rows in the augmented Lagrangian, to begin with */
+#define OUTER 40        /* updates of the multipliers, */
+#define INNER 60        /* Newton steps for each, */
+#define FLAT 1e-12      /* to a gradient of so much beside the largest multiplier */
+#define REFINED 24      /* conjugate gradients on an index set, at most */
+
+/* out := (G G' + 1/STIFF)^-1 r on the rows that act, as STIFF (r - G dw) with (I + STIFF G' G) dw = STIFF G' r */
+static void precondition(model_group *p, const double *r, double *out)
+{
+    int i;
+    memset(p->rhs, 0, (size_t)DIM*p->n*sizeof *p->rhs);
+    for (i = 0; i < p->m; i++) out[i] = STIFF*r[i];
+    add_transposed(p, out, p->rhs);
+    solve_for_dw(p);
+    for (i = 0; i < p->m; i++) out[i] = p->acts[i] ? out[i] - STIFF*row_of(p, p->dw, i) : 0.0;
+}
+
+/* r := -y on the rows that act, else 0, w from the multipliers; the largest |r| */
+static double remainder_of(model_group *p, double *r)
+{
+    double worst = 0.0;
+    int i;
+    set_w(p);
+    for (i = 0; i < p->m; i++) {
+        r[i] = p->acts[i] ? -(row_of(p, p->w, i) + p->b[i]) : 0.0;
+        if (fabs(r[i]) > worst) worst = fabs(r[i]);
+    }
+    return worst;
+}
+
+/* y = 0 on the rows that act, G G' dm = -y: proximal steps, which also do where rows depend on each other and contradict, then
+ * conjugate gradients where these help. */
+static void equalise(model_group *p)
+{
+    double *r = p->value, *z = p->ds, *d = p->dm, *q = p->along;
+    double rz = 0.0, worst = 0.0, least;
+    int i, k;
+    for (i = 0; i < p->m; i++) p->theta[i] = p->acts[i] ? STIFF : 0.0;
+    factor_group(p);
+    for (k = 0; k < PROXIMAL; k++) {
+        worst = remainder_of(p, r);
+        if (!(worst > SETTLED)) return;
+        precondition(p, r, z);
+        for (i = 0; i < p->m; i++) p->multiplier[i] += z[i];
+    }
+    least = worst = remainder_of(p, r);
+    memcpy(p->safe, p->multiplier, p->m*sizeof *p->safe);
+    for (k = 0; k < REFINED && worst > SETTLED && worst < 100.0*least; k++) {
+        double before = rz, along = 0.0;
+        precondition(p, r, z);
+        for (i = 0, rz = 0.0; i < p->m; i++) rz += r[i]*z[i];
+        for (i = 0; i < p->m; i++) d[i] = k%8 ? z[i] + rz/before*d[i] : z[i];
+        memset(p->rhs, 0, (size_t)DIM*p->n*sizeof *p->rhs);
+        add_transposed(p, d, p->rhs);
+        for (i = 0; i < p->m; i++) {
+            q[i] = p->acts[i] ? row_of(p, p->rhs, i) : 0.0;
+            along += d[i]*q[i];
+        }
+        if (!(along > 0.0)) break;
+        for (i = 0; i < p->m; i++) p->multiplier[i] += rz/along*d[i];
+        worst = k%8 == 7 ? remainder_of(p, r) : 0.0;
+        for (i = 0; i < p->m && k%8 < 7; i++) {
+            r[i] -= rz/along*q[i];
+            if (fabs(r[i]) > worst) worst = fabs(r[i]);
+        }
+        if (worst < least) {
+            least = worst;
+            memcpy(p->safe, p->multiplier, p->m*sizeof *p->safe);
+        }
+    }
+    memcpy(p->multiplier, p->safe, p->m*sizeof *p->safe);
+    set_w(p);
+}
+
+/* Change the rows of the wrong sign; how many there were. */
+static int change_wrong(model_group *p)
+{
+    int i, wrong = 0;
+    for (i = 0; i < p->m; i++) {
+        if ((p->acts[i] ? p->multiplier[i] : row_of(p, p->w, i) + p->b[i]) >= -WRONG) continue;
+        if (p->acts[i]) p->multiplier[i] = 0.0;
+        p->acts[i] = !p->acts[i];
+        wrong++;
+    }
+    return wrong;
+}
+
+/* The multipliers are an answer up to round-off: none is negative. */
+static int accept(model_group *p)
+{
+    int i;
+    for (i = 0; i < p->m; i++)
+        if (!p->acts[i] || p->multiplier[i] < 0.0) p->multiplier[i] = 0.0;
+    set_w(p);
+    return 1;
+}
+
+/* Primal-dual active set: solve on the rows that act, change those of the wrong sign, until none is; 0 where they become more
+ * than before, or more than `most` at first. */
+static int settle(model_group *p, int rounds, int most)
+{
+    int i, round;
+    for (i = 0; i < p->m; i++)
+        if (!p->acts[i]) p->multiplier[i] = 0.0;
+    for (round = 0; round < rounds; round++) {
+        int wrong;
+        equalise(p);
+        wrong = change_wrong(p);
+        if (!wrong) return accept(p);
+        if (wrong > most) return 0;
+        most = wrong > 4 ? wrong : 4;
+    }
+    return 0;
+}
+
+/* The slope along dw, at w + t dw, of |w|^2/2 + c/2 sum max(0, m/c - (G w + b))^2: value = m - c (G w + b), ds = G dw */
+static double slope_at(const model_group *p, double c, double t, double linear, double square)
+{
+    double slope = linear + t*square;
+    int i;
+    for (i = 0; i < p->m; i++) {
+        double pull = p->value[i] - t*c*p->ds[i];
+        if (pull > 0.0) slope -= pull*p->ds[i];
+    }
+    return slope;
+}
+
+/* Augmented Lagrangian from the multipliers kept: minimise over w by Newton's method with an exact line search, which converges
+ * from anywhere, take the pulls max(0, m - c (G w + b)) for multipliers, until the rows that pull are those that act. */
+static int augmented(model_group *p)
+{
+    double c = SOFT;
+    int i, k, outer, inner, n = DIM*p->n;
+    for (outer = 0; outer < OUTER; outer++, c = c < STIFF ? 10.0*c : c) {
+        memcpy(p->multiplier, p->kept, p->m*sizeof *p->kept);
+        for (inner = 0; inner < INNER; inner++) {
+            double worst = 0.0, linear = 0.0, square = 0.0, low = 0.0, step = 1.0, size = 1.0;
+            for (i = 0; i < p->m; i++) {
+                p->value[i] = p->multiplier[i] - c*(row_of(p, p->w, i) + p->b[i]);
+                p->acts[i] = p->value[i] > 0.0;
+                p->theta[i] = p->acts[i] ? c : 0.0;
+                p->kept[i] = p->acts[i] ? p->value[i] : 0.0;
+                if (p->kept[i] > size) size = p->kept[i];
+            }
+            for (i = 0; i < n; i++) p->rhs[i] = -p->w[i];
+            add_transposed(p, p->kept, p->rhs);
+            for (i = 0; i < n; i++)
+                if (fabs(p->rhs[i]) > worst) worst = fabs(p->rhs[i]);
+            if (worst <= FLAT*size) break;
+            factor_group(p);
+            solve_for_dw(p);
+            for (i = 0; i < p->m; i++) p->ds[i] = row_of(p, p->dw, i);
+            for (i = 0; i < n; i++) {
+                linear += p->w[i]*p->dw[i];
+                square += p->dw[i]*p->dw[i];
+            }
+            if (slope_at(p, c, 1.0, linear, square) > 0.0) {
+                double high = 1.0;
+                for (k = 0; k < 40; k++) {
+                    step = 0.5*(low + high);
+                    if (slope_at(p, c, step, linear, square) > 0.0) high = step;
+                    else low = step;
+                }
+            }
+            for (i = 0; i < n; i++) p->w[i] += step*p->dw[i];
+        }
+        memcpy(p->multiplier, p->kept, p->m*sizeof *p->kept);
+        equalise(p);
+        if (!change_wrong(p)) return accept(p);
+        memcpy(p->multiplier, p->kept, p->m*sizeof *p->kept);
+        set_w(p);
+    }
+    return 0;
+}
+
+/* The largest step in [0, 1] that keeps v + step dv >= 0. */
+static double room(const double *v, const double *dv, int m)
+{
+    double step = 1.0;
+    int i;
+    for (i = 0; i < m; i++)
+        if (v[i] + step*dv[i] < 0.0) step = -v[i]/dv[i];
+    return step;
+}
+
+/* dw from (I + G' Theta G) dw = -w + G' dm, refined once where the weights are steep. */
+static void step_of_newton(model_group *p, int steep)
+{
+    int i, n = DIM*p->n;
+    for (i = 0; i < n; i++) p->rhs[i] = -p->w[i];
+    add_transposed(p, p->dm, p->rhs);
+    solve_for_dw(p);
+    if (!steep) return;
+    memcpy(p->first_dw, p->dw, n*sizeof *p->dw);
+    for (i = 0; i < n; i++) p->rhs[i] -= p->dw[i];
+    for (i = 0; i < p->m; i++) p->along[i] = -p->theta[i]*row_of(p, p->dw, i);
+    add_transposed(p, p->along, p->rhs);
+    solve_for_dw(p);
+    for (i = 0; i < n; i++) p->dw[i] += p->first_dw[i];
+}
+
+#define SWAP(type, one, other) do { type swapped = one; one = other; other = swapped; } while (0)
+
+/* Let the waiting rows enter that w leaves less than `near`; how many. */
+static int enter(model_group *p, double near)
+{
+    int i, k, before = p->m;
+    for (i = p->m; i < p->most; i++) {
+        int to = p->m;
+        if (row_of(p, p->w, i) + p->b[i] >= near) continue;
+        SWAP(int, p->row[i], p->row[to]);
+        SWAP(int, p->first[i], p->first[to]);
+        SWAP(int, p->second[i], p->second[to]);
+        SWAP(double, p->b[i], p->b[to]);
+        SWAP(double, p->multiplier[i], p->multiplier[to]);
+        SWAP(unsigned char, p->acts[i], p->acts[to]);
+        for (k = 0; k < 2*DIM; k++) SWAP(double, p->g[(size_t)2*DIM*i + k], p->g[(size_t)2*DIM*to + k]);
+        p->m++;
+    }
+    return p->m - before;
+}
+
+#define FRESH 0.3      /* slack of a row that enters, at least */
+#define SHORT 0.1      /* a step below this is followed by one to the centre */
+#define STALLED 8      /* iterations that may fail to halve mu near the end */
+#define STEEP 1e8      /* weights from which on a step is refined */
+#define STEEPEST 1e13  /* largest weight of a row in the normal equations */
+
+/* Interior point (Mehrotra's predictor and corrector): w = G' m, G w + b = s, m s = mu, until mu <= target; 0 where it is not
+ * reached, -1: no memory. On its way, at two looks, rows that wait may enter. */
+static int interior(model_group *p, double target, int most, model_arena *a)
+{
+    static const double looks[] = {2.0, 1e-3}, nears[] = {0.5, 0.05};
+    int i, k, m = p->m, n = DIM*p->n, look = 0, stalled = 0;
+    double *s = p->slack, *u = p->multiplier, least = INFINITY, reached = 1.0;
+    for (k = 0; k < most; k++) {
+        int steep = 0;
+        double mu = 0.0, infeasible = 0.0, after = 0.0, aim, step, other;
+        for (i = 0; i < m; i++) {
+            mu += s[i]*u[i]/m;
+            p->value[i] = row_of(p, p->w, i) + p->b[i] - s[i];
+            if (fabs(p->value[i]) > infeasible) infeasible = fabs(p->value[i]);
+        }
+        if (mu <= target && infeasible <= sqrt(target)) return 1;
+        if (look < 2 && mu < looks[look] && infeasible < 1.0 && p->m < p->most) {
+            int entered = enter(p, nears[look++]);
+            for (i = m; i < p->m; i++) {
+                double y = row_of(p, p->w, i) + p->b[i];
+                s[i] = y > FRESH ? y : FRESH;
+                u[i] = mu/s[i];
+            }
+            m = p->m;
+            set_w(p);
+            for (i = 0; i < m; i++) p->value[i] = row_of(p, p->w, i) + p->b[i] - s[i];
+            if (entered && !prepare_ldl(&p->factor, p->n, p->x, m, p->first, p->second, p->slot, a)) return -1;
+        }
+        if (mu < 0.5*least) {
+            least = mu;
+            stalled = 0;
+        } else if (++stalled > STALLED && mu < 1e-4) return 0;
+        for (i = 0; i < m; i++) {
+            p->theta[i] = u[i]/s[i];
+            if (!(p->theta[i] < STEEPEST)) p->theta[i] = STEEPEST;
+            if (p->theta[i] > STEEP) steep = 1;
+            p->dm[i] = -p->theta[i]*p->value[i];
+        }
+        if (!factor_group(p)) return 0;
+        step_of_newton(p, steep);
+        for (i = 0; i < m; i++) {
+            p->ds[i] = row_of(p, p->dw, i) + p->value[i];
+            p->dm[i] = -p->theta[i]*p->ds[i] - u[i];
+        }
+        step = room(s, p->ds, m);
+        other = room(u, p->dm, m);
+        for (i = 0; i < m; i++) after += (s[i] + step*p->ds[i])*(u[i] + other*p->dm[i])/m;
+        aim = reached < SHORT ? mu : mu*(after/mu)*(after/mu)*(after/mu); /* after a short step: back to the centre */
+        for (i = 0; i < m; i++) {
+            p->ds[i] = (aim - (reached < SHORT ? 0.0 : p->ds[i]*p->dm[i]))/s[i];
+            p->dm[i] = p->ds[i] - p->theta[i]*p->value[i];
+        }
+        step_of_newton(p, steep);
+        for (i = 0; i < m; i++) {
+            double corrected = p->ds[i];
+            p->ds[i] = row_of(p, p->dw, i) + p->value[i];
+            p->dm[i] = corrected - p->theta[i]*p->ds[i] - u[i];
+        }
+        step = room(s, p->ds, m);
+        other = room(u, p->dm, m);
+        reached = step = 0.995*(other < step ? other : step);
+        for (i = 0; i < m; i++) {
+            s[i] += step*p->ds[i];
+            u[i] += step*p->dm[i];
+        }
+        for (i = 0; i < n; i++) p->w[i] += step*p->dw[i];
+    }
+    return 0;
+}
+
+#define SMALL 64        /* rows up to which the active set is tried first whatever has changed */
+#define ROUGH 1e-5      /* mean of multipliers times slacks at which the interior point stops */
+#define INSIDE 1.0     /* slacks and multipliers that the interior point starts from, at least, */
+#define CLOSE 0.03     /* and where all but some new rows are solved */
+#define FEW 12          /* changes up to which it is tried first in larger groups */
+
+/* Solve a group whose rows that act and multipliers are guessed: 1 by the active set alone, 2 by the interior point and the
+ * active set, 3 by both and the augmented Lagrangian, 4 as far as that gets (the certificate decides), -1: no memory. */
+static int solve_group(model_group *p, model_arena *a)
+{
+    double inside = p->close ? CLOSE : INSIDE;
+    int i, m = p->m, n = p->n, doubtful = 0;
+    p->slot = TAKE(int, p->most);
+    p->slack = TAKE(double, p->most);
+    p->ds = TAKE(double, p->most);
+    p->dm = TAKE(double, p->most);
+    p->theta = TAKE(double, p->most);
+    p->value = TAKE(double, p->most);
+    p->kept = TAKE(double, p->most);
+    p->along = TAKE(double, p->most);
+    p->safe = TAKE(double, p->most);
+    p->rhs = TAKE(double, (size_t)DIM*n);
+    p->dw = TAKE(double, (size_t)DIM*n);
+    p->first_dw = TAKE(double, (size_t)DIM*n);
+    p->ordered = TAKE(double, (size_t)DIM*n);
+    if (a->missing || !prepare_ldl(&p->factor, n, p->x, m, p->first, p->second, p->slot, a)) return -1;
+    for (i = 0; i < m; i++) {
+        if (!p->acts[i]) p->multiplier[i] = 0.0;
+        p->kept[i] = p->multiplier[i];
+    }
+    set_w(p);
+    for (i = 0; i < m; i++) doubtful += !p->acts[i] && row_of(p, p->w, i) + p->b[i] < -WRONG;
+    if ((m <= SMALL || doubtful <= FEW || p->close) && settle(p, m <= SMALL ? 12 : 6, m <= SMALL || p->close ? m : FEW)) return 1;
+    for (i = 0; i < m; i++) p->multiplier[i] = p->kept[i] > inside ? p->kept[i] : inside;
+    set_w(p);
+    for (i = 0; i < m; i++) {
+        double y = row_of(p, p->w, i) + p->b[i];
+        p->slack[i] = y > inside ? y : inside;
+    }
+    if (interior(p, ROUGH, 60, a) < 0) return -1;
+    m = p->m;
+    for (i = 0; i < m; i++) {
+        p->acts[i] = p->multiplier[i] > p->slack[i];
+        p->kept[i] = p->acts[i] ? p->multiplier[i] : 0.0;
+    }
+    memcpy(p->slack, p->kept, m*sizeof *p->kept);
+    if (settle(p, 8, m)) return 2;
+    memcpy(p->kept, p->slack, m*sizeof *p->kept);
+    memcpy(p->multiplier, p->kept, m*sizeof *p->kept);
+    set_w(p);
+    return augmented(p) ? 3 : 4;
+}

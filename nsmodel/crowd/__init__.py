@@ -1,0 +1,10 @@
+"""Crowds: rooms from segments or pictures, shortest ways out, people, and what is measured on a run.
+
+A crowd is a `ManyBodies` model like any other; nothing here is needed to write one down by hand.
+"""
+
+from nsmodel.crowd.paths import DesiredVelocity, desired_velocity
+from nsmodel.crowd.people import People, arrivals, crowd, place
+from nsmodel.crowd.room import Room, box, disc
+
+__all__ = ["DesiredVelocity", "People", "Room", "arrivals", "box", "crowd", "desired_velocity", "disc", "place"]

@@ -1,0 +1,272 @@
+"""People in a room: where they start without overlap, who comes in through a door and when; and the crowd as a model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.crowd.geometry import closed, contains, crosses_any, nearest_points
+from nsmodel.crowd.paths import KEEP, desired_velocity
+from nsmodel.crowd.room import Room
+from nsmodel.errors import ModelError
+from nsmodel.model.base import shown
+from nsmodel.model.bodies import Bodies, Family, Items, ManyBodies
+
+ROUNDS = 4000  # Of pushing apart, before `place` gives up.
+APART = 1e-3  # What `place` leaves between people, m.
+BEYOND = 1.0  # How deep the place behind a door is in which people are taken away, m.
+
+
+@dataclass(frozen=True, eq=False)
+class People:
+    """A group: places (N, 2) and radii (N,) in m, the exit wanted (see `desired_velocity`), speed in m/s, times of entry in s."""
+
+    places: np.ndarray
+    radii: np.ndarray
+    to: Any = None
+    speed: Any = 1.0
+    enter: Any = 0.0
+
+    def __post_init__(self) -> None:
+        places, radii = np.array(self.places, float), np.array(self.radii, float)
+        if places.ndim != 2 or places.shape[1] != 2:
+            raise ModelError(f"places: shape {places.shape}; expected (N, 2)")
+        radii = np.full(len(places), radii) if radii.ndim == 0 else radii
+        if radii.shape != (len(places),) or not (radii > 0).all():
+            raise ModelError(
+                f"radii: shape {radii.shape}, the least {radii.min(initial=np.inf):g}; expected ({len(places)},), all > 0"
+            )
+        for name, value in (("places", places), ("radii", radii)):
+            object.__setattr__(self, name, value)
+        for name in ("speed", "enter"):
+            value = np.asarray(getattr(self, name), float)
+            if value.shape not in ((), (len(places),)):
+                raise ModelError(f"{name}: shape {value.shape}; expected one number or ({len(places)},), one for each person")
+            object.__setattr__(self, name, np.broadcast_to(value, len(places)).copy())
+
+    def __len__(self) -> int:
+        """Return how many they are."""
+        return len(self.places)
+
+
+def place(
+    room: Room, count: int, radii: Any = (0.2, 0.25), *, seed: int = 1, inside: Any = None, beside: Sequence[People] = (),
+    to: Any = None, speed: Any = 1.0,
+) -> People:  # fmt: skip
+    """Put people into a room at random, without overlap: scattered evenly, then pushed apart.
+
+    Args:
+        room: the room.
+        count: how many.
+        radii: (least, largest) of radii drawn evenly, m; or one radius for all.
+        seed: of the random numbers; the same seed gives the same people.
+        inside: a polygon (P, 2), see `box`, that holds the centres; the whole room if left out.
+        beside: groups placed before, which these people do not overlap.
+        to: the exit they take, see `desired_velocity`.
+        speed: m/s, one number or (count,).
+
+    Returns:
+        The group. Places are at least 1 mm apart. Up to 55 % of the area can be covered in any room; more takes longer, or fails.
+
+    Raises:
+        ModelError: they do not fit; the message says how full the room would be.
+    """
+    from scipy.spatial import cKDTree
+
+    if count < 1 or int(count) != count:
+        raise ModelError(f"place: {count} people; expected a whole number >= 1")
+    low, high = (radii, radii) if np.ndim(radii) == 0 else radii
+    if not 0 < low <= high:
+        raise ModelError(f"radii: {shown(radii)}; expected (least, largest), both > 0")
+    rng = np.random.default_rng(seed)
+    sizes = rng.uniform(low, high, count)
+    polygon = None if inside is None else np.asarray(inside, float)
+    grid = room.grid(min(0.1, low / 2))
+    allowed = room.inside(grid)
+    if polygon is not None:
+        allowed &= contains(polygon, grid.nodes.reshape(-1, 2)).reshape(allowed.shape)
+    nodes, walls = grid.nodes[allowed], np.concatenate([room.segments, room.doors])
+    fixed = np.concatenate([np.zeros((0, 2)), *(people.places for people in beside)])
+    taken = np.concatenate([np.zeros(0), *(people.radii for people in beside)])
+    if len(fixed):
+        away, who = cKDTree(fixed).query(nodes)
+        nodes = nodes[away > taken[who]]
+    area, covered = len(nodes) * grid.spacing**2, np.pi * (sizes**2).sum()
+    sizes = np.concatenate([sizes, taken])
+    q = None
+    if covered < 0.85 * area:
+        start = nodes[rng.integers(len(nodes), size=count)]
+        moved = start + grid.spacing * rng.uniform(-0.5, 0.5, (count, 2))
+        start = np.where(crosses_any(start, moved, walls)[:, None], start, moved)
+        q = _pushed_apart(np.concatenate([start, fixed]), sizes, count, walls, polygon)
+    if q is None:
+        raise ModelError(
+            f"place: {count} people do not fit: they would cover {covered:.3g} m2 of {area:.3g} m2 "
+            f"({covered / max(area, 1e-300):.0%}); take fewer people, smaller radii or a larger place"
+        )
+    return People(q[:count], sizes[:count], to, speed)
+
+
+def arrivals(
+    room: Room, door: str, rate: float, until: float, radii: Any = (0.2, 0.25), *, seed: int = 1, to: Any = None, speed: Any = 1.0
+) -> People:
+    """People who come in through an exit of the room, one after the other.
+
+    Args:
+        room: the room.
+        door: the name of the exit.
+        rate: people a second; the times between two are exponential (a Poisson process).
+        until: the last time at which anybody comes, s.
+        radii: (least, largest) of radii drawn evenly, m; or one radius for all.
+        seed: of the random numbers.
+        to: the exit they take, see `desired_velocity`; all exits but this one if left out.
+        speed: m/s.
+
+    Raises:
+        ModelError: no such exit, or no other one; a wrong rate or time; nobody comes.
+    """
+    if door not in room.exits:
+        raise ModelError(f"arrivals: the room has no exit '{door}'; it has {', '.join(room.exits)}")
+    others = tuple(name for name in room.exits if name != door)
+    if to is None and not others:
+        raise ModelError(f"arrivals: '{door}' is the only exit, and nobody who comes in by it has where to go; name it in to=")
+    if not (np.isfinite(rate) and rate > 0 and np.isfinite(until) and until > 0):
+        raise ModelError(f"arrivals: rate {rate}, until {until}; expected two numbers > 0, in 1/s and s")
+    rng = np.random.default_rng(seed)
+    times = np.cumsum(rng.exponential(1 / rate, int(rate * until + 10 * np.sqrt(rate * until) + 20)))
+    times = times[times <= until]
+    if not times.size:
+        raise ModelError(f"arrivals: at {rate:g} a second nobody comes until {until:g} s; take a later time or another seed")
+    low, high = (radii, radii) if np.ndim(radii) == 0 else radii
+    sizes, share = rng.uniform(low, high, times.size), rng.uniform(0, 1, times.size)
+    of = np.concatenate([np.full(len(value), name == door) for name, value in room.exits.items()])
+    doors, outward = room.doors[of], room.outward[of]
+    k = rng.integers(len(doors), size=times.size)
+    along = doors[k, 1] - doors[k, 0]
+    width = np.linalg.norm(along, axis=1)
+    reach = sizes + 0.01  # They come in clear of the jambs.
+    if (2 * reach > width).any():
+        raise ModelError(f"arrivals: exit '{door}' is {width.min():.3g} m wide, and the largest person {2 * sizes.max():.3g} m")
+    part = (reach + share * (width - 2 * reach)) / width
+    places = doors[k, 0] + part[:, None] * along - (sizes + 0.2)[:, None] * outward[k]
+    return People(places, sizes, others if to is None else to, speed, times)
+
+
+def crowd(
+    room: Room, *groups: People, t_end: float, step: float = 0.02, beyond: float = 0.5, clearance: float | None = None,
+    spacing: float | None = None, title: str | None = None,
+) -> ManyBodies:  # fmt: skip
+    """The crowd of Maury and Venel: each person has the admissible velocity that is nearest to the one desired.
+
+    People are discs that overlap neither each other nor walls. They want to go the shortest way to their exit and leave when
+    they are ``beyond`` metres behind it.
+
+    Args:
+        room: the room.
+        groups: who is in it, from `place`, `arrivals` or `People`.
+        t_end: end of the run, s.
+        step: s.
+        beyond: how far behind an exit a centre is when its person is taken away, m.
+        clearance: how far the ways keep from walls, m; the largest radius if left out.
+        spacing: of the tables of directions, m; half of the least radius if left out.
+        title: of the run.
+
+    Raises:
+        ModelError: nobody, a group with an exit that does not exist, a person that can reach no exit.
+    """
+    if not groups or not all(isinstance(group, People) for group in groups):
+        raise ModelError(f"crowd: {shown(groups)}; expected groups of people, from place(room, count)")
+    places, radii = (np.concatenate([getattr(group, key) for group in groups]) for key in ("places", "radii"))
+    speed, enter = (np.concatenate([getattr(group, key) for group in groups]) for key in ("speed", "enter"))
+    to = [wish for group in groups for wish in (group.to if isinstance(group.to, list) else [group.to] * len(group))]
+    desired = desired_velocity(
+        room, len(places), to=to, speed=speed,
+        clearance=float(radii.max()) if clearance is None else clearance,
+        spacing=float(radii.min()) / 2 if spacing is None else spacing,
+    )  # fmt: skip
+    lost = np.flatnonzero(np.isnan(desired.distance(places, desired.group)))
+    if lost.size:
+        at, names = places[lost[0]], desired.exits[desired.group[lost[0]]]
+        raise ModelError(
+            f"person {lost[0]} at ({at[0]:.4g}, {at[1]:.4g}) can reach no exit ({', '.join(names)}): no way there is "
+            f"{2 * KEEP * desired.clearance:.3g} m wide, as a clearance of {desired.clearance:.3g} m needs"
+        )
+    people, walls = Bodies(places, r=radii), room.segments
+    i, j = people.member("i"), people.member("j")
+    families = {"pair": Family(ca.norm_2(i.q - j.q) - i.r - j.r, i, j)}
+    if len(walls):
+        w = Items(a=walls[:, 0], b=walls[:, 1]).member("w")
+        along = w.b - w.a
+        part = ca.fmin(ca.fmax(ca.dot(i.q - w.a, along) / ca.sumsqr(along), 0), 1)
+        families["wall"] = Family(ca.norm_2(i.q - w.a - part * along) - i.r, i, w)
+    return ManyBodies(
+        bodies=people,
+        f=desired,
+        constraints=families,
+        leave=behind(room, i.q, beyond),
+        enter=enter,
+        t_end=t_end,
+        step=step,
+        scene={"radii": radii, "walls": walls, "exits": room.doors},
+        units={"t": "s", "q": "m"},
+        title=title or f"{len(places)} people leave a room",
+    )
+
+
+def behind(room: Room, q: ca.SX, beyond: float) -> ca.SX:
+    """An expression > 0 where q is more than ``beyond`` behind an exit, in a place 1 m deep and ``beyond`` wider on each side."""
+    if not (np.isfinite(beyond) and beyond >= 0):
+        raise ModelError(f"beyond: {beyond}; expected a number >= 0, in metres")
+    found = None
+    for (a, b), normal in zip(room.doors, room.outward, strict=True):
+        width = float(np.linalg.norm(b - a))
+        out, along = ca.dot(ca.DM(normal), q - a), ca.dot(ca.DM((b - a) / width), q - a)
+        sides = ca.fmin(along + beyond, width + beyond - along)
+        here = ca.fmin(ca.fmin(out - beyond, beyond + BEYOND - out), sides)
+        found = here if found is None else ca.fmax(found, here)
+    return found
+
+
+def _pushed_apart(
+    q: np.ndarray, radii: np.ndarray, count: int, walls: np.ndarray, polygon: np.ndarray | None
+) -> np.ndarray | None:
+    """Discs moved until none overlaps another or a wall, the first ``count`` of them; None where that fails.
+
+    Each overlap pushes both discs apart by half of it and a little more, as Uzawa's iteration does; nobody goes through a wall.
+    """
+    from scipy.spatial import cKDTree
+
+    radii, most = radii + APART, float(radii.min()) / 2
+    for _ in range(ROUNDS):
+        pairs = cKDTree(q).query_pairs(2 * radii.max() + APART, output_type="ndarray")
+        i, j = pairs.T
+        gap = q[i] - q[j]
+        size = np.linalg.norm(gap, axis=1)
+        over = radii[i] + radii[j] - size
+        near = (over > 0) & (i < count)  # i < j, and the last ones stay where they are.
+        i, j, over, push = i[near], j[near], over[near], gap[near] / np.maximum(size[near], 1e-12)[:, None]
+        feet = nearest_points(q[:count], walls)
+        away = q[:count, None] - feet
+        reach = np.linalg.norm(away, axis=2)
+        into = np.maximum(radii[:count, None] - reach, 0)
+        if not (over > APART / 2).any() and not (into > APART / 2).any():
+            return q
+        move = np.zeros_like(q)
+        half = (0.55 * over[:, None]) * push
+        np.add.at(move, i, half)
+        np.subtract.at(move, j, half)
+        move[:count] += ((1.1 * into / np.maximum(reach, 1e-12))[..., None] * away).sum(axis=1)
+        move *= np.minimum(1, most / np.maximum(np.linalg.norm(move, axis=1), 1e-12))[:, None]
+        goal = q[:count] + move[:count]
+        if polygon is not None:
+            out = np.flatnonzero(~contains(polygon, goal))
+            rim = nearest_points(goal[out], closed(polygon))
+            best = np.linalg.norm(rim - goal[out][:, None], axis=2).argmin(axis=1)
+            goal[out] = rim[np.arange(len(out)), best]
+        stays = crosses_any(q[:count], goal, walls)
+        q = np.concatenate([np.where(stays[:, None], q[:count], goal), q[count:]])
+    return None

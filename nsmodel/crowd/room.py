@@ -1,0 +1,228 @@
+"""A room: walls, obstacles and exits as line segments, and a grid that knows what is inside."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from nsmodel.crowd import picture
+from nsmodel.crowd.geometry import closed
+from nsmodel.errors import ModelError
+from nsmodel.model.base import shown
+
+MARGIN = 1.0  # What a grid shows of the outside, m.
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """A room in metres, y upwards: ``Room(walls=[[(0, 0), (4, 0)], ...], exits={"door": [(4, 1), (4, 2.2)]})``.
+
+    Walls and exits together must enclose it: an exit fills the gap that its door leaves in the walls.
+
+    Attributes:
+        walls: (W, 2, 2) line segments.
+        exits: {name: (E, 2, 2)}; a single segment (2, 2) will do.
+        obstacles: polygons, each (P, 2) corners; `disc` makes one of a pillar.
+
+    Raises:
+        ModelError: a wrong shape, a number that is not finite, a segment without length, no exit; when it is used, an exit
+            with the same room on both of its sides.
+    """
+
+    walls: Any = ()
+    exits: Any = ()
+    obstacles: Any = ()
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.exits, Mapping) or not self.exits:
+            raise ModelError(f"exits: {shown(self.exits)}; expected a dictionary of at least one, {{name: [(x, y), (x, y)]}}")
+        walls = _segments(self.walls, "walls") if len(self.walls) else np.zeros((0, 2, 2))
+        object.__setattr__(self, "walls", walls)
+        named = {str(name): _segments(value, f"exit '{name}'") for name, value in self.exits.items()}
+        object.__setattr__(self, "exits", MappingProxyType(named))
+        polygons = tuple(_polygon(value, f"obstacles[{k}]") for k, value in enumerate(self.obstacles))
+        object.__setattr__(self, "obstacles", polygons)
+
+    @classmethod
+    def from_picture(
+        cls, image: str | Path | np.ndarray, pixel: float = 0.05, walls: Any = "black", exits: Mapping[str, Any] | None = None
+    ) -> Room:
+        """Read a floor plan: the outlines of wall pixels become line segments, each patch of a door's colour an exit.
+
+        Args:
+            image: a PNG file, or an array (H, W, 3 or 4) of numbers 0 to 255, or 0 to 1; row 0 is the top.
+            pixel: the side of a pixel, m.
+            walls: their colour: a name as in CSS and Matplotlib, "#rrggbb", or (red, green, blue) from 0 to 255.
+            exits: {name: colour}; {"exit": "red"} if left out. An exit's segment runs along the middle of its patch.
+
+        Outlines are drawn straight within 3/4 of a pixel, so that a slanting wall is no staircase.
+
+        Raises:
+            ModelError: a file that is no picture, a wrong shape, a colour that is unknown, not in the picture, or too
+                like another one.
+        """
+        found, doors = picture.read(image, pixel, walls, {"exit": "red"} if exits is None else exits)
+        return cls(walls=found, exits=doors)
+
+    @cached_property
+    def segments(self) -> np.ndarray:
+        """Walls and the sides of obstacles (W', 2, 2)."""
+        return np.concatenate([self.walls, *(closed(polygon) for polygon in self.obstacles)])
+
+    @cached_property
+    def doors(self) -> np.ndarray:
+        """The segments of all exits (E, 2, 2)."""
+        return np.concatenate(list(self.exits.values()))
+
+    @cached_property
+    def box(self) -> tuple[np.ndarray, np.ndarray]:
+        """The lower left and the upper right corner (2,) of all there is."""
+        points = np.concatenate([self.segments, self.doors]).reshape(-1, 2)
+        return points.min(axis=0), points.max(axis=0)
+
+    @cached_property
+    def outward(self) -> np.ndarray:
+        """The unit normal (E, 2) that leads out through each of `doors`."""
+        along = self.doors[:, 1] - self.doors[:, 0]
+        normals = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
+        grid, names = self.grid(0.1), [name for name, value in self.exits.items() for _ in value]
+        for k, (middle, normal) in enumerate(zip(self.doors.mean(axis=1), normals, strict=True)):
+            sides = grid.outside[grid.nearest(middle + 2 * grid.spacing * np.outer([1, -1], normal))]
+            if sides[0] == sides[1]:
+                what = "outside" if sides[0] else "inside"
+                raise ModelError(
+                    f"exit '{names[k]}' at {_at(middle)} is {what} on both sides: walls and exits must enclose the room"
+                )
+            normals[k] = normal if sides[0] else -normal
+        return normals
+
+    def way_out(self, name: str) -> np.ndarray:
+        """The segments (E, 2, 2) of an exit, each with the inside on its left and the outside on its right."""
+        if name not in self.exits:
+            raise ModelError(f"the room has no exit '{name}'; it has {', '.join(self.exits)}")
+        mine = np.array([key == name for key, value in self.exits.items() for _ in value])
+        doors, outward = self.doors[mine], self.outward[mine]
+        along = doors[:, 1] - doors[:, 0]
+        right = along[:, 1] * outward[:, 0] - along[:, 0] * outward[:, 1] > 0
+        return np.where(right[:, None, None], doors, doors[:, ::-1])
+
+    def grid(self, spacing: float) -> Grid:
+        """The nodes of a square grid over the room and a margin, cut by walls and exits."""
+        return _grid(self, float(spacing))
+
+    def inside(self, grid: Grid) -> np.ndarray:
+        """The nodes (ny, nx) of the parts that an exit leads out of."""
+        middle, step = self.doors.mean(axis=1), 2 * grid.spacing
+        return np.isin(grid.label, grid.label[grid.nearest(middle - step * self.outward)]) & ~grid.outside
+
+
+class Grid(NamedTuple):
+    """Nodes (ny, nx) of a square grid, and where walls and exits part neighbours."""
+
+    origin: np.ndarray
+    spacing: float
+    right: np.ndarray  # (ny, nx - 1) whether a node and the next one across are joined
+    up: np.ndarray  # (ny - 1, nx) the same upwards
+    label: np.ndarray  # (ny, nx) the number of the part of the plane that a node is in
+
+    @property
+    def outside(self) -> np.ndarray:
+        """Whether each node (ny, nx) is in the part of the plane that has no end."""
+        return self.label == self.label[0, 0]
+
+    @property
+    def nodes(self) -> np.ndarray:
+        """Their places (ny, nx, 2)."""
+        ny, nx = self.label.shape
+        across, up = np.meshgrid(np.arange(nx), np.arange(ny))
+        return self.origin + self.spacing * np.stack([across, up], axis=2)
+
+    def nearest(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Row and column of the node nearest to each q (N, 2)."""
+        ny, nx = self.label.shape
+        column, row = np.rint((q - self.origin) / self.spacing).astype(int).T
+        return np.clip(row, 0, ny - 1), np.clip(column, 0, nx - 1)
+
+
+def disc(centre: Any, radius: float, corners: int = 24) -> np.ndarray:
+    """A pillar as a polygon (corners, 2) around the disc, touching it."""
+    if not radius > 0 or corners < 3:
+        raise ModelError(f"disc: radius {radius}, {corners} corners; expected a radius > 0 and at least 3 corners")
+    angle = 2 * np.pi * (np.arange(corners) + 0.5) / corners
+    return np.asarray(centre, float) + radius / np.cos(np.pi / corners) * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def box(low: Any, high: Any) -> np.ndarray:
+    """A rectangle as a polygon (4, 2), from its lower left and its upper right corner."""
+    (x, y), (right, top) = low, high
+    return np.array([(x, y), (right, y), (right, top), (x, top)], float)
+
+
+@lru_cache(maxsize=16)
+def _grid(room: Room, spacing: float) -> Grid:
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    low, high = room.box
+    origin = low - MARGIN - np.array([0.3719, 0.4357]) * spacing  # No wall at round numbers runs through nodes.
+    nx, ny = (np.ceil((high + MARGIN - origin) / spacing).astype(int) + 1).tolist()
+    right, up = np.ones((ny, nx - 1), bool), np.ones((ny - 1, nx), bool)
+    for ends in (np.concatenate([room.segments, room.doors]) - origin) / spacing:
+        _cut(right, ends)
+        _cut(up.T, ends[:, ::-1])
+    number = np.arange(ny * nx).reshape(ny, nx)
+    first = np.concatenate([number[:, :-1][right], number[:-1][up]])
+    second = np.concatenate([number[:, 1:][right], number[1:][up]])
+    graph = coo_array((np.ones(len(first), bool), (first, second)), shape=(ny * nx, ny * nx))
+    return Grid(origin, spacing, right, up, connected_components(graph, directed=False)[1].reshape(ny, nx))
+
+
+def _cut(joined: np.ndarray, ends: np.ndarray) -> None:
+    """Part the neighbours in each row that a segment, in units of the grid, runs between.
+
+    A point on a line of nodes counts as below it, on a node as before it: no two segments that meet leave a gap.
+    """
+    (x0, y0), (x1, y1) = ends[np.argsort(ends[:, 1], kind="stable")]
+    rows = np.arange(max(int(np.ceil(y0)), 0), min(int(np.ceil(y1)), len(joined)))
+    if rows.size:
+        x = x0 + (rows - y0) / (y1 - y0) * (x1 - x0)
+        joined[rows, np.clip(np.ceil(x).astype(int) - 1, 0, joined.shape[1] - 1)] = False
+
+
+def _segments(value: Any, label: str) -> np.ndarray:
+    array = _numbers(value, label)
+    array = array[None] if array.shape == (2, 2) else array
+    if array.ndim != 3 or array.shape[1:] != (2, 2) or not len(array):
+        raise ModelError(f"{label}: shape {np.shape(value)}; expected (2, 2), two end points, or (W, 2, 2)")
+    short = np.flatnonzero((array[:, 0] == array[:, 1]).all(axis=1))
+    if short.size:
+        raise ModelError(f"{label}[{short[0]}] begins and ends at {_at(array[short[0], 0])}; expected two different points")
+    return array
+
+
+def _polygon(value: Any, label: str) -> np.ndarray:
+    array = _numbers(value, label)
+    if array.ndim != 2 or array.shape[1:] != (2,) or len(array) < 3:
+        raise ModelError(f"{label}: shape {array.shape}; expected (P, 2), at least three corners")
+    return array[:-1] if (array[0] == array[-1]).all() else array
+
+
+def _numbers(value: Any, label: str) -> np.ndarray:
+    try:
+        array = np.array(value, float)
+    except (TypeError, ValueError):
+        raise ModelError(f"{label}: {shown(value)}; expected numbers, pairs (x, y)") from None
+    if not np.isfinite(array).all():
+        raise ModelError(f"{label}: {array[~np.isfinite(array)][0]} is not a finite number")
+    array.setflags(write=False)
+    return array
+
+
+def _at(point: np.ndarray) -> str:
+    return "({:.4g}, {:.4g})".format(*point)

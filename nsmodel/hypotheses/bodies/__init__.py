@@ -1,0 +1,1 @@
+"""Sweeping processes of many bodies: each hypothesis once a family."""

@@ -1,0 +1,112 @@
+"""A5 and A5' of many bodies: a bound for all states where the families are discs, else gamma on the contact graph of rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from nsmodel.hypotheses.bodies.families import Kind
+from nsmodel.hypotheses.bodies.near import named, within
+from nsmodel.hypotheses.bodies.network import LARGE, Network, network_of
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
+from nsmodel.hypotheses.sweeping.admissible import FEASIBLE
+from nsmodel.hypotheses.sweeping.constraint import EVERYWHERE, ON_THE_BOX
+from nsmodel.hypotheses.sweeping.qualification import FRACTION, TOUCHING, TRIES, Qualified
+from nsmodel.hypotheses.sweeping.qualification_proofs import discs
+from nsmodel.scheme.many_bodies import BodiesProblem, Rows
+
+ROWS = 32  # Rows of the runs that are looked at, at most;
+BODY_ROWS = 20_000, 2_000  # and so many bodies in them (quick: the second).
+MOST_NAMED = 12
+Point = tuple[float, np.ndarray]
+
+
+def qualification(
+    problem: BodiesProblem,
+    kinds: Sequence[Kind],
+    proved: bool,
+    points: Sequence[Point],
+    reach: float,
+    slope: float,
+    size: float,
+    quick: bool,
+) -> tuple[Qualified, Qualified]:
+    """Return A5 (with the rho chosen) and A5'.
+
+    Args:
+        problem: the model's expressions.
+        kinds: what stands for its constraints; ``proved``: for all of them.
+        points: (t, q (N, d)) in Q(t), absent bodies NaN.
+        reach: the least reach; rho is a tenth of it at first, then four times smaller.
+        slope: a bound of |grad g|; size: of the box of one body.
+        quick: less is looked at.
+    """
+    if not kinds:
+        none = Qualified(HOLDS, 1.0, np.inf, EVERYWHERE, "no constraint", 1.0, {})
+        return none, none
+    near = _decide(problem, kinds, proved, points, FRACTION * reach, slope, size, quick)
+    for k in range(1, TRIES):
+        if np.isfinite(near.gamma):
+            break
+        near = _decide(problem, kinds, proved, points, FRACTION * reach * 4.0**-k, slope, size, quick)
+    active = _decide(problem, kinds, proved, points, 0.0, slope, size, quick)
+    if near.verdict == VIOLATED and active.verdict != VIOLATED:
+        how = (
+            f"near-active constraints oppose each other for every rho tried, down to {near.rho:.2g}; active ones were not seen to"
+        )
+        near = near._replace(verdict=UNKNOWN, how=how)
+    return near, active
+
+
+def _decide(
+    problem: BodiesProblem,
+    kinds: Sequence[Kind],
+    proved: bool,
+    points: Sequence[Point],
+    rho: float,
+    slope: float,
+    size: float,
+    quick: bool,
+) -> Qualified:
+    worst, at, looked, left_out = Network(1.0, 1.0, np.zeros(0, int), np.zeros(0)), None, 0, 0
+    for t, q in points:
+        rows = within(problem, t, q, rho + TOUCHING * size * slope)
+        if not (rows.g >= -FEASIBLE * size * rows.size).all():
+            continue
+        rows = rows.at(rows.g <= rho + TOUCHING * size * rows.size)
+        network = network_of(rows, quick)
+        if network is None:
+            left_out += 1
+            continue
+        looked += 1
+        if network.gamma > worst.gamma or at is None:
+            worst, at = network, (t, rows)
+        if np.isinf(worst.gamma):
+            break
+    witness = opposed(problem, worst, at[1]) | ({"t": at[0]} if len(worst.rows) else {}) if at is not None else {}
+    proof = None
+    if proved:
+        proof = discs([c for kind in kinds for c in (kind.worst, kind.deepest)], rho, problem.count)
+    if proof is not None:
+        return Qualified(HOLDS, proof.gamma, proof.rho, EVERYWHERE, proof.how, min(worst.attained, proof.gamma), witness)
+    if np.isinf(worst.gamma):
+        return Qualified(VIOLATED, np.inf, rho, ON_THE_BOX, "opposing normals at an admissible point", np.inf, witness)
+    how = f"the contact graph of {looked} row{'s' * (looked != 1)}, of the start and the runs; others were not looked for"
+    if left_out:
+        how += f"; {left_out} with groups of more than {LARGE[quick]} near constraints were left out"
+    if not looked and points:
+        return Qualified(UNKNOWN, np.inf, rho, ON_THE_BOX, how, np.nan, {})
+    return Qualified(SAMPLED, worst.gamma, rho, ON_THE_BOX, how, worst.attained, witness)
+
+
+def opposed(problem: BodiesProblem, network: Network, rows: Rows) -> dict[str, Any]:
+    """The constraints of the group with the largest gamma and their weights, the largest first."""
+    used = [k for k in np.argsort(-network.weights, kind="stable") if network.weights[k] > 0]
+    if not used:
+        return {}
+    some = used[:MOST_NAMED]
+    found = {"constraints": [named(problem, rows, int(network.rows[k])) for k in some],
+             "weights": [float(network.weights[k]) for k in some]}  # fmt: skip
+    return found | ({"of": len(used)} if len(used) > len(some) else {})

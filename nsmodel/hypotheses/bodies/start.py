@@ -1,0 +1,52 @@
+"""S-start of many bodies: the least gap of those that are there at t = 0, by a search, and the sign of each gap near 0."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nsmodel.hypotheses.bodies.families import constraint_of
+from nsmodel.hypotheses.bodies.near import bounds, named, nearest
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED
+from nsmodel.hypotheses.sweeping.constraint import EVERYWHERE, Answer
+from nsmodel.hypotheses.sweeping.start import start_value
+from nsmodel.model.bodies import ManyBodies
+from nsmodel.scheme.many_bodies import BodiesProblem, Rows
+
+EXACT = 400  # Signs that interval arithmetic leaves open and that are decided in rational numbers, at most.
+
+
+def start_of(model: ManyBodies) -> np.ndarray:
+    """The states (N, d) at t = 0, NaN for who enters later."""
+    return np.where((model.enter <= 0)[:, None], model.bodies.q0, np.nan)
+
+
+def start(problem: BodiesProblem) -> Answer:
+    """Return whether the start is admissible: signs by intervals, where they touch in rational arithmetic."""
+    model, q = problem.model, start_of(problem.model)
+    rows = nearest(problem, 0.0, q)
+    if not len(rows.g):
+        return Answer(HOLDS, {"min g": np.inf}, EVERYWHERE, "no constraint")
+    low, high = bounds(problem, 0.0, q, rows)
+    k = int(np.argmin(np.nan_to_num(rows.g, nan=-np.inf)))
+    value = {"min g": float(rows.g[k])}
+    bad = ~(high >= -1e-12 * rows.size * max(1.0, float(np.abs(model.bodies.q0).max()))) | np.isnan(rows.g)
+    if bad.any():
+        k = int(np.argmin(np.where(bad, np.nan_to_num(rows.g, nan=-np.inf), np.inf)))
+        bodies = [int(rows.first[k]), *([int(rows.second[k])] if rows.pair[k] else [])]
+        witness = {"constraint": named(problem, rows, k), "g": float(rows.g[k])} | {f"body {i}": q[i] for i in bodies}
+        return Answer(VIOLATED, value, EVERYWHERE, f"g_i(0, q_0) < 0, rounding included, of {bad.sum()} constraints", witness)
+    left = np.flatnonzero(low < 0)
+    undecided = left if len(left) > EXACT else [i for i in left if _sign(problem, rows, int(i), q) < 0]
+    if len(undecided):
+        witness = {"constraint": named(problem, rows, int(undecided[0])), "such constraints": len(undecided)}
+        return Answer(SAMPLED, value, EVERYWHERE, "to rounding: the sign of g_i(0, q_0) is lost in it", witness)
+    how = f"by a search for neighbours; the sign of each of the {len(rows.g)} nearest was decided with rounding included"
+    return Answer(HOLDS, value, EVERYWHERE, how, {"constraint": named(problem, rows, k)})
+
+
+def _sign(problem: BodiesProblem, rows: Rows, k: int, q: np.ndarray) -> int:
+    """The exact sign of one constraint at the start; -1 where it is not known."""
+    i, j, number = int(rows.first[k]), int(rows.second[k]), int(rows.family[k])
+    constraint = constraint_of(problem.model, problem.names[number], problem.families[number], (i, j))
+    sign = start_value(constraint, np.concatenate([q[i], q[j]]) if rows.pair[k] else q[i])
+    return -1 if sign is None else sign

@@ -1,0 +1,393 @@
+"""Pictures and films of people in the plane: who is where and pressed how much, who left when, maps, flow through a door."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nsmodel.crowd.measure import Flow, Maps, evacuation_times, positions, present
+from nsmodel.errors import MissingExtraError, PlotError
+from nsmodel.plot import style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from nsmodel.trajectory import Trajectory
+
+PRESSURE = "YlOrBr"
+CALM = "#B9CDE0"  # A disc of a run that knows no pressure.
+DOOR = "#009E73"
+TOP = 99.5  # The colour scale of pressure ends at this percentile of those pressed.
+THICKEST = 4.0  # Line of a contact at the end of the scale, points.
+LONGEST = 20.0  # A film left to itself lasts no longer, s.
+
+
+# -- one moment --------------------------------------------------------------------------------------------------------
+
+
+def frame(run: Trajectory, row: int | None = None, *, scale: float | None = None, ax: Axes | None = None) -> Axes:
+    """Draw the people of a row: each disc in the colour of the pressure on it, a line for each contact, as wide as its reaction.
+
+    Args:
+        run: a run of many bodies in the plane, whose scene has radii.
+        row: of the run; by default the one with most pressure in all.
+        scale: pressure at the end of the colour scale; by default such that 99.5 % of those pressed in the run are below.
+        ax: where to draw; a new figure by default.
+
+    Raises:
+        PlotError: a run without radii, or no such row.
+    """
+    row = busiest(run) if row is None else row
+    if not -len(run.t) <= row < len(run.t):
+        raise PlotError(f"row {row} does not exist: this run has rows 0 to {len(run.t) - 1}")
+    row = range(len(run.t))[row]
+    ax = style.axes(ax, 7, 6.5)
+    people = _People(ax, run, scale)
+    people.show(row)
+    here = int(present(run)[row].sum())
+    style.dress(ax, f"{style.at(run, row)}: {here} {_word(run)}", *_axes(run), grid=False)
+    return ax
+
+
+class _People:
+    """Everything that a frame shows, on axes; ``show`` moves it to a row."""
+
+    def __init__(self, ax: Axes, run: Trajectory, scale: float | None) -> None:
+        from matplotlib.collections import EllipseCollection, LineCollection
+
+        scene = _scene(run)
+        self.run, self.q, self.pressure = run, positions(run), run.arrays.get("pressure")
+        self.radii, self.walls = np.array(scene["radii"], float), np.reshape(scene.get("walls", []), (-1, 2, 2))
+        draw_room(ax, run)
+        ax.set(aspect="equal")
+        _fit(ax, run)
+        size = 2 * self.radii
+        look = {"edgecolor": style.INK, "linewidth": min(0.7, 10 / np.sqrt(1 + self.radii.size)), "facecolor": CALM, "zorder": 4}
+        self.discs = EllipseCollection(
+            size, size, np.zeros(size.size), units="xy", offsets=self.q[0], offset_transform=ax.transData, **look
+        )
+        self.lines = LineCollection([], colors=style.INK, zorder=5, capstyle="round")
+        self.scale = pressure_scale(run) if scale is None else scale
+        if self.pressure is not None:
+            self.discs.set(cmap=PRESSURE, clim=(0, self.scale))
+            bar = ax.figure.colorbar(self.discs, ax=ax, shrink=0.75, pad=0.02, extend="max")
+            bar.set_label(style.with_unit("pressure: sum of reactions", _pressure_unit(run)), fontsize=9)
+            bar.ax.tick_params(labelsize=8)
+        ax.add_collection(self.discs)
+        ax.add_collection(self.lines)
+
+    def show(self, row: int) -> None:
+        q = self.q[row]
+        self.discs.set_offsets(np.ma.masked_invalid(q))
+        if self.pressure is None:
+            return
+        self.discs.set_array(np.nan_to_num(self.pressure[row]))
+        if "contact_row" in self.run.arrays:
+            lines, reactions = self._network(row)
+            self.lines.set_segments(list(lines))
+            self.lines.set_linewidths(np.clip(THICKEST * reactions / self.scale, 0.2, THICKEST))
+
+    def _network(self, row: int) -> tuple[np.ndarray, np.ndarray]:
+        """The lines (K, 2, 2) between those that touch: two people, or one and the nearest point of a wall; their reactions."""
+        from nsmodel.crowd.geometry import nearest_points
+
+        q, contacts = self.q[row], self.run.contacts(row)
+        i, j = contacts.first, contacts.second
+        other = np.full((len(i), 2), np.nan)
+        pairs = np.array(self.run.metadata["of_pairs"], bool)[contacts.family]
+        other[pairs] = q[j[pairs]]
+        walls = np.flatnonzero(~pairs & (j >= 0) & (j < len(self.walls)))
+        if walls.size:
+            at = nearest_points(q[i[walls]], self.walls)[np.arange(walls.size), j[walls]]
+            touches = np.linalg.norm(at - q[i[walls]], axis=1) < 1.1 * self.radii[i[walls]]
+            other[walls[touches]] = at[touches]
+        return np.stack([q[i], other], axis=1), contacts.reaction
+
+
+def busiest(run: Trajectory) -> int:
+    """The row with most pressure in all; the first one where there is none."""
+    pressure = run.arrays.get("pressure")
+    return 0 if pressure is None else int(np.nansum(pressure, axis=1).argmax())
+
+
+def pressure_scale(run: Trajectory) -> float:
+    """The pressure that 99.5 % of those pressed are below, over the whole run; 1 where nobody ever is."""
+    pressure = run.arrays.get("pressure")
+    pressed = np.zeros(0) if pressure is None else pressure[pressure > 0]
+    return float(np.percentile(pressed, TOP)) if pressed.size else 1.0
+
+
+def draw_room(ax: Axes, run: Trajectory) -> None:
+    """Draw the walls and exits that the run knows."""
+    from matplotlib.collections import LineCollection
+
+    scene = _scene(run)
+    for key, colour, width, dash in (("walls", style.INK, 2.5, "-"), ("exits", DOOR, 2.0, (0, (2, 1.5)))):
+        lines = list(np.reshape(scene.get(key, []), (-1, 2, 2)))
+        ax.add_collection(LineCollection(lines, colors=colour, linewidths=width, linestyles=[dash], zorder=3))
+
+
+# -- over time ---------------------------------------------------------------------------------------------------------
+
+
+def _word(run: Trajectory) -> str:
+    """What the bodies are called: people where the scene has exits."""
+    return "people" if "exits" in run.metadata.get("scene", {}) else "bodies"
+
+
+def evacuation(run: Trajectory, *, ax: Axes | None = None) -> Axes:
+    """Draw how many people are there, and how many have left, over time."""
+    ax = style.axes(ax)
+    here, gone = present(run), np.sort(evacuation_times(run))
+    gone = gone[np.isfinite(gone)]
+    kept = style.thin(run.t, here.sum(axis=1))
+    lines = ax.step(run.t[kept], here[kept].sum(axis=1), where="post", color=style.LINES[0], linewidth=1.6, label="there")
+    times = np.concatenate([run.t[:1], gone, run.t[-1:]])
+    count = np.concatenate([[0], np.arange(1, len(gone) + 1), [len(gone)]])
+    lines += ax.step(times, count, where="post", color=style.LINES[1], linewidth=1.6, label="left")
+    words = f"{len(gone)} of {here.shape[1]} {_word(run)} left"
+    words += f", the last at {gone[-1]:.4g} {style.unit(run, 't')}".rstrip() if len(gone) else ""
+    style.over_time(ax, run, words, _word(run))
+    ax.set_ylim(bottom=0)
+    style.legend(ax, lines)
+    return ax
+
+
+def pressures(run: Trajectory, *, ax: Axes | None = None) -> Axes:
+    """Draw the largest pressure on anybody, and the mean over all who are there, over time."""
+    ax, pressure = style.axes(ax), style.needed(run, "pressure")
+    largest = np.fmax.reduce(pressure, axis=1)
+    there = np.isfinite(pressure).sum(axis=1)
+    mean = np.nansum(pressure, axis=1) / np.where(there, there, np.nan)
+    kept = style.thin(run.t, np.nan_to_num(largest))
+    lines = ax.plot(run.t[kept], largest[kept], color=style.LINES[1], linewidth=0.8, label="largest")
+    lines += ax.plot(run.t[kept], mean[kept], color=style.INK, linewidth=1.4, label="mean of all")
+    style.over_time(ax, run, "Pressure", style.with_unit("sum of reactions", _pressure_unit(run)))
+    ax.set_ylim(bottom=0)
+    style.legend(ax, lines)
+    return ax
+
+
+def flow(found: Flow, *, unit: str = "s", ax: Axes | None = None) -> Axes:
+    """Draw how many people have crossed a segment, in both directions, over time."""
+    ax = style.axes(ax)
+    lines: list[Any] = []
+    for forward, colour, word in ((True, style.LINES[0], "forward"), (False, style.LINES[1], "back")):
+        times = found.times(forward)
+        if len(times) or forward:
+            label = f"{word}: {len(times)}"
+            lines += ax.step(times, np.arange(1, len(times) + 1), where="post", color=colour, linewidth=1.6, label=label)
+    rate = found.specific()
+    words = "Flow" if np.isnan(rate) else f"Flow: {rate:.3g} people a {unit} and m"
+    style.dress(ax, words, style.with_unit("t", unit), "people")
+    ax.set_ylim(bottom=0)
+    style.legend(ax, lines)
+    return ax
+
+
+def paths(run: Trajectory, *, ax: Axes | None = None) -> Axes:
+    """Draw the way of each person, from dark (starts far from its end) to light."""
+    from matplotlib.collections import LineCollection
+
+    ax, q = style.axes(ax, 7, 6.5), positions(run)
+    limit = max(20, 10 * style.MAX_POINTS // q.shape[1])
+    rows = style.spread(len(q), limit)
+    length = np.nansum(np.linalg.norm(np.diff(q, axis=0), axis=2), axis=0)
+    lines = LineCollection([q[rows, k] for k in range(q.shape[1])], cmap="viridis_r", linewidths=0.7, zorder=2)
+    lines.set_array(length)
+    ax.add_collection(lines)
+    bar = ax.figure.colorbar(lines, ax=ax, shrink=0.75, pad=0.02)
+    bar.set_label("length of the way [m]", fontsize=9)
+    bar.ax.tick_params(labelsize=8)
+    draw_room(ax, run)
+    _fit(ax, run)
+    ax.set(aspect="equal")
+    style.dress(ax, "Ways", *_axes(run), grid=False)
+    return ax
+
+
+# -- maps --------------------------------------------------------------------------------------------------------------
+
+
+def density(found: Maps, run: Trajectory | None = None, *, ax: Axes | None = None) -> Axes:
+    """Draw the mean density, with the walls of the run."""
+    return _map(found, found.density, "Mean density", "people a square metre", "viridis", run, ax)
+
+
+def pressure(found: Maps, run: Trajectory | None = None, *, ax: Axes | None = None) -> Axes:
+    """Draw the mean pressure on those who were there, with the walls of the run."""
+    if found.pressure is None:
+        raise PlotError("these maps have no pressure: their run knows no reactions")
+    unit = _pressure_unit(run) if run is not None else ""
+    return _map(found, found.pressure, "Mean pressure", style.with_unit("sum of reactions", unit), PRESSURE, run, ax)
+
+
+def velocity(found: Maps, run: Trajectory | None = None, *, ax: Axes | None = None) -> Axes:
+    """Draw the mean velocity: its size as colour, its direction as arrows, with the walls of the run."""
+    size = np.linalg.norm(found.velocity, axis=2)
+    ax = _map(found, size, "Mean velocity", "m/s", "cividis", run, ax)
+    every = max(1, max(size.shape) // 30)
+    cells = np.s_[every // 2 :: every, every // 2 :: every]
+    x, y = np.meshgrid((found.x[:-1] + found.x[1:]) / 2, (found.y[:-1] + found.y[1:]) / 2)
+    arrows = found.velocity[cells] / np.maximum(size[cells], 1e-12)[..., None]
+    ax.quiver(x[cells], y[cells], arrows[..., 0], arrows[..., 1], color="white", scale=45, width=0.002, zorder=2)
+    return ax
+
+
+def _map(found: Maps, values: np.ndarray, title: str, label: str, colours: str, run: Any, ax: Axes | None) -> Axes:
+    ax = style.axes(ax, 7, 5.5)
+    known = values[np.isfinite(values)]
+    top = float(np.percentile(known, TOP)) if known.size and known.max() > 0 else 1.0
+    image = ax.pcolormesh(found.x, found.y, values, cmap=colours, vmin=0, vmax=top or float(known.max()), rasterized=True)
+    bar = ax.figure.colorbar(image, ax=ax, shrink=0.85, pad=0.02, extend="max")
+    bar.set_label(label, fontsize=9)
+    bar.ax.tick_params(labelsize=8)
+    ax.set(aspect="equal")
+    if run is not None:
+        draw_room(ax, run)
+        _fit(ax, run)
+    style.dress(ax, title, *(_axes(run) if run is not None else ("x [m]", "y [m]")), grid=False)
+    return ax
+
+
+# -- film --------------------------------------------------------------------------------------------------------------
+
+
+def animate(
+    run: Trajectory, path: str | Path, *, seconds: float | None = None, fps: float = 15, scale: float | None = None,
+    size: tuple[float, float] = (7, 6), dpi: float = 80,
+) -> Path:  # fmt: skip
+    """Write a film of a run as GIF or MP4 (by the ending of the path), beside its place and then renamed.
+
+    Args:
+        run: a run of many bodies in the plane, whose scene has radii.
+        path: NAME.gif or NAME.mp4; MP4 needs the program ffmpeg.
+        seconds: how long the film lasts; by default as long as the run, in its unit of time, and at most 20 s.
+        fps: frames a second.
+        scale: pressure at the end of the colour scale, the same for all frames; see `frame`.
+        size: of a frame, inches.
+        dpi: pixels an inch.
+
+    Raises:
+        PlotError: another ending, a length or rate that is not > 0, a run without radii.
+        MissingExtraError: MP4 without ffmpeg.
+    """
+    path, span = Path(path), float(run.t[-1] - run.t[0])
+    seconds = min(span, LONGEST) if seconds is None else seconds
+    for name, value in (("seconds", seconds), ("fps", fps), ("dpi", dpi)):
+        if not (np.isfinite(value) and value > 0):
+            raise PlotError(f"{name}: {value}; expected a number > 0")
+    write = {".gif": _write_gif, ".mp4": _write_mp4}.get(path.suffix.lower())
+    if write is None:
+        raise PlotError(f"{path.name}: a film ends in .gif or .mp4")
+    count = max(2, round(seconds * fps))
+    rows = np.searchsorted(run.t, np.linspace(run.t[0], run.t[-1], count) + 1e-9 * span, side="right") - 1
+    pictures = _frames(run, rows, f"   {span / seconds:.3g} times as fast" * (abs(span / seconds - 1) > 0.01), scale, size, dpi)
+    part = path.with_name(f".{path.stem}.part{path.suffix}")
+    try:
+        write(part, pictures, fps)
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+    return path
+
+
+def _frames(
+    run: Trajectory, rows: np.ndarray, words: str, scale: float | None, size: tuple[float, float], dpi: float
+) -> Iterator[np.ndarray]:
+    """The pictures (H, W, 3); what never moves is drawn once."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    figure = style.blank(*size)
+    figure.set_dpi(dpi)
+    canvas, ax = FigureCanvasAgg(figure), figure.add_subplot()
+    people = _People(ax, run, scale)
+    style.dress(ax, " ", *_axes(run), grid=False)
+    title = ax.text(0, 1.01, "", transform=ax.transAxes, ha="left", va="bottom", color=style.INK, fontsize=11, fontweight="bold")
+    moving = (people.discs, people.lines, title)
+    for artist in moving:
+        artist.set_animated(True)
+    canvas.draw()
+    figure.set_layout_engine("none")
+    still = canvas.copy_from_bbox(figure.bbox)
+    here, unit = present(run).sum(axis=1), style.unit(run, "t")
+    digits = max(0, int(np.ceil(-np.log10(max(float(np.diff(run.t[rows]).max()), 1e-12)))))
+    for row in rows:
+        canvas.restore_region(still)
+        people.show(row)
+        title.set_text(f"t = {run.t[row]:.{digits}f} {unit}   {here[row]} people{words}")
+        for artist in moving:
+            ax.draw_artist(artist)
+        yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+def _write_gif(path: Path, pictures: Iterator[np.ndarray], fps: float) -> None:
+    """One palette for all frames, so that nothing flickers: that of the first one and of all pressures."""
+    from matplotlib import colormaps
+    from PIL import Image
+
+    start = next(pictures)
+    height, width = start.shape[:2]
+    pressures = np.uint8(255 * colormaps[PRESSURE](np.linspace(0, 1, width))[:, :3])
+    palette = Image.fromarray(np.concatenate([start, np.broadcast_to(pressures, (height, width, 3))])).quantize(96)
+    first = Image.fromarray(start)
+    coded = (Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
+    first = first.quantize(palette=palette, dither=Image.Dither.NONE)
+    first.save(path, save_all=True, append_images=coded, duration=round(1000 / fps), loop=0)
+
+
+def _write_mp4(path: Path, pictures: Iterator[np.ndarray], fps: float) -> None:
+    program = shutil.which("ffmpeg")
+    if program is None:
+        raise MissingExtraError("MP4 needs the program ffmpeg, which is not found; install it, or write a .gif")
+    first = next(pictures)
+    height, width = (n - n % 2 for n in first.shape[:2])  # The usual coding of colours wants even numbers.
+    given = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{fps}", "-i", "-"]
+    command = [program, "-y", "-loglevel", "error", *given, "-pix_fmt", "yuv420p", "-f", "mp4", str(path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        try:
+            for picture in chain([first], pictures):
+                process.stdin.write(np.ascontiguousarray(picture[:height, :width]).tobytes())
+        except BrokenPipeError:
+            pass
+        message = process.communicate()[1].decode(errors="replace").strip()
+    if process.returncode:
+        raise PlotError(f"ffmpeg could not write the film: {message or f'status {process.returncode}'}")
+
+
+# -- small -------------------------------------------------------------------------------------------------------------
+
+
+def _scene(run: Trajectory) -> dict[str, Any]:
+    scene = run.metadata.get("scene") or {}
+    if "radii" not in scene or run.x.shape[1] != 2 * len(scene["radii"]):
+        raise PlotError("people are drawn as discs in the plane: give the model scene={'radii': ..., 'walls': ..., 'exits': ...}")
+    return scene
+
+
+def _fit(ax: Axes, run: Trajectory) -> None:
+    """Limits that hold walls, exits and starts, and a margin."""
+    scene, q = _scene(run), positions(run)
+    fixed = [np.reshape(scene.get(key, []), (-1, 2)) for key in ("walls", "exits")]
+    points = np.concatenate([*fixed, q[np.isfinite(q[..., 0]).argmax(axis=0), np.arange(q.shape[1])]])
+    margin = 0.03 * float(np.ptp(points, axis=0).max()) + 2 * max(scene["radii"])
+    low, high = np.nanmin(points, axis=0) - margin, np.nanmax(points, axis=0) + margin
+    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+
+
+def _axes(run: Trajectory) -> list[str]:
+    unit = style.unit(run, "q") or style.unit(run, "q_0") or "m"
+    return [style.with_unit(name, unit) for name in "xy"]
+
+
+def _pressure_unit(run: Trajectory) -> str:
+    """Reactions m/h have the unit of a velocity."""
+    length, time = style.unit(run, "q") or "m", style.unit(run, "t")
+    return style.unit(run, "pressure") or (f"{length}/{time}" if time else "")

@@ -1,0 +1,93 @@
+"""Who can meet in a step: pairs of bodies within a cut-off by a search tree, and all members of families that have no reach."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from nsmodel.scheme.many_bodies import BodiesProblem, Rows, searched
+
+Members = tuple[np.ndarray, np.ndarray]
+
+
+def near(problem: BodiesProblem, t: float, q: np.ndarray, present: np.ndarray, cutoff: float) -> Rows:
+    """The rows of bodies that are present: searched pairs with g < ``cutoff``, and all rows of the other families."""
+    return rows_of(problem, t, q, candidates(problem, t, q, present, cutoff), cutoff)
+
+
+def candidates(problem: BodiesProblem, t: float, q: np.ndarray, present: np.ndarray, cutoff: float) -> list[Members]:
+    """For each family, the members to look at: a few too many of the searched pairs."""
+    return [
+        _near_pairs(problem, family, t, q, present, cutoff) if searched(about) else _all(problem, family, present)
+        for family, about in enumerate(problem.families)
+    ]
+
+
+def rows_of(problem: BodiesProblem, t: float, q: np.ndarray, members: list[Members], cutoff: float) -> Rows:
+    """The rows of the candidates, searched pairs only where g < ``cutoff``."""
+    parts = []
+    for family, about in enumerate(problem.families):
+        rows = problem.rows(family, t, q, *members[family])
+        parts.append(rows.at(~(rows.g >= cutoff)) if searched(about) else rows)
+    if not parts:
+        nobody = np.zeros(0, int)
+        none = np.zeros((0, problem.d))
+        return Rows(nobody.astype(np.int8), nobody, nobody, nobody.astype(bool), np.zeros(0), none, none)
+    return Rows(*(np.concatenate([getattr(part, name) for part in parts]) for name in Rows.__dataclass_fields__))
+
+
+def least_gap(problem: BodiesProblem, t: float, q: np.ndarray, present: np.ndarray) -> float:
+    """The least g of all constraints of bodies that are present; inf where there is none."""
+    least = np.inf
+    there = np.flatnonzero(present)
+    for family, about in enumerate(problem.families):
+        if not searched(about):
+            first, second = _all(problem, family, present)
+            least = min(least, problem.gap(family, t, q, first, second).min(initial=np.inf))
+        elif there.size > 1:
+            tree = _tree(q[there])
+            distance, nearest = tree.query(q[there], 2)
+            one = int(distance[:, 1].argmin())
+            pair = np.sort(there[[one, nearest[one, 1] if nearest[one, 1] != one else nearest[one, 0]]])[None, :]
+            bound = float(problem.gap(family, t, q, pair[:, 0], pair[:, 1])[0])
+            first, second = _close(tree, there, problem.reach(family, t) + bound)
+            least = min(least, bound, problem.gap(family, t, q, first, second).min(initial=np.inf))
+    return float(least)
+
+
+def _near_pairs(problem: BodiesProblem, family: int, t: float, q: np.ndarray, present: np.ndarray, cutoff: float) -> Members:
+    there = np.flatnonzero(present)
+    if there.size < 2:
+        return np.zeros(0, int), np.zeros(0, int)
+    return _close(_tree(q[there]), there, problem.reach(family, t) + cutoff)
+
+
+def _tree(q: np.ndarray) -> Any:
+    from scipy.spatial import cKDTree
+
+    return cKDTree(q)
+
+
+def _close(tree: Any, there: np.ndarray, radius: float) -> Members:
+    """The pairs i < j within a radius, sorted."""
+    pairs = tree.query_pairs(radius * (1 + 1e-12), output_type="ndarray") if radius >= 0 else np.zeros((0, 2), int)
+    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+    return there[pairs[:, 0]], there[pairs[:, 1]]
+
+
+def _all(problem: BodiesProblem, family: int, present: np.ndarray) -> Members:
+    """All members of a family that are present, sorted."""
+    about = problem.families[family]
+    there = np.flatnonzero(present)
+    if about.over is not None:
+        first, second = about.over[np.lexsort((about.over[:, 1], about.over[:, 0]))].T
+        use = present[first] & (present[second] if about.of_pairs else True)
+        return first[use], second[use]
+    if about.of_pairs:
+        one, other = np.triu_indices(there.size, 1)
+        return there[one], there[other]
+    if about.second is None:
+        return there, np.full(there.size, -1)
+    items = about.second.group.count
+    return np.repeat(there, items), np.tile(np.arange(items), there.size)

@@ -1,0 +1,385 @@
+"""Hypotheses of many bodies: against the model written out, closed forms, brute force, and scenes made to break each of them."""
+
+from __future__ import annotations
+
+import json
+from itertools import combinations
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from nsmodel import Bodies, Family, Items, ManyBodies, UsageError, check, neighbours, simulate
+from nsmodel.hypotheses.bodies import check as deciding
+from nsmodel.hypotheses.bodies import families, network
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
+from nsmodel.hypotheses.sweeping.check import HYPOTHESES
+from nsmodel.hypotheses.sweeping.geometry import discs_in_a_row
+from nsmodel.storage import dumps
+from nsmodel.stress import stress
+from nsmodel.study import study
+from nsmodel.trajectory import Trajectory
+
+SQRT2 = np.sqrt(2)
+t = ca.SX.sym("t")
+
+
+@pytest.fixture
+def by_families(monkeypatch):
+    """A5 by the means for many bodies, however few there are."""
+    monkeypatch.setattr(deciding, "ONE_BY_ONE", (0, 0))
+
+
+def discs(q0, r, f=None, others=None, **options):
+    """Bodies that may not overlap, and ``others(i)`` {name: g} for each alone."""
+    bodies = Bodies(q0, r=r)
+    i, j = bodies.member("i"), bodies.member("j")
+    constraints = {"pair": Family(ca.norm_2(i.q - j.q) - i.r - j.r, i, j)}
+    constraints |= {name: Family(g, i) for name, g in ({} if others is None else others(i)).items()}
+    velocity = None if f is None else f(i)
+    return ManyBodies(**{"t": t, "t_end": 1, "step": 0.02} | options, bodies=bodies, f=velocity, constraints=constraints)
+
+
+def room(n=12, seed=1, **options):
+    """People on a grid behind a door; the velocity is that towards it, and past it straight on."""
+    rng = np.random.default_rng(seed)
+    rows = int(np.ceil(np.sqrt(n)))
+    L, k = max(0.6 * rows, 2.4), np.arange(n)
+    places = np.column_stack([L - 0.6 * (k // rows + 0.5), (L - 0.6 * rows) / 2 + 0.6 * (k % rows + 0.5)])
+    low, high = (L - 1.2) / 2, (L + 1.2) / 2
+    ends = np.array([[(0, 0), (0, L)], [(0, 0), (L, 0)], [(0, L), (L, L)], [(L, 0), (L, low)], [(L, high), (L, L)]], float)
+    people = Bodies(places + rng.uniform(-0.05, 0.05, (n, 2)), r=rng.uniform(0.2, 0.25, n))
+    walls = Items(a=ends[:, 0], b=ends[:, 1])
+    i, j, w = people.member("i"), people.member("j"), walls.member("w")
+    goal = ca.vertcat(L + 0.3, ca.fmin(ca.fmax(i.q[1], low + 0.25), high - 0.25))
+    along = w.b - w.a
+    part = ca.fmin(ca.fmax(ca.dot(i.q - w.a, along) / ca.sumsqr(along), 0), 1)
+    constraints = {
+        "pair": Family(ca.norm_2(i.q - j.q) - i.r - j.r, i, j),
+        "wall": Family(ca.norm_2(i.q - w.a - part * along) - i.r, i, w),
+    }
+    f = ca.if_else(i.q[0] < L, (goal - i.q) / ca.norm_2(goal - i.q), ca.vertcat(1, 0))
+    return ManyBodies(**{"bodies": people, "f": f, "constraints": constraints, "t_end": 0.4, "step": 0.02} | options)
+
+
+def passing():
+    return discs([[-1, 0.02], [1, -0.02]], [0.2, 0.3], lambda i: ca.vertcat(-ca.sign(i.r - 0.25), 0))
+
+
+def chain(n=6):
+    rng = np.random.default_rng(0)
+    bodies = Bodies(np.column_stack([1.1 * np.arange(n), 0.6 + 0.2 * rng.random(n)]), r=rng.uniform(0.3, 0.5, n))
+    i, j = bodies.member("i"), bodies.member("j")
+    links = Family(ca.norm_2(i.q - j.q) - i.r - j.r, i, j, neighbours(n))
+    floor = Family(i.q[1] - i.r, i)
+    f = ca.vertcat(-i.q[0] / 2, -1)
+    return ManyBodies(bodies=bodies, f=f, constraints={"link": links, "floor": floor}, t_end=1, step=0.02)
+
+
+def balls(n=12):
+    rng, k = np.random.default_rng(1), np.arange(n)
+    places = np.column_stack([k % 3, k // 3 % 3, 0.5 + k // 9]) + rng.uniform(-0.05, 0.05, (n, 3))
+    f = lambda i: ca.vertcat(ca.sin(i.q[0]), 0, -1)  # noqa: E731
+    return discs(places, rng.uniform(0.3, 0.4, n), f, lambda i: {"floor": i.q[2] - i.r})
+
+
+# -- the same as written out -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scene", [passing, chain, balls])
+def test_the_findings_are_those_of_the_model_written_out(scene, by_families):
+    model = scene()
+    own, other = check(model, ()), check(model.written_out(), ())
+    assert [finding.id for finding in own.findings] == [hypothesis.id for hypothesis in HYPOTHESES]
+    for finding in own.findings:
+        assert finding.verdict == other[finding.id].verdict == HOLDS
+    for id in ("S-convex", "A0", "A1", "A2", "A3", "A4", "S-start"):
+        assert dict(own[id].value) == pytest.approx(dict(other[id].value), rel=1e-12)
+    assert own["S-f"].value["K_f"] == pytest.approx(other["S-f"].value["K_f"], abs=1e-9)
+    assert own["A5"].value["gamma"] >= other["A5"].value["gamma"] - 1e-12
+    for consequence, theirs in zip(own.consequences, other.consequences, strict=True):
+        assert (consequence.name, consequence.verdict) == (theirs.name, theirs.verdict)
+
+
+def test_a_room_with_a_door_has_the_same_verdicts_as_written_out():
+    model = room(9)
+    own, other = check(model, (), quick=True), check(model.written_out(), (), quick=True)
+    assert {f.id: f.verdict for f in own.findings} == {f.id: f.verdict for f in other.findings}
+    for id in ("A0", "A1", "A4", "S-start"):
+        assert dict(own[id].value) == pytest.approx(dict(other[id].value), rel=1e-12)
+        assert own[id].witness.get("constraint") == other[id].witness.get("constraint")
+
+
+def test_the_constants_of_discs_come_from_the_two_smallest():
+    r = np.array([0.5, 0.2, 0.9, 0.3])
+    report = check(discs(3.0 * np.arange(8).reshape(4, 2), r), ())
+    assert report["A1"].value == {"a": pytest.approx(SQRT2), "b": pytest.approx(SQRT2)}
+    assert report["A0"].value["c"] == pytest.approx(0.5 / 2 / SQRT2)
+    assert report["A4"].value["M_contact"] == pytest.approx(2 / 0.5)
+    assert report["A4"].witness["M of"] == "pair 1-3"
+    assert report["A5'"].value["gamma"] == pytest.approx(1.4 / 0.5 * discs_in_a_row(4))
+
+
+def test_ranges_of_numbers_stand_for_many_members(monkeypatch):
+    model = discs(3.0 * np.arange(8).reshape(4, 2), [0.5, 0.2, 0.9, 0.3])
+    monkeypatch.setattr(families, "LISTED", 0)
+    report = check(model, ())
+    assert report["A0"].verdict == HOLDS
+    assert report["A0"].value["c"] == pytest.approx(0.4 / 2 / SQRT2)
+    assert report["A0"].witness["c of"] == "pair 1-3"
+
+
+def test_products_of_numbers_are_taken_in_all_their_combinations():
+    w = np.array([1.0, 2.0, 4.0])
+    bodies = Bodies(9.0 * np.eye(3)[:, :2], w=w)
+    i, j = bodies.member("i"), bodies.member("j")
+    model = ManyBodies(bodies=bodies, constraints={"pair": Family(i.w * j.w * ca.norm_2(i.q - j.q) - 1, i, j)}, t_end=1, step=0.1)
+    report = check(model, ())
+    assert dict(report["A1"].value) == pytest.approx({"a": 2 * SQRT2, "b": 8 * SQRT2})
+    assert report["A4"].value["M_contact"] == pytest.approx(2 * 8**2)
+    assert report["A1"].witness == {"a of": "pair 0-1", "b of": "pair 1-2"}
+
+
+def test_left_out_combinations_prove_nothing(monkeypatch):
+    monkeypatch.setattr(families, "KINDS", 2)
+    bodies = Bodies(9.0 * np.arange(5.0), w=1.0 + np.arange(5))
+    i = bodies.member("i")
+    model = ManyBodies(bodies=bodies, constraints={"floor": Family(i.w * i.q + 1, i)}, t_end=1, step=0.1)
+    report = check(model, ())
+    assert report["A1"].verdict == SAMPLED
+    assert "'floor' at 2 of its 5" in report["A1"].how
+
+
+# -- each of them broken -----------------------------------------------------------------------------------------------
+
+
+def alone(g, q0=((1, 0.5), (3, 0.5)), **options):
+    bodies = Bodies(q0, r=[0.1, 0.2])
+    i = bodies.member("i")
+    return ManyBodies(t=t, bodies=bodies, constraints={"own": Family(g(i), i)}, t_end=3, step=0.1, **options)
+
+
+@pytest.mark.parametrize(
+    ("id", "model"),
+    [
+        ("S-convex", lambda: alone(lambda i: 9 + i.r - ca.sumsqr(i.q) / 4)),
+        ("A0", lambda: alone(lambda i: ca.norm_2(i.q) + 0 * i.r)),
+        ("A1", lambda: alone(lambda i: ca.sumsqr(i.q) + i.r)),
+        ("A2", lambda: alone(lambda i: i.q[1] - i.r + ca.if_else(t < 1, 0.0, 0.3))),
+        ("A3", lambda: alone(lambda i: i.q[1] + ca.if_else(t < 1, 0.0, 1.0) * i.q[0] - i.r)),
+        ("A4", lambda: alone(lambda i: ca.fmax(i.q[0], i.q[1]) - i.r)),
+        ("A5'", lambda: discs([[0, 0.5], [3, 0.5]], [0.5, 0.5], None, lambda i: {"low": i.q[1] - i.r, "high": 1 - i.q[1] - i.r})),
+        ("S-start", lambda: discs([[9, 9], [0, 0], [0.4, 0]], [0.2, 0.2, 0.3])),
+    ],
+)
+def test_a_scene_that_breaks(id, model, by_families):
+    own, other = check(model(), (), quick=True)[id], check(model().written_out(), (), quick=True)[id]
+    assert own.verdict == other.verdict == VIOLATED
+    assert own.witness
+
+
+def test_a_leash_is_not_convex_and_the_pair_is_named():
+    bodies = Bodies([[0, 0], [0.5, 0], [4, 0.6]], c=[1, 1.2, 3.4])
+    i, j = bodies.member("i"), bodies.member("j")
+    model = ManyBodies(bodies=bodies, constraints={"leash": Family(i.c + j.c - ca.norm_2(i.q - j.q), i, j)}, t_end=1, step=0.1)
+    report = check(model, (), quick=True)
+    assert report["S-convex"].verdict == VIOLATED
+    assert report["S-convex"].witness["constraint"] == "leash 1-2"
+    assert [item.verdict for item in report.consequences if "S-convex" in item.rests_on] == [UNKNOWN] * 7
+    assert any("not convex" in warning for warning in simulate(model, t_end=0.1).metadata["warnings"])
+
+
+def test_an_overlap_at_the_start_names_the_bodies():
+    finding = check(discs([[9, 9], [0, 0], [0.4, 0]], [0.2, 0.2, 0.3]), (), quick=True)["S-start"]
+    assert finding.value["min g"] == pytest.approx(-0.1)
+    assert finding.witness["constraint"] == "pair 1-2"
+    assert finding.witness["body 2"] == [0.4, 0.0]
+
+
+def test_contact_at_the_start_is_decided_exactly():
+    touching = discs([[0, 0], [0.5, 0], [0.5, 0.75]], [0.25, 0.25, 0.5])
+    assert check(touching, (), quick=True)["S-start"].verdict == HOLDS
+    tenth = check(discs([[0, 0], [0.3, 0]], [0.1, 0.2]), (), quick=True)["S-start"]  # In doubles 0.3 < 0.1 + 0.2.
+    assert tenth.verdict == SAMPLED
+    assert "rounding" in tenth.how
+
+
+def test_who_enters_later_does_not_overlap_at_the_start():
+    model = discs([[0, 0], [0.1, 0]], [0.2, 0.2], enter=[0, 5])
+    assert check(model, (), quick=True)["S-start"].verdict == HOLDS
+    assert any("enter" in note for note in check(model, (), quick=True).notes)
+
+
+def test_a_velocity_that_switches_is_found_and_a_body_moved_there():
+    model = discs([[-1, 0], [1, 0.5]], [0.1, 0.2], lambda i: ca.vertcat(ca.if_else(i.q[0] < 0.25 + i.r, 1, -1), 0))
+    finding = check(model, ())["S-f"]
+    assert finding.verdict == VIOLATED
+    assert finding.value["jump"] == pytest.approx(2)
+    body = int(finding.witness["moved"].split()[1])
+    assert finding.witness["to"][0] == pytest.approx(0.25 + model.bodies.numbers["r"][body, 0])
+    assert check(model, (), quick=True)["S-f"].verdict == UNKNOWN
+
+
+def test_a_switch_that_no_body_can_reach_is_no_violation():
+    """f jumps at |q| = 1/2, and nobody comes nearer to 0 than 1."""
+    f = lambda i: ca.vertcat(ca.if_else(ca.norm_2(i.q) < 0.5, 1, -1), 0)  # noqa: E731
+    model = discs([[-1.5, 0], [1.5, 0]], [0.1, 0.2], f, lambda i: {"post": ca.norm_2(i.q) - 1})
+    assert check(model, ())["S-f"].verdict == SAMPLED
+
+
+def test_lipschitz_constants_take_all_numbers_in():
+    bodies = Bodies([[0.0, 0], [3, 0], [6, 0]], k=[1, 2, 3])
+    i = bodies.member("i")
+    model = ManyBodies(t=t, bodies=bodies, f=ca.vertcat(i.k * ca.sin(i.q[0]), 2 * ca.cos(t)), t_end=1, step=0.1)
+    finding = check(model, ())["S-f"]
+    assert finding.verdict == HOLDS
+    assert finding.value["K_f"] == pytest.approx(3, rel=1e-6)
+    assert 2 * np.sin(1) * np.sqrt(3) <= finding.value["L_t"] <= 1.01 * 2 * np.sqrt(3)
+
+
+def test_a_function_of_arrays_is_sampled():
+    model = discs([[0, 0], [3, 0]], [0.1, 0.2])
+    model = ManyBodies(bodies=model.bodies, f=lambda time, q: 2 * (q.mean(axis=0) - q), t_end=1, step=0.1)
+    finding = check(model, ())["S-f"]
+    assert finding.verdict == SAMPLED
+    assert 0 < finding.value["K_f"] <= 2 + 1e-9
+    assert finding.value["L_t"] == np.inf
+
+
+def test_walls_that_close_are_found_along_the_run(by_families):
+    """A disc of diameter 0.4 between walls that meet it after 1.5: the step that would squeeze it fails, and A5' says why."""
+    close = lambda i: {"low": i.q[1] - i.r - 0.2 * t, "high": 1 - 0.2 * t - i.q[1] - i.r}  # noqa: E731
+    model = discs([[0, 0.5], [3, 0.5]], [0.2, 0.2], None, close, t_end=1.5, step=0.1)
+    report = check(model)
+    assert report["A5'"].verdict == VIOLATED
+    assert set(report["A5'"].witness["constraints"]) in (
+        {"low 0", "high 0"},
+        {"low 1", "high 1"},
+    )
+    assert report["run-mfcq"].verdict == VIOLATED
+    assert check(model, ())["A5'"].verdict == SAMPLED  # At the start alone nothing touches.
+
+
+# -- gamma of a network ------------------------------------------------------------------------------------------------
+
+
+def brute_force(N):
+    """min |v| over N v >= 1: the best of the points of least norm of all faces that are feasible."""
+    best = np.inf
+    for size in range(1, min(N.shape) + 1):
+        for face in map(list, combinations(range(len(N)), size)):
+            v = np.linalg.lstsq(N[face], np.ones(size), rcond=None)[0]
+            if (N @ v >= 1 - 1e-9).all():
+                best = min(best, float(np.linalg.norm(v)))
+    return best
+
+
+def random_contacts(rng, bodies, count):
+    first, second = np.array(list(combinations(range(bodies), 2)))[rng.permutation(bodies * (bodies - 1) // 2)[:count]].T
+    u = rng.normal(size=(len(first), 2))
+    u /= np.linalg.norm(u, axis=1)[:, None]
+    second = np.where(rng.random(len(first)) < 0.25, -1, second)
+    other = np.where(second[:, None] < 0, 0.0, -u)
+    N = np.zeros((len(first), 2 * bodies))
+    for k, (i, j) in enumerate(zip(first, second, strict=True)):
+        N[k, 2 * i : 2 * i + 2] = u[k]
+        if j >= 0:
+            N[k, 2 * j : 2 * j + 2] = -u[k]
+    return (u, other), first, second, N / np.linalg.norm(N, axis=1)[:, None]
+
+
+@pytest.mark.parametrize("small", [network.SMALL, 1])
+def test_gamma_of_small_networks_agrees_with_brute_force(small, monkeypatch):
+    """With SMALL = 1 every group goes to the interior point method. A linear program says whether there is any escape."""
+    monkeypatch.setattr(network, "SMALL", small)
+    rng, opposed = np.random.default_rng(2), 0
+    for _ in range(60):
+        slopes, first, second, N = random_contacts(rng, int(rng.integers(2, 5)), int(rng.integers(1, 8)))
+        free = linprog(np.zeros(N.shape[1]), A_ub=-N, b_ub=-np.ones(len(N)), bounds=(None, None)).status == 0
+        found = network.network_constant(slopes, first, second)
+        assert np.isfinite(found.gamma) == free
+        opposed += not free
+        if free:
+            assert found.gamma == pytest.approx(brute_force(N), rel=1e-6)
+            assert found.attained <= found.gamma * (1 + 1e-9)
+    assert 0 < opposed < 60
+
+
+def test_gamma_of_a_long_row_of_discs_and_of_groups():
+    i = np.arange(299)
+    e = np.tile([1.0, 0.0], (299, 1))
+    found = network.network_constant((-e, e), i, i + 1)
+    assert found.gamma == pytest.approx(discs_in_a_row(300), rel=1e-6)
+    assert found.attained <= discs_in_a_row(300) * (1 + 1e-9)
+    two = network.network_constant((np.vstack([-e, -e]), np.vstack([e, e])), np.append(i, i + 500), np.append(i + 1, i + 501))
+    assert two.gamma == pytest.approx(SQRT2 * discs_in_a_row(300), rel=1e-6)
+
+
+# -- along a run -------------------------------------------------------------------------------------------------------
+
+
+def test_a_run_of_a_room_meets_what_the_theory_promises():
+    model = room(20, t_end=1.0)
+    report = check(model, [simulate(model)])
+    ids = [finding.id for finding in report.findings if finding.id.startswith("run-")]
+    assert ids == ["run-residual", "run-feasible", "run-mfcq", "run-motion"]
+    assert all(report[id].verdict == HOLDS for id in ids)
+    assert report["run-motion"].value["largest |q_{k+1} - q_k| / (h |f|)"] <= 1 + 1e-9
+    assert report["A5"].verdict == SAMPLED
+    assert report["A5"].value["gamma"] > 1
+    document = json.loads(dumps(report.document()))
+    assert document["model_class"] == "ManyBodies"
+    assert len(document["findings"]) == 14
+    assert "(190 constraints)" in report.markdown()
+    assert "pair" in report.text()
+
+
+def test_a_run_that_overlaps_or_is_pushed_is_found_out():
+    model = discs([[-0.5, 0], [0.5, 0.1]], [0.2, 0.2], lambda i: ca.vertcat(-i.q[0], 0), t_end=0.2)
+    run = simulate(model)
+    bad = run.x.copy()
+    bad[4] = [0, 0, 0.3, 0]
+    arrays = run.arrays | {"x": bad, "gap_min": np.where(np.arange(len(run.t)) == 4, -0.1, run.gap_min)}
+    report = check(model, [Trajectory(arrays, run.metadata)], quick=True)
+    assert report["run-feasible"].verdict == VIOLATED
+    assert report["run-feasible"].witness["constraint"] == "pair 0-1"
+    assert report["run-feasible"].value["least value"] == pytest.approx(-0.1)
+    assert report["run-motion"].verdict == VIOLATED
+    assert check(model, [run], quick=True)["run-motion"].verdict == HOLDS
+
+
+def test_the_check_makes_its_own_runs():
+    report = check(room(4))
+    assert report["run-feasible"].verdict == HOLDS
+    assert "observed order" in [consequence.name for consequence in report.consequences]
+
+
+# -- sizes, and what is refused ----------------------------------------------------------------------------------------
+
+
+def test_twenty_thousand_are_decided_without_their_pairs():
+    import tracemalloc
+
+    model = room(20_000)
+    tracemalloc.start()
+    report = check(model, (), quick=True)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 500e6  # All pairs would be 3.2 GB.
+    assert [report[id].verdict for id in ("S-convex", "A0", "A1", "A2", "A3", "A4", "S-start")] == [HOLDS] * 7
+    r = model.bodies.numbers["r"]
+    assert report["A4"].value["M_contact"] == pytest.approx(1 / r.min())  # of a wall: 1/r; of a pair: 2/(2r)
+
+
+def test_the_region_is_that_of_one_body():
+    model = passing()
+    assert check(model, (), region={"i.q_0": (-3, 4)}, quick=True).region.startswith("i.q_0 in [-3, 4]")
+    with pytest.raises(UsageError, match=r"'q_0' is no state; the model has i.q_0, i.q_1"):
+        check(model, (), region={"q_0": (-3, 4)}, quick=True)
+
+
+@pytest.mark.parametrize("tool", [study, stress])
+def test_tools_for_small_models_say_how_to_use_them(tool):
+    with pytest.raises(UsageError, match=r"written_out\(\)"):
+        tool(passing())
