@@ -134,6 +134,9 @@ def test_a_step_that_has_no_answer_is_refused():
         step(0.1, 0.1, q, np.ones(1, bool))
     with pytest.raises(StepError):
         step(0.0, 0.1, q * np.nan, np.ones(1, bool))
+    points = discs([(0.0, 0), (1, 0), (1, 0)], [1.0, 1.0, 1.0], step=0.1)  # two in one place: no gradient
+    with pytest.raises(StepError):
+        CompiledStep(points.bind(), 1e-9)(0.0, 0.1, points.bodies.q0, np.ones(3, bool))
 
 
 def test_chains_of_given_pairs_and_hyperstatic_lattices():

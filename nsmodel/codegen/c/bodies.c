@@ -122,6 +122,9 @@ static int search_pairs(const model_motion *s, model_rows *rows, int family, con
         count++;
     }
     if (count < 2) return 1;
+    for (k = 0; k < DIM; k++)
+        if (width < 1e-9*(high[k] - low[k])) width = 1e-9*(high[k] - low[k]);
+    if (width < DBL_MIN) width = DBL_MIN;
     for (;;) {
         double product = 1.0;
         for (k = 0; k < DIM; k++) product *= floor((high[k] - low[k])/width) + 1.0;
@@ -270,7 +273,7 @@ int move_bodies(model_motion *s, char *memory, size_t size, size_t *missing, mod
             s->model->velocity(NULL, &time, s->p, records + (size_t)s->model->record*i, own);
         }
         size_i = norm_of(own);
-        if (!isfinite(size_i)) {
+        if (!isfinite(size_i) || !isfinite(norm_of(s->q + (size_t)DIM*i))) {
             report->worst_first = i;
             return MODEL_NOT_FINITE;
         }

@@ -13,7 +13,7 @@ typedef struct {
     double *w;                    /* (n, DIM) */
     unsigned char *acts;          /* (most) rows with y = 0 */
     int *slot;
-    double *slack, *ds, *dm, *theta, *value, *kept, *along, *safe, *rhs, *dw, *first_dw, *ordered;
+    double *slack, *ds, *dm, *theta, *value, *kept, *along, *safe, *rhs, *dw, *ordered;
     model_ldl factor;
     int close;                    /* the guess solves the group but for some new rows */
     int factorisations;
@@ -102,7 +102,8 @@ static void solve_for_dw(model_group *p)
 #define STIFF 1e6       /* weight of the rows that act in the preconditioner */
 #define SETTLED 1e-13   /* a row that acts is at 0 to this */
 #define WRONG 1e-11     /* a multiplier or a row below minus this changes the index set */
-#define PROXIMAL 4      /* proximal steps on an index set */
+#define ROUGH 1e-8      /* the same while the index set changes */
+#define PROXIMAL 2      /* proximal steps on an index set */
 #define SOFT 1e3        /* weight of the rows in the augmented Lagrangian, to begin with */
 #define OUTER 40        /* updates of the multipliers, */
 #define INNER 60        /* Newton steps for each, */
@@ -133,24 +134,22 @@ static double remainder_of(model_group *p, double *r)
     return worst;
 }
 
-/* y = 0 on the rows that act, G G' dm = -y: proximal steps, which also do where rows depend on each other and contradict, then
- * conjugate gradients where these help. */
-static void equalise(model_group *p)
+/* y = 0 on the rows that act to `fine`, G G' dm = -y: proximal steps, which also do where rows depend on each other and
+ * contradict, then conjugate gradients where these help. The rows that act are factored. */
+static void equalise(model_group *p, double fine)
 {
     double *r = p->value, *z = p->ds, *d = p->dm, *q = p->along;
     double rz = 0.0, worst = 0.0, least;
     int i, k;
-    for (i = 0; i < p->m; i++) p->theta[i] = p->acts[i] ? STIFF : 0.0;
-    factor_group(p);
     for (k = 0; k < PROXIMAL; k++) {
         worst = remainder_of(p, r);
-        if (!(worst > SETTLED)) return;
+        if (!(worst > fine)) return;
         precondition(p, r, z);
         for (i = 0; i < p->m; i++) p->multiplier[i] += z[i];
     }
     least = worst = remainder_of(p, r);
     memcpy(p->safe, p->multiplier, p->m*sizeof *p->safe);
-    for (k = 0; k < REFINED && worst > SETTLED && worst < 100.0*least; k++) {
+    for (k = 0; k < REFINED && worst > fine && worst < 100.0*least; k++) {
         double before = rz, along = 0.0;
         precondition(p, r, z);
         for (i = 0, rz = 0.0; i < p->m; i++) rz += r[i]*z[i];
@@ -177,15 +176,21 @@ static void equalise(model_group *p)
     set_w(p);
 }
 
-/* Change the rows of the wrong sign; how many there were. */
-static int change_wrong(model_group *p)
+/* Solve on the rows that act, roughly, and to the end where no sign is wrong; change the rows of the wrong sign; how many. */
+static int solve_and_change(model_group *p)
 {
-    int i, wrong = 0;
-    for (i = 0; i < p->m; i++) {
-        if ((p->acts[i] ? p->multiplier[i] : row_of(p, p->w, i) + p->b[i]) >= -WRONG) continue;
-        if (p->acts[i]) p->multiplier[i] = 0.0;
-        p->acts[i] = !p->acts[i];
-        wrong++;
+    int i, pass, wrong = 0;
+    for (i = 0; i < p->m; i++) p->theta[i] = p->acts[i] ? STIFF : 0.0;
+    factor_group(p);
+    for (pass = 0; pass < 2 && !wrong; pass++) {
+        double bound = pass ? WRONG : ROUGH;
+        equalise(p, pass ? SETTLED : 0.1*ROUGH);
+        for (i = 0; i < p->m; i++) {
+            if ((p->acts[i] ? p->multiplier[i] : row_of(p, p->w, i) + p->b[i]) >= -bound) continue;
+            if (p->acts[i]) p->multiplier[i] = 0.0;
+            p->acts[i] = !p->acts[i];
+            wrong++;
+        }
     }
     return wrong;
 }
@@ -208,9 +213,7 @@ static int settle(model_group *p, int rounds, int most)
     for (i = 0; i < p->m; i++)
         if (!p->acts[i]) p->multiplier[i] = 0.0;
     for (round = 0; round < rounds; round++) {
-        int wrong;
-        equalise(p);
-        wrong = change_wrong(p);
+        int wrong = solve_and_change(p);
         if (!wrong) return accept(p);
         if (wrong > most) return 0;
         most = wrong > 4 ? wrong : 4;
@@ -270,8 +273,7 @@ static int augmented(model_group *p)
             for (i = 0; i < n; i++) p->w[i] += step*p->dw[i];
         }
         memcpy(p->multiplier, p->kept, p->m*sizeof *p->kept);
-        equalise(p);
-        if (!change_wrong(p)) return accept(p);
+        if (!solve_and_change(p)) return accept(p);
         memcpy(p->multiplier, p->kept, p->m*sizeof *p->kept);
         set_w(p);
     }
@@ -288,20 +290,13 @@ static double room(const double *v, const double *dv, int m)
     return step;
 }
 
-/* dw from (I + G' Theta G) dw = -w + G' dm, refined once where the weights are steep. */
-static void step_of_newton(model_group *p, int steep)
+/* dw from (I + G' Theta G) dw = -w + G' dm */
+static void step_of_newton(model_group *p)
 {
-    int i, n = DIM*p->n;
-    for (i = 0; i < n; i++) p->rhs[i] = -p->w[i];
+    int i;
+    for (i = 0; i < DIM*p->n; i++) p->rhs[i] = -p->w[i];
     add_transposed(p, p->dm, p->rhs);
     solve_for_dw(p);
-    if (!steep) return;
-    memcpy(p->first_dw, p->dw, n*sizeof *p->dw);
-    for (i = 0; i < n; i++) p->rhs[i] -= p->dw[i];
-    for (i = 0; i < p->m; i++) p->along[i] = -p->theta[i]*row_of(p, p->dw, i);
-    add_transposed(p, p->along, p->rhs);
-    solve_for_dw(p);
-    for (i = 0; i < n; i++) p->dw[i] += p->first_dw[i];
 }
 
 #define SWAP(type, one, other) do { type swapped = one; one = other; other = swapped; } while (0)
@@ -325,21 +320,20 @@ static int enter(model_group *p, double near)
     return p->m - before;
 }
 
+#define LOOKS 2         /* at rows that wait */
 #define FRESH 0.3      /* slack of a row that enters, at least */
 #define SHORT 0.1      /* a step below this is followed by one to the centre */
 #define STALLED 8      /* iterations that may fail to halve mu near the end */
-#define STEEP 1e8      /* weights from which on a step is refined */
 #define STEEPEST 1e13  /* largest weight of a row in the normal equations */
 
 /* Interior point (Mehrotra's predictor and corrector): w = G' m, G w + b = s, m s = mu, until mu <= target; 0 where it is not
- * reached, -1: no memory. On its way, at two looks, rows that wait may enter. */
-static int interior(model_group *p, double target, int most, model_arena *a)
+ * reached, -1: no memory. On its way, from `look` on, rows that wait may enter. */
+static int interior(model_group *p, double target, int most, int look, model_arena *a)
 {
-    static const double looks[] = {2.0, 1e-3}, nears[] = {0.5, 0.05};
-    int i, k, m = p->m, n = DIM*p->n, look = 0, stalled = 0;
+    static const double looks[LOOKS] = {2.0, 1e-3}, nears[LOOKS] = {0.5, 0.05};
+    int i, k, m = p->m, n = DIM*p->n, stalled = 0;
     double *s = p->slack, *u = p->multiplier, least = INFINITY, reached = 1.0;
     for (k = 0; k < most; k++) {
-        int steep = 0;
         double mu = 0.0, infeasible = 0.0, after = 0.0, aim, step, other;
         for (i = 0; i < m; i++) {
             mu += s[i]*u[i]/m;
@@ -347,7 +341,7 @@ static int interior(model_group *p, double target, int most, model_arena *a)
             if (fabs(p->value[i]) > infeasible) infeasible = fabs(p->value[i]);
         }
         if (mu <= target && infeasible <= sqrt(target)) return 1;
-        if (look < 2 && mu < looks[look] && infeasible < 1.0 && p->m < p->most) {
+        if (look < LOOKS && mu < looks[look] && infeasible < 1.0 && p->m < p->most) {
             int entered = enter(p, nears[look++]);
             for (i = m; i < p->m; i++) {
                 double y = row_of(p, p->w, i) + p->b[i];
@@ -366,11 +360,10 @@ static int interior(model_group *p, double target, int most, model_arena *a)
         for (i = 0; i < m; i++) {
             p->theta[i] = u[i]/s[i];
             if (!(p->theta[i] < STEEPEST)) p->theta[i] = STEEPEST;
-            if (p->theta[i] > STEEP) steep = 1;
             p->dm[i] = -p->theta[i]*p->value[i];
         }
         if (!factor_group(p)) return 0;
-        step_of_newton(p, steep);
+        step_of_newton(p);
         for (i = 0; i < m; i++) {
             p->ds[i] = row_of(p, p->dw, i) + p->value[i];
             p->dm[i] = -p->theta[i]*p->ds[i] - u[i];
@@ -383,7 +376,7 @@ static int interior(model_group *p, double target, int most, model_arena *a)
             p->ds[i] = (aim - (reached < SHORT ? 0.0 : p->ds[i]*p->dm[i]))/s[i];
             p->dm[i] = p->ds[i] - p->theta[i]*p->value[i];
         }
-        step_of_newton(p, steep);
+        step_of_newton(p);
         for (i = 0; i < m; i++) {
             double corrected = p->ds[i];
             p->ds[i] = row_of(p, p->dw, i) + p->value[i];
@@ -402,7 +395,6 @@ static int interior(model_group *p, double target, int most, model_arena *a)
 }
 
 #define SMALL 64        /* rows up to which the active set is tried first whatever has changed */
-#define ROUGH 1e-5      /* mean of multipliers times slacks at which the interior point stops */
 #define INSIDE 1.0     /* slacks and multipliers that the interior point starts from, at least, */
 #define CLOSE 0.03     /* and where all but some new rows are solved */
 #define FEW 12          /* changes up to which it is tried first in larger groups */
@@ -411,8 +403,9 @@ static int interior(model_group *p, double target, int most, model_arena *a)
  * active set, 3 by both and the augmented Lagrangian, 4 as far as that gets (the certificate decides), -1: no memory. */
 static int solve_group(model_group *p, model_arena *a)
 {
+    static const double roughness[] = {1e-5, 1e-7}; /* mean of multipliers times slacks at which the interior point stops */
     double inside = p->close ? CLOSE : INSIDE;
-    int i, m = p->m, n = p->n, doubtful = 0;
+    int i, k, m = p->m, n = p->n, doubtful = 0;
     p->slot = TAKE(int, p->most);
     p->slack = TAKE(double, p->most);
     p->ds = TAKE(double, p->most);
@@ -424,7 +417,6 @@ static int solve_group(model_group *p, model_arena *a)
     p->safe = TAKE(double, p->most);
     p->rhs = TAKE(double, (size_t)DIM*n);
     p->dw = TAKE(double, (size_t)DIM*n);
-    p->first_dw = TAKE(double, (size_t)DIM*n);
     p->ordered = TAKE(double, (size_t)DIM*n);
     if (a->missing || !prepare_ldl(&p->factor, n, p->x, m, p->first, p->second, p->slot, a)) return -1;
     for (i = 0; i < m; i++) {
@@ -440,15 +432,19 @@ static int solve_group(model_group *p, model_arena *a)
         double y = row_of(p, p->w, i) + p->b[i];
         p->slack[i] = y > inside ? y : inside;
     }
-    if (interior(p, ROUGH, 60, a) < 0) return -1;
-    m = p->m;
-    for (i = 0; i < m; i++) {
-        p->acts[i] = p->multiplier[i] > p->slack[i];
-        p->kept[i] = p->acts[i] ? p->multiplier[i] : 0.0;
+    for (k = 0; k < 2; k++) {
+        if (interior(p, roughness[k], 60, k > 0 ? LOOKS : 0, a) < 0) return -1;
+        m = p->m;
+        for (i = 0; i < m; i++) {
+            p->acts[i] = p->multiplier[i] > p->slack[i];
+            p->kept[i] = p->multiplier[i];
+        }
+        if (settle(p, 8, m)) return 2;
+        memcpy(p->multiplier, p->kept, m*sizeof *p->kept);
+        set_w(p);
     }
-    memcpy(p->slack, p->kept, m*sizeof *p->kept);
-    if (settle(p, 8, m)) return 2;
-    memcpy(p->kept, p->slack, m*sizeof *p->kept);
+    for (i = 0; i < m; i++)
+        if (!(p->kept[i] > p->slack[i])) p->kept[i] = 0.0;
     memcpy(p->multiplier, p->kept, m*sizeof *p->kept);
     set_w(p);
     return augmented(p) ? 3 : 4;
