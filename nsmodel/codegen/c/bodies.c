@@ -1,8 +1,10 @@
 /* ---- A step of many bodies: y_i = g_i + grad g_i d >= 0, d = h f + G' m, 0 <= m with y ---- */
 
 struct model_solver;
-typedef void model_function(const struct model_solver *, const double *t, const double *p, const double *a, const double *b, double *restrict);
-typedef void model_own_function(const struct model_solver *, const double *t, const double *p, const double *a, double *restrict);
+typedef void model_function(const struct model_solver *, const double *t, const double *p, const double *a, const double *b,
+                            double *restrict);
+typedef void model_own_function(const struct model_solver *, const double *t, const double *p, const double *a,
+                                double *restrict);
 
 /* What a model is: its families of constraints, and the functions of their members' numbers. */
 typedef struct {
@@ -109,6 +111,7 @@ static int search_pairs(const model_motion *s, model_rows *rows, int family, con
                         model_arena *a, model_report *report)
 {
     int n = s->n, i, k, e, count = 0, cells = 1, shape[3] = {1, 1, 1};
+    const size_t record = s->model->record;
     double low[DIM], high[DIM], width = far;
     int *cell = TAKE(int, n), *start, *inside = TAKE(int, n);
     if (a->missing) return 1;
@@ -170,8 +173,7 @@ static int search_pairs(const model_motion *s, model_rows *rows, int family, con
                             distance += difference*difference;
                         }
                         if (distance > far*far) continue;
-                        if (!consider(s, rows, family, i, j, records + (size_t)s->model->record*i, records + (size_t)s->model->record*j, motion, report))
-                            return 0;
+                        if (!consider(s, rows, family, i, j, records + record*i, records + record*j, motion, report)) return 0;
                     }
                 }
     }
@@ -179,8 +181,10 @@ static int search_pairs(const model_motion *s, model_rows *rows, int family, con
 }
 
 /* All rows that may act when no body moves by more than `motion`; 0 where one is not finite. */
-static int collect(const model_motion *s, model_rows *rows, const double *records, double motion, model_arena *a, model_report *report)
+static int collect(const model_motion *s, model_rows *rows, const double *records, double motion, model_arena *a,
+                   model_report *report)
 {
+    const size_t width = s->model->record;
     int family, i, j;
     rows->count = 0;
     for (family = 0; family < s->model->families; family++) {
@@ -189,9 +193,9 @@ static int collect(const model_motion *s, model_rows *rows, const double *record
             for (i = 0; i < s->over_count[family]; i++, pair += 2) {
                 const double *other = NULL;
                 if (!s->present[pair[0]] || (s->model->of_bodies[family] && !s->present[pair[1]])) continue;
-                if (s->model->of_bodies[family]) other = records + (size_t)s->model->record*pair[1];
+                if (s->model->of_bodies[family]) other = records + width*pair[1];
                 else if (pair[1] >= 0) other = s->items[family] + (size_t)s->model->item_size[family]*pair[1];
-                if (!consider(s, rows, family, pair[0], pair[1], records + (size_t)s->model->record*pair[0], other, motion, report)) return 0;
+                if (!consider(s, rows, family, pair[0], pair[1], records + width*pair[0], other, motion, report)) return 0;
             }
         } else if (s->model->of_bodies[family] && s->farthest[family] >= 0.0) {
             /* g = |q_i - q_j| - c_ij: with c_ij <= the largest c there is no row beyond that and 2 motion */
@@ -203,18 +207,174 @@ static int collect(const model_motion *s, model_rows *rows, const double *record
             for (i = 0; i < s->n; i++)
                 for (j = i + 1; j < s->n; j++)
                     if (s->present[i] && s->present[j] &&
-                        !consider(s, rows, family, i, j, records + (size_t)s->model->record*i, records + (size_t)s->model->record*j, motion, report))
+                        !consider(s, rows, family, i, j, records + width*i, records + width*j, motion, report))
                         return 0;
         } else {
-            int count = s->model->item_size[family] ? s->item_count[family] : 1;
+            const size_t own = s->model->item_size[family];
+            int count = own ? s->item_count[family] : 1;
             for (i = 0; i < s->n; i++)
                 for (j = 0; s->present[i] && j < count; j++)
-                    if (!consider(s, rows, family, i, s->model->item_size[family] ? j : -1, records + (size_t)s->model->record*i,
-                                  s->model->item_size[family] ? s->items[family] + (size_t)s->model->item_size[family]*j : NULL, motion, report))
+                    if (!consider(s, rows, family, i, own ? j : -1, records + width*i,
+                                  own ? s->items[family] + own*j : NULL, motion, report))
                         return 0;
         }
     }
     return 1;
+}
+
+#define NEAR 0.5   /* a row enters where the forces of the last step leave it less than this times the largest speed */
+#define WIDER 2.0  /* how far is looked at first, beside what moved last and what wants to move now */
+#define REPEATS 20 /* times that a step is taken again because bodies moved farther than was looked */
+
+#if TIMES
+static double seconds(void) { return (double)clock()/CLOCKS_PER_SEC; }
+#endif
+
+/* A step at work. In units of `unit`: b and g are the rows divided by |gradient|, w = d/(h unit) - f/unit = g' m. */
+typedef struct {
+    model_motion *s;
+    model_report *report;
+    model_arena *a;
+    model_rows rows;
+    double *records, *f, *w, *m, *b, *g;
+    double speed, unit;               /* the largest |f|; the unit of velocities */
+    unsigned char *entered, *acts, *fresh;
+    int *start, *parent, *group;      /* contacts of the last step by their first body; groups of bodies */
+} model_work;
+
+static int second_body(const model_work *k, int r)
+{
+    return k->s->model->of_bodies[k->rows.family[r]] ? k->rows.second[r] : -1;
+}
+
+/* The row r of g v. */
+static double along_row(const model_work *k, int r, const double *g, const double *v)
+{
+    const double *slope = g + (size_t)2*DIM*r, *one = v + (size_t)DIM*k->rows.first[r];
+    double sum = 0.0;
+    int second = second_body(k, r), i;
+    for (i = 0; i < DIM; i++) sum += slope[i]*one[i];
+    if (second >= 0)
+        for (i = 0; i < DIM; i++) sum += slope[DIM + i]*v[(size_t)DIM*second + i];
+    return sum;
+}
+
+/* v := v + l times the row r of g */
+static void add_row(const model_work *k, int r, const double *g, double l, double *v)
+{
+    const double *slope = g + (size_t)2*DIM*r;
+    int second = second_body(k, r), i;
+    for (i = 0; i < DIM; i++) v[(size_t)DIM*k->rows.first[r] + i] += slope[i]*l;
+    if (second >= 0)
+        for (i = 0; i < DIM; i++) v[(size_t)DIM*second + i] += slope[DIM + i]*l;
+}
+
+/* The bodies' numbers side by side and what each wants to do; the contacts of the last step by their first body. */
+static int begin(model_work *k)
+{
+    const model_motion *s = k->s;
+    model_arena *a = k->a;
+    int n = s->n, width = s->model->record, i;
+    k->records = TAKE(double, (size_t)width*n + 1);
+    k->f = TAKE(double, (size_t)DIM*n + 1);
+    k->w = TAKE(double, (size_t)DIM*n + 1);
+    k->start = TAKE(int, n + 2);
+    k->parent = TAKE(int, n + 1);
+    k->group = TAKE(int, n + 1);
+    if (a->missing) return MODEL_NO_ROOM;
+    k->speed = 0.0;
+    for (i = 0; i < n; i++) {
+        double *record = k->records + (size_t)width*i, *own = k->f + (size_t)DIM*i, time = s->t;
+        memcpy(record, s->q + (size_t)DIM*i, DIM*sizeof *record);
+        memcpy(record + DIM, s->numbers + (size_t)(width - DIM)*i, (width - DIM)*sizeof *record);
+        memset(own, 0, DIM*sizeof *own);
+        if (!s->present[i]) continue;
+        if (s->velocity) memcpy(own, s->velocity + (size_t)DIM*i, DIM*sizeof *own);
+        else s->model->velocity(NULL, &time, s->p, record, own);
+        if (!isfinite(norm_of(own)) || !isfinite(norm_of(record))) {
+            k->report->worst_first = i;
+            return MODEL_NOT_FINITE;
+        }
+        if (norm_of(own) > k->speed) k->speed = norm_of(own);
+    }
+    memset(k->start, 0, (n + 2)*sizeof *k->start);
+    for (i = 0; i < s->contacts; i++) k->start[s->first[i] + 1]++;
+    for (i = 0; i < n; i++) k->start[i + 1] += k->start[i];
+    return MODEL_OK;
+}
+
+/* The rows that may act when nobody moves by more than `motion`. */
+static int look(model_work *k, double motion)
+{
+    model_rows *rows = &k->rows;
+    model_arena *a = k->a;
+    char *mark = a->next;
+    rows->room = 64 + 2*k->s->contacts + 4*k->s->n;
+    for (;;) {
+        a->next = mark;
+        rows->family = TAKE(int, rows->room);
+        rows->first = TAKE(int, rows->room);
+        rows->second = TAKE(int, rows->room);
+        rows->g = TAKE(double, rows->room);
+        rows->size = TAKE(double, rows->room);
+        rows->slope = TAKE(double, (size_t)2*DIM*rows->room);
+        if (a->missing) return MODEL_NO_ROOM;
+        if (!collect(k->s, rows, k->records, motion, a, k->report)) return MODEL_NOT_FINITE;
+        if (a->missing) return MODEL_NO_ROOM;
+        if (rows->count <= rows->room) break;
+        rows->room = rows->count;
+    }
+    k->report->rows = rows->count;
+    return MODEL_OK;
+}
+
+/* The multiplier that a row had in the last step. */
+static double last_of(const model_work *k, int r)
+{
+    const model_motion *s = k->s;
+    int e;
+    for (e = k->start[k->rows.first[r]]; e < k->start[k->rows.first[r] + 1]; e++)
+        if (s->second[e] == k->rows.second[r] && s->family[e] == k->rows.family[r]) return s->multiplier[e];
+    return 0.0;
+}
+
+/* The rows in the step's units, and which of them enter; how many, -1: no memory. */
+static int enter_rows(model_work *k)
+{
+    const model_motion *s = k->s;
+    model_arena *a = k->a;
+    int count = k->rows.count, entered = 0, r, i;
+    k->entered = TAKE(unsigned char, count + 1);
+    k->acts = TAKE(unsigned char, count + 1);
+    k->fresh = TAKE(unsigned char, count + 1);
+    k->m = TAKE(double, count + 1);
+    k->b = TAKE(double, count + 1);
+    k->g = TAKE(double, (size_t)2*DIM*count + 1);
+    if (a->missing) return -1;
+    k->unit = k->speed;
+    for (r = 0; r < count; r++) {
+        double size = k->rows.size[r], scale = size > 0.0 ? 1.0/size : 0.0;
+        for (i = 0; i < 2*DIM; i++) k->g[(size_t)2*DIM*r + i] = scale*k->rows.slope[(size_t)2*DIM*r + i];
+        k->b[r] = scale*k->rows.g[r]/s->h + along_row(k, r, k->g, k->f);
+        if (size == 0.0) k->b[r] = k->rows.g[r] < 0.0 ? -1.0 : 1.0;
+        if (-k->b[r] > k->unit) k->unit = -k->b[r];
+    }
+    if (!(k->unit > 0.0)) k->unit = 1.0;
+    memset(k->w, 0, (size_t)DIM*s->n*sizeof *k->w);
+    for (r = 0; r < count; r++) {
+        k->b[r] /= k->unit;
+        k->m[r] = last_of(k, r)*k->rows.size[r]/(s->h*k->unit);
+        k->acts[r] = k->m[r] > 0.0;
+        if (k->acts[r]) add_row(k, r, k->g, k->m[r], k->w);
+    }
+    for (r = 0; r < count; r++) {
+        k->entered[r] = k->b[r] < 0.0 || k->acts[r] || (s->contacts && k->b[r] + along_row(k, r, k->g, k->w) < NEAR);
+        k->fresh[r] = k->entered[r];
+        entered += k->entered[r];
+        if (!s->contacts && k->b[r] < 0.0) k->acts[r] = 1;
+    }
+    memset(k->w, 0, (size_t)DIM*s->n*sizeof *k->w);
+    return entered;
 }
 
 static int root_of(int *parent, int i)
@@ -223,19 +383,233 @@ static int root_of(int *parent, int i)
     return i;
 }
 
-#define NEAR 0.5  /* a row enters where the forces of the last step leave it less than this times the largest speed */
-
-#if TIMES
-static double seconds(void) { return (double)clock()/CLOCKS_PER_SEC; }
-#endif
-
-/* The multiplier that a row had in the last step. */
-static double last_of(const model_motion *s, const int *start, int family, int first, int second)
+/* Number the groups of bodies that rows which entered connect: k->group of each body, -1 where it has no row; how many. */
+static int number_groups(model_work *k)
 {
-    int e;
-    for (e = start[first]; e < start[first + 1]; e++)
-        if (s->second[e] == second && s->family[e] == family) return s->multiplier[e];
-    return 0.0;
+    int n = k->s->n, groups = 0, i, r;
+    for (i = 0; i < n; i++) k->parent[i] = i;
+    for (r = 0; r < k->rows.count; r++)
+        if (k->entered[r] && second_body(k, r) >= 0) {
+            int one = root_of(k->parent, k->rows.first[r]), other = root_of(k->parent, second_body(k, r));
+            if (one < other) k->parent[other] = one;
+            else k->parent[one] = other;
+        }
+    for (i = 0; i < n; i++) k->group[i] = -1;
+    for (r = 0; r < k->rows.count; r++)
+        if (k->entered[r]) {
+            i = root_of(k->parent, k->rows.first[r]);
+            if (k->group[i] < 0) k->group[i] = groups++;
+        }
+    for (i = 0; i < n; i++) k->group[i] = k->group[root_of(k->parent, i)];
+    return groups;
+}
+
+/* Solve the groups that have a fresh row, others stand; a row that waits belongs to a group if all its bodies do.
+ * 0: no memory. */
+static int solve_groups(model_work *k, int close)
+{
+    model_arena *a = k->a;
+    int n = k->s->n, count = k->rows.count, groups = number_groups(k), group, i, r;
+    int *rows_at = TAKE(int, groups + 2), *bodies_at = TAKE(int, groups + 2), *waiting = TAKE(int, groups + 1);
+    int *row = TAKE(int, count + 1), *body = TAKE(int, n + 1), *number = TAKE(int, n + 1), *of = TAKE(int, count + 1);
+    unsigned char *stale = TAKE(unsigned char, groups + 1);
+    model_group p;
+    int *first = TAKE(int, count + 1), *second = TAKE(int, count + 1);
+    double *x = TAKE(double, (size_t)DIM*n + 1);
+    memset(&p, 0, sizeof p);
+    p.w = TAKE(double, (size_t)DIM*n + 1);
+    p.g = TAKE(double, (size_t)2*DIM*count + 1);
+    p.b = TAKE(double, count + 1);
+    p.multiplier = TAKE(double, count + 1);
+    p.acts = TAKE(unsigned char, count + 1);
+    if (a->missing) return 0;
+    memset(rows_at, 0, (groups + 2)*sizeof *rows_at);
+    memset(bodies_at, 0, (groups + 2)*sizeof *bodies_at);
+    memset(waiting, 0, (groups + 1)*sizeof *waiting);
+    memset(stale, 0, groups + 1);
+    for (r = 0; r < count; r++) {
+        group = k->group[k->rows.first[r]];
+        of[r] = !k->entered[r] && second_body(k, r) >= 0 && k->group[second_body(k, r)] != group ? -1 : group;
+        if (of[r] < 0) continue;
+        rows_at[group + 2]++;
+        waiting[group] += !k->entered[r];
+        if (k->fresh[r]) stale[group] = 1;
+    }
+    for (i = 0; i < n; i++)
+        if (k->group[i] >= 0) bodies_at[k->group[i] + 2]++;
+    for (group = 0; group < groups; group++) {
+        rows_at[group + 2] += rows_at[group + 1];
+        bodies_at[group + 2] += bodies_at[group + 1];
+    }
+    for (r = 0; r < count; r++)
+        if (of[r] >= 0 && k->entered[r]) row[rows_at[of[r] + 1]++] = r;
+    for (r = 0; r < count; r++)
+        if (of[r] >= 0 && !k->entered[r]) row[rows_at[of[r] + 1]++] = r;
+    for (i = 0; i < n; i++)
+        if (k->group[i] >= 0) body[bodies_at[k->group[i] + 1]++] = i;
+    for (group = 0; group < groups; group++)
+        for (i = bodies_at[group]; i < bodies_at[group + 1]; i++) number[body[i]] = i - bodies_at[group];
+    k->report->groups = groups;
+    k->report->largest = 0;
+    for (group = 0; group < groups; group++) {
+        char *mark = a->next;
+        const int *own = body + bodies_at[group];
+        int how;
+        p.row = row + rows_at[group];
+        p.n = bodies_at[group + 1] - bodies_at[group];
+        p.most = rows_at[group + 1] - rows_at[group];
+        p.m = p.most - waiting[group];
+        p.close = close;
+        p.factorisations = 0;
+        if (p.n > k->report->largest) k->report->largest = p.n;
+        if (!stale[group]) continue;
+        for (i = 0; i < p.n; i++) memcpy(x + (size_t)DIM*i, k->s->q + (size_t)DIM*own[i], DIM*sizeof *x);
+        for (i = 0; i < p.most; i++) {
+            r = p.row[i];
+            first[i] = number[k->rows.first[r]];
+            second[i] = second_body(k, r) >= 0 ? number[second_body(k, r)] : -1;
+            memcpy(p.g + (size_t)2*DIM*i, k->g + (size_t)2*DIM*r, 2*DIM*sizeof *p.g);
+            p.b[i] = k->b[r];
+            p.multiplier[i] = k->m[r];
+            p.acts[i] = k->acts[r];
+        }
+        p.x = x;
+        p.first = first;
+        p.second = second;
+        how = solve_group(&p, a);
+        if (how < 0) return 0;
+        k->report->factorisations += p.factorisations;
+        k->report->by_active_set += how == 1;
+        k->report->by_interior += how == 2 || how == 3;
+        k->report->unsettled += how == 4;
+        for (i = 0; i < p.n; i++) memcpy(k->w + (size_t)DIM*own[i], p.w + (size_t)DIM*i, DIM*sizeof *x);
+        for (i = 0; i < p.m; i++) {
+            r = p.row[i];
+            k->m[r] = p.multiplier[i];
+            k->acts[r] = p.acts[i];
+            k->entered[r] = 1;
+        }
+        a->next = mark;
+    }
+    return 1;
+}
+
+/* Let rows enter that w violates; how many. */
+static int enter_violated(model_work *k)
+{
+    int count = 0, r;
+    for (r = 0; r < k->rows.count; r++) {
+        k->fresh[r] = !k->entered[r] && k->b[r] + along_row(k, r, k->g, k->w) < -WRONG;
+        if (!k->fresh[r]) continue;
+        k->entered[r] = k->acts[r] = 1;
+        count++;
+    }
+    return count;
+}
+
+/* Move; the largest |d_i|. */
+static double move(model_work *k)
+{
+    const model_motion *s = k->s;
+    double largest = 0.0;
+    int i, j;
+    for (i = 0; i < s->n; i++) {
+        double d[DIM];
+        for (j = 0; j < DIM; j++) {
+            size_t at = (size_t)DIM*i + j;
+            d[j] = s->present[i] ? s->h*(k->f[at] + k->unit*k->w[at]) : 0.0;
+            s->q_next[at] = s->q[at] + d[j];
+        }
+        if (!(norm_of(d) <= largest)) largest = norm_of(d);
+    }
+    return largest;
+}
+
+/* The residual without unit, from the definition: S is the largest of all h |f_i| and |d_i|; E = d - h f - G' m beside S; of each
+ * row divided by its |gradient| the violation and min(m, |y|) beside S; the gap <m, |y|> beside |d|^2 + |h f|^2, or round-off.
+ * The multipliers become those of the rows as they are. 0: no memory. */
+static int certify(model_work *k, double largest)
+{
+    const model_motion *s = k->s;
+    model_arena *a = k->a;
+    double worst = 0.0, gap = 0.0, noise = 0.0, moved = 0.0, far = 0.0, S = largest > s->h*k->speed ? largest : s->h*k->speed;
+    double *d = TAKE(double, (size_t)DIM*s->n + 1), *e = TAKE(double, (size_t)DIM*s->n + 1), least;
+    int i, r;
+    if (a->missing) return 0;
+    for (i = 0; i < DIM*s->n; i++) {
+        int there = s->present[i/DIM];
+        d[i] = there ? s->q_next[i] - s->q[i] : 0.0;
+        e[i] = d[i] - s->h*k->f[i];
+        moved += d[i]*d[i] + s->h*s->h*k->f[i]*k->f[i];
+        if (there && fabs(s->q[i]) > far) far = fabs(s->q[i]);
+    }
+    least = 16.0*DBL_EPSILON*(far + S)/s->tolerance;
+    if (S < least) S = least;
+    for (r = 0; r < k->rows.count; r++) {
+        double y = k->rows.g[r] + along_row(k, r, k->rows.slope, d), bad, least_of;
+        double size = k->rows.size[r] > 0.0 ? k->rows.size[r] : 1.0;
+        k->m[r] = k->entered[r] && k->rows.size[r] > 0.0 ? k->m[r]*s->h*k->unit/size : 0.0;
+        add_row(k, r, k->rows.slope, -k->m[r], e);
+        bad = -y/size;
+        least_of = fabs(y)/size < k->m[r]*size ? fabs(y)/size : k->m[r]*size;
+        if (least_of > bad) bad = least_of;
+        if (!(bad <= worst)) {
+            worst = bad;
+            k->report->worst_family = k->rows.family[r];
+            k->report->worst_first = k->rows.first[r];
+            k->report->worst_second = k->rows.second[r];
+        }
+        gap += k->m[r]*fabs(y);
+        noise += k->m[r]*(fabs(k->rows.g[r]) + size*(S + far));
+    }
+    for (i = 0; i < DIM*s->n; i++)
+        if (!(fabs(e[i]) <= worst)) worst = fabs(e[i]);
+    worst /= S > 0.0 ? S : 1.0;
+    if (gap > 16.0*DBL_EPSILON*noise && gap > worst*moved) worst = gap/moved;
+    k->report->residual = worst;
+    return 1;
+}
+
+/* The gaps at the new positions; the contacts, sorted by their first body; who leaves. 0: no memory. */
+static int finish(model_work *k)
+{
+    model_motion *s = k->s;
+    model_arena *a = k->a;
+    int n = s->n, width = s->model->record, i, r;
+    k->report->gap = INFINITY;
+    for (i = 0; i < n; i++) memcpy(k->records + (size_t)width*i, s->q_next + (size_t)DIM*i, DIM*sizeof(double));
+    memset(k->start, 0, (n + 2)*sizeof *k->start);
+    for (r = 0; r < k->rows.count; r++) {
+        double out[1 + 2*DIM];
+        const double *other = NULL;
+        int family = k->rows.family[r], second = k->rows.second[r];
+        if (second_body(k, r) >= 0) other = k->records + (size_t)width*second;
+        else if (second >= 0) other = s->items[family] + (size_t)s->model->item_size[family]*second;
+        evaluate(s, s->t + s->h, family, k->records + (size_t)width*k->rows.first[r], other, out);
+        if (!(out[0] >= k->report->gap)) k->report->gap = out[0];
+        if (k->m[r] > 0.0) k->start[k->rows.first[r] + 2]++;
+    }
+    for (i = 0; i < n; i++) k->start[i + 2] += k->start[i + 1];
+    s->contacts_out = k->start[n + 1];
+    s->family_out = TAKE(int, s->contacts_out + 1);
+    s->first_out = TAKE(int, s->contacts_out + 1);
+    s->second_out = TAKE(int, s->contacts_out + 1);
+    s->multiplier_out = TAKE(double, s->contacts_out + 1);
+    if (a->missing) return 0;
+    for (r = 0; r < k->rows.count; r++)
+        if (k->m[r] > 0.0) {
+            int at = k->start[k->rows.first[r] + 1]++;
+            s->family_out[at] = k->rows.family[r];
+            s->first_out[at] = k->rows.first[r];
+            s->second_out[at] = k->rows.second[r];
+            s->multiplier_out[at] = k->m[r];
+        }
+    for (i = 0; i < n; i++) {
+        double time = s->t + s->h, value = 0.0;
+        if (s->present[i] && s->model->leave) s->model->leave(NULL, &time, s->p, k->records + (size_t)width*i, &value);
+        s->leaves[i] = value > 0.0;
+    }
+    return 1;
 }
 
 /* One step; `memory` is for use in it alone: nothing is kept. On MODEL_NO_ROOM *missing says how much more is needed. */
@@ -244,372 +618,69 @@ static
 #endif
 int move_bodies(model_motion *s, char *memory, size_t size, size_t *missing, model_report *report)
 {
-    model_arena arena = {memory, memory + size, 0}, *a = &arena;
-    int n = s->n, i, k, r, fresh, pass, attempt;
-    double h = s->h, speed = 0.0, motion, moved = 0.0, wished = 0.0;
-    double *records = TAKE(double, (size_t)s->model->record*n + 1), *f = TAKE(double, (size_t)DIM*n + 1), *w = TAKE(double, (size_t)DIM*n + 1);
-    int *start = TAKE(int, n + 2), *parent = TAKE(int, n + 1), *local = TAKE(int, n + 1);
-    double *m;
-    char *after_fixed;
+    model_arena arena = {memory, memory + size, 0};
+    model_work work, *k = &work;
+    double motion, largest = 0.0;
+    char *mark;
+    int status, fresh, pass;
 #if TIMES
-    double clock_was = seconds();
+    double before = seconds(), now;
 #endif
-    model_rows rows;
     memset(report, 0, sizeof *report);
+    memset(k, 0, sizeof *k);
     report->worst_family = -1;
     report->residual = INFINITY;
-    if (a->missing) goto no_memory;
-    for (i = 0; i < n; i++) {
-        memcpy(records + (size_t)s->model->record*i, s->q + (size_t)DIM*i, DIM*sizeof(double));
-        memcpy(records + (size_t)s->model->record*i + DIM, s->numbers + (size_t)(s->model->record - DIM)*i, (s->model->record - DIM)*sizeof(double));
-    }
-    for (i = 0; i < n; i++) {
-        double *own = f + (size_t)DIM*i, size_i;
-        memset(own, 0, DIM*sizeof *own);
-        if (!s->present[i]) continue;
-        if (s->velocity) memcpy(own, s->velocity + (size_t)DIM*i, DIM*sizeof *own);
-        else {
-            double time = s->t;
-            s->model->velocity(NULL, &time, s->p, records + (size_t)s->model->record*i, own);
-        }
-        size_i = norm_of(own);
-        if (!isfinite(size_i) || !isfinite(norm_of(s->q + (size_t)DIM*i))) {
-            report->worst_first = i;
-            return MODEL_NOT_FINITE;
-        }
-        if (size_i > speed) speed = size_i;
-    }
-    /* contacts of the last step, found by their first body (they are sorted by it) */
-    memset(start, 0, (n + 2)*sizeof *start);
-    for (i = 0; i < s->contacts; i++) start[s->first[i] + 1]++;
-    for (i = 0; i < n; i++) start[i + 1] += start[i];
-    motion = 2.0*(h*speed > s->motion ? h*speed : s->motion);
-    after_fixed = a->next;
-    for (attempt = 0; ; attempt++) {
-        unsigned char *entered, *acts, *new_row;
-        double *g, *b, unit, largest = 0.0;
-        int *row_of_group, *of_group;
-        a->next = after_fixed;
-        report->repeats = attempt;
-        /* 1. rows that may act */
-        rows.room = 64 + s->contacts*2 + 4*n;
-        for (;;) {
-            char *mark = a->next;
-            rows.family = TAKE(int, rows.room);
-            rows.first = TAKE(int, rows.room);
-            rows.second = TAKE(int, rows.room);
-            rows.g = TAKE(double, rows.room);
-            rows.size = TAKE(double, rows.room);
-            rows.slope = TAKE(double, (size_t)2*DIM*rows.room);
-            if (a->missing) goto no_memory;
-            if (!collect(s, &rows, records, motion, a, report)) return MODEL_NOT_FINITE;
-            if (a->missing) goto no_memory;
-            if (rows.count <= rows.room) break;
-            rows.room = rows.count;
-            a->next = mark;
-        }
-        report->rows = rows.count;
+    k->s = s;
+    k->report = report;
+    k->a = &arena;
+    status = begin(k);
+    if (status == MODEL_NO_ROOM) goto no_room;
+    if (status != MODEL_OK) return status;
+    mark = arena.next;
+    motion = WIDER*(s->h*k->speed > s->motion ? s->h*k->speed : s->motion);
+    for (;; report->repeats++) {
+        arena.next = mark;
+        status = look(k, motion);
+        if (status == MODEL_NO_ROOM) goto no_room;
+        if (status != MODEL_OK) return status;
 #if TIMES
-        report->search += seconds() - clock_was;
-        clock_was = seconds();
+        now = seconds();
+        report->search += now - before;
+        before = now;
 #endif
-        /* 2. in units of the largest speed: u = d/(h unit), rows of length 1 */
-        entered = TAKE(unsigned char, rows.count + 1);
-        acts = TAKE(unsigned char, rows.count + 1);
-        m = TAKE(double, rows.count + 1);
-        new_row = TAKE(unsigned char, rows.count + 1);
-        b = TAKE(double, rows.count + 1);
-        g = TAKE(double, (size_t)2*DIM*rows.count + 1);
-        row_of_group = TAKE(int, rows.count + 1);
-        of_group = TAKE(int, rows.count + 1);
-        if (a->missing) goto no_memory;
-        unit = speed;
-        for (r = 0; r < rows.count; r++) {
-            const double *slope = rows.slope + (size_t)2*DIM*r, *one = f + (size_t)DIM*rows.first[r];
-            double drift = 0.0, scale = rows.size[r] > 0.0 ? 1.0/rows.size[r] : 0.0;
-            for (k = 0; k < DIM; k++) drift += slope[k]*one[k];
-            if (s->model->of_bodies[rows.family[r]])
-                for (k = 0; k < DIM; k++) drift += slope[DIM + k]*f[(size_t)DIM*rows.second[r] + k];
-            for (k = 0; k < 2*DIM; k++) g[(size_t)2*DIM*r + k] = scale*slope[k];
-            b[r] = scale*(rows.g[r]/h + drift);
-            if (rows.size[r] == 0.0) b[r] = rows.g[r] < 0.0 ? -1.0 : 1.0;
-            if (-b[r] > unit) unit = -b[r];
-        }
-        if (!(unit > 0.0)) unit = 1.0;
-        memset(w, 0, (size_t)DIM*n*sizeof *w);
-        for (r = 0; r < rows.count; r++) {
-            double last = last_of(s, start, rows.family[r], rows.first[r], rows.second[r]);
-            b[r] /= unit;
-            m[r] = last*rows.size[r]/(h*unit);
-            acts[r] = m[r] > 0.0;
-            if (acts[r]) {
-                for (k = 0; k < DIM; k++) w[(size_t)DIM*rows.first[r] + k] += g[(size_t)2*DIM*r + k]*m[r];
-                if (s->model->of_bodies[rows.family[r]])
-                    for (k = 0; k < DIM; k++) w[(size_t)DIM*rows.second[r] + k] += g[(size_t)2*DIM*r + DIM + k]*m[r];
-            }
-        }
-        fresh = 0;
-        for (r = 0; r < rows.count; r++) {
-            double left = b[r];
-            for (k = 0; k < DIM; k++) left += g[(size_t)2*DIM*r + k]*w[(size_t)DIM*rows.first[r] + k];
-            if (s->model->of_bodies[rows.family[r]])
-                for (k = 0; k < DIM; k++) left += g[(size_t)2*DIM*r + DIM + k]*w[(size_t)DIM*rows.second[r] + k];
-            entered[r] = b[r] < 0.0 || acts[r] || (s->contacts && left < NEAR);
-            fresh += entered[r];
-            new_row[r] = entered[r];
-            if (!s->contacts && b[r] < 0.0) acts[r] = 1;
-        }
-        memset(w, 0, (size_t)DIM*n*sizeof *w);
+        fresh = enter_rows(k);
+        if (fresh < 0) goto no_room;
 #if TIMES
-        report->assembly += seconds() - clock_was;
-        clock_was = seconds();
+        now = seconds();
+        report->assembly += now - before;
+        before = now;
 #endif
-        /* 3. groups of rows that have entered; rows that the solution violates enter; until there is none */
         for (pass = 0; fresh; pass++) {
-            char *mark = a->next;
-            int *first, *second, *bodies, *offset, *waiting, *body_offset, groups = 0, group;
-            double *gx, *gb, *gm, *gw, *gg;
-            unsigned char *gacts, *stale;
-            for (i = 0; i < n; i++) parent[i] = i;
-            for (r = 0; r < rows.count; r++)
-                if (entered[r] && s->model->of_bodies[rows.family[r]]) {
-                    int one = root_of(parent, rows.first[r]), other = root_of(parent, rows.second[r]);
-                    if (one < other) parent[other] = one;
-                    else parent[one] = other;
-                }
-            for (i = 0; i < n; i++) local[i] = -1;
-            for (r = 0; r < rows.count; r++)
-                if (entered[r]) {
-                    i = root_of(parent, rows.first[r]);
-                    if (local[i] < 0) local[i] = groups++;
-                }
-            offset = TAKE(int, groups + 2);
-            waiting = TAKE(int, groups + 2);
-            body_offset = TAKE(int, groups + 2);
-            stale = TAKE(unsigned char, groups + 1);
-            bodies = TAKE(int, n + 1);
-            first = TAKE(int, rows.count + 1);
-            second = TAKE(int, rows.count + 1);
-            gx = TAKE(double, (size_t)DIM*n + 1);
-            gw = TAKE(double, (size_t)DIM*n + 1);
-            gg = TAKE(double, (size_t)2*DIM*rows.count + 1);
-            gb = TAKE(double, rows.count + 1);
-            gm = TAKE(double, rows.count + 1);
-            gacts = TAKE(unsigned char, rows.count + 1);
-            if (a->missing) goto no_memory;
-            memset(offset, 0, (groups + 2)*sizeof *offset);
-            memset(waiting, 0, (groups + 2)*sizeof *waiting);
-            memset(body_offset, 0, (groups + 2)*sizeof *body_offset);
-            memset(stale, 0, groups + 1);
-            for (r = 0; r < rows.count; r++) {
-                group = local[root_of(parent, rows.first[r])];
-                if (group < 0 || (!entered[r] && s->model->of_bodies[rows.family[r]] && local[root_of(parent, rows.second[r])] != group)) {
-                    of_group[r] = -1;
-                    continue;
-                }
-                of_group[r] = group;
-                offset[group + 2]++;
-                waiting[group] += !entered[r];
-                if (new_row[r]) stale[group] = 1;
-            }
-            for (i = 0; i < n; i++) {
-                group = local[root_of(parent, i)];
-                if (group >= 0) body_offset[group + 2]++;
-            }
-            for (group = 0; group < groups; group++) {
-                offset[group + 2] += offset[group + 1];
-                body_offset[group + 2] += body_offset[group + 1];
-            }
-            for (r = 0; r < rows.count; r++)
-                if (entered[r]) row_of_group[offset[of_group[r] + 1]++] = r;
-            for (r = 0; r < rows.count; r++)
-                if (!entered[r] && of_group[r] >= 0) row_of_group[offset[of_group[r] + 1]++] = r;
-            for (i = 0; i < n; i++) {
-                group = local[root_of(parent, i)];
-                if (group >= 0) bodies[body_offset[group + 1]++] = i;
-            }
-            report->groups = groups;
-            report->largest = 0;
-            /* local numbers of bodies: their place in their group */
-            {
-                int *number = TAKE(int, n + 1);
-                if (a->missing) goto no_memory;
-                for (group = 0; group < groups; group++)
-                    for (i = body_offset[group]; i < body_offset[group + 1]; i++) number[bodies[i]] = i - body_offset[group];
-                for (group = 0; group < groups; group++) {
-                    char *inner = a->next;
-                    model_group p;
-                    int from = body_offset[group], at = offset[group], how;
-                    memset(&p, 0, sizeof p);
-                    p.n = body_offset[group + 1] - from;
-                    p.most = offset[group + 1] - at;
-                    p.m = p.most - waiting[group];
-                    p.row = row_of_group + at;
-                    if (p.n > report->largest) report->largest = p.n;
-                    if (!stale[group]) continue;
-                    for (i = 0; i < p.n; i++)
-                        memcpy(gx + (size_t)DIM*i, s->q + (size_t)DIM*bodies[from + i], DIM*sizeof(double));
-                    for (i = 0; i < p.most; i++) {
-                        r = p.row[i];
-                        first[i] = number[rows.first[r]];
-                        second[i] = s->model->of_bodies[rows.family[r]] ? number[rows.second[r]] : -1;
-                        memcpy(gg + (size_t)2*DIM*i, g + (size_t)2*DIM*r, 2*DIM*sizeof(double));
-                        gb[i] = b[r];
-                        gm[i] = m[r];
-                        gacts[i] = acts[r];
-                    }
-                    p.x = gx; p.w = gw; p.first = first; p.second = second; p.g = gg; p.b = gb; p.multiplier = gm; p.acts = gacts;
-                    p.close = pass > 0;
-                    how = solve_group(&p, a);
-                    if (how < 0) goto no_memory;
-                    report->factorisations += p.factorisations;
-                    report->by_active_set += how == 1;
-                    report->by_interior += how == 2 || how == 3;
-                    report->unsettled += how == 4;
-                    for (i = 0; i < p.n; i++)
-                        memcpy(w + (size_t)DIM*bodies[from + i], gw + (size_t)DIM*i, DIM*sizeof(double));
-                    for (i = 0; i < p.m; i++) {
-                        r = p.row[i];
-                        m[r] = gm[i];
-                        acts[r] = gacts[i];
-                        entered[r] = 1;
-                    }
-                    a->next = inner;
-                }
-            }
-            a->next = mark;
-            fresh = 0;
-            for (r = 0; r < rows.count; r++) {
-                double left = b[r];
-                new_row[r] = 0;
-                if (entered[r]) continue;
-                for (k = 0; k < DIM; k++) left += g[(size_t)2*DIM*r + k]*w[(size_t)DIM*rows.first[r] + k];
-                if (s->model->of_bodies[rows.family[r]])
-                    for (k = 0; k < DIM; k++) left += g[(size_t)2*DIM*r + DIM + k]*w[(size_t)DIM*rows.second[r] + k];
-                if (left >= -WRONG) continue;
-                entered[r] = acts[r] = new_row[r] = 1;
-                fresh++;
-            }
+            char *inner = arena.next;
+            if (!solve_groups(k, pass > 0)) goto no_room;
+            arena.next = inner;
+            fresh = enter_violated(k);
         }
+        largest = move(k);
 #if TIMES
-        report->solve += seconds() - clock_was;
-        clock_was = seconds();
+        now = seconds();
+        report->solve += now - before;
+        before = now;
 #endif
-        /* 4. the motion, and whether it was within the bound */
-        moved = wished = 0.0;
-        for (i = 0; i < n; i++) {
-            double d[DIM], size_i;
-            if (!s->present[i]) {
-                for (k = 0; k < DIM; k++) s->q_next[(size_t)DIM*i + k] = s->q[(size_t)DIM*i + k];
-                continue;
-            }
-            for (k = 0; k < DIM; k++) {
-                d[k] = h*(f[(size_t)DIM*i + k] + unit*w[(size_t)DIM*i + k]);
-                s->q_next[(size_t)DIM*i + k] = s->q[(size_t)DIM*i + k] + d[k];
-            }
-            size_i = norm_of(d);
-            moved += size_i*size_i;
-            if (!(size_i <= largest)) largest = size_i;
-            wished += h*h*norm_of(f + (size_t)DIM*i)*norm_of(f + (size_t)DIM*i);
-        }
-        if (!isfinite(largest)) return MODEL_NOT_SOLVED;
         report->motion = largest;
         report->cutoff = motion;
-        if (largest > motion && attempt < 20) {
-            motion = 1.5*largest;
-            continue;
-        }
-        if (largest > motion) return MODEL_NOT_SOLVED;
-        /* 5. the certificate, from the definition */
-        {
-            double *e = TAKE(double, (size_t)DIM*n + 1), worst = 0.0, gap = 0.0, noise = 0.0, reached = largest > h*speed ? largest : h*speed, far = 0.0;
-            double round_off;
-            if (a->missing) goto no_memory;
-            for (i = 0; i < n; i++)
-                for (k = 0; k < DIM; k++) {
-                    size_t at = (size_t)DIM*i + k;
-                    e[at] = s->present[i] ? s->q_next[at] - s->q[at] - h*f[at] : 0.0;
-                    if (s->present[i] && fabs(s->q[at]) > far) far = fabs(s->q[at]);
-                }
-            round_off = 16.0*DBL_EPSILON*(far + reached);
-            if (reached < round_off/s->tolerance) reached = round_off/s->tolerance;
-            for (r = 0; r < rows.count; r++) {
-                const double *slope = rows.slope + (size_t)2*DIM*r;
-                double value = rows.g[r], size_r = rows.size[r], l = size_r > 0.0 ? m[r]*h*unit/size_r : 0.0, bad, small;
-                if (!entered[r]) l = 0.0;
-                for (k = 0; k < DIM; k++) {
-                    size_t at = (size_t)DIM*rows.first[r] + k;
-                    value += slope[k]*(s->q_next[at] - s->q[at]);
-                    e[at] -= slope[k]*l;
-                }
-                if (s->model->of_bodies[rows.family[r]])
-                    for (k = 0; k < DIM; k++) {
-                        size_t at = (size_t)DIM*rows.second[r] + k;
-                        value += slope[DIM + k]*(s->q_next[at] - s->q[at]);
-                        e[at] -= slope[DIM + k]*l;
-                    }
-                m[r] = l;
-                if (!(size_r > 0.0)) size_r = 1.0;
-                bad = -value/size_r;
-                small = fabs(value)/size_r < l*size_r ? fabs(value)/size_r : l*size_r;
-                if (small > bad) bad = small;
-                if (!(bad <= worst)) {
-                    worst = bad;
-                    report->worst_family = rows.family[r];
-                    report->worst_first = rows.first[r];
-                    report->worst_second = rows.second[r];
-                }
-                gap += l*fabs(value);
-                noise += l*(fabs(rows.g[r]) + size_r*(reached + far));
-            }
-            for (i = 0; i < n*DIM; i++)
-                if (!(fabs(e[i]) <= worst)) worst = fabs(e[i]);
-            worst /= reached > 0.0 ? reached : 1.0;
-            if (gap > 16.0*DBL_EPSILON*noise && gap > worst*(moved + wished)) worst = gap/(moved + wished);
-            report->residual = worst;
-        }
-        break;
+        if (largest <= motion) break;
+        if (!isfinite(largest) || report->repeats == REPEATS) return MODEL_NOT_SOLVED;
+        motion = 1.5*largest;
     }
+    if (!certify(k, largest)) goto no_room;
     if (!(report->residual <= s->tolerance)) return MODEL_NOT_SOLVED;
-    /* 6. the gaps at the new positions; the contacts, sorted by their first body; who leaves */
-    report->gap = INFINITY;
-    for (i = 0; i < n; i++) memcpy(records + (size_t)s->model->record*i, s->q_next + (size_t)DIM*i, DIM*sizeof(double));
-    memset(start, 0, (n + 2)*sizeof *start);
-    for (r = 0; r < rows.count; r++) {
-        double out[1 + 2*DIM];
-        const double *other = NULL;
-        int family = rows.family[r], second = rows.second[r];
-        if (s->model->of_bodies[family]) other = records + (size_t)s->model->record*second;
-        else if (second >= 0) other = s->items[family] + (size_t)s->model->item_size[family]*second;
-        evaluate(s, s->t + h, family, records + (size_t)s->model->record*rows.first[r], other, out);
-        if (!(out[0] >= report->gap)) report->gap = out[0];
-        if (m[r] > 0.0) start[rows.first[r] + 2]++;
-    }
-    for (i = 0; i < n; i++) start[i + 2] += start[i + 1];
-    s->contacts_out = start[n + 1];
-    s->family_out = TAKE(int, start[n + 1] + 1);
-    s->first_out = TAKE(int, start[n + 1] + 1);
-    s->second_out = TAKE(int, start[n + 1] + 1);
-    s->multiplier_out = TAKE(double, start[n + 1] + 1);
-    if (a->missing) goto no_memory;
-    for (r = 0; r < rows.count; r++)
-        if (m[r] > 0.0) {
-            int at = start[rows.first[r] + 1]++;
-            s->family_out[at] = rows.family[r];
-            s->first_out[at] = rows.first[r];
-            s->second_out[at] = rows.second[r];
-            s->multiplier_out[at] = m[r];
-        }
-    for (i = 0; i < n; i++) {
-        double time = s->t + h, value = 0.0;
-        if (s->present[i] && s->model->leave) s->model->leave(NULL, &time, s->p, records + (size_t)s->model->record*i, &value);
-        s->leaves[i] = value > 0.0;
-    }
+    if (!finish(k)) goto no_room;
 #if TIMES
-    report->assembly += seconds() - clock_was;
+    report->assembly += seconds() - before;
 #endif
     return MODEL_OK;
-no_memory:
-    *missing = a->missing;
+no_room:
+    *missing = arena.missing;
     return MODEL_NO_ROOM;
 }

@@ -1,4 +1,4 @@
-/* ---- A group of bodies that touch: min |w|^2 / 2 subject to G w + b >= 0, that is w = G' m, 0 <= m with y = G w + b >= 0 ---- */
+/* ---- A group of bodies that touch: min |w|^2/2 subject to y = G w + b >= 0, that is w = G' m, 0 <= m with y >= 0, m y = 0 ---- */
 
 /* In units in which the rows of G and the w wanted are of order 1. */
 typedef struct {
