@@ -33,7 +33,8 @@ from nsmodel import (
     second_order_cone,
 )
 
-COUNT = int(os.environ.get("NSMODEL_FUZZ", "400"))  # Models of each class.
+FULL = 400  # Models of each class.
+COUNT = int(os.environ.get("NSMODEL_FUZZ", FULL))  # Those of this run; other tests of many random models take the same part.
 
 
 def repeatable(count: int) -> settings:

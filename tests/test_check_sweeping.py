@@ -7,6 +7,7 @@ from itertools import combinations
 import casadi as ca
 import numpy as np
 import pytest
+from fuzz_models import COUNT, FULL
 
 from nsmodel import SweepingProcess
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
@@ -551,7 +552,8 @@ def contradictions(model, region, found, rng, count=30):
 def test_no_point_contradicts_what_holds():
     rng = np.random.default_rng(11)
     proved = dict.fromkeys((hypothesis.id for hypothesis in HYPOTHESES), 0)
-    for number in range(200):
+    count = 200 * COUNT // FULL
+    for number in range(count):
         model = random_model(rng)
         n = len(model.names)
         region = Region(np.full(n, -2.5), np.full(n, 2.5), 0.0, 1.5, tuple(model.names), "given")
@@ -560,8 +562,8 @@ def test_no_point_contradicts_what_holds():
         assert contradictions(model, region, found, rng) == [], (number, list(model.constraints))
         for id, item in found.items():
             proved[id] += item.verdict == HOLDS
-    assert proved["S-convex"] == proved["A1"] == proved["A4"] == 200
-    assert proved["A5"] > 90
+    assert proved["S-convex"] == proved["A1"] == proved["A4"] == count
+    assert proved["A5"] > 0.4 * count
 
 
 # -- what is easily overlooked -----------------------------------------------------------------------------------------

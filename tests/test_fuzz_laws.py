@@ -21,7 +21,7 @@ from fuzz_judges import (
     polyhedron_misfit,
     ratio,
 )
-from fuzz_models import COUNT, Scene, repeatable
+from fuzz_models import COUNT, FULL, Scene, repeatable
 from hypothesis import given
 
 from nsmodel import StepError, Trajectory, simulate
@@ -144,12 +144,12 @@ def lure(scene: Scene) -> None:
 
 def test_first_order_systems():
     first_order()
-    assert stopped["first_order"] <= COUNT / 100
+    assert stopped["first_order"] <= FULL / 100
 
 
 def test_lure_systems():
     lure()
-    assert stopped["lure"] <= COUNT / 100
+    assert stopped["lure"] <= FULL / 100
 
 
 @pytest.mark.parametrize("scenes", [models.first_order, models.lure])

@@ -21,7 +21,7 @@ from fuzz_judges import (
     multiplier_size,
     onto_ball,
 )
-from fuzz_models import COUNT, Scene, repeatable
+from fuzz_models import COUNT, FULL, Scene, repeatable
 from hypothesis import given
 from scipy.optimize import linprog
 
@@ -102,7 +102,7 @@ def sweeping(scene: Scene) -> None:
 
 def test_sweeping_processes():
     sweeping()
-    assert stopped["sweeping"] <= COUNT / 100
+    assert stopped["sweeping"] <= FULL / 100
 
 
 # ---------------------------------------------------------------------------------------------- friction oscillators
@@ -234,7 +234,7 @@ def oscillators(scene: Scene) -> None:
 
 def test_oscillators():
     oscillators()
-    assert stopped["oscillators"] <= COUNT / 100
+    assert stopped["oscillators"] <= FULL / 100
 
 
 # ---------------------------------------------------------------------------------------------- monotone inclusions
@@ -361,7 +361,7 @@ def inclusions(scene: Scene) -> None:
 
 def test_inclusions():
     inclusions()
-    assert stopped["inclusions"] <= COUNT / 100
+    assert stopped["inclusions"] <= FULL / 100
 
 
 # ---------------------------------------------------------------------------------------------- what a wrong step looks like
