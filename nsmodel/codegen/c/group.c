@@ -102,7 +102,7 @@ static void solve_for_dw(model_group *p)
 #define STIFF 1e6       /* weight of the rows that act in the preconditioner */
 #define SETTLED 1e-13   /* a row that acts is at 0 to this */
 #define WRONG 1e-11     /* a multiplier or a row below minus this changes the index set */
-#define ROUGH 1e-8      /* the same while the index set changes */
+#define ROUGH 1e-6      /* the same while the index set changes */
 #define PROXIMAL 2      /* proximal steps on an index set */
 #define SOFT 1e3        /* weight of the rows in the augmented Lagrangian, to begin with */
 #define OUTER 40        /* updates of the multipliers, */
@@ -403,7 +403,7 @@ static int interior(model_group *p, double target, int most, int look, model_are
  * active set, 3 by both and the augmented Lagrangian, 4 as far as that gets (the certificate decides), -1: no memory. */
 static int solve_group(model_group *p, model_arena *a)
 {
-    static const double roughness[] = {1e-5, 1e-7}; /* mean of multipliers times slacks at which the interior point stops */
+    static const double roughness[] = {1e-6, 1e-8}; /* mean of multipliers times slacks at which the interior point stops */
     double inside = p->close ? CLOSE : INSIDE;
     int i, k, m = p->m, n = p->n, doubtful = 0;
     p->slot = TAKE(int, p->most);
