@@ -114,4 +114,4 @@ if __name__ == "__main__":
             import chain
 
             print()
-            chain.table()
+            print(chain.table())
