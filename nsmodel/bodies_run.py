@@ -6,19 +6,18 @@ import contextlib
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from nsmodel.contacts import NO_CONTACTS, Contacts, in_order
-from nsmodel.errors import CodegenError, StepError, StorageError, UsageError
+from nsmodel.errors import StepError, UsageError
 from nsmodel.grid import Grid
 from nsmodel.hypotheses.quick import warnings_of
 from nsmodel.identity import INTERPRETED, settings
 from nsmodel.model.bodies import ManyBodies
-from nsmodel.run import IN_C, Loop
+from nsmodel.run import Loop
 from nsmodel.scheme.many_bodies import BodiesProblem, Rows
 from nsmodel.solve.certificate import EPS
 from nsmodel.solve.choose import Plan
@@ -27,6 +26,7 @@ from nsmodel.solve.near import least_gap, near
 
 PAYS = 20_000  # Bodies times steps from which on compiling takes less time than it saves.
 CONTACTS_EACH = 3  # Contacts of a body for which memory is planned.
+ROUNDED = 64 * EPS  # A gap not farther below 0, beside the positions, is round-off: the rows need not be looked at.
 OVERRUN = 1e5  # A gap below 0 by more than so many times the rounding of the positions is told.
 
 
@@ -83,7 +83,7 @@ class BodiesRun(Loop):
         self.problem = BodiesProblem(model)
         self.stepper = BodiesStepper(self.problem, solver, tolerance)
         self.plan = Plan("bodies", (), True, "never", True, 0.0, *map(tuple, explained(self.problem, solver)))
-        self.counts, self._looked_at = Counter(), 0.0
+        self.counts = Counter()
         self.warnings = warnings_of(model, self.plan)
         self.totals: dict[str, Any] = {
             "worst_residual": 0.0, "worst_residual_t": None, "index_set_changes": 0, "steps": 0, "left": 0, "entered": 0,
@@ -92,8 +92,8 @@ class BodiesRun(Loop):
         }  # fmt: skip
         self._check_f()
         self._start_store(resume)
-        self.step: Any = self.stepper
-        way = self._compile(compiled, solver, self._way_there)
+        in_c = self._in_c(compiled, solver)
+        self.step, way = (self.stepper, INTERPRETED) if in_c is None else (in_c, in_c.way)
         self.settings = settings(model, grid, solver, tolerance, save_every, way)
         N, d = model.bodies.q0.shape
         row = 8 * (N * d + N + 4) + 25 * CONTACTS_EACH * N
@@ -127,28 +127,13 @@ class BodiesRun(Loop):
         except StepError as error:
             raise UsageError(str(error)) from error
 
-    def _compile(self, compiled: bool | str, solver: str, there: str | None) -> str:
-        """Get the step in C where it is asked for, or pays; return the way of stepping."""
-        wanted = compiled is True
-        if compiled == "auto":
-            pays = solver == "auto" and self.grid.N * self.problem.count >= PAYS
-            wanted = pays if there is None else there != INTERPRETED
-        if not wanted:
-            return INTERPRETED
-        try:
-            from nsmodel.codegen.bodies_step import CompiledStep
-            from nsmodel.codegen.library import compiler
+    def _build(self) -> Any:
+        from nsmodel.codegen.bodies_step import CompiledStep
 
-            self.step = CompiledStep(self.model, self.tolerance)
-        except (CodegenError, ImportError) as error:
-            if there not in (None, INTERPRETED):
-                raise StorageError(f"{self.out}: the run there is {there}, which it cannot be here: {error}") from error
-            self.plan = replace(self.plan, left_out=(*self.plan.left_out, f"steps in C: {error}"))
-            if compiled is True:
-                self.warnings.append(f"not compiled, the steps are interpreted: {error}")
-            return INTERPRETED
-        self.plan = replace(self.plan, used=(*self.plan.used, IN_C))
-        return f"compiled by {compiler()}"
+        return CompiledStep(self.model, self.tolerance)
+
+    def _pays(self) -> bool:
+        return self.grid.N * self.problem.count >= PAYS
 
     def _present(self) -> np.ndarray:
         """Who takes part in the next step (N,): those that are there and do not leave."""
@@ -235,9 +220,8 @@ class BodiesRun(Loop):
         totals = self.totals
         if gap < totals["least_gap"]:
             totals["least_gap"], totals["least_gap_t"] = float(gap), t
-        if q is None or gap >= 2 * self._looked_at:  # all rows are looked at only when it has become twice as bad
+        if q is None or gap >= totals.get("overrun", {"gap": 0.0})["gap"] or gap >= -ROUNDED * np.nanmax(np.abs(q)):
             return
-        self._looked_at = min(gap, 0.0)
         rows = near(self.problem, t, q, np.isfinite(q).all(axis=1), 0.0)
         over = rows.g + OVERRUN * _rounding(rows, q)
         if over.size and over.min() < 0:
@@ -263,15 +247,6 @@ class BodiesRun(Loop):
         self.waiting = np.isin(np.arange(self.problem.count), saved["waiting"])
         contacts = (np.array(saved["contacts"][name], kind.dtype) for name, kind in NO_CONTACTS._asdict().items())
         self.warm = BodiesWarm(Contacts(*contacts), saved["moved"])
-
-    def _overrun(self) -> list[str]:
-        if "overrun" not in self.totals:
-            return []
-        worst = self.totals["overrun"]
-        return [
-            f"constraint '{worst['constraint']}' was overrun, at worst by {-worst['gap']:.3g} at t = {worst['t']:.6g}: the "
-            "scheme keeps a constraint >= 0 only where it is convex"
-        ]
 
     def _metadata(self, status: str, message: str) -> dict[str, Any]:
         there = self._present()

@@ -111,6 +111,14 @@ class Loop:
         """Step until the run has ended or is interrupted."""
         raise NotImplementedError
 
+    def _build(self) -> Any:
+        """Compile the steps; CodegenError where that cannot be."""
+        raise NotImplementedError
+
+    def _pays(self) -> bool:
+        """Whether the run is long enough to be compiled."""
+        raise NotImplementedError
+
     def _columns(self) -> dict[str, np.ndarray]:
         """The rows in memory as the arrays of a trajectory."""
         raise NotImplementedError
@@ -138,6 +146,25 @@ class Loop:
         if self.out is not None and not resume:
             keep_unfinished(self.out)
         self.store = None if self.out is None else (ChunkStore.open(self.out) if resume else ChunkStore(self.out))
+
+    def _in_c(self, compiled: bool | str, solver: str) -> Any:
+        """The steps in C, where they are asked for, or pay, or the run that is resumed had them; None: they are interpreted."""
+        there, wanted = self._way_there, compiled is True
+        if compiled == "auto":
+            wanted = solver == "auto" and self._pays() if there is None else there != INTERPRETED
+        if not wanted:
+            return None
+        try:
+            steps = self._build()
+        except CodegenError as error:
+            if there not in (None, INTERPRETED):
+                raise StorageError(f"{self.out}: the run there is {there}, which it cannot be here: {error}") from error
+            self.plan = replace(self.plan, left_out=(*self.plan.left_out, f"steps in C: {error}"))
+            if compiled is True:
+                self.warnings.append(f"not compiled, the steps are interpreted: {error}")
+            return None
+        self.plan = replace(self.plan, used=(*self.plan.used, IN_C))
+        return steps
 
     @property
     def _way_there(self) -> str | None:
@@ -217,6 +244,15 @@ class Loop:
         self.store.join(path, self._metadata(status, message))
         return Trajectory.load(path)
 
+    def _overrun(self) -> list[str]:
+        if "overrun" not in self.totals:
+            return []
+        worst = self.totals["overrun"]
+        return [
+            f"constraint '{worst['constraint']}' was overrun, at worst by {-worst['gap']:.3g} at t = {worst['t']:.6g}: the "
+            "scheme keeps a constraint >= 0 only where it is convex"
+        ]
+
     def _metadata(self, status: str, message: str) -> dict[str, Any]:
         model, plan = self.model, self.plan
         data = {
@@ -269,8 +305,8 @@ class Run(Loop):
             "worst_residual": 0.0, "worst_residual_t": None, "newton": 0.0, "newton_max": 0.0, "index_set_changes": 0, "steps": 0,
         }  # fmt: skip
         self._start_store(resume)
-        self.plan, self.rollout = self.stepper.plan, None
-        self._compile(compiled, solver, self._way_there)
+        self.plan = self.stepper.plan
+        self.rollout = self._in_c(compiled, solver)
         way = INTERPRETED if self.rollout is None else self.rollout.way
         self.settings = settings(model, grid, solver, tolerance, save_every, way)
         self._flushed = time.monotonic()
@@ -281,24 +317,10 @@ class Run(Loop):
             for k, (state, records) in enumerate(known):
                 self.record.known(k, grid.time(k), grid.step(min(k, grid.N - 1)), state, records)
 
-    def _compile(self, compiled: bool | str, solver: str, there: str | None) -> None:
-        """Get the steps in C where they are asked for, or pay; ``there``: how the run that is resumed was stepped."""
-        wanted = compiled is True
-        if compiled == "auto":
-            wanted = solver == "auto" and self._pays() if there is None else there != INTERPRETED
-        if not wanted:
-            return
+    def _build(self) -> Any:
         from nsmodel.codegen.rollout import Rollout
 
-        try:
-            self.rollout = Rollout(self.model, self._grid_in_c(), self.stepper.tolerance)
-            self.plan = replace(self.plan, used=(*self.plan.used, IN_C))
-        except CodegenError as error:
-            if there not in (None, INTERPRETED):
-                raise StorageError(f"{self.out}: the run there is {there}, which it cannot be here: {error}") from error
-            self.plan = replace(self.plan, left_out=(*self.plan.left_out, f"steps in C: {error}"))
-            if compiled is True:
-                self.warnings.append(f"not compiled, the steps are interpreted: {error}")
+        return Rollout(self.model, self._grid_in_c(), self.stepper.tolerance)
 
     def _grid_in_c(self) -> Grid:
         """The grid that the C is written for: one step size, or any."""
@@ -451,15 +473,6 @@ class Run(Loop):
             rounding = 1e-10 * np.linalg.norm(np.array(slopes(t[k], x[k]))[i]) * (1 + np.linalg.norm(x[k]))
             if gap[k, i] < min(-rounding, self.totals.get("overrun", {"gap": 0.0})["gap"]):
                 self.totals["overrun"] = {"gap": float(gap[k, i]), "constraint": model.multiplier_names[i], "t": float(t[k])}
-
-    def _overrun(self) -> list[str]:
-        if "overrun" not in self.totals:
-            return []
-        worst = self.totals["overrun"]
-        return [
-            f"constraint '{worst['constraint']}' was overrun, at worst by {-worst['gap']:.3g} at t = {worst['t']:.6g}: the "
-            "scheme keeps a constraint >= 0 only where it is convex"
-        ]
 
     def _lost_monotonicity(self) -> list[str]:
         least = self.totals.get("least_eigenvalue", np.inf)
