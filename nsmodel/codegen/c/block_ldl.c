@@ -38,6 +38,7 @@ typedef struct {
 #define BLOCK (DIM*DIM)
 #define PADDED(count) (((count) + 3) & ~3)
 #define LEAF 12       /* block rows that are not divided any more */
+#define BAND 4.0      /* rows of bodies on each side of the middle among which a part is cut */
 #define DEGREE 5      /* neighbours up to which a block row is eliminated before the division */
 #define SLACK 8       /* neighbours that one may gain */
 
@@ -56,88 +57,114 @@ static void sort_along(int *items, int count, const double *key, int *spare)
         items[k] = j < count && key[(size_t)DIM*items[j]] < key[(size_t)DIM*spare[i]] ? items[j++] : spare[i++];
 }
 
-/* What is left of the graph of the pairs, and the positions to divide it by. */
+/* What is left of the graph of the pairs, and the part of it that is divided. */
 typedef struct {
-    int *first, *degree, *around;        /* neighbours */
-    int *sorted[DIM], *position;         /* the block rows along each axis */
-    int *side, *spare, *left, *right;
-    int tag;
+    int *first, *degree, *around;      /* neighbours */
+    int *sorted[DIM];                  /* the block rows along each axis */
+    int *position, low, high;          /* of a row of the part along one of them, else OUT; the part is cut in low ... high - 1 */
+    int *before, *after;               /* the rows beside one on its path from below low to high: NONE, or an END of the path */
+    int *entered, *left, round;        /* the last round in which a row was, and in which paths led on from it */
+    int *trail, *via, *edge;           /* rows that a search led on from, the row that it entered for each, neighbours looked at */
+    int *starts, *spare;
 } model_graph;
 
-/* Order block rows by nested dissection: one part, the other, then a cover of the pairs between them, along the axis and at the
- * place where it seems least. */
-static void dissect(model_graph *g, int from, int count)
+#define OUT (-1)
+#define END (-1)
+#define NONE (-2)
+
+/* One more path that meets no other, from a row beside those below low to one beside those from high on; others may be led
+ * elsewhere for it (Ford and Fulkerson, with room for one path in each row). 0: there is none. */
+static int add_path(model_graph *g, int start)
+{
+    int depth = -1, into = start, k;
+    for (;;) {
+        int v;
+        if (into >= 0 && g->entered[into] != g->round) {
+            int on = g->before[into] == NONE ? into : g->before[into];
+            g->entered[into] = g->round;
+            if (on >= 0 && g->left[on] != g->round) {
+                g->left[on] = g->round;
+                g->trail[++depth] = on;
+                g->via[depth] = into;
+                g->edge[depth] = 0;
+            }
+        }
+        if (depth < 0) return 0;
+        v = g->trail[depth];
+        k = g->edge[depth]++;
+        into = -1;
+        if (k > g->degree[v]) depth--;
+        else if (k == g->degree[v]) {
+            if (g->before[v] != NONE) into = v;
+        } else {
+            int u = g->around[g->first[v] + k];
+            if (g->position[u] >= g->high) break;
+            if (g->position[u] >= g->low && (g->before[v] == NONE || g->after[v] != u)) into = u;
+        }
+    }
+    for (k = 0; k <= depth; k++) {
+        int u = g->via[k], from = k ? g->trail[k - 1] : END;
+        g->before[u] = u == from ? NONE : from;
+        if (k && u != from) g->after[from] = u;
+    }
+    g->after[g->trail[depth]] = END;
+    return 1;
+}
+
+/* Order block rows by nested dissection: one part, the other, then the fewest rows in the middle without which no pair connects
+ * the two: as many as there are paths between them that do not meet (Menger). */
+static void dissect(model_graph *g, const double *x, int from, int count)
 {
     while (count > LEAF) {
-        int *items = g->sorted[0] + from, own = g->side[items[0]], least = 0, axis = 0, half = 0, one, other, covers;
-        int touching = 0, inner, kept, cut, i, d, e, c, most;
+        int axis = 0, starts = 0, half = (int)(BAND*pow(count, 1.0 - 1.0/DIM)), inner = 0, kept = 0, d, e, i, found;
+        double longest = -1.0;
+        int *items;
         for (d = 0; d < DIM; d++) {
-            int lefts = 0, rights = 0;
+            double extent;
             items = g->sorted[d] + from;
-            memset(g->left, 0, (count + 1)*sizeof *g->left);
-            memset(g->right, 0, (count + 1)*sizeof *g->right);
-            for (i = 0; i < count; i++) g->position[items[i]] = i;
-            for (i = 0; i < count; i++) {
-                int low = i, high = i;
-                const int *around = g->around + g->first[items[i]];
-                for (e = 0; e < g->degree[items[i]]; e++)
-                    if (g->side[around[e]] == own) {
-                        int at = g->position[around[e]];
-                        if (at < low) low = at;
-                        if (at > high) high = at;
-                    }
-                g->left[i]++;
-                g->left[high]--;
-                g->right[low]++;
-                g->right[i]--;
-            }
-            /* between c - 1 and c */
-            for (c = 1; c < count; c++) {
-                int score, apart = abs(2*c - count);
-                lefts += g->left[c - 1];
-                rights += g->right[c - 1];
-                if (3*apart > count) continue;
-                score = (lefts < rights ? lefts : rights)*(count + apart);
-                if (!half || score < least) {
-                    least = score;
-                    half = c;
-                    axis = d;
-                }
+            extent = x[(size_t)DIM*items[count - 1] + d] - x[(size_t)DIM*items[0] + d];
+            if (extent > longest) {
+                longest = extent;
+                axis = d;
             }
         }
         items = g->sorted[axis] + from;
-        one = ++g->tag;
-        other = ++g->tag;
-        covers = ++g->tag;
-        for (i = 0; i < count; i++) g->side[items[i]] = i < half ? one : other;
-        for (most = 3; most > 0; most--) {
-            /* those that face at least `most` of the other part cover their pairs */
-            int among = most == 3 ? count : touching;
-            touching = 0;
-            for (i = 0; i < among; i++) {
-                int item = most == 3 ? items[i] : g->spare[i], facing, faces = 0;
-                const int *around = g->around + g->first[item];
-                if (g->side[item] == covers) continue;
-                facing = one + other - g->side[item];
-                for (e = 0; e < g->degree[item]; e++) faces += g->side[around[e]] == facing;
-                if (faces >= most) g->side[item] = covers;
-                else if (faces) g->spare[touching++] = item;
+        if (half > count/6) half = count/6;
+        g->low = count/2 - half;
+        g->high = count - g->low;
+        for (i = 0; i < count; i++) g->position[items[i]] = i;
+        for (i = g->low; i < g->high; i++) g->before[items[i]] = NONE;
+        for (i = 0; i < g->high; i++) {
+            const int *around = g->around + g->first[items[i]];
+            int least = count, most = OUT;
+            for (e = 0; e < g->degree[items[i]]; e++) {
+                int at = g->position[around[e]];
+                if (at > most) most = at;
+                if (at != OUT && at < least) least = at;
             }
+            if (i < g->low && most >= g->high) g->position[items[i]] = OUT;
+            if (i >= g->low && least < g->low) g->starts[starts++] = items[i];
         }
+        do {
+            g->round++;
+            for (i = 0, found = 0; i < starts; i++) found += add_path(g, g->starts[i]);
+        } while (found);
+        for (i = g->low; i < g->high; i++)
+            if (g->entered[items[i]] == g->round && g->left[items[i]] != g->round) g->position[items[i]] = OUT;
         for (d = 0; d < DIM; d++) {
-            int *right = g->left, *covering = g->right;
+            int *right = g->starts, *covering = g->spare, cut = 0;
             items = g->sorted[d] + from;
-            inner = kept = cut = 0;
+            inner = kept = 0;
             for (i = 0; i < count; i++) {
-                int item = items[i], side = g->side[item];
-                if (side == one) items[inner++] = item;
-                else if (side == other) right[kept++] = item;
-                else covering[cut++] = item;
+                int v = items[i], at = g->position[v];
+                if (at == OUT) covering[cut++] = v;
+                else if (at < g->low || (at < g->high && g->left[v] == g->round)) items[inner++] = v;
+                else right[kept++] = v;
             }
             memcpy(items + inner, right, kept*sizeof *items);
             memcpy(items + inner + kept, covering, cut*sizeof *items);
         }
-        dissect(g, from, inner);
+        dissect(g, x, from, inner);
         from += inner;
         count = kept;
     }
@@ -151,8 +178,14 @@ static int arrange(int *order, int n, const double *x, const int *near, const in
     model_graph g = {0};
     for (i = 0; i < DIM; i++) g.sorted[i] = TAKE(int, n);
     g.position = TAKE(int, n);
-    g.left = TAKE(int, n + 1);
-    g.right = TAKE(int, n + 1);
+    g.before = TAKE(int, n);
+    g.after = TAKE(int, n);
+    g.entered = TAKE(int, n);
+    g.left = TAKE(int, n);
+    g.trail = TAKE(int, n);
+    g.via = TAKE(int, n);
+    g.edge = TAKE(int, n);
+    g.starts = TAKE(int, n);
     if (a->missing) return 0;
     for (i = 0; i < n; i++) {
         first[i] = near[i] + SLACK*i;
@@ -194,15 +227,14 @@ static int arrange(int *order, int n, const double *x, const int *near, const in
             for (j = 0; j < DIM; j++) g.sorted[j][rest] = i;
             rest++;
         }
-        mark[i] = 0;
+        mark[i] = g.entered[i] = g.left[i] = 0;
     }
     for (j = 0; j < DIM; j++) sort_along(g.sorted[j], rest, x + j, stack);
     g.first = first;
     g.degree = degree;
     g.around = around;
-    g.side = mark;
     g.spare = stack;
-    dissect(&g, 0, rest);
+    dissect(&g, x, 0, rest);
     memcpy(order + count, g.sorted[0], rest*sizeof *order);
     return 1;
 }

@@ -239,7 +239,10 @@ typedef struct {
     double *records, *f, *w, *m, *b, *g;
     double speed, unit;               /* the largest |f|; the unit of velocities */
     unsigned char *entered, *acts, *fresh;
-    int *start, *parent, *group;      /* contacts of the last step by their first body; groups of bodies */
+    int contacts;                     /* known: of the last step, then of an attempt at this one; start: by their first body */
+    const int *family, *first, *second;
+    const double *multiplier;
+    int *start, *parent, *group;      /* group: of bodies that rows connect */
 } model_work;
 
 static int second_body(const model_work *k, int r)
@@ -297,6 +300,11 @@ static int begin(model_work *k)
         }
         if (norm_of(own) > k->speed) k->speed = norm_of(own);
     }
+    k->contacts = s->contacts;
+    k->family = s->family;
+    k->first = s->first;
+    k->second = s->second;
+    k->multiplier = s->multiplier;
     memset(k->start, 0, (n + 2)*sizeof *k->start);
     for (i = 0; i < s->contacts; i++) k->start[s->first[i] + 1]++;
     for (i = 0; i < n; i++) k->start[i + 1] += k->start[i];
@@ -309,7 +317,7 @@ static int look(model_work *k, double motion)
     model_rows *rows = &k->rows;
     model_arena *a = k->a;
     char *mark = a->next;
-    rows->room = 64 + 2*k->s->contacts + 4*k->s->n;
+    rows->room = 64 + 2*k->contacts + 4*k->s->n;
     for (;;) {
         a->next = mark;
         rows->family = TAKE(int, rows->room);
@@ -328,13 +336,12 @@ static int look(model_work *k, double motion)
     return MODEL_OK;
 }
 
-/* The multiplier that a row had in the last step. */
+/* The multiplier that a row is known to have had. */
 static double last_of(const model_work *k, int r)
 {
-    const model_motion *s = k->s;
     int e;
     for (e = k->start[k->rows.first[r]]; e < k->start[k->rows.first[r] + 1]; e++)
-        if (s->second[e] == k->rows.second[r] && s->family[e] == k->rows.family[r]) return s->multiplier[e];
+        if (k->second[e] == k->rows.second[r] && k->family[e] == k->rows.family[r]) return k->multiplier[e];
     return 0.0;
 }
 
@@ -368,10 +375,10 @@ static int enter_rows(model_work *k)
         if (k->acts[r]) add_row(k, r, k->g, k->m[r], k->w);
     }
     for (r = 0; r < count; r++) {
-        k->entered[r] = k->b[r] < 0.0 || k->acts[r] || (s->contacts && k->b[r] + along_row(k, r, k->g, k->w) < NEAR);
+        k->entered[r] = k->b[r] < 0.0 || k->acts[r] || (k->contacts && k->b[r] + along_row(k, r, k->g, k->w) < NEAR);
         k->fresh[r] = k->entered[r];
         entered += k->entered[r];
-        if (!s->contacts && k->b[r] < 0.0) k->acts[r] = 1;
+        if (!k->contacts && k->b[r] < 0.0) k->acts[r] = 1;
     }
     memset(k->w, 0, (size_t)DIM*s->n*sizeof *k->w);
     return entered;
@@ -507,12 +514,14 @@ static int enter_violated(model_work *k)
     return count;
 }
 
-/* Move; the largest |d_i|. */
+/* Move, and take the multipliers for those of the rows as they are; the largest |d_i|. */
 static double move(model_work *k)
 {
     const model_motion *s = k->s;
     double largest = 0.0;
-    int i, j;
+    int i, j, r;
+    for (r = 0; r < k->rows.count; r++)
+        k->m[r] = k->entered[r] && k->rows.size[r] > 0.0 ? k->m[r]*s->h*k->unit/k->rows.size[r] : 0.0;
     for (i = 0; i < s->n; i++) {
         double d[DIM];
         for (j = 0; j < DIM; j++) {
@@ -527,7 +536,7 @@ static double move(model_work *k)
 
 /* The residual without unit, from the definition: S is the largest of all h |f_i| and |d_i|; E = d - h f - G' m beside S; of each
  * row divided by its |gradient| the violation and min(m, |y|) beside S; the gap <m, |y|> beside |d|^2 + |h f|^2, or round-off.
- * The multipliers become those of the rows as they are. 0: no memory. */
+ * 0: no memory. */
 static int certify(model_work *k, double largest)
 {
     const model_motion *s = k->s;
@@ -548,7 +557,6 @@ static int certify(model_work *k, double largest)
     for (r = 0; r < k->rows.count; r++) {
         double y = k->rows.g[r] + along_row(k, r, k->rows.slope, d), bad, least_of;
         double size = k->rows.size[r] > 0.0 ? k->rows.size[r] : 1.0;
-        k->m[r] = k->entered[r] && k->rows.size[r] > 0.0 ? k->m[r]*s->h*k->unit/size : 0.0;
         add_row(k, r, k->rows.slope, -k->m[r], e);
         bad = -y/size;
         least_of = fabs(y)/size < k->m[r]*size ? fabs(y)/size : k->m[r]*size;
@@ -570,25 +578,14 @@ static int certify(model_work *k, double largest)
     return 1;
 }
 
-/* The gaps at the new positions; the contacts, sorted by their first body; who leaves. 0: no memory. */
-static int finish(model_work *k)
+/* List the rows with m > 0 as contacts, sorted by their first body. 0: no memory. */
+static int list_contacts(model_work *k)
 {
     model_motion *s = k->s;
     model_arena *a = k->a;
-    int n = s->n, width = s->model->record, i, r;
-    k->report->gap = INFINITY;
-    for (i = 0; i < n; i++) memcpy(k->records + (size_t)width*i, s->q_next + (size_t)DIM*i, DIM*sizeof(double));
+    int n = s->n, i, r;
     memset(k->start, 0, (n + 2)*sizeof *k->start);
-    for (r = 0; r < k->rows.count; r++) {
-        double out[1 + 2*DIM];
-        const double *other = NULL;
-        int family = k->rows.family[r], second = k->rows.second[r];
-        if (second_body(k, r) >= 0) other = k->records + (size_t)width*second;
-        else if (second >= 0) other = s->items[family] + (size_t)s->model->item_size[family]*second;
-        evaluate(s, s->t + s->h, family, k->records + (size_t)width*k->rows.first[r], other, out);
-        if (!(out[0] >= k->report->gap)) k->report->gap = out[0];
-        if (k->m[r] > 0.0) k->start[k->rows.first[r] + 2]++;
-    }
+    for (r = 0; r < k->rows.count; r++) k->start[k->rows.first[r] + 2] += k->m[r] > 0.0;
     for (i = 0; i < n; i++) k->start[i + 2] += k->start[i + 1];
     s->contacts_out = k->start[n + 1];
     s->family_out = TAKE(int, s->contacts_out + 1);
@@ -604,6 +601,43 @@ static int finish(model_work *k)
             s->second_out[at] = k->rows.second[r];
             s->multiplier_out[at] = k->m[r];
         }
+    return 1;
+}
+
+/* The contacts of this attempt are those known for the next; they move to where its memory begins. 0: no memory. */
+static int know_contacts(model_work *k, char *begin)
+{
+    const model_motion *s = k->s;
+    model_arena *a = k->a;
+    size_t count;
+    if (!list_contacts(k)) return 0;
+    a->next = begin;
+    count = (size_t)s->contacts_out;
+    k->contacts = s->contacts_out;
+    k->family = memmove(TAKE(int, count + 1), s->family_out, count*sizeof(int));
+    k->first = memmove(TAKE(int, count + 1), s->first_out, count*sizeof(int));
+    k->second = memmove(TAKE(int, count + 1), s->second_out, count*sizeof(int));
+    k->multiplier = memmove(TAKE(double, count + 1), s->multiplier_out, count*sizeof(double));
+    return 1;
+}
+
+/* The gaps at the new positions, the contacts, who leaves. 0: no memory. */
+static int finish(model_work *k)
+{
+    model_motion *s = k->s;
+    int n = s->n, width = s->model->record, i, r;
+    k->report->gap = INFINITY;
+    for (i = 0; i < n; i++) memcpy(k->records + (size_t)width*i, s->q_next + (size_t)DIM*i, DIM*sizeof(double));
+    for (r = 0; r < k->rows.count; r++) {
+        double out[1 + 2*DIM];
+        const double *other = NULL;
+        int family = k->rows.family[r], second = k->rows.second[r];
+        if (second_body(k, r) >= 0) other = k->records + (size_t)width*second;
+        else if (second >= 0) other = s->items[family] + (size_t)s->model->item_size[family]*second;
+        evaluate(s, s->t + s->h, family, k->records + (size_t)width*k->rows.first[r], other, out);
+        if (!(out[0] >= k->report->gap)) k->report->gap = out[0];
+    }
+    if (!list_contacts(k)) return 0;
     for (i = 0; i < n; i++) {
         double time = s->t + s->h, value = 0.0;
         if (s->present[i] && s->model->leave) s->model->leave(NULL, &time, s->p, k->records + (size_t)width*i, &value);
@@ -639,7 +673,6 @@ int move_bodies(model_motion *s, char *memory, size_t size, size_t *missing, mod
     mark = arena.next;
     motion = WIDER*(s->h*k->speed > s->motion ? s->h*k->speed : s->motion);
     for (;; report->repeats++) {
-        arena.next = mark;
         status = look(k, motion);
         if (status == MODEL_NO_ROOM) goto no_room;
         if (status != MODEL_OK) return status;
@@ -657,7 +690,7 @@ int move_bodies(model_motion *s, char *memory, size_t size, size_t *missing, mod
 #endif
         for (pass = 0; fresh; pass++) {
             char *inner = arena.next;
-            if (!solve_groups(k, pass > 0)) goto no_room;
+            if (!solve_groups(k, pass > 0 || report->repeats > 0)) goto no_room;
             arena.next = inner;
             fresh = enter_violated(k);
         }
@@ -672,6 +705,7 @@ int move_bodies(model_motion *s, char *memory, size_t size, size_t *missing, mod
         if (largest <= motion) break;
         if (!isfinite(largest) || report->repeats == REPEATS) return MODEL_NOT_SOLVED;
         motion = 1.5*largest;
+        if (!know_contacts(k, mark)) goto no_room;
     }
     if (!certify(k, largest)) goto no_room;
     if (!(report->residual <= s->tolerance)) return MODEL_NOT_SOLVED;

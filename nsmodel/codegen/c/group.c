@@ -15,6 +15,7 @@ typedef struct {
     int *slot;
     double *slack, *ds, *dm, *theta, *value, *kept, *along, *safe, *rhs, *dw, *ordered;
     model_ldl factor;
+    char *behind;                 /* the memory from the factor on */
     int close;                    /* the guess solves the group but for some new rows */
     int factorisations;
 } model_group;
@@ -54,6 +55,13 @@ static void set_w(model_group *p)
 {
     memset(p->w, 0, (size_t)DIM*p->n*sizeof *p->w);
     add_transposed(p, p->multiplier, p->w);
+}
+
+/* The factor of the rows that have entered, where the one before was; 0: no memory. */
+static int prepare_factor(model_group *p, model_arena *a)
+{
+    a->next = p->behind;
+    return prepare_ldl(&p->factor, p->n, p->x, p->m, p->first, p->second, p->slot, a);
 }
 
 /* Factor I + G' diag(theta) G. */
@@ -320,8 +328,8 @@ static int enter(model_group *p, double near)
     return p->m - before;
 }
 
-#define LOOKS 2         /* at rows that wait */
-#define FRESH 0.3      /* slack of a row that enters, at least */
+#define LOOKS 2        /* at rows that wait */
+#define FRESH 0.3      /* slack of a row that enters, at least, or the root of mu */
 #define SHORT 0.1      /* a step below this is followed by one to the centre */
 #define STALLED 8      /* iterations that may fail to halve mu near the end */
 #define STEEPEST 1e13  /* largest weight of a row in the normal equations */
@@ -330,7 +338,7 @@ static int enter(model_group *p, double near)
  * reached, -1: no memory. On its way, from `look` on, rows that wait may enter. */
 static int interior(model_group *p, double target, int most, int look, model_arena *a)
 {
-    static const double looks[LOOKS] = {2.0, 1e-3}, nears[LOOKS] = {0.5, 0.05};
+    static const double looks[LOOKS] = {2.0, 1e-2}, nears[LOOKS] = {0.5, 0.05};
     int i, k, m = p->m, n = DIM*p->n, stalled = 0;
     double *s = p->slack, *u = p->multiplier, least = INFINITY, reached = 1.0;
     for (k = 0; k < most; k++) {
@@ -343,15 +351,16 @@ static int interior(model_group *p, double target, int most, int look, model_are
         if (mu <= target && infeasible <= sqrt(target)) return 1;
         if (look < LOOKS && mu < looks[look] && infeasible < 1.0 && p->m < p->most) {
             int entered = enter(p, nears[look++]);
+            double fresh = mu < FRESH*FRESH ? sqrt(mu) : FRESH;
             for (i = m; i < p->m; i++) {
                 double y = row_of(p, p->w, i) + p->b[i];
-                s[i] = y > FRESH ? y : FRESH;
+                s[i] = y > fresh ? y : fresh;
                 u[i] = mu/s[i];
             }
             m = p->m;
             set_w(p);
             for (i = 0; i < m; i++) p->value[i] = row_of(p, p->w, i) + p->b[i] - s[i];
-            if (entered && !prepare_ldl(&p->factor, p->n, p->x, m, p->first, p->second, p->slot, a)) return -1;
+            if (entered && !prepare_factor(p, a)) return -1;
         }
         if (mu < 0.5*least) {
             least = mu;
@@ -418,7 +427,8 @@ static int solve_group(model_group *p, model_arena *a)
     p->rhs = TAKE(double, (size_t)DIM*n);
     p->dw = TAKE(double, (size_t)DIM*n);
     p->ordered = TAKE(double, (size_t)DIM*n);
-    if (a->missing || !prepare_ldl(&p->factor, n, p->x, m, p->first, p->second, p->slot, a)) return -1;
+    p->behind = a->next;
+    if (a->missing || !prepare_factor(p, a)) return -1;
     for (i = 0; i < m; i++) {
         if (!p->acts[i]) p->multiplier[i] = 0.0;
         p->kept[i] = p->multiplier[i];
