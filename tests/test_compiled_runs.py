@@ -19,7 +19,9 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
+import processes
 import pytest
+from processes import kill_when_there
 from test_resume import (
     FEW_ROWS,
     MODELS,
@@ -422,7 +424,6 @@ def test_a_run_is_continued_to_a_later_end_and_a_finished_one_as_it_is(tmp_path,
 
 DRIVER = """
 import sys, time
-sys.path.insert(0, {tests!r})
 import test_resume
 import nsmodel
 from nsmodel.codegen import cache
@@ -436,9 +437,7 @@ print("ready", flush=True)
 
 def start(body, folder):
     """Start a program that runs ``body`` in ``folder``; return it when it is ready."""
-    code = DRIVER.format(tests=str(Path(__file__).parent), flags=QUICK, body=textwrap.dedent(body))
-    environment = os.environ | {"PYTHONPATH": str(Path(nsmodel.__file__).parents[1])}
-    process = subprocess.Popen([sys.executable, "-c", code], cwd=folder, env=environment, stdout=subprocess.PIPE, text=True)
+    process = processes.start(DRIVER.format(flags=QUICK, body=textwrap.dedent(body)), folder)
     assert process.stdout.readline() == "ready\n"
     return process
 
@@ -452,14 +451,7 @@ def test_a_killed_run_is_resumed_to_the_same_bytes(build, tmp_path, whole):
         loop.CHUNK_BYTES = test_resume.FEW_ROWS
         nsmodel.simulate(test_resume.{build.__name__}(), out="run", compiled=True)
     """
-    process, end = start(body, tmp_path), time.monotonic() + 60
-    while not (tmp_path / "run" / "chunk-000002.npz").exists():
-        assert process.poll() is None
-        assert time.monotonic() < end
-        time.sleep(1e-4)
-    process.kill()
-    process.wait()
-    process.stdout.close()
+    kill_when_there(start(body, tmp_path), tmp_path / "run" / "chunk-000002.npz")
     assert not (tmp_path / "run" / "trajectory.npz").exists()
     simulate(build(), out=tmp_path / "run", resume=True)
     assert (tmp_path / "run" / "trajectory.npz").read_bytes() == whole(build)
@@ -656,9 +648,9 @@ def test_a_damaged_library_is_built_again(fresh_cache):
 @compiles
 def test_two_processes_may_build_at_once(fresh_cache, tmp_path):
     body = "print(nsmodel.simulate(test_resume.lure(), compiled=True).metadata['warnings'])"
-    processes = [start(body, tmp_path) for _ in range(2)]
-    assert [process.communicate(timeout=60)[0] for process in processes] == ["[]\n"] * 2
-    assert [process.returncode for process in processes] == [0] * 2
+    both = [start(body, tmp_path) for _ in range(2)]
+    assert [process.communicate(timeout=60)[0] for process in both] == ["[]\n"] * 2
+    assert [process.returncode for process in both] == [0] * 2
     assert 1 <= len(list(fresh_cache.iterdir())) <= 2
     assert all(re.fullmatch(r"[0-9a-f]{24}-[0-9a-f]{24}\.so", path.name) for path in fresh_cache.iterdir())
 
@@ -821,8 +813,9 @@ def test_ctrl_c_on_the_command_line(tmp_path):
         "--save-every",
         "10",
     ]
-    environment = os.environ | {"PYTHONPATH": str(Path(nsmodel.__file__).parents[1])}
-    process = subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command, cwd=tmp_path, env=processes.environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
     end = time.monotonic() + 60
     while not (tmp_path / "run" / "chunk-000001.npz").exists():
         assert time.monotonic() < end

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
 import subprocess
 import sys
-import time
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
+from processes import environment, kill_when_there, start
 
-import nsmodel
 from nsmodel import FrictionOscillator, SweepingProcess, Trajectory, simulate
 from nsmodel.cli import main
 from nsmodel.codegen import cache, library
 from nsmodel.storage import ChunkStore
 
 T, Q2, S = ca.SX.sym("t"), ca.SX.sym("q", 2), ca.SX.sym("s")
-SEARCH = os.pathsep.join([str(Path(nsmodel.__file__).parents[1]), str(Path(__file__).parent)])  # what a new process imports
 
 
 def swinging_wall():
@@ -56,8 +51,9 @@ for steps in (1e5, 1e7):
 @pytest.mark.skipif(library.compiler() is None, reason="no C compiler")
 def test_ten_million_steps_take_no_more_memory_than_a_hundred_thousand(tmp_path):
     """In a process of its own: no drift of the contact, nor of the free direction beyond the rounding of a sum of 10^7 steps."""
-    environment = os.environ | {"PYTHONPATH": SEARCH, "XDG_CACHE_HOME": str(tmp_path)}
-    done = subprocess.run([sys.executable, "-c", LONG], env=environment, capture_output=True, text=True, timeout=100)
+    done = subprocess.run(
+        [sys.executable, "-c", LONG], env=environment(XDG_CACHE_HOME=str(tmp_path)), capture_output=True, text=True, timeout=100
+    )
     assert done.returncode == 0, done.stderr
     short, long = map(json.loads, done.stdout.splitlines())
     assert (long["rows"], long["steps"]) == (1001, 10_000_000)
@@ -119,16 +115,8 @@ def test_kill_9_at_any_moment_leaves_rows_to_read_and_a_run_to_resume(swinging, 
     folder, options = swinging
     rng, out = np.random.default_rng(seed), folder / f"killed {seed}"
     code = COMMAND.format(bytes=1, flags=FLAGS)
-    environment = os.environ | {"PYTHONPATH": SEARCH}
-    process = subprocess.Popen([sys.executable, "-c", code, *options, "--out", out], env=environment)
-    wanted, end = out / f"chunk-{rng.integers(2, 13):06d}.npz", time.monotonic() + 60
-    while not wanted.exists():
-        assert process.poll() is None
-        assert time.monotonic() < end
-        time.sleep(1e-4)
-    time.sleep(rng.uniform(0, 5e-3))
-    process.kill()
-    assert process.wait() == -signal.SIGKILL
+    process = start(code, folder, *options, "--out", str(out))
+    kill_when_there(process, out / f"chunk-{rng.integers(2, 13):06d}.npz", rng.uniform(0, 5e-3))
     whole, chunks = Trajectory.load(folder / "whole" / "trajectory.npz"), ChunkStore.open(out).manifest["chunks"]
     saved = [Trajectory.load(out / chunk["file"]) for chunk in chunks]
     assert len(saved) > 0

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import sys
-import time
-from pathlib import Path
 
 import casadi as ca
 import clarabel
@@ -15,6 +12,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from conftest import SHARED
+from processes import kill_when_there, start
 
 import nsmodel
 from nsmodel import Bodies, Family, Items, ManyBodies, ModelError, StepError, StorageError, Trajectory, UsageError, neighbours
@@ -188,10 +186,10 @@ def test_nobody_overlaps_in_a_crowd(load_case):
     gaps = np.array([all_gaps(x.reshape(-1, 2), r).min() for x in run.x])
     assert gaps.min() >= -1e-10
     places = run.x.reshape(len(run.t), -1, 2)
-    for start, end in model.scene["walls"]:
-        along = end - start
-        part = np.clip((places - start) @ along / (along @ along), 0, 1)
-        assert np.nanmin(np.linalg.norm(places - start - part[..., None] * along, axis=-1) - r) >= -1e-10
+    for a, b in model.scene["walls"]:
+        along = b - a
+        part = np.clip((places - a) @ along / (along @ along), 0, 1)
+        assert np.nanmin(np.linalg.norm(places - a - part[..., None] * along, axis=-1) - r) >= -1e-10
     assert run.residual[1:].max() <= 1e-9
     assert (run.gap_min <= gaps + 1e-14).all()
     assert run.gap_min[4:].max() <= 1e-9  # by then they touch
@@ -488,22 +486,12 @@ def test_a_run_in_chunks_and_a_resumed_run_have_the_same_bytes(tmp_path, whole, 
 
 def test_a_killed_run_is_resumed_to_the_same_bytes(tmp_path, whole):
     code = (
-        f"import sys, time; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
-        "import test_many_bodies as t; t.loop.CHUNK_BYTES = 1\n"
+        "import time, test_many_bodies as t; t.loop.CHUNK_BYTES = 1\n"
         "call = t.BodiesStepper.__call__\n"
         "def slow(*args): time.sleep(1e-3); return call(*args)\n"
         "t.BodiesStepper.__call__ = slow; t.simulate(t.resumable(), out='run')"
     )
-    environment = os.environ | {"PYTHONPATH": str(Path(nsmodel.__file__).parents[1])}
-    process = subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path, env=environment)
-    end = time.monotonic() + 60
-    while not (tmp_path / "run" / "chunk-000002.npz").exists():
-        assert process.poll() is None
-        assert time.monotonic() < end
-        time.sleep(1e-3)
-    process.kill()
-    process.wait()
-    assert process.returncode == -signal.SIGKILL
+    kill_when_there(start(code, tmp_path), tmp_path / "run" / "chunk-000002.npz")
     simulate(resumable(), out=tmp_path / "run", resume=True)
     assert (tmp_path / "run" / "trajectory.npz").read_bytes() == whole
 

@@ -5,15 +5,15 @@ import json
 import os
 import re
 import signal
-import subprocess
 import sys
 import textwrap
 import time
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
+import processes
 import pytest
+from processes import kill_when_there
 
 import nsmodel
 from nsmodel import (
@@ -265,8 +265,6 @@ def slow_down(seconds):
 
 
 DRIVER = """
-import sys
-sys.path.insert(0, {tests!r})
 import test_resume
 test_resume.loop.CHUNK_BYTES = test_resume.FEW_ROWS
 print("ready", flush=True)
@@ -277,9 +275,7 @@ nsmodel = test_resume.nsmodel
 
 def start(body, folder):
     """Start a program that imports this module and runs ``body`` in ``folder``; return it when it is ready."""
-    code = DRIVER.format(tests=str(Path(__file__).parent), body=textwrap.dedent(body))
-    environment = os.environ | {"PYTHONPATH": str(Path(nsmodel.__file__).parents[1])}
-    process = subprocess.Popen([sys.executable, "-c", code], cwd=folder, env=environment, stdout=subprocess.PIPE, text=True)
+    process = processes.start(DRIVER.format(body=textwrap.dedent(body)), folder)
     assert process.stdout.readline() == "ready\n"
     return process
 
@@ -288,16 +284,7 @@ def start(body, folder):
 def test_a_killed_run_is_resumed_to_the_same_bytes(build, tmp_path, whole):
     """Killed after its second chunk, wherever it is then; another process goes on."""
     body = f"test_resume.slow_down(1e-3); nsmodel.simulate(test_resume.{build.__name__}(), out='run')"
-    process = start(body, tmp_path)
-    end = time.monotonic() + 60
-    while not (tmp_path / "run" / "chunk-000002.npz").exists():
-        assert process.poll() is None
-        assert time.monotonic() < end
-        time.sleep(1e-4)
-    process.kill()
-    process.wait()
-    process.stdout.close()
-    assert process.returncode == -signal.SIGKILL
+    kill_when_there(start(body, tmp_path), tmp_path / "run" / "chunk-000002.npz")
     assert not (tmp_path / "run" / "trajectory.npz").exists()
     simulate(build(), out=tmp_path / "run", resume=True)
     assert (tmp_path / "run" / "trajectory.npz").read_bytes() == whole(build)

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import ctypes
-import hashlib
 import platform
-import tempfile
 import time
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.codegen.bodies import item_size, model_source, solver_source
-from nsmodel.codegen.cache import cache_folder
-from nsmodel.codegen.library import compile_library, compiler, no_compiler
+from nsmodel.codegen.cache import kept, key_for
+from nsmodel.codegen.library import compiler, no_compiler
 from nsmodel.errors import CodegenError, StepError
 from nsmodel.model.bodies import ManyBodies
 from nsmodel.scheme.many_bodies import BodiesProblem, searched
@@ -25,29 +22,21 @@ FLAGS = ("-std=c99", "-O3", "-march=native", "-Werror=implicit-function-declarat
 NO_ROOM = 3  # A status in ``c/bodies_header.h``.
 
 
-def library(text: str, part: str) -> ctypes.CDLL:
-    """The compiled ``text``, built once and kept in the user's cache folder.
+def library(text: str, name: str) -> ctypes.CDLL:
+    """The compiled ``text``, built once for this processor and kept in the user's cache folder.
 
     Raises:
         CodegenError: there is no compiler or it fails, or the folder cannot be used.
     """
-    name = compiler()
-    if name is None:
+    by = compiler()
+    if by is None:
         raise no_compiler()
-    folder = cache_folder()
-    key = hashlib.sha256(repr([text, FLAGS, name, platform.machine(), platform.node()]).encode()).hexdigest()[:24]
-    path = folder / f"{part}-{key}.so"
+    key = key_for([text, FLAGS, by, platform.machine(), platform.node()])
+    path = kept(key, lambda: {f"{name}.c": text}, FLAGS)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if not path.exists():
-            with tempfile.TemporaryDirectory(dir=folder, prefix="building-") as place:
-                written, built = Path(place) / f"{part}.c", Path(place) / f"{part}.so"
-                written.write_text(text, encoding="utf-8")
-                compile_library(written, built, FLAGS)
-                built.replace(path)
         return ctypes.CDLL(str(path))
     except OSError as error:
-        raise CodegenError(f"the cache folder {folder} cannot be used ({error}); name another with XDG_CACHE_HOME") from error
+        raise CodegenError(f"the compiled step {path} cannot be loaded ({error})") from error
 
 
 class _Motion(ctypes.Structure):
@@ -71,7 +60,7 @@ class Report(ctypes.Structure):
 
     _fields_ = (
         *((name, ctypes.c_double) for name in ("residual", "gap", "motion", "cutoff")),
-        *((name, ctypes.c_int) for name in ("worst_family", "worst_first", "worst_second", "rows", "entered", "groups", "largest",
+        *((name, ctypes.c_int) for name in ("worst_family", "worst_first", "worst_second", "rows", "groups", "largest",
           "factorisations", "repeats", "by_active_set", "by_interior", "unsettled")),
         *((name, ctypes.c_double) for name in ("search", "assembly", "solve")),
     )  # fmt: skip
@@ -105,7 +94,7 @@ class CompiledStep:
         ], np.uintp)  # fmt: skip
         self._fixed_reach = all(not ca.depends_on(family.reach, model.t) for family in families if searched(family))
         self._q, self._present, self._velocity = np.zeros((n, d)), np.zeros(n, np.uint8), np.zeros((n, d))
-        self._next, self._leaves = np.zeros((n, d)), np.zeros(n, np.uint8)
+        self._next = np.zeros((n, d))
         self._numbers = np.ascontiguousarray(model.bodies.table[:, d:])
         self._farthest = np.full(len(families) + 1, -1.0)
         self._memory = np.empty(4096 * (n + 64), np.uint8)
@@ -117,7 +106,7 @@ class CompiledStep:
         s.q, s.present, s.numbers, s.farthest = map(_at, (self._q, self._present, self._numbers, self._farthest))
         s.velocity = None if isinstance(model.f, ca.SX) else _at(self._velocity)
         s.items, s.over, s.item_count, s.over_count = map(_at, (*self._pointers, *self._counts))
-        s.q_next, s.leaves = _at(self._next), _at(self._leaves)
+        s.q_next = _at(self._next)
         self._reach(0.0)
 
     def _reach(self, t: float) -> None:
@@ -174,11 +163,6 @@ class CompiledStep:
         """The contacts' numbers at an address in the memory of the step."""
         start = address - _at(self._memory)
         return self._memory[start : start + self._motion.contacts_out * np.dtype(kind).itemsize].view(kind)
-
-    @property
-    def leaves(self) -> np.ndarray:
-        """Which bodies leave after the last step (N,); all False where the model has no ``leave``."""
-        return self._leaves.astype(bool)
 
 
 def _at(array: np.ndarray) -> int:

@@ -6,7 +6,7 @@ import hashlib
 import os
 import platform
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -41,17 +41,29 @@ def cached(model: Model, grid: Grid, tolerance: float, compiler: str) -> Path:
     Raises:
         CodegenError: the model has no C counterpart, the compiler fails, or the folder cannot be used.
     """
-    folder, key = cache_folder(), key_of(model, grid, tolerance, compiler)
+
+    def files() -> dict[str, str]:
+        source = write_source(make_scene(model, None, grid, grid.steps is not None, tolerance), NAME, "")
+        return {"rollout.c": source.rollout, f"{NAME}.h": source.header, f"{NAME}.c": source.code}
+
+    return kept(key_of(model, grid, tolerance, compiler), files, FLAGS)
+
+
+def kept(key: str, files: Callable[[], Mapping[str, str]], flags: tuple[str, ...]) -> Path:
+    """The library of a key, whose content must be part of its name; where there is none the first of the files is compiled.
+
+    Raises:
+        CodegenError: the compiler fails, or the folder cannot be used.
+    """
+    folder = cache_folder()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for path in sorted(folder.glob(f"{key}-*.so")):
             if path.name == _name(key, path):
                 return path
             path.unlink()  # cut short, or changed
-        source = write_source(make_scene(model, None, grid, grid.steps is not None, tolerance), NAME, "")
-        files = {f"{NAME}.h": source.header, f"{NAME}.c": source.code, "rollout.c": source.rollout}
         with tempfile.TemporaryDirectory(dir=folder, prefix="building-") as place:
-            return _built(Path(place), files, folder, key)
+            return _built(Path(place), files(), folder, key, flags)
     except OSError as error:
         raise CodegenError(f"the cache folder {folder} cannot be used ({error}); name another with XDG_CACHE_HOME") from error
 
@@ -61,15 +73,20 @@ def key_of(model: Model, grid: Grid, tolerance: float, compiler: str) -> str:
     varies = grid.steps is not None
     endless = grid if varies else replace(grid, last=grid.h)
     made_by = [versions(), _own(), compiler, FLAGS, platform.machine(), platform.system()]
-    return _hash(repr([fingerprint(model, endless), grid.step(0), varies, tolerance, *made_by]).encode())
+    return key_for([fingerprint(model, endless), grid.step(0), varies, tolerance, *made_by])
 
 
-def _built(place: Path, files: Mapping[str, str], folder: Path, key: str) -> Path:
+def key_for(parts: list[object]) -> str:
+    """A hash of what a library is made from."""
+    return _hash(repr(parts).encode())
+
+
+def _built(place: Path, files: Mapping[str, str], folder: Path, key: str, flags: tuple[str, ...]) -> Path:
     """Compile in ``place``; the library appears in ``folder`` whole, whoever else builds the same one."""
     for name, text in files.items():
         (place / name).write_text(text, encoding="utf-8")
-    library = place / f"{NAME}.so"
-    compile_library(place / "rollout.c", library, FLAGS)
+    library = place / "library.so"
+    compile_library(place / next(iter(files)), library, flags)
     return library.replace(folder / _name(key, library))
 
 

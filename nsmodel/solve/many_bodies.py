@@ -105,7 +105,7 @@ class BodiesStepper:
             seconds["search"] += searched_at - start
             seconds["assembly"] += assembled_at - searched_at
             seconds["solve"] += (start := clock()) - assembled_at
-            if moved <= cutoff or not self._searched:
+            if not (moved > cutoff and self._searched):
                 break
             cutoff = WIDE * moved
         residual, worst = certificate(rows, n, hf, found.d, found.m, q[present], self.tolerance)

@@ -513,12 +513,11 @@ static void factor_node(model_ldl *f, int s, double *update, double *spare)
 }
 
 /* Factor A; a pivot that is not positive, by rounding, is taken for infinite. */
-static int factor_ldl(model_ldl *f)
+static void factor_ldl(model_ldl *f)
 {
     int s;
     for (s = 0; s < f->nodes; s++)
         if (f->parent[s] < 0) factor_node(f, s, f->update[0], f->update[1]);
-    return 1;
 }
 
 /* Solves read L once from end to end, which is longer than the processor looks ahead by itself when L is not in its cache: ask

@@ -26,7 +26,7 @@ typedef struct {
 typedef struct {
     double residual, gap, motion, cutoff;
     int worst_family, worst_first, worst_second;
-    int rows, entered, groups, largest, factorisations, repeats;
+    int rows, groups, largest, factorisations, repeats;
     int by_active_set, by_interior, unsettled;
 #if TIMES
     double search, assembly, solve;  /* CPU seconds */
@@ -53,7 +53,7 @@ typedef struct {
     const double *multiplier;
     /* out */
     double *q_next;
-    unsigned char *leaves;         /* (n) */
+    unsigned char *leaves;         /* (n) who leaves after the step; NULL: not asked */
     int contacts_out;              /* as those of the last step; they lie in the memory given */
     int *family_out, *first_out, *second_out;
     double *multiplier_out;
@@ -621,7 +621,7 @@ static int know_contacts(model_work *k, char *begin)
     return 1;
 }
 
-/* The gaps at the new positions, the contacts, who leaves. 0: no memory. */
+/* The gaps at the new positions, the contacts, and who leaves. 0: no memory. */
 static int finish(model_work *k)
 {
     model_motion *s = k->s;
@@ -638,7 +638,7 @@ static int finish(model_work *k)
         if (!(out[0] >= k->report->gap)) k->report->gap = out[0];
     }
     if (!list_contacts(k)) return 0;
-    for (i = 0; i < n; i++) {
+    for (i = 0; i < n && s->leaves; i++) {
         double time = s->t + s->h, value = 0.0;
         if (s->present[i] && s->model->leave) s->model->leave(NULL, &time, s->p, k->records + (size_t)width*i, &value);
         s->leaves[i] = value > 0.0;

@@ -65,7 +65,7 @@ static int prepare_factor(model_group *p, model_arena *a)
 }
 
 /* Factor I + G' diag(theta) G. */
-static int factor_group(model_group *p)
+static void factor_group(model_group *p)
 {
     model_ldl *f = &p->factor;
     const double *theta = p->theta;
@@ -93,7 +93,7 @@ static int factor_group(model_group *p)
                 }
         }
     }
-    return factor_ldl(f);
+    factor_ldl(f);
 }
 
 /* dw := (I + G' Theta G)^-1 rhs */
@@ -371,7 +371,7 @@ static int interior(model_group *p, double target, int most, int look, model_are
             if (!(p->theta[i] < STEEPEST)) p->theta[i] = STEEPEST;
             p->dm[i] = -p->theta[i]*p->value[i];
         }
-        if (!factor_group(p)) return 0;
+        factor_group(p);
         step_of_newton(p);
         for (i = 0; i < m; i++) {
             p->ds[i] = row_of(p, p->dw, i) + p->value[i];
