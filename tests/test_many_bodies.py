@@ -259,6 +259,24 @@ def test_a_reach_that_is_no_sum_is_searched_too():
     assert run.x == pytest.approx(small.x, abs=1e-10)
 
 
+@pytest.mark.parametrize(
+    ("reach", "largest"),
+    [
+        (lambda a, b: ca.if_else(a * b > 3, 3, 0.5), 3),
+        (lambda a, b: ca.if_else(a == b, 3, 0.5), 3),
+        (lambda a, b: ca.fmax(a, b) + ca.fmin(a, b), 4),
+        (lambda a, b: ca.sign(a * b - 3) + 2, 3),
+        (lambda a, b: ca.if_else(a > 1.5, 2 * a, a) + b, 6),
+    ],
+)
+def test_a_reach_with_steps_is_that_of_all_pairs(reach, largest):
+    bodies = Bodies([[0.0, 0], [2, 0], [10, 0], [11.5, 0]], k=[1, 1, 2, 2])
+    i, j = bodies.member("i"), bodies.member("j")
+    pair = Family(ca.norm_2(i.q - j.q) - reach(i.k, j.k), i, j)
+    model = ManyBodies(bodies=bodies, constraints={"pair": pair}, t_end=1, step=0.1)
+    assert BodiesProblem(model.bind()).reach(0, 0.0) == pytest.approx(largest, abs=1e-11)
+
+
 def test_groups_that_do_not_touch_are_solved_apart():
     q0, f = squirt()
     shifts = [np.array([x, 0.0]) for x in (0, 100, 200)]

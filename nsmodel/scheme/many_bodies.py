@@ -19,6 +19,10 @@ from nsmodel.model.bodies import Family, ManyBodies
 BLOCK = 4096  # Members evaluated in one call.
 LARGEST_TABLE = 20_000_000  # Rows that a step evaluates at most.
 SCHEME = "prediction-correction of many bodies (10)"
+STEPS = frozenset({  # Operations with derivative 0 somewhere though their value changes there.
+    ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR,
+    ca.OP_IF_ELSE_ZERO, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN, ca.OP_FMIN, ca.OP_FMAX,
+})  # fmt: skip
 
 
 class Batch:
@@ -195,6 +199,12 @@ def searched(family: Family) -> bool:
     return family.over is None and family.reach is not None
 
 
+def _switches(expr: ca.SX, symbols: list[ca.SX]) -> bool:
+    """Whether an expression has steps, whose derivatives do not show what they depend on."""
+    whole = ca.Function("f", symbols, [expr])
+    return any(whole.instruction_id(k) in STEPS for k in range(whole.n_instructions()))
+
+
 class _Reach:
     """The largest reach of a family's pairs."""
 
@@ -203,7 +213,9 @@ class _Reach:
         self._c = Batch("reach", t, [n, m], ca.SX(family.reach))
         self._fixed = not ca.depends_on(family.reach, t)
         self._numbers = np.unique(numbers, axis=0)
-        self._additive = not n.numel() or ca.jacobian(ca.gradient(family.reach, n), m).nnz() == 0
+        self._additive = not n.numel() or (
+            ca.jacobian(ca.gradient(family.reach, n), m).nnz() == 0 and not _switches(family.reach, [t, n, m])
+        )
         if not self._additive and len(self._numbers) ** 2 > LARGEST_TABLE:
             raise UsageError(
                 f"constraint '{name}': the reach {family.reach} is not a sum of a number of either body, and the numbers of "
