@@ -249,7 +249,7 @@ class BodiesRun(Loop):
         self.warm = BodiesWarm(Contacts(*contacts), saved["moved"])
 
     def _metadata(self, status: str, message: str) -> dict[str, Any]:
-        there = self._present()
+        there = np.isfinite(self.q).all(axis=1)
         return super()._metadata(status, message) | {
             "scheme": self.problem.scheme,
             "tolerance": self.tolerance,

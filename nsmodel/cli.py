@@ -286,6 +286,10 @@ def _run(arguments: argparse.Namespace) -> int:
         raise UsageError("--csv takes one model file; for several give --out DIR and read the trajectory.npz in it")
     if several and arguments.film:
         raise UsageError("--film takes one model file; run them one by one")
+    if arguments.film:
+        from nsmodel.plot.crowd import check_film
+
+        check_film(arguments.film)
     results: list[Result] = []
     for file in arguments.files:
         results.append(_run_file(arguments, file, _folder(arguments, file)))

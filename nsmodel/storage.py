@@ -335,6 +335,8 @@ def _reading(path: Path) -> Iterator[zipfile.ZipFile]:
         raise
     except FileNotFoundError as error:
         raise StorageError(f"{path} does not exist; check the path, or run the model again") from error
+    except IsADirectoryError as error:
+        raise StorageError(f"{path} is a folder; give the file in it, {path / 'trajectory.npz'}") from error
     except MemoryError as error:
         raise StorageError(f"{path} does not fit in memory ({error}); read it with numpy.load, array by array") from error
     except Exception as error:  # damaged bytes make zipfile and numpy raise nearly anything

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import stat
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import REPOSITORY
 from PIL import Image, ImageDraw
 
 from nsmodel import ModelError, Trajectory, UsageError, simulate
+from nsmodel.cli import main
 from nsmodel.crowd import People, Room, arrivals, box, crowd, desired_velocity, disc, measure, place
 from nsmodel.crowd.geometry import distances, sight
 from nsmodel.crowd.people import behind
@@ -19,6 +22,7 @@ from nsmodel.plot import animate, save_all
 from nsmodel.plot import crowd as pictures
 
 DOOR = [(10, 4), (10, 6)]
+HALVES = [[(5, 0), (5, 7)], [(5, 9), (5, 10)]]
 
 
 def hall(**more):
@@ -38,6 +42,26 @@ def two_doors():
         [(0, 1.5), (0, 0)],
     ]
     return Room(walls=walls, exits={"west": [(0, 1.5), (0, 2.5)], "east": [(12, 1.5), (12, 2.5)]})
+
+
+def leaking():
+    """The hall with a gap of 3 cm in a wall, far from its door."""
+    walls = [
+        [(0, 0), (10, 0)],
+        [(0, 10), (10, 10)],
+        [(10, 0), (10, 4)],
+        [(10, 6), (10, 10)],
+        [(0, 0), (0, 5.0)],
+        [(0, 5.03), (0, 10)],
+    ]
+    return Room(walls=walls, exits={"east": DOOR})
+
+
+def courtyard(width):
+    """A room round three sides of a yard, with an exit into it: the other wing begins ``width`` behind the exit."""
+    x = 2 + width
+    corners = [(2, 2), (2, 1), (x, 1), (x, 4), (x + 3, 4), (x + 3, 0), (0, 0), (0, 4), (2, 4), (2, 3.5)]
+    return Room(walls=list(pairwise(corners)), exits={"court": [(2, 2), (2, 3.5)]})
 
 
 def turn(radius, start, centre, end):
@@ -226,28 +250,65 @@ def test_what_is_wrong_with_a_room_is_said(arguments, message):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: Room(walls=[[(0, 0), (1, 0)]], exits={"a": DOOR}).outward, "'a' at .* is outside on both sides"),
-        (lambda: hall(exits={"b": [(5, 7), (5, 9)]}).outward, r"'b' at \(5, 8\) is inside on both sides"),
+        (
+            lambda: Room(walls=[[(0, 0), (1, 0)]], exits={"a": DOOR}).outward,
+            r"'a' ends at \(10, 6\), 10.8 m from the nearest wall",
+        ),
+        (lambda: hall(exits={"east": [(10, 4), (10, 5.98)]}).outward, r"'east' ends at \(10, 5.98\), 0.02 m from"),
+        (
+            lambda: Room(walls=[[(10, 2), (10, 4)], [(10, 6), (10, 8)]], exits={"a": DOOR}).outward,
+            "'a' at .* is outside on both sides",
+        ),
+        (lambda: hall(walls=HALVES, exits={"b": [(5, 7), (5, 9)]}).outward, r"'b' at \(5, 8\) is inside on both sides"),
+        (lambda: hall(exits={"b": [(0, 2), (0, 3)]}).outward, r"'b' lies on the wall from \(0, 10\) to \(0, 0\): leave a gap"),
+        (lambda: Room(walls=None, exits={"a": DOOR}), "walls: None .*expected end points"),
+        (lambda: Room(walls=5, exits={"a": DOOR}), r"walls: shape \(\); expected"),
+        (lambda: hall(obstacles=5), "obstacles: 5 .*expected a list of polygons"),
+        (lambda: Room(exits={1: DOOR}), "exits: 1 .*expected a text"),
+        (lambda: leaking().inside(leaking().grid(0.01)), "at a spacing of 0.01 m the room is open"),
+        (lambda: box(0, 1), r"box: 0 .*expected two corners \(x, y\)"),
+        (lambda: disc((0, np.nan), 1), "disc: centre: nan is not a finite number"),
+        (lambda: disc((0, 0, 0), 1), r"disc: centre \(0, 0, 0\).*expected \(x, y\)"),
         (lambda: desired_velocity(hall(), 1, to="north"), "no exit 'north'; it has east"),
         (lambda: desired_velocity(hall(), 2, to=["east"]), "to: 1 exits; expected one for each of 2"),
         (lambda: desired_velocity(hall(), 1, clearance=1.0), "'east' is 2 m wide; a clearance of 1 m on both sides needs 2.07"),
-        (lambda: desired_velocity(hall(), 1, spacing=0), "spacing: 0; expected a number > 0"),
-        (lambda: desired_velocity(hall(), 2, speed=[1, 2, 3]), r"speed: shape \(3,\); expected one number >= 0 or \(2,\)"),
+        (lambda: desired_velocity(hall(), 1, spacing=0), "spacing: 0 .*expected a number > 0"),
+        (lambda: desired_velocity(hall(), 2, speed=[1, 2, 3]), r"speed: .*shape \(3,\); expected one number >= 0 or \(2,\)"),
+        (lambda: desired_velocity(hall(), 2, speed=-1), "speed: -1 .*expected one number >= 0"),
+        (lambda: desired_velocity(hall(), 1, to=5), "to: 5 .*expected the name of an exit"),
+        (lambda: desired_velocity(hall(), 1, to=()), r"to: \(\) .*expected the name of an exit"),
         (lambda: hall().way_out("north"), "no exit 'north'; it has east"),
-        (lambda: disc((0, 0), -1), "radius -1"),
+        (lambda: disc((0, 0), -1), "radius: -1"),
         (lambda: place(hall(), 2000), "2000 people do not fit: they would cover 320 m2 of 100 m2"),
-        (lambda: place(hall(), 0), "0 people; expected a whole number"),
-        (lambda: place(hall(), 3, radii=(0.3, 0.2)), "radii: .*expected \\(least, largest\\)"),
+        (lambda: place(hall(), 0), "0 .*people; expected a whole number"),
+        (lambda: place(hall(), 3, radii=(0.3, 0.2)), "radii: .*or \\(least, largest\\)"),
+        (lambda: place(hall(), 3, radii=[0.2, 0.2, 0.2]), "radii: .*or \\(least, largest\\)"),
+        (lambda: place(hall(), 5.0), "5.0 .*expected a whole number"),
+        (lambda: place(hall(), 3, seed="a"), "seed: 'a' .*expected a whole number"),
+        (lambda: place(hall(), 3, inside=[(1, 1), (2, np.nan), (1, 2)]), "inside: nan is not a finite number"),
+        (lambda: place(hall(), 3, inside=box((20, 0), (30, 5))), "no place of the room is in the polygon"),
+        (lambda: place(hall(), 3, beside=place(hall(), 2)), "beside: .*expected a list of groups"),
+        (lambda: place(hall(), 3, to=["east"]), "to: 1 exits; expected one for each of 3"),
+        (lambda: arrivals(two_doors(), "east", 1, 5, radii=(0.2, np.nan)), "radii: nan is not a finite number"),
         (lambda: arrivals(hall(), "west", 1, 5), "no exit 'west'; it has east"),
         (lambda: arrivals(hall(), "east", 1, 5), "'east' is the only exit"),
-        (lambda: arrivals(two_doors(), "east", -1, 5), "rate -1, until 5"),
+        (lambda: arrivals(two_doors(), "east", -1, 5), "rate: -1 .*in 1/s"),
         (lambda: arrivals(two_doors(), "east", 1, 5, radii=0.6), "1 m wide, and the largest person 1.2 m"),
         (lambda: arrivals(two_doors(), "east", 1e-3, 1), "nobody comes until 1 s"),
         (lambda: crowd(hall(), t_end=1), "expected groups of people"),
         (lambda: crowd(hall(), People([(1, 1)], 0.2), t_end=1, beyond=-1), "beyond: -1"),
+        (lambda: crowd(None, People([(1, 1)], 0.2), t_end=1), "crowd: None .*expected a Room"),
+        (lambda: crowd(hall(), People([(1, 1)], 0.2), t_end=1, spacing=0.3), "spacing: 0.3; expected at most two thirds"),
+        (lambda: crowd(hall(), People([(12, 1)], 0.2), t_end=1), r"person 0 at \(12, 1\) is outside the room"),
+        (lambda: crowd(hall(obstacles=[box((4, 4), (6, 6))]), People([(5, 5)], 0.2), t_end=1), "person 0 .* is in an obstacle"),
+        (lambda: crowd(courtyard(0.4), People([(1, 3)], 0.2), t_end=1), "exit 'court': the room goes on .* smaller beyond="),
+        (lambda: crowd(courtyard(2.0), People([(1, 3)], 0.2, speed=3), t_end=1, step=1), "or a step of less than 3 m"),
+        (lambda: People(np.zeros((0, 2)), 0.2), r"places: shape \(0, 2\)"),
+        (lambda: People([(1, np.nan)], 0.2), "places: nan is not a finite number"),
+        (lambda: People([(1, 1)], 0.2, speed="fast"), "speed: 'fast' .*expected one number >= 0"),
         (lambda: People([1, 2], 0.2), r"places: shape \(2,\)"),
-        (lambda: People([(1, 2)], [0.2, 0.3]), r"radii: shape \(2,\)"),
-        (lambda: People([(1, 2)], 0.2, speed=[1, 2]), r"speed: shape \(2,\)"),
+        (lambda: People([(1, 2)], [0.2, 0.3]), r"radii: .*shape \(2,\)"),
+        (lambda: People([(1, 2)], 0.2, speed=[1, 2]), r"speed: .*shape \(2,\)"),
     ],
 )
 def test_what_is_wrong_with_people_is_said(call, message):
@@ -304,6 +365,75 @@ def test_people_leave_behind_a_door_and_nowhere_else():
     for place_, out in [((12.4, 2), False), ((12.6, 2), True), ((-0.6, 1.6), True), ((-0.4, 2), False), ((6, 2), False)]:
         assert (float(left(place_)) > 0) == out
     assert float(left((13, 6))) < 0
+
+
+def test_nobody_leaves_who_is_in_another_part_of_the_room():
+    room = courtyard(1.0)
+    run = simulate(crowd(room, People([(3.3, 3.0), (5.5, 3.0), (1.0, 3.0)], 0.2, speed=0.1), t_end=2))
+    assert np.isnan(measure.evacuation_times(run)).all()
+    bent = [(0, 0), (3, 0), (3, 0.5), (3, 2), (3, 2.2), (6, 2.2), (6, 4), (0, 4), (0, 0)]
+    walls = [pair for pair in pairwise(bent) if pair != ((3, 0.5), (3, 2))]
+    room = Room(walls=walls, exits={"door": [(3, 0.5), (3, 2)]})
+    run = simulate(crowd(room, People([(3.9, 2.42), (1, 1)], 0.2, speed=[0, 1]), t_end=5))
+    assert np.isfinite(measure.evacuation_times(run)).tolist() == [False, True]
+
+
+def test_who_moves_far_in_a_step_leaves_all_the_same():
+    run = simulate(crowd(hall(), People([(9, 5), (5, 5)], 0.2, speed=2.0), t_end=8, step=1.0))
+    assert np.isfinite(measure.evacuation_times(run)).all()
+
+
+def test_people_find_a_place_beside_others_that_stay():
+    for seed in range(10):
+        room = Room(walls=[[(0, 0), (6, 0)], [(6, 0), (6, 1.4)], [(6, 2.6), (6, 4)], [(6, 4), (0, 4)], [(0, 4), (0, 0)]],
+                    exits={"door": [(6, 1.4), (6, 2.6)]})  # fmt: skip
+        first = place(room, 25, seed=seed)
+        second = place(room, 25, seed=seed + 100, beside=[first])
+        assert least_gap(People(np.vstack([first.places, second.places]), np.hstack([first.radii, second.radii]))) > 0
+
+
+@pytest.mark.parametrize("x", [9.5, 9.7, 9.8, 9.9])
+def test_a_pillar_before_a_door_is_not_the_room(x):
+    room = hall(obstacles=[disc((x, 5), 0.15)])
+    assert 98 < room.inside(room.grid(0.1)).sum() * 0.01 < 101
+    assert len(place(room, 5)) == 5
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.1, 0.3, 0.785])
+@pytest.mark.parametrize("blurred", [False, True])
+def test_a_turned_floor_plan_is_closed(angle, blurred):
+    fine = 4 if blurred else 1
+    image = Image.new("RGB", (300 * fine, 300 * fine), "white")
+    draw = ImageDraw.Draw(image)
+
+    def turned(*points):
+        x, y = np.array(points, float).T - 150
+        return [
+            tuple(fine * p)
+            for p in np.column_stack([x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)]) + 150
+        ]
+
+    for a, b in pairwise([(60, 60), (240, 60), (240, 240), (60, 240), (60, 60)]):
+        draw.line(turned(a, b), fill="black", width=4 * fine)
+    draw.line(turned((240, 120), (240, 144)), fill="red", width=7 * fine)
+    room = Room.from_picture(np.asarray(image.resize((300, 300), Image.Resampling.BOX)), 0.05)
+    people = place(room, 5)
+    assert len(crowd(room, people, t_end=1).names) == 10
+    width = np.linalg.norm(np.diff(room.exits["exit"][0], axis=0))
+    assert 1.0 < width < 1.5
+    assert np.abs(np.diff(room.exits["exit"][0], axis=0)[0] / width @ [np.cos(angle), -np.sin(angle)]) < 0.2
+
+
+@pytest.mark.parametrize(("wide", "thick"), [(20, 20), (20, 24), (20, 10)])
+@pytest.mark.parametrize("side", ["south", "east"])
+def test_a_door_in_a_thick_wall_goes_from_wall_to_wall(side, wide, thick):
+    pixels = np.full((200, 200, 3), 255)
+    pixels[:thick], pixels[-thick:], pixels[:, :thick], pixels[:, -thick:] = 0, 0, 0, 0
+    patch = (slice(90, 90 + wide), slice(-thick, None))
+    pixels[patch if side == "east" else patch[::-1]] = (255, 0, 0)
+    room = Room.from_picture(pixels, 0.1)
+    assert np.linalg.norm(np.diff(room.exits["exit"][0], axis=0)) == pytest.approx(0.1 * wide)
+    assert np.abs(room.outward[0]) == pytest.approx([0, 1] if side == "south" else [1, 0])
 
 
 @pytest.fixture(scope="module")
@@ -393,6 +523,22 @@ def test_a_passage_that_stops_on_the_line_counts_once_and_specific_flow_is_that_
     assert found.width == 1
 
 
+def test_a_flow_that_rows_do_not_show_is_refused():
+    model = crowd(hall(), place(hall(), 15), t_end=10)
+    every = measure.flow(simulate(model), hall().way_out("east"))
+    assert len(every.times()) == 15
+    few = simulate(model, save_every=5)
+    assert len(measure.flow(few, hall().way_out("east")).times()) == 15
+    fewer = simulate(model, save_every=100)
+    with pytest.raises(UsageError, match=r"people left between two rows, and nobody saw by which way.*save_every"):
+        measure.flow(fewer, hall().way_out("east"))
+
+
+def test_specific_flow_of_people_who_cross_at_once_is_not_a_number():
+    run = simulate(crowd(hall(), People([(9.5, 4.7), (9.5, 5.3)], 0.2), t_end=3))
+    assert np.isnan(measure.flow(run, hall().way_out("east")).specific())
+
+
 def test_maps_agree_with_looking_at_each_cell():
     rng = np.random.default_rng(8)
     q = rng.uniform(0.3, 9.7, (4, 30, 2))
@@ -480,6 +626,35 @@ def test_a_film_has_its_frames_and_leaves_nothing_else(small_run, tmp_path):
         last = np.asarray(film.convert("RGB"), float)
     assert np.abs(first - last).max() > 50
     assert [one.name for one in tmp_path.iterdir()] == ["film.gif"]
+
+
+@pytest.mark.parametrize(("seconds", "fps"), [(3, 15), (2, 30), (1, 50)])
+def test_a_gif_lasts_as_long_as_asked(small_run, tmp_path, seconds, fps):
+    with Image.open(animate(small_run, tmp_path / "film.gif", seconds=seconds, fps=fps)) as film:
+        lasting = 0
+        for k in range(film.n_frames):
+            film.seek(k)
+            lasting += film.info["duration"]
+    assert lasting == 1000 * seconds
+
+
+def test_pictures_of_people_who_never_came(tmp_path):
+    room = two_doors()
+    people = arrivals(room, "west", 1, 20, seed=2)
+    assert people.enter.max() > 4
+    run = simulate(crowd(room, people, t_end=4))
+    pictures.frame(run)
+    pictures.paths(run)
+    pictures.velocity(measure.maps(run, room), run)
+    animate(run, tmp_path / "film.gif", seconds=0.3)
+
+
+def test_a_film_that_cannot_be_written_is_refused_before_the_run(tmp_path, capsys):
+    model = str(REPOSITORY / "cases" / "evacuation.py")
+    assert main(["run", model, "--film", str(tmp_path / "nowhere" / "film.gif")]) == 2
+    assert "nowhere does not exist" in capsys.readouterr().err
+    assert main(["run", model, "--film", str(tmp_path / "film.txt")]) == 2
+    assert "a film ends in .gif or .mp4" in capsys.readouterr().err
 
 
 def test_mp4_goes_through_ffmpeg_or_says_so(small_run, tmp_path, monkeypatch):

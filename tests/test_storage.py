@@ -153,7 +153,7 @@ def test_npz_missing_or_foreign(tmp_path):
     (tmp_path / "text.npz").write_text("t,x\n")
     with pytest.raises(StorageError, match=r"text\.npz is not a whole npz file \(File is not a zip file\): it was cut"):
         read_npz(tmp_path / "text.npz")
-    with pytest.raises(StorageError, match="is not a whole npz file"):
+    with pytest.raises(StorageError, match=r"is a folder; give the file in it, .*trajectory\.npz"):
         read_npz(tmp_path)
 
 

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from nsmodel.crowd.geometry import cross, crossed
+from nsmodel.crowd.given import number, numbers
 from nsmodel.crowd.room import Room
-from nsmodel.errors import UsageError
+from nsmodel.errors import ModelError, UsageError
 from nsmodel.trajectory import Trajectory
 
 CUT_OFF = 1.0  # Nobody takes up more room than a disc of this radius, m.
@@ -77,11 +78,12 @@ class Flow:
         """The specific flow, people a unit of time and width: net crossings in start < t <= end over (end - start) width.
 
         Left out, start and end are the first and the last crossing forward, and the flow is that of the gaps between them,
-        (K - 1)/((t_K - t_1) width); NaN with fewer than two.
+        (K - 1)/((t_K - t_1) width); NaN without a gap.
         """
         if start is None and end is None:
             times = self.times()
-            return (len(times) - 1) / float(times[-1] - times[0]) / self.width if len(times) > 1 else float("nan")
+            gaps = float(times[-1] - times[0]) if len(times) else 0.0
+            return (len(times) - 1) / gaps / self.width if gaps > 0 else float("nan")
         if start is None or end is None or not start < end:
             raise UsageError(f"specific flow from {start} to {end}: expected two times, the first one less")
         return float(self.net(end) - self.net(start)) / (end - start) / self.width
@@ -91,20 +93,40 @@ def flow(run: Trajectory, segments: Any) -> Flow:
     """All crossings of a segment (2, 2), or of several (E, 2, 2), the times between rows interpolated.
 
     For an exit of a room give ``room.way_out(name)``: then forward is out. Who is on the line itself counts as on its right, so
-    that a passage counts once, however rows fall.
+    that a passage counts once, however rows fall. Who comes in by `arrivals` appears inside: that is no passage.
 
     Raises:
-        UsageError: another shape, end points that are equal.
+        UsageError: another shape, end points that are equal; people who were last seen in the room left between two rows.
     """
-    parts = np.asarray(segments, float)
+    expected = "(2, 2) or (E, 2, 2), two different end points each"
+    parts = numbers(segments, "segments", expected, UsageError)
     parts = parts[None] if parts.shape == (2, 2) else parts
-    right = parts.ndim == 3 and parts.shape[1:] == (2, 2) and np.isfinite(parts).all()
-    if not right or (parts[:, 0] == parts[:, 1]).all(axis=1).any():
-        raise UsageError(f"segments: shape {parts.shape}; expected (2, 2) or (E, 2, 2), two different end points each")
+    if parts.ndim != 3 or parts.shape[1:] != (2, 2) or (parts[:, 0] == parts[:, 1]).all(axis=1).any():
+        raise UsageError(f"segments: shape {parts.shape}; expected {expected}")
+    unseen = _left_unseen(run)
+    if unseen:
+        raise UsageError(
+            f"{unseen} people left between two rows, and nobody saw by which way: run again and keep more rows (save_every)"
+        )
     found = [_crossings(run.t, positions(run), a, b) for a, b in parts]
     time, person, forward = (np.concatenate(values) for values in zip(*found, strict=True))
     order = np.argsort(time, kind="stable")
     return Flow(parts, time[order], person[order], forward[order])
+
+
+def _left_unseen(run: Trajectory) -> int:
+    """How many people left whose last place is in the room: none where all steps are kept."""
+    if run.metadata.get("save_every", 1) == 1:
+        return 0
+    try:
+        room = room_of(run)
+        grid = room.grid(0.1)
+        inside = room.inside(grid)
+    except (ModelError, UsageError):  # No room to be in.
+        return 0
+    q = positions(run)
+    row, person = np.nonzero(np.isfinite(q[:-1, :, 0]) & np.isnan(q[1:, :, 0]))
+    return int(inside[grid.nearest(q[row, person])].sum()) if len(row) else 0
 
 
 def _crossings(t: np.ndarray, q: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -161,10 +183,13 @@ def maps(
         cut_off: m.
 
     Raises:
-        UsageError: no row in between; the run knows no exits and no room is given.
+        UsageError: no row in between; the run knows no exits and no room is given; a wrong spacing, cut-off or number of rows.
     """
     from scipy.spatial import cKDTree
 
+    spacing, cut_off = (number(value, name, kind=UsageError) for name, value in (("spacing", spacing), ("cut_off", cut_off)))
+    if not isinstance(most_rows, int) or most_rows < 1:
+        raise UsageError(f"most_rows: {most_rows!r}; expected a whole number >= 1")
     room = room or room_of(run)
     rows = np.flatnonzero((run.t >= start) & (run.t <= end))
     if not rows.size:
@@ -175,7 +200,7 @@ def maps(
     counted = inside | _just_outside(room, everywhere, cut_off)  # Who stands in a door takes up room on both of its sides.
     centres = everywhere[counted]
     pressure = run.arrays.get("pressure")
-    total, visits = np.zeros((len(centres), 4)), np.zeros(len(centres))
+    total, visits, pushed = np.zeros((len(centres), 4)), np.zeros(len(centres)), np.zeros(len(centres))
     for q, velocity, push in _frames(run, rows, pressure):
         if not len(q):
             continue
@@ -183,10 +208,11 @@ def maps(
         near = np.isfinite(away)
         owner = owner[near]
         area = np.bincount(owner, minlength=len(q)) * spacing**2
-        total[near] += np.column_stack([1 / area[owner], velocity[owner], push[owner]])
+        total[near] += np.column_stack([1 / area[owner], velocity[owner], np.nan_to_num(push[owner])])
         visits[near] += 1
-    with np.errstate(invalid="ignore"):
-        mean = total[:, 1:] / np.where(visits > 0, visits, np.nan)[:, None]
+        pushed[near] += np.isfinite(push[owner])  # Who has just come in, and all at the start, have no step behind.
+    count = np.column_stack([visits, visits, pushed])
+    mean = total[:, 1:] / np.where(count > 0, count, np.nan)
     field = np.full((*inside.shape, 4), np.nan)
     field[counted] = np.column_stack([total[:, 0] / len(rows), mean])
     field[~inside] = np.nan
@@ -204,7 +230,7 @@ def _frames(
         if row + 1 < len(q):  # Who just came in has no step behind.
             velocity = np.where(np.isfinite(velocity), velocity, _velocity(run.t, q, row + 1))
         push = np.zeros(q.shape[1]) if pressure is None else pressure[row]
-        yield q[row, here], np.nan_to_num(velocity[here]), np.nan_to_num(push[here])
+        yield q[row, here], np.nan_to_num(velocity[here]), push[here]
 
 
 def _velocity(t: np.ndarray, q: np.ndarray, row: int) -> np.ndarray:

@@ -15,8 +15,10 @@ from typing import Any
 import numpy as np
 
 from nsmodel.crowd.geometry import CHUNK, distances, nearest_points, sight
+from nsmodel.crowd.given import number, numbers
 from nsmodel.crowd.room import Grid, Room
 from nsmodel.errors import ModelError
+from nsmodel.model.base import shown
 
 PIECE = np.pi / 6  # The arc round a corner that one tangent stands for, at most.
 KEEP = 1 / np.cos(PIECE / 2)  # Distance of the corners of the tangents, in clearances.
@@ -102,20 +104,20 @@ def desired_velocity(
         spacing: of the table, m; at most two thirds of the least radius.
 
     Raises:
-        ModelError: an exit that the room does not have, or too narrow for the clearance; a wrong speed, clearance or spacing.
+        ModelError: an exit that the room does not have, or too narrow for the clearance; a wrong wish, speed, clearance or
+            spacing.
     """
-    for name, value in (("clearance", clearance), ("spacing", spacing)):
-        if not (np.isfinite(value) and value > 0):
-            raise ModelError(f"{name}: {value}; expected a number > 0, in metres")
-    speeds = np.asarray(speed, float)
-    if speeds.shape not in ((), (count,)) or not (np.isfinite(speeds) & (speeds >= 0)).all():
-        raise ModelError(f"speed: shape {speeds.shape}; expected one number >= 0 or ({count},), in m/s")
-    wishes = to if isinstance(to, list) else [to] * count
+    clearance, spacing = number(clearance, "clearance"), number(spacing, "spacing")
+    expected = f"one number >= 0 or ({count},), in m/s"
+    speeds = numbers(speed, "speed", expected)
+    if speeds.shape not in ((), (count,)) or (speeds < 0).any():
+        raise ModelError(f"speed: {shown(speed)}, shape {speeds.shape}; expected {expected}")
+    wishes = list(to) if isinstance(to, list | np.ndarray) else [to] * count
     if len(wishes) != count:
         raise ModelError(f"to: {len(wishes)} exits; expected one for each of {count} people")
     wanted = [_named(room, wish) for wish in wishes]
     exits = tuple(dict.fromkeys(wanted)) or (tuple(room.exits),)
-    number = {names: k for k, names in enumerate(exits)}
+    table = {names: k for k, names in enumerate(exits)}
     grid = room.grid(spacing)
     tables = [_table(room, grid, names, clearance) for names in exits]
     return DesiredVelocity(
@@ -123,7 +125,7 @@ def desired_velocity(
         spacing=grid.spacing,
         values=np.stack([directions for directions, _ in tables]),
         distances=np.stack([lengths for _, lengths in tables]),
-        group=np.array([number[names] for names in wanted], np.intp),
+        group=np.array([table[names] for names in wanted], np.intp),
         speed=np.broadcast_to(speeds, count).copy(),
         exits=exits,
         clearance=float(clearance),
@@ -131,7 +133,9 @@ def desired_velocity(
 
 
 def _named(room: Room, to: Any) -> tuple[str, ...]:
-    names = tuple(room.exits) if to is None else (to,) if isinstance(to, str) else tuple(to)
+    if not (to is None or isinstance(to, str) or (isinstance(to, tuple) and to)):
+        raise ModelError(f"to: {shown(to)}; expected the name of an exit, a tuple of names, or None for the nearest exit")
+    names = tuple(room.exits) if to is None else (to,) if isinstance(to, str) else to
     for name in names:
         if name not in room.exits:
             raise ModelError(f"to: the room has no exit '{name}'; it has {', '.join(room.exits)}")
@@ -150,7 +154,7 @@ def _table(room: Room, grid: Grid, names: Sequence[str], clearance: float) -> tu
         name = [name for name in names for _ in room.exits[name]][narrow[0]]
         raise ModelError(
             f"exit '{name}' is {width[narrow[0]]:.3g} m wide; a clearance of {clearance:.3g} m on both sides needs "
-            f"{2 * keep:.3g} m"
+            f"{2 * keep:.3g} m: take smaller people or a smaller clearance=, or name the other exits in to="
         )
     shrink = (keep / width)[:, None] * (doors[:, 1] - doors[:, 0])
     goals = np.stack([doors[:, 0] + shrink, doors[:, 1] - shrink], axis=1)

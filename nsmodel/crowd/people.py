@@ -10,13 +10,15 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.crowd.geometry import closed, contains, crosses_any, nearest_points
-from nsmodel.crowd.paths import KEEP, desired_velocity
-from nsmodel.crowd.room import Room
+from nsmodel.crowd.given import generator, number, numbers, radii_between
+from nsmodel.crowd.paths import KEEP, DesiredVelocity, desired_velocity
+from nsmodel.crowd.room import Room, polygon
 from nsmodel.errors import ModelError
 from nsmodel.model.base import shown
 from nsmodel.model.bodies import Bodies, Family, Items, ManyBodies
 
 ROUNDS = 4000  # Of pushing apart, before `place` gives up.
+WEDGED = 200  # Rounds after which those who still overlap somebody placed before are put elsewhere.
 APART = 1e-3  # What `place` leaves between people, m.
 BEYOND = 1.0  # How deep the place behind a door is in which people are taken away, m.
 
@@ -32,21 +34,21 @@ class People:
     enter: Any = 0.0
 
     def __post_init__(self) -> None:
-        places, radii = np.array(self.places, float), np.array(self.radii, float)
-        if places.ndim != 2 or places.shape[1] != 2:
+        places = numbers(self.places, "places", "(N, 2), in metres")
+        if places.ndim != 2 or places.shape[1] != 2 or not len(places):
             raise ModelError(f"places: shape {places.shape}; expected (N, 2)")
-        radii = np.full(len(places), radii) if radii.ndim == 0 else radii
-        if radii.shape != (len(places),) or not (radii > 0).all():
-            raise ModelError(
-                f"radii: shape {radii.shape}, the least {radii.min(initial=np.inf):g}; expected ({len(places)},), all > 0"
-            )
-        for name, value in (("places", places), ("radii", radii)):
-            object.__setattr__(self, name, value)
-        for name in ("speed", "enter"):
-            value = np.asarray(getattr(self, name), float)
-            if value.shape not in ((), (len(places),)):
-                raise ModelError(f"{name}: shape {value.shape}; expected one number or ({len(places)},), one for each person")
-            object.__setattr__(self, name, np.broadcast_to(value, len(places)).copy())
+        count = len(places)
+        for name, zero in (("radii", False), ("speed", True), ("enter", True)):
+            expected = f"one number {'>=' if zero else '>'} 0, or ({count},), one for each person"
+            value = numbers(getattr(self, name), name, expected)
+            if value.shape not in ((), (count,)) or (value < 0).any() or (not zero and (value == 0).any()):
+                raise ModelError(f"{name}: {shown(getattr(self, name))}, shape {value.shape}; expected {expected}")
+            object.__setattr__(self, name, np.broadcast_to(value, count).copy())
+        object.__setattr__(self, "places", places)
+        if isinstance(self.to, list | np.ndarray):
+            if len(self.to) != count:
+                raise ModelError(f"to: {len(self.to)} exits; expected one for each of {count} people")
+            object.__setattr__(self, "to", list(self.to))
 
     def __len__(self) -> int:
         """Return how many they are."""
@@ -77,24 +79,26 @@ def place(
     """
     from scipy.spatial import cKDTree
 
-    if count < 1 or int(count) != count:
-        raise ModelError(f"place: {count} people; expected a whole number >= 1")
-    low, high = (radii, radii) if np.ndim(radii) == 0 else radii
-    if not 0 < low <= high:
-        raise ModelError(f"radii: {shown(radii)}; expected (least, largest), both > 0")
-    rng = np.random.default_rng(seed)
+    if not isinstance(count, int | np.integer) or count < 1:
+        raise ModelError(f"place: {shown(count)} people; expected a whole number >= 1")
+    if not isinstance(beside, list | tuple) or not all(isinstance(group, People) for group in beside):
+        raise ModelError(f"beside: {shown(beside)}; expected a list of groups of people")
+    low, high = radii_between(radii)
+    rng = generator(seed)
     sizes = rng.uniform(low, high, count)
-    polygon = None if inside is None else np.asarray(inside, float)
+    corners = None if inside is None else polygon(inside, "inside")
     grid = room.grid(min(0.1, low / 2))
     allowed = room.inside(grid)
-    if polygon is not None:
-        allowed &= contains(polygon, grid.nodes.reshape(-1, 2)).reshape(allowed.shape)
+    if corners is not None:
+        allowed &= contains(corners, grid.nodes.reshape(-1, 2)).reshape(allowed.shape)
+        if not allowed.any():
+            raise ModelError("place: no place of the room is in the polygon inside=")
     nodes, walls = grid.nodes[allowed], np.concatenate([room.segments, room.doors])
     fixed = np.concatenate([np.zeros((0, 2)), *(people.places for people in beside)])
     taken = np.concatenate([np.zeros(0), *(people.radii for people in beside)])
     if len(fixed):
         away, who = cKDTree(fixed).query(nodes)
-        nodes = nodes[away > taken[who]]
+        nodes = nodes[away > taken[who] + low]
     area, covered = len(nodes) * grid.spacing**2, np.pi * (sizes**2).sum()
     sizes = np.concatenate([sizes, taken])
     q = None
@@ -102,7 +106,7 @@ def place(
         start = nodes[rng.integers(len(nodes), size=count)]
         moved = start + grid.spacing * rng.uniform(-0.5, 0.5, (count, 2))
         start = np.where(crosses_any(start, moved, walls)[:, None], start, moved)
-        q = _pushed_apart(np.concatenate([start, fixed]), sizes, count, walls, polygon)
+        q = _pushed_apart(np.concatenate([start, fixed]), sizes, count, walls, corners, nodes, rng)
     if q is None:
         raise ModelError(
             f"place: {count} people do not fit: they would cover {covered:.3g} m2 of {area:.3g} m2 "
@@ -114,7 +118,7 @@ def place(
 def arrivals(
     room: Room, door: str, rate: float, until: float, radii: Any = (0.2, 0.25), *, seed: int = 1, to: Any = None, speed: Any = 1.0
 ) -> People:
-    """People who come in through an exit of the room, one after the other.
+    """People who come in through an exit of the room, one after the other: each appears inside, 0.2 m clear of the exit's line.
 
     Args:
         room: the room.
@@ -134,14 +138,13 @@ def arrivals(
     others = tuple(name for name in room.exits if name != door)
     if to is None and not others:
         raise ModelError(f"arrivals: '{door}' is the only exit, and nobody who comes in by it has where to go; name it in to=")
-    if not (np.isfinite(rate) and rate > 0 and np.isfinite(until) and until > 0):
-        raise ModelError(f"arrivals: rate {rate}, until {until}; expected two numbers > 0, in 1/s and s")
-    rng = np.random.default_rng(seed)
+    rate, until = number(rate, "rate", "a number > 0, in 1/s"), number(until, "until", "a number > 0, in s")
+    low, high = radii_between(radii)
+    rng = generator(seed)
     times = np.cumsum(rng.exponential(1 / rate, int(rate * until + 10 * np.sqrt(rate * until) + 20)))
     times = times[times <= until]
     if not times.size:
         raise ModelError(f"arrivals: at {rate:g} a second nobody comes until {until:g} s; take a later time or another seed")
-    low, high = (radii, radii) if np.ndim(radii) == 0 else radii
     sizes, share = rng.uniform(low, high, times.size), rng.uniform(0, 1, times.size)
     of = np.concatenate([np.full(len(value), name == door) for name, value in room.exits.items()])
     doors, outward = room.doors[of], room.outward[of]
@@ -176,27 +179,27 @@ def crowd(
         title: of the run.
 
     Raises:
-        ModelError: nobody, a group with an exit that does not exist, a person that can reach no exit.
+        ModelError: nobody, a group with an exit that does not exist, a person that can reach no exit, no room behind an exit
+            to take people away in.
     """
+    if not isinstance(room, Room):
+        raise ModelError(f"crowd: {shown(room)}; expected a Room")
     if not groups or not all(isinstance(group, People) for group in groups):
         raise ModelError(f"crowd: {shown(groups)}; expected groups of people, from place(room, count)")
     places, radii = (np.concatenate([getattr(group, key) for group in groups]) for key in ("places", "radii"))
     speed, enter = (np.concatenate([getattr(group, key) for group in groups]) for key in ("speed", "enter"))
     to = [wish for group in groups for wish in (group.to if isinstance(group.to, list) else [group.to] * len(group))]
-    desired = desired_velocity(
-        room, len(places), to=to, speed=speed,
-        clearance=float(radii.max()) if clearance is None else clearance,
-        spacing=float(radii.min()) / 2 if spacing is None else spacing,
-    )  # fmt: skip
-    lost = np.flatnonzero(np.isnan(desired.distance(places, desired.group)))
-    if lost.size:
-        at, names = places[lost[0]], desired.exits[desired.group[lost[0]]]
-        raise ModelError(
-            f"person {lost[0]} at ({at[0]:.4g}, {at[1]:.4g}) can reach no exit ({', '.join(names)}): no way there is "
-            f"{2 * KEEP * desired.clearance:.3g} m wide, as a clearance of {desired.clearance:.3g} m needs"
-        )
     people, walls = Bodies(places, r=radii), room.segments
     i, j = people.member("i"), people.member("j")
+    least = float(radii.min())
+    spacing = least / 2 if spacing is None else number(spacing, "spacing")
+    if spacing > 2 / 3 * least:
+        raise ModelError(f"spacing: {spacing:g}; expected at most two thirds of the least radius, {2 / 3 * least:.3g} m")
+    beyond = number(beyond, "beyond", "a number >= 0, in metres", zero=True)
+    clearance = float(radii.max()) if clearance is None else clearance
+    desired = desired_velocity(room, len(places), to=to, speed=speed, clearance=clearance, spacing=spacing)
+    _all_get_out(room, places, desired)
+    leave = behind(room, i.q, beyond, float(speed.max()) * number(step, "step", "a number > 0, in s"))
     families = {"pair": Family(ca.norm_2(i.q - j.q) - i.r - j.r, i, j)}
     if len(walls):
         w = Items(a=walls[:, 0], b=walls[:, 1]).member("w")
@@ -207,7 +210,7 @@ def crowd(
         bodies=people,
         f=desired,
         constraints=families,
-        leave=behind(room, i.q, beyond),
+        leave=leave,
         enter=enter,
         t_end=t_end,
         step=step,
@@ -217,31 +220,69 @@ def crowd(
     )
 
 
-def behind(room: Room, q: ca.SX, beyond: float) -> ca.SX:
-    """An expression > 0 where q is more than ``beyond`` behind an exit, in a place 1 m deep and ``beyond`` wider on each side."""
-    if not (np.isfinite(beyond) and beyond >= 0):
-        raise ModelError(f"beyond: {beyond}; expected a number >= 0, in metres")
+def behind(room: Room, q: ca.SX, beyond: float, stride: float = 0.0) -> ca.SX:
+    """An expression > 0 where q is more than ``beyond`` behind an exit, in a place that holds nothing of the room.
+
+    It is 1 m deep, or two strides, and ``beyond`` wider than the exit on each side, but ends where the room goes on.
+
+    Raises:
+        ModelError: the room goes on less than a stride behind that.
+    """
+    grid = room.grid(0.1)
+    nodes, depth = grid.nodes[room.inside(grid)], max(BEYOND, 2 * stride)
+    names = [name for name, value in room.exits.items() for _ in value]
     found = None
-    for (a, b), normal in zip(room.doors, room.outward, strict=True):
+    for (a, b), normal, name in zip(room.doors, room.outward, names, strict=True):
         width = float(np.linalg.norm(b - a))
-        out, along = ca.dot(ca.DM(normal), q - a), ca.dot(ca.DM((b - a) / width), q - a)
-        sides = ca.fmin(along + beyond, width + beyond - along)
-        here = ca.fmin(ca.fmin(out - beyond, beyond + BEYOND - out), sides)
-        found = here if found is None else ca.fmax(found, here)
+        along = (b - a) / width
+        out, part = (nodes - a) @ normal, (nodes - a) @ along
+        here = (out > beyond - grid.spacing) & (out < beyond + depth + grid.spacing)
+        left, right = (  # As far as the room does not go on beside the exit.
+            min(beyond, float(side[here & (side > 0)].min(initial=np.inf) - grid.spacing)) for side in (-part, part - width)
+        )
+        across = here & (part >= 0) & (part <= width)
+        deep = min(depth, float(out[across].min(initial=np.inf)) - grid.spacing - beyond)
+        if deep < max(stride, grid.spacing):
+            raise ModelError(
+                f"exit '{name}': the room goes on {max(deep + beyond, 0):.3g} m behind it, where people are taken away after "
+                f"{beyond:g} m; take a smaller beyond=" + (f", or a step of less than {stride:.3g} m" if stride else "")
+            )
+        x, y = ca.dot(ca.DM(normal), q - a), ca.dot(ca.DM(along), q - a)
+        this = ca.fmin(ca.fmin(x - beyond, beyond + deep - x), ca.fmin(y + left, width + right - y))
+        found = this if found is None else ca.fmax(found, this)
     return found
 
 
+def _all_get_out(room: Room, places: np.ndarray, desired: DesiredVelocity) -> None:
+    """Refuse a start from which no way leads to an exit that the person may take; the message says why."""
+    lost = np.flatnonzero(np.isnan(desired.distance(places, desired.group)))
+    if not lost.size:
+        return
+    at, names = places[lost[0]], desired.exits[desired.group[lost[0]]]
+    grid, who = room.grid(desired.spacing), f"person {lost[0]} at ({at[0]:.4g}, {at[1]:.4g})"
+    if any(contains(corners, at[None])[0] for corners in room.obstacles):
+        raise ModelError(f"{who} is in an obstacle")
+    if not room.inside(grid)[grid.nearest(at[None])][0]:
+        raise ModelError(f"{who} is outside the room")
+    raise ModelError(
+        f"{who} can reach no exit ({', '.join(names)}): no way there is {2 * KEEP * desired.clearance:.3g} m wide, as a "
+        f"clearance of {desired.clearance:.3g} m needs"
+    )
+
+
 def _pushed_apart(
-    q: np.ndarray, radii: np.ndarray, count: int, walls: np.ndarray, polygon: np.ndarray | None
-) -> np.ndarray | None:
+    q: np.ndarray, radii: np.ndarray, count: int, walls: np.ndarray, polygon: np.ndarray | None, nodes: np.ndarray,
+    rng: np.random.Generator,
+) -> np.ndarray | None:  # fmt: skip
     """Discs moved until none overlaps another or a wall, the first ``count`` of them; None where that fails.
 
     Each overlap pushes both discs apart by half of it and a little more, as Uzawa's iteration does; nobody goes through a wall.
+    Who stays wedged between those that do not move starts again from one of the nodes.
     """
     from scipy.spatial import cKDTree
 
     radii, most = radii + APART, float(radii.min()) / 2
-    for _ in range(ROUNDS):
+    for k in range(1, ROUNDS + 1):
         pairs = cKDTree(q).query_pairs(2 * radii.max() + APART, output_type="ndarray")
         i, j = pairs.T
         gap = q[i] - q[j]
@@ -269,4 +310,7 @@ def _pushed_apart(
             goal[out] = rim[np.arange(len(out)), best]
         stays = crosses_any(q[:count], goal, walls)
         q = np.concatenate([np.where(stays[:, None], q[:count], goal), q[count:]])
+        if k % WEDGED == 0:
+            wedged = np.unique(i[j >= count])
+            q[wedged] = nodes[rng.integers(len(nodes), size=len(wedged))]
     return None

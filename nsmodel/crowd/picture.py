@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.crowd.geometry import closed
+from nsmodel.crowd.geometry import closed, nearest_points
 from nsmodel.errors import ModelError
 from nsmodel.model.base import shown
 
 ALIKE = 60  # Colours are the same where no channel differs by more, of 255.
+BLURRED = 2  # So many pixels between a wall and a door may have a colour in between.
 STRAIGHT = 0.75  # An outline is a straight line where it is this near to one, in pixels.
 
 
@@ -35,7 +36,8 @@ def read(image: Any, pixel: float, walls: Any, exits: Mapping[str, Any]) -> tupl
             raise ModelError(f"no pixel of the picture ({size}) has the colour {colour} of {name}")
     loops = [straightened(loop) for loop in outlines(masks["walls"])]
     found = [closed(loop)[: 1 if len(loop) == 2 else None] for loop in loops]  # A line one pixel thick is one wall.
-    return pixel * np.concatenate(found), {name: pixel * _doors(masks[name]) for name in exits}
+    walls_found = np.concatenate(found)
+    return pixel * walls_found, {name: pixel * _doors(masks[name], masks["walls"], walls_found) for name in exits}
 
 
 def outlines(mask: np.ndarray) -> list[np.ndarray]:
@@ -98,19 +100,27 @@ def straightened(loop: np.ndarray, tolerance: float = STRAIGHT) -> np.ndarray:
     return loop[sorted(kept)]
 
 
-def _doors(mask: np.ndarray) -> np.ndarray:
-    """A segment (E, 2, 2) along the middle of each patch of pixels, as long as the patch."""
-    from scipy.ndimage import label
+def _doors(mask: np.ndarray, wall: np.ndarray, walls: np.ndarray) -> np.ndarray:
+    """A segment (E, 2, 2) along the middle of each patch of pixels, from the wall on one of its sides to that on the other."""
+    from scipy.ndimage import binary_dilation, label
 
     patches = np.asarray(label(mask, np.ones((3, 3)))[0])
+    beside = binary_dilation(wall, np.ones((3, 3)), iterations=BLURRED)
     found = []
     for k in range(1, int(patches.max()) + 1):
-        centres = np.argwhere(patches == k)[:, ::-1] + 0.5
+        centres, touches = (np.argwhere(which)[:, ::-1] + 0.5 for which in (patches == k, (patches == k) & beside))
         middle = centres.mean(axis=0)
         _, axes = np.linalg.eigh(np.cov(centres.T, bias=True).reshape(2, 2))
-        along = axes[:, -1]
-        reach = np.abs((centres - middle) @ along).max() + 0.5 * np.abs(along).max()
-        found.append([middle - reach * along, middle + reach * along])
+        reach = np.abs((centres - middle) @ axes).max(axis=0)
+        # The wall touches the patch at its ends, as far out as the patch goes; beside it, here and there.
+        far = np.abs((touches - middle) @ axes).mean(axis=0) / np.maximum(reach, 0.5) if len(touches) else np.zeros(2)
+        along = axes[:, int(far[1] >= far[0])]
+        half = np.abs((centres - middle) @ along).max() + 0.5 * np.abs(along).max()
+        ends = np.array([middle - half * along, middle + half * along])
+        near = nearest_points(ends, walls)
+        away = np.linalg.norm(near - ends[:, None], axis=2)
+        closest = near[np.arange(2), away.argmin(axis=1)]
+        found.append(np.where((away.min(axis=1) <= BLURRED + 0.5)[:, None], closest, ends))
     return np.array(found)
 
 

@@ -12,11 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nsmodel.crowd import picture
-from nsmodel.crowd.geometry import closed
+from nsmodel.crowd.geometry import closed, contains, distances
+from nsmodel.crowd.given import number, numbers
 from nsmodel.errors import ModelError
 from nsmodel.model.base import shown
 
 MARGIN = 1.0  # What a grid shows of the outside, m.
+TOUCHES = 1e-3  # An exit ends at a wall that is as near as this, m.
+PROBES = np.arange(1, 8) / 8  # Where along an exit both of its sides are looked at.
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +35,7 @@ class Room:
 
     Raises:
         ModelError: a wrong shape, a number that is not finite, a segment without length, no exit; when it is used, an exit
-            with the same room on both of its sides.
+            that leaves a gap to the walls, lies on one, or has the same room on both of its sides.
     """
 
     walls: Any = ()
@@ -42,11 +45,16 @@ class Room:
     def __post_init__(self) -> None:
         if not isinstance(self.exits, Mapping) or not self.exits:
             raise ModelError(f"exits: {shown(self.exits)}; expected a dictionary of at least one, {{name: [(x, y), (x, y)]}}")
-        walls = _segments(self.walls, "walls") if len(self.walls) else np.zeros((0, 2, 2))
-        object.__setattr__(self, "walls", walls)
-        named = {str(name): _segments(value, f"exit '{name}'") for name, value in self.exits.items()}
+        none = isinstance(self.walls, list | tuple | np.ndarray) and not len(self.walls)
+        object.__setattr__(self, "walls", np.zeros((0, 2, 2)) if none else _segments(self.walls, "walls"))
+        for name in self.exits:
+            if not isinstance(name, str):
+                raise ModelError(f"exits: {shown(name)} names one; expected a text")
+        named = {name: _segments(value, f"exit '{name}'") for name, value in self.exits.items()}
         object.__setattr__(self, "exits", MappingProxyType(named))
-        polygons = tuple(_polygon(value, f"obstacles[{k}]") for k, value in enumerate(self.obstacles))
+        if not isinstance(self.obstacles, list | tuple | np.ndarray):
+            raise ModelError(f"obstacles: {shown(self.obstacles)}; expected a list of polygons, each (P, 2)")
+        polygons = tuple(polygon(value, f"obstacles[{k}]") for k, value in enumerate(self.obstacles))
         object.__setattr__(self, "obstacles", polygons)
 
     @classmethod
@@ -91,16 +99,44 @@ class Room:
         """The unit normal (E, 2) that leads out through each of `doors`."""
         along = self.doors[:, 1] - self.doors[:, 0]
         normals = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
-        grid, names = self.grid(0.1), [name for name, value in self.exits.items() for _ in value]
-        for k, (middle, normal) in enumerate(zip(self.doors.mean(axis=1), normals, strict=True)):
-            sides = grid.outside[grid.nearest(middle + 2 * grid.spacing * np.outer([1, -1], normal))]
+        names = [name for name, value in self.exits.items() for _ in value]
+        for k, name in enumerate(names):
+            self._check_door(k, name)
+        grid = self.grid(0.1)
+        for k, (probes, normal) in enumerate(zip(self._probes, normals, strict=True)):
+            step = 2 * grid.spacing * normal
+            sides = [grid.outside[grid.nearest(probes + sign * step)].mean() > 0.5 for sign in (1, -1)]
             if sides[0] == sides[1]:
-                what = "outside" if sides[0] else "inside"
+                what, middle = "outside" if sides[0] else "inside", self.doors[k].mean(axis=0)
                 raise ModelError(
                     f"exit '{names[k]}' at {_at(middle)} is {what} on both sides: walls and exits must enclose the room"
                 )
             normals[k] = normal if sides[0] else -normal
         return normals
+
+    def _check_door(self, k: int, name: str) -> None:
+        """Refuse an exit that lies on a wall, or ends beside one."""
+        (a, b), others = self.doors[k], np.concatenate([self.segments, np.delete(self.doors, k, axis=0)])
+        for wall in self.walls:
+            if (distances(a + np.array([[0.25], [0.5], [0.75]]) * (b - a), wall[None]) < 1e-9 * np.abs(self.box).max()).all():
+                raise ModelError(f"exit '{name}' lies on the wall from {_at(wall[0])} to {_at(wall[1])}: leave a gap there")
+        away = distances(np.array([a, b]), others)
+        if away.max() > TOUCHES:
+            end = (a, b)[away.argmax()]
+            raise ModelError(
+                f"exit '{name}' ends at {_at(end)}, {away.max():.3g} m from the nearest wall: walls and exits must enclose the "
+                "room"
+            )
+
+    @cached_property
+    def _probes(self) -> list[np.ndarray]:
+        """Places along each of `doors`, but for those that obstacles cover."""
+        found = []
+        for a, b in self.doors:
+            along = a + PROBES[:, None] * (b - a)
+            free = ~np.any([np.zeros(len(along), bool), *(contains(corners, along) for corners in self.obstacles)], axis=0)
+            found.append(along[free] if free.any() else along)
+        return found
 
     def way_out(self, name: str) -> np.ndarray:
         """The segments (E, 2, 2) of an exit, each with the inside on its left and the outside on its right."""
@@ -117,9 +153,21 @@ class Room:
         return _grid(self, float(spacing))
 
     def inside(self, grid: Grid) -> np.ndarray:
-        """The nodes (ny, nx) of the parts that an exit leads out of."""
-        middle, step = self.doors.mean(axis=1), 2 * grid.spacing
-        return np.isin(grid.label, grid.label[grid.nearest(middle - step * self.outward)]) & ~grid.outside
+        """The nodes (ny, nx) of the parts that an exit leads out of.
+
+        Raises:
+            ModelError: walls and exits leave a gap that shows at this spacing.
+        """
+        step = 2 * grid.spacing * self.outward
+        probes = np.concatenate([places - own for places, own in zip(self._probes, step, strict=True)])
+        behind = ~np.any([np.zeros(len(probes), bool), *(contains(corners, probes) for corners in self.obstacles)], axis=0)
+        labels = grid.label[grid.nearest(probes[behind] if behind.any() else probes)]
+        if (labels == grid.label[0, 0]).all():
+            raise ModelError(
+                f"at a spacing of {grid.spacing:.3g} m the room is open: there is a gap as small in its walls; walls and exits "
+                "must enclose it"
+            )
+        return np.isin(grid.label, labels) & ~grid.outside
 
 
 class Grid(NamedTuple):
@@ -152,15 +200,19 @@ class Grid(NamedTuple):
 
 def disc(centre: Any, radius: float, corners: int = 24) -> np.ndarray:
     """A pillar as a polygon (corners, 2) around the disc, touching it."""
-    if not radius > 0 or corners < 3:
-        raise ModelError(f"disc: radius {radius}, {corners} corners; expected a radius > 0 and at least 3 corners")
+    radius, middle = number(radius, "disc: radius"), numbers(centre, "disc: centre", "two numbers (x, y)")
+    if middle.shape != (2,) or not isinstance(corners, int) or corners < 3:
+        raise ModelError(f"disc: centre {shown(centre)}, {corners} corners; expected (x, y), and at least 3 corners")
     angle = 2 * np.pi * (np.arange(corners) + 0.5) / corners
-    return np.asarray(centre, float) + radius / np.cos(np.pi / corners) * np.column_stack([np.cos(angle), np.sin(angle)])
+    return middle + radius / np.cos(np.pi / corners) * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 def box(low: Any, high: Any) -> np.ndarray:
     """A rectangle as a polygon (4, 2), from its lower left and its upper right corner."""
-    (x, y), (right, top) = low, high
+    corners = [numbers(corner, "box", "two corners (x, y)") for corner in (low, high)]
+    if corners[0].shape != (2,) or corners[1].shape != (2,):
+        raise ModelError(f"box: {shown(low)}, {shown(high)}; expected two corners (x, y)")
+    (x, y), (right, top) = corners
     return np.array([(x, y), (right, y), (right, top), (x, top)], float)
 
 
@@ -196,7 +248,7 @@ def _cut(joined: np.ndarray, ends: np.ndarray) -> None:
 
 
 def _segments(value: Any, label: str) -> np.ndarray:
-    array = _numbers(value, label)
+    array = numbers(value, label, "end points (x, y), (2, 2) or (W, 2, 2)")
     array = array[None] if array.shape == (2, 2) else array
     if array.ndim != 3 or array.shape[1:] != (2, 2) or not len(array):
         raise ModelError(f"{label}: shape {np.shape(value)}; expected (2, 2), two end points, or (W, 2, 2)")
@@ -206,22 +258,12 @@ def _segments(value: Any, label: str) -> np.ndarray:
     return array
 
 
-def _polygon(value: Any, label: str) -> np.ndarray:
-    array = _numbers(value, label)
+def polygon(value: Any, label: str) -> np.ndarray:
+    """The corners (P, 2) of a polygon, the first one not repeated."""
+    array = numbers(value, label, "corners (x, y), (P, 2)")
     if array.ndim != 2 or array.shape[1:] != (2,) or len(array) < 3:
         raise ModelError(f"{label}: shape {array.shape}; expected (P, 2), at least three corners")
     return array[:-1] if (array[0] == array[-1]).all() else array
-
-
-def _numbers(value: Any, label: str) -> np.ndarray:
-    try:
-        array = np.array(value, float)
-    except (TypeError, ValueError):
-        raise ModelError(f"{label}: {shown(value)}; expected numbers, pairs (x, y)") from None
-    if not np.isfinite(array).all():
-        raise ModelError(f"{label}: {array[~np.isfinite(array)][0]} is not a finite number")
-    array.setflags(write=False)
-    return array
 
 
 def _at(point: np.ndarray) -> str:

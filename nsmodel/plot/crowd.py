@@ -26,6 +26,7 @@ CALM = "#B9CDE0"  # A disc of a run that knows no pressure.
 DOOR = "#009E73"
 TOP = 99.5  # The colour scale of pressure ends at this percentile of those pressed.
 THICKEST = 4.0  # Line of a contact at the end of the scale, points.
+FASTEST = 50  # Frames a second that a GIF is shown with.
 LONGEST = 20.0  # A film left to itself lasts no longer, s.
 
 
@@ -276,26 +277,38 @@ def animate(
         dpi: pixels an inch.
 
     Raises:
-        PlotError: another ending, a length or rate that is not > 0, a run without radii.
+        PlotError: another ending, no such folder, a length or rate that is not > 0, a run without radii.
         MissingExtraError: MP4 without ffmpeg.
     """
-    path, span = Path(path), float(run.t[-1] - run.t[0])
+    path, span = check_film(path), float(run.t[-1] - run.t[0])
     seconds = min(span, LONGEST) if seconds is None else seconds
     for name, value in (("seconds", seconds), ("fps", fps), ("dpi", dpi)):
         if not (np.isfinite(value) and value > 0):
             raise PlotError(f"{name}: {value}; expected a number > 0")
-    write = {".gif": _write_gif, ".mp4": _write_mp4}.get(path.suffix.lower())
-    if write is None:
-        raise PlotError(f"{path.name}: a film ends in .gif or .mp4")
+    write = {".gif": _write_gif, ".mp4": _write_mp4}[path.suffix.lower()]
+    if write is _write_gif and fps > FASTEST:
+        raise PlotError(f"fps: {fps}; a GIF shows at most {FASTEST} frames a second")
     count = max(2, round(seconds * fps))
     rows = np.searchsorted(run.t, np.linspace(run.t[0], run.t[-1], count) + 1e-9 * span, side="right") - 1
     pictures = _frames(run, rows, f"   {span / seconds:.3g} times as fast" * (abs(span / seconds - 1) > 0.01), scale, size, dpi)
     part = path.with_name(f".{path.stem}.part{path.suffix}")
     try:
-        write(part, pictures, fps)
+        write(part, pictures, count, fps)
         os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)
+    return path
+
+
+def check_film(path: str | Path) -> Path:
+    """The path of a film; PlotError where none can be written there, MissingExtraError for MP4 without ffmpeg."""
+    path = Path(path)
+    if path.suffix.lower() not in (".gif", ".mp4"):
+        raise PlotError(f"{path.name}: a film ends in .gif or .mp4")
+    if not path.parent.is_dir():
+        raise PlotError(f"{path}: the folder {path.parent} does not exist")
+    if path.suffix.lower() == ".mp4":
+        _ffmpeg()
     return path
 
 
@@ -328,7 +341,7 @@ def _frames(
         yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-def _write_gif(path: Path, pictures: Iterator[np.ndarray], fps: float) -> None:
+def _write_gif(path: Path, pictures: Iterator[np.ndarray], count: int, fps: float) -> None:
     """One palette for all frames, so that nothing flickers: that of the first one and of all pressures."""
     from matplotlib import colormaps
     from PIL import Image
@@ -340,14 +353,19 @@ def _write_gif(path: Path, pictures: Iterator[np.ndarray], fps: float) -> None:
     first = Image.fromarray(start)
     coded = (Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures)
     first = first.quantize(palette=palette, dither=Image.Dither.NONE)
-    first.save(path, save_all=True, append_images=coded, duration=round(1000 / fps), loop=0)
+    ends = np.round(np.arange(count + 1) * 100 / fps).astype(int) * 10  # A GIF counts in hundredths of a second.
+    first.save(path, save_all=True, append_images=coded, duration=np.diff(ends).tolist(), loop=0)
 
 
-def _write_mp4(path: Path, pictures: Iterator[np.ndarray], fps: float) -> None:
+def _ffmpeg() -> str:
     program = shutil.which("ffmpeg")
     if program is None:
         raise MissingExtraError("MP4 needs the program ffmpeg, which is not found; install it, or write a .gif")
-    first = next(pictures)
+    return program
+
+
+def _write_mp4(path: Path, pictures: Iterator[np.ndarray], _: int, fps: float) -> None:
+    program, first = _ffmpeg(), next(pictures)
     height, width = (n - n % 2 for n in first.shape[:2])  # The usual coding of colours wants even numbers.
     given = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{fps}", "-i", "-"]
     command = [program, "-y", "-loglevel", "error", *given, "-pix_fmt", "yuv420p", "-f", "mp4", str(path)]
@@ -377,8 +395,9 @@ def _fit(ax: Axes, run: Trajectory) -> None:
     scene, q = _scene(run), positions(run)
     fixed = [np.reshape(scene.get(key, []), (-1, 2)) for key in ("walls", "exits")]
     points = np.concatenate([*fixed, q[np.isfinite(q[..., 0]).argmax(axis=0), np.arange(q.shape[1])]])
-    margin = 0.03 * float(np.ptp(points, axis=0).max()) + 2 * max(scene["radii"])
-    low, high = np.nanmin(points, axis=0) - margin, np.nanmax(points, axis=0) + margin
+    points = points[np.isfinite(points[:, 0])]  # Who never came has no start.
+    margin = 0.03 * float(np.ptp(points, axis=0).max(initial=0.0)) + 2 * max(scene["radii"])
+    low, high = (points.min(axis=0) - margin, points.max(axis=0) + margin) if len(points) else (np.zeros(2), np.ones(2))
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
 
 
