@@ -45,6 +45,26 @@ def test_each_step_is_optimal_for_all_constraints(d, seed):
     assert acted > {1: 0, 2: 5, 3: 5}[d]
 
 
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_bodies_of_all_sizes_meet(d):
+    rng = np.random.default_rng(d)
+    places, radii = [np.zeros(d)], [2.0]
+    while len(places) < {1: 25, 2: 150, 3: 150}[d]:
+        q, r = rng.uniform(-6, 6, d), 10 ** rng.uniform(-3, -0.3)
+        if all(np.linalg.norm(q - p) > r + s for p, s in zip(places, radii, strict=True)):
+            places.append(q)
+            radii.append(r)
+    model = discs(np.array(places), np.array(radii), f=lambda t, q: -q, step=0.05)
+    sizes = set()
+    for k, (q, found) in enumerate(steps(model, 30)):
+        assert misfit(model, k * model.step, q, found) < 1e-11
+        sizes |= {
+            (min(radii[i], radii[j]) < 0.01, max(radii[i], radii[j]) > 1) for i, j in zip(*found.contacts[1:3], strict=True)
+        }
+    assert (True, True) in sizes or d == 1
+    assert (True, False) in sizes or d == 3
+
+
 def test_a_step_agrees_with_the_interpreted_one_and_repeats():
     model = scattered(80, 3, step=0.05)
     interpreted = BodiesStepper(BodiesProblem(model.bind()), "auto", 1e-9)

@@ -233,8 +233,9 @@ def test_a_fast_body_meets_one_beyond_the_first_cut_off():
 
 def test_the_search_finds_the_pairs_that_brute_force_finds():
     rng = np.random.default_rng(0)
-    for d in (1, 2, 3):
-        q, r = rng.uniform(-3, 3, (40, d)), rng.uniform(0.01, 0.3, 40)
+    for d, alike in [(1, True), (2, True), (3, True), (1, False), (2, False), (3, False)]:
+        q, r = rng.uniform(-3, 3, (40, d)), rng.uniform(0.01, 0.3, 40) if alike else 10 ** rng.uniform(-4, 0.5, 40)
+        q[5] = q[3]
         problem = BodiesProblem(discs(q, r).bind())
         there = rng.random(40) < 0.8
         rows = near(problem, 0.0, q, there, 0.5)

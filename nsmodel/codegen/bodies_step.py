@@ -46,7 +46,7 @@ class _Motion(ctypes.Structure):
         (name, kind)
         for kind, names in (
             (ctypes.c_void_p, "model"), (ctypes.c_double, "t h tolerance"), (ctypes.c_int, "n"),
-            (ctypes.c_void_p, "q present velocity numbers items item_count over over_count farthest p"),
+            (ctypes.c_void_p, "q present velocity numbers items item_count over over_count farthest halves p"),
             (ctypes.c_double, "motion"), (ctypes.c_int, "contacts"),
             (ctypes.c_void_p, "family first second multiplier q_next leaves"), (ctypes.c_int, "contacts_out"),
             (ctypes.c_void_p, "family_out first_out second_out multiplier_out"),
@@ -96,7 +96,8 @@ class CompiledStep:
         self._q, self._present, self._velocity = np.zeros((n, d)), np.zeros(n, np.uint8), np.zeros((n, d))
         self._next = np.zeros((n, d))
         self._numbers = np.ascontiguousarray(model.bodies.table[:, d:])
-        self._farthest = np.full(len(families) + 1, -1.0)
+        self._farthest, self._halves = np.full(len(families) + 1, -1.0), np.zeros((len(families), n))
+        self._shares = np.array([_at(row) for row in self._halves], np.uintp)
         self._memory = np.empty(4096 * (n + 64), np.uint8)
         self._missing, self.report = ctypes.c_size_t(0), Report()
         self.seconds = {"search": 0.0, "assembly": 0.0, "solve": 0.0}
@@ -106,13 +107,14 @@ class CompiledStep:
         s.q, s.present, s.numbers, s.farthest = map(_at, (self._q, self._present, self._numbers, self._farthest))
         s.velocity = None if isinstance(model.f, ca.SX) else _at(self._velocity)
         s.items, s.over, s.item_count, s.over_count = map(_at, (*self._pointers, *self._counts))
-        s.q_next = _at(self._next)
+        s.q_next, s.halves = _at(self._next), _at(self._shares)
         self._reach(0.0)
 
     def _reach(self, t: float) -> None:
         for k, family in enumerate(self.problem.families):
             if searched(family):
                 self._farthest[k] = max(self.problem.reach(k, t), 0.0)
+                self._halves[k] = np.maximum(self.problem.halves(k, t), 0.0)
 
     def __call__(
         self, t: float, h: float, q: np.ndarray, present: np.ndarray, warm: BodiesWarm = COLD, k: int = 0

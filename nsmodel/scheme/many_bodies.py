@@ -188,6 +188,10 @@ class BodiesProblem:
         """The largest c of g = |q_i - q_j| - c."""
         return self._reach[family].largest(t)
 
+    def halves(self, family: int, t: float) -> np.ndarray:
+        """Numbers (N,) with c_ij <= half_i + half_j for each pair."""
+        return self._reach[family].halves(t)
+
     def name(self, family: int, first: int, second: int) -> str:
         """What the user calls a constraint: "pair 3-7", "wall 12-0"; as in ``ManyBodies.written_out``."""
         name = self.names[family]
@@ -206,13 +210,13 @@ def _switches(expr: ca.SX, symbols: list[ca.SX]) -> bool:
 
 
 class _Reach:
-    """The largest reach of a family's pairs."""
+    """How far the pairs of a family reach: the largest c, and a share of it for each body."""
 
     def __init__(self, family: Family, t: ca.SX, numbers: np.ndarray, name: str) -> None:
         n, m = (member.symbols[member.q.numel() :] for member in (family.first, family.second))
         self._c = Batch("reach", t, [n, m], ca.SX(family.reach))
         self._fixed = not ca.depends_on(family.reach, t)
-        self._numbers = np.unique(numbers, axis=0)
+        self._numbers, self._kind = np.unique(numbers, axis=0, return_inverse=True)
         self._additive = not n.numel() or (
             ca.jacobian(ca.gradient(family.reach, n), m).nnz() == 0 and not _switches(family.reach, [t, n, m])
         )
@@ -221,15 +225,23 @@ class _Reach:
                 f"constraint '{name}': the reach {family.reach} is not a sum of a number of either body, and the numbers of "
                 f"{len(self._numbers)} bodies differ: too many to compare all; round them, or write the reach as a sum"
             )
-        self._value = self._compute(0.0) if self._fixed else np.nan
+        self._values = self._compute(0.0) if self._fixed else None
 
     def largest(self, t: float) -> float:
-        return self._value if self._fixed else self._compute(t)
+        """The largest c."""
+        return (self._values or self._compute(t))[0]
 
-    def _compute(self, t: float) -> float:
+    def halves(self, t: float) -> np.ndarray:
+        """The shares (N,)."""
+        return (self._values or self._compute(t))[1]
+
+    def _compute(self, t: float) -> tuple[float, np.ndarray]:
         u = self._numbers
         if self._additive:  # c(a, b) = c(a, e) + c(e, b) - c(e, e)
             e = np.repeat(u[:1], len(u), axis=0)
-            one, other = self._c(t, u, e), self._c(t, e, u)
-            return float(one.max() + other.max() - one[0, 0]) + 1e-12 * float(np.abs(one).max() + np.abs(other).max())
-        return max(float(self._c(t, np.repeat(u[k : k + 1], len(u), axis=0), u).max()) for k in range(len(u)))
+            one, other = self._c(t, u, e)[:, 0], self._c(t, e, u)[:, 0]
+            round_off = 1e-12 * float(np.abs(one).max() + np.abs(other).max())
+            share = np.maximum(one, other) - one[0] / 2 + round_off / 2
+            return float(one.max() + other.max() - one[0]) + round_off, share[self._kind.ravel()]
+        largest = max(float(self._c(t, np.repeat(u[k : k + 1], len(u), axis=0), u).max()) for k in range(len(u)))
+        return largest, np.full(len(self._kind), largest / 2)

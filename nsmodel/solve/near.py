@@ -46,34 +46,44 @@ def least_gap(problem: BodiesProblem, t: float, q: np.ndarray, present: np.ndarr
             first, second = _all(problem, family, present)
             least = min(least, problem.gap(family, t, q, first, second).min(initial=np.inf))
         elif there.size > 1:
-            tree = _tree(q[there])
-            distance, nearest = tree.query(q[there], 2)
+            distance, nearest = _tree(q[there]).query(q[there], 2)
             one = int(distance[:, 1].argmin())
             pair = np.sort(there[[one, nearest[one, 1] if nearest[one, 1] != one else nearest[one, 0]]])[None, :]
             bound = float(problem.gap(family, t, q, pair[:, 0], pair[:, 1])[0])
-            first, second = _close(tree, there, problem.reach(family, t) + bound)
+            first, second = _near_pairs(problem, family, t, q, present, bound)
             least = min(least, bound, problem.gap(family, t, q, first, second).min(initial=np.inf))
     return float(least)
 
 
 def _near_pairs(problem: BodiesProblem, family: int, t: float, q: np.ndarray, present: np.ndarray, cutoff: float) -> Members:
+    """The pairs i < j no farther apart than their reach and the cut-off, and a few more, sorted.
+
+    Bodies are searched by classes of their shares of it, each up to twice the one before: a large one costs no more than those
+    around it.
+    """
     there = np.flatnonzero(present)
-    if there.size < 2:
+    size = (problem.halves(family, t)[there] + cutoff / 2) * (1 + 1e-12) if there.size > 1 else np.zeros(0)
+    if not size.size or size.max() <= 0:
         return np.zeros(0, int), np.zeros(0, int)
-    return _close(_tree(q[there]), there, problem.reach(family, t) + cutoff)
+    size = np.maximum(size, 1e-6 * size.max())
+    kind = np.floor(np.log2(size / size.min())).astype(int)
+    groups = [(np.flatnonzero(kind == k), float(size[kind == k].max())) for k in np.unique(kind)]
+    trees = [_tree(q[there[own]]) for own, _ in groups]
+    found = [np.zeros((0, 2), int)]
+    for k, (own, far) in enumerate(groups):
+        found.append(there[own[trees[k].query_pairs(2 * far, output_type="ndarray")]])
+        for m in range(k):
+            table = trees[k].sparse_distance_matrix(trees[m], far + groups[m][1], output_type="ndarray")
+            found.append(np.column_stack([there[own[table["i"]]], there[groups[m][0][table["j"]]]]))
+    pairs = np.sort(np.concatenate(found), axis=1)
+    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+    return pairs[:, 0], pairs[:, 1]
 
 
 def _tree(q: np.ndarray) -> Any:
     from scipy.spatial import cKDTree
 
     return cKDTree(q)
-
-
-def _close(tree: Any, there: np.ndarray, radius: float) -> Members:
-    """The pairs i < j within a radius, sorted."""
-    pairs = tree.query_pairs(radius * (1 + 1e-12), output_type="ndarray") if radius >= 0 else np.zeros((0, 2), int)
-    pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-    return there[pairs[:, 0]], there[pairs[:, 1]]
 
 
 def _all(problem: BodiesProblem, family: int, present: np.ndarray) -> Members:

@@ -46,6 +46,7 @@ typedef struct {
     const int *const *over;        /* for each family, the pairs it runs over (2 each), or NULL: all */
     const int *over_count;
     const double *farthest;        /* for each family the largest c of g = |q_i - q_j| - c; negative: another kind */
+    const double *const *halves;   /* for each such family (n) numbers with c_ij <= half_i + half_j; NULL: half the largest c */
     const double *p;
     double motion;                 /* the largest |d_i| of the last step; 0: unknown */
     int contacts;                  /* of the last step: rows with m > 0 */
@@ -106,9 +107,12 @@ static int consider(const model_motion *s, model_rows *rows, int family, int i, 
     return 1;
 }
 
-/* Pairs of present bodies no farther apart than `far`, by cells; each is considered once, i < j. */
-static int search_pairs(const model_motion *s, model_rows *rows, int family, const double *records, double far, double motion,
-                        model_arena *a, model_report *report)
+#define SIZES 12 /* sizes of bodies that are searched apart, each class up to twice as large as the one before */
+
+/* Pairs of a body of one kind of size and one of another, or of the same, no farther apart than their sizes, by cells. */
+static int search_between(const model_motion *s, model_rows *rows, int family, const double *records, const double *size,
+                          const signed char *kind, int small, int large, double far, double motion, model_arena *a,
+                          model_report *report)
 {
     int n = s->n, i, k, e, count = 0, cells = 1, shape[3] = {1, 1, 1};
     const size_t record = s->model->record;
@@ -116,7 +120,7 @@ static int search_pairs(const model_motion *s, model_rows *rows, int family, con
     int *cell = TAKE(int, n), *start, *inside = TAKE(int, n);
     if (a->missing) return 1;
     for (i = 0; i < n; i++) {
-        if (!s->present[i]) continue;
+        if (kind[i] != small) continue;
         for (k = 0; k < DIM; k++) {
             double x = s->q[(size_t)DIM*i + k];
             if (!count || x < low[k]) low[k] = x;
@@ -124,7 +128,6 @@ static int search_pairs(const model_motion *s, model_rows *rows, int family, con
         }
         count++;
     }
-    if (count < 2) return 1;
     for (k = 0; k < DIM; k++)
         if (width < 1e-9*(high[k] - low[k])) width = 1e-9*(high[k] - low[k]);
     if (width < DBL_MIN) width = DBL_MIN;
@@ -143,40 +146,76 @@ static int search_pairs(const model_motion *s, model_rows *rows, int family, con
     memset(start, 0, (cells + 2)*sizeof *start);
     for (i = 0; i < n; i++) {
         int at = 0;
-        if (!s->present[i]) continue;
+        if (kind[i] != small) continue;
         for (k = 0; k < DIM; k++) at = at*shape[k] + (int)floor((s->q[(size_t)DIM*i + k] - low[k])/width);
         cell[i] = at;
         start[at + 2]++;
     }
     for (i = 0; i < cells; i++) start[i + 2] += start[i + 1];
     for (i = 0; i < n; i++)
-        if (s->present[i]) inside[start[cell[i] + 1]++] = i;
+        if (kind[i] == small) inside[start[cell[i] + 1]++] = i;
     for (i = 0; i < n; i++) {
-        int from[3] = {0, 0, 0}, to[3] = {0, 0, 0}, place[3] = {0, 0, 0}, at, x, y, z;
+        int from[3] = {0, 0, 0}, to[3] = {0, 0, 0}, at, x, y, z;
         const double *q = s->q + (size_t)DIM*i;
-        if (!s->present[i]) continue;
-        for (at = cell[i], k = DIM - 1; k >= 0; at /= shape[k], k--) place[k] = at%shape[k];
+        if (kind[i] != large) continue;
         for (k = 0; k < DIM; k++) {
-            from[k] = place[k] > 0 ? place[k] - 1 : 0;
-            to[k] = place[k] + 1 < shape[k] ? place[k] + 1 : shape[k] - 1;
+            double place = floor((q[k] - low[k])/width);
+            from[k] = place > 1.0 ? place < shape[k] + 2.0 ? (int)place - 1 : shape[k] : 0;
+            to[k] = place + 1.0 < shape[k] ? place > -3.0 ? (int)place + 1 : -1 : shape[k] - 1;
         }
         for (x = from[0]; x <= to[0]; x++)
             for (y = from[1]; y <= to[1]; y++)
                 for (z = from[2]; z <= to[2]; z++) {
                     at = DIM == 1 ? x : DIM == 2 ? x*shape[1] + y : (x*shape[1] + y)*shape[2] + z;
                     for (e = start[at]; e < start[at + 1]; e++) {
-                        int j = inside[e];
+                        int j = inside[e], first = i < j ? i : j, second = i < j ? j : i;
                         double distance = 0.0;
-                        if (j <= i) continue;
+                        if (small == large && j <= i) continue;
                         for (k = 0; k < DIM; k++) {
                             double difference = s->q[(size_t)DIM*j + k] - q[k];
                             distance += difference*difference;
                         }
-                        if (distance > far*far) continue;
-                        if (!consider(s, rows, family, i, j, records + record*i, records + record*j, motion, report)) return 0;
+                        if (distance > (size[i] + size[j])*(size[i] + size[j])) continue;
+                        if (!consider(s, rows, family, first, second, records + record*first, records + record*second, motion,
+                                      report))
+                            return 0;
                     }
                 }
     }
+    return 1;
+}
+
+/* Pairs of present bodies that may meet when none moves by more than `motion`, each once; 0 where one is not finite. */
+static int search_pairs(const model_motion *s, model_rows *rows, int family, const double *records, double motion, model_arena *a,
+                        model_report *report)
+{
+    double *size = TAKE(double, s->n), largest[SIZES] = {0.0}, least = INFINITY;
+    signed char *kind = TAKE(signed char, s->n);
+    int count[SIZES] = {0}, i, small, large;
+    if (a->missing) return 1;
+    for (i = 0; i < s->n; i++) {
+        /* a little more: what is left out is left out for certain */
+        size[i] = (1.0 + 1e-12)*((s->halves ? s->halves[family][i] : 0.5*s->farthest[family]) + motion);
+        if (!s->present[i]) continue;
+        if (size[i] < least) least = size[i];
+    }
+    for (i = 0; i < s->n; i++) {
+        kind[i] = -1;
+        if (!s->present[i]) continue;
+        kind[i] = 0;
+        while (kind[i] < SIZES - 1 && size[i] > ldexp(least, kind[i] + 1)) kind[i]++;
+        if (size[i] > largest[kind[i]]) largest[kind[i]] = size[i];
+        count[kind[i]]++;
+    }
+    for (small = 0; small < SIZES; small++)
+        for (large = small; large < SIZES; large++) {
+            char *kept = a->next;
+            if (!count[small] || !count[large]) continue;
+            if (!search_between(s, rows, family, records, size, kind, small, large, largest[small] + largest[large], motion, a,
+                                report))
+                return 0;
+            a->next = kept;
+        }
     return 1;
 }
 
@@ -198,9 +237,9 @@ static int collect(const model_motion *s, model_rows *rows, const double *record
                 if (!consider(s, rows, family, pair[0], pair[1], records + width*pair[0], other, motion, report)) return 0;
             }
         } else if (s->model->of_bodies[family] && s->farthest[family] >= 0.0) {
-            /* g = |q_i - q_j| - c_ij: with c_ij <= the largest c there is no row beyond that and 2 motion */
+            /* g = |q_i - q_j| - c_ij: with c_ij <= half_i + half_j there is no row beyond that and 2 motion */
             char *kept = a->next;
-            int fine = search_pairs(s, rows, family, records, s->farthest[family] + 2.0*motion, motion, a, report);
+            int fine = search_pairs(s, rows, family, records, motion, a, report);
             a->next = kept;
             if (!fine) return 0;
         } else if (s->model->of_bodies[family]) {

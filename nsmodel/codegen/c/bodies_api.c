@@ -38,6 +38,7 @@ int model_step(model_solver *s)
     now.over = family_over;
     now.over_count = family_over_count;
     now.farthest = family_farthest;
+    now.halves = NULL;
     now.motion = s->motion;
     now.contacts = s->contacts;
     now.family = s->family;
