@@ -573,6 +573,16 @@ def test_what_cannot_be_measured_is_said():
     run = hand_made([[(1, 1)], [(2, 2)]])
     with pytest.raises(UsageError, match=r"segments: shape \(1, 2\)"):
         measure.flow(run, [(0, 1)])
+    with pytest.raises(UsageError, match=r"segments: 'east' .*expected \(2, 2\)"):
+        measure.flow(run, "east")
+    for wrong in ({"spacing": 0}, {"spacing": np.nan}, {"cut_off": -1}, {"most_rows": 0}):
+        with pytest.raises(UsageError, match=rf"{next(iter(wrong))}: .*expected"):
+            measure.maps(run, **wrong)
+    wanted = desired_velocity(hall(), 2)
+    with pytest.raises(UsageError, match=r"q: shape \(1, 3\); expected \(N, 2\)"):
+        wanted.distance((1, 2, 3))
+    with pytest.raises(UsageError, match="group: 5 .*from 0 to 0"):
+        wanted.distance((1, 2), 5)
     with pytest.raises(UsageError, match="no row is between 5 and 9"):
         measure.maps(run, start=5, end=9)
     with pytest.raises(UsageError, match="the run knows no exits"):

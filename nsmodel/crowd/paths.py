@@ -17,7 +17,7 @@ import numpy as np
 from nsmodel.crowd.geometry import CHUNK, distances, nearest_points, sight
 from nsmodel.crowd.given import number, numbers
 from nsmodel.crowd.room import Grid, Room
-from nsmodel.errors import ModelError
+from nsmodel.errors import ModelError, UsageError
 from nsmodel.model.base import shown
 
 PIECE = np.pi / 6  # The arc round a corner that one tangent stands for, at most.
@@ -72,9 +72,18 @@ class DesiredVelocity:
         return found / length[:, None]
 
     def distance(self, q: Any, group: Any = 0) -> np.ndarray:
-        """The length of the way (N,) from places q (N, 2) in metres; nan where a corner of the table's cell has none."""
-        _, ny, nx, _ = self.values.shape
-        column, row, x, y = self._cell(np.atleast_2d(np.asarray(q, float)))
+        """The length of the way (N,) from places q (N, 2) in metres; nan where a corner of the table's cell has none.
+
+        Raises:
+            UsageError: another shape, a group that there is not.
+        """
+        groups, ny, nx, _ = self.values.shape
+        places = np.atleast_2d(numbers(q, "q", "(N, 2), in metres", UsageError))
+        if places.ndim != 2 or places.shape[1] != 2:
+            raise UsageError(f"q: shape {places.shape}; expected (N, 2)")
+        if np.shape(group) not in ((), (len(places),)) or not np.isin(group, np.arange(groups)).all():
+            raise UsageError(f"group: {shown(group)}; expected a number from 0 to {groups - 1}, or ({len(places)},)")
+        column, row, x, y = self._cell(places)
         start = (group * ny + row) * nx + column
         table = self.distances.ravel()
         low = table[start] * (1 - x) + table[start + 1] * x
