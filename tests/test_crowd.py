@@ -581,7 +581,7 @@ def test_what_cannot_be_measured_is_said():
     wanted = desired_velocity(hall(), 2)
     with pytest.raises(UsageError, match=r"q: shape \(1, 3\); expected \(N, 2\)"):
         wanted.distance((1, 2, 3))
-    with pytest.raises(UsageError, match="group: 5 .*from 0 to 0"):
+    with pytest.raises(UsageError, match=r"group: 5 .*from 0 to 0"):
         wanted.distance((1, 2), 5)
     with pytest.raises(UsageError, match="no row is between 5 and 9"):
         measure.maps(run, start=5, end=9)
