@@ -95,15 +95,15 @@ def table(room: Room, run: Trajectory) -> str:
 
 def thousand() -> None:
     """A thousand people in front of one door: three moments, and a film."""
-    L = 19.2
-    walls = [[(0, 0), (0, L)], [(0, 0), (L, 0)], [(0, L), (L, L)], [(L, 0), (L, 9)], [(L, 10.2), (L, L)]]
-    room = Room(walls=walls, exits={"door": [(L, 9), (L, 10.2)]})
-    run = simulate(crowd(room, place(room, 1000), t_end=60), save_every=5)
+    L, low, high = 19.2, 8.7, 10.5
+    walls = [[(0, 0), (0, L)], [(0, 0), (L, 0)], [(0, L), (L, L)], [(L, 0), (L, low)], [(L, high), (L, L)]]
+    room = Room(walls=walls, exits={"door": [(L, low), (L, high)]})
+    run = simulate(crowd(room, place(room, 1000), t_end=84), save_every=5)
     figure = blank(11.5, 3.6)
-    for ax, t in zip(figure.subplots(1, 3), (5, 20, 45), strict=True):
+    for ax, t in zip(figure.subplots(1, 3), (5, 30, 60), strict=True):
         pictures.frame(run, int(np.searchsorted(run.t, t - 1e-9)), ax=ax)
     save(figure, "crowd_1000.png", dpi=100)
-    animate(run, IMAGES / "crowd_1000.gif", seconds=5, fps=8, size=(4.6, 3.9), dpi=72)
+    animate(run, IMAGES / "crowd_1000.gif", seconds=6, fps=8, size=(4.6, 3.9), dpi=72)
 
 
 def main() -> None:
