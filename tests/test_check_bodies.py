@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from fractions import Fraction
 from itertools import combinations
 
 import casadi as ca
@@ -141,6 +142,31 @@ def test_products_of_numbers_are_taken_in_all_their_combinations():
     assert report["A1"].witness == {"a of": "pair 0-1", "b of": "pair 1-2"}
 
 
+def test_a_body_is_no_pair_with_itself(monkeypatch):
+    """Only one body has radius 0, so that no pair has two of them."""
+    monkeypatch.setattr(families, "LISTED", 0)
+    bodies = Bodies(3.0 * np.arange(8).reshape(4, 2), r=[0, 0.3, 0.3, 0.3])
+    i, j = bodies.member("i"), bodies.member("j")
+    pair = Family(ca.norm_2(i.q - j.q) - i.r - j.r * (1 + t), i, j)
+    report = check(ManyBodies(t=t, bodies=bodies, constraints={"pair": pair}, t_end=1, step=0.1), (), quick=True)
+    assert [report[id].verdict for id in ("A0", "A1", "A4")] == [HOLDS] * 3
+    assert report["A4"].value["M_contact"] == pytest.approx(2 / 0.3)
+
+
+@pytest.mark.parametrize("added", [lambda a, b: a + b, lambda a, b: ca.sqrt(a * b)])
+@pytest.mark.parametrize("order", [1, -1])
+def test_numbers_below_the_rounding_of_others_count(added, order):
+    r = np.array([1e-17, 2e-17, 5e-17])[::order]
+    bodies = Bodies([[0, 0], [1, 0], [2, 0]], r=r)
+    i, j = bodies.member("i"), bodies.member("j")
+    pair = Family(ca.norm_2(i.q - j.q) - added(i.r, j.r), i, j)
+    report = check(ManyBodies(bodies=bodies, constraints={"pair": pair}, t_end=1, step=0.1), (), quick=True)
+    least = min(float(added(a, b)) for a, b in combinations(r, 2))
+    assert report["A4"].verdict == HOLDS
+    assert report["A4"].value["M_contact"] == pytest.approx(2 / least)
+    assert report["A0"].value["c"] == pytest.approx(least / 2 / SQRT2)
+
+
 def test_left_out_combinations_prove_nothing(monkeypatch):
     monkeypatch.setattr(families, "KINDS", 2)
     bodies = Bodies(9.0 * np.arange(5.0), w=1.0 + np.arange(5))
@@ -205,6 +231,75 @@ def test_contact_at_the_start_is_decided_exactly():
     assert "rounding" in tenth.how
 
 
+def apart(places, g=None, **numbers):
+    bodies = Bodies(places, **numbers)
+    i, j = bodies.member("i"), bodies.member("j")
+    pair = Family(ca.norm_2(i.q - j.q) if g is None else g(i, j), i, j)
+    return ManyBodies(bodies=bodies, constraints={"pair": pair}, t_end=1, step=0.1)
+
+
+def starts(model):
+    return {check(one, (), quick=True)["S-start"].verdict for one in (model, model.written_out())}
+
+
+def test_two_bodies_in_one_place_are_admissible_where_nothing_forbids_it():
+    assert starts(apart([[1, 0], [1, 0]])) == {HOLDS}
+
+
+def test_an_overlap_is_seen_however_far_somebody_else_is():
+    touching = lambda i, j: ca.norm_2(i.q - j.q) - 0.4  # noqa: E731
+    assert starts(apart([[0, 0], [0.3999, 0], [1e9, 0]], touching)) == {VIOLATED}
+
+
+def test_numbers_that_cancel_may_hide_a_negative_constraint():
+    """g = -3.8e-5 is rounded to 1.2e-4, which is not the least g."""
+    bodies = Bodies([[6.2e-5, 0], [5, 0]], a=[1e12, 0], s=[-5e-5, 0])
+    i = bodies.member("i")
+    own = Family(i.q[0] + i.a + i.s + i.s - i.a, i)
+    model = ManyBodies(bodies=bodies, constraints={"own": own, "low": Family(i.q[1], i)}, t_end=1, step=0.1)
+    finding = check(model, (), quick=True)["S-start"]
+    assert finding.verdict == SAMPLED
+    assert finding.witness["constraint"] == "own 0"
+
+
+def test_numbers_of_members_are_added_exactly():
+    sums = lambda i, j: ca.norm_2(i.q - j.q) - (i.r + j.r)  # noqa: E731
+    for a, b, c in ((0.1, 0.7, 0.8), (0.1, 0.2, 0.3), (0.25, 0.5, 0.75), (0.3, 0.6, 0.9), (1.1, 2.2, 3.3)):
+        met = Fraction(c) >= Fraction(a) + Fraction(b)
+        finding = check(apart([[0, 0], [c, 0]], sums, r=[a, b]), (), quick=True)["S-start"]
+        assert finding.verdict == (HOLDS if met else SAMPLED)
+    times = check(apart([[0, 0], [0.03, 0]], lambda i, j: ca.norm_2(i.q - j.q) - i.r * j.r, r=[0.1, 0.3]), (), quick=True)
+    assert times["S-start"].verdict == (HOLDS if Fraction(0.03) >= Fraction(0.1) * Fraction(0.3) else SAMPLED)
+
+
+@pytest.mark.parametrize(
+    "g",
+    [
+        lambda i, j: ca.norm_2(i.q - j.q) - i.r - j.r - ca.fmax(0, ca.norm_2(i.q) - 5000),
+        lambda i, j: ca.norm_2(i.q - j.q) - i.r - j.r + ca.if_else(ca.norm_2(i.q - j.q) > 2, -9, 0),
+        lambda i, j: ca.fmod(ca.norm_2(i.q - j.q), 5) - i.r - j.r,
+        lambda i, j: ca.norm_2(i.q - j.q + ca.floor(i.q / 5000)) - i.r - j.r,
+    ],
+)
+def test_what_is_a_distance_near_the_origin_alone_is_not_searched_for(g):
+    model = apart([[0, 0], [6000, 0], [6003, 0]], g, r=[0.2, 0.2, 0.2])
+    assert model.constraints["pair"].reach is None
+
+
+@pytest.mark.parametrize(
+    "g",
+    [
+        lambda i, j: ca.norm_2(i.q - j.q) - i.r - j.r,
+        lambda i, j: -(i.r * j.r * (1 + t)) + ca.norm_2(j.q - i.q),
+        lambda i, j: ca.sqrt((i.q[0] - j.q[0]) ** 2 + (i.q[1] - j.q[1]) * (i.q[1] - j.q[1])) - ca.fmax(i.r, j.r),
+    ],
+)
+def test_distances_are_searched_for(g):
+    bodies = Bodies([[0, 0], [6000, 0]], r=[0.2, 0.2])
+    i, j = bodies.member("i"), bodies.member("j")
+    assert Family(g(i, j), i, j).reach is not None
+
+
 def test_who_enters_later_does_not_overlap_at_the_start():
     model = discs([[0, 0], [0.1, 0]], [0.2, 0.2], enter=[0, 5])
     assert check(model, (), quick=True)["S-start"].verdict == HOLDS
@@ -245,6 +340,105 @@ def test_a_function_of_arrays_is_sampled():
     assert finding.verdict == SAMPLED
     assert 0 < finding.value["K_f"] <= 2 + 1e-9
     assert finding.value["L_t"] == np.inf
+
+
+KINKS = [
+    lambda q: ca.if_else(q > 0, q, 0),
+    lambda q: q * ca.sign(q),
+    lambda q: ca.if_else(q > 1, q - 1, 0),
+    lambda q: ca.if_else(q < 0.1, 0.1 - q, 0),
+]
+
+
+@pytest.mark.parametrize("kink", KINKS)
+def test_a_kink_is_no_jump(kink):
+    bodies = Bodies([[0.5, 0], [3, 1]])
+    model = ManyBodies(bodies=bodies, f=[kink(bodies.member("i").q[0]), 0], t_end=1, step=0.1)
+    for one in (model, model.written_out()):
+        finding = check(one, ())["S-f"]
+        assert finding.verdict != VIOLATED
+        assert finding.value["K_f"] == pytest.approx(1)
+
+
+def test_a_switch_in_time_is_no_jump_in_the_state():
+    bodies = Bodies([[0.5, 0], [3, 1]])
+    model = ManyBodies(t=t, bodies=bodies, f=[ca.if_else(t < 0.5, 1, -1) * bodies.member("i").q[0], 0], t_end=1, step=0.1)
+    assert check(model, (), region={"i.q": (-3, 3)})["S-f"].verdict != VIOLATED
+
+
+def test_bodies_on_a_line_with_a_velocity_in_time():
+    model = ManyBodies(t=t, bodies=Bodies([0.0, 3]), f=[ca.cos(t)], t_end=1, step=0.1)
+    assert check(model, (), quick=True)["S-f"].verdict == HOLDS
+
+
+def test_a_velocity_where_nobody_is_there_yet():
+    bodies = Bodies([[0.5, 0], [3, 1]])
+    model = ManyBodies(bodies=bodies, f=[ca.sqrt(ca.fabs(bodies.member("i").q[0])), 0], enter=[0.5, 0.5], t_end=1, step=0.1)
+    assert check(model, ())["S-f"].verdict == SAMPLED
+    called = ManyBodies(bodies=bodies, f=lambda time, q: -q, enter=[0.5, 0.5], t_end=1, step=0.1)
+    assert check(called, ())["S-f"].verdict == UNKNOWN
+
+
+@pytest.mark.parametrize(
+    ("f", "why"),
+    [
+        (lambda time, q: None, "shape"),
+        (lambda time, q: q[0], "shape"),
+        (lambda time, q: q / 0 * 0, "finite"),
+        (lambda time, q: [][0], "IndexError"),
+    ],
+)
+def test_a_function_of_arrays_that_fails_is_told(f, why):
+    finding = check(ManyBodies(bodies=Bodies([[0.5, 0], [3, 1]]), f=f, t_end=1, step=0.1), ())["S-f"]
+    assert finding.verdict == UNKNOWN
+    assert why in finding.how
+
+
+def test_a_function_of_arrays_does_not_change_the_run():
+    bodies = Bodies([[0.5, 0], [3, 1]])
+    run = simulate(ManyBodies(bodies=bodies, f=lambda time, q: -q, t_end=1, step=0.1))
+
+    def spoils(time, q):
+        q[:] = 7
+        return q
+
+    before = run.x.copy()
+    check(ManyBodies(bodies=bodies, f=spoils, t_end=1, step=0.1), [run], quick=True)
+    assert np.array_equal(run.x, before)
+
+
+def test_numbers_that_nobody_has_are_no_witness():
+    bodies = Bodies([[0.1, 0], [3, 0], [5, 5]], k=[0, 2, 0])
+    i = bodies.member("i")
+    steep = ca.if_else(i.k == 1, ca.sqrt(ca.fabs(i.q[0])), -i.q[0])
+    assert check(ManyBodies(bodies=bodies, f=[steep, 0], t_end=1, step=0.1), ())["S-f"].verdict != VIOLATED
+    bodies = Bodies([[0.1, 0], [3, 0], [5, 5]], k=[0, 1, 0])
+    i = bodies.member("i")
+    steep = ca.if_else(i.k == 1, ca.sqrt(ca.fabs(i.q[0])), -i.q[0])
+    found = check(ManyBodies(bodies=bodies, f=[steep, 0], t_end=1, step=0.1), ())["S-f"]
+    assert found.verdict == VIOLATED
+    assert found.witness["moved"] == "body 1"
+
+
+def test_a_steep_place_must_be_admissible_at_its_own_time():
+    """f is steep at q_0 = 0 while t >= 1/2, when the wall at 2 t keeps everybody away from there."""
+    bodies = Bodies([[0.5, 0], [3, 1]])
+    i = bodies.member("i")
+    f = [ca.sqrt(ca.fabs(i.q[0])) * ca.fmax(t - 0.5, 0), 0]
+    wall = {"wall": Family(i.q[0] - 2 * t + 0.4, i)}
+    model = ManyBodies(t=t, bodies=bodies, f=f, constraints=wall, t_end=1, step=0.1)
+    for one in (model, model.written_out()):
+        assert check(one, ())["S-f"].verdict != VIOLATED
+
+
+def test_a_jump_must_be_admissible_for_all_bodies_at_its_time():
+    """f jumps after t = 1/2 alone; then the wall has passed where the bodies stood at the start."""
+    bodies = Bodies([[1, 0], [3, 1]])
+    i = bodies.member("i")
+    f = [ca.if_else(ca.logic_and(t > 0.5, i.q[0] > 5), 1, -1), 0]
+    wall = {"wall": Family(i.q[0] - 4 * t, i)}
+    model = ManyBodies(t=t, bodies=bodies, f=f, constraints=wall, t_end=1, step=0.1)
+    assert check(model, (), region={"i.q": (0, 9)})["S-f"].verdict != VIOLATED
 
 
 def test_walls_that_close_are_found_along_the_run(by_families):
@@ -316,6 +510,70 @@ def test_gamma_of_a_long_row_of_discs_and_of_groups():
     assert two.gamma == pytest.approx(SQRT2 * discs_in_a_row(300), rel=1e-6)
 
 
+def parts_that_keep_apart(n=2):
+    """Two discs in each body, none of which may meet any other."""
+    bodies = Bodies([[2.0 * k, 0, 2.0 * k + 1, 0] for k in range(n)])
+    i, j = bodies.member("i"), bodies.member("j")
+    g = lambda u, v: ca.norm_2(u - v) - 1  # noqa: E731
+    a, b = slice(0, 2), slice(2, 4)
+    return bodies, {"own": Family(g(i.q[a], i.q[b]), i)} | {
+        name: Family(g(i.q[u], j.q[v]), i, j) for name, u, v in (("aa", a, a), ("bb", b, b), ("ab", a, b), ("ba", b, a))
+    }
+
+
+def crossed():
+    bodies = Bodies([[0.0, 0], [0, 1], [2, 2]])
+    i, j = bodies.member("i"), bodies.member("j")
+    return bodies, {"crossed": Family(ca.norm_2(i.q - ca.vertcat(j.q[1], j.q[0])) - 1, i, j)}
+
+
+def within_each():
+    bodies = Bodies([[0.0, 1], [3, 4]])
+    i = bodies.member("i")
+    return bodies, {"own": Family(ca.fabs(i.q[0] - i.q[1]) - 1, i)}
+
+
+@pytest.mark.parametrize("scene", [parts_that_keep_apart, crossed, within_each])
+def test_states_tied_otherwise_are_no_discs(scene, by_families):
+    bodies, constraints = scene()
+    model = ManyBodies(bodies=bodies, constraints=constraints, t_end=1, step=0.1)
+    for id in ("A5", "A5'"):
+        finding = check(model, (), quick=True)[id]
+        assert finding.verdict == SAMPLED
+        assert finding.value["gamma"] >= finding.value["attained"]
+    if scene is parts_that_keep_apart:
+        assert finding.value["gamma"] == pytest.approx(np.sqrt(10))
+
+
+def corridor(q0, low, high):
+    bodies = Bodies(q0)
+    i = bodies.member("i")
+    constraints = {"low": Family(low(i), i), "high": Family(high(i), i)}
+    return ManyBodies(bodies=bodies, f=lambda time, q: 0 * q, constraints=constraints, t_end=1, step=0.1)
+
+
+def test_what_is_far_does_not_make_walls_touch():
+    """The widest distance of the scene is 1e9; both walls are 1/4 away from everybody."""
+    report = check(corridor([[0, 0.25], [1e9, 0.25]], lambda i: i.q[1], lambda i: 0.5 - i.q[1]), (), quick=True)
+    assert report["A5"].verdict != VIOLATED
+    assert report["A5'"].verdict != VIOLATED
+
+
+def test_a_large_gamma_is_not_infinite():
+    report = check(corridor([[0.0, 0]], lambda i: i.q[1], lambda i: 1e-8 * i.q[0] - i.q[1]), (), quick=True)
+    assert report["A5'"].verdict == SAMPLED
+    assert report["A5'"].value["gamma"] == pytest.approx(2e8, rel=1e-6)
+
+
+def test_opposing_normals_of_a_large_group_are_still_found(monkeypatch):
+    monkeypatch.setattr(network, "SMALL", 1)
+    e = np.tile([1.0, 0.0], (100, 1))
+    i = np.arange(99)
+    G, H = np.vstack([-e[:99], e[:1], -e[:1]]), np.vstack([e[:99], 0 * e[:2]])
+    found = network.network_constant((G, H), np.append(i, [0, 99]), np.append(i + 1, [-1, -1]))
+    assert np.isinf(found.attained)
+
+
 # -- along a run -------------------------------------------------------------------------------------------------------
 
 
@@ -347,6 +605,16 @@ def test_a_run_that_overlaps_or_is_pushed_is_found_out():
     assert report["run-feasible"].value["least value"] == pytest.approx(-0.1)
     assert report["run-motion"].verdict == VIOLATED
     assert check(model, [run], quick=True)["run-motion"].verdict == HOLDS
+
+
+def test_a_gap_that_only_the_run_notes_counts():
+    model = discs([[-0.5, 0], [0.5, 0.1]], [0.2, 0.2], t_end=0.2)
+    run = simulate(model)
+    arrays = run.arrays | {"gap_min": np.where(np.arange(len(run.t)) == 4, -0.1, run.gap_min)}
+    finding = check(model, [Trajectory(arrays, run.metadata)], quick=True)["run-feasible"]
+    assert finding.verdict == VIOLATED
+    assert finding.value["least value"] == pytest.approx(-0.1)
+    assert finding.witness["t"] == run.t[4]
 
 
 def test_the_check_makes_its_own_runs():

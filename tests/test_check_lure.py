@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from fuzz_models import COUNT, FULL
 
 import nsmodel
@@ -603,3 +604,33 @@ def test_a_coefficient_that_is_not_finite_proves_nothing():
     x = ca.SX.sym("x")
     model = LureSystem(x=x, A=[x * 1e308 * 1e308], B=[1], C=[1], law=relay(1), x0=[1], t_end=1, step=0.1)
     assert nsmodel.check(model, quick=True)["5.2"].verdict == "unknown"
+
+
+def wide(A, n=300):
+    """A system with too many states for dense proofs: C = B' = I, a relay on each."""
+    x, unit = ca.SX.sym("x", n), sp.identity(n, format="csc")
+    return nsmodel.check(LureSystem(x=x, A=A(x), B=unit, C=unit, law=relay(n), x0=np.zeros(n), t_end=1, step=0.1), (), quick=True)
+
+
+@pytest.mark.parametrize(
+    "A",
+    [
+        lambda x: -x + 5 * ca.sign(x),
+        lambda x: -x + ca.floor(x),
+        lambda x: ca.fmod(x, 2),
+        lambda x: ca.if_else(x > 1, 1 - x, -x),
+        lambda x: ca.atan2(0, x),
+    ],
+)
+def test_a_large_system_that_jumps_is_not_linear(A):
+    assert wide(A)["5.2"].verdict == "unknown"
+
+
+def test_a_large_linear_system_keeps_its_negative_omega():
+    report = wide(lambda x: -x)
+    assert report["5.2"].value["omega"] == -1
+    stable = {item.name: item.verdict for item in report.consequences}
+    assert stable["globally asymptotically stable"] == "sampled"  # A(0) = 0 in floating point
+    chain = wide(lambda x: -3 * x + ca.vertcat(x[1:], 0))["5.2"].value["omega"]
+    assert -2.5 <= chain <= -2 + 1e-13
+    assert wide(lambda x: 1e308 * (x + ca.vertcat(x[1:], 0)))["5.2"].verdict == "unknown"

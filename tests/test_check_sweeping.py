@@ -659,3 +659,43 @@ def test_a_narrow_corridor_is_no_contact_of_both_walls(width):
 def test_a_jump_outside_of_the_box_does_not_matter_to_convexity():
     q = ca.SX.sym("q")
     assert decided({"g": ca.if_else(q > -50, q**2, 0) + q + 3}, q, [0])["S-convex"].verdict == HOLDS
+
+
+def test_two_half_planes_apart_are_not_convex_together():
+    """|q_0 - q_1| >= 1 has two sides sqrt(2) apart: between them eta is 1/sqrt(2) at most, and its linearisation errs."""
+    q = ca.SX.sym("q", 2)
+    found = decided({"a": ca.fabs(q[0] - q[1]) - 1}, q, [0, 2], quick=True)
+    assert found["A4"].verdict == HOLDS
+    assert found["prox-regular"].value["eta"] == pytest.approx(1 / SQRT2)
+    assert np.isfinite(found["metric qualification"].value["r"])
+    here, there = np.array([0.5, -0.5]), np.array([-0.5, 0.5])
+    deficit = 2 / SQRT2  # Of the one from the half-plane at the other.
+    assert deficit <= found["linearisation error"].value["M/(2a)"] * np.sum((here - there) ** 2)
+
+
+def test_kinks_are_no_jumps():
+    q = ca.SX.sym("q", 1)
+    for far in (0.0, 1.0, 1e6):
+        for kink in (ca.if_else(q > far, q - far, 0), (q - far) * ca.sign(q - far), 3 + ca.if_else(q < far, far - q, 0)):
+            model = SweepingProcess(t=t, q=q, f=kink, constraints={"a": q + 9}, q0=[far], t_end=1, step=0.1)
+            region = Region(np.array([far - 2]), np.array([far + 2.5]), 0.0, 1.0, tuple(model.names), "given")
+            finding = {item.id: item for item in check(model, region, [], False)[0]}["S-f"]
+            assert finding.verdict != "violated"
+            assert finding.value["K_f"] == pytest.approx(1)
+    jump = ca.if_else(q > 1, q + 1e-3, q)
+    assert decided({"a": q + 9}, q, [0], jump)["S-f"].value["jump"] == pytest.approx(1e-3)
+
+
+def test_a_steep_place_is_asked_at_its_own_time():
+    q = ca.SX.sym("q", 1)
+    f = ca.sqrt(ca.fabs(q)) * ca.fmax(t - 0.5, 0)
+    assert decided({"wall": q - t + 0.25}, q, [0.5], f)["S-f"].verdict != "violated"
+    assert decided({"wall": q + 9}, q, [0.5], f)["S-f"].verdict == "violated"
+
+
+def test_what_is_seen_above_a_proved_gamma_is_told():
+    """Walls 1e-8 apart in a box of 2e3 are active together to rounding, never exactly."""
+    q = ca.SX.sym("q", 2)
+    found = decided({"low": q[1], "high": 1e-8 - q[1]}, q, [0, 5e-9], width=1e3, quick=True)["A5'"]
+    assert (found.verdict, found.value["gamma"]) == (HOLDS, 1)
+    assert "inf was seen" in found.how

@@ -14,9 +14,21 @@ import numpy as np
 from nsmodel.errors import ModelError
 from nsmodel.model.base import Model, shown
 from nsmodel.model.convert import to_sx
-from nsmodel.model.expressions import operations
+from nsmodel.model.expressions import applied, fold, operations
 from nsmodel.model.sweeping import SweepingProcess
 
+_POLYNOMIAL = {
+    ca.OP_INPUT,
+    ca.OP_OUTPUT,
+    ca.OP_CONST,
+    ca.OP_ASSIGN,
+    ca.OP_ADD,
+    ca.OP_SUB,
+    ca.OP_NEG,
+    ca.OP_MUL,
+    ca.OP_SQ,
+    ca.OP_TWICE,
+}
 WRITTEN_OUT_UP_TO = 20_000  # Constraints that `written_out` puts into one model.
 
 
@@ -141,12 +153,7 @@ class Family:
         if not self.of_pairs:
             return None
         q, p = self.first.q, self.second.q
-        rest = ca.substitute(self.g, ca.vertcat(q, p), ca.SX.zeros(2 * q.numel()))
-        symbols = ca.vertcat(*ca.symvar(ca.vertcat(ca.SX(self.g), q, p)))
-        root = ca.OP_SQRT if q.numel() > 1 else ca.OP_FABS
-        if root not in operations(self.g) or not _same(self.g, ca.norm_2(q - p) + rest, symbols):
-            return None
-        return -rest
+        return -ca.substitute(self.g, ca.vertcat(q, p), ca.SX.zeros(2 * q.numel())) if _is_distance(self.g, q, p) else None
 
 
 def neighbours(count: int) -> np.ndarray:
@@ -290,19 +297,47 @@ class ManyBodies(Model):
         )
 
 
-def _same(a: ca.SX, b: ca.SX, symbols: ca.SX) -> bool:
-    """Whether two expressions agree, with their gradients, at generic points."""
-    pair = ca.Function("pair", [symbols], [ca.vertcat(a, ca.gradient(a, symbols)), ca.vertcat(b, ca.gradient(b, symbols))])
-    rng, compared = np.random.default_rng(0), 0
-    for scale in 8 * (0.1, 1.0, 10.0, 1000.0):
-        one, other = (np.array(v).ravel() for v in pair(scale * rng.uniform(-1, 1, symbols.numel())))
-        if np.isfinite(one).all() != np.isfinite(other).all():
-            return False
-        if np.isfinite(one).all():  # else the point is outside the domain of both
-            compared += 1
-            if not np.allclose(one, other, rtol=1e-12, atol=1e-12 * scale):
-                return False
-    return compared >= 4
+def _is_distance(g: Any, q: ca.SX, p: ca.SX) -> bool:
+    """Whether g is written as |q - p| and what does not depend on q and p, added or taken away."""
+    z, root = ca.vertcat(q, p), ca.OP_SQRT if q.numel() > 1 else ca.OP_FABS
+    states = {symbol.element_hash() for symbol in ca.vertsplit(z)}
+    free, other = 0, None  # What a node has of |q - p|: that many times it and what is free of q and p; None: anything else.
+
+    def apply(op: int, parts: list[tuple[int | None, ca.SX]]) -> tuple[int | None, ca.SX]:
+        times = [part[0] for part in parts]
+        if op == ca.OP_CALL:
+            return other, ca.SX(0)
+        expr = applied(op, [part[1] for part in parts])
+        if all(number == free for number in times):
+            return free, expr
+        if op == root and _is_between(parts[0][1], q, p):
+            return 1, expr
+        if any(number is None for number in times) or op not in (ca.OP_ADD, ca.OP_SUB, ca.OP_NEG, ca.OP_ASSIGN):
+            return other, expr
+        first, *second = [number for number in times if number is not None]
+        return (-first if op == ca.OP_NEG else first + (-1 if op == ca.OP_SUB else 1) * sum(second)), expr
+
+    parts = fold(
+        ca.SX(g), lambda s: (other if s.element_hash() in states else free, s), lambda value: (free, ca.SX(value)), apply
+    )
+    return parts[0][0] == 1
+
+
+def _is_between(inside: ca.SX, q: ca.SX, p: ca.SX) -> bool:
+    """Whether a root's argument is |q - p|^2, or that of an absolute value q - p or p - q."""
+    if not operations(inside) <= _POLYNOMIAL:
+        return False
+    z, one = ca.vertcat(q, p), q.numel() == 1
+    wanted = q - p if one else ca.sumsqr(q - p)
+    if one and not _same_matrix(ca.jacobian(inside, z), ca.jacobian(wanted, z)):
+        wanted = p - q
+    at_zero = ca.substitute(ca.vertcat(inside, ca.gradient(inside - wanted, z)), z, ca.SX.zeros(2 * q.numel()))
+    return ca.densify(at_zero).is_zero() and _same_matrix(ca.hessian(inside, z)[0], ca.hessian(wanted, z)[0])
+
+
+def _same_matrix(a: ca.SX, b: ca.SX) -> bool:
+    """Whether two matrices are numbers, and the same ones."""
+    return not ca.symvar(a) and not ca.symvar(b) and bool(np.array_equal(np.array(ca.DM(a)), np.array(ca.DM(b))))
 
 
 def _rows(value: Any, label: str) -> np.ndarray:

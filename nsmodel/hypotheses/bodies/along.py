@@ -23,23 +23,25 @@ def feasible(problem: BodiesProblem, run: Trajectory, quick: bool) -> Answer | N
     """The least gap that the run notes at each row, and anew at some rows."""
     if not problem.families:
         return None
-    rows = _some(problem, run, int(np.argmin(np.nan_to_num(run.gap_min, nan=-np.inf))), quick)
+    least = np.nan_to_num(run.gap_min, nan=-np.inf)
+    rows = _some(problem, run, int(np.argmin(least)), quick)
     worst, witness, broken = np.inf, {}, False
     for k in rows:
         q = _states(problem, run, k)
         near = nearest(problem, float(run.t[k]), q)
+        scale = UNSEEN * (1 + np.abs(q[np.isfinite(q)]).max(initial=0.0))
+        if least[k] < min(worst, -scale * np.nan_to_num(near.size).max(initial=1.0)):
+            worst, witness, broken = float(least[k]), {"t": run.t[k], "noted": float(least[k])}, True
         if not len(near.g):
             continue
         values = np.nan_to_num(near.g, nan=-np.inf)
-        unseen = UNSEEN * near.size * (1 + np.abs(q[np.isfinite(q)]).max(initial=0.0))
-        broken |= bool((values < -unseen).any())
+        broken |= bool((values < -scale * near.size).any())
         i = int(np.argmin(values))
-        if values[i] < worst:
+        if values[i] <= worst:
             worst, witness = float(values[i]), {"constraint": named(problem, near, i), "t": run.t[k]}
-    least = float(np.min(np.nan_to_num(run.gap_min, nan=-np.inf)))
     how = f"the gap that the run notes at each of {len(run.t)} rows, and anew from the constraints at {len(rows)} of them; "
     how += "a deficit below 1e-10 of the positions counts as rounding"
-    return Answer(VIOLATED if broken else HOLDS, {"least value": min(least, worst)}, "", how, witness)
+    return Answer(VIOLATED if broken else HOLDS, {"least value": min(float(least.min()), worst)}, "", how, witness)
 
 
 def qualified(problem: BodiesProblem, run: Trajectory, slope: float, quick: bool) -> Answer | None:
@@ -52,16 +54,17 @@ def qualified(problem: BodiesProblem, run: Trajectory, slope: float, quick: bool
     rho = slope * max(_two_longest(problem, run, k) for k in range(len(run.t) - 1))
     most = np.bincount(run.contact_row, minlength=len(run.t)) if len(run.contact_row) else np.zeros(1)
     rows = _some(problem, run, int(np.argmax(most)), quick)
-    worst, witness, looked = 1.0, {}, 0
+    worst, witness, looked, broken = 1.0, {}, 0, False
     for k in rows:
         near = within(problem, float(run.t[k]), _states(problem, run, k), rho)
         network = network_of(near, quick)
         looked += network is not None
-        if network is not None and network.gamma > worst:
+        if network is not None and (network.gamma > worst or np.isinf(network.attained)):
             worst, witness = network.gamma, opposed(problem, network, near) | {"t": run.t[k]}
-            if np.isinf(worst):
+            broken = bool(np.isinf(network.attained))
+            if broken:
                 break
-    verdict = VIOLATED if np.isinf(worst) else HOLDS if looked == len(run.t) else SAMPLED if looked else UNKNOWN
+    verdict = VIOLATED if broken else UNKNOWN if np.isinf(worst) or not looked else HOLDS if looked == len(run.t) else SAMPLED
     how = f"the contact graph of {looked} of {len(run.t)} rows, within rho, which the two longest moves of a row bound"
     return Answer(verdict, {"gamma": worst, "rho": rho}, "", how, witness)
 

@@ -7,19 +7,24 @@ no member has a worse a, b, c or M, and each admits whatever the others admit.
 
 from __future__ import annotations
 
+from itertools import zip_longest
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.proof import extremum
+from nsmodel.hypotheses.proof.interval import enclose
 from nsmodel.hypotheses.proof.jumps import jumps_in
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.sweeping.constraint import Constraint
 from nsmodel.hypotheses.sweeping.shapes import read_shapes
 from nsmodel.model.bodies import Family, ManyBodies
+from nsmodel.model.expressions import applied, column, fold, keys, operations
 
 LISTED = 1 << 17  # Members whose numbers are looked at one by one; of more, the ranges of their numbers.
+TIED = 16  # Members of one kind between which rounding does not decide, at most.
+LOST = 1e-13  # Values of o that differ by less than this part of them are not told apart.
 KINDS, QUICK_KINDS = 400, 100  # Combinations of the numbers c that are looked at.
 
 Member = tuple[np.ndarray, float, tuple[int, int]]  # The numbers of both, what is added to g, their indices.
@@ -117,12 +122,36 @@ def _kinds(model: ManyBodies, name: str, family: Family, region: Region, most: i
     return [Kind(name, *(of[id(member)] for member in kind)) for kind in members], count
 
 
-def constraint_of(model: ManyBodies, name: str, family: Family, pair: tuple[int, int]) -> Constraint:
-    """Return the constraint of one member, with no box around it."""
+def constraint_of(
+    model: ManyBodies, name: str, family: Family, pair: tuple[int, int], folded: bool
+) -> tuple[Constraint, np.ndarray]:
+    """Return the constraint of one member, with no box around it, and its numbers (K,): put in, or states after its own."""
     first, second = tables_of(family)
     numbers = np.concatenate([first[pair[0]], second[pair[1] if family.second is not None else 0]])
-    k = 1 + states_of(family).numel()
-    return _constraints(model, name, family, [(numbers, 0.0, pair)], np.full(k, -np.inf), np.full(k, np.inf))[0]
+    z = states_of(family) if folded else ca.vertcat(states_of(family), numbers_of(family))
+    g = ca.SX(family.g)
+    g = ca.substitute(g, numbers_of(family), ca.DM(numbers)) if folded else g
+    (shape,) = read_shapes(g, z, model.t)
+    own, wide = list(shape.own), np.full(1 + len(shape.own), np.inf)
+    names = tuple(z[k].name() for k in own)
+    return Constraint(member_name(name, *pair), g, shape, model.t, z[own], names, -wide, wide), numbers
+
+
+def is_folded_exactly(family: Family, numbers: np.ndarray) -> bool:
+    """Whether what g makes of the members' numbers alone is not rounded."""
+    own, nodes = keys(numbers_of(family)), []
+    if ca.OP_CALL in operations(family.g):
+        return False
+
+    def apply(op: int, parts: list[tuple[bool, ca.SX]]) -> tuple[bool, ca.SX]:
+        alone, node = all(part[0] for part in parts), applied(op, [part[1] for part in parts])
+        if alone:
+            nodes.append(node)
+        return alone, node
+
+    fold(ca.SX(family.g), lambda s: (s.element_hash() in own, s), lambda value: (True, ca.SX(value)), apply)
+    low, high = enclose(column(nodes), numbers_of(family), numbers, numbers)
+    return bool((low == high).all())
 
 
 def _constraints(
@@ -157,13 +186,27 @@ def _listed(family: Family, c: list[int], s: list[int], most: int) -> tuple[list
     order = np.lexsort((o, which))
     ends = np.flatnonzero(np.diff(which[order], append=count))
     starts = np.append(0, ends[:-1] + 1)
+    unsure = 0.0 if _is_linear(family, s) else LOST * (1 + float(np.abs(o).max(initial=0.0)))
 
     def member(k: int) -> Member:
         return table[k], 0.0, (int(pairs[k, 0]), int(pairs[k, 1]))
 
-    some = np.unique(np.linspace(0, count - 1, min(count, most), dtype=int))
-    found = [(member(order[ends[k]]), member(order[starts[k]])) for k in some]
-    return [(worst, deepest, worst) for worst, deepest in found], count
+    def alike(rows: np.ndarray) -> list[Member]:
+        return [member(k) for k in rows[np.unique(table[rows][:, s], axis=0, return_index=True)[1]]]
+
+    some, found = np.unique(np.linspace(0, count - 1, min(count, most), dtype=int)), []
+    for k in some:
+        rows = order[starts[k] : ends[k] + 1]
+        if unsure:
+            own = o[rows]
+            largest, least = alike(rows[own >= own[-1] - unsure]), alike(rows[own <= own[0] + unsure])
+        else:
+            largest, least = [member(rows[-1])], [member(rows[0])]
+        count += max(len(largest), len(least)) - 1
+        for worst, deepest in zip_longest(largest[:TIED], least[:TIED]):
+            worst = largest[0] if worst is None else worst
+            found.append((worst, least[0] if deepest is None else deepest, worst))
+    return found, count
 
 
 def _ranges(family: Family, c: list[int], s: list[int], most: int) -> tuple[list[tuple[Member, Member, Member]], int]:
@@ -172,13 +215,20 @@ def _ranges(family: Family, c: list[int], s: list[int], most: int) -> tuple[list
     split = first.shape[1]
     lists = [_distinct(first, [k for k in c if k < split]), _distinct(second, [k - split for k in c if k >= split])]
     count = len(lists[0]) * len(lists[1])
-    lower, upper = (np.concatenate([end(first, axis=0), end(second, axis=0)])[s] for end in (np.min, np.max))
     symbol = ca.SX.sym("s", len(s))
     o = _offset(family, s)(symbol) if s else ca.SX(0)
-    found = []
+    found, nobody = [], 0
     for which in np.unique(np.linspace(0, count - 1, min(count, most), dtype=int)):
         i, j = lists[0][which // len(lists[1])], lists[1][which % len(lists[1])]
         values = np.concatenate([first[i], second[j]])
+        alike = _alike(family, values, c)
+        if not all(map(len, alike)):
+            nobody += 1
+            continue
+        lower, upper = (
+            np.concatenate([end(table[rows], axis=0) for table, rows in zip((first, second), alike, strict=True)])[s]
+            for end in (np.min, np.max)
+        )
         rows = []
         for sign in (1, -1):
             top = extremum.supremum(sign * o, symbol, lower, upper) if s else None
@@ -186,14 +236,14 @@ def _ranges(family: Family, c: list[int], s: list[int], most: int) -> tuple[list
             if top is not None and top.at is not None:
                 numbers[s] = top.at
                 slack = sign * max(top.bound - top.value, 0.0)
-            one, other = _nearest(first, numbers[:split], [k for k in c if k < split]), -1
+            one, other = _nearest(first, numbers[:split], alike[0]), -1
             if family.second is not None:
-                own = [k - split for k in c if k >= split]
-                other = _nearest(second, numbers[split:], own, without=one if family.of_pairs else None)
+                left = alike[1][alike[1] != one] if family.of_pairs else alike[1]
+                other = _nearest(second, numbers[split:], left)
             rows.append((numbers, slack, (min(one, other), max(one, other)) if family.of_pairs else (one, other)))
         actual = (np.concatenate([first[rows[0][2][0]], second[rows[0][2][1]]]), 0.0, rows[0][2])
         found.append((*rows, actual))
-    return found, count
+    return found, count - nobody
 
 
 def _distinct(table: np.ndarray, columns: list[int]) -> np.ndarray:
@@ -201,17 +251,36 @@ def _distinct(table: np.ndarray, columns: list[int]) -> np.ndarray:
     return np.unique(table[:, columns], axis=0, return_index=True)[1] if columns else np.zeros(1, int)
 
 
-def _nearest(table: np.ndarray, values: np.ndarray, same: list[int], without: int | None = None) -> int:
-    """The row nearest to ``values`` among those that agree with it in the columns ``same``."""
-    far = np.abs(table - values).sum(axis=1) + np.where((table[:, same] == values[same]).all(axis=1), 0.0, np.inf)
-    if without is not None:
-        far[without] = np.inf
-    return int(np.argmin(far))
+def _alike(family: Family, values: np.ndarray, c: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    """The first and the second members with the numbers c of ``values``, but for those that would meet themselves alone."""
+    first, second = tables_of(family)
+    split = first.shape[1]
+    own, others = [k for k in c if k < split], [k for k in c if k >= split]
+    one = np.flatnonzero((first[:, own] == values[own]).all(axis=1))
+    other = np.flatnonzero((second[:, [k - split for k in others]] == values[others]).all(axis=1))
+    if not family.of_pairs:
+        return one, other
+    return (
+        one[one != other[0]] if len(other) == 1 else one,
+        other[other != one[0]] if len(one) == 1 else other,
+    )
+
+
+def _nearest(table: np.ndarray, values: np.ndarray, rows: np.ndarray) -> int:
+    """The one of some rows that is nearest to ``values``."""
+    return int(rows[np.argmin(np.abs(table[rows] - values).sum(axis=1))])
+
+
+def _is_linear(family: Family, s: list[int]) -> bool:
+    """Whether o is a linear function of the numbers s."""
+    return not ca.symvar(ca.jacobian(family.g, numbers_of(family)[s]))
 
 
 def _offset(family: Family, s: list[int]) -> ca.Function:
-    """s -> o(s), but for a constant: g with all else at one generic point."""
+    """s -> o(s), but for a constant: read off where o is linear, else g with all else at one generic point."""
     own = numbers_of(family)[s]
+    if _is_linear(family, s):
+        return ca.Function("o", [own], [ca.densify(ca.jacobian(family.g, own)) @ own])
     known = {symbol.element_hash() for symbol in ca.vertsplit(own)}
     rest = ca.vertcat(ca.SX(0, 1), *(x for x in ca.symvar(family.g) if x.element_hash() not in known))
     at = ca.DM(np.random.default_rng(1).uniform(0.5, 1.5, rest.numel()))

@@ -21,11 +21,15 @@ SMALL = 40  # Groups of so many constraints are solved by Wolfe's method, exactl
 ITERATIONS = 60
 GAP = 1e-7
 LARGE = 20_000, 2_000  # Constraints of a group beyond which its gamma takes too long (quick: the second).
-LOST = 1e7  # A lower bound above this: opposing normals, to rounding.
+LOST = 1e7  # A lower bound above this ends the iteration: whether normals oppose each other is then seen on
+CORE = 200  # so many constraints, those with the largest weights.
 
 
 class Network(NamedTuple):
-    """gamma <= ``gamma``; some weights attain ``attained``. The group with the largest part: its rows and their weights."""
+    """gamma <= ``gamma``; some weights attain ``attained``: inf where normals oppose each other.
+
+    The group with the largest part: its rows and their weights.
+    """
 
     gamma: float
     attained: float
@@ -69,11 +73,12 @@ def network_constant(slopes: tuple[np.ndarray, np.ndarray], first: np.ndarray, s
             least = gamma
         else:
             least, gamma, own = escape(N)
+            if least > LOST:
+                least, gamma, own = _opposing(N, least, own)
         if least > worst:
             worst, rows, weights = least, part, own
         low, high = low + least**2, high + gamma**2
-    low, high = np.sqrt(low), np.sqrt(high)
-    return Network(np.inf if worst > LOST else float(high), float(low), rows, weights)
+    return Network(float(np.sqrt(high)), float(np.sqrt(low)), rows, weights)
 
 
 def groups(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -141,6 +146,17 @@ def escape(N: csr_matrix) -> tuple[float, float, np.ndarray]:
         if high <= low * (1 + GAP) or low > LOST:
             break
     return low, max(high, low), best
+
+
+def _opposing(N: csr_matrix, least: float, weights: np.ndarray) -> tuple[float, float, np.ndarray]:
+    """Bounds of gamma and weights where the iteration ended above ``LOST``: is 0 in the hull of the normals that weigh most."""
+    core = np.argsort(-weights, kind="stable")[:CORE]
+    gamma, own = mfcq_constant(N[core].toarray())
+    if not np.isinf(gamma):
+        return least, np.inf, weights
+    found = np.zeros(len(weights))
+    found[core] = own
+    return np.inf, np.inf, found
 
 
 def _longest(x: np.ndarray, dx: np.ndarray) -> float:

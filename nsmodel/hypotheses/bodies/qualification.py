@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from nsmodel.hypotheses.bodies.families import Kind
-from nsmodel.hypotheses.bodies.near import named, within
+from nsmodel.hypotheses.bodies.near import named, sizes, within
 from nsmodel.hypotheses.bodies.network import LARGE, Network, network_of
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.hypotheses.sweeping.admissible import FEASIBLE
 from nsmodel.hypotheses.sweeping.constraint import EVERYWHERE, ON_THE_BOX
 from nsmodel.hypotheses.sweeping.qualification import FRACTION, TOUCHING, TRIES, Qualified
-from nsmodel.hypotheses.sweeping.qualification_proofs import discs
+from nsmodel.hypotheses.sweeping.qualification_proofs import Proof, discs, tied
 from nsmodel.scheme.many_bodies import BodiesProblem, Rows
 
 ROWS = 32  # Rows of the runs that are looked at, at most;
@@ -70,7 +70,7 @@ def _decide(
     size: float,
     quick: bool,
 ) -> Qualified:
-    worst, at, looked, left_out = Network(1.0, 1.0, np.zeros(0, int), np.zeros(0)), None, 0, 0
+    worst, at, looked, left_out, true = Network(1.0, 1.0, np.zeros(0, int), np.zeros(0)), None, 0, 0, False
     for t, q in points:
         rows = within(problem, t, q, rho + TOUCHING * size * slope)
         if not (rows.g >= -FEASIBLE * size * rows.size).all():
@@ -81,24 +81,41 @@ def _decide(
             left_out += 1
             continue
         looked += 1
-        if network.gamma > worst.gamma or at is None:
-            worst, at = network, (t, rows)
-        if np.isinf(worst.gamma):
+        if network.attained > worst.attained or at is None or (np.isinf(network.attained) and not true):
+            worst, at, true = network, (t, rows), _sure(problem, t, q, rows, network, rho)
+        if np.isinf(worst.attained) and true:
             break
     witness = opposed(problem, worst, at[1]) | ({"t": at[0]} if len(worst.rows) else {}) if at is not None else {}
-    proof = None
-    if proved:
-        proof = discs([c for kind in kinds for c in (kind.worst, kind.deepest)], rho, problem.count)
-    if proof is not None:
-        return Qualified(HOLDS, proof.gamma, proof.rho, EVERYWHERE, proof.how, min(worst.attained, proof.gamma), witness)
-    if np.isinf(worst.gamma):
+    proof = _discs(kinds, rho, problem) if proved else None
+    if proof is not None and worst.attained <= proof.gamma * (1 + 1e-9):
+        return Qualified(HOLDS, proof.gamma, proof.rho, EVERYWHERE, proof.how, worst.attained, witness)
+    if np.isinf(worst.attained) and true:
         return Qualified(VIOLATED, np.inf, rho, ON_THE_BOX, "opposing normals at an admissible point", np.inf, witness)
+    if np.isinf(worst.gamma):
+        lost = "constraints oppose each other that are active to the rounding of the whole scene, not to their own"
+        lost = lost if np.isinf(worst.attained) else "whether normals oppose each other is lost in rounding"
+        return Qualified(UNKNOWN, np.inf, rho, ON_THE_BOX, lost, worst.attained, witness)
     how = f"the contact graph of {looked} row{'s' * (looked != 1)}, of the start and the runs; others were not looked for"
+    if proof is not None:
+        how += f"; more than the {proof.gamma:.6g} that discs have, so that this bound is not used"
     if left_out:
         how += f"; {left_out} with groups of more than {LARGE[quick]} near constraints were left out"
     if not looked and points:
         return Qualified(UNKNOWN, np.inf, rho, ON_THE_BOX, how, np.nan, {})
     return Qualified(SAMPLED, worst.gamma, rho, ON_THE_BOX, how, worst.attained, witness)
+
+
+def _discs(kinds: Sequence[Kind], rho: float, problem: BodiesProblem) -> Proof | None:
+    """The bound for discs, where each distance is one of the same states of two bodies."""
+    constraints = [c for kind in kinds for c in (kind.worst, kind.deepest)]
+    return discs(constraints, rho, problem.count) if tied(constraints, problem.d) else None
+
+
+def _sure(problem: BodiesProblem, t: float, q: np.ndarray, rows: Rows, network: Network, rho: float) -> bool:
+    """Whether those that weigh in are within rho, and all are met, to the rounding of their own terms."""
+    unseen = TOUCHING * sizes(problem, t, q, rows)
+    used = network.rows[network.weights > 0]
+    return bool((rows.g >= -unseen).all() and (rows.g[used] <= rho + unseen[used]).all())
 
 
 def opposed(problem: BodiesProblem, network: Network, rows: Rows) -> dict[str, Any]:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from nsmodel.hypotheses.bodies.families import constraint_of
-from nsmodel.hypotheses.bodies.near import bounds, named, nearest
+from nsmodel.hypotheses.bodies.families import constraint_of, is_folded_exactly
+from nsmodel.hypotheses.bodies.near import doubtful, named, sizes
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED
 from nsmodel.hypotheses.sweeping.constraint import EVERYWHERE, Answer
-from nsmodel.hypotheses.sweeping.start import start_value
+from nsmodel.hypotheses.sweeping.start import ROUNDED, start_value
 from nsmodel.model.bodies import ManyBodies
 from nsmodel.scheme.many_bodies import BodiesProblem, Rows
 
@@ -22,14 +22,13 @@ def start_of(model: ManyBodies) -> np.ndarray:
 
 def start(problem: BodiesProblem) -> Answer:
     """Return whether the start is admissible: signs by intervals, where they touch in rational arithmetic."""
-    model, q = problem.model, start_of(problem.model)
-    rows = nearest(problem, 0.0, q)
+    q = start_of(problem.model)
+    rows, low, high = doubtful(problem, 0.0, q)
     if not len(rows.g):
         return Answer(HOLDS, {"min g": np.inf}, EVERYWHERE, "no constraint")
-    low, high = bounds(problem, 0.0, q, rows)
     k = int(np.argmin(np.nan_to_num(rows.g, nan=-np.inf)))
     value = {"min g": float(rows.g[k])}
-    bad = ~(high >= -1e-12 * rows.size * max(1.0, float(np.abs(model.bodies.q0).max()))) | np.isnan(rows.g)
+    bad = (high < -ROUNDED * sizes(problem, 0.0, q, rows)) | np.isnan(rows.g)
     if bad.any():
         k = int(np.argmin(np.where(bad, np.nan_to_num(rows.g, nan=-np.inf), np.inf)))
         bodies = [int(rows.first[k]), *([int(rows.second[k])] if rows.pair[k] else [])]
@@ -47,6 +46,9 @@ def start(problem: BodiesProblem) -> Answer:
 def _sign(problem: BodiesProblem, rows: Rows, k: int, q: np.ndarray) -> int:
     """The exact sign of one constraint at the start; -1 where it is not known."""
     i, j, number = int(rows.first[k]), int(rows.second[k]), int(rows.family[k])
-    constraint = constraint_of(problem.model, problem.names[number], problem.families[number], (i, j))
-    sign = start_value(constraint, np.concatenate([q[i], q[j]]) if rows.pair[k] else q[i])
+    family, state = problem.families[number], np.concatenate([q[i], q[j]]) if rows.pair[k] else q[i]
+    constraint, numbers = constraint_of(problem.model, problem.names[number], family, (i, j), folded=False)
+    sign = start_value(constraint, np.concatenate([state, numbers]))
+    if sign is None and is_folded_exactly(family, numbers):
+        sign = start_value(constraint_of(problem.model, problem.names[number], family, (i, j), folded=True)[0], state)
     return -1 if sign is None else sign

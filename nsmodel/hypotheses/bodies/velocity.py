@@ -11,7 +11,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.bodies.near import admits
+from nsmodel.errors import StepError
+from nsmodel.hypotheses.bodies.near import admits, all_admitted
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.hypotheses.proof import extremum, interval
 from nsmodel.hypotheses.proof.jumps import SWITCHES, jumps_in
@@ -25,8 +26,10 @@ from nsmodel.model.expressions import column
 from nsmodel.scheme.many_bodies import BodiesProblem
 
 TRIED = 8  # Bodies, of different numbers, whose velocity is searched for jumps.
+LOOKED = 64  # Times, or bodies taken away, for which all others are looked at.
 SHIFTS = 1e-1, 1e-4, 1e-7  # Parts of the box by which a body is moved for a difference quotient.
 Point = tuple[float, np.ndarray]
+_Jump = tuple[int, float, dict[str, Any]]
 
 
 def velocity(problem: BodiesProblem, region: Region, points: Sequence[Point], quick: bool) -> Answer:
@@ -40,8 +43,8 @@ def velocity(problem: BodiesProblem, region: Region, points: Sequence[Point], qu
     """
     model = problem.model
     if not isinstance(model.f, ca.SX):
-        return _called(model, region, points)
-    block = _block(model, region)
+        return _called(problem, region, points)
+    block = _block(model, region, problem.numbers)
     verdict, K, where, count = lipschitz(block, quick)
     rate, remark = _in_time(model, block, quick)
     if verdict == HOLDS:
@@ -54,25 +57,32 @@ def velocity(problem: BodiesProblem, region: Region, points: Sequence[Point], qu
         how = f"{count} points; neither jumps of f nor steep places were looked for (quick)"
         how = "f has operations that jump; " + how if able else how
         return Answer(UNKNOWN if able else SAMPLED, {"K_f": K, "L_f": L_f} | rate, ON_THE_BOX, how + remark)
-    jump = _jump(problem, block, points)
+    jump = _jump(problem, points, region)
     if jump is not None:
         number, size, witness = jump
         how = f"f jumps at {number} points found inside Q(t), so it is not Lipschitz there; the one nearest to a body is shown"
         return Answer(VIOLATED, {"K_f": np.inf, "jump": size, "L_f": L_f} | rate, ON_THE_BOX, how + remark, witness)
-    if points:
-        point = _steep(problem, block, region, (verdict, K, where, count), points[0])
-        if point is not None:
-            how = "difference quotients grow without bound near this point"
-            return Answer(VIOLATED, {"K_f": np.inf, "L_f": L_f} | rate, ON_THE_BOX, how + remark, point)
+    point = _steep(problem, region, points)
+    if point is not None:
+        how = "difference quotients grow without bound near this point"
+        return Answer(VIOLATED, {"K_f": np.inf, "L_f": L_f} | rate, ON_THE_BOX, how + remark, point)
     how = f"{count} points; f was not proved continuous with a bounded derivative, no jump was found inside Q(t)"
     return Answer(SAMPLED, {"K_f": K, "L_f": L_f} | rate, ON_THE_BOX, how + remark)
 
 
-def _block(model: ManyBodies, region: Region) -> Block:
-    """The velocity of one body: its numbers, and switches that depend on them and on time alone, as symbols within bounds."""
+def _used(model: ManyBodies) -> list[int]:
+    """Which of the numbers of a body its velocity depends on."""
+    d, symbols = model.bodies.d, model.me.symbols
+    return [k for k in range(symbols.numel() - d) if ca.depends_on(model.f, symbols[d + k])]
+
+
+def _block(model: ManyBodies, region: Region, table: np.ndarray) -> Block:
+    """The velocity of one of the bodies with the numbers ``table`` (k, K).
+
+    The numbers, and switches that depend on them and on time alone, are symbols within bounds.
+    """
     d, nodes = model.bodies.d, []
-    numbers, table = model.me.symbols[d:], model.bodies.table[:, d:]
-    used = [k for k in range(numbers.numel()) if ca.depends_on(model.f, numbers[k])]
+    used, numbers = _used(model), model.me.symbols[d:]
     plain = ca.SX.sym("q", d)
     chosen = column(numbers[k] for k in used)
     z = ca.vertcat(model.t, chosen)
@@ -111,9 +121,7 @@ def _in_time(model: ManyBodies, block: Block, quick: bool) -> tuple[dict[str, fl
     if not ca.depends_on(model.f, model.t):
         return {"L_t": 0.0}, ""
     one = block.box(False)
-    used = ca.symvar(model.f)
-    numbers = [s for s in ca.vertsplit(model.me.symbols[model.bodies.d :]) if any(ca.is_equal(s, other) for other in used)]
-    z = ca.vertcat(model.t, model.me.q, *numbers)
+    z = ca.vertcat(model.t, model.me.q, *(model.me.symbols[model.bodies.d + k] for k in _used(model)))
     lower, upper = (end[: z.numel()] for end in one)
     if not interval.is_continuous(model.f, z, lower, upper):
         return {"L_t": np.inf}, "; f was not proved continuous in t: no L_t, and no order is proved"
@@ -123,69 +131,114 @@ def _in_time(model: ManyBodies, block: Block, quick: bool) -> tuple[dict[str, fl
     return {"L_t": np.inf, "largest |f_t| seen": float(top.value)}, "; |f_t| was not bounded: no L_t, and no order is proved"
 
 
-def _jump(problem: BodiesProblem, block: Block, points: Sequence[Point]) -> tuple[int, float, dict[str, Any]] | None:
+def _some(model: ManyBodies, table: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Some bodies whose velocities differ by their numbers, and all bodies like each of them."""
+    own = table[:, _used(model)]
+    first, which = np.unique(own, axis=0, return_index=True, return_inverse=True)[1:] if own.size else (np.zeros(1, int), 0)
+    some = np.unique(np.linspace(0, len(first) - 1, min(len(first), TRIED), dtype=int))
+    which = np.broadcast_to(np.ravel(which), len(table))
+    return first[some], [np.flatnonzero(which == kind) for kind in some]
+
+
+def _jump(problem: BodiesProblem, points: Sequence[Point], region: Region) -> _Jump | None:
     """(number of jumps found, the largest, the one nearest to a body), one body moved to where its own velocity switches."""
-    model, d = problem.model, problem.model.bodies.d
-    table = problem.numbers
+    from scipy.spatial import cKDTree
+
+    model, d, table = problem.model, problem.d, problem.numbers
     f = ca.Function("f", [model.t, model.me.symbols], [ca.densify(model.f)])
-    own = [k for k in range(table.shape[1]) if ca.depends_on(model.f, model.me.symbols[d + k])]
-    kinds = np.unique(table[:, own], axis=0, return_index=True)[1] if own else np.zeros(1, int)
+    moves = ca.depends_on(model.f, model.t)
+    rest = [_Rest(problem, q) for _, q in points[:2]]
     found: list[tuple[float, float, dict[str, Any]]] = []
-    for kind in kinds[np.unique(np.linspace(0, len(kinds) - 1, min(len(kinds), TRIED), dtype=int))]:
-        numbers = table[kind]
-        fixed = block._replace(s=ca.SX(0, 1), s_lower=np.zeros(0), s_upper=np.zeros(0),
-                               f=f(model.t, ca.vertcat(block.q, ca.SX(ca.DM(numbers)))))  # fmt: skip
-        alike = np.flatnonzero((table[:, own] == numbers[own]).all(axis=1))
-        x, y = jumps(fixed)
-        for t, q in points[:2]:
+    for kind, alike in zip(*_some(model, table), strict=True):
+        x, y, least = jumps(_block(model, region, table[kind : kind + 1]))
+        for (t, q), others in zip(points[:2], rest, strict=True):
             there = alike[np.isfinite(q[alike]).all(axis=1)]
-            for a, b in zip(x, y, strict=True) if there.size else ():
-                time = a[0] if ca.depends_on(fixed.f, model.t) else t
-                far = np.linalg.norm(q[there] - a[1:], axis=1)
-                body = int(there[np.argmin(far)])
-                size = float(differ(*(np.array(f(time, np.concatenate([side[1:], numbers]))).T for side in (a, b)))[0])
-                if size and all(admits(problem, time, _moved(q, body, side[1:]), body) for side in (a, b)):
-                    found.append((float(far.min()), size, {"t": time, "size": size, "moved": f"body {body}", "to": a[1:]}))
+            if not there.size or not len(x):
+                continue
+            far, nearest = cKDTree(q[there]).query(x[:, 1 : 1 + d])
+            for k in np.argsort(far, kind="stable"):
+                time, body = float(x[k, 0]) if moves else t, int(there[nearest[k]])
+                ends = x[k, 1 : 1 + d], y[k, 1 : 1 + d]
+                values = (np.array(f(time, np.concatenate([end, table[kind]]))).T for end in ends)
+                size = float(differ(*values, least[k : k + 1])[0])
+                if size and all(others.admit(time, body, end) for end in ends):
+                    found.append((float(far[k]), size, {"t": time, "size": size, "moved": f"body {body}", "to": ends[0]}))
     if not found:
         return None
     return len(found), max(size for _, size, _ in found), min(found, key=lambda item: item[0])[2]
 
 
-def _steep(
-    problem: BodiesProblem, block: Block, region: Region, norm: tuple[str, float, str, int], point: Point
-) -> dict[str, Any] | None:
-    """A place where difference quotients keep growing, if the body nearest to it can be there."""
-    t, q = point
-    scene = part_without_constraints(block.q, block.t, block.lower, block.upper)
-    found = steep([block], [norm], scene, [(t, q[np.isfinite(q).all(axis=1)][0])], region.names)
-    if found is None:
+def _steep(problem: BodiesProblem, region: Region, points: Sequence[Point]) -> dict[str, Any] | None:
+    """A place where difference quotients of a body's velocity keep growing, if the body nearest to it can be there."""
+    model, table = problem.model, problem.numbers
+    occupied = [(t, q) for t, q in points if np.isfinite(q).all(axis=1).any()]
+    if not occupied:
         return None
-    at = np.array([found[name] for name in region.names])
-    body = int(np.nanargmin(np.linalg.norm(q - at, axis=1)))
-    return found | {"moved": f"body {body}"} if admits(problem, t, _moved(q, body, at), body) else None
+    t, q = occupied[0]
+    others = _Rest(problem, q)
+    for kind, alike in zip(*_some(model, table), strict=True):
+        there = alike[np.isfinite(q[alike]).all(axis=1)]
+        if not there.size:
+            continue
+        own = _block(model, region, table[kind : kind + 1])
+        f = ca.substitute(model.f, model.me.symbols, ca.vertcat(own.q, ca.SX(ca.DM(table[kind]))))
+        scene = part_without_constraints(own.q, own.t, own.lower, own.upper)
+        found = steep(f, [own], [(SAMPLED, 0.0, ON_THE_BOX, 0)], scene, [(t, q[there[0]])], region.names)
+        if found is None:
+            continue
+        at = np.array([found[name] for name in region.names])
+        body = int(there[np.argmin(np.linalg.norm(q[there] - at, axis=1))])
+        if others.admit(found["t"], body, at):
+            return found | {"moved": f"body {body}"}
+    return None
 
 
-def _moved(q: np.ndarray, body: int, to: np.ndarray) -> np.ndarray:
-    other = q.copy()
-    other[body] = to
-    return other
+class _Rest:
+    """Bodies at ``q`` (N, d), one of which is moved, at any time."""
+
+    def __init__(self, problem: BodiesProblem, q: np.ndarray) -> None:
+        self.problem, self.q, self.known = problem, q, {}
+        self.moves = any(ca.depends_on(ca.SX(family.g), problem.model.t) for family in problem.families)
+        self.still = not self.moves and all_admitted(problem, 0.0, q)
+
+    def admit(self, time: float, body: int, to: np.ndarray) -> bool:
+        """Whether all constraints of all bodies are met, to rounding for those who stay."""
+        moved = self.q.copy()
+        moved[body] = to
+        return admits(self.problem, time, moved, body) and self._stay(time, body)
+
+    def _stay(self, time: float, body: int) -> bool:
+        key = time if self.moves else 0.0, body
+        if self.still or (key not in self.known and len(self.known) >= LOOKED):
+            return self.still
+        if key not in self.known:
+            gone = self.q.copy()
+            gone[body] = np.nan
+            self.known[key] = all_admitted(self.problem, time, gone)
+        return self.known[key]
 
 
-def _called(model: ManyBodies, region: Region, points: Sequence[Point]) -> Answer:
+def _called(problem: BodiesProblem, region: Region, points: Sequence[Point]) -> Answer:
     """A function of numbers: difference quotients, which prove nothing."""
-    K, L = 0.0, 0.0
+    K, L, looked = 0.0, 0.0, 0
     rng = np.random.default_rng(0)
     size = float(np.max(region.upper - region.lower))
+    how = "f is a function of arrays: nothing is proved"
     for t, q in points[:4]:
         there = np.isfinite(q).all(axis=1)
-        value = np.asarray(model.f(t, q), float)[there]
-        L = max(L, float(np.linalg.norm(value) / (1 + np.linalg.norm(q[there]))))
-        for shift in SHIFTS:
-            other = q + shift * size * rng.standard_normal(q.shape) / np.sqrt(q.size)
-            change = np.asarray(model.f(t, other), float)[there] - value
-            K = max(K, float(np.linalg.norm(change) / np.linalg.norm((other - q)[there])))
-    how = f"f is a function of arrays: nothing is proved; {len(SHIFTS)} difference quotients at {min(len(points), 4)} rows"
-    value = {"K_f": K, "L_f": L, "L_t": np.inf}
-    if not np.isfinite(K + L):
-        return Answer(UNKNOWN, value, ON_THE_BOX, how + "; it returned what is no finite number")
-    return Answer(SAMPLED, value, ON_THE_BOX, how)
+        if not there.any():
+            continue
+        looked += 1
+        try:
+            value = problem.f(t, q, there)[there]
+            L = max(L, float(np.linalg.norm(value) / (1 + np.linalg.norm(q[there]))))
+            for shift in SHIFTS:
+                other = q + shift * size * rng.standard_normal(q.shape) / np.sqrt(q.size)
+                change = problem.f(t, other, there)[there] - value
+                K = max(K, float(np.linalg.norm(change) / np.linalg.norm((other - q)[there])))
+        except StepError as error:
+            return Answer(UNKNOWN, {"K_f": np.inf, "L_f": np.inf, "L_t": np.inf}, ON_THE_BOX, f"{how}; {error}")
+    if not looked:
+        return Answer(UNKNOWN, {"K_f": np.inf, "L_f": np.inf, "L_t": np.inf}, ON_THE_BOX, f"{how}; nobody is there")
+    how += f"; {len(SHIFTS)} difference quotients at {looked} row{'s' * (looked != 1)}"
+    return Answer(SAMPLED, {"K_f": K, "L_f": L, "L_t": np.inf}, ON_THE_BOX, how)

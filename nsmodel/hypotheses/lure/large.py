@@ -18,6 +18,7 @@ from nsmodel.hypotheses.lure.hypomonotone import HYPOMONOTONE, Growth
 from nsmodel.hypotheses.lure.passivity import D_PSD, STORAGE
 from nsmodel.hypotheses.lure.range_condition import H_5X0, H_31, H_54A, H_54B, H_54C, H_71
 from nsmodel.hypotheses.proof.exact import EPS
+from nsmodel.hypotheses.proof.jumps import jumps_in
 from nsmodel.model.lure import LureSystem
 
 MOST = 250  # States and multipliers up to which the proofs with dense matrices take seconds.
@@ -64,15 +65,16 @@ def findings(model: LureSystem) -> tuple[Growth, Sequence[Finding]]:
 def _growth(model: LureSystem, why: str) -> Growth:
     """5.2 for P = I and a linear A."""
     J = ca.jacobian(model.A, model.x)
-    if ca.depends_on(ca.vertcat(ca.SX(0, 1), *J.nonzeros()), model.x):
+    if ca.depends_on(ca.vertcat(ca.SX(0, 1), *J.nonzeros()), model.x) or jumps_in(model.A, model.x):
         return Growth(found(HYPOMONOTONE, UNKNOWN, why))
     A = ca.DM(J).sparse().tocsr()
     twice = A + A.T
     diagonal = twice.diagonal()
     radii = np.asarray(abs(twice - sp.diags(diagonal)).sum(axis=1)).ravel()
-    reach = float(((diagonal + radii) / 2).max(initial=0.0))
-    rounding = EPS * float((np.diff(twice.indptr) * (np.abs(diagonal) + radii)).max(initial=0.0))
-    omega = reach + 2 * rounding if reach > 0 or rounding else reach
+    rounding = np.where(radii > 0, EPS * np.diff(twice.indptr) * (np.abs(diagonal) + radii), 0.0)
+    omega = float(((diagonal + radii) / 2 + rounding).max(initial=-np.inf))
+    if not np.isfinite(omega):
+        return Growth(found(HYPOMONOTONE, UNKNOWN, "the entries of A are too large for Gershgorin's discs in doubles"))
     how = "everywhere (A is linear), by Gershgorin's discs of A + A' for P = I; another P may give less"
     return Growth(found(HYPOMONOTONE, HOLDS, how, {"omega": omega, "cond P": 1.0}), None, omega)
 

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, found
-from nsmodel.hypotheses.proof import interval
+from nsmodel.hypotheses.proof import exact, interval
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.sweeping.admissible import Scene, admissible_points, scene_of
 from nsmodel.hypotheses.sweeping.consequences import consequences_of
@@ -17,7 +17,7 @@ from nsmodel.hypotheses.sweeping.constants import answers
 from nsmodel.hypotheses.sweeping.constraint import EVERYWHERE, ON_THE_BOX, Answers, Constraint
 from nsmodel.hypotheses.sweeping.qualification import Qualified, qualification
 from nsmodel.hypotheses.sweeping.shapes import read_shapes
-from nsmodel.hypotheses.sweeping.start import start_value
+from nsmodel.hypotheses.sweeping.start import ROUNDED, start_value
 from nsmodel.hypotheses.sweeping.velocity import velocity
 from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.trajectory import Trajectory
@@ -190,12 +190,13 @@ def _start(model: SweepingProcess, constraints: Sequence[Constraint]) -> Finding
     low, high = _at_the_start(model, left, q0)
     g = np.array(ca.Function("g", [model.t, model.q], [ca.densify(model.g)])(0.0, q0)).ravel()
     slopes = ca.Function("slopes", [model.t, model.q], [ca.densify(ca.jacobian(model.g[left], model.q))])
-    size = np.linalg.norm(np.array(slopes(0.0, q0)).reshape(len(left), q0.size), axis=1) * max(1.0, np.linalg.norm(q0))
+    terms = np.nan_to_num(np.abs(np.array(slopes(0.0, q0)).reshape(len(left), q0.size) * q0), posinf=0.0).sum(axis=1)
+    size = terms + np.nan_to_num((high[left] - low[left]) / exact.EPS, posinf=0.0)
     undecided = []
     for k, scale in zip(left, size, strict=True):
         if low[k] >= 0:
             continue
-        if not high[k] >= -1e-12 * scale:
+        if high[k] < -ROUNDED * scale:
             witness = {"constraint": constraints[k].name, "g": float(g[k])} | dict(
                 zip(constraints[k].names, q0[list(constraints[k].shape.own)], strict=True)
             )

@@ -21,6 +21,8 @@ def consequences_of(model: SweepingProcess, findings: Sequence[Finding], runs: S
     a, b = number.get(("A1", "a"), 0.0), number.get(("A1", "b"), np.inf)
     speed, c = number.get(("A2", "b"), np.inf), number.get(("A0", "c"), 0.0)
     M, M_contact = number.get(("A4", "M"), np.inf), number.get(("A4", "M_contact"), np.inf)
+    if not M and np.isfinite(c):  # U_i is not all: beyond c nothing is as straight as there, and |q - q_k| <= |q - q_k|^2 / c.
+        M = M_contact = 2 * a / c
     gamma, gamma_0, rho = number[("A5", "gamma")], number[("A5'", "gamma")], number[("A5", "rho")]
     K_L, K_L_paper = _times(gamma, _over(speed, a)), _times(gamma, _over(max(speed, b), a))
     r = min(_over(rho, 6 * b), _over(a, _times(4 * gamma, M)))

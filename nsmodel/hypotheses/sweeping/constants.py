@@ -135,10 +135,10 @@ def _distance(c: Constraint) -> Answers | None:
     rates = [np.sqrt(float(v)) * _rate(c, a.offset) for v, a in squares]
     speed = ca.norm_2(ca.vertcat(*rates)) if any(not r.is_zero() for r in rates) else ca.SX(0)
     centre = over_time(c, speed)
-    # |u| >= (r - delta)/w on U_i, r/w on Q_i; the second derivative is w A'(I - nn')A / |u|, 0 for one row.
-    curved = len(A) > 1
-    M, M_contact = (curved * w * w * float(sigma[0]) ** 2 / (reach - part) for part in (delta, 0.0))
-    turning = curved * w * w * float(sigma[0]) / (reach - delta)
+    # |u| >= (r - delta)/w on U_i, r/w on Q_i; the second derivative is w A'(I - nn')A / |u|. For one row it is 0, but Q_i has two
+    # sides: from one to the other |v| - |u| - n(v - u) <= |v - u|^2 / (2 |u|), as for more rows.
+    M, M_contact = (w * w * float(sigma[0]) ** 2 / (reach - part) for part in (delta, 0.0))
+    turning = w * w * float(sigma[0]) / (reach - delta)
     how = f"{text}: the gradient is A'n with |n| = 1"
     clipped = ", a Lipschitz constant of the gradient (the Hessian jumps beyond the end points)" if c.shape.clips else ""
     return known | {

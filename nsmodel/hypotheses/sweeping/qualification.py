@@ -104,8 +104,12 @@ def _decide(
     proof = everywhere(constraints, rho)
     if proof is not None:
         if np.isfinite(proof.gamma):
-            # What counts as active to rounding may lie beyond what the proof excludes exactly.
-            return Qualified(HOLDS, proof.gamma, proof.rho, EVERYWHERE, proof.how, min(worst.gamma, proof.gamma), witness)
+            how = proof.how
+            if worst.gamma > proof.gamma * (1 + 1e-9):
+                how += (
+                    f"; {worst.gamma:.6g} was seen of constraints that are active to rounding, which the proof excludes exactly"
+                )
+            return Qualified(HOLDS, proof.gamma, proof.rho, EVERYWHERE, how, min(worst.gamma, proof.gamma), witness)
         own = sorted({i for constraint in constraints for i in constraint.shape.own})
         opposed = {"constraints": [constraints[i].name for i in proof.opposed], "weights": list(proof.weights)}
         where = {"t": proof.at[0]} | named([names[i] for i in own], proof.at[1:]) if proof.at is not None else {}

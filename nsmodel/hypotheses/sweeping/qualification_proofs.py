@@ -124,6 +124,19 @@ def discs(constraints: Sequence[Constraint], rho: float, count: int | None = Non
     return Proof(gamma, rho, f"{k} bodies and planes with a common escape direction: blown up and moved along it they all part")
 
 
+def tied(constraints: Sequence[Constraint], d: int) -> bool:
+    """Whether all distances are between the same states of two bodies, those of the second d after those of the first."""
+    known = set()
+    for c in constraints:
+        pair = _pair(c)
+        if pair is not None:
+            first, second = (tuple(i % d for i in states) for states in pair[:2])
+            known |= {first, second}
+            if any(abs(i - j) != d for i, j in zip(*pair[:2], strict=True)):
+                return False
+    return len(known) <= 1
+
+
 def _pair(c: Constraint) -> tuple[tuple[int, ...], tuple[int, ...], float, float, float] | None:
     """(states of one body, of the other, least and largest reach r/w over time, w) of w |q_i - q_j| - r(t)."""
     if c.shape.kind != "distance" or c.shape.clips:

@@ -11,6 +11,8 @@ import numpy as np
 from nsmodel.hypotheses.sweeping.constraint import Constraint
 from nsmodel.hypotheses.sweeping.forms import Affine, Clip, Offset
 
+ROUNDED = 1e-12  # A deficit below this part of the terms of a constraint may be the rounding of the user's own numbers.
+
 
 def start_value(c: Constraint, q0: np.ndarray) -> int | None:
     """Return the sign of g(0, q0), exactly; None where its form does not tell.

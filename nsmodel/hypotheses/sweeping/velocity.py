@@ -19,6 +19,7 @@ from nsmodel.model.expressions import column, keys
 
 BASES, JUMPS = 4, 256  # Admissible states from which jumps are looked for, and switching points tried.
 PAIRS = 32
+ASIDE = 1e-3  # The part of the box that a point is moved by to see how large f is around it.
 
 
 class Block(NamedTuple):
@@ -82,7 +83,7 @@ def velocity(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]],
         size, count, witness = jump
         how = f"f jumps at {count} points found inside Q(t), so it is not Lipschitz there; the one nearest to the runs is shown"
         return Answer(VIOLATED, {"K_f": np.inf, "jump": size, "L_f": L_f} | rate, ON_THE_BOX, how + steady, witness)
-    point = steep(blocks, norms, scene, points, names)
+    point = steep(f, blocks, norms, scene, points, names)
     if point is not None:
         value = {"K_f": np.inf, "L_f": L_f} | rate
         return Answer(VIOLATED, value, ON_THE_BOX, "difference quotients grow without bound near this point", point)
@@ -215,7 +216,7 @@ def _worst_jump(
     bases = [points_of_Q[k] for k in np.unique(np.linspace(0, len(points_of_Q) - 1, BASES, dtype=int)) if len(points_of_Q)]
     touched = _touched(scene)
     for block in blocks:
-        x, y = jumps(block)
+        x, y, least = jumps(block)
         if not len(x):
             continue
         own, moves = slice(1, 1 + block.q.numel()), bool(ca.depends_on(block.f, ca.vertcat(block.t, block.s)))
@@ -223,7 +224,7 @@ def _worst_jump(
             sides = _sides(f[rows], scene, touched, columns)
             for t, q in bases:
                 times = x[:, 0] if moves else np.full(len(x), t)
-                size = sides(times, x[:, own], y[:, own], q)
+                size = sides(times, x[:, own], y[:, own], least, q)
                 far = np.linalg.norm(x[:, own] - q[columns], axis=1)
                 for k in np.flatnonzero(size):
                     point = q.copy()
@@ -235,23 +236,36 @@ def _worst_jump(
     return float(max(size for _, size, _ in found)), len(found), min(found, key=lambda item: item[0])[2]
 
 
-def jumps(block: Block) -> tuple[np.ndarray, np.ndarray]:
-    """Points on both sides of switches of a block, where its value jumps."""
-    x, y = surface_points(block.f, block.z, *block.box(False))
+def jumps(block: Block) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points (k, n) on both sides of switches of a block, where its value jumps, and what is rounding there (k,)."""
+    lower, upper = block.box(False)
+    x, y = surface_points(block.f, block.z, lower, upper)
     if not len(x):
-        return x, y
+        return x, y, np.zeros(0)
     f = ca.Function("f", [block.z], [ca.densify(block.f)])
-    some = np.flatnonzero(differ(np.array(f(x.T)).T, np.array(f(y.T)).T))
+    least = _rounding(f, x, ASIDE * (upper - lower))
+    some = np.flatnonzero(differ(np.array(f(x.T)).T, np.array(f(y.T)).T, least))
     some = some[:: max(1, some.size // JUMPS)]
-    return x[some], y[some]
+    return x[some], y[some], least[some]
 
 
-def differ(below: np.ndarray, above: np.ndarray) -> np.ndarray:
-    """The size (k,) of the jumps between values (k, r); 0 where rounding explains it."""
+def _rounding(f: ca.Function, x: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """How much of a change of f beside x (k, n) the rounding of f and of x explains (k,), from the values around x."""
+    around = np.zeros(len(x))
+    for direction in np.random.default_rng(0).uniform(-1, 1, (4, step.size)):
+        for sign in (1, -1):
+            size = np.linalg.norm(np.array(f((x + sign * step * direction).T)), axis=0)
+            around = np.fmax(around, np.where(np.isfinite(size), size, 0.0))
+    far = np.max(np.abs(x) / np.where(step > 0, step, np.inf), axis=1, initial=0.0)
+    return 1e-12 * around * (1 + far)
+
+
+def differ(below: np.ndarray, above: np.ndarray, least: np.ndarray) -> np.ndarray:
+    """The size (k,) of the jumps between values (k, r); 0 where rounding explains it, which ``least`` (k,) is known to."""
     with np.errstate(all="ignore"):
         size = np.linalg.norm(above - below, axis=1)
         scale = np.linalg.norm(below, axis=1) + np.linalg.norm(above, axis=1)
-        return np.where(np.isfinite(size) & (size > 1e-7 * scale), size, 0.0)
+        return np.where(np.isfinite(size) & (size > 1e-7 * scale) & (size > least), size, 0.0)
 
 
 def _touched(scene: Scene) -> list[set[int]]:
@@ -264,19 +278,19 @@ def _touched(scene: Scene) -> list[set[int]]:
 
 
 def _sides(f: ca.SX, scene: Scene, touched: list[set[int]], columns: list[int]) -> Callable[..., np.ndarray]:
-    """Return sides(times (k,), x (k, c), y (k, c), q): how far f jumps (k,) from x to y, 0 where one of them is not in Q(t)."""
+    """Return sides(times (k,), x (k, c), y (k, c), least (k,), q): how far f jumps (k,) from x to y, both in Q(t), else 0."""
     rows = [i for i, states in enumerate(touched) if states & set(columns)]
     others = [j for j in range(scene.q.numel()) if j not in set(columns)]
     together = ca.vertcat(scene.t, scene.q[columns])
     r, value = f.numel(), ca.densify(ca.vertcat(f, scene.g[rows]))
     function = ca.Function("sides", [together, scene.q[others]], [value])
 
-    def sides(times: np.ndarray, x: np.ndarray, y: np.ndarray, q: np.ndarray) -> np.ndarray:
+    def sides(times: np.ndarray, x: np.ndarray, y: np.ndarray, least: np.ndarray, q: np.ndarray) -> np.ndarray:
         # The other states are one column: CasADi repeats it.
         both = np.hstack([np.vstack([times, side.T]) for side in (x, y)])
         values = np.array(function(both, q[others])).T.reshape(2, len(x), -1)
         inside = (values[:, :, r:] >= 0).all(axis=(0, 2))
-        return np.where(inside, differ(values[0, :, :r], values[1, :, :r]), 0.0)
+        return np.where(inside, differ(values[0, :, :r], values[1, :, :r], least), 0.0)
 
     return sides
 
@@ -294,29 +308,30 @@ def _quotient(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]]
 
 
 def steep(
-    blocks: list[Block], norms: list[tuple[str, float, str, int]], scene: Scene,
+    f: ca.SX, blocks: list[Block], norms: list[tuple[str, float, str, int]], scene: Scene,
     points: Sequence[tuple[float, np.ndarray]], names: Sequence[str],
 ) -> dict[str, Any] | None:  # fmt: skip
-    """A point of Q(t) near which difference quotients keep growing as the points come together."""
+    """A point of Q(t) near which difference quotients of f, a function of the scene's t and q, keep growing.
+
+    From an admissible state only the states of one block are moved, to where its derivative is largest.
+    """
     if not points:
         return None
-    base_t, base = points[0]
+    value, (base_t, base) = ca.Function("f", [scene.t, scene.q], [ca.densify(f)]), points[0]
     for block, (verdict, *_) in zip(blocks, norms, strict=True):
         if verdict == HOLDS:
             continue
-        J = ca.jacobian(block.f, block.q)
-        lower, upper = block.box(False)
-        top = extremum.supremum(ca.sumsqr(J), block.z, lower, upper)
+        top = extremum.supremum(ca.sumsqr(ca.jacobian(block.f, block.q)), block.z, *block.box(False))
         if top.at is None:
             continue
-        f = ca.Function("f", [block.z], [ca.densify(block.f)])
-        columns, k = block.members[0][1], block.q.numel()
-        for direction in np.eye(k):
-            step = np.concatenate([[0.0], direction, np.zeros(block.s.numel())])
-            size = [float(np.linalg.norm(np.array(f(top.at + h * step) - f(top.at)))) / h for h in (1e-3, 1e-6, 1e-9)]
+        time = float(top.at[0]) if ca.depends_on(block.f, ca.vertcat(block.t, block.s)) else base_t
+        columns, point = block.members[0][1], base.copy()
+        point[columns] = top.at[1 : 1 + len(columns)]
+        if scene.rows and not scene.admits(*scene.at(time, point)):
+            continue
+        for direction in np.eye(point.size)[columns]:
+            size = [float(np.linalg.norm(np.array(value(time, point + h * direction) - value(time, point)))) / h
+                    for h in (1e-3, 1e-6, 1e-9)]  # fmt: skip
             if np.isfinite(size).all() and size[1] > 5 * size[0] > 0 and size[2] > 5 * size[1]:
-                point = base.copy()
-                point[columns] = top.at[1 : 1 + k]
-                if not scene.rows or scene.admits(*scene.at(base_t, point)):
-                    return {"t": float(top.at[0])} | named(names, point)
+                return {"t": time} | named(names, point)
     return None
