@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import functools
 import signal
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import nsmodel
+from nsmodel.codegen import cache, library
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 SHARED = REPOSITORY / ".." / "shared"
+QUICK = tuple("-O0" if flag == "-O2" else flag for flag in library.FLAGS)
 CASES = sorted((REPOSITORY / "cases").glob("*.py"))
 
 
@@ -20,6 +22,15 @@ def pytest_generate_tests(metafunc):
     """A test with the argument ``case_file`` runs for every case file."""
     if "case_file" in metafunc.fixturenames:
         metafunc.parametrize("case_file", CASES, ids=[path.stem for path in CASES])
+
+
+@pytest.fixture(scope="module")
+def own_cache(tmp_path_factory):
+    """Build compiled steps without optimisation, and keep them in a folder of one module's tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        patch.setattr(cache, "FLAGS", QUICK)
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -39,7 +50,7 @@ def cases_of(load_case):
 def run_case(load_case):
     """Return run_case(stem) -> Trajectory of the case file as it stands, shared by all tests; do not change its arrays."""
 
-    @cache
+    @functools.cache
     def run(stem):
         return nsmodel.simulate(load_case(stem))
 
@@ -50,7 +61,7 @@ def run_case(load_case):
 def reference():
     """Return reference(name) -> array of a Siconos reference file, time first; the test is skipped where it is absent."""
 
-    @cache
+    @functools.cache
     def read(name):
         path = SHARED / "data" / "siconos" / f"{name}.ref"
         if not path.is_file():

@@ -21,6 +21,7 @@ import casadi as ca
 import numpy as np
 import processes
 import pytest
+from conftest import QUICK
 from processes import kill_when_there
 from test_resume import (
     FEW_ROWS,
@@ -62,21 +63,12 @@ from nsmodel.run import IN_C
 from nsmodel.simulate import explain
 
 loop = sys.modules["nsmodel.run"]
-QUICK = tuple("-O0" if flag == "-O2" else flag for flag in library.FLAGS)
+pytestmark = pytest.mark.usefixtures("own_cache")
 NO_UNIQUE_MULTIPLIERS = {"zhuravlev_ivanov"}
 CASES = Path(__file__).resolve().parents[1] / "cases"
 BRIDGE = str(CASES / "diode_bridge.py")
 
 compiles = pytest.mark.skipif(library.compiler() is None, reason="no C compiler")
-
-
-@pytest.fixture(autouse=True, scope="module")
-def own_cache(tmp_path_factory):
-    """Build without optimisation, and keep what is built in a folder of these tests."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        patch.setattr(cache, "FLAGS", QUICK)
-        yield
 
 
 @pytest.fixture(name="fresh_cache")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import QUICK
 from scipy.optimize import nnls
 
 from nsmodel import (
@@ -417,7 +418,7 @@ def outcome(model, **options):
 @pytest.mark.parametrize("name", COMPILED)
 def test_compiled_steps_give_the_same_states_warnings_and_errors(name, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(cache, "FLAGS", tuple("-O0" if flag == "-O2" else flag for flag in library.FLAGS))
+    monkeypatch.setattr(cache, "FLAGS", QUICK)
     (run, message), (compiled, compiled_message) = (outcome(COMPILED[name](), compiled=way) for way in (False, True))
     assert compiled.metadata["used"][-1].startswith("steps in C")
     np.testing.assert_allclose(compiled.x, run.x, atol=1e-12)

@@ -9,6 +9,7 @@ import sys
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import QUICK
 from processes import environment, kill_when_there, start
 
 from nsmodel import FrictionOscillator, SweepingProcess, Trajectory, simulate
@@ -90,7 +91,6 @@ from nsmodel.codegen import cache
 nsmodel.run.CHUNK_BYTES, cache.FLAGS = {bytes}, {flags}
 sys.exit(main(sys.argv[1:]))
 """
-FLAGS = tuple("-O0" if flag == "-O2" else flag for flag in library.FLAGS)
 
 
 @pytest.fixture(name="swinging", scope="module", params=["interpreted", "compiled"])
@@ -104,7 +104,7 @@ def make_swinging(request, tmp_path_factory):
     options = ["run", str(folder / "swinging.py"), "--quiet", *way]
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
-        patch.setattr(cache, "FLAGS", FLAGS)
+        patch.setattr(cache, "FLAGS", QUICK)
         assert main([*options, "--out", str(folder / "whole")]) == 0
         yield folder, options
 
@@ -114,7 +114,7 @@ def test_kill_9_at_any_moment_leaves_rows_to_read_and_a_run_to_resume(swinging, 
     """Killed within a few ms of some chunk of 64 rows, long before its end."""
     folder, options = swinging
     rng, out = np.random.default_rng(seed), folder / f"killed {seed}"
-    code = COMMAND.format(bytes=1, flags=FLAGS)
+    code = COMMAND.format(bytes=1, flags=QUICK)
     process = start(code, folder, *options, "--out", str(out))
     kill_when_there(process, out / f"chunk-{rng.integers(2, 13):06d}.npz", rng.uniform(0, 5e-3))
     whole, chunks = Trajectory.load(folder / "whole" / "trajectory.npz"), ChunkStore.open(out).manifest["chunks"]

@@ -6,7 +6,6 @@ import pytest
 import scipy.sparse as sp
 
 from nsmodel import FirstOrderSystem, LureSystem, box, check, codegen, complementarity, equality, explain, relay, simulate
-from nsmodel.codegen import cache
 from nsmodel.codegen.library import compiler
 from nsmodel.errors import CodegenError, ModelError, StepError, UsageError
 from nsmodel.scheme import one_step_problem
@@ -17,17 +16,8 @@ from nsmodel.solve.newton import Newton
 from nsmodel.solve.sparse import Sparse, order
 from nsmodel.solve.structure import read
 
-QUICK = ("-std=c99", "-O0", "-fPIC", "-shared")
+pytestmark = pytest.mark.usefixtures("own_cache")
 in_c = pytest.mark.skipif(compiler() is None, reason="no C compiler")
-
-
-@pytest.fixture(autouse=True, scope="module")
-def own_cache(tmp_path_factory):
-    """Build without optimisation, in a folder of these tests."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        patch.setattr(cache, "FLAGS", QUICK)
-        yield
 
 
 def springs(n, stiffness=100.0):

@@ -96,7 +96,8 @@ class CompiledStep:
         self._q, self._present, self._velocity = np.zeros((n, d)), np.zeros(n, np.uint8), np.zeros((n, d))
         self._next = np.zeros((n, d))
         self._numbers = np.ascontiguousarray(model.bodies.table[:, d:])
-        self._farthest, self._halves = np.full(len(families) + 1, -1.0), np.zeros((len(families), n))
+        self._farthest = np.array([*(0.0 if searched(family) else -1.0 for family in families), -1.0])
+        self._halves = np.zeros((len(families), n))
         self._shares = np.array([_at(row) for row in self._halves], np.uintp)
         self._memory = np.empty(4096 * (n + 64), np.uint8)
         self._missing, self.report = ctypes.c_size_t(0), Report()
@@ -113,7 +114,6 @@ class CompiledStep:
     def _reach(self, t: float) -> None:
         for k, family in enumerate(self.problem.families):
             if searched(family):
-                self._farthest[k] = max(self.problem.reach(k, t), 0.0)
                 self._halves[k] = np.maximum(self.problem.halves(k, t), 0.0)
 
     def __call__(

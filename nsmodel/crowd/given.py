@@ -13,9 +13,11 @@ from nsmodel.model.base import shown
 def numbers(value: Any, label: str, expected: str, kind: type[NsmodelError] = ModelError) -> np.ndarray:
     """An array of finite numbers, not to be written to."""
     try:
-        array = np.array(value if value is not None else "none", float)
+        array = None if value is None else np.array(value, float)
     except (TypeError, ValueError):
-        raise kind(f"{label}: {shown(value)}; expected {expected}") from None
+        array = None
+    if array is None:
+        raise kind(f"{label}: {shown(value)}; expected {expected}")
     if not np.isfinite(array).all():
         raise kind(f"{label}: {array[~np.isfinite(array)].flat[0]} is not a finite number; expected {expected}")
     array.setflags(write=False)
@@ -31,6 +33,15 @@ def number(
     if array.ndim or not (array > 0 or (zero and array == 0)):
         raise kind(f"{label}: {shown(value)}; expected {expected}")
     return float(array)
+
+
+def of_each(value: Any, label: str, count: int, unit: str, *, zero: bool = False) -> np.ndarray:
+    """Numbers (count,) > 0, or with ``zero`` >= 0, one for each person, from these or from one for all."""
+    expected = f"one number {'>=' if zero else '>'} 0 or ({count},), one for each person, in {unit}"
+    array = numbers(value, label, expected)
+    if array.shape not in ((), (count,)) or (array < 0).any() or (not zero and (array == 0).any()):
+        raise ModelError(f"{label}: {shown(value)}, shape {array.shape}; expected {expected}")
+    return np.broadcast_to(array, count).copy()
 
 
 def radii_between(radii: Any) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from nsmodel.crowd.geometry import CHUNK, distances, nearest_points, sight
-from nsmodel.crowd.given import number, numbers
+from nsmodel.crowd.given import number, numbers, of_each
 from nsmodel.crowd.room import Grid, Room
 from nsmodel.errors import ModelError, UsageError
 from nsmodel.model.base import shown
@@ -117,10 +117,7 @@ def desired_velocity(
             spacing.
     """
     clearance, spacing = number(clearance, "clearance"), number(spacing, "spacing")
-    expected = f"one number >= 0 or ({count},), in m/s"
-    speeds = numbers(speed, "speed", expected)
-    if speeds.shape not in ((), (count,)) or (speeds < 0).any():
-        raise ModelError(f"speed: {shown(speed)}, shape {speeds.shape}; expected {expected}")
+    speeds = of_each(speed, "speed", count, "m/s", zero=True)
     wishes = list(to) if isinstance(to, list | np.ndarray) else [to] * count
     if len(wishes) != count:
         raise ModelError(f"to: {len(wishes)} exits; expected one for each of {count} people")
@@ -135,7 +132,7 @@ def desired_velocity(
         values=np.stack([directions for directions, _ in tables]),
         distances=np.stack([lengths for _, lengths in tables]),
         group=np.array([table[names] for names in wanted], np.intp),
-        speed=np.broadcast_to(speeds, count).copy(),
+        speed=speeds,
         exits=exits,
         clearance=float(clearance),
     )
@@ -153,14 +150,14 @@ def _named(room: Room, to: Any) -> tuple[str, ...]:
 
 def _table(room: Room, grid: Grid, names: Sequence[str], clearance: float) -> tuple[np.ndarray, np.ndarray]:
     """Directions (ny, nx, 2) and lengths (ny, nx) of the shortest ways to these exits."""
-    taken = np.concatenate([np.full(len(value), name in names) for name, value in room.exits.items()])
+    taken = np.isin(room.door_names, names)
     doors, outward = room.doors[taken], room.outward[taken]
     walls = np.concatenate([room.segments, room.doors[~taken]])
     width = np.linalg.norm(doors[:, 1] - doors[:, 0], axis=1)
     keep = KEEP * clearance
     narrow = np.flatnonzero(width < 2 * keep)
     if narrow.size:
-        name = [name for name in names for _ in room.exits[name]][narrow[0]]
+        name = room.door_names[taken][narrow[0]]
         raise ModelError(
             f"exit '{name}' is {width[narrow[0]]:.3g} m wide; a clearance of {clearance:.3g} m on both sides needs "
             f"{2 * keep:.3g} m: take smaller people or a smaller clearance=, or name the other exits in to="

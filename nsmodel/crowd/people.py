@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.crowd.geometry import closed, contains, crosses_any, nearest_points
-from nsmodel.crowd.given import generator, number, numbers, radii_between
+from nsmodel.crowd.given import generator, number, numbers, of_each, radii_between
 from nsmodel.crowd.paths import KEEP, DesiredVelocity, desired_velocity
 from nsmodel.crowd.room import Room, polygon
 from nsmodel.errors import ModelError
@@ -38,12 +38,8 @@ class People:
         if places.ndim != 2 or places.shape[1] != 2 or not len(places):
             raise ModelError(f"places: shape {places.shape}; expected (N, 2)")
         count = len(places)
-        for name, zero in (("radii", False), ("speed", True), ("enter", True)):
-            expected = f"one number {'>=' if zero else '>'} 0, or ({count},), one for each person"
-            value = numbers(getattr(self, name), name, expected)
-            if value.shape not in ((), (count,)) or (value < 0).any() or (not zero and (value == 0).any()):
-                raise ModelError(f"{name}: {shown(getattr(self, name))}, shape {value.shape}; expected {expected}")
-            object.__setattr__(self, name, np.broadcast_to(value, count).copy())
+        for name, unit, zero in (("radii", "m", False), ("speed", "m/s", True), ("enter", "s", True)):
+            object.__setattr__(self, name, of_each(getattr(self, name), name, count, unit, zero=zero))
         object.__setattr__(self, "places", places)
         if isinstance(self.to, list | np.ndarray):
             if len(self.to) != count:
@@ -146,7 +142,7 @@ def arrivals(
     if not times.size:
         raise ModelError(f"arrivals: at {rate:g} a second nobody comes until {until:g} s; take a later time or another seed")
     sizes, share = rng.uniform(low, high, times.size), rng.uniform(0, 1, times.size)
-    of = np.concatenate([np.full(len(value), name == door) for name, value in room.exits.items()])
+    of = room.door_names == door
     doors, outward = room.doors[of], room.outward[of]
     k = rng.integers(len(doors), size=times.size)
     along = doors[k, 1] - doors[k, 0]
@@ -230,9 +226,8 @@ def behind(room: Room, q: ca.SX, beyond: float, stride: float = 0.0) -> ca.SX:
     """
     grid = room.grid(0.1)
     nodes, depth = grid.nodes[room.inside(grid)], max(BEYOND, 2 * stride)
-    names = [name for name, value in room.exits.items() for _ in value]
     found = None
-    for (a, b), normal, name in zip(room.doors, room.outward, names, strict=True):
+    for (a, b), normal, name in zip(room.doors, room.outward, room.door_names, strict=True):
         width = float(np.linalg.norm(b - a))
         along = (b - a) / width
         out, part = (nodes - a) @ normal, (nodes - a) @ along
@@ -260,7 +255,7 @@ def _all_get_out(room: Room, places: np.ndarray, desired: DesiredVelocity) -> No
         return
     at, names = places[lost[0]], desired.exits[desired.group[lost[0]]]
     grid, who = room.grid(desired.spacing), f"person {lost[0]} at ({at[0]:.4g}, {at[1]:.4g})"
-    if any(contains(corners, at[None])[0] for corners in room.obstacles):
+    if room.in_obstacle(at[None])[0]:
         raise ModelError(f"{who} is in an obstacle")
     if not room.inside(grid)[grid.nearest(at[None])][0]:
         raise ModelError(f"{who} is outside the room")

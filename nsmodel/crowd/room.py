@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nsmodel.crowd import picture
-from nsmodel.crowd.geometry import closed, contains, distances
+from nsmodel.crowd.geometry import closed, contains, distances, nearest_points
 from nsmodel.crowd.given import number, numbers
 from nsmodel.errors import ModelError
 from nsmodel.model.base import shown
@@ -89,6 +89,11 @@ class Room:
         return np.concatenate(list(self.exits.values()))
 
     @cached_property
+    def door_names(self) -> np.ndarray:
+        """The exit (E,) that each of `doors` belongs to."""
+        return np.array([name for name, value in self.exits.items() for _ in value])
+
+    @cached_property
     def box(self) -> tuple[np.ndarray, np.ndarray]:
         """The lower left and the upper right corner (2,) of all there is."""
         points = np.concatenate([self.segments, self.doors]).reshape(-1, 2)
@@ -99,9 +104,8 @@ class Room:
         """The unit normal (E, 2) that leads out through each of `doors`."""
         along = self.doors[:, 1] - self.doors[:, 0]
         normals = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1)[:, None]
-        names = [name for name, value in self.exits.items() for _ in value]
-        for k, name in enumerate(names):
-            self._check_door(k, name)
+        for k in range(len(normals)):
+            self._check_door(k)
         grid = self.grid(0.1)
         for k, (probes, normal) in enumerate(zip(self._probes, normals, strict=True)):
             step = 2 * grid.spacing * normal
@@ -109,17 +113,20 @@ class Room:
             if sides[0] == sides[1]:
                 what, middle = "outside" if sides[0] else "inside", self.doors[k].mean(axis=0)
                 raise ModelError(
-                    f"exit '{names[k]}' at {_at(middle)} is {what} on both sides: walls and exits must enclose the room"
+                    f"exit '{self.door_names[k]}' at {_at(middle)} is {what} on both sides: walls and exits must enclose the room"
                 )
             normals[k] = normal if sides[0] else -normal
         return normals
 
-    def _check_door(self, k: int, name: str) -> None:
+    def _check_door(self, k: int) -> None:
         """Refuse an exit that lies on a wall, or ends beside one."""
         (a, b), others = self.doors[k], np.concatenate([self.segments, np.delete(self.doors, k, axis=0)])
-        for wall in self.walls:
-            if (distances(a + np.array([[0.25], [0.5], [0.75]]) * (b - a), wall[None]) < 1e-9 * np.abs(self.box).max()).all():
-                raise ModelError(f"exit '{name}' lies on the wall from {_at(wall[0])} to {_at(wall[1])}: leave a gap there")
+        name, along = self.door_names[k], a + np.array([[0.25], [0.5], [0.75]]) * (b - a)
+        apart = np.linalg.norm(nearest_points(along, self.walls) - along[:, None], axis=2)
+        on = np.flatnonzero((apart < 1e-9 * np.abs(self.box).max()).all(axis=0))
+        if on.size:
+            wall = self.walls[on[0]]
+            raise ModelError(f"exit '{name}' lies on the wall from {_at(wall[0])} to {_at(wall[1])}: leave a gap there")
         away = distances(np.array([a, b]), others)
         if away.max() > TOUCHES:
             end = (a, b)[away.argmax()]
@@ -134,7 +141,7 @@ class Room:
         found = []
         for a, b in self.doors:
             along = a + PROBES[:, None] * (b - a)
-            free = ~np.any([np.zeros(len(along), bool), *(contains(corners, along) for corners in self.obstacles)], axis=0)
+            free = ~self.in_obstacle(along)
             found.append(along[free] if free.any() else along)
         return found
 
@@ -142,11 +149,15 @@ class Room:
         """The segments (E, 2, 2) of an exit, each with the inside on its left and the outside on its right."""
         if name not in self.exits:
             raise ModelError(f"the room has no exit '{name}'; it has {', '.join(self.exits)}")
-        mine = np.array([key == name for key, value in self.exits.items() for _ in value])
+        mine = self.door_names == name
         doors, outward = self.doors[mine], self.outward[mine]
         along = doors[:, 1] - doors[:, 0]
         right = along[:, 1] * outward[:, 0] - along[:, 0] * outward[:, 1] > 0
         return np.where(right[:, None, None], doors, doors[:, ::-1])
+
+    def in_obstacle(self, q: np.ndarray) -> np.ndarray:
+        """Whether each q (N, 2) is inside an obstacle."""
+        return np.any([np.zeros(len(q), bool), *(contains(corners, q) for corners in self.obstacles)], axis=0)
 
     def grid(self, spacing: float) -> Grid:
         """The nodes of a square grid over the room and a margin, cut by walls and exits."""
@@ -160,8 +171,8 @@ class Room:
         """
         step = 2 * grid.spacing * self.outward
         probes = np.concatenate([places - own for places, own in zip(self._probes, step, strict=True)])
-        behind = ~np.any([np.zeros(len(probes), bool), *(contains(corners, probes) for corners in self.obstacles)], axis=0)
-        labels = grid.label[grid.nearest(probes[behind] if behind.any() else probes)]
+        free = ~self.in_obstacle(probes)
+        labels = grid.label[grid.nearest(probes[free] if free.any() else probes)]
         if (labels == grid.label[0, 0]).all():
             raise ModelError(
                 f"at a spacing of {grid.spacing:.3g} m the room is open: there is a gap as small in its walls; walls and exits "

@@ -46,7 +46,8 @@ typedef struct {
     const int *const *over;        /* for each family, the pairs it runs over (2 each), or NULL: all */
     const int *over_count;
     const double *farthest;        /* for each family the largest c of g = |q_i - q_j| - c; negative: another kind */
-    const double *const *halves;   /* for each such family (n) numbers with c_ij <= half_i + half_j; NULL: half the largest c */
+    const double *const *halves;   /* for each such family (n) numbers with c_ij <= half_i + half_j, which then serve for the
+                                      largest c; NULL: half of it */
     const double *p;
     double motion;                 /* the largest |d_i| of the last step; 0: unknown */
     int contacts;                  /* of the last step: rows with m > 0 */
