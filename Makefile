@@ -5,7 +5,11 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint bench bench-large study clean
+.PHONY: help demo test quick nightly lint bench bench-large study clean
+
+# NSMODEL_SHORT=1 makes the long ones short: a scene or two, once. They write into results/ alone.
+PAGES := hypotheses $(if $(NSMODEL_SHORT),,codegen orders stability crowd study)
+SCENES := cases/diode_bridge.py $(if $(NSMODEL_SHORT),,cases/crowd_room.py cases/friction_oscillator.py)
 
 help: ## show this list
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1|/' | column -t -s '|'
@@ -16,10 +20,17 @@ $(STAMP): pyproject.toml
 	touch $@
 
 demo: $(STAMP) ## set up, run a rectifier, a crowd and a friction oscillator, draw pictures into results/
-	$(BIN)/nsmodel run cases/diode_bridge.py cases/crowd_room.py cases/friction_oscillator.py --plot --out results
+	$(BIN)/nsmodel run $(SCENES) --plot --out results
 
 test: $(STAMP) ## set up and run the tests
 	$(BIN)/python -m pytest -n auto --dist loadfile
+
+quick: $(STAMP) ## set up and run the tests that take seconds: under a minute on two cores
+	$(BIN)/python -m pytest -n auto --dist loadfile -m fast
+
+nightly: $(STAMP) ## set up and run the search for refused steps and wrong answers: 2000 random models a class, hours
+	mkdir -p results
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search --models $(if $(NSMODEL_SHORT),2,2000) --compiled 10 --json results/search.json
 
 lint: $(STAMP) ## ruff and pyright
 	$(BIN)/ruff check nsmodel cases tests docs/figures
@@ -33,7 +44,8 @@ bench-large: $(STAMP) ## crowds of up to 20 000 and chains of up to 10 000 (with
 	$(BIN)/python tests/bench/large.py
 
 study: $(STAMP) ## make the figures and tables of docs/ anew (with the peers, where installed)
-	for page in hypotheses codegen orders stability crowd study; do $(BIN)/python docs/figures/$$page.py || exit 1; done
+	$(if $(NSMODEL_SHORT),mkdir -p results && rm -rf results/docs && cp -r docs results/docs)
+	for page in $(PAGES); do $(BIN)/python $(if $(NSMODEL_SHORT),results/)docs/figures/$$page.py || exit 1; done
 
 clean: ## remove the environment, caches and results
 	rm -rf $(VENV) results build dist .pytest_cache .ruff_cache *.egg-info

@@ -1,8 +1,7 @@
 """nsmodel: nonsmooth dynamics on CasADi. Declare a model, run it, and get a trajectory in which every step was verified."""
 
-from importlib.metadata import version
+from typing import TYPE_CHECKING
 
-from nsmodel.checking import check
 from nsmodel.errors import (
     MissingExtraError,
     ModelError,
@@ -12,7 +11,7 @@ from nsmodel.errors import (
     StorageError,
     UsageError,
 )
-from nsmodel.hypotheses.findings import Finding, Report
+from nsmodel.later import later as _later
 from nsmodel.loader import load
 from nsmodel.model.bodies import Bodies, Family, Items, ManyBodies, neighbours
 from nsmodel.model.first_order import FirstOrderSystem
@@ -31,13 +30,18 @@ from nsmodel.model.laws import (
 from nsmodel.model.lure import LureSystem
 from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.sweeping import SweepingProcess
-from nsmodel.run import RunInterrupted
-from nsmodel.simulate import explain, simulate
-from nsmodel.stress import Stress, stress
-from nsmodel.study import Study, study
-from nsmodel.trajectory import Trajectory
+from nsmodel.version import VERSION
 
-__version__ = version("nsmodel")
+__version__ = VERSION
+
+if TYPE_CHECKING:
+    from nsmodel.checking import check
+    from nsmodel.hypotheses.findings import Finding, Report
+    from nsmodel.run import RunInterrupted
+    from nsmodel.simulate import explain, simulate
+    from nsmodel.stress import Stress, stress
+    from nsmodel.study import Study, study
+    from nsmodel.trajectory import Trajectory
 
 __all__ = [
     "Bodies",
@@ -79,3 +83,16 @@ __all__ = [
     "stress",
     "study",
 ]
+
+_later(
+    __name__,
+    {
+        "nsmodel.checking": ["check"],
+        "nsmodel.hypotheses.findings": ["Finding", "Report"],
+        "nsmodel.run": ["RunInterrupted"],
+        "nsmodel.simulate": ["explain", "simulate"],
+        "nsmodel.stress": ["Stress", "stress"],
+        "nsmodel.study": ["Study", "study"],
+        "nsmodel.trajectory": ["Trajectory"],
+    },
+)

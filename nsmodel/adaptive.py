@@ -1,13 +1,14 @@
 """Steps chosen by local error control: each step is taken once with h and again as two steps of h/2.
 
-    e = max_i |x_fine - x_coarse|_i / (atol_i + rtol s_i),      s_i = the largest |x_i| so far
+    e = max_i |d_i| / (atol_i + rtol s_i),    d = (x_fine - x_coarse) / (2^p - 1),    s_i = the largest |x_i| so far
 
-is the error in units of what is allowed; an oscillator's velocities count among the x_i. The schemes are of first order: e
-falls like h^2 in smooth phases and like h across a switch; 2 x_fine - x_coarse is of second order in smooth phases. A step
-is accepted
+is the error of x_fine in units of what is allowed; an oscillator's velocities count among the x_i. p is the order that the
+scheme has in this step (``OneStepProblem.order``), 1 but for theta = 1/2: e falls like h^(p+1) in smooth phases and like h
+across a switch; x_fine + d is of order p + 1 in smooth phases. A step is accepted
 
-- with the state 2 x_fine - x_coarse where e <= 1, the index sets are equal and every constraint is >= 0 there (a sweeping
-  process is projected once more, as its scheme does);
+- with the state x_fine + d where e <= 1, the index sets are equal and every constraint is >= 0 there (a sweeping process is
+  projected once more, as its scheme does). What the scheme carries of the multipliers (gamma < 1) stays that of the step: on
+  a row that is held it may alternate about its mean, which d would magnify;
 - else as it is where e <= h/T, so that the errors of all steps add up to the tolerance; or where e <= SWITCH and the index
   set changes: that error falls like h, whatever the order.
 
@@ -31,14 +32,16 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.errors import StepError, UsageError
+from nsmodel.errors import StepError, StorageError, UsageError
 from nsmodel.grid import Grid, check_times, is_number, make_grid, written
 from nsmodel.model.base import Model
 from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.sweeping import SweepingProcess
-from nsmodel.run import Run, keep_unfinished, progress_bar
+from nsmodel.record import UNSET
+from nsmodel.run import Run, is_numerical, keep_unfinished, progress_bar, runaway, unsolvable
 from nsmodel.scheme import constraints, shortened
-from nsmodel.solve.certificate import EPS
+from nsmodel.scheme.problem import feedthrough
+from nsmodel.solve.certificate import EPS, numeric_law
 from nsmodel.solve.stepper import StepResult, Warm
 from nsmodel.trajectory import Trajectory
 
@@ -96,13 +99,16 @@ class Place(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """One step taken both ways; ``error`` in units of what is allowed; ``smooth``: one index set from before it to its end."""
+    """One step taken both ways; ``error`` in units of what is allowed; ``smooth``: one index set from before it to its end;
+    ``order`` of the scheme in this step.
+    """
 
     coarse: StepResult
     half: StepResult
     fine: StepResult
     error: float
     smooth: bool
+    order: int
 
 
 class Accepted(NamedTuple):
@@ -145,6 +151,8 @@ class AdaptiveRun(Run):
             ca.Function("c", [model.t, state], [ca.densify(c), ca.densify(ca.jacobian(c, state))]) if c.numel() else None
         )
         self._corrections = [0.0]
+        self._law = numeric_law(self.problem.law)
+        self.warnings += self._relays()
 
     def _h(self, j: int) -> float:
         return math.ldexp(self.T, -j)
@@ -157,6 +165,10 @@ class AdaptiveRun(Run):
 
     def _bar(self) -> Any:
         return progress_bar(total=100, unit="%", bar_format="{percentage:3.0f}%|{bar}| {elapsed}<{remaining}")
+
+    @property
+    def _runaway(self) -> tuple[str, float] | None:
+        return runaway(self.model.names, self.place.state[: len(self.model.names)])
 
     @property
     def _ended(self) -> bool:
@@ -195,13 +207,14 @@ class AdaptiveRun(Run):
         control = self.rollout.control(place.state.size, m, self._watched.size)
         given = {
             "T": self.T, "rtol": self.rtol, "largest": LARGEST, "least": LEAST, "crossing": SWITCH, "grow": GROW,
-            "negligible": NEGLIGIBLE, "t": place.t, "j": place.j, "fresh": place.index_set is None, "x": place.state,
-            "least_step": totals["least_step"] or np.inf, "atol": self.atol, "size": self._size, "watched": place.watched,
-            "rate": place.rate,
+            "negligible": NEGLIGIBLE, "order": self.problem.order.most, "t": place.t, "j": place.j,
+            "fresh": place.index_set is None, "x": place.state, "least_step": totals["least_step"] or np.inf, "atol": self.atol,
+            "size": self._size, "watched": place.watched, "rate": place.rate,
         }  # fmt: skip
         for name, value in given.items():
             control[name] = value
         control["l"][:m], control["index"][:m] = place.warm.l, place.warm.index
+        control["lowering"][list(self.problem.order.lowered_by)] = 1
         for number, group in enumerate(self._groups):
             control["group"][group] = number
         columns = np.empty((3, len(record.t) - record.filled))
@@ -244,28 +257,48 @@ class AdaptiveRun(Run):
         sets = [self._index(result) for result in (coarse, half, fine)]
         before = sets[0] if at.index_set is None else at.index_set
         smooth = all(np.array_equal(one, before) for one in sets)
-        return Trial(coarse, half, fine, self._error(at, coarse, half, fine, smooth), smooth)
+        order = self._order(at, fine) if smooth else 1
+        return Trial(coarse, half, fine, self._error(at, coarse, half, fine, smooth, order), smooth, order)
+
+    def _order(self, at: Place, fine: StepResult) -> int:
+        """The order of a step on one index set; 1 for the first one where it uses a multiplier of the start."""
+        if at.index_set is None and self.problem.start is not None:
+            return 1
+        most, lowered_by = self.problem.order
+        return most if fine.warm.index[list(lowered_by)].all() else 1
 
     def _step(self, t: float, h: float, state: np.ndarray, warm: Warm) -> StepResult:
         found = None if self.rollout is None else self.rollout.step(t, h, state, warm, self.stepper.layout)
-        return self.stepper(t, h, state, warm, self.k) if found is None else found
+        if found is not None:
+            return found
+        try:
+            return self.stepper(t, h, state, warm, self.k)
+        except Exception as error:
+            if not is_numerical(error):
+                raise
+            raise unsolvable(f"no verified step from t = {t:.10g} to {t + h:.10g}", error) from error
 
     def _time(self, t: int) -> float:
         return math.ldexp(t, -LEAST - 1) * self.T
 
-    def _error(self, at: Place, coarse: StepResult, half: StepResult, fine: StepResult, smooth: bool) -> float:
-        """|x_fine - x_coarse|; at a switch not less than the bends within the step and at its start, which nothing hides."""
+    def _error(self, at: Place, coarse: StepResult, half: StepResult, fine: StepResult, smooth: bool, order: int) -> float:
+        """|x_fine - x_coarse|/(2^order - 1); at a switch not less than the bends within the step and at its start: none hides."""
         x_coarse, x_half, x_fine = (result.row[self._watched] for result in (coarse, half, fine))
-        difference, size = np.abs(x_fine - x_coarse), np.maximum(self._size, np.abs(x_fine))
+        difference, size = np.abs(x_fine - x_coarse) / (2**order - 1), np.maximum(self._size, np.abs(x_fine))
         if not smooth:
             moved = x_half - at.watched
             bends = np.abs(x_fine - x_half - moved), np.abs(moved - self._h(at.j) / 2 * at.rate)
             difference = np.fmax(difference, np.fmax(*bends))
-        for group in self._groups:
-            size[group] = np.maximum(size[group], NEGLIGIBLE * size[group].max())
-        allowed = self.atol + self.rtol * size
+        allowed = self._allowed(size)
         units = np.divide(difference, allowed, out=np.where(difference > 0, np.inf, 0.0), where=allowed > 0)
         return float(np.nan_to_num(units, nan=np.inf).max(initial=0.0))
+
+    def _allowed(self, size: np.ndarray) -> np.ndarray:
+        """The error allowed of each x_i, where ``size`` (..., n) holds the largest |x_i| so far."""
+        size = size.copy()
+        for group in self._groups:
+            size[..., group] = np.maximum(size[..., group], NEGLIGIBLE * size[..., group].max(axis=-1, keepdims=True))
+        return self.atol + self.rtol * size
 
     def _index(self, result: StepResult) -> np.ndarray:
         """The index set of a step; for catching-up also the sides of the selection, which no row of its law tells."""
@@ -276,15 +309,15 @@ class AdaptiveRun(Run):
         """The step as it is kept; None where its error is too large."""
         error, least, h = trial.error, at.j == LEAST, self._h(at.j)
         state = self._extrapolated(at, trial) if error <= 1 and trial.smooth else None
-        allowed, order = (1.0, 2) if state is not None else (h / self.T, 2) if trial.smooth else (SWITCH, 1)
+        allowed = 1.0 if state is not None else h / self.T if trial.smooth else SWITCH
         if error > allowed and not least:
             return None
         row, correction = trial.fine.row, 0.0
         if state is not None:
             row, correction = self._moved(at, trial, *state), error
         j, t = at.j, at.t + 2 * at.half
-        of_double = 2.0 if trial.smooth and state is None else 1.0
-        if j > LARGEST and error * 2**order <= GROW * allowed * of_double and t % (4 * at.half) == 0:
+        growth, of_double = 2.0 ** (trial.order + trial.smooth), 2.0 if trial.smooth and state is None else 1.0
+        if j > LARGEST and error * growth <= GROW * allowed * of_double and t % (4 * at.half) == 0:
             j -= 1
         after = shortened(self.model, row[self.stepper.layout.state], self._h(j) / (h / 2))
         rate = (trial.fine.row - trial.half.row)[self._watched] / (h / 2)
@@ -292,10 +325,12 @@ class AdaptiveRun(Run):
         return Accepted(at, trial, row, correction, end)
 
     def _extrapolated(self, at: Place, trial: Trial) -> tuple[np.ndarray, np.ndarray | None] | None:
-        """2 x_fine - x_coarse, and its gaps; None where a velocity changes its sign or a constraint is broken."""
+        """The combination, and its gaps; None where a velocity changes its sign or a constraint is broken."""
         states = self.stepper.layout.state
         fine, coarse = trial.fine.row[states], shortened(self.model, trial.coarse.row[states], 0.5)
-        state, end = fine + (fine - coarse), at.t + 2 * at.half
+        state, end = fine + (fine - coarse) / (2**trial.order - 1), at.t + 2 * at.half
+        if self.problem.start is not None:
+            state[self._watched.size :] = fine[self._watched.size :]
         if isinstance(self.model, FrictionOscillator):
             n = len(self.model.names)
             if (np.sign(state[n:]) != np.sign(fine[n:])).any():
@@ -329,9 +364,8 @@ class AdaptiveRun(Run):
     def _record(self, accepted: Accepted) -> None:
         at, trial, totals = accepted.start, accepted.trial, self.totals
         h = self._h(at.j) / 2
-        for row, result, moved in ((trial.half.row, trial.half, 0.0), (accepted.row, trial.fine, accepted.correction)):
-            self._add(self.grid.times[-1] + h, h, row, result, moved)
-        self.grid.times[-1] = self._time(accepted.end.t)
+        self._add(self._time(at.t) + h, h, trial.half.row, trial.half, 0.0)
+        self._add(self._time(accepted.end.t), h, accepted.row, trial.fine, accepted.correction)
         self._size = np.maximum(self._size, np.abs(accepted.row[self._watched]))
         totals["accepted"] += 1
         totals["extrapolated"] += int(accepted.correction > 0)
@@ -361,11 +395,61 @@ class AdaptiveRun(Run):
         totals["index_set_changes"] += int(self.last_index is not None and not np.array_equal(index, self.last_index))
         totals["steps"], self.last_index = self.k, index
 
+    def _relays(self) -> list[str]:
+        """A warning where theta = 1/2 meets a multiplier with two ends."""
+        jumps = np.isfinite(self._law.lower) & np.isfinite(self._law.upper) & (self._law.lower < self._law.upper)
+        jumps[[i for kind, rows, _ in self._law.curved if kind == "ball" for i in range(rows.start, rows.stop)]] = True
+        if getattr(self.model, "theta", 1) != 0.5 or not jumps.any():
+            return []
+        return [
+            f"theta = 1/2 with the relay '{self.problem.rows[jumps.argmax()]}': rtol does not see all of its switches (stick may "
+            "end half a step late); compare with theta = 1"
+        ]
+
+    def _turns(self) -> list[str]:
+        """A warning where a path turns back inside a step whose index set stays: whole and half steps agree on it, and err alike.
+
+        A row that is held, and does not depend on l directly, has in l_i the mean of a half step, where nothing is carried
+        (gamma = 1). On the line through both means l_i leaves K before the step ends by a part o of their difference: it should
+        have let go, and what has bent the path by b, |x_fine - 2 x_half + x| in units of what is allowed, has moved it o^2 b/2
+        too far.
+        """
+        layout, filled, law = self.stepper.layout, self.record.filled, self._law
+        held = np.setdiff1d(np.arange(law.size), feedthrough(self.problem.Y, self.problem.l))
+        if self.problem.start is not None or not held.size or filled < 3:
+            return []
+        rows, index = self.record.rows[:filled], self.record.index[:filled, held]
+        start, half, fine = slice(0, -2, 2), slice(1, -1, 2), slice(2, None, 2)
+        stays = (index[half] == 0) & (index[fine] == 0) & (np.isin(index[start], (0, UNSET)))
+        l = rows[:, layout.l][:, held]
+        step = l[fine] - l[half]
+        outside = np.maximum(law.lower[held] - l[fine] - step / 2, l[fine] + step / 2 - law.upper[held])
+        part = np.divide(outside, np.abs(step), out=np.zeros_like(step), where=stays & (outside > 0)).max(axis=1)
+        if not part.any():
+            return []
+        x = rows[:, self._watched]
+        allowed = self._allowed(np.maximum.accumulate(np.abs(x[::2]), axis=0)[1:])
+        bend = np.abs(x[fine] - 2 * x[half] + x[start])
+        error = part**2 / 2 * np.divide(bend, allowed, out=np.zeros_like(bend), where=allowed > 0).max(axis=1)
+        found = np.flatnonzero(error > 1)
+        if not found.size:
+            return []
+        return [
+            f"the path turned back inside {found.size} step{'s' if found.size > 1 else ''}, first before "
+            f"t = {self.record.t[2 * found[0] + 2]:.6g}, unseen by whole and half steps: off by about {error.max():.2g} times "
+            "what rtol allows; compare with constant steps"
+        ]
+
     def _finish(self, status: str, message: str) -> Trajectory:
+        self.warnings += self._turns()
         run = super()._finish(status, message)
         run.arrays["correction"] = np.array(self._corrections)
         if self.folder is not None:
-            run.save(self.folder / "trajectory.npz")
+            try:
+                run.save(self.folder / "trajectory.npz")
+            except StorageError as error:
+                error.trajectory = run
+                raise
         return run
 
 

@@ -17,16 +17,16 @@ from nsmodel.grid import Grid
 from nsmodel.hypotheses.quick import warnings_of
 from nsmodel.identity import INTERPRETED, settings
 from nsmodel.model.bodies import ManyBodies
-from nsmodel.run import Loop
+from nsmodel.run import Loop, runaway
 from nsmodel.scheme.many_bodies import BodiesProblem, Rows
 from nsmodel.solve.certificate import EPS
 from nsmodel.solve.choose import Plan
+from nsmodel.solve.cost import Cost, of_bodies
 from nsmodel.solve.many_bodies import COLD, BodiesStep, BodiesStepper, BodiesWarm, explained
 from nsmodel.solve.near import least_gap, near
+from nsmodel.standstill import ROUNDED, WINDOW, Still, arches, autonomous, given_back, held
 
-PAYS = 20_000  # Bodies times steps from which on compiling takes less time than it saves.
 CONTACTS_EACH = 3  # Contacts of a body for which memory is planned.
-ROUNDED = 64 * EPS  # A gap not farther below 0, beside the positions, is round-off: the rows need not be looked at.
 OVERRUN = 1e5  # A gap below 0 by more than so many times the rounding of the positions is told.
 
 
@@ -71,6 +71,7 @@ class BodiesRun(Loop):
     """A run of many bodies; see `simulate` for the arguments.
 
     It stands at (k, q, waiting, warm): ``q (N, d)`` is NaN where a body is not there, ``waiting (N,)`` who has not yet entered.
+    It ends before the grid does where nobody is left, or where nothing will ever change again (see `standstill`).
     ``seconds``: run time of the interpreted steps by what they do.
     """
 
@@ -100,6 +101,7 @@ class BodiesRun(Loop):
         self.record = BodiesRecord(N, d, self._rows_in_memory(row, 1))
         self.k, self.warm, self.waiting = 0, COLD, model.enter > 0
         self.q = np.where(self.waiting[:, None], np.nan, model.bodies.q0)
+        self.still, self._steady = Still(self.q, 0), autonomous(model)
         self._flushed = time.monotonic()
         if resume:
             self._restore()
@@ -108,6 +110,16 @@ class BodiesRun(Loop):
             gap = refuse_start(self.problem, self.q)
             self._note_gap(gap, 0.0)
             self.record.add(0.0, np.nan, self.q, gap, np.nan, np.nan, NO_CONTACTS)
+
+    @property
+    def _runaway(self) -> tuple[str, float] | None:
+        """The body that is, or would be after this step without constraints, where numbers end."""
+        after = self.q
+        with contextlib.suppress(StepError):
+            present = np.isfinite(self.q).all(axis=1)
+            after = self.q + self.grid.step(self.k) * self.problem.f(self.grid.time(self.k), self.q, present)
+        far = np.nan_to_num([self.q, after], nan=0.0).reshape(2, len(self.q), -1)
+        return runaway([f"q of body {i}" for i in range(len(self.q))], np.abs(far).max(axis=(0, 2)))
 
     @property
     def seconds(self) -> dict[str, float]:
@@ -132,8 +144,11 @@ class BodiesRun(Loop):
 
         return CompiledStep(self.model, self.tolerance)
 
-    def _pays(self) -> bool:
-        return self.grid.N * self.problem.count >= PAYS
+    def _cost(self) -> Cost:
+        from nsmodel.codegen import bodies_step
+
+        model = self.model
+        return of_bodies(self.problem.count, lambda: bodies_step.has_solver(model), lambda: bodies_step.has_own(model))
 
     def _present(self) -> np.ndarray:
         """Who takes part in the next step (N,): those that are there and do not leave."""
@@ -142,7 +157,7 @@ class BodiesRun(Loop):
 
     def _advance(self, bar: Any, interrupted: Sequence[float]) -> None:
         grid = self.grid
-        while self.k < grid.N and not interrupted:
+        while not (self._ended or interrupted):
             t, h = grid.time(self.k), grid.step(self.k)
             present = self._present()
             result = self._take(t, h, np.where(present[:, None], self.q, np.nan), present)
@@ -153,14 +168,42 @@ class BodiesRun(Loop):
             entering = self._entering(t + h, q) if self.waiting.any() else np.zeros(0, int)
             q[entering] = self.model.bodies.q0[entering]
             self._count(t + h, result, pressure, left, entering)
-            self.k, self.q, self.warm = self.k + 1, q, result.warm
-            if self.k % self.save_every == 0 or self.k == grid.N:
+            before, self.k, self.q, self.warm = (self.q, self.warm), self.k + 1, q, result.warm
+            self._note_end(before)
+            if self.k % self.save_every == 0 or self._ended:
                 contacts = in_order(result.contacts)
                 self.record.add(grid.time(self.k), h, q, result.gap_min, result.residual, pressure, contacts)
                 if self.store is not None and self._due:
                     self._flush("running", "")
             if bar is not None:
                 bar.update()
+
+    @property
+    def _ended(self) -> bool:
+        return super()._ended or "ended" in self.totals
+
+    def _note_end(self, before: tuple[np.ndarray, BodiesWarm]) -> None:
+        """Note that nobody is left, or that nothing will ever change again."""
+        self.still = self.still.after(self.k, self.q, self.warm)
+        if self.waiting.any():
+            return
+        if np.isnan(self.q).all():
+            self.totals["ended"] = "empty"
+        elif self._steady and (stood := self.k - self.still.since) >= WINDOW:
+            if self.grid.steps is None and given_back(before, (self.q, self.warm)):
+                self.totals["ended"] = "given back"
+            elif stood % WINDOW == 0 and held(self.problem, self.grid.time(self.k), before[0], self.q, self.warm.contacts):
+                self.totals["ended"] = "held"
+
+    def _standstill(self) -> dict[str, Any] | None:
+        """Since when nobody has moved, and who holds whom; None where somebody moves, or nobody is there."""
+        there = np.isfinite(self.q).all(axis=1)
+        if self.k - self.still.since < WINDOW or not there.any():
+            return None
+        return {
+            "since": self.grid.time(self.still.since), "bodies": int(there.sum()), "for_good": self.totals.get("ended"),
+            "arches": arches(self.problem, self.q, self.warm.contacts),
+        }  # fmt: skip
 
     def _take(self, t: float, h: float, q: np.ndarray, present: np.ndarray) -> BodiesStep:
         """The step; a compiled one that fails is taken once more interpreted."""
@@ -240,13 +283,18 @@ class BodiesRun(Loop):
 
     def _standing(self) -> dict[str, Any]:
         contacts = {name: value.tolist() for name, value in self.warm.contacts._asdict().items()}
-        return {"q": self.q.ravel(), "waiting": np.flatnonzero(self.waiting), "moved": self.warm.moved, "contacts": contacts}
+        return {"q": self.q.ravel(), "waiting": np.flatnonzero(self.waiting), "moved": self.warm.moved,
+                "contacts": contacts, "still": {"q": self.still.q.ravel(), "since": self.still.since}}  # fmt: skip
 
     def _stand(self, saved: dict[str, Any]) -> None:
         self.q = np.array(saved["q"], float).reshape(self.q.shape)
         self.waiting = np.isin(np.arange(self.problem.count), saved["waiting"])
         contacts = (np.array(saved["contacts"][name], kind.dtype) for name, kind in NO_CONTACTS._asdict().items())
         self.warm = BodiesWarm(Contacts(*contacts), saved["moved"])
+        if "still" in saved:
+            self.still = Still(np.array(saved["still"]["q"], float).reshape(self.q.shape), saved["still"]["since"])
+        else:
+            self.still = Still(self.q, self.k)
 
     def _metadata(self, status: str, message: str) -> dict[str, Any]:
         there = np.isfinite(self.q).all(axis=1)
@@ -257,7 +305,9 @@ class BodiesRun(Loop):
             "of_pairs": [family.of_pairs for family in self.problem.families],
             "body_numbers": {name: value.tolist() for name, value in self.model.bodies.numbers.items() if name != "q"},
             "bodies": {"count": self.problem.count, "d": self.problem.d, "there": int(there.sum()),
-                       "waiting": int(self.waiting.sum()), "left": int(self.problem.count - there.sum() - self.waiting.sum())},
+                       "waiting": int(self.waiting.sum()), "left": int(self.problem.count - there.sum() - self.waiting.sum()),
+                       "empty_at": self.grid.time(self.k) if self.totals.get("ended") == "empty" else None,
+                       "standstill": self._standstill()},
             "warnings": [*self.warnings, *self._overrun()],
         }  # fmt: skip
 

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import StepError, UsageError
+from nsmodel.hypotheses import impacts
 from nsmodel.hypotheses.along import along
 from nsmodel.hypotheses.findings import SAMPLED, Consequence, Finding, Hypothesis, Report
 from nsmodel.hypotheses.region import region_of
@@ -20,6 +21,7 @@ from nsmodel.model.first_order import FirstOrderSystem
 from nsmodel.model.inclusion import MonotoneInclusion
 from nsmodel.model.lure import LureSystem
 from nsmodel.model.oscillator import FrictionOscillator
+from nsmodel.model.parameters import Values
 from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.scheme import one_step_problem
 from nsmodel.simulate import simulate
@@ -37,6 +39,7 @@ CLASSES: Mapping[type[Model], str] = {
 ROUND_OFF = 1e-11  # Differences of runs below this part of the state are not told from rounding.
 FEW_STEPS = 4000  # Steps looked at where each needs Newton's method.
 BODY_STEPS = 100_000, 20_000  # Bodies times steps of a run that is made; up to the second, also with the steps 2h and 4h.
+LATE = f"where y closes with y' != 0 a state jumps, an impact; see {impacts.GUIDE}"
 ASYMPTOTIC = 0.3, 2.5  # Orders seen outside of this range are chance.
 
 
@@ -53,7 +56,7 @@ def check(
     model: Model,
     runs: Sequence[Trajectory] | None = None,
     *,
-    parameters: Mapping[str, float] | None = None,
+    parameters: Values | None = None,
     region: Mapping[str, tuple[float, float]] | None = None,
     quick: bool = False,
 ) -> Report:
@@ -63,7 +66,7 @@ def check(
         model: any of the six classes. Parameters may stay without value for a LureSystem: the conditions on them are found.
         runs: finished runs of this model; left out, the model is run (twice more with larger steps, for the observed order,
             and for two classes from another start, for the contraction).
-        parameters: values of parameters by name.
+        parameters: values of parameters, by name or symbol.
         region: {state or symbol: (low, high)}, where hypotheses about all states are decided if no proof covers them
             everywhere; states left out have an interval around the runs.
         quick: skip runs, global searches and local maximisation.
@@ -81,11 +84,11 @@ def check(
     """
     if not isinstance(model, Model):
         raise UsageError(f"check: expected a model, such as LureSystem(...), not {shown(model)}")
-    values = {**model.parameters, **(parameters or {})}
+    values = {**model.parameters, **model.values_of(parameters)}
     missing = tuple(name for name, value in values.items() if value is None)
     if missing and isinstance(model, LureSystem):
-        return _symbolic(model.bind(parameters, partly=True), values, missing)
-    bound = model.bind(parameters)
+        return _symbolic(model.bind(values, partly=True), values, missing)
+    bound = model.bind(values)
     notes: list[str] = []
     given = runs is not None or quick
     own = list(runs or ()) if given else _runs(bound, notes)
@@ -93,7 +96,9 @@ def check(
     findings, consequences = _checker(type(bound)).check(bound, box, own, quick)
     if isinstance(bound, ManyBodies):
         notes += _of_bodies(bound, [] if given else own)
-    if own:
+    if not own:
+        notes += [f"{watch.acts}, not on y': {LATE}" for watch in impacts.watched(bound) if not watch.relay]
+    else:
         twin = own[1] if len(own) > 1 and len(own[1].t) == len(own[0].t) else None
         findings += along(bound, own[0], findings, twin, quick)
         if not given:
@@ -198,7 +203,7 @@ def _observed_order(h: float, runs: Sequence[Trajectory]) -> Consequence:
         value["largest error"] = error
     if near <= ROUND_OFF * max(np.nanmax(np.abs(runs[0].x)), np.finfo(float).tiny):
         return _measured(
-            "observed order", "runs with steps 4h, 2h, h agree to rounding: the scheme is exact on this scene", value
+            "observed order", "runs with steps 4h, 2h, h agree to rounding: no order is seen, and no error of the step", value
         )
     order = np.log2(far / near) if far else 0.0
     if not ASYMPTOTIC[0] <= order <= ASYMPTOTIC[1]:

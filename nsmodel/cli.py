@@ -3,50 +3,120 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
 import os
 import signal
 import sys
 import textwrap
+import threading
 import time
-from collections.abc import Sequence
-from importlib.metadata import version
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
-from nsmodel.checking import check
 from nsmodel.errors import CodegenError, ModelError, NsmodelError, StepError, StorageError, UsageError
 from nsmodel.hypotheses.findings import VIOLATED, Report
 from nsmodel.loader import load_with
+from nsmodel.lock import held
 from nsmodel.model.base import Model
 from nsmodel.run import RunInterrupted
 from nsmodel.simulate import explain, simulate
 from nsmodel.solve.choose import SOLVERS
-from nsmodel.storage import dumps, write_json, write_text
-from nsmodel.stress import push
-from nsmodel.study import StudyInterrupted, study
+from nsmodel.storage import STAMP, dumps, refuse_unwritable, write_json, write_text
 from nsmodel.trajectory import Trajectory
+from nsmodel.version import VERSION
+from nsmodel.words import print_shown as print
 
-DONE, AT_FAULT, USAGE, FAILED_STEP, REFUSED, INTERRUPTED = 0, 1, 2, 3, 4, 130
+T = TypeVar("T")
+DONE, AT_FAULT, USAGE, FAILED_STEP, REFUSED = 0, 1, 2, 3, 4
+INTERRUPTED, TERMINATED = 128 + signal.SIGINT, 128 + signal.SIGTERM
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM: ends a command as Ctrl-C does."""
+
+    signal = signal.SIGTERM
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status.
 
     0 done; 1 a hypothesis is violated (``check --strict``) or a cell is wrong (``stress``); 2 usage or model; 3 a step failed;
-    4 no C code; 130 interrupted.
+    4 no C code; 130 interrupted by Ctrl-C, 143 by SIGTERM.
     """
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # names of files need not be text
     arguments = _parser().parse_args(argv)
+    status = DONE
     try:
-        return arguments.command(arguments)
+        with _signals(), _apart(arguments):
+            status = arguments.command(arguments)
+            arguments.stdout.flush()
+            return status
     except NsmodelError as error:
         return _refused(error)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
         print("nsmodel: interrupted", file=sys.stderr)
-        return INTERRUPTED
-    except BrokenPipeError:  # the reader (head, less) has gone
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _by_signal(stop)
+    except OSError as error:
+        return max(status, _silenced(error))
+
+
+@contextlib.contextmanager
+def _signals() -> Iterator[None]:
+    """SIGTERM raises Terminated; afterwards signals do what they did before."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    usual = {number: signal.getsignal(number) or signal.SIG_DFL for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def stop(number: int, frame: Any) -> None:
+        raise Terminated
+
+    if usual[signal.SIGTERM] is not signal.SIG_IGN:
+        signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        for number, handler in usual.items():
+            signal.signal(number, handler)
+
+
+def _no_more_signals() -> None:
+    """One more Ctrl-C would cost what is being saved."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+
+
+def _by_signal(stop: BaseException | None) -> int:
+    """The exit status of an interruption: that of the first signal among what led to it."""
+    while stop is not None and not hasattr(stop, "signal"):
+        stop = stop.__context__
+    return 128 + getattr(stop, "signal", signal.SIGINT)
+
+
+def _silenced(error: OSError) -> int:
+    """Give up standard output; no fault where its reader (head, less) has gone."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if isinstance(error, BrokenPipeError):
         return DONE
+    print(f"nsmodel: error: cannot write the output: {error}", file=sys.stderr)
+    return USAGE
+
+
+@contextlib.contextmanager
+def _apart(arguments: argparse.Namespace) -> Iterator[None]:
+    """Keep standard output for the document of --json: what a model file prints meanwhile goes to standard error."""
+    arguments.stdout = sys.stdout
+    with contextlib.redirect_stdout(sys.stderr if getattr(arguments, "json", False) else sys.stdout):
+        yield
+
+
+def _print_json(arguments: argparse.Namespace, document: Any) -> None:
+    print(dumps(document, indent=2), file=arguments.stdout)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -54,10 +124,11 @@ def _parser() -> argparse.ArgumentParser:
         prog="nsmodel",
         description="Nonsmooth dynamics: run a model file, every step verified; check its hypotheses; write its step in C.",
         epilog="exit status: 0 done; 1 a hypothesis is violated (check --strict) or a cell is wrong (stress); "
-        "2 usage, missing file or wrong model; 3 a step failed, 130 interrupted (what was computed is saved); "
+        "2 usage, missing file or wrong model; 3 a step failed, 130 interrupted by Ctrl-C, 143 by SIGTERM (what was computed is "
+        "saved); "
         "4 the model has no C counterpart",
     )  # fmt: skip
-    parser.add_argument("--version", action="version", version=f"nsmodel {version('nsmodel')}")
+    parser.add_argument("--version", action="version", version=f"nsmodel {VERSION}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     run = commands.add_parser("run", help="simulate a model file", description="Simulate a model file and print a summary.")
     run.add_argument("files", metavar="FILE", nargs="+", help="a Python file that defines model = ... or def model(...)")
@@ -117,6 +188,9 @@ def _parser() -> argparse.ArgumentParser:
         help="values of a parameter or of an argument of model(); repeatable: all combinations are run",
     )  # fmt: skip
     pusher.add_argument("--step", type=float, metavar="H", help="the step that is taken for 1 (default: the model's)")
+    pusher.add_argument(
+        "--budget", type=float, metavar="SECONDS", help="wall time; cells beyond it are left out (default: none is)"
+    )
     pusher.add_argument("--json", action="store_true", help="print all cells as JSON")
     pusher.add_argument("--out", metavar="DIR", help="folder for stress.txt, stress.json and stress.png")
     pusher.set_defaults(command=_stress)
@@ -128,6 +202,7 @@ def _parser() -> argparse.ArgumentParser:
     writer.add_argument("--step", type=float, metavar="H", help="time step of the code (default: the model's)")
     writer.add_argument("--any-step", action="store_true", help="let a linear scene take any step, not this one alone")
     writer.add_argument("--tolerance", type=float, default=1e-9, metavar="TOL", help="largest accepted residual (default 1e-9)")
+    writer.add_argument("--max-work", type=int, metavar="N", help="most linear systems, index sets and sweeps in a step")
     _add_set(writer)
     writer.set_defaults(command=_codegen)
     return parser
@@ -136,16 +211,18 @@ def _parser() -> argparse.ArgumentParser:
 def _add_set(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE",
-        help="value of a parameter or of an argument of model(); repeatable",
+        help="value of a parameter or of an argument of model(): a number, V1,V2,... or rows with ; between; repeatable",
     )  # fmt: skip
 
 
 def _check(arguments: argparse.Namespace) -> int:
     """Check each file; several end in a line a file. The status is that of the worst."""
+    from nsmodel.checking import check
+
     several = len(arguments.files) > 1
     if several and arguments.markdown:
         raise UsageError("--markdown takes one model file; check them one by one")
-    region = dict(_interval(setting) for setting in arguments.region)
+    region = _by_name(map(_interval, arguments.region), "--region")
     reports: list[tuple[str, Report | None, int]] = []
     documents = []
     for file in arguments.files:
@@ -164,7 +241,7 @@ def _check(arguments: argparse.Namespace) -> int:
     if arguments.markdown and reports[0][1] is not None:
         write_text(Path(arguments.markdown), reports[0][1].markdown())
     if arguments.json:
-        print(dumps(documents if several else documents[0], indent=2))
+        _print_json(arguments, documents if several else documents[0])
     elif several:
         width = max(len(Path(file).stem) for file, _, _ in reports)
         for file, report, _ in reports:
@@ -174,6 +251,8 @@ def _check(arguments: argparse.Namespace) -> int:
 
 def _study(arguments: argparse.Namespace) -> int:
     """Measure a file's model; Ctrl-C keeps what was measured."""
+    from nsmodel.study import StudyInterrupted, study
+
     model, values = _load(arguments.file, arguments.set)
     status, given = DONE, arguments.solvers
     try:
@@ -183,10 +262,13 @@ def _study(arguments: argparse.Namespace) -> int:
             solvers=None if given is None else [name for name in map(str.strip, given.split(",")) if name],
         )  # fmt: skip
     except StudyInterrupted as stop:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # one more Ctrl-C would cost what is being saved
-        found, status = stop.study, INTERRUPTED
+        _no_more_signals()
+        found, status = stop.study, _by_signal(stop)
     document = {"file": arguments.file, **found.document()}
-    print(dumps(document, indent=2) if arguments.json else found.text())
+    if arguments.json:
+        _print_json(arguments, document)
+    else:
+        print(found.text())
     if arguments.csv:
         found.to_csv(arguments.csv)
     if arguments.out:
@@ -202,22 +284,30 @@ def _study(arguments: argparse.Namespace) -> int:
             names.append("study.png")
         if not arguments.json:
             print(f"\nsaved in {folder}: {', '.join(names)}")
-    if status == INTERRUPTED:
+    if status != DONE:
         print("nsmodel: interrupted; what was measured before is above", file=sys.stderr)
     return status
 
 
 def _stress(arguments: argparse.Namespace) -> int:
     """Push a file's model, for each combination of the values given with --vary; the status says whether a cell is wrong."""
-    names = [setting.partition("=")[0].strip() for setting in arguments.vary]
+    from nsmodel.stress import push
+
+    given, vary = _by_name(map(_setting, arguments.set), "--set"), _by_name(map(_varied, arguments.vary), "--vary")
+    twice = next((name for name in vary if name in given), None)
+    if twice is not None:
+        raise UsageError(f"'{twice}' is given with --set and with --vary; keep one")
     variants = []
-    for values in product(*map(_varied, arguments.vary)):
-        varied = dict(zip(names, values, strict=True))
-        model, own = _load(arguments.file, [*arguments.set, *(f"{name}={value!r}" for name, value in varied.items())])
+    for values in product(*vary.values()):
+        varied = dict(zip(vary, values, strict=True))
+        model, own = load_with(arguments.file, given | varied)
         variants.append((varied, model.bind(own)))
-    found = push(variants, step=arguments.step, progress=not arguments.json)
+    found = push(variants, step=arguments.step, budget=arguments.budget, progress=not arguments.json)
     document = {"file": arguments.file, **found.document()}
-    print(dumps(document, indent=2) if arguments.json else found.text())
+    if arguments.json:
+        _print_json(arguments, document)
+    else:
+        print(found.text())
     if arguments.out:
         folder = Path(arguments.out)
         write_text(folder / "stress.txt", found.text())
@@ -230,12 +320,12 @@ def _stress(arguments: argparse.Namespace) -> int:
     return AT_FAULT if found.wrong else DONE
 
 
-def _varied(setting: str) -> list[float]:
+def _varied(setting: str) -> tuple[str, list[int | float]]:
     name, equals, text = setting.partition("=")
     try:
         if not equals or not name.strip():
             raise ValueError
-        return [int(one) if one.strip().lstrip("+-").isdigit() else float(one) for one in text.split(",")]
+        return name.strip(), [_parsed(one) for one in text.split(",")]
     except ValueError:
         raise UsageError(f"--vary {setting}: expected NAME=V1,V2,..., for example --vary mu=0.1,0.5,1") from None
 
@@ -256,7 +346,7 @@ def _codegen(arguments: argparse.Namespace) -> int:
     name = codegen.identifier(stem) if arguments.name is None else arguments.name
     written = codegen.write(
         model, arguments.out or f"{stem}-c", name=name, step=arguments.step, any_step=arguments.any_step, parameters=values,
-        tolerance=arguments.tolerance,
+        tolerance=arguments.tolerance, max_work=arguments.max_work,
     )  # fmt: skip
     print(written.text())
     return DONE
@@ -290,16 +380,23 @@ def _run(arguments: argparse.Namespace) -> int:
         from nsmodel.plot.crowd import check_film
 
         check_film(arguments.film)
+    if arguments.csv:
+        refuse_unwritable(arguments.csv)
     results: list[Result] = []
     for file in arguments.files:
         results.append(_run_file(arguments, file, _folder(arguments, file)))
-        if results[-1].status == INTERRUPTED:
+        if results[-1].status in (INTERRUPTED, TERMINATED):
             break
-    if arguments.json:
-        documents = [result.document for result in results]
-        print(dumps(documents if several else documents[0], indent=2))
-    elif several and not arguments.quiet:
-        print(_table(results))
+    with contextlib.ExitStack() as kept:
+        for result in results:
+            if result.run is not None and result.folder is None:
+                kept.enter_context(_kept(result.file, result.run))
+        if arguments.json:
+            documents = [result.document for result in results]
+            _print_json(arguments, documents if several else documents[0])
+        elif several and not arguments.quiet:
+            print(_table(results))
+        arguments.stdout.flush()
     return max(result.status for result in results)
 
 
@@ -315,6 +412,16 @@ class Result(NamedTuple):
 
 
 def _run_file(arguments: argparse.Namespace, file: str, folder: Path | None) -> Result:
+    """Run a file; its folder is held until everything is written there."""
+    try:
+        with contextlib.nullcontext() if folder is None else held(folder):
+            return _run_here(arguments, file, folder)
+    except NsmodelError as error:
+        document = {"file": file, "status": "refused", "message": str(error)}
+        return Result(_refused(error), file, None, 0.0, None, document)
+
+
+def _run_here(arguments: argparse.Namespace, file: str, folder: Path | None) -> Result:
     start, compiled = time.perf_counter(), True if arguments.compiled else "auto"
     try:
         model, values = _load(file, arguments.set)
@@ -329,36 +436,72 @@ def _run_file(arguments: argparse.Namespace, file: str, folder: Path | None) -> 
             tolerance=arguments.tolerance, save_every=arguments.save_every, out=folder, resume=arguments.resume,
             progress=not (arguments.quiet or arguments.json), compiled=compiled, rtol=arguments.rtol, atol=arguments.atol,
         )  # fmt: skip
-        return _report(arguments, file, run, time.perf_counter() - start, model.bind(values), folder)
     except StepError as error:
         return _stopped(arguments, file, folder, error.trajectory, f"error: {error}", FAILED_STEP, start)
     except RunInterrupted as stop:
-        return _stopped(arguments, file, folder, stop.trajectory, str(stop), INTERRUPTED, start)
-    except NsmodelError as error:
-        document = {"file": file, "status": "refused", "message": str(error)}
-        return Result(_refused(error), file, None, 0.0, None, document)
+        return _stopped(arguments, file, folder, stop.trajectory, str(stop), 128 + stop.signal, start)
+    except StorageError as error:
+        if error.trajectory is None:
+            raise
+        return _stopped(arguments, file, None, error.trajectory, f"storage error: {error}", USAGE, start)
+    with contextlib.nullcontext() if folder is not None else _kept(file, run):
+        return _report(arguments, file, run, time.perf_counter() - start, model.bind(values), folder)
 
 
-def _load(file: str, settings: Sequence[str]) -> tuple[Model, dict[str, float]]:
+@contextlib.contextmanager
+def _kept(file: str, run: Trajectory) -> Iterator[None]:
+    """Save a run that nobody asked to be saved where it cannot be reported in the way that was asked for."""
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except Exception:
+        path = _own_folder(file) / "trajectory.npz"
+        run.save(path)
+        print(f"nsmodel: the run is saved in {path}", file=sys.stderr)
+        raise
+
+
+def _load(file: str, settings: Sequence[str]) -> tuple[Model, dict[str, Any]]:
     """The model and the values of its parameters; settings that the file's model() takes go there."""
-    values: dict[str, Any] = {}
-    for setting in settings:
-        name, equals, text = setting.partition("=")
-        if not equals or not name.strip():
-            raise UsageError(f"--set {setting}: expected NAME=VALUE, for example --set mu=0.3")
-        try:
-            values[name.strip()] = int(text) if text.strip().lstrip("+-").isdigit() else float(text)
-        except ValueError:
-            raise UsageError(f"--set {setting}: '{text}' is not a number") from None
-    return load_with(file, values)
+    return load_with(file, _by_name(map(_setting, settings), "--set"))
+
+
+def _setting(setting: str) -> tuple[str, Any]:
+    """The name and its number, list of numbers or list of rows."""
+    name, equals, text = setting.partition("=")
+    if not equals or not name.strip():
+        raise UsageError(f"--set {setting}: expected NAME=VALUE, for example --set mu=0.3")
+    try:
+        rows = [[_parsed(one) for one in row.split(",")] for row in text.split(";")]
+    except ValueError:
+        raise UsageError(f"--set {setting}: '{text}' is not a number, nor numbers with commas between") from None
+    return name.strip(), rows if len(rows) > 1 else rows[0] if len(rows[0]) > 1 else rows[0][0]
+
+
+def _parsed(text: str) -> int | float:
+    return int(text) if text.strip().lstrip("+-").isdigit() else float(text)
+
+
+def _by_name(pairs: Iterable[tuple[str, T]], option: str) -> dict[str, T]:
+    """The values by name; a name that is given twice is refused."""
+    found: dict[str, T] = {}
+    for name, value in pairs:
+        if name in found:
+            raise UsageError(f"{option} gives '{name}' twice; keep one")
+        found[name] = value
+    return found
 
 
 def _folder(arguments: argparse.Namespace, file: str) -> Path | None:
     """Where a file's results go: --out, with a folder for each of several files; FILE-run where --plot needs one."""
-    stem = Path(file).stem
     if arguments.out is None:
-        return Path(f"{stem}-run") if arguments.plot else None
-    return Path(arguments.out) / stem if len(arguments.files) > 1 else Path(arguments.out)
+        return _own_folder(file) if arguments.plot else None
+    return Path(arguments.out) / Path(file).stem if len(arguments.files) > 1 else Path(arguments.out)
+
+
+def _own_folder(file: str) -> Path:
+    return Path(f"{Path(file).stem}-run")
 
 
 def _report(
@@ -392,11 +535,14 @@ def _report(
             print(f"  saved           {folder / 'trajectory.npz'}")
         for path in pictures:
             print(f"  picture         {path}")
+        sys.stdout.flush()
     return Result(DONE, file, run, seconds, folder, document)
 
 
 def _verdict(model: Model, run: Trajectory) -> str:
     """What the quick check says, in one line; a run that is done is not refused for what cannot be checked."""
+    from nsmodel.checking import check
+
     try:
         return check(model, [run], quick=True).verdict
     except NsmodelError as error:
@@ -412,18 +558,25 @@ def _stopped(
     if run is None:
         print(f"nsmodel: {where}{message}", file=sys.stderr)
         return Result(status, file, None, seconds, None, {"file": file, "status": "failed", "message": message})
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # one more Ctrl-C would cost what is being saved
+    _no_more_signals()
     resumable = folder is not None
     if folder is None:
-        folder = Path(f"{Path(file).stem}-run")
-        run.save(folder / "trajectory.npz")
+        folder = _own_folder(file)
+        try:
+            run.save(folder / "trajectory.npz")
+        except StorageError:
+            print(f"nsmodel: {where}{message}", file=sys.stderr)
+            raise
     document = _document(file, run, seconds, folder, [])
     write_json(folder / "summary.json", document)
     if not (arguments.json or arguments.quiet or len(arguments.files) > 1):
-        _print_summary(run, seconds)
-        sys.stdout.flush()
+        try:
+            _print_summary(run, seconds)
+            sys.stdout.flush()
+        except OSError as error:
+            _silenced(error)
     steps = sum(run.metadata["solver_counts"].values())
-    how = "; go on with --resume" if resumable and status == INTERRUPTED else ""
+    how = "; go on with --resume" if resumable and status in (INTERRUPTED, TERMINATED) else ""
     print(f"nsmodel: {where}{message}", file=sys.stderr)
     print(f"nsmodel: {where}{steps} verified steps are saved in {folder / 'trajectory.npz'}{how}", file=sys.stderr)
     return Result(status, file, run, seconds, folder, document)
@@ -433,7 +586,7 @@ def _document(file: str, run: Trajectory, seconds: float, folder: Path | None, p
     """What --json prints and summary.json holds: the summary with its plan, its files and its run time."""
     plan = {key: run.metadata[key] for key in ("scheme", "used", "left_out")}
     saved = None if folder is None else str(folder / "trajectory.npz")
-    return {"file": file, **run.summary(), "seconds": seconds, "saved": saved, "pictures": pictures, "plan": plan}
+    return {**STAMP, "file": file, **run.summary(), "seconds": seconds, "saved": saved, "pictures": pictures, "plan": plan}
 
 
 def _print_summary(run: Trajectory, seconds: float) -> None:

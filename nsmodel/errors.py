@@ -42,7 +42,13 @@ class CodegenError(NsmodelError, RuntimeError):
 
 
 class StorageError(NsmodelError, OSError):
-    """A result file is missing, damaged, or belongs to another model."""
+    """A result file is missing, damaged, or belongs to another model, or cannot be written.
+
+    Attributes:
+        trajectory: the Trajectory of the run whose rows could not be written; None where there is none.
+    """
+
+    trajectory: Any = None
 
 
 class PlotError(NsmodelError, ValueError):

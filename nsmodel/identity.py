@@ -6,8 +6,6 @@ import hashlib
 import platform
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from functools import cache
-from importlib.metadata import version
 from typing import Any
 
 import casadi as ca
@@ -17,9 +15,10 @@ from nsmodel.grid import Grid
 from nsmodel.model.base import Model
 from nsmodel.model.bodies import Items, ManyBodies, Member
 from nsmodel.model.expressions import column
+from nsmodel.version import VERSION
 
 # What only names or describes a run does not change its numbers; the grid is a setting of its own.
-DESCRIPTIVE = frozenset({"exact", "title", "units", "scene", "t_end", "step", "steps", "t", "p", "parameters"})
+DESCRIPTIVE = frozenset({"exact", "title", "units", "scene", "t_end", "step", "steps", "t", "p", "parameters", "vectors"})
 
 WAY = "way of stepping"  # The setting that says whether steps are compiled, and by what: their last bits differ.
 INTERPRETED = "interpreted"
@@ -60,12 +59,7 @@ def fingerprint(model: Model, grid: Grid) -> str:
 
 def versions() -> dict[str, str]:
     """Versions of what the numbers depend on."""
-    return {"nsmodel": _own_version(), "casadi": ca.__version__, "numpy": np.__version__, "python": platform.python_version()}
-
-
-@cache
-def _own_version() -> str:
-    return version("nsmodel")
+    return {"nsmodel": VERSION, "casadi": ca.__version__, "numpy": np.__version__, "python": platform.python_version()}
 
 
 def _hash(items: list[Any]) -> str:

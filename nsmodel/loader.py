@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import difflib
-import importlib.util
 import inspect
-import sys
+import os
 from collections.abc import Callable, Mapping
 from copy import copy
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Any
 
 from nsmodel.errors import ModelError, NsmodelError, UsageError
 from nsmodel.model.base import Model
+from nsmodel.model.files import beside, executed, spec_of
 
 
 def load(path: str | Path, **parameters: Any) -> Model:
@@ -35,7 +35,7 @@ def load(path: str | Path, **parameters: Any) -> Model:
     return _checked(found, path)
 
 
-def load_with(path: str | Path, values: Mapping[str, float]) -> tuple[Model, dict[str, float]]:
+def load_with(path: str | Path, values: Mapping[str, Any]) -> tuple[Model, dict[str, Any]]:
     """Return the model built with those ``values`` that its function takes, and the values of its own parameters.
 
     Raises:
@@ -47,29 +47,21 @@ def load_with(path: str | Path, values: Mapping[str, float]) -> tuple[Model, dic
     taken = _arguments(found) if _is_function(found) else ()
     own = {name: value for name, value in values.items() if taken is None or name in taken}
     model = _called(found, path, own) if _is_function(found) else _checked(found, path)
+    declared = model.parameter_names
     for name in values:
-        if name not in own and name not in model.parameters:
-            known = [*(taken or ()), *model.parameters]
-            hint = difflib.get_close_matches(name, known, 1)
+        if name not in own and name not in declared:
+            hint = difflib.get_close_matches(name, [*(taken or ()), *declared], 1)
             raise UsageError(
                 f"{path} takes no '{name}': arguments of model() are {', '.join(taken or ()) or 'none'}, parameters of the model "
-                f"{', '.join(model.parameters) or 'none'}" + (f". Did you mean '{hint[0]}'?" if hint else "")
+                f"{', '.join(declared) or 'none'}" + (f". Did you mean '{hint[0]}'?" if hint else "")
             )
-    return model, {name: value for name, value in values.items() if name in model.parameters}
+    return model, {name: value for name, value in values.items() if name in declared}
 
 
 def _definition(path: Path) -> Any:
     """What the file calls ``model``."""
-    if not path.is_file():
-        what = "is a folder" if path.is_dir() else "does not exist"
-        raise UsageError(f"model file '{path}' {what}; give the path of a Python file that defines model = ...")
-    name = f"nsmodel_file_{path.stem}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    if spec is None or spec.loader is None:
-        raise UsageError(f"'{path}' is not a Python file (.py)")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    _run(lambda: spec.loader.exec_module(module), path)
+    spec = spec_of(path)
+    module = _run(lambda: executed(spec), path)
     if not hasattr(module, "model"):
         raise ModelError(f"{path} defines no 'model'; end the file with model = LureSystem(...) or def model(): ...")
     return module.model
@@ -107,14 +99,15 @@ def _checked(found: Any, path: Path) -> Model:
     if found.title:
         return found
     titled = copy(found)
-    titled._set(title=path.stem)
+    titled._set(title=os.fsencode(path.stem).decode(errors="replace"))  # a file's name need not be text
     return titled
 
 
 def _run(action: Callable[[], Any], path: Path) -> Any:
     """Run code of the file; whatever fails in it becomes an error that names the file and the line."""
     try:
-        return action()
+        with beside(path):
+            return action()
     except NsmodelError as error:
         raise type(error)(f"{path}:{_line_in(error, path)}: {error}") from error
     except (Exception, SystemExit) as error:

@@ -17,8 +17,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel import cache_folder
 from nsmodel.errors import CodegenError, StepError, StorageError, UsageError
 from nsmodel.grid import Grid
+from nsmodel.hypotheses import impacts
 from nsmodel.hypotheses.quick import UNIQUENESS, refuse_start, warnings_of
 from nsmodel.hypotheses.rest import finite_convergence
 from nsmodel.identity import INTERPRETED, WAY, difference, settings, versions
@@ -30,16 +32,18 @@ from nsmodel.record import Record
 from nsmodel.scheme import initial_rows, one_step_problem, shortened
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.build import Stepper, start_state
-from nsmodel.solve.choose import Plan, worth_compiling
+from nsmodel.solve.choose import Plan
+from nsmodel.solve.cost import Cost, building, interpreted
 from nsmodel.solve.projection import CatchingUp
 from nsmodel.solve.stepper import Warm
 from nsmodel.solve.structure import is_monotone
-from nsmodel.storage import ChunkStore
+from nsmodel.storage import ChunkStore, unfinished
 from nsmodel.trajectory import Trajectory
+from nsmodel.version import VERSION
 
 CHUNK_BYTES, CHUNK_SECONDS = 64 << 20, 10.0  # Rows go to the folder when they fill the one or have waited for the other.
-LONG_IF_QUICK, LONG = 500_000, 30_000  # Steps that take some seconds when interpreted: more than compiling them.
 IN_C = "steps in C, compiled for this model; a step that C cannot certify is taken as above"
+RUNAWAY = 1e100  # A state beyond this has diverged: squares of it, and of what grows with it, soon overflow.
 FEW_STEPS = 8  # Different step sizes up to which constant matrices are factored once for each.
 
 
@@ -53,11 +57,15 @@ def make_stepper(
 
 
 class RunInterrupted(KeyboardInterrupt):
-    """Ctrl-C during a run; ``trajectory`` holds what was computed."""
+    """Ctrl-C or SIGTERM during a run; ``trajectory`` holds what was computed, ``signal`` is which of them came."""
 
-    def __init__(self, trajectory: Trajectory) -> None:
+    def __init__(self, trajectory: Trajectory, signal: int = signal.SIGINT) -> None:
         super().__init__(trajectory.metadata["message"])
-        self.trajectory = trajectory
+        self.trajectory, self.signal = trajectory, signal
+
+    def __reduce__(self) -> tuple[type[RunInterrupted], tuple[Trajectory]]:
+        """Pickle with the trajectory, of which the message is a part."""
+        return type(self), (self.trajectory,)
 
 
 class Loop:
@@ -82,26 +90,62 @@ class Loop:
     warnings: list[str]
 
     def go(self, progress: bool = False) -> Trajectory:
-        """Run to the end; on failure or Ctrl-C save what there is and say so."""
+        """Run to the end; where that fails, or is interrupted, save what there is and say so.
+
+        Numbers that cannot be computed with end in a StepError, whatever library says so; a fault of the program stays what
+        it is.
+        """
         bar = self._bar() if progress else None
-        with _deferred_interrupt() as interrupted:
+        # What overflows is for the certificate to judge.
+        with _deferred_signals() as signals, np.errstate(all="ignore"):
             start = time.process_time()
             try:
-                self._advance(bar, interrupted)
+                try:
+                    self._advance(bar, signals)
+                finally:
+                    signals.patient = True
+                    self.cpu_seconds = time.process_time() - start
+                    if bar is not None:
+                        bar.close()
             except StepError as error:
-                error.step, error.time = self.k, self.grid.time(self.k) + self.grid.step(self.k)
-                error.args = (f"step {self.k}: {error.args[0]}",)
-                error.trajectory = self._finish("failed", str(error))
+                self._stop(error)
                 raise
-            except KeyboardInterrupt:  # a second Ctrl-C, in the middle of a step: the step did not happen
+            except StorageError as error:
+                error.trajectory = self._in_memory("failed", str(error))
+                raise
+            except MemoryError as error:
+                raise self._stop(StepError(f"{self._span}: not enough memory ({error})")) from error
+            except Exception as error:
+                if is_numerical(error) or self._runaway is not None:
+                    raise self._stop(unsolvable(self._span, error)) from error
+                self._finish("failed", f"{type(error).__name__}: {error}")
+                raise
+            except KeyboardInterrupt:  # a second signal, in the middle of a step: the step did not happen
                 pass
-            finally:
-                self.cpu_seconds = time.process_time() - start
-                if bar is not None:
-                    bar.close()
             if not self._ended:
-                raise RunInterrupted(self._finish("interrupted", f"interrupted at t = {self.grid.time(self.k):.10g}"))
+                run = self._finish("interrupted", f"interrupted at t = {self.grid.time(self.k):.10g}")
+                raise RunInterrupted(run, signals.number)
             return self._finish("done", "")
+
+    @property
+    def _span(self) -> str:
+        t = self.grid.time(self.k)
+        return f"no verified step from t = {t:.10g} to {t + self.grid.step(self.k):.10g}"
+
+    def _stop(self, error: StepError) -> StepError:
+        """Complete what is known of a failed step, and save the run before it."""
+        runaway = self._runaway
+        grown = "" if runaway is None else f". The run has diverged: {runaway[0]} = {runaway[1]:.3g}"
+        error.step, error.time = self.k, self.grid.time(self.k) + self.grid.step(self.k)
+        error.args = (f"step {self.k}: {error.args[0]}{grown}",)
+        with contextlib.suppress(MemoryError):  # of a run in a folder the chunks are there
+            error.trajectory = self._finish("failed", str(error))
+        return error
+
+    @property
+    def _runaway(self) -> tuple[str, float] | None:
+        """Name and value of the largest state, where that has left the range of numbers to compute with."""
+        raise NotImplementedError
 
     def warm_up(self) -> None:
         """Take a step and forget it: what is built at its first use is built."""
@@ -115,8 +159,8 @@ class Loop:
         """Compile the steps; CodegenError where that cannot be."""
         raise NotImplementedError
 
-    def _pays(self) -> bool:
-        """Whether the run is long enough to be compiled."""
+    def _cost(self) -> Cost:
+        """What an interpreted step takes, and building the compiled one."""
         raise NotImplementedError
 
     def _columns(self) -> dict[str, np.ndarray]:
@@ -151,7 +195,10 @@ class Loop:
         """The steps in C, where they are asked for, or pay, or the run that is resumed had them; None: they are interpreted."""
         there, wanted = self._way_there, compiled is True
         if compiled == "auto":
-            wanted = solver == "auto" and self._pays() if there is None else there != INTERPRETED
+            pays = solver == "auto" and self._cost().pays(self.grid.N)
+            wanted = pays if there is None else there != INTERPRETED
+            if solver == "auto" and not (pays or wanted):
+                self.plan = replace(self.plan, left_out=(*self.plan.left_out, self._cost().text(self.grid.N)))
         if not wanted:
             return None
         try:
@@ -235,14 +282,31 @@ class Loop:
         self._stand(saved)
 
     def _finish(self, status: str, message: str) -> Trajectory:
+        """The run so far, in the folder where there is one; where that cannot be written, the StorageError has it."""
         if self.store is None:
             self._note()
             return Trajectory(self._columns(), self._metadata(status, message))
-        if self.record.filled:
-            self._flush(status, message)
-        path = self.store.directory / "trajectory.npz"
-        self.store.join(path, self._metadata(status, message))
+        try:
+            if self.record.filled:
+                self._flush(status, message)
+            path = self.store.directory / "trajectory.npz"
+            self.store.join(path, self._metadata(status, message))
+        except StorageError as error:
+            error.trajectory = self._in_memory(status, message)
+            raise
         return Trajectory.load(path)
+
+    def _in_memory(self, status: str, message: str) -> Trajectory | None:
+        """The run so far without writing: what is in the folder, if it can be read, and the rows not yet written."""
+        parts = []
+        with contextlib.suppress(StorageError, MemoryError):
+            parts = [self.store.read()] if self.store and self.store.manifest["chunks"] else []
+        if self.record.filled:
+            parts.append(self._columns())
+        if not parts:
+            return None
+        arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        return Trajectory(arrays, self._metadata(status, message))
 
     def _overrun(self) -> list[str]:
         if "overrun" not in self.totals:
@@ -300,6 +364,7 @@ class Run(Loop):
         self.stepper = make_stepper(model, self.problem, solver, tolerance, h=grid.step(0), state=self.state, few_steps=few)
         self.warm, self.last_index = self.stepper.cold(), None
         self.warnings = warnings_of(model, self.stepper.plan)
+        self.watches = impacts.watched(model)
         self.counts: Counter[str] = Counter()
         self.totals: dict[str, Any] = {
             "worst_residual": 0.0, "worst_residual_t": None, "newton": 0.0, "newton_max": 0.0, "index_set_changes": 0, "steps": 0,
@@ -326,16 +391,29 @@ class Run(Loop):
         """The grid that the C is written for: one step size, or any."""
         return self.grid
 
-    def _pays(self) -> bool:
-        """Whether a run is long enough to be compiled, by what a step takes when it is interpreted."""
-        if self.plan.path == "sparse":  # C has it for one time step
-            return self._grid_in_c().steps is None and worth_compiling(self.stepper.structure, self.grid.N)
-        quick = self.plan.path == "kernel" and not isinstance(self.model, MonotoneInclusion)  # a function call a step
-        return self.grid.N >= (LONG_IF_QUICK if quick else LONG)
+    def _cost(self) -> Cost:
+        path, structure, grid = self.plan.path, getattr(self.stepper, "structure", None), self._grid_in_c()
+        if path == "sparse" and grid.steps is not None:  # C has it for one time step
+            return Cost(interpreted(path, structure), lambda: np.inf)
+        return Cost(interpreted(path, structure), lambda: 0.0 if self._is_built() else building(path, structure, self.problem))
+
+    def _is_built(self) -> bool:
+        """Whether the compiled steps are in the cache."""
+        if cache_folder.is_empty():
+            return False
+        from nsmodel.codegen import cache, library
+
+        name = library.compiler()
+        return name is not None and cache.is_cached(self.model, self._grid_in_c(), self.stepper.tolerance, name)
 
     def _capacity(self, known: int) -> int:
         """Rows kept in memory."""
         return self._rows_in_memory(8 * (self.stepper.layout.width + 5) + self.warm.index.size, known)
+
+    @property
+    def _runaway(self) -> tuple[str, float] | None:
+        x = self.state[: len(self.model.names)]
+        return runaway(self.model.names, x)
 
     def warm_up(self) -> None:
         """Take a step and forget it."""
@@ -452,6 +530,11 @@ class Run(Loop):
             self.totals["least_eigenvalue"] = float(least)
         if isinstance(self.model, SweepingProcess) and self.model.g.numel():
             self._note_overrun(t, x)
+        if self.watches:
+            names = {"multipliers": "multipliers" if "multipliers" in self.stepper.layout.slices else "l"}
+            names |= {"v": "v"} if isinstance(self.model, FrictionOscillator) else {}
+            columns = {"t": t, "x": x, **{name: self.record.column(own) for name, own in names.items()}}
+            self.totals["impacts"] = impacts.met(self.watches, columns, self.totals.get("impacts", {}))
         if isinstance(self.model, FrictionOscillator):
             v = self.record.column("v")
             moving = np.flatnonzero((v != 0).any(axis=1) & np.isfinite(v).all(axis=1))
@@ -480,6 +563,9 @@ class Run(Loop):
             return []
         return [f"the one-step problem was not monotone all the time (least eigenvalue {least:.3g}): {UNIQUENESS}"]
 
+    def _impacts(self) -> list[str]:
+        return impacts.told(self.watches, self.totals.get("impacts", {}), self.model)
+
     def _columns(self) -> dict[str, np.ndarray]:
         return self.record.columns(self.stepper.plan.path == "newton")
 
@@ -500,7 +586,7 @@ class Run(Loop):
             "index_names": list(self.problem.rows),
             "law_kinds": self.problem.law.labels,
             "tolerance": self.stepper.tolerance,
-            "warnings": [*self.warnings, *self._lost_monotonicity(), *self._overrun()],
+            "warnings": [*self.warnings, *self._lost_monotonicity(), *self._overrun(), *self._impacts()],
         }
         if "last_v" in self.totals:
             x, v = (np.array(self.totals[key]) for key in ("last_x", "last_v"))
@@ -510,15 +596,30 @@ class Run(Loop):
         return data
 
 
+def is_numerical(error: Exception) -> bool:
+    """Whether an exception speaks of numbers, and not of a fault in the program: of CasADi, LAPACK, SuperLU, Python's own."""
+    return isinstance(error, ArithmeticError | np.linalg.LinAlgError) or type(error) is RuntimeError
+
+
+def unsolvable(span: str, error: Exception) -> StepError:
+    """The error of a step whose numbers a library refuses."""
+    return StepError(f"{span}: its numbers cannot be computed with ({type(error).__name__}: {error})")
+
+
+def runaway(names: Sequence[str], x: np.ndarray) -> tuple[str, float] | None:
+    """Name and value of the largest of x (n,), where it is beyond RUNAWAY or no number."""
+    i = int(np.argmax(np.nan_to_num(np.abs(x), nan=np.inf)))
+    return None if abs(x[i]) <= RUNAWAY else (names[i], float(x[i]))
+
+
 def keep_unfinished(out: Path) -> None:
     """Refuse to overwrite a run that can be continued."""
-    try:
-        manifest = ChunkStore.open(out).manifest
-    except StorageError:
-        return
-    if manifest["status"] in ("running", "interrupted"):
+    manifest = unfinished(out)
+    if manifest is not None:
+        by = manifest["metadata"]["versions"]["nsmodel"]
+        of, how = ("", "resume=True (--resume)") if by == VERSION else (f" of nsmodel {by}", "that version")
         raise UsageError(
-            f"{out} holds an unfinished run, up to t = {manifest['checkpoint']['t']:g}; go on with resume=True (--resume), "
+            f"{out} holds an unfinished run{of}, up to t = {manifest['checkpoint']['t']:g}; go on with {how}, "
             "or remove the folder"
         )
 
@@ -539,25 +640,40 @@ def _memory() -> float:
         return 8 * 2**30
 
 
+class _Signals(list[float]):
+    """The times at which signals came, and the number of the last; once ``patient`` no signal raises."""
+
+    number = signal.SIGINT
+    patient = False
+
+
 @contextlib.contextmanager
-def _deferred_interrupt() -> Iterator[list[float]]:
-    """Ctrl-C inside puts its time into the list instead of cutting a step in two; one more a second later raises."""
-    interrupted: list[float] = []
+def _deferred_signals() -> Iterator[_Signals]:
+    """Ctrl-C and SIGTERM inside put their time into the list instead of cutting a step in two; one more a second later raises.
+
+    Outside the main thread signals are not for us. Whatever was to be done with them before is so again afterwards.
+    """
+    signals = _Signals()
     if threading.current_thread() is not threading.main_thread():
-        yield interrupted
+        yield signals
         return
-    usual = signal.getsignal(signal.SIGINT) or signal.default_int_handler
 
     def note(number: int, frame: Any) -> None:
-        interrupted.append(time.monotonic())
-        if interrupted[-1] - interrupted[0] > 1:
+        signals.append(time.monotonic())
+        signals.number = signal.Signals(number)
+        if signals[-1] - signals[0] > 1 and not signals.patient:
             raise KeyboardInterrupt
 
-    signal.signal(signal.SIGINT, note)
+    usual = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    if usual[signal.SIGTERM] is signal.SIG_IGN:
+        del usual[signal.SIGTERM]
+    for number in usual:
+        signal.signal(number, note)
     try:
-        yield interrupted
+        yield signals
     finally:
-        signal.signal(signal.SIGINT, usual)
+        for number, handler in usual.items():
+            signal.signal(number, handler or signal.SIG_DFL)
 
 
 def progress_bar(**options: Any) -> Any:

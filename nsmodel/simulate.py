@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import contextlib
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from nsmodel import lock
 from nsmodel.adaptive import AdaptiveRun
 from nsmodel.errors import UsageError
 from nsmodel.grid import is_number, make_grid, written
 from nsmodel.model.base import Model, shown
 from nsmodel.model.bodies import ManyBodies
+from nsmodel.model.parameters import Values
 from nsmodel.run import Loop, Run
 from nsmodel.trajectory import Trajectory
 
@@ -21,7 +24,7 @@ def simulate(
     step: float | None = None,
     steps: Sequence[float] | None = None,
     t_end: float | None = None,
-    parameters: Mapping[str, float] | None = None,
+    parameters: Values | None = None,
     solver: str = "auto",
     tolerance: float = 1e-9,
     save_every: int = 1,
@@ -37,17 +40,18 @@ def simulate(
     Args:
         model: any of the six classes.
         step, steps, t_end: override the model's own grid.
-        parameters: values of parameters by name.
+        parameters: values of parameters, by name or symbol.
         solver: "auto", or one solver to use alone ("qpoases", "qrqp", "daqp", "ipopt", "lemke", ...).
         tolerance: largest accepted residual (relative, without unit).
         save_every: keep every n-th row, and the last (that of each part, where a run was resumed).
-        out: folder for numbered chunks (constant memory while it runs), checkpoints and ``trajectory.npz``.
+        out: folder for numbered chunks (constant memory while it runs), checkpoints and ``trajectory.npz``; for one run at a
+            time.
         resume: continue the run found in ``out``.
         progress: show a progress bar where standard error is a terminal.
         compiled: True: step in C, built once for this model and kept in the user's cache folder (a step that C cannot certify
-            is taken by the interpreted solvers); False: never; "auto": from 30 000 steps on, where matrices are constant from
-            500 000 (fewer where they are large and sparse), of many bodies where bodies times steps are 20 000: then building
-            takes less time than it saves. A run that is resumed goes on as it began.
+            is taken by the interpreted solvers); False: never; "auto": where building, or finding what was built before, takes
+            less time than the interpreted steps, both estimated from the structure (see `solve.cost`). A run that is resumed
+            goes on as it began.
         rtol: choose the steps by local error control (see `adaptive`), so that each state errs by about ``rtol`` of its largest
             value so far; ``step`` is then the first step.
         atol: an absolute error allowed besides, one for all states or one for each; 0 if left out.
@@ -55,14 +59,17 @@ def simulate(
     Raises:
         UsageError: a wrong argument, an unknown or inapplicable solver, a start outside the set, an unfinished run in ``out``.
         StepError: a step could not be verified; ``error.trajectory`` holds what was computed, saved in ``out`` if given.
-        RunInterrupted: Ctrl-C; ``error.trajectory`` as above.
-        StorageError: ``resume`` without a matching run.
+        RunInterrupted: Ctrl-C or SIGTERM, noted between steps if this is the main thread; ``error.trajectory`` as above,
+            ``error.signal`` which of them.
+        StorageError: ``resume`` without a matching run, or after its files were changed; another run is at work in ``out``; or it
+            cannot be written: then ``error.trajectory`` holds what was computed.
     """
-    run = _arranged(
-        model, step=step, steps=steps, t_end=t_end, parameters=parameters, solver=solver, tolerance=tolerance,
-        save_every=save_every, out=None if out is None else Path(out), resume=resume, compiled=compiled, rtol=rtol, atol=atol,
-    )  # fmt: skip
-    return run.go(progress)
+    with contextlib.nullcontext() if out is None else lock.held(Path(out)):
+        run = _arranged(
+            model, step=step, steps=steps, t_end=t_end, parameters=parameters, solver=solver, tolerance=tolerance,
+            save_every=save_every, out=None if out is None else Path(out), resume=resume, compiled=compiled, rtol=rtol, atol=atol,
+        )  # fmt: skip
+        return run.go(progress)
 
 
 def prepare(model: Model, **options: Any) -> Loop:
@@ -80,7 +87,7 @@ def explain(
     *,
     step: float | None = None,
     t_end: float | None = None,
-    parameters: Mapping[str, float] | None = None,
+    parameters: Values | None = None,
     solver: str = "auto",
     tolerance: float = 1e-9,
     compiled: bool | str = "auto",
@@ -99,7 +106,7 @@ def _arranged(
     step: float | None = None,
     steps: Sequence[float] | None = None,
     t_end: float | None = None,
-    parameters: Mapping[str, float] | None = None,
+    parameters: Values | None = None,
     solver: str = "auto",
     tolerance: float = 1e-9,
     save_every: int = 1,

@@ -2,6 +2,8 @@
 
 Every file is written beside its target, synced and renamed: a reader finds the old file or the new one, never half a
 file. Equal content gives equal bytes. Each reader and writer raises StorageError, naming the file and what to do.
+
+Files carry STAMP. One without it is of format 1 (nsmodel 0.1); one of a later format is refused.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ import json
 import math
 import os
 import re
+import secrets
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -25,14 +28,18 @@ import numpy as np
 from numpy.lib import format as npy
 
 from nsmodel.errors import StorageError
+from nsmodel.version import VERSION
 
 Metadata = Mapping[str, Any]
 Layout = dict[str, tuple[np.dtype, tuple[int, ...]]]
 
-FORMAT = 1
+FORMAT = 2  # Rises with every change of what files hold.
+STAMP = {"format": FORMAT, "version": VERSION}
 LIST = "contact_"  # Arrays whose names begin so are lists: their length is not the number of rows, but one of their own.
 MANIFEST = "manifest.json"
+PART = ".part-"  # Names of files not yet whole begin so.
 _METADATA = "metadata.json"
+_AFRESH = "remove the folder, or give another, to start afresh"
 _BLOCK = 1 << 20
 _CHUNK = re.compile(r"chunk-\d{6,}\.npz")
 _NON_FINITE = re.compile(r"\\*(nan|inf|-inf)")
@@ -60,17 +67,20 @@ def write_json(path: str | Path, data: Any) -> None:
 def write_text(path: str | Path, text: str) -> None:
     """Write ``text`` and a line end."""
     with _beside(Path(path)) as stream:
-        stream.write(f"{text}\n".encode())
+        stream.write(_utf8(f"{text}\n"))
 
 
 def read_json(path: str | Path) -> Any:
     """Read what ``write_json`` wrote."""
     try:
-        return loads(Path(path).read_text(encoding="utf-8"))
+        data = loads(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise StorageError(f"{path} does not exist; check the path") from error
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise StorageError(f"{path} is not a readable JSON file ({error}); write it again") from error
+    if isinstance(data, dict):
+        _refuse_later(data, path)
+    return data
 
 
 def write_csv(path: str | Path, columns: Mapping[str, np.ndarray]) -> None:
@@ -88,23 +98,34 @@ def write_csv(path: str | Path, columns: Mapping[str, np.ndarray]) -> None:
 
 
 def write_npz(path: str | Path, arrays: Mapping[str, np.ndarray], metadata: Metadata) -> None:
-    """Write ``arrays`` in their order, uncompressed, and ``metadata`` as JSON; ``numpy.load`` reads the file too."""
-    members = {}
-    for name, value in arrays.items():
-        array = np.asarray(value, order="C")
-        if array.dtype.hasobject:
-            raise StorageError(f"cannot write {path}: array '{name}' holds Python objects; make it an array of numbers")
-        members[name] = _Member(array.dtype, array.shape, [array.reshape(-1).view(np.uint8).data])
-    _write_archive(Path(path), members, metadata)
+    """Write ``arrays`` in their order, uncompressed, and ``metadata`` as JSON; ``numpy.load`` reads the file too.
+
+    The file's own entries in the metadata are "format", "version" and "arrays", their names.
+    """
+    members = _members_of(arrays, path)
+    with _beside(Path(path)) as stream:
+        _write_archive(stream, members, metadata)
 
 
 def read_npz(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Read (arrays, metadata) as ``write_npz`` wrote them."""
     with _reading(Path(path)) as archive:
-        if _METADATA not in archive.namelist():
-            raise StorageError(f"{path} has no {_METADATA}: nsmodel did not write it; read it with numpy.load")
-        metadata = loads(archive.read(_METADATA).decode())
-        return {name: npy.read_array(member, allow_pickle=False) for name, member in _members(archive)}, metadata
+        metadata = _metadata(archive, path)
+        return {name: _whole_array(member) for name, member in _members(archive)}, metadata
+
+
+def refuse_unwritable(path: str | Path) -> None:
+    """Make the folder of a file; StorageError where it cannot be written: now, and not when hours of work are to be saved."""
+    _make_folder(Path(path).parent, path)
+
+
+def _make_folder(folder: Path, what: Any) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"cannot write {what}: {error}; take a folder that is writable") from error
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise StorageError(f"cannot write {what}: no permission; take a folder that is writable")
 
 
 class ChunkStore:
@@ -112,7 +133,10 @@ class ChunkStore:
 
     ``ChunkStore(directory)`` starts afresh: its first ``append`` replaces the run found there. ``ChunkStore.open``
     goes on with that run. The manifest is written last: killed at any moment, the directory holds the state after some
-    whole ``append`` or ``join``. Chunks that the manifest does not list are ignored, and overwritten.
+    whole ``append`` or ``join``. Chunks that the manifest does not list are ignored, and overwritten. It has a hash of each:
+    what was changed or exchanged since is found before anything is added.
+
+    A store is for one program at a time (see `lock`).
     """
 
     def __init__(self, directory: str | Path) -> None:
@@ -122,34 +146,36 @@ class ChunkStore:
         """
         self.directory = Path(directory)
         self._manifest = _manifest([], {}, {})
-        try:
-            self.directory.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise StorageError(f"cannot write into {directory}: {error}; take a folder that is writable") from error
-        if not os.access(self.directory, os.W_OK | os.X_OK):
-            raise StorageError(f"cannot write into {directory}: no permission; take a folder that is writable")
+        _make_folder(self.directory, f"into {directory}")
 
     @classmethod
     def open(cls, directory: str | Path) -> ChunkStore:
-        """Open the run in ``directory``, and check that each chunk its manifest lists is whole."""
+        """Open the run in ``directory``, and check that each chunk is the one its manifest lists, byte for byte."""
         path = Path(directory) / MANIFEST
         if not path.exists():
             raise StorageError(f"nothing to resume in {directory}: no {MANIFEST}; start the run without resuming")
         store = cls(directory)
         manifest = read_json(path)
-        if not (isinstance(manifest, dict) and manifest.get("format") == FORMAT and manifest.get("chunks")):
-            raise StorageError(f"{path} is not a manifest of format {FORMAT}; start the run without resuming")
+        if not (isinstance(manifest, dict) and isinstance(manifest.get("format"), int) and manifest.get("chunks")):
+            raise StorageError(f"{path} is not a manifest; {_AFRESH}")
         if manifest.pop("checksum", None) != _checksum(manifest):
-            raise StorageError(f"{path} was changed after it was written; start the run without resuming")
+            raise StorageError(f"{path} was changed after it was written; {_AFRESH}")
+        if manifest["format"] < FORMAT:
+            by = manifest["metadata"]["versions"]["nsmodel"]
+            raise StorageError(
+                f"{path} is of format {manifest['format']}, written by nsmodel {by}: its files can be read, but nsmodel "
+                f"{VERSION} does not continue the run; go on with nsmodel {by}, or {_AFRESH}"
+            )
         store._manifest = manifest
-        store._layout()
+        store._verify()
         return store
 
     @property
     def manifest(self) -> dict[str, Any]:
-        """A copy of {format, chunks: [{file, rows}], rows, checkpoint, metadata, status}, as it is on disk.
+        """A copy of {format, version, chunks: [{file, rows, sha256}], rows, checkpoint, metadata, status}, as it is on disk.
 
-        Where there are lists (see LIST), each chunk and the whole have ``listed``, their length.
+        Where there are lists (see LIST), each chunk and the whole have ``listed``, their length. While chunks are being joined,
+        ``joined`` is what the one chunk will be.
         """
         return copy.deepcopy(self._manifest)
 
@@ -170,9 +196,17 @@ class ChunkStore:
             # An older run's manifest must not describe the chunks that are overwritten from here on.
             (self.directory / MANIFEST).unlink(missing_ok=True)
         chunks = self._manifest["chunks"]
-        name = f"chunk-{len(chunks) + 1:06d}.npz"
-        write_npz(self.directory / name, data, {})
-        self._commit([*chunks, {"file": name, **lengths}], checkpoint, metadata)
+        path = self.directory / f"chunk-{len(chunks) + 1:06d}.npz"
+        members = _members_of(data, path)
+        with _beside(path) as stream:
+            _write_archive(stream, members, {})
+            digest = _digest(stream)
+        self._commit([*chunks, {"file": path.name, **lengths, "sha256": digest}], checkpoint, metadata)
+
+    def read(self) -> dict[str, np.ndarray]:
+        """The arrays of all chunks, joined in memory."""
+        parts = [read_npz(file)[0] for file in self._files()]
+        return {name: np.concatenate([part[name] for part in parts]) for name in (parts[0] if parts else ())}
 
     def join(self, path: str | Path, metadata: Metadata) -> None:
         """Make one file of all chunks at ``path``, with the bytes that ``write_npz`` would give; then it is chunk one.
@@ -184,11 +218,16 @@ class ChunkStore:
             raise StorageError(f"cannot join into {path}: names like this are the chunks' own; take trajectory.npz")
         if not self._manifest["chunks"]:
             raise StorageError(f"nothing to join in {self.directory}: no chunk was appended")
-        layout, files = self._layout(), self._files()
+        layout, files, total = self._layout(), self._files(), _total(self._manifest["chunks"])
         members = {name: _Member(dtype, shape, _blocks(files, name)) for name, (dtype, shape) in layout.items()}
-        _write_archive(path, members, metadata)
         inside = path.resolve().parent == self.directory.resolve()
-        whole = {"file": path.name if inside else str(path.resolve()), **_total(self._manifest["chunks"])}
+        whole = {"file": path.name if inside else str(path.resolve()), **total}
+        with _beside(path) as stream:
+            _write_archive(stream, members, metadata)
+            whole["sha256"] = _digest(stream)
+            # The file may take the place of a chunk: whoever is killed from here on must know both.
+            self._commit(self._manifest["chunks"], self._manifest["checkpoint"], metadata, whole)
+        self._manifest["chunks"] = [whole]
         self._commit([whole], self._manifest["checkpoint"], metadata)
         for stale in self.directory.iterdir():
             if _CHUNK.fullmatch(stale.name):
@@ -197,34 +236,49 @@ class ChunkStore:
     def _files(self) -> list[Path]:
         return [self.directory / chunk["file"] for chunk in self._manifest["chunks"]]
 
-    def _commit(self, chunks: list[dict[str, Any]], checkpoint: Metadata, metadata: Metadata) -> None:
-        manifest = loads(dumps(_manifest(chunks, checkpoint, metadata)))
+    def _commit(
+        self, chunks: list[dict[str, Any]], checkpoint: Metadata, metadata: Metadata, joined: Metadata | None = None
+    ) -> None:  # fmt: skip
+        manifest = loads(dumps(_manifest(chunks, checkpoint, metadata) | ({} if joined is None else {"joined": joined})))
         write_json(self.directory / MANIFEST, manifest | {"checksum": _checksum(manifest)})
         self._manifest = manifest
 
-    def _layout(self) -> Layout:
-        """Check the chunks by their headers; return data type and shape of each array of the whole run."""
-        first = self._first()
+    def _verify(self) -> None:
+        """Compare each chunk with its hash; where a join was cut off after its file took its place, finish it."""
+        whole = self._manifest.pop("joined", None)
+        if whole is not None and (file := self.directory / whole["file"]).is_file() and _digest_of(file) == whole["sha256"]:
+            self._manifest["chunks"] = [whole]
+            return
         for file, chunk in zip(self._files(), self._manifest["chunks"], strict=True):
-            header = _header(file)
-            for key, numbers in _found(header).items():
-                if numbers != [chunk.get(key)]:
-                    fault = f"{file} holds {numbers} {key} where {MANIFEST} says {chunk.get(key)}"
-                    raise StorageError(f"{fault}: it was changed after it was written; start the run without resuming")
-            _same_layout(first, header, file)
+            if _digest_of(file) != chunk["sha256"]:
+                raise StorageError(
+                    f"{file} is not the file that {MANIFEST} lists: it was changed, or exchanged for another, after it was "
+                    f"written; put it back from a copy, or {_AFRESH}"
+                )
+
+    def _layout(self) -> Layout:
+        """Data type and shape of each array of the whole run."""
         total = _total(self._manifest["chunks"])
-        return {name: (dtype, (total[_length(name)], *shape[1:])) for name, (dtype, shape) in first.items()}
+        return {name: (dtype, (total[_length(name)], *shape[1:])) for name, (dtype, shape) in self._first().items()}
 
     def _first(self) -> Layout:
-        """Read the header of the first chunk.
+        """Read the header of the first chunk."""
+        return _header(self._files()[0])
 
-        Where it holds all rows, a join was cut off after its file was renamed, before the manifest was: finish it.
-        """
-        chunk, total = self._manifest["chunks"][0], _total(self._manifest["chunks"])
-        header = _header(self.directory / chunk["file"])
-        if _lengths(header) == total:
-            self._manifest["chunks"] = [chunk | total]
-        return header
+
+def unfinished(directory: str | Path) -> dict[str, Any] | None:
+    """The manifest in ``directory`` if it is that of a run that can be continued, by this version or the one that wrote it.
+
+    None where there is none, or it is damaged; StorageError where a later version wrote it.
+    """
+    path = Path(directory) / MANIFEST
+    try:
+        manifest = loads(path.read_text(encoding="utf-8"))
+        whole = manifest.pop("checksum") == _checksum(manifest)
+    except (OSError, ValueError, RecursionError, AttributeError, LookupError, StorageError):
+        return None
+    _refuse_later(manifest, path)
+    return manifest if whole and manifest["status"] in ("running", "interrupted") else None
 
 
 @dataclass(frozen=True)
@@ -236,16 +290,27 @@ class _Member:
     blocks: Iterable[bytes | memoryview]
 
 
-def _write_archive(path: Path, members: Mapping[str, _Member], metadata: Metadata) -> None:
-    text = dumps(metadata, indent=1)
-    with _beside(path) as stream, zipfile.ZipFile(stream, "w") as archive:
+def _members_of(arrays: Mapping[str, np.ndarray], path: str | Path) -> dict[str, _Member]:
+    """The arrays as they are written."""
+    members = {}
+    for name, value in arrays.items():
+        array = np.asarray(value, order="C")
+        if array.dtype.hasobject:
+            raise StorageError(f"cannot write {path}: array '{name}' holds Python objects; make it an array of numbers")
+        members[name] = _Member(array.dtype, array.shape, [array.reshape(-1).view(np.uint8).data])
+    return members
+
+
+def _write_archive(stream: IO[bytes], members: Mapping[str, _Member], metadata: Metadata) -> None:
+    text = dumps({**metadata, **STAMP, "arrays": list(members)}, indent=1)
+    with zipfile.ZipFile(stream, "w") as archive:
         for name, member in members.items():
             with archive.open(_entry(f"{name}.npy"), "w", force_zip64=True) as file:
                 descr = npy.dtype_to_descr(member.dtype)
                 npy.write_array_header_1_0(file, {"descr": descr, "fortran_order": False, "shape": member.shape})
                 for block in member.blocks:
                     file.write(block)
-        archive.writestr(_entry(_METADATA), text.encode())
+        archive.writestr(_entry(_METADATA), _utf8(text))
 
 
 def _entry(name: str) -> zipfile.ZipInfo:
@@ -253,6 +318,56 @@ def _entry(name: str) -> zipfile.ZipInfo:
     entry = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
     entry.create_system, entry.external_attr = 3, 0o644 << 16
     return entry
+
+
+def _metadata(archive: zipfile.ZipFile, path: str | Path) -> dict[str, Any]:
+    """The metadata without the file's own entries; the archive must hold the arrays that these name, and nothing else."""
+    files = archive.namelist()
+    if _METADATA not in files:
+        raise StorageError(f"{path} has no {_METADATA}: nsmodel did not write it; read it with numpy.load")
+    metadata = loads(archive.read(_METADATA).decode())
+    if not isinstance(metadata, dict):
+        raise ValueError(f"{_METADATA} is no dictionary")
+    _refuse_later(metadata, path)
+    arrays = metadata.pop("arrays", None) if "format" in metadata else [f.removesuffix(".npy") for f in files if f != _METADATA]
+    if files != [*(f"{name}.npy" for name in arrays), _METADATA]:
+        raise ValueError(f"it holds {', '.join(files)}, not what was written")
+    return {key: value for key, value in metadata.items() if key not in STAMP}
+
+
+def _refuse_later(data: Metadata, path: str | Path) -> None:
+    """Refuse a file of a format that this version does not know."""
+    number = data.get("format", 1)
+    if isinstance(number, int | float) and number > FORMAT:
+        by = f"nsmodel {data['version']}" if "version" in data else "a later nsmodel"
+        raise StorageError(
+            f"{path} is of format {number}, written by {by}; nsmodel {VERSION} knows formats up to {FORMAT}: read it with {by}"
+        )
+
+
+def _whole_array(member: IO[bytes]) -> np.ndarray:
+    """The array of a member, read to its end, where its checksum is compared."""
+    array = npy.read_array(member, allow_pickle=False)
+    if member.read(1):
+        raise ValueError("an array is longer than its header says")
+    return array
+
+
+def _digest(stream: IO[bytes]) -> str:
+    """SHA-256 of all that was written to a stream, in hexadecimal."""
+    stream.seek(0)
+    return hashlib.file_digest(stream, "sha256").hexdigest()  # pyright: ignore[reportArgumentType]
+
+
+def _digest_of(path: Path) -> str:
+    """SHA-256 of a file."""
+    try:
+        with path.open("rb") as stream:
+            return _digest(stream)
+    except FileNotFoundError as error:
+        raise StorageError(f"{path} does not exist; put it back from a copy, or {_AFRESH}") from error
+    except OSError as error:
+        raise StorageError(f"{path} cannot be read ({error}); put it back from a copy, or {_AFRESH}") from error
 
 
 def _header(path: Path) -> Layout:
@@ -288,19 +403,13 @@ def _length(name: str) -> str:
     return "listed" if name.startswith(LIST) else "rows"
 
 
-def _found(layout: Layout) -> dict[str, list[int]]:
-    """The numbers of rows, and the lengths of lists where there are any: one of each if the arrays agree."""
+def _lengths(layout: Layout) -> dict[str, int] | None:
+    """The number of rows, and the length of the lists where there are any; None where arrays do not agree."""
     found: dict[str, set[int]] = {"rows": set()}
     for name, (_, shape) in layout.items():
         found.setdefault(_length(name), set()).add(shape[0] if shape else -1)
-    return {key: sorted(numbers) for key, numbers in found.items()}
-
-
-def _lengths(layout: Layout) -> dict[str, int] | None:
-    """The number of rows, and the length of the lists where there are any; None where arrays do not agree."""
-    found = _found(layout)
-    agree = all(len(numbers) == 1 and numbers[0] >= 0 for numbers in found.values())
-    return {key: numbers[0] for key, numbers in found.items()} if agree else None
+    agree = all(len(numbers) == 1 and min(numbers) >= 0 for numbers in found.values())
+    return {key: numbers.pop() for key, numbers in found.items()} if agree else None
 
 
 def _total(chunks: list[dict[str, Any]]) -> dict[str, int]:
@@ -318,12 +427,12 @@ def _same_layout(first: Layout, other: Layout, where: Path) -> None:
 
 
 def _checksum(manifest: Metadata) -> str:
-    return hashlib.sha256(dumps(manifest).encode()).hexdigest()[:16]
+    return hashlib.sha256(_utf8(dumps(manifest))).hexdigest()[:16]
 
 
 def _manifest(chunks: list[dict[str, Any]], checkpoint: Metadata, metadata: Metadata) -> dict[str, Any]:
     state = {"checkpoint": checkpoint, "metadata": metadata, "status": metadata.get("status", "running")}
-    return {"format": FORMAT, "chunks": chunks, **({"rows": 0} | _total(chunks)), **state}
+    return {**STAMP, "chunks": chunks, **({"rows": 0} | _total(chunks)), **state}
 
 
 @contextmanager
@@ -345,16 +454,19 @@ def _reading(path: Path) -> Iterator[zipfile.ZipFile]:
 
 
 @contextmanager
-def _beside(path: Path) -> Iterator[IO[bytes]]:
-    """Give a stream that becomes the file ``path`` once all is written and synced; after an error nothing remains."""
-    part = path.with_name(f".{path.name}.part")
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a path to write to that becomes ``path``; after an error nothing remains, and an OSError is a StorageError.
+
+    Several programs may write one file: each has its own beside it, the last one stays. A pipe or a device is written itself.
+    """
+    part = path.with_name(f"{PART}{secrets.token_hex(4)}-{path.name}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            yield path
+            return
         try:
-            with part.open("wb") as stream:
-                yield stream
-                stream.flush()
-                os.fsync(stream.fileno())
+            yield part
             part.replace(path)
         except BaseException:
             part.unlink(missing_ok=True)
@@ -365,10 +477,25 @@ def _beside(path: Path) -> Iterator[IO[bytes]]:
         raise StorageError(f"cannot write {path}: {error}; take a folder that is writable and has room") from error
 
 
+@contextmanager
+def _beside(path: Path) -> Iterator[IO[bytes]]:
+    """Give a stream that becomes the file ``path`` once all is written and synced."""
+    with replacing(path) as part, part.open("wb" if part == path else "xb+") as stream:
+        yield stream
+        stream.flush()
+        if part != path:
+            os.fsync(stream.fileno())
+
+
 def _csv_lines(rows: Iterable[Iterable[Any]]) -> bytes:
     text = io.StringIO(newline="")
     csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue().encode()
+    return _utf8(text.getvalue())
+
+
+def _utf8(text: str) -> bytes:
+    """Text as UTF-8; what has none, such as a file's name in another encoding, is escaped as JSON does it."""
+    return text.encode(errors="backslashreplace")
 
 
 def _encode(value: Any, where: str) -> Any:

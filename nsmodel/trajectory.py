@@ -17,6 +17,11 @@ from nsmodel.storage import LIST, dumps, read_npz, write_csv, write_npz
 
 _WIDTH = 100
 _STATES_SHOWN = 8
+_ARCH_SHOWN = 8
+FOR_GOOD = {  # How a run of many bodies knows that nothing will ever change again.
+    "given back": "nothing will ever change, the step gives back its state bit for bit; the run ends",
+    "held": "nothing will ever change, the contacts alone hold them in place; the run ends",
+}
 CONTROL = ("rtol", "accepted", "rejected", "extrapolated", "at_least_step", "least_step")
 
 
@@ -72,6 +77,11 @@ class Trajectory:
     def step(self) -> np.ndarray:
         """Length of the step that ended at each row (N+1,)."""
         return self._array("step")
+
+    @property
+    def newton(self) -> np.ndarray:
+        """Newton iterations of each step (N+1,): 0 where its equations are affine, NaN at the start."""
+        return self.arrays["newton"] if "newton" in self.arrays else np.where(np.isfinite(self.step), 0.0, np.nan)
 
     @property
     def active(self) -> np.ndarray:
@@ -403,21 +413,40 @@ def _text(summary: dict[str, Any]) -> str:
     return "\n".join(table)
 
 
-def _bodies_lines(bodies: dict[str, Any] | None, unit: str) -> dict[str, str]:
+def _bodies_lines(bodies: dict[str, Any] | None, unit: str) -> dict[str, str | list[str]]:
     """Many bodies as lines of the table."""
     if not bodies:
         return {}
     b, gap = bodies, bodies["least_gap"]
-    lines = {
+    lines: dict[str, str | list[str]] = {
         "bodies": f"{b['count']}: {b['there']} there at the end, {b['left']} left"
         + (f", {b['waiting']} waiting" if b["waiting"] else ""),
         "in contact": f"{b['in_contact']} bodies, {b['contacts']} contacts at the end; at most {b['most_contacts']} contacts",
     }
+    if b.get("empty_at") is not None:
+        lines["end"] = f"empty at t = {b['empty_at']:.6g}{unit}"
+    if b.get("standstill"):
+        lines["standstill"] = _standstill(b["standstill"], unit)
     if gap is not None and np.isfinite(gap):
         lines["least gap"] = f"{gap:.6g}{_at(b['least_gap_t'], unit)}"
     if b["largest_pressure_t"] is not None:
         at = _at(b["largest_pressure_t"], unit)
         lines["pressure"] = f"at most {b['largest_pressure']:.6g}, on body {b['largest_pressure_body']}{at}"
+    return lines
+
+
+def _standstill(found: dict[str, Any], unit: str) -> list[str]:
+    """Since when nobody has moved, whether for good, and who holds whom."""
+    end = FOR_GOOD.get(found["for_good"], "nobody has moved by more than rounding since")
+    lines = [f"from t = {found['since']:.6g}{unit} on, {found['bodies']} bodies: {end}"]
+    for arch in found["arches"]:
+        places = [f"{body} at ({', '.join(f'{v:.4g}' for v in at)})" for body, at in zip(arch["bodies"], arch["at"], strict=True)]
+        more = [f"{len(places) - _ARCH_SHOWN} more"] if len(places) > _ARCH_SHOWN else []
+        where = "" if arch["exit"] is None else f"before exit '{arch['exit']}' "
+        ends = " and ".join(f"'{name}'" for name in arch["ends"])
+        lines.append(
+            f"{where}{arch['pressed']} bodies stand behind {', '.join(places[:_ARCH_SHOWN] + more)}; ends: {ends or 'none'}"
+        )
     return lines
 
 

@@ -18,6 +18,26 @@ QUICK = tuple("-O0" if flag == "-O2" else flag for flag in library.FLAGS)
 CASES = sorted((REPOSITORY / "cases").glob("*.py"))
 
 
+KINDS = {  # Marks of test files, by what their names begin with; what is in none of them is fast.
+    "c": ("test_codegen", "test_compiled", "test_bodies_in_c"),
+    "fuzz": ("test_fuzz", "test_codegen_fuzz"),
+    "slow": (
+        "test_adaptive", "test_agreement", "test_cases", "test_check", "test_cli", "test_closed", "test_convex", "test_crowd",
+        "test_docs", "test_extreme", "test_makefile", "test_many", "test_orders", "test_plot", "test_resume", "test_schemes",
+        "test_sparse", "test_stress", "test_study",
+    ),
+}  # fmt: skip
+
+
+@pytest.hookimpl(tryfirst=True)  # before -m chooses
+def pytest_collection_modifyitems(items):
+    """Mark each test by its file; those of tests/search/ are for the night."""
+    for item in items:
+        kinds = [kind for kind, starts in KINDS.items() if item.path.name.startswith(starts)]
+        for kind in ["nightly"] if item.path.parent.name == "search" else kinds or ["fast"]:
+            item.add_marker(kind)
+
+
 def pytest_generate_tests(metafunc):
     """A test with the argument ``case_file`` runs for every case file."""
     if "case_file" in metafunc.fixturenames:
@@ -30,6 +50,14 @@ def own_cache(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         patch.setattr(cache, "FLAGS", QUICK)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def nothing_built_before():
+    """What other tests, or the user, have built decides nowhere whether a run is compiled."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cache, "is_kept", lambda key: False)
         yield
 
 
@@ -48,11 +76,11 @@ def cases_of(load_case):
 
 @pytest.fixture(scope="session")
 def run_case(load_case):
-    """Return run_case(stem) -> Trajectory of the case file as it stands, shared by all tests; do not change its arrays."""
+    """Return run_case(stem) -> Trajectory of the case file as it stands, interpreted and shared: do not change its arrays."""
 
     @functools.cache
     def run(stem):
-        return nsmodel.simulate(load_case(stem))
+        return nsmodel.simulate(load_case(stem), compiled=False)
 
     return run
 

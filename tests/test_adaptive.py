@@ -1,5 +1,7 @@
 """Steps chosen by error control: against closed forms of every class, at switches, at accumulations, with wrong input."""
 
+import re
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -10,10 +12,12 @@ from closed_forms import (
     half_plane,
     moving_disc,
     point_past_disc,
+    rlc_diode,
     sliding_relay,
     sliding_relay_reach,
     zhuravlev_ivanov,
 )
+from scipy.integrate import solve_ivp
 
 from nsmodel import (
     FirstOrderSystem,
@@ -24,8 +28,11 @@ from nsmodel import (
     SweepingProcess,
     Trajectory,
     UsageError,
+    ball,
+    box,
     check,
     complementarity,
+    product,
     relay,
     simulate,
 )
@@ -36,14 +43,46 @@ from nsmodel.run import make_stepper
 from nsmodel.scheme import one_step_problem
 from nsmodel.simulate import prepare
 
+TIGHT = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-15}
 T, X, S = ca.SX.sym("t"), ca.SX.sym("x"), ca.SX.sym("s")
 Q, Q2 = ca.SX.sym("q"), ca.SX.sym("q", 2)
 
 
-def sliding():
+def sliding(**weights):
     return LureSystem(
-        t=T, A=[[0, 1], [0, 0]], B=[0, 2], C=[[1, 1]], f=[0, ca.sin(T)], law=relay(1), x0=[1, 0], t_end=5, step=0.01
+        t=T, A=[[0, 1], [0, 0]], B=[0, 2], C=[[1, 1]], f=[0, ca.sin(T)], law=relay(1), x0=[1, 0], t_end=5, step=0.01, **weights
     )
+
+
+def turning(t_end=12.0, **weights):
+    """x'' = -x + l with l in -Sgn(x'), from 5.3."""
+    return LureSystem(A=[[0, 1], [-1, 0]], B=[0, 1], C=[0, 1], law=relay(1), x0=[5.3, 0], t_end=t_end, step=0.01, **weights)
+
+
+def diode(t_end=5e-3, **weights):
+    """The circuit of cases/rlc_diode.py; the diode conducts until t = 1.6e-4 or so."""
+    L, C, R = 1e-2, 1e-6, 1e3
+    return LureSystem(
+        A=[[0, -1 / C], [1 / L, 0]], B=[-1 / C, 0], C=[-1, 0], D=R, law=complementarity(1), x0=[10, 0], t_end=t_end, step=1e-5,
+        names=["v", "i"], **weights,
+    )  # fmt: skip
+
+
+def play():
+    """q between u - 1/2 and u + 1/2 for u = 2 sin t exp(-t/10): it stays where u turns, at tan t = 10."""
+    u = 2 * ca.sin(T) * ca.exp(-T / 10)
+    return SweepingProcess(t=T, q=Q, f=0, constraints={"up": Q - u + 0.5, "down": u + 0.5 - Q}, q0=0, t_end=20, step=0.01)
+
+
+def play_exact(t):
+    def u(s):
+        return 2 * np.sin(s) * np.exp(-s / 10)
+
+    q, turns = np.zeros_like(t), np.arctan(10) + np.pi * np.arange(7)
+    for k, now in enumerate(t):
+        for s in [*turns[turns <= now], now]:
+            q[k] = np.clip(q[k], u(s) - 0.5, u(s) + 0.5)
+    return q[:, None]
 
 
 def oscillator():
@@ -83,6 +122,10 @@ SCENES = {
         ),
         sliding_relay,
     ),
+    "Lur'e, a relay that slides, theta = 1/2": (sliding(theta=0.5), sliding_relay),
+    "Lur'e, a relay that slides, theta = gamma = 1/2": (sliding(theta=0.5, gamma=0.5), sliding_relay),
+    "Lur'e, a relay that jumps, theta = 1/2": (turning(theta=0.5), lambda t: friction_free(t, 5.3)),
+    "Lur'e, a diode, theta = gamma = 1/2": (diode(theta=0.5, gamma=0.5), rlc_diode),
     "inclusion": (
         MonotoneInclusion(x=X, field=-1 - X, lower=0, x0=2, t_end=2),
         lambda t: np.maximum(3 * np.exp(-t) - 1, 0)[:, None],
@@ -111,6 +154,141 @@ def test_smooth_phases_are_of_second_order(name):
     few, many = (simulate(model, rtol=rtol, compiled=True).metadata["totals"] for rtol in (1e-4, 1e-6))
     assert 5 <= many["accepted"] / few["accepted"] <= 14
     assert many["extrapolated"] >= 0.9 * many["accepted"]
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_one_step_of_an_oscillator_is_combined_by_its_order(compiled):
+    """x'' = -x + 1 while the velocity is below 0, theta = 1/2: of second order, (4 x_fine - x_coarse)/3 is h^5 4.3/320 off."""
+    run = simulate(turning(0.16, theta=0.5), rtol=1e-2, compiled=compiled)
+    assert (run.t[2], run.multipliers[1, 0]) == (0.01, 1)
+    error = np.abs(run.x - np.column_stack([1 + 4.3 * np.cos(run.t), -4.3 * np.sin(run.t)])).max(axis=1)
+    assert 1e-8 < error[1]
+    assert error[2] == pytest.approx(0.01**5 * 4.3 / 320, rel=1e-2)
+
+
+def test_a_diode_that_conducts_is_combined_by_its_order():
+    """B l makes it first order for gamma = 1, not for 1/2; the bounds of gamma = 1 are those of 2 x_fine - x_coarse."""
+    L, C, R, end = 1e-2, 1e-6, 1e3, 1.4e-4
+    values, vectors = np.linalg.eig([[-1 / (R * C), -1 / C], [1 / L, 0]])
+    start = np.linalg.solve(vectors, [10.0, 0.0])
+    for gamma, known in ((1.0, {1e-4: 0.98, 1e-6: 1.60}), (0.5, {1e-4: 0.07, 1e-6: 0.11})):
+        for rtol, bound in known.items():
+            run = simulate(diode(end, theta=0.5, gamma=gamma), rtol=rtol)
+            assert (run.multipliers[1:, 0] > 0).all()
+            exact = (np.exp(np.outer(run.t, values)) @ (vectors * start).T).real
+            assert (np.abs(run.x - exact) / np.abs(exact).max(axis=0)).max() <= bound * rtol
+
+
+WAVE = ca.vertcat(Q2[1] + 0.3 * ca.sin(Q2[0]), -Q2[0] + 0.2 * Q2[1] ** 2)
+
+
+def at_an_end(draw, **weights):
+    B, C, f = draw.uniform(0.5, 1.5, 2), draw.uniform(0.5, 1.5, 2), ca.vertcat(ca.sin(draw.uniform(0.5, 2) * T), 0)
+    model = LureSystem(t=T, x=Q2, A=WAVE, B=B, C=[C], f=f, law=relay(1), x0=draw.uniform(2, 3, 2), t_end=1, **weights)
+    return model, WAVE + f - B
+
+
+def conducting(draw, **weights):
+    B, C, D = draw.uniform(0.5, 1.5, 2), draw.uniform(0.5, 1.5, 2), draw.uniform(0.5, 2)
+    x0 = -draw.uniform(2, 3, 2)
+    model = LureSystem(t=T, x=Q2, A=WAVE, B=B, C=[C], D=D, law=complementarity(1), x0=x0, t_end=1, **weights)
+    return model, WAVE - B * (ca.DM(C).T @ Q2) / D
+
+
+def held(draw, **weights):
+    B, C, f = draw.uniform(0.5, 1.5, 2), draw.uniform(0.5, 1.5, 2), ca.vertcat(ca.sin(draw.uniform(0.5, 2) * T), 0)
+    x0 = [C[1], -C[0]]
+    model = LureSystem(t=T, x=Q2, A=WAVE, B=B, C=[C], f=f, law=relay(1, -50, 50), x0=x0, t_end=1, **weights)
+    return model, WAVE + f - B * (ca.DM(C).T @ (WAVE + f)) / (B @ C)
+
+
+def input_of(g):
+    def build(draw, **weights):
+        input, h, a = g(Q2, X), 20 + Q2[0], draw.uniform(0.5, 1.5)
+        model = FirstOrderSystem(t=T, x=Q2, lam=X, f=a * WAVE, g=input, h=h, law=relay(1), x0=[a, 0.3], t_end=1, **weights)
+        return model, a * WAVE + ca.substitute(input, X, -1)
+
+    return build
+
+
+def no_law(draw, **weights):
+    a = draw.uniform(0.5, 1.5)
+    return FirstOrderSystem(t=T, x=Q2, f=WAVE * ca.cos(a * T), x0=[a, 1], t_end=1, **weights), WAVE * ca.cos(a * T)
+
+
+PHASES = {
+    "at an end": (at_an_end, {(1, 1): 1, (0.5, 1): 2, (0.5, 0.5): 2, (0.7, 0.5): 1}),
+    "conducting": (conducting, {(1, 1): 1, (0.5, 1): 1, (0.5, 0.5): 2}),
+    "held": (held, {(1, 1): 1, (0.5, 1): 2, (0.5, 0.5): 2}),
+    "g of x": (input_of(lambda x, l: ca.vertcat(l * x[1], l)), {(0.5, 1): 1, (0.5, 0.5): 2}),
+    "g of l": (input_of(lambda x, l: ca.vertcat(l**2, ca.exp(l))), {(0.5, 1): 2, (1, 1): 1}),
+    "no law": (no_law, {(0.5, 1): 2, (1, 1): 1}),
+}
+
+
+@pytest.mark.parametrize(("phase", "theta", "gamma"), [(name, *at) for name, (_, orders) in PHASES.items() for at in orders])
+@pytest.mark.parametrize("seed", range(2))
+def test_the_order_of_a_step(phase, theta, gamma, seed):
+    """A half step errs by h^(p+1), the combination of its step by h^(p+2) at most, where nothing switches; the same in C."""
+    build, orders = PHASES[phase]
+    model, motion = build(np.random.default_rng(seed), theta=theta, gamma=gamma)
+    p, rate = orders[theta, gamma], ca.Function("rate", [T, Q2], [motion])
+    errors = []
+    for h in (1 / 64, 1 / 128, 1 / 512, 1 / 1024):
+        run = simulate(model, rtol=0.5, step=h)
+        start, rows = run.t[2], slice(3, 5)  # in its second step: the first one with gamma < 1 may start with any multiplier
+        assert run.t[4] == 2 * h
+        assert len(np.unique(run.index_set[1:5], axis=0)) == 1
+        exact = solve_ivp(lambda t, x: np.array(rate(t, x)).ravel(), (start, run.t[4]), run.x[2], t_eval=run.t[rows], **TIGHT)
+        errors.append(np.linalg.norm(run.x[rows] - exact.y.T, axis=1))
+    assert np.log2(errors[2][0] / errors[3][0]) == pytest.approx(p + 1, abs=0.1)
+    assert np.log2(errors[0][1] / errors[1][1]) >= p + 1.8
+    if (seed, theta, gamma) == (0, 0.5, 1):
+        np.testing.assert_allclose(simulate(model, rtol=0.5, step=h, compiled=True).x[:5], run.x[:5], rtol=1e-13, atol=1e-14)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("theta", [0.5, 1])
+def test_what_is_carried_of_the_multipliers_is_not_magnified(theta, compiled):
+    """gamma = 1/2 lets l alternate about its mean where y = 0 is held: from step to step by -1, combined by -3."""
+    weights = {"theta": theta, "gamma": 0.5}
+    run, plain = simulate(sliding(**weights), rtol=1e-2, compiled=compiled), simulate(sliding(theta=theta), rtol=1e-2)
+    assert run.metadata["totals"]["accepted"] <= 1.2 * plain.metadata["totals"]["accepted"]
+    assert run.metadata["totals"]["index_set_changes"] == 1
+    np.testing.assert_allclose(run.x, sliding_relay(run.t), atol=5e-3)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_a_turn_that_half_steps_do_not_see_is_told(compiled):
+    """The walls take q along until they turn inside a step, which whole and half steps do not see alike."""
+    rtol = 1e-4
+    run = simulate(play(), rtol=rtol, compiled=compiled)
+    [warning] = run.metadata["warnings"]
+    assert warning in run.summary()["warnings"]
+    assert "turned back inside 5 steps" in " ".join(run.summary_text().split())
+    begins, ends = (np.searchsorted(run.t, np.arctan(10)) - 1) // 2 * 2 + np.array([0, 2])
+    assert run.t[begins] < np.arctan(10) < run.t[ends]
+    assert f"first before t = {run.t[ends]:.6g}" in warning
+    told = float(re.search(r"by about (\S+) times", warning)[1])
+    assert np.abs(run.x - play_exact(run.t)).max() / (rtol * np.abs(run.x).max()) == pytest.approx(told, rel=0.05)
+
+
+@pytest.mark.parametrize("name", [name for name in SCENES if "= 1/2" not in name or "diode" in name])
+def test_no_warning_without_reason(name):
+    assert simulate(SCENES[name][0], rtol=1e-3).metadata["warnings"] == []
+
+
+@pytest.mark.parametrize(
+    ("law", "name"), [(relay(1), "l_0"), (product(complementarity(1), box(-2, 3)), "l_1"), (ball(2), "l_0")], ids=str
+)
+def test_a_relay_with_theta_one_half_is_told(law, name):
+    for theta, count in ((0.5, 1), (1, 0)):
+        m = law.size
+        model = LureSystem(A=np.zeros((m, m)), B=np.eye(m), C=np.eye(m), law=law, x0=np.ones(m), t_end=0.1, theta=theta)
+        warnings = simulate(model, rtol=1e-2).metadata["warnings"]
+        assert len(warnings) == count
+        assert all(f"theta = 1/2 with the relay '{name}'" in line for line in warnings)
+        assert simulate(model, step=0.01).metadata["warnings"] == []
 
 
 def test_steps_shrink_at_a_switch_and_grow_after_it():

@@ -10,12 +10,15 @@ import numpy as np
 import pytest
 from conftest import SHARED
 from scipy.spatial import cKDTree
+from test_crowd import few, hopper
 from test_many_bodies import discs, misfit, scattered
 
 import nsmodel
 from nsmodel import Bodies, Family, Items, ManyBodies, codegen, neighbours
 from nsmodel.codegen.bodies_step import CompiledStep
 from nsmodel.codegen.library import compiler
+from nsmodel.codegen.statuses import NO_ROOM, STATUSES
+from nsmodel.crowd import Noise
 from nsmodel.errors import CodegenError, StepError
 from nsmodel.scheme.many_bodies import BodiesProblem
 from nsmodel.solve.many_bodies import COLD, BodiesStepper
@@ -99,6 +102,19 @@ def test_quadratic_programmes_of_a_crowd(n):
     )  # fmt: skip
     ((_, found),) = steps(model, 1)
     assert found.q.ravel() == pytest.approx(data["q_star"], abs=1e-8)
+
+
+def test_an_arch_ends_a_run_and_noise_turns_wishes_as_in_interpreted_steps():
+    interpreted, compiled = (nsmodel.simulate(hopper(), compiled=way) for way in (False, True))
+    ends = [run.metadata["bodies"]["standstill"] for run in (interpreted, compiled)]
+    assert compiled.metadata["used"][-1].startswith("steps in C")
+    assert ends[0]["for_good"] == ends[1]["for_good"] == "held"
+    assert abs(ends[0]["since"] - ends[1]["since"]) < 0.11  # rounding differs
+    assert [(arch["bodies"], arch["ends"]) for arch in ends[0]["arches"]] == [
+        (arch["bodies"], arch["ends"]) for arch in ends[1]["arches"]
+    ]
+    noisy = [nsmodel.simulate(few(noise=Noise(1.0)), compiled=way).x for way in (False, True)]
+    assert np.allclose(*noisy, rtol=0, atol=1e-9, equal_nan=True)
 
 
 def test_nobody_overlaps_in_five_hundred_steps_of_a_thousand(load_case):
@@ -199,7 +215,8 @@ def written(tmp_path_factory, load_case):
 
 def test_the_library_compiles_strictly_and_runs_the_case(written, load_case):
     name = compiler().split()
-    flags = "-std=c99 -g -Wall -Wextra -pedantic -Werror -fsanitize=address,undefined -fno-sanitize-recover".split()
+    flags = "-std=c99 -g -Wall -Wextra -pedantic -Werror -Wconversion -Wsign-conversion".split()
+    flags += ["-fsanitize=address,undefined", "-fno-sanitize-recover"]
     subprocess.run([*name, *flags, "-o", "example", "crowd.c", "example_main.c", "-lm"], cwd=written, check=True)
     done = subprocess.run(["./example"], cwd=written, check=True, capture_output=True, text=True)
     rows = np.genfromtxt(done.stdout.splitlines(), delimiter=",", skip_header=1)
@@ -226,10 +243,10 @@ def test_a_library_refuses_what_it_has_no_room_for_and_changes_nothing(written):
         if statuses[-1]:
             break
     library.crowd_get_state(solver, after.ctypes.data_as(ctypes.c_void_p))
-    assert statuses[-1] == 3
+    assert statuses[-1] == NO_ROOM
     assert len(statuses) > 2
     assert (state == after).all()
-    assert "MEMORY" in ctypes.string_at(library.crowd_status_text(3)).decode()
+    assert "MEMORY" in ctypes.string_at(library.crowd_status_text(NO_ROOM)).decode()
     library.crowd_free(solver)
 
 
@@ -241,6 +258,102 @@ def test_the_library_loads_in_python(written, load_case):
     assert solver.t == pytest.approx(0.4)
     assert solver.x == pytest.approx(run.q[-1], abs=1e-10)
     assert solver.residual < 1e-9
+
+
+@pytest.fixture(scope="module")
+def marbles(tmp_path_factory):
+    """The library of 30 marbles above a floor."""
+    k = np.arange(30)
+    spread = 0.02 * np.random.default_rng(0).uniform(-1, 1, 30)
+    bodies = Bodies(np.column_stack([0.25 * (k % 6) + spread, 0.3 + 0.25 * (k // 6)]), r=np.full(30, 0.1))
+    i, j = bodies.member("i"), bodies.member("j")
+    model = ManyBodies(
+        bodies=bodies, f=ca.vertcat(0, -9.81), t_end=1, step=0.02,
+        constraints={"pair": Family(ca.norm_2(i.q - j.q) - i.r - j.r, i, j), "floor": Family(i.q[1] - i.r, i)},
+    )  # fmt: skip
+    folder = tmp_path_factory.mktemp("marbles")
+    codegen.write(model, folder, name="marbles")
+    return codegen.load(folder)
+
+
+STATUS = {status.name: i for i, status in enumerate(STATUSES)}
+
+
+def test_nan_is_not_forgotten(marbles):
+    solver = marbles.solver()
+    start = solver.x
+    assert solver.set_step(1e307) == 0
+    assert solver.step() == STATUS["NOT_SOLVED"]
+    assert solver.residual == np.inf
+    assert (solver.x == start).all()
+    assert (solver.set_state(start - np.tile([0, 0.15], 30)), solver.set_step(0.02), solver.step()) == (0, 0, 0)
+    assert np.isfinite(solver.x).all()
+    for h in 10.0 ** np.arange(10, 309, 13):
+        for x in (start, start - np.tile([0, 0.15], 30), 1e200 * start):
+            solver.reset()
+            assert (solver.set_state(x), solver.set_step(h)) == (0, 0)
+            for _ in range(3):
+                before = solver.x
+                assert np.isfinite(solver.x).all() if solver.step() == 0 else (solver.x == before).all()
+            assert np.isfinite(solver.residual) == (solver.status == 0)
+
+
+def test_the_library_refuses_what_is_wrong(marbles):
+    solver = marbles.solver()
+    start = solver.x
+    for body in (-1, 30, 2**31 - 1, -(2**31)):
+        assert solver.set_present(body, False) == STATUS["BAD_INDEX"]
+    assert (solver.set_present(29, False), solver.set_present(0, False)) == (0, 0)
+    gone = np.r_[[np.nan, np.nan], start[2:]]
+    assert solver.set_state(gone) == 0  # nobody is there
+    assert solver.set_present(0, True) == STATUS["NOT_FINITE"]
+    assert solver.step() == 0
+    for value, name in ((1e17, "BAD_STEP"), (-1e17, "BAD_STEP"), (1.7e308, "BAD_STEP")):
+        assert solver.set_time(value) == 0
+        assert solver.step() == STATUS[name]
+    for value in (np.nan, np.inf):
+        assert solver.set_time(value) == solver.set_state(start * value) == STATUS["NOT_FINITE"]
+        assert solver.set_step(value) == STATUS["BAD_STEP"]
+    zeros = ctypes.create_string_buffer(8_000_000)
+    for name, arguments in (("step", ()), ("reset", ()), ("set_time", (ctypes.c_double(0),)), ("set_step", (ctypes.c_double(1),)),
+                            ("set_state", (start.ctypes.data_as(ctypes.c_void_p),)), ("set_present", (0, 0))):  # fmt: skip
+        function = marbles.mapped[f"marbles_{name}"]
+        function.argtypes = None
+        assert function(zeros, *arguments) == STATUS["NOT_INITIALISED"]
+    texts = [marbles.status_text(i) for i in range(len(STATUSES) + 1)]
+    assert len(set(texts)) == len(texts)
+
+
+def test_pressure_is_that_of_the_step_taken(marbles):
+    solver, out = marbles.solver(), np.zeros(30)
+    for _ in range(8):
+        assert solver.step() == 0
+    get = marbles.function("get_pressure", None, ctypes.c_void_p, ctypes.c_void_p)
+    get(solver._address, out.ctypes.data)
+    before = out.copy()
+    assert before.max() > 5
+    assert solver.set_step(0.005) == 0
+    get(solver._address, out.ctypes.data)
+    assert (out == before).all()
+
+
+def test_work_is_counted_and_capped(written, load_case, tmp_path):
+    solver = codegen.load(written).solver()
+    work = []
+    while max(work, default=0) < 4:
+        assert solver.step() == 0
+        work.append(solver.work)
+        assert work[-1] >= solver.iterations
+        assert len(work) < 200
+    codegen.write(load_case("crowd", n=30), tmp_path, name="crowd", max_work=max(work) - 1)
+    capped = codegen.load(tmp_path).solver()
+    for _ in work[:-1]:
+        before = capped.x
+        assert capped.step() == 0
+    before = capped.x
+    assert capped.step() == STATUS["NOT_SOLVED"]
+    assert capped.work <= max(work) - 1
+    assert (capped.x == before).all()
 
 
 def test_what_has_no_counterpart_is_refused(tmp_path):

@@ -28,8 +28,10 @@ from nsmodel.scheme import initial_rows, one_step_problem
 from nsmodel.solve import active_set, cone, mlcp, qp
 from nsmodel.solve import kernel as kernel_module
 from nsmodel.solve.build import Stepper
-from nsmodel.solve.certificate import NumericLaw, box_residual_sx, law_residual, numeric_law
+from nsmodel.solve.certificate import ROUNDING, NumericLaw, box_residual_sx, law_residual, numeric_law, output_scale
+from nsmodel.solve.newton import Newton
 from nsmodel.solve.nlp import Programme
+from nsmodel.solve.rounding import UNIT
 from nsmodel.solve.stepper import Warm
 
 INF = np.inf
@@ -401,14 +403,18 @@ def test_the_kernels_residual_is_numpys(name):
         kernel.load_multiplier(l, index)
         row = kernel.evaluate(t, state)
         small += row[where.residual] < 1e-3
-        _, guess_0, E_guess = newton._guess(t, 0.1, state, l)
+        known = newton.known(t, 0.1, state)
+        guess_0 = known.guess
         b = kernel.b(t, state)
         at_0 = newton.linearise(t, 0.1, state, guess_0, np.zeros(l.size))
         z = guess_0 - np.linalg.solve(at_0.E_z, at_0.E + at_0.E_l @ l)
         at = newton.linearise(t, 0.1, state, z, l)
         np.testing.assert_allclose(at.Y, kernel.W @ l + b, rtol=1e-9, atol=1e-12)
-        judged = newton.judge(at, z, l, index, (guess_0, np.abs(E_guess)), "test", 1)
-        by_hand = mlcp.residual(kernel.W, b, stepper.law, l).max()
+        judged = newton.judge(known, at, z, l, index, "test", 1, thorough=False)
+        unseen = ROUNDING * UNIT / 1e-9 * (np.abs(at.Y_z) @ np.abs(z) + np.abs(at.Y_l) @ np.abs(l))
+        w_max = np.abs(kernel.W).max(axis=1)
+        s_y = output_scale(b, np.abs(kernel.W) @ np.abs(l), w_max)
+        by_hand = law_residual(stepper.law, l, kernel.W @ l + b, s_y, w_max, unseen).max()
         if name == "walls":  # a projection: <l, y> beside |q' - q|^2 + |h f|^2
             moved, y = z - state, kernel.W @ l + b
             gap = np.maximum(l, 0) @ np.maximum(y, 0)
@@ -467,7 +473,9 @@ LIARS = dict(liars())
 
 @pytest.fixture
 def without_fallbacks(monkeypatch):
-    """Leave the lying solver alone: no IPOPT, no search among the index sets nearby."""
+    """Leave the lying solver alone: no IPOPT, no search among the index sets nearby, no solution of the whole system."""
+    monkeypatch.setattr(Newton, "polished", lambda *_: None)
+    monkeypatch.setattr(Newton, "_refined", lambda _, known, found: found)
     monkeypatch.setattr(Stepper, "_by_ipopt", lambda *_: iter(()))
     monkeypatch.setattr(Stepper, "_nearby_index_sets", lambda *_: iter(()))
 

@@ -105,6 +105,12 @@ def test_a_quick_check_never_says_more_than_a_full_one(case_file, load_case, rep
             assert full[finding.id].verdict == finding.verdict, finding.id
 
 
+def test_no_state_of_a_case_jumps(case_file, run_case, report_of):
+    """The relay oscillator's relay acts late (C B = 0), but does not slide; none has a contact that does."""
+    assert not [text for text in run_case(case_file.stem).metadata["warnings"] if "acts on" in text]
+    assert "run-continuous" not in [finding.id for finding in report_of(case_file.stem).findings]
+
+
 def test_consequences_rest_on_findings_of_the_report(case_file, report_of):
     report = report_of(case_file.stem)
     ids = {finding.id for finding in report.findings}

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import nsmodel
 from nsmodel import (
     FrictionOscillator,
     LureSystem,
@@ -216,3 +217,23 @@ def test_example_8_1(a, b):
     assert report["M-A3"].value["beta"] == pytest.approx(b**2 / (2 * (1 + a)), rel=1e-12)
     assert report["M-24"].value["L"] == pytest.approx(-(1 + a), rel=1e-12)
     assert all(finding.verdict == "holds" for finding in report.findings)
+
+
+def test_the_margin_of_a_cone_is_left_out_and_not_printed_as_nan():
+    """The margin is that of half-lines; a second-order cone has none."""
+    model = nsmodel.LureSystem(
+        A=-np.eye(3), B=np.eye(3), C=np.eye(3), law=nsmodel.second_order_cone(3), x0=[2, 1, 0], t_end=1, step=0.1
+    )
+    report = nsmodel.check(model, quick=True)
+    assert report["5.x0"].verdict == "holds"
+    assert all(not np.isnan(number) for finding in report.findings for number in finding.value.values())
+    assert "nan" not in report.text()
+
+
+def test_runs_that_agree_are_not_called_exact():
+    """x' in -Sgn x from 0 stays there with any step: runs agree, which proves nothing about another solution."""
+    model = nsmodel.LureSystem(A=0, B=-1, C=1, law=nsmodel.relay(1), x0=0, t_end=1, step=0.05)
+    report = nsmodel.check(model)
+    (order,) = (item for item in report.consequences if item.name == "observed order")
+    assert "agree to rounding" in order.statement
+    assert "exact" not in order.statement

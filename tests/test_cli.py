@@ -16,6 +16,7 @@ import tqdm
 import nsmodel
 from nsmodel.cli import main
 from nsmodel.storage import loads
+from nsmodel.words import UNSEEN
 
 CASES = Path(__file__).resolve().parents[1] / "cases"
 RELAY = """
@@ -452,25 +453,27 @@ def wait_for(path, process, seconds=60):
         time.sleep(0.02)
 
 
-@pytest.mark.parametrize("out", [True, False])
-def test_ctrl_c_saves_what_was_computed(tmp_path, out):
+@pytest.mark.parametrize(
+    ("out", "number", "status"), [(True, signal.SIGINT, 130), (False, signal.SIGINT, 130), (True, signal.SIGTERM, 143)]
+)
+def test_a_signal_saves_what_was_computed(tmp_path, out, number, status):
     """The model steps smoothly, so that no solver is at work when the signal comes."""
     (tmp_path / "long.py").write_text(
         "from pathlib import Path\n"
         "from nsmodel import LureSystem, relay\n"
-        "model = LureSystem(A=[[0, 1], [-1, 0]], B=[0, 1], C=[0, 0], D=1, law=relay(1), x0=[1, 0], t_end=450, step=1e-3)\n"
+        "model = LureSystem(A=[[0, 1], [-1, 0]], B=[0, 1], C=[0, 0], D=1, law=relay(1), x0=[1, 0], t_end=900, step=1e-3)\n"
         "Path('loaded').touch()\n"
     )
-    environment = os.environ | {"PYTHONPATH": str(Path(nsmodel.__file__).parents[1])}
+    environment = os.environ | {"PYTHONPATH": str(Path(nsmodel.__file__).parents[1]), "CC": "none"}  # nothing is built
     command = [sys.executable, "-m", "nsmodel.cli", "run", "long.py", *(["--out", "results"] if out else [])]
     process = subprocess.Popen(
         command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )  # fmt: skip
     wait_for(tmp_path / "loaded", process)
-    time.sleep(1.0)
-    process.send_signal(signal.SIGINT)
+    time.sleep(2.0)  # set-up takes a part of it
+    process.send_signal(number)
     printed, errors = process.communicate(timeout=60)
-    assert process.returncode == 130
+    assert process.returncode == status
     folder = tmp_path / ("results" if out else "long-run")
     saved = nsmodel.Trajectory.load(folder / "trajectory.npz")
     assert saved.status == "interrupted"
@@ -532,3 +535,57 @@ def test_the_smallest_gap_has_the_name_of_its_constraint(run):
     _, out, _ = run(str(CASES / "point_past_disc.py"), None)
     assert re.search(r"  smallest gap    \d\S* of 'disc' at t = \d\S* s\n", out)
     assert "  newton          1 iteration at every step\n" in out
+
+
+# what a model file prints
+
+
+PRINTS = """
+from nsmodel import MonotoneInclusion
+print("loading")
+def fine(mu):
+    print("asked")
+    return mu**3
+def model(n=1):
+    print("building")
+    return MonotoneInclusion(x="x", field=0, x0=1, upper=2, t_end=1, step=0.5, tolerances=fine)
+"""
+
+
+@pytest.mark.parametrize(
+    ("command", "options"),
+    [("run", []), ("check", []), ("study", ["--budget", "0.5", "--steps", "0.5"]), ("stress", ["--budget", "0.01"])],
+)
+def test_json_stands_alone_whatever_a_model_file_prints(tmp_path, capsys, command, options):
+    (tmp_path / "m.py").write_text(PRINTS)
+    main([command, str(tmp_path / "m.py"), *options, "--json"])
+    out, err = capsys.readouterr()
+    assert json.loads(out)["file"] == str(tmp_path / "m.py")
+    assert {"loading", "building", "asked"} <= set(err.split())
+
+
+def test_without_json_a_model_file_prints_where_it_likes(run):
+    status, out, _ = run("m.py", PRINTS)
+    assert status == 0
+    assert out.startswith("loading\nbuilding\n")
+
+
+def test_a_model_file_imports_its_neighbour_from_anywhere(run, tmp_path):
+    (tmp_path / "models").mkdir()
+    (tmp_path / "models" / "springs.py").write_text("STIFFNESS = 4\n")
+    text = RELAY.replace("-1, 0", "-STIFFNESS, 0") + "from springs import STIFFNESS as again\n"
+    status, out, err = run("models/m.py", "from springs import STIFFNESS\n" + text)
+    assert (status, err) == (0, "")
+    assert out.startswith("Relay\n")
+    assert "springs" not in sys.modules
+
+
+@pytest.mark.parametrize("command", ["run", "check", "codegen"])
+def test_what_moves_a_cursor_or_turns_the_direction_is_not_printed(command, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = "names=['q' + chr(0x202E)], title='a' + chr(27) + '[31m'"
+    model = f"nsmodel.FirstOrderSystem(x=x, f=[-x[0]], x0=[1], t_end=1, step=0.5, {words})"
+    Path("odd.py").write_text(f"import casadi as ca, nsmodel\nx = ca.SX.sym('x', 1)\nmodel = {model}\n")
+    assert main([command, "odd.py"]) == 0
+    printed = capsys.readouterr()
+    assert not UNSEEN.search((printed.out + printed.err).replace("\n", ""))

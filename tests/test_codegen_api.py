@@ -167,17 +167,17 @@ static double uniform(double low, double high)
     return low + (high - low)*(double)seed/2147483648.0;
 }
 
-/* Everything but the work arrays; the status of the last step apart. */
+/* Everything but the work arrays, and what is told of the last step. */
 static int same(const thing_solver *a, const thing_solver *b)
 {
-    const size_t status = offsetof(thing_solver, status), after = offsetof(thing_solver, iterations);
+    const size_t told = offsetof(thing_solver, residual), after = offsetof(thing_solver, t_0);
     const char *p = (const char *)a, *q = (const char *)b;
-    return memcmp(p, q, status) == 0 && memcmp(p + after, q + after, offsetof(thing_solver, work) - after) == 0;
+    return memcmp(p, q, told) == 0 && memcmp(p + after, q + after, offsetof(thing_solver, work) - after) == 0;
 }
 
 static int untouched(const thing_solver *a, const thing_solver *b)
 {
-    return same(a, b) && a->status == b->status;
+    return memcmp(a, b, offsetof(thing_solver, work)) == 0;
 }
 
 /* A start of its own: everything that the header lets a user set. */
@@ -276,8 +276,10 @@ static int failed(void)
         before = s;
         const int status = thing_step(&s);
         CHECK(thing_get_status(&s) == status);
+        CHECK(thing_get_work(&s) <= THING_MAX_WORK);
         if (status != THING_OK) {
             CHECK(same(&s, &before));
+            CHECK(status != THING_NOT_SOLVED || !(thing_get_residual(&s) <= THING_TOLERANCE));
             failures++;
         } else
             s = before;
@@ -297,9 +299,89 @@ static int failed(void)
 #ifdef ANY_STEP
     CHECK(thing_set_step(&s, 1e308) == THING_OK && thing_set_time(&s, 1.7e308) == THING_OK);
     before = s;
+#ifdef VELOCITY
+    for (int i = 0; i < THING_NX; i++)
+        x[i] = 100;
+    CHECK(thing_set_velocity(&s, x) == THING_NOT_FINITE && untouched(&s, &before)); /* h v overflows */
+#endif
     CHECK(thing_step(&s) == THING_NOT_FINITE && same(&s, &before));
+    CHECK(thing_get_residual(&s) == INFINITY && thing_get_work(&s) == 0);
 #endif
     return failures;
+}
+
+/* A time beside which the step is nothing. */
+static void stands_still(void)
+{
+    static thing_solver s, before;
+    CHECK(thing_init(&s) == THING_OK && thing_set_time(&s, 1e17*THING_STEP) == THING_OK);
+    before = s;
+    CHECK(thing_step(&s) == THING_BAD_STEP && same(&s, &before) && thing_get_status(&s) == THING_BAD_STEP);
+    CHECK(thing_set_time(&s, -1e17*THING_STEP) == THING_OK && thing_step(&s) == THING_BAD_STEP);
+#ifdef ANY_STEP
+    CHECK(thing_set_time(&s, 1) == THING_OK && thing_set_step(&s, 1e-17) == THING_OK && thing_step(&s) == THING_BAD_STEP);
+#endif
+    CHECK(thing_set_time(&s, 1) == THING_OK);
+#ifdef ANY_STEP
+    CHECK(thing_set_step(&s, THING_STEP) == THING_OK);
+#endif
+    CHECK(thing_step(&s) == THING_OK);
+}
+
+/* Memory of zeros, or of anything else, is no solver. */
+static void not_initialised(void)
+{
+    static thing_solver s, zeros;
+    double x[THING_NX + THING_NP] = {0};
+    for (int k = 0; k < 2; k++) {
+        CHECK(thing_set_time(&s, 0) == THING_NOT_INITIALISED && thing_set_step(&s, THING_STEP) == THING_NOT_INITIALISED);
+        CHECK(thing_set_state(&s, x) == THING_NOT_INITIALISED && thing_reset(&s) == THING_NOT_INITIALISED);
+#ifdef VELOCITY
+        CHECK(thing_set_velocity(&s, x) == THING_NOT_INITIALISED);
+#endif
+#ifdef FORCE
+        CHECK(thing_set_force(&s, x) == THING_NOT_INITIALISED);
+#endif
+#if THING_NP > 0
+        CHECK(thing_set_parameters(&s, x) == THING_NOT_INITIALISED);
+#endif
+        CHECK(k == 1 || memcmp(&s, &zeros, sizeof s) == 0);
+        CHECK(thing_step(&s) == THING_NOT_INITIALISED && thing_get_status(&s) == THING_NOT_INITIALISED);
+        CHECK(k == 1 || (thing_get_time(&s) == 0 && s.steps == 0));
+        memset(&s, 0x5a, sizeof s);
+    }
+    CHECK(thing_init(&s) == THING_OK && thing_step(&s) == THING_OK);
+}
+
+/* A step with less than the work that it takes is refused, or ends with another answer that is certified. */
+static long capped(void)
+{
+    static thing_solver s, before, after;
+    long most = 0, refused = 0;
+    CHECK(thing_init(&s) == THING_OK && s.budget == THING_MAX_WORK);
+    for (int k = 0; k < STEPS; k++) {
+        if (k % 10 == 5)
+            scatter(&s);
+        before = s;
+        const int status = thing_step(&s);
+        const long needed = thing_get_work(&s);
+        after = s;
+        most = needed > most ? needed : most;
+        for (long budget = 0; budget <= needed && budget < 40; budget++) {
+            s = before;
+            s.budget = budget;
+            const int capped = thing_step(&s);
+            CHECK(thing_get_work(&s) <= budget);
+            CHECK(status != THING_OK || capped == THING_OK || capped == THING_NOT_SOLVED);
+            CHECK(budget < needed || (capped == status && memcmp(s.x, after.x, sizeof s.x) == 0));
+            s.budget = before.budget;
+            refused += capped == THING_NOT_SOLVED && status == THING_OK;
+            CHECK(capped == THING_OK ? s.residual <= THING_TOLERANCE : same(&s, &before));
+        }
+        s = after;
+    }
+    CHECK(most == 0 || refused > 0);
+    return most;
 }
 
 /* Solvers side by side, and after others in the same memory, give what each gives alone. */
@@ -314,7 +396,7 @@ static void independent(void)
         for (int k = 0; k < STEPS; k++) {
             status[i][k] = thing_step(&s[0]);
             alone[i][k] = s[0];
-            CHECK(s[0].iterations <= THING_MAX_ITERATIONS);
+            CHECK(thing_get_work(&s[0]) <= THING_MAX_WORK);
         }
     }
     for (int i = 0; i < 3; i++)
@@ -365,7 +447,7 @@ static void read(void)
     for (int k = 1; k <= STEPS; k++) {
         CHECK(thing_step(s) == THING_OK && thing_get_status(s) == THING_OK && thing_get_time(s) == 2.5 + k*THING_STEP);
         CHECK(0 <= thing_get_residual(s) && thing_get_residual(s) <= THING_TOLERANCE);
-        CHECK(0 <= thing_get_iterations(s) && thing_get_iterations(s) <= THING_MAX_ITERATIONS);
+        CHECK(0 <= thing_get_iterations(s) && thing_get_work(s) <= THING_MAX_WORK);
         thing_get_state(s, x);
         CHECK(memcmp(x, s->x, sizeof x) == 0);
 #ifdef FORCE
@@ -404,11 +486,14 @@ static void read(void)
 
 int main(void)
 {
+    not_initialised();
     refused();
+    stands_still();
+    const long work = capped();
     independent();
     forgets();
     read();
-    printf("%d failures\n", failed());
+    printf("%d failures, %ld work\n", failed(), work);
     return 0;
 }
 """
@@ -420,7 +505,8 @@ def test_every_function_of_the_header(kind, written):
     """Refused settings and failed steps change nothing; solvers do not know of each other; reset forgets; getters agree."""
     folder, about = written(kind)
     program = compiled(folder, HARNESS, *STRICT, *known(about))
-    failures = int(re.fullmatch(r"(\d) failures\n", output(program))[1])
+    failures, work = map(int, re.fullmatch(r"(\d) failures, (\d+) work\n", output(program)).groups())
+    assert work > 0 or kind == "clip"
     assert failures > 0 or kind in ("matrices", "oscillator", "smooth")  # linear, or bounded: these have a solution from anywhere
 
 
@@ -486,7 +572,7 @@ def test_no_step_takes_longer_than_the_header_says(kind, written, tmp_path):
     most, iterations, solved = map(int, output(program).split())
     assert solved >= 40
     assert most > 0 or head not in code
-    assert max(most, iterations) <= about["max_iterations"]
+    assert max(most, iterations) <= about["max_work"]
 
 
 def constant(file: str, name: str, part: int = 0) -> int:
@@ -498,12 +584,43 @@ def test_bounds_count_with_the_constants_of_the_code():
     assert constant("affine.c", "PRIMAL_DUAL_SWEEPS") == bounds.PRIMAL_DUAL_SWEEPS
     assert constant("affine.c", "MOST_INDEX_SETS") == needs.MOST_INDEX_SETS
     assert constant("cone.c", "NEWTON_ON_CONES") == bounds.SEMISMOOTH_ITERATIONS
+    assert constant("cone.c", "GAUSS_SEIDEL_SWEEPS") == bounds.GAUSS_SEIDEL_SWEEPS
     assert constant("newton.c", "NEWTON_ITERATIONS", 0) == bounds.NEWTON_ITERATIONS["AFFINE"]
     assert constant("newton.c", "NEWTON_ITERATIONS", 1) == bounds.NEWTON_ITERATIONS["other"]
     assert constant("newton.c", "NEARBY_SETS") == bounds.NEARBY_SETS
     assert constant("newton.c", "SMOOTH_ITERATIONS") == bounds.SMOOTH_ITERATIONS
     assert constant("inclusion.c", "CUT_ITERATIONS") == bounds.CUT_ITERATIONS
     assert "pivots = 20*size + 50;" in (FRAGMENTS / "lemke.c").read_text(encoding="utf-8")
+
+
+NOT_AS_WRITTEN = ("-ffast-math", "-ffinite-math-only", "-funsafe-math-optimizations")
+
+
+@needs_cc
+@pytest.mark.parametrize("flag", NOT_AS_WRITTEN)
+def test_options_that_change_arithmetic_are_refused(flag, written, monkeypatch):
+    """By the compiler's macros; where it has none, by what it makes of NaN and of sums."""
+    folder, _ = written("smooth")
+    for compiler in filter(shutil.which, ("gcc", "clang")):
+        command = [compiler, "-std=c99", "-O2", flag, "-c", "-o", "fast.o", "thing.c"]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        assert "compile without" in done.stderr or compiler == "clang"
+    silent = (folder / "thing.c").read_text().replace("#error", "#define SILENT")
+    (folder / "silent.c").write_text(re.sub("#define SILENT .*", "", silent))
+    program = """
+    #include "thing.h"
+    int main(void)
+    {
+        static thing_solver s;
+        return thing_init(&s) == THING_BAD_ARITHMETIC && thing_step(&s) == THING_NOT_INITIALISED ? 0 : 1;
+    }
+    """
+    flags = ("-std=c99", "-O2", flag)
+    for compiler in filter(shutil.which, ("gcc", "clang")):
+        output(compiled(folder, program, *flags, files=("silent.c",), compiler=compiler))
+    monkeypatch.setenv("CC", f"{CC} {flag}")
+    run = nsmodel.simulate(smooth(), t_end=0.05, compiled=True)
+    assert any("not compiled" in warning and "compile without" in warning for warning in run.metadata["warnings"])
 
 
 # ---------------------------------------------------------------------------------------------- in programs
@@ -635,6 +752,14 @@ def test_the_cpp_example(tmp_path):
 
 
 @needs_cc
+@pytest.mark.parametrize("kind", KINDS)
+def test_nothing_is_converted_silently(kind, written):
+    folder, _ = written(kind)
+    flags = (*STRICT, "-Wconversion", "-Wsign-conversion", "-fsyntax-only")
+    subprocess.run([CC, *flags, "thing.c", "example_main.c"], cwd=folder, check=True)
+
+
+@needs_cc
 @pytest.mark.skipif(shutil.which("nm") is None, reason="no nm")
 def test_without_malloc(written):
     """-DNAME_NO_MALLOC, as the header and the README spell it."""
@@ -668,12 +793,12 @@ def test_header_readme_and_description_agree(kind, written):
     assert about["sizes"]["M"] == len(about["rows"])
     assert float(defined["STEP"]) == about["step"]
     assert float(defined["TOLERANCE"]) == about["tolerance"]
-    assert int(defined["MAX_ITERATIONS"]) == about["max_iterations"] > 0
+    assert int(defined["MAX_WORK"]) == about["max_work"] > 0
     assert defined["MODEL_HASH"] == f'"{about["model_hash"]}"'
     assert f"time step: {about['step']:g}" in readme
     assert ("thing_set_step" in readme) == about["any_step"]
     assert f"is at most {about['tolerance']:g} " in readme
-    assert f"at most {about['max_iterations']} linear systems" in readme
+    assert f"at most {about['max_work']} linear systems" in " ".join(readme.split())
     for lines in (about["used"], about["left_out"]):
         assert all(f"- {line[0].upper()}{line[1:]}." in readme for line in lines)
     assert ("Left out" in readme) == bool(about["left_out"])
@@ -778,7 +903,8 @@ def test_python_steps_the_library(kind, solver):
     assert s.t == pytest.approx(run.t[-1], rel=1e-14)
     assert s.status == 0
     assert 0 <= s.residual <= 1e-9
-    assert 0 <= s.iterations <= s.library.about["max_iterations"]
+    assert 0 <= s.iterations
+    assert 0 <= s.work <= s.library.about["max_work"]
     assert s.multipliers.shape == s.y.shape == (s.library.about["sizes"]["NL"],)
     assert s.index_set.dtype == np.int8
     if kind not in ("smooth", "cuts"):  # the multipliers of an approximate projection are those of its last cuts
@@ -1129,7 +1255,7 @@ def test_codegen(command):
     assert "parameters      k = 2" in printed
     assert "step            0.5, or any other" in printed
     assert "build and run   make -C good-c run" in printed
-    assert f"bound           {about['max_iterations']} linear systems in a step at most" in printed
+    assert f"work            {about['max_work']} linear systems, index sets and sweeps in a step at most" in printed
     assert sorted(os.listdir("good-c")) == ["Makefile", "README.md", "example_main.c", "good.c", "good.h", "good.json"]
     assert about["parameters"] == {"k": 2}
     assert about["tolerance"] == 1e-9

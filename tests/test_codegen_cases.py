@@ -142,8 +142,9 @@ def test_only_prefixed_symbols_and_no_data(library):
 
 
 def test_the_bridge_is_small(library):
+    """A quarter of it is the certificate and its rounding."""
     folder = library("diode_bridge")
-    assert sum((folder / f"diode_bridge.{end}").stat().st_size for end in "hc") < 30_000
+    assert sum((folder / f"diode_bridge.{end}").stat().st_size for end in "hc") < 45_000
 
 
 # ---------------------------------------------------------------------------------------------- what is left out
@@ -226,5 +227,5 @@ def test_costs_on_the_page_are_those_of_the_code(stem, library):
     folder = library(stem)
     source = sum((folder / f"{stem}.{end}").stat().st_size for end in "hc") / 1000
     assert float(cells[1]) == pytest.approx(source, rel=0.1)
-    bound = json.loads((folder / f"{stem}.json").read_text())["max_iterations"]
+    bound = json.loads((folder / f"{stem}.json").read_text())["max_work"]
     assert int(cells[4].replace(",", "")) == bound

@@ -15,6 +15,7 @@ import textwrap
 import threading
 import time
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import casadi as ca
@@ -56,12 +57,17 @@ from nsmodel import (
     simulate,
 )
 from nsmodel.cli import main
-from nsmodel.codegen import cache, library
+from nsmodel.codegen import bodies_step, cache, library
+from nsmodel.codegen.bodies import solver_source
 from nsmodel.codegen.rollout import SOLVERS, Rollout
+from nsmodel.errors import CodegenError
 from nsmodel.grid import make_grid
 from nsmodel.run import IN_C
-from nsmodel.simulate import explain
+from nsmodel.scheme import one_step_problem
+from nsmodel.simulate import explain, prepare
+from nsmodel.solve.cost import LOADING, Cost, building, interpreted
 
+IS_KEPT = cache.is_kept  # the true one
 loop = sys.modules["nsmodel.run"]
 pytestmark = pytest.mark.usefixtures("own_cache")
 NO_UNIQUE_MULTIPLIERS = {"zhuravlev_ivanov"}
@@ -351,7 +357,7 @@ def test_however_it_is_cut_a_run_is_the_same_to_the_last_bit(build, every, tmp_p
     for name, array in full.arrays.items():
         np.testing.assert_array_equal(at_once.arrays[name], array[rows], err_msg=name)
     assert at_once.metadata["totals"] == full.metadata["totals"] | {
-        key: at_once.metadata["totals"][key] for key in ("rest_from", "last_v") if key in full.metadata["totals"]
+        key: at_once.metadata["totals"][key] for key in ("rest_from", "last_v", "impacts") if key in full.metadata["totals"]
     }
 
 
@@ -540,7 +546,7 @@ def test_a_run_goes_on_as_it_began(tmp_path, monkeypatch):
         simulate(lure(), out=tmp_path / "c", resume=True, compiled=False)
     with pytest.raises(StorageError, match=r"another solver \(auto there, lemke now\)"):
         simulate(lure(), out=tmp_path / "c", resume=True, solver="lemke")
-    monkeypatch.setattr(loop, "LONG_IF_QUICK", 1)  # the way does not depend on the length any more
+    monkeypatch.setattr(Cost, "pays", lambda *_: True)  # the way does not depend on the length any more
     assert not simulate(lure(), out=tmp_path / "python", resume=True).metadata["used"][-1].startswith("steps in C")
     assert simulate(lure(), out=tmp_path / "c", t_end=2, resume=True).metadata["used"][-1].startswith("steps in C")
     monkeypatch.setenv("CC", "no-such-compiler")
@@ -698,30 +704,87 @@ def test_what_is_built_once_is_not_built_again(fresh_cache, monkeypatch):
 # ---------------------------------------------------------------------------------------------- auto
 
 
-@pytest.mark.parametrize("stem", [*SMALLER, *PART])
-def test_auto_builds_nothing_for_a_case_as_it_stands(stem, load_case, monkeypatch):
-    """The other cases are run by auto in ``run_case``, to which compiled runs are compared above."""
-    monkeypatch.setattr(cache, "cached", None)
-    assert IN_C not in explain(load_case(stem, **SMALLER.get(stem, {})))
+def test_auto_builds_for_the_case_that_takes_seconds_and_for_no_other(case_file, load_case, monkeypatch):
+    model = load_case(case_file.stem, **SMALLER.get(case_file.stem, {}))
+    if isinstance(model, ManyBodies):
+        return
+
+    def refuse(run):
+        raise CodegenError("chosen")
+
+    monkeypatch.setattr(loop.Run, "_build", refuse)
+    assert ("steps in C: chosen" in explain(model)) == (case_file.stem == "zhuravlev_ivanov")
 
 
 @compiles
-def test_auto_compiles_from_a_number_of_steps_on(tmp_path, calls):
-    line = IN_C
-    for model, least in ((lure(), 500_000), (first_order(), 30_000), (inclusion_in_a_box(tolerances=None), 30_000)):
-        assert line not in explain(model, t_end=(least - 1) * model.step)
-        assert line in explain(model, t_end=least * model.step)
-        assert line not in explain(model, t_end=least * model.step, compiled=False)
+def test_auto_compiles_where_building_takes_less_than_it_saves(tmp_path, calls):
+    line, left_out = IN_C, "building them would take longer"
+    for model in (lure(), first_order(), inclusion_in_a_box(tolerances=None)):
+        cost = prepare(model, compiled=False)._cost()
+        least = int((LOADING + cost.building()) / cost.step) + 1
+        assert 1000 < least < 500_000
+        few, many = (explain(model, t_end=N * model.step) for N in (least - 1, least))
+        assert line not in few
+        assert f"steps in C: {least - 1:,} interpreted steps take about" in few
+        assert left_out in few
+        assert line in many
+        assert left_out not in many
+        assert line not in (never := explain(model, t_end=least * model.step, compiled=False))
+        assert left_out not in never
     assert line not in explain(lure(gamma=1), t_end=500_000 * 0.05, solver="lemke")
     model = first_order()
-    run = simulate(model, t_end=30_000 * model.step, save_every=1000)
+    cost = prepare(model, compiled=False)._cost()
+    least = int((LOADING + cost.building()) / cost.step) + 1
+    run = simulate(model, t_end=least * model.step, save_every=1000)
     assert run.metadata["used"][-1] == line
-    assert sum(taken for *_, taken in calls) == 30_000
+    assert sum(taken for *_, taken in calls) == least
+
+
+@compiles
+def test_auto_takes_what_was_built_before(calls, monkeypatch):
+    monkeypatch.setattr(cache, "is_kept", IS_KEPT)
+    model = first_order(theta=0.8)
+    cost = prepare(model, compiled=False)._cost()
+    assert cost.building() > 0
+    few = int(LOADING / cost.step) + 1
+    assert IN_C not in explain(model, t_end=few * model.step)
+    simulate(model, compiled=True)
+    assert prepare(model, compiled=False)._cost().building() == 0
+    assert IN_C in explain(model, t_end=few * model.step)
+    assert IN_C not in explain(model, t_end=(few - 1) * model.step)  # loading takes longer than so few steps
+    monkeypatch.setenv("CC", "no-such-compiler")
+    assert IN_C not in explain(model, t_end=few * model.step)
+
+
+def test_costs_grow_with_what_they_stand_for():
+    structure = prepare(first_order(), compiled=False).stepper.structure
+    sizes = [replace(structure, n=n, m=m) for n, m in ((1, 1), (4, 8), (40, 20), (200, 100))]
+    problem = one_step_problem(first_order().bind(None))
+    for path in ("kernel", "newton", "sparse"):
+        steps = [interpreted(path, size) for size in sizes]
+        assert all(0 < a < b for a, b in pairwise(steps))
+        builds = [building(path, size, problem) for size in sizes]
+        assert all(0 < a <= b for a, b in pairwise(builds))
+
+
+@compiles
+def test_many_bodies_share_a_solver(load_case, monkeypatch):
+    model, kept = load_case("crowd", n=50), []
+    monkeypatch.setattr(cache, "is_kept", lambda key: kept and key == kept[0])
+    cost = prepare(model, compiled=False)._cost()
+    alone = int((LOADING + cost.building()) / cost.step) + 1
+    kept.append(bodies_step._key(solver_source(2), library.compiler()))
+    shared = int((LOADING + cost.building()) / cost.step) + 1
+    assert 100 < shared < alone / 10
+    monkeypatch.setattr(bodies_step, "CompiledStep", None)  # nothing is built where it does not pay
+    assert IN_C not in explain(model, t_end=(shared - 1) * model.step)
+    with pytest.raises(TypeError):
+        explain(model, t_end=shared * model.step)
 
 
 def test_auto_without_compiler_says_so_only_where_it_is_asked(monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler")
-    monkeypatch.setattr(loop, "LONG_IF_QUICK", 1)
+    monkeypatch.setattr(Cost, "pays", lambda *_: True)
     run = simulate(lure(gamma=1))
     assert run.metadata["warnings"] == []
     assert run.metadata["left_out"][-1].startswith("steps in C: no C compiler was found")
@@ -790,7 +853,8 @@ def test_the_command_line(tmp_path, monkeypatch, capsys):
 
 
 @compiles
-def test_ctrl_c_on_the_command_line(tmp_path):
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_on_the_command_line(tmp_path, number, status):
     command = [
         sys.executable,
         "-m",
@@ -812,9 +876,9 @@ def test_ctrl_c_on_the_command_line(tmp_path):
     while not (tmp_path / "run" / "chunk-000001.npz").exists():
         assert time.monotonic() < end
         time.sleep(0.01)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     sent = time.monotonic()
     _, errors = process.communicate(timeout=60)
-    assert process.returncode == 130
+    assert process.returncode == status
     assert time.monotonic() - sent < 3  # interpreter, pictures and all
     assert "go on with --resume" in errors

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import stat
+from dataclasses import replace
 from itertools import pairwise
 
 import casadi as ca
@@ -11,15 +12,19 @@ import pytest
 from conftest import REPOSITORY
 from PIL import Image, ImageDraw
 
-from nsmodel import ModelError, Trajectory, UsageError, simulate
+from nsmodel import Bodies, Family, Items, ManyBodies, ModelError, StorageError, Trajectory, UsageError, simulate
 from nsmodel.cli import main
-from nsmodel.crowd import People, Room, arrivals, box, crowd, desired_velocity, disc, measure, place
+from nsmodel.contacts import NO_CONTACTS, Contacts
+from nsmodel.crowd import Noise, People, Room, arrivals, box, crowd, desired_velocity, disc, measure, place
 from nsmodel.crowd.geometry import distances, sight
 from nsmodel.crowd.people import behind
 from nsmodel.crowd.picture import outlines, straightened
 from nsmodel.errors import MissingExtraError, PlotError
 from nsmodel.plot import animate, save_all
 from nsmodel.plot import crowd as pictures
+from nsmodel.scheme.many_bodies import BodiesProblem
+from nsmodel.solve.many_bodies import COLD, BodiesStepper
+from nsmodel.standstill import arches, held
 
 DOOR = [(10, 4), (10, 6)]
 HALVES = [[(5, 0), (5, 7)], [(5, 9), (5, 10)]]
@@ -683,3 +688,229 @@ def test_mp4_goes_through_ffmpeg_or_says_so(small_run, tmp_path, monkeypatch):
         animate(small_run, tmp_path / "film.avi")
     with pytest.raises(PlotError, match="seconds: 0; expected a number > 0"):
         animate(small_run, tmp_path / "film.gif", seconds=0)
+
+
+# ---------------------------------------------------------------------------------------------- how a run ends
+
+
+def hopper(wish=None, **more):
+    """Nine people before a hole between two slanting walls, all drawn to a place below it; with this seed an arch holds."""
+    rng, k = np.random.default_rng(8), np.arange(9)
+    walls = np.array([[(-2, 1.5), (-0.425, 0)], [(0.425, 0), (2, 1.5)]])
+    radii = rng.uniform(0.2, 0.3, 9)
+    x = np.tile([-0.65, 0, 0.65], 3) + rng.uniform(-0.02, 0.02, 9)
+    people = Bodies(np.column_stack([x, 1.0 + 0.65 * (k // 3) + rng.uniform(-0.02, 0.02, 9)]), r=radii)
+    items = Items(a=walls[:, 0], b=walls[:, 1])
+    i, j, w = people.member("i"), people.member("j"), items.member("w")
+    along, way = w.b - w.a, ca.vertcat(0, -1) - i.q
+    part = ca.fmin(ca.fmax(ca.dot(i.q - w.a, along) / ca.sumsqr(along), 0), 1)
+    families = {
+        "pair": Family(ca.norm_2(i.q - j.q) - i.r - j.r, i, j),
+        "wall": Family(ca.norm_2(i.q - w.a - part * along) - i.r, i, w),
+    }
+    scene = {"radii": radii, "walls": walls, "exits": [[(-0.425, 0), (0.425, 0)]], "exit_names": ["hole"]}
+    return ManyBodies(
+        bodies=people, f=way / ca.norm_2(way) if wish is None else wish, constraints=families, leave=-0.5 - i.q[1], scene=scene,
+        units={"t": "s"}, **({"t_end": 20, "step": 0.05} | more),
+    )  # fmt: skip
+
+
+def downwards(t, q):
+    """The wish of `hopper` as a function, of which nobody says that it does not depend on t."""
+    way = np.array([0, -1]) - q
+    return way / np.linalg.norm(way, axis=1)[:, None]
+
+
+@pytest.fixture(scope="module")
+def jammed():
+    """A run that ends before an arch."""
+    return simulate(hopper())
+
+
+def test_a_run_ends_when_nobody_is_left(tmp_path):
+    model = crowd(two_doors(), People([(10, 2), (11, 2)], 0.2), t_end=20.0, step=0.05)
+    run = simulate(model)
+    assert run.status == "done"
+    assert np.isnan(run.x[-1]).all()
+    assert np.isfinite(run.x[-2]).any()
+    assert run.t[-1] == measure.evacuation_times(run).max() == run.summary()["bodies"]["empty_at"] < 10
+    assert f"end empty at t = {run.t[-1]:g} s" in " ".join(run.summary_text().split())
+    for every in (7, 10_000):
+        sparse = simulate(model, save_every=every)
+        assert (sparse.t[-1], sparse.metadata["steps"]) == (run.t[-1], len(run))
+    simulate(model, out=tmp_path / "run", t_end=1.0)
+    parts = simulate(model, out=tmp_path / "run", resume=True)
+    assert {name: a.tobytes() for name, a in parts.arrays.items()} == {name: a.tobytes() for name, a in run.arrays.items()}
+    again = simulate(model, out=tmp_path / "run", resume=True, t_end=30.0)
+    assert again.t[-1] == run.t[-1]
+
+
+def test_an_empty_room_waits_for_those_who_are_to_come():
+    room = two_doors()
+    one, late = People([(11, 2)], 0.2), People([(11, 2)], 0.2, enter=5.0)
+    run = simulate(crowd(room, one, late, t_end=100.0))
+    there = measure.present(run).sum(axis=1)
+    assert there[run.t.searchsorted(4.0)] == 0
+    assert 5 < run.t[-1] < 10
+    assert run.metadata["bodies"]["left"] == 2
+
+
+def test_bodies_without_exits_that_all_leave_end_the_run():
+    bodies = Bodies([[0.0], [0.5]])
+    i = bodies.member("i")
+    run = simulate(ManyBodies(bodies=bodies, f=[1.0], leave=i.q[0] - 1, t_end=20, step=0.01))
+    assert run.t[-1] == pytest.approx(1.01)  # one step after both were past 1
+    assert run.metadata["bodies"]["empty_at"] == run.t[-1]
+
+
+def test_a_run_ends_before_an_arch_and_says_who_holds_it(jammed):
+    found = jammed.summary()["bodies"]["standstill"]
+    assert jammed.status == "done"
+    assert jammed.t[-1] < 20
+    assert found["for_good"] == "held"
+    rest = jammed.x[jammed.t >= found["since"]]
+    assert np.nanmax(np.abs(rest - rest[0])) < 1e-13
+    assert np.nanmax(np.abs(jammed.x[jammed.t.searchsorted(found["since"]) - 1] - rest[0])) > 1e-14
+    (arch,) = found["arches"]
+    assert (arch["exit"], arch["pressed"]) == ("hole", measure.present(jammed)[-1].sum())
+    assert (arch["bodies"], arch["ends"]) == ([0, 2], ["wall 0-0", "wall 2-1"])
+    contacts = jammed.contacts(-1)
+    assert {(0, 0, 2), (1, 0, 0), (1, 2, 1)} <= set(zip(contacts.family, contacts.first, contacts.second, strict=True))
+    q = jammed.x[-1].reshape(-1, 2)
+    assert np.array_equal(q[[0, 2]], arch["at"])
+    assert np.nanargmin(np.linalg.norm(q, axis=1)) in arch["bodies"]
+    text = " ".join(jammed.summary_text().split())
+    assert f"from t = {found['since']:g} s on, {found['bodies']} bodies: nothing will ever change, the contacts alone" in text
+    assert f"before exit 'hole' {found['bodies']} bodies stand behind 0 at ({q[0, 0]:.4g}, {q[0, 1]:.4g}), 2 at (" in text
+    assert "ends: 'wall 0-0' and 'wall 2-1'" in text
+
+
+def test_where_no_exit_is_known_the_arch_is_that_of_the_body_with_most_pressure(jammed):
+    model = hopper()
+    problem, q = BodiesProblem(replace(model, scene=None)), jammed.x[-1].reshape(-1, 2)
+    (arch,) = arches(problem, q, jammed.contacts(-1))
+    assert (arch["exit"], arch["pressed"]) == (None, 8)
+    assert np.nanargmax(jammed.pressure[-1]) in arch["bodies"]
+    assert len(arch["ends"]) == 2
+
+
+def test_what_is_held_stays_and_what_one_contact_less_holds_does_not(jammed):
+    problem, warm = BodiesProblem(hopper()), COLD
+    step, q = BodiesStepper(problem, "auto", 1e-9), jammed.x[-1].reshape(-1, 2)
+    for k in range(200):
+        q, *_, warm, _, _ = step(k * 0.05, 0.05, q, np.isfinite(q[:, 0]), warm, k)
+    assert np.nanmax(np.abs(q.ravel() - jammed.x[-1])) < 1e-13
+    contacts = jammed.contacts(-1)
+    assert held(problem, 0.0, q, q, contacts)
+    assert not held(problem, 0.0, q, q, Contacts(*(part[1:] for part in contacts)))
+    assert not held(problem, 0.0, q + 1e-15, q, NO_CONTACTS)  # who touches nobody moves
+
+
+def test_a_resumed_run_ends_in_the_same_step(jammed, tmp_path):
+    since = jammed.summary()["bodies"]["standstill"]["since"]
+    simulate(hopper(), out=tmp_path / "run", t_end=since + 0.2)
+    parts = simulate(hopper(), out=tmp_path / "run", resume=True)
+    assert parts.x.tobytes() == jammed.x.tobytes()
+    assert parts.metadata["bodies"] == jammed.metadata["bodies"]
+
+
+def test_a_will_that_may_change_is_waited_for(jammed):
+    run = simulate(hopper(downwards, t_end=6.0))
+    assert run.t[-1] == 6.0
+    found = run.summary()["bodies"]["standstill"]
+    assert found["for_good"] is None
+    assert "nobody has moved by more than rounding since" in " ".join(run.summary_text().split())
+    back = simulate(hopper(lambda t, q: downwards(t, q) * (1 if t < 5 else -1), t_end=6.0))
+    assert np.nanmin(np.abs(back.x[-1] - run.x[-1])[1::2]) > 0.5
+    late = simulate(hopper(t_end=6.0, enter=np.where(np.arange(9) == 8, 5.5, 0)))
+    assert late.t[-1] == 6.0
+    told = lambda t, q: downwards(t, q)  # noqa: E731
+    told.autonomous = True
+    assert simulate(hopper(told)).t[-1] == jammed.t[-1]
+
+
+@pytest.mark.parametrize(("beside", "end"), [(0.0, "given back"), (5e-15, None)])
+def test_a_balance_that_may_tip_is_no_standstill_for_good(beside, end):
+    """A point pushed onto the top of a disc: a hair beside it, it slides down in the end, though for a while only by rounding."""
+    bodies = Bodies([[beside, 1.0]])
+    i = bodies.member("i")
+    model = ManyBodies(bodies=bodies, f=[0, -1], constraints={"disc": Family(ca.norm_2(i.q) - 1, i)}, t_end=40, step=0.05)
+    run = simulate(model, t_end=1.2)
+    assert run.metadata["bodies"]["standstill"]["for_good"] == end
+    assert run.metadata["bodies"]["standstill"]["since"] == 0
+    run = simulate(model)
+    assert (run.t[-1] == 40) == (end is None)
+    assert (run.x[-1, 1] < 0) == (end is None)
+
+
+# ---------------------------------------------------------------------------------------------- noise
+
+
+def test_noise_is_a_function_of_seed_interval_and_person():
+    noise = Noise(0.8, every=0.25, seed=7)
+    angles = np.array([noise.angles(k * 0.25, 500) for k in range(200)])
+    assert np.array_equal(angles[3], noise.angles(0.99, 500))
+    assert not np.array_equal(angles[3], noise.angles(1.0, 500))
+    assert np.array_equal(noise.angles(0.75, 20), angles[3, :20])  # who else is there does not matter
+    assert not np.array_equal(Noise(0.8, 0.25, 8).angles(0.75, 500), angles[3])
+    assert np.abs(angles).max() < 0.8
+    assert abs(angles.mean()) < 4 * 0.8 / np.sqrt(3 * angles.size)
+    assert abs(angles.var() / (0.8**2 / 3) - 1) < 0.02
+    assert abs(np.corrcoef(angles[:-1].ravel(), angles[1:].ravel())[0, 1]) < 4 / np.sqrt(angles.size)
+    # steps of any length meet the same intervals
+    assert all(np.array_equal(noise.angles(k * 0.05, 5), angles[k // 5, :5]) for k in range(100))
+
+
+def few(**more):
+    """Five people in the corridor."""
+    return crowd(two_doors(), place(two_doors(), 5), **({"t_end": 2.0, "step": 0.05} | more))
+
+
+def test_noise_turns_the_wish_inside_the_room_and_keeps_the_speed():
+    still, model = few(), few(noise=Noise(0.8, seed=3))
+    q, t = model.bodies.q0.copy(), 3.3
+    q[4] = 12.3, 1.9  # past the door
+    wanted, turned = still.f(t, q), model.f(t, q)
+    angle = np.arctan2(wanted[:, 0] * turned[:, 1] - wanted[:, 1] * turned[:, 0], (wanted * turned).sum(axis=1))
+    assert np.allclose(angle[:4], Noise(0.8, seed=3).angles(t, 5)[:4], atol=1e-12)
+    assert angle[4] == 0
+    assert np.allclose(np.linalg.norm(turned, axis=1), 1)
+
+
+def test_noise_is_the_same_however_it_is_stepped(tmp_path):
+    model = few(noise=Noise(1.0))
+    run = simulate(model)
+    assert simulate(few(noise=Noise(1.0, seed=2))).x.tobytes() != run.x.tobytes()
+    simulate(model, out=tmp_path / "run", t_end=0.75)
+    assert simulate(model, out=tmp_path / "run", resume=True).x.tobytes() == run.x.tobytes()
+    with pytest.raises(StorageError, match="another model"):
+        simulate(few(noise=Noise(1.0, every=0.6)), out=tmp_path / "run", resume=True)
+
+
+def test_noise_undoes_an_arch():
+    noise = Noise(1.5)
+
+    def wavering(t, q):
+        angle = np.arctan2(*downwards(t, q).T[::-1]) + noise.angles(t, len(q))
+        return np.column_stack([np.cos(angle), np.sin(angle)])
+
+    run = simulate(hopper(wavering))
+    assert run.metadata["bodies"]["empty_at"] == run.t[-1] < 20
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"angle": 0}, "noise: angle: 0 .*; expected an angle > 0"),
+        ({"angle": 4}, "noise: angle: 4; expected an angle > 0 and at most pi"),
+        ({"angle": "wide"}, "noise: angle: 'wide'"),
+        ({"angle": 1, "every": 0}, "noise: every: 0 .*; expected a number > 0, in s"),
+        ({"angle": 1, "seed": -1}, "noise: seed: -1 .*; expected a whole number >= 0"),
+        ({"angle": 1, "seed": 0.5}, "noise: seed: 0.5"),
+    ],
+)
+def test_what_is_wrong_with_noise_is_said(given, message):
+    with pytest.raises(ModelError, match=message):
+        Noise(**given)
+    with pytest.raises(ModelError, match=r"noise: 0.5 \(a float\); expected Noise\(angle\), or None"):
+        few(noise=0.5)

@@ -1,6 +1,7 @@
 """Wrong models and wrong runs: each message names what is wrong in the user's words, the value or shape, and the fix."""
 
 import re
+import sys
 from dataclasses import replace
 
 import casadi as ca
@@ -124,7 +125,7 @@ SHAPES = [
     ),
     (lure, {"f": [0, 1, 2]}, "f: shape (3, 1); expected a column of 2 entries"),
     (lure, {"f": 5}, "f: shape (1, 1); expected a column of 2 entries"),
-    (lure, {"x0": [1, 0, 0]}, "A: shape (2, 2); expected (3, 3), a row and a column for each of 3 states x_0, x_1, x_2"),
+    (lure, {"x0": [1, 0, 0]}, "x0: 3 numbers; expected 2, one for each state, as A has the shape (2, 2)"),
     (lure, {"x0": np.eye(2)}, "x0: shape (2, 2); expected a column, one number for each state"),
     (lure, {"x0": []}, "x0: shape (0, 1); expected a column, one number for each state"),
     (lure, {"x": x, "x0": [1]}, "x0: shape (1, 1); expected a column of 2 entries"),
@@ -370,8 +371,8 @@ GRIDS = [
     ({"parameters": [1]}, "parameters: expected a dictionary {symbol or name: value}, not a list"),
     ({"parameters": {"k": nan}}, "parameter 'k' = nan; expected a finite number"),
     ({"parameters": {"k": "2"}}, "parameter 'k' = '2' is not a number"),
-    ({"parameters": {"k": [1, 2]}}, "parameter 'k': 2 values for 1 symbols (k)"),
-    ({"parameters": {("a", "b"): 1}}, "parameter 'a, b': 1 values for 2 symbols (a, b)"),
+    ({"parameters": {k: [1, 2]}}, "parameter 'k': 2 values; expected one number"),
+    ({"parameters": {("a", "b"): 1}}, "parameter 'a, b': 1 value; expected 2, one for each of a, b"),
     ({"parameters": {"k": 1, k: 2}}, "parameters: 'k' is declared twice; keep one"),
     ({"parameters": {2 * k: 1}}, "parameters: (2.*k) (a SX) is not a symbol"),
     ({"parameters": {"x_0": 1}}, "the declared symbols: the symbol 'x_0' is declared twice"),
@@ -379,7 +380,19 @@ GRIDS = [
     ({"names": "ab"}, "names: 'ab'; expected a list of 2 names"),
     ({"names": ["a", 2]}, "names: ['a', 2]; expected a list of 2 names"),
     ({"names": ["a", "a"]}, "names: ['a', 'a'] repeats a name; give each state its own"),
-    ({"names": ["energy", "b"]}, "x: the state 'energy' clashes with run.energy; rename it, or give names=[...]"),
+    (
+        {"names": ["energy", "b"]},
+        "names: 'energy' clashes with run.energy, an attribute of runs; take another name, such as 'energy1'",
+    ),
+    ({"names": ["x", "v"]}, "names: 'x' clashes with run.x, which holds all states; take another name, such as 'x1'"),
+    ({"x0": [1, 0, 2]}, "x0: 3 numbers; expected 2, one for each state, as A has the shape (2, 2)"),
+    ({"x0": [1, 0, 2], "names": ["a", "b"]}, "x0: 3 numbers; expected 2, one for each state, as A has the shape (2, 2)"),
+    ({"x0": 1}, "x0: 1 number; expected 2, one for each state, as A has the shape (2, 2)"),
+    (
+        {"names": ["position", "speed"], "units": {"postion": "m"}},
+        "units: 'postion' is no state, multiplier or time; the model has t, position, speed, l_0. Did you mean 'position'?",
+    ),
+    ({"units": {"T": "s"}}, "units: 'T' is no state, multiplier or time; the model has t, x, x_0, x_1, l_0"),
     ({"units": "m"}, "units: 'm'; expected a dictionary {name: unit} of strings"),
     ({"units": {"t": 1}}, "units: {'t': 1}; expected a dictionary {name: unit} of strings"),
     ({"exact": [1, 2, 3]}, "exact: shape (3, 1); expected a column of 2 entries"),
@@ -400,9 +413,10 @@ def test_a_wrong_model_is_refused_when_it_is_declared(builder, given, message):
 
 @pytest.mark.parametrize("name", sorted(RESERVED))
 def test_no_state_takes_the_name_of_an_attribute_of_the_run(name):
-    for given in ({"names": [name, "other"]}, {"x": ca.SX.sym(name, 2), "A": np.eye(2)}):
-        with pytest.raises(ModelError, match=rf"x: the state '{name}' clashes with run\.{name}; rename it"):
-            lure(**given)
+    with pytest.raises(ModelError, match=rf"names: '{name}' clashes with run\.{name}, an attribute of runs; take another name"):
+        lure(names=[name, "other"])
+    with pytest.raises(ModelError, match=rf"x: the state '{name}' clashes with run\.{name}, an attribute of runs; rename it, or"):
+        lure(x=ca.SX.sym(name, 2), A=np.eye(2))
 
 
 def test_reserved_names_are_all_attributes_and_arrays_of_every_class():
@@ -412,10 +426,15 @@ def test_reserved_names_are_all_attributes_and_arrays_of_every_class():
     taken |= {name for run in runs for name in run.arrays}
     assert taken - {"x", "v"} <= RESERVED
     for builder in (oscillator, inclusion):
-        with pytest.raises(ModelError, match=r"x: the state 'v' clashes with run\.v, the velocity; rename it"):
+        with pytest.raises(ModelError, match=r"names: 'v' clashes with run\.v, the velocity; take another name, such as 'v1'"):
             builder(names=["v", "w"])
-    with pytest.raises(ModelError, match=r"x: the state 'x' clashes with run\.x"):
-        lure(names=["x", "y0"])
+    v = ca.SX.sym("v", 2)
+    with pytest.raises(ModelError, match=r"x: the state 'v' clashes with run\.v, the velocity; rename it, or give names=\[...\]"):
+        inclusion(x=v, field=-v, operator=None)
+    pair = [ca.SX.sym("x"), ca.SX.sym("u")]
+    with pytest.raises(ModelError, match=r"x: the state 'x' clashes with run\.x, which holds all states; rename it, or give"):
+        lure(x=pair)
+    np.testing.assert_array_equal(simulate(lure(x=pair, names=["x1", "u"])).x1[0], 1)  # As it says.
     np.testing.assert_array_equal(simulate(lure(names=["u", "v"])).v[0], 0)  # A Lur'e system has no other v.
 
 
@@ -799,3 +818,130 @@ def test_errors_of_a_trajectory(tmp_path, monkeypatch):
     monkeypatch.undo()
     with pytest.raises(StorageError, match=r"cannot write into .*file/out: .*; take a folder that is writable"):
         simulate(lure(), out=tmp_path / "file" / "out")
+
+
+# -- explicit time where a scheme has none -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (
+            lambda: oscillator(t=t, potential=ca.sumsqr(x) / 2 - ca.sin(t) * x[0]),
+            "potential depends on 't', but may depend only on",
+        ),
+        (lambda: oscillator(t=t, friction=(1 + t) * s), "friction 'friction' theta depends on 't'"),
+        (lambda: oscillator(t=t, constraints={"wall": x[0] - t}), "constraint 'wall' depends on 't'"),
+    ],
+)
+def test_an_oscillator_says_how_to_write_a_forced_one(build, message):
+    with pytest.raises(ModelError, match=re.escape(message)) as refused:
+        build()
+    assert "know no explicit time. Write a forced oscillator as a LureSystem" in str(refused.value)
+    assert "law=relay(m, -mu, mu): section 2.2 of the guide" in str(refused.value)
+
+
+def test_the_recipe_of_the_message_is_the_oscillator():
+    """Position and velocity as a Lur'e system, with friction as a relay: without a force the same motion; with one, x'' = f."""
+    force, mu = ca.sin(t), 0.3
+    H, M, gradient = np.array([[1.0, 0.5]]), np.diag([0.2, 0.1]), ca.vertcat(4 * x[0], x[1])
+    v = ca.SX.sym("v", 2)
+
+    def recipe(f, mu):
+        return LureSystem(
+            t=t, x=[x, v], A=ca.vertcat(v, -(gradient + M @ v)), f=ca.vertcat(0, 0, f, 0), B=np.vstack([np.zeros((2, 1)), H.T]),
+            C=np.hstack([np.zeros((1, 2)), H]), law=relay(1, -mu, mu), x0=[1, 1, 0, 1], t_end=2, step=1e-3,
+        )  # fmt: skip
+
+    own = oscillator(
+        potential=(4 * x[0] ** 2 + x[1] ** 2) / 2,
+        friction={"rail": (H, mu * s)},
+        damping=M,
+        x0=[1, 1],
+        v0=[0, 1],
+        t_end=2,
+        step=1e-3,
+    )
+    np.testing.assert_allclose(simulate(recipe(0, mu)).x[-1, :2], simulate(own).x[-1], atol=5e-3)
+    assert np.abs(simulate(recipe(force, mu)).x[-1, :2] - simulate(own).x[-1]).max() > 0.1
+
+
+def test_an_inclusion_names_the_class_for_terms_of_time():
+    with pytest.raises(ModelError, match=r"field depends on 't', .*knows no explicit time. Take a LureSystem, where"):
+        inclusion(t=t, field=-x + t)
+
+
+# -- units -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("builder", "names"),
+    [
+        (lure, ["t", "x", "x_1", "l_0", "y", "multipliers"]),
+        (sweeping, ["q", "q_0", "disc", "reactions", "gap"]),
+        (oscillator, ["x_0", "v", "friction", "friction[0]", "energy", "potential abs 0"]),
+        (first_order, ["l", "residual_R"]),
+        (inclusion, ["lower x_0", "v", "defect"]),
+    ],
+)
+def test_units_name_what_a_run_has(builder, names):
+    model = builder(units=dict.fromkeys(names, "m"))
+    assert simulate(model).metadata["units"] == dict.fromkeys(names, "m")
+    with pytest.raises(ModelError, match=r"units: 'reactons' is no state, multiplier or time; the model has t, "):
+        builder(units={"reactons": "N"})
+
+
+def test_units_of_many_bodies_and_of_parameters():
+    bodies = nsmodel.Bodies([[0.0, 0.0], [3.0, 0.0]], r=[1.0, 1.0])
+    i, j = bodies.member("i"), bodies.member("j")
+    pair = nsmodel.Family(ca.norm_2(i.q - j.q) - i.r - j.r, i, j)
+    given = {"bodies": bodies, "constraints": {"pair": pair}, "t_end": 1, "step": 0.1}
+    model = nsmodel.ManyBodies(units={"q": "m", "r": "m", "pair": "N", "pressure": "N"}, **given)
+    assert dict(model.written_out().units) == {"q": "m"}
+    with pytest.raises(ModelError, match=r"units: 'pairs' is no state, multiplier or time; .* Did you mean 'pair'"):
+        nsmodel.ManyBodies(units={"pairs": "N"}, **given)
+    assert lure(parameters={"th": [1, 2]}, units={"th": "N", "th_0": "N"})
+
+
+# -- model files -------------------------------------------------------------------------------------------------------
+
+
+def test_a_model_file_imports_its_neighbours(tmp_path):
+    body = "\nfrom nsmodel import LureSystem, relay\ndef model(n=1):\n    import late.inside\n    return LureSystem("
+    body += "A=[[-late.inside.RATE]], B=1, C=1, law=relay(1), x0=START, t_end=1, step=0.1)\n"
+    for folder, start in (("a", 1.0), ("b", 2.0)):
+        (tmp_path / folder / "late").mkdir(parents=True)
+        (tmp_path / folder / "common.py").write_text(f"START = {start}\n")
+        (tmp_path / folder / "late" / "__init__.py").write_text("")
+        (tmp_path / folder / "late" / "inside.py").write_text(f"RATE = {10 * start}\n")
+        (tmp_path / folder / "m.py").write_text("from common import START" + body)
+    path = list(sys.path)
+    for folder, start in (("a", 1.0), ("b", 2.0), ("a", 1.0)):
+        model = nsmodel.load(tmp_path / folder / "m.py")
+        assert float(model.x0) == start
+        assert f"{10 * start:g}" in str(model.A)
+    assert sys.path == path
+    assert not {"common", "late", "late.inside"} & set(sys.modules)
+    (tmp_path / "a" / "common.py").write_text("START = 3.0\n")
+    assert float(nsmodel.load(tmp_path / "a" / "m.py").x0) == 3
+
+
+def test_a_model_file_without_its_neighbour_says_so(tmp_path):
+    (tmp_path / "m.py").write_text("import nobody_is_called_so\n")
+    with pytest.raises(ModelError, match=r"m.py:1: ModuleNotFoundError: No module named 'nobody_is_called_so'"):
+        nsmodel.load(tmp_path / "m.py")
+
+
+# -- what a message says was tried -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("model", "tried"),
+    [
+        (FirstOrderSystem(x=x, f=[ca.exp(1e3 * x[0]), 0], x0=[1, 0], t_end=1, step=0.1), "Newton's method"),
+        (FirstOrderSystem(x=x, f=[1e200 * x[0], 1e200 * x[1]], x0=[1e200, 0], t_end=1, step=0.1, theta=0.5), "the linear system"),
+    ],
+)
+def test_a_step_without_solvers_says_how_it_was_tried(model, tried):
+    with pytest.raises(StepError, match=rf"Tried: {tried}"):
+        simulate(model, compiled=False)

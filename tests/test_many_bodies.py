@@ -436,7 +436,8 @@ def test_bodies_leave_after_the_step_that_takes_them_out():
     assert run.x[there[:, 1], 1].max() == 3.25  # the row that is out is kept, then it is gone
     assert there[:, 0].sum() == 14
     assert there[:, 1].sum() == 6
-    assert run.metadata["bodies"] == {"count": 2, "d": 1, "there": 0, "waiting": 0, "left": 2}
+    bodies = {"count": 2, "d": 1, "there": 0, "waiting": 0, "left": 2}
+    assert run.metadata["bodies"] == bodies | {"empty_at": run.t[-1], "standstill": None}
     assert run.gap_min[-1] == np.inf
 
 

@@ -3,7 +3,6 @@
 import ast
 import doctest
 import importlib
-import importlib.metadata
 import inspect
 import os
 import pkgutil
@@ -22,13 +21,56 @@ CASES = sorted((REPOSITORY / "cases").glob("*.py"))
 MODULES = sorted(module.name for module in pkgutil.walk_packages(nsmodel.__path__, "nsmodel."))
 
 
-def test_import_is_light():
-    """Plots, SymPy, SciPy and the progress bar are loaded by who uses them."""
-    heavy = ["matplotlib", "sympy", "scipy", "tqdm", "xarray", "pandas", "nsmodel.plot"]
-    code = f"import sys, nsmodel; print([name for name in {heavy} if name in sys.modules])"
-    environment = os.environ | {"PYTHONPATH": str(Path(nsmodel.__file__).parents[1])}
+HEAVY = ["matplotlib", "sympy", "scipy", "tqdm", "xarray", "pandas", "nsmodel.plot", "nsmodel.checking", "nsmodel.crowd"]
+HEAVY += ["nsmodel.stress", "nsmodel.study", "nsmodel.codegen", "nsmodel.hypotheses.along", "nsmodel.hypotheses.proof"]
+
+
+def in_a_fresh_process(code, **more):
+    """Return what a program prints; ``more`` are variables of its environment."""
+    environment = os.environ | {"PYTHONPATH": str(Path(nsmodel.__file__).parents[1])} | more
     found = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
-    assert (found.stdout, found.stderr) == ("[]\n", "")
+    assert found.stderr == ""
+    return found.stdout
+
+
+def test_import_is_light():
+    """What not every model needs is loaded by who uses it: runs, checks, plots, SymPy, SciPy, the progress bar."""
+    heavy = [*HEAVY, "nsmodel.simulate", "nsmodel.scheme", "nsmodel.solve", "nsmodel.storage", "importlib.metadata"]
+    assert in_a_fresh_process(f"import sys, nsmodel; print([name for name in {heavy} if name in sys.modules])") == "[]\n"
+
+
+def test_a_first_run_loads_what_it_uses(tmp_path):
+    """Nothing is compiled yet: that building steps would not pay is known without the generator."""
+    code = f"import sys, nsmodel; nsmodel.simulate(nsmodel.load({str(REPOSITORY / 'cases' / 'friction_oscillator.py')!r}))"
+    code = f"{code}; print([name for name in {HEAVY} if name in sys.modules])"
+    assert in_a_fresh_process(code, XDG_CACHE_HOME=str(tmp_path)) == "[]\n"
+
+
+def test_a_function_keeps_its_name_where_a_module_has_it_too():
+    code = (
+        "import nsmodel, nsmodel.stress.cells, nsmodel.study.lines\n"
+        "from nsmodel.simulate import prepare\n"
+        "import nsmodel.simulate\n"
+        "for name in ('simulate', 'study', 'stress'):\n"
+        "    print(callable(getattr(nsmodel, name)), getattr(nsmodel, name).__module__)\n"
+    )
+    lines = ["True nsmodel.simulate", "True nsmodel.study.measure", "True nsmodel.stress.cells"]
+    assert in_a_fresh_process(code).splitlines() == lines
+
+
+def test_names_that_wait_are_listed_imported_and_documented():
+    code = (
+        "import nsmodel, pydoc\n"
+        "print(set(nsmodel.__all__) <= set(dir(nsmodel)), nsmodel.__version__ == nsmodel.version.VERSION)\n"
+        "text = pydoc.render_doc(nsmodel, renderer=pydoc.plaintext)\n"
+        "print('simulate(model' in text, 'Decide each hypothesis' in text)\n"
+        "from nsmodel import *\n"
+        "print(check.__name__, Study.__name__)\n"
+        "print(hasattr(nsmodel, 'simulat'))\n"
+    )
+    assert in_a_fresh_process(code).split() == ["True", "True", "True", "True", "check", "Study", "False"]
+    with pytest.raises(AttributeError, match="module 'nsmodel' has no attribute 'simulat'"):
+        nsmodel.simulat  # noqa: B018
 
 
 def test_a_run_without_pictures_stays_light(tmp_path):
@@ -46,9 +88,10 @@ def test_a_run_without_pictures_stays_light(tmp_path):
 
 
 def test_version_is_that_of_the_project():
-    declared = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]["version"]
-    assert re.fullmatch(r"\d+\.\d+\.\d+", declared)
-    assert importlib.metadata.version("nsmodel") == declared
+    """Which may be another than the version that is installed."""
+    where = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["tool"]["hatch"]["version"]["path"]
+    declared = re.search(r'^VERSION = "(\d+\.\d+\.\d+)"$', (REPOSITORY / where).read_text(), re.MULTILINE)[1]
+    assert nsmodel.__version__ == declared
     run = nsmodel.simulate(nsmodel.load(REPOSITORY / "cases" / "sliding_relay.py"), t_end=0.1)
     assert run.metadata["versions"]["nsmodel"] == declared
 

@@ -1,6 +1,7 @@
 """A run may stop anywhere: what was computed is on disk, and the rest gives the bytes of a run that was never stopped."""
 
 import errno
+import functools
 import json
 import os
 import re
@@ -29,9 +30,9 @@ from nsmodel import (
     complementarity,
     product,
     relay,
-    simulate,
 )
 
+simulate = functools.partial(nsmodel.simulate, compiled=False)  # whatever other tests have left in the cache
 loop = sys.modules["nsmodel.run"]
 FEW_ROWS = 1  # Chunks of the least number of rows, 64.
 
@@ -283,12 +284,12 @@ def start(body, folder):
 @pytest.mark.parametrize("build", MODELS[:5], ids=lambda build: build.__name__)
 def test_a_killed_run_is_resumed_to_the_same_bytes(build, tmp_path, whole):
     """Killed after its second chunk, wherever it is then; another process goes on."""
-    body = f"test_resume.slow_down(1e-3); nsmodel.simulate(test_resume.{build.__name__}(), out='run')"
+    body = f"test_resume.slow_down(1e-3); test_resume.simulate(test_resume.{build.__name__}(), out='run')"
     kill_when_there(start(body, tmp_path), tmp_path / "run" / "chunk-000002.npz")
     assert not (tmp_path / "run" / "trajectory.npz").exists()
     simulate(build(), out=tmp_path / "run", resume=True)
     assert (tmp_path / "run" / "trajectory.npz").read_bytes() == whole(build)
-    assert sorted(path.name for path in (tmp_path / "run").iterdir() if path.suffix != ".part") == [
+    assert sorted(path.name for path in (tmp_path / "run").iterdir()) == [
         "manifest.json",
         "trajectory.npz",
     ]
@@ -410,9 +411,10 @@ def test_nothing_to_resume(tmp_path):
     ("damage", "message"),
     [
         (lambda manifest: "{", "is not a readable JSON file"),
-        (lambda manifest: "[]", "is not a manifest of format 1; start the run without resuming"),
-        (lambda manifest: json.dumps(manifest | {"format": 2}), "is not a manifest of format 1"),
-        (lambda manifest: json.dumps(manifest | {"rows": 5}), "was changed after it was written; start the run without resuming"),
+        (lambda manifest: "[]", "is not a manifest; remove the folder, or give another, to start afresh"),
+        (lambda manifest: json.dumps(manifest | {"format": "2"}), "is not a manifest; remove the folder"),
+        (lambda manifest: json.dumps(manifest | {"format": 1}), "was changed after it was written; remove the folder"),
+        (lambda manifest: json.dumps(manifest | {"rows": 5}), "was changed after it was written; remove the folder"),
         (lambda manifest: json.dumps(manifest | {"chunks": [5]}), "was changed after it was written"),
         (lambda manifest: json.dumps({**manifest, "checkpoint": {}}), "was changed after it was written"),
         (lambda manifest: json.dumps({key: value for key, value in manifest.items() if key != "checkpoint"}), "was changed"),
@@ -431,12 +433,28 @@ def test_damaged_rows_are_refused(tmp_path):
     path = tmp_path / "trajectory.npz"
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(StorageError, match=r"trajectory\.npz is not a whole npz file"):
+    with pytest.raises(StorageError, match=r"trajectory\.npz is not the file that manifest\.json lists"):
         simulate(lure(), out=tmp_path, resume=True)
     at = whole.index(np.float64(3.0).tobytes())  # x0, in the middle of the rows
     path.write_bytes(whole[:at] + b"\x01" + whole[at + 1 :])
-    with pytest.raises(StorageError, match=r"trajectory\.npz is not a whole npz file \(.*CRC"):
+    with pytest.raises(StorageError, match=r"trajectory\.npz is not the file that manifest\.json lists"):
         simulate(lure(), out=tmp_path, resume=True)
+
+
+def test_exchanged_chunks_are_found_before_any_step(tmp_path, monkeypatch, small_chunks):
+    with monkeypatch.context() as patch:
+        stop_at(patch, 150, SystemExit())  # as if killed
+        with pytest.raises(SystemExit):
+            simulate(lure(), out=tmp_path)
+    one, two, kept = (tmp_path / name for name in ("chunk-000001.npz", "chunk-000002.npz", "kept"))
+    one.rename(kept)
+    two.rename(one)
+    kept.rename(two)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    stop_at(monkeypatch, 1, AssertionError("a step was taken"))
+    with pytest.raises(StorageError, match=r"chunk-000001\.npz is not the file that manifest\.json lists: .* exchanged"):
+        simulate(lure(), out=tmp_path, resume=True)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 # a disk that is full
@@ -466,7 +484,7 @@ def test_a_limit_of_file_size_is_met_by_a_message(tmp_path):
         import resource
         resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))
         try:
-            nsmodel.simulate(test_resume.lure(t_end=100), out="run")
+            test_resume.simulate(test_resume.lure(t_end=100), out="run")
         except nsmodel.StorageError as error:
             print(error)
     """

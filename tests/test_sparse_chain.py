@@ -174,7 +174,7 @@ def test_no_wrong_answer_passes_that_dense_matrices_refuse(n, unit):
         t, h, state, z, l, index = run.t[k - 1], 0.01, run.x[k - 1], run.x[k], run.multipliers[k], run.index_set[k]
         assert sparse.certify(t, h, state, z, l, index).residual <= 1e-9
         at = newton.linearise(t, h, state, 0 * z, 0 * l)
-        _, guess, E_guess = newton._guess(t, h, state, l)
+        known = newton.known(t, h, state)
         for size in (1e-3, 1e-6, 1e-8, 1e-10, 1e-12):
             for _ in range(6):
                 wrong_z, wrong_l, code = z.copy(), l.copy(), index.copy()
@@ -189,7 +189,7 @@ def test_no_wrong_answer_passes_that_dense_matrices_refuse(n, unit):
                     wrong_l[i] = np.clip(l[i] + size, -1, 1)
                     wrong_z = np.linalg.solve(at.E_z, -(at.E + at.E_l @ wrong_l))
                 here = newton.linearise(t, h, state, wrong_z, wrong_l)
-                dense = newton.judge(here, wrong_z, wrong_l, code, (guess, np.abs(E_guess)), "", 1).residual
+                dense = newton.judge(known, here, wrong_z, wrong_l, code, "", 1).residual
                 if dense > 1e-9:
                     refused += 1
                     assert sparse.certify(t, h, state, wrong_z, wrong_l, code).residual > 1e-9

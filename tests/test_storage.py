@@ -1,5 +1,6 @@
 """Files are whole or absent, equal content gives equal bytes, and a killed run leaves a state to resume from."""
 
+import hashlib
 import io
 import json
 import os
@@ -39,6 +40,10 @@ def assert_same_arrays(got, expected):
     for name, array in expected.items():
         assert got[name].dtype == array.dtype
         np.testing.assert_array_equal(got[name], array)
+
+
+def sha256(path):
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def fill(directory, cuts):
@@ -186,24 +191,38 @@ def test_npz_truncated(tmp_path, share):
         read_npz(tmp_path / "a.npz")
 
 
-def test_npz_every_damaged_byte_is_an_error_or_harmless(tmp_path):
-    arrays = make_arrays(4)
-    write_npz(tmp_path / "a.npz", arrays, METADATA)
-    whole = (tmp_path / "a.npz").read_bytes()
-    refused = 0
-    for place in range(0, len(whole), 5):
+def test_npz_every_damaged_bit_is_an_error_or_harmless(tmp_path):
+    """One bit of each byte, another one from byte to byte; an array may not vanish, nor change, nor may metadata."""
+    arrays = {name: array for name, array in make_arrays(4).items() if name in ("t", "x", "index_set")}
+    path = tmp_path / "a.npz"
+    write_npz(path, arrays, METADATA)
+    whole, refused = path.read_bytes(), 0
+    for place in range(len(whole)):
         damaged = bytearray(whole)
-        damaged[place] ^= 0xFF
-        (tmp_path / "a.npz").write_bytes(damaged)
+        damaged[place] ^= 1 << (5 * place % 8)
+        path.write_bytes(damaged)
         try:
-            got, metadata = read_npz(tmp_path / "a.npz")
+            got, metadata = read_npz(path)
         except StorageError:
             refused += 1
-        else:  # a byte of the zip's own records, which does not change what is read
-            for name in got.keys() & arrays.keys():
-                np.testing.assert_array_equal(got[name], arrays[name])
+        else:  # a bit of the zip's own records, which does not change what is read
+            assert_same_arrays(got, arrays)
             assert metadata == METADATA
-    assert refused > len(whole) / 10
+    assert refused > len(whole) / 2
+
+
+@pytest.mark.parametrize("changed", ["x.npx", "x.npz", "x"])
+def test_npz_an_array_cannot_hide_under_another_name(tmp_path, changed):
+    """Nor in a file that carries no list of its arrays."""
+    for listed in (True, False):
+        with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+            for name in ("t.npy", changed):
+                member = io.BytesIO()
+                np.save(member, np.zeros(3))
+                archive.writestr(name, member.getvalue())
+            archive.writestr("metadata.json", dumps({"format": 2, "arrays": ["t", "x"]} if listed else {}))
+        with pytest.raises(StorageError, match=rf"a\.npz is not a whole npz file \(it holds t\.npy, {changed}, "):
+            read_npz(tmp_path / "a.npz")
 
 
 def test_failed_write_leaves_the_old_file_and_nothing_beside_it(tmp_path, monkeypatch):
@@ -249,8 +268,12 @@ def test_chunks_and_manifest(tmp_path):
         ChunkStore.open(tmp_path / "run").manifest
         == store.manifest
         == {
-            "format": 1,
-            "chunks": [{"file": "chunk-000001.npz", "rows": 5}, {"file": "chunk-000002.npz", "rows": 3}],
+            "format": nsmodel.storage.FORMAT,
+            "version": nsmodel.__version__,
+            "chunks": [
+                {"file": "chunk-000001.npz", "rows": 5, "sha256": sha256(tmp_path / "run" / "chunk-000001.npz")},
+                {"file": "chunk-000002.npz", "rows": 3, "sha256": sha256(tmp_path / "run" / "chunk-000002.npz")},
+            ],
             "rows": 8,
             "checkpoint": {"x": [0.1, float("inf")]},
             "metadata": METADATA | {"status": "done"},
@@ -267,7 +290,8 @@ def test_joined_file_is_the_file_written_at_once(tmp_path, cuts):
     store.join(tmp_path / "run" / "trajectory.npz", METADATA)
     assert (tmp_path / "run" / "trajectory.npz").read_bytes() == (tmp_path / "whole.npz").read_bytes()
     assert sorted(file.name for file in (tmp_path / "run").iterdir()) == ["manifest.json", "trajectory.npz"]
-    assert store.manifest["chunks"] == [{"file": "trajectory.npz", "rows": 200}]
+    whole = {"file": "trajectory.npz", "rows": 200, "sha256": sha256(tmp_path / "run" / "trajectory.npz")}
+    assert store.manifest["chunks"] == [whole]
     assert store.manifest["checkpoint"] == {"row": 200}
 
 
@@ -309,9 +333,10 @@ def test_chunk_outside_the_manifest_is_ignored_and_overwritten(tmp_path):
     assert ChunkStore.open(tmp_path / "run").manifest["rows"] == 209
 
 
+@pytest.mark.parametrize("reopened", [False, True])
 @pytest.mark.parametrize("joined_before", [False, True])
-@pytest.mark.parametrize("at", ["write_json", "_write_archive"])
-def test_join_killed_anywhere_can_be_resumed(tmp_path, monkeypatch, joined_before, at):
+@pytest.mark.parametrize("at", ["_write_archive", "write_json", "replace", "second write_json", "unlink"])
+def test_join_killed_anywhere_can_be_resumed(tmp_path, monkeypatch, reopened, joined_before, at):
     target = tmp_path / "run" / "trajectory.npz"
     write_npz(tmp_path / "whole.npz", make_arrays(200), METADATA)
     if not joined_before:
@@ -322,19 +347,30 @@ def test_join_killed_anywhere_can_be_resumed(tmp_path, monkeypatch, joined_befor
         store.join(target, {})
         store.append(make_arrays(60, 60), {}, {})
         store.append(make_arrays(80, 120), {"row": 200}, {})
+    write, manifests = nsmodel.storage.write_json, []
 
-    def kill(*arguments):
+    def kill(*arguments, **options):
         raise KeyboardInterrupt
 
+    def second(path, data):
+        manifests.append(path)
+        (kill if len(manifests) == 2 else write)(path, data)
+
     with monkeypatch.context() as patch:
-        patch.setattr(f"nsmodel.storage.{at}", kill)
+        if at in ("replace", "unlink"):
+            # The manifests are written as ever, by a way of their own.
+            patch.setattr("nsmodel.storage.write_json", lambda path, data: Path(path).write_text(dumps(data)))
+            patch.setattr(Path, at, kill)
+        else:
+            patch.setattr("nsmodel.storage." + at.removeprefix("second "), second if at.startswith("second") else kill)
         with pytest.raises(KeyboardInterrupt):
             store.join(target, METADATA)
-    store = ChunkStore.open(tmp_path / "run")
+    store = ChunkStore.open(tmp_path / "run") if reopened else store
     assert store.manifest["rows"] == 200
     assert store.manifest["checkpoint"] == {"row": 200}
     store.join(target, METADATA)
     assert target.read_bytes() == (tmp_path / "whole.npz").read_bytes()
+    assert ChunkStore.open(tmp_path / "run").manifest == store.manifest
 
 
 KILLED = """
@@ -398,23 +434,61 @@ def test_nothing_to_resume(tmp_path):
     with pytest.raises(StorageError, match=r"nothing to resume in .*run: no manifest\.json; start the run without"):
         ChunkStore.open(tmp_path / "run")
     write_json(tmp_path / "manifest.json", {"format": 2})
-    with pytest.raises(StorageError, match=r"manifest\.json is not a manifest of format 1; start the run without"):
+    with pytest.raises(StorageError, match=r"manifest\.json is not a manifest; remove the folder, or give another, to start"):
         ChunkStore.open(tmp_path)
     (tmp_path / "manifest.json").write_text("{")
     with pytest.raises(StorageError, match=r"manifest\.json is not a readable JSON file"):
         ChunkStore.open(tmp_path)
 
 
-def test_open_finds_missing_and_changed_chunks(tmp_path):
+def flip(path, place):
+    damaged = bytearray(path.read_bytes())
+    damaged[place] ^= 1
+    path.write_bytes(damaged)
+
+
+def exchange(one, other):
+    bytes_of_one = one.read_bytes()
+    one.write_bytes(other.read_bytes())
+    other.write_bytes(bytes_of_one)
+
+
+@pytest.mark.parametrize(
+    ("damage", "found"),
+    [
+        (lambda one, two, three: flip(two, len(two.read_bytes()) // 2), "chunk-000002.npz"),
+        (lambda one, two, three: flip(three, -1), "chunk-000003.npz"),
+        (lambda one, two, three: exchange(one, two), "chunk-000001.npz"),
+        (lambda one, two, three: exchange(two, three), "chunk-000002.npz"),
+        (lambda one, two, three: write_npz(two, make_arrays(60, 60), {"other": 1}), "chunk-000002.npz"),
+        (lambda one, two, three: write_npz(two, make_arrays(7), {}), "chunk-000002.npz"),
+    ],
+)
+def test_open_finds_the_chunk_that_was_changed_and_touches_nothing(tmp_path, damage, found):
     fill(tmp_path, [60, 120])
-    write_npz(tmp_path / "chunk-000002.npz", make_arrays(7), {})
-    with pytest.raises(StorageError, match=r"chunk-000002\.npz holds \[7\] rows where manifest\.json says 60"):
+    damage(*(tmp_path / f"chunk-00000{k}.npz" for k in (1, 2, 3)))
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(StorageError, match=rf"{found} is not the file that manifest\.json lists: .* put it back from a copy, or"):
         ChunkStore.open(tmp_path)
-    write_npz(tmp_path / "chunk-000002.npz", {"t": np.zeros(60)}, {})
-    with pytest.raises(StorageError, match=r"array 'cube' in .*chunk-000002\.npz differs .* got none"):
-        ChunkStore.open(tmp_path)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_open_finds_a_missing_chunk(tmp_path):
+    fill(tmp_path, [60, 120])
     (tmp_path / "chunk-000002.npz").unlink()
-    with pytest.raises(StorageError, match=r"chunk-000002\.npz does not exist"):
+    with pytest.raises(StorageError, match=r"chunk-000002\.npz does not exist; put it back from a copy"):
+        ChunkStore.open(tmp_path)
+    (tmp_path / "chunk-000002.npz").mkdir()
+    with pytest.raises(StorageError, match=r"chunk-000002\.npz cannot be read"):
+        ChunkStore.open(tmp_path)
+
+
+def test_a_manifest_of_exchanged_chunks_is_refused(tmp_path):
+    fill(tmp_path, [60, 120])
+    manifest = json.loads((tmp_path / "manifest.json").read_text())
+    manifest["chunks"] = manifest["chunks"][::-1]
+    write_json(tmp_path / "manifest.json", manifest)
+    with pytest.raises(StorageError, match=r"manifest\.json was changed after it was written"):
         ChunkStore.open(tmp_path)
 
 

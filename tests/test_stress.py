@@ -6,6 +6,8 @@ import json
 import sys
 from collections import Counter
 from copy import copy
+from itertools import count
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -31,8 +33,8 @@ from nsmodel import (
 )
 from nsmodel.cli import main
 from nsmodel.model.units import in_units
-from nsmodel.stress import RIGHT, STOPPED, WRONG
-from nsmodel.stress.judge import by_formulas
+from nsmodel.stress import LEFT_OUT, RIGHT, STOPPED, WRONG
+from nsmodel.stress.judge import acting, by_formulas, majorant
 
 T, X, LAM, S = (ca.SX.sym(name) for name in ("t", "x", "l", "s"))
 X2, V2 = ca.SX.sym("x", 2), ca.SX.sym("y", 2)
@@ -299,6 +301,25 @@ def test_a_model_without_a_step_asks_for_one():
     assert not stress(model, step=0.1).wrong
 
 
+def test_a_budget_leaves_out_the_cells_that_it_has_no_time_for(monkeypatch):
+    """On a clock that ticks when it is read, a cell takes one tick: five begin before the tenth."""
+    clock = SimpleNamespace(perf_counter=count().__next__)
+    monkeypatch.setattr(sys.modules["nsmodel.stress.cells"], "time", clock)
+    found = stress(weak(), steps=3, budget=10)
+    run = [cell for cell in found.cells if cell.verdict != LEFT_OUT]
+    assert [(cell.verdict, cell.factor) for cell in run] == [(RIGHT, 1.0)] * 5
+    assert found.count(LEFT_OUT) == 51
+    assert not found.wrong
+    text = found.text()
+    assert "56: 5 right, 0 stopped, 0 wrong, 51 left out" in text
+    assert "51 cells were left out for the time budget" in text
+    assert found.document()["left out"] == 51
+    assert found.plot() is not None
+    for budget in (0, -1, float("nan"), "a"):
+        with pytest.raises(UsageError, match=r"budget = .*; expected a finite number > 0"):
+            stress(weak(), budget=budget)
+
+
 FILE = """
 import casadi as ca
 from nsmodel import SweepingProcess
@@ -319,6 +340,10 @@ def test_the_command_line(tmp_path, capsys, monkeypatch):
     assert "oppose each other" in out
     assert (tmp_path / "out" / "stress.png").stat().st_size > 10_000
     assert json.loads((tmp_path / "out" / "stress.json").read_text())["wrong"] == 0
+    assert main(["stress", str(file), "--budget", "0"]) == 2
+    assert "budget = 0; expected a finite number > 0" in capsys.readouterr().err
+    assert main(["stress", str(file), "--budget", "1e-9"]) == 0
+    assert "56: 0 right, 0 stopped, 0 wrong, 56 left out" in capsys.readouterr().out
     assert main(["stress", str(file), "--vary", "gap"]) == 2
     assert "expected NAME=V1,V2" in capsys.readouterr().err
     for name in ("EQUATION", "ROUNDING"):
@@ -327,3 +352,114 @@ def test_the_command_line(tmp_path, capsys, monkeypatch):
     document = json.loads(capsys.readouterr().out)
     assert document["wrong"] > 0
     assert document["right"] + document["stopped"] + document["wrong"] == 56 == len(document["cells"])
+
+
+# ---------------------------------------------------------------------------------------------- at rest, ill-balanced, random
+
+
+def blocks(ratio, kind="speeds"):
+    """Two blocks at rest, one on the other, the upper one ``ratio`` times as heavy."""
+    g = 9.81
+    law = {"law": complementarity(2), "t_end": 1, "step": 1e-2}
+    if kind == "forces":
+        x, l = ca.SX.sym("x", 2), ca.SX.sym("l", 2)
+        weights, pushes = [-g, -ratio * g], [l[0] - l[1], l[1]]
+        return FirstOrderSystem(x=x, lam=l, M=[[1, 0], [0, ratio]], f=weights, g=pushes, h=[x[0], x[1] - x[0]], x0=[0, 0], **law)
+    if kind == "positions":
+        return LureSystem(
+            A=[[0, 1, 0, 0], [0] * 4, [0, 0, 0, 1], [0] * 4], B=[[0, 0], [1, -1], [0, 0], [0, 1 / ratio]],
+            C=[[0, 1, 0, 0], [0, -1, 0, 1]], f=[0, -g, 0, -g], x0=[0, 0, 1, 0], **law,
+        )  # fmt: skip
+    return LureSystem(A=np.zeros((2, 2)), B=[[1, -1], [0, 1 / ratio]], C=[[1, 0], [-1, 1]], f=[-g, -g], x0=[0, 0], **law)
+
+
+def walls():
+    """A point between discs that close: they nearly oppose each other where they meet it, and it gets out of their way."""
+    q, a = ca.SX.sym("q", 2), 1.1 - T
+    discs = {"left": ca.norm_2(q - ca.vertcat(-a, 0)) - 1, "right": ca.norm_2(q - ca.vertcat(a, 0)) - 1}
+    return SweepingProcess(t=T, q=q, f=[0, 0], constraints=discs, q0=[0, -3e-2], t_end=0.6, step=1e-3)
+
+
+BALANCED = {
+    **{f"{kind}, {ratio:g}": blocks(ratio, kind) for kind in ("speeds", "forces", "positions") for ratio in (1.0, 1e6, 1e-6)},
+    "walls": walls(),
+}
+
+
+def found_in(model, run, part):
+    """The worst misfit after an error of a part of what moves or acts in the run."""
+    size = max(np.abs(run.x - run.x[0]).max(), acting(model, run).max())
+    other = copy(run)
+    object.__setattr__(other, "arrays", {name: array.copy() for name, array in run.arrays.items()})
+    other.arrays["x"][5] += part * size
+    if isinstance(model, FrictionOscillator):
+        other.arrays["v"][5] += part * size / run.step[5]
+    return max(by_formulas(model, other).values())
+
+
+@pytest.mark.parametrize("name", BALANCED)
+def test_what_balances_is_judged_by_what_acts(name):
+    """At rest nothing moves, and the scale is what acts; an error of 1e-7 of that is seen, in any unit."""
+    model = BALANCED[name].bind()
+    h = 10 * model.step if name == "walls" else model.step
+    for u, tau in ((1.0, 1.0), (1e9, 1.0), (1e-9, 1e9)):
+        there = in_units(model, u, tau)
+        run = simulate(there, step=h * tau, t_end=24 * h * tau, compiled=False)
+        assert max(by_formulas(there, run).values()) <= 1
+        assert found_in(there, run, 1e-7) > 1
+
+
+@pytest.mark.parametrize("name", ["forces, 1", "forces, 1e+06", "positions, 1e+06"])
+def test_every_cell_of_what_rests_is_right(name):
+    found = stress(BALANCED[name])
+    assert found.count(RIGHT) == 56, found.text()
+
+
+def test_the_majorant_is_the_sum_of_the_sizes_of_all_terms():
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    at = {x: 3.0, y: -2.0}
+    for expression, size in (
+        (x, 3.0), (x - 5, 8 + 2), (2 * x, 6 + 6), (x * y, 6 + 6 + 6), (x + y, 5 + 1), (ca.fabs(y), 2 + 2),
+        (ca.fmax(x, y), 3 + 3), (ca.if_else(x > 0, x, y), None), (ca.SX(4), 4),
+    ):  # fmt: skip
+        value = float(ca.substitute(majorant(expression), ca.vertcat(*at), ca.vertcat(*at.values())))
+        assert value == pytest.approx(size) if size else value >= abs(at[x])
+    assert majorant(ca.SX.zeros(2, 3)).shape == (2, 3)
+
+
+def random_model(kind, rng):
+    """A model of a class with sizes of all kinds: units, masses, weights, starts at rest or not."""
+    n = int(rng.integers(1, 5))
+    m, u, ratio, h = int(rng.integers(1, n + 1)), 10 ** rng.uniform(-6, 6), 10 ** rng.uniform(-3, 3, n), 10 ** rng.uniform(-4, -1)
+    x, l, t = ca.SX.sym("x", n), ca.SX.sym("l", m), ca.SX.sym("t")
+    A, B = rng.normal(size=(n, n)) * ratio[:, None], rng.normal(size=(n, m))
+    f, x0 = u * 10 ** rng.uniform(-2, 2) * rng.normal(size=n), u * rng.normal(size=n) * (rng.uniform() < 0.7)
+    law = (relay(m, -u, u), complementarity(m), ball(m, u))[rng.integers(3)]
+    grid = {"t_end": 24 * h, "step": h}
+    if kind is LureSystem:
+        forced = ca.DM(f) * (1 + ca.sin(t / h / 9))
+        return LureSystem(t=t, A=A, B=B, C=B.T, f=forced, law=law, x0=x0, theta=rng.choice([0.5, 1]), **grid)
+    if kind is FirstOrderSystem:
+        rate, M = A @ x + ca.DM(ratio * f), np.diag(ratio)
+        return FirstOrderSystem(x=x, lam=l, M=M, f=rate, g=ca.DM(B) @ l, h=ca.DM(B.T) @ x, law=law, x0=x0, **grid)
+    if kind is SweepingProcess:
+        rows = {f"g{i}": ca.dot(ca.DM(rng.normal(size=n)), x) + u * rng.uniform() * (rng.uniform() < 0.7) for i in range(m)}
+        return SweepingProcess(q=x, f=f, constraints=rows, q0=np.zeros(n), **grid)
+    if kind is FrictionOscillator:
+        R, y = rng.normal(size=(n, n)), x - ca.DM(u * rng.normal(size=n))
+        g, theta = 10 ** rng.uniform(-3, 3) * ca.sumsqr(ca.DM(R) @ y) / 2, S * u * 10 ** rng.uniform(-2, 2)
+        return FrictionOscillator(
+            x=x, potential=g, friction=theta, s=S, x0=x0, v0=u * rng.normal(size=n) * (rng.uniform() < 0.5), **grid
+        )
+    reach = abs(x0) + 0.5 * u
+    return MonotoneInclusion(x=x, field=ca.DM(f) - x, lower=-reach, upper=reach, x0=x0, **grid)
+
+
+@pytest.mark.parametrize("kind", [SweepingProcess, FrictionOscillator, FirstOrderSystem, LureSystem, MonotoneInclusion])
+def test_random_models_are_right_and_their_errors_are_seen(kind):
+    for seed in range(max(4, 40 * COUNT // FULL)):
+        model = random_model(kind, np.random.default_rng(seed)).bind()
+        run = simulate(model, compiled=False)
+        own = by_formulas(model, run)
+        assert max(own.values()) <= 1, (seed, own)
+        assert found_in(model, run, 1e-7) > 1, seed

@@ -3,6 +3,7 @@
 import csv
 import json
 import signal
+import sys
 from dataclasses import replace
 
 import casadi as ca
@@ -12,12 +13,14 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 import nsmodel
-from nsmodel import FirstOrderSystem, SweepingProcess, UsageError
+from nsmodel import FirstOrderSystem, LureSystem, SweepingProcess, UsageError, complementarity, relay
 from nsmodel.cli import main
 from nsmodel.plot import work_precision
 from nsmodel.scheme import one_step_problem
+from nsmodel.simulate import prepare
 from nsmodel.storage import dumps
 from nsmodel.study import Line, Point, Study, StudyInterrupted, measure, methods, study
+from nsmodel.study.between import Between, steps_from
 from nsmodel.study.lines import LEFT_OUT, PEER, observed_order, quickest
 from nsmodel.study.reference import Reference, Rows, closed_form, refined_run, scale_of, why_not_unique
 
@@ -174,7 +177,7 @@ def test_multiplier_errors_are_integrals():
     t = np.linspace(0, 1, 5)
     right = Rows(t, np.zeros((5, 1)), np.array([[np.nan], [1], [1], [1], [1.0]]))
     run = Rows(t, np.zeros((5, 1)), np.array([[np.nan], [1], [1], [2], [2.0]]))
-    reference = Reference("made up", "", lambda t: np.zeros((len(t), 1)), np.ones(1), right, {"max": 0.0})
+    reference = Reference("made up", "", lambda t: (np.zeros((len(t), 1)), 0.0), np.ones(1), right, {"max": 0.0})
     assert reference.errors(run)["multipliers"] == pytest.approx(0.5)
     assert "multipliers" not in replace(reference, without_multipliers="not unique").errors(run)
 
@@ -188,17 +191,21 @@ def test_a_state_that_stays_zero_is_measured_beside_its_group():
     assert scale_of(named, np.array([[0, 0, 2.0, 1e-12]])) == pytest.approx([1, 1, 2, 1e-12])
 
 
+def no_step(row, h):
+    raise AssertionError("rows of nested grids need no step between")
+
+
 @pytest.mark.parametrize("p", [1, 2])
 def test_a_refined_run_knows_its_own_error(p):
     """x_h = (1 + h^p) t: the last of three runs is off by h^p, beside the largest value 1 + h^p."""
     grids = [np.linspace(0, 1, n + 1) for n in (10, 20, 40)]
     runs = [Rows(t, ((1 + t[1] ** p) * t)[:, None]) for t in grids]
-    assert refined_run(decay(exact=None), "a run", runs, "").own["max"] == pytest.approx(40.0**-p, rel=0.05)
+    assert refined_run(decay(exact=None), "a run", runs, "", no_step).own["max"] == pytest.approx(40.0**-p, rel=0.05)
 
 
 def test_points_near_the_references_own_error_are_unresolved():
     reference = Reference(
-        "made up", "", lambda t: np.zeros((len(t), 1)), np.ones(1), None, {"max": 1e-3, "end": 1e-5, "l2": 1e-9}
+        "made up", "", lambda t: (np.zeros((len(t), 1)), 0.0), np.ones(1), None, {"max": 1e-3, "end": 1e-5, "l2": 1e-9}
     )
     point = reference.point("h = 1", Rows(np.array([0, 1.0]), np.array([[0], [4e-3]])), 1.0)
     assert point.unresolved == ("max",)
@@ -219,12 +226,117 @@ def test_redundant_constraints_have_no_unique_multipliers():
     assert why_not_unique(once, one_step_problem(once), nsmodel.simulate(once)) == ""
 
 
+# ---------------------------------------------------------------------------------------------- between the rows of a reference
+
+
+def filtered_bridge(**given):
+    """A diode bridge with a capacitor behind it: v_C = 10 and 0 at the start, and equal at once."""
+    L, C, R, Cf = 1e-2, 1e-6, 1e3, 3e-7
+    basis = {
+        "A": [[0, -1 / C, 0], [1 / L, 0, 0], [0, 0, -1 / (R * Cf)]],
+        "B": [[0, 0, -1 / C, 1 / C], [0] * 4, [1 / Cf, 0, 1 / Cf, 0]],
+        "C": [[0, 0, 1], [0, 0, 0], [-1, 0, 1], [1, 0, 0]], "D": [[0, -1, 0, 0], [1, 0, 1, -1], [0, -1, 0, 0], [0, 1, 0, 0]],
+        "law": complementarity(4), "x0": [10, 0, 0], "t_end": 1e-4, "step": 1e-5,
+    }  # fmt: skip
+    return LureSystem(**(basis | given))
+
+
+def spring(**given):
+    """A mass on a spring with friction as a relay."""
+    basis = {"A": [[0, 1], [-1, 0]], "B": [0, 1], "C": [0, 1], "law": relay(1), "x0": [3, 0], "t_end": 2, "step": 0.05}
+    return LureSystem(**(basis | given))
+
+
+def general(**given):
+    """A first-order system with a mass matrix, whose multiplier enters nonlinearly; time enters too."""
+    x, l, t = ca.SX.sym("x", 2), ca.SX.sym("l"), ca.SX.sym("t")
+    basis = {
+        "t": t,
+        "x": x,
+        "lam": l,
+        "f": [x[1], -x[0] + ca.sin(t)],
+        "g": [0, (2 + x[0] / 9) * l],
+        "h": x[1],
+        "M": [[1, 0], [0, 2]],
+    }
+    return FirstOrderSystem(**(basis | {"law": relay(1), "x0": [3, 0], "t_end": 2, "step": 0.05} | given))
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        spring(), spring(gamma=0.5, theta=0.5), general(), general(gamma=0.5), "friction_oscillator", "point_past_disc",
+        "inclusion_8_2",
+    ],
+    ids=["Lur'e", "Lur'e, gamma", "first order", "first order, gamma", "oscillator", "sweeping", "inclusion"],
+)  # fmt: skip
+def test_a_step_from_a_row_of_a_run_leads_to_the_next_row(model, load_case):
+    model = load_case(model) if isinstance(model, str) else model
+    run = prepare(model, t_end=20 * model.step, compiled=False)
+    start = run.state.copy()
+    made = run.go()
+    step = steps_from(run, start, made)
+    for row in range(20):
+        np.testing.assert_allclose(step(row, made.step[row + 1]), made.x[row + 1], rtol=1e-9, atol=1e-12)
+    assert np.isfinite(step(3, 0.3 * model.step)).all()
+
+
+def test_a_reference_that_jumps_or_bends_is_stepped_and_not_drawn_through():
+    """x = 1 after a jump at 0, and from t = 1 on t: where a row falls between rows of the run the line is off by up to 1."""
+    t = np.linspace(0, 2, 21)
+    x = np.where(t > 0, np.maximum(t, 1.0), 0.0)[:, None]
+    asked = []
+
+    def step(row, h):
+        asked.append((row, h))
+        return np.array([np.maximum(t[row] + h, 1.0)])
+
+    between = Between(t, x, step, np.ones(1), 1e-3)
+    times = np.array([0, 1e-6, 0.04, 0.1, 0.55, 1.0, 1.03, 1.55, 2.0])
+    found, left = between(times)
+    np.testing.assert_allclose(found.ravel(), np.where(times > 0, np.maximum(times, 1.0), 0.0), rtol=1e-12)
+    assert {row for row, _ in asked} == {0, 10}
+    assert left < 1e-12
+    assert replace(between, good=np.inf)(times)[1] > 0.1
+
+
+def test_what_cannot_be_stepped_leaves_its_rows_unresolved(monkeypatch):
+    monkeypatch.setattr(sys.modules["nsmodel.study.between"], "MOST", 1)
+    t = np.linspace(0, 1, 11)
+    x = np.where(t > 0, 1.0, 0.0)[:, None]
+    between = Between(t, x, lambda row, h: np.ones(1), np.ones(1), 1e-3)
+    reference = Reference("made up", "", between, np.ones(1), None, dict.fromkeys(("max", "end", "l2"), 1e-6))
+    one, two = (
+        Rows(np.array([0, *times, 1.0]), np.array([0, *np.ones(len(times)), 1.0])[:, None]) for times in ([0.01], [0.01, 0.02])
+    )
+    assert reference.point("one", one, 1.0).errors["max"] == 0
+    assert reference.point("one", one, 1.0).unresolved == ("max", "end", "l2")  # errors of 0 always are
+    assert reference.point("two", two, 1.0).errors["max"] > 0.5
+    assert "max" not in reference.point("two", replace(two, x=two.x + 20), 1.0).unresolved
+    assert "max" in reference.point("two", two, 1.0).unresolved
+    lost = Between(t, x, lambda row, h: np.full(1, np.nan), np.ones(1), 1e-3)
+    assert lost(np.array([0.05]))[1] > 0.1
+
+
+def test_variable_steps_over_a_jump_are_within_what_they_ask(monkeypatch):
+    """The first row of error control lies far inside the reference's first step, over which a capacitor is charged at once."""
+    monkeypatch.setattr(methods, "TOLERANCES", (1e-4,))
+    found = study(filtered_bridge(t_end=4e-5), steps=[1e-5], solvers=[], budget=300)
+    variable = [line for line in found.lines if "variable" in line.name]
+    assert len(variable) == 2
+    for line in variable:
+        for point in line.points:
+            assert point.status == "done"
+            assert point.error < 3 * found.reference.own["max"]
+            assert not point.resolved
+
+
 # ---------------------------------------------------------------------------------------------- whole studies
 
 
 @pytest.fixture(scope="module")
 def half_line(load_case):
-    return study(load_case("moving_half_line"), steps=[0.06, 0.03, 0.015], solvers=["lemke"], target=5e-3)
+    return study(load_case("moving_half_line"), steps=[0.06, 0.03, 0.015], solvers=["lemke"], target=5e-3, budget=600)
 
 
 def test_errors_of_a_study_are_those_of_its_runs(half_line, load_case):

@@ -8,9 +8,11 @@ import pickle
 import sys
 import types
 
+import casadi as ca
 import numpy as np
 import pytest
 
+from nsmodel import FirstOrderSystem, LureSystem, relay, simulate
 from nsmodel.errors import MissingExtraError, StorageError, UsageError
 from nsmodel.storage import write_npz
 from nsmodel.trajectory import Trajectory, multiplier_names, state_names, units_of
@@ -346,3 +348,15 @@ def test_table_is_narrow_and_long_states_are_abbreviated():
     assert any(line.split()[:1] == ["x_39"] for line in lines)
     assert lines[-1] == " " * 18 + "second"
     assert len(run.summary()["final_state"]) == n
+
+
+def test_every_run_has_newton_iterations():
+    x, l = ca.SX.sym("x", 2), ca.SX.sym("l")
+    affine = LureSystem(A=[[0, 1], [-1, 0]], B=[0, 1], C=[0, 1], law=relay(1), x0=[3, 0], t_end=1, step=0.1)
+    curved = FirstOrderSystem(x=x, lam=l, f=[x[1], -ca.sin(x[0])], h=x[1], g=[0, l], law=relay(1), x0=[3, 0], t_end=1, step=0.1)
+    for model, least in ((affine, 0), (curved, 1)):
+        run = simulate(model, compiled=False)
+        assert run.newton.shape == run.t.shape
+        assert np.isnan(run.newton[0])
+        assert (run.newton[1:] >= least).all()
+    assert not simulate(affine, compiled=False).newton[1:].any()

@@ -13,7 +13,7 @@ import nsmodel
 from nsmodel import codegen
 
 CASES = Path(__file__).resolve().parents[2] / "cases"
-HEAD = ("case", "a step", "source, kB", "code, kB", "RAM, bytes", "linear systems, at most")
+HEAD = ("case", "a step", "source, kB", "code, kB", "RAM, bytes", "work, at most")
 SIZE = "(unsigned long)sizeof({name}_solver)"
 MAIN = '#include "{name}.h"\n#include <stdio.h>\nint main(void) {{ printf("%lu", ' + SIZE + "); return 0; }}\n"
 
@@ -29,7 +29,7 @@ def row(path: Path, folder: Path) -> tuple[str, ...]:
     subprocess.run(["gcc", "-o", "ram", "ram.c"], cwd=folder, check=True)
     ram = subprocess.run(["./ram"], cwd=folder, check=True, capture_output=True, text=True).stdout
     code = int(re.findall(r"^\s*(\d+)", text, re.MULTILINE)[0])
-    return name, kind(about), f"{source / 1000:.1f}", f"{code / 1000:.1f}", f"{int(ram):,}", f"{about['max_iterations']:,}"
+    return name, kind(about), f"{source / 1000:.1f}", f"{code / 1000:.1f}", f"{int(ram):,}", f"{about['max_work']:,}"
 
 
 def kind(about: dict) -> str:

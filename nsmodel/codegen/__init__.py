@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from nsmodel.codegen import bodies
+from nsmodel.codegen.bounds import MOST_WORK
 from nsmodel.codegen.files import all_files, description
 from nsmodel.codegen.library import Library, Solver, is_library, load
 from nsmodel.codegen.scene import make_scene
@@ -18,6 +19,7 @@ from nsmodel.grid import is_number, make_grid, written
 from nsmodel.identity import fingerprint
 from nsmodel.model.base import Model
 from nsmodel.model.bodies import ManyBodies
+from nsmodel.model.parameters import Values
 from nsmodel.storage import write_text
 
 __all__ = ["Library", "Solver", "Written", "identifier", "load", "write"]
@@ -49,11 +51,14 @@ class Written(NamedTuple):
             "left out": about["left_out"],
             "step": [f"{about['step']:g}" + (", or any other" if about["any_step"] else " only (--any-step for others)")],
             "parameters": [", ".join(f"{key} = {value:g}" for key, value in about["parameters"].items()) or "none to set"],
-            "bound": [
-                f"{about['max_iterations']} linear systems in a step at most"
-                if "max_iterations" in about
-                else f"{about['memory'] / 1e6:.3g} MB to work in; a jam that needs more is refused"
+            "work": [
+                f"{about['max_work']} linear systems, index sets and sweeps in a step at most"
+                if about["max_work"] < MOST_WORK
+                else "no bound of practical use (--max-work sets one)"
             ],
+            "memory": [f"{about['memory'] / 1e6:.3g} MB to work in; a jam that needs more is refused"]
+            if "memory" in about
+            else [],
             "build and run": [f"make -C {self.folder} run"],
         }
         for head, texts in sections.items():
@@ -68,8 +73,9 @@ def write(
     name: str | None = None,
     step: float | None = None,
     any_step: bool = False,
-    parameters: Mapping[str, float] | None = None,
+    parameters: Values | None = None,
     tolerance: float = 1e-9,
+    max_work: int | None = None,
 ) -> Written:
     """Write a model's verified step as a C library into the folder ``out``.
 
@@ -81,6 +87,8 @@ def write(
         any_step: form the matrices of a linear scene when the step is set, so that any step may be used.
         parameters: values that become numbers in the code; the model's other parameters can be set in C.
         tolerance: largest accepted residual (relative, without unit).
+        max_work: most work of a step (linear systems solved, index sets tried, sweeps), beyond which it is NOT_SOLVED; left out:
+            what all methods in turn may do.
 
     Raises:
         CodegenError: the model has no C counterpart; nothing is written.
@@ -89,15 +97,18 @@ def write(
     """
     if not (is_number(tolerance) and 0 < tolerance < 1):
         raise UsageError(f"tolerance = {written(tolerance)}; expected a number between 0 and 1")
+    if not (max_work is None or (isinstance(max_work, int) and not isinstance(max_work, bool) and 1 <= max_work <= MOST_WORK)):
+        raise UsageError(f"max_work = {written(max_work)}; expected a whole number from 1 to {MOST_WORK}")
+    most = MOST_WORK if max_work is None else max_work
     name = identifier(model.title or type(model).__name__) if name is None else _checked(name)
     bound = model.bind(parameters)
     grid = make_grid(bound, step, None, None)
     mark = fingerprint(bound, grid)
     if isinstance(bound, ManyBodies):
-        files, about = bodies.all_files(bound, name, grid, float(tolerance), mark)
+        files, about = bodies.all_files(bound, name, grid, float(tolerance), mark, most)
     else:
         scene = make_scene(model, parameters, grid, any_step or grid.steps is not None, float(tolerance))
-        source = write_source(scene, name, mark)
+        source = write_source(scene, name, mark, most)
         files, about = all_files(scene, source, grid, mark), description(scene, source, mark)
     folder = _free(Path(out), name, files)
     for file, text in files.items():

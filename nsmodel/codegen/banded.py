@@ -10,6 +10,7 @@ import numpy as np
 from nsmodel.codegen.loops import c_function
 from nsmodel.codegen.tables import exact_tables, table
 from nsmodel.scheme.problem import OneStepProblem
+from nsmodel.solve.rounding import error_bound
 from nsmodel.solve.sparse import AtStep, matrix_at
 from nsmodel.solve.structure import Structure
 
@@ -48,6 +49,10 @@ def text(problem: OneStepProblem, structure: Structure, h: float, M: Matrices) -
         "constant_part", {"s->t": problem.t, "s->x": problem.state}, {"constant": constant, "guess": ca.vertcat(guess, zero_l)},
         "E and Y at z = 0, l = 0; the z for which nothing moves",
     )  # fmt: skip
+    given = c_function(
+        "given_error", {"s->t": problem.t, "s->x": problem.state}, {"error": error_bound(constant, ca.SX(0, 1))},
+        "running error bound of E and Y at z = 0, l = 0, in EPS/2",
+    )  # fmt: skip
     tables = [
         table("J", at.J.data, "MODEL_NONZEROS", "[E_z E_l; Y_z Y_l] by rows"),
         table("J_column", at.J.indices, "MODEL_NONZEROS", kind="int"),
@@ -55,6 +60,6 @@ def text(problem: OneStepProblem, structure: Structure, h: float, M: Matrices) -
         table("place", at.order.place, "MODEL_SIZE", "of each unknown and equation in the band", "int"),
         table("row_scale", at.rows, "MODEL_SIZE", "powers of 2"),
         table("column_scale", at.columns, "MODEL_SIZE"),
-        exact_tables(structure),
+        exact_tables(structure, by_rows=True),
     ]
-    return "".join(tables) + "\n" + function
+    return "".join(tables) + "\n" + function + "\n" + given

@@ -8,8 +8,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel.codegen import statuses
+from nsmodel.codegen.bounds import MOST_WORK
 from nsmodel.codegen.expression import c_function
-from nsmodel.codegen.fragments import comment, fragment, prefixed, pruned
+from nsmodel.codegen.fragments import comment, fragment, guard, prefixed, pruned
 from nsmodel.codegen.tables import table
 from nsmodel.errors import CodegenError
 from nsmodel.grid import Grid
@@ -22,14 +24,22 @@ MOST = 20_000  # Bodies whose numbers are written into a library.
 CONTACTS_EACH = 6  # Room for contacts of each body in a library,
 ROOM_EACH = 16_384  # and bytes to work in, and
 ROOM_LEAST = 65_536  # for all of them.
-HEADERS = "".join(f"#include <{name}.h>\n" for name in ("float", "math", "stdlib", "string"))
-STATUSES = "enum { MODEL_OK, MODEL_NOT_SOLVED, MODEL_NOT_FINITE, MODEL_NO_ROOM };\n"
+HEADERS = "".join(f"#include <{name}.h>\n" for name in ("float", "math", "stddef", "stdlib", "string"))
 
 
 def solver_source(d: int) -> str:
-    """The C that moves bodies of d states, whatever the model, for runs: ``move_bodies`` is visible, times are taken."""
+    """The C that moves bodies of d states, whatever the model, for runs; times are taken."""
     parts = [fragment(part, frozenset({"TIMES", "EXPORTED"}), {}) for part in PARTS]
-    return "\n".join([HEADERS, "#include <time.h>\n", f"#define DIM {d}\n", STATUSES, *parts])
+    return "\n".join(
+        [
+            HEADERS,
+            "#include <time.h>\n",
+            guard().replace("static int", "int"),
+            f"#define DIM {d}\n",
+            statuses.enumeration(),
+            *parts,
+        ]
+    )
 
 
 def model_source(model: ManyBodies) -> str:
@@ -43,8 +53,8 @@ def library_source(model: ManyBodies, name: str) -> str:
     """All of the C of a bound model's library."""
     parts = [fragment(part, frozenset(), {}) for part in PARTS]
     text = [
-        f'#include "{name}.h"\n\n{HEADERS}', f"#define DIM {model.bodies.d} /* states of a body */\n", *parts, _functions(model),
-        _numbers(model), fragment("bodies_api.c", frozenset(), {}),
+        f'#include "{name}.h"\n\n{HEADERS}', guard(), f"#define DIM {model.bodies.d} /* states of a body */\n", *parts,
+        _functions(model), _numbers(model), fragment("bodies_api.c", frozenset(), {"STATUS_CASES": statuses.cases()}),
     ]  # fmt: skip
     return prefixed(pruned("\n".join(text)), name)
 
@@ -111,9 +121,9 @@ def _table(name: str, values: Any, kind: str = "double") -> str:
 
 
 def all_files(
-    model: ManyBodies, name: str, grid: Grid, tolerance: float, fingerprint: str
+    model: ManyBodies, name: str, grid: Grid, tolerance: float, fingerprint: str, most: int = MOST_WORK
 ) -> tuple[dict[str, str], dict[str, Any]]:
-    """Every file of the library by name, and what it is, for programs.
+    """Every file of the library by name, and what it is, for programs; no step does more work than ``most``.
 
     Raises:
         CodegenError: f is a function of numbers, there are more than MOST bodies, a reach depends on t.
@@ -130,6 +140,7 @@ def all_files(
         "CONTACTS": str(contacts), "MEMORY": str(memory), "HASH": fingerprint, "LAST": str(grid.N),
         "FAMILIES": comment(", ".join(model.constraints) or "none"), "STATES": f"{d} of each of {n} bodies, one after the other",
         "UNIT_T": f" ({comment(model.units['t'])})" if "t" in model.units else "",
+        "STATUSES": prefixed(statuses.enumeration(), name), "WORK": str(most),
         "SIZE": f"{(memory + 41 * contacts) / 1e6:.3g} MB",
     }  # fmt: skip
     about = {
@@ -137,6 +148,7 @@ def all_files(
         "sizes": {"NX": n * d, "NSTATE": n * d, "NP": 0, "NL": 0, "N": n * d, "M": 0, "BODIES": n, "DIM": d},
         "states": list(model.names), "families": list(model.constraints), "parameters": {}, "multipliers": [], "rows": [],
         "units": dict(model.units), "step": grid.step(0), "any_step": True, "tolerance": tolerance, "memory": memory,
+        "max_work": most,
         "used": ["cells for neighbours, groups of bodies that touch, active set and interior point on a sparse L D L'"],
         "left_out": ["pairs that cannot meet in a step, with a check; rows that the solution satisfies"],
         "velocity": False, "force": False, "model_hash": fingerprint, "versions": versions(),

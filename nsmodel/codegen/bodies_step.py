@@ -9,9 +9,12 @@ import time
 import casadi as ca
 import numpy as np
 
+from nsmodel.codegen import cache
 from nsmodel.codegen.bodies import item_size, model_source, solver_source
+from nsmodel.codegen.bounds import MOST_WORK
 from nsmodel.codegen.cache import kept, key_for
-from nsmodel.codegen.library import compiler, no_compiler
+from nsmodel.codegen.library import Mapped, compiler, no_compiler
+from nsmodel.codegen.statuses import BAD_ARITHMETIC, NO_ROOM, STATUSES
 from nsmodel.errors import CodegenError, StepError
 from nsmodel.model.bodies import ManyBodies
 from nsmodel.scheme.many_bodies import BodiesProblem, searched
@@ -19,10 +22,9 @@ from nsmodel.solve.many_bodies import COLD, BodiesStep, BodiesWarm, Contacts
 from nsmodel.solve.near import least_gap
 
 FLAGS = ("-std=c99", "-O3", "-march=native", "-Werror=implicit-function-declaration", "-fPIC", "-shared")
-NO_ROOM = 3  # A status in ``c/bodies_header.h``.
 
 
-def library(text: str, name: str) -> ctypes.CDLL:
+def library(text: str, name: str) -> Mapped:
     """The compiled ``text``, built once for this processor and kept in the user's cache folder.
 
     Raises:
@@ -31,12 +33,30 @@ def library(text: str, name: str) -> ctypes.CDLL:
     by = compiler()
     if by is None:
         raise no_compiler()
-    key = key_for([text, FLAGS, by, platform.machine(), platform.node()])
-    path = kept(key, lambda: {f"{name}.c": text}, FLAGS)
+    path = kept(_key(text, by), lambda: {f"{name}.c": text}, FLAGS)
     try:
-        return ctypes.CDLL(str(path))
+        return Mapped(path)
     except OSError as error:
         raise CodegenError(f"the compiled step {path} cannot be loaded ({error})") from error
+
+
+def _key(text: str, by: str) -> str:
+    return key_for([text, FLAGS, by, platform.machine(), platform.node()])
+
+
+def has_solver(model: ManyBodies) -> bool:
+    """Whether the library that all models with bodies like these share is in the cache."""
+    return _is_kept(solver_source(model.bodies.d))
+
+
+def has_own(model: ManyBodies) -> bool:
+    """Whether the library of the model's own functions is in the cache."""
+    return _is_kept(model_source(model))
+
+
+def _is_kept(text: str) -> bool:
+    by = compiler()
+    return by is not None and cache.is_kept(_key(text, by))
 
 
 class _Motion(ctypes.Structure):
@@ -47,7 +67,7 @@ class _Motion(ctypes.Structure):
         for kind, names in (
             (ctypes.c_void_p, "model"), (ctypes.c_double, "t h tolerance"), (ctypes.c_int, "n"),
             (ctypes.c_void_p, "q present velocity numbers items item_count over over_count farthest halves p"),
-            (ctypes.c_double, "motion"), (ctypes.c_int, "contacts"),
+            (ctypes.c_long, "budget"), (ctypes.c_double, "motion"), (ctypes.c_int, "contacts"),
             (ctypes.c_void_p, "family first second multiplier q_next leaves"), (ctypes.c_int, "contacts_out"),
             (ctypes.c_void_p, "family_out first_out second_out multiplier_out"),
         )
@@ -62,6 +82,7 @@ class Report(ctypes.Structure):
         *((name, ctypes.c_double) for name in ("residual", "gap", "motion", "cutoff")),
         *((name, ctypes.c_int) for name in ("worst_family", "worst_first", "worst_second", "rows", "groups", "largest",
           "factorisations", "repeats", "by_active_set", "by_interior", "unsettled")),
+        ("work", ctypes.c_long),
         *((name, ctypes.c_double) for name in ("search", "assembly", "solve")),
     )  # fmt: skip
 
@@ -78,7 +99,10 @@ class CompiledStep:
     def __init__(self, model: ManyBodies, tolerance: float) -> None:
         """Build or find the library; CodegenError where there is none."""
         self.model, self.problem, self.way = model, BodiesProblem(model), f"compiled by {compiler()}"
-        self._run = library(solver_source(model.bodies.d), "bodies").move_bodies
+        steps = library(solver_source(model.bodies.d), "bodies")
+        if not steps["is_sound"]():
+            raise CodegenError(f"{compiler()}: {STATUSES[BAD_ARITHMETIC].text}")
+        self._run = steps["move_bodies"]
         self._own = library(model_source(model), "families")
         self._run.restype = ctypes.c_int
         n, d = model.bodies.q0.shape
@@ -104,7 +128,7 @@ class CompiledStep:
         self.seconds = {"search": 0.0, "assembly": 0.0, "solve": 0.0}
         s = self._motion = _Motion()
         s.model = ctypes.addressof(ctypes.c_char.in_dll(self._own, "own_functions"))
-        s.n, s.tolerance = n, tolerance
+        s.n, s.tolerance, s.budget = n, tolerance, MOST_WORK
         s.q, s.present, s.numbers, s.farthest = map(_at, (self._q, self._present, self._numbers, self._farthest))
         s.velocity = None if isinstance(model.f, ca.SX) else _at(self._velocity)
         s.items, s.over, s.item_count, s.over_count = map(_at, (*self._pointers, *self._counts))

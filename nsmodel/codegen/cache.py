@@ -1,17 +1,26 @@
-"""Compiled steps in the user's cache folder: one file each, named by what it was made from and by its own content."""
+"""Compiled steps in the user's cache folder: one file each, named by what it was made from and by its own content.
+
+What is loaded runs with the user's rights, so nothing is loaded that another user may have put there: the folder and the file
+belong to this user, nobody else may write them, and neither is a link. At most MOST files are kept, those used last.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import platform
+import shutil
+import stat
 import tempfile
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-from nsmodel.codegen.library import FLAGS, compile_library
+from nsmodel.cache_folder import cache_folder
+from nsmodel.codegen.library import FLAGS, TIMEOUT, compile_library, in_use
 from nsmodel.codegen.scene import make_scene
 from nsmodel.codegen.source import write_source
 from nsmodel.errors import CodegenError
@@ -20,19 +29,9 @@ from nsmodel.identity import fingerprint, versions
 from nsmodel.model.base import Model
 
 NAME = "step"
-
-
-def cache_folder() -> Path:
-    """Where compiled steps are kept, and may be deleted at any time: $XDG_CACHE_HOME/nsmodel, else ~/.cache/nsmodel.
-
-    Raises:
-        CodegenError: there is no home.
-    """
-    named = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    try:
-        return (named if named.is_absolute() else Path.home() / ".cache") / "nsmodel"
-    except RuntimeError as error:
-        raise CodegenError(f"no folder to keep compiled steps in ({error}); name one with XDG_CACHE_HOME") from error
+MOST = 64  # Libraries that are kept; those that this process has loaded are kept besides.
+BUILDING = "building-"  # Folders of builds; one older than two builds can last was left behind by a process that was killed.
+OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 
 def cached(model: Model, grid: Grid, tolerance: float, compiler: str) -> Path:
@@ -57,15 +56,74 @@ def kept(key: str, files: Callable[[], Mapping[str, str]], flags: tuple[str, ...
     """
     folder = cache_folder()
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        _refuse_untrusted(folder)
         for path in sorted(folder.glob(f"{key}-*.so")):
-            if path.name == _name(key, path):
-                return path
-            path.unlink()  # cut short, or changed
-        with tempfile.TemporaryDirectory(dir=folder, prefix="building-") as place:
+            with contextlib.suppress(FileNotFoundError):  # another process has just removed it
+                if _own_file(path) and path.name == _name(key, path):
+                    os.utime(path)  # used last
+                    return path
+                path.unlink()  # cut short, changed, or put there by somebody else
+        _tidy(folder)
+        with tempfile.TemporaryDirectory(dir=folder, prefix=BUILDING) as place:
             return _built(Path(place), files(), folder, key, flags)
     except OSError as error:
         raise CodegenError(f"the cache folder {folder} cannot be used ({error}); name another with XDG_CACHE_HOME") from error
+
+
+def is_cached(model: Model, grid: Grid, tolerance: float, compiler: str) -> bool:
+    """Whether ``cached`` finds the compiled steps; nothing is built or changed."""
+    return is_kept(key_of(model, grid, tolerance, compiler))
+
+
+def is_kept(key: str) -> bool:
+    """Whether ``kept`` finds the library of a key, to the look of it."""
+    try:
+        return any(map(_own_file, cache_folder().glob(f"{key}-*.so")))
+    except (OSError, CodegenError):
+        return False
+
+
+def _refuse_untrusted(folder: Path) -> None:
+    """Refuse a folder in which another user may have put libraries.
+
+    Raises:
+        CodegenError: names the folder, what is wrong, and how to mend it.
+    """
+    if not hasattr(os, "geteuid"):
+        return
+    above, here = folder.parent.stat(), folder.lstat()
+    another = "name another with XDG_CACHE_HOME"
+    wrong = None
+    if not stat.S_ISDIR(here.st_mode):
+        wrong = f"it is a link, which may lead anywhere; remove it, or {another}"
+    elif here.st_uid != os.geteuid():
+        wrong = f"it belongs to another user (number {here.st_uid}, you are {os.geteuid()}); {another}"
+    elif here.st_mode & OTHERS:
+        wrong = f"others may write to it (mode {stat.S_IMODE(here.st_mode):o}); empty it and chmod 700 {folder}, or {another}"
+    elif above.st_uid not in (0, os.geteuid()) or (above.st_mode & stat.S_IWOTH and not above.st_mode & stat.S_ISVTX):
+        wrong = f"others may exchange it, as {folder.parent} is theirs to write; {another}"
+    if wrong:
+        raise CodegenError(f"the cache folder {folder} is not used, as what is loaded from it runs with your rights: {wrong}")
+
+
+def _own_file(path: Path) -> bool:
+    """Whether a library is a file of this user that nobody else may write, and no link."""
+    found = path.lstat()
+    own = not hasattr(os, "geteuid") or found.st_uid == os.geteuid()
+    return stat.S_ISREG(found.st_mode) and own and not found.st_mode & OTHERS
+
+
+def _tidy(folder: Path) -> None:
+    """Make room for one more library, and remove what killed builds have left; other processes may do the same."""
+    loaded = in_use()
+    with contextlib.suppress(OSError):
+        for path in folder.glob(f"{BUILDING}*"):
+            if time.time() - path.lstat().st_mtime > 2 * TIMEOUT:
+                shutil.rmtree(path, ignore_errors=True)
+        libraries = sorted(folder.glob("*.so"), key=lambda path: path.lstat().st_mtime_ns, reverse=True)
+        for path in [path for path in libraries if path not in loaded][MOST - 1 :]:
+            path.unlink(missing_ok=True)
 
 
 def key_of(model: Model, grid: Grid, tolerance: float, compiler: str) -> str:
@@ -87,6 +145,7 @@ def _built(place: Path, files: Mapping[str, str], folder: Path, key: str, flags:
         (place / name).write_text(text, encoding="utf-8")
     library = place / "library.so"
     compile_library(place / next(iter(files)), library, flags)
+    library.chmod(0o700)
     return library.replace(folder / _name(key, library))
 
 

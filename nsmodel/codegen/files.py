@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from nsmodel.codegen.scene import Scene
 from nsmodel.codegen.source import Source, names
 from nsmodel.grid import Grid
 from nsmodel.identity import versions
+from nsmodel.words import UNSEEN
 
 STEPS_IN_EXAMPLE = 100_000  # A longer list of steps is not written into the example.
 WIDTH = 100  # Characters of the table's header in a line of the example,
@@ -50,7 +50,7 @@ def description(scene: Scene, source: Source, fingerprint: str) -> dict:
         "step": scene.h,
         "any_step": "ONE_STEP" not in source.flags,
         "tolerance": scene.tolerance,
-        "max_iterations": source.bound,
+        "max_work": source.bound,
         "used": used(source.flags, source.sizes),
         "left_out": left_out(source.flags),
         "velocity": "VELOCITY" in source.flags,
@@ -101,7 +101,7 @@ def _cut(text: str, size: int) -> list[str]:
 def _c_string(text: str) -> str:
     """Text between the quotes of a C string; no two ? beside each other, which may begin a trigraph."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n").replace("??", "?\\?").replace("??", "?\\?")
-    return re.sub(r"[\x00-\x1f\x7f]", lambda match: f"\\{ord(match[0]):03o}", escaped)
+    return UNSEEN.sub(lambda match: "".join(f"\\{byte:03o}" for byte in match[0].encode()), escaped)
 
 
 def _readme(scene: Scene, source: Source) -> str:

@@ -14,6 +14,7 @@ from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.active_set import choices
 from nsmodel.solve.certificate import NumericLaw, bound_size
 from nsmodel.solve.kernel import at_step, matrices_at, regular_inverse
+from nsmodel.solve.rounding import equilibrated, error_bound
 from nsmodel.solve.structure import Structure
 
 MOST_INDEX_SETS = 81  # Up to which every index set may be tried: no pivoting.
@@ -58,7 +59,7 @@ def text(problem: OneStepProblem, structure: Structure, law: NumericLaw, h: floa
     E, Y = {"E_0": E_0}, ({"Y_0": Y_0} if m else {})
     multiplier = {"l": l} if m else {}
     predicted = -inverse @ E_0
-    size_E = ca.fabs(at.E_z) @ ca.fabs(z) + ca.fabs(E_0) + (ca.fabs(at.E_l) @ ca.fabs(l) if m else 0)
+    unknowns = ca.vertcat(z, l)
     moved = ca.fabs(E_0 + at.E_z @ at.guess) + ca.fabs(at.E_z) @ ca.fabs(z - at.guess)
     functions = [
         c_function("constant_part", known, {"E_0": at.E_0} | ({"Y_0": at.Y_0} if m else {}), "E and Y at z = 0, l = 0"),
@@ -75,19 +76,21 @@ def text(problem: OneStepProblem, structure: Structure, law: NumericLaw, h: floa
             "what moves in the step",
         ),
         c_function(
-            "round_off_E", E | {"z": z} | multiplier,
-            {"seen": ca.sparsify(ca.DM(np.abs(M.E_z) @ np.abs(M.inverse))) @ size_E}, "the round-off of z, as E sees it, in EPS",
+            "round_off_E", known | {"z": z} | multiplier, {"error": error_bound(at.E, unknowns)}, "running error bound in EPS/2"
         ),
     ]  # fmt: skip
+    sizes = {"felt_E": ca.fabs(at.E_z) @ z + (ca.fabs(at.E_l) @ l if m else 0)}
+    sizes |= {"felt_Y": ca.fabs(at.Y_z) @ z + ca.fabs(at.Y_l) @ l} if m else {}
+    functions.append(
+        c_function("passed_on", {"z": z} | multiplier, sizes, "what E and Y feel of errors of z" + (" and l" if m else ""))
+    )
+    units = _unit_tables(M)
     if not m:
-        return "\n".join(functions)
+        return units + "\n" + "\n".join(functions)
     functions += [
         c_function("respond", {"z_0": z_0, "l": l}, {"z": z_0 + Z @ l}, "z = z_0 + Z l"),
         c_function("scale_Y", {"l": l}, {"terms": ca.fabs(ca.sparsify(ca.DM(M.W))) @ ca.fabs(l)}, "|W| |l|"),
-        c_function(
-            "round_off_Y", Y | {"z": z, "l": l},
-            {"size_Y": ca.fabs(at.Y_z) @ ca.fabs(z) + ca.fabs(at.Y_l) @ ca.fabs(l) + ca.fabs(Y_0)},
-        ),
+        c_function("round_off_Y", known | {"z": z, "l": l}, {"error": error_bound(at.Y, unknowns)}),
     ]  # fmt: skip
     if structure.projection:
         reach = ca.sumsqr(z - at.guess) + ca.sumsqr(E_0 + at.E_z @ at.guess)
@@ -103,7 +106,9 @@ def text(problem: OneStepProblem, structure: Structure, law: NumericLaw, h: floa
                 table("bound_size", bound_size(law), "MODEL_M"),
             ]
         ),
+        units,
         exact_tables(structure),
+        _follow_tables(structure, M.E_z),
     ]
     codes = choices(law)
     if index_sets(law):
@@ -111,6 +116,27 @@ def text(problem: OneStepProblem, structure: Structure, law: NumericLaw, h: floa
         tables.append(f"static const signed char choices[MODEL_M][3] = {{{rows}}}; /* codes that a row can have */\n")
         tables.append(table("choice_count", [len(c) for c in codes], "MODEL_M", kind="int"))
     return "".join(tables) + "\n" + "\n".join(functions)
+
+
+def _unit_tables(M: Matrices) -> str:
+    """Units of z and l in which the step is well scaled, and the size of each row in them."""
+    n, J = len(M.E_z), np.block([[M.E_z, M.E_l], [M.Y_z, M.Y_l]])
+    units = equilibrated(J)[2]
+    size = np.abs(J) @ units
+    about = "units in which the step is well scaled"
+    tables = table("unit_z", units[:n], "MODEL_N", about) + table("unit_size_E", size[:n], "MODEL_N", "of the rows in these")
+    if len(J) == n:
+        return tables
+    return tables + table("unit_l", units[n:], "MODEL_M") + table("unit_size_Y", size[n:], "MODEL_M")
+
+
+def _follow_tables(structure: Structure, E_z: np.ndarray) -> str:
+    """The coefficients of the rows of E that give an unknown exactly."""
+    rows = structure.follow_rows
+    if not rows:
+        return ""
+    entries = [E_z[i, j] for i, needed in rows for j, _ in needed]
+    return table("follow_entry", entries, "") + table("follow_own", [E_z[i, i] for i, _ in rows], "MODEL_FOLLOW")
 
 
 def index_sets(law: NumericLaw, most: int = MOST_INDEX_SETS) -> int:

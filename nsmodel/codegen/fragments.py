@@ -7,6 +7,8 @@ from collections import Counter
 from collections.abc import Mapping, Set
 from pathlib import Path
 
+from nsmodel.words import one_line
+
 FOLDER = Path(__file__).with_name("c")
 
 
@@ -14,6 +16,11 @@ def fragment(name: str, flags: Set[str], words: Mapping[str, str]) -> str:
     """Return the file ``name`` with its ``#if FLAG`` resolved, the model's name in its names and its ``@WORD@`` filled."""
     text = prefixed(resolved((FOLDER / name).read_text(encoding="utf-8"), flags), words.get("NAME", "model"))
     return re.sub(r"@([A-Z_]+)@", lambda match: words[match[1]], text)
+
+
+def guard() -> str:
+    """C that refuses compiler options under which a certificate means nothing."""
+    return (FOLDER / "guard.c").read_text(encoding="utf-8")
 
 
 def resolved(text: str, flags: Set[str]) -> str:
@@ -45,7 +52,7 @@ def prefixed(text: str, prefix: str) -> str:
 
 def comment(text: str) -> str:
     """The user's words as they may stand in a comment of C: on one line, and without its ends."""
-    return re.sub(r"[\x00-\x1f\x7f]+", " ", text).replace("*/", "* /").replace("/*", "/ *").replace("??/", "? ?/")
+    return one_line(text).replace("*/", "* /").replace("/*", "/ *").replace("??/", "? ?/")
 
 
 _COMMENT = r"(?:/\*(?:(?!\*/).)*\*/\n)?"

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import _ctypes
+import contextlib
 import ctypes
 import json
 import os
 import shutil
+import signal
 import subprocess
+import sys
 import tempfile
+import weakref
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +23,7 @@ from nsmodel.errors import CodegenError
 FLAGS = ("-std=c99", "-O2", "-Werror=implicit-function-declaration", "-fPIC", "-shared")
 COMPILERS = ("cc", "gcc", "clang")
 DOUBLES = ctypes.POINTER(ctypes.c_double)
+TIMEOUT = 600.0  # Seconds that a compiler may take.
 
 
 def compiler() -> str | None:
@@ -49,18 +55,70 @@ def compile_library(source: Path, target: Path, flags: tuple[str, ...] = FLAGS) 
         with tempfile.TemporaryDirectory(dir=target.parent) as folder:
             built = Path(folder) / target.name
             command = [*name.split(), *flags, "-o", str(built), str(source), "-lm"]
-            done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
-            if done.returncode:
-                raise CodegenError(f"{name} could not compile {source.name}: {_first_error(done)}")
+            status, errors = _called(command)
+            if status:
+                raise CodegenError(f"{name} could not compile {source.name}: {_first_error(status, errors)}")
             built.replace(target)
     except OSError as error:
         raise CodegenError(f"{target} could not be built with {name} ({error}); its folder must be writable") from error
 
 
-def _first_error(done: subprocess.CompletedProcess[str]) -> str:
+def _called(command: list[str]) -> tuple[int, str]:
+    """Exit status and errors of a compiler; it and all that it has started end with this call.
+
+    Raises:
+        CodegenError: it takes longer than TIMEOUT.
+    """
+    quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, text=True, errors="replace", start_new_session=True, **quiet) as process:
+        try:
+            errors = process.communicate(timeout=TIMEOUT)[1]
+            return process.returncode, errors
+        except BaseException as error:  # Ctrl-C too: a group of its own does not hear it.
+            with contextlib.suppress(OSError, AttributeError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.kill()
+            if isinstance(error, subprocess.TimeoutExpired):
+                raise CodegenError(
+                    f"the compiler did not end within {TIMEOUT:g} s and was stopped: {' '.join(command)}"
+                ) from error
+            raise
+
+
+def _first_error(status: int, errors: str) -> str:
     """What the compiler complains of first."""
-    lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
-    return next((line for line in lines if "error" in line), lines[0] if lines else f"exit status {done.returncode}")
+    lines = [line.strip() for line in errors.splitlines() if line.strip()]
+    return next((line for line in lines if "error" in line), lines[0] if lines else f"exit status {status}")
+
+
+class Mapped(ctypes.CDLL):
+    """A library in memory, which goes when nothing refers to it; each of its functions, asked for by ``[name]``, does."""
+
+    def __init__(self, path: Path) -> None:
+        """Load the library at ``path``; OSError where that fails."""
+        self.path, self.closed = path, True
+        with tempfile.TemporaryDirectory() as folder:
+            # Libraries are known by their paths: under one that is new, a file built again is not taken for the old one.
+            link = Path(folder) / path.name
+            link.symlink_to(path.resolve())
+            super().__init__(str(link))
+        self.closed = False
+        _MAPPED.add(self)
+
+    def __del__(self) -> None:
+        """Unload it, but not while Python ends and others may still call it."""
+        close = getattr(_ctypes, "dlclose", None)
+        if not self.closed and close is not None and not sys.is_finalizing():
+            self.closed = True
+            close(self._handle)
+
+
+_MAPPED: weakref.WeakSet[Mapped] = weakref.WeakSet()
+
+
+def in_use() -> set[Path]:
+    """The files of the libraries that are loaded."""
+    return {library.path for library in _MAPPED}
 
 
 def load(folder: str | Path) -> Library:
@@ -99,11 +157,7 @@ class Library:
         """Load the library at ``path``; ``about`` is its NAME.json."""
         self.path, self.about = path, about
         try:
-            with tempfile.TemporaryDirectory() as folder:
-                # Libraries are known by their paths: under one that is new, a file built again is not taken for the old one.
-                link = Path(folder) / path.name
-                link.symlink_to(path.resolve())
-                self._library = ctypes.CDLL(str(link))
+            self.mapped = Mapped(path)
         except OSError as error:
             raise CodegenError(f"{path} could not be loaded ({error}); remove it, and it is built again") from error
 
@@ -113,9 +167,10 @@ class Library:
         Raises:
             CodegenError: the library has no such function.
         """
-        found = getattr(self._library, f"{self.about['name']}_{name}", None)
-        if found is None:
-            raise CodegenError(f"the library {self.about['name']} has no function {name}: its model has no use for it")
+        try:
+            found = self.mapped[f"{self.about['name']}_{name}"]
+        except AttributeError:
+            raise CodegenError(f"the library {self.about['name']} has no function {name}: its model has no use for it") from None
         found.restype, found.argtypes = result, list(arguments)
         return found
 
@@ -147,7 +202,7 @@ class Solver:
 
     def __del__(self) -> None:
         """Free the memory."""
-        if getattr(self, "_address", None):
+        if getattr(self, "_address", None) and not self.library.mapped.closed:  # garbage goes in any order
             self.library.function("free", None, ctypes.c_void_p)(self._address)
             self._address = None
 
@@ -185,6 +240,11 @@ class Solver:
     def set_parameters(self, p: Any) -> int:
         """Put the parameters, in the order of ``about['parameters']``; return the status. The state stays."""
         return self._set("parameters", p, self._np)
+
+    def set_present(self, body: int, present: bool) -> int:
+        """Let one of many bodies, at its state, take part or not; return the status."""
+        function = self.library.function("set_present", ctypes.c_int, ctypes.c_void_p, ctypes.c_int, ctypes.c_int)
+        return function(self._address, body, bool(present))
 
     def reset(self) -> int:
         """Go back to the start; return the status."""
@@ -238,13 +298,18 @@ class Solver:
 
     @property
     def residual(self) -> float:
-        """The certified residual of the last step."""
+        """The residual of the last step: certified, or of the last answer that a step that failed had tried, infinite if none."""
         return self.library.function("get_residual", ctypes.c_double, ctypes.c_void_p)(self._address)
 
     @property
     def iterations(self) -> int:
         """Linearisations of the last step, or rounds of its projection."""
         return self.library.function("get_iterations", ctypes.c_int, ctypes.c_void_p)(self._address)
+
+    @property
+    def work(self) -> int:
+        """Linear systems solved, index sets tried and sweeps of the last step; for many bodies systems factored or solved."""
+        return self.library.function("get_work", ctypes.c_long, ctypes.c_void_p)(self._address)
 
     @property
     def status(self) -> int:

@@ -7,6 +7,7 @@ import casadi as ca
 from nsmodel.codegen.expression import c_function
 from nsmodel.codegen.scene import Scene
 from nsmodel.codegen.tables import exact_tables, table
+from nsmodel.solve.rounding import error_bound
 
 
 def text(scene: Scene, known: dict[str, ca.SX]) -> str:
@@ -31,6 +32,15 @@ def text(scene: Scene, known: dict[str, ca.SX]) -> str:
     else:
         at = known | {"z": p.z} | multiplier
         functions.append(c_function("linearise", at, values | read, "E, Y and their Jacobians"))
+    bound = error_bound(ca.vertcat(p.E, p.Y), ca.vertcat(p.z, p.l))
+    errors = {"error_E": bound[: p.z.numel()]} | ({"error_Y": bound[p.z.numel() :]} if m else {})
+    functions.append(
+        c_function("round_off", known | {"z": p.z} | multiplier, errors, "running error bounds of E and Y, in EPS/2")
+    )
+    if p.overreach is not None:
+        functions.append(
+            c_function("overreach", known | {"z": p.z}, {"ratio": p.overreach}, "how far Y is from what it linearises")
+        )
     tables = []
     if sparse:
         tables += [

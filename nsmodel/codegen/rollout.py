@@ -9,6 +9,7 @@ import numpy as np
 
 from nsmodel.codegen.cache import NAME, cached
 from nsmodel.codegen.library import Library, compiler, no_compiler
+from nsmodel.codegen.statuses import BAD_ARITHMETIC, STATUSES
 from nsmodel.errors import CodegenError
 from nsmodel.grid import Grid
 from nsmodel.model.base import Model
@@ -88,7 +89,9 @@ class Rollout:
             self._adapt = None
         self._memory = np.zeros(library.function("size", whole)() // 8 + 1)
         self._solver = self._memory.ctypes.data
-        library.function("init", ctypes.c_int, pointer)(self._solver)
+        status = library.function("init", ctypes.c_int, pointer)(self._solver)
+        if status == BAD_ARITHMETIC:
+            raise CodegenError(f"{name}: {STATUSES[status].text}")
 
     def advance(
         self, k: int, steps: int, state: np.ndarray, warm: Warm, least: float, every: int, rows: np.ndarray, index: np.ndarray
@@ -121,10 +124,10 @@ class Rollout:
     def control(state: int, m: int, watched: int) -> np.ndarray:
         """``model_control`` in C, by name: numbers, then the state, the multipliers and what is watched of the state."""
         numbers = (
-            "T", "rtol", "largest", "least", "crossing", "grow", "negligible", "t", "j", "fresh", "accepted", "rejected",
+            "T", "rtol", "largest", "least", "crossing", "grow", "negligible", "order", "t", "j", "fresh", "accepted", "rejected",
             "extrapolated", "at_least_step", "least_step",
         )  # fmt: skip
-        arrays = {"x": state, "l": max(m, 1), "index": max(m, 1)}
+        arrays = {"x": state, "l": max(m, 1), "index": max(m, 1), "lowering": max(m, 1)}
         arrays |= dict.fromkeys(("atol", "size", "group", "watched", "rate"), watched)
         return np.zeros((), [*((name, float) for name in numbers), *((name, float, (size,)) for name, size in arrays.items())])
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,6 +13,7 @@ from nsmodel.errors import CodegenError
 from nsmodel.grid import Grid
 from nsmodel.model.base import Model
 from nsmodel.model.inclusion import MonotoneInclusion
+from nsmodel.model.parameters import Values
 from nsmodel.scheme import one_step_problem
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.certificate import NumericLaw, numeric_law
@@ -139,11 +139,12 @@ class Scene:
         return self.path == NEWTON and works_on_rows(self.structure, self.law) and not self.law_of_parameters
 
 
-def make_scene(model: Model, parameters: Mapping[str, float] | None, grid: Grid, any_step: bool, tolerance: float) -> Scene:
+def make_scene(model: Model, parameters: Values | None, grid: Grid, any_step: bool, tolerance: float) -> Scene:
     """Return the scene of a model; ``parameters`` become numbers, the others stay parameters of the code."""
-    numbers = model.bind(parameters)
-    left = dict.fromkeys(name for name in model.parameters if name not in (parameters or {}))
-    kept = model.bind({**(parameters or {}), **left}, partly=True) if left else numbers
+    given = model.values_of(parameters)
+    numbers = model.bind(given)
+    left = dict.fromkeys(name for name in model.parameters if name not in given)
+    kept = model.bind({**given, **left}, partly=True) if left else numbers
     return Scene(kept, numbers, grid.step(0), any_step, tolerance, allowed_tolerances(numbers, grid))
 
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from nsmodel.codegen import banded, fixed, inclusion, newton
-from nsmodel.codegen.bounds import iteration_bound
+from nsmodel.codegen import banded, fixed, inclusion, newton, statuses
+from nsmodel.codegen.bounds import MOST_WORK, work_bound
 from nsmodel.codegen.expression import number
-from nsmodel.codegen.fragments import FOLDER, FUNCTION, comment, fragment, prefixed, pruned, resolved
+from nsmodel.codegen.fragments import FOLDER, FUNCTION, comment, fragment, guard, prefixed, pruned, resolved
 from nsmodel.codegen.loops import c_function
 from nsmodel.codegen.needs import flags_of, sizes_of
 from nsmodel.codegen.scene import BANDED, FIXED, INCLUSION, Scene
@@ -38,11 +38,11 @@ class Source:
     bound: int
 
 
-def write_source(scene: Scene, name: str, fingerprint: str) -> Source:
-    """Return the C library of a scene under the prefix ``name``."""
+def write_source(scene: Scene, name: str, fingerprint: str, most: int = MOST_WORK) -> Source:
+    """Return the C library of a scene under the prefix ``name``; no step does more work than ``most``."""
     flags = flags_of(scene)
     sizes = sizes_of(scene, flags)
-    bound = iteration_bound(scene.law, flags, sizes)
+    bound = min(work_bound(scene.law, flags, sizes), most)
     words = _words(name, scene, flags, sizes, bound, fingerprint)
 
     def part(file: str) -> str:
@@ -79,7 +79,7 @@ def _missing(text: str, code: str) -> str:
     return "".join(match[0] for match in wanted if f" {match[1]}(" not in code)
 
 
-_FRAGMENTS = [f"{name}.c" for name in "solvers linear affine cone lemke fixed banded newton rows inclusion api".split()]
+_FRAGMENTS = [f"{name}.c" for name in "solvers rounding linear affine cone lemke fixed banded newton rows inclusion api".split()]
 
 
 def _has(part: str, flags: frozenset[str]) -> bool:
@@ -103,6 +103,9 @@ def _words(name: str, scene: Scene, flags: frozenset[str], sizes: dict[str, int]
     carried = "" if sizes["NSTATE"] == sizes["NX"] else f", then the {last}"
     return {
         "NAME": name,
+        "GUARD": guard(),
+        "STATUSES": prefixed(statuses.enumeration(), name),
+        "STATUS_CASES": prefixed(statuses.cases(), name),
         "TITLE": comment(model.title) or type(model).__name__,
         "SCHEME": problem.scheme,
         "NAMES": "\n".join([" *", *(f" *   {head:12} {text}" for head, text in names(scene).items() if text)]),

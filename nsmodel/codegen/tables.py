@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import accumulate
 
 import numpy as np
 
@@ -33,8 +34,11 @@ def _lines(numbers: Sequence[str]) -> Iterator[str]:
     yield line
 
 
-def exact_tables(structure: Structure) -> str:
-    """Rows where unknowns are known exactly: y_i = factor z_j + offset, and those that rest together."""
+def exact_tables(structure: Structure, *, by_rows: bool = False) -> str:
+    """Rows where unknowns are known exactly: y_i = factor z_j + offset, those that follow, and those that rest together.
+
+    ``by_rows``: the code has the rows of E, and finds the columns of those that follow there.
+    """
     rest = table("rest_row", structure.rest_rows, "MODEL_REST", "z = 0 where all are coded 0", "int")
     if not structure.unit_rows:
         return rest if structure.rest_rows else ""
@@ -43,5 +47,21 @@ def exact_tables(structure: Structure) -> str:
         table("unit_row", i, "MODEL_UNIT", "y_i = factor z_j + offset", "int")
         + table("unit_column", j, "MODEL_UNIT", kind="int")
         + table("unit_factor", factors, "MODEL_UNIT")
+        + _follow(structure, by_rows)
         + (rest if structure.rest_rows else "")
+    )
+
+
+def _follow(structure: Structure, by_rows: bool) -> str:
+    rows = structure.follow_rows
+    if not rows:
+        return ""
+    own = table("follow_row", [i for i, _ in rows], "MODEL_FOLLOW", "z_i is exact where all others of row i of E are", "int")
+    if by_rows:
+        return own
+    starts = [0, *accumulate(len(needed) for _, needed in rows)]
+    return (
+        own
+        + table("follow_start", starts, "MODEL_FOLLOW + 1", kind="int")
+        + table("follow_column", [j for _, needed in rows for j, _ in needed], "", kind="int")
     )

@@ -3,8 +3,9 @@
 A crowd is a `ManyBodies` model like any other; nothing here is needed to write one down by hand.
 """
 
+from nsmodel.crowd.noise import Noise
 from nsmodel.crowd.paths import DesiredVelocity, desired_velocity
 from nsmodel.crowd.people import People, arrivals, crowd, place
 from nsmodel.crowd.room import Room, box, disc
 
-__all__ = ["DesiredVelocity", "People", "Room", "arrivals", "box", "crowd", "desired_velocity", "disc", "place"]
+__all__ = ["DesiredVelocity", "Noise", "People", "Room", "arrivals", "box", "crowd", "desired_velocity", "disc", "place"]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -51,6 +51,8 @@ class DesiredVelocity:
     exits: tuple[tuple[str, ...], ...]
     clearance: float
 
+    autonomous: ClassVar[bool] = True  # It does not depend on t.
+
     def __call__(self, t: float, q: np.ndarray) -> np.ndarray:
         """The velocities (N, 2) of people at q (N, 2); rows of absent people are any finite numbers."""
         return self.speed[:, None] * self.directions(q, self.group)
@@ -88,6 +90,13 @@ class DesiredVelocity:
         table = self.distances.ravel()
         low = table[start] * (1 - x) + table[start + 1] * x
         return low * (1 - y) + (table[start + nx] * (1 - x) + table[start + nx + 1] * x) * y
+
+    def outside(self, q: np.ndarray) -> np.ndarray:
+        """Whether no corner of the table's cell has a way to an exit (N,), for each person at q (N, 2): past a door."""
+        _, ny, nx, _ = self.values.shape
+        column, row, _, _ = self._cell(q)
+        start = (self.group * ny + row) * nx + column
+        return np.isnan(self.distances.ravel()[start[:, None] + [0, 1, nx, nx + 1]]).all(axis=1)
 
     def _cell(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Column and row of the cell of each place, and where in the cell it is (0 to 1); nan is anywhere."""

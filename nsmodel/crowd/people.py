@@ -11,6 +11,7 @@ import numpy as np
 
 from nsmodel.crowd.geometry import closed, contains, crosses_any, nearest_points
 from nsmodel.crowd.given import generator, number, numbers, of_each, radii_between
+from nsmodel.crowd.noise import Noise, Wavering
 from nsmodel.crowd.paths import KEEP, DesiredVelocity, desired_velocity
 from nsmodel.crowd.room import Room, polygon
 from nsmodel.errors import ModelError
@@ -157,7 +158,7 @@ def arrivals(
 
 def crowd(
     room: Room, *groups: People, t_end: float, step: float = 0.02, beyond: float = 0.5, clearance: float | None = None,
-    spacing: float | None = None, title: str | None = None,
+    spacing: float | None = None, noise: Noise | None = None, title: str | None = None,
 ) -> ManyBodies:  # fmt: skip
     """The crowd of Maury and Venel: each person has the admissible velocity that is nearest to the one desired.
 
@@ -172,6 +173,7 @@ def crowd(
         beyond: how far behind an exit a centre is when its person is taken away, m.
         clearance: how far the ways keep from walls, m; the largest radius if left out.
         spacing: of the tables of directions, m; half of the least radius if left out.
+        noise: turns the directions wanted at random, so that no arch holds for ever; left out, all wishes are steady.
         title: of the run.
 
     Raises:
@@ -180,6 +182,8 @@ def crowd(
     """
     if not isinstance(room, Room):
         raise ModelError(f"crowd: {shown(room)}; expected a Room")
+    if noise is not None and not isinstance(noise, Noise):
+        raise ModelError(f"noise: {shown(noise)}; expected Noise(angle), or None")
     if not groups or not all(isinstance(group, People) for group in groups):
         raise ModelError(f"crowd: {shown(groups)}; expected groups of people, from place(room, count)")
     places, radii = (np.concatenate([getattr(group, key) for group in groups]) for key in ("places", "radii"))
@@ -204,13 +208,13 @@ def crowd(
         families["wall"] = Family(ca.norm_2(i.q - w.a - part * along) - i.r, i, w)
     return ManyBodies(
         bodies=people,
-        f=desired,
+        f=desired if noise is None else Wavering(desired, noise),
         constraints=families,
         leave=leave,
         enter=enter,
         t_end=t_end,
         step=step,
-        scene={"radii": radii, "walls": walls, "exits": room.doors},
+        scene={"radii": radii, "walls": walls, "exits": room.doors, "exit_names": room.door_names},
         units={"t": "s", "q": "m"},
         title=title or f"{len(places)} people leave a room",
     )

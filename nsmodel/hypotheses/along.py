@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import casadi as ca
 import numpy as np
 
+from nsmodel.hypotheses import impacts
 from nsmodel.hypotheses.bodies import along as bodies
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, found
 from nsmodel.hypotheses.sweeping.geometry import mfcq_constant
@@ -51,7 +52,11 @@ MOTION = Hypothesis(
     "run-motion", "|q_{k+1} - q_k| <= h |f(t_k, q_k)|, over all bodies together: constraints only slow down",
     "projection on a convex set that holds q_k",
 )  # fmt: skip
-HYPOTHESES = (RESIDUAL, FEASIBLE, QUALIFIED, MOTION, ENERGY, DISSIPATED, BOUND, DEFECTS, CESARO, CONTRACTION)
+CONTINUOUS = Hypothesis(
+    "run-continuous", "no state jumps: where a multiplier that enters neither y nor y' sets in, y' = 0",
+    "definition of a solution: x is absolutely continuous",
+)  # fmt: skip
+HYPOTHESES = (RESIDUAL, FEASIBLE, QUALIFIED, MOTION, ENERGY, DISSIPATED, BOUND, DEFECTS, CESARO, CONTRACTION, CONTINUOUS)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a run that diverges is judged like any other
@@ -83,7 +88,26 @@ def along(
         checked += _inclusion(model, run, numbers) if every_row else _rows_missing(BOUND, DEFECTS, CESARO)
         if twin is not None:
             checked.append(_contraction(run, twin, numbers["M-24"]))
-    return checked
+    return [*checked, *_continuous(model, run)]
+
+
+def _continuous(model: Model, run: Trajectory) -> list[Finding]:
+    """Impacts of the rows that may call for an impulse; nothing where there is no such row."""
+    watches = impacts.watched(model)
+    if not watches:
+        return []  # nearly always
+    known = impacts.met(watches, run.arrays, {})
+    words = impacts.told(watches, known, model)
+    jumps = [(watch, known[watch.name]) for watch in watches if not watch.relay and known[watch.name]["count"]]
+    value = {"jumps": sum(found["count"] for _, found in jumps)}
+    if jumps:
+        watch, worst = max(jumps, key=lambda jump: jump[1]["largest"])
+        witness = {"multiplier": watch.name, "t": worst["t"], "y'": worst["rate"], "states": list(watch.moved)}
+        return [found(CONTINUOUS, VIOLATED, "; ".join(words), value | {"largest |y'|": worst["largest"]}, witness)]
+    if words:
+        return [found(CONTINUOUS, UNKNOWN, "; ".join(words), value)]
+    names = ", ".join(watch.acts for watch in watches if not watch.relay)
+    return [] if not names else [found(CONTINUOUS, HOLDS, f"{names}: none set in with y' != 0 at {len(run.t)} rows", value)]
 
 
 def _bodies(model: ManyBodies, run: Trajectory, numbers: Mapping[str, Finding], quick: bool) -> list[Finding]:

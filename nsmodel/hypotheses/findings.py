@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from nsmodel.model.pickled import Pickled
+
 HOLDS, SAMPLED, VIOLATED, UNKNOWN = "holds", "sampled", "violated", "unknown"
 VERDICTS = (HOLDS, SAMPLED, VIOLATED, UNKNOWN)  # from proved to undecided
 ALONG_A_RUN = "run-"  # Ids of findings about a run begin with it.
@@ -21,7 +23,7 @@ class Hypothesis(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Finding:
+class Finding(Pickled):
     """What was found out about one hypothesis.
 
     Attributes:
@@ -66,7 +68,7 @@ def found(
 
 
 @dataclass(frozen=True)
-class Consequence:
+class Consequence(Pickled):
     """What follows from hypotheses.
 
     Attributes:
@@ -100,7 +102,7 @@ def follows(
 
 
 @dataclass(frozen=True)
-class Report:
+class Report(Pickled):
     """All findings about one model.
 
     Attributes:

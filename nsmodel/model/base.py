@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from types import MappingProxyType
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import casadi as ca
 import numpy as np
@@ -15,6 +15,9 @@ import numpy as np
 from nsmodel.errors import ModelError, NsmodelError, UsageError
 from nsmodel.model.convert import Converter, Declared, declare
 from nsmodel.model.expressions import column
+from nsmodel.model.parameters import Values, declared, number, scalars
+from nsmodel.model.pickled import Pickled
+from nsmodel.words import one_line
 
 # Attributes of every Trajectory: a state may not take these names.
 RESERVED = frozenset(
@@ -22,11 +25,13 @@ RESERVED = frozenset(
     "plot summary summary_text energy reactions newton gap residual_R residual_Ry residual_Rr defect selection "
     "predictor_distance excess tolerance".split()
 )
+ARRAYS = frozenset("x gap_min pressure contact_reaction".split())  # Further arrays that may have a unit.
+KINKS = "potential ", "phi "  # What the names of a potential's kinks begin with.
 COMPARISONS = (ca.OP_LE, ca.OP_LT, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_NOT)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Model:
+class Model(Pickled):
     """Arguments of all classes.
 
     Attributes:
@@ -34,7 +39,9 @@ class Model:
         t_end: end of the run, > 0 (it starts at 0).
         step: the time step h > 0, constant; or
         steps: the time steps h_0, h_1, ...: a sequence of numbers > 0 (then ``t_end`` is their sum).
-        parameters: {symbol or name: value}; a value of None must be given when the model is run.
+        parameters: {symbol or name: value}, a list or array for a vector or matrix of symbols; a value of None must be given
+            when the model is run. After construction {name: value} of each scalar.
+        vectors: after construction {name: names of its entries} of each vector and matrix among the parameters.
         names: one name for each state, where the symbols' own are not wanted.
         units: {name: unit} for states, multipliers and "t"; used by pictures and tables.
         exact: the exact state, where known: a callable t (N,) -> (N, n), or n expressions of ``t``.
@@ -48,11 +55,23 @@ class Model:
     t_end: float | None = None
     step: float | None = None
     steps: Sequence[float] | None = None
-    parameters: Mapping[Any, float | None] = field(default_factory=dict)
+    parameters: Values = field(default_factory=dict)
     names: Sequence[str] | None = None
     units: Mapping[str, str] = field(default_factory=dict)
     exact: Any = None
     title: str = ""
+
+    paper: ClassVar[str]
+    has: ClassVar[Mapping[str, str]] = {}  # What a run of the class has beside those of all classes: {name: in words}.
+    of_time: ClassVar[str] = "move that term elsewhere"  # What to do with time where it may not stand.
+
+    def __post_init__(self) -> None:
+        """Check and convert what was given."""
+        self._declare()
+        self._check_units()
+
+    def _declare(self) -> None:
+        raise NotImplementedError
 
     def _set(self, **fields: Any) -> None:
         for name, value in fields.items():
@@ -60,32 +79,33 @@ class Model:
 
     def _settle(self, state: str, **symbols: Any) -> Converter:
         """Declare t, the state and the other symbols, check the common arguments, return the converter."""
-        declared = {label: declare(value, label) for label, value in symbols.items() if value is not None}
-        if state not in declared or not declared[state].names:
+        given = {label: declare(value, label) for label, value in symbols.items() if value is not None}
+        if state not in given or not given[state].names:
             raise ModelError(f"{state}: no state symbols are given; give for example {state}=ca.SX.sym('{state}', 2)")
         time = declare(ca.SX.sym("t") if self.t is None else self.t, "t")
         if len(time.names) != 1:
             raise ModelError(f"t: {len(time.names)} symbols given; expected one scalar time symbol")
-        p, values = parameter_symbols(self.parameters)
-        known = [*([] if self.t is None else [time]), *declared.values(), *p]
+        p, values, vectors = declared(self.parameters)
+        known = [*([] if self.t is None else [time]), *given.values(), *p]
         converter = Converter(known)
-        own = declared[state]
-        names, stems = _state_names(self.names, own, state)
+        own = given[state]
+        names, stems = _state_names(self.names, own, state, self.has)
         self._set(
             t=time.sx,
             p=ca.vertcat(ca.SX(0, 1), *(item.sx for item in p)),
             parameters=MappingProxyType(values),
+            vectors=MappingProxyType(vectors),
             names=tuple(names),
             stems=MappingProxyType(stems),
             units=MappingProxyType(_units(self.units)),
-            title="" if self.title is None else str(self.title),
-            **{label: item.sx for label, item in declared.items()},
+            title="" if self.title is None else one_line(str(self.title)),
+            **{label: item.sx for label, item in given.items()},
         )
         self._set(**_grid(self.t_end, self.step, self.steps))
         if self.exact is not None and not callable(self.exact):
             self._set(exact=self._vector(converter, self.exact, "exact", len(names), [self.t]))
             if not self.p.numel():
-                self._set(exact=_sampled(self.t, self.exact))
+                self._set(exact=Sampled(self.t, self.exact))
         return converter
 
     def _vector(
@@ -126,8 +146,8 @@ class Model:
         for symbol in ca.symvar(expression):
             if symbol.name() not in allowed:
                 raise ModelError(
-                    f"{label} depends on '{symbol.name()}', but may depend only on "
-                    f"{', '.join(sorted(allowed)) or 'numbers'}; move that term elsewhere"
+                    f"{label} depends on '{symbol.name()}', but may depend only on {', '.join(sorted(allowed)) or 'numbers'}; "
+                    + (self.of_time if symbol.name() == str(self.t) else "move that term elsewhere")
                 )
 
     def _named_constraints(
@@ -149,31 +169,34 @@ class Model:
             names += [str(name)] if column.numel() == 1 else [f"{name}[{i}]" for i in range(column.numel())]
         return columns, names
 
-    def bind(self, values: Mapping[str, float] | None = None, *, partly: bool = False) -> Self:
+    @property
+    def parameter_names(self) -> list[str]:
+        """The names that ``bind`` knows: of vectors and matrices, and of all scalars."""
+        return [*self.vectors, *self.parameters]
+
+    def values_of(self, parameters: Values | None) -> dict[str, float | None]:
+        """Return {name: value} of each scalar in ``parameters``, where names and symbols may stand for vectors and matrices.
+
+        Raises:
+            UsageError: a name that is not declared or comes twice, values of another shape than declared.
+        """
+        return scalars(parameters, self.parameters, self.vectors)
+
+    def bind(self, values: Values | None = None, *, partly: bool = False) -> Self:
         """Return the model with its parameters replaced by numbers: ``values`` first, then those declared.
 
         With ``partly``, parameters without a value stay symbols.
 
         Raises:
-            UsageError: an unknown name in ``values``, or a parameter without a value.
+            UsageError: see `values_of`; a parameter without a value.
         """
-        values = {} if values is None else values
-        if not isinstance(values, Mapping):
-            raise UsageError(f"parameters: expected a dictionary {{name: value}}, not a {type(values).__name__}")
-        values = {str(name): value for name, value in values.items()}
-        for name in values:
-            if name not in self.parameters:
-                hint = difflib.get_close_matches(name, list(self.parameters), 1)
-                raise UsageError(
-                    f"parameter '{name}' is not declared; the model has {', '.join(self.parameters) or 'none'}"
-                    + (f". Did you mean '{hint[0]}'?" if hint else "")
-                )
+        values = self.values_of(values)
         numbers = {**self.parameters, **values}
         missing = [name for name, value in numbers.items() if value is None]
         if missing and not partly:
             name = missing[0]
             raise UsageError(f"parameter '{name}' has no value; give it with --set {name}=VALUE or parameters={{...}}")
-        checked = {name: _number(value, f"parameter '{name}'") for name, value in numbers.items() if value is not None}
+        checked = {name: value for name, value in numbers.items() if value is not None}
         if not checked:
             return self
         given = [i for i, value in enumerate(numbers.values()) if value is not None]
@@ -194,37 +217,36 @@ class Model:
         bound = copy(self)
         bound._set(**{name: put(value) for name, value in vars(self).items() if name not in ("p", "t", "parameters")})
         rest = ca.vertcat(ca.SX(0, 1), *(self.p[i] for i in range(self.p.numel()) if i not in given))
-        bound._set(p=rest, parameters=MappingProxyType(dict.fromkeys(missing)), bound_parameters=MappingProxyType(checked))
+        whole = {name: names for name, names in self.vectors.items() if set(names.ravel()) <= set(missing)}
+        bound._set(p=rest, parameters=MappingProxyType(dict.fromkeys(missing)), vectors=MappingProxyType(whole))
+        bound._set(bound_parameters=MappingProxyType(checked))
         bound._refuse_undefined(", ".join(f"{name} = {value:g}" for name, value in checked.items()))
         if isinstance(bound.exact, ca.SX) and not missing:
-            bound._set(exact=_sampled(bound.t, bound.exact))
+            bound._set(exact=Sampled(bound.t, bound.exact))
         return bound
+
+    def _check_units(self) -> None:
+        """Refuse the unit of something that the model does not have."""
+        rows = [*getattr(self, "multiplier_names", ()), *getattr(self, "constraint_names", ())]
+        rows += [*getattr(self, "constraints", ()), *(element.name for element in getattr(self, "elements", ()))]
+        states = list(self.names or ())
+        known = ["t", *self.stems, *states, *rows, *(row.partition("[")[0] for row in rows), *self.parameter_names]
+        bounds = [f"{end} {name}" for end in ("lower", "upper") for name in states]
+        bodies = list(getattr(getattr(self, "bodies", None), "numbers", ()))
+        for name in self.units:
+            group = name.partition("[")[0]
+            if not ({name, group} & {*known, *bounds, *bodies, *self.has, *ARRAYS, *RESERVED} or group.startswith(KINKS)):
+                hint = difflib.get_close_matches(name, known, 1)
+                raise ModelError(
+                    f"units: '{name}' is no state, multiplier or time; the model has {', '.join(dict.fromkeys(known))}"
+                    + (f". Did you mean '{hint[0]}'?" if hint else "")
+                )
 
     def _refuse_undefined(self, given: str) -> None:
         """Refuse entries that the parameters made infinite or NaN; bounds and the ends of a law may be infinite."""
         for name, value in vars(self).items():
             if isinstance(value, ca.SX) and name not in ("lower", "upper"):
                 refuse_infinite(value, f"with {given}, {name}", UsageError)
-
-
-def parameter_symbols(given: Any) -> tuple[list[Declared], dict[str, float | None]]:
-    """The symbols of the parameters, and {name: value} of each scalar."""
-    if not isinstance(given, Mapping):
-        raise ModelError(f"parameters: expected a dictionary {{symbol or name: value}}, not a {type(given).__name__}")
-    symbols, values = [], {}
-    for key, value in given.items():
-        symbol = declare(ca.SX.sym(key) if isinstance(key, str) else key, "parameters")
-        for name in symbol.names:
-            if name in values:
-                raise ModelError(f"parameters: '{name}' is declared twice; keep one")
-        numbers = [None] * len(symbol.names) if value is None else _listed(value)
-        if len(numbers) != len(symbol.names):
-            own = ", ".join(symbol.names)
-            raise ModelError(f"parameter '{symbol.stem or own}': {len(numbers)} values for {len(symbol.names)} symbols ({own})")
-        for name, number in zip(symbol.names, numbers, strict=True):
-            values[name] = None if number is None else _number(number, f"parameter '{name}'")
-        symbols.append(symbol)
-    return symbols, values
 
 
 def refuse_infinite(matrix: ca.SX, label: str, error: type[NsmodelError] = ModelError) -> None:
@@ -239,25 +261,6 @@ def refuse_infinite(matrix: ca.SX, label: str, error: type[NsmodelError] = Model
             raise error(f"{label}{index} = {float(entry)}; expected a finite number")
 
 
-def _listed(value: Any) -> list[Any]:
-    """The values given for the symbols of one parameter."""
-    if isinstance(value, ca.DM | np.ndarray):
-        return np.array(value).ravel().tolist()
-    return list(value) if isinstance(value, list | tuple) else [value]
-
-
-def _number(value: Any, label: str) -> float:
-    try:
-        if isinstance(value, str | bool | np.bool_ | complex | np.complexfloating | ca.SX | ca.MX):
-            raise TypeError
-        number = float(value)
-    except (OverflowError, TypeError, ValueError, RuntimeError):
-        raise ModelError(f"{label} = {value!r} is not a number") from None
-    if not np.isfinite(number):
-        raise ModelError(f"{label} = {number}; expected a finite number")
-    return number
-
-
 def _units(units: Any) -> dict[str, str]:
     given = {} if units is None else units
     if not isinstance(given, Mapping) or not all(isinstance(part, str) for pair in given.items() for part in pair):
@@ -265,7 +268,9 @@ def _units(units: Any) -> dict[str, str]:
     return dict(given)
 
 
-def _state_names(names: Sequence[str] | None, state: Declared, label: str) -> tuple[list[str], dict[str, list[int]]]:
+def _state_names(
+    names: Sequence[str] | None, state: Declared, label: str, has: Mapping[str, str]
+) -> tuple[list[str], dict[str, list[int]]]:
     n = len(state.names)
     if names is not None:
         row = isinstance(names, list | tuple) or (isinstance(names, np.ndarray) and names.ndim == 1)
@@ -280,8 +285,12 @@ def _state_names(names: Sequence[str] | None, state: Declared, label: str) -> tu
     if len(set(chosen)) != n:
         raise ModelError(f"names: {chosen} repeats a name; give each state its own")
     for name in stems:
-        if name in RESERVED or (name == "x" and n > 1 and len(stems) > 1):
-            raise ModelError(f"{label}: the state '{name}' clashes with run.{name}; rename it, or give names=[...]")
+        whole = name == "x" and n > 1 and len(stems) > 1
+        if name in RESERVED or name in has or whole:
+            what = has.get(name, "which holds all states" if whole else "an attribute of runs")
+            where = f"names: '{name}'" if names is not None else f"{label}: the state '{name}'"
+            fix = f"take another name, such as '{name}1'" if names is not None else "rename it, or give names=[...], one for each"
+            raise ModelError(f"{where} clashes with run.{name}, {what}; {fix}")
     return chosen, stems
 
 
@@ -291,12 +300,12 @@ def _grid(t_end: Any, step: Any, steps: Any) -> dict[str, Any]:
             raise ModelError("step and steps are both given; keep one")
         array = step_array(steps, ModelError)
         total = float(array.sum())
-        if t_end is not None and abs(_number(t_end, "t_end") - total) > 1e-9 * total:
+        if t_end is not None and abs(number(t_end, "t_end") - total) > 1e-9 * total:
             raise ModelError(f"t_end = {t_end:g} but the steps sum to {total:g}; leave t_end out")
         return {"steps": array, "t_end": total, "step": None}
     if t_end is None:
         raise ModelError("t_end is missing; give the end of the run, a number > 0")
-    found = {"t_end": _number(t_end, "t_end"), "step": None if step is None else _number(step, "step")}
+    found = {"t_end": number(t_end, "t_end"), "step": None if step is None else number(step, "step")}
     for name, value in found.items():
         if value is not None and value <= 0:
             raise ModelError(f"{name} = {value:g}; expected a number > 0")
@@ -324,11 +333,15 @@ def shown(value: Any) -> str:
     return f"{text if len(text) <= 60 else text[:57] + '...'} (a {type(value).__name__})"
 
 
-def _sampled(t: ca.SX, column: ca.SX) -> Callable[[Any], np.ndarray]:
-    function, n = ca.Function("exact", [t], [column]), column.numel()
+@dataclass(frozen=True, eq=False)
+class Sampled(Pickled):
+    """Expressions of t (n, 1) as a function of times: (N,) -> (N, n)."""
 
-    def exact(t: Any) -> np.ndarray:
+    t: ca.SX
+    column: ca.SX
+
+    def __call__(self, t: Any) -> np.ndarray:
+        """Return the values at the times."""
         times = np.atleast_1d(np.asarray(t, float))
-        return np.array(function.map(len(times))(times[None, :])).reshape(n, -1).T
-
-    return exact
+        values = ca.Function("exact", [self.t], [self.column]).map(len(times))(times[None, :])
+        return np.array(values).reshape(self.column.numel(), -1).T

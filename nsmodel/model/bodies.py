@@ -15,6 +15,8 @@ from nsmodel.errors import ModelError
 from nsmodel.model.base import Model, shown
 from nsmodel.model.convert import to_sx
 from nsmodel.model.expressions import applied, fold, operations
+from nsmodel.model.parameters import gathered
+from nsmodel.model.pickled import Pickled
 from nsmodel.model.sweeping import SweepingProcess
 
 _POLYNOMIAL = {
@@ -32,7 +34,7 @@ _POLYNOMIAL = {
 WRITTEN_OUT_UP_TO = 20_000  # Constraints that `written_out` puts into one model.
 
 
-class Member:
+class Member(Pickled):
     """Any one member of a group, in symbols: ``i.q``, ``i.r``, ... are columns of SX, scalars where one number is meant."""
 
     def __init__(self, group: Items, name: str) -> None:
@@ -50,7 +52,7 @@ class Member:
         return f"{self.name} with {', '.join(f'{self.name}.{key}' for key in self.group.numbers)}"
 
 
-class Items:
+class Items(Pickled):
     """Things that do not move, such as walls: ``Items(a=starts, b=ends)``, each an array of one row (or number) an item.
 
     Attributes:
@@ -106,7 +108,7 @@ class Bodies(Items):
 
 
 @dataclass(frozen=True, eq=False)
-class Family:
+class Family(Pickled):
     """One constraint g >= 0 for many: ``Family(g, i)``, ``Family(g, i, j)``, ``Family(g, i, w)``.
 
     Attributes:
@@ -170,11 +172,12 @@ class ManyBodies(Model):
     Attributes:
         bodies: the bodies, with their starts.
         f: the velocity that a body would have alone: d expressions of one member's symbols and t; or a function
-            (t, q (N, d)) -> (N, d), called once a step (rows of absent bodies are NaN and do not matter); left out: 0.
+            (t, q (N, d)) -> (N, d), called once a step (rows of absent bodies are NaN and do not matter; an attribute
+            ``autonomous`` that is True says that it does not depend on t); left out: 0.
         constraints: {name: Family}.
         leave: an expression of one member's symbols (and t): a body leaves after the step that makes it > 0.
         enter: times (count,) from which each body is there, as soon as its start is free; left out: 0.
-        scene: {"walls": (W, 2, 2), "exits": (E, 2, 2), "radii": (N,)} for pictures, bodies in the plane.
+        scene: {"walls": (W, 2, 2), "exits": (E, 2, 2), "exit_names": (E,), "radii": (N,)} for pictures, bodies in the plane.
 
     Raises:
         ModelError: wrong shapes, undeclared symbols, NaN.
@@ -189,7 +192,7 @@ class ManyBodies(Model):
 
     paper: ClassVar[str] = SweepingProcess.paper
 
-    def __post_init__(self) -> None:
+    def _declare(self) -> None:
         if not isinstance(self.bodies, Bodies):
             raise ModelError(f"bodies: {shown(self.bodies)}; expected Bodies(q0, r=...)")
         n, d = self.bodies.q0.shape
@@ -288,13 +291,14 @@ class ManyBodies(Model):
                 if family.second is not None:
                     other = ca.vertcat(q[j], numbers[j]) if family.of_pairs else ca.SX(family.second.group.table[j])
                 rows[f"{name} {i}" if j < 0 else f"{name} {i}-{j}"] = g(self.t, self.p, one, other)
-        shared = {key: getattr(self, key) for key in ("t_end", "step", "steps", "units", "exact", "title")}
-        parameters = {symbol: self.parameters[symbol.name()] for symbol in ca.vertsplit(self.p)} if self.p.numel() else {}
+        shared = {key: getattr(self, key) for key in ("t_end", "step", "steps", "exact", "title")}
+        units = {name: unit for name, unit in self.units.items() if name in ("t", *self.stems, *(self.names or ()))}
         scene = self.scene and {key: self.scene[key] for key in ("radii", "walls") if key in self.scene}
         f = ca.vertcat(*(own(self.t, self.p, ca.vertcat(q[i], numbers[i])) for i in range(n)))
         return SweepingProcess(
-            t=self.t, q=self.q, f=f, constraints=rows, q0=self.q0, parameters=parameters, scene=scene, **shared
-        )
+            t=self.t, q=self.q, f=f, constraints=rows, q0=self.q0, parameters=gathered(self.parameters, self.vectors),
+            scene=scene, units=units, **shared,
+        )  # fmt: skip
 
 
 def _is_distance(g: Any, q: ca.SX, p: ca.SX) -> bool:
@@ -386,12 +390,15 @@ def _numbers_of_members(family: Family, label: str) -> np.ndarray:
 
 
 def _scene(scene: Any, n: int) -> dict[str, np.ndarray]:
-    if not isinstance(scene, Mapping) or not set(scene) <= {"radii", "walls", "exits"}:
+    if not isinstance(scene, Mapping) or not set(scene) <= {"radii", "walls", "exits", "exit_names"}:
         raise ModelError(f"scene: {shown(scene)}; expected a dictionary {{'radii': [...], 'walls': [...], 'exits': [...]}}")
-    found = {key: np.asarray(value, float) for key, value in scene.items()}
+    found = {key: np.asarray(value, str if key == "exit_names" else float) for key, value in scene.items()}
     if "radii" in found and found["radii"].shape != (n,):
         raise ModelError(f"scene: radii has shape {found['radii'].shape}; expected ({n},), one for each body")
     for key in {"walls", "exits"} & set(found):
         if found[key].ndim != 3 or found[key].shape[1:] != (2, 2):
             raise ModelError(f"scene: {key} has shape {found[key].shape}; expected (W, 2, 2), two end points for each")
+    exits = len(found.get("exits", ()))
+    if "exit_names" in found and found["exit_names"].shape != (exits,):
+        raise ModelError(f"scene: {found['exit_names'].size} exit_names for {exits} exits; expected one for each")
     return found

@@ -50,7 +50,7 @@ def declare(value: Any, label: str) -> Declared:
     names = tuple(name for name, _, _ in pairs)
     _refuse_repeats(names, label)
     source = tuple(item for i, (_, _, item) in enumerate(pairs) if i == 0 or item is not pairs[i - 1][2])
-    return Declared(names, _stem(names), column([symbol for _, symbol, _ in pairs]), source)
+    return Declared(names, stem_of(names), column([symbol for _, symbol, _ in pairs]), source)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,12 +131,14 @@ def _symbols(value: Any, label: str) -> list[_Named]:
     if isinstance(value, ca.SX) and value.is_dense() and value.is_valid_input():
         return [(s.name(), s, s) for s in ca.vertsplit(ca.vec(value))]
     if isinstance(value, ca.MX) and value.is_dense() and value.is_valid_input():
-        return [(name, ca.SX.sym(name), mx) for mx in value.primitives() for name in _mx_names(mx)]
+        return [(name, ca.SX.sym(name), mx) for mx in value.primitives() for name in _entries_of(mx.name(), mx.numel())]
     if isinstance(value, np.ndarray) and value.dtype == object:
         return _symbols(value.ravel().tolist(), label)
     if isinstance(value, list | tuple):
         return [pair for item in value for pair in _symbols(item, label)]
     if _is_sympy(value):
+        if type(value).__name__ == "MatrixSymbol":
+            return [(name, ca.SX.sym(name), value) for name in _entries_of(value.name, int(value.rows * value.cols))]
         if hasattr(value, "tolist"):
             return _symbols(_flat(value.tolist()), label)
         if getattr(value, "is_Symbol", False) and not hasattr(value, "shape"):
@@ -147,16 +149,17 @@ def _symbols(value: Any, label: str) -> list[_Named]:
     )
 
 
-def _mx_names(symbol: ca.MX) -> list[str]:
-    """Name the scalars as SX.sym does, in the order of the columns."""
-    return [symbol.name()] if symbol.numel() == 1 else [f"{symbol.name()}_{i}" for i in range(symbol.numel())]
+def _entries_of(name: str, size: int) -> list[str]:
+    """Name the scalars of a symbol as SX.sym does, column by column."""
+    return [name] if size == 1 else [f"{name}_{i}" for i in range(size)]
 
 
-def _stem(names: tuple[str, ...]) -> str | None:
+def stem_of(names: Sequence[str]) -> str | None:
+    """The name q of q_0, q_1, ...; None where there is none."""
     if len(names) == 1:
         return names[0]
     stem = names[0].removesuffix("_0") if names else ""
-    return stem if stem and names == tuple(f"{stem}_{i}" for i in range(len(names))) else None
+    return stem if stem and list(names) == [f"{stem}_{i}" for i in range(len(names))] else None
 
 
 def _refuse_repeats(names: Sequence[str], label: str) -> None:
@@ -168,9 +171,14 @@ def _refuse_repeats(names: Sequence[str], label: str) -> None:
 def _refuse_undeclared(names: Any, symbols: Mapping[str, ca.SX], label: str) -> None:
     for name in names:
         if name not in symbols:
+            whole = name.rpartition("_")[0]
+            fix = (
+                f"'{whole}' is declared as one number; give parameters={{'{whole}': [...]}} as many as it has entries"
+                if whole in symbols
+                else "add it to parameters={...} or declare it as x=, t="
+            )
             raise ModelError(
-                f"{label} uses the symbol '{name}', which is not declared: add it to parameters={{...}} "
-                f"or declare it as x=, t=; declared are {', '.join(symbols) or 'none'}"
+                f"{label} uses the symbol '{name}', which is not declared: {fix}; declared are {', '.join(symbols) or 'none'}"
             )
 
 
@@ -194,6 +202,7 @@ def _convert(value: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
     if isinstance(value, list | tuple):
         return _from_list(value, symbols, label)
     if _is_sympy(value):
+        value = value.as_explicit() if hasattr(value, "as_explicit") else value
         matrix = hasattr(value, "tolist")
         return _from_list(value.tolist(), symbols, label) if matrix else _from_sympy(value, symbols, label)
     if hasattr(value, "tocsc"):
@@ -206,8 +215,8 @@ def _convert(value: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
 
 def _from_mx(value: ca.MX, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
     own = ca.symvar(value)
-    _refuse_undeclared((name for mx in own for name in _mx_names(mx)), symbols, label)
-    columns = [ca.reshape(column([symbols[name] for name in _mx_names(mx)]), *mx.shape) for mx in own]
+    _refuse_undeclared((name for mx in own for name in _entries_of(mx.name(), mx.numel())), symbols, label)
+    columns = [ca.reshape(column([symbols[name] for name in _entries_of(mx.name(), mx.numel())]), *mx.shape) for mx in own]
     return expand_mx([value], own, columns, label)[0]
 
 
@@ -312,6 +321,11 @@ def _from_sympy(expr: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
     if name in ("Symbol", "Dummy"):
         _refuse_undeclared([expr.name], symbols, label)
         return symbols[expr.name]
+    if name == "MatrixElement":
+        matrix, i, j = expr.args
+        entries = _entries_of(matrix.name, int(matrix.rows * matrix.cols))
+        _refuse_undeclared([entry := entries[int(i + j * matrix.rows)]], symbols, label)
+        return symbols[entry]
     if expr.is_Number or getattr(expr, "is_NumberSymbol", False):
         return ca.SX(float(expr))
     if name == "Piecewise":

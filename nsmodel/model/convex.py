@@ -17,12 +17,13 @@ import numpy as np
 from nsmodel.errors import ModelError
 from nsmodel.model.convex_read import Bound, Node, Parts, read, replay
 from nsmodel.model.expressions import column, constants, evaluate, is_affine, is_concave, is_constant, keys, points, same
+from nsmodel.model.pickled import Pickled
 
 DOMAIN = ("indicator", "cone")  # Terms that bound the domain.
 
 
 @dataclass(frozen=True, eq=False)
-class Term:
+class Term(Pickled):
     """One nonsmooth term: a function of u(y), or of u(y, tau).
 
     Attributes:
@@ -43,7 +44,7 @@ class Term:
 
 
 @dataclass(frozen=True, eq=False)
-class ConvexSplit:
+class ConvexSplit(Pickled):
     """Phi(y) = min over tau of smooth(y, tau) + the terms, subject to epigraph[i] <= tau[epigraph_of[i]].
 
     Attributes:

@@ -48,7 +48,7 @@ class FirstOrderSystem(Model):
 
     paper: ClassVar[str] = "Acary and Perignon, Siconos developer's notes: theta-gamma scheme, Newton linearisation, MLCP"
 
-    def __post_init__(self) -> None:
+    def _declare(self) -> None:
         c = self._settle("x", x=self.x, lam=self.lam)
         n = len(self.names)
         given = {name: getattr(self, name) is not None for name in ("lam", "h", "g", "law")}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from typing import Any, ClassVar
@@ -15,6 +15,7 @@ from nsmodel.model.base import Model, shown
 from nsmodel.model.convex import ConvexSplit, split, split_discontinuities
 from nsmodel.model.first_order import checked_law
 from nsmodel.model.laws import Law
+from nsmodel.model.pickled import Pickled
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,12 +48,15 @@ class MonotoneInclusion(Model):
     tolerances: float | Sequence[float] | Callable[[float], float] | None = None
 
     paper: ClassVar[str] = "Convergence and stability of a catching-up algorithm with maximal monotone operators (2026)"
+    has: ClassVar[Mapping[str, str]] = {"v": "the velocity"}
+    of_time: ClassVar[str] = (
+        "the scheme knows no explicit time. Take a LureSystem, where x' = A(x) + f(t) + B l with a law or phi=, "
+        "or a FirstOrderSystem, all terms of which may depend on t"
+    )
 
-    def __post_init__(self) -> None:
+    def _declare(self) -> None:
         c = self._settle("x", x=self.x)
         n = len(self.names)
-        if "v" in self.stems:
-            raise ModelError("x: the state 'v' clashes with run.v, the velocity; rename it, or give names=[...]")
         lower, upper = self._bound(c, self.lower, "lower", -np.inf), self._bound(c, self.upper, "upper", np.inf)
         operator, potential, lower, upper = self._operator(c, n, lower, upper)
         for i in range(n):
@@ -121,7 +125,7 @@ class MonotoneInclusion(Model):
         if self.tolerances is None:
             return
         if callable(self.tolerances):
-            self._set(tolerances=_checked(self.tolerances))
+            self._set(tolerances=Tolerance(self.tolerances))
             return
         try:
             if isinstance(self.tolerances, ca.SX | ca.MX):
@@ -140,14 +144,18 @@ class MonotoneInclusion(Model):
             raise ModelError(f"tolerances: {values.size} values for {len(self.steps)} steps; give one for each")
 
 
-def _checked(function: Callable[[float], float]) -> Callable[[float], float]:
-    def tolerance(h: float) -> float:
+@dataclass(frozen=True, eq=False)
+class Tolerance(Pickled):
+    """The user's function of the step, its values checked."""
+
+    function: Callable[[float], float]
+
+    def __call__(self, h: float) -> float:
+        """Return eps(h); ModelError where the function fails or gives no finite number >= 0."""
         try:
-            value = function(h)
+            value = self.function(h)
         except Exception as error:
             raise ModelError(f"tolerances: called with the step {h:g}, the function fails: {error}") from error
         if not isinstance(value, Real) or not 0 <= value < np.inf:
             raise ModelError(f"tolerances({h:g}) = {value!r}; expected a finite number >= 0")
         return float(value)
-
-    return tolerance

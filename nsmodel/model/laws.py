@@ -9,10 +9,11 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError
+from nsmodel.model.pickled import Pickled
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class Block(Pickled):
     """One factor of K, of one kind.
 
     Attributes:
@@ -33,7 +34,7 @@ class Block:
 
 
 @dataclass(frozen=True, eq=False)
-class Law:
+class Law(Pickled):
     """A product of blocks: l and y are stacked in their order. Build it with the functions of this module."""
 
     blocks: tuple[Block, ...]

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import casadi as ca
 
 from nsmodel.errors import ModelError
-from nsmodel.model.base import Model, parameter_symbols
+from nsmodel.model.base import Model
 from nsmodel.model.convert import Converter
 from nsmodel.model.convex import split
 from nsmodel.model.first_order import check_weights, checked_law
 from nsmodel.model.laws import Law
+from nsmodel.model.parameters import declared
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,7 +52,7 @@ class LureSystem(Model):
         "Brogliato and Goeleven, Existence, uniqueness of solutions and stability of nonsmooth multivalued Lur'e systems (2013)"
     )
 
-    def __post_init__(self) -> None:
+    def _declare(self) -> None:
         c = self._settle("x", x=ca.SX.sym("x", self._count_states()) if self.x is None else self.x, y=self.y)
         n = len(self.names)
         if (self.law is None) == (self.phi is None):
@@ -78,10 +80,17 @@ class LureSystem(Model):
 
     def _count_states(self) -> int:
         """The number of entries of x0, where no state symbols are given."""
-        x0 = Converter(parameter_symbols(self.parameters)[0]).convert(self.x0, "x0")
+        c = Converter(declared(self.parameters)[0])
+        x0 = c.convert(self.x0, "x0")
         if not x0.numel() or 1 not in x0.shape:
             raise ModelError(f"x0: shape {x0.shape}; expected a column, one number for each state")
-        return x0.numel()
+        n, wrong, A = x0.numel(), False, (0, 0)
+        with contextlib.suppress(ModelError):  # what is wrong with a matrix is said where it is read
+            A, B, C = (c.convert(getattr(self, name), name).shape for name in "ABC")
+            wrong = A[0] == A[1] not in (1, n) and A[0] in (B[0], C[1])
+        if wrong:
+            raise ModelError(f"x0: {n} number{'s' * (n > 1)}; expected {A[0]}, one for each state, as A has the shape {A}")
+        return n
 
     def _rate(self, c: Converter, n: int) -> ca.SX:
         """A x for a matrix of numbers, else the n expressions."""

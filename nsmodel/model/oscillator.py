@@ -50,12 +50,15 @@ class FrictionOscillator(Model):
     x1: Any = None
 
     paper: ClassVar[str] = "Cabot, Discretization of a nonlinear oscillator under dry friction (2004)"
+    has: ClassVar[Mapping[str, str]] = {"v": "the velocity"}
+    of_time: ClassVar[str] = (
+        "the scheme and its theorems know no explicit time. Write a forced oscillator as a LureSystem of position and velocity, "
+        "x=[x, v], A=[v, -(dg(x) + M v)], f=[0, f(t)], B=[0, H'], C=[0, H], law=relay(m, -mu, mu): section 2.2 of the guide"
+    )
 
-    def __post_init__(self) -> None:
+    def _declare(self) -> None:
         c = self._settle("x", x=self.x, s=self.s)
         n = len(self.names)
-        if "v" in self.stems:
-            raise ModelError("x: the state 'v' clashes with run.v, the velocity; rename it, or give names=[...]")
         if self.v0 is not None and self.x1 is not None:
             raise ModelError("v0 and x1 are both given; keep v0 (a velocity) or x1 (the second position)")
         potential = self._vector(c, self.potential, "potential", 1, [self.x])

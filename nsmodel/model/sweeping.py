@@ -38,7 +38,7 @@ class SweepingProcess(Model):
 
     paper: ClassVar[str] = "Bernicot and Venel, Convergence order of a numerical scheme for sweeping process (2010)"
 
-    def __post_init__(self) -> None:
+    def _declare(self) -> None:
         c = self._settle("q", q=self.q)
         n = len(self.names)
         if not isinstance(self.mean_forcing, bool):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -15,6 +14,7 @@ import numpy as np
 from nsmodel.crowd.measure import Flow, Maps, evacuation_times, positions, present
 from nsmodel.errors import MissingExtraError, PlotError
 from nsmodel.plot import style
+from nsmodel.storage import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -291,12 +291,8 @@ def animate(
     count = max(2, round(seconds * fps))
     rows = np.searchsorted(run.t, np.linspace(run.t[0], run.t[-1], count) + 1e-9 * span, side="right") - 1
     pictures = _frames(run, rows, f"   {span / seconds:.3g} times as fast" * (abs(span / seconds - 1) > 0.01), scale, size, dpi)
-    part = path.with_name(f".{path.stem}.part{path.suffix}")
-    try:
+    with replacing(path) as part:
         write(part, pictures, count, fps)
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
     return path
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -15,6 +14,7 @@ from nsmodel.plot import crowd, style
 from nsmodel.plot.plane import configuration, phase
 from nsmodel.plot.strip import MAX_ROWS, index_strip
 from nsmodel.plot.time import MAX_LINES, energy, multipliers, residual, states
+from nsmodel.storage import replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -97,12 +97,8 @@ def save_all(run: Trajectory, model: Any, directory: str | Path, prefix: str = "
 
 def save(figure: Figure, path: Path, dpi: int = 100) -> None:
     """Write a figure as PNG, beside its place and then renamed."""
-    part = path.with_name(f".{path.name}.part")
-    try:
+    with replacing(path) as part:
         figure.savefig(part, format="png", dpi=dpi)
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _panels(run: Trajectory, model: Any, *, lines: int, rows: int) -> dict[str, Panel]:

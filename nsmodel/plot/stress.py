@@ -29,7 +29,7 @@ def stress(result: Stress, *, ax: Axes | None = None) -> Axes:
         result: what `nsmodel.stress` returned.
         ax: where to draw; a new figure by default.
     """
-    cells = {(cell.row, cell.factor): (cell.verdict, _spare(cell.worst[1])) for cell in result.cells}
+    cells = {(cell.row, cell.factor): (cell.verdict, _spare(cell.worst[1])) for cell in result.cells if cell.verdict in COLOURS}
     rows, factors = result.rows, result.factors
     table = {(rows.index(row), factors.index(factor)): value for (row, factor), value in cells.items()}
     ax = style.axes(ax, 3.6 + 0.55 * len(factors), 1.5 + 0.3 * len(rows))

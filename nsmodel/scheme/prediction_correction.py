@@ -39,7 +39,30 @@ def one_step_problem(model: SweepingProcess) -> OneStepProblem:
         guess=q,
         next_state=q_next,
         records={"gap": ca.substitute(g, q, q_next)} if m.numel() else {},
+        overreach=_overreach(g, G, q, q_next),
     )  # fmt: skip
+
+
+def _overreach(g: ca.SX, G: ca.SX, q: ca.SX, q_next: ca.SX) -> ca.SX | None:
+    """(g_i(q') - g_i(q) - <grad g_i(q), q' - q>) / (|grad g_i(q)| |q' - q|), the coordinates those that g_i depends on.
+
+    Of a ball of radius r, slid along by s, it is about s / 2r: the tangent of half the angle by which the normal turns. Where it
+    is not small, Qt has nothing to do with the set that it stands for. It is 0 where g_i is below its linearisation: such a g_i
+    is not convex, the step overruns it, and the run says so.
+
+    What rests moves by rounding alone, and g_i(q') - g_i(q) is noise then. Of a convex g_i the difference is at most
+    <grad g_i(q') - grad g_i(q), q' - q>, in which nothing cancels: it is cut off there.
+    """
+    if not ca.depends_on(G, q):
+        return None
+    (true, turned), rows = ca.substitute([g, G], [q], [q_next]), []
+    for i in range(g.numel()):
+        own = sorted({j for j in G[i, :].sparsity().get_col()})
+        d = q_next[own] - q[own]
+        size = ca.sqrt(ca.sumsqr(G[i, own]) * ca.sumsqr(d))
+        off = ca.fmin(true[i] - g[i] - G[i, own] @ d, (turned[i, own] - G[i, own]) @ d)
+        rows.append(ca.if_else(off > 0, off / size, 0))
+    return ca.vertcat(*rows)
 
 
 def _mean(f: ca.SX, t: ca.SX, h: ca.SX) -> ca.SX:

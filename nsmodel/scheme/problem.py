@@ -14,6 +14,29 @@ from nsmodel.model.expressions import operations
 from nsmodel.model.laws import Law, ball, box, complementarity, equality, product, relay, second_order_cone
 
 
+class Order(NamedTuple):
+    """Order of a scheme on one index set: ``most``, but 1 while a row of ``lowered_by`` (their numbers) is held, y_i = 0."""
+
+    most: int
+    lowered_by: tuple[int, ...] = ()
+
+    @classmethod
+    def of_weights(cls, theta: float, gamma: float, r: ca.SX, moving: ca.SX, law: Law, Y: ca.SX, through: ca.SX) -> Order:
+        """Of the theta-gamma scheme: 2 for theta = gamma = 1/2, and for theta = 1/2 where a constant r does for the whole step.
+
+        That is where r is a function of l alone (``moving``: what else it might depend on), and each l_i stays at its end, or is
+        what keeps y_i = 0 and so its own mean. Where y_i depends on the multipliers directly (on ``through``) l_i is that of the
+        end of the step; on the edge of a ball or a cone it moves.
+        """
+        if theta != 0.5:
+            return cls(1)
+        if gamma == 0.5:
+            return cls(2)
+        if ca.depends_on(r, moving) or any(block.kind != "box" for block in law.blocks):
+            return cls(1)
+        return cls(2, feedthrough(Y, through))
+
+
 @dataclass(frozen=True)
 class OneStepProblem:
     """Find (z, l): E(z, l; k) = 0, y = Y(z, l; k), -y ∈ N_K(l), where k = (t, h, state, p).
@@ -31,7 +54,9 @@ class OneStepProblem:
         next_state: expression of z, l and k.
         multipliers, outputs: l and y as the user declared them, where they differ from l and y; else None.
         records: further columns of the trajectory, expressions of z, l, y and k.
+        overreach: of each row, how far Y is below the constraint that it linearises at z, beside what it changes by; else None.
         start: problem that turns (x0, 0) into the first state, where the scheme needs a multiplier at t = 0.
+        order: of the scheme between switches.
     """
 
     scheme: str
@@ -51,12 +76,19 @@ class OneStepProblem:
     multipliers: ca.SX | None = None
     outputs: ca.SX | None = None
     records: dict[str, ca.SX] = field(default_factory=dict)
+    overreach: ca.SX | None = None
     start: OneStepProblem | None = None
+    order: Order = field(default_factory=lambda: Order(1))
 
     @cached_property
     def jacobians(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         """(E_z, E_l, Y_z, Y_l), sparse, exact."""
         return tuple(ca.simplify(ca.jacobian(e, v)) for e in (self.E, self.Y) for v in (self.z, self.l))
+
+
+def feedthrough(Y: ca.SX, l: ca.SX) -> tuple[int, ...]:
+    """Return the numbers of the rows of Y that depend on l directly, not only through the state."""
+    return tuple(sorted(set(ca.jacobian_sparsity(Y, l).row())))
 
 
 class BasicLaw(NamedTuple):

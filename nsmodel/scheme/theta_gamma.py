@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.model.first_order import FirstOrderSystem
-from nsmodel.scheme.problem import OneStepProblem, basic_law
+from nsmodel.scheme.problem import OneStepProblem, Order, basic_law
 
 
 def one_step_problem(model: FirstOrderSystem) -> OneStepProblem:
@@ -57,6 +57,7 @@ def one_step_problem(model: FirstOrderSystem) -> OneStepProblem:
         outputs=hx if split else None,
         records={"residual_R": ca.norm_inf(R), "residual_Ry": ca.norm_inf(y - Y), "residual_Rr": ca.norm_inf(R_r)},
         start=_start(model, h, ca.vertcat(x_k, r_k)) if ga < 1 else None,
+        order=Order.of_weights(th, ga, gx, ca.vertcat(t, h, x), basic.law, Y, basic.l),
     )  # fmt: skip
 
 
@@ -92,6 +93,7 @@ def _smooth(model: FirstOrderSystem, h: ca.SX, x: ca.SX) -> OneStepProblem:
         guess=x_k,
         next_state=x,
         records={"residual_R": ca.norm_inf(R)},
+        order=Order.of_weights(th, ga, g, ca.vertcat(t, h, x), model.law, empty, empty),
     )  # fmt: skip
 
 

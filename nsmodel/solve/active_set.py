@@ -11,6 +11,7 @@ from itertools import combinations, product
 import numpy as np
 
 from nsmodel.solve.certificate import EPS, NumericLaw
+from nsmodel.solve.rounding import equilibrated
 
 MOST_INDEX_SETS = 20000  # More are not tried one by one.
 
@@ -28,18 +29,37 @@ def polish(W: np.ndarray, b: np.ndarray, law: NumericLaw, index: np.ndarray) -> 
 
 
 def solve_or_least_squares(A: np.ndarray, rhs: np.ndarray) -> np.ndarray:
-    """Solve A x = rhs with one refinement; the least-squares solution of least norm where A is singular."""
+    """Solve A x = rhs with one refinement; the least-squares solution of least norm where A is singular in any units."""
+    x = _solve(A, rhs)
+    if x is not None:
+        return x
+    if not (np.isfinite(A).all() and np.isfinite(rhs).all()):  # about which LAPACK would print
+        return np.full(rhs.shape, np.nan)
+    scaled, rows, columns = equilibrated(A)
+    x = _solve(scaled, rows * rhs)
+    return np.linalg.lstsq(A, rhs, rcond=None)[0] if x is None else columns * x
+
+
+def solved(A: np.ndarray, rhs: np.ndarray) -> np.ndarray:
+    """A^-1 rhs of a regular matrix, in units in which it is well scaled; ``rhs`` a matrix.
+
+    Raises:
+        numpy.linalg.LinAlgError: A is singular.
+    """
+    scaled, rows, columns = equilibrated(A)
+    return columns[:, None] * np.linalg.solve(scaled, rows[:, None] * rhs)
+
+
+def _solve(A: np.ndarray, rhs: np.ndarray) -> np.ndarray | None:
+    """A^-1 rhs, or None where A seems singular: cancellation by 1e12."""
     try:
         x = np.linalg.solve(A, rhs)
         if np.isfinite(x).all():
             x = x + np.linalg.solve(A, rhs - A @ x)
     except np.linalg.LinAlgError:
-        return np.linalg.lstsq(A, rhs, rcond=None)[0]
+        return None
     size = np.abs(A) @ np.abs(x)
-    # Cancellation by 1e12 means that A is singular to rounding: take the solution of least norm instead.
-    if np.isfinite(x).all() and size.max() <= 1e12 * np.abs(rhs).max():
-        return x
-    return np.linalg.lstsq(A, rhs, rcond=None)[0]
+    return x if np.isfinite(x).all() and size.max(initial=0.0) <= 1e12 * np.abs(rhs).max(initial=0.0) else None
 
 
 def classify(l: np.ndarray, y: np.ndarray, law: NumericLaw, c: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -15,7 +16,7 @@ from nsmodel.solve.certificate import numeric_law
 from nsmodel.solve.choose import choose, pays
 from nsmodel.solve.kernel import Kernel
 from nsmodel.solve.layout import Layout
-from nsmodel.solve.newton import Iterate, Newton
+from nsmodel.solve.newton import Buffered, Iterate, Newton
 from nsmodel.solve.nlp import Programme
 from nsmodel.solve.stepper import StepResult, Warm
 from nsmodel.solve.structure import read
@@ -24,7 +25,7 @@ if TYPE_CHECKING:  # SciPy is loaded by who uses it.
     from nsmodel.solve.sparse import AtStep, Sparse
 
 NEARBY = 400  # Index sets around the last one that are tried where Newton's method does not settle.
-DENSE = 1500  # Unknowns and multipliers of a sparse step up to which solvers with dense matrices are tried where it fails.
+REACH = 1 / 3  # Part of the motion that a constraint may be off its linearisation: a ball's normal turns by 37 degrees.
 STARTS = 3  # Random starts of IPOPT, after the last multiplier and 0.
 
 
@@ -97,17 +98,50 @@ class Stepper:
         best: Attempt | None = None
         for attempt in self._attempts(kernel, t, h, state, warm):
             if attempt.residual <= self.tolerance:
+                self._stay_in_reach(t, h, state, attempt.row)
                 return StepResult(attempt.row, attempt.warm, attempt.solver)
             if best is None or attempt.residual < best.residual:
                 best = attempt
         raise self._failure(t, h, state, warm, best)
 
+    def _stay_in_reach(self, t: float, h: float, state: np.ndarray, row: np.ndarray) -> None:
+        """Refuse a verified step of a linearisation that means nothing where it leads.
+
+        Raises:
+            StepError: a constraint that acts is far from its linearisation (`OneStepProblem.overreach`).
+        """
+        acts = row[self.layout.l] != 0
+        if self.problem.overreach is None or not acts.any():
+            return
+        ratio = np.where(acts, self._overreach(t, h, state, row[self.layout.state])[0], 0.0)
+        worst = int(np.argmax(ratio))
+        if ratio[worst] <= REACH:
+            return
+        raise StepError(
+            f"no verified step from t = {t:.10g} to {t + h:.10g}: it leads where the linearisation of '{self.rows[worst]}', by "
+            f"which it was taken, means nothing (off by {ratio[worst]:.2g} of the motion, at most {REACH:.2g}); take "
+            "smaller steps, or rtol",
+            residual=float(ratio[worst]),
+            component=self.rows[worst],
+        )
+
+    @cached_property
+    def _overreach(self) -> Buffered:
+        p = self.problem
+        return Buffered("overreach", [p.t, p.h, p.state, p.z], [p.overreach])
+
     def _sparse_step(self, sparse: Sparse, t: float, h: float, state: np.ndarray, warm: Warm) -> StepResult:
         """The step of a large scene; one that is small enough for dense matrices goes to the other solvers where that fails."""
         self._matrices(t, h)
         found = sparse.solve(t, h, state, warm.index)
+        if not found.residual <= self.tolerance and np.isfinite(state).all():
+            chains = (("qpoases",) if self.plan.monotone else (mlcp.INDEX_SET,)), (mlcp.LEMKE,)
+            for chain in chains:
+                if not found.residual <= self.tolerance:
+                    found = sparse.solve_by_parts(t, h, state, warm.l, warm.index, chain)
+                    found.solver = chain[0]
         if not found.residual <= self.tolerance:
-            if self.structure.n + self.structure.m > DENSE or not np.isfinite(state).all():
+            if self.structure.n + self.structure.m > sparse.dense or not np.isfinite(state).all():
                 raise self._sparse_failure(t, h, state, found)
             chain = (mlcp.INDEX_SET, *(("qpoases",) if self.plan.monotone else ()), mlcp.LEMKE)
             found = self._newton.solve(t, h, state, warm.l, warm.index, chain)
@@ -165,6 +199,9 @@ class Stepper:
             attempt = attempt._replace(residual=max(attempt.residual, curved))
         attempt.row[self.layout.residual] = attempt.residual
         yield attempt
+        polished = self._newton.polished(t, kernel.h, state, found.l, found.index)
+        if polished is not None:
+            yield self._packed(t, kernel.h, state, replace(polished, solver=found.solver))
 
     def _evaluated(self, kernel: Kernel, t: float, state: np.ndarray, index: np.ndarray, solver: str) -> Attempt:
         row = kernel.evaluate(t, state) + 0.0
@@ -216,7 +253,7 @@ class Stepper:
         else:
             reason = (
                 f"no index set was found that satisfies the law, by block principal pivoting from the last one ({size} unknowns "
-                f"and multipliers; above {DENSE} no dense solver is tried); try a smaller step"
+                f"and multipliers; above {self._sparse.dense} no dense solver is tried); try a smaller step"
             )
         component = None if found.worst_row is None else self.rows[found.worst_row]
         worst = "" if component is None else f", worst row '{component}'"
@@ -237,7 +274,13 @@ class Stepper:
         residual = np.inf if best is None else best.residual
         component = None if best is None or best.worst_row is None else self.rows[best.worst_row]
         worst = "" if component is None else f", worst row '{component}'"
-        tried = ", ".join([*self.plan.chain, *(["ipopt"] if self.plan.ipopt != "never" else [])]) or "a linear solve"
+        tried = ", ".join([*self.plan.chain, *(["ipopt"] if self.plan.ipopt != "never" else [])]) or (
+            ", ".join(("block principal pivoting", mlcp.INDEX_SET, mlcp.LEMKE))
+            if self.structure.m
+            else "the linear system of the step"
+            if self.structure.affine
+            else "Newton's method"
+        )
         start, end = f"{t:.10g}", f"{t + h:.10g}"
         span = f"from t = {start} to {end}" if start != end else f"of {h:.3g} from t = {start}"
         return StepError(

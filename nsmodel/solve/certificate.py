@@ -1,12 +1,15 @@
-"""Residuals from the definition of the law, without unit.
+"""Residuals from the definition of the law, without unit; what counts as rounding.
 
-With y = W l + b, w_i = max_j |W_ij| and s_y,i = |b_i| + sum_j |W_ij l_j|, s_l,i = s_y,i / w_i, the residual is the least
-max(|l - l^| / s_l, |y - y^| / s_y) over points (l^, y^) of the graph {-y^ ∈ N_K(l^)}; 0/0 = 0. Three limits on the scales:
+A row passes if |r| <= tolerance * s + c u E: s is what moves or acts in the step, E the running error bound of evaluating the
+row in units of u (`rounding.error_bound`, and `rounding.felt` for what the unknowns themselves err by), c = ROUNDING. Terms that
+cancel enter with u, never with the tolerance. What is reported is |r| / (s + c u E / tolerance), to be at most the tolerance.
+
+With y = W l + b, w_i = max_j |W_ij| and s_y,i = |b_i| + sum_j |W_ij l_j|, s_l,i = s_y,i / w_i, the law's residual is the least
+max(|l - l^| / s_l, |y - y^| / s_y) over points (l^, y^) of the graph {-y^ ∈ N_K(l^)}; 0/0 = 0. Two limits on these scales:
 - s_l stays below the size of l_i, of its bounds, and of 1e-6 of the other multipliers in its unit: where y is far from 0, an
   l off its bound would else be measured against what it takes to move y (4e-3 would pass for the relay oscillator);
 - s_y stays below 1000 sqrt(w_i) max_k |b_k| / sqrt(w_k): multipliers that grow without bound, because the step has no
-  solution, do not excuse a violation;
-- s_y stays above (round-off of evaluating y) / tolerance: what double precision cannot see does not fail a step.
+  solution, do not excuse a violation.
 """
 
 from __future__ import annotations
@@ -21,6 +24,7 @@ import numpy as np
 from nsmodel.model.laws import Law
 
 EPS = np.finfo(float).eps
+ROUNDING = 8  # c: the part of E that a row may err by, in units of u.
 NEGLIGIBLE = 1e-6  # Part of the largest multiplier that another one need not resolve better than to the tolerance.
 UNRESOLVED = 1e-280  # Scales below this are lost in denormal numbers.
 GROWTH = 1e3  # How far the multipliers' terms may raise the scale of y above that of b.
@@ -67,13 +71,17 @@ def output_scale(b: np.ndarray, terms: np.ndarray, w_max: np.ndarray) -> np.ndar
 
 
 def law_residual(
-    law: NumericLaw, l: np.ndarray, y: np.ndarray, s_y: np.ndarray, w_max: np.ndarray, floor: np.ndarray | float = 0.0
-) -> np.ndarray:
-    """Return the residual of each row (m,): y the output, s_y its scale, not below ``floor``, w_max = max_j |W_ij|."""
-    s_y = np.maximum(np.maximum(s_y, floor), UNRESOLVED)
+    law: NumericLaw, l: np.ndarray, y: np.ndarray, s_y: np.ndarray, w_max: np.ndarray, unseen_y: np.ndarray | float = 0.0,
+    unseen_l: np.ndarray | float = 0.0,
+) -> np.ndarray:  # fmt: skip
+    """Return the residual of each row (m,): y the output, s_y its scale, w_max = max_j |W_ij|.
+
+    ``unseen_y``, ``unseen_l``: c u E / tolerance of y and of l.
+    """
+    s_y = np.maximum(s_y + unseen_y, UNRESOLVED)
     lo, up = law.lower, law.upper
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        s_l, size = np.minimum(np.where(w_max > 0, s_y / w_max, np.inf), multiplier_scale(law, l, w_max)), np.abs(y)
+        s_l, size = np.minimum(np.where(w_max > 0, s_y / w_max, np.inf), multiplier_scale(law, l, w_max)) + unseen_l, np.abs(y)
         outside = np.maximum(np.maximum(lo - l, l - up), 0)
         at_lower = np.maximum(_ratio(np.abs(l - lo), s_l), _ratio(np.where(y < 0, size, 0), s_y))
         at_upper = np.maximum(_ratio(np.abs(l - up), s_l), _ratio(np.where(y > 0, size, 0), s_y))
@@ -82,7 +90,7 @@ def law_residual(
         residual = np.minimum(np.minimum(at_lower, at_upper), between)
         for block in law.curved:
             residual[block[1]] = _curved_residual(block, l, y, s_y, s_l, w_max)
-    return np.where(np.isnan(residual) | ~(np.isfinite(l) & np.isfinite(y)), np.inf, residual)
+    return np.where(np.isnan(residual) | ~(np.isfinite(l) & np.isfinite(y) & np.isfinite(s_y)), np.inf, residual)
 
 
 def bound_size(law: NumericLaw) -> np.ndarray:
@@ -167,7 +175,7 @@ def box_residual_sx(law: NumericLaw, rows: list[int], w_max: np.ndarray, l: Any,
             at_upper = ca.fmax(ratio(ca.fabs(l[i] - up), s_l), ratio(ca.if_else(y[i] > 0, size, 0), s_y[i]))
             best = ca.fmin(best, at_upper)
         # fmax and fmin pass over a NaN; comparisons with one are false.
-        finite = ca.logic_and(ca.fabs(l[i]) < ca.inf, size < ca.inf)
+        finite = ca.logic_and(ca.logic_and(ca.fabs(l[i]) < ca.inf, size < ca.inf), s_y[i] < ca.inf)
         worst = ca.fmax(worst, ca.if_else(finite, ca.if_else(best < ca.inf, best, ca.inf), ca.inf))
     return worst
 

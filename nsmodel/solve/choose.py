@@ -64,12 +64,6 @@ def pays(structure: Structure, law: NumericLaw) -> bool:
     return sparse and structure.constant and not law.curved and not structure.projection
 
 
-def worth_compiling(structure: Structure, steps: int) -> bool:
-    """Whether so many interpreted steps take three times as long as compiling them: seconds, as measured for chains."""
-    size = structure.n + structure.m
-    return steps * (1.3e-4 + 2.8e-7 * size) > 3 * (1.0 + 3.5e-4 * size)
-
-
 def choose(
     structure: Structure, law: NumericLaw, W: np.ndarray | LinearOperator | None, solver: str, few_steps: bool = True,
     order: Order | None = None,

@@ -41,7 +41,10 @@ def why(
         names = [f"'{problem.rows[i]}' (weight {u:.3g})" for i, u in opposed]
         if len(names) == 1:
             return f"no multiplier can keep {names[0]} from being violated"
-        return "the constraints leave no point: " + " and ".join(names) + " oppose each other"
+        no_point = "the constraints leave no point: " + " and ".join(names) + " oppose each other"
+        if problem.overreach is None:
+            return no_point
+        return f"linearised at the step's start, {no_point} (with curved ones smaller steps, or rtol, may find one)"
     inverse_gamma, rows = nearly_opposite(W) if structure.projection else (1.0, [])
     if inverse_gamma < OPPOSITE:
         names = " and ".join(f"'{problem.rows[i]}' (weight {u:.3g})" for i, u in rows)

@@ -12,8 +12,9 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.scheme.problem import OneStepProblem
-from nsmodel.solve.certificate import EPS, UNRESOLVED, NumericLaw, box_residual_sx, output_scale_sx, settled_sx
+from nsmodel.solve.certificate import ROUNDING, UNRESOLVED, NumericLaw, box_residual_sx, output_scale_sx, settled_sx
 from nsmodel.solve.layout import Layout, extras
+from nsmodel.solve.rounding import UNIT, condition, equilibrated
 from nsmodel.solve.structure import Structure
 
 UNDETERMINED = 1e-2  # Part of z that rounding may decide.
@@ -31,7 +32,7 @@ class Kernel:
         self, problem: OneStepProblem, structure: Structure, law: NumericLaw, where: Layout, h: float, tolerance: float
     ) -> None:
         E_z, E_l, Y_z, Y_l = matrices = matrices_at(problem, h)
-        m = structure.m
+        m, self.h = structure.m, h
         inverse = regular_inverse(E_z)
         self.Z = -inverse @ E_l
         self.W = Y_l + Y_z @ self.Z
@@ -89,15 +90,11 @@ def regular_inverse(E_z: np.ndarray) -> np.ndarray:
 
     Raises:
         numpy.linalg.LinAlgError: E_z is singular, or rounding its entries moves z by more than UNDETERMINED in the best units:
-            by EPS times the spectral radius of |E_z^-1| |E_z|.
+            by 2 u times the spectral radius of |E_z^-1| |E_z|.
     """
-    inverse = np.linalg.inv(E_z)
-    v = np.ones(len(E_z))
-    for _ in range(30):
-        v = np.abs(inverse) @ (np.abs(E_z) @ v)
-        v /= v.max(initial=0.0) or 1.0
-    w = np.abs(inverse) @ (np.abs(E_z) @ v)
-    if not EPS * np.max(w[v > 0] / v[v > 0], initial=1.0) <= UNDETERMINED:
+    scaled, rows, columns = equilibrated(E_z)
+    inverse = columns[:, None] * np.linalg.inv(scaled) * rows
+    if not 2 * UNIT * condition(np.abs(inverse), np.abs(E_z)) <= UNDETERMINED:
         raise np.linalg.LinAlgError
     return inverse
 
@@ -116,16 +113,22 @@ def _index_map(W: np.ndarray, law: NumericLaw, index: np.ndarray) -> tuple[np.nd
         return None
     free = np.flatnonzero(index == 0)
     if free.size:
-        block = W[np.ix_(free, free)]
-        try:
-            inverse = np.linalg.inv(block)
-        except np.linalg.LinAlgError:
-            inverse = np.linalg.pinv(block)
-        if np.abs(inverse).max() * np.abs(block).max() > 1e13:
-            inverse = np.linalg.pinv(block)
+        inverse = _inverse(W[np.ix_(free, free)])
         S[np.ix_(free, free)] = -inverse
         s[free] = -inverse @ (W[free] @ s)
     return S, s
+
+
+def _inverse(A: np.ndarray) -> np.ndarray:
+    """A^-1, or the pseudo-inverse where A is singular, which is decided in units in which it is well scaled."""
+    scaled, rows, columns = equilibrated(A)
+    try:
+        inverse = np.linalg.inv(scaled)
+    except np.linalg.LinAlgError:
+        return np.linalg.pinv(A)
+    if not np.abs(inverse).max() * np.abs(scaled).max() <= 1e13:
+        return np.linalg.pinv(A)
+    return columns[:, None] * inverse * rows
 
 
 class AtStep(NamedTuple):
@@ -176,30 +179,33 @@ def _functions(
     z = z_0 + Z_sx @ l
     for row, column, factor in structure.unit_rows:
         z[column] = ca.if_else(free[row], -at.Y_0[row] / factor, z[column])
+    for i, needed in structure.follow_rows:
+        given = [ca.sum1(free[list(rows)]) > 0 for _, rows in needed]
+        known = at.E_0[i] + sum(at.E_z[i, j] * z[j] for j, _ in needed)
+        z[i] = ca.if_else(ca.sum1(ca.vertcat(*given)) == len(given), -known / at.E_z[i, i], z[i])
     if structure.rest_rows:
         z = ca.if_else(ca.sum1(free[list(structure.rest_rows)]) == len(structure.rest_rows), 0, z)
     one = ca.SX.sym("one")
-    judged = _judge(p, at, structure, law, tolerance, W, matrices[0], inverse).call(
-        [p.t, p.state, *(one * ca.densify(e) for e in (z, l, b)), free]
-    )
+    judged = _judge(p, at, structure, law, tolerance, W).call([p.t, p.state, *(one * ca.densify(e) for e in (z, l, b)), free])
     step = ca.Function("step", [p.t, p.state, S, s, free, one], judged, {"cse": structure.n + m < CSE_BELOW})
     return step, ca.Function("b", [p.t, p.state], [ca.densify(b)])
 
 
 def _judge(
-    p: OneStepProblem, at: AtStep, structure: Structure, law: NumericLaw, tolerance: float, W: np.ndarray, E_z: np.ndarray,
-    inverse: np.ndarray,
+    p: OneStepProblem, at: AtStep, structure: Structure, law: NumericLaw, tolerance: float, W: np.ndarray
 ) -> ca.Function:  # fmt: skip
-    """The certificate and the packed row as a function of (t, state, z, l, b, free): `Newton.judge` in symbols."""
+    """The certificate and the packed row as a function of (t, state, z, l, b, free): `Newton.judge` in symbols.
+
+    Of the rounding only that of the unknowns counts here, a part of the whole: what fails by it is judged by `Newton`.
+    """
     n, m, z, l = structure.n, structure.m, p.z, p.l
     b, free = ca.SX.sym("b", m), ca.SX.sym("free", m)
-    size_E = ca.fabs(at.E_z) @ ca.fabs(z) + ca.fabs(at.E_l) @ ca.fabs(l) + ca.fabs(at.E_0)
-    size_Y = ca.fabs(at.Y_z) @ ca.fabs(z) + ca.fabs(at.Y_l) @ ca.fabs(l) + ca.fabs(at.Y_0)
-    round_off = 4 * (n + m + 4) * EPS
+    rounding = ROUNDING * UNIT
+    error_E = rounding * (ca.fabs(at.E_z) @ ca.fabs(z) + ca.fabs(at.E_l) @ ca.fabs(l))
+    error_Y = rounding * (ca.fabs(at.Y_z) @ ca.fabs(z) + ca.fabs(at.Y_l) @ ca.fabs(l))
     # The scale of E: what moves in the step, not where it happens (positions far from 0 do not excuse an error).
     s_E = ca.fabs(at.E_guess) + ca.fabs(at.E_z) @ ca.fabs(z - at.guess) + ca.fabs(at.E_l) @ ca.fabs(l)
-    seen = ca.sparsify(ca.DM(np.abs(E_z) @ np.abs(inverse))) @ size_E  # the round-off of z, seen by E
-    s_E = ca.fmax(s_E, ca.fmax(round_off / tolerance * seen, UNRESOLVED))
+    s_E = ca.fmax(s_E + error_E / tolerance, UNRESOLVED)
     # An infinite scale excuses nothing.
     ratios = [ca.if_else(s_E[i] < ca.inf, ca.fabs(at.E[i]) / s_E[i], ca.inf) for i in range(n)]
     residual = _largest([ca.if_else(at.E[i] == 0, 0, ratios[i]) for i in range(n)])
@@ -207,14 +213,14 @@ def _judge(
     if m:
         w_max = np.abs(W).max(axis=1)
         s_y = output_scale_sx(b, ca.fabs(ca.sparsify(ca.DM(W))) @ ca.fabs(l), w_max)
-        s_y = ca.fmax(s_y, ca.fmax(round_off / tolerance * size_Y, UNRESOLVED))
+        s_y = ca.fmax(s_y + error_Y / tolerance, UNRESOLVED)
         box = [i for i in range(m) if not any(rows.start <= i < rows.stop for _, rows, _ in law.curved)]
         residual = ca.fmax(residual, box_residual_sx(law, box, w_max, l, at.Y, s_y))
-        settled = settled_sx(law, box, l, at.Y, free, round_off * size_Y)
+        settled = settled_sx(law, box, l, at.Y, free, error_Y)
     if structure.projection:  # <l, y> bounds the square of the distance to the projection
         gap = ca.dot(ca.fmax(l, 0), ca.fmax(at.Y, 0))
         reach = ca.sumsqr(z - at.guess) + ca.sumsqr(at.E_guess)
-        unseen = ca.dot(ca.fabs(l), round_off * size_Y)
+        unseen = ca.dot(ca.fabs(l), error_Y)
         residual = ca.fmax(residual, ca.if_else(gap > unseen, gap / ca.fmax(reach, UNRESOLVED), 0))
     residual = ca.if_else(residual < ca.inf, residual, ca.inf)
     y = ca.if_else(free, 0, at.Y) if m else at.Y

@@ -9,19 +9,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
+from nsmodel.model.expressions import column
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import active_set, mlcp
-from nsmodel.solve.certificate import EPS, UNRESOLVED, NumericLaw, law_residual, output_scale
+from nsmodel.solve.certificate import EPS, ROUNDING, UNRESOLVED, NumericLaw, law_residual, output_scale
 from nsmodel.solve.layout import extras
+from nsmodel.solve.rounding import UNIT, equilibrated, error_bound, felt_dense
 from nsmodel.solve.structure import Structure, least_eigenvalue
 
 ITERATIONS = 30
-HIDDEN = 1e-3  # Part of its terms that round-off may hide of E at most, where E_z is singular to rounding.
+REFINEMENTS = 5  # Of an affine step on an index set.
+NEAR = 1e-6  # Part of the unknowns: the size of a last step of Newton's method.
+TINY = 2.0**-20  # The least part of a step of Newton's method.
+ENOUGH = 1e-2  # Part of the tolerance from which on nothing is improved;
+ENOUGH_IF_AFFINE = 1e-4  # one linear system more takes an affine step to rounding.
 WORKING_SET_ABOVE = 24
 SHARED_BELOW = 5000  # Inputs up to which looking for common subexpressions pays for the time it takes.
 UNKNOWN = object()  # Not computed yet.
@@ -49,6 +55,16 @@ class Linearisation:
         return self.Y + self.Y_z @ (dz_0 - Z @ l) - self.Y_l @ l
 
 
+class Known(NamedTuple):
+    """What a step is given, and what moves there: t, h, the state; z and |E| where nothing moves."""
+
+    t: float
+    h: float
+    state: np.ndarray
+    guess: np.ndarray
+    unmoved: np.ndarray
+
+
 @dataclass
 class Iterate:
     """(z, l), its index set, the certificate with the row that is worst, and how it was found."""
@@ -74,16 +90,18 @@ class Newton:
         self._linearise = Buffered("linearise", [*known, p.z, p.l], parts, matrices=4)
         guess_0 = ca.substitute([p.guess], [p.l], [ca.SX.zeros(p.l.shape)])[0] if p.l.numel() else p.guess
         E_guess = ca.substitute([p.E], [p.z, p.l], [guess_0, ca.SX.zeros(p.l.shape)])[0] if p.z.numel() else p.E
-        unit = [row for row, *_ in structure.unit_rows]
-        at_zero = ca.substitute([p.Y], [p.z, p.l], [ca.SX.zeros(p.z.shape), ca.SX.zeros(p.l.shape)])[0] if unit else p.Y
-        self._offset = Buffered("offset", known, [at_zero[unit] if unit else ca.SX(0, 1)])
-        self._offsets = np.zeros(len(unit))
+        unit, follow = [row for row, *_ in structure.unit_rows], [i for i, _ in structure.follow_rows]
+        exact = column([*(p.Y[i] for i in unit), *(p.E[i] for i in follow)])
+        at_zero = ca.substitute([exact], [p.z, p.l], [ca.SX.zeros(p.z.shape), ca.SX.zeros(p.l.shape)])[0]
+        self._offset = Buffered("offset", known, [at_zero])
+        self._offsets = np.zeros(len(unit) + len(follow))
         self._guess = Buffered("guess", [*known, p.l], [p.guess, guess_0, E_guess])
         self._pack = Buffered("pack", [*known, p.z, p.l, p.y], [p.next_state, *extras(p).values()])
         self.least_eigenvalue = np.inf  # of the W + W' met so far: a monitor, no step depends on it
         self._complementarity = law.is_complementarity
-        self._felt: Buffered | None = None
+        self._error: Buffered | None = None
         self._by_rows = works_on_rows(structure, law)
+        self._enough = tolerance * (ENOUGH_IF_AFFINE if structure.affine else ENOUGH)
 
     def linearise(self, t: float, h: float, state: np.ndarray, z: np.ndarray, l: np.ndarray) -> Linearisation:
         """Evaluate E, Y and the exact Jacobians."""
@@ -111,8 +129,7 @@ class Newton:
 
     def solve(self, t: float, h: float, state: np.ndarray, l: np.ndarray, index: np.ndarray, chain: Sequence[str]) -> Iterate:
         """Return the accepted iterate, or the best one found (residual above the tolerance)."""
-        z, guess_0, E_guess = self._guess(t, h, state, l)
-        guess = (guess_0, np.abs(E_guess))
+        known, z = self.known(t, h, state), self.guess(t, h, state, l)
         best, self._offsets = None, self._offset(t, h, state)[0]
         at = self.linearise(t, h, state, z, l)
         for iteration in range(1, ITERATIONS + 1):
@@ -121,17 +138,39 @@ class Newton:
                 break
             z, l, index, solver = moved
             at = self.linearise(t, h, state, z, l)
-            found = self.judge(at, z, l, index, guess, solver, iteration)
+            found = self.judge(known, at, z, l, index, solver, iteration, thorough=self.structure.affine)
             if best is not None and found.residual <= self.tolerance and found.residual > best.residual / 10:
                 return min(found, best, key=lambda i: i.residual)
             best = found if best is None or found.residual < best.residual else best
-            if found.residual <= 1e-2 * self.tolerance or (self.structure.affine and found.residual <= self.tolerance):
+            if found.residual <= self._enough:
                 return found
+            if self.structure.affine and found.residual <= self.tolerance:
+                break
             if not np.isfinite(found.residual) and not (np.isfinite(z).all() and np.isfinite(l).all()):
                 break
         if best is None:
             return Iterate(z, l, index, np.full(l.size, np.nan), np.inf, None, "none", 0)
-        return self._with_state(best, t, h, state, guess)
+        return self._refined(known, best)
+
+    def _refined(self, known: Known, found: Iterate) -> Iterate:
+        """The better one of an iterate and the solution on its index set by the whole system, of which W keeps less."""
+        if not np.isfinite(found.residual) or found.residual <= self._enough:
+            return found
+        if self._on_boundary(found.index) or not found.l.size:
+            if found.residual <= self.tolerance:
+                return found
+            at = self.linearise(*known[:3], found.z, found.l)
+            return self.judge(known, at, found.z, found.l, found.index, found.solver, found.iterations)
+        again = self._on_index_set(known, found.z, found.l, found.index)
+        if again is None or not again.residual < found.residual:
+            return found
+        again.solver, again.iterations = found.solver, found.iterations
+        return again
+
+    def known(self, t: float, h: float, state: np.ndarray) -> Known:
+        """What the step is given."""
+        _, guess, E_guess = self._guess(t, h, state, np.zeros(self.law.size))
+        return Known(t, h, state, guess, np.abs(E_guess))
 
     def _advance(
         self, at: Linearisation, z: np.ndarray, l: np.ndarray, index: np.ndarray, chain: Sequence[str]
@@ -152,14 +191,18 @@ class Newton:
                 return None
             l_next, index, solver = found.l, found.index, found.solver
         z_next = z + dz_0 + Z @ (l_next - l)
-        self._make_exact(z_next, index)
+        self._make_exact(at, z_next, index)
         return z_next, l_next, index, solver
 
-    def _make_exact(self, z: np.ndarray, index: np.ndarray) -> None:
-        """Put z_j where y_i = factor z_j + c is exactly 0, for the rows coded 0, and z = 0 at rest: stick is exactly 0."""
-        for (row, column, factor), offset in zip(self.structure.unit_rows, self._offsets, strict=True):
+    def _make_exact(self, at: Linearisation, z: np.ndarray, index: np.ndarray) -> None:
+        """Put z_j where y_i = factor z_j + c is exactly 0, for the rows coded 0, what follows from them, and z = 0 at rest."""
+        unit, follow = self.structure.unit_rows, self.structure.follow_rows
+        for (row, j, factor), offset in zip(unit, self._offsets[: len(unit)], strict=True):
             if index[row] == 0:
-                z[column] = -offset / factor
+                z[j] = -offset / factor
+        for (i, needed), offset in zip(follow, self._offsets[len(unit) :], strict=True):
+            if all((index[list(rows)] == 0).any() for _, rows in needed):
+                z[i] = -(offset + sum(at.E_z[i, j] * z[j] for j, _ in needed)) / at.E_z[i, i]
         rest = self.structure.rest_rows
         if rest and not index[list(rest)].any():
             z[:] = 0.0
@@ -208,82 +251,94 @@ class Newton:
             chosen |= violated
         raise AssertionError("unreachable: every pass adds a row")  # pragma: no cover
 
-    def _with_state(
-        self, found: Iterate, t: float, h: float, state: np.ndarray, guess: tuple[np.ndarray, np.ndarray]
-    ) -> Iterate:  # fmt: skip
-        """An iterate that fails, judged once more with the round-off of the state: |E_k| |k| and |Y_k| |k|, k the state."""
-        if not self.tolerance < found.residual < np.inf:
-            return found
-        if self._felt is None:
-            p = self.problem
-            felt = [ca.fabs(ca.jacobian(e, p.state)) @ ca.fabs(p.state) for e in (p.E, p.Y)]
-            self._felt = Buffered("felt", [p.t, p.h, p.state, p.z, p.l], felt)
-        z, l = found.z, found.l
-        at, felt = self.linearise(t, h, state, z, l), self._felt(t, h, state, z, l)
-        again = self.judge(at, z, l, found.index, guess, found.solver, found.iterations, *felt)
-        return again if again.residual <= self.tolerance else found
-
     def judge(
-        self, at: Linearisation, z: np.ndarray, l: np.ndarray, index: np.ndarray, guess: tuple[np.ndarray, np.ndarray],
-        solver: str, iterations: int, felt_E: np.ndarray | float = 0.0, felt_Y: np.ndarray | float = 0.0,
+        self, known: Known, at: Linearisation, z: np.ndarray, l: np.ndarray, index: np.ndarray, solver: str, iterations: int,
+        thorough: bool = True,
     ) -> Iterate:  # fmt: skip
         """The certificate at (z, l): E against what moves in the step, and the law at the model's own y.
 
-        ``felt_E``, ``felt_Y``: the round-off of the state in E and Y, in EPS, where it is looked at.
+        Rounding is looked at where it may matter, its parts in the order of what they cost: that of the unknowns in the rows and,
+        where ``thorough``, the rows' own and what the unknowns err by.
         """
-        n, m = z.size, l.size
         if not all(np.isfinite(part).all() for part in (z, l, at.E, at.Y, at.E_z, at.E_l, at.Y_z, at.Y_l)):
             return Iterate(z, l, index, at.Y, np.inf, None, solver, iterations)
-        round_off = 4 * (n + m + 4) * EPS
-        abs_z, abs_l = np.abs(z), np.abs(l)
-        E_z, E_l = np.abs(at.E_z), np.abs(at.E_l)
-        E_0 = at.E - at.E_z @ z - at.E_l @ l
-        size_E = E_z @ abs_z + E_l @ abs_l + np.abs(E_0) + felt_E
-        if not self.structure.identity and n:
-            size_E = np.minimum(self._seen(at.E_z, size_E), HIDDEN / round_off * size_E)
-        dz = z - guess[0]
+        n, abs_z, abs_l = z.size, np.abs(z), np.abs(l)
+        sizes = np.concatenate([np.abs(at.E_z) @ abs_z + np.abs(at.E_l) @ abs_l, np.abs(at.Y_z) @ abs_z + np.abs(at.Y_l) @ abs_l])
+        scales = self._scales(known, at, z, l, index)
+        worst, row = self._residual(known, at, z, l, scales, sizes, np.zeros(l.size))
+        if thorough and self.tolerance < worst < np.inf:
+            error = self._errors(known, z, l)
+            worst, row = self._residual(known, at, z, l, scales, error, np.zeros(l.size))
+            if worst > self.tolerance:
+                J, free = self._system(at, index)
+                of = felt_dense(J, np.concatenate([error[:n], error[n:][free]]))
+                dz, dl = of[:n], np.zeros(l.size)
+                dl[free] = of[n:]
+                error = error + np.concatenate([
+                    np.abs(at.E_z) @ dz + np.abs(at.E_l) @ dl, np.abs(at.Y_z) @ dz + np.abs(at.Y_l) @ dl
+                ])  # fmt: skip
+                worst, row = self._residual(known, at, z, l, scales, error, dl)
+        y = np.where(index == 0, 0.0, at.Y) if l.size else at.Y
+        return Iterate(z, l, index, y, worst, row, solver, iterations)
+
+    def _scales(
+        self, known: Known, at: Linearisation, z: np.ndarray, l: np.ndarray, index: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+        """What moves or acts: the scales of E and of y, and max_j |W_ij|."""
+        dz = z - known.guess
         # E where nothing moves counts no more than the linearisation at the answer makes of it: far away, it may be anything.
-        unmoved = np.minimum(guess[1], np.abs(at.E - at.E_z @ dz - at.E_l @ l))
-        s_E = unmoved + E_z @ np.abs(dz) + E_l @ abs_l
-        s_E = np.maximum(np.maximum(s_E, round_off / self.tolerance * size_E), UNRESOLVED)
+        unmoved = np.minimum(known.unmoved, np.abs(at.E - at.E_z @ dz - at.E_l @ l))
+        s_E = unmoved + np.abs(at.E_z) @ np.abs(dz) + np.abs(at.E_l) @ np.abs(l)
+        return s_E, *(self._law_scales(at, z, l, index) if l.size else (l, l))
+
+    def _residual(
+        self, known: Known, at: Linearisation, z: np.ndarray, l: np.ndarray, scales: tuple[np.ndarray, np.ndarray, np.ndarray],
+        error: np.ndarray, error_l: np.ndarray,
+    ) -> tuple[float, int | None]:  # fmt: skip
+        """The certificate with the rounding ``error`` of rows and ``error_l`` of l, in units of u; the row of y that is worst."""
+        n, (s_E, s_y, w_max), c_u = z.size, scales, ROUNDING * UNIT
+        if not np.isfinite(error).all():  # an infinite bound excuses nothing
+            error = np.where(np.isfinite(error), error, 0.0)
+        s_E = np.maximum(s_E + c_u / self.tolerance * error[:n], UNRESOLVED)
         with np.errstate(divide="ignore", invalid="ignore"):
             dynamics = np.where(at.E == 0, 0, np.abs(at.E) / s_E).max(initial=0.0)
-        sized = np.isfinite(dynamics) and np.isfinite(s_E).all()  # an infinite scale excuses nothing
+        sized = np.isfinite(dynamics) and np.isfinite(s_E).all()  # nor does an infinite scale
         worst, row = float(dynamics) if sized else np.inf, None
-        y = at.Y
-        if m:
-            s_y, w_max, floor = self._law_scales(at, z, l, index, round_off / self.tolerance)
-            floor = floor + round_off / self.tolerance * felt_Y
-            residual = law_residual(self.law, l, at.Y, s_y, w_max, floor)
+        if l.size:
+            residual = law_residual(
+                self.law, l, at.Y, s_y, w_max, c_u / self.tolerance * error[n:], c_u / self.tolerance * error_l
+            )
             if residual.max() >= worst or not np.isfinite(residual).all():
                 row = int(np.argmax(np.where(np.isnan(residual), np.inf, residual)))
                 worst = float(residual[row])
             if self.structure.projection:
-                worst = max(worst, self._gap(at, z, l, dz, guess[1], round_off))
-            y = np.where(index == 0, 0.0, at.Y)
-        return Iterate(z, l, index, y, worst, row, solver, iterations)
+                worst = max(worst, self._gap(known, at, z, l, c_u * error[n:]))
+        return worst, row
+
+    def _errors(self, known: Known, z: np.ndarray, l: np.ndarray) -> np.ndarray:
+        """The running error bounds of E and Y, in units of u."""
+        p = self.problem
+        if self._error is None:
+            bound = error_bound(ca.vertcat(p.E, p.Y), ca.vertcat(p.z, p.l))
+            self._error = Buffered("error", [p.t, p.h, p.state, p.z, p.l], [bound])
+        return self._error(known.t, known.h, known.state, z, l)[0]
+
+    def _system(self, at: Linearisation, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The matrix of E = 0 and of Y = 0 in the rows coded 0, and these rows; other multipliers are taken as given."""
+        free = np.flatnonzero(index == 0)
+        return np.block([[at.E_z, at.E_l[:, free]], [at.Y_z[free], at.Y_l[np.ix_(free, free)]]]), free
 
     @staticmethod
-    def _gap(
-        at: Linearisation, z: np.ndarray, l: np.ndarray, dz: np.ndarray, unmoved: np.ndarray, round_off: float
-    ) -> float:  # fmt: skip
+    def _gap(known: Known, at: Linearisation, z: np.ndarray, l: np.ndarray, unseen: np.ndarray) -> float:
         """<l, y>, which bounds the square of the distance to the projection, beside the square of what moves; 0 if rounding."""
-        gap = float(np.maximum(l, 0) @ np.maximum(at.Y, 0))
-        size = np.abs(at.Y_z) @ np.abs(z) + np.abs(at.Y - at.Y_z @ z)
-        return gap / max(float(dz @ dz + unmoved @ unmoved), UNRESOLVED) if gap > round_off * (np.abs(l) @ size) else 0.0
-
-    @staticmethod
-    def _seen(E_z: np.ndarray, size: np.ndarray) -> np.ndarray:
-        """The round-off of z, which is that of E through E_z^{-1}, as E sees it: |E_z| |E_z^{-1}| size."""
-        try:
-            return np.abs(E_z) @ (np.abs(np.linalg.inv(E_z)) @ size)
-        except np.linalg.LinAlgError:
-            return size
+        gap, dz = float(np.maximum(l, 0) @ np.maximum(at.Y, 0)), z - known.guess
+        moved = float(dz @ dz + known.unmoved @ known.unmoved)
+        return gap / max(moved, UNRESOLVED) if gap > np.abs(l) @ unseen else 0.0
 
     def _law_scales(
-        self, at: Linearisation, z: np.ndarray, l: np.ndarray, index: np.ndarray, round_off: float
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """s_y, max_j |W_ij| and the floor of s_y, computed for the columns with l != 0 and the rows that act."""
+        self, at: Linearisation, z: np.ndarray, l: np.ndarray, index: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+        """s_y and max_j |W_ij|, computed for the columns with l != 0 and the rows that act."""
         eliminated = self._eliminate(at)
         Z = np.zeros((z.size, l.size)) if eliminated is None else eliminated[1]
         columns = np.flatnonzero(l)
@@ -292,44 +347,72 @@ class Newton:
         rows = np.flatnonzero((l != self.law.lower) | (index == 0)) if self._complementarity else np.arange(l.size)
         w_max = np.ones(l.size)
         w_max[rows] = np.abs(at.Y_l[rows] + at.Y_z[rows] @ Z).max(axis=1, initial=0.0)
-        s_y = output_scale(b, np.abs(W_active) @ np.abs(l[columns]), w_max)
-        Y_0 = at.Y - at.Y_z @ z - at.Y_l @ l
-        floor = round_off * (np.abs(at.Y_z) @ np.abs(z) + np.abs(at.Y_l) @ np.abs(l) + np.abs(Y_0))
-        return s_y, w_max, floor
+        return output_scale(b, np.abs(W_active) @ np.abs(l[columns]), w_max), w_max
+
+    def polished(self, t: float, h: float, state: np.ndarray, l: np.ndarray, index: np.ndarray) -> Iterate | None:
+        """The step on an index set by the whole system; with a block on its curved boundary at the l given, z refined."""
+        z = self.guess(t, h, state, l)
+        if not self._on_boundary(index):
+            return self.on_index_set(t, h, state, z, l, index)
+        known, at, found = self.known(t, h, state), self.linearise(t, h, state, z, l), None
+        for iteration in range(1, REFINEMENTS + 1):
+            if not (np.isfinite(at.E).all() and np.isfinite(at.E_z).all()):
+                return found
+            scaled, rows, columns = equilibrated(at.E_z)
+            z = z - columns * active_set.solve_or_least_squares(scaled, rows * at.E) if z.size else z
+            at = self.linearise(t, h, state, z, l)
+            found = self.judge(known, at, z, l, index, "", iteration)
+            if found.residual <= self._enough:
+                break
+        return found
+
+    def _on_boundary(self, index: np.ndarray) -> bool:
+        """Whether a curved block is on its boundary: then its index set is no linear system."""
+        return any(index[rows][0] > 0 for _, rows, _ in self.law.curved)
 
     def on_index_set(
         self, t: float, h: float, state: np.ndarray, z: np.ndarray, l: np.ndarray, index: np.ndarray
     ) -> Iterate | None:
         """Damped Newton for the smooth system E = 0, Y_i = 0 (code 0), l_i at its bound (code +-1), from (z, l)."""
-        _, guess_0, E_guess = self._guess(t, h, state, l)
-        guess = (guess_0, np.abs(E_guess))
+        return self._on_index_set(self.known(t, h, state), z, l, index)
+
+    def _on_index_set(self, known: Known, z: np.ndarray, l: np.ndarray, index: np.ndarray) -> Iterate | None:
+        t, h, state = known[:3]
         l = np.where(index < 0, self.law.lower, np.where(index > 0, self.law.upper, l))
+        for _, rows, _ in self.law.curved:
+            l[rows] = 0.0 if index[rows][0] < 0 else l[rows]
         if not np.isfinite(l).all():
             return None
-        free, n, self._offsets = np.flatnonzero(index == 0), z.size, self._offset(t, h, state)[0]
+        n, self._offsets = z.size, self._offset(t, h, state)[0]
         at = self.linearise(t, h, state, z, l)
-        size, found = np.linalg.norm(np.concatenate([at.E, at.Y[free]])), None
-        for iteration in range(1, ITERATIONS + 1):
-            J = np.block([[at.E_z, at.E_l[:, free]], [at.Y_z[free], at.Y_l[np.ix_(free, free)]]])
+        J, free = self._system(at, index)
+        size, best = np.linalg.norm(np.concatenate([at.E, at.Y[free]])), None
+        for iteration in range(1, (REFINEMENTS if self.structure.affine else ITERATIONS) + 1):
             if not np.isfinite(J).all():
-                return None
-            step = active_set.solve_or_least_squares(J, -np.concatenate([at.E, at.Y[free]])) if J.size else np.zeros(0)
-            t_step = 1.0
-            while True:
+                break
+            scaled, rows, columns = equilibrated(J)
+            step = columns * active_set.solve_or_least_squares(scaled, -rows * np.concatenate([at.E, at.Y[free]]))
+            t_step, old, found, z_new, l_new, at_new = 1.0, size, None, z, l, at
+            extent = np.abs(np.concatenate([z, l[free]])) / columns
+            near = self.structure.affine or np.abs(step / columns).max(initial=0.0) <= NEAR * extent.max(initial=0.0)
+            while found is None:
                 z_new, l_new = z + t_step * step[:n], l.copy()
                 l_new[free] += t_step * step[n:]
                 if t_step == 1.0:
-                    self._make_exact(z_new, index)
+                    self._make_exact(at, z_new, index)
                 at_new = self.linearise(t, h, state, z_new, l_new)
-                new = np.linalg.norm(np.concatenate([at_new.E, at_new.Y[free]]))
-                if new <= (1 - 1e-4 * t_step) * size or t_step < 1e-6 or size == 0:
-                    break
+                size = np.linalg.norm(np.concatenate([at_new.E, at_new.Y[free]]))
+                if size <= (1 - 1e-4 * t_step) * old or t_step in (1.0, TINY) or self.structure.affine:
+                    found = self.judge(known, at_new, z_new, l_new, index, "newton on the index set", iteration, near)
+                    if t_step == 1.0 and found.residual > self.tolerance and not size <= (1 - 1e-4) * old:
+                        found = found if self.structure.affine or old == 0 else None
                 t_step /= 2
-            z, l, at, stalled, size = z_new, l_new, at_new, new >= (1 - 1e-4 * t_step) * size, new
-            found = self.judge(at, z, l, index, guess, "newton on the index set", iteration)
-            if found.residual <= 1e-2 * self.tolerance or (stalled and iteration > 3):
+            z, l, at, stalled = z_new, l_new, at_new, size >= (1 - 2e-4 * t_step) * old
+            best = found if best is None or found.residual <= best.residual else best
+            if found.residual <= self._enough or (stalled and iteration > 3):
                 break
-        return None if found is None else self._with_state(found, t, h, state, guess)
+            J = self._system(at, index)[0]
+        return best
 
     def pack(self, t: float, h: float, state: np.ndarray, found: Iterate) -> np.ndarray:
         """The packed row of an iterate."""

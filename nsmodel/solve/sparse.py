@@ -16,8 +16,9 @@ set says so, exactly; y is measured against b = Y at l = 0, without the multipli
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -28,15 +29,18 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, reve
 from scipy.sparse.linalg import LinearOperator, splu
 
 from nsmodel.scheme.problem import OneStepProblem
-from nsmodel.solve.certificate import EPS, UNRESOLVED, NumericLaw
+from nsmodel.solve import active_set, mlcp
+from nsmodel.solve.certificate import EPS, ROUNDING, UNRESOLVED, NumericLaw
 from nsmodel.solve.layout import extras
 from nsmodel.solve.newton import Buffered, Iterate
+from nsmodel.solve.rounding import UNIT, error_bound, felt, scales
 from nsmodel.solve.structure import Structure
 
 BAND = 48  # Diagonals above or below the main one up to which a band is factored.
 SWEEPS = 200  # Index sets that are tried in a step.
 PATIENCE = 10  # Changes of all rows that may fail to make the contradictions fewer.
 REFINEMENTS = 5
+DENSE = 1500  # Unknowns and multipliers of a step, or of a part that touches no other, up to which dense matrices are tried.
 SINGULAR = 1e-13  # Pivots below this, of entries of about 1, are round-off.
 SHIFT = 1e-8  # Then added to the diagonal of Y_l; refinement takes its effect away.
 KEPT = 8  # Step sizes whose matrices are kept,
@@ -75,18 +79,6 @@ def order(J: sp.csr_matrix) -> Order:
     return min(found, key=lambda o: o.below * (o.below + o.above))
 
 
-def scales(J: sp.csr_matrix) -> tuple[np.ndarray, np.ndarray]:
-    """Powers of 2 for rows and columns that bring the entries near 1 (Ruiz' iteration); 1 where there is none."""
-    rows, columns, size = np.ones(J.shape[0]), np.ones(J.shape[1]), abs(J).tocoo()
-    for _ in range(8):
-        entries = size.data * rows[size.row] * columns[size.col]
-        for scale, at in ((rows, size.row), (columns, size.col)):
-            most = np.zeros(scale.size)
-            np.maximum.at(most, at, entries)
-            scale /= np.sqrt(np.where(most > 0, most, 1.0))
-    return np.exp2(np.round(np.log2(rows))), np.exp2(np.round(np.log2(columns)))
-
-
 class Singular(ArithmeticError):
     """The matrix of an index set is singular to rounding."""
 
@@ -102,9 +94,10 @@ class AtStep:
         """Prepare J (n unknowns z); ``like``: another h, whose order is that of a J with the same nonzeros."""
         same = like is not None and np.array_equal(J.indptr, like.J.indptr) and np.array_equal(J.indices, like.J.indices)
         self.J, self.n, self.order = J, n, like.order if like is not None and same else order(J)
-        self.sizes, self.round_off = abs(J), 4 * EPS * (np.diff(J.indptr) + 4)
-        self.rows, self.columns = scales(J)
+        self.sizes, self.diagonal = abs(J), J.diagonal()
+        self.others = (J[:n, :n] - sp.diags(self.diagonal[:n])).tocsr()
         size, entries, place = J.shape[0], J.tocoo(), self.order.place
+        self.rows, self.columns = scales(entries.row, entries.col, np.abs(entries.data), size)
         own = entries.row == entries.col  # every diagonal entry is there, once, at the end
         self._row = np.concatenate([entries.row[~own], np.arange(size)])
         self._values = np.concatenate([(entries.data * self.rows[entries.row] * self.columns[entries.col])[~own], np.zeros(size)])
@@ -168,6 +161,13 @@ class AtStep:
             w = factor.solve(w, "T" if transposed else "N")
         return w[self.order.place]
 
+    @cached_property
+    def parts(self) -> list[np.ndarray]:
+        """The unknowns and rows of each part of J that touches no other."""
+        count, label = connected_components(self.sizes + self.sizes.T, directed=False)
+        order = np.argsort(label, kind="stable")
+        return np.split(order, np.searchsorted(label[order], np.arange(1, count)))
+
     def W(self) -> LinearOperator:
         """W = Y_l - Y_z E_z^{-1} E_l, rows and columns scaled alike, as an operator."""
         n, m = self.n, self.J.shape[0] - self.n
@@ -212,6 +212,8 @@ def _matrix(p: OneStepProblem) -> Callable[[float], sp.csr_matrix]:
 class Sparse:
     """The step of one problem, for any h; what is kept between steps changes no bit of them."""
 
+    dense = DENSE
+
     def __init__(self, problem: OneStepProblem, structure: Structure, law: NumericLaw, tolerance: float) -> None:
         self.problem, self.structure, self.law, self.tolerance = problem, structure, law, tolerance
         p, n, m = problem, structure.n, structure.m
@@ -221,11 +223,14 @@ class Sparse:
         self._constant_part = Buffered("constant_part", known, at_zero)
         self._residuals = Buffered("residuals", [*known, p.z, p.l], [both])
         self._pack = Buffered("pack", [*known, p.z, p.l, p.y], [p.next_state, *extras(p).values()])
-        self._felt: Buffered | None = None
+        self._error: Buffered | None = None
         self._steps: dict[float, AtStep] = {}
         unit = structure.unit_rows
         self._unit_row, self._unit_column = (np.array([entry[k] for entry in unit], int) for k in (0, 1))
         self._unit_factor = np.array([factor for *_, factor in unit])
+        self._follow = np.array([i for i, _ in structure.follow_rows], int)
+        needs = [(k, j) for k, (_, needed) in enumerate(structure.follow_rows) for j, _ in needed]
+        self._follow_of, self._follow_column = (np.array([entry[k] for entry in needs], int) for k in (0, 1))
 
     def at(self, h: float) -> AtStep:
         """The matrices of this h.
@@ -243,8 +248,8 @@ class Sparse:
         """Return the step, or the best answer where none was certified (residual above the tolerance)."""
         at, step = self.at(h), _Step(*self._constant_part(t, h, state), t, h, state)
         index = np.where(np.isfinite(self._held(index)), index, 0).astype(np.int8)
-        best = Iterate(step.guess, np.zeros(self.structure.m), index, np.zeros(self.structure.m), np.inf, None, "none", 1)
-        fewest, patience, first = self.structure.m + 1, PATIENCE, index
+        best = self._unsolved(step, index)
+        fewest, patience, first, seen = self.structure.m + 1, PATIENCE, index, set()
         for _ in range(SWEEPS):
             found, wrong = self._on_index_set(at, step, index)
             if found is None or not wrong.size:
@@ -256,10 +261,37 @@ class Sparse:
                 patience -= 1
             else:
                 wrong = wrong[-1:]
+                if index.tobytes() in seen:  # it would come back for ever
+                    break
+                seen.add(index.tobytes())
             index = index.copy()
             index[wrong] = np.where(index[wrong] != 0, 0, np.where(found.l[wrong] < self.law.lower[wrong], -1, 1))
         best.solver = "none needed" if not index.size else "last index set" if index is first else "index set"
         return best
+
+    def solve_by_parts(
+        self, t: float, h: float, state: np.ndarray, l: np.ndarray, index: np.ndarray, chain: Sequence[str]
+    ) -> Iterate:
+        """The step on the index sets that dense solvers find for the parts that do not touch, where all are small enough."""
+        at, step = self.at(h), _Step(*self._constant_part(t, h, state), t, h, state)
+        found = index.copy()
+        for part in at.parts:
+            if part.size > DENSE:
+                return self._unsolved(step, index)
+            z, rows = part[part < at.n], part[part >= at.n] - at.n
+            if not rows.size:
+                continue
+            J = at.J[part][:, part].toarray()
+            E_z, E_l, Y_z, Y_l = J[: z.size, : z.size], J[: z.size, z.size :], J[z.size :, : z.size], J[z.size :, z.size :]
+            both = active_set.solved(E_z, np.column_stack([step.constant[z], E_l]))
+            W, b = Y_l - Y_z @ both[:, 1:], step.constant[at.n + rows] - Y_z @ both[:, 0]
+            law = NumericLaw(self.law.lower[rows], self.law.upper[rows], ())
+            found[rows] = mlcp.solve(W, b, law, l[rows], index[rows], chain, False, self.tolerance / 10).index
+        return self._on_index_set(at, step, found)[0] or self._unsolved(step, index)
+
+    def _unsolved(self, step: _Step, index: np.ndarray) -> Iterate:
+        m = self.structure.m
+        return Iterate(step.guess, np.zeros(m), index, np.zeros(m), np.inf, None, "none", 1)
 
     def pack(self, t: float, h: float, state: np.ndarray, found: Iterate) -> np.ndarray:
         """The packed row of an answer."""
@@ -285,12 +317,12 @@ class Sparse:
             return None, np.zeros(0, int)
         u, best = at.solve(factor, rhs, held), None
         for _ in range(1 + REFINEMENTS):
-            wrong = self._make_exact(u, step, index)
+            wrong = self._make_exact(at, u, step, index)
             F = step.constant + at.J @ u
             size = at.sizes @ np.abs(u) + np.abs(step.constant)
             if not np.isfinite(size).all():
                 break
-            wrong |= index * F[n:] > at.round_off[n:] * size[n:]
+            wrong |= index * F[n:] > ROUNDING * UNIT * size[n:]
             if wrong.any() and not shift:
                 return Iterate(u[:n], u[n:], index, F[n:], np.inf, None, "", 1), np.flatnonzero(wrong)
             F = self._residuals(step.t, step.h, step.state, u[:n], u[n:])[0]
@@ -303,11 +335,13 @@ class Sparse:
         if best is None:
             return None, np.zeros(0, int)
         if self.tolerance < best[0].residual < np.inf:
-            best = self._with_state(at, step, best[0]), best[1]
+            best = self._with_rounding(at, step, best[0], factor, held), best[1]
         return best
 
-    def _make_exact(self, u: np.ndarray, step: _Step, index: np.ndarray) -> np.ndarray:
-        """Put l at its ends, z_j where y_i = factor z_j + c is 0, and z = 0 at rest, exactly; which free l are outside."""
+    def _make_exact(self, at: AtStep, u: np.ndarray, step: _Step, index: np.ndarray) -> np.ndarray:
+        """Put l at its ends, z_j where y_i = factor z_j + c is 0, what follows from these, and z = 0 at rest, exactly; which
+        free l are outside.
+        """
         law, n = self.law, self.structure.n
         z, l = u[:n], u[n:]
         l[index != 0] = self._held(index)[index != 0]
@@ -315,7 +349,14 @@ class Sparse:
         outside = np.abs(l - inside) > 8 * EPS * np.abs(l)
         l[~outside] = inside[~outside]
         free = index[self._unit_row] == 0
-        z[self._unit_column[free]] = -step.constant[n:][self._unit_row[free]] / self._unit_factor[free]
+        exact = self._unit_column[free]
+        z[exact] = -step.constant[n:][self._unit_row[free]] / self._unit_factor[free]
+        if self._follow.size:
+            unknown = np.ones(n, bool)
+            unknown[exact] = False
+            follow = self._follow[np.bincount(self._follow_of, unknown[self._follow_column]) == 0]
+            known = step.constant[:n] + at.others @ z
+            z[follow] = -known[follow] / at.diagonal[follow]
         rest = self.structure.rest_rows
         if rest and not index[list(rest)].any():
             z[:] = 0.0
@@ -327,31 +368,37 @@ class Sparse:
         u, F = np.concatenate([z, l]), self._residuals(t, h, state, z, l)[0]
         return self._judge(at, step, u, F, at.sizes @ np.abs(u) + np.abs(step.constant), index)
 
-    def _with_state(self, at: AtStep, step: _Step, found: Iterate) -> Iterate:
-        """An answer that fails, judged once more with the round-off of the state: |E_k| |k| and |Y_k| |k|, k the state."""
-        if self._felt is None:
+    def _with_rounding(self, at: AtStep, step: _Step, found: Iterate, factor: Any, held: np.ndarray) -> Iterate:
+        """An answer that fails, judged once more with the rounding of what is given and with what its unknowns err by."""
+        if self._error is None:
             p = self.problem
-            felt = ca.fabs(ca.jacobian(ca.vertcat(p.E, p.Y), p.state)) @ ca.fabs(p.state)
-            self._felt = Buffered("felt", [p.t, p.h, p.state, p.z, p.l], [felt])
-        known = step.t, step.h, step.state, found.z, found.l
-        u, F = np.concatenate([found.z, found.l]), self._residuals(*known)[0]
-        size = at.sizes @ np.abs(u) + np.abs(step.constant) + self._felt(*known)[0]
-        return self._judge(at, step, u, F, size, found.index)
+            zero = [ca.SX.zeros(e.shape) for e in (p.z, p.l)]
+            constant = ca.substitute([ca.vertcat(p.E, p.Y)], [p.z, p.l], zero)[0]
+            self._error = Buffered("error", [p.t, p.h, p.state], [error_bound(constant, ca.SX(0, 1))])
+        given = self._error(step.t, step.h, step.state)[0]
+        u, F = np.concatenate([found.z, found.l]), self._residuals(step.t, step.h, step.state, found.z, found.l)[0]
+        error = at.sizes @ np.abs(u) + np.abs(step.constant) + given
+        again = self._judge(at, step, u, F, error, found.index)
+        if again.residual <= self.tolerance:
+            return again
+        rows = np.concatenate([np.ones(at.n, bool), ~held])
+        of = felt(lambda r: at.solve(factor, np.where(rows, r, 0.0), held), error, at.sizes @ at.columns, at.columns)
+        return self._judge(at, step, u, F, error + at.sizes @ of, found.index)
 
-    def _judge(self, at: AtStep, step: _Step, u: np.ndarray, F: np.ndarray, size: np.ndarray, index: np.ndarray) -> Iterate:
-        """The certificate: E beside what moves in the step, y beside b or its round-off, l exactly where it must be."""
+    def _judge(self, at: AtStep, step: _Step, u: np.ndarray, F: np.ndarray, error: np.ndarray, index: np.ndarray) -> Iterate:
+        """The certificate: E beside what moves, y beside b, l exactly where it must be; ``error``: of the rows, in units of u."""
         n, law, tolerance = at.n, self.law, self.tolerance
         z, l, E, Y = u[:n], u[n:], F[:n], F[n:]
-        floor = np.maximum(at.round_off / tolerance * size, UNRESOLVED)
+        unseen = ROUNDING * UNIT / tolerance * error
         guess = np.concatenate([step.guess, np.zeros(l.size)])
         scale = np.abs(step.constant + at.J @ guess) + at.sizes @ np.abs(u - guess)
         scale[n:] = 0.0
         off = np.where(index == 0, np.abs(Y), np.maximum(index * Y, 0.0))
-        if (off > 1e-2 * tolerance * floor[n:]).any():
+        if (off > 1e-2 * tolerance * unseen[n:]).any():
             scale[n:] = np.abs(self._offset(at, step))
-        ratio = np.concatenate([np.abs(E), off]) / np.maximum(scale, floor)
+        ratio = np.concatenate([np.abs(E), off]) / np.maximum(scale + unseen, UNRESOLVED)
         worst = int(np.argmax(ratio)) if ratio.size else 0
-        residual = float(ratio.max(initial=0.0)) if np.isfinite(scale).all() else np.inf
+        residual = float(ratio.max(initial=0.0)) if np.isfinite(scale + unseen).all() else np.inf
         exact = ((l >= law.lower) & (l <= law.upper) & ((index == 0) | (l == self._held(index)))).all()
         y = np.where(index == 0, 0.0, Y)
         return Iterate(z, l, index, y, residual if exact else np.inf, worst - n if worst >= n else None, "", 1)

@@ -32,6 +32,8 @@ class Structure:
         identity: E_z is the identity: no linear system.
         symmetric: W is symmetric by construction (E_z symmetric, E_l a multiple of -Y_z', Y_l symmetric).
         unit_rows: (row, column, factor) of rows y_i = factor z_j + c(k): z_j is exact where y_i = 0.
+        follow_rows: rows E_i = a z_i + sum of a_j z_j + c(k), each z_j that of a unit row, as (i, ((j, its unit rows), ...)): z_i
+            is exact where these are.
         rest_rows: rows y = A z with a constant A of full column rank: z = 0 exactly where all of them are 0.
         gram: W = Y_z Y_z' by construction (identity, symmetric, no Y_l): psd.
         projection: z is the projection of a point on {Y >= 0}: gram with E_l = -Y_z', and complementarity in every row.
@@ -44,6 +46,7 @@ class Structure:
     identity: bool
     symmetric: bool
     unit_rows: tuple[tuple[int, int, float], ...]
+    follow_rows: tuple[tuple[int, tuple[tuple[int, tuple[int, ...]], ...]], ...]
     rest_rows: tuple[int, ...]
     gram: bool
     projection: bool
@@ -63,12 +66,14 @@ def read(problem: OneStepProblem) -> Structure:
     factors = _factors(E_z, E_l, Y_z, Y_l, problem)
     symmetric = factors is not None
     gram = identity and symmetric and Y_l.nnz() == 0
+    constant = affine and not _depends(matrices, known)
     return Structure(
         affine=affine,
-        constant=affine and not _depends(matrices, known),
+        constant=constant,
         identity=identity,
         symmetric=symmetric,
         unit_rows=tuple(unit := _unit_rows(Y_z, Y_l)),
+        follow_rows=_follow_rows(E_z, E_l, unit) if constant else (),
         rest_rows=() if len({j for _, j, _ in unit}) == z.numel() else _rest_rows(problem, Y_z, Y_l),
         gram=gram,
         projection=gram and np.allclose(factors, 1, rtol=1e-13, atol=0) and set(problem.law.labels) == {"complementarity"},
@@ -117,6 +122,22 @@ def _unit_rows(Y_z: ca.SX, Y_l: ca.SX) -> list[tuple[int, int, float]]:
     coupled = set(Y_l.sparsity().get_triplet()[0])
     single = [(i, *entries[0]) for i, entries in sorted(by_row.items()) if len(entries) == 1 and i not in coupled]
     return [(i, j, float(entry)) for i, j, entry in single if entry.is_constant()]
+
+
+def _follow_rows(E_z: ca.SX, E_l: ca.SX, unit: list[tuple[int, int, float]]) -> tuple:
+    columns: dict[int, set[int]] = {}
+    for i, j, entry in zip(*E_z.sparsity().get_triplet(), E_z.nonzeros(), strict=True):
+        if not entry.is_zero():
+            columns.setdefault(i, set()).add(j)
+    pushed = {i for i, entry in zip(E_l.sparsity().get_triplet()[0], E_l.nonzeros(), strict=True) if not entry.is_zero()}
+    giving: dict[int, tuple[int, ...]] = {}
+    for row, j, _ in unit:
+        giving[j] = (*giving.get(j, ()), row)
+    return tuple(
+        (i, tuple((j, giving[j]) for j in sorted(of - {i})))
+        for i, of in sorted(columns.items())
+        if i in of and i not in pushed and i not in giving and of - {i} and of - {i} <= giving.keys()
+    )
 
 
 def _rest_rows(problem: OneStepProblem, Y_z: ca.SX, Y_l: ca.SX) -> tuple[int, ...]:

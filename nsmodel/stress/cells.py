@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from itertools import product
@@ -13,18 +14,19 @@ import numpy as np
 from nsmodel.checking import check
 from nsmodel.errors import NsmodelError, StepError, UsageError
 from nsmodel.grid import is_number, written
-from nsmodel.hypotheses.along import QUALIFIED
+from nsmodel.hypotheses.along import CONTINUOUS, QUALIFIED
 from nsmodel.hypotheses.findings import ALONG_A_RUN, VIOLATED
 from nsmodel.hypotheses.quick import UNIQUENESS
 from nsmodel.model.base import Model, shown
 from nsmodel.model.bodies import ManyBodies
 from nsmodel.model.inclusion import MonotoneInclusion
 from nsmodel.model.lure import LureSystem
+from nsmodel.model.parameters import Values
 from nsmodel.model.units import in_units
 from nsmodel.run import progress_bar
 from nsmodel.simulate import simulate
-from nsmodel.stress.judge import ROUNDING, by_formulas
-from nsmodel.stress.result import RIGHT, STOPPED, WRONG, Cell, Stress
+from nsmodel.stress.judge import ROUNDING, acting, by_formulas
+from nsmodel.stress.result import LEFT_OUT, RIGHT, STOPPED, WRONG, Cell, Stress
 from nsmodel.trajectory import Trajectory
 
 STEPS = 24
@@ -39,9 +41,10 @@ def stress(
     model: Model,
     *,
     vary: Mapping[str, Sequence[float]] | None = None,
-    parameters: Mapping[str, float] | None = None,
+    parameters: Values | None = None,
     step: float | None = None,
     steps: int = STEPS,
+    budget: float | None = None,
     progress: bool = False,
 ) -> Stress:
     """Push a model and say of each cell whether what came out is right, stopped with a message, or wrong.
@@ -57,6 +60,8 @@ def stress(
         parameters: values of the other parameters.
         step: the step that is taken for 1; left out: the model's own.
         steps: steps of each run.
+        budget: wall time in seconds; cells that would exceed it are left out, and counted: first those of the steps that are
+            farthest from the model's own. Left out: no limit.
         progress: show a progress bar where standard error is a terminal.
 
     Raises:
@@ -65,8 +70,8 @@ def stress(
     if not isinstance(model, Model):
         raise UsageError(f"stress: expected a model, such as LureSystem(...), not {shown(model)}")
     combinations = [dict(zip(vary or {}, values, strict=True)) for values in product(*_values(vary))]
-    variants = [(values, model.bind({**(parameters or {}), **values})) for values in combinations]
-    return push(variants, step=step, steps=steps, progress=progress)
+    variants = [(values, model.bind({**model.values_of(parameters), **model.values_of(values)})) for values in combinations]
+    return push(variants, step=step, steps=steps, budget=budget, progress=progress)
 
 
 def push(
@@ -74,6 +79,7 @@ def push(
     *,
     step: float | None = None,
     steps: int = STEPS,
+    budget: float | None = None,
     progress: bool = False,
 ) -> Stress:
     """Push bound models that differ in the values named beside each; see `stress`."""
@@ -87,13 +93,16 @@ def push(
         raise UsageError(f"steps = {written(steps)}; expected a whole number >= 3")
     if step is not None and not (is_number(step) and 0 < step < np.inf):
         raise UsageError(f"step = {written(step)}; expected a finite number > 0")
+    if budget is not None and not (is_number(budget) and 0 < budget < np.inf):
+        raise UsageError(f"budget = {written(budget)}; expected a finite number > 0")
+    until = np.inf if budget is None else time.perf_counter() + budget
     cells: list[Cell] = []
     total = len(variants) * len(FACTORS) * len(UNITS)
     bar = progress_bar(total=total, unit="cell") if progress else None
-    for values, model in variants:
-        h = _own_step(model) if step is None else float(step)
-        for factor in FACTORS:
-            for cell in _column(model, values, factor, h, int(steps)):
+    for factor in sorted(FACTORS, key=lambda factor: abs(np.log10(factor))):
+        for values, model in variants:
+            h = _own_step(model) if step is None else float(step)
+            for cell in _column(model, values, factor, h, int(steps), until):
                 cells.append(cell)
                 if bar is not None:
                     bar.update()
@@ -123,10 +132,18 @@ def _own_step(model: Model) -> float:
     return float(model.step if model.steps is None else np.mean(model.steps))
 
 
-def _column(model: Model, values: Mapping[str, float], factor: float, h: float, steps: int) -> Iterator[Cell]:
-    """The cells of one step size: the model as it is, judged by all means, then in other units, compared with it."""
+def _column(model: Model, values: Mapping[str, float], factor: float, h: float, steps: int, until: float) -> Iterator[Cell]:
+    """The cells of one step size: the model as it is, judged by all means, then in other units, compared with it.
+
+    A cell that would not end before ``until`` is left out, the time of the last one being what it would take.
+    """
     own: Trajectory | None = None
+    took = 0.0
     for u, tau in UNITS:
+        begin = time.perf_counter()
+        if begin + took > until:
+            yield Cell(dict(values), factor, factor * h, u, tau, LEFT_OUT, {}, "the time budget", 0)
+            continue
         there = model if (u, tau) == (1.0, 1.0) else in_units(model, u, tau)
         run, message = _run(there, factor * h * tau, steps)
         checks = {} if run is None else {f"formula: {name}": value for name, value in by_formulas(there, run).items()}
@@ -137,6 +154,7 @@ def _column(model: Model, values: Mapping[str, float], factor: float, h: float, 
         elif run is not None and own is not None:
             checks |= _difference("other units", model, own, run, run.x / u, own.x)
         verdict = WRONG if any(not value <= 1 for value in checks.values()) else STOPPED if message else RIGHT
+        took = time.perf_counter() - begin
         yield Cell(dict(values), factor, factor * h, u, tau, verdict, checks, message, 0 if run is None else len(run))
 
 
@@ -170,20 +188,22 @@ def _alone(model: Model, own: Trajectory, h: float, steps: int) -> dict[str, flo
 
 
 def _difference(what: str, model: Model, own: Trajectory, run: Trajectory, x: np.ndarray, known: np.ndarray) -> dict[str, float]:
-    """Two runs that must be the same, where the solution is unique: AGREE beside the motion so far, and rounding."""
+    """Two runs that must be the same, where the solution is unique: AGREE beside what moved and acted so far, and rounding."""
     if any(UNIQUENESS in text for text in (*own.metadata["warnings"], *run.metadata["warnings"])):
         return {}
     rows = min(len(x), len(known))
     x, known = x[:rows], known[:rows]
     motion = np.maximum.accumulate(np.abs(known - known[0]).max(axis=1))
     size = np.maximum.accumulate(np.abs(known).max(axis=1))
-    allowed = AGREE * motion + rows * ROUNDING * size
+    acted = np.zeros_like(x)
+    acted[1:] = np.maximum.accumulate(np.nan_to_num(acting(model, own)[: rows - 1], posinf=0.0), axis=0)
+    allowed = AGREE * (motion[:, None] + acted) + rows * ROUNDING * size[:, None]
     if isinstance(model, MonotoneInclusion) and own.arrays["selection"].shape[1]:
         # Explicit in a discontinuous S: beside its jump rounding decides, and one step goes the other way.
         allowed = allowed + 2 * np.nanmax(np.abs(own.step[1:, None] * own.v[1:]))
     if isinstance(model, MonotoneInclusion):
-        allowed = allowed + 2 * np.cumsum(np.sqrt(np.nan_to_num(own.tolerance[:rows]))).ravel()  # what projections may be off
-    error = np.abs(x - known).max(axis=1)
+        allowed = allowed + 2 * np.cumsum(np.sqrt(np.nan_to_num(own.tolerance[:rows])))[:, None]  # what projections may be off
+    error = np.abs(x - known)
     with np.errstate(all="ignore"):
         ratio = np.where(error == 0, 0.0, error / allowed)
     return {what: float(np.max(np.where(np.isnan(ratio), np.inf, ratio)))}
@@ -207,5 +227,6 @@ def _promised(model: Model, run: Trajectory, h: float, steps: int) -> dict[str, 
         return {}
     if any(finding.id in PREMISES and finding.verdict == VIOLATED for finding in findings):
         return {}
-    along = [finding for finding in findings if finding.id.startswith(ALONG_A_RUN) and finding.id != QUALIFIED.id]
+    premises = (QUALIFIED.id, CONTINUOUS.id)  # of the model: a run may break them
+    along = [finding for finding in findings if finding.id.startswith(ALONG_A_RUN) and finding.id not in premises]
     return {f"along: {f.id.removeprefix(ALONG_A_RUN)}": np.inf if f.verdict == VIOLATED else 0.0 for f in along}

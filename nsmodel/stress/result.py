@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-RIGHT, STOPPED, WRONG = "right", "stopped", "wrong"
+RIGHT, STOPPED, WRONG, LEFT_OUT = "right", "stopped", "wrong", "left out"
 _WIDTH = 100
 _SHOWN = 12
-_WORDS = {RIGHT: "ok", STOPPED: "stop", WRONG: "WRONG"}
+_WORDS = {RIGHT: "ok", STOPPED: "stop", WRONG: "WRONG", LEFT_OUT: "-"}
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,8 @@ class Cell:
         values: the varied parameters.
         factor, step: the step beside the one that is taken for 1, and itself (in the model's own unit of time).
         u, tau: how many times as large the numbers of states and times were.
-        verdict: "right", "stopped" (the run refused to go on, and what it had computed is right) or "wrong".
+        verdict: "right", "stopped" (the run refused to go on, and what it had computed is right), "wrong", or "left out" for want
+            of time.
         checks: {what: misfit beside what is allowed}; above 1 is wrong.
         message: why it stopped.
         steps: how many steps were taken.
@@ -71,7 +72,7 @@ class Stress:
     cells: tuple[Cell, ...]
 
     def count(self, verdict: str) -> int:
-        """How many cells are "right", "stopped" or "wrong"."""
+        """How many cells are "right", "stopped", "wrong" or "left out"."""
         return sum(cell.verdict == verdict for cell in self.cells)
 
     @property
@@ -92,7 +93,8 @@ class Stress:
     def text(self) -> str:
         """Return the table, the reasons of the cells that stopped, and what is wrong."""
         unit = f" {self.time_unit}" if self.time_unit else ""
-        counts = ", ".join(f"{self.count(verdict)} {verdict}" for verdict in (RIGHT, STOPPED, WRONG))
+        verdicts = (RIGHT, STOPPED, WRONG, *([LEFT_OUT] if self.count(LEFT_OUT) else []))
+        counts = ", ".join(f"{self.count(verdict)} {verdict}" for verdict in verdicts)
         lines = [self.title, f"  model class  {self.model_class}", f"  cells        {len(self.cells)}: {counts}"]
         lines += _wrapped("  judged by    ", ", ".join(_kinds(self.cells)))
         lines += ["", *self._table(f"step, in units of {self.step:g}{unit}"), ""]
@@ -103,6 +105,8 @@ class Stress:
                 f"  {cell.row}, step x {cell.factor:g}: {cell.worst[0]}, {_ratio(cell.worst[1])}" for cell in wrong[:_SHOWN]
             ]
             lines += [f"  ... {len(wrong) - _SHOWN} more"] * (len(wrong) > _SHOWN) + [""]
+        if self.count(LEFT_OUT):
+            lines += [f"{self.count(LEFT_OUT)} cells were left out for the time budget: raise it to run them", ""]
         stopped = [cell for cell in self.cells if cell.verdict == STOPPED]
         if stopped:
             lines.append("Stopped")
@@ -125,7 +129,7 @@ class Stress:
         """Return all as dictionaries, lists, numbers and strings, for JSON."""
         return {
             "title": self.title, "model_class": self.model_class, "step": self.step,
-            **{verdict: self.count(verdict) for verdict in (RIGHT, STOPPED, WRONG)},
+            **{verdict: self.count(verdict) for verdict in (RIGHT, STOPPED, WRONG, LEFT_OUT)},
             "cells": [{**vars(cell), "values": dict(cell.values), "checks": dict(cell.checks)} for cell in self.cells],
         }  # fmt: skip
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 from itertools import pairwise
@@ -22,6 +22,7 @@ from nsmodel.model.base import Model, shown
 from nsmodel.model.bodies import ManyBodies
 from nsmodel.model.first_order import FirstOrderSystem
 from nsmodel.model.lure import LureSystem
+from nsmodel.model.parameters import Values
 from nsmodel.study import methods
 from nsmodel.study.lines import DONE, LEFT_OUT, SCHEME, SOLVER, Line, Point
 from nsmodel.study.methods import Measured, Method
@@ -46,7 +47,7 @@ def study(
     steps: Sequence[float] | None = None,
     target: float | None = None,
     t_end: float | None = None,
-    parameters: Mapping[str, float] | None = None,
+    parameters: Values | None = None,
     solvers: Sequence[str] | None = None,
     tolerance: float = 1e-9,
     budget: float = BUDGET,

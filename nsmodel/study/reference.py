@@ -15,9 +15,11 @@ from nsmodel.solve.active_set import equilibrate
 from nsmodel.solve.certificate import NumericLaw, numeric_law
 from nsmodel.solve.newton import Newton
 from nsmodel.solve.structure import read
+from nsmodel.study.between import Between, Step
 from nsmodel.study.lines import Point
 from nsmodel.trajectory import Trajectory
 
+BETWEEN = ("max", "l2")  # Measures that look at the states at all times.
 CLEAR = 5.0  # A point is resolved where its error is so many times the reference's own.
 ROUNDING = 1e-14  # What a closed form is known to, relative.
 UNSEEN = 1e-9  # A state smaller than this part of its group is no more than rounding.
@@ -39,10 +41,6 @@ class Rows:
         """Return the rows of a run; the multipliers of a sweeping process are its reactions."""
         return cls(run.t, run.x, run.arrays.get("reactions", run.arrays.get("multipliers")))
 
-    def at(self, t: np.ndarray) -> np.ndarray:
-        """Return the states at other times, linear between rows."""
-        return _between(t, self.t, self.x)
-
 
 @dataclass(frozen=True)
 class Reference:
@@ -50,7 +48,7 @@ class Reference:
 
     Attributes:
         text: what it is, in a line; run: what the refined run is, empty where there was none.
-        state: times (N,) -> states (N, n).
+        state: times (N,) -> states (N, n), and what they may err by because the times are none of the reference's own.
         scale: what an error of each state is divided by (n,).
         rows: the refined run, None where there was none.
         own: its own error by measure, of the same kind as the errors measured with it.
@@ -59,7 +57,7 @@ class Reference:
 
     text: str
     run: str
-    state: Callable[[np.ndarray], np.ndarray]
+    state: Callable[[np.ndarray], tuple[np.ndarray, float]]
     scale: np.ndarray
     rows: Rows | None
     own: Mapping[str, float]
@@ -67,18 +65,47 @@ class Reference:
 
     def errors(self, rows: Rows) -> dict[str, float]:
         """Return the errors of a run: "max", "end", "l2", and "multipliers" where both have them."""
-        found = _state_errors(rows, self.state(rows.t), self.scale)
+        return self._measured(rows)[0]
+
+    def _measured(self, rows: Rows) -> tuple[dict[str, float], float]:
+        """The errors, and what the reference may err by at these rows besides its own."""
+        right, more = self.state(rows.t)
+        found = _state_errors(rows, right, self.scale)
         if self.rows is not None and not self.without_multipliers:
             error = _multiplier_error(rows, self.rows)
             if error is not None:
                 found["multipliers"] = error
-        return found
+        return found, more
 
     def point(self, label: str, rows: Rows, seconds: float | None, step: float | None = None) -> Point:
         """Return a run as a point, with its errors; those that are not clear of the reference's own are unresolved."""
-        errors = self.errors(rows)
-        unresolved = tuple(key for key, error in errors.items() if error < CLEAR * self.own[key])
+        errors, more = self._measured(rows)
+        known = {key: own + (more if key in BETWEEN else 0.0) for key, own in self.own.items()}
+        unresolved = tuple(key for key, error in errors.items() if error < CLEAR * known[key])
         return Point(label, seconds, errors, step=step, steps=len(rows.t) - 1, unresolved=unresolved)
+
+
+@dataclass(frozen=True)
+class ClosedForm:
+    """The user's function of times (N,) -> (N, n), what it returns checked."""
+
+    exact: Callable[[np.ndarray], np.ndarray]
+    n: int
+
+    def __call__(self, times: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return the states, which err by 0.
+
+        Raises:
+            UsageError: the function raises, or gives another shape or what is not finite.
+        """
+        try:
+            found = np.asarray(self.exact(times), float)
+        except Exception as error:
+            raise UsageError(f"exact: it raised {type(error).__name__}: {error}") from error
+        if found.shape != (len(times), self.n) or not np.isfinite(found).all():
+            size = f"shape {found.shape} for {len(times)} times; expected {(len(times), self.n)}, all finite"
+            raise UsageError(f"exact: it returned {size}")
+        return found, 0.0
 
 
 def closed_form(
@@ -93,18 +120,8 @@ def closed_form(
     Raises:
         UsageError: it raises, gives another shape, or what is not finite.
     """
-
-    def state(times: np.ndarray) -> np.ndarray:
-        try:
-            found = np.asarray(exact(times), float)
-        except Exception as error:
-            raise UsageError(f"exact: it raised {type(error).__name__}: {error}") from error
-        if found.shape != (len(times), len(model.names)) or not np.isfinite(found).all():
-            size = f"shape {found.shape} for {len(times)} times; expected {(len(times), len(model.names))}, all finite"
-            raise UsageError(f"exact: it returned {size}")
-        return found
-
-    own, scale = dict.fromkeys(("max", "end", "l2"), ROUNDING), scale_of(model, state(t))
+    state = ClosedForm(exact, len(model.names))
+    own, scale = dict.fromkeys(("max", "end", "l2"), ROUNDING), scale_of(model, state(t)[0])
     text = "the closed form that the model declares"
     if refined is None:
         return Reference(text, "", state, scale, None, own, without_multipliers or "there is no refined run")
@@ -112,16 +129,19 @@ def closed_form(
     return Reference(text, refined.run, state, scale, refined.rows, own)
 
 
-def refined_run(model: Model, run: str, runs: list[Rows], without_multipliers: str) -> Reference:
+def refined_run(model: Model, run: str, runs: list[Rows], without_multipliers: str, step: Step) -> Reference:
     """Return the last of three runs, each with half the step of the one before, as reference with an estimate of its error.
+
+    Between its rows ``step`` takes a step from the row before, wherever a line would add to that error.
 
     The order p is read off the three (within ORDERS), and the error is |x_h - x_2h|/(2^p - 1), measure by measure.
     """
     wide, medium, fine = runs
-    reference = Reference(run, run, fine.at, scale_of(model, fine.x), fine, {}, without_multipliers)
+    between = Between(fine.t, fine.x, step, scale_of(model, fine.x), np.inf)
+    reference = Reference(run, run, between, between.scale, fine, {}, without_multipliers)
     far, near = reference.errors(wide), reference.errors(medium)
     own = {measure: _own(far[measure], near[measure]) for measure in near}
-    return replace(reference, own=own)
+    return replace(reference, own=own, state=replace(between, good=own["max"]))
 
 
 def scale_of(model: Model, x: np.ndarray) -> np.ndarray:

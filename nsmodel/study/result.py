@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from nsmodel.errors import UsageError
+from nsmodel.model.pickled import Pickled
 from nsmodel.storage import write_csv
 from nsmodel.study.lines import DONE, ERRORS, Cost, Line, Point, quickest
 from nsmodel.study.reference import Reference, Rows
@@ -19,7 +20,7 @@ NUMBERS = ("seconds", "setup", "residual", "violation", "energy")
 
 
 @dataclass(frozen=True)
-class Study:
+class Study(Pickled):
     """What was measured of one model.
 
     Attributes:
@@ -118,6 +119,10 @@ class StudyInterrupted(KeyboardInterrupt):
     def __init__(self, study: Study) -> None:
         super().__init__("the study was interrupted")
         self.study = study
+
+    def __reduce__(self) -> tuple[type[StudyInterrupted], tuple[Study]]:
+        """Pickle with the study."""
+        return type(self), (self.study,)
 
 
 # -- JSON and CSV ------------------------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from nsmodel.errors import NsmodelError, StepError
 from nsmodel.model.base import Model
 from nsmodel.scheme import one_step_problem
 from nsmodel.simulate import prepare
+from nsmodel.study.between import steps_from
 from nsmodel.study.methods import Method, not_compiled
 from nsmodel.study.reference import Reference, Rows, closed_form, refined_run, why_not_unique
 from nsmodel.trajectory import Trajectory
@@ -124,11 +125,15 @@ class Search:
             try:
                 for n in (count / 4, count / 2, count):
                     self.say(f"reference: {n:.0f} steps, {method.name}")
-                    runs.append(Rows.of(self.prepared(method, n).go(progress=False)))
+                    run = self.prepared(method, n)
+                    start = run.state.copy()
+                    made = run.go(progress=False)
+                    runs.append(Rows.of(made))
+                step = steps_from(run, start, made)
             except NsmodelError as error:
                 self.notes.append(f"no reference by {method.name} with {count:.0f} steps: {error}")
             else:
-                found.append(refined_run(self.model, f"a run of {count:.0f} steps, {method.name}", runs, why))
+                found.append(refined_run(self.model, f"a run of {count:.0f} steps, {method.name}", runs, why, step))
         if not found:
             return None
         best = min(found, key=lambda reference: reference.own["max"])

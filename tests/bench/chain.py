@@ -8,6 +8,7 @@ parts, measured in a run of their own. Siconos: computeOneStep and nextStep, dri
 
 from __future__ import annotations
 
+import os
 import time
 import tracemalloc
 from collections import defaultdict
@@ -22,9 +23,10 @@ from nsmodel.simulate import prepare
 from nsmodel.solve.sparse import AtStep, Sparse
 
 CASE = Path(__file__).resolve().parents[2] / "cases" / "friction_chain.py"
-STEPS = {10: 1000, 50: 1000, 200: 1000, 1000: 300, 10000: 100}
+SHORT = bool(os.environ.get("NSMODEL_SHORT"))
+STEPS = {10: 10, 50: 10, 200: 10} if SHORT else {10: 1000, 50: 1000, 200: 1000, 1000: 300, 10000: 100}
 PEERS = (10, 50, 200)
-REPEATS = 3
+REPEATS = 1 if SHORT else 3
 GOALS = {50: 100, 200: 1000}  # times faster than Siconos
 MOST = 10e3  # microseconds a step at the most masses
 EXPONENT = 1.15  # of the growth from 50 masses on

@@ -19,7 +19,10 @@ from nsmodel.codegen.library import compiler
 
 CASES = Path(__file__).resolve().parents[2] / "cases"
 FLAGS = ["-std=c99", "-O2"]
-REPEATS = 9
+SHORT = bool(os.environ.get("NSMODEL_SHORT"))
+REPEATS = 1 if SHORT else 9
+RUN_FOR = 100 if SHORT else 100_000
+LONG = 0.01 if SHORT else 1.0  # The end of the run from Python.
 
 # scene: (goal: how many times faster than Siconos, steps of a run, arguments of the model, parameters that become numbers)
 SCENES = {
@@ -31,6 +34,8 @@ SCENES = {
     "zhuravlev_ivanov": (10, 10000, {}, {}),
     "friction_chain": (50, 1000, {}, {}),
 }
+if SHORT:
+    SCENES = {"diode_bridge": SCENES["diode_bridge"]}
 PEER = {"friction_chain": "friction_chain_10"}
 
 LOOP = """
@@ -69,7 +74,9 @@ def generated(name: str, folder: Path) -> float:
     _, steps, arguments, parameters = SCENES[name]
     model = nsmodel.load(CASES / f"{name}.py", **arguments)
     codegen.write(model, folder, name=name, parameters=parameters)
-    text = LOOP.replace("NAME", name).replace("RUN_FOR", "100000").replace("STEPS", str(steps)).replace("REPEATS", str(REPEATS))
+    text = (
+        LOOP.replace("NAME", name).replace("RUN_FOR", str(RUN_FOR)).replace("STEPS", str(steps)).replace("REPEATS", str(REPEATS))
+    )
     (folder / "loop.c").write_text(text)
     command = [*compiler().split(), *FLAGS, "-o", "loop", "loop.c", f"{name}.c", "-lm"]
     subprocess.run(command, cwd=folder, check=True)
@@ -102,10 +109,10 @@ def runs_from_python() -> None:
             times = []
             for _ in range(1 if not compiled else 3):
                 start = time.perf_counter()
-                nsmodel.simulate(model, t_end=1.0, compiled=compiled)
+                nsmodel.simulate(model, t_end=LONG, compiled=compiled)
                 times.append(time.perf_counter() - start)
             seconds[compiled] = min(times)
-    print("a run of the diode bridge from Python, 1e6 steps, every row kept, wall seconds")
+    print(f"a run of the diode bridge from Python, {LONG / model.step:.3g} steps, every row kept, wall seconds")
     faster = seconds[False] / seconds[True]
     print(f"  interpreted {seconds[False]:.3f}, compiled {seconds[True]:.3f}: {faster:.1f} times faster (goal 20)")
     print(f"  building, once for a model: {building:.2f}")

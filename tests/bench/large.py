@@ -11,6 +11,7 @@ people who stand where ours stand. Peers are skipped where they are not installe
 from __future__ import annotations
 
 import json
+import os
 import resource
 import subprocess
 import sys
@@ -26,7 +27,8 @@ import nsmodel
 from nsmodel.simulate import prepare
 
 CASE = Path(__file__).resolve().parents[2] / "cases" / "crowd.py"
-SIZES = (10, 50, 200, 1000, 5000, 20_000)
+SHORT = bool(os.environ.get("NSMODEL_SHORT"))
+SIZES = (10,) if SHORT else (10, 50, 200, 1000, 5000, 20_000)
 GOALS = {50: 4, 200: 3, 1000: 2}  # how many times faster than cromosim
 TIMED = {20_000: 10, 5000: 20}  # steps in the jam; of other crowds 100
 PITCH, DOOR, STEP, CUTOFF = 0.6, 1.2, 0.02, 0.1

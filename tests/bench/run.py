@@ -4,6 +4,7 @@ CPU time, one warm-up, the minimum over repeats; nsmodel's time includes its tim
 """
 
 import itertools
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,11 +14,12 @@ import numpy as np
 from peers import programs
 
 import nsmodel
-from nsmodel.grid import make_grid
-from nsmodel.run import Run
+from nsmodel.simulate import prepare
 
+SHORT = bool(os.environ.get("NSMODEL_SHORT"))  # Whether all of it runs, once, on a few scenes.
 CASES = Path(__file__).resolve().parents[2] / "cases"
-REPEATS = 7
+FILES = [CASES / "sliding_relay.py", CASES / "crowd.py"] if SHORT else sorted(CASES.glob("*.py"))
+REPEATS = 1 if SHORT else 7
 
 
 def least(job: Callable[[], object]) -> float:
@@ -40,16 +42,12 @@ def timed(job: Callable[[], object]) -> float:
 
 def driver_loop(name: str) -> tuple[float, int]:
     """Seconds a run's time loop takes (set-up excluded), and its number of steps."""
-    model = nsmodel.load(CASES / f"{name}.py").bind()
-    grid = make_grid(model, None, None, None)
-    times = []
+    model, times, steps = nsmodel.load(CASES / f"{name}.py"), [], 0
     for _ in range(REPEATS + 1):
-        run = Run(model, grid, "auto", 1e-9, 1, None, False)
-        run.stepper(0.0, grid.step(0), run.state, run.warm)  # builds the kernel
-        start = time.process_time()
-        run._loop(None)
-        times.append(time.process_time() - start)
-    return min(times[1:]), grid.N
+        run = prepare(model, compiled=False)
+        steps = run.go().metadata["steps"]
+        times.append(run.cpu_seconds)
+    return min(times[1:]), steps
 
 
 def plain_bridge(steps: int) -> np.ndarray:
@@ -99,12 +97,12 @@ def main() -> None:
     compiled.main()
     print()
     print("every case, us a step of the time loop (CPU, set-up excluded)")
-    for path in sorted(CASES.glob("*.py")):
+    for path in FILES:
         seconds, steps = driver_loop(path.stem)
         print(f"  {path.stem:30s} {1e6 * seconds / steps:9.2f}   {steps} steps")
     print()
     print("every case, seconds of a whole check (wall, its runs included; goal 5, crowd 20) and of a quick one, one run each")
-    for path in sorted(CASES.glob("*.py")):
+    for path in FILES[:1] if SHORT else FILES:
         model = nsmodel.load(path)
         full, quick = (timed(lambda quick=quick, model=model: nsmodel.check(model, quick=quick)) for quick in (False, True))
         late = "" if full < (20 if path.stem == "crowd_room" else 5) else "   above the goal"

@@ -9,9 +9,10 @@
 
 typedef struct { /* doubles only: the caller lays it out by name */
     double T, rtol, largest, least, crossing, grow, negligible; /* the constants of adaptive.py; j between largest and least */
+    double order; /* of the scheme on one index set, but for rows that are held and lower it to 1 */
     double t, j, fresh; /* time in units of T/2^(least + 1); the step is T/2^j; fresh: no step has been taken */
     double accepted, rejected, extrapolated, at_least_step, least_step;
-    double x[MODEL_NSTATE], l[ROOM(MODEL_M)], index[ROOM(MODEL_M)];
+    double x[MODEL_NSTATE], l[ROOM(MODEL_M)], index[ROOM(MODEL_M)], lowering[ROOM(MODEL_M)];
     double atol[WATCHED], size[WATCHED], group[WATCHED], watched[WATCHED], rate[WATCHED];
 } model_control;
 
@@ -65,19 +66,36 @@ static void shorten(double *x, double ratio)
 }
 
 #endif
-/* The error in units of what is allowed. */
+/* The order of a step on one index set; 1 for the first one where it uses a multiplier of the start. */
+static int order_of(const model_control *c, const model_result *fine)
+{
+#if FORCE
+    if (c->fresh != 0)
+        return 1;
+#endif
+#if LAW
+    for (int i = 0; i < MODEL_M; i++)
+        if (fine->index[i] == 0 && c->lowering[i] != 0)
+            return 1;
+#else
+    (void)fine;
+#endif
+    return (int)c->order;
+}
+
+/* The error in units of what is allowed; weight: 2^order - 1. */
 static double error_of(const model_control *c, double h, const model_result *coarse, const model_result *half,
-                       const model_result *fine, int smooth)
+                       const model_result *fine, int smooth, double weight)
 {
     double size[WATCHED], worst = 0;
     for (int i = 0; i < WATCHED; i++)
         size[i] = max_of(c->size[i], fabs(fine->watched[i]));
     for (int i = 0; i < WATCHED; i++) {
-        double difference = fabs(fine->watched[i] - coarse->watched[i]), floor = 0;
+        double difference = fabs(fine->watched[i] - coarse->watched[i])/weight, floor = 0;
         if (!smooth) {
             const double step = half->watched[i] - c->watched[i];
             const double within = fabs(fine->watched[i] - half->watched[i] - step), before = fabs(step - h/2*c->rate[i]);
-            difference = fmax(difference, fmax(within, before));
+            difference = worse_of(difference, worse_of(within, before));
         }
         for (int k = 0; k < WATCHED; k++)
             if (c->group[k] == c->group[i])
@@ -90,9 +108,10 @@ static double error_of(const model_control *c, double h, const model_result *coa
     return worst;
 }
 
-/* x = 2 x_fine - x_coarse; 0 where a velocity would change its sign, or it cannot be projected. */
+/* x = x_fine + (x_fine - x_coarse)/weight, what is carried of the multipliers as it is; 0 where a velocity would change its
+   sign, or it cannot be projected. */
 static int extrapolate(model_solver *s, const model_control *c, double end, const model_result *coarse, const model_result *fine,
-                       double *x)
+                       double weight, double *x)
 {
     for (int i = 0; i < MODEL_NSTATE; i++) {
 #if VELOCITY
@@ -100,7 +119,11 @@ static int extrapolate(model_solver *s, const model_control *c, double end, cons
 #else
         const double other = coarse->x[i];
 #endif
-        x[i] = fine->x[i] + (fine->x[i] - other);
+        x[i] = fine->x[i] + (fine->x[i] - other)/weight;
+#if FORCE
+        if (i >= MODEL_NX)
+            x[i] = fine->x[i];
+#endif
 #if VELOCITY
         if (i >= MODEL_NX && ((x[i] > 0) != (fine->x[i] > 0) || (x[i] < 0) != (fine->x[i] < 0)))
             return 0;
@@ -175,8 +198,10 @@ long model_adapt(model_solver *s, model_control *c, long room, double number, do
         smooth = memcmp(set, coarse.index, MODEL_M) == 0 && memcmp(set, half.index, MODEL_M) == 0
                  && memcmp(set, fine.index, MODEL_M) == 0;
 #endif
-        const double error = error_of(c, h, &coarse, &half, &fine, smooth), end = c->t + 2*halves;
-        const int least = c->j >= c->least, better = error <= 1 && smooth && extrapolate(s, c, end, &coarse, &fine, x);
+        const int order = smooth ? order_of(c, &fine) : 1, least = c->j >= c->least;
+        const double weight = ldexp(1.0, order) - 1, end = c->t + 2*halves;
+        const double error = error_of(c, h, &coarse, &half, &fine, smooth, weight);
+        const int better = error <= 1 && smooth && extrapolate(s, c, end, &coarse, &fine, weight, x);
         const double allowed = better ? 1.0 : smooth ? h/c->T : c->crossing;
         if (error > allowed && !least) {
             c->rejected += 1;
@@ -232,7 +257,7 @@ long model_adapt(model_solver *s, model_control *c, long room, double number, do
         c->at_least_step += least;
         c->least_step = h/2 < c->least_step ? h/2 : c->least_step;
         c->t = end;
-        const double doubled = (smooth ? 4.0 : 2.0)*error, budget = c->grow*allowed*(smooth && !better ? 2.0 : 1.0);
+        const double doubled = ldexp(error, order + smooth), budget = c->grow*allowed*(smooth && !better ? 2.0 : 1.0);
         const double j = c->j;
         if (j > c->largest && doubled <= budget && fmod(end, 4*halves) == 0)
             c->j -= 1;

@@ -58,17 +58,17 @@ static void output_scale(int m, const double *b, const double *terms, const doub
     double most = 0;
     for (int i = 0; i < m; i++)
         if (w_max[i] > 0)
-            most = max_of(most, fabs(b[i])/sqrt(w_max[i]));
+            most = worse_of(most, fabs(b[i])/sqrt(w_max[i]));
     for (int i = 0; i < m; i++) {
         const double size = fabs(b[i]);
         s_y[i] = w_max[i] > 0 ? min_of(size + terms[i], max_of(GROWTH*sqrt(w_max[i])*most, size)) : size;
     }
 }
 
-/* a / s with 0/0 = 0, infinite where it is not a number. */
+/* a / s with 0/0 = 0, infinite where it is not a number, or s is not finite: that excuses nothing. */
 static double ratio(double a, double s)
 {
-    const double r = a == 0 ? 0 : a/s;
+    const double r = a == 0 ? 0 : s < INFINITY ? a/s : INFINITY;
     return r < INFINITY ? r : INFINITY;
 }
 
@@ -129,9 +129,9 @@ static double law_residual(model_solver *s, int m, const double *lo, const doubl
 {
     double *s_l = s->affine.x, others = 0, worst = 0;
     for (int i = 0; i < m; i++) {
-        if (!is_finite(l[i]) || !is_finite(y[i]) || !is_finite(w_max[i]) || s_y[i] != s_y[i])
+        if (!is_finite(l[i]) || !is_finite(y[i]) || !is_finite(w_max[i]) || !is_finite(s_y[i]))
             return INFINITY;
-        others = max_of(others, NEGLIGIBLE*(fabs(l[i])*sqrt(w_max[i])));
+        others = worse_of(others, NEGLIGIBLE*(fabs(l[i])*sqrt(w_max[i])));
     }
     /* s_l: what moves y by s_y, but not above l itself, its bounds, and a small part of the other multipliers. */
     for (int i = 0; i < m; i++)
@@ -160,12 +160,12 @@ static double law_residual(model_solver *s, int m, const double *lo, const doubl
     for (int i = 0; i < m; i++) {
 #if CURVED
         if (k < blocks && i == curved[k].start) {
-            worst = max_of(worst, block_residual(&curved[k], RADIUS(k), l + i, y + i, s_y + i, s_l + i, w_max + i));
+            worst = worse_of(worst, block_residual(&curved[k], RADIUS(k), l + i, y + i, s_y + i, s_l + i, w_max + i));
             i += curved[k++].size - 1;
             continue;
         }
 #endif
-        worst = max_of(worst, row_residual(lo[i], up[i], l[i], y[i], max_of(s_y[i], UNRESOLVED), s_l[i]));
+        worst = worse_of(worst, row_residual(lo[i], up[i], l[i], y[i], max_of(s_y[i], UNRESOLVED), s_l[i]));
     }
     return worst;
 }
@@ -183,8 +183,8 @@ static int passes(model_solver *s, const affine_problem *p, double accepted)
     const double residual = law_residual(s, p->m, p->lo, p->up, s->affine.l, s->affine.y, s->affine.s_y, s->affine.w_max);
     if (residual < s->affine.residual) {
         s->affine.residual = residual;
-        memcpy(s->affine.best, s->affine.l, p->m*sizeof *s->affine.l);
-        memcpy(s->affine.best_code, s->affine.code, p->m);
+        COPY(s->affine.best, s->affine.l, p->m);
+        COPY(s->affine.best_code, s->affine.code, p->m);
     }
     return residual <= accepted;
 }
@@ -305,7 +305,7 @@ static int first_index_set(model_solver *s, int m, const double *lo, const doubl
 /* The index set that the enumeration stands at. */
 static void this_index_set(const model_solver *s, int m, signed char *code)
 {
-    memcpy(code, s->sets.last, m);
+    COPY(code, s->sets.last, m);
     for (int k = 0; k < s->sets.changes; k++)
         code[s->sets.row[s->sets.position[k]]] = codes[s->sets.choice[k]];
 }
@@ -315,7 +315,7 @@ static void first_choices(model_solver *s, const double *lo, const double *up, i
 {
     for (; k < s->sets.changes; k++) {
         const int i = s->sets.row[s->sets.position[k]];
-        s->sets.choice[k] = next_choice(lo[i], up[i], s->sets.last[i], -1);
+        s->sets.choice[k] = (signed char)next_choice(lo[i], up[i], s->sets.last[i], -1);
     }
 }
 
@@ -325,7 +325,7 @@ static int next_index_set(model_solver *s, const double *lo, const double *up)
     int *position = s->sets.position, k = s->sets.changes;
     while (--k >= 0) { /* other codes on the same rows */
         const int i = s->sets.row[position[k]];
-        s->sets.choice[k] = next_choice(lo[i], up[i], s->sets.last[i], s->sets.choice[k]);
+        s->sets.choice[k] = (signed char)next_choice(lo[i], up[i], s->sets.last[i], s->sets.choice[k]);
         if (s->sets.choice[k] < 3) {
             first_choices(s, lo, up, k + 1);
             return 1;
@@ -352,7 +352,7 @@ static int next_index_set(model_solver *s, const double *lo, const double *up)
 
 static int solve_box(model_solver *s, const affine_problem *p, const signed char *last, double accepted)
 {
-    memcpy(s->affine.code, last, p->m);
+    COPY(s->affine.code, last, p->m);
     if (primal_dual(s, p) && passes(s, p, accepted))
         return INDEX_SET;
 #if PIVOTING
@@ -360,7 +360,7 @@ static int solve_box(model_solver *s, const affine_problem *p, const signed char
         classify(p, s->lemke.l, s->affine.code);
         if (!polish(s, p) && passes(s, p, accepted))
             return LEMKE;
-        memcpy(s->affine.l, s->lemke.l, p->m*sizeof *s->affine.l);
+        COPY(s->affine.l, s->lemke.l, p->m);
         if (passes(s, p, accepted))
             return LEMKE;
     }
@@ -371,7 +371,7 @@ static int solve_box(model_solver *s, const affine_problem *p, const signed char
             this_index_set(s, p->m, s->affine.code);
             if (!polish(s, p) && passes(s, p, accepted))
                 return ENUMERATION;
-        } while (next_index_set(s, p->lo, p->up));
+        } while (s->spent < s->budget && next_index_set(s, p->lo, p->up));
 #endif
     return NONE;
 }
@@ -404,8 +404,8 @@ static int affine_solve(model_solver *s, int m, const double *W, const double *b
     const int solver = solve_box(s, &problem, code, accepted);
 #endif
     if (s->affine.residual < INFINITY) {
-        memcpy(l, s->affine.best, m*sizeof *l);
-        memcpy(code, s->affine.best_code, m);
+        COPY(l, s->affine.best, m);
+        COPY(code, s->affine.best_code, m);
     }
     return solver;
 }

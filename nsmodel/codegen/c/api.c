@@ -1,11 +1,22 @@
 /* The interface. */
 
+#define READY 0x6e736d64UL
+
+/* Whether the solver was initialised. */
+static int is_ready(const model_solver *s) { return s->ready == READY; }
+
 /* Compute the next step in s->work; the state stays. */
 static int attempt(model_solver *s)
 {
+    const double next = s->t_0 + (s->steps + 1)*s->h;
     s->t = s->t_0 + s->steps*s->h;
-    if (!is_finite(s->t) || !is_finite(s->t_0 + (s->steps + 1)*s->h) || !all_finite(MODEL_NSTATE, s->x))
+    s->spent = 0;
+    s->work.residual = INFINITY;
+    s->work.iterations = 0;
+    if (!is_finite(next) || !all_finite(MODEL_NSTATE, s->x))
         return MODEL_NOT_FINITE;
+    if (!(next > s->t))
+        return MODEL_BAD_STEP;
 #if INCLUSION
     s->work.solver = step_by_catching_up(s);
 #else
@@ -40,6 +51,10 @@ static int attempt(model_solver *s)
     for (int i = 0; i < MODEL_M; i++)
         s->work.l[i] += 0.0;
 #endif
+#if REWRITTEN
+    if (!all_finite(MODEL_NL, s->work.multipliers) || !all_finite(MODEL_NL, s->work.outputs))
+        return MODEL_NOT_FINITE;
+#endif
     return all_finite(MODEL_NSTATE, s->work.x_next) ? MODEL_OK : MODEL_NOT_FINITE;
 }
 
@@ -68,9 +83,16 @@ static void commit(model_solver *s)
 
 int model_step(model_solver *s)
 {
+    if (!is_ready(s))
+        return s->status = MODEL_NOT_INITIALISED;
     s->status = attempt(s);
     if (s->status == MODEL_OK)
         commit(s);
+    else {
+        s->residual = s->work.residual;
+        s->iterations = s->work.iterations;
+        s->solver = NONE;
+    }
     return s->status;
 }
 
@@ -100,21 +122,8 @@ static int law_changes(model_solver *s)
 }
 #endif
 
-int model_init(model_solver *s)
-{
-    memset(s, 0, sizeof *s);
-    s->h = MODEL_STEP;
-#if PARAMETERS
-    memcpy(s->p, default_p, sizeof s->p);
-#endif
-#if LAW_OF_PARAMETERS
-    if (!law_changes(s))
-        return MODEL_BAD_PARAMETER;
-#endif
-    return model_reset(s);
-}
-
-int model_reset(model_solver *s)
+/* Back to the start, as the parameters give it. */
+static int restart(model_solver *s)
 {
     double x[MODEL_NSTATE];
     start(s, x);
@@ -126,6 +135,7 @@ int model_reset(model_solver *s)
     s->t = s->t_0 + s->steps*s->h;
     s->status = MODEL_OK;
     s->residual = 0;
+    s->spent = 0;
     s->iterations = s->solver = 0;
 #if TOLERANCE_OF_NUMBER
     s->number = 0;
@@ -144,8 +154,32 @@ int model_reset(model_solver *s)
     return MODEL_OK;
 }
 
+int model_init(model_solver *s)
+{
+    memset(s, 0, sizeof *s);
+    if (!is_sound())
+        return MODEL_BAD_ARITHMETIC;
+    s->h = MODEL_STEP;
+    s->budget = MODEL_MAX_WORK;
+    s->ready = READY;
+    for (int i = 0; i < MODEL_NSTATE; i++)
+        s->x[i] = NAN; /* until there is a start: no step is taken from here */
+#if PARAMETERS
+    memcpy(s->p, default_p, sizeof s->p);
+#endif
+#if LAW_OF_PARAMETERS
+    if (!law_changes(s))
+        return MODEL_BAD_PARAMETER;
+#endif
+    return restart(s);
+}
+
+int model_reset(model_solver *s) { return is_ready(s) ? restart(s) : MODEL_NOT_INITIALISED; }
+
 int model_set_time(model_solver *s, double t)
 {
+    if (!is_ready(s))
+        return MODEL_NOT_INITIALISED;
     if (!is_finite(t))
         return MODEL_NOT_FINITE;
     s->t = s->t_0 = t;
@@ -155,8 +189,9 @@ int model_set_time(model_solver *s, double t)
 
 int model_set_step(model_solver *s, double h)
 {
+    if (!is_ready(s))
+        return MODEL_NOT_INITIALISED;
 #if ONE_STEP
-    (void)s;
     return h == MODEL_STEP ? MODEL_OK : MODEL_BAD_STEP;
 #else
     if (!(h > 0) || !is_finite(h))
@@ -175,6 +210,8 @@ int model_set_step(model_solver *s, double h)
 
 int model_set_state(model_solver *s, const double *x)
 {
+    if (!is_ready(s))
+        return MODEL_NOT_INITIALISED;
     if (!all_finite(MODEL_NX, x))
         return MODEL_NOT_FINITE;
     memcpy(s->x, x, MODEL_NX*sizeof *x);
@@ -185,8 +222,11 @@ int model_set_state(model_solver *s, const double *x)
 /* The difference of the last two positions is kept: a velocity belongs to the step in use. */
 int model_set_velocity(model_solver *s, const double *v)
 {
-    if (!all_finite(MODEL_NX, v))
-        return MODEL_NOT_FINITE;
+    if (!is_ready(s))
+        return MODEL_NOT_INITIALISED;
+    for (int i = 0; i < MODEL_NX; i++)
+        if (!is_finite(s->h*v[i]))
+            return MODEL_NOT_FINITE;
     for (int i = 0; i < MODEL_NX; i++)
         s->x[MODEL_NX + i] = s->h*v[i];
     return MODEL_OK;
@@ -202,6 +242,8 @@ void model_get_velocity(const model_solver *s, double *v)
 #if FORCE
 int model_set_force(model_solver *s, const double *r)
 {
+    if (!is_ready(s))
+        return MODEL_NOT_INITIALISED;
     if (!all_finite(MODEL_NX, r))
         return MODEL_NOT_FINITE;
     memcpy(s->x + MODEL_NX, r, MODEL_NX*sizeof *r);
@@ -214,6 +256,8 @@ void model_get_force(const model_solver *s, double *r) { memcpy(r, s->x + MODEL_
 #if PARAMETERS
 int model_set_parameters(model_solver *s, const double *p)
 {
+    if (!is_ready(s))
+        return MODEL_NOT_INITIALISED;
     if (!all_finite(MODEL_NP, p))
         return MODEL_NOT_FINITE;
 #if LAW_OF_PARAMETERS
@@ -258,21 +302,14 @@ double model_get_residual(const model_solver *s) { return s->residual; }
 
 int model_get_iterations(const model_solver *s) { return s->iterations; }
 
+long model_get_work(const model_solver *s) { return s->spent; }
+
 int model_get_status(const model_solver *s) { return s->status; }
 
 const char *model_status_text(int status)
 {
     switch (status) {
-    case MODEL_OK:
-        return "done";
-    case MODEL_NOT_SOLVED:
-        return "no answer passed the certificate: the step may have no solution (a set that is empty?); try a smaller step";
-    case MODEL_NOT_FINITE:
-        return "a state, time, step or parameter is NaN or infinite, or the step overflows";
-    case MODEL_BAD_STEP:
-        return "the time step must be @STEP_RULE@";
-    case MODEL_BAD_PARAMETER:
-        return "the parameters give the law empty bounds or other infinite ones, or no finite start";
+@STATUS_CASES@
     default:
         return "unknown status";
     }

@@ -4,17 +4,13 @@
  *     E_0 + E_z z + E_l l = 0,    Y_0 + Y_z z + Y_l l = 0 on the rows coded 0,    l_i = its end on the others,
  *
  * which is factored as a band, in an order and in scales (powers of 2) that are tables. The index set is found by block principal
- * pivoting from the last one. F = constant + J u, row by row of J; E is judged beside what moves in the step, y beside the
- * round-off of its terms, and l lies exactly where it must.
+ * pivoting from the last one. F = constant + J u, row by row of J; E is judged beside what moves in the step, y beside its
+ * rounding, and l lies exactly where it must.
  */
 #define SWEEPS 200 /* index sets that are tried */
 #define PATIENCE 10 /* changes of all rows that may fail to make the contradictions fewer */
-#define REFINEMENTS 5
 #define SINGULAR_PIVOT 1e-13 /* pivots below this, of entries of about 1, are round-off */
 #define SHIFT 1e-8 /* then added to the diagonal of Y_l; refinement takes its effect away */
-
-/* The round-off of a row of J beside the size of its terms. */
-static double row_round_off(int i) { return 4*EPS*(J_start[i + 1] - J_start[i] + 4); }
 
 #if LAW
 /* The end at which the code holds l_i. */
@@ -155,7 +151,7 @@ static void evaluate_rows(model_solver *s)
 }
 
 #if LAW
-/* Put l at its ends and z_j where y_i = factor z_j + c is 0, exactly. */
+/* Put l at its ends, z_j where y_i = factor z_j + c is 0, and what follows from these, exactly. */
 static void make_exact(model_solver *s)
 {
     double *l = s->banded.u + MODEL_N;
@@ -169,9 +165,33 @@ static void make_exact(model_solver *s)
             l[i] = upper[i];
     }
 #if UNIT_ROWS
+#if FOLLOW_ROWS
+    signed char *exact = s->banded.exact;
+    memset(exact, 0, sizeof s->banded.exact);
+#endif
     for (int i = 0; i < MODEL_UNIT; i++)
-        if (code[unit_row[i]] == 0)
+        if (code[unit_row[i]] == 0) {
             s->banded.u[unit_column[i]] = -s->banded.constant[MODEL_N + unit_row[i]]/unit_factor[i];
+#if FOLLOW_ROWS
+            exact[unit_column[i]] = 1;
+#endif
+        }
+#endif
+#if FOLLOW_ROWS
+    for (int i = 0; i < MODEL_FOLLOW; i++) {
+        const int row = follow_row[i];
+        double known = s->banded.constant[row], own = 0;
+        int all = 1;
+        for (int k = J_start[row]; k < J_start[row + 1]; k++)
+            if (J_column[k] == row)
+                own = J[k];
+            else {
+                known += J[k]*s->banded.u[J_column[k]];
+                all &= exact[J_column[k]];
+            }
+        if (all)
+            s->banded.u[row] = -known/own;
+    }
 #endif
 #if REST_ROWS
     int moving = 0;
@@ -189,7 +209,7 @@ static int wanted_code(const model_solver *s, int i)
     const double l = s->banded.u[MODEL_N + i];
     if (code == 0)
         return l < lower[i] ? -1 : l > upper[i] ? 1 : 0;
-    return code*s->banded.F[MODEL_N + i] > row_round_off(MODEL_N + i)*s->banded.size[MODEL_N + i] ? 0 : code;
+    return code*s->banded.F[MODEL_N + i] > ROUND_OFF*s->banded.size[MODEL_N + i] ? 0 : code;
 }
 #endif
 
@@ -203,7 +223,7 @@ static double judged(const model_solver *s)
         sum += size[i];
         if (off == 0)
             continue;
-        double scale = row_round_off(i)/TOLERANCE*size[i], moved = s->banded.constant[i];
+        double scale = ROUND_OFF/TOLERANCE*size[i], moved = s->banded.constant[i];
         if (!(off <= CLEAR*scale)) {
             double step = 0;
             for (int k = J_start[i]; k < J_start[i + 1]; k++) {
@@ -211,27 +231,77 @@ static double judged(const model_solver *s)
                 moved += J[k]*guess[j];
                 step += fabs(J[k]*(u[j] - guess[j]));
             }
-            scale = max_of(scale, fabs(moved) + step);
+            scale += is_finite(moved + step) ? fabs(moved) + step : 0;
         }
-        worst = max_of(worst, off/max_of(scale, UNRESOLVED));
+        worst = worse_of(worst, off/max_of(scale, UNRESOLVED));
     }
 #if LAW
     for (int i = 0; i < MODEL_M; i++) {
         const int row = MODEL_N + i, code = s->banded.code[i];
-        const double off = code == 0 ? fabs(F[row]) : max_of(code*F[row], 0);
+        const double off = code == 0 ? fabs(F[row]) : worse_of(code*F[row], 0);
         sum += size[row];
         if (off > 0)
-            worst = max_of(worst, off/max_of(row_round_off(row)/TOLERANCE*size[row], UNRESOLVED));
+            worst = worse_of(worst, off/max_of(ROUND_OFF/TOLERANCE*size[row], UNRESOLVED));
     }
 #endif
     return is_finite(sum) && is_finite(worst) ? worst : INFINITY;
+}
+
+/* The largest solutions of probes, which are r with signs that look random, in banded.felt: what u errs by where the rows do so by
+   r, from below. */
+static void felt_by(model_solver *s, const double *r)
+{
+    double *change = s->banded.change, *felt = s->banded.felt;
+    memset(felt, 0, sizeof s->banded.felt);
+    for (int p = 0; p < PROBES; p++) {
+        for (int i = 0; i < MODEL_SIZE; i++)
+            s->banded.F[i] = probe_sign(i, p)*r[i];
+#if LAW
+        for (int i = 0; i < MODEL_M; i++)
+            if (s->banded.held[i])
+                s->banded.F[MODEL_N + i] = 0;
+#endif
+        solve_band(s, change);
+        for (int i = 0; i < MODEL_SIZE; i++)
+            felt[i] = worse_of(felt[i], fabs(change[i]));
+    }
+}
+
+/* The certificate at u, with the rounding of what is given and, where that does not suffice, of what the unknowns err by; none of
+   that where rounding could excuse any row. */
+static double judged_with_rounding(model_solver *s)
+{
+    double *size = s->banded.size, *error = s->banded.best, condition = 0;
+    given_error(s, error);
+    for (int i = 0; i < MODEL_SIZE; i++)
+        error[i] = size[i] += error[i];
+    double found = judged(s);
+    if (found <= TOLERANCE || !spend_on_probes(s))
+        return found;
+    for (int i = 0; i < MODEL_SIZE; i++) {
+        size[i] = 0;
+        for (int k = J_start[i]; k < J_start[i + 1]; k++)
+            size[i] += fabs(J[k])*column_scale[J_column[k]];
+    }
+    felt_by(s, size);
+    for (int i = 0; i < MODEL_SIZE; i++)
+        condition = worse_of(condition, s->banded.felt[i]/column_scale[i]);
+    if (condition <= WORTH) {
+        felt_by(s, error);
+        for (int i = 0; i < MODEL_SIZE; i++)
+            for (int k = J_start[i]; k < J_start[i + 1]; k++)
+                error[i] += fabs(J[k])*s->banded.felt[J_column[k]];
+    }
+    evaluate_rows(s);
+    memcpy(size, error, sizeof s->banded.size);
+    return condition <= WORTH ? judged(s) : found;
 }
 
 /* u on the index set in banded.code. Return how many rows contradict it, and the residual where none does; -1: no answer. */
 static int on_index_set(model_solver *s, double *residual)
 {
     double *u = s->banded.u, best = INFINITY;
-    if (factor_index_set(s)) {
+    if (!spend(s) || factor_index_set(s)) {
         s->banded.factored = 0;
         return -1;
     }
@@ -261,7 +331,7 @@ static int on_index_set(model_solver *s, double *residual)
             best = found;
             memcpy(s->banded.best, u, sizeof s->banded.u);
         }
-        if (best <= 0.1*TOLERANCE || refined == REFINEMENTS || !(found < INFINITY))
+        if (best <= 0.1*TOLERANCE || refined == REFINEMENTS || !(found < INFINITY) || !spend(s))
             break;
 #if LAW
         for (int i = 0; i < MODEL_M; i++)
@@ -277,6 +347,8 @@ static int on_index_set(model_solver *s, double *residual)
         memcpy(u, s->banded.best, sizeof s->banded.u);
         evaluate_rows(s);
     }
+    if (best > TOLERANCE && best < INFINITY)
+        best = judged_with_rounding(s);
     *residual = best;
     return wrong;
 }

@@ -3,7 +3,8 @@
 /* Memory of a step: pieces of one array, taken in order and given back all at once. */
 typedef struct {
     char *next, *end;
-    size_t missing;
+    size_t missing; /* bytes more that were asked for; */
+    int full;       /* then nothing of what was taken may be used */
 } model_arena;
 
 static void *take(model_arena *a, size_t count, size_t size)
@@ -12,6 +13,7 @@ static void *take(model_arena *a, size_t count, size_t size)
     char *start = a->next;
     if (bytes > (size_t)(a->end - start)) {
         a->missing += bytes;
+        a->full = 1;
         return NULL;
     }
     a->next += bytes;
@@ -19,6 +21,8 @@ static void *take(model_arena *a, size_t count, size_t size)
 }
 
 #define TAKE(type, count) ((type *)take(a, (size_t)(count), sizeof(type)))
+#define COPY(to, from, count) memcpy(to, from, (size_t)(count)*sizeof *(to))
+#define ZERO(to, count) memset(to, 0, (size_t)(count)*sizeof *(to))
 
 typedef struct {
     int n;                     /* block rows */
@@ -29,7 +33,7 @@ typedef struct {
     int *begin;                /* (nodes + 1) first column of a node */
     int *parent, *child, *sibling;  /* -1: none */
     int *start, *row, *into;   /* (nodes + 1), rows of a node below its own; where they are in the columns of its parent */
-    size_t *panel;             /* (nodes) where its columns are: its own rows, those below, each padded to tiles of 4 */
+    ptrdiff_t *panel;             /* (nodes) where its columns are: its own rows, those below, each padded to tiles of 4 */
     double *l;                 /* L D below the 4 x 4 tiles of the diagonal; in these D^-1 and, above it, L^-1 of the tile */
     double *update[2];         /* what is left for the parents, from even depth and from odd */
     double *z;                 /* (longest column) */
@@ -52,9 +56,9 @@ static void sort_along(int *items, int count, const double *key, int *spare)
     if (count < 2) return;
     sort_along(items, half, key, spare);
     sort_along(items + half, count - half, key, spare);
-    memcpy(spare, items, half*sizeof *items);
+    COPY(spare, items, half);
     for (i = 0, k = 0; i < half; k++)
-        items[k] = j < count && key[(size_t)DIM*items[j]] < key[(size_t)DIM*spare[i]] ? items[j++] : spare[i++];
+        items[k] = j < count && key[(ptrdiff_t)DIM*items[j]] < key[(ptrdiff_t)DIM*spare[i]] ? items[j++] : spare[i++];
 }
 
 /* What is left of the graph of the pairs, and the part of it that is divided. */
@@ -122,7 +126,7 @@ static void dissect(model_graph *g, const double *x, int from, int count)
         for (d = 0; d < DIM; d++) {
             double extent;
             items = g->sorted[d] + from;
-            extent = x[(size_t)DIM*items[count - 1] + d] - x[(size_t)DIM*items[0] + d];
+            extent = x[(ptrdiff_t)DIM*items[count - 1] + d] - x[(ptrdiff_t)DIM*items[0] + d];
             if (extent > longest) {
                 longest = extent;
                 axis = d;
@@ -161,8 +165,8 @@ static void dissect(model_graph *g, const double *x, int from, int count)
                 else if (at < g->low || (at < g->high && g->left[v] == g->round)) items[inner++] = v;
                 else right[kept++] = v;
             }
-            memcpy(items + inner, right, kept*sizeof *items);
-            memcpy(items + inner + kept, covering, cut*sizeof *items);
+            COPY(items + inner, right, kept);
+            COPY(items + inner + kept, covering, cut);
         }
         dissect(g, x, from, inner);
         from += inner;
@@ -173,8 +177,8 @@ static void dissect(model_graph *g, const double *x, int from, int count)
 /* Order block rows: those of few neighbours by minimum degree, the others by nested dissection of what is left of the graph. */
 static int arrange(int *order, int n, const double *x, const int *near, const int *neighbour, model_arena *a)
 {
-    int *first = TAKE(int, n), *degree = TAKE(int, n), *around = TAKE(int, near[n] + SLACK*(size_t)n), *mark = TAKE(int, n);
-    int *stack = TAKE(int, (DEGREE + 1)*(size_t)n + 1), limit, i, j, k, e, tag = 0, count = 0, rest;
+    int *first = TAKE(int, n), *degree = TAKE(int, n), *around = TAKE(int, near[n] + SLACK*(ptrdiff_t)n), *mark = TAKE(int, n);
+    int *stack = TAKE(int, (DEGREE + 1)*(ptrdiff_t)n + 1), limit, i, j, k, e, tag = 0, count = 0, rest;
     model_graph g = {0};
     for (i = 0; i < DIM; i++) g.sorted[i] = TAKE(int, n);
     g.position = TAKE(int, n);
@@ -186,11 +190,11 @@ static int arrange(int *order, int n, const double *x, const int *near, const in
     g.via = TAKE(int, n);
     g.edge = TAKE(int, n);
     g.starts = TAKE(int, n);
-    if (a->missing) return 0;
+    if (a->full) return 0;
     for (i = 0; i < n; i++) {
         first[i] = near[i] + SLACK*i;
         degree[i] = near[i + 1] - near[i];
-        memcpy(around + first[i], neighbour + near[i], degree[i]*sizeof *around);
+        COPY(around + first[i], neighbour + near[i], degree[i]);
         mark[i] = 0;
     }
     for (limit = 0; limit <= DEGREE; limit++)
@@ -235,7 +239,7 @@ static int arrange(int *order, int n, const double *x, const int *near, const in
     g.around = around;
     g.spare = stack;
     dissect(&g, x, 0, rest);
-    memcpy(order + count, g.sorted[0], rest*sizeof *order);
+    COPY(order + count, g.sorted[0], rest);
     return 1;
 }
 
@@ -252,26 +256,26 @@ static int prepare_ldl(model_ldl *f, int n, const double *x, int pairs, const in
                        model_arena *a)
 {
     int i, k, e, s, longest = 0;
-    int *near = TAKE(int, n + 2), *neighbour = TAKE(int, 2*(size_t)pairs + 1), *to = TAKE(int, pairs + 1);
+    int *near = TAKE(int, n + 2), *neighbour = TAKE(int, 2*(ptrdiff_t)pairs + 1), *to = TAKE(int, pairs + 1);
     int *order = TAKE(int, n), *above = TAKE(int, n), *count = TAKE(int, n), *size = TAKE(int, n), *last = TAKE(int, n + 1);
     int *column = TAKE(int, n), *after = TAKE(int, n), *below = TAKE(int, n), *node = TAKE(int, n);
     int *mark = TAKE(int, n), *filled = TAKE(int, n);
     double *cost = TAKE(double, n);
-    size_t *own = TAKE(size_t, n), *other = TAKE(size_t, n), *waiting = TAKE(size_t, n), total = 0, most[2] = {0, 0};
+    ptrdiff_t *own = TAKE(ptrdiff_t, n), *other = TAKE(ptrdiff_t, n), *waiting = TAKE(ptrdiff_t, n), total = 0, most[2] = {0, 0};
     f->n = n;
     f->place = TAKE(int, n);
     f->up = TAKE(int, n + 2);
     f->at = TAKE(int, pairs + 1);
-    f->a = TAKE(double, (size_t)BLOCK*(pairs + 1));
-    f->diagonal = TAKE(double, (size_t)BLOCK*n);
+    f->a = TAKE(double, (ptrdiff_t)BLOCK*(pairs + 1));
+    f->diagonal = TAKE(double, (ptrdiff_t)BLOCK*n);
     f->begin = TAKE(int, n + 1);
     f->parent = TAKE(int, n);
     f->child = TAKE(int, n);
     f->sibling = TAKE(int, n);
     f->start = TAKE(int, n + 2);
-    f->panel = TAKE(size_t, n);
-    if (a->missing) return 0;
-    memset(near, 0, (n + 2)*sizeof *near);
+    f->panel = TAKE(ptrdiff_t, n);
+    if (a->full) return 0;
+    ZERO(near, n + 2);
     for (i = 0; i < pairs; i++)
         if (second[i] >= 0) {
             near[first[i] + 2]++;
@@ -346,7 +350,7 @@ static int prepare_ldl(model_ldl *f, int n, const double *x, int pairs, const in
     /* rows of the nodes */
     f->row = TAKE(int, f->start[f->nodes] + 1);
     f->into = TAKE(int, f->start[f->nodes] + 1);
-    if (a->missing) return 0;
+    if (a->full) return 0;
     for (k = 0; k < n; k++)
         for (e = near[order[k]]; e < near[order[k] + 1]; e++) {
             i = f->place[neighbour[e]];
@@ -360,7 +364,7 @@ static int prepare_ldl(model_ldl *f, int n, const double *x, int pairs, const in
             }
         }
     /* where the blocks of A are */
-    memset(f->up, 0, (n + 2)*sizeof *f->up);
+    ZERO(f->up, n + 2);
     for (i = 0; i < pairs; i++)
         if (second[i] >= 0) {
             int one = f->place[first[i]], two = f->place[second[i]];
@@ -385,9 +389,9 @@ static int prepare_ldl(model_ldl *f, int n, const double *x, int pairs, const in
     for (s = 0; s < f->nodes; s++) own[s] = other[s] = waiting[s] = 0;
     for (s = 0; s < f->nodes; s++) {
         int p = f->parent[s], rest = rest_of(f, s), height = width_of(f, s) + rest;
-        size_t left = (size_t)rest*rest;
+        ptrdiff_t left = (ptrdiff_t)rest*rest;
         f->panel[s] = total;
-        total += (size_t)height*width_of(f, s);
+        total += (ptrdiff_t)height*width_of(f, s);
         if (height > longest) longest = height;
         if (left > own[s]) own[s] = left;
         if (p < 0) {
@@ -403,11 +407,11 @@ static int prepare_ldl(model_ldl *f, int n, const double *x, int pairs, const in
     f->update[0] = TAKE(double, most[0]);
     f->update[1] = TAKE(double, most[1]);
     f->z = TAKE(double, longest);
-    return !a->missing;
+    return !a->full;
 }
 
 /* The tile of 4 columns loses what 4 columns v of a panel make of them; its first row is the panel's row `row`. */
-static void subtract_tile(double *restrict tile, size_t stride, const double *restrict v, size_t height, int row, int count)
+static void subtract_tile(double *restrict tile, ptrdiff_t stride, const double *restrict v, ptrdiff_t height, int row, int count)
 {
     const double *restrict v0 = v + row, *restrict v1 = v0 + height, *restrict v2 = v1 + height, *restrict v3 = v2 + height;
     double *restrict t0 = tile, *restrict t1 = t0 + stride, *restrict t2 = t1 + stride, *restrict t3 = t2 + stride;
@@ -425,7 +429,7 @@ static void subtract_tile(double *restrict tile, size_t stride, const double *re
 }
 
 /* Eliminate 4 columns, v[0] the first on the diagonal: D^-1 there, L D below their triangle, and above it the inverse of L. */
-static void eliminate_tile(double *v, size_t height, int count)
+static void eliminate_tile(double *v, ptrdiff_t height, int count)
 {
     double *restrict v0 = v, *restrict v1 = v0 + height, *restrict v2 = v1 + height, *restrict v3 = v2 + height;
     double d0, d1, d2, d3, l10, l20, l30, l21, l31, l32, u12, u13, u23;
@@ -470,21 +474,21 @@ static void eliminate_tile(double *v, size_t height, int count)
 static void factor_node(model_ldl *f, int s, double *update, double *spare)
 {
     int width = width_of(f, s), rest = rest_of(f, s), i, j, k, r, e, c;
-    size_t height = width + rest;
+    ptrdiff_t height = width + rest;
     double *panel = f->l + f->panel[s], *left = spare;
     for (c = f->child[s]; c >= 0; c = f->sibling[c]) {
         factor_node(f, c, left, update);
-        left += (size_t)rest_of(f, c)*rest_of(f, c);
+        left += (ptrdiff_t)rest_of(f, c)*rest_of(f, c);
     }
-    memset(panel, 0, width*height*sizeof *panel);
-    memset(update, 0, (size_t)rest*rest*sizeof *update);
+    ZERO(panel, width*height);
+    ZERO(update, (ptrdiff_t)rest*rest);
     for (k = f->begin[s]; k < f->begin[s + 1]; k++)
         for (j = 0; j < DIM; j++) {
             int own = DIM*(k - f->begin[s]);
             double *column = panel + (own + j)*height;
-            for (r = 0; r < DIM; r++) column[own + r] = f->diagonal[(size_t)BLOCK*k + r*DIM + j];
+            for (r = 0; r < DIM; r++) column[own + r] = f->diagonal[(ptrdiff_t)BLOCK*k + r*DIM + j];
             for (e = f->up[k]; e < f->up[k + 1]; e++)
-                for (r = 0; r < DIM; r++) column[f->at[e] + r] += f->a[(size_t)BLOCK*e + j*DIM + r];
+                for (r = 0; r < DIM; r++) column[f->at[e] + r] += f->a[(ptrdiff_t)BLOCK*e + j*DIM + r];
         }
     left = spare;
     for (c = f->child[s]; c >= 0; c = f->sibling[c]) {
@@ -492,15 +496,15 @@ static void factor_node(model_ldl *f, int s, double *update, double *spare)
         int size = f->start[c + 1] - f->start[c], stride = rest_of(f, c);
         for (k = 0; k < size; k++)
             for (j = 0; j < DIM; j++) {
-                const double *from = left + (size_t)(DIM*k + j)*stride;
-                double *to = into[k] < width ? panel + (into[k] + j)*height : update + (size_t)(into[k] + j - width)*rest - width;
+                const double *from = left + (ptrdiff_t)(DIM*k + j)*stride;
+                double *to = into[k] < width ? panel + (into[k] + j)*height : update + (ptrdiff_t)(into[k] + j - width)*rest - width;
                 for (i = k; i < size; i++) {
                     double sum[DIM];
                     for (r = 0; r < DIM; r++) sum[r] = to[into[i] + r] + from[DIM*i + r];
                     for (r = 0; r < DIM; r++) to[into[i] + r] = sum[r];
                 }
             }
-        left += (size_t)stride*stride;
+        left += (ptrdiff_t)stride*stride;
     }
     for (j = 0; j < width; j += 4) {
         double *v = panel + j*height;
@@ -509,7 +513,7 @@ static void factor_node(model_ldl *f, int s, double *update, double *spare)
     }
     for (k = 0; k < rest; k += 4)
         for (j = 0; j < width; j += 4)
-            subtract_tile(update + (size_t)k*rest + k, rest, panel + j*height + j, height, width + k - j, rest - k);
+            subtract_tile(update + (ptrdiff_t)k*rest + k, rest, panel + j*height + j, height, width + k - j, rest - k);
 }
 
 /* Factor A; a pivot that is not positive, by rounding, is taken for infinite. */
@@ -533,7 +537,7 @@ static void factor_ldl(model_ldl *f)
 static void forward(const double *restrict v0, double *restrict z, int width, int height)
 {
     int i, j, k;
-    for (j = 0; j < width; j += 4, v0 += 4*(size_t)height) {
+    for (j = 0; j < width; j += 4, v0 += 4*(ptrdiff_t)height) {
         const double *restrict v1 = v0 + height, *restrict v2 = v1 + height, *restrict v3 = v2 + height;
         double z0 = z[j]*v0[j], z1 = (z[j + 1] + v1[j]*z[j])*v1[j + 1];
         double z2 = (z[j + 2] + v2[j]*z[j] + v2[j + 1]*z[j + 1])*v2[j + 2];
@@ -553,11 +557,11 @@ static void forward(const double *restrict v0, double *restrict z, int width, in
 static void backward(const double *restrict v0, double *restrict z, int width, int height)
 {
     int i, j, k;
-    v0 += width*(size_t)height;
+    v0 += width*(ptrdiff_t)height;
     for (j = width - 4; j >= 0; j -= 4) {
         const double *restrict v1, *restrict v2, *restrict v3;
         double s0[4] = {0.0}, s1[4] = {0.0}, s2[4] = {0.0}, s3[4] = {0.0}, t0, t1, t2, t3;
-        v0 -= 4*(size_t)height;
+        v0 -= 4*(ptrdiff_t)height;
         v1 = v0 + height;
         v2 = v1 + height;
         v3 = v2 + height;
@@ -590,23 +594,23 @@ static void solve_ldl(const model_ldl *f, double *x)
         int own = DIM*(f->begin[s + 1] - f->begin[s]), size = f->start[s + 1] - f->start[s];
         int width = PADDED(own), height = width + PADDED(DIM*size);
         const int *row = f->row + f->start[s];
-        double *xs = x + (size_t)DIM*f->begin[s];
+        double *xs = x + (ptrdiff_t)DIM*f->begin[s];
         for (i = 0; i < own; i++) z[i] = xs[i];
         for (; i < height; i++) z[i] = 0.0;
         forward(f->l + f->panel[s], z, width, height);
         for (i = 0; i < own; i++) xs[i] = z[i];
         for (i = 0; i < size; i++)
-            for (r = 0; r < DIM; r++) x[(size_t)DIM*row[i] + r] += z[width + DIM*i + r];
+            for (r = 0; r < DIM; r++) x[(ptrdiff_t)DIM*row[i] + r] += z[width + DIM*i + r];
     }
     for (s = f->nodes - 1; s >= 0; s--) {
         int own = DIM*(f->begin[s + 1] - f->begin[s]), size = f->start[s + 1] - f->start[s];
         int width = PADDED(own), height = width + PADDED(DIM*size);
         const int *row = f->row + f->start[s];
-        double *xs = x + (size_t)DIM*f->begin[s];
+        double *xs = x + (ptrdiff_t)DIM*f->begin[s];
         for (i = own; i < width; i++) z[i] = 0.0;
         for (i = 0; i < own; i++) z[i] = xs[i];
         for (i = 0; i < size; i++)
-            for (r = 0; r < DIM; r++) z[width + DIM*i + r] = x[(size_t)DIM*row[i] + r];
+            for (r = 0; r < DIM; r++) z[width + DIM*i + r] = x[(ptrdiff_t)DIM*row[i] + r];
         for (i = width + DIM*size; i < height; i++) z[i] = 0.0;
         backward(f->l + f->panel[s], z, width, height);
         for (i = 0; i < own; i++) xs[i] = z[i];

@@ -28,6 +28,7 @@ typedef struct {
     int worst_family, worst_first, worst_second;
     int rows, groups, largest, factorisations, repeats;
     int by_active_set, by_interior, unsettled;
+    long work;                       /* linear systems factored or solved */
 #if TIMES
     double search, assembly, solve;  /* CPU seconds */
 #endif
@@ -49,6 +50,7 @@ typedef struct {
     const double *const *halves;   /* for each such family (n) numbers with c_ij <= half_i + half_j, which then serve for the
                                       largest c; NULL: half of it */
     const double *p;
+    long budget;                   /* the most work */
     double motion;                 /* the largest |d_i| of the last step; 0: unknown */
     int contacts;                  /* of the last step: rows with m > 0 */
     const int *family, *first, *second;
@@ -73,7 +75,7 @@ static double norm_of(const double *v)
 static void evaluate(const model_motion *s, double t, int family, const double *one, const double *other, double *out)
 {
     double time = t;
-    memset(out, 0, (1 + 2*DIM)*sizeof *out);
+    ZERO(out, 1 + 2*DIM);
     s->model->row[family](NULL, &time, s->p, one, other, out);
 }
 
@@ -85,14 +87,14 @@ static int consider(const model_motion *s, model_rows *rows, int family, int i, 
     int k, finite = 1;
     evaluate(s, s->t + s->h, family, one, other, out);
     for (k = 0; k < 1 + 2*DIM; k++) finite = finite && isfinite(out[k]);
-    if (!finite) {
+    first = norm_of(out + 1);
+    if (s->model->of_bodies[family]) second = norm_of(out + 1 + DIM);
+    if (!finite || !isfinite(first) || !isfinite(second)) {
         report->worst_family = family;
         report->worst_first = i;
         report->worst_second = j;
         return 0;
     }
-    first = norm_of(out + 1);
-    if (s->model->of_bodies[family]) second = norm_of(out + 1 + DIM);
     if (out[0] >= (first + second > 1.0 ? first + second : 1.0)*motion) return 1;
     if (rows->count < rows->room) {
         int r = rows->count;
@@ -101,8 +103,8 @@ static int consider(const model_motion *s, model_rows *rows, int family, int i, 
         rows->second[r] = j;
         rows->g[r] = out[0];
         rows->size[r] = sqrt(first*first + second*second);
-        memcpy(rows->slope + (size_t)2*DIM*r, out + 1, 2*DIM*sizeof(double));
-        if (!s->model->of_bodies[family]) memset(rows->slope + (size_t)2*DIM*r + DIM, 0, DIM*sizeof(double));
+        COPY(rows->slope + (ptrdiff_t)2*DIM*r, out + 1, 2*DIM);
+        if (!s->model->of_bodies[family]) ZERO(rows->slope + (ptrdiff_t)2*DIM*r + DIM, DIM);
     }
     rows->count++;
     return 1;
@@ -116,14 +118,14 @@ static int search_between(const model_motion *s, model_rows *rows, int family, c
                           model_report *report)
 {
     int n = s->n, i, k, e, count = 0, cells = 1, shape[3] = {1, 1, 1};
-    const size_t record = s->model->record;
+    const ptrdiff_t record = s->model->record;
     double low[DIM], high[DIM], width = far;
     int *cell = TAKE(int, n), *start, *inside = TAKE(int, n);
-    if (a->missing) return 1;
+    if (a->full) return 1;
     for (i = 0; i < n; i++) {
         if (kind[i] != small) continue;
         for (k = 0; k < DIM; k++) {
-            double x = s->q[(size_t)DIM*i + k];
+            double x = s->q[(ptrdiff_t)DIM*i + k];
             if (!count || x < low[k]) low[k] = x;
             if (!count || x > high[k]) high[k] = x;
         }
@@ -143,12 +145,12 @@ static int search_between(const model_motion *s, model_rows *rows, int family, c
         cells *= shape[k];
     }
     start = TAKE(int, cells + 2);
-    if (a->missing) return 1;
-    memset(start, 0, (cells + 2)*sizeof *start);
+    if (a->full) return 1;
+    ZERO(start, cells + 2);
     for (i = 0; i < n; i++) {
         int at = 0;
         if (kind[i] != small) continue;
-        for (k = 0; k < DIM; k++) at = at*shape[k] + (int)floor((s->q[(size_t)DIM*i + k] - low[k])/width);
+        for (k = 0; k < DIM; k++) at = at*shape[k] + (int)floor((s->q[(ptrdiff_t)DIM*i + k] - low[k])/width);
         cell[i] = at;
         start[at + 2]++;
     }
@@ -157,7 +159,7 @@ static int search_between(const model_motion *s, model_rows *rows, int family, c
         if (kind[i] == small) inside[start[cell[i] + 1]++] = i;
     for (i = 0; i < n; i++) {
         int from[3] = {0, 0, 0}, to[3] = {0, 0, 0}, at, x, y, z;
-        const double *q = s->q + (size_t)DIM*i;
+        const double *q = s->q + (ptrdiff_t)DIM*i;
         if (kind[i] != large) continue;
         for (k = 0; k < DIM; k++) {
             double place = floor((q[k] - low[k])/width);
@@ -173,7 +175,7 @@ static int search_between(const model_motion *s, model_rows *rows, int family, c
                         double distance = 0.0;
                         if (small == large && j <= i) continue;
                         for (k = 0; k < DIM; k++) {
-                            double difference = s->q[(size_t)DIM*j + k] - q[k];
+                            double difference = s->q[(ptrdiff_t)DIM*j + k] - q[k];
                             distance += difference*difference;
                         }
                         if (distance > (size[i] + size[j])*(size[i] + size[j])) continue;
@@ -193,7 +195,7 @@ static int search_pairs(const model_motion *s, model_rows *rows, int family, con
     double *size = TAKE(double, s->n), largest[SIZES] = {0.0}, least = INFINITY;
     signed char *kind = TAKE(signed char, s->n);
     int count[SIZES] = {0}, i, small, large;
-    if (a->missing) return 1;
+    if (a->full) return 1;
     for (i = 0; i < s->n; i++) {
         /* a little more: what is left out is left out for certain */
         size[i] = (1.0 + 1e-12)*((s->halves ? s->halves[family][i] : 0.5*s->farthest[family]) + motion);
@@ -224,7 +226,7 @@ static int search_pairs(const model_motion *s, model_rows *rows, int family, con
 static int collect(const model_motion *s, model_rows *rows, const double *records, double motion, model_arena *a,
                    model_report *report)
 {
-    const size_t width = s->model->record;
+    const ptrdiff_t width = s->model->record;
     int family, i, j;
     rows->count = 0;
     for (family = 0; family < s->model->families; family++) {
@@ -234,7 +236,7 @@ static int collect(const model_motion *s, model_rows *rows, const double *record
                 const double *other = NULL;
                 if (!s->present[pair[0]] || (s->model->of_bodies[family] && !s->present[pair[1]])) continue;
                 if (s->model->of_bodies[family]) other = records + width*pair[1];
-                else if (pair[1] >= 0) other = s->items[family] + (size_t)s->model->item_size[family]*pair[1];
+                else if (pair[1] >= 0) other = s->items[family] + (ptrdiff_t)s->model->item_size[family]*pair[1];
                 if (!consider(s, rows, family, pair[0], pair[1], records + width*pair[0], other, motion, report)) return 0;
             }
         } else if (s->model->of_bodies[family] && s->farthest[family] >= 0.0) {
@@ -250,7 +252,7 @@ static int collect(const model_motion *s, model_rows *rows, const double *record
                         !consider(s, rows, family, i, j, records + width*i, records + width*j, motion, report))
                         return 0;
         } else {
-            const size_t own = s->model->item_size[family];
+            const ptrdiff_t own = s->model->item_size[family];
             int count = own ? s->item_count[family] : 1;
             for (i = 0; i < s->n; i++)
                 for (j = 0; s->present[i] && j < count; j++)
@@ -283,6 +285,7 @@ typedef struct {
     const int *family, *first, *second;
     const double *multiplier;
     int *start, *parent, *group;      /* group: of bodies that rows connect */
+    int exhausted;                    /* there was more to do than the step may */
 } model_work;
 
 static int second_body(const model_work *k, int r)
@@ -293,23 +296,23 @@ static int second_body(const model_work *k, int r)
 /* The row r of g v. */
 static double along_row(const model_work *k, int r, const double *g, const double *v)
 {
-    const double *slope = g + (size_t)2*DIM*r, *one = v + (size_t)DIM*k->rows.first[r];
+    const double *slope = g + (ptrdiff_t)2*DIM*r, *one = v + (ptrdiff_t)DIM*k->rows.first[r];
     double sum = 0.0;
     int second = second_body(k, r), i;
     for (i = 0; i < DIM; i++) sum += slope[i]*one[i];
     if (second >= 0)
-        for (i = 0; i < DIM; i++) sum += slope[DIM + i]*v[(size_t)DIM*second + i];
+        for (i = 0; i < DIM; i++) sum += slope[DIM + i]*v[(ptrdiff_t)DIM*second + i];
     return sum;
 }
 
 /* v := v + l times the row r of g */
 static void add_row(const model_work *k, int r, const double *g, double l, double *v)
 {
-    const double *slope = g + (size_t)2*DIM*r;
+    const double *slope = g + (ptrdiff_t)2*DIM*r;
     int second = second_body(k, r), i;
-    for (i = 0; i < DIM; i++) v[(size_t)DIM*k->rows.first[r] + i] += slope[i]*l;
+    for (i = 0; i < DIM; i++) v[(ptrdiff_t)DIM*k->rows.first[r] + i] += slope[i]*l;
     if (second >= 0)
-        for (i = 0; i < DIM; i++) v[(size_t)DIM*second + i] += slope[DIM + i]*l;
+        for (i = 0; i < DIM; i++) v[(ptrdiff_t)DIM*second + i] += slope[DIM + i]*l;
 }
 
 /* The bodies' numbers side by side and what each wants to do; the contacts of the last step by their first body. */
@@ -318,21 +321,21 @@ static int begin(model_work *k)
     const model_motion *s = k->s;
     model_arena *a = k->a;
     int n = s->n, width = s->model->record, i;
-    k->records = TAKE(double, (size_t)width*n + 1);
-    k->f = TAKE(double, (size_t)DIM*n + 1);
-    k->w = TAKE(double, (size_t)DIM*n + 1);
+    k->records = TAKE(double, (ptrdiff_t)width*n + 1);
+    k->f = TAKE(double, (ptrdiff_t)DIM*n + 1);
+    k->w = TAKE(double, (ptrdiff_t)DIM*n + 1);
     k->start = TAKE(int, n + 2);
     k->parent = TAKE(int, n + 1);
     k->group = TAKE(int, n + 1);
-    if (a->missing) return MODEL_NO_ROOM;
+    if (a->full) return MODEL_NO_ROOM;
     k->speed = 0.0;
     for (i = 0; i < n; i++) {
-        double *record = k->records + (size_t)width*i, *own = k->f + (size_t)DIM*i, time = s->t;
-        memcpy(record, s->q + (size_t)DIM*i, DIM*sizeof *record);
-        memcpy(record + DIM, s->numbers + (size_t)(width - DIM)*i, (width - DIM)*sizeof *record);
-        memset(own, 0, DIM*sizeof *own);
+        double *record = k->records + (ptrdiff_t)width*i, *own = k->f + (ptrdiff_t)DIM*i, time = s->t;
+        COPY(record, s->q + (ptrdiff_t)DIM*i, DIM);
+        COPY(record + DIM, s->numbers + (ptrdiff_t)(width - DIM)*i, width - DIM);
+        ZERO(own, DIM);
         if (!s->present[i]) continue;
-        if (s->velocity) memcpy(own, s->velocity + (size_t)DIM*i, DIM*sizeof *own);
+        if (s->velocity) COPY(own, s->velocity + (ptrdiff_t)DIM*i, DIM);
         else s->model->velocity(NULL, &time, s->p, record, own);
         if (!isfinite(norm_of(own)) || !isfinite(norm_of(record))) {
             k->report->worst_first = i;
@@ -345,7 +348,7 @@ static int begin(model_work *k)
     k->first = s->first;
     k->second = s->second;
     k->multiplier = s->multiplier;
-    memset(k->start, 0, (n + 2)*sizeof *k->start);
+    ZERO(k->start, n + 2);
     for (i = 0; i < s->contacts; i++) k->start[s->first[i] + 1]++;
     for (i = 0; i < n; i++) k->start[i + 1] += k->start[i];
     return MODEL_OK;
@@ -365,10 +368,10 @@ static int look(model_work *k, double motion)
         rows->second = TAKE(int, rows->room);
         rows->g = TAKE(double, rows->room);
         rows->size = TAKE(double, rows->room);
-        rows->slope = TAKE(double, (size_t)2*DIM*rows->room);
-        if (a->missing) return MODEL_NO_ROOM;
+        rows->slope = TAKE(double, (ptrdiff_t)2*DIM*rows->room);
+        if (a->full) return MODEL_NO_ROOM;
         if (!collect(k->s, rows, k->records, motion, a, k->report)) return MODEL_NOT_FINITE;
-        if (a->missing) return MODEL_NO_ROOM;
+        if (a->full) return MODEL_NO_ROOM;
         if (rows->count <= rows->room) break;
         rows->room = rows->count;
     }
@@ -396,18 +399,18 @@ static int enter_rows(model_work *k)
     k->fresh = TAKE(unsigned char, count + 1);
     k->m = TAKE(double, count + 1);
     k->b = TAKE(double, count + 1);
-    k->g = TAKE(double, (size_t)2*DIM*count + 1);
-    if (a->missing) return -1;
+    k->g = TAKE(double, (ptrdiff_t)2*DIM*count + 1);
+    if (a->full) return -1;
     k->unit = k->speed;
     for (r = 0; r < count; r++) {
         double size = k->rows.size[r], scale = size > 0.0 ? 1.0/size : 0.0;
-        for (i = 0; i < 2*DIM; i++) k->g[(size_t)2*DIM*r + i] = scale*k->rows.slope[(size_t)2*DIM*r + i];
+        for (i = 0; i < 2*DIM; i++) k->g[(ptrdiff_t)2*DIM*r + i] = scale*k->rows.slope[(ptrdiff_t)2*DIM*r + i];
         k->b[r] = scale*k->rows.g[r]/s->h + along_row(k, r, k->g, k->f);
         if (size == 0.0) k->b[r] = k->rows.g[r] < 0.0 ? -1.0 : 1.0;
         if (-k->b[r] > k->unit) k->unit = -k->b[r];
     }
     if (!(k->unit > 0.0)) k->unit = 1.0;
-    memset(k->w, 0, (size_t)DIM*s->n*sizeof *k->w);
+    ZERO(k->w, (ptrdiff_t)DIM*s->n);
     for (r = 0; r < count; r++) {
         k->b[r] /= k->unit;
         k->m[r] = last_of(k, r)*k->rows.size[r]/(s->h*k->unit);
@@ -420,7 +423,7 @@ static int enter_rows(model_work *k)
         entered += k->entered[r];
         if (!k->contacts && k->b[r] < 0.0) k->acts[r] = 1;
     }
-    memset(k->w, 0, (size_t)DIM*s->n*sizeof *k->w);
+    ZERO(k->w, (ptrdiff_t)DIM*s->n);
     return entered;
 }
 
@@ -462,18 +465,18 @@ static int solve_groups(model_work *k, int close)
     unsigned char *stale = TAKE(unsigned char, groups + 1);
     model_group p;
     int *first = TAKE(int, count + 1), *second = TAKE(int, count + 1);
-    double *x = TAKE(double, (size_t)DIM*n + 1);
+    double *x = TAKE(double, (ptrdiff_t)DIM*n + 1);
     memset(&p, 0, sizeof p);
-    p.w = TAKE(double, (size_t)DIM*n + 1);
-    p.g = TAKE(double, (size_t)2*DIM*count + 1);
+    p.w = TAKE(double, (ptrdiff_t)DIM*n + 1);
+    p.g = TAKE(double, (ptrdiff_t)2*DIM*count + 1);
     p.b = TAKE(double, count + 1);
     p.multiplier = TAKE(double, count + 1);
     p.acts = TAKE(unsigned char, count + 1);
-    if (a->missing) return 0;
-    memset(rows_at, 0, (groups + 2)*sizeof *rows_at);
-    memset(bodies_at, 0, (groups + 2)*sizeof *bodies_at);
-    memset(waiting, 0, (groups + 1)*sizeof *waiting);
-    memset(stale, 0, groups + 1);
+    if (a->full) return 0;
+    ZERO(rows_at, groups + 2);
+    ZERO(bodies_at, groups + 2);
+    ZERO(waiting, groups + 1);
+    ZERO(stale, groups + 1);
     for (r = 0; r < count; r++) {
         group = k->group[k->rows.first[r]];
         of[r] = !k->entered[r] && second_body(k, r) >= 0 && k->group[second_body(k, r)] != group ? -1 : group;
@@ -498,7 +501,7 @@ static int solve_groups(model_work *k, int close)
         for (i = bodies_at[group]; i < bodies_at[group + 1]; i++) number[body[i]] = i - bodies_at[group];
     k->report->groups = groups;
     k->report->largest = 0;
-    for (group = 0; group < groups; group++) {
+    for (group = 0; group < groups && !k->exhausted; group++) {
         char *mark = a->next;
         const int *own = body + bodies_at[group];
         int how;
@@ -508,14 +511,16 @@ static int solve_groups(model_work *k, int close)
         p.m = p.most - waiting[group];
         p.close = close;
         p.factorisations = 0;
+        p.work = k->report->work;
+        p.budget = k->s->budget;
         if (p.n > k->report->largest) k->report->largest = p.n;
         if (!stale[group]) continue;
-        for (i = 0; i < p.n; i++) memcpy(x + (size_t)DIM*i, k->s->q + (size_t)DIM*own[i], DIM*sizeof *x);
+        for (i = 0; i < p.n; i++) COPY(x + (ptrdiff_t)DIM*i, k->s->q + (ptrdiff_t)DIM*own[i], DIM);
         for (i = 0; i < p.most; i++) {
             r = p.row[i];
             first[i] = number[k->rows.first[r]];
             second[i] = second_body(k, r) >= 0 ? number[second_body(k, r)] : -1;
-            memcpy(p.g + (size_t)2*DIM*i, k->g + (size_t)2*DIM*r, 2*DIM*sizeof *p.g);
+            COPY(p.g + (ptrdiff_t)2*DIM*i, k->g + (ptrdiff_t)2*DIM*r, 2*DIM);
             p.b[i] = k->b[r];
             p.multiplier[i] = k->m[r];
             p.acts[i] = k->acts[r];
@@ -524,12 +529,14 @@ static int solve_groups(model_work *k, int close)
         p.first = first;
         p.second = second;
         how = solve_group(&p, a);
+        k->report->work = p.work;
+        k->exhausted |= p.exhausted;
         if (how < 0) return 0;
         k->report->factorisations += p.factorisations;
         k->report->by_active_set += how == 1;
         k->report->by_interior += how == 2 || how == 3;
         k->report->unsettled += how == 4;
-        for (i = 0; i < p.n; i++) memcpy(k->w + (size_t)DIM*own[i], p.w + (size_t)DIM*i, DIM*sizeof *x);
+        for (i = 0; i < p.n; i++) COPY(k->w + (ptrdiff_t)DIM*own[i], p.w + (ptrdiff_t)DIM*i, DIM);
         for (i = 0; i < p.m; i++) {
             r = p.row[i];
             k->m[r] = p.multiplier[i];
@@ -565,11 +572,11 @@ static double move(model_work *k)
     for (i = 0; i < s->n; i++) {
         double d[DIM];
         for (j = 0; j < DIM; j++) {
-            size_t at = (size_t)DIM*i + j;
+            ptrdiff_t at = (ptrdiff_t)DIM*i + j;
             d[j] = s->present[i] ? s->h*(k->f[at] + k->unit*k->w[at]) : 0.0;
             s->q_next[at] = s->q[at] + d[j];
         }
-        if (!(norm_of(d) <= largest)) largest = norm_of(d);
+        largest = worse_of(largest, norm_of(d));
     }
     return largest;
 }
@@ -582,9 +589,9 @@ static int certify(model_work *k, double largest)
     const model_motion *s = k->s;
     model_arena *a = k->a;
     double worst = 0.0, gap = 0.0, noise = 0.0, moved = 0.0, far = 0.0, S = largest > s->h*k->speed ? largest : s->h*k->speed;
-    double *d = TAKE(double, (size_t)DIM*s->n + 1), *e = TAKE(double, (size_t)DIM*s->n + 1), least;
+    double *d = TAKE(double, (ptrdiff_t)DIM*s->n + 1), *e = TAKE(double, (ptrdiff_t)DIM*s->n + 1), least;
     int i, r;
-    if (a->missing) return 0;
+    if (a->full) return 0;
     for (i = 0; i < DIM*s->n; i++) {
         int there = s->present[i/DIM];
         d[i] = there ? s->q_next[i] - s->q[i] : 0.0;
@@ -600,9 +607,9 @@ static int certify(model_work *k, double largest)
         add_row(k, r, k->rows.slope, -k->m[r], e);
         bad = -y/size;
         least_of = fabs(y)/size < k->m[r]*size ? fabs(y)/size : k->m[r]*size;
-        if (least_of > bad) bad = least_of;
+        bad = worse_of(bad, least_of);
         if (!(bad <= worst)) {
-            worst = bad;
+            worst = bad < INFINITY ? bad : INFINITY;
             k->report->worst_family = k->rows.family[r];
             k->report->worst_first = k->rows.first[r];
             k->report->worst_second = k->rows.second[r];
@@ -610,11 +617,11 @@ static int certify(model_work *k, double largest)
         gap += k->m[r]*fabs(y);
         noise += k->m[r]*(fabs(k->rows.g[r]) + size*(S + far));
     }
-    for (i = 0; i < DIM*s->n; i++)
-        if (!(fabs(e[i]) <= worst)) worst = fabs(e[i]);
+    for (i = 0; i < DIM*s->n; i++) worst = worse_of(worst, fabs(e[i]));
     worst /= S > 0.0 ? S : 1.0;
-    if (gap > 16.0*DBL_EPSILON*noise && gap > worst*moved) worst = gap/moved;
-    k->report->residual = worst;
+    if (!(gap <= 16.0*DBL_EPSILON*noise) && !(gap <= worst*moved)) worst = gap/moved;
+    /* a scale that is infinite excuses nothing */
+    k->report->residual = isfinite(S + moved + noise) && worst < INFINITY ? worst : INFINITY;
     return 1;
 }
 
@@ -624,7 +631,7 @@ static int list_contacts(model_work *k)
     model_motion *s = k->s;
     model_arena *a = k->a;
     int n = s->n, i, r;
-    memset(k->start, 0, (n + 2)*sizeof *k->start);
+    ZERO(k->start, n + 2);
     for (r = 0; r < k->rows.count; r++) k->start[k->rows.first[r] + 2] += k->m[r] > 0.0;
     for (i = 0; i < n; i++) k->start[i + 2] += k->start[i + 1];
     s->contacts_out = k->start[n + 1];
@@ -632,7 +639,7 @@ static int list_contacts(model_work *k)
     s->first_out = TAKE(int, s->contacts_out + 1);
     s->second_out = TAKE(int, s->contacts_out + 1);
     s->multiplier_out = TAKE(double, s->contacts_out + 1);
-    if (a->missing) return 0;
+    if (a->full) return 0;
     for (r = 0; r < k->rows.count; r++)
         if (k->m[r] > 0.0) {
             int at = k->start[k->rows.first[r] + 1]++;
@@ -667,20 +674,20 @@ static int finish(model_work *k)
     model_motion *s = k->s;
     int n = s->n, width = s->model->record, i, r;
     k->report->gap = INFINITY;
-    for (i = 0; i < n; i++) memcpy(k->records + (size_t)width*i, s->q_next + (size_t)DIM*i, DIM*sizeof(double));
+    for (i = 0; i < n; i++) COPY(k->records + (ptrdiff_t)width*i, s->q_next + (ptrdiff_t)DIM*i, DIM);
     for (r = 0; r < k->rows.count; r++) {
         double out[1 + 2*DIM];
         const double *other = NULL;
         int family = k->rows.family[r], second = k->rows.second[r];
-        if (second_body(k, r) >= 0) other = k->records + (size_t)width*second;
-        else if (second >= 0) other = s->items[family] + (size_t)s->model->item_size[family]*second;
-        evaluate(s, s->t + s->h, family, k->records + (size_t)width*k->rows.first[r], other, out);
-        if (!(out[0] >= k->report->gap)) k->report->gap = out[0];
+        if (second_body(k, r) >= 0) other = k->records + (ptrdiff_t)width*second;
+        else if (second >= 0) other = s->items[family] + (ptrdiff_t)s->model->item_size[family]*second;
+        evaluate(s, s->t + s->h, family, k->records + (ptrdiff_t)width*k->rows.first[r], other, out);
+        if (k->report->gap == k->report->gap && !(out[0] >= k->report->gap)) k->report->gap = out[0];
     }
     if (!list_contacts(k)) return 0;
     for (i = 0; i < n && s->leaves; i++) {
         double time = s->t + s->h, value = 0.0;
-        if (s->present[i] && s->model->leave) s->model->leave(NULL, &time, s->p, k->records + (size_t)width*i, &value);
+        if (s->present[i] && s->model->leave) s->model->leave(NULL, &time, s->p, k->records + (ptrdiff_t)width*i, &value);
         s->leaves[i] = value > 0.0;
     }
     return 1;
@@ -692,7 +699,7 @@ static
 #endif
 int move_bodies(model_motion *s, char *memory, size_t size, size_t *missing, model_report *report)
 {
-    model_arena arena = {memory, memory + size, 0};
+    model_arena arena = {memory, memory + size, 0, 0};
     model_work work, *k = &work;
     double motion, largest = 0.0;
     char *mark;
@@ -731,6 +738,7 @@ int move_bodies(model_motion *s, char *memory, size_t size, size_t *missing, mod
         for (pass = 0; fresh; pass++) {
             char *inner = arena.next;
             if (!solve_groups(k, pass > 0 || report->repeats > 0)) goto no_room;
+            if (k->exhausted) return MODEL_NOT_SOLVED;
             arena.next = inner;
             fresh = enter_violated(k);
         }
@@ -742,8 +750,9 @@ int move_bodies(model_motion *s, char *memory, size_t size, size_t *missing, mod
 #endif
         report->motion = largest;
         report->cutoff = motion;
+        if (!isfinite(largest)) return MODEL_NOT_SOLVED;
         if (largest <= motion) break;
-        if (!isfinite(largest) || report->repeats == REPEATS) return MODEL_NOT_SOLVED;
+        if (report->repeats == REPEATS) return MODEL_NOT_SOLVED;
         motion = 1.5*largest;
         if (!know_contacts(k, mark)) goto no_room;
     }

@@ -1,5 +1,10 @@
 /* ---- The interface ---- */
 
+#define READY 0x6e736d64UL
+
+/* Whether the solver was initialised. */
+static int is_ready(const model_solver *s) { return s->ready == READY; }
+
 static int all_finite(size_t n, const double *v)
 {
     size_t i;
@@ -12,80 +17,108 @@ static int finite_there(const model_solver *s, const double *x)
 {
     int i;
     for (i = 0; i < MODEL_BODIES; i++)
-        if (s->present[i] && !all_finite(MODEL_DIM, x + (size_t)MODEL_DIM*i)) return 0;
+        if (s->present[i] && !all_finite(MODEL_DIM, x + (ptrdiff_t)MODEL_DIM*i)) return 0;
     return 1;
+}
+
+/* Compute the next step in s->work; the state stays. */
+static int attempt(model_solver *s, model_motion *now, model_report *report)
+{
+    const double next = s->t_0 + (s->steps + 1)*s->h;
+    size_t missing = 0;
+    int status;
+    s->t = s->t_0 + s->steps*s->h;
+    if (!isfinite(s->t) || !isfinite(next) || !finite_there(s, s->x)) return MODEL_NOT_FINITE;
+    if (!(next > s->t)) return MODEL_BAD_STEP;
+    now->model = &own_functions;
+    now->t = s->t;
+    now->h = s->h;
+    now->tolerance = MODEL_TOLERANCE;
+    now->n = MODEL_BODIES;
+    now->q = s->x;
+    now->present = s->present;
+    now->numbers = body_numbers;
+    now->items = family_items;
+    now->item_count = family_item_count;
+    now->over = family_over;
+    now->over_count = family_over_count;
+    now->farthest = family_farthest;
+    now->halves = NULL;
+    now->budget = s->budget;
+    now->motion = s->motion;
+    now->contacts = s->contacts;
+    now->family = s->family;
+    now->first = s->first;
+    now->second = s->second;
+    now->multiplier = s->multiplier;
+    now->q_next = s->work.x_next;
+    now->leaves = s->work.leaves;
+    status = move_bodies(now, (char *)s->work.memory, sizeof s->work.memory, &missing, report);
+    if (status != MODEL_OK) return status;
+    if (!finite_there(s, s->work.x_next)) return MODEL_NOT_FINITE;
+    return now->contacts_out <= MODEL_CONTACTS ? MODEL_OK : MODEL_NO_ROOM;
 }
 
 int model_step(model_solver *s)
 {
     model_motion now;
     model_report report;
-    size_t missing = 0;
+    size_t contacts;
     int i;
+    if (!is_ready(s)) return s->status = MODEL_NOT_INITIALISED;
     memset(&now, 0, sizeof now);
-    s->t = s->t_0 + s->steps*s->h;
-    if (!isfinite(s->t + s->h) || !finite_there(s, s->x)) return s->status = MODEL_NOT_FINITE;
-    now.model = &own_functions;
-    now.t = s->t;
-    now.h = s->h;
-    now.tolerance = MODEL_TOLERANCE;
-    now.n = MODEL_BODIES;
-    now.q = s->x;
-    now.present = s->present;
-    now.numbers = body_numbers;
-    now.items = family_items;
-    now.item_count = family_item_count;
-    now.over = family_over;
-    now.over_count = family_over_count;
-    now.farthest = family_farthest;
-    now.halves = NULL;
-    now.motion = s->motion;
-    now.contacts = s->contacts;
-    now.family = s->family;
-    now.first = s->first;
-    now.second = s->second;
-    now.multiplier = s->multiplier;
-    now.q_next = s->work.x_next;
-    now.leaves = s->work.leaves;
-    s->status = move_bodies(&now, (char *)s->work.memory, sizeof s->work.memory, &missing, &report);
-    if (s->status == MODEL_OK && now.contacts_out > MODEL_CONTACTS) s->status = MODEL_NO_ROOM;
+    memset(&report, 0, sizeof report);
+    report.residual = INFINITY;
+    s->status = attempt(s, &now, &report);
+    s->residual = report.residual;
+    s->iterations = report.factorisations;
+    s->spent = report.work;
     if (s->status != MODEL_OK) return s->status;
     memcpy(s->x, s->work.x_next, sizeof s->x);
     s->contacts = now.contacts_out;
-    memcpy(s->family, now.family_out, s->contacts*sizeof *s->family);
-    memcpy(s->first, now.first_out, s->contacts*sizeof *s->first);
-    memcpy(s->second, now.second_out, s->contacts*sizeof *s->second);
-    memcpy(s->multiplier, now.multiplier_out, s->contacts*sizeof *s->multiplier);
+    contacts = (size_t)s->contacts;
+    memcpy(s->family, now.family_out, contacts*sizeof *s->family);
+    memcpy(s->first, now.first_out, contacts*sizeof *s->first);
+    memcpy(s->second, now.second_out, contacts*sizeof *s->second);
+    memcpy(s->multiplier, now.multiplier_out, contacts*sizeof *s->multiplier);
+    s->length = s->h;
     for (i = 0; i < MODEL_BODIES; i++)
         if (s->work.leaves[i]) s->present[i] = 0;
     s->gap = report.gap;
-    s->residual = report.residual;
-    s->iterations = report.factorisations;
     s->motion = report.motion;
     s->steps += 1;
     s->t = s->t_0 + s->steps*s->h;
     return MODEL_OK;
 }
 
-int model_init(model_solver *s)
-{
-    memset(s, 0, sizeof *s);
-    s->h = MODEL_STEP;
-    return model_reset(s);
-}
-
-int model_reset(model_solver *s)
+/* Back to the start; the step stays. */
+static int restart(model_solver *s)
 {
     int i;
     memcpy(s->x, body_starts, sizeof s->x);
     for (i = 0; i < MODEL_BODIES; i++) s->present[i] = 1;
     s->t = s->t_0 = s->steps = s->motion = s->residual = s->gap = 0;
+    s->spent = 0;
     s->contacts = s->status = s->iterations = 0;
+    s->length = s->h;
     return MODEL_OK;
 }
 
+int model_init(model_solver *s)
+{
+    memset(s, 0, sizeof *s);
+    if (!is_sound()) return MODEL_BAD_ARITHMETIC;
+    s->h = MODEL_STEP;
+    s->budget = MODEL_MAX_WORK;
+    s->ready = READY;
+    return restart(s);
+}
+
+int model_reset(model_solver *s) { return is_ready(s) ? restart(s) : MODEL_NOT_INITIALISED; }
+
 int model_set_time(model_solver *s, double t)
 {
+    if (!is_ready(s)) return MODEL_NOT_INITIALISED;
     if (!isfinite(t)) return MODEL_NOT_FINITE;
     s->t = s->t_0 = t;
     s->steps = 0;
@@ -94,6 +127,7 @@ int model_set_time(model_solver *s, double t)
 
 int model_set_step(model_solver *s, double h)
 {
+    if (!is_ready(s)) return MODEL_NOT_INITIALISED;
     if (!(h > 0) || !isfinite(h)) return MODEL_BAD_STEP;
     if (h == s->h) return MODEL_OK;
     s->t_0 = s->t;
@@ -104,14 +138,18 @@ int model_set_step(model_solver *s, double h)
 
 int model_set_state(model_solver *s, const double *x)
 {
+    if (!is_ready(s)) return MODEL_NOT_INITIALISED;
     if (!finite_there(s, x)) return MODEL_NOT_FINITE;
     memcpy(s->x, x, sizeof s->x);
     return MODEL_OK;
 }
 
-void model_set_present(model_solver *s, int body, int present)
+int model_set_present(model_solver *s, int body, int present)
 {
     int i, kept = 0;
+    if (!is_ready(s)) return MODEL_NOT_INITIALISED;
+    if (body < 0 || body >= MODEL_BODIES) return MODEL_BAD_INDEX;
+    if (present && !all_finite(MODEL_DIM, s->x + (ptrdiff_t)MODEL_DIM*body)) return MODEL_NOT_FINITE;
     s->present[body] = present != 0;
     for (i = 0; i < s->contacts; i++) {
         if (s->first[i] == body || (of_bodies[s->family[i]] && s->second[i] == body)) continue;
@@ -121,8 +159,8 @@ void model_set_present(model_solver *s, int body, int present)
         s->multiplier[kept++] = s->multiplier[i];
     }
     s->contacts = kept;
+    return MODEL_OK;
 }
-
 
 double model_get_time(const model_solver *s) { return s->t; }
 
@@ -135,8 +173,8 @@ void model_get_pressure(const model_solver *s, double *pressure)
     int i;
     memset(pressure, 0, MODEL_BODIES*sizeof *pressure);
     for (i = 0; i < s->contacts; i++) {
-        pressure[s->first[i]] += s->multiplier[i]/s->h;
-        if (of_bodies[s->family[i]]) pressure[s->second[i]] += s->multiplier[i]/s->h;
+        pressure[s->first[i]] += s->multiplier[i]/s->length;
+        if (of_bodies[s->family[i]]) pressure[s->second[i]] += s->multiplier[i]/s->length;
     }
 }
 
@@ -144,21 +182,14 @@ double model_get_residual(const model_solver *s) { return s->residual; }
 
 int model_get_iterations(const model_solver *s) { return s->iterations; }
 
+long model_get_work(const model_solver *s) { return s->spent; }
+
 int model_get_status(const model_solver *s) { return s->status; }
 
 const char *model_status_text(int status)
 {
     switch (status) {
-    case MODEL_OK:
-        return "done";
-    case MODEL_NOT_SOLVED:
-        return "no answer passed the certificate: the step may have no solution (a body squeezed?); try a smaller step";
-    case MODEL_NOT_FINITE:
-        return "a state, time, step, velocity or constraint is NaN or infinite";
-    case MODEL_NO_ROOM:
-        return "more constraints act at once than there is room for: compile with a larger MODEL_MEMORY";
-    case MODEL_BAD_STEP:
-        return "the time step is not a finite number > 0";
+@STATUS_CASES@
     default:
         return "unknown status";
     }

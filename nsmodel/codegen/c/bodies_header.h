@@ -6,7 +6,7 @@
  * and leaves the state as it was. All constraints that could act in a step take part in it: what bodies move is checked after it.
  *
  * C99, libc and libm only. No allocation but in model_create(), no globals: any number of solvers, each used by one thread at a
- * time. A solver must be initialised before anything else; pointers are not checked.
+ * time. A solver must be initialised before anything else: memory of zeros is refused, pointers are not checked.
  *
  * States: @STATES@.
  * Families of constraints: @FAMILIES@.
@@ -23,6 +23,7 @@ extern "C" {
 #define MODEL_NX @NX@ /* MODEL_BODIES*MODEL_DIM */
 #define MODEL_STEP @STEP@ /* time step@UNIT_T@ */
 #define MODEL_TOLERANCE @TOLERANCE@ /* largest residual of an accepted step, without unit */
+#define MODEL_MAX_WORK @WORK@ /* of a step: linear systems factored or solved, at most */
 #define MODEL_CONTACTS @CONTACTS@ /* room for constraints with a reaction */
 #ifndef MODEL_MEMORY
 #define MODEL_MEMORY @MEMORY@ /* bytes that a step works in */
@@ -30,13 +31,7 @@ extern "C" {
 #define MODEL_MODEL_HASH "@HASH@" /* of the model with its numbers and its grid */
 
 /* What the functions return. */
-enum {
-    MODEL_OK = 0,
-    MODEL_NOT_SOLVED = 1, /* no answer passed the certificate; the state is unchanged */
-    MODEL_NOT_FINITE = 2, /* a state, time, step, velocity or constraint is NaN or infinite */
-    MODEL_NO_ROOM = 3, /* more constraints act at once than MODEL_MEMORY or MODEL_CONTACTS has room for; the state is unchanged */
-    MODEL_BAD_STEP = 4 /* the time step is not a finite number > 0 */
-};
+@STATUSES@
 
 typedef struct model_solver {
     /* To read; write with the functions below. */
@@ -46,11 +41,16 @@ typedef struct model_solver {
     int contacts; /* constraints with a reaction in the last step: */
     int family[MODEL_CONTACTS], first[MODEL_CONTACTS]; /* the family, the body, */
     int second[MODEL_CONTACTS]; /* the other body or the item, -1: none, */
-    double multiplier[MODEL_CONTACTS]; /* and the reaction times h */
-    double gap; /* least constraint among those near, after the last step */
-    double residual; /* of the last step */
-    int status, iterations; /* of the last step: status, numeric factorisations */
-    double t_0, steps, motion;
+    double multiplier[MODEL_CONTACTS]; /* and the reaction times the step of then, */
+    double length; /* which was this */
+    double gap; /* least constraint among those near, after that step */
+    /* Of the last step, whether it was taken or not: */
+    double residual; /* of its answer; infinite where there was none */
+    long spent; /* work: see MODEL_MAX_WORK */
+    int status, iterations; /* iterations: numeric factorisations */
+    double t_0, steps, motion; /* t = t_0 + steps h */
+    long budget; /* most work of a step */
+    unsigned long ready; /* whether the solver is initialised */
     /* What a step works in. */
     struct {
         double x_next[MODEL_NX];
@@ -71,8 +71,8 @@ int model_init(model_solver *s); /* the start, and step of the model */
 int model_reset(model_solver *s); /* back to the start; the step stays */
 int model_set_time(model_solver *s, double t);
 int model_set_step(model_solver *s, double h);
-int model_set_state(model_solver *s, const double *x); /* x[MODEL_NX] */
-void model_set_present(model_solver *s, int body, int present); /* let a body, at its state, take part or not */
+int model_set_state(model_solver *s, const double *x); /* x[MODEL_NX]: finite for bodies that are present */
+int model_set_present(model_solver *s, int body, int present); /* let a body, 0 to MODEL_BODIES - 1, at its state, take part or not */
 
 int model_step(model_solver *s); /* from t to t + h; bodies that leave after it are no longer present */
 
@@ -81,9 +81,11 @@ double model_get_time(const model_solver *s);
 void model_get_state(const model_solver *s, double *x); /* x[MODEL_NX] */
 void model_get_present(const model_solver *s, unsigned char *present); /* present[MODEL_BODIES] */
 void model_get_pressure(const model_solver *s, double *pressure); /* pressure[MODEL_BODIES]: sum of the reactions on each body */
-double model_get_residual(const model_solver *s);
+/* Of the last step, of one that failed too. */
+double model_get_residual(const model_solver *s); /* of its answer; infinite where there was none */
 int model_get_iterations(const model_solver *s); /* numeric factorisations */
-int model_get_status(const model_solver *s);
+long model_get_work(const model_solver *s); /* linear systems factored or solved: up to MODEL_MAX_WORK */
+int model_get_status(const model_solver *s); /* what the step returned */
 const char *model_status_text(int status);
 
 #ifdef __cplusplus

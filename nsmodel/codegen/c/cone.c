@@ -78,10 +78,10 @@ static double relative_map(const model_solver *s, const affine_problem *p, const
             double terms = in_ball ? s->cone.radius[k] : s->cone.c[i]*fabs(p->b[i]);
             for (int j = 0; j < p->m; j++)
                 terms += s->cone.c[i]*fabs(p->W[i*p->m + j]*l[j]);
-            scale = max_of(scale, terms + fabs(l[i]));
-            size = max_of(size, fabs(s->cone.F[i]));
+            scale = worse_of(scale, terms + fabs(l[i]));
+            size = worse_of(size, fabs(s->cone.F[i]));
         }
-        worst = max_of(worst, ratio(size, scale));
+        worst = worse_of(worst, ratio(size, scale));
         k += in_block;
     }
     return worst;
@@ -135,7 +135,7 @@ static int semismooth_newton(model_solver *s, const affine_problem *p)
                 break;
             }
         }
-        memcpy(l, trial, m*sizeof *l);
+        COPY(l, trial, m);
     }
     return !(relative_map(s, p, l) <= 1e-11);
 }
@@ -144,7 +144,7 @@ static int semismooth_newton(model_solver *s, const affine_problem *p)
 static double inverse_norm(model_solver *s, const affine_problem *p, int start, int n)
 {
     for (int i = 0; i < n; i++)
-        memcpy(s->linear.lu + i*n, p->W + (start + i)*p->m + start, n*sizeof *p->W);
+        COPY(s->linear.lu + i*n, p->W + (start + i)*p->m + start, n);
     double unit;
     const double most = decompose(s, n, &unit);
     return 1/max_of(sqrt(most)*unit, DBL_MIN);
@@ -162,7 +162,7 @@ static double relax(model_solver *s, const affine_problem *p, int k, int start, 
     else
         u[start] = clip(u[start], p->lo[start], p->up[start]);
     for (int i = start; i < start + n; i++) {
-        change = max_of(change, fabs(u[i] - l[i]));
+        change = worse_of(change, fabs(u[i] - l[i]));
         l[i] = u[i];
     }
     return change;
@@ -176,16 +176,16 @@ static void gauss_seidel(model_solver *s, const affine_problem *p)
         s->cone.step[i] = inverse_norm(s, p, i, 1);
     for (int k = 0; k < MODEL_CURVED; k++)
         s->cone.step[curved[k].start] = inverse_norm(s, p, curved[k].start, curved[k].size);
-    for (int sweep = 0; sweep < GAUSS_SEIDEL_SWEEPS; sweep++) {
+    for (int sweep = 0; sweep < GAUSS_SEIDEL_SWEEPS && spend(s); sweep++) {
         double change = 0;
         for (int k = 0; k < MODEL_CURVED; k++)
-            change = max_of(change, relax(s, p, k, curved[k].start, curved[k].size));
+            change = worse_of(change, relax(s, p, k, curved[k].start, curved[k].size));
         for (int i = 0, k = 0; i < p->m; i++)
             if (k < MODEL_CURVED && i == curved[k].start)
                 i += curved[k++].size - 1;
             else
-                change = max_of(change, relax(s, p, -1, i, 1));
-        if (change <= 1e-10*largest(p->m, s->cone.l))
+                change = worse_of(change, relax(s, p, -1, i, 1));
+        if (!(change > 1e-10*largest(p->m, s->cone.l)))
             break;
     }
 }
@@ -203,7 +203,7 @@ static void curved_index_set(model_solver *s, const affine_problem *p)
         int code = size > s->cone.radius[k];
         if (block->kind == SECOND_ORDER_CONE)
             code = size <= first ? 0 : size <= -first ? -1 : 1;
-        memset(s->affine.code + block->start, code, block->size);
+        memset(s->affine.code + block->start, code, (size_t)block->size);
     }
 }
 
@@ -263,7 +263,7 @@ static int solve_curved(model_solver *s, const affine_problem *p, const double *
         curved_index_set(s, p);
         if (!exact_zeros(s, p) && passes(s, p, accepted))
             return SEMISMOOTH;
-        memcpy(s->affine.l, s->cone.l, p->m*sizeof *s->affine.l);
+        COPY(s->affine.l, s->cone.l, p->m);
         if (passes(s, p, accepted))
             return SEMISMOOTH;
         attempt |= 1; /* no sweeps where Newton's method has converged */

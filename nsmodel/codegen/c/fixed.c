@@ -14,7 +14,21 @@ static double worst_of(double worst, double part, double size)
     return r <= worst ? worst : r < INFINITY ? r : INFINITY;
 }
 
-/* The residual of E at s->work.z, beside what moves in the step; the round-off of z is looked at only where it may matter. */
+/* The running error bounds of E and Y at (z, l), once for each that is judged. */
+static void look_at_rounding(model_solver *s)
+{
+    if (s->fixed.looked)
+        return;
+    s->fixed.looked = 1;
+#if LAW
+    round_off_E(s, s->work.z, s->work.l, s->fixed.error_E);
+    round_off_Y(s, s->work.z, s->work.l, s->fixed.error_Y);
+#else
+    round_off_E(s, s->work.z, s->fixed.error_E);
+#endif
+}
+
+/* The residual of E at s->work.z, beside what moves in the step; rounding is looked at only where it may matter. */
 static double dynamics_residual(model_solver *s)
 {
     double *E = s->fixed.E, *scale = s->fixed.scale, worst = 0;
@@ -27,20 +41,16 @@ static double dynamics_residual(model_solver *s)
         worst = worst_of(worst, fabs(E[i]), scale[i]);
     if (worst <= CLEAR)
         return worst;
-#if LAW
-    round_off_E(s, s->fixed.E_0, s->work.z, s->work.l, s->fixed.seen);
-#else
-    round_off_E(s, s->fixed.E_0, s->work.z, s->fixed.seen);
-#endif
+    look_at_rounding(s);
     worst = 0;
     for (int i = 0; i < MODEL_N; i++)
-        worst = worst_of(worst, fabs(E[i]), max_of(scale[i], ROUND_OFF/TOLERANCE*s->fixed.seen[i]));
+        worst = worst_of(worst, fabs(E[i]), scale[i] + ROUND_OFF/TOLERANCE*s->fixed.error_E[i]);
     return worst;
 }
 
 #if LAW
 #if CURVED
-/* The residual of the law at (l, Y); the round-off of Y is looked at only where it may matter. */
+/* The residual of the law at (l, Y); rounding is looked at only where it may matter. */
 static double residual_of_law(model_solver *s)
 {
     const double *l = s->work.l;
@@ -49,9 +59,9 @@ static double residual_of_law(model_solver *s)
     const double residual = law_residual(s, MODEL_M, lower, upper, l, s->fixed.Y, s_y, w_max);
     if (residual <= CLEAR)
         return residual;
-    round_off_Y(s, s->fixed.Y_0, s->work.z, l, s->fixed.size_Y);
+    look_at_rounding(s);
     for (int i = 0; i < MODEL_M; i++)
-        s_y[i] = max_of(s_y[i], ROUND_OFF/TOLERANCE*s->fixed.size_Y[i]);
+        s_y[i] += ROUND_OFF/TOLERANCE*s->fixed.error_Y[i];
     return law_residual(s, MODEL_M, lower, upper, l, s->fixed.Y, s_y, w_max);
 }
 #else
@@ -83,19 +93,18 @@ static double multiplier_scale_of(const model_solver *s, int i, double s_y)
 {
     double size = max_of(fabs(s->work.l[i]), bound_size[i]);
     if (w_root[i] == 0)
-        return size;
+        return size + ROUND_OFF/TOLERANCE*s->fixed.felt_l[i];
     for (int j = 0; j < MODEL_M; j++)
         size = max_of(size, NEGLIGIBLE*fabs(s->work.l[j])*w_root[j]/w_root[i]);
-    return min_of(s_y/(w_root[i]*w_root[i]), size);
+    return min_of(s_y/(w_root[i]*w_root[i]), size) + ROUND_OFF/TOLERANCE*s->fixed.felt_l[i];
 }
 
 /* The residual of the law at (l, Y), the graph point chosen by the index set: an upper bound of the distance to the graph.
-   *settled: whether no other index set is called for. The round-off of Y is looked at only where it may matter. */
+   *settled: whether no other index set is called for. Rounding is looked at only where it may matter. */
 static double box_residual(model_solver *s, int *settled)
 {
-    const double *l = s->work.l, *Y = s->fixed.Y, *size_Y = s->fixed.size_Y;
+    const double *l = s->work.l, *Y = s->fixed.Y, *error_Y = s->fixed.error_Y;
     double worst = 0, sum = 0, most = -1;
-    int looked = 0;
     *settled = 1;
     for (int i = 0; i < MODEL_M; i++) {
         const int code = s->work.code[i];
@@ -118,11 +127,9 @@ static double box_residual(model_solver *s, int *settled)
             continue;
         double s_y = output_scale_of(s, i, &most);
         if (code != 0 || wrong > CLEAR*s_y) {
-            if (!looked)
-                round_off_Y(s, s->fixed.Y_0, s->work.z, l, s->fixed.size_Y);
-            looked = 1;
-            s_y = max_of(s_y, ROUND_OFF/TOLERANCE*size_Y[i]);
-            if (code != 0 && wrong > ROUND_OFF*size_Y[i])
+            look_at_rounding(s);
+            s_y += ROUND_OFF/TOLERANCE*error_Y[i];
+            if (code != 0 && wrong > ROUND_OFF*error_Y[i])
                 *settled = 0;
         }
         worst = worst_of(worst, wrong, s_y);
@@ -141,32 +148,53 @@ static double gap_residual(model_solver *s)
     const double *l = s->work.l, *Y = s->fixed.Y;
     double gap = 0, reach[1], unseen = 0;
     for (int i = 0; i < MODEL_M; i++)
-        gap += max_of(l[i], 0)*max_of(Y[i], 0);
+        gap += worse_of(l[i], 0)*worse_of(Y[i], 0);
     if (gap == 0)
         return 0;
     moved(s, s->fixed.E_0, s->work.z, reach);
     if (gap <= CLEAR*reach[0])
-        return gap/max_of(reach[0], UNRESOLVED);
-    round_off_Y(s, s->fixed.Y_0, s->work.z, l, s->fixed.size_Y);
+        return worst_of(0, gap, reach[0]);
+    look_at_rounding(s);
     for (int i = 0; i < MODEL_M; i++)
-        unseen += ROUND_OFF*fabs(l[i])*s->fixed.size_Y[i];
-    return gap > unseen ? gap/max_of(reach[0], UNRESOLVED) : 0;
+        unseen += ROUND_OFF*fabs(l[i])*s->fixed.error_Y[i];
+    return gap <= unseen && unseen < INFINITY ? 0 : worst_of(0, gap, reach[0]);
 }
 
 #endif
-/* Certify s->work.l with s->work.code: 1 where the step passes, 2 where also no other index set is called for. */
-static int certified(model_solver *s)
+static void add_felt(model_solver *s);
+
+/* Put z where it is known exactly, and judge (z, l) with its index set: 1 where it passes, 2 where also no other index set is
+   called for. ``felt``: what the unknowns err by counts too. */
+static int judged(model_solver *s, int felt)
 {
     int settled = 1;
 #if LAW
     double *z = s->work.z;
     const double *l = s->work.l;
-    respond(s, s->fixed.z_0, l, z);
 #if UNIT_ROWS
+#if FOLLOW_ROWS
+    memset(s->fixed.exact, 0, sizeof s->fixed.exact);
+#endif
     /* z_j where y_i = factor z_j + c is exactly 0: stick is a difference of exactly 0 */
     for (int i = 0; i < MODEL_UNIT; i++)
-        if (s->work.code[unit_row[i]] == 0)
+        if (s->work.code[unit_row[i]] == 0) {
             z[unit_column[i]] = -s->fixed.Y_0[unit_row[i]]/unit_factor[i];
+#if FOLLOW_ROWS
+            s->fixed.exact[unit_column[i]] = 1;
+#endif
+        }
+#endif
+#if FOLLOW_ROWS
+    for (int i = 0; i < MODEL_FOLLOW; i++) {
+        double known = s->fixed.E_0[follow_row[i]];
+        int exact = 1;
+        for (int k = follow_start[i]; k < follow_start[i + 1]; k++) {
+            known += follow_entry[k]*z[follow_column[k]];
+            exact &= s->fixed.exact[follow_column[k]];
+        }
+        if (exact)
+            z[follow_row[i]] = -known/follow_own[i];
+    }
 #endif
 #if REST_ROWS
     int moving = 0;
@@ -177,19 +205,21 @@ static int certified(model_solver *s)
 #endif
     residuals(s, s->fixed.E_0, s->fixed.Y_0, z, l, s->fixed.E, s->fixed.Y);
 #else
-    memcpy(s->work.z, s->fixed.z_0, sizeof s->work.z);
     residuals(s, s->fixed.E_0, s->work.z, s->fixed.E);
 #endif
+    s->fixed.looked = 0;
+    if (felt)
+        add_felt(s);
     double residual = dynamics_residual(s);
 #if LAW
     scale_Y(s, l, s->fixed.terms);
 #if CURVED
-    residual = max_of(residual, residual_of_law(s));
+    residual = worse_of(residual, residual_of_law(s));
 #else
-    residual = max_of(residual, box_residual(s, &settled));
+    residual = worse_of(residual, box_residual(s, &settled));
 #endif
 #if PROJECTION
-    residual = max_of(residual, gap_residual(s));
+    residual = worse_of(residual, gap_residual(s));
 #endif
     for (int i = 0; i < MODEL_M; i++)
         s->work.y[i] = s->work.code[i] == 0 ? 0.0 : s->fixed.Y[i];
@@ -197,6 +227,20 @@ static int certified(model_solver *s)
     s->work.residual = residual;
     s->work.iterations = 1;
     return residual <= TOLERANCE ? 1 + settled : 0;
+}
+
+/* Certify s->work.l with s->work.code: 1 where the step passes, 2 where also no other index set is called for. */
+static int certified(model_solver *s)
+{
+#if LAW
+    respond(s, s->fixed.z_0, s->work.l, s->work.z);
+#if !CURVED
+    memset(s->fixed.felt_l, 0, sizeof s->fixed.felt_l);
+#endif
+#else
+    memcpy(s->work.z, s->fixed.z_0, sizeof s->work.z);
+#endif
+    return judged(s, 0);
 }
 
 #if FIXED_MAPS
@@ -247,7 +291,7 @@ static int find_map(model_solver *s, const signed char *code)
 /* Put l on an index set; 0 where the set has no map. */
 static int on_index_set(model_solver *s, const signed char *code)
 {
-    int k = find_map(s, code);
+    int k = spend(s) ? find_map(s, code) : -1;
     if (k < 0)
         return 0;
     int n = s->fixed.maps[k].n;
@@ -266,12 +310,115 @@ static int on_index_set(model_solver *s, const signed char *code)
 
 #endif
 
+/* The solution of E_z dz + E_l dl = -E, Y_z dz + Y_l dl = -Y on the rows coded 0, dl = 0 on the others. */
+#if LAW
+static void correction(model_solver *s, const double *E, const double *Y, double *restrict dz, double *restrict dl)
+{
+    predict(s, E, Y, s->fixed.step, s->fixed.terms);
+    memset(dl, 0, sizeof s->work.l);
+#if FIXED_MAPS
+    const int k = s->fixed.current;
+    if (k >= 0 && memcmp(s->fixed.maps[k].code, s->work.code, MODEL_M) == 0) {
+        const int n = s->fixed.maps[k].n, *free = s->fixed.maps[k].free;
+        for (int i = 0; i < n; i++)
+            for (int j = 0; j < n; j++)
+                dl[free[i]] -= s->fixed.maps[k].inverse[n*i + j]*s->fixed.terms[free[j]];
+    }
+#endif
+    respond(s, s->fixed.step, dl, dz);
+}
+#else
+static void correction(model_solver *s, const double *E, double *restrict dz) { predict(s, E, dz); }
+#endif
+
+/* The largest corrections of probes, which are E and Y with signs that look random: what z and l err by where the rows do so by
+   E and Y, from below. */
+#if LAW
+static void felt_by(model_solver *s, const double *E, const double *Y)
+#else
+static void felt_by(model_solver *s, const double *E)
+#endif
+{
+    memset(s->fixed.felt_z, 0, sizeof s->fixed.felt_z);
+#if LAW
+    memset(s->fixed.felt_l, 0, sizeof s->fixed.felt_l);
+#endif
+    for (int p = 0; p < PROBES; p++) {
+        for (int i = 0; i < MODEL_N; i++)
+            s->fixed.probe_E[i] = probe_sign(i, p)*E[i];
+#if LAW
+        for (int i = 0; i < MODEL_M; i++)
+            s->fixed.probe_Y[i] = probe_sign(MODEL_N + i, p)*Y[i];
+        correction(s, s->fixed.probe_E, s->fixed.probe_Y, s->fixed.dz, s->fixed.dl);
+        for (int i = 0; i < MODEL_M; i++)
+            s->fixed.felt_l[i] = worse_of(s->fixed.felt_l[i], fabs(s->fixed.dl[i]));
+#else
+        correction(s, s->fixed.probe_E, s->fixed.dz);
+#endif
+        for (int i = 0; i < MODEL_N; i++)
+            s->fixed.felt_z[i] = worse_of(s->fixed.felt_z[i], fabs(s->fixed.dz[i]));
+    }
+}
+
+/* Add to the error bounds of the rows what they feel of that of the unknowns; nothing where rounding could excuse any row. */
+static void add_felt(model_solver *s)
+{
+    double condition = 0;
+    look_at_rounding(s);
+#if LAW
+    felt_by(s, unit_size_E, unit_size_Y);
+    for (int i = 0; i < MODEL_M; i++)
+        condition = worse_of(condition, s->fixed.felt_l[i]/unit_l[i]);
+#else
+    felt_by(s, unit_size_E);
+#endif
+    for (int i = 0; i < MODEL_N; i++)
+        condition = worse_of(condition, s->fixed.felt_z[i]/unit_z[i]);
+#if LAW
+    if (!(condition <= WORTH)) {
+        memset(s->fixed.felt_l, 0, sizeof s->fixed.felt_l);
+        return;
+    }
+    felt_by(s, s->fixed.error_E, s->fixed.error_Y);
+    passed_on(s, s->fixed.felt_z, s->fixed.felt_l, s->fixed.probe_E, s->fixed.probe_Y);
+    for (int i = 0; i < MODEL_M; i++)
+        s->fixed.error_Y[i] += s->fixed.probe_Y[i];
+#else
+    if (!(condition <= WORTH))
+        return;
+    felt_by(s, s->fixed.error_E);
+    passed_on(s, s->fixed.felt_z, s->fixed.probe_E);
+#endif
+    for (int i = 0; i < MODEL_N; i++)
+        s->fixed.error_E[i] += s->fixed.probe_E[i];
+}
+
+/* Where an answer fails by rounding alone: correct (z, l) by what E and Y are there, and judge it again, at last with what its
+   unknowns err by. Return whether it passes. */
+static int refined(model_solver *s)
+{
+    for (int refinement = 0; refinement < REFINEMENTS && s->work.residual < INFINITY && spend(s); refinement++) {
+#if LAW
+        correction(s, s->fixed.E, s->fixed.Y, s->fixed.dz, s->fixed.dl);
+        for (int i = 0; i < MODEL_M; i++)
+            s->work.l[i] += s->fixed.dl[i];
+#else
+        correction(s, s->fixed.E, s->fixed.dz);
+#endif
+        for (int i = 0; i < MODEL_N; i++)
+            s->work.z[i] += s->fixed.dz[i];
+        if (judged(s, 0))
+            return 1;
+    }
+    return spend_on_probes(s) && judged(s, 1);
+}
+
 #if ENUMERATED
 /* Try every index set, those nearest to the last one first; where none is settled, one that is certified will do. */
 static int nearest_index_set(model_solver *s)
 {
     signed char *code = s->fixed.code;
-    for (int strict = 1; strict >= 0; strict--)
+    for (int strict = 1; strict >= -1; strict--) /* in the end refined, too */
         for (int changes = 0; changes <= MODEL_M; changes++)
             for (int set = 0; set < MODEL_SETS; set++) {
                 int different = 0, rest = set;
@@ -280,7 +427,7 @@ static int nearest_index_set(model_solver *s)
                     rest /= choice_count[i];
                     different += code[i] != s->index[i];
                 }
-                if (different == changes && on_index_set(s, code) && certified(s) > strict)
+                if (different == changes && on_index_set(s, code) && (strict < 0 ? certified(s) || refined(s) : certified(s) > strict))
                     return ENUMERATION;
             }
     return NONE;
@@ -304,16 +451,16 @@ static int step_by_matrices(model_solver *s)
     memcpy(s->fixed.code, s->index, sizeof s->index);
     int solver = affine_solve(s, MODEL_M, W, s->fixed.b, lower, upper, s->fixed.l, s->fixed.code, TOLERANCE/10);
 #if FIXED_MAPS
-    if (on_index_set(s, s->fixed.code) && certified(s))
+    if (on_index_set(s, s->fixed.code) && (certified(s) || refined(s)))
         return solver == NONE ? INDEX_SET : solver;
 #endif
     memcpy(s->work.l, s->fixed.l, sizeof s->work.l);
     memcpy(s->work.code, s->fixed.code, sizeof s->work.code);
-    return certified(s) ? (solver == NONE ? INDEX_SET : solver) : NONE;
+    return certified(s) || refined(s) ? (solver == NONE ? INDEX_SET : solver) : NONE;
 #endif
 #else
     constant_part(s, s->fixed.E_0);
     predict(s, s->fixed.E_0, s->fixed.z_0);
-    return certified(s) ? NONE_NEEDED : NONE;
+    return certified(s) || refined(s) ? NONE_NEEDED : NONE;
 #endif
 }

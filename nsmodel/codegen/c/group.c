@@ -18,17 +18,22 @@ typedef struct {
     char *behind;                 /* the memory from the factor on */
     int close;                    /* the guess solves the group but for some new rows */
     int factorisations;
+    long work, budget;            /* linear systems factored or solved so far in the step, and at most */
+    int exhausted;                /* one more was wanted */
 } model_group;
+
+/* The larger, or NaN where one of them is: what is judged forgets nothing. */
+static double worse_of(double a, double b) { return a > b || a != a ? a : b; }
 
 /* The row i of G w. */
 static double row_of(const model_group *p, const double *w, int i)
 {
-    const double *g = p->g + (size_t)2*DIM*i, *one = w + (size_t)DIM*p->first[i];
+    const double *g = p->g + (ptrdiff_t)2*DIM*i, *one = w + (ptrdiff_t)DIM*p->first[i];
     double y = 0.0;
     int k;
     for (k = 0; k < DIM; k++) y += g[k]*one[k];
     if (p->second[i] >= 0) {
-        const double *other = w + (size_t)DIM*p->second[i];
+        const double *other = w + (ptrdiff_t)DIM*p->second[i];
         for (k = 0; k < DIM; k++) y += g[DIM + k]*other[k];
     }
     return y;
@@ -39,12 +44,12 @@ static void add_transposed(const model_group *p, const double *m, double *out)
 {
     int i, k;
     for (i = 0; i < p->m; i++) {
-        const double *g = p->g + (size_t)2*DIM*i;
-        double *one = out + (size_t)DIM*p->first[i];
+        const double *g = p->g + (ptrdiff_t)2*DIM*i;
+        double *one = out + (ptrdiff_t)DIM*p->first[i];
         if (m[i] == 0.0) continue;
         for (k = 0; k < DIM; k++) one[k] += g[k]*m[i];
         if (p->second[i] >= 0) {
-            double *other = out + (size_t)DIM*p->second[i];
+            double *other = out + (ptrdiff_t)DIM*p->second[i];
             for (k = 0; k < DIM; k++) other[k] += g[DIM + k]*m[i];
         }
     }
@@ -53,8 +58,16 @@ static void add_transposed(const model_group *p, const double *m, double *out)
 /* w := G' m */
 static void set_w(model_group *p)
 {
-    memset(p->w, 0, (size_t)DIM*p->n*sizeof *p->w);
+    ZERO(p->w, (ptrdiff_t)DIM*p->n);
     add_transposed(p, p->multiplier, p->w);
+}
+
+/* One more linear system; 0 where there may be none. */
+static int spend(model_group *p)
+{
+    p->exhausted |= p->work >= p->budget;
+    p->work += !p->exhausted;
+    return !p->exhausted;
 }
 
 /* The factor of the rows that have entered, where the one before was; 0: no memory. */
@@ -64,28 +77,29 @@ static int prepare_factor(model_group *p, model_arena *a)
     return prepare_ldl(&p->factor, p->n, p->x, p->m, p->first, p->second, p->slot, a);
 }
 
-/* Factor I + G' diag(theta) G. */
-static void factor_group(model_group *p)
+/* Factor I + G' diag(theta) G; 0 where there is no more work to spend. */
+static int factor_group(model_group *p)
 {
     model_ldl *f = &p->factor;
     const double *theta = p->theta;
     int i, r, s, n = p->n;
+    if (!spend(p)) return 0;
     p->factorisations++;
-    memset(f->a, 0, (size_t)BLOCK*f->up[n]*sizeof *f->a);
-    memset(f->diagonal, 0, (size_t)BLOCK*n*sizeof *f->diagonal);
+    ZERO(f->a, (ptrdiff_t)BLOCK*f->up[n]);
+    ZERO(f->diagonal, (ptrdiff_t)BLOCK*n);
     for (i = 0; i < n; i++)
-        for (r = 0; r < DIM; r++) f->diagonal[(size_t)BLOCK*i + r*DIM + r] = 1.0;
+        for (r = 0; r < DIM; r++) f->diagonal[(ptrdiff_t)BLOCK*i + r*DIM + r] = 1.0;
     for (i = 0; i < p->m; i++) {
-        const double *g = p->g + (size_t)2*DIM*i, *h = g + DIM;
+        const double *g = p->g + (ptrdiff_t)2*DIM*i, *h = g + DIM;
         double *own;
         if (theta[i] == 0.0) continue;
-        own = f->diagonal + (size_t)BLOCK*f->place[p->first[i]];
+        own = f->diagonal + (ptrdiff_t)BLOCK*f->place[p->first[i]];
         for (r = 0; r < DIM; r++)
             for (s = 0; s < DIM; s++) own[r*DIM + s] += theta[i]*g[r]*g[s];
         if (p->second[i] >= 0) {
             int one = f->place[p->first[i]], other = f->place[p->second[i]];
-            double *off = f->a + (size_t)BLOCK*p->slot[i];
-            own = f->diagonal + (size_t)BLOCK*other;
+            double *off = f->a + (ptrdiff_t)BLOCK*p->slot[i];
+            own = f->diagonal + (ptrdiff_t)BLOCK*other;
             for (r = 0; r < DIM; r++)
                 for (s = 0; s < DIM; s++) {
                     own[r*DIM + s] += theta[i]*h[r]*h[s];
@@ -94,17 +108,20 @@ static void factor_group(model_group *p)
         }
     }
     factor_ldl(f);
+    return 1;
 }
 
-/* dw := (I + G' Theta G)^-1 rhs */
-static void solve_for_dw(model_group *p)
+/* dw := (I + G' Theta G)^-1 rhs; 0 where there is no more work to spend. */
+static int solve_for_dw(model_group *p)
 {
     int i, k;
+    if (!spend(p)) return 0;
     for (i = 0; i < p->n; i++)
-        for (k = 0; k < DIM; k++) p->ordered[(size_t)DIM*p->factor.place[i] + k] = p->rhs[(size_t)DIM*i + k];
+        for (k = 0; k < DIM; k++) p->ordered[(ptrdiff_t)DIM*p->factor.place[i] + k] = p->rhs[(ptrdiff_t)DIM*i + k];
     solve_ldl(&p->factor, p->ordered);
     for (i = 0; i < p->n; i++)
-        for (k = 0; k < DIM; k++) p->dw[(size_t)DIM*i + k] = p->ordered[(size_t)DIM*p->factor.place[i] + k];
+        for (k = 0; k < DIM; k++) p->dw[(ptrdiff_t)DIM*i + k] = p->ordered[(ptrdiff_t)DIM*p->factor.place[i] + k];
+    return 1;
 }
 
 #define STIFF 1e6       /* weight of the rows that act in the preconditioner */
@@ -118,15 +135,17 @@ static void solve_for_dw(model_group *p)
 #define FLAT 1e-12      /* to a gradient of so much beside the largest multiplier */
 #define REFINED 24      /* conjugate gradients on an index set, at most */
 
-/* out := (G G' + 1/STIFF)^-1 r on the rows that act, as STIFF (r - G dw) with (I + STIFF G' G) dw = STIFF G' r */
-static void precondition(model_group *p, const double *r, double *out)
+/* out := (G G' + 1/STIFF)^-1 r on the rows that act, as STIFF (r - G dw) with (I + STIFF G' G) dw = STIFF G' r; 0 where there is no more
+ * work to spend. */
+static int precondition(model_group *p, const double *r, double *out)
 {
     int i;
-    memset(p->rhs, 0, (size_t)DIM*p->n*sizeof *p->rhs);
+    ZERO(p->rhs, (ptrdiff_t)DIM*p->n);
     for (i = 0; i < p->m; i++) out[i] = STIFF*r[i];
     add_transposed(p, out, p->rhs);
-    solve_for_dw(p);
+    if (!solve_for_dw(p)) return 0;
     for (i = 0; i < p->m; i++) out[i] = p->acts[i] ? out[i] - STIFF*row_of(p, p->dw, i) : 0.0;
+    return 1;
 }
 
 /* r := -y on the rows that act, else 0, w from the multipliers; the largest |r| */
@@ -137,7 +156,7 @@ static double remainder_of(model_group *p, double *r)
     set_w(p);
     for (i = 0; i < p->m; i++) {
         r[i] = p->acts[i] ? -(row_of(p, p->w, i) + p->b[i]) : 0.0;
-        if (fabs(r[i]) > worst) worst = fabs(r[i]);
+        worst = worse_of(worst, fabs(r[i]));
     }
     return worst;
 }
@@ -151,18 +170,17 @@ static void equalise(model_group *p, double fine)
     int i, k;
     for (k = 0; k < PROXIMAL; k++) {
         worst = remainder_of(p, r);
-        if (!(worst > fine)) return;
-        precondition(p, r, z);
+        if (worst <= fine || !precondition(p, r, z)) return;
         for (i = 0; i < p->m; i++) p->multiplier[i] += z[i];
     }
     least = worst = remainder_of(p, r);
-    memcpy(p->safe, p->multiplier, p->m*sizeof *p->safe);
+    COPY(p->safe, p->multiplier, p->m);
     for (k = 0; k < REFINED && worst > fine && worst < 100.0*least; k++) {
         double before = rz, along = 0.0;
-        precondition(p, r, z);
+        if (!precondition(p, r, z)) break;
         for (i = 0, rz = 0.0; i < p->m; i++) rz += r[i]*z[i];
         for (i = 0; i < p->m; i++) d[i] = k%8 ? z[i] + rz/before*d[i] : z[i];
-        memset(p->rhs, 0, (size_t)DIM*p->n*sizeof *p->rhs);
+        ZERO(p->rhs, (ptrdiff_t)DIM*p->n);
         add_transposed(p, d, p->rhs);
         for (i = 0; i < p->m; i++) {
             q[i] = p->acts[i] ? row_of(p, p->rhs, i) : 0.0;
@@ -173,23 +191,24 @@ static void equalise(model_group *p, double fine)
         worst = k%8 == 7 ? remainder_of(p, r) : 0.0;
         for (i = 0; i < p->m && k%8 < 7; i++) {
             r[i] -= rz/along*q[i];
-            if (fabs(r[i]) > worst) worst = fabs(r[i]);
+            worst = worse_of(worst, fabs(r[i]));
         }
         if (worst < least) {
             least = worst;
-            memcpy(p->safe, p->multiplier, p->m*sizeof *p->safe);
+            COPY(p->safe, p->multiplier, p->m);
         }
     }
-    memcpy(p->multiplier, p->safe, p->m*sizeof *p->safe);
+    COPY(p->multiplier, p->safe, p->m);
     set_w(p);
 }
 
-/* Solve on the rows that act, roughly, and to the end where no sign is wrong; change the rows of the wrong sign; how many. */
+/* Solve on the rows that act, roughly, and to the end where no sign is wrong; change the rows of the wrong sign; how many, more
+ * than there are where there is no more work to spend. */
 static int solve_and_change(model_group *p)
 {
     int i, pass, wrong = 0;
     for (i = 0; i < p->m; i++) p->theta[i] = p->acts[i] ? STIFF : 0.0;
-    factor_group(p);
+    if (!factor_group(p)) return p->m + 1;
     for (pass = 0; pass < 2 && !wrong; pass++) {
         double bound = pass ? WRONG : ROUGH;
         equalise(p, pass ? SETTLED : 0.1*ROUGH);
@@ -200,7 +219,7 @@ static int solve_and_change(model_group *p)
             wrong++;
         }
     }
-    return wrong;
+    return p->exhausted ? p->m + 1 : wrong;
 }
 
 /* The multipliers are an answer up to round-off: none is negative. */
@@ -248,7 +267,7 @@ static int augmented(model_group *p)
     double c = SOFT;
     int i, k, outer, inner, n = DIM*p->n;
     for (outer = 0; outer < OUTER; outer++, c = c < STIFF ? 10.0*c : c) {
-        memcpy(p->multiplier, p->kept, p->m*sizeof *p->kept);
+        COPY(p->multiplier, p->kept, p->m);
         for (inner = 0; inner < INNER; inner++) {
             double worst = 0.0, linear = 0.0, square = 0.0, low = 0.0, step = 1.0, size = 1.0;
             for (i = 0; i < p->m; i++) {
@@ -261,10 +280,9 @@ static int augmented(model_group *p)
             for (i = 0; i < n; i++) p->rhs[i] = -p->w[i];
             add_transposed(p, p->kept, p->rhs);
             for (i = 0; i < n; i++)
-                if (fabs(p->rhs[i]) > worst) worst = fabs(p->rhs[i]);
+                worst = worse_of(worst, fabs(p->rhs[i]));
             if (worst <= FLAT*size) break;
-            factor_group(p);
-            solve_for_dw(p);
+            if (!factor_group(p) || !solve_for_dw(p)) return 0;
             for (i = 0; i < p->m; i++) p->ds[i] = row_of(p, p->dw, i);
             for (i = 0; i < n; i++) {
                 linear += p->w[i]*p->dw[i];
@@ -280,9 +298,9 @@ static int augmented(model_group *p)
             }
             for (i = 0; i < n; i++) p->w[i] += step*p->dw[i];
         }
-        memcpy(p->multiplier, p->kept, p->m*sizeof *p->kept);
+        COPY(p->multiplier, p->kept, p->m);
         if (!solve_and_change(p)) return accept(p);
-        memcpy(p->multiplier, p->kept, p->m*sizeof *p->kept);
+        COPY(p->multiplier, p->kept, p->m);
         set_w(p);
     }
     return 0;
@@ -298,13 +316,13 @@ static double room(const double *v, const double *dv, int m)
     return step;
 }
 
-/* dw from (I + G' Theta G) dw = -w + G' dm */
-static void step_of_newton(model_group *p)
+/* dw from (I + G' Theta G) dw = -w + G' dm; 0 where there is no more work to spend. */
+static int step_of_newton(model_group *p)
 {
     int i;
     for (i = 0; i < DIM*p->n; i++) p->rhs[i] = -p->w[i];
     add_transposed(p, p->dm, p->rhs);
-    solve_for_dw(p);
+    return solve_for_dw(p);
 }
 
 #define SWAP(type, one, other) do { type swapped = one; one = other; other = swapped; } while (0)
@@ -322,7 +340,7 @@ static int enter(model_group *p, double near)
         SWAP(double, p->b[i], p->b[to]);
         SWAP(double, p->multiplier[i], p->multiplier[to]);
         SWAP(unsigned char, p->acts[i], p->acts[to]);
-        for (k = 0; k < 2*DIM; k++) SWAP(double, p->g[(size_t)2*DIM*i + k], p->g[(size_t)2*DIM*to + k]);
+        for (k = 0; k < 2*DIM; k++) SWAP(double, p->g[(ptrdiff_t)2*DIM*i + k], p->g[(ptrdiff_t)2*DIM*to + k]);
         p->m++;
     }
     return p->m - before;
@@ -346,8 +364,9 @@ static int interior(model_group *p, double target, int most, int look, model_are
         for (i = 0; i < m; i++) {
             mu += s[i]*u[i]/m;
             p->value[i] = row_of(p, p->w, i) + p->b[i] - s[i];
-            if (fabs(p->value[i]) > infeasible) infeasible = fabs(p->value[i]);
+            infeasible = worse_of(infeasible, fabs(p->value[i]));
         }
+        if (!isfinite(mu + infeasible)) return 0;
         if (mu <= target && infeasible <= sqrt(target)) return 1;
         if (look < LOOKS && mu < looks[look] && infeasible < 1.0 && p->m < p->most) {
             int entered = enter(p, nears[look++]);
@@ -371,8 +390,7 @@ static int interior(model_group *p, double target, int most, int look, model_are
             if (!(p->theta[i] < STEEPEST)) p->theta[i] = STEEPEST;
             p->dm[i] = -p->theta[i]*p->value[i];
         }
-        factor_group(p);
-        step_of_newton(p);
+        if (!factor_group(p) || !step_of_newton(p)) return 0;
         for (i = 0; i < m; i++) {
             p->ds[i] = row_of(p, p->dw, i) + p->value[i];
             p->dm[i] = -p->theta[i]*p->ds[i] - u[i];
@@ -385,7 +403,7 @@ static int interior(model_group *p, double target, int most, int look, model_are
             p->ds[i] = (aim - (reached < SHORT ? 0.0 : p->ds[i]*p->dm[i]))/s[i];
             p->dm[i] = p->ds[i] - p->theta[i]*p->value[i];
         }
-        step_of_newton(p);
+        if (!step_of_newton(p)) return 0;
         for (i = 0; i < m; i++) {
             double corrected = p->ds[i];
             p->ds[i] = row_of(p, p->dw, i) + p->value[i];
@@ -424,11 +442,11 @@ static int solve_group(model_group *p, model_arena *a)
     p->kept = TAKE(double, p->most);
     p->along = TAKE(double, p->most);
     p->safe = TAKE(double, p->most);
-    p->rhs = TAKE(double, (size_t)DIM*n);
-    p->dw = TAKE(double, (size_t)DIM*n);
-    p->ordered = TAKE(double, (size_t)DIM*n);
+    p->rhs = TAKE(double, (ptrdiff_t)DIM*n);
+    p->dw = TAKE(double, (ptrdiff_t)DIM*n);
+    p->ordered = TAKE(double, (ptrdiff_t)DIM*n);
     p->behind = a->next;
-    if (a->missing || !prepare_factor(p, a)) return -1;
+    if (a->full || !prepare_factor(p, a)) return -1;
     for (i = 0; i < m; i++) {
         if (!p->acts[i]) p->multiplier[i] = 0.0;
         p->kept[i] = p->multiplier[i];
@@ -449,13 +467,14 @@ static int solve_group(model_group *p, model_arena *a)
             p->acts[i] = p->multiplier[i] > p->slack[i];
             p->kept[i] = p->multiplier[i];
         }
+        if (p->exhausted) return 4;
         if (settle(p, 8, m)) return 2;
-        memcpy(p->multiplier, p->kept, m*sizeof *p->kept);
+        COPY(p->multiplier, p->kept, m);
         set_w(p);
     }
     for (i = 0; i < m; i++)
         if (!(p->kept[i] > p->slack[i])) p->kept[i] = 0.0;
-    memcpy(p->multiplier, p->kept, m*sizeof *p->kept);
+    COPY(p->multiplier, p->kept, m);
     set_w(p);
     return augmented(p) ? 3 : 4;
 }

@@ -6,7 +6,7 @@
  * and leaves the state as it was.
  *
  * C99, libc and libm only. No allocation but in model_create(), no globals: any number of solvers, each used by one thread at a
- * time. A solver must be initialised before anything else; pointers are not checked.
+ * time. A solver must be initialised before anything else: memory of zeros is refused, pointers are not checked.
 @NAMES@
  */
 #ifndef MODEL_H
@@ -24,17 +24,11 @@ extern "C" {
 #define MODEL_M @M@ /* rows of its law */
 #define MODEL_STEP @STEP@ /* time step@UNIT_T@ */
 #define MODEL_TOLERANCE @TOLERANCE@ /* largest residual of an accepted step, without unit */
-#define MODEL_MAX_ITERATIONS @BOUND@ /* linear systems solved in a step, at most */
+#define MODEL_MAX_WORK @BOUND@ /* of a step: linear systems solved, index sets tried and sweeps, at most */
 #define MODEL_MODEL_HASH "@HASH@" /* of the model with its numbers and its grid */
 @SIZES@
 /* What the functions return. */
-enum {
-    MODEL_OK = 0,
-    MODEL_NOT_SOLVED = 1, /* no answer passed the certificate; the state is unchanged */
-    MODEL_NOT_FINITE = 2, /* a state, time, step or parameter is NaN or infinite, or the step overflows */
-    MODEL_BAD_STEP = 3, /* the time step is not @STEP_RULE@ */
-    MODEL_BAD_PARAMETER = 4 /* the parameters give the law empty bounds or other infinite ones, or no finite start */
-};
+@STATUSES@
 
 typedef struct model_solver {
     /* To read; write with the functions below. */
@@ -50,11 +44,14 @@ typedef struct model_solver {
 #if REWRITTEN
     double multipliers[MODEL_NL], outputs[MODEL_NL]; /* as the model declares them */
 #endif
-    double residual; /* of the last step */
-    int status; /* of the last step */
-    int iterations; /* of the last step: linearisations, or rounds of a projection */
-    int solver; /* whose answer the last step is: see the enum in @NAME@.c */
+    /* Of the last step, whether it was taken or not: */
+    double residual; /* of its answer, or of the last one tried; infinite where there was none */
+    long spent; /* work: see MODEL_MAX_WORK */
+    int status, iterations; /* iterations: linearisations, or rounds of a projection */
+    int solver; /* whose answer it is: see the enum in @NAME@.c */
     double t_0, steps; /* t = t_0 + steps h */
+    long budget; /* most work of a step */
+    unsigned long ready; /* whether the solver is initialised */
 #if TOLERANCE_OF_NUMBER
     double number; /* of the step, which picks its tolerance eps_k */
 #endif
@@ -134,9 +131,11 @@ void model_get_outputs(const model_solver *s, double *y); /* y[MODEL_NL] */
 #if LAW
 void model_get_index_set(const model_solver *s, signed char *index); /* index[MODEL_M] */
 #endif
-double model_get_residual(const model_solver *s);
+/* Of the last step, of one that failed too. */
+double model_get_residual(const model_solver *s); /* of its answer, or of the last one tried; infinite where there was none */
 int model_get_iterations(const model_solver *s);
-int model_get_status(const model_solver *s); /* what the last step returned */
+long model_get_work(const model_solver *s); /* linear systems solved, index sets tried and sweeps: up to MODEL_MAX_WORK */
+int model_get_status(const model_solver *s); /* what the step returned */
 const char *model_status_text(int status); /* in words, for any of the values above */
 
 #ifdef __cplusplus

@@ -20,7 +20,7 @@ static void form(model_solver *s, int m, const double *w)
 static double solve_form(model_solver *s, int m, double accepted)
 {
     const double *lower = s->inclusion.lower, *upper = s->inclusion.upper;
-    memset(s->inclusion.l, 0, m*sizeof *s->inclusion.l);
+    ZERO(s->inclusion.l, m);
     affine_solve(s, m, s->inclusion.W, s->inclusion.b, lower, upper, s->inclusion.l, s->inclusion.code, accepted);
     return s->affine.residual;
 }
@@ -81,7 +81,9 @@ static double select_velocity(model_solver *s)
 #endif
 #if CONSTRAINED
     constraints(s, s->x, s->inclusion.c, s->inclusion.J);
-    for (int i = 0; i < MODEL_M; i++)
+    for (int i = 0; i < MODEL_M; i++) {
+        if (s->inclusion.c[i] != s->inclusion.c[i])
+            return INFINITY;
         if (s->inclusion.c[i] <= 0) {
             memcpy(G + m*MODEL_NX, s->inclusion.J + i*MODEL_NX, MODEL_NX*sizeof *G);
             s->inclusion.lower[m] = 0;
@@ -89,8 +91,9 @@ static double select_velocity(model_solver *s)
             s->inclusion.code[m] = 0;
             m++;
         }
+    }
 #endif
-    memset(s->inclusion.offset, 0, m*sizeof *s->inclusion.offset);
+    ZERO(s->inclusion.offset, m);
     form(s, m, s->inclusion.v);
     for (int i = 0; i < MODEL_SELECTION; i++)
         if (!tied[i])
@@ -122,11 +125,11 @@ static int clip_to_box(model_solver *s)
         double n = 0;
         for (int j = 0; j < MODEL_NX; j++)
             n += s->inclusion.J[i*MODEL_NX + j]*s->inclusion.defect[j];
-        s->work.l[i] = max_of(n, 0.0);
+        s->work.l[i] = worse_of(n, 0.0);
         s->work.code[i] = n > 0 ? 0 : -1;
     }
 #endif
-    s->work.residual = 0;
+    s->work.residual = on_graph ? 0 : INFINITY;
     s->work.iterations = 0;
     return on_graph;
 }
@@ -261,16 +264,17 @@ static int approximate(model_solver *s, double *d2)
     const double *y = s->work.predictor;
     double *x = s->work.z;
     int m = 0;
-    s->work.residual = 0;
     s->work.iterations = 0;
     memcpy(x, y, sizeof s->work.predictor);
     memset(s->work.l, 0, sizeof s->work.l);
     memset(s->work.code, -1, sizeof s->work.code);
     *d2 = 0;
-    if (admissible(s, y))
+    if (admissible(s, y)) {
+        s->work.residual = 0;
         return OUTER_APPROXIMATION;
+    }
     memcpy(s->inclusion.foot, y, sizeof s->inclusion.foot);
-    for (int i = 1; i <= CUT_ITERATIONS; i++) {
+    for (int i = 1; i <= CUT_ITERATIONS && spend(s); i++) {
         m = add_cuts(s, m, s->inclusion.foot);
         if (!project_on_cuts(s, m)) { /* many cuts that are nearly the same: the new ones alone are an outer approximation too */
             m = add_cuts(s, 0, s->inclusion.foot);
@@ -279,6 +283,7 @@ static int approximate(model_solver *s, double *d2)
         }
         *d2 = distance2(s->inclusion.foot, y);
         if (pull_back(s, x) && distance2(x, y) - *d2 < s->inclusion.tolerance) {
+            s->work.residual = 0;
             s->work.iterations = i;
             for (int k = 0; k < m; k++)
                 s->work.l[s->inclusion.constraint[k]] += s->inclusion.l[k];
@@ -326,8 +331,10 @@ static int step_by_catching_up(model_solver *s)
     double *x = s->work.z, *y = s->work.predictor, d2 = 0;
 #if SELECTION
     const double selected = select_velocity(s);
-    if (!(selected <= TOLERANCE))
+    if (!(selected <= TOLERANCE)) {
+        s->work.residual = selected;
         return NONE;
+    }
 #else
     velocity(s, s->inclusion.v);
 #endif
@@ -348,15 +355,17 @@ static int step_by_catching_up(model_solver *s)
     const double excess = distance2(x, y) - d2;
 #if APPROXIMATE
     /* Beside the d^2 of a predictor far away, eps_k may be less than round-off. */
-    if (!(excess <= s->inclusion.tolerance + 4*MODEL_NX*EPS*d2))
+    if (!(excess <= s->inclusion.tolerance + 4*MODEL_NX*EPS*d2)) {
+        s->work.residual = INFINITY;
         return NONE;
+    }
 #endif
     for (int i = 0; i < MODEL_NX; i++)
         s->inclusion.defect[i] = x[i] - y[i];
-    s->inclusion.excess = max_of(excess, 0.0);
+    s->inclusion.excess = worse_of(excess, 0.0);
     s->inclusion.predictor_distance = sqrt(d2);
 #if SELECTION
-    s->work.residual = max_of(s->work.residual, selected);
+    s->work.residual = worse_of(s->work.residual, selected);
 #endif
 #if CONSTRAINED
     constraints(s, x, s->work.y, s->inclusion.J);

@@ -25,13 +25,13 @@ static int equilibrate(model_solver *s, const affine_problem *p)
         for (int i = 0; i < m && sweep < EQUILIBRATIONS; i++) {
             double most = largest(m, W + i*m);
             for (int j = 0; j < m; j++)
-                most = max_of(most, fabs(W[j*m + i]));
+                most = worse_of(most, fabs(W[j*m + i]));
             if (most > 0)
                 scale[i] /= sqrt(most);
         }
     }
     for (int i = 0; i < m; i++)
-        size = max_of(size, fabs(scale[i]*p->b[i]));
+        size = worse_of(size, fabs(scale[i]*p->b[i]));
     if (size == 0)
         size = 1;
     for (int i = 0; i < m*m; i++)
@@ -107,7 +107,7 @@ static int least_row(model_solver *s, int count)
             const int i = rows[k];
             table[k] = (column ? s->linear.v[i*size + column - 1] : s->lemke.value[i])/s->lemke.entering[i];
             least = min_of(least, table[k]);
-            most = max_of(most, fabs(table[k]));
+            most = worse_of(most, fabs(table[k]));
         }
         int kept = 0;
         for (int k = 0; k < count; k++)
@@ -130,7 +130,7 @@ static int leaving_row(model_solver *s, int m, int variable)
         a[i] = coefficient(s, m, i, variable);
     for (int i = 0; i < size; i++) {
         s->lemke.entering[i] = dot(size, s->linear.v + i*size, a);
-        most = max_of(most, fabs(s->lemke.entering[i]));
+        most = worse_of(most, fabs(s->lemke.entering[i]));
         noise[i] = 0;
         for (int j = 0; j < size; j++)
             noise[i] += 64*EPS*fabs(s->linear.v[i*size + j]*a[j]);
@@ -140,7 +140,7 @@ static int leaving_row(model_solver *s, int m, int variable)
             const double step = s->lemke.value[i]/s->lemke.entering[i];
             s->lemke.rows[count++] = i;
             least = min_of(least, step);
-            most_step = max_of(most_step, fabs(step));
+            most_step = worse_of(most_step, fabs(step));
             if (s->lemke.basis[i] == 2*size)
                 artificial = i;
         }
@@ -168,7 +168,7 @@ static int pivot_to_solution(model_solver *s, int m)
     if (satisfied)
         return 0;
     int row = least_row(s, size);
-    for (int count = 0; count < pivots && row >= 0; count++) {
+    for (int count = 0; count < pivots && row >= 0 && spend(s); count++) {
         const int leaving = basis[row];
         double z0 = 0;
         basis[row] = variable;
@@ -209,7 +209,7 @@ static int polish_regularised(model_solver *s, const affine_problem *p)
         for (int j = 0; j < n; j++)
             s->linear.lu[i*n + j] = p->W[row[i]*m + row[j]];
     }
-    if (least_squares(s, n, 1e-12, s->affine.x)) /* W may be singular: the regularised solution tends to that of least norm */
+    if (!spend(s) || least_squares(s, n, 1e-12, s->affine.x)) /* W may be singular: the regularised solution tends to that of least norm */
         return 1;
     for (int i = 0; i < n; i++)
         exact[row[i]] = s->affine.x[i];
@@ -217,11 +217,11 @@ static int polish_regularised(model_solver *s, const affine_problem *p)
     if (!all_finite(m, exact) || !all_finite(m, s->affine.y))
         return 1;
     for (int i = 0; i < m; i++) {
-        wrong = max_of(wrong, code[i] == 0 ? fabs(s->affine.y[i]) : code[i]*s->affine.y[i]);
-        outside = max_of(outside, max_of(p->lo[i] - exact[i], exact[i] - p->up[i]));
+        wrong = worse_of(wrong, code[i] == 0 ? fabs(s->affine.y[i]) : code[i]*s->affine.y[i]);
+        outside = worse_of(outside, max_of(p->lo[i] - exact[i], exact[i] - p->up[i]));
         s->lemke.l[i] = clip(exact[i], p->lo[i], p->up[i]);
     }
-    return wrong > 1e-10*largest(m, p->b) || outside > 1e-10*largest(m, exact);
+    return !(wrong <= 1e-10*largest(m, p->b) && outside <= 1e-10*largest(m, exact));
 }
 
 static int lemke(model_solver *s, const affine_problem *p)
@@ -233,11 +233,11 @@ static int lemke(model_solver *s, const affine_problem *p)
         s->lemke.regular = regularised ? 1e-7 : 0;
         if (standard_form(s, &scaled) || pivot_to_solution(s, p->m))
             continue;
-        memcpy(s->lemke.l, s->lemke.offset, p->m*sizeof *s->lemke.l);
+        COPY(s->lemke.l, s->lemke.offset, p->m);
         for (int i = 0; i < s->lemke.size; i++) {
             const int j = s->lemke.basis[i] - s->lemke.size;
             if (0 <= j && j < s->lemke.n)
-                s->lemke.l[s->lemke.column[j]] += s->lemke.sign[j]*max_of(s->lemke.value[i], 0);
+                s->lemke.l[s->lemke.column[j]] += s->lemke.sign[j]*worse_of(s->lemke.value[i], 0);
         }
         for (int i = 0; i < p->m; i++)
             s->lemke.l[i] = clip(s->lemke.l[i], scaled.lo[i], scaled.up[i]);

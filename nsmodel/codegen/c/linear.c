@@ -2,7 +2,10 @@
  * Linear systems: LU with partial pivoting, and the singular values where a matrix is singular to rounding.
  */
 
+#define COPY(to, from, count) memcpy(to, from, (size_t)(count)*sizeof *(to))
+#define ZERO(to, count) memset(to, 0, (size_t)(count)*sizeof *(to))
 #define SVD_SWEEPS 60 /* Jacobi's method needs about 10. */
+#define SCALE_SWEEPS 6
 #if FIXED_MAPS
 #define PINV_CUT 1e-15 /* Singular values below this part of the largest count as 0 in a pseudo-inverse. */
 #endif
@@ -81,7 +84,7 @@ static double largest(int n, const double *x)
 {
     double most = 0;
     for (int i = 0; i < n; i++)
-        most = max_of(most, fabs(x[i]));
+        most = worse_of(most, fabs(x[i]));
     return most;
 }
 
@@ -91,6 +94,37 @@ static double dot(int n, const double *x, const double *y)
     for (int i = 0; i < n; i++)
         sum += x[i]*y[i];
     return sum;
+}
+
+/* Give the rows and columns of linear.lu units, powers of 2, that bring its entries near 1 (Ruiz' iteration): what is singular
+   must not depend on the user's. Return the largest entry then. */
+static double balance(model_solver *s, int n)
+{
+    double *A = s->linear.lu, *rows = s->linear.rows, *columns = s->linear.columns;
+    for (int i = 0; i < n; i++)
+        rows[i] = columns[i] = 1;
+    for (int sweep = 0; sweep < SCALE_SWEEPS; sweep++) {
+        for (int i = 0; i < n; i++) {
+            int exponent = 0;
+            frexp(largest(n, A + i*n), &exponent);
+            const double unit = ldexp(1, -exponent/2);
+            rows[i] *= unit;
+            for (int j = 0; j < n; j++)
+                A[i*n + j] *= unit;
+        }
+        for (int j = 0; j < n; j++) {
+            double most = 0;
+            int exponent = 0;
+            for (int i = 0; i < n; i++)
+                most = max_of(most, fabs(A[i*n + j]));
+            frexp(most, &exponent);
+            const double unit = ldexp(1, -exponent/2);
+            columns[j] *= unit;
+            for (int i = 0; i < n; i++)
+                A[i*n + j] *= unit;
+        }
+    }
+    return largest(n*n, A);
 }
 
 static void rotate(int n, double c, double s, double *x, double *y)
@@ -136,7 +170,7 @@ static double decompose(model_solver *s, int n, double *unit)
     }
     for (int j = 0; j < n; j++) {
         s->linear.x[j] = dot(n, G + j*n, G + j*n);
-        most = max_of(most, s->linear.x[j]);
+        most = worse_of(most, s->linear.x[j]);
     }
     return most;
 }
@@ -149,8 +183,8 @@ static int least_squares(model_solver *s, int n, double cut, double *x)
         return 1;
     double unit;
     const double most = decompose(s, n, &unit);
-    memcpy(s->linear.rhs, x, n*sizeof *x);
-    memset(x, 0, n*sizeof *x);
+    COPY(s->linear.rhs, x, n);
+    ZERO(x, n);
     for (int j = 0; j < n; j++)
         if (s->linear.x[j] > cut*cut*most) {
             const double part = dot(n, s->linear.lu + j*n, s->linear.rhs)/s->linear.x[j]/unit;
@@ -160,32 +194,56 @@ static int least_squares(model_solver *s, int n, double cut, double *x)
     return !all_finite(n, x);
 }
 
-/* Solve A x = x_0, x_0 in x, with one refinement; the least-squares solution of least norm where A is singular.
-   Return 0, or 1 where x is not finite. */
-static int solve_or_least_squares(model_solver *s, int n, const double *A, double *x)
+/* Solve A x = x_0 with the factors in linear.lu, x_0 in x, with one refinement by A, whose entry (i, j) is rows_i A_ij columns_j.
+   Return 0, or 1 where A seems singular: cancellation by 1e12. */
+static int solved(model_solver *s, int n, const double *A, double *x)
 {
     double *rhs = s->linear.rhs, *more = s->linear.x, size = 0;
-    memcpy(rhs, x, n*sizeof *x);
-    memcpy(s->linear.lu, A, n*n*sizeof *A);
-    if (!lu_factor(n, s->linear.lu, s->linear.pivot)) {
-        lu_solve(n, s->linear.lu, s->linear.pivot, x);
-        for (int i = 0; i < n; i++)
-            more[i] = rhs[i] - dot(n, A + i*n, x);
-        lu_solve(n, s->linear.lu, s->linear.pivot, more);
-        for (int i = 0; i < n; i++)
-            x[i] += more[i];
-        for (int i = 0; i < n; i++) {
-            double terms = 0;
-            for (int j = 0; j < n; j++)
-                terms += fabs(A[i*n + j]*x[j]);
-            size = max_of(size, terms);
-        }
-        /* Cancellation by 1e12 means that A is singular to rounding: take the solution of least norm instead. */
-        if (all_finite(n, x) && size <= 1e12*largest(n, rhs))
-            return 0;
+    const double *rows = s->linear.rows, *columns = s->linear.columns;
+    lu_solve(n, s->linear.lu, s->linear.pivot, x);
+    for (int i = 0; i < n; i++) {
+        more[i] = rhs[i];
+        for (int j = 0; j < n; j++)
+            more[i] -= rows[i]*A[i*n + j]*columns[j]*x[j];
     }
-    memcpy(x, rhs, n*sizeof *x);
-    memcpy(s->linear.lu, A, n*n*sizeof *A);
+    lu_solve(n, s->linear.lu, s->linear.pivot, more);
+    for (int i = 0; i < n; i++)
+        x[i] += more[i];
+    for (int i = 0; i < n; i++) {
+        double terms = 0;
+        for (int j = 0; j < n; j++)
+            terms += fabs(rows[i]*A[i*n + j]*columns[j]*x[j]);
+        size = worse_of(size, terms);
+    }
+    return !all_finite(n, x) || !(size <= 1e12*largest(n, rhs));
+}
+
+/* Solve A x = x_0, x_0 in x, with one refinement; the least-squares solution of least norm where A is singular, also in units in
+   which it is well scaled. Return 0, or 1 where x is not finite, or there is no more work to spend. */
+static int solve_or_least_squares(model_solver *s, int n, const double *A, double *x)
+{
+    double *start = s->linear.start, *rhs = s->linear.rhs;
+    if (!spend(s))
+        return 1;
+    COPY(start, x, n);
+    COPY(s->linear.lu, A, n*n);
+    for (int scaled = 0; scaled < 2; scaled++) {
+        for (int i = 0; i < n; i++)
+            s->linear.rows[i] = s->linear.columns[i] = 1;
+        if (scaled) {
+            COPY(s->linear.lu, A, n*n);
+            balance(s, n);
+        }
+        for (int i = 0; i < n; i++)
+            x[i] = rhs[i] = s->linear.rows[i]*start[i];
+        if (!lu_factor(n, s->linear.lu, s->linear.pivot) && !solved(s, n, A, x)) {
+            for (int i = 0; i < n; i++)
+                x[i] *= s->linear.columns[i];
+            return 0;
+        }
+    }
+    COPY(s->linear.lu, A, n*n);
+    COPY(x, start, n);
     return least_squares(s, n, n*EPS, x);
 }
 #if INVERSE
@@ -212,27 +270,37 @@ static void lu_inverse(model_solver *s, int n, double *inverse)
 #endif
 static int invert(model_solver *s, int n, const double *A, double *inverse)
 {
+    const double *rows = s->linear.rows, *columns = s->linear.columns;
+    int regular = 0;
     if (!all_finite(n*n, A))
         return 1;
-    memcpy(s->linear.lu, A, n*n*sizeof *A);
+    COPY(s->linear.lu, A, n*n);
+    const double size = balance(s, n);
     if (!lu_factor(n, s->linear.lu, s->linear.pivot)) {
         lu_inverse(s, n, inverse);
-        if (all_finite(n*n, inverse) && largest(n*n, inverse)*largest(n*n, A) <= 1e13)
-            return 0;
+        regular = all_finite(n*n, inverse) && largest(n*n, inverse)*size <= 1e13;
     }
 #if REGULAR_SETS
-    return 1;
+    if (!regular)
+        return 1;
 #else
-    memcpy(s->linear.lu, A, n*n*sizeof *A);
-    double unit;
-    const double most = decompose(s, n, &unit);
-    memset(inverse, 0, n*n*sizeof *A);
-    for (int k = 0; k < n; k++)
-        if (s->linear.x[k] > PINV_CUT*PINV_CUT*most)
-            for (int i = 0; i < n; i++)
-                for (int j = 0; j < n; j++)
-                    inverse[i*n + j] += s->linear.v[k*n + i]*(s->linear.lu[k*n + j]/s->linear.x[k]/unit);
-    return !all_finite(n*n, inverse);
+    if (!regular) {
+        COPY(s->linear.lu, A, n*n);
+        for (int i = 0; i < n; i++)
+            s->linear.rows[i] = s->linear.columns[i] = 1;
+        double unit;
+        const double most = decompose(s, n, &unit);
+        ZERO(inverse, n*n);
+        for (int k = 0; k < n; k++)
+            if (s->linear.x[k] > PINV_CUT*PINV_CUT*most)
+                for (int i = 0; i < n; i++)
+                    for (int j = 0; j < n; j++)
+                        inverse[i*n + j] += s->linear.v[k*n + i]*(s->linear.lu[k*n + j]/s->linear.x[k]/unit);
+    }
 #endif
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++)
+            inverse[i*n + j] *= columns[i]*rows[j];
+    return !all_finite(n*n, inverse);
 }
 #endif

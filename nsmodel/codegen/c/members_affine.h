@@ -2,9 +2,10 @@
         double lu[MODEL_LINEAR*MODEL_LINEAR]; /* a matrix, then its factors L and U, or the columns U S of its SVD */
 #if !REGULAR_SETS
         double v[MODEL_LINEAR*MODEL_LINEAR];  /* the columns V of the SVD, or an inverse */
-        double rhs[MODEL_LINEAR];
+        double rhs[MODEL_LINEAR], start[MODEL_LINEAR];
 #endif
         double x[MODEL_LINEAR];
+        double rows[MODEL_LINEAR], columns[MODEL_LINEAR]; /* powers of 2 in whose units a matrix is well scaled */
         int pivot[MODEL_LINEAR];
     } linear;
 #if AFFINE_PROBLEM

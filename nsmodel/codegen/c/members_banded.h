@@ -1,5 +1,9 @@
     struct {
         double constant[MODEL_SIZE], guess[MODEL_SIZE], u[MODEL_SIZE], best[MODEL_SIZE], F[MODEL_SIZE], size[MODEL_SIZE];
+        double change[MODEL_SIZE], felt[MODEL_SIZE];
+#if FOLLOW_ROWS
+        signed char exact[MODEL_N];
+#endif
         double v[MODEL_SIZE + MODEL_UPPER]; /* in the order of the band; zeros behind */
         double inverse[MODEL_SIZE]; /* 1 / pivots */
         int pivot[MODEL_SIZE];

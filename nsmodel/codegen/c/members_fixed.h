@@ -1,7 +1,9 @@
     struct {
-        double E_0[MODEL_N], z_0[MODEL_N], E[MODEL_N], scale[MODEL_N], seen[MODEL_N];
+        double E_0[MODEL_N], z_0[MODEL_N], E[MODEL_N], scale[MODEL_N], error_E[MODEL_N];
+        double step[MODEL_N], dz[MODEL_N], felt_z[MODEL_N], probe_E[MODEL_N]; /* corrections */
 #if LAW
-        double Y_0[MODEL_M], b[MODEL_M], Y[MODEL_M], size_Y[MODEL_M], terms[MODEL_M];
+        double Y_0[MODEL_M], b[MODEL_M], Y[MODEL_M], error_Y[MODEL_M], terms[MODEL_M];
+        double dl[MODEL_M], felt_l[MODEL_M], probe_Y[MODEL_M];
 #if CURVED
         double s_y[MODEL_M];
 #endif
@@ -18,5 +20,9 @@
             signed char code[MODEL_M];
         } maps[MODEL_MAPS]; /* of the index sets met last */
         int filled, oldest, current;
+#endif
+        int looked; /* whether the error bounds are those of (z, l) */
+#if FOLLOW_ROWS
+        signed char exact[MODEL_N];
 #endif
     } fixed;

@@ -3,10 +3,11 @@
 #if AFFINE
         double E_0[MODEL_N]; /* E at z = 0, l = 0 */
 #endif
-        double scale[MODEL_N], size[MODEL_N];
+        double scale[MODEL_N], error_E[MODEL_N];
+        int looked; /* whether the error bounds are those of (z, l) */
         int prepared; /* what is known of the matrices below */
 #if !IDENTITY
-        double E_z[MODEL_N*MODEL_N], lu[MODEL_N*MODEL_N], seen[MODEL_N];
+        double E_z[MODEL_N*MODEL_N], lu[MODEL_N*MODEL_N], felt[MODEL_N], unit[MODEL_N], size[MODEL_N];
         int pivot[MODEL_N];
 #endif
 #if LAW
@@ -14,7 +15,7 @@
         double Y_0[MODEL_M];
 #endif
         double Y[MODEL_M], b[MODEL_M], l[MODEL_M], v[MODEL_N], sum[MODEL_N];
-        double terms[MODEL_M], w_max[MODEL_M], s_y[MODEL_M];
+        double terms[MODEL_M], w_max[MODEL_M], s_y[MODEL_M], error_Y[MODEL_M];
 #if ROWS
         double E_l[MODEL_E_L], Y_z[MODEL_Y_Z]; /* nonzeros: by columns, by rows */
         double W[MODEL_ROWS*MODEL_ROWS], b_rows[MODEL_ROWS], l_rows[MODEL_ROWS], lower[MODEL_ROWS], upper[MODEL_ROWS];
@@ -32,6 +33,9 @@
 #endif
 #if UNIT_ROWS
         double offset[MODEL_UNIT];
+#if FOLLOW_ROWS
+        signed char exact[MODEL_N];
+#endif
 #endif
 #if NEARBY
         double z_0[MODEL_N], l_0[MODEL_M], step[MODEL_N + MODEL_M]; /* where a damped step starts, and the step */

@@ -15,8 +15,8 @@
 #define HALVINGS 20 /* of a damped step */
 #endif
 
-#if !IDENTITY
-#define HIDDEN 1e-3 /* part of its terms that round-off may hide of E at most */
+#if OVERREACH
+#define REACH (1.0/3) /* part of what it changes by that a constraint may be off its linearisation */
 #endif
 
 /* What is known of the matrices: nothing, their entries, or also whether E_z has an inverse. */
@@ -264,13 +264,34 @@ static int solve_affine(model_solver *s, int m, const double *W, const double *b
 #endif
 #if EXACT_ROWS
 
-/* Put z_j where y_i = factor z_j + offset is exactly 0, for the rows coded 0, and z = 0 at rest: stick is exactly 0. */
+/* Put z_j where y_i = factor z_j + offset is exactly 0, for the rows coded 0, what follows from these, and z = 0 at rest: stick is
+   exactly 0. */
 static void make_exact(model_solver *s)
 {
 #if UNIT_ROWS
+#if FOLLOW_ROWS
+    memset(s->newton.exact, 0, sizeof s->newton.exact);
+#endif
     for (int i = 0; i < MODEL_UNIT; i++)
-        if (s->work.code[unit_row[i]] == 0)
+        if (s->work.code[unit_row[i]] == 0) {
             s->work.z[unit_column[i]] = -s->newton.offset[i]/unit_factor[i];
+#if FOLLOW_ROWS
+            s->newton.exact[unit_column[i]] = 1;
+#endif
+        }
+#endif
+#if FOLLOW_ROWS
+    for (int i = 0; i < MODEL_FOLLOW; i++) {
+        const int row = follow_row[i];
+        double known = s->newton.E_0[row];
+        int exact = 1;
+        for (int k = follow_start[i]; k < follow_start[i + 1]; k++) {
+            known += s->newton.E_z[MODEL_N*row + follow_column[k]]*s->work.z[follow_column[k]];
+            exact &= s->newton.exact[follow_column[k]];
+        }
+        if (exact)
+            s->work.z[row] = -known/s->newton.E_z[MODEL_N*row + row];
+    }
 #endif
 #if REST_ROWS
     int moving = 0;
@@ -341,63 +362,84 @@ static double largest_ratio(const double *E, const double *scale)
     double worst = 0;
     for (int i = 0; i < MODEL_N; i++)
         if (E[i] != 0)
-            worst = max_of(worst, fabs(E[i])/max_of(scale[i], UNRESOLVED));
+            worst = worse_of(worst, fabs(E[i])/max_of(scale[i], UNRESOLVED));
     return worst;
 }
 
-/* size = |E_z| |z| + |E_l| |l| + |E_0|, the terms that E consists of. */
-static void terms_of_E(model_solver *s)
+/* The running error bounds of E and Y at (z, l), once for each iterate. */
+static void look_at_rounding(model_solver *s)
 {
-    const double *z = s->work.z;
-    double *size = s->newton.size;
+    if (s->newton.looked)
+        return;
+    s->newton.looked = 1;
 #if LAW
-    double *sum = s->newton.sum;
-    E_l_times(s, s->work.l, sum, size);
-#endif
-    for (int i = 0; i < MODEL_N; i++) {
-#if LAW
-        double terms = size[i], value = sum[i];
+    round_off(s, s->work.z, s->work.l, s->newton.error_E, s->newton.error_Y);
 #else
-        double terms = 0, value = 0;
+    round_off(s, s->work.z, s->newton.error_E);
 #endif
-#if IDENTITY
-        terms += fabs(z[i]);
-        value += z[i];
-#else
-        for (int j = 0; j < MODEL_N; j++) {
-            const double term = s->newton.E_z[MODEL_N*i + j]*z[j];
-            terms += fabs(term);
-            value += term;
-        }
-#endif
-        size[i] = terms + fabs(s->newton.E[i] - value);
-    }
 }
 #if !IDENTITY
 
-/* The round-off of z, which is that of E through E_z^{-1}, as E sees it: |E_z| |E_z^{-1}| size, in place of size. Where E_z is
-   singular to rounding that could hide any E: see HIDDEN. */
-static void see_round_off(model_solver *s)
+/* The largest |E_z^{-1} r| over probes, which are r with signs that look random: from below, what z errs by where E does so by r. */
+static void felt_by(model_solver *s, const double *r)
 {
-    double *size = s->newton.size, *seen = s->newton.seen, *column = s->newton.dz;
-    if (!eliminate(s))
-        return;
-    memset(seen, 0, sizeof s->newton.seen);
-    for (int j = 0; j < MODEL_N; j++) {
+    double *v = s->newton.dz, *felt = s->newton.felt;
+    memset(felt, 0, sizeof s->newton.felt);
+    for (int p = 0; p < PROBES; p++) {
         for (int i = 0; i < MODEL_N; i++)
-            column[i] = i == j;
-        lu_solve(MODEL_N, s->newton.lu, s->newton.pivot, column);
+            v[i] = probe_sign(i, p)*r[i];
+        lu_solve(MODEL_N, s->newton.lu, s->newton.pivot, v);
         for (int i = 0; i < MODEL_N; i++)
-            seen[i] += fabs(column[i])*size[j];
-    }
-    for (int i = 0; i < MODEL_N; i++) {
-        double sum = 0;
-        for (int j = 0; j < MODEL_N; j++)
-            sum += fabs(s->newton.E_z[MODEL_N*i + j])*seen[j];
-        size[i] = min_of(sum, HIDDEN/ROUND_OFF*size[i]);
+            felt[i] = worse_of(felt[i], fabs(v[i]));
     }
 }
+
+/* Add to the error bounds of the rows what they feel of that of z; nothing where rounding could excuse any row. */
+static void add_felt(model_solver *s)
+{
+    double *size = s->newton.size, *unit = s->newton.unit, condition = 0;
+    if (!eliminate(s) || !spend_on_probes(s))
+        return;
+    memset(unit, 0, sizeof s->newton.unit); /* in which the largest entry of each row and then of each column is 1 */
+    for (int i = 0; i < MODEL_N; i++) {
+        const double *row = s->newton.E_z + MODEL_N*i, most = largest(MODEL_N, row);
+        for (int j = 0; j < MODEL_N; j++)
+            unit[j] = worse_of(unit[j], fabs(row[j])/most);
+    }
+    for (int i = 0; i < MODEL_N; i++)
+        unit[i] = 1/unit[i];
+    for (int i = 0; i < MODEL_N; i++) {
+        size[i] = 0;
+        for (int j = 0; j < MODEL_N; j++)
+            size[i] += fabs(s->newton.E_z[MODEL_N*i + j])*unit[j];
+    }
+    felt_by(s, size);
+    for (int i = 0; i < MODEL_N; i++)
+        condition = worse_of(condition, s->newton.felt[i]/unit[i]);
+    if (!(condition <= WORTH))
+        return;
+    felt_by(s, s->newton.error_E);
+    for (int i = 0; i < MODEL_N; i++)
+        for (int j = 0; j < MODEL_N; j++)
+            s->newton.error_E[i] += fabs(s->newton.E_z[MODEL_N*i + j])*s->newton.felt[j];
+#if LAW
+    for (int i = 0; i < MODEL_M; i++)
+        s->newton.error_Y[i] += Y_z_size(s, i, s->newton.felt);
 #endif
+}
+#endif
+
+/* The largest |E_i| / (scale_i + c u error_i / tolerance); an infinite bound excuses nothing. */
+static double largest_unseen(const model_solver *s)
+{
+    double worst = 0;
+    for (int i = 0; i < MODEL_N; i++) {
+        const double error = s->newton.error_E[i], unseen = error < INFINITY ? ROUND_OFF/TOLERANCE*error : 0;
+        if (s->newton.E[i] != 0)
+            worst = worse_of(worst, fabs(s->newton.E[i])/max_of(s->newton.scale[i] + unseen, UNRESOLVED));
+    }
+    return worst;
+}
 
 /* The residual of E, against what moves in the step, and what double precision sees of it. The parts of the scale come in the
    order of what they cost, until they suffice: a residual with a smaller scale is an upper bound. |E| where nothing moves counts
@@ -436,18 +478,20 @@ static double dynamics_residual(model_solver *s)
     worst = largest_ratio(E, scale);
     if (worst <= CLEAR || !all_finite(MODEL_N, scale))
         return all_finite(MODEL_N, scale) ? worst : INFINITY;
-    terms_of_E(s);
+    look_at_rounding(s);
 #if !AFFINE
     for (int i = 0; i < MODEL_N; i++)
-        if (!(fabs(E[i]) <= sqrt(EPS)*s->newton.size[i])) /* no round-off, but an iterate on its way */
+        if (!(fabs(E[i]) <= sqrt(EPS)*(s->newton.error_E[i] + s->newton.E_guess[i]))) /* no rounding, but an iterate on its way */
             return worst;
 #endif
+    worst = largest_unseen(s);
 #if !IDENTITY
-    see_round_off(s);
+    if (worst > TOLERANCE) {
+        add_felt(s);
+        worst = largest_unseen(s);
+    }
 #endif
-    for (int i = 0; i < MODEL_N; i++)
-        scale[i] = max_of(scale[i], ROUND_OFF/TOLERANCE*s->newton.size[i]);
-    return all_finite(MODEL_N, scale) ? largest_ratio(E, scale) : INFINITY;
+    return worst;
 }
 #if LAW
 #if !CURVED
@@ -475,7 +519,7 @@ static double residual_by_code(model_solver *s)
 #if FEEDTHROUGH
         b -= dot(MODEL_M, s->newton.Y_l + MODEL_M*i, l);
 #endif
-        worst = max_of(worst, wrong/max_of(fabs(b), UNRESOLVED));
+        worst = worse_of(worst, is_finite(b) ? wrong/max_of(fabs(b), UNRESOLVED) : INFINITY);
     }
     return worst;
 }
@@ -492,7 +536,7 @@ static void law_scales(model_solver *s)
             const double entry = s->newton.W[MODEL_M*i + j];
             b -= entry*l[j];
             terms += fabs(entry*l[j]);
-            w_max = max_of(w_max, fabs(entry));
+            w_max = worse_of(w_max, fabs(entry));
         }
         s->newton.b[i] = b;
         s->newton.terms[i] = terms;
@@ -501,44 +545,39 @@ static void law_scales(model_solver *s)
 }
 #endif
 
-/* The residual of the law at the model's own y, the round-off of y included in its scale. */
+/* The residual of the law at the model's own y, rounding included in its scale. */
 static double certified_law(model_solver *s)
 {
-    const double *l = s->work.l, *z = s->work.z;
+    const double *l = s->work.l;
     eliminate(s);
     law_scales(s);
     output_scale(MODEL_M, s->newton.b, s->newton.terms, s->newton.w_max, s->newton.s_y);
-    for (int i = 0; i < MODEL_M; i++) {
-        double size = Y_z_size(s, i, z), Y_0 = s->newton.Y[i] - Y_z_times(s, i, z);
-#if FEEDTHROUGH
-        for (int j = 0; j < MODEL_M; j++) {
-            const double term = s->newton.Y_l[MODEL_M*i + j]*l[j];
-            size += fabs(term);
-            Y_0 -= term;
-        }
-#endif
-        s->newton.s_y[i] = max_of(s->newton.s_y[i], ROUND_OFF/TOLERANCE*(size + fabs(Y_0)));
-    }
+    look_at_rounding(s);
+    for (int i = 0; i < MODEL_M; i++)
+        if (s->newton.error_Y[i] < INFINITY)
+            s->newton.s_y[i] += ROUND_OFF/TOLERANCE*s->newton.error_Y[i];
     return law_residual(s, MODEL_M, LOWER, UPPER, l, s->newton.Y, s->newton.s_y, s->newton.w_max);
 }
 #endif
 
 #if PROJECTION
 /* <l, y>, which bounds the square of the distance to the projection, beside the square of what moves; 0 if rounding. */
-static double gap_residual(const model_solver *s)
+static double gap_residual(model_solver *s)
 {
     const double *l = s->work.l, *z = s->work.z, *Y = s->newton.Y;
     double gap = 0, reach = 0, unseen = 0;
     for (int i = 0; i < MODEL_M; i++)
-        gap += max_of(l[i], 0)*max_of(Y[i], 0);
+        gap += worse_of(l[i], 0)*worse_of(Y[i], 0);
     if (gap == 0)
         return 0;
     for (int i = 0; i < MODEL_N; i++)
         reach += (z[i] - s->newton.guess[i])*(z[i] - s->newton.guess[i]) + s->newton.E_guess[i]*s->newton.E_guess[i];
-    if (gap > CLEAR*reach)
+    if (gap > CLEAR*reach) {
+        look_at_rounding(s);
         for (int i = 0; i < MODEL_M; i++)
-            unseen += ROUND_OFF*fabs(l[i])*(Y_z_size(s, i, z) + fabs(Y[i] - Y_z_times(s, i, z)));
-    return gap > unseen ? gap/max_of(reach, UNRESOLVED) : 0;
+            unseen += ROUND_OFF*fabs(l[i])*s->newton.error_Y[i];
+    }
+    return gap <= unseen && unseen < INFINITY ? 0 : reach < INFINITY && gap < INFINITY ? gap/max_of(reach, UNRESOLVED) : INFINITY;
 }
 #endif
 
@@ -546,6 +585,7 @@ static double gap_residual(const model_solver *s)
    law is not looked at. */
 static double judge(model_solver *s)
 {
+    s->newton.looked = 0;
     double residual = dynamics_residual(s);
 #if LAW
     if (residual <= TOLERANCE) {
@@ -554,11 +594,11 @@ static double judge(model_solver *s)
 #else
         double law = residual_by_code(s);
         if (!(law <= CLEAR))
-            law = min_of(law, certified_law(s));
+            law = min_of(law, certified_law(s)); /* both are numbers, or infinite */
 #endif
-        residual = max_of(residual, law);
+        residual = worse_of(residual, law);
 #if PROJECTION
-        residual = max_of(residual, gap_residual(s));
+        residual = worse_of(residual, gap_residual(s));
 #endif
         for (int i = 0; i < MODEL_M; i++)
             s->work.y[i] = s->work.code[i] == 0 ? 0 : s->newton.Y[i];
@@ -619,7 +659,7 @@ static int newton(model_solver *s)
     if (!evaluate(s))
         return NONE;
 #if AFFINE
-    for (int iteration = 1; iteration <= NEWTON_ITERATIONS; iteration++) {
+    for (int iteration = 1; iteration <= NEWTON_ITERATIONS && spend(s); iteration++) {
         const int solver = iterate(s);
         if (solver == NONE || !evaluate(s))
             return NONE;
@@ -631,7 +671,7 @@ static int newton(model_solver *s)
 #else
     int best = NONE;
     double least = INFINITY; /* residual so far */
-    for (int iteration = 1; iteration <= NEWTON_ITERATIONS; iteration++) {
+    for (int iteration = 1; iteration <= NEWTON_ITERATIONS && spend(s); iteration++) {
         const int solver = iterate(s);
         if (solver == NONE || !evaluate(s))
             break;
@@ -749,7 +789,7 @@ static int nearby(model_solver *s)
 {
     if (!first_index_set(s, MODEL_M, LOWER, UPPER, s->index))
         return NONE;
-    for (int count = 0; count < NEARBY_SETS; count++) {
+    for (int count = 0; count < NEARBY_SETS && spend(s); count++) {
         this_index_set(s, MODEL_M, s->work.code);
         if (on_index_set(s))
             return NEARBY_INDEX_SET;
@@ -757,6 +797,24 @@ static int nearby(model_solver *s)
             break;
     }
     return NONE;
+}
+#endif
+
+#if OVERREACH
+
+/* Whether the step leads where the linearisation of a constraint that acts means nothing. */
+static int leads_too_far(model_solver *s)
+{
+    int acts = 0;
+    for (int i = 0; i < MODEL_M; i++)
+        acts |= s->work.l[i] != 0;
+    if (!acts)
+        return 0;
+    overreach(s, s->work.z, s->newton.terms);
+    for (int i = 0; i < MODEL_M; i++)
+        if (s->work.l[i] != 0 && !(s->newton.terms[i] <= REACH))
+            return 1;
+    return 0;
 }
 #endif
 
@@ -792,6 +850,10 @@ static int step_by_newton(model_solver *s)
         prepare(s, s->work.l);
         solver = newton(s);
     }
+#if OVERREACH
+    if (solver != NONE && leads_too_far(s))
+        return NONE;
+#endif
     return solver;
 #else
     prepare(s);

@@ -171,7 +171,7 @@ static void law_scales(model_solver *s)
                 const double entry = fabs(Y_z_times(s, i, v));
                 s->newton.terms[i] += entry*fabs(l[j]);
                 if (s->newton.place[i] == IN)
-                    s->newton.w_max[i] = max_of(s->newton.w_max[i], entry);
+                    s->newton.w_max[i] = worse_of(s->newton.w_max[i], entry);
             }
     }
 }

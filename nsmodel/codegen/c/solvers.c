@@ -10,6 +10,9 @@ static void first_multiplier(const model_solver *s, double *l, signed char *code
 }
 
 #endif
+/* A unit of work: a linear system, an index set, a sweep. 0 where a step may do no more. */
+static int spend(model_solver *s) { return s->spent < s->budget ? (s->spent++, 1) : 0; }
+
 /* Whose answer a step is. */
 enum {
     NONE, LAST_INDEX_SET, INDEX_SET, LEMKE, ENUMERATION, SEMISMOOTH, NEARBY_INDEX_SET, CLIP, OUTER_APPROXIMATION, NONE_NEEDED

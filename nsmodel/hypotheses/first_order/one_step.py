@@ -30,6 +30,7 @@ from nsmodel.trajectory import Trajectory
 MOST_SETS = 2500  # Index sets that are tried at one state.
 STATES = 8  # States of the run at which they are tried.
 SAME = 1e-6  # Two solutions are one if they differ by less than this part of what l moves in a step.
+LEAST = np.finfo(float).tiny / np.finfo(float).eps  # Below it products with h underflow: what is verified there says nothing.
 TOLERANCE = 1e-9  # Residual of a solution that counts.
 JUMPS = "f, h or g jumps (F-jacobians): a step across the jump may have no solution, or several, whatever W is"
 
@@ -245,4 +246,4 @@ def _apart(a: np.ndarray, b: np.ndarray, state: State) -> bool:
     """Whether two x_{k+1} differ by more than rounding and tolerance leave open."""
     n = min(len(a), len(state.packed))
     moved = max(np.abs(a[:n] - state.packed[:n]).max(), np.abs(b[:n] - state.packed[:n]).max())
-    return bool(np.abs(a[:n] - b[:n]).max() > SAME * moved)
+    return bool(np.abs(a[:n] - b[:n]).max() > max(SAME * moved, LEAST))

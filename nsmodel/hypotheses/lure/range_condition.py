@@ -227,7 +227,8 @@ def _admissible(at: Setting, hypothesis: Hypothesis, output: np.ndarray) -> Find
         return _empty(at, hypothesis, at.line, answer)
     if answer.point is not None:
         how = "Decided exactly: C x0 = D'k + y + S v with k in rint dom Xi and y in rint dom Phi." + _literal(at)
-        value = {"margin": _margin(at, own, output, answer.point)}
+        margin = _margin(at, own, output, answer.point)
+        value = {"restricting rows": int((~own.loose).sum())} if margin is None else {"margin": margin}
         return found(hypothesis, HOLDS, how, value, {"C x0": exact.doubles(output.ravel())})
     if answer.separator is None:
         return found(hypothesis, UNKNOWN, _close(answer.margin))
@@ -256,13 +257,13 @@ def _close(margin: float) -> str:
     )
 
 
-def _margin(at: Setting, own: Domains, output: np.ndarray, point: np.ndarray) -> float:
-    """Largest t so that C x0 stays admissible when each restricting y_i loses t; NaN where y has other rows than half-lines."""
+def _margin(at: Setting, own: Domains, output: np.ndarray, point: np.ndarray) -> float | None:
+    """Largest t so that C x0 stays admissible when each restricting y_i loses t; None where y has other rows than half-lines."""
     from scipy.optimize import linprog
 
     lines = [columns[0] for columns, matrix in own.y if len(columns) == 1 and np.count_nonzero(matrix) == 1]
     if own.groups or len(lines) < int((~own.loose).sum()):
-        return np.nan
+        return None
     exactly = float(min(point[lines]) / point[0])  # What linear programming cannot resolve.
     A = exact.doubles(own.system([*_parts(at.D, own), (TAU, -output)], at.m).A)
     n = A.shape[1]

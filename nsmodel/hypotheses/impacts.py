@@ -1,0 +1,277 @@
+"""Impacts: where a multiplier acts on its output too late to hold it, so that a state jumps; seen on the rows of a run.
+
+Take a row 0 <= y ⟂ l whose l may be as large as it must. If no such multiplier enters y or y' (the rows of D and of C B are
+zero; or those of h_l and h_x M^{-1} g_l), then y' is continuous whatever they do: once y comes to 0 with y' < 0, an impulse alone
+keeps y >= 0, and what it acts on jumps: in mechanics a velocity. Where the row of D or C B is not zero something else may hold y,
+and nothing is said; nor where contact does not close in the run, closes with y' = 0, or with a y' that a step explains.
+
+A relay's l is bounded, so that no state jumps. Where it alone acts on y'' and not before, it is switched ever faster around y = 0
+and does not come to rest there in finite time: a run that begins to slide shows the damping of the scheme.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.model.base import Model
+from nsmodel.model.first_order import FirstOrderSystem
+from nsmodel.model.lure import LureSystem
+from nsmodel.model.oscillator import FrictionOscillator
+from nsmodel.solve.rounding import equilibrated
+
+ROUNDING = 1e-12  # A sum is 0 below this part of its terms.
+UNSEEN = 1e-9  # A rate is 0 below this part of the largest one.
+EXPLAINED = 2.0  # A rate below so many times its change in a step is none of an impact.
+GUIDE = "docs/guide.md, 2.7"
+PLACES = 4  # States where rows are looked at: the start, and others around it.
+
+
+@dataclass(frozen=True)
+class Watch:
+    """A row of y that may call for an impulse (a contact) or slide by the scheme's damping alone (a relay).
+
+    Attributes:
+        name: of its multiplier; column: where that is in a run; lower, upper: its ends.
+        degree: of the least derivative of y that it enters: 2, 3, ...; 0: none.
+        moved: the states that it acts on.
+        rate: (t, s, l) -> y', s the states, of an oscillator also its velocities, l the columns ``inputs`` of a run.
+    """
+
+    name: str
+    column: int
+    lower: float
+    upper: float
+    degree: int
+    moved: tuple[str, ...]
+    rate: ca.Function
+    inputs: slice
+
+    @property
+    def relay(self) -> bool:
+        """Whether l is bounded."""
+        return bool(np.isfinite([self.lower, self.upper]).all())
+
+    @property
+    def acts(self) -> str:
+        """What the multiplier acts on, in words."""
+        least = "y" + "'" * self.degree if self.degree < 4 else f"the derivative {self.degree} of y"
+        return f"'{self.name}' acts on {least} only" if self.degree else f"'{self.name}' acts on no derivative of y"
+
+    def free(self, l: np.ndarray) -> np.ndarray:
+        """Where l is at an end: open, or a relay that is not at y = 0; so is a start, whose l is not known."""
+        return ~((l > self.lower) & (l < self.upper))
+
+    def approach(self, rate: np.ndarray) -> np.ndarray:
+        """How fast y comes to 0 from the side where it may be: > 0 where it does."""
+        if self.relay or not np.isfinite([self.lower, self.upper]).any():
+            return np.abs(rate)
+        return -rate if np.isfinite(self.lower) else rate
+
+
+class _System(NamedTuple):
+    """s' = F(t, s, l), y = Y(t, s, l), and how l enters. lower and upper: ends of l, NaN where it is in no box."""
+
+    t: ca.SX
+    s: ca.SX
+    l: ca.SX
+    F: ca.SX
+    Y: ca.SX
+    F_l: ca.SX
+    Y_s: ca.SX
+    Y_l: ca.SX
+    start: ca.SX
+    lower: np.ndarray
+    upper: np.ndarray
+    states: Sequence[str]
+    multipliers: Sequence[str]
+    first: int  # The column of the first of l in a run.
+
+
+def watched(model: Model) -> tuple[Watch, ...]:
+    """Return the rows to watch in runs of the bound ``model``: of most models none."""
+    system = _system(model)
+    if system is None or not system.l.numel():
+        return ()
+    entries = partial(_entries, system, _places(system))
+    bounded = np.isfinite(system.lower) & np.isfinite(system.upper)
+
+    def entered(rows: np.ndarray, columns: np.ndarray, at: np.ndarray) -> np.ndarray:
+        """Which of the rows hold a multiplier that counts: beside a relay all do, beside a contact those without end."""
+        return np.isin(np.arange(at.size), rows[at[rows] | ~bounded[columns]])
+
+    late = ~np.isnan(system.lower) & ~entered(*entries(system.Y_l), bounded)
+    late &= ~entered(*entries(system.Y_s, system.F_l), bounded)
+    acted, acting = entries(system.F_l)
+    found = []
+    for i in map(int, np.flatnonzero(late)):
+        rate = ca.jtimes(system.Y[i], system.s, system.F) + ca.jacobian(system.Y[i], system.t)
+        degree, derivative, alone = 2, rate, bounded[i : i + 1]
+        while not entered(*(at := entries(ca.jacobian(derivative, system.s), system.F_l)), alone)[0]:
+            degree, derivative = degree + 1, ca.jtimes(derivative, system.s, system.F) + ca.jacobian(derivative, system.t)
+            if degree > system.s.numel():
+                degree = 0
+                break
+        if bounded[i] and not (degree and (at[1] == i).all()):
+            continue  # with others' help a relay may well come to y = 0
+        found.append(Watch(
+            name=system.multipliers[i], column=system.first + i, lower=float(system.lower[i]), upper=float(system.upper[i]),
+            degree=degree, moved=tuple(system.states[j] for j in np.unique(acted[acting == i])),
+            rate=ca.Function("rate", [system.t, system.s, system.l], [ca.densify(rate)]),
+            inputs=slice(system.first, system.first + system.l.numel() or None),
+        ))  # fmt: skip
+    return tuple(found)
+
+
+def _system(model: Any) -> _System | None:
+    """The model as a system; None of a class whose states do not jump, or phi stands in for a law, or M has no inverse."""
+    if isinstance(model, LureSystem) and model.law is not None and model.law.size:
+        l = ca.SX.sym("l", model.law.size)
+        F, Y = model.A + model.f + model.B @ l, model.C @ model.x + model.D @ l
+        matrices, law = (model.B, model.C, model.D), model.law
+    elif isinstance(model, FirstOrderSystem) and model.law.size and not _is_singular(model.M):
+        l, Y = model.lam, model.h
+        F = ca.solve(model.M, model.f + model.g) if not _is_unit(model.M) else model.f + model.g
+        matrices, law = (ca.jacobian(F, l), ca.jacobian(Y, model.x), ca.jacobian(Y, l)), model.law
+    elif isinstance(model, FrictionOscillator) and model.constraint_names:
+        return _oscillator(model)
+    else:
+        return None
+    lower, upper = [np.empty(0)], [np.empty(0)]
+    for block in law.blocks:
+        boxed = block.kind == "box"
+        lower.append(np.array(ca.DM(block.lower)).ravel() if boxed else np.full(block.size, np.nan))
+        upper.append(np.array(ca.DM(block.upper)).ravel() if boxed else np.full(block.size, np.nan))
+    ends = np.concatenate(lower), np.concatenate(upper)
+    return _System(model.t, model.x, l, F, Y, *matrices, model.x0, *ends, model.names, model.multiplier_names, 0)
+
+
+def _oscillator(model: FrictionOscillator) -> _System:
+    """s = (x, v): what moves an oscillator against its constraints; other forces are bounded, and do not enter y'."""
+    c = ca.vertcat(*model.constraints.values())
+    n, v = ca.SX.sym("n", c.numel()), ca.SX.sym("v", model.x.numel())
+    s, slopes = ca.vertcat(model.x, v), ca.jacobian(c, model.x)
+    F_l = ca.vertcat(ca.SX(v.numel(), c.numel()), slopes.T)
+    start = ca.vertcat(model.x0 if model.x1 is None else model.x1, ca.SX.zeros(v.numel()) if model.v0 is None else model.v0)
+    names = tuple(model.names or ())
+    states = [*names, *(f"v of {name}" for name in names)]
+    return _System(
+        model.t, s, n, ca.vertcat(v, slopes.T @ n), c, F_l, ca.jacobian(c, s), ca.SX(n.numel(), n.numel()), start,
+        np.zeros(n.numel()), np.full(n.numel(), np.inf), states, model.constraint_names, -n.numel(),
+    )  # fmt: skip
+
+
+def _is_singular(M: ca.SX) -> bool:
+    """Whether M, a constant matrix, has no inverse that double precision would know."""
+    return M.is_constant() and bool(np.linalg.matrix_rank(equilibrated(np.array(ca.DM(M)))[0]) < M.shape[0])
+
+
+def _is_unit(M: ca.SX) -> bool:
+    return (M - ca.SX.eye(M.shape[0])).is_zero()
+
+
+def _places(system: _System) -> list[tuple[float, np.ndarray, np.ndarray]]:
+    """(t, s, l) where rows are looked at."""
+    rng, start = np.random.default_rng(0), np.array(ca.DM(system.start)).ravel()
+    size = np.abs(start) + (np.abs(start).max(initial=0.0) or 1.0)
+    low, high = (
+        np.nan_to_num(end, nan=sign, posinf=1.0, neginf=-1.0) for end, sign in ((system.lower, -1.0), (system.upper, 1.0))
+    )
+    around = [
+        (rng.uniform(), start + size * rng.uniform(-1, 1, start.size), rng.uniform(low, np.maximum(low, high)))
+        for _ in range(PLACES - 1)
+    ]
+    return [(0.0, start, np.clip(0.0, low, np.maximum(low, high))), *around]
+
+
+def _entries(system: _System, places: Sequence[Any], *factors: ca.SX) -> tuple[np.ndarray, np.ndarray]:
+    """(rows, columns) where the product of matrices is not 0, beyond the rounding of its terms, at one of the places."""
+    first, *others = (ca.DM(factor) if factor.is_constant() else factor for factor in factors)
+    product, size = first, ca.fabs(first)
+    for factor in others:
+        product, size = product @ factor, size @ ca.fabs(factor)
+    triplet: Any = product.sparsity().get_triplet()
+    rows, columns = (np.array(part, int) for part in triplet)
+    if not rows.size:
+        return rows, columns
+    there, outputs = np.zeros(rows.size, bool), [product, ca.project(size, product.sparsity())]
+    f = ca.Function("f", [system.t, system.s, system.l], outputs)
+    for place in places[: 1 if product.is_constant() else None]:
+        value, terms = (np.array(part.nonzeros()) for part in f(*place))
+        there |= ~(np.abs(value) <= ROUNDING * terms)
+    return rows[there], columns[there]
+
+
+def met(watches: Sequence[Watch], columns: Mapping[str, np.ndarray], known: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what is known of a run after its next rows: how often a row watched set in with a jump, or slid, and when first.
+
+    Args:
+        watches: of the run's model.
+        columns: t (k,), x (k, n), multipliers (k, m), of an oscillator v (k, n): the next rows.
+        known: what was returned for the rows before; {} at the start of the run.
+    """
+    return {watch.name: _met(watch, columns, known.get(watch.name, _NOTHING)) for watch in watches}
+
+
+_NOTHING = {"count": 0, "t": None, "rate": 0.0, "largest": 0.0, "size": 0.0, "rows": 0, "times": [], "rates": [], "free": []}
+
+
+def _met(watch: Watch, columns: Mapping[str, np.ndarray], known: Mapping[str, Any]) -> dict[str, Any]:
+    t, l = columns["t"], columns["multipliers"]
+    s = np.hstack([columns["x"], columns["v"]]) if "v" in columns else columns["x"]
+    rate = np.array(watch.rate.map(len(t))(t[None, :], s.T, np.nan_to_num(l[:, watch.inputs]).T)).ravel()
+    old = len(known["rates"])  # of rows that were there before: what follows is found in the new ones
+    times, rates = np.concatenate([known["times"], t]), np.concatenate([known["rates"], np.nan_to_num(rate)])
+    free = np.concatenate([known["free"], watch.free(l[:, watch.column])]).astype(bool)
+    size = np.maximum(np.maximum.accumulate(np.abs(rates)), known["size"])
+    if watch.relay:
+        sets_in = free[:-2] & ~free[1:-1] & ~free[2:]
+        sets_in[: 1 if known["rows"] == 0 else 0] = False  # what slides from the start on did not come to it
+        at = np.flatnonzero(sets_in) + 1
+        at = at[at >= old - 1]
+    else:
+        change = np.abs(np.diff(rates, prepend=rates[:1]))
+        change[2:] = np.minimum(change[2:], change[1:-1])
+        jumps = watch.approach(rates) > np.maximum(EXPLAINED * change, UNSEEN * size)
+        at = np.flatnonzero(free[:-1] & ~free[1:] & jumps[:-1]) + 1
+        at = at[at >= old]
+    tail = {"times": times[-3:].tolist(), "rates": rates[-3:].tolist(), "free": free[-3:].tolist()}
+    found = {**known, "size": float(size[-1]), "rows": known["rows"] + len(t), **tail}
+    if at.size:
+        found |= {"count": known["count"] + at.size, "largest": max(known["largest"], float(np.abs(rates[at - 1]).max()))}
+        if known["t"] is None:
+            found |= {"t": float(times[at[0]]), "rate": float(rates[at[0] - 1])}
+    return found
+
+
+def told(watches: Sequence[Watch], known: Mapping[str, Any], model: Any) -> list[str]:
+    """What a run met, in the words of a mechanic: a line for each row that met something."""
+    return [_told(watch, known[watch.name], model) for watch in watches if known.get(watch.name, _NOTHING)["count"]]
+
+
+def _told(watch: Watch, found: Mapping[str, Any], model: Any) -> str:
+    why = f"{watch.acts}" + (", not on y' (C B = 0)" if isinstance(model, LureSystem) else ", not on y'")
+    if watch.relay:
+        return (
+            f"{why}, and slides from t = {found['t']:.6g} on: a relay that acts so late is switched ever faster around y = 0 and "
+            "does not come to rest there; that it does here is the damping of the scheme. Compare with a smaller step"
+        )
+    jumps = " and ".join(f"'{name}'" for name in watch.moved[:4]) + (", ..." if len(watch.moved) > 4 else "")
+    times = "once," if found["count"] == 1 else f"{found['count']} times, first"
+    theta, gamma = float(getattr(model, "theta", 1.0)), float(getattr(model, "gamma", 1.0))
+    answer = "This scheme's answer is the inelastic one, y' = 0 afterwards."
+    if not theta == gamma == 1:
+        answer = (
+            f"With theta = {theta:g}, gamma = {gamma:g} what comes after it depends on where in a step y closes; take "
+            "theta = gamma = 1, whose answer is the inelastic one."
+        )
+    return (
+        f"{why}: where y closes {jumps} must jump, here {times} at t = {found['t']:.6g} with y' = {found['rate']:.4g}: an "
+        f"impact. {answer} The multiplier of that step is the impulse / h, and grows as h shrinks; "
+        f"there is no restitution: see {GUIDE}"
+    )

@@ -1,0 +1,150 @@
+"""One run at a time in a folder: a lock file that names its holder.
+
+The file is locked for as long as its holder lives (``flock``): the system frees it when that ends, however it ends. So on one
+machine a file that can be locked was left behind, and is taken over, whatever number its holder had. Of a holder on another
+machine nothing is known: that is for the user to judge. Where the file system knows no such locks, every holder is one of those.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from nsmodel.errors import StorageError
+from nsmodel.storage import PART
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+
+LOCK = "run.lock"
+_held: set[tuple[str, int]] = set()  # Folders and the threads that hold them.
+
+
+@contextlib.contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """Hold a folder, which is made if need be, and removed if nothing was written into it; a thread may hold one twice.
+
+    Raises:
+        StorageError: another run holds it, or it cannot be written.
+    """
+    key = (os.path.realpath(folder), threading.get_ident())
+    if key in _held:
+        yield
+        return
+    path, new = folder / LOCK, not folder.exists()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        descriptor = _locked(path)
+    except StorageError:
+        raise
+    except OSError as error:
+        raise StorageError(f"cannot write into {folder}: {error}; take a folder that is writable") from error
+    _held.add(key)
+    try:
+        yield
+    finally:
+        _held.discard(key)
+        with contextlib.suppress(OSError):
+            path.unlink()
+        os.close(descriptor)
+        if new:
+            with contextlib.suppress(OSError):  # it holds something
+                folder.rmdir()
+
+
+def _locked(path: Path) -> int:
+    """Return the descriptor of the lock file, which is ours."""
+    while True:
+        try:
+            descriptor, new = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666), True
+        except FileExistsError:
+            try:
+                descriptor, new = os.open(path, os.O_RDWR), False
+            except FileNotFoundError:
+                continue
+        free = None
+        try:
+            free, holder = _lock(descriptor), _holder(descriptor)
+            if not (new if free is None else free and not _elsewhere(holder)):
+                raise _refusal(path, holder, free is False)
+            if free is None or _is(path, descriptor):  # its last holder may have removed it meanwhile
+                if not new:
+                    _clear(path.parent)
+                os.truncate(descriptor, 0)
+                os.pwrite(descriptor, json.dumps(_self()).encode(), 0)
+                return descriptor
+        except BaseException:
+            os.close(descriptor)
+            if new and free is not False:
+                path.unlink(missing_ok=True)
+            raise
+        os.close(descriptor)
+
+
+def _lock(descriptor: int) -> bool | None:
+    """Lock a file: False where another holds it, None where the file system cannot."""
+    if fcntl is None:
+        return None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return None
+    return True
+
+
+def _self() -> dict[str, Any]:
+    return {"host": socket.gethostname(), "pid": os.getpid(), "boot": _boot()}
+
+
+def _boot() -> str:
+    """What names the running system: containers on one machine have names of their own, and share this. "" where unknown."""
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+    except OSError:
+        return ""
+
+
+def _holder(descriptor: int) -> dict[str, Any] | None:
+    """Who wrote the file; None where it is new, or was cut short."""
+    try:
+        found = json.loads(os.pread(descriptor, 4096, 0))
+    except ValueError:
+        return None
+    return found if isinstance(found, dict) else None
+
+
+def _elsewhere(holder: dict[str, Any] | None) -> bool:
+    """Whether the holder was on another machine, whose locks may not be seen here."""
+    mine = _self()
+    return holder is not None and holder.get("host") != mine["host"] and (not mine["boot"] or holder.get("boot") != mine["boot"])
+
+
+def _is(path: Path, descriptor: int) -> bool:
+    try:
+        return os.path.samestat(os.stat(path), os.fstat(descriptor))
+    except FileNotFoundError:
+        return False
+
+
+def _clear(folder: Path) -> None:
+    """Remove what a killed holder had half written."""
+    for part in folder.glob(f"{PART}*"):
+        part.unlink(missing_ok=True)
+
+
+def _refusal(path: Path, holder: dict[str, Any] | None, certain: bool) -> StorageError:
+    who = "" if holder is None else f", process {holder.get('pid')} on {holder.get('host')}"
+    fault, wait = f"{path.parent} is in use by another run{who}", "wait for its end, or give another folder"
+    if certain:
+        return StorageError(f"{fault}; {wait}")
+    return StorageError(f"{fault}, as far as can be told from here; {wait}; if that run has ended, delete {path}")

@@ -1,0 +1,160 @@
+"""Parameters: numbers, vectors and matrices, declared and given by symbol or by name."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.errors import ModelError, NsmodelError, UsageError
+from nsmodel.model.convert import Declared, declare, stem_of
+
+Values = Mapping[Any, Any]  # {symbol or name: number, list, array or None}
+
+try:  # CasADi means vectors of SX to be keys of dictionaries, as those of MX are, but the hash it falls back on is not theirs.
+    hash(ca.SX.sym("x", 2))
+except NotImplementedError:
+    ca.SX.__hash__ = lambda self: self.element_hash() if self.is_scalar() else id(self)
+
+
+def declared(given: Any) -> tuple[list[Declared], dict[str, float | None], dict[str, np.ndarray]]:
+    """Read ``parameters=``: the symbols, {name: value} of each scalar, {name: names of its entries} of each vector and matrix.
+
+    The entries of a vector or matrix th are th_0, th_1, ..., column by column, as those of ``ca.SX.sym("th", 2, 3)``.
+
+    Raises:
+        ModelError: no dictionary, a name that repeats, values of another shape than their symbol, what is no finite number.
+    """
+    if not isinstance(given, Mapping):
+        raise ModelError(f"parameters: expected a dictionary {{symbol or name: value}}, not a {type(given).__name__}")
+    symbols: list[Declared] = []
+    values: dict[str, float | None] = {}
+    vectors: dict[str, np.ndarray] = {}
+    for key, value in given.items():
+        names = _numbered(key, np.shape(_array(value))) if isinstance(key, str) else _names_of(key)
+        symbol = declare(names.ravel(order="F").tolist() if isinstance(key, str) else key, "parameters")
+        whole = _whole(names)
+        for name in {*symbol.names, whole or symbol.names[0]}:
+            if name in values or name in vectors:
+                raise ModelError(f"parameters: '{name}' is declared twice; keep one")
+        filled = _filled(names, value, _label(key, names), ModelError)
+        values |= {name: filled[name] for name in symbol.names}
+        if names.size > 1 and whole is not None:
+            vectors[whole] = names
+        symbols.append(symbol)
+    return symbols, values, vectors
+
+
+def scalars(values: Any, known: Mapping[str, Any], vectors: Mapping[str, np.ndarray]) -> dict[str, float | None]:
+    """Return {name: value} of each scalar in ``values``, which may speak of whole vectors and matrices, by name or symbol.
+
+    Raises:
+        UsageError: no dictionary, a name that is not among those ``known``, one that is given twice, values of another shape.
+        ModelError: what is no finite number.
+    """
+    if values is None:
+        return {}
+    if not isinstance(values, Mapping):
+        raise UsageError(f"parameters: expected a dictionary {{name: value}}, not a {type(values).__name__}")
+    found: dict[str, float | None] = {}
+    for key, value in values.items():
+        names = _names_of(key) if not isinstance(key, str) else vectors.get(key, np.array(key))
+        whole = None if isinstance(key, str | tuple) else vectors.get(_whole(names) or "")
+        if whole is not None and set(whole.flat) != set(names.flat):
+            names = whole
+        for name in names.ravel().tolist():
+            if name not in known:
+                hint = difflib.get_close_matches(name, [*vectors, *known], 1)
+                raise UsageError(
+                    f"parameter '{name}' is not declared; the model has {', '.join(gathered(known, vectors)) or 'none'}"
+                    + (f". Did you mean '{hint[0]}'?" if hint else "")
+                )
+            if name in found:
+                raise UsageError(f"parameter '{name}' is given twice; keep one")
+        found |= _filled(names, value, _label(key, names), UsageError)
+    return found
+
+
+def gathered(values: Mapping[str, Any], vectors: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Return {name: value} of each parameter as it was declared: the inverse of `scalars`."""
+    inside = {entry: name for name, names in vectors.items() for entry in names.ravel().tolist()}
+    whole = {name: np.vectorize(values.get, otypes=[object])(names) for name, names in vectors.items()}
+    return {inside.get(name, name): whole.get(inside.get(name, name), value) for name, value in values.items()}
+
+
+def number(value: Any, label: str) -> float:
+    """A finite number; else ModelError."""
+    try:
+        if isinstance(value, str | bool | np.bool_ | complex | np.complexfloating | ca.SX | ca.MX):
+            raise TypeError
+        found = float(value)
+    except (OverflowError, TypeError, ValueError, RuntimeError):
+        raise ModelError(f"{label} = {value!r} is not a number") from None
+    if not np.isfinite(found):
+        raise ModelError(f"{label} = {found}; expected a finite number")
+    return found
+
+
+def _names_of(key: Any) -> np.ndarray:
+    """The names of a symbol's scalars, in its shape: () for one, (n,) for a vector, (r, c) for a matrix."""
+    names = np.array(declare(key, "parameters").names)
+    shape = tuple(getattr(key, "shape", names.shape))
+    if len(shape) != 2 or 1 in shape or names.size != np.prod(shape):
+        return names if names.size > 1 else names.reshape(())
+    return names.reshape(shape, order="C" if hasattr(key, "tolist") else "F")  # SymPy lists the entries of a matrix by rows
+
+
+def _numbered(name: str, shape: tuple[int, ...]) -> np.ndarray:
+    """The names of a parameter that is given by its own name, from the shape of its value."""
+    size = int(np.prod(shape))
+    if size < 2 or len(shape) > 2:
+        return np.array(name)
+    names = np.array([f"{name}_{i}" for i in range(size)])
+    return names if 1 in shape else names.reshape(shape, order="F")
+
+
+def _label(key: Any, names: np.ndarray) -> str:
+    """What a message calls a parameter."""
+    return key if isinstance(key, str) else _whole(names) or ", ".join(names.ravel(order="F").tolist())
+
+
+def _whole(names: np.ndarray) -> str | None:
+    """The name W of the entries W_0, W_1, ..., column by column or row by row; None where there is none."""
+    return stem_of(names.ravel(order="F").tolist()) or stem_of(names.ravel().tolist())
+
+
+def _array(value: Any) -> np.ndarray:
+    """A value as an array of objects; what has no shape is one."""
+    value = np.array(value) if isinstance(value, ca.DM) else value.toarray() if hasattr(value, "toarray") else value
+    try:
+        return np.array(value, dtype=object)
+    except (TypeError, ValueError):  # symbols; blocks that do not fit together
+        box = np.empty((), dtype=object)
+        box[()] = value
+        return box
+
+
+def _filled(names: np.ndarray, value: Any, label: str, error: type[NsmodelError]) -> dict[str, float | None]:
+    """{name: number} of the scalars of one parameter; None where the value is still to be given."""
+    array = np.full(names.shape, None) if value is None else _array(value)
+    flat = names.ndim < 2 and array.size == names.size and (array.ndim < 2 or 1 in array.shape)
+    if not (flat or array.shape == names.shape):
+        raise error(f"parameter '{label}': {_what(array)}; expected {_wanted(names)}")
+    pairs = zip(names.ravel().tolist(), array.ravel().tolist(), strict=True)
+    return {name: None if one is None else number(one, f"parameter '{name}'") for name, one in pairs}
+
+
+def _what(array: np.ndarray) -> str:
+    return f"shape {array.shape}" if array.ndim > 1 else f"{array.size} value{'' if array.size == 1 else 's'}"
+
+
+def _wanted(names: np.ndarray) -> str:
+    entries = names.ravel(order="F").tolist()
+    if names.ndim == 2:
+        return f"a matrix of shape {names.shape}, a list of its rows ({entries[0]}, ..., {entries[-1]} column by column)"
+    if names.size == 1:
+        return "one number"
+    return f"{names.size}, one for each of {', '.join(entries if names.size < 5 else [*entries[:2], '...', entries[-1]])}"

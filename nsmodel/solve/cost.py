@@ -1,0 +1,63 @@
+"""What interpreted steps and compilers take, and when compiling pays: seconds as functions of the structure, never of a clock.
+
+A run is compiled where building, or loading what was built before, takes less than its interpreted steps; compiled ones take
+1 % to 5 % of these. The numbers were fitted to the CPU time of generating, compiling and stepping the cases, chains of 8 to 300
+masses with friction, and random Lur'e systems of up to 25 states and 20 rows, with GCC on a busy machine, and brought to an idle
+one by known times (a relay's step 4 us, a step by Newton's method 0.35 ms, building a relay 0.4 s). How many iterations a step
+takes is not known beforehand: index sets changed at one step in ten.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import casadi as ca
+
+from nsmodel.scheme.problem import OneStepProblem
+from nsmodel.solve.structure import Structure
+
+LOADING = 0.05  # Seconds for finding a library that was built before, its hash, and loading it.
+
+
+class Cost(NamedTuple):
+    """Seconds of one interpreted step, and of building the compiled one: 0 where it is there."""
+
+    step: float
+    building: Callable[[], float]
+
+    def pays(self, steps: int) -> bool:
+        """Whether compiling takes less time than so many steps."""
+        saved = steps * self.step - LOADING
+        return saved > 0 and saved > self.building()
+
+    def text(self, steps: int) -> str:
+        """Why it does not, as a line of what is left out."""
+        return f"steps in C: {steps:,} interpreted steps take about {steps * self.step:.2g} s, building them would take longer"
+
+
+def interpreted(path: str, structure: Structure | None) -> float:
+    """Seconds of a step on a path of `choose.Plan`; None: the structure of a projection on given sets."""
+    if structure is None:
+        return 2.5e-4
+    if path == "kernel":
+        return 4.5e-6 + 2.5e-7 * structure.m**2
+    size = structure.n + structure.m
+    return 1.3e-4 + 2.8e-7 * size if path == "sparse" else 3.2e-4 + 4.4e-6 * size
+
+
+def building(path: str, structure: Structure | None, problem: OneStepProblem) -> float:
+    """Seconds for building the steps of a path: C for its graph, tables for its matrices."""
+    if structure is None:
+        return 1.6
+    size = structure.n + structure.m
+    if path == "sparse":
+        return 1.0 + 1.0e-3 * size
+    graph = ca.densify(ca.vertcat(problem.E, problem.Y))
+    nodes = ca.Function("step", [ca.vertcat(*ca.symvar(graph))], [graph]).n_instructions()
+    return 0.45 + 1.0e-3 * size**2 + 8.5e-4 * nodes if path == "kernel" else 1.2 + 8e-4 * nodes
+
+
+def of_bodies(count: int, solver: Callable[[], bool], own: Callable[[], bool]) -> Cost:
+    """The cost of many bodies; whether the solver, which all models share, and the model's own functions are built."""
+    return Cost(1.4e-3 + 5e-6 * count, lambda: 4.5 * (not solver()) + 0.15 * (not own()))

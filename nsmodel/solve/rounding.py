@@ -1,0 +1,143 @@
+"""What double precision can see of a row: the running error bound of its evaluation, as an expression (Wilkinson).
+
+With u = 2^-53, each operation v = a o b of a graph is computed as v (1 + d), |d| <= u, and passes on what its arguments err by:
+
+    err(a +- b) = |v| + err(a) + err(b)        err(a b) = |v| + |a| err(b) + |b| err(a)
+    err(a / b)  = |v| + (err(a) + |v| err(b)) / |b|        err(f(a)) = |v| + |f'(a)| err(a)
+
+in units of u, to first order (Higham, Accuracy and Stability of Numerical Algorithms, 3.3). What is given (t, h, the state,
+numbers) errs by 0; an unknown w by |w|: nobody can know it better than to the nearest double.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.model.expressions import applied, column, fold, keys, operations
+
+UNIT = 2.0**-53  # u
+PROBES = 8
+WORTH = 1e8  # Condition up to which the rounding of the unknowns excuses a row: beyond, it could excuse any.
+EXACT = frozenset({
+    ca.OP_ASSIGN, ca.OP_NEG, ca.OP_FABS, ca.OP_SIGN, ca.OP_COPYSIGN, ca.OP_FMIN, ca.OP_FMAX, ca.OP_TWICE,
+    ca.OP_IF_ELSE_ZERO, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR,
+})  # fmt: skip
+
+
+class Computed(NamedTuple):
+    """A value of the graph and the bound of its error in units of u."""
+
+    value: ca.SX
+    error: ca.SX
+
+
+def error_bound(rows: ca.SX, unknowns: ca.SX) -> ca.SX:
+    """Return the bound of the rounding of each row, in units of u: an expression of the symbols of ``rows``.
+
+    Args:
+        rows: SX column.
+        unknowns: symbols that are known to the nearest double only; all others are exact.
+    """
+    if ca.OP_CALL in operations(rows):  # what is inside a Function cannot be seen: the terms in the unknowns, and the rest
+        J = ca.jacobian(rows, unknowns)
+        return ca.fabs(J) @ ca.fabs(unknowns) + ca.fabs(rows - J @ unknowns)
+    unknown = keys(unknowns)
+
+    def symbol(s: ca.SX) -> Computed:
+        return Computed(s, ca.fabs(s) if s.element_hash() in unknown else ca.SX(0))
+
+    return column(c.error for c in fold(rows, symbol, lambda v: Computed(ca.SX(v), ca.SX(0)), _computed))
+
+
+def _computed(op: int, args: list[Computed]) -> Computed:
+    value = applied(op, [a.value for a in args])
+    passed = ca.SX(0)
+    if any(not a.error.is_zero() for a in args):
+        for derivative, a in zip(_derivatives(op, value, [a.value for a in args]), args, strict=True):
+            passed += ca.SX(0) if a.error.is_zero() else _times(ca.fabs(derivative), a.error)
+    return Computed(value, passed if op in EXACT else passed + ca.fabs(value))
+
+
+def _times(a: ca.SX, error: ca.SX) -> ca.SX:
+    """a * error, 0 where the error is (a may be infinite there)."""
+    return a * error if a.is_constant() else ca.if_else(error == 0, 0, a * error)
+
+
+def _derivatives(op: int, value: ca.SX, args: list[ca.SX]) -> list[ca.SX]:
+    """The derivatives of an operation in its arguments."""
+    if op in (ca.OP_ADD, ca.OP_SUB):
+        return [ca.SX(1), ca.SX(1)]
+    if op == ca.OP_MUL:
+        return [args[1], args[0]]
+    if op == ca.OP_DIV:
+        return [1 / args[1], value / args[1]]
+    symbols = [ca.SX.sym("a") for _ in args]
+    derivatives = [ca.jacobian(applied(op, symbols), s) for s in symbols]
+    return ca.substitute(derivatives, symbols, args)
+
+
+def signs(n: int) -> np.ndarray:
+    """PROBES vectors (PROBES, n) of +-1 that look random and are the same everywhere: bits of a hash of the entry's number."""
+    x = (np.arange(n * PROBES, dtype=np.uint64) + 1) * 2654435769 & 0xFFFFFFFF
+    x = ((x ^ x >> 15) * 2246822519) & 0xFFFFFFFF
+    x = ((x ^ x >> 13) * 3266489917) & 0xFFFFFFFF
+    return np.where(x >> 16 & 1, 1.0, -1.0).reshape(n, PROBES).T
+
+
+def felt(solve: Callable[[np.ndarray], np.ndarray], error: np.ndarray, size: np.ndarray, units: np.ndarray) -> np.ndarray:
+    """What the solution of J w = r errs by where the rows do so by ``error``: |J^-1| error, from below, in units of u.
+
+    An entry of J^-1 (+-error) is never more than that, and the largest of a few is rarely much less: no inverse is formed.
+    Where J is so ill-conditioned (WORTH) that rounding could excuse any row, it excuses none.
+
+    Args:
+        solve: r -> J^-1 r, J the matrix (n, n) of the system that an index set makes of a step.
+        error: (n,), >= 0.
+        size, units: |J| units and the units (n,) of the unknowns in which J is well scaled: |J^-1| size / units is its condition.
+    """
+    probes = signs(error.size)
+    with np.errstate(over="ignore", invalid="ignore"):
+        condition = np.max([np.abs(solve(s * size)) / units for s in probes], initial=0.0)
+        if not condition <= WORTH:
+            return np.zeros(error.size)
+        return np.max([np.abs(solve(s * error)) for s in probes], axis=0, initial=0.0)
+
+
+def felt_dense(J: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """`felt` of a dense matrix (n, n); what is singular leaves unknowns free, not wrong."""
+    scaled, rows, columns = equilibrated(J)
+    inverse = np.linalg.pinv(scaled, rcond=1 / WORTH)
+    return felt(lambda r: columns * (inverse @ (rows * r)), error, np.abs(J) @ columns, columns)
+
+
+def condition(inverse: np.ndarray, matrix: np.ndarray) -> float:
+    """The spectral radius of |A^-1| |A|, the least condition number in all units, by the power method; of sizes."""
+    v = np.ones(len(matrix))
+    for _ in range(30):
+        v = inverse @ (matrix @ v)
+        v /= v.max(initial=0.0) or 1.0
+    w = inverse @ (matrix @ v)
+    return float(np.max(w[v > 0] / v[v > 0], initial=1.0))
+
+
+def equilibrated(J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """J with its rows and columns in the units of `scales`, and these."""
+    i, j = np.nonzero(J)
+    rows, columns = scales(i, j, np.abs(J[i, j]), len(J))
+    return rows[:, None] * J * columns, rows, columns
+
+
+def scales(i: np.ndarray, j: np.ndarray, sizes: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Powers of 2 for the n rows and columns that bring the entries (i, j) near 1 (Ruiz' iteration); 1 where there is none."""
+    rows, columns = np.ones(n), np.ones(n)
+    for _ in range(8):
+        entries = sizes * rows[i] * columns[j]
+        for scale, at in ((rows, i), (columns, j)):
+            most = np.zeros(n)
+            np.maximum.at(most, at, entries)
+            scale /= np.sqrt(np.where(most > 0, most, 1.0))
+    return np.exp2(np.round(np.log2(rows))), np.exp2(np.round(np.log2(columns)))

@@ -1,0 +1,183 @@
+"""When many bodies stand still: since when, whether anything will ever change again, and who holds the others.
+
+A step is a pure function of its state. Where nothing in the model depends on time and nobody is to come, the state never
+changes again if one of two facts holds, each about the step itself:
+
+- **the state is given back**: positions and contacts are bit for bit those before the step;
+- **the contacts hold it**: the gradients of the contacts with a reaction > 0 span all states of the bodies that they touch,
+  and the other bodies have not moved at all. Then the step's answer near here is the one point where these constraints are 0,
+  and what moves is rounding. Bodies that balance on fewer contacts than that may still slide off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+from nsmodel.contacts import Contacts
+from nsmodel.model.bodies import ManyBodies
+from nsmodel.scheme.many_bodies import BodiesProblem, Rows
+from nsmodel.solve.certificate import EPS
+from nsmodel.solve.many_bodies import BodiesWarm, Group
+
+ROUNDED = 64 * EPS  # Beside the largest position: what moves less moves by rounding.
+WINDOW = 20  # Steps after which bodies that have moved by no more than that are said to stand still.
+PRESSED = 1e-8  # A reaction below this part of the largest one holds nobody.
+SINGULAR = 1e-10  # A pivot below this part of the largest one is 0.
+
+
+Item = tuple[int, int]  # A family and a member.
+Chain = tuple[list[int], Item | None]
+
+
+class Still(NamedTuple):
+    """Where bodies have been, to the rounding of their positions, since step ``since``."""
+
+    q: np.ndarray
+    since: int
+
+    def after(self, k: int, q: np.ndarray, warm: BodiesWarm) -> Still:
+        """The same after step k, which ended at q, or from there on."""
+        bound = ROUNDED * float(np.abs(q[np.isfinite(q)]).max(initial=0.0))
+        if warm.moved <= 2 * bound and np.array_equal(np.isnan(q), np.isnan(self.q)):
+            if not (np.abs(q - self.q) > bound).any():
+                return self
+        return Still(q, k)
+
+
+def autonomous(model: ManyBodies) -> bool:
+    """Whether nothing in a model depends on time; a function f says so by an attribute ``autonomous``."""
+    given = [family.g for family in model.constraints.values()]
+    given += [part for part in (model.f, model.leave) if isinstance(part, ca.SX)]
+    steady = isinstance(model.f, ca.SX) or getattr(model.f, "autonomous", False) is True
+    return steady and not ca.depends_on(ca.vertcat(*map(ca.vec, given)), model.t)
+
+
+def given_back(before: tuple[np.ndarray, BodiesWarm], after: tuple[np.ndarray, BodiesWarm]) -> bool:
+    """Whether a step has given back its state, bit for bit."""
+    (q, warm), (q_next, warm_next) = before, after
+    same = warm.moved == warm_next.moved and np.array_equal(q, q_next, equal_nan=True)
+    return same and all(map(np.array_equal, warm.contacts, warm_next.contacts))
+
+
+def held(problem: BodiesProblem, t: float, before: np.ndarray, q: np.ndarray, contacts: Contacts) -> bool:
+    """Whether the contacts alone hold all bodies at q (N, d), which were at ``before`` one step ago."""
+    rows = _rows(problem, t, q, _pressed(contacts))
+    touched = np.zeros(len(q), bool)
+    touched[rows.first] = True
+    touched[rows.second[rows.pair]] = True
+    free = ~touched
+    if not np.array_equal(before[free], q[free], equal_nan=True):
+        return False
+    B = sp.diags_array(1 / rows.size) @ Group(rows, np.zeros(q.shape)).B[:, np.repeat(touched, q.shape[1])]
+    if B.shape[0] < B.shape[1] or not np.isfinite(B.data).all():
+        return False
+    try:
+        pivots = np.abs(splu((B.T @ B).tocsc()).U.diagonal())
+    except RuntimeError:  # exactly singular
+        return False
+    return bool(pivots.min(initial=np.inf) > SINGULAR * pivots.max(initial=0.0))
+
+
+def arches(problem: BodiesProblem, q: np.ndarray, contacts: Contacts) -> list[dict[str, Any]]:
+    """Who holds the others: before each exit the body nearest to it, and the bodies over which its load goes to the walls.
+
+    From that body the shortest two chains of contacts lead, over different bodies, to two items; where the scene has no exits,
+    from the body with most pressure of each group.
+
+    Returns:
+        For each arch ``exit`` (its name or number; None), ``bodies`` from one end to the other, ``at`` (their places),
+        ``ends``, the names of the contacts with items at both ends, and ``pressed``: how many bodies are in its group.
+    """
+    pressed, families = _pressed(contacts), problem.families
+    near: dict[int, set[int]] = {}
+    ends: dict[int, list[Item]] = {}
+    for family, first, second in zip(*(part.tolist() for part in pressed[:3]), strict=True):
+        near.setdefault(first, set())
+        if families[family].of_pairs:
+            near[first].add(second)
+            near.setdefault(second, set()).add(first)
+        else:
+            ends.setdefault(first, []).append((family, second))
+    found = []
+    for name, crown in _crowns(problem, q, pressed, near):
+        one, other = _chains(crown, near, {body: sorted(items) for body, items in ends.items()})
+        bodies = [*one[0][::-1], *other[0][1:]]
+        found.append({
+            "exit": name, "bodies": bodies, "at": q[bodies].tolist(), "pressed": len(_group(crown, near)),
+            "ends": [problem.name(end[0], chain[-1], end[1]) for chain, end in (one, other) if end is not None],
+        })  # fmt: skip
+    return found
+
+
+def _pressed(contacts: Contacts) -> Contacts:
+    """The contacts whose reaction is more than rounding."""
+    strong = contacts.reaction > PRESSED * contacts.reaction.max(initial=0.0)
+    return Contacts(*(part[strong] for part in contacts))
+
+
+def _rows(problem: BodiesProblem, t: float, q: np.ndarray, contacts: Contacts) -> Rows:
+    """The constraints of these contacts."""
+    parts = []
+    for family in range(len(problem.families)):
+        of = contacts.family == family
+        parts.append(problem.rows(family, t, q, contacts.first[of], contacts.second[of]))
+    return Rows(*(np.concatenate([getattr(part, name) for part in parts]) for name in Rows.__dataclass_fields__))
+
+
+def _crowns(problem: BodiesProblem, q: np.ndarray, contacts: Contacts, near: dict[int, set[int]]) -> Iterable[tuple[Any, int]]:
+    """The bodies at which arches are looked for, each with the exit that it stands before."""
+    bodies, scene = np.array(sorted(near), int), problem.model.scene or {}
+    exits = scene.get("exits", np.zeros((0, 2, 2)))
+    if not bodies.size:
+        return []
+    if len(exits) and problem.d == 2:
+        from nsmodel.crowd.geometry import nearest_points
+
+        away = np.linalg.norm(nearest_points(q[bodies], exits) - q[bodies][:, None], axis=2)
+        first, names = away.argmin(axis=0), scene.get("exit_names")
+        return [(k if names is None else str(names[k]), int(bodies[i])) for k, i in enumerate(first) if away[i].argmin() == k]
+    total = np.bincount(contacts.first, contacts.reaction, len(q))
+    pairs = np.array([family.of_pairs for family in problem.families], bool)[contacts.family]
+    total += np.bincount(contacts.second[pairs], contacts.reaction[pairs], len(q))
+    groups = {min(group): group for group in (_group(body, near) for body in bodies.tolist())}
+    return [(None, max(sorted(group), key=lambda body: total[body])) for _, group in sorted(groups.items())]
+
+
+def _group(body: int, near: dict[int, set[int]]) -> set[int]:
+    """All bodies that touch this one, directly or not."""
+    found, edge = {body}, [body]
+    while edge:
+        fresh = near[edge.pop()] - found
+        found |= fresh
+        edge += fresh
+    return found
+
+
+def _chains(crown: int, near: dict[int, set[int]], ends: dict[int, list[Item]]) -> tuple[Chain, Chain]:
+    """Two short chains of bodies from the crown to two different items; an item is None where there is no way to one."""
+    one = _chain(crown, near, ends, set(), None)
+    return one, _chain(crown, near, ends, set(one[0]), one[1])
+
+
+def _chain(crown: int, near: dict[int, set[int]], ends: dict[int, list[Item]], avoided: set[int], taken: Item | None) -> Chain:
+    """The shortest chain to an item that is not ``taken``, breadth first."""
+    way: dict[int, int | None] = {crown: None}
+    edge = [crown]
+    for body in edge:
+        free = [item for item in ends.get(body, []) if item != taken]
+        if free:
+            chain, at = [], body
+            while at is not None:
+                chain.append(at)
+                at = way[at]
+            return chain[::-1], free[0]
+        for other in sorted(near[body] - avoided - way.keys()):
+            way[other] = body
+            edge.append(other)
+    return [crown], None

@@ -1,0 +1,94 @@
+"""A refined run between its rows: a straight line where that is as good as the run itself, else a step from the row before.
+
+Where a state jumps (at the start of a circuit whose capacitors do not agree, at an impact) or bends, the line between two rows is
+nothing that the run ever was. There the scheme takes one step from the row before to the very time that is asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.errors import StepError
+from nsmodel.model.first_order import FirstOrderSystem
+from nsmodel.model.lure import LureSystem
+from nsmodel.model.oscillator import FrictionOscillator
+from nsmodel.run import Run, make_stepper
+from nsmodel.trajectory import Trajectory
+
+MOST = 300  # Steps that are taken for one question; what is left stays on its line.
+
+Step = Callable[[int, float], np.ndarray]  # (row, h) -> the states (n,) a step of h after it; NaN where there is no such step
+
+
+@dataclass(frozen=True)
+class Between:
+    """The states of a run at any time: t (N+1,) and x (N+1, n) its rows, ``step`` from a row; ``scale`` (n,) of the states.
+
+    ``good`` is the error that a line may have beside ``scale``.
+    """
+
+    t: np.ndarray
+    x: np.ndarray
+    step: Step
+    scale: np.ndarray
+    good: float
+
+    def bends(self) -> np.ndarray:
+        """How far each line is from the run at most, beside the scale (N,).
+
+        An eighth of the second difference where the run is smooth; where it is not, neighbouring ones differ by the jump itself.
+        """
+        h = np.diff(self.t)[:, None]
+        turns = np.diff(np.diff(self.x, axis=0) / h, axis=0) / self.scale
+        if not len(turns):
+            return np.zeros(len(h))
+        before, after = (2 * turns[[i]] - turns[[j]] for i, j in ((0, min(1, len(turns) - 1)), (-1, -min(2, len(turns)))))
+        turns = np.concatenate([before, turns, after])
+        size = np.maximum(np.abs(turns[:-1]), np.abs(turns[1:])) / 8 + np.abs(np.diff(turns, axis=0))
+        return (h * size).max(axis=1)
+
+    def __call__(self, times: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return the states (k, n) at ``times``, and the largest error of the lines that are left."""
+        x = np.column_stack([np.interp(times, self.t, column) for column in self.x.T])
+        row = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, len(self.t) - 2)
+        ahead = times - self.t[row]
+        here = np.minimum(ahead, self.t[row + 1] - times) <= 1e-9 * (self.t[row + 1] - self.t[row])  # a row of the run
+        bend = np.where(here, 0.0, self.bends()[row])
+        for k in np.argsort(-bend, kind="stable")[:MOST]:
+            if not bend[k] > self.good:
+                break
+            found = self.step(int(row[k]), float(ahead[k]))
+            if np.isfinite(found).all():
+                x[k], bend[k] = found, 0.0
+        return x, float(bend.max(initial=0.0))
+
+
+def steps_from(run: Run, start: np.ndarray, made: Trajectory) -> Step:
+    """Return the step from the rows of a run that was ``made`` by ``run``, whose packed state at the start was ``start``."""
+    model, problem = run.model, run.problem
+    n, m = len(model.names), made.multipliers.shape[1]
+    input = None
+    if problem.state.numel() > n and isinstance(model, LureSystem | FirstOrderSystem):
+        l = model.lam if isinstance(model, FirstOrderSystem) else ca.SX.sym("l", m)
+        r = model.g if isinstance(model, FirstOrderSystem) else model.B @ l
+        input = ca.Function("r", [model.t, model.x, l], [ca.densify(r)])
+    stepper = make_stepper(model, problem, "auto", run.stepper.tolerance, h=run.grid.step(0), state=start, few_steps=False)
+
+    def step(row: int, h: float) -> np.ndarray:
+        t, x = float(made.t[row]), made.x[row]
+        state = x
+        if isinstance(model, FrictionOscillator):
+            state = np.concatenate([x, h * made.v[row]])
+        elif input is not None:
+            r = start[n:] if row == 0 else np.array(input(t, x, made.multipliers[row])).ravel()
+            state = np.concatenate([x, r])
+        try:
+            return stepper(t, h, state, stepper.cold(), row).row[stepper.layout.state][:n]
+        except StepError:
+            return np.full(n, np.nan)
+
+    return step

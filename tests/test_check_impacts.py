@@ -1,0 +1,196 @@
+"""Impacts: rows whose multiplier acts too late, what a run and a check say where a state jumps, and where none does."""
+
+from __future__ import annotations
+
+import json
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from nsmodel import (
+    FirstOrderSystem,
+    FrictionOscillator,
+    LureSystem,
+    StepError,
+    check,
+    complementarity,
+    equality,
+    product,
+    relay,
+    simulate,
+)
+from nsmodel.cli import main
+from nsmodel.hypotheses import impacts
+
+X, S = ca.SX.sym("x", 2), ca.SX.sym("s")
+L = ca.SX.sym("l")
+DOUBLE = {"A": [[0, 1], [0, 0]], "B": [0, 1], "C": [1, 0]}  # q' = v, v' = ... + l, y = q
+
+
+def ball(**given):
+    """A ball that falls from 1 m."""
+    return LureSystem(**(DOUBLE | {"f": [0, -9.81], "law": complementarity(1), "x0": [1, 0], "t_end": 1, "step": 1e-3} | given))
+
+
+def first_order(**given):
+    """The same as a first-order system with a mass of 2."""
+    basis = {"x": X, "lam": L, "M": [[1, 0], [0, 2]], "f": [X[1], -2 * 9.81], "g": [0, L], "h": X[0], "law": complementarity(1)}
+    return FirstOrderSystem(**(basis | {"x0": [1, 0], "t_end": 1, "step": 1e-3} | given))
+
+
+def oscillator(**given):
+    """A mass on a spring with a wall in its way."""
+    x = ca.SX.sym("x")
+    basis = {"x": x, "potential": x**2 / 2, "friction": 0.05 * S, "s": S, "constraints": {"wall": x + 0.5}}
+    return FrictionOscillator(**(basis | {"x0": 1, "t_end": 4, "step": 1e-3} | given))
+
+
+def told(model, **options):
+    """The warnings of a run that speak of impacts."""
+    return [text for text in simulate(model, **options).metadata["warnings"] if "acts on" in text]
+
+
+@pytest.mark.parametrize(
+    ("model", "moved", "t", "rate"),
+    [
+        (ball(), "'x_1' must jump", np.sqrt(2 / 9.81), -np.sqrt(2 * 9.81)),
+        (first_order(), "'x_1' must jump", np.sqrt(2 / 9.81), -np.sqrt(2 * 9.81)),
+        (first_order(h=ca.sin(X[0]) * (2 + X[0]), step=5e-3), "'x_1' must jump", np.sqrt(2 / 9.81), -2 * np.sqrt(2 * 9.81)),
+        (oscillator(friction=None), "'v of x' must jump", 2 * np.pi / 3, -np.sqrt(0.75)),
+        (ball(law=equality(1), x0=[0, 1], f=0), "'x_1' must jump", 1e-3, 1.0),
+        (ball(f=[0, 9.81], B=[0, -1], C=[-1, 0], x0=[-1, 0]), "'x_1' must jump", np.sqrt(2 / 9.81), -4.43),
+    ],
+)  # fmt: skip
+def test_an_impact_is_told_with_its_time_and_rate(model, moved, t, rate):
+    (text,) = told(model)
+    assert moved in text
+    assert "an impact. This scheme's answer is the inelastic one" in text
+    assert "the impulse / h, and grows as h shrinks" in text
+    told_t, told_rate = (float(text.partition(word)[2].split()[0].rstrip(":")) for word in (" at t = ", " with y' = "))
+    assert told_t == pytest.approx(t, abs=2 * model.step)
+    assert told_rate == pytest.approx(rate, rel=2e-2)
+
+
+@pytest.mark.parametrize("step", [1e-3, 7e-4, 3.3e-4])
+def test_the_answer_is_the_inelastic_one_and_the_impulse_does_not_feel_the_step(step):
+    run = simulate(ball(step=step))
+    assert np.abs(run.x[run.t > 0.46]).max() < 1e-12
+    impact = np.abs(run.t - 0.4515) < 5 * step
+    impulse = (run.step * (run.multipliers[:, 0] - 9.81))[impact & (run.multipliers[:, 0] > 20)].sum()
+    assert impulse == pytest.approx(np.sqrt(2 * 9.81), rel=1e-2)
+
+
+def test_other_weights_rebound_by_chance_and_say_so():
+    """With theta = 1/2 the ball comes back by what the place of the contact in its step decides."""
+    heights = []
+    for step in (1e-3, 7e-4, 3.3e-4):
+        run = simulate(ball(step=step, theta=0.5))
+        heights.append(run.x[run.t > 0.46, 0].max())
+        (text,) = run.metadata["warnings"]
+        assert "With theta = 0.5, gamma = 1 what comes after it depends on where in a step y closes" in text
+    assert max(heights) - min(heights) > 0.3
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        ball(x0=[0, 0]),  # it lies there
+        ball(x0=[1, 0], t_end=0.4),  # it does not land
+        ball(f=[0, 9.81]),  # it rises
+        ball(law=equality(1), x0=[0, 0], f=0),
+        ball(D=1e-4),  # the floor gives way
+        ball(B=[1e-3, 1]),  # and here it is viscous
+        ball(A=[[0, 1, 0], [0, 0, 0], [0, 0, -1e3]], B=[0, 1, 1], C=[1, 0, 1], f=[0, -9.81, 0], x0=[1, 0, 0]),
+        ball(law=relay(1)),
+        oscillator(x0=0.4),
+        ball(A=[[0, 1], [0, -1]], C=[0, 1], f=0, law=relay(1), x0=[0, 1]),
+    ],
+    ids=["lies", "falls", "rises", "held", "soft", "viscous", "damper", "bounded", "short of the wall", "friction"],
+)
+def test_nothing_is_said_where_no_state_jumps(model):
+    assert told(model) == []
+    report = check(model, [simulate(model)], quick=True)
+    assert [finding.verdict for finding in report.findings if finding.id == "run-continuous"] in ([], ["holds"])
+
+
+def test_rounding_in_the_product_of_b_and_c_is_zero():
+    """C B = 0.1 * 3 - 0.3 is 5.6e-17 in doubles."""
+    model = ball(A=[[0, 1, 0], [0, 0, 0], [0, 0, 0]], B=[3, 1, -0.3], C=[0.1, 0, 1], f=[0, -9.81, 0], x0=[10, 0, 0])
+    (watch,) = impacts.watched(model)
+    assert watch.degree == 2
+
+
+def test_a_row_that_another_multiplier_may_hold_is_not_watched_and_a_bounded_one_holds_nothing():
+    held = ball(B=[[0, 1], [1, 0]], C=[[1, 0], [0, 1]], law=complementarity(2))
+    assert impacts.watched(held) == ()
+    rubbed = ball(B=[[0, 1], [1, 0]], C=[[1, 0], [0, 1]], law=product(complementarity(1), relay(1, -0.1, 0.1)))
+    assert [watch.name for watch in impacts.watched(rubbed)] == ["l_0"]
+
+
+def test_a_relay_that_acts_late_and_slides_is_told():
+    """x'' = -x' - Sgn x: each swing is a little smaller than the last, and it never rests; implicit Euler does."""
+    late = {"A": [[0, 1], [0, -1]], "B": [0, 1], "C": [1, 0], "law": relay(1), "x0": [1, 0], "t_end": 12, "step": 1e-2}
+    rests = []
+    for step in (2e-2, 1e-2, 5e-3):
+        (text,) = told(LureSystem(**late | {"step": step}))
+        assert "slides from t" in text
+        assert "the damping of the scheme" in text
+        rests.append(float(text.partition("t = ")[2].split()[0]))
+    assert rests[0] < rests[1] < rests[2]
+    assert check(LureSystem(**late), [simulate(LureSystem(**late))], quick=True)["run-continuous"].verdict == "unknown"
+    assert told(LureSystem(**late | {"x0": [0, 0]})) == []  # it rests from the start
+    with_friction = LureSystem(**late | {"B": [[0, 0], [1, 0.5]], "C": [[1, 0], [0, 1]], "law": relay(2)})
+    assert told(with_friction) == []  # and this comes to rest, in finite time
+
+
+def test_check_names_the_jump_and_without_runs_that_there_may_be_one():
+    model = ball()
+    finding = check(model)["run-continuous"]
+    assert finding.verdict == "violated"
+    assert finding.witness["states"] == ["x_1"]
+    assert finding.witness["multiplier"] == "l_0"
+    assert finding.witness["t"] == pytest.approx(0.452)
+    assert finding.value["jumps"] == 1
+    assert "inelastic" in finding.how
+    assert any("where y closes with y' != 0 a state jumps" in note for note in check(model, quick=True).notes)
+    assert "run-continuous" not in [f.id for f in check(ball(D=1.0), quick=True).findings]
+
+
+@pytest.mark.parametrize("law", [complementarity(1), relay(1), equality(1)])
+def test_the_rows_of_a_run_may_come_in_parts(law):
+    rng, watches = np.random.default_rng(1), impacts.watched(ball(A=[[0, 1], [0, -1]], law=law))
+    l = np.where(rng.uniform(size=60) < 0.5, float(ca.DM(law.lower)), rng.uniform(0, 0.9, 60))
+    rows = {"t": np.arange(60.0), "x": rng.normal(size=(60, 2)), "multipliers": np.append(np.nan, l[1:])[:, None]}
+    whole = impacts.met(watches, rows, {})
+    assert whole["l_0"]["count"] > 1 or law.labels == ["equality"]
+    for size in (1, 2, 3, 7):
+        known = {}
+        for start in range(0, 60, size):
+            known = impacts.met(watches, {name: part[start : start + size] for name, part in rows.items()}, known)
+        assert known == whole
+
+
+def test_a_run_that_fails_tells_of_its_impacts():
+    t = ca.SX.sym("t")
+    model = ball(f=[0, -9.81 + ca.if_else(t > 0.8, ca.inf, 0)], t=t)
+    with pytest.raises(StepError) as stop:
+        simulate(model)
+    assert any("an impact" in text for text in stop.value.trajectory.metadata["warnings"])
+
+
+def test_the_command_line_tells_it_in_the_warning_and_in_json(tmp_path, capsys):
+    file = tmp_path / "ball.py"
+    file.write_text(
+        "from nsmodel import LureSystem, complementarity\n"
+        "model = LureSystem(A=[[0, 1], [0, 0]], B=[0, 1], C=[1, 0], f=[0, -9.81], law=complementarity(1), x0=[1, 0],\n"
+        "                   t_end=1, step=1e-3, names=['q', 'v'])\n"
+    )
+    assert main(["run", str(file)]) == 0
+    out, err = capsys.readouterr()
+    assert "warning: 'l_0' acts on y'' only, not on y' (C B = 0): where y closes 'v' must jump, here once" in err
+    assert "run-continuous" in out
+    assert main(["run", str(file), "--json"]) == 0
+    assert any("an impact" in text for text in json.loads(capsys.readouterr().out)["warnings"])
+    assert main(["check", str(file), "--strict"]) == 1
+    assert "an impact" in " ".join(capsys.readouterr().out.split())

@@ -1,0 +1,115 @@
+"""A small share of the search for refused steps and silent nonsense, and whether the search finds what is put there."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from search.digits import Exact, column, floats
+from search.judge import REFUSED, VIOLATED, WELL, WRONG_L, WRONG_X, Run, Verdict, judge, judge_run
+from search.models import KINDS, Case, case
+from search.truth import Teller
+
+from nsmodel import LureSystem, SweepingProcess, complementarity
+from nsmodel.scheme import one_step_problem
+
+SMALL = 5  # Models of each class.
+MOST = 14  # States of the largest of them.
+FIRST = 200  # Seed of the first of them.
+FOUND = {  # Models that the search found steps refused in, by what made it.
+    "oscillator:24": "a position far from 0, whose rounding is all that its row misses by",
+    "oscillator:34": "the same, of masses in a chain",
+    "first:1000": "a state of 1e-79",
+    "lure:5": "a chain at rest: rows whose true value is 0",
+    "lure:2": "a chain of which one block is pulled: the forces of the others are what rounding leaves of 0",
+    "lure:6": "multipliers in units of 1e-8 to 1e8: rows that are small beside others were on the wrong side",
+}
+BEYOND = {"sweeping:13": "a point between two discs", "sweeping:206": "a point between discs that close"}
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_no_step_with_a_solution_is_refused_and_none_is_wrong(name):
+    for seed in small(name):
+        verdict = judge(case(name, seed), checks=3)
+        assert not [f for f in verdict.findings if not f.condition > WELL], f"python -m tests.search --one {name}:{seed}"
+
+
+@pytest.mark.parametrize("one", FOUND)
+def test_a_step_once_refused_is_taken(one):
+    name, seed = one.split(":")
+    verdict = judge(case(name, int(seed)), checks=2)
+    assert not [f for f in verdict.findings if not f.condition > WELL], FOUND[one]
+    assert verdict.steps > 0
+
+
+@pytest.mark.parametrize("one", BEYOND)
+def test_a_point_that_was_thrown_away_is_kept(one):
+    """Its step is refused by name, and the solution of its linearisation is far beyond where that means anything."""
+    name, seed = one.split(":")
+    verdict = judge(case(name, int(seed)), checks=1)
+    assert not verdict.findings, BEYOND[one]
+    assert len(verdict.beyond) == 1
+
+
+def small(name):
+    """Seeds of models with few states."""
+    seeds = (seed for seed in range(FIRST, FIRST + 1000) if len(case(name, seed).model().names) <= MOST)
+    return [next(seeds) for _ in range(SMALL)]
+
+
+CONTACT = {
+    "A": [[0.0, 0.0], [0.0, -1.0]], "B": [[1.0], [1.0]], "C": [[1.0, 1.0]], "f": [-1.0, 0.0], "law": complementarity(1),
+    "x0": [0.0, 0.0], "step": 0.5, "t_end": 2.0,
+}  # fmt: skip
+
+
+def test_the_truth_is_that_of_a_step_solved_by_hand():
+    problem = one_step_problem(LureSystem(**CONTACT))
+    truth = Teller(problem).tell(0.0, 0.5, np.zeros(2), np.zeros(2), np.ones(1), np.array([-1]))  # wrong set: it must be left
+    # x1 = -h + h l, x2 = h l / (1 + h), x1 + x2 = 0: l = 1 / (1 + 1/(1 + h)) = 0.6
+    assert [float(v) for v in (*truth.z, *truth.l)] == pytest.approx([-0.2, 0.2, 0.6], rel=1e-15)
+    assert abs(truth.l[0] * 10 - 6) < 1e-55
+    assert truth.index.tolist() == [0]
+    assert 1 <= truth.condition < 10
+
+
+@pytest.mark.parametrize(("column_of", "what"), [("x", WRONG_X), ("l", WRONG_L)])
+def test_an_error_of_1e_6_is_found(column_of, what):
+    one = Case("lure", 0, "LureSystem", "contact", CONTACT)
+    run, verdict = Run(one.model(), False), Verdict(one)
+    judge_run(one, one.model(), run, 10, verdict)
+    assert not verdict.findings
+    getattr(run, column_of)[2] *= 1 + 1e-6
+    judge_run(one, one.model(), run, 10, verdict)
+    assert what in {f.what for f in verdict.findings}
+
+
+def test_a_refusal_of_what_has_a_solution_is_found():
+    one = Case("lure", 0, "LureSystem", "contact", CONTACT)
+    run, verdict = Run(one.model(), False), Verdict(one)
+    run.error, run.N = ArithmeticError("refused"), 2
+    judge_run(one, one.model(), run, 10, verdict)
+    assert [f.what for f in verdict.findings] == [REFUSED]
+    assert verdict.findings[0].condition < 10
+
+
+def test_a_point_inside_the_obstacle_is_found():
+    q = ca.SX.sym("q", 2)
+    arguments = {"q": q, "f": [1, 0], "constraints": {"disc": ca.norm_2(q) - 1}, "q0": [-1, 0.1], "step": 0.1, "t_end": 0.5}
+    one = Case("sweeping", 0, "SweepingProcess", "disc", arguments)
+    assert isinstance(one.model(), SweepingProcess)
+    run, verdict = Run(one.model(), False), Verdict(one)
+    judge_run(one, one.model(), run, 10, verdict)
+    assert not verdict.findings
+    run.x[3] *= (1 - 1e-12) / np.linalg.norm(run.x[3])
+    judge_run(one, one.model(), run, 0, verdict)
+    assert {f.what for f in verdict.findings} == {VIOLATED}
+
+
+def test_expressions_have_as_many_digits_as_promised():
+    x = ca.SX.sym("x", 2)
+    tell = Exact(
+        [x], [ca.vertcat((1 + x[0]) - 1, ca.sin(x[1]) ** 2 + ca.cos(x[1]) ** 2 - 1, ca.fmax(x[0], x[1]), ca.log(ca.exp(x[1])))]
+    )
+    (small_again, unity, larger, same) = tell(column([2.0**-180, 0.7]))[0]
+    assert abs(small_again / column([2.0**-180])[0] - 1) < 1e-9
+    assert abs(unity) < 1e-60
+    assert floats([larger, same]).tolist() == [0.7, 0.7]
