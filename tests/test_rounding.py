@@ -9,9 +9,12 @@ import pytest
 import scipy.sparse as sp
 
 from nsmodel import (
+    Bodies,
+    Family,
     FirstOrderSystem,
     FrictionOscillator,
     LureSystem,
+    ManyBodies,
     MonotoneInclusion,
     StepError,
     SweepingProcess,
@@ -330,6 +333,35 @@ def test_small_steps_pass_the_door(compiled):
 def test_before_the_discs_meet_the_point_rests(compiled):
     run = simulate(door(-1e-6, t_end=0.05), compiled=compiled)
     assert np.abs(run.x[:, 1] + 1e-6).max() <= 1e-15
+
+
+def door_of_bodies(y, t_end=0.6):
+    """The same for many bodies."""
+    t, bodies = ca.SX.sym("t"), Bodies([[0.0, y]])
+    i, a = bodies.member("i"), 1.1 - t
+    sides = {name: Family(ca.norm_2(i.q - ca.vertcat(side * a, 0)) - 1, i) for name, side in (("left", -1), ("right", 1))}
+    return ManyBodies(t=t, bodies=bodies, f=0, constraints=sides, t_end=t_end, step=1e-3)
+
+
+@pytest.mark.parametrize("compiled", WAYS)
+@pytest.mark.parametrize("y", [-1e-4, 1e-3])
+def test_a_step_of_bodies_that_leads_beyond_its_linearisation_is_refused_by_name(y, compiled):
+    with pytest.raises(StepError, match=r"linearisation of '(left|right) 0', by which it was taken, means nothing") as e:
+        simulate(door_of_bodies(y), compiled=compiled)
+    assert e.value.trajectory.t[-1] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("compiled", WAYS)
+@pytest.mark.parametrize("y", [-1e-4, -0.05])
+def test_bodies_pass_the_door_in_small_steps(y, compiled):
+    steps = np.concatenate([np.full(99, 1e-3), np.full(2000, 1e-6), np.full(499, 1e-3)])
+    run = simulate(door_of_bodies(y), steps=steps, compiled=compiled)
+    assert run.x[-1, 1] == pytest.approx(-np.sqrt(0.75), abs=1e-6)
+
+
+def test_linearisations_of_bodies_that_leave_no_point_are_not_said_to_be_the_constraints():
+    with pytest.raises(StepError, match=r"linearised at the step's start, the constraints leave no point: .* smaller steps"):
+        simulate(door_of_bodies(1e-9))
 
 
 def test_linearisations_that_leave_no_point_are_not_said_to_be_the_constraints():

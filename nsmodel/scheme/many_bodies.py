@@ -107,7 +107,7 @@ def one_step_problem(model: ManyBodies) -> NoReturn:
 
 
 class BodiesProblem:
-    """The expressions of a bound model as functions of many members at once."""
+    """The expressions of a bound model as functions of many members at once; ``curved``: whose gradients depend on positions."""
 
     scheme = SCHEME
 
@@ -118,13 +118,15 @@ class BodiesProblem:
         self.names, self.families = tuple(model.constraints), tuple(model.constraints.values())
         self._f = Batch("f", t, [model.me.symbols], model.f) if isinstance(model.f, ca.SX) else None
         self._leave = None if model.leave is None else Batch("leave", t, [model.me.symbols], model.leave)
-        self._gap, self._row = [], []
+        self._gap, self._row, self.curved = [], [], []
         for family in self.families:
             members = [family.first.symbols] if family.second is None else [family.first.symbols, family.second.symbols]
             g = ca.SX(family.g)
             slopes = [ca.gradient(g, family.first.q), *([ca.gradient(g, family.second.q)] if family.of_pairs else [])]
             self._gap.append(Batch("gap", t, members, g))
             self._row.append(Batch("row", t, members, ca.vertcat(g, *slopes)))
+            states = [family.first.q, *([family.second.q] if family.of_pairs else [])]
+            self.curved.append(bool(ca.depends_on(ca.vertcat(*slopes), ca.vertcat(*states))))
         self._reach = [_Reach(family, t, self.numbers, name) if searched(family) else None
                        for name, family in zip(self.names, self.families, strict=True)]  # fmt: skip
         for name, family in zip(self.names, self.families, strict=True):

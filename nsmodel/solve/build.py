@@ -12,7 +12,7 @@ import numpy as np
 from nsmodel.errors import StepError, UsageError
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import active_set, cone, diagnose, mlcp
-from nsmodel.solve.certificate import numeric_law
+from nsmodel.solve.certificate import REACH, numeric_law
 from nsmodel.solve.choose import choose, pays
 from nsmodel.solve.kernel import Kernel
 from nsmodel.solve.layout import Layout
@@ -25,7 +25,6 @@ if TYPE_CHECKING:  # SciPy is loaded by who uses it.
     from nsmodel.solve.sparse import AtStep, Sparse
 
 NEARBY = 400  # Index sets around the last one that are tried where Newton's method does not settle.
-REACH = 1 / 3  # Part of the motion that a constraint may be off its linearisation: a ball's normal turns by 37 degrees.
 STARTS = 3  # Random starts of IPOPT, after the last multiplier and 0.
 
 
@@ -118,9 +117,8 @@ class Stepper:
         if ratio[worst] <= REACH:
             return
         raise StepError(
-            f"no verified step from t = {t:.10g} to {t + h:.10g}: it leads where the linearisation of '{self.rows[worst]}', by "
-            f"which it was taken, means nothing (off by {ratio[worst]:.2g} of the motion, at most {REACH:.2g}); take "
-            "smaller steps, or rtol",
+            f"no verified step from t = {t:.10g} to {t + h:.10g}: "
+            f"{diagnose.out_of_reach(self.rows[worst], ratio[worst])}, or rtol",
             residual=float(ratio[worst]),
             component=self.rows[worst],
         )

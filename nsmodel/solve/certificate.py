@@ -27,6 +27,7 @@ EPS = np.finfo(float).eps
 ROUNDING = 8  # c: the part of E that a row may err by, in units of u.
 NEGLIGIBLE = 1e-6  # Part of the largest multiplier that another one need not resolve better than to the tolerance.
 UNRESOLVED = 1e-280  # Scales below this are lost in denormal numbers.
+REACH = 1 / 3  # Part of the motion that a constraint may be off its linearisation: a ball's normal turns by 37 degrees.
 GROWTH = 1e3  # How far the multipliers' terms may raise the scale of y above that of b.
 
 

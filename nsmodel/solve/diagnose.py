@@ -7,12 +7,20 @@ import numpy as np
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import mlcp
 from nsmodel.solve.active_set import index_sets
-from nsmodel.solve.certificate import NumericLaw
+from nsmodel.solve.certificate import REACH, NumericLaw
 from nsmodel.solve.choose import Plan
 from nsmodel.solve.structure import Structure, is_monotone, least_eigenvalue
 
 OPPOSITE = 1e-7  # 1/gamma below which W holds too little of the angle between opposing rows.
 PROOF = 1e-14  # Largest positive entry of W'u, beside W's, in a proof that is believed.
+
+
+def out_of_reach(name: str, ratio: float) -> str:
+    """Why a step is refused whose residual is small: the row's linearisation is off by ``ratio`` of the motion."""
+    return (
+        f"it leads where the linearisation of '{name}', by which it was taken, means nothing (off by {ratio:.2g} of the motion, "
+        f"at most {REACH:.2g}); take smaller steps"
+    )
 
 
 def why(

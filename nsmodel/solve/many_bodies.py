@@ -10,7 +10,7 @@ left, those enter that are violated without them. Rows are divided by n_i = |gra
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -22,8 +22,8 @@ from nsmodel.contacts import NO_CONTACTS, Contacts
 from nsmodel.errors import StepError, UsageError
 from nsmodel.scheme.many_bodies import SCHEME, BodiesProblem, Rows, searched
 from nsmodel.solve import mlcp, qp
-from nsmodel.solve.certificate import EPS, UNRESOLVED, NumericLaw
-from nsmodel.solve.diagnose import opposing_rows
+from nsmodel.solve.certificate import EPS, REACH, UNRESOLVED, NumericLaw
+from nsmodel.solve.diagnose import opposing_rows, out_of_reach
 from nsmodel.solve.near import candidates, least_gap, rows_of
 
 ACTIVE_SET, CLARABEL, PIQP = "active-set", "clarabel", "piqp"
@@ -112,6 +112,7 @@ class BodiesStepper:
         if not residual <= self.tolerance:
             raise self._failure(t + h, rows, hf, found, residual, worst)
         after = q + found.d
+        self._stay_in_reach(t, h, q, after, rows.at(found.m > 0), n[found.m > 0])
         gap = self._least_gap(t + h, after, present, rows, cutoff - moved)
         acting = np.flatnonzero(found.m > 0)
         contacts = Contacts(
@@ -137,6 +138,29 @@ class BodiesStepper:
         """What is no violation: a small part of what the certificate allows."""
         return 1e-2 * self.tolerance * float(np.sqrt((hf**2).sum(axis=1)).max(initial=0.0)) + EPS * _largest(q)
 
+    def _stay_in_reach(self, t: float, h: float, q: np.ndarray, after: np.ndarray, rows: Rows, n: np.ndarray) -> None:
+        """Refuse a verified step of a linearisation that means nothing where it leads; `prediction_correction._overreach`.
+
+        ``rows``: those that act, of unit gradient, which was n_i.
+        """
+        turned = replace(rows, g=rows.g.copy(), G=rows.G.copy(), H=rows.H.copy())
+        for family in np.unique(rows.family):
+            of = np.flatnonzero(rows.family == family)
+            there = self.problem.rows(int(family), t + h, after, rows.first[of], rows.second[of])
+            turned.g[of], turned.G[of], turned.H[of] = there.g / n[of], there.G / n[of, None], there.H / n[of, None]
+        d = np.hstack([(after - q)[rows.first], np.where(rows.pair[:, None], (after - q)[rows.other], 0.0)])
+        start, end = np.hstack([rows.G, rows.H]), np.hstack([turned.G, turned.H])
+        d[(start == 0) & (end == 0)] = 0.0
+        off = np.minimum(turned.g - rows.g - (start * d).sum(axis=1), ((end - start) * d).sum(axis=1))
+        beyond = off > REACH * np.sqrt((d**2).sum(axis=1))
+        if beyond.any():
+            worst = int(np.argmax(np.where(beyond, off, -np.inf)))
+            ratio, name = off[worst] / np.sqrt((d[worst] ** 2).sum()), self._name(rows, worst)
+            raise StepError(
+                f"no verified step from t = {t:.10g} to {t + h:.10g}: {out_of_reach(name, ratio)}",
+                residual=float(ratio), component=name,
+            )  # fmt: skip
+
     def _least_gap(self, t: float, q: np.ndarray, present: np.ndarray, rows: Rows, beyond: float) -> float:
         """The least gap; all rows that were left out are farther than ``beyond``."""
         least = np.inf
@@ -154,6 +178,8 @@ class BodiesStepper:
         if opposed:
             listed = " and ".join(f"'{self._name(rows, i)}' (weight {u:.3g})" for i, u in opposed)
             reason, name = f"the constraints leave no point: {listed} oppose each other", self._name(rows, opposed[0][0])
+            if any(self.problem.curved[rows.family[i]] for i, _ in opposed):
+                reason = f"linearised at the step's start, {reason} (with curved ones smaller steps may find one)"
         at = "" if name is None else f", worst at '{name}'"
         return StepError(
             f"no verified step to t = {t:.10g}: {reason} (residual {residual:.3g}, tolerance {self.tolerance:g}{at})",

@@ -87,9 +87,7 @@ class CatchingUp:
             residual, newton = max(slack, float(clip_residual)), 0
             if not residual <= self.tolerance:
                 raise StepError(f"no verified projection at t = {t:.10g}: the predictor is {y}", residual=residual)
-            if eps > 0:
-                x = self._use_tolerance(x, y, eps)
-        elif eps > 0:
+        elif eps > 0 and not self._box:
             x, l, d2, index, newton = self._approximate(t, y, eps, warm)
             residual, solver = slack, "outer approximation"
         else:
@@ -98,6 +96,8 @@ class CatchingUp:
             x, l, index, solver = found.row[inner.state], found.row[inner.l], found.warm.index, found.solver
             residual, newton = max(slack, found.row[inner.residual]), found.row[inner.newton]
             d2 = float(np.sum((x - y) ** 2))
+        if eps > 0 and self._box:
+            x = self._use_tolerance(x, y, eps)
         e = x - y
         excess = max(float(e @ e) - d2, 0.0)
         c = np.array(self._c(x)[0]).ravel()
@@ -208,7 +208,6 @@ class CatchingUp:
 
     def _pull_back(self, z: np.ndarray) -> np.ndarray:
         """The first point of C from z towards the interior point (c concave: bisection on one crossing)."""
-        assert self._interior is not None  # noqa: S101
         if (self._values(z)[0] >= 0).all():
             return z
         low, high = 0.0, 1.0

@@ -668,7 +668,27 @@ static int know_contacts(model_work *k, char *begin)
     return 1;
 }
 
-/* The gaps at the new positions, the contacts, and who leaves. 0: no memory. */
+#define REACH (1.0/3) /* part of the motion that a constraint may be off its linearisation */
+
+/* Whether the linearisation of the row r, which acts, means nothing where the step leads: there are its value and gradients. */
+static int leads_too_far(const model_work *k, int r, const double *there)
+{
+    const model_motion *s = k->s;
+    const double *slope = k->rows.slope + (ptrdiff_t)2*DIM*r;
+    double off = there[0] - k->rows.g[r], turned = 0.0, moved = 0.0;
+    int second = second_body(k, r), j;
+    for (j = 0; j < (second < 0 ? DIM : 2*DIM); j++) {
+        ptrdiff_t at = (ptrdiff_t)DIM*(j < DIM ? k->rows.first[r] : second) + j%DIM;
+        double d = s->q_next[at] - s->q[at];
+        off -= slope[j]*d;
+        turned += (there[1 + j] - slope[j])*d;
+        if (slope[j] != 0.0 || there[1 + j] != 0.0) moved += d*d;
+    }
+    if (turned < off) off = turned;
+    return !(off <= REACH*k->rows.size[r]*sqrt(moved));
+}
+
+/* The gaps at the new positions, the contacts, and who leaves. */
 static int finish(model_work *k)
 {
     model_motion *s = k->s;
@@ -683,14 +703,20 @@ static int finish(model_work *k)
         else if (second >= 0) other = s->items[family] + (ptrdiff_t)s->model->item_size[family]*second;
         evaluate(s, s->t + s->h, family, k->records + (ptrdiff_t)width*k->rows.first[r], other, out);
         if (k->report->gap == k->report->gap && !(out[0] >= k->report->gap)) k->report->gap = out[0];
+        if (k->m[r] > 0.0 && leads_too_far(k, r, out)) {
+            k->report->worst_family = family;
+            k->report->worst_first = k->rows.first[r];
+            k->report->worst_second = second;
+            return MODEL_NOT_SOLVED;
+        }
     }
-    if (!list_contacts(k)) return 0;
+    if (!list_contacts(k)) return MODEL_NO_ROOM;
     for (i = 0; i < n && s->leaves; i++) {
         double time = s->t + s->h, value = 0.0;
         if (s->present[i] && s->model->leave) s->model->leave(NULL, &time, s->p, k->records + (ptrdiff_t)width*i, &value);
         s->leaves[i] = value > 0.0;
     }
-    return 1;
+    return MODEL_OK;
 }
 
 /* One step; `memory` is for use in it alone: nothing is kept. On MODEL_NO_ROOM *missing says how much more is needed. */
@@ -758,11 +784,12 @@ int move_bodies(model_motion *s, char *memory, size_t size, size_t *missing, mod
     }
     if (!certify(k, largest)) goto no_room;
     if (!(report->residual <= s->tolerance)) return MODEL_NOT_SOLVED;
-    if (!finish(k)) goto no_room;
+    status = finish(k);
+    if (status == MODEL_NO_ROOM) goto no_room;
 #if TIMES
     report->assembly += seconds() - before;
 #endif
-    return MODEL_OK;
+    return status;
 no_room:
     *missing = arena.missing;
     return MODEL_NO_ROOM;
