@@ -53,11 +53,12 @@ def test_bodies_of_all_sizes_meet(d):
     rng = np.random.default_rng(d)
     places, radii = [np.zeros(d)], [2.0]
     while len(places) < {1: 25, 2: 150, 3: 150}[d]:
-        q, r = rng.uniform(-6, 6, d), 10 ** rng.uniform(-3, -0.3)
+        r, of, way = 10 ** rng.uniform(-3, -0.3), rng.integers(len(places)), rng.normal(size=d)
+        q = places[of] + (radii[of] + r + 1e-4) * way / np.linalg.norm(way)
         if all(np.linalg.norm(q - p) > r + s for p, s in zip(places, radii, strict=True)):
             places.append(q)
             radii.append(r)
-    model = discs(np.array(places), np.array(radii), f=lambda t, q: -q, step=0.05)
+    model = discs(np.array(places), np.array(radii), f=lambda t, q: -q, step=1e-4)
     sizes = set()
     for k, (q, found) in enumerate(steps(model, 30)):
         assert misfit(model, k * model.step, q, found) < 1e-11
