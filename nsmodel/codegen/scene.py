@@ -21,10 +21,9 @@ from nsmodel.solve.choose import pays
 from nsmodel.solve.newton import works_on_rows
 from nsmodel.solve.projection import tolerance_function
 from nsmodel.solve.sparse import BAND
-from nsmodel.solve.structure import Structure, read
+from nsmodel.solve.structure import DENSE, Structure, read
 
 FIXED, BANDED, NEWTON, INCLUSION = "FIXED", "BANDED", "NEWTON", "INCLUSION"
-DENSE = 1500  # Unknowns and multipliers up to which C has dense matrices.
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ from nsmodel.solve.layout import Layout
 from nsmodel.solve.newton import Buffered, Iterate, Newton
 from nsmodel.solve.nlp import Programme
 from nsmodel.solve.stepper import StepResult, Warm
-from nsmodel.solve.structure import read
+from nsmodel.solve.structure import DENSE, read
 
 if TYPE_CHECKING:  # SciPy is loaded by who uses it.
     from nsmodel.solve.sparse import AtStep, Sparse
@@ -139,7 +139,7 @@ class Stepper:
                     found = sparse.solve_by_parts(t, h, state, warm.l, warm.index, chain)
                     found.solver = chain[0]
         if not found.residual <= self.tolerance:
-            if self.structure.n + self.structure.m > sparse.dense or not np.isfinite(state).all():
+            if self.structure.n + self.structure.m > DENSE or not np.isfinite(state).all():
                 raise self._sparse_failure(t, h, state, found)
             chain = (mlcp.INDEX_SET, *(("qpoases",) if self.plan.monotone else ()), mlcp.LEMKE)
             found = self._newton.solve(t, h, state, warm.l, warm.index, chain)
@@ -251,7 +251,7 @@ class Stepper:
         else:
             reason = (
                 f"no index set was found that satisfies the law, by block principal pivoting from the last one ({size} unknowns "
-                f"and multipliers; above {self._sparse.dense} no dense solver is tried); try a smaller step"
+                f"and multipliers; above {DENSE} no dense solver is tried); try a smaller step"
             )
         component = None if found.worst_row is None else self.rows[found.worst_row]
         worst = "" if component is None else f", worst row '{component}'"

@@ -107,9 +107,18 @@ class Newton:
         """Evaluate E, Y and the exact Jacobians."""
         return Linearisation(*self._linearise(t, h, state, z, l))
 
+    def start(self, t: float, h: float, state: np.ndarray, l: np.ndarray) -> tuple[np.ndarray, Known]:
+        """The first z for these l, and what the step is given."""
+        z, guess, E_guess = self._guess(t, h, state, l)
+        return z, Known(t, h, state, guess, np.abs(E_guess))
+
     def guess(self, t: float, h: float, state: np.ndarray, l: np.ndarray) -> np.ndarray:
         """The first z."""
-        return self._guess(t, h, state, l)[0]
+        return self.start(t, h, state, l)[0]
+
+    def known(self, t: float, h: float, state: np.ndarray) -> Known:
+        """What the step is given."""
+        return self.start(t, h, state, np.zeros(self.law.size))[1]
 
     def matrix_at(self, t: float, h: float, state: np.ndarray, z: np.ndarray, l: np.ndarray) -> np.ndarray | None:
         """W linearised at (z, l); None where it is singular or not finite."""
@@ -129,7 +138,7 @@ class Newton:
 
     def solve(self, t: float, h: float, state: np.ndarray, l: np.ndarray, index: np.ndarray, chain: Sequence[str]) -> Iterate:
         """Return the accepted iterate, or the best one found (residual above the tolerance)."""
-        known, z = self.known(t, h, state), self.guess(t, h, state, l)
+        z, known = self.start(t, h, state, l)
         best, self._offsets = None, self._offset(t, h, state)[0]
         at = self.linearise(t, h, state, z, l)
         for iteration in range(1, ITERATIONS + 1):
@@ -166,11 +175,6 @@ class Newton:
             return found
         again.solver, again.iterations = found.solver, found.iterations
         return again
-
-    def known(self, t: float, h: float, state: np.ndarray) -> Known:
-        """What the step is given."""
-        _, guess, E_guess = self._guess(t, h, state, np.zeros(self.law.size))
-        return Known(t, h, state, guess, np.abs(E_guess))
 
     def _advance(
         self, at: Linearisation, z: np.ndarray, l: np.ndarray, index: np.ndarray, chain: Sequence[str]
@@ -351,10 +355,10 @@ class Newton:
 
     def polished(self, t: float, h: float, state: np.ndarray, l: np.ndarray, index: np.ndarray) -> Iterate | None:
         """The step on an index set by the whole system; with a block on its curved boundary at the l given, z refined."""
-        z = self.guess(t, h, state, l)
+        z, known = self.start(t, h, state, l)
         if not self._on_boundary(index):
-            return self.on_index_set(t, h, state, z, l, index)
-        known, at, found = self.known(t, h, state), self.linearise(t, h, state, z, l), None
+            return self._on_index_set(known, z, l, index)
+        at, found = self.linearise(t, h, state, z, l), None
         for iteration in range(1, REFINEMENTS + 1):
             if not (np.isfinite(at.E).all() and np.isfinite(at.E_z).all()):
                 return found

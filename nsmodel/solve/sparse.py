@@ -34,13 +34,12 @@ from nsmodel.solve.certificate import EPS, ROUNDING, UNRESOLVED, NumericLaw
 from nsmodel.solve.layout import extras
 from nsmodel.solve.newton import Buffered, Iterate
 from nsmodel.solve.rounding import UNIT, error_bound, felt, scales
-from nsmodel.solve.structure import Structure
+from nsmodel.solve.structure import DENSE, Structure
 
 BAND = 48  # Diagonals above or below the main one up to which a band is factored.
 SWEEPS = 200  # Index sets that are tried in a step.
 PATIENCE = 10  # Changes of all rows that may fail to make the contradictions fewer.
 REFINEMENTS = 5
-DENSE = 1500  # Unknowns and multipliers of a step, or of a part that touches no other, up to which dense matrices are tried.
 SINGULAR = 1e-13  # Pivots below this, of entries of about 1, are round-off.
 SHIFT = 1e-8  # Then added to the diagonal of Y_l; refinement takes its effect away.
 KEPT = 8  # Step sizes whose matrices are kept,
@@ -211,8 +210,6 @@ def _matrix(p: OneStepProblem) -> Callable[[float], sp.csr_matrix]:
 
 class Sparse:
     """The step of one problem, for any h; what is kept between steps changes no bit of them."""
-
-    dense = DENSE
 
     def __init__(self, problem: OneStepProblem, structure: Structure, law: NumericLaw, tolerance: float) -> None:
         self.problem, self.structure, self.law, self.tolerance = problem, structure, law, tolerance

@@ -18,7 +18,8 @@ if TYPE_CHECKING:  # SciPy is loaded by who uses it.
     from scipy.sparse.linalg import LinearOperator
 
 EPS = np.finfo(float).eps
-DENSE = 300  # Rows up to which all eigenvalues are computed.
+DENSE = 1500  # Unknowns and multipliers up to which dense matrices are tried.
+EIGENVALUES_UP_TO = 300  # Rows up to which all eigenvalues are computed.
 LANCZOS_ERROR = 1e-9  # Of an operator scaled to 1: what is nearer to 0 is not told from it.
 
 
@@ -153,10 +154,10 @@ def _rest_rows(problem: OneStepProblem, Y_z: ca.SX, Y_l: ca.SX) -> tuple[int, ..
 def least_eigenvalue(W: np.ndarray | LinearOperator) -> float:
     """Least eigenvalue of (W + W')/2 after scaling rows and columns alike, so that units do not matter; inf for m = 0.
 
-    Of an operator of more than DENSE rows, scaled already, it is what Lanczos' method finds: not below the true one.
+    Of an operator of more than EIGENVALUES_UP_TO rows, scaled already, it is what Lanczos' method finds: not below the true one.
     """
     if not isinstance(W, np.ndarray):
-        if W.shape[0] > DENSE:
+        if W.shape[0] > EIGENVALUES_UP_TO:
             return _by_lanczos(W)
         W = np.column_stack([W.matvec(e) for e in np.eye(W.shape[0])]) if W.shape[0] else np.zeros((0, 0))
     if not W.size:
