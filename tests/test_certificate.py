@@ -544,7 +544,7 @@ def test_solvers_that_are_all_wrong_are_found_out(name, monkeypatch):
 def spoil_map(function):
     def wrong(*arguments):
         found = function(*arguments)
-        return None if found is None else (found[0], found[1] + 1e-6 * np.where(found[1] != 0, np.abs(found[1]), 1.0))
+        return None if found is None else (found[0], found[1] + 1e-6 * np.where(found[1] != 0, np.abs(found[1]), 1.0), found[2])
 
     return wrong
 

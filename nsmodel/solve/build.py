@@ -92,7 +92,7 @@ class Stepper:
         kernel = self._kernels.get(h) or self._kernel(t, h)
         if kernel is not None and self.plan.use_last and (warm.index is kernel.loaded or kernel.load(warm.index)):
             out = kernel.evaluate(t, state)
-            if kernel.settled[0] and out[self.layout.residual] <= self.tolerance and not self.law.curved:
+            if kernel.settled[0] and out[self.layout.residual] <= self.tolerance and not (self.law.curved or kernel.fragile):
                 return StepResult(out + 0.0, warm, "last index set")  # + 0.0: a copy without -0
         best: Attempt | None = None
         for attempt in self._attempts(kernel, t, h, state, warm):
@@ -181,13 +181,23 @@ class Stepper:
 
     def _by_kernel(self, kernel: Kernel, t: float, state: np.ndarray, warm: Warm) -> Iterator[Attempt]:
         """Solve y = W l + b, then evaluate the step on the index set found, else at the multiplier found."""
-        b = kernel.b(t, state)
-        found = mlcp.solve(
-            kernel.W, b, self.law, warm.l, warm.index, self.plan.chain, self.structure.symmetric, self.tolerance / 10
-        )
-        if not np.isfinite(found.l).all():
-            return
+        chain = self.plan.chain
+        while chain:
+            b = kernel.b(t, state)
+            found = mlcp.solve(kernel.W, b, self.law, warm.l, warm.index, chain, self.structure.symmetric, self.tolerance / 10)
+            if not np.isfinite(found.l).all():
+                return
+            yield from self._of(found, kernel, b, t, state)
+            tried = chain.index(found.solver) + 1 if found.solver in chain else len(chain)
+            chain = chain[tried:]  # W may keep too little to tell what solves the step
+
+    def _of(self, found: mlcp.Solution, kernel: Kernel, b: np.ndarray, t: float, state: np.ndarray) -> Iterator[Attempt]:
+        """The steps that a solution of y = W l + b makes."""
         if not self.law.curved and kernel.load(found.index):
+            if kernel.fragile:
+                whole = self._newton.by_whole_system(t, kernel.h, state, found.l, found.index)
+                if whole is not None:
+                    yield self._packed(t, kernel.h, state, replace(whole, solver=found.solver))
             yield self._evaluated(kernel, t, state, found.index, found.solver)
         kernel.load_multiplier(found.l, found.index)
         attempt = self._evaluated(kernel, t, state, found.index, found.solver)

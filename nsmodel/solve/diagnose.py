@@ -92,12 +92,16 @@ def nearly_opposite(W: np.ndarray) -> tuple[float, list[tuple[int, float]]]:
 def opposing_rows(W: np.ndarray, b: np.ndarray, law: NumericLaw) -> list[tuple[int, float]] | None:
     """Return [(row, weight), ...] of a proof that {l >= 0, W l + b >= 0} is empty: u >= 0, W'u <= 0, b'u < 0 (Farkas).
 
-    For W psd that is the same as: 0 <= l ⟂ W l + b >= 0 has no solution. None where there is no proof above round-off.
+    For W psd that is the same as: 0 <= l ⟂ W l + b >= 0 has no solution. None where there is no proof above round-off. The
+    weights are those of rows in units in which W_ii = 1.
     """
     from scipy.optimize import linprog
 
     if not law.size or not law.is_complementarity:
         return None
+    root = np.sqrt(np.abs(np.diag(W)))
+    root = np.where(root > 0, root, 1.0)
+    W, b = W / root[:, None] / root, b / root
     scale = np.abs(W).max(axis=0)
     scale[scale == 0] = 1
     A, size = W.T / scale[:, None], np.abs(b).max() or 1.0

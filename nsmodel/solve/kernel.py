@@ -14,7 +14,7 @@ import numpy as np
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.certificate import ROUNDING, UNRESOLVED, NumericLaw, box_residual_sx, output_scale_sx, settled_sx
 from nsmodel.solve.layout import Layout, extras
-from nsmodel.solve.rounding import UNIT, condition, equilibrated
+from nsmodel.solve.rounding import UNIT, condition, equilibrated, is_fragile
 from nsmodel.solve.structure import Structure
 
 UNDETERMINED = 1e-2  # Part of z that rounding may decide.
@@ -48,8 +48,9 @@ class Kernel:
         self.settled = np.zeros(1)  # 1 where no other index set is called for.
         buffer.set_res(1, memoryview(self.settled))
         self._buffer = buffer
-        self._maps: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+        self._maps: dict[bytes, tuple[np.ndarray, np.ndarray, bool]] = {}
         self.loaded: np.ndarray | None = None
+        self.fragile = False  # Whether the map in place loses digits that the whole system has.
         self.law = law
 
     def evaluate(self, t: float, state: np.ndarray) -> np.ndarray:
@@ -69,7 +70,7 @@ class Kernel:
             if found is None:
                 return False
             self._maps[key] = found
-        self._S[:], self._s[:] = self._maps[key]
+        self._S[:], self._s[:], self.fragile = self._maps[key]
         self._free[:] = index == 0
         self.loaded = index
         return True
@@ -106,8 +107,8 @@ def matrices_at(problem: OneStepProblem, h: float) -> tuple[np.ndarray, ...]:
     return tuple(np.array(v).reshape(v.shape) for v in f.call([ca.DM(h), ca.DM.zeros(known.numel())]))
 
 
-def _index_map(W: np.ndarray, law: NumericLaw, index: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    m = law.size
+def _index_map(W: np.ndarray, law: NumericLaw, index: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool] | None:
+    m, fragile = law.size, False
     S, s = np.zeros((m, m)), np.where(index < 0, law.lower, np.where(index > 0, law.upper, 0.0))
     if not np.isfinite(s).all():
         return None
@@ -116,7 +117,8 @@ def _index_map(W: np.ndarray, law: NumericLaw, index: np.ndarray) -> tuple[np.nd
         inverse = _inverse(W[np.ix_(free, free)])
         S[np.ix_(free, free)] = -inverse
         s[free] = -inverse @ (W[free] @ s)
-    return S, s
+        fragile = is_fragile(W[np.ix_(free, free)], inverse)
+    return S, s, fragile
 
 
 def _inverse(A: np.ndarray) -> np.ndarray:

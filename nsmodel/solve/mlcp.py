@@ -15,7 +15,7 @@ from nsmodel.solve.rounding import UNIT, felt_dense
 INDEX_SET, LEMKE, ENUMERATION, SEMISMOOTH = "index set", "lemke", "enumeration", "semismooth"
 
 
-FAR_APART = 1e4  # Entries W_ii that differ by more are in units that pivoting feels.
+FAR_APART = 1e4  # Entries of W that differ by more are in units that pivoting feels.
 
 
 @dataclass(frozen=True)
@@ -63,9 +63,10 @@ def solve(
     units = _units(W, law)
     if units is None:
         return _solve(W, b, law, warm, index, chain, symmetric, tolerance)
-    scaled = NumericLaw(law.lower / units, law.upper / units, ())
-    found = _solve(units[:, None] * W * units, units * b, scaled, warm / units, index, chain, symmetric, tolerance)
-    return Solution(units * found.l, found.index, found.residual, found.solver)
+    of_y, of_l = units
+    scaled = NumericLaw(law.lower / of_l, law.upper / of_l, ())
+    found = _solve(W * of_l / of_y[:, None], b / of_y, scaled, warm / of_l, index, chain, symmetric, tolerance)
+    return Solution(of_l * found.l, found.index, found.residual, found.solver)
 
 
 def _solve(
@@ -86,13 +87,34 @@ def _solve(
     return best
 
 
-def _units(W: np.ndarray, law: NumericLaw) -> np.ndarray | None:
-    """Powers of 2 as units of the multipliers of a box in which W_ii is about 1; None where the user's are nearly as good."""
-    size = np.abs(np.diag(W))
-    size = np.where(size > 0, size, np.abs(W).max(axis=1, initial=0.0))
-    if law.curved or size.max(initial=0.0) <= FAR_APART * size.min(initial=np.inf, where=size > 0):
+def _units(W: np.ndarray, law: NumericLaw) -> tuple[np.ndarray, np.ndarray] | None:
+    """Powers of 2 as units (a, c) of y and l in a box, in which W is about as large as its transpose and its diagonal about 1.
+
+    |W_ij c_j / a_i| = |W_ji c_i / a_j| asks for a_i c_i / (a_j c_j) = |W_ij / W_ji|, which is met in the sense of least squares.
+    None where the user's units are nearly as good.
+    """
+    if law.curved:
         return None
-    return np.exp2(-np.round(np.log2(np.where(size > 0, size, 1.0)) / 2))
+    size = np.abs(W)
+    row, column, diagonal = size.max(axis=1, initial=0.0), size.max(axis=0, initial=0.0), np.diag(size)
+    if (
+        _near(row[row > 0])
+        and _near((row / np.where(column > 0, column, 1.0))[(row > 0) & (column > 0)])
+        and _near(diagonal[diagonal > 0])
+    ):
+        return None
+    both = (size > 0) & (size.T > 0)
+    ratio = np.log2(np.where(both, size, 1.0)) - np.log2(np.where(both, size.T, 1.0))
+    laplacian = np.diag(both.sum(axis=1)) - both.astype(float)
+    product = np.linalg.lstsq(laplacian, ratio.sum(axis=1), rcond=1e-12)[0]
+    even = size * np.exp2(-product / 2)[:, None] * np.exp2(product / 2)
+    own = np.where(diagonal > 0, diagonal, even.max(axis=1, initial=0.0))
+    own = np.log2(np.where(own > 0, own, 1.0))
+    return np.exp2(np.round((product + own) / 2)), np.exp2(np.round((product - own) / 2))
+
+
+def _near(sizes: np.ndarray) -> bool:
+    return bool(sizes.max(initial=0.0) <= FAR_APART * sizes.min(initial=np.inf))
 
 
 def _candidates(name, W, b, law, warm, index, symmetric):

@@ -19,10 +19,11 @@ from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import active_set, mlcp
 from nsmodel.solve.certificate import EPS, ROUNDING, UNRESOLVED, NumericLaw, law_residual, output_scale
 from nsmodel.solve.layout import extras
-from nsmodel.solve.rounding import UNIT, equilibrated, error_bound, felt_dense
+from nsmodel.solve.rounding import UNIT, equilibrated, error_bound, felt_dense, is_fragile
 from nsmodel.solve.structure import Structure, least_eigenvalue
 
 ITERATIONS = 30
+SWEEPS = 12  # Index sets that are tried on the whole system.
 REFINEMENTS = 5  # Of an affine step on an index set.
 NEAR = 1e-6  # Part of the unknowns: the size of a last step of Newton's method.
 TINY = 2.0**-20  # The least part of a step of Newton's method.
@@ -139,7 +140,7 @@ class Newton:
     def solve(self, t: float, h: float, state: np.ndarray, l: np.ndarray, index: np.ndarray, chain: Sequence[str]) -> Iterate:
         """Return the accepted iterate, or the best one found (residual above the tolerance)."""
         z, known = self.start(t, h, state, l)
-        best, self._offsets = None, self._offset(t, h, state)[0]
+        best, at_best, self._offsets = None, None, self._offset(t, h, state)[0]
         at = self.linearise(t, h, state, z, l)
         for iteration in range(1, ITERATIONS + 1):
             moved = self._advance(at, z, l, index, chain)
@@ -148,11 +149,15 @@ class Newton:
             z, l, index, solver = moved
             at = self.linearise(t, h, state, z, l)
             found = self.judge(known, at, z, l, index, solver, iteration, thorough=self.structure.affine)
-            if best is not None and found.residual <= self.tolerance and found.residual > best.residual / 10:
-                return min(found, best, key=lambda i: i.residual)
-            best = found if best is None or found.residual < best.residual else best
-            if found.residual <= self._enough:
-                return found
+            stalled = best is not None and found.residual <= self.tolerance and found.residual > best.residual / 10
+            if best is None or found.residual < best.residual:
+                best, at_best = found, at
+            if stalled or found.residual <= self._enough:
+                if self._is_fragile(at_best, best.index):
+                    whole = self._whole(known, best.z, best.l, best.index, best)
+                    whole.solver, whole.iterations = best.solver, best.iterations
+                    return whole
+                return best
             if self.structure.affine and found.residual <= self.tolerance:
                 break
             if not np.isfinite(found.residual) and not (np.isfinite(z).all() and np.isfinite(l).all()):
@@ -370,6 +375,42 @@ class Newton:
                 break
         return found
 
+    def by_whole_system(self, t: float, h: float, state: np.ndarray, l: np.ndarray, index: np.ndarray) -> Iterate | None:
+        """The step by an active set method on the whole system, of which W keeps too little; from an index set without curves."""
+        z, known = self.start(t, h, state, l)
+        return self._whole(known, z, l, index)
+
+    def _is_fragile(self, at: Linearisation, index: np.ndarray) -> bool:
+        """Whether W, eliminated at an iterate, keeps too little of the whole system on its index set."""
+        free = np.flatnonzero(index == 0)
+        eliminated = self._eliminate(at)
+        if free.size < 2 or eliminated is None or self._on_boundary(index):
+            return False
+        W = at.Y_l[np.ix_(free, free)] + at.Y_z[free] @ eliminated[1][:, free]
+        try:
+            return is_fragile(W, np.linalg.inv(W))
+        except np.linalg.LinAlgError:
+            return False
+
+    def _whole(
+        self, known: Known, z: np.ndarray, l: np.ndarray, index: np.ndarray, best: Iterate | None = None
+    ) -> Iterate | None:
+        """An active set method on the whole system; ``best``: what elimination has found."""
+        seen = set()
+        while index.tobytes() not in seen and len(seen) < SWEEPS:
+            seen.add(index.tobytes())
+            found = self._on_index_set(known, z, l, index, least=2)
+            if found is None:
+                break
+            best = found if best is None or found.residual <= max(best.residual, self._enough) else best
+            if found.residual <= self.tolerance:
+                break
+            z, l = found.z, found.l
+            y = self.linearise(*known[:3], z, l).Y
+            outside = np.where(l < self.law.lower, -1, np.where(l > self.law.upper, 1, 0))
+            index = np.where(index == 0, outside, np.where(index * y > 0, 0, index)).astype(np.int8)
+        return best
+
     def _on_boundary(self, index: np.ndarray) -> bool:
         """Whether a curved block is on its boundary: then its index set is no linear system."""
         return any(index[rows][0] > 0 for _, rows, _ in self.law.curved)
@@ -380,7 +421,10 @@ class Newton:
         """Damped Newton for the smooth system E = 0, Y_i = 0 (code 0), l_i at its bound (code +-1), from (z, l)."""
         return self._on_index_set(self.known(t, h, state), z, l, index)
 
-    def _on_index_set(self, known: Known, z: np.ndarray, l: np.ndarray, index: np.ndarray) -> Iterate | None:
+    def _on_index_set(
+        self, known: Known, z: np.ndarray, l: np.ndarray, index: np.ndarray, least: int = 1
+    ) -> Iterate | None:  # fmt: skip
+        """`on_index_set`, by ``least`` linear systems or more."""
         t, h, state = known[:3]
         l = np.where(index < 0, self.law.lower, np.where(index > 0, self.law.upper, l))
         for _, rows, _ in self.law.curved:
@@ -412,8 +456,8 @@ class Newton:
                         found = found if self.structure.affine or old == 0 else None
                 t_step /= 2
             z, l, at, stalled = z_new, l_new, at_new, size >= (1 - 2e-4 * t_step) * old
-            best = found if best is None or found.residual <= best.residual else best
-            if found.residual <= self._enough or (stalled and iteration > 3):
+            best = found if best is None or found.residual <= max(best.residual, self._enough) else best
+            if (found.residual <= self._enough and iteration >= least) or (stalled and iteration > 3):
                 break
             J = self._system(at, index)[0]
         return best

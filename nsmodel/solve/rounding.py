@@ -21,6 +21,7 @@ from nsmodel.model.expressions import applied, column, fold, keys, operations
 
 UNIT = 2.0**-53  # u
 PROBES = 8
+FRAGILE = 1e3  # Condition of what elimination leaves up to which its answer is as good as that of the whole system.
 WORTH = 1e8  # Condition up to which the rounding of the unknowns excuses a row: beyond, it could excuse any.
 EXACT = frozenset({
     ca.OP_ASSIGN, ca.OP_NEG, ca.OP_FABS, ca.OP_SIGN, ca.OP_COPYSIGN, ca.OP_FMIN, ca.OP_FMAX, ca.OP_TWICE,
@@ -122,6 +123,14 @@ def condition(inverse: np.ndarray, matrix: np.ndarray) -> float:
         v /= v.max(initial=0.0) or 1.0
     w = inverse @ (matrix @ v)
     return float(np.max(w[v > 0] / v[v > 0], initial=1.0))
+
+
+def is_fragile(A: np.ndarray, inverse: np.ndarray) -> bool:
+    """Whether A, what elimination has made of a system, keeps too little of it: answers are then refined on the whole.
+
+    sum_ij |A^-1|_ij |A|_ji bounds the spectral radius of |A^-1| |A|, and is the same in all units of rows and columns.
+    """
+    return not float((np.abs(inverse) * np.abs(A.T)).sum()) <= FRAGILE * len(A)
 
 
 def equilibrated(J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
