@@ -18,6 +18,7 @@ SMOOTH_ITERATIONS = 30
 CUT_ITERATIONS = 60
 PROBED = 16  # Probes of what the unknowns err by.
 REFINED = 5 + PROBED
+FRAGILE_REFINED = 2
 BANDED_SETS, BANDED_SOLVES = 200, 1 + REFINED  # index sets; the solution on one, its refinements and probes
 
 
@@ -27,9 +28,9 @@ def work_bound(law: NumericLaw, flags: Set[str], sizes: dict[str, int]) -> int:
     bound = 0
     if "FIXED" in flags:
         if "ENUMERATED" in flags:  # strictly, certified, refined
-            bound += 1 + sizes["SETS"] * (3 + REFINED)
+            bound += 1 + FRAGILE_REFINED + sizes["SETS"] * (3 * (1 + FRAGILE_REFINED) + REFINED)
         else:
-            bound += (2 + _affine(flags, sizes, sets) if "LAW" in flags else 0) + 2 * REFINED
+            bound += (2 + _affine(flags, sizes, sets) if "LAW" in flags else 0) + 2 * REFINED + 3 * FRAGILE_REFINED
     if "BANDED" in flags:
         bound += BANDED_SETS * BANDED_SOLVES
     if "NEWTON" in flags:

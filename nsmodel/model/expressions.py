@@ -16,6 +16,22 @@ def column(items: Iterable[ca.SX]) -> ca.SX:
     return ca.vertcat(ca.SX(0, 1), *items)
 
 
+def derivatives(expr: ca.SX, symbols: ca.SX) -> ca.SX:
+    """The Jacobian, its entries that are numbers as numbers.
+
+    Others stay as differentiation gives them: collecting terms, as `casadi.simplify` does, makes a (q - c) into a q - a c, which
+    cancels far from 0.
+    """
+    J = ca.jacobian(expr, symbols)
+    if J.is_constant():
+        return J
+    simple = ca.simplify(J)
+    for k in range(J.nnz()):
+        if simple.nz[k].is_constant():
+            J.nz[k] = simple.nz[k]
+    return J
+
+
 def constants(expr: ca.SX) -> np.ndarray:
     """Return the numbers in an expression."""
     function = ca.Function("constants", [column(ca.symvar(expr))], [expr])

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.model.convex import ConvexSplit
-from nsmodel.model.expressions import operations
+from nsmodel.model.expressions import derivatives, operations
 from nsmodel.model.laws import Law, ball, box, complementarity, equality, product, relay, second_order_cone
 
 
@@ -83,7 +83,7 @@ class OneStepProblem:
     @cached_property
     def jacobians(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         """(E_z, E_l, Y_z, Y_l), sparse, exact."""
-        return tuple(ca.simplify(ca.jacobian(e, v)) for e in (self.E, self.Y) for v in (self.z, self.l))
+        return tuple(derivatives(e, v) for e in (self.E, self.Y) for v in (self.z, self.l))
 
 
 def feedthrough(Y: ca.SX, l: ca.SX) -> tuple[int, ...]:

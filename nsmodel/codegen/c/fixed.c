@@ -229,6 +229,49 @@ static int judged(model_solver *s, int felt)
     return residual <= TOLERANCE ? 1 + settled : 0;
 }
 
+/* The solution of E_z dz + E_l dl = -E, Y_z dz + Y_l dl = -Y on the rows coded 0, dl = 0 on the others. */
+#if LAW
+static void correction(model_solver *s, const double *E, const double *Y, double *restrict dz, double *restrict dl)
+{
+    predict(s, E, Y, s->fixed.step, s->fixed.terms);
+    memset(dl, 0, sizeof s->work.l);
+#if FIXED_MAPS
+    const int k = s->fixed.current;
+    if (k >= 0 && memcmp(s->fixed.maps[k].code, s->work.code, MODEL_M) == 0) {
+        const int n = s->fixed.maps[k].n, *free = s->fixed.maps[k].free;
+        for (int i = 0; i < n; i++)
+            for (int j = 0; j < n; j++)
+                dl[free[i]] -= s->fixed.maps[k].inverse[n*i + j]*s->fixed.terms[free[j]];
+    }
+#endif
+    respond(s, s->fixed.step, dl, dz);
+}
+#else
+static void correction(model_solver *s, const double *E, double *restrict dz) { predict(s, E, dz); }
+#endif
+
+/* Correct (z, l) by what E and Y are there. */
+static void correct(model_solver *s)
+{
+#if LAW
+    correction(s, s->fixed.E, s->fixed.Y, s->fixed.dz, s->fixed.dl);
+    for (int i = 0; i < MODEL_M; i++)
+        s->work.l[i] += s->fixed.dl[i];
+#else
+    correction(s, s->fixed.E, s->fixed.dz);
+#endif
+    for (int i = 0; i < MODEL_N; i++)
+        s->work.z[i] += s->fixed.dz[i];
+}
+
+#if FIXED_MAPS
+static int on_fragile_map(const model_solver *s)
+{
+    const int k = s->fixed.current;
+    return k >= 0 && s->fixed.maps[k].fragile && memcmp(s->fixed.maps[k].code, s->work.code, MODEL_M) == 0;
+}
+#endif
+
 /* Certify s->work.l with s->work.code: 1 where the step passes, 2 where also no other index set is called for. */
 static int certified(model_solver *s)
 {
@@ -240,7 +283,14 @@ static int certified(model_solver *s)
 #else
     memcpy(s->work.z, s->fixed.z_0, sizeof s->work.z);
 #endif
-    return judged(s, 0);
+    int passed = judged(s, 0);
+#if FIXED_MAPS
+    for (int i = 0; i < FRAGILE_REFINEMENTS && on_fragile_map(s) && s->work.residual < INFINITY && spend(s); i++) {
+        correct(s);
+        passed = judged(s, 0);
+    }
+#endif
+    return passed;
 }
 
 #if FIXED_MAPS
@@ -279,6 +329,11 @@ static int find_map(model_solver *s, const signed char *code)
             offset[i] -= inverse[n*i + j]*shift;
         }
     }
+    double condition = 0;
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++)
+            condition += fabs(inverse[n*i + j]*s->fixed.block[n*j + i]);
+    s->fixed.maps[k].fragile = !(condition <= FRAGILE*n);
     s->fixed.maps[k].n = n;
     memcpy(s->fixed.maps[k].code, code, MODEL_M);
     if (s->fixed.filled < MODEL_MAPS)
@@ -308,27 +363,6 @@ static int on_index_set(model_solver *s, const signed char *code)
     return 1;
 }
 
-#endif
-
-/* The solution of E_z dz + E_l dl = -E, Y_z dz + Y_l dl = -Y on the rows coded 0, dl = 0 on the others. */
-#if LAW
-static void correction(model_solver *s, const double *E, const double *Y, double *restrict dz, double *restrict dl)
-{
-    predict(s, E, Y, s->fixed.step, s->fixed.terms);
-    memset(dl, 0, sizeof s->work.l);
-#if FIXED_MAPS
-    const int k = s->fixed.current;
-    if (k >= 0 && memcmp(s->fixed.maps[k].code, s->work.code, MODEL_M) == 0) {
-        const int n = s->fixed.maps[k].n, *free = s->fixed.maps[k].free;
-        for (int i = 0; i < n; i++)
-            for (int j = 0; j < n; j++)
-                dl[free[i]] -= s->fixed.maps[k].inverse[n*i + j]*s->fixed.terms[free[j]];
-    }
-#endif
-    respond(s, s->fixed.step, dl, dz);
-}
-#else
-static void correction(model_solver *s, const double *E, double *restrict dz) { predict(s, E, dz); }
 #endif
 
 /* The largest corrections of probes, which are E and Y with signs that look random: what z and l err by where the rows do so by
@@ -398,15 +432,7 @@ static void add_felt(model_solver *s)
 static int refined(model_solver *s)
 {
     for (int refinement = 0; refinement < REFINEMENTS && s->work.residual < INFINITY && spend(s); refinement++) {
-#if LAW
-        correction(s, s->fixed.E, s->fixed.Y, s->fixed.dz, s->fixed.dl);
-        for (int i = 0; i < MODEL_M; i++)
-            s->work.l[i] += s->fixed.dl[i];
-#else
-        correction(s, s->fixed.E, s->fixed.dz);
-#endif
-        for (int i = 0; i < MODEL_N; i++)
-            s->work.z[i] += s->fixed.dz[i];
+        correct(s);
         if (judged(s, 0))
             return 1;
     }

@@ -17,7 +17,7 @@
         struct {
             double inverse[MODEL_M * MODEL_M], offset[MODEL_M], at_bound[MODEL_M];
             int n, free[MODEL_M];
-            signed char code[MODEL_M];
+            signed char code[MODEL_M], fragile; /* whether W keeps too little of the whole system there */
         } maps[MODEL_MAPS]; /* of the index sets met last */
         int filled, oldest, current;
 #endif

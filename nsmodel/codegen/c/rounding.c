@@ -3,6 +3,8 @@
  */
 
 #define REFINEMENTS 5
+#define FRAGILE 1e3 /* condition of what elimination leaves up to which its answer is as good as the whole system's */
+#define FRAGILE_REFINEMENTS 2
 #define PROBES 8
 #define WORTH 1e8 /* condition up to which the rounding of the unknowns excuses a row */
 
