@@ -157,7 +157,7 @@ class Newton:
                     whole = self._whole(known, best.z, best.l, best.index, best)
                     whole.solver, whole.iterations = best.solver, best.iterations
                     return whole
-                return best
+                return self._refined(known, best) if self.structure.affine else best
             if self.structure.affine and found.residual <= self.tolerance:
                 break
             if not np.isfinite(found.residual) and not (np.isfinite(z).all() and np.isfinite(l).all()):
@@ -176,8 +176,8 @@ class Newton:
             at = self.linearise(*known[:3], found.z, found.l)
             return self.judge(known, at, found.z, found.l, found.index, found.solver, found.iterations)
         again = self._on_index_set(known, found.z, found.l, found.index)
-        if again is None or not again.residual < found.residual:
-            return found
+        if again is None or not again.residual < found.residual * (2 if found.residual <= self.tolerance / 2 else 1):
+            return found  # of two that rounding tells apart, the one by the whole system
         again.solver, again.iterations = found.solver, found.iterations
         return again
 
