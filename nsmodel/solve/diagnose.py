@@ -92,24 +92,31 @@ def nearly_opposite(W: np.ndarray) -> tuple[float, list[tuple[int, float]]]:
 def opposing_rows(W: np.ndarray, b: np.ndarray, law: NumericLaw) -> list[tuple[int, float]] | None:
     """Return [(row, weight), ...] of a proof that {l >= 0, W l + b >= 0} is empty: u >= 0, W'u <= 0, b'u < 0 (Farkas).
 
-    For W psd that is the same as: 0 <= l ⟂ W l + b >= 0 has no solution. None where there is no proof above round-off. The
-    weights are those of rows in units in which W_ii = 1.
+    For W psd that is the same as: 0 <= l ⟂ W l + b >= 0 has no solution. None where there is no proof above round-off.
     """
-    from scipy.optimize import linprog
-
     if not law.size or not law.is_complementarity:
         return None
     root = np.sqrt(np.abs(np.diag(W)))
     root = np.where(root > 0, root, 1.0)
-    W, b = W / root[:, None] / root, b / root
+    u = _farkas(W, b)  # in the user's units, else in those in which W_ii = 1
+    if u is None:
+        u = _farkas(W / root[:, None] / root, b / root)
+        u = None if u is None else u / root
+    return None if u is None else [(int(i), float(u[i] / u.sum())) for i in np.argsort(-u) if u[i] > 0][:6]
+
+
+def _farkas(W: np.ndarray, b: np.ndarray) -> np.ndarray | None:
+    """u >= 0 with W'u <= 0 to round-off, b'u < 0 above it, and sum 1; None where there is none."""
+    from scipy.optimize import linprog
+
     scale = np.abs(W).max(axis=0)
     scale[scale == 0] = 1
     A, size = W.T / scale[:, None], np.abs(b).max() or 1.0
     found = linprog(
         b / size,
         A_ub=A,
-        b_ub=np.zeros(law.size),
-        A_eq=np.ones((1, law.size)),
+        b_ub=np.zeros(b.size),
+        A_eq=np.ones((1, b.size)),
         b_eq=[1.0],
         bounds=(0, None),
         options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
@@ -117,6 +124,4 @@ def opposing_rows(W: np.ndarray, b: np.ndarray, law: NumericLaw) -> list[tuple[i
     if not found.success:
         return None
     u = np.where(found.x > 1e-9, found.x, 0.0)
-    if (A @ u).max() > PROOF or b @ u / size > -1e-6:
-        return None
-    return [(int(i), float(u[i])) for i in np.argsort(-u) if u[i] > 0][:6]
+    return None if (A @ u).max() > PROOF or b @ u / size > -1e-6 else u

@@ -20,6 +20,7 @@ import numpy as np
 from nsmodel.model.expressions import applied, column, fold, keys, operations
 
 UNIT = 2.0**-53  # u
+LARGE = 10_000  # Nodes of a graph up to which its own bound is formed; beyond, its code would be many times that of the step.
 PROBES = 8
 FRAGILE = 1e3  # Condition of what elimination leaves up to which its answer is as good as that of the whole system.
 WORTH = 1e8  # Condition up to which the rounding of the unknowns excuses a row: beyond, it could excuse any.
@@ -43,7 +44,8 @@ def error_bound(rows: ca.SX, unknowns: ca.SX) -> ca.SX:
         rows: SX column.
         unknowns: symbols that are known to the nearest double only; all others are exact.
     """
-    if ca.OP_CALL in operations(rows):  # what is inside a Function cannot be seen: the terms in the unknowns, and the rest
+    large = ca.Function("rows", [column(ca.symvar(rows))], [rows]).n_nodes() > LARGE
+    if large or ca.OP_CALL in operations(rows):  # what is inside a Function cannot be seen: terms in the unknowns, and the rest
         J = ca.jacobian(rows, unknowns)
         return ca.fabs(J) @ ca.fabs(unknowns) + ca.fabs(rows - J @ unknowns)
     unknown = keys(unknowns)
