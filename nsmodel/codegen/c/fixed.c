@@ -224,6 +224,10 @@ static int judged(model_solver *s, int felt)
     for (int i = 0; i < MODEL_M; i++)
         s->work.y[i] = s->work.code[i] == 0 ? 0.0 : s->fixed.Y[i];
 #endif
+#if LAW && !CURVED
+    if (felt)
+        memset(s->fixed.felt_l, 0, sizeof s->fixed.felt_l);
+#endif
     s->work.residual = residual;
     s->work.iterations = 1;
     return residual <= TOLERANCE ? 1 + settled : 0;
@@ -277,9 +281,6 @@ static int certified(model_solver *s)
 {
 #if LAW
     respond(s, s->fixed.z_0, s->work.l, s->work.z);
-#if !CURVED
-    memset(s->fixed.felt_l, 0, sizeof s->fixed.felt_l);
-#endif
 #else
     memcpy(s->work.z, s->fixed.z_0, sizeof s->work.z);
 #endif

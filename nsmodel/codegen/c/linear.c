@@ -274,11 +274,15 @@ static int invert(model_solver *s, int n, const double *A, double *inverse)
     int regular = 0;
     if (!all_finite(n*n, A))
         return 1;
-    COPY(s->linear.lu, A, n*n);
-    const double size = balance(s, n);
-    if (!lu_factor(n, s->linear.lu, s->linear.pivot)) {
+    for (int balanced = 0; balanced <= 1 && !regular; balanced++) { /* where the user's units do, no others are looked for */
+        COPY(s->linear.lu, A, n*n);
+        const double size = balanced ? balance(s, n) : largest(n*n, A);
+        if (lu_factor(n, s->linear.lu, s->linear.pivot))
+            continue;
         lu_inverse(s, n, inverse);
-        regular = all_finite(n*n, inverse) && largest(n*n, inverse)*size <= 1e13;
+        regular = all_finite(n*n, inverse) && largest(n*n, inverse)*size <= (balanced ? 1e13 : 1e3);
+        if (regular && !balanced)
+            return 0;
     }
 #if REGULAR_SETS
     if (!regular)
