@@ -14,7 +14,7 @@ import sympy as sp
 import nsmodel
 from nsmodel import LureSystem, ModelError, SweepingProcess, ball, box, complementarity, equality, polyhedron, product, relay
 from nsmodel import second_order_cone as cone
-from nsmodel.hypotheses.findings import SAMPLED, UNKNOWN, VERDICTS, VIOLATED, Hypothesis, Report, follows, found
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VERDICTS, VIOLATED, Hypothesis, Report, follows, found
 from nsmodel.hypotheses.report.formula import Names, formulas
 from nsmodel.hypotheses.report.markdown import markdown
 from nsmodel.hypotheses.report.notation import decimal, symbol_latex
@@ -449,3 +449,10 @@ def test_witnesses_are_short():
     assert "... (61 entries)" in text(report)
     assert "q_20" not in text(report)
     assert document(report)["findings"][0]["witness"] == many
+
+
+def test_a_number_that_is_none_is_not_printed():
+    finding = found(Hypothesis("A5", "s", "x"), HOLDS, "h", {"margin": np.nan, "a": 1.0})
+    assert dict(finding.value) == {"a": 1.0}
+    with pytest.raises(ValueError, match="'holds' needs a reason, a number"):
+        found(Hypothesis("A5", "s", "x"), HOLDS, "h", {"margin": np.nan})

@@ -380,6 +380,8 @@ def test_a_refined_reference_agrees_with_the_closed_form(half_line, load_case):
     for name in ("interpreted", "compiled"):
         for ours, theirs in zip(found.line(name).points, half_line.line(name).points, strict=False):
             assert ours.error == pytest.approx(theirs.error, abs=2 * found.reference.own["max"])
+    blind = replace(found, target=found.reference.own["max"] / 1e3, lines=found.lines[:1])
+    assert "cannot be told from the reference's own error" in blind.text()
 
 
 @pytest.mark.parametrize(("theta", "expected"), [(1.0, 2), (0.5, 4)])

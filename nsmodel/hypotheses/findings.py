@@ -55,15 +55,18 @@ def found(
 ) -> Finding:
     """Return the finding; a verdict without its number, witness or reason is a defect and refused.
 
+    What double precision makes NaN of (0 log 0, where exact arithmetic decides) is no number, and left out.
+
     Raises:
         ValueError: an unknown verdict, no reason, no number (but for "unknown"), no witness of a violation.
     """
     if verdict not in VERDICTS:
         raise ValueError(f"{hypothesis.id}: verdict {verdict!r}; expected one of {', '.join(VERDICTS)}")
+    value = {name: float(number) for name, number in (value or {}).items() if number == number}
     if not how or (verdict != UNKNOWN and not value) or (verdict == VIOLATED and not witness):
         raise ValueError(f"{hypothesis.id}: '{verdict}' needs a reason, a number, and where violated a witness")
     plain = MappingProxyType({name: _plain(item) for name, item in (witness or {}).items()})
-    numbers = MappingProxyType({name: float(number) for name, number in (value or {}).items()})
+    numbers = MappingProxyType(value)
     return Finding(hypothesis.id, hypothesis.statement, verdict, numbers, plain, hypothesis.source, how)
 
 

@@ -53,6 +53,12 @@ def study_text(study: Study) -> str:
 def price(study: Study, target: float) -> str:
     """Return what the error ``target`` costs, in a line."""
     cost = study.cost(target)
+    own = 0.0 if study.reference is None else study.reference.own["max"]
+    if cost is None and target < CLEAR * own:
+        return (
+            f"error {number(target)} cannot be told from the reference's own error ({number(own)}): whether a line reaches it is "
+            "not known; give smaller steps, which refine the reference too"
+        )
     if cost is None:
         return f"error {number(target)} is not reached by any line; give smaller steps, or a larger budget"
     where = cost.label if cost.step is None else f"step <= {number(cost.step)}"
