@@ -23,10 +23,11 @@ from nsmodel import (
     simulate,
 )
 from nsmodel.codegen.library import compiler
-from nsmodel.model.expressions import fold
+from nsmodel.model.expressions import derivatives, fold
 from nsmodel.scheme import one_step_problem
+from nsmodel.solve import mlcp
 from nsmodel.solve.build import Stepper
-from nsmodel.solve.certificate import ROUNDING
+from nsmodel.solve.certificate import ROUNDING, NumericLaw
 from nsmodel.solve.newton import Newton
 from nsmodel.solve.rounding import PROBES, UNIT, error_bound, felt_dense, signs
 
@@ -367,3 +368,42 @@ def test_linearisations_of_bodies_that_leave_no_point_are_not_said_to_be_the_con
 def test_linearisations_that_leave_no_point_are_not_said_to_be_the_constraints():
     with pytest.raises(StepError, match=r"linearised at the step's start, the constraints leave no point: .* smaller steps"):
         simulate(door(1e-9))
+
+
+# ---------------------------------------------------------------------------------------------- what elimination loses
+
+
+@pytest.mark.parametrize("compiled", WAYS)
+@pytest.mark.parametrize("angle", [1e-2, 1e-4, 1e-6, 1e-7])
+def test_a_corner_of_nearly_opposite_walls_is_where_they_meet(angle, compiled):
+    """Two lines at an angle; one recedes by 1e-3 t: the point is where they meet, x = 1e-3 t / tan(angle), after each step."""
+    t, q = ca.SX.sym("t"), ca.SX.sym("q", 2)
+    walls = {"floor": q[1], "roof": np.sin(angle) * q[0] - np.cos(angle) * q[1] - 1e-3 * t}
+    run = simulate(SweepingProcess(t=t, q=q, f=[0, -1], constraints=walls, q0=[0, 0], t_end=0.1, step=0.01), compiled=compiled)
+    assert run.x[1:, 0] == pytest.approx(1e-3 * run.t[1:] / np.sin(angle), rel=1e-8)
+    assert np.abs(run.x[:, 1]).max() <= 1e-15
+
+
+def test_derivatives_are_not_collected():
+    q = ca.SX.sym("q", 2)
+    J = derivatives(ca.sumsqr(3 * (q - 1e6)) + 2 * q[0], q)
+    exact = [18 * (2.0**-20) + 2, 18 * (2.0**-21)]
+    at = ca.Function("J", [q], [J])([1e6 + 2.0**-20, 1e6 + 2.0**-21])
+    assert np.array(at).ravel() == pytest.approx(exact, rel=1e-15)
+    assert derivatives(2 * q[0] + q[1] - q[1], q).is_constant()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_units_of_rows_and_of_multipliers_are_two_things(seed):
+    """y = W l + b with W psd: (a W c, a b) has the solution l / c, whatever the units a and c of the rows."""
+    rng = np.random.default_rng(seed)
+    m = int(rng.integers(2, 30))
+    root = rng.normal(size=(m, m))
+    W, b = root @ root.T / m + 0.1 * np.eye(m) + np.triu(np.ones((m, m)), 1) - np.tril(np.ones((m, m)), -1), rng.normal(size=m)
+    a, c = 10.0 ** rng.uniform(-8, 8, (2, m))
+    law, chain = NumericLaw(np.zeros(m), np.full(m, np.inf), ()), (mlcp.INDEX_SET, mlcp.LEMKE)
+    cold = np.zeros(m), np.full(m, -1, np.int8)
+    plain = mlcp.solve(W, b, law, *cold, chain, False, 1e-12)
+    scaled = mlcp.solve(a[:, None] * W * c, a * b, law, *cold, chain, False, 1e-12)
+    assert plain.residual <= 1e-12
+    assert scaled.l * c == pytest.approx(plain.l, rel=1e-9, abs=1e-11)
