@@ -376,12 +376,16 @@ def test_linearisations_that_leave_no_point_are_not_said_to_be_the_constraints()
 @pytest.mark.parametrize("compiled", WAYS)
 @pytest.mark.parametrize("angle", [1e-2, 1e-4, 1e-6, 1e-7])
 def test_a_corner_of_nearly_opposite_walls_is_where_they_meet(angle, compiled):
-    """Two lines at an angle; one recedes by 1e-3 t: the point is where they meet, x = 1e-3 t / tan(angle), after each step."""
+    """Two lines at an angle; one recedes by 1e-3 t: the point is where they meet, 1e-3 t / sin(angle) along the other."""
     t, q = ca.SX.sym("t"), ca.SX.sym("q", 2)
-    walls = {"floor": q[1], "roof": np.sin(angle) * q[0] - np.cos(angle) * q[1] - 1e-3 * t}
-    run = simulate(SweepingProcess(t=t, q=q, f=[0, -1], constraints=walls, q0=[0, 0], t_end=0.1, step=0.01), compiled=compiled)
-    assert run.x[1:, 0] == pytest.approx(1e-3 * run.t[1:] / np.sin(angle), rel=1e-8)
-    assert np.abs(run.x[:, 1]).max() <= 1e-15
+    along, up = np.array([0.8, 0.6]), np.array([-0.6, 0.8])
+    roof = np.sin(angle) * along - np.cos(angle) * up
+    walls = {"floor": 1e3 * ca.dot(up, q), "roof": ca.dot(roof, q) - 1e-3 * t}
+    run = simulate(
+        SweepingProcess(t=t, q=q, f=-up - 0.3 * along, constraints=walls, q0=[0, 0], t_end=0.1, step=0.01), compiled=compiled
+    )
+    parallel = up[0] * roof[1] - up[1] * roof[0]  # of the normals as they are rounded
+    assert run.x[1:] @ along == pytest.approx(1e-3 * run.t[1:] / abs(parallel), rel=1e-15 / angle + 1e-9)
 
 
 def test_derivatives_are_not_collected():
