@@ -945,3 +945,13 @@ def test_a_model_file_without_its_neighbour_says_so(tmp_path):
 def test_a_step_without_solvers_says_how_it_was_tried(model, tried):
     with pytest.raises(StepError, match=rf"Tried: {tried}"):
         simulate(model, compiled=False)
+
+
+def test_index_sets_that_were_not_tried_are_no_proof():
+    """39 366 index sets are too many to be tried one by one; that none of them solves the step is not said."""
+    t, law = ca.SX.sym("t"), product(relay(9), complementarity(1))
+    zero = np.zeros((1, 10))
+    model = LureSystem(t=t, A=[[0.0]], B=zero, C=-np.ones((10, 1)), D=-np.eye(10), f=[0], law=law, x0=[1], t_end=1, step=0.1)
+    with pytest.raises(StepError) as failed:
+        simulate(model)
+    assert "index sets" not in str(failed.value)

@@ -62,10 +62,10 @@ def why(
         )
     if not monotone and mlcp.ENUMERATION in plan.chain:
         count = sum(1 for _ in index_sets(law, np.zeros(law.size, np.int8)))
-        which = "has no solution" if structure.affine else "seems to have no solution"
-        return (
-            f"the step {which}: W is not psd (least eigenvalue {least:.3g}) and none of the {count} index sets satisfies the law"
-        )
+        if count:  # not too many to be tried one by one
+            which = "has no solution" if structure.affine else "seems to have no solution"
+            none = f"none of the {count} index sets satisfies the law"
+            return f"the step {which}: W is not psd (least eigenvalue {least:.3g}) and {none}"
     if not plan.use_last and plan.chain:
         return "the forced solver did not find it"
     if not (structure.affine and law.size):
