@@ -360,6 +360,16 @@ def test_bodies_pass_the_door_in_small_steps(y, compiled):
     assert run.x[-1, 1] == pytest.approx(-np.sqrt(0.75), abs=1e-6)
 
 
+@pytest.mark.parametrize("compiled", WAYS)
+def test_a_step_of_bodies_to_where_their_constraint_is_no_number_is_refused(compiled):
+    """The constraint -x + 0.1 sqrt(1 - y) acts, and the body moves along it to y > 1."""
+    bodies = Bodies([[0.0, 0.9]])
+    i = bodies.member("i")
+    wall = Family(0.1 * ca.sqrt(1 - i.q[1]) - i.q[0] - 0.1 * np.sqrt(0.1), i)
+    with pytest.raises(StepError, match=r"no verified step"):
+        simulate(ManyBodies(bodies=bodies, f=ca.DM([1, 5]), constraints={"wall": wall}, t_end=1, step=0.1), compiled=compiled)
+
+
 def test_linearisations_of_bodies_that_leave_no_point_are_not_said_to_be_the_constraints():
     with pytest.raises(StepError, match=r"linearised at the step's start, the constraints leave no point: .* smaller steps"):
         simulate(door_of_bodies(1e-9))

@@ -10,7 +10,7 @@ left, those enter that are violated without them. Rows are divided by n_i = |gra
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -112,9 +112,9 @@ class BodiesStepper:
         if not residual <= self.tolerance:
             raise self._failure(t + h, rows, hf, found, residual, worst)
         after = q + found.d
-        self._stay_in_reach(t, h, q, after, rows.at(found.m > 0), n[found.m > 0])
-        gap = self._least_gap(t + h, after, present, rows, cutoff - moved)
         acting = np.flatnonzero(found.m > 0)
+        self._stay_in_reach(t, h, q, after, rows.at(acting), n[acting])
+        gap = self._least_gap(t + h, after, present, rows, cutoff - moved)
         contacts = Contacts(
             rows.family[acting], rows.first[acting].astype(np.int32), rows.second[acting].astype(np.int32),
             found.m[acting] / (n[acting] * h),
@@ -143,18 +143,18 @@ class BodiesStepper:
 
         ``rows``: those that act, of unit gradient, which was n_i.
         """
-        turned = replace(rows, g=rows.g.copy(), G=rows.G.copy(), H=rows.H.copy())
+        true, end = np.empty(len(n)), np.empty((len(n), 2 * q.shape[1]))
         for family in np.unique(rows.family):
             of = np.flatnonzero(rows.family == family)
             there = self.problem.rows(int(family), t + h, after, rows.first[of], rows.second[of])
-            turned.g[of], turned.G[of], turned.H[of] = there.g / n[of], there.G / n[of, None], there.H / n[of, None]
+            true[of], end[of] = there.g / n[of], np.hstack([there.G, there.H]) / n[of, None]
         d = np.hstack([(after - q)[rows.first], np.where(rows.pair[:, None], (after - q)[rows.other], 0.0)])
-        start, end = np.hstack([rows.G, rows.H]), np.hstack([turned.G, turned.H])
+        start = np.hstack([rows.G, rows.H])
         d[(start == 0) & (end == 0)] = 0.0
-        off = np.minimum(turned.g - rows.g - (start * d).sum(axis=1), ((end - start) * d).sum(axis=1))
-        beyond = off > REACH * np.sqrt((d**2).sum(axis=1))
+        off = np.minimum(true - rows.g - (start * d).sum(axis=1), ((end - start) * d).sum(axis=1))
+        beyond = ~(off <= REACH * np.sqrt((d**2).sum(axis=1)))  # also where a constraint is not finite
         if beyond.any():
-            worst = int(np.argmax(np.where(beyond, off, -np.inf)))
+            worst = int(np.argmax(np.where(beyond, np.nan_to_num(off, nan=np.inf), -np.inf)))
             ratio, name = off[worst] / np.sqrt((d[worst] ** 2).sum()), self._name(rows, worst)
             raise StepError(
                 f"no verified step from t = {t:.10g} to {t + h:.10g}: {out_of_reach(name, ratio)}",
