@@ -1,7 +1,8 @@
-"""Programs that tests start, and kill in the middle of a run."""
+"""Programs that tests start, and kill in the middle of a run; runs whose steps they interfere with."""
 
 from __future__ import annotations
 
+import importlib
 import os
 import signal
 import subprocess
@@ -10,6 +11,8 @@ import time
 from pathlib import Path
 
 import nsmodel
+
+RUN = importlib.import_module("nsmodel.run")
 
 HERE = Path(__file__).resolve().parent
 
@@ -36,3 +39,30 @@ def kill_when_there(process: subprocess.Popen, path: Path, later: float = 0.0) -
     process.kill()
     process.communicate()
     assert process.returncode == -signal.SIGKILL
+
+
+def before_step(monkeypatch, call, act):
+    """Let the steppers of the next runs ``act`` before their ``call``-th step."""
+    make, calls = RUN.make_stepper, []
+
+    def watched(*args, **options):
+        stepper = make(*args, **options)
+
+        class Watched(type(stepper)):
+            def __call__(self, *args):
+                calls.append(1)
+                if len(calls) == call:
+                    act()
+                return super().__call__(*args)
+
+        stepper.__class__ = Watched
+        return stepper
+
+    monkeypatch.setattr(RUN, "make_stepper", watched)
+
+
+def fail(error):
+    def act():
+        raise error
+
+    return act

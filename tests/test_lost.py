@@ -10,6 +10,7 @@ import threading
 import casadi as ca
 import numpy as np
 import pytest
+from processes import before_step, fail
 
 import nsmodel
 from nsmodel import (
@@ -50,33 +51,6 @@ def bodies(f):
     i, j = discs.member("i"), discs.member("j")
     pair = Family(ca.norm_2(i.q - j.q) - i.r - j.r, i, j)
     return ManyBodies(bodies=discs, f=f(i), constraints={"pair": pair}, t_end=100, step=0.1)
-
-
-def before_step(monkeypatch, call, act):
-    """Let the steppers of the next runs ``act`` before their ``call``-th step."""
-    make, calls = loop.make_stepper, []
-
-    def watched(*args, **options):
-        stepper = make(*args, **options)
-
-        class Watched(type(stepper)):
-            def __call__(self, *args):
-                calls.append(1)
-                if len(calls) == call:
-                    act()
-                return super().__call__(*args)
-
-        stepper.__class__ = Watched
-        return stepper
-
-    monkeypatch.setattr(loop, "make_stepper", watched)
-
-
-def fail(error):
-    def act():
-        raise error
-
-    return act
 
 
 def deliver(number):

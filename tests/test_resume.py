@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 import processes
 import pytest
-from processes import kill_when_there
+from processes import before_step, fail, kill_when_there
 
 import nsmodel
 from nsmodel import (
@@ -126,22 +126,7 @@ def make_small_chunks(monkeypatch):
 
 def stop_at(monkeypatch, call, error):
     """Let the ``call``-th step of the next runs raise ``error``."""
-    make, calls = loop.make_stepper, []
-
-    def broken(*args, **options):
-        stepper = make(*args, **options)
-
-        class Stopping(type(stepper)):
-            def __call__(self, *args):
-                calls.append(1)
-                if len(calls) == call:
-                    raise error
-                return super().__call__(*args)
-
-        stepper.__class__ = Stopping
-        return stepper
-
-    monkeypatch.setattr(loop, "make_stepper", broken)
+    before_step(monkeypatch, call, fail(error))
 
 
 def assert_equal_runs(one, two):
