@@ -17,6 +17,7 @@ import math
 import os
 import re
 import secrets
+import threading
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -29,6 +30,9 @@ from numpy.lib import format as npy
 
 from nsmodel.errors import StorageError
 from nsmodel.version import VERSION
+
+# CPython's parser, which reads an array's header, may fail where two threads of a program parse at once (SystemError).
+_ONE_AT_A_TIME = threading.RLock()
 
 Metadata = Mapping[str, Any]
 Layout = dict[str, tuple[np.dtype, tuple[int, ...]]]
@@ -109,7 +113,7 @@ def write_npz(path: str | Path, arrays: Mapping[str, np.ndarray], metadata: Meta
 
 def read_npz(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Read (arrays, metadata) as ``write_npz`` wrote them."""
-    with _reading(Path(path)) as archive:
+    with _ONE_AT_A_TIME, _reading(Path(path)) as archive:
         metadata = _metadata(archive, path)
         return {name: _whole_array(member) for name, member in _members(archive)}, metadata
 
