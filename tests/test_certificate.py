@@ -413,7 +413,8 @@ def test_the_kernels_residual_is_numpys(name):
         judged = newton.judge(known, at, z, l, index, "test", 1, thorough=False)
         unseen = ROUNDING * UNIT / 1e-9 * (np.abs(at.Y_z) @ np.abs(z) + np.abs(at.Y_l) @ np.abs(l))
         w_max = np.abs(kernel.W).max(axis=1)
-        s_y = output_scale(b, np.abs(kernel.W) @ np.abs(l), w_max)
+        moved = z - (guess_0 - np.linalg.solve(at_0.E_z, at_0.E))
+        s_y = output_scale(b, np.abs(at.Y_z) @ np.abs(moved) + np.abs(at.Y_l) @ np.abs(l), w_max)
         by_hand = law_residual(stepper.law, l, kernel.W @ l + b, s_y, w_max, unseen).max()
         if name == "walls":  # a projection: <l, y> beside |q' - q|^2 + |h f|^2
             moved, y = z - state, kernel.W @ l + b
@@ -474,7 +475,9 @@ LIARS = dict(liars())
 @pytest.fixture
 def without_fallbacks(monkeypatch):
     """Leave the lying solver alone: no IPOPT, no search among the index sets nearby, no solution of the whole system."""
-    monkeypatch.setattr(Newton, "polished", lambda *_: None)
+    for whole in ("polished", "by_whole_system", "by_dual"):
+        monkeypatch.setattr(Newton, whole, lambda *_: None)
+    monkeypatch.setattr(Stepper, "_by_parts", lambda *_: iter(()))
     monkeypatch.setattr(Newton, "_refined", lambda _, known, found: found)
     monkeypatch.setattr(Stepper, "_by_ipopt", lambda *_: iter(()))
     monkeypatch.setattr(Stepper, "_nearby_index_sets", lambda *_: iter(()))

@@ -72,24 +72,24 @@ def text(problem: OneStepProblem, structure: Structure, law: NumericLaw, h: floa
             {"E": E_0 + at.E_z @ z + (at.E_l @ l if m else 0)} | ({"Y": Y_0 + at.Y_z @ z + at.Y_l @ l} if m else {}),
         ),
         c_function(
-            "scale_E", known | E | {"z": z} | multiplier, {"scale": moved + (ca.fabs(at.E_l) @ ca.fabs(l) if m else 0)},
-            "what moves in the step",
+            "scale_E", known | E | {"z": z}, {"scale": moved}, "what moves in the step"
         ),
         c_function(
             "round_off_E", known | {"z": z} | multiplier, {"error": error_bound(at.E, unknowns)}, "running error bound in EPS/2"
         ),
     ]  # fmt: skip
-    sizes = {"felt_E": ca.fabs(at.E_z) @ z + (ca.fabs(at.E_l) @ l if m else 0)}
-    sizes |= {"felt_Y": ca.fabs(at.Y_z) @ z + ca.fabs(at.Y_l) @ l} if m else {}
+    passed = {"felt_E": at.E_z @ z + (at.E_l @ l if m else 0)} | ({"felt_Y": at.Y_z @ z + at.Y_l @ l} if m else {})
     functions.append(
-        c_function("passed_on", {"z": z} | multiplier, sizes, "what E and Y feel of errors of z" + (" and l" if m else ""))
+        c_function("passed_on", {"z": z} | multiplier, passed, "what E and Y feel of errors of z" + (" and l" if m else ""))
     )
     units = _unit_tables(M)
     if not m:
         return units + "\n" + "\n".join(functions)
     functions += [
         c_function("respond", {"z_0": z_0, "l": l}, {"z": z_0 + Z @ l}, "z = z_0 + Z l"),
-        c_function("scale_Y", {"l": l}, {"terms": ca.fabs(ca.sparsify(ca.DM(M.W))) @ ca.fabs(l)}, "|W| |l|"),
+        c_function(
+            "scale_Y", {"l": l}, {"terms": ca.fabs(at.Y_z) @ ca.fabs(Z @ l) + ca.fabs(at.Y_l) @ ca.fabs(l)}, "the terms of W l"
+        ),
         c_function("round_off_Y", known | {"z": z, "l": l}, {"error": error_bound(at.Y, unknowns)}),
     ]  # fmt: skip
     if structure.projection:

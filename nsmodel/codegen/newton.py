@@ -8,6 +8,7 @@ from nsmodel.codegen.expression import c_function
 from nsmodel.codegen.scene import Scene
 from nsmodel.codegen.tables import exact_tables, table
 from nsmodel.solve.rounding import error_bound
+from nsmodel.solve.structure import is_transposed
 
 
 def text(scene: Scene, known: dict[str, ca.SX]) -> str:
@@ -68,9 +69,7 @@ def matrices(scene: Scene) -> list[str]:
 def transposed(scene: Scene) -> bool:
     """Whether E_l = -Y_z' entry for entry."""
     _, E_l, Y_z, _ = scene.jacobians
-    if not scene.structure.m or E_l.sparsity() != Y_z.T.sparsity():
-        return False
-    return bool(ca.simplify(ca.SX(E_l.nz[:]) + ca.SX(Y_z.T.nz[:])).is_zero())
+    return bool(scene.structure.m) and is_transposed(E_l, Y_z)
 
 
 def _put(expression: ca.SX, symbols: list[ca.SX], values: list[ca.SX]) -> ca.SX:

@@ -13,11 +13,12 @@ from nsmodel.errors import StepError, UsageError
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import active_set, cone, diagnose, mlcp
 from nsmodel.solve.certificate import REACH, numeric_law
-from nsmodel.solve.choose import choose, pays
+from nsmodel.solve.choose import DUAL, choose, pays
 from nsmodel.solve.kernel import Kernel
 from nsmodel.solve.layout import Layout
 from nsmodel.solve.newton import Buffered, Iterate, Newton
 from nsmodel.solve.nlp import Programme
+from nsmodel.solve.parts import part, split
 from nsmodel.solve.stepper import StepResult, Warm
 from nsmodel.solve.structure import DENSE, read
 
@@ -50,6 +51,7 @@ class Stepper:
         self.rows = problem.rows
         self._kernels: dict[float, Kernel] = {}
         self._programme: Programme | None = None
+        self._steppers: dict[int, Stepper] = {}  # of the parts
         self._sparse: Sparse | None = None
         order = None
         if solver == "auto" and pays(self.structure, self.law):
@@ -174,8 +176,14 @@ class Stepper:
             else:
                 found = self._newton.solve(t, h, state, warm.l, warm.index, self.plan.chain)
                 yield self._packed(t, h, state, found)
+                if self.plan.use_last and len(self._parts) > 1:
+                    yield from self._by_parts(t, h, state, warm)
                 if self.plan.use_last and not self.law.curved:
                     yield from self._nearby_index_sets(t, h, state, warm)
+        if self.plan.dual:
+            found = self._newton.by_dual(t, h, state)
+            if found is not None:
+                yield self._packed(t, h, state, replace(found, solver=DUAL))
         if self.plan.ipopt != "never":
             yield from self._by_ipopt(t, h, state, warm)
 
@@ -186,10 +194,14 @@ class Stepper:
             b = kernel.b(t, state)
             found = mlcp.solve(kernel.W, b, self.law, warm.l, warm.index, chain, self.structure.symmetric, self.tolerance / 10)
             if not np.isfinite(found.l).all():
-                return
+                break
             yield from self._of(found, kernel, b, t, state)
             tried = chain.index(found.solver) + 1 if found.solver in chain else len(chain)
             chain = chain[tried:]  # W may keep too little to tell what solves the step
+        if not self.law.curved and self.plan.use_last:
+            whole = self._newton.by_whole_system(t, kernel.h, state, warm.l, warm.index)
+            if whole is not None:
+                yield self._packed(t, kernel.h, state, replace(whole, solver=mlcp.INDEX_SET))
 
     def _of(self, found: mlcp.Solution, kernel: Kernel, b: np.ndarray, t: float, state: np.ndarray) -> Iterator[Attempt]:
         """The steps that a solution of y = W l + b makes."""
@@ -228,6 +240,26 @@ class Stepper:
             found = self._newton.on_index_set(t, h, state, z, warm.l, index)
             if found is not None:
                 yield self._packed(t, h, state, found)
+
+    @cached_property
+    def _parts(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        return split(self.problem) if self.law.size else []
+
+    def _by_parts(self, t: float, h: float, state: np.ndarray, warm: Warm) -> Iterator[Attempt]:
+        """The parts that do not touch, each alone: Newton's method on the whole is not that on its parts."""
+        p, newton = self.problem, self._newton
+        z, l, index = np.zeros(p.z.numel()), warm.l.copy(), warm.index.copy()
+        for k, (of_z, of_l) in enumerate(self._parts):
+            if k not in self._steppers:
+                self._steppers[k] = Stepper(part(p, of_z, of_l), "auto", self.tolerance, h=h, state=state, few_steps=False)
+            stepper = self._steppers[k]
+            try:
+                found = stepper(t, h, state, Warm(warm.l[of_l], warm.index[of_l]))
+            except StepError:
+                return
+            z[of_z], l[of_l], index[of_l] = found.row[stepper.layout.slices["z"]], found.row[stepper.layout.l], found.warm.index
+        at = newton.linearise(t, h, state, z, l)
+        yield self._packed(t, h, state, newton.judge(newton.known(t, h, state), at, z, l, index, "by parts", 1))
 
     def _by_ipopt(self, t: float, h: float, state: np.ndarray, warm: Warm) -> Iterator[Attempt]:
         """IPOPT on the whole step from the last multiplier, from 0 and from a spread of starts; polished on its index set."""
@@ -282,7 +314,7 @@ class Stepper:
         residual = np.inf if best is None else best.residual
         component = None if best is None or best.worst_row is None else self.rows[best.worst_row]
         worst = "" if component is None else f", worst row '{component}'"
-        tried = ", ".join([*self.plan.chain, *(["ipopt"] if self.plan.ipopt != "never" else [])]) or (
+        tried = ", ".join(self.plan.solvers) or (
             ", ".join(("block principal pivoting", mlcp.INDEX_SET, mlcp.LEMKE))
             if self.structure.m
             else "the linear system of the step"

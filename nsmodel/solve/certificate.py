@@ -4,8 +4,10 @@ A row passes if |r| <= tolerance * s + c u E: s is what moves or acts in the ste
 row in units of u (`rounding.error_bound`, and `rounding.felt` for what the unknowns themselves err by), c = ROUNDING. Terms that
 cancel enter with u, never with the tolerance. What is reported is |r| / (s + c u E / tolerance), to be at most the tolerance.
 
-With y = W l + b, w_i = max_j |W_ij| and s_y,i = |b_i| + sum_j |W_ij l_j|, s_l,i = s_y,i / w_i, the law's residual is the least
-max(|l - l^| / s_l, |y - y^| / s_y) over points (l^, y^) of the graph {-y^ ∈ N_K(l^)}; 0/0 = 0. Two limits on these scales:
+With y = W l + b = b + Y_z (Z l) + Y_l l, w_i = max_j |W_ij| and s_y = |b| + |Y_z| |Z l| + |Y_l| |l|, s_l,i = s_y,i / w_i, the
+law's residual is the least max(|l - l^| / s_l, |y - y^| / s_y) over points (l^, y^) of the graph {-y^ ∈ N_K(l^)}; 0/0 = 0. Z l is
+how far the multipliers move z: where they oppose one another, what they move counts, not what they cancel. Where W and b are all
+that is known (`mlcp`), |W| |l| stands for it. Two limits on these scales:
 - s_l stays below the size of l_i, of its bounds, and of 1e-6 of the other multipliers in its unit: where y is far from 0, an
   l off its bound would else be measured against what it takes to move y (4e-3 would pass for the relay oscillator);
 - s_y stays below 1000 sqrt(w_i) max_k |b_k| / sqrt(w_k): multipliers that grow without bound, because the step has no
@@ -64,7 +66,7 @@ def numeric_law(law: Law) -> NumericLaw:
 
 
 def output_scale(b: np.ndarray, terms: np.ndarray, w_max: np.ndarray) -> np.ndarray:
-    """s_y (m,) from b, terms = |W| |l| and w_max."""
+    """s_y (m,) from b, the terms of W l, and w_max."""
     root = np.sqrt(w_max)
     weighed = np.divide(np.abs(b), root, out=np.zeros_like(root), where=root > 0)
     cap = GROWTH * root * weighed.max(initial=0.0)

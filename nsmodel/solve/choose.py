@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # SciPy is loaded by who uses it.
 
     from nsmodel.solve.sparse import Order
 
-IPOPT = "ipopt"
+DUAL, IPOPT = "dual active set", "ipopt"
 OWN = {"active-set": mlcp.INDEX_SET, "lemke": mlcp.LEMKE, "enumeration": mlcp.ENUMERATION, "semismooth": mlcp.SEMISMOOTH}
 SOLVERS = ("auto", *qp.SOLVERS, IPOPT, *OWN)
 ENUMERATE_UP_TO = 10
@@ -38,6 +38,7 @@ class Plan:
         ipopt: whether the whole step goes to IPOPT, always ("always") or when the chain has failed ("last").
         monotone: whether W + W' is psd at the start; least_eigenvalue: its least eigenvalue, scaled by W's diagonal.
         used, left_out: lines for `--explain`.
+        dual: whether the step is a nearest point that goes to the dual active set method when the chain has failed.
     """
 
     path: str
@@ -48,6 +49,12 @@ class Plan:
     least_eigenvalue: float
     used: tuple[str, ...]
     left_out: tuple[str, ...]
+    dual: bool = False
+
+    @property
+    def solvers(self) -> tuple[str, ...]:
+        """What is tried, in this order."""
+        return (*self.chain, *((DUAL,) if self.dual else ()), *((IPOPT,) if self.ipopt != "never" else ()))
 
     def text(self, problem: OneStepProblem) -> str:
         """The plan for a person."""
@@ -87,11 +94,12 @@ def choose(
         left_out.append("W, which is dense: each index set gives one sparse system for the unknowns and the multipliers")
         return Plan(path, (), True, "never", monotone, least, tuple(used), tuple(left_out))
     if solver == "auto":
-        chain = _chain(structure, law, monotone)
+        chain, dual = _chain(structure, law, monotone), structure.nearest
+        plan = Plan(path, chain, True, "last" if structure.m else "never", monotone, least, (), tuple(left_out), dual)
         if chain:
             first = () if law.curved or path == "newton" else ("last index set",)
-            used.append("solvers, each answer polished and certified: " + ", ".join([*first, *chain, IPOPT]))
-        return Plan(path, chain, True, "last" if structure.m else "never", monotone, least, tuple(used), tuple(left_out))
+            used.append("solvers, each answer polished and certified: " + ", ".join([*first, *plan.solvers]))
+        return replace(plan, used=tuple(used))
     _check_applies(solver, structure, law, monotone, least)
     used.append(f"solver {solver} alone (forced), its answer polished on the index set and certified")
     chain = () if solver == IPOPT else (OWN.get(solver, solver),)

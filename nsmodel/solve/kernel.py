@@ -18,6 +18,7 @@ from nsmodel.solve.rounding import UNIT, condition, equilibrated, is_fragile
 from nsmodel.solve.structure import Structure
 
 UNDETERMINED = 1e-2  # Part of z that rounding may decide.
+SINGULAR = 1e13  # Condition from which on a matrix counts as singular.
 CSE_BELOW = 80  # Unknowns up to which sharing common subexpressions pays for the time it takes.
 
 
@@ -32,7 +33,7 @@ class Kernel:
         self, problem: OneStepProblem, structure: Structure, law: NumericLaw, where: Layout, h: float, tolerance: float
     ) -> None:
         E_z, E_l, Y_z, Y_l = matrices = matrices_at(problem, h)
-        m, self.h = structure.m, h
+        m, self.h, self._matrices = structure.m, h, matrices
         inverse = regular_inverse(E_z)
         self.Z = -inverse @ E_l
         self.W = Y_l + Y_z @ self.Z
@@ -69,7 +70,8 @@ class Kernel:
             found = _index_map(self.W, self.law, index)
             if found is None:
                 return False
-            self._maps[key] = found
+            S, s, fragile = found
+            self._maps[key] = S, s, fragile and self._is_regular(np.flatnonzero(index == 0))
         self._S[:], self._s[:], self.fragile = self._maps[key]
         self._free[:] = index == 0
         self.loaded = index
@@ -80,6 +82,12 @@ class Kernel:
         self._S[:], self._s[:] = 0.0, l
         self._free[:] = index == 0
         self.loaded = None
+
+    def _is_regular(self, free: np.ndarray) -> bool:
+        """Whether the whole system is regular on an index set, as far as double precision tells."""
+        E_z, E_l, Y_z, Y_l = self._matrices
+        J = np.block([[E_z, E_l[:, free]], [Y_z[free], Y_l[np.ix_(free, free)]]])
+        return bool(np.isfinite(J).all() and np.linalg.cond(equilibrated(J)[0]) <= SINGULAR)
 
     def b(self, t: float, state: np.ndarray) -> np.ndarray:
         """The vector b of y = W l + b."""
@@ -108,29 +116,31 @@ def matrices_at(problem: OneStepProblem, h: float) -> tuple[np.ndarray, ...]:
 
 
 def _index_map(W: np.ndarray, law: NumericLaw, index: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool] | None:
+    """S, s, and whether W keeps too little there; None where a bound is infinite."""
     m, fragile = law.size, False
     S, s = np.zeros((m, m)), np.where(index < 0, law.lower, np.where(index > 0, law.upper, 0.0))
     if not np.isfinite(s).all():
         return None
     free = np.flatnonzero(index == 0)
     if free.size:
-        inverse = _inverse(W[np.ix_(free, free)])
+        A = W[np.ix_(free, free)]
+        inverse, regular = _inverse(A)
         S[np.ix_(free, free)] = -inverse
         s[free] = -inverse @ (W[free] @ s)
-        fragile = is_fragile(W[np.ix_(free, free)], inverse)
+        fragile = not regular or is_fragile(A, inverse)
     return S, s, fragile
 
 
-def _inverse(A: np.ndarray) -> np.ndarray:
-    """A^-1, or the pseudo-inverse where A is singular, which is decided in units in which it is well scaled."""
+def _inverse(A: np.ndarray) -> tuple[np.ndarray, bool]:
+    """A^-1, or the pseudo-inverse where A is singular, which is decided in units in which it is well scaled; and which."""
     scaled, rows, columns = equilibrated(A)
     try:
         inverse = np.linalg.inv(scaled)
     except np.linalg.LinAlgError:
-        return np.linalg.pinv(A)
-    if not np.abs(inverse).max() * np.abs(scaled).max() <= 1e13:
-        return np.linalg.pinv(A)
-    return columns[:, None] * inverse * rows
+        return np.linalg.pinv(A), False
+    if not np.abs(inverse).max() * np.abs(scaled).max() <= SINGULAR:
+        return np.linalg.pinv(A), False
+    return columns[:, None] * inverse * rows, True
 
 
 class AtStep(NamedTuple):
@@ -188,13 +198,13 @@ def _functions(
     if structure.rest_rows:
         z = ca.if_else(ca.sum1(free[list(structure.rest_rows)]) == len(structure.rest_rows), 0, z)
     one = ca.SX.sym("one")
-    judged = _judge(p, at, structure, law, tolerance, W).call([p.t, p.state, *(one * ca.densify(e) for e in (z, l, b)), free])
+    judged = _judge(p, at, structure, law, tolerance, Z, W).call([p.t, p.state, *(one * ca.densify(e) for e in (z, l, b)), free])
     step = ca.Function("step", [p.t, p.state, S, s, free, one], judged, {"cse": structure.n + m < CSE_BELOW})
     return step, ca.Function("b", [p.t, p.state], [ca.densify(b)])
 
 
 def _judge(
-    p: OneStepProblem, at: AtStep, structure: Structure, law: NumericLaw, tolerance: float, W: np.ndarray
+    p: OneStepProblem, at: AtStep, structure: Structure, law: NumericLaw, tolerance: float, Z: np.ndarray, W: np.ndarray
 ) -> ca.Function:  # fmt: skip
     """The certificate and the packed row as a function of (t, state, z, l, b, free): `Newton.judge` in symbols.
 
@@ -206,7 +216,7 @@ def _judge(
     error_E = rounding * (ca.fabs(at.E_z) @ ca.fabs(z) + ca.fabs(at.E_l) @ ca.fabs(l))
     error_Y = rounding * (ca.fabs(at.Y_z) @ ca.fabs(z) + ca.fabs(at.Y_l) @ ca.fabs(l))
     # The scale of E: what moves in the step, not where it happens (positions far from 0 do not excuse an error).
-    s_E = ca.fabs(at.E_guess) + ca.fabs(at.E_z) @ ca.fabs(z - at.guess) + ca.fabs(at.E_l) @ ca.fabs(l)
+    s_E = ca.fabs(at.E_guess) + ca.fabs(at.E_z) @ ca.fabs(z - at.guess)
     s_E = ca.fmax(s_E + error_E / tolerance, UNRESOLVED)
     # An infinite scale excuses nothing.
     ratios = [ca.if_else(s_E[i] < ca.inf, ca.fabs(at.E[i]) / s_E[i], ca.inf) for i in range(n)]
@@ -214,7 +224,8 @@ def _judge(
     settled = ca.SX(1)
     if m:
         w_max = np.abs(W).max(axis=1)
-        s_y = output_scale_sx(b, ca.fabs(ca.sparsify(ca.DM(W))) @ ca.fabs(l), w_max)
+        terms = ca.fabs(at.Y_z) @ ca.fabs(ca.sparsify(ca.DM(Z)) @ l) + ca.fabs(at.Y_l) @ ca.fabs(l)
+        s_y = output_scale_sx(b, terms, w_max)
         s_y = ca.fmax(s_y + error_Y / tolerance, UNRESOLVED)
         box = [i for i in range(m) if not any(rows.start <= i < rows.stop for _, rows, _ in law.curved)]
         residual = ca.fmax(residual, box_residual_sx(law, box, w_max, l, at.Y, s_y))

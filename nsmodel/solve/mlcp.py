@@ -10,7 +10,7 @@ import numpy as np
 
 from nsmodel.solve import active_set, cone, qp
 from nsmodel.solve.certificate import EPS, ROUNDING, NumericLaw, law_residual, output_scale
-from nsmodel.solve.rounding import UNIT, felt_dense
+from nsmodel.solve.rounding import UNIT, felt_dense, largest
 
 INDEX_SET, LEMKE, ENUMERATION, SEMISMOOTH = "index set", "lemke", "enumeration", "semismooth"
 
@@ -45,7 +45,7 @@ def _with_rounding(
     free = index == 0
     error, of = np.abs(W) @ np.abs(l) + np.abs(b), np.zeros(law.size)
     if free.any():
-        of[free] = felt_dense(W[np.ix_(free, free)], error[free])
+        of[free] = largest(felt_dense(W[np.ix_(free, free)], error[free]))
     c_u = ROUNDING * UNIT / tolerance
     return _residual(W, b, law, l, c_u * (error + np.abs(W) @ of), c_u * of)
 

@@ -18,12 +18,14 @@ from nsmodel.model.expressions import column
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import active_set, mlcp
 from nsmodel.solve.certificate import EPS, ROUNDING, UNRESOLVED, NumericLaw, law_residual, output_scale
+from nsmodel.solve.dual import nearest
 from nsmodel.solve.layout import extras
-from nsmodel.solve.rounding import UNIT, equilibrated, error_bound, felt_dense, is_fragile
+from nsmodel.solve.rounding import UNIT, equilibrated, error_bound, felt_dense, is_fragile, largest
 from nsmodel.solve.structure import Structure, least_eigenvalue
 
 ITERATIONS = 30
 SWEEPS = 12  # Index sets that are tried on the whole system.
+CUTS = 40  # Linearisations of curved constraints, of all of which the nearest point is found.
 REFINEMENTS = 5  # Of an affine step on an index set.
 NEAR = 1e-6  # Part of the unknowns: the size of a last step of Newton's method.
 TINY = 2.0**-20  # The least part of a step of Newton's method.
@@ -281,12 +283,10 @@ class Newton:
             if worst > self.tolerance:
                 J, free = self._system(at, index)
                 of = felt_dense(J, np.concatenate([error[:n], error[n:][free]]))
-                dz, dl = of[:n], np.zeros(l.size)
+                dz, dl = of[:n], np.zeros((l.size, of.shape[1]))
                 dl[free] = of[n:]
-                error = error + np.concatenate([
-                    np.abs(at.E_z) @ dz + np.abs(at.E_l) @ dl, np.abs(at.Y_z) @ dz + np.abs(at.Y_l) @ dl
-                ])  # fmt: skip
-                worst, row = self._residual(known, at, z, l, scales, error, dl)
+                error = error + largest(np.concatenate([at.E_z @ dz + at.E_l @ dl, at.Y_z @ dz + at.Y_l @ dl]))
+                worst, row = self._residual(known, at, z, l, scales, error, largest(dl))
         y = np.where(index == 0, 0.0, at.Y) if l.size else at.Y
         return Iterate(z, l, index, y, worst, row, solver, iterations)
 
@@ -297,7 +297,7 @@ class Newton:
         dz = z - known.guess
         # E where nothing moves counts no more than the linearisation at the answer makes of it: far away, it may be anything.
         unmoved = np.minimum(known.unmoved, np.abs(at.E - at.E_z @ dz - at.E_l @ l))
-        s_E = unmoved + np.abs(at.E_z) @ np.abs(dz) + np.abs(at.E_l) @ np.abs(l)
+        s_E = unmoved + np.abs(at.E_z) @ np.abs(dz)
         return s_E, *(self._law_scales(at, z, l, index) if l.size else (l, l))
 
     def _residual(
@@ -351,12 +351,13 @@ class Newton:
         eliminated = self._eliminate(at)
         Z = np.zeros((z.size, l.size)) if eliminated is None else eliminated[1]
         columns = np.flatnonzero(l)
-        W_active = at.Y_l[:, columns] + at.Y_z @ Z[:, columns]
-        b = at.Y - W_active @ l[columns]
+        moved, pushed = Z[:, columns] @ l[columns], at.Y_l[:, columns] * l[columns]
+        b = at.Y - at.Y_z @ moved - pushed.sum(axis=1)
+        terms = np.abs(at.Y_z) @ np.abs(moved) + np.abs(pushed).sum(axis=1)
         rows = np.flatnonzero((l != self.law.lower) | (index == 0)) if self._complementarity else np.arange(l.size)
         w_max = np.ones(l.size)
         w_max[rows] = np.abs(at.Y_l[rows] + at.Y_z[rows] @ Z).max(axis=1, initial=0.0)
-        return output_scale(b, np.abs(W_active) @ np.abs(l[columns]), w_max), w_max
+        return output_scale(b, terms, w_max), w_max
 
     def polished(self, t: float, h: float, state: np.ndarray, l: np.ndarray, index: np.ndarray) -> Iterate | None:
         """The step on an index set by the whole system; with a block on its curved boundary at the l given, z refined."""
@@ -380,6 +381,34 @@ class Newton:
         z, known = self.start(t, h, state, l)
         return self._whole(known, z, l, index)
 
+    def by_dual(self, t: float, h: float, state: np.ndarray) -> Iterate | None:
+        """The nearest point of {Y >= 0} by the dual active set method; None where it finds none.
+
+        Where Y is curved, of the polyhedron that its linearisations at all points so far leave: where Y is concave, it holds
+        the set, and the points tend to the one that is sought (Kelley, J. SIAM 8, 1960).
+        """
+        l = np.zeros(self.law.size)
+        z, known = self.start(t, h, state, l)
+        normals, levels, point, held = np.zeros((0, z.size)), np.zeros(0), None, np.zeros(0, int)
+        for _ in range(1 if self.structure.affine else CUTS):
+            at = self.linearise(t, h, state, z, l)
+            if not (np.isfinite(at.E).all() and np.isfinite(at.Y).all() and np.isfinite(at.Y_z).all()):
+                return None
+            point = z - at.E if point is None else point
+            normals, levels = np.vstack([normals, at.Y_z]), np.concatenate([levels, at.Y_z @ z - at.Y])
+            found = nearest(point, normals, levels)
+            if found is None:
+                return None
+            last, (z, held) = z, found
+            if np.linalg.norm(z - last) <= NEAR * np.linalg.norm(z - point):
+                break
+        index = np.full(l.size, -1, np.int8)
+        index[held % l.size] = 0
+        if self.structure.affine:
+            return self._whole(known, z, l, index)
+        np.add.at(l, held % l.size, np.linalg.lstsq(normals[held].T, z - point, rcond=None)[0])
+        return self._on_index_set(known, z, l, index)
+
     def _is_fragile(self, at: Linearisation, index: np.ndarray) -> bool:
         """Whether W, eliminated at an iterate, keeps too little of the whole system on its index set."""
         free = np.flatnonzero(index == 0)
@@ -395,20 +424,36 @@ class Newton:
     def _whole(
         self, known: Known, z: np.ndarray, l: np.ndarray, index: np.ndarray, best: Iterate | None = None
     ) -> Iterate | None:
-        """An active set method on the whole system; ``best``: what elimination has found."""
-        seen = set()
-        while index.tobytes() not in seen and len(seen) < SWEEPS:
+        """An active set method on the whole system; ``best``: what elimination has found.
+
+        All rows that contradict their codes change at once, until that repeats itself; then one at a time, the last of them,
+        which ends for P-matrices (Murty, Linear Algebra and its Applications 7, 1974).
+        """
+        seen, single = set(), False
+        for _ in range(SWEEPS + 2 * index.size):
+            if index.tobytes() in seen:
+                if single:
+                    break
+                seen, single = set(), True
             seen.add(index.tobytes())
             found = self._on_index_set(known, z, l, index, least=2)
             if found is None:
                 break
             best = found if best is None or found.residual <= max(best.residual, self._enough) else best
-            if found.residual <= self.tolerance:
-                break
             z, l = found.z, found.l
-            y = self.linearise(*known[:3], z, l).Y
+            at = self.linearise(*known[:3], z, l)
+            unseen = ROUNDING * UNIT * (np.abs(at.Y_z) @ np.abs(z) + np.abs(at.Y_l) @ np.abs(l) + np.abs(at.Y))
             outside = np.where(l < self.law.lower, -1, np.where(l > self.law.upper, 1, 0))
-            index = np.where(index == 0, outside, np.where(index * y > 0, 0, index)).astype(np.int8)
+            if found.residual > self.tolerance:  # rows that cannot all be held: one that is left open goes to its bound
+                left_open = np.where((at.Y > unseen) & np.isfinite(self.law.lower), -1, 0)
+                left_open = np.where((at.Y < -unseen) & np.isfinite(self.law.upper), 1, left_open)
+                outside = np.where(outside == 0, left_open, outside)
+            called_for = np.where(index == 0, outside, np.where(index * at.Y > unseen, 0, index))
+            wrong = np.flatnonzero(called_for != index)
+            if not wrong.size and found.residual <= self.tolerance:
+                return found
+            index = index.copy()
+            index[wrong[-1:] if single else wrong] = called_for[wrong[-1:] if single else wrong]
         return best
 
     def _on_boundary(self, index: np.ndarray) -> bool:

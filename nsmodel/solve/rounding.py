@@ -92,10 +92,11 @@ def signs(n: int) -> np.ndarray:
 
 
 def felt(solve: Callable[[np.ndarray], np.ndarray], error: np.ndarray, size: np.ndarray, units: np.ndarray) -> np.ndarray:
-    """What the solution of J w = r errs by where the rows do so by ``error``: |J^-1| error, from below, in units of u.
+    """What the solution of J w = r errs by where the rows do so by ``error``: J^-1 (+-error) (n, PROBES), in units of u.
 
-    An entry of J^-1 (+-error) is never more than that, and the largest of a few is rarely much less: no inverse is formed.
-    Where J is so ill-conditioned (WORTH) that rounding could excuse any row, it excuses none.
+    The largest of a few is rarely much less than |J^-1| error: no inverse is formed. What another row feels of them, of their
+    cancelling parts too, is the largest of row @ J^-1 (+-error). Where J is so ill-conditioned (WORTH) that rounding could excuse
+    any row, it excuses none.
 
     Args:
         solve: r -> J^-1 r, J the matrix (n, n) of the system that an index set makes of a step.
@@ -106,8 +107,13 @@ def felt(solve: Callable[[np.ndarray], np.ndarray], error: np.ndarray, size: np.
     with np.errstate(over="ignore", invalid="ignore"):
         condition = np.max([np.abs(solve(s * size)) / units for s in probes], initial=0.0)
         if not condition <= WORTH:
-            return np.zeros(error.size)
-        return np.max([np.abs(solve(s * error)) for s in probes], axis=0, initial=0.0)
+            return np.zeros((error.size, 1))
+        return np.column_stack([solve(s * error) for s in probes])
+
+
+def largest(rows: np.ndarray) -> np.ndarray:
+    """The largest entry of each row, in absolute value."""
+    return np.abs(rows).max(axis=1, initial=0.0)
 
 
 def felt_dense(J: np.ndarray, error: np.ndarray) -> np.ndarray:

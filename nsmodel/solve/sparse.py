@@ -33,7 +33,7 @@ from nsmodel.solve import active_set, mlcp
 from nsmodel.solve.certificate import EPS, ROUNDING, UNRESOLVED, NumericLaw
 from nsmodel.solve.layout import extras
 from nsmodel.solve.newton import Buffered, Iterate
-from nsmodel.solve.rounding import UNIT, error_bound, felt, scales
+from nsmodel.solve.rounding import UNIT, error_bound, felt, largest, scales
 from nsmodel.solve.structure import DENSE, Structure
 
 BAND = 48  # Diagonals above or below the main one up to which a band is factored.
@@ -380,7 +380,7 @@ class Sparse:
             return again
         rows = np.concatenate([np.ones(at.n, bool), ~held])
         of = felt(lambda r: at.solve(factor, np.where(rows, r, 0.0), held), error, at.sizes @ at.columns, at.columns)
-        return self._judge(at, step, u, F, error + at.sizes @ of, found.index)
+        return self._judge(at, step, u, F, error + largest(at.J @ of), found.index)
 
     def _judge(self, at: AtStep, step: _Step, u: np.ndarray, F: np.ndarray, error: np.ndarray, index: np.ndarray) -> Iterate:
         """The certificate: E beside what moves, y beside b, l exactly where it must be; ``error``: of the rows, in units of u."""
@@ -388,7 +388,7 @@ class Sparse:
         z, l, E, Y = u[:n], u[n:], F[:n], F[n:]
         unseen = ROUNDING * UNIT / tolerance * error
         guess = np.concatenate([step.guess, np.zeros(l.size)])
-        scale = np.abs(step.constant + at.J @ guess) + at.sizes @ np.abs(u - guess)
+        scale = np.abs(step.constant + at.J @ guess) + at.sizes[:, :n] @ np.abs(z - step.guess)
         scale[n:] = 0.0
         off = np.where(index == 0, np.abs(Y), np.maximum(index * Y, 0.0))
         if (off > 1e-2 * tolerance * unseen[n:]).any():

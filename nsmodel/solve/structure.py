@@ -37,7 +37,8 @@ class Structure:
             is exact where these are.
         rest_rows: rows y = A z with a constant A of full column rank: z = 0 exactly where all of them are 0.
         gram: W = Y_z Y_z' by construction (identity, symmetric, no Y_l): psd.
-        projection: z is the projection of a point on {Y >= 0}: gram with E_l = -Y_z', and complementarity in every row.
+        nearest: z is the nearest point of {Y >= 0} to a given one: E = z - p - Y_z' l, and complementarity in every row.
+        projection: that, with Y affine: W = Y_z Y_z'.
         n, m: numbers of unknowns z and of multipliers.
         nonzeros: structural nonzeros of the matrix [E_z E_l; Y_z Y_l], out of (n + m)^2.
     """
@@ -50,6 +51,7 @@ class Structure:
     follow_rows: tuple[tuple[int, tuple[tuple[int, tuple[int, ...]], ...]], ...]
     rest_rows: tuple[int, ...]
     gram: bool
+    nearest: bool
     projection: bool
     n: int
     m: int
@@ -68,6 +70,13 @@ def read(problem: OneStepProblem) -> Structure:
     symmetric = factors is not None
     gram = identity and symmetric and Y_l.nnz() == 0
     constant = affine and not _depends(matrices, known)
+    nearest = (
+        set(problem.law.labels) == {"complementarity"}
+        and factors is not None
+        and np.allclose(factors, 1, rtol=1e-13, atol=0)
+        and Y_l.nnz() == 0
+        and _moves_alone(problem)
+    )
     return Structure(
         affine=affine,
         constant=constant,
@@ -77,11 +86,18 @@ def read(problem: OneStepProblem) -> Structure:
         follow_rows=_follow_rows(E_z, E_l, unit) if constant else (),
         rest_rows=() if len({j for _, j, _ in unit}) == z.numel() else _rest_rows(problem, Y_z, Y_l),
         gram=gram,
-        projection=gram and np.allclose(factors, 1, rtol=1e-13, atol=0) and set(problem.law.labels) == {"complementarity"},
+        nearest=nearest,
+        projection=nearest and gram,
         n=z.numel(),
         m=l.numel(),
         nonzeros=sum(J.nnz() for J in (E_z, E_l, Y_z, Y_l)),
     )
+
+
+def _moves_alone(p: OneStepProblem) -> bool:
+    """Whether E = z - p without multipliers."""
+    J = ca.jacobian(ca.substitute([p.E], [p.l], [ca.SX.zeros(p.l.shape)])[0] - p.z, p.z)
+    return _is_zero(J)
 
 
 def _depends(expression: ca.SX, symbols: ca.SX) -> bool:
@@ -96,6 +112,8 @@ def _factors(E_z: ca.SX, E_l: ca.SX, Y_z: ca.SX, Y_l: ca.SX, problem: OneStepPro
     """The a >= 0 with E_z = E_z', E_l = -a Y_z', Y_l = Y_l' at three generic points of the unknowns; None where there is none."""
     if not problem.l.numel():
         return []
+    if E_z.is_constant() and not Y_l.nnz() and is_transposed(E_l, Y_z) and _equal(ca.DM(E_z), ca.DM(E_z).T):
+        return [1.0]
     symbols = ca.vertcat(problem.t, problem.h, problem.state, problem.p, problem.z, problem.l)
     f = ca.Function("matrices", [symbols], [E_z, E_l, Y_z, Y_l])
     rng, factors = np.random.default_rng(0), []
@@ -109,6 +127,11 @@ def _factors(E_z: ca.SX, E_l: ca.SX, Y_z: ca.SX, Y_l: ca.SX, problem: OneStepPro
             return None
         factors.append(float(factor))
     return factors
+
+
+def is_transposed(E_l: ca.SX, Y_z: ca.SX) -> bool:
+    """Whether E_l = -Y_z', entry for entry."""
+    return E_l.sparsity() == Y_z.T.sparsity() and _is_zero(ca.SX(E_l.nz[:]) + ca.SX(Y_z.T.nz[:]))
 
 
 def _equal(a: ca.DM, b: ca.DM) -> bool:

@@ -29,8 +29,9 @@ from .truth import Teller, Truth
 
 EPS = np.finfo(float).eps
 RIGHT, SLACK = 1e-7, 64.0
+RESOLVED = 1e-14  # Part of the motion that the solution of a linear system leaves of a row.
+NOT_UNIQUE = ("bilinear", "decay")
 WELL = 1e8  # Condition up to which nothing is excused.
-THROWN = 10.0  # An active constraint's second-order term beside what the step had to move it by.
 REFUSED, WRONG_X, WRONG_L, VIOLATED, THREW, COPY = "refused", "wrong x", "wrong l", "violated", "thrown", "copy"
 UNFOUNDED, ERROR = "unfounded", "error"
 
@@ -268,7 +269,7 @@ def _judge_constraints(case: Case, model: Any, run: Run, verdict: Verdict, compi
     G = ca.jacobian(g, q)
     q_next = ca.SX.sym("q_next", q.numel())
     tell = Exact([t, q, q_next], [ca.substitute(g, q, q_next), g + G @ (q_next - q)])
-    sizes = ca.Function("sizes", [t, q], [ca.densify(g), ca.densify(G), ca.densify(ca.jacobian(g, t)), ca.densify(model.f)])
+    sizes = ca.Function("sizes", [t, q], [ca.densify(G), ca.densify(model.f)])
     magnitude = Rounding([t, q], [g])
     for k in range(run.N):
         end, x = float(run.arrays["t"][k] + model.step), run.x[k + 1]
@@ -276,9 +277,10 @@ def _judge_constraints(case: Case, model: Any, run: Run, verdict: Verdict, compi
         true, linear = (np.array(part) for part in tell([exact(end)], column(run.x[k]), column(x)))
         with decimal.localcontext(CONTEXT):
             value, left_out = floats(true), floats(true - linear)
-        now, Gk, gt, f = (np.array(part) for part in sizes(end, run.x[k]))
+        Gk, f = (np.array(part) for part in sizes(end, run.x[k]))
         added = np.abs(x) + np.abs(run.x[k]) + np.abs(float(model.step) * f.ravel()) + np.abs(Gk).T @ run.l[k + 1]
         rounding = EPS * (magnitude([end], x)[0] + np.abs(Gk) @ added)
+        rounding += RESOLVED * np.abs(Gk) @ np.abs(x - run.x[k])
         ratio = np.minimum(left_out, 0.0) - value
         ratio = ratio / np.maximum(SLACK * rounding, 1e-290)
         worst = int(np.argmax(ratio))
@@ -289,14 +291,16 @@ def _judge_constraints(case: Case, model: Any, run: Run, verdict: Verdict, compi
                 f"rounding {rounding[worst]:.1e}, m = {run.l[k + 1][worst]:.3g}",
                 compiled,
             ))  # fmt: skip
-        needed = np.abs(now.ravel()) + np.abs(Gk) @ np.abs(float(model.step) * f.ravel()) + np.abs(gt.ravel()) * float(model.step)
-        thrown = np.where(run.l[k + 1] > 0, value, 0) / np.maximum(THROWN * needed + SLACK * rounding, 1e-290)
+        own = np.abs(np.sign(Gk)) @ (x - run.x[k]) ** 2
+        moved = np.linalg.norm(Gk, axis=1) * np.sqrt(own)
+        thrown = np.where(run.l[k + 1] > 0, left_out, 0) / np.maximum(moved / 3 * (1 + RIGHT) + SLACK * rounding, 1e-290)
         worst = int(np.argmax(thrown))
         name = model.multiplier_names[worst]
         if thrown[worst] > 1 and name not in run.warnings:
             verdict.findings.append(Finding(
                 case.id, case.scene, THREW, k, float(thrown[worst]), np.nan,
-                f"'{name}' acts and ends {value[worst]:.3g} away; the step had to move it by {needed[worst]:.3g}", compiled,
+                f"'{name}' acts and ends {left_out[worst]:.3g} off its linearisation; its bodies moved by {moved[worst]:.3g}",
+                compiled,
             ))  # fmt: skip
 
 
@@ -308,6 +312,11 @@ def _judge_copies(case: Case, run: Run, verdict: Verdict, compiled: bool) -> Non
         alone = Run(case.model(i), False)
         n, m = alone.x.shape[1], alone.l.shape[1]
         rows = min(run.N, alone.N) + 1
+        if case.scene.endswith(NOT_UNIQUE):  # another solution is one as well
+            same = (run.index[:rows, at_l : at_l + m] == alone.index[:rows]).all(axis=1) & (
+                run.index[:rows, at_l : at_l + m] > -2
+            ).all(axis=1)
+            rows = 1 + int(np.argmin(same[1:])) if not same[1:].all() else rows
         here = run.x[:rows, at_x : at_x + n]
         size = np.maximum.accumulate(np.abs(alone.x[:rows] - alone.x[0]).max(axis=1, keepdims=True))
         offset = np.abs(alone.x).max()

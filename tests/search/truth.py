@@ -15,6 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 from scipy import linalg
+from scipy.optimize import linprog
 
 from nsmodel.solve import active_set
 from nsmodel.solve.certificate import NumericLaw
@@ -25,6 +26,7 @@ from .digits import CONTEXT, Exact, Rounding, column, exact, floats, solve
 EPS = np.finfo(float).eps
 FINE = Decimal("1e-40")  # To which a set is solved, beside what each unknown is made of.
 NOTHING = Decimal("1e-38")  # Beside the largest it has been made of, an unknown below this is 0.
+ANY = 1e200  # A multiplier that may be any number.
 SIGN = Decimal("1e-32")  # Below which, beside its terms, an output or a multiplier counts as 0.
 ENUMERATED = 7  # Rows up to which all index sets are tried.
 
@@ -204,7 +206,10 @@ class Teller:
             return None, None
         du = -inverse @ small
         u = np.abs(np.concatenate([floats(z), floats(l)]))
-        size = np.abs(inverse) @ (np.abs(J) @ (u + np.abs(du) * float(top)))
+        with np.errstate(all="ignore"):
+            size = np.abs(inverse) @ (np.abs(J) @ (u + np.abs(du) * float(top)))
+        if not (np.isfinite(du).all() and np.isfinite(size).all()):
+            return None, None
         with decimal.localcontext(CONTEXT):
             return [exact(v) * top for v in du], [exact(max(v, 1e-300)) for v in size]
 
@@ -217,12 +222,16 @@ class Teller:
         except np.linalg.LinAlgError:
             inverse = np.full_like(A, np.inf)
         if not np.abs(inverse).sum(axis=1).max() * np.abs(A).sum(axis=1).max() < 1e13:
-            U, s, Vt = np.linalg.svd(A)
+            try:
+                U, s, Vt = np.linalg.svd(A)
+            except np.linalg.LinAlgError:
+                return None
             keep = s > 1e-11 * s[0]
             if s[~keep].max(initial=0.0) > 1e-3 * s[keep].min():
                 return None
             inverse = (Vt[keep].T / s[keep]) @ U[:, keep].T
-        inverse = inverse / cols[:, None] / rows
+        with np.errstate(all="ignore"):
+            inverse = inverse / cols[:, None] / rows
         self._last = J.copy(), inverse
         return inverse
 
@@ -372,21 +381,61 @@ class Teller:
             whole = J.copy()
             fixed = np.flatnonzero((index != 0) & ~self.curved)
             whole[n + fixed] = np.hstack([Y_z, Y_l])[fixed]
-            self._add_ties(index, Y_1, np.concatenate([a_E, a_Y]), whole, rounding)
+            self._add_near_bounds(index, np.concatenate([a_E, a_Y]), whole, lf, rounding)
+            self._add_ties(index, Y_1, np.concatenate([a_E, a_Y]), whole, lf, rounding)
         return Truth(z, l, Y, index, condition, size[:n], size[n:], rounding[:n], rounding[n:])
 
-    def _add_ties(self, index, Y, a, J, rounding):
-        """A row at its bound whose y is 0 to rounding may as well be free: what that moves."""
+    def _add_ties(self, index, Y, a, J, l, rounding):
+        """A row at its bound whose y is 0 to rounding may as well be free: what that moves, and what may then be any."""
         n = self.n
-        tied = (index != 0) & ~self.curved & (np.abs(Y) <= 256 * EPS * a[n:])
+        felt = 4 * np.abs(J[n:, :n]) @ rounding[:n]  # of y, where its row is whole
+        tied = (index != 0) & ~self.curved & (np.abs(Y) <= 256 * EPS * a[n:] + felt)
         if not tied.any():
             return
         keep = np.concatenate([np.arange(n), n + np.flatnonzero((index == 0) | self.curved | tied)])
         A = J[np.ix_(keep, keep)]
         rows, cols = equilibrate(A)
         with np.errstate(all="ignore"):
+            U, s, Vt = np.linalg.svd(A / rows[:, None] / cols)
+            seen = s > 1e-13 * s.max(initial=0.0)
+            inverse = (Vt[seen].T / s[seen]) @ U[:, seen].T / cols[:, None] / rows
+        rounding[keep] = np.maximum(rounding[keep], 4 * EPS * (np.abs(inverse) @ a[keep]))
+        rounding[keep[n:]] = np.maximum(rounding[keep[n:]], self._spread(Vt[~seen], cols, l, keep[n:] - n))
+
+    def _add_near_bounds(self, index, a, J, l, rounding):
+        """A row whose l is not told from its bound may as well be there: what moves without it."""
+        n = self.n
+        near = (index == 0) & ~self.curved & (np.minimum(l - self.lower, self.upper - l) <= 4 * rounding[n:])
+        if not near.any():
+            return
+        keep = np.concatenate([np.arange(n), n + np.flatnonzero(((index == 0) & ~near) | self.curved)])
+        A = J[np.ix_(keep, keep)]
+        rows, cols = equilibrate(A)
+        with np.errstate(all="ignore"):
             inverse = np.linalg.pinv(A / rows[:, None] / cols, rcond=1e-13) / cols[:, None] / rows
         rounding[keep] = np.maximum(rounding[keep], 4 * EPS * (np.abs(inverse) @ a[keep]))
+
+    def _spread(self, null, cols, l, rows):
+        """How far the multipliers (of ``rows``) may go along the null space, within their bounds: they are not unique there."""
+        spread = np.zeros(rows.size)
+        if not len(null):
+            return spread
+        D = (null / cols).T[-rows.size :]
+        D[np.abs(D) <= 1e-9 * np.abs(D).max(axis=0, initial=0.0)] = 0.0
+        low, high = np.minimum(self.lower[rows] - l[rows], 0.0), np.maximum(self.upper[rows] - l[rows], 0.0)
+        held = np.isfinite(low) & np.isfinite(high)
+        unit = np.where(held, np.maximum(high, -low), np.abs(l[rows]))
+        unit[unit == 0] = 1.0
+        bounded_up, bounded_low = np.isfinite(high), np.isfinite(low)
+        A = np.vstack([(D / unit[:, None])[bounded_up], -(D / unit[:, None])[bounded_low]])
+        b = np.concatenate([(high / unit)[bounded_up], (-low / unit)[bounded_low]])
+        scale = np.abs(D / unit[:, None]).max(axis=0)
+        scale[scale == 0] = 1.0
+        for i in np.flatnonzero(np.abs(D).max(axis=1)):
+            for sign in (1, -1):
+                found = linprog(-sign * D[i] / unit[i] / scale, A_ub=A / scale, b_ub=b, bounds=(None, None))
+                spread[i] = max(spread[i], ANY if found.status == 3 else -found.fun * unit[i] if found.success else 0.0)
+        return spread
 
     def _least_sizes(self, E_z, E_l, Y_z, Y_l, l):
         """Bounds of each multiplier, and 1e-6 of the largest of others in the unit in which W_ii = 1."""

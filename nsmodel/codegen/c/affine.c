@@ -52,7 +52,7 @@ static double row_scale(const affine_problem *p, int i)
 
 /* ------------------------------------------------------------------ the law's residual */
 
-/* s_y from b, terms = |W| |l| and w_max_i = max_j |W_ij|. */
+/* s_y from b, the terms of W l, and w_max_i = max_j |W_ij|. */
 static void output_scale(int m, const double *b, const double *terms, const double *w_max, double *s_y)
 {
     double most = 0;

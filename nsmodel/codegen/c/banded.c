@@ -229,7 +229,8 @@ static double judged(const model_solver *s)
             for (int k = J_start[i]; k < J_start[i + 1]; k++) {
                 const int j = J_column[k];
                 moved += J[k]*guess[j];
-                step += fabs(J[k]*(u[j] - guess[j]));
+                if (j < MODEL_N)
+                    step += fabs(J[k]*(u[j] - guess[j]));
             }
             scale += is_finite(moved + step) ? fabs(moved) + step : 0;
         }
@@ -248,11 +249,12 @@ static double judged(const model_solver *s)
 }
 
 /* The largest solutions of probes, which are r with signs that look random, in banded.felt: what u errs by where the rows do so by
-   r, from below. */
+   r, from below; and in banded.passed the most that a row feels of one of them. */
 static void felt_by(model_solver *s, const double *r)
 {
-    double *change = s->banded.change, *felt = s->banded.felt;
+    double *change = s->banded.change, *felt = s->banded.felt, *passed = s->banded.passed;
     memset(felt, 0, sizeof s->banded.felt);
+    memset(passed, 0, sizeof s->banded.passed);
     for (int p = 0; p < PROBES; p++) {
         for (int i = 0; i < MODEL_SIZE; i++)
             s->banded.F[i] = probe_sign(i, p)*r[i];
@@ -262,8 +264,13 @@ static void felt_by(model_solver *s, const double *r)
                 s->banded.F[MODEL_N + i] = 0;
 #endif
         solve_band(s, change);
-        for (int i = 0; i < MODEL_SIZE; i++)
+        for (int i = 0; i < MODEL_SIZE; i++) {
+            double sum = 0;
+            for (int k = J_start[i]; k < J_start[i + 1]; k++)
+                sum += J[k]*change[J_column[k]];
             felt[i] = worse_of(felt[i], fabs(change[i]));
+            passed[i] = worse_of(passed[i], fabs(sum));
+        }
     }
 }
 
@@ -289,8 +296,7 @@ static double judged_with_rounding(model_solver *s)
     if (condition <= WORTH) {
         felt_by(s, error);
         for (int i = 0; i < MODEL_SIZE; i++)
-            for (int k = J_start[i]; k < J_start[i + 1]; k++)
-                error[i] += fabs(J[k])*s->banded.felt[J_column[k]];
+            error[i] += s->banded.passed[i];
     }
     evaluate_rows(s);
     memcpy(size, error, sizeof s->banded.size);

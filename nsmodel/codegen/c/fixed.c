@@ -32,11 +32,7 @@ static void look_at_rounding(model_solver *s)
 static double dynamics_residual(model_solver *s)
 {
     double *E = s->fixed.E, *scale = s->fixed.scale, worst = 0;
-#if LAW
-    scale_E(s, s->fixed.E_0, s->work.z, s->work.l, scale);
-#else
     scale_E(s, s->fixed.E_0, s->work.z, scale);
-#endif
     for (int i = 0; i < MODEL_N; i++)
         worst = worst_of(worst, fabs(E[i]), scale[i]);
     if (worst <= CLEAR)
@@ -75,7 +71,7 @@ static double largest_b(const model_solver *s)
     return most;
 }
 
-/* s_y of row i: |b_i| + sum |W_ij l_j|, within GROWTH of what b is; *most is largest_b, once it is known. */
+/* s_y of row i: |b_i| and the terms of W l, within GROWTH of what b is; *most is largest_b, once it is known. */
 static double output_scale_of(const model_solver *s, int i, double *most)
 {
     const double size = fabs(s->fixed.b[i]), terms = s->fixed.terms[i];
@@ -367,7 +363,7 @@ static int on_index_set(model_solver *s, const signed char *code)
 #endif
 
 /* The largest corrections of probes, which are E and Y with signs that look random: what z and l err by where the rows do so by
-   E and Y, from below. */
+   E and Y, from below; and in passed_E and passed_Y the most that the rows feel of one of them. */
 #if LAW
 static void felt_by(model_solver *s, const double *E, const double *Y)
 #else
@@ -375,8 +371,10 @@ static void felt_by(model_solver *s, const double *E)
 #endif
 {
     memset(s->fixed.felt_z, 0, sizeof s->fixed.felt_z);
+    memset(s->fixed.passed_E, 0, sizeof s->fixed.passed_E);
 #if LAW
     memset(s->fixed.felt_l, 0, sizeof s->fixed.felt_l);
+    memset(s->fixed.passed_Y, 0, sizeof s->fixed.passed_Y);
 #endif
     for (int p = 0; p < PROBES; p++) {
         for (int i = 0; i < MODEL_N; i++)
@@ -385,13 +383,19 @@ static void felt_by(model_solver *s, const double *E)
         for (int i = 0; i < MODEL_M; i++)
             s->fixed.probe_Y[i] = probe_sign(MODEL_N + i, p)*Y[i];
         correction(s, s->fixed.probe_E, s->fixed.probe_Y, s->fixed.dz, s->fixed.dl);
-        for (int i = 0; i < MODEL_M; i++)
+        passed_on(s, s->fixed.dz, s->fixed.dl, s->fixed.probe_E, s->fixed.probe_Y);
+        for (int i = 0; i < MODEL_M; i++) {
             s->fixed.felt_l[i] = worse_of(s->fixed.felt_l[i], fabs(s->fixed.dl[i]));
+            s->fixed.passed_Y[i] = worse_of(s->fixed.passed_Y[i], fabs(s->fixed.probe_Y[i]));
+        }
 #else
         correction(s, s->fixed.probe_E, s->fixed.dz);
+        passed_on(s, s->fixed.dz, s->fixed.probe_E);
 #endif
-        for (int i = 0; i < MODEL_N; i++)
+        for (int i = 0; i < MODEL_N; i++) {
             s->fixed.felt_z[i] = worse_of(s->fixed.felt_z[i], fabs(s->fixed.dz[i]));
+            s->fixed.passed_E[i] = worse_of(s->fixed.passed_E[i], fabs(s->fixed.probe_E[i]));
+        }
     }
 }
 
@@ -415,17 +419,15 @@ static void add_felt(model_solver *s)
         return;
     }
     felt_by(s, s->fixed.error_E, s->fixed.error_Y);
-    passed_on(s, s->fixed.felt_z, s->fixed.felt_l, s->fixed.probe_E, s->fixed.probe_Y);
     for (int i = 0; i < MODEL_M; i++)
-        s->fixed.error_Y[i] += s->fixed.probe_Y[i];
+        s->fixed.error_Y[i] += s->fixed.passed_Y[i];
 #else
     if (!(condition <= WORTH))
         return;
     felt_by(s, s->fixed.error_E);
-    passed_on(s, s->fixed.felt_z, s->fixed.probe_E);
 #endif
     for (int i = 0; i < MODEL_N; i++)
-        s->fixed.error_E[i] += s->fixed.probe_E[i];
+        s->fixed.error_E[i] += s->fixed.passed_E[i];
 }
 
 /* Where an answer fails by rounding alone: correct (z, l) by what E and Y are there, and judge it again, at last with what its

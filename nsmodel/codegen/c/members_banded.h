@@ -1,6 +1,6 @@
     struct {
         double constant[MODEL_SIZE], guess[MODEL_SIZE], u[MODEL_SIZE], best[MODEL_SIZE], F[MODEL_SIZE], size[MODEL_SIZE];
-        double change[MODEL_SIZE], felt[MODEL_SIZE];
+        double change[MODEL_SIZE], felt[MODEL_SIZE], passed[MODEL_SIZE];
 #if FOLLOW_ROWS
         signed char exact[MODEL_N];
 #endif

@@ -1,9 +1,9 @@
     struct {
         double E_0[MODEL_N], z_0[MODEL_N], E[MODEL_N], scale[MODEL_N], error_E[MODEL_N];
-        double step[MODEL_N], dz[MODEL_N], felt_z[MODEL_N], probe_E[MODEL_N]; /* corrections */
+        double step[MODEL_N], dz[MODEL_N], felt_z[MODEL_N], probe_E[MODEL_N], passed_E[MODEL_N]; /* corrections */
 #if LAW
         double Y_0[MODEL_M], b[MODEL_M], Y[MODEL_M], error_Y[MODEL_M], terms[MODEL_M];
-        double dl[MODEL_M], felt_l[MODEL_M], probe_Y[MODEL_M];
+        double dl[MODEL_M], felt_l[MODEL_M], probe_Y[MODEL_M], passed_Y[MODEL_M];
 #if CURVED
         double s_y[MODEL_M];
 #endif

@@ -25,7 +25,7 @@ enum { UNKNOWN, READ, REGULAR, SINGULAR };
 
 /* See rows.c. */
 static void S_times(const model_solver *s, const double *l, double *restrict v);
-static void E_l_times(const model_solver *s, const double *l, double *restrict sum, double *restrict size);
+static void E_l_times(const model_solver *s, const double *l, double *restrict sum);
 static double Y_z_times(const model_solver *s, int i, const double *v);
 static double Y_z_size(const model_solver *s, int i, const double *v);
 static int solve_rows(model_solver *s);
@@ -113,17 +113,11 @@ static double Y_z_size(const model_solver *s, int i, const double *v)
     return sum;
 }
 
-/* sum = E_l l and size = |E_l| |l|. */
-static void E_l_times(const model_solver *s, const double *l, double *restrict sum, double *restrict size)
+/* sum = E_l l. */
+static void E_l_times(const model_solver *s, const double *l, double *restrict sum)
 {
-    for (int i = 0; i < MODEL_N; i++) {
-        sum[i] = size[i] = 0;
-        for (int j = 0; j < MODEL_M; j++) {
-            const double term = s->newton.E_l[MODEL_M*i + j]*l[j];
-            sum[i] += term;
-            size[i] += fabs(term);
-        }
-    }
+    for (int i = 0; i < MODEL_N; i++)
+        sum[i] = dot(MODEL_M, s->newton.E_l + MODEL_M*i, l);
 }
 #if !IDENTITY
 
@@ -191,7 +185,7 @@ static int evaluate(model_solver *s)
     const double *z = s->work.z;
 #if LAW
     const double *l = s->work.l;
-    E_l_times(s, l, E, s->newton.scale);
+    E_l_times(s, l, E);
     for (int i = 0; i < MODEL_M; i++) {
         double y = s->newton.Y_0[i] + Y_z_times(s, i, z);
 #if FEEDTHROUGH
@@ -380,17 +374,25 @@ static void look_at_rounding(model_solver *s)
 }
 #if !IDENTITY
 
-/* The largest |E_z^{-1} r| over probes, which are r with signs that look random: from below, what z errs by where E does so by r. */
+/* The largest |E_z^{-1} r| over probes, which are r with signs that look random: from below, what z errs by where E does so by r;
+   and the most that Y feels of one of them. */
 static void felt_by(model_solver *s, const double *r)
 {
     double *v = s->newton.dz, *felt = s->newton.felt;
     memset(felt, 0, sizeof s->newton.felt);
+#if LAW
+    memset(s->newton.terms, 0, sizeof s->newton.terms);
+#endif
     for (int p = 0; p < PROBES; p++) {
         for (int i = 0; i < MODEL_N; i++)
             v[i] = probe_sign(i, p)*r[i];
         lu_solve(MODEL_N, s->newton.lu, s->newton.pivot, v);
         for (int i = 0; i < MODEL_N; i++)
             felt[i] = worse_of(felt[i], fabs(v[i]));
+#if LAW
+        for (int i = 0; i < MODEL_M; i++)
+            s->newton.terms[i] = worse_of(s->newton.terms[i], fabs(Y_z_times(s, i, v)));
+#endif
     }
 }
 
@@ -420,11 +422,10 @@ static void add_felt(model_solver *s)
         return;
     felt_by(s, s->newton.error_E);
     for (int i = 0; i < MODEL_N; i++)
-        for (int j = 0; j < MODEL_N; j++)
-            s->newton.error_E[i] += fabs(s->newton.E_z[MODEL_N*i + j])*s->newton.felt[j];
+        s->newton.error_E[i] *= 2;
 #if LAW
     for (int i = 0; i < MODEL_M; i++)
-        s->newton.error_Y[i] += Y_z_size(s, i, s->newton.felt);
+        s->newton.error_Y[i] += s->newton.terms[i];
 #endif
 }
 #endif
@@ -454,13 +455,12 @@ static double dynamics_residual(model_solver *s)
         return worst;
 #endif
 #if LAW
-    E_l_times(s, s->work.l, s->newton.sum, scale);
+    E_l_times(s, s->work.l, s->newton.sum);
 #endif
     for (int i = 0; i < MODEL_N; i++) {
-#if LAW
-        double moved = scale[i], unmoved = E[i] - s->newton.sum[i];
-#else
         double moved = 0, unmoved = E[i];
+#if LAW
+        unmoved -= s->newton.sum[i];
 #endif
 #if IDENTITY
         const double term = s->work.z[i] - s->newton.guess[i];
@@ -526,21 +526,23 @@ static double residual_by_code(model_solver *s)
 #endif
 #if !ROWS
 
-/* b = Y - W l, the terms |W| |l| and w_max_i = max_j |W_ij|. */
+/* b = Y - W l, the terms |Y_z| |Z l| + |Y_l| |l| of W l, Z = -S, and w_max_i = max_j |W_ij|. */
 static void law_scales(model_solver *s)
 {
     const double *l = s->work.l;
+    double *v = s->newton.v;
+    S_times(s, l, v);
     for (int i = 0; i < MODEL_M; i++) {
-        double b = s->newton.Y[i], terms = 0, w_max = 0;
+        s->newton.b[i] = s->newton.Y[i] + Y_z_times(s, i, v);
+        s->newton.terms[i] = Y_z_size(s, i, v);
+#if FEEDTHROUGH
         for (int j = 0; j < MODEL_M; j++) {
-            const double entry = s->newton.W[MODEL_M*i + j];
-            b -= entry*l[j];
-            terms += fabs(entry*l[j]);
-            w_max = worse_of(w_max, fabs(entry));
+            const double term = s->newton.Y_l[MODEL_M*i + j]*l[j];
+            s->newton.b[i] -= term;
+            s->newton.terms[i] += fabs(term);
         }
-        s->newton.b[i] = b;
-        s->newton.terms[i] = terms;
-        s->newton.w_max[i] = w_max;
+#endif
+        s->newton.w_max[i] = largest(MODEL_M, s->newton.W + MODEL_M*i);
     }
 }
 #endif

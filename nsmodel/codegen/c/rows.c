@@ -49,18 +49,14 @@ static double Y_z_size(const model_solver *s, int i, const double *v)
     return sum;
 }
 
-/* sum = E_l l and size = |E_l| |l|. */
-static void E_l_times(const model_solver *s, const double *l, double *restrict sum, double *restrict size)
+/* sum = E_l l. */
+static void E_l_times(const model_solver *s, const double *l, double *restrict sum)
 {
     memset(sum, 0, MODEL_N*sizeof *sum);
-    memset(size, 0, MODEL_N*sizeof *size);
     for (int j = 0; j < MODEL_M; j++)
         if (l[j] != 0)
-            for (int k = E_l_start[j]; k < E_l_start[j + 1]; k++) {
-                const double term = s->newton.E_l[k]*l[j];
-                sum[E_l_row[k]] += term;
-                size[E_l_row[k]] += fabs(term);
-            }
+            for (int k = E_l_start[j]; k < E_l_start[j + 1]; k++)
+                sum[E_l_row[k]] += s->newton.E_l[k]*l[j];
 }
 
 /* Solve the affine problem on the rows that act: W = -Y_z S there. */
@@ -152,7 +148,7 @@ static int solve_rows(model_solver *s)
     return NONE;
 }
 
-/* b, the terms |W| |l| and w_max, by columns of W; w_max is 1 for a row that does not act. */
+/* b, the terms |Y_z| |Z l| and w_max, by columns of W; w_max is 1 for a row that does not act. */
 static void law_scales(model_solver *s)
 {
     const double *l = s->work.l;
@@ -161,17 +157,13 @@ static void law_scales(model_solver *s)
     for (int i = 0; i < MODEL_M; i++) {
         s->newton.place[i] = l[i] != 0 || s->work.code[i] == 0 ? IN : OUT;
         s->newton.b[i] = s->newton.Y[i] + Y_z_times(s, i, v);
+        s->newton.terms[i] = Y_z_size(s, i, v);
         s->newton.w_max[i] = s->newton.place[i] == IN ? 0 : 1;
-        s->newton.terms[i] = 0;
     }
     for (int j = 0; j < MODEL_M; j++) {
         S_column(s, j, v);
         for (int i = 0; i < MODEL_M; i++)
-            if (s->newton.place[i] == IN || l[j] != 0) {
-                const double entry = fabs(Y_z_times(s, i, v));
-                s->newton.terms[i] += entry*fabs(l[j]);
-                if (s->newton.place[i] == IN)
-                    s->newton.w_max[i] = worse_of(s->newton.w_max[i], entry);
-            }
+            if (s->newton.place[i] == IN)
+                s->newton.w_max[i] = worse_of(s->newton.w_max[i], fabs(Y_z_times(s, i, v)));
     }
 }
