@@ -20,6 +20,7 @@ from nsmodel import (
     FrictionOscillator,
     LureSystem,
     MonotoneInclusion,
+    StepError,
     SweepingProcess,
     UsageError,
     ball,
@@ -36,6 +37,7 @@ from nsmodel.model.units import in_units
 from nsmodel.stress import LEFT_OUT, RIGHT, STOPPED, WRONG
 from nsmodel.stress.judge import acting, by_formulas, majorant
 
+EPS = np.finfo(float).eps
 T, X, LAM, S = (ca.SX.sym(name) for name in ("t", "x", "l", "s"))
 X2, V2 = ca.SX.sym("x", 2), ca.SX.sym("y", 2)
 
@@ -457,9 +459,20 @@ def random_model(kind, rng):
 
 @pytest.mark.parametrize("kind", [SweepingProcess, FrictionOscillator, FirstOrderSystem, LureSystem, MonotoneInclusion])
 def test_random_models_are_right_and_their_errors_are_seen(kind):
-    for seed in range(max(4, 40 * COUNT // FULL)):
+    count, unsolvable, seen = max(4, 200 * COUNT // FULL), [], 0
+    for seed in range(count):
         model = random_model(kind, np.random.default_rng(seed)).bind()
-        run = simulate(model, compiled=False)
+        try:
+            run = simulate(model, compiled=False)
+        except StepError as error:  # a rate that grows within a step, and a law that does not allow it
+            unsolvable.append(str(error))
+            continue
         own = by_formulas(model, run)
         assert max(own.values()) <= 1, (seed, own)
-        assert found_in(model, run, 1e-7) > 1, seed
+        size = max(np.abs(run.x - run.x[0]).max(), acting(model, run).max())
+        if (1e-7 * size > 64 * EPS * np.abs(run.x[5])).all():  # else rounding hides the error
+            assert found_in(model, run, 1e-7) > 1, seed
+            seen += 1
+    assert seen >= 0.9 * count
+    assert len(unsolvable) <= count / 50
+    assert all("the step has no solution: W is not psd" in message for message in unsolvable)

@@ -400,7 +400,7 @@ static int enter_rows(model_work *k)
     k->m = TAKE(double, count + 1);
     k->b = TAKE(double, count + 1);
     k->g = TAKE(double, (ptrdiff_t)2*DIM*count + 1);
-    if (a->full) return -1;
+    if (!k->entered || !k->acts || !k->fresh || !k->m || !k->b || !k->g) return -1;
     k->unit = k->speed;
     for (r = 0; r < count; r++) {
         double size = k->rows.size[r], scale = size > 0.0 ? 1.0/size : 0.0;
@@ -657,14 +657,21 @@ static int know_contacts(model_work *k, char *begin)
     const model_motion *s = k->s;
     model_arena *a = k->a;
     size_t count;
+    int *family, *first, *second;
+    double *multiplier;
     if (!list_contacts(k)) return 0;
     a->next = begin;
     count = (size_t)s->contacts_out;
+    family = TAKE(int, count + 1);
+    first = TAKE(int, count + 1);
+    second = TAKE(int, count + 1);
+    multiplier = TAKE(double, count + 1);
+    if (!family || !first || !second || !multiplier) return 0;
     k->contacts = s->contacts_out;
-    k->family = memmove(TAKE(int, count + 1), s->family_out, count*sizeof(int));
-    k->first = memmove(TAKE(int, count + 1), s->first_out, count*sizeof(int));
-    k->second = memmove(TAKE(int, count + 1), s->second_out, count*sizeof(int));
-    k->multiplier = memmove(TAKE(double, count + 1), s->multiplier_out, count*sizeof(double));
+    k->family = memmove(family, s->family_out, count*sizeof(int));
+    k->first = memmove(first, s->first_out, count*sizeof(int));
+    k->second = memmove(second, s->second_out, count*sizeof(int));
+    k->multiplier = memmove(multiplier, s->multiplier_out, count*sizeof(double));
     return 1;
 }
 
