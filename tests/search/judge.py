@@ -270,7 +270,7 @@ def _judge_constraints(case: Case, model: Any, run: Run, verdict: Verdict, compi
     q_next = ca.SX.sym("q_next", q.numel())
     tell = Exact([t, q, q_next], [ca.substitute(g, q, q_next), g + G @ (q_next - q)])
     sizes = ca.Function("sizes", [t, q], [ca.densify(G), ca.densify(model.f)])
-    magnitude = Rounding([t, q], [g])
+    magnitude, own = Rounding([t, q], [g]), np.array(ca.DM(G.sparsity(), 1))
     for k in range(run.N):
         end, x = float(run.arrays["t"][k] + model.step), run.x[k + 1]
         end = float(run.arrays["t"][k + 1]) if abs(end - run.arrays["t"][k + 1]) < 1e-12 else end
@@ -291,8 +291,7 @@ def _judge_constraints(case: Case, model: Any, run: Run, verdict: Verdict, compi
                 f"rounding {rounding[worst]:.1e}, m = {run.l[k + 1][worst]:.3g}",
                 compiled,
             ))  # fmt: skip
-        own = np.abs(np.sign(Gk)) @ (x - run.x[k]) ** 2
-        moved = np.linalg.norm(Gk, axis=1) * np.sqrt(own)
+        moved = np.linalg.norm(Gk, axis=1) * np.sqrt(own @ (x - run.x[k]) ** 2)
         thrown = np.where(run.l[k + 1] > 0, left_out, 0) / np.maximum(moved / 3 * (1 + RIGHT) + SLACK * rounding, 1e-290)
         worst = int(np.argmax(thrown))
         name = model.multiplier_names[worst]
