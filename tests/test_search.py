@@ -30,6 +30,7 @@ FOUND = {  # Models that the search found steps refused in, by what made it.
     "lure:468": "multipliers that cancel to a part of 1e-5: an error beside them was one of the motion",
     "lure:138": "rows that repeat others to 1e-9: the index set that W calls for holds one too many",
     "first:1444": "the same, of a first-order system with masses of 1 to 1e12",
+    "oscillator:371": "a kink at 2.5e9: z was exact by its row, and the other rows solved for another z",
     "first:645": "copies of a bilinear model: Newton's method on the whole is not that on its parts",
     "first:832": "copies of states that decay",
     "inclusion:951": "53 curved rows: Newton's method did not settle",

@@ -479,11 +479,13 @@ class Newton:
         n, self._offsets = z.size, self._offset(t, h, state)[0]
         at = self.linearise(t, h, state, z, l)
         J, free = self._system(at, index)
-        size, best = np.linalg.norm(np.concatenate([at.E, at.Y[free]])), None
+        size, best, exact = np.linalg.norm(np.concatenate([at.E, at.Y[free]])), None, False
         for iteration in range(1, (REFINEMENTS if self.structure.affine else ITERATIONS) + 1):
             if not np.isfinite(J).all():
                 break
             scaled, rows, columns = equilibrated(J)
+            if exact:  # z is so by these rows, as near as doubles come: the others are solved for it
+                at.Y[[row for row, *_ in self.structure.unit_rows if index[row] == 0]] = 0.0
             step = columns * active_set.solve_or_least_squares(scaled, -rows * np.concatenate([at.E, at.Y[free]]))
             t_step, old, found, z_new, l_new, at_new = 1.0, size, None, z, l, at
             extent = np.abs(np.concatenate([z, l[free]])) / columns
@@ -491,7 +493,8 @@ class Newton:
             while found is None:
                 z_new, l_new = z + t_step * step[:n], l.copy()
                 l_new[free] += t_step * step[n:]
-                if t_step == 1.0:
+                exact = t_step == 1.0
+                if exact:
                     self._make_exact(at, z_new, index)
                 at_new = self.linearise(t, h, state, z_new, l_new)
                 size = np.linalg.norm(np.concatenate([at_new.E, at_new.Y[free]]))

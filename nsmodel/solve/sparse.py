@@ -328,7 +328,9 @@ class Sparse:
                 best = found, np.flatnonzero(wrong)
             if found.residual <= self.tolerance / 10:
                 break
-            u = u - at.solve(factor, np.where(np.concatenate([np.zeros(n, bool), held]), 0.0, F), held)
+            F[n:][held] = 0.0
+            F[n + self._unit_row] = 0.0  # z is exact by these that stand: as near as doubles come
+            u = u - at.solve(factor, F, held)
         if best is None:
             return None, np.zeros(0, int)
         if self.tolerance < best[0].residual < np.inf:

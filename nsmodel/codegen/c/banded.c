@@ -344,6 +344,10 @@ static int on_index_set(model_solver *s, double *residual)
             if (s->banded.code[i] != 0)
                 s->banded.F[MODEL_N + i] = 0;
 #endif
+#if UNIT_ROWS
+        for (int i = 0; i < MODEL_UNIT; i++) /* u is exact by these: as near as doubles come */
+            s->banded.F[MODEL_N + unit_row[i]] = 0;
+#endif
         double *change = s->banded.size;
         solve_band(s, change);
         for (int i = 0; i < MODEL_SIZE; i++)

@@ -254,6 +254,11 @@ static void correction(model_solver *s, const double *E, double *restrict dz) { 
 static void correct(model_solver *s)
 {
 #if LAW
+#if UNIT_ROWS
+    for (int i = 0; i < MODEL_UNIT; i++)
+        if (s->work.code[unit_row[i]] == 0) /* by which z is exact: as near as doubles come */
+            s->fixed.Y[unit_row[i]] = 0;
+#endif
     correction(s, s->fixed.E, s->fixed.Y, s->fixed.dz, s->fixed.dl);
     for (int i = 0; i < MODEL_M; i++)
         s->work.l[i] += s->fixed.dl[i];
