@@ -16,7 +16,7 @@ from nsmodel.solve.certificate import REACH, numeric_law
 from nsmodel.solve.choose import DUAL, choose, pays
 from nsmodel.solve.kernel import Kernel
 from nsmodel.solve.layout import Layout
-from nsmodel.solve.newton import Buffered, Iterate, Newton
+from nsmodel.solve.newton import ENOUGH, Buffered, Iterate, Newton
 from nsmodel.solve.nlp import Programme
 from nsmodel.solve.parts import part, split
 from nsmodel.solve.stepper import StepResult, Warm
@@ -94,7 +94,8 @@ class Stepper:
         kernel = self._kernels.get(h) or self._kernel(t, h)
         if kernel is not None and self.plan.use_last and (warm.index is kernel.loaded or kernel.load(warm.index)):
             out = kernel.evaluate(t, state)
-            if kernel.settled[0] and out[self.layout.residual] <= self.tolerance and not (self.law.curved or kernel.fragile):
+            enough = self.tolerance * (ENOUGH if kernel.singular else 1.0)
+            if kernel.settled[0] and out[self.layout.residual] <= enough and not (self.law.curved or kernel.fragile):
                 return StepResult(out + 0.0, warm, "last index set")  # + 0.0: a copy without -0
         best: Attempt | None = None
         for attempt in self._attempts(kernel, t, h, state, warm):
@@ -206,11 +207,12 @@ class Stepper:
     def _of(self, found: mlcp.Solution, kernel: Kernel, b: np.ndarray, t: float, state: np.ndarray) -> Iterator[Attempt]:
         """The steps that a solution of y = W l + b makes."""
         if not self.law.curved and kernel.load(found.index):
-            if kernel.fragile:
+            eliminated = self._evaluated(kernel, t, state, found.index, found.solver)
+            if kernel.fragile or (kernel.singular and eliminated.residual > ENOUGH * self.tolerance):
                 whole = self._newton.by_whole_system(t, kernel.h, state, found.l, found.index)
                 if whole is not None:
                     yield self._packed(t, kernel.h, state, replace(whole, solver=found.solver))
-            yield self._evaluated(kernel, t, state, found.index, found.solver)
+            yield eliminated
         kernel.load_multiplier(found.l, found.index)
         attempt = self._evaluated(kernel, t, state, found.index, found.solver)
         if self.law.curved:  # the kernel's own residual covers the boxes only

@@ -49,9 +49,10 @@ class Kernel:
         self.settled = np.zeros(1)  # 1 where no other index set is called for.
         buffer.set_res(1, memoryview(self.settled))
         self._buffer = buffer
-        self._maps: dict[bytes, tuple[np.ndarray, np.ndarray, bool]] = {}
+        self._maps: dict[bytes, tuple[np.ndarray, np.ndarray, bool, bool]] = {}
         self.loaded: np.ndarray | None = None
-        self.fragile = False  # Whether the map in place loses digits that the whole system has.
+        self.fragile = False  # Whether the map in place loses digits that the whole system has;
+        self.singular = False  # or is one of many, of a system that does not tell them apart.
         self.law = law
 
     def evaluate(self, t: float, state: np.ndarray) -> np.ndarray:
@@ -70,9 +71,10 @@ class Kernel:
             found = _index_map(self.W, self.law, index)
             if found is None:
                 return False
-            S, s, fragile = found
-            self._maps[key] = S, s, fragile and self._is_regular(np.flatnonzero(index == 0))
-        self._S[:], self._s[:], self.fragile = self._maps[key]
+            S, s, poor = found
+            regular = not poor or self._is_regular(np.flatnonzero(index == 0))
+            self._maps[key] = S, s, poor and regular, not regular
+        self._S[:], self._s[:], self.fragile, self.singular = self._maps[key]
         self._free[:] = index == 0
         self.loaded = index
         return True
