@@ -694,7 +694,7 @@ def test_hostile_numbers_end_and_nothing_false_passes(boxes, on_law):
                 answered += 1
                 assert np.isfinite(answer.l).all()
                 rounding = ROUNDING * UNIT / ACCEPTED * (np.abs(W) @ np.abs(answer.l) + np.abs(b))  # sums in another order
-                assert mlcp._residual(W, b, law, answer.l, rounding, 0.0).max() <= 2 * ACCEPTED
+                assert mlcp._residual(W, b, law, answer.l, rounding).max() <= 2 * ACCEPTED
     assert answered > 50
 
 

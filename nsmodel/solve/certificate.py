@@ -74,17 +74,16 @@ def output_scale(b: np.ndarray, terms: np.ndarray, w_max: np.ndarray) -> np.ndar
 
 
 def law_residual(
-    law: NumericLaw, l: np.ndarray, y: np.ndarray, s_y: np.ndarray, w_max: np.ndarray, unseen_y: np.ndarray | float = 0.0,
-    unseen_l: np.ndarray | float = 0.0,
-) -> np.ndarray:  # fmt: skip
-    """Return the residual of each row (m,): y the output, s_y its scale, w_max = max_j |W_ij|.
+    law: NumericLaw, l: np.ndarray, y: np.ndarray, s_y: np.ndarray, w_max: np.ndarray, unseen: np.ndarray | float = 0.0
+) -> np.ndarray:
+    """Return the residual of each row (m,): y the output, s_y its scale, w_max = max_j |W_ij|, unseen = c u E / tolerance of y.
 
-    ``unseen_y``, ``unseen_l``: c u E / tolerance of y and of l.
+    Rounding never excuses an l that is outside K: there is an index set on which it is not.
     """
-    s_y = np.maximum(s_y + unseen_y, UNRESOLVED)
+    s_y = np.maximum(s_y + unseen, UNRESOLVED)
     lo, up = law.lower, law.upper
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        s_l, size = np.minimum(np.where(w_max > 0, s_y / w_max, np.inf), multiplier_scale(law, l, w_max)) + unseen_l, np.abs(y)
+        s_l, size = np.minimum(np.where(w_max > 0, s_y / w_max, np.inf), multiplier_scale(law, l, w_max)), np.abs(y)
         outside = np.maximum(np.maximum(lo - l, l - up), 0)
         at_lower = np.maximum(_ratio(np.abs(l - lo), s_l), _ratio(np.where(y < 0, size, 0), s_y))
         at_upper = np.maximum(_ratio(np.abs(l - up), s_l), _ratio(np.where(y > 0, size, 0), s_y))

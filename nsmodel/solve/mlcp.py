@@ -30,12 +30,12 @@ class Solution:
 
 def residual(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray) -> np.ndarray:
     """Return the law's residual of each row at y = W l + b."""
-    return _residual(W, b, law, l, 0.0, 0.0)
+    return _residual(W, b, law, l, 0.0)
 
 
-def _residual(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray, unseen_y: Any, unseen_l: Any) -> np.ndarray:
+def _residual(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray, unseen: Any) -> np.ndarray:
     w_max = np.abs(W).max(axis=1, initial=0.0)
-    return law_residual(law, l, W @ l + b, output_scale(b, np.abs(W) @ np.abs(l), w_max), w_max, unseen_y, unseen_l)
+    return law_residual(law, l, W @ l + b, output_scale(b, np.abs(W) @ np.abs(l), w_max), w_max, unseen)
 
 
 def _with_rounding(
@@ -47,7 +47,7 @@ def _with_rounding(
     if free.any():
         of[free] = largest(felt_dense(W[np.ix_(free, free)], error[free]))
     c_u = ROUNDING * UNIT / tolerance
-    return _residual(W, b, law, l, c_u * (error + np.abs(W) @ of), c_u * of)
+    return _residual(W, b, law, l, c_u * (error + np.abs(W) @ of))
 
 
 def solve(

@@ -276,17 +276,17 @@ class Newton:
         n, abs_z, abs_l = z.size, np.abs(z), np.abs(l)
         sizes = np.concatenate([np.abs(at.E_z) @ abs_z + np.abs(at.E_l) @ abs_l, np.abs(at.Y_z) @ abs_z + np.abs(at.Y_l) @ abs_l])
         scales = self._scales(known, at, z, l, index)
-        worst, row = self._residual(known, at, z, l, scales, sizes, np.zeros(l.size))
+        worst, row = self._residual(known, at, z, l, scales, sizes)
         if thorough and self.tolerance < worst < np.inf:
             error = self._errors(known, z, l)
-            worst, row = self._residual(known, at, z, l, scales, error, np.zeros(l.size))
+            worst, row = self._residual(known, at, z, l, scales, error)
             if worst > self.tolerance:
                 J, free = self._system(at, index)
                 of = felt_dense(J, np.concatenate([error[:n], error[n:][free]]))
                 dz, dl = of[:n], np.zeros((l.size, of.shape[1]))
                 dl[free] = of[n:]
                 error = error + largest(np.concatenate([at.E_z @ dz + at.E_l @ dl, at.Y_z @ dz + at.Y_l @ dl]))
-                worst, row = self._residual(known, at, z, l, scales, error, largest(dl))
+                worst, row = self._residual(known, at, z, l, scales, error)
         y = np.where(index == 0, 0.0, at.Y) if l.size else at.Y
         return Iterate(z, l, index, y, worst, row, solver, iterations)
 
@@ -302,9 +302,9 @@ class Newton:
 
     def _residual(
         self, known: Known, at: Linearisation, z: np.ndarray, l: np.ndarray, scales: tuple[np.ndarray, np.ndarray, np.ndarray],
-        error: np.ndarray, error_l: np.ndarray,
+        error: np.ndarray,
     ) -> tuple[float, int | None]:  # fmt: skip
-        """The certificate with the rounding ``error`` of rows and ``error_l`` of l, in units of u; the row of y that is worst."""
+        """The certificate with the rounding ``error`` of the rows, in units of u; the row of y that is worst."""
         n, (s_E, s_y, w_max), c_u = z.size, scales, ROUNDING * UNIT
         if not np.isfinite(error).all():  # an infinite bound excuses nothing
             error = np.where(np.isfinite(error), error, 0.0)
@@ -314,9 +314,7 @@ class Newton:
         sized = np.isfinite(dynamics) and np.isfinite(s_E).all()  # nor does an infinite scale
         worst, row = float(dynamics) if sized else np.inf, None
         if l.size:
-            residual = law_residual(
-                self.law, l, at.Y, s_y, w_max, c_u / self.tolerance * error[n:], c_u / self.tolerance * error_l
-            )
+            residual = law_residual(self.law, l, at.Y, s_y, w_max, c_u / self.tolerance * error[n:])
             if residual.max() >= worst or not np.isfinite(residual).all():
                 row = int(np.argmax(np.where(np.isnan(residual), np.inf, residual)))
                 worst = float(residual[row])

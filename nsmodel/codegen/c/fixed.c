@@ -89,10 +89,10 @@ static double multiplier_scale_of(const model_solver *s, int i, double s_y)
 {
     double size = max_of(fabs(s->work.l[i]), bound_size[i]);
     if (w_root[i] == 0)
-        return size + ROUND_OFF/TOLERANCE*s->fixed.felt_l[i];
+        return size;
     for (int j = 0; j < MODEL_M; j++)
         size = max_of(size, NEGLIGIBLE*fabs(s->work.l[j])*w_root[j]/w_root[i]);
-    return min_of(s_y/(w_root[i]*w_root[i]), size) + ROUND_OFF/TOLERANCE*s->fixed.felt_l[i];
+    return min_of(s_y/(w_root[i]*w_root[i]), size);
 }
 
 /* The residual of the law at (l, Y), the graph point chosen by the index set: an upper bound of the distance to the graph.
@@ -219,10 +219,6 @@ static int judged(model_solver *s, int felt)
 #endif
     for (int i = 0; i < MODEL_M; i++)
         s->work.y[i] = s->work.code[i] == 0 ? 0.0 : s->fixed.Y[i];
-#endif
-#if LAW && !CURVED
-    if (felt)
-        memset(s->fixed.felt_l, 0, sizeof s->fixed.felt_l);
 #endif
     s->work.residual = residual;
     s->work.iterations = 1;
@@ -418,17 +414,13 @@ static void add_felt(model_solver *s)
 #endif
     for (int i = 0; i < MODEL_N; i++)
         condition = worse_of(condition, s->fixed.felt_z[i]/unit_z[i]);
-#if LAW
-    if (!(condition <= WORTH)) {
-        memset(s->fixed.felt_l, 0, sizeof s->fixed.felt_l);
+    if (!(condition <= WORTH))
         return;
-    }
+#if LAW
     felt_by(s, s->fixed.error_E, s->fixed.error_Y);
     for (int i = 0; i < MODEL_M; i++)
         s->fixed.error_Y[i] += s->fixed.passed_Y[i];
 #else
-    if (!(condition <= WORTH))
-        return;
     felt_by(s, s->fixed.error_E);
 #endif
     for (int i = 0; i < MODEL_N; i++)
