@@ -8,7 +8,9 @@ import pytest
 
 from nsmodel import FirstOrderSystem, MonotoneInclusion, SweepingProcess, relay, simulate
 from nsmodel.scheme import one_step_problem
+from nsmodel.solve.build import Stepper
 from nsmodel.solve.dual import nearest
+from nsmodel.solve.newton import Newton
 from nsmodel.solve.parts import part, split
 from nsmodel.solve.structure import read
 
@@ -118,21 +120,40 @@ def test_a_ball_s_rows_are_one_part():
     assert sorted(tuple(rows) for _, rows in split(one_step_problem(model))) == [(0, 1), (2,)]
 
 
-def test_copies_move_as_one_alone(monkeypatch):
-    """Where Newton's method on the whole is kept from its end, the parts are solved alone."""
-    from nsmodel.solve.newton import Newton
-
-    starts = np.array([[1.0, 10.0], [0.3, -2.0], [-1.0, 0.2]])
-    alone = [simulate(copies(1, start)).x for start in starts]
+@pytest.fixture
+def weak(monkeypatch):
+    """Newton's method on more than one pair of rows is kept from its end."""
     honest = Newton.solve
 
-    def weak(newton, *arguments):
+    def solve(newton, *arguments):
         found = honest(newton, *arguments)
         if newton.law.size > 2:
             found.residual = 1.0
         return found
 
-    monkeypatch.setattr(Newton, "solve", weak)
+    return lambda: monkeypatch.setattr(Newton, "solve", solve)
+
+
+def test_copies_move_as_one_alone(weak):
+    """Where Newton's method on the whole is kept from its end, the parts are solved alone."""
+    starts = np.array([[1.0, 10.0], [0.3, -2.0], [-1.0, 0.2]])
+    alone = [simulate(copies(1, start)).x for start in starts]
+    weak()
     run = simulate(copies(3, starts))
     np.testing.assert_allclose(run.x, np.hstack(alone), rtol=1e-9, atol=1e-12)
     assert set(run.metadata["solver_counts"]) == {"by parts"}
+
+
+def test_a_step_by_parts_does_not_depend_on_the_steps_before_it(weak):
+    """A resumed run meets its first hard step elsewhere: the parts are prepared where the whole was."""
+    weak()
+    problem = one_step_problem(copies(3, np.ones((3, 2))))
+    first, then = np.array([1.0, 10.0, 0.3, -2.0, -1.0, 0.2]), np.array([-3.0, 1e3, 2.0, -50.0, 0.1, 7.0])
+    steppers = [Stepper(problem, "auto", 1e-9, h=0.1, state=first) for _ in range(2)]
+    cold = steppers[0].cold()
+    steppers[0](0.0, 0.1, first, cold)
+    results = [stepper(0.1, 0.1, then, cold) for stepper in steppers]
+    np.testing.assert_array_equal(results[0].row, results[1].row)
+    assert results[0].solver == results[1].solver == "by parts"
+    plans = [[part.plan for *_, part in stepper._parts] for stepper in steppers]
+    assert plans[0] == plans[1]

@@ -51,7 +51,7 @@ class Stepper:
         self.rows = problem.rows
         self._kernels: dict[float, Kernel] = {}
         self._programme: Programme | None = None
-        self._steppers: dict[int, Stepper] = {}  # of the parts
+        self._built_at = h, state
         self._sparse: Sparse | None = None
         order = None
         if solver == "auto" and pays(self.structure, self.law):
@@ -177,7 +177,7 @@ class Stepper:
             else:
                 found = self._newton.solve(t, h, state, warm.l, warm.index, self.plan.chain)
                 yield self._packed(t, h, state, found)
-                if self.plan.use_last and len(self._parts) > 1:
+                if self.plan.use_last and self._parts:
                     yield from self._by_parts(t, h, state, warm)
                 if self.plan.use_last and not self.law.curved:
                     yield from self._nearby_index_sets(t, h, state, warm)
@@ -244,17 +244,19 @@ class Stepper:
                 yield self._packed(t, h, state, found)
 
     @cached_property
-    def _parts(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        return split(self.problem) if self.law.size else []
+    def _parts(self) -> list[tuple[np.ndarray, np.ndarray, Stepper]]:
+        """The parts that do not touch, and their steps, prepared where this one was: no step depends on which came before."""
+        problem, (h, state) = self.problem, self._built_at
+        parts = split(problem) if self.law.size else []
+        if len(parts) < 2:
+            return []
+        return [(z, l, Stepper(part(problem, z, l), "auto", self.tolerance, h=h, state=state, few_steps=False)) for z, l in parts]
 
     def _by_parts(self, t: float, h: float, state: np.ndarray, warm: Warm) -> Iterator[Attempt]:
         """The parts that do not touch, each alone: Newton's method on the whole is not that on its parts."""
-        p, newton = self.problem, self._newton
-        z, l, index = np.zeros(p.z.numel()), warm.l.copy(), warm.index.copy()
-        for k, (of_z, of_l) in enumerate(self._parts):
-            if k not in self._steppers:
-                self._steppers[k] = Stepper(part(p, of_z, of_l), "auto", self.tolerance, h=h, state=state, few_steps=False)
-            stepper = self._steppers[k]
+        newton = self._newton
+        z, l, index = np.zeros(self.structure.n), warm.l.copy(), warm.index.copy()
+        for of_z, of_l, stepper in self._parts:
             try:
                 found = stepper(t, h, state, Warm(warm.l[of_l], warm.index[of_l]))
             except StepError:

@@ -450,8 +450,8 @@ class Newton:
             wrong = np.flatnonzero(called_for != index)
             if not wrong.size and found.residual <= self.tolerance:
                 return found
-            index = index.copy()
-            index[wrong[-1:] if single else wrong] = called_for[wrong[-1:] if single else wrong]
+            changed, index = wrong[-1:] if single else wrong, index.copy()
+            index[changed] = called_for[changed]
         return best
 
     def _on_boundary(self, index: np.ndarray) -> bool:
