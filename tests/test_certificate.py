@@ -410,7 +410,7 @@ def test_the_kernels_residual_is_numpys(name):
         z = guess_0 - np.linalg.solve(at_0.E_z, at_0.E + at_0.E_l @ l)
         at = newton.linearise(t, 0.1, state, z, l)
         np.testing.assert_allclose(at.Y, kernel.W @ l + b, rtol=1e-9, atol=1e-12)
-        judged = newton.judge(known, at, z, l, index, "test", 1, thorough=False)
+        judged = newton.judge(known, at, l, index, "test", 1, thorough=False)
         unseen = ROUNDING * UNIT / 1e-9 * (np.abs(at.Y_z) @ np.abs(z) + np.abs(at.Y_l) @ np.abs(l))
         w_max = np.abs(kernel.W).max(axis=1)
         moved = z - (guess_0 - np.linalg.solve(at_0.E_z, at_0.E))

@@ -238,7 +238,7 @@ class Scene:
         """The residual by the certificate in Python."""
         newton = self.python._newton
         at = newton.linearise(t, h, state, z, warm.l)
-        return newton.judge(newton.known(t, h, state), at, z, warm.l, warm.index, "test", 1).residual
+        return newton.judge(newton.known(t, h, state), at, warm.l, warm.index, "test", 1).residual
 
     def random(self, rng, last):
         """A random (t, h, state, warm start); ``last`` is the warm start that the step before left."""

@@ -33,6 +33,7 @@ FOUND = {  # Models that the search found steps refused in, by what made it.
     "oscillator:371": "a kink at 2.5e9: z was exact by its row, and the other rows solved for another z",
     "first:645": "copies of a bilinear model: Newton's method on the whole is not that on its parts",
     "first:832": "copies of states that decay",
+    "first:788": "a bilinear force at a state that must be 0: its multiplier ran away and excused the force itself",
     "inclusion:951": "53 curved rows: Newton's method did not settle",
     "inclusion:768": "copies of ellipsoids",
     "sweeping:113": "copies of planes that nearly oppose each other",

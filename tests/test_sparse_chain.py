@@ -189,7 +189,7 @@ def test_no_wrong_answer_passes_that_dense_matrices_refuse(n, unit):
                     wrong_l[i] = np.clip(l[i] + size, -1, 1)
                     wrong_z = np.linalg.solve(at.E_z, -(at.E + at.E_l @ wrong_l))
                 here = newton.linearise(t, h, state, wrong_z, wrong_l)
-                dense = newton.judge(known, here, wrong_z, wrong_l, code, "", 1).residual
+                dense = newton.judge(known, here, wrong_l, code, "", 1).residual
                 if dense > 1e-9:
                     refused += 1
                     assert sparse.certify(t, h, state, wrong_z, wrong_l, code).residual > 1e-9

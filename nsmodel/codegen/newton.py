@@ -23,7 +23,7 @@ def text(scene: Scene, known: dict[str, ca.SX]) -> str:
     entries = {"E_z": E_z, "Y_z": ca.SX(Y_z.T.nz[:]) if sparse else Y_z, "E_l": ca.SX(E_l.nz[:]) if sparse else E_l, "Y_l": Y_l}
     read = {name: entries[name] for name in matrices(scene)}
     guesses = {"z": p.guess, "guess_0": guess_0, "E_guess": E_guess}
-    functions = [c_function("guess", known | multiplier, guesses, "the first z, with l and without; E there")]
+    tables, functions = [], [c_function("guess", known | multiplier, guesses, "the first z, with l and without; E there")]
     if structure.affine:
         constant = {f"{key}_0": _put(e, [p.z, p.l], [no_z, no_l]) for key, e in values.items()}
         functions += [
@@ -32,8 +32,12 @@ def text(scene: Scene, known: dict[str, ca.SX]) -> str:
         ]
     else:
         at = known | {"z": p.z} | multiplier
+        settled, values["E"] = p.settled
+        if p.explicit:
+            read = {"given": settled[list(p.explicit)]} | read
+            tables.append(table("explicit_column", p.explicit, "MODEL_EXPLICIT", "unknowns that their own rows give", "int"))
         functions.append(c_function("linearise", at, values | read, "E, Y and their Jacobians"))
-    bound = error_bound(ca.vertcat(p.E, p.Y), ca.vertcat(p.z, p.l))
+    bound = error_bound(ca.vertcat(*values.values()), ca.vertcat(p.z, p.l))
     errors = {"error_E": bound[: p.z.numel()]} | ({"error_Y": bound[p.z.numel() :]} if m else {})
     functions.append(
         c_function("round_off", known | {"z": p.z} | multiplier, errors, "running error bounds of E and Y, in EPS/2")
@@ -42,7 +46,6 @@ def text(scene: Scene, known: dict[str, ca.SX]) -> str:
         functions.append(
             c_function("overreach", known | {"z": p.z}, {"ratio": p.overreach}, "how far Y is from what it linearises")
         )
-    tables = []
     if sparse:
         tables += [
             table("Y_z_start", Y_z.T.sparsity().colind(), "MODEL_M + 1", "Y_z by rows", "int"),
@@ -64,6 +67,11 @@ def matrices(scene: Scene) -> list[str]:
         names += ["Y_z"] if transposed(scene) else ["Y_z", "E_l"]
         names += ["Y_l"] if scene.jacobians[3].nnz() else []
     return names
+
+
+def outputs(scene: Scene) -> list[str]:
+    """What the code evaluates beside E and Y: unknowns that their own rows give, and Jacobians."""
+    return ["given"] * (not scene.structure.affine and bool(scene.problem.explicit)) + matrices(scene)
 
 
 def transposed(scene: Scene) -> bool:

@@ -117,7 +117,7 @@ def _words(name: str, scene: Scene, flags: frozenset[str], sizes: dict[str, int]
         "STEP_RULE": prefixed(one, name) if "ONE_STEP" in flags else "a finite number > 0",
         "UNIT_T": f", {comment(model.units['t'])}" if "t" in model.units else "",
         "SIZES": "",
-        "MATRICES": "".join(f", s->newton.{key}" for key in newton.matrices(scene)),
+        "MATRICES": "".join(f", s->newton.{key}" for key in newton.outputs(scene)),
         "REWRITTEN_COLUMNS": str(0 if problem.multipliers is None else 2 * sizes["NL"]),
         "WIDTH": str(row_width(scene)),
     } | {key: str(value) for key, value in sizes.items()}

@@ -57,6 +57,7 @@ class OneStepProblem:
         overreach: of each row, how far Y is below the constraint that it linearises at z, beside what it changes by; else None.
         start: problem that turns (x0, 0) into the first state, where the scheme needs a multiplier at t = 0.
         order: of the scheme between switches.
+        explicit: numbers of the unknowns that their own rows give: E_i = z_i - G_i of the others, E and Y linear in them.
     """
 
     scheme: str
@@ -79,11 +80,23 @@ class OneStepProblem:
     overreach: ca.SX | None = None
     start: OneStepProblem | None = None
     order: Order = field(default_factory=lambda: Order(1))
+    explicit: tuple[int, ...] = ()
 
     @cached_property
     def jacobians(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         """(E_z, E_l, Y_z, Y_l), sparse, exact."""
         return tuple(derivatives(e, v) for e in (self.E, self.Y) for v in (self.z, self.l))
+
+    @cached_property
+    def settled(self) -> tuple[ca.SX, ca.SX]:
+        """(z, E) with the explicit unknowns as their rows give them: E is 0 there."""
+        rows = list(self.explicit)
+        if not rows:
+            return self.z, self.E
+        given = -ca.substitute([self.E[rows]], [self.z[rows]], [ca.SX.zeros(len(rows))])[0]
+        z, E = ca.substitute([self.z, self.E], [self.z[rows]], [given])
+        E[rows] = 0
+        return z, E
 
 
 def feedthrough(Y: ca.SX, l: ca.SX) -> tuple[int, ...]:

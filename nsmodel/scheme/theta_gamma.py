@@ -58,6 +58,7 @@ def one_step_problem(model: FirstOrderSystem) -> OneStepProblem:
         records={"residual_R": ca.norm_inf(R), "residual_Ry": ca.norm_inf(y - Y), "residual_Rr": ca.norm_inf(R_r)},
         start=_start(model, h, ca.vertcat(x_k, r_k)) if ga < 1 else None,
         order=Order.of_weights(th, ga, gx, ca.vertcat(t, h, x), basic.law, Y, basic.l),
+        explicit=tuple(range(n, 2 * n)),
     )  # fmt: skip
 
 

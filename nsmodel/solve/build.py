@@ -263,7 +263,7 @@ class Stepper:
                 return
             z[of_z], l[of_l], index[of_l] = found.row[stepper.layout.slices["z"]], found.row[stepper.layout.l], found.warm.index
         at = newton.linearise(t, h, state, z, l)
-        yield self._packed(t, h, state, newton.judge(newton.known(t, h, state), at, z, l, index, "by parts", 1))
+        yield self._packed(t, h, state, newton.judge(newton.known(t, h, state), at, l, index, "by parts", 1))
 
     def _by_ipopt(self, t: float, h: float, state: np.ndarray, warm: Warm) -> Iterator[Attempt]:
         """IPOPT on the whole step from the last multiplier, from 0 and from a spread of starts; polished on its index set."""

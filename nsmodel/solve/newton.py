@@ -43,8 +43,9 @@ def works_on_rows(structure: Structure, law: NumericLaw) -> bool:
 
 @dataclass
 class Linearisation:
-    """E, Y and their Jacobians at one (z, l)."""
+    """z, with the explicit unknowns as their rows give them for the others; E, Y and their Jacobians there."""
 
+    z: np.ndarray
     E: np.ndarray
     Y: np.ndarray
     E_z: np.ndarray
@@ -89,7 +90,9 @@ class Newton:
         self.problem, self.structure, self.law, self.tolerance = problem, structure, law, tolerance
         p = problem
         known = [p.t, p.h, p.state]
-        parts = [p.E, p.Y, *p.jacobians]
+        settled = (p.z, p.E) if structure.affine else p.settled
+        self._rows = ca.vertcat(settled[1], p.Y)
+        parts = [*settled, p.Y, *p.jacobians]
         self._linearise = Buffered("linearise", [*known, p.z, p.l], parts, matrices=4)
         guess_0 = ca.substitute([p.guess], [p.l], [ca.SX.zeros(p.l.shape)])[0] if p.l.numel() else p.guess
         E_guess = ca.substitute([p.E], [p.z, p.l], [guess_0, ca.SX.zeros(p.l.shape)])[0] if p.z.numel() else p.E
@@ -145,12 +148,12 @@ class Newton:
         best, at_best, self._offsets = None, None, self._offset(t, h, state)[0]
         at = self.linearise(t, h, state, z, l)
         for iteration in range(1, ITERATIONS + 1):
-            moved = self._advance(at, z, l, index, chain)
+            moved = self._advance(at, l, index, chain)
             if moved is None:
                 break
             z, l, index, solver = moved
             at = self.linearise(t, h, state, z, l)
-            found = self.judge(known, at, z, l, index, solver, iteration, thorough=self.structure.affine)
+            found = self.judge(known, at, l, index, solver, iteration, thorough=self.structure.affine)
             stalled = best is not None and found.residual <= self.tolerance and found.residual > best.residual / 10
             if best is None or found.residual < best.residual:
                 best, at_best = found, at
@@ -176,7 +179,7 @@ class Newton:
             if found.residual <= self.tolerance:
                 return found
             at = self.linearise(*known[:3], found.z, found.l)
-            return self.judge(known, at, found.z, found.l, found.index, found.solver, found.iterations)
+            return self.judge(known, at, found.l, found.index, found.solver, found.iterations)
         again = self._on_index_set(known, found.z, found.l, found.index)
         if again is None or not again.residual < found.residual * (2 if found.residual <= self.tolerance / 2 else 1):
             return found  # of two that rounding tells apart, the one by the whole system
@@ -184,7 +187,7 @@ class Newton:
         return again
 
     def _advance(
-        self, at: Linearisation, z: np.ndarray, l: np.ndarray, index: np.ndarray, chain: Sequence[str]
+        self, at: Linearisation, l: np.ndarray, index: np.ndarray, chain: Sequence[str]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, str] | None:
         """One Newton iteration: the next (z, l, index set) and the solver of its affine problem."""
         eliminated = self._eliminate(at)
@@ -201,7 +204,7 @@ class Newton:
             if not np.isfinite(found.l).all():
                 return None
             l_next, index, solver = found.l, found.index, found.solver
-        z_next = z + dz_0 + Z @ (l_next - l)
+        z_next = at.z + dz_0 + Z @ (l_next - l)
         self._make_exact(at, z_next, index)
         return z_next, l_next, index, solver
 
@@ -263,7 +266,7 @@ class Newton:
         raise AssertionError("unreachable: every pass adds a row")  # pragma: no cover
 
     def judge(
-        self, known: Known, at: Linearisation, z: np.ndarray, l: np.ndarray, index: np.ndarray, solver: str, iterations: int,
+        self, known: Known, at: Linearisation, l: np.ndarray, index: np.ndarray, solver: str, iterations: int,
         thorough: bool = True,
     ) -> Iterate:  # fmt: skip
         """The certificate at (z, l): E against what moves in the step, and the law at the model's own y.
@@ -271,6 +274,7 @@ class Newton:
         Rounding is looked at where it may matter, its parts in the order of what they cost: that of the unknowns in the rows and,
         where ``thorough``, the rows' own and what the unknowns err by.
         """
+        z = at.z
         if not all(np.isfinite(part).all() for part in (z, l, at.E, at.Y, at.E_z, at.E_l, at.Y_z, at.Y_l)):
             return Iterate(z, l, index, at.Y, np.inf, None, solver, iterations)
         n, abs_z, abs_l = z.size, np.abs(z), np.abs(l)
@@ -326,7 +330,7 @@ class Newton:
         """The running error bounds of E and Y, in units of u."""
         p = self.problem
         if self._error is None:
-            bound = error_bound(ca.vertcat(p.E, p.Y), ca.vertcat(p.z, p.l))
+            bound = error_bound(self._rows, ca.vertcat(p.z, p.l))
             self._error = Buffered("error", [p.t, p.h, p.state, p.z, p.l], [bound])
         return self._error(known.t, known.h, known.state, z, l)[0]
 
@@ -367,9 +371,9 @@ class Newton:
             if not (np.isfinite(at.E).all() and np.isfinite(at.E_z).all()):
                 return found
             scaled, rows, columns = equilibrated(at.E_z)
-            z = z - columns * active_set.solve_or_least_squares(scaled, rows * at.E) if z.size else z
+            z = at.z - columns * active_set.solve_or_least_squares(scaled, rows * at.E) if z.size else z
             at = self.linearise(t, h, state, z, l)
-            found = self.judge(known, at, z, l, index, "", iteration)
+            found = self.judge(known, at, l, index, "", iteration)
             if found.residual <= self._enough:
                 break
         return found
@@ -486,6 +490,7 @@ class Newton:
                 at.Y[[row for row, *_ in self.structure.unit_rows if index[row] == 0]] = 0.0
             step = columns * active_set.solve_or_least_squares(scaled, -rows * np.concatenate([at.E, at.Y[free]]))
             t_step, old, found, z_new, l_new, at_new = 1.0, size, None, z, l, at
+            z = at.z
             extent = np.abs(np.concatenate([z, l[free]])) / columns
             near = self.structure.affine or np.abs(step / columns).max(initial=0.0) <= NEAR * extent.max(initial=0.0)
             while found is None:
@@ -497,7 +502,7 @@ class Newton:
                 at_new = self.linearise(t, h, state, z_new, l_new)
                 size = np.linalg.norm(np.concatenate([at_new.E, at_new.Y[free]]))
                 if size <= (1 - 1e-4 * t_step) * old or t_step in (1.0, TINY) or self.structure.affine:
-                    found = self.judge(known, at_new, z_new, l_new, index, "newton on the index set", iteration, near)
+                    found = self.judge(known, at_new, l_new, index, "newton on the index set", iteration, near)
                     if t_step == 1.0 and found.residual > self.tolerance and not size <= (1 - 1e-4) * old:
                         found = found if self.structure.affine or old == 0 else None
                 t_step /= 2

@@ -204,9 +204,9 @@ class Teller:
         inverse = self._inverse(J, A, rows, cols)
         if inverse is None:
             return None, None
-        du = -inverse @ small
         u = np.abs(np.concatenate([floats(z), floats(l)]))
         with np.errstate(all="ignore"):
+            du = -inverse @ small
             size = np.abs(inverse) @ (np.abs(J) @ (u + np.abs(du) * float(top)))
         if not (np.isfinite(du).all() and np.isfinite(size).all()):
             return None, None
@@ -461,6 +461,7 @@ class Teller:
         dz = z - self.guess(t, h, state, 0 * l)
         moved_E = np.abs(E_0) + np.abs(E_z) @ np.abs(dz) + np.abs(E_l) @ np.abs(l)
         moved_Y = np.abs(Y_0) + np.abs(Y_z) @ np.abs(dz) + np.abs(Y_l) @ np.abs(l)
+        a_Y = a_Y + np.abs(Y_z) @ (np.abs(np.linalg.pinv(E_z)) @ a_E)  # z is as exact as E tells it
         wrong = np.where(index < 0, np.maximum(-Y, 0), np.where(index > 0, np.maximum(Y, 0), np.abs(Y)))
         wrong[self.curved] = 0
         ratio = np.concatenate([np.abs(E), wrong]) / (

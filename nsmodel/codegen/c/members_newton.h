@@ -3,6 +3,9 @@
 #if AFFINE
         double E_0[MODEL_N]; /* E at z = 0, l = 0 */
 #endif
+#if EXPLICIT
+        double given[MODEL_EXPLICIT]; /* the unknowns that their own rows give */
+#endif
         double scale[MODEL_N], error_E[MODEL_N];
         int looked; /* whether the error bounds are those of (z, l) */
         int prepared; /* what is known of the matrices below */

@@ -45,6 +45,10 @@ static int read_matrices(model_solver *s)
 #else
     linearise(s, s->work.z, s->newton.E@MATRICES@);
 #endif
+#if EXPLICIT
+    for (int i = 0; i < MODEL_EXPLICIT; i++)
+        s->work.z[explicit_column[i]] = s->newton.given[i];
+#endif
 #endif
 #if TRANSPOSED
 #if ROWS
