@@ -34,6 +34,8 @@ FOUND = {  # Models that the search found steps refused in, by what made it.
     "first:645": "copies of a bilinear model: Newton's method on the whole is not that on its parts",
     "first:832": "copies of states that decay",
     "first:788": "a bilinear force at a state that must be 0: its multiplier ran away and excused the force itself",
+    "first:1589": "copies of a large scene: one block is at rest, and its rows are what rounding leaves of 0",
+    "inclusion:1473": "curved rows in units of 1e-6 to 1e5: the forces of the last cuts were lost in their units",
     "inclusion:951": "53 curved rows: Newton's method did not settle",
     "inclusion:768": "copies of ellipsoids",
     "sweeping:113": "copies of planes that nearly oppose each other",

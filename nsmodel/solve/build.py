@@ -146,6 +146,8 @@ class Stepper:
                 raise self._sparse_failure(t, h, state, found)
             chain = (mlcp.INDEX_SET, *(("qpoases",) if self.plan.monotone else ()), mlcp.LEMKE)
             found = self._newton.solve(t, h, state, warm.l, warm.index, chain)
+            if not found.residual <= self.tolerance and self._parts:
+                found = self._by_parts(t, h, state, warm) or found
             if not found.residual <= self.tolerance:
                 raise self._failure(t, h, state, warm, self._packed(t, h, state, found))
         row = sparse.pack(t, h, state, found)
@@ -177,8 +179,8 @@ class Stepper:
             else:
                 found = self._newton.solve(t, h, state, warm.l, warm.index, self.plan.chain)
                 yield self._packed(t, h, state, found)
-                if self.plan.use_last and self._parts:
-                    yield from self._by_parts(t, h, state, warm)
+                if self.plan.use_last and self._parts and (alone := self._by_parts(t, h, state, warm)):
+                    yield self._packed(t, h, state, alone)
                 if self.plan.use_last and not self.law.curved:
                     yield from self._nearby_index_sets(t, h, state, warm)
         if self.plan.dual:
@@ -252,7 +254,7 @@ class Stepper:
             return []
         return [(z, l, Stepper(part(problem, z, l), "auto", self.tolerance, h=h, state=state, few_steps=False)) for z, l in parts]
 
-    def _by_parts(self, t: float, h: float, state: np.ndarray, warm: Warm) -> Iterator[Attempt]:
+    def _by_parts(self, t: float, h: float, state: np.ndarray, warm: Warm) -> Iterate | None:
         """The parts that do not touch, each alone: Newton's method on the whole is not that on its parts."""
         newton = self._newton
         z, l, index = np.zeros(self.structure.n), warm.l.copy(), warm.index.copy()
@@ -260,10 +262,10 @@ class Stepper:
             try:
                 found = stepper(t, h, state, Warm(warm.l[of_l], warm.index[of_l]))
             except StepError:
-                return
+                return None
             z[of_z], l[of_l], index[of_l] = found.row[stepper.layout.slices["z"]], found.row[stepper.layout.l], found.warm.index
         at = newton.linearise(t, h, state, z, l)
-        yield self._packed(t, h, state, newton.judge(newton.known(t, h, state), at, l, index, "by parts", 1))
+        return newton.judge(newton.known(t, h, state), at, l, index, "by parts", 1)
 
     def _by_ipopt(self, t: float, h: float, state: np.ndarray, warm: Warm) -> Iterator[Attempt]:
         """IPOPT on the whole step from the last multiplier, from 0 and from a spread of starts; polished on its index set."""

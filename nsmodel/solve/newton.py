@@ -408,7 +408,8 @@ class Newton:
         index[held % l.size] = 0
         if self.structure.affine:
             return self._whole(known, z, l, index)
-        np.add.at(l, held % l.size, np.linalg.lstsq(normals[held].T, z - point, rcond=None)[0])
+        lengths = np.linalg.norm(normals[held], axis=1)
+        np.add.at(l, held % l.size, np.linalg.lstsq((normals[held] / lengths[:, None]).T, z - point, rcond=None)[0] / lengths)
         return self._on_index_set(known, z, l, index)
 
     def _is_fragile(self, at: Linearisation, index: np.ndarray) -> bool:

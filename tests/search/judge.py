@@ -324,7 +324,7 @@ def _judge_copies(case: Case, run: Run, verdict: Verdict, compiled: bool) -> Non
         if ratio.max(initial=0.0) > 1:
             k, j = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
             verdict.findings.append(Finding(
-                case.id, case.scene, COPY, int(k) - 1, float(ratio.max()), np.nan,
+                case.id, case.scene, COPY, int(k) - 1, float(ratio.max()), max(verdict.judged, default=np.nan),
                 f"copy {i}: x[{j}] = {here[k, j]!r}, alone {alone.x[k, j]!r}", compiled,
             ))  # fmt: skip
         if alone.error is not None:

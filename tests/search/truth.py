@@ -386,21 +386,25 @@ class Teller:
         return Truth(z, l, Y, index, condition, size[:n], size[n:], rounding[:n], rounding[n:])
 
     def _add_ties(self, index, Y, a, J, l, rounding):
-        """A row at its bound whose y is 0 to rounding may as well be free: what that moves, and what may then be any."""
-        n = self.n
-        felt = 4 * np.abs(J[n:, :n]) @ rounding[:n]  # of y, where its row is whole
-        tied = (index != 0) & ~self.curved & (np.abs(Y) <= 256 * EPS * a[n:] + felt)
-        if not tied.any():
-            return
-        keep = np.concatenate([np.arange(n), n + np.flatnonzero((index == 0) | self.curved | tied)])
-        A = J[np.ix_(keep, keep)]
-        rows, cols = equilibrate(A)
-        with np.errstate(all="ignore"):
-            U, s, Vt = np.linalg.svd(A / rows[:, None] / cols)
-            seen = s > 1e-13 * s.max(initial=0.0)
-            inverse = (Vt[seen].T / s[seen]) @ U[:, seen].T / cols[:, None] / rows
-        rounding[keep] = np.maximum(rounding[keep], 4 * EPS * (np.abs(inverse) @ a[keep]))
-        rounding[keep[n:]] = np.maximum(rounding[keep[n:]], self._spread(Vt[~seen], cols, l, keep[n:] - n))
+        """A row at its bound whose y is 0 to rounding may as well be free: what that moves, and what may then be any.
+
+        What is moved so may bring the y of more rows within rounding of 0.
+        """
+        n, tied = self.n, None
+        while True:
+            felt = 4 * np.abs(J[n:, :n]) @ rounding[:n]  # of y, where its row is whole
+            last, tied = tied, (index != 0) & ~self.curved & (np.abs(Y) <= 256 * EPS * a[n:] + felt)
+            if not tied.any() or np.array_equal(last, tied):
+                return
+            keep = np.concatenate([np.arange(n), n + np.flatnonzero((index == 0) | self.curved | tied)])
+            A = J[np.ix_(keep, keep)]
+            rows, cols = equilibrate(A)
+            with np.errstate(all="ignore"):
+                U, s, Vt = np.linalg.svd(A / rows[:, None] / cols)
+                seen = s > 1e-13 * s.max(initial=0.0)
+                inverse = (Vt[seen].T / s[seen]) @ U[:, seen].T / cols[:, None] / rows
+            rounding[keep] = np.maximum(rounding[keep], 4 * EPS * (np.abs(inverse) @ a[keep]))
+            rounding[keep[n:]] = np.maximum(rounding[keep[n:]], self._spread(Vt[~seen], cols, l, keep[n:] - n))
 
     def _add_near_bounds(self, index, a, J, l, rounding):
         """A row whose l is not told from its bound may as well be there: what moves without it."""
@@ -420,11 +424,11 @@ class Teller:
         spread = np.zeros(rows.size)
         if not len(null):
             return spread
-        D = (null / cols).T[-rows.size :]
-        D[np.abs(D) <= 1e-9 * np.abs(D).max(axis=0, initial=0.0)] = 0.0
+        D = (np.where(np.abs(null) <= 1e-9, 0.0, null) / cols).T[-rows.size :]
         low, high = np.minimum(self.lower[rows] - l[rows], 0.0), np.maximum(self.upper[rows] - l[rows], 0.0)
         held = np.isfinite(low) & np.isfinite(high)
-        unit = np.where(held, np.maximum(high, -low), np.abs(l[rows]))
+        scaled = cols[-rows.size :]
+        unit = np.where(held, np.maximum(high, -low), ((np.abs(l[rows]) * scaled).max() or 1.0) / scaled)
         unit[unit == 0] = 1.0
         bounded_up, bounded_low = np.isfinite(high), np.isfinite(low)
         A = np.vstack([(D / unit[:, None])[bounded_up], -(D / unit[:, None])[bounded_low]])
