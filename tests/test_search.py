@@ -28,6 +28,7 @@ FOUND = {  # Models that the search found steps refused in, by what made it.
     "sweeping:268": "the same, and W takes another index set for the right one",
     "sweeping:549": "rows in units of 1e-8 to 1e8: the solution by W was as good as rounding tells, not as good as it gets",
     "lure:468": "multipliers that cancel to a part of 1e-5: an error beside them was one of the motion",
+    "lure:834": "rows that nearly repeat others, not monotone: from all rows held the active set method finds it, from none not",
     "lure:138": "rows that repeat others to 1e-9: the index set that W calls for holds one too many",
     "first:1444": "the same, of a first-order system with masses of 1 to 1e12",
     "oscillator:371": "a kink at 2.5e9: z was exact by its row, and the other rows solved for another z",
