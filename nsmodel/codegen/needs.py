@@ -55,6 +55,8 @@ def flags_of(scene: Scene) -> frozenset[str]:
     has["CURVED"] = bool(law.curved) or has.get("SELECTION_CURVED", False)
     has["ENUMERATED"] = has["FIXED_MAPS"] and few
     has["REGULAR_SETS"] = has["ENUMERATED"] and _regular_sets_suffice(scene)
+    has["REFINED"] = stepped and has["LAW"] and structure.affine and not law.curved
+    has["KEPT"] = stepped and (has["REFINED"] or not structure.affine)
     has["AFFINE_PROBLEM"] = (has["LAW"] and (stepped or scene.path == FIXED) and not has["ENUMERATED"]) or has.get("GRAM", False)
     has["BOX_PROBLEM"] = has["AFFINE_PROBLEM"] and not law.curved
     has["PIVOTING"] = has["BOX_PROBLEM"] and (has.get("GRAM", False) or not (few and structure.gram))

@@ -42,9 +42,11 @@
 #endif
 #if NEARBY
         double z_0[MODEL_N], l_0[MODEL_M], step[MODEL_N + MODEL_M]; /* where a damped step starts, and the step */
-        int free[MODEL_M];
 #endif
-#if !AFFINE
+#if LAW
+        int free[MODEL_M]; /* rows coded 0 */
+#endif
+#if KEPT
         struct {
             double z[MODEL_N], residual;
             int iterations;

@@ -631,7 +631,7 @@ static void prepare(model_solver *s)
     for (int i = 0; i < MODEL_N; i++) /* what is infinite there excuses nothing */
         s->newton.E_guess[i] = is_finite(s->newton.E_guess[i]) ? fabs(s->newton.E_guess[i]) : 0;
 }
-#if !AFFINE
+#if KEPT
 
 /* Keep an accepted iterate while a better one is sought. */
 static void keep(model_solver *s)
@@ -659,11 +659,85 @@ static void restore(model_solver *s)
 }
 #endif
 
+#if REFINED
+
+/* Correct (z, l) on its index set by what E and Y lack there; 0 where that is a singular system. */
+static int correct(model_solver *s)
+{
+    double *z = s->work.z, *dz = s->newton.dz, *v = s->newton.v, *l = s->newton.l, *A = s->linear.lu, *step = s->newton.b;
+    int n = 0, *free = s->newton.free;
+    for (int i = 0; i < MODEL_M; i++)
+        if (s->work.code[i] == 0)
+            free[n++] = i;
+    if (n > MODEL_LINEAR || !eliminate(s))
+        return 0;
+    for (int i = 0; i < MODEL_N; i++)
+        dz[i] = -s->newton.E[i];
+#if !IDENTITY
+    lu_solve(MODEL_N, s->newton.lu, s->newton.pivot, dz);
+#endif
+    for (int j = 0; j < n; j++) {
+        memset(l, 0, sizeof s->newton.l);
+        l[free[j]] = 1;
+        S_times(s, l, v);
+        for (int i = 0; i < n; i++) {
+            A[n*i + j] = -Y_z_times(s, free[i], v);
+#if FEEDTHROUGH
+            A[n*i + j] += s->newton.Y_l[MODEL_M*free[i] + free[j]];
+#endif
+        }
+    }
+    if (lu_factor(n, A, s->linear.pivot) != 0)
+        return 0;
+#if UNIT_ROWS
+    for (int i = 0; i < MODEL_UNIT; i++)
+        if (s->work.code[unit_row[i]] == 0) /* by which z is exact: as near as doubles come */
+            s->newton.Y[unit_row[i]] = 0;
+#endif
+    for (int i = 0; i < n; i++)
+        step[i] = -s->newton.Y[free[i]] - Y_z_times(s, free[i], dz);
+    lu_solve(n, A, s->linear.pivot, step);
+    memset(l, 0, sizeof s->newton.l);
+    for (int i = 0; i < n; i++) {
+        l[free[i]] = step[i];
+        s->work.l[free[i]] += step[i];
+    }
+    S_times(s, l, v);
+    for (int i = 0; i < MODEL_N; i++)
+        z[i] += dz[i] - v[i];
+#if EXACT_ROWS
+    make_exact(s);
+#endif
+    return 1;
+}
+#endif
+
 /* Newton's method from (z, l) and the index set in work; the solver of the iterate accepted, or NONE. */
 static int newton(model_solver *s)
 {
     if (!evaluate(s))
         return NONE;
+#if REFINED
+    int passed = NONE; /* what passes is corrected until rounding explains its residual: elimination keeps a part of the system */
+    for (int iteration = 1; iteration <= NEWTON_ITERATIONS && spend(s); iteration++) {
+        const int solver = passed == NONE ? iterate(s) : correct(s) ? passed : NONE;
+        if (solver == NONE || !evaluate(s))
+            break;
+        s->work.iterations = passed == NONE ? iteration : s->newton.best.iterations;
+        const double residual = judge(s);
+        if (residual <= EXPLAINED)
+            return solver;
+        if (passed != NONE && !(residual < s->newton.best.residual))
+            break;
+        if (residual <= TOLERANCE) {
+            keep(s);
+            passed = solver;
+        }
+    }
+    if (passed != NONE)
+        restore(s);
+    return passed;
+#else
 #if AFFINE
     for (int iteration = 1; iteration <= NEWTON_ITERATIONS && spend(s); iteration++) {
         const int solver = iterate(s);
@@ -696,6 +770,7 @@ static int newton(model_solver *s)
     if (best != NONE)
         restore(s);
     return best;
+#endif
 #endif
 }
 #if NEARBY
