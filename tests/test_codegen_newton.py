@@ -18,6 +18,7 @@ from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, SweepingPr
 from nsmodel.errors import StepError
 from nsmodel.model.laws import complementarity, equality, polyhedron, product, relay, second_order_cone
 from nsmodel.scheme import initial_rows, one_step_problem
+from nsmodel.solve import rounding
 from nsmodel.solve.build import Stepper
 from nsmodel.solve.certificate import numeric_law
 from nsmodel.solve.stepper import Warm
@@ -265,7 +266,19 @@ def scene(tmp_path_factory):
 @pytest.mark.parametrize("name", SCENES)
 def test_a_step_is_the_interpreted_one(scene, name):
     """Both are certified and the same, or none is; from states near the start, and all kinds of warm starts."""
-    both, rng, done = scene(name), np.random.default_rng(0), 0
+    agree(scene(name))
+
+
+@pytest.mark.parametrize("name", ["many rows", "many rows, a matrix", "bilinear", "Lur'e, phi", "smooth"])
+def test_the_rounding_of_a_large_graph_is_told_by_its_terms(monkeypatch, tmp_path, name):
+    monkeypatch.setattr(rounding, "LARGE", 0)
+    agree(Scene(SCENES[name](), tmp_path))
+    assert "round_off_by_terms(s);" in (tmp_path / "scene.c").read_text()
+    assert "void round_off(" not in (tmp_path / "scene.c").read_text()
+
+
+def agree(both):
+    rng, done = np.random.default_rng(0), 0
     last = both.python.cold()
     for _ in range(100):
         t, h, state, warm = both.random(rng, last)

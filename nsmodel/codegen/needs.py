@@ -31,6 +31,7 @@ def flags_of(scene: Scene) -> frozenset[str]:
         "AFFINE": structure.affine,
         "CONSTANT": structure.constant and stepped,
         "IDENTITY": structure.identity,
+        "TERMS": stepped and newton.bounded_by_terms(scene),
         "EXPLICIT": stepped and bool(problem.explicit) and not structure.affine,
         "ROWS": scene.by_rows,
         "ENUMERATION": structure.m <= ENUMERATE_UP_TO or few,

@@ -7,7 +7,7 @@ import casadi as ca
 from nsmodel.codegen.expression import c_function
 from nsmodel.codegen.scene import Scene
 from nsmodel.codegen.tables import exact_tables, table
-from nsmodel.solve.rounding import error_bound
+from nsmodel.solve.rounding import error_bound, is_bounded_by_terms
 from nsmodel.solve.structure import is_transposed
 
 
@@ -37,11 +37,12 @@ def text(scene: Scene, known: dict[str, ca.SX]) -> str:
             read = {"given": settled[list(p.explicit)]} | read
             tables.append(table("explicit_column", p.explicit, "MODEL_EXPLICIT", "unknowns that their own rows give", "int"))
         functions.append(c_function("linearise", at, values | read, "E, Y and their Jacobians"))
-    bound = error_bound(ca.vertcat(*values.values()), ca.vertcat(p.z, p.l))
-    errors = {"error_E": bound[: p.z.numel()]} | ({"error_Y": bound[p.z.numel() :]} if m else {})
-    functions.append(
-        c_function("round_off", known | {"z": p.z} | multiplier, errors, "running error bounds of E and Y, in EPS/2")
-    )
+    if not bounded_by_terms(scene):
+        bound = error_bound(ca.vertcat(*values.values()), ca.vertcat(p.z, p.l))
+        errors = {"error_E": bound[: p.z.numel()]} | ({"error_Y": bound[p.z.numel() :]} if m else {})
+        functions.append(
+            c_function("round_off", known | {"z": p.z} | multiplier, errors, "running error bounds of E and Y, in EPS/2")
+        )
     if p.overreach is not None:
         functions.append(
             c_function("overreach", known | {"z": p.z}, {"ratio": p.overreach}, "how far Y is from what it linearises")
@@ -67,6 +68,12 @@ def matrices(scene: Scene) -> list[str]:
         names += ["Y_z"] if transposed(scene) else ["Y_z", "E_l"]
         names += ["Y_l"] if scene.jacobians[3].nnz() else []
     return names
+
+
+def bounded_by_terms(scene: Scene) -> bool:
+    """Whether the rounding of the rows is bounded by their terms: the matrices tell it."""
+    p = scene.problem
+    return is_bounded_by_terms(ca.vertcat(p.E if scene.structure.affine else p.settled[1], p.Y))
 
 
 def outputs(scene: Scene) -> list[str]:

@@ -44,8 +44,7 @@ def error_bound(rows: ca.SX, unknowns: ca.SX) -> ca.SX:
         rows: SX column.
         unknowns: symbols that are known to the nearest double only; all others are exact.
     """
-    large = ca.Function("rows", [column(ca.symvar(rows))], [rows]).n_nodes() > LARGE
-    if large or ca.OP_CALL in operations(rows):  # what is inside a Function cannot be seen: terms in the unknowns, and the rest
+    if is_bounded_by_terms(rows):
         J = ca.jacobian(rows, unknowns)
         return ca.fabs(J) @ ca.fabs(unknowns) + ca.fabs(rows - J @ unknowns)
     unknown = keys(unknowns)
@@ -54,6 +53,13 @@ def error_bound(rows: ca.SX, unknowns: ca.SX) -> ca.SX:
         return Computed(s, ca.fabs(s) if s.element_hash() in unknown else ca.SX(0))
 
     return column(c.error for c in fold(rows, symbol, lambda v: Computed(ca.SX(v), ca.SX(0)), _computed))
+
+
+def is_bounded_by_terms(rows: ca.SX) -> bool:
+    """Whether the bound is that of the terms in the unknowns, and of the rest: of large graphs, and of Functions, whose inside
+    cannot be seen."""
+    large = ca.Function("rows", [column(ca.symvar(rows))], [rows]).n_nodes() > LARGE
+    return large or ca.OP_CALL in operations(rows)
 
 
 def _computed(op: int, args: list[Computed]) -> Computed:

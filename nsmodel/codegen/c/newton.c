@@ -26,6 +26,9 @@ enum { UNKNOWN, READ, REGULAR, SINGULAR };
 /* See rows.c. */
 static void S_times(const model_solver *s, const double *l, double *restrict v);
 static void E_l_times(const model_solver *s, const double *l, double *restrict sum);
+#if TERMS
+static void E_l_size(const model_solver *s, const double *l, double *restrict sum);
+#endif
 static double Y_z_times(const model_solver *s, int i, const double *v);
 static double Y_z_size(const model_solver *s, int i, const double *v);
 static int solve_rows(model_solver *s);
@@ -123,6 +126,18 @@ static void E_l_times(const model_solver *s, const double *l, double *restrict s
     for (int i = 0; i < MODEL_N; i++)
         sum[i] = dot(MODEL_M, s->newton.E_l + MODEL_M*i, l);
 }
+#if TERMS
+
+/* sum = |E_l| |l|. */
+static void E_l_size(const model_solver *s, const double *l, double *restrict sum)
+{
+    for (int i = 0; i < MODEL_N; i++) {
+        sum[i] = 0;
+        for (int j = 0; j < MODEL_M; j++)
+            sum[i] += fabs(s->newton.E_l[MODEL_M*i + j]*l[j]);
+    }
+}
+#endif
 #if !IDENTITY
 
 /* Solve E_z S = E_l with the factors of E_z, all columns at once. */
@@ -364,16 +379,66 @@ static double largest_ratio(const double *E, const double *scale)
     return worst;
 }
 
+#if TERMS
+
+/* The bounds of large graphs: the terms of E and Y in the unknowns, and the rest. */
+static void round_off_by_terms(model_solver *s)
+{
+    const double *z = s->work.z;
+    double *error_E = s->newton.error_E;
+#if LAW
+    E_l_times(s, s->work.l, s->newton.sum);
+    E_l_size(s, s->work.l, error_E);
+#else
+    memset(error_E, 0, sizeof s->newton.error_E);
+#endif
+    for (int i = 0; i < MODEL_N; i++) {
+        double rest = s->newton.E[i];
+#if LAW
+        rest -= s->newton.sum[i];
+#endif
+#if IDENTITY
+        rest -= z[i];
+        error_E[i] += fabs(z[i]);
+#else
+        for (int j = 0; j < MODEL_N; j++) {
+            const double term = s->newton.E_z[MODEL_N*i + j]*z[j];
+            rest -= term;
+            error_E[i] += fabs(term);
+        }
+#endif
+        error_E[i] += fabs(rest);
+    }
+#if LAW
+    for (int i = 0; i < MODEL_M; i++) {
+        double rest = s->newton.Y[i] - Y_z_times(s, i, z), size = Y_z_size(s, i, z);
+#if FEEDTHROUGH
+        for (int j = 0; j < MODEL_M; j++) {
+            const double term = s->newton.Y_l[MODEL_M*i + j]*s->work.l[j];
+            rest -= term;
+            size += fabs(term);
+        }
+#endif
+        s->newton.error_Y[i] = size + fabs(rest);
+    }
+#endif
+}
+#endif
+
 /* The running error bounds of E and Y at (z, l), once for each iterate. */
 static void look_at_rounding(model_solver *s)
 {
     if (s->newton.looked)
         return;
     s->newton.looked = 1;
+#if TERMS
+    round_off_by_terms(s);
+#else
 #if LAW
     round_off(s, s->work.z, s->work.l, s->newton.error_E, s->newton.error_Y);
 #else
     round_off(s, s->work.z, s->newton.error_E);
+#endif
 #endif
 }
 #if !IDENTITY

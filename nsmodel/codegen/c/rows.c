@@ -59,6 +59,18 @@ static void E_l_times(const model_solver *s, const double *l, double *restrict s
                 sum[E_l_row[k]] += s->newton.E_l[k]*l[j];
 }
 
+#if TERMS
+/* sum = |E_l| |l|. */
+static void E_l_size(const model_solver *s, const double *l, double *restrict sum)
+{
+    memset(sum, 0, MODEL_N*sizeof *sum);
+    for (int j = 0; j < MODEL_M; j++)
+        if (l[j] != 0)
+            for (int k = E_l_start[j]; k < E_l_start[j + 1]; k++)
+                sum[E_l_row[k]] += fabs(s->newton.E_l[k]*l[j]);
+}
+
+#endif
 /* Solve the affine problem on the rows that act: W = -Y_z S there. */
 static int solve_acting(model_solver *s, int k)
 {
