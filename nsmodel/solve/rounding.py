@@ -57,7 +57,8 @@ def error_bound(rows: ca.SX, unknowns: ca.SX) -> ca.SX:
 
 def is_bounded_by_terms(rows: ca.SX) -> bool:
     """Whether the bound is that of the terms in the unknowns, and of the rest: of large graphs, and of Functions, whose inside
-    cannot be seen."""
+    cannot be seen.
+    """
     large = ca.Function("rows", [column(ca.symvar(rows))], [rows]).n_nodes() > LARGE
     return large or ca.OP_CALL in operations(rows)
 
