@@ -377,7 +377,9 @@ class Teller:
             except np.linalg.LinAlgError:
                 pass
         if m:
-            size[n:] = np.maximum(size[n:], self._least_sizes(E_z, E_l, Y_z, Y_l, lf))
+            bounds, linked = self._least_sizes(E_z, E_l, Y_z, Y_l, lf)
+            size[n:] = np.maximum(size[n:], np.maximum(bounds, linked))
+            size[:n] = np.maximum(size[:n], np.abs(np.linalg.pinv(E_z) @ E_l) @ linked)
             whole = J.copy()
             fixed = np.flatnonzero((index != 0) & ~self.curved)
             whole[n + fixed] = np.hstack([Y_z, Y_l])[fixed]
@@ -442,18 +444,18 @@ class Teller:
         return spread
 
     def _least_sizes(self, E_z, E_l, Y_z, Y_l, l):
-        """Bounds of each multiplier, and 1e-6 of the largest of others in the unit in which W_ii = 1."""
+        """Bounds of each multiplier; and 1e-6 of the largest of others that are linked to it, in the unit in which W_ii = 1."""
         bound = np.maximum(*(np.where(np.isfinite(b), np.abs(b), 0.0) for b in (self.lower, self.upper)))
         for rows, radius in self.balls:
             bound[rows] = radius
         try:
             W = Y_l - Y_z @ np.linalg.solve(E_z, E_l)
         except np.linalg.LinAlgError:
-            return bound
+            return bound, np.zeros(len(l))
         w = np.sqrt(np.abs(W).max(axis=1))
         linked = W != 0
         largest = np.array([(np.abs(l) * w)[linked[i] | linked[:, i]].max(initial=0.0) for i in range(len(l))])
-        return np.maximum(bound, np.divide(1e-6 * largest, w, out=np.zeros_like(w), where=w > 0))
+        return bound, np.divide(1e-6 * largest, w, out=np.zeros_like(w), where=w > 0)
 
     def misfit(self, t, h, state, z, l, index):
         """How far (z, l) misses the law, in units of 1e-9 of what moves plus rounding, and the row that is worst."""
