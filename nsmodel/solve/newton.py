@@ -447,7 +447,7 @@ class Newton:
             at = self.linearise(*known[:3], z, l)
             unseen = ROUNDING * UNIT * (np.abs(at.Y_z) @ np.abs(z) + np.abs(at.Y_l) @ np.abs(l) + np.abs(at.Y))
             outside = np.where(l < self.law.lower, -1, np.where(l > self.law.upper, 1, 0))
-            if found.residual > self.tolerance:  # rows that cannot all be held: one that is left open goes to its bound
+            if found.residual > self._enough:  # rows that cannot all be held: one that is left open goes to its bound
                 left_open = np.where((at.Y > unseen) & np.isfinite(self.law.lower), -1, 0)
                 left_open = np.where((at.Y < -unseen) & np.isfinite(self.law.upper), 1, left_open)
                 outside = np.where(outside == 0, left_open, outside)
