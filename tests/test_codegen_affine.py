@@ -231,7 +231,7 @@ class Library:
 
     def invert(self, A) -> np.ndarray | None:
         A, inverse = np.ascontiguousarray(A, float), np.empty(np.shape(A))
-        return None if self.c.harness_invert(len(A), data(A), data(inverse)) else inverse
+        return None if self.c.harness_invert(len(A), data(A), data(inverse)) > 0 else inverse
 
     def index_sets(self, law, last, most) -> list[tuple[int, ...]]:
         codes = np.zeros((most, law.size), np.int8)

@@ -55,6 +55,7 @@ def flags_of(scene: Scene) -> frozenset[str]:
     } | inclusion.flags(scene)
     has["CURVED"] = bool(law.curved) or has.get("SELECTION_CURVED", False)
     has["ENUMERATED"] = has["FIXED_MAPS"] and few
+    has["SETTLED"] = has["FIXED_MAPS"] and not has["ENUMERATED"]
     has["REGULAR_SETS"] = has["ENUMERATED"] and _regular_sets_suffice(scene)
     has["REFINED"] = stepped and has["LAW"] and structure.affine and not law.curved
     has["KEPT"] = stepped and (has["REFINED"] or not structure.affine)

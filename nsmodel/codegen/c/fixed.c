@@ -158,6 +158,15 @@ static double gap_residual(model_solver *s)
 
 #endif
 static void add_felt(model_solver *s);
+#if FIXED_MAPS
+
+/* Whether the map at hand is that of the index set at hand. */
+static int on_map(const model_solver *s)
+{
+    const int k = s->fixed.current;
+    return k >= 0 && memcmp(s->fixed.maps[k].code, s->work.code, MODEL_M) == 0;
+}
+#endif
 
 /* Put z where it is known exactly, and judge (z, l) with its index set: 1 where it passes, 2 where also no other index set is
    called for. ``felt``: what the unknowns err by counts too. */
@@ -222,6 +231,10 @@ static int judged(model_solver *s, int felt)
 #endif
     s->work.residual = residual;
     s->work.iterations = 1;
+#if FIXED_MAPS
+    if (residual > EXPLAINED && on_map(s) && s->fixed.maps[s->fixed.current].singular)
+        return 0; /* one of many solutions, or none: only what is exact to rounding tells */
+#endif
     return residual <= TOLERANCE ? 1 + settled : 0;
 }
 
@@ -233,7 +246,7 @@ static void correction(model_solver *s, const double *E, const double *Y, double
     memset(dl, 0, sizeof s->work.l);
 #if FIXED_MAPS
     const int k = s->fixed.current;
-    if (k >= 0 && memcmp(s->fixed.maps[k].code, s->work.code, MODEL_M) == 0) {
+    if (on_map(s)) {
         const int n = s->fixed.maps[k].n, *free = s->fixed.maps[k].free;
         for (int i = 0; i < n; i++)
             for (int j = 0; j < n; j++)
@@ -265,14 +278,6 @@ static void correct(model_solver *s)
         s->work.z[i] += s->fixed.dz[i];
 }
 
-#if FIXED_MAPS
-static int on_fragile_map(const model_solver *s)
-{
-    const int k = s->fixed.current;
-    return k >= 0 && s->fixed.maps[k].fragile && memcmp(s->fixed.maps[k].code, s->work.code, MODEL_M) == 0;
-}
-#endif
-
 /* Certify s->work.l with s->work.code: 1 where the step passes, 2 where also no other index set is called for. */
 static int certified(model_solver *s)
 {
@@ -283,7 +288,10 @@ static int certified(model_solver *s)
 #endif
     int passed = judged(s, 0);
 #if FIXED_MAPS
-    for (int i = 0; i < FRAGILE_REFINEMENTS && on_fragile_map(s) && s->work.residual < INFINITY && spend(s); i++) {
+    const int k = s->fixed.current, fragile = k >= 0 && s->fixed.maps[k].fragile && on_map(s);
+    for (int i = 0; i < REFINEMENTS && fragile && s->work.residual < INFINITY && spend(s); i++) {
+        if (i >= FRAGILE_REFINEMENTS && s->work.residual <= EXPLAINED)
+            break;
         correct(s);
         passed = judged(s, 0);
     }
@@ -316,8 +324,10 @@ static int find_map(model_solver *s, const signed char *code)
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++)
             s->fixed.block[n*i + j] = W[MODEL_M*free[i] + free[j]];
-    if (n > 0 && invert(s, n, s->fixed.block, inverse) != 0)
+    const int inverted = n > 0 ? invert(s, n, s->fixed.block, inverse) : 0;
+    if (inverted > 0)
         return -1;
+    s->fixed.maps[k].singular = inverted < 0;
     for (int i = 0; i < n; i++) {
         offset[i] = 0;
         for (int j = 0; j < n; j++) {
@@ -460,6 +470,42 @@ static int nearest_index_set(model_solver *s)
 }
 #endif
 
+#if SETTLED
+/* From an answer that passes though rows contradict their codes by more than rounding: change the last of them until none does,
+   which ends for P-matrices (Murty 1974). Of rows coded 0 that cannot all be held, those left open are let go. */
+static int settle(model_solver *s)
+{
+    signed char *code = s->fixed.called;
+    memcpy(code, s->work.code, sizeof s->fixed.called);
+    for (int sweep = 0; sweep < 2*MODEL_M; sweep++) {
+        int wrong = -1, next = 0;
+        look_at_rounding(s);
+        for (int i = 0; i < MODEL_M; i++) {
+            const double y = s->fixed.Y[i], l = s->work.l[i], unseen = ROUND_OFF*s->fixed.error_Y[i];
+            int called = code[i];
+            if (code[i] != 0)
+                called = code[i]*y > unseen ? 0 : code[i];
+            else if (l < lower[i] || (y > unseen && lower[i] > -INFINITY))
+                called = -1;
+            else if (l > upper[i] || (y < -unseen && upper[i] < INFINITY))
+                called = 1;
+            if (called != code[i]) {
+                wrong = i;
+                next = called;
+            }
+        }
+        if (wrong < 0)
+            return 0;
+        code[wrong] = (signed char)next;
+        if (!on_index_set(s, code))
+            return 0;
+        if (certified(s) == 2)
+            return 1;
+    }
+    return 0;
+}
+
+#endif
 /* The step; the solver whose answer was certified, or NONE. */
 static int step_by_matrices(model_solver *s)
 {
@@ -476,7 +522,10 @@ static int step_by_matrices(model_solver *s)
     memcpy(s->fixed.l, s->l, sizeof s->l);
     memcpy(s->fixed.code, s->index, sizeof s->index);
     int solver = affine_solve(s, MODEL_M, W, s->fixed.b, lower, upper, s->fixed.l, s->fixed.code, TOLERANCE/10);
-#if FIXED_MAPS
+#if SETTLED
+    const int passed = on_index_set(s, s->fixed.code) ? certified(s) : 0;
+    if (passed == 2 || (passed && settle(s)))
+        return solver == NONE ? INDEX_SET : solver;
     if (on_index_set(s, s->fixed.code) && (certified(s) || refined(s)))
         return solver == NONE ? INDEX_SET : solver;
 #endif

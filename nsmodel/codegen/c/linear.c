@@ -266,7 +266,7 @@ static void lu_inverse(model_solver *s, int n, double *inverse)
 #if REGULAR_SETS
 /* The inverse of A. Return 0, or 1 where A is singular to rounding: an index set with a regular matrix solves the problem too. */
 #else
-/* The inverse of A; its pseudo-inverse where A is singular to rounding. Return 0, or 1 where that is not finite. */
+/* The inverse of A: 0; its pseudo-inverse where A is singular to rounding: -1; or 1 where that is not finite. */
 #endif
 static int invert(model_solver *s, int n, const double *A, double *inverse)
 {
@@ -305,6 +305,6 @@ static int invert(model_solver *s, int n, const double *A, double *inverse)
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++)
             inverse[i*n + j] *= columns[i]*rows[j];
-    return !all_finite(n*n, inverse);
+    return !all_finite(n*n, inverse) ? 1 : regular ? 0 : -1;
 }
 #endif

@@ -12,12 +12,16 @@
 #endif
         signed char code[MODEL_M];
 #endif
+#if SETTLED
+        signed char called[MODEL_M]; /* the index set that is called for */
+#endif
 #if FIXED_MAPS
         double block[MODEL_M * MODEL_M];
         struct {
             double inverse[MODEL_M * MODEL_M], offset[MODEL_M], at_bound[MODEL_M];
             int n, free[MODEL_M];
-            signed char code[MODEL_M], fragile; /* whether W keeps too little of the whole system there */
+            signed char code[MODEL_M];
+            signed char fragile, singular; /* whether W keeps too little of the whole system there, or does not tell l */
         } maps[MODEL_MAPS]; /* of the index sets met last */
         int filled, oldest, current;
 #endif
