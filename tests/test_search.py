@@ -46,7 +46,7 @@ FOUND = {  # Models that the search found steps refused in, by what made it.
     "sweeping:576": "exponentials of q in units of 1e-6: the step was not seen to be a projection",
     "sweeping:615": "planes at 1e-7: a set of rows that W cannot tell from the right one",
     "sweeping:1076": "the same: x was off by a third of its motion, and certified",
-    "sweeping:1905": "the same, alone and in copies: rows that cannot all be held were left open by a part of 1e-10 of the motion",
+    "sweeping:1905": "the same, alone and in copies: rows that cannot all be held, left open by 1e-10 of the motion",
     "sweeping:1420": "copies of such planes",
     "sweeping:457": "rows that repeat one another: one of many index sets, off by 1e-9 of what moves, was taken unrefined",
     "sweeping:370": "curved rows at 1e6: Jacobians of collected terms lost six digits",
