@@ -462,6 +462,17 @@ def test_no_farkas_proof_of_a_solvable_problem(kind):
         assert diagnose.opposing_rows(W, b, law) is None
 
 
+@pytest.mark.parametrize("units", [np.ones(5), 10.0 ** np.array([-6, 4, 0, 8, -2])])
+def test_rows_that_depend_on_one_another_are_named_in_any_units(units):
+    rows = np.random.default_rng(3).normal(size=(5, 5))
+    rows[4] = rows[0] - rows[2]
+    part, named = diagnose.dependent_rows((units * (rows @ rows.T)).T * units)
+    assert part < 1e-14
+    assert sorted(i for i, _ in named) == [0, 2, 4]
+    part, _ = diagnose.dependent_rows((units * (rows @ rows.T + np.eye(5))).T * units)
+    assert part > 1e-3
+
+
 def test_no_farkas_proof_where_the_rows_are_nearly_opposite():
     """A wedge: its corner is far away, but it is there, at l = (1, 1)/(2 angle^2)."""
     law = NumericLaw(np.zeros(2), np.full(2, INF), ())

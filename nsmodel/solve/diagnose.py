@@ -9,9 +9,11 @@ from nsmodel.solve import mlcp
 from nsmodel.solve.active_set import index_sets
 from nsmodel.solve.certificate import REACH, NumericLaw
 from nsmodel.solve.choose import Plan
+from nsmodel.solve.rounding import equilibrated
 from nsmodel.solve.structure import Structure, is_monotone, least_eigenvalue
 
 OPPOSITE = 1e-7  # 1/gamma below which W holds too little of the angle between opposing rows.
+DEPENDENT = 1e-12  # Least singular value of W, beside its largest, below which doubles do not tell the multipliers apart.
 PROOF = 1e-14  # Largest positive entry of W'u, beside W's, in a proof that is believed.
 
 
@@ -73,7 +75,23 @@ def why(
             "Newton's method did not converge; a jump in the model (sign, floor, if_else) must be written as a law, such as "
             "relay or complementarity"
         )
+    part, dependent = dependent_rows(W)
+    if part < DEPENDENT:
+        names = " and ".join(f"'{problem.rows[i]}' (weight {u:.3g})" for i, u in dependent)
+        return (
+            f"no solver reached the tolerance; {names} depend on one another to a part of {part:.1g}: "
+            "where they are held together, double precision does not tell their multipliers"
+        )
     return "no solver reached the tolerance"
+
+
+def dependent_rows(W: np.ndarray) -> tuple[float, list[tuple[int, float]]]:
+    """The least singular value of W, beside its largest, in its best units, and the rows of its vector with their weights."""
+    scaled, _, _ = equilibrated(W)
+    U, s, _ = np.linalg.svd(scaled)
+    weights = np.abs(U[:, -1]) / np.abs(U[:, -1]).sum()
+    order = np.argsort(-weights)
+    return float(s[-1] / s[0]), [(int(i), float(weights[i])) for i in order if weights[i] > 1e-3][:6]
 
 
 def nearly_opposite(W: np.ndarray) -> tuple[float, list[tuple[int, float]]]:
