@@ -105,7 +105,7 @@ def reference():
 
 @pytest.fixture(autouse=True)
 def own_interrupts():
-    """A command that was interrupted ignores Ctrl-C from then on: the next test must not."""
-    usual = signal.getsignal(signal.SIGINT)
+    """A command that was interrupted ignores Ctrl-C from then on, as does what a script starts in the background: no test may."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
-    signal.signal(signal.SIGINT, usual)
+    signal.signal(signal.SIGINT, signal.default_int_handler)

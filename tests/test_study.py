@@ -449,12 +449,12 @@ def test_an_interrupted_study_keeps_what_it_has(monkeypatch, tmp_path, capsys):
 
     monkeypatch.setattr(methods, "timed", stopping)
     with pytest.raises(StudyInterrupted) as stop:
-        study(decay(), steps=[0.1, 0.05, 0.025], solvers=[], budget=600)
+        study(decay(), steps=[0.1, 0.05, 0.025], solvers=[])
     assert stop.value.study.status == "interrupted"
     assert sum(len(line.points) for line in stop.value.study.lines) == 3
     count = iter(range(100))
     (tmp_path / "relay.py").write_text(FILE)
-    assert main(["study", str(tmp_path / "relay.py"), "--solvers", "", "--budget", "600", "--out", str(tmp_path / "out")]) == 130
+    assert main(["study", str(tmp_path / "relay.py"), "--solvers", "", "--out", str(tmp_path / "out")]) == 130
     out, err = capsys.readouterr()
     assert "interrupted: what follows was measured before" in out
     assert "nsmodel: interrupted" in err
