@@ -1,9 +1,9 @@
 """Large scenes: a room left by 10 ... 20 000 people through one door, and a chain of 10 ... 10 000 masses with friction.
 
-Each crowd runs in its own process from the start into the jam (t = L/5 at 1 m/s; soon after, 20 000 push somebody around
-the jamb by three quarters of a radius in a step, which is refused: smaller steps go on) and is timed there: CPU milliseconds of a whole step,
-records included, split into search, assembly, solve and time loop. cromosim's whole step, with cvxopt, is timed on people who
-stand where ours stand. Peers are skipped where they are not installed.
+Each crowd runs in its own process from the start into the jam (t = L/5 at 1 m/s; soon after, 20 000 push somebody around the
+jamb by three quarters of a radius in a step, which is refused: smaller steps go on) and is timed there: CPU milliseconds of a
+whole step, records included, split into search, assembly, solve and time loop. cromosim's whole step, with cvxopt, is timed on
+people who stand where ours stand. Peers are skipped where they are not installed.
 
     large.py            all
     large.py N...       crowds of these sizes alone
