@@ -13,9 +13,6 @@ from nsmodel.errors import (
 )
 from nsmodel.later import later as _later
 from nsmodel.loader import load
-from nsmodel.model.bodies import Bodies, Family, Items, ManyBodies, neighbours
-from nsmodel.model.first_order import FirstOrderSystem
-from nsmodel.model.inclusion import MonotoneInclusion
 from nsmodel.model.laws import (
     Law,
     ball,
@@ -27,9 +24,6 @@ from nsmodel.model.laws import (
     relay,
     second_order_cone,
 )
-from nsmodel.model.lure import LureSystem
-from nsmodel.model.oscillator import FrictionOscillator
-from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.version import VERSION
 
 __version__ = VERSION
@@ -37,6 +31,12 @@ __version__ = VERSION
 if TYPE_CHECKING:
     from nsmodel.checking import check
     from nsmodel.hypotheses.findings import Finding, Report
+    from nsmodel.model.bodies import Bodies, Family, Items, ManyBodies, neighbours
+    from nsmodel.model.first_order import FirstOrderSystem
+    from nsmodel.model.inclusion import MonotoneInclusion
+    from nsmodel.model.lure import LureSystem
+    from nsmodel.model.oscillator import FrictionOscillator
+    from nsmodel.model.sweeping import SweepingProcess
     from nsmodel.run import RunInterrupted
     from nsmodel.simulate import explain, simulate
     from nsmodel.stress import Stress, stress
@@ -89,6 +89,12 @@ _later(
     {
         "nsmodel.checking": ["check"],
         "nsmodel.hypotheses.findings": ["Finding", "Report"],
+        "nsmodel.model.bodies": ["Bodies", "Family", "Items", "ManyBodies", "neighbours"],
+        "nsmodel.model.first_order": ["FirstOrderSystem"],
+        "nsmodel.model.inclusion": ["MonotoneInclusion"],
+        "nsmodel.model.lure": ["LureSystem"],
+        "nsmodel.model.oscillator": ["FrictionOscillator"],
+        "nsmodel.model.sweeping": ["SweepingProcess"],
         "nsmodel.run": ["RunInterrupted"],
         "nsmodel.simulate": ["explain", "simulate"],
         "nsmodel.stress": ["Stress", "stress"],
