@@ -473,6 +473,13 @@ def test_rows_that_depend_on_one_another_are_named_in_any_units(units):
     assert part > 1e-3
 
 
+@pytest.mark.parametrize(
+    "W", [np.zeros((3, 3)), np.diag([1.0, 0.0, 0.0]), np.array([[2.0, 1.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 0.0]])]
+)
+def test_rows_that_feel_nothing_depend_on_nothing(W):
+    assert diagnose.dependent_rows(W)[0] > 0.1
+
+
 def test_no_farkas_proof_where_the_rows_are_nearly_opposite():
     """A wedge: its corner is far away, but it is there, at l = (1, 1)/(2 angle^2)."""
     law = NumericLaw(np.zeros(2), np.full(2, INF), ())

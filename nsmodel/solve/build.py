@@ -201,9 +201,9 @@ class Stepper:
             yield from self._of(found, kernel, b, t, state)
             tried = chain.index(found.solver) + 1 if found.solver in chain else len(chain)
             chain = chain[tried:]  # W may keep too little to tell what solves the step
+        if self.law.curved or not self.plan.use_last:
+            return
         for index in (warm.index, np.zeros_like(warm.index)):  # from the last one, and with all rows held
-            if self.law.curved or not self.plan.use_last:
-                break
             whole = self._newton.by_whole_system(t, kernel.h, state, warm.l, index)
             if whole is not None:
                 yield self._packed(t, kernel.h, state, replace(whole, solver=mlcp.INDEX_SET))

@@ -76,7 +76,7 @@ def why(
             "relay or complementarity"
         )
     part, dependent = dependent_rows(W)
-    if part < DEPENDENT:
+    if part < DEPENDENT and len(dependent) > 1:
         names = " and ".join(f"'{problem.rows[i]}' (weight {u:.3g})" for i, u in dependent)
         return (
             f"no solver reached the tolerance; {names} depend on one another to a part of {part:.1g}: "
@@ -86,12 +86,18 @@ def why(
 
 
 def dependent_rows(W: np.ndarray) -> tuple[float, list[tuple[int, float]]]:
-    """The least singular value of W, beside its largest, in its best units, and the rows of its vector with their weights."""
-    scaled, _, _ = equilibrated(W)
+    """The least singular value of W, beside its largest, in its best units, and the rows of its vector with their weights.
+
+    Rows that feel no multiplier, or whose multiplier moves nothing, are left out: they depend on nothing.
+    """
+    acting = np.flatnonzero(W.any(axis=1) & W.any(axis=0))
+    if not acting.size:
+        return 1.0, []
+    scaled, _, _ = equilibrated(W[np.ix_(acting, acting)])
     U, s, _ = np.linalg.svd(scaled)
     weights = np.abs(U[:, -1]) / np.abs(U[:, -1]).sum()
     order = np.argsort(-weights)
-    return float(s[-1] / s[0]), [(int(i), float(weights[i])) for i in order if weights[i] > 1e-3][:6]
+    return float(s[-1] / max(s[0], 1e-300)), [(int(acting[i]), float(weights[i])) for i in order if weights[i] > 1e-3][:6]
 
 
 def nearly_opposite(W: np.ndarray) -> tuple[float, list[tuple[int, float]]]:

@@ -316,17 +316,40 @@ static void make_exact(model_solver *s)
 }
 #endif
 
+/* dz = -E_z^{-1} E; 0 where E_z is singular. */
+static int predict(model_solver *s)
+{
+    if (!eliminate(s))
+        return 0;
+    for (int i = 0; i < MODEL_N; i++)
+        s->newton.dz[i] = -s->newton.E[i];
+#if !IDENTITY
+    lu_solve(MODEL_N, s->newton.lu, s->newton.pivot, s->newton.dz);
+#endif
+    return 1;
+}
+#if LAW
+
+/* z += dz - S dl, dl in newton.l; what rows give exactly is exact. */
+static void respond(model_solver *s)
+{
+    const double *dz = s->newton.dz;
+    double *z = s->work.z, *v = s->newton.v;
+    S_times(s, s->newton.l, v);
+    for (int i = 0; i < MODEL_N; i++)
+        z[i] += dz[i] - v[i];
+#if EXACT_ROWS
+    make_exact(s);
+#endif
+}
+#endif
+
 /* One iteration of Newton's method: the next (z, l, index set). Return the solver of its affine problem, or NONE. */
 static int iterate(model_solver *s)
 {
-    double *z = s->work.z, *dz = s->newton.dz;
-    if (!eliminate(s))
+    const double *dz = s->newton.dz;
+    if (!predict(s))
         return NONE;
-    for (int i = 0; i < MODEL_N; i++)
-        dz[i] = -s->newton.E[i];
-#if !IDENTITY
-    lu_solve(MODEL_N, s->newton.lu, s->newton.pivot, dz);
-#endif
 #if LAW
     double *l = s->work.l, *l_next = s->newton.l, *b = s->newton.b, *v = s->newton.v;
     S_times(s, l, v);
@@ -353,16 +376,11 @@ static int iterate(model_solver *s)
         l_next[j] -= l[j];
         l[j] = next;
     }
-    S_times(s, l_next, v);
-    for (int i = 0; i < MODEL_N; i++)
-        z[i] += dz[i] - v[i];
-#if EXACT_ROWS
-    make_exact(s);
-#endif
+    respond(s);
     return solver;
 #else
     for (int i = 0; i < MODEL_N; i++)
-        z[i] += dz[i];
+        s->work.z[i] += dz[i];
     return NONE_NEEDED;
 #endif
 }
@@ -729,18 +747,13 @@ static void restore(model_solver *s)
 /* Correct (z, l) on its index set by what E and Y lack there; 0 where that is a singular system. */
 static int correct(model_solver *s)
 {
-    double *z = s->work.z, *dz = s->newton.dz, *v = s->newton.v, *l = s->newton.l, *A = s->linear.lu, *step = s->newton.b;
+    double *v = s->newton.v, *l = s->newton.l, *A = s->linear.lu, *step = s->newton.b;
     int n = 0, *free = s->newton.free;
     for (int i = 0; i < MODEL_M; i++)
         if (s->work.code[i] == 0)
             free[n++] = i;
-    if (n > MODEL_LINEAR || !eliminate(s))
+    if (n > MODEL_LINEAR || !predict(s))
         return 0;
-    for (int i = 0; i < MODEL_N; i++)
-        dz[i] = -s->newton.E[i];
-#if !IDENTITY
-    lu_solve(MODEL_N, s->newton.lu, s->newton.pivot, dz);
-#endif
     for (int j = 0; j < n; j++) {
         memset(l, 0, sizeof s->newton.l);
         l[free[j]] = 1;
@@ -760,19 +773,14 @@ static int correct(model_solver *s)
             s->newton.Y[unit_row[i]] = 0;
 #endif
     for (int i = 0; i < n; i++)
-        step[i] = -s->newton.Y[free[i]] - Y_z_times(s, free[i], dz);
+        step[i] = -s->newton.Y[free[i]] - Y_z_times(s, free[i], s->newton.dz);
     lu_solve(n, A, s->linear.pivot, step);
     memset(l, 0, sizeof s->newton.l);
     for (int i = 0; i < n; i++) {
         l[free[i]] = step[i];
         s->work.l[free[i]] += step[i];
     }
-    S_times(s, l, v);
-    for (int i = 0; i < MODEL_N; i++)
-        z[i] += dz[i] - v[i];
-#if EXACT_ROWS
-    make_exact(s);
-#endif
+    respond(s);
     return 1;
 }
 #endif
