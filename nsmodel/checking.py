@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.errors import StepError, UsageError
+from nsmodel.errors import ModelError, StepError, UsageError
 from nsmodel.hypotheses import impacts
 from nsmodel.hypotheses.along import along
 from nsmodel.hypotheses.findings import SAMPLED, Consequence, Finding, Hypothesis, Report
@@ -23,6 +23,7 @@ from nsmodel.model.lure import LureSystem
 from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.parameters import Values
 from nsmodel.model.sweeping import SweepingProcess
+from nsmodel.proof.graph import OpaqueExpression
 from nsmodel.scheme import one_step_problem
 from nsmodel.simulate import simulate
 from nsmodel.solve.structure import read
@@ -93,7 +94,10 @@ def check(
     given = runs is not None or quick
     own = list(runs or ()) if given else _runs(bound, notes)
     box = region_of(bound, own, region)
-    findings, consequences = _checker(type(bound)).check(bound, box, own, quick)
+    try:
+        findings, consequences = _checker(type(bound)).check(bound, box, own, quick)
+    except OpaqueExpression as error:
+        raise ModelError(str(error)) from None
     if isinstance(bound, ManyBodies):
         notes += _of_bodies(bound, [] if given else own)
     if not own:

@@ -14,7 +14,7 @@ import numpy as np
 from nsmodel.grid import Grid
 from nsmodel.model.base import Model
 from nsmodel.model.bodies import Items, ManyBodies, Member
-from nsmodel.model.expressions import column
+from nsmodel.proof.graph import column
 from nsmodel.version import VERSION
 
 # What only names or describes a run does not change its numbers; the grid is a setting of its own.

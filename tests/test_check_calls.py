@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from nsmodel import FrictionOscillator, LureSystem, MonotoneInclusion, SweepingProcess, check, relay
-from nsmodel.hypotheses.convex import convexity, ridges
-from nsmodel.hypotheses.proof import polynomial
-from nsmodel.model.expressions import applied, fold, operations
+from nsmodel.proof import polynomial
+from nsmodel.proof.convex import convexity, ridges
+from nsmodel.proof.graph import applied, fold, operations
 
 u, x, s, t = (ca.SX.sym(name) for name in ("u", "x", "s", "t"))
 CONCAVE = ca.Function("concave", [u], [-(u**2)], {"never_inline": True})

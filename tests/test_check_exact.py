@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from nsmodel.hypotheses.proof import exact
+from nsmodel.proof import exact
 
 
 def quadratic(v, M):

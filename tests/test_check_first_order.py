@@ -12,8 +12,8 @@ import nsmodel
 from nsmodel import FirstOrderSystem, ball, box, complementarity, polyhedron, relay, simulate
 from nsmodel.hypotheses.first_order.check import HYPOTHESES, check
 from nsmodel.hypotheses.first_order.step_matrix import p_matrix, regular_steps
-from nsmodel.hypotheses.proof import exact
 from nsmodel.hypotheses.region import region_of
+from nsmodel.proof import exact
 
 T = ca.SX.sym("t")
 

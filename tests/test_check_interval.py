@@ -7,8 +7,8 @@ import mpmath
 import numpy as np
 import pytest
 
-from nsmodel.hypotheses.proof.directions import reduced
-from nsmodel.hypotheses.proof.extremum import (
+from nsmodel.proof.directions import reduced
+from nsmodel.proof.extremum import (
     _eigenvalue_bound,
     _norm_bound,
     largest_eigenvalue,
@@ -16,8 +16,8 @@ from nsmodel.hypotheses.proof.extremum import (
     spectral_norm,
     supremum,
 )
-from nsmodel.hypotheses.proof.interval import enclose, is_continuous, mean_value, program
-from nsmodel.hypotheses.proof.interval_functions import OPERATIONS
+from nsmodel.proof.interval import enclose, is_continuous, mean_value, program
+from nsmodel.proof.interval_functions import OPERATIONS
 
 INF = np.inf
 UNARY = [

@@ -11,8 +11,8 @@ from nsmodel import LureSystem, complementarity, relay
 from nsmodel.hypotheses.lure import check as lure
 from nsmodel.hypotheses.lure.dissipation import least_rate
 from nsmodel.hypotheses.lure.passivity import input_output, storage
-from nsmodel.hypotheses.proof import exact
 from nsmodel.hypotheses.region import region_of
+from nsmodel.proof import exact
 
 # -- independent of the package ------------------------------------------------------------------------------------------
 

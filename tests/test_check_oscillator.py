@@ -6,10 +6,10 @@ import pytest
 
 import nsmodel
 from nsmodel import FrictionOscillator
-from nsmodel.hypotheses.convex import convexity
 from nsmodel.hypotheses.oscillator import check as oscillator
-from nsmodel.hypotheses.proof import halfline, polynomial
 from nsmodel.hypotheses.region import region_of
+from nsmodel.proof import polynomial, polynomial_signs
+from nsmodel.proof.convex import convexity
 
 IDS = ["O-theta", "O-g", "O-dry", "O-steps"]
 LEAST = "least eigenvalue of D2 g"
@@ -139,13 +139,13 @@ def test_signs_on_a_half_line_agree_with_a_fine_grid():
         for root, power in zip(roots, powers, strict=True):
             p *= np.poly1d([1.0, -float(root)]) ** int(power)
         c = [polynomial.Fraction(round(float(number))) for number in p.coeffs[::-1]]
-        point = halfline.negative_point(c)
-        exact = [halfline.at(c, polynomial.Fraction(k, 10)) for k in range(120)]
+        point = polynomial_signs.negative_point(c)
+        exact = [polynomial_signs.at(c, polynomial.Fraction(k, 10)) for k in range(120)]
         assert (point is not None) == (min(exact) < 0)
         if point is not None:
             negative += 1
             assert point >= 0
-            assert halfline.at(c, point) < 0
+            assert polynomial_signs.at(c, point) < 0
     assert 50 < negative < 250
 
 

@@ -11,8 +11,8 @@ import pytest
 import nsmodel
 from nsmodel import LureSystem, ball, box, complementarity, equality, polyhedron, relay, second_order_cone
 from nsmodel.hypotheses.lure.range_condition import HYPOTHESES, range_findings
-from nsmodel.hypotheses.proof import exact, feasibility
-from nsmodel.hypotheses.proof.feasibility import System
+from nsmodel.proof import exact, feasibility
+from nsmodel.proof.feasibility import System
 
 INF = np.inf
 

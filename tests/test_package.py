@@ -22,7 +22,14 @@ MODULES = sorted(module.name for module in pkgutil.walk_packages(nsmodel.__path_
 
 
 HEAVY = ["matplotlib", "sympy", "scipy", "tqdm", "xarray", "pandas", "nsmodel.plot", "nsmodel.checking", "nsmodel.crowd"]
-HEAVY += ["nsmodel.stress", "nsmodel.study", "nsmodel.codegen", "nsmodel.hypotheses.along", "nsmodel.hypotheses.proof"]
+HEAVY += [
+    "nsmodel.stress",
+    "nsmodel.study",
+    "nsmodel.codegen",
+    "nsmodel.hypotheses.along",
+    "nsmodel.proof.interval",
+    "nsmodel.proof.exact",
+]
 
 
 def in_a_fresh_process(code, **more):
@@ -169,3 +176,16 @@ def test_there_are_cases_of_every_class():
     assert classes == {
         "SweepingProcess", "FrictionOscillator", "FirstOrderSystem", "LureSystem", "MonotoneInclusion", "ManyBodies"
     }  # fmt: skip
+
+
+def test_the_means_of_proof_need_nothing_else_of_the_package():
+    """nsmodel.proof can be read, tested and used alone."""
+    imported = set()
+    for path in sorted((REPOSITORY / "nsmodel" / "proof").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom):
+                assert node.level == 0, path
+                imported.add(node.module)
+            elif isinstance(node, ast.Import):
+                imported |= {alias.name for alias in node.names}
+    assert {name for name in imported if name.partition(".")[0] == "nsmodel" and not name.startswith("nsmodel.proof")} == set()

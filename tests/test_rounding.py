@@ -23,7 +23,8 @@ from nsmodel import (
     simulate,
 )
 from nsmodel.codegen.library import compiler
-from nsmodel.model.expressions import derivatives, fold
+from nsmodel.model.expressions import derivatives
+from nsmodel.proof.graph import fold
 from nsmodel.scheme import one_step_problem
 from nsmodel.solve import mlcp
 from nsmodel.solve.build import Stepper

@@ -8,9 +8,8 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from nsmodel.model.pickled import Pickled
+from nsmodel.proof.verdict import HOLDS, SAMPLED, UNKNOWN, VERDICTS, VIOLATED
 
-HOLDS, SAMPLED, VIOLATED, UNKNOWN = "holds", "sampled", "violated", "unknown"
-VERDICTS = (HOLDS, SAMPLED, VIOLATED, UNKNOWN)  # from proved to undecided
 ALONG_A_RUN = "run-"  # Ids of findings about a run begin with it.
 
 

@@ -14,9 +14,9 @@ import numpy as np
 
 from nsmodel.errors import ModelError, NsmodelError, UsageError
 from nsmodel.model.convert import Converter, Declared, declare
-from nsmodel.model.expressions import column
 from nsmodel.model.parameters import Values, declared, number, scalars
 from nsmodel.model.pickled import Pickled
+from nsmodel.proof.graph import COMPARISONS, column
 from nsmodel.words import one_line
 
 # Attributes of every Trajectory: a state may not take these names.
@@ -27,7 +27,6 @@ RESERVED = frozenset(
 )
 ARRAYS = frozenset("x gap_min pressure contact_reaction".split())  # Further arrays that may have a unit.
 KINKS = "potential ", "phi "  # What the names of a potential's kinks begin with.
-COMPARISONS = (ca.OP_LE, ca.OP_LT, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_NOT)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

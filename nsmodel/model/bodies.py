@@ -14,10 +14,10 @@ import numpy as np
 from nsmodel.errors import ModelError
 from nsmodel.model.base import Model, shown
 from nsmodel.model.convert import to_sx
-from nsmodel.model.expressions import applied, fold, operations
 from nsmodel.model.parameters import gathered
 from nsmodel.model.pickled import Pickled
 from nsmodel.model.sweeping import SweepingProcess
+from nsmodel.proof.graph import applied, fold, operations
 
 _POLYNOMIAL = {
     ca.OP_INPUT,

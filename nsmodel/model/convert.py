@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError
-from nsmodel.model.expressions import column, constants
+from nsmodel.proof.graph import column, constants
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,9 +15,10 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError
-from nsmodel.model.convex_read import Bound, Node, Parts, read, replay
-from nsmodel.model.expressions import column, constants, evaluate, is_affine, is_concave, is_constant, keys, points, same
+from nsmodel.model.convex_read import Bound, Node, Parts, read, rebuilt
+from nsmodel.model.expressions import evaluate, is_affine, is_concave, is_constant, points
 from nsmodel.model.pickled import Pickled
+from nsmodel.proof.graph import column, constants, keys, same
 
 DOMAIN = ("indicator", "cone")  # Terms that bound the domain.
 
@@ -141,7 +142,7 @@ def split_discontinuities(expr: ca.SX, x: ca.SX, label: str) -> tuple[ca.SX, ca.
         arguments.append(args[0])
         return symbols[-1]
 
-    return replay(expr, rule, (ca.OP_SIGN,), x, label), column(symbols), column(arguments)
+    return rebuilt(expr, rule, (ca.OP_SIGN,), x, label), column(symbols), column(arguments)
 
 
 # -- rewriting nodes ---------------------------------------------------------------------------------------------------
@@ -296,4 +297,4 @@ def _refuse_leftovers(expr: ca.SX, z: ca.SX, label: str) -> None:
             "(a piecewise linear function is the fmax of its pieces)"
         )
 
-    replay(expr, rule, (ca.OP_LE, ca.OP_LT, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR), z, label)
+    rebuilt(expr, rule, (ca.OP_LE, ca.OP_LT, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR), z, label)

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError
-from nsmodel.model.expressions import applied, column, evaluate, fold, is_affine, is_constant, keys, operations, same
+from nsmodel.model.expressions import evaluate, is_affine, is_constant
+from nsmodel.proof.graph import OpaqueExpression, Rule, column, keys, replay, same
 
-Rule = Callable[[int, list[ca.SX], ca.SX], ca.SX | None]
 _UNSUPPORTED = {getattr(ca, f"OP_{name.upper()}"): name for name in "sign floor ceil fmod remainder copysign".split()}
 _NONSMOOTH = (*_UNSUPPORTED, ca.OP_SQRT, ca.OP_HYPOT, ca.OP_CONSTPOW, ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN)
 
@@ -122,42 +121,20 @@ def read(phi: ca.SX, y: ca.SX, label: str) -> Parts:
         distance = add("abs" if u.numel() == 1 else "norm", u, old)
         return distance ** (2 * args[1]) if op == ca.OP_CONSTPOW else distance
 
-    value, *us = ca.vertsplit(replay(expr, rule, _NONSMOOTH, y, label))
+    value, *us = ca.vertsplit(rebuilt(expr, rule, _NONSMOOTH, y, label))
     return Parts(value, nodes, [replace(bound, u=u) for bound, u in zip(bounds, us, strict=True)])
 
 
-def replay(expr: ca.SX, rule: Rule, ops: Sequence[int], x: ca.SX, label: str) -> ca.SX:
-    """Rebuild ``expr`` (n, 1); ``rule(op, new arguments, old node)`` is asked at the nodes of ``ops`` that hold x.
+def rebuilt(expr: ca.SX, rule: Rule, ops: Sequence[int], x: ca.SX, label: str) -> ca.SX:
+    """``replay`` of what a user wrote.
 
-    Where the rule gives None, the node stays.
+    Raises:
+        ModelError: it calls a Function that cannot be looked into.
     """
-    own, there = keys(x), operations(expr)
-    if not there & set(ops):
-        return expr
-    if ca.OP_CALL in there:
-        raise ModelError(f"{label} calls a Function that cannot be looked into; write it with elementary operations")
-
-    def symbol(symbol: ca.SX) -> _Replayed:
-        return _Replayed(symbol, symbol, symbol.element_hash() in own)
-
-    def number(value: float) -> _Replayed:
-        return _Replayed(ca.SX(value), ca.SX(value), False)
-
-    def apply(op: int, args: list[_Replayed]) -> _Replayed:
-        new, old = [arg.new for arg in args], applied(op, [arg.old for arg in args])
-        holds = any(arg.holds for arg in args)
-        put = rule(op, new, old) if holds and op in ops else None
-        return _Replayed(applied(op, new) if put is None else put, old, holds)
-
-    return ca.reshape(column(node.new for node in fold(expr, symbol, number, apply)), *expr.shape)
-
-
-class _Replayed(NamedTuple):
-    """A node as it is rebuilt, as it was, and whether it holds x."""
-
-    new: ca.SX
-    old: ca.SX
-    holds: bool
+    try:
+        return replay(expr, rule, ops, x, label)
+    except OpaqueExpression as error:
+        raise ModelError(str(error)) from None
 
 
 # -- conditions --------------------------------------------------------------------------------------------------------
@@ -193,7 +170,7 @@ def _conditions(phi: ca.SX, y: ca.SX, label: str) -> tuple[ca.SX, list[Node], li
         nodes.append(Node("domain", symbol, ca.SX(0, 1), text))
         return symbol
 
-    value = replay(phi, rule, (ca.OP_IF_ELSE_ZERO,), y, label)
+    value = rebuilt(phi, rule, (ca.OP_IF_ELSE_ZERO,), y, label)
     expr = ca.vertcat(value, *(bound.u for bound in bounds))
     for symbol, condition, branch, text in reversed(branches):
         cases = [_literals(condition, holds) for holds in (True, False)]

@@ -10,8 +10,9 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.model.convex import ConvexSplit
-from nsmodel.model.expressions import derivatives, operations
+from nsmodel.model.expressions import derivatives
 from nsmodel.model.laws import Law, ball, box, complementarity, equality, product, relay, second_order_cone
+from nsmodel.proof.graph import operations
 
 
 class Order(NamedTuple):

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.model.expressions import column
+from nsmodel.proof.graph import column
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import active_set, mlcp
 from nsmodel.solve.certificate import EPS, ROUNDING, UNRESOLVED, NumericLaw, law_residual, output_scale

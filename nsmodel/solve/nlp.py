@@ -12,9 +12,9 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from nsmodel.proof.quiet import quiet
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.certificate import NumericLaw
-from nsmodel.solve.quiet import quiet
 
 TINY = 1e-30  # Keeps the derivative of |y| finite at 0.
 OPTIONS = {

@@ -11,9 +11,9 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from nsmodel.proof.quiet import quiet
 from nsmodel.solve.active_set import equilibrate
 from nsmodel.solve.certificate import NumericLaw
-from nsmodel.solve.quiet import quiet
 
 OPTIONS = {
     "qpoases": {"printLevel": "none", "terminationTolerance": 1e-14, "boundTolerance": 1e-14},

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.model.expressions import applied, column, fold, keys, operations
+from nsmodel.proof.graph import applied, column, fold, keys, operations
 
 UNIT = 2.0**-53  # u
 LARGE = 10_000  # Nodes of a graph up to which its own bound is formed; beyond, its code would be many times that of the step.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import casadi as ca
 import numpy as np
 
-from nsmodel.model.expressions import column
+from nsmodel.proof.graph import column
 from nsmodel.scheme.problem import OneStepProblem
 
 if TYPE_CHECKING:  # SciPy is loaded by who uses it.

@@ -21,7 +21,6 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.model.base import Model
-from nsmodel.model.expressions import applied, column, fold
 from nsmodel.model.first_order import FirstOrderSystem
 from nsmodel.model.inclusion import MonotoneInclusion
 from nsmodel.model.laws import Block, Law
@@ -29,6 +28,7 @@ from nsmodel.model.lure import LureSystem
 from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.model.units import potential
+from nsmodel.proof.graph import applied, column, fold
 from nsmodel.trajectory import Trajectory
 
 EQUATION = LAW = 1e-8

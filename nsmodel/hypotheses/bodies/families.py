@@ -13,14 +13,14 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.proof import extremum
-from nsmodel.hypotheses.proof.interval import enclose
-from nsmodel.hypotheses.proof.jumps import jumps_in
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.sweeping.constraint import Constraint
 from nsmodel.hypotheses.sweeping.shapes import read_shapes
 from nsmodel.model.bodies import Family, ManyBodies
-from nsmodel.model.expressions import applied, column, fold, keys, operations
+from nsmodel.proof import extremum
+from nsmodel.proof.graph import applied, column, fold, keys, operations
+from nsmodel.proof.interval import enclose
+from nsmodel.proof.jumps import jumps_in
 
 LISTED = 1 << 17  # Members whose numbers are looked at one by one; of more, the ranges of their numbers.
 TIED = 16  # Members of one kind between which rounding does not decide, at most.

@@ -5,8 +5,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.proof import interval
 from nsmodel.model.bodies import Family
+from nsmodel.proof import interval
 from nsmodel.scheme.many_bodies import BodiesProblem, Rows, searched
 from nsmodel.solve.certificate import EPS
 from nsmodel.solve.near import least_gap, near

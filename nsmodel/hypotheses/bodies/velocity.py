@@ -14,15 +14,14 @@ import numpy as np
 from nsmodel.errors import StepError
 from nsmodel.hypotheses.bodies.near import admits, all_admitted
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
-from nsmodel.hypotheses.proof import extremum, interval
-from nsmodel.hypotheses.proof.jumps import SWITCHES, jumps_in
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.sweeping.admissible import part_without_constraints
 from nsmodel.hypotheses.sweeping.constraint import EVERYWHERE, ON_THE_BOX, Answer
 from nsmodel.hypotheses.sweeping.velocity import Block, differ, jumps, lipschitz, steep
 from nsmodel.model.bodies import ManyBodies
-from nsmodel.model.convex_read import replay
-from nsmodel.model.expressions import column
+from nsmodel.proof import extremum, interval
+from nsmodel.proof.graph import column, replay
+from nsmodel.proof.jumps import SWITCHES, jumps_in
 from nsmodel.scheme.many_bodies import BodiesProblem
 
 TRIED = 8  # Bodies, of different numbers, whose velocity is searched for jumps.

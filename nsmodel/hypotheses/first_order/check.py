@@ -20,12 +20,12 @@ from nsmodel.hypotheses.first_order import one_step
 from nsmodel.hypotheses.first_order.linearised import Linearised, linearised, numbers
 from nsmodel.hypotheses.first_order.solvable_mlcp import solvable
 from nsmodel.hypotheses.first_order.step_matrix import Steps, regular_steps
-from nsmodel.hypotheses.proof import exact, interval
-from nsmodel.hypotheses.proof.exact import EPS
-from nsmodel.hypotheses.proof.extremum import spectral_norm
 from nsmodel.hypotheses.region import Region
-from nsmodel.model.expressions import operations
 from nsmodel.model.first_order import FirstOrderSystem
+from nsmodel.proof import exact, interval
+from nsmodel.proof.exact import EPS
+from nsmodel.proof.extremum import spectral_norm
+from nsmodel.proof.graph import operations
 from nsmodel.trajectory import Trajectory
 
 NOTES = "Siconos developer's notes"

@@ -11,12 +11,12 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.lure.domains import ends
-from nsmodel.hypotheses.proof import exact
-from nsmodel.hypotheses.proof.extremum import samples
-from nsmodel.hypotheses.proof.jumps import Jump, find_jump, jumps_in
 from nsmodel.hypotheses.region import GROWTH, Region
 from nsmodel.model.first_order import FirstOrderSystem
 from nsmodel.model.laws import Law
+from nsmodel.proof import exact
+from nsmodel.proof.extremum import samples
+from nsmodel.proof.jumps import Jump, find_jump, jumps_in
 from nsmodel.trajectory import Trajectory
 
 ROWS = 100  # of the runs that are looked at

@@ -19,7 +19,7 @@ from nsmodel.hypotheses.first_order.linearised import Linearised, numbers
 from nsmodel.hypotheses.first_order.step_matrix import p_matrix
 from nsmodel.hypotheses.lure import domains
 from nsmodel.hypotheses.lure.range_condition import covers_everything
-from nsmodel.hypotheses.proof import exact
+from nsmodel.proof import exact
 from nsmodel.scheme.theta_gamma import one_step_problem
 from nsmodel.solve import active_set, mlcp
 from nsmodel.solve.certificate import NumericLaw, numeric_law

@@ -8,8 +8,8 @@ import numpy as np
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, found
 from nsmodel.hypotheses.first_order.linearised import Linearised
 from nsmodel.hypotheses.first_order.step_matrix import Minor, p_matrix
-from nsmodel.hypotheses.proof import exact
-from nsmodel.hypotheses.proof.extremum import largest_eigenvalue
+from nsmodel.proof import exact
+from nsmodel.proof.extremum import largest_eigenvalue
 from nsmodel.solve.structure import is_monotone, least_eigenvalue
 
 SMALL = 4  # States and multipliers up to which W^{-1} is written out.

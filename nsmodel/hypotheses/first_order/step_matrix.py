@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsmodel.hypotheses.proof import exact
+from nsmodel.proof import exact
 
 MOST_MINORS = 12  # Rows up to which all principal minors are looked at: 2^12.
 MOST_ROOTS = 12  # States up to which the roots of det(M - s G) are counted exactly.

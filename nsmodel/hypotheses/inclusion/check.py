@@ -11,19 +11,20 @@ from copy import copy
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.convex import potentials
-from nsmodel.hypotheses.convex.convex_sets import ConvexSet, Part, has_interior, is_convex
-from nsmodel.hypotheses.convex.convexity import without_domain
+from nsmodel.hypotheses.domain import without_domain
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, follows, found
 from nsmodel.hypotheses.inclusion.growth import linear_growth
 from nsmodel.hypotheses.inclusion.one_sided import one_sided, switching_point
 from nsmodel.hypotheses.inclusion.selected_field import Field, field_of, set_of
 from nsmodel.hypotheses.inclusion.tangent import dissipativity
-from nsmodel.hypotheses.proof import exact, extremum, interval, polynomial
-from nsmodel.hypotheses.proof.jumps import SWITCHES
 from nsmodel.hypotheses.region import Region
-from nsmodel.model.convex_read import replay
 from nsmodel.model.inclusion import MonotoneInclusion
+from nsmodel.proof import exact, extremum, interval, polynomial
+from nsmodel.proof.convex import potentials
+from nsmodel.proof.convex.convex_sets import ConvexSet, has_interior, is_convex
+from nsmodel.proof.graph import replay
+from nsmodel.proof.jumps import SWITCHES
+from nsmodel.proof.verdict import Part
 from nsmodel.trajectory import Trajectory
 
 PAPER = "catching-up 2026"

@@ -7,8 +7,8 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from nsmodel.hypotheses.proof import exact
-from nsmodel.hypotheses.proof.conic import minimise
+from nsmodel.proof import exact
+from nsmodel.proof.conic_program import minimise
 
 MOST_ROWS, MOST_STATES = 14, 12
 CAP = 1e4

@@ -8,13 +8,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.convex import piecewise
-from nsmodel.hypotheses.convex.convex_sets import Part
 from nsmodel.hypotheses.findings import SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.hypotheses.inclusion.recession import directions
 from nsmodel.hypotheses.inclusion.selected_field import Field
 from nsmodel.hypotheses.inclusion.tangent_form import Form, holds
-from nsmodel.hypotheses.proof import exact, polynomial
+from nsmodel.proof import exact, polynomial
+from nsmodel.proof.convex import piecewise
+from nsmodel.proof.verdict import Part
 
 FAR = (1e3, 1e6)  # Sizes at which an escape is looked for.
 

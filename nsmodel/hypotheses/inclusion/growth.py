@@ -9,13 +9,13 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.convex.convex_sets import Part
-from nsmodel.hypotheses.convex.lower_bound import additive_terms
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED
 from nsmodel.hypotheses.inclusion.recession import directions
 from nsmodel.hypotheses.inclusion.selected_field import Field
-from nsmodel.hypotheses.proof import exact, extremum, interval, polynomial
-from nsmodel.hypotheses.proof.program import program
+from nsmodel.proof import exact, extremum, interval, polynomial
+from nsmodel.proof.convex.lower_bound import additive_terms
+from nsmodel.proof.straight_line import program
+from nsmodel.proof.verdict import Part
 
 UP = 1 + 1e-12  # Norms and eigenvalues in doubles are enlarged by this where they are bounds.
 MOST_CORNERS = 12

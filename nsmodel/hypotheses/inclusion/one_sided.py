@@ -7,11 +7,12 @@ from collections.abc import Iterator
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.convex.convex_sets import ConvexSet, Part, has_interior
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED
 from nsmodel.hypotheses.inclusion.growth import affine
 from nsmodel.hypotheses.inclusion.selected_field import Field
-from nsmodel.hypotheses.proof import exact, extremum, interval
+from nsmodel.proof import exact, extremum, interval
+from nsmodel.proof.convex.convex_sets import ConvexSet, has_interior
+from nsmodel.proof.verdict import Part
 
 
 def one_sided(field: Field, region: tuple[np.ndarray, np.ndarray], *, quick: bool, alone: ca.SX | None = None) -> Part:

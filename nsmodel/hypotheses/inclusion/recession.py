@@ -7,8 +7,8 @@ from fractions import Fraction
 
 import numpy as np
 
-from nsmodel.hypotheses.convex.convex_sets import ConvexSet
-from nsmodel.hypotheses.proof import exact
+from nsmodel.proof import exact
+from nsmodel.proof.convex.convex_sets import ConvexSet
 
 COUNT = 64
 

@@ -15,9 +15,9 @@ from fractions import Fraction
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.convex.convex_sets import ConvexSet
-from nsmodel.hypotheses.proof import exact, interval, polynomial
 from nsmodel.model.inclusion import MonotoneInclusion
+from nsmodel.proof import exact, interval, polynomial
+from nsmodel.proof.convex.convex_sets import ConvexSet
 from nsmodel.scheme.catching_up import constraints, selection
 from nsmodel.solve.certificate import numeric_law
 

@@ -17,7 +17,6 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.convex.convex_sets import Part
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN
 from nsmodel.hypotheses.inclusion import growth
 from nsmodel.hypotheses.inclusion.copositive import certificate
@@ -25,7 +24,8 @@ from nsmodel.hypotheses.inclusion.escape import escape, looked_at
 from nsmodel.hypotheses.inclusion.growth import UP, around, up
 from nsmodel.hypotheses.inclusion.selected_field import Field
 from nsmodel.hypotheses.inclusion.tangent_form import Form, form_of, nearest, offsets
-from nsmodel.hypotheses.proof import exact, extremum, halfline, interval, polynomial
+from nsmodel.proof import exact, extremum, interval, polynomial, polynomial_signs
+from nsmodel.proof.verdict import Part
 
 
 class Bound(NamedTuple):
@@ -222,12 +222,12 @@ def _largest(p: polynomial.Polynomial, low: float, high: float) -> Fraction | No
     """A number that a polynomial in one variable does not exceed on [low, high], verified exactly."""
     c = [-number for number in polynomial.coefficients(p)]
     a, b = (Fraction(end) if np.isfinite(end) else None for end in (low, high))
-    least, _ = halfline.minimum(c, a, b)
+    least, _ = polynomial_signs.minimum(c, a, b)
     if not np.isfinite(least):
         return None
     for more in (1e-12, 1e-9, 1e-6):
         level = Fraction(float(-least + more * (1 + abs(least))))
-        if halfline.negative_point([c[0] + level, *c[1:]], a, b) is None:
+        if polynomial_signs.negative_point([c[0] + level, *c[1:]], a, b) is None:
             return max(level, Fraction(0))
     return None
 

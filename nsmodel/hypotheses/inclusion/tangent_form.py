@@ -8,12 +8,12 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.convex.convex_sets import ConvexSet, has_interior
-from nsmodel.hypotheses.convex.least_value import least_value
 from nsmodel.hypotheses.inclusion import growth
 from nsmodel.hypotheses.inclusion.growth import UP
 from nsmodel.hypotheses.inclusion.selected_field import Field
-from nsmodel.hypotheses.proof import exact, interval, polynomial
+from nsmodel.proof import exact, interval, polynomial
+from nsmodel.proof.convex.convex_sets import ConvexSet, has_interior
+from nsmodel.proof.convex.least_value import least_value
 
 
 class Form(NamedTuple):

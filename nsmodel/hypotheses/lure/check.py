@@ -13,10 +13,10 @@ from nsmodel.hypotheses.lure import large, range_condition
 from nsmodel.hypotheses.lure.hypomonotone import HYPOMONOTONE, Growth, hypomonotone
 from nsmodel.hypotheses.lure.passivity import D_PSD, PAPER, STORAGE, input_output, storage
 from nsmodel.hypotheses.lure.passivity_symbolic import symbolic_findings
-from nsmodel.hypotheses.proof import interval
-from nsmodel.hypotheses.proof.exact import EPS
 from nsmodel.hypotheses.region import Region
 from nsmodel.model.lure import LureSystem
+from nsmodel.proof import interval
+from nsmodel.proof.exact import EPS
 from nsmodel.trajectory import Trajectory
 
 __all__ = ["CONTRACTION", "HYPOTHESES", "check", "contraction", "symbolic_findings"]

@@ -13,10 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nsmodel.hypotheses.lure import least_omega
+from nsmodel.hypotheses.lure.least_omega import Balanced
 from nsmodel.hypotheses.lure.pairing import Pairing, well_conditioned
-from nsmodel.hypotheses.proof import exact, semidefinite
-from nsmodel.hypotheses.proof.exact import EPS
-from nsmodel.hypotheses.proof.semidefinite import Balanced
+from nsmodel.proof import exact
+from nsmodel.proof.exact import EPS
 
 PROGRAM = 20  # Up to this many states the semidefinite program is solved; above, a few candidates for Y are compared.
 ZERO = 1e-9  # omega / |J| below which omega = 0 is tried.
@@ -61,8 +62,8 @@ def least_rate(
         quick: only closed-form candidates for Y, no semidefinite program.
     """
     J, K = ([exact.product(pairing.T_inverse, M, pairing.T) for M in matrices] for matrices in (vertices, cones))
-    near = semidefinite.balanced(exact.doubles(pairing.G), [exact.doubles(M) for M in J], [exact.doubles(M) for M in K])
-    problem, least = _Problem(pairing, J, K, near), semidefinite.lower_bound(near)
+    near = least_omega.balanced(exact.doubles(pairing.G), [exact.doubles(M) for M in J], [exact.doubles(M) for M in K])
+    problem, least = _Problem(pairing, J, K, near), least_omega.lower_bound(near)
     candidates = [exact.rational(near.from_hat(np.eye(pairing.free))), well_conditioned(pairing), *_energies(problem)]
     best = _best(problem, candidates, least)
     if quick or not pairing.free or len(pairing.T) > PROGRAM:
@@ -106,7 +107,7 @@ def _proved(problem: _Problem, Y: np.ndarray, least: float) -> Rate | None:
     if not exact.psd(Y).definite or not _recedes(problem, Y):
         return None
     P = near.middle(near.to_hat(exact.doubles(Y)))
-    omega = max(semidefinite.rate(P, J) for J in near.J)
+    omega = max(least_omega.rate(P, J) for J in near.J)
     if not np.isfinite(omega):
         return None
     rounding = 64 * EPS * len(P) * near.scale
@@ -129,7 +130,7 @@ def _energies(problem: _Problem) -> list[np.ndarray]:
 
 def _searched(problem: _Problem) -> Iterator[np.ndarray]:
     """The answer of the semidefinite program, and the same without the entries that are 0 up to its accuracy."""
-    Y = semidefinite.search(problem.near, semidefinite.lower_bound(problem.near))[1]
+    Y = least_omega.search(problem.near, least_omega.lower_bound(problem.near))[1]
     d = np.sqrt(np.abs(np.diagonal(Y)))
     for kept in (np.where(np.abs(Y) > 1e-6 * np.outer(d, d), Y, 0.0), Y):
         yield exact.rational(problem.near.from_hat(kept))
@@ -147,12 +148,12 @@ def _lossless(problem: _Problem) -> Iterator[np.ndarray]:
     nearly = near.left @ exact.doubles(exactly)
     nearly = nearly / np.linalg.norm(nearly, axis=0)
     ends = np.cumsum([0, *(basis.shape[1] for basis in neutral)])
-    chosen = semidefinite.forced(near, list(nearly.T), [range(a, b) for a, b in pairwise(ends)])
+    chosen = least_omega.forced(near, list(nearly.T), [range(a, b) for a, b in pairwise(ends)])
     if chosen is None:
         return
     kernels, back = [exactly[:, own] for own in chosen], exact.doubles(pairing.T) @ near.back
     for accuracy in (1e-6, 1e-5, 1e-4, 1e-3):
-        answer = semidefinite.program(near, 0.0, [near.left @ exact.doubles(N) for N in kernels])
+        answer = least_omega.program(near, 0.0, [near.left @ exact.doubles(N) for N in kernels])
         if answer is None:
             return
         Y = exact.rational(near.from_hat(answer))

@@ -15,12 +15,13 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.convex import convexity
-from nsmodel.hypotheses.proof import exact, feasibility, interval, polynomial
-from nsmodel.hypotheses.proof.feasibility import System
+from nsmodel.hypotheses.domain import domain_rows, without_domain
 from nsmodel.model.convex import ConvexSplit, Term
 from nsmodel.model.expressions import evaluate, points
 from nsmodel.model.laws import Block, Law
+from nsmodel.proof import exact, feasibility, interval, polynomial
+from nsmodel.proof.convex import convexity
+from nsmodel.proof.feasibility import System
 
 BOUNDS = ("indicator", "equality", "cone")  # terms of a potential that bound its domain
 TAU = [0]  # the column of tau
@@ -265,7 +266,7 @@ def potential(phi: ca.SX, split: ConvexSplit, y: ca.SX) -> Potential:
         if not exact.psd(form.H).psd:
             raise Undecided("phi is not convex: its smooth part has an indefinite Hessian")
         return Potential(form.H, form.q, terms, not any(term.kind in BOUNDS for term in terms))
-    if not convexity.everywhere(convexity.without_domain(phi, y, "phi"), y)[0].convex:
+    if not convexity.everywhere(without_domain(phi, y, "phi"), y)[0].convex:
         raise Undecided("phi is not proved to be convex")
     finite = interval.is_continuous(phi, y, *_whole(m))
     if not (finite or unknown or interval.is_continuous(ca.vertcat(split.smooth, split.epigraph), z, *_whole(z.numel()))):
@@ -277,7 +278,7 @@ def potential(phi: ca.SX, split: ConvexSplit, y: ca.SX) -> Potential:
 
 def _is_proper(phi: ca.SX, y: ca.SX) -> bool:
     """Whether the domain is proved to be convex, and phi is finite at a sample point."""
-    rows, equal = convexity.domain_rows(phi, y, "phi")
+    rows, equal = domain_rows(phi, y, "phi")
     shapes = convexity.everywhere(ca.vertcat(ca.SX(0, 1), *rows, *equal), y)
     bounds_good = all(shape.concave and (i < len(rows) or shape.convex) for i, shape in enumerate(shapes))
     return bounds_good and bool(

@@ -16,11 +16,11 @@ from nsmodel.hypotheses.lure.dissipation import Rate, least_rate
 from nsmodel.hypotheses.lure.jacobian_hull import bounded_hull, sampled_hull, tidy
 from nsmodel.hypotheses.lure.pairing import condition, well_conditioned
 from nsmodel.hypotheses.lure.passivity import PAPER, Passivity
-from nsmodel.hypotheses.proof import exact, extremum, interval
-from nsmodel.hypotheses.proof.jumps import find_jump, jumps_in
 from nsmodel.hypotheses.region import Region
-from nsmodel.model.expressions import operations
 from nsmodel.model.lure import LureSystem
+from nsmodel.proof import exact, extremum, interval
+from nsmodel.proof.graph import operations
+from nsmodel.proof.jumps import find_jump, jumps_in
 
 HYPOMONOTONE = Hypothesis(
     "5.2", "R A(-R^{-1} .) + omega I is maximal monotone for some omega, R^2 = P", f"{PAPER}, Assumption 5.2"

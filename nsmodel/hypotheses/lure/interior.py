@@ -10,9 +10,9 @@ import numpy as np
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, found
 from nsmodel.hypotheses.lure import domains
 from nsmodel.hypotheses.lure.domains import Empty, Potential
-from nsmodel.hypotheses.proof import exact, feasibility, interval
 from nsmodel.model.laws import Block, Law
 from nsmodel.model.lure import LureSystem
+from nsmodel.proof import exact, feasibility, interval
 
 
 def interior(hypothesis: Hypothesis, model: LureSystem, potential: Potential | None, broken: str) -> Finding:

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.proof import extremum, interval, polynomial
-from nsmodel.model.convex_read import replay
+from nsmodel.proof import extremum, interval, polynomial
+from nsmodel.proof.graph import replay
 
 VARYING, STATES = 6, 12  # Up to so many different varying entries, and so many states.
 

@@ -17,9 +17,9 @@ from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Findi
 from nsmodel.hypotheses.lure.hypomonotone import HYPOMONOTONE, Growth
 from nsmodel.hypotheses.lure.passivity import D_PSD, STORAGE
 from nsmodel.hypotheses.lure.range_condition import H_5X0, H_31, H_54A, H_54B, H_54C, H_71
-from nsmodel.hypotheses.proof.exact import EPS
-from nsmodel.hypotheses.proof.jumps import jumps_in
 from nsmodel.model.lure import LureSystem
+from nsmodel.proof.exact import EPS
+from nsmodel.proof.jumps import jumps_in
 
 MOST = 250  # States and multipliers up to which the proofs with dense matrices take seconds.
 TIMES = 200  # At which f is looked at.

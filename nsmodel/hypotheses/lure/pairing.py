@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsmodel.hypotheses.proof import exact
-from nsmodel.hypotheses.proof.exact import EPS
+from nsmodel.proof import exact
+from nsmodel.proof.exact import EPS
 
 SMALL = 1e-10  # Least eigenvalue of P, scaled to a unit diagonal, that doubles show with some digits.
 LARGE = 40  # From this size on the condition number is minimised on a coarser grid.

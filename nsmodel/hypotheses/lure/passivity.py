@@ -13,8 +13,8 @@ import numpy as np
 
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, found
 from nsmodel.hypotheses.lure.pairing import Pairing, condition, pairing_of, residual, units, well_conditioned
-from nsmodel.hypotheses.proof import exact
-from nsmodel.hypotheses.proof.exact import EPS
+from nsmodel.proof import exact
+from nsmodel.proof.exact import EPS
 
 PAPER = "Brogliato and Goeleven 2013"
 D_PSD = Hypothesis("4.1", "D is positive semidefinite: <D z, z> >= 0 for all z", f"{PAPER}, Assumption 4.1")

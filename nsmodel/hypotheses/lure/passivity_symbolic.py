@@ -11,9 +11,9 @@ import numpy as np
 
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, found
 from nsmodel.hypotheses.lure.passivity import D_PSD, STORAGE
-from nsmodel.hypotheses.proof.components import components
 from nsmodel.hypotheses.report.typeset import to_sympy
 from nsmodel.model.lure import LureSystem
+from nsmodel.proof.components import components
 
 if TYPE_CHECKING:
     import sympy as sp

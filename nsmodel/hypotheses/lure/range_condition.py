@@ -27,9 +27,9 @@ from nsmodel.hypotheses.lure.domains import TAU, Domains, Empty, Potential, Unde
 from nsmodel.hypotheses.lure.interior import interior
 from nsmodel.hypotheses.lure.passivity import PAPER, ROUNDING, input_output
 from nsmodel.hypotheses.lure.rest_point import rest_point
-from nsmodel.hypotheses.proof import exact, feasibility
 from nsmodel.model.laws import Law
 from nsmodel.model.lure import LureSystem
+from nsmodel.proof import exact, feasibility
 
 H_31 = Hypothesis("3.1", "Xi is continuous at some point: its domain has an interior", f"{PAPER}, Assumption 3.1")
 H_54A = Hypothesis("5.4a", "R(C) meets -D'(rint dom dXi) + int dom Upsilon*", f"{PAPER}, Assumption 5.4 (a)")

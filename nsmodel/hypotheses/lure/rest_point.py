@@ -10,10 +10,10 @@ import numpy as np
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, found
 from nsmodel.hypotheses.lure import domains
 from nsmodel.hypotheses.lure.domains import TAU, Affine, Domains, Potential
-from nsmodel.hypotheses.proof import exact, feasibility
-from nsmodel.model.expressions import fold
 from nsmodel.model.laws import Law
 from nsmodel.model.lure import LureSystem
+from nsmodel.proof import exact, feasibility
+from nsmodel.proof.graph import fold
 
 TIMES = 1001  # at which f is looked at
 

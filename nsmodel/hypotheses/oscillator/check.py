@@ -13,16 +13,17 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.convex import lower_bound, potentials
-from nsmodel.hypotheses.convex.convex_sets import ConvexSet, Part, has_interior, is_convex
-from nsmodel.hypotheses.convex.convexity import domain_rows, without_domain
-from nsmodel.hypotheses.convex.lower_bound import Below
+from nsmodel.hypotheses.domain import domain_rows, without_domain
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, follows, found
 from nsmodel.hypotheses.oscillator import friction_law, rest_points
-from nsmodel.hypotheses.proof import exact
 from nsmodel.hypotheses.region import Region
-from nsmodel.model.expressions import column
 from nsmodel.model.oscillator import FrictionOscillator
+from nsmodel.proof import exact
+from nsmodel.proof.convex import lower_bound, potentials
+from nsmodel.proof.convex.convex_sets import ConvexSet, has_interior, is_convex
+from nsmodel.proof.convex.lower_bound import Below
+from nsmodel.proof.graph import column
+from nsmodel.proof.verdict import Part
 from nsmodel.trajectory import Trajectory
 
 PAPER = "Cabot 2004"

@@ -9,14 +9,13 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.convex import convexity, piecewise
-from nsmodel.hypotheses.convex.convex_sets import Part
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED
-from nsmodel.hypotheses.proof import extremum, halfline, interval, polynomial
-from nsmodel.hypotheses.proof.jumps import find_jump, jumps_in
-from nsmodel.model.convex_read import replay
-from nsmodel.model.expressions import column
 from nsmodel.model.oscillator import Friction
+from nsmodel.proof import extremum, interval, polynomial, polynomial_signs
+from nsmodel.proof.convex import convexity, piecewise
+from nsmodel.proof.graph import column, replay
+from nsmodel.proof.jumps import find_jump, jumps_in
+from nsmodel.proof.verdict import Part
 
 ZERO, INFINITY = np.zeros(1), np.full(1, np.inf)
 SLOPE, CURVATURE = "min theta'", "min theta''"
@@ -86,9 +85,9 @@ def _nonnegative_quotient(expr: ca.SX, s: ca.SX) -> bool:
     if found is None:
         return False
     product = polynomial.multiply(*found)
-    if product is None or halfline.has_root(polynomial.coefficients(found[1])):
+    if product is None or polynomial_signs.has_root(polynomial.coefficients(found[1])):
         return False
-    return halfline.negative_point(polynomial.coefficients(product)) is None
+    return polynomial_signs.negative_point(polynomial.coefficients(product)) is None
 
 
 def _where(*found: extremum.Supremum) -> float:
@@ -103,8 +102,11 @@ def _piecewise(pieces: list[piecewise.Piece]) -> Part:
     """Decide a piecewise polynomial: signs of the derivatives on each piece, values and slopes at the joints."""
     for left, right in pairwise(pieces):
         place = right.low
-        for what, p, q in (("jumps", left.c, right.c), ("has a kink", halfline.derivative(left.c), halfline.derivative(right.c))):
-            before, after = halfline.at(p, place), halfline.at(q, place)
+        for what, p, q in (
+            ("jumps", left.c, right.c),
+            ("has a kink", polynomial_signs.derivative(left.c), polynomial_signs.derivative(right.c)),
+        ):
+            before, after = polynomial_signs.at(p, place), polynomial_signs.at(q, place)
             if before != after:
                 value = {"before": float(before), "after": float(after)}
                 if abs(after - before) <= ROUNDING * (abs(before) + abs(after)):
@@ -116,17 +118,19 @@ def _piecewise(pieces: list[piecewise.Piece]) -> Part:
     for piece in pieces:
         first, second = _derivatives(piece)
         for name, p, what in ((SLOPE, first, "theta decreases"), (CURVATURE, second, "theta is not convex")):
-            values[name] = min(values[name], halfline.minimum(p, piece.low, piece.high)[0])
-            point = halfline.negative_point(p, piece.low, piece.high)
+            values[name] = min(values[name], polynomial_signs.minimum(p, piece.low, piece.high)[0])
+            point = polynomial_signs.negative_point(p, piece.low, piece.high)
             if point is not None:
                 order, start = name.removeprefix("min "), _start(p, piece.low, point)
                 how = f"{what}: {order} < 0 from s = {start:.6g} on (decided exactly)"
                 broken.append(
-                    Part(VIOLATED, how, values, {"s": float(point), order: float(halfline.at(p, point)), "from": start})
+                    Part(VIOLATED, how, values, {"s": float(point), order: float(polynomial_signs.at(p, point)), "from": start})
                 )
     if broken:
         rounded = [piece._replace(c=_rounded(piece.c)) for piece in pieces]
-        if all(halfline.negative_point(p, piece.low, piece.high) is None for piece in rounded for p in _derivatives(piece)):
+        if all(
+            polynomial_signs.negative_point(p, piece.low, piece.high) is None for piece in rounded for p in _derivatives(piece)
+        ):
             return broken[0]._replace(verdict=SAMPLED, how="convex and nondecreasing up to rounding of the coefficients only")
         return broken[0]
     kind = "a polynomial" if len(pieces) == 1 else f"a polynomial on each of {len(pieces)} pieces, C1 at their joints"
@@ -134,8 +138,8 @@ def _piecewise(pieces: list[piecewise.Piece]) -> Part:
 
 
 def _derivatives(piece: piecewise.Piece) -> tuple[list[Fraction], list[Fraction]]:
-    first = halfline.derivative(piece.c)
-    return first, halfline.derivative(first)
+    first = polynomial_signs.derivative(piece.c)
+    return first, polynomial_signs.derivative(first)
 
 
 def _rounded(p: list[Fraction]) -> list[Fraction]:

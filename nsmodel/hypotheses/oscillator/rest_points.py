@@ -9,11 +9,11 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.convex.convex_sets import ConvexSet
-from nsmodel.hypotheses.convex.lower_bound import Below
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, Consequence, Finding, follows
-from nsmodel.hypotheses.proof import exact, polynomial
 from nsmodel.model.oscillator import FrictionOscillator
+from nsmodel.proof import exact, polynomial
+from nsmodel.proof.convex.convex_sets import ConvexSet
+from nsmodel.proof.convex.lower_bound import Below
 
 FAR = 1e12  # Beyond this, from the minimum, an interval of rest points is taken as infinite.
 MARGIN = 1e-9

@@ -22,7 +22,7 @@ from nsmodel.hypotheses.report.notation import (
     number_piece,
     symbol_latex,
 )
-from nsmodel.model.expressions import fold
+from nsmodel.proof.graph import fold
 
 T = TypeVar("T")
 LARGEST = 250  # Formulas of more nodes are named, not written out.

@@ -15,13 +15,13 @@ from nsmodel.hypotheses.report.notation import bracketed, decimal, listed, symbo
 from nsmodel.model.base import Model
 from nsmodel.model.bodies import Bodies, ManyBodies, Member
 from nsmodel.model.convex import ConvexSplit
-from nsmodel.model.expressions import column
 from nsmodel.model.first_order import FirstOrderSystem
 from nsmodel.model.inclusion import MonotoneInclusion
 from nsmodel.model.laws import Block, Law
 from nsmodel.model.lure import LureSystem
 from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.sweeping import SweepingProcess
+from nsmodel.proof.graph import column
 
 if TYPE_CHECKING:
     import sympy

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.proof import extremum
 from nsmodel.hypotheses.region import Region
 from nsmodel.model.sweeping import SweepingProcess
+from nsmodel.proof import extremum
 from nsmodel.solve import mlcp
 from nsmodel.solve.certificate import NumericLaw
 from nsmodel.trajectory import Trajectory

@@ -7,10 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.convex import convexity
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED
-from nsmodel.hypotheses.proof import extremum, interval
-from nsmodel.hypotheses.proof.jumps import find_jump, jumps_in
 from nsmodel.hypotheses.sweeping.constraint import (
     EVERYWHERE,
     ON_THE_BOX,
@@ -22,6 +19,9 @@ from nsmodel.hypotheses.sweeping.constraint import (
     root,
     values,
 )
+from nsmodel.proof import extremum, interval
+from nsmodel.proof.convex import convexity
+from nsmodel.proof.jumps import find_jump, jumps_in
 
 FLAT = 1e-8  # A gradient that is this much shorter than the longest one is 0 to rounding.
 

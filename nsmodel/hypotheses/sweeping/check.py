@@ -9,7 +9,6 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, found
-from nsmodel.hypotheses.proof import exact, interval
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.sweeping.admissible import Scene, admissible_points, scene_of
 from nsmodel.hypotheses.sweeping.consequences import consequences_of
@@ -20,6 +19,7 @@ from nsmodel.hypotheses.sweeping.shapes import read_shapes
 from nsmodel.hypotheses.sweeping.start import ROUNDED, start_value
 from nsmodel.hypotheses.sweeping.velocity import velocity
 from nsmodel.model.sweeping import SweepingProcess
+from nsmodel.proof import exact, interval
 from nsmodel.trajectory import Trajectory
 
 Point = tuple[float, np.ndarray]

@@ -10,8 +10,6 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED
-from nsmodel.hypotheses.proof import exact, extremum, interval
-from nsmodel.hypotheses.proof.jumps import find_jump, jumps_in
 from nsmodel.hypotheses.sweeping.box import on_the_box
 from nsmodel.hypotheses.sweeping.constraint import (
     EVERYWHERE,
@@ -27,6 +25,8 @@ from nsmodel.hypotheses.sweeping.constraint import (
     values,
 )
 from nsmodel.hypotheses.sweeping.forms import Affine, Offset, Squares, expression, hessian
+from nsmodel.proof import exact, extremum, interval
+from nsmodel.proof.jumps import find_jump, jumps_in
 
 
 def answers(constraint: Constraint, quick: bool) -> Answers:

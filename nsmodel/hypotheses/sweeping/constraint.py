@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED
-from nsmodel.hypotheses.proof import extremum
 from nsmodel.hypotheses.sweeping.forms import Shape
+from nsmodel.proof import extremum
 
 EVERYWHERE, ON_THE_BOX = "everywhere", "on the box"
 

@@ -15,7 +15,7 @@ from fractions import Fraction
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.proof.exact import psd
+from nsmodel.proof.exact import psd
 
 Offset = Fraction | ca.SX  # A number, or an expression of time.
 _ZERO = Fraction(0)

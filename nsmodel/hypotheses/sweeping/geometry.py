@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nsmodel.hypotheses.proof.exact import EPS
+from nsmodel.proof.exact import EPS
 
 IN_HULL = 1e-13  # A hull of unit vectors that is nearer to 0 than this contains 0, up to rounding.
 

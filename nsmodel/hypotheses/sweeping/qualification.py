@@ -14,13 +14,13 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
-from nsmodel.hypotheses.proof.components import sharing
 from nsmodel.hypotheses.sweeping.admissible import Scene, named
 from nsmodel.hypotheses.sweeping.constraint import EVERYWHERE, ON_THE_BOX, Constraint
 from nsmodel.hypotheses.sweeping.geometry import mfcq_constant
 from nsmodel.hypotheses.sweeping.qualification_box import over_box
 from nsmodel.hypotheses.sweeping.qualification_proofs import everywhere
-from nsmodel.solve.quiet import quiet
+from nsmodel.proof.components import sharing
+from nsmodel.proof.quiet import quiet
 
 FRACTION, TRIES = 0.1, 3
 FEW_STATES = 4

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.proof.interval import halves, mean_value
-from nsmodel.hypotheses.proof.program import Program, program
 from nsmodel.hypotheses.sweeping.admissible import Scene
 from nsmodel.hypotheses.sweeping.geometry import mfcq_constant
+from nsmodel.proof.interval import halves, mean_value
+from nsmodel.proof.straight_line import Program, program
 
 CLOSE = 1.05  # Cutting ends where the bound is this near to what is attained.
 PARTS, ENOUGH = 8_000, 2_000  # Parts of the box looked at, and how many where the bound is within a factor of 2 by then.

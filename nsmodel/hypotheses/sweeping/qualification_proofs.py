@@ -9,13 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsmodel.hypotheses.proof import exact, interval
-from nsmodel.hypotheses.proof.feasibility import System, decide
-from nsmodel.hypotheses.proof.program import program
 from nsmodel.hypotheses.sweeping.constraint import Constraint, over_time
 from nsmodel.hypotheses.sweeping.forms import Shape, expression, plus, times
 from nsmodel.hypotheses.sweeping.geometry import discs_in_a_row, gram_bound, mfcq_constant, row_space
-from nsmodel.model.expressions import column
+from nsmodel.proof import exact, interval
+from nsmodel.proof.feasibility import System, decide
+from nsmodel.proof.graph import column
+from nsmodel.proof.straight_line import program
 
 MOST_PLANES = 12
 MOST_PAIRS = 60

@@ -24,7 +24,7 @@ from nsmodel.hypotheses.sweeping.forms import (
     scaled,
     sums_of_convex,
 )  # fmt: skip
-from nsmodel.model.expressions import applied, fold
+from nsmodel.proof.graph import applied, fold
 
 TOLERANCE = Fraction(1, 2**46)  # 64 eps: what the user's own constants (1/|e|^2, say) are rounded to.
 _ZERO, _ONE = Fraction(0), Fraction(1)

@@ -77,7 +77,7 @@ def _offset(offset: Offset, c: Constraint) -> Fraction | None:
 
 
 def _at_zero(offset: ca.SX, t: ca.SX) -> tuple[float, float]:
-    from nsmodel.hypotheses.proof.interval import enclose
+    from nsmodel.proof.interval import enclose
 
     low, high = enclose(offset, t, np.zeros(1), np.zeros(1))
     return float(np.ravel(low)[0]), float(np.ravel(high)[0])

@@ -9,13 +9,12 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
-from nsmodel.hypotheses.proof import extremum, interval
-from nsmodel.hypotheses.proof.components import sharing
-from nsmodel.hypotheses.proof.jumps import SWITCHES, jumps_in, surface_points
 from nsmodel.hypotheses.sweeping.admissible import Scene, named
 from nsmodel.hypotheses.sweeping.constraint import EVERYWHERE, ON_THE_BOX, Answer
-from nsmodel.model.convex_read import replay
-from nsmodel.model.expressions import column, keys
+from nsmodel.proof import extremum, interval
+from nsmodel.proof.components import sharing
+from nsmodel.proof.graph import column, keys, replay
+from nsmodel.proof.jumps import SWITCHES, jumps_in, surface_points
 
 BASES, JUMPS = 4, 256  # Admissible states from which jumps are looked for, and switching points tried.
 PAIRS = 32

@@ -13,11 +13,11 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.convex.convex_sets import ConvexSet
-from nsmodel.hypotheses.convex.least_value import least_value
-from nsmodel.hypotheses.convex.piecewise import pieces
-from nsmodel.hypotheses.convex.ridges import ridges
-from nsmodel.hypotheses.proof import exact, extremum, feasibility, halfline, interval, polynomial
+from nsmodel.proof import exact, extremum, feasibility, interval, polynomial, polynomial_signs
+from nsmodel.proof.convex.convex_sets import ConvexSet
+from nsmodel.proof.convex.least_value import least_value
+from nsmodel.proof.convex.piecewise import pieces
+from nsmodel.proof.convex.ridges import ridges
 
 ENDLESS = 1e12  # A least value below minus this, beside the value at the start, is no minimum.
 
@@ -127,11 +127,11 @@ def _separate(g: ca.SX, C: ConvexSet) -> float | None:
     for i in polynomial.variables(p):
         c = polynomial.coefficients({monomial: number for monomial, number in p.items() if monomial and monomial[0][0] == i})
         a, b = (Fraction(float(end[i])) if np.isfinite(end[i]) else None for end in C.hull)
-        least = halfline.minimum(c, a, b)[0]
+        least = polynomial_signs.minimum(c, a, b)[0]
         levels = (
             [Fraction(least) - Fraction(less * (1 + abs(least))) for less in (1e-12, 1e-9, 1e-6)] if np.isfinite(least) else []
         )
-        proved = [level for level in levels if halfline.negative_point([c[0] - level, *c[1:]], a, b) is None]
+        proved = [level for level in levels if polynomial_signs.negative_point([c[0] - level, *c[1:]], a, b) is None]
         if not proved:
             return None
         total += proved[0]

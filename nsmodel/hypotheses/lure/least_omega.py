@@ -9,7 +9,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from nsmodel.hypotheses.proof.conic import minimise
+from nsmodel.proof.conic_program import minimise
 
 SPREAD = 1e3  # 1/SPREAD <= Y <= SPREAD: a smaller omega would cost a worse conditioned P.
 TINY = 1e-9  # of balanced numbers, which are about 1

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from fractions import Fraction
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.convex import convexity
-from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
-from nsmodel.hypotheses.proof import exact, extremum, feasibility, interval, polynomial
-from nsmodel.solve.quiet import quiet
+from nsmodel.proof import exact, extremum, feasibility, interval, polynomial
+from nsmodel.proof.convex import convexity
+from nsmodel.proof.quiet import quiet
+from nsmodel.proof.verdict import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Part
 
 POINTS = 512
 
@@ -106,15 +106,6 @@ class ConvexSet:
         low, _ = interval.enclose(self.rows, self.x, point, point)
         least = float(np.min(low))
         return least if least > 0 else None
-
-
-class Part(NamedTuple):
-    """One part of a hypothesis: verdict, reason, numbers, witness."""
-
-    verdict: str
-    how: str
-    value: dict[str, float]
-    witness: dict[str, Any]
 
 
 def is_convex(C: ConvexSet, lower: np.ndarray, upper: np.ndarray, *, quick: bool) -> Part:

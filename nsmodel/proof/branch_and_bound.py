@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsmodel.hypotheses.proof.interval import Bounds, centre, cut, halves, mean_value, natural
-from nsmodel.hypotheses.proof.interval_arithmetic import Pair, add, mul, sub
-from nsmodel.hypotheses.proof.program import Program
+from nsmodel.proof.interval import Bounds, centre, cut, halves, mean_value, natural
+from nsmodel.proof.interval_arithmetic import Pair, add, mul, sub
+from nsmodel.proof.straight_line import Program
 
 CLOSE = 1e-9  # Relative gap between value and bound that ends a search.
 BATCH = 512  # Boxes cut at once.

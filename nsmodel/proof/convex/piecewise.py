@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from nsmodel.hypotheses.proof import halfline, polynomial
-from nsmodel.model.convex_read import replay
+from nsmodel.proof import polynomial, polynomial_signs
+from nsmodel.proof.graph import replay
 
 MOST_PIECES = 50
 CONDITIONS = (ca.OP_LE, ca.OP_LT, ca.OP_EQ, ca.OP_NE)
@@ -38,7 +38,7 @@ def pieces(expr: ca.SX, s: ca.SX) -> list[Piece] | None:
     done.sort(key=lambda piece: piece.low)
     for piece in done:  # the value at the joint itself, where a condition or sign may differ from both sides
         (p,) = polynomial.read(_settled(expr, s, piece.low, piece.low)[0], s)
-        if p is None or halfline.at(polynomial.coefficients(p), piece.low) != halfline.at(piece.c, piece.low):
+        if p is None or polynomial_signs.at(polynomial.coefficients(p), piece.low) != polynomial_signs.at(piece.c, piece.low):
             return None
     return done
 
@@ -57,7 +57,7 @@ def _settled(expr: ca.SX, s: ca.SX, low: Fraction, high: Fraction | None) -> tup
         if root is not None and low < root and (high is None or root < high):
             cuts.append(root)
             return None
-        value = halfline.at(u, middle)
+        value = polynomial_signs.at(u, middle)
         if op in CONDITIONS:
             return ca.SX(int({ca.OP_LT: value < 0, ca.OP_LE: value <= 0, ca.OP_EQ: value == 0, ca.OP_NE: value != 0}[op]))
         if op == ca.OP_SIGN:

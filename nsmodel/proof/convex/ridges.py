@@ -12,9 +12,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.proof import interval, polynomial
-from nsmodel.hypotheses.proof.program import is_double
-from nsmodel.model.expressions import applied, column, fold
+from nsmodel.proof import interval, polynomial
+from nsmodel.proof.graph import applied, column, fold
+from nsmodel.proof.straight_line import is_double
 
 ROUNDED = 1e-12  # Part of the terms of a'x by which its bounds are widened, for coefficients rounded to doubles.
 Direction = tuple[tuple[int, Fraction], ...]  # (variable, coefficient), the first coefficient 1

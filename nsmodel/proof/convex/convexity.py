@@ -13,10 +13,8 @@ from fractions import Fraction
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.proof import exact, interval, polynomial
-from nsmodel.model.base import COMPARISONS
-from nsmodel.model.convex_read import read, replay
-from nsmodel.model.expressions import applied, column, fold, operations
+from nsmodel.proof import exact, interval, polynomial
+from nsmodel.proof.graph import COMPARISONS, applied, column, fold, operations, replay
 
 MOST_VARIABLES = 40  # Quadratic nodes in more variables are not decided one by one.
 
@@ -68,34 +66,6 @@ def shapes(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> list[
 def everywhere(expr: ca.SX, z: ca.SX) -> list[Shape]:
     """The same for all z."""
     return shapes(expr, z, np.full(z.numel(), -np.inf), np.full(z.numel(), np.inf))
-
-
-def without_domain(phi: ca.SX, x: ca.SX, label: str) -> ca.SX:
-    """The potential without the conditions that make it +inf: a function that is finite where they fail, too."""
-    finite = []
-
-    def rule(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
-        if args[1].is_constant() and np.isinf(float(args[1])):
-            return ca.SX(0)
-        finite.append(old)
-        return None
-
-    direct = replay(phi, rule, (ca.OP_IF_ELSE_ZERO,), x, label)
-    if not finite:
-        return direct
-    parts = read(phi, x, label)
-    return ca.substitute(parts.value, parts.symbols, parts.meanings({})) if parts.nodes else parts.value
-
-
-def domain_rows(phi: ca.SX, x: ca.SX, label: str) -> tuple[list[ca.SX], list[ca.SX]]:
-    """The domain of a potential as expressions that are >= 0, and those that are 0, in terms of x alone."""
-    parts = read(phi, x, label)
-    meanings = parts.meanings({})
-    rows, equalities = [], []
-    for bound in parts.bounds:
-        u = ca.substitute(bound.u, parts.symbols, meanings) if parts.nodes else bound.u
-        (equalities if bound.kind == "equality" else rows).append(u)
-    return rows, equalities
 
 
 def simplified(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, label: str) -> ca.SX:

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.proof import extremum
-from nsmodel.model.convex_read import replay
+from nsmodel.proof import extremum
+from nsmodel.proof.graph import replay
 
 SWITCHES = (ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE)  # Their values are steps.
 OTHERS = (ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN, ca.OP_ATAN2, ca.OP_IF_ELSE_ZERO, ca.OP_NOT, ca.OP_AND, ca.OP_OR)

@@ -8,13 +8,13 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.proof import branch
-from nsmodel.hypotheses.proof.branch import Bounded, Task
-from nsmodel.hypotheses.proof.directions import Reduced, reduced
-from nsmodel.hypotheses.proof.interval import centre
-from nsmodel.hypotheses.proof.program import Program, program
-from nsmodel.model.expressions import column, keys
-from nsmodel.solve.quiet import quiet
+from nsmodel.proof import branch_and_bound
+from nsmodel.proof.branch_and_bound import Bounded, Task
+from nsmodel.proof.directions import Reduced, reduced
+from nsmodel.proof.graph import column, keys
+from nsmodel.proof.interval import centre
+from nsmodel.proof.quiet import quiet
+from nsmodel.proof.straight_line import Program, program
 
 FEW, MANY = 256, 2048  # Sample points of a quick and of a full search.
 STARTS = 4  # Local searches.
@@ -151,28 +151,31 @@ def search(goal: Goal, scene: Scene, enough: float) -> Supremum:
     """
     watch = _Watch(goal, scene)
     task, size = _task(goal, scene, watch, enough)
-    state = branch.start(task)
+    state = branch_and_bound.start(task)
     if state.bound <= enough:
         return Supremum(-np.inf, None, float(state.bound), 0)
-    state = branch.better(state, *task.best(branch.middles(state), None))
-    if state.value > -np.inf and state.bound - state.value <= branch.CLOSE * abs(state.value):
+    state = branch_and_bound.better(state, *task.best(branch_and_bound.middles(state), None))
+    if state.value > -np.inf and state.bound - state.value <= branch_and_bound.CLOSE * abs(state.value):
         return Supremum(state.value, state.at, float(state.bound), watch.count)
     number = FEW if scene.quick else int(np.clip(4e7 // (size + goal.cost), 64, MANY))
     looked = np.vstack([scene.points, *_spread(scene, watch.used, number)])
     values, entries, worst = watch.at(looked)
     first = int(np.argmax(values))
     if values[first] > -np.inf:
-        state = branch.better(state, float(values[first]), looked[first].copy())
-    state = branch.better(state, *task.best(branch.middles(state), state.at))
+        state = branch_and_bound.better(state, float(values[first]), looked[first].copy())
+    state = branch_and_bound.better(state, *task.best(branch_and_bound.middles(state), state.at))
     if not scene.quick:
         feasible = values[values > -np.inf]
         spread = float(np.median(np.abs(feasible - np.median(feasible)))) if feasible.size else 0.0
-        task, budget = task._replace(tolerance=branch.CLOSE * spread), int(np.clip(WORK // (size + goal.cost), 400, BOXES))
-        state = branch.search(task, state, min(budget, 128))
-        if not branch.finished(task, state):
+        task, budget = (
+            task._replace(tolerance=branch_and_bound.CLOSE * spread),
+            int(np.clip(WORK // (size + goal.cost), 400, BOXES)),
+        )
+        state = branch_and_bound.search(task, state, min(budget, 128))
+        if not branch_and_bound.finished(task, state):
             for points in _climbed(goal, scene, looked, values, entries, worst):
-                state = branch.better(state, *watch.best(points))
-            state = branch.search(task, state, budget)
+                state = branch_and_bound.better(state, *watch.best(points))
+            state = branch_and_bound.search(task, state, budget)
     return Supremum(state.value, state.at, float(state.bound), watch.count)
 
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.convex.convex_sets import ConvexSet
-from nsmodel.hypotheses.proof import exact, extremum, polynomial
-from nsmodel.model.convex_read import replay
-from nsmodel.model.expressions import column
-from nsmodel.solve.quiet import quiet
+from nsmodel.proof import exact, extremum, polynomial
+from nsmodel.proof.convex.convex_sets import ConvexSet
+from nsmodel.proof.graph import column, replay
+from nsmodel.proof.quiet import quiet
 
 SAMPLES = 512
 IPOPT = {

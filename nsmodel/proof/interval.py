@@ -13,10 +13,10 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.proof.interval_arithmetic import LARGEST, UNBOUNDED, Pair, add, choose, mul, point, sub
-from nsmodel.hypotheses.proof.interval_functions import OPERATIONS
-from nsmodel.hypotheses.proof.program import Program, Step
-from nsmodel.hypotheses.proof.program import program as program
+from nsmodel.proof.interval_arithmetic import LARGEST, UNBOUNDED, Pair, add, choose, mul, point, sub
+from nsmodel.proof.interval_functions import OPERATIONS
+from nsmodel.proof.straight_line import Program, Step
+from nsmodel.proof.straight_line import program as program
 
 SPLITS, DEPTH = 4000, 40  # Boxes looked at, and cuts of one box, before continuity is left unproved.
 

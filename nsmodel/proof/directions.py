@@ -9,10 +9,10 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.proof.interval import natural
-from nsmodel.hypotheses.proof.interval_functions import OPERATIONS
-from nsmodel.hypotheses.proof.program import Program, is_double, program
-from nsmodel.model.expressions import applied
+from nsmodel.proof.graph import applied
+from nsmodel.proof.interval import natural
+from nsmodel.proof.interval_functions import OPERATIONS
+from nsmodel.proof.straight_line import Program, is_double, program
 
 LONG = 3000  # Instructions; longer programs are left as they are.
 

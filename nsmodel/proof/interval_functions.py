@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.proof.interval_arithmetic import (
+from nsmodel.proof.interval_arithmetic import (
     HALF_PI,
     LIBRARY,
     ONE,

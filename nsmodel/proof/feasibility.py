@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsmodel.hypotheses.proof import exact
-from nsmodel.hypotheses.proof.conic import minimise
+from nsmodel.proof import exact
+from nsmodel.proof.conic_program import minimise
 
 SMALL, LARGE = 1000, 20000  # Entries of A below which the simplex method goes first, above which it is not tried.
 

@@ -7,12 +7,12 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.proof.branch import Bounded
-from nsmodel.hypotheses.proof.components import components
-from nsmodel.hypotheses.proof.interval import boxes, mean_value, natural
-from nsmodel.hypotheses.proof.program import Program
-from nsmodel.hypotheses.proof.search import Goal, Scene, Supremum, search
-from nsmodel.hypotheses.proof.search import samples as samples
+from nsmodel.proof.branch_and_bound import Bounded
+from nsmodel.proof.components import components
+from nsmodel.proof.interval import boxes, mean_value, natural
+from nsmodel.proof.search import Goal, Scene, Supremum, search
+from nsmodel.proof.search import samples as samples
+from nsmodel.proof.straight_line import Program
 
 LARGE = 64  # A matrix of more entries is bounded without slopes.
 

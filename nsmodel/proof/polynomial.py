@@ -9,9 +9,8 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.proof.exact import zeros
-from nsmodel.model.convex_read import replay
-from nsmodel.model.expressions import column, fold
+from nsmodel.proof.exact import zeros
+from nsmodel.proof.graph import column, fold, replay
 
 Monomial = tuple[tuple[int, int], ...]  # ((variable, power), ...), variables increasing, powers > 0
 Polynomial = dict[Monomial, Fraction]  # without zeros

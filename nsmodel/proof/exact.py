@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nsmodel.hypotheses.proof.components import components
+from nsmodel.proof.components import components
 
 EPS = float(np.finfo(float).eps)
 VERIFIED = 12  # From this size a floating-point Cholesky factorisation with a rounding bound is tried first.

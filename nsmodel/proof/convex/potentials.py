@@ -8,13 +8,13 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.convex import convexity
-from nsmodel.hypotheses.convex.convex_sets import ConvexSet, Part
-from nsmodel.hypotheses.convex.lower_bound import additive_terms
-from nsmodel.hypotheses.convex.ridges import Ridges, ridges
-from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED
-from nsmodel.hypotheses.proof import exact, extremum, halfline, interval, polynomial
-from nsmodel.hypotheses.proof.exact import EPS
+from nsmodel.proof import exact, extremum, interval, polynomial, polynomial_signs
+from nsmodel.proof.convex import convexity
+from nsmodel.proof.convex.convex_sets import ConvexSet
+from nsmodel.proof.convex.lower_bound import additive_terms
+from nsmodel.proof.convex.ridges import Ridges, ridges
+from nsmodel.proof.exact import EPS
+from nsmodel.proof.verdict import HOLDS, SAMPLED, VIOLATED, Part
 
 ROUNDING = 64 * EPS  # A least eigenvalue above minus this, beside the matrix, is not told from 0.
 MOST_DIRECTIONS = 12
@@ -120,8 +120,8 @@ def _univariate(smooth: ca.SX, C: ConvexSet) -> bool:
         return False
     for variable in polynomial.variables(p):
         own = {monomial: number for monomial, number in p.items() if monomial and monomial[0][0] == variable}
-        second = halfline.derivative(halfline.derivative(polynomial.coefficients(own)))
-        if halfline.negative_point(second, None, None) is not None:
+        second = polynomial_signs.derivative(polynomial_signs.derivative(polynomial.coefficients(own)))
+        if polynomial_signs.negative_point(second, None, None) is not None:
             return False
     return True
 

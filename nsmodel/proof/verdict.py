@@ -1,0 +1,17 @@
+"""The four verdicts, and an answer to a question with its reason."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+HOLDS, SAMPLED, VIOLATED, UNKNOWN = "holds", "sampled", "violated", "unknown"
+VERDICTS = (HOLDS, SAMPLED, VIOLATED, UNKNOWN)  # from proved to undecided
+
+
+class Part(NamedTuple):
+    """One part of a hypothesis: verdict, reason, numbers, witness."""
+
+    verdict: str
+    how: str
+    value: dict[str, float]
+    witness: dict[str, Any]
