@@ -1,7 +1,8 @@
 """Linear algebra in exact rational arithmetic, on doubles taken as the rational numbers that they are.
 
-Matrices are NumPy arrays of dtype object that hold :class:`~fractions.Fraction`; ``+``, ``-`` and ``.T`` are NumPy's own.
-Elimination works on rows of whole numbers without common factor, which keeps them short and leaves zeros alone.
+Matrices are NumPy arrays of dtype object that hold :class:`~fractions.Fraction`; ``+``, ``-`` and ``.T`` are NumPy's own, ranks,
+solutions and products FLINT's. Signs of quadratic forms are found by elimination with diagonal pivots, on rows of whole numbers
+without common factor, which keeps them short and leaves zeros alone.
 """
 
 from __future__ import annotations
@@ -80,14 +81,10 @@ def product(*factors: Any) -> np.ndarray:
     >>> bool(product([[0.1]], [[10.0]])[0, 0] == 1)
     False
     """
-    result = rational(factors[0])
+    result = _flint(rational(factors[0]))
     for factor in factors[1:]:
-        left, right = _integers(result), _integers(rational(factor).T)
-        whole = _whole_product(left.rows, right.rows.T)
-        result = zeros(*whole.shape)
-        for i, j in zip(*np.nonzero(whole), strict=True):
-            result[i, j] = Fraction(int(whole[i, j]), left.factors[i] * right.factors[j])
-    return result
+        result = result * _flint(rational(factor))
+    return _fractions(result)
 
 
 def is_symmetric(matrix: Any) -> bool:
@@ -98,20 +95,18 @@ def is_symmetric(matrix: Any) -> bool:
 
 def rank(matrix: Any) -> int:
     """Rank of a matrix."""
-    return len(_reduced(rational(matrix))[1])
+    return _flint(rational(matrix)).rank()
 
 
 def nullspace(matrix: Any) -> np.ndarray:
     """Return a basis (n, k) of {v : M v = 0}, in columns; the free entries of v are a unit matrix."""
-    M = rational(matrix)
-    rows, pivots = _reduced(M)
-    free = [j for j in range(M.shape[1]) if j not in set(pivots)]
-    basis = zeros(M.shape[1], len(free))
+    rows, pivots = _reduced(rational(matrix))
+    n = rows.shape[1]
+    free = [j for j in range(n) if j not in set(pivots)]
+    basis = zeros(n, len(free))
     for k, j in enumerate(free):
         basis[j, k] = Fraction(1)
-        for i, pivot in enumerate(pivots):
-            if rows[i, j]:
-                basis[pivot, k] = Fraction(-rows[i, j], rows[i, pivot])
+        basis[pivots, k] = -rows[: len(pivots), j]
     return basis
 
 
@@ -124,21 +119,53 @@ def solve(matrix: Any, right: Any) -> np.ndarray | None:
     """Return one X with M X = right (free entries 0), or None where there is none; ``right`` is (n, k)."""
     M, b = rational(matrix), rational(right)
     n = M.shape[1]
-    rows, pivots = _reduced(np.hstack([M, b]), n)
-    if any(rows[i].any() for i in range(len(pivots), len(rows))):
+    rows, pivots = _reduced(np.hstack([M, b]))
+    if any(pivot >= n for pivot in pivots):
         return None
     X = zeros(n, b.shape[1])
-    for i, pivot in enumerate(pivots):
-        for k in range(b.shape[1]):
-            if rows[i, n + k]:
-                X[pivot, k] = Fraction(rows[i, n + k], rows[i, pivot])
+    X[pivots] = rows[: len(pivots), n:]
     return X
 
 
+def determinant(matrix: Any) -> Fraction:
+    """The determinant of a square matrix."""
+    return _fraction(_flint(rational(matrix)).det())
+
+
 def inverse(matrix: Any) -> np.ndarray | None:
-    """Return the inverse of a square matrix, or None where it is singular."""
+    """Return the inverse of a square matrix, or None where it is singular; blocks that nothing couples are inverted apart."""
     M = rational(matrix)
-    return solve(M, eye(len(M))) if rank(M) == len(M) else None
+    out = zeros(*M.shape)
+    for block in components((M != 0) | (M.T != 0)):
+        part = _flint(M[np.ix_(block, block)])
+        if part.rank() < len(block):
+            return None
+        out[np.ix_(block, block)] = _fractions(part.inv())
+    return out
+
+
+def _flint(M: np.ndarray) -> Any:
+    """The matrix (m, n) as one of FLINT's."""
+    from flint import fmpq, fmpq_mat
+
+    return fmpq_mat(*M.shape, [fmpq(entry.numerator, entry.denominator) for entry in M.ravel()])
+
+
+def _fraction(number: Any) -> Fraction:
+    return Fraction(int(number.p), int(number.q))
+
+
+def _fractions(matrix: Any) -> np.ndarray:
+    out = np.empty((matrix.nrows(), matrix.ncols()), dtype=object)
+    out.ravel()[:] = [_fraction(entry) if entry else Fraction(0) for entry in matrix.entries()]
+    return out
+
+
+def _reduced(M: np.ndarray) -> tuple[np.ndarray, list[int]]:
+    """The reduced echelon form, and its pivot columns."""
+    rows = _fractions(_flint(M).rref()[0])
+    pivots = [int(np.flatnonzero(row)[0]) for row in rows if row.any()]
+    return rows, pivots
 
 
 def psd(matrix: Any) -> Definite:
@@ -189,16 +216,6 @@ def _integers(M: np.ndarray) -> _Integers:
     return _Integers(rows, factors)
 
 
-def _whole_product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Product of matrices of whole numbers; in doubles where nothing can be rounded."""
-    largest = max(map(abs, left.flat), default=0), max(map(abs, right.flat), default=0)
-    if 0 in largest:
-        return np.zeros((len(left), right.shape[1]), dtype=int)
-    if left.shape[1] * largest[0] * largest[1] < 2**53:
-        return (left.astype(float) @ right.astype(float)).astype(np.int64)
-    return left @ right
-
-
 def _primitive(row: np.ndarray) -> np.ndarray:
     """The row divided by the common factor of its entries."""
     common = gcd(*row)
@@ -210,25 +227,6 @@ def _eliminate(row: np.ndarray, pivot_row: np.ndarray, j: int) -> np.ndarray:
     a, p = row[j], pivot_row[j]
     common = gcd(a, p)
     return _primitive((p // common) * row - (a // common) * pivot_row)
-
-
-def _reduced(M: np.ndarray, columns: int | None = None) -> tuple[np.ndarray, list[int]]:
-    """Reduced echelon form of whole numbers, pivots > 0 in the first ``columns`` columns; the rows and the pivot columns."""
-    rows = _integers(M).rows
-    pivots: list[int] = []
-    for j in range(M.shape[1] if columns is None else columns):
-        top = len(pivots)
-        below = [i for i in range(top, len(rows)) if rows[i, j]]
-        if not below:
-            continue
-        chosen = min(below, key=lambda i: (np.count_nonzero(rows[i]), abs(rows[i, j])))
-        rows[[top, chosen]] = rows[[chosen, top]]
-        rows[top] = _primitive(rows[top] if rows[top, j] > 0 else -rows[top])
-        for i in range(len(rows)):
-            if i != top and rows[i, j]:
-                rows[i] = _eliminate(rows[i], rows[top], j)
-        pivots.append(j)
-    return rows, pivots
 
 
 def _block_psd(S: np.ndarray) -> Definite:

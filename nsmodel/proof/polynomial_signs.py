@@ -1,14 +1,17 @@
-"""The sign of a polynomial in one variable on an interval, decided exactly: real roots are isolated by Sturm's theorem."""
+"""The sign of a polynomial in one variable on an interval, decided exactly: its real roots are isolated by FLINT."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
-from itertools import count, pairwise
+from itertools import pairwise
+from math import lcm
+from typing import Any
 
 import numpy as np
 
 Coefficients = Sequence[Fraction]  # c_0, c_1, ...
+PRECISION = 64  # Bits to begin with; doubled until every question about a root is decided.
 
 
 def negative_point(p: Coefficients, low: Fraction | None = Fraction(0), high: Fraction | None = None) -> Fraction | None:
@@ -62,14 +65,43 @@ def minimum(p: Coefficients, low: Fraction | None = Fraction(0), high: Fraction 
 
 def has_root(p: Coefficients, low: Fraction = Fraction(0)) -> bool:
     """Whether p(x) = 0 for some x >= low."""
+    return not _trimmed(p) or bool(real_roots(p, low))
+
+
+def real_roots(
+    p: Coefficients, low: Fraction | None = None, high: Fraction | None = None
+) -> list[tuple[Fraction, Fraction]]:  # fmt: skip
+    """Enclosures (from, to) of the distinct real roots of p != 0 in [low, high] (None: infinite), in order, none meeting another.
+
+    >>> [float(a) for a, b in real_roots([Fraction(-1), Fraction(0), Fraction(4)])]
+    [-0.5, 0.5]
+    """
+    from flint import ctx, fmpz_poly
+
     p = _trimmed(p)
-    if not p or not at(p, low):
-        return True
-    if len(p) == 1:
-        return False
-    chain = _sturm(_square_free(p))
-    reach = max(low, Fraction(0)) + 1 + max(abs(number / p[-1]) for number in p[:-1])
-    return _variations(chain, low) > _variations(chain, reach)
+    if len(p) < 2:
+        return []
+    common = lcm(*(number.denominator for number in p))
+    whole, ends = fmpz_poly([int(number * common) for number in p]), [end for end in (low, high) if end is not None]
+    exact, bits, before = {end for end in ends if not at(p, end)}, PRECISION, ctx.prec
+    try:
+        while True:
+            ctx.prec = bits
+            roots: Any = whole.complex_roots()
+            real = [root.real for root, _ in roots if root.imag.is_zero()]
+            found = sorted((_fraction(root.lower()), _fraction(root.upper())) for root in real)
+            found = [next(((end, end) for end in exact if a <= end <= b), (a, b)) for a, b in found]
+            if all(a == b or not a <= end <= b for a, b in found for end in ends):
+                return [(a, b) for a, b in found if (low is None or a >= low) and (high is None or b <= high)]
+            bits *= 2
+    finally:
+        ctx.prec = before
+
+
+def _fraction(number: Any) -> Fraction:
+    """An exact ball of FLINT."""
+    mantissa, exponent = (int(part) for part in number.man_exp())
+    return Fraction(mantissa) * Fraction(2) ** exponent
 
 
 def _trimmed(p: Coefficients) -> list[Fraction]:
@@ -79,59 +111,6 @@ def _trimmed(p: Coefficients) -> list[Fraction]:
     return out
 
 
-def _remainder(a: list[Fraction], b: list[Fraction]) -> list[Fraction]:
-    a = list(a)
-    while len(a) >= len(b):
-        factor = a[-1] / b[-1]
-        for k, number in enumerate(b):
-            a[len(a) - len(b) + k] -= factor * number
-        a.pop()  # the leading coefficient is now 0
-        a = _trimmed(a)
-    return a
-
-
-def _sturm(p: list[Fraction]) -> list[list[Fraction]]:
-    """Sturm's chain p, p', and minus the remainders, each up to a factor > 0 that keeps its numbers short."""
-    chain = [p, derivative(p)]
-    while chain[-1]:
-        rest = _remainder(chain[-2], chain[-1])
-        scale = abs(rest[-1]) if rest else Fraction(1)
-        chain.append([-number / scale for number in rest])
-    return chain[:-1]
-
-
-def _square_free(p: list[Fraction]) -> list[Fraction]:
-    """A polynomial with the same roots, all of them simple."""
-    common = _sturm(p)[-1]
-    quotient, rest = [Fraction(0)] * (len(p) - len(common) + 1), list(p)
-    for k in reversed(range(len(quotient))):
-        quotient[k] = rest[k + len(common) - 1] / common[-1]
-        for j, number in enumerate(common):
-            rest[k + j] -= quotient[k] * number
-    return quotient
-
-
-def _variations(chain: list[list[Fraction]], x: Fraction) -> int:
-    signs = [value > 0 for value in (at(p, x) for p in chain) if value]
-    return sum(one != other for one, other in pairwise(signs))
-
-
 def _between_roots(p: list[Fraction], a: Fraction, b: Fraction) -> list[Fraction]:
     """Points of (a, b) that, with a and b, meet each gap between two distinct roots in [a, b]."""
-    if len(p) < 2 or not a < b:
-        return []
-    simple = _square_free(p)
-    chain, points, left = _sturm(simple), [], [(a, b)]
-    while left:
-        low, high = left.pop()
-        inside = _variations(chain, low) - _variations(chain, high)  # Sturm: roots in (low, high]
-        if inside > (1 if at(simple, low) else 0):
-            middle = next(m for m in _candidates(low, high) if at(simple, m))
-            points.append(middle)
-            left += [(low, middle), (middle, high)]
-    return sorted(points)
-
-
-def _candidates(low: Fraction, high: Fraction) -> Iterator[Fraction]:
-    """Points inside an interval, more than any polynomial has roots."""
-    return (low + (high - low) * Fraction(k + 1, 2 * k + 2 + (k > 0)) for k in count())
+    return [(left[1] + right[0]) / 2 for left, right in pairwise(real_roots(p, a, b))] if a < b else []

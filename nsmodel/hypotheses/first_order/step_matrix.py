@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsmodel.proof import exact
+from nsmodel.proof import exact, polynomial_signs
 
 MOST_MINORS = 12  # Rows up to which all principal minors are looked at: 2^12.
 MOST_ROOTS = 12  # States up to which the roots of det(M - s G) are counted exactly.
@@ -83,7 +83,7 @@ def regular_steps(M: np.ndarray, G: np.ndarray, h: float) -> Steps:
         return Steps(True, least, vector, bound)
     if len(X) > MOST_ROOTS:
         return Steps(None, least, vector, bound)
-    return Steps(_count_roots(_determinant(X), h) == 0, least, vector, bound)
+    return Steps(not polynomial_signs.real_roots(_determinant(X), Fraction(0), Fraction(h)), least, vector, bound)
 
 
 def _least_step(M: np.ndarray, G: np.ndarray) -> tuple[float, np.ndarray | None]:
@@ -109,14 +109,3 @@ def _determinant(X: np.ndarray) -> list[Fraction]:
         for i in range(n):
             power[i, i] += coefficients[-1]
     return coefficients
-
-
-def _count_roots(coefficients: list[Fraction], h: float) -> int:
-    """Number of real roots in (0, h], by Sturm's theorem; c_0 is not 0."""
-    import sympy
-
-    s = sympy.Symbol("s")
-    whole = [sympy.Rational(c.numerator, c.denominator) for c in reversed(coefficients)]
-    polynomial = sympy.Poly(whole, s, domain="QQ")
-    step = Fraction(h)
-    return 0 if polynomial.degree() < 1 else int(polynomial.count_roots(0, sympy.Rational(step.numerator, step.denominator)))
