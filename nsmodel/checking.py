@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import copy
+from dataclasses import replace
 from importlib import import_module
 from typing import Any
 
@@ -13,8 +14,10 @@ import numpy as np
 from nsmodel.errors import ModelError, StepError, UsageError
 from nsmodel.hypotheses import impacts
 from nsmodel.hypotheses.along import along
-from nsmodel.hypotheses.findings import SAMPLED, Consequence, Finding, Hypothesis, Report
-from nsmodel.hypotheses.region import region_of
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED, Consequence, Finding, Hypothesis, Report, plain
+from nsmodel.hypotheses.region import Region, region_of
+from nsmodel.hypotheses.scope import Scope
+from nsmodel.hypotheses.stay import clauses
 from nsmodel.model.base import Model, shown
 from nsmodel.model.bodies import ManyBodies
 from nsmodel.model.first_order import FirstOrderSystem
@@ -41,6 +44,7 @@ ROUND_OFF = 1e-11  # Differences of runs below this part of the state are not to
 FEW_STEPS = 4000  # Steps looked at where each needs Newton's method.
 BODY_STEPS = 100_000, 20_000  # Bodies times steps of a run that is made; up to the second, also with the steps 2h and 4h.
 LATE = f"where y closes with y' != 0 a state jumps, an impact; see {impacts.GUIDE}"
+WIDER, FEW_STATES = 10.0, 4  # Where counterexamples outside the box are looked for, in full up to so many states.
 ASYMPTOTIC = 0.3, 2.5  # Orders seen outside of this range are chance.
 
 
@@ -96,6 +100,8 @@ def check(
     box = region_of(bound, own, region)
     try:
         findings, consequences = _checker(type(bound)).check(bound, box, own, quick)
+        consequences = clauses(bound, box, findings, consequences)
+        findings = findings if quick else _known_outside(bound, box, own, findings)
     except OpaqueExpression as error:
         raise ModelError(str(error)) from None
     if isinstance(bound, ManyBodies):
@@ -104,10 +110,30 @@ def check(
         notes += [f"{watch.acts}, not on y': {LATE}" for watch in impacts.watched(bound) if not watch.relay]
     else:
         twin = own[1] if len(own) > 1 and len(own[1].t) == len(own[0].t) else None
-        findings += along(bound, own[0], findings, twin, quick)
+        span = Scope(time=(float(own[0].t[0]), float(own[0].t[-1])))
+        findings += [replace(item, scope=span) for item in along(bound, own[0], findings, twin, quick)]
         if not given:
             consequences += _refined(bound, own[0])
     return _report(bound, box.text, findings, consequences, getattr(bound, "bound_parameters", {}), notes, quick)
+
+
+def _known_outside(model: Model, box: Region, runs: Sequence[Trajectory], findings: Sequence[Finding]) -> list[Finding]:
+    """The findings; those that hold on the box alone with what is known to fail in one ten times as wide."""
+    if not any(_local(finding) for finding in findings):
+        return list(findings)
+    wide = {
+        other.id: other for other in _checker(type(model)).check(model, box.wider(WIDER), runs, len(box.names) > FEW_STATES)[0]
+    }
+    return [
+        replace(finding, outside=plain({**wide[finding.id].witness, "how": wide[finding.id].how}))
+        if _local(finding) and wide[finding.id].verdict == VIOLATED
+        else finding
+        for finding in findings
+    ]
+
+
+def _local(finding: Finding) -> bool:
+    return finding.verdict == HOLDS and finding.scope is not None and bool(finding.scope.states)
 
 
 def _report(

@@ -109,7 +109,7 @@ def test_singular_step_matrix():
 def test_oscillation_has_no_least_singular_step():
     found = report(linear([[0.0, 50.0], [-50.0, 0.0]], step=1.0))[0]
     assert found["F-step"].verdict == "holds"
-    assert found["F-step"].value["h*"] == np.inf
+    assert "h*" not in found["F-step"].value
 
 
 def test_singular_mass_matrix():

@@ -7,9 +7,12 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from nsmodel.hypotheses.scope import Scope, meet
 from nsmodel.model.pickled import Pickled
 from nsmodel.proof.verdict import HOLDS, SAMPLED, UNKNOWN, VERDICTS, VIOLATED
 
+STAYS = "as long as the solution and the scheme's iterates and predictors stay inside the box"
+NO_LIMIT = frozenset({"width", "margin", "interior margin", "c", "rho", "min g", "h*", "h* is at least", "condition", "cond P"})
 ALONG_A_RUN = "run-"  # Ids of findings about a run begin with it.
 
 
@@ -33,7 +36,10 @@ class Finding(Pickled):
         value: {name: number}, the numbers that the theory asks for.
         witness: {name: number, list or text}: the point, vector or index set of the worst value found.
         source: paper and number.
-        how: how it was decided, and over which region.
+        how: how it was decided.
+        scope: the region of states, times and parameters that the verdict speaks of (where a finding is "sampled", the region
+            that was looked at); None: everywhere.
+        outside: of a finding that holds on its scope, {name: number, list or text}: a point outside where it is known to fail.
     """
 
     id: str
@@ -43,6 +49,8 @@ class Finding(Pickled):
     witness: Mapping[str, Any]
     source: str
     how: str
+    scope: Scope | None = None
+    outside: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
 
 def found(
@@ -51,22 +59,32 @@ def found(
     how: str,
     value: Mapping[str, float] | None = None,
     witness: Mapping[str, Any] | None = None,
+    scope: Scope | None = None,
 ) -> Finding:
     """Return the finding; a verdict without its number, witness or reason is a defect and refused.
 
-    What double precision makes NaN of (0 log 0, where exact arithmetic decides) is no number, and left out.
+    What double precision makes NaN of (0 log 0, where exact arithmetic decides) is no number, and left out; so is an infinity
+    under "holds" of what nothing limits (a width, a margin). Any other infinity there is no proof, and refused.
 
     Raises:
         ValueError: an unknown verdict, no reason, no number (but for "unknown"), no witness of a violation.
     """
     if verdict not in VERDICTS:
         raise ValueError(f"{hypothesis.id}: verdict {verdict!r}; expected one of {', '.join(VERDICTS)}")
-    value = {name: float(number) for name, number in (value or {}).items() if number == number}
-    if not how or (verdict != UNKNOWN and not value) or (verdict == VIOLATED and not witness):
+    given = {name: float(number) for name, number in (value or {}).items() if number == number}
+    value = {name: number for name, number in given.items() if not (name in NO_LIMIT and number == float("inf"))}
+    value = value if verdict == HOLDS else given
+    if not how or (verdict != UNKNOWN and not given) or (verdict == VIOLATED and not witness):
         raise ValueError(f"{hypothesis.id}: '{verdict}' needs a reason, a number, and where violated a witness")
-    plain = MappingProxyType({name: _plain(item) for name, item in (witness or {}).items()})
+    if verdict == HOLDS and (infinite := [name for name, number in value.items() if abs(number) == float("inf")]):
+        raise ValueError(f"{hypothesis.id}: '{HOLDS}' with {', '.join(infinite)} infinite; a proof has finite numbers")
     numbers = MappingProxyType(value)
-    return Finding(hypothesis.id, hypothesis.statement, verdict, numbers, plain, hypothesis.source, how)
+    return Finding(hypothesis.id, hypothesis.statement, verdict, numbers, plain(witness), hypothesis.source, how, scope)
+
+
+def plain(witness: Mapping[str, Any] | None) -> Mapping[str, Any]:
+    """A witness as numbers, text and nested lists of them."""
+    return MappingProxyType({name: _plain(item) for name, item in (witness or {}).items()})
 
 
 @dataclass(frozen=True)
@@ -81,6 +99,11 @@ class Consequence(Pickled):
             contradicts the claim, "unknown" where a hypothesis is violated or undecided: then nothing follows.
         value: {name: number}.
         source: paper and number.
+        scope: the intersection of the scopes of what it rests on; None: everywhere.
+        clause: of a statement about solutions or runs on a box of states, the condition that they stay inside it, and how long
+            that is proved; "" where there is none.
+        until: the time up to which it is proved that solution and predictors stay inside; None where there is no such clause,
+            or no proof.
     """
 
     name: str
@@ -89,18 +112,33 @@ class Consequence(Pickled):
     verdict: str
     value: Mapping[str, float]
     source: str
+    scope: Scope | None = None
+    clause: str = ""
+    until: float | None = None
 
 
 def follows(
     name: str, statement: str, findings: Sequence[Finding], rests_on: Sequence[str], source: str,
-    value: Mapping[str, float] | None = None,
+    value: Mapping[str, float] | None = None, moving: bool = True,
 ) -> Consequence:  # fmt: skip
-    """Return the consequence; its verdict is the weakest of those that it rests on."""
+    """Return the consequence; its verdict is the weakest of those that it rests on, its scope their intersection.
+
+    ``moving``: whether it speaks of solutions or runs, which may leave a box, not of the sets and functions there.
+    """
     verdicts = {finding.id: finding.verdict for finding in findings}
     own = [verdicts[id] for id in rests_on]
     verdict = UNKNOWN if {VIOLATED, UNKNOWN} & set(own) else SAMPLED if SAMPLED in own else HOLDS
-    numbers = MappingProxyType({key: float(number) for key, number in (value or {}).items()})
-    return Consequence(name, statement, tuple(rests_on), verdict, numbers, source)
+    numbers = {key: float(number) for key, number in (value or {}).items()}
+    if verdict == HOLDS:
+        numbers = {key: number for key, number in numbers.items() if abs(number) < float("inf")}
+    scope = scope_of(findings, rests_on)
+    clause = STAYS if moving and scope is not None and scope.states else ""
+    return Consequence(name, statement, tuple(rests_on), verdict, MappingProxyType(numbers), source, scope, clause)
+
+
+def scope_of(findings: Sequence[Finding], ids: Sequence[str]) -> Scope | None:
+    """The intersection of the scopes of some findings."""
+    return meet(*(finding.scope for finding in findings if finding.id in ids))
 
 
 @dataclass(frozen=True)
@@ -163,7 +201,9 @@ class Report(Pickled):
         """One line: how many hypotheses are proved, the ids of the others, and how many inequalities the run met."""
         hypotheses = [finding for finding in self.findings if not finding.id.startswith(ALONG_A_RUN)]
         along = [finding for finding in self.findings if finding.id.startswith(ALONG_A_RUN)]
-        parts = [f"{sum(finding.verdict == HOLDS for finding in hypotheses)} proved", *_others(hypotheses)]
+        proved = [finding for finding in hypotheses if finding.verdict == HOLDS]
+        local = sum(finding.scope is not None and bool(finding.scope.states) for finding in proved)
+        parts = [f"{len(proved)} proved" + (f" ({local} of them on a box of states)" if local else ""), *_others(hypotheses)]
         text = ", ".join(parts) + (" (quick: global searches skipped)" if self.quick else "")
         if along:
             met = sum(finding.verdict == HOLDS for finding in along)

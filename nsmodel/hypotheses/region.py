@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.errors import UsageError
+from nsmodel.hypotheses.scope import Scope
 from nsmodel.model.base import Model
 from nsmodel.model.bodies import ManyBodies
 from nsmodel.trajectory import Trajectory
@@ -31,6 +32,18 @@ class Region:
     def with_time(self) -> tuple[np.ndarray, np.ndarray]:
         """Bounds (n + 1,) of (t, x)."""
         return np.concatenate([[self.t0], self.lower]), np.concatenate([[self.t1], self.upper])
+
+    def wider(self, factor: float) -> Region:
+        """The box with the same middle, that many times as wide."""
+        middle, half = (self.lower + self.upper) / 2, factor * (self.upper - self.lower) / 2
+        return replace(self, lower=middle - half, upper=middle + half, origin=f"{factor:g} times {self.origin}")
+
+    def scope(self, local: bool | Iterable[str] = False, timed: bool = False) -> Scope | None:
+        """The scope of what was decided on the box (of these states, where they are named), or in its interval of time."""
+        own = set(self.names if local is True else local or ())
+        ends = zip(self.names, self.lower.tolist(), self.upper.tolist(), strict=True)
+        states = {name: (low, high) for name, low, high in ends if name in own}
+        return Scope(states, (self.t0, self.t1)) if timed else Scope(states) if states else None
 
     @property
     def text(self) -> str:
@@ -72,7 +85,7 @@ def region_of(model: Model, runs: Sequence[Trajectory], given: Mapping[str, Any]
             raise UsageError(f"region: {name} = {interval!r}; expected a pair (low, high) of finite numbers, low < high")
         lower[rows], upper[rows] = low, high
         origin = "as given"
-    t1 = max((float(run.t[-1]) for run in runs), default=float(model.t_end or 0.0))
+    t1 = max([float(model.t_end or 0.0), *(float(run.t[-1]) for run in runs)])
     return Region(lower, upper, 0.0, t1, names, origin)
 
 

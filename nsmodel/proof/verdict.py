@@ -9,9 +9,10 @@ VERDICTS = (HOLDS, SAMPLED, VIOLATED, UNKNOWN)  # from proved to undecided
 
 
 class Part(NamedTuple):
-    """One part of a hypothesis: verdict, reason, numbers, witness."""
+    """One part of a hypothesis: verdict, reason, numbers, witness; ``local``: decided on the box looked at alone."""
 
     verdict: str
     how: str
     value: dict[str, float]
     witness: dict[str, Any]
+    local: bool = False

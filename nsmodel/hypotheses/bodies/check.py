@@ -18,7 +18,7 @@ from nsmodel.hypotheses.region import Region, region_of
 from nsmodel.hypotheses.sweeping import check as sweeping
 from nsmodel.hypotheses.sweeping.consequences import consequences_of
 from nsmodel.hypotheses.sweeping.constants import answers
-from nsmodel.hypotheses.sweeping.constraint import Answers, Constraint
+from nsmodel.hypotheses.sweeping.constraint import ON_THE_BOX, Answers, Constraint
 from nsmodel.hypotheses.sweeping.qualification import Qualified
 from nsmodel.model.bodies import ManyBodies
 from nsmodel.scheme.many_bodies import BodiesProblem
@@ -48,14 +48,17 @@ def check(model: ManyBodies, region: Region, runs: Sequence[Trajectory], quick: 
         constraints = [kind.worst for kind in kinds.kinds]
         count = sum(family.count for family in problem.families)
         findings = [
-            _once(sweeping.joined(hypothesis, constraints, each), kinds, count, len(model.constraints))
+            _once(sweeping.joined(hypothesis, constraints, each, region), kinds, count, len(model.constraints))
             for hypothesis in HYPOTHESES[:6]
         ]
         points = _points(model, runs, quick)
         near, active = _qualified(problem, kinds, each, region, runs, points, quick)
-        findings += [sweeping.gamma(sweeping.A5, near, region), sweeping.gamma(sweeping.A5_ACTIVE, active, region)]
+        timed = any(constraint.shape.time for constraint in constraints)
+        findings += [sweeping.gamma(sweeping.A5, near, region, timed), sweeping.gamma(sweeping.A5_ACTIVE, active, region, timed)]
         answer = velocity(problem, region, points, quick)
-        findings.append(found(sweeping.S_F, answer.verdict, f"{answer.where}: {answer.how}", answer.value, answer.witness))
+        timed = not isinstance(model.f, ca.SX) or bool(ca.depends_on(model.f, model.t))
+        scope = region.scope(answer.where == ON_THE_BOX, timed)
+        findings.append(found(sweeping.S_F, answer.verdict, answer.how, answer.value, answer.witness, scope))
         answer = start(problem)
         findings.append(found(sweeping.S_START, answer.verdict, answer.how, answer.value, answer.witness))
     return findings, consequences_of(model, findings, runs, count)

@@ -17,9 +17,10 @@ from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.sweeping.admissible import part_without_constraints
 from nsmodel.hypotheses.sweeping.constraint import EVERYWHERE, ON_THE_BOX, Answer
-from nsmodel.hypotheses.sweeping.velocity import Block, differ, jumps, lipschitz, steep
+from nsmodel.hypotheses.sweeping.velocity import Block, closed, differ, jumps, lipschitz, steep
 from nsmodel.model.bodies import ManyBodies
 from nsmodel.proof import extremum, interval
+from nsmodel.proof.defined import in_time
 from nsmodel.proof.graph import column, replay
 from nsmodel.proof.jumps import SWITCHES, jumps_in
 from nsmodel.scheme.many_bodies import BodiesProblem
@@ -43,13 +44,19 @@ def velocity(problem: BodiesProblem, region: Region, points: Sequence[Point], qu
     model = problem.model
     if not isinstance(model.f, ca.SX):
         return _called(problem, region, points)
+    z = model.me.symbols
+    defined = in_time(model.f, model.t, region.t0, region.t1, z, model.bodies.table[0])
+    if defined.verdict == VIOLATED:
+        return Answer(
+            VIOLATED, {"L_f": np.inf}, EVERYWHERE, f"f has no finite value for all times: {defined.how}", {"t": defined.at}
+        )
     block = _block(model, region, problem.numbers)
     verdict, K, where, count = lipschitz(block, quick)
     rate, remark = _in_time(model, block, quick)
     if verdict == HOLDS:
-        how = "f is continuous and |f_q| is bounded" if K else "f does not depend on the state"
+        how = "f is continuous in q and |f_q| is bounded" if K else "f does not depend on the state"
         L_f = _growth(model, block, K, where)
-        return Answer(HOLDS, {"K_f": K, "L_f": L_f} | rate, where, f"{how}, for one body and for all{remark}")
+        return closed(defined, {"K_f": K, "L_f": L_f} | rate, where, f"{how}, for one body and for all{remark}")
     L_f = _growth(model, block, np.inf, ON_THE_BOX)
     if quick:
         able = jumps_in(block.f, block.q)

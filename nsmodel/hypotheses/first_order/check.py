@@ -29,10 +29,12 @@ from nsmodel.proof.graph import operations
 from nsmodel.trajectory import Trajectory
 
 NOTES = "Siconos developer's notes"
-F_JACOBIANS = Hypothesis("F-jacobians", "the Jacobians A, C, D, K, B are those of f, h and g", f"{NOTES}, linearization")
-F_W = Hypothesis("F-W", "W = M - h theta A - h gamma K is regular", f"{NOTES}, (rfree-12)")
-F_MLCP = Hypothesis("F-mlcp", "W_mlcp = h gamma C W^-1 B + D is positive semidefinite or a P-matrix", f"{NOTES}, (NL15)")
-F_UNIQUE = Hypothesis("F-unique", "the one-step problem has one and only one solution x_{k+1}", f"{NOTES}, (toto1)")
+F_JACOBIANS = Hypothesis("F-jacobians", "the Jacobians A, C, D, K, B are those of f, h and g", f"{NOTES}, Newton's linearization")
+F_W = Hypothesis("F-W", "W = M - h theta A - h gamma K is regular", f"{NOTES}, linearization of the first line")
+F_MLCP = Hypothesis(
+    "F-mlcp", "W_mlcp = h gamma C W^-1 B + D is positive semidefinite or a P-matrix", f"{NOTES}, linearization of the third line"
+)
+F_UNIQUE = Hypothesis("F-unique", "the one-step problem has one and only one solution x_{k+1}", f"{NOTES}, one-step problem")
 F_STEP = Hypothesis("F-step", "h < h*, the least step at which W is singular", f"{NOTES}: W is regular for small h")
 HYPOTHESES = (F_JACOBIANS, F_W, F_MLCP, F_UNIQUE, F_STEP)
 KINKS = {
@@ -71,9 +73,13 @@ def check(
 
 def _jacobians(at: Linearised) -> Finding:
     """Algorithmic differentiation is exact but at kinks; difference quotients show it."""
+    if at.defined.verdict != HOLDS:
+        how = f"f, h or g has no finite value for all times: {at.defined.how}."
+        value = {"t": at.defined.at} if at.defined.at is not None else {}
+        return found(F_JACOBIANS, at.defined.verdict, how, value, value)
     if at.affine:
-        how = "Everywhere: f, h and g are affine in x and l, their Jacobians read off: one Newton iteration is exact."
-        return found(F_JACOBIANS, HOLDS, how, {"entries": sum(J.numel() for J in at.jacobians)})
+        how = "f, h and g are affine in x and l, their Jacobians read off: one Newton iteration is exact."
+        return found(F_JACOBIANS, HOLDS, how, {"entries": sum(J.numel() for J in at.jacobians)}, scope=at.scope(local=False))
     if at.jump is not None:
         how = "f, h or g jumps at this point and has no Jacobian there; write the jump as a law, such as a relay."
         witness = {**at.at(at.jump.at), "f, h, g on one side": at.jump.below, "on the other": at.jump.above}
@@ -83,16 +89,16 @@ def _jacobians(at: Linearised) -> Finding:
     value = {"relative difference": worst}
     if worst > DIFFERENCES and kinks:
         how = f"A difference quotient disagrees: near this point {', '.join(kinks)} has a kink, and Newton's method may stall."
-        return found(F_JACOBIANS, VIOLATED, how, value, where)
+        return found(F_JACOBIANS, VIOLATED, how, value, where, at.scope())
     if worst > DIFFERENCES:
         how = "A difference quotient disagrees with algorithmic differentiation, though f, h and g have no kink."
-        return found(F_JACOBIANS, UNKNOWN, how, value, where)
+        return found(F_JACOBIANS, UNKNOWN, how, value, where, at.scope())
     how = f"Algorithmic differentiation is exact; difference quotients at {at.along} agree to this part of the largest entry"
     how += f" (at a kink of {', '.join(kinks)} it gives one of the one-sided derivatives)." if kinks else "."
     if not kinks and interval.is_continuous(ca.veccat(*at.jacobians), at.z, at.lower, at.upper):
         how = how[:-1] + f", and the Jacobians are continuous on {at.where}."
-        return found(F_JACOBIANS, HOLDS, how, value, where)
-    return found(F_JACOBIANS, SAMPLED, how, value, where)
+        return found(F_JACOBIANS, HOLDS, how, value, where, at.scope())
+    return found(F_JACOBIANS, SAMPLED, how, value, where, at.scope())
 
 
 def _kinks(model: FirstOrderSystem) -> list[str]:
@@ -147,7 +153,7 @@ def _step(at: Linearised, quick: bool) -> Finding:
     steps = regular_steps(at.M, at.exact_G(), h)
     value = {"h": h, "h*": steps.least}
     if steps.regular:
-        how = "Everywhere, exactly: A and K are constant, and det(M - s (theta A + gamma K)) has no root 0 < s <= h."
+        how = "Exactly: A and K are constant, and det(M - s (theta A + gamma K)) has no root 0 < s <= h."
         return found(F_STEP, HOLDS, how, value)
     witness = {"null vector at h*": steps.vector} if steps.vector is not None else {}
     if steps.regular is None:
@@ -169,7 +175,7 @@ def _bounded_step(at: Linearised, h: float, quick: bool) -> Finding:
     # M^{-1} is rounded: 1e-9 of room is far more than that, unless M is nearly singular.
     if h * sup.bound < 1 - 1e-9 and np.linalg.cond(exact.doubles(at.M)) < 1e6:
         how = f"h |M^-1 (theta A + gamma K)| <= {h * sup.bound:.3g} < 1 on {at.where} (interval arithmetic)."
-        return found(F_STEP, HOLDS, how, value)
+        return found(F_STEP, HOLDS, how, value, scope=at.scope())
     local = [_local_step(at, G, h) for G in at.values(at.G)[:: max(1, len(at.points) // 20)]]
     k = int(np.argmin([steps.least for steps in local]))
     value["h* at the points"] = local[k].least
@@ -177,7 +183,7 @@ def _bounded_step(at: Linearised, h: float, quick: bool) -> Finding:
     if local[k].least <= h * (1 - 1e-9):
         point = at.points[:: max(1, len(at.points) // 20)][k]
         return found(F_STEP, VIOLATED, how, value, {**at.at(point), "null vector at h*": local[k].vector})
-    return found(F_STEP, SAMPLED, how, value)
+    return found(F_STEP, SAMPLED, how, value, scope=at.scope())
 
 
 def _local_step(at: Linearised, G: np.ndarray, h: float) -> Steps:
@@ -196,7 +202,7 @@ def _regular(at: Linearised, step: Finding, quick: bool) -> Finding:
     k = int(np.argmin(relative))
     value = {"condition": _ratio(spectra[k]), "least singular value": spectra[:, -1].min()}
     if step.verdict == HOLDS:
-        return found(F_W, HOLDS, f"By F-step: {step.how}", value)
+        return found(F_W, HOLDS, f"By F-step: {step.how}", value, scope=step.scope)
     if at.constant_W:
         return _each_step(at, value)
     centre = np.median(finite, axis=0)
@@ -205,7 +211,7 @@ def _regular(at: Linearised, step: Finding, quick: bool) -> Finding:
         sup = spectral_norm(change, at.z, at.lower, at.upper, points=at.points, quick=quick, bound_to=0.99)
         if sup.bound < 1 - 1e-9 and len(at.steps) == 1:
             how = f"|W_0^-1 W - I| <= {sup.bound:.3g} < 1 on {at.where}, W_0 its median along the run (interval arithmetic)."
-            return found(F_W, HOLDS, how, value)
+            return found(F_W, HOLDS, how, value, scope=at.scope())
     signs = np.linalg.slogdet(finite)[0]
     clear = relative > 1e-9
     if {-1, 1} <= set(signs[clear]) and len(finite) == len(W) and interval.is_continuous(at.G, at.z, at.lower, at.upper):
@@ -213,7 +219,7 @@ def _regular(at: Linearised, step: Finding, quick: bool) -> Finding:
         how = f"det W is continuous on {at.where}, > 0 at one of these points and < 0 at the other: it vanishes between them."
         return found(F_W, VIOLATED, how, value, {"names": at.names, "det > 0": ends[0], "det < 0": ends[1]})
     how = f"Smallest at {at.along}; no bound over the region proves it."
-    return found(F_W, SAMPLED if len(finite) == len(W) else UNKNOWN, how, value, at.at(at.points[k]))
+    return found(F_W, SAMPLED if len(finite) == len(W) else UNKNOWN, how, value, at.at(at.points[k]), at.scope())
 
 
 def _ratio(spectrum: np.ndarray) -> float:
@@ -229,7 +235,7 @@ def _each_step(at: Linearised, value: dict[str, float]) -> Finding:
             how = "Exactly: W is singular at this step length."
             return found(F_W, VIOLATED, how, value, {"h": h, "null vector": exact.doubles(null[:, 0])})
     if len(at.steps) <= MOST_STEPS:
-        return found(F_W, HOLDS, "Everywhere, exactly: W is constant, and regular at each step length that occurs.", value)
+        return found(F_W, HOLDS, "Exactly: W is constant, and regular at each step length that occurs.", value)
     return found(F_W, SAMPLED, f"Regular at {MOST_STEPS} of {len(at.steps)} step lengths (exact).", value)
 
 
@@ -260,7 +266,14 @@ def _consequences(at: Linearised, findings: Sequence[Finding], runs: Sequence[Tr
         statement += ", 2 where r is constant"
     statement += "; at most 1 across switches" if at.model.law.size else ""
     out.append(
-        follows("order", statement, findings, ["F-W", "F-unique"], "consistency of the theta-gamma scheme", {"order": order})
+        follows(
+            "order",
+            statement,
+            findings,
+            ["F-jacobians", "F-W", "F-unique"],
+            "consistency of the theta-gamma scheme",
+            {"order": order},
+        )
     )
     return out
 

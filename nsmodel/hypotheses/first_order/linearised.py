@@ -12,9 +12,11 @@ import numpy as np
 
 from nsmodel.hypotheses.lure.domains import ends
 from nsmodel.hypotheses.region import GROWTH, Region
+from nsmodel.hypotheses.scope import Scope
 from nsmodel.model.first_order import FirstOrderSystem
 from nsmodel.model.laws import Law
 from nsmodel.proof import exact
+from nsmodel.proof.defined import Defined, in_time
 from nsmodel.proof.extremum import samples
 from nsmodel.proof.jumps import Jump, find_jump, jumps_in
 from nsmodel.trajectory import Trajectory
@@ -44,6 +46,7 @@ class Linearised:
         points: (k, 1 + n + m) rows of the runs, or samples of the box.
         along: what the points are, in words.
         steps: the step lengths that occur, increasing.
+        boxed: names of the multipliers whose box is that around the run.
     """
 
     model: FirstOrderSystem
@@ -56,11 +59,31 @@ class Linearised:
     points: np.ndarray
     along: str
     steps: np.ndarray
+    boxed: tuple[str, ...] = ()
+
+    @property
+    def timed(self) -> bool:
+        """Whether f, h or g depends on t."""
+        return bool(ca.depends_on(ca.vertcat(self.model.f, self.model.h, self.model.g), self.model.t))
+
+    def scope(self, *, local: bool = True, timed: bool | None = None) -> Scope | None:
+        """The box of z, of what is looked at for all states (``local`` False) its interval of time alone."""
+        n = len(self.model.names)
+        own = [i for i, name in enumerate(self.names) if 0 < i <= n or name in self.boxed] if local else []
+        states = {self.names[i]: (float(self.lower[i]), float(self.upper[i])) for i in own}
+        time = (float(self.lower[0]), float(self.upper[0])) if (self.timed if timed is None else timed) else None
+        return Scope(states, time) if states or time else None
 
     @property
     def affine(self) -> bool:
         """Whether f, h and g are affine in x and l: then one Newton iteration is exact."""
         return not self.switches and not any(ca.depends_on(J, self.z[1:]) for J in self.jacobians if J.numel())
+
+    @cached_property
+    def defined(self) -> Defined:
+        """Whether f, h and g are finite at all times of the region."""
+        stacked = ca.vertcat(self.model.f, self.model.h, self.model.g)
+        return in_time(stacked, self.model.t, float(self.lower[0]), float(self.upper[0]), self.z[1:], self.points[0][1:])
 
     @cached_property
     def switches(self) -> bool:
@@ -163,7 +186,8 @@ def linearised(model: FirstOrderSystem, region: Region, runs: Sequence[Trajector
         along = f"{len(points)} points of the region"
     names = ("t", *region.names, *model.multiplier_names)
     z = ca.vertcat(model.t, model.x, model.lam)
-    return Linearised(model, J, z, names, lower, upper, where, points, along, steps)
+    boxed = names[1 + len(region.names) :] if "along the run" in where else ()
+    return Linearised(model, J, z, names, lower, upper, where, points, along, steps, tuple(boxed))
 
 
 def _along(runs: Sequence[Trajectory]) -> np.ndarray:

@@ -41,12 +41,14 @@ def unique(
     """Decide F-unique from F-W, F-mlcp and, where they do not settle it, by enumeration."""
     if regular.verdict == VIOLATED and at.constant_W:
         return found(hypothesis, UNKNOWN, "W is singular (F-W): x_{k+1} is not determined by l")
+    if at.defined.verdict != HOLDS:
+        return found(hypothesis, UNKNOWN, f"a step needs finite f, h and g: {at.defined.how}")
     if not at.model.law.size:
         return _smooth(hypothesis, at, regular)
     exactly = at.constant and at.affine and regular.verdict == HOLDS
     reason = _everywhere(at) if exactly and mlcp_finding.verdict == HOLDS else ""
     if reason:
-        return found(hypothesis, HOLDS, f"For every state: {reason}.", {"solutions": 1})
+        return found(hypothesis, HOLDS, f"{reason[0].upper()}{reason[1:]}.", {"solutions": 1}, scope=at.scope(local=False))
     if quick:
         return found(hypothesis, UNKNOWN, "not settled by W_mlcp alone; index sets are not enumerated (quick)")
     finding = _enumerated(hypothesis, at, reason=_at_most_one(at) if exactly else "")
@@ -57,12 +59,12 @@ def unique(
 
 def _smooth(hypothesis: Hypothesis, at: Linearised, regular: Finding) -> Finding:
     if at.affine and regular.verdict == HOLDS:
-        return found(hypothesis, HOLDS, "For every state: a linear system with a regular matrix.", {"solutions": 1})
+        return found(hypothesis, HOLDS, "A linear system with a regular matrix.", {"solutions": 1}, scope=at.scope(local=False))
     if at.jump is not None:
         return found(hypothesis, UNKNOWN, JUMPS)
     if regular.verdict == HOLDS:
         how = "W is regular over the region: solutions are isolated. That there is just one is seen along the run only."
-        return found(hypothesis, SAMPLED, how, {"solutions": 1})
+        return found(hypothesis, SAMPLED, how, {"solutions": 1}, scope=at.scope())
     return found(hypothesis, UNKNOWN, "the step is nonlinear, and W is not proved to be regular")
 
 
@@ -148,7 +150,7 @@ def _enumerated(hypothesis: Hypothesis, at: Linearised, reason: str) -> Finding:
     if not numbers:
         return found(hypothesis, UNKNOWN, f"no index set gave a solution at {tried} states")
     how = f"All index sets tried at {tried} states of {at.along} and on switching surfaces: never two solutions."
-    return found(hypothesis, SAMPLED, how, {"solutions": max(numbers)})
+    return found(hypothesis, SAMPLED, how, {"solutions": max(numbers)}, scope=at.scope())
 
 
 def _sets(law: NumericLaw) -> Iterator[np.ndarray]:

@@ -66,7 +66,7 @@ def _exactly(hypothesis: Hypothesis, at: Linearised) -> Finding:
     if len(at.steps) > MOST_STEPS:
         how = f"W_mlcp is {which} at the {MOST_STEPS} longest of {len(at.steps)} step lengths (exact)."
         return found(hypothesis, SAMPLED, how, value)
-    return found(hypothesis, HOLDS, f"Everywhere, exactly: W_mlcp is constant and {which}.", value)
+    return found(hypothesis, HOLDS, f"Exactly: W_mlcp is constant and {which}.", value)
 
 
 def _along(hypothesis: Hypothesis, at: Linearised, quick: bool) -> Finding:
@@ -91,11 +91,13 @@ def _along(hypothesis: Hypothesis, at: Linearised, quick: bool) -> Finding:
     if undecided:
         return found(hypothesis, UNKNOWN, "W_mlcp is not psd at a point, and too large to look at all minors", value)
     if not quick and least[worst] > CLEAR and _proved(at, h):
-        return found(hypothesis, HOLDS, f"Its symmetric part is psd on {at.where} (interval arithmetic).", value)
+        return found(
+            hypothesis, HOLDS, f"Its symmetric part is psd on {at.where} (interval arithmetic).", value, scope=at.scope()
+        )
     how = f"Psd or a P-matrix at each of {at.along}; the witness is where it is least." + (
         " Not maximised (quick)." if quick else ""
     )
-    return found(hypothesis, SAMPLED if usable.all() else UNKNOWN, how, value, at.at(at.points[worst]))
+    return found(hypothesis, SAMPLED if usable.all() else UNKNOWN, how, value, at.at(at.points[worst]), at.scope())
 
 
 def _broken(hypothesis: Hypothesis, at: Linearised, W: np.ndarray, least: float, minor: Minor, k: int) -> Finding:

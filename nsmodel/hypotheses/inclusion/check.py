@@ -7,12 +7,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import copy
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.domain import without_domain
-from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, follows, found
+from nsmodel.hypotheses.findings import (
+    HOLDS,
+    SAMPLED,
+    UNKNOWN,
+    VIOLATED,
+    Consequence,
+    Finding,
+    Hypothesis,
+    follows,
+    found,
+    scope_of,
+)
 from nsmodel.hypotheses.inclusion.growth import linear_growth
 from nsmodel.hypotheses.inclusion.one_sided import one_sided, switching_point
 from nsmodel.hypotheses.inclusion.selected_field import Field, field_of, set_of
@@ -37,6 +49,7 @@ LIPSCHITZ = Hypothesis("M-24", "<G(x) - G(y), x - y> <= L |x - y|^2, G = F - S",
 HYPOTHESES = (OPERATOR, SET, A1, A2, A3, LIPSCHITZ)
 KINKS = {ca.OP_FABS: "fabs", ca.OP_FMAX: "fmax", ca.OP_FMIN: "fmin"}
 HALVINGS = 6
+CONTRACTS = ("M-T", "M-C", "M-A1", "M-24")
 
 
 def check(
@@ -55,7 +68,7 @@ def check(
     box = region.lower, region.upper
     x0 = np.array(ca.DM(model.x0)).ravel()
     a, operator = linear_growth(field, box, quick=quick), _operator(model, C, box, quick)
-    monotone = operator.verdict == HOLDS and "on the box" not in operator.how
+    monotone = operator.verdict == HOLDS and not operator.local
     parts = (
         (OPERATOR, operator),
         (SET, _set(C, box, x0, quick)),
@@ -64,7 +77,7 @@ def check(
         (A3, dissipativity(field, a, quick=quick)),
         (LIPSCHITZ, one_sided(field, box, quick=quick, alone=model.field if monotone else None)),
     )
-    findings = [found(hypothesis, part.verdict, part.how, part.value, part.witness) for hypothesis, part in parts]
+    findings = [found(which, part.verdict, part.how, part.value, part.witness, region.scope(part.local)) for which, part in parts]
     return findings, _consequences(model, findings, x0, runs)
 
 
@@ -77,7 +90,8 @@ def _set(C: ConvexSet, box: tuple[np.ndarray, np.ndarray], x0: np.ndarray, quick
     verdict = min(convex.verdict, interior.verdict, key=order.index)
     told = [part for part in (convex, interior) if part.verdict == verdict]
     values = {**convex.value, **interior.value} or {"constraints": 0}
-    return Part(verdict, "; ".join(part.how for part in told), values, {k: w for part in told for k, w in part.witness.items()})
+    witness = {k: w for part in told for k, w in part.witness.items()}
+    return Part(verdict, "; ".join(part.how for part in told), values, witness, any(part.local for part in told))
 
 
 # -- M-T ---------------------------------------------------------------------------------------------------------------
@@ -113,7 +127,7 @@ def _linear_operator(entries: Sequence[polynomial.Polynomial | None], n: int, sw
     least, rounding = float(values[0]), potentials.ROUNDING * float(np.abs(values).max(initial=0.0))
     label = "least eigenvalue of sym S'"
     if decided.psd:
-        how = "S = 0" if not any(entries) else "everywhere: S is monotone in exact arithmetic"
+        how = "S = 0" if not any(entries) else "S is monotone in exact arithmetic"
         how += ", and its switches are subdifferentials of weighted |a'x + c|" if switches else ""
         return Part(HOLDS, how, {label: max(least, 0.0)}, {})
     witness = {"direction": vectors[:, 0]}
@@ -128,14 +142,13 @@ def _smooth_operator(S: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray],
     label = "least eigenvalue of sym S'"
     where = C.rows if C.rows.numel() else None
     low, high = np.maximum(C.hull[0], box[0]), np.minimum(C.hull[1], box[1])
-    searches = (("everywhere on C", C.hull, True), ("on the box", (low, high), quick))
-    for place, ends, fast in searches:
+    for local, ends, fast in ((False, C.hull, True), (True, (low, high), quick)):
         if not interval.is_continuous(S, C.x, *ends):
             continue
         sup = extremum.largest_eigenvalue(-symmetric, C.x, *ends, where=where, bound_to=0.0, quick=fast)
         if sup.bound <= 0:
             value = {label: -sup.value if sup.at is not None else -sup.bound}
-            return Part(HOLDS, f"{place}: bounds of the eigenvalues of the symmetric Jacobian of S", value, {})
+            return Part(HOLDS, "bounds of the eigenvalues of the symmetric Jacobian of S", value, {}, local)
         down = potentials.downwards(ca.densify(symmetric), C.x, sup.at)
         if down:
             how = "the symmetric Jacobian of S has a negative eigenvalue: S is not monotone"
@@ -144,7 +157,7 @@ def _smooth_operator(S: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray],
     if sup.at is None:
         return Part(UNKNOWN, "S is not proved continuous on the box, and its Jacobian could not be looked at", {}, {})
     how = f"no negative eigenvalue of the symmetric Jacobian of S at {sup.count} points of the box"
-    return Part(SAMPLED, how, {label: -sup.value}, {"x": sup.at})
+    return Part(SAMPLED, how, {label: -sup.value}, {"x": sup.at}, True)
 
 
 def _broken_monotony(field: Field) -> Part:
@@ -164,16 +177,13 @@ def _continuous(model: MonotoneInclusion, C: ConvexSet, box: tuple[np.ndarray, n
     note = f"; kinks: {', '.join(f'{kinks.count(name)} {name}' for name in dict.fromkeys(kinks))}" if kinks else ""
     value = {"kinks": len(kinks)}
     n = x.numel()
-    for place, (low, high) in (
-        ("everywhere", (np.full(n, -np.inf), np.full(n, np.inf))),
-        ("everywhere on C", C.hull),
-        ("on the box", (np.maximum(C.hull[0], box[0]), np.minimum(C.hull[1], box[1]))),
+    for local, place, (low, high) in (
+        (False, "", (np.full(n, -np.inf), np.full(n, np.inf))),
+        (False, " on C", C.hull),
+        (True, "", (np.maximum(C.hull[0], box[0]), np.minimum(C.hull[1], box[1]))),
     ):
         if interval.is_continuous(F, x, low, high):
-            outside = _jump(F, C, C.hull, x0) if place == "on the box" else None
-            more = "" if outside is None else "; outside of it F jumps"
-            witness = {} if outside is None else outside.witness
-            return Part(HOLDS, f"{place}: no operation of F jumps or has a pole there{more}{note}", value, witness)
+            return Part(HOLDS, f"no operation of F jumps or has a pole{place}{note}", value, {}, local)
     jump = _jump(F, C, box, x0)
     if jump is not None:
         return jump
@@ -212,38 +222,37 @@ def _consequences(
 ) -> list[Consequence]:
     numbers = {finding.id: finding.value for finding in findings}
     base = ["M-T", "M-C", "M-A1", "M-A2", "M-A3"]
-    local = any(
-        "on the box" in finding.how for finding in findings if finding.verdict == HOLDS and finding.id in ("M-T", "M-C", "M-A1")
-    )
-    stay = " (as long as the state stays in the box)" if local else ""
-    out = [
-        follows("well posed", f"one and only one solution for each start in C, for all t{stay}", findings, [*base, "M-24"],
-                f"{PAPER}, Theorem 5.6, Theorem 7.3"),
-    ]  # fmt: skip
+    local = _on_a_box(findings, [*base, "M-24"])
+    starts = "from x0 one and only one solution starts" if local else "one and only one solution for each start in C, for all t"
+    out = [follows("well posed", starts, findings, [*base, "M-24"], f"{PAPER}, Theorem 5.6, Theorem 7.3")]
     alpha, beta = numbers["M-A3"].get("alpha", np.nan), numbers["M-A3"].get("beta", np.nan)
     if np.isfinite(alpha + beta):
         radius = float(np.sqrt(max(x0 @ x0, beta / alpha)))
-        statement = (
-            f"|x(t)|^2 <= e^(-2 alpha t) |x_0|^2 + (beta/alpha)(1 - e^(-2 alpha t)): |x| <= {radius:.6g} for all t, and every "
-            f"ball of radius >= {np.sqrt(beta / alpha):.6g} in C is invariant"
-        )
+        every = "" if _on_a_box(findings, ["M-C", "M-A3"]) else (
+            f" for all t, and the part of C in any ball about 0 of radius >= {np.sqrt(beta / alpha):.6g} is invariant"
+        )  # fmt: skip
+        statement = f"|x(t)|^2 <= e^(-2 alpha t) |x_0|^2 + (beta/alpha)(1 - e^(-2 alpha t)): |x| <= {radius:.6g}{every}"
         values = {"alpha": alpha, "beta": beta, "radius": radius, "absorbing radius": float(np.sqrt(beta / alpha))}
         out.append(follows("bounded", statement, findings, ["M-C", "M-A3"], f"{PAPER}, Proposition 4.1", values))
     L = numbers["M-24"].get("L", np.nan)
     if np.isfinite(L):
         word = "contraction" if L < 0 else "stability"
-        local = any("on the box" in finding.how for finding in findings if finding.id in ("M-C", "M-A1", "M-24"))
-        end = " while both stay in the box" if local else ": all solutions approach each other" if L < 0 else ""
+        alone = _on_a_box(findings, CONTRACTS)
+        end = " while both stay inside the box" if alone else ": all solutions approach each other" if L < 0 else ""
         statement = f"|x(t) - y(t)| <= e^({L:.6g} t) |x_0 - y_0|{end}"
-        out.append(follows(word, statement, findings, ["M-T", "M-C", "M-A1", "M-24"], f"{PAPER}, Theorem 7.3", {"L": L}))
-    statement = (
-        "the iterates converge to the solution, uniformly on every finite interval; the order is measured, not claimed" + stay
-    )
+        out.append(follows(word, statement, findings, CONTRACTS, f"{PAPER}, Theorem 7.3", {"L": L}))
+    span = "" if local else ", uniformly on every finite interval"
+    statement = f"the iterates converge to the solution{span}; the order is measured, not claimed"
     tolerances = _tolerances(model, runs)
     scheme = follows("convergence of the scheme", statement, findings, [*base, "M-24"], f"{PAPER}, Theorem 5.3, Corollary 5.4")
     order = (UNKNOWN, SAMPLED, HOLDS)
     verdict = min(scheme.verdict, tolerances.verdict, key=order.index)
-    return [*out, Consequence(scheme.name, statement, scheme.rests_on, verdict, {}, scheme.source), tolerances]
+    return [*out, replace(scheme, verdict=verdict), tolerances]
+
+
+def _on_a_box(findings: Sequence[Finding], ids: Sequence[str]) -> bool:
+    scope = scope_of(findings, ids)
+    return scope is not None and bool(scope.states)
 
 
 def _tolerances(model: MonotoneInclusion, runs: Sequence[Trajectory]) -> Consequence:

@@ -161,7 +161,7 @@ def linear_growth(field: Field, region: tuple[np.ndarray, np.ndarray], *, quick:
         values = {"a_1": share + norm(found.more[:, None]), "a_2": norm(exact.doubles(found.A)) + norm(found.slopes[:, None])}
         parts = ["bounded multipliers"] * bool(field.l.numel()) + ["bounded terms"] * bool(found.more.any())
         parts += ["Lipschitz terms"] * bool(found.slopes.any())
-        how = "everywhere on C: F - S is affine" + (f" but for {' and '.join(parts)}" if parts else "")
+        how = "F - S is affine" + (f" but for {' and '.join(parts)}" if parts else "")
         return Part(HOLDS, how, values, {})
     z, low, high = field.variables
     square = ca.sumsqr(field.rest)
@@ -174,9 +174,10 @@ def linear_growth(field: Field, region: tuple[np.ndarray, np.ndarray], *, quick:
     elif interval.is_continuous(field.rest, z, low, high):
         found_bound = _lipschitz(field, others)
         if found_bound is not None:
-            how = "everywhere on C: F - S is Lipschitz there but for a bounded part, by bounds of its Jacobian"
+            how = "F - S is Lipschitz on C but for a bounded part, by bounds of its Jacobian"
             return Part(HOLDS, how, found_bound, {})
-    local = _on_region(field, square, region, others)
+    top = on_region(field, region)
+    local = {} if top is None else {"largest |F - S| on the box": top}
     fast = _faster_than_linear(field)
     if fast is not None:
         d, power = fast
@@ -206,15 +207,16 @@ def _lipschitz(field: Field, others: float) -> dict[str, float] | None:
     return None
 
 
-def _on_region(field: Field, square: ca.SX, region: tuple[np.ndarray, np.ndarray], others: float) -> dict[str, float]:
+def on_region(field: Field, region: tuple[np.ndarray, np.ndarray]) -> float | None:
+    """A bound of |F - S| on the part of C in a box; None where there is none."""
     z, low, high = field.variables
     n = field.x.numel()
     low[:n], high[:n] = np.maximum(low[:n], region[0]), np.minimum(high[:n], region[1])
     if (low > high).any():
-        return {}
-    _, top = interval.enclose(square, z, low, high)
+        return None
+    _, top = interval.enclose(ca.sumsqr(field.rest), z, low, high)
     value = float(np.max(top))
-    return {"largest |F - S| on the box": float(np.sqrt(value)) * UP + others} if np.isfinite(value) else {}
+    return float(np.sqrt(value)) * UP + sum(term.size for term in field.aligned) * UP if np.isfinite(value) else None
 
 
 def _faster_than_linear(field: Field) -> tuple[np.ndarray, int] | None:

@@ -31,12 +31,12 @@ def one_sided(field: Field, region: tuple[np.ndarray, np.ndarray], *, quick: boo
         A = exact.doubles(found.A)
         values, vectors = np.linalg.eigh((A + A.T) / 2)
         L = float(A[0, 0]) if A.size == 1 else float(values[-1])
-        return Part(HOLDS, "everywhere: the largest eigenvalue of a constant matrix", {"L": L}, {"direction": vectors[:, -1]})
+        return Part(HOLDS, "the largest eigenvalue of a constant matrix", {"L": L}, {"direction": vectors[:, -1]})
     hull, box = field.C.hull, (np.maximum(field.C.hull[0], region[0]), np.minimum(field.C.hull[1], region[1]))
-    tries = [("everywhere on C", field.rest, hull, quick or not field.C.bounded), ("on the box", field.rest, box, quick)]
+    tries = [("", field.rest, hull, quick or not field.C.bounded), ("", field.rest, box, quick)]
     if alone is not None:
-        tries.insert(1, ("everywhere on C, S being monotone", alone, hull, quick or not field.C.bounded))
-    for where, G, (low, high), fast in tries:
+        tries.insert(1, ("S being monotone, ", alone, hull, quick or not field.C.bounded))
+    for given, G, (low, high), fast in tries:
         if (low > high).any() or not interval.is_continuous(G, field.x, low, high):
             continue
         J = ca.jacobian(G, field.x)
@@ -44,7 +44,8 @@ def one_sided(field: Field, region: tuple[np.ndarray, np.ndarray], *, quick: boo
         if np.isfinite(sup.bound):
             witness = {} if sup.at is None else {"attained near": sup.at}
             values = {"L": sup.bound + 0.0} | ({} if sup.at is None or G is alone else {"attained": sup.value})
-            return Part(HOLDS, f"{where}: bounds of the eigenvalues of the symmetric Jacobian", values, witness)
+            how = f"{given}bounds of the eigenvalues of the symmetric Jacobian"
+            return Part(HOLDS, how, values, witness, low is box[0])
     return Part(UNKNOWN, "F - S is not proved continuous with a bounded Jacobian on the box looked at", {}, {})
 
 

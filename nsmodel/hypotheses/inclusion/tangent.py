@@ -80,7 +80,7 @@ def _quadratic(field: Field, form: Form | None) -> Bound | None:
     k = _rate(-form.Q)
     if k is None:
         return None
-    how = "everywhere: <x, F - S> is quadratic and negative definite (exact)" + _but(field)
+    how = "<x, F - S> is quadratic and negative definite (exact)" + _but(field)
     return Bound(k, _linear(form), up(form.constant) + offsets(field), how)
 
 
@@ -112,7 +112,7 @@ def _on_cone(field: Field, form: Form | None) -> Bound | None:
     linear = form.linear + 2 * exact.product(N.T, M, h)
     constant = form.constant + exact.product(h.T, M, h)[0, 0]
     p = growth.norm(exact.doubles(linear)) + form.others
-    how = "on C: <x, F - S> is quadratic and negative on the directions in which C is unbounded (exact multipliers)"
+    how = "<x, F - S> is quadratic and negative on the directions in which C is unbounded (exact multipliers)"
     return Bound(k, p, up(constant) + offsets(field), how)
 
 
@@ -139,7 +139,7 @@ def _superlinear(field: Field, form: Form | None) -> Bound | None:
             if top is None:
                 return None
             total += top
-        how = "on C: beyond the quadratic part, terms in one state each that fall at infinity (exact)"
+        how = "beyond the quadratic part, terms in one state each that fall at infinity (exact)"
         return Bound(k, _linear(form), up(total) + offsets(field), how)
     return None
 
@@ -169,7 +169,7 @@ def _homogeneous(field: Field, form: Form | None, distance: float) -> Bound | No
     top = _largest(total, 0.0, np.inf)
     if top is None:
         return None
-    how = "everywhere: the highest form of <x, F - S> is negative on the faces of a cube (bounds), and dominates"
+    how = "the highest form of <x, F - S> is negative on the faces of a cube (bounds), and dominates"
     return Bound(1.0, _linear(form), up(top + form.constant) + offsets(field), how, True)
 
 
@@ -257,7 +257,7 @@ def _by_jacobian(field: Field, base: np.ndarray) -> Bound | None:
             if np.isfinite(M):
                 # |x - c| <= |x| + d; <c, v(x)> is added with the displacement of C.
                 p = -L * D + M
-                how = "on C: bounds of the symmetric Jacobian, below 0" + (" outside a box" if half else "")
+                how = "bounds of the symmetric Jacobian on C, below 0" + (" outside a box" if half else "")
                 return Bound(-L, 2 * -L * d + p, p * d + offsets(field), how)
     return None
 

@@ -14,8 +14,10 @@ from nsmodel.hypotheses.lure.hypomonotone import HYPOMONOTONE, Growth, hypomonot
 from nsmodel.hypotheses.lure.passivity import D_PSD, PAPER, STORAGE, input_output, storage
 from nsmodel.hypotheses.lure.passivity_symbolic import symbolic_findings
 from nsmodel.hypotheses.region import Region
+from nsmodel.hypotheses.scope import meet
 from nsmodel.model.lure import LureSystem
 from nsmodel.proof import interval
+from nsmodel.proof.defined import in_time
 from nsmodel.proof.exact import EPS
 from nsmodel.trajectory import Trajectory
 
@@ -54,11 +56,11 @@ def check(model: LureSystem, region: Region, runs: Sequence[Trajectory], quick: 
 
 
 def _consequences(model: LureSystem, region: Region, growth: Growth, findings: Sequence[Finding]) -> list[Consequence]:
-    here = "" if growth.everywhere else ", while the solutions stay in the box"
+    here = "" if growth.everywhere else " while both stay inside the box"
     texts = _one_solution(model, region)
     well = follows(
         "well posed",
-        f"one and only one solution starts at x0{here}{texts}",
+        f"one and only one solution starts at x0{texts}",
         findings,
         (*MONOTONE, "5.x0"),
         f"{PAPER}, Corollary 5.7",
@@ -67,8 +69,10 @@ def _consequences(model: LureSystem, region: Region, growth: Growth, findings: S
         "contraction", f"|x(t) - y(t)|_P <= e^(omega t) |x_0 - y_0|_P for any two solutions{here}", findings, MONOTONE,
         f"{PAPER}, (40)", {"omega": growth.omega} if np.isfinite(growth.omega) else {},
     )  # fmt: skip
+    timed = region.scope(timed=bool(ca.depends_on(model.f, model.t)))
+    well, contraction = (replace(item, scope=meet(item.scope, timed)) for item in (well, contraction))
     if texts:
-        well = replace(well, verdict=UNKNOWN)
+        well, contraction = replace(well, verdict=UNKNOWN), replace(contraction, verdict=UNKNOWN)
     return [well, contraction, *_stability(model, region, growth, findings)]
 
 
@@ -79,6 +83,9 @@ def _one_solution(model: LureSystem, region: Region) -> str:
         return ""
     last = max(region.t1, float(model.t_end or 0.0))  # a run may have stopped before
     ends = np.array([region.t0]), np.array([last])
+    defined = in_time(f, t, region.t0, last)
+    if defined.verdict == VIOLATED:
+        return f"; f has no finite value for all times: {defined.how}"
     slope = interval.enclose(ca.jacobian(f, t), t, *ends)
     if interval.is_continuous(f, t, *ends) and np.isfinite(slope).all():
         return ""

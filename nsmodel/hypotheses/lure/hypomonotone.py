@@ -74,7 +74,7 @@ def hypomonotone(model: LureSystem, passivity: Passivity, region: Region, quick:
         return Growth(found(HYPOMONOTONE, UNKNOWN, "A has a coefficient that is not finite"))
     if not ca.depends_on(J, x) and not jumps_in(A, x):
         rate = least_rate(passivity.pairing, [_numbers(J)], quick=quick)
-        return _growth(passivity, rate, "everywhere (A is linear)", quick, proof="in rational arithmetic")
+        return _growth(passivity, rate, quick, "A is linear; proved in rational arithmetic", linear=True)
     return _nonlinear(J, model, passivity, region, quick)
 
 
@@ -89,7 +89,7 @@ def _nonlinear(J: ca.SX, model: LureSystem, passivity: Passivity, region: Region
         hull = bounded_hull(J, x, -infinite, infinite)
         rate = least_rate(passivity.pairing, hull.vertices, hull.cones, quick=quick) if hull is not None else None
         if rate is not None:
-            return _growth(passivity, rate, "everywhere", quick, proof="in rational arithmetic, from bounds of the entries of A'")
+            return _growth(passivity, rate, quick, "proved in rational arithmetic, from bounds of the entries of A'")
     if not _continuous(A, x, region.lower, region.upper):
         how = "A is not seen to be continuous on the box, though no jump was found"
         return Growth(found(HYPOMONOTONE, UNKNOWN, how))
@@ -102,7 +102,7 @@ def _nonlinear(J: ca.SX, model: LureSystem, passivity: Passivity, region: Region
         rate = _on_box(J, x, P, region, rate, hull.sure, quick)
     if rate is None:
         return Growth(found(HYPOMONOTONE, UNKNOWN, "no bound of the largest eigenvalue of sym(R A' R^{-1}) on the box is found"))
-    return _growth(passivity, rate, "on the box", quick, proof="by bounds over the whole box")
+    return _growth(passivity, rate, quick, "proved by bounds over the whole box", region)
 
 
 def _on_box(J: ca.SX, x: ca.SX, P: np.ndarray, region: Region, rate: Rate, sure: bool, quick: bool) -> Rate | None:
@@ -116,17 +116,18 @@ def _on_box(J: ca.SX, x: ca.SX, P: np.ndarray, region: Region, rate: Rate, sure:
     return rate._replace(omega=bound) if np.isfinite(bound) else None
 
 
-def _growth(passivity: Passivity, rate: Rate | None, where: str, quick: bool, proof: str) -> Growth:
-    """The finding for a rate; the verdict is no better than that on 5.1, whose P it needs."""
-    linear = "linear" in where
+def _growth(
+    passivity: Passivity, rate: Rate | None, quick: bool, proof: str, region: Region | None = None, linear: bool = False
+) -> Growth:
+    """The finding for a rate, on a region or everywhere; the verdict is no better than that on 5.1, whose P it needs."""
     verdict = HOLDS if passivity.finding.verdict == HOLDS else SAMPLED
     if rate is None:  # A linear, ill conditioned beyond the last rounding: Remark 5.3 iii).
         Y = well_conditioned(passivity.pairing)
         P = exact.doubles(passivity.pairing.storage(Y))
-        how = f"{where}: A is Lipschitz (Remark 5.3); no useful omega is found"
-        return Growth(found(HYPOMONOTONE, verdict, how, {"omega": np.inf}, {"P": P}), P)
+        how = "A is linear, and Lipschitz (Remark 5.3); no useful omega is found"
+        return Growth(found(HYPOMONOTONE, verdict, how, {"cond P": condition(P)}, {"P": P}), P)
     P = exact.doubles(passivity.pairing.storage(rate.Y))
-    texts = [f"{where}, proved {proof} for the P given"]
+    texts = [f"{proof} for the P given"]
     if verdict == SAMPLED:
         texts.append("which solves P B = C' up to rounding")
     if abs(rate.omega) <= rate.rounding and rate.omega:
@@ -139,8 +140,9 @@ def _growth(passivity: Passivity, rate: Rate | None, where: str, quick: bool, pr
         texts.append(f"no P gives less than {rate.least:.4g}")
         texts.append("a smaller omega was not looked for" if quick else "a smaller omega may need a worse conditioned P")
     value = {"omega": rate.omega, "cond P": condition(P)}
-    finding = found(HYPOMONOTONE, verdict, "; ".join(texts), value, {"P": P})
-    return Growth(finding, P, rate.omega, where != "on the box", rate.accuracy)
+    scope = None if region is None else region.scope(True)
+    finding = found(HYPOMONOTONE, verdict, "; ".join(texts), value, {"P": P}, scope)
+    return Growth(finding, P, rate.omega, region is None, rate.accuracy)
 
 
 def _jump(A: ca.SX, x: ca.SX) -> Finding | None:

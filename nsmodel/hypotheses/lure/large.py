@@ -42,7 +42,7 @@ def findings(model: LureSystem) -> tuple[Growth, Sequence[Finding]]:
     low, high = (np.array(ca.DM(end)).ravel() for end in ((model.law.lower, model.law.upper) if model.law else ([], [])))
     boxes = model.law is not None and all(block.kind == "box" for block in model.law.blocks)
     bounded = boxes and bool((np.isfinite(low) & np.isfinite(high)).all())
-    everywhere = "Everywhere: K is bounded, so that int dom Upsilon* is the whole space."
+    everywhere = "K is bounded, so that int dom Upsilon* is the whole space."
 
     def where_bounded(hypothesis: Hypothesis, how: str, value: dict[str, float]) -> Finding:
         return found(hypothesis, HOLDS, how, value) if bounded and not D.nnz else found(hypothesis, UNKNOWN, why)
@@ -75,7 +75,7 @@ def _growth(model: LureSystem, why: str) -> Growth:
     omega = float(((diagonal + radii) / 2 + rounding).max(initial=-np.inf))
     if not np.isfinite(omega):
         return Growth(found(HYPOMONOTONE, UNKNOWN, "the entries of A are too large for Gershgorin's discs in doubles"))
-    how = "everywhere (A is linear), by Gershgorin's discs of A + A' for P = I; another P may give less"
+    how = "A is linear; by Gershgorin's discs of A + A' for P = I; another P may give less"
     return Growth(found(HYPOMONOTONE, HOLDS, how, {"omega": omega, "cond P": 1.0}), None, omega)
 
 

@@ -111,7 +111,7 @@ def _potential(
     parts = [("convex", convex), ("domain", closed), ("interior", interior)]
     if interior.verdict != VIOLATED:
         start = np.asarray(interior.witness.get("interior point", x0))
-        below = lower_bound.bounded_below(g, domain, start, convex=convex.verdict == HOLDS and "on the box" not in convex.how)
+        below = lower_bound.bounded_below(g, domain, start, convex=convex.verdict == HOLDS and not convex.local)
         parts.insert(1, ("inf g", _bounded(below)))
     verdict = _worst([part.verdict for _, part in parts])
     values = {name: number for _, part in parts for name, number in part.value.items()}
@@ -119,7 +119,7 @@ def _potential(
     silent = ("no constraint", "the whole space")
     how = "; ".join(f"{name}: {part.how}" for name, part in told if part.how not in silent)
     witness = {key: item for name, part in told for key, item in part.witness.items()}
-    return found(G, verdict, how, values, witness), below
+    return found(G, verdict, how, values, witness, region.scope(any(part.local for _, part in told))), below
 
 
 def _bounded(below: Below) -> Part:
@@ -252,8 +252,6 @@ def _consequences(
     limit = "d(0, dg(x_inf)) <= theta'(0)" if isotropic else "0 in A(0) + dg(x_inf)"
     strict = "d(0, dg(x_inf)) < theta'(0)" if isotropic else "0 is interior to A(0) + dg(x_inf)"
     every = [h.id for h in HYPOTHESES]
-    local = "on the box" in findings[1].how
-    stay = " (as long as the iterates stay in the box)" if local else ""
     statements = (
         ("well posed", "each step has one and only one solution", every[:2], f"{PAPER}, Proposition 2.1"),
         (
@@ -262,11 +260,11 @@ def _consequences(
         ),
         ("convergence", f"sum |x_{{n+1}} - x_n| is finite, x_n -> x_inf, and {limit}", every, f"{theorem} (i), (ii)"),
     )  # fmt: skip
-    out = [follows(name, statement + stay, findings, rests_on, source) for name, statement, rests_on, source in statements]
+    out = [follows(name, statement, findings, rests_on, source) for name, statement, rests_on, source in statements]
     radius = next(finding for finding in findings if finding.id == "O-dry").value.get("radius of A(0)", 0.0)
     if below is not None and below.bounded and radius > 0:
-        out += rest_points.consequences(model, findings, every, g, domain, below, radius, f"{theorem} (ii)", stay)
-    condition = f"x_n = x_inf from some n_0 on if {strict}{stay}"
+        out += rest_points.consequences(model, findings, every, g, domain, below, radius, f"{theorem} (ii)")
+    condition = f"x_n = x_inf from some n_0 on if {strict}"
     if not runs:
         out.append(follows("finite convergence", condition, findings, every, f"{theorem} (iii)"))
     out += [_finite(run, findings, every, strict, f"{theorem} (iii)") for run in runs if run.metadata.get("convergence")]

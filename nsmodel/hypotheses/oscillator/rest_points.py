@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from typing import NamedTuple
 
@@ -29,26 +30,21 @@ class Interval(NamedTuple):
 
 def consequences(
     model: FrictionOscillator, findings: Sequence[Finding], every: Sequence[str], g: ca.SX, domain: ConvexSet, below: Below,
-    radius: float, source: str, stay: str,
+    radius: float, source: str,
 ) -> list[Consequence]:  # fmt: skip
-    """The predicted set of limits: an interval for one state, an ellipsoid for a quadratic potential and isotropic friction.
-
-    ``stay`` is the condition on the iterates, in words.
-    """
+    """The predicted set of limits: an interval for one state, an ellipsoid for a quadratic potential and isotropic friction."""
     if domain.n == 1:
         name = next(iter(model.names or ()))
         found = interval(g, domain, below.at, radius)
-        where = f"where d(0, dg({name})) <= {radius:.6g}{stay}"
+        where = f"where d(0, dg({name})) <= {radius:.6g}"
         statement = f"every limit {name}_inf lies in [{found.low:.6g}, {found.high:.6g}], {where}"
         values = {f"least {name}_inf": found.low, f"largest {name}_inf": found.high}
         out = [follows("rest points", statement, findings, every, source, values)]
         if found.strict:
             base = follows("finite from every start", "", findings, every, source)
-            statement = "0 is interior to A(0) + dg(x) at every rest point: each sequence stops in finitely many steps" + stay
+            statement = "0 is interior to A(0) + dg(x) at every rest point: each sequence stops in finitely many steps"
             verdict = SAMPLED if base.verdict == HOLDS else base.verdict
-            out.append(
-                Consequence("finite from every start", statement, tuple(every), verdict, {}, f"{source.split(' (')[0]} (iii)")
-            )
+            out.append(replace(base, statement=statement, verdict=verdict, source=f"{source.split(' (')[0]} (iii)"))
         return out
     P = polynomial.quadratic(polynomial.read(g, domain.x)[0], domain.n)
     ball = len(model.elements) == 1 and np.array_equal(np.array(ca.DM(model.elements[0].H)), np.eye(domain.n))
@@ -56,7 +52,7 @@ def consequences(
         return []
     values = np.linalg.eigvalsh(exact.doubles(P.H))[::-1]
     axes = {f"semi-axis {i + 1}": radius / value if value > 0 else np.inf for i, value in enumerate(values[:6])}
-    statement = f"every limit lies in the ellipsoid |K x - b| <= {radius:.6g}, K = D2 g, semi-axes theta'(0)/eigenvalue{stay}"
+    statement = f"every limit lies in the ellipsoid |K x - b| <= {radius:.6g}, K = D2 g, semi-axes theta'(0)/eigenvalue"
     return [follows("rest points", statement, findings, every, source, axes)]
 
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from nsmodel.hypotheses.findings import Consequence, Finding, Report
-from nsmodel.hypotheses.report.table import pairs, rests, shown, witness
+from nsmodel.hypotheses.report.table import conditions, pairs, rests, shown, told, witness
 from nsmodel.hypotheses.report.typeset import equations
 from nsmodel.model.base import Model
 
@@ -18,10 +18,10 @@ def markdown(report: Report, model: Model) -> str:
     """Return the report as a page: equations, findings, what follows, notes; ``model`` gives the equations."""
     parts = [f"# {_escaped(report.title or report.model_class)}", _head(report)]
     parts += ["## The model", *(f"$$\n{_spelled(line)}\n$$" for line in equations(model))]
-    header = ("id", "hypothesis", "verdict", "numbers", "witness", "how it was decided", "source")
+    header = ("id", "hypothesis", "verdict", "numbers", "witness", "where and how it was decided", "source")
     parts += ["## Hypotheses", _table(header, [_finding_row(finding) for finding in report.findings])]
     if report.consequences:
-        header = ("", "what follows", "verdict", "numbers", "rests on", "source")
+        header = ("", "what follows", "verdict", "numbers", "where", "rests on", "source")
         parts += ["## Consequences", _table(header, [_consequence_row(item, report) for item in report.consequences])]
     if report.notes:
         parts += ["## Notes", "\n".join(f"- {_escaped(note)}" for note in report.notes)]
@@ -43,7 +43,7 @@ def _finding_row(finding: Finding) -> list[str]:
         finding.verdict,
         _stacked(pairs(finding.value)),
         _stacked(witness(finding)),
-        _escaped(finding.how),
+        _stacked([told(finding), *(["outside it fails at " + ", ".join(pairs(finding.outside))] if finding.outside else [])]),
         _escaped(finding.source),
     ]
 
@@ -54,6 +54,7 @@ def _consequence_row(item: Consequence, report: Report) -> list[str]:
         _escaped(item.statement),
         item.verdict,
         _stacked(pairs(item.value)),
+        _escaped(conditions(item)),
         _escaped(rests(item, report).replace("rests on ", "")),
         _escaped(item.source),
     ]

@@ -7,10 +7,12 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
-from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding, Report
+from nsmodel.hypotheses.findings import ALONG_A_RUN, HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding, Report
+from nsmodel.hypotheses.scope import words
 
 LONGEST = 6  # Entries of a vector that are shown.
 ENTRIES = 12  # Entries of a witness that are shown.
+OF_THE_START = ("S-start", "5.x0", "O-steps")  # Said of one state, or of the steps: nowhere else.
 LABEL = 14  # A label longer than this stands on its own line.
 
 
@@ -43,6 +45,8 @@ def document(report: Report) -> dict[str, Any]:
                 "value": dict(finding.value),
                 "witness": dict(finding.witness),
                 "how": finding.how,
+                "scope": None if finding.scope is None else finding.scope.document(),
+                "outside": dict(finding.outside) or None,
                 "source": finding.source,
             }
             for finding in report.findings
@@ -54,6 +58,9 @@ def document(report: Report) -> dict[str, Any]:
                 "verdict": consequence.verdict,
                 "rests_on": list(consequence.rests_on),
                 "value": dict(consequence.value),
+                "scope": None if consequence.scope is None else consequence.scope.document(),
+                "clause": consequence.clause or None,
+                "until": consequence.until,
                 "source": consequence.source,
             }
             for consequence in report.consequences
@@ -130,7 +137,22 @@ def _finding(finding: Finding, page: _Page) -> list[str]:
     lines = page.labelled(finding.id, finding.verdict, finding.statement)
     lines += _packed(page.margin, pairs(finding.value), page.width)
     lines += _packed(f"{page.margin}{'with' if finding.verdict == HOLDS else 'at'} ", witness(finding), page.width)
-    return lines + _hanging(page.margin, f"{finding.how} {page.cited(finding.source)}", page.width)
+    if finding.outside:
+        lines += _packed(f"{page.margin}outside it fails at ", pairs(finding.outside), page.width)
+    return lines + _hanging(page.margin, f"{told(finding)} {page.cited(finding.source)}", page.width)
+
+
+def told(finding: Finding) -> str:
+    """Where and how it was decided: a violation has its place in the witness."""
+    placed = finding.verdict in (HOLDS, SAMPLED) and not finding.id.startswith(ALONG_A_RUN) and finding.id not in OF_THE_START
+    return f"{words(finding.scope)}: {finding.how}" if placed else finding.how
+
+
+def conditions(consequence: Consequence) -> str:
+    """Where a consequence holds, and for how long; "" where nothing follows."""
+    if consequence.verdict not in (HOLDS, SAMPLED) or not consequence.rests_on:
+        return ""
+    return "; ".join([words(consequence.scope), *([consequence.clause] if consequence.clause else [])])
 
 
 def rests(consequence: Consequence, report: Report) -> str:
@@ -144,7 +166,8 @@ def rests(consequence: Consequence, report: Report) -> str:
 def _consequence(consequence: Consequence, report: Report, page: _Page) -> list[str]:
     lines = page.labelled(consequence.name, consequence.verdict, consequence.statement)
     lines += _packed(page.margin, pairs(consequence.value), page.width)
-    return lines + _hanging(page.margin, f"{rests(consequence, report)} {page.cited(consequence.source)}".strip(), page.width)
+    told = "; ".join(part for part in (conditions(consequence), rests(consequence, report)) if part)
+    return lines + _hanging(page.margin, f"{told} {page.cited(consequence.source)}".strip(), page.width)
 
 
 def _hanging(first: str, body: str, width: int) -> list[str]:

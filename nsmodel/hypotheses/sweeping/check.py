@@ -13,7 +13,7 @@ from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.sweeping.admissible import Scene, admissible_points, scene_of
 from nsmodel.hypotheses.sweeping.consequences import consequences_of
 from nsmodel.hypotheses.sweeping.constants import answers
-from nsmodel.hypotheses.sweeping.constraint import EVERYWHERE, ON_THE_BOX, Answers, Constraint
+from nsmodel.hypotheses.sweeping.constraint import ON_THE_BOX, Answers, Constraint
 from nsmodel.hypotheses.sweeping.qualification import Qualified, qualification
 from nsmodel.hypotheses.sweeping.shapes import read_shapes
 from nsmodel.hypotheses.sweeping.start import ROUNDED, start_value
@@ -64,11 +64,12 @@ def check(
         scene = _scene(model, constraints, region, runs)
         unknown = sum(c.shape.kind == "other" for c in constraints)
         each = _grouped(constraints, quick or unknown > PLENTY)
-        findings = [joined(hypothesis, constraints, each) for hypothesis in HYPOTHESES[:6]]
+        findings = [joined(hypothesis, constraints, each, region) for hypothesis in HYPOTHESES[:6]]
         points = _points(scene, len(model.names) > FEW, quick)
         near, active = _qualified(constraints, each, scene, points, model, quick)
-        findings += [gamma(A5, near, region), gamma(A5_ACTIVE, active, region)]
-        findings.append(_velocity(model, scene, points, quick))
+        timed = any(constraint.shape.time for constraint in constraints)
+        findings += [gamma(A5, near, region, timed), gamma(A5_ACTIVE, active, region, timed)]
+        findings.append(_velocity(model, scene, region, points, quick))
         findings.append(_start(model, constraints))
     return findings, consequences_of(model, findings, runs, len(constraints))
 
@@ -111,12 +112,11 @@ def _grouped(constraints: Sequence[Constraint], quick: bool) -> list[Answers]:
     return [answers(constraint, quick) for constraint in constraints]
 
 
-def joined(hypothesis: Hypothesis, constraints: Sequence[Constraint], each: Sequence[Answers]) -> Finding:
-    """One finding from the answers of all constraints: the weakest verdict, the worst numbers."""
+def joined(hypothesis: Hypothesis, constraints: Sequence[Constraint], each: Sequence[Answers], region: Region) -> Finding:
+    """One finding from the answers of all constraints: the weakest verdict, the worst numbers, the smallest scope."""
     own = [item[hypothesis.id] for item in each]
     if not own:
-        empty = {"A0": {"c": np.inf}, "A1": {"a": np.inf, "b": 0.0}, "A2": {"b": 0.0}, "S-convex": {"least": np.inf}}
-        return found(hypothesis, HOLDS, "no constraint", empty.get(hypothesis.id, {"M": 0.0}))
+        return found(hypothesis, HOLDS, "no constraint", {"constraints": 0})
     order = (VIOLATED, UNKNOWN, SAMPLED, HOLDS)
     worst = min(range(len(own)), key=lambda k: order.index(own[k].verdict))
     verdict = own[worst].verdict
@@ -124,6 +124,8 @@ def joined(hypothesis: Hypothesis, constraints: Sequence[Constraint], each: Sequ
     for name in dict.fromkeys(name for answer in own for name in answer.value if name not in ("delta", "jump")):
         pick = min if name in LEAST else max
         k = pick((k for k in range(len(own)) if name in own[k].value), key=lambda k: own[k].value[name])
+        if verdict == HOLDS and np.isinf(own[k].value[name]):
+            continue  # c of sets whose U_i is all of space: nothing is asked of it.
         value[name] = own[k].value[name]
         if name in ("a", "b", "c", "M") and len(own) > 1:
             witness[f"{name} of"] = constraints[k].name
@@ -131,21 +133,11 @@ def joined(hypothesis: Hypothesis, constraints: Sequence[Constraint], each: Sequ
         witness = {**own[worst].witness} or {"constraint": constraints[worst].name}
     if verdict == VIOLATED and "jump" in own[worst].value:
         value["jump"] = own[worst].value["jump"]
-    return found(hypothesis, verdict, _how(own, worst), value, witness)
-
-
-def _how(own: Sequence, worst: int) -> str:
-    if own[worst].verdict != HOLDS:
-        return f"{own[worst].where}: {own[worst].how}"
-    places = [answer for answer in own if answer.where == ON_THE_BOX]
-    where = (
-        EVERYWHERE
-        if not places
-        else ON_THE_BOX
-        if len(places) == len(own)
-        else f"{len(places)} of {len(own)} on the box, the others everywhere"
-    )
-    return f"{where}: " + "; ".join(dict.fromkeys(answer.how for answer in own))
+    told = range(len(own)) if verdict == HOLDS else [worst]
+    states = {name for k in told if own[k].where == ON_THE_BOX for name in constraints[k].names}
+    timed = any(constraints[k].shape.time for k in told)
+    how = "; ".join(dict.fromkeys(own[k].how for k in told))
+    return found(hypothesis, verdict, how, value or {"constraints": len(own)}, witness, region.scope(states, timed))
 
 
 def _qualified(
@@ -166,24 +158,27 @@ def _qualified(
     return qualification(constraints, scene, np.where(proved, slope, np.inf), reach, points, model.names, quick)
 
 
-def gamma(hypothesis: Hypothesis, result: Qualified, region: Region) -> Finding:
-    """Return the finding on A5 or A5'."""
+def gamma(hypothesis: Hypothesis, result: Qualified, region: Region, timed: bool) -> Finding:
+    """Return the finding on A5 or A5'; ``timed``: whether a constraint depends on time."""
     value = {"gamma": result.gamma, "rho": result.rho, "attained": result.attained}
-    if hypothesis is A5_ACTIVE:
+    if hypothesis is A5_ACTIVE or (result.verdict == HOLDS and np.isinf(result.rho)):
         value.pop("rho")
     witness = result.witness or ({"t": region.t0} if result.verdict == VIOLATED else {})
-    return found(hypothesis, result.verdict, f"{result.where}: {result.how}", value, witness)
+    any_rho = "; for every rho" if hypothesis is A5 and "rho" not in value else ""
+    scope = region.scope(result.where == ON_THE_BOX, timed)
+    return found(hypothesis, result.verdict, result.how + any_rho, value, witness, scope)
 
 
-def _velocity(model: SweepingProcess, scene: Scene, points: list[Point], quick: bool) -> Finding:
+def _velocity(model: SweepingProcess, scene: Scene, region: Region, points: list[Point], quick: bool) -> Finding:
     answer = velocity(model.f, scene, points, model.names, quick)
-    return found(S_F, answer.verdict, f"{answer.where}: {answer.how}", answer.value, answer.witness)
+    scope = region.scope(answer.where == ON_THE_BOX, bool(ca.depends_on(model.f, model.t)))
+    return found(S_F, answer.verdict, answer.how, answer.value, answer.witness, scope)
 
 
 def _start(model: SweepingProcess, constraints: Sequence[Constraint]) -> Finding:
     """The sign of each g_i(0, q_0): by rational arithmetic where the shape allows, else by interval arithmetic."""
     if not constraints:
-        return found(S_START, HOLDS, "no constraint", {"min g": np.inf})
+        return found(S_START, HOLDS, "no constraint", {"constraints": 0})
     q0 = np.array(ca.DM(model.q0)).ravel()
     signs = [start_value(constraint, q0) for constraint in constraints]
     left = [k for k, sign in enumerate(signs) if sign is None or sign < 0]

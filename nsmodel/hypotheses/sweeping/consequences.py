@@ -7,23 +7,29 @@ from dataclasses import replace
 
 import numpy as np
 
-from nsmodel.hypotheses.findings import UNKNOWN, Consequence, Finding, follows
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, Consequence, Finding, follows, scope_of
 from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.trajectory import Trajectory
 
 PAPER = "Bernicot and Venel 2010"
+REGULAR = ("S-convex", "A1", "A4", "A5'")
+MOVING = ("S-convex", "A0", "A1", "A2", "A5")
 SOLVABLE = ("S-convex", "A0", "A1", "A2", "A4", "A5", "S-f", "S-start")
 
 
 def consequences_of(model: SweepingProcess, findings: Sequence[Finding], runs: Sequence[Trajectory], p: int) -> list[Consequence]:
     """Return the constants of the theory; ``p`` is the number of constraints."""
     number = {(finding.id, name): value for finding in findings for name, value in finding.value.items()}
-    a, b = number.get(("A1", "a"), 0.0), number.get(("A1", "b"), np.inf)
-    speed, c = number.get(("A2", "b"), np.inf), number.get(("A0", "c"), 0.0)
-    M, M_contact = number.get(("A4", "M"), np.inf), number.get(("A4", "M_contact"), np.inf)
+    verdicts, nothing = {finding.id: finding.verdict for finding in findings}, (np.inf, 0.0) if not p else (0.0, np.inf)
+    a, b = number.get(("A1", "a"), nothing[0]), number.get(("A1", "b"), nothing[1])
+    speed = number.get(("A2", "b"), nothing[1])
+    c = number.get(
+        ("A0", "c"), np.inf if verdicts["A0"] in (HOLDS, SAMPLED) else 0.0
+    )  # Proved without a number: U_i is all of space.
+    M, M_contact = (number.get(("A4", name), nothing[1]) for name in ("M", "M_contact"))
     if not M and np.isfinite(c):  # U_i is not all: beyond c nothing is as straight as there, and |q - q_k| <= |q - q_k|^2 / c.
         M = M_contact = 2 * a / c
-    gamma, gamma_0, rho = number[("A5", "gamma")], number[("A5'", "gamma")], number[("A5", "rho")]
+    gamma, gamma_0, rho = number[("A5", "gamma")], number[("A5'", "gamma")], number.get(("A5", "rho"), np.inf)
     K_L, K_L_paper = _times(gamma, _over(speed, a)), _times(gamma, _over(max(speed, b), a))
     r = min(_over(rho, 6 * b), _over(a, _times(4 * gamma, M)))
     Theta = _times(2 * gamma, _over(b, a))
@@ -33,33 +39,59 @@ def consequences_of(model: SweepingProcess, findings: Sequence[Finding], runs: S
     met = "" if np.isnan(h) else f"; the model's own step {h:.4g} " + ("meets it" if h < bound else "does not meet it")
     steps = {"h": bound, "h with b": _over(c, K_L_paper)} | ({} if np.isnan(h) else {"step": h})
     qualified = ("A1", "A4", "A5")
+    local = {name: bool((scope := scope_of(findings, ids)) and scope.states) for name, ids in (
+        ("eta", REGULAR), ("K_L", MOVING), ("step", MOVING), ("linear", ("S-convex", "A1", "A4")),
+    )}  # fmt: skip
+    eta, on_U = _over(a, _times(M_contact, gamma_0)), _over(a, _times(M, gamma_0))
     found = [
         follows("well posed", "one and only one absolutely continuous solution", findings, SOLVABLE, f"{PAPER}, Theorem 2.5"),
         follows(
-            "prox-regular", "Q(t) is eta-prox-regular, eta = a/(M gamma(0)) with M at contact", findings,
-            ("S-convex", "A1", "A4", "A5'"), f"{PAPER}, Proposition 2.3",
-            {"eta": _over(a, _times(M_contact, gamma_0)), "eta on U": _over(a, _times(M, gamma_0))},
+            "prox-regular", _regular(eta, local["eta"]), findings, REGULAR, f"{PAPER}, Proposition 2.3",
+            {"eta": eta, "eta on U": on_U}, moving=False,
         ),
         follows(
-            "K_L", "d_H(Q(t), Q(s)) <= K_L |t - s|, K_L = gamma sup|d_t g_i| / a; with the paper's b: gamma b/a", findings,
-            ("S-convex", "A0", "A1", "A2", "A5"), f"{PAPER}, Proposition 2.4", {"K_L": K_L, "K_L with b": K_L_paper},
+            "K_L", _speed(local["K_L"]), findings, MOVING, f"{PAPER}, Proposition 2.4", {"K_L": K_L, "K_L with b": K_L_paper},
+            moving=False,
         ),
         follows(
-            "step bound", f"the scheme is well defined for h < c / K_L{met}", findings, ("S-convex", "A0", "A1", "A2", "A5"),
-            f"{PAPER}, section 3", steps,
+            "step bound", f"the scheme is well defined for {'every h' if np.isinf(bound) else 'h < c / K_L'}{met}", findings,
+            MOVING, f"{PAPER}, section 3", steps,
         ),
         follows(
             "linearisation error", "the distance from q in Q(t) to the linearised Q_i(t) at q_k is at most M/(2a) |q - q_k|^2",
-            findings, ("S-convex", "A1", "A4"), f"{PAPER}, Proposition 3.6", {"M/(2a)": _over(M, 2 * a)},
+            findings, ("S-convex", "A1", "A4"), f"{PAPER}, Proposition 3.6", {"M/(2a)": _over(M, 2 * a)}, moving=False,
         ),
         follows(
             "metric qualification",
             "d(q, linearised Q) <= Theta sum d(q, linearised Q_i) within r/4, r = min(rho/(6b), a/(4 M gamma)), "
             f"Theta = 2 gamma b/a; kappa = Theta p M/(2a) with p = {p}, the number of all constraints",
             findings, ("S-convex", *qualified), f"{PAPER}, Theorem 4.9", {"r": r, "Theta": Theta, "kappa": kappa, "p": p},
+            moving=False,
         ),
     ]  # fmt: skip
     return [*found, _order(model, findings, runs, number, K_L, kappa, r)]
+
+
+def _regular(eta: float, local: bool) -> str:
+    """Prox-regularity in words: of a box it is told of the points there alone, for the set beyond is not known."""
+    if local:
+        bound = "0" if np.isinf(eta) else "|n| |q' - q|^2 / (2 eta), eta = a/(M gamma(0)) with M at contact,"
+        return (
+            f"at q in Q(t) inside the box and n normal to Q(t) there, <n, q' - q> <= {bound} for q' in Q(t) near q inside the "
+            "box. Q(t) as a whole need not be prox-regular"
+        )
+    return "Q(t) is convex" if np.isinf(eta) else "Q(t) is eta-prox-regular, eta = a/(M gamma(0)) with M at contact"
+
+
+def _speed(local: bool) -> str:
+    """The speed of the set in words."""
+    rate = "K_L = gamma sup|d_t g_i| / a; with the paper's b: gamma b/a"
+    if local:
+        return (
+            "a point of Q(t) inside the box is within K_L |t - s| of Q(s), as long as that is less than its distance from the "
+            f"sides of the box; {rate}. Nothing is said of Q(t) beyond"
+        )
+    return f"d_H(Q(t), Q(s)) <= K_L |t - s|, {rate}"
 
 
 def _order(

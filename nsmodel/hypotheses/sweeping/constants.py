@@ -26,6 +26,7 @@ from nsmodel.hypotheses.sweeping.constraint import (
 )
 from nsmodel.hypotheses.sweeping.forms import Affine, Offset, Squares, expression, hessian
 from nsmodel.proof import exact, extremum, interval
+from nsmodel.proof.defined import Defined, in_time
 from nsmodel.proof.jumps import find_jump, jumps_in
 
 
@@ -42,7 +43,18 @@ def answers(constraint: Constraint, quick: bool) -> Answers:
     known = rule(constraint) if rule is not None else _turning_plane(constraint)
     known = dict(known or {}) | _in_steps(constraint) | _turning_in_steps(constraint)
     missing = {"S-convex", "A0", "A1", "A2", "A3", "A4"} - set(known)
-    return known | (on_the_box(constraint, missing, known, quick) if missing else {})
+    return _defined(constraint, known | (on_the_box(constraint, missing, known, quick) if missing else {}))
+
+
+def _defined(c: Constraint, known: Answers) -> Answers:
+    """The answers; A2 does not hold of a constraint that has no finite value at some time."""
+    middle = (c.lower[1:] + c.upper[1:]) / 2
+    defined = in_time(c.g, c.t, float(c.lower[0]), float(c.upper[0]), c.q, middle) if c.shape.time else Defined(HOLDS, "")
+    if defined.verdict == HOLDS or (defined.verdict == UNKNOWN and known["A2"].verdict != HOLDS):
+        return known
+    value = {"b": np.inf} if defined.verdict == VIOLATED else {}
+    how = f"g_i is not finite at all times: {defined.how}"
+    return known | {"A2": Answer(defined.verdict, value, EVERYWHERE, how, {"constraint": c.name, "t": defined.at})}
 
 
 def _in_steps(c: Constraint) -> Answers:

@@ -13,6 +13,7 @@ from nsmodel.hypotheses.sweeping.admissible import Scene, named
 from nsmodel.hypotheses.sweeping.constraint import EVERYWHERE, ON_THE_BOX, Answer
 from nsmodel.proof import extremum, interval
 from nsmodel.proof.components import sharing
+from nsmodel.proof.defined import Defined, in_time
 from nsmodel.proof.graph import column, keys, replay
 from nsmodel.proof.jumps import SWITCHES, jumps_in, surface_points
 
@@ -60,6 +61,12 @@ def velocity(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]],
 
     L_t is infinite where it is not bounded: "largest |f_t| seen" stands beside it.
     """
+    start = points[0][1] if len(points) else (scene.lower[1:] + scene.upper[1:]) / 2
+    defined = in_time(f, scene.t, float(scene.lower[0]), float(scene.upper[0]), scene.q, start)
+    if defined.verdict == VIOLATED:
+        return Answer(
+            VIOLATED, {"L_f": np.inf}, EVERYWHERE, f"f has no finite value for all times: {defined.how}", {"t": defined.at}
+        )
     blocks = _blocks(f, scene)
     rate, steady = _in_time(f, scene, quick)
     norms = [lipschitz(block, quick) for block in blocks]
@@ -67,8 +74,8 @@ def velocity(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]],
     if all(verdict == HOLDS for verdict, *_ in norms):
         where = ON_THE_BOX if any(place == ON_THE_BOX for *_, place, _ in norms) else EVERYWHERE
         L_f = _growth(f, scene, blocks, worst, where, quick)
-        how = "f is continuous and |f_q| is bounded" if worst else "f does not depend on the state"
-        return Answer(HOLDS, {"K_f": worst, "L_f": L_f} | rate, where, how + steady)
+        how = "f is continuous in q and |f_q| is bounded" if worst else "f does not depend on the state"
+        return closed(defined, {"K_f": worst, "L_f": L_f} | rate, where, how + steady)
     L_f = _growth(f, scene, blocks, np.inf, ON_THE_BOX, quick)
     count = sum(number for *_, number in norms)
     if quick:
@@ -89,6 +96,15 @@ def velocity(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]],
     worst = max(worst, _quotient(f, scene, points))
     how = f"{count} points; f was not proved continuous with a bounded derivative, no jump was found inside Q(t)"
     return Answer(SAMPLED, {"K_f": worst, "L_f": L_f} | rate, ON_THE_BOX, how + steady)
+
+
+def closed(defined: Defined, value: dict[str, float], where: str, how: str) -> Answer:
+    """S-f once K_f is proved: it holds where f is defined at all times, and L_f is finite; L_t may be missing."""
+    if defined.verdict != HOLDS:
+        return Answer(UNKNOWN, value, where, f"f is not seen to be finite at all times: {defined.how}; {how}", {"t": defined.at})
+    if not np.isfinite(value["L_f"]):
+        return Answer(UNKNOWN, value, where, f"no finite bound L_f of |f| was found; {how}")
+    return Answer(HOLDS, {name: number for name, number in value.items() if np.isfinite(number)}, where, how)
 
 
 # -- blocks ------------------------------------------------------------------------------------------------------------

@@ -117,15 +117,15 @@ def is_convex(C: ConvexSet, lower: np.ndarray, upper: np.ndarray, *, quick: bool
         proved = convexity.everywhere(C.rows[left], C.x)
         left = [i for i, shape in zip(left, proved, strict=True) if not shape.concave]
     if not left:
-        return Part(HOLDS, "every constraint is concave everywhere (affine, or by the rules of convex functions)", {}, {})
+        return Part(HOLDS, "every constraint is concave (affine, or by the rules of convex functions)", {}, {})
     low, high = np.maximum(C.hull[0], lower), np.minimum(C.hull[1], upper)
     inside = bool((C.hull[0] >= lower).all() and (C.hull[1] <= upper).all())
     for i in left:
         found = extremum.largest_eigenvalue(ca.hessian(C.rows[i], C.x)[0], C.x, low, high, bound_to=0.0, quick=quick)
         if not found.bound <= 0:
             return _not_concave(C, i, low, high)
-    where = "on the box that holds the set" if inside else "on the box"
-    return Part(HOLDS, f"every constraint is concave {where}: bounds of its Hessian", {}, {})
+    where = " on the box that holds the set" if inside else ""
+    return Part(HOLDS, f"every constraint is concave{where}: bounds of its Hessian", {}, {}, not inside)
 
 
 def has_interior(C: ConvexSet, start: np.ndarray) -> Part:
