@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from search import checked
 from search.digits import Exact, column, floats
 from search.judge import REFUSED, VIOLATED, WELL, WRONG_L, WRONG_X, Run, Verdict, judge, judge_run
 from search.models import KINDS, Case, case
@@ -150,3 +151,17 @@ def test_expressions_have_as_many_digits_as_promised():
     assert abs(small_again / column([2.0**-180])[0] - 1) < 1e-9
     assert abs(unity) < 1e-60
     assert floats([larger, same]).tolist() == [0.7, 0.7]
+
+
+FROZEN = {  # Texts of the first 12 models of each class: rates of other days are compared with these models.
+    "sweeping": "347dea49a4d80121",
+    "oscillator": "1a617ed8b30be6a7",
+    "first_order": "6e7245e9f1ec5f81",
+    "lure": "9dc96b719257361f",
+    "inclusion": "2c6f143d7a0b520d",
+    "bodies": "7daf95d604f4dcd7",
+}
+
+
+def test_the_models_of_the_checker_are_those_of_other_days():
+    assert {name: checked.fingerprint(name, range(12)) for name in checked.MAKERS} == FROZEN
