@@ -57,7 +57,5 @@ def desire(person, L, low, high):
 
 
 def distance(person, start, end):
-    """Return the distance to the segment from ``start`` to ``end``."""
-    start, along = ca.DM(start), ca.DM(end) - ca.DM(start)
-    part = ca.fmin(ca.fmax(ca.dot(person - start, along) / ca.sumsqr(along), 0), 1)
-    return ca.norm_2(person - start - part * along)
+    """Return the distance to a wall along an axis, from ``start`` to ``end``."""
+    return ca.norm_2(person - ca.fmin(ca.fmax(person, ca.DM(start)), ca.DM(end)))

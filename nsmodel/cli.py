@@ -165,6 +165,9 @@ def _parser() -> argparse.ArgumentParser:
     checker.add_argument("--strict", action="store_true", help="exit with status 1 where a hypothesis is violated")
     checker.add_argument("--json", action="store_true", help="print the report as JSON")
     checker.add_argument("--markdown", metavar="PATH", help="also write the report as Markdown, with the equations")
+    checker.add_argument(
+        "--certificate", metavar="DIR", help="also write what proves each hypothesis that holds, and a program that verifies it"
+    )
     checker.set_defaults(command=_check)
     about = "Measure how accurate the schemes and solvers that apply to a model are for what they cost."
     measurer = commands.add_parser("study", help="measure errors and times: a work-precision study", description=about)
@@ -215,13 +218,23 @@ def _add_set(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def _certify(report: Report, folder: str, quiet: bool) -> None:
+    from nsmodel.certificate.write import write_certificate
+
+    path, proved, left = write_certificate(report, folder)
+    if not quiet:
+        more = f", {left} of them not checkable: each says why" if left else ""
+        print(f"\ncertificate  {path}: {proved + left} statements{more}\n             python {path.parent / 'verify.py'} {path}")
+
+
 def _check(arguments: argparse.Namespace) -> int:
     """Check each file; several end in a line a file. The status is that of the worst."""
     from nsmodel.checking import check
 
     several = len(arguments.files) > 1
-    if several and arguments.markdown:
-        raise UsageError("--markdown takes one model file; check them one by one")
+    for option in ("markdown", "certificate"):
+        if several and getattr(arguments, option):
+            raise UsageError(f"--{option} takes one model file; check them one by one")
     region = _by_name(map(_interval, arguments.region), "--region")
     reports: list[tuple[str, Report | None, int]] = []
     documents = []
@@ -240,6 +253,8 @@ def _check(arguments: argparse.Namespace) -> int:
             print(report.text(), end="\n\n" if several else "\n")
     if arguments.markdown and reports[0][1] is not None:
         write_text(Path(arguments.markdown), reports[0][1].markdown())
+    if arguments.certificate and reports[0][1] is not None:
+        _certify(reports[0][1], arguments.certificate, quiet=arguments.json)
     if arguments.json:
         _print_json(arguments, documents if several else documents[0])
     elif several:

@@ -1,0 +1,119 @@
+"""The data of a model that its certificate speaks of: graphs, matrices, the law, the start."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.certificate.graph import NoProgram, graph, matrix, text
+from nsmodel.hypotheses.domain import without_domain
+from nsmodel.hypotheses.oscillator.check import domain_of
+from nsmodel.hypotheses.sweeping.shapes import read_shapes
+from nsmodel.model.base import Model
+from nsmodel.model.bodies import ManyBodies
+from nsmodel.model.first_order import FirstOrderSystem
+from nsmodel.model.inclusion import MonotoneInclusion
+from nsmodel.model.lure import LureSystem
+from nsmodel.model.oscillator import FrictionOscillator
+from nsmodel.model.sweeping import SweepingProcess
+from nsmodel.scheme.catching_up import constraints
+
+Data = dict[str, Any]
+
+
+def data_of(model: Model) -> Data:
+    """The model as data; its parameters have values.
+
+    Raises:
+        NoProgram: an expression that cannot be written.
+    """
+    if isinstance(model, ManyBodies):
+        raise NoProgram("families of constraints")
+    return {"class": type(model).__name__, "title": model.title or "untitled"} | _WRITERS[type(model)](model)
+
+
+def _numbers(column: Any) -> list[str]:
+    return [text(entry) for entry in np.array(ca.DM(column)).ravel()]
+
+
+def _or_why(expr: ca.SX, inputs: ca.SX, names: Sequence[str]) -> Data:
+    """The program, or why there is none: not every statement needs it."""
+    try:
+        return graph(expr, inputs, names)
+    except NoProgram as why:
+        return {"inputs": list(names), "why": str(why)}
+
+
+def _dense(entries: Any) -> list[list[str]]:
+    values = np.array(ca.DM(ca.densify(entries))).reshape(entries.shape)
+    return matrix(values) if values.size else [[] for _ in range(len(values))]
+
+
+def _steps(model: Model) -> list[str]:
+    steps = [model.step] if model.steps is None else list(np.ravel(model.steps))
+    return [text(step) for step in steps if step is not None]
+
+
+def _sweeping(model: SweepingProcess) -> Data:
+    own = [list(shape.own) for shape in read_shapes(model.g, model.q, model.t)] if model.multiplier_names else []
+    rows = zip(model.multiplier_names, ca.vertsplit(model.g), own, strict=True) if own else []
+    return {
+        "constraints": [
+            {"name": name, "graph": graph(g, ca.vertcat(model.t, model.q[own]), ["t", *(model.names[i] for i in own)])}
+            for name, g, own in rows
+        ],
+        "f": _or_why(model.f, ca.vertcat(model.t, model.q), ["t", *(model.names or ())]),
+        "q0": _numbers(model.q0),
+    }  # fmt: skip
+
+
+def _oscillator(model: FrictionOscillator) -> Data:
+    domain = domain_of(model)
+    return {
+        "theta": [graph(element.theta, model.s, ["s"]) for element in model.elements],
+        "H": [_dense(ca.SX(element.H)) for element in model.elements],
+        "damping": [] if model.damping is None else _dense(model.damping),
+        "g": graph(without_domain(model.potential, model.x, "potential"), model.x, model.names),
+        "C": graph(ca.vertcat(domain.rows, domain.equalities, -domain.equalities), model.x, model.names),
+        "x0": _numbers(model.x0),
+        "steps": _steps(model),
+    }
+
+
+def _first_order(model: FirstOrderSystem) -> Data:
+    z, names = ca.vertcat(model.t, model.x, model.lam), ["t", *(model.names or ()), *model.multiplier_names]
+    return {
+        **{name: graph(getattr(model, name), z, names) for name in "fgh"},
+        "M": _dense(model.M), "theta": text(model.theta), "gamma": text(model.gamma), "x0": _numbers(model.x0),
+        "step": max(_steps(model), key=Fraction, default=None),
+    }  # fmt: skip
+
+
+def _lure(model: LureSystem) -> Data:
+    blocks = model.law.blocks if model.law is not None else ()
+    law = [{"kind": block.kind, "lower": _numbers(block.lower), "upper": _numbers(block.upper)} for block in blocks]
+    return {
+        "A": graph(model.A, model.x, model.names), "B": _dense(model.B), "C": _dense(model.C), "D": _dense(model.D),
+        "f": graph(model.f, model.t, ["t"]), "x0": _numbers(model.x0),
+        "law": law if model.law is not None else [{"kind": "potential", "lower": [], "upper": []}],
+    }  # fmt: skip
+
+
+def _inclusion(model: MonotoneInclusion) -> Data:
+    rows, _ = constraints(model)
+    phi = None if model.phi is None else graph(without_domain(model.phi, model.x, "phi"), model.x, model.names)
+    plain = model.phi is None and not model.sign_symbols.numel() and not model.operator.is_zero()
+    S = graph(model.operator, model.x, model.names) if plain else None
+    return {"F": graph(model.field, model.x, model.names), "phi": phi, "S": S,
+            "C": graph(rows, model.x, model.names), "x0": _numbers(model.x0),
+            "switches": bool(model.sign_symbols.numel())}  # fmt: skip
+
+
+_WRITERS: dict[type[Model], Any] = {
+    SweepingProcess: _sweeping, FrictionOscillator: _oscillator, FirstOrderSystem: _first_order, LureSystem: _lure,
+    MonotoneInclusion: _inclusion,
+}  # fmt: skip

@@ -1,0 +1,129 @@
+"""A CasADi expression as a straight-line program of few operations, its numbers as exact fractions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from fractions import Fraction
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.proof.graph import fold
+
+Graph = dict[str, Any]
+
+
+class NoProgram(ValueError):
+    """An operation that the programs of certificates do not have."""
+
+
+def text(number: Any) -> str:
+    """A number, exactly: "-3/4", "7", "inf"."""
+    if isinstance(number, Fraction):
+        return str(number)
+    return str(Fraction(float(number))) if np.isfinite(float(number)) else "inf" if float(number) > 0 else "-inf"
+
+
+def matrix(entries: Any) -> list[list[str]]:
+    """The rows of a matrix of numbers or Fractions."""
+    return [[text(entry) for entry in row] for row in np.atleast_2d(entries)]
+
+
+def graph(expr: ca.SX, inputs: ca.SX, names: Sequence[str]) -> Graph:
+    """The program of the entries of ``expr`` in the symbols ``inputs`` (n, 1), called ``names``.
+
+    Raises:
+        NoProgram: an operation without counterpart, or another symbol.
+    """
+    writer = _Writer({symbol.element_hash(): k for k, symbol in enumerate(ca.vertsplit(inputs))} if inputs.numel() else {})
+    outputs = fold(ca.densify(ca.vec(ca.SX(expr))), writer.symbol, writer.number, writer.apply) if expr.numel() else []
+    return {"inputs": list(names), "steps": writer.steps, "outputs": outputs}
+
+
+class _Writer:
+    """Steps, each written once."""
+
+    def __init__(self, places: dict[int, int]) -> None:
+        self.places, self.steps, self.known = places, [], {}
+        neg, sub, mul, add, power = self._neg, self._sub, self._mul, self._add, self._pow
+        one, two = Fraction(1), Fraction(2)
+        self.rules: dict[int, Callable[..., int]] = {
+            ca.OP_ASSIGN: lambda u: u,
+            ca.OP_NEG: neg,
+            ca.OP_ADD: add,
+            ca.OP_SUB: sub,
+            ca.OP_MUL: mul,
+            ca.OP_DIV: lambda u, w: mul(u, power(w, -one)),
+            ca.OP_INV: lambda u: power(u, -one),
+            ca.OP_SQ: lambda u: power(u, two),
+            ca.OP_SQRT: lambda u: power(u, one / 2),
+            ca.OP_TWICE: lambda u: mul(self.number(2.0), u),
+            ca.OP_FMAX: self._max,
+            ca.OP_FMIN: lambda u, w: neg(self._max(neg(u), neg(w))),
+            ca.OP_FABS: lambda u: self._max(u, neg(u)),
+            ca.OP_HYPOT: lambda u, w: power(add(power(u, two), power(w, two)), one / 2),
+            ca.OP_EXP: lambda u: self._put("exp", u),
+            ca.OP_SIN: lambda u: self._put("sin", u),
+            ca.OP_COS: lambda u: self._put("cos", u),
+            ca.OP_EXPM1: lambda u: sub(self._put("exp", u), self.number(1.0)),
+            ca.OP_TAN: lambda u: mul(self._put("sin", u), power(self._put("cos", u), -one)),
+            ca.OP_TANH: self._tanh,
+            ca.OP_SINH: lambda u: self._halves(u, sub),
+            ca.OP_COSH: lambda u: self._halves(u, add),
+            ca.OP_CONSTPOW: self._constpow,
+            ca.OP_POW: self._constpow,
+        }
+
+    def symbol(self, symbol: ca.SX) -> int:
+        if symbol.element_hash() not in self.places:
+            raise NoProgram(f"the symbol {symbol} has no value")
+        return self._put("in", self.places[symbol.element_hash()])
+
+    def number(self, value: float) -> int:
+        if not np.isfinite(value):
+            raise NoProgram("an infinite number")
+        return self._put("const", text(value))
+
+    def apply(self, op: int, args: list[int]) -> int:
+        if op not in self.rules:
+            raise NoProgram(f"operation {op} of CasADi")
+        return self.rules[op](*args)
+
+    def _put(self, *step: Any) -> int:
+        if step not in self.known:
+            self.known[step] = len(self.steps)
+            self.steps.append(list(step))
+        return self.known[step]
+
+    def _add(self, u: int, w: int) -> int:
+        return self._put("add", u, w)
+
+    def _mul(self, u: int, w: int) -> int:
+        return self._pow(u, Fraction(2)) if u == w else self._put("mul", u, w)
+
+    def _neg(self, u: int) -> int:
+        return self._mul(self.number(-1.0), u)
+
+    def _sub(self, u: int, w: int) -> int:
+        return self._add(u, self._neg(w))
+
+    def _pow(self, u: int, n: Fraction) -> int:
+        return self._put("pow", u, str(n))
+
+    def _max(self, u: int, w: int) -> int:
+        return self._put("fmax", u, w)
+
+    def _tanh(self, u: int) -> int:
+        """1 - 2 / (exp(2 u) + 1)."""
+        one, two = self.number(1.0), self.number(2.0)
+        return self._sub(one, self._mul(two, self._pow(self._add(self._put("exp", self._mul(two, u)), one), Fraction(-1))))
+
+    def _halves(self, u: int, combine: Callable[[int, int], int]) -> int:
+        return self._mul(self.number(0.5), combine(self._put("exp", u), self._put("exp", self._neg(u))))
+
+    def _constpow(self, u: int, w: int) -> int:
+        kind, number, *_ = self.steps[w]
+        if kind != "const":
+            raise NoProgram("a power with a varying exponent")
+        return self._pow(u, Fraction(number))
