@@ -15,6 +15,7 @@ import numpy as np
 
 from nsmodel.proof import exact, extremum, feasibility, interval, polynomial, polynomial_signs
 from nsmodel.proof.convex.convex_sets import ConvexSet
+from nsmodel.proof.convex.joints import down
 from nsmodel.proof.convex.least_value import least_value
 from nsmodel.proof.convex.piecewise import pieces
 from nsmodel.proof.convex.ridges import ridges
@@ -75,6 +76,9 @@ def bounded_below(g: ca.SX, C: ConvexSet, start: np.ndarray, *, convex: bool) ->
         convex: whether g is proved convex on all of C, not on a box only.
     """
     at, value = least_value(g, C, start)
+    exactly = _quadratic_minimum(g, C)
+    if exactly is not None:
+        return Below(True, "the minimum of a quadratic, exactly", exactly, max(value, exactly), at)
     low, _ = interval.enclose(g, C.x, *C.hull)
     bound = float(np.min(low))
     if np.isfinite(bound):
@@ -107,6 +111,15 @@ def bounded_below(g: ca.SX, C: ConvexSet, start: np.ndarray, *, convex: bool) ->
     return Below(None, "no lower bound was proved; the least value found is given", -np.inf, value, at)
 
 
+def _quadratic_minimum(g: ca.SX, C: ConvexSet) -> float | None:
+    """The least value of a convex quadratic without constraints, rounded down; None where it is not that."""
+    P = polynomial.quadratic(polynomial.read(g, C.x)[0], C.n)
+    if P is None or C.rows.numel() or C.equalities.numel() or not exact.psd(P.H).psd:
+        return None
+    solved = exact.solve(P.H, -P.q)
+    return None if solved is None else down(P.c + exact.product(P.q.T, solved)[0, 0] / 2)
+
+
 def _unit(v: np.ndarray) -> np.ndarray:
     """v / |v|, also where |v|^2 overflows."""
     v = v / np.abs(v).max()
@@ -135,8 +148,7 @@ def _separate(g: ca.SX, C: ConvexSet) -> float | None:
         if not proved:
             return None
         total += proved[0]
-    near = float(total)
-    return near if Fraction(near) <= total else float(np.nextafter(near, -np.inf))
+    return down(total)
 
 
 # -- duality, exactly --------------------------------------------------------------------------------------------------
