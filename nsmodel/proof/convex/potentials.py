@@ -46,9 +46,9 @@ def is_convex(g: ca.SX, C: ConvexSet, lower: np.ndarray, upper: np.ndarray, *, q
     H = ca.densify(ca.hessian(parts.smooth, C.x)[0])
     low, high = np.maximum(C.hull[0], lower), np.minimum(C.hull[1], upper)
     if parts.convex or convexity.everywhere(g, C.x)[0].convex:
-        return Part(HOLDS, "by the rules of convex functions", {}, {})
+        return Part(HOLDS, "by the rules of convex functions", {BOUND: 0.0}, {})
     if _univariate(parts.smooth, C):
-        return Part(HOLDS, "a sum of polynomials in one state each, decided by Sturm's theorem", {}, {})
+        return Part(HOLDS, "a sum of polynomials in one state each, decided by Sturm's theorem", {BOUND: 0.0}, {})
     found = _by_hessian(parts.smooth, H, C, (low, high), quick=quick)
     return found if found.verdict == HOLDS or parts.whole else _altogether(g, C, (low, high))
 
@@ -129,7 +129,7 @@ def _by_hessian(smooth: ca.SX, H: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np
     split = ridges(smooth, C.x)
     if split is not None and _convex_in_directions(split, C.x, C.hull, quick=True):
         how = "bounds of the Hessian in the directions that the operations act on"
-        return Part(HOLDS, how, {}, {})
+        return Part(HOLDS, how, {BOUND: 0.0}, {})
     found = extremum.largest_eigenvalue(-H, C.x, *box, where=where, bound_to=0.0, quick=quick)
     value = {} if found.at is None else {LEAST: -found.value}
     down = downwards(H, C.x, found.at)
@@ -137,7 +137,7 @@ def _by_hessian(smooth: ca.SX, H: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np
         return Part(VIOLATED, "the Hessian has a negative eigenvalue", value, down)
     proved = found.bound <= 0 and interval.is_continuous(gradient, C.x, *box)
     if proved or (split is not None and _convex_in_directions(split, C.x, box, quick=quick)):
-        return Part(HOLDS, "bounds of the eigenvalues of the Hessian", {BOUND: abs(found.bound)} if proved else {}, {}, True)
+        return Part(HOLDS, "bounds of the eigenvalues of the Hessian", {BOUND: abs(found.bound) if proved else 0.0}, {}, True)
     broken = _broken(smooth, C, box)
     if broken is not None:
         return broken
