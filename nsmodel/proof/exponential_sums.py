@@ -119,6 +119,32 @@ def slope_at_start(term: ca.SX, s: ca.SX, low: Fraction, cases: Cases) -> tuple[
     return None
 
 
+def falls_without_end(terms: Sequence[tuple[Fraction, ca.SX]], s: ca.SX, low: Fraction, cases: Sequence[Cases]) -> bool:
+    """Whether a sum of factors times terms is proved to tend to -inf: its derivative stays below -c/s, c > 0, for large s."""
+    line = Line(max(low, Fraction(0)) + 1)
+    with _precision():
+        for _ in range(8):
+            try:
+                total = Quotient({}, {})
+                for (factor, term), own in zip(terms, cases, strict=True):
+                    part = _read(term, s, line, own).first
+                    if part is None:
+                        return False
+                    total = _plus(total, _scaled(part, factor), 1)
+                (rank, order), number = _growth(total.top)
+                for part, power in total.bottom.values():
+                    (own_rank, own_order), own_number = _growth(part)
+                    if own_rank != (0, ()) or own_number.contains(0):
+                        return False
+                    order, number = order - own_order * power, number / own_number**power
+                return bool(number < 0) and (rank > (0, ()) or (rank == (0, ()) and order >= -1))
+            except Undecided:  # a sign changes further out
+                line = Line(8 * line.low)
+            except (ZeroDivisionError, OverflowError):
+                return False
+    return False
+
+
 def _decided(read: Callable[[Line], Quotient | None], line: Line) -> Signs | None:
     with _precision():
         try:
@@ -686,6 +712,12 @@ def _dominant(parts: list[tuple[Any, Any]], which: Any) -> tuple[Any, Any]:
 
 def _far(F: Sum) -> tuple[Any, Any]:
     """The leading term at infinity; its order is 0 where every term is bounded and the largest ones are numbers."""
+    (rank, order), number = _growth(F)
+    return Fraction(1 if rank != (0, ()) or order else 0), number
+
+
+def _growth(F: Sum) -> tuple[tuple[tuple[int, tuple[Fraction, ...]], Fraction], Any]:
+    """((rank of the exponential, power of s), coefficient) of the leading term at infinity."""
     from flint import arb, fmpq
 
     parts: list[tuple[Any, Any]] = []
@@ -699,8 +731,7 @@ def _far(F: Sum) -> tuple[Any, Any]:
             number *= arb(fmpq(q[0].numerator, q[0].denominator)).exp()
         growth = tuple(reversed(q[1:]))
         parts.append(((_ranked(growth), order), number))
-    ((rank, _), order), number = _dominant(parts, max)
-    return Fraction(1 if rank or order else 0), number
+    return _dominant(parts, max) if parts else (((0, ()), Fraction(0)), arb(0))
 
 
 def _ranked(growth: tuple[Fraction, ...]) -> tuple[int, tuple[Fraction, ...]]:

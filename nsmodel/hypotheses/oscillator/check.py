@@ -117,8 +117,9 @@ def _potential(
         below = lower_bound.bounded_below(g, domain, start, convex=convex.verdict == HOLDS and not convex.local)
         parts.insert(1, ("inf g", _bounded(below)))
     verdict = _worst([part.verdict for _, part in parts])
-    values = {name: number for _, part in parts for name, number in part.value.items()}
     told = parts if verdict == HOLDS else [(name, part) for name, part in parts if part.verdict == verdict]
+    # What was found on the box alone is no number of a verdict that speaks of all states.
+    values = {name: number for one in parts if one in told or not one[1].local for name, number in one[1].value.items()}
     silent = ("no constraint", "the whole space")
     how = "; ".join(f"{name}: {part.how}" for name, part in told if part.how not in silent)
     witness = {key: item for name, part in told for key, item in part.witness.items()}

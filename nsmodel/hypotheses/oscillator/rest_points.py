@@ -89,7 +89,7 @@ def _outwards(end: float, sign: int) -> str:
     """Six digits, rounded outwards."""
     text = f"{end:.6g}"
     if np.isfinite(end) and (float(text) - end) * sign < 0:
-        text = f"{end + sign * abs(end) * 1e-5:.6g}"
+        text = f"{float(text) + sign * 10.0 ** (np.floor(np.log10(abs(end))) - 5):.6g}"
     return text
 
 

@@ -8,12 +8,14 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof import exact, extremum, interval, polynomial, polynomial_signs
+from nsmodel.proof import exact, exponential_sums, extremum, interval, polynomial, polynomial_signs, sum_of_squares
 from nsmodel.proof.convex import convexity
 from nsmodel.proof.convex.convex_sets import ConvexSet
+from nsmodel.proof.convex.joints import exact_value
 from nsmodel.proof.convex.lower_bound import additive_terms
 from nsmodel.proof.convex.ridges import Ridges, ridges
 from nsmodel.proof.exact import EPS
+from nsmodel.proof.graph import replay, same
 from nsmodel.proof.verdict import HOLDS, SAMPLED, VIOLATED, Part
 
 ROUNDING = 64 * EPS  # A least eigenvalue above minus this, beside the matrix, is not told from 0.
@@ -49,6 +51,10 @@ def is_convex(g: ca.SX, C: ConvexSet, lower: np.ndarray, upper: np.ndarray, *, q
         return Part(HOLDS, "by the rules of convex functions", {BOUND: 0.0}, {})
     if _univariate(parts.smooth, C):
         return Part(HOLDS, "a sum of polynomials in one state each, decided by Sturm's theorem", {BOUND: 0.0}, {})
+    if _is_sos_convex(parts.smooth, C):
+        return Part(HOLDS, "a polynomial, y'D2g(x) y being a sum of squares in x and y (exactly)", {BOUND: 0.0}, {})
+    if _convex_of_one(g, C):
+        return Part(HOLDS, "a convex nondecreasing function of a convex one, by the sign of its second derivative", {BOUND: 0.0}, {})
     found = _by_hessian(parts.smooth, H, C, (low, high), quick=quick)
     return found if found.verdict == HOLDS or parts.whole else _altogether(g, C, (low, high))
 
@@ -116,6 +122,47 @@ def _univariate(smooth: ca.SX, C: ConvexSet) -> bool:
         if polynomial_signs.negative_point(second, None, None) is not None:
             return False
     return True
+
+
+def _is_sos_convex(smooth: ca.SX, C: ConvexSet) -> bool:
+    """Whether the smooth part is a polynomial proved convex for all x by sums of squares."""
+    (p,) = polynomial.read(smooth, C.x)
+    return p is not None and polynomial.degree(p) > 2 and sum_of_squares.is_sos_convex(p, C.n)
+
+
+def _convex_of_one(g: ca.SX, C: ConvexSet) -> bool:
+    """Whether g = h(q) with a convex quadratic q >= 0 and an h that is convex and nondecreasing on [0, inf)."""
+    squares: list[ca.SX] = []
+
+    def note(op: int, args: list[ca.SX], old: ca.SX) -> None:
+        if not any(same(old, other) for other in squares):
+            squares.append(old)
+
+    replay(g, note, (ca.OP_SQ, ca.OP_ADD), C.x, "potential")
+    for q in squares:
+        (p,) = polynomial.read(q, C.x)
+        P = polynomial.quadratic(p, C.n)
+        if P is None or not polynomial.degree(p or {}) == 2 or not exact.psd(P.H).psd or float(np.min(interval.enclose(q, C.x, *_all(C))[0])) < 0:
+            continue
+        r = ca.SX.sym("r")
+        h = replay(g, lambda op, args, old, q=q, r=r: r if same(old, q) else None, (ca.OP_SQ, ca.OP_ADD), C.x, "potential")
+        if ca.depends_on(h, C.x):
+            continue
+        terms = additive_terms(h)
+        zero, cases = Fraction(0), [{} for _ in terms]
+        found = exponential_sums.second_signs(terms, r, zero, None, cases, zero)
+        if found is None or min(found.signs) < 0:
+            continue
+        slope = ca.gradient(h, r)
+        if interval.is_continuous(ca.vertcat(h, slope), r, np.zeros(1), np.ones(1)):
+            number = exact_value(slope, r, zero)
+            if number is not None and number >= 0:
+                return True
+    return False
+
+
+def _all(C: ConvexSet) -> tuple[np.ndarray, np.ndarray]:
+    return np.full(C.n, -np.inf), np.full(C.n, np.inf)
 
 
 def _by_hessian(smooth: ca.SX, H: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray], *, quick: bool) -> Part:
