@@ -1,7 +1,7 @@
 """Signs of functions of one variable built from polynomials, roots, powers and exponentials, on a whole interval.
 
-A function is kept as a quotient N / (D_1 D_2 ...) of sums of terms R(s) E(s), R rational and E = prod u_j(s)^p_j e^(q(s)) > 0 with
-polynomials u_j > 0 and q. The sign of one term is that of R, which is decided exactly. A sum of m terms is divided by the E of
+A function is kept as a quotient N / (D_1 D_2 ...) of sums of terms R(s) E(s), R rational and E = prod u_j(s)^p_j e^(q(s)) > 0
+with polynomials u_j > 0 and q. The sign of one term is that of R, which is decided exactly. A sum of m terms is divided by the E of
 one of them and differentiated until that term, a polynomial by then, is gone: m - 1 terms are left, whose signs are known by
 induction. Going back, each function is monotone between the places where its derivative changes its sign (Rolle), so that its
 own changes are found from its signs there, in balls (Arb), and from its leading terms at the two ends of the interval.
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from fractions import Fraction
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -23,7 +24,8 @@ BISECTIONS, PRECISION = 160, 320
 Key = tuple[tuple[tuple[tuple[Fraction, ...], Fraction], ...], tuple[Fraction, ...]]  # ((u, p), ...), 0 < p < 1; q
 Sum = dict[Key, tuple[Any, Any]]  # R = numerator / denominator, polynomials of FLINT
 Place = tuple[Fraction, Fraction]
-Cases = dict[int, tuple[tuple[int, ...], Fraction]]  # which operation, in the order of the graph: factors of its arguments, offset
+Rank = tuple[int, tuple[Fraction, ...]]  # orders exponentials e^q by their size at infinity; q from its highest power down
+Cases = dict[int, tuple[tuple[int, ...], Fraction]]  # number of an operation in the graph: factors of its arguments, offset
 ONE: Key = ((), ())
 
 
@@ -63,7 +65,12 @@ def signs(expr: ca.SX, s: ca.SX, low: Fraction = Fraction(0), high: Fraction | N
 
 
 def second_signs(
-    terms: Sequence[tuple[Fraction, ca.SX]], s: ca.SX, low: Fraction, high: Fraction | None, cases: Sequence[Cases], less: Fraction
+    terms: Sequence[tuple[Fraction, ca.SX]],
+    s: ca.SX,
+    low: Fraction,
+    high: Fraction | None,
+    cases: Sequence[Cases],
+    less: Fraction,
 ) -> Signs | None:
     """Return the signs of f'' - ``less`` for a sum f of factors times terms, None where they are not decided.
 
@@ -134,9 +141,9 @@ def falls_without_end(terms: Sequence[tuple[Fraction, ca.SX]], s: ca.SX, low: Fr
                 (rank, order), number = _growth(total.top)
                 for part, power in total.bottom.values():
                     (own_rank, own_order), own_number = _growth(part)
-                    if own_rank != (0, ()) or own_number.contains(0):
+                    if own_number.contains(0):
                         return False
-                    order, number = order - own_order * power, number / own_number**power
+                    rank, order, number = _quotient(rank, own_rank, power), order - own_order * power, number / own_number**power
                 return bool(number < 0) and (rank > (0, ()) or (rank == (0, ()) and order >= -1))
             except Undecided:  # a sign changes further out
                 line = Line(8 * line.low)
@@ -352,7 +359,12 @@ def _read(expr: ca.SX, s: ca.SX, line: Line, cases: Cases) -> Jet:
 
 
 def _sum(a: Jet, b: Jet, factor: int) -> Jet:
-    return Jet(*(None if x is None or y is None else _plus(x, _scaled(y, abs(factor)), 1 if factor > 0 else -1) for x, y in zip(a, b, strict=True)))
+    return Jet(
+        *(
+            None if x is None or y is None else _plus(x, _scaled(y, abs(factor)), 1 if factor > 0 else -1)
+            for x, y in zip(a, b, strict=True)
+        )
+    )
 
 
 def _jet(op: int, args: list[Jet], line: Line) -> Jet:
@@ -412,13 +424,19 @@ def _outer(op: int, u: Jet, exponent: Fraction | None, line: Line) -> Jet:
     one, zero = Quotient(_constant(Fraction(1)), {}), Quotient({}, {})
     if op in (ca.OP_POW, ca.OP_CONSTPOW, ca.OP_SQRT, ca.OP_INV):
         p = exponent if exponent is not None else Fraction(1, 2) if op == ca.OP_SQRT else Fraction(-1)
-        powers = [zero if not factor else _mul(Quotient(_constant(factor), {}), _raised(x, p - k, line)) for k, factor in enumerate((Fraction(1), p, p * (p - 1)))]
+        powers = [
+            zero if not factor else _mul(Quotient(_constant(factor), {}), _raised(x, p - k, line))
+            for k, factor in enumerate((Fraction(1), p, p * (p - 1)))
+        ]
         return Jet(*powers)
     if op in (ca.OP_EXP, ca.OP_EXPM1):
         e = _exp(x, 1)
         return Jet(e if op == ca.OP_EXP else _plus(e, one, -1), e, e)
     if op in (ca.OP_SINH, ca.OP_COSH):
-        both = _scaled(_plus(_exp(x, 1), _exp(x, -1), -1), Fraction(1, 2)), _scaled(_plus(_exp(x, 1), _exp(x, -1), 1), Fraction(1, 2))
+        both = (
+            _scaled(_plus(_exp(x, 1), _exp(x, -1), -1), Fraction(1, 2)),
+            _scaled(_plus(_exp(x, 1), _exp(x, -1), 1), Fraction(1, 2)),
+        )
         odd, even = both if op == ca.OP_SINH else both[::-1]
         return Jet(odd, even, odd)
     if op == ca.OP_TANH:
@@ -528,7 +546,10 @@ def _pattern(F: Sum, line: Line) -> Signs:
     for _, bottom in F.values():
         common = common * (bottom // common.gcd(bottom))
     negative = _sign(common, line) < 0
-    F = {key: (-top * (common // bottom) if negative else top * (common // bottom), _poly([Fraction(1)])) for key, (top, bottom) in F.items()}
+    F = {
+        key: (-top * (common // bottom) if negative else top * (common // bottom), _poly([Fraction(1)]))
+        for key, (top, bottom) in F.items()
+    }
     last = min(F, key=lambda key: (any(not polynomial_signs.at(u, line.low) for u, _ in key[0]), F[key][0].degree()))
     chain = [{}]
     for key, (top, bottom) in F.items():
@@ -562,7 +583,7 @@ def _rational(c: Sequence[Fraction], line: Line) -> Signs:
     roots = _inner_roots(c, line)
     ends = [(line.low, line.low), *roots, (line.high, line.high)]
     found = Signs([], [])
-    for k, (left, right) in enumerate(zip(ends, ends[1:], strict=False)):
+    for k, (left, right) in enumerate(pairwise(ends)):
         middle = left[1] + 1 if right[0] is None else (left[1] + right[0]) / 2
         value = polynomial_signs.at(c, middle)
         sign = (value > 0) - (value < 0)
@@ -716,7 +737,7 @@ def _far(F: Sum) -> tuple[Any, Any]:
     return Fraction(1 if rank != (0, ()) or order else 0), number
 
 
-def _growth(F: Sum) -> tuple[tuple[tuple[int, tuple[Fraction, ...]], Fraction], Any]:
+def _growth(F: Sum) -> tuple[tuple[Rank, Fraction], Any]:
     """((rank of the exponential, power of s), coefficient) of the leading term at infinity."""
     from flint import arb, fmpq
 
@@ -734,7 +755,14 @@ def _growth(F: Sum) -> tuple[tuple[tuple[int, tuple[Fraction, ...]], Fraction], 
     return _dominant(parts, max) if parts else (((0, ()), Fraction(0)), arb(0))
 
 
-def _ranked(growth: tuple[Fraction, ...]) -> tuple[int, tuple[Fraction, ...]]:
+def _quotient(rank: Rank, other: Rank, power: int) -> Rank:
+    """The rank of e^q / e^(power r) from those of e^q and e^r."""
+    size = max(len(rank[1]), len(other[1]))
+    q, r = ((Fraction(0),) * (size - len(own[1])) + own[1] for own in (rank, other))
+    return _ranked(tuple(a - power * b for a, b in zip(q, r, strict=True)))
+
+
+def _ranked(growth: tuple[Fraction, ...]) -> Rank:
     """A key that orders exponents q, given from the highest power down, by their size at infinity."""
     while growth and not growth[0]:
         growth = growth[1:]

@@ -68,7 +68,9 @@ def lower_bound(p: Coefficients, low: Fraction | None = Fraction(0), high: Fract
     p = _trimmed(p)
     if len(p) > 1 and ((high is None and p[-1] < 0) or (low is None and (p[-1] > 0) == (len(p) % 2 == 0))):
         return -np.inf
-    values = [at(p, end) for end in (low, high) if end is not None] + ([at(p, Fraction(0))] if low is None and high is None else [])
+    values = [at(p, end) for end in (low, high) if end is not None] + (
+        [at(p, Fraction(0))] if low is None and high is None else []
+    )
     slope = derivative(p)
     for a, b in real_roots(slope, low, high) if any(slope) else []:
         steepest = at([abs(number) for number in slope], max(abs(a), abs(b)))

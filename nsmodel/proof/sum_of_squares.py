@@ -87,7 +87,10 @@ def lower_bound(p: Polynomial, n: int) -> Fraction | None:
     if best is None:
         return None
     step = 1 + abs(best)
-    for level in ((Fraction(best) * size).limit_denominator(1000) / size, *(Fraction(best - less * step) for less in (1e-7, 1e-5, 1e-3))):
+    for level in (
+        (Fraction(best) * size).limit_denominator(1000) / size,
+        *(Fraction(best - less * step) for less in (1e-7, 1e-5, 1e-3)),
+    ):
         if float(level) <= best + 1e-6 * step:
             wanted = {**scaled, zero: -level} if level else scaled
             if _gram(_pruned(m, wanted), wanted) is not None:

@@ -73,7 +73,12 @@ def _by_singular_value(elements: Elements, n: int) -> float:
     """The least singular value of the stacked r_j H_j, as sum |a_j| >= |(a_1, a_2, ...)|, by exact signs."""
     G = sum((Fraction(r) ** 2 * exact.product(H.T, H) for r, H in elements), exact.zeros(n, n))
     near = float(np.linalg.eigvalsh(exact.doubles(G))[0])
-    for guess in (near * (1 - 1e-12), near * (1 - 1e-6), near / 2, *(float(np.trace(exact.doubles(G))) * 10.0**-k for k in range(8, 40, 4))):
+    for guess in (
+        near * (1 - 1e-12),
+        near * (1 - 1e-6),
+        near / 2,
+        *(float(np.trace(exact.doubles(G))) * 10.0**-k for k in range(8, 40, 4)),
+    ):
         if guess > 0 and exact.is_psd(G - Fraction(guess) * exact.eye(n)):
             return float(np.sqrt(guess)) * (1 - 2 * EPS)
     return 0.0

@@ -11,8 +11,8 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, Consequence, Finding, follows
-from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.hypotheses.oscillator import friction_law
+from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.proof import exact, polynomial
 from nsmodel.proof import interval as proof
 from nsmodel.proof.convex import joints
@@ -56,7 +56,10 @@ def consequences(
     if P is None or domain.rows.numel() or not ball or not np.isfinite(radius):
         return []
     values = _from_below(exact.doubles(P.H))
-    axes = {f"semi-axis {i + 1}": float(np.nextafter(radius / value, np.inf)) if value > 0 else np.inf for i, value in enumerate(values[:6])}
+    axes = {
+        f"semi-axis {i + 1}": float(np.nextafter(radius / value, np.inf)) if value > 0 else np.inf
+        for i, value in enumerate(values[:6])
+    }
     statement = f"every limit lies in the ellipsoid |K x - b| <= {radius:.6g}, K = D2 g, semi-axes theta'(0)/eigenvalue"
     return [follows("rest points", statement, findings, every, source, axes)]
 

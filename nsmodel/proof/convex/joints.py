@@ -202,7 +202,9 @@ def _jump(term: ca.SX, s: ca.SX, place: Place, before: Cases, after: Cases) -> t
     around = np.array([down(place[0])]), np.array([up(place[1])])
     if before == after:
         slope = ca.gradient(term, s)
-        if not interval.is_continuous(ca.vertcat(term, slope), s, np.nextafter(around[0], -np.inf), np.nextafter(around[1], np.inf)):
+        if not interval.is_continuous(
+            ca.vertcat(term, slope), s, np.nextafter(around[0], -np.inf), np.nextafter(around[1], np.inf)
+        ):
             return None
         bounds = _bounds(slope, s, place)
         return None if bounds is None else (_ZERO, _ZERO, bounds)
@@ -282,7 +284,9 @@ def _bounds(expr: ca.SX, s: ca.SX, place: Place) -> _Exact | None:
         exact = exact_value(expr, s, place[0])
         if exact is not None:
             return exact, exact
-    low, high = (float(np.ravel(end)[0]) for end in interval.enclose(expr, s, np.array([down(place[0])]), np.array([up(place[1])])))
+    low, high = (
+        float(np.ravel(end)[0]) for end in interval.enclose(expr, s, np.array([down(place[0])]), np.array([up(place[1])]))
+    )
     return (Fraction(low), Fraction(high)) if np.isfinite([low, high]).all() else None
 
 

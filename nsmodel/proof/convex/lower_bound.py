@@ -3,7 +3,8 @@
 A quadratic plus weighted |a'x + c| and max(a'x + c, 0) on a polyhedron {N x + h >= 0} is bounded below if and only if its
 stationarity system has a solution (Frank and Wolfe): H y + q + sum l_j a_j - N'n = 0, |l_j| <= w_j or 0 <= l_j <= w_j, n >= 0.
 That is decided in rational arithmetic. The logarithm of a sum of exponentials differs from the largest exponent by no more than a
-number, and counts as that. Polynomials are bounded by sums of squares. Other terms are left out where they have a lower bound of their own.
+number, and counts as that. Polynomials are bounded by sums of squares. Other terms are left out where they have a lower bound of
+their own.
 """
 
 from __future__ import annotations

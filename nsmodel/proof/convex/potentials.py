@@ -54,7 +54,9 @@ def is_convex(g: ca.SX, C: ConvexSet, lower: np.ndarray, upper: np.ndarray, *, q
     if _is_sos_convex(parts.smooth, C):
         return Part(HOLDS, "a polynomial, y'D2g(x) y being a sum of squares in x and y (exactly)", {BOUND: 0.0}, {})
     if _convex_of_one(g, C):
-        return Part(HOLDS, "a convex nondecreasing function of a convex one, by the sign of its second derivative", {BOUND: 0.0}, {})
+        return Part(
+            HOLDS, "a convex nondecreasing function of a convex one, by the sign of its second derivative", {BOUND: 0.0}, {}
+        )
     found = _by_hessian(parts.smooth, H, C, (low, high), quick=quick)
     return found if found.verdict == HOLDS or parts.whole else _altogether(g, C, (low, high))
 
@@ -142,7 +144,12 @@ def _convex_of_one(g: ca.SX, C: ConvexSet) -> bool:
     for q in squares:
         (p,) = polynomial.read(q, C.x)
         P = polynomial.quadratic(p, C.n)
-        if P is None or not polynomial.degree(p or {}) == 2 or not exact.psd(P.H).psd or float(np.min(interval.enclose(q, C.x, *_all(C))[0])) < 0:
+        if (
+            P is None
+            or not polynomial.degree(p or {}) == 2
+            or not exact.psd(P.H).psd
+            or float(np.min(interval.enclose(q, C.x, *_all(C))[0])) < 0
+        ):
             continue
         r = ca.SX.sym("r")
         h = replay(g, lambda op, args, old, q=q, r=r: r if same(old, q) else None, (ca.OP_SQ, ca.OP_ADD), C.x, "potential")
