@@ -531,8 +531,10 @@ def test_the_least_value_behind_constraints_with_kinks():
     "theta",
     [
         lambda s: s + ca.fmax(0, s - 1) ** 1.5, lambda s: 2.5 * s + ca.fabs(s - 1) ** 1.5,
-        lambda s: s + 1e3 * ca.fmax(0, s - 1) ** 2 + ca.exp(-s), lambda s: s + ca.fmax(0, s - 1.53) * ca.log(1 + ca.fmax(0, s - 1.53)),
-        lambda s: s + ca.if_else(s <= 0.7, 0, 0.3 * (s - 0.7) ** 1.5), lambda s: s * ca.sqrt(1 + s**2), lambda s: s * ca.log(1 + s),
+        lambda s: s + 1e3 * ca.fmax(0, s - 1) ** 2 + ca.exp(-s),
+        lambda s: s + ca.fmax(0, s - 1.53) * ca.log(1 + ca.fmax(0, s - 1.53)),
+        lambda s: s + ca.if_else(s <= 0.7, 0, 0.3 * (s - 0.7) ** 1.5), lambda s: s * ca.sqrt(1 + s**2), 
+        lambda s: s * ca.log(1 + s),
         lambda s: ca.sqrt(s**3 + s**4), lambda s: s * ca.tanh(s) + s**2 / 2, lambda s: s + ca.fmax(0, s**2 - 2) ** 2 + ca.exp(s),
     ],
 )  # fmt: skip
@@ -565,7 +567,13 @@ def test_what_is_printed_of_theta_is_a_bound():
 @pytest.mark.parametrize(
     ("elements", "attained"),
     [
-        ([(0.66, [[1, 0, -2]]), (1.43, [[-1, -2, -3], [2, -1, 1]]), (1.13, [[-2, -3, 3], [0, 2, 1], [2, 1, -2]]), (1.91, [[-2, 2, -1]])], 7.8126),
+        (
+            [
+                (0.66, [[1, 0, -2]]), (1.43, [[-1, -2, -3], [2, -1, 1]]), (1.13, [[-2, -3, 3], [0, 2, 1], [2, 1, -2]]),
+                (1.91, [[-2, 2, -1]]),
+            ],
+            7.8126,
+        ),
         ([(1.0, [[1, 0]]), (1.0, [[0, 1]])], 1.0), ([(2.0, [[1, 0], [0, 1]])], 2.0),
     ],
 )  # fmt: skip
@@ -577,7 +585,7 @@ def test_the_radius_is_below_every_value_of_the_support_function(elements, attai
     d = rng.normal(size=(n, 200_000))
     d /= np.linalg.norm(d, axis=0)
     sigma = sum(r * np.linalg.norm(H @ d, axis=0) for r, H in made_)
-    assert found.low <= min(sigma.min(), attained)
+    assert found.low <= min(sigma.min() * (1 + 1e-15), attained)
     assert found.low <= found.value == pytest.approx(found.low, rel=1e-9)
     assert sum(r * np.linalg.norm(H @ found.at) for r, H in made_) == pytest.approx(found.value, rel=1e-14)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.model.oscillator import Friction
-from nsmodel.proof import exponential_sums, extremum, interval, polynomial_signs
+from nsmodel.proof import extremum, interval, one_variable, polynomial_signs
 from nsmodel.proof.convex import convexity, joints, piecewise
 from nsmodel.proof.convex.lower_bound import additive_terms
 from nsmodel.proof.jumps import find_jump, jumps_in
@@ -45,7 +45,7 @@ def _start(terms: joints.Terms, s: ca.SX, piece: joints.Piece) -> tuple[float, f
     """The slope at 0 of a sum whose cases are settled near 0."""
     low = high = Fraction(0)
     for (factor, term), cases in zip(terms, piece.cases, strict=True):
-        found = exponential_sums.slope_at_start(term, s, Fraction(0), cases) or _by_intervals(term, s)
+        found = one_variable.slope_at_start(term, s, Fraction(0), cases) or _by_intervals(term, s)
         if not np.isfinite(found).all():
             return -np.inf, np.inf
         ends = sorted(factor * Fraction(end) for end in found)
@@ -145,13 +145,13 @@ def _convex_on(terms: joints.Terms, s: ca.SX, piece: joints.Piece) -> bool:
         if not np.isfinite(bound):
             return False
         less += abs(factor) * Fraction(bound)
-    found = exponential_sums.second_signs([terms[i] for i in known], s, low, high, [piece.cases[i] for i in known], less)
+    found = one_variable.second_signs([terms[i] for i in known], s, low, high, [piece.cases[i] for i in known], less)
     return found is not None and min(found.signs) >= 0
 
 
 def _parted(terms: joints.Terms, s: ca.SX, piece: joints.Piece) -> tuple[list[int], list[tuple[Fraction, ca.SX]]]:
     """Which terms have second derivatives that are quotients of sums on a piece, and the others."""
-    known = [i for i, (_, term) in enumerate(terms) if exponential_sums.is_smooth(term, s, *piece.spread, piece.cases[i])]
+    known = [i for i, (_, term) in enumerate(terms) if one_variable.is_smooth(term, s, *piece.spread, piece.cases[i])]
     return known, [term for i, term in enumerate(terms) if i not in known]
 
 

@@ -119,7 +119,7 @@ def interval(g: ca.SX, domain: ConvexSet, minimum: np.ndarray, radius: float) ->
 
 
 def _beyond(slope: ca.SX, domain: ConvexSet, centre: float, sign: float, d: float, radius: float) -> float | None:
-    """An end proved by bounds close to centre + sign d: the slope exceeds the radius there, or the domain has ended; else None."""
+    """An end proved close to centre + sign d: the slope exceeds the radius there, or the domain has ended; else None."""
     near = centre + sign * d
     far = near + sign * max(THIN * abs(near), np.finfo(float).tiny)
     box = np.array([min(near, far)]), np.array([max(near, far)])

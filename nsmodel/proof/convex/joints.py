@@ -15,9 +15,10 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof import exponential_sums, interval, polynomial, polynomial_signs
-from nsmodel.proof.exponential_sums import Cases, Place
-from nsmodel.proof.graph import applied, column, fold, same
+from nsmodel.proof import interval, one_variable, polynomial, polynomial_signs
+from nsmodel.proof.exponential_sums import Place
+from nsmodel.proof.graph import applied, column, fold, operations, same
+from nsmodel.proof.one_variable import Cases
 
 KINKS = (ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN)
 COMPARED = (ca.OP_LE, ca.OP_LT, ca.OP_EQ, ca.OP_NE)
@@ -154,7 +155,7 @@ def _settled(term: ca.SX, s: ca.SX, low: Fraction, high: Fraction | None) -> tup
         if op not in KINKS or any(arg.settled for arg in args):
             raise Unsettled
         u = args[0].old if len(args) == 1 else args[0].old - args[1].old
-        found = exponential_sums.signs(u, s, low, high)
+        found = one_variable.signs(u, s, low, high)
         if found is None:
             raise Unsettled
         if found.places:
@@ -248,18 +249,12 @@ def _jump(term: ca.SX, s: ca.SX, place: Place, before: Cases, after: Cases) -> t
     slopes = [ca.substitute(slope_of(side, i), k, ca.DM.zeros(k.numel())) for i, side in enumerate(sides)]
     if not all(interval.is_continuous(ca.vertcat(value, slope), s, *around) for value, slope in zip(values, slopes, strict=True)):
         return None
-    if any(op in (ca.OP_EQ, ca.OP_NE, ca.OP_SIGN) for op in _operations(term)):
+    if any(op in (ca.OP_EQ, ca.OP_NE, ca.OP_SIGN) for op in operations(term)):
         return None
     by_value = _difference(values[0][0], values[1][0], s, place)
     by_slope = _difference(slopes[0], slopes[1], s, place)
     first = _bounds(slopes[0], s, place)
     return None if by_value is None or by_slope is None or first is None else (by_value, by_slope, first)
-
-
-def _operations(term: ca.SX) -> set[int]:
-    from nsmodel.proof.graph import operations
-
-    return operations(term)
 
 
 def _chosen(case: tuple[tuple[int, ...], Fraction], args: list[ca.SX]) -> ca.SX:
@@ -323,7 +318,8 @@ def _applied(op: int, args: list[Fraction]) -> Fraction | None:
         return a ** int(b) if b.denominator == 1 and a and abs(b) < 64 else None
     if op in (*COMPARED, *LOGIC, ca.OP_SIGN, ca.OP_IF_ELSE_ZERO):
         value = {
-            ca.OP_LE: a <= b, ca.OP_LT: a < b, ca.OP_EQ: a == b, ca.OP_NE: a != b, ca.OP_AND: bool(a and b), ca.OP_OR: bool(a or b),
+            ca.OP_LE: a <= b, ca.OP_LT: a < b, ca.OP_EQ: a == b, ca.OP_NE: a != b, ca.OP_AND: bool(a and b),
+            ca.OP_OR: bool(a or b),
             ca.OP_NOT: not a, ca.OP_SIGN: (a > 0) - (a < 0), ca.OP_IF_ELSE_ZERO: b if a else 0,
         }[op]  # fmt: skip
         return Fraction(value)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof import exact, exponential_sums, extremum, feasibility, interval, polynomial, polynomial_signs, sum_of_squares
+from nsmodel.proof import exact, extremum, feasibility, interval, one_variable, polynomial, polynomial_signs, sum_of_squares
 from nsmodel.proof.convex.convex_sets import ConvexSet
 from nsmodel.proof.convex.joints import down, split
 from nsmodel.proof.convex.least_value import least_value
@@ -400,4 +400,4 @@ def _falls_for_ever(g: ca.SX, C: ConvexSet, start: np.ndarray, d: np.ndarray) ->
     found = split(terms, t)
     if not found or not np.isfinite(float(ca.Function("g", [C.x], [g])(start))):
         return False
-    return exponential_sums.falls_without_end(terms, t, found[-1].low[1], found[-1].cases)
+    return one_variable.falls_without_end(terms, t, found[-1].low[1], found[-1].cases)

@@ -9,8 +9,8 @@ import casadi as ca
 
 from nsmodel.proof import polynomial, polynomial_signs
 from nsmodel.proof.convex.joints import exact_value, split
-from nsmodel.proof.exponential_sums import Cases
 from nsmodel.proof.graph import fold
+from nsmodel.proof.one_variable import Cases
 
 
 class Piece(NamedTuple):

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof import exact, exponential_sums, extremum, interval, polynomial, polynomial_signs, sum_of_squares
+from nsmodel.proof import exact, extremum, interval, one_variable, polynomial, polynomial_signs, sum_of_squares
 from nsmodel.proof.convex import convexity
 from nsmodel.proof.convex.convex_sets import ConvexSet
 from nsmodel.proof.convex.joints import exact_value
@@ -157,7 +157,7 @@ def _convex_of_one(g: ca.SX, C: ConvexSet) -> bool:
             continue
         terms = additive_terms(h)
         zero, cases = Fraction(0), [{} for _ in terms]
-        found = exponential_sums.second_signs(terms, r, zero, None, cases, zero)
+        found = one_variable.second_signs(terms, r, zero, None, cases, zero)
         if found is None or min(found.signs) < 0:
             continue
         slope = ca.gradient(h, r)
