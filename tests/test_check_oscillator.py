@@ -533,7 +533,7 @@ def test_the_least_value_behind_constraints_with_kinks():
         lambda s: s + ca.fmax(0, s - 1) ** 1.5, lambda s: 2.5 * s + ca.fabs(s - 1) ** 1.5,
         lambda s: s + 1e3 * ca.fmax(0, s - 1) ** 2 + ca.exp(-s),
         lambda s: s + ca.fmax(0, s - 1.53) * ca.log(1 + ca.fmax(0, s - 1.53)),
-        lambda s: s + ca.if_else(s <= 0.7, 0, 0.3 * (s - 0.7) ** 1.5), lambda s: s * ca.sqrt(1 + s**2), 
+        lambda s: s + ca.if_else(s <= 0.7, 0, 0.3 * (s - 0.7) ** 1.5), lambda s: s * ca.sqrt(1 + s**2),
         lambda s: s * ca.log(1 + s),
         lambda s: ca.sqrt(s**3 + s**4), lambda s: s * ca.tanh(s) + s**2 / 2, lambda s: s + ca.fmax(0, s**2 - 2) ** 2 + ca.exp(s),
     ],
