@@ -38,7 +38,7 @@ def certificate(p: Polynomial, n: int, monomials: Sequence[Power] | None = None)
 
     >>> p = {((0, 4),): Fraction(1), ((0, 2), (1, 2)): Fraction(-2), ((1, 4),): Fraction(1)}  # (x^2 - y^2)^2
     >>> certificate(p, 2).monomials
-    [(2, 0), (0, 2)]
+    [(2, 0), (1, 1), (0, 2)]
     """
     target = {_power(monomial, n): number for monomial, number in p.items()}
     if not target:

@@ -38,10 +38,23 @@ def support(elements: Elements, d: np.ndarray) -> float:
 
 def radius(elements: Elements, n: int) -> Radius:
     """Bound the radius; the H_j have full column rank together."""
-    if n == 1 or (len(elements) == 1 and _isotropic(elements[0][1])):
-        d = np.eye(n)[0]
-        value = support(elements, d)
-        return Radius(min(value, _below_support(elements)), value, d)
+    even = [(r, H) for r, H in elements if n == 1 or _isotropic(H)]  # their part of sigma is constant on the sphere
+    rest = [(r, H) for r, H in elements if n > 1 and not _isotropic(H)]
+    low = _below_support(even)
+    if not rest:
+        return Radius(min(low, support(even, np.eye(n)[0])), support(even, np.eye(n)[0]), np.eye(n)[0])
+    free = exact.nullspace(np.vstack([H for _, H in rest]))
+    if free.shape[1]:
+        d = exact.doubles(free[:, 0])
+        d = d / np.linalg.norm(d)
+        return Radius(low, max(low, support(elements, d)), d)
+    own = _uneven(rest, n)
+    value = support(elements, own.at)
+    return Radius(min(float(np.nextafter(low + own.low, 0)) if even else own.low, value), value, own.at)
+
+
+def _uneven(elements: Elements, n: int) -> Radius:
+    """The radius of elements of which none is isotropic."""
     stacked = np.vstack([r * H for r, H in elements])
     value, d = _least(elements, [*np.linalg.svd(stacked)[2], *np.eye(n)])
     low = _by_singular_value(elements, n)
