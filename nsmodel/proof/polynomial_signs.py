@@ -63,6 +63,23 @@ def minimum(p: Coefficients, low: Fraction | None = Fraction(0), high: Fraction 
     return values[best], points[best]
 
 
+def lower_bound(p: Coefficients, low: Fraction | None = Fraction(0), high: Fraction | None = None) -> float:
+    """A double that p nowhere falls below on [low, high] (None: infinite), the largest one but for rounding; -inf: no bound."""
+    p = _trimmed(p)
+    if len(p) > 1 and ((high is None and p[-1] < 0) or (low is None and (p[-1] > 0) == (len(p) % 2 == 0))):
+        return -np.inf
+    values = [at(p, end) for end in (low, high) if end is not None] + (
+        [at(p, Fraction(0))] if low is None and high is None else []
+    )
+    slope = derivative(p)
+    for a, b in real_roots(slope, low, high) if any(slope) else []:
+        steepest = at([abs(number) for number in slope], max(abs(a), abs(b)))
+        values.append(at(p, a) - steepest * (b - a))
+    least = min(values)
+    near = float(least)
+    return near if Fraction(near) <= least else float(np.nextafter(near, -np.inf))
+
+
 def has_root(p: Coefficients, low: Fraction = Fraction(0)) -> bool:
     """Whether p(x) = 0 for some x >= low."""
     return not _trimmed(p) or bool(real_roots(p, low))
@@ -72,6 +89,8 @@ def real_roots(
     p: Coefficients, low: Fraction | None = None, high: Fraction | None = None
 ) -> list[tuple[Fraction, Fraction]]:  # fmt: skip
     """Enclosures (from, to) of the distinct real roots of p != 0 in [low, high] (None: infinite), in order, none meeting another.
+
+    A rational root is given as itself.
 
     >>> [float(a) for a, b in real_roots([Fraction(-1), Fraction(0), Fraction(4)])]
     [-0.5, 0.5]
@@ -83,7 +102,8 @@ def real_roots(
         return []
     common = lcm(*(number.denominator for number in p))
     whole, ends = fmpz_poly([int(number * common) for number in p]), [end for end in (low, high) if end is not None]
-    exact, bits, before = {end for end in ends if not at(p, end)}, PRECISION, ctx.prec
+    linear = [factor for factor, _ in whole.factor()[1] if factor.degree() == 1]
+    exact, bits, before = {Fraction(-int(factor[0]), int(factor[1])) for factor in linear}, PRECISION, ctx.prec
     try:
         while True:
             ctx.prec = bits
@@ -91,7 +111,7 @@ def real_roots(
             real = [root.real for root, _ in roots if root.imag.is_zero()]
             found = sorted((_fraction(root.lower()), _fraction(root.upper())) for root in real)
             found = [next(((end, end) for end in exact if a <= end <= b), (a, b)) for a, b in found]
-            if all(a == b or not a <= end <= b for a, b in found for end in ends):
+            if all(a == b or not any(a <= end <= b for end in (*ends, *exact)) for a, b in found):
                 return [(a, b) for a, b in found if (low is None or a >= low) and (high is None or b <= high)]
             bits *= 2
     finally:

@@ -3,7 +3,7 @@
     x'' + dPhi(x') + M x' + dg(x) ∋ 0,   Phi(v) = sum_j theta_j(|H_j v|),   A = dPhi + M,   B = dg
 
 A(0) = sum_j H_j' B(0, theta_j'(0)) has the support function sigma(d) = sum_j theta_j'(0) |H_j d|, and 0 is interior to A(0) if
-and only if sigma > 0 off 0; the largest ball in A(0) has the radius min sigma over |d| = 1.
+and only if sigma > 0 off 0; the largest ball in A(0) has the radius min sigma over |d| = 1, of which a lower bound is given.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from nsmodel.hypotheses.domain import domain_rows, without_domain
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, follows, found
 from nsmodel.hypotheses.oscillator import friction_law, rest_points
+from nsmodel.hypotheses.oscillator.radius import radius
 from nsmodel.hypotheses.region import Region
 from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.proof import exact
@@ -32,6 +33,8 @@ G = Hypothesis("O-g", "g is closed and convex, inf g > -inf, int dom g is not em
 DRY = Hypothesis("O-dry", "dry friction: 0 is interior to A(0), that is theta'(0) > 0", f"{PAPER}, Theorem 4.1, Corollary 4.2")
 STEPS = Hypothesis("O-steps", "the steps are positive and nondecreasing", f"{PAPER}, Proposition 4.1")
 HYPOTHESES = (THETA, G, DRY, STEPS)
+RADIUS = "radius of A(0)"
+TIGHT = 1e-7  # A lower bound of g that is attained but for this, beside 1 and its size, is given as inf g.
 BOUNDARY = 1e-9  # A margin below this, beside the forces, at the end of a run may be 0.
 ORDER = (VIOLATED, UNKNOWN, SAMPLED, HOLDS)  # from the worst
 
@@ -114,8 +117,9 @@ def _potential(
         below = lower_bound.bounded_below(g, domain, start, convex=convex.verdict == HOLDS and not convex.local)
         parts.insert(1, ("inf g", _bounded(below)))
     verdict = _worst([part.verdict for _, part in parts])
-    values = {name: number for _, part in parts for name, number in part.value.items()}
     told = parts if verdict == HOLDS else [(name, part) for name, part in parts if part.verdict == verdict]
+    # What was found on the box alone is no number of a verdict that speaks of all states.
+    values = {name: number for one in parts if one in told or not one[1].local for name, number in one[1].value.items()}
     silent = ("no constraint", "the whole space")
     how = "; ".join(f"{name}: {part.how}" for name, part in told if part.how not in silent)
     witness = {key: item for name, part in told for key, item in part.witness.items()}
@@ -123,7 +127,9 @@ def _potential(
 
 
 def _bounded(below: Below) -> Part:
-    values = {"inf g": below.value} | ({"lower bound of g": below.bound} if np.isfinite(below.bound) else {})
+    tight = np.isfinite(below.bound) and below.value - below.bound <= TIGHT * (1 + abs(below.value))
+    values = {"inf g": below.bound} if tight else {"least g met": below.value}
+    values |= {"lower bound of g": below.bound} if np.isfinite(below.bound) else {}
     if below.bounded:
         return Part(HOLDS, below.how, values, {})
     if below.bounded is False:
@@ -143,7 +149,7 @@ def _dry(model: FrictionOscillator) -> Finding:
     dry = [(r, matrix) for (r, _), matrix in zip(bounds, H, strict=True) if r > 0]
     maybe = [matrix for (_, r), matrix in zip(bounds, H, strict=True) if r > 0]
     values = {
-        "theta'(0)" if len(H) == 1 else f"theta'(0) of '{element.name}'": (low if low == high else np.mean([low, high]))
+        "theta'(0)" if len(H) == 1 else f"theta'(0) of '{element.name}'": low
         for element, (low, high) in zip(model.elements, bounds, strict=True)
         if np.isfinite([low, high]).all()
     }
@@ -151,52 +157,16 @@ def _dry(model: FrictionOscillator) -> Finding:
     if free.shape[1]:
         direction = exact.doubles(free[:, 0])
         how = "a direction without dry friction: theta_j'(0) H_j d = 0 for every element (exact)"
-        return found(DRY, VIOLATED, how, values | {"radius of A(0)": 0.0}, {"direction": direction / np.linalg.norm(direction)})
+        return found(DRY, VIOLATED, how, values | {RADIUS: 0.0}, {"direction": direction / np.linalg.norm(direction)})
     stacked = np.vstack([np.zeros((1, n)), *(matrix for _, matrix in dry)])
     if exact.rank(stacked) < n:
         names = [e.name for e, (low, high) in zip(model.elements, bounds, strict=True) if low <= 0 < high]
         how = f"theta'(0) of {', '.join(names)} is not proved positive"
         return found(DRY, UNKNOWN, how, values, {"elements": names})
-    radius, direction, bound = ball(dry, n)
-    values |= {"radius of A(0)": radius} | ({"lower bound of the radius": bound} if bound < radius else {})
+    least = radius(dry, n)
+    values |= {RADIUS: least.low} | ({"sigma attained": least.value} if least.low < least.value else {})
     how = "theta_j'(0) > 0 and the H_j of these elements have full column rank together (exact)"
-    return found(DRY, HOLDS, how, values, {"direction of least friction": direction})
-
-
-def ball(dry: Sequence[tuple[float, np.ndarray]], n: int) -> tuple[float, np.ndarray, float]:
-    """(sigma(d), d, lower bound) of the least sigma(d) = sum_j r_j |H_j d| over |d| = 1.
-
-    The lower bound is the least singular value of the stacked r_j H_j, as sum |a_j| >= |(a_1, a_2, ...)|; the value comes from
-    repeated least squares and is exact in one dimension and for one element with H'H = c^2 I.
-    """
-    stacked = np.vstack([r * H for r, H in dry])
-    least = float(np.linalg.svd(stacked)[1][-1])
-    if n == 1 or (len(dry) == 1 and np.array_equal(dry[0][1].T @ dry[0][1], dry[0][1][:, 0] @ dry[0][1][:, 0] * np.eye(n))):
-        sigma = float(sum(r * np.linalg.norm(H[:, 0]) for r, H in dry))
-        return sigma, np.eye(n)[0], sigma
-    starts = [*np.linalg.svd(stacked)[2], *np.eye(n)]
-    best = min(((_support(dry, d), d) for d in starts), key=lambda item: item[0])
-    for d in starts:
-        for _ in range(50):
-            sizes = [max(float(np.linalg.norm(H @ d)), 1e-9 * float(np.linalg.norm(H))) for _, H in dry]
-            weighted = sum((r / size * H.T @ H for (r, H), size in zip(dry, sizes, strict=True)), np.zeros((n, n)))
-            d = np.linalg.eigh(weighted)[1][:, 0]
-            best = min(best, (_support(dry, d), d), key=lambda item: item[0])
-        # sigma is least where some of its terms vanish: exactly there, not up to the 1e-9 above.
-        small = [H / np.linalg.norm(H) for _, H in dry if np.linalg.norm(H @ d) <= 1e-6 * np.linalg.norm(H)]
-        if small:
-            _, values, vectors = np.linalg.svd(np.vstack(small))
-            free = vectors[np.count_nonzero(values > 1e-9) :]
-            d = free.T @ (free @ d)
-            if np.linalg.norm(d) > 0.5:
-                d = d / np.linalg.norm(d)
-                best = min(best, (_support(dry, d), d), key=lambda item: item[0])
-    return best[0], best[1], least * (1 - 1e-12)
-
-
-def _support(dry: Sequence[tuple[float, np.ndarray]], d: np.ndarray) -> float:
-    """sigma(d) = sum_j r_j |H_j d|."""
-    return float(sum(r * np.linalg.norm(H @ d) for r, H in dry))
+    return found(DRY, HOLDS, how, values, {"direction of least friction": least.at})
 
 
 # -- O-steps -----------------------------------------------------------------------------------------------------------
@@ -261,9 +231,9 @@ def _consequences(
         ("convergence", f"sum |x_{{n+1}} - x_n| is finite, x_n -> x_inf, and {limit}", every, f"{theorem} (i), (ii)"),
     )  # fmt: skip
     out = [follows(name, statement, findings, rests_on, source) for name, statement, rests_on, source in statements]
-    radius = next(finding for finding in findings if finding.id == "O-dry").value.get("radius of A(0)", 0.0)
-    if below is not None and below.bounded and radius > 0:
-        out += rest_points.consequences(model, findings, every, g, domain, below, radius, f"{theorem} (ii)")
+    dry = next(finding for finding in findings if finding.id == "O-dry").value.get(RADIUS, 0.0) > 0
+    if below is not None and below.bounded and dry:
+        out += rest_points.consequences(model, findings, every, g, domain, below, f"{theorem} (ii)")
     condition = f"x_n = x_inf from some n_0 on if {strict}"
     if not runs:
         out.append(follows("finite convergence", condition, findings, every, f"{theorem} (iii)"))

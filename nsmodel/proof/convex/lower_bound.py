@@ -2,7 +2,9 @@
 
 A quadratic plus weighted |a'x + c| and max(a'x + c, 0) on a polyhedron {N x + h >= 0} is bounded below if and only if its
 stationarity system has a solution (Frank and Wolfe): H y + q + sum l_j a_j - N'n = 0, |l_j| <= w_j or 0 <= l_j <= w_j, n >= 0.
-That is decided in rational arithmetic. Other terms are left out where they have a lower bound of their own.
+That is decided in rational arithmetic. The logarithm of a sum of exponentials differs from the largest exponent by no more than a
+number, and counts as that. Polynomials are bounded by sums of squares. Other terms are left out where they have a lower bound of
+their own.
 """
 
 from __future__ import annotations
@@ -13,8 +15,9 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof import exact, extremum, feasibility, interval, polynomial, polynomial_signs
+from nsmodel.proof import exact, extremum, feasibility, interval, one_variable, polynomial, polynomial_signs, sum_of_squares
 from nsmodel.proof.convex.convex_sets import ConvexSet
+from nsmodel.proof.convex.joints import down, split
 from nsmodel.proof.convex.least_value import least_value
 from nsmodel.proof.convex.piecewise import pieces
 from nsmodel.proof.convex.ridges import ridges
@@ -35,6 +38,13 @@ class Below(NamedTuple):
     value: float
     at: np.ndarray
     direction: np.ndarray | None = None
+
+
+class Largest(NamedTuple):
+    """A term that stays above sum l_i a_i'x + a number for all l >= 0 with sum l_i = ``weight``; the a_i (n, 1) are rational."""
+
+    a: list[np.ndarray]
+    weight: Fraction
 
 
 class Kink(NamedTuple):
@@ -75,6 +85,9 @@ def bounded_below(g: ca.SX, C: ConvexSet, start: np.ndarray, *, convex: bool) ->
         convex: whether g is proved convex on all of C, not on a box only.
     """
     at, value = least_value(g, C, start)
+    exactly = _quadratic_minimum(g, C)
+    if exactly is not None:
+        return Below(True, "the minimum of a quadratic, exactly", exactly, max(value, exactly), at)
     low, _ = interval.enclose(g, C.x, *C.hull)
     bound = float(np.min(low))
     if np.isfinite(bound):
@@ -82,14 +95,17 @@ def bounded_below(g: ca.SX, C: ConvexSet, start: np.ndarray, *, convex: bool) ->
     separate = _separate(g, C)
     if separate is not None:
         return Below(True, "a sum of polynomials in one state each, bounded exactly", separate, max(value, separate), at)
+    squares = _by_squares(g, C)
+    if squares is not None:
+        return Below(True, "a polynomial, bounded by sums of squares (exactly)", squares, max(value, squares), at)
     parts = _parts(g, C)
     if parts is not None:
-        P, kinks, rest = parts
-        duality = _dual(P, kinks, C.outer(at)[0])
+        P, kinks, largest, rest = parts
+        duality = _dual(P, kinks, largest, C.outer(at)[0])
         if duality:
             return Below(True, "the stationarity system has an exact solution", bound, value, at)
         if duality is False and not rest and C.is_polyhedron:
-            direction = _descent(P, kinks, C)
+            direction = _descent(P, kinks, largest, C)
             if direction is not None:
                 return Below(
                     False, "a direction of unbounded descent; no multipliers balance it", -np.inf, -np.inf, at, direction
@@ -100,11 +116,21 @@ def bounded_below(g: ca.SX, C: ConvexSet, start: np.ndarray, *, convex: bool) ->
         if found is not None:
             return Below(True, "g is larger on the faces of a box around its minimum, and convex", found, value, at)
     direction = _falls(g, C, at) if value > -ENDLESS * (1 + abs(_value(g, C, start))) else _unit(at)
-    if direction is not None and _falls_for_ever(g, C, start, direction):
-        return Below(False, "g falls without end along a ray (a polynomial there, exact)", -np.inf, -np.inf, at, direction)
+    for ray in (direction, _falls(g, C, start)):
+        if ray is not None and _falls_for_ever(g, C, start, ray):
+            return Below(False, "g falls without end along a ray (by its leading term there)", -np.inf, -np.inf, at, ray)
     if direction is not None:
         return Below(None, "g seems to fall without end", -np.inf, value, at, direction)
     return Below(None, "no lower bound was proved; the least value found is given", -np.inf, value, at)
+
+
+def _quadratic_minimum(g: ca.SX, C: ConvexSet) -> float | None:
+    """The least value of a convex quadratic without constraints, rounded down; None where it is not that."""
+    P = polynomial.quadratic(polynomial.read(g, C.x)[0], C.n)
+    if P is None or C.rows.numel() or C.equalities.numel() or not exact.psd(P.H).psd:
+        return None
+    solved = exact.solve(P.H, -P.q)
+    return None if solved is None else down(P.c + exact.product(P.q.T, solved)[0, 0] / 2)
 
 
 def _unit(v: np.ndarray) -> np.ndarray:
@@ -135,17 +161,36 @@ def _separate(g: ca.SX, C: ConvexSet) -> float | None:
         if not proved:
             return None
         total += proved[0]
-    near = float(total)
-    return near if Fraction(near) <= total else float(np.nextafter(near, -np.inf))
+    return down(total)
+
+
+def _by_squares(g: ca.SX, C: ConvexSet) -> float | None:
+    """A lower bound of a polynomial of degree > 2 plus terms with bounds of their own; None where there is none."""
+    total: polynomial.Polynomial | None = {}
+    rest = Fraction(0)
+    for factor, term in additive_terms(g):
+        (p,) = polynomial.read(term, C.x)
+        if p is not None:
+            total = polynomial.add(total, p, factor)
+            continue
+        low, high = (float(np.ravel(end)[0]) for end in interval.enclose(term, C.x, *C.hull))
+        end = low if factor > 0 else high
+        if not np.isfinite(end):
+            return None
+        rest += factor * Fraction(end)
+    if polynomial.degree(total) <= 2:
+        return None
+    found = sum_of_squares.lower_bound(total, C.n)
+    return None if found is None else down(found + rest)
 
 
 # -- duality, exactly --------------------------------------------------------------------------------------------------
 
 
-def _parts(g: ca.SX, C: ConvexSet) -> tuple[polynomial.Quadratic, list[Kink], list[ca.SX]] | None:
-    """g as a convex quadratic, kinks, and terms with a lower bound of their own; None where that does not work."""
+def _parts(g: ca.SX, C: ConvexSet) -> tuple[polynomial.Quadratic, list[Kink], list[Largest], list[ca.SX]] | None:
+    """g as a convex quadratic, kinks, logarithms of sums, and terms with a bound of their own; None where that does not work."""
     total: polynomial.Polynomial | None = {}
-    kinks, rest = [], []
+    kinks, largest, rest = [], [], []
     for factor, term in additive_terms(g):
         (p,) = polynomial.read(term, C.x)
         if p is not None and polynomial.degree(p) <= 2:
@@ -156,12 +201,33 @@ def _parts(g: ca.SX, C: ConvexSet) -> tuple[polynomial.Quadratic, list[Kink], li
             kinks.append(kink)
             total = polynomial.add(total, tilt, factor)
             continue
+        exponents = _log_sum(term, C) if factor > 0 else None
+        if exponents is not None:
+            largest.append(Largest(exponents, factor))
+            continue
         low, _ = interval.enclose(float(factor) * term, C.x, *C.hull)
         if not np.isfinite(low).all():
             return None
         rest.append(term)
     P = polynomial.quadratic(total, C.n)
-    return None if P is None or not exact.psd(P.H).psd else (P, kinks, rest)
+    return None if P is None or not exact.psd(P.H).psd else (P, kinks, largest, rest)
+
+
+def _log_sum(term: ca.SX, C: ConvexSet) -> list[np.ndarray] | None:
+    """The slopes a_i (n, 1) of log(sum c_i exp(a_i'x + b_i)), c_i > 0: it is at least each a_i'x + b_i + log c_i."""
+    if term.is_constant() or term.is_symbolic() or term.op() not in (ca.OP_LOG, ca.OP_LOG1P):
+        return None
+    slopes = [exact.zeros(C.n, 1)] if term.op() == ca.OP_LOG1P else []
+    for factor, part in additive_terms(term.dep(0)):
+        number = factor * Fraction(float(part)) if part.is_constant() else factor
+        if number <= 0 or not (part.is_constant() or (not part.is_symbolic() and part.op() == ca.OP_EXP)):
+            return None
+        (p,) = polynomial.read(ca.SX(0) if part.is_constant() else part.dep(0), C.x)
+        P = polynomial.quadratic(p, C.n) if p is not None and polynomial.degree(p) <= 1 else None
+        if P is None:
+            return None
+        slopes.append(P.q)
+    return slopes
 
 
 def _kink(factor: Fraction, term: ca.SX, C: ConvexSet) -> tuple[Kink | None, polynomial.Polynomial]:
@@ -196,11 +262,18 @@ def _kink(factor: Fraction, term: ca.SX, C: ConvexSet) -> tuple[Kink | None, pol
     return Kink(split.a.T, ends[0], ends[1]), {}
 
 
-def _dual(P: polynomial.Quadratic, kinks: list[Kink], N: np.ndarray) -> bool | None:
+def _dual(P: polynomial.Quadratic, kinks: list[Kink], largest: list[Largest], N: np.ndarray) -> bool | None:
     """Whether H y + q + sum l_j a_j - N'n = 0 can be solved with multipliers in their bounds, exactly; None: undecided."""
     n, m, k = len(P.H), len(kinks), len(N)
-    # Columns: y, l (free), tau, n, slacks of the upper and lower bounds of l (all >= 0, tau > 0 wanted).
-    A = exact.zeros(n + 2 * m, n + m + 1 + k + 2 * m)
+    # Columns: y, l (free), tau, n, slacks of the upper and lower bounds of l, shares (all >= 0, tau > 0 wanted).
+    first = n + m + 1 + k + 2 * m
+    A = exact.zeros(n + 2 * m + len(largest), first + sum(len(part.a) for part in largest))
+    column = first
+    for i, part in enumerate(largest):  # the shares of one term sum up to its weight
+        A[n + 2 * m + i, n + m] = -part.weight
+        for a in part.a:
+            A[:n, column], A[n + 2 * m + i, column] = a.ravel(), Fraction(1)
+            column += 1
     A[:n, :n], A[:n, n + m] = P.H, P.q.ravel()
     if k:
         A[:n, n + m + 1 : n + m + 1 + k] = -N.T
@@ -232,11 +305,11 @@ def _solvable(A: np.ndarray, signed: list[int], column: int) -> bool | None:
     return False
 
 
-def _descent(P: polynomial.Quadratic, kinks: list[Kink], C: ConvexSet) -> np.ndarray | None:
+def _descent(P: polynomial.Quadratic, kinks: list[Kink], largest: list[Largest], C: ConvexSet) -> np.ndarray | None:
     """A direction d of C with H d = 0 along which g falls at a rate clear of rounding, by linear programming."""
     from scipy.optimize import linprog
 
-    n, m = C.n, len(kinks)
+    n, m = C.n, len(kinks) + len(largest)
     N, _ = (exact.doubles(part) for part in C.half_spaces)
     H, q = exact.doubles(P.H), exact.doubles(P.q).ravel()
     # A kink's rate along d is s >= high a'd, s >= low a'd; a side where it grows faster than linearly is closed.
@@ -248,6 +321,10 @@ def _descent(P: polynomial.Quadratic, kinks: list[Kink], C: ConvexSet) -> np.nda
             row = np.append(sign * a, np.zeros(m)) if end is None else np.append(float(end) * a, -unit)
             rows.append(row[None, :])
             sizes.append(0.0 if end is None else abs(float(end)) * float(np.abs(a).max()))
+    for j, part in enumerate(largest, len(kinks)):
+        for a in (float(part.weight) * exact.doubles(slope).ravel() for slope in part.a):
+            rows.append(np.append(a, -np.eye(m)[j])[None, :])
+            sizes.append(float(np.abs(a).max()))
     w = np.ones(m)
     bounds = [(-1, 1)] * n + [(None, None)] * m
     A_ub = np.vstack(rows)
@@ -312,13 +389,15 @@ def _falls(g: ca.SX, C: ConvexSet, at: np.ndarray) -> np.ndarray | None:
 
 
 def _falls_for_ever(g: ca.SX, C: ConvexSet, start: np.ndarray, d: np.ndarray) -> bool:
-    """Whether the ray start + t d stays in C and g tends to -inf on it, its last piece being a polynomial: exactly."""
+    """Whether the ray start + t d stays in C, exactly, and g tends to -inf on it, by the leading term of its slope."""
     if C.rows.numel() and not (C.is_polyhedron and C.surely_inside(start) is not None):
         return False
     N, _ = C.half_spaces
     if any(number < 0 for number in exact.product(N, exact.rational(d[:, None])).ravel()):
         return False
     t = ca.SX.sym("t")
-    found = pieces(ca.substitute(g, C.x, ca.DM(start) + t * ca.DM(d)), t)
-    growing = [number for number in found[-1].c[1:] if number] if found else []
-    return bool(growing) and growing[-1] < 0
+    terms = additive_terms(ca.substitute(g, C.x, ca.DM(start) + t * ca.DM(d)))
+    found = split(terms, t)
+    if not found or not np.isfinite(float(ca.Function("g", [C.x], [g])(start))):
+        return False
+    return one_variable.falls_without_end(terms, t, found[-1].low[1], found[-1].cases)

@@ -8,10 +8,9 @@ from typing import NamedTuple
 import casadi as ca
 
 from nsmodel.proof import polynomial, polynomial_signs
-from nsmodel.proof.graph import replay
-
-MOST_PIECES = 50
-CONDITIONS = (ca.OP_LE, ca.OP_LT, ca.OP_EQ, ca.OP_NE)
+from nsmodel.proof.convex.joints import exact_value, split
+from nsmodel.proof.graph import fold
+from nsmodel.proof.one_variable import Cases
 
 
 class Piece(NamedTuple):
@@ -24,48 +23,35 @@ class Piece(NamedTuple):
 
 def pieces(expr: ca.SX, s: ca.SX) -> list[Piece] | None:
     """The expression as a piecewise polynomial, its cases settled exactly; None where that does not work."""
-    done, left = [], [(Fraction(0), None)]
-    while left:
-        low, high = left.pop()
-        settled, cut = _settled(expr, s, low, high)
-        if cut is not None:
-            left += [(low, cut), (cut, high)]
-            continue
-        (p,) = polynomial.read(settled, s)
-        if p is None or len(done) + len(left) > MOST_PIECES:
+    if any(symbol.element_hash() != s.element_hash() for symbol in ca.symvar(expr)):
+        return None
+    found = split([(Fraction(1), expr)], s)
+    if found is None or any(end is not None and end[0] != end[1] for piece in found for end in (piece.low, piece.high)):
+        return None
+    done = []
+    for piece in found:
+        p = _read(expr, piece.cases[0])
+        if p is None:
             return None
+        low, high = piece.spread
         done.append(Piece(low, high, polynomial.coefficients(p)))
-    done.sort(key=lambda piece: piece.low)
-    for piece in done:  # the value at the joint itself, where a condition or sign may differ from both sides
-        (p,) = polynomial.read(_settled(expr, s, piece.low, piece.low)[0], s)
-        if p is None or polynomial_signs.at(polynomial.coefficients(p), piece.low) != polynomial_signs.at(piece.c, piece.low):
-            return None
+    if any(exact_value(expr, s, piece.low) != polynomial_signs.at(piece.c, piece.low) for piece in done):
+        return None  # the value at the joint itself, where a condition or sign may differ from both sides
     return done
 
 
-def _settled(expr: ca.SX, s: ca.SX, low: Fraction, high: Fraction | None) -> tuple[ca.SX, Fraction | None]:
-    """The expression with the cases of (low, high) put in; or a place inside where one of them changes."""
-    cuts: list[Fraction] = []
-    middle = low + 1 if high is None else (low + high) / 2
+def _read(expr: ca.SX, cases: Cases) -> polynomial.Polynomial | None:
+    calls = iter(range(10**9))
 
-    def rule(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
-        (p,) = polynomial.read(args[0] if len(args) == 1 else args[0] - args[1], s)
-        if p is None or polynomial.degree(p) > 1 or cuts:
-            return None
-        u = polynomial.coefficients(p)
-        root = -u[0] / u[1] if len(u) > 1 else None
-        if root is not None and low < root and (high is None or root < high):
-            cuts.append(root)
-            return None
-        value = polynomial_signs.at(u, middle)
-        if op in CONDITIONS:
-            return ca.SX(int({ca.OP_LT: value < 0, ca.OP_LE: value <= 0, ca.OP_EQ: value == 0, ca.OP_NE: value != 0}[op]))
-        if op == ca.OP_SIGN:
-            return ca.SX(float((value > 0) - (value < 0)))
-        case = value < 0
-        if op == ca.OP_FABS:
-            return -args[0] if case else args[0]
-        return args[int(case)] if op == ca.OP_FMAX else args[1 - int(case)]
+    def apply(op: int, args: list[polynomial.Polynomial | None]) -> polynomial.Polynomial | None:
+        case = cases.get(next(calls))
+        if case is None:
+            known = [arg for arg in args if arg is not None]
+            return polynomial.apply(op, known) if len(known) == len(args) and known else None
+        total = polynomial.scaled({(): Fraction(1)}, case[1])
+        for factor, arg in zip(case[0], args, strict=True):
+            if factor:
+                total = None if total is None or arg is None else polynomial.add(total, arg, Fraction(factor))
+        return total
 
-    settled = replay(expr, rule, (ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN, ca.OP_SIGN, *CONDITIONS), s, "expression")
-    return settled, cuts[0] if cuts else None
+    return fold(expr, lambda symbol: {((0, 1),): Fraction(1)}, polynomial.constant, apply)[0]

@@ -8,17 +8,19 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof import exact, extremum, interval, polynomial, polynomial_signs
+from nsmodel.proof import exact, extremum, interval, one_variable, polynomial, polynomial_signs, sum_of_squares
 from nsmodel.proof.convex import convexity
 from nsmodel.proof.convex.convex_sets import ConvexSet
+from nsmodel.proof.convex.joints import exact_value
 from nsmodel.proof.convex.lower_bound import additive_terms
 from nsmodel.proof.convex.ridges import Ridges, ridges
 from nsmodel.proof.exact import EPS
+from nsmodel.proof.graph import replay, same
 from nsmodel.proof.verdict import HOLDS, SAMPLED, VIOLATED, Part
 
 ROUNDING = 64 * EPS  # A least eigenvalue above minus this, beside the matrix, is not told from 0.
 MOST_DIRECTIONS = 12
-LEAST = "least eigenvalue of D2 g"
+LEAST, BOUND = "least eigenvalue of D2 g", "eigenvalues of D2 g are at least"
 
 
 class Smooth(NamedTuple):
@@ -46,9 +48,15 @@ def is_convex(g: ca.SX, C: ConvexSet, lower: np.ndarray, upper: np.ndarray, *, q
     H = ca.densify(ca.hessian(parts.smooth, C.x)[0])
     low, high = np.maximum(C.hull[0], lower), np.minimum(C.hull[1], upper)
     if parts.convex or convexity.everywhere(g, C.x)[0].convex:
-        return Part(HOLDS, "by the rules of convex functions", _seen(H, C, low, high), {})
+        return Part(HOLDS, "by the rules of convex functions", {BOUND: 0.0}, {})
     if _univariate(parts.smooth, C):
-        return Part(HOLDS, "a sum of polynomials in one state each, decided by Sturm's theorem", _seen(H, C, low, high), {})
+        return Part(HOLDS, "a sum of polynomials in one state each, decided by Sturm's theorem", {BOUND: 0.0}, {})
+    if _is_sos_convex(parts.smooth, C):
+        return Part(HOLDS, "a polynomial, y'D2g(x) y being a sum of squares in x and y (exactly)", {BOUND: 0.0}, {})
+    if _convex_of_one(g, C):
+        return Part(
+            HOLDS, "a convex nondecreasing function of a convex one, by the sign of its second derivative", {BOUND: 0.0}, {}
+        )
     found = _by_hessian(parts.smooth, H, C, (low, high), quick=quick)
     return found if found.verdict == HOLDS or parts.whole else _altogether(g, C, (low, high))
 
@@ -59,12 +67,19 @@ def _quadratic(P: polynomial.Quadratic, C: ConvexSet) -> Part:
     least, size = float(values.min(initial=np.inf)), float(np.abs(values).max(initial=0.0))
     if decided.psd:
         # Its exact sign is known: a double below 0 is rounding.
-        return Part(HOLDS, "the constant Hessian is psd in exact arithmetic", {LEAST: max(least, 0.0)}, {})
+        return Part(HOLDS, "the constant Hessian is psd in exact arithmetic", {LEAST: _from_below(H, least)}, {})
     witness = {"vector": vectors[:, 0], "x": "any"}
     if least >= -ROUNDING * size:
         how = "the constant Hessian is psd up to rounding only"
         return Part(SAMPLED, how, {LEAST: least, "rounding bound": ROUNDING * size}, witness)
     return Part(VIOLATED, "the constant Hessian has a negative eigenvalue", {LEAST: least}, witness)
+
+
+def _from_below(H: np.ndarray, least: float) -> float:
+    """The least eigenvalue of a psd matrix, rounded down where it is not read off the diagonal."""
+    if not np.any(H - np.diag(np.diag(H))):
+        return float(np.diag(H).min(initial=np.inf))
+    return max(least - 16 * len(H) * EPS * float(np.abs(np.linalg.eigvalsh(H)).max()), 0.0)
 
 
 def _split(g: ca.SX, x: ca.SX) -> Smooth:
@@ -98,19 +113,6 @@ def _smooth_everywhere(term: ca.SX, x: ca.SX) -> bool:
     return interval.is_continuous(ca.vertcat(term, ca.gradient(term, x)), x, -unbounded, unbounded)
 
 
-def _seen(H: ca.SX, C: ConvexSet, lower: np.ndarray, upper: np.ndarray) -> dict[str, float]:
-    """The least eigenvalue at some points of the box, for the reader."""
-    if not H.nnz():
-        return {}
-    points = extremum.samples(lower, upper, 64)
-    points = points[(C.values(points) >= 0).all(axis=1)]
-    if not len(points):
-        return {}
-    values = np.array(ca.Function("H", [C.x], [H]).map(len(points))(points.T)).reshape(C.n, len(points), C.n).transpose(1, 0, 2)
-    values = values[np.isfinite(values).all(axis=(1, 2))]
-    return {LEAST: float(np.linalg.eigvalsh(values)[:, 0].min())} if len(values) else {}
-
-
 def _univariate(smooth: ca.SX, C: ConvexSet) -> bool:
     """Whether the smooth part is a sum of convex polynomials in one state each, for all x."""
     (p,) = polynomial.read(smooth, C.x)
@@ -124,6 +126,52 @@ def _univariate(smooth: ca.SX, C: ConvexSet) -> bool:
     return True
 
 
+def _is_sos_convex(smooth: ca.SX, C: ConvexSet) -> bool:
+    """Whether the smooth part is a polynomial proved convex for all x by sums of squares."""
+    (p,) = polynomial.read(smooth, C.x)
+    return p is not None and polynomial.degree(p) > 2 and sum_of_squares.is_sos_convex(p, C.n)
+
+
+def _convex_of_one(g: ca.SX, C: ConvexSet) -> bool:
+    """Whether g = h(q) with a convex quadratic q >= 0 and an h that is convex and nondecreasing on [0, inf)."""
+    squares: list[ca.SX] = []
+
+    def note(op: int, args: list[ca.SX], old: ca.SX) -> None:
+        if not any(same(old, other) for other in squares):
+            squares.append(old)
+
+    replay(g, note, (ca.OP_SQ, ca.OP_ADD), C.x, "potential")
+    for q in squares:
+        (p,) = polynomial.read(q, C.x)
+        P = polynomial.quadratic(p, C.n)
+        if (
+            P is None
+            or not polynomial.degree(p or {}) == 2
+            or not exact.psd(P.H).psd
+            or float(np.min(interval.enclose(q, C.x, *_all(C))[0])) < 0
+        ):
+            continue
+        r = ca.SX.sym("r")
+        h = replay(g, lambda op, args, old, q=q, r=r: r if same(old, q) else None, (ca.OP_SQ, ca.OP_ADD), C.x, "potential")
+        if ca.depends_on(h, C.x):
+            continue
+        terms = additive_terms(h)
+        zero, cases = Fraction(0), [{} for _ in terms]
+        found = one_variable.second_signs(terms, r, zero, None, cases, zero)
+        if found is None or min(found.signs) < 0:
+            continue
+        slope = ca.gradient(h, r)
+        if interval.is_continuous(ca.vertcat(h, slope), r, np.zeros(1), np.ones(1)):
+            number = exact_value(slope, r, zero)
+            if number is not None and number >= 0:
+                return True
+    return False
+
+
+def _all(C: ConvexSet) -> tuple[np.ndarray, np.ndarray]:
+    return np.full(C.n, -np.inf), np.full(C.n, np.inf)
+
+
 def _by_hessian(smooth: ca.SX, H: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray], *, quick: bool) -> Part:
     """Bounds of the eigenvalues of -D2 g: on the box that holds C, then on the box looked at."""
     gradient = ca.vertcat(smooth, ca.gradient(smooth, C.x))
@@ -131,11 +179,11 @@ def _by_hessian(smooth: ca.SX, H: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np
     if interval.is_continuous(gradient, C.x, *C.hull):
         found = extremum.largest_eigenvalue(-H, C.x, *C.hull, where=where, bound_to=0.0, quick=True)
         if found.bound <= 0:
-            return Part(HOLDS, "bounds of the eigenvalues of the Hessian", {LEAST: -found.value}, {})
+            return Part(HOLDS, "bounds of the eigenvalues of the Hessian", {BOUND: abs(found.bound)}, {})
     split = ridges(smooth, C.x)
     if split is not None and _convex_in_directions(split, C.x, C.hull, quick=True):
         how = "bounds of the Hessian in the directions that the operations act on"
-        return Part(HOLDS, how, _seen(H, C, *box), {})
+        return Part(HOLDS, how, {BOUND: 0.0}, {})
     found = extremum.largest_eigenvalue(-H, C.x, *box, where=where, bound_to=0.0, quick=quick)
     value = {} if found.at is None else {LEAST: -found.value}
     down = downwards(H, C.x, found.at)
@@ -143,7 +191,7 @@ def _by_hessian(smooth: ca.SX, H: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np
         return Part(VIOLATED, "the Hessian has a negative eigenvalue", value, down)
     proved = found.bound <= 0 and interval.is_continuous(gradient, C.x, *box)
     if proved or (split is not None and _convex_in_directions(split, C.x, box, quick=quick)):
-        return Part(HOLDS, "bounds of the eigenvalues of the Hessian", value, {}, True)
+        return Part(HOLDS, "bounds of the eigenvalues of the Hessian", {BOUND: abs(found.bound) if proved else 0.0}, {}, True)
     broken = _broken(smooth, C, box)
     if broken is not None:
         return broken
