@@ -64,9 +64,11 @@ def check(
         quick: skip global searches.
     """
     C = set_of(model)
-    field = field_of(model, C)
-    box = region.lower, region.upper
     x0 = np.array(ca.DM(model.x0)).ravel()
+    if C.empty:
+        return _empty(model, C, x0, runs)
+    field = field_of(model, C)
+    box = C.part(region.lower, region.upper)
     a, operator = linear_growth(field, box, quick=quick), _operator(model, C, box, quick)
     monotone = operator.verdict == HOLDS and not operator.local
     parts = (
@@ -78,6 +80,15 @@ def check(
         (LIPSCHITZ, one_sided(field, box, quick=quick, alone=model.field if monotone else None)),
     )
     findings = [found(which, part.verdict, part.how, part.value, part.witness, region.scope(part.local)) for which, part in parts]
+    return findings, _consequences(model, findings, x0, runs)
+
+
+def _empty(
+    model: MonotoneInclusion, C: ConvexSet, x0: np.ndarray, runs: Sequence[Trajectory]
+) -> tuple[list[Finding], list[Consequence]]:
+    nothing = Part(UNKNOWN, "C is empty: there is no state to speak of", {}, {})
+    parts = [(which, has_interior(C, x0) if which is SET else nothing) for which in HYPOTHESES]
+    findings = [found(which, part.verdict, part.how, part.value, part.witness) for which, part in parts]
     return findings, _consequences(model, findings, x0, runs)
 
 
