@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof import interval_arithmetic as arithmetic
-from nsmodel.proof.interval_functions import OPERATIONS, constant_power, exp, log
+from nsmodel.proof.interval_functions import OPERATIONS, constant_power, log
 from nsmodel.proof.interval_arithmetic import Pair
 from nsmodel.proof.straight_line import Program, Step, program
 
@@ -77,6 +77,7 @@ def run(code: Program, inputs: Sequence[Order | None], k: int) -> list[Order | N
     return [values[j] for j in code.outputs]
 
 
+@np.errstate(all="ignore")
 def curve(coefficients: Sequence[Fraction | float], k: int) -> Order:
     """The order of a polynomial in t."""
     total = ZERO
@@ -118,6 +119,7 @@ def _share(p: Fraction, l: Fraction, k: int) -> Pair | None:
     return np.zeros(1), arithmetic.above(arithmetic.mul(power, factor)[1], ROUNDED)
 
 
+@np.errstate(all="ignore")
 def natural(value: Order, k: int) -> Pair:
     """The interval of the values themselves."""
     share = _share(value.p, value.l, k)
@@ -130,12 +132,14 @@ def natural(value: Order, k: int) -> Pair:
     return arithmetic.mul(_pair(value), (np.maximum(least, 0.0), np.array([np.inf])))
 
 
+@np.errstate(all="ignore")
 def plus(a: Order | None, b: Order | None, k: int) -> Order | None:
     """a + b."""
     both = _together(a, b, k)
     return both and _order(both[0], both[1], arithmetic.add(both[2], both[3]))
 
 
+@np.errstate(all="ignore")
 def times(a: Order | None, b: Order | None) -> Order | None:
     """a b."""
     if a is None or b is None:

@@ -35,6 +35,7 @@ class Sector(NamedTuple):
         return bool(np.isfinite([self.low, self.high]).all())
 
 
+@np.errstate(all="ignore")
 def sector(h: ca.SX, s: ca.SX, low: float, high: float, k: int) -> Sector | None:
     """The sector of h for s in [low, high], ends may be infinite, from its orders beyond 2^k; None where there is none."""
     T = 2.0**k

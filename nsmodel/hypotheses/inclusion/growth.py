@@ -69,22 +69,34 @@ def _read_row(row: ca.SX, field: Field, z: ca.SX, low: np.ndarray, high: np.ndar
         if p is not None:
             total = polynomial.add(total, p, factor)
             continue
-        reach, steep = float(np.max(np.abs(interval.enclose(term, z, low, high)))), 0.0
-        if not np.isfinite(reach):
-            reach, steep = _lipschitz_term(term, field, z, low, high)
+        reach, steep = bound_of(term, field, z, low, high, None)
         if not np.isfinite(reach + steep):
             own = _of_one_direction(term, field)
             if own is not None:
                 total = polynomial.add(total, own[0], factor)
                 reach, steep = own[1:]
             else:
-                powers = growth(term, z, low, high, field.x.numel())
-                reach, steep = (None if powers is None else linear(powers, SCALE)) or (np.inf, np.inf)
+                reach, steep = bound_of(term, field, z, low, high, SCALE)
         if not np.isfinite(reach + steep):
             return Row(None, np.inf, np.inf)
         size += up(abs(factor) * Fraction(reach)) * UP
         slope += up(abs(factor) * Fraction(steep)) * UP
     return Row(total, size, slope)
+
+
+def bound_of(
+    term: ca.SX, field: Field, z: ca.SX, low: np.ndarray, high: np.ndarray, scale: float | None
+) -> tuple[float, float]:
+    """(a, b) with |term| <= a + b |x|: bounded, Lipschitz, or with a ``scale`` by the growth calculus; inf where there is none."""
+    reach = float(np.max(np.abs(interval.enclose(term, z, low, high))))
+    if np.isfinite(reach):
+        return reach, 0.0
+    found = _lipschitz_term(term, field, z, low, high)
+    if scale is None:
+        return found
+    powers = growth(term, z, low, high, field.x.numel())
+    own = None if powers is None else linear(powers, scale)
+    return found if own is None or own[1] >= found[1] else own
 
 
 def _lipschitz_term(term: ca.SX, field: Field, z: ca.SX, low: np.ndarray, high: np.ndarray) -> tuple[float, float]:
