@@ -20,8 +20,8 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof import interval_arithmetic as arithmetic
-from nsmodel.proof.interval_functions import OPERATIONS, constant_power, log
 from nsmodel.proof.interval_arithmetic import Pair
+from nsmodel.proof.interval_functions import OPERATIONS, constant_power, log
 from nsmodel.proof.straight_line import Program, Step, program
 
 FAST = 4  # A power of t above those of polynomials that matter here.

@@ -103,6 +103,7 @@ class _Calculus:
         self.ends = [(float(np.min(lo)), float(np.max(hi))) for lo, hi in values]
         self.atoms: list[Atom] = []
         self.known: dict[tuple, int] = {}
+        self.found: list[Size] = []
 
     def sizes(self) -> list[Size]:
         """The bounds of every value."""
@@ -132,7 +133,8 @@ class _Calculus:
             lower, upper = self._rule(i, step, [out[j] for j in step.sources])
         sign = low > 0 or high < 0
         most = max(abs(low), abs(high))
-        if np.isfinite(most) and (upper is None or not all(term.below for term in upper)) and (p is None or polynomial.is_constant(p)):
+        plain = upper is None or not all(term.below for term in upper)
+        if np.isfinite(most) and plain and (p is None or polynomial.is_constant(p)):
             upper = (Term(most, ()),) if most else ()
         if not lower and sign:
             lower = ((min(abs(low), abs(high)), ()),)
@@ -156,7 +158,7 @@ class _Calculus:
     def _most_of(self, slot: int) -> float:
         return next((max(abs(a) for a in self.ends[i]) for i, s in enumerate(self.code.steps) if s.slot == slot), np.inf)
 
-    def _rule(self, i: int, step: Step, args: list[Size]) -> tuple[Sum, tuple[Term, ...] | None]:  # noqa: PLR0911, PLR0912
+    def _rule(self, i: int, step: Step, args: list[Size]) -> tuple[Sum, tuple[Term, ...] | None]:
         op = step.op
         if op == ca.OP_CONST:
             number = abs(step.number)
@@ -203,7 +205,8 @@ class _Calculus:
         if op in (ca.OP_SIN, ca.OP_TANH, ca.OP_ATAN, ca.OP_ASINH):
             return (), a.upper
         if op == ca.OP_EXP and a.high <= 0:
-            u = ((1.0, ()), *a.lower, *_scaled(_product(a.lower, a.lower), 0.5), *_scaled(_powers(a.lower, Fraction(3), below=True), 1 / 6))
+            square, cube = _product(a.lower, a.lower), _powers(a.lower, Fraction(3), below=True)
+            u = ((1.0, ()), *a.lower, *_scaled(square, 0.5), *_scaled(cube, 1 / 6))
             return (), _over((Term(1.0, ()),), u)
         if op in (ca.OP_LOG, ca.OP_LOG1P):
             return (), self._log(op, step, args, a)
@@ -213,7 +216,8 @@ class _Calculus:
         inner = self.code.steps[step.sources[0]]
         parts = [step.sources[0]] if op == ca.OP_LOG1P else list(inner.sources) if inner.op == ca.OP_ADD else []
         exponents = [j for j in parts if self.code.steps[j].op == ca.OP_EXP]
-        numbers = [1.0] if op == ca.OP_LOG1P else [self.code.steps[j].number for j in parts if self.code.steps[j].op == ca.OP_CONST]
+        numbers = [self.code.steps[j].number for j in parts if self.code.steps[j].op == ca.OP_CONST]
+        numbers = [1.0] if op == ca.OP_LOG1P else numbers
         if len(exponents) == 1 and len(numbers) == 1 and numbers[0] > 0:
             u = self.found[self.code.steps[exponents[0]].sources[0]].upper
             return _plus(u, (Term((abs(float(np.log(numbers[0]))) + LOG_2) * UP, ()),))

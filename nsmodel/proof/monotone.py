@@ -180,22 +180,26 @@ def _recentred(h: ca.SX, s: ca.SX, low: float, high: float) -> tuple[ca.SX, floa
         return applied(op, [shown(node, q) for node, q in args]), None
 
     try:
-        (last,) = fold(
-            h, lambda symbol: (symbol, {((0, 1),): Fraction(1)}), lambda number: (ca.SX(number), polynomial.constant(number)), apply
-        )
+        one = {((0, 1),): Fraction(1)}
+        (last,) = fold(h, lambda symbol: (symbol, one), lambda number: (ca.SX(number), polynomial.constant(number)), apply)
         moved = shown(*last)
     except ValueError:
         return None
     ends = [end if np.isinf(end) else slope * Fraction(end) + offset for end in (low, high)]
-    down = float(ends[0]) if np.isinf(float(ends[0])) or Fraction(float(ends[0])) <= ends[0] else np.nextafter(float(ends[0]), -np.inf)
-    up = float(ends[1]) if np.isinf(float(ends[1])) or Fraction(float(ends[1])) >= ends[1] else np.nextafter(float(ends[1]), np.inf)
-    return moved, float(down), float(up)
+    return moved, _rounded(ends[0], -np.inf), _rounded(ends[1], np.inf)
+
+
+def _rounded(number: Fraction | float, towards: float) -> float:
+    near = float(number)
+    if np.isinf(near) or (Fraction(near) <= number if towards < 0 else Fraction(near) >= number):
+        return near
+    return float(np.nextafter(near, towards))
 
 
 def _pieces(
     h: ca.SX, s: ca.SX, low: Fraction | None, high: Fraction | None
 ) -> tuple[list[Fraction | None], list[ca.SX], dict[Fraction, tuple[int, ...]]] | None:
-    """The ends of the pieces, h on each with its cases put in, and the operations that jump at each end; None where that fails."""
+    """The ends of the pieces, h on each with its cases put in, and what jumps at each end; None where that fails."""
     points: dict[Fraction, tuple[int, ...]] = {}
     done: list[tuple[Fraction | None, Fraction | None, ca.SX]] = []
     left = [(low, high)]

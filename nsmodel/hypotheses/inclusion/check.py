@@ -117,17 +117,23 @@ def _operator(model: MonotoneInclusion, C: ConvexSet, box: tuple[np.ndarray, np.
         return part._replace(how=f"T = dphi, phi convex: {part.how}", value=value or {"terms": len(model.potential_split.terms)})
     field = field_of(_alone(model), C)
     aligned, x = bool(field.aligned), model.x
-    whole = ca.substitute(model.operator, model.sign_symbols, ca.sign(model.sign_arguments)) if field.l.numel() else model.operator
+    whole = (
+        ca.substitute(model.operator, model.sign_symbols, ca.sign(model.sign_arguments)) if field.l.numel() else model.operator
+    )
     S = -field.rest
     if field.jumps or not interval.is_continuous(S, x, *C.hull):
         if field.jumps and not _separate_switches(model):
             return _broken_monotony(field)
         full = whole if field.jumps else S
         split = monotone_part(full, C)
-        found = _rest_of_operator(split.rest, C, box, quick, aligned=aligned and not split.count)
-        if found.verdict == HOLDS:
-            return _filled(model, C) if split.open else found._replace(how=_with_ridges(found.how, split.count))
-        return _not_monotone(full, C, box) or (_broken_monotony(field) if field.jumps else found)
+        found = _rest_of_operator(split.rest, C, box, quick, aligned=aligned and not split.ridges)
+        if found.verdict == HOLDS and split.open:
+            return _filled(model, C)
+        if found.verdict == HOLDS and not found.local:
+            return found._replace(how=_with_ridges(found.how, split.ridges))
+        broken = _broken_monotony(field) if field.jumps else found
+        broken = broken if broken.verdict == VIOLATED else _not_monotone(full, C, C.hull) or broken
+        return broken if broken.verdict == VIOLATED or found.verdict != HOLDS else found
     return _rest_of_operator(S, C, box, quick, aligned=aligned)
 
 
@@ -307,7 +313,15 @@ def _one_sided(F: ca.SX, x: ca.SX, k: int, side: int) -> ca.SX:
         if next(count) != k:
             return None
         up = side > 0
-        values = {ca.OP_SIGN: side, ca.OP_FLOOR: up - 1, ca.OP_CEIL: up, ca.OP_LT: not up, ca.OP_LE: not up, ca.OP_EQ: 0, ca.OP_NE: 1}
+        values = {
+            ca.OP_SIGN: side,
+            ca.OP_FLOOR: up - 1,
+            ca.OP_CEIL: up,
+            ca.OP_LT: not up,
+            ca.OP_LE: not up,
+            ca.OP_EQ: 0,
+            ca.OP_NE: 1,
+        }
         return ca.SX(float(values[op]))
 
     return replay(F, rule, SWITCHES, x, "field")

@@ -217,7 +217,9 @@ def faster_than_linear(field: Field) -> Part | None:
         for t in (NEAR, FAR):
             x, v = along.values(path, t)
             sizes.append(np.linalg.norm(v) / np.linalg.norm(x))
-        rise = sizes[1] / sizes[0] if np.isfinite(sizes).all() and sizes[0] else np.inf if sizes[0] or np.isnan(sizes).any() else 0.0
+        rise = (
+            sizes[1] / sizes[0] if np.isfinite(sizes).all() and sizes[0] else np.inf if sizes[0] or np.isnan(sizes).any() else 0.0
+        )
         if rise > 1.2:
             seen.append((rise, path))
     for _, path in _best(seen):
@@ -251,7 +253,7 @@ def not_drawn_back(field: Field) -> Part | None:
             if order is None or not np.isfinite(order.low):
                 continue
             if order.low >= 0 or order.rate < (2 * path.power, 0):
-                how = f"along {_named(path)} <x, F - S> >= 0, or it is small beside |x|^2: no alpha > 0 bounds it (bounds of its order)"
+                how = f"along {_named(path)} <x, F - S> >= 0 or small beside |x|^2: no alpha > 0 bounds it (by its order)"
                 value = {"lim <x, F - S>/|x|^2": max(order.low, 0.0) if order.rate == (2 * path.power, 0) else 0.0}
                 return Part(VIOLATED, how, value, path.witness)
     return None

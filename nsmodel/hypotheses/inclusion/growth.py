@@ -84,10 +84,8 @@ def _read_row(row: ca.SX, field: Field, z: ca.SX, low: np.ndarray, high: np.ndar
     return Row(total, size, slope)
 
 
-def bound_of(
-    term: ca.SX, field: Field, z: ca.SX, low: np.ndarray, high: np.ndarray, scale: float | None
-) -> tuple[float, float]:
-    """(a, b) with |term| <= a + b |x|: bounded, Lipschitz, or with a ``scale`` by the growth calculus; inf where there is none."""
+def bound_of(term: ca.SX, field: Field, z: ca.SX, low: np.ndarray, high: np.ndarray, scale: float | None) -> tuple[float, float]:
+    """(a, b) with |term| <= a + b |x|: bounded, Lipschitz, or with a ``scale`` by the growth calculus; else inf."""
     reach = float(np.max(np.abs(interval.enclose(term, z, low, high))))
     if np.isfinite(reach):
         return reach, 0.0

@@ -39,8 +39,12 @@ def one_sided(field: Field, region: tuple[np.ndarray, np.ndarray], *, quick: boo
     tries = whole[:1]
     if alone is not None:
         tries.append(("S being monotone, ", alone, hull, quick or not field.C.bounded))
-    if falling.count:
-        given = "beside nonincreasing functions of one direction, " if alone is None else "S and functions of one direction being monotone, "
+    if falling.ridges:
+        given = (
+            "beside nonincreasing functions of one direction, "
+            if alone is None
+            else "S and functions of one direction being monotone, "
+        )
         tries += [(given, -falling.rest, hull, quick or not field.C.bounded), (given, -falling.rest, box, quick)]
     tries += whole[1:] or ([("S being monotone, ", alone, box, quick)] if alone is not None else [])
     for given, G, (low, high), fast in tries:

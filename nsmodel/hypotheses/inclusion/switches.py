@@ -24,10 +24,10 @@ SIZE = 1e3  # Pairs of points are looked for up to this distance from 0 where C 
 
 
 class Split(NamedTuple):
-    """S = rest + ``count`` terms a h(a'x) with h nondecreasing, whose jumps that are not filled in are ``open``."""
+    """S = rest + ``ridges`` terms a h(a'x) with h nondecreasing, whose jumps that are not filled in are ``open``."""
 
     rest: ca.SX
-    count: int
+    ridges: int
     open: tuple[Jump, ...]
 
 

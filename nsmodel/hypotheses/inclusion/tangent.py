@@ -28,7 +28,6 @@ from nsmodel.hypotheses.inclusion.tangent_form import Form, form_between_lines, 
 from nsmodel.proof import exact, extremum, interval, polynomial, polynomial_signs
 from nsmodel.proof.verdict import Part
 
-
 FAR = (4, 8, 14, 20)  # Slopes beyond 2^k are tried.
 
 
