@@ -1,4 +1,4 @@
-"""Growth on unbounded sets, monotone functions of one direction, empty and thin sets: verdicts, and bounds against brute force."""
+"""Growth on unbounded sets, monotone functions of one direction, empty and thin sets: verdicts, bounds by brute force."""
 
 import casadi as ca
 import numpy as np

@@ -39,14 +39,18 @@ def one_sided(field: Field, region: tuple[np.ndarray, np.ndarray], *, quick: boo
     tries = whole[:1]
     if alone is not None:
         tries.append(("S being monotone, ", alone, hull, quick or not field.C.bounded))
-    if falling.ridges:
-        given = (
+    ridges = (
+        []
+        if not falling.ridges
+        else [
             "beside nonincreasing functions of one direction, "
             if alone is None
             else "S and functions of one direction being monotone, "
-        )
-        tries += [(given, -falling.rest, hull, quick or not field.C.bounded), (given, -falling.rest, box, quick)]
+        ]
+    )
+    tries += [(given, -falling.rest, hull, quick or not field.C.bounded) for given in ridges]
     tries += whole[1:] or ([("S being monotone, ", alone, box, quick)] if alone is not None else [])
+    tries += [(given, -falling.rest, box, quick) for given in ridges]
     for given, G, (low, high), fast in tries:
         if (low > high).any() or not interval.is_continuous(G, field.x, low, high):
             continue
