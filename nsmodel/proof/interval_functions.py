@@ -90,6 +90,7 @@ def constant_power(x: Pair, c: float) -> Pair:
     if c == np.floor(c) and c < 2**52:
         return _whole_power(x, c)
     lo, hi = np.maximum(below(np.power(np.maximum(x[0], 0), c)), 0), above(np.power(np.maximum(x[1], 0), c))
+    hi = np.where(x[1] <= 0, 0.0, hi)  # 0^c = 0
     return choose(in_domain(x, 0.0, np.inf), pair(lo, hi), UNBOUNDED)
 
 

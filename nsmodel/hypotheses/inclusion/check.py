@@ -28,14 +28,15 @@ from nsmodel.hypotheses.findings import (
 from nsmodel.hypotheses.inclusion.growth import linear_growth
 from nsmodel.hypotheses.inclusion.one_sided import one_sided, switching_point
 from nsmodel.hypotheses.inclusion.selected_field import Field, field_of, set_of
+from nsmodel.hypotheses.inclusion.switches import continuous_terms_removed, monotone_part, opposed
 from nsmodel.hypotheses.inclusion.tangent import dissipativity
 from nsmodel.hypotheses.region import Region
 from nsmodel.model.inclusion import MonotoneInclusion
 from nsmodel.proof import exact, extremum, interval, polynomial
 from nsmodel.proof.convex import potentials
 from nsmodel.proof.convex.convex_sets import ConvexSet, has_interior, is_convex
-from nsmodel.proof.graph import replay
-from nsmodel.proof.jumps import SWITCHES
+from nsmodel.proof.graph import keys, replay
+from nsmodel.proof.jumps import SWITCHES, find_jump
 from nsmodel.proof.verdict import Part
 from nsmodel.trajectory import Trajectory
 
@@ -49,6 +50,7 @@ LIPSCHITZ = Hypothesis("M-24", "<G(x) - G(y), x - y> <= L |x - y|^2, G = F - S",
 HYPOTHESES = (OPERATOR, SET, A1, A2, A3, LIPSCHITZ)
 KINKS = {ca.OP_FABS: "fabs", ca.OP_FMAX: "fmax", ca.OP_FMIN: "fmin"}
 HALVINGS = 6
+FEW = 64  # Fewer points show nothing.
 CONTRACTS = ("M-T", "M-C", "M-A1", "M-24")
 
 
@@ -64,9 +66,11 @@ def check(
         quick: skip global searches.
     """
     C = set_of(model)
-    field = field_of(model, C)
-    box = region.lower, region.upper
     x0 = np.array(ca.DM(model.x0)).ravel()
+    if C.empty:
+        return _empty(model, C, x0, runs)
+    field = field_of(model, C)
+    box = C.part(region.lower, region.upper)
     a, operator = linear_growth(field, box, quick=quick), _operator(model, C, box, quick)
     monotone = operator.verdict == HOLDS and not operator.local
     parts = (
@@ -78,6 +82,15 @@ def check(
         (LIPSCHITZ, one_sided(field, box, quick=quick, alone=model.field if monotone else None)),
     )
     findings = [found(which, part.verdict, part.how, part.value, part.witness, region.scope(part.local)) for which, part in parts]
+    return findings, _consequences(model, findings, x0, runs)
+
+
+def _empty(
+    model: MonotoneInclusion, C: ConvexSet, x0: np.ndarray, runs: Sequence[Trajectory]
+) -> tuple[list[Finding], list[Consequence]]:
+    nothing = Part(UNKNOWN, "C is empty: there is no state to speak of", {}, {})
+    parts = [(which, has_interior(C, x0) if which is SET else nothing) for which in HYPOTHESES]
+    findings = [found(which, part.verdict, part.how, part.value, part.witness) for which, part in parts]
     return findings, _consequences(model, findings, x0, runs)
 
 
@@ -103,13 +116,77 @@ def _operator(model: MonotoneInclusion, C: ConvexSet, box: tuple[np.ndarray, np.
         value = {"least eigenvalue of sym S'": part.value[potentials.LEAST]} if potentials.LEAST in part.value else part.value
         return part._replace(how=f"T = dphi, phi convex: {part.how}", value=value or {"terms": len(model.potential_split.terms)})
     field = field_of(_alone(model), C)
-    if field.jumps:
-        return _broken_monotony(field)
-    S, x = -field.rest, model.x
-    entries = polynomial.read(S, x)
+    aligned, x = bool(field.aligned), model.x
+    whole = (
+        ca.substitute(model.operator, model.sign_symbols, ca.sign(model.sign_arguments)) if field.l.numel() else model.operator
+    )
+    S = -field.rest
+    if field.jumps or not interval.is_continuous(S, x, *C.hull):
+        if field.jumps and not _separate_switches(model):
+            return _broken_monotony(field)
+        full = whole if field.jumps else S
+        split = monotone_part(full, C)
+        found = _rest_of_operator(split.rest, C, box, quick, aligned=aligned and not split.ridges)
+        if found.verdict == HOLDS and split.open:
+            return _filled(model, C)
+        if found.verdict == HOLDS and not found.local:
+            return found._replace(how=_with_ridges(found.how, split.ridges))
+        broken = _broken_monotony(field) if field.jumps else found
+        broken = broken if broken.verdict == VIOLATED else _not_monotone(full, C, C.hull) or broken
+        return broken if broken.verdict == VIOLATED or found.verdict != HOLDS else found
+    return _rest_of_operator(S, C, box, quick, aligned=aligned)
+
+
+def _with_ridges(how: str, count: int) -> str:
+    ridges = "nondecreasing functions of one direction, their jumps upwards filled in"
+    if not count:
+        return how
+    return f"a sum of {ridges}" if how.startswith("S = 0") else f"{how}; beside {ridges}"
+
+
+def _rest_of_operator(S: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray], quick: bool, *, aligned: bool) -> Part:
+    entries = polynomial.read(S, C.x)
     if all(p is not None and polynomial.degree(p) <= 1 for p in entries):
-        return _linear_operator(entries, x.numel(), bool(field.aligned))
+        return _linear_operator(entries, C.n, aligned)
     return _smooth_operator(S, C, box, quick)
+
+
+def _separate_switches(model: MonotoneInclusion) -> bool:
+    """Whether S is affine in its signs, and no two of them switch on one hyperplane: then its values there are all that fill."""
+    n, symbols = model.x.numel(), model.sign_symbols
+    slopes = ca.jacobian(model.operator, symbols)
+    if keys(slopes) & keys(symbols):
+        return False
+    rows = []
+    for p in polynomial.read(model.sign_arguments, model.x):
+        read = polynomial.quadratic(p, n) if p is not None and polynomial.degree(p) <= 1 else None
+        if read is None or not read.q.any():
+            return False
+        first = next(number for number in read.q.ravel() if number)
+        rows.append((*(number / first for number in read.q.ravel()), read.c / first))
+    return len(set(rows)) == len(rows)
+
+
+def _filled(model: MonotoneInclusion, C: ConvexSet) -> Part:
+    """S is monotone, but steps of if_else, floor or ceil are no sets: with one inside C it is not maximal."""
+    S = ca.substitute(model.operator, model.sign_symbols, ca.SX.zeros(model.sign_symbols.shape))
+    low, high = (np.clip(end, -1e3, 1e3) for end in C.hull)
+    jump = find_jump(S, C.x, low, high, lambda points: (C.values(points) > 0).all(axis=1))
+    if jump is None:
+        return Part(UNKNOWN, "S is monotone, but it may jump in C where it is not filled in; only sign stands for a set", {}, {})
+    how = "S jumps and is single-valued there: monotone, but not maximal; write the jump with sign, which stands for all between"
+    return Part(VIOLATED, how, {"jump": jump.size}, {"x": jump.at, "below": jump.below, "above": jump.above})
+
+
+def _not_monotone(S: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray]) -> Part | None:
+    pair = opposed(S, C, box)
+    if pair is None:
+        return None
+    f = ca.Function("S", [C.x], [S])
+    x, y = pair["x"], pair["y"]
+    rate = float((np.array(f(x)) - np.array(f(y))).ravel() @ (x - y) / ((x - y) @ (x - y)))
+    how = "S is not monotone: <S(x) - S(y), x - y> < 0 at two points of C (bounds)"
+    return Part(VIOLATED, how, {"<S(x) - S(y), x - y>/|x - y|^2": rate}, pair)
 
 
 def _alone(model: MonotoneInclusion) -> MonotoneInclusion:
@@ -153,8 +230,11 @@ def _smooth_operator(S: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray],
         if down:
             how = "the symmetric Jacobian of S has a negative eigenvalue: S is not monotone"
             return Part(VIOLATED, how, {label: -sup.value}, down)
+    pair = _not_monotone(S, C, (low, high))
+    if pair is not None:
+        return pair
     sup = extremum.largest_eigenvalue(-symmetric, C.x, low, high, where=where, quick=True)
-    if sup.at is None:
+    if sup.at is None or sup.count < FEW or not interval.is_continuous(S, C.x, low, high):
         return Part(UNKNOWN, "S is not proved continuous on the box, and its Jacobian could not be looked at", {}, {})
     how = f"no negative eigenvalue of the symmetric Jacobian of S at {sup.count} points of the box"
     return Part(SAMPLED, how, {label: -sup.value}, {"x": sup.at}, True)
@@ -177,6 +257,7 @@ def _continuous(model: MonotoneInclusion, C: ConvexSet, box: tuple[np.ndarray, n
     note = f"; kinks: {', '.join(f'{kinks.count(name)} {name}' for name in dict.fromkeys(kinks))}" if kinks else ""
     value = {"kinks": len(kinks)}
     n = x.numel()
+    F = continuous_terms_removed(F, C)
     for local, place, (low, high) in (
         (False, "", (np.full(n, -np.inf), np.full(n, np.inf))),
         (False, " on C", C.hull),
@@ -184,7 +265,7 @@ def _continuous(model: MonotoneInclusion, C: ConvexSet, box: tuple[np.ndarray, n
     ):
         if interval.is_continuous(F, x, low, high):
             return Part(HOLDS, f"no operation of F jumps or has a pole{place}{note}", value, {}, local)
-    jump = _jump(F, C, box, x0)
+    jump = _jump(model.field, C, box, x0)
     if jump is not None:
         return jump
     return Part(UNKNOWN, "an operation of F may jump or have a pole on the box; no jump was seen", {}, {})
@@ -198,20 +279,52 @@ def _jump(F: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray], x0: np.nda
         arguments.append(args[0] if len(args) == 1 else args[0] - args[1])
 
     replay(F, rule, SWITCHES, C.x, "field")
-    f = ca.Function("F", [C.x], [F])
-    for u in arguments:
+    for k, u in enumerate(arguments):
         point = switching_point(C, u, box, x0)
         if point is None:
             continue
         slope = np.array(ca.Function("slope", [C.x], [ca.gradient(u, C.x)])(point)).ravel()
-        if not slope.any():
+        if not slope.any() or not np.isfinite(slope).all():
             continue
-        d = 1e-7 * (1 + np.linalg.norm(point)) * slope / np.linalg.norm(slope)
-        sizes = [np.linalg.norm(np.array(f(point + k * d)) - np.array(f(point - k * d))) for k in (1.0, 0.1)]
-        if np.isfinite(sizes).all() and sizes[1] > 0.5 * sizes[0] > 0 and sizes[1] > 1e-6:
-            how = "F jumps across a switching surface inside C"
-            return Part(VIOLATED, how, {"jump": float(sizes[1])}, {"x": point, "switch": str(u)})
+        below, above = (_one_sided(F, C.x, k, side) for side in (-1, 1))
+        for size in (1e-12, 1e-9, 1e-7):
+            d = size * (1 + np.linalg.norm(point)) * slope / np.linalg.norm(slope)
+            ends = point - d, point + d
+            cell = np.minimum(*ends), np.maximum(*ends)
+            signs = [interval.enclose(u, C.x, end, end) for end in ends]
+            crosses = float(np.max(signs[0][1])) < 0 < float(np.min(signs[1][0]))
+            if not crosses or any(C.surely_inside(end) is None for end in ends):
+                continue
+            left, right = (interval.enclose(part, C.x, *cell) for part in (below, above))
+            gaps = np.maximum(np.maximum(left[0] - right[1], right[0] - left[1]), 0.0)
+            if gaps.max() > 0 and np.isfinite([*left, *right]).all():
+                how = "F jumps across a switching surface inside C: bounds of both sides around the point do not meet"
+                middles = [((part[0] + part[1]) / 2).ravel() for part in (left, right)]
+                values = {"jump": float(np.linalg.norm(gaps))}
+                return Part(VIOLATED, how, values, {"x": point, "switch": str(u), "below": middles[0], "above": middles[1]})
     return None
+
+
+def _one_sided(F: ca.SX, x: ca.SX, k: int, side: int) -> ca.SX:
+    """F with its k-th switch put to what it is on one side of u = 0."""
+    count = iter(range(10**6))
+
+    def rule(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
+        if next(count) != k:
+            return None
+        up = side > 0
+        values = {
+            ca.OP_SIGN: side,
+            ca.OP_FLOOR: up - 1,
+            ca.OP_CEIL: up,
+            ca.OP_LT: not up,
+            ca.OP_LE: not up,
+            ca.OP_EQ: 0,
+            ca.OP_NE: 1,
+        }
+        return ca.SX(float(values[op]))
+
+    return replay(F, rule, SWITCHES, x, "field")
 
 
 # -- consequences ------------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.findings import SAMPLED, UNKNOWN, VIOLATED
+from nsmodel.hypotheses.findings import UNKNOWN, VIOLATED
 from nsmodel.hypotheses.inclusion.recession import directions
 from nsmodel.hypotheses.inclusion.selected_field import Field
 from nsmodel.hypotheses.inclusion.tangent_form import Form, holds
@@ -108,8 +108,8 @@ def looked_at(field: Field) -> Part:
     k = int(np.argmax(np.where(kept, values, -np.inf)))
     worst = {"largest <x, v>/|x|^2 far out": float(values[k])}
     if values[k] < 0:
-        how = f"not proved: <x, v>/|x|^2 < 0 at {int(kept.sum())} points of C with |x| from {FAR[0]:g} to {FAR[1]:g}"
-        return Part(SAMPLED, how, worst, {"x": points[k]})
+        how = f"<x, v>/|x|^2 < 0 at {int(kept.sum())} points of C with |x| from {FAR[0]:g} to {FAR[1]:g}, but no alpha was proved"
+        return Part(UNKNOWN, how, worst, {"x": points[k]})
     return Part(
         UNKNOWN, "C is unbounded, and no alpha and beta were found; far out <x, v> is not negative", worst, {"x": points[k]}
     )

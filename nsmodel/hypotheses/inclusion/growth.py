@@ -10,15 +10,20 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED
+from nsmodel.hypotheses.inclusion import curves
 from nsmodel.hypotheses.inclusion.recession import directions
 from nsmodel.hypotheses.inclusion.selected_field import Field
 from nsmodel.proof import exact, extremum, interval, polynomial
 from nsmodel.proof.convex.lower_bound import additive_terms
+from nsmodel.proof.convex.ridges import ridges
+from nsmodel.proof.growth_calculus import growth, linear
+from nsmodel.proof.sectors import sector
 from nsmodel.proof.straight_line import program
 from nsmodel.proof.verdict import Part
 
 UP = 1 + 1e-12  # Norms and eigenvalues in doubles are enlarged by this where they are bounds.
 MOST_CORNERS = 12
+START, SCALE = 8, 64.0  # Slopes at infinity are those beyond 2^8; powers of |x| below 1 are bounded by tangents at 64.
 
 
 class Affine(NamedTuple):
@@ -64,14 +69,32 @@ def _read_row(row: ca.SX, field: Field, z: ca.SX, low: np.ndarray, high: np.ndar
         if p is not None:
             total = polynomial.add(total, p, factor)
             continue
-        reach, steep = float(np.max(np.abs(interval.enclose(term, z, low, high)))), 0.0
-        if not np.isfinite(reach):
-            reach, steep = _lipschitz_term(term, field, z, low, high)
+        reach, steep = bound_of(term, field, z, low, high, None)
+        if not np.isfinite(reach + steep):
+            own = _of_one_direction(term, field)
+            if own is not None:
+                total = polynomial.add(total, own[0], factor)
+                reach, steep = own[1:]
+            else:
+                reach, steep = bound_of(term, field, z, low, high, SCALE)
         if not np.isfinite(reach + steep):
             return Row(None, np.inf, np.inf)
         size += up(abs(factor) * Fraction(reach)) * UP
         slope += up(abs(factor) * Fraction(steep)) * UP
     return Row(total, size, slope)
+
+
+def bound_of(term: ca.SX, field: Field, z: ca.SX, low: np.ndarray, high: np.ndarray, scale: float | None) -> tuple[float, float]:
+    """(a, b) with |term| <= a + b |x|: bounded, Lipschitz, or with a ``scale`` by the growth calculus; else inf."""
+    reach = float(np.max(np.abs(interval.enclose(term, z, low, high))))
+    if np.isfinite(reach):
+        return reach, 0.0
+    found = _lipschitz_term(term, field, z, low, high)
+    if scale is None:
+        return found
+    powers = growth(term, z, low, high, field.x.numel())
+    own = None if powers is None else linear(powers, scale)
+    return found if own is None or own[1] >= found[1] else own
 
 
 def _lipschitz_term(term: ca.SX, field: Field, z: ca.SX, low: np.ndarray, high: np.ndarray) -> tuple[float, float]:
@@ -87,6 +110,21 @@ def _lipschitz_term(term: ca.SX, field: Field, z: ca.SX, low: np.ndarray, high: 
     at = float(np.max(np.abs(interval.enclose(term, z, base, base))))
     steep = float(np.linalg.norm(gradient)) * UP if np.isfinite(gradient).all() else np.inf
     return at + steep * float(np.linalg.norm(base)) * UP if np.isfinite(steep) else np.inf, steep
+
+
+def _of_one_direction(term: ca.SX, field: Field) -> tuple[polynomial.Polynomial, float, float] | None:
+    """(p, a, b) with |term - p| <= a + b |x| and a linear p, where the term is a function of one direction between two lines."""
+    split = ridges(term, field.x)
+    if split is None or split.s.numel() != 1:
+        return None
+    low, high = split.box(field.x, *field.C.hull)
+    found = sector(split.h, split.s, low[0], high[0], START)
+    if found is None or not found.bounded:
+        return None
+    middle = found.low + (found.high - found.low) / 2
+    p = {((i, 1),): Fraction(middle) * number for i, number in enumerate(split.a[0]) if number}
+    width = max(found.high - middle, middle - found.low) * norm(exact.doubles(split.a))
+    return p if middle else {}, found.reach, width * UP
 
 
 def up(number: Fraction) -> float:
@@ -160,7 +198,7 @@ def linear_growth(field: Field, region: tuple[np.ndarray, np.ndarray], *, quick:
         share = constant_share(field, exact.doubles(found.b).ravel(), exact.doubles(found.jumps))
         values = {"a_1": share + norm(found.more[:, None]), "a_2": norm(exact.doubles(found.A)) + norm(found.slopes[:, None])}
         parts = ["bounded multipliers"] * bool(field.l.numel()) + ["bounded terms"] * bool(found.more.any())
-        parts += ["Lipschitz terms"] * bool(found.slopes.any())
+        parts += ["terms of linear growth"] * bool(found.slopes.any())
         how = "F - S is affine" + (f" but for {' and '.join(parts)}" if parts else "")
         return Part(HOLDS, how, values, {})
     z, low, high = field.variables
@@ -179,6 +217,10 @@ def linear_growth(field: Field, region: tuple[np.ndarray, np.ndarray], *, quick:
     top = on_region(field, region)
     local = {} if top is None else {"largest |F - S| on the box": top}
     fast = _faster_than_linear(field)
+    curved = None if fast is not None else curves.faster_than_linear(field)
+    if curved is not None:
+        witness = {**curved.witness, "power": curved.value["power"]}
+        return Part(VIOLATED, f"{curved.how}; the number is that of the box", local or {"a_2": np.inf}, witness)
     if fast is not None:
         d, power = fast
         how = f"|F - S| grows like t^{power} along a direction in which C is unbounded (exact); the number is that of the box"

@@ -10,6 +10,7 @@ import numpy as np
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED
 from nsmodel.hypotheses.inclusion.growth import affine
 from nsmodel.hypotheses.inclusion.selected_field import Field
+from nsmodel.hypotheses.inclusion.switches import monotone_part
 from nsmodel.proof import exact, extremum, interval
 from nsmodel.proof.convex.convex_sets import ConvexSet, has_interior
 from nsmodel.proof.verdict import Part
@@ -24,18 +25,32 @@ def one_sided(field: Field, region: tuple[np.ndarray, np.ndarray], *, quick: boo
         quick: skip global searches.
         alone: F, where S is proved monotone on all of C: then L of F serves for G.
     """
-    if field.jumps:
+    if field.jumps and alone is None:
         return _jumps_up(field)
-    found = affine(field)
+    found = affine(field) if not field.jumps else None
     if found is not None and found.exact:
         A = exact.doubles(found.A)
         values, vectors = np.linalg.eigh((A + A.T) / 2)
         L = float(A[0, 0]) if A.size == 1 else float(values[-1])
         return Part(HOLDS, "the largest eigenvalue of a constant matrix", {"L": L}, {"direction": vectors[:, -1]})
     hull, box = field.C.hull, (np.maximum(field.C.hull[0], region[0]), np.minimum(field.C.hull[1], region[1]))
-    tries = [("", field.rest, hull, quick or not field.C.bounded), ("", field.rest, box, quick)]
+    whole = [] if field.jumps else [("", field.rest, hull, quick or not field.C.bounded), ("", field.rest, box, quick)]
+    falling = monotone_part(-(field.rest if alone is None else alone), field.C)
+    tries = whole[:1]
     if alone is not None:
-        tries.insert(1, ("S being monotone, ", alone, hull, quick or not field.C.bounded))
+        tries.append(("S being monotone, ", alone, hull, quick or not field.C.bounded))
+    ridges = (
+        []
+        if not falling.ridges
+        else [
+            "beside nonincreasing functions of one direction, "
+            if alone is None
+            else "S and functions of one direction being monotone, "
+        ]
+    )
+    tries += [(given, -falling.rest, hull, quick or not field.C.bounded) for given in ridges]
+    tries += whole[1:] or ([("S being monotone, ", alone, box, quick)] if alone is not None else [])
+    tries += [(given, -falling.rest, box, quick) for given in ridges]
     for given, G, (low, high), fast in tries:
         if (low > high).any() or not interval.is_continuous(G, field.x, low, high):
             continue
@@ -43,9 +58,11 @@ def one_sided(field: Field, region: tuple[np.ndarray, np.ndarray], *, quick: boo
         sup = extremum.largest_eigenvalue((J + J.T) / 2, field.x, low, high, quick=fast)
         if np.isfinite(sup.bound):
             witness = {} if sup.at is None else {"attained near": sup.at}
-            values = {"L": sup.bound + 0.0} | ({} if sup.at is None or G is alone else {"attained": sup.value})
+            values = {"L": sup.bound + 0.0} | ({} if sup.at is None or G is not field.rest else {"attained": sup.value})
             how = f"{given}bounds of the eigenvalues of the symmetric Jacobian"
             return Part(HOLDS, how, values, witness, low is box[0])
+    if field.jumps:
+        return _jumps_up(field)
     return Part(UNKNOWN, "F - S is not proved continuous with a bounded Jacobian on the box looked at", {}, {})
 
 

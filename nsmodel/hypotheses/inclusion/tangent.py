@@ -20,12 +20,15 @@ import numpy as np
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN
 from nsmodel.hypotheses.inclusion import growth
 from nsmodel.hypotheses.inclusion.copositive import certificate
+from nsmodel.hypotheses.inclusion.curves import not_drawn_back
 from nsmodel.hypotheses.inclusion.escape import escape, looked_at
 from nsmodel.hypotheses.inclusion.growth import UP, around, up
 from nsmodel.hypotheses.inclusion.selected_field import Field
-from nsmodel.hypotheses.inclusion.tangent_form import Form, form_of, nearest, offsets
+from nsmodel.hypotheses.inclusion.tangent_form import Form, form_between_lines, form_of, nearest, offsets
 from nsmodel.proof import exact, extremum, interval, polynomial, polynomial_signs
 from nsmodel.proof.verdict import Part
+
+FAR = (4, 8, 14, 20)  # Slopes beyond 2^k are tried.
 
 
 class Bound(NamedTuple):
@@ -45,20 +48,28 @@ def dissipativity(field: Field, a: Part, *, quick: bool) -> Part:
         return Part(UNKNOWN, "no point of C near 0 was verified", {}, {})
     distance = float(np.linalg.norm(base)) * (UP if base.any() else 1.0)
     form = form_of(field)
-    bound = (
-        _quadratic(field, form)
-        or (_on_cone(field, form) if field.C.is_polyhedron and not field.C.bounded else None)
-        or _superlinear(field, form)
-        or _homogeneous(field, form, distance)
-        or _by_jacobian(field, base)
-    )
+    bound = _from_form(field, form, distance) or _by_jacobian(field, base)
+    tries = [] if bound is not None or field.C.bounded else [(k, merged) for merged in (False, True) for k in FAR]
+    for k, merged in tries:
+        first = form is None and k == FAR[0]
+        bound = bound or _from_form(field, form_between_lines(field, k, merged=merged), distance, cube=first and not distance)
     if bound is not None and distance > 0 and not bound.displaced:
         bound = _displaced(bound, distance, a)
     if bound is not None:
         return _solved(bound, field)
     if field.C.bounded:
         return _bounded(field, distance, quick=quick)
-    return escape(field, form) or looked_at(field)
+    return escape(field, form) or not_drawn_back(field) or looked_at(field)
+
+
+def _from_form(field: Field, form: Form | None, distance: float, *, cube: bool = True) -> Bound | None:
+    """The bound from <x, rest> as a form; ``cube``: its highest form is looked at as well."""
+    return (
+        _quadratic(field, form)
+        or (_on_cone(field, form) if field.C.is_polyhedron and not field.C.bounded else None)
+        or _superlinear(field, form)
+        or (_homogeneous(field, form, distance) if cube else None)
+    )
 
 
 # -- the bound <x, rest> <= -k |x|^2 + p |x| + q ------------------------------------------------------------------------

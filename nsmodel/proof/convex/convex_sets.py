@@ -66,6 +66,12 @@ class ConvexSet:
             _ellipsoid(p, self.n, lower, upper)
         return lower, upper
 
+    def part(self, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The part of the box that holds the set in another box; the whole side where these do not meet."""
+        low, high = np.maximum(self.hull[0], lower), np.minimum(self.hull[1], upper)
+        apart = low > high
+        return np.where(apart, self.hull[0], low), np.where(apart, self.hull[1], high)
+
     def outer(self, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """N, h, rational, of a polyhedron that holds the set: its affine rows and tangents of its concave polynomial rows.
 
@@ -85,6 +91,27 @@ class ConvexSet:
                 offset = polynomial.value(p, x) - sum((a * b for a, b in zip(slope, x, strict=True)), Fraction(0))
                 h = np.vstack([h, exact.rational([[offset]])])
         return N, h
+
+    @cached_property
+    def empty(self) -> tuple[str, ...]:
+        """Names of constraints that no point satisfies together, where that is proved; () where it is not.
+
+        By the largest value of a concave quadratic, bounds of a row on the box that holds the set, or linear programming.
+        """
+        low, high = self.hull
+        for name, p in zip(self.names, self.polynomials, strict=True):
+            top = largest(p, self.n)
+            if top is not None and top < 0:
+                return (name,)
+        if (low > high).any():
+            return self.names
+        if self.rows.numel():
+            above = np.asarray(interval.enclose(self.rows, self.x, low, high)[1]).ravel()
+            if (above < 0).any():
+                return (self.names[int(np.argmin(above))],)
+        if self.affine and self.n in feasibility.implied_zeros(_strict_system(self)):
+            return tuple(self.names[i] for i in self.affine)
+        return ()
 
     @property
     def bounded(self) -> bool:
@@ -118,7 +145,14 @@ def is_convex(C: ConvexSet, lower: np.ndarray, upper: np.ndarray, *, quick: bool
         left = [i for i, shape in zip(left, proved, strict=True) if not shape.concave]
     if not left:
         return Part(HOLDS, "every constraint is concave (affine, or by the rules of convex functions)", {}, {})
-    low, high = np.maximum(C.hull[0], lower), np.minimum(C.hull[1], upper)
+    branches = [i for i in left if _one_branch(C, i)]
+    left = [i for i in left if i not in branches]
+    if not left:
+        how = "every constraint is concave, or keeps one branch of a hyperboloid that an affine one cuts off (exact)"
+        return Part(HOLDS, how, {}, {})
+    if C.empty:
+        return Part(HOLDS, "the set is empty", {}, {})
+    low, high = C.part(lower, upper)
     inside = bool((C.hull[0] >= lower).all() and (C.hull[1] <= upper).all())
     for i in left:
         found = extremum.largest_eigenvalue(ca.hessian(C.rows[i], C.x)[0], C.x, low, high, bound_to=0.0, quick=quick)
@@ -128,8 +162,19 @@ def is_convex(C: ConvexSet, lower: np.ndarray, upper: np.ndarray, *, quick: bool
     return Part(HOLDS, f"every constraint is concave{where}: bounds of its Hessian", {}, {}, not inside)
 
 
+def largest(p: polynomial.Polynomial | None, n: int) -> Fraction | None:
+    """The largest value of a polynomial of degree <= 2 on R^n, exactly; None where it has none, or is of higher degree."""
+    found = polynomial.quadratic(p, n)
+    if found is None or not exact.psd(-found.H).psd:
+        return None
+    at = exact.solve(-found.H, found.q)
+    return None if at is None else found.c + exact.product(found.q.T, at)[0, 0] / 2
+
+
 def has_interior(C: ConvexSet, start: np.ndarray) -> Part:
     """Whether there is a strictly feasible point: verified with interval arithmetic; its absence by exact multipliers."""
+    if C.empty:
+        return Part(VIOLATED, "C is empty: no point satisfies these constraints", {"points": 0}, {"constraints": list(C.empty)})
     if C.equalities.numel():
         return Part(VIOLATED, "an equality leaves no interior", {}, {"equality": str(C.equalities[0])})
     if not C.rows.numel():
@@ -141,10 +186,10 @@ def has_interior(C: ConvexSet, start: np.ndarray) -> Part:
             best = margin, point
     if best is not None:
         return Part(HOLDS, "a strictly feasible point", {"interior margin": best[0]}, {"interior point": best[1]})
-    opposed = _opposed(C)
+    opposed = _opposed(C) or (None if C.is_polyhedron else _never_positive(C, start))
     if opposed is not None:
         how = "no point satisfies these constraints strictly: their weighted sum is never > 0 (exact multipliers)"
-        return Part(VIOLATED, how, {}, opposed)
+        return Part(VIOLATED, how, {"interior margin": 0.0}, opposed)
     if C.is_polyhedron:
         point = _exact_interior(C)
         if point is not None:
@@ -189,6 +234,25 @@ def _ellipsoid(p: polynomial.Polynomial | None, n: int, lower: np.ndarray, upper
         upper[i] = min(upper[i], _above(centre[k, 0] + Fraction(reach)))
 
 
+def _one_branch(C: ConvexSet, i: int) -> bool:
+    """Whether row i and an affine row bound one branch of a hyperboloid: {y'Py/2 + c >= 0, n'y >= 0}, y = x - m, is convex.
+
+    P has one positive eigenvalue, so that {y'Py >= 0} is a convex cone K and -K, and sqrt(y'Py) is concave on K. With P <= 0 on
+    the plane n'y = 0 that plane does not meet the interior of K: n'y >= 0 keeps K and, of -K, points with y'Py = 0 alone, which
+    c < 0 excludes.
+    """
+    P = polynomial.quadratic(C.polynomials[i], C.n)
+    m = None if P is None else exact.solve(P.H, -P.q)
+    if P is None or m is None or P.c + exact.product(P.q.T, m)[0, 0] / 2 >= 0:
+        return False
+    for n, (h,) in zip(*C.half_spaces, strict=True):
+        plane = exact.nullspace(n[None, :])
+        above = exact.product(n[None, :], m)[0, 0] + h <= 0
+        if above and n.any() and (not plane.size or exact.psd(-exact.product(plane.T, P.H, plane)).psd):
+            return True
+    return False
+
+
 def _not_concave(C: ConvexSet, i: int, lower: np.ndarray, upper: np.ndarray) -> Part:
     """Row i is not proved concave: look for two points of the set whose middle lies outside."""
     pairs = 0
@@ -223,6 +287,11 @@ def _deepest(C: ConvexSet, start: np.ndarray) -> np.ndarray | None:
         A = np.column_stack([-N, size])
         found = linprog(cost, A_ub=A, b_ub=h.ravel(), bounds=[(None, None)] * C.n + [(None, 1.0)], method="highs")
         return found.x[: C.n] if found.status == 0 else None
+    return _deepest_with_weights(C, start)[0]
+
+
+def _deepest_with_weights(C: ConvexSet, start: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """The point that maximises t subject to c_i(x) >= t and t <= 1, and the multipliers of the rows; None where not finite."""
     t = ca.SX.sym("t")
     problem = {"x": ca.vertcat(C.x, t), "f": -t, "g": C.rows - t}
     options = {"ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False, "error_on_fail": False, "ipopt.max_iter": 200}
@@ -230,8 +299,8 @@ def _deepest(C: ConvexSet, start: np.ndarray) -> np.ndarray | None:
         solver = ca.nlpsol("interior", "ipopt", problem, options)
         least = C.values(start[None, :]).min()
         found = solver(x0=np.append(start, least if np.isfinite(least) else 0.0), lbg=0, ubx=[*[np.inf] * C.n, 1.0])
-    point = np.array(found["x"]).ravel()[: C.n]
-    return point if np.isfinite(point).all() else None
+    point, weights = np.array(found["x"]).ravel()[: C.n], np.abs(np.array(found["lam_g"]).ravel())
+    return (point if np.isfinite(point).all() else None), (weights if np.isfinite(weights).all() else None)
 
 
 def _strict_system(C: ConvexSet) -> feasibility.System:
@@ -251,6 +320,33 @@ def _opposed(C: ConvexSet) -> dict[str, Any] | None:
     weights = -separator.ravel()  # w'(N, h, -I) = (0, >= 0, >= 0), so that -w >= 0 weighs the rows.
     used = [i for i in range(len(weights)) if weights[i]]
     return {"constraints": [C.names[C.affine[i]] for i in used], "weights": [float(weights[i]) for i in used]}
+
+
+def _never_positive(C: ConvexSet, start: np.ndarray) -> dict[str, Any] | None:
+    """Weights w >= 0 of rows whose sum w'c is never > 0: of one row by its bounds, of quadratic ones by their largest value.
+
+    The multipliers of max {t : c_i(x) >= t} are such weights where the maximum is not above 0; they are found in doubles, and
+    tried as fractions.
+    """
+    top = np.asarray(interval.enclose(C.rows, C.x, *C.hull)[1]).ravel()
+    if (top <= 0).any():
+        i = int(np.argmin(top))
+        return {"constraints": [C.names[i]], "weights": [1.0]}
+    own = [(i, p) for i, p in enumerate(C.polynomials) if p is not None and polynomial.degree(p) <= 2]
+    weights = _deepest_with_weights(C, start)[1]
+    if len(own) < 2 or weights is None:
+        return None
+    total = sum(weights[i] for i, _ in own)
+    for most in (8, 64, 1024, 10**6):
+        tried = {i: Fraction(float(weights[i] / total)).limit_denominator(most) if total > 0 else Fraction(0) for i, _ in own}
+        combined: polynomial.Polynomial = {}
+        for i, p in own:
+            combined = polynomial.add(combined, p, max(tried[i], Fraction(0)))
+        sup = largest(combined, C.n)
+        if any(number > 0 for number in tried.values()) and sup is not None and sup <= 0:
+            used = [i for i, number in tried.items() if number > 0]
+            return {"constraints": [C.names[i] for i in used], "weights": [float(tried[i]) for i in used]}
+    return None
 
 
 def _exact_interior(C: ConvexSet) -> np.ndarray | None:
