@@ -156,7 +156,7 @@ def test_two_discs(load_case, run_case):
     assert all(finding.scope is None for finding in findings)
     value = {finding.id: finding.value for finding in findings}
     r = 0.3
-    assert value["A1"]["a"] == value["A1"]["b"] == pytest.approx(SQRT2, rel=1e-15)
+    assert value["A1"]["a"] <= SQRT2 <= value["A1"]["b"] <= value["A1"]["a"] * (1 + 4e-16)
     assert value["A4"]["M_contact"] == pytest.approx(1 / r, rel=1e-12)
     assert value["A4"]["M"] == pytest.approx(2 / r, rel=1e-12)  # |u| >= r on U_i = {g > -r}
     assert value["A0"]["c"] == pytest.approx(r / SQRT2)
@@ -233,8 +233,8 @@ def test_quadratics():
     assert found["A1"].verdict == HOLDS
     assert found["A1"].value["a"] == pytest.approx(2 * np.sqrt(0.5))
     assert found["A1"].value["b"] == pytest.approx(2 * np.sqrt(12.5))
-    assert found["A4"].value["M"] == 2
-    assert found["S-convex"].value["least"] == 2
+    assert 2 <= found["A4"].value["M"] <= 2 * (1 + 1e-13)
+    assert 2 * (1 - 1e-13) <= found["S-convex"].value["least"] <= 2
     # The strip between Q and the boundary of U is 1 - sqrt(1/2) wide; c is a bound of it.
     assert 0.2 < found["A0"].value["c"] <= 1 - np.sqrt(0.5)
     pole = decided({"bowl": ca.sumsqr(q - ca.vertcat(1, 0)) + 0.5}, q, [2, 1])

@@ -152,6 +152,14 @@ def root_above(x: Fraction) -> float:
     return r
 
 
+def root_below(x: Fraction) -> float:
+    """A double below the root of x >= 0, next to it but for a few units."""
+    r = float(x) ** 0.5
+    while Fraction(r) ** 2 > x:
+        r = float(np.nextafter(r, 0))
+    return r
+
+
 def row_space(A: np.ndarray) -> np.ndarray:
     """Return an orthonormal basis (n, r) of the space of the rows of A (m, n)."""
     _, values, vectors = np.linalg.svd(A, full_matrices=False)
