@@ -389,7 +389,7 @@ def test_jumps_of_the_velocity_count_inside_the_set_only():
     f = ca.vertcat(ca.if_else(q[0] < 0.5, 1, 0), 0)
     inside = decided({"wall": q[0] + 1}, q, [0, 0], f)["S-f"]
     assert inside.verdict == VIOLATED
-    assert inside.value["jump"] == 1
+    assert 1 - 1e-12 <= inside.value["jump"] <= 1
     assert inside.value["K_f"] == np.inf
     assert inside.witness["to"][0] == pytest.approx(0.5)
     outside = decided({"wall": q[0] - 1}, q, [1.5, 0], f)["S-f"]

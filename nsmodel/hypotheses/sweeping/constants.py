@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.hypotheses.sweeping.box import on_the_box
 from nsmodel.hypotheses.sweeping.constraint import (
     EVERYWHERE,
@@ -30,7 +30,11 @@ from nsmodel.hypotheses.sweeping.geometry import root_above, root_below
 from nsmodel.proof import exact, extremum, interval
 from nsmodel.proof.defined import Defined, in_time
 from nsmodel.proof.discontinuity import proved_jump
+from nsmodel.proof.germ import grows
+from nsmodel.proof.graph import constants
 from nsmodel.proof.jumps import jumps_in
+
+REACH, STATES = 1e-6, 16  # How far from a time, beside the interval, and at how many states a rate is looked at.
 
 
 def answers(constraint: Constraint, quick: bool) -> Answers:
@@ -46,7 +50,30 @@ def answers(constraint: Constraint, quick: bool) -> Answers:
     known = rule(constraint) if rule is not None else _turning_plane(constraint)
     known = dict(known or {}) | _in_steps(constraint) | _turning_in_steps(constraint)
     missing = {"S-convex", "A0", "A1", "A2", "A3", "A4"} - set(known)
-    return _defined(constraint, known | (on_the_box(constraint, missing, known, quick) if missing else {}))
+    known |= on_the_box(constraint, missing, known, quick) if missing else {}
+    if known["A2"].verdict == SAMPLED and (steep := _faster_and_faster(constraint)) is not None:
+        known["A2"] = steep
+    return _defined(constraint, known)
+
+
+def _faster_and_faster(c: Constraint) -> Answer | None:
+    """A2 where d_t g grows without bound towards a time: as powers of the distance from it, at an admissible state."""
+    rate = ca.jacobian(c.g, c.t)
+    t0, t1 = float(c.lower[0]), float(c.upper[0])
+    inner = {float(value) for value in constants(c.g) if t0 < value < t1}
+    h = REACH * min(t1 - t0, 1.0)
+    states = extremum.samples(c.lower[1:], c.upper[1:], STATES)
+    for time, forward in [(t0, 1.0), (t1, -1.0), *((time, 1.0) for time in sorted(inner)[:STATES])]:
+        for q in states:
+            ends = np.append(time, q), np.append(time + forward * h, q)
+            if not (interval.enclose(c.g, c.z, np.minimum(*ends), np.maximum(*ends))[0] >= 0).all():
+                continue
+            direction = np.append(forward, np.zeros(q.size))
+            power = grows(rate, c.z, ends[0], direction, h)
+            if power is not None:
+                how = f"d_t g_i grows without bound at an admissible state, as |t - {time:.6g}|^({power}) does"
+                return Answer(VIOLATED, {"b": np.inf}, EVERYWHERE, how, c.point(ends[0]))
+    return None
 
 
 def _defined(c: Constraint, known: Answers) -> Answers:
