@@ -16,7 +16,7 @@ from nsmodel.proof.graph import OpaqueExpression, applied, column, replay
 from nsmodel.proof.interval import enclose
 from nsmodel.proof.jumps import SWITCHES, Jump, surface_points
 
-TRIED, WAYS, WIDER = 24, 64, 8.0
+TRIED, WAYS, WIDER, FURTHER = 24, 64, 8.0, 1e-13
 _REWRITTEN = (ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN)
 
 
@@ -39,6 +39,10 @@ def proved_jump(
         if best is not None and size[k] <= best.size:
             break
         gap = jump_between(expr, z, x[k], y[k], where, lower, upper)
+        if not gap:  # The numbers in the expression may be rounded by more than these two points are apart.
+            apart = FURTHER * float(np.max(np.abs(np.concatenate([x[k], y[k]])), initial=1.0))
+            way = (y[k] - x[k]) / max(np.linalg.norm(y[k] - x[k]), np.finfo(float).tiny) * apart
+            gap = jump_between(expr, z, x[k] - way, y[k] + way, where, lower, upper)
         if gap > 0 and (best is None or gap > best.size):
             best = Jump(x[k], gap, np.array(f(x[k])).ravel(), np.array(f(y[k])).ravel())
     return best

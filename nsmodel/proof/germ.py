@@ -47,7 +47,9 @@ def grows(expr: ca.SX, z: ca.SX, p: np.ndarray, d: np.ndarray, h: float) -> Frac
             except _Lost:
                 return None
 
-    found = fold(ca.densify(expr), symbol, lambda value: ray.cleaned({Fraction(0): point(value)}) if np.isfinite(value) else None, apply)
+    found = fold(
+        ca.densify(expr), symbol, lambda value: ray.cleaned({Fraction(0): point(value)}) if np.isfinite(value) else None, apply
+    )
     if found[0] is None or not found[0]:
         return None
     power, c = ray.lead(found[0])

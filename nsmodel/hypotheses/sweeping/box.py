@@ -103,7 +103,10 @@ def _slope(
     how = _found(proved, least)
     if np.isfinite(delta):
         A0 = Answer(
-            verdict, {"c": delta / b / UP, "delta": delta}, ON_THE_BOX, f"U_i = {{g_i > -{delta:.6g}}}, half the depth of g_i; " + how
+            verdict,
+            {"c": delta / b / UP, "delta": delta},
+            ON_THE_BOX,
+            f"U_i = {{g_i > -{delta:.6g}}}, half the depth of g_i; " + how,
         )
     else:
         A0 = Answer(verdict, {"c": np.inf}, ON_THE_BOX, "g_i > 0 on the whole box: U_i is all of it")

@@ -174,7 +174,10 @@ def _distance(c: Constraint) -> Answers | None:
     if not reach > 0:
         return known
     if diagonal:
-        sizes = [w2 * sum((x * x for i, x in a.row.items() if i >= 0), Fraction(0)) for w2, a in ((v * weight**2, a) for v, a in squares)]
+        sizes = [
+            w2 * sum((x * x for i, x in a.row.items() if i >= 0), Fraction(0))
+            for w2, a in ((v * weight**2, a) for v, a in squares)
+        ]
         a, b = root_below(min(sizes)), root_above(max(sizes))
     else:
         sure = 1 + 64 * len(A) * exact.EPS * float(sigma[0] / sigma[-1])  # More than an SVD errs by.

@@ -112,7 +112,9 @@ def _decide(
         points = [*points, *corners(scene, points)]
     worst = _worst(scene, points, rho)
     if proof is not None and proof.at is not None and len(proof.at) == 1 + len(scene.columns):
-        worst = worst._replace(gamma=np.inf, t=proof.at[0], q=proof.at[1:], rows=np.array(proof.opposed), weights=np.array(proof.weights))
+        worst = worst._replace(
+            gamma=np.inf, t=proof.at[0], q=proof.at[1:], rows=np.array(proof.opposed), weights=np.array(proof.weights)
+        )
     if worst.gamma > LOST and (found := _opposed(constraints, scene, worst, names)) is not None:
         return found
     if worst.gamma > LOST and rho > 0:

@@ -48,7 +48,10 @@ def away(
             if np.isinf(worst):
                 break
         if np.isfinite(worst):
-            return Away(max(worst * UP, 1.0), "convex constraints that forbid one and the same point: all of them are left by going away from it")
+            return Away(
+                max(worst * UP, 1.0),
+                "convex constraints that forbid one and the same point: all of them are left by going away from it",
+            )
     return None
 
 

@@ -16,11 +16,12 @@ from nsmodel.proof.components import sharing
 from nsmodel.proof.defined import Defined, in_time
 from nsmodel.proof.discontinuity import jump_between
 from nsmodel.proof.germ import grows
-from nsmodel.proof.graph import column, constants, keys, replay
+from nsmodel.proof.graph import OpaqueExpression, applied, column, constants, keys, replay
 from nsmodel.proof.jumps import SWITCHES, jumps_in, surface_points
 
 BASES, JUMPS = 4, 256  # Admissible states from which jumps are looked for, and switching points tried.
 PAIRS = 32
+MOST_STATES = 6  # With more, where Q(t) keeps away from is not looked for.
 TRIED, ENTRIES = 16, 16  # Jumps that are to be proved, and entries of a derivative that are followed along a ray.
 RAY, SNAP = 1e-6, 1e-3  # How long a ray is, and how far a point is moved to a number of the formula, beside the box.
 ASIDE = 1e-3  # The part of the box that a point is moved by to see how large f is around it.
@@ -80,6 +81,13 @@ def velocity(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]],
         L_f = _growth(f, scene, blocks, worst, where, quick)
         how = "f is continuous in q and |f_q| is bounded" if worst else "f does not depend on the state"
         return closed(defined, {"K_f": worst, "L_f": L_f} | rate, where, how + steady)
+    kept = None if quick or defined.verdict != HOLDS else kept_away(f, scene)
+    if kept is not None:
+        L_f = _growth(kept, scene, _blocks(kept, scene), np.inf, ON_THE_BOX, quick)
+        own = [lipschitz(block, quick) for block in _blocks(kept, scene)]
+        if all(verdict == HOLDS for verdict, *_ in own):
+            how = "Q(t) keeps away from where f is singular: there f is continued to the whole box with a bounded f_q"
+            return closed(defined, {"K_f": max(K for _, K, _, _ in own), "L_f": L_f} | rate, ON_THE_BOX, how + steady)
     L_f = _growth(f, scene, blocks, np.inf, ON_THE_BOX, quick)
     count = sum(number for *_, number in norms)
     if quick:
@@ -96,7 +104,9 @@ def velocity(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]],
     point = steep(f, blocks, norms, scene, points, names)
     if point is not None:
         value = {"K_f": np.inf, "L_f": L_f} | rate
-        return Answer(VIOLATED, value, ON_THE_BOX, "an entry of f_q grows without bound towards this point, along a ray in Q(t)", point)
+        return Answer(
+            VIOLATED, value, ON_THE_BOX, "an entry of f_q grows without bound towards this point, along a ray in Q(t)", point
+        )
     worst = max(worst, _quotient(f, scene, points))
     how = f"{count} points; f was not proved continuous with a bounded derivative, no jump was found inside Q(t)"
     return Answer(SAMPLED, {"K_f": worst, "L_f": L_f} | rate, ON_THE_BOX, how + steady)
@@ -186,6 +196,42 @@ def lipschitz(block: Block, quick: bool) -> tuple[str, float, str, int]:
                 return HOLDS, max(top.bound, 0.0), EVERYWHERE if everywhere else ON_THE_BOX, top.count
     top = extremum.spectral_norm(J, block.z, *block.box(False), quick=True)
     return SAMPLED, top.value, ON_THE_BOX, top.count
+
+
+def kept_away(f: ca.SX, scene: Scene) -> ca.SX | None:
+    """A function that agrees with f on Q(t) in the box, with arguments of roots and divisors kept where they are there.
+
+    Where u >= m > 0 on Q(t), u and max(u, m) are the same there; beyond, max(u, m) stays away from the singularity of sqrt u and
+    1 / u. None where no argument is kept away from 0 by Q(t).
+    """
+    if not scene.rows or len(scene.columns) > MOST_STATES:
+        return None
+    known: list[tuple[ca.SX, float]] = []
+
+    def least(u: ca.SX) -> float:
+        for other, value in known:
+            if ca.is_equal(u, other, 6):
+                return value
+        around = interval.enclose(u, scene.z, scene.lower, scene.upper)
+        value = -np.inf
+        if float(around[0].item()) <= 0 < float(around[1].item()):
+            value = -extremum.supremum(-u, scene.z, scene.lower, scene.upper, where=scene.g).bound
+        known.append((u, value))
+        return value
+
+    def rule(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
+        place = 1 if op == ca.OP_DIV else 0
+        low = least(old.dep(place))
+        if not low > 0:
+            return None
+        # The larger of u and m, written so that its derivative has bounds.
+        return applied(op, [(arg + low + ca.fabs(arg - low)) / 2 if k == place else arg for k, arg in enumerate(args)])
+
+    try:
+        found = replay(f, rule, (ca.OP_SQRT, ca.OP_DIV, ca.OP_INV), scene.q, "f")
+    except OpaqueExpression:
+        return None
+    return found if any(value > 0 for _, value in known) else None
 
 
 def _growth(f: ca.SX, scene: Scene, blocks: list[Block], K: float, where: str, quick: bool) -> float:
