@@ -75,7 +75,7 @@ def _felt(J: np.ndarray, m: int) -> np.ndarray | None:
     rows = np.linalg.norm(J, axis=1)
     if not rows.all():
         return None
-    R, order = qr(J / rows[:, None], mode="r", pivoting=True)
+    R, order = qr(J / rows[:, None], mode="r", pivoting=True)  # pyright: ignore
     pivots = np.abs(np.diag(R[:m, :m]))
     return np.sort(order[:m]) if pivots.min() > SINGULAR * pivots.max() else None
 

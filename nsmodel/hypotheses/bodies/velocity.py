@@ -68,7 +68,9 @@ def velocity(problem: BodiesProblem, region: Region, points: Sequence[Point], qu
     jump = _jump(problem, points, region)
     if jump is not None:
         size, witness = jump
-        how = "f jumps, by intervals on both sides, where a body can be: it is not Lipschitz there; the place nearest to one is shown"
+        how = (
+            "f jumps, by intervals on both sides, where a body can be, so it is not Lipschitz; the place nearest to one is shown"
+        )
         return Answer(VIOLATED, {"K_f": np.inf, "jump": size, "L_f": L_f} | rate, ON_THE_BOX, how + remark, witness)
     point = _steep(problem, region, points)
     if point is not None:

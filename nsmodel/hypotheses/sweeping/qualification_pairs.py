@@ -1,8 +1,8 @@
 """Bounds of gamma from pairs: balls and half-spaces about one point, whose normals where both are active are known exactly.
 
 Where a point is at the distances a >= r and b >= s from two centres that are d apart, its unit normals have the product
-(a^2 + b^2 - d^2) / (2 a b); where that is < 0 it grows with a and with b, so that the least value is the one at a = r, b = s. To a
-half-space whose boundary is the distance d in front of the centre it is (g - d) / b >= -d / s.
+(a^2 + b^2 - d^2) / (2 a b); where that is < 0 it grows with a and with b, so that the least value is the one at a = r, b = s. To
+a half-space whose boundary is the distance d in front of the centre it is (g - d) / b >= -d / s.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ def pairs(constraints: Sequence[Constraint], rho: float) -> tuple[float, float, 
         return None
     rounds = [round_of(c) if c.shape.kind != "plane" else None for c in constraints]
     states = {i for c in constraints for i in c.shape.own}
-    if not any(rounds) or any(
-        set(ball.centre) != states if ball is not None else c.shape.kind != "plane" for c, ball in zip(constraints, rounds, strict=True)
-    ):  # fmt: skip
+    about_all = all(ball is None or set(ball.centre) == states for ball in rounds)
+    read = all(ball is not None or c.shape.kind == "plane" for c, ball in zip(constraints, rounds, strict=True))
+    if not (any(rounds) and about_all and read):
         return None
     G, reached = np.eye(len(constraints)), np.inf
     for i, j in combinations(range(len(constraints)), 2):

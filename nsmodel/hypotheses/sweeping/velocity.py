@@ -99,7 +99,7 @@ def velocity(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]],
     jump = _worst_jump(f, blocks, scene, points, names)
     if jump is not None:
         size, witness = jump
-        how = "f jumps inside Q(t), by intervals on both sides, so it is not Lipschitz there; the place nearest to the runs is shown"
+        how = "f jumps inside Q(t), by intervals on both sides, so it is not Lipschitz; the place nearest to the runs is shown"
         return Answer(VIOLATED, {"K_f": np.inf, "jump": size, "L_f": L_f} | rate, ON_THE_BOX, how + steady, witness)
     point = steep(f, blocks, norms, scene, points, names)
     if point is not None:

@@ -39,7 +39,9 @@ class Opposed(NamedTuple):
     how: str
 
 
-def opposed(constraints: Sequence[Constraint], scene: Scene, rows: Sequence[int], weights: Sequence[float], at: np.ndarray) -> Opposed | None:  # fmt: skip
+def opposed(
+    constraints: Sequence[Constraint], scene: Scene, rows: Sequence[int], weights: Sequence[float], at: np.ndarray
+) -> Opposed | None:
     """Return a proof that constraints oppose each other in contact near ``at`` (t, q), or None."""
     used = [int(k) for k, u in zip(rows, weights, strict=True) if u > WEIGHT]
     if len(used) < 2 or not np.isfinite(at).all():
