@@ -21,15 +21,17 @@ from nsmodel.hypotheses.sweeping.velocity import Block, closed, differ, jumps, l
 from nsmodel.model.bodies import ManyBodies
 from nsmodel.proof import extremum, interval
 from nsmodel.proof.defined import in_time
+from nsmodel.proof.discontinuity import jump_between
 from nsmodel.proof.graph import column, replay
 from nsmodel.proof.jumps import SWITCHES, jumps_in
 from nsmodel.scheme.many_bodies import BodiesProblem
 
+PROVED = 64  # Jumps that are to be proved, the nearest first.
 TRIED = 8  # Bodies, of different numbers, whose velocity is searched for jumps.
 LOOKED = 64  # Times, or bodies taken away, for which all others are looked at.
 SHIFTS = 1e-1, 1e-4, 1e-7  # Parts of the box by which a body is moved for a difference quotient.
 Point = tuple[float, np.ndarray]
-_Jump = tuple[int, float, dict[str, Any]]
+_Jump = tuple[float, dict[str, Any]]
 
 
 def velocity(problem: BodiesProblem, region: Region, points: Sequence[Point], quick: bool) -> Answer:
@@ -65,12 +67,14 @@ def velocity(problem: BodiesProblem, region: Region, points: Sequence[Point], qu
         return Answer(UNKNOWN if able else SAMPLED, {"K_f": K, "L_f": L_f} | rate, ON_THE_BOX, how + remark)
     jump = _jump(problem, points, region)
     if jump is not None:
-        number, size, witness = jump
-        how = f"f jumps at {number} points found inside Q(t), so it is not Lipschitz there; the one nearest to a body is shown"
+        size, witness = jump
+        how = (
+            "f jumps, by intervals on both sides, where a body can be, so it is not Lipschitz; the place nearest to one is shown"
+        )
         return Answer(VIOLATED, {"K_f": np.inf, "jump": size, "L_f": L_f} | rate, ON_THE_BOX, how + remark, witness)
     point = _steep(problem, region, points)
     if point is not None:
-        how = "difference quotients grow without bound near this point"
+        how = "an entry of f_q grows without bound towards this point, along a ray"
         return Answer(VIOLATED, {"K_f": np.inf, "L_f": L_f} | rate, ON_THE_BOX, how + remark, point)
     how = f"{count} points; f was not proved continuous with a bounded derivative, no jump was found inside Q(t)"
     return Answer(SAMPLED, {"K_f": K, "L_f": L_f} | rate, ON_THE_BOX, how + remark)
@@ -147,7 +151,7 @@ def _some(model: ManyBodies, table: np.ndarray) -> tuple[np.ndarray, list[np.nda
 
 
 def _jump(problem: BodiesProblem, points: Sequence[Point], region: Region) -> _Jump | None:
-    """(number of jumps found, the largest, the one nearest to a body), one body moved to where its own velocity switches."""
+    """(a lower bound of its size, the jump nearest to a body), one body moved to where its own velocity switches."""
     from scipy.spatial import cKDTree
 
     model, d, table = problem.model, problem.d, problem.numbers
@@ -162,16 +166,29 @@ def _jump(problem: BodiesProblem, points: Sequence[Point], region: Region) -> _J
             if not there.size or not len(x):
                 continue
             far, nearest = cKDTree(q[there]).query(x[:, 1 : 1 + d])
-            for k in np.argsort(far, kind="stable"):
+            for k in np.argsort(far, kind="stable")[:PROVED]:
+                if found and far[k] >= min(item[0] for item in found):
+                    break
                 time, body = float(x[k, 0]) if moves else t, int(there[nearest[k]])
                 ends = x[k, 1 : 1 + d], y[k, 1 : 1 + d]
                 values = (np.array(f(time, np.concatenate([end, table[kind]]))).T for end in ends)
-                size = float(differ(*values, least[k : k + 1])[0])
-                if size and all(others.admit(time, body, end) for end in ends):
+                if not differ(*values, least[k : k + 1])[0]:
+                    continue
+                size = _proved(model, table[kind], time, *ends)
+                if size > 0 and all(others.admit(time, body, end) for end in ends):
                     found.append((float(far[k]), size, {"t": time, "size": size, "moved": f"body {body}", "to": ends[0]}))
     if not found:
         return None
-    return len(found), max(size for _, size, _ in found), min(found, key=lambda item: item[0])[2]
+    _, size, witness = min(found, key=lambda item: item[0])
+    return size, witness
+
+
+def _proved(model: ManyBodies, numbers: np.ndarray, time: float, x: np.ndarray, y: np.ndarray) -> float:
+    """A lower bound of the jump of a body's velocity between two places; 0 where none is proved."""
+    q = ca.SX.sym("q", model.bodies.d)
+    f = ca.substitute(ca.SX(model.f), model.me.symbols, ca.vertcat(q, ca.SX(ca.DM(numbers))))
+    f = ca.substitute(f, model.t, time)
+    return jump_between(ca.densify(f), q, x, y)
 
 
 def _steep(problem: BodiesProblem, region: Region, points: Sequence[Point]) -> dict[str, Any] | None:

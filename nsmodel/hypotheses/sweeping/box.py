@@ -11,19 +11,22 @@ from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED
 from nsmodel.hypotheses.sweeping.constraint import (
     EVERYWHERE,
     ON_THE_BOX,
+    UP,
     Answer,
     Answers,
     Constraint,
     flat,
     over_time,
     root,
+    stationary,
     values,
 )
 from nsmodel.proof import extremum, interval
 from nsmodel.proof.convex import convexity
-from nsmodel.proof.jumps import find_jump, jumps_in
+from nsmodel.proof.discontinuity import proved_jump
+from nsmodel.proof.jumps import jumps_in
 
-FLAT = 1e-8  # A gradient that is this much shorter than the longest one is 0 to rounding.
+FLAT = 1e-6  # Where a gradient is this much shorter than the longest one a point is looked for where it vanishes.
 
 
 def on_the_box(c: Constraint, missing: set[str], known: Answers, quick: bool) -> Answers:
@@ -88,19 +91,22 @@ def _slope(
     """A1 and A0: the least and the largest gradient on U_i."""
     size = ca.sumsqr(gradient)
     largest, least = _sup(c, size, where, quick), _sup(c, -size, where, quick)
-    b = np.sqrt(largest.bound if np.isfinite(largest.bound) else max(largest.value, 0.0))
+    b = np.sqrt(largest.bound if np.isfinite(largest.bound) else max(largest.value, 0.0)) * UP
     attained = np.sqrt(max(-least.value, 0.0)) if np.isfinite(least.value) else np.inf
-    proved_a = np.sqrt(max(-least.bound, 0.0))
+    proved_a = np.sqrt(max(-least.bound, 0.0)) / UP
     if convex is not None and convex.verdict == HOLDS and np.isfinite(delta):
         proved_a = max(proved_a, _by_convexity(c, lowest, delta))
-    if attained <= FLAT * b and least.at is not None and values(c, least.at) >= 0:
-        return flat(c, least.at, f"the gradient is {attained:.2g} at an admissible point, 0 to rounding")
+    if attained <= FLAT * b and least.at is not None and (still := stationary(c, least.at)) is not None:
+        return flat(c, still[0], f"the gradient vanishes at an admissible point: {still[1]}")
     proved = proved_a > 0 and np.isfinite(largest.bound)
     verdict, a = (HOLDS, proved_a) if proved else (SAMPLED, attained)
     how = _found(proved, least)
     if np.isfinite(delta):
         A0 = Answer(
-            verdict, {"c": delta / b, "delta": delta}, ON_THE_BOX, f"U_i = {{g_i > -{delta:.6g}}}, half the depth of g_i; " + how
+            verdict,
+            {"c": delta / b / UP, "delta": delta},
+            ON_THE_BOX,
+            f"U_i = {{g_i > -{delta:.6g}}}, half the depth of g_i; " + how,
         )
     else:
         A0 = Answer(verdict, {"c": np.inf}, ON_THE_BOX, "g_i > 0 on the whole box: U_i is all of it")
@@ -113,7 +119,7 @@ def _by_convexity(c: Constraint, lowest: Any, delta: float) -> float:
     q = np.asarray(lowest.at)[1:]
     over = over_time(c, ca.substitute(c.g, c.q, ca.DM(q)))
     reach = np.linalg.norm(np.maximum(np.abs(c.lower[1:] - q), np.abs(c.upper[1:] - q)))
-    return max((-over.bound - delta) / reach, 0.0)
+    return max((-over.bound - delta) / reach / UP - 1e-15 * delta / reach, 0.0)
 
 
 def _kink(c: Constraint, gradient: ca.SX, delta: float) -> tuple[bool, Answer | None]:
@@ -122,13 +128,13 @@ def _kink(c: Constraint, gradient: ca.SX, delta: float) -> tuple[bool, Answer | 
     if not jumps_in(both, c.q) or interval.is_continuous(both, c.z, c.lower, c.upper):
         return True, None
     floor = -delta if np.isfinite(delta) else -np.inf
-    jump = find_jump(both, c.z, c.lower, c.upper, lambda points: values(c, points) >= 0)
+    jump = proved_jump(both, c.z, c.lower, c.upper, c.g)
     if jump is None:
-        jump = find_jump(both, c.z, c.lower, c.upper, lambda points: values(c, points) >= floor)
+        jump = proved_jump(both, c.z, c.lower, c.upper, c.g - floor if np.isfinite(floor) else None)
     if jump is None:
         return False, None
     inside = "at an admissible point" if values(c, jump.at) >= 0 else "in U_i"
-    how = f"g_i or its gradient jumps by {jump.size:.3g} {inside}: g_i is not C^2 there"
+    how = f"g_i or its gradient jumps by at least {jump.size:.3g} {inside}: g_i is not C^2 there"
     return False, Answer(VIOLATED, {"jump": jump.size}, ON_THE_BOX, how, c.point(jump.at))
 
 
@@ -145,14 +151,14 @@ def _convex(c: Constraint, H: ca.SX, quick: bool) -> Answer:
         return Answer(HOLDS, {"least": 0.0}, ON_THE_BOX, "by the rules of convex functions")
     bent = _chord(c)
     top = extremum.largest_eigenvalue(-H, c.z, c.lower, c.upper, quick=quick, bound_to=0.0)
-    f = ca.Function("H", [c.z], [ca.densify(H)])
-    if top.at is not None and np.isfinite(top.value):
-        matrix = np.array(f(top.at))
-        values, vectors = np.linalg.eigh(matrix)
-        if values[0] < -1e-9 * max(np.abs(matrix).max(), 1e-300):
-            witness = c.point(top.at) | {"states": list(c.names), "eigenvector": vectors[:, 0]}
-            how = "the Hessian has a negative eigenvalue"
-            return Answer(VIOLATED, {"least": values[0]}, ON_THE_BOX, how, witness)
+    if top.at is not None and np.isfinite(top.value) and not jumps_in(c.g, c.q):
+        matrix = np.array(ca.Function("H", [c.z], [ca.densify(H)])(top.at))
+        v = np.linalg.eigh((matrix + matrix.T) / 2)[1][:, 0]
+        high = float(interval.enclose(ca.bilin(H, ca.DM(v), ca.DM(v)), c.z, top.at, top.at)[1].item())
+        if high < 0:
+            witness = c.point(top.at) | {"states": list(c.names), "eigenvector": v}
+            how = "the Hessian has a negative eigenvalue (by interval arithmetic)"
+            return Answer(VIOLATED, {"least": high / float(v @ v) * (1 - 1e-14)}, ON_THE_BOX, how, witness)
     if bent is not None:
         return bent
     both = ca.vertcat(c.g, ca.gradient(c.g, c.q))
@@ -162,21 +168,26 @@ def _convex(c: Constraint, H: ca.SX, quick: bool) -> Answer:
 
 
 def _chord(c: Constraint) -> Answer | None:
-    """A violation where g in the middle of a chord lies above the mean of its ends."""
+    """A violation where g in the middle of a chord lies above the mean of its ends, rounding included."""
     points = extremum.samples(np.tile(c.lower, 2), np.tile(c.upper, 2), 1024)
     x, y = np.split(points, 2, axis=1)
     y[:, 0] = x[:, 0]  # At one time.
     ends, middle = [values(c, part) for part in (x, y)], values(c, (x + y) / 2)
     with np.errstate(all="ignore"):
         rise = middle - (ends[0] + ends[1]) / 2
-        scale = np.abs(middle) + np.abs(ends[0]) + np.abs(ends[1])
-        rise = np.where(np.isfinite(rise) & (rise > 1e-9 * scale), rise, 0.0)
-    if not rise.any():
-        return None
-    k = int(np.argmax(rise))
-    witness = c.point((x[k] + y[k]) / 2) | {"states": list(c.names), "from": x[k, 1:], "to": y[k, 1:]}
-    how = f"in the middle of a chord g_i is {rise[k]:.3g} above the mean of its ends"
-    return Answer(VIOLATED, {"least": -8 * rise[k] / float(np.sum((x[k, 1:] - y[k, 1:]) ** 2))}, ON_THE_BOX, how, witness)
+        order = np.argsort(-np.where(np.isfinite(rise), rise, -np.inf), kind="stable")[:4]
+    for k in order[rise[order] > 0]:
+        half = (x[k] + y[k]) / 2
+        below, above = np.nextafter(half, -np.inf), np.nextafter(half, np.inf)
+        below[0] = above[0] = x[k, 0]
+        low = float(interval.enclose(c.g, c.z, below, above)[0].item())
+        high = [float(interval.enclose(c.g, c.z, end, end)[1].item()) for end in (x[k], y[k])]
+        over = low - (high[0] + high[1]) / 2 - 1e-15 * (abs(low) + abs(high[0]) + abs(high[1]))
+        if np.isfinite(over) and over > 0:
+            witness = c.point(half) | {"states": list(c.names), "from": x[k, 1:], "to": y[k, 1:]}
+            how = f"in the middle of a chord g_i is at least {over:.3g} above the mean of its ends"
+            return Answer(VIOLATED, {"least": -8 * over / float(np.sum((x[k, 1:] - y[k, 1:]) ** 2))}, ON_THE_BOX, how, witness)
+    return None
 
 
 def _on_box(name: str, top: Any) -> Answer:

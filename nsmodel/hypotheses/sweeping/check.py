@@ -14,7 +14,7 @@ from nsmodel.hypotheses.sweeping.admissible import Scene, admissible_points, sce
 from nsmodel.hypotheses.sweeping.consequences import consequences_of
 from nsmodel.hypotheses.sweeping.constants import answers
 from nsmodel.hypotheses.sweeping.constraint import ON_THE_BOX, Answers, Constraint
-from nsmodel.hypotheses.sweeping.qualification import Qualified, qualification
+from nsmodel.hypotheses.sweeping.qualification import FEW_STATES, Qualified, qualification
 from nsmodel.hypotheses.sweeping.shapes import read_shapes
 from nsmodel.hypotheses.sweeping.start import ROUNDED, start_value
 from nsmodel.hypotheses.sweeping.velocity import velocity
@@ -78,8 +78,13 @@ def qualified(model: SweepingProcess, region: Region, runs: Sequence[Trajectory]
     """Return A5 and A5' alone."""
     constraints = _constraints(model, region)
     scene = _scene(model, constraints, region, runs)
-    points = _points(scene, len(model.names) > FEW, quick)
-    return _qualified(constraints, _grouped(constraints, quick), scene, points, model, quick)
+    each = _grouped(constraints, quick)
+    if not quick and len(model.names) > FEW_STATES:  # Bounds of so many states need no points.
+        known = [(t, q) for t, q in scene.known if scene.admits(*scene.at(t, q))]
+        found = _qualified(constraints, each, scene, known, model, True)
+        if found[0].verdict == HOLDS:
+            return found
+    return _qualified(constraints, each, scene, _points(scene, len(model.names) > FEW, quick), model, quick)
 
 
 def _scene(model: SweepingProcess, constraints: Sequence[Constraint], region: Region, runs: Sequence[Trajectory]) -> Scene:

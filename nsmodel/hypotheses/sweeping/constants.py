@@ -9,11 +9,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.hypotheses.sweeping.box import on_the_box
 from nsmodel.hypotheses.sweeping.constraint import (
     EVERYWHERE,
     ON_THE_BOX,
+    UP,
     Answer,
     Answers,
     Constraint,
@@ -21,13 +22,19 @@ from nsmodel.hypotheses.sweeping.constraint import (
     flat,
     over_time,
     root,
+    stationary,
     steady,
-    values,
 )
 from nsmodel.hypotheses.sweeping.forms import Affine, Offset, Squares, expression, hessian
+from nsmodel.hypotheses.sweeping.geometry import root_above, root_below
 from nsmodel.proof import exact, extremum, interval
 from nsmodel.proof.defined import Defined, in_time
-from nsmodel.proof.jumps import find_jump, jumps_in
+from nsmodel.proof.discontinuity import proved_jump
+from nsmodel.proof.germ import grows
+from nsmodel.proof.graph import constants
+from nsmodel.proof.jumps import jumps_in
+
+REACH, STATES = 1e-6, 16  # How far from a time, beside the interval, and at how many states a rate is looked at.
 
 
 def answers(constraint: Constraint, quick: bool) -> Answers:
@@ -43,7 +50,30 @@ def answers(constraint: Constraint, quick: bool) -> Answers:
     known = rule(constraint) if rule is not None else _turning_plane(constraint)
     known = dict(known or {}) | _in_steps(constraint) | _turning_in_steps(constraint)
     missing = {"S-convex", "A0", "A1", "A2", "A3", "A4"} - set(known)
-    return _defined(constraint, known | (on_the_box(constraint, missing, known, quick) if missing else {}))
+    known |= on_the_box(constraint, missing, known, quick) if missing else {}
+    if known["A2"].verdict == SAMPLED and (steep := _faster_and_faster(constraint)) is not None:
+        known["A2"] = steep
+    return _defined(constraint, known)
+
+
+def _faster_and_faster(c: Constraint) -> Answer | None:
+    """A2 where d_t g grows without bound towards a time: as powers of the distance from it, at an admissible state."""
+    rate = ca.jacobian(c.g, c.t)
+    t0, t1 = float(c.lower[0]), float(c.upper[0])
+    inner = {float(value) for value in constants(c.g) if t0 < value < t1}
+    h = REACH * min(t1 - t0, 1.0)
+    states = extremum.samples(c.lower[1:], c.upper[1:], STATES)
+    for time, forward in [(t0, 1.0), (t1, -1.0), *((time, 1.0) for time in sorted(inner)[:STATES])]:
+        for q in states:
+            ends = np.append(time, q), np.append(time + forward * h, q)
+            if not (interval.enclose(c.g, c.z, np.minimum(*ends), np.maximum(*ends))[0] >= 0).all():
+                continue
+            direction = np.append(forward, np.zeros(q.size))
+            power = grows(rate, c.z, ends[0], direction, h)
+            if power is not None:
+                how = f"d_t g_i grows without bound at an admissible state, as |t - {time:.6g}|^({power}) does"
+                return Answer(VIOLATED, {"b": np.inf}, EVERYWHERE, how, c.point(ends[0]))
+    return None
 
 
 def _defined(c: Constraint, known: Answers) -> Answers:
@@ -61,10 +91,10 @@ def _in_steps(c: Constraint) -> Answers:
     """A2 of a constraint that jumps in time, where d_t g says nothing."""
     if not c.shape.time or not jumps_in(c.g, c.t) or interval.is_continuous(c.g, c.z, c.lower, c.upper):
         return {}
-    jump = find_jump(c.g, c.z, c.lower, c.upper, lambda points: np.ones(len(points), bool))
+    jump = proved_jump(c.g, c.z, c.lower, c.upper)
     if jump is None:
         return {"A2": Answer(UNKNOWN, {}, ON_THE_BOX, "g_i was not proved continuous", {"constraint": c.name})}
-    how = f"g_i jumps by {jump.size:.3g}: Q(t) is not Lipschitz in t"
+    how = f"g_i jumps by at least {jump.size:.3g}: Q(t) is not Lipschitz in t"
     return {"A2": Answer(VIOLATED, {"b": np.inf}, ON_THE_BOX, how, c.point(jump.at))}
 
 
@@ -74,10 +104,10 @@ def _turning_in_steps(c: Constraint) -> Answers:
     nodes = [node for node in jumps_in(gradient, c.t) if not ca.depends_on(node, c.q)] if c.shape.time else []
     if not nodes or interval.is_continuous(ca.vertcat(*nodes), c.t, c.lower[:1], c.upper[:1]):
         return {}
-    jump = find_jump(gradient, c.z, c.lower, c.upper, lambda points: values(c, points) >= 0)
+    jump = proved_jump(gradient, c.z, c.lower, c.upper, c.g)
     if jump is None:
         return {"A3": Answer(UNKNOWN, {}, ON_THE_BOX, "the gradient was not proved continuous in t", {"constraint": c.name})}
-    how = f"the gradient jumps by {jump.size:.3g} at an admissible point"
+    how = f"the gradient jumps by at least {jump.size:.3g} at an admissible point"
     return {"A3": Answer(VIOLATED, {"M": np.inf}, ON_THE_BOX, how, c.point(jump.at))}
 
 
@@ -86,13 +116,13 @@ def _turning_in_steps(c: Constraint) -> Answers:
 
 def _plane(c: Constraint) -> Answers:
     a: Affine = c.shape.form.affine
-    size = _length(list(a.row.values()))
+    size = sum((x * x for x in a.row.values()), Fraction(0))
     speed = over_time(c, ca.fabs(_rate(c, a.offset)))
     text = "affine with a constant gradient: U_i is the whole space"
     if not size:
         A1 = Answer(VIOLATED, {"a": 0.0, "b": 0.0}, EVERYWHERE, "does not depend on the state", {"constraint": c.name})
     else:
-        A1 = Answer(HOLDS, {"a": size, "b": size}, EVERYWHERE, text)
+        A1 = Answer(HOLDS, {"a": root_below(size), "b": root_above(size)}, EVERYWHERE, text)
     return {
         "S-convex": Answer(HOLDS, {"least": 0.0}, EVERYWHERE, "affine"),
         "A0": Answer(HOLDS, {"c": np.inf}, EVERYWHERE, text),
@@ -118,7 +148,7 @@ def _turning_plane(c: Constraint) -> Answers | None:
         "A4": Answer(HOLDS, {"M": 0.0, "M_contact": 0.0}, EVERYWHERE, text),
     }
     if -least.bound > 0 and np.isfinite(largest.bound):
-        known["A1"] = Answer(HOLDS, {"a": np.sqrt(-least.bound), "b": np.sqrt(largest.bound)}, EVERYWHERE, text)
+        known["A1"] = Answer(HOLDS, {"a": np.sqrt(-least.bound) / UP, "b": np.sqrt(largest.bound) * UP}, EVERYWHERE, text)
     return known
 
 
@@ -143,19 +173,28 @@ def _distance(c: Constraint) -> Answers | None:
         return known | _no_reach(c, squares, t, -least_reach.value)
     if not reach > 0:
         return known
-    delta, b = reach / 2, w * float(sigma[0])
+    if diagonal:
+        sizes = [
+            w2 * sum((x * x for i, x in a.row.items() if i >= 0), Fraction(0))
+            for w2, a in ((v * weight**2, a) for v, a in squares)
+        ]
+        a, b = root_below(min(sizes)), root_above(max(sizes))
+    else:
+        sure = 1 + 64 * len(A) * exact.EPS * float(sigma[0] / sigma[-1])  # More than an SVD errs by.
+        a, b = w * float(sigma[-1]) / sure, w * float(sigma[0]) * sure
+    delta = reach / 2
     rates = [np.sqrt(float(v)) * _rate(c, a.offset) for v, a in squares]
     speed = ca.norm_2(ca.vertcat(*rates)) if any(not r.is_zero() for r in rates) else ca.SX(0)
     centre = over_time(c, speed)
     # |u| >= (r - delta)/w on U_i, r/w on Q_i; the second derivative is w A'(I - nn')A / |u|. For one row it is 0, but Q_i has two
     # sides: from one to the other |v| - |u| - n(v - u) <= |v - u|^2 / (2 |u|), as for more rows.
-    M, M_contact = (w * w * float(sigma[0]) ** 2 / (reach - part) for part in (delta, 0.0))
-    turning = w * w * float(sigma[0]) / (reach - delta)
+    M, M_contact = (b * b / (reach - part) * (1 if diagonal else UP) for part in (delta, 0.0))
+    turning = w * b / (reach - delta)
     how = f"{text}: the gradient is A'n with |n| = 1"
     clipped = ", a Lipschitz constant of the gradient (the Hessian jumps beyond the end points)" if c.shape.clips else ""
     return known | {
         "A0": Answer(HOLDS, {"c": delta / b, "delta": delta}, EVERYWHERE, "U_i = {g_i > -r/2}"),
-        "A1": Answer(HOLDS, {"a": w * float(sigma[-1]), "b": b}, EVERYWHERE, how),
+        "A1": Answer(HOLDS, {"a": a, "b": b}, EVERYWHERE, how),
         "A2": bounded("b", over_time(c, w * speed + ca.fabs(_rate(c, moving)))),
         "A3": bounded("M", centre, turning),
         "A4": Answer(HOLDS, {"M": M, "M_contact": M_contact}, EVERYWHERE, f"{text}: |A|^2 / distance{clipped}"),
@@ -195,7 +234,8 @@ def _quadratic(c: Constraint) -> Answers:
     H_exact, _ = hessian(c.shape.form)
     sign, H = exact.psd(H_exact), exact.doubles(H_exact)
     values = np.linalg.eigvalsh(H)
-    spectral = float(np.abs(values).max())
+    slack = 16 * len(H) * exact.EPS * float(np.linalg.norm(H))  # More than eigenvalues in doubles err by.
+    spectral = float(np.abs(values).max()) + slack
     known = {"A4": Answer(HOLDS, {"M": spectral, "M_contact": spectral}, EVERYWHERE, "the Hessian is constant")}
     if sign.vector is not None:
         v = np.linalg.eigh(H)[1][:, 0] if values[0] < 0 else sign.vector / np.linalg.norm(sign.vector)
@@ -206,6 +246,7 @@ def _quadratic(c: Constraint) -> Answers:
             | {"S-convex": Answer(VIOLATED, {"least": min(float(values[0]), 0.0)}, EVERYWHERE, how, witness)}
             | _centre(c, H)
         )
+    values = np.maximum(values - slack, 0.0)
     least = float(values[0]) if sign.definite else 0.0
     known["S-convex"] = Answer(HOLDS, {"least": max(least, 0.0)}, EVERYWHERE, "the constant Hessian is psd (exact)")
     gradient = ca.gradient(c.g, c.q)
@@ -213,7 +254,7 @@ def _quadratic(c: Constraint) -> Answers:
     if not ca.depends_on(turn, c.q):
         known["A3"] = bounded("M", root(over_time(c, ca.sumsqr(turn))))
     if sign.definite and values[0] > 1e-9 * spectral:
-        known |= _depth(c, H, values, gradient)
+        known |= _depth(c, H, np.append(values[:-1], spectral), gradient)
     return known
 
 
@@ -237,23 +278,22 @@ def _depth(c: Constraint, H: np.ndarray, values: np.ndarray, gradient: ca.SX) ->
     above = over_time(c, bottom)  # sup of m
     if above.value >= 0:
         t = float(np.ravel(above.at)[0])
-        z = np.append(t, minimum(t))
-        if float(np.min(interval.enclose(c.g, c.z, z, z)[0])) >= 0:
-            return flat(c, z, "the gradient vanishes at its minimum, which is admissible")
+        if float(interval.enclose(lowest, c.t, np.full(1, t), np.full(1, t))[0].item()) >= 0:
+            return flat(c, np.append(t, minimum(t)), "the gradient vanishes at its minimum, which is admissible")
         return {}
     if not above.bound < 0:
         return {}
     deepest = over_time(c, -lowest)
     delta = -above.bound / 2
-    a = np.sqrt(2 * values[0] * delta)
+    a = np.sqrt(2 * values[0] * delta) / UP
     known = {"A0": Answer(UNKNOWN)} if not np.isfinite(deepest.bound) else {
-        "A0": Answer(HOLDS, {"c": delta / np.sqrt(2 * values[-1] * deepest.bound), "delta": delta}, EVERYWHERE,
+        "A0": Answer(HOLDS, {"c": delta / np.sqrt(2 * values[-1] * deepest.bound) / UP, "delta": delta}, EVERYWHERE,
                      "|grad g|^2 <= 2 lambda_n (g - min g) between Q_i and the boundary of U_i = {g_i > min g_i / 2}"),
     }  # fmt: skip
     largest = extremum.supremum(ca.sumsqr(gradient), c.z, c.lower, c.upper)
     if np.isfinite(largest.bound):
         how = "|grad g|^2 >= 2 lambda_1 (g - min g) everywhere; b on the box: it grows with the distance"
-        known["A1"] = Answer(HOLDS, {"a": a, "b": np.sqrt(largest.bound)}, ON_THE_BOX, how)
+        known["A1"] = Answer(HOLDS, {"a": a, "b": np.sqrt(largest.bound) * UP}, ON_THE_BOX, how)
     return known
 
 
@@ -264,8 +304,9 @@ def _centre(c: Constraint, H: np.ndarray) -> Answers:
         b = np.array(f(t, np.zeros(len(H)))[0]).ravel()
         q = np.linalg.lstsq(H, -b, rcond=None)[0]
         gradient, value = (np.array(item).ravel() for item in f(t, q))
-        if np.linalg.norm(gradient) <= 1e-12 * (np.linalg.norm(b) + np.linalg.norm(H)) and value[0] >= 0:
-            return flat(c, np.append(t, q), "the gradient vanishes at an admissible point")
+        near = np.linalg.norm(gradient) <= 1e-9 * (np.linalg.norm(b) + np.linalg.norm(H)) and value[0] >= 0
+        if near and (still := stationary(c, np.append(t, q))) is not None:
+            return flat(c, still[0], f"the gradient vanishes at an admissible point: {still[1]}")
     return {}
 
 
@@ -278,7 +319,3 @@ def _rate(c: Constraint, offset: Offset) -> ca.SX:
 
 def _at_time(c: Constraint, offset: Offset, t: float) -> float:
     return float(offset) if isinstance(offset, Fraction) else float(ca.Function("o", [c.t], [offset])(t))
-
-
-def _length(entries: list[Fraction]) -> float:
-    return float(np.sqrt(float(sum((x * x for x in entries), Fraction(0)))))

@@ -11,8 +11,10 @@ import numpy as np
 
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED
 from nsmodel.hypotheses.sweeping.forms import Shape
-from nsmodel.proof import extremum
+from nsmodel.proof import extremum, interval
+from nsmodel.proof.krawczyk import zero_near
 
+UP = 1 + 1e-14  # More than what a root and a few products lose.
 EVERYWHERE, ON_THE_BOX = "everywhere", "on the box"
 
 
@@ -76,15 +78,15 @@ def over_time(c: Constraint, expr: ca.SX) -> Top:
     if expr.is_constant():
         return Top(float(expr), float(expr), c.lower[:1])
     if not ca.depends_on(expr, c.t):
-        value = float(ca.Function("value", [], [expr])()["o0"])
-        return Top(value, value, c.lower[:1])
+        low, high = (float(end.item()) for end in interval.enclose(expr, c.t, c.lower[:1], c.lower[:1]))
+        return Top(low, high, c.lower[:1])
     top = extremum.supremum(expr, c.t, c.lower[:1], c.upper[:1])
     return Top(top.value, top.bound, top.at, top.count)
 
 
 def root(top: Any) -> Top:
     """Return the supremum of the root."""
-    return Top(np.sqrt(max(top.value, 0.0)), np.sqrt(max(top.bound, 0.0)), top.at, top.count)
+    return Top(np.sqrt(max(top.value, 0.0)), np.sqrt(max(top.bound, 0.0)) * UP, top.at, top.count)
 
 
 def bounded(name: str, top: Any, factor: float = 1.0) -> Answer:
@@ -92,7 +94,7 @@ def bounded(name: str, top: Any, factor: float = 1.0) -> Answer:
     if factor == 0 or top.bound == 0:
         return steady(name)
     if np.isfinite(top.bound):
-        return Answer(HOLDS, {name: factor * top.bound}, EVERYWHERE, "bounded over the interval of time")
+        return Answer(HOLDS, {name: factor * top.bound * UP}, EVERYWHERE, "bounded over the interval of time")
     t = {"t": float(np.ravel(top.at)[0])} if top.at is not None else {}
     return Answer(SAMPLED, {name: factor * top.value}, EVERYWHERE, f"no bound over time was found; {top.count} points", t)
 
@@ -100,6 +102,24 @@ def bounded(name: str, top: Any, factor: float = 1.0) -> Answer:
 def steady(name: str) -> Answer:
     """The answer of what does not change with time."""
     return Answer(HOLDS, {name: 0.0}, EVERYWHERE, "it does not change with time")
+
+
+def stationary(c: Constraint, z: np.ndarray) -> tuple[np.ndarray, str] | None:
+    """Return a point (t, q) near z where the gradient by q is 0 and g >= 0, both proved, with how; None where there is none."""
+    gradient = ca.gradient(c.g, c.q)
+    both = ca.vertcat(c.g, gradient)
+    for digits in (17, 12, 9, 6, 4, 2, 1):
+        point = np.array([z[0], *(round(float(x), digits) for x in z[1:])])
+        low, high = (end.ravel() for end in interval.enclose(both, c.z, point, point))
+        if low[0] >= 0 and not (low[1:].any() or high[1:].any()):
+            return point, "by interval arithmetic"
+    width = np.where(c.upper[1:] > c.lower[1:], (c.upper - c.lower)[1:], 1.0)
+    zero = zero_near(ca.substitute(gradient, c.t, float(z[0])), c.q, np.asarray(z[1:], float), width)
+    if zero is None:
+        return None
+    lower, upper = np.append(z[0], zero.lower), np.append(z[0], zero.upper)
+    admissible = float(interval.enclose(c.g, c.z, lower, upper)[0].item()) >= 0
+    return ((lower + upper) / 2, "an interval Newton step proves it near the one shown") if admissible else None
 
 
 def flat(c: Constraint, z: np.ndarray, how: str) -> Answers:

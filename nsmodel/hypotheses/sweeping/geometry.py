@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from fractions import Fraction
+
 import numpy as np
 
-from nsmodel.proof.exact import EPS
+from nsmodel.proof.exact import EPS, rational
 
 IN_HULL = 1e-13  # A hull of unit vectors that is nearer to 0 than this contains 0, up to rounding.
 
@@ -104,15 +107,60 @@ def discs_in_a_row(k: int) -> float:
 def gram_bound(G: np.ndarray) -> float:
     """Return an upper bound of gamma from lower bounds G (k, k) <= 0 of the scalar products of unit normals; inf: none.
 
-    G has ones on its diagonal. Then |sum u_i n_i|^2 >= u'Gu for u >= 0, and if G is positive definite (an M-matrix: its inverse
-    is >= 0) the minimum over the simplex is 1/(1'G^{-1}1), for every subset of the normals no less.
+    G has ones on its diagonal. Then |sum u_i n_i|^2 >= u'Gu for u >= 0. A y > 0 with Gy >= 1 shows that G, an M-matrix, is
+    positive definite, and 1 <= (u'Gy)^2 <= u'Gu y'Gy where u >= 0, sum u = 1: gamma^2 <= y'Gy. For each subset of the normals
+    the same entries of y serve. y is found in floating point and tested exactly.
     """
-    if np.linalg.eigvalsh(G)[0] <= 1e-9:
+    try:
+        y = np.linalg.solve(G, np.ones(len(G)))
+    except np.linalg.LinAlgError:
         return np.inf
-    return float(np.sqrt(np.linalg.solve(G, np.ones(len(G))).sum()))
+    if not (np.isfinite(y).all() and (y > 0).all()):
+        return np.inf
+    exact_G = rational(G)
+    for more in (0.0, 1e-12, 1e-8):
+        exact_y = rational(y * (1 + more))
+        product = exact_G @ exact_y
+        if all(value >= 1 for value in product):
+            return root_above(exact_y @ product)
+    return np.inf
+
+
+def hull_bound(rows: Sequence[Sequence[Fraction]]) -> float:
+    """Return an upper bound of gamma from gradients, exact: |d| / min <n_i, d> for a good d; inf where d gains nowhere."""
+    d = rational(mfcq_direction(np.array([[float(x) for x in row] for row in rows])))
+    worst = Fraction(0)
+    for row in rows:
+        gain = sum((x * y for x, y in zip(row, d, strict=True)), Fraction(0))
+        if gain <= 0:
+            return np.inf
+        worst = max(worst, sum((x * x for x in row), Fraction(0)) / gain**2)
+    return max(root_above(worst * sum((x * x for x in d), Fraction(0))), 1.0)
+
+
+def mfcq_direction(normals: np.ndarray) -> np.ndarray:
+    """The point of the hull of the unit normals that is nearest to 0."""
+    N = normals / np.linalg.norm(normals, axis=1)[:, None]
+    return mfcq_constant(normals)[1] @ N
+
+
+def root_above(x: Fraction) -> float:
+    """A double above the root of x >= 0, next to it but for a few units."""
+    r = float(x) ** 0.5 if x < 1e300 else np.inf
+    while r < np.inf and Fraction(r) ** 2 < x:
+        r = float(np.nextafter(r * (1 + 1e-16), np.inf))
+    return r
+
+
+def root_below(x: Fraction) -> float:
+    """A double below the root of x >= 0, next to it but for a few units."""
+    r = float(x) ** 0.5
+    while Fraction(r) ** 2 > x:
+        r = float(np.nextafter(r, 0))
+    return r
 
 
 def row_space(A: np.ndarray) -> np.ndarray:
     """Return an orthonormal basis (n, r) of the space of the rows of A (m, n)."""
     _, values, vectors = np.linalg.svd(A, full_matrices=False)
-    return vectors[values > 1e-12 * values.max(initial=0.0)].T
+    return vectors[values > 1e-6 * values.max(initial=0.0)].T

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cache
+from itertools import combinations
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -17,15 +18,18 @@ from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.hypotheses.sweeping.admissible import Scene, named
 from nsmodel.hypotheses.sweeping.constraint import EVERYWHERE, ON_THE_BOX, Constraint
 from nsmodel.hypotheses.sweeping.geometry import mfcq_constant
+from nsmodel.hypotheses.sweeping.qualification_away import UP, Away, away
 from nsmodel.hypotheses.sweeping.qualification_box import over_box
-from nsmodel.hypotheses.sweeping.qualification_proofs import everywhere
+from nsmodel.hypotheses.sweeping.qualification_proofs import Proof, everywhere
+from nsmodel.hypotheses.sweeping.witness import attained, opposed
 from nsmodel.proof.components import sharing
 from nsmodel.proof.quiet import quiet
 
-FRACTION, TRIES = 0.1, 3
+FRACTION, TRIES, FINER = 0.1, 3, (12, 16, 20)
 FEW_STATES = 4
 MOST_STATES = 24  # Beyond, a local search takes too long.
 TOUCHING = 1e-9  # Constraints within this part of the box of 0 are active.
+STARTS, ROUNDS, MOST_PAIRS = 24, 12, 40  # Points, steps and pairs in the search for corners.
 LOST = 1e7  # A local search that ends above this has found opposing normals, to rounding.
 
 
@@ -70,27 +74,27 @@ def qualification(
     cut = len(scene.columns) <= FEW_STATES and not quick  # Else a smaller rho proves no more.
     near = _decide(constraints, scene, slope, FRACTION * reach, points, names, quick)
     for k in range(1, TRIES):
-        if near.verdict == HOLDS or near.rho == 0 or (np.isfinite(near.gamma) and not cut):
+        if near.verdict in (HOLDS, VIOLATED) or (np.isfinite(near.gamma) and not cut):
             break
         near = _decide(constraints, scene, slope, FRACTION * reach * 4.0**-k, points, names, quick, k)
-    if near.rho == 0:  # Opposing normals were found in contact.
-        return near, near
+    if near.verdict == VIOLATED:  # Opposing normals were proved in contact.
+        return near._replace(rho=0.0), near._replace(rho=0.0)
     active = _decide(constraints, scene, slope, 0.0, points, names, quick or near.verdict == HOLDS, 1)
     if near.verdict == HOLDS:
-        if active.verdict != HOLDS:
+        if active.verdict != HOLDS or active.gamma > near.gamma:
             how = f"gamma(0) <= gamma(rho): {near.how}"
             active = near._replace(rho=0.0, attained=active.attained, witness=active.witness, how=how)
         return near, active
     if active.verdict == VIOLATED:
         return active, active
-    for k in range(TRIES, 3 * TRIES if active.verdict == HOLDS or np.isinf(near.gamma) else TRIES):
+    finer = (*range(TRIES, 3 * TRIES), *FINER) if active.verdict == HOLDS else range(TRIES, 3 * TRIES)
+    for k in finer if active.verdict == HOLDS or np.isinf(near.gamma) else ():
         near = _decide(constraints, scene, slope, FRACTION * reach * 4.0**-k, points, names, quick, k)
         if near.verdict == HOLDS or (active.verdict != HOLDS and np.isfinite(near.gamma)):
             return near, active
-    if near.verdict == VIOLATED:
-        how = (
-            f"near-active constraints oppose each other for every rho tried, down to {near.rho:.2g}; active ones were not seen to"
-        )
+    if np.isinf(near.gamma):
+        how = f"near-active constraints oppose each other, to rounding, for every rho tried, down to {near.rho:.2g}; "
+        how += "active ones do not" if active.verdict == HOLDS else "active ones were not proved to"
         near = near._replace(verdict=UNKNOWN, how=how)
     return near, active
 
@@ -99,56 +103,98 @@ def _decide(
     constraints: Sequence[Constraint], scene: Scene, slope: np.ndarray, rho: float, points: list[tuple[float, np.ndarray]],
     names: Sequence[str], quick: bool, tries: int = 0,
 ) -> Qualified:  # fmt: skip
-    worst = _worst(scene, points, rho)
-    witness = _witness(constraints, scene, worst, names)
+    """gamma(rho): proved, seen to be infinite in contact (then for every rho), or the largest that was seen."""
     proof = everywhere(constraints, rho)
-    if proof is not None:
-        if np.isfinite(proof.gamma):
-            how = proof.how
-            if worst.gamma > proof.gamma * (1 + 1e-9):
-                how += (
-                    f"; {worst.gamma:.6g} was seen of constraints that are active to rounding, which the proof excludes exactly"
-                )
-            return Qualified(HOLDS, proof.gamma, proof.rho, EVERYWHERE, how, min(worst.gamma, proof.gamma), witness)
-        own = sorted({i for constraint in constraints for i in constraint.shape.own})
-        opposed = {"constraints": [constraints[i].name for i in proof.opposed], "weights": list(proof.weights)}
-        where = {"t": proof.at[0]} | named([names[i] for i in own], proof.at[1:]) if proof.at is not None else {}
-        how = "these planes oppose each other, and can be near active together (decided exactly, loosened by 1e-9)"
-        return Qualified(VIOLATED, np.inf, rho, EVERYWHERE, how, np.inf, opposed | where)
-    if np.isinf(worst.gamma):
-        return Qualified(VIOLATED, np.inf, rho, ON_THE_BOX, "opposing normals at an admissible point", np.inf, witness)
+    if proof is not None and np.isfinite(proof.gamma):
+        worst = _worst(scene, points, rho)
+        return _holds(constraints, scene, worst, names, Proof(max(proof.gamma, 1.0), proof.rho, proof.how), EVERYWHERE, rho)
+    if not quick and len(scene.columns) <= FEW_STATES:
+        points = [*points, *corners(scene, points)]
+    worst = _worst(scene, points, rho)
+    if proof is not None and proof.at is not None and len(proof.at) == 1 + len(scene.columns):
+        worst = worst._replace(
+            gamma=np.inf, t=proof.at[0], q=proof.at[1:], rows=np.array(proof.opposed), weights=np.array(proof.weights)
+        )
+    if worst.gamma > LOST and (found := _opposed(constraints, scene, worst, names)) is not None:
+        return found
+    if worst.gamma > LOST and rho > 0:
+        return _lost(constraints, scene, worst, names, rho)
     groups = sharing([set(constraint.shape.own) for constraint in constraints])
     if len(groups) > 1:
-        return _together(constraints, scene, slope, rho, points, names, quick, groups, worst, witness)
-    if len(scene.columns) <= FEW_STATES and not quick:
-        at = np.append(worst.t, worst.q) if worst.q is not None else None
-        bound = over_box(scene, slope, rho, worst.gamma, at, _known(constraints, rho), tries)
-        if bound.value > worst.gamma:
+        return _together(constraints, scene, slope, rho, points, names, quick, groups, worst)
+    apart = away(constraints, slope, scene.columns, scene.lower, scene.upper)
+    cut = len(scene.columns) <= FEW_STATES and not quick
+    if apart is not None and not cut:
+        return _holds(constraints, scene, worst, names, Proof(apart.gamma, np.inf, apart.how), ON_THE_BOX, rho)
+    if cut:
+        at = np.append(worst.t, worst.q) if worst.q is not None and np.isfinite(worst.gamma) else None
+        value = worst.gamma if np.isfinite(worst.gamma) else 1.0
+        bound = over_box(scene, slope, rho, value, at, _known(constraints, rho, apart), tries)
+        if bound.value > value:
             worst = _worst(scene, [(bound.at[0], bound.at[1:])], rho)
-            witness = _witness(constraints, scene, worst, names)
         if np.isfinite(bound.bound):
             how = f"one escape direction on each of {bound.looked} parts of the box"
-            return Qualified(HOLDS, bound.bound, rho, ON_THE_BOX, how, worst.gamma, witness)
+            return _holds(constraints, scene, worst, names, Proof(bound.bound, rho, how), ON_THE_BOX, rho)
         if bound.left is not None:
             start = Worst(1.0, bound.left[0], bound.left[1:], bound.rows, np.full(bound.rows.size, 1 / bound.rows.size), 1)
             for within in dict.fromkeys((0.0, rho)):
                 further = _worst(scene, [_worsened(scene, start, within)], within)
-                if further.gamma > LOST:
-                    how = "opposing normals, to rounding, found from a part of the box without bound"
-                    return Qualified(
-                        VIOLATED, np.inf, within, ON_THE_BOX, how, np.inf, _witness(constraints, scene, further, names)
-                    )
+                if further.gamma > LOST and (found := _opposed(constraints, scene, further, names)) is not None:
+                    return found
                 worst = further._replace(looked=worst.looked) if further.gamma > worst.gamma else worst
     return _sampled(constraints, scene, rho, points, names, quick, worst)
 
 
-def _known(constraints: Sequence[Constraint], rho: float) -> Callable[[tuple[int, ...]], float]:
-    """Bounds of gamma that hold everywhere, for sets of the constraints."""
+def _holds(
+    constraints: Sequence[Constraint], scene: Scene, worst: Worst, names: Sequence[str], proof: Proof, where: str, rho: float
+) -> Qualified:  # fmt: skip
+    """The finding of a bound, with the largest gamma that is proved to be attained, and near where."""
+    reached = 1.0
+    if worst.q is not None:
+        reached = attained(scene, worst.rows, worst.weights, np.append(worst.t, worst.q), min(rho, proof.rho))
+    witness = _witness(constraints, scene, worst, names) if reached > 1 else {}
+    return Qualified(HOLDS, proof.gamma, proof.rho, where, proof.how, min(reached, proof.gamma), witness)
+
+
+def _opposed(constraints: Sequence[Constraint], scene: Scene, worst: Worst, names: Sequence[str]) -> Qualified | None:
+    """The violation, if an admissible point where these constraints are active and oppose each other is proved to exist."""
+    found = opposed(constraints, scene, worst.rows, worst.weights, np.append(worst.t, worst.q))
+    if found is None:
+        return None
+    at = Worst(np.inf, float(found.at[0]), found.at[1:], np.array(found.rows), np.array(found.weights), worst.looked)
+    how = f"opposing normals in contact, at an admissible point: {found.how}"
+    return Qualified(VIOLATED, np.inf, 0.0, ON_THE_BOX, how, np.inf, _witness(constraints, scene, at, names))
+
+
+def corners(scene: Scene, points: Sequence[tuple[float, np.ndarray]]) -> list[tuple[float, np.ndarray]]:
+    """Points of Q(t) where two constraints meet: from each of some points by the steps of Gauss and Newton."""
+    n, p = len(scene.columns), len(scene.rows)
+    if n < 2 or p < 2 or not points:
+        return []
+    some = [points[k] for k in np.unique(np.linspace(0, len(points) - 1, STARTS, dtype=int))]
+    t, start = np.array([time for time, _ in some]), np.array([q for _, q in some])
+    found: list[tuple[float, np.ndarray]] = []
+    for rows in list(combinations(range(p), 2))[:MOST_PAIRS]:
+        q = start.copy()
+        for _ in range(ROUNDS):
+            g, G = (np.array(part) for part in scene.function.map(len(t))(t[None], q.T))
+            J = G.reshape(p, len(t), n).transpose(1, 0, 2)[:, list(rows)]
+            ok = np.isfinite(J).all(axis=(1, 2)) & np.isfinite(g[list(rows)]).all(axis=0)
+            J, value = np.where(ok[:, None, None], J, 0.0), np.where(ok[:, None], g[list(rows)].T, 0.0)
+            q = q - (np.linalg.pinv(J, rcond=1e-9) @ value[:, :, None])[:, :, 0]
+        near = np.isfinite(q).all(axis=1) & (q >= scene.lower[1:]).all(axis=1) & (q <= scene.upper[1:]).all(axis=1)
+        found += [(float(t[k]), q[k]) for k in np.flatnonzero(near)]
+    return found
+
+
+def _known(constraints: Sequence[Constraint], rho: float, apart: Away | None) -> Callable[[tuple[int, ...]], float]:
+    """Bounds of gamma that hold on the box, for sets of the constraints."""
+    any_set = np.inf if apart is None else apart.gamma
 
     @cache
     def known(rows: tuple[int, ...]) -> float:
         proof = everywhere([constraints[k] for k in rows], rho)
-        return np.inf if proof is None else proof.gamma
+        return any_set if proof is None else min(proof.gamma, any_set)
 
     return known
 
@@ -168,13 +214,19 @@ def _sampled(
         how += ", one local search"
         if further.gamma > worst.gamma:
             worst = further._replace(looked=worst.looked)
-    witness = _witness(constraints, scene, worst, names)
     if worst.gamma > LOST:
-        return Qualified(VIOLATED, np.inf, rho, ON_THE_BOX, how + ": opposing normals, to rounding", worst.gamma, witness)
+        return _opposed(constraints, scene, worst, names) or _lost(constraints, scene, worst, names, rho)
+    witness = _witness(constraints, scene, worst, names)
     return Qualified(SAMPLED, worst.gamma, rho, ON_THE_BOX, how, worst.gamma, witness)
 
 
-def _together(constraints, scene, slope, rho, points, names, quick, groups, worst, witness) -> Qualified:
+def _lost(constraints: Sequence[Constraint], scene: Scene, worst: Worst, names: Sequence[str], rho: float) -> Qualified:
+    """Neither a bound nor a violation: normals oppose each other to rounding at a point that is admissible to rounding."""
+    how = "constraints oppose each other, to rounding, near a point that was not proved admissible"
+    return Qualified(UNKNOWN, np.inf, rho, ON_THE_BOX, how, worst.gamma, _witness(constraints, scene, worst, names))
+
+
+def _together(constraints, scene, slope, rho, points, names, quick, groups, worst) -> Qualified:
     """Groups without common states have orthogonal gradients: gamma^2 is the sum of theirs."""
     own = {j: k for k, j in enumerate(scene.columns)}
     found = []
@@ -184,13 +236,16 @@ def _together(constraints, scene, slope, rho, points, names, quick, groups, wors
         some = [(t, q[columns]) for t, q in points]
         found.append(_decide([constraints[k] for k in rows], part, slope[rows], rho, some, names, quick))
     gamma = float(np.sqrt(sum(item.gamma**2 for item in found)))
-    least = min(found, key=lambda item: (VIOLATED, SAMPLED, HOLDS).index(item.verdict))
-    if least.verdict == VIOLATED:
+    least = min(found, key=lambda item: (VIOLATED, UNKNOWN, SAMPLED, HOLDS).index(item.verdict))
+    if least.verdict in (VIOLATED, UNKNOWN):
         return least
+    gamma *= UP
     where = ON_THE_BOX if any(item.where == ON_THE_BOX for item in found) else EVERYWHERE
     reached = min(item.rho for item in found)
     how = f"{len(groups)} groups of constraints without common states; " + "; ".join(sorted({item.how for item in found}))
-    return Qualified(least.verdict, gamma, reached, where, how, worst.gamma, witness)
+    if least.verdict == HOLDS:
+        return _holds(constraints, scene, worst, names, Proof(gamma, reached, how), where, rho)
+    return Qualified(least.verdict, gamma, reached, where, how, worst.gamma, _witness(constraints, scene, worst, names))
 
 
 def _worst(scene: Scene, points: Sequence[tuple[float, np.ndarray]], rho: float) -> Worst:

@@ -17,7 +17,7 @@ CLOSE = 1.05  # Cutting ends where the bound is this near to what is attained.
 PARTS, ENOUGH = 8_000, 2_000  # Parts of the box looked at, and how many where the bound is within a factor of 2 by then.
 INSTRUCTIONS = 250  # With more instructions in the gradients fewer parts are looked at.
 AT_ONCE = 512
-DEEP = 12  # Halvings of each coordinate after which a part without bound is not cut any further.
+DEEP, DEEPER = 12, 40  # Halvings of each coordinate after which a part without bound is not cut any further.
 HOPELESS = 1e3  # Where so large a constant is attained, a smaller rho is the better question.
 
 
@@ -73,7 +73,7 @@ def over_box(
     """
     codes = program(scene.g, scene.z), program(ca.jacobian(scene.g, scene.q), scene.z)
     most = int(PARTS * min(1.0, INSTRUCTIONS / len(codes[1].steps)) / (1 + tries))
-    deep = DEEP * int(np.count_nonzero(scene.upper > scene.lower))
+    deep = (DEEP if rho else DEEPER) * int(np.count_nonzero(scene.upper > scene.lower))
     parts = _judged(codes, scene, scene.lower[None], scene.upper[None], np.zeros(1, int), slope, rho, known)
     retired, count = 1.0, 1
     while len(parts.bound):
@@ -82,7 +82,7 @@ def over_box(
         open_end = np.isinf(parts.bound[first])
         stuck = open_end and parts.depth[first] >= deep
         enough = min(ENOUGH, most) if parts.bound[first] <= 2 * value else most
-        if count >= enough or value > HOPELESS or stuck:
+        if count >= enough or (value > HOPELESS and rho > 0) or stuck:
             middle = (parts.lower[first] + parts.upper[first]) / 2
             return Bound(max(retired, float(parts.bound[first])), value, at, count, middle, np.flatnonzero(parts.near[first]))
         chosen, rest = parts.take(order[:AT_ONCE]), parts.take(order[AT_ONCE:])

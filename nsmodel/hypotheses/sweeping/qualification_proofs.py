@@ -11,7 +11,8 @@ import numpy as np
 
 from nsmodel.hypotheses.sweeping.constraint import Constraint, over_time
 from nsmodel.hypotheses.sweeping.forms import Shape, expression, plus, times
-from nsmodel.hypotheses.sweeping.geometry import discs_in_a_row, gram_bound, mfcq_constant, row_space
+from nsmodel.hypotheses.sweeping.geometry import discs_in_a_row, gram_bound, hull_bound, mfcq_constant, row_space
+from nsmodel.hypotheses.sweeping.qualification_pairs import pairs
 from nsmodel.proof import exact, interval
 from nsmodel.proof.feasibility import System, decide
 from nsmodel.proof.graph import column
@@ -19,6 +20,8 @@ from nsmodel.proof.straight_line import program
 
 MOST_PLANES = 12
 MOST_PAIRS = 60
+UP = 1 + 1e-12  # More than what a few operations on doubles lose.
+ROUNDED = 1e-8  # More than what products of orthonormal vectors err by.
 SLICES, MOST_SLICES, SHORT = 8, 200, 1e-9  # Of the interval of time, where planes move.
 
 Offsets = Callable[[float, float], tuple[np.ndarray, np.ndarray]]
@@ -41,11 +44,16 @@ def everywhere(constraints: Sequence[Constraint], rho: float) -> Proof | None:
         return Proof(1.0, np.inf, "no constraint")
     if len(constraints) == 1:
         return Proof(1.0, np.inf, "one constraint")
-    for rule in (_planes, _independent, discs):
+    for rule in (_planes, _independent, _pairs, discs):
         proof = rule(constraints, rho)
         if proof is not None:
             return proof
     return None
+
+
+def _pairs(constraints: Sequence[Constraint], rho: float) -> Proof | None:
+    found = pairs(constraints, rho)
+    return None if found is None else Proof(*found)
 
 
 def _independent(constraints: Sequence[Constraint], rho: float) -> Proof | None:
@@ -54,17 +62,21 @@ def _independent(constraints: Sequence[Constraint], rho: float) -> Proof | None:
         return None
     states = sorted({i for c in constraints for i in c.shape.own})
     spaces = [_gradient_space(c.shape, states) for c in constraints]
+    if any(space is None for space in spaces):
+        return None
     G = np.eye(len(constraints))
     for i, j in combinations(range(len(constraints)), 2):
-        cosine = spaces[i].T @ spaces[j]
+        if not set(constraints[i].shape.own) & set(constraints[j].shape.own):
+            continue
+        cosine = spaces[i].T @ spaces[j]  # pyright: ignore
         signed = constraints[i].shape.kind == constraints[j].shape.kind == "plane"
-        G[i, j] = G[j, i] = min(float(cosine[0, 0]), 0.0) if signed else -np.linalg.norm(cosine, 2)
+        G[i, j] = G[j, i] = min((float(cosine[0, 0]) if signed else -float(np.linalg.norm(cosine, 2))) - ROUNDED, 0.0)
     gamma = gram_bound(G)
     return Proof(gamma, np.inf, "the gradients stay in spaces at bounded angles") if np.isfinite(gamma) else None
 
 
-def _gradient_space(shape: Shape, states: Sequence[int]) -> np.ndarray:
-    """An orthonormal basis of a space that holds the gradient; of a plane the unit normal itself."""
+def _gradient_space(shape: Shape, states: Sequence[int]) -> np.ndarray | None:
+    """An orthonormal basis of a space that holds the gradient, but for ``ROUNDED``; of a plane the unit normal itself."""
     place = {i: k for k, i in enumerate(states)}
     if shape.kind == "plane":
         normal = np.zeros((len(states), 1))
@@ -72,12 +84,14 @@ def _gradient_space(shape: Shape, states: Sequence[int]) -> np.ndarray:
             normal[place[i]] = float(value)
         return normal / np.linalg.norm(normal)
     if shape.kind == "distance":
-        A = np.zeros((len(shape.form.norms[0][1]), len(states)))
+        A = exact.zeros(len(shape.form.norms[0][1]), len(states))
         for row, (_, a) in enumerate(shape.form.norms[0][1]):
             for i, value in a.row.items():
                 if i >= 0:
-                    A[row, place[i]] = float(value)
-        return row_space(A)
+                    A[row, place[i]] = value
+        largest = [max(abs(x) for x in row) for row in A]
+        space = row_space(exact.doubles(np.array([row / size for row, size in zip(A, largest, strict=True) if size])))
+        return space if space.shape[1] == exact.rank(A) else None
     return np.eye(len(states))[:, [place[i] for i in shape.own]]
 
 
@@ -94,11 +108,11 @@ def discs(constraints: Sequence[Constraint], rho: float, count: int | None = Non
 
     ``count``: there are so many bodies, and each constraint is like one of these.
     """
-    pairs = [pair for c in constraints if c.shape.kind == "distance" and (pair := _pair(c)) is not None]
+    pairs = [pair for c in constraints if (pair := pair_of(c)) is not None]
     planes = [c.shape.form.affine.row for c in constraints if c.shape.kind == "plane"]
     if not pairs or len(pairs) + len(planes) < len(constraints):
         return None
-    bodies = {body for i, j, *_ in pairs for body in (i, j)}
+    bodies = {body for pair in pairs for body in (pair.first, pair.second)}
     owner: dict[int, tuple[int, ...]] = {}
     if any(owner.setdefault(i, body) != body for body in bodies for i in body):
         return None
@@ -108,19 +122,18 @@ def discs(constraints: Sequence[Constraint], rho: float, count: int | None = Non
         (only,) = body if len(body) == 1 else (None,)
         if only is None:
             return None
-        normals.append([float(row.get(i, 0)) for i in only])
-    k, D, l = count or len(bodies), min(low for *_, low, _, _ in pairs), max((high + rho / w) for *_, high, w in pairs)
+        normals.append([row.get(i, Fraction(0)) for i in only])
+    k, D, l = count or len(bodies), min(pair.low for pair in pairs), max(pair.reach(rho) for pair in pairs)
     if not normals:
-        return Proof(
-            l / D * discs_in_a_row(k), rho, f"{k} bodies that touch only each other: blown up from the centre they all part"
-        )
+        gamma = l / D * discs_in_a_row(k) * UP
+        return Proof(gamma, rho, f"{k} bodies that touch only each other: blown up from the centre they all part")
     if len({len(normal) for normal in normals}) > 1:
         return None
-    away = mfcq_constant(np.array(normals))[0]
+    away = hull_bound(normals)
     if not np.isfinite(away):
         return None
     s = (l * (k - 1) / 2 + D / np.sqrt(2)) * away
-    gamma = np.sqrt((l**2 * (k**3 - k) / 12 + k * s**2) / (D**2 / 2))
+    gamma = float(np.sqrt((l**2 * (k**3 - k) / 12 + k * s**2) / (D**2 / 2))) * UP
     return Proof(gamma, rho, f"{k} bodies and planes with a common escape direction: blown up and moved along it they all part")
 
 
@@ -128,30 +141,68 @@ def tied(constraints: Sequence[Constraint], d: int) -> bool:
     """Whether all distances are between the same states of two bodies, those of the second d after those of the first."""
     known = set()
     for c in constraints:
-        pair = _pair(c)
+        pair = pair_of(c)
         if pair is not None:
-            first, second = (tuple(i % d for i in states) for states in pair[:2])
+            first, second = (tuple(i % d for i in states) for states in (pair.first, pair.second))
             known |= {first, second}
-            if any(abs(i - j) != d for i, j in zip(*pair[:2], strict=True)):
+            if any(abs(i - j) != d for i, j in zip(pair.first, pair.second, strict=True)):
                 return False
     return len(known) <= 1
 
 
-def _pair(c: Constraint) -> tuple[tuple[int, ...], tuple[int, ...], float, float, float] | None:
-    """(states of one body, of the other, least and largest reach r/w over time, w) of w |q_i - q_j| - r(t)."""
-    if c.shape.kind != "distance" or c.shape.clips:
+class Pair(NamedTuple):
+    """w (|q_i - q_j| - r(t)), or w (|q_i - q_j|^2 - r(t)^2) where ``power`` is 2.
+
+    Attributes:
+        first, second: the states of both bodies, in the same order.
+        low, high: bounds of r over time.
+    """
+
+    first: tuple[int, ...]
+    second: tuple[int, ...]
+    low: float
+    high: float
+    w: float
+    power: int
+
+    def reach(self, rho: float) -> float:
+        """A bound of the distance where the constraint is within rho."""
+        return self.high + rho / self.w if self.power == 1 else float(np.sqrt(self.high**2 + rho / self.w))
+
+
+def pair_of(c: Constraint) -> Pair | None:
+    """Read a constraint between two bodies; None where it is none."""
+    form = c.shape.form
+    if form is None or c.shape.kind not in ("distance", "quadratic") or c.shape.clips or form.affine.row:
         return None
-    (w, squares), first, second = c.shape.form.norms[0], [], []
+    w, squares = form.norms[0] if form.norms else (Fraction(1), form.squares)
+    scales, first, second = set(), [], []
     for weight, a in squares:
         ends = sorted((value, i) for i, value in a.row.items())
-        if weight != 1 or not isinstance(a.offset, Fraction) or a.offset or [value for value, _ in ends] != [-1, 1]:
+        if not isinstance(a.offset, Fraction) or a.offset or len(ends) != 2 or ends[0][0] != -ends[1][0]:
             return None
-        first.append(ends[0][1])
-        second.append(ends[1][1])
-    offset = expression(c.shape.form.affine.offset)
-    low, high = -over_time(c, offset).bound / float(w), over_time(c, -offset).bound / float(w)
-    distinct = len({*first, *second}) == 2 * len(first)
-    return (tuple(first), tuple(second), low, high, float(w)) if low > 0 and np.isfinite(high) and distinct else None
+        scales.add(weight * ends[1][0] ** 2)
+        swap = bool(second) and _turned(first, second, ends)
+        first.append(ends[1 if swap else 0][1])
+        second.append(ends[0 if swap else 1][1])
+    if len(scales) != 1 or len({*first, *second}) != 2 * len(first):
+        return None
+    (scale,), power = scales, 1 if form.norms else 2
+    if scale <= 0:
+        return None
+    w = float(scale if power == 2 else w * Fraction(float(scale) ** 0.5))
+    offset = expression(form.affine.offset)
+    low, high = -over_time(c, offset).bound / w / UP, over_time(c, -offset).bound / w * UP
+    if not (low > 0 and np.isfinite(high)):
+        return None
+    low, high = (low, high) if power == 1 else (low**0.5 / UP, high**0.5 * UP)
+    return Pair(tuple(first), tuple(second), low, high, w / UP, power)
+
+
+def _turned(first: list[int], second: list[int], ends: list[tuple[Fraction, int]]) -> bool:
+    """Whether a difference is written the other way round: bodies have neighbouring states."""
+    (_, a), (_, b) = ends
+    return abs(a - first[-1]) + abs(b - second[-1]) > abs(b - first[-1]) + abs(a - second[-1])
 
 
 # -- planes ------------------------------------------------------------------------------------------------------------
@@ -166,15 +217,18 @@ def _planes(constraints: Sequence[Constraint], rho: float) -> Proof | None:
     if any(c.shape.kind != "plane" for c in constraints):
         return None
     states = sorted({i for c in constraints for i in c.shape.own})
-    N = np.hstack([_gradient_space(c.shape, states) for c in constraints]).T
-    full, weights = mfcq_constant(N)
+    rows = [[c.shape.form.affine.row.get(i, Fraction(0)) for i in states] for c in constraints]
+    if not all(any(row) for row in rows):
+        return None
+    N = np.array([[float(x / size) for x in row] for row in rows for size in [max(abs(x) for x in row)]])
     if len(constraints) > MOST_PLANES:
+        full = hull_bound(rows)
         if not np.isfinite(full):
             return None
         return Proof(full, np.inf, "planes: even with all of them active the normals have this constant")
     largest = min(len(constraints), len(states) + 1)
     sets = [J for size in range(1, largest + 1) for J in combinations(range(len(constraints)), size)]
-    constants = {J: mfcq_constant(N[list(J)]) for J in sets}
+    constants = {J: (hull_bound([rows[j] for j in J]) if len(J) > 1 else 1.0, mfcq_constant(N[list(J)])[1]) for J in sets}
     impossible: list[set[int]] = []
     offsets = _offsets(constraints)
     for J in sorted(sets, key=lambda J: (-constants[J][0], len(J))):

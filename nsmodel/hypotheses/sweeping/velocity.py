@@ -14,11 +14,16 @@ from nsmodel.hypotheses.sweeping.constraint import EVERYWHERE, ON_THE_BOX, Answe
 from nsmodel.proof import extremum, interval
 from nsmodel.proof.components import sharing
 from nsmodel.proof.defined import Defined, in_time
-from nsmodel.proof.graph import column, keys, replay
+from nsmodel.proof.discontinuity import jump_between
+from nsmodel.proof.germ import grows
+from nsmodel.proof.graph import OpaqueExpression, applied, column, constants, keys, replay
 from nsmodel.proof.jumps import SWITCHES, jumps_in, surface_points
 
 BASES, JUMPS = 4, 256  # Admissible states from which jumps are looked for, and switching points tried.
 PAIRS = 32
+MOST_STATES = 6  # With more, where Q(t) keeps away from is not looked for.
+TRIED, ENTRIES = 16, 16  # Jumps that are to be proved, and entries of a derivative that are followed along a ray.
+RAY, SNAP = 1e-6, 1e-3  # How long a ray is, and how far a point is moved to a number of the formula, beside the box.
 ASIDE = 1e-3  # The part of the box that a point is moved by to see how large f is around it.
 
 
@@ -76,6 +81,13 @@ def velocity(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]],
         L_f = _growth(f, scene, blocks, worst, where, quick)
         how = "f is continuous in q and |f_q| is bounded" if worst else "f does not depend on the state"
         return closed(defined, {"K_f": worst, "L_f": L_f} | rate, where, how + steady)
+    kept = None if quick or defined.verdict != HOLDS else kept_away(f, scene)
+    if kept is not None:
+        L_f = _growth(kept, scene, _blocks(kept, scene), np.inf, ON_THE_BOX, quick)
+        own = [lipschitz(block, quick) for block in _blocks(kept, scene)]
+        if all(verdict == HOLDS for verdict, *_ in own):
+            how = "Q(t) keeps away from where f is singular: there f is continued to the whole box with a bounded f_q"
+            return closed(defined, {"K_f": max(K for _, K, _, _ in own), "L_f": L_f} | rate, ON_THE_BOX, how + steady)
     L_f = _growth(f, scene, blocks, np.inf, ON_THE_BOX, quick)
     count = sum(number for *_, number in norms)
     if quick:
@@ -86,13 +98,15 @@ def velocity(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]],
         return Answer(verdict, {"K_f": worst, "L_f": L_f} | rate, ON_THE_BOX, how + steady)
     jump = _worst_jump(f, blocks, scene, points, names)
     if jump is not None:
-        size, count, witness = jump
-        how = f"f jumps at {count} points found inside Q(t), so it is not Lipschitz there; the one nearest to the runs is shown"
+        size, witness = jump
+        how = "f jumps inside Q(t), by intervals on both sides, so it is not Lipschitz; the place nearest to the runs is shown"
         return Answer(VIOLATED, {"K_f": np.inf, "jump": size, "L_f": L_f} | rate, ON_THE_BOX, how + steady, witness)
     point = steep(f, blocks, norms, scene, points, names)
     if point is not None:
         value = {"K_f": np.inf, "L_f": L_f} | rate
-        return Answer(VIOLATED, value, ON_THE_BOX, "difference quotients grow without bound near this point", point)
+        return Answer(
+            VIOLATED, value, ON_THE_BOX, "an entry of f_q grows without bound towards this point, along a ray in Q(t)", point
+        )
     worst = max(worst, _quotient(f, scene, points))
     how = f"{count} points; f was not proved continuous with a bounded derivative, no jump was found inside Q(t)"
     return Answer(SAMPLED, {"K_f": worst, "L_f": L_f} | rate, ON_THE_BOX, how + steady)
@@ -184,6 +198,42 @@ def lipschitz(block: Block, quick: bool) -> tuple[str, float, str, int]:
     return SAMPLED, top.value, ON_THE_BOX, top.count
 
 
+def kept_away(f: ca.SX, scene: Scene) -> ca.SX | None:
+    """A function that agrees with f on Q(t) in the box, with arguments of roots and divisors kept where they are there.
+
+    Where u >= m > 0 on Q(t), u and max(u, m) are the same there; beyond, max(u, m) stays away from the singularity of sqrt u and
+    1 / u. None where no argument is kept away from 0 by Q(t).
+    """
+    if not scene.rows or len(scene.columns) > MOST_STATES:
+        return None
+    known: list[tuple[ca.SX, float]] = []
+
+    def least(u: ca.SX) -> float:
+        for other, value in known:
+            if ca.is_equal(u, other, 6):
+                return value
+        around = interval.enclose(u, scene.z, scene.lower, scene.upper)
+        value = -np.inf
+        if float(around[0].item()) <= 0 < float(around[1].item()):
+            value = -extremum.supremum(-u, scene.z, scene.lower, scene.upper, where=scene.g).bound
+        known.append((u, value))
+        return value
+
+    def rule(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
+        place = 1 if op == ca.OP_DIV else 0
+        low = least(old.dep(place))
+        if not low > 0:
+            return None
+        # The larger of u and m, written so that its derivative has bounds.
+        return applied(op, [(arg + low + ca.fabs(arg - low)) / 2 if k == place else arg for k, arg in enumerate(args)])
+
+    try:
+        found = replay(f, rule, (ca.OP_SQRT, ca.OP_DIV, ca.OP_INV), scene.q, "f")
+    except OpaqueExpression:
+        return None
+    return found if any(value > 0 for _, value in known) else None
+
+
 def _growth(f: ca.SX, scene: Scene, blocks: list[Block], K: float, where: str, quick: bool) -> float:
     """L_f: max(K_f, sup |f(t, 0)|) where K_f holds everywhere; on the box sup |f| / (1 + |q|), bounded block by block."""
     if where == EVERYWHERE:
@@ -222,12 +272,12 @@ def _in_time(f: ca.SX, scene: Scene, quick: bool) -> tuple[dict[str, float], str
 
 def _worst_jump(
     f: ca.SX, blocks: list[Block], scene: Scene, points_of_Q: Sequence[tuple[float, np.ndarray]], names: Sequence[str]
-) -> tuple[float, int, dict[str, Any]] | None:
-    """(largest jump, number of jumps found, the one nearest to the known states) at states of Q(t).
+) -> tuple[float, dict[str, Any]] | None:
+    """(a lower bound of its size, the jump nearest to the known states) at states of Q(t), proved.
 
     From an admissible state only the states of one block are moved, to a point where its formula switches.
     """
-    found: list[tuple[float, float, dict[str, Any]]] = []
+    found: list[tuple[float, list[int], tuple[np.ndarray, np.ndarray], dict[str, Any]]] = []
     bases = [points_of_Q[k] for k in np.unique(np.linspace(0, len(points_of_Q) - 1, BASES, dtype=int)) if len(points_of_Q)]
     touched = _touched(scene)
     for block in blocks:
@@ -244,11 +294,16 @@ def _worst_jump(
                 for k in np.flatnonzero(size):
                     point = q.copy()
                     point[columns] = x[k, own]
-                    witness = {"t": times[k], "size": size[k], "moved": [names[j] for j in columns], "to": x[k, own]}
-                    found.append((far[k], size[k], witness | named(names, point)))
-    if not found:
-        return None
-    return float(max(size for _, size, _ in found)), len(found), min(found, key=lambda item: item[0])[2]
+                    other = point.copy()
+                    other[columns] = y[k, own]
+                    witness = {"t": times[k], "moved": [names[j] for j in columns], "to": x[k, own]}
+                    ends = np.append(times[k], point), np.append(times[k], other)
+                    found.append((far[k], rows, ends, witness | named(names, point)))
+    for _, rows, ends, witness in sorted(found, key=lambda item: item[0])[:TRIED]:
+        size = jump_between(ca.densify(f[rows]), scene.z, *ends, scene.g, scene.lower, scene.upper)
+        if size > 0:
+            return size, witness | {"size": size}
+    return None
 
 
 def jumps(block: Block) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -328,25 +383,51 @@ def steep(
 ) -> dict[str, Any] | None:  # fmt: skip
     """A point of Q(t) near which difference quotients of f, a function of the scene's t and q, keep growing.
 
-    From an admissible state only the states of one block are moved, to where its derivative is largest.
+    From an admissible state only the states of one block are moved, to where its derivative is largest or to numbers of its
+    formula near to that; along a ray from there that stays in Q(t) an entry of the derivative is shown to grow as a power < 0 of
+    the distance.
     """
     if not points:
         return None
-    value, (base_t, base) = ca.Function("f", [scene.t, scene.q], [ca.densify(f)]), points[0]
+    base_t, base = points[0]
     for block, (verdict, *_) in zip(blocks, norms, strict=True):
         if verdict == HOLDS:
             continue
+        rows, columns = block.members[0]
         top = extremum.supremum(ca.sumsqr(ca.jacobian(block.f, block.q)), block.z, *block.box(False))
         if top.at is None:
             continue
+        J = ca.jacobian(f[rows], scene.q[columns])
+        entries = [entry for entry in ca.vertsplit(ca.vec(J)) if not entry.is_constant()][:ENTRIES]
         time = float(top.at[0]) if ca.depends_on(block.f, ca.vertcat(block.t, block.s)) else base_t
-        columns, point = block.members[0][1], base.copy()
-        point[columns] = top.at[1 : 1 + len(columns)]
-        if scene.rows and not scene.admits(*scene.at(time, point)):
-            continue
-        for direction in np.eye(point.size)[columns]:
-            size = [float(np.linalg.norm(np.array(value(time, point + h * direction) - value(time, point)))) / h
-                    for h in (1e-3, 1e-6, 1e-9)]  # fmt: skip
-            if np.isfinite(size).all() and size[1] > 5 * size[0] > 0 and size[2] > 5 * size[1]:
-                return {"t": time} | named(names, point)
+        numbers = constants(f[rows])
+        for own in _snapped(top.at[1 : 1 + len(columns)], numbers, scene.lower[1:][columns], scene.upper[1:][columns]):
+            point = base.copy()
+            point[columns] = own
+            z, width = np.append(time, point), float(np.max((scene.upper - scene.lower)[1:][columns]))
+            h = RAY * min(width, 1.0)
+            for direction in [sign * row for row in np.eye(z.size)[1:][columns] for sign in (1.0, -1.0)]:
+                if not _admitted(scene, z, z + h * direction):
+                    continue
+                if any(grows(entry, scene.z, z, direction, h) is not None for entry in entries):
+                    return {"t": time} | named(names, point)
     return None
+
+
+def _snapped(at: np.ndarray, numbers: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> list[np.ndarray]:
+    """A point, and it with each coordinate replaced by a number (or 0, or an end of the box) that is near to it."""
+    width = np.where(upper > lower, upper - lower, 1.0)
+    found = at.copy()
+    for k, x in enumerate(at):
+        near = np.concatenate([numbers, -numbers, [0.0, lower[k], upper[k]]])
+        best = near[np.argmin(np.abs(near - x))]
+        found[k] = best if abs(best - x) <= SNAP * width[k] else x
+    return [found, at]
+
+
+def _admitted(scene: Scene, *corners: np.ndarray) -> bool:
+    """Whether all constraints are >= 0 on the box between two points (t, q), which lies inside the scene's."""
+    low, high = np.minimum(*corners), np.maximum(*corners)
+    if (low < scene.lower).any() or (high > scene.upper).any():
+        return False
+    return not scene.rows or bool((interval.enclose(scene.g, scene.z, low, high)[0] >= 0).all())
