@@ -371,7 +371,7 @@ def test_nonlinear_operators_obey_their_omega_between_random_points(name):
     A, everywhere, at_most = NONLINEAR[name]
     findings, _, region = checked(A)
     finding = findings["5.2"]
-    omega, P = finding.value["omega"], np.array(finding.witness["P"])
+    omega, P = finding.value["omega"], np.array(finding.witness["P_omega"])
     assert finding.verdict == "holds"
     assert (finding.scope is None) == everywhere
     assert omega <= at_most
@@ -431,7 +431,7 @@ def test_cases(load_case, stem):
 def test_the_rectifier_has_the_energy_of_its_capacitor_and_coil(load_case):
     model = load_case("rlc_diode").bind()
     findings, _ = lure.check(model, region_of(model, []), [], False)
-    assert np.array(findings[3].witness["P"]) == pytest.approx(np.diag([1e-6, 1e-2]), rel=1e-12)
+    assert np.array(findings[3].witness["P_omega"]) == pytest.approx(np.diag([1e-6, 1e-2]), rel=1e-12)
 
 
 def test_two_free_masses_drift_apart_so_that_omega_is_small_and_not_zero(load_case):
@@ -503,7 +503,7 @@ def pair_of_runs(theta, A, omega_law=None):
 def test_two_runs_contract_as_promised(theta, name):
     model, a, b = pair_of_runs(theta, NONLINEAR[name][0])
     finding = checked(NONLINEAR[name][0])[0]["5.2"]
-    P = np.array(finding.witness["P"])
+    P = np.array(finding.witness["P_omega"])
     result = lure.contraction(model, P, finding.value["omega"], a, b)
     assert result.verdict == "holds"
     size = np.sqrt(np.einsum("ki,ij,kj->k", a.x - b.x, P, a.x - b.x))
