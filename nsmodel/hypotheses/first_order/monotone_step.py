@@ -1,18 +1,18 @@
 """One and only one step where W and W_mlcp vary: a quadratic form that is definite all over the region.
 
-Two solutions of a step from one state differ by dx, dl with W dx = h gamma B dl and dy = C dx + D dl, the matrices being means of
-the Jacobians between the two, and <dl, Theta dy> <= 0 for Theta = diag(theta_i) > 0, constant on each block of the law. So for any
-constant matrices L and N
+Two solutions of a step from one state differ by dx, dl with W dx = h gamma B dl and dy = C dx + D dl, the matrices being means
+of the Jacobians between the two, and <dl, Theta dy> <= 0 for Theta = diag(theta_i) > 0, constant on each block of the law. So for
+any constant matrices L and N
 
     <dl, Theta (C dx + D dl)> + <L dx + N dl, W dx - h gamma B dl> <= 0.
 
-This form is linear in the Jacobians: where it is positive definite at all points of the region it is so for their means, and there
-is at most one solution in the region. L, N and Theta are suggested by a semidefinite program; the form is bounded by intervals.
+This form is linear in the Jacobians: where it is positive definite at all points of the region it is so for their means, and
+there is at most one solution in the region. L, N and Theta are suggested by a semidefinite program, the form bounded by intervals.
 
 That there is one: take constants off the varying Jacobians, continue what is left of f, g and h beyond the box by its values at
-the boundary, and put the linear part back: the varying entries become c + s_j (J - c), s_j in [0, 1]. Where the form is definite for all of these too, x is a function of l by a
-strongly monotone equation, Theta y is a strongly monotone function of l, and the step has exactly one solution, which is that of
-the given functions as long as it stays in the box.
+the boundary, and put the linear part back: the varying entries become c + s_j (J - c), s_j in [0, 1]. Where the form is definite
+for all of these too, x is a function of l by a strongly monotone equation, Theta y is a strongly monotone function of l, and the
+step has exactly one solution, which is that of the given functions as long as it stays in the box.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from nsmodel.proof.exact import EPS
 from nsmodel.proof.graph import operations
 
 POINTS = 24  # at which the program asks for a definite form
-BOXES = 2000  # in which the form is bounded
-PARTS = 24  # of the box that are looked at
+BOXES, FEWER = 2000, 300  # in which the form is bounded, on the whole box and on a part of it
+PARTS = 10  # of the box that are looked at
 MOST = 9  # states and multipliers
 ROOM = 1e-9  # of the form's size, that its least eigenvalue is above 0 by: far more than constants in it are rounded by
 TOTAL = {
@@ -179,12 +179,14 @@ def _answer(how: str, form: _Form, exists: bool, why: str) -> Unique:
     return Unique(f"{how}; {why}: {beyond}" if exists else how, exists, form.local)
 
 
-def _definite(form: _Form, L: np.ndarray, N: np.ndarray, theta: np.ndarray, *, of_x: bool = False, rounding: float = 0.0) -> bool:
+def _definite(
+    form: _Form, L: np.ndarray, N: np.ndarray, theta: np.ndarray, *, of_x: bool = False, rounding: float = 0.0, most: int = BOXES
+) -> bool:
     """Whether the form (of_x: its part dx'L'W dx) is definite on the box, beyond rounding; in units of the box.
 
     It is linear in the Jacobians, whose interval bounds on parts of the box give a middle and a radius of the form.
     """
-    n, m = form.W.shape[0], form.D.shape[0]
+    n = form.W.shape[0]
     pieces = (form.W, form.B, form.C, form.D)
     stacked = ca.densify(ca.vertcat(*(ca.vec(ca.densify(piece)) for piece in pieces)))
     ends = np.cumsum([0, *(piece.numel() for piece in pieces)])
@@ -194,7 +196,7 @@ def _definite(form: _Form, L: np.ndarray, N: np.ndarray, theta: np.ndarray, *, o
     count = 0
     while len(boxes[0]):
         count += len(boxes[0])
-        if count > BOXES:
+        if count > most:
             return False
         low, high = (end.reshape(len(boxes[0]), -1) for end in interval.enclose(stacked, form.z, *boxes))
         if not np.isfinite([low, high]).all():
@@ -232,14 +234,14 @@ def _definite(form: _Form, L: np.ndarray, N: np.ndarray, theta: np.ndarray, *, o
 # -- L, N and Theta of a semidefinite program -----------------------------------------------------------------------------
 
 
-def _with_form(at: Linearised, forms: Sequence[_Form]) -> Unique | None:
+def _with_form(at: Linearised, forms: Sequence[_Form], most: int = BOXES) -> Unique | None:
     """The form with multipliers that are suggested at some points."""
     for form in forms:
         chosen = _multipliers(at, form)
         if chosen is None:
             continue
         L, N, theta = chosen
-        if _definite(form, L, N, theta):
+        if _definite(form, L, N, theta, most=most):
             how = "a quadratic form in the difference of two solutions is definite"
             if form.extended:
                 return _answer(how, form, True, "the same beyond the box")
@@ -281,7 +283,7 @@ def _in_parts(at: Linearised, h: float, regular: bool) -> Unique | None:
         low[1 : n + 1] = np.maximum(lower[1 : n + 1] - reach, at.lower[1 : n + 1])
         high[1 : n + 1] = np.minimum(upper[1 : n + 1] + reach, at.upper[1 : n + 1])
         form = _form(replace(at, lower=low, upper=high), h, extended=False)
-        if form is not None and count > 1 and _with_form(at, [form]) is not None:
+        if form is not None and count > 1 and _with_form(at, [form], FEWER) is not None:
             continue
         width = np.where(uses, (upper - lower)[1 : n + 1] / whole[1 : n + 1], 0.0)
         j = 1 + int(width.argmax())
@@ -292,8 +294,8 @@ def _in_parts(at: Linearised, h: float, regular: bool) -> Unique | None:
             part = lower.copy(), upper.copy()
             part[0][j], part[1][j] = ends
             parts.append(part)
-    how = f"in each of {(count + 1) // 2} parts of the box, which overlap by more than two solutions can be apart, a quadratic form in "
-    how += "their difference is definite"
+    how = f"in each of {(count + 1) // 2} parts of the box, which overlap by more than two solutions can be apart, "
+    how += "a quadratic form in their difference is definite"
     return _by_brouwer(Unique(how, False, True), regular)
 
 
