@@ -1,4 +1,4 @@
-"""A step with constant Jacobians and a box K, in rational arithmetic: all its solutions from a state, and states with two or none.
+"""A step with constant Jacobians and a box K, in rational arithmetic: its solutions from a state, states with two or none.
 
     y = W l + b,   b = N x_k + b_0,   x_{k+1} = X_x x_k + X_l l + x_0,   -y ∈ N_K(l),   K = [lower, upper]
 
@@ -177,7 +177,7 @@ def _contradicts(block: np.ndarray, right: np.ndarray) -> bool:
 
 @dataclass(frozen=True)
 class Shown:
-    """A state x_k (n, 1) with two solutions l (m, 1) that move x apart, or (``pair`` empty) with none; ``count``: of the x_{k+1} found."""
+    """A state x_k (n, 1) with two solutions l (m, 1) that move x apart, or with none; ``count`` of the x_{k+1} found."""
 
     x: np.ndarray
     pair: tuple[np.ndarray, ...]
@@ -269,7 +269,7 @@ def _by_minors(step: AffineStep) -> Iterator[np.ndarray]:
 
 def _by_samples(step: AffineStep, seed: int = 0) -> Iterator[np.ndarray]:
     """States at which floating point finds two solutions or none: first those with the clearest signs."""
-    rng, m, n = np.random.default_rng(seed), len(step.W), step.N.shape[1]
+    rng, m = np.random.default_rng(seed), len(step.W)
     W, N, b_0 = exact.doubles(step.W), exact.doubles(step.N), exact.doubles(step.b_0)
     states = np.hstack([_states(step, rng, W, N, b_0, graph) for graph in (True, False)])
     b = N @ states + b_0
@@ -399,8 +399,8 @@ class Infeasible:
 def solvable(step: AffineStep) -> Infeasible | bool | None:
     """Whether every state has some l in K with y in (K_inf)*; for a psd W that is a solution, as K is a polyhedron.
 
-    If not, some v in K_inf with W'v in -(K_inf)* has v'y <= sup_K v'W l + v'b_0 + v'N x < 0, while v'y >= 0 is asked for. Where N'v =
-    0 for all such v, all states have one or none has. None: undecided.
+    If not, some v in K_inf with W'v in -(K_inf)* has v'y <= sup_K v'W l + v'b_0 + v'N x < 0, while v'y >= 0 is asked for. Where
+    N'v = 0 for all such v, all states have one or none has. None: undecided.
     """
     m = len(step.W)
     conditions = _recession(step)

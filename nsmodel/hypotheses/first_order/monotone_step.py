@@ -7,7 +7,7 @@ any constant matrices L and N
     <dl, Theta (C dx + D dl)> + <L dx + N dl, W dx - h gamma B dl> <= 0.
 
 This form is linear in the Jacobians: where it is positive definite at all points of the region it is so for their means, and
-there is at most one solution in the region. L, N and Theta are suggested by a semidefinite program, the form bounded by intervals.
+there is at most one solution in the region. L, N and Theta are suggested by a semidefinite program, the form bounded on boxes.
 
 That there is one: take constants off the varying Jacobians, continue what is left of f, g and h beyond the box by its values at
 the boundary, and put the linear part back: the varying entries become c + s_j (J - c), s_j in [0, 1]. Where the form is definite

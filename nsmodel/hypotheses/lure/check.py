@@ -18,6 +18,7 @@ from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.scope import meet
 from nsmodel.model.lure import LureSystem
 from nsmodel.proof import exact, interval
+from nsmodel.proof.absolutely_continuous import absolutely_continuous
 from nsmodel.proof.defined import in_time
 from nsmodel.proof.exact import EPS
 from nsmodel.trajectory import Trajectory
@@ -88,10 +89,11 @@ def _one_solution(model: LureSystem, region: Region) -> str:
     defined = in_time(f, t, region.t0, last)
     if defined.verdict == VIOLATED:
         return f"; f has no finite value for all times: {defined.how}"
-    slope = interval.enclose(ca.jacobian(f, t), t, *ends)
-    if interval.is_continuous(f, t, *ends) and np.isfinite(slope).all():
+    if interval.is_continuous(f, t, *ends) and np.isfinite(interval.enclose(ca.jacobian(f, t), t, *ends)).all():
         return ""
-    return f"; f is not seen to be continuous with a bounded f' on [{region.t0:g}, {last:g}], which the theorem asks for"
+    if defined.verdict == HOLDS and absolutely_continuous(f, t, region.t0, last):
+        return ""
+    return f"; f is not seen to be absolutely continuous on [{region.t0:g}, {last:g}], which the theorem asks for"
 
 
 def _stability(model: LureSystem, region: Region, growth: Growth, findings: Sequence[Finding]) -> list[Consequence]:
