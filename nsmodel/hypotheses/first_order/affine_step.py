@@ -24,6 +24,7 @@ from nsmodel.solve.certificate import numeric_law
 MOST_SETS = 750  # Index sets that are all decided.
 SAMPLES = 3000  # States that floating point looks at, in each of two ways.
 CLEAR = 1e-9  # A sign counts where the number is this part of its terms, or exactly 0.
+LOST = 1e-6  # A b smaller than this part of its size is none that was asked for.
 REGULAR = 1e8  # Condition beyond which a block of W is left to exact arithmetic.
 
 
@@ -338,6 +339,10 @@ def _states(step: AffineStep, rng: np.random.Generator, W, N, b_0, graph: bool) 
         b = of_y * rng.normal(size=(m, SAMPLES)) * spread * 10
     weight = 1 / of_y
     x = np.linalg.pinv(weight * N) @ (weight * (b - b_0))
+    lost = np.abs(weight * (N @ x)).max(axis=0, initial=0.0) < LOST  # b is out of reach, what is left of x rounding
+    away = rng.normal(size=x.shape) * spread
+    largest = np.abs(weight * (N @ away)).max(axis=0, initial=0.0)
+    x = np.where(lost, away / np.where(largest > 0, largest, 1.0), x)
     size = np.abs(x).max(axis=0, initial=0.0)
     kernel = np.linalg.svd(weight * N)[2][np.linalg.matrix_rank(weight * N) :].T if n else np.zeros((0, 0))
     return x + kernel @ rng.normal(size=(kernel.shape[1], SAMPLES)) * np.where(size > 0, size, 1.0)

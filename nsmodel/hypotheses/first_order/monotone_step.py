@@ -204,7 +204,7 @@ def _definite(
         parts = []
         for entries, absolute in (((low + high) / 2, False), ((high - low) / 2, True), (np.maximum(abs(low), abs(high)), True)):
             W, B, C, D = (
-                entries[:, a:b].reshape(-1, piece.shape[1], piece.shape[0]).transpose(0, 2, 1)
+                entries[:, a:b].reshape(len(entries), piece.shape[1], piece.shape[0]).transpose(0, 2, 1)
                 for a, b, piece in zip(ends, ends[1:], pieces, strict=False)
             )
             l, k, t, minus = (abs(L), abs(N), abs(theta), 1.0) if absolute else (L, N, theta, -1.0)

@@ -59,7 +59,7 @@ def check(model: LureSystem, region: Region, runs: Sequence[Trajectory], quick: 
 
 def _consequences(model: LureSystem, region: Region, growth: Growth, findings: Sequence[Finding]) -> list[Consequence]:
     here = "" if growth.everywhere else " while both stay inside the box"
-    norm = ", P the P_omega of 5.2" if growth.P is not None else ", P = I"
+    norm = ", P the P_omega of 5.2" if growth.P is not None else ", P that of 5.1"
     texts = _one_solution(model, region)
     well = follows(
         "well posed",
