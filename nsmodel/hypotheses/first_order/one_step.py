@@ -205,12 +205,13 @@ def _at_most_one(at: Linearised, step: AffineStep) -> str:
 
 
 class State(NamedTuple):
-    """A state from which a step is tried: time, packed state, and the multiplier that Newton's method starts from."""
+    """A state from which a step is tried: time, packed state, the multiplier that Newton's method starts from, the box's size."""
 
     t: float
     packed: np.ndarray
     l: np.ndarray
     row: np.ndarray
+    size: float
 
 
 def _enumerated(hypothesis: Hypothesis, at: Linearised) -> Finding:
@@ -266,7 +267,7 @@ def _state(at: Linearised, row: np.ndarray, law: NumericLaw) -> State:
     if at.model.gamma < 1:
         packed = np.concatenate([packed, np.array(ca.Function("g", [at.z], [at.model.g])(row)).ravel()])
     l = row[n + 1 :] if law.size == len(row) - n - 1 else np.clip(np.zeros(law.size), law.lower, law.upper)
-    return State(float(row[0]), packed, l, row)
+    return State(float(row[0]), packed, l, row, float((at.upper - at.lower)[1 : n + 1].max()))
 
 
 def _switching(at: Linearised, newton: Newton, law: NumericLaw, state: State, h: float) -> State | None:
@@ -290,7 +291,7 @@ def _switching(at: Linearised, newton: Newton, law: NumericLaw, state: State, h:
         slope = np.column_stack([column - y for column in columns if column is not None]) / 1e-4
         x = x - size * np.linalg.lstsq(slope, y, rcond=1e-8)[0]
     inside = (x >= at.lower[1 : n + 1]) & (x <= at.upper[1 : n + 1])
-    return State(state.t, np.concatenate([x, packed[n:]]), middle, state.row) if inside.all() else None
+    return State(state.t, np.concatenate([x, packed[n:]]), middle, state.row, state.size) if inside.all() else None
 
 
 def _solutions(newton: Newton, law: NumericLaw, state: State, h: float, affine: bool) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -337,4 +338,4 @@ def _apart(a: np.ndarray, b: np.ndarray, state: State) -> bool:
     """Whether two x_{k+1} differ by more than rounding and tolerance leave open."""
     n = min(len(a), len(state.packed))
     moved = max(np.abs(a[:n] - state.packed[:n]).max(), np.abs(b[:n] - state.packed[:n]).max())
-    return bool(np.abs(a[:n] - b[:n]).max() > max(SAME * moved, LEAST))
+    return bool(np.abs(a[:n] - b[:n]).max() > max(SAME * moved, TOLERANCE * state.size, LEAST))
