@@ -153,7 +153,14 @@ def test_unique_steps_by_counting_solutions(seed):
             assert set(counts) == {1}
         if found["F-unique"].verdict == "violated":
             w = found["F-unique"].witness
-            assert len(lcp_solutions(W, C @ np.array(w["x_k"]) / 1.5)) > 1
+            b = C @ np.array(w["x_k"]) / 1.5
+            for l in (np.array(w[name]) for name in ("l", "other l") if name in w):
+                assert (l >= 0).all()
+                np.testing.assert_allclose(np.minimum(l, W @ l + b), 0, atol=1e-9 * (1 + np.abs(b).max()))
+            if "l" in w:
+                assert np.abs(np.array(w["x"]) - w["other x"]).max() > 1e-6
+            else:
+                assert not lcp_solutions(W, b)
         minors = [W[0, 0], W[1, 1], np.linalg.det(W)]
         eigenvalues = np.linalg.eigvalsh(W + W.T)
         if min(minors) > 1e-9 or eigenvalues[0] > 1e-9:
@@ -178,10 +185,12 @@ def test_anti_relay_has_three_solutions():
 
 
 def test_box_from_above_with_the_wrong_sign_has_two_solutions():
-    # y = x_k - 0.1 l: from x_k = -0.05 both l = 0, y = -0.05 and l = -0.5, y = 0.
+    # y = x_k - 0.1 l: from x_k < 0 both l = 0, y = x_k and l = 10 x_k, y = 0.
     found = report(linear([[0.0]], [[-1.0]], [[1.0]], law=box(-np.inf, 0), x0=[-0.05]))[0]["F-unique"]
     assert found.verdict == "violated"
-    assert sorted([found.witness["l"], found.witness["other l"]]) == [[pytest.approx(-0.5)], [0]]
+    (x_k,) = found.witness["x_k"]
+    assert x_k < 0
+    assert sorted([found.witness["l"], found.witness["other l"]]) == [[pytest.approx(10 * x_k)], [0]]
 
 
 def test_relay_has_one_solution_even_where_rows_repeat():
@@ -192,12 +201,16 @@ def test_relay_has_one_solution_even_where_rows_repeat():
 
 
 def test_complementarity_that_may_have_no_solution():
-    # Two walls x >= 0 and -x >= -... with the same multiplier direction: psd, feasible for some states only.
+    # x >= 0 and -x >= 0: psd and feasible, x = 0 from every state.
     model = linear([[0.0]], [[1.0, -1.0]], [[1.0], [-1.0]], law=complementarity(2), x0=[0.0])
     found = report(model, [simulate(model)])[0]
-    assert found["F-mlcp"].verdict == "holds"
-    assert found["F-unique"].verdict == "sampled"
+    assert found["F-mlcp"].verdict == found["F-unique"].verdict == "holds"
     assert "at most one" in found["F-unique"].how
+    # y = x_0 is not moved by l: no step from x_0 < 0.
+    model = linear(np.zeros((2, 2)), [[0.0], [1.0]], [[1.0, 0.0]], law=complementarity(1), x0=[1.0, 0.0])
+    found = report(model)[0]["F-unique"]
+    assert (found.verdict, found.value["solutions"]) == ("violated", 0)
+    assert found.witness["x_k"][0] < 0
 
 
 def test_curved_and_polyhedral_laws():
@@ -252,8 +265,9 @@ def test_nonlinear_system_with_small_steps_is_proved_over_the_region():
     found, consequences = report(model, [simulate(model)])
     for id in ("F-jacobians", "F-W", "F-mlcp", "F-step"):
         assert found[id].verdict == "holds", found[id].how
-    assert found["F-unique"].verdict == "sampled"
-    assert consequences["Newton's method"].verdict == "sampled"
+    assert found["F-unique"].verdict == "holds"
+    assert found["F-unique"].scope is not None
+    assert consequences["Newton's method"].verdict == "holds"
 
 
 def test_nonlinear_growth_past_its_least_step():
@@ -355,3 +369,56 @@ def test_iterates_that_run_away_on_a_wrong_index_set_are_left_out():
         x=x, f=10 * x**3 - x, h=x + 1 + lam**3 - lam, g=10 * lam, lam=lam, law=complementarity(1), x0=1e60, t_end=1, step=0.5
     )
     assert verdicts(model)["F-unique"] in ("unknown", "sampled", "violated")
+
+
+# -- uniqueness by exact decisions and by a definite form -------------------------------------------------------------------
+
+
+def test_a_thin_loss_of_the_p_property_has_a_witness():
+    # det W = -1e-4: two solutions for b in a narrow cone only (Samelson, Thrall and Wesler).
+    W = np.array([[1.0, 1.0001], [1.0, 1.0]])
+    D = W - 0.1 / 1.1 * np.eye(2)
+    found = report(linear(-np.eye(2), np.eye(2), np.eye(2), D, complementarity(2), step=0.1))[0]["F-unique"]
+    assert found.verdict == "violated"
+    assert found.value["solutions"] >= 2
+
+
+def test_a_law_that_moves_nothing_may_still_have_no_solution():
+    model = linear([[0.0]], [[0.0]], [[1.0]], law=complementarity(1), x0=[1.0])
+    assert report(model)[0]["F-unique"].verdict == "violated"  # y = x_k < 0
+    bounded = linear([[0.0]], [[0.0]], [[1.0]], law=relay(1), x0=[1.0])
+    assert report(bounded)[0]["F-unique"].verdict == "holds"
+
+
+def test_a_step_whose_matrices_vary_is_unique_where_a_form_is_definite():
+    x, l = ca.SX.sym("x", 2), ca.SX.sym("l", 2)
+    given = {"x": x, "lam": l, "law": relay(2), "x0": [1, 0], "t_end": 1, "step": 0.01}
+    soft = FirstOrderSystem(f=[x[1], -ca.sin(x[0])], h=x + (2 + ca.cos(x[0])) * l, g=(1 + 0.1 * x[0] ** 2) * l, **given)
+    found = report(soft)[0]["F-unique"]
+    assert found.verdict == "holds"
+    assert set(found.scope.states) >= {"x_0", "x_1"}
+    wrong = FirstOrderSystem(f=[x[1], -ca.sin(x[0])], h=x - (2 + ca.cos(x[0])) * l, g=(1 + 0.1 * x[0] ** 2) * l, **given)
+    assert report(wrong)[0]["F-unique"].verdict != "holds"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_state_has_two_solutions_where_one_is_proved(seed):
+    rng = np.random.default_rng(seed)
+    for _ in range(12):
+        x, l = ca.SX.sym("x", 2), ca.SX.sym("l", 1)
+        a, b, c, d = rng.integers(-2, 3, 4).astype(float)
+        f = ca.vertcat(x[1], a * ca.sin(x[0]))
+        y = c * x[0] + b * ca.fabs(x[1]) + d * l
+        model = FirstOrderSystem(
+            x=x, lam=l, f=f, h=y, g=ca.vertcat(0, l * (1 + x[0] ** 2)), law=relay(1), x0=[1, 1], t_end=1, step=0.1
+        )
+        if report(model)[0]["F-unique"].verdict != "holds":
+            continue
+        grid = np.linspace(-1, 1, 801)
+        for x_k in rng.uniform(0.5, 1.5, (5, 2)):  # x(l) by iteration, then the zeros and ends of y(l)
+            z = np.tile(x_k[:, None], (1, 801))
+            for _ in range(60):
+                z = x_k[:, None] + 0.1 * np.array([z[1], a * np.sin(z[0]) + grid * (1 + z[0] ** 2)])
+            y = c * z[0] + b * np.abs(z[1]) + d * grid
+            count = int(y[0] > 0) + int(y[-1] < 0) + int((np.sign(y[:-1]) * np.sign(y[1:]) < 0).sum())
+            assert count == 1

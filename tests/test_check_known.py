@@ -107,7 +107,7 @@ def test_diode_bridge(load_case, run_case):
     P = np.array(report["5.1"].witness["P"])
     assert P[0] == pytest.approx([C, 0], rel=1e-12)  # the other block is free
     assert P[1, 1] > 0
-    best = np.array(report["5.2"].witness["P"])
+    best = np.array(report["5.2"].witness["P_omega"])
     assert best / best[0, 0] == pytest.approx(np.diag([1, L / C]), rel=1e-9)
     assert report["5.2"].value["omega"] == 0
     assert report["4.1"].verdict == "holds"

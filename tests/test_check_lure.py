@@ -371,7 +371,7 @@ def test_nonlinear_operators_obey_their_omega_between_random_points(name):
     A, everywhere, at_most = NONLINEAR[name]
     findings, _, region = checked(A)
     finding = findings["5.2"]
-    omega, P = finding.value["omega"], np.array(finding.witness["P"])
+    omega, P = finding.value["omega"], np.array(finding.witness["P_omega"])
     assert finding.verdict == "holds"
     assert (finding.scope is None) == everywhere
     assert omega <= at_most
@@ -431,7 +431,7 @@ def test_cases(load_case, stem):
 def test_the_rectifier_has_the_energy_of_its_capacitor_and_coil(load_case):
     model = load_case("rlc_diode").bind()
     findings, _ = lure.check(model, region_of(model, []), [], False)
-    assert np.array(findings[3].witness["P"]) == pytest.approx(np.diag([1e-6, 1e-2]), rel=1e-12)
+    assert np.array(findings[3].witness["P_omega"]) == pytest.approx(np.diag([1e-6, 1e-2]), rel=1e-12)
 
 
 def test_two_free_masses_drift_apart_so_that_omega_is_small_and_not_zero(load_case):
@@ -503,7 +503,7 @@ def pair_of_runs(theta, A, omega_law=None):
 def test_two_runs_contract_as_promised(theta, name):
     model, a, b = pair_of_runs(theta, NONLINEAR[name][0])
     finding = checked(NONLINEAR[name][0])[0]["5.2"]
-    P = np.array(finding.witness["P"])
+    P = np.array(finding.witness["P_omega"])
     result = lure.contraction(model, P, finding.value["omega"], a, b)
     assert result.verdict == "holds"
     size = np.sqrt(np.einsum("ki,ij,kj->k", a.x - b.x, P, a.x - b.x))
@@ -634,3 +634,49 @@ def test_a_large_linear_system_keeps_its_negative_omega():
     chain = wide(lambda x: -3 * x + ca.vertcat(x[1:], 0))["5.2"].value["omega"]
     assert -2.5 <= chain <= -2 + 1e-13
     assert wide(lambda x: 1e308 * (x + ca.vertcat(x[1:], 0)))["5.2"].verdict == "unknown"
+
+
+# -- what is printed is what was proved -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("b", "c"), [(1e9, 1e-3), (1e3, 1e-12), (1e8, 1e-8), (1e-12, 1e12)])
+@pytest.mark.parametrize("quick", [True, False])
+def test_the_p_that_is_given_is_the_p_that_was_proved(b, c, quick):
+    from fractions import Fraction
+
+    A, B, C = np.array([[-2.0, 0], [-2, -4]]), b * np.array([[-1.0], [1]]), c * np.array([[1.0, 2]])
+    given = LureSystem(A=A, B=B, C=C, law=complementarity(1), x0=[2, 2], t_end=0.2, step=0.1)
+    report = nsmodel.check(given, quick=quick)
+    for id, name in (("5.1", "P"), ("5.2", "P_omega")):
+        found = report[id]
+        assert found.verdict == "holds"
+        near = exact.rational(np.array(found.witness[name]))
+        fractions = found.witness.get(f"{name} exactly")
+        P = near if fractions is None else np.array([[Fraction(entry) for entry in row] for row in fractions], dtype=object)
+        assert exact.is_symmetric(P)
+        assert exact.psd(P).definite
+        assert not (exact.product(P, B) - exact.rational(C).T).any()
+        assert all(abs(p - q) <= Fraction(1e-15) * abs(q) for p, q in zip(near.ravel(), P.ravel(), strict=True))
+    assert exact.is_psd(Fraction(report["5.2"].value["omega"]) * P - exact.product(P, A))
+
+
+def test_a_forcing_with_an_integrable_derivative_is_enough():
+    t = ca.SX.sym("t")
+    for f, verdict in ((ca.sqrt(t), "holds"), (ca.sqrt(ca.fabs(t - 0.5)), "holds"), (ca.sign(t - 0.5), "unknown")):
+        given = LureSystem(t=t, A=[[-1]], B=[[1]], C=[[1]], law=relay(1), f=f, x0=[1], t_end=1, step=0.1)
+        made = {item.name: item for item in nsmodel.check(given, quick=True).consequences}
+        assert made["well posed"].verdict == verdict
+
+
+def test_a_diagonal_pairing_of_many_rows():
+    import scipy.sparse as sparse
+
+    n = 400
+    p = np.linspace(1, 3, n).round(2)
+    B = sparse.diags(np.ones(n), format="csc")
+    given = LureSystem(
+        A=-sparse.eye(n, format="csc"), B=B, C=sparse.diags(p, format="csc"), law=relay(n), x0=np.ones(n), t_end=1, step=0.1
+    )
+    report = nsmodel.check(given, quick=True)
+    assert report["5.1"].verdict == report["5.2"].verdict == "holds"
+    assert -1 <= report["5.2"].value["omega"] <= -1 + 1e-12

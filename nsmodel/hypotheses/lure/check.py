@@ -11,12 +11,14 @@ import numpy as np
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, follows, found
 from nsmodel.hypotheses.lure import large, range_condition
 from nsmodel.hypotheses.lure.hypomonotone import HYPOMONOTONE, Growth, hypomonotone
+from nsmodel.hypotheses.lure.pairing import root
 from nsmodel.hypotheses.lure.passivity import D_PSD, PAPER, STORAGE, input_output, storage
 from nsmodel.hypotheses.lure.passivity_symbolic import symbolic_findings
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.scope import meet
 from nsmodel.model.lure import LureSystem
-from nsmodel.proof import interval
+from nsmodel.proof import exact, interval
+from nsmodel.proof.absolutely_continuous import absolutely_continuous
 from nsmodel.proof.defined import in_time
 from nsmodel.proof.exact import EPS
 from nsmodel.trajectory import Trajectory
@@ -57,6 +59,7 @@ def check(model: LureSystem, region: Region, runs: Sequence[Trajectory], quick: 
 
 def _consequences(model: LureSystem, region: Region, growth: Growth, findings: Sequence[Finding]) -> list[Consequence]:
     here = "" if growth.everywhere else " while both stay inside the box"
+    norm = ", P the P_omega of 5.2" if growth.P is not None else ", P that of 5.1"
     texts = _one_solution(model, region)
     well = follows(
         "well posed",
@@ -66,7 +69,7 @@ def _consequences(model: LureSystem, region: Region, growth: Growth, findings: S
         f"{PAPER}, Corollary 5.7",
     )
     contraction = follows(
-        "contraction", f"|x(t) - y(t)|_P <= e^(omega t) |x_0 - y_0|_P for any two solutions{here}", findings, MONOTONE,
+        "contraction", f"|x(t) - y(t)|_P <= e^(omega t) |x_0 - y_0|_P for any two solutions{here}{norm}", findings, MONOTONE,
         f"{PAPER}, (40)", {"omega": growth.omega} if np.isfinite(growth.omega) else {},
     )  # fmt: skip
     timed = region.scope(timed=bool(ca.depends_on(model.f, model.t)))
@@ -86,10 +89,11 @@ def _one_solution(model: LureSystem, region: Region) -> str:
     defined = in_time(f, t, region.t0, last)
     if defined.verdict == VIOLATED:
         return f"; f has no finite value for all times: {defined.how}"
-    slope = interval.enclose(ca.jacobian(f, t), t, *ends)
-    if interval.is_continuous(f, t, *ends) and np.isfinite(slope).all():
+    if interval.is_continuous(f, t, *ends) and np.isfinite(interval.enclose(ca.jacobian(f, t), t, *ends)).all():
         return ""
-    return f"; f is not seen to be continuous with a bounded f' on [{region.t0:g}, {last:g}], which the theorem asks for"
+    if defined.verdict == HOLDS and absolutely_continuous(f, t, region.t0, last):
+        return ""
+    return f"; f is not seen to be absolutely continuous on [{region.t0:g}, {last:g}], which the theorem asks for"
 
 
 def _stability(model: LureSystem, region: Region, growth: Growth, findings: Sequence[Finding]) -> list[Consequence]:
@@ -125,8 +129,11 @@ def _stability(model: LureSystem, region: Region, growth: Growth, findings: Sequ
 
 def _radius(P: np.ndarray, region: Region) -> float:
     """The largest r with {|x|_P < r} inside the box."""
-    reach = np.sqrt(np.diagonal(np.linalg.inv(P)))  # max of x_i over |x|_P <= 1
-    return float(max(0.0, (np.minimum(-region.lower, region.upper) / reach).min()))
+    inverse = exact.inverse(P)
+    if inverse is None:
+        return 0.0
+    reach = np.sqrt(exact.doubles(np.diagonal(inverse)))  # max of x_i over |x|_P <= 1
+    return float(max(0.0, (np.minimum(-region.lower, region.upper) / reach).min()) * (1 - 8 * EPS))
 
 
 def contraction(model: LureSystem, P: np.ndarray, omega: float, run_a: Trajectory, run_b: Trajectory) -> Finding:
@@ -137,7 +144,7 @@ def contraction(model: LureSystem, P: np.ndarray, omega: float, run_a: Trajector
 
     Args:
         model: bound.
-        P, omega: as found for 5.1 and 5.2.
+        P, omega: as found for 5.2.
         run_a, run_b: runs from different starts.
     """
     if run_a.t.shape != run_b.t.shape or not np.array_equal(run_a.t, run_b.t):
@@ -145,7 +152,7 @@ def contraction(model: LureSystem, P: np.ndarray, omega: float, run_a: Trajector
     h = np.diff(run_a.t)
     if any(run.metadata["save_every"] != 1 for run in (run_a, run_b)) or not len(h):
         return found(CONTRACTION, UNKNOWN, "the runs do not hold every row (save_every)")
-    L, d = np.linalg.cholesky(P), run_a.x - run_b.x
+    L, d = root(exact.rational(P)), run_a.x - run_b.x
     size = np.linalg.norm(d @ L, axis=1)
     if not size[0] > 0:
         return found(CONTRACTION, UNKNOWN, "the two runs have the same start")

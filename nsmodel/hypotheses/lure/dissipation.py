@@ -62,9 +62,11 @@ def least_rate(
         quick: only closed-form candidates for Y, no semidefinite program.
     """
     J, K = ([exact.product(pairing.T_inverse, M, pairing.T) for M in matrices] for matrices in (vertices, cones))
-    near = least_omega.balanced(exact.doubles(pairing.G), [exact.doubles(M) for M in J], [exact.doubles(M) for M in K])
+    plain = well_conditioned(pairing)
+    sizes = exact.doubles(pairing.G), exact.doubles(plain)
+    near = least_omega.balanced(*sizes, [exact.doubles(M) for M in J], [exact.doubles(M) for M in K])
     problem, least = _Problem(pairing, J, K, near), least_omega.lower_bound(near)
-    candidates = [exact.rational(near.from_hat(np.eye(pairing.free))), well_conditioned(pairing), *_energies(problem)]
+    candidates = [plain, exact.rational(near.from_hat(np.eye(pairing.free))), *_energies(problem)]
     best = _best(problem, candidates, least)
     if quick or not pairing.free or len(pairing.T) > PROGRAM:
         return best
@@ -78,7 +80,7 @@ def _best(problem: _Problem, candidates: Iterable[np.ndarray], least: float, bes
     """The least proved rate; the rest of the candidates is left out where one is 0 up to rounding."""
     for Y in candidates:
         rate = _proved(problem, Y, least)
-        if rate is not None and (best is None or rate.omega < best.omega):
+        if rate is not None and (best is None or rate.omega < best.omega - rate.rounding or rate.omega <= 0 < best.omega):
             best = rate
         if best is not None and -best.rounding <= best.omega <= 0 and least > -best.rounding:
             break

@@ -6,7 +6,7 @@ constant is -omega. The Jacobians lie in the hull of finitely many matrices, plu
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -14,24 +14,25 @@ import numpy as np
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, found
 from nsmodel.hypotheses.lure.dissipation import Rate, least_rate
 from nsmodel.hypotheses.lure.jacobian_hull import bounded_hull, sampled_hull, tidy
-from nsmodel.hypotheses.lure.pairing import condition, well_conditioned
+from nsmodel.hypotheses.lure.pairing import condition, root, shown, well_conditioned
 from nsmodel.hypotheses.lure.passivity import PAPER, Passivity
 from nsmodel.hypotheses.region import Region
 from nsmodel.model.lure import LureSystem
 from nsmodel.proof import exact, extremum, interval
+from nsmodel.proof.exact import EPS
 from nsmodel.proof.graph import operations
 from nsmodel.proof.jumps import find_jump, jumps_in
 
 HYPOMONOTONE = Hypothesis(
     "5.2", "R A(-R^{-1} .) + omega I is maximal monotone for some omega, R^2 = P", f"{PAPER}, Assumption 5.2"
 )
+NAME = "P_omega"  # of the P of this assumption; 5.1 has another one
 # Operations that are defined and continuous everywhere.
 CONTINUOUS = {
     ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER, ca.OP_ASSIGN, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_NEG, ca.OP_SQ,
     ca.OP_TWICE, ca.OP_FABS, ca.OP_FMIN, ca.OP_FMAX, ca.OP_SIN, ca.OP_COS, ca.OP_ATAN, ca.OP_TANH, ca.OP_SINH, ca.OP_COSH,
     ca.OP_ASINH, ca.OP_EXP, ca.OP_EXPM1, ca.OP_ERF,
 }  # fmt: skip
-LIFT = 1e-12  # relative, above the rounding of R J R^{-1} in doubles
 
 
 class Growth(NamedTuple):
@@ -39,7 +40,7 @@ class Growth(NamedTuple):
 
     Attributes:
         finding: the verdict.
-        P: (n, n) doubles, the P of ``omega``; None where there is none.
+        P: (n, n) of Fractions, the P of ``omega``; None where there is none.
         omega: |x(t) - y(t)|_P <= e^{omega t} |x_0 - y_0|_P; inf where none is known.
         everywhere: whether this is for all states, not on the box alone.
         accuracy: an omega below this may be 0 in truth.
@@ -97,23 +98,44 @@ def _nonlinear(J: ca.SX, model: LureSystem, passivity: Passivity, region: Region
     rate = least_rate(passivity.pairing, hull.vertices, hull.cones, quick=quick)
     if rate is None:
         return Growth(found(HYPOMONOTONE, UNKNOWN, "A' is not bounded on the box, and no P is found that allows for it"))
-    P = exact.doubles(passivity.pairing.storage(rate.Y))
     if not hull.sure or not quick:
-        rate = _on_box(J, x, P, region, rate, hull.sure, quick)
+        rate = _on_box(J, x, passivity.pairing.storage(rate.Y), region, rate, hull.sure, quick)
     if rate is None:
         return Growth(found(HYPOMONOTONE, UNKNOWN, "no bound of the largest eigenvalue of sym(R A' R^{-1}) on the box is found"))
     return _growth(passivity, rate, quick, "proved by bounds over the whole box", region)
 
 
 def _on_box(J: ca.SX, x: ca.SX, P: np.ndarray, region: Region, rate: Rate, sure: bool, quick: bool) -> Rate | None:
-    """The rate of the same P from the largest eigenvalue over the box, where that is known to be smaller."""
-    size, vectors = np.linalg.eigh(P)
-    R, inverse = (vectors * size**power @ vectors.T for power in (0.5, -0.5))
-    top = extremum.largest_eigenvalue(ca.DM(R) @ J @ ca.DM(inverse), x, region.lower, region.upper, quick=quick, bound_to=None)
-    bound = top.bound + LIFT * (np.linalg.norm(R, 2) * np.linalg.norm(inverse, 2) + abs(top.bound))
+    """The rate of the same P from the largest eigenvalue over the box, where that is known to be smaller.
+
+    With doubles S for which S'P S = I + E, |E| <= e < 1, and sym(S'P J S) <= mu I: omega P - sym(P J) is psd as soon as
+    omega (1 + e) >= mu, omega < 0, or omega (1 - e) >= mu, omega >= 0. S'P is rounded to doubles, and CasADi rounds what is
+    constant in the product: both are bounded by means of |J| on the box.
+    """
+    n = len(P)
+    try:
+        S = np.linalg.inv(root(P)).T
+    except np.linalg.LinAlgError:
+        return rate if sure else None
+    exactly = exact.product(exact.rational(S).T, P)
+    left, E = exact.doubles(exactly), exact.product(exactly, S) - exact.eye(n)
+    e = _above(sum(abs(entry) for entry in E.ravel()))
+    size = np.abs(interval.enclose(J, x, region.lower, region.upper)).max(axis=0).reshape(n, n)
+    if not (e < 0.5 and np.isfinite(size).all()):
+        return rate if sure else None
+    top = extremum.largest_eigenvalue(ca.DM(left) @ J @ ca.DM(S), x, region.lower, region.upper, quick=quick, bound_to=None)
+    unseen = 8 * n * EPS * float((np.abs(left) @ size @ np.abs(S)).sum())
+    mu = top.bound + unseen
+    bound = _above(mu / (1 + e) if mu < 0 else mu / (1 - e))
     if sure and rate.omega <= bound:
         return rate
     return rate._replace(omega=bound) if np.isfinite(bound) else None
+
+
+def _above(number: Any) -> float:
+    """A double a little above."""
+    near = float(number)
+    return near + 4 * EPS * abs(near)
 
 
 def _growth(
@@ -122,26 +144,28 @@ def _growth(
     """The finding for a rate, on a region or everywhere; the verdict is no better than that on 5.1, whose P it needs."""
     verdict = HOLDS if passivity.finding.verdict == HOLDS else SAMPLED
     if rate is None:  # A linear, ill conditioned beyond the last rounding: Remark 5.3 iii).
-        Y = well_conditioned(passivity.pairing)
-        P = exact.doubles(passivity.pairing.storage(Y))
+        P = passivity.pairing.storage(well_conditioned(passivity.pairing))
         how = "A is linear, and Lipschitz (Remark 5.3); no useful omega is found"
-        return Growth(found(HYPOMONOTONE, verdict, how, {"cond P": condition(P)}, {"P": P}), P)
-    P = exact.doubles(passivity.pairing.storage(rate.Y))
-    texts = [f"{proof} for the P given"]
+        witness = shown(NAME, P)
+        return Growth(found(HYPOMONOTONE, verdict, how, {"cond P": condition(witness[NAME])}, witness), P)
+    P = passivity.pairing.storage(rate.Y)
+    witness = shown(NAME, P)
+    texts = [f"{proof} for {NAME}" + ("" if len(witness) == 1 else " as fractions, which are in the data; doubles are shown")]
     if verdict == SAMPLED:
         texts.append("which solves P B = C' up to rounding")
     if abs(rate.omega) <= rate.rounding and rate.omega:
         texts.append("omega is zero up to rounding of A")
     elif 0 < rate.omega <= rate.accuracy:
         texts.append("omega is zero up to the accuracy of the search for P")
-    elif rate.omega <= rate.least + 1e-6 * abs(rate.least):
-        texts.append("no P gives less")
+    elif linear and rate.omega <= rate.least + 1e-6 * abs(rate.least):
+        texts.append(f"no P gives less (floating point): {NAME} attains the infimum")
     elif linear:
-        texts.append(f"no P gives less than {rate.least:.4g}")
+        texts.append(f"no P gives less than {rate.least:.4g} (floating point), which {NAME} does not attain")
         texts.append("a smaller omega was not looked for" if quick else "a smaller omega may need a worse conditioned P")
-    value = {"omega": rate.omega, "cond P": condition(P)}
+    texts.append(f"cond P, in floating point, is that of {NAME}")
+    value = {"omega": rate.omega, "cond P": condition(witness[NAME])}
     scope = None if region is None else region.scope(True)
-    finding = found(HYPOMONOTONE, verdict, "; ".join(texts), value, {"P": P}, scope)
+    finding = found(HYPOMONOTONE, verdict, "; ".join(texts), value, witness, scope)
     return Growth(finding, P, rate.omega, region is None, rate.accuracy)
 
 

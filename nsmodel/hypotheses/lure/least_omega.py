@@ -65,8 +65,11 @@ class Balanced:
         return (Y + Y.T) / 2
 
 
-def balanced(G: np.ndarray, J: Sequence[np.ndarray], cones: Sequence[np.ndarray]) -> Balanced:
-    """Return the coordinates for G (r, r) and matrices (n, n) of doubles; units of the last n - r are powers of two."""
+def balanced(G: np.ndarray, Y: np.ndarray, J: Sequence[np.ndarray], cones: Sequence[np.ndarray]) -> Balanced:
+    """Return the coordinates for G (r, r) and matrices (n, n) of doubles; units of the last n - r are powers of two.
+
+    Where nothing couples such a coordinate to the others, its unit is that of Y.
+    """
     r, n = len(G), len(J[0])
     left = np.eye(n)
     if r:
@@ -75,6 +78,7 @@ def balanced(G: np.ndarray, J: Sequence[np.ndarray], cones: Sequence[np.ndarray]
     back = np.linalg.inv(left)
     size = np.max([np.abs(left @ matrix @ back) for matrix in [*J, *cones]], axis=0)
     units = np.ones(n)
+    units[r:] = 2.0 ** np.round(-np.log2(np.diagonal(Y)) / 2)
     for _ in range(30):
         before = units.copy()
         for j in range(r, n):

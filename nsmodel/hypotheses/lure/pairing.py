@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from fractions import Fraction
+from math import log2
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -98,12 +100,44 @@ def units(B: np.ndarray, C: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def residual(P: np.ndarray, B: np.ndarray, C: np.ndarray) -> float:
-    """|P B - C'| / |C| of doubles."""
-    return float(np.abs(P @ B - C.T).max(initial=0.0) / (np.abs(C).max(initial=0.0) or 1.0))
+    """max |P B - C'| / max |C| of doubles, taken as the rational numbers that they are, rounded up."""
+    off = exact.product(P, B) - exact.rational(C).T
+    largest = max((abs(entry) for entry in exact.rational(C).ravel()), default=Fraction(0))
+    worst = max((abs(entry) for entry in off.ravel()), default=Fraction(0)) / (largest or 1)
+    return float(np.nextafter(float(worst), np.inf)) if worst else 0.0
+
+
+def shown(name: str, P: np.ndarray) -> dict[str, Any]:
+    """A rational P as a witness: its doubles, and beside them its fractions where they are not the same numbers."""
+    near = exact.doubles(P)
+    fractions = {} if (exact.rational(near) == P).all() else {f"{name} exactly": [[str(entry) for entry in row] for row in P]}
+    return {name: near, **fractions}
+
+
+def root(P: np.ndarray) -> np.ndarray:
+    """L (n, n) in doubles with L L' = P, of a rational P > 0 of which the doubles need not be definite."""
+    d = np.array([Fraction(2) ** round((log2(p.numerator) - log2(p.denominator)) / 2) for p in np.diagonal(P)], dtype=object)
+    S = P / d[:, None] / d
+    try:
+        factor = np.linalg.cholesky(exact.doubles(S))
+    except np.linalg.LinAlgError:
+        factor = _by_pivots(S)
+    return exact.doubles(d)[:, None] * factor
+
+
+def _by_pivots(S: np.ndarray) -> np.ndarray:
+    """The Cholesky factor from exact pivots."""
+    S, n = S.copy(), len(S)
+    factor = np.zeros((n, n))
+    for k in range(n):
+        column = S[k:, k] / S[k, k]
+        factor[k:, k] = exact.doubles(column) * np.sqrt(float(S[k, k]))
+        S[k:, k:] = S[k:, k:] - np.outer(column, S[k, k:])
+    return factor
 
 
 def condition(P: np.ndarray) -> float:
-    """Condition number of a positive definite matrix; inf where doubles cannot tell."""
+    """Condition number of a positive definite matrix, in floating point; inf where doubles cannot tell."""
     spectrum = np.linalg.eigvalsh(P)
     if spectrum[0] <= EPS * spectrum[-1]:
         return np.inf

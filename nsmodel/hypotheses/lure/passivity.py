@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, found
-from nsmodel.hypotheses.lure.pairing import Pairing, condition, pairing_of, residual, units, well_conditioned
+from nsmodel.hypotheses.lure.pairing import Pairing, condition, pairing_of, residual, shown, units, well_conditioned
 from nsmodel.proof import exact
 from nsmodel.proof.exact import EPS
 
@@ -156,8 +156,11 @@ def _clearest(M: np.ndarray, size: np.ndarray, vectors: list[np.ndarray]) -> tup
 def _with_storage(pairing: Pairing, B: np.ndarray, C: np.ndarray, verdict: str, how: str) -> Finding:
     """The finding with the best conditioned P that was found."""
     P = pairing.storage(well_conditioned(pairing))
-    numbers = exact.doubles(P)
-    return found(STORAGE, verdict, how, {"cond P": condition(numbers), "|PB - C'|/|C|": residual(numbers, B, C)}, {"P": numbers})
+    witness = shown("P", P)
+    if len(witness) > 1 and verdict == HOLDS:
+        how += "; P is rounded to doubles here, with their |PB - C'|; its fractions, with P B = C', are in the data (P exactly)"
+    value = {"cond P": condition(witness["P"]), "|PB - C'|/|C|": residual(witness["P"], B, C)}
+    return found(STORAGE, verdict, f"{how}; cond P in floating point", value, witness)
 
 
 def _nearby(B: np.ndarray, C: np.ndarray) -> Pairing | _Fault | None:

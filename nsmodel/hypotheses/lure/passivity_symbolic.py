@@ -63,6 +63,7 @@ def _finding(hypothesis: Hypothesis, conditions: _Conditions | str, name: str) -
     always = _always(conditions)
     if not conditions.zero and all(getattr(expr, always) for expr in conditions.positive):
         how = "for all values of the parameters, by SymPy over the rationals"
+        how += f": {conditions.remark}" if conditions.remark and not conditions.positive else ""
         return found(hypothesis, HOLDS, how, count, witness)
     how = f"holds if and only if {' and '.join(texts)}{conditions.remark}"
     if not conditions.zero and all(getattr(_for_positive(expr), always) for expr in conditions.positive):
@@ -100,6 +101,8 @@ def _pairing(B: sp.Matrix, C: sp.Matrix) -> _Conditions | str:
     """5.1 on columns of B that are independent for almost all parameters; the others' rows of C must follow."""
     import sympy as sp
 
+    if _simple(C - B.T).is_zero_matrix:
+        return _Conditions([], [], True, "C = B': P = I")
     columns, echelon = list(B.rref(simplify=True)[1]), B.rref(simplify=True)[0]
     G = _simple(C.extract(columns, list(range(C.cols))) * B.extract(list(range(B.rows)), columns))
     zero = [_short(G[i, j] - G[j, i]) for i in range(G.rows) for j in range(i)]

@@ -90,7 +90,11 @@ def pairs(numbers: Mapping[str, Any]) -> list[str]:
 
 def witness(finding: Finding) -> list[str]:
     """The witness where a hypothesis fails or was only looked at, of a long one the first entries; of a proof the P it found."""
-    told = finding.witness if finding.verdict in (VIOLATED, SAMPLED) else {k: v for k, v in finding.witness.items() if k == "P"}
+    told = (
+        finding.witness
+        if finding.verdict in (VIOLATED, SAMPLED)
+        else {k: v for k, v in finding.witness.items() if k in ("P", "P_omega")}
+    )
     entries = pairs(told)
     return entries if len(entries) <= ENTRIES else [*entries[: ENTRIES - 2], f"... ({len(entries)} entries)"]
 
