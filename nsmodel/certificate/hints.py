@@ -241,7 +241,8 @@ def _escape(model: SweepingProcess) -> Callable[[list[Any]], Any]:
 
 def _lure(model: LureSystem, finding: Finding) -> Any:
     if finding.id in ("5.1", "5.2"):
-        P = finding.witness.get("P exactly") or finding.witness.get("P")
+        name = "P" if finding.id == "5.1" else "P_omega"
+        P = finding.witness.get(f"{name} exactly") or finding.witness.get(name)
         if P is None:
             raise Unproved("too large a P to write down")
         return {"P": [[entry if isinstance(entry, str) else text(entry) for entry in row] for row in P]}

@@ -166,16 +166,18 @@ def _jump(problem: BodiesProblem, points: Sequence[Point], region: Region) -> _J
             if not there.size or not len(x):
                 continue
             far, nearest = cKDTree(q[there]).query(x[:, 1 : 1 + d])
-            for k in np.argsort(far, kind="stable")[:PROVED]:
-                if found and far[k] >= min(item[0] for item in found):
+            tried = 0
+            for k in np.argsort(far, kind="stable"):
+                if (found and far[k] >= min(item[0] for item in found)) or tried == PROVED:
                     break
                 time, body = float(x[k, 0]) if moves else t, int(there[nearest[k]])
                 ends = x[k, 1 : 1 + d], y[k, 1 : 1 + d]
                 values = (np.array(f(time, np.concatenate([end, table[kind]]))).T for end in ends)
-                if not differ(*values, least[k : k + 1])[0]:
+                if not differ(*values, least[k : k + 1])[0] or not all(others.admit(time, body, end) for end in ends):
                     continue
+                tried += 1
                 size = _proved(model, table[kind], time, *ends)
-                if size > 0 and all(others.admit(time, body, end) for end in ends):
+                if size > 0:
                     found.append((float(far[k]), size, {"t": time, "size": size, "moved": f"body {body}", "to": ends[0]}))
     if not found:
         return None

@@ -140,8 +140,7 @@ def on_set(step: AffineStep, b: np.ndarray, index: np.ndarray) -> OnSet:
             return OnSet(None, 0)
         l[free] = own
     y = exact.product(step.W, l) + b
-    if free.size:
-        inverse = np.abs(np.linalg.pinv(exact.doubles(step.W[np.ix_(free, free)])))
+    inverse = np.abs(np.linalg.pinv(exact.doubles(step.W[np.ix_(free, free)]))) if free.size else np.zeros((0, 0))
     size = step.size @ np.abs(exact.doubles(l)).ravel() + np.abs(exact.doubles(b)).ravel()
     of_l = np.zeros(len(l))
     if free.size:

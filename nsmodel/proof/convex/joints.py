@@ -102,6 +102,8 @@ def _settled(term: ca.SX, s: ca.SX, low: Fraction, high: Fraction | None) -> tup
         return _Node({((0, 1),): Fraction(1)}, item, True, False)
 
     def apply(op: int, args: list[_Node]) -> _Node:
+        if op == ca.OP_CALL:
+            raise Unsettled
         call, old = next(calls), applied(op, [arg.old for arg in args])
         holds, settled = any(arg.holds for arg in args), any(arg.settled for arg in args)
         if not holds or op not in (*KINKS, *COMPARED, *LOGIC, ca.OP_SIGN, ca.OP_IF_ELSE_ZERO) or cuts:
