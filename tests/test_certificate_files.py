@@ -347,3 +347,27 @@ def test_statements_of_other_classes():
     lure = LureSystem(A=[[-1, 0], [0, -2]], B=[1, 1], C=[1, 1], law=relay(1), x0=[1, 0], t_end=1, step=0.1)
     assert {id: answer for id, answer in answers(certificate_of(check(lure, []))).items() if answer != "yes"} == {}
     assert nsmodel is not None
+
+
+def test_the_neighbourhoods_are_data_that_all_statements_share(certificates):
+    """U_i with a small delta makes A1 easy, one with a large delta A0: both speak of the same."""
+    certificate = certificates("moving_disc")
+    delta = Fraction(certificate["model"]["constraints"][0]["delta"])
+    larger = changed(certificate["model"], ("constraints", 0, "delta"), lambda x: x * Fraction(19, 10))
+    found = answers(certificate | {"model": larger, "hash": verify.digest(larger)})
+    assert delta > 0
+    assert found["A0"] == "yes"
+    assert found["A4"].startswith("no")
+    assert found["A3"].startswith("no")
+
+
+def test_gamma_for_every_rho_is_not_proved_of_touching_constraints_alone():
+    report = check(
+        swept({"a": q[0] + 0.1 * q[1] ** 2, "b": q[1] + 0.1 * q[0] ** 2 + 0.5}), [], region={"q_0": (-1, 3), "q_1": (-1, 1)}
+    )
+    certificate = certificate_of(report)
+    for s in certificate["statements"]:
+        if s["id"] == "A5" and s.get("proof"):
+            assert verify.verdict(certificate["model"], s) == "yes"
+            kept = {name: number for name, number in s["value"].items() if name != "rho"}
+            assert verify.verdict(certificate["model"], s | {"value": kept}).startswith("no")

@@ -12,6 +12,7 @@ import numpy as np
 from nsmodel.certificate.graph import NoProgram, graph, matrix, text
 from nsmodel.hypotheses.domain import without_domain
 from nsmodel.hypotheses.oscillator.check import domain_of
+from nsmodel.hypotheses.sweeping.forms import Shape
 from nsmodel.hypotheses.sweeping.shapes import read_shapes
 from nsmodel.model.base import Model
 from nsmodel.model.bodies import ManyBodies
@@ -20,6 +21,7 @@ from nsmodel.model.inclusion import MonotoneInclusion
 from nsmodel.model.lure import LureSystem
 from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.sweeping import SweepingProcess
+from nsmodel.proof import extremum
 from nsmodel.scheme.catching_up import constraints
 
 Data = dict[str, Any]
@@ -58,13 +60,24 @@ def _steps(model: Model) -> list[str]:
     return [text(step) for step in steps if step is not None]
 
 
+def reach_of(shape: Shape, model: SweepingProcess) -> Fraction:
+    """Of a distance less r(t) a number that r is not below, at all times; U_i = {g_i > -delta} with half of it."""
+    offset = shape.form.affine.offset
+    if isinstance(offset, Fraction):
+        return -offset
+    top = extremum.supremum(offset, model.t, np.zeros(1), np.array([float(model.t_end or 0.0)])).bound
+    return Fraction(-top) * (1 - Fraction(1, 2**40)) if top < 0 else Fraction(0)
+
+
 def _sweeping(model: SweepingProcess) -> Data:
-    own = [list(shape.own) for shape in read_shapes(model.g, model.q, model.t)] if model.multiplier_names else []
-    rows = zip(model.multiplier_names, ca.vertsplit(model.g), own, strict=True) if own else []
+    shapes = read_shapes(model.g, model.q, model.t) if model.multiplier_names else []
+    own = [list(shape.own) for shape in shapes]
+    deltas = [{"delta": text(reach_of(shape, model) / 2)} if shape.kind == "distance" else {} for shape in shapes]
+    rows = zip(model.multiplier_names, ca.vertsplit(model.g), own, deltas, strict=True) if own else []
     return {
         "constraints": [
-            {"name": name, "graph": graph(g, ca.vertcat(model.t, model.q[own]), ["t", *(model.names[i] for i in own)])}
-            for name, g, own in rows
+            {"name": name, "graph": graph(g, ca.vertcat(model.t, model.q[own]), ["t", *(model.names[i] for i in own)])} | delta
+            for name, g, own, delta in rows
         ],
         "f": _or_why(model.f, ca.vertcat(model.t, model.q), ["t", *(model.names or ())]),
         "q0": _numbers(model.q0),

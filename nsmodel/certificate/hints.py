@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.certificate import verify
+from nsmodel.certificate.data import reach_of
 from nsmodel.certificate.graph import NoProgram, graph, matrix, text
 from nsmodel.hypotheses.findings import Finding
 from nsmodel.hypotheses.lure import domains
@@ -196,8 +197,7 @@ def _norm(model: SweepingProcess, shape: Any) -> dict[str, Any] | None:
         hint["box"] = [[text(clip.low), text(clip.high)] for clip in clips]
     gram = exact.doubles(exact.product(A, A.T))
     b = Fraction(float(weight) * float(np.sqrt(np.linalg.eigvalsh(gram)[-1]))) * (1 + ROOM / 4)
-    reach = _reach(offset, model)
-    return hint | {"reach": text(reach), "delta": text(reach / 2), "b": text(b)}
+    return hint | {"reach": text(reach_of(shape, model)), "b": text(b)}
 
 
 def _of_time(a: Affine | Any, model: SweepingProcess) -> Any:
@@ -205,17 +205,6 @@ def _of_time(a: Affine | Any, model: SweepingProcess) -> Any:
     if isinstance(offset, Fraction):
         return {"inputs": ["t"], "steps": [["const", text(offset)]], "outputs": [0]}
     return graph(offset, model.t, ["t"])
-
-
-def _reach(offset: Any, model: SweepingProcess) -> Fraction:
-    """A number that minus the offset is not below, at all times."""
-    from nsmodel.proof import extremum
-
-    if isinstance(offset, Fraction):
-        return -offset
-    t = np.array([0.0]), np.array([float(model.t_end or 0.0)])
-    top = extremum.supremum(offset, model.t, *t).bound
-    return Fraction(-top) * (1 - ROOM) if top < 0 else Fraction(0)
 
 
 def _escape(model: SweepingProcess) -> Callable[[list[Any]], Any]:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, Consequence, Finding, follows, scope_of
+from nsmodel.hypotheses.scope import Scope, meet
 from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.trajectory import Trajectory
 
@@ -101,12 +102,12 @@ def _order(
     """max |q_h - q| <= C_0 sqrt(h): C_0 with C bounding |q_h| and K bounding |q_h'| on the runs."""
     statement = "max |q_h(t) - q(t)| <= C_0 sqrt(h): order 1/2 is proved, order 1 is what smooth scenes show"
     value: dict[str, float] = {"order": 0.5}
+    T = max((float(run.t[-1]) for run in runs), default=0.0)
     rows = [run for run in runs if len(run.t) > 1 and np.isfinite(run.x).all()]
     K_f, L_f, L_t = (number.get(("S-f", name), np.inf) for name in ("K_f", "L_f", "L_t"))
     if rows:
         C = max(float(np.linalg.norm(run.x, axis=1).max()) for run in rows)
         K = max(float((np.linalg.norm(np.diff(run.x, axis=0), axis=1) / np.diff(run.t)).max()) for run in rows)
-        T = max(float(run.t[-1]) for run in rows)
         value |= {"log10 C_0": log_error_constant(K, C, T, K_f, L_f, L_t, K_L, kappa, r), "K": K, "C": C}
         h = _over(r, 16 * K), _over(r, 8 * K_L)
         value["for h up to"] = min(1.0, *h)
@@ -118,6 +119,7 @@ def _order(
     rests_on = ("S-convex", "A0", "A1", "A2", "A3", "A4", "A5", "A5'", "S-f", "S-start")
     source = f"{PAPER}, Theorem 3.4, whose proof bounds the square of the error"
     found = follows("order 1/2", statement, findings, rests_on, source, value)
+    found = replace(found, scope=meet(found.scope, Scope(time=(0.0, T)))) if rows else found  # C_0 grows with T
     return found if np.isfinite(L_t) else replace(found, verdict=UNKNOWN)
 
 
