@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from nsmodel.certificate.graph import NoProgram, graph, matrix, text
 from nsmodel.hypotheses.domain import without_domain
+from nsmodel.hypotheses.findings import Finding
 from nsmodel.hypotheses.oscillator.check import domain_of
 from nsmodel.hypotheses.sweeping.forms import Shape
 from nsmodel.hypotheses.sweeping.shapes import read_shapes
@@ -27,15 +28,16 @@ from nsmodel.scheme.catching_up import constraints
 Data = dict[str, Any]
 
 
-def data_of(model: Model) -> Data:
-    """The model as data; its parameters have values.
+def data_of(model: Model, findings: Mapping[str, Finding]) -> Data:
+    """The model as data; its parameters have values. Of a sweeping process the U_i of A0 to A4 are data too.
 
     Raises:
         NoProgram: an expression that cannot be written.
     """
     if isinstance(model, ManyBodies):
         raise NoProgram("families of constraints")
-    return {"class": type(model).__name__, "title": model.title or "untitled"} | _WRITERS[type(model)](model)
+    own = _sweeping(model, findings) if isinstance(model, SweepingProcess) else _WRITERS[type(model)](model)
+    return {"class": type(model).__name__, "title": model.title or "untitled"} | own
 
 
 def _numbers(column: Any) -> list[str]:
@@ -69,10 +71,15 @@ def reach_of(shape: Shape, model: SweepingProcess) -> Fraction:
     return Fraction(-top) * (1 - Fraction(1, 2**40)) if top < 0 else Fraction(0)
 
 
-def _sweeping(model: SweepingProcess) -> Data:
+def _sweeping(model: SweepingProcess, findings: Mapping[str, Finding]) -> Data:
     shapes = read_shapes(model.g, model.q, model.t) if model.multiplier_names else []
     own = [list(shape.own) for shape in shapes]
-    deltas = [{"delta": text(reach_of(shape, model) / 2)} if shape.kind == "distance" else {} for shape in shapes]
+    c, b = (findings[id].value.get(name, 1.0) if id in findings else 1.0 for id, name in (("A0", "c"), ("A1", "b")))
+    on_box = Fraction(c) * Fraction(b) if np.isfinite([c, b]).all() else Fraction(1)
+    deltas = [
+        {} if shape.kind == "plane" else {"delta": text(reach_of(shape, model) / 2 if shape.kind == "distance" else on_box)}
+        for shape in shapes
+    ]
     rows = zip(model.multiplier_names, ca.vertsplit(model.g), own, deltas, strict=True) if own else []
     return {
         "constraints": [
@@ -127,6 +134,6 @@ def _inclusion(model: MonotoneInclusion) -> Data:
 
 
 _WRITERS: dict[type[Model], Any] = {
-    SweepingProcess: _sweeping, FrictionOscillator: _oscillator, FirstOrderSystem: _first_order, LureSystem: _lure,
+    FrictionOscillator: _oscillator, FirstOrderSystem: _first_order, LureSystem: _lure,
     MonotoneInclusion: _inclusion,
 }  # fmt: skip

@@ -6,7 +6,7 @@ too many.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from fractions import Fraction
 from typing import Any
 
@@ -32,7 +32,7 @@ from nsmodel.proof.graph import operations
 # many parts, as a bound that is attained is told from its violation only by small ones.
 ROOMS = ROOM, *_ = Fraction(1, 2**40), Fraction(1, 2**10), Fraction(1, 2**5)
 MOST_PARTS, DEEP = 1000, 40  # Parts of a cover.
-NAMES = {("A2", "b"): "speed", ("A3", "M"): "turn"}
+NAMES = {("A2", "b"): "speed", ("A3", "M"): "turn", ("4.1", "least eigenvalue"): "least"}
 LEAST = {"a", "c", "least", "alpha", "radius of A(0)", "lower bound of g", "least eigenvalue"}  # The larger, the more is said.
 STATED = {
     "A0": ("c",), "A1": ("a", "b"), "A2": ("b",), "A3": ("M",), "A4": ("M", "M_contact"), "A5": ("gamma", "rho"),
@@ -62,14 +62,14 @@ def value_of(finding: Finding, room: Fraction = ROOM) -> dict[str, str]:
     return found
 
 
-def proof_of(model: Model, finding: Finding, value: dict[str, str]) -> Any:
+def proof_of(model: Model, finding: Finding, findings: Mapping[str, Finding], value: dict[str, str], room: Fraction) -> Any:
     """The hints for a finding; numbers that ``verify`` needs and the finding does not have are added to ``value``.
 
     Raises:
         Unproved, NoProgram: there are none.
     """
     if isinstance(model, SweepingProcess):
-        return _sweeping(model, finding)
+        return _sweeping(model, finding, findings, room)
     if isinstance(model, LureSystem):
         return _lure(model, finding)
     if isinstance(model, FirstOrderSystem):
@@ -149,7 +149,7 @@ def _grow(grown: Grown, box: list[Any], leaf: Callable[[list[Any], Any], bool]) 
 # -- sweeping processes --------------------------------------------------------------------------------------------------
 
 
-def _sweeping(model: SweepingProcess, finding: Finding) -> Any:
+def _sweeping(model: SweepingProcess, finding: Finding, findings: Mapping[str, Finding], room: Fraction) -> Any:
     if finding.id == "S-f" and ca.OP_IF_ELSE_ZERO in operations(model.f):
         raise Unproved("f has conditions")
     if finding.id in ("S-f", "S-start"):
@@ -159,10 +159,12 @@ def _sweeping(model: SweepingProcess, finding: Finding) -> Any:
             raise Unproved("gamma of several constraints, for all states")
         return {"cover": Grown(_escape(model))}
     shapes = read_shapes(model.g, model.q, model.t) if model.multiplier_names else []
-    return {"constraints": [_constraint(model, k, shape, finding) for k, shape in enumerate(shapes)]}
+    return {"constraints": [_constraint(model, k, shape, finding, findings, room) for k, shape in enumerate(shapes)]}
 
 
-def _constraint(model: SweepingProcess, k: int, shape: Any, finding: Finding) -> dict[str, Any]:
+def _constraint(
+    model: SweepingProcess, k: int, shape: Any, finding: Finding, findings: Mapping[str, Finding], room: Fraction
+) -> dict[str, Any]:
     """The form of one constraint: affine, a norm or the distance to a segment, else bounds over the box."""
     if shape.kind == "plane":
         return {"form": "affine", "time": Grown()}
@@ -170,11 +172,15 @@ def _constraint(model: SweepingProcess, k: int, shape: Any, finding: Finding) ->
         hint = _norm(model, shape)
         if hint is not None:
             return hint
-    if finding.id == "S-convex" and (finding.scope is None or not finding.scope.states):
+    local = finding.scope is not None and bool(finding.scope.states)
+    if finding.id == "S-convex" and not local:
         return {"form": "rules"}
-    if finding.scope is None or not finding.scope.states:
+    if not local and finding.id not in ("A2", "A3", "A4"):
         raise Unproved(f"constraint '{model.multiplier_names[k]}': a form that is not written down here")
-    raise Unproved(f"constraint '{model.multiplier_names[k]}' is decided on the box, with a U_i of its own")
+    b = finding.value.get("b") if finding.id == "A1" else findings["A1"].value.get("b") if "A1" in findings else None
+    if b is None:
+        raise Unproved("no bound of the gradients is known")
+    return {"form": "box", "b": text(Fraction(b) * (1 + room / 2)), "cover": Grown()}
 
 
 def _norm(model: SweepingProcess, shape: Any) -> dict[str, Any] | None:

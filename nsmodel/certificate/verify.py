@@ -311,7 +311,8 @@ class Shape:
     """
     def __init__(self, c, hint, s):
         self.graph, self.hint, self.s, self.atoms, self.form = c["graph"], hint, s, Atoms(), hint["form"]
-        self.own, self.delta, (self.p,) = [*range(1, len(c["graph"]["inputs"]))], Q(c.get("delta", 0)), self.atoms.read(c["graph"])
+        self.own, self.delta = [*range(1, len(c["graph"]["inputs"]))], Q(c.get("delta", 0))
+        (self.p,) = self.atoms.read(self.graph)
         if self.form == "affine":
             self.row, self.offset = affine(self.p, self.own, self.atoms) or need(False, "g is not affine")
             self.centre, self.hint = [], {**hint, "c": [], "offset": self.graph}
@@ -389,7 +390,9 @@ def qualified(m, s):
                  for c, g in close]
         size = length([Interval(x) for x in d.values()])
         return all(x.lo * gamma >= (length(g.g[1:]) * size).hi for x, (_, g) in zip(along, close, strict=True))
-    need(len(m["constraints"]) <= 1 or cover(s["proof"]["cover"], box_of(names, s), leaf), "gamma fails on a part")
+    graphs = [c["graph"] for c in m["constraints"]]
+    used = {"steps": [["in", names.index(g["inputs"][k])] for g in graphs for op, k, *_ in g["steps"] if op == "in"]}
+    need(len(graphs) <= 1 or cover(s["proof"]["cover"], box_of(names, s, used), leaf), "gamma fails on a part")
 
 def velocity(m, s):
     f, atoms, own, value = m["f"], Atoms(), list(range(1, len(m["f"]["inputs"]))), numbers(s["value"])
@@ -427,10 +430,6 @@ def growth(m, s):
     rows = [affine(p, list(range(len(P))), atoms) for p in atoms.read(m["A"])]
     need(all(row and not row[1] for row in rows), "A is not linear", NotCheckable)
     need(psd(plus([[Q(s["value"]["omega"]) * x for x in row] for row in P], times(P, [row for row, _ in rows]), -1)), "omega")
-
-def passive(m, s):
-    D, least = numbers(m["D"]), Q(s["value"]["least eigenvalue"])
-    need(least >= 0 and psd(plus(D, eye(len(D)), -least)), "D")
 
 def everything(m):
     """Whether the range of D + dXi is the whole space: K bounded, or D + D' > 0."""
@@ -560,7 +559,8 @@ def step(m, s):
 
 STATEMENTS = {
     "S-convex": s_convex, **dict.fromkeys(NEEDED, regular), "A5": qualified, "A5'": qualified, "S-f": velocity, "S-start": start,
-    "3.1": lambda m, s: need(all(a < b for a, b in law(m)), "K has no interior"), "4.1": passive, "5.1": storage, "5.2": growth,
+    "3.1": lambda m, s: need(all(a < b for a, b in law(m)), "K has no interior"), "5.1": storage, "5.2": growth,
+    "4.1": lambda m, s: need((x := Q(s["value"]["least"])) >= 0 and psd(plus(numbers(m["D"]), eye(len(m["D"]), -x))), "D"),
     "5.4a": in_range, "5.4b": lambda m, s: need(everything(m) or psd(numbers(m["D"])), "D"), "5.4c": in_range,
     "5.x0": lambda m, s: in_range(m, s, numbers(m["x0"])), "7.1": at_rest, "M-T": monotone, "M-C": set_with_interior,
     "M-A1": smooth, "M-A2": linear_growth, "M-A3": dissipative,

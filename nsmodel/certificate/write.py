@@ -31,19 +31,22 @@ def certificate_of(report: Report) -> dict[str, Any]:
     no statement.
     """
     found: dict[str, Any] = {"format": FORMAT, "title": report.title, "hash": "", "model": {}, "statements": []}
+    findings = {finding.id: finding for finding in report.findings if finding.verdict == HOLDS}
     reason = ""
     try:
-        found["model"] = data_of(report.model)
+        found["model"] = data_of(report.model, findings)
     except NoProgram as why:
         reason = f"the model cannot be written as a program: {why}"
     found["hash"] = verify.digest(found["model"])
     for finding in report.findings:
         if finding.verdict == HOLDS and not finding.id.startswith(ALONG_A_RUN):
-            found["statements"].append(_statement(report, found["model"], finding, reason))
+            found["statements"].append(_statement(report, found["model"], finding, findings, reason))
     return found
 
 
-def _statement(report: Report, data: dict[str, Any], finding: Finding, reason: str) -> dict[str, Any]:
+def _statement(
+    report: Report, data: dict[str, Any], finding: Finding, findings: dict[str, Finding], reason: str
+) -> dict[str, Any]:
     statement: dict[str, Any] = {
         "id": finding.id, "statement": finding.statement, "source": finding.source, "value": value_of(finding),
         "scope": None if finding.scope is None else _scope(finding.scope, report.model), "proof": None,
@@ -51,7 +54,7 @@ def _statement(report: Report, data: dict[str, Any], finding: Finding, reason: s
     for room in ROOMS if not reason else ():
         value = value_of(finding, room)
         try:
-            proved = statement | {"value": value, "proof": proof_of(report.model, finding, value)}
+            proved = statement | {"value": value, "proof": proof_of(report.model, finding, findings, value, room)}
             answer = covered(data, proved)
             if answer == "yes":
                 return proved
