@@ -152,3 +152,14 @@ def test_symmetry_is_to_the_last_bit():
 def test_what_is_not_finite_is_refused():
     with pytest.raises(ValueError, match="not a finite number"):
         exact.rational([[np.inf]])
+
+
+def test_a_bound_of_the_largest_eigenvalue_is_one():
+    rng = np.random.default_rng(9)
+    for _ in range(100):
+        n = int(rng.integers(1, 5))
+        M = rng.normal(size=(n, n)) * 10.0 ** rng.uniform(-3, 3)
+        bound = exact.eigenvalue_above(M)
+        S = [[Fraction(M[i, j]) / 2 + Fraction(M[j, i]) / 2 for j in range(n)] for i in range(n)]
+        assert exact.is_psd(np.array([[Fraction(bound) * (i == j) - S[i][j] for j in range(n)] for i in range(n)], dtype=object))
+        assert bound <= np.linalg.eigvalsh((M + M.T) / 2)[-1] + 1e-9 * np.abs(M).max()

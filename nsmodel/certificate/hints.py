@@ -26,7 +26,6 @@ from nsmodel.model.first_order import FirstOrderSystem
 from nsmodel.model.lure import LureSystem
 from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.proof import exact, feasibility
-from nsmodel.proof.graph import operations
 
 # Numbers are stated with so much room, relative: they were rounded to doubles; more where a cover of the box would take too
 # many parts, as a bound that is attained is told from its violation only by small ones.
@@ -150,8 +149,8 @@ def _grow(grown: Grown, box: list[Any], leaf: Callable[[list[Any], Any], bool]) 
 
 
 def _sweeping(model: SweepingProcess, finding: Finding, findings: Mapping[str, Finding], room: Fraction) -> Any:
-    if finding.id == "S-f" and ca.OP_IF_ELSE_ZERO in operations(model.f):
-        raise Unproved("f has conditions")
+    if finding.id == "S-f":
+        graph(model.f, ca.vertcat(model.t, model.q), ["t", *(model.names or ())])  # it may not be written
     if finding.id in ("S-f", "S-start"):
         return {"time": Grown(), "cover": Grown()}
     if finding.id in ("A5", "A5'"):

@@ -185,6 +185,29 @@ def psd(matrix: Any) -> Definite:
     return Definite(True, definite, total, None)
 
 
+def eigenvalue_above(matrix: Any) -> float:
+    """A double that no eigenvalue of the symmetric part exceeds, proved exactly; within some rounding of the largest one.
+
+    >>> eigenvalue_above([[2.0, 1.0], [1.0, 2.0]])
+    3.0
+    """
+    M = rational(matrix)
+    if len(M) == 1:
+        return _up(M[0, 0])
+    values = np.linalg.eigvalsh(doubles((M + M.T) / 2))
+    top, size = float(values[-1]), float(np.abs(values).max(initial=0.0))
+    for more in (0.0, 1e-16, 1e-15, 1e-14, 1e-12, 1e-9):
+        bound = top + more * size
+        if is_psd(Fraction(bound) * eye(len(M)) - M):
+            return bound
+    return _up(max(sum((abs(entry) for entry in row), Fraction(0)) for row in (M + M.T) / 2))  # Gershgorin
+
+
+def _up(number: Fraction) -> float:
+    near = float(number)
+    return near if Fraction(near) >= number else float(np.nextafter(near, np.inf))
+
+
 def is_psd(matrix: Any) -> bool:
     """Whether v'Mv >= 0 for all v, as ``psd`` but without a witness."""
     S = _symmetric_part(matrix)

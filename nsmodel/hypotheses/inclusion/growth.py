@@ -225,7 +225,8 @@ def linear_growth(field: Field, region: tuple[np.ndarray, np.ndarray], *, quick:
         d, power = fast
         how = f"|F - S| grows like t^{power} along a direction in which C is unbounded (exact); the number is that of the box"
         return Part(VIOLATED, how, local or {"a_2": np.inf}, {"direction": d, "power": power})
-    how = "C is unbounded, and no linear bound of F - S at infinity was proved; the number is that of the box looked at"
+    reach = "bounded, and no bound of F - S on it" if field.C.bounded else "unbounded, and no linear bound of F - S at infinity"
+    how = f"C is {reach} was proved; the number is that of the box looked at"
     return Part(UNKNOWN, how, local, {})
 
 

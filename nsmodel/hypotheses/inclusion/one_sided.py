@@ -30,9 +30,9 @@ def one_sided(field: Field, region: tuple[np.ndarray, np.ndarray], *, quick: boo
     found = affine(field) if not field.jumps else None
     if found is not None and found.exact:
         A = exact.doubles(found.A)
-        values, vectors = np.linalg.eigh((A + A.T) / 2)
-        L = float(A[0, 0]) if A.size == 1 else float(values[-1])
-        return Part(HOLDS, "the largest eigenvalue of a constant matrix", {"L": L}, {"direction": vectors[:, -1]})
+        direction = np.linalg.eigh((A + A.T) / 2)[1][:, -1]
+        how = "the largest eigenvalue of a constant matrix, rounded up (exact)"
+        return Part(HOLDS, how, {"L": exact.eigenvalue_above(found.A)}, {"direction": direction})
     hull, box = field.C.hull, (np.maximum(field.C.hull[0], region[0]), np.minimum(field.C.hull[1], region[1]))
     whole = [] if field.jumps else [("", field.rest, hull, quick or not field.C.bounded), ("", field.rest, box, quick)]
     falling = monotone_part(-(field.rest if alone is None else alone), field.C)

@@ -50,7 +50,7 @@ def is_convex(g: ca.SX, C: ConvexSet, lower: np.ndarray, upper: np.ndarray, *, q
     if parts.convex or convexity.everywhere(g, C.x)[0].convex:
         return Part(HOLDS, "by the rules of convex functions", {BOUND: 0.0}, {})
     if _univariate(parts.smooth, C):
-        return Part(HOLDS, "a sum of polynomials in one state each, decided by Sturm's theorem", {BOUND: 0.0}, {})
+        return Part(HOLDS, "a sum of polynomials in one state each, their signs decided exactly", {BOUND: 0.0}, {})
     if _is_sos_convex(parts.smooth, C):
         return Part(HOLDS, "a polynomial, y'D2g(x) y being a sum of squares in x and y (exactly)", {BOUND: 0.0}, {})
     if _convex_of_one(g, C):
