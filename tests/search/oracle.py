@@ -86,9 +86,7 @@ class Values:
     def _bend(self, row: int, along: Any, before: Any, x: Any) -> float:
         with decimal.localcontext(CONTEXT):
             s = decimal.Decimal("1e-16") * (1 + max(map(abs, x), default=decimal.Decimal(0)))
-            a, b, c = (
-                self._exact(*before, [v + k * s * w for v, w in zip(x, along, strict=True)])[0][row] for k in (-1, 0, 1)
-            )
+            a, b, c = (self._exact(*before, [v + k * s * w for v, w in zip(x, along, strict=True)])[0][row] for k in (-1, 0, 1))
             return float((a - 2 * b + c) / s**2)
 
 
@@ -239,7 +237,9 @@ def sweeping(trial: Trial) -> None:
         return zip(trial.times(finding.scope), trial.points(finding.scope, m.names), strict=True)
 
     for finding in trial.holding("S-convex"):
-        for t, (a, b) in zip(trial.times(finding.scope, 2 * POINTS), trial.pairs(trial.points(finding.scope, m.names)), strict=False):
+        for t, (a, b) in zip(
+            trial.times(finding.scope, 2 * POINTS), trial.pairs(trial.points(finding.scope, m.names)), strict=False
+        ):
 
             def chord(exact: bool, t: float = t, a: Array = a, b: Array = b) -> float:
                 u, v, w = g(t, a, exact=exact), g(t, (a + b) / 2, exact=exact), g(t, b, exact=exact)
@@ -289,7 +289,9 @@ def sweeping(trial: Trial) -> None:
     for finding in trial.holding("A5", "A5'"):
         _qualified(trial, finding, g)
     for finding in trial.holding("S-f"):
-        for t, (a, b) in zip(trial.times(finding.scope, 2 * POINTS), trial.pairs(trial.points(finding.scope, m.names)), strict=False):
+        for t, (a, b) in zip(
+            trial.times(finding.scope, 2 * POINTS), trial.pairs(trial.points(finding.scope, m.names)), strict=False
+        ):
             if (g(t, a) < 0).any() or (g(t, b) < 0).any():
                 continue
 
@@ -435,9 +437,9 @@ def oscillator(trial: Trial) -> None:
 
 
 def _slope_at_0(theta: Values) -> float:
-    """theta'(0) by CasADi; where that is 0/0, by a difference."""
-    slope = float(theta.jacobian(0.0)[0, 0])
-    return slope if np.isfinite(slope) else float(theta.jacobian(1e-30)[0, 0])
+    """theta'(0+): at the least speed at which it is no 0/0."""
+    slopes = (float(theta.jacobian(s)[0, 0]) for s in (1e-200, 1e-100, 1e-30, 0.0))
+    return next(slope for slope in slopes if np.isfinite(slope))
 
 
 def _rest(trial: Trial, item: Any, g: Values, c: Values, dry: float) -> None:
@@ -986,7 +988,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         lines.append(f"{name:12}" + "".join(f"{count:16d}" for count in [*counts, sum("crash" in row for row in own)]))
     for row in rows:
         where = f"{row['class']}:{row['seed']}"
-        lines += [f"{where} {item['id']}: {({k: v for k, v in item.items() if k != 'id'})}" for item in row["contradictions"]]
+        lines += [f"{where} {item['id']}: { ({k: v for k, v in item.items() if k != 'id'}) }" for item in row["contradictions"]]
         lines += [f"{where} {key}: {row[key]}" for key in ("crash", "fault") if key in row]
     slowest = max(rows, key=lambda row: row["seconds"])
     lines.append(f"the slowest check: {slowest['class']}:{slowest['seed']}, {slowest['seconds']:.1f} s")
@@ -1005,7 +1007,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     warnings.simplefilter("ignore")
     seeds = range(given.first, given.first + given.models)
-    rows = [judged(name, seed) for name in given.classes or ORACLES for seed in seeds]
+    rows = []
+    for name, seed in product(given.classes or ORACLES, seeds):
+        rows.append(judged(name, seed))
+        if rows[-1]["contradictions"] or "crash" in rows[-1]:
+            print(f"{name}:{seed}", file=sys.stderr, flush=True)
     print(table(rows))
     if given.json:
         given.json.write_text(json.dumps(rows, indent=1, default=str))
