@@ -5,9 +5,11 @@
 
 What holds is tested at points of its scope (of many sizes, on corners and switches) with the numbers printed; a witness of a
 violation is put into the model; what follows is tested on runs. A contradiction counts from MARGIN of the sizes compared, and is
-computed again in 64 digits, there with differences in the place of derivatives. Of nsmodel only ``check`` and ``simulate`` are used.
+computed again in 64 digits, there with
+differences in the place of derivatives. Of nsmodel only ``check`` and ``simulate`` are used.
 """
 
+# ruff: noqa: B023 - functions made in loops are called at once, in the same round
 from __future__ import annotations
 
 import argparse
@@ -20,7 +22,7 @@ from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import combinations, product
+from itertools import combinations, pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -201,7 +203,7 @@ class Trial:
 
     def pairs(self, points: Sequence[Array]) -> Iterator[tuple[Array, Array]]:
         """Neighbours of the list: far ones, and near ones on the way between."""
-        for a, b in zip(points, points[1:], strict=False):
+        for a, b in pairwise(points):
             yield a, b
             yield a, a + 10.0 ** self.rng.choice([-1, -3, -5]) * (b - a)
 
@@ -401,7 +403,7 @@ def oscillator(trial: Trial) -> None:
     g = Values([m.x], m.potential)
     c = Values([m.x], ca.vertcat(ca.SX(0, 1), *m.constraints.values()))
     slopes = [(numbers(e.H), _slope_at_0(thetas[e.name])) for e in m.elements]
-    for finding in trial.holding("O-theta"):
+    for _ in trial.holding("O-theta"):
         for name, theta in thetas.items():
             for _ in range(POINTS):
                 a, b = np.sort(rng.random(2) * 10.0 ** rng.choice([-3, -1, 0, 1, 2], 2))
@@ -540,7 +542,8 @@ def first_order(trial: Trial) -> None:
     for finding in trial.holding("F-unique") if affine and boxes and 1 <= size <= 4 else []:
         for t, x, l in list(sample(finding.scope))[:10]:
             found = _solutions(m, t, x, l, at(t + h, x, l), matrix(t + h, x, l))
-            far = max((np.linalg.norm(a - b) / (np.linalg.norm(a) + np.linalg.norm(b) + np.linalg.norm(x) + 1e-9 * (1 + np.abs(l).max()))
+            size_of = 1e-9 * (1 + np.abs(l).max()) + np.linalg.norm(x)
+            far = max((np.linalg.norm(a - b) / (np.linalg.norm(a) + np.linalg.norm(b) + size_of)
                        for a, b in combinations(found, 2)), default=0.0)  # fmt: skip
             if far > 1e-6:
                 trial.note("F-unique", t=t, x_k=x, l_k=l, solutions=found)
@@ -660,7 +663,7 @@ def lure(trial: Trial) -> None:
     m = trial.model
     B, C, D = numbers(m.B), numbers(m.C), numbers(m.D)
     A, f = Values([m.x], m.A), Values([m.t], m.f)
-    for finding in trial.holding("4.1"):
+    for _ in trial.holding("4.1"):
         trial.need("4.1", lambda _: -float(np.linalg.eigvalsh(D + D.T)[0]) / (1e-300 + abs(D).max()), 1e-12, D=D)
     for finding in trial.holding("5.1"):
         if "P" in finding.witness:
@@ -689,10 +692,10 @@ def lure(trial: Trial) -> None:
                 return above(float((u - v) @ P @ d) - float(size), omega * float(d @ P @ d), 1e-9 * float(d @ P @ d) + 1e-300)
 
             trial.need("5.2", parting, 1e-6, a=a, b=b, omega=omega, P=P)
-        for a, b in zip(points, points[1:], strict=False):
+        for a, b in pairwise(points):
             if (size := jump(A, a, b)) > 1e-2:
                 trial.note("5.2", jump=size, a=a, b=b)
-    for finding in trial.holding("7.1"):
+    for _ in trial.holding("7.1"):
         rest = [np.abs(A(np.zeros(len(m.names)), exact=False)).max(), *(np.abs(f(t)).max() for t in trial.times(None, 20))]
         if max(rest) > 1e-12:
             trial.note("7.1", rest=max(rest))
@@ -829,7 +832,7 @@ def inclusion(trial: Trial) -> None:
                 trial.note("M-C", a=a, b=b)
     for finding in trial.holding("M-A1"):
         some = points(finding)
-        for a, b in zip(some, some[1:], strict=False):
+        for a, b in pairwise(some):
             if np.isfinite(own.f(a)).all() and np.isfinite(own.f(b)).all() and (size := jump(own.f, a, b)) > 1e-2:
                 trial.note("M-A1", jump=size, a=a, b=b)
     for id in ("M-T", "M-A1", "M-A2", "M-A3"):
