@@ -1,15 +1,17 @@
 """A small share of the search for refused steps and silent nonsense, and whether the search finds what is put there."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
-from search import checked
+from search import checked, oracle
 from search.digits import Exact, column, floats
 from search.judge import REFUSED, VIOLATED, WELL, WRONG_L, WRONG_X, Run, Verdict, judge, judge_run
 from search.models import KINDS, Case, case
 from search.truth import Teller
 
-from nsmodel import LureSystem, SweepingProcess, complementarity
+from nsmodel import LureSystem, SweepingProcess, check, complementarity
 from nsmodel.scheme import one_step_problem
 
 SMALL = 5  # Models of each class.
@@ -165,3 +167,26 @@ FROZEN = {  # Texts of the first 12 models of each class: rates of other days ar
 
 def test_the_models_of_the_checker_are_those_of_other_days():
     assert {name: checked.fingerprint(name, range(12)) for name in checked.MAKERS} == FROZEN
+
+
+@pytest.mark.parametrize("name", oracle.ORACLES)
+def test_the_checker_says_nothing_false_of_the_first_models(name):
+    for seed in range(2):
+        row = oracle.judged(name, seed)
+        assert row["held"]
+        assert not row["contradictions"]
+        assert not {"crash", "fault"} & set(row)
+
+
+@pytest.mark.parametrize(
+    ("name", "seed", "id", "number", "wrong"),
+    [("inclusion", 1, "M-A2", "a_2", 0.5), ("sweeping", 3, "A4", "M", 3.9), ("lure", 0, "5.2", "omega", 0.2),
+     ("oscillator", 0, "O-dry", "radius of A(0)", 2.1), ("inclusion", 5, "M-24", "L", 0.3)],
+)  # fmt: skip
+def test_a_false_number_is_found(name, seed, id, number, wrong):
+    report = check(checked.draw(name, seed), runs=[])
+    false = tuple(replace(f, value={**f.value, number: wrong}) if f.id == id else f for f in report.findings)
+    trial = oracle.Trial(name, seed, replace(report, findings=false), np.random.default_rng(0))
+    with np.errstate(all="ignore"):
+        oracle.ORACLES[name](trial)
+    assert {item["id"] for item in trial.bad} >= {id}
