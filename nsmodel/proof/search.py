@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import NamedTuple
 
 import casadi as ca
@@ -28,6 +30,19 @@ IPOPT = {
         "print_level": 0, "sb": "yes", "tol": 1e-10, "max_iter": 100, "bound_relax_factor": 0.0, "honor_original_bounds": "yes",
     },
 }  # fmt: skip
+
+
+_QUICK: ContextVar[bool] = ContextVar("quick", default=False)
+
+
+@contextmanager
+def quick_searches() -> Iterator[None]:
+    """Within, all searches are quick: they may find a witness, and seldom prove that there is none."""
+    before = _QUICK.set(True)
+    try:
+        yield
+    finally:
+        _QUICK.reset(before)
 
 
 class Supremum(NamedTuple):
@@ -149,6 +164,7 @@ def search(goal: Goal, scene: Scene, enough: float) -> Supremum:
         scene: where.
         enough: a value that is known elsewhere: bounds below it are of no use.
     """
+    scene = scene._replace(quick=scene.quick or _QUICK.get())
     watch = _Watch(goal, scene)
     task, size = _task(goal, scene, watch, enough)
     state = branch_and_bound.start(task)

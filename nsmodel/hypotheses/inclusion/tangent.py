@@ -25,9 +25,10 @@ from nsmodel.hypotheses.inclusion.escape import escape, looked_at
 from nsmodel.hypotheses.inclusion.growth import UP, around, up
 from nsmodel.hypotheses.inclusion.selected_field import Field
 from nsmodel.hypotheses.inclusion.tangent_form import Form, form_between_lines, form_of, nearest, offsets
-from nsmodel.proof import exact, extremum, interval, polynomial, polynomial_signs
+from nsmodel.proof import exact, extremum, interval, polynomial, polynomial_signs, sum_of_squares
 from nsmodel.proof.verdict import Part
 
+SLOWER = 1.0, 0.125  # Rates k that are tried where terms beyond the quadratic ones fall.
 FAR = (4, 8, 14, 20)  # Slopes beyond 2^k are tried.
 
 
@@ -68,6 +69,7 @@ def _from_form(field: Field, form: Form | None, distance: float, *, cube: bool =
         _quadratic(field, form)
         or (_on_cone(field, form) if field.C.is_polyhedron and not field.C.bounded else None)
         or _superlinear(field, form)
+        or (_squares(field, form) if not distance else None)
         or (_homogeneous(field, form, distance) if cube else None)
     )
 
@@ -152,6 +154,26 @@ def _superlinear(field: Field, form: Form | None) -> Bound | None:
             total += top
         how = "beyond the quadratic part, terms in one state each that fall at infinity (exact)"
         return Bound(k, _linear(form), up(total) + offsets(field), how)
+    return None
+
+
+def _squares(field: Field, form: Form | None) -> Bound | None:
+    """The form is -k |x|^2 + c less a sum of squares, in rational arithmetic, with c as small as it can be for some k."""
+    if form is None or not form.higher or polynomial.degree(form.higher) % 2 or not np.isfinite(form.others):
+        return None
+    n = field.x.numel()
+    p = polynomial.add({}, form.higher, Fraction(-1))
+    for i in range(n):
+        p = polynomial.add(p, {((i, 1),): -form.linear[i, 0]})
+        for j in range(n):
+            square = ((i, 2),) if i == j else ((min(i, j), 1), (max(i, j), 1))
+            p = polynomial.add(p, {square: -form.Q[i, j] / 2})
+    for k in SLOWER:
+        rest = polynomial.add(p, {((i, 2),): Fraction(1) for i in range(n)}, Fraction(-k))
+        least = sum_of_squares.lower_bound(rest, n)
+        if least is not None:
+            how = "<x, F - S> + k |x|^2 is a constant less a sum of squares (exact)" + _but(field)
+            return Bound(k, form.others, up(form.constant - least) + offsets(field), how)
     return None
 
 
