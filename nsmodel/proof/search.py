@@ -45,6 +45,11 @@ def quick_searches() -> Iterator[None]:
         _QUICK.reset(before)
 
 
+def are_quick() -> bool:
+    """Whether all searches are quick here."""
+    return _QUICK.get()
+
+
 class Supremum(NamedTuple):
     """What is known of the largest value of f over {lower <= z <= upper, where >= 0}.
 
@@ -164,7 +169,7 @@ def search(goal: Goal, scene: Scene, enough: float) -> Supremum:
         scene: where.
         enough: a value that is known elsewhere: bounds below it are of no use.
     """
-    scene = scene._replace(quick=scene.quick or _QUICK.get())
+    scene = scene._replace(quick=scene.quick or are_quick())
     watch = _Watch(goal, scene)
     task, size = _task(goal, scene, watch, enough)
     state = branch_and_bound.start(task)

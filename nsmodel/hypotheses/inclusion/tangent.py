@@ -64,12 +64,12 @@ def dissipativity(field: Field, a: Part, *, quick: bool) -> Part:
 
 
 def _from_form(field: Field, form: Form | None, distance: float, *, cube: bool = True) -> Bound | None:
-    """The bound from <x, rest> as a form; ``cube``: its highest form is looked at as well."""
+    """The bound from <x, rest> as a form; ``cube``: terms beyond the quadratic ones that couple states are looked at too."""
     return (
         _quadratic(field, form)
         or (_on_cone(field, form) if field.C.is_polyhedron and not field.C.bounded else None)
         or _superlinear(field, form)
-        or (_squares(field, form) if not distance else None)
+        or (_squares(field, form) if cube and not distance else None)
         or (_homogeneous(field, form, distance) if cube else None)
     )
 
@@ -162,6 +162,8 @@ def _squares(field: Field, form: Form | None) -> Bound | None:
     if form is None or not form.higher or polynomial.degree(form.higher) % 2 or not np.isfinite(form.others):
         return None
     n = field.x.numel()
+    if _top(form.higher, polynomial.degree(form.higher), n) > 0:
+        return None
     p = polynomial.add({}, form.higher, Fraction(-1))
     for i in range(n):
         p = polynomial.add(p, {((i, 1),): -form.linear[i, 0]})
@@ -220,12 +222,17 @@ def _speed(field: Field, form: Form) -> polynomial.Polynomial:
 
 def _falls(higher: polynomial.Polynomial, degree: int, n: int) -> float:
     """The largest value of the highest form seen where max |x_i| = 1, 0 where it is not negative at some point."""
+    return min(_top(higher, degree, n), 0.0)
+
+
+def _top(higher: polynomial.Polynomial, degree: int, n: int) -> float:
+    """The largest value of the highest form seen where max |x_i| = 1."""
     rng = np.random.default_rng(0)
     points = np.vstack([np.eye(n), np.ones(n), rng.uniform(-1, 1, (200, n))])
     points /= np.abs(points).max(axis=1, keepdims=True)
     top = [(monomial, float(number)) for monomial, number in higher.items() if sum(power for _, power in monomial) == degree]
     values = sum(number * np.prod([points[:, v] ** power for v, power in monomial], axis=0) for monomial, number in top)
-    return min(float(np.max(values)), 0.0)
+    return float(np.max(values))
 
 
 def _on_cube(part: polynomial.Polynomial, x: ca.SX, level: float | None) -> float:

@@ -20,6 +20,7 @@ from nsmodel.hypotheses.sweeping.start import ROUNDED, start_value
 from nsmodel.hypotheses.sweeping.velocity import velocity
 from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.proof import exact, interval
+from nsmodel.proof.search import are_quick
 from nsmodel.trajectory import Trajectory
 
 Point = tuple[float, np.ndarray]
@@ -65,8 +66,8 @@ def check(
         unknown = sum(c.shape.kind == "other" for c in constraints)
         each = _grouped(constraints, quick or unknown > PLENTY)
         findings = [joined(hypothesis, constraints, each, region) for hypothesis in HYPOTHESES[:6]]
-        points = _points(scene, len(model.names) > FEW, quick)
-        near, active = _qualified(constraints, each, scene, points, model, quick)
+        points = _points(scene, len(model.names) > FEW, quick or are_quick())
+        near, active = _qualified(constraints, each, scene, points, model, quick or are_quick())
         timed = any(constraint.shape.time for constraint in constraints)
         findings += [gamma(A5, near, region, timed), gamma(A5_ACTIVE, active, region, timed)]
         findings.append(_velocity(model, scene, region, points, quick))
@@ -76,6 +77,7 @@ def check(
 
 def qualified(model: SweepingProcess, region: Region, runs: Sequence[Trajectory], quick: bool) -> tuple[Qualified, Qualified]:
     """Return A5 and A5' alone."""
+    quick = quick or are_quick()
     constraints = _constraints(model, region)
     scene = _scene(model, constraints, region, runs)
     each = _grouped(constraints, quick)
