@@ -80,7 +80,8 @@ def qualified(model: SweepingProcess, region: Region, runs: Sequence[Trajectory]
     quick = quick or are_quick()
     constraints = _constraints(model, region)
     scene = _scene(model, constraints, region, runs)
-    each = _grouped(constraints, quick)
+    unknown = sum(c.shape.kind == "other" for c in constraints)
+    each = _grouped(constraints, quick or unknown > PLENTY)
     if not quick and len(model.names) > FEW_STATES:  # Bounds of so many states need no points.
         known = [(t, q) for t, q in scene.known if scene.admits(*scene.at(t, q))]
         found = _qualified(constraints, each, scene, known, model, True)
