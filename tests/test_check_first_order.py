@@ -93,7 +93,8 @@ def test_growing_mode_bounds_the_step(step, verdict):
     found = report(linear([[10.0]], step=step))[0]
     assert found["F-step"].verdict == verdict
     assert found["F-step"].value["h*"] == pytest.approx(0.1)
-    assert found["F-W"].verdict == "holds"  # Past h* W is regular, but negative.
+    # Past h* W is regular, but negative; at h*, by rounding only.
+    assert found["F-W"].verdict == ("sampled" if verdict == "sampled" else "holds")
     assert verdicts(linear([[10.0]], step=step, theta=0.25))["F-step"] == ("holds")
 
 
