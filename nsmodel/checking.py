@@ -27,6 +27,7 @@ from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.parameters import Values
 from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.proof.graph import OpaqueExpression
+from nsmodel.proof.search import quick_searches
 from nsmodel.scheme import one_step_problem
 from nsmodel.simulate import simulate
 from nsmodel.solve.structure import read
@@ -44,7 +45,7 @@ ROUND_OFF = 1e-11  # Differences of runs below this part of the state are not to
 FEW_STEPS = 4000  # Steps looked at where each needs Newton's method.
 BODY_STEPS = 100_000, 20_000  # Bodies times steps of a run that is made; up to the second, also with the steps 2h and 4h.
 LATE = f"where y closes with y' != 0 a state jumps, an impact; see {impacts.GUIDE}"
-WIDER, FEW_STATES = 10.0, 4  # Where counterexamples outside the box are looked for, in full up to so many states.
+WIDER, FEW_STATES = 10.0, 4  # Where counterexamples outside the box are looked for, jumps where there are up to so many states.
 ASYMPTOTIC = 0.3, 2.5  # Orders seen outside of this range are chance.
 
 
@@ -121,9 +122,9 @@ def _known_outside(model: Model, box: Region, runs: Sequence[Trajectory], findin
     """The findings; those that hold on the box alone with what is known to fail in one ten times as wide."""
     if not any(_local(finding) for finding in findings):
         return list(findings)
-    wide = {
-        other.id: other for other in _checker(type(model)).check(model, box.wider(WIDER), runs, len(box.names) > FEW_STATES)[0]
-    }
+    with quick_searches():
+        found = _checker(type(model)).check(model, box.wider(WIDER), runs, len(box.names) > FEW_STATES)[0]
+    wide = {other.id: other for other in found}
     return [
         replace(finding, outside=plain({**wide[finding.id].witness, "how": wide[finding.id].how}))
         if _local(finding) and wide[finding.id].verdict == VIOLATED

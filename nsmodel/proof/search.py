@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import NamedTuple
 
 import casadi as ca
@@ -18,7 +20,7 @@ from nsmodel.proof.straight_line import Program, program
 
 FEW, MANY = 256, 2048  # Sample points of a quick and of a full search.
 STARTS = 4  # Local searches.
-BOXES, WORK = 20_000, 3_000_000  # A search looks at so many boxes at most, fewer where the expression has many instructions.
+BOXES, WORK = 20_000, 2_000_000  # A search looks at so many boxes at most, fewer where the expression has many instructions.
 WIDE = 6  # Constraints' own coordinates are cut too where there are no more than so many in all.
 IPOPT = {
     "print_time": False,
@@ -28,6 +30,24 @@ IPOPT = {
         "print_level": 0, "sb": "yes", "tol": 1e-10, "max_iter": 100, "bound_relax_factor": 0.0, "honor_original_bounds": "yes",
     },
 }  # fmt: skip
+
+
+_QUICK: ContextVar[bool] = ContextVar("quick", default=False)
+
+
+@contextmanager
+def quick_searches() -> Iterator[None]:
+    """Within, all searches are quick: they may find a witness, and seldom prove that there is none."""
+    before = _QUICK.set(True)
+    try:
+        yield
+    finally:
+        _QUICK.reset(before)
+
+
+def are_quick() -> bool:
+    """Whether all searches are quick here."""
+    return _QUICK.get()
 
 
 class Supremum(NamedTuple):
@@ -149,6 +169,7 @@ def search(goal: Goal, scene: Scene, enough: float) -> Supremum:
         scene: where.
         enough: a value that is known elsewhere: bounds below it are of no use.
     """
+    scene = scene._replace(quick=scene.quick or are_quick())
     watch = _Watch(goal, scene)
     task, size = _task(goal, scene, watch, enough)
     state = branch_and_bound.start(task)

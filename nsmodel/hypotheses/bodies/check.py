@@ -21,6 +21,7 @@ from nsmodel.hypotheses.sweeping.constants import answers
 from nsmodel.hypotheses.sweeping.constraint import ON_THE_BOX, Answers, Constraint
 from nsmodel.hypotheses.sweeping.qualification import Qualified
 from nsmodel.model.bodies import ManyBodies
+from nsmodel.proof.search import are_quick
 from nsmodel.scheme.many_bodies import BodiesProblem
 from nsmodel.trajectory import Trajectory
 
@@ -52,7 +53,7 @@ def check(model: ManyBodies, region: Region, runs: Sequence[Trajectory], quick: 
             for hypothesis in HYPOTHESES[:6]
         ]
         points = _points(model, runs, quick)
-        near, active = _qualified(problem, kinds, each, region, runs, points, quick)
+        near, active = _qualified(problem, kinds, each, region, runs, points, quick or are_quick())
         timed = any(constraint.shape.time for constraint in constraints)
         findings += [sweeping.gamma(sweeping.A5, near, region, timed), sweeping.gamma(sweeping.A5_ACTIVE, active, region, timed)]
         answer = velocity(problem, region, points, quick)

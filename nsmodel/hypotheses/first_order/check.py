@@ -19,7 +19,14 @@ from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Conse
 from nsmodel.hypotheses.first_order import one_step
 from nsmodel.hypotheses.first_order.linearised import Linearised, linearised, numbers
 from nsmodel.hypotheses.first_order.solvable_mlcp import solvable
-from nsmodel.hypotheses.first_order.step_matrix import Steps, regular_steps
+from nsmodel.hypotheses.first_order.step_matrix import (
+    MARGIN,
+    ROUNDING,
+    Steps,
+    change_at_step,
+    change_by_rounding,
+    regular_steps,
+)
 from nsmodel.hypotheses.region import Region
 from nsmodel.model.first_order import FirstOrderSystem
 from nsmodel.proof import exact, interval
@@ -41,6 +48,7 @@ KINKS = {
     ca.OP_FABS: "fabs", ca.OP_FMAX: "fmax", ca.OP_FMIN: "fmin", ca.OP_SIGN: "sign", ca.OP_IF_ELSE_ZERO: "if_else",
     ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil",
 }  # fmt: skip
+BY_ROUNDING = "Regular by rounding only: a change of the entries of M and G by 64 eps of themselves can make W singular."
 DIFFERENCES = 1e-4  # A difference quotient further off than this part of the Jacobian's largest entry is no rounding.
 MOST_STEPS = 50  # Different step lengths that are decided one by one.
 
@@ -152,6 +160,9 @@ def _step(at: Linearised, quick: bool) -> Finding:
         return _bounded_step(at, h, quick)
     steps = regular_steps(at.M, at.exact_G(), h)
     value = {"h": h, "h*": steps.least}
+    change = change_by_rounding(at.M, at.exact_G(), h)
+    if steps.regular and change >= 1:
+        return found(F_STEP, SAMPLED, BY_ROUNDING, value | {MARGIN: change})
     if steps.regular:
         how = "Exactly: A and K are constant, and det(M - s (theta A + gamma K)) has no root 0 < s <= h."
         return found(F_STEP, HOLDS, how, value)
@@ -160,6 +171,11 @@ def _step(at: Linearised, quick: bool) -> Finding:
         why = "M is singular" if exact.rank(at.M) < len(at.M) else "there are too many states to count the roots exactly"
         verdict = SAMPLED if h < 0.99 * steps.least else VIOLATED if h > 1.01 * steps.least else UNKNOWN
         return found(F_STEP, verdict, f"A and K are constant, but {why}: h* by eigenvalues in floating point.", value, witness)
+    if change >= 1 and steps.regular is False and exact.rank(at.exact_W(h)) == len(at.M):
+        before = regular_steps(at.M, at.exact_G(), h * (1 - ROUNDING)).regular
+        if before:
+            how = "Exactly, on these doubles, h* <= h: by less than rounding (64 eps)."
+            return found(F_STEP, SAMPLED, how, value | {MARGIN: change}, witness)
     how = "Exactly: det(M - s (theta A + gamma K)) has a root 0 < s <= h: a growing mode of the system is stepped over."
     return found(F_STEP, VIOLATED, how, value, witness or {"h": h})
 
@@ -234,6 +250,10 @@ def _each_step(at: Linearised, value: dict[str, float]) -> Finding:
         if null.shape[1]:
             how = "Exactly: W is singular at this step length."
             return found(F_W, VIOLATED, how, value, {"h": h, "null vector": exact.doubles(null[:, 0])})
+    G = at.exact_G()
+    change, h = max((change_at_step(at.M, G, float(h)), float(h)) for h in at.steps[:MOST_STEPS])
+    if change >= 1:
+        return found(F_W, SAMPLED, BY_ROUNDING, value | {MARGIN: change}, {"h": h})
     if len(at.steps) <= MOST_STEPS:
         return found(F_W, HOLDS, "Exactly: W is constant, and regular at each step length that occurs.", value)
     return found(F_W, SAMPLED, f"Regular at {MOST_STEPS} of {len(at.steps)} step lengths (exact).", value)

@@ -7,7 +7,7 @@ import numpy as np
 
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, found
 from nsmodel.hypotheses.first_order.linearised import Linearised
-from nsmodel.hypotheses.first_order.step_matrix import Minor, p_matrix
+from nsmodel.hypotheses.first_order.step_matrix import MARGIN, Minor, change_at_step, p_matrix
 from nsmodel.proof import exact
 from nsmodel.proof.extremum import largest_eigenvalue
 from nsmodel.solve.structure import is_monotone, least_eigenvalue
@@ -45,6 +45,9 @@ def _exactly(hypothesis: Hypothesis, at: Linearised) -> Finding:
         if W is None:
             return found(hypothesis, UNKNOWN, f"W is singular at h = {h:g} (F-W)")
         value = _numbers(exact.doubles(W))
+        if (change := change_at_step(at.M, at.exact_G(), float(h))) >= 1:
+            how = "W is regular by rounding only (F-W), and W_mlcp known no better than that."
+            return found(hypothesis, SAMPLED, how, value | {MARGIN: change}, {"h": h})
         definite = exact.psd(W)
         if definite.psd:
             kinds.add("positive definite" if definite.definite else "positive semidefinite")

@@ -9,6 +9,8 @@ import numpy as np
 
 from nsmodel.proof import exact, polynomial_signs
 
+ROUNDING = 64 * np.finfo(float).eps  # Relative changes of the entries of M and G that are no more than rounding.
+MARGIN = "change by rounding, 1 where singular"
 MOST_MINORS = 12  # Rows up to which all principal minors are looked at: 2^12.
 MOST_ROOTS = 12  # States up to which the roots of det(M - s G) are counted exactly.
 
@@ -84,6 +86,33 @@ def regular_steps(M: np.ndarray, G: np.ndarray, h: float) -> Steps:
     if len(X) > MOST_ROOTS:
         return Steps(None, least, vector, bound)
     return Steps(not polynomial_signs.real_roots(_determinant(X), Fraction(0), Fraction(h)), least, vector, bound)
+
+
+def change_by_rounding(M: np.ndarray, G: np.ndarray, h: float) -> float:
+    """The largest spectral radius of |W^-1| 64 eps (|M| + s |G|), W = M - s G, for s = h and at the s < h where W is worst.
+
+    W + E with |E| <= 64 eps (|M| + s |G|), entry by entry, is W (I + W^-1 E), regular where this is below 1. Between 0 and h,
+    det(M - s G) = 0 is nearest at the real parts of 1/mu, mu the eigenvalues of M^-1 G.
+    """
+    from scipy.linalg import eigvals
+
+    if not len(M):
+        return 0.0
+    with np.errstate(all="ignore"):
+        near = 1 / eigvals(exact.doubles(G), exact.doubles(M))
+        steps = [h, *(float(s.real) for s in near if np.isfinite(s) and 0 < s.real < h)]
+    return max(change_at_step(M, G, s) for s in steps)
+
+
+def change_at_step(M: np.ndarray, G: np.ndarray, s: float) -> float:
+    """The spectral radius at one s."""
+    M, G = exact.doubles(M), exact.doubles(G)
+    try:
+        inverse = np.linalg.inv(M - s * G)
+    except np.linalg.LinAlgError:
+        return np.inf
+    size = np.abs(inverse) @ (np.abs(M) + abs(s) * np.abs(G))
+    return ROUNDING * float(np.abs(np.linalg.eigvals(size)).max()) if np.isfinite(size).all() else np.inf
 
 
 def _least_step(M: np.ndarray, G: np.ndarray) -> tuple[float, np.ndarray | None]:

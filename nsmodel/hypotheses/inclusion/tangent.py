@@ -25,9 +25,10 @@ from nsmodel.hypotheses.inclusion.escape import escape, looked_at
 from nsmodel.hypotheses.inclusion.growth import UP, around, up
 from nsmodel.hypotheses.inclusion.selected_field import Field
 from nsmodel.hypotheses.inclusion.tangent_form import Form, form_between_lines, form_of, nearest, offsets
-from nsmodel.proof import exact, extremum, interval, polynomial, polynomial_signs
+from nsmodel.proof import exact, extremum, interval, polynomial, polynomial_signs, sum_of_squares
 from nsmodel.proof.verdict import Part
 
+SLOWER = 1.0, 0.125  # Rates k that are tried where terms beyond the quadratic ones fall.
 FAR = (4, 8, 14, 20)  # Slopes beyond 2^k are tried.
 
 
@@ -63,11 +64,12 @@ def dissipativity(field: Field, a: Part, *, quick: bool) -> Part:
 
 
 def _from_form(field: Field, form: Form | None, distance: float, *, cube: bool = True) -> Bound | None:
-    """The bound from <x, rest> as a form; ``cube``: its highest form is looked at as well."""
+    """The bound from <x, rest> as a form; ``cube``: terms beyond the quadratic ones that couple states are looked at too."""
     return (
         _quadratic(field, form)
         or (_on_cone(field, form) if field.C.is_polyhedron and not field.C.bounded else None)
         or _superlinear(field, form)
+        or (_squares(field, form) if cube and not distance else None)
         or (_homogeneous(field, form, distance) if cube else None)
     )
 
@@ -155,6 +157,28 @@ def _superlinear(field: Field, form: Form | None) -> Bound | None:
     return None
 
 
+def _squares(field: Field, form: Form | None) -> Bound | None:
+    """The form is -k |x|^2 + c less a sum of squares, in rational arithmetic, with c as small as it can be for some k."""
+    if form is None or not form.higher or polynomial.degree(form.higher) % 2 or not np.isfinite(form.others):
+        return None
+    n = field.x.numel()
+    if _top(form.higher, polynomial.degree(form.higher), n) > 0:
+        return None
+    p = polynomial.add({}, form.higher, Fraction(-1))
+    for i in range(n):
+        p = polynomial.add(p, {((i, 1),): -form.linear[i, 0]})
+        for j in range(n):
+            square = ((i, 2),) if i == j else ((min(i, j), 1), (max(i, j), 1))
+            p = polynomial.add(p, {square: -form.Q[i, j] / 2})
+    for k in SLOWER:
+        rest = polynomial.add(p, {((i, 2),): Fraction(1) for i in range(n)}, Fraction(-k))
+        least = sum_of_squares.lower_bound(rest, n)
+        if least is not None:
+            how = "<x, F - S> + k |x|^2 is a constant less a sum of squares (exact)" + _but(field)
+            return Bound(k, form.others, up(form.constant - least) + offsets(field), how)
+    return None
+
+
 def _homogeneous(field: Field, form: Form | None, distance: float) -> Bound | None:
     """Terms beyond the quadratic ones whose highest form is negative: bounds on the faces of a cube, and scaling.
 
@@ -198,12 +222,17 @@ def _speed(field: Field, form: Form) -> polynomial.Polynomial:
 
 def _falls(higher: polynomial.Polynomial, degree: int, n: int) -> float:
     """The largest value of the highest form seen where max |x_i| = 1, 0 where it is not negative at some point."""
+    return min(_top(higher, degree, n), 0.0)
+
+
+def _top(higher: polynomial.Polynomial, degree: int, n: int) -> float:
+    """The largest value of the highest form seen where max |x_i| = 1."""
     rng = np.random.default_rng(0)
     points = np.vstack([np.eye(n), np.ones(n), rng.uniform(-1, 1, (200, n))])
     points /= np.abs(points).max(axis=1, keepdims=True)
     top = [(monomial, float(number)) for monomial, number in higher.items() if sum(power for _, power in monomial) == degree]
     values = sum(number * np.prod([points[:, v] ** power for v, power in monomial], axis=0) for monomial, number in top)
-    return min(float(np.max(values)), 0.0)
+    return float(np.max(values))
 
 
 def _on_cube(part: polynomial.Polynomial, x: ca.SX, level: float | None) -> float:

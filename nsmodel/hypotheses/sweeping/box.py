@@ -21,11 +21,12 @@ from nsmodel.hypotheses.sweeping.constraint import (
     stationary,
     values,
 )
-from nsmodel.proof import extremum, interval
+from nsmodel.proof import extremum, interval, polynomial, sum_of_squares
 from nsmodel.proof.convex import convexity
 from nsmodel.proof.discontinuity import proved_jump
 from nsmodel.proof.jumps import jumps_in
 
+DEGREE = 8  # Sums of squares are looked for in Hessians of polynomials up to this degree.
 FLAT = 1e-6  # Where a gradient is this much shorter than the longest one a point is looked for where it vanishes.
 
 
@@ -149,6 +150,9 @@ def _convex(c: Constraint, H: ca.SX, quick: bool) -> Answer:
             return Answer(HOLDS, {"least": 0.0}, ON_THE_BOX, "by the rules of convex functions")
     elif convexity.shapes(c.g, c.z, c.lower, c.upper)[0].convex:
         return Answer(HOLDS, {"least": 0.0}, ON_THE_BOX, "by the rules of convex functions")
+    if _squares(c):
+        how = "D2g is a sum of squares (exact)" + ("" if not c.shape.time else ", at every time")
+        return Answer(HOLDS, {"least": 0.0}, EVERYWHERE, how)
     bent = _chord(c)
     top = extremum.largest_eigenvalue(-H, c.z, c.lower, c.upper, quick=quick, bound_to=0.0)
     if top.at is not None and np.isfinite(top.value) and not jumps_in(c.g, c.q):
@@ -165,6 +169,19 @@ def _convex(c: Constraint, H: ca.SX, quick: bool) -> Answer:
     if top.bound <= 0 and (not jumps_in(both, c.q) or interval.is_continuous(both, c.z, c.lower, c.upper)):
         return Answer(HOLDS, {"least": -top.bound}, ON_THE_BOX, "the least eigenvalue of the Hessian is bounded below by 0")
     return Answer(SAMPLED, {"least": -top.value}, ON_THE_BOX, f"{top.count} points, 1024 chords", {"constraint": c.name})
+
+
+def _squares(c: Constraint) -> bool:
+    """Whether g is a polynomial in q and y'D2g y a sum of squares, where t enters terms that are affine in q alone."""
+    (p,) = polynomial.read(c.g, c.z)
+    n = c.q.numel()
+    if p is None:
+        return False
+    bending = {monomial: number for monomial, number in p.items() if sum(power for v, power in monomial if v) > 1}
+    if any(v == 0 for monomial in bending for v, _ in monomial):
+        return False
+    shifted = {tuple((v - 1, power) for v, power in monomial): number for monomial, number in bending.items()}
+    return polynomial.degree(shifted) <= DEGREE and sum_of_squares.is_sos_convex(shifted, n)
 
 
 def _chord(c: Constraint) -> Answer | None:

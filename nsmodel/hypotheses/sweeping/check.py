@@ -20,6 +20,7 @@ from nsmodel.hypotheses.sweeping.start import ROUNDED, start_value
 from nsmodel.hypotheses.sweeping.velocity import velocity
 from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.proof import exact, interval
+from nsmodel.proof.search import are_quick
 from nsmodel.trajectory import Trajectory
 
 Point = tuple[float, np.ndarray]
@@ -65,8 +66,8 @@ def check(
         unknown = sum(c.shape.kind == "other" for c in constraints)
         each = _grouped(constraints, quick or unknown > PLENTY)
         findings = [joined(hypothesis, constraints, each, region) for hypothesis in HYPOTHESES[:6]]
-        points = _points(scene, len(model.names) > FEW, quick)
-        near, active = _qualified(constraints, each, scene, points, model, quick)
+        points = _points(scene, len(model.names) > FEW, quick or are_quick())
+        near, active = _qualified(constraints, each, scene, points, model, quick or are_quick())
         timed = any(constraint.shape.time for constraint in constraints)
         findings += [gamma(A5, near, region, timed), gamma(A5_ACTIVE, active, region, timed)]
         findings.append(_velocity(model, scene, region, points, quick))
@@ -76,9 +77,11 @@ def check(
 
 def qualified(model: SweepingProcess, region: Region, runs: Sequence[Trajectory], quick: bool) -> tuple[Qualified, Qualified]:
     """Return A5 and A5' alone."""
+    quick = quick or are_quick()
     constraints = _constraints(model, region)
     scene = _scene(model, constraints, region, runs)
-    each = _grouped(constraints, quick)
+    unknown = sum(c.shape.kind == "other" for c in constraints)
+    each = _grouped(constraints, quick or unknown > PLENTY)
     if not quick and len(model.names) > FEW_STATES:  # Bounds of so many states need no points.
         known = [(t, q) for t, q in scene.known if scene.admits(*scene.at(t, q))]
         found = _qualified(constraints, each, scene, known, model, True)
