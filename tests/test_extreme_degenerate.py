@@ -324,9 +324,12 @@ def test_the_check_sees_the_closing_door_before_the_step_fails():
         along = check(door([0, 0], [0, 0], t_end))["run-mfcq"]
         assert along.value["gamma"] == gamma
         assert along.verdict == "holds" or along.witness["t"] == pytest.approx(0.04)
-    for t_end in (0.05, 1):
+    # In the doubles 1.05 and 0.05 the discs are still 4e-17 apart at t = 0.05: no contact can be proved there.
+    for t_end, verdict in ((0.05, "unknown"), (0.0501, "violated"), (1, "violated")):
         finding = check(door([0, 0], [0, 0], t_end))["A5'"]
-        assert (finding.verdict, finding.value["gamma"]) == ("violated", np.inf)
+        assert (finding.verdict, finding.value["gamma"]) == (verdict, np.inf)
+        if verdict == "unknown":
+            continue
         assert sorted(finding.witness["constraints"]) == ["left", "right"]
         np.testing.assert_allclose(finding.witness["weights"], 0.5)
         assert [finding.witness[name] for name in ("t", "q_0", "q_1")] == pytest.approx([0.05, 0, 0], abs=1e-6)

@@ -383,9 +383,10 @@ def test_of_a_large_system_structure_alone_is_checked():
     zero, one = sp.csc_matrix((n, n)), sp.eye(n)
     A = sp.bmat([[zero, one], [-springs(n), zero]]).toarray()
     assert np.linalg.eigvalsh((A + A.T) / 2)[-1] <= report["5.2"].value["omega"] <= 200
-    unpaired = chain(n)
-    object.__setattr__(unpaired, "C", 2 * unpaired.C)
-    assert {check(unpaired, quick=True)[id].verdict for id in ("5.1", "5.2")} == {"unknown"}
+    for C, verdict in ((lambda C: 2 * C, "holds"), (lambda C: C + C[:, [*range(1, 2 * n), 0]], "unknown")):  # P = 2 I; none known
+        other = chain(n)
+        object.__setattr__(other, "C", C(other.C))
+        assert {check(other, quick=True)[id].verdict for id in ("5.1", "5.2")} == {verdict}
     quiet = check(chain(n, force=0.0), quick=True)
     assert quiet["7.1"].verdict == "sampled"
 
