@@ -20,6 +20,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof import interval_arithmetic as arithmetic
+from nsmodel.proof.exact import down, up
 from nsmodel.proof.interval_arithmetic import Pair
 from nsmodel.proof.interval_functions import OPERATIONS, constant_power, log
 from nsmodel.proof.straight_line import Program, Step, program
@@ -83,9 +84,7 @@ def curve(coefficients: Sequence[Fraction | float], k: int) -> Order:
     total = ZERO
     for power, number in enumerate(coefficients):
         if number:
-            below = float(number) if Fraction(float(number)) <= number else float(np.nextafter(float(number), -np.inf))
-            above = float(number) if Fraction(float(number)) >= number else float(np.nextafter(float(number), np.inf))
-            total = plus(total, Order(Fraction(power), Fraction(0), below, above), k)
+            total = plus(total, Order(Fraction(power), Fraction(0), down(Fraction(number)), up(Fraction(number))), k)
     return total
 
 

@@ -61,6 +61,22 @@ def doubles(matrix: np.ndarray) -> np.ndarray:
     return np.array([float(entry) for entry in matrix.ravel()]).reshape(matrix.shape)
 
 
+def down(number: Fraction) -> float:
+    """The largest double that is not above a number.
+
+    >>> down(Fraction(1, 10)) < up(Fraction(1, 10)), down(Fraction(1, 2))
+    (True, 0.5)
+    """
+    near = float(number)
+    return near if Fraction(near) <= number else float(np.nextafter(near, -np.inf))
+
+
+def up(number: Fraction) -> float:
+    """The least double that is not below a number."""
+    near = float(number)
+    return near if Fraction(near) >= number else float(np.nextafter(near, np.inf))
+
+
 def eye(n: int) -> np.ndarray:
     """The unit matrix (n, n)."""
     matrix = zeros(n, n)
@@ -193,19 +209,14 @@ def eigenvalue_above(matrix: Any) -> float:
     """
     M = rational(matrix)
     if len(M) == 1:
-        return _up(M[0, 0])
+        return up(M[0, 0])
     values = np.linalg.eigvalsh(doubles((M + M.T) / 2))
     top, size = float(values[-1]), float(np.abs(values).max(initial=0.0))
     for more in (0.0, 1e-16, 1e-15, 1e-14, 1e-12, 1e-9):
         bound = top + more * size
         if is_psd(Fraction(bound) * eye(len(M)) - M):
             return bound
-    return _up(max(sum((abs(entry) for entry in row), Fraction(0)) for row in (M + M.T) / 2))  # Gershgorin
-
-
-def _up(number: Fraction) -> float:
-    near = float(number)
-    return near if Fraction(near) >= number else float(np.nextafter(near, np.inf))
+    return up(max(sum((abs(entry) for entry in row), Fraction(0)) for row in (M + M.T) / 2))  # Gershgorin
 
 
 def is_psd(matrix: Any) -> bool:

@@ -15,6 +15,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 from nsmodel.proof import polynomial_signs
+from nsmodel.proof.exact import down
 
 MOST_TERMS, MOST_DERIVATIVES, MOST_DEGREE = 12, 60, 80
 BISECTIONS, PRECISION = 160, 320
@@ -63,12 +64,8 @@ class precision:
 
 def lower_end(number: Any) -> float:
     """The largest double that is below a ball."""
-    import numpy as np
-
     mantissa, exponent = (int(part) for part in number.lower().man_exp())
-    exact = Fraction(mantissa) * Fraction(2) ** exponent
-    near = float(exact)
-    return near if Fraction(near) <= exact else float(np.nextafter(near, -np.inf))
+    return down(Fraction(mantissa) * Fraction(2) ** exponent)
 
 
 # -- algebra -----------------------------------------------------------------------------------------------------------

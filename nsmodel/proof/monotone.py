@@ -13,7 +13,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof import extremum, interval, polynomial, polynomial_signs
+from nsmodel.proof import exact, extremum, interval, polynomial, polynomial_signs
 from nsmodel.proof.convex.lower_bound import additive_terms
 from nsmodel.proof.graph import applied, fold, replay
 from nsmodel.proof.straight_line import is_double
@@ -190,10 +190,9 @@ def _recentred(h: ca.SX, s: ca.SX, low: float, high: float) -> tuple[ca.SX, floa
 
 
 def _rounded(number: Fraction | float, towards: float) -> float:
-    near = float(number)
-    if np.isinf(near) or (Fraction(near) <= number if towards < 0 else Fraction(near) >= number):
-        return near
-    return float(np.nextafter(near, towards))
+    if isinstance(number, float):
+        return number
+    return exact.down(number) if towards < 0 else exact.up(number)
 
 
 def _pieces(

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from nsmodel.proof.exact import down
+
 Coefficients = Sequence[Fraction]  # c_0, c_1, ...
 PRECISION = 64  # Bits to begin with; doubled until every question about a root is decided.
 
@@ -75,14 +77,7 @@ def lower_bound(p: Coefficients, low: Fraction | None = Fraction(0), high: Fract
     for a, b in real_roots(slope, low, high) if any(slope) else []:
         steepest = at([abs(number) for number in slope], max(abs(a), abs(b)))
         values.append(at(p, a) - steepest * (b - a))
-    least = min(values)
-    near = float(least)
-    return near if Fraction(near) <= least else float(np.nextafter(near, -np.inf))
-
-
-def has_root(p: Coefficients, low: Fraction = Fraction(0)) -> bool:
-    """Whether p(x) = 0 for some x >= low."""
-    return not _trimmed(p) or bool(real_roots(p, low))
+    return down(min(values))
 
 
 def real_roots(

@@ -188,10 +188,8 @@ def search(goal: Goal, scene: Scene, enough: float) -> Supremum:
     if not scene.quick:
         feasible = values[values > -np.inf]
         spread = float(np.median(np.abs(feasible - np.median(feasible)))) if feasible.size else 0.0
-        task, budget = (
-            task._replace(tolerance=branch_and_bound.CLOSE * spread),
-            int(np.clip(WORK // (size + goal.cost), 400, BOXES)),
-        )
+        task = task._replace(tolerance=branch_and_bound.CLOSE * spread)
+        budget = int(np.clip(WORK // (size + goal.cost), 400, BOXES))
         state = branch_and_bound.search(task, state, min(budget, 128))
         if not branch_and_bound.finished(task, state):
             for points in _climbed(goal, scene, looked, values, entries, worst):

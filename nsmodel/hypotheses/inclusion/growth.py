@@ -79,8 +79,8 @@ def _read_row(row: ca.SX, field: Field, z: ca.SX, low: np.ndarray, high: np.ndar
                 reach, steep = bound_of(term, field, z, low, high, SCALE)
         if not np.isfinite(reach + steep):
             return Row(None, np.inf, np.inf)
-        size += up(abs(factor) * Fraction(reach)) * UP
-        slope += up(abs(factor) * Fraction(steep)) * UP
+        size += exact.up(abs(factor) * Fraction(reach)) * UP
+        slope += exact.up(abs(factor) * Fraction(steep)) * UP
     return Row(total, size, slope)
 
 
@@ -125,12 +125,6 @@ def _of_one_direction(term: ca.SX, field: Field) -> tuple[polynomial.Polynomial,
     p = {((i, 1),): Fraction(middle) * number for i, number in enumerate(split.a[0]) if number}
     width = max(found.high - middle, middle - found.low) * norm(exact.doubles(split.a))
     return p if middle else {}, found.reach, width * UP
-
-
-def up(number: Fraction) -> float:
-    """The double nearest to a number, not below it."""
-    near = float(number)
-    return near if Fraction(near) >= number else float(np.nextafter(near, np.inf))
 
 
 def affine(field: Field) -> Affine | None:

@@ -22,7 +22,7 @@ from nsmodel.hypotheses.inclusion import growth
 from nsmodel.hypotheses.inclusion.copositive import certificate
 from nsmodel.hypotheses.inclusion.curves import not_drawn_back
 from nsmodel.hypotheses.inclusion.escape import escape, looked_at
-from nsmodel.hypotheses.inclusion.growth import UP, around, up
+from nsmodel.hypotheses.inclusion.growth import UP, around
 from nsmodel.hypotheses.inclusion.selected_field import Field
 from nsmodel.hypotheses.inclusion.tangent_form import Form, form_between_lines, form_of, nearest, offsets
 from nsmodel.proof import exact, extremum, interval, polynomial, polynomial_signs, sum_of_squares
@@ -94,15 +94,14 @@ def _quadratic(field: Field, form: Form | None) -> Bound | None:
     if k is None:
         return None
     how = "<x, F - S> is quadratic and negative definite (exact)" + _but(field)
-    return Bound(k, _linear(form), up(form.constant) + offsets(field), how)
+    return Bound(k, _linear(form), exact.up(form.constant) + offsets(field), how)
 
 
 def _rate(P: np.ndarray) -> float | None:
     """k in doubles with x'Px/2 >= k |x|^2, verified exactly: half the least eigenvalue of P, lowered by rounding where needed."""
     values = np.linalg.eigvalsh(exact.doubles(P)) / 2
     if len(P) == 1:
-        near = Fraction(P[0, 0]) / 2
-        return float(near) if Fraction(float(near)) <= near else float(np.nextafter(float(near), -np.inf))
+        return exact.down(Fraction(P[0, 0]) / 2)
     for less in (0.0, 1e-15, 1e-14, 1e-12, 1e-9, 1e-6):
         k = float(values[0]) - less * float(values[-1])
         if k > 0 and exact.psd(P - 2 * Fraction(k) * exact.eye(len(P))).psd:
@@ -126,7 +125,7 @@ def _on_cone(field: Field, form: Form | None) -> Bound | None:
     constant = form.constant + exact.product(h.T, M, h)[0, 0]
     p = growth.norm(exact.doubles(linear)) + form.others
     how = "<x, F - S> is quadratic and negative on the directions in which C is unbounded (exact multipliers)"
-    return Bound(k, p, up(constant) + offsets(field), how)
+    return Bound(k, p, exact.up(constant) + offsets(field), how)
 
 
 def _superlinear(field: Field, form: Form | None) -> Bound | None:
@@ -153,7 +152,7 @@ def _superlinear(field: Field, form: Form | None) -> Bound | None:
                 return None
             total += top
         how = "beyond the quadratic part, terms in one state each that fall at infinity (exact)"
-        return Bound(k, _linear(form), up(total) + offsets(field), how)
+        return Bound(k, _linear(form), exact.up(total) + offsets(field), how)
     return None
 
 
@@ -175,7 +174,7 @@ def _squares(field: Field, form: Form | None) -> Bound | None:
         least = sum_of_squares.lower_bound(rest, n)
         if least is not None:
             how = "<x, F - S> + k |x|^2 is a constant less a sum of squares (exact)" + _but(field)
-            return Bound(k, form.others, up(form.constant - least) + offsets(field), how)
+            return Bound(k, form.others, exact.up(form.constant - least) + offsets(field), how)
     return None
 
 
@@ -205,7 +204,7 @@ def _homogeneous(field: Field, form: Form | None, distance: float) -> Bound | No
     if top is None:
         return None
     how = "the highest form of <x, F - S> is negative on the faces of a cube (bounds), and dominates"
-    return Bound(1.0, _linear(form), up(top + form.constant) + offsets(field), how, True)
+    return Bound(1.0, _linear(form), exact.up(top + form.constant) + offsets(field), how, True)
 
 
 def _speed(field: Field, form: Form) -> polynomial.Polynomial:
@@ -255,7 +254,7 @@ def _on_cube(part: polynomial.Polynomial, x: ca.SX, level: float | None) -> floa
             if level is not None and natural > level:
                 natural = extremum.supremum(expr, x, low, high, bound_to=level).bound
             worst = max(worst, natural)
-    return up(Fraction(worst) + slack) if np.isfinite(worst) else np.inf
+    return exact.up(Fraction(worst) + slack) if np.isfinite(worst) else np.inf
 
 
 def _largest(p: polynomial.Polynomial, low: float, high: float) -> Fraction | None:

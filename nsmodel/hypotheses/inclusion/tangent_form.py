@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.inclusion import growth
-from nsmodel.hypotheses.inclusion.growth import UP, up
+from nsmodel.hypotheses.inclusion.growth import UP
 from nsmodel.hypotheses.inclusion.selected_field import Field
 from nsmodel.proof import exact, extremum, interval, polynomial
 from nsmodel.proof.at_infinity import curve, natural, orders
@@ -186,7 +186,7 @@ def _ridges_between_lines(
         return None if longer is None else (polynomial.add(p, longer), size, slope)
     for u, v in product(range(n), range(n)):
         p = polynomial.add(p, _square(u, v, abs(whole) * Fraction(found.high) * a[u] * a[v]))
-    return p, size + up(abs(whole)) * found.reach * length * UP, slope
+    return p, size + exact.up(abs(whole)) * found.reach * length * UP, slope
 
 
 def _composed(c: Sequence[Fraction], h: polynomial.Polynomial, a: np.ndarray) -> polynomial.Polynomial | None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.model.oscillator import Friction
-from nsmodel.proof import extremum, interval, one_variable, polynomial_signs
+from nsmodel.proof import exact, extremum, interval, one_variable, polynomial_signs
 from nsmodel.proof.convex import convexity, joints, piecewise
 from nsmodel.proof.convex.lower_bound import additive_terms
 from nsmodel.proof.jumps import find_jump, jumps_in
@@ -35,7 +35,7 @@ def slope_at_zero(element: Friction, s: ca.SX) -> tuple[float, float]:
     pieces = piecewise.pieces(theta, s)
     if pieces is not None:
         number = pieces[0].c[1] if len(pieces[0].c) > 1 else Fraction(0)
-        return joints.down(number), joints.up(number)
+        return exact.down(number), exact.up(number)
     terms = additive_terms(theta)
     found = joints.split(terms, s)
     return _start(terms, s, found[0]) if found is not None else _by_intervals(theta, s)
@@ -50,7 +50,7 @@ def _start(terms: joints.Terms, s: ca.SX, piece: joints.Piece) -> tuple[float, f
             return -np.inf, np.inf
         ends = sorted(factor * Fraction(end) for end in found)
         low, high = low + ends[0], high + ends[1]
-    return joints.down(low), joints.up(high)
+    return exact.down(low), exact.up(high)
 
 
 def _by_intervals(theta: ca.SX, s: ca.SX) -> tuple[float, float]:
@@ -59,7 +59,7 @@ def _by_intervals(theta: ca.SX, s: ca.SX) -> tuple[float, float]:
         return -np.inf, np.inf
     number = joints.exact_value(first, s, Fraction(0))
     if number is not None:
-        return joints.down(number), joints.up(number)
+        return exact.down(number), exact.up(number)
     low, high = interval.enclose(first, s, ZERO, ZERO)
     return float(np.min(low)), float(np.max(high))
 

@@ -15,7 +15,6 @@ from nsmodel.hypotheses.oscillator import friction_law
 from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.proof import exact, polynomial
 from nsmodel.proof import interval as proof
-from nsmodel.proof.convex import joints
 from nsmodel.proof.convex.convex_sets import ConvexSet
 from nsmodel.proof.convex.lower_bound import Below
 
@@ -77,7 +76,7 @@ def outer_radius(model: FrictionOscillator) -> float:
         while Fraction(root) ** 2 < square:
             root = float(np.nextafter(root, np.inf))
         total += Fraction(max(high, 0.0)) * Fraction(root)
-    return joints.up(total)
+    return exact.up(total)
 
 
 def _from_below(H: np.ndarray) -> np.ndarray:
@@ -106,7 +105,7 @@ def interval(g: ca.SX, domain: ConvexSet, minimum: np.ndarray, radius: float) ->
     low, high = (float(end[0]) for end in domain.hull)
     if P is not None and P.H[0, 0] > 0 and len(domain.affine) == domain.rows.numel():
         ends = [(-P.q[0, 0] + sign * Fraction(radius)) / P.H[0, 0] for sign in (-1, 1)]
-        left, right = max(low, joints.down(ends[0])), min(high, joints.up(ends[1]))
+        left, right = max(low, exact.down(ends[0])), min(high, exact.up(ends[1]))
         return Interval(left, right, left > float(ends[0]) and right < float(ends[1]))
     slope = ca.gradient(g, domain.x)
     centre = float(minimum[0])

@@ -18,7 +18,7 @@ import numpy as np
 
 from nsmodel.hypotheses.sweeping.constraint import Constraint, over_time
 from nsmodel.hypotheses.sweeping.forms import Affine, Offset, expression, plus, times
-from nsmodel.hypotheses.sweeping.geometry import gram_bound
+from nsmodel.hypotheses.sweeping.geometry import gram_bound, root_above
 from nsmodel.proof import exact
 
 MOST_CONSTRAINTS = 60
@@ -119,7 +119,7 @@ def _product(a: Constraint, b: Constraint, rho: float) -> float | None:
             return _acute(excess, one.square, other.square, d2)
         cosine2 = excess**2 / (4 * one.square * other.square)
         if cosine2 < 1:
-            return -_root_above(cosine2)
+            return -root_above(cosine2)
         return np.nan if _apart(one, other, d2, rho) else None
     r2, s2 = expression(one.square), expression(other.square)
     least = [-over_time(c, -square).bound for c, square in ((a, r2), (b, s2))]
@@ -166,7 +166,7 @@ def _of_planes(a: Constraint, b: Constraint) -> float | None:
     if dot >= 0:
         return 0.0
     cosine2 = dot**2 / (sum(x * x for x in one.values()) * sum(x * x for x in other.values()))
-    return -_root_above(cosine2) if cosine2 < 1 else None
+    return -root_above(cosine2) if cosine2 < 1 else None
 
 
 def _of_plane(plane: Constraint, ball: Round) -> float | None:
@@ -180,7 +180,7 @@ def _of_plane(plane: Constraint, ball: Round) -> float | None:
         if height <= 0:
             return 0.0
         cosine2 = height**2 / (size * ball.square)
-        return -_root_above(cosine2) if cosine2 < 1 else None
+        return -root_above(cosine2) if cosine2 < 1 else None
     square = expression(ball.square)
     least = -over_time(plane, -square).bound
     if not least > 0:
@@ -195,11 +195,3 @@ def _largest(ball: Round, plane: Affine) -> float:
     rest = [abs(float(x)) for x in ball.centre.values() if isinstance(x, Fraction)]
     size = float(sum((x * x for x in plane.row.values()), Fraction(0))) ** 0.5
     return sum(rest) + (abs(float(plane.offset)) / size if isinstance(plane.offset, Fraction) else 0.0)
-
-
-def _root_above(x: Fraction) -> float:
-    """A double above the root of x in [0, 1)."""
-    r = float(x) ** 0.5
-    while Fraction(r) ** 2 < x:
-        r = float(np.nextafter(r, 2))
-    return r

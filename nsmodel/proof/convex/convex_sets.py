@@ -59,9 +59,9 @@ class ConvexSet:
             if used.size == 1:
                 j, end = int(used[0]), -number / row[used[0]]
                 if row[j] > 0:
-                    lower[j] = max(lower[j], _below(end))
+                    lower[j] = max(lower[j], exact.down(end))
                 else:
-                    upper[j] = min(upper[j], _above(end))
+                    upper[j] = min(upper[j], exact.up(end))
         for p in self.polynomials:
             _ellipsoid(p, self.n, lower, upper)
         return lower, upper
@@ -202,15 +202,6 @@ def has_interior(C: ConvexSet, start: np.ndarray) -> Part:
 # -- parts -------------------------------------------------------------------------------------------------------------
 
 
-def _below(number: Fraction) -> float:
-    near = float(number)
-    return near if Fraction(near) <= number else float(np.nextafter(near, -np.inf))
-
-
-def _above(number: Fraction) -> float:
-    return -_below(-number)
-
-
 def _ellipsoid(p: polynomial.Polynomial | None, n: int, lower: np.ndarray, upper: np.ndarray) -> None:
     """Narrow the box by a row c - x'Px/2 + q'x >= 0 with P definite on the variables that it holds."""
     if p is None or polynomial.degree(p) != 2:
@@ -229,9 +220,9 @@ def _ellipsoid(p: polynomial.Polynomial | None, n: int, lower: np.ndarray, upper
     centre = exact.product(inverse, q)
     r = found.c + exact.product(q.T, centre)[0, 0] / 2
     for k, i in enumerate(used):
-        reach = _above(Fraction(float(np.sqrt(max(_above(2 * r * inverse[k, k]), 0.0))) * (1 + 1e-15)))
-        lower[i] = max(lower[i], _below(centre[k, 0] - Fraction(reach)))
-        upper[i] = min(upper[i], _above(centre[k, 0] + Fraction(reach)))
+        reach = exact.up(Fraction(float(np.sqrt(max(exact.up(2 * r * inverse[k, k]), 0.0))) * (1 + 1e-15)))
+        lower[i] = max(lower[i], exact.down(centre[k, 0] - Fraction(reach)))
+        upper[i] = min(upper[i], exact.up(centre[k, 0] + Fraction(reach)))
 
 
 def _one_branch(C: ConvexSet, i: int) -> bool:

@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof import interval, one_variable, polynomial, polynomial_signs
+from nsmodel.proof.exact import down, up
 from nsmodel.proof.exponential_sums import Place
 from nsmodel.proof.graph import applied, column, fold, operations, same
 from nsmodel.proof.one_variable import Cases
@@ -334,14 +335,3 @@ def _applied(op: int, args: list[Fraction]) -> Fraction | None:
     if op in at_zero and a == 0:
         return Fraction(at_zero[op])
     return Fraction(0) if op == ca.OP_LOG and a == 1 else None
-
-
-def down(number: Fraction) -> float:
-    """The largest double that is not above."""
-    near = float(number)
-    return near if Fraction(near) <= number else float(np.nextafter(near, -np.inf))
-
-
-def up(number: Fraction) -> float:
-    """The least double that is not below."""
-    return -down(-number) + 0.0

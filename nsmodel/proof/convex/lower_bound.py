@@ -17,7 +17,7 @@ import numpy as np
 
 from nsmodel.proof import exact, extremum, feasibility, interval, one_variable, polynomial, polynomial_signs, sum_of_squares
 from nsmodel.proof.convex.convex_sets import ConvexSet
-from nsmodel.proof.convex.joints import down, split
+from nsmodel.proof.convex.joints import split
 from nsmodel.proof.convex.least_value import least_value
 from nsmodel.proof.convex.piecewise import pieces
 from nsmodel.proof.convex.ridges import ridges
@@ -130,7 +130,7 @@ def _quadratic_minimum(g: ca.SX, C: ConvexSet) -> float | None:
     if P is None or C.rows.numel() or C.equalities.numel() or not exact.psd(P.H).psd:
         return None
     solved = exact.solve(P.H, -P.q)
-    return None if solved is None else down(P.c + exact.product(P.q.T, solved)[0, 0] / 2)
+    return None if solved is None else exact.down(P.c + exact.product(P.q.T, solved)[0, 0] / 2)
 
 
 def _unit(v: np.ndarray) -> np.ndarray:
@@ -161,7 +161,7 @@ def _separate(g: ca.SX, C: ConvexSet) -> float | None:
         if not proved:
             return None
         total += proved[0]
-    return down(total)
+    return exact.down(total)
 
 
 def _by_squares(g: ca.SX, C: ConvexSet) -> float | None:
@@ -181,7 +181,7 @@ def _by_squares(g: ca.SX, C: ConvexSet) -> float | None:
     if polynomial.degree(total) <= 2:
         return None
     found = sum_of_squares.lower_bound(total, C.n)
-    return None if found is None else down(found + rest)
+    return None if found is None else exact.down(found + rest)
 
 
 # -- duality, exactly --------------------------------------------------------------------------------------------------
