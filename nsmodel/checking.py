@@ -6,17 +6,18 @@ from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError, StepError, UsageError
-from nsmodel.hypotheses import impacts
+from nsmodel.hypotheses import impacts, uniform
 from nsmodel.hypotheses.along import along
-from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED, Consequence, Finding, Hypothesis, Report, plain
-from nsmodel.hypotheses.region import Region, region_of
-from nsmodel.hypotheses.scope import Scope
+from nsmodel.hypotheses.findings import ALONG_A_RUN, HOLDS, SAMPLED, VIOLATED, Consequence, Finding, Hypothesis, Report, plain
+from nsmodel.hypotheses.region import Region, around, region_of
+from nsmodel.hypotheses.scope import Box, Scope
 from nsmodel.hypotheses.stay import clauses
 from nsmodel.model.base import Model, shown
 from nsmodel.model.bodies import ManyBodies
@@ -24,7 +25,7 @@ from nsmodel.model.first_order import FirstOrderSystem
 from nsmodel.model.inclusion import MonotoneInclusion
 from nsmodel.model.lure import LureSystem
 from nsmodel.model.oscillator import FrictionOscillator
-from nsmodel.model.parameters import Values
+from nsmodel.model.parameters import Values, split_boxes
 from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.proof.graph import OpaqueExpression
 from nsmodel.proof.search import quick_searches
@@ -72,7 +73,8 @@ def check(
         model: any of the six classes. Parameters may stay without value for a LureSystem: the conditions on them are found.
         runs: finished runs of this model; left out, the model is run (twice more with larger steps, for the observed order,
             and for two classes from another start, for the contraction).
-        parameters: values of parameters, by name or symbol.
+        parameters: values of parameters, by name or symbol; a pair (low, high) stands for all values between: a hypothesis
+            holds for all of them, or the value is shown where it fails.
         region: {state or symbol: (low, high)}, where hypotheses about all states are decided if no proof covers them
             everywhere; states left out have an interval around the runs.
         quick: skip runs, global searches and local maximisation.
@@ -90,7 +92,10 @@ def check(
     """
     if not isinstance(model, Model):
         raise UsageError(f"check: expected a model, such as LureSystem(...), not {shown(model)}")
+    parameters, boxes = split_boxes(parameters, model.parameters)
     values = {**model.parameters, **model.values_of(parameters)}
+    if boxes:
+        return _for_all(model, values, boxes, runs, region, quick)
     missing = tuple(name for name, value in values.items() if value is None)
     if missing and isinstance(model, LureSystem):
         return _symbolic(model.bind(values, partly=True), values, missing)
@@ -116,6 +121,48 @@ def check(
         if not given:
             consequences += _refined(bound, own[0])
     return _report(bound, box.text, findings, consequences, getattr(bound, "bound_parameters", {}), notes, quick)
+
+
+def _for_all(
+    model: Model, values: Mapping[str, float | None], boxes: Box, runs: Sequence[Trajectory] | None,
+    region: Mapping[str, tuple[float, float]] | None, quick: bool,
+) -> Report:  # fmt: skip
+    """Decide the hypotheses for all values of parameters in boxes: proofs of the class, and values where one fails.
+
+    Of each hypothesis without such a proof the reports at many values are joined, of which one may show that it fails.
+    """
+    part = model.bind({**values, **dict.fromkeys(boxes)}, partly=True)
+    if missing := set(part.parameters) - set(boxes):
+        raise UsageError(f"parameter '{min(missing)}' has no value; beside boxes of parameters, give it a number or a box")
+    boxes = {name: boxes[name] for name in part.parameters}
+    notes: list[str] = []
+    proofs = _proofs_for_all(type(model))
+    special = proofs.values(part, boxes) if proofs else ()
+    at = [(one, part.bind(one)) for one in uniform.values_in(boxes, special)]
+    own = list(runs or ()) if runs is not None or quick else _runs(at[0][1], notes)
+    box = around([region_of(bound, own, region) for _, bound in at], boxes)
+    try:
+        reports = [(one, *_quickly(bound, replace(box, parameters={}), own)) for one, bound in at]
+        proved = {finding.id: finding for finding in (proofs.findings(part, box, quick) if proofs else ())}
+        findings = uniform.joined(boxes, [(one, {item.id: item for item in found}) for one, found, _ in reports], proved)
+        made = proofs.consequences(part, box, findings) if proofs else uniform.seen_alike([item for *_, item in reports], boxes)
+    except OpaqueExpression as error:
+        raise ModelError(str(error)) from None
+    shown_values: dict[str, Any] = {**getattr(part, "bound_parameters", {}), **boxes}
+    notes.append(f"{', '.join(boxes)}: all values between the ends; looked at {len(at)} of them, the run is that of the middle")
+    return _report(part, box.text, findings, made, shown_values, notes, quick)
+
+
+def _proofs_for_all(kind: type[Model]) -> Any:
+    """The module of a class that proves its hypotheses for all values of parameters in a box; None where there is none."""
+    name = f"nsmodel.hypotheses.{CLASSES[kind]}.for_all"
+    return import_module(name) if find_spec(name) else None
+
+
+def _quickly(model: Model, box: Region, runs: Sequence[Trajectory]) -> tuple[list[Finding], list[Consequence]]:
+    with quick_searches():
+        found, made = _checker(type(model)).check(model, box, runs, True)
+        return [finding for finding in found if not finding.id.startswith(ALONG_A_RUN)], made
 
 
 def _known_outside(model: Model, box: Region, runs: Sequence[Trajectory], findings: Sequence[Finding]) -> list[Finding]:

@@ -158,6 +158,13 @@ def _parser() -> argparse.ArgumentParser:
     checker.add_argument("files", metavar="FILE", nargs="+", help="a Python file that defines model = ... or def model(...)")
     _add_set(checker)
     checker.add_argument(
+        "--parameters",
+        action="append",
+        default=[],
+        metavar="NAME=LOW:HIGH",
+        help="decide for all values of a parameter between these; may be repeated",
+    )
+    checker.add_argument(
         "--region", action="append", default=[], metavar="NAME=LOW:HIGH",
         help="interval of a state, where no proof covers all states (default: around the run); repeatable",
     )  # fmt: skip
@@ -235,13 +242,18 @@ def _check(arguments: argparse.Namespace) -> int:
     for option in ("markdown", "certificate"):
         if several and getattr(arguments, option):
             raise UsageError(f"--{option} takes one model file; check them one by one")
-    region = _by_name(map(_interval, arguments.region), "--region")
+    region = _by_name((_interval("--region", one, "q_0=-2:2") for one in arguments.region), "--region")
+    boxes = _by_name((_interval("--parameters", one, "mu=0.1:0.5") for one in arguments.parameters), "--parameters")
+    if twice := set(boxes) & set(_by_name(map(_setting, arguments.set), "--set")):
+        raise UsageError(f"'{min(twice)}' is given with --set and with --parameters; keep one")
+    if boxes and arguments.certificate:
+        raise UsageError("--certificate: certificates are of numbers; give the parameters values with --set")
     reports: list[tuple[str, Report | None, int]] = []
     documents = []
     for file in arguments.files:
         try:
             model, values = _load(file, arguments.set)
-            report = check(model, parameters=values, region=region, quick=arguments.quick)
+            report = check(model, parameters={**values, **boxes}, region=region, quick=arguments.quick)
         except NsmodelError as error:
             reports.append((file, None, _refused(error)))
             documents.append({"file": file, "status": "refused", "message": str(error)})
@@ -367,7 +379,7 @@ def _codegen(arguments: argparse.Namespace) -> int:
     return DONE
 
 
-def _interval(setting: str) -> tuple[str, tuple[float, float]]:
+def _interval(option: str, setting: str, example: str) -> tuple[str, tuple[float, float]]:
     name, equals, text = setting.partition("=")
     low, colon, high = text.partition(":")
     try:
@@ -375,7 +387,7 @@ def _interval(setting: str) -> tuple[str, tuple[float, float]]:
             raise ValueError
         return name.strip(), (float(low), float(high))
     except ValueError:
-        raise UsageError(f"--region {setting}: expected NAME=LOW:HIGH, for example --region q_0=-2:2") from None
+        raise UsageError(f"{option} {setting}: expected NAME=LOW:HIGH, for example {option} {example}") from None
 
 
 def _run(arguments: argparse.Namespace) -> int:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.errors import UsageError
-from nsmodel.hypotheses.scope import Scope
+from nsmodel.hypotheses.scope import Box, Scope
 from nsmodel.model.base import Model
 from nsmodel.model.bodies import ManyBodies
 from nsmodel.trajectory import Trajectory
@@ -20,7 +21,10 @@ GROWTH = 1.5  # The box is this much wider than the runs.
 
 @dataclass(frozen=True)
 class Region:
-    """A box: lower (n,), upper (n,) of the states, t0 <= t <= t1; ``origin`` says where it comes from."""
+    """A box: lower (n,), upper (n,) of the states, t0 <= t <= t1; ``origin`` says where it comes from.
+
+    ``parameters`` are the boxes of parameters that stayed symbols, in the order of the model's ``p``.
+    """
 
     lower: np.ndarray
     upper: np.ndarray
@@ -28,10 +32,16 @@ class Region:
     t1: float
     names: tuple[str, ...]
     origin: str
+    parameters: Box = field(default_factory=lambda: MappingProxyType({}))
 
     def with_time(self) -> tuple[np.ndarray, np.ndarray]:
         """Bounds (n + 1,) of (t, x)."""
         return np.concatenate([[self.t0], self.lower]), np.concatenate([[self.t1], self.upper])
+
+    def of_parameters(self) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds (k,) of the parameters that stayed symbols."""
+        ends = np.array(list(self.parameters.values()), float).reshape(-1, 2)
+        return ends[:, 0], ends[:, 1]
 
     def wider(self, factor: float) -> Region:
         """The box with the same middle, that many times as wide."""
@@ -87,6 +97,13 @@ def region_of(model: Model, runs: Sequence[Trajectory], given: Mapping[str, Any]
         origin = "as given"
     t1 = max([float(model.t_end or 0.0), *(float(run.t[-1]) for run in runs)])
     return Region(lower, upper, 0.0, t1, names, origin)
+
+
+def around(regions: Sequence[Region], parameters: Box) -> Region:
+    """The box around boxes of the same states, for boxes of parameters."""
+    lower, upper = (by([getattr(r, end) for r in regions], axis=0) for end, by in (("lower", np.min), ("upper", np.max)))
+    t1 = max(region.t1 for region in regions)
+    return replace(regions[0], lower=lower, upper=upper, t1=t1, parameters=MappingProxyType(dict(parameters)))
 
 
 _States = tuple[tuple[str, ...], Mapping[str, Sequence[int]], np.ndarray]

@@ -78,6 +78,31 @@ def scalars(values: Any, known: Mapping[str, Any], vectors: Mapping[str, np.ndar
     return found
 
 
+def split_boxes(values: Any, known: Mapping[str, Any]) -> tuple[Any, dict[str, tuple[float, float]]]:
+    """Return the values that are numbers, and {name: (low, high)} of the parameters that are given as a pair: all between.
+
+    Raises:
+        UsageError: no interval low < high of finite numbers.
+    """
+    if not isinstance(values, Mapping):
+        return values, {}
+    numbers, boxes = {}, {}
+    for key, value in values.items():
+        names = np.array(key) if isinstance(key, str) else _names_of(key)
+        name = str(names) if names.ndim == 0 else ""
+        if name not in known or not isinstance(value, tuple | list) or len(value) != 2:
+            numbers[key] = value
+            continue
+        try:
+            low, high = (float(end) for end in value)
+        except (TypeError, ValueError):
+            low = high = np.nan
+        if not -np.inf < low < high < np.inf:
+            raise UsageError(f"parameter {name} = {value!r}; expected a pair (low, high) of finite numbers, low < high")
+        boxes[name] = (low, high)
+    return numbers, boxes
+
+
 def gathered(values: Mapping[str, Any], vectors: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """Return {name: value} of each parameter as it was declared: the inverse of `scalars`."""
     inside = {entry: name for name, names in vectors.items() for entry in names.ravel().tolist()}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -67,6 +67,34 @@ def ratio(expr: ca.SX, z: ca.SX) -> tuple[Polynomial, Polynomial] | None:
             return None
         fractions.append(found if u is flat else (found[1], found[0]))
     return fractions[-1]
+
+
+def reduced(top: Polynomial, bottom: Polynomial, n: int) -> tuple[Polynomial, Polynomial]:
+    """A quotient of polynomials in n variables without common factors.
+
+    >>> reduced({((0, 2),): Fraction(2), ((0, 1),): Fraction(2)}, {((0, 1),): Fraction(1)}, 1)
+    ({((0, 1),): Fraction(2, 1), (): Fraction(2, 1)}, {(): Fraction(1, 1)})
+    """
+    from flint import Ordering, fmpq, fmpq_mpoly_ctx
+
+    if is_constant(bottom):
+        return top, bottom
+    ring = fmpq_mpoly_ctx.get([f"x{i}" for i in range(n)], Ordering.lex)
+
+    def inside(p: Polynomial) -> Any:
+        return ring.from_dict(
+            {tuple(dict(monomial).get(i, 0) for i in range(n)): fmpq(c.numerator, c.denominator) for monomial, c in p.items()}
+        )
+
+    def outside(p: Any) -> Polynomial:
+        return {
+            tuple((i, int(power)) for i, power in enumerate(powers) if power): Fraction(int(c.p), int(c.q))
+            for powers, c in p.to_dict().items()
+        }
+
+    a, b = inside(top), inside(bottom)
+    common = a.gcd(b)
+    return outside(a // common), outside(b // common)
 
 
 def _cleared(p: Polynomial, n: int, inverses: Sequence[tuple[Polynomial, Polynomial]]) -> tuple[Polynomial, Polynomial] | None:

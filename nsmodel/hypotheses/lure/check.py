@@ -19,7 +19,7 @@ from nsmodel.hypotheses.scope import meet
 from nsmodel.model.lure import LureSystem
 from nsmodel.proof import exact, interval
 from nsmodel.proof.absolutely_continuous import absolutely_continuous
-from nsmodel.proof.defined import in_time
+from nsmodel.proof.defined import Defined, in_time
 from nsmodel.proof.exact import EPS
 from nsmodel.trajectory import Trajectory
 
@@ -43,7 +43,7 @@ def check(model: LureSystem, region: Region, runs: Sequence[Trajectory], quick: 
     """
     if large.is_large(model):
         growth, ordered = large.findings(model)
-        return list(ordered), _consequences(model, region, growth, ordered)
+        return list(ordered), consequences_of(model, region, growth, ordered)
     B, C, D = (np.array(ca.DM(matrix)).reshape(matrix.shape) for matrix in (model.B, model.C, model.D))
     passivity = storage(B, C)
     growth = hypomonotone(model, passivity, region, quick)
@@ -51,13 +51,16 @@ def check(model: LureSystem, region: Region, runs: Sequence[Trajectory], quick: 
     others = range_condition.range_findings(model, quick)
     findings = {finding.id: finding for finding in [*own, *others]}
     ordered = [findings[id] for id in ORDER]
-    made = _consequences(model, region, growth, ordered)
+    made = consequences_of(model, region, growth, ordered)
     if len(runs) > 1 and growth.P is not None and np.isfinite(growth.omega):
         ordered.append(contraction(model, growth.P, growth.omega, *runs[:2]))
     return ordered, made
 
 
-def _consequences(model: LureSystem, region: Region, growth: Growth, findings: Sequence[Finding]) -> list[Consequence]:
+def consequences_of(
+    model: LureSystem, region: Region, growth: Growth, findings: Sequence[Finding]
+) -> list[Consequence]:  # fmt: skip
+    """What follows from the findings, the growth that of 5.2."""
     here = "" if growth.everywhere else " while both stay inside the box"
     norm = ", P the P_omega of 5.2" if growth.P is not None else ", P that of 5.1"
     texts = _one_solution(model, region)
@@ -85,12 +88,13 @@ def _one_solution(model: LureSystem, region: Region) -> str:
     if not ca.depends_on(f, t):
         return ""
     last = max(region.t1, float(model.t_end or 0.0))  # a run may have stopped before
-    ends = np.array([region.t0]), np.array([last])
-    defined = in_time(f, t, region.t0, last)
+    z, (low, high) = ca.vertcat(t, model.p), region.of_parameters()
+    ends = np.append(region.t0, low), np.append(last, high)
+    if interval.is_continuous(f, z, *ends) and np.isfinite(interval.enclose(ca.jacobian(f, t), z, *ends)).all():
+        return ""
+    defined = Defined(UNKNOWN, "") if model.p.numel() else in_time(f, t, region.t0, last)
     if defined.verdict == VIOLATED:
         return f"; f has no finite value for all times: {defined.how}"
-    if interval.is_continuous(f, t, *ends) and np.isfinite(interval.enclose(ca.jacobian(f, t), t, *ends)).all():
-        return ""
     if defined.verdict == HOLDS and absolutely_continuous(f, t, region.t0, last):
         return ""
     return f"; f is not seen to be absolutely continuous on [{region.t0:g}, {last:g}], which the theorem asks for"

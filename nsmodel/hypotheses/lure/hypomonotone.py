@@ -86,12 +86,12 @@ def _nonlinear(J: ca.SX, model: LureSystem, passivity: Passivity, region: Region
     jump = _jump(A, x)
     if jump is not None:
         return Growth(jump)
-    if _continuous(A, x, -infinite, infinite):
+    if is_continuous(A, x, -infinite, infinite):
         hull = bounded_hull(J, x, -infinite, infinite)
         rate = least_rate(passivity.pairing, hull.vertices, hull.cones, quick=quick) if hull is not None else None
         if rate is not None:
             return _growth(passivity, rate, quick, "proved in rational arithmetic, from bounds of the entries of A'")
-    if not _continuous(A, x, region.lower, region.upper):
+    if not is_continuous(A, x, region.lower, region.upper):
         how = "A is not seen to be continuous on the box, though no jump was found"
         return Growth(found(HYPOMONOTONE, UNKNOWN, how))
     hull = bounded_hull(J, x, region.lower, region.upper) or sampled_hull(J, x, region.lower, region.upper)
@@ -181,7 +181,7 @@ def _jump(A: ca.SX, x: ca.SX) -> Finding | None:
     return found(HYPOMONOTONE, VIOLATED, how, {"jump": jump.size}, witness)
 
 
-def _continuous(A: ca.SX, x: ca.SX, lower: np.ndarray, upper: np.ndarray) -> bool:
+def is_continuous(A: ca.SX, x: ca.SX, lower: np.ndarray, upper: np.ndarray) -> bool:
     """Whether A is proved continuous: read off its operations, or by interval bounds."""
     return operations(A) <= CONTINUOUS or interval.is_continuous(A, x, lower, upper)
 

@@ -23,11 +23,11 @@ class Hull(NamedTuple):
 
 
 def bounded_hull(J: ca.SX, x: ca.SX, lower: np.ndarray, upper: np.ndarray) -> Hull | None:
-    """Return the hull from interval bounds of the varying entries of J (n, n), entries that are +-equal varying together.
+    """Return the hull from interval bounds over a box of x of the varying entries of J (n, n), +-equal entries together.
 
     None where there are more than VARYING of them, or more than STATES states.
     """
-    n = x.numel()
+    n = J.shape[0]
     constant, groups = np.zeros((n, n)), []
     for i, j in np.ndindex(n, n):
         entry = J[int(i), int(j)]

@@ -58,8 +58,8 @@ def storage(B: np.ndarray, C: np.ndarray) -> Passivity:
         how = f"B and C have entries of size {sizes.min():.1g} to {sizes.max():.1g}, of which P would not fit into doubles: "
         return Passivity(found(STORAGE, UNKNOWN, how + "choose other units"), None)
     Bq, Cq = exact.rational(B), exact.rational(C)
-    broken = _broken(Bq, Cq, np.abs(C) @ np.abs(B))
-    if not broken:
+    faults = broken(Bq, Cq, np.abs(C) @ np.abs(B))
+    if not faults:
         columns = exact.independent_columns(Bq) if B.shape[1] else []
         pairing, margin = pairing_of(Bq[:, columns], Cq[columns]), _margin(B[:, columns], C[columns])
         how = f"{EXACTLY}: C B = (C B)' psd, ker B in ker C', rank C B = rank B"
@@ -67,15 +67,15 @@ def storage(B: np.ndarray, C: np.ndarray) -> Passivity:
             return Passivity(_with_storage(pairing, B, C, HOLDS, how), pairing)
         how += f"; but C B is singular up to rounding of its numbers (relative {margin:.1g}), and P next to it"
         return Passivity(_with_storage(pairing, B, C, SAMPLED, how), pairing)
-    clear = [fault for fault in broken if fault.margin > 8 * len(B) * ROUNDING]
+    clear = [fault for fault in faults if fault.margin > 8 * len(B) * ROUNDING]
     if not clear:
         near = _nearby(B, C)
         if isinstance(near, Pairing):
-            texts, margin = "; ".join(fault.text for fault in broken), max(fault.margin for fault in broken)
+            texts, margin = "; ".join(fault.text for fault in faults), max(fault.margin for fault in faults)
             how = f"up to rounding of the given numbers (exactly, {texts}; relative {margin:.1g})"
             return Passivity(_with_storage(near, B, C, SAMPLED, how), near)
         if near is None:
-            how = "P exists or not by the last digits of the given numbers: " + "; ".join(fault.text for fault in broken)
+            how = "P exists or not by the last digits of the given numbers: " + "; ".join(fault.text for fault in faults)
             return Passivity(found(STORAGE, UNKNOWN, how), None)
         clear = [near]
     how = f"{EXACTLY}: " + "; ".join(fault.text for fault in clear)
@@ -104,7 +104,7 @@ class _Fault(NamedTuple):
     witness: Mapping[str, Any]
 
 
-def _broken(B: np.ndarray, C: np.ndarray, size: np.ndarray) -> list[_Fault]:
+def broken(B: np.ndarray, C: np.ndarray, size: np.ndarray) -> list[_Fault]:
     """Conditions of 5.1 that rational B, C break; ``size`` = |C||B| is what rounding is measured by."""
     CB = exact.product(C, B)
     product, faults = exact.doubles(CB), []

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from nsmodel.hypotheses.findings import Consequence, Finding, Report
-from nsmodel.hypotheses.report.table import conditions, pairs, rests, shown, told, witness
+from nsmodel.hypotheses.report.table import conditions, pairs, parameters, rests, told, witness
 from nsmodel.hypotheses.report.typeset import equations
 from nsmodel.model.base import Model
 
@@ -31,8 +31,7 @@ def markdown(report: Report, model: Model) -> str:
 def _head(report: Report) -> str:
     lines = [f"- Class: {report.model_class}; {_escaped(report.paper)}", f"- Region: {_escaped(report.region)}"]
     if report.parameters:
-        given = (f"{name} = {'no value' if value is None else shown(value)}" for name, value in report.parameters.items())
-        lines.append(f"- Parameters: {_escaped(', '.join(given))}")
+        lines.append(f"- Parameters: {_escaped(', '.join(parameters(report)))}")
     return "\n".join([*lines, f"- Findings: {_escaped(report.verdict)}"])
 
 

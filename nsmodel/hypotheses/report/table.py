@@ -69,6 +69,17 @@ def document(report: Report) -> dict[str, Any]:
     }
 
 
+def parameters(report: Report) -> list[str]:
+    """The parameters with their values, or between which ends all values were meant."""
+    found = []
+    for name, value in report.parameters.items():
+        if isinstance(value, tuple):
+            found.append(f"{name} in [{value[0]:.5g}, {value[1]:.5g}]")
+        else:
+            found.append(f"{name} = {'no value' if value is None else shown(value)}")
+    return found
+
+
 def shown(item: Any) -> str:
     """A number, text, or a list of them as a reader wants it: 5 digits, long lists abbreviated.
 
@@ -100,7 +111,7 @@ def witness(finding: Finding) -> list[str]:
 
 
 def _head(report: Report, width: int) -> list[str]:
-    given = [f"{name} = {'no value' if value is None else shown(value)}" for name, value in report.parameters.items()]
+    given = parameters(report)
     rows = {"model": f"{report.model_class}; {report.paper}", "region": report.region}
     lines = [line for name, value in rows.items() for line in _hanging(f"  {name:<12}", value, width)]
     lines += _packed("  parameters  ", given, width) if given else []
