@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from nsmodel import LureSystem, check, complementarity, relay
+from nsmodel import FirstOrderSystem, LureSystem, check, complementarity, relay
 from nsmodel.cli import main
 from nsmodel.errors import UsageError
 from nsmodel.proof import exact
@@ -104,6 +104,60 @@ def test_other_classes_are_looked_at_at_values():
     report = check(lure(B=1, C=1, A=ca.SX(p), x0=[0.5]), parameters={"p": (-1.0, 1.0)}, quick=True)
     assert report["5.2"].verdict == "holds"
     assert report["5.2"].value["omega"] == 1
+
+
+x, lam = ca.SX.sym("x", 2), ca.SX.sym("lam", 2)
+
+
+def first_order(A, B, C, D, h=0.1):
+    return FirstOrderSystem(
+        x=x, lam=lam, f=A @ x, g=B @ lam, h=C @ x + D @ lam, law=complementarity(2), x0=[1.0, 0.5], t_end=1, step=h,
+        parameters={p: 1.0},
+    )  # fmt: skip
+
+
+def test_first_order_systems_over_a_box():
+    A = ca.vertcat(ca.horzcat(-p, 3), ca.horzcat(-3, -1 / p))
+    model = first_order(A, ca.SX.eye(2), ca.SX.eye(2), p * ca.SX.eye(2))
+    report = check(model, parameters={"p": (0.5, 2)}, quick=True)
+    assert [report[id].verdict for id in ("F-jacobians", "F-W", "F-mlcp", "F-unique", "F-step")] == ["holds"] * 5
+    assert all(item.verdict == "holds" and item.scope.parameters for item in report.consequences)
+    growing = check(first_order(p * ca.SX.eye(2), ca.SX.eye(2), ca.SX.eye(2), ca.SX(2, 2)), parameters={"p": (0, 20)}, quick=True)
+    assert growing["F-step"].verdict == "violated"  # W = (1 - p / 10) I
+    assert growing["F-step"].witness["p"] >= 10
+
+
+def test_a_matrix_that_is_a_p_matrix_though_not_definite():
+    D = ca.vertcat(ca.horzcat(1, p), ca.horzcat(0, 1))
+    model = first_order(-ca.SX.eye(2), ca.SX(2, 2), ca.SX.eye(2), D)
+    report = check(model, parameters={"p": (2.5, 9)}, quick=True)
+    assert report["F-mlcp"].verdict == report["F-unique"].verdict == "holds"
+    assert "P-matrix" in report["F-unique"].how
+
+
+def test_random_first_order_systems_are_judged_as_at_dense_values():
+    rng = np.random.default_rng(5)
+    held = 0
+    for _ in range(30):
+        A, N, B, C, D = (rng.integers(-2, 3, (2, 2)).astype(float) for _ in range(5))
+        D += 2 * np.eye(2)
+        model = first_order(ca.DM(A) + p * ca.DM(N), ca.DM(B) * (1 + p), ca.DM(C), ca.DM(D), h=0.05)
+        report = check(model, parameters={"p": (-0.5, 1.5)}, quick=True)
+        verdicts = {finding.id: finding.verdict for finding in report.findings}
+
+        for at in np.linspace(-0.5, 1.5, 41):
+            regular = all(np.linalg.det(np.eye(2) - s * (A + at * N)) > 0 for s in np.linspace(0, 0.05, 11))
+            W = 0.05 * C @ np.linalg.solve(np.eye(2) - 0.05 * (A + at * N), B * (1 + at)) + D
+            least = min(W[0, 0], W[1, 1], np.linalg.det(W))
+            assert regular or verdicts["F-step"] != "holds"
+            assert least > 0 or np.linalg.eigvalsh(W + W.T)[0] > -1e-12 or verdicts["F-mlcp"] != "holds"
+            assert least > 0 or verdicts["F-unique"] != "holds"
+        held += verdicts["F-unique"] == "holds"
+        if verdicts["F-unique"] == "violated":
+            at = report["F-unique"].witness["p"]
+            W = 0.05 * C @ np.linalg.solve(np.eye(2) - 0.05 * (A + at * N), B * (1 + at)) + D
+            assert min(W[0, 0], W[1, 1], np.linalg.det(W)) <= 1e-12
+    assert held > 5
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from fractions import Fraction
 from itertools import product
+from math import prod
 
 import casadi as ca
 import numpy as np
@@ -45,10 +46,10 @@ def corners(matrices: Sequence[ca.SX], p: ca.SX, lower: np.ndarray, upper: np.nd
     )
     parts = [reader.affine(next(others)[1] if part is None else part) for part in read]
     used = sorted({variable for part in parts if part is not None for variable in polynomial.variables(part)})
-    if any(part is None for part in parts) or 2 ** len(used) > MOST_CORNERS:
+    if any(part is None for part in parts) or prod(len(set(reader.ends[variable])) for variable in used) > MOST_CORNERS:
         return None
     found = []
-    for ends in product(*(reader.ends[variable] for variable in used)):
+    for ends in product(*(sorted(set(reader.ends[variable])) for variable in used)):
         at = dict(zip(used, ends, strict=True))
         found.append(_shaped([polynomial.value(part, at) for part in parts if part is not None], matrices))
     return found

@@ -73,7 +73,7 @@ def check(
     regular = _regular(at, step, quick)
     mlcp = solvable(F_MLCP, at, regular.verdict, quick)
     findings = [_jacobians(at), regular, mlcp, one_step.unique(F_UNIQUE, at, regular, mlcp, runs, quick), step]
-    return findings, _consequences(at, findings, runs)
+    return findings, consequences_of(at.model, at.affine, findings, runs)
 
 
 # -- F-jacobians ----------------------------------------------------------------------------------------------------------
@@ -262,8 +262,11 @@ def _each_step(at: Linearised, value: dict[str, float]) -> Finding:
 # -- what follows ---------------------------------------------------------------------------------------------------------
 
 
-def _consequences(at: Linearised, findings: Sequence[Finding], runs: Sequence[Trajectory]) -> list[Consequence]:
-    theta, gamma = at.model.theta, at.model.gamma
+def consequences_of(
+    model: FirstOrderSystem, affine: bool, findings: Sequence[Finding], runs: Sequence[Trajectory]
+) -> list[Consequence]:  # fmt: skip
+    """What follows from the findings; ``affine``: whether f, h and g are, in x and l."""
+    theta, gamma = model.theta, model.gamma
     step = {finding.id: finding for finding in findings}["F-step"].value
     out = [
         follows("one trajectory", "every step is defined, and the scheme gives one trajectory", findings, ["F-unique"], NOTES),
@@ -273,18 +276,18 @@ def _consequences(at: Linearised, findings: Sequence[Finding], runs: Sequence[Tr
         ),
     ]  # fmt: skip
     iterations = _iterations(runs)
-    if at.affine:
+    if affine:
         statement = "f, h and g are affine in x and l: one Newton iteration is exact"
         out.append(follows("one Newton iteration", statement, findings, ["F-jacobians", "F-W"], NOTES, iterations))
     else:
         statement = "Newton's method converges quadratically from near enough, on the right index set"
         out.append(follows("Newton's method", statement, findings, ["F-jacobians", "F-W", "F-unique"], NOTES, iterations))
-    order = 2 if theta == 0.5 and (gamma == 0.5 or not at.model.law.size) else 1
-    where = "in smooth phases" if at.model.law.size else "everywhere"
+    order = 2 if theta == 0.5 and (gamma == 0.5 or not model.law.size) else 1
+    where = "in smooth phases" if model.law.size else "everywhere"
     statement = f"order {order} {where} (theta = {theta:g}, gamma = {gamma:g})"
-    if theta == 0.5 and gamma != 0.5 and at.model.law.size:
+    if theta == 0.5 and gamma != 0.5 and model.law.size:
         statement += ", 2 where r is constant"
-    statement += "; at most 1 across switches" if at.model.law.size else ""
+    statement += "; at most 1 across switches" if model.law.size else ""
     out.append(
         follows(
             "order",

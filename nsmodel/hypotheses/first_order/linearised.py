@@ -175,7 +175,7 @@ def linearised(model: FirstOrderSystem, region: Region, runs: Sequence[Trajector
     )))  # fmt: skip
     points = _along(runs)
     low_l, high_l, where = _multipliers(model.law, points[:, 1 + len(model.names) :])
-    steps = _steps(model, runs)
+    steps = lengths(model, runs)
     end = region.t1 + steps.max(initial=0.0)
     lower = np.concatenate([[region.t0], region.lower, low_l])
     upper = np.concatenate([[end], region.upper, high_l])
@@ -227,8 +227,8 @@ def _multipliers(law: Law, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray, st
     return lower, upper, f"the region, all times, and l within {GROWTH:g} times its range along the run"
 
 
-def _steps(model: FirstOrderSystem, runs: Sequence[Trajectory]) -> np.ndarray:
-    """Step lengths of the runs, or the model's own."""
+def lengths(model: FirstOrderSystem, runs: Sequence[Trajectory]) -> np.ndarray:
+    """Step lengths of the runs, or the model's own, increasing."""
     parts = [run.step[1:] for run in runs if "step" in run.arrays]
     if not parts:
         parts = [model.steps if model.steps is not None else [] if model.step is None else [model.step]]
