@@ -224,6 +224,9 @@ def test_a_segment_is_a_distance_with_gradient_one():
     assert found["A1"].value["a"] == found["A1"].value["b"] == 1
     assert found["A4"].value["M_contact"] == pytest.approx(1 / 0.3)
     assert all(found[id].scope is None for id in ("S-convex", "A1", "A4"))
+    assert all("rounded" in found[id].how for id in ("S-convex", "A1", "A4"))  # 1.2^2 + 0.5^2
+    exactly = decided({"wall": segment_distance(q, (0, 0.25), (1.5, 2)) - 0.25}, q, [-1, -1])
+    assert all("rounded" not in exactly[id].how for id in ("S-convex", "A1", "A4"))
 
 
 def test_quadratics():

@@ -167,7 +167,8 @@ def _distance(c: Constraint) -> Answers | None:
     least_reach = over_time(c, expression(moving))  # sup of -r
     reach = -least_reach.bound
     text = "distance" if c.shape.clips else "the norm of an affine function"
-    known = {"S-convex": Answer(HOLDS, {"least": 0.0}, EVERYWHERE, text + " less a number")}
+    taken = "; the rounded constants of its nearest point are taken as exact" if c.shape.rounded else ""
+    known = {"S-convex": Answer(HOLDS, {"least": 0.0}, EVERYWHERE, f"{text} less a number{taken}")}
     if least_reach.value >= 0:
         t = float(np.ravel(least_reach.at)[0])
         return known | _no_reach(c, squares, t, -least_reach.value)
@@ -190,14 +191,14 @@ def _distance(c: Constraint) -> Answers | None:
     # sides: from one to the other |v| - |u| - n(v - u) <= |v - u|^2 / (2 |u|), as for more rows.
     M, M_contact = (b * b / (reach - part) * (1 if diagonal else UP) for part in (delta, 0.0))
     turning = w * b / (reach - delta)
-    how = f"{text}: the gradient is A'n with |n| = 1"
+    how = f"{text}: the gradient is A'n with |n| = 1{taken}"
     clipped = ", a Lipschitz constant of the gradient (the Hessian jumps beyond the end points)" if c.shape.clips else ""
     return known | {
         "A0": Answer(HOLDS, {"c": delta / b, "delta": delta}, EVERYWHERE, "U_i = {g_i > -r/2}"),
         "A1": Answer(HOLDS, {"a": a, "b": b}, EVERYWHERE, how),
         "A2": bounded("b", over_time(c, w * speed + ca.fabs(_rate(c, moving)))),
         "A3": bounded("M", centre, turning),
-        "A4": Answer(HOLDS, {"M": M, "M_contact": M_contact}, EVERYWHERE, f"{text}: |A|^2 / distance{clipped}"),
+        "A4": Answer(HOLDS, {"M": M, "M_contact": M_contact}, EVERYWHERE, f"{text}: |A|^2 / distance{clipped}{taken}"),
     }
 
 

@@ -62,6 +62,7 @@ class Shape:
         time: whether it depends on t.
         form: its form; None for some of kind "other".
         clips: {index: Clip} of the clipped parts in it.
+        rounded: whether these are the nearest points up to the rounding of the user's constants only.
     """
 
     kind: str
@@ -70,6 +71,7 @@ class Shape:
     time: bool
     form: Form | None
     clips: Mapping[int, Clip] = field(default_factory=dict)
+    rounded: bool = False
 
 
 def plus(a: Offset, b: Offset) -> Offset:

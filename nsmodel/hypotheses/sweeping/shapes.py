@@ -72,6 +72,7 @@ class _Reader:
     def __init__(self, q: ca.SX, t: ca.SX) -> None:
         self.t, self.place = t, {symbol.element_hash(): i for i, symbol in enumerate(ca.vertsplit(q))}
         self.clips: dict[int, Clip] = {}
+        self.rounded: set[int] = set()
         self.unary = {
             ca.OP_ASSIGN: lambda a: a,
             ca.OP_NEG: lambda a: self._scale(a, Fraction(-1)),
@@ -109,7 +110,7 @@ class _Reader:
             kind = "quadratic" if form.squares else "plane"
             return Shape(kind, convex or kind == "plane", own, part.time, form)
         if len(form.norms) == 1 and not form.squares and not form.affine.row and form.norms[0][0] > 0 and convex:
-            return Shape("distance", True, own, part.time, form, clips)
+            return Shape("distance", True, own, part.time, form, clips, not self.rounded.isdisjoint(used))
         return Shape("other", convex, own, part.time, form, clips)
 
     def _symbol(self, symbol: ca.SX) -> Part:
@@ -236,6 +237,8 @@ class _Reader:
                 return False
             if abs(rest.offset) > TOLERANCE * offset:  # pyright: ignore
                 return False
+            if rest.row or rest.offset:
+                self.rounded.add(i)
         return True
 
 
