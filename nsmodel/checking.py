@@ -17,7 +17,7 @@ from nsmodel.hypotheses import impacts, uniform
 from nsmodel.hypotheses.along import along
 from nsmodel.hypotheses.findings import ALONG_A_RUN, HOLDS, SAMPLED, VIOLATED, Consequence, Finding, Hypothesis, Report, plain
 from nsmodel.hypotheses.region import Region, around, region_of
-from nsmodel.hypotheses.scope import Box, Scope
+from nsmodel.hypotheses.scope import Box, Scope, meet
 from nsmodel.hypotheses.stay import clauses
 from nsmodel.model.base import Model, shown
 from nsmodel.model.bodies import ManyBodies
@@ -148,6 +148,7 @@ def _for_all(
         made = proofs.consequences(part, box, findings) if proofs else uniform.seen_alike([item for *_, item in reports], boxes)
     except OpaqueExpression as error:
         raise ModelError(str(error)) from None
+    made = [replace(item, scope=meet(item.scope, Scope(parameters=boxes))) for item in made]
     shown_values: dict[str, Any] = {**getattr(part, "bound_parameters", {}), **boxes}
     notes.append(f"{', '.join(boxes)}: all values between the ends; looked at {len(at)} of them, the run is that of the middle")
     return _report(part, box.text, findings, made, shown_values, notes, quick)

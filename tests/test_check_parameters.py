@@ -85,6 +85,23 @@ def test_resistance_with_a_gyrator(box, verdict):
         assert report["4.1"].witness["p"] < 0
 
 
+def test_a_force_that_depends_on_the_parameter():
+    t = ca.SX.sym("t")
+    model = LureSystem(t=t, A=ca.sin(p) * 0 - 1, B=1, C=1, f=[1 / (t - p)], law=relay(1), x0=[0.5], t_end=1, step=0.1,
+                       parameters={p: 2.0})  # fmt: skip
+    well = {box: check(model, parameters={"p": box}, quick=True).consequences[0] for box in ((1.125, 2), (0.75, 2))}
+    assert [item.verdict for item in well.values()] == ["holds", "unknown"]
+    assert dict(well[1.125, 2].scope.parameters) == {"p": (1.125, 2)}
+
+
+def test_a_rest_point_for_all_values():
+    x = ca.SX.sym("x")
+    model = lure(x=x, A=-ca.sin(p * x), B=1, C=1, x0=[0.5])
+    assert check(model, parameters={"p": (0.5, 2)}, quick=True)["7.1"].verdict == "holds"
+    moved = check(lure(x=x, A=p - ca.cosh(x), B=1, C=1, x0=[0.5]), parameters={"p": (1, 2)}, quick=True)
+    assert moved["7.1"].verdict == "violated"
+
+
 def test_random_systems_are_judged_as_at_dense_values():
     rng = np.random.default_rng(3)
     seen = set()

@@ -35,7 +35,7 @@ from nsmodel.proof.multiaffine import corners
 LAW = ("law", "phi")
 READS = {
     "3.1": LAW, "4.1": ("D",), "5.1": ("B", "C"), "5.2": ("A", "B", "C"), "5.4a": ("C", "D", *LAW), "5.4b": ("D", *LAW),
-    "5.4c": ("D", *LAW), "5.x0": ("C", "D", "x0", *LAW), "7.1": ("A", "D", "f", *LAW),
+    "5.4c": ("D", *LAW), "5.x0": ("C", "D", "x0", *LAW), "7.1": ("D", "f", *LAW),
 }  # fmt: skip
 MOST_COLUMNS = 64  # Of all corners of B together.
 MINORS, DIGITS = 6, 12
@@ -67,6 +67,8 @@ def findings(model: LureSystem, region: Region, quick: bool) -> list[Finding]:
     middle = model.bind(values_in(region.parameters)[0])
     at_middle = {finding.id: finding for finding in check(middle, replace(region, parameters={}), (), quick)[0]}
     untouched = {id for id, parts in READS.items() if not any(reads(getattr(model, part), model.p) for part in parts)}
+    if reads(ca.substitute(model.A, model.x, ca.DM.zeros(len(model.names))), model.p):
+        untouched -= {"7.1"}  # A(0) = 0
     energy, stored = (Energy(), None) if is_large(model) else _storage(model, region)
     own = [_input_output(model, region), stored, _growth(model, region, energy, quick), *_ranges(model, region)]
     scope = Scope(parameters=region.parameters)
