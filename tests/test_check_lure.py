@@ -1,5 +1,7 @@
 """Hypotheses 4.1, 5.1, 5.2 of Lur'e systems: against planted P, a semidefinite program from the definition, brute force, runs."""
 
+from fractions import Fraction
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -241,10 +243,14 @@ def test_D_with_a_clear_sign_is_never_sampled():
         L, K = rng.normal(size=(m, m)), rng.normal(size=(m, m))
         S = L @ L.T
         S += (rng.choice([-0.1, 0.1]) - np.linalg.eigvalsh(S)[0]) * np.eye(m)
-        finding = input_output(S + K - K.T)
+        D = S + K - K.T
+        finding = input_output(D)
         least = np.linalg.eigvalsh(S)[0]
         assert finding.verdict == ("holds" if least > 0 else "violated")
         assert finding.value["least eigenvalue"] == pytest.approx(least, abs=1e-9)
+        if least > 0:  # a bound, not an eigenvalue in doubles
+            below = exact.rational(D) - Fraction(finding.value["least eigenvalue"]) * exact.eye(len(D))
+            assert exact.is_psd(below)
 
 
 # -- 5.2, A linear -------------------------------------------------------------------------------------------------------

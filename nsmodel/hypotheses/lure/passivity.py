@@ -37,12 +37,13 @@ def input_output(D: np.ndarray) -> Finding:
     if not D.any():
         return found(D_PSD, HOLDS, "D = 0", {"least eigenvalue": 0.0})
     definite = exact.psd(D)
-    spectrum, vectors = np.linalg.eigh((D + D.T) / 2)
     how = EXACTLY
     if definite.vector is None:
-        least = max(spectrum[0], 0.0) if definite.definite else 0.0
+        symmetric = exact.rational(D) + exact.rational(D).T
+        least = max(-exact.eigenvalue_above(-symmetric) / 2, 0.0) if definite.definite else 0.0
         kind = "positive definite" if definite.definite else f"positive semidefinite, rank of D + D' = {definite.rank}"
         return found(D_PSD, HOLDS, f"{how}: {kind}", {"least eigenvalue": least})
+    spectrum, vectors = np.linalg.eigh((D + D.T) / 2)
     value = {"least eigenvalue": spectrum[0]}
     v, margin = _clearest(D, np.abs(D), [vectors[:, 0], definite.vector])
     witness = {"v": v, "v'Dv": v @ D @ v}
