@@ -398,7 +398,7 @@ class AdaptiveRun(Run):
     def _relays(self) -> list[str]:
         """A warning where theta = 1/2 meets a multiplier with two ends."""
         jumps = np.isfinite(self._law.lower) & np.isfinite(self._law.upper) & (self._law.lower < self._law.upper)
-        jumps[[i for kind, rows, _ in self._law.curved if kind == "ball" for i in range(rows.start, rows.stop)]] = True
+        jumps[[i for rows, K in self._law.curved if K.is_bounded for i in range(rows.start, rows.stop)]] = True
         if getattr(self.model, "theta", 1) != 0.5 or not jumps.any():
             return []
         return [

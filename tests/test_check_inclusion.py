@@ -54,10 +54,10 @@ class Sampler:
         for _ in range(count):
             l = np.zeros(self.m)
             balls = set()
-            for _, rows, radius in self.balls:
+            for rows, K in self.balls:
                 size = np.linalg.norm(u[rows])
                 d = rng.normal(size=rows.stop - rows.start)
-                l[rows] = -radius * u[rows] / size if size else radius * d / np.linalg.norm(d) * rng.uniform()
+                l[rows] = -K.radius * u[rows] / size if size else K.radius * d / np.linalg.norm(d) * rng.uniform()
                 balls |= set(range(rows.start, rows.stop))
             for i in set(range(self.m)) - balls:
                 l[i] = self.lower[i] if u[i] > 0 else self.upper[i] if u[i] < 0 else rng.uniform(self.lower[i], self.upper[i])

@@ -161,8 +161,7 @@ def source(law: NumericLaw = EMPTY, *, both: bool = False, main: bool = False, r
     )
     if law.curved:
         blocks = ", ".join(
-            f"{{{kind != 'ball':d}, {rows.start}, {rows.stop - rows.start}, {joined([radius])}}}"
-            for kind, rows, radius in law.curved
+            f"{{{K.kind != 'ball':d}, {rows.start}, {rows.stop - rows.start}, {joined([K.radius])}}}" for rows, K in law.curved
         )
         text += TABLES.format(lower=joined(law.lower), upper=joined(law.upper), blocks=blocks)
     parts = ["solvers.c", "linear.c", "affine.c", *(["lemke.c"] if box_too else []), *(["cone.c"] if law.curved else [])]

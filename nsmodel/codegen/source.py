@@ -17,6 +17,7 @@ from nsmodel.codegen.loops import c_function
 from nsmodel.codegen.needs import flags_of, sizes_of
 from nsmodel.codegen.scene import BANDED, FIXED, INCLUSION, Scene
 from nsmodel.codegen.tables import table
+from nsmodel.laws import CURVED
 from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.scheme import constraints, initial_rows
@@ -167,8 +168,8 @@ def _tables(scene: Scene, flags: frozenset[str]) -> str:
     if curved:
         lines.append("typedef struct { int kind, start, size; double radius; } curved_block; /* kind 0 a ball, 1 a cone */\n")
         blocks = (
-            f"{{{int(kind != 'ball')}, {rows.start}, {rows.stop - rows.start}, {number(radius).text}}}"
-            for kind, rows, radius in curved
+            f"{{{list(CURVED).index(K.kind)}, {rows.start}, {rows.stop - rows.start}, {number(K.radius).text}}}"
+            for rows, K in curved
         )
         lines.append(f"static const curved_block curved[MODEL_CURVED] = {{{', '.join(blocks)}}};\n")
     if scene.parameters:
@@ -226,8 +227,8 @@ def _bounds(scene: Scene) -> dict[str, ca.SX]:
     """The ends of the law as expressions of the parameters; the radius of each curved block."""
     lower, upper = ca.densify(ca.SX(scene.problem.law.lower)), ca.densify(ca.SX(scene.problem.law.upper))
     radii = []
-    for kind, rows, _ in scene.law.curved:
-        radii.append(upper[rows.start] if kind == "ball" else ca.SX(ca.inf))
+    for rows, K in scene.law.curved:
+        radii.append(upper[rows.start] if K.is_bounded else ca.SX(ca.inf))
         lower[rows.start : rows.stop], upper[rows.start : rows.stop] = -ca.inf, ca.inf
     return {"lower": lower, "upper": upper} | ({"radius": ca.vertcat(*radii)} if radii else {})
 

@@ -73,12 +73,11 @@ def least_force(model: FrictionOscillator, x: np.ndarray) -> np.ndarray:
     # Rows with u != 0 have one multiplier; those with u = 0 any in their face.
     scale = 1e-12 * (1 + np.abs(x).max(initial=0.0))
     tied = np.abs(u_x) <= scale
-    for _, rows, _ in law.curved:
+    for rows, _ in law.curved:
         tied[rows] = bool((np.abs(u_x[rows]) <= scale).all())
     fixed = np.where(u_x > 0, lower, upper)
-    for kind, rows, radius in law.curved:
-        size = np.linalg.norm(u_x[rows])
-        fixed[rows] = -radius * u_x[rows] / size if kind == "ball" and size else 0.0
+    for rows, K in law.curved:
+        fixed[rows] = K.selected(u_x[rows]) if u_x[rows].any() else 0.0
     fixed = np.where(tied, 0.0, fixed)
     base = base + A @ np.where(np.isfinite(fixed), fixed, 0.0)
     free = np.flatnonzero(tied)
@@ -86,8 +85,8 @@ def least_force(model: FrictionOscillator, x: np.ndarray) -> np.ndarray:
         return base
     position = {int(i): j for j, i in enumerate(free)}
     curved = tuple(
-        (kind, slice(position[rows.start], position[rows.start] + rows.stop - rows.start), radius)
-        for kind, rows, radius in law.curved if tied[rows].all()
+        (slice(position[rows.start], position[rows.start] + rows.stop - rows.start), K)
+        for rows, K in law.curved if tied[rows].all()
     )  # fmt: skip
     sub = type(law)(lower[free], upper[free], curved)
     M = A[:, free]

@@ -221,7 +221,7 @@ class Stepper:
         attempt = self._evaluated(kernel, t, state, found.index, found.solver)
         if self.law.curved:  # the kernel's own residual covers the boxes only
             by_row = mlcp.residual(kernel.W, b, self.law, found.l)
-            curved = max(float(by_row[rows].max()) for _, rows, _ in self.law.curved)
+            curved = max(float(by_row[rows].max()) for rows, _ in self.law.curved)
             attempt = attempt._replace(residual=max(attempt.residual, curved))
         attempt.row[self.layout.residual] = attempt.residual
         yield attempt

@@ -16,13 +16,14 @@ that is known (`mlcp`), |W| |l| stands for it. Two limits on these scales:
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from nsmodel.laws import Curved, curved_set
+from nsmodel.laws.curved import norm
 from nsmodel.model.laws import Law
 
 EPS = np.finfo(float).eps
@@ -35,11 +36,11 @@ GROWTH = 1e3  # How far the multipliers' terms may raise the scale of y above th
 
 @dataclass(frozen=True)
 class NumericLaw:
-    """K with numbers: the box [lower, upper] (m,), and the curved blocks as (kind, slice, radius)."""
+    """K with numbers: the box [lower, upper] (m,), and the rows of each curved block with its set."""
 
     lower: np.ndarray
     upper: np.ndarray
-    curved: tuple[tuple[str, slice, float], ...]
+    curved: tuple[tuple[slice, Curved], ...]
 
     @property
     def size(self) -> int:
@@ -59,7 +60,7 @@ def numeric_law(law: Law) -> NumericLaw:
     for block in law.blocks:
         rows = slice(at, at + block.size)
         if block.kind != "box":
-            curved.append((block.kind, rows, float(upper[at]) if block.kind == "ball" else np.inf))
+            curved.append((rows, curved_set(block.kind, block.size, block.upper)))
             lower[rows], upper[rows] = -np.inf, np.inf
         at += block.size
     return NumericLaw(lower, upper, tuple(curved))
@@ -91,7 +92,7 @@ def law_residual(
         between = np.maximum(_ratio(outside, s_l), _ratio(size, s_y))
         residual = np.minimum(np.minimum(at_lower, at_upper), between)
         for block in law.curved:
-            residual[block[1]] = _curved_residual(block, l, y, s_y, s_l, w_max)
+            residual[block[0]] = _curved_residual(block, l, y, s_y, s_l, w_max)
     return np.where(np.isnan(residual) | ~(np.isfinite(l) & np.isfinite(y) & np.isfinite(s_y)), np.inf, residual)
 
 
@@ -106,38 +107,19 @@ def multiplier_scale(law: NumericLaw, l: np.ndarray, w_max: np.ndarray) -> np.nd
     largest = (size * root).max(initial=0.0)
     others = np.divide(NEGLIGIBLE * largest, root, out=np.zeros_like(root), where=root > 0)
     scale = np.maximum(np.maximum(size, bound_size(law)), others)
-    for kind, rows, radius in law.curved:
-        scale[rows] = max(norm(size[rows]), radius if kind == "ball" else 0.0, others[rows].max())
+    for rows, K in law.curved:
+        scale[rows] = max(norm(size[rows]), K.radius if K.is_bounded else 0.0, others[rows].max())
     return scale
 
 
 def _curved_residual(block: Any, l: Any, y: Any, s_y: Any, s_l: Any, w_max: Any) -> float:
     """|l - P_K(l - c y)| / s_l: by Minty (P_K(u), (P_K(u) - u)/c), u = l - c y, is a point of the graph, c = 1 / w."""
-    kind, rows, radius = block
+    rows, K = block
     l, y = l[rows], y[rows]
     c = 1 / w_max[rows].max() if w_max[rows].any() else 1.0
     scale = min(c * norm(s_y[rows]), s_l[rows].max())
-    distance = norm(l - project(kind, radius, l - c * y))
+    distance = norm(l - K.project(l - c * y))
     return float(distance / scale) if distance else 0.0
-
-
-def norm(u: np.ndarray) -> float:
-    """|u|, whose squares may overflow."""
-    return math.hypot(*u)
-
-
-def project(kind: str, radius: float, u: np.ndarray) -> np.ndarray:
-    """P_K(u) for a ball of the given radius or the second-order cone."""
-    if kind == "ball":
-        size = norm(u)
-        return u if size <= radius else u * (radius / size)
-    head, size = u[0], norm(u[1:])
-    if size <= head:
-        return u
-    if size <= -head:
-        return np.zeros_like(u)
-    t = (head + size) / 2
-    return np.concatenate(([t], u[1:] * (t / size)))
 
 
 def _ratio(a: np.ndarray, s: np.ndarray) -> np.ndarray:

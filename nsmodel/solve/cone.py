@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
+from nsmodel.laws.curved import Curved, norm
 from nsmodel.solve.active_set import row_scale, solve_or_least_squares
-from nsmodel.solve.certificate import EPS, NumericLaw, norm, project
+from nsmodel.solve.certificate import EPS, NumericLaw
 
 
 def block_scale(W: np.ndarray, law: NumericLaw) -> np.ndarray:
     """The factor c of the natural map l - P_K(l - c y): one value for each row, equal within a curved block."""
     c = row_scale(W)
-    for _, rows, _ in law.curved:
+    for rows, _ in law.curved:
         c[rows] = c[rows].min()
     return c
 
@@ -19,36 +20,16 @@ def block_scale(W: np.ndarray, law: NumericLaw) -> np.ndarray:
 def projection(law: NumericLaw, u: np.ndarray) -> np.ndarray:
     """P_K(u)."""
     l = np.clip(u, law.lower, law.upper)
-    for kind, rows, radius in law.curved:
-        l[rows] = project(kind, radius, u[rows])
+    for rows, K in law.curved:
+        l[rows] = K.project(u[rows])
     return l
 
 
 def projection_jacobian(law: NumericLaw, u: np.ndarray) -> np.ndarray:
     """An element of the generalised Jacobian of P_K at u, (m, m)."""
     J = np.diag(((u > law.lower) & (u < law.upper)).astype(float))
-    for kind, rows, radius in law.curved:
-        J[rows, rows] = _ball_jacobian(u[rows], radius) if kind == "ball" else _cone_jacobian(u[rows])
-    return J
-
-
-def _ball_jacobian(u: np.ndarray, radius: float) -> np.ndarray:
-    size = norm(u)
-    if size <= radius:
-        return np.eye(u.size)
-    e = u / size
-    return (radius / size) * (np.eye(u.size) - np.outer(e, e))
-
-
-def _cone_jacobian(u: np.ndarray) -> np.ndarray:
-    size = norm(u[1:])
-    if size <= u[0]:
-        return np.eye(u.size)
-    if size <= -u[0]:
-        return np.zeros((u.size, u.size))
-    e, J = u[1:] / size, np.empty((u.size, u.size))
-    J[0, 0], J[0, 1:], J[1:, 0] = 0.5, e / 2, e / 2
-    J[1:, 1:] = ((1 + u[0] / size) * np.eye(e.size) - (u[0] / size) * np.outer(e, e)) / 2
+    for rows, K in law.curved:
+        J[rows, rows] = K.jacobian(u[rows])
     return J
 
 
@@ -56,12 +37,8 @@ def index_set(law: NumericLaw, l: np.ndarray, y: np.ndarray, c: np.ndarray) -> n
     """Codes of (l, y): rows of a block share one; 0 where y = 0, -1 where l = 0 (cone), +1 on the curved boundary."""
     u = l - c * y
     code = np.where(u <= law.lower, -1, np.where(u >= law.upper, 1, 0)).astype(np.int8)
-    for kind, rows, radius in law.curved:
-        head, size = u[rows][0], norm(u[rows] if kind == "ball" else u[rows][1:])
-        if kind == "ball":
-            code[rows] = 1 if size > radius else 0
-        else:
-            code[rows] = 0 if size <= head else (-1 if size <= -head else 1)
+    for rows, K in law.curved:
+        code[rows] = K.code(u[rows])
     return code
 
 
@@ -94,16 +71,16 @@ def semismooth_newton(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarr
 
 
 def _relative(F: np.ndarray, c: np.ndarray, W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray) -> float:
-    """The largest part of the natural map beside what it consists of: |l|, c |W| |l|, and the radius of a ball, or c |b| for
-    other rows, which at a bound have F = 0. A row far from its bound, or a ball that slides fast, says nothing about the size
+    """The largest part of the natural map beside what it consists of: |l|, c |W| |l|, and the radius of a bounded set, or c |b|
+    for other rows, which at a bound have F = 0. A row far from its bound, or a ball that slides fast, says nothing about the size
     of the others.
     """
     size, extent = np.abs(F), c * np.abs(b)
-    for kind, rows, radius in law.curved:
-        if kind == "ball":
-            extent[rows] = radius
+    for rows, K in law.curved:
+        if K.is_bounded:
+            extent[rows] = K.radius
     scale = np.abs(l) + c * (np.abs(W) @ np.abs(l)) + extent
-    for _, rows, _ in law.curved:
+    for rows, _ in law.curved:
         size[rows], scale[rows] = size[rows].max(), scale[rows].max()
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(size == 0, 0.0, size / scale)
@@ -114,19 +91,19 @@ def gauss_seidel(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray, s
     """Projected block gradient sweeps: slow, but convergent for symmetric psd W. Gives Newton a start near the solution."""
     l = projection(law, l)
     start = l.copy()
-    blocks = [(rows, kind, radius) for kind, rows, radius in law.curved]
+    blocks: list[tuple[slice, Curved | None]] = list(law.curved)
     in_block = np.zeros(law.size, bool)
-    for rows, _, _ in blocks:
+    for rows, _ in blocks:
         in_block[rows] = True
-    blocks += [(slice(i, i + 1), "box", np.inf) for i in np.flatnonzero(~in_block)]
-    steps = [1 / max(np.linalg.norm(W[rows, rows], 2), np.finfo(float).tiny) for rows, _, _ in blocks]
+    blocks += [(slice(i, i + 1), None) for i in np.flatnonzero(~in_block)]
+    steps = [1 / max(np.linalg.norm(W[rows, rows], 2), np.finfo(float).tiny) for rows, _ in blocks]
     for _ in range(sweeps):
         if not np.isfinite(l).all() or np.abs(l).max(initial=0.0) > 1e100:  # it diverges: W is not symmetric psd
             return start
         old = l.copy()
-        for (rows, kind, radius), step in zip(blocks, steps, strict=True):
+        for (rows, K), step in zip(blocks, steps, strict=True):
             u = l[rows] - step * (W[rows] @ l + b[rows])
-            l[rows] = np.clip(u, law.lower[rows], law.upper[rows]) if kind == "box" else project(kind, radius, u)
+            l[rows] = np.clip(u, law.lower[rows], law.upper[rows]) if K is None else K.project(u)
         if np.abs(l - old).max(initial=0.0) <= 1e-10 * np.abs(l).max(initial=0.0):
             break
     return l
@@ -138,15 +115,11 @@ def exact_zeros(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray) ->
     code = index_set(law, l, W @ l + b, c)
     l = np.where(code < 0, np.where(np.isfinite(law.lower), law.lower, 0.0), l)
     l = np.where((code > 0) & np.isfinite(law.upper), law.upper, l)
-    for kind, rows, radius in law.curved:
+    for rows, K in law.curved:
         if code[rows][0] == 1:
-            l[rows] = project(kind, radius, l[rows] * 2) if kind == "ball" else _onto_boundary(l[rows])
+            l[rows] = K.onto_boundary(l[rows])
     free, rest = code == 0, code != 0
     if free.any():
         l = l.copy()
         l[free] = solve_or_least_squares(W[np.ix_(free, free)], -(b[free] + W[np.ix_(free, rest)] @ l[rest]))
     return l, code
-
-
-def _onto_boundary(l: np.ndarray) -> np.ndarray:
-    return np.concatenate(([norm(l[1:])], l[1:]))

@@ -229,7 +229,7 @@ def _judge(
         terms = ca.fabs(at.Y_z) @ ca.fabs(ca.sparsify(ca.DM(Z)) @ l) + ca.fabs(at.Y_l) @ ca.fabs(l)
         s_y = output_scale_sx(b, terms, w_max)
         s_y = ca.fmax(s_y + error_Y / tolerance, UNRESOLVED)
-        box = [i for i in range(m) if not any(rows.start <= i < rows.stop for _, rows, _ in law.curved)]
+        box = [i for i in range(m) if not any(rows.start <= i < rows.stop for rows, _ in law.curved)]
         residual = ca.fmax(residual, box_residual_sx(law, box, w_max, l, at.Y, s_y))
         settled = settled_sx(law, box, l, at.Y, free, error_Y)
     if structure.projection:  # <l, y> bounds the square of the distance to the projection

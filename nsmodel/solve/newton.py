@@ -461,7 +461,7 @@ class Newton:
 
     def _on_boundary(self, index: np.ndarray) -> bool:
         """Whether a curved block is on its boundary: then its index set is no linear system."""
-        return any(index[rows][0] > 0 for _, rows, _ in self.law.curved)
+        return any(index[rows][0] > 0 for rows, _ in self.law.curved)
 
     def on_index_set(
         self, t: float, h: float, state: np.ndarray, z: np.ndarray, l: np.ndarray, index: np.ndarray
@@ -475,7 +475,7 @@ class Newton:
         """`on_index_set`, by ``least`` linear systems or more."""
         t, h, state = known[:3]
         l = np.where(index < 0, self.law.lower, np.where(index > 0, self.law.upper, l))
-        for _, rows, _ in self.law.curved:
+        for rows, _ in self.law.curved:
             l[rows] = 0.0 if index[rows][0] < 0 else l[rows]
         if not np.isfinite(l).all():
             return None

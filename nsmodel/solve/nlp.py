@@ -36,21 +36,16 @@ class Programme:
         up, down = ca.SX.sym("y_up", m), ca.SX.sym("y_down", m)
         has_lo, has_up = np.isfinite(law.lower), np.isfinite(law.upper)
         curved = np.zeros(m, bool)
-        for _, rows, _ in law.curved:
+        for rows, _ in law.curved:
             curved[rows] = True
         gap, extra, y = ca.SX(0), [], up - down
         for i in np.flatnonzero(~curved):
             gap += (p.l[i] - law.lower[i]) * up[i] if has_lo[i] else 0
             gap += (law.upper[i] - p.l[i]) * down[i] if has_up[i] else 0
-        for kind, rows, radius in law.curved:
-            l, y_block = p.l[rows.start : rows.stop], y[rows.start : rows.stop]
-            if kind == "ball":
-                gap += ca.dot(l, y_block) + radius * ca.sqrt(ca.sumsqr(y_block) + TINY)
-                extra.append(radius**2 - ca.sumsqr(l))
-            else:
-                gap += ca.dot(l, y_block)
-                for v in (l, y_block):
-                    extra += [v[0], v[0] ** 2 - ca.sumsqr(v[1:])]
+        for rows, K in law.curved:
+            own, inequalities = K.complementarity(p.l[rows.start : rows.stop], y[rows.start : rows.stop], TINY)
+            gap += own
+            extra += inequalities
         unknowns = ca.vertcat(p.z, p.l, up, down)
         equations = ca.vertcat(p.E, p.Y - y)
         self._n, self._m, self._equations = p.z.numel(), m, equations.numel()

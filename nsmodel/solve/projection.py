@@ -118,11 +118,10 @@ class CatchingUp:
                 tied[i] = True
             else:
                 l[i] = face.lower[i] if u[i] > 0 else face.upper[i]
-        for kind, rows, radius in face.curved:
-            size = np.linalg.norm(u[rows])
-            tied[rows] = size == 0
-            if kind == "ball" and size:
-                l[rows] = -radius * u[rows] / size
+        for rows, K in face.curved:
+            tied[rows] = not u[rows].any()
+            if u[rows].any():
+                l[rows] = K.selected(u[rows])
         if not tied.any():
             return v_0 + A @ l, l, 0.0
         c, J = (np.array(part) for part in self._c(x))
@@ -134,8 +133,8 @@ class CatchingUp:
         k = normals.shape[0]
         position = {int(i): j for j, i in enumerate(free)}
         curved = tuple(
-            (kind, slice(position[rows.start], position[rows.start] + rows.stop - rows.start), radius)
-            for kind, rows, radius in face.curved if tied[rows].all()
+            (slice(position[rows.start], position[rows.start] + rows.stop - rows.start), K)
+            for rows, K in face.curved if tied[rows].all()
         )  # fmt: skip
         law = NumericLaw(
             np.concatenate([face.lower[free], np.zeros(k)]), np.concatenate([face.upper[free], np.full(k, np.inf)]), curved

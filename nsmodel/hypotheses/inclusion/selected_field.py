@@ -116,7 +116,7 @@ def field_of(model: MonotoneInclusion, C: ConvexSet) -> Field:
     chosen, law = selection(model), numeric_law(selection(model).law)
     G, l, u = chosen.velocity, chosen.l, chosen.u
     lower, upper = np.array(law.lower, float), np.array(law.upper, float)
-    balls = {rows.start: (rows, radius) for _, rows, radius in law.curved}
+    balls = {rows.start: (rows, K.radius) for rows, K in law.curved}
     for rows, radius in balls.values():
         lower[rows], upper[rows] = -radius, radius
     G, settled = _settle(G, l, u, lower, upper, C, {i for rows, _ in balls.values() for i in range(rows.start, rows.stop)})
