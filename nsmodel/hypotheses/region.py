@@ -14,13 +14,14 @@ from nsmodel.errors import UsageError
 from nsmodel.hypotheses.scope import Box, Scope
 from nsmodel.model.base import Model
 from nsmodel.model.bodies import ManyBodies
+from nsmodel.model.pickled import Pickled
 from nsmodel.trajectory import Trajectory
 
 GROWTH = 1.5  # The box is this much wider than the runs.
 
 
 @dataclass(frozen=True)
-class Region:
+class Region(Pickled):
     """A box: lower (n,), upper (n,) of the states, t0 <= t <= t1; ``origin`` says where it comes from.
 
     ``parameters`` are the boxes of parameters that stayed symbols, in the order of the model's ``p``.
