@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError
+from nsmodel.model.tables import opened
 from nsmodel.proof.graph import column, constants
 
 
@@ -92,7 +93,7 @@ def to_sx(value: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
     Raises:
         ModelError: an undeclared symbol, a NaN, rows of unequal length, an unknown function or type.
     """
-    result = _convert(value, symbols, label)
+    result = opened(_convert(value, symbols, label))
     used = ca.symvar(result)
     known = {symbol.element_hash() for symbol in symbols.values()} if used else set()
     _refuse_undeclared((symbol.name() for symbol in used), symbols, label)
