@@ -33,6 +33,7 @@ from nsmodel.proof import exact, interval
 from nsmodel.proof.exact import EPS
 from nsmodel.proof.extremum import spectral_norm
 from nsmodel.proof.graph import operations
+from nsmodel.proof.search import are_quick
 from nsmodel.trajectory import Trajectory
 
 NOTES = "Siconos developer's notes"
@@ -72,7 +73,7 @@ def check(
     step = _step(at, quick)
     regular = _regular(at, step, quick)
     mlcp = solvable(F_MLCP, at, regular.verdict, quick)
-    findings = [_jacobians(at), regular, mlcp, one_step.unique(F_UNIQUE, at, regular, mlcp, runs, quick), step]
+    findings = [_jacobians(at), regular, mlcp, one_step.unique(F_UNIQUE, at, regular, mlcp, runs, quick or are_quick()), step]
     return findings, consequences_of(at.model, at.affine, findings, runs)
 
 
