@@ -14,7 +14,7 @@ from nsmodel.proof.interval import halves, mean_value
 from nsmodel.proof.straight_line import Program, program
 
 CLOSE = 1.05  # Cutting ends where the bound is this near to what is attained.
-PARTS, ENOUGH = 3_000, 1_000  # Parts of the box looked at, and how many where the bound is within a factor of 2 by then.
+PARTS, ENOUGH = 1_500, 700  # Parts of the box looked at, and how many where the bound is within a factor of 2 by then.
 INSTRUCTIONS = 250  # With more instructions in the gradients fewer parts are looked at.
 AT_ONCE = 512
 DEEP, DEEPER = 12, 40  # Halvings of each coordinate after which a part without bound is not cut any further.
