@@ -311,6 +311,22 @@ def test_random_inclusions_are_judged_as_at_dense_values():
     assert {("M-T", "holds"), ("M-T", "violated"), ("M-C", "violated"), ("M-A3", "holds"), ("M-A3", "violated")} <= set(seen)
 
 
+OUTSIDE = {"z_0 + z_1 >= 1": z[0] + z[1] - 1, "a disc that moves": 1 - (z[0] - 2 - p) ** 2 - z[1] ** 2}
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+@pytest.mark.parametrize("S", [None, "signs", "tanh and signs"])
+@pytest.mark.parametrize("F", [-z, ca.vertcat(-z[0] + ca.sin(p * z[1]), -2 * z[1])], ids=str)
+def test_sets_that_do_not_hold_0(name, S, F):
+    """The distance of C enters beta."""
+    signs, bent = ca.vertcat(p * ca.sign(z[0] - 1), 0), ca.vertcat(0, ca.tanh(p * z[1]))
+    operator = {None: None, "signs": signs, "tanh and signs": signs + bent}[S]
+    model = inclusion(F, operator, x0=[2.5, 0.0], constraints={"c": OUTSIDE[name]})
+    report = decided(model, p=(0.25, 1))
+    assert [report[id].verdict for id in ("M-T", "M-C", "M-A1", "M-A2", "M-A3", "M-24")] == ["holds"] * 6
+    brute(model, report, p=np.linspace(0.25, 1, 7))
+
+
 def test_what_follows_for_an_inclusion():
     model = inclusion(-p * x + q, x0=[0.25])
     made = {item.name: item for item in decided(model, p=(0.5, 2), q=(-1, 1)).consequences}

@@ -9,18 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.errors import NsmodelError
 from nsmodel.hypotheses.domain import without_domain
-from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Consequence, Finding, found
+from nsmodel.hypotheses.findings import UNKNOWN, VIOLATED, Consequence, Finding, found
 from nsmodel.hypotheses.inclusion import check as inclusion
 from nsmodel.hypotheses.inclusion.check import A3, HYPOTHESES, check, consequences_of
-from nsmodel.hypotheses.inclusion.growth import UP, linear_growth
+from nsmodel.hypotheses.inclusion.growth import linear_growth
 from nsmodel.hypotheses.inclusion.one_sided import one_sided
+from nsmodel.hypotheses.inclusion.over_parameters import LEAST, Scene, Switching, over_parameters, switching_part
 from nsmodel.hypotheses.inclusion.selected_field import field_of, set_of
 from nsmodel.hypotheses.inclusion.tangent import dissipativity
 from nsmodel.hypotheses.region import Region
@@ -28,9 +28,7 @@ from nsmodel.hypotheses.scope import Box, Scope
 from nsmodel.hypotheses.uniform import Values, agreed, for_the_box, middle_of, reads, roots, untouched, values_in
 from nsmodel.model.convex import split
 from nsmodel.model.inclusion import MonotoneInclusion
-from nsmodel.proof import extremum, interval
-from nsmodel.proof.convex import convexity
-from nsmodel.proof.convex.convex_sets import ConvexSet
+from nsmodel.proof import interval
 from nsmodel.proof.convex.moving_sets import MovingSet, has_interior_for_all, is_convex_for_all, outer
 from nsmodel.proof.mixtures import mixture
 from nsmodel.proof.verdict import Part
@@ -42,21 +40,6 @@ ALL = ("field", *OF_T)
 READS = {
     "M-T": OF_T, "M-C": ADMISSIBLE, "M-A1": ("field", *ADMISSIBLE), "M-A2": ALL, "M-A3": ALL, "M-24": ALL,
 }  # fmt: skip
-LEAST = "least eigenvalue of sym S'"
-
-
-class Scene(NamedTuple):
-    """What all decisions rest on: C(p), a set that holds them all, the part of it that is looked at.
-
-    Each C(p) has a point no farther than ``reach`` from 0.
-    """
-
-    model: MonotoneInclusion
-    moving: MovingSet
-    C: ConvexSet
-    box: tuple[np.ndarray, np.ndarray]
-    reach: float
-    quick: bool
 
 
 def values(model: MonotoneInclusion, box: Box) -> list[Values]:
@@ -73,7 +56,7 @@ def findings(model: MonotoneInclusion, region: Region, quick: bool) -> list[Find
     convex, interior = is_convex_for_all(moving, *box, quick=quick), has_interior_for_all(moving, start)
     if interior is None:
         return for_the_box([], same, region)
-    reach = 0.0 if not moving.moving or _holds_zero(moving) else interior.reach
+    reach = interior.reach if interior.reach and not _holds_zero(moving) else 0.0
     parts = _decided(Scene(model, moving, C, box, reach, quick))
     if convex is not None:
         parts["M-C"] = interior.part._replace(how=f"{convex.how}; {interior.part.how}", local=convex.local)
@@ -116,7 +99,19 @@ def _not_drawn_back(model: MonotoneInclusion, region: Region) -> Finding:
 def _decided(scene: Scene) -> dict[str, Part]:
     """(5), (A1)-(A3), (24), where proved."""
     parts = {id: part for id, part in _at_corners(scene).items() if part is not None}
-    return parts if len(parts) == len(HYPOTHESES) - 1 else {**_over_the_box(scene), **parts}
+    return parts if len(parts) == len(HYPOTHESES) - 1 else {**over_parameters(scene, _switching(scene)), **parts}
+
+
+def _switching(scene: Scene) -> Switching:
+    """What the signs of S are proved to be, and the kinks of phi (nothing is said of these)."""
+    if not selection(scene.model).l.numel():
+        return Switching(monotone=True, size=0.0)
+    signs = None if scene.model.phi is not None else switching_part(scene.model)
+    models = [] if signs is None else _models(scene, ca.vertcat(ca.SX.zeros(scene.C.n), signs))
+    T = agreed((inclusion.operator(one, scene.C, scene.box, scene.quick) for one in models), {})
+    a = agreed((linear_growth(field_of(one, scene.C), scene.box, quick=scene.quick) for one in models), {"a_1": max, "a_2": max})
+    size = a.value["a_1"] if a is not None and not a.value["a_2"] else np.inf
+    return Switching(monotone=T is not None and not T.local, size=size)
 
 
 # -- corners -----------------------------------------------------------------------------------------------------------
@@ -133,7 +128,8 @@ def _at_corners(scene: Scene) -> dict[str, Part | None]:
     F = agreed((inclusion.continuous(one, scene.C, scene.box) for one in fields), {"kinks": max})
     made = [field_of(one, scene.C) for one in whole]
     growth = [linear_growth(field, scene.box, quick=quick) for field in made]
-    drawn = (dissipativity(field, a, quick=quick, reach=scene.reach) for field, a in zip(made, growth, strict=True))
+    reach = scene.reach if scene.moving.moving else 0.0
+    drawn = (dissipativity(field, a, quick=quick, reach=reach) for field, a in zip(made, growth, strict=True))
     alone = [one.field if T is not None and not T.local else None for one in whole]
     slopes = (one_sided(field, scene.box, quick=quick, alone=own) for field, own in zip(made, alone, strict=True))
     return {
@@ -161,41 +157,3 @@ def _models(scene: Scene, rows: ca.SX) -> list[MonotoneInclusion]:
                 return []
         made.append(own)
     return made
-
-
-# -- bounds over states and parameters ---------------------------------------------------------------------------------
-
-
-def _over_the_box(scene: Scene) -> dict[str, Part]:
-    """The same from bounds of Jacobians over (x, p), where nothing switches."""
-    model, C, found = scene.model, scene.C, dict[str, Part]()
-    chosen = selection(model)
-    ends = (C.hull, False), (scene.box, True)
-    boxes = [(np.append(low, scene.moving.lower), np.append(high, scene.moving.upper), local) for (low, high), local in ends]
-    z = ca.vertcat(C.x, model.p)
-    label = "bounds over states and parameters together"
-    for low, high, local in boxes:
-        if "M-A1" not in found and interval.is_continuous(model.field, z, low, high):
-            found["M-A1"] = Part(HOLDS, f"no operation of F jumps or has a pole: {label}", {"kinks": 0}, {}, local)
-        if chosen.l.numel() or not interval.is_continuous(ca.vertcat(chosen.velocity, model.operator), z, low, high):
-            continue
-        S, J = (ca.jacobian(part, C.x) for part in (model.operator, chosen.velocity))
-        top = extremum.largest_eigenvalue(-(S + S.T) / 2, z, low, high, bound_to=0.0, quick=scene.quick).bound
-        phi = ca.SX(0) if model.phi is None else without_domain(model.phi, model.x, "phi")
-        if "M-T" not in found and (top <= 0 if model.phi is None else convexity.shapes(phi, z, low, high, of=C.x)[0].convex):
-            found["M-T"] = Part(HOLDS, f"the symmetric Jacobian of S is psd: {label}", {LEAST: max(-top, 0.0)}, {}, local)
-        L = extremum.largest_eigenvalue((J + J.T) / 2, z, low, high, quick=scene.quick).bound
-        if "M-24" not in found and np.isfinite(L):
-            found["M-24"] = Part(HOLDS, f"eigenvalues of the symmetric Jacobian: {label}", {"L": L + 0.0}, {}, local)
-        if local or not (not scene.moving.rows.numel() or _holds_zero(scene.moving)):
-            continue
-        zero = np.append(np.zeros(C.n), scene.moving.lower), np.append(np.zeros(C.n), scene.moving.upper)
-        at = np.max(np.abs(interval.enclose(chosen.velocity, z, *zero)), axis=0)
-        M, slope = float(np.linalg.norm(at)) * UP, extremum.spectral_norm(J, z, low, high, quick=True).bound
-        if np.isfinite(M + slope):
-            how = f"|F - S| <= |G(0)| + |G'| |x|: {label}"
-            found["M-A2"] = Part(HOLDS, how, {"a_1": M, "a_2": slope}, {})
-        if L < 0 and np.isfinite(M):
-            how = f"<x, F - S> <= L |x|^2 + |G(0)| |x|, L < 0: {label}"
-            found["M-A3"] = Part(HOLDS, how, {"alpha": -L / 2, "beta": M**2 / (-2 * L) * UP}, {})
-    return found

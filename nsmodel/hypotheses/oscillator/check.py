@@ -108,6 +108,8 @@ def _potential(
     x0 = np.array(ca.DM(model.x0)).ravel()
     box = region.lower, region.upper
     interior = has_interior(domain, x0)
+    if domain.empty:
+        return found(G, VIOLATED, f"interior: {interior.how}", interior.value, interior.witness), None
     closed = is_convex(domain, *box, quick=quick)
     convex = potentials.is_convex(g, domain, *box, quick=quick)
     below = None

@@ -248,7 +248,9 @@ class _Walk:
             left, right = right, left
         if self.nodes[right].constant:
             low, high = self.low[right], self.high[right]
-            return self.known[left].affine or (low >= 0 and self._is(left, sign)) or (high <= 0 and self._is(left, -sign))
+            if self.known[left].affine and (node.op == ca.OP_MUL or low > 0 or high < 0):
+                return True
+            return (low >= 0 and self._is(left, sign)) or (high <= 0 and self._is(left, -sign))
         if self.nodes[left].constant:  # c / u
             low, high = self.low[left], self.high[left]
             factor = 1 if low >= 0 else -1 if high <= 0 else 0

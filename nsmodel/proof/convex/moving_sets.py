@@ -105,7 +105,7 @@ def has_interior_for_all(C: MovingSet, start: np.ndarray) -> Interior | None:
         return Interior(Part(HOLDS, "the whole space", {}, {}), 0.0)
     if not C.moving:
         part = has_interior(set_of(C.x, C.rows), start)
-        return Interior(part, float("inf")) if part.verdict == HOLDS else None
+        return Interior(part, _size(part.witness["interior point"])) if part.verdict == HOLDS else None
     z = ca.vertcat(C.x, C.p)
     left, points, margin, count = [(C.lower, C.upper)], [np.zeros(C.x.numel()), start], np.inf, 0
     used: list[np.ndarray] = []
@@ -129,5 +129,9 @@ def has_interior_for_all(C: MovingSet, start: np.ndarray) -> Interior | None:
         left += [(low, np.where(cut, middle, high)), (np.where(cut, middle, low), high)]
     one = len(used) == 1
     how = f"a strictly feasible point {'for all values' if one else f'in each of {len(used)} cells of the parameters'} (bounds)"
-    reach = max(float(np.linalg.norm(x)) for x in used) * (1 + 1e-12)
-    return Interior(Part(HOLDS, how, {MARGIN: margin}, {"interior point": used[0]} if one else {}), reach)
+    part = Part(HOLDS, how, {MARGIN: margin}, {"interior point": used[0]} if one else {})
+    return Interior(part, max(_size(point) for point in used))
+
+
+def _size(point: np.ndarray) -> float:
+    return float(np.linalg.norm(point)) * (1 + 1e-12)
