@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
+from fractions import Fraction
 from itertools import product
 from typing import Any
 
@@ -11,8 +12,12 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding, plain
+from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.scope import Box, Scope, meet
+from nsmodel.model.base import Model
+from nsmodel.proof import polynomial, polynomial_signs
 from nsmodel.proof.extremum import samples
+from nsmodel.proof.verdict import Part
 
 CORNERS, INSIDE = 3, 6  # Corners of the box are looked at for so many parameters, and so many points inside.
 SPECIAL = (0.0, 1.0, -1.0)  # Values at which ranks and signs of models tend to change.
@@ -22,9 +27,8 @@ Values = dict[str, float]
 
 def values_in(box: Box, more: Sequence[Values] = ()) -> list[Values]:
     """Values of the parameters to look at: the middle, corners, special numbers, points inside, and ``more``."""
-    names, ends = list(box), np.array(list(box.values()), float)
+    names, ends, middle = list(box), np.array(list(box.values()), float), middle_of(box)
     lower, upper = ends.T
-    middle = dict(zip(names, lower + (upper - lower) / 2, strict=True))
     corners = [dict(zip(names, corner, strict=True)) for corner in product(*ends.tolist())] if len(names) <= CORNERS else []
     special = [{**middle, name: x} for name, (low, high) in box.items() for x in SPECIAL if low < x < high]
     ends_alone = [{**middle, name: x} for name, own in box.items() for x in own] if len(names) > 1 else []
@@ -37,13 +41,74 @@ def values_in(box: Box, more: Sequence[Values] = ()) -> list[Values]:
     return found
 
 
+def middle_of(box: Box) -> Values:
+    """The middle of the box."""
+    return {name: low + (high - low) / 2 for name, (low, high) in box.items()}
+
+
 def reads(item: Any, p: ca.SX) -> bool:
     """Whether a part of a model, an expression or what holds some, depends on p."""
     if isinstance(item, ca.SX):
         return bool(item.numel() and ca.depends_on(item, p))
     if is_dataclass(item) and not isinstance(item, type):
         return any(reads(getattr(item, f.name), p) for f in fields(item))
+    if isinstance(item, Mapping):
+        return any(reads(part, p) for part in item.values())
     return any(reads(part, p) for part in item) if isinstance(item, tuple | list) else False
+
+
+def roots(entries: Iterable[ca.SX], model: Model, box: Box) -> list[Values]:
+    """Values of a single parameter at which an entry, a quotient of polynomials in it, vanishes."""
+    if len(box) != 1:
+        return []
+    ((name, (low, high)),) = box.items()
+    found: list[float] = []
+    for entry in entries:
+        ratio = polynomial.ratio(entry, model.p)
+        line = polynomial.coefficients(ratio[0]) if ratio is not None and ratio[0] else [Fraction(1)]
+        found += [float(a) for a, _ in polynomial_signs.real_roots(line, Fraction(low), Fraction(high))]
+    return [{name: x} for x in dict.fromkeys(found) if low <= x <= high]
+
+
+def untouched(
+    check: Callable[..., tuple[list[Finding], list[Consequence]]], model: Model, region: Region, quick: bool,
+    parts: Mapping[str, Sequence[str]],
+) -> list[Finding]:  # fmt: skip
+    """The findings that are the same for all values: of hypotheses whose parts of the model do not depend on the parameters."""
+    same = {id for id, names in parts.items() if not any(reads(getattr(model, name), model.p) for name in names)}
+    if not same:
+        return []
+    middle = model.bind(middle_of(region.parameters))
+    return [finding for finding in check(middle, replace(region, parameters={}), (), quick)[0] if finding.id in same]
+
+
+def for_the_box(own: Iterable[Finding | None], same: Sequence[Finding], region: Region) -> list[Finding]:
+    """The findings that are the same for all values, and those of the others, for the box of the parameters."""
+    scope, known = Scope(parameters=region.parameters), {finding.id for finding in same}
+    return [*same, *(replace(item, scope=meet(item.scope, scope)) for item in own if item is not None and item.id not in known)]
+
+
+def agreed(parts: Iterable[Part], ends: Mapping[str, Callable[..., float]]) -> Part | None:
+    """What holds for functions of which those of all values are convex combinations; None where it does not hold for each.
+
+    Args:
+        parts: of the functions; after one that fails no other is asked for.
+        ends: {name of a number: min or max}, whichever is a bound for convex combinations.
+    """
+    own: list[Part] = []
+    for part in parts:
+        if part.verdict != HOLDS:
+            return None
+        own.append(part)
+    if not own:
+        return None
+    value = {
+        name: float(end(part.value[name] for part in own)) for name, end in ends.items() if all(name in p.value for p in own)
+    }
+    how = "; ".join(dict.fromkeys(part.how for part in own))
+    if len(own) > 1:
+        how += f"; at {len(own)} corners, of which that of each value is a convex combination"
+    return Part(HOLDS, how, value or {"corners": len(own)}, {}, any(part.local for part in own))
 
 
 def joined(box: Box, at: Sequence[tuple[Values, Mapping[str, Finding]]], proofs: Mapping[str, Finding]) -> list[Finding]:
@@ -70,7 +135,7 @@ def _joined(box: Box, at: Sequence[tuple[Values, Finding]], proof: Finding | Non
     states = meet(*(finding.scope for _, finding in at), scope)
     worst = next((finding for _, finding in at if finding.verdict == UNKNOWN), None)
     if worst is not None:
-        return replace(worst, how=worst.how if proof is None else f"{proof.how}; {worst.how}", value=plain({}), scope=scope)
+        return replace(worst, how=worst.how if proof is None else proof.how, value=plain({}), scope=scope)
     seen = sum(finding.verdict == SAMPLED for _, finding in at)
     how = f"no violation at {len(at)} values of {', '.join(box)}" + (f" (at {seen} of them by samples)" if seen else "")
     how += "; between them it is not proved" + ("" if proof is None else f": {proof.how}")

@@ -72,18 +72,18 @@ def check(
         return _empty(model, C, x0, runs)
     field = field_of(model, C)
     box = C.part(region.lower, region.upper)
-    a, operator = linear_growth(field, box, quick=quick), _operator(model, C, box, quick)
-    monotone = operator.verdict == HOLDS and not operator.local
+    a, T = linear_growth(field, box, quick=quick), operator(model, C, box, quick)
+    monotone = T.verdict == HOLDS and not T.local
     parts = (
-        (OPERATOR, operator),
+        (OPERATOR, T),
         (SET, _set(C, box, x0, quick)),
-        (A1, _continuous(model, C, box)),
+        (A1, continuous(model, C, box)),
         (A2, a),
         (A3, Part(UNKNOWN, "not of the box", {}, {}) if are_quick() else dissipativity(field, a, quick=quick)),
         (LIPSCHITZ, one_sided(field, box, quick=quick, alone=model.field if monotone else None)),
     )
     findings = [found(which, part.verdict, part.how, part.value, part.witness, region.scope(part.local)) for which, part in parts]
-    return findings, _consequences(model, findings, x0, runs)
+    return findings, consequences_of(model, findings, x0, runs)
 
 
 def _empty(
@@ -92,7 +92,7 @@ def _empty(
     nothing = Part(UNKNOWN, "C is empty: there is no state to speak of", {}, {})
     parts = [(which, has_interior(C, x0) if which is SET else nothing) for which in HYPOTHESES]
     findings = [found(which, part.verdict, part.how, part.value, part.witness) for which, part in parts]
-    return findings, _consequences(model, findings, x0, runs)
+    return findings, consequences_of(model, findings, x0, runs)
 
 
 # -- M-C ---------------------------------------------------------------------------------------------------------------
@@ -111,7 +111,8 @@ def _set(C: ConvexSet, box: tuple[np.ndarray, np.ndarray], x0: np.ndarray, quick
 # -- M-T ---------------------------------------------------------------------------------------------------------------
 
 
-def _operator(model: MonotoneInclusion, C: ConvexSet, box: tuple[np.ndarray, np.ndarray], quick: bool) -> Part:
+def operator(model: MonotoneInclusion, C: ConvexSet, box: tuple[np.ndarray, np.ndarray], quick: bool) -> Part:
+    """T = S + N_C is maximal monotone."""
     if model.potential_split is not None:
         part = potentials.is_convex(without_domain(model.phi, model.x, "phi"), C, *box, quick=quick)
         value = {"least eigenvalue of sym S'": part.value[potentials.LEAST]} if potentials.LEAST in part.value else part.value
@@ -251,7 +252,8 @@ def _broken_monotony(field: Field) -> Part:
 # -- M-A1 --------------------------------------------------------------------------------------------------------------
 
 
-def _continuous(model: MonotoneInclusion, C: ConvexSet, box: tuple[np.ndarray, np.ndarray]) -> Part:
+def continuous(model: MonotoneInclusion, C: ConvexSet, box: tuple[np.ndarray, np.ndarray]) -> Part:
+    """(A1): F is continuous on C, or on a box of states."""
     F, x, x0 = model.field, model.x, np.array(ca.DM(model.x0)).ravel()
     kinks: list[str] = []
     replay(F, lambda op, args, old: kinks.append(KINKS[op]), tuple(KINKS), x, "field")
@@ -331,9 +333,10 @@ def _one_sided(F: ca.SX, x: ca.SX, k: int, side: int) -> ca.SX:
 # -- consequences ------------------------------------------------------------------------------------------------------
 
 
-def _consequences(
+def consequences_of(
     model: MonotoneInclusion, findings: Sequence[Finding], x0: np.ndarray, runs: Sequence[Trajectory]
 ) -> list[Consequence]:
+    """What follows from the findings, for starts of the size of x0."""
     numbers = {finding.id: finding.value for finding in findings}
     base = ["M-T", "M-C", "M-A1", "M-A2", "M-A3"]
     local = _on_a_box(findings, [*base, "M-24"])

@@ -42,12 +42,15 @@ class Bound(NamedTuple):
     displaced: bool = False
 
 
-def dissipativity(field: Field, a: Part, *, quick: bool) -> Part:
-    """(A3) on C; ``a`` is the finding of (A2), whose numbers enter where C does not hold 0."""
+def dissipativity(field: Field, a: Part, *, quick: bool, reach: float = 0.0) -> Part:
+    """(A3) on C, and on each convex part of C with a point no farther than ``reach`` from 0.
+
+    ``a`` is the finding of (A2), whose numbers enter where C does not hold 0.
+    """
     base = nearest(field.C)
     if base is None:
         return Part(UNKNOWN, "no point of C near 0 was verified", {}, {})
-    distance = float(np.linalg.norm(base)) * (UP if base.any() else 1.0)
+    distance = max(float(np.linalg.norm(base)) * (UP if base.any() else 1.0), reach)
     form = form_of(field)
     bound = _from_form(field, form, distance) or _by_jacobian(field, base)
     tries = [] if bound is not None or field.C.bounded else [(k, merged) for merged in (False, True) for k in FAR]

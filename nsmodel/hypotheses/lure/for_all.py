@@ -7,7 +7,6 @@ hold for all values (quadratic stability of a polytope of systems). P is one for
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from fractions import Fraction
 from typing import NamedTuple
 
@@ -25,10 +24,10 @@ from nsmodel.hypotheses.lure.pairing import Pairing, condition, pairing_of, show
 from nsmodel.hypotheses.lure.passivity import D_PSD, STORAGE, broken
 from nsmodel.hypotheses.lure.range_condition import H_5X0, H_54A, H_54B, H_54C
 from nsmodel.hypotheses.region import Region
-from nsmodel.hypotheses.scope import Box, Scope, meet
-from nsmodel.hypotheses.uniform import Values, reads, values_in
+from nsmodel.hypotheses.scope import Box
+from nsmodel.hypotheses.uniform import Values, for_the_box, reads, roots, untouched
 from nsmodel.model.lure import LureSystem
-from nsmodel.proof import exact, extremum, polynomial, polynomial_signs
+from nsmodel.proof import exact, extremum, polynomial
 from nsmodel.proof.jumps import jumps_in
 from nsmodel.proof.multiaffine import corners
 
@@ -50,31 +49,21 @@ class Energy(NamedTuple):
 
 def values(model: LureSystem, box: Box) -> list[Values]:
     """Values of a single parameter at which a leading minor of C B or of D + D' vanishes: there ranks change."""
-    if len(box) != 1:
-        return []
-    ((name, (low, high)),) = box.items()
-    roots: list[float] = []
-    for matrix in (ca.mtimes(model.C, model.B), model.D + model.D.T):
-        for size in range(1, min(matrix.shape[0], MINORS) + 1):
-            ratio = polynomial.ratio(ca.det(ca.densify(matrix[:size, :size])), model.p)
-            line = polynomial.coefficients(ratio[0]) if ratio is not None and ratio[0] else [Fraction(1)]
-            roots += [float(a) for a, _ in polynomial_signs.real_roots(line, Fraction(low), Fraction(high))]
-    return [{name: x} for x in dict.fromkeys(roots) if low <= x <= high]
+    minors = (
+        ca.det(ca.densify(matrix[:size, :size]))
+        for matrix in (ca.mtimes(model.C, model.B), model.D + model.D.T)
+        for size in range(1, min(matrix.shape[0], MINORS) + 1)
+    )
+    return roots(minors, model, box)
 
 
 def findings(model: LureSystem, region: Region, quick: bool) -> list[Finding]:
     """What is decided for all values of the parameters, whose boxes are those of ``region``."""
-    middle = model.bind(values_in(region.parameters)[0])
-    at_middle = {finding.id: finding for finding in check(middle, replace(region, parameters={}), (), quick)[0]}
-    untouched = {id for id, parts in READS.items() if not any(reads(getattr(model, part), model.p) for part in parts)}
-    if reads(ca.substitute(model.A, model.x, ca.DM.zeros(len(model.names))), model.p):
-        untouched -= {"7.1"}  # A(0) = 0
+    drifts = reads(ca.substitute(model.A, model.x, ca.DM.zeros(len(model.names))), model.p)  # A(0) = 0 is a part of 7.1.
+    same = [finding for finding in untouched(check, model, region, quick, READS) if not (drifts and finding.id == "7.1")]
     energy, stored = (Energy(), None) if is_large(model) else _storage(model, region)
     own = [_input_output(model, region), stored, _growth(model, region, energy, quick), *_ranges(model, region)]
-    scope = Scope(parameters=region.parameters)
-    return [at_middle[id] for id in untouched] + [
-        replace(item, scope=meet(item.scope, scope)) for item in own if item is not None and item.id not in untouched
-    ]
+    return for_the_box(own, same, region)
 
 
 def consequences(model: LureSystem, region: Region, own: Sequence[Finding]) -> list[Consequence]:

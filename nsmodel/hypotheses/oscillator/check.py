@@ -54,7 +54,7 @@ def check(
     domain = domain_of(model)
     g, below = _potential(model, potential, domain, region, quick)
     findings = [_theta(model, quick), g, _dry(model), _steps(model, runs)]
-    return findings, _consequences(model, findings, potential, domain, below, runs)
+    return findings, consequences_of(model, findings, potential, domain, below, runs)
 
 
 def domain_of(model: FrictionOscillator) -> ConvexSet:
@@ -108,6 +108,8 @@ def _potential(
     x0 = np.array(ca.DM(model.x0)).ravel()
     box = region.lower, region.upper
     interior = has_interior(domain, x0)
+    if domain.empty:
+        return found(G, VIOLATED, f"interior: {interior.how}", interior.value, interior.witness), None
     closed = is_convex(domain, *box, quick=quick)
     convex = potentials.is_convex(g, domain, *box, quick=quick)
     below = None
@@ -212,12 +214,13 @@ def _run_steps(model: FrictionOscillator, run: Trajectory) -> tuple[np.ndarray, 
 # -- consequences ------------------------------------------------------------------------------------------------------
 
 
-def _consequences(
+def consequences_of(
     model: FrictionOscillator, findings: Sequence[Finding], g: ca.SX, domain: ConvexSet, below: Below | None,
     runs: Sequence[Trajectory],
 ) -> list[Consequence]:  # fmt: skip
+    """What follows from the findings; without ``below`` nothing is said of the rest points."""
     n, one = model.x.numel(), len(model.elements) == 1 and model.damping is None
-    isotropic = one and np.array_equal(np.array(ca.DM(model.elements[0].H)), np.eye(n))
+    isotropic = one and model.elements[0].H.shape == (n, n) and bool((model.elements[0].H - ca.SX.eye(n)).is_zero())
     theorem = f"{PAPER}, Corollary 4.2" if isotropic else f"{PAPER}, Theorem 4.1"
     limit = "d(0, dg(x_inf)) <= theta'(0)" if isotropic else "0 in A(0) + dg(x_inf)"
     strict = "d(0, dg(x_inf)) < theta'(0)" if isotropic else "0 is interior to A(0) + dg(x_inf)"

@@ -43,8 +43,10 @@ class _Node:
     constant: bool
 
 
-def shapes(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> list[Shape]:
+def shapes(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, of: ca.SX | None = None) -> list[Shape]:
     """Return what the rules prove of each entry of ``expr`` on the box (ends may be infinite).
+
+    With ``of``, as functions of these symbols among z alone, for all values of the others in their box.
 
     >>> x = ca.SX.sym("x")
     >>> [s.convex for s in shapes(ca.vertcat(ca.exp(x) + ca.fabs(x - 1), x**3), x, np.full(1, -np.inf), np.full(1, np.inf))]
@@ -52,7 +54,7 @@ def shapes(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> list[
     """
     if ca.OP_CALL in operations(expr):  # nothing is known of what cannot be looked into
         return [Shape(False, False, -np.inf, np.inf)] * expr.numel()
-    nodes, outputs = _nodes(expr, z)
+    nodes, outputs = _nodes(expr, z if of is None else of)
     if not nodes:
         return []
     numeric = [k for k, node in enumerate(nodes) if node.op not in COMPARISONS]
@@ -246,6 +248,8 @@ class _Walk:
             left, right = right, left
         if self.nodes[right].constant:
             low, high = self.low[right], self.high[right]
+            if self.known[left].affine and (node.op == ca.OP_MUL or low > 0 or high < 0):
+                return True
             return (low >= 0 and self._is(left, sign)) or (high <= 0 and self._is(left, -sign))
         if self.nodes[left].constant:  # c / u
             low, high = self.low[left], self.high[left]
