@@ -206,6 +206,49 @@ def test_what_follows_for_an_oscillator():
     assert made["convergence"].verdict == "unknown"
 
 
+@pytest.mark.parametrize(
+    ("theta", "g", "rows", "low", "high"),
+    [
+        (p * s, q * (x - 1) ** 2 / 2, {}, 0.0, 2.0),  # |q (x - 1)| <= p
+        (p * s, (x - q) ** 2, {}, 0.5, 2.5),  # 2 |x - q| <= p
+        (s + p * s**2, q * x**2 / 2 + ca.fabs(x), {}, 0.0, 0.0),
+        (s, x**4 / 4 + p * x, {}, -(2 ** (1 / 3)), 0.5 ** (1 / 3)),  # |x^3 + p| <= 1
+        (p * s, q * x**2 / 2, {"wall": 0.5 - x}, -1.0, 0.5),
+    ],
+    ids=str,
+)
+def test_where_oscillators_come_to_rest(theta, g, rows, low, high):
+    """For p in [0.5, 1], q in [1, 2]."""
+    report = decided(oscillator(theta, g, constraints=rows), p=(0.5, 1), q=(1, 2))
+    rest = next(item for item in report.consequences if item.name == "rest points")
+    assert rest.verdict == "holds"
+    least, largest = rest.value["least x_inf"], rest.value["largest x_inf"]
+    assert least <= low + 1e-12
+    assert largest >= high - 1e-12
+    assert (least, largest) == pytest.approx((low, high), abs=0.02)
+
+
+def test_other_potentials_have_no_common_rest_points():
+    report = decided(oscillator(s, ca.log(1 + ca.exp(p * x))), p=(0.5, 1))
+    assert report["O-g"].verdict == "holds"
+    assert not any(item.name == "rest points" for item in report.consequences)
+
+
+def test_a_channel_that_is_empty_at_some_values():
+    """Its walls pass each other, where a potential that is no polynomial is not looked at."""
+    model = oscillator(potential=ca.sqrt(1 + x**2), constraints={"left": x - p, "right": 1 - x}, x0=[0.9])
+    found = decided(model, p=(0.5, 2))["O-g"]
+    assert found.verdict == "violated"
+    assert found.witness["p"] >= 1
+
+
+def test_walls_that_move_have_no_common_rest_points():
+    """At p = -1 the wall holds x = -1, where g' = -2.5 presses against it."""
+    report = decided(oscillator(s, (x - 0.25) ** 2, constraints={"wall": p - x}, x0=[-1.5]), p=(-1, 1))
+    assert report["O-g"].verdict == "holds"
+    assert not any(item.name == "rest points" for item in report.consequences)
+
+
 def test_random_oscillators_are_judged_as_at_dense_values():
     """theta = a s + b s^2 + c s^3 is a law iff a, b, c >= 0; g = k x^2/2 + l x is convex and bounded iff k > 0 or k = l = 0."""
     rng, seen = np.random.default_rng(5), set()

@@ -14,8 +14,8 @@ import numpy as np
 
 from nsmodel.hypotheses.domain import domain_rows, without_domain
 from nsmodel.hypotheses.findings import HOLDS, Consequence, Finding, found
-from nsmodel.hypotheses.oscillator import friction_law
-from nsmodel.hypotheses.oscillator.check import DRY, RADIUS, THETA, G, check, consequences_of
+from nsmodel.hypotheses.oscillator import friction_law, rest_points
+from nsmodel.hypotheses.oscillator.check import DRY, HYPOTHESES, PAPER, RADIUS, THETA, G, check, consequences_of
 from nsmodel.hypotheses.oscillator.radius import radius
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.scope import Box
@@ -54,7 +54,12 @@ def findings(model: FrictionOscillator, region: Region, quick: bool) -> list[Fin
 
 def consequences(model: FrictionOscillator, region: Region, own: Sequence[Finding]) -> list[Consequence]:
     """What follows for all values of the parameters."""
-    return consequences_of(model, own, ca.SX(0), outer(_domain(model, region)), None, ())
+    C = _domain(model, region)
+    made = consequences_of(model, own, ca.SX(0), outer(C), None, ())
+    every, proved = [hypothesis.id for hypothesis in HYPOTHESES], all(item.verdict == HOLDS for item in own)
+    if C.x.numel() > 1 or C.moving or not proved or any(item.scope and item.scope.states for item in own):
+        return made
+    return [*made, *rest_points.for_all(model, region, own, every, outer(C), f"{PAPER}, Theorem 4.1 (ii)")]
 
 
 # -- friction ----------------------------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import replace
 from fractions import Fraction
 from typing import NamedTuple
@@ -10,13 +11,19 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel.hypotheses.domain import without_domain
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, Consequence, Finding, follows
 from nsmodel.hypotheses.oscillator import friction_law
+from nsmodel.hypotheses.region import Region
+from nsmodel.hypotheses.uniform import middle_of, reads
 from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.proof import exact, polynomial
 from nsmodel.proof import interval as proof
 from nsmodel.proof.convex.convex_sets import ConvexSet
+from nsmodel.proof.convex.least_value import least_value
 from nsmodel.proof.convex.lower_bound import Below
+from nsmodel.proof.graph import column
+from nsmodel.proof.mixtures import mixture
 
 FAR = 1e12  # Beyond this, from the minimum, no end is looked for.
 THIN = 1e-13  # Relative width of the intervals on which a slope is bounded.
@@ -61,6 +68,41 @@ def consequences(
     }
     statement = f"every limit lies in the ellipsoid |K x - b| <= {radius:.6g}, K = D2 g, semi-axes theta'(0)/eigenvalue"
     return [follows("rest points", statement, findings, every, source, axes)]
+
+
+def for_all(
+    model: FrictionOscillator, region: Region, findings: Sequence[Finding], every: Sequence[str], domain: ConvexSet, source: str
+) -> list[Consequence]:
+    """An interval that holds the limits of one state for all values of parameters, on which the domain does not depend.
+
+    Beyond the ends of all g_k, of which g is a convex combination, each |g_k'| exceeds its radius, and so do the sums.
+    """
+    found, x0 = [], np.array(ca.DM(model.bind(middle_of(region.parameters)).x0)).ravel()
+    for one in _mixed(model, region):
+        g, radius = without_domain(one.potential, model.x, "potential"), outer_radius(one)
+        if not np.isfinite(radius):
+            return []
+        found.append(interval(g, domain, least_value(g, domain, x0)[0], radius))
+    if not found:
+        return []
+    low, high = min(part.low for part in found), max(part.high for part in found)
+    name = next(iter(model.names))
+    statement = f"every limit {name}_inf lies in [{_outwards(low, -1)}, {_outwards(high, 1)}]"
+    values = {f"least {name}_inf": low, f"largest {name}_inf": high}
+    return [follows("rest points", statement, findings, every, source, values)]
+
+
+def _mixed(model: FrictionOscillator, region: Region) -> list[FrictionOscillator]:
+    """Models of whose laws and potential those of all values are convex combinations; none where H depends on the parameters."""
+    g = without_domain(model.potential, model.x, "potential")
+    at = mixture(column([*(e.theta for e in model.elements), g]), model.p, *region.of_parameters())
+    if at is None or any(reads(element.H, model.p) for element in model.elements):
+        return []
+    made = [copy(model) for _ in at]
+    for one, rows in zip(made, at, strict=True):
+        laws = zip(model.elements, ca.vertsplit(rows)[:-1], strict=True)
+        one._set(elements=tuple(element._replace(theta=theta) for element, theta in laws), potential=rows[-1])
+    return made
 
 
 def outer_radius(model: FrictionOscillator) -> float:
