@@ -135,7 +135,7 @@ def test_shapes_are_read_and_convexity_is_never_claimed_wrongly():
         "square of a negative": ((ca.norm_2(q) - 1) ** 2, False),
     }
     kinds = ("plane", "distance", "distance", "distance", "quadratic", "quadratic", "other", "other", "other", "other", "other")
-    shapes = read_shapes(ca.vertcat(*(g for g, _ in cases.values())), q, t)
+    shapes = read_shapes(ca.vertcat(*(g for g, _ in cases.values())), q)
     rng = np.random.default_rng(0)
     for (name, (g, convex)), kind, shape in zip(cases.items(), kinds, shapes, strict=True):
         assert shape.kind == kind, name

@@ -72,7 +72,7 @@ def reach_of(shape: Shape, model: SweepingProcess) -> Fraction:
 
 
 def _sweeping(model: SweepingProcess, findings: Mapping[str, Finding]) -> Data:
-    shapes = read_shapes(model.g, model.q, model.t) if model.multiplier_names else []
+    shapes = read_shapes(model.g, model.q) if model.multiplier_names else []
     own = [list(shape.own) for shape in shapes]
     c, b = (findings[id].value.get(name, 1.0) if id in findings else 1.0 for id, name in (("A0", "c"), ("A1", "b")))
     on_box = Fraction(c) * Fraction(b) if np.isfinite([c, b]).all() else Fraction(1)

@@ -157,7 +157,7 @@ def _sweeping(model: SweepingProcess, finding: Finding, findings: Mapping[str, F
         if len(model.multiplier_names) > 1 and (finding.scope is None or not finding.scope.states):
             raise Unproved("gamma of several constraints, for all states")
         return {"cover": Grown(_escape(model))}
-    shapes = read_shapes(model.g, model.q, model.t) if model.multiplier_names else []
+    shapes = read_shapes(model.g, model.q) if model.multiplier_names else []
     return {"constraints": [_constraint(model, k, shape, finding, findings, room) for k, shape in enumerate(shapes)]}
 
 

@@ -131,7 +131,7 @@ def constraint_of(
     z = states_of(family) if folded else ca.vertcat(states_of(family), numbers_of(family))
     g = ca.SX(family.g)
     g = ca.substitute(g, numbers_of(family), ca.DM(numbers)) if folded else g
-    (shape,) = read_shapes(g, z, model.t)
+    (shape,) = read_shapes(g, z)
     own, wide = list(shape.own), np.full(1 + len(shape.own), np.inf)
     names = tuple(z[k].name() for k in own)
     return Constraint(member_name(name, *pair), g, shape, model.t, z[own], names, -wide, wide), numbers
@@ -163,7 +163,7 @@ def _constraints(
     function = ca.Function("g", [model.t, q, numbers], [family.g])
     rows = [function(model.t, q, ca.SX(ca.DM(values))) + slack for values, slack, _ in members]
     found = []
-    for g, (*_, pair), shape in zip(rows, members, read_shapes(ca.vertcat(*rows), q, model.t) if rows else (), strict=True):
+    for g, (*_, pair), shape in zip(rows, members, read_shapes(ca.vertcat(*rows), q) if rows else (), strict=True):
         ends, own = [0, *(1 + k for k in shape.own)], list(shape.own)
         states = tuple(names[k] for k in own)
         found.append(Constraint(member_name(name, *pair), g, shape, model.t, q[own], states, lower[ends], upper[ends]))

@@ -107,7 +107,7 @@ def _constraints(model: SweepingProcess, region: Region) -> list[Constraint]:
     lower, upper = region.with_time()
     found = []
     for name, g, shape in zip(
-        model.multiplier_names, ca.vertsplit(model.g), read_shapes(model.g, model.q, model.t), strict=True
+        model.multiplier_names, ca.vertsplit(model.g), read_shapes(model.g, model.q), strict=True
     ) if model.multiplier_names else ():  # fmt: skip
         ends = [0, *(1 + i for i in shape.own)]
         names = tuple(model.names[i] for i in shape.own)

@@ -56,6 +56,16 @@ def answers(constraint: Constraint, quick: bool) -> Answers:
     return _defined(constraint, known)
 
 
+def of_slow_shape(c: Constraint) -> Answers | None:
+    """The answers of a plane, or of a distance from something with a radius, for all times and parameters; None of others."""
+    if c.shape.kind == "plane":
+        return _plane(c)
+    if c.shape.kind == "distance" and over_time(c, expression(c.shape.form.affine.offset)).bound < 0:
+        found = _distance(c)
+        return found if found is not None and len(found) > 1 else None
+    return None
+
+
 def _faster_and_faster(c: Constraint) -> Answer | None:
     """A2 where d_t g grows without bound towards a time: as powers of the distance from it, at an admissible state."""
     rate = ca.jacobian(c.g, c.t)
@@ -315,7 +325,7 @@ def _centre(c: Constraint, H: np.ndarray) -> Answers:
 
 
 def _rate(c: Constraint, offset: Offset) -> ca.SX:
-    return ca.SX(0) if isinstance(offset, Fraction) else ca.densify(ca.jacobian(offset, c.t))
+    return ca.SX(0) if isinstance(offset, Fraction) else ca.densify(ca.jacobian(offset, c.t[0]))
 
 
 def _at_time(c: Constraint, offset: Offset, t: float) -> float:

@@ -26,7 +26,8 @@ class Constraint:
         name: the user's.
         g: SX, a function of t and q.
         shape: what it is made of.
-        t: SX symbol; q: SX (k, 1), its own states; names: their names.
+        t: SX symbol, or (t, p) with parameters of which all values in a box are meant; q: SX (k, 1), its own states.
+        names: of these states.
         lower, upper: (1 + k,) bounds of (t, q).
     """
 
@@ -43,6 +44,11 @@ class Constraint:
     def z(self) -> ca.SX:
         """(t, q)."""
         return ca.vertcat(self.t, self.q)
+
+    @property
+    def slow(self) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of t, or of (t, p)."""
+        return self.lower[: self.t.numel()], self.upper[: self.t.numel()]
 
     def point(self, z: np.ndarray) -> dict[str, Any]:
         """The witness of a point (t, q)."""
@@ -74,13 +80,14 @@ class Top:
 
 
 def over_time(c: Constraint, expr: ca.SX) -> Top:
-    """Return the supremum over [t0, t1] of an expression of time alone."""
+    """Return the supremum over [t0, t1] of an expression of time alone, or of time and parameters over their box."""
+    start, end = c.slow
     if expr.is_constant():
-        return Top(float(expr), float(expr), c.lower[:1])
+        return Top(float(expr), float(expr), start)
     if not ca.depends_on(expr, c.t):
-        low, high = (float(end.item()) for end in interval.enclose(expr, c.t, c.lower[:1], c.lower[:1]))
-        return Top(low, high, c.lower[:1])
-    top = extremum.supremum(expr, c.t, c.lower[:1], c.upper[:1])
+        low, high = (float(end.item()) for end in interval.enclose(expr, c.t, start, start))
+        return Top(low, high, start)
+    top = extremum.supremum(expr, c.t, start, end)
     return Top(top.value, top.bound, top.at, top.count)
 
 

@@ -38,13 +38,16 @@ class Proof(NamedTuple):
     at: np.ndarray | None = None
 
 
-def everywhere(constraints: Sequence[Constraint], rho: float) -> Proof | None:
-    """Return a bound that holds for all states, for the sets of constraints within ``rho`` of active; None if there is none."""
+def everywhere(constraints: Sequence[Constraint], rho: float, moving: bool = False) -> Proof | None:
+    """Return a bound that holds for all states, for the sets of constraints within ``rho`` of active; None if there is none.
+
+    ``moving``: they hold parameters too, so that planes are asked for their normals only.
+    """
     if not constraints:
         return Proof(1.0, np.inf, "no constraint")
     if len(constraints) == 1:
         return Proof(1.0, np.inf, "one constraint")
-    for rule in (_planes, _independent, _pairs, discs):
+    for rule in (_independent, _pairs, discs) if moving else (_planes, _independent, _pairs, discs):
         proof = rule(constraints, rho)
         if proof is not None:
             return proof

@@ -57,9 +57,9 @@ class Part:
         return a.offset if a is not None and not a.row and isinstance(a.offset, Fraction) else None
 
 
-def read_shapes(g: ca.SX, q: ca.SX, t: ca.SX) -> list[Shape]:
-    """Return the shape of each entry of ``g`` (p, 1)."""
-    reader = _Reader(q, t)
+def read_shapes(g: ca.SX, q: ca.SX) -> list[Shape]:
+    """Return the shape of each entry of ``g`` (p, 1) in the states q, for all values of its other symbols (time, parameters)."""
+    reader = _Reader(q)
     return [reader.shape(part) for part in reader.parts(g)]
 
 
@@ -69,8 +69,8 @@ _NOTHING = Part(None, False, False, False)
 class _Reader:
     """Runs through the instructions of a constraint's graph once, with :class:`Part` in place of numbers."""
 
-    def __init__(self, q: ca.SX, t: ca.SX) -> None:
-        self.t, self.place = t, {symbol.element_hash(): i for i, symbol in enumerate(ca.vertsplit(q))}
+    def __init__(self, q: ca.SX) -> None:
+        self.place = {symbol.element_hash(): i for i, symbol in enumerate(ca.vertsplit(q))}
         self.clips: dict[int, Clip] = {}
         self.rounded: set[int] = set()
         self.unary = {
@@ -116,7 +116,7 @@ class _Reader:
     def _symbol(self, symbol: ca.SX) -> Part:
         index = self.place.get(symbol.element_hash())
         if index is None:
-            return _of_time(self.t, False)
+            return _of_time(symbol, False)
         return Part(Form((), Affine({index: _ONE}, _ZERO), ()), True, True, False, frozenset([index]))
 
     def _apply(self, op: int, parts: list[Part]) -> Part:
