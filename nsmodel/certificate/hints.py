@@ -427,8 +427,8 @@ def _oscillator(model: FrictionOscillator, data: Data, finding: Finding, value: 
         proofs += [] if bound is None else [hint | {"bound": bound}]
     H = verify.hessian(verify.Poly({m: a for m, a in p.items() if all(v in n for v, _ in m)}), n, atoms)
     least = 0.0 if H is None else float(np.linalg.eigvalsh(exact.doubles(np.array(H, dtype=object)))[0])
-    if least > 0:
-        point, number = _least(model, finding)
+    point, number = _least(model)
+    if least > 0 and np.isfinite([*point, number]).all():
         value.setdefault("lower bound of g", text(number - 1e-6 * (1 + abs(number))))
         proofs.append(hint | {"mu": text(0.99 * least), "least": [text(x) for x in point]})
     if not proofs:
@@ -436,7 +436,7 @@ def _oscillator(model: FrictionOscillator, data: Data, finding: Finding, value: 
     return proofs
 
 
-def _least(model: FrictionOscillator, finding: Finding) -> tuple[np.ndarray, float]:
+def _least(model: FrictionOscillator) -> tuple[np.ndarray, float]:
     """Where the potential, without its domain, is least, in floating point."""
     g = without_domain(model.potential, model.x, "potential")
     f = ca.Function("g", [model.x], [g, ca.gradient(g, model.x)])
