@@ -16,9 +16,9 @@ from nsmodel.hypotheses.oscillator.check import domain_of
 from nsmodel.hypotheses.sweeping.forms import Shape
 from nsmodel.hypotheses.sweeping.shapes import read_shapes
 from nsmodel.model.base import Model
-from nsmodel.model.bodies import ManyBodies
 from nsmodel.model.first_order import FirstOrderSystem
 from nsmodel.model.inclusion import MonotoneInclusion
+from nsmodel.model.laws import Law
 from nsmodel.model.lure import LureSystem
 from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.sweeping import SweepingProcess
@@ -29,13 +29,7 @@ Data = dict[str, Any]
 
 
 def data_of(model: Model, findings: Mapping[str, Finding]) -> Data:
-    """The model as data; its parameters have values. Of a sweeping process the U_i of A0 to A4 are data too.
-
-    Raises:
-        NoProgram: an expression that cannot be written.
-    """
-    if isinstance(model, ManyBodies):
-        raise NoProgram("families of constraints")
+    """The model as data; its parameters have values. Of a sweeping process the U_i of A0 to A4 are data too."""
     own = _sweeping(model, findings) if isinstance(model, SweepingProcess) else _WRITERS[type(model)](model)
     return {"class": type(model).__name__, "title": model.title or "untitled"} | own
 
@@ -55,6 +49,14 @@ def _or_why(expr: ca.SX, inputs: ca.SX, names: Sequence[str]) -> Data:
 def _dense(entries: Any) -> list[list[str]]:
     values = np.array(ca.DM(ca.densify(entries))).reshape(entries.shape)
     return matrix(values) if values.size else [[] for _ in range(len(values))]
+
+
+def _law(law: Law) -> list[Data]:
+    return [
+        {"kind": block.kind, "lower": _numbers(block.lower), "upper": _numbers(block.upper)}
+        | ({"H": matrix(block.H), "K": [text(k) for k in block.K]} if block.kind == "polyhedron" else {})
+        for block in law.blocks
+    ]
 
 
 def _steps(model: Model) -> list[str]:
@@ -83,7 +85,7 @@ def _sweeping(model: SweepingProcess, findings: Mapping[str, Finding]) -> Data:
     rows = zip(model.multiplier_names, ca.vertsplit(model.g), own, deltas, strict=True) if own else []
     return {
         "constraints": [
-            {"name": name, "graph": graph(g, ca.vertcat(model.t, model.q[own]), ["t", *(model.names[i] for i in own)])} | delta
+            {"name": name, "graph": _or_why(g, ca.vertcat(model.t, model.q[own]), ["t", *(model.names[i] for i in own)])} | delta
             for name, g, own, delta in rows
         ],
         "f": _or_why(model.f, ca.vertcat(model.t, model.q), ["t", *(model.names or ())]),
@@ -94,11 +96,11 @@ def _sweeping(model: SweepingProcess, findings: Mapping[str, Finding]) -> Data:
 def _oscillator(model: FrictionOscillator) -> Data:
     domain = domain_of(model)
     return {
-        "theta": [graph(element.theta, model.s, ["s"]) for element in model.elements],
+        "theta": [_or_why(element.theta, model.s, ["s"]) for element in model.elements],
         "H": [_dense(ca.SX(element.H)) for element in model.elements],
         "damping": [] if model.damping is None else _dense(model.damping),
-        "g": graph(without_domain(model.potential, model.x, "potential"), model.x, model.names),
-        "C": graph(ca.vertcat(domain.rows, domain.equalities, -domain.equalities), model.x, model.names),
+        "g": _or_why(without_domain(model.potential, model.x, "potential"), model.x, model.names),
+        "C": _or_why(ca.vertcat(domain.rows, domain.equalities, -domain.equalities), model.x, model.names),
         "x0": _numbers(model.x0),
         "steps": _steps(model),
     }
@@ -107,30 +109,35 @@ def _oscillator(model: FrictionOscillator) -> Data:
 def _first_order(model: FirstOrderSystem) -> Data:
     z, names = ca.vertcat(model.t, model.x, model.lam), ["t", *(model.names or ()), *model.multiplier_names]
     return {
-        **{name: graph(getattr(model, name), z, names) for name in "fgh"},
+        **{name: _or_why(getattr(model, name), z, names) for name in "fgh"},
         "M": _dense(model.M), "theta": text(model.theta), "gamma": text(model.gamma), "x0": _numbers(model.x0),
-        "step": max(_steps(model), key=Fraction, default=None),
+        "steps": sorted(set(_steps(model)), key=Fraction), "law": _law(model.law),
     }  # fmt: skip
 
 
 def _lure(model: LureSystem) -> Data:
-    blocks = model.law.blocks if model.law is not None else ()
-    law = [{"kind": block.kind, "lower": _numbers(block.lower), "upper": _numbers(block.upper)} for block in blocks]
+    y = ca.SX.sym("y", 0) if model.law is not None else model.y
     return {
-        "A": graph(model.A, model.x, model.names), "B": _dense(model.B), "C": _dense(model.C), "D": _dense(model.D),
-        "f": graph(model.f, model.t, ["t"]), "x0": _numbers(model.x0),
-        "law": law if model.law is not None else [{"kind": "potential", "lower": [], "upper": []}],
+        "A": _or_why(model.A, model.x, model.names), "B": _dense(model.B), "C": _dense(model.C), "D": _dense(model.D),
+        "f": _or_why(model.f, model.t, ["t"]), "x0": _numbers(model.x0),
+        "law": [] if model.law is None else _law(model.law),
+        "phi": None if model.law is not None else _or_why(model.phi, y, [f"y_{i}" for i in range(y.numel())]),
     }  # fmt: skip
 
 
 def _inclusion(model: MonotoneInclusion) -> Data:
     rows, _ = constraints(model)
-    phi = None if model.phi is None else graph(without_domain(model.phi, model.x, "phi"), model.x, model.names)
-    plain = model.phi is None and not model.sign_symbols.numel() and not model.operator.is_zero()
-    S = graph(model.operator, model.x, model.names) if plain else None
-    return {"F": graph(model.field, model.x, model.names), "phi": phi, "S": S,
-            "C": graph(rows, model.x, model.names), "x0": _numbers(model.x0),
-            "switches": bool(model.sign_symbols.numel())}  # fmt: skip
+    phi = None if model.phi is None else _or_why(without_domain(model.phi, model.x, "phi"), model.x, model.names)
+    signs, sizes = model.sign_symbols, ca.jacobian(model.operator, model.sign_symbols)
+    operator = ca.substitute(model.operator, signs, ca.SX.zeros(signs.numel()))
+    S = None if model.phi is not None or operator.is_zero() else _or_why(operator, model.x, model.names)
+    switches = [
+        [_numbers(sizes[:, k]), _or_why(argument, model.x, model.names)]
+        for k, argument in enumerate(ca.vertsplit(model.sign_arguments)) if signs.numel()
+    ]  # fmt: skip
+    return {"F": _or_why(model.field, model.x, model.names), "phi": phi, "S": S,
+            "C": _or_why(rows, model.x, model.names), "x0": _numbers(model.x0),
+            "switches": switches}  # fmt: skip
 
 
 _WRITERS: dict[type[Model], Any] = {

@@ -68,7 +68,10 @@ class _Writer:
             ca.OP_COS: lambda u: self._put("cos", u),
             ca.OP_EXPM1: lambda u: sub(self._put("exp", u), self.number(1.0)),
             ca.OP_TAN: lambda u: mul(self._put("sin", u), power(self._put("cos", u), -one)),
-            ca.OP_TANH: self._tanh,
+            ca.OP_TANH: lambda u: self._put("tanh", u),
+            ca.OP_LOG: lambda u: self._put("log", u),
+            ca.OP_LOG1P: lambda u: self._put("log", add(self.number(1.0), u)),
+            ca.OP_ATAN: lambda u: self._put("atan", u),
             ca.OP_SINH: lambda u: self._halves(u, sub),
             ca.OP_COSH: lambda u: self._halves(u, add),
             ca.OP_CONSTPOW: self._constpow,
@@ -113,11 +116,6 @@ class _Writer:
 
     def _max(self, u: int, w: int) -> int:
         return self._put("fmax", u, w)
-
-    def _tanh(self, u: int) -> int:
-        """1 - 2 / (exp(2 u) + 1)."""
-        one, two = self.number(1.0), self.number(2.0)
-        return self._sub(one, self._mul(two, self._pow(self._add(self._put("exp", self._mul(two, u)), one), Fraction(-1))))
 
     def _halves(self, u: int, combine: Callable[[int, int], int]) -> int:
         return self._mul(self.number(0.5), combine(self._put("exp", u), self._put("exp", self._neg(u))))

@@ -6,16 +6,20 @@ too many.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from fractions import Fraction
 from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.linalg import block_diag
+from scipy.optimize import minimize
 
 from nsmodel.certificate import verify
-from nsmodel.certificate.data import reach_of
+from nsmodel.certificate.data import Data, reach_of
 from nsmodel.certificate.graph import NoProgram, graph, matrix, text
+from nsmodel.hypotheses.domain import without_domain
 from nsmodel.hypotheses.findings import Finding
 from nsmodel.hypotheses.lure import domains
 from nsmodel.hypotheses.sweeping.forms import Affine
@@ -23,9 +27,11 @@ from nsmodel.hypotheses.sweeping.geometry import mfcq_constant
 from nsmodel.hypotheses.sweeping.shapes import read_shapes
 from nsmodel.model.base import Model
 from nsmodel.model.first_order import FirstOrderSystem
+from nsmodel.model.inclusion import MonotoneInclusion
 from nsmodel.model.lure import LureSystem
+from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.sweeping import SweepingProcess
-from nsmodel.proof import exact, feasibility
+from nsmodel.proof import exact, feasibility, sum_of_squares
 
 # Numbers are stated with so much room, relative: they were rounded to doubles; more where a cover of the box would take too
 # many parts, as a bound that is attained is told from its violation only by small ones.
@@ -61,34 +67,33 @@ def value_of(finding: Finding, room: Fraction = ROOM) -> dict[str, str]:
     return found
 
 
-def proof_of(model: Model, finding: Finding, findings: Mapping[str, Finding], value: dict[str, str], room: Fraction) -> Any:
-    """The hints for a finding; numbers that ``verify`` needs and the finding does not have are added to ``value``.
+def proofs_of(
+    model: Model, data: Data, finding: Finding, findings: Mapping[str, Finding], value: dict[str, str], room: Fraction
+) -> list[Any]:
+    """Hints for a finding, to be tried in turn; numbers that ``verify`` needs and the finding does not have enter ``value``.
 
     Raises:
         Unproved, NoProgram: there are none.
     """
     if isinstance(model, SweepingProcess):
-        return _sweeping(model, finding, findings, room)
+        return [_sweeping(model, data, finding, findings, room)]
     if isinstance(model, LureSystem):
-        return _lure(model, finding)
+        return [_lure(model, data, finding)]
     if isinstance(model, FirstOrderSystem):
-        return _first_order(model, finding, value)
-    if finding.id in ("M-T", "M-A2", "M-A3", "M-24") and model.sign_symbols.numel():
-        raise Unproved("the operator has switches")
-    if finding.id == "O-g" and "lower bound of g" not in value:
-        raise Unproved("no lower bound of g is stated")
-    point = finding.witness.get("interior point", np.array(ca.DM(model.x0)).ravel())
-    return {"interior": [text(entry) for entry in np.ravel(point)], "cover": Grown()}
+        return [_first_order(model, finding, value)]
+    if isinstance(model, FrictionOscillator):
+        return _oscillator(model, data, finding, value)
+    return _inclusion(model, data, finding, value)
 
 
 # -- covers ------------------------------------------------------------------------------------------------------------
 
 
 class Grown:
-    """A cover that is found while ``verify`` asks for it; ``hint`` gives what a part is to be shown with."""
+    """A cover that is found while ``verify`` asks for it; ``hint`` says what shows a part, ``only`` which inputs are halved."""
 
-    def __init__(self, hint: Callable[[list[Any]], Any] = lambda box: None) -> None:
-        self.hint, self.tree = hint, None
+    def __init__(self, hint: Callable[[list[Any]], Any] = lambda box: None, only: Sequence[int] | None = None) -> None:
+        self.hint, self.only, self.tree = hint, only, None
 
 
 def covered(model: dict[str, Any], statement: dict[str, Any]) -> str:
@@ -120,7 +125,7 @@ def _settled(item: Any) -> Any:
 
 def _grow(grown: Grown, box: list[Any], leaf: Callable[[list[Any], Any], bool]) -> Any:
     """The tree of a cover whose parts all pass."""
-    count = 0
+    count, most = 0, MOST_PARTS // (1 if all(np.isfinite(float(x.hi - x.lo)) for x in box) else 4)
 
     def passes(part: list[Any], hint: Any) -> bool:
         try:
@@ -131,38 +136,99 @@ def _grow(grown: Grown, box: list[Any], leaf: Callable[[list[Any], Any], bool]) 
     def grow(part: list[Any], depth: int) -> Any:
         nonlocal count
         count += 1
-        if count > MOST_PARTS or depth > DEEP:
-            raise TooManyParts(f"a cover of the box takes more than {MOST_PARTS} parts")
+        if count > most or depth > DEEP:
+            raise TooManyParts(f"a cover takes more than {most} parts")
         hint = grown.hint(part)
         if passes(part, hint):
             return hint
-        widths = [float(x.hi - x.lo) / (float(y.hi - y.lo) or 1.0) for x, y in zip(part, box, strict=True)]
+        widths = [
+            _width(x) / (_width(y) or 1.0) if grown.only is None or i in grown.only else 0.0
+            for i, (x, y) in enumerate(zip(part, box, strict=True))
+        ]
+        if not any(widths):
+            raise TooManyParts("a bound fails at a point")
         k = int(np.argmax(widths))
-        middle = (part[k].lo + part[k].hi) / 2
+        middle = part[k].middle()
         sides = verify.Interval(part[k].lo, middle), verify.Interval(middle, part[k].hi)
         return [k, *(grow([*part[:k], side, *part[k + 1 :]], depth + 1) for side in sides)]
 
     return grow(list(box), 0)
 
 
+def _width(x: verify.Interval) -> float:
+    """The width; of an infinite interval that of its angles."""
+    if np.isfinite([float(x.lo), float(x.hi)]).all():
+        return float(x.hi - x.lo)
+    return float(np.arctan(float(x.hi)) - np.arctan(float(x.lo)))
+
+
+def _cover(expr: ca.SX, inputs: ca.SX) -> dict[str, Grown]:
+    """A cover that halves the inputs that the Jacobian of an expression depends on; none where it is constant."""
+    J = ca.jacobian(expr, inputs)
+    curved = [k for k, symbol in enumerate(ca.vertsplit(inputs)) if ca.depends_on(J, symbol)]
+    return {"cover": Grown(only=curved)} if curved else {}
+
+
+# -- sums of squares -----------------------------------------------------------------------------------------------------
+
+
+def _renamed(p: verify.Poly) -> tuple[dict[Any, Fraction], list[int]]:
+    """A polynomial in the variables 0, 1, ..., and their names in ``p``."""
+    names = sorted({v for monomial in p for v, _ in monomial})
+    return {tuple((names.index(v), n) for v, n in monomial): number for monomial, number in p.items()}, names
+
+
+def _hint(found: sum_of_squares.Certificate, names: Sequence[int]) -> dict[str, Any]:
+    monomials = [[[v, n] for v, n in zip(names, power, strict=True) if n] for power in found.monomials]
+    return {"monomials": monomials, "G": matrix(found.G) if monomials else []}
+
+
+def squares(p: verify.Poly) -> dict[str, Any] | None:
+    """A Gram matrix of p; None where none is found."""
+    q, names = _renamed(p)
+    found = sum_of_squares.certificate(q, len(names))
+    return None if found is None else _hint(found, names)
+
+
+def nowhere_negative(p: verify.Poly, atoms: verify.Atoms) -> dict[str, Any] | None:
+    """A Gram matrix of p less terms that are >= 0 and no polynomials."""
+
+    def of_atoms(m: Any, a: Fraction) -> bool:
+        return bool(set(dict(m)) & set(atoms.meaning)) and verify.positive(verify.Poly({m: a}), atoms)
+
+    return squares(verify.Poly({m: a for m, a in p.items() if not of_atoms(m, a)}))
+
+
+def convexity(p: verify.Poly, own: Sequence[int], atoms: verify.Atoms) -> dict[str, Any]:
+    """What shows that p is convex: nothing, by the rules; a Gram matrix of y'D2p y; else a cover."""
+    if verify.convex(p, own, atoms):
+        return {}
+    q = {m: a for m, a in p.items() if m and all(v in own for v, _ in m)}
+    found = sum_of_squares.convexity(q)
+    if found is None:
+        return {"cover": Grown()}
+    parts = [_hint(part, [*names, *(-1 - v for v in names)]) for names, part in found]
+    G = block_diag(*(part.G for _, part in found)) if parts else []
+    one = {"monomials": [m for part in parts for m in part["monomials"]], "G": [[text(Fraction(x)) for x in row] for row in G]}
+    return {"squares": one} if verify.convex(p, own, atoms, one) else {"cover": Grown()}
+
+
 # -- sweeping processes --------------------------------------------------------------------------------------------------
 
 
-def _sweeping(model: SweepingProcess, finding: Finding, findings: Mapping[str, Finding], room: Fraction) -> Any:
+def _sweeping(model: SweepingProcess, data: Data, finding: Finding, findings: Mapping[str, Finding], room: Fraction) -> Any:
     if finding.id == "S-f":
         graph(model.f, ca.vertcat(model.t, model.q), ["t", *(model.names or ())])  # it may not be written
     if finding.id in ("S-f", "S-start"):
         return {"time": Grown(), "cover": Grown()}
     if finding.id in ("A5", "A5'"):
-        if len(model.multiplier_names) > 1 and (finding.scope is None or not finding.scope.states):
-            raise Unproved("gamma of several constraints, for all states")
         return {"cover": Grown(_escape(model))}
     shapes = read_shapes(model.g, model.q) if model.multiplier_names else []
-    return {"constraints": [_constraint(model, k, shape, finding, findings, room) for k, shape in enumerate(shapes)]}
+    return {"constraints": [_constraint(model, data, k, shape, finding, findings, room) for k, shape in enumerate(shapes)]}
 
 
 def _constraint(
-    model: SweepingProcess, k: int, shape: Any, finding: Finding, findings: Mapping[str, Finding], room: Fraction
+    model: SweepingProcess, data: Data, k: int, shape: Any, finding: Finding, findings: Mapping[str, Finding], room: Fraction
 ) -> dict[str, Any]:
     """The form of one constraint: affine, a norm or the distance to a segment, else bounds over the box."""
     if shape.kind == "plane":
@@ -172,14 +238,19 @@ def _constraint(
         if hint is not None:
             return hint
     local = finding.scope is not None and bool(finding.scope.states)
-    if finding.id == "S-convex" and not local:
-        return {"form": "rules"}
+    if finding.id == "S-convex":
+        program, atoms = data["constraints"][k]["graph"], verify.Atoms()
+        hint = convexity(*atoms.read(program), range(1, len(program["inputs"])), atoms)
+        return hint | {"form": "box" if "cover" in hint else "rules"}
     if not local and finding.id not in ("A2", "A3", "A4"):
         raise Unproved(f"constraint '{model.multiplier_names[k]}': a form that is not written down here")
     b = finding.value.get("b") if finding.id == "A1" else findings["A1"].value.get("b") if "A1" in findings else None
+    if finding.id not in ("A0", "A1"):
+        b = np.inf
     if b is None:
         raise Unproved("no bound of the gradients is known")
-    return {"form": "box", "b": text(Fraction(b) * (1 + room / 2)), "cover": Grown()}
+    b = text(Fraction(b) * (1 + room / 2)) if np.isfinite(b) else "inf"
+    return {"form": "box", "b": b, "cover": Grown()}
 
 
 def _norm(model: SweepingProcess, shape: Any) -> dict[str, Any] | None:
@@ -233,18 +304,25 @@ def _escape(model: SweepingProcess) -> Callable[[list[Any]], Any]:
 # -- the other classes ------------------------------------------------------------------------------------------------------
 
 
-def _lure(model: LureSystem, finding: Finding) -> Any:
+def _lure(model: LureSystem, data: Data, finding: Finding) -> Any:
     if finding.id in ("5.1", "5.2"):
         name = "P" if finding.id == "5.1" else "P_omega"
         P = finding.witness.get(f"{name} exactly") or finding.witness.get(name)
         if P is None:
             raise Unproved("too large a P to write down")
-        return {"P": [[entry if isinstance(entry, str) else text(entry) for entry in row] for row in P]}
-    if finding.id in ("5.4a", "5.4c", "5.x0", "7.1"):
+        P = [[entry if isinstance(entry, str) else text(entry) for entry in row] for row in P]
+        return {"P": P} | _cover(model.A, model.x)
+    if finding.id in ("5.4a", "5.4c", "5.x0", "7.1") and not _everything(data):
         return _in_range(
             model, None if finding.id in ("5.4a", "5.4c") else np.array(ca.DM(model.x0)).ravel() * (finding.id == "5.x0")
         )
     return {}
+
+
+def _everything(data: Data) -> bool:
+    with suppress(verify.Undefined):
+        return bool(verify.everything(data))
+    return False
 
 
 def _in_range(model: LureSystem, x: np.ndarray | None) -> Any:
@@ -253,14 +331,12 @@ def _in_range(model: LureSystem, x: np.ndarray | None) -> Any:
     Columns of the homogeneous system: tau > 0, l - low tau > 0 (or high tau - l), where both ends are finite also their sum,
     y > 0 or < 0 where one end is, v, and x where it is not given.
     """
+    m, n = model.D.shape[0], model.x.numel()
+    C, D = (exact.rational(np.array(ca.DM(part)).reshape(part.shape)) for part in (model.C, model.D))
     if model.law is None or any(block.kind != "box" for block in model.law.blocks):
         raise Unproved("a law that is no box")
-    m, n = model.law.size, model.x.numel()
-    C, D = (exact.rational(np.array(ca.DM(part)).reshape(part.shape)) for part in (model.C, model.D))
     low, high = (np.concatenate(ends) for ends in zip(*(domains.ends(block) for block in model.law.blocks), strict=True))
     bounded = np.isfinite(low) & np.isfinite(high)
-    if bounded.all() or exact.psd(D).definite:
-        return {}
     S, I = D + D.T, exact.eye(m)
     A = exact.zeros(m + int(bounded.sum()), 1 + 3 * m + m + (n if x is None else 0))
     positive, k = [0], []
@@ -299,8 +375,8 @@ def _in_range(model: LureSystem, x: np.ndarray | None) -> Any:
 def _first_order(model: FirstOrderSystem, finding: Finding, value: dict[str, str]) -> Any:
     if finding.id == "F-jacobians":
         return {"cover": Grown()}
-    if finding.id not in ("F-step", "F-W"):
-        raise Unproved("no proof of this kind is written down here")
+    if finding.id in ("F-mlcp", "F-unique"):
+        return _complementarity(model)
     steps = model.steps if model.steps is not None else [model.step]
     value["h"] = text(np.max(steps))
     inverse = exact.inverse(exact.rational(np.array(ca.DM(ca.densify(model.M)))))
@@ -309,4 +385,109 @@ def _first_order(model: FirstOrderSystem, finding: Finding, value: dict[str, str
     return {"inverse": matrix(inverse), "cover": Grown()}
 
 
-__all__ = ["NoProgram", "Unproved", "covered", "proof_of", "value_of"]
+def _complementarity(model: FirstOrderSystem) -> Any:
+    """W^-1 at each step, and T with T (W_mlcp + W_mlcp') = B where there is one."""
+    z = ca.vertcat(model.t, model.x, model.lam)
+    J = [ca.jacobian(getattr(model, name), u) for name in "fgh" for u in (model.x, model.lam)]
+    if any(ca.depends_on(part, z) for part in J):
+        raise Unproved("f, g or h is not affine")
+    A, _, K, B, C, D = (exact.rational(np.array(ca.DM(ca.densify(part))).reshape(part.shape)) for part in J)
+    M, theta, gamma = exact.rational(np.array(ca.DM(ca.densify(model.M)))), Fraction(model.theta), Fraction(model.gamma)
+    found: dict[str, list[Any]] = {"inverses": [], "T": []}
+    for h in np.unique(model.step if model.steps is None else model.steps):
+        inverse = exact.inverse(M - Fraction(h) * (theta * A + gamma * K))
+        if inverse is None:
+            raise Unproved("W is singular")
+        W = D + Fraction(h) * gamma * exact.product(C, inverse, B)
+        T = exact.solve(W + W.T, B.T)
+        found["inverses"].append(matrix(inverse))
+        found["T"].append(None if T is None else matrix(T.T))
+    return found
+
+
+# -- oscillators and inclusions ---------------------------------------------------------------------------------------------
+
+
+def _inside(model: Any, finding: Finding) -> dict[str, Any]:
+    point = finding.witness.get("interior point", np.array(ca.DM(model.x0)).ravel())
+    return {"interior": [text(entry) for entry in np.ravel(point)]}
+
+
+def _oscillator(model: FrictionOscillator, data: Data, finding: Finding, value: dict[str, str]) -> list[Any]:
+    if finding.id == "O-theta":
+        return [{"theta": [_friction(program) for program in data["theta"]]}]
+    if finding.id != "O-g":
+        return [{}]
+    atoms, n = verify.Atoms(), list(range(model.x.numel()))
+    (p,) = atoms.read(data["g"])
+    hint = _inside(model, finding) | convexity(p, n, atoms)
+    proofs = []
+    if "lower bound of g" in value:
+        bound = nowhere_negative(p + verify.constant(-Fraction(value["lower bound of g"])), atoms)
+        proofs += [] if bound is None else [hint | {"bound": bound}]
+    H = verify.hessian(verify.Poly({m: a for m, a in p.items() if all(v in n for v, _ in m)}), n, atoms)
+    least = 0.0 if H is None else float(np.linalg.eigvalsh(exact.doubles(np.array(H, dtype=object)))[0])
+    point, number = _least(model)
+    if least > 0 and np.isfinite([*point, number]).all():
+        value.setdefault("lower bound of g", text(number - 1e-6 * (1 + abs(number))))
+        proofs.append(hint | {"mu": text(0.99 * least), "least": [text(x) for x in point]})
+    if not proofs:
+        raise Unproved("no lower bound of g that is shown by squares or by strong convexity")
+    return proofs
+
+
+def _least(model: FrictionOscillator) -> tuple[np.ndarray, float]:
+    """Where the potential, without its domain, is least, in floating point."""
+    g = without_domain(model.potential, model.x, "potential")
+    f = ca.Function("g", [model.x], [g, ca.gradient(g, model.x)])
+    found = minimize(
+        lambda x: (float(f(x)[0]), np.array(f(x)[1]).ravel()), np.array(ca.DM(model.x0)).ravel(), jac=True, tol=1e-12
+    )
+    return found.x, float(found.fun)
+
+
+def _friction(program: Any) -> dict[str, Any]:
+    """What shows that one theta is convex: squares of the second derivative of what the rules leave, else a cover."""
+    atoms = verify.Atoms()
+    (p,), atoms.nonnegative = atoms.read(program), {0}
+    rest = verify.leftover(p, atoms)
+    polynomial = all(v == 0 for m in rest for v, _ in m)
+    pair = _on_half_line(verify.slope(verify.slope(rest, 0, atoms), 0, atoms)) if polynomial else None
+    return {"slope": Grown()} | ({"cover": Grown()} if pair is None else {"squares": pair})
+
+
+def _on_half_line(p: verify.Poly) -> list[Any] | None:
+    """Squares a and b with p = a + s b: p(u^2) is a sum of squares in u, whose products of odd powers, by u, are b."""
+    doubled = verify.Poly({tuple((v, 2 * n) for v, n in m): a for m, a in p.items()})
+    found = squares(doubled)
+    if found is None:
+        return None
+    pair = []
+    for odd in (0, 1):
+        own = [k for k, m in enumerate(found["monomials"]) if (m[0][1] if m else 0) % 2 == odd]
+        monomials = [[[0, m[0][1] // 2]] if m and m[0][1] > 1 else [] for m in (found["monomials"][k] for k in own)]
+        pair.append({"monomials": monomials, "G": [[found["G"][i][j] for j in own] for i in own]})
+    return pair
+
+
+def _inclusion(model: MonotoneInclusion, data: Data, finding: Finding, value: dict[str, str]) -> list[Any]:
+    if finding.id == "M-C":
+        return [_inside(model, finding)]
+    V = model.field - (model.operator if model.phi is None else ca.gradient(without_domain(model.phi, model.x, "phi"), model.x))
+    if finding.id == "M-T":
+        if model.phi is None:
+            return [_cover(model.operator, model.x)]
+        atoms = verify.Atoms()
+        return [convexity(*atoms.read(data["phi"]), range(model.x.numel()), atoms)]
+    if finding.id == "M-A2":
+        return [{}]
+    if finding.id == "M-A3":
+        atoms = verify.Atoms()
+        found = nowhere_negative(verify.dissipation(data, {"value": value}, atoms), atoms)
+        if found is None:
+            raise Unproved("the dissipation is not shown to be >= 0 by squares")
+        return [_inside(model, finding) | found]
+    return [_cover(V, model.x) if finding.id == "M-24" else {"cover": Grown()}]
+
+
+__all__ = ["NoProgram", "Unproved", "covered", "proofs_of", "value_of"]

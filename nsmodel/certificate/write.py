@@ -13,15 +13,17 @@ import numpy as np
 from nsmodel.certificate import verify
 from nsmodel.certificate.data import data_of
 from nsmodel.certificate.graph import NoProgram, text
-from nsmodel.certificate.hints import ROOMS, TooManyParts, Unproved, covered, proof_of, value_of
+from nsmodel.certificate.hints import ROOMS, TooManyParts, Unproved, covered, proofs_of, value_of
 from nsmodel.errors import UsageError
 from nsmodel.hypotheses.findings import ALONG_A_RUN, HOLDS, Finding, Report
 from nsmodel.hypotheses.scope import Scope
 from nsmodel.model.base import Model
+from nsmodel.model.bodies import ManyBodies
 from nsmodel.model.first_order import FirstOrderSystem
 from nsmodel.storage import replacing
 
-FORMAT = 1
+FORMAT = 2
+MOST_CONSTRAINTS = 400  # Families of more are not written out.
 
 
 def certificate_of(report: Report) -> dict[str, Any]:
@@ -33,36 +35,44 @@ def certificate_of(report: Report) -> dict[str, Any]:
     found: dict[str, Any] = {"format": FORMAT, "title": report.title, "hash": "", "model": {}, "statements": []}
     findings = {finding.id: finding for finding in report.findings if finding.verdict == HOLDS}
     reason = ""
-    try:
-        found["model"] = data_of(report.model, findings)
-    except NoProgram as why:
-        reason = f"the model cannot be written as a program: {why}"
+    model = report.model
+    if isinstance(model, ManyBodies):
+        if sum(family.count for family in model.constraints.values()) > MOST_CONSTRAINTS:
+            reason = f"more than {MOST_CONSTRAINTS} constraints of families"
+        elif not isinstance(model.f, ca.SX):
+            reason = "a velocity that is a function of numbers"
+        else:
+            model = model.written_out()
+    found["model"] = {} if reason else data_of(model, findings)
     found["hash"] = verify.digest(found["model"])
     for finding in report.findings:
         if finding.verdict == HOLDS and not finding.id.startswith(ALONG_A_RUN):
-            found["statements"].append(_statement(report, found["model"], finding, findings, reason))
+            found["statements"].append(_statement(model, found["model"], finding, findings, reason))
     return found
 
 
-def _statement(
-    report: Report, data: dict[str, Any], finding: Finding, findings: dict[str, Finding], reason: str
-) -> dict[str, Any]:
+def _statement(model: Model, data: dict[str, Any], finding: Finding, findings: dict[str, Finding], reason: str) -> dict[str, Any]:
     statement: dict[str, Any] = {
         "id": finding.id, "statement": finding.statement, "source": finding.source, "value": value_of(finding),
-        "scope": None if finding.scope is None else _scope(finding.scope, report.model), "proof": None,
+        "scope": None if finding.scope is None else _scope(finding.scope, model), "proof": None,
     }  # fmt: skip
     for room in ROOMS if not reason else ():
         value = value_of(finding, room)
         try:
-            proved = statement | {"value": value, "proof": proof_of(report.model, finding, findings, value, room)}
-            answer = covered(data, proved)
+            proofs = proofs_of(model, data, finding, findings, value, room)
+        except (Unproved, NoProgram, verify.NotCheckable) as why:
+            reason = str(why)
+            break
+        for proof in proofs:
+            proved = statement | {"value": value, "proof": proof}
+            try:
+                answer = covered(data, proved)
+            except TooManyParts as why:
+                reason = str(why)
+                continue
             if answer == "yes":
                 return proved
             reason = answer.partition(": ")[2]
-        except (Unproved, NoProgram) as why:
-            reason = str(why)
-            if not isinstance(why, TooManyParts):
-                break
     return statement | {"why": reason}
 
 

@@ -67,7 +67,18 @@ def is_sos_convex(p: Polynomial, n: int) -> bool:
     >>> is_sos_convex({((0, 4),): Fraction(1), ((0, 2), (1, 2)): Fraction(2), ((1, 4),): Fraction(1)}, 2)  # (x^2 + y^2)^2
     True
     """
-    return all(_sos_convex(part) for part in _coupled(p))
+    return convexity(p) is not None
+
+
+def convexity(p: Polynomial) -> list[tuple[list[int], Certificate]] | None:
+    """Certificates of y'D2p(x) y, one for each group of variables that share terms: these, and a certificate in x and y."""
+    found = []
+    for part in _coupled(p):
+        own = _sos_convex(part)
+        if own is None:
+            return None
+        found.append((polynomial.variables(part), own))
+    return found
 
 
 def lower_bound(p: Polynomial, n: int) -> Fraction | None:
@@ -302,7 +313,7 @@ def _coupled(p: Polynomial) -> list[Polynomial]:
     return [dict(terms[i] for i in group) for group in groups]
 
 
-def _sos_convex(p: Polynomial) -> bool:
+def _sos_convex(p: Polynomial) -> Certificate | None:
     used = polynomial.variables(p)
     n, place = len(used), {variable: i for i, variable in enumerate(used)}
     form: Polynomial = {}
@@ -314,12 +325,12 @@ def _sos_convex(p: Polynomial) -> bool:
                 key = tuple(sorted([*((place[v], power) for v, power in monomial), *both]))
                 form = polynomial.add(form, {key: number})
     if not form:
-        return True
+        return Certificate([], exact.zeros(0, 0))
     most = [max(dict(monomial).get(i, 0) for monomial in form) // 2 for i in range(n)]
     degrees = [sum(power for variable, power in monomial if variable < n) for monomial in form]
     least, largest = -(-min(degrees) // 2), max(degrees) // 2
     if max(degrees) % 2 or np.prod([k + 1.0 for k in most]) > 5000:
-        return False
+        return None
     inner = [power for power in product(*(range(k, -1, -1) for k in most)) if least <= sum(power) <= largest]
     rows = [(*power, *(int(k == i) for k in range(n))) for i in range(n) for power in inner]
-    return certificate(form, 2 * n, rows) is not None
+    return certificate(form, 2 * n, rows)
