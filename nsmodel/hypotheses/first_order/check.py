@@ -72,7 +72,7 @@ def check(
     step = _step(at, quick)
     regular = _regular(at, step, quick)
     mlcp = solvable(F_MLCP, at, regular.verdict, quick)
-    findings = [_jacobians(at), regular, mlcp, one_step.unique(F_UNIQUE, at, regular, mlcp, runs, quick), step]
+    findings = [_jacobians(at), regular, mlcp, one_step.unique(F_UNIQUE, at, regular, mlcp, quick), step]
     return findings, _consequences(at, findings, runs)
 
 
