@@ -134,3 +134,69 @@ def test_rounding_alone_gives_no_second_solution():
     # D_11 = -1e-17 is rounding of 0: far away l = 1e17 x solves the step, too.
     model = system(-X, 0.1 * L, X + ca.DM([[-1e-17, 0.0], [0.0, 1.0]]) @ L, box([0, 0], [1, 1]), x0=[1.0, 1.0])
     assert unique(model).verdict == "holds"  # W_11 = 0.01 / 1.1 - 1e-17
+
+
+# -- one multiplier after the other is a function of one state: solutions are counted on a grid -----------------------------
+
+
+def counted(f, beta, s, B, C, D, law, x_k, h, low, high):
+    """Sign changes of E(x), l_i = -y_i / D_ii cut at its bounds; a jump of l across 0 = y is filled by the law."""
+    x = np.linspace(low, high, 200001)
+    lower, upper = (np.array(ca.DM(end)).ravel() for end in (law.lower, law.upper))
+    y = np.outer(C, np.array(s(x)).ravel())
+    l = np.where(D[:, None] > 0, -y / np.where(D > 0, D, 1.0)[:, None], np.where(y > 0, -np.inf, np.inf))
+    E = x - x_k - h * f(x) - h * np.array(beta(x)).ravel() * (B @ np.clip(l, lower[:, None], upper[:, None]))
+    return int((np.sign(E[:-1]) * np.sign(E[1:]) < 0).sum())
+
+
+SHAPES = [(lambda x: 1 + x**2), (lambda x: 2 + ca.tanh(x)), (lambda x: 1 + 0 * x)]
+OUTPUTS = [(lambda x: x + x**3), (lambda x: x + 0 * x), (lambda x: ca.sin(2 * x) + x / 2)]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_one_state_and_two_relays_by_counting(seed):
+    rng, seen = np.random.default_rng(seed), []
+    x, l = ca.SX.sym("x"), ca.SX.sym("l", 2)
+    for _ in range(12):
+        beta, s = SHAPES[rng.integers(3)], OUTPUTS[rng.integers(3)]
+        B, D = rng.integers(-2, 3, 2) * 1.0, rng.choice([0.0, 0.0, 1.0], 2)
+        C = (B, B, -B, rng.integers(-2, 3, 2) * 1.0)[rng.integers(4)]
+        a, law, start = rng.normal(), relay(2), rng.choice([-1.0, 0.0, 0.1, 0.7])
+        given = beta(x) * ca.dot(ca.DM(B), l), ca.DM(C) * s(x) + ca.DM(D) * l
+        model = system(a * x + ca.sin(x), *given, law, x, l, x0=[start])
+        finding = unique(model)
+        seen.append(finding.verdict)
+        if finding.verdict == "violated":
+            assert_two_steps(model.bind(), finding.witness)
+        if finding.verdict != "holds":
+            continue
+        low, high = (-2.0, 2.0) if finding.scope is None or not finding.scope.states else finding.scope.states["x"]
+        for x_k in rng.uniform(low, high, 8):
+            reach = 0.1 * (abs(a) * 3 + 1 + np.abs(B).sum() * (1 + max(low**2, high**2) * 2)) * 1.3
+            assert counted(lambda z, a=a: a * z + np.sin(z), beta, s, B, C, D, law, x_k, 0.1, x_k - reach, x_k + reach) == 1
+    assert "holds" in seen
+
+
+def test_units_that_spoil_the_last_digit_of_c():
+    # C = 1000 B' but for rounding: exactly, on these doubles, W_mlcp is not psd, yet x is the same.
+    x, l = ca.SX.sym("x"), ca.SX.sym("l", 2)
+    f, g, h = -x, (0.73 * l[0] - 0.65 * l[1]) / 1000, ca.vertcat(0.73 * x, -0.65 * x)
+    assert unique(system(f, g, h, complementarity(2), x, l)).verdict == "holds"
+    assert unique(system(f, -g, h, complementarity(2), x, l)).verdict != "holds"
+
+
+def test_one_sign_of_y_in_all_steps_from_the_region():
+    # x' = -l with y = x: the wrong sign, but l = -1 as long as no step from the region comes near x = 0.
+    x, l = ca.SX.sym("x"), ca.SX.sym("l")
+    far, near = (unique(system(ca.sin(x), -l * (1 + 0.1 * x**2), x, relay(1), x, l, x0=[start])) for start in (3.0, 0.12))
+    assert far.verdict == "holds"
+    assert "one sign" in far.how
+    assert near.verdict == "violated"
+
+
+def test_a_law_that_asks_for_what_no_state_gives():
+    # x >= 1 and -x >= 1: no step at all; x >= -1 and -x >= -1: x is pressed into the interval.
+    x, l = ca.SX.sym("x"), ca.SX.sym("l", 2)
+    for level, verdict in ((1.0, {"violated", "unknown"}), (-1.0, {"holds"})):
+        h = ca.vertcat(x - level, -x - level)
+        assert unique(system(ca.sin(x) - x, l[0] - l[1], h, complementarity(2), x, l)).verdict in verdict

@@ -21,8 +21,10 @@ from nsmodel.hypotheses.first_order.affine_step import (
     solvable,
     two_or_none,
 )
+from nsmodel.hypotheses.first_order.held_rows import without_held
 from nsmodel.hypotheses.first_order.linearised import Linearised, numbers
-from nsmodel.hypotheses.first_order.monotone_step import unique_on_region
+from nsmodel.hypotheses.first_order.monotone_step import Unique, unique_on_region
+from nsmodel.hypotheses.first_order.paired_step import unique_paired
 from nsmodel.hypotheses.first_order.step_matrix import coherent, p_matrix
 from nsmodel.hypotheses.lure import domains
 from nsmodel.hypotheses.lure.range_condition import covers_everything
@@ -45,7 +47,7 @@ def unique(hypothesis: Hypothesis, at: Linearised, regular: Finding, mlcp_findin
         return finding
     if quick:
         return found(hypothesis, UNKNOWN, "not settled by W_mlcp alone; index sets are not enumerated (quick)")
-    most = None if exactly or at.jump is not None else unique_on_region(at, regular.verdict == HOLDS)
+    most = None if exactly or at.jump is not None else _on_region(at, regular.verdict == HOLDS)
     if most is not None and most.exists:
         return found(
             hypothesis, HOLDS, f"{most.how[0].upper()}{most.how[1:]}.", {"solutions": 1}, scope=at.scope(local=most.local)
@@ -57,6 +59,22 @@ def unique(hypothesis: Hypothesis, at: Linearised, regular: Finding, mlcp_findin
     if finding.verdict == SAMPLED and at.jump is not None:
         return found(hypothesis, UNKNOWN, JUMPS, finding.value)
     return finding
+
+
+def _on_region(at: Linearised, regular: bool) -> Unique | None:
+    """At most one, or exactly one step in the region, the multipliers with y of one sign there put in."""
+    rest = without_held(at)
+    one = _best(rest, regular)
+    if one is not None and len(rest.names) < len(at.names):
+        held = [name for name in at.names if name not in rest.names]
+        return one._replace(how=f"y has one sign in all steps from the region for {', '.join(held)}; {one.how}", local=True)
+    return one
+
+
+def _best(at: Linearised, regular: bool) -> Unique | None:
+    """The better answer of two forms."""
+    one = unique_paired(at, regular)
+    return one if one is not None and one.exists else unique_on_region(at, regular) or one
 
 
 def _smooth(hypothesis: Hypothesis, at: Linearised, regular: Finding, quick: bool) -> Finding:
@@ -88,6 +106,8 @@ def _constant(hypothesis: Hypothesis, at: Linearised, mlcp_finding: Finding, qui
     reasons = [_one(at, at.exact_mlcp(h)) for h in lengths]
     if all(reasons):
         return found(hypothesis, HOLDS, f"{reasons[0][0].upper()}{reasons[0][1:]}.", {"solutions": 1}, scope=scope)
+    if (one := unique_paired(at, True)) is not None and one.exists:
+        return found(hypothesis, HOLDS, f"{one.how[0].upper()}{one.how[1:]}.", {"solutions": 1}, scope=scope)
     if any(block.kind != "box" for block in at.model.law.blocks):
         return None
     several = [affine_step(at, h) for h in lengths]
@@ -105,6 +125,9 @@ def _constant(hypothesis: Hypothesis, at: Linearised, mlcp_finding: Finding, qui
         reasons.append(f"{most}; {exists}" if exists else "")
     if all(reasons):
         return found(hypothesis, HOLDS, f"{reasons[0][0].upper()}{reasons[0][1:]}.", {"solutions": 1}, scope=scope)
+    finding = _searched(hypothesis, at)
+    if finding.verdict == VIOLATED:
+        return finding
     if most := _at_most_one(at, several[-1]):
         how = f"{most[0].upper()}{most[1:]}; whether one exists for every state is not decided."
         return found(hypothesis, UNKNOWN, how, {"solutions": 1})

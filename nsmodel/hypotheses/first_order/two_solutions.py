@@ -25,7 +25,7 @@ from nsmodel.scheme.problem import basic_law
 from nsmodel.solve.certificate import numeric_law
 
 MOST_MODES = 2500  # that are tried at one state
-SAMPLES, STATES, ROWS = 500, 14, 6  # points of modes; states of them, and of the runs, at which all modes are tried
+SAMPLES, STATES, ROWS = 300, 12, 4  # points of modes; states of them, and of the runs, at which all modes are tried
 STARTS = 6  # of Newton's method on a mode where a ball or a cone is touched
 MOST_TRIES = 2500  # runs of Newton's method, in all
 NEWTON, TOLERANCE = 14, 1e-11
@@ -115,8 +115,8 @@ class _Step:
         self.Y = ca.substitute([basic.Y], [y_user], [y])[0]
         self.x, self.user_l = x, basic.multipliers
         inputs, both = [x, self.l, self.t, self.x_k, self.step], ca.vertcat(self.E, self.Y)
-        derivatives = [ca.jacobian(both, ca.vertcat(x, self.l)), ca.jacobian(self.E, self.x_k)]
-        self.values = ca.Function("values", inputs, [ca.densify(part) for part in (both, *derivatives)])
+        self.values = ca.Function("values", inputs, [ca.densify(ca.horzcat(both, ca.jacobian(both, ca.vertcat(x, self.l))))])
+        self.in_x_k = ca.Function("in_x_k", inputs, [ca.densify(ca.jacobian(self.E, self.x_k))])
         self.user = ca.Function("user", [self.l], [ca.densify(basic.multipliers)])
         self.r_k = ca.Function("r_k", [self.t, self.x_k], [ca.densify(r_k)]) if gamma < 1 else None
         self.everywhere = at.constant and at.affine
@@ -128,9 +128,7 @@ class _Step:
         at, n = self.at, self.n
         low, up = at.lower[1 : n + 1], at.upper[1 : n + 1]
         self.low, self.up, self.span = low, up, np.where(up > low, up - low, 1.0)
-        value, J, _ = self.at_point(
-            (low + up) / 2, np.clip(np.zeros(self.m), self.lower, self.upper), at.lower[0], (low + up) / 2
-        )
+        value, J = self.at_point((low + up) / 2, np.clip(np.zeros(self.m), self.lower, self.upper), at.lower[0], (low + up) / 2)
         with np.errstate(all="ignore"):
             rows = np.abs(value[n:]) + np.abs(J[n:, :n]) @ self.span
             moved = np.abs(J[:, n:]).T @ (1 / np.concatenate([np.abs(J[:n, :n]) @ self.span, np.where(rows > 0, rows, np.inf)]))
@@ -144,10 +142,10 @@ class _Step:
         size = np.array([np.abs(W[np.ix_(rows, rows)]).max() for _, rows in self.blocks])
         self.size_s = np.where(np.isfinite(size) & (size > 0), size, 1.0)
 
-    def at_point(self, x: np.ndarray, l: np.ndarray, t: float, x_k: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(E, y), its Jacobian in (x, l), and that of E in x_k."""
-        value, J, J_k = self.values(x, l, t, x_k, self.h)
-        return np.array(value).ravel(), np.array(J), np.array(J_k)
+    def at_point(self, x: np.ndarray, l: np.ndarray, t: float, x_k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(E, y), and its Jacobian in (x, l)."""
+        both = self.values(x, l, t, x_k, self.h).full()
+        return both[:, 0], both[:, 1:]
 
     # -- the system of a mode ---------------------------------------------------------------------------------------------
 
@@ -259,7 +257,7 @@ class _Step:
         u = np.concatenate([x, self.start(mode, rng)])
         scale = np.concatenate([10 * max(wide, 1.0) * self.span if self.everywhere else self.span, self.width, self.size_s])
         for _ in range(6):
-            value, J, _ = self.at_point(u[:n], u[n : n + self.m], t, u[:n])
+            value, J = self.at_point(u[:n], u[n : n + self.m], t, u[:n])
             F, D, slack = self.system(mode, u, value, J)
             if not (np.isfinite(F).all() and np.isfinite(D).all()):
                 return None
@@ -278,7 +276,7 @@ class _Step:
         x_k = self._origin(u, t)
         if x_k is None or not (self.everywhere or ((x_k >= self.low) & (x_k <= self.up)).all()):
             return None
-        value, J, _ = self.at_point(u[:n], u[n : n + self.m], t, x_k)
+        value, J = self.at_point(u[:n], u[n : n + self.m], t, x_k)
         D = self.system(mode, u, value, J)[1] * scale
         sign, size = np.linalg.slogdet(D / np.maximum(np.abs(D).max(axis=1, keepdims=True), np.finfo(float).tiny))
         return _Point(mode, u, t, x_k, sign) if size > np.log(SINGULAR) else None
@@ -297,7 +295,8 @@ class _Step:
         """The x_k from which E = 0."""
         x_k = u[: self.n].copy()
         for _ in range(8):
-            value, _, J_k = self.at_point(u[: self.n], u[self.n : self.n + self.m], t, x_k)
+            point = u[: self.n], u[self.n : self.n + self.m], t, x_k
+            value, J_k = self.at_point(*point)[0], self.in_x_k(*point, self.h).full()
             if not (np.isfinite(value).all() and np.isfinite(J_k).all()):
                 return None
             step = np.linalg.lstsq(J_k, -value[: self.n], rcond=None)[0]
@@ -348,7 +347,7 @@ class _Step:
     def _newton(self, mode: Mode, u: np.ndarray, point: _Point) -> np.ndarray | None:
         n, m = self.n, self.m
         for _ in range(NEWTON):
-            value, J, _ = self.at_point(u[:n], u[n : n + m], point.t, point.x_k)
+            value, J = self.at_point(u[:n], u[n : n + m], point.t, point.x_k)
             F, D, slack = self.system(mode, u, value, J)
             if not (np.isfinite(F).all() and np.isfinite(D).all()):
                 return None
@@ -370,7 +369,8 @@ class _Step:
     def _clear(self, mode: Mode, point: _Point) -> np.ndarray | None:
         """By how much x (n,) changes where the data do by CLEAR of themselves; None where an inequality may then fail."""
         n, m, u = self.n, self.m, point.u
-        value, J, J_k = self.at_point(u[:n], u[n : n + m], point.t, point.x_k)
+        state = u[:n], u[n : n + m], point.t, point.x_k
+        (value, J), J_k = self.at_point(*state), self.in_x_k(*state, self.h).full()
         D = self.system(mode, u, value, J)[1]
         terms = np.abs(D) @ np.abs(u)
         terms[:n] += np.abs(J_k) @ np.abs(point.x_k)
