@@ -73,7 +73,7 @@ def check(
     step = _step(at, quick)
     regular = _regular(at, step, quick)
     mlcp = solvable(F_MLCP, at, regular.verdict, quick)
-    findings = [_jacobians(at), regular, mlcp, one_step.unique(F_UNIQUE, at, regular, mlcp, runs, quick or are_quick()), step]
+    findings = [_jacobians(at), regular, mlcp, one_step.unique(F_UNIQUE, at, regular, mlcp, quick or are_quick()), step]
     return findings, consequences_of(at.model, at.affine, findings, runs)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
+from math import comb
 from typing import NamedTuple
 
 import casadi as ca
@@ -14,14 +16,15 @@ from nsmodel.hypotheses.lure.domains import ends
 from nsmodel.hypotheses.region import GROWTH, Region
 from nsmodel.hypotheses.scope import Scope
 from nsmodel.model.first_order import FirstOrderSystem
-from nsmodel.model.laws import Law
-from nsmodel.proof import exact
+from nsmodel.model.laws import Block, Law
+from nsmodel.proof import exact, feasibility
 from nsmodel.proof.defined import Defined, in_time
 from nsmodel.proof.extremum import samples
 from nsmodel.proof.jumps import Jump, find_jump, jumps_in
 from nsmodel.trajectory import Trajectory
 
 ROWS = 100  # of the runs that are looked at
+MOST_CORNERS = 500  # Sets of faces of a polyhedron that are looked at.
 SAMPLES = 32  # points where there is no run
 
 
@@ -168,11 +171,16 @@ def numbers(matrix: ca.SX) -> np.ndarray:
     return np.array(ca.DM(ca.densify(matrix))).reshape(matrix.shape)
 
 
-def linearised(model: FirstOrderSystem, region: Region, runs: Sequence[Trajectory]) -> Linearised:
-    """Differentiate the model, and choose the box and the points."""
-    J = Jacobians(*(ca.simplify(ca.jacobian(e, s)) for e, s in (
+def jacobians(model: FirstOrderSystem) -> Jacobians:
+    """Of f, h and g."""
+    return Jacobians(*(ca.simplify(ca.jacobian(e, s)) for e, s in (
         (model.f, model.x), (model.h, model.x), (model.h, model.lam), (model.g, model.x), (model.g, model.lam),
     )))  # fmt: skip
+
+
+def linearised(model: FirstOrderSystem, region: Region, runs: Sequence[Trajectory]) -> Linearised:
+    """Differentiate the model, and choose the box and the points."""
+    J = jacobians(model)
     points = _along(runs)
     low_l, high_l, where = _multipliers(model.law, points[:, 1 + len(model.names) :])
     steps = lengths(model, runs)
@@ -212,6 +220,11 @@ def _multipliers(law: Law, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray, st
         elif block.kind == "ball":
             ends_high = np.full(block.size, float(block.upper[0]))
             ends_low = -ends_high
+        elif block.kind == "polyhedron" and len(corners := _corners(block)):
+            ends_low, ends_high = (
+                np.array([rounded(end) for end in ends])
+                for rounded, ends in ((exact.down, corners.min(axis=0)), (exact.up, corners.max(axis=0)))
+            )
         else:
             ends_low, ends_high = np.full(block.size, -np.inf), np.full(block.size, np.inf)
         low.append(ends_low)
@@ -225,6 +238,22 @@ def _multipliers(law: Law, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray, st
     lower = np.where(np.isfinite(lower), lower, middle - half)
     upper = np.where(np.isfinite(upper), upper, middle + half)
     return lower, upper, f"the region, all times, and l within {GROWTH:g} times its range along the run"
+
+
+def _corners(block: Block) -> np.ndarray:
+    """The corners (k, m) of a bounded polyhedron, exactly; none where it is not bounded, or has too many faces."""
+    H, K, m = exact.rational(block.H), exact.rational(block.K), block.size
+    none = exact.zeros(0, m)
+    if comb(len(K), m) > MOST_CORNERS or exact.rank(H) < m:
+        return none
+    if feasibility.decide(feasibility.System(H.T, tuple(range(len(K))))).point is None:  # some H d >= 0, d != 0
+        return none
+    found = []
+    for rows in map(list, combinations(range(len(K)), m)):
+        inverse = exact.inverse(H[rows])
+        if inverse is not None and (exact.product(H, corner := exact.product(inverse, K[rows, None])) >= K[:, None]).all():
+            found.append(corner.ravel())
+    return np.array(found, dtype=object).reshape(-1, m)
 
 
 def lengths(model: FirstOrderSystem, runs: Sequence[Trajectory]) -> np.ndarray:

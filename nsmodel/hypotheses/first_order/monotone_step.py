@@ -92,10 +92,8 @@ def unique_on_region(at: Linearised, regular: bool) -> Unique | None:
 
 def _bounded(at: Linearised) -> bool:
     """Whether K is seen to be bounded."""
-    return all(
-        block.kind == "ball" or (block.kind == "box" and np.isfinite(numbers(ca.vertcat(block.lower, block.upper))).all())
-        for block in at.model.law.blocks
-    )
+    n = len(at.model.names)
+    return not at.boxed and bool(np.isfinite([at.lower[1 + n :], at.upper[1 + n :]]).all())
 
 
 def _form(at: Linearised, h: float, *, extended: bool) -> _Form | None:

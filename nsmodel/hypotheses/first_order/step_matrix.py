@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from itertools import combinations, product
 from typing import NamedTuple
 
 import numpy as np
 
+from nsmodel.model.laws import Law
 from nsmodel.proof import exact, polynomial_signs
 
 ROUNDING = 64 * np.finfo(float).eps  # Relative changes of the entries of M and G that are no more than rounding.
@@ -57,6 +59,36 @@ def _bad_minor(W: np.ndarray, rows: list[int]) -> tuple[list[int] | None, Fracti
         schur = rest - np.outer(part[1:, 0] / pivot, part[0, 1:])
         stack.append((schur, left[1:], [*chosen, left[0]], value))
     return None, Fraction(1) if least is None else least
+
+
+def coherent(law: Law, W: np.ndarray) -> bool:
+    """Whether l -> -(W l + N_K(l)) is one to one and onto, for K of boxes and polyhedra (Robinson 1992); W rational.
+
+    It is where det Z'W Z > 0 for every face of K with directions Z. All sets of active rows are tried, also those of no face.
+    """
+    parts, place, count = [], 0, 1
+    for block in law.blocks:
+        size = block.size
+        if block.kind == "box":
+            units = [(exact.eye(size)[:, [i]], exact.zeros(size, 0)) for i in range(size)]
+            parts += [[_placed(Z, place, len(W)) for Z in pair] for pair in units]
+        elif block.kind == "polyhedron":
+            active = [list(rows) for k in range(len(block.K) + 1) for rows in combinations(range(len(block.K)), k)]
+            own = [exact.nullspace(block.H[rows]) if rows else exact.eye(size) for rows in active]
+            parts.append([_placed(Z, place, len(W)) for Z in own])
+        else:
+            return False
+        place, count = place + size, count * len(parts[-1]) if block.kind == "polyhedron" else count * 2**size
+        if count > 2**MOST_MINORS:
+            return False
+    return all(exact.determinant(exact.product(Z.T, W, Z)) > 0 for choice in product(*parts) if (Z := np.hstack(choice)).shape[1])
+
+
+def _placed(Z: np.ndarray, place: int, m: int) -> np.ndarray:
+    """Directions of some rows as those of all m."""
+    out = exact.zeros(m, Z.shape[1])
+    out[place : place + len(Z)] = Z
+    return out
 
 
 class Steps(NamedTuple):
