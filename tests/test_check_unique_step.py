@@ -200,3 +200,32 @@ def test_a_law_that_asks_for_what_no_state_gives():
     for level, verdict in ((1.0, {"violated", "unknown"}), (-1.0, {"holds"})):
         h = ca.vertcat(x - level, -x - level)
         assert unique(system(ca.sin(x) - x, l[0] - l[1], h, complementarity(2), x, l)).verdict in verdict
+
+
+def test_fewer_states_than_rows_by_counting():
+    # b = N x_k lies on a line, so that W need not be a P-matrix.
+    rng, seen = np.random.default_rng(0), set()
+    x, l = ca.SX.sym("x"), ca.SX.sym("l", 2)
+    for _ in range(40):
+        B, C, e = rng.integers(-2, 3, (3, 2))
+        D = rng.integers(-1, 2, (2, 2)) * (rng.random() < 0.5)
+        model = system(-x, ca.dot(ca.DM(B), l), ca.DM(C) * x + ca.DM(D) @ l + ca.DM(e), relay(2), x, l)
+        finding = unique(model)
+        seen.add((finding.verdict, "linear programs" in finding.how))
+        if finding.verdict != "holds":
+            continue
+        W = D + np.outer(C, B) * 0.1 / 1.1
+        for x_k in rng.normal(size=30) * 3:
+            b, ends = C * x_k / 1.1 + e, []
+            for code in product((-1, 0, 1), repeat=2):
+                at, free = np.array(code, float), np.flatnonzero(np.array(code) == 0)
+                block = W[np.ix_(free, free)]
+                if free.size and abs(np.linalg.det(block)) < 1e-9:
+                    continue
+                at[free] = np.linalg.solve(block, -(b + W @ at)[free])
+                y = W @ at + b
+                if (np.abs(at) <= 1 + 1e-9).all() and all(c == 0 or c * v <= 1e-9 for c, v in zip(code, y, strict=True)):
+                    ends.append(x_k / 1.1 + B @ at * 0.1 / 1.1)
+            assert not ends or max(ends) - min(ends) < 1e-7
+    assert {("holds", True), ("holds", False)} <= seen
+    assert any(verdict == "violated" for verdict, _ in seen)

@@ -26,6 +26,7 @@ SAMPLES = 3000  # States that floating point looks at, in each of two ways.
 CLEAR = 1e-9  # A sign counts where the number is this part of its terms, or exactly 0.
 LOST = 1e-6  # A b smaller than this part of its size is none that was asked for.
 REGULAR = 1e8  # Condition beyond which a block of W is left to exact arithmetic.
+MOST_PAIRS = 800  # Pairs of index sets, times states, that are all decided.
 
 
 @dataclass(frozen=True)
@@ -454,3 +455,48 @@ def _downhill(step: AffineStep, v: np.ndarray) -> Infeasible | None:
     reach = 2 * (abs(top) + sum(abs(entry) for entry in slope.ravel())) / exact.product(slope.T, slope)[0, 0]
     x = exact.rational(exact.doubles(-reach * slope))
     return Infeasible(x, v) if top + exact.product(slope.T, x)[0, 0] < 0 else None
+
+
+# -- at most one solution ---------------------------------------------------------------------------------------------------
+
+
+def never_two(step: AffineStep) -> bool:
+    """Whether no state has two solutions with different x, by exact linear programs on all pairs of index sets."""
+    if not step.sharp or len(step.sets) ** 2 * len(step.X_l) > MOST_PAIRS:
+        return False
+    return all(_same_x(step, pair, row) for pair in product(step.sets, repeat=2) for row in step.X_l if row.any())
+
+
+def _same_x(step: AffineStep, pair: tuple[np.ndarray, ...], row: np.ndarray) -> bool:
+    """Whether row (l - l') > 0 for no l, l' of these index sets and one x_k; homogeneous in (tau, x_k, l, l')."""
+    m, n = step.N.shape
+    places = [range(1 + n, 1 + n + m), range(1 + n + m, 1 + n + 2 * m)]
+    columns, total, rows = [0], 1 + n + 2 * m, []
+
+    def equation(entries: dict[int, Fraction], slack: int) -> None:
+        rows.append((entries, slack))
+
+    for index, l in zip(pair, places, strict=True):
+        for i, code in enumerate(index):
+            y = {l[j]: step.W[i, j] for j in range(m)}
+            y |= {1 + j: step.N[i, j] for j in range(n)} | {0: step.b_0[i, 0]}
+            ends = {sign: Fraction(float(end)) for sign, end in ((1, step.lower[i]), (-1, step.upper[i])) if np.isfinite(end)}
+            if code == 0:
+                equation(y, 0)
+                for sign, end in ends.items():
+                    equation({l[i]: Fraction(sign), 0: -sign * end}, 1)
+            else:
+                equation({l[i]: Fraction(1), 0: -ends[-int(code)]}, 0)
+                if step.lower[i] < step.upper[i]:
+                    equation({place: -int(code) * entry for place, entry in y.items()}, 1)
+    apart = {place: sign * entry for l, sign in zip(places, (1, -1), strict=True) for place, entry in zip(l, row, strict=True)}
+    equation(apart, 1)
+    A = exact.zeros(len(rows), total + sum(slack for _, slack in rows))
+    for k, (entries, slack) in enumerate(rows):
+        for place, entry in entries.items():
+            A[k, place] += entry
+        if slack:
+            A[k, total] = Fraction(-1)
+            columns.append(total)
+            total += 1
+    return columns[-1] in feasibility.implied_zeros(feasibility.System(A, tuple(columns)))

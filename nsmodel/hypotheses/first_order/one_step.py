@@ -18,6 +18,7 @@ from nsmodel.hypotheses.first_order.affine_step import (
     Infeasible,
     Shown,
     affine_step,
+    never_two,
     solvable,
     two_or_none,
 )
@@ -119,6 +120,8 @@ def _constant(hypothesis: Hypothesis, at: Linearised, mlcp_finding: Finding, qui
         shown = None if most else two_or_none(step)
         if shown is not None:
             return _shown(hypothesis, at, step, shown)
+        if not most and never_two(step):
+            most = "no two index sets give different x from one state, by linear programs (exact)"
         exists = _exists(step) if most else None
         if isinstance(exists, Infeasible):
             return _infeasible(hypothesis, at, step, exists)
