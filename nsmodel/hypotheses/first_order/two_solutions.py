@@ -100,8 +100,8 @@ class _Step:
         self.modes = [_modes(block, law.lower, law.upper) for block in self.blocks]
         self.count = int(np.prod([float(len(modes)) for modes in self.modes]))
         self.radius = np.ones(self.m)
-        for _, rows, radius in law.curved:
-            self.radius[rows] = radius if np.isfinite(radius) else 1.0
+        for rows, K in law.curved:
+            self.radius[rows] = K.radius if K.is_bounded else 1.0
         x, self.l, self.s = ca.SX.sym("x", self.n), basic.l, ca.SX.sym("s", len(self.blocks))
         self.t, self.step, self.x_k = model.t, ca.SX.sym("h"), model.x
         old = [model.t, model.x, model.lam]
@@ -135,8 +135,8 @@ class _Step:
         unit = np.where(np.isfinite(moved) & (moved > 0), 1 / np.where(moved > 0, moved, 1.0), 1.0)
         width = self.upper - self.lower
         self.width = np.where(np.isfinite(width), width, unit)
-        for kind, own, radius in self.law.curved:
-            self.width[own] = radius if kind == "ball" else unit[own].max()
+        for own, K in self.law.curved:
+            self.width[own] = K.radius if K.is_bounded else unit[own].max()
         self.size_y = np.where(np.isfinite(rows) & (rows > 0), rows, 1.0)
         W = J[n:, n:] - J[n:, :n] @ np.linalg.lstsq(J[:n, :n], J[:n, n:], rcond=None)[0]
         size = np.array([np.abs(W[np.ix_(rows, rows)]).max() for _, rows in self.blocks])
