@@ -46,10 +46,10 @@ _UNARY = {
     ca.OP_SQ: "{0}*{0}", ca.OP_TWICE: "2*{0}", ca.OP_FABS: "abs({0})", ca.OP_SIGN: "D(_sign({0}))", ca.OP_INV: "1/{0}",
     ca.OP_NOT: "D(not {0})", ca.OP_SIN: "_sin({0})", ca.OP_COS: "_cos({0})", ca.OP_TANH: "_tanh({0})",
     ca.OP_COSH: "({0}.exp()+(-{0}).exp())/2", ca.OP_SINH: "({0}.exp()-(-{0}).exp())/2", ca.OP_LOG1P: "(1+{0}).ln()",
-    ca.OP_EXPM1: "({0}.exp()-1)",
+    ca.OP_EXPM1: "({0}.exp()-1)", ca.OP_ATAN: "_atan({0})",
 }  # fmt: skip
 _NAMES = {
-    "D": Decimal, "_sin": _by_mpmath("sin"), "_cos": _by_mpmath("cos"), "_tanh": _tanh, "_sign": _sign, "_power": _power,
+    "D": Decimal, "_sin": _by_mpmath("sin"), "_cos": _by_mpmath("cos"), "_atan": _by_mpmath("atan"), "_tanh": _tanh, "_sign": _sign, "_power": _power,
     "min": min, "max": max, "abs": abs, "bool": bool,
 }  # fmt: skip
 
