@@ -49,8 +49,8 @@ _UNARY = {
     ca.OP_EXPM1: "({0}.exp()-1)", ca.OP_ATAN: "_atan({0})",
 }  # fmt: skip
 _NAMES = {
-    "D": Decimal, "_sin": _by_mpmath("sin"), "_cos": _by_mpmath("cos"), "_atan": _by_mpmath("atan"), "_tanh": _tanh, "_sign": _sign, "_power": _power,
-    "min": min, "max": max, "abs": abs, "bool": bool,
+    "D": Decimal, "_sin": _by_mpmath("sin"), "_cos": _by_mpmath("cos"), "_atan": _by_mpmath("atan"), "_tanh": _tanh,
+    "_sign": _sign, "_power": _power, "min": min, "max": max, "abs": abs, "bool": bool,
 }  # fmt: skip
 
 
