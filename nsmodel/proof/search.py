@@ -20,7 +20,7 @@ from nsmodel.proof.straight_line import Program, program
 
 FEW, MANY = 256, 2048  # Sample points of a quick and of a full search.
 STARTS = 4  # Local searches.
-BOXES, WORK = 20_000, 1_200_000  # A search looks at so many boxes at most, fewer where the expression has many instructions.
+BOXES, WORK = 20_000, 2_000_000  # A search looks at so many boxes at most, fewer where the expression has many instructions.
 WIDE = 6  # Constraints' own coordinates are cut too where there are no more than so many in all.
 IPOPT = {
     "print_time": False,
