@@ -10,7 +10,7 @@ import numpy as np
 from nsmodel.hypotheses.bodies.families import Kind
 from nsmodel.hypotheses.bodies.near import named, sizes, within
 from nsmodel.hypotheses.bodies.network import LARGE, Network, network_of
-from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN
 from nsmodel.hypotheses.sweeping.admissible import FEASIBLE
 from nsmodel.hypotheses.sweeping.constraint import EVERYWHERE, ON_THE_BOX
 from nsmodel.hypotheses.sweeping.qualification import FRACTION, TOUCHING, TRIES, Qualified
@@ -52,11 +52,11 @@ def qualification(
             break
         near = _decide(problem, kinds, proved, points, FRACTION * reach * 4.0**-k, slope, size, quick)
     active = _decide(problem, kinds, proved, points, 0.0, slope, size, quick)
-    if near.verdict == VIOLATED and active.verdict != VIOLATED:
+    if np.isinf(near.attained) and not np.isinf(active.attained):
         how = (
             f"near-active constraints oppose each other for every rho tried, down to {near.rho:.2g}; active ones were not seen to"
         )
-        near = near._replace(verdict=UNKNOWN, how=how)
+        near = near._replace(how=how)
     return near, active
 
 
@@ -90,7 +90,8 @@ def _decide(
     if proof is not None and worst.attained <= proof.gamma * (1 + 1e-9):
         return Qualified(HOLDS, proof.gamma, proof.rho, EVERYWHERE, proof.how, worst.attained, witness)
     if np.isinf(worst.attained) and true:
-        return Qualified(VIOLATED, np.inf, rho, ON_THE_BOX, "opposing normals at an admissible point", np.inf, witness)
+        how = "opposing normals at a point that is admissible to rounding; that one is so exactly is not proved"
+        return Qualified(UNKNOWN, np.inf, rho, ON_THE_BOX, how, np.inf, witness)
     if np.isinf(worst.gamma):
         lost = "constraints oppose each other that are active to the rounding of the whole scene, not to their own"
         lost = lost if np.isinf(worst.attained) else "whether normals oppose each other is lost in rounding"
