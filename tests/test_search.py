@@ -5,7 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from search import checked, oracle
+from search import checked, consequences, oracle
 from search.digits import Exact, column, floats
 from search.judge import REFUSED, VIOLATED, WELL, WRONG_L, WRONG_X, Run, Verdict, judge, judge_run
 from search.models import KINDS, Case, case
@@ -196,3 +196,35 @@ def test_a_false_number_is_found(name, seed, id, number, wrong):
     with np.errstate(all="ignore"):
         oracle.ORACLES[name](trial)
     assert {item["id"] for item in trial.bad} >= {id}
+
+
+def _tried(name, report, item):
+    trial = oracle.Trial(name, 0, replace(report, consequences=(item,)), np.random.default_rng(0))
+    with np.errstate(all="ignore"):
+        consequences.try_consequences(trial)
+    return {found["id"] for found in trial.bad}
+
+
+@pytest.mark.parametrize(
+    ("name", "seed", "id", "false"),
+    [("sweeping", 1, "prox-regular", {"eta": 10}), ("sweeping", 10, "K_L", {"K_L": 0.3}),
+     ("sweeping", 12, "linearisation error", {"M/(2a)": 0.3}), ("sweeping", 9, "metric qualification", {"Theta": 0.2}),
+     ("lure", 5, "contraction", {"omega": -3}), ("inclusion", 1, "bounded", {"radius": 0.3, "absorbing radius": 0.3}),
+     ("inclusion", 7, "contraction", {"L": 9}), ("first_order", 2, "order", {"order": 3})],
+)  # fmt: skip
+def test_a_false_consequence_is_found(name, seed, id, false):
+    report = check(checked.draw(name, seed), runs=[])
+    item = next(item for item in report.consequences if item.name == id)
+    assert item.verdict == "holds"
+    assert not _tried(name, report, item)
+    wrong = {key: number * false.get(key, 1) for key, number in item.value.items()}
+    assert id in _tried(name, report, replace(item, value=wrong))
+
+
+def test_a_step_that_cannot_be_taken_contradicts_a_bound_of_steps():
+    t, q = ca.SX.sym("t"), ca.SX.sym("q")
+    walls = SweepingProcess(t=t, q=q, f=0, q0=[0.5], constraints={"low": q - t / 4, "high": 1 - t / 4 - q}, t_end=1, step=0.01)
+    report = check(walls, runs=[])
+    item = next(item for item in report.consequences if item.name == "step bound")
+    false = replace(item, verdict="holds", scope=None, value={"h": 1e6})
+    assert _tried("sweeping", report, false) == {"step bound"}

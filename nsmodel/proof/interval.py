@@ -13,7 +13,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof.interval_arithmetic import LARGEST, UNBOUNDED, Pair, add, choose, mul, point, sub
+from nsmodel.proof.interval_arithmetic import LARGEST, MINUS_ONE, ONE, UNBOUNDED, Pair, add, choose, mul, neg, point, sub
 from nsmodel.proof.interval_functions import OPERATIONS
 from nsmodel.proof.straight_line import Program, Step
 from nsmodel.proof.straight_line import program as program
@@ -72,8 +72,12 @@ def slopes(code: Program, values: list[Pair], seeds: tuple[int, ...], count: int
         known = OPERATIONS[step.op].slopes(values[i], *args) if step.op in OPERATIONS else [UNBOUNDED] * len(args)
         for j, slope in zip(step.sources, known, strict=True):
             if code.uses[j]:
-                _gather(bars, j, mul(bar, slope if regular.all() else choose(regular, slope, UNBOUNDED)))
+                _gather(bars, j, _times(bar, slope) if regular.all() else mul(bar, choose(regular, slope, UNBOUNDED)))
     return lo, hi
+
+
+def _times(bar: Pair, slope: Pair) -> Pair:
+    return bar if slope is ONE else neg(bar) if slope is MINUS_ONE else mul(bar, slope)
 
 
 def _gather(bars: list[Pair | None], index: int, part: Pair) -> None:

@@ -19,6 +19,7 @@ ROUNDING = 4 * np.finfo(float).eps  # An argument outside a domain by less, besi
 PI_BELOW, PI_ABOVE = np.nextafter(np.pi, 0), np.nextafter(np.pi, 4)
 HALF_PI = PI_ABOVE / 2
 ONE, ZERO = (np.ones(1), np.ones(1)), (np.zeros(1), np.zeros(1))
+MINUS_ONE = (-np.ones(1), -np.ones(1))
 UNBOUNDED = (np.full(1, -np.inf), np.full(1, np.inf))
 
 
@@ -60,6 +61,8 @@ def short(*numbers: Array) -> Array:
     mask = np.ones(1, bool)
     for x in numbers:
         mask = mask & (x.astype(np.float32) == x)
+        if not mask.any():
+            break
     return mask
 
 
@@ -111,7 +114,7 @@ def _sum(a: Array, b: Array) -> tuple[Array, Array]:
 def add(x: Pair, y: Pair) -> Pair:
     """Return x + y."""
     (lo, below), (hi, above) = _sum(x[0], y[0]), _sum(x[1], y[1])
-    return pair(np.where(below >= 0, lo, down(lo)), np.where(above <= 0, hi, up(hi)))
+    return np.where(below >= 0, lo, down(lo)), np.where(above <= 0, hi, up(hi))
 
 
 def neg(x: Pair) -> Pair:
@@ -124,20 +127,25 @@ def sub(x: Pair, y: Pair) -> Pair:
     return add(x, neg(y))
 
 
-def _corners(products: list[Array], exact: Array, positive: Array, negative: Array) -> Pair:
-    """Return the outward rounded hull of corner values; NaN is 0 times infinity or inf / inf and counts 0."""
-    corners = [np.where(np.isnan(p), 0.0, p) for p in products]
+def _corners(corners: list[Array], exact: Array, x: Pair, y: Pair) -> Pair:
+    """Return the outward rounded hull of corner values of x y or x / y; NaN is 0 times infinity or inf / inf and counts 0."""
     lo = np.minimum(np.minimum(corners[0], corners[1]), np.minimum(corners[2], corners[3]))
+    if np.isnan(lo).any():  # minima pass NaN on
+        return _corners([np.where(np.isnan(p), 0.0, p) for p in corners], exact, x, y)
     hi = np.maximum(np.maximum(corners[0], corners[1]), np.maximum(corners[2], corners[3]))
-    lo, hi = np.where(exact, lo, down(lo)), np.where(exact, hi, up(hi))
-    return pair(np.where(positive, np.maximum(lo, 0), lo), np.where(negative, np.minimum(hi, 0), hi))
+    lower, upper = down(lo), up(hi)
+    if exact.any():
+        lower, upper = np.where(exact, lo, lower), np.where(exact, hi, upper)
+    if (lo == 0).any():  # an end that is 0 stays, unless another sign has come to nothing
+        lower = np.where(((x[0] >= 0) & (y[0] >= 0)) | ((x[1] <= 0) & (y[1] <= 0)), np.maximum(lower, 0), lower)
+    if (hi == 0).any():
+        upper = np.where(((x[0] >= 0) & (y[1] <= 0)) | ((x[1] <= 0) & (y[0] >= 0)), np.minimum(upper, 0), upper)
+    return lower, upper
 
 
 def mul(x: Pair, y: Pair) -> Pair:
     """Return x y, with 0 times anything 0."""
-    positive = ((x[0] >= 0) & (y[0] >= 0)) | ((x[1] <= 0) & (y[1] <= 0))
-    negative = ((x[0] >= 0) & (y[1] <= 0)) | ((x[1] <= 0) & (y[0] >= 0))
-    return _corners([x[0] * y[0], x[0] * y[1], x[1] * y[0], x[1] * y[1]], short(*x, *y), positive, negative)
+    return _corners([x[0] * y[0], x[0] * y[1], x[1] * y[0], x[1] * y[1]], short(*x, *y), x, y)
 
 
 def div(x: Pair, y: Pair) -> Pair:
@@ -145,12 +153,11 @@ def div(x: Pair, y: Pair) -> Pair:
     lo, hi = y[0] + 0.0, np.where(y[1] == 0, -0.0, y[1])
     quotients = [x[0] / lo, x[0] / hi, x[1] / lo, x[1] / hi]
     exact = short(lo, hi, *quotients)
-    for q, a, b in zip(quotients, (x[0], x[0], x[1], x[1]), (lo, hi, lo, hi), strict=True):
-        exact = exact & (q * b == a)
-    positive = ((x[0] >= 0) & (y[0] >= 0)) | ((x[1] <= 0) & (y[1] <= 0))
-    negative = ((x[0] >= 0) & (y[1] <= 0)) | ((x[1] <= 0) & (y[0] >= 0))
+    if exact.any():
+        for q, a, b in zip(quotients, (x[0], x[0], x[1], x[1]), (lo, hi, lo, hi), strict=True):
+            exact = exact & (q * b == a)
     inside = ((y[0] < 0) & (y[1] > 0)) | ((y[0] == 0) & (y[1] == 0))
-    return choose(inside, UNBOUNDED, _corners(quotients, exact, positive, negative))
+    return choose(inside, UNBOUNDED, _corners(quotients, exact, x, y))
 
 
 def inv(x: Pair) -> Pair:

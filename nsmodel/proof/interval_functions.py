@@ -11,6 +11,7 @@ import numpy as np
 from nsmodel.proof.interval_arithmetic import (
     HALF_PI,
     LIBRARY,
+    MINUS_ONE,
     ONE,
     PI_ABOVE,
     PI_BELOW,
@@ -326,7 +327,6 @@ def _jump(bounds: Callable[..., Pair], arity: int = 1) -> Operation:
 # -- the table ---------------------------------------------------------------------------------------------------------
 
 _TWO = point(2.0)
-_MINUS_ONE = point(-1.0)
 _ERF_SLOPE = (np.array([1.1283791670955125]), np.array([1.1283791670955128]))  # 2 / sqrt(pi)
 
 
@@ -344,10 +344,10 @@ OPERATIONS: dict[int, Operation] = {
     ca.OP_PRINTME: Operation(lambda x, y: x, lambda r, x, y: (ONE, ZERO)),
     ca.OP_LIFT: Operation(lambda x, y: x, lambda r, x, y: (ONE, ZERO)),
     ca.OP_ADD: Operation(add, lambda r, x, y: (ONE, ONE)),
-    ca.OP_SUB: Operation(sub, lambda r, x, y: (ONE, _MINUS_ONE)),
+    ca.OP_SUB: Operation(sub, lambda r, x, y: (ONE, MINUS_ONE)),
     ca.OP_MUL: Operation(mul, lambda r, x, y: (y, x)),
     ca.OP_DIV: Operation(div, lambda r, x, y: (inv(y), neg(div(r, y))), lambda r, x, y: excludes(y)),
-    ca.OP_NEG: _plain(neg, lambda r, x: _MINUS_ONE),
+    ca.OP_NEG: _plain(neg, lambda r, x: MINUS_ONE),
     ca.OP_INV: _plain(inv, lambda r, x: neg(square(r)), lambda r, x: excludes(x)),
     ca.OP_SQ: _plain(square, lambda r, x: mul(_TWO, x)),
     ca.OP_TWICE: _plain(lambda x: mul(_TWO, x), lambda r, x: _TWO),

@@ -13,217 +13,26 @@ differences in the place of derivatives. Of nsmodel only ``check`` and ``simulat
 from __future__ import annotations
 
 import argparse
+import decimal
 import json
 import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from copy import copy
-from dataclasses import dataclass, field
-from functools import cached_property
 from itertools import combinations, pairwise, product
 from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import LinAlgError, eigh
-from scipy.optimize import nnls
+from scipy.linalg import eigh
 
-from nsmodel import check, simulate
+from nsmodel import check
 
 from .checked import draw
-from .digits import CONTEXT, Exact, column, decimal
-
-MARGIN = 1e-7
-POINTS = 60
-HOLDS, VIOLATED = "holds", "violated"
-Array = np.ndarray
-
-
-# ------------------------------------------------------------------------------------------------ expressions at points
-
-
-class Values:
-    """An expression of columns at points: doubles, or decimals rounded at the end; derivatives in its last column."""
-
-    def __init__(self, symbols: Sequence[ca.SX], expression: Any) -> None:
-        self.symbols, self.expression = list(symbols), ca.densify(ca.vec(ca.SX(expression)))
-        self._f = ca.Function("f", self.symbols, [self.expression])
-
-    @cached_property
-    def _exact(self) -> Exact:
-        return Exact(self.symbols, [self.expression])
-
-    @cached_property
-    def _jacobian(self) -> ca.Function:
-        return ca.Function("J", self.symbols, [ca.densify(ca.jacobian(self.expression, self.symbols[-1]))])
-
-    def __call__(self, *at: Any, exact: bool = False) -> Array:
-        with suppress(KeyError):  # an operation that is not among those in 64 digits
-            if exact:
-                return np.array([float(v) for v in self._exact(*map(_columns, at))[0]])
-        return np.array(self._f(*at)).ravel()
-
-    def jacobian(self, *at: Any, exact: bool = False) -> Array:
-        """(rows, n): by CasADi, or by central differences in 64 digits."""
-        if not exact:
-            return np.array(self._jacobian(*at)).reshape(self.expression.numel(), self.symbols[-1].numel())
-        *before, x = map(_columns, at)
-        with decimal.localcontext(CONTEXT):
-            s = decimal.Decimal("1e-22") * (1 + max(map(abs, x), default=decimal.Decimal(0)))
-            moved = [[self._exact(*before, [*x[:j], x[j] + e, *x[j + 1 :]])[0] for e in (s, -s)] for j in range(len(x))]
-            return np.array([[float((a - b) / (2 * s)) for a, b in zip(*pair, strict=True)] for pair in moved]).T
-
-    def bend(self, row: int, d: Array, *at: Any) -> float:
-        """The second derivative of a row along d, by differences in 64 digits."""
-        *before, x = map(_columns, at)
-        along = _columns(d)
-        with suppress(KeyError):
-            return self._bend(row, along, before, x)
-        H = ca.Function("H", self.symbols, [ca.densify(ca.hessian(self.expression[row], self.symbols[-1])[0])])
-        return float(d @ np.array(H(*at)) @ d)
-
-    def _bend(self, row: int, along: Any, before: Any, x: Any) -> float:
-        with decimal.localcontext(CONTEXT):
-            s = decimal.Decimal("1e-16") * (1 + max(map(abs, x), default=decimal.Decimal(0)))
-            a, b, c = (self._exact(*before, [v + k * s * w for v, w in zip(x, along, strict=True)])[0][row] for k in (-1, 0, 1))
-            return float((a - 2 * b + c) / s**2)
-
-
-def _columns(values: Any) -> list[decimal.Decimal]:
-    return column(np.atleast_1d(np.asarray(values, float)).ravel())
-
-
-def numbers(matrix: Any) -> Array:
-    return np.array(ca.DM(matrix)).reshape(matrix.shape)
-
-
-def jump(f: Callable[[Array], Array], a: Array, b: Array) -> float:
-    """What is left of |f(b) - f(a)| when the interval is halved towards the larger change, down to rounding."""
-    u, v = f(a), f(b)
-    for _ in range(50):
-        middle = (a + b) / 2
-        w = f(middle)
-        if np.linalg.norm(w - u) > np.linalg.norm(v - w):
-            b, v = middle, w
-        else:
-            a, u = middle, w
-    return float(np.linalg.norm(v - u) / (1 + np.linalg.norm(u) + np.linalg.norm(v)))
-
-
-# ------------------------------------------------------------------------------------------------ one model under test
-
-
-@dataclass
-class Trial:
-    """A model, its report, and what was tested of it."""
-
-    name: str
-    seed: int
-    report: Any
-    rng: np.random.Generator
-    held: set[str] = field(default_factory=set)
-    refuted: set[str] = field(default_factory=set)
-    untested: set[str] = field(default_factory=set)
-    bad: list[dict[str, Any]] = field(default_factory=list)
-
-    @property
-    def model(self) -> Any:
-        return self.report.model
-
-    @cached_property
-    def x0(self) -> Array:
-        return numbers(getattr(self.model, "x0" if hasattr(self.model, "x0") else "q0")).ravel()
-
-    def holding(self, *ids: str) -> Iterator[Any]:
-        """The findings among these that hold."""
-        for finding in self.report.findings:
-            if finding.id in ids and finding.verdict == HOLDS:
-                self.held.add(finding.id)
-                yield finding
-
-    def violated(self, id: str) -> Iterator[Any]:
-        for finding in self.report.findings:
-            if finding.id == id and finding.verdict == VIOLATED:
-                yield finding
-
-    def follows(self, name: str) -> Iterator[Any]:
-        for item in self.report.consequences:
-            if item.name == name and item.verdict == HOLDS:
-                self.held.add(name)
-                yield item
-
-    def need(self, id: str, excess: Callable[[bool], float], margin: float = MARGIN, **at: Any) -> None:
-        """Note a contradiction where the relative excess is above the margin in doubles and in 64 digits."""
-        if any(item["id"] == id for item in self.bad):
-            return
-        with suppress(FloatingPointError, ZeroDivisionError, LinAlgError, np.linalg.LinAlgError):
-            value = excess(False)
-            if value > margin:
-                with suppress(KeyError, decimal.DecimalException, ArithmeticError):
-                    value = excess(True)
-                if value > margin:
-                    self.note(id, excess=value, **at)
-
-    def note(self, id: str, **at: Any) -> None:
-        self.bad.append({"id": id, **{key: _plain(item) for key, item in at.items()}})
-
-    def witness(self, id: str, true: bool | None, **at: Any) -> None:
-        """What putting a witness into the model showed; None: this kind of witness is not known here."""
-        if true is None:
-            self.untested.add(id)
-            return
-        self.refuted.add(id)
-        if not true:
-            self.note(id, claimed=VIOLATED, **at)
-
-    def times(self, scope: Any, count: int = POINTS) -> Array:
-        end = float(self.model.t_end or 1.0)
-        low, high = scope.time if scope is not None and scope.time is not None else (0.0, 10 * end)
-        return np.concatenate([[low, high], self.rng.uniform(low, high, count)])[:count]
-
-    def points(self, scope: Any, names: Sequence[str], count: int = POINTS) -> list[Array]:
-        """States of the scope: corners of a box, what is near the start, what is small, large, whole or on an axis."""
-        n, rng = len(names), self.rng
-        states = {} if scope is None else scope.states
-        low = np.array([states.get(name, (-np.inf, 0))[0] for name in names])
-        high = np.array([states.get(name, (0, np.inf))[1] for name in names])
-        boxed, out = np.isfinite(low) & np.isfinite(high), []
-        start = self.x0 if len(self.x0) == n else np.zeros(n)
-        for _ in range(count):
-            size = 10.0 ** rng.choice([-4, -1, 0, 0, 1, 3])
-            x = rng.normal(size=n) * size + start * rng.integers(2)
-            x = np.round(x) if rng.random() < 0.15 else x
-            x[rng.random(n) < 0.15] = 0.0
-            inside = low + (high - low) * np.clip(rng.random(n) * 1.3 - 0.15, 0, 1) if boxed.any() else x
-            out.append(np.where(boxed, np.clip(inside, low, high), x) if boxed.any() else x)
-        return out
-
-    def pairs(self, points: Sequence[Array]) -> Iterator[tuple[Array, Array]]:
-        """Neighbours of the list: far ones, and near ones on the way between."""
-        for a, b in pairwise(points):
-            yield a, b
-            yield a, a + 10.0 ** self.rng.choice([-1, -3, -5]) * (b - a)
-
-
-def _plain(item: Any) -> Any:
-    if isinstance(item, np.ndarray | np.generic):
-        return item.tolist()
-    return [_plain(part) for part in item] if isinstance(item, list | tuple) else item
-
-
-def above(left: float, right: float, size: float = 0.0) -> float:
-    """How far left > right, beside their sizes."""
-    return (left - right) / (abs(left) + abs(right) + size + 1e-300)
-
-
-def hull(normals: Array) -> float:
-    """The distance from 0 to the convex hull of the columns."""
-    l, _ = nnls(np.vstack([normals, np.ones(normals.shape[1])]), np.r_[np.zeros(len(normals)), 1.0])
-    return float(np.linalg.norm(normals @ l) / l.sum())
-
+from .consequences import try_consequences
+from .trial import MARGIN, POINTS, Array, Inclusion, Trial, Values, above, hull, jump, numbers, slope_at_0
 
 # ------------------------------------------------------------------------------------------------ sweeping processes
 
@@ -308,66 +117,6 @@ def sweeping(trial: Trial) -> None:
     for _ in trial.holding("S-start"):
         trial.need("S-start", lambda exact: -float(g(0.0, trial.x0, exact=exact).min(initial=0)) * 1e300, q0=trial.x0)
     _sweeping_witnesses(trial, g, speed)
-    for item in trial.follows("well posed"):
-        for t in np.linspace(0, float(m.t_end or 1), 41):
-            if not (np.isfinite(f(t, trial.x0)).all() and np.isfinite(g(t, trial.x0)).all()):
-                trial.note("well posed", t=t)
-        del item
-    for item in trial.follows("prox-regular"):
-        _prox_regular(trial, item, g)
-    for item in trial.follows("K_L"):
-        _moves(trial, item, g, speed)
-
-
-def _in_scope(item: Any, names: Sequence[str], q: Array) -> bool:
-    states = {} if item.scope is None else item.scope.states
-    return all(low <= q[names.index(name)] <= high for name, (low, high) in states.items())
-
-
-def _contacts(trial: Trial, item: Any, g: Values) -> Iterator[tuple[float, Array, Array, Array]]:
-    """Admissible points with g_i = 0 for one i or more: (t, q, numbers of the rows, their gradients)."""
-    m = trial.model
-    for t, q in zip(trial.times(item.scope), trial.points(item.scope, m.names), strict=True):
-        for i in range(m.g.numel()):
-            at = np.array(q, float)
-            for _ in range(30):
-                value, slope = g(t, at)[i], g.jacobian(t, at)[i]
-                if not (np.isfinite(value) and slope @ slope > 0):
-                    break
-                at = at - value * slope / (slope @ slope)
-            value = g(t, at)
-            if not (
-                np.isfinite(value).all() and abs(value[i]) < 1e-11 and (value > -1e-11).all() and _in_scope(item, m.names, at)
-            ):
-                continue
-            rows = np.flatnonzero(value < 1e-11)
-            yield t, at, rows, g.jacobian(t, at)[rows]
-
-
-def _prox_regular(trial: Trial, item: Any, g: Values) -> None:
-    """<n, q' - q> <= |q' - q|^2 / (2 eta) for outward unit normals n at q and admissible q', near and far."""
-    m, eta = trial.model, item.value.get("eta", np.inf)
-    for t, q, _, slopes in _contacts(trial, item, g):
-        n = -slopes.T @ trial.rng.uniform(0, 1, len(slopes))
-        if not np.linalg.norm(n) > 0:
-            continue
-        n /= np.linalg.norm(n)
-        for size in (1e-2, 0.3, 1.0, 10.0):
-            other = q + size * (n + trial.rng.normal(size=len(q)) * trial.rng.choice([0.1, 1.0]))
-            d = other - q
-            if (g(t, other) >= 0).all() and _in_scope(item, m.names, other):
-                over = float(n @ d) - float(d @ d) / (2 * eta)
-                if over > 1e-6 * (np.linalg.norm(d) + 1e-6):
-                    trial.note(item.name, t=t, q=q, other=other, eta=eta, over=over)
-
-
-def _moves(trial: Trial, item: Any, g: Values, speed: Values) -> None:
-    """Where one constraint closes alone, its boundary moves no faster than K_L."""
-    for t, q, rows, slopes in _contacts(trial, item, g):
-        if len(rows) == 1 and np.linalg.norm(slopes[0]) > 0:
-            pace = -speed.jacobian(q, t)[rows[0], 0] / np.linalg.norm(slopes[0])
-            if pace > item.value.get("K_L", np.inf) * (1 + 1e-7) + 1e-9:
-                trial.note(item.name, t=t, q=q, pace=pace, value=dict(item.value))
 
 
 def _qualified(trial: Trial, finding: Any, g: Values) -> None:
@@ -457,7 +206,7 @@ def oscillator(trial: Trial) -> None:
     thetas = {e.name: Values([m.s], e.theta) for e in m.elements}
     g = Values([m.x], m.potential)
     c = Values([m.x], ca.vertcat(ca.SX(0, 1), *m.constraints.values()))
-    slopes = [(numbers(e.H), _slope_at_0(thetas[e.name])) for e in m.elements]
+    slopes = [(numbers(e.H), slope_at_0(thetas[e.name])) for e in m.elements]
     for _ in trial.holding("O-theta"):
         for name, theta in thetas.items():
             for _ in range(POINTS):
@@ -488,27 +237,7 @@ def oscillator(trial: Trial) -> None:
             d = d / np.linalg.norm(d)
             sigma = sum(slope * float(np.linalg.norm(H @ d)) for H, slope in slopes)
             trial.need("O-dry", lambda _, s=sigma: above(finding.value["radius of A(0)"], s), direction=d, sigma=sigma)
-    for item in trial.follows("rest points") if n == 1 else []:
-        _rest(trial, item, g, c, sum(slope * float(np.linalg.norm(H)) for H, slope in slopes))
     _oscillator_witnesses(trial, g, c, thetas, slopes)
-
-
-def _slope_at_0(theta: Values) -> float:
-    """theta'(0+): at the least speed at which it is no 0/0."""
-    slopes = (float(theta.jacobian(s)[0, 0]) for s in (1e-200, 1e-100, 1e-30, 0.0))
-    return next(slope for slope in slopes if np.isfinite(slope))
-
-
-def _rest(trial: Trial, item: Any, g: Values, c: Values, dry: float) -> None:
-    """No point beyond the printed ends is at rest: there g' > theta'(0), or < -theta'(0)."""
-    low, high = item.value.get("least x_inf", -np.inf), item.value.get("largest x_inf", np.inf)
-    for s in (1e-6, 1e-3, 0.1, 1.0, 10.0):
-        for x in ([low - s * (1 + abs(low))], [high + s * (1 + abs(high))]):
-            if np.isfinite(x).all() and (c(x) > 0).all():
-                trial.need(
-                    "rest points", lambda exact, x=x: above(dry, abs(float(g.jacobian(np.array(x), exact=exact)[0, 0]))),
-                    1e-9, x=x, dry=dry, value=dict(item.value),
-                )  # fmt: skip
 
 
 def _oscillator_witnesses(trial: Trial, g: Values, c: Values, thetas: dict[str, Values], slopes: Any) -> None:
@@ -758,9 +487,6 @@ def lure(trial: Trial) -> None:
             trial.note("7.1", law="0 is not in K")
     for name, finding in ((id, item) for id in ("4.1", "5.1", "5.2", "5.4a", "7.1") for item in trial.violated(id)):
         trial.witness(name, _lure_witness(trial, name, finding, A, f), witness=str(dict(finding.witness)))
-    for item in trial.follows("contraction"):
-        P = np.array(trial.report["5.2"].witness.get("P_omega", np.eye(len(m.names))), float)
-        _contracts(trial, item, "omega", P)
 
 
 def _has_0(block: Any) -> bool:
@@ -804,48 +530,6 @@ def _lure_witness(trial: Trial, id: str, finding: Any, A: Values, f: Values) -> 
 
 
 # ------------------------------------------------------------------------------------------------ inclusions
-
-
-class Inclusion:
-    """Elements of G = F - S, and C with its tangent cones, written down from the fields."""
-
-    def __init__(self, m: Any) -> None:
-        self.m, self.n = m, len(m.names)
-        self.signs = m.sign_symbols
-        phi = getattr(m, "phi", None)
-        S = m.operator if phi is None else ca.gradient(ca.SX(phi), m.x)
-        self.f = Values([m.x], m.field)
-        self.s = Values([self.signs, m.x], S)
-        self.u = Values([m.x], m.sign_arguments)
-        self.lower, self.upper = numbers(m.lower).ravel(), numbers(m.upper).ravel()
-        self.c = Values([m.x], ca.vertcat(ca.SX(0, 1), *m.constraints.values()))
-
-    def operator(self, x: Array, rng: np.random.Generator, exact: bool = False) -> Array:
-        u = self.u(x) if self.signs.numel() else np.zeros(0)
-        sigma = np.where(u == 0, rng.uniform(-1, 1, len(u)), np.sign(u))
-        return self.s(sigma, x, exact=exact)
-
-    def velocity(self, x: Array, rng: np.random.Generator, exact: bool = False) -> Array:
-        return self.f(x, exact=exact) - self.operator(x, rng, exact)
-
-    def inside(self, x: Array, slack: float = 1e-12) -> bool:
-        e = slack * (1 + np.abs(x).max())
-        return bool((x >= self.lower - e).all() and (x <= self.upper + e).all() and (self.c(x) >= -e).all())
-
-    def projected(self, x: Array, v: Array) -> Array:
-        """The part of v that the tangent cone of C at x leaves."""
-        e = 1e-9 * (1 + np.abs(x).max())
-        eye = np.eye(self.n)
-        out = np.vstack([-eye[x <= self.lower + e], eye[x >= self.upper - e], -self.c.jacobian(x)[self.c(x) <= e]])
-        return v if not len(out) else v - out.T @ nnls(out.T, v)[0]
-
-    def pulled(self, x: Array, x0: Array) -> Array:
-        x = np.clip(x, self.lower, self.upper)
-        low, high = (1.0, 1.0) if self.inside(x) else (0.0, 1.0)
-        for _ in range(0 if low else 60):
-            middle = (low + high) / 2
-            low, high = (middle, high) if self.inside(x0 + middle * (x - x0)) else (low, middle)
-        return x0 + low * (x - x0)
 
 
 def inclusion(trial: Trial) -> None:
@@ -894,10 +578,6 @@ def inclusion(trial: Trial) -> None:
     for id in ("M-T", "M-A1", "M-A2", "M-A3"):
         for finding in trial.violated(id):
             trial.witness(id, _inclusion_witness(trial, own, id, finding), witness=str(dict(finding.witness)), how=finding.how)
-    for item in (*trial.follows("contraction"), *trial.follows("stability")):
-        _contracts(trial, item, "L", np.eye(own.n))
-    for item in trial.follows("bounded"):
-        _bounded(trial, item)
 
 
 def _inclusion_witness(trial: Trial, own: Inclusion, id: str, finding: Any) -> bool | None:
@@ -934,83 +614,6 @@ def _along(id: str, own: Inclusion, way: Sequence[Array], rng: Any) -> bool | No
     return None
 
 
-# ------------------------------------------------------------------------------------------------ runs
-
-
-def _run(trial: Trial, start: Array, step: float, t_end: float) -> Any:
-    other = copy(trial.model)
-    for name, value in {"x0": ca.SX(ca.DM(start)), "exact": None, "step": step, "t_end": t_end, "steps": None}.items():
-        if hasattr(other, name):
-            object.__setattr__(other, name, value)
-    return simulate(other)
-
-
-def _start(trial: Trial, item: Any) -> Array:
-    """A start inside the scope, near or far."""
-    states = {} if item.scope is None else item.scope.states
-    other = trial.x0 + trial.rng.normal(size=len(trial.x0)) * trial.rng.choice([0.01, 1.0])
-    for i, name in enumerate(trial.model.names):
-        if name in states:
-            other[i] = np.clip(other[i], *states[name])
-    return Inclusion(trial.model).pulled(other, trial.x0) if trial.name == "inclusion" else other
-
-
-def _contracts(trial: Trial, item: Any, key: str, P: Array) -> None:
-    """|x - y|_P <= e^{rate t} |x_0 - y_0|_P for two runs, as long as both are in the box; again with a quarter of the step."""
-    rate, m = item.value[key], trial.model
-    other, t_end = _start(trial, item), min(float(m.t_end), 1.0)
-    if -rate * t_end > 40:  # an implicit step of that length falls by 1 / (1 - h rate) only
-        return
-    states = {} if item.scope is None else item.scope.states
-    worst = []
-    for part in (100, 400):
-        try:
-            runs = [_run(trial, x, t_end / part, t_end) for x in (trial.x0, other)]
-        except Exception:  # steps are refused with good reason, and others are looked for elsewhere
-            return
-        a, b = (run.x for run in runs)
-        d = np.sqrt(np.einsum("ki,ij,kj->k", a - b, P, a - b))
-        stay = np.ones(len(a), bool)
-        for name, (low, high) in states.items():
-            i = m.names.index(name)
-            stay &= (a[:, i] >= low) & (a[:, i] <= high) & (b[:, i] >= low) & (b[:, i] <= high)
-        stay = np.cumprod(stay).astype(bool)
-        bound = np.exp(np.minimum(rate * runs[0].t, 600.0)) * d[0]
-        excess = ((d - bound) / (bound + 1e-3 * d[0] + 1e-300))[stay]
-        worst.append(float(excess.max(initial=0.0)))
-    if min(worst) > 0.03 and worst[1] > 0.5 * worst[0]:  # One of them alone is chatter about a steep place.
-        trial.note(item.name, other=other, rate=rate, excess=worst)
-
-
-def _bounded(trial: Trial, item: Any) -> None:
-    m, radius = trial.model, item.value["radius"]
-    with suppress(Exception):
-        run = _run(trial, trial.x0, float(m.step), float(m.t_end) * 5)
-        far = float(np.linalg.norm(run.x, axis=1).max())
-        if far > radius * 1.02:
-            fine = _run(trial, trial.x0, float(m.step) / 10, float(m.t_end) * 5)
-            far = float(np.linalg.norm(fine.x, axis=1).max())
-            if far > radius * 1.01:
-                trial.note(item.name, radius=radius, reached=far)
-
-
-def stays(trial: Trial) -> None:
-    """A run is in the box until the printed time."""
-    for item in trial.report.consequences:
-        if item.until is None or item.scope is None or trial.model.step is None or not item.until > 0:
-            continue
-        trial.held.add("until")
-        t_end = min(float(item.until), float(trial.model.t_end or 1.0))
-        with suppress(Exception):
-            run = simulate(trial.model, t_end=t_end, step=t_end / 200)
-            for name, (low, high) in item.scope.states.items():
-                x = run.x[:, trial.model.names.index(name)]
-                slack = 1e-6 * (high - low)
-                if x.min() < low - slack or x.max() > high + slack:
-                    trial.note("until", until=item.until, state=name, box=(low, high), seen=(x.min(), x.max()))
-        return
-
-
 # ------------------------------------------------------------------------------------------------ all
 
 ORACLES: dict[str, Callable[[Trial], None]] = {
@@ -1031,7 +634,7 @@ def judged(name: str, seed: int) -> dict[str, Any]:
     try:
         with np.errstate(all="ignore"):
             ORACLES[name](trial)
-            stays(trial)
+            try_consequences(trial)
     except Exception as error:
         row["fault"] = f"{type(error).__name__}: {error} (line {_line(error)})"
     kept = {"held": sorted(trial.held), "refuted": sorted(trial.refuted), "untested": sorted(trial.untested)}
