@@ -209,7 +209,7 @@ def _tried(name, report, item):
     ("name", "seed", "id", "false"),
     [("sweeping", 1, "prox-regular", {"eta": 10}), ("sweeping", 10, "K_L", {"K_L": 0.3}),
      ("sweeping", 12, "linearisation error", {"M/(2a)": 0.3}), ("sweeping", 9, "metric qualification", {"Theta": 0.2}),
-     ("lure", 5, "contraction", {"omega": -3}), ("inclusion", 1, "bounded", {"radius": 0.3, "absorbing radius": 0.3}),
+     ("lure", 5, "contraction", {"omega": 2}), ("inclusion", 1, "bounded", {"radius": 0.3, "absorbing radius": 0.3}),
      ("inclusion", 7, "contraction", {"L": 9}), ("first_order", 2, "order", {"order": 3})],
 )  # fmt: skip
 def test_a_false_consequence_is_found(name, seed, id, false):

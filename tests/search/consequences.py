@@ -1,7 +1,8 @@
 """What a report says follows: tried on runs, on points made for the purpose, beyond the box and after the end of the run.
 
 A trial of a consequence takes it at its word: where its scope has no box, states are taken from everywhere; where it has no
-interval of time, times until ten times t_end. A run that is refused at three lengths of the step contradicts that steps exist.
+interval of time, times until ten times t_end. A run that is refused at each length of the step with a proof that there is none
+contradicts that steps exist; where a solver gave up, nothing is known.
 """
 
 from __future__ import annotations
@@ -18,10 +19,11 @@ from scipy.optimize import linprog, nnls
 
 from nsmodel import StepError, simulate
 
-from .trial import HOLDS, Array, Inclusion, Trial, Values, above, numbers, slope_at_0
+from .trial import HOLDS, Array, Inclusion, Trial, Values, above, into, numbers, slope_at_0
 
 ROWS = 100  # of a run
 LONGER = 5  # beyond t_end, where the scope has no end
+NONE = "leave no point", "has no solution", "can keep", "is singular"  # A refusal that says these words claims a proof.
 
 
 def try_consequences(trial: Trial) -> None:
@@ -93,7 +95,14 @@ def _steps_exist(trial: Trial, item: Any) -> None:
             refused.append(str(error)[:200])
         except Exception:  # a start that does not satisfy the model is refused with good reason
             return
-    trial.note(item.name, refused=refused)
+    _judge_refusals(trial, item, refused)
+
+
+def _judge_refusals(trial: Trial, item: Any, refused: Sequence[str], **at: Any) -> None:
+    if all(any(word in message for word in NONE) for message in refused):
+        trial.note(item.name, refused=refused, **at)
+    else:
+        trial.untested.add(f"{item.name}: refused")
 
 
 def _contracts(trial: Trial, item: Any, rate: float, P: Array) -> None:
@@ -248,7 +257,7 @@ def _step_bound(trial: Trial, item: Any) -> None:
     """At q in Q(t) and for h < c/K_L the set linearised at (t + h, q) has a point."""
     g, bound = _set(trial), item.value.get("h", np.inf)
     last = np.inf if item.scope is None or item.scope.time is None else item.scope.time[1]
-    speed = next((other.value.get("K_L", np.inf) for other in trial.report.consequences if other.name == "K_L"), np.inf)
+    speed = next((other.value.get("K_L", np.inf) for other in trial.report.consequences if other.name == "K_L"), 0.0)
     for t, q, _, _ in _contacts(trial, item, g):
         h = min(bound * (1 - 1e-6), 10.0 ** trial.rng.integers(-3, 3)) * trial.rng.choice([1.0, 0.5])
         if not (h > 0 and t + h <= last and speed * h < _room(trial, item, q)):
@@ -431,7 +440,7 @@ def _regular(trial: Trial, item: Any) -> None:
     M, h, n = numbers(m.M), float(m.step), len(m.names)
     names = [*m.names, *m.multiplier_names]
     for t, z in zip(trial.times(item.scope), trial.points(item.scope, names), strict=True):
-        G = np.array(parts(t, z[:n], z[n:])).reshape(n, n)
+        G = np.array(parts(t, z[:n], into(trial, z[n:]))).reshape(n, n)
         steps = h * np.r_[1.0, trial.rng.random(6), 10.0 ** -trial.rng.integers(1, 6, 3)]
         signs = {float(np.linalg.slogdet(M - s * G)[0]) for s in steps}
         if len(signs) > 1:
@@ -472,7 +481,7 @@ def _one_trajectory(trial: Trial, item: Any) -> None:
                 trial.note(item.name, start=start, other=float(np.abs(a.x - b.x).max()))
             break
         if len(refused) == 2:
-            trial.note(item.name, start=start, refused=refused)
+            _judge_refusals(trial, item, refused, start=start)
 
 
 def _order(trial: Trial, item: Any) -> None:

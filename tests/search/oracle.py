@@ -32,7 +32,7 @@ from nsmodel import check
 
 from .checked import draw
 from .consequences import try_consequences
-from .trial import MARGIN, POINTS, Array, Inclusion, Trial, Values, above, hull, jump, numbers, slope_at_0
+from .trial import MARGIN, POINTS, Array, Inclusion, Trial, Values, above, hull, into, jump, numbers, slope_at_0
 
 # ------------------------------------------------------------------------------------------------ sweeping processes
 
@@ -298,7 +298,7 @@ def first_order(trial: Trial) -> None:
 
     def sample(scope: Any) -> Iterator[tuple[float, Array, Array]]:
         for t, both in zip(trial.times(scope), trial.points(scope, names), strict=True):
-            yield t, both[:n], _into(trial, both[n:])
+            yield t, both[:n], into(trial, both[n:])
 
     for finding in trial.holding("F-W"):
         signs = {float(np.linalg.slogdet(matrix(*p))[0]): p for p in sample(finding.scope)}
@@ -360,27 +360,6 @@ def first_order(trial: Trial) -> None:
     for finding in trial.violated("F-unique"):
         w = finding.witness
         trial.witness("F-unique", None if "other x" not in w else _both(trial, w), witness=str(dict(w)))
-
-
-def _into(trial: Trial, l: Array) -> Array:
-    """Multipliers moved into K."""
-    out = l.copy()
-    if trial.model.law is None:
-        return out
-    start = 0
-    for block in trial.model.law.blocks:
-        rows = slice(start, start + block.size)
-        part = out[rows]
-        if block.kind == "box":
-            out[rows] = np.clip(part, numbers(block.lower).ravel(), numbers(block.upper).ravel())
-        elif block.kind == "ball":
-            out[rows] = part * min(1.0, float(block.upper[0]) / (np.linalg.norm(part) + 1e-300))
-        elif block.kind == "cone":
-            part[0] = np.linalg.norm(part[1:]) * (1 + trial.rng.random())
-        else:
-            out[rows] = 0.0 if (block.K <= 0).all() else part
-        start = rows.stop
-    return out
 
 
 def _solutions(m: Any, t: float, x: Array, l: Array, own: dict[str, Array], W: Array) -> list[Array]:

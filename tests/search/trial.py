@@ -252,3 +252,24 @@ class Inclusion:
             middle = (low + high) / 2
             low, high = (middle, high) if self.inside(x0 + middle * (x - x0)) else (low, middle)
         return x0 + low * (x - x0)
+
+
+def into(trial: Trial, l: Array) -> Array:
+    """Multipliers moved into K."""
+    out = l.copy()
+    if trial.model.law is None:
+        return out
+    start = 0
+    for block in trial.model.law.blocks:
+        rows = slice(start, start + block.size)
+        part = out[rows]
+        if block.kind == "box":
+            out[rows] = np.clip(part, numbers(block.lower).ravel(), numbers(block.upper).ravel())
+        elif block.kind == "ball":
+            out[rows] = part * min(1.0, float(block.upper[0]) / (np.linalg.norm(part) + 1e-300))
+        elif block.kind == "cone":
+            part[0] = np.linalg.norm(part[1:]) * (1 + trial.rng.random())
+        else:
+            out[rows] = 0.0 if (block.K <= 0).all() else part
+        start = rows.stop
+    return out
