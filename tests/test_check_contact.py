@@ -8,7 +8,7 @@ from itertools import combinations
 import casadi as ca
 import numpy as np
 import pytest
-from fuzz_models import FULL
+from fuzz_models import COUNT, FULL
 from scipy.optimize import fsolve
 
 from nsmodel import SweepingProcess
@@ -103,7 +103,7 @@ def corners(rng, rows, unit, away):
 def test_gamma_is_above_every_corner():
     rng = np.random.default_rng(5)
     proved = 0
-    for _ in range(150 if FULL else 15):
+    for _ in range(150 * COUNT // FULL):
         q, unit, away = ca.SX.sym("q", 2), 10.0 ** rng.integers(-3, 4), rng.choice([0.0, 0.0, 1.0, 1e6]) * rng.normal(size=2)
         if np.abs(away).max() > 1e3 * unit:
             unit = np.abs(away).max() / 1e3

@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from fuzz_models import COUNT, FULL
 
 from nsmodel import SweepingProcess, check
 
@@ -77,8 +78,8 @@ def test_other_shapes_are_looked_at_at_values():
 
 def test_random_scenes_are_bounded_at_dense_values():
     rng = np.random.default_rng(2)
-    proved = 0
-    for _ in range(12):
+    proved = tried = 0
+    for _ in range(max(2, 12 * COUNT // FULL)):
         g = {}
         for k in range(2):
             centre = ca.vertcat(*rng.uniform(-3, 3, 2)) + ca.vertcat(*rng.normal(size=2)) * p * t
@@ -86,7 +87,7 @@ def test_random_scenes_are_bounded_at_dense_values():
         g["plane"] = ca.dot(ca.DM(rng.normal(size=2)), q) + 5 + ca.sin(p * t)
         model = sweeping(g, f=(ca.tanh(p * q[0]), -q[1]), q0=(0.1, 5.0))
         _, found = decided(model, (0.25, 1))
-        for at in np.linspace(0.25, 1, 7):
+        for at in np.linspace(0.25, 1, 4):
             single = {item.id: item for item in check(model, parameters={"p": at}, quick=True).findings}
             for id, name, sign in (
                 ("A1", "a", -1),
@@ -96,6 +97,7 @@ def test_random_scenes_are_bounded_at_dense_values():
                 ("A4", "M", 1),
                 ("A0", "c", -1),
             ):
+                tried += 1
                 if found[id].verdict == "holds" and single[id].verdict == "holds":
                     proved += 1
                     assert sign * single[id].value[name] <= sign * found[id].value[name] + 1e-9
@@ -103,4 +105,4 @@ def test_random_scenes_are_bounded_at_dense_values():
             assert found["S-f"].value["K_f"] >= max(1, at) * (1 - 1e-9)
             if found["S-start"].verdict == "holds":
                 assert single["S-start"].verdict == "holds"
-    assert proved > 200
+    assert proved > 0.4 * tried

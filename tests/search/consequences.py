@@ -542,11 +542,13 @@ def _finite(trial: Trial, item: Any) -> None:
 
 
 def _field(trial: Trial, item: Any) -> None:
-    """F and S have values in C."""
-    own = Inclusion(trial.model)
+    """F, and S or its potential, have values in C."""
+    own, phi = Inclusion(trial.model), getattr(trial.model, "phi", None)
+    potential = None if phi is None else Values([trial.model.x], phi)
     for x in trial.points(item.scope, trial.model.names):
         x = own.pulled(x, trial.x0)
-        if own.inside(x, 0.0) and not np.isfinite(own.velocity(x, trial.rng)).all():
+        value = own.f(x) if potential is not None else own.velocity(x, trial.rng)
+        if own.inside(x, 0.0) and not np.isfinite(np.r_[value, potential(x) if potential is not None else 0.0]).all():
             trial.note(item.name, x=x)
 
 
