@@ -12,8 +12,7 @@ from nsmodel.errors import (
     UsageError,
 )
 from nsmodel.later import later as _later
-from nsmodel.loader import load
-from nsmodel.model.laws import (
+from nsmodel.laws import (
     Law,
     ball,
     box,
@@ -24,6 +23,7 @@ from nsmodel.model.laws import (
     relay,
     second_order_cone,
 )
+from nsmodel.loader import load
 from nsmodel.version import VERSION
 
 __version__ = VERSION

@@ -31,7 +31,7 @@ def off_the_law(law, l, y):
         if block.kind == "box":
             q = np.clip(p, np.array(ca.DM(block.lower)).ravel(), np.array(ca.DM(block.upper)).ravel())
         elif block.kind == "ball":
-            q = p * min(1.0, float(block.upper[0]) / max(np.linalg.norm(p), 1e-300))
+            q = p * min(1.0, float(block.radius) / max(np.linalg.norm(p), 1e-300))
         elif block.kind == "cone":
             size = np.linalg.norm(p[1:])
             part = max((p[0] + size) / 2, 0.0)

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 from test_solvers import DEGENERATE, INF, LAWS, PSD, infeasible, matrix, point_of_graph, problem, random_law, spd
 
-from nsmodel.codegen.fragments import fragment
-from nsmodel.model.laws import ball, box, product, second_order_cone
+from nsmodel.codegen import sets
+from nsmodel.codegen.fragments import fragment, pruned
+from nsmodel.laws import Law, ball, box, product, second_order_cone
 from nsmodel.solve import active_set, cone, mlcp
 from nsmodel.solve.certificate import EPS, ROUNDING, NumericLaw, law_residual, numeric_law, output_scale
 from nsmodel.solve.kernel import _index_map
@@ -61,9 +62,8 @@ typedef struct {{
 {common}
 """
 TABLES = """
-typedef struct {{ int kind, start, size; double radius; }} curved_block;
+#include <float.h>
 static const double lower[] = {{{lower}}}, upper[] = {{{upper}}};
-static const curved_block curved[] = {{{blocks}}};
 #define LOWER lower
 """
 ENTRY = """
@@ -143,8 +143,9 @@ def joined(values):
     return ", ".join("INFINITY" if v == INF else "-INFINITY" if v == -INF else repr(float(v)) for v in values)
 
 
-def source(law: NumericLaw = EMPTY, *, both: bool = False, main: bool = False, rows: int = ROWS, lemke: int = 2 * ROWS) -> str:
-    """The C text: for boxes given at each call, for the law ``law`` with balls or cones, or for both."""
+def source(of: Law | None = None, *, both: bool = False, main: bool = False, rows: int = ROWS, lemke: int = 2 * ROWS) -> str:
+    """The C text: for boxes given at each call, for the law ``of`` with curved sets, or for both."""
+    law = EMPTY if of is None else numeric_law(of)
     flags = {"AFFINE_PROBLEM", *(("CURVED",) if law.curved else ())}
     box_too = both or not law.curved
     if box_too:
@@ -159,15 +160,15 @@ def source(law: NumericLaw = EMPTY, *, both: bool = False, main: bool = False, r
         members=members,
         common=fragment("common.c", frozenset(), {}).replace("static double sign_of", "double sign_of"),
     )
-    if law.curved:
-        blocks = ", ".join(
-            f"{{{K.kind != 'ball':d}, {rows.start}, {rows.stop - rows.start}, {joined([K.radius])}}}" for rows, K in law.curved
-        )
-        text += TABLES.format(lower=joined(law.lower), upper=joined(law.upper), blocks=blocks)
-    parts = ["solvers.c", "linear.c", "affine.c", *(["lemke.c"] if box_too else []), *(["cone.c"] if law.curved else [])]
+    if of is not None:
+        block, numbers = max(part.size for _, part in sets.curved(of)), max(1, sets.numbers(of).numel())
+        text += f"#define MODEL_BLOCK {block}\n#define MODEL_NUMBERS {numbers}\n"
+        text += TABLES.format(lower=joined(law.lower), upper=joined(law.upper)) + sets.text(of, False)
+    parts = ["solvers.c", "linear.c", "affine.c", *(["lemke.c"] if box_too else []), *(["curved.c"] if law.curved else [])]
     text += "\n".join(fragment(part, flags, {}) for part in parts)
     choose = "#define LO (lo ? lo : lower)\n#define UP (up ? up : upper)\n" if law.curved else "#define LO lo\n#define UP up\n"
-    return text + choose + ENTRY + (BOX_ENTRY if box_too else "") + (CURVED_ENTRY if law.curved else "") + (MAIN if main else "")
+    text += choose + ENTRY + (BOX_ENTRY if box_too else "") + (CURVED_ENTRY if law.curved else "") + (MAIN if main else "")
+    return pruned(text) if law.curved else text
 
 
 def compiled(folder: Path, text: str, *options: str, name: str) -> Path:
@@ -260,8 +261,9 @@ def on_law(tmp_path_factory):
 
     @cache
     def build(name: str) -> tuple[NumericLaw, Library]:
-        law = numeric_law(CURVED_LAWS[name])
-        return law, Library(compiled(tmp_path_factory.mktemp("c"), source(law), "-O2", "-shared", "-fPIC", name="curved"))
+        of = CURVED_LAWS[name]
+        law = numeric_law(of)
+        return law, Library(compiled(tmp_path_factory.mktemp("c"), source(of), "-O2", "-shared", "-fPIC", name="curved"))
 
     return build
 
@@ -648,7 +650,7 @@ def test_a_ball_is_solved_from_its_secular_equation(on_law):
 def test_a_library_may_have_its_own_curved_law_and_boxes_besides(tmp_path):
     """The law is the model's own where the bounds are its own tables, whatever the number of rows."""
     law = numeric_law(CURVED_LAWS["product"])
-    library = Library(compiled(tmp_path, source(law, both=True), "-O1", "-shared", "-fPIC", name="both"))
+    library = Library(compiled(tmp_path, source(CURVED_LAWS["product"], both=True), "-O1", "-shared", "-fPIC", name="both"))
     for seed in range(10):
         rng = np.random.default_rng(seed)
         W, b = spd(rng, law.size), rng.normal(size=law.size)
@@ -716,7 +718,10 @@ def test_sanitizers_find_nothing(tmp_path):
         pytest.skip("no sanitizers")
     law = numeric_law(CURVED_LAWS["product"])
     options = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
-    for own, text in ((EMPTY, source(main=True)), (law, source(law, main=True).replace("W, b, lo, up, l,", "W, b, 0, 0, l,"))):
+    for own, text in (
+        (EMPTY, source(main=True)),
+        (law, source(CURVED_LAWS["product"], main=True).replace("W, b, lo, up, l,", "W, b, 0, 0, l,")),
+    ):
         problems = []
         for seed in range(200):
             rng = np.random.default_rng(seed)

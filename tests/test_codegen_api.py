@@ -22,7 +22,7 @@ from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, MonotoneIn
 from nsmodel.cli import main
 from nsmodel.codegen import bounds, needs
 from nsmodel.errors import CodegenError, NsmodelError, StorageError, UsageError
-from nsmodel.model.laws import complementarity, product, relay
+from nsmodel.laws import complementarity, product, relay
 from nsmodel.scheme import initial_rows, one_step_problem
 from nsmodel.solve.build import start_state
 
@@ -583,8 +583,8 @@ def constant(file: str, name: str, part: int = 0) -> int:
 def test_bounds_count_with_the_constants_of_the_code():
     assert constant("affine.c", "PRIMAL_DUAL_SWEEPS") == bounds.PRIMAL_DUAL_SWEEPS
     assert constant("affine.c", "MOST_INDEX_SETS") == needs.MOST_INDEX_SETS
-    assert constant("cone.c", "NEWTON_ON_CONES") == bounds.SEMISMOOTH_ITERATIONS
-    assert constant("cone.c", "GAUSS_SEIDEL_SWEEPS") == bounds.GAUSS_SEIDEL_SWEEPS
+    assert constant("curved.c", "NEWTON_ON_SETS") == bounds.SEMISMOOTH_ITERATIONS
+    assert constant("curved.c", "GAUSS_SEIDEL_SWEEPS") == bounds.GAUSS_SEIDEL_SWEEPS
     assert constant("newton.c", "NEWTON_ITERATIONS", 0) == bounds.NEWTON_ITERATIONS["AFFINE"]
     assert constant("newton.c", "NEWTON_ITERATIONS", 1) == bounds.NEWTON_ITERATIONS["other"]
     assert constant("newton.c", "NEARBY_SETS") == bounds.NEARBY_SETS

@@ -16,7 +16,7 @@ import pytest
 import nsmodel
 from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, SweepingProcess, codegen
 from nsmodel.errors import StepError
-from nsmodel.model.laws import complementarity, equality, polyhedron, product, relay, second_order_cone
+from nsmodel.laws import complementarity, equality, polyhedron, product, relay, second_order_cone
 from nsmodel.scheme import initial_rows, one_step_problem
 from nsmodel.solve import rounding
 from nsmodel.solve.build import Stepper

@@ -21,7 +21,7 @@ from nsmodel import (
     relay,
     simulate,
 )
-from nsmodel.model.laws import Law
+from nsmodel.laws import Law
 
 T, Q, X, LAM, S = (ca.SX.sym(name) for name in ("t", "q", "x", "l", "s"))
 Q2 = ca.SX.sym("q", 2)
@@ -144,7 +144,7 @@ def test_a_state_that_dies_out_ends_at_zero(at):
 
 
 def scaled_law(law, unit):
-    return Law(tuple(type(b)(b.kind, b.label, b.size, b.lower * unit, b.upper * unit, b.H, b.K) for b in law.blocks))
+    return Law(tuple(b.with_numbers(**{name: value * unit for name, value in b.numbers.items()}) for b in law.blocks))
 
 
 def in_units(model, u, tau):

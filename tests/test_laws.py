@@ -139,7 +139,7 @@ def is_normal(law, l, y):
             good = np.all((u >= lo - 1e-10) & (u <= up + 1e-10))
             good &= np.all((np.abs(v) < 1e-9) | ((v > 0) & (np.abs(u - lo) < 1e-12)) | ((v < 0) & (np.abs(u - up) < 1e-12)))
         elif block.kind == "ball":
-            r = float(block.upper[0])
+            r = float(block.radius)
             good = np.linalg.norm(u) <= r + 1e-10 and u @ v + r * np.linalg.norm(v) < 1e-9
         elif block.kind == "cone":
             good = all(np.linalg.norm(w[1:]) <= w[0] + 1e-9 for w in (u, v)) and abs(u @ v) < 1e-9

@@ -13,9 +13,8 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from nsmodel import plot
+from nsmodel import laws, plot
 from nsmodel.errors import PlotError
-from nsmodel.model import laws
 from nsmodel.plot import strip, style
 from nsmodel.trajectory import Trajectory
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq, linprog, lsq_linear, nnls
 
-from nsmodel.laws.ball import Ball
-from nsmodel.model.laws import ball, box, product, second_order_cone
+from nsmodel.laws import ball, box, product, second_order_cone
+from nsmodel.laws.ball import BallSet
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import active_set, cone, diagnose, mlcp, qp
 from nsmodel.solve.certificate import NumericLaw, numeric_law
@@ -512,7 +512,7 @@ def spd(rng, m, smallest=0.1):
 @pytest.mark.parametrize("m", [2, 3, 5])
 def test_semismooth_newton_on_a_ball_solves_the_secular_equation(m):
     """min l'Wl/2 + b'l over |l| <= r: l = -W^{-1} b, or (W + mu I) l = -b with mu > 0, |l| = r."""
-    law = NumericLaw(np.full(m, -INF), np.full(m, INF), ((slice(0, m), Ball(1.3)),))
+    law = NumericLaw(np.full(m, -INF), np.full(m, INF), ((slice(0, m), BallSet(1.3)),))
     for seed in range(30):
         rng = np.random.default_rng(seed)
         W, b = spd(rng, m), rng.normal(size=m) * 10.0 ** rng.uniform(-2, 2)

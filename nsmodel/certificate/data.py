@@ -15,10 +15,10 @@ from nsmodel.hypotheses.findings import Finding
 from nsmodel.hypotheses.oscillator.check import domain_of
 from nsmodel.hypotheses.sweeping.forms import Shape
 from nsmodel.hypotheses.sweeping.shapes import read_shapes
+from nsmodel.laws import Law
 from nsmodel.model.base import Model
 from nsmodel.model.first_order import FirstOrderSystem
 from nsmodel.model.inclusion import MonotoneInclusion
-from nsmodel.model.laws import Law
 from nsmodel.model.lure import LureSystem
 from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.sweeping import SweepingProcess
@@ -51,10 +51,14 @@ def _dense(entries: Any) -> list[list[str]]:
     return matrix(values) if values.size else [[] for _ in range(len(values))]
 
 
+def _numbers_of(value: Any) -> Data:
+    array = np.asarray(value, float)
+    return text(float(array)) if not array.ndim else matrix(array) if array.ndim > 1 else [text(number) for number in array]
+
+
 def _law(law: Law) -> list[Data]:
     return [
-        {"kind": block.kind, "lower": _numbers(block.lower), "upper": _numbers(block.upper)}
-        | ({"H": matrix(block.H), "K": [text(k) for k in block.K]} if block.kind == "polyhedron" else {})
+        {"kind": block.kind, "size": block.size} | {name: _numbers_of(value) for name, value in block.data().items()}
         for block in law.blocks
     ]
 

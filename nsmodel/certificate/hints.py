@@ -333,9 +333,9 @@ def _in_range(model: LureSystem, x: np.ndarray | None) -> Any:
     """
     m, n = model.D.shape[0], model.x.numel()
     C, D = (exact.rational(np.array(ca.DM(part)).reshape(part.shape)) for part in (model.C, model.D))
-    if model.law is None or any(block.kind != "box" for block in model.law.blocks):
+    if model.law is None or not model.law.is_box:
         raise Unproved("a law that is no box")
-    low, high = (np.concatenate(ends) for ends in zip(*(domains.ends(block) for block in model.law.blocks), strict=True))
+    low, high = (np.concatenate(ends) for ends in zip(*(block.hull() for block in model.law.blocks), strict=True))
     bounded = np.isfinite(low) & np.isfinite(high)
     S, I = D + D.T, exact.eye(m)
     A = exact.zeros(m + int(bounded.sum()), 1 + 3 * m + m + (n if x is None else 0))

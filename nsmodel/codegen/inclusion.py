@@ -11,6 +11,7 @@ from nsmodel.codegen.expression import c_function, number
 from nsmodel.codegen.scene import INCLUSION, Scene
 from nsmodel.codegen.tables import table
 from nsmodel.errors import CodegenError
+from nsmodel.laws import Law
 from nsmodel.scheme import catching_up
 from nsmodel.solve.certificate import NumericLaw, numeric_law
 from nsmodel.solve.projection import interior_point
@@ -123,6 +124,12 @@ def _model(scene: Scene) -> Any:
 def selection_law(scene: Scene) -> NumericLaw:
     """The law of the discontinuous part."""
     return numeric_law(catching_up.selection(scene.numbers).law)
+
+
+def law_of_sets(scene: Scene) -> Law:
+    """The law that has the curved sets: that of the step, or of the selection."""
+    own = scene.problem.law
+    return own if not own.is_box or scene.path != INCLUSION else catching_up.selection(scene.numbers).law
 
 
 def _selection(scene: Scene) -> catching_up.Selection:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nsmodel.codegen import fixed, inclusion, newton
+from nsmodel.codegen import fixed, inclusion, newton, sets
 from nsmodel.codegen.scene import BANDED, FIXED, INCLUSION, NEWTON, Scene
 from nsmodel.model.first_order import FirstOrderSystem
 from nsmodel.model.lure import LureSystem
@@ -45,7 +45,7 @@ def flags_of(scene: Scene) -> frozenset[str]:
         "EXACT_ROWS": bool(structure.unit_rows or structure.rest_rows),
         "PARAMETERS": bool(scene.parameters),
         "LAW_OF_PARAMETERS": scene.law_of_parameters,
-        "CURVED_OF_PARAMETERS": scene.law_of_parameters and bool(law.curved),
+        "CURVED_OF_PARAMETERS": scene.law_of_parameters and sets.numbers(problem.law).numel() > 0,
         "REWRITTEN": problem.multipliers is not None,
         "MULTIPLIERS": structure.m > 0 or problem.multipliers is not None,
         "VELOCITY": isinstance(model, FrictionOscillator),
@@ -91,6 +91,8 @@ def sizes_of(scene: Scene, flags: frozenset[str]) -> dict[str, int]:
         "ROWS": rows,
         "LEMKE": _lemke_size(law, rows, scene.by_rows),
         "CURVED": len(law.curved),
+        "BLOCK": 0,
+        "NUMBERS": 0,
         "UNIT": len(scene.structure.unit_rows),
         "FOLLOW": len(scene.structure.follow_rows),
         "REST": len(scene.structure.rest_rows),
@@ -102,6 +104,9 @@ def sizes_of(scene: Scene, flags: frozenset[str]) -> dict[str, int]:
     if scene.by_rows:
         sizes |= {"Y_Z": scene.jacobians[2].nnz(), "E_L": scene.jacobians[1].nnz()}
     sizes |= inclusion.sizes(scene, sizes)
+    if "CURVED" in flags:
+        own = inclusion.law_of_sets(scene)
+        sizes |= {"BLOCK": max(block.size for _, block in sets.curved(own)), "NUMBERS": max(1, sets.numbers(own).numel())}
     if scene.path == BANDED:
         sizes |= scene.band.sizes
     systems = [(sizes["ROWS"], "AFFINE_PROBLEM"), (m, "FIXED_MAPS"), (sizes["LEMKE"], "PIVOTING"), (n + m, "NEARBY")]

@@ -128,9 +128,9 @@ class Scene:
 
     @cached_property
     def law_of_parameters(self) -> bool:
-        """Whether bounds of the law depend on parameters of the code."""
-        bounds = ca.vertcat(ca.SX(0, 1), self.problem.law.lower, self.problem.law.upper)
-        return bool(bounds.numel() and self.model.p.numel() and ca.depends_on(bounds, self.model.p))
+        """Whether numbers of the law depend on parameters of the code."""
+        numbers = self.problem.law.numbers
+        return bool(numbers.numel() and self.model.p.numel() and ca.depends_on(numbers, self.model.p))
 
     @cached_property
     def by_rows(self) -> bool:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from nsmodel.codegen import banded, fixed, inclusion, newton, statuses
+from nsmodel.codegen import banded, fixed, inclusion, newton, sets, statuses
 from nsmodel.codegen.bounds import MOST_WORK, work_bound
 from nsmodel.codegen.expression import number
 from nsmodel.codegen.fragments import FOLDER, FUNCTION, comment, fragment, guard, prefixed, pruned, resolved
@@ -17,7 +17,6 @@ from nsmodel.codegen.loops import c_function
 from nsmodel.codegen.needs import flags_of, sizes_of
 from nsmodel.codegen.scene import BANDED, FIXED, INCLUSION, Scene
 from nsmodel.codegen.tables import table
-from nsmodel.laws import CURVED
 from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.scheme import constraints, initial_rows
@@ -80,7 +79,9 @@ def _missing(text: str, code: str) -> str:
     return "".join(match[0] for match in wanted if f" {match[1]}(" not in code)
 
 
-_FRAGMENTS = [f"{name}.c" for name in "solvers rounding linear affine cone lemke fixed banded newton rows inclusion api".split()]
+_FRAGMENTS = [
+    f"{name}.c" for name in "solvers rounding linear affine curved lemke fixed banded newton rows inclusion api".split()
+]
 
 
 def _has(part: str, flags: frozenset[str]) -> bool:
@@ -93,7 +94,7 @@ def _has(part: str, flags: frozenset[str]) -> bool:
         "inclusion": "INCLUSION" in flags,
         "affine": "AFFINE_PROBLEM" in flags,
         "lemke": "PIVOTING" in flags,
-        "cone": "CURVED" in flags,
+        "curved": "CURVED" in flags,
     }.get(part, True)
 
 
@@ -164,14 +165,8 @@ def _tables(scene: Scene, flags: frozenset[str]) -> str:
         else:
             lines += [table("lower", law.lower, "MODEL_M", "ends of the law"), table("upper", law.upper, "MODEL_M")]
             lines.append("#define LOWER lower\n#define UPPER upper\n")
-    curved = inclusion.selection_law(scene).curved if "SELECTION_CURVED" in flags else law.curved
-    if curved:
-        lines.append("typedef struct { int kind, start, size; double radius; } curved_block; /* kind 0 a ball, 1 a cone */\n")
-        blocks = (
-            f"{{{list(CURVED).index(K.kind)}, {rows.start}, {rows.stop - rows.start}, {number(K.radius).text}}}"
-            for rows, K in curved
-        )
-        lines.append(f"static const curved_block curved[MODEL_CURVED] = {{{', '.join(blocks)}}};\n")
+    if "CURVED" in flags:
+        lines.append(sets.text(inclusion.law_of_sets(scene), "CURVED_OF_PARAMETERS" in flags))
     if scene.parameters:
         lines.append(table("default_p", list(scene.parameters.values()), "MODEL_NP"))
     lines.append(f"#define START_STEPS {1 if getattr(scene.model, 'x1', None) is not None else 0}\n")
@@ -224,13 +219,10 @@ def _solved(scene: Scene) -> dict[str, ca.SX]:
 
 
 def _bounds(scene: Scene) -> dict[str, ca.SX]:
-    """The ends of the law as expressions of the parameters; the radius of each curved block."""
-    lower, upper = ca.densify(ca.SX(scene.problem.law.lower)), ca.densify(ca.SX(scene.problem.law.upper))
-    radii = []
-    for rows, K in scene.law.curved:
-        radii.append(upper[rows.start] if K.is_bounded else ca.SX(ca.inf))
-        lower[rows.start : rows.stop], upper[rows.start : rows.stop] = -ca.inf, ca.inf
-    return {"lower": lower, "upper": upper} | ({"radius": ca.vertcat(*radii)} if radii else {})
+    """The ends of the law as expressions of the parameters; the numbers of curved blocks."""
+    law = scene.problem.law
+    given = sets.numbers(law)
+    return {"lower": ca.densify(law.lower), "upper": ca.densify(law.upper)} | ({"numbers": given} if given.numel() else {})
 
 
 def _start(scene: Scene) -> ca.SX:

@@ -144,9 +144,9 @@ def _system(model: Any) -> _System | None:
         return None
     lower, upper = [np.empty(0)], [np.empty(0)]
     for block in law.blocks:
-        boxed = block.kind == "box"
-        lower.append(np.array(ca.DM(block.lower)).ravel() if boxed else np.full(block.size, np.nan))
-        upper.append(np.array(ca.DM(block.upper)).ravel() if boxed else np.full(block.size, np.nan))
+        low, high = block.hull() if block.separable else np.full((2, block.size), np.nan)
+        lower.append(low)
+        upper.append(high)
     ends = np.concatenate(lower), np.concatenate(upper)
     return _System(model.t, model.x, l, F, Y, *matrices, model.x0, *ends, model.names, model.multiplier_names, 0)
 

@@ -62,12 +62,8 @@ def _refuse_ends(model: Model) -> None:
                 f"weight {float(term.weight):g}{given}; a convex potential needs finite weights >= 0"
             )
     for block in model.law.blocks if getattr(model, "law", None) is not None else ():
-        for i in range(block.size):
-            low, high = float(block.lower[i]), float(block.upper[i])
-            if block.kind == "ball" and not 0 <= high < np.inf:
-                raise UsageError(f"law: the ball has the radius {high:g}{given}; expected a finite number >= 0")
-            if not low <= high:
-                raise UsageError(f"law: {block.label} has lower[{i}] = {low:g} above upper[{i}] = {high:g}{given}")
+        if why := block.refusal(given):
+            raise UsageError(f"law: {why}")
     if isinstance(model, MonotoneInclusion):
         low, high = (np.array(ca.DM(bound)).ravel() for bound in (model.lower, model.upper))
         for i in np.flatnonzero(~(low < high)):

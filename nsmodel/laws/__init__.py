@@ -1,24 +1,38 @@
-"""The kinds of sets that a law is made of, by name: what each does stands in a file of its own."""
+"""Laws -y ∈ N_K(l), a kind of set a file: what it is, what solvers, checks and readers ask of it; its C beside it."""
 
 from __future__ import annotations
 
-import casadi as ca
+from pathlib import Path
 
-from nsmodel.errors import ModelError
-from nsmodel.laws.ball import Ball
-from nsmodel.laws.cone import Cone
+from nsmodel.laws.ball import Ball, BallSet, ball
+from nsmodel.laws.block import Block, Words
+from nsmodel.laws.box import Box, box, complementarity, equality, relay
+from nsmodel.laws.cone import Cone, ConeSet, second_order_cone
 from nsmodel.laws.curved import Curved
+from nsmodel.laws.law import Law, product
+from nsmodel.laws.polyhedron import Polyhedron, polyhedron
 
-CURVED: dict[str, type[Curved]] = {kind.kind: kind for kind in (Ball, Cone)}
-FLAT = ("box", "polyhedron")  # A polyhedron is rewritten for boxes.
+KINDS: dict[str, type[Block]] = {kind.kind: kind for kind in (Box, Ball, Cone, Polyhedron)}
+WORDS: dict[str, Words] = {label: words for kind in KINDS.values() for label, words in kind.WORDS.items()}
+C = Path(__file__).parent  # NAME.c of the curved kinds
 
-
-def curved_set(kind: str, size: int, upper: ca.SX) -> Curved:
-    """The set of a curved block, its numbers in ``upper`` (size, 1).
-
-    Raises:
-        ModelError: a kind that is not known.
-    """
-    if kind not in CURVED:
-        raise ModelError(f"law: kind '{kind}' is not known; expected one of {', '.join([*FLAT, *CURVED])}")
-    return CURVED[kind].of(size, upper)
+__all__ = [
+    "KINDS",
+    "WORDS",
+    "BallSet",
+    "Block",
+    "Box",
+    "C",
+    "ConeSet",
+    "Curved",
+    "Law",
+    "Words",
+    "ball",
+    "box",
+    "complementarity",
+    "equality",
+    "polyhedron",
+    "product",
+    "relay",
+    "second_order_cone",
+]

@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar, Self
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
+from nsmodel.errors import ModelError
+from nsmodel.laws.block import UPPER, ZERO, Block, Round, Words, Writer, product_set
+from nsmodel.laws.box import boxes
 from nsmodel.laws.curved import Curved, norm
+from nsmodel.laws.given import column, count
+from nsmodel.laws.law import Law
 
 
 @dataclass(frozen=True)
-class Ball(Curved):
-    """{|l| <= radius}."""
+class BallSet(Curved):
+    """{|l| <= radius}, numbers."""
 
     radius: float
     kind: ClassVar[str] = "ball"
-
-    @classmethod
-    def of(cls, size: int, upper: ca.SX) -> Self:
-        """The radius is in each row of ``upper``."""
-        return cls(float(upper[0]))
 
     def project(self, u: np.ndarray) -> np.ndarray:
         """r u / |u| outside."""
@@ -51,3 +53,84 @@ class Ball(Curved):
     def complementarity(self, l: ca.SX, y: ca.SX, tiny: float) -> tuple[ca.SX, list[ca.SX]]:
         """<l, y> + r |y|, r^2 - |l|^2."""
         return ca.dot(l, y) + self.radius * ca.sqrt(ca.sumsqr(y) + tiny), [self.radius**2 - ca.sumsqr(l)]
+
+    def quadric(self, m: int) -> tuple[np.ndarray, float]:
+        """r^2 - |l|^2."""
+        return np.eye(m), self.radius**2
+
+
+@dataclass(frozen=True, eq=False)
+class Ball(Block):
+    """{|l| <= radius}; ``radius`` a number or an expression of parameters."""
+
+    kind: ClassVar[str] = "ball"
+    strict: ClassVar[bool] = True
+    WORDS: ClassVar[Mapping[str, Words]] = {"ball": {0: (ZERO, "l inside the ball (y = 0)"), 1: (UPPER, "l on the sphere")}}
+    radius: ca.SX
+
+    @property
+    def numbers(self) -> dict[str, ca.SX]:
+        """The radius."""
+        return {"radius": self.radius}
+
+    def scaled(self, u: float) -> Ball:
+        """The radius times u."""
+        return replace(self, radius=u * self.radius)
+
+    def refusal(self, given: str) -> str:
+        """A negative or infinite radius."""
+        r = float(self.radius)
+        return "" if 0 <= r < np.inf else f"the ball has the radius {r:g}{given}; expected a finite number >= 0"
+
+    def curved(self) -> BallSet:
+        """With its number."""
+        return BallSet(float(self.radius))
+
+    def c_numbers(self) -> ca.SX:
+        """The radius."""
+        return self.radius
+
+    def shape(self) -> Round:
+        """Itself."""
+        return Round([[Fraction(int(i == j)) for j in range(self.size)] for i in range(self.size)], Fraction(float(self.radius)))
+
+    @property
+    def width(self) -> float:
+        """The diameter."""
+        return 2 * float(self.radius)
+
+    def hull(self) -> tuple[np.ndarray, np.ndarray]:
+        """A cube."""
+        return np.full(self.size, -float(self.radius)), np.full(self.size, float(self.radius))
+
+    def excess(self, l: np.ndarray) -> np.ndarray:
+        """Beyond the sphere."""
+        return np.maximum(np.linalg.norm(l, axis=1, keepdims=True) - float(self.radius), 0)
+
+    def rivals(self, l: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """-r y/|y|."""
+        size = np.linalg.norm(y, axis=1, keepdims=True)
+        return (-float(self.radius) * y / np.where(size > 0, size, 1))[None]
+
+    @property
+    def extent(self) -> float:
+        """The radius."""
+        return float(self.radius)
+
+    def latex(self, write: Writer) -> list[str]:
+        """|lambda| <= r."""
+        return [product_set(write, self.size, rf"\left\Vert \lambda \right\Vert \leq {write.number(self.radius)}")]
+
+    def data(self) -> dict[str, Any]:
+        """The radius."""
+        return {"radius": float(self.radius)}
+
+
+def ball(m: int, radius: Any = 1) -> Law:
+    """-y ∈ N(l) for {|l| <= radius} in R^m: isotropic Coulomb friction; l = -radius y/|y| where y != 0."""
+    m, r = count("ball", m), column("ball", "radius", radius, 1)
+    if r.is_constant() and not 0 <= float(r) < np.inf:
+        raise ModelError(f"ball: radius = {float(r):g} must be finite and not negative")
+    if m == 1:
+        return boxes("relay", 1, -r, r)
+    return Law((Ball("ball", m, r),))

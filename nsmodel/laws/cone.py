@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
+from nsmodel.laws.block import NOTHING, UPPER, ZERO, Block, SecondOrder, Words, Writer, product_set
+from nsmodel.laws.box import complementarity
 from nsmodel.laws.curved import Curved, norm
+from nsmodel.laws.given import count
+from nsmodel.laws.law import Law
 
 
 @dataclass(frozen=True)
-class Cone(Curved):
+class ConeSet(Curved):
     """{|(l_2, ..., l_m)| <= l_1}."""
 
     radius: float = np.inf
     kind: ClassVar[str] = "cone"
-
-    @classmethod
-    def of(cls, size: int, upper: ca.SX) -> Self:
-        """It has no numbers."""
-        return cls()
+    is_cone: ClassVar[bool] = True
 
     def project(self, u: np.ndarray) -> np.ndarray:
         """u inside, 0 in the polar cone, else (t, t e), t = (u_1 + |(u_2, ...)|)/2."""
@@ -61,3 +62,63 @@ class Cone(Curved):
     def complementarity(self, l: ca.SX, y: ca.SX, tiny: float) -> tuple[ca.SX, list[ca.SX]]:
         """<l, y>, l and y in K."""
         return ca.dot(l, y), [row for v in (l, y) for row in (v[0], v[0] ** 2 - ca.sumsqr(v[1:]))]
+
+    def quadric(self, m: int) -> tuple[np.ndarray, float]:
+        """l_1^2 - |(l_2, ...)|^2."""
+        return np.diag(np.r_[-1.0, np.ones(m - 1)]), 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Cone(Block):
+    """{|(l_2, ..., l_m)| <= l_1}."""
+
+    kind: ClassVar[str] = "cone"
+    WORDS: ClassVar[Mapping[str, Words]] = {
+        "second-order cone": {
+            -1: (NOTHING, "open (l = 0)"), 0: (ZERO, "l inside the cone (y = 0)"), 1: (UPPER, "l on the cone"),
+        }
+    }  # fmt: skip
+
+    def scaled(self, u: float) -> Cone:
+        """Itself."""
+        return self
+
+    def curved(self) -> ConeSet:
+        """It has no numbers."""
+        return ConeSet()
+
+    def shape(self) -> SecondOrder:
+        """Itself."""
+        return SecondOrder(self.size)
+
+    def excess(self, l: np.ndarray) -> np.ndarray:
+        """Beyond the boundary."""
+        return np.maximum(np.linalg.norm(l[:, 1:], axis=1) - l[:, 0], 0)[:, None]
+
+    def rivals(self, l: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """0, twice l, and l + (1, -e) with e the direction of (y_2, ...)."""
+        across = np.linalg.norm(y[:, 1:], axis=1, keepdims=True)
+        edge = np.hstack([np.ones((len(y), 1)), -y[:, 1:] / np.where(across > 0, across, 1)])
+        inside = l + np.pad(self.excess(l), ((0, 0), (0, self.size - 1)))
+        return np.stack([np.zeros_like(l), 2 * inside, inside + edge * (np.abs(l).max(axis=1, keepdims=True) + 1e-300)])
+
+    def latex(self, write: Writer) -> list[str]:
+        """|(lambda_2, ...)| <= lambda_1."""
+        across = r"\left\Vert \left(\lambda_2, \ldots, \lambda_m\right) \right\Vert"
+        return [product_set(write, self.size, rf"{across} \leq \lambda_1")]
+
+    def says(self) -> str:
+        """Complementarity of cones."""
+        return r"K \ni \lambda \perp y \in K"
+
+    def data(self) -> dict[str, Any]:
+        """It has no numbers."""
+        return {}
+
+
+def second_order_cone(m: int) -> Law:
+    """K = {l : |(l_2, ..., l_m)| <= l_1}, self-dual: K ∋ l ⟂ y ∈ K. For m = 1 this is complementarity."""
+    m = count("second_order_cone", m)
+    if m == 1:
+        return complementarity(1)
+    return Law((Cone("second-order cone", m),))

@@ -1,30 +1,27 @@
-"""What solvers ask of a closed convex set K with one curved boundary."""
+"""What solvers ask of a closed convex set K with one curved boundary, its numbers given."""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
 
 
 class Curved(ABC):
-    """A closed convex set in R^m with one curved boundary.
+    """A closed convex set in R^m with one curved boundary: {c - l'S l >= 0}, with l_1 >= 0 where it is a cone.
 
     Attributes:
-        kind: its name in a `Block`.
+        kind: its name, and that of its file of C.
+        is_cone: whether it is pointed at 0 and unbounded.
         radius: max |l| over K; inf where K is not bounded.
     """
 
     kind: ClassVar[str]
+    is_cone: ClassVar[bool] = False
     radius: float
-
-    @classmethod
-    @abstractmethod
-    def of(cls, size: int, upper: ca.SX) -> Self:
-        """The set in R^size of a block with the upper ends ``upper`` (size, 1), constants."""
 
     @property
     def is_bounded(self) -> bool:
@@ -54,6 +51,10 @@ class Curved(ABC):
     @abstractmethod
     def complementarity(self, l: ca.SX, y: ca.SX, tiny: float) -> tuple[ca.SX, list[ca.SX]]:
         """(gap, rows): -y ∈ N_K(l) if and only if gap = 0 and rows >= 0; roots are smoothed by ``tiny``."""
+
+    @abstractmethod
+    def quadric(self, m: int) -> tuple[np.ndarray, float]:
+        """(S, c), S (m, m)."""
 
 
 def norm(u: np.ndarray) -> float:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from numbers import Real
 from typing import Any, ClassVar
 
 import casadi as ca
 
 from nsmodel.errors import ModelError
+from nsmodel.laws import Law
 from nsmodel.model.base import Model, shown
 from nsmodel.model.convert import Converter
-from nsmodel.model.laws import Law
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -75,16 +75,16 @@ class FirstOrderSystem(Model):
 
 
 def checked_law(model: Model, converter: Converter, law: Any, label: str = "law") -> Law:
-    """Return ``law`` with its ends in the symbols of the model's parameters; refuse what is no law, and other symbols."""
+    """Return ``law`` with its numbers in the symbols of the model's parameters; refuse what is no law, and other symbols."""
     if not isinstance(law, Law):
         raise ModelError(f"{label}: expected a law such as complementarity(2) or relay(1, -1, 1), not {shown(law)}")
 
-    def end(value: ca.SX, name: str) -> ca.SX:
+    def known(name: str, value: ca.SX) -> ca.SX:
         column = converter.convert(value, f"{label}: {name}")
         model._only(column, f"{label}: {name}", [])
         return column
 
-    return Law(tuple(replace(b, lower=end(b.lower, "lower"), upper=end(b.upper, "upper")) for b in law.blocks))
+    return Law(tuple(b.with_numbers(**{name: known(name, value) for name, value in b.numbers.items()}) for b in law.blocks))
 
 
 def check_weights(theta: Any, gamma: Any) -> None:

@@ -11,10 +11,10 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError
+from nsmodel.laws import Law
 from nsmodel.model.base import Model, shown
 from nsmodel.model.convex import ConvexSplit, split, split_discontinuities
 from nsmodel.model.first_order import checked_law
-from nsmodel.model.laws import Law
 from nsmodel.model.pickled import Pickled
 
 
@@ -105,7 +105,7 @@ class MonotoneInclusion(Model):
 
     def _from_law(self, law: Law, n: int, lower: ca.SX, upper: ca.SX) -> tuple[ca.SX, None, ca.SX, ca.SX]:
         """T(x) = {-l : -x ∈ N_[lo, up](l)}: -lo for x > 0, -up for x < 0, between at 0; an infinite end bounds C at 0."""
-        if law.size != n or any(block.kind != "box" for block in law.blocks):
+        if law.size != n or not law.is_box:
             raise ModelError(f"operator: a law of size {n} made of boxes is expected; for other convex potentials use phi=")
         S, lower, upper = ca.SX.zeros(n), ca.SX(lower), ca.SX(upper)
         for i in range(n):

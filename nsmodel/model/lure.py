@@ -9,11 +9,11 @@ from typing import Any, ClassVar
 import casadi as ca
 
 from nsmodel.errors import ModelError
+from nsmodel.laws import Law
 from nsmodel.model.base import Model
 from nsmodel.model.convert import Converter
 from nsmodel.model.convex import split
 from nsmodel.model.first_order import check_weights, checked_law
-from nsmodel.model.laws import Law
 from nsmodel.model.parameters import declared
 
 

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from nsmodel.laws import Law
 from nsmodel.model.base import Model
 from nsmodel.model.convex import ConvexSplit
 from nsmodel.model.first_order import FirstOrderSystem
-from nsmodel.model.laws import Block, Law
 from nsmodel.model.lure import LureSystem
 from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.sweeping import SweepingProcess
@@ -98,12 +97,7 @@ def _grid(model: Model, tau: float) -> dict[str, Any]:
 
 
 def _law(law: Law, u: float) -> Law:
-    return Law(tuple(_block(block, u) for block in law.blocks))
-
-
-def _block(block: Block, u: float) -> Block:
-    faces = {} if block.K is None else {"K": u * block.K}
-    return replace(block, lower=u * block.lower, upper=u * block.upper, **faces)
+    return Law(tuple(block.scaled(u) for block in law.blocks))
 
 
 def _tolerances(given: Any, u: float, tau: float) -> Any:

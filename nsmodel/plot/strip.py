@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nsmodel import laws
 from nsmodel.errors import PlotError
 from nsmodel.plot import style
 from nsmodel.plot.style import LOWER, PALE, UPPER, ZERO
@@ -22,13 +23,10 @@ MAX_ROWS = 30
 COLUMNS = 800  # about a pixel each
 CHATTER = "split band: changes within a pixel"
 
+COLOURS = {"lower": LOWER, "zero": ZERO, "upper": UPPER, "nothing": PALE}
 WORDS: dict[str, Words] = {
-    "complementarity": {-1: (PALE, "open (l = 0)"), 0: (ZERO, "contact (y = 0)")},
-    "relay": {-1: (LOWER, "l at lower"), 0: (ZERO, "stick or sliding mode (y = 0)"), 1: (UPPER, "l at upper")},
-    "box": {-1: (LOWER, "l at lower"), 0: (ZERO, "l between its bounds (y = 0)"), 1: (UPPER, "l at upper")},
-    "equality": {0: (ZERO, "equality (y = 0)")},
-    "ball": {0: (ZERO, "l inside the ball (y = 0)"), 1: (UPPER, "l on the sphere")},
-    "cone": {-1: (PALE, "open (l = 0)"), 0: (ZERO, "l inside the cone (y = 0)"), 1: (UPPER, "l on the cone")},
+    label.removeprefix("second-order "): {code: (COLOURS[role], text) for code, (role, text) in words.items()}
+    for label, words in laws.WORDS.items()
 }
 # The same laws where they are the dry friction of an oscillator.
 FRICTION: dict[str, tuple[str, Words]] = {

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from nsmodel.laws import Law, complementarity, relay
 from nsmodel.model.convex import DOMAIN
 from nsmodel.model.inclusion import MonotoneInclusion
-from nsmodel.model.laws import Law, complementarity, relay
 from nsmodel.scheme.problem import OneStepProblem, subdifferential
 
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from nsmodel.model.laws import ball, complementarity, product
+from nsmodel.laws import ball, complementarity, product
 from nsmodel.model.oscillator import Friction, FrictionOscillator
 from nsmodel.scheme.problem import OneStepProblem, subdifferential
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.model.laws import Law
+from nsmodel.laws import Law
 from nsmodel.model.lure import LureSystem
 from nsmodel.scheme.problem import OneStepProblem, Order, basic_law, subdifferential
 

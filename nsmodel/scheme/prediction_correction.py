@@ -12,7 +12,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from nsmodel.model.laws import complementarity
+from nsmodel.laws import complementarity
 from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.scheme.problem import OneStepProblem
 

@@ -9,9 +9,10 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel.laws import Law, ball, box, complementarity, equality, product, relay, second_order_cone
+from nsmodel.laws.block import Rewritten
 from nsmodel.model.convex import ConvexSplit
 from nsmodel.model.expressions import derivatives
-from nsmodel.model.laws import Law, ball, box, complementarity, equality, product, relay, second_order_cone
 from nsmodel.proof.graph import operations
 
 
@@ -33,7 +34,7 @@ class Order(NamedTuple):
             return cls(1)
         if gamma == 0.5:
             return cls(2)
-        if ca.depends_on(r, moving) or any(block.kind != "box" for block in law.blocks):
+        if ca.depends_on(r, moving) or not law.is_box:
             return cls(1)
         return cls(2, feedthrough(Y, through))
 
@@ -116,28 +117,20 @@ class BasicLaw(NamedTuple):
 
 
 def basic_law(law: Law, names: tuple[str, ...], y: ca.SX) -> BasicLaw:
-    """Rewrite polyhedra {l : H l >= K}: l free with y - H' n = 0, and 0 <= n ⟂ H l - K >= 0.
+    """Rewrite what is no basic law, such as a polyhedron, in terms of basic ones.
 
     ``y`` (m, 1) is the output that the user's law speaks of; it must not depend on the new symbols.
     """
-    blocks, symbols, multipliers, rows, outputs, at = [], [], [], [], [], 0
-    for block in law.blocks:
-        part, labels = y[at : at + block.size], names[at : at + block.size]
-        at += block.size
+    parts = []
+    for rows, block in law.parts():
         l = ca.SX.sym("l", block.size)
-        multipliers.append(l)
-        if block.kind != "polyhedron":
-            blocks.append(Law((block,)))
-            symbols.append(l)
-            rows += labels
-            outputs.append(part)
-            continue
-        n = ca.SX.sym("n", len(block.K))
-        blocks += [equality(block.size), complementarity(len(block.K))]
-        symbols += [l, n]
-        rows += [*labels, *(f"{labels[0]} face {i}" for i in range(len(block.K)))]
-        outputs += [part - ca.DM(block.H.T) @ n, ca.DM(block.H) @ l - ca.DM(block.K)]
-    return BasicLaw(product(*blocks), _stack(symbols), _stack(multipliers), tuple(rows), _stack(outputs))
+        own = y[rows.start : rows.stop], tuple(names[rows])
+        parts.append(block.rewritten(*own) or Rewritten(Law((block,)), l, l, own[1], own[0]))
+    labels = tuple(name for part in parts for name in part.rows)
+    return BasicLaw(
+        product(*(part.law for part in parts)), _stack([part.l for part in parts]),
+        _stack([part.multipliers for part in parts]), labels, _stack([part.y for part in parts]),
+    )  # fmt: skip
 
 
 ENDING = {ca.OP_LOG, ca.OP_LOG1P, ca.OP_ATANH}  # Their derivatives are numbers also where they are none.

@@ -22,9 +22,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.laws import Curved, curved_set
+from nsmodel.laws import Curved, Law
 from nsmodel.laws.curved import norm
-from nsmodel.model.laws import Law
 
 EPS = np.finfo(float).eps
 ROUNDING = 8  # c: the part of E that a row may err by, in units of u.
@@ -56,14 +55,8 @@ class NumericLaw:
 def numeric_law(law: Law) -> NumericLaw:
     """Return the law with its bounds evaluated (they must be constants)."""
     lower, upper = np.array(ca.DM(law.lower)).ravel(), np.array(ca.DM(law.upper)).ravel()
-    curved, at = [], 0
-    for block in law.blocks:
-        rows = slice(at, at + block.size)
-        if block.kind != "box":
-            curved.append((rows, curved_set(block.kind, block.size, block.upper)))
-            lower[rows], upper[rows] = -np.inf, np.inf
-        at += block.size
-    return NumericLaw(lower, upper, tuple(curved))
+    curved = ((rows, block.curved()) for rows, block in law.parts())
+    return NumericLaw(lower, upper, tuple((rows, K) for rows, K in curved if K is not None))
 
 
 def output_scale(b: np.ndarray, terms: np.ndarray, w_max: np.ndarray) -> np.ndarray:

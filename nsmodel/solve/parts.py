@@ -7,7 +7,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from nsmodel.model.laws import Block, Law
+from nsmodel.laws import Box, Law
 from nsmodel.scheme.problem import OneStepProblem
 
 
@@ -23,7 +23,7 @@ def split(problem: OneStepProblem) -> list[tuple[np.ndarray, np.ndarray]]:
     j = [b + column for (_, b), (_, columns) in zip(offsets, triplets, strict=True) for column in columns]
     at = n
     for block in problem.law.blocks:
-        if block.kind != "box":
+        if not block.separable:
             i += [at] * block.size
             j += range(at, at + block.size)
         at += block.size
@@ -50,8 +50,8 @@ def _law(law: Law, rows: list[int]) -> Law:
     for block in law.blocks:
         own = [i - at for i in rows if at <= i < at + block.size]
         at += block.size
-        if own and block.kind == "box":
-            blocks.append(Block("box", block.label, len(own), block.lower[own], block.upper[own]))
+        if own and isinstance(block, Box):
+            blocks.append(block.rows(own))
         elif own:
             blocks.append(block)
     return Law(tuple(blocks))

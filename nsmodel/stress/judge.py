@@ -20,10 +20,10 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel.laws import Block, Law
 from nsmodel.model.base import Model
 from nsmodel.model.first_order import FirstOrderSystem
 from nsmodel.model.inclusion import MonotoneInclusion
-from nsmodel.model.laws import Block, Law
 from nsmodel.model.lure import LureSystem
 from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.sweeping import SweepingProcess
@@ -276,39 +276,20 @@ def _output(model: Any, run: Trajectory, output: ca.SX, l: ca.SX, sizes: _Sizes)
 
 
 def _block(block: Block, l: np.ndarray, y: np.ndarray, s_y: np.ndarray) -> float:
-    """Least over the points of the law's graph near (l, y) of max(|l - l^|/s_l, |y - y^|/s_y)."""
-    lower, upper = (np.array(ca.DM(end)).ravel() for end in (block.lower, block.upper))
-    finite = np.concatenate([lower, upper])
-    finite = np.abs(finite[np.isfinite(finite)]).max(initial=0.0)
-    s_l = LAW * np.maximum(np.abs(l).max(axis=1, keepdims=True), finite)
-    if block.kind == "box":
-        inside = np.maximum(np.maximum(lower - l, l - upper), 0)
-        free = np.maximum(_over(inside, s_l), _over(np.abs(y), s_y))
-        low = np.maximum(_over(np.abs(l - lower), s_l), _over(np.maximum(-y, 0), s_y))
-        high = np.maximum(_over(np.abs(l - upper), s_l), _over(np.maximum(y, 0), s_y))
-        return float(np.max(np.fmin(free, np.fmin(low, high)), initial=0.0))
-    size_y, size_l = np.linalg.norm(y, axis=1), np.linalg.norm(l, axis=1)
-    allowed_y = s_y.max(axis=1)
-    if block.kind == "ball":
-        radius = upper[0]
-        outside = _over(np.maximum(size_l - radius, 0), s_l[:, 0])
-        against = np.linalg.norm(l + radius * y / np.where(size_y > 0, size_y, 1)[:, None], axis=1)
-        return float(np.max(np.maximum(outside, np.fmin(_over(size_y, allowed_y), _over(against, s_l[:, 0]))), initial=0.0))
-    if block.kind == "cone":
-        out_l = _over(np.maximum(np.linalg.norm(l[:, 1:], axis=1) - l[:, 0], 0), s_l[:, 0])
-        out_y = _over(np.maximum(np.linalg.norm(y[:, 1:], axis=1) - y[:, 0], 0), allowed_y)
-        work = _over(np.abs((l * y).sum(axis=1)), np.maximum(size_l * allowed_y, size_y * s_l[:, 0]))
-        return float(np.max(np.maximum(np.maximum(out_l, out_y), work), initial=0.0))
-    reach = np.abs(block.K).max(initial=0.0)
-    outside = _over(np.maximum(block.K - l @ block.H.T, 0), np.maximum(s_l, LAW * reach))
-    # -y ∈ N(l): l minimises <y, .> on the polyhedron, so that <y, l> is its support there.
-    from scipy.optimize import linprog
+    """How far rows are from l ∈ K with <l' - l, y> >= 0 for the l' ∈ K that the block samples, beside what both may be off by.
 
-    unit = y / np.where(size_y > 0, size_y, 1)[:, None]
-    programmes = (linprog(row, A_ub=-block.H, b_ub=-block.K, bounds=(None, None)) for row in unit)
-    best = np.array([found.fun if found.success else -np.inf for found in programmes]) * size_y
-    work = _over(np.maximum((l * y).sum(axis=1) - best, 0), (size_l + reach) * allowed_y + size_y * s_l[:, 0])
-    return float(np.max(np.maximum(outside.max(axis=1), work), initial=0.0))
+    Where K is strictly convex one l' has the least <l', y>: l is measured by its distance from that, unless y is 0.
+    """
+    s_l = LAW * np.maximum(np.abs(l).max(axis=1), block.extent)
+    worst = _over(block.excess(l).max(axis=1, initial=0.0), s_l)
+    size_y, rivals = np.linalg.norm(y, axis=1), block.rivals(l, y)
+    if block.strict:
+        away = _over(np.linalg.norm(l - rivals[0], axis=1), s_l)
+        return float(np.max(np.maximum(worst, np.fmin(_over(size_y, s_y.max(axis=1)), away)), initial=0.0))
+    for other in rivals:
+        gap = np.maximum(((l - other) * y).sum(axis=1), 0)
+        worst = np.maximum(worst, _over(gap, (np.abs(l - other) * s_y).sum(axis=1) + size_y * s_l))
+    return float(np.max(worst, initial=0.0))
 
 
 def _potential(model: LureSystem, run: Trajectory, output: ca.SX, l: ca.SX, sizes: _Sizes) -> Misfits:

@@ -34,8 +34,8 @@ from nsmodel import (
     relay,
     second_order_cone,
 )
+from nsmodel.laws import Law
 from nsmodel.model.base import Model
-from nsmodel.model.laws import Law
 
 Arguments = dict[str, Any]
 TRIES = 50
@@ -1112,7 +1112,10 @@ def _written(value: Any) -> str:
         return str(ca.densify(value))
     if isinstance(value, Law):
         return "; ".join(
-            f"{b.label} {b.lower} {b.upper}" + ("" if b.H is None else f" {b.H.tolist()} {b.K.tolist()}") for b in value.blocks
+            f"{b.label} {low} {ca.repmat(b.radius, b.size, 1) if b.kind == 'ball' else up}"
+            + (f" {b.H.tolist()} {b.K.tolist()}" if b.kind == "polyhedron" else "")
+            for b in value.blocks
+            for low, up in [b.ends]
         )
     if isinstance(value, Bodies | Items):
         return _written(dict(value.numbers))

@@ -266,7 +266,7 @@ def into(trial: Trial, l: Array) -> Array:
         if block.kind == "box":
             out[rows] = np.clip(part, numbers(block.lower).ravel(), numbers(block.upper).ravel())
         elif block.kind == "ball":
-            out[rows] = part * min(1.0, float(block.upper[0]) / (np.linalg.norm(part) + 1e-300))
+            out[rows] = part * min(1.0, float(block.radius) / (np.linalg.norm(part) + 1e-300))
         elif block.kind == "cone":
             part[0] = np.linalg.norm(part[1:]) * (1 + trial.rng.random())
         else:

@@ -81,7 +81,7 @@ class Teller:
             rows = slice(at, at + block.size)
             at += block.size
             if block.kind == "ball":
-                self.balls.append((rows, float(self.upper[rows.start])))
+                self.balls.append((rows, float(block.radius)))
                 self.lower[rows], self.upper[rows] = -np.inf, np.inf
             elif block.kind != "box":
                 raise NotImplementedError(block.kind)

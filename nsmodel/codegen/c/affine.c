@@ -1,7 +1,7 @@
 /*
  * y = W l + b, -y ∈ N_K(l): a chain of solvers, each answer polished on its index set and judged by the law's residual.
  *
- * Codes of an index set: 0 where y_i = 0, -1 where l_i = lower_i, +1 where l_i = upper_i; the rows of a ball or cone share one.
+ * Codes of an index set: 0 where y_i = 0, -1 where l_i = lower_i, +1 where l_i = upper_i; the rows of a curved set share one.
  */
 
 #if BOX_PROBLEM
@@ -18,12 +18,6 @@ typedef struct {
 
 #if CURVED
 
-enum { BALL, SECOND_ORDER_CONE }; /* kinds of blocks */
-#if CURVED_OF_PARAMETERS
-#define RADIUS(k) s->radius[k]
-#else
-#define RADIUS(k) curved[k].radius
-#endif
 /* Whether a problem has the curved blocks. */
 #if SELECTION_CURVED
 #define HAS_BLOCKS(m, lo) (curved[0].start < (m) && !is_finite((lo)[curved[0].start])) /* all other problems have l >= 0 */
@@ -84,40 +78,20 @@ static double row_residual(double lo, double up, double l, double y, double s_y,
 }
 #if CURVED
 
-/* P_K(u) of a block is *head in its first row and *tail u in the others; size = |u| for a ball, |(u_2, ...)| for a cone. */
-static void project(int kind, double radius, double first, double size, double *head, double *tail)
-{
-    if (kind == BALL) {
-        *tail = size <= radius ? 1 : radius/size;
-        *head = *tail*first;
-    } else if (size <= first) {
-        *head = first;
-        *tail = 1;
-    } else if (size <= -first) {
-        *head = *tail = 0;
-    } else {
-        *head = (first + size)/2;
-        *tail = *head/size;
-    }
-}
-
 /* |l - P_K(l - c y)| / s_l of a block whose rows begin at l: by Minty (P_K(u), (P_K(u) - u)/c), u = l - c y, is a point of the
    graph, c = 1 / w. */
-static double block_residual(const curved_block *k, double radius, const double *l, const double *y, const double *s_y,
-                             const double *s_l, const double *w_max)
+static double block_residual(const curved_block *k, const double *numbers, const double *l, const double *y,
+                             const double *s_y, const double *s_l, const double *w_max)
 {
     const double w = largest(k->size, w_max), c = w > 0 ? 1/w : 1;
-    double size = 0, norm_s = 0, distance = 0, head, tail;
+    double u[MODEL_BLOCK], norm_s = 0, distance = 0;
     for (int i = 0; i < k->size; i++) {
-        const double u = l[i] - c*y[i], s = max_of(s_y[i], UNRESOLVED);
-        size = hypot(size, i > 0 || k->kind == BALL ? u : 0); /* squares may overflow */
-        norm_s = hypot(norm_s, s);
+        u[i] = l[i] - c*y[i];
+        norm_s = hypot(norm_s, max_of(s_y[i], UNRESOLVED));
     }
-    project(k->kind, radius, l[0] - c*y[0], size, &head, &tail);
-    for (int i = 0; i < k->size; i++) {
-        const double off = l[i] - (i > 0 ? tail*(l[i] - c*y[i]) : head);
-        distance = hypot(distance, off);
-    }
+    set_project(k, numbers, u);
+    for (int i = 0; i < k->size; i++)
+        distance = hypot(distance, l[i] - u[i]);
     return ratio(distance, min_of(c*norm_s, largest(k->size, s_l)));
 }
 #endif
@@ -146,7 +120,8 @@ static double law_residual(model_solver *s, int m, const double *lo, const doubl
             if (w_max[i] > 0)
                 least = min_of(least, w_max[i]);
         }
-        size = max_of(size, max_of(curved[k].kind == BALL ? RADIUS(k) : 0, others/sqrt(least)));
+        const double radius = set_radius(&curved[k], NUMBERS(k));
+        size = max_of(size, max_of(is_finite(radius) ? radius : 0, others/sqrt(least)));
         for (int i = start; i < end; i++)
             s_l[i] = size;
     }
@@ -160,7 +135,7 @@ static double law_residual(model_solver *s, int m, const double *lo, const doubl
     for (int i = 0; i < m; i++) {
 #if CURVED
         if (k < blocks && i == curved[k].start) {
-            worst = worse_of(worst, block_residual(&curved[k], RADIUS(k), l + i, y + i, s_y + i, s_l + i, w_max + i));
+            worst = worse_of(worst, block_residual(&curved[k], NUMBERS(k), l + i, y + i, s_y + i, s_l + i, w_max + i));
             i += curved[k++].size - 1;
             continue;
         }
@@ -378,7 +353,7 @@ static int solve_box(model_solver *s, const affine_problem *p, const signed char
 #endif
 #if CURVED
 
-/* Solver of the law with balls or cones, from the multiplier ``warm`` and from 0. See cone.c. */
+/* Solver of the law with curved sets, from the multiplier ``warm`` and from 0. See curved.c. */
 static int solve_curved(model_solver *s, const affine_problem *p, const double *warm, double accepted);
 #endif
 

@@ -101,11 +101,11 @@ int model_step(model_solver *s)
 static int law_changes(model_solver *s)
 {
     double *lo = s->work.l, *up = s->work.y;
-#if CURVED
-    double radius[MODEL_CURVED];
-    law_of_parameters(s, lo, up, radius);
+#if CURVED_OF_PARAMETERS
+    double numbers[MODEL_NUMBERS];
+    law_of_parameters(s, lo, up, numbers);
     for (int i = 0; i < MODEL_CURVED; i++)
-        if (curved[i].kind == 0 && !(radius[i] >= 0 && is_finite(radius[i])))
+        if (!set_valid(&curved[i], numbers + curved[i].numbers))
             return 0;
 #else
     law_of_parameters(s, lo, up);
@@ -115,8 +115,8 @@ static int law_changes(model_solver *s)
             return 0;
     memcpy(s->lower, lo, sizeof s->lower);
     memcpy(s->upper, up, sizeof s->upper);
-#if CURVED
-    memcpy(s->radius, radius, sizeof radius);
+#if CURVED_OF_PARAMETERS
+    memcpy(s->curved_numbers, numbers, sizeof numbers);
 #endif
     return 1;
 }

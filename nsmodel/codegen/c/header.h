@@ -59,7 +59,7 @@ typedef struct model_solver {
     double lower[MODEL_M], upper[MODEL_M]; /* ends of the law */
 #endif
 #if CURVED_OF_PARAMETERS
-    double radius[MODEL_CURVED];
+    double curved_numbers[MODEL_NUMBERS];
 #endif
     /* What a step works in. */
     struct {

@@ -51,12 +51,13 @@ static double select_velocity(model_solver *s)
 #if SELECTION_CURVED
     int tied_blocks = 0;
     for (int k = 0; k < MODEL_CURVED; k++) {
-        const double size = block_norm(&curved[k], u + curved[k].start);
-        for (int i = curved[k].start; i < curved[k].start + curved[k].size; i++) {
-            tied[i] = size == 0;
-            l[i] = size == 0 ? 0 : -RADIUS(k)*u[i]/size;
-        }
-        tied_blocks += size == 0;
+        const int start = curved[k].start, n = curved[k].size, still = norm(n, u + start) == 0;
+        if (still)
+            memset(l + start, 0, (size_t)n*sizeof *l);
+        else
+            set_selected(&curved[k], NUMBERS(k), u + start, l + start);
+        memset(tied + start, still, (size_t)n);
+        tied_blocks += still;
     }
 #endif
     /* Every row keeps its place; one that is not tied gets 0 in G and the answer l = 0. */

@@ -158,7 +158,7 @@ def _solvable(model: FirstOrderSystem, parts: Affine, steps: np.ndarray) -> list
         return []
     kind = next((name for name in ("positive semidefinite", "a P-matrix", "positive definite") if name in each), "")
     solvable = found(F_MLCP, HOLDS, f"W_mlcp is {kind} for all values (exact, or by bounds).", {"step lengths": steps.size})
-    boxes = all(block.kind == "box" for block in model.law.blocks)
+    boxes = model.law.is_box
     if "positive semidefinite" in each or ("a P-matrix" in each and not boxes) or reads(model.law, model.p):
         return [solvable]
     try:

@@ -8,8 +8,8 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.first_order.linearised import Linearised, jacobians
-from nsmodel.hypotheses.lure.domains import ends
-from nsmodel.model.laws import Law, box, product
+from nsmodel.laws import Law, box, product
+from nsmodel.laws.block import Intervals, SecondOrder
 from nsmodel.proof import exact, interval
 
 ROUNDS = 3  # With fewer multipliers more signs show.
@@ -34,11 +34,12 @@ def _held(at: Linearised) -> np.ndarray:
     for block in at.model.law.blocks:
         own = slice(place, place + block.size)
         place += block.size
-        if block.kind == "box":
-            bottom, top = ends(block)
+        shape = block.shape()
+        if isinstance(shape, Intervals):
+            bottom, top = shape
             value = np.where(low[own] > 0, bottom, np.where(high[own] < 0, top, np.nan))
             out[own] = np.where(np.isfinite(value), value, np.nan)
-        elif block.kind == "cone":
+        elif isinstance(shape, SecondOrder):
             across = np.maximum(np.abs(low[own]), np.abs(high[own]))[1:]
             if low[own][0] > 1.001 * np.linalg.norm(across):
                 out[own] = 0.0
@@ -74,8 +75,9 @@ def _put_in(at: Linearised, held: np.ndarray) -> Linearised:
     for block in model.law.blocks:
         own = np.flatnonzero(left[place : place + block.size])
         place += block.size
-        if block.kind == "box" and own.size:
-            bottom, top = ends(block)
+        shape = block.shape()
+        if isinstance(shape, Intervals) and own.size:
+            bottom, top = shape
             kept.append(box(bottom[own], top[own]))
         elif own.size:
             kept.append(Law((block,)))

@@ -12,11 +12,11 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.lure.domains import ends
 from nsmodel.hypotheses.region import GROWTH, Region
 from nsmodel.hypotheses.scope import Scope
+from nsmodel.laws import Law
+from nsmodel.laws.block import Halfspaces
 from nsmodel.model.first_order import FirstOrderSystem
-from nsmodel.model.laws import Block, Law
 from nsmodel.proof import exact, feasibility
 from nsmodel.proof.defined import Defined, in_time
 from nsmodel.proof.extremum import samples
@@ -215,18 +215,13 @@ def _multipliers(law: Law, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray, st
     """The box of l: K where it is bounded, else the box around the run, else the whole line."""
     low, high = [], []
     for block in law.blocks:
-        if block.kind == "box":
-            ends_low, ends_high = ends(block)
-        elif block.kind == "ball":
-            ends_high = np.full(block.size, float(block.upper[0]))
-            ends_low = -ends_high
-        elif block.kind == "polyhedron" and len(corners := _corners(block)):
+        ends_low, ends_high = block.hull()
+        shape = block.shape()
+        if isinstance(shape, Halfspaces) and len(corners := _corners(shape)):
             ends_low, ends_high = (
                 np.array([rounded(end) for end in ends])
                 for rounded, ends in ((exact.down, corners.min(axis=0)), (exact.up, corners.max(axis=0)))
             )
-        else:
-            ends_low, ends_high = np.full(block.size, -np.inf), np.full(block.size, np.inf)
         low.append(ends_low)
         high.append(ends_high)
     lower, upper = np.concatenate([np.zeros(0), *low]), np.concatenate([np.zeros(0), *high])
@@ -240,9 +235,9 @@ def _multipliers(law: Law, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray, st
     return lower, upper, f"the region, all times, and l within {GROWTH:g} times its range along the run"
 
 
-def _corners(block: Block) -> np.ndarray:
+def _corners(shape: Halfspaces) -> np.ndarray:
     """The corners (k, m) of a bounded polyhedron, exactly; none where it is not bounded, or has too many faces."""
-    H, K, m = exact.rational(block.H), exact.rational(block.K), block.size
+    H, K, m = exact.rational(shape.H), exact.rational(shape.K), shape.H.shape[1]
     none = exact.zeros(0, m)
     if comb(len(K), m) > MOST_CORNERS or exact.rank(H) < m:
         return none

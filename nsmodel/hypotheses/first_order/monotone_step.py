@@ -367,7 +367,7 @@ def _blocks(at: Linearised) -> list[list[int]]:
     place = 0
     for block in at.model.law.blocks:
         rows = list(range(place, place + block.size))
-        out += [[i] for i in rows] if block.kind == "box" else [rows]
+        out += [[i] for i in rows] if block.separable else [rows]
         place += block.size
     return out
 

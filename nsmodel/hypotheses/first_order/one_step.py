@@ -109,7 +109,7 @@ def _constant(hypothesis: Hypothesis, at: Linearised, mlcp_finding: Finding, qui
         return found(hypothesis, HOLDS, f"{reasons[0][0].upper()}{reasons[0][1:]}.", {"solutions": 1}, scope=scope)
     if (one := unique_paired(at, True)) is not None and one.exists:
         return found(hypothesis, HOLDS, f"{one.how[0].upper()}{one.how[1:]}.", {"solutions": 1}, scope=scope)
-    if any(block.kind != "box" for block in at.model.law.blocks):
+    if not at.model.law.is_box:
         return None
     several = [affine_step(at, h) for h in lengths]
     if quick or not several[0].few:
@@ -185,7 +185,7 @@ def _one(at: Linearised, W: np.ndarray | None) -> str:
     if definite.definite:
         return "W_mlcp is positive definite (exact)"
     if not definite.psd:
-        if all(block.kind == "box" for block in law.blocks):
+        if law.is_box:
             return "W_mlcp is a P-matrix (exact), and K a box" if p_matrix(W)[0] else ""
         return "W_mlcp has a determinant > 0 on every face of K (exact)" if coherent(law, W) else ""
     if not _inside_kernel(W, at):

@@ -21,6 +21,7 @@ import numpy as np
 
 from nsmodel.hypotheses.first_order.linearised import Linearised
 from nsmodel.hypotheses.first_order.monotone_step import TOTAL, Unique, _answer, _bounded, _definite, _Form, _tidied
+from nsmodel.laws.block import Halfspaces, Intervals, Round
 from nsmodel.proof import exact, feasibility, interval, polynomial
 from nsmodel.proof.exact import EPS
 from nsmodel.proof.graph import operations, replay, same
@@ -210,14 +211,14 @@ def _maximal(at: Linearised, parts: Paired) -> bool:
     It is where D is definite, or B'x takes every value, or D is symmetric and K of boxes and bounded sets, for then it is the
     subdifferential of a piecewise linear-quadratic function of s, or one that is finite, if it is finite anywhere.
     """
-    blocks = at.model.law.blocks
-    if any(block.kind == "polyhedron" for block in blocks):
+    shapes = [block.shape() for block in at.model.law.blocks]
+    if any(shape is None or isinstance(shape, Halfspaces) for shape in shapes):
         return False
     definite = any(exact.psd(matrix).definite and factor.is_constant() for factor, matrix in parts.D)
     if definite or exact.rank(parts.B) == at.model.law.size:
         return True
     symmetric = all(exact.is_symmetric(matrix) for _, matrix in parts.D)
-    return symmetric and all(block.kind in ("box", "ball") for block in blocks) and _finite(at, parts)
+    return symmetric and all(isinstance(shape, Intervals | Round) for shape in shapes) and _finite(at, parts)
 
 
 def _finite(at: Linearised, parts: Paired) -> bool:

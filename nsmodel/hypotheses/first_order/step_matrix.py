@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsmodel.model.laws import Law
+from nsmodel.laws import Law
+from nsmodel.laws.block import Halfspaces, Intervals
 from nsmodel.proof import exact, polynomial_signs
 
 ROUNDING = 64 * np.finfo(float).eps  # Relative changes of the entries of M and G that are no more than rounding.
@@ -68,17 +69,17 @@ def coherent(law: Law, W: np.ndarray) -> bool:
     """
     parts, place, count = [], 0, 1
     for block in law.blocks:
-        size = block.size
-        if block.kind == "box":
+        size, shape = block.size, block.shape()
+        if isinstance(shape, Intervals):
             units = [(exact.eye(size)[:, [i]], exact.zeros(size, 0)) for i in range(size)]
             parts += [[_placed(Z, place, len(W)) for Z in pair] for pair in units]
-        elif block.kind == "polyhedron":
-            active = [list(rows) for k in range(len(block.K) + 1) for rows in combinations(range(len(block.K)), k)]
-            own = [exact.nullspace(block.H[rows]) if rows else exact.eye(size) for rows in active]
+        elif isinstance(shape, Halfspaces):
+            active = [list(rows) for k in range(len(shape.K) + 1) for rows in combinations(range(len(shape.K)), k)]
+            own = [exact.nullspace(shape.H[rows]) if rows else exact.eye(size) for rows in active]
             parts.append([_placed(Z, place, len(W)) for Z in own])
         else:
             return False
-        place, count = place + size, count * len(parts[-1]) if block.kind == "polyhedron" else count * 2**size
+        place, count = place + size, count * len(parts[-1]) if isinstance(shape, Halfspaces) else count * 2**size
         if count > 2**MOST_MINORS:
             return False
     return all(exact.determinant(exact.product(Z.T, W, Z)) > 0 for choice in product(*parts) if (Z := np.hstack(choice)).shape[1])

@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.first_order.linearised import Linearised
-from nsmodel.model.laws import Law
+from nsmodel.laws import Curved, Law
 from nsmodel.proof import interval, krawczyk
 from nsmodel.scheme.problem import basic_law
 from nsmodel.solve.certificate import numeric_law
@@ -34,7 +34,7 @@ SAME = 1e-6  # Two solutions are one if they differ by less than this part of wh
 SINGULAR = 1e-10
 LEAST = np.finfo(float).tiny / np.finfo(float).eps  # Below it products with h underflow.
 
-Block = tuple[str, tuple[int, ...]]  # kind "row", "ball" or "cone", and its rows of l
+Block = tuple[Curved | None, tuple[int, ...]]  # the set, None for a row of a box, and its rows of l
 Mode = tuple[str, ...]  # of each block: "free", "lower", "upper"; "inside", "touched"; "vertex"
 
 
@@ -158,7 +158,7 @@ class _Step:
         F[n : n + m], D[n : n + m, : n + m] = y, J[n:]
         size = self.size_y
         slack: list[float] = []
-        for k, ((kind, rows), how) in enumerate(zip(self.blocks, mode, strict=True)):
+        for k, ((K, rows), how) in enumerate(zip(self.blocks, mode, strict=True)):
             own, at_s = [n + i for i in rows], n + m + k
             F[at_s], D[at_s, at_s] = s[k], 1.0
             i = rows[0]
@@ -170,49 +170,48 @@ class _Step:
                 slack.append((y[i] if how == "lower" else -y[i]) / size[i])
             elif how == "free":
                 slack += [gap / self.width[i] for gap in (l[i] - self.lower[i], self.upper[i] - l[i]) if np.isfinite(gap)]
-            elif kind != "row":
-                sign = np.ones(len(rows)) if kind == "ball" else np.r_[-1.0, np.ones(len(rows) - 1)]
+            elif K is not None:
                 of_l, of_y = (part[list(rows)] for part in (l, y))
-                r = self.radius[i] if kind == "ball" else 0.0
-                square = r**2 - sign @ of_l**2
-                slack += [] if kind == "ball" or how == "vertex" else [of_l[0] / self.width[i]]
+                S, c = K.quadric(len(rows))
+                square = c - of_l @ S @ of_l
+                slack += [of_l[0] / self.width[i]] if K.is_cone and how != "vertex" else []
                 if how == "vertex":
-                    slack += [of_y[0] / size[i], -(sign @ of_y**2) / size[i] ** 2]
+                    slack += [of_y[0] / size[i], -(of_y @ S @ of_y) / size[i] ** 2]
                 elif how == "inside":
-                    slack.append(square / self.width[i] ** 2)
+                    slack.append(square / (self.width[i] ** 2 * np.abs(S).max()))
                 else:
-                    F[own] += s[k] * sign * of_l
-                    D[own, own] += s[k] * sign
-                    D[own, at_s] = sign * of_l
+                    F[own] += s[k] * S @ of_l
+                    D[np.ix_(own, own)] += s[k] * S
+                    D[own, at_s] = S @ of_l
                     F[at_s], D[at_s, at_s] = square / 2, 0.0
-                    D[at_s, own] = -sign * of_l
+                    D[at_s, own] = -S @ of_l
                     slack.append(s[k] / self.size_s[k])
         return F, D, np.array(slack)
 
     def expressions(self, mode: Mode) -> tuple[ca.SX, ca.SX]:
         """The system and the inequalities > 0 as expressions of x, l, s, t, x_k and h."""
         F, conditions = [self.E], []
-        for k, ((kind, rows), how) in enumerate(zip(self.blocks, mode, strict=True)):
+        for k, ((K, rows), how) in enumerate(zip(self.blocks, mode, strict=True)):
             l, y, s, i = self.l[list(rows)], self.Y[list(rows)], self.s[k], rows[0]
-            sign = ca.DM.ones(len(rows)) if kind == "ball" else ca.vertcat(-1, ca.DM.ones(len(rows) - 1))
-            square = (float(self.radius[i]) ** 2 if kind == "ball" else 0.0) - ca.dot(sign, l**2)
+            S, c = K.quadric(len(rows)) if K is not None else (np.zeros((1, 1)), 0.0)
+            square, above = c - ca.bilin(ca.SX(ca.DM(S)), l, l), [l[0]] if K is not None and K.is_cone else []
             if how in ("lower", "upper"):
                 F += [l - float((self.lower if how == "lower" else self.upper)[i]), s]
                 if self.lower[i] < self.upper[i]:
                     conditions.append(y if how == "lower" else -y)
             elif how == "vertex":
                 F += [l, s]
-                conditions += [y[0], -ca.dot(sign, y**2)]
+                conditions += [y[0], -ca.bilin(ca.SX(ca.DM(S)), y, y)]
             elif how == "touched":
-                F += [y + s * sign * l, square]
-                conditions += [s, *([l[0]] if kind == "cone" else [])]
+                F += [y + s * ca.DM(S) @ l, square]
+                conditions += [s, *above]
             else:
                 F += [y, s]
                 if how == "free":
                     conditions += [l - float(self.lower[i])] if np.isfinite(self.lower[i]) else []
                     conditions += [float(self.upper[i]) - l] if np.isfinite(self.upper[i]) else []
                 else:
-                    conditions += [square, *([l[0]] if kind == "cone" else [])]
+                    conditions += [square, *above]
         return ca.vertcat(*F), ca.vertcat(ca.SX(0, 1), *conditions)
 
     # -- points of modes --------------------------------------------------------------------------------------------------
@@ -221,7 +220,7 @@ class _Step:
         """L and s as the mode has them."""
         l, s = np.zeros(self.m), np.zeros(len(self.blocks))
         spread = 10.0 ** (rng.uniform(-2, 2) if self.everywhere else rng.uniform(-3, 1))
-        for k, ((kind, rows), how) in enumerate(zip(self.blocks, mode, strict=True)):
+        for k, ((K, rows), how) in enumerate(zip(self.blocks, mode, strict=True)):
             i, own = rows[0], list(rows)
             if how in ("lower", "upper"):
                 l[i] = (self.lower if how == "lower" else self.upper)[i]
@@ -234,8 +233,9 @@ class _Step:
                 )  # fmt: skip
             elif how != "vertex":
                 part = rng.normal(size=len(own))
-                if kind == "ball":
-                    part *= self.radius[i] / np.linalg.norm(part) * (1.0 if how == "touched" else rng.random())
+                if K is not None and not K.is_cone:
+                    S, c = K.quadric(len(own))
+                    part *= np.sqrt(c / (part @ S @ part)) * (1.0 if how == "touched" else rng.random())
                 else:
                     part *= spread * self.width[i]
                     part[0] = np.linalg.norm(part[1:]) * (1.0 if how == "touched" else 1 + rng.exponential())
@@ -336,7 +336,7 @@ class _Step:
         return np.array(self.user(u[self.n : self.n + self.m])).ravel()
 
     def _solutions(self, point: _Point, rng: np.random.Generator) -> Iterator[tuple[Mode, np.ndarray]]:
-        curved = any(kind != "row" for kind, _ in self.blocks)
+        curved = any(K is not None for K, _ in self.blocks)
         for mode in product(*self.modes):
             for _ in range(STARTS if curved and "touched" in mode else 1):
                 self.tries += 1
@@ -381,7 +381,7 @@ class _Step:
         of_l, of_s = change[n : n + m], change[n + m :]
         of_y = CLEAR * np.abs(J[n:]) @ np.abs(u[: n + m]) + np.abs(J[n:]) @ change[: n + m]
         l, y = u[n : n + m], value[n:]
-        for k, ((kind, rows), how) in enumerate(zip(self.blocks, mode, strict=True)):
+        for k, ((K, rows), how) in enumerate(zip(self.blocks, mode, strict=True)):
             own = list(rows)
             least, of_it = np.inf, 0.0
             if how == "free":
@@ -390,11 +390,12 @@ class _Step:
                 least, of_it = np.abs(y[own[0]]), of_y[own[0]]
             elif how == "touched":
                 least, of_it = u[n + m + k], of_s[k]
-            elif kind == "ball":
-                least, of_it = self.radius[own[0]] - np.linalg.norm(l[own]), np.linalg.norm(of_l[own])
-            elif kind == "cone":
+            elif K is not None and K.is_cone:
                 part, of_it = (l[own], of_l[own].sum()) if how == "inside" else (y[own], of_y[own].sum())
                 least = part[0] - np.linalg.norm(part[1:])
+            elif K is not None:
+                S, c = K.quadric(len(own))
+                least, of_it = np.sqrt(c) - np.sqrt(l[own] @ S @ l[own]), np.sqrt(of_l[own] @ np.abs(S) @ of_l[own])
             if not least > of_it:
                 return None
         return change[:n]
@@ -417,18 +418,17 @@ class _Step:
 
 
 def _blocks(law: Law) -> Iterator[Block]:
-    """Each row of a box, each ball and each cone."""
-    place = 0
-    for block in law.blocks:
-        rows = tuple(range(place, place + block.size))
-        place += block.size
-        yield from ((("row", (i,)) for i in rows) if block.kind == "box" else [(block.kind, rows)])
+    """Each row of a box, each curved set."""
+    for rows, block in law.parts():
+        own = tuple(range(rows.start, rows.stop))
+        K = block.curved()
+        yield from ((None, (i,)) for i in own) if K is None else [(K, own)]
 
 
 def _modes(block: Block, lower: np.ndarray, upper: np.ndarray) -> list[str]:
-    kind, (i, *_) = block
-    if kind != "row":
-        return ["inside", "touched"] if kind == "ball" else ["vertex", "inside", "touched"]
+    K, (i, *_) = block
+    if K is not None:
+        return ["vertex", "inside", "touched"] if K.is_cone else ["inside", "touched"]
     if lower[i] == upper[i]:
         return ["lower"]
     return ["free", *(["lower"] if np.isfinite(lower[i]) else []), *(["upper"] if np.isfinite(upper[i]) else [])]

@@ -8,6 +8,7 @@ interior of an image is the image of the relative interior, and rint dom (f + g)
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any, NamedTuple
@@ -16,9 +17,10 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.domain import domain_rows, without_domain
+from nsmodel.laws import Block, Law
+from nsmodel.laws.block import Intervals, Round, SecondOrder, Shape
 from nsmodel.model.convex import ConvexSplit, Term
 from nsmodel.model.expressions import evaluate, points
-from nsmodel.model.laws import Block, Law
 from nsmodel.proof import exact, feasibility, interval, polynomial
 from nsmodel.proof.convex import convexity
 from nsmodel.proof.feasibility import System
@@ -97,46 +99,48 @@ def _assembled(parts: list[Part], rows: int, columns: int) -> np.ndarray:
 # -- laws -----------------------------------------------------------------------------------------------------------------
 
 
-def ends(block: Block) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper ends of a box as numbers."""
-    return np.array(ca.DM(block.lower)).ravel(), np.array(ca.DM(block.upper)).ravel()
-
-
-def of_law(law: Law, D: np.ndarray) -> Domains:
+def of_law(law: Law, D: np.ndarray, changed: Callable[[Shape], Shape] = lambda shape: shape) -> Domains:
     """The domains for -y ∈ N_K(l): dom Xi = K, rint dom Phi = rint K_inf*.
 
-    l_i of boxes and balls is left out where it meets no row of D'l whose y is not loose: its interval is not empty.
+    ``changed`` makes other sets of its blocks. l_i of boxes and balls is left out where it meets no row of D'l whose y is not
+    loose: its interval is not empty.
 
     Raises:
         Empty: K is empty.
+        Undecided: a block has no exact shape.
     """
-    found = Domains(law.size, loose=_bounded(law))
+    shapes = [changed(_shape(block)) for block in law.blocks]
+    found = Domains(law.size, loose=_bounded(law, shapes))
     seen = (D[:, ~found.loose] != 0).any(axis=1)
-    at = 0
-    for block in law.blocks:
-        rows = np.arange(at, at + block.size)
-        at += block.size
+    for (rows, block), shape in zip(law.parts(), shapes, strict=True):
         unit = np.eye(law.size)[:, rows]
-        if block.kind == "box":
-            for i, low, up in zip(rows, *ends(block), strict=True):
+        if isinstance(shape, Intervals):
+            for i, low, up in zip(range(rows.start, rows.stop), *shape, strict=True):
                 _interval(found, np.eye(law.size)[:, [i]], low, up, bool(seen[i]))
-        elif block.kind == "ball":
-            _ball(found, unit, float(block.upper[0]), bool(seen[rows].any()))
-        elif block.kind == "cone":
+        elif isinstance(shape, Round):
+            _round(found, unit, shape, bool(seen[rows].any()), block.label)
+        elif isinstance(shape, SecondOrder):
             found.k.append((found.add(block.size, "cone"), unit))
             found.y.append((found.add(block.size, "cone"), unit))
             found.across.append(unit.T)
             found.flat.append(unit.T)
         else:
-            _polyhedron(found, unit, np.asarray(block.H, float), np.asarray(block.K, float))
+            _polyhedron(found, unit, shape.H, shape.K)
     return found
 
 
-def _bounded(law: Law) -> np.ndarray:
+def _shape(block: Block) -> Shape:
+    shape = block.shape()
+    if shape is None:
+        raise Undecided(f"the set of '{block.label}' has no exact form")
+    return shape
+
+
+def _bounded(law: Law, shapes: Sequence[Shape]) -> np.ndarray:
     """(m,) whether l_i is bounded by its own box or ball."""
     flags = [
-        np.isfinite(ends(block)).all(axis=0) if block.kind == "box" else np.full(block.size, block.kind == "ball")
-        for block in law.blocks
+        np.isfinite(shape).all(axis=0) if isinstance(shape, Intervals) else np.full(block.size, isinstance(shape, Round))
+        for block, shape in zip(law.blocks, shapes, strict=True)
     ]
     return np.concatenate([np.zeros(0, bool), *flags])
 
@@ -162,12 +166,14 @@ def _interval(found: Domains, unit: np.ndarray, low: float, up: float, seen: boo
         found.k += [(TAU, end * unit), (found.add(1, "positive"), sign * unit)]
 
 
-def _ball(found: Domains, unit: np.ndarray, radius: float, seen: bool) -> None:
+def _round(found: Domains, unit: np.ndarray, shape: Round, seen: bool, label: str) -> None:
     found.across.append(unit.T)
-    if radius and seen:
+    if shape.radius and seen:
+        if shape.A is None:
+            raise Undecided(f"the set of '{label}' is no linear image of a ball in fractions")
         own = found.add(unit.shape[1] + 1, "cone")
-        found.rows.append([(own[:1], [[1.0]]), (TAU, [[-radius]])])
-        found.k.append((own[1:], unit))
+        found.rows.append([(own[:1], [[1]]), (TAU, [[-shape.radius]])])
+        found.k.append((own[1:], exact.product(exact.rational(unit), exact.rational(shape.A))))
 
 
 def _polyhedron(found: Domains, unit: np.ndarray, H: np.ndarray, K: np.ndarray) -> None:

@@ -10,7 +10,8 @@ import numpy as np
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, found
 from nsmodel.hypotheses.lure import domains
 from nsmodel.hypotheses.lure.domains import Empty, Potential
-from nsmodel.model.laws import Block, Law
+from nsmodel.laws import Law
+from nsmodel.laws.block import Halfspaces, Intervals, Round
 from nsmodel.model.lure import LureSystem
 from nsmodel.proof import exact, feasibility, interval
 
@@ -26,12 +27,13 @@ def interior(hypothesis: Hypothesis, model: LureSystem, potential: Potential | N
 
 def _of_law(hypothesis: Hypothesis, law: Law, names: tuple[str, ...]) -> Finding:
     """Block by block; the width is that of the narrowest interval, ball or polyhedron."""
-    width, place = np.inf, 0
-    for block in law.blocks:
-        own = names[place : place + block.size]
-        place += block.size
-        if block.kind == "polyhedron":
-            H, K = _without_trivial_rows(block)
+    width = np.inf
+    for rows, block in law.parts():
+        own, shape = names[rows], block.shape()
+        if shape is None:
+            return found(hypothesis, UNKNOWN, f"the set of {', '.join(own)} ({block.label}) has no exact form")
+        if isinstance(shape, Halfspaces):
+            H, K = _without_trivial_rows(shape)
             answer = feasibility.decide(domains.slack_system(H, K))
             if answer.point is None and answer.separator is None:
                 return found(hypothesis, UNKNOWN, f"the polyhedron of {', '.join(own)} is too close to a flat one for its size")
@@ -39,17 +41,16 @@ def _of_law(hypothesis: Hypothesis, law: Law, names: tuple[str, ...]) -> Finding
                 return _flat_polyhedron(hypothesis, own, H, K, answer.separator)
             width = min(width, 2 * _inradius(H, K))
             continue
-        for name, low, up in zip(own, *domains.ends(block), strict=True) if block.kind == "box" else ():
+        for name, low, up in zip(own, *shape, strict=True) if isinstance(shape, Intervals) else ():
             if low == up:
                 how = f"The interval of {name} is the single point {low:g}, so that K has no interior; replace it by its value."
                 return found(hypothesis, VIOLATED, how, {"width": 0.0}, {"multiplier": name, "lower = upper": low})
             width = min(width, up - low)
-        if block.kind == "ball":
-            radius = float(block.upper[0])
-            if not radius:
-                how = f"The ball of {', '.join(own)} has the radius 0, so that K has no interior."
+        if isinstance(shape, Round):
+            if not shape.radius:
+                how = f"The {block.label} of {', '.join(own)} has the radius 0, so that K has no interior."
                 return found(hypothesis, VIOLATED, how, {"width": 0.0}, {"multipliers": list(own), "radius": 0.0})
-            width = min(width, 2 * radius)
+            width = min(width, block.width)
     return found(
         hypothesis,
         HOLDS,
@@ -58,9 +59,9 @@ def _of_law(hypothesis: Hypothesis, law: Law, names: tuple[str, ...]) -> Finding
     )
 
 
-def _without_trivial_rows(block: Block) -> tuple[np.ndarray, np.ndarray]:
+def _without_trivial_rows(shape: Halfspaces) -> tuple[np.ndarray, np.ndarray]:
     """H, K without rows 0 >= K_i that always hold."""
-    H, K = np.asarray(block.H, float), np.asarray(block.K, float)
+    H, K = shape
     needed = H.any(axis=1) | (K > 0)
     return H[needed], K[needed]
 

@@ -42,7 +42,7 @@ def findings(model: LureSystem) -> tuple[Growth, Sequence[Finding]]:
     P = _diagonal(B, C)
     growth = _growth(model, P, why) if P is not None else Growth(found(HYPOMONOTONE, UNKNOWN, why))
     low, high = (np.array(ca.DM(end)).ravel() for end in ((model.law.lower, model.law.upper) if model.law else ([], [])))
-    boxes = model.law is not None and all(block.kind == "box" for block in model.law.blocks)
+    boxes = model.law is not None and model.law.is_box
     bounded = boxes and bool((np.isfinite(low) & np.isfinite(high)).all())
     everywhere = "K is bounded, so that int dom Upsilon* is the whole space."
 

@@ -27,7 +27,8 @@ from nsmodel.hypotheses.lure.domains import TAU, Domains, Empty, Potential, Unde
 from nsmodel.hypotheses.lure.interior import interior
 from nsmodel.hypotheses.lure.passivity import PAPER, ROUNDING, input_output
 from nsmodel.hypotheses.lure.rest_point import rest_point
-from nsmodel.model.laws import Law
+from nsmodel.laws import Law
+from nsmodel.laws.block import Halfspaces, Intervals, Round, Shape
 from nsmodel.model.lure import LureSystem
 from nsmodel.proof import exact, feasibility
 
@@ -147,7 +148,7 @@ def covers_everything(law: Law, D: np.ndarray) -> bool:
     """
     if len(D) == exact.rank(D + D.T):
         return True
-    own = domains.of_law(_recession(law), D)
+    own = domains.of_law(law, D, _recession)
     own.loose = domains.of_law(law, D).loose
     if own.loose.all():
         return True
@@ -343,22 +344,16 @@ def _range_convex(at: Setting) -> str:
 
 
 def _polyhedral(law: Law) -> bool:
-    return all(block.kind in ("box", "polyhedron") for block in law.blocks)
+    return all(isinstance(block.shape(), Intervals | Halfspaces) for block in law.blocks)
 
 
-def _recession(law: Law) -> Law:
-    """The law of K_inf."""
-    blocks = []
-    for block in law.blocks:
-        if block.kind == "box":
-            low, up = (ca.SX(np.where(np.isfinite(end), 0.0, end)) for end in domains.ends(block))
-            block = replace(block, lower=low, upper=up)
-        elif block.kind == "ball":
-            block = replace(block, upper=ca.SX.zeros(block.size))
-        elif block.kind == "polyhedron":
-            block = replace(block, K=np.zeros(len(block.K)))
-        blocks.append(block)
-    return Law(tuple(blocks))
+def _recession(shape: Shape) -> Shape:
+    """K_inf."""
+    if isinstance(shape, Intervals):
+        return Intervals(*(np.where(np.isfinite(end), 0.0, end) for end in shape))
+    if isinstance(shape, Round):
+        return shape._replace(radius=0)
+    return shape._replace(K=np.zeros(len(shape.K))) if isinstance(shape, Halfspaces) else shape
 
 
 def _hulls(at: Setting) -> Finding:

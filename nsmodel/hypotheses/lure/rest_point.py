@@ -8,9 +8,9 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, found
-from nsmodel.hypotheses.lure import domains
 from nsmodel.hypotheses.lure.domains import TAU, Affine, Domains, Potential
-from nsmodel.model.laws import Law
+from nsmodel.laws import Law
+from nsmodel.laws.block import Halfspaces, Intervals
 from nsmodel.model.lure import LureSystem
 from nsmodel.proof import exact, feasibility
 from nsmodel.proof.graph import fold
@@ -139,17 +139,17 @@ def _on_the_graph(model: LureSystem, potential: Potential | None) -> Part:
 
 def _zero_in(law: Law, names: tuple[str, ...]) -> tuple[str, dict, str]:
     """0 ∈ K, by its rows."""
-    place = 0
-    for block in law.blocks:
-        own = names[place : place + block.size]
-        place += block.size
-        if block.kind == "box":
-            for name, low, up in zip(own, *domains.ends(block), strict=True):
+    for rows, block in law.parts():
+        own, shape = names[rows], block.shape()
+        if isinstance(shape, Intervals):
+            for name, low, up in zip(own, *shape, strict=True):
                 if not low <= 0 <= up:
                     return VIOLATED, {"multiplier": name, "lower": low, "upper": up}, f"0 is not in the interval of {name}"
-        elif block.kind == "polyhedron" and max(block.K, default=0) > 0:
-            row = int(np.argmax(block.K))
-            return VIOLATED, {"row": row, "K": block.K[row]}, f"l = 0 breaks row {row} of the polyhedron of {', '.join(own)}"
+        elif isinstance(shape, Halfspaces) and max(shape.K, default=0) > 0:
+            row = int(np.argmax(shape.K))
+            return VIOLATED, {"row": row, "K": shape.K[row]}, f"l = 0 breaks row {row} of the polyhedron of {', '.join(own)}"
+        elif shape is None:
+            return UNKNOWN, {}, f"the set of {', '.join(own)} ({block.label}) has no exact form"
     return HOLDS, {}, ""
 
 

@@ -12,12 +12,12 @@ from nsmodel.errors import ModelError
 from nsmodel.hypotheses.report import sympy_algebra
 from nsmodel.hypotheses.report.formula import Names, formulas, written
 from nsmodel.hypotheses.report.notation import bracketed, decimal, listed, symbol_latex, words
+from nsmodel.laws import Law
 from nsmodel.model.base import Model
 from nsmodel.model.bodies import Bodies, ManyBodies, Member
 from nsmodel.model.convex import ConvexSplit
 from nsmodel.model.first_order import FirstOrderSystem
 from nsmodel.model.inclusion import MonotoneInclusion
-from nsmodel.model.laws import Block, Law
 from nsmodel.model.lure import LureSystem
 from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.sweeping import SweepingProcess
@@ -85,7 +85,7 @@ def law_latex(law: Law) -> str:
     >>> print(law_latex(relay(2)))
     K = \left[-1,\ 1\right]^{2} \quad \left(\lambda_i \in -\mathrm{Sgn}\left(y_i\right)\right)
     """
-    factors = [factor for block in law.blocks for factor in _factors(block)]
+    factors = [factor for block in law.blocks for factor in block.latex(_Writer())]
     runs: list[tuple[str, int]] = []
     for factor in factors:
         repeats = bool(runs) and runs[-1][0] == factor
@@ -93,7 +93,7 @@ def law_latex(law: Law) -> str:
     powers = [factor if count == 1 else f"{factor}^{{{count}}}" for factor, count in runs]
     if len(powers) > SHOWN:
         powers = [*powers[: SHOWN - 1], rf"\cdots \ {words(f'({law.size} components)')}"]
-    says = {_says(block) for block in law.blocks}
+    says = {block.says() for block in law.blocks}
     word = says.pop() if len(says) == 1 else ""
     return "K = " + r" \times ".join(powers or [r"\emptyset"]) + (rf" \quad {bracketed(word)}" if word else "")
 
@@ -321,37 +321,21 @@ def _potential(split: ConvexSplit) -> ca.SX:
     return split.smooth + ca.sum1(column(terms))
 
 
-def _factors(block: Block) -> list[str]:
-    """The sets whose product a block is."""
-    if block.kind == "ball":
-        radius = _text(block.upper[0], Names({}, {}))[0]
-        return [rf"\left\{{ \lambda \in {_space(block.size)} : \left\Vert \lambda \right\Vert \leq {radius} \right\}}"]
-    if block.kind == "cone":
-        norm = r"\left\Vert \left(\lambda_2, \ldots, \lambda_m\right) \right\Vert"
-        return [rf"\left\{{ \lambda \in {_space(block.size)} : {norm} \leq \lambda_1 \right\}}"]
-    if block.kind == "polyhedron":
-        H, k = _matrix(ca.SX(block.H), Names({}, {})), listed([decimal(float(value)) for value in block.K])
-        return [rf"\left\{{ \lambda \in {_space(block.size)} : {H} \lambda \geq {k} \right\}}"]
-    ends = zip(_text(block.lower, Names({}, {})), _text(block.upper, Names({}, {})), strict=True)
-    return [_interval(low, high) for low, high in ends]
+class _Writer:
+    """What laws write their sets with."""
 
+    def number(self, expression: ca.SX) -> str:
+        """A scalar."""
+        return _text(expression, Names({}, {}))[0]
 
-def _interval(low: str, high: str) -> str:
-    if (low, high) == (r"-\infty", r"\infty"):
-        return r"\mathbb{R}"
-    left, right = ("(" if low == r"-\infty" else "["), (")" if high == r"\infty" else "]")
-    return rf"\left{left}{low},\ {high}\right{right}"
+    def matrix(self, matrix: Any) -> str:
+        """A matrix."""
+        return _matrix(ca.SX(matrix), Names({}, {}))
 
+    def column(self, numbers: Sequence[float]) -> str:
+        """A column of numbers."""
+        return listed([decimal(float(value)) for value in numbers])
 
-def _says(block: Block) -> str:
-    """What -y ∈ N_K(l) says in the usual words, where it has some."""
-    ends = {(str(low), str(high)) for low, high in zip(block.lower.nonzeros(), block.upper.nonzeros(), strict=True)}
-    index = "" if block.size == 1 else "_i"
-    simple = {
-        ("0", "inf"): rf"0 \leq y{index} \perp \lambda{index} \geq 0",
-        ("-inf", "inf"): rf"y{index} = 0",
-        ("-1", "1"): rf"\lambda{index} \in -\mathrm{{Sgn}}\left(y{index}\right)",
-    }
-    if block.kind == "cone":
-        return r"K \ni \lambda \perp y \in K"
-    return simple.get(ends.pop(), "") if block.kind == "box" and len(ends) == 1 else ""
+    def space(self, m: int) -> str:
+        """R^m."""
+        return _space(m)

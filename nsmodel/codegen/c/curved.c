@@ -1,56 +1,18 @@
 /*
- * y = W l + b, -y ∈ N_K(l) where K has balls or second-order cones: semismooth Newton, with block Gauss-Seidel behind it.
+ * y = W l + b, -y ∈ N_K(l) where K has curved sets: semismooth Newton, with block Gauss-Seidel behind it.
  */
 
-#define NEWTON_ON_CONES 60
+#define NEWTON_ON_SETS 60
 #define GAUSS_SEIDEL_SWEEPS 400
-
-static double norm(int n, const double *x)
-{
-    double size = 0;
-    for (int i = 0; i < n; i++)
-        size = hypot(size, x[i]); /* squares may overflow */
-    return size;
-}
-
-/* |u| for a ball, |(u_2, ...)| for a cone. */
-static double block_norm(const curved_block *k, const double *u)
-{
-    return k->kind == BALL ? norm(k->size, u) : norm(k->size - 1, u + 1);
-}
-
-/* u = P_K(u) for the rows of block k, which begin at u. */
-static void project_block(const model_solver *s, int k, double *u)
-{
-    double head, tail;
-    project(curved[k].kind, s->cone.radius[k], u[0], block_norm(&curved[k], u), &head, &tail);
-    for (int i = 1; i < curved[k].size; i++)
-        u[i] *= tail;
-    u[0] = head;
-}
 
 /* u = P_K(u). */
 static void project_all(const model_solver *s, const affine_problem *p, double *u)
 {
+    (void)s; /* it has the numbers of the sets where parameters give them */
     for (int i = 0; i < p->m; i++)
         u[i] = clip(u[i], p->lo[i], p->up[i]);
     for (int k = 0; k < MODEL_CURVED; k++)
-        project_block(s, k, u + curved[k].start);
-}
-
-/* Entry (i, j) of an element of the generalised Jacobian of P_K at a block's u, size = block_norm(u). */
-static double projection_jacobian(int kind, double radius, const double *u, double size, int i, int j)
-{
-    const double same = i == j;
-    if (kind == BALL)
-        return size <= radius ? same : radius/size*(same - u[i]/size*(u[j]/size));
-    if (size <= u[0])
-        return same;
-    if (size <= -u[0])
-        return 0;
-    if (i == 0 || j == 0)
-        return i == j ? 0.5 : u[i + j]/size/2;
-    return ((1 + u[0]/size)*same - u[0]/size*(u[i]/size*(u[j]/size)))/2;
+        set_project(&curved[k], NUMBERS(k), u + curved[k].start);
 }
 
 /* The natural map cone.F = l - P_K(u) with cone.u = l - c (W l + b); return |F|. */
@@ -65,17 +27,17 @@ static double natural_map(model_solver *s, const affine_problem *p, const double
     return norm(p->m, s->cone.F);
 }
 
-/* The largest part of cone.F beside what it consists of: |l|, c |W| |l|, and the radius of a ball, or c |b| for other rows, which
+/* The largest part of cone.F beside what it consists of: |l|, c |W| |l|, and the radius of a bounded set, or c |b| for other rows, which
    at a bound have F = 0. A row far from its bound, or a ball that slides fast, says nothing about the size of the others. */
 static double relative_map(const model_solver *s, const affine_problem *p, const double *l)
 {
     double worst = 0;
     for (int i = 0, k = 0; i < p->m;) {
         const int in_block = k < MODEL_CURVED && i == curved[k].start, end = in_block ? i + curved[k].size : i + 1;
-        const int in_ball = in_block && curved[k].kind == BALL;
+        const double radius = in_block ? set_radius(&curved[k], NUMBERS(k)) : INFINITY;
         double size = 0, scale = 0;
         for (; i < end; i++) {
-            double terms = in_ball ? s->cone.radius[k] : s->cone.c[i]*fabs(p->b[i]);
+            double terms = is_finite(radius) ? radius : s->cone.c[i]*fabs(p->b[i]);
             for (int j = 0; j < p->m; j++)
                 terms += s->cone.c[i]*fabs(p->W[i*p->m + j]*l[j]);
             scale = worse_of(scale, terms + fabs(l[i]));
@@ -97,14 +59,14 @@ static void natural_jacobian(model_solver *s, const affine_problem *p)
         for (int j = 0; j < m; j++)
             J[i*m + j] = u[i] > p->lo[i] && u[i] < p->up[i] ? c[i]*p->W[i*m + j] : i == j;
     for (int k = 0; k < MODEL_CURVED; k++) {
-        const int start = curved[k].start, end = start + curved[k].size;
-        const double size = block_norm(&curved[k], u + start);
-        for (int i = start; i < end; i++)
+        const int start = curved[k].start, n = curved[k].size;
+        double P[MODEL_BLOCK*MODEL_BLOCK];
+        set_jacobian(&curved[k], NUMBERS(k), u + start, P);
+        for (int i = 0; i < n; i++)
             for (int j = 0; j < m; j++) {
-                J[i*m + j] = i == j;
-                for (int r = start; r < end; r++)
-                    J[i*m + j] -= projection_jacobian(curved[k].kind, s->cone.radius[k], u + start, size, i - start, r - start)
-                                    * ((r == j) - c[r]*p->W[r*m + j]);
+                J[(start + i)*m + j] = start + i == j;
+                for (int r = 0; r < n; r++)
+                    J[(start + i)*m + j] -= P[i*n + r]*((start + r == j) - c[start + r]*p->W[(start + r)*m + j]);
             }
     }
 }
@@ -116,7 +78,7 @@ static int semismooth_newton(model_solver *s, const affine_problem *p)
     double *l = s->cone.l, *trial = s->cone.trial, best = INFINITY;
     project_all(s, p, l);
     double size = natural_map(s, p, l);
-    for (int iteration = 0; iteration < NEWTON_ON_CONES; iteration++) {
+    for (int iteration = 0; iteration < NEWTON_ON_SETS; iteration++) {
         const double relative = relative_map(s, p, l);
         if (relative <= 4*EPS || (relative <= 1e-13 && relative >= best/2))
             return 0;
@@ -158,7 +120,7 @@ static double relax(model_solver *s, const affine_problem *p, int k, int start, 
     for (int i = start; i < start + n; i++)
         u[i] = l[i] - s->cone.step[start]*(dot(p->m, p->W + i*p->m, l) + p->b[i]);
     if (k >= 0)
-        project_block(s, k, u + start);
+        set_project(&curved[k], NUMBERS(k), u + start);
     else
         u[start] = clip(u[start], p->lo[start], p->up[start]);
     for (int i = start; i < start + n; i++) {
@@ -198,12 +160,8 @@ static void curved_index_set(model_solver *s, const affine_problem *p)
     for (int i = 0; i < p->m; i++)
         s->affine.code[i] = u[i] <= p->lo[i] ? -1 : u[i] >= p->up[i] ? 1 : 0;
     for (int k = 0; k < MODEL_CURVED; k++) {
-        const curved_block *block = &curved[k];
-        const double first = u[block->start], size = block_norm(block, u + block->start);
-        int code = size > s->cone.radius[k];
-        if (block->kind == SECOND_ORDER_CONE)
-            code = size <= first ? 0 : size <= -first ? -1 : 1;
-        memset(s->affine.code + block->start, code, (size_t)block->size);
+        const int start = curved[k].start;
+        memset(s->affine.code + start, set_code(&curved[k], NUMBERS(k), u + start), (size_t)curved[k].size);
     }
 }
 
@@ -220,29 +178,19 @@ static int exact_zeros(model_solver *s, const affine_problem *p)
         else if (code[i] > 0 && is_finite(p->up[i]))
             l[i] = p->up[i];
     }
-    for (int k = 0; k < MODEL_CURVED; k++) {
-        double *block = l + curved[k].start;
-        if (code[curved[k].start] != 1)
-            continue;
-        if (curved[k].kind == SECOND_ORDER_CONE) {
-            block[0] = block_norm(&curved[k], block);
-            continue;
-        }
-        for (int i = 0; i < curved[k].size; i++)
-            block[i] *= 2;
-        project_block(s, k, block);
-    }
+    for (int k = 0; k < MODEL_CURVED; k++)
+        if (code[curved[k].start] == 1)
+            set_onto_boundary(&curved[k], NUMBERS(k), l + curved[k].start);
     return solve_free_rows(s, p, code, l);
 }
 
-/* The factor c of the natural map, equal within a block, and the radii. */
+/* The factor c of the natural map, equal within a block. */
 static void block_scale(model_solver *s, const affine_problem *p)
 {
     for (int i = 0; i < p->m; i++)
         s->cone.c[i] = row_scale(p, i);
     for (int k = 0; k < MODEL_CURVED; k++) {
         double *c = s->cone.c + curved[k].start, least = INFINITY;
-        s->cone.radius[k] = RADIUS(k);
         for (int i = 0; i < curved[k].size; i++)
             least = min_of(least, c[i]);
         for (int i = 0; i < curved[k].size; i++)

@@ -1,0 +1,82 @@
+"""The curved sets of a law as C: the file of each kind that occurs, and functions that ask a block's kind."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.codegen.tables import table
+from nsmodel.errors import CodegenError
+from nsmodel.laws import C, Law
+from nsmodel.laws.block import Block
+
+# What laws/NAME.c answers: NAME_question(m, numbers, ...).
+QUESTIONS = {
+    "project": ("void", "double *u", "u = P_K(u)"),
+    "jacobian": ("void", "const double *u, double *J", "J (m, m): an element of the generalised Jacobian of P_K at u"),
+    "code": (
+        "int",
+        "const double *u",
+        "where P_K(u) lies, u = l - c y: 0 where y = 0, -1 where l = 0, +1 on the boundary",
+    ),
+    "onto_boundary": ("void", "double *l", "the l near this one that lies on the curved boundary"),
+    "selected": ("void", "const double *y, double *l", "the l in K with -y ∈ N_K(l), y not 0; 0 where K is not bounded"),
+    "radius": ("double", "", "max |l| over K"),
+    "valid": ("int", "", "whether the numbers are those of a set"),
+}
+
+
+def curved(law: Law) -> list[tuple[slice, Block]]:
+    """The rows of the blocks that are no boxes."""
+    return [(rows, block) for rows, block in law.parts() if not block.separable]
+
+
+def numbers(law: Law) -> ca.SX:
+    """What the blocks' files read, one block after the other."""
+    return ca.vertcat(ca.SX(0, 1), *(block.c_numbers() for _, block in curved(law)))
+
+
+def text(law: Law, of_parameters: bool) -> str:
+    """The blocks, their numbers where no parameters give them, and the questions."""
+    blocks, kinds = curved(law), sorted({block.kind for _, block in curved(law)})
+    sizes = [block.c_numbers().numel() for _, block in blocks]
+    rows = [
+        f"{{{kinds.index(block.kind)}, {rows.start}, {block.size}, {at}}}"
+        for (rows, block), at in zip(blocks, np.cumsum([0, *sizes]), strict=False)
+    ]
+    lines = [
+        "/* Curved blocks: kind, first row, rows, where their numbers begin. */\n",
+        "typedef struct { int kind, start, size, numbers; } curved_block;\n",
+        f"static const curved_block curved[MODEL_CURVED] = {{{', '.join(rows)}}};\n",
+    ]
+    if of_parameters:
+        lines.append("#define NUMBERS(k) (s->curved_numbers + curved[k].numbers)\n")
+    else:
+        values = np.array(ca.DM(numbers(law))).ravel().tolist()
+        lines.append(table("curved_numbers", values or [0.0], "MODEL_NUMBERS"))
+        lines.append("#define NUMBERS(k) (curved_numbers + curved[k].numbers)\n")
+    lines += [_file(kind) for kind in ("norm", *kinds)]
+    return "".join(lines) + "".join(_question(kinds, name) for name in QUESTIONS)
+
+
+def _file(kind: str) -> str:
+    path = C / f"{kind}.c"
+    if not path.exists():
+        raise CodegenError(f"law: a set of kind '{kind}' has no C ({path.name} beside {kind}.py); run it interpreted")
+    return path.read_text(encoding="utf-8")
+
+
+def _question(kinds: Sequence[str], name: str) -> str:
+    """A function that asks the kind of a block."""
+    returns, arguments, what = QUESTIONS[name]
+    given = "".join(", " + part.split()[-1].lstrip("*") for part in arguments.split(",") if part)
+    calls = [f"{kind}_{name}(k->size, numbers{given})" for kind in kinds]
+    word = "" if returns == "void" else "return "
+    body = "".join(
+        f"    if (k->kind == {i}) {{\n        {word}{call};\n" + ("        return;\n    }\n" if not word else "    }\n")
+        for i, call in enumerate(calls[:-1])
+    )
+    head = f"static {returns} set_{name}(const curved_block *k, const double *numbers{', ' * bool(arguments)}{arguments})"
+    return f"\n/* {what[0].upper()}{what[1:]}. */\n{head}\n{{\n{body}    {word}{calls[-1]};\n}}\n"

@@ -1,0 +1,188 @@
+"""What a factor of K says of itself: to solvers, to checks, to readers. One file a kind holds the answers."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, Self
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.model.pickled import Pickled
+
+if TYPE_CHECKING:
+    from nsmodel.laws.curved import Curved
+    from nsmodel.laws.law import Law
+
+# What an index set shows, by code: -1 and +1 at ends, 0 where y = 0.
+LOWER, ZERO, UPPER, NOTHING = "lower", "zero", "upper", "nothing"
+Words = Mapping[int, tuple[str, str]]  # code: (one of the names above, words)
+
+
+class Intervals(NamedTuple):
+    """{lower <= l <= upper}, row by row."""
+
+    lower: np.ndarray
+    upper: np.ndarray
+
+
+class Round(NamedTuple):
+    """{A w : |w| <= radius}, bounded, 0 inside; A (m, m) of fractions, None where it has none."""
+
+    A: Any
+    radius: Any
+
+
+class SecondOrder(NamedTuple):
+    """{|(l_2, ..., l_m)| <= l_1}."""
+
+    size: int
+
+
+class Halfspaces(NamedTuple):
+    """{H l >= K}."""
+
+    H: np.ndarray
+    K: np.ndarray
+
+
+Shape = Intervals | Round | SecondOrder | Halfspaces
+
+
+class Rewritten(NamedTuple):
+    """A set in terms of others: l = ``multipliers`` of the symbols ``l``, rows ``y`` of ``law`` with names."""
+
+    law: Law
+    l: ca.SX
+    multipliers: ca.SX
+    rows: tuple[str, ...]
+    y: ca.SX
+
+
+class Writer(Protocol):
+    """Writes numbers and matrices in LaTeX."""
+
+    def number(self, expression: ca.SX) -> str:
+        """A scalar."""
+        ...
+
+    def matrix(self, matrix: Any) -> str:
+        """A matrix."""
+        ...
+
+    def column(self, numbers: Sequence[float]) -> str:
+        """A column of numbers."""
+        ...
+
+    def space(self, m: int) -> str:
+        """R^m."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Block(Pickled, ABC):
+    """One closed convex factor of K in R^m, with the relation -y ∈ N_K(l).
+
+    Attributes:
+        kind: its name in files.
+        separable: whether each row is a law of its own.
+        strict: whether K is bounded and strictly convex, so that one l' in K has the least <l', y> for y != 0.
+        label: what the user called for: "relay", "complementarity", ...
+        size: number of components m.
+    """
+
+    kind: ClassVar[str]
+    separable: ClassVar[bool] = False
+    strict: ClassVar[bool] = False
+    WORDS: ClassVar[Mapping[str, Words]]
+    label: str
+    size: int
+
+    # -- data
+
+    @property
+    def numbers(self) -> dict[str, ca.SX]:
+        """What may be an expression of parameters, by name."""
+        return {}
+
+    def with_numbers(self, **numbers: ca.SX) -> Self:
+        """The same with other numbers."""
+        return replace(self, **numbers)
+
+    @property
+    def ends(self) -> tuple[ca.SX, ca.SX]:
+        """(lower, upper), (m, 1) each: of the rows of a box, else infinite."""
+        return -ca.SX.inf(self.size), ca.SX.inf(self.size)
+
+    @abstractmethod
+    def scaled(self, u: float) -> Self:
+        """{u l : l ∈ K}, u > 0."""
+
+    def refusal(self, given: str) -> str:
+        """Why the numbers, all constants, make no set; else ''. ``given`` says of which parameters they are."""
+        return ""
+
+    # -- what solvers ask
+
+    def curved(self) -> Curved | None:
+        """The set with its numbers, constants; None where it is a box."""
+        return None
+
+    def rewritten(self, y: ca.SX, names: tuple[str, ...]) -> Rewritten | None:
+        """The same law in terms of basic ones; None where it is one."""
+        return None
+
+    def c_numbers(self) -> ca.SX:
+        """What the file of C of a curved set reads: constants, but for what parameters give."""
+        return ca.SX(0, 1)
+
+    # -- what checks ask; numbers are constants
+
+    @abstractmethod
+    def shape(self) -> Shape | None:
+        """The set in exact terms; None where these cannot say it."""
+
+    @property
+    def width(self) -> float:
+        """The narrowest width of a bounded set."""
+        return np.inf
+
+    def hull(self) -> tuple[np.ndarray, np.ndarray]:
+        """A box around K, rounded outwards."""
+        return np.full(self.size, -np.inf), np.full(self.size, np.inf)
+
+    # -- what an independent judge asks: the definition, and points to compare with
+
+    @abstractmethod
+    def excess(self, l: np.ndarray) -> np.ndarray:
+        """How far rows l (N, m) are outside K, (N, k) >= 0 in the unit of l: 0 inside."""
+
+    @abstractmethod
+    def rivals(self, l: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Points (k, N, m) of K, one of which has the least <l', y> at each row, or falls without end from l along it."""
+
+    @property
+    def extent(self) -> float:
+        """The size of K where it is bounded, or of its finite ends: what an l on its boundary is measured beside."""
+        return 0.0
+
+    # -- what readers see
+
+    @abstractmethod
+    def latex(self, write: Writer) -> list[str]:
+        """The sets whose product it is."""
+
+    def says(self) -> str:
+        """-y ∈ N_K(l) in the usual words, in LaTeX; '' where there are none."""
+        return ""
+
+    @abstractmethod
+    def data(self) -> dict[str, Any]:
+        """Its numbers by name, for certificates."""
+
+
+def product_set(write: Writer, m: int, condition: str) -> str:
+    """{lambda ∈ R^m : condition}."""
+    return rf"\left\{{ \lambda \in {write.space(m)} : {condition} \right\}}"

@@ -1,0 +1,157 @@
+"""Boxes {lower <= l <= upper}: complementarity, relays, equalities, saturations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.errors import ModelError
+from nsmodel.laws.block import LOWER, NOTHING, UPPER, ZERO, Block, Intervals, Words, Writer
+from nsmodel.laws.given import column, count, entries
+from nsmodel.laws.law import Law
+
+
+@dataclass(frozen=True, eq=False)
+class Box(Block):
+    """{lower <= l <= upper}; ``lower`` and ``upper`` (m, 1), numbers or expressions of parameters."""
+
+    kind: ClassVar[str] = "box"
+    separable: ClassVar[bool] = True
+    WORDS: ClassVar[Mapping[str, Words]] = {
+        "complementarity": {-1: (NOTHING, "open (l = 0)"), 0: (ZERO, "contact (y = 0)")},
+        "relay": {-1: (LOWER, "l at lower"), 0: (ZERO, "stick or sliding mode (y = 0)"), 1: (UPPER, "l at upper")},
+        "box": {-1: (LOWER, "l at lower"), 0: (ZERO, "l between its bounds (y = 0)"), 1: (UPPER, "l at upper")},
+        "equality": {0: (ZERO, "equality (y = 0)")},
+    }
+    lower: ca.SX
+    upper: ca.SX
+
+    @property
+    def numbers(self) -> dict[str, ca.SX]:
+        """Both ends."""
+        return {"lower": self.lower, "upper": self.upper}
+
+    @property
+    def ends(self) -> tuple[ca.SX, ca.SX]:
+        """As they are."""
+        return self.lower, self.upper
+
+    def rows(self, own: Sequence[int]) -> Box:
+        """Some of the rows."""
+        return Box(self.label, len(own), self.lower[list(own)], self.upper[list(own)])
+
+    def scaled(self, u: float) -> Box:
+        """Both ends times u."""
+        return Box(self.label, self.size, u * self.lower, u * self.upper)
+
+    def refusal(self, given: str) -> str:
+        """An empty interval."""
+        for i, (low, high) in enumerate(zip(*self._ends(), strict=True)):
+            if not low <= high:
+                return f"{self.label} has lower[{i}] = {low:g} above upper[{i}] = {high:g}{given}"
+        return ""
+
+    def shape(self) -> Intervals:
+        """Itself."""
+        return Intervals(*self._ends())
+
+    def hull(self) -> tuple[np.ndarray, np.ndarray]:
+        """Itself."""
+        return self._ends()
+
+    def excess(self, l: np.ndarray) -> np.ndarray:
+        """Beyond an end."""
+        lower, upper = self._ends()
+        return np.maximum(np.maximum(lower - l, l - upper), 0)
+
+    def rivals(self, l: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """One row after the other at that of its ends where <l', y> is least; far out where there is none."""
+        lower, upper = self._ends()
+        inside, far = np.clip(l, lower, upper), 1 + np.abs(l)
+        low, high = np.where(np.isfinite(lower), lower, inside - far), np.where(np.isfinite(upper), upper, inside + far)
+        end, found = np.where(y > 0, low, high), np.repeat(inside[None], self.size, axis=0)
+        for i in range(self.size):
+            found[i, :, i] = end[:, i]
+        return found
+
+    @property
+    def extent(self) -> float:
+        """The largest finite end."""
+        both = np.concatenate(self._ends())
+        return float(np.abs(both[np.isfinite(both)]).max(initial=0.0))
+
+    def latex(self, write: Writer) -> list[str]:
+        """An interval a row."""
+        ends = zip(map(write.number, ca.vertsplit(self.lower)), map(write.number, ca.vertsplit(self.upper)), strict=True)
+        return [_interval(low, high) for low, high in ends]
+
+    def says(self) -> str:
+        """Where all rows are the same."""
+        ends = {(str(low), str(high)) for low, high in zip(self.lower.nonzeros(), self.upper.nonzeros(), strict=True)}
+        index = "" if self.size == 1 else "_i"
+        simple = {
+            ("0", "inf"): rf"0 \leq y{index} \perp \lambda{index} \geq 0",
+            ("-inf", "inf"): rf"y{index} = 0",
+            ("-1", "1"): rf"\lambda{index} \in -\mathrm{{Sgn}}\left(y{index}\right)",
+        }
+        return simple.get(ends.pop(), "") if len(ends) == 1 else ""
+
+    def data(self) -> dict[str, Any]:
+        """The ends."""
+        lower, upper = self._ends()
+        return {"lower": lower, "upper": upper}
+
+    def _ends(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.array(ca.DM(self.lower)).ravel(), np.array(ca.DM(self.upper)).ravel()
+
+
+def _interval(low: str, high: str) -> str:
+    if (low, high) == (r"-\infty", r"\infty"):
+        return r"\mathbb{R}"
+    left, right = ("(" if low == r"-\infty" else "["), (")" if high == r"\infty" else "]")
+    return rf"\left{left}{low},\ {high}\right{right}"
+
+
+def equality(m: int) -> Law:
+    """y = 0 with l free, m components."""
+    return boxes("equality", m, -np.inf, np.inf)
+
+
+def complementarity(m: int) -> Law:
+    """0 <= y ⟂ l >= 0, m components."""
+    return boxes("complementarity", m, 0, np.inf)
+
+
+def relay(m: int, lower: Any = -1, upper: Any = 1) -> Law:
+    """Relay: l = upper where y < 0, l = lower where y > 0, anything between where y = 0 (l ∈ -Sgn(y) for [-1, 1]).
+
+    ``lower`` and ``upper`` are scalars or m values, numbers or expressions of parameters.
+    """
+    return boxes("relay", m, lower, upper)
+
+
+def box(lower: Any, upper: Any) -> Law:
+    """-y ∈ N_[lower, upper](l); an infinite end is allowed on one or both sides. The longer argument gives m."""
+    ends = {"lower": lower, "upper": upper}
+    m = max(entries("box", name, end).numel() for name, end in ends.items())
+    return boxes("box", m, lower, upper)
+
+
+def boxes(label: str, m: int, lower: Any, upper: Any) -> Law:
+    """A box with the label."""
+    m = count(label, m)
+    lo, up = column(label, "lower", lower, m), column(label, "upper", upper, m)
+    for i in range(m):
+        a, b = lo[i], up[i]
+        if not (a.is_constant() and b.is_constant()):
+            continue
+        a, b = float(a), float(b)
+        if a > b:
+            raise ModelError(f"{label}: lower[{i}] = {a:g} is above upper[{i}] = {b:g}; exchange them")
+        if a == np.inf or b == -np.inf:
+            raise ModelError(f"{label}: component {i} has the empty interval [{a:g}, {b:g}]; give lower < inf, upper > -inf")
+    return Law((Box(label, m, lo, up),)) if m else Law(())

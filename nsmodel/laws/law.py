@@ -1,0 +1,74 @@
+"""A law: the relation -y ∈ N_K(l) between a multiplier l and its output y, for a product K of closed convex sets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from nsmodel.errors import ModelError
+from nsmodel.laws.block import Block
+from nsmodel.model.pickled import Pickled
+
+
+@dataclass(frozen=True, eq=False)
+class Law(Pickled):
+    """A product of blocks: l and y are stacked in their order. Build it with the functions of this package."""
+
+    blocks: tuple[Block, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse what is no kind of set.
+
+        Raises:
+            ModelError: a block that is none of a kind of this package.
+        """
+        for block in self.blocks:
+            if not isinstance(block, Block):
+                raise ModelError(f"law: {block!r} is no set of a known kind")
+
+    @property
+    def size(self) -> int:
+        """Number of components of l and y."""
+        return sum(block.size for block in self.blocks)
+
+    @property
+    def lower(self) -> ca.SX:
+        """Lower ends (m, 1); -inf on all components but those of boxes."""
+        return ca.vertcat(ca.SX(0, 1), *(block.ends[0] for block in self.blocks))
+
+    @property
+    def upper(self) -> ca.SX:
+        """Upper ends (m, 1); inf on all components but those of boxes."""
+        return ca.vertcat(ca.SX(0, 1), *(block.ends[1] for block in self.blocks))
+
+    @property
+    def numbers(self) -> ca.SX:
+        """All that may be an expression of parameters, as a column."""
+        return ca.vertcat(ca.SX(0, 1), *(ca.vec(value) for block in self.blocks for value in block.numbers.values()))
+
+    @property
+    def labels(self) -> list[str]:
+        """The label of each component (m entries)."""
+        return [block.label for block in self.blocks for _ in range(block.size)]
+
+    @property
+    def is_box(self) -> bool:
+        """Whether each component is a law of its own."""
+        return all(block.separable for block in self.blocks)
+
+    def parts(self) -> list[tuple[slice, Block]]:
+        """The rows of each block."""
+        found, at = [], 0
+        for block in self.blocks:
+            found.append((slice(at, at + block.size), block))
+            at += block.size
+        return found
+
+
+def product(*laws: Law) -> Law:
+    """Several laws side by side: l and y are stacked in the order given."""
+    for position, law in enumerate(laws):
+        if not isinstance(law, Law):
+            raise ModelError(f"product: argument {position} is a {type(law).__name__}; expected a law such as relay(2)")
+    return Law(tuple(block for law in laws for block in law.blocks))
