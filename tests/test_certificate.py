@@ -25,7 +25,7 @@ from nsmodel import (
     simulate,
 )
 from nsmodel.scheme import initial_rows, one_step_problem
-from nsmodel.solve import active_set, cone, mlcp, qp
+from nsmodel.solve import active_set, curved, mlcp, qp
 from nsmodel.solve import kernel as kernel_module
 from nsmodel.solve.build import Stepper
 from nsmodel.solve.certificate import ROUNDING, NumericLaw, box_residual_sx, law_residual, numeric_law, output_scale
@@ -334,9 +334,9 @@ def test_what_is_not_a_number_has_residual_inf(bad):
         symbols = ca.SX.sym("l", 2), ca.SX.sym("y", 2)
         residual = ca.Function("r", list(symbols), [box_residual_sx(law, [0, 1], one, *symbols, ca.SX(one))])
         assert float(residual(l, y)) == INF
-    for curved in (ball(2, 1), second_order_cone(2)):
-        assert law_residual(numeric_law(curved), np.array([bad, 0.0]), np.zeros(2), one, one).max() == INF
-        assert law_residual(numeric_law(curved), np.zeros(2), np.array([0.0, bad]), one, one).max() == INF
+    for own in (ball(2, 1), second_order_cone(2)):
+        assert law_residual(numeric_law(own), np.array([bad, 0.0]), np.zeros(2), one, one).max() == INF
+        assert law_residual(numeric_law(own), np.zeros(2), np.array([0.0, bad]), one, one).max() == INF
 
 
 @pytest.mark.parametrize("law", [relay(1), complementarity(1), ball(2, 1), second_order_cone(2)], ids=lambda law: law.labels[0])
@@ -538,8 +538,8 @@ def test_solvers_that_are_all_wrong_are_found_out(name, monkeypatch):
     monkeypatch.setattr(active_set, "lemke", spoiled(active_set.lemke))
     monkeypatch.setattr(active_set, "primal_dual", pair(active_set.primal_dual))
     monkeypatch.setattr(qp, "solve", spoiled(qp.solve))
-    monkeypatch.setattr(cone, "semismooth_newton", spoiled(cone.semismooth_newton))
-    monkeypatch.setattr(cone, "exact_zeros", pair(cone.exact_zeros))
+    monkeypatch.setattr(curved, "semismooth_newton", spoiled(curved.semismooth_newton))
+    monkeypatch.setattr(curved, "exact_zeros", pair(curved.exact_zeros))
     monkeypatch.setattr(kernel_module, "_index_map", spoil_map(kernel_module._index_map))
     assert assert_right_or_stopped(model, truth)
 

@@ -16,7 +16,7 @@ from test_solvers import DEGENERATE, INF, LAWS, PSD, infeasible, matrix, point_o
 from nsmodel.codegen import sets
 from nsmodel.codegen.fragments import fragment, pruned
 from nsmodel.laws import Law, ball, box, product, second_order_cone
-from nsmodel.solve import active_set, cone, mlcp
+from nsmodel.solve import active_set, curved, mlcp
 from nsmodel.solve.certificate import EPS, ROUNDING, NumericLaw, law_residual, numeric_law, output_scale
 from nsmodel.solve.kernel import _index_map
 from nsmodel.solve.rounding import UNIT
@@ -107,12 +107,12 @@ CURVED_ENTRY = """
 int harness_newton(int m, const double *W, const double *b, int sweeps, double *l)
 {
     const affine_problem problem = {m, W, b, lower, upper};
-    memcpy(solver.cone.l, l, m*sizeof *l);
+    memcpy(solver.semismooth.l, l, m*sizeof *l);
     block_scale(&solver, &problem);
     if (sweeps)
         gauss_seidel(&solver, &problem);
     const int failed = !sweeps && semismooth_newton(&solver, &problem);
-    memcpy(l, solver.cone.l, m*sizeof *l);
+    memcpy(l, solver.semismooth.l, m*sizeof *l);
     return failed;
 }
 """
@@ -620,12 +620,12 @@ def test_newton_and_gauss_seidel_alone_are_pythons(on_law, name, kind):
         rng = np.random.default_rng(seed)
         W, b = matrix(rng, kind, law.size) + 0.05 * np.eye(law.size), rng.normal(size=law.size) * 10.0 ** rng.uniform(-2, 2)
         start = rng.normal(size=law.size)
-        expected, found = cone.semismooth_newton(W, b, law, start), library.newton(W, b, start)
+        expected, found = curved.semismooth_newton(W, b, law, start), library.newton(W, b, start)
         assert expected is not None
         assert found is not None
         np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
         if kind == "spd" and seed < 10:
-            expected = cone.gauss_seidel(W, b, law, start)
+            expected = curved.gauss_seidel(W, b, law, start)
             np.testing.assert_allclose(library.newton(W, b, start, sweeps=True), expected, atol=1e-7 * np.abs(expected).max())
 
 

@@ -13,7 +13,7 @@ from scipy.optimize import brentq, linprog, lsq_linear, nnls
 from nsmodel.laws import ball, box, product, second_order_cone
 from nsmodel.laws.ball import BallSet
 from nsmodel.scheme.problem import OneStepProblem
-from nsmodel.solve import active_set, cone, diagnose, mlcp, qp
+from nsmodel.solve import active_set, curved, diagnose, mlcp, qp
 from nsmodel.solve.certificate import NumericLaw, numeric_law
 from nsmodel.solve.nlp import Programme
 
@@ -523,9 +523,9 @@ def test_semismooth_newton_on_a_ball_solves_the_secular_equation(m):
         expected = on(0)
         if np.linalg.norm(expected) > 1.3:
             expected = on(brentq(lambda mu, on=on: np.linalg.norm(on(mu)) - 1.3, 0, 1e6, xtol=1e-14, rtol=1e-14))
-        found = cone.semismooth_newton(W, b, law, np.zeros(m))
+        found = curved.semismooth_newton(W, b, law, np.zeros(m))
         if found is None:
-            found = cone.semismooth_newton(W, b, law, cone.gauss_seidel(W, b, law, np.zeros(m)))
+            found = curved.semismooth_newton(W, b, law, curved.gauss_seidel(W, b, law, np.zeros(m)))
         np.testing.assert_allclose(found, expected, atol=1e-8)
 
 

@@ -21,7 +21,6 @@ from nsmodel.certificate.data import Data, reach_of
 from nsmodel.certificate.graph import NoProgram, graph, matrix, text
 from nsmodel.hypotheses.domain import without_domain
 from nsmodel.hypotheses.findings import Finding
-from nsmodel.hypotheses.lure import domains
 from nsmodel.hypotheses.sweeping.forms import Affine
 from nsmodel.hypotheses.sweeping.geometry import mfcq_constant
 from nsmodel.hypotheses.sweeping.shapes import read_shapes

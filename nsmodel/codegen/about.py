@@ -32,7 +32,7 @@ def used(flags: Set[str], sizes: dict[str, int]) -> list[str]:
         more = ", then every index set" if "ENUMERATION" in flags else ""
         lines.append(f"a primal-dual active set method{pivoting}{more}")
     if "CURVED" in flags or "SELECTION_CURVED" in flags:
-        lines.append("semismooth Newton for balls and cones, block Gauss-Seidel behind it")
+        lines.append("semismooth Newton for curved sets, block Gauss-Seidel behind it")
     if "NEARBY" in flags:
         lines.append("where Newton's method does not settle, the index sets around the last one")
     if "INCLUSION" in flags and "BOX_C" in flags:

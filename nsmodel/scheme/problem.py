@@ -50,7 +50,7 @@ class OneStepProblem:
         p: parameters still symbolic.
         z, l: the unknowns; y: a symbol for Y, for use in ``records``.
         E, Y: expressions of z, l and k.
-        law: K, made of boxes, balls and cones.
+        law: K, made of boxes and curved sets.
         rows: the user's name of each row of l and y.
         guess: first z, an expression of k: the value for which nothing moves.
         next_state: expression of z, l and k.
@@ -107,7 +107,7 @@ def feedthrough(Y: ca.SX, l: ca.SX) -> tuple[int, ...]:
 
 
 class BasicLaw(NamedTuple):
-    """A law rewritten for boxes, balls and cones: multipliers = L(l), and rows Y(l, y) of the rewritten law."""
+    """A law rewritten for boxes and curved sets: multipliers = L(l), and rows Y(l, y) of the rewritten law."""
 
     law: Law
     l: ca.SX

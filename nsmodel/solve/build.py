@@ -11,7 +11,7 @@ import numpy as np
 
 from nsmodel.errors import StepError, UsageError
 from nsmodel.scheme.problem import OneStepProblem
-from nsmodel.solve import active_set, cone, diagnose, mlcp
+from nsmodel.solve import active_set, curved, diagnose, mlcp
 from nsmodel.solve.certificate import REACH, numeric_law
 from nsmodel.solve.choose import DUAL, choose, pays
 from nsmodel.solve.kernel import Kernel
@@ -289,7 +289,7 @@ class Stepper:
         if W is None:
             return None
         if self.law.curved:
-            index = cone.index_set(self.law, l, y, cone.block_scale(W, self.law))
+            index = curved.index_set(self.law, l, y, curved.block_scale(W, self.law))
             return self._newton.solve(t, h, state, l, index, (mlcp.SEMISMOOTH,))
         index = active_set.classify(l, y, self.law, active_set.row_scale(W))
         return self._newton.on_index_set(t, h, state, z, l, index)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nsmodel.errors import UsageError
+from nsmodel.laws import CURVED
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import mlcp, qp
 from nsmodel.solve.certificate import NumericLaw
@@ -128,7 +129,9 @@ def _check_applies(solver: str, structure: Structure, law: NumericLaw, monotone:
     if not structure.m:
         raise UsageError(f"solver '{solver}' does not apply: the model has no multipliers; leave --solver out")
     if law.curved and solver not in (IPOPT, "semismooth"):
-        raise UsageError(f"solver '{solver}' does not apply: the law has balls or cones; use semismooth or ipopt")
+        kinds = [f"{kind}s" for kind in CURVED]
+        either = f"{', '.join(kinds[:-1])} or {kinds[-1]}"
+        raise UsageError(f"solver '{solver}' does not apply: the law has {either}; use semismooth or ipopt")
     if solver in qp.SOLVERS and not monotone:
         raise UsageError(
             f"solver '{solver}' does not apply: the step is not a convex QP (least eigenvalue of W + W' {least:.3g}); "

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.solve import active_set, cone, qp
+from nsmodel.solve import active_set, curved, qp
 from nsmodel.solve.certificate import EPS, ROUNDING, NumericLaw, law_residual, output_scale
 from nsmodel.solve.rounding import UNIT, felt_dense, largest
 
@@ -132,12 +132,12 @@ def _candidates(name, W, b, law, warm, index, symmetric):
         return
     if name == SEMISMOOTH:
         for start in (warm, np.zeros_like(warm)):
-            l = cone.semismooth_newton(W, b, law, start)
+            l = curved.semismooth_newton(W, b, law, start)
             if l is None:
-                l = cone.semismooth_newton(W, b, law, cone.gauss_seidel(W, b, law, start))
+                l = curved.semismooth_newton(W, b, law, curved.gauss_seidel(W, b, law, start))
             if l is not None:
-                yield cone.exact_zeros(W, b, law, l)
-                yield l, cone.index_set(law, l, W @ l + b, cone.block_scale(W, law))
+                yield curved.exact_zeros(W, b, law, l)
+                yield l, curved.index_set(law, l, W @ l + b, curved.block_scale(W, law))
         return
     l = active_set.lemke(W, b, law) if name == LEMKE else qp.solve(name, W, b, law, symmetric)
     if l is None:

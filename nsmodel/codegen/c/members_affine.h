@@ -39,5 +39,5 @@
 #if CURVED
     struct {
         double l[MODEL_ROWS], c[MODEL_ROWS], u[MODEL_ROWS], F[MODEL_ROWS], step[MODEL_ROWS], trial[MODEL_ROWS];
-    } cone;
+    } semismooth;
 #endif

@@ -110,7 +110,7 @@ def of_law(law: Law, D: np.ndarray, changed: Callable[[Shape], Shape] = lambda s
         Undecided: a block has no exact shape.
     """
     shapes = [changed(_shape(block)) for block in law.blocks]
-    found = Domains(law.size, loose=_bounded(law, shapes))
+    found = Domains(law.size, loose=_loose(law, shapes))
     seen = (D[:, ~found.loose] != 0).any(axis=1)
     for (rows, block), shape in zip(law.parts(), shapes, strict=True):
         unit = np.eye(law.size)[:, rows]
@@ -136,8 +136,12 @@ def _shape(block: Block) -> Shape:
     return shape
 
 
-def _bounded(law: Law, shapes: Sequence[Shape]) -> np.ndarray:
-    """(m,) whether l_i is bounded by its own box or ball."""
+def loose(law: Law) -> np.ndarray:
+    """(m,) whether l_i is bounded by its own box or ball, so that y_i may take any value."""
+    return _loose(law, [_shape(block) for block in law.blocks])
+
+
+def _loose(law: Law, shapes: Sequence[Shape]) -> np.ndarray:
     flags = [
         np.isfinite(shape).all(axis=0) if isinstance(shape, Intervals) else np.full(block.size, isinstance(shape, Round))
         for block, shape in zip(law.blocks, shapes, strict=True)

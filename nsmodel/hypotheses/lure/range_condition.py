@@ -149,7 +149,7 @@ def covers_everything(law: Law, D: np.ndarray) -> bool:
     if len(D) == exact.rank(D + D.T):
         return True
     own = domains.of_law(law, D, _recession)
-    own.loose = domains.of_law(law, D).loose
+    own.loose = domains.loose(law)
     if own.loose.all():
         return True
     return _line(own, D) is None and feasibility.decide(own.system(_parts(D, own), own.m)).point is not None

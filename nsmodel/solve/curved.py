@@ -1,4 +1,4 @@
-"""y = W l + b, -y ∈ N_K(l) where K has balls or second-order cones: semismooth Newton, with block Gauss-Seidel behind it."""
+"""y = W l + b, -y ∈ N_K(l) where K has curved sets: semismooth Newton, with block Gauss-Seidel behind it."""
 
 from __future__ import annotations
 
