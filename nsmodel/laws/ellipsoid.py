@@ -18,7 +18,6 @@ from nsmodel.laws.box import boxes
 from nsmodel.laws.curved import Curved, norm
 from nsmodel.laws.given import array
 from nsmodel.laws.law import Law
-from nsmodel.proof import exact
 
 EPS = np.finfo(float).eps
 NEWTON = 100  # Iterations for mu; a dozen are usual.
@@ -125,8 +124,9 @@ class Ellipsoid(Block):
 
     def shape(self) -> Round:
         """The image of a ball by R^-1, Q = R'R, where the pivots of Q have rational roots."""
-        Q = exact.rational(self.Q)
-        L, D = _factors(Q)
+        from nsmodel.proof import exact
+
+        L, D = _factors(exact.rational(self.Q))
         roots = [_root(pivot) for pivot in D]
         if any(root is None for root in roots):
             return Round(None, Fraction(1))
@@ -140,6 +140,8 @@ class Ellipsoid(Block):
 
     def hull(self) -> tuple[np.ndarray, np.ndarray]:
         """Sqrt((Q^-1)_ii) each way."""
+        from nsmodel.proof import exact
+
         inverse = exact.inverse(exact.rational(self.Q))
         half = np.array([nextafter(sqrt(exact.up(entry)), np.inf) for entry in np.diag(inverse)])
         return -half, half
@@ -174,7 +176,7 @@ class Ellipsoid(Block):
 def _factors(Q: np.ndarray) -> tuple[np.ndarray, list[Fraction]]:
     """L and the diagonal of D with Q = L D L', L unit lower triangular; Q rational and definite."""
     m, rest = len(Q), Q.copy()
-    L, D = exact.eye(m), []
+    L, D = np.array([[Fraction(int(i == j)) for j in range(m)] for i in range(m)], dtype=object), []
     for j in range(m):
         D.append(rest[j, j])
         L[j + 1 :, j] = rest[j + 1 :, j] / rest[j, j]
