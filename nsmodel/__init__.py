@@ -31,13 +31,13 @@ __version__ = VERSION
 
 if TYPE_CHECKING:
     from nsmodel.checking import check
+    from nsmodel.classes.bodies.model import Bodies, Family, Items, ManyBodies, neighbours
+    from nsmodel.classes.first_order.model import FirstOrderSystem
+    from nsmodel.classes.inclusion.model import MonotoneInclusion
+    from nsmodel.classes.lure.model import LureSystem
+    from nsmodel.classes.oscillator.model import FrictionOscillator
+    from nsmodel.classes.sweeping.model import SweepingProcess
     from nsmodel.hypotheses.findings import Finding, Report
-    from nsmodel.model.bodies import Bodies, Family, Items, ManyBodies, neighbours
-    from nsmodel.model.first_order import FirstOrderSystem
-    from nsmodel.model.inclusion import MonotoneInclusion
-    from nsmodel.model.lure import LureSystem
-    from nsmodel.model.oscillator import FrictionOscillator
-    from nsmodel.model.sweeping import SweepingProcess
     from nsmodel.run import RunInterrupted
     from nsmodel.simulate import explain, simulate
     from nsmodel.stress import Stress, stress
@@ -91,12 +91,12 @@ _later(
     {
         "nsmodel.checking": ["check"],
         "nsmodel.hypotheses.findings": ["Finding", "Report"],
-        "nsmodel.model.bodies": ["Bodies", "Family", "Items", "ManyBodies", "neighbours"],
-        "nsmodel.model.first_order": ["FirstOrderSystem"],
-        "nsmodel.model.inclusion": ["MonotoneInclusion"],
-        "nsmodel.model.lure": ["LureSystem"],
-        "nsmodel.model.oscillator": ["FrictionOscillator"],
-        "nsmodel.model.sweeping": ["SweepingProcess"],
+        "nsmodel.classes.bodies.model": ["Bodies", "Family", "Items", "ManyBodies", "neighbours"],
+        "nsmodel.classes.first_order.model": ["FirstOrderSystem"],
+        "nsmodel.classes.inclusion.model": ["MonotoneInclusion"],
+        "nsmodel.classes.lure.model": ["LureSystem"],
+        "nsmodel.classes.oscillator.model": ["FrictionOscillator"],
+        "nsmodel.classes.sweeping.model": ["SweepingProcess"],
         "nsmodel.run": ["RunInterrupted"],
         "nsmodel.simulate": ["explain", "simulate"],
         "nsmodel.stress": ["Stress", "stress"],

@@ -32,11 +32,11 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel.classes.oscillator.model import FrictionOscillator
+from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.errors import StepError, StorageError, UsageError
 from nsmodel.grid import Grid, check_times, is_number, make_grid, written
 from nsmodel.model.base import Model
-from nsmodel.model.oscillator import FrictionOscillator
-from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.record import UNSET
 from nsmodel.run import Run, is_numerical, keep_unfinished, progress_bar, runaway, unsolvable
 from nsmodel.scheme import constraints, shortened

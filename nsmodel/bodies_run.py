@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
+from nsmodel.classes.bodies.model import ManyBodies
+from nsmodel.classes.bodies.schemes.many_bodies import BodiesProblem, Rows
 from nsmodel.contacts import NO_CONTACTS, Contacts, in_order
 from nsmodel.errors import StepError, UsageError
 from nsmodel.grid import Grid
 from nsmodel.hypotheses.quick import warnings_of
 from nsmodel.identity import INTERPRETED, settings
-from nsmodel.model.bodies import ManyBodies
 from nsmodel.run import Loop, runaway
-from nsmodel.scheme.many_bodies import BodiesProblem, Rows
 from nsmodel.solve.certificate import EPS
 from nsmodel.solve.choose import Plan
 from nsmodel.solve.cost import Cost, of_bodies

@@ -12,6 +12,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel.classes.bodies.model import ManyBodies
+from nsmodel.classes.first_order.model import FirstOrderSystem
+from nsmodel.classes.inclusion.model import MonotoneInclusion
+from nsmodel.classes.lure.model import LureSystem
+from nsmodel.classes.oscillator.model import FrictionOscillator
+from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.errors import ModelError, StepError, UsageError
 from nsmodel.hypotheses import impacts, uniform
 from nsmodel.hypotheses.along import along
@@ -20,13 +26,7 @@ from nsmodel.hypotheses.region import Region, around, region_of
 from nsmodel.hypotheses.scope import Box, Scope, meet
 from nsmodel.hypotheses.stay import clauses
 from nsmodel.model.base import Model, shown
-from nsmodel.model.bodies import ManyBodies
-from nsmodel.model.first_order import FirstOrderSystem
-from nsmodel.model.inclusion import MonotoneInclusion
-from nsmodel.model.lure import LureSystem
-from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.model.parameters import Values, split_boxes
-from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.proof.graph import OpaqueExpression
 from nsmodel.proof.search import quick_searches
 from nsmodel.scheme import one_step_problem
@@ -56,7 +56,7 @@ def hypotheses_of(kind: type[Model]) -> tuple[Hypothesis, ...]:
 
 
 def _checker(kind: type[Model]) -> Any:
-    return import_module(f"nsmodel.hypotheses.{CLASSES[kind]}.check")
+    return import_module(f"nsmodel.classes.{CLASSES[kind]}.hypotheses.check")
 
 
 def check(
@@ -156,7 +156,7 @@ def _for_all(
 
 def _proofs_for_all(kind: type[Model]) -> Any:
     """The module of a class that proves its hypotheses for all values of parameters in a box; None where there is none."""
-    name = f"nsmodel.hypotheses.{CLASSES[kind]}.for_all"
+    name = f"nsmodel.classes.{CLASSES[kind]}.hypotheses.for_all"
     return import_module(name) if find_spec(name) else None
 
 

@@ -11,9 +11,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel.classes.bodies.model import Items, ManyBodies, Member
 from nsmodel.grid import Grid
 from nsmodel.model.base import Model
-from nsmodel.model.bodies import Items, ManyBodies, Member
 from nsmodel.proof.graph import column
 from nsmodel.version import VERSION
 

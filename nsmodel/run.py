@@ -18,6 +18,9 @@ import casadi as ca
 import numpy as np
 
 from nsmodel import cache_folder
+from nsmodel.classes.inclusion.model import MonotoneInclusion
+from nsmodel.classes.oscillator.model import FrictionOscillator
+from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.errors import CodegenError, StepError, StorageError, UsageError
 from nsmodel.grid import Grid
 from nsmodel.hypotheses import impacts
@@ -25,9 +28,6 @@ from nsmodel.hypotheses.quick import UNIQUENESS, refuse_start, warnings_of
 from nsmodel.hypotheses.rest import finite_convergence
 from nsmodel.identity import INTERPRETED, WAY, difference, settings, versions
 from nsmodel.model.base import Model
-from nsmodel.model.inclusion import MonotoneInclusion
-from nsmodel.model.oscillator import FrictionOscillator
-from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.record import Record
 from nsmodel.scheme import initial_rows, one_step_problem, shortened
 from nsmodel.scheme.problem import OneStepProblem

@@ -9,10 +9,10 @@ from typing import Any
 
 from nsmodel import lock
 from nsmodel.adaptive import AdaptiveRun
+from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.errors import UsageError
 from nsmodel.grid import is_number, make_grid, written
 from nsmodel.model.base import Model, shown
-from nsmodel.model.bodies import ManyBodies
 from nsmodel.model.parameters import Values
 from nsmodel.run import Loop, Run
 from nsmodel.trajectory import Trajectory

@@ -19,9 +19,9 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
+from nsmodel.classes.bodies.model import ManyBodies
+from nsmodel.classes.bodies.schemes.many_bodies import BodiesProblem, Rows
 from nsmodel.contacts import Contacts
-from nsmodel.model.bodies import ManyBodies
-from nsmodel.scheme.many_bodies import BodiesProblem, Rows
 from nsmodel.solve.certificate import EPS
 from nsmodel.solve.many_bodies import BodiesWarm, Group
 

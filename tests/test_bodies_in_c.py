@@ -15,12 +15,12 @@ from test_many_bodies import discs, misfit, scattered
 
 import nsmodel
 from nsmodel import Bodies, Family, Items, ManyBodies, codegen, neighbours
+from nsmodel.classes.bodies.schemes.many_bodies import BodiesProblem
 from nsmodel.codegen.bodies_step import CompiledStep
 from nsmodel.codegen.library import compiler
 from nsmodel.codegen.statuses import NO_ROOM, STATUSES
 from nsmodel.crowd import Noise
 from nsmodel.errors import CodegenError, StepError
-from nsmodel.scheme.many_bodies import BodiesProblem
 from nsmodel.solve.many_bodies import COLD, BodiesStepper
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="needs a C compiler")

@@ -12,11 +12,11 @@ import pytest
 from scipy.optimize import linprog
 
 from nsmodel import Bodies, Family, Items, ManyBodies, UsageError, check, neighbours, simulate
-from nsmodel.hypotheses.bodies import check as deciding
-from nsmodel.hypotheses.bodies import families, network
+from nsmodel.classes.bodies.hypotheses import check as deciding
+from nsmodel.classes.bodies.hypotheses import families, network
+from nsmodel.classes.sweeping.hypotheses.check import HYPOTHESES
+from nsmodel.classes.sweeping.hypotheses.geometry import discs_in_a_row
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
-from nsmodel.hypotheses.sweeping.check import HYPOTHESES
-from nsmodel.hypotheses.sweeping.geometry import discs_in_a_row
 from nsmodel.storage import dumps
 from nsmodel.stress import stress
 from nsmodel.study import study

@@ -10,8 +10,8 @@ import pytest
 
 import nsmodel
 from nsmodel import FirstOrderSystem, ball, box, complementarity, polyhedron, relay, simulate
-from nsmodel.hypotheses.first_order.check import HYPOTHESES, check
-from nsmodel.hypotheses.first_order.step_matrix import p_matrix, regular_steps
+from nsmodel.classes.first_order.hypotheses.check import HYPOTHESES, check
+from nsmodel.classes.first_order.hypotheses.step_matrix import p_matrix, regular_steps
 from nsmodel.hypotheses.region import region_of
 from nsmodel.proof import exact
 

@@ -7,9 +7,9 @@ from scipy.optimize import nnls
 
 import nsmodel
 from nsmodel import MonotoneInclusion, relay
-from nsmodel.hypotheses.inclusion import check as inclusion
+from nsmodel.classes.inclusion.hypotheses import check as inclusion
+from nsmodel.classes.inclusion.schemes.catching_up import constraints, selection
 from nsmodel.hypotheses.region import region_of
-from nsmodel.scheme.catching_up import constraints, selection
 from nsmodel.solve.certificate import numeric_law
 
 IDS = ["M-T", "M-C", "M-A1", "M-A2", "M-A3", "M-24"]

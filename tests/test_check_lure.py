@@ -10,9 +10,9 @@ from fuzz_models import COUNT, FULL
 
 import nsmodel
 from nsmodel import LureSystem, complementarity, relay
-from nsmodel.hypotheses.lure import check as lure
-from nsmodel.hypotheses.lure.dissipation import least_rate
-from nsmodel.hypotheses.lure.passivity import input_output, storage
+from nsmodel.classes.lure.hypotheses import check as lure
+from nsmodel.classes.lure.hypotheses.dissipation import least_rate
+from nsmodel.classes.lure.hypotheses.passivity import input_output, storage
 from nsmodel.hypotheses.region import region_of
 from nsmodel.proof import exact
 

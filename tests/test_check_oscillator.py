@@ -6,8 +6,8 @@ import pytest
 
 import nsmodel
 from nsmodel import FrictionOscillator
-from nsmodel.hypotheses.oscillator import check as oscillator
-from nsmodel.hypotheses.oscillator.radius import radius
+from nsmodel.classes.oscillator.hypotheses import check as oscillator
+from nsmodel.classes.oscillator.hypotheses.radius import radius
 from nsmodel.hypotheses.region import region_of
 from nsmodel.proof import polynomial, polynomial_signs
 from nsmodel.proof.convex import convexity

@@ -10,7 +10,7 @@ import pytest
 
 import nsmodel
 from nsmodel import LureSystem, ball, box, complementarity, equality, polyhedron, relay, second_order_cone
-from nsmodel.hypotheses.lure.range_condition import HYPOTHESES, range_findings
+from nsmodel.classes.lure.hypotheses.range_condition import HYPOTHESES, range_findings
 from nsmodel.proof import exact, feasibility
 from nsmodel.proof.feasibility import System
 

@@ -10,12 +10,12 @@ import pytest
 from fuzz_models import COUNT, FULL
 
 from nsmodel import SweepingProcess
+from nsmodel.classes.sweeping.hypotheses.check import HYPOTHESES, check
+from nsmodel.classes.sweeping.hypotheses.consequences import log_error_constant
+from nsmodel.classes.sweeping.hypotheses.geometry import discs_in_a_row, gram_bound, mfcq_constant
+from nsmodel.classes.sweeping.hypotheses.shapes import read_shapes
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.hypotheses.region import Region, region_of
-from nsmodel.hypotheses.sweeping.check import HYPOTHESES, check
-from nsmodel.hypotheses.sweeping.consequences import log_error_constant
-from nsmodel.hypotheses.sweeping.geometry import discs_in_a_row, gram_bound, mfcq_constant
-from nsmodel.hypotheses.sweeping.shapes import read_shapes
 
 t = ca.SX.sym("t")
 SQRT2 = np.sqrt(2)

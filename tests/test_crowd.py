@@ -13,6 +13,7 @@ from conftest import REPOSITORY
 from PIL import Image, ImageDraw
 
 from nsmodel import Bodies, Family, Items, ManyBodies, ModelError, StorageError, Trajectory, UsageError, simulate
+from nsmodel.classes.bodies.schemes.many_bodies import BodiesProblem
 from nsmodel.cli import main
 from nsmodel.contacts import NO_CONTACTS, Contacts
 from nsmodel.crowd import Noise, People, Room, arrivals, box, crowd, desired_velocity, disc, measure, place
@@ -22,7 +23,6 @@ from nsmodel.crowd.picture import outlines, straightened
 from nsmodel.errors import MissingExtraError, PlotError
 from nsmodel.plot import animate, save_all
 from nsmodel.plot import crowd as pictures
-from nsmodel.scheme.many_bodies import BodiesProblem
 from nsmodel.solve.many_bodies import COLD, BodiesStepper
 from nsmodel.standstill import arches, held
 

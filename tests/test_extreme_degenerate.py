@@ -20,8 +20,8 @@ from nsmodel import (
     relay,
     simulate,
 )
+from nsmodel.classes.sweeping.hypotheses.geometry import mfcq_constant
 from nsmodel.codegen import cache, library
-from nsmodel.hypotheses.sweeping.geometry import mfcq_constant
 
 T, X, LAM, S = (ca.SX.sym(name) for name in ("t", "x", "l", "s"))
 Q2 = ca.SX.sym("q", 2)

@@ -10,20 +10,20 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.certificate.graph import NoProgram, graph, matrix, text
+from nsmodel.classes.first_order.model import FirstOrderSystem
+from nsmodel.classes.inclusion.model import MonotoneInclusion
+from nsmodel.classes.inclusion.schemes.catching_up import constraints
+from nsmodel.classes.lure.model import LureSystem
+from nsmodel.classes.oscillator.hypotheses.check import domain_of
+from nsmodel.classes.oscillator.model import FrictionOscillator
+from nsmodel.classes.sweeping.hypotheses.forms import Shape
+from nsmodel.classes.sweeping.hypotheses.shapes import read_shapes
+from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.hypotheses.domain import without_domain
 from nsmodel.hypotheses.findings import Finding
-from nsmodel.hypotheses.oscillator.check import domain_of
-from nsmodel.hypotheses.sweeping.forms import Shape
-from nsmodel.hypotheses.sweeping.shapes import read_shapes
 from nsmodel.laws import Law
 from nsmodel.model.base import Model
-from nsmodel.model.first_order import FirstOrderSystem
-from nsmodel.model.inclusion import MonotoneInclusion
-from nsmodel.model.lure import LureSystem
-from nsmodel.model.oscillator import FrictionOscillator
-from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.proof import extremum
-from nsmodel.scheme.catching_up import constraints
 
 Data = dict[str, Any]
 

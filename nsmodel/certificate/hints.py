@@ -19,17 +19,17 @@ from scipy.optimize import minimize
 from nsmodel.certificate import verify
 from nsmodel.certificate.data import Data, reach_of
 from nsmodel.certificate.graph import NoProgram, graph, matrix, text
+from nsmodel.classes.first_order.model import FirstOrderSystem
+from nsmodel.classes.inclusion.model import MonotoneInclusion
+from nsmodel.classes.lure.model import LureSystem
+from nsmodel.classes.oscillator.model import FrictionOscillator
+from nsmodel.classes.sweeping.hypotheses.forms import Affine
+from nsmodel.classes.sweeping.hypotheses.geometry import mfcq_constant
+from nsmodel.classes.sweeping.hypotheses.shapes import read_shapes
+from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.hypotheses.domain import without_domain
 from nsmodel.hypotheses.findings import Finding
-from nsmodel.hypotheses.sweeping.forms import Affine
-from nsmodel.hypotheses.sweeping.geometry import mfcq_constant
-from nsmodel.hypotheses.sweeping.shapes import read_shapes
 from nsmodel.model.base import Model
-from nsmodel.model.first_order import FirstOrderSystem
-from nsmodel.model.inclusion import MonotoneInclusion
-from nsmodel.model.lure import LureSystem
-from nsmodel.model.oscillator import FrictionOscillator
-from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.proof import exact, feasibility, sum_of_squares
 
 # Numbers are stated with so much room, relative: they were rounded to doubles; more where a cover of the box would take too

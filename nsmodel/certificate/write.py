@@ -14,12 +14,12 @@ from nsmodel.certificate import verify
 from nsmodel.certificate.data import data_of
 from nsmodel.certificate.graph import NoProgram, text
 from nsmodel.certificate.hints import ROOMS, TooManyParts, Unproved, covered, proofs_of, value_of
+from nsmodel.classes.bodies.model import ManyBodies
+from nsmodel.classes.first_order.model import FirstOrderSystem
 from nsmodel.errors import UsageError
 from nsmodel.hypotheses.findings import ALONG_A_RUN, HOLDS, Finding, Report
 from nsmodel.hypotheses.scope import Scope
 from nsmodel.model.base import Model
-from nsmodel.model.bodies import ManyBodies
-from nsmodel.model.first_order import FirstOrderSystem
 from nsmodel.storage import replacing
 
 FORMAT = 2

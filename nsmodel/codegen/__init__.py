@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.codegen import bodies
 from nsmodel.codegen.bounds import MOST_WORK
 from nsmodel.codegen.files import all_files, description
@@ -18,7 +19,6 @@ from nsmodel.errors import UsageError
 from nsmodel.grid import is_number, make_grid, written
 from nsmodel.identity import fingerprint
 from nsmodel.model.base import Model
-from nsmodel.model.bodies import ManyBodies
 from nsmodel.model.parameters import Values
 from nsmodel.storage import write_text
 

@@ -8,6 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel.classes.bodies.model import Family, ManyBodies
+from nsmodel.classes.bodies.schemes.many_bodies import SCHEME, BodiesProblem, searched
 from nsmodel.codegen import statuses
 from nsmodel.codegen.bounds import MOST_WORK
 from nsmodel.codegen.expression import c_function
@@ -16,8 +18,6 @@ from nsmodel.codegen.tables import table
 from nsmodel.errors import CodegenError
 from nsmodel.grid import Grid
 from nsmodel.identity import versions
-from nsmodel.model.bodies import Family, ManyBodies
-from nsmodel.scheme.many_bodies import SCHEME, BodiesProblem, searched
 
 PARTS = ("block_ldl.c", "group.c", "bodies.c")
 MOST = 20_000  # Bodies whose numbers are written into a library.

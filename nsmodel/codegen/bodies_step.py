@@ -9,6 +9,8 @@ import time
 import casadi as ca
 import numpy as np
 
+from nsmodel.classes.bodies.model import ManyBodies
+from nsmodel.classes.bodies.schemes.many_bodies import BodiesProblem, searched
 from nsmodel.codegen import cache
 from nsmodel.codegen.bodies import item_size, model_source, solver_source
 from nsmodel.codegen.bounds import MOST_WORK
@@ -16,8 +18,6 @@ from nsmodel.codegen.cache import kept, key_for
 from nsmodel.codegen.library import Mapped, compiler, no_compiler
 from nsmodel.codegen.statuses import BAD_ARITHMETIC, NO_ROOM, STATUSES
 from nsmodel.errors import CodegenError, StepError
-from nsmodel.model.bodies import ManyBodies
-from nsmodel.scheme.many_bodies import BodiesProblem, searched
 from nsmodel.solve.many_bodies import COLD, BodiesStep, BodiesWarm, Contacts
 from nsmodel.solve.near import least_gap
 

@@ -7,12 +7,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel.classes.inclusion.schemes import catching_up
 from nsmodel.codegen.expression import c_function, number
 from nsmodel.codegen.scene import INCLUSION, Scene
 from nsmodel.codegen.tables import table
 from nsmodel.errors import CodegenError
 from nsmodel.laws import Law
-from nsmodel.scheme import catching_up
 from nsmodel.solve.certificate import NumericLaw, numeric_law
 from nsmodel.solve.projection import interior_point
 

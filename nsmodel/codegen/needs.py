@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from nsmodel.classes.first_order.model import FirstOrderSystem
+from nsmodel.classes.lure.model import LureSystem
+from nsmodel.classes.oscillator.model import FrictionOscillator
 from nsmodel.codegen import fixed, inclusion, newton, sets
 from nsmodel.codegen.scene import BANDED, FIXED, INCLUSION, NEWTON, Scene
-from nsmodel.model.first_order import FirstOrderSystem
-from nsmodel.model.lure import LureSystem
-from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.solve.active_set import MOST_INDEX_SETS
 from nsmodel.solve.certificate import NumericLaw
 from nsmodel.solve.choose import ENUMERATE_UP_TO

@@ -8,11 +8,11 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.codegen import banded, fixed
 from nsmodel.errors import CodegenError
 from nsmodel.grid import Grid
 from nsmodel.model.base import Model
-from nsmodel.model.inclusion import MonotoneInclusion
 from nsmodel.model.parameters import Values
 from nsmodel.scheme import one_step_problem
 from nsmodel.scheme.problem import OneStepProblem

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from nsmodel.classes.oscillator.model import FrictionOscillator
+from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.codegen import banded, fixed, inclusion, newton, sets, statuses
 from nsmodel.codegen.bounds import MOST_WORK, work_bound
 from nsmodel.codegen.expression import number
@@ -17,8 +19,6 @@ from nsmodel.codegen.loops import c_function
 from nsmodel.codegen.needs import flags_of, sizes_of
 from nsmodel.codegen.scene import BANDED, FIXED, INCLUSION, Scene
 from nsmodel.codegen.tables import table
-from nsmodel.model.oscillator import FrictionOscillator
-from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.scheme import constraints, initial_rows
 from nsmodel.solve.build import start_state
 from nsmodel.solve.layout import extras

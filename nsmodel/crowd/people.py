@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel.classes.bodies.model import Bodies, Family, Items, ManyBodies
 from nsmodel.crowd.geometry import closed, contains, crosses_any, nearest_points
 from nsmodel.crowd.given import generator, number, numbers, of_each, radii_between
 from nsmodel.crowd.noise import Noise, Wavering
@@ -16,7 +17,6 @@ from nsmodel.crowd.paths import KEEP, DesiredVelocity, desired_velocity
 from nsmodel.crowd.room import Room, polygon
 from nsmodel.errors import ModelError
 from nsmodel.model.base import shown
-from nsmodel.model.bodies import Bodies, Family, Items, ManyBodies
 
 ROUNDS = 4000  # Of pushing apart, before `place` gives up.
 WEDGED = 200  # Rounds after which those who still overlap somebody placed before are put elsewhere.

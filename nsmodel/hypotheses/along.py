@@ -7,18 +7,18 @@ from collections.abc import Mapping, Sequence
 import casadi as ca
 import numpy as np
 
+from nsmodel.classes.bodies.hypotheses import along as bodies
+from nsmodel.classes.bodies.model import ManyBodies
+from nsmodel.classes.bodies.schemes.many_bodies import BodiesProblem
+from nsmodel.classes.inclusion.model import MonotoneInclusion
+from nsmodel.classes.inclusion.schemes import catching_up
+from nsmodel.classes.oscillator.model import FrictionOscillator
+from nsmodel.classes.oscillator.schemes.inertial_proximal import energy
+from nsmodel.classes.sweeping.hypotheses.geometry import mfcq_constant
+from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.hypotheses import impacts
-from nsmodel.hypotheses.bodies import along as bodies
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, found
-from nsmodel.hypotheses.sweeping.geometry import mfcq_constant
 from nsmodel.model.base import Model
-from nsmodel.model.bodies import ManyBodies
-from nsmodel.model.inclusion import MonotoneInclusion
-from nsmodel.model.oscillator import FrictionOscillator
-from nsmodel.model.sweeping import SweepingProcess
-from nsmodel.scheme import catching_up
-from nsmodel.scheme.inertial_proximal import energy
-from nsmodel.scheme.many_bodies import BodiesProblem
 from nsmodel.solve.certificate import EPS
 from nsmodel.trajectory import Trajectory, extrapolated
 

@@ -19,10 +19,10 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel.classes.first_order.model import FirstOrderSystem
+from nsmodel.classes.lure.model import LureSystem
+from nsmodel.classes.oscillator.model import FrictionOscillator
 from nsmodel.model.base import Model
-from nsmodel.model.first_order import FirstOrderSystem
-from nsmodel.model.lure import LureSystem
-from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.solve.rounding import equilibrated
 
 ROUNDING = 1e-12  # A sum is 0 below this part of its terms.

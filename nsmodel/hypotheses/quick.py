@@ -5,15 +5,15 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from nsmodel.classes.bodies.model import ManyBodies
+from nsmodel.classes.inclusion.model import MonotoneInclusion
+from nsmodel.classes.inclusion.schemes import catching_up
+from nsmodel.classes.lure.model import LureSystem
+from nsmodel.classes.oscillator.model import FrictionOscillator
+from nsmodel.classes.oscillator.schemes.inertial_proximal import slope_at_zero
+from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.errors import UsageError
 from nsmodel.model.base import Model
-from nsmodel.model.bodies import ManyBodies
-from nsmodel.model.inclusion import MonotoneInclusion
-from nsmodel.model.lure import LureSystem
-from nsmodel.model.oscillator import FrictionOscillator
-from nsmodel.model.sweeping import SweepingProcess
-from nsmodel.scheme import catching_up
-from nsmodel.scheme.inertial_proximal import slope_at_zero
 from nsmodel.solve.choose import Plan
 from nsmodel.solve.structure import least_eigenvalue
 

@@ -10,10 +10,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.errors import UsageError
 from nsmodel.hypotheses.scope import Box, Scope
 from nsmodel.model.base import Model
-from nsmodel.model.bodies import ManyBodies
 from nsmodel.model.pickled import Pickled
 from nsmodel.trajectory import Trajectory
 

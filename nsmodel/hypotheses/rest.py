@@ -7,8 +7,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.model.oscillator import FrictionOscillator
-from nsmodel.scheme.inertial_proximal import slope_at_zero
+from nsmodel.classes.oscillator.model import FrictionOscillator
+from nsmodel.classes.oscillator.schemes.inertial_proximal import slope_at_zero
 from nsmodel.scheme.problem import subdifferential
 from nsmodel.solve import mlcp
 from nsmodel.solve.certificate import EPS, numeric_law

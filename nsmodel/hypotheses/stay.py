@@ -15,14 +15,14 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel.classes.bodies.model import ManyBodies
+from nsmodel.classes.inclusion.hypotheses.growth import on_region
+from nsmodel.classes.inclusion.hypotheses.selected_field import field_of, set_of
+from nsmodel.classes.inclusion.model import MonotoneInclusion
+from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, Consequence, Finding
-from nsmodel.hypotheses.inclusion.growth import on_region
-from nsmodel.hypotheses.inclusion.selected_field import field_of, set_of
 from nsmodel.hypotheses.region import Region
 from nsmodel.model.base import Model
-from nsmodel.model.bodies import ManyBodies
-from nsmodel.model.inclusion import MonotoneInclusion
-from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.proof import extremum
 
 UP = 1 + 1e-12

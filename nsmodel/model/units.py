@@ -8,13 +8,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel.classes.first_order.model import FirstOrderSystem
+from nsmodel.classes.lure.model import LureSystem
+from nsmodel.classes.oscillator.model import FrictionOscillator
+from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.laws import Law
 from nsmodel.model.base import Model
 from nsmodel.model.convex import ConvexSplit
-from nsmodel.model.first_order import FirstOrderSystem
-from nsmodel.model.lure import LureSystem
-from nsmodel.model.oscillator import FrictionOscillator
-from nsmodel.model.sweeping import SweepingProcess
 
 
 def in_units(model: Model, u: float, tau: float) -> Model:

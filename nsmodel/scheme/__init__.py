@@ -8,21 +8,26 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel.classes.bodies.model import ManyBodies
+from nsmodel.classes.bodies.schemes import many_bodies
+from nsmodel.classes.first_order.model import FirstOrderSystem
+from nsmodel.classes.first_order.schemes import theta_gamma
+from nsmodel.classes.inclusion.model import MonotoneInclusion
+from nsmodel.classes.inclusion.schemes import catching_up
+from nsmodel.classes.lure.model import LureSystem
+from nsmodel.classes.lure.schemes import implicit_euler
+from nsmodel.classes.oscillator.model import FrictionOscillator
+from nsmodel.classes.oscillator.schemes import inertial_proximal
+from nsmodel.classes.sweeping.model import SweepingProcess
+from nsmodel.classes.sweeping.schemes import prediction_correction
 from nsmodel.model.base import Model
-from nsmodel.model.bodies import ManyBodies
-from nsmodel.model.first_order import FirstOrderSystem
-from nsmodel.model.inclusion import MonotoneInclusion
-from nsmodel.model.lure import LureSystem
-from nsmodel.model.oscillator import FrictionOscillator
-from nsmodel.model.sweeping import SweepingProcess
-from nsmodel.scheme import catching_up, inertial_proximal, lure_euler, many_bodies, prediction_correction, theta_gamma
 from nsmodel.scheme.problem import OneStepProblem
 
 SCHEMES: dict[type[Model], ModuleType] = {
     SweepingProcess: prediction_correction,
     FrictionOscillator: inertial_proximal,
     FirstOrderSystem: theta_gamma,
-    LureSystem: lure_euler,
+    LureSystem: implicit_euler,
     MonotoneInclusion: catching_up,
     ManyBodies: many_bodies,
 }

@@ -18,9 +18,9 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
+from nsmodel.classes.bodies.schemes.many_bodies import SCHEME, BodiesProblem, Rows, searched
 from nsmodel.contacts import NO_CONTACTS, Contacts
 from nsmodel.errors import StepError, UsageError
-from nsmodel.scheme.many_bodies import SCHEME, BodiesProblem, Rows, searched
 from nsmodel.solve import mlcp, qp
 from nsmodel.solve.certificate import EPS, REACH, UNRESOLVED, NumericLaw
 from nsmodel.solve.diagnose import opposing_rows, out_of_reach

@@ -13,9 +13,9 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
+from nsmodel.classes.inclusion.model import MonotoneInclusion
+from nsmodel.classes.inclusion.schemes import catching_up
 from nsmodel.errors import ModelError, StepError
-from nsmodel.model.inclusion import MonotoneInclusion
-from nsmodel.scheme import catching_up
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import mlcp
 from nsmodel.solve.build import Stepper

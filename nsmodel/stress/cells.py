@@ -12,15 +12,15 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.checking import check
+from nsmodel.classes.bodies.model import ManyBodies
+from nsmodel.classes.inclusion.model import MonotoneInclusion
+from nsmodel.classes.lure.model import LureSystem
 from nsmodel.errors import NsmodelError, StepError, UsageError
 from nsmodel.grid import is_number, written
 from nsmodel.hypotheses.along import CONTINUOUS, QUALIFIED
 from nsmodel.hypotheses.findings import ALONG_A_RUN, VIOLATED
 from nsmodel.hypotheses.quick import UNIQUENESS
 from nsmodel.model.base import Model, shown
-from nsmodel.model.bodies import ManyBodies
-from nsmodel.model.inclusion import MonotoneInclusion
-from nsmodel.model.lure import LureSystem
 from nsmodel.model.parameters import Values
 from nsmodel.model.units import in_units
 from nsmodel.run import progress_bar

@@ -20,13 +20,13 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel.classes.first_order.model import FirstOrderSystem
+from nsmodel.classes.inclusion.model import MonotoneInclusion
+from nsmodel.classes.lure.model import LureSystem
+from nsmodel.classes.oscillator.model import FrictionOscillator
+from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.laws import Block, Law
 from nsmodel.model.base import Model
-from nsmodel.model.first_order import FirstOrderSystem
-from nsmodel.model.inclusion import MonotoneInclusion
-from nsmodel.model.lure import LureSystem
-from nsmodel.model.oscillator import FrictionOscillator
-from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.model.units import potential
 from nsmodel.proof.graph import applied, column, fold
 from nsmodel.trajectory import Trajectory

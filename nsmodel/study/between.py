@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from nsmodel.classes.first_order.model import FirstOrderSystem
+from nsmodel.classes.lure.model import LureSystem
+from nsmodel.classes.oscillator.model import FrictionOscillator
 from nsmodel.errors import StepError
-from nsmodel.model.first_order import FirstOrderSystem
-from nsmodel.model.lure import LureSystem
-from nsmodel.model.oscillator import FrictionOscillator
 from nsmodel.run import Run, make_stepper
 from nsmodel.trajectory import Trajectory
 

@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 
 from nsmodel.checking import check
+from nsmodel.classes.bodies.model import ManyBodies
+from nsmodel.classes.first_order.model import FirstOrderSystem
+from nsmodel.classes.lure.model import LureSystem
 from nsmodel.errors import NsmodelError, UsageError
 from nsmodel.grid import is_number, written
 from nsmodel.hypotheses.along import along
 from nsmodel.hypotheses.findings import Finding
 from nsmodel.model.base import Model, shown
-from nsmodel.model.bodies import ManyBodies
-from nsmodel.model.first_order import FirstOrderSystem
-from nsmodel.model.lure import LureSystem
 from nsmodel.model.parameters import Values
 from nsmodel.study import methods
 from nsmodel.study.lines import DONE, LEFT_OUT, SCHEME, SOLVER, Line, Point

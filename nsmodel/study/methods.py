@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
+from nsmodel.classes.first_order.model import FirstOrderSystem
+from nsmodel.classes.lure.model import LureSystem
 from nsmodel.errors import UsageError
 from nsmodel.model.base import Model
-from nsmodel.model.first_order import FirstOrderSystem
-from nsmodel.model.lure import LureSystem
 from nsmodel.simulate import prepare
 from nsmodel.solve.choose import SOLVERS
 from nsmodel.solve.qp import SOLVERS as QP_SOLVERS

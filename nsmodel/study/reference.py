@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.errors import UsageError
 from nsmodel.model.base import Model
-from nsmodel.model.inclusion import MonotoneInclusion
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.active_set import equilibrate
 from nsmodel.solve.certificate import NumericLaw, numeric_law

@@ -8,19 +8,19 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from nsmodel.classes.bodies.model import Bodies, ManyBodies, Member
+from nsmodel.classes.first_order.model import FirstOrderSystem
+from nsmodel.classes.inclusion.model import MonotoneInclusion
+from nsmodel.classes.lure.model import LureSystem
+from nsmodel.classes.oscillator.model import FrictionOscillator
+from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.errors import ModelError
 from nsmodel.hypotheses.report import sympy_algebra
 from nsmodel.hypotheses.report.formula import Names, formulas, written
 from nsmodel.hypotheses.report.notation import bracketed, decimal, listed, symbol_latex, words
 from nsmodel.laws import Law
 from nsmodel.model.base import Model
-from nsmodel.model.bodies import Bodies, ManyBodies, Member
 from nsmodel.model.convex import ConvexSplit
-from nsmodel.model.first_order import FirstOrderSystem
-from nsmodel.model.inclusion import MonotoneInclusion
-from nsmodel.model.lure import LureSystem
-from nsmodel.model.oscillator import FrictionOscillator
-from nsmodel.model.sweeping import SweepingProcess
 from nsmodel.proof.graph import column
 
 if TYPE_CHECKING:

@@ -1,0 +1,1 @@
+"""Sweeping processes of many bodies, their constraints in families."""

@@ -1,0 +1,104 @@
+"""Theta-gamma stepping of first-order nonsmooth systems (Siconos developer's notes).
+
+    R(x, r)   = M (x - x_k) - h th f(x, t_{k+1}) - h (1-th) f(x_k, t_k) - h ga r - h (1-ga) r_k = 0
+    R_y       = y - h(t_{k+1}, x, l) = 0
+    R_r       = r - g(t_{k+1}, x, l) = 0,          -y ∈ N_K(l)
+
+Newton's linearisation in (x, r, l), which `solve.newton` performs with exact Jacobians A = f_x, C = h_x, D = h_l, K = g_x,
+B = g_l, eliminates x and r:
+
+    W      = M - h th A - h ga K
+    x_free = x - W^{-1}(R_free - h (1-ga) r_k),     R_free = M (x - x_k) - h th f(x, t_{k+1}) - h (1-th) f(x_k, t_k)
+    x_p    = x_free + h ga W^{-1}(g(x, l) - B l),   x_q = x_p - x
+    MLCP:    y+ = (h ga C W^{-1} B + D) l+ + b,     b = h(t, x, l) + C x_q - D l,     -y+ ∈ N_K(l+)
+    x+     = x_p + h ga W^{-1} B l+,                r+ = g(x, l) + K (x+ - x) + B (l+ - l)
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.classes.first_order.model import FirstOrderSystem
+from nsmodel.scheme.problem import OneStepProblem, Order, basic_law
+
+
+def one_step_problem(model: FirstOrderSystem) -> OneStepProblem:
+    """Return R = 0, R_r = 0 as E in z = (x, r), and h as Y. r_k is part of the state when gamma < 1."""
+    t, h, n, th, ga = model.t, ca.SX.sym("h"), model.x.numel(), model.theta, model.gamma
+    x_k, r_k = model.x, ca.SX.sym("r_k", n)
+    x, r = ca.SX.sym("x_next", n), ca.SX.sym("r", n)
+    if not model.law.size:
+        return _smooth(model, h, x)
+
+    def end(expression: ca.SX, l: ca.SX) -> ca.SX:
+        return ca.substitute([expression], [t, x_k, model.lam], [t + h, x, l])[0]
+
+    # A polyhedron's rewriting needs y as the user declared it, in terms of the new multipliers.
+    basic = basic_law(model.law, model.multiplier_names, y_user := ca.SX.sym("y", model.law.size))
+    l = basic.multipliers
+    hx, gx = end(model.h, l), end(model.g, l)
+    f_k, f = model.f, end(model.f, l)
+    y = ca.SX.sym("y", basic.l.numel())
+    Y = ca.substitute(basic.Y, y_user, hx)
+    R = model.M @ (x - x_k) - h * th * f - h * (1 - th) * f_k - h * ga * r - h * (1 - ga) * (r_k if ga < 1 else 0)
+    R_r = r - gx
+    split = basic.l.numel() != l.numel()
+    return OneStepProblem(
+        scheme=f"theta-gamma, theta = {th:g}, gamma = {ga:g}",
+        t=t, h=h, state=ca.vertcat(x_k, r_k) if ga < 1 else x_k, p=model.p,
+        z=ca.vertcat(x, r), l=basic.l, y=y,
+        E=ca.vertcat(R, R_r), Y=Y,
+        law=basic.law,
+        rows=basic.rows,
+        guess=ca.vertcat(x_k, r_k if ga < 1 else ca.substitute([model.g], [model.lam], [l])[0]),
+        next_state=ca.vertcat(x, r) if ga < 1 else x,
+        multipliers=l if split else None,
+        outputs=hx if split else None,
+        records={"residual_R": ca.norm_inf(R), "residual_Ry": ca.norm_inf(y - Y), "residual_Rr": ca.norm_inf(R_r)},
+        start=_start(model, h, ca.vertcat(x_k, r_k)) if ga < 1 else None,
+        order=Order.of_weights(th, ga, gx, ca.vertcat(t, h, x), basic.law, Y, basic.l),
+        explicit=tuple(range(n, 2 * n)),
+    )  # fmt: skip
+
+
+def _start(model: FirstOrderSystem, h: ca.SX, state: ca.SX) -> OneStepProblem:
+    """l_0 solves the law at (t_0, x_0), and r_0 = g(t_0, x_0, l_0)."""
+    y_user = ca.SX.sym("y", model.law.size)
+    basic = basic_law(model.law, model.multiplier_names, y_user)
+    here = [ca.substitute([e], [model.lam], [basic.multipliers])[0] for e in (model.h, model.g)]
+    return OneStepProblem(
+        scheme="multiplier at the start",
+        t=model.t, h=h, state=state, p=model.p,
+        z=ca.SX(0, 1), l=basic.l, y=ca.SX.sym("y", basic.l.numel()),
+        E=ca.SX(0, 1), Y=ca.substitute(basic.Y, y_user, here[0]),
+        law=basic.law,
+        rows=basic.rows,
+        guess=ca.SX(0, 1),
+        next_state=ca.vertcat(model.x, here[1]),
+    )  # fmt: skip
+
+
+def _smooth(model: FirstOrderSystem, h: ca.SX, x: ca.SX) -> OneStepProblem:
+    """Without multipliers: the theta-scheme for M x' = f + g(t, x)."""
+    t, x_k, th, ga = model.t, model.x, model.theta, model.gamma
+    f, g = (ca.substitute([e], [t, x_k], [t + h, x])[0] for e in (model.f, model.g))
+    R = model.M @ (x - x_k) - h * th * f - h * (1 - th) * model.f - h * ga * g - h * (1 - ga) * model.g
+    empty = ca.SX(0, 1)
+    return OneStepProblem(
+        scheme=f"theta scheme, theta = {th:g}",
+        t=t, h=h, state=x_k, p=model.p,
+        z=x, l=empty, y=empty, E=R, Y=empty,
+        law=model.law,
+        rows=(),
+        guess=x_k,
+        next_state=x,
+        records={"residual_R": ca.norm_inf(R)},
+        order=Order.of_weights(th, ga, g, ca.vertcat(t, h, x), model.law, empty, empty),
+    )  # fmt: skip
+
+
+def initial_rows(model: FirstOrderSystem, h: float) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
+    """x_0, and room for r_0 where gamma < 1."""
+    x0 = np.array(ca.DM(model.x0)).ravel()
+    return [(np.concatenate([x0, np.zeros(x0.size)]) if model.gamma < 1 and model.law.size else x0, {})]

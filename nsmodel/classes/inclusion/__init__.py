@@ -1,0 +1,1 @@
+"""Monotone inclusions x' ∈ F(x) - T(x)."""

@@ -1,0 +1,318 @@
+"""<x, rest(x)> as a polynomial, with bounded and Lipschitz terms beside it; and the point of C nearest to 0."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from itertools import product
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.classes.inclusion.hypotheses import growth
+from nsmodel.classes.inclusion.hypotheses.growth import UP
+from nsmodel.classes.inclusion.hypotheses.selected_field import Field
+from nsmodel.proof import exact, extremum, interval, polynomial
+from nsmodel.proof.at_infinity import curve, natural, orders
+from nsmodel.proof.convex.convex_sets import ConvexSet, has_interior
+from nsmodel.proof.convex.least_value import least_value
+from nsmodel.proof.convex.lower_bound import additive_terms
+from nsmodel.proof.convex.ridges import Ridges, ridges
+from nsmodel.proof.graph import applied, fold, keys, same
+from nsmodel.proof.monotone import factored
+from nsmodel.proof.sectors import sector
+from nsmodel.proof.straight_line import is_double
+
+
+class Form(NamedTuple):
+    """<x, rest(x, l_o) + shift> as a polynomial in x: x'Qx/2 + linear + constant, ``higher`` terms; l_o enters ``others`` only.
+
+    ``others`` bounds the share of the jumps and of bounded terms: at most others |x|; ``degree`` is that of G; the share
+    slope |x|^2 of Lipschitz terms is in Q, not in ``whole``.
+    """
+
+    Q: np.ndarray
+    linear: np.ndarray
+    constant: Fraction
+    higher: polynomial.Polynomial
+    others: float
+    whole: polynomial.Polynomial
+    degree: int
+    slope: float
+
+
+def form_of(field: Field) -> Form | None:
+    """<x, rest> exactly, but for terms of ``rest`` that are bounded on C; None where neither works for some term.
+
+    The jumps must enter by constant columns.
+    """
+    n = field.x.numel()
+    whole: polynomial.Polynomial = {}
+    degree, rows = 0, growth.read_rows(field)
+    for i, (p, _, _) in enumerate(rows):
+        if p is None:
+            return None
+        degree = max(degree, polynomial.degree(p))
+        own = {monomial: number for monomial, number in p.items() if all(v < n for v, _ in monomial)}
+        if any(len(monomial) != 1 or monomial[0][1] != 1 for monomial in p if monomial not in own):
+            return None
+        term = polynomial.multiply(own, {((i, 1),): Fraction(1)})
+        if term is None:
+            return None
+        whole = polynomial.add(whole, term)
+    others = float(np.linalg.norm([row.size for row in rows])) * (UP if n > 1 else 1.0)
+    slope = float(np.linalg.norm([row.slope for row in rows])) * (UP if n > 1 else 1.0)
+    for jump in field.jumps:
+        column = np.array([float(entry) for entry in ca.vertsplit(jump.B)]) if jump.B.is_constant() else np.full(n, np.inf)
+        others += float(np.linalg.norm(column)) * max(abs(jump.lower), abs(jump.upper)) * UP
+    for i, number in enumerate(field.shift):
+        if number:
+            whole = polynomial.add(whole, {((i, 1),): Fraction(float(number))})
+    return _form(whole, n, others, degree, slope)
+
+
+def form_between_lines(field: Field, k: int, *, merged: bool) -> Form | None:
+    """The same, with what <x, rest> gains at infinity: the slopes of its terms are those beyond 2^k.
+
+    - (c'x) h(a'x) with c = b a + d: b s h(s) <= b m s^2 + |b| r |s| where h lies between two lines, s = a'x, m the larger slope
+      for b > 0 and the smaller one for b < 0; the share of d is that of a term at most |d| (r + |m s|).
+    - x_i psi x_i with psi a function of |x|^2: at most m x_i^2 + R^2 max (psi - m), m the largest psi beyond R^2 = 2^k.
+    - Other terms of row i: |x_i| (a + b |x|) where their growth is linear.
+
+    ``merged``: polynomials of one direction are taken as such functions too, and may make up for others.
+    """
+    n = field.x.numel()
+    z, low, high = field.variables
+    whole: polynomial.Polynomial = {}
+    degree, constant = 0, Fraction(0)
+    sizes, slopes = np.zeros(n), np.zeros(n)
+    ridge_terms: dict[tuple[Fraction, ...], list[tuple[ca.SX, list[Fraction]]]] = {}
+    symbol = ca.SX.sym("s")
+    for i, row in enumerate(ca.vertsplit(field.rest)):
+        for outer, inner in additive_terms(row):
+            number, term = factored(inner)
+            factor = outer * number
+            (p,) = polynomial.read(term, field.x)
+            linear = p is not None and polynomial.degree(p) <= 1
+            split = None if linear or (p is not None and not merged) else ridges(term, field.x)
+            if p is not None and (split is None or split.s.numel() != 1):
+                degree = max(degree, polynomial.degree(p))
+                longer = polynomial.multiply(p, {((i, 1),): factor})
+                if longer is None:
+                    return None
+                whole = polynomial.add(whole, longer)
+                continue
+            if split is not None and split.s.numel() == 1:
+                h = ca.substitute(split.h, split.s, symbol)
+                own = ridge_terms.setdefault(tuple(split.a[0]), [])
+                place = next((c for other, c in own if same(other, h)), None)
+                if place is None:
+                    place = [Fraction(0)] * n
+                    own.append((h, place))
+                place[i] += factor
+                continue
+            radial = _radial(factor, term, i, field, k)
+            if radial is not None:
+                whole = polynomial.add(whole, {((i, 2),): Fraction(radial[0])})
+                constant += Fraction(radial[1])
+                continue
+            size, slope = growth.bound_of(term, field, z, low, high, 2.0**k)
+            sizes[i] += float(abs(factor)) * size * UP
+            slopes[i] += float(abs(factor)) * slope * UP
+    extra = rest_slope = 0.0
+    for direction, terms in ridge_terms.items():
+        found = _ridges_between_lines(field, np.array(direction, dtype=object), terms, symbol, k)
+        if found is None:
+            return None
+        p, size, slope = found
+        whole, extra, rest_slope = polynomial.add(whole, p), extra + size, rest_slope + slope
+    others = (float(np.linalg.norm(sizes)) + extra) * UP
+    slope = (float(np.linalg.norm(slopes)) + rest_slope) * UP
+    for i, number in enumerate(field.shift):
+        if number:
+            whole = polynomial.add(whole, {((i, 1),): Fraction(float(number))})
+    whole = polynomial.add(whole, {(): constant}) if constant else whole
+    return _form(whole, n, others, degree, slope)
+
+
+def _form(whole: polynomial.Polynomial, n: int, others: float, degree: int, slope: float) -> Form | None:
+    low = {monomial: number for monomial, number in whole.items() if sum(power for _, power in monomial) <= 2}
+    found = polynomial.quadratic(low, n)
+    if found is None or not np.isfinite(others + slope):
+        return None
+    higher = {monomial: number for monomial, number in whole.items() if monomial not in low}
+    Q = found.H + 2 * Fraction(slope) * exact.eye(n)
+    return Form(Q, found.q, found.c, higher, others, whole, degree, slope)
+
+
+def _ridges_between_lines(
+    field: Field, a: np.ndarray, terms: list[tuple[ca.SX, list[Fraction]]], s: ca.SX, k: int
+) -> tuple[polynomial.Polynomial, float, float] | None:
+    """(p, r, b) with sum of (c'x) h(a'x) <= p(x) + r |x| + b |x|^2."""
+    n = len(a)
+    ends = Ridges(s, s, a[None, :]).box(field.x, *field.C.hull)
+    length = growth.norm(exact.doubles(a[None, :]))
+    j = next(i for i, number in enumerate(a) if number)
+    p: polynomial.Polynomial = {}
+    size = slope = 0.0
+    # What is parallel to a is one function of s, so that its terms may make up for each other.
+    along, whole = ca.SX(0), terms[0][1][j] / a[j] if len(terms) == 1 else Fraction(1)
+    for h, c in terms:
+        b = c[j] / a[j] if len(terms) == 1 else Fraction(float(c[j] / a[j]))
+        along += (float(np.sign(b)) if len(terms) == 1 else float(b)) * h
+        left = [number - b * entry for number, entry in zip(c, a, strict=True)]
+        (exactly,) = polynomial.read(h, s)
+        if any(left) and exactly is not None:
+            longer = _composed(left, exactly, a)
+            if longer is None:
+                return None
+            p = polynomial.add(p, longer)
+        elif any(left):
+            found = sector(h, s, ends[0][0], ends[1][0], k)
+            if found is None or not found.bounded:
+                return None
+            middle = found.low + (found.high - found.low) / 2
+            width = max(found.high - middle, middle - found.low)
+            distance = growth.norm(exact.doubles(np.array([left], dtype=object)))
+            size, slope = size + distance * found.reach * UP, slope + distance * width * length * UP
+            for u, v in product(range(n), range(n)):
+                number = left[u] * Fraction(middle) * a[v]
+                p = polynomial.add(p, _square(u, v, number))
+    found = sector(along, s, ends[0][0], ends[1][0], k)
+    if found is None or not np.isfinite(found.high):
+        (exactly,) = polynomial.read(along, s)
+        longer = None if exactly is None else _composed([abs(whole) * number for number in a], exactly, a)
+        return None if longer is None else (polynomial.add(p, longer), size, slope)
+    for u, v in product(range(n), range(n)):
+        p = polynomial.add(p, _square(u, v, abs(whole) * Fraction(found.high) * a[u] * a[v]))
+    return p, size + exact.up(abs(whole)) * found.reach * length * UP, slope
+
+
+def _composed(c: Sequence[Fraction], h: polynomial.Polynomial, a: np.ndarray) -> polynomial.Polynomial | None:
+    """(c'x) h(a'x) as a polynomial in x; None where it is too long."""
+    direction = {((i, 1),): number for i, number in enumerate(a) if number}
+    total: polynomial.Polynomial = {}
+    factor: polynomial.Polynomial | None = {((i, 1),): number for i, number in enumerate(c) if number}
+    for number in polynomial.coefficients(h):
+        if factor is None:
+            return None
+        total = polynomial.add(total, factor, number) if number else total
+        factor = polynomial.multiply(factor, direction)
+    return total
+
+
+def _square(u: int, v: int, number: Fraction) -> polynomial.Polynomial:
+    if not number:
+        return {}
+    return {((u, 2),): number} if u == v else {((min(u, v), 1), (max(u, v), 1)): number}
+
+
+def _radial(factor: Fraction, term: ca.SX, i: int, field: Field, k: int) -> tuple[float, float] | None:
+    """(m, q) with factor times x_i term <= m x_i^2 + q, where the term is x_i psi: psi of |x|^2, or bounded on the hull of C."""
+    psi = _without(term, i, field.x)
+    if psi is None:
+        return None
+    psi = float(factor) * psi if is_double(factor) else None
+    if psi is None:
+        return None
+    square = ca.SX.sym("square")
+    shown = in_square(psi, field.x, square)
+    if shown is not None:
+        (order,) = orders(shown, square, [curve([0, 1], k)], k)
+        top = np.inf if order is None else float(natural(order, k)[1][0])
+        if np.isfinite(top):
+            inner = extremum.supremum(shown, square, np.zeros(1), np.array([2.0**k]), quick=True).bound
+            if np.isfinite(inner):
+                return top, max(inner - top, 0.0) * 2.0**k * UP
+    z, low, high = field.variables
+    top = float(np.max(interval.enclose(psi, z, low, high)[1]))
+    return (top, 0.0) if np.isfinite(top) else None
+
+
+def _without(term: ca.SX, i: int, x: ca.SX) -> ca.SX | None:
+    """The term without a factor c x_i, c put in; None where it is not seen."""
+    (p,) = polynomial.read(term, x)
+    if p is not None:
+        number = p.get(((i, 1),))
+        return ca.SX(float(number)) if number is not None and len(p) == 1 and is_double(number) else None
+    op = term.op()
+    if op == ca.OP_MUL:
+        for one, other in ((0, 1), (1, 0)):
+            left = _without(term.dep(one), i, x)
+            if left is not None:
+                return left * term.dep(other)
+    if op == ca.OP_DIV:
+        left = _without(term.dep(0), i, x)
+        return None if left is None else left / term.dep(1)
+    if op == ca.OP_NEG:
+        left = _without(term.dep(0), i, x)
+        return None if left is None else -left
+    return None
+
+
+def in_square(expr: ca.SX, x: ca.SX, square: ca.SX) -> ca.SX | None:
+    """A function of |x|^2 written with the symbol ``square``; None where it is not seen to be one."""
+    n = x.numel()
+    place = {entry.element_hash(): i for i, entry in enumerate(ca.vertsplit(x))}
+
+    def shown(node: ca.SX | None, p: polynomial.Polynomial | None) -> ca.SX | None:
+        if p is None or polynomial.is_constant(p):
+            return node
+        numbers = {p.get(((i, 2),)) for i in range(n)}
+        (number, *more) = numbers
+        if more or number is None or set(p) - {()} != {((i, 2),) for i in range(n)}:
+            return None
+        offset = p.get((), Fraction(0))
+        return float(number) * square + float(offset) if is_double(number) and is_double(offset) else None
+
+    def apply(op: int, args: list) -> tuple[ca.SX | None, polynomial.Polynomial | None]:
+        p = polynomial.apply(op, [q for _, q in args]) if all(q is not None for _, q in args) else None
+        if p is not None and polynomial.degree(p) <= 2:
+            return (applied(op, [node for node, _ in args]) if all(node is not None for node, _ in args) else None), p
+        nodes = [shown(node, q) for node, q in args]
+        return (None if any(node is None for node in nodes) else applied(op, nodes)), None
+
+    def variable(entry: ca.SX) -> tuple[ca.SX | None, polynomial.Polynomial | None]:
+        i = place.get(entry.element_hash())
+        return entry, None if i is None else {((i, 1),): Fraction(1)}
+
+    (last,) = fold(expr, variable, lambda number: (ca.SX(number), polynomial.constant(number)), apply)
+    result = shown(*last)
+    return result if result is not None and not keys(result) - keys(square) else None
+
+
+def offsets(field: Field) -> float:
+    """What the aligned multipliers add to <x, v> at most, beside their nearest elements to 0."""
+    return sum(term.offset for term in field.aligned) * (UP if len(field.aligned) > 1 else 1.0)
+
+
+def nearest(C: ConvexSet) -> np.ndarray | None:
+    """A point of C, surely in it, as near to 0 as doubles make it."""
+    zero = np.zeros(C.n)
+    if holds(C, zero):
+        return zero
+    clipped = np.clip(zero, *C.hull)
+    if holds(C, clipped):
+        return clipped
+    inner = has_interior(C, clipped).witness.get("interior point")
+    if inner is None:
+        return None
+    near, _ = least_value(ca.sumsqr(C.x), C, np.asarray(inner))
+    for part in (0.0, 1e-9, 1e-6, 1e-3, 1e-1, 1.0):
+        point = near + part * (np.asarray(inner) - near)
+        if holds(C, point):
+            return point
+    return None
+
+
+def holds(C: ConvexSet, point: np.ndarray) -> bool:
+    """Whether a point is in C, exactly where the rows are polynomials, else by intervals."""
+    x = [Fraction(float(entry)) for entry in point]
+    for i, p in enumerate(C.polynomials):
+        if p is not None:
+            if polynomial.value(p, x) < 0:
+                return False
+        elif not float(np.min(interval.enclose(C.rows[i], C.x, point, point)[0])) >= 0:
+            return False
+    return True

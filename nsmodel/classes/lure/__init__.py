@@ -1,0 +1,1 @@
+"""Lur'e systems x' = A(x) + B l + f(t), y = C x + D l, with a law or a potential."""

@@ -1,0 +1,190 @@
+"""Assumption 5.2 of Brogliato and Goeleven (2013): R A(-R^{-1} .) + omega I is maximal monotone, R^2 = P.
+
+For continuous A this is P J + J'P <= 2 omega P for the Jacobians J of A: with z = -R x the operator's monotonicity
+constant is -omega. The Jacobians lie in the hull of finitely many matrices, plus a cone where an entry is unbounded.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.classes.lure.hypotheses.dissipation import Rate, least_rate
+from nsmodel.classes.lure.hypotheses.jacobian_hull import bounded_hull, sampled_hull, tidy
+from nsmodel.classes.lure.hypotheses.pairing import condition, root, shown, well_conditioned
+from nsmodel.classes.lure.hypotheses.passivity import PAPER, Passivity
+from nsmodel.classes.lure.model import LureSystem
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, found
+from nsmodel.hypotheses.region import Region
+from nsmodel.proof import exact, extremum, interval
+from nsmodel.proof.exact import EPS
+from nsmodel.proof.graph import operations
+from nsmodel.proof.jumps import find_jump, jumps_in
+
+HYPOMONOTONE = Hypothesis(
+    "5.2", "R A(-R^{-1} .) + omega I is maximal monotone for some omega, R^2 = P", f"{PAPER}, Assumption 5.2"
+)
+NAME = "P_omega"  # of the P of this assumption; 5.1 has another one
+# Operations that are defined and continuous everywhere.
+CONTINUOUS = {
+    ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER, ca.OP_ASSIGN, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_NEG, ca.OP_SQ,
+    ca.OP_TWICE, ca.OP_FABS, ca.OP_FMIN, ca.OP_FMAX, ca.OP_SIN, ca.OP_COS, ca.OP_ATAN, ca.OP_TANH, ca.OP_SINH, ca.OP_COSH,
+    ca.OP_ASINH, ca.OP_EXP, ca.OP_EXPM1, ca.OP_ERF,
+}  # fmt: skip
+
+
+class Growth(NamedTuple):
+    """What 5.2 gives.
+
+    Attributes:
+        finding: the verdict.
+        P: (n, n) of Fractions, the P of ``omega``; None where there is none.
+        omega: |x(t) - y(t)|_P <= e^{omega t} |x_0 - y_0|_P; inf where none is known.
+        everywhere: whether this is for all states, not on the box alone.
+        accuracy: an omega below this may be 0 in truth.
+    """
+
+    finding: Finding
+    P: np.ndarray | None = None
+    omega: float = np.inf
+    everywhere: bool = True
+    accuracy: float = 0.0
+
+
+def hypomonotone(model: LureSystem, passivity: Passivity, region: Region, quick: bool) -> Growth:
+    """Decide 5.2 with an omega as small as can be found.
+
+    Args:
+        model: bound.
+        passivity: the decision on 5.1.
+        region: where A' is bounded if it is not bounded everywhere.
+        quick: no semidefinite programs, no searches.
+    """
+    A, x = model.A, model.x
+    J = ca.densify(ca.jacobian(A, x))
+    if passivity.pairing is None:
+        numbers = {}
+        if not ca.depends_on(J, x):
+            M = _numbers(J)
+            numbers = {"omega for P = I": np.linalg.eigvalsh((M + M.T) / 2)[-1]}
+        why = "no P > 0 with P B = C' exists" if passivity.finding.verdict == VIOLATED else "no P with P B = C' is known"
+        return Growth(found(HYPOMONOTONE, UNKNOWN, f"{why} (5.1), and R is the square root of such a P", numbers))
+    if not ca.depends_on(J, x) and not np.isfinite(_numbers(J)).all():
+        return Growth(found(HYPOMONOTONE, UNKNOWN, "A has a coefficient that is not finite"))
+    if not ca.depends_on(J, x) and not jumps_in(A, x):
+        rate = least_rate(passivity.pairing, [_numbers(J)], quick=quick)
+        return _growth(passivity, rate, quick, "A is linear; proved in rational arithmetic", linear=True)
+    return _nonlinear(J, model, passivity, region, quick)
+
+
+def _nonlinear(J: ca.SX, model: LureSystem, passivity: Passivity, region: Region, quick: bool) -> Growth:
+    A, x, n = model.A, model.x, model.x.numel()
+    J = ca.reshape(ca.vertcat(*(tidy(entry, x) for entry in ca.vertsplit(ca.vec(J)))), n, n)
+    infinite = np.full(n, np.inf)
+    jump = _jump(A, x)
+    if jump is not None:
+        return Growth(jump)
+    if is_continuous(A, x, -infinite, infinite):
+        hull = bounded_hull(J, x, -infinite, infinite)
+        rate = least_rate(passivity.pairing, hull.vertices, hull.cones, quick=quick) if hull is not None else None
+        if rate is not None:
+            return _growth(passivity, rate, quick, "proved in rational arithmetic, from bounds of the entries of A'")
+    if not is_continuous(A, x, region.lower, region.upper):
+        how = "A is not seen to be continuous on the box, though no jump was found"
+        return Growth(found(HYPOMONOTONE, UNKNOWN, how))
+    hull = bounded_hull(J, x, region.lower, region.upper) or sampled_hull(J, x, region.lower, region.upper)
+    rate = least_rate(passivity.pairing, hull.vertices, hull.cones, quick=quick)
+    if rate is None:
+        return Growth(found(HYPOMONOTONE, UNKNOWN, "A' is not bounded on the box, and no P is found that allows for it"))
+    if not hull.sure or not quick:
+        rate = _on_box(J, x, passivity.pairing.storage(rate.Y), region, rate, hull.sure, quick)
+    if rate is None:
+        return Growth(found(HYPOMONOTONE, UNKNOWN, "no bound of the largest eigenvalue of sym(R A' R^{-1}) on the box is found"))
+    return _growth(passivity, rate, quick, "proved by bounds over the whole box", region)
+
+
+def _on_box(J: ca.SX, x: ca.SX, P: np.ndarray, region: Region, rate: Rate, sure: bool, quick: bool) -> Rate | None:
+    """The rate of the same P from the largest eigenvalue over the box, where that is known to be smaller.
+
+    With doubles S for which S'P S = I + E, |E| <= e < 1, and sym(S'P J S) <= mu I: omega P - sym(P J) is psd as soon as
+    omega (1 + e) >= mu, omega < 0, or omega (1 - e) >= mu, omega >= 0. S'P is rounded to doubles, and CasADi rounds what is
+    constant in the product: both are bounded by means of |J| on the box.
+    """
+    n = len(P)
+    try:
+        S = np.linalg.inv(root(P)).T
+    except np.linalg.LinAlgError:
+        return rate if sure else None
+    exactly = exact.product(exact.rational(S).T, P)
+    left, E = exact.doubles(exactly), exact.product(exactly, S) - exact.eye(n)
+    e = _above(sum(abs(entry) for entry in E.ravel()))
+    size = np.abs(interval.enclose(J, x, region.lower, region.upper)).max(axis=0).reshape(n, n)
+    if not (e < 0.5 and np.isfinite(size).all()):
+        return rate if sure else None
+    top = extremum.largest_eigenvalue(ca.DM(left) @ J @ ca.DM(S), x, region.lower, region.upper, quick=quick, bound_to=None)
+    unseen = 8 * n * EPS * float((np.abs(left) @ size @ np.abs(S)).sum())
+    mu = top.bound + unseen
+    bound = _above(mu / (1 + e) if mu < 0 else mu / (1 - e))
+    if sure and rate.omega <= bound:
+        return rate
+    return rate._replace(omega=bound) if np.isfinite(bound) else None
+
+
+def _above(number: Any) -> float:
+    """A double a little above."""
+    near = float(number)
+    return near + 4 * EPS * abs(near)
+
+
+def _growth(
+    passivity: Passivity, rate: Rate | None, quick: bool, proof: str, region: Region | None = None, linear: bool = False
+) -> Growth:
+    """The finding for a rate, on a region or everywhere; the verdict is no better than that on 5.1, whose P it needs."""
+    verdict = HOLDS if passivity.finding.verdict == HOLDS else SAMPLED
+    if rate is None:  # A linear, ill conditioned beyond the last rounding: Remark 5.3 iii).
+        P = passivity.pairing.storage(well_conditioned(passivity.pairing))
+        how = "A is linear, and Lipschitz (Remark 5.3); no useful omega is found"
+        witness = shown(NAME, P)
+        return Growth(found(HYPOMONOTONE, verdict, how, {"cond P": condition(witness[NAME])}, witness), P)
+    P = passivity.pairing.storage(rate.Y)
+    witness = shown(NAME, P)
+    texts = [f"{proof} for {NAME}" + ("" if len(witness) == 1 else " as fractions, which are in the data; doubles are shown")]
+    if verdict == SAMPLED:
+        texts.append("which solves P B = C' up to rounding")
+    if abs(rate.omega) <= rate.rounding and rate.omega:
+        texts.append("omega is zero up to rounding of A")
+    elif 0 < rate.omega <= rate.accuracy:
+        texts.append("omega is zero up to the accuracy of the search for P")
+    elif linear and rate.omega <= rate.least + 1e-6 * abs(rate.least):
+        texts.append(f"no P gives less (floating point): {NAME} attains the infimum")
+    elif linear:
+        texts.append(f"no P gives less than {rate.least:.4g} (floating point), which {NAME} does not attain")
+        texts.append("a smaller omega was not looked for" if quick else "a smaller omega may need a worse conditioned P")
+    texts.append(f"cond P, in floating point, is that of {NAME}")
+    value = {"omega": rate.omega, "cond P": condition(witness[NAME])}
+    scope = None if region is None else region.scope(True)
+    finding = found(HYPOMONOTONE, verdict, "; ".join(texts), value, witness, scope)
+    return Growth(finding, P, rate.omega, region is None, rate.accuracy)
+
+
+def _jump(A: ca.SX, x: ca.SX) -> Finding | None:
+    """A jump of A: a single-valued maximal monotone operator on all of R^n is continuous."""
+    infinite = np.full(x.numel(), np.inf)
+    jump = find_jump(A, x, -infinite, infinite, lambda points: np.full(len(points), True))
+    values = np.array(ca.Function("A", [x], [A])(extremum.samples(-np.ones(x.numel()), np.ones(x.numel()), 256).T))
+    if jump is None or jump.size <= 1e-6 * np.abs(values[np.isfinite(values)]).max(initial=0.0):
+        return None
+    how = "A jumps, and no single-valued operator that jumps is maximal monotone; write the jump as a relay law"
+    witness = {"x": jump.at, "A on one side": jump.below, "A on the other": jump.above}
+    return found(HYPOMONOTONE, VIOLATED, how, {"jump": jump.size}, witness)
+
+
+def is_continuous(A: ca.SX, x: ca.SX, lower: np.ndarray, upper: np.ndarray) -> bool:
+    """Whether A is proved continuous: read off its operations, or by interval bounds."""
+    return operations(A) <= CONTINUOUS or interval.is_continuous(A, x, lower, upper)
+
+
+def _numbers(matrix: ca.SX) -> np.ndarray:
+    return np.array(ca.DM(matrix)).reshape(matrix.shape)

@@ -1,0 +1,106 @@
+"""Multivalued Lur'e dynamical systems (Brogliato and Goeleven 2013)."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import casadi as ca
+
+from nsmodel.classes.first_order.model import check_weights, checked_law
+from nsmodel.errors import ModelError
+from nsmodel.laws import Law
+from nsmodel.model.base import Model
+from nsmodel.model.convert import Converter
+from nsmodel.model.convex import split
+from nsmodel.model.parameters import declared
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LureSystem(Model):
+    """x' = A(x) + B l + f(t),   y = C x + D l,   -y ∈ N_K(l) or l ∈ -dPhi(y),   x(0) = x0.
+
+    Attributes:
+        A: matrix (n, n), or n expressions of ``x``.
+        B, C, D: (n, m), (m, n), (m, m); D left out: 0. Matrices may be sparse (SciPy, CasADi), and stay so.
+        f: n expressions of t; left out: 0.
+        law: the relation between l and y, of size m; or
+        phi, y: a convex potential Phi as an expression of the m symbols ``y``.
+        x: the state symbols, needed where A is an expression; left out: x_0, ..., x_{n-1}.
+        x0: the start (n).
+        theta, gamma: weights in [0, 1] of A(x) + f and of B l at the end of the step; 1, 1 is the paper's implicit Euler.
+
+    Raises:
+        ModelError: wrong shapes, undeclared symbols, NaN, law and phi both given or both missing.
+    """
+
+    x: Any = None
+    A: Any
+    B: Any
+    C: Any
+    D: Any = None
+    f: Any = None
+    law: Law | None = None
+    phi: Any = None
+    y: Any = None
+    x0: Any
+    theta: float = 1.0
+    gamma: float = 1.0
+
+    paper: ClassVar[str] = (
+        "Brogliato and Goeleven, Existence, uniqueness of solutions and stability of nonsmooth multivalued Lur'e systems (2013)"
+    )
+
+    def _declare(self) -> None:
+        c = self._settle("x", x=ca.SX.sym("x", self._count_states()) if self.x is None else self.x, y=self.y)
+        n = len(self.names)
+        if (self.law is None) == (self.phi is None):
+            raise ModelError("law and phi: give exactly one of them (phi with its symbols y=)")
+        if self.phi is not None and self.y is None:
+            raise ModelError("phi: declare its argument with y=")
+        law = None if self.law is None else checked_law(self, c, self.law)
+        m = self.y.numel() if law is None else law.size
+        what = f"{m} components of the law" if law is not None else f"{m} symbols of y"
+        square = f"a row and a column for each of {what}"
+        self._set(
+            A=self._rate(c, n),
+            B=self._matrix(c, self.B, "B", (n, m), f"a row for each of {n} states, a column for each of {what}"),
+            C=self._matrix(c, self.C, "C", (m, n), f"a row for each of {what}, a column for each of {n} states"),
+            D=ca.SX(m, m) if self.D is None else self._matrix(c, self.D, "D", (m, m), square),
+            f=self._vector(c, 0 if self.f is None else self.f, "f", n, [self.t]),
+            law=law,
+            x0=self._numbers(c, self.x0, "x0", n),
+            multiplier_names=tuple(f"l_{i}" for i in range(m)),
+        )
+        if law is None:
+            phi = self._vector(c, self.phi, "phi", 1, [self.y])
+            self._set(phi=phi, phi_split=split(phi, self.y, "phi"))
+        check_weights(self.theta, self.gamma)
+
+    def _count_states(self) -> int:
+        """The number of entries of x0, where no state symbols are given."""
+        c = Converter(declared(self.parameters)[0])
+        x0 = c.convert(self.x0, "x0")
+        if not x0.numel() or 1 not in x0.shape:
+            raise ModelError(f"x0: shape {x0.shape}; expected a column, one number for each state")
+        n, wrong, A = x0.numel(), False, (0, 0)
+        with contextlib.suppress(ModelError):  # what is wrong with a matrix is said where it is read
+            A, B, C = (c.convert(getattr(self, name), name).shape for name in "ABC")
+            wrong = A[0] == A[1] not in (1, n) and A[0] in (B[0], C[1])
+        if wrong:
+            raise ModelError(f"x0: {n} number{'s' * (n > 1)}; expected {A[0]}, one for each state, as A has the shape {A}")
+        return n
+
+    def _rate(self, c: Converter, n: int) -> ca.SX:
+        """A x for a matrix of numbers, else the n expressions."""
+        A = ca.SX(c.convert(self.A, "A"))
+        if ca.depends_on(A, self.x):
+            if A.shape == (n, n) and n > 1:
+                raise ModelError(f"A: a matrix {A.shape} with entries of x; write the product with x, as {n} expressions")
+            return self._vector(c, A, "A", n, [self.x])
+        if A.is_zero() and A.numel() == 1:
+            return ca.SX.zeros(n)
+        states = f"{n} state{'s' if n > 1 else ''} {', '.join(self.names[:3])}{', ...' if n > 3 else ''}"
+        why = f"a row and a column for each of {states}; or give {n} expression{'s' if n > 1 else ''} of the state"
+        return ca.densify(ca.mtimes(self._matrix(c, A, "A", (n, n), why), self.x))

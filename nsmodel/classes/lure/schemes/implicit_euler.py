@@ -1,0 +1,94 @@
+"""Implicit Euler for multivalued Lur'e systems (Brogliato and Goeleven 2013), with theta and gamma for comparison.
+
+x_{k+1} = x_k + h th (A(x_{k+1}) + f(t_{k+1})) + h (1-th) (A(x_k) + f(t_k)) + h ga B l_{k+1} + h (1-ga) B l_k
+y_{k+1} = C x_{k+1} + D l_{k+1},      -y_{k+1} ∈ N_K(l_{k+1})  or  l_{k+1} ∈ -dPhi(y_{k+1})
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.classes.lure.model import LureSystem
+from nsmodel.laws import Law
+from nsmodel.scheme.problem import OneStepProblem, Order, basic_law, subdifferential
+
+
+def one_step_problem(model: LureSystem) -> OneStepProblem:
+    """Return the step in z = x_{k+1}, or (x_{k+1}, y_{k+1}) where Phi is given and D is not 0."""
+    t, h, n, th, ga = model.t, ca.SX.sym("h"), model.x.numel(), model.theta, model.gamma
+    x_k, r_k, x = model.x, ca.SX.sym("r_k", n), ca.SX.sym("x_next", n)
+    rate_k = model.A + model.f
+    rate = ca.substitute([rate_k], [t, x_k], [t + h, x])[0]
+    law = _rows(model, x)
+    r = ca.densify(model.B @ law.multipliers)
+    E = x - x_k - h * th * rate - h * (1 - th) * rate_k - h * ga * r - h * (1 - ga) * (r_k if ga < 1 else 0)
+    return OneStepProblem(
+        scheme="implicit Euler" if th == ga == 1 else f"theta-gamma, theta = {th:g}, gamma = {ga:g}",
+        t=t, h=h, state=ca.vertcat(x_k, r_k) if ga < 1 else x_k, p=model.p,
+        z=ca.vertcat(x, law.z), l=law.l, y=ca.SX.sym("y", law.l.numel()),
+        E=ca.vertcat(E, law.E), Y=law.Y,
+        law=law.law,
+        rows=law.rows,
+        guess=ca.vertcat(x_k, ca.substitute([law.guess], [x], [x_k])[0]),
+        next_state=ca.vertcat(x, r) if ga < 1 else x,
+        multipliers=law.multipliers if law.rewritten else None,
+        outputs=law.outputs if law.rewritten else None,
+        start=_start(model, h, ca.vertcat(x_k, r_k)) if ga < 1 else None,
+        order=Order.of_weights(th, ga, r, ca.vertcat(x, law.z), law.law, law.Y, ca.vertcat(law.l, law.z)),
+    )  # fmt: skip
+
+
+class _Rows(NamedTuple):
+    """The law of a Lur'e system on (x, l): l in K with rows Y, the user's multipliers and outputs, and y as an unknown."""
+
+    law: Law
+    l: ca.SX
+    rows: tuple[str, ...]
+    Y: ca.SX
+    multipliers: ca.SX
+    outputs: ca.SX
+    rewritten: bool
+    z: ca.SX = ca.SX(0, 1)
+    E: ca.SX = ca.SX(0, 1)
+    guess: ca.SX = ca.SX(0, 1)
+
+
+def _rows(model: LureSystem, x: ca.SX) -> _Rows:
+    """y = C x + D l with the declared law, or l ∈ -dPhi(y): there y joins the unknowns unless D = 0."""
+    m = model.B.shape[1]
+    y = ca.SX.sym("y_next", m)
+    if model.law is not None:
+        basic = basic_law(model.law, model.multiplier_names, y)
+        output = ca.densify(model.C @ x + model.D @ basic.multipliers)
+        Y = ca.substitute(basic.Y, y, output)
+        return _Rows(basic.law, basic.l, basic.rows, Y, basic.multipliers, output, basic.l.numel() != m)
+    part = subdifferential(model.phi_split, model.y, "phi")
+    implicit = not model.D.is_zero()
+    output = y if implicit else ca.densify(model.C @ x)
+    l, Y = ca.substitute([part.force, part.u], [model.y], [output])
+    rows = _Rows(part.law, part.l, part.rows, Y, l, output, True)
+    return rows._replace(z=y, E=y - model.C @ x - model.D @ l, guess=ca.densify(model.C @ x)) if implicit else rows
+
+
+def _start(model: LureSystem, h: ca.SX, state: ca.SX) -> OneStepProblem:
+    """l_0 solves the law at x_0: the first B l_k where gamma < 1."""
+    law = _rows(model, model.x)
+    return OneStepProblem(
+        scheme="multiplier at the start",
+        t=model.t, h=h, state=state, p=model.p,
+        z=law.z, l=law.l, y=ca.SX.sym("y", law.l.numel()),
+        E=law.E, Y=law.Y,
+        law=law.law,
+        rows=law.rows,
+        guess=law.guess,
+        next_state=ca.vertcat(model.x, ca.densify(model.B @ law.multipliers)),
+    )  # fmt: skip
+
+
+def initial_rows(model: LureSystem, h: float) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
+    """x_0, and room for r_0 where gamma < 1."""
+    x0 = np.array(ca.DM(model.x0)).ravel()
+    return [(np.concatenate([x0, np.zeros(x0.size)]) if model.gamma < 1 else x0, {})]

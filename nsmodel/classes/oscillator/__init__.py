@@ -1,0 +1,1 @@
+"""Oscillators with dry friction: x'' + A(x') + dg(x) ∋ 0."""

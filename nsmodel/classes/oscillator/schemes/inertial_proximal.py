@@ -1,0 +1,126 @@
+"""Inertial proximal method for oscillators under dry friction (Cabot 2004, algorithm (A)).
+
+    (x_{n+2} - 2 x_{n+1} + x_n)/l_n^2 + A((x_{n+2} - x_{n+1})/l_n) + B(x_{n+2}) ∋ 0,   A = dPhi, B = dg
+
+The state is the pair (x_n, x_{n+1}), kept as x_{n+1} and the difference x_{n+1} - x_n; the unknown is the next difference
+d = x_{n+2} - x_{n+1}, so that stick is d = 0 and nothing else. With h = l_n, times h^2:
+
+    d - (x_{n+1} - x_n) + h^2 ( dPhi(d/h) + dg(x_{n+1} + d) ) ∋ 0
+
+theta_j splits into theta_j'(0) s, whose subdifferential is a ball, and a rest that is C1 in v with gradient 0 at v = 0
+(Proposition 2.2).
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.classes.oscillator.model import Friction, FrictionOscillator
+from nsmodel.laws import ball, complementarity, product
+from nsmodel.scheme.problem import OneStepProblem, subdifferential
+
+LEAST = 1e-150
+
+
+def one_step_problem(model: FrictionOscillator) -> OneStepProblem:
+    """Return the step as a nonsmooth problem in d, with the friction forces and the reactions of dg as multipliers."""
+    h, x, n = ca.SX.sym("h"), model.x, model.x.numel()
+    d_old, d = ca.SX.sym("d_old", n), ca.SX.sym("d", n)
+    v, x_next = d / h, x + d
+
+    elements, radii = model.elements, [slope_at_zero(e, model.s) for e in model.elements]
+    xi = [ca.SX.sym(f"xi_{e.name}", e.H.shape[0]) for e in elements]
+    smooth = ca.SX.zeros(n) if model.damping is None else model.damping @ v
+    for element, l in zip(elements, xi, strict=True):
+        smooth += element.H.T @ (rest(element, model.s, element.H @ v) - l)
+
+    g = subdifferential(model.potential_split, x, "potential")
+    c = ca.vertcat(ca.SX(0, 1), *model.constraints.values())
+    n_c = ca.SX.sym("n", c.numel())
+    force = at(g.force, x, x_next) + at(ca.jacobian(c, x), x, x_next).T @ n_c
+
+    law = product(*(ball(e.H.shape[0], r) for e, r in zip(elements, radii, strict=True)), g.law, complementarity(n_c.numel()))
+    l = ca.vertcat(ca.SX(0, 1), *xi, g.l, n_c)
+    return OneStepProblem(
+        scheme="inertial proximal (A)",
+        t=model.t, h=h, state=ca.vertcat(x, d_old), p=model.p,
+        z=d, l=l, y=ca.SX.sym("y", l.numel()),
+        E=d - d_old + h**2 * (smooth - force),
+        Y=ca.vertcat(ca.SX(0, 1), *(e.H @ d for e in elements), at(g.u, x, x_next), at(c, x, x_next)),
+        law=law,
+        rows=tuple(name for e in elements for name in _rows(e)) + g.rows + model.constraint_names,
+        guess=d_old,
+        next_state=ca.vertcat(x_next, d),
+        records={"v": v},
+    )  # fmt: skip
+
+
+def slope_at_zero(element: Friction, s: ca.SX) -> ca.SX:
+    """theta'(0), from the right: the radius of A(0) (Proposition 2.2).
+
+    theta is given for s >= 0. Where it is written with a kink at 0 (fabs(s), fmax(s, 0)) the derivative there is taken for
+    something else than the slope that it has just beside: equal slopes at two least sizes tell.
+    """
+    at_zero, beside, further = (ca.substitute(ca.gradient(element.theta, s), s, value) for value in (0, LEAST, 1e10 * LEAST))
+    return ca.if_else(ca.fabs(further - beside) <= 1e-9 * ca.fabs(beside), beside, at_zero)
+
+
+def rest(element: Friction, s: ca.SX, u: ca.SX) -> ca.SX:
+    """(theta'(|u|) - theta'(0)) u/|u|, the smooth part of the friction at u = H v: 0 at u = 0, linear for a quadratic theta."""
+    slope = ca.gradient(element.theta, s)
+    curvature = ca.gradient(slope, s)
+    if not ca.depends_on(curvature, s):
+        return curvature * u
+    # The least size keeps derivatives finite at u = 0, in any unit of length.
+    scalar = u.numel() == 1
+    size = ca.fmax(ca.fabs(u), LEAST) if scalar else ca.sqrt(ca.sumsqr(u) + LEAST**2)
+    direction = ca.sign(u) if scalar else u / size
+    return (ca.substitute(slope, s, size) - slope_at_zero(element, s)) * direction
+
+
+def energy(model: FrictionOscillator) -> ca.Function:
+    """E_n = |x_{n+1} - x_n|^2 / (2 l_n^2) + g(x_{n+1}) (14), as a function of (x_{n+1}, (x_{n+1} - x_n)/l_n)."""
+    w = ca.SX.sym("w", model.x.numel())
+    return ca.Function("energy", [model.x, w], [ca.sumsqr(w) / 2 + model.potential])
+
+
+def shortened(state: np.ndarray, ratio: float) -> np.ndarray:
+    """The state before a last step shortened by ``ratio``: the older position is moved so that the velocity is kept.
+
+    The paper divides the older difference by the new step, for steps that do not decrease; a step that only the end of the
+    run shortens is not meant to be a kick.
+    """
+    n = state.size // 2
+    return np.concatenate([state[:n], state[n:] * ratio])
+
+
+def at(expression: ca.SX, x: ca.SX, value: ca.SX) -> ca.SX:
+    """The expression with x replaced."""
+    return ca.substitute(expression, x, value) if expression.numel() else expression
+
+
+def _rows(element: Friction) -> list[str]:
+    m = element.H.shape[0]
+    return [element.name] if m == 1 else [f"{element.name}[{i}]" for i in range(m)]
+
+
+def initial_rows(model: FrictionOscillator, h: float) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
+    """(x_0, v_0), where the older position is x_0 - h v_0; or the paper's two positions x_0, x_1 as rows 0 and 1."""
+    x0 = np.array(ca.DM(model.x0)).ravel()
+    if model.x1 is None:
+        v0 = np.array(ca.DM(model.v0)).ravel()
+        return [(np.concatenate([x0, h * v0]), {"v": v0})]
+    x1 = np.array(ca.DM(model.x1)).ravel()
+    return [(np.concatenate([x0, np.full(x0.size, np.nan)]), {}), (np.concatenate([x1, x1 - x0]), {"v": (x1 - x0) / h})]
+
+
+def derived_columns(model: FrictionOscillator, arrays: dict[str, np.ndarray], h_next: np.ndarray) -> dict[str, np.ndarray]:
+    """The energy E_n: the last difference over the step that comes next."""
+    d = arrays["v"] * arrays["step"][:, None]
+    if not np.isfinite(arrays["step"][0]):
+        d[0] = arrays["v"][0] * h_next[0]
+        known = np.flatnonzero(~np.isfinite(arrays["step"]) & np.isfinite(arrays["v"]).all(axis=1))
+        d[known] = arrays["v"][known] * h_next[known, None]
+    w = d / h_next[:, None]
+    return {"energy": np.array(energy(model).map(len(w))(arrays["x"].T, w.T)).ravel()}

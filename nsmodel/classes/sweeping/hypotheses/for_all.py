@@ -1,0 +1,126 @@
+"""Hypotheses of a sweeping process for all values of parameters in a box.
+
+Parameters enter a constraint as time does, but for the speeds of A2 and A3: shapes are those of all times and values, and what
+is bounded over time is bounded over (t, p). Planes and distances are decided so, of other shapes those without parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.classes.sweeping.hypotheses.check import A5, A5_ACTIVE, HYPOTHESES, S_F, S_START, check, joined
+from nsmodel.classes.sweeping.hypotheses.consequences import consequences_of
+from nsmodel.classes.sweeping.hypotheses.constants import of_slow_shape
+from nsmodel.classes.sweeping.hypotheses.constraint import UP, Answers, Constraint
+from nsmodel.classes.sweeping.hypotheses.forms import Shape
+from nsmodel.classes.sweeping.hypotheses.qualification import FRACTION, TRIES
+from nsmodel.classes.sweeping.hypotheses.qualification_proofs import Proof, everywhere
+from nsmodel.classes.sweeping.hypotheses.shapes import read_shapes
+from nsmodel.classes.sweeping.model import SweepingProcess
+from nsmodel.hypotheses.findings import HOLDS, Consequence, Finding, Hypothesis, found
+from nsmodel.hypotheses.region import Region
+from nsmodel.hypotheses.scope import Box
+from nsmodel.hypotheses.uniform import Values, for_the_box, untouched
+from nsmodel.proof import extremum, interval
+
+READS = {hypothesis.id: ("g",) for hypothesis in HYPOTHESES} | {S_F.id: ("f", "g"), S_START.id: ("g", "q0")}
+
+
+def values(model: SweepingProcess, box: Box) -> list[Values]:
+    """No values are special."""
+    return []
+
+
+def findings(model: SweepingProcess, region: Region, quick: bool) -> list[Finding]:
+    """What is decided for all values of the parameters, whose boxes are those of ``region``."""
+    same = untouched(check, model, region, quick, READS)
+    constraints = _constraints(model, region)
+    each = [of_slow_shape(constraint) for constraint in constraints]
+    own: list[Finding | None] = [_velocity(model, region), _start(model, region)]
+    answers = [answer for answer in each if answer is not None]
+    if len(answers) == len(each):
+        own += [joined(hypothesis, constraints, answers, region) for hypothesis in HYPOTHESES[:6]]
+        own += _qualified(constraints, answers, region)
+    return for_the_box((item for item in own if item is None or item.verdict == HOLDS), same, region)
+
+
+def consequences(model: SweepingProcess, region: Region, own: Sequence[Finding]) -> list[Consequence]:
+    """What follows for all values of the parameters; nothing where gamma is not known."""
+    known = {finding.id: finding.value for finding in own}
+    if not all("gamma" in known[id] for id in (A5.id, A5_ACTIVE.id)):
+        return []
+    return consequences_of(model, own, (), model.g.numel())
+
+
+def _constraints(model: SweepingProcess, region: Region) -> list[Constraint]:
+    """The constraints, with (t, p) in the place of time."""
+    slow, (low, high) = ca.vertcat(model.t, model.p), region.of_parameters()
+    found = []
+    for name, g, shape in zip(
+        model.multiplier_names, ca.vertsplit(model.g), read_shapes(model.g, model.q), strict=True
+    ) if model.multiplier_names else ():  # fmt: skip
+        rows = list(shape.own)
+        names = tuple(model.names[i] for i in rows)
+        lower, upper = (
+            np.concatenate([[t], p, x[rows]]) for t, p, x in ((region.t0, low, region.lower), (region.t1, high, region.upper))
+        )
+        found.append(Constraint(name, g, _moving(shape, g, model), slow, model.q[rows], names, lower, upper))
+    return found
+
+
+def _moving(shape: Shape, g: ca.SX, model: SweepingProcess) -> Shape:
+    """The shape with whether it moves in time, of which parameters are none."""
+    return replace(shape, time=bool(ca.depends_on(g, model.t)))
+
+
+def _qualified(constraints: Sequence[Constraint], each: Sequence[Answers], region: Region) -> list[Finding]:
+    """A5 and A5' by the rules that hold for all states and need no point of the set."""
+    reaches = [2 * answers["A0"].value.get("delta", np.inf) for answers in each]
+    across = float(np.max(region.upper - region.lower, initial=0.0))
+    reach = min([reach if np.isfinite(reach) else across / 2 for reach in reaches], default=1.0)
+    proofs = [everywhere(constraints, FRACTION * reach * 4.0**-k, moving=True) for k in range(TRIES)]
+    near = next((proof for proof in proofs if proof is not None and np.isfinite(proof.gamma)), None)
+    timed = any(constraint.shape.time for constraint in constraints)
+    return [] if near is None else [_gamma(A5, near, region, timed), _gamma(A5_ACTIVE, near, region, timed)]
+
+
+def _gamma(hypothesis: Hypothesis, proof: Proof, region: Region, timed: bool) -> Finding:
+    value = {"gamma": max(proof.gamma, 1.0)} | ({"rho": proof.rho} if hypothesis is A5 and np.isfinite(proof.rho) else {})
+    any_rho = "; for every rho" if hypothesis is A5 and "rho" not in value else ""
+    return found(hypothesis, HOLDS, proof.how + any_rho, value, scope=region.scope(timed=timed))
+
+
+def _velocity(model: SweepingProcess, region: Region) -> Finding | None:
+    """S-f by bounds of f and its derivative over (t, p) and all states, else over (t, p) and the box."""
+    f, (low, high) = model.f, region.of_parameters()
+    z, J = ca.vertcat(model.t, model.p, model.q), ca.jacobian(f, model.q)
+    n, timed = model.q.numel(), bool(ca.depends_on(f, model.t))
+    wide = np.full(n, np.inf)
+    for lower, upper, local in ((-wide, wide, False), (region.lower, region.upper, True)):
+        ends = np.concatenate([[region.t0], low, lower]), np.concatenate([[region.t1], high, upper])
+        if not interval.is_continuous(f, z, *ends):
+            continue
+        steep = extremum.spectral_norm(J, z, *ends, quick=not local).bound
+        about = ca.substitute(f, model.q, ca.DM.zeros(n)) if not local else f
+        size = extremum.supremum(ca.sumsqr(about), z, *ends, quick=not local).bound
+        rate = extremum.supremum(ca.sumsqr(ca.jacobian(f, model.t)), z, *ends, quick=True).bound if timed else 0.0
+        if np.isfinite(steep) and np.isfinite(size):
+            K_f, at_0 = max(steep, 0.0) * UP, np.sqrt(max(size, 0.0)) * UP
+            value = {"K_f": K_f, "L_f": at_0 if local else max(K_f, at_0)}
+            value |= {"L_t": np.sqrt(rate) * UP} if np.isfinite(rate) else {}
+            return found(S_F, HOLDS, "bounds of f and of its derivative", value, scope=region.scope(local, timed))
+    return None
+
+
+def _start(model: SweepingProcess, region: Region) -> Finding | None:
+    """S-start: g_i(0, q_0) >= 0 for all values, by bounds."""
+    at_start = ca.substitute(model.g, ca.vertcat(model.t, model.q), ca.vertcat(0, model.q0))
+    ends = region.of_parameters()
+    tops = [extremum.supremum(-g, model.p, *ends, bound_to=0.0).bound for g in ca.vertsplit(at_start)] if at_start.numel() else []
+    if not all(top <= 0 for top in tops):
+        return None
+    return found(S_START, HOLDS, "bounds of g_i(0, q_0)", {"min g": min((-top for top in tops), default=0.0)})

@@ -1,0 +1,330 @@
+"""Bounds of gamma that hold for all states: independent gradients, discs in free space, planes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from fractions import Fraction
+from itertools import combinations, pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from nsmodel.classes.sweeping.hypotheses.constraint import Constraint, over_time
+from nsmodel.classes.sweeping.hypotheses.forms import Shape, expression, plus, times
+from nsmodel.classes.sweeping.hypotheses.geometry import discs_in_a_row, gram_bound, hull_bound, mfcq_constant, row_space
+from nsmodel.classes.sweeping.hypotheses.qualification_pairs import pairs
+from nsmodel.proof import exact, interval
+from nsmodel.proof.feasibility import System, decide
+from nsmodel.proof.graph import column
+from nsmodel.proof.straight_line import program
+
+MOST_PLANES = 12
+MOST_PAIRS = 60
+UP = 1 + 1e-12  # More than what a few operations on doubles lose.
+ROUNDED = 1e-8  # More than what products of orthonormal vectors err by.
+SLICES, MOST_SLICES, SHORT = 8, 200, 1e-9  # Of the interval of time, where planes move.
+
+Offsets = Callable[[float, float], tuple[np.ndarray, np.ndarray]]
+
+
+class Proof(NamedTuple):
+    """gamma(rho) <= gamma for all states and times; ``how`` in words. inf: the constraints ``opposed`` meet at ``at`` (t, q)."""
+
+    gamma: float
+    rho: float
+    how: str
+    opposed: tuple[int, ...] = ()
+    weights: tuple[float, ...] = ()
+    at: np.ndarray | None = None
+
+
+def everywhere(constraints: Sequence[Constraint], rho: float, moving: bool = False) -> Proof | None:
+    """Return a bound that holds for all states, for the sets of constraints within ``rho`` of active; None if there is none.
+
+    ``moving``: they hold parameters too, so that planes are asked for their normals only.
+    """
+    if not constraints:
+        return Proof(1.0, np.inf, "no constraint")
+    if len(constraints) == 1:
+        return Proof(1.0, np.inf, "one constraint")
+    for rule in (_independent, _pairs, discs) if moving else (_planes, _independent, _pairs, discs):
+        proof = rule(constraints, rho)
+        if proof is not None:
+            return proof
+    return None
+
+
+def _pairs(constraints: Sequence[Constraint], rho: float) -> Proof | None:
+    found = pairs(constraints, rho)
+    return None if found is None else Proof(*found)
+
+
+def _independent(constraints: Sequence[Constraint], rho: float) -> Proof | None:
+    """|<n_i, n_j>| is at most the cosine of the angle between the spaces of the gradients; planes have fixed normals."""
+    if len(constraints) > MOST_PAIRS:
+        return None
+    states = sorted({i for c in constraints for i in c.shape.own})
+    spaces = [_gradient_space(c.shape, states) for c in constraints]
+    if any(space is None for space in spaces):
+        return None
+    G = np.eye(len(constraints))
+    for i, j in combinations(range(len(constraints)), 2):
+        if not set(constraints[i].shape.own) & set(constraints[j].shape.own):
+            continue
+        cosine = spaces[i].T @ spaces[j]  # pyright: ignore
+        signed = constraints[i].shape.kind == constraints[j].shape.kind == "plane"
+        G[i, j] = G[j, i] = min((float(cosine[0, 0]) if signed else -float(np.linalg.norm(cosine, 2))) - ROUNDED, 0.0)
+    gamma = gram_bound(G)
+    return Proof(gamma, np.inf, "the gradients stay in spaces at bounded angles") if np.isfinite(gamma) else None
+
+
+def _gradient_space(shape: Shape, states: Sequence[int]) -> np.ndarray | None:
+    """An orthonormal basis of a space that holds the gradient, but for ``ROUNDED``; of a plane the unit normal itself."""
+    place = {i: k for k, i in enumerate(states)}
+    if shape.kind == "plane":
+        normal = np.zeros((len(states), 1))
+        for i, value in shape.form.affine.row.items():
+            normal[place[i]] = float(value)
+        return normal / np.linalg.norm(normal)
+    if shape.kind == "distance":
+        A = exact.zeros(len(shape.form.norms[0][1]), len(states))
+        for row, (_, a) in enumerate(shape.form.norms[0][1]):
+            for i, value in a.row.items():
+                if i >= 0:
+                    A[row, place[i]] = value
+        largest = [max(abs(x) for x in row) for row in A]
+        space = row_space(exact.doubles(np.array([row / size for row, size in zip(A, largest, strict=True) if size])))
+        return space if space.shape[1] == exact.rank(A) else None
+    return np.eye(len(states))[:, [place[i] for i in shape.own]]
+
+
+# -- discs -------------------------------------------------------------------------------------------------------------
+
+
+def discs(constraints: Sequence[Constraint], rho: float, count: int | None = None) -> Proof | None:
+    """Distances between bodies, and planes for single bodies whose normals have an escape direction e: <n, e> >= kappa > 0.
+
+    A connected group of k bodies is blown up from its centre and moved along e, v = (q - centre) + s (e, ..., e). With ``l``
+    the largest distance in contact and D the least one: pairs gain <n_ij, v> = |q_i - q_j| / sqrt(2) >= D / sqrt(2), and planes
+    <n, v> >= s kappa - R, R = l (k - 1)/2; s makes both equal. |q - centre|^2 <= l^2 (k^3 - k)/12 (a row is the worst), so
+    gamma^2 <= (l^2 (k^3 - k)/12 + k s^2) / (D^2/2). gamma^2 adds up over groups, and one group of all is the worst.
+
+    ``count``: there are so many bodies, and each constraint is like one of these.
+    """
+    pairs = [pair for c in constraints if (pair := pair_of(c)) is not None]
+    planes = [c.shape.form.affine.row for c in constraints if c.shape.kind == "plane"]
+    if not pairs or len(pairs) + len(planes) < len(constraints):
+        return None
+    bodies = {body for pair in pairs for body in (pair.first, pair.second)}
+    owner: dict[int, tuple[int, ...]] = {}
+    if any(owner.setdefault(i, body) != body for body in bodies for i in body):
+        return None
+    normals = []
+    for row in planes:
+        body = {owner.get(i) for i in row}
+        (only,) = body if len(body) == 1 else (None,)
+        if only is None:
+            return None
+        normals.append([row.get(i, Fraction(0)) for i in only])
+    k, D, l = count or len(bodies), min(pair.low for pair in pairs), max(pair.reach(rho) for pair in pairs)
+    if not normals:
+        gamma = l / D * discs_in_a_row(k) * UP
+        return Proof(gamma, rho, f"{k} bodies that touch only each other: blown up from the centre they all part")
+    if len({len(normal) for normal in normals}) > 1:
+        return None
+    away = hull_bound(normals)
+    if not np.isfinite(away):
+        return None
+    s = (l * (k - 1) / 2 + D / np.sqrt(2)) * away
+    gamma = float(np.sqrt((l**2 * (k**3 - k) / 12 + k * s**2) / (D**2 / 2))) * UP
+    return Proof(gamma, rho, f"{k} bodies and planes with a common escape direction: blown up and moved along it they all part")
+
+
+def tied(constraints: Sequence[Constraint], d: int) -> bool:
+    """Whether all distances are between the same states of two bodies, those of the second d after those of the first."""
+    known = set()
+    for c in constraints:
+        pair = pair_of(c)
+        if pair is not None:
+            first, second = (tuple(i % d for i in states) for states in (pair.first, pair.second))
+            known |= {first, second}
+            if any(abs(i - j) != d for i, j in zip(pair.first, pair.second, strict=True)):
+                return False
+    return len(known) <= 1
+
+
+class Pair(NamedTuple):
+    """w (|q_i - q_j| - r(t)), or w (|q_i - q_j|^2 - r(t)^2) where ``power`` is 2.
+
+    Attributes:
+        first, second: the states of both bodies, in the same order.
+        low, high: bounds of r over time.
+    """
+
+    first: tuple[int, ...]
+    second: tuple[int, ...]
+    low: float
+    high: float
+    w: float
+    power: int
+
+    def reach(self, rho: float) -> float:
+        """A bound of the distance where the constraint is within rho."""
+        return self.high + rho / self.w if self.power == 1 else float(np.sqrt(self.high**2 + rho / self.w))
+
+
+def pair_of(c: Constraint) -> Pair | None:
+    """Read a constraint between two bodies; None where it is none."""
+    form = c.shape.form
+    if form is None or c.shape.kind not in ("distance", "quadratic") or c.shape.clips or form.affine.row:
+        return None
+    w, squares = form.norms[0] if form.norms else (Fraction(1), form.squares)
+    scales, first, second = set(), [], []
+    for weight, a in squares:
+        ends = sorted((value, i) for i, value in a.row.items())
+        if not isinstance(a.offset, Fraction) or a.offset or len(ends) != 2 or ends[0][0] != -ends[1][0]:
+            return None
+        scales.add(weight * ends[1][0] ** 2)
+        swap = bool(second) and _turned(first, second, ends)
+        first.append(ends[1 if swap else 0][1])
+        second.append(ends[0 if swap else 1][1])
+    if len(scales) != 1 or len({*first, *second}) != 2 * len(first):
+        return None
+    (scale,), power = scales, 1 if form.norms else 2
+    if scale <= 0:
+        return None
+    w = float(scale if power == 2 else w * Fraction(float(scale) ** 0.5))
+    offset = expression(form.affine.offset)
+    low, high = -over_time(c, offset).bound / w / UP, over_time(c, -offset).bound / w * UP
+    if not (low > 0 and np.isfinite(high)):
+        return None
+    low, high = (low, high) if power == 1 else (low**0.5 / UP, high**0.5 * UP)
+    return Pair(tuple(first), tuple(second), low, high, w / UP, power)
+
+
+def _turned(first: list[int], second: list[int], ends: list[tuple[Fraction, int]]) -> bool:
+    """Whether a difference is written the other way round: bodies have neighbouring states."""
+    (_, a), (_, b) = ends
+    return abs(a - first[-1]) + abs(b - second[-1]) > abs(b - first[-1]) + abs(a - second[-1])
+
+
+# -- planes ------------------------------------------------------------------------------------------------------------
+
+
+def _planes(constraints: Sequence[Constraint], rho: float) -> Proof | None:
+    """Fixed normals: gamma is the largest over the sets that can be within rho of active together.
+
+    By Caratheodory's theorem sets of at most n + 1 normals are enough. Whether a set can be active is decided exactly, with
+    every constraint loosened by 1e-9.
+    """
+    if any(c.shape.kind != "plane" for c in constraints):
+        return None
+    states = sorted({i for c in constraints for i in c.shape.own})
+    rows = [[c.shape.form.affine.row.get(i, Fraction(0)) for i in states] for c in constraints]
+    if not all(any(row) for row in rows):
+        return None
+    N = np.array([[float(x / size) for x in row] for row in rows for size in [max(abs(x) for x in row)]])
+    if len(constraints) > MOST_PLANES:
+        full = hull_bound(rows)
+        if not np.isfinite(full):
+            return None
+        return Proof(full, np.inf, "planes: even with all of them active the normals have this constant")
+    largest = min(len(constraints), len(states) + 1)
+    sets = [J for size in range(1, largest + 1) for J in combinations(range(len(constraints)), size)]
+    constants = {J: (hull_bound([rows[j] for j in J]) if len(J) > 1 else 1.0, mfcq_constant(N[list(J)])[1]) for J in sets}
+    impossible: list[set[int]] = []
+    offsets = _offsets(constraints)
+    for J in sorted(sets, key=lambda J: (-constants[J][0], len(J))):
+        if any(bad <= set(J) for bad in impossible):
+            continue
+        possible, at = (False, None) if _apart(constraints, J, rho) else _together(constraints, states, J, rho, offsets)
+        if possible:
+            gamma, weights = constants[J]
+            if np.isinf(gamma) and at is None:
+                return None
+            how = f"planes: the worst of the {len(sets)} sets that can be active together, each decided exactly"
+            return Proof(gamma, rho, how, J, tuple(float(u) for u in weights), at)
+        impossible.append(set(J))
+    return Proof(1.0, rho, "planes: no set of them can be active")
+
+
+def _apart(constraints: Sequence[Constraint], J: Sequence[int], rho: float) -> bool:
+    """Whether opposing planes are always further apart than rho allows: sum u_i g_i, u > 0, is a function of time alone."""
+    rows = [constraints[j].shape.form.affine.row for j in J]
+    states = sorted({i for row in rows for i in row})
+    A = exact.zeros(len(states), len(J))
+    for k, row in enumerate(rows):
+        for i, value in row.items():
+            A[states.index(i), k] = value
+    N = exact.nullspace(A)
+    if N.shape[1] != 1:
+        return False
+    u = N[:, 0] * (1 if N[0, 0] > 0 else -1)
+    if not all(weight > 0 for weight in u):
+        return False
+    total = Fraction(0)
+    for weight, j in zip(u, J, strict=True):
+        total = plus(total, times(weight, constraints[j].shape.form.affine.offset))
+    if isinstance(total, Fraction):
+        return total > Fraction(rho) * sum(u, Fraction(0))
+    least = -over_time(constraints[J[0]], -expression(total)).bound
+    return bool(least > rho * float(sum(u)) * (1 + 1e-12) and least > 0)
+
+
+def _offsets(constraints: Sequence[Constraint]) -> Offsets:
+    """Return offsets(a, b) -> lower and upper ends (p,) of the planes' offsets over a <= t <= b."""
+    code = program(column(expression(c.shape.form.affine.offset) for c in constraints), constraints[0].t)
+
+    def offsets(a: float, b: float) -> tuple[np.ndarray, np.ndarray]:
+        low, high = interval.natural(code, np.array([[a]]), np.array([[b]]))
+        return low[:, 0], high[:, 0]
+
+    return offsets
+
+
+def _together(
+    constraints: Sequence[Constraint], states: Sequence[int], J: Sequence[int], rho: float, offsets: Offsets
+) -> tuple[bool, np.ndarray | None]:
+    """Whether {all g_i >= 0, g_j <= rho for j in J} may be met, and a point (t, q) near to which it is, where that was settled.
+
+    The interval of time is halved where a part cannot be excluded, until one is as short as ``SHORT``.
+    """
+    t0, t1 = float(constraints[0].lower[0]), float(constraints[0].upper[0])
+    if not any(c.shape.time for c in constraints) or t1 <= t0:
+        at = _feasible(constraints, states, J, rho, t0, t0, offsets)
+        return at is not None, at
+    cuts = np.linspace(t0, t1, SLICES + 1)
+    parts = [(float(a), float(b)) for a, b in pairwise(cuts)][::-1]
+    for _ in range(MOST_SLICES):
+        if not parts:
+            return False, None
+        a, b = parts.pop()
+        at = _feasible(constraints, states, J, rho, a, b, offsets)
+        if at is not None and b - a <= SHORT * (t1 - t0):
+            return True, at
+        if at is not None:
+            parts += [((a + b) / 2, b), (a, (a + b) / 2)]
+    return bool(parts), None
+
+
+def _feasible(
+    constraints: Sequence[Constraint], states: Sequence[int], J: Sequence[int], rho: float, a: float, b: float, offsets: Offsets
+) -> np.ndarray | None:
+    """A point of the set, loosened by 1e-9 and by what the offsets change over a <= t <= b; None where it is empty (exact)."""
+    low, high = offsets(a, b)
+    if not (np.isfinite(low).all() and np.isfinite(high).all()):
+        return np.append((a + b) / 2, np.zeros(len(states)))
+    place, n, p = {i: k for k, i in enumerate(states)}, len(states), len(constraints)
+    loose = 1e-9 * (max(rho, float(np.abs(np.concatenate([low, high])).max())) or 1.0)
+    # Columns: q, the homogenising h > 0, a slack > 0 for each row.
+    A = exact.zeros(p + len(J), n + 1 + p + len(J))
+    for row, (i, sign) in enumerate([*((i, 1) for i in range(p)), *((j, -1) for j in J)]):
+        for state, value in constraints[i].shape.form.affine.row.items():
+            A[row, place[state]] = sign * value
+        A[row, n] = Fraction(float(high[i] + loose if sign > 0 else rho - low[i] + loose))
+        A[row, n + 1 + row] = Fraction(-1)
+    answer = decide(System(A, tuple(range(n, A.shape[1]))))
+    if answer.separator is not None:
+        return None
+    q = np.zeros(n) if answer.point is None else np.array([float(x / answer.point[n]) for x in answer.point[:n]])
+    return np.append((a + b) / 2, q)

@@ -1,0 +1,265 @@
+"""What a constraint g(t, q) is made of, read off its graph: planes, quadratics, distances.
+
+Every node of the graph becomes a `Form`. A clipped part tau is found to minimise the
+distance that it occurs in: g is then a minimum over tau of a jointly convex function, hence convex.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.classes.sweeping.hypotheses.forms import (
+    Affine,
+    Clip,
+    Form,
+    Shape,
+    Squares,
+    affines,
+    combined,
+    is_zero,
+    scaled,
+    sums_of_convex,
+)  # fmt: skip
+from nsmodel.proof.graph import applied, fold
+
+TOLERANCE = Fraction(1, 2**46)  # 64 eps: what the user's own constants (1/|e|^2, say) are rounded to.
+_ZERO, _ONE = Fraction(0), Fraction(1)
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One node: its form (None where it has none), and what is known of it for all q and t.
+
+    ``moves``: it depends on q; ``time``: it depends on t; ``value`` is the expression itself where it does not depend on q.
+    """
+
+    form: Form | None
+    convex: bool
+    concave: bool
+    nonnegative: bool
+    own: frozenset[int] = frozenset()
+    time: bool = False
+    value: ca.SX | None = None
+
+    @property
+    def affine(self) -> Affine | None:
+        """The affine function that the node is, tau included; None where it is not one."""
+        return self.form.affine if self.form is not None and not self.form.squares and not self.form.norms else None
+
+    @property
+    def number(self) -> Fraction | None:
+        """The number that the node is."""
+        a = self.affine
+        return a.offset if a is not None and not a.row and isinstance(a.offset, Fraction) else None
+
+
+def read_shapes(g: ca.SX, q: ca.SX) -> list[Shape]:
+    """Return the shape of each entry of ``g`` (p, 1) in the states q, for all values of its other symbols (time, parameters)."""
+    reader = _Reader(q)
+    return [reader.shape(part) for part in reader.parts(g)]
+
+
+_NOTHING = Part(None, False, False, False)
+
+
+class _Reader:
+    """Runs through the instructions of a constraint's graph once, with :class:`Part` in place of numbers."""
+
+    def __init__(self, q: ca.SX) -> None:
+        self.place = {symbol.element_hash(): i for i, symbol in enumerate(ca.vertsplit(q))}
+        self.clips: dict[int, Clip] = {}
+        self.rounded: set[int] = set()
+        self.unary = {
+            ca.OP_ASSIGN: lambda a: a,
+            ca.OP_NEG: lambda a: self._scale(a, Fraction(-1)),
+            ca.OP_TWICE: lambda a: self._scale(a, Fraction(2)),
+            ca.OP_SQ: lambda a: self._product(a, a),
+            ca.OP_SQRT: self._root,
+            ca.OP_FABS: self._absolute,
+            ca.OP_EXP: lambda a: Part(None, a.convex, False, True),
+        }
+        self.binary = {
+            ca.OP_ADD: lambda a, b: self._sum(a, b, _ONE),
+            ca.OP_SUB: lambda a, b: self._sum(a, b, -_ONE),
+            ca.OP_MUL: self._product,
+            ca.OP_DIV: lambda a, b: self._scale(a, 1 / b.number) if b.number else _NOTHING,
+            ca.OP_FMAX: lambda a, b: self._extreme(a, b, True),
+            ca.OP_FMIN: lambda a, b: self._extreme(a, b, False),
+            ca.OP_CONSTPOW: self._power,
+            ca.OP_POW: self._power,
+            ca.OP_HYPOT: lambda a, b: self._root(self._sum(self._product(a, a), self._product(b, b), _ONE)),
+        }
+
+    def parts(self, g: ca.SX) -> list[Part]:
+        """Return the part of each entry."""
+        return fold(g, self._symbol, _number, self._apply)
+
+    def shape(self, part: Part) -> Shape:
+        """Say what a constraint is."""
+        own, form = tuple(sorted(part.own)), part.form
+        if form is None:
+            return Shape("other", part.convex, own, part.time, None)
+        used = {i for a in affines(form) for i in a.row if i < 0}
+        clips = {i: self.clips[i] for i in used}
+        convex = part.convex or sums_of_convex(form)
+        if not form.norms and not used:
+            kind = "quadratic" if form.squares else "plane"
+            return Shape(kind, convex or kind == "plane", own, part.time, form)
+        if len(form.norms) == 1 and not form.squares and not form.affine.row and form.norms[0][0] > 0 and convex:
+            return Shape("distance", True, own, part.time, form, clips, not self.rounded.isdisjoint(used))
+        return Shape("other", convex, own, part.time, form, clips)
+
+    def _symbol(self, symbol: ca.SX) -> Part:
+        index = self.place.get(symbol.element_hash())
+        if index is None:
+            return _of_time(symbol, False)
+        return Part(Form((), Affine({index: _ONE}, _ZERO), ()), True, True, False, frozenset([index]))
+
+    def _apply(self, op: int, parts: list[Part]) -> Part:
+        own, time = frozenset().union(*(part.own for part in parts)), any(part.time for part in parts)
+        if not own and op != ca.OP_CALL and all(part.value is not None for part in parts):
+            value = applied(op, [part.value for part in parts])
+            nonnegative = op in (ca.OP_SQ, ca.OP_FABS, ca.OP_EXP, ca.OP_SQRT) or (
+                op in (ca.OP_ADD, ca.OP_MUL) and all(part.nonnegative for part in parts)
+            )
+            return _of_time(value, nonnegative) if time else _number(float(value))
+        rule = (self.unary if len(parts) == 1 else self.binary).get(op)
+        part = _NOTHING if rule is None else rule(*parts)
+        return Part(part.form, part.convex, part.concave, part.nonnegative, own, time)
+
+    def _scale(self, a: Part, c: Fraction) -> Part:
+        convex, concave = (a.convex, a.concave) if c >= 0 else (a.concave, a.convex)
+        return Part(None if a.form is None else scaled(a.form, c), convex, concave, a.nonnegative and c >= 0)
+
+    def _sum(self, a: Part, b: Part, sign: Fraction) -> Part:
+        b = self._scale(b, sign) if sign != 1 else b
+        form = None
+        if a.form is not None and b.form is not None:
+            form = Form(
+                a.form.squares + b.form.squares, combined(a.form.affine, _ONE, b.form.affine), a.form.norms + b.form.norms
+            )
+        return Part(form, a.convex and b.convex, a.concave and b.concave, a.nonnegative and b.nonnegative)
+
+    def _product(self, a: Part, b: Part) -> Part:
+        for x, y in ((a, b), (b, a)):
+            if x.number is not None:
+                return self._scale(y, x.number)
+        u, v = a.affine, b.affine
+        if a is b:
+            plain = u is not None and all(i >= 0 for i in u.row)
+            convex = plain or (a.convex and a.nonnegative)
+            if u is not None:
+                return Part(Form(((_ONE, u),), Affine({}, _ZERO), ()), convex, False, True)
+            inside = a.form.norms if a.form is not None and not a.form.squares and is_zero(a.form.affine) else ()
+            if len(inside) == 1:  # (w |u|)^2
+                (w, squares) = inside[0]
+                return Part(Form(tuple((w * w * c, item) for c, item in squares), Affine({}, _ZERO), ()), convex, False, True)
+            return Part(None, convex, False, True)
+        if u is not None and v is not None and a.own and b.own:
+            squares = ((Fraction(1, 4), combined(u, _ONE, v)), (Fraction(-1, 4), combined(u, -_ONE, v)))
+            return Part(Form(squares, Affine({}, _ZERO), ()), False, False, a.nonnegative and b.nonnegative)
+        for x, y in ((a, b), (b, a)):
+            if not x.own and x.nonnegative:
+                return Part(None, y.convex, y.concave, y.nonnegative)
+        return _NOTHING
+
+    def _root(self, a: Part) -> Part:
+        squares = _as_squares(a)
+        if squares is None:
+            return Part(None, False, a.concave and a.nonnegative, True)
+        clipped = {i for _, item in squares for i in item.row if i < 0}
+        convex = not clipped or self._is_projection(squares, clipped)
+        return Part(Form((), Affine({}, _ZERO), ((_ONE, squares),)), convex, False, True)
+
+    def _absolute(self, a: Part) -> Part:
+        if a.affine is None:
+            return Part(None, a.convex and a.nonnegative, False, True)
+        return self._root(self._product(a, a))
+
+    def _power(self, a: Part, b: Part) -> Part:
+        exponent = b.number
+        if exponent == 2:
+            return self._product(a, a)
+        if exponent == Fraction(1, 2):
+            return self._root(a)
+        if exponent is None:
+            return _NOTHING
+        return Part(None, a.convex and a.nonnegative and exponent >= 1, False, a.nonnegative)
+
+    def _extreme(self, a: Part, b: Part, largest: bool) -> Part:
+        convex, concave = (a.convex and b.convex and largest), (a.concave and b.concave and not largest)
+        nonnegative = (a.nonnegative or b.nonnegative) if largest else (a.nonnegative and b.nonnegative)
+        x, bound = (a, b.number) if b.number is not None else (b, a.number)
+        form = None
+        if bound is not None and x.affine is not None and isinstance(x.affine.offset, Fraction):
+            form = Form((), Affine({self._clip(x.affine, bound, largest): _ONE}, _ZERO), ())
+        return Part(form, convex, concave, nonnegative)
+
+    def _clip(self, a: Affine, bound: Fraction, largest: bool) -> int:
+        """Return the index of the clipped part; a bound on what is one already, from the other side, extends it."""
+        inner = self.clips.get(next(iter(a.row))) if len(a.row) == 1 and not a.offset else None
+        clip = Clip(a, bound if largest else None, None if largest else bound)
+        if inner is not None and next(iter(a.row.values())) == 1:
+            if largest and inner.low is None and inner.high is not None and bound <= inner.high:
+                clip = Clip(inner.a, bound, inner.high)
+            elif not largest and inner.high is None and inner.low is not None and bound >= inner.low:
+                clip = Clip(inner.a, inner.low, bound)
+        index = -1 - len(self.clips)
+        self.clips[index] = clip
+        return index
+
+    def _is_projection(self, squares: Squares, clipped: set[int]) -> bool:
+        """Whether each tau minimises |u(q, tau)|^2 over its interval, up to the rounding of the user's constants.
+
+        |u|^2 must have no mixed term of two tau's; then each is the clipped stationary point -<u(q, 0), b> / |b|^2, with b
+        the derivative of u by tau.
+        """
+        b = {i: [(w, a, a.row[i]) for w, a in squares if i in a.row] for i in clipped}
+        for i, terms in b.items():
+            if any(j != i and j in a.row for _, a, _ in terms for j in clipped):
+                return False
+            size = sum(w * c * c for w, _, c in terms)
+            best = Affine({}, _ZERO)
+            for w, a, c in terms:
+                free = Affine({j: value for j, value in a.row.items() if j != i}, a.offset)
+                best = combined(best, -w * c / size, free)
+            clip = self.clips[i].a
+            if any(j < 0 for j in clip.row) or not isinstance(best.offset, Fraction):
+                return False
+            reach = max((abs(value) for value in best.row.values()), default=_ZERO)
+            offset = max([abs(clip.offset), *(abs(w * c * a.offset / size) for w, a, c in terms)])  # pyright: ignore
+            rest = combined(clip, -_ONE, best)
+            if any(abs(value) > TOLERANCE * reach for value in rest.row.values()):
+                return False
+            if abs(rest.offset) > TOLERANCE * offset:  # pyright: ignore
+                return False
+            if rest.row or rest.offset:
+                self.rounded.add(i)
+        return True
+
+
+def _number(value: float) -> Part:
+    if not np.isfinite(value):
+        return Part(None, False, False, False, value=ca.SX(value))
+    return Part(Form((), Affine({}, Fraction(value)), ()), True, True, value >= 0, value=ca.SX(value))
+
+
+def _of_time(value: ca.SX, nonnegative: bool) -> Part:
+    return Part(Form((), Affine({}, value), ()), True, True, nonnegative, time=True, value=value)
+
+
+def _as_squares(part: Part) -> Squares | None:
+    """Read a part as a sum of squares with weights > 0; a number >= 0 beside them is the square of its root."""
+    form = part.form
+    if form is None or form.norms or form.affine.row or any(w < 0 for w, _ in form.squares):
+        return None
+    if is_zero(form.affine):
+        return form.squares
+    offset = form.affine.offset
+    if isinstance(offset, Fraction) and offset > 0:
+        return (*form.squares, (offset, Affine({}, _ONE)))
+    return None

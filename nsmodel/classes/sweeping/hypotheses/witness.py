@@ -1,0 +1,256 @@
+"""Witnesses that count: an admissible point where active constraints oppose each other, proved to exist.
+
+Where constraints move, touching with opposing normals is a system of as many equations as unknowns,
+
+    g_i(t, q) = 0 (i in J),     sum u_i grad g_i(t, q) = 0,     sum u_i = 1,
+
+in (t, q, u), and an interval Newton step proves a solution in a small box; the others are shown to be > 0 there. At rest it has
+one equation more than unknowns: then it is decided exactly, at points with rational coordinates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from fractions import Fraction
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.classes.sweeping.hypotheses.admissible import Scene
+from nsmodel.classes.sweeping.hypotheses.constraint import Constraint
+from nsmodel.classes.sweeping.hypotheses.start import direction_at, sign_at
+from nsmodel.proof import exact
+from nsmodel.proof.feasibility import System, decide
+from nsmodel.proof.interval import enclose
+from nsmodel.proof.krawczyk import zero_near
+
+WEIGHT = 1e-7  # A smaller weight is 0.
+DIGITS = (1, 10, 1000, 10**6)  # Denominators of rational points that are tried.
+INWARD = (1e-3, 1e-6, 1e-9)  # Parts of the box by which a point is moved off the constraints.
+
+
+class Opposed(NamedTuple):
+    """Constraints ``rows`` with weights u > 0, sum u_i grad g_i = 0, active near the point ``at`` (t, q) at an admissible one."""
+
+    rows: tuple[int, ...]
+    weights: tuple[float, ...]
+    at: np.ndarray
+    how: str
+
+
+def opposed(
+    constraints: Sequence[Constraint], scene: Scene, rows: Sequence[int], weights: Sequence[float], at: np.ndarray
+) -> Opposed | None:
+    """Return a proof that constraints oppose each other in contact near ``at`` (t, q), or None."""
+    used = [int(k) for k, u in zip(rows, weights, strict=True) if u > WEIGHT]
+    if len(used) < 2 or not np.isfinite(at).all():
+        return None
+    start = np.array([u for u in weights if u > WEIGHT])
+    return _exactly(constraints, scene, used, at) or _moving(constraints, scene, used, start / start.sum(), at)
+
+
+# -- at rest -----------------------------------------------------------------------------------------------------------
+
+
+def _exactly(constraints: Sequence[Constraint], scene: Scene, used: list[int], at: np.ndarray) -> Opposed | None:
+    for t, q in _rational_points(constraints, scene, used, at):
+        state = dict(zip(scene.columns, q, strict=True))
+        if any(sign_at(constraints[k], t, state) != 0 for k in used):
+            continue
+        weights = cancelling([direction_at(constraints[k], t, state) for k in used])
+        if weights is None:
+            continue
+        rest = [k for k in range(len(constraints)) if k not in used]
+        if all((sign := sign_at(constraints[k], t, state)) is not None and sign >= 0 for k in rest):
+            point = np.append(t, [float(x) for x in q])
+            return Opposed(tuple(used), weights, point, "decided exactly")
+    return None
+
+
+def cancelling(directions: Sequence[dict[int, Fraction] | None]) -> tuple[float, ...] | None:
+    """Weights u > 0, sum 1, with which unit normals of these directions cancel (exactly); None where there are none."""
+    known = [direction for direction in directions if direction is not None and any(direction.values())]
+    if len(known) < len(directions):
+        return None
+    states = sorted({i for direction in known for i in direction})
+    A = exact.zeros(len(states), len(known))
+    for k, direction in enumerate(known):
+        for i, value in direction.items():
+            A[states.index(i), k] = value
+    point = decide(System(A, tuple(range(len(known))))).point
+    if point is None:
+        return None
+    size = [sum(float(x) ** 2 for x in direction.values()) ** 0.5 for direction in known]
+    u = np.array([float(x) * s for x, s in zip(point, size, strict=True)])
+    return tuple(float(x) for x in u / u.sum())
+
+
+def _rational_points(
+    constraints: Sequence[Constraint], scene: Scene, used: list[int], at: np.ndarray
+) -> Iterator[tuple[float, list[Fraction]]]:
+    own = [constraints[k] for k in used]
+    moving = any(c.shape.time for c in constraints)
+    times = dict.fromkeys(float(t) for t in (at[0], scene.lower[0], scene.upper[0], round(at[0], 6)) if abs(t - at[0]) < 1e-6)
+    if all(c.shape.kind == "plane" for c in own):
+        point = _common_point(constraints, scene, used)
+        if point is not None:
+            yield float(at[0]), point
+    q = [Fraction(float(x)) for x in at[1:]]
+    for t in times if moving else (float(at[0]),):
+        yield t, q
+        yield from ((t, [x.limit_denominator(number) for x in q]) for number in DIGITS)
+        yield from ((t, [Fraction(round(float(x), digits)) for x in q]) for digits in (1, 2, 3, 6, 9))
+    touch = _touch(own, scene)
+    if touch is not None:
+        yield float(at[0]), touch
+
+
+def _touch(own: Sequence[Constraint], scene: Scene) -> list[Fraction] | None:
+    """Where two balls of fixed place and radius touch: on the line between their centres."""
+    balls = [ball for c in own if (ball := fixed_ball(c)) is not None]
+    if len(own) != 2 or len(balls) != 2 or tuple(sorted(balls[0][0])) != tuple(sorted(scene.columns)):
+        return None
+    (a, r), (b, s) = balls
+    if a.keys() != b.keys():
+        return None
+    return [a[i] + (b[i] - a[i]) * r / (r + s) for i in scene.columns]
+
+
+def fixed_ball(c: Constraint) -> tuple[dict[int, Fraction], Fraction] | None:
+    """(centre, radius) where {g >= 0} is the outside of a ball that does not move: w |a (q - centre)| - r."""
+    form = c.shape.form
+    if c.shape.kind != "distance" or c.shape.clips or form is None or not isinstance(form.affine.offset, Fraction):
+        return None
+    w, squares = form.norms[0]
+    centre: dict[int, Fraction] = {}
+    scales = set()
+    for v, a in squares:
+        if len(a.row) != 1 or not isinstance(a.offset, Fraction):
+            return None
+        ((i, x),) = a.row.items()
+        if i < 0 or i in centre:
+            return None
+        centre[i] = -a.offset / x
+        scales.add(v * x * x)
+    if len(scales) != 1 or len(centre) != len(c.shape.own):
+        return None
+    (square,) = scales
+    scale = Fraction(float(square) ** 0.5)
+    r = -form.affine.offset
+    return (centre, r / (w * scale)) if scale * scale == square and r > 0 else None
+
+
+def _common_point(constraints: Sequence[Constraint], scene: Scene, used: list[int]) -> list[Fraction] | None:
+    """A point on some fixed planes and on the admissible side of all others."""
+    if any(c.shape.kind != "plane" or c.shape.time for c in constraints):
+        return None
+    n, place = len(scene.columns), {j: k for k, j in enumerate(scene.columns)}
+    rest = [k for k in range(len(constraints)) if k not in used]
+    A = exact.zeros(len(constraints), n + 1 + len(rest))
+    for k, c in enumerate(constraints):
+        for i, value in c.shape.form.affine.row.items():  # pyright: ignore
+            A[k, place[i]] = value
+        A[k, n] = c.shape.form.affine.offset  # pyright: ignore
+        if k in rest:
+            A[k, n + 1 + rest.index(k)] = Fraction(-1)
+    point = decide(System(A, tuple(range(n, A.shape[1])))).point
+    return None if point is None else [x / point[n] for x in point[:n]]
+
+
+# -- in motion ---------------------------------------------------------------------------------------------------------
+
+
+def _moving(
+    constraints: Sequence[Constraint], scene: Scene, used: list[int], weights: np.ndarray, at: np.ndarray
+) -> Opposed | None:  # fmt: skip
+    g = scene.g[used]
+    if not scene.lower[0] < scene.upper[0] or not ca.depends_on(g, scene.t):
+        return None
+    own = [j for j in range(len(scene.columns)) if ca.depends_on(g, scene.q[j])]
+    rest = [j for j in range(len(scene.columns)) if j not in own]
+    g = ca.substitute(g, scene.q[rest], ca.DM(at[1:][rest])) if rest else g
+    slopes = ca.jacobian(g, scene.q[own])
+    u, fixed = ca.SX.sym("u", len(used)), None
+    if all(constraints[k].shape.kind == "plane" for k in used):
+        fixed = cancelling([dict(constraints[k].shape.form.affine.row) for k in used])  # pyright: ignore
+    widths = (scene.upper - scene.lower)[[0, *(1 + j for j in own)]]
+    size, z = np.where(widths > 0, widths, 1.0), ca.vertcat(scene.t, scene.q[own])
+    if fixed is not None:
+        F, start = g, at[[0, *(1 + j for j in own)]]
+    else:
+        lengths = np.linalg.norm(np.array(ca.Function("G", [z], [ca.densify(slopes)])(at[[0, *(1 + j for j in own)]])), axis=1)
+        if not (np.isfinite(lengths).all() and lengths.all()):
+            return None
+        total = sum((u[k] / lengths[k] * slopes[k, :] for k in range(len(used))), ca.SX(1, len(own)))
+        F, z = ca.vertcat(g, ca.vec(total), ca.sum1(u) - 1), ca.vertcat(z, u)
+        start, size = np.concatenate([at[[0, *(1 + j for j in own)]], weights]), np.concatenate([size, np.ones(len(used))])
+    zero = zero_near(F, z, start, size)
+    if zero is None:
+        return None
+    lower, upper = at.copy(), at.copy()
+    ends = [0, *(1 + j for j in own)]
+    lower[ends], upper[ends] = zero.lower[: len(ends)], zero.upper[: len(ends)]
+    if (lower < scene.lower).any() or (upper > scene.upper).any() or (fixed is None and not (zero.lower[len(ends) :] > 0).all()):
+        return None
+    if not _others_admit(scene, used, lower, upper) or not _sloping(scene, used, lower, upper):
+        return None
+    how = f"an interval Newton step proves such a point within {float((upper - lower).max()):.1g} of the one shown"
+    found = fixed if fixed is not None else tuple(float(x) for x in zero.middle[len(ends) :])
+    return Opposed(tuple(used), found, (lower + upper) / 2, how)
+
+
+def _others_admit(scene: Scene, used: Sequence[int], lower: np.ndarray, upper: np.ndarray) -> bool:
+    rest = [k for k in range(len(scene.rows)) if k not in used]
+    return not rest or bool((enclose(scene.g[rest], scene.z, lower, upper)[0] >= 0).all())
+
+
+def _sloping(scene: Scene, used: Sequence[int], lower: np.ndarray, upper: np.ndarray) -> bool:
+    """Whether no gradient of these vanishes in a box."""
+    lengths = ca.vertcat(*(ca.sumsqr(ca.jacobian(scene.g[k], scene.q)) for k in used))
+    return bool((enclose(lengths, scene.z, lower, upper)[0] > 0).all())
+
+
+# -- how large gamma is at a point ---------------------------------------------------------------------------------------
+
+
+def attained(scene: Scene, rows: Sequence[int], weights: Sequence[float], at: np.ndarray, rho: float) -> float:
+    """Return a proved lower bound of gamma(rho) from constraints with weights near a point (t, q); 1 where there is none.
+
+    For rho > 0 the point is moved off the constraints, to where all are > 0 and these still within rho; for rho = 0 a box in
+    which it is exactly on them is shown to exist.
+    """
+    used = [int(k) for k, u in zip(rows, weights, strict=True) if u > WEIGHT]
+    if len(used) < 2 or not np.isfinite(at).all():
+        return 1.0
+    u = np.array([x for x in weights if x > WEIGHT])
+    hull = ca.SX(1, len(scene.columns))
+    for k, weight in zip(used, u / u.sum(), strict=True):
+        slope = ca.jacobian(scene.g[k], scene.q)
+        hull += float(weight) * slope / ca.norm_2(slope)
+    total = ca.sumsqr(hull)
+    for lower, upper in _places(scene, used, hull, at, rho):
+        inside = (lower >= scene.lower).all() and (upper <= scene.upper).all()
+        if inside and _others_admit(scene, used, lower, upper):
+            high = float(enclose(total, scene.z, lower, upper)[1].item())
+            if 0 < high < 1:
+                return float(1 / np.sqrt(high)) * (1 - 1e-14)
+    return 1.0
+
+
+def _places(scene: Scene, used: list[int], hull: ca.SX, at: np.ndarray, rho: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    if rho > 0:
+        away = np.array(ca.Function("hull", [scene.z], [ca.densify(hull)])(at)).ravel()
+        size = np.linalg.norm(away)
+        for part in INWARD if np.isfinite(size) and size > 0 else ():
+            point = at.copy()
+            point[1:] += part * min(rho, scene.size) * away / size
+            low, high = (end.ravel() for end in enclose(scene.g[used], scene.z, point, point))
+            if (low >= 0).all() and (high <= rho).all():
+                yield point, point
+        return
+    if len(used) <= len(scene.columns):
+        g = ca.substitute(scene.g[used], scene.t, float(at[0]))
+        zero = zero_near(g, scene.q, at[1:], np.where(scene.upper[1:] > scene.lower[1:], (scene.upper - scene.lower)[1:], 1.0))
+        if zero is not None:
+            yield np.append(at[0], zero.lower), np.append(at[0], zero.upper)

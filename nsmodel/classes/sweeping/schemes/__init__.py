@@ -1,0 +1,1 @@
+"""How a step of this class is written as a nonsmooth problem."""

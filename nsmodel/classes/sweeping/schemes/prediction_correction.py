@@ -1,0 +1,84 @@
+"""Prediction-correction for sweeping processes (Bernicot and Venel 2010, scheme (10)).
+
+    q_{k+1} = P_{Qt}(q_k + h f(t_k, q_k)),
+    Qt = {q : g_i(t_{k+1}, q_k) + <grad g_i(t_{k+1}, q_k), q - q_k> >= 0 for all i}
+
+The projection's optimality conditions are q_{k+1} = q_k + h f + sum m_i grad g_i, 0 <= m_i ⟂ linearised g_i >= 0; m_i / h is
+the reaction of constraint i. Each g_i(t, .) is convex, so g_i(t_{k+1}, q_{k+1}) >= 0 holds exactly.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.classes.sweeping.model import SweepingProcess
+from nsmodel.laws import complementarity
+from nsmodel.scheme.problem import OneStepProblem
+
+QUADRATURE_POINTS = 8
+
+
+def one_step_problem(model: SweepingProcess) -> OneStepProblem:
+    """Return the projection as a linear complementarity problem in (q_{k+1}, m)."""
+    t, h, q = model.t, ca.SX.sym("h"), model.q
+    m = ca.SX.sym("m", model.g.numel())
+    y = ca.SX.sym("y", m.numel())
+    q_next = ca.SX.sym("q_next", q.numel())
+    f = _mean(model.f, t, h) if model.mean_forcing else model.f
+    g = ca.substitute(model.g, t, t + h) if m.numel() else m
+    G = ca.jacobian(g, q)
+    return OneStepProblem(
+        scheme="prediction-correction" + (", mean of f (Remark 3.2)" if model.mean_forcing else " (10)"),
+        t=t, h=h, state=q, p=model.p,
+        z=q_next, l=m, y=y,
+        E=q_next - q - h * f - G.T @ m,
+        Y=g + G @ (q_next - q),
+        law=complementarity(m.numel()),
+        rows=model.multiplier_names,
+        guess=q,
+        next_state=q_next,
+        records={"gap": ca.substitute(g, q, q_next)} if m.numel() else {},
+        overreach=_overreach(g, G, q, q_next),
+    )  # fmt: skip
+
+
+def _overreach(g: ca.SX, G: ca.SX, q: ca.SX, q_next: ca.SX) -> ca.SX | None:
+    """(g_i(q') - g_i(q) - <grad g_i(q), q' - q>) / (|grad g_i(q)| |q' - q|), the coordinates those that g_i depends on.
+
+    Of a ball of radius r, slid along by s, it is about s / 2r: the tangent of half the angle by which the normal turns. Where it
+    is not small, Qt has nothing to do with the set that it stands for. It is 0 where g_i is below its linearisation: such a g_i
+    is not convex, the step overruns it, and the run says so.
+
+    What rests moves by rounding alone, and g_i(q') - g_i(q) is noise then. Of a convex g_i the difference is at most
+    <grad g_i(q') - grad g_i(q), q' - q>, in which nothing cancels: it is cut off there.
+    """
+    if not ca.depends_on(G, q):
+        return None
+    (true, turned), rows = ca.substitute([g, G], [q], [q_next]), []
+    for i in range(g.numel()):
+        own = sorted({j for j in G[i, :].sparsity().get_col()})
+        d = q_next[own] - q[own]
+        size = ca.sqrt(ca.sumsqr(G[i, own]) * ca.sumsqr(d))
+        off = ca.fmin(true[i] - g[i] - G[i, own] @ d, (turned[i, own] - G[i, own]) @ d)
+        rows.append(ca.if_else(off > 0, off / size, 0))
+    return ca.vertcat(*rows)
+
+
+def _mean(f: ca.SX, t: ca.SX, h: ca.SX) -> ca.SX:
+    """(1/h) int_{t_k}^{t_{k+1}} f(s, q_k) ds (Remark 3.2) by Gauss-Legendre quadrature."""
+    nodes, weights = np.polynomial.legendre.leggauss(QUADRATURE_POINTS)
+    terms = [w / 2 * ca.substitute(f, t, t + h * (1 + x) / 2) for x, w in zip(nodes, weights, strict=True)]
+    return sum(terms[1:], terms[0])
+
+
+def initial_rows(model: SweepingProcess, h: float) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
+    """q_0 and its gaps g(0, q_0)."""
+    q0 = np.array(ca.DM(model.q0)).ravel()
+    gap = ca.Function("gap", [model.t, model.q], [ca.densify(model.g)])
+    return [(q0, {"gap": np.array(gap(0, q0)).ravel()} if model.g.numel() else {})]
+
+
+def derived_columns(model: SweepingProcess, arrays: dict[str, np.ndarray], h_next: np.ndarray) -> dict[str, np.ndarray]:
+    """The reactions m_i / h."""
+    return {"reactions": arrays["multipliers"] / arrays["step"][:, None]}
