@@ -5,19 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
-from importlib import import_module
-from importlib.util import find_spec
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.classes.bodies.model import ManyBodies
-from nsmodel.classes.first_order.model import FirstOrderSystem
 from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.classes.lure.model import LureSystem
-from nsmodel.classes.oscillator.model import FrictionOscillator
-from nsmodel.classes.sweeping.model import SweepingProcess
+from nsmodel.classes.registry import class_of
 from nsmodel.errors import ModelError, StepError, UsageError
 from nsmodel.hypotheses import impacts, uniform
 from nsmodel.hypotheses.along import along
@@ -34,14 +30,6 @@ from nsmodel.simulate import simulate
 from nsmodel.solve.structure import read
 from nsmodel.trajectory import Trajectory
 
-CLASSES: Mapping[type[Model], str] = {
-    SweepingProcess: "sweeping",
-    FrictionOscillator: "oscillator",
-    FirstOrderSystem: "first_order",
-    LureSystem: "lure",
-    MonotoneInclusion: "inclusion",
-    ManyBodies: "bodies",
-}
 ROUND_OFF = 1e-11  # Differences of runs below this part of the state are not told from rounding.
 FEW_STEPS = 4000  # Steps looked at where each needs Newton's method.
 BODY_STEPS = 100_000, 20_000  # Bodies times steps of a run that is made; up to the second, also with the steps 2h and 4h.
@@ -56,7 +44,7 @@ def hypotheses_of(kind: type[Model]) -> tuple[Hypothesis, ...]:
 
 
 def _checker(kind: type[Model]) -> Any:
-    return import_module(f"nsmodel.classes.{CLASSES[kind]}.hypotheses.check")
+    return class_of(kind).part("hypotheses.check")
 
 
 def check(
@@ -156,8 +144,7 @@ def _for_all(
 
 def _proofs_for_all(kind: type[Model]) -> Any:
     """The module of a class that proves its hypotheses for all values of parameters in a box; None where there is none."""
-    name = f"nsmodel.classes.{CLASSES[kind]}.hypotheses.for_all"
-    return import_module(name) if find_spec(name) else None
+    return class_of(kind).optional("hypotheses.for_all")
 
 
 def _quickly(model: Model, box: Region, runs: Sequence[Trajectory]) -> tuple[list[Finding], list[Consequence]]:

@@ -13,8 +13,8 @@ import pytest
 
 import nsmodel
 from nsmodel import FrictionOscillator, ManyBodies, SweepingProcess, simulate
+from nsmodel.classes.registry import CLASSES
 from nsmodel.model.base import Model
-from nsmodel.scheme import SCHEMES
 
 LONGEST = 12_000  # Steps that the test of every case file takes at most.
 
@@ -23,8 +23,8 @@ LONGEST = 12_000  # Steps that the test of every case file takes at most.
 
 def test_every_class_has_a_scheme_and_a_case(cases_of):
     public = {kind for kind in vars(nsmodel).values() if isinstance(kind, type) and issubclass(kind, Model)}
-    assert public == set(SCHEMES)
-    assert [kind.__name__ for kind in SCHEMES if not cases_of(kind)] == []
+    assert public == {kind.type for kind in CLASSES}
+    assert [kind.model for kind in CLASSES if not cases_of(kind.type)] == []
 
 
 def test_case_file_is_described_runs_and_is_verified(case_file, load_case, run_case):
@@ -63,7 +63,7 @@ EXACT = {
 
 
 def test_exact_solutions_of_the_case_files_are_the_closed_forms(cases_of):
-    models = {stem: model for kind in SCHEMES for stem, model in cases_of(kind).items() if model.exact is not None}
+    models = {stem: model for kind in CLASSES for stem, model in cases_of(kind.type).items() if model.exact is not None}
     assert set(models) == set(EXACT)
     for stem, model in models.items():
         t = np.linspace(0, model.t_end, 997)

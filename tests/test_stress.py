@@ -35,7 +35,8 @@ from nsmodel import (
 from nsmodel.cli import main
 from nsmodel.model.units import in_units
 from nsmodel.stress import LEFT_OUT, RIGHT, STOPPED, WRONG
-from nsmodel.stress.judge import acting, by_formulas, majorant
+from nsmodel.stress.judge import acting, by_formulas
+from nsmodel.stress.measures import majorant
 
 EPS = np.finfo(float).eps
 T, X, LAM, S = (ca.SX.sym(name) for name in ("t", "x", "l", "s"))
@@ -348,8 +349,9 @@ def test_the_command_line(tmp_path, capsys, monkeypatch):
     assert "56: 0 right, 0 stopped, 0 wrong, 56 left out" in capsys.readouterr().out
     assert main(["stress", str(file), "--vary", "gap"]) == 2
     assert "expected NAME=V1,V2" in capsys.readouterr().err
-    for name in ("EQUATION", "ROUNDING"):
-        monkeypatch.setattr(sys.modules["nsmodel.stress.judge"], name, 0.0)
+    for module in ("nsmodel.stress.measures", "nsmodel.classes.sweeping.judge"):
+        for name in ("EQUATION", "ROUNDING"):
+            monkeypatch.setattr(sys.modules[module], name, 0.0)
     assert main(["stress", str(file), "--json"]) == 1
     document = json.loads(capsys.readouterr().out)
     assert document["wrong"] > 0

@@ -25,7 +25,8 @@ from nsmodel.model.parameters import Values
 from nsmodel.model.units import in_units
 from nsmodel.run import progress_bar
 from nsmodel.simulate import simulate
-from nsmodel.stress.judge import ROUNDING, acting, by_formulas
+from nsmodel.stress.judge import acting, by_formulas
+from nsmodel.stress.measures import ROUNDING
 from nsmodel.stress.result import LEFT_OUT, RIGHT, STOPPED, WRONG, Cell, Stress
 from nsmodel.trajectory import Trajectory
 

@@ -79,3 +79,8 @@ def one_step_problem(model: MonotoneInclusion) -> OneStepProblem:
 def initial_rows(model: MonotoneInclusion, h: float) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
     """x_0."""
     return [(np.array(ca.DM(model.x0)).ravel(), {})]
+
+
+def kept_within(model: MonotoneInclusion) -> ca.SX:
+    """All that bounds C, boxes and the domain of phi included."""
+    return constraints(model)[0]

@@ -82,3 +82,8 @@ def initial_rows(model: SweepingProcess, h: float) -> list[tuple[np.ndarray, dic
 def derived_columns(model: SweepingProcess, arrays: dict[str, np.ndarray], h_next: np.ndarray) -> dict[str, np.ndarray]:
     """The reactions m_i / h."""
     return {"reactions": arrays["multipliers"] / arrays["step"][:, None]}
+
+
+def kept_within(model: SweepingProcess) -> ca.SX:
+    """G(t, q), as it is declared."""
+    return model.g

@@ -1,0 +1,21 @@
+"""The class in other units."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+from nsmodel.classes.lure.model import LureSystem
+from nsmodel.model.units import at, scaled_law
+
+
+def in_units(model: LureSystem, u: float, tau: float, common: dict[str, Any]) -> LureSystem:
+    """States u times and times tau times as large."""
+    t, x, y = (model.t, model.t / tau), (model.x, model.x / u), (model.y, None if model.y is None else model.y / u)
+    law = {"law": scaled_law(model.law, u)} if model.phi is None else {"y": model.y, "phi": u**2 * at(model.phi, y)}
+    n = model.x.numel()
+    return LureSystem(
+        x=model.x, x0=u * ca.DM(model.x0), A=ca.SX.zeros(n, n) if model.A.is_zero() else u / tau * at(model.A, x),
+        B=model.B / tau, C=model.C, D=model.D, f=u / tau * at(model.f, t), theta=model.theta, gamma=model.gamma, **law, **common,
+    )  # fmt: skip

@@ -1,0 +1,60 @@
+"""The inertial proximal scheme in NumPy: a step is a minimum."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.classes.oscillator.model import FrictionOscillator
+from nsmodel.stress.measures import EQUATION, PROBES, ROUNDING, Misfits, evaluated, known_to, majorant, worst_of
+from nsmodel.trajectory import Trajectory
+
+
+def misfits(model: FrictionOscillator, run: Trajectory) -> Misfits:
+    """v+ minimises J(v) = |v - w|^2/2 + h (Phi(v) + <v, M v>/2) + g(x + h v), M symmetric, w the last velocity.
+
+    Of a matrix M the skew part enters as the constant force M v+ that it is at the answer.
+    """
+    first = 1 if model.x1 is not None else 0
+    x, w, v, h = run.x[first:-1], run.v[first:-1], run.v[first + 1 :], run.step[first + 1 :]
+    if first and len(h):
+        w = np.concatenate([(run.x[1:2] - run.x[:1]) / h[0], run.v[2:-1]])
+    V = ca.SX.sym("V", x.shape[1])
+    phi = sum((ca.substitute(e.theta, model.s, ca.norm_2(e.H @ V)) for e in model.elements), ca.SX(0))
+    M = np.zeros((x.shape[1],) * 2) if model.damping is None else np.array(ca.DM(model.damping))
+    even, odd = (M + M.T) / 2, (M - M.T) / 2
+    c = ca.vertcat(ca.SX(0, 1), *model.constraints.values())
+
+    sizes = majorant(model.potential)
+
+    def terms(V_: np.ndarray) -> np.ndarray:
+        place = x + h[:, None] * V_
+        friction, g, rows = evaluated([V, model.x], [phi, model.potential, c], V_, place)
+        friction = np.where((V_ == 0).all(axis=1), 0.0, friction[:, 0, 0]) - at_rest
+        linear = h * (0.5 * np.einsum("ki,ij,kj->k", V_, even, V_) + np.einsum("ki,ij,kj->k", V_, odd, v))
+        seen = np.where((rows[:, :, 0] < 0).any(axis=1), np.inf, g[:, 0, 0])
+        return np.stack([0.5 * ((V_ - w) ** 2).sum(axis=1), h * friction, linear, seen])
+
+    at_rest = sum((float(ca.substitute(e.theta, model.s, 0)) for e in model.elements), 0.0)
+    J = terms(v)
+    J[3] = evaluated([model.x], [model.potential], x + h[:, None] * v)[0][:, 0, 0]  # constraints may be met up to rounding
+    speed = np.maximum(np.linalg.norm(v, axis=1), np.linalg.norm(w, axis=1))[:, None]
+    probes = [np.zeros_like(v), w, *(v + s * size * speed * e for e in np.eye(v.shape[1]) for size in PROBES for s in (1, -1))]
+    worst = 0.0
+    for probe in probes:
+        other = terms(probe)
+        # J is strongly convex: another velocity costs |probe - v|^2/2 more.
+        better = J.sum(axis=0) - other.sum(axis=0) + 0.5 * (1 - 1e-6) * ((probe - v) ** 2).sum(axis=1)
+        size = np.abs(J).sum(axis=0) + np.where(np.isfinite(other), np.abs(other), 0).sum(axis=0)
+        inside = known_to(*(evaluated([model.x], [sizes], x + h[:, None] * V_)[0] for V_ in (v, probe)))[:, 0]
+        worst = max(worst, worst_of(np.maximum(better, 0), ROUNDING * size + inside))
+    moved = np.abs(run.x[first + 1 :] - x - h[:, None] * v)
+    place = EQUATION * h[:, None] * np.abs(v) + ROUNDING * (np.abs(x) + np.abs(run.x[first + 1 :]))
+    return {"equation": worst_of(moved, place), "minimum": worst}
+
+
+def acting(model: FrictionOscillator, run: Trajectory) -> np.ndarray:
+    """|x+ - x| and h^2 |grad g|."""
+    h, moved = run.step[1:, None], np.abs(run.x[1:] - run.x[:-1])
+    (force,) = evaluated([model.x], [ca.gradient(model.potential, model.x)], run.x[1:])
+    return moved + h**2 * np.nan_to_num(np.abs(force[:, :, 0]), posinf=0.0)
