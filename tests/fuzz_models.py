@@ -37,6 +37,11 @@ FULL = 400  # Models of each class.
 COUNT = int(os.environ.get("NSMODEL_FUZZ", FULL))  # Those of this run; other tests of many random models take the same part.
 
 
+def share(number: int, least: int = 1) -> int:
+    """So many of the random models of another test are tried in this run."""
+    return max(least, number * COUNT // FULL)
+
+
 def repeatable(count: int) -> settings:
     """So many examples, the same ones every time."""
     return settings(max_examples=count, derandomize=True, deadline=None, database=None, suppress_health_check=list(HealthCheck))

@@ -14,6 +14,7 @@ import mpmath
 import numpy as np
 import pytest
 from conftest import REPOSITORY
+from fuzz_models import share
 
 import nsmodel
 from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, MonotoneInclusion, SweepingProcess, ball, check, relay
@@ -87,7 +88,7 @@ def test_what_holds_in_a_case_is_verified(stem, certificates):
 
 def test_intervals_hold_the_true_values():
     mpmath.mp.prec, rng = 200, np.random.default_rng(0)
-    for _ in range(200):
+    for _ in range(share(200)):
         low = Fraction(rng.uniform(-8, 8))
         x = verify.Interval(low, low + Fraction(rng.uniform(0, 0.5)))
         for name, f in verify.FUNCTIONS.items():

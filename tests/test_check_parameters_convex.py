@@ -7,6 +7,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from fuzz_models import COUNT, FULL, share
 from test_check_inclusion import contradictions
 
 from nsmodel import FrictionOscillator, MonotoneInclusion, check, relay
@@ -253,7 +254,7 @@ def test_random_oscillators_are_judged_as_at_dense_values():
     """theta = a s + b s^2 + c s^3 is a law iff a, b, c >= 0; g = k x^2/2 + l x is convex and bounded iff k > 0 or k = l = 0."""
     rng, seen = np.random.default_rng(5), set()
     dense = np.linspace(-1, 2, 601)
-    for _ in range(30):
+    for _ in range(share(30, 10)):
         a, b, c, k = (rng.integers(0, 6) + rng.integers(-2, 3) * p + rng.integers(0, 2) * p**2 for _ in range(4))
         l = float(rng.integers(-2, 3))
         report = decided(oscillator(a * s + b * s**2 + c * s**3, k * x**2 / 2 + l * p * x), p=(-1, 2))
@@ -273,7 +274,7 @@ def test_random_oscillators_are_judged_as_at_dense_values():
             assert report["O-dry"].value[RADIUS] <= numbers[0].min()
         if report["O-g"].verdict == "holds" and LOWER in report["O-g"].value:
             assert report["O-g"].value[LOWER] <= np.min(-((l * dense) ** 2) / (2 * np.maximum(numbers[3], 1e-300))) + 1e-12
-    assert {(id, verdict) for id in ("O-theta", "O-dry", "O-g") for verdict in ("holds", "violated")} <= seen
+    assert COUNT < FULL or {(id, verdict) for id in ("O-theta", "O-dry", "O-g") for verdict in ("holds", "violated")} <= seen
 
 
 # -- inclusions --------------------------------------------------------------------------------------------------------
@@ -328,7 +329,7 @@ def brute(model, report, seed=0, **values):
 
 def test_random_inclusions_are_judged_as_at_dense_values():
     rng, seen, dense = np.random.default_rng(7), [], np.linspace(0, 1, 21)
-    for seed in range(30):
+    for seed in range(share(30, 9)):
         A, M = (rng.integers(-4, 5, (2, 2)) + p * rng.integers(-2, 3, (2, 2)) for _ in range(2))
         M = ca.SX(M) + 5 * ca.SX.eye(2)
         mu, r = rng.integers(0, 3) + rng.integers(-1, 2) * p, rng.integers(0, 3) + rng.integers(-1, 3) * p
@@ -351,7 +352,8 @@ def test_random_inclusions_are_judged_as_at_dense_values():
             assert top <= report["M-24"].value["L"] <= top + 1e-9
         if filled:
             brute(model, report, seed, p=dense)
-    assert {("M-T", "holds"), ("M-T", "violated"), ("M-C", "violated"), ("M-A3", "holds"), ("M-A3", "violated")} <= set(seen)
+    both = {("M-T", "holds"), ("M-T", "violated"), ("M-C", "violated"), ("M-A3", "holds"), ("M-A3", "violated")}
+    assert COUNT < FULL or both <= set(seen)
 
 
 OUTSIDE = {"z_0 + z_1 >= 1": z[0] + z[1] - 1, "a disc that moves": 1 - (z[0] - 2 - p) ** 2 - z[1] ** 2}

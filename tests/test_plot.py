@@ -268,10 +268,11 @@ def test_names_that_matplotlib_would_misread():
         ("equality", ["equality (y = 0)"]),
         ("ball", ["l inside the ball (y = 0)", "l on the sphere"]),
         ("cone", ["open (l = 0)", "l inside the cone (y = 0)", "l on the cone"]),
+        ("ellipsoid", ["l inside the ellipsoid (y = 0)", "l on the ellipsoid"]),
     ],
 )
 def test_the_strip_speaks_each_laws_words(kind, words):
-    assert set(strip.WORDS) == {"complementarity", "relay", "box", "equality", "ball", "cone"}
+    assert set(strip.WORDS) == {"complementarity", "relay", "box", "equality", "ball", "cone", "ellipsoid"}
     run = altered(oscillator(), law_kinds=[kind], model_class="LureSystem")
     assert legend(plot.index_strip(run)) == words
 
@@ -291,7 +292,7 @@ def test_friction_sticks_and_slips():
 
 def test_the_strip_knows_the_label_of_every_law():
     blocks = [*laws.equality(1).blocks, *laws.complementarity(1).blocks, *laws.relay(1).blocks, *laws.box(0, 1).blocks]
-    blocks += [*laws.ball(2).blocks, *laws.second_order_cone(2).blocks]
+    blocks += [*laws.ball(2).blocks, *laws.second_order_cone(2).blocks, *laws.ellipsoid([[2, 1], [1, 2]]).blocks]
     for block in blocks:
         plot.index_strip(altered(oscillator(), law_kinds=[block.label]))
 
