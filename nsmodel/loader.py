@@ -12,7 +12,7 @@ from typing import Any
 
 from nsmodel.errors import ModelError, NsmodelError, UsageError
 from nsmodel.model.base import Model
-from nsmodel.model.files import beside, executed, spec_of
+from nsmodel.model_files import beside, executed, spec_of
 
 
 def load(path: str | Path, **parameters: Any) -> Model:

@@ -36,9 +36,9 @@ from nsmodel import (
     relay,
     simulate,
 )
+from nsmodel.classes.units import in_units
 from nsmodel.codegen.rollout import Rollout
 from nsmodel.grid import make_grid
-from nsmodel.model.units import in_units
 from nsmodel.run import make_stepper
 from nsmodel.scheme import one_step_problem
 from nsmodel.simulate import prepare

@@ -134,28 +134,53 @@ def test_every_module_says_what_it_is_for_and_its_examples_run(name):
     assert failed == 0
 
 
+LAYERS = (  # What stands in a line may import, at its top, what stands in it and above.
+    "errors later version words",
+    "proof",
+    "model_files pickled",
+    "laws",
+    "model",
+    "classes classes.registry classes.model",
+    "scheme classes.schemes",
+    "loader storage contacts trajectory grid identity cache_folder lock",
+    "solve standstill record",
+    "codegen hypotheses classes.hypotheses",
+    "run bodies_run adaptive simulate",
+    "checking crowd",
+    "certificate study stress classes.units classes.judge plot",
+    "cli",
+)
+RANK = {part: rank for rank, line in enumerate(LAYERS) for part in line.split()}
+
+
+def rank_of(module):
+    """The line of LAYERS that a module stands in; None of the package itself. Of classes/NAME/PART the PART counts."""
+    names = module.split(".")[1:]
+    if not names:
+        return None
+    if names[0] != "classes":
+        return RANK[names[0]]
+    part = f"classes.{names[2]}" if len(names) > 2 else ".".join(names)
+    return RANK.get(part, RANK["classes"])
+
+
 @pytest.mark.parametrize("name", MODULES)
 def test_imports_run_downwards_only(name):
     """The model knows no scheme, the scheme no solver, the solver no time loop; matplotlib is for plots."""
-    above = {
-        "model": ("scheme", "solve", "check", "simulate", "plot", "cli", "loader"),
-        "scheme": ("solve", "check", "simulate", "plot", "cli", "loader"),
-        "solve": ("check", "simulate", "plot", "cli", "loader"),
-        "storage": ("model", "scheme", "solve", "check", "simulate", "plot", "cli", "loader", "trajectory"),
-        "simulate": ("plot", "cli", "loader"),
-    }
-    part = name.split(".")[1]
-    path = importlib.import_module(name).__file__
-    tree = ast.parse(Path(path).read_text())
-    guarded = {id(inner) for node in ast.walk(tree) if isinstance(node, ast.If) for inner in ast.walk(node)}
+    tree = ast.parse(Path(importlib.import_module(name).__file__).read_text())
     for node in ast.walk(tree):
-        names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-        names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-        for imported in names:
-            if part != "plot":
-                assert not imported.startswith("matplotlib"), imported
-            if imported.startswith("nsmodel.") and id(node) not in guarded:
-                assert imported.split(".")[1] not in above.get(part, ()), imported
+        imported = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+        imported += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        if any(module.startswith("matplotlib") for module in imported):
+            assert name.startswith("nsmodel.plot") or in_types(tree, node)
+    for node in tree.body:
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("nsmodel.") and name != "nsmodel":
+            assert rank_of(node.module) <= rank_of(name), node.module
+
+
+def in_types(tree, node):
+    """Whether an import is one for type checkers alone."""
+    return any(node in ast.walk(top) for top in tree.body if isinstance(top, ast.If))
 
 
 @pytest.mark.parametrize("path", CASES, ids=lambda path: path.stem)

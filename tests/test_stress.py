@@ -32,8 +32,8 @@ from nsmodel import (
     simulate,
     stress,
 )
+from nsmodel.classes.units import in_units
 from nsmodel.cli import main
-from nsmodel.model.units import in_units
 from nsmodel.stress import LEFT_OUT, RIGHT, STOPPED, WRONG
 from nsmodel.stress.judge import acting, by_formulas
 from nsmodel.stress.measures import majorant

@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from nsmodel.hypotheses.scope import Scope, meet
-from nsmodel.model.pickled import Pickled
+from nsmodel.pickled import Pickled
 from nsmodel.proof.verdict import HOLDS, SAMPLED, UNKNOWN, VERDICTS, VIOLATED
 
 STAYS = "as long as the solution and the scheme's iterates and predictors stay inside the box"

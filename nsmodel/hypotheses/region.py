@@ -14,7 +14,7 @@ from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.errors import UsageError
 from nsmodel.hypotheses.scope import Box, Scope
 from nsmodel.model.base import Model
-from nsmodel.model.pickled import Pickled
+from nsmodel.pickled import Pickled
 from nsmodel.trajectory import Trajectory
 
 GROWTH = 1.5  # The box is this much wider than the runs.

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from nsmodel.model.pickled import Pickled
+from nsmodel.pickled import Pickled
 
 Box = Mapping[str, tuple[float, float]]
 SHOWN = 6  # Intervals that are written out.

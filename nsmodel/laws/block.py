@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, Self
 import casadi as ca
 import numpy as np
 
-from nsmodel.model.pickled import Pickled
+from nsmodel.pickled import Pickled
 
 if TYPE_CHECKING:
     from nsmodel.laws.curved import Curved

@@ -8,7 +8,7 @@ import casadi as ca
 
 from nsmodel.errors import ModelError
 from nsmodel.laws.block import Block
-from nsmodel.model.pickled import Pickled
+from nsmodel.pickled import Pickled
 
 
 @dataclass(frozen=True, eq=False)

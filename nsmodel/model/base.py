@@ -15,7 +15,7 @@ import numpy as np
 from nsmodel.errors import ModelError, NsmodelError, UsageError
 from nsmodel.model.convert import Converter, Declared, declare
 from nsmodel.model.parameters import Values, declared, number, scalars
-from nsmodel.model.pickled import Pickled
+from nsmodel.pickled import Pickled
 from nsmodel.proof.graph import COMPARISONS, column
 from nsmodel.words import one_line
 

@@ -17,7 +17,7 @@ import numpy as np
 from nsmodel.errors import ModelError
 from nsmodel.model.convex_read import Bound, Node, Parts, read, rebuilt
 from nsmodel.model.expressions import evaluate, is_affine, is_concave, is_constant, points
-from nsmodel.model.pickled import Pickled
+from nsmodel.pickled import Pickled
 from nsmodel.proof.graph import column, constants, keys, same
 
 DOMAIN = ("indicator", "cone")  # Terms that bound the domain.

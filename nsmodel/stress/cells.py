@@ -15,6 +15,7 @@ from nsmodel.checking import check
 from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.classes.lure.model import LureSystem
+from nsmodel.classes.units import in_units
 from nsmodel.errors import NsmodelError, StepError, UsageError
 from nsmodel.grid import is_number, written
 from nsmodel.hypotheses.along import CONTINUOUS, QUALIFIED
@@ -22,7 +23,6 @@ from nsmodel.hypotheses.findings import ALONG_A_RUN, VIOLATED
 from nsmodel.hypotheses.quick import UNIQUENESS
 from nsmodel.model.base import Model, shown
 from nsmodel.model.parameters import Values
-from nsmodel.model.units import in_units
 from nsmodel.run import progress_bar
 from nsmodel.simulate import simulate
 from nsmodel.stress.judge import acting, by_formulas

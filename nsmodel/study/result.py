@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from nsmodel.errors import UsageError
-from nsmodel.model.pickled import Pickled
+from nsmodel.pickled import Pickled
 from nsmodel.storage import write_csv
 from nsmodel.study.lines import DONE, ERRORS, Cost, Line, Point, quickest
 from nsmodel.study.reference import Reference, Rows

@@ -16,7 +16,7 @@ from nsmodel.errors import ModelError
 from nsmodel.model.base import Model, shown
 from nsmodel.model.convert import to_sx
 from nsmodel.model.parameters import gathered
-from nsmodel.model.pickled import Pickled
+from nsmodel.pickled import Pickled
 from nsmodel.proof.graph import applied, fold, operations
 
 _POLYNOMIAL = {

@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 
 from nsmodel.classes.first_order.model import FirstOrderSystem
-from nsmodel.model.units import at, scaled_law
+from nsmodel.classes.units import at, scaled_law
 
 
 def in_units(model: FirstOrderSystem, u: float, tau: float, common: dict[str, Any]) -> FirstOrderSystem:

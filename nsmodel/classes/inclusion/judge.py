@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.inclusion.model import MonotoneInclusion
-from nsmodel.model.units import potential
+from nsmodel.classes.units import potential
 from nsmodel.stress.measures import (
     EQUATION,
     PROJECTION,

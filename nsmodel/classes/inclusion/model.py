@@ -15,7 +15,7 @@ from nsmodel.errors import ModelError
 from nsmodel.laws import Law
 from nsmodel.model.base import Model, shown
 from nsmodel.model.convex import ConvexSplit, split, split_discontinuities
-from nsmodel.model.pickled import Pickled
+from nsmodel.pickled import Pickled
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 
 from nsmodel.classes.inclusion.model import MonotoneInclusion
-from nsmodel.model.units import at, potential, scaled_tolerances
+from nsmodel.classes.units import at, potential, scaled_tolerances
 
 
 def in_units(model: MonotoneInclusion, u: float, tau: float, common: dict[str, Any]) -> MonotoneInclusion:

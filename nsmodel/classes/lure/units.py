@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 
 from nsmodel.classes.lure.model import LureSystem
-from nsmodel.model.units import at, scaled_law
+from nsmodel.classes.units import at, scaled_law
 
 
 def in_units(model: LureSystem, u: float, tau: float, common: dict[str, Any]) -> LureSystem:

@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 
 from nsmodel.classes.oscillator.model import FrictionOscillator
-from nsmodel.model.units import at
+from nsmodel.classes.units import at
 
 
 def in_units(model: FrictionOscillator, u: float, tau: float, common: dict[str, Any]) -> FrictionOscillator:

@@ -19,7 +19,7 @@ from typing import Any, Self
 import casadi as ca
 
 from nsmodel.errors import UsageError
-from nsmodel.model.files import PREFIX, defined_in
+from nsmodel.model_files import PREFIX, defined_in
 
 
 class Pickled:
