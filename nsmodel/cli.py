@@ -16,6 +16,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
+from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import CodegenError, ModelError, NsmodelError, StepError, StorageError, UsageError
 from nsmodel.hypotheses.findings import VIOLATED, Report
 from nsmodel.loader import load_with
@@ -32,6 +33,8 @@ from nsmodel.words import print_shown as print
 T = TypeVar("T")
 DONE, AT_FAULT, USAGE, FAILED_STEP, REFUSED = 0, 1, 2, 3, 4
 INTERRUPTED, TERMINATED = 128 + signal.SIGINT, 128 + signal.SIGTERM
+
+_ACCEPTED = f"largest accepted residual (default {TOLERANCE:g})".replace("e-0", "e-")
 
 
 class Terminated(KeyboardInterrupt):
@@ -142,7 +145,7 @@ def _parser() -> argparse.ArgumentParser:
         "--compiled", action="store_true",
         help="step in C, built once for this model (left out: only where the run is long enough to pay for it)",
     )  # fmt: skip
-    run.add_argument("--tolerance", type=float, default=1e-9, metavar="TOL", help="largest accepted residual (default 1e-9)")
+    run.add_argument("--tolerance", type=float, default=TOLERANCE, metavar="TOL", help=_ACCEPTED)
     run.add_argument("--save-every", type=int, default=1, metavar="N", help="keep every N-th row")
     run.add_argument("--resume", action="store_true", help="continue the run found in --out")
     run.add_argument("--out", metavar="DIR", help="folder for trajectory.npz, summary.json and pictures")
@@ -211,7 +214,7 @@ def _parser() -> argparse.ArgumentParser:
     writer.add_argument("--name", metavar="NAME", help="prefix of all names in C (default: the file's name)")
     writer.add_argument("--step", type=float, metavar="H", help="time step of the code (default: the model's)")
     writer.add_argument("--any-step", action="store_true", help="let a linear scene take any step, not this one alone")
-    writer.add_argument("--tolerance", type=float, default=1e-9, metavar="TOL", help="largest accepted residual (default 1e-9)")
+    writer.add_argument("--tolerance", type=float, default=TOLERANCE, metavar="TOL", help=_ACCEPTED)
     writer.add_argument("--max-work", type=int, metavar="N", help="most linear systems, index sets and sweeps in a step")
     _add_set(writer)
     writer.set_defaults(command=_codegen)

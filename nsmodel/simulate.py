@@ -10,6 +10,7 @@ from typing import Any
 from nsmodel import lock
 from nsmodel.adaptive import AdaptiveRun
 from nsmodel.classes.bodies.model import ManyBodies
+from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import UsageError
 from nsmodel.grid import is_number, make_grid, written
 from nsmodel.model.base import Model, shown
@@ -26,7 +27,7 @@ def simulate(
     t_end: float | None = None,
     parameters: Values | None = None,
     solver: str = "auto",
-    tolerance: float = 1e-9,
+    tolerance: float = TOLERANCE,
     save_every: int = 1,
     out: str | Path | None = None,
     resume: bool = False,
@@ -89,7 +90,7 @@ def explain(
     t_end: float | None = None,
     parameters: Values | None = None,
     solver: str = "auto",
-    tolerance: float = 1e-9,
+    tolerance: float = TOLERANCE,
     compiled: bool | str = "auto",
 ) -> str:
     """What a run with these arguments would use and what it leaves out, and why, as text."""
@@ -108,7 +109,7 @@ def _arranged(
     t_end: float | None = None,
     parameters: Values | None = None,
     solver: str = "auto",
-    tolerance: float = 1e-9,
+    tolerance: float = TOLERANCE,
     save_every: int = 1,
     out: Path | None = None,
     resume: bool = False,

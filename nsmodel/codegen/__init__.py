@@ -15,6 +15,7 @@ from nsmodel.codegen.files import all_files, description
 from nsmodel.codegen.library import Library, Solver, is_library, load
 from nsmodel.codegen.scene import make_scene
 from nsmodel.codegen.source import write_source
+from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import UsageError
 from nsmodel.grid import is_number, make_grid, written
 from nsmodel.identity import fingerprint
@@ -74,7 +75,7 @@ def write(
     step: float | None = None,
     any_step: bool = False,
     parameters: Values | None = None,
-    tolerance: float = 1e-9,
+    tolerance: float = TOLERANCE,
     max_work: int | None = None,
 ) -> Written:
     """Write a model's verified step as a C library into the folder ``out``.

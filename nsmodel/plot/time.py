@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import PlotError
 from nsmodel.plot import style
 from nsmodel.trajectory import multiplier_names, state_names
@@ -157,7 +158,7 @@ def residual(run: Trajectory, *, ax: Axes | None = None) -> Axes:
     ax = style.axes(ax)
     t, values, tolerance = run.t[1:], style.needed(run, "residual")[1:], run.metadata.get("tolerance")
     usual = np.isfinite(values) & (values > 0)
-    marks = np.append(values[usual], tolerance or 1e-9)
+    marks = np.append(values[usual], tolerance or TOLERANCE)
     low, high = min(marks.min(), 1e-15) / 30, marks.max() * 10
     handles = []
     for mask, shown, marker, colour, words in (

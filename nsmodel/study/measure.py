@@ -17,6 +17,7 @@ from nsmodel.checking import check
 from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.classes.first_order.model import FirstOrderSystem
 from nsmodel.classes.lure.model import LureSystem
+from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import NsmodelError, UsageError
 from nsmodel.grid import is_number, written
 from nsmodel.hypotheses.along import along
@@ -49,7 +50,7 @@ def study(
     t_end: float | None = None,
     parameters: Values | None = None,
     solvers: Sequence[str] | None = None,
-    tolerance: float = 1e-9,
+    tolerance: float = TOLERANCE,
     budget: float = BUDGET,
     progress: bool = False,
 ) -> Study:

@@ -1,0 +1,3 @@
+"""What is taken where the user says nothing."""
+
+TOLERANCE = 1e-9  # The largest residual of a step that is accepted.
