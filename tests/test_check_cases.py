@@ -9,7 +9,8 @@ import pytest
 from conftest import CASES, REPOSITORY
 
 import nsmodel
-from nsmodel.checking import CLASSES, hypotheses_of
+from nsmodel.checking import hypotheses_of
+from nsmodel.classes.registry import CLASSES
 from nsmodel.hypotheses import along
 from nsmodel.hypotheses.findings import VERDICTS
 
@@ -127,7 +128,7 @@ def test_consequences_rest_on_findings_of_the_report(case_file, report_of):
 def test_every_hypothesis_has_a_paragraph_in_the_docs_and_a_case():
     page = (REPOSITORY / "docs" / "hypotheses.md").read_text()
     headings = set(re.findall(r"^### (\S+)", page, flags=re.M))
-    hypotheses = list(dict.fromkeys(hypothesis for kind in CLASSES for hypothesis in hypotheses_of(kind)))
+    hypotheses = list(dict.fromkeys(hypothesis for kind in CLASSES for hypothesis in hypotheses_of(kind.type)))
     hypotheses += along.HYPOTHESES
     ids = [hypothesis.id for hypothesis in hypotheses]
     assert len(set(ids)) == len(ids)
