@@ -532,3 +532,11 @@ def test_bodies_are_written_out():
 
     found = answers(certificate_of(check(draw("bodies", 0), [])))
     assert {found[id] for id in ("S-convex", "A0", "A1", "A2", "A3", "A4", "S-start")} == {"yes"}
+
+
+@pytest.mark.parametrize("text", ["x", '{"a": 1}', "[]", '{"model": {}, "statements": [{}], "hash": ""}'])
+def test_what_is_no_certificate_is_said_to_be_none(tmp_path, text):
+    path = tmp_path / "other.json"
+    path.write_text(text)
+    assert verify.main(str(path)).startswith(f"{path} is no certificate")
+    assert verify.main(str(tmp_path / "none")).endswith(f"No such file or directory: '{tmp_path / 'none'}'")

@@ -14,8 +14,7 @@ HALF, BIG, INF, PI = Q("1/2"), Q(2) ** 1000, math.inf, Q("3.14159265358979323846
 class NotCheckable(Exception): """What this file does not know how to verify."""
 class Undefined(Exception): """An operation may be undefined, or jump, on an interval."""
 def need(true, text, error=AssertionError):
-    if not true:
-        raise error(text)
+    if not true: raise error(text)
 def numbers(item):
     """Fractions of text, in lists and dictionaries; infinities stay floats."""
     if isinstance(item, (dict, list)):
@@ -32,8 +31,7 @@ def psd(M, definite=False):
     S, left = plus(M, transpose(M)), list(range(len(M)))
     while left:
         k = max(left, key=lambda i: S[i][i])
-        if S[k][k] <= 0:
-            return not definite and all(S[i][j] == 0 for i in left for j in left)
+        if S[k][k] <= 0: return not definite and all(S[i][j] == 0 for i in left for j in left)
         left.remove(k)
         for i in left:
             factor = S[i][k] / S[k][k]
@@ -587,12 +585,14 @@ def verdict(model, s):
         return f"no: {reason or 'it is not well formed'}"
     return "yes"
 def main(path):
-    with open(path, encoding="utf-8") as file:
-        certificate = json.load(file)
-    same, statements = digest(certificate["model"]) == certificate["hash"], certificate["statements"]
-    answers = [verdict(certificate["model"], s) if same else "no: the data do not have this hash" for s in statements]
-    for s, answer in zip(statements, answers, strict=True):
-        print(f"{s['id']:<12} {answer}")
+    try:
+        with open(path, encoding="utf-8") as file: certificate = json.load(file)
+        model, statements, ids = certificate["model"], certificate["statements"], [s["id"] for s in certificate["statements"]]
+        same = digest(model) == certificate["hash"]
+    except (OSError, ValueError, LookupError, TypeError) as reason:
+        return f"{path} is no certificate: {type(reason).__name__}: {reason}"
+    answers = [verdict(model, s) if same else "no: the data do not have this hash" for s in statements]
+    print("\n".join(f"{id:<12} {answer}" for id, answer in zip(ids, answers, strict=True)))
     kinds = [answer.partition(":")[0] for answer in answers]
     print(", ".join(f"{kinds.count(kind)} {kind}" for kind in ("yes", "no", "not checkable")))
     return int("no" in kinds)
