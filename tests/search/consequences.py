@@ -23,7 +23,7 @@ from .trial import HOLDS, Array, Inclusion, Trial, Values, above, into, numbers,
 
 ROWS = 100  # of a run
 LONGER = 5  # beyond t_end, where the scope has no end
-NONE = "leave no point", "has no solution", "can keep", "is singular"  # A refusal that says these words claims a proof.
+NONE = "leave no point", "has no solution", "can keep"  # A refusal that says these words claims a proof.
 
 
 def try_consequences(trial: Trial) -> None:
