@@ -645,3 +645,14 @@ def test_potentials_that_need_squares_or_shares(g, least):
     found = check(made(potential=lambda x, s: g(x)))[0]["O-g"]
     assert (found.verdict, found.scope) == ("holds", None)
     assert found.value.get("inf g", found.value.get("least g met")) == pytest.approx(least, abs=1e-7)
+
+
+def test_a_witness_against_convexity_is_not_on_a_kink():
+    """|x| + x^4/4 - x^2/2: its second derivative is looked at beside 0, where there is one."""
+    x, s = ca.SX.sym("x"), ca.SX.sym("s")
+    model = FrictionOscillator(x=x, potential=ca.fabs(x) + x**4 / 4 - x**2 / 2, friction={"f": (np.eye(1), s)}, s=s, x0=[0.1],
+                               v0=[0], t_end=1, step=0.1)  # fmt: skip
+    finding = check(model)[0]["O-g"]
+    assert finding.verdict == "violated"
+    at = abs(finding.witness["x"][0])
+    assert 0 < at < 3**-0.5

@@ -20,6 +20,7 @@ from nsmodel.proof.verdict import HOLDS, SAMPLED, VIOLATED, Part
 
 ROUNDING = 64 * EPS  # A least eigenvalue above minus this, beside the matrix, is not told from 0.
 MOST_DIRECTIONS = 12
+NEAR = 1e-2, 1e-4, 1e-6  # How far from a kink a witness is taken, beside its place.
 LEAST, BOUND = "least eigenvalue of D2 g", "eigenvalues of D2 g are at least"
 
 
@@ -186,7 +187,7 @@ def _by_hessian(smooth: ca.SX, H: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np
         return Part(HOLDS, how, {BOUND: 0.0}, {})
     found = extremum.largest_eigenvalue(-H, C.x, *box, where=where, bound_to=0.0, quick=quick)
     value = {} if found.at is None else {LEAST: -found.value}
-    down = downwards(H, C.x, found.at)
+    down = downwards(gradient, H, C, found.at)
     if down:
         return Part(VIOLATED, "the Hessian has a negative eigenvalue", value, down)
     proved = found.bound <= 0 and interval.is_continuous(gradient, C.x, *box)
@@ -210,10 +211,25 @@ def _convex_in_directions(split: Ridges, x: ca.SX, box: tuple[np.ndarray, np.nda
     return bool(extremum.largest_eigenvalue(-H, split.s, *ends, bound_to=0.0, quick=quick).bound <= 0)
 
 
-def downwards(H: ca.SX, x: ca.SX, at: np.ndarray | None) -> dict[str, np.ndarray]:
-    """The point and a vector v with v'Hv < 0 there, rounding included; empty where there is none."""
+def downwards(gradient: ca.SX, H: ca.SX, C: ConvexSet, at: np.ndarray | None) -> dict[str, np.ndarray]:
+    """A point and a vector v with v'Hv < 0 there, rounding included; empty where there is none.
+
+    H is the Jacobian of ``gradient``, or its symmetric part. Where the gradient jumps, at a kink, a point beside it is taken, if
+    there is one in C around which it does not.
+    """
     if at is None:
         return {}
+    unit = (1 + np.abs(at)) * np.cos(1 + np.arange(len(at)))  # a direction along no axis
+    for place, near in [(at, NEAR[-1]), *((at + sign * near * unit, near) for near in NEAR for sign in (1, -1))]:
+        room = near / 8 * (1 + np.abs(place))
+        if (C.values(place[None]) >= 0).all() and interval.is_continuous(gradient, C.x, place - room, place + room):
+            found = _downwards(H, C.x, place)
+            if found:
+                return found
+    return _downwards(H, C.x, at)
+
+
+def _downwards(H: ca.SX, x: ca.SX, at: np.ndarray) -> dict[str, np.ndarray]:
     values = np.array(ca.Function("H", [x], [H])(at))
     if not np.isfinite(values).all():
         return {}
@@ -233,7 +249,7 @@ def _altogether(g: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray]) -> P
         kept = np.isfinite(values).all(axis=(1, 2))
         points, least = points[kept], np.linalg.eigvalsh(values[kept])[:, 0]
         seen = float(least.min(initial=np.inf))
-        down = downwards(H, C.x, points[int(np.argmin(least))]) if len(points) else {}
+        down = downwards(ca.gradient(g, C.x), H, C, points[int(np.argmin(least))]) if len(points) else {}
         if down:
             return Part(VIOLATED, "the Hessian has a negative eigenvalue", {LEAST: seen}, down)
     broken = _broken(g, C, box)

@@ -228,7 +228,7 @@ def _smooth_operator(S: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray],
         if sup.bound <= 0:
             value = {label: -sup.value if sup.at is not None else -sup.bound}
             return Part(HOLDS, "bounds of the eigenvalues of the symmetric Jacobian of S", value, {}, local)
-        down = potentials.downwards(ca.densify(symmetric), C.x, sup.at)
+        down = potentials.downwards(S, ca.densify(symmetric), C, sup.at)
         if down:
             how = "the symmetric Jacobian of S has a negative eigenvalue: S is not monotone"
             return Part(VIOLATED, how, {label: -sup.value}, down)
