@@ -14,6 +14,7 @@ from scipy.optimize import minimize
 from nsmodel import (
     LureSystem,
     ModelError,
+    MonotoneInclusion,
     ball,
     box,
     check,
@@ -24,6 +25,8 @@ from nsmodel import (
     second_order_cone,
     simulate,
 )
+from nsmodel.codegen import write
+from nsmodel.errors import CodegenError
 from nsmodel.hypotheses.report.typeset import equations
 from nsmodel.laws import KINDS, BallSet, ConeSet, EllipsoidSet, Law
 from nsmodel.plot.strip import index_strip
@@ -257,3 +260,12 @@ def test_a_product_with_complementarity_couples_through_D():
 def test_what_is_no_ellipsoid_is_refused(Q, why):
     with pytest.raises(ModelError, match=why):
         ellipsoid(Q)
+
+
+def test_a_parameter_that_is_the_radius_of_a_selection_is_refused_in_c(tmp_path):
+    """phi = mu |x|: its ball is written down as a number, so that setting mu later would change half of the model."""
+    x, mu = ca.SX.sym("x", 2), ca.SX.sym("mu")
+    model = MonotoneInclusion(x=x, field=1 - x, phi=mu * ca.norm_2(x), x0=[0, 0], t_end=1, step=0.1, parameters={mu: 0.5})
+    with pytest.raises(CodegenError, match="parameter 'mu' bounds the set or the operator"):
+        write(model, tmp_path)
+    write(model, tmp_path, parameters={"mu": 0.3})

@@ -111,7 +111,7 @@ def text(scene: Scene) -> str:
 def _model(scene: Scene) -> Any:
     """The model; refused where a parameter of the code moves what is written down as numbers."""
     model = scene.model
-    fixed = ca.vertcat(ca.SX(0, 1), model.lower, model.upper, _selection(scene).law.lower, _selection(scene).law.upper)
+    fixed = ca.vertcat(ca.SX(0, 1), model.lower, model.upper, _selection(scene).law.numbers)
     if model.p.numel() and fixed.numel() and ca.depends_on(fixed, model.p):
         held = {str(s) for s in ca.symvar(fixed)}
         name = next(name for name in model.parameters if name in held)

@@ -85,10 +85,8 @@ class Sizes(NamedTuple):
 def outputs_misfit(model: Any, run: Trajectory, output: ca.SX, l: ca.SX, law: Law, sizes: Sizes) -> Misfits:
     """-y ∈ N_K(l) with y computed afresh; y's scale is what moves it or acts on it in the step, and what is not known of it."""
     y, s_y = output_of(model, run, output, l, sizes)
-    given, at = run.multipliers[1:], 0
-    worst = 0.0
-    for block in law.blocks:
-        rows = slice(at, at := at + block.size)
+    given, worst = run.multipliers[1:], 0.0
+    for rows, block in law.parts():
         worst = max(worst, block_misfit(block, given[:, rows], y[:, rows], s_y[:, rows]))
     return {"law": worst}
 

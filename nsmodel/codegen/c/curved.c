@@ -27,8 +27,8 @@ static double natural_map(model_solver *s, const affine_problem *p, const double
     return norm(p->m, s->semismooth.F);
 }
 
-/* The largest part of semismooth.F beside what it consists of: |l|, c |W| |l|, and the radius of a bounded set, or c |b| for other rows, which
-   at a bound have F = 0. A row far from its bound, or a ball that slides fast, says nothing about the size of the others. */
+/* The largest part of semismooth.F beside what it consists of: |l|, c |W| |l|, and the radius of a bounded set, or c |b| for other
+   rows, which at a bound have F = 0. A row far from its bound, or a ball that slides fast, says nothing about the others. */
 static double relative_map(const model_solver *s, const affine_problem *p, const double *l)
 {
     double worst = 0;

@@ -364,11 +364,9 @@ def _multipliers(at: Linearised, form: _Form) -> tuple[np.ndarray, np.ndarray, n
 def _blocks(at: Linearised) -> list[list[int]]:
     """Rows that share a theta: each row of a box, the rows of another block."""
     out: list[list[int]] = []
-    place = 0
-    for block in at.model.law.blocks:
-        rows = list(range(place, place + block.size))
+    for place, block in at.model.law.parts():
+        rows = list(range(place.start, place.stop))
         out += [[i] for i in rows] if block.separable else [rows]
-        place += block.size
     return out
 
 
