@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from nsmodel.classes.bodies.model import ManyBodies
-from nsmodel.classes.bodies.schemes.many_bodies import BodiesProblem, Rows
+from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, Rows
 from nsmodel.contacts import NO_CONTACTS, Contacts, in_order
 from nsmodel.errors import StepError, UsageError
 from nsmodel.grid import Grid

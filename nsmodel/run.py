@@ -18,7 +18,6 @@ import casadi as ca
 import numpy as np
 
 from nsmodel import cache_folder
-from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.classes.oscillator.model import FrictionOscillator
 from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.errors import CodegenError, StepError, StorageError, UsageError
@@ -35,7 +34,7 @@ from nsmodel.solve.build import Stepper, start_state
 from nsmodel.solve.choose import Plan
 from nsmodel.solve.cost import Cost, building, interpreted
 from nsmodel.solve.projection import CatchingUp
-from nsmodel.solve.stepper import Warm
+from nsmodel.solve.stepper import Step, Warm
 from nsmodel.solve.structure import is_monotone
 from nsmodel.storage import ChunkStore, unfinished
 from nsmodel.trajectory import Trajectory
@@ -48,11 +47,11 @@ FEW_STEPS = 8  # Different step sizes up to which constant matrices are factored
 
 
 def make_stepper(
-    model: Model, problem: OneStepProblem, solver: str, tolerance: float, *, h: float, state: np.ndarray, few_steps: bool = True
-) -> Any:
-    """Return the stepper of a bound model."""
-    if isinstance(model, MonotoneInclusion):
-        return CatchingUp(model, problem, solver, tolerance, h=h, state=state)
+    problem: OneStepProblem, solver: str, tolerance: float, *, h: float, state: np.ndarray, few_steps: bool = True
+) -> Step:
+    """Return the stepper of a bound model's problem."""
+    if problem.prediction is not None:
+        return CatchingUp(problem, problem.prediction, solver, tolerance, h=h, state=state)
     return Stepper(problem, solver, tolerance, h=h, state=state, few_steps=few_steps)
 
 
@@ -361,7 +360,7 @@ class Run(Loop):
         known = initial_rows(model, grid.step(0))
         self.k, self.state = len(known) - 1, start_state(self.problem, known[-1][0], grid.step(0), tolerance)
         few = grid.steps is None or np.unique(grid.steps).size <= FEW_STEPS
-        self.stepper = make_stepper(model, self.problem, solver, tolerance, h=grid.step(0), state=self.state, few_steps=few)
+        self.stepper = make_stepper(self.problem, solver, tolerance, h=grid.step(0), state=self.state, few_steps=few)
         self.warm, self.last_index = self.stepper.cold(), None
         self.warnings = warnings_of(model, self.stepper.plan)
         self.watches = impacts.watched(model)

@@ -20,7 +20,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from nsmodel.classes.bodies.model import ManyBodies
-from nsmodel.classes.bodies.schemes.many_bodies import BodiesProblem, Rows
+from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, Rows
 from nsmodel.contacts import Contacts
 from nsmodel.solve.certificate import EPS
 from nsmodel.solve.many_bodies import BodiesWarm, Group

@@ -445,7 +445,7 @@ def test_a_step_size_that_comes_back_finds_its_own_matrices():
     grid = make_grid(model, None, [0.01, 0.3, 0.01, 0.01], None)
     problem = one_step_problem(model)
     state = np.array([1.0, 0.0])
-    step = make_stepper(model, problem, "auto", 1e-9, h=0.01, state=state)
+    step = make_stepper(problem, "auto", 1e-9, h=0.01, state=state)
     rollout, warm = Rollout(model, grid, 1e-9), step.cold()
     rows, index = np.empty((4, step.layout.width)), np.empty((4, 1), np.int8)
     first = rollout.advance(0, 2, state, warm, -np.inf, 1, rows, index)

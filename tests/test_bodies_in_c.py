@@ -15,7 +15,7 @@ from test_many_bodies import discs, misfit, scattered
 
 import nsmodel
 from nsmodel import Bodies, Family, Items, ManyBodies, codegen, neighbours
-from nsmodel.classes.bodies.schemes.many_bodies import BodiesProblem
+from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem
 from nsmodel.codegen.bodies_step import CompiledStep
 from nsmodel.codegen.library import compiler
 from nsmodel.codegen.statuses import NO_ROOM, STATUSES

@@ -8,8 +8,8 @@ from scipy.optimize import nnls
 
 import nsmodel
 from nsmodel import MonotoneInclusion, relay
-from nsmodel.classes.inclusion.hypotheses import check as inclusion
-from nsmodel.classes.inclusion.schemes.catching_up import constraints, selection
+from nsmodel.classes.inclusion.hypotheses import autonomous as inclusion
+from nsmodel.classes.inclusion.set_valued import constraints, selection
 from nsmodel.hypotheses.region import region_of
 from nsmodel.solve.certificate import numeric_law
 
@@ -42,8 +42,8 @@ class Sampler:
         chosen = selection(model)
         law = numeric_law(chosen.law)
         self.lower, self.upper, self.balls = law.lower.copy(), law.upper.copy(), law.curved
-        self.f = ca.Function("v", [chosen.x, chosen.l], [chosen.velocity])
-        self.u = ca.Function("u", [chosen.x], [chosen.u])
+        self.f = ca.Function("v", [model.x, chosen.l], [chosen.velocity])
+        self.u = ca.Function("u", [model.x], [chosen.u])
         self.m = chosen.l.numel()
         c, _ = constraints(model)
         self.c = ca.Function("c", [model.x], [ca.densify(c), ca.densify(ca.jacobian(c, model.x))])

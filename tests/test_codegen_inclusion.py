@@ -142,7 +142,7 @@ class Both:
         self.h = self.grid.h
         problem = one_step_problem(self.model)
         self.start = np.array(ca.DM(self.model.x0)).ravel()
-        self.python = CatchingUp(self.model, problem, "auto", TOLERANCE, h=self.h, state=self.start)
+        self.python = CatchingUp(problem, problem.prediction, "auto", TOLERANCE, h=self.h, state=self.start)
         self.layout, self.rows = self.python.layout, problem.l.numel()
         selection = self.layout.slices["selection"]
         self.in_c = compiled(folder, self.model, self.rows, selection.stop - selection.start)

@@ -13,7 +13,7 @@ from conftest import REPOSITORY
 from PIL import Image, ImageDraw
 
 from nsmodel import Bodies, Family, Items, ManyBodies, ModelError, StorageError, Trajectory, UsageError, simulate
-from nsmodel.classes.bodies.schemes.many_bodies import BodiesProblem
+from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem
 from nsmodel.cli import main
 from nsmodel.contacts import NO_CONTACTS, Contacts
 from nsmodel.crowd import Noise, People, Room, arrivals, box, crowd, desired_velocity, disc, measure, place

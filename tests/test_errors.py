@@ -207,8 +207,12 @@ SYMBOLS = [
     ),
     (first_order, {"f": [lam, 0]}, "f depends on 'l', but may depend only on t, x_0, x_1"),
     (first_order, {"M": [[x[0], 0], [0, 1]]}, "M depends on 'x_0', but may depend only on numbers"),
-    (inclusion, {"t": t, "field": [t, 0]}, "field depends on 't', but may depend only on x_0, x_1"),
-    (inclusion, {"lower": x}, "lower depends on 'x_0', but may depend only on numbers"),
+    (inclusion, {"t": t, "operator": None, "phi": t * x[0] ** 2}, "phi depends on 't', but may depend only on x_0, x_1"),
+    (inclusion, {"t": t, "x0": [t, 0]}, "x0 depends on 't', but may depend only on numbers"),
+    (inclusion, {"lower": x}, "lower depends on 'x_0', but may depend only on t"),
+    (inclusion, {"scheme": "explicit"}, "scheme = 'explicit'; MonotoneInclusion has 'catching-up', 'implicit'"),
+    (lure, {"scheme": "implicit"}, "scheme = 'implicit'; LureSystem has 'theta-gamma'"),
+    (inclusion, {"scheme": "implicit", "tolerances": 1e-3}, "tolerances are of the projections of catching-up, which scheme"),
     (inclusion, {"operator": relay(2, -k, 1)}, "operator: lower uses the symbol 'k', which is not declared"),
 ]
 
@@ -767,6 +771,10 @@ def test_a_model_that_keeps_to_its_hypotheses_has_no_warning(build):
             lambda: inclusion(field=1 / x),
             "step 0: field - operator is not finite at t = 0, x = [1. 0.]: a division by 0 or a root of a negative number?",
         ),
+        (
+            lambda: inclusion(t=t, field=[0, 0], lower=[t - 0.35, -2], upper=[0, 2], x0=[-0.1, 0]),
+            "step 3: C is empty at t = 0.4: lower[0] = 0.05 > upper[0] = 0",
+        ),
         (lambda: first_order(M=np.zeros((2, 2)), f=[0, 0]), "step 0: the step's matrix is singular at h = 0.1"),
     ],
 )
@@ -867,8 +875,8 @@ def test_the_recipe_of_the_message_is_the_oscillator():
 
 
 def test_an_inclusion_names_the_class_for_terms_of_time():
-    with pytest.raises(ModelError, match=r"field depends on 't', .*knows no explicit time. Take a LureSystem, where"):
-        inclusion(t=t, field=-x + t)
+    with pytest.raises(ModelError, match=r"phi depends on 't', .*Write phi as operator.* or take a LureSystem, where"):
+        inclusion(t=t, operator=None, phi=t * ca.sumsqr(x))
 
 
 # -- units -------------------------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from processes import kill_when_there, start
 import nsmodel
 from nsmodel import Bodies, Family, Items, ManyBodies, ModelError, StepError, StorageError, Trajectory, UsageError, neighbours
 from nsmodel.bodies_run import BodiesRun
-from nsmodel.classes.bodies.schemes.many_bodies import BodiesProblem
+from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem
 from nsmodel.contacts import Contacts
 from nsmodel.grid import make_grid
 from nsmodel.identity import fingerprint

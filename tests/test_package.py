@@ -141,7 +141,7 @@ LAYERS = (  # What stands in a line may import, at its top, what stands in it an
     "laws",
     "model",
     "classes classes.registry classes.model",
-    "scheme classes.schemes",
+    "scheme classes.schemes classes.set_valued",
     "loader storage contacts trajectory grid identity cache_folder lock",
     "solve standstill record",
     "codegen hypotheses classes.hypotheses",

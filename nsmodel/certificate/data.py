@@ -12,7 +12,7 @@ import numpy as np
 from nsmodel.certificate.graph import NoProgram, graph, matrix, text
 from nsmodel.classes.first_order.model import FirstOrderSystem
 from nsmodel.classes.inclusion.model import MonotoneInclusion
-from nsmodel.classes.inclusion.schemes.catching_up import constraints
+from nsmodel.classes.inclusion.set_valued import constraints
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.classes.oscillator.hypotheses.check import domain_of
 from nsmodel.classes.oscillator.model import FrictionOscillator

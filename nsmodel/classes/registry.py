@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
@@ -19,12 +18,10 @@ class ModelClass:
     Attributes:
         folder: where it lives, beside this file.
         model: the name of its class, in ``model.py``.
-        schemes: the modules of ``schemes/`` by name; the first is used where none is asked for.
     """
 
     folder: str
     model: str
-    schemes: Mapping[str, str]
 
     @property
     def type(self) -> Any:
@@ -39,18 +36,18 @@ class ModelClass:
         """A module that not every class has."""
         return self.part(name) if find_spec(f"nsmodel.classes.{self.folder}.{name}") else None
 
-    def scheme(self, name: str | None = None) -> ModuleType:
-        """The module of a scheme."""
-        return self.part(f"schemes.{self.schemes[name or next(iter(self.schemes))]}")
+    def scheme(self, name: str) -> ModuleType:
+        """The module of a scheme, one of the type's ``schemes``."""
+        return self.part(f"schemes.{name.replace(' ', '_').replace('-', '_')}")
 
 
 CLASSES = (
-    ModelClass("sweeping", "SweepingProcess", {"prediction-correction": "prediction_correction"}),
-    ModelClass("oscillator", "FrictionOscillator", {"inertial proximal": "inertial_proximal"}),
-    ModelClass("first_order", "FirstOrderSystem", {"theta-gamma": "theta_gamma"}),
-    ModelClass("lure", "LureSystem", {"theta-gamma": "implicit_euler"}),
-    ModelClass("inclusion", "MonotoneInclusion", {"catching-up": "catching_up"}),
-    ModelClass("bodies", "ManyBodies", {"prediction-correction": "many_bodies"}),
+    ModelClass("sweeping", "SweepingProcess"),
+    ModelClass("oscillator", "FrictionOscillator"),
+    ModelClass("first_order", "FirstOrderSystem"),
+    ModelClass("lure", "LureSystem"),
+    ModelClass("inclusion", "MonotoneInclusion"),
+    ModelClass("bodies", "ManyBodies"),
 )
 _BY_NAME = {kind.model: kind for kind in CLASSES}
 

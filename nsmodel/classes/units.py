@@ -21,7 +21,7 @@ def in_units(model: Model, u: float, tau: float) -> Model:
     pictures and the exact solution are left out. Rates become u/tau times, M stays; a potential of forces becomes
     (u/tau)^2 times, theta u^2/tau^3, a potential in l ∈ -dPhi(y) u^2, the phi of an inclusion u^2/tau.
     """
-    common = {"t": model.t, "names": model.names, "title": model.title, **_grid(model, tau)}
+    common = {"t": model.t, "names": model.names, "title": model.title, "scheme": model.scheme, **_grid(model, tau)}
     return class_of(model).part("units").in_units(model, u, tau, common)
 
 

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.bodies.model import Family, ManyBodies
-from nsmodel.classes.bodies.schemes.many_bodies import SCHEME, BodiesProblem, searched
+from nsmodel.classes.bodies.schemes.prediction_correction import SCHEME, BodiesProblem, searched
 from nsmodel.codegen import statuses
 from nsmodel.codegen.bounds import MOST_WORK
 from nsmodel.codegen.expression import c_function

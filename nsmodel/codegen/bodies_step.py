@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.bodies.model import ManyBodies
-from nsmodel.classes.bodies.schemes.many_bodies import BodiesProblem, searched
+from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, searched
 from nsmodel.codegen import cache
 from nsmodel.codegen.bodies import item_size, model_source, solver_source
 from nsmodel.codegen.bounds import MOST_WORK

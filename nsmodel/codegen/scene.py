@@ -8,7 +8,6 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.codegen import banded, fixed
 from nsmodel.errors import CodegenError
 from nsmodel.grid import Grid
@@ -114,7 +113,7 @@ class Scene:
         Raises:
             CodegenError: it is too large for what C has.
         """
-        if isinstance(self.model, MonotoneInclusion):
+        if self.problem.prediction is not None:
             return INCLUSION
         if self.band is not None:
             return BANDED
@@ -149,9 +148,10 @@ def make_scene(model: Model, parameters: Values | None, grid: Grid, any_step: bo
 
 def allowed_tolerances(model: Model, grid: Grid) -> tuple[float, ...]:
     """eps_k of each step, or one for all; nothing where projections are exact."""
-    if not isinstance(model, MonotoneInclusion) or model.tolerances is None:
+    prediction = one_step_problem(model).prediction
+    if prediction is None or prediction.tolerances is None:
         return ()
-    eps = tolerance_function(model)
-    count = (1 if grid.steps is None else grid.N) if callable(model.tolerances) else np.size(model.tolerances)
+    eps = tolerance_function(prediction.tolerances)
+    count = (1 if grid.steps is None else grid.N) if callable(prediction.tolerances) else np.size(prediction.tolerances)
     values = tuple(eps(k, grid.step(min(k, grid.N - 1))) for k in range(count))
     return values[:1] if len(set(values)) == 1 else values

@@ -9,9 +9,9 @@ import numpy as np
 
 from nsmodel.classes.bodies.hypotheses import along as bodies
 from nsmodel.classes.bodies.model import ManyBodies
-from nsmodel.classes.bodies.schemes.many_bodies import BodiesProblem
+from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem
+from nsmodel.classes.inclusion import set_valued
 from nsmodel.classes.inclusion.model import MonotoneInclusion
-from nsmodel.classes.inclusion.schemes import catching_up
 from nsmodel.classes.oscillator.model import FrictionOscillator
 from nsmodel.classes.oscillator.schemes.inertial_proximal import energy
 from nsmodel.classes.sweeping.hypotheses.geometry import mfcq_constant
@@ -84,9 +84,10 @@ def along(
         checked += _feasible(run, c, model.constraint_names, model.t, model.x)
         checked += _oscillator(model, run, numbers) if every_row else _rows_missing(ENERGY, DISSIPATED)
     elif isinstance(model, MonotoneInclusion):
-        checked += _feasible(run, *catching_up.constraints(model), model.t, model.x)
-        checked += _inclusion(model, run, numbers) if every_row else _rows_missing(BOUND, DEFECTS, CESARO)
-        if twin is not None:
+        checked += _feasible(run, *set_valued.constraints(model), model.t, model.x)
+        if model.scheme == "catching-up":
+            checked += _inclusion(model, run, numbers) if every_row else _rows_missing(BOUND, DEFECTS, CESARO)
+        if twin is not None and model.scheme == "catching-up":
             checked.append(_contraction(run, twin, numbers["M-24"]))
     return [*checked, *_continuous(model, run)]
 
@@ -241,27 +242,47 @@ def _friction_power(model: FrictionOscillator, v: np.ndarray) -> np.ndarray:
 
 
 def _inclusion(model: MonotoneInclusion, run: Trajectory, numbers: Mapping[str, Finding]) -> list[Finding]:
-    """Lemma 4.4, Lemma 6.1 and Corollary 6.4 step by step: with 0 in C, |P_C(y)| <= |y| and |x_{k+1} - P_C(y)|^2 <= eps_k."""
+    """Lemma 4.4, Lemma 6.1 and Corollary 6.4 step by step: with 0 in C, |P_C(y)| <= |y| and |x_{k+1} - P_C(y)|^2 <= eps_k.
+
+    Where C moves, at kappa at most (M-H), it moves away from a predictor by mu kappa more.
+    """
+    kappa = _speed_of_set(run, numbers["M-H"]) if model.moves else 0.0
+    if kappa is None:
+        return [found(which, UNKNOWN, "M-H gives no speed of C along the run") for which in (BOUND, DEFECTS, CESARO)]
+    of_defects, of_mean = (_of_moving(which) if kappa else which for which in (DEFECTS, CESARO))
     x, mu = run.x[:-1], run.step[1:]
     v, e = run.arrays["v"][1:], run.arrays["defect"][1:]
     eps, distance = (run.arrays[name][1:].ravel() for name in ("tolerance", "predictor_distance"))
-    speed = np.linalg.norm(v, axis=1)
+    speed = np.linalg.norm(v, axis=1) + kappa
     scale = SLACK * (1 + np.linalg.norm(run.x, axis=1)).max() ** 2
     mean = float(np.sum(mu * distance) / np.sum(mu))
     k = int(np.argmax(distance))
     over = distance - mu * speed
     cesaro = found(
-        CESARO, HOLDS if over.max() <= scale else VIOLATED, f"evaluated at {mu.size} steps",
+        of_mean, HOLDS if over.max() <= scale else VIOLATED, f"evaluated at {mu.size} steps",
         {"mean of d_C(y)": mean, "largest d_C(y)": distance[k]}, {"t": run.t[k + 1], "mu |v|": mu[k] * speed[k]},
     )  # fmt: skip
     squares = (e**2).sum(axis=1)
     over = squares - (mu * speed) ** 2 - eps
     k = int(np.argmax(over))
     defects = found(
-        DEFECTS, HOLDS if over[k] <= scale else VIOLATED, f"evaluated at {mu.size} steps",
+        of_defects, HOLDS if over[k] <= scale else VIOLATED, f"evaluated at {mu.size} steps",
         {"sum |e_k|^2": squares.sum(), "sum of the bounds": ((mu * speed) ** 2 + eps).sum()}, {"t": run.t[k + 1]},
     )  # fmt: skip
+    if kappa:
+        return [found(BOUND, UNKNOWN, "C moves: it may carry the state outwards"), defects, cesaro]
     return [_growth(model, run, numbers["M-A3"], x, mu, speed, eps, scale), defects, cesaro]
+
+
+def _of_moving(hypothesis: Hypothesis) -> Hypothesis:
+    return hypothesis._replace(statement=hypothesis.statement.replace("|v_k|", "(|v_k| + kappa)"))
+
+
+def _speed_of_set(run: Trajectory, moves: Finding) -> float | None:
+    """kappa of M-H, where it is known for all rows."""
+    box = np.array(list(moves.scope.states.values()) if moves.scope is not None else []).reshape(-1, 2)
+    inside = not len(box) or bool(((run.x >= box[:, 0]) & (run.x <= box[:, 1])).all())
+    return moves.value.get("kappa") if inside and moves.verdict == HOLDS else None
 
 
 def _growth(
@@ -281,7 +302,7 @@ def _growth(
     witness = {"t": run.t[k + 1], "|x|^2": square[k + 1], "bound": allowed[k]}
     if over[k] <= scale:
         return found(BOUND, HOLDS, f"evaluated at {mu.size} steps", values, witness)
-    c, _ = catching_up.constraints(model)
+    c, _ = set_valued.constraints(model)
     at_zero = np.array(ca.Function("c", [model.x], [ca.densify(c)])(np.zeros(model.x.numel()))) if c.numel() else np.zeros(1)
     if (at_zero < 0).any():
         return found(BOUND, UNKNOWN, "0 is not in C: the step may move outwards by O(mu^2) more than the bound", values, witness)

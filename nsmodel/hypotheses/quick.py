@@ -6,8 +6,8 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.bodies.model import ManyBodies
+from nsmodel.classes.inclusion import set_valued
 from nsmodel.classes.inclusion.model import MonotoneInclusion
-from nsmodel.classes.inclusion.schemes import catching_up
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.classes.oscillator.model import FrictionOscillator
 from nsmodel.classes.oscillator.schemes.inertial_proximal import slope_at_zero
@@ -32,7 +32,7 @@ def refuse_start(model: Model) -> None:
     if isinstance(model, SweepingProcess):
         _refuse(model.g, model.multiplier_names, model.t, model.q, model.q0, "q0")
     elif isinstance(model, MonotoneInclusion):
-        c, names = catching_up.constraints(model)
+        c, names = set_valued.constraints(model)
         _refuse(c, names, model.t, model.x, model.x0, "x0")
     elif isinstance(model, FrictionOscillator):
         domain = [row for rows in model.potential_split.domain for row in ca.vertsplit(rows)]
@@ -65,7 +65,7 @@ def _refuse_ends(model: Model) -> None:
         if why := block.refusal(given):
             raise UsageError(f"law: {why}")
     if isinstance(model, MonotoneInclusion):
-        low, high = (np.array(ca.DM(bound)).ravel() for bound in (model.lower, model.upper))
+        low, high = (np.array(ca.DM(ca.substitute(bound, model.t, 0))).ravel() for bound in (model.lower, model.upper))
         for i in np.flatnonzero(~(low < high)):
             raise UsageError(f"lower[{i}] = {low[i]:g}, upper[{i}] = {high[i]:g}{given}: C needs an interior, lower < upper")
 

@@ -56,7 +56,7 @@ def _pace(model: Model, region: Region, findings: Sequence[Finding], found: dict
     h = float(np.max(steps)) if steps is not None else 0.0
     if isinstance(model, SweepingProcess | ManyBodies):
         return _sweeping(model, region, findings, found["K_L"], h)
-    if isinstance(model, MonotoneInclusion) and (model.tolerances is None or not callable(model.tolerances)):
+    if isinstance(model, MonotoneInclusion) and not model.moves and (model.tolerances is None or not callable(model.tolerances)):
         if model.tolerances is not None and np.any(np.asarray(model.tolerances, float)):
             return None
         field = field_of(model, set_of(model))

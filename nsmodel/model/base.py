@@ -38,6 +38,7 @@ class Model(Pickled):
         t_end: end of the run, > 0 (it starts at 0).
         step: the time step h > 0, constant; or
         steps: the time steps h_0, h_1, ...: a sequence of numbers > 0 (then ``t_end`` is their sum).
+        scheme: the formula of a time step, one of the class's ``schemes``; the first where left out.
         parameters: {symbol or name: value}, a list or array for a vector or matrix of symbols; a value of None must be given
             when the model is run. After construction {name: value} of each scalar.
         vectors: after construction {name: names of its entries} of each vector and matrix among the parameters.
@@ -54,6 +55,7 @@ class Model(Pickled):
     t_end: float | None = None
     step: float | None = None
     steps: Sequence[float] | None = None
+    scheme: str = ""
     parameters: Values = field(default_factory=dict)
     names: Sequence[str] | None = None
     units: Mapping[str, str] = field(default_factory=dict)
@@ -61,16 +63,25 @@ class Model(Pickled):
     title: str = ""
 
     paper: ClassVar[str]
+    schemes: ClassVar[tuple[str, ...]]
     has: ClassVar[Mapping[str, str]] = {}  # What a run of the class has beside those of all classes: {name: in words}.
     of_time: ClassVar[str] = "move that term elsewhere"  # What to do with time where it may not stand.
 
     def __post_init__(self) -> None:
         """Check and convert what was given."""
+        self._set(scheme=self._scheme())
         self._declare()
         self._check_units()
 
     def _declare(self) -> None:
         raise NotImplementedError
+
+    def _scheme(self) -> str:
+        if not self.scheme:
+            return self.schemes[0]
+        if self.scheme not in self.schemes:
+            raise ModelError(f"scheme = {self.scheme!r}; {type(self).__name__} has {', '.join(map(repr, self.schemes))}")
+        return self.scheme
 
     def _set(self, **fields: Any) -> None:
         for name, value in fields.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import ModuleType
 from typing import Any
 
 import casadi as ca
@@ -13,28 +14,32 @@ from nsmodel.scheme.problem import OneStepProblem
 
 
 def one_step_problem(model: Model) -> OneStepProblem:
-    """Return the one-step problem of the paper's scheme for the model's class."""
-    return class_of(model).scheme().one_step_problem(model)
+    """Return the one-step problem of the model's scheme."""
+    return _scheme(model).one_step_problem(model)
 
 
 def initial_rows(model: Any, h: float) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
     """Return (state, records) of the rows that are known before the first step; h is the first step."""
-    return class_of(model).scheme().initial_rows(model, h)
+    return _scheme(model).initial_rows(model, h)
 
 
 def derived_columns(model: Any, arrays: dict[str, np.ndarray], h_next: np.ndarray) -> dict[str, np.ndarray]:
     """Return the columns that follow from others: reactions, energy. ``h_next`` is the step that starts at each row."""
-    derive = getattr(class_of(model).scheme(), "derived_columns", None)
+    derive = getattr(_scheme(model), "derived_columns", None)
     return {} if derive is None else derive(model, arrays, h_next)
 
 
 def constraints(model: Any) -> ca.SX:
     """Return what the state is kept within, as rows c(t, state) >= 0."""
-    kept = getattr(class_of(model).scheme(), "kept_within", None)
+    kept = getattr(_scheme(model), "kept_within", None)
     return ca.vertcat(ca.SX(0, 1), *getattr(model, "constraints", {}).values()) if kept is None else kept(model)
 
 
 def shortened(model: Any, state: np.ndarray, ratio: float) -> np.ndarray:
     """Return the state before a last step that is shorter than the others by ``ratio``."""
-    shorten = getattr(class_of(model).scheme(), "shortened", None)
+    shorten = getattr(_scheme(model), "shortened", None)
     return state if shorten is None else shorten(state, ratio)
+
+
+def _scheme(model: Any) -> ModuleType:
+    return class_of(model).scheme(model.scheme)

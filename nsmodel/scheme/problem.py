@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -40,6 +40,28 @@ class Order(NamedTuple):
 
 
 @dataclass(frozen=True)
+class Prediction:
+    """The explicit half of a step: y = x + h v, v = velocity(t, x, l), -u(t, x) ∈ N_K(l); y is then the problem's ``state``.
+
+    Attributes:
+        x: symbols of the model's state.
+        l, velocity, u, law: where u = 0 the element l of K is free.
+        c: rows c(t, x) >= 0 of the set that the state is in.
+        box: (lower, upper) of that set, expressions of t, where it is a box; else None.
+        tolerances: eps_k of projections that need not be exact: a number, one for each step, or a function of the step; or None.
+    """
+
+    x: ca.SX
+    l: ca.SX
+    velocity: ca.SX
+    u: ca.SX
+    law: Law
+    c: ca.SX
+    box: tuple[ca.SX, ca.SX] | None
+    tolerances: Any
+
+
+@dataclass(frozen=True)
 class OneStepProblem:
     """Find (z, l): E(z, l; k) = 0, y = Y(z, l; k), -y ∈ N_K(l), where k = (t, h, state, p).
 
@@ -59,6 +81,7 @@ class OneStepProblem:
         overreach: of each row, how far Y is below the constraint that it linearises at z, beside what it changes by; else None.
         start: problem that turns (x0, 0) into the first state, where the scheme needs a multiplier at t = 0.
         order: of the scheme between switches.
+        prediction: how the state is made of the model's, where it is a predictor; else None.
         explicit: numbers of the unknowns that their own rows give: E_i = z_i - G_i of the others, E and Y linear in them.
     """
 
@@ -82,6 +105,7 @@ class OneStepProblem:
     overreach: ca.SX | None = None
     start: OneStepProblem | None = None
     order: Order = field(default_factory=lambda: Order(1))
+    prediction: Prediction | None = None
     explicit: tuple[int, ...] = ()
 
     @cached_property

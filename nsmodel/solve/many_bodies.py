@@ -18,7 +18,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from nsmodel.classes.bodies.schemes.many_bodies import SCHEME, BodiesProblem, Rows, searched
+from nsmodel.classes.bodies.schemes.prediction_correction import SCHEME, BodiesProblem, Rows, searched
 from nsmodel.contacts import NO_CONTACTS, Contacts
 from nsmodel.errors import StepError, UsageError
 from nsmodel.solve import mlcp, qp

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.classes.bodies.schemes.many_bodies import BodiesProblem, Rows, searched
+from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, Rows, searched
 
 Members = tuple[np.ndarray, np.ndarray]
 

@@ -3,20 +3,20 @@
 Exact (no tolerance): a clip where C is a box, else the projection problem with its certificate. With a tolerance eps_k the
 point is wrong by what is allowed: for a box, moved towards the interior until 0.9 eps_k is used; for smooth constraints, the
 first iterate of Newton's method whose pull-back into C is certified by the distance to a polyhedron that contains C.
+The set is that of the end of the step, C(t + h), the velocity that of its beginning.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.inclusion.model import MonotoneInclusion
-from nsmodel.classes.inclusion.schemes import catching_up
 from nsmodel.errors import ModelError, StepError
-from nsmodel.scheme.problem import OneStepProblem
+from nsmodel.scheme.problem import OneStepProblem, Prediction
 from nsmodel.solve import mlcp
 from nsmodel.solve.build import Stepper
 from nsmodel.solve.certificate import EPS, NumericLaw, law_residual, numeric_law
@@ -29,29 +29,30 @@ ITERATIONS = 60
 
 
 class CatchingUp:
-    """The step of a bound MonotoneInclusion; see `stepper` for the contract."""
+    """The step of a problem that begins with a prediction; see `stepper` for the contract."""
 
     def __init__(
-        self, model: MonotoneInclusion, problem: OneStepProblem, solver: str, tolerance: float, *, h: float, state: np.ndarray
+        self, problem: OneStepProblem, given: Prediction, solver: str, tolerance: float, *, h: float, state: np.ndarray
     ) -> None:
         n, m = problem.state.numel(), problem.l.numel()
         self.problem, self.tolerance, self.rows = problem, tolerance, problem.rows
-        chosen = catching_up.selection(model)
-        self.layout = Layout.of(problem, v=n, selection=chosen.l.numel(), defect=n, predictor_distance=1, excess=1, tolerance=1)
-        c, _ = catching_up.constraints(model)
-        self._face = numeric_law(chosen.law)
-        A = ca.densify(ca.jacobian(chosen.velocity, chosen.l))
-        at_zero = ca.substitute([chosen.velocity], [chosen.l], [ca.SX.zeros(chosen.l.shape)])[0]
-        self._velocity = ca.Function("velocity", [model.x], [ca.densify(e) for e in (at_zero, A, chosen.u)])
-        self._c = ca.Function("c", [model.x], [ca.densify(c), ca.densify(ca.jacobian(c, model.x))])
-        self._box = not model.constraints
-        self._lower, self._upper = (np.array(ca.DM(b)).ravel() for b in (model.lower, model.upper))
-        self._eps = tolerance_function(model)
-        self.exact = model.tolerances is None
+        self.layout = Layout.of(problem, v=n, selection=given.l.numel(), defect=n, predictor_distance=1, excess=1, tolerance=1)
+        self._face, here = numeric_law(given.law), [problem.t, given.x]
+        A = ca.densify(ca.jacobian(given.velocity, given.l))
+        at_zero = ca.substitute([given.velocity], [given.l], [ca.SX.zeros(given.l.shape)])[0]
+        self._velocity = ca.Function("velocity", here, [ca.densify(e) for e in (at_zero, A, given.u)])
+        self._c = ca.Function("c", here, [ca.densify(given.c), ca.densify(ca.jacobian(given.c, given.x))])
+        faces = ca.vertcat(given.u, given.c)
+        self._faces = ca.Function("faces", here, [ca.densify(ca.jacobian(faces, s)) for s in (given.x, problem.t)])
+        self._moving = ca.depends_on(faces, problem.t)
+        self._box = given.box is not None
+        self._bounds = bounds_of(given, problem.t)
+        self._eps = tolerance_function(given.tolerances)
+        self.exact = given.tolerances is None
         self._stepper = Stepper(problem, solver, tolerance, h=h, state=state)
         self._clip = self._box and solver == "auto"
         self.plan = self._stepper.plan if not self._clip else _clip_plan(self._stepper.plan, self.exact)
-        self._interior = None if self.exact or self._box else interior_point(model, c, state)
+        self._interior = _interior(given, problem.t, h, state) if not (self.exact or self._box) else lambda t, y: y
         self._n, self._m = n, m
 
     @property
@@ -75,20 +76,22 @@ class CatchingUp:
         """
         v, selection, slack = self._select(t, state)
         y = state + h * v
-        eps = self._eps(k, h)
+        eps, end = self._eps(k, h), t + h
         if self._clip:
-            x, l, solver = np.clip(y, self._lower, self._upper), None, "clip"
+            bounds = self._bounds(end)
+            _refuse_empty(end, *bounds)
+            x, solver = np.clip(y, *bounds), "clip"
             d2 = float(np.sum((x - y) ** 2))
-            l = self._box_multipliers(x - y)
+            l = self._box_multipliers(x - y, *bounds)
             index = np.where(l > 0, 0, -1).astype(np.int8)
-            law = NumericLaw(self._lower, self._upper, ())
+            law = NumericLaw(*bounds, ())
             size = np.abs(y) + np.abs(x)
             clip_residual = law_residual(law, x, x - y, size, np.ones(x.size)).max(initial=0.0)
             residual, newton = max(slack, float(clip_residual)), 0
             if not residual <= self.tolerance:
                 raise StepError(f"no verified projection at t = {t:.10g}: the predictor is {y}", residual=residual)
         elif eps > 0 and not self._box:
-            x, l, d2, index, newton = self._approximate(t, y, eps, warm)
+            x, l, d2, index, newton = self._approximate(t, end, y, eps)
             residual, solver = slack, "outer approximation"
         else:
             found = self._stepper(t, h, y, warm)
@@ -97,16 +100,16 @@ class CatchingUp:
             residual, newton = max(slack, found.row[inner.residual]), found.row[inner.newton]
             d2 = float(np.sum((x - y) ** 2))
         if eps > 0 and self._box:
-            x = self._use_tolerance(x, y, eps)
+            x = _use_tolerance(x, y, eps, *self._bounds(end))
         e = x - y
         excess = max(float(e @ e) - d2, 0.0)
-        c = np.array(self._c(x)[0]).ravel()
+        c = np.array(self._c(end, x)[0]).ravel()
         row = np.concatenate([x, l, c, [residual, newton], v, selection, e, [np.sqrt(d2), excess, eps]])
         return StepResult(row, Warm(l, index), solver)
 
     def _select(self, t: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """v ∈ F(x) - S(x) of least |P_{T_C(x)} v|, the element l of S that gives it, and the residual of that choice."""
-        v_0, A, u = (np.array(part) for part in self._velocity(x))
+        v_0, A, u = (np.array(part) for part in self._velocity(t, x))
         v_0, u, face = v_0.ravel(), u.ravel(), self._face
         if not (np.isfinite(v_0).all() and np.isfinite(u).all()):
             raise StepError(
@@ -124,10 +127,13 @@ class CatchingUp:
                 l[rows] = K.selected(u[rows])
         if not tied.any():
             return v_0 + A @ l, l, 0.0
-        c, J = (np.array(part) for part in self._c(x))
-        normals = J[np.flatnonzero(c.ravel() <= 0)]
+        c, J = (np.array(part) for part in self._c(t, x))
+        acting = np.flatnonzero(c.ravel() <= 0)
+        normals = J[acting]
         fixed = np.flatnonzero(~tied)
         base, free = v_0 + A[:, fixed] @ l[fixed], np.flatnonzero(tied)
+        if self._moving:
+            base = base - self._shared_velocity(t, x, np.concatenate([free, u.size + acting]))
         M = np.hstack([A[:, free], normals.T])
         W, b = M.T @ M, M.T @ base
         k = normals.shape[0]
@@ -146,32 +152,24 @@ class CatchingUp:
         l[free] = found.l[: free.size]
         return v_0 + A @ l, l, found.residual
 
-    def _box_multipliers(self, e: np.ndarray) -> np.ndarray:
+    def _shared_velocity(self, t: float, x: np.ndarray, faces: np.ndarray) -> np.ndarray:
+        """The least w with u_t + u_x w = 0, c_t + c_x w = 0 in the rows ``faces``: the velocity with which they move along."""
+        slopes, rates = (np.array(part)[faces] for part in self._faces(t, x))
+        return np.linalg.lstsq(slopes, -rates.ravel(), rcond=None)[0]
+
+    def _box_multipliers(self, e: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
         l = []
         for i in range(self._n):
-            l += [max(e[i], 0.0)] if np.isfinite(self._lower[i]) else []
-            l += [max(-e[i], 0.0)] if np.isfinite(self._upper[i]) else []
+            l += [max(e[i], 0.0)] if np.isfinite(lower[i]) else []
+            l += [max(-e[i], 0.0)] if np.isfinite(upper[i]) else []
         return np.array(l)
 
-    def _use_tolerance(self, p: np.ndarray, y: np.ndarray, eps: float) -> np.ndarray:
-        """A point of C with |x - y|^2 <= d_C(y)^2 + 0.9 eps: from the projection p towards the middle of the box."""
-        lo, up = self._lower, self._upper
-        both = np.isfinite(lo) & np.isfinite(up)
-        reach = 1 + np.abs(p)
-        with np.errstate(invalid="ignore"):  # inf - inf where there is no bound
-            middle = np.where(both, (lo + up) / 2, np.where(np.isfinite(lo), p + reach, np.where(np.isfinite(up), p - reach, p)))
-        d = middle - p
-        size, slope = float(d @ d), float((p - y) @ d)
-        if size == 0:
-            return p
-        s = (-slope + np.sqrt(slope**2 + size * USED * eps)) / size
-        return np.clip(p + min(s, 1.0) * d, lo, up)
-
     def _approximate(
-        self, t: float, y: np.ndarray, eps: float, warm: Warm
+        self, t: float, end: float, y: np.ndarray, eps: float
     ) -> tuple[np.ndarray, np.ndarray, float, np.ndarray, int]:
-        """x ∈ C with |x - y|^2 < d^2 + eps for a certified d <= d_C(y): (x, l, d^2, index set, iterations)."""
-        c, J = self._values(y)
+        """x ∈ C(end) with |x - y|^2 < d^2 + eps for a certified d <= d_C(y): (x, l, d^2, index set, iterations)."""
+        inner = self._interior(end, y)
+        c, J = self._values(end, y)
         if (c >= 0).all():
             return y.copy(), np.zeros(self._m), 0.0, np.full(self._m, -1, np.int8), 0
         z, best = y.copy(), np.inf
@@ -180,12 +178,12 @@ class CatchingUp:
             A, a = np.vstack([cut[0] for cut in cuts]), np.concatenate([cut[1] for cut in cuts])
             z, l = self._project_on_cuts(t, A, a, y)
             d2 = float(np.sum((z - y) ** 2))
-            x = self._pull_back(z)
+            x = self._pull_back(end, z, inner)
             best = float(np.sum((x - y) ** 2)) - d2
             if best < eps:
                 l = np.bincount(np.concatenate([cut[2] for cut in cuts]), l, self._m)  # the cuts of one constraint share it
                 return x, l, d2, np.where(l > 0, 0, -1).astype(np.int8), iteration
-            c, J = self._values(z)
+            c, J = self._values(end, z)
             # C lies in every {c(z) + J(z)(x - z) >= 0}; those that no longer act are dropped.
             acts = [np.abs(Ai @ z + ai) <= 1e-9 * (1 + np.abs(ai)) for Ai, ai, _ in cuts]
             cuts = [tuple(part[keep] for part in cut) for cut, keep in zip(cuts, acts, strict=True) if keep.any()]
@@ -205,29 +203,28 @@ class CatchingUp:
             )
         return y + A.T @ found.l, found.l
 
-    def _pull_back(self, z: np.ndarray) -> np.ndarray:
-        """The first point of C from z towards the interior point (c concave: bisection on one crossing)."""
-        if (self._values(z)[0] >= 0).all():
+    def _pull_back(self, t: float, z: np.ndarray, inner: np.ndarray) -> np.ndarray:
+        """The first point of C from z towards an inner one (c concave: bisection on one crossing)."""
+        if (self._values(t, z)[0] >= 0).all():
             return z
         low, high = 0.0, 1.0
         for _ in range(80):
             middle = (low + high) / 2
-            if (self._values(z + middle * (self._interior - z))[0] >= 0).all():
+            if (self._values(t, z + middle * (inner - z))[0] >= 0).all():
                 high = middle
             else:
                 low = middle
             if high - low <= 4 * EPS * high:
                 break
-        return z + high * (self._interior - z)
+        return z + high * (inner - z)
 
-    def _values(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        c, J = self._c(x)
+    def _values(self, t: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        c, J = self._c(t, x)
         return np.array(c).ravel(), np.array(J).reshape(-1, self._n)
 
 
-def tolerance_function(model: MonotoneInclusion) -> Callable[[int, float], float]:
+def tolerance_function(given: Any) -> Callable[[int, float], float]:
     """eps_k as a function of the step's number and length."""
-    given = model.tolerances
     if given is None:
         return lambda k, h: 0.0
     if callable(given):
@@ -236,20 +233,72 @@ def tolerance_function(model: MonotoneInclusion) -> Callable[[int, float], float
     return lambda k, h: float(values[min(k, values.size - 1)])
 
 
+def bounds_of(given: Prediction, t: ca.SX) -> Callable[[float], tuple[np.ndarray, np.ndarray]]:
+    """(lower, upper) of the box as a function of time."""
+    if given.box is None:
+        return lambda at: (np.zeros(0), np.zeros(0))
+    f = ca.Function("box", [t], [ca.densify(bound) for bound in given.box])
+
+    def at(time: float) -> tuple[np.ndarray, np.ndarray]:
+        lower, upper = f(time)
+        return np.array(lower).ravel(), np.array(upper).ravel()
+
+    fixed = at(0.0)
+    return at if ca.depends_on(ca.vertcat(*given.box), t) else lambda time: fixed
+
+
 def _clip_plan(plan: Plan, exact: bool) -> Plan:
     used = ("projection on bounds: a clip" + ("" if exact else ", then moved inwards by what eps_k allows"),)
     return replace(plan, path="clip", chain=(), ipopt="never", used=used, left_out=("every solver: C is a box",))
 
 
-def interior_point(model: MonotoneInclusion, c: ca.SX, x0: np.ndarray) -> np.ndarray:
-    """A point with c > 0 (Slater), as deep as IPOPT finds within distance 1 of the start."""
+def _refuse_empty(t: float, lower: np.ndarray, upper: np.ndarray) -> None:
+    for i in np.flatnonzero(lower > upper):
+        raise StepError(f"C is empty at t = {t:.10g}: lower[{i}] = {lower[i]:.10g} > upper[{i}] = {upper[i]:.10g}")
+
+
+def _use_tolerance(p: np.ndarray, y: np.ndarray, eps: float, lo: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """A point of C with |x - y|^2 <= d_C(y)^2 + 0.9 eps: from the projection p towards the middle of the box."""
+    both = np.isfinite(lo) & np.isfinite(up)
+    reach = 1 + np.abs(p)
+    with np.errstate(invalid="ignore"):  # inf - inf where there is no bound
+        middle = np.where(both, (lo + up) / 2, np.where(np.isfinite(lo), p + reach, np.where(np.isfinite(up), p - reach, p)))
+    d = middle - p
+    size, slope = float(d @ d), float((p - y) @ d)
+    if size == 0:
+        return p
+    s = (-slope + np.sqrt(slope**2 + size * USED * eps)) / size
+    return np.clip(p + min(s, 1.0) * d, lo, up)
+
+
+def _interior(given: Prediction, t: ca.SX, h: float, x0: np.ndarray) -> Callable[[float, np.ndarray], np.ndarray]:
+    """A point of the interior of C(t), as a function of t and of where the search begins; one for all t where C stands still."""
+    find = interior_point(given, t)
+    if ca.depends_on(given.c, t):
+        find(h, x0)
+        return find
+    fixed = find(0.0, x0)
+    return lambda time, start: fixed
+
+
+def interior_point(given: Prediction, t: ca.SX) -> Callable[[float, np.ndarray], np.ndarray]:
+    """Return what finds a point with c(t, x) > 0 (Slater), as deep as IPOPT finds within distance 1 of a start."""
     s = ca.SX.sym("s")
     solver = ca.nlpsol(
-        "interior", "ipopt", {"x": ca.vertcat(model.x, s), "f": -s, "g": c - s},
+        "interior", "ipopt", {"x": ca.vertcat(given.x, s), "f": -s, "g": given.c - s, "p": t},
         {"print_time": False, "error_on_fail": False, "ipopt": {"print_level": 0, "sb": "yes"}},
     )  # fmt: skip
-    found = np.array(solver(x0=np.append(x0, 0.0), lbg=0, ubx=np.append(np.full(x0.size, np.inf), 1.0))["x"]).ravel()
-    value = np.array(ca.Function("c", [model.x], [c])(found[:-1])).min(initial=np.inf)
-    if not value > 0:
-        raise ModelError("constraints: no point with all c(x) > 0 was found; C needs an interior")
-    return found[:-1]
+    c = ca.Function("c", [t, given.x], [given.c])
+
+    def find(time: float, x0: np.ndarray) -> np.ndarray:
+        top = np.append(np.full(x0.size, np.inf), 1.0)
+        found = np.array(solver(x0=np.append(x0, 0.0), lbg=0, ubx=top, p=time)["x"]).ravel()[:-1]
+        if not np.array(c(time, found)).min(initial=np.inf) > 0:
+            raise ModelError(f"constraints: no point with all c(x) > 0 was found{_when(given, t, time)}; C needs an interior")
+        return found
+
+    return find
+
+
+def _when(given: Prediction, t: ca.SX, time: float) -> str:
+    return f" at t = {time:.10g}" if ca.depends_on(given.c, t) else ""

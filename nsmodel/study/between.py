@@ -76,7 +76,7 @@ def steps_from(run: Run, start: np.ndarray, made: Trajectory) -> Step:
         l = model.lam if isinstance(model, FirstOrderSystem) else ca.SX.sym("l", m)
         r = model.g if isinstance(model, FirstOrderSystem) else model.B @ l
         input = ca.Function("r", [model.t, model.x, l], [ca.densify(r)])
-    stepper = make_stepper(model, problem, "auto", run.stepper.tolerance, h=run.grid.step(0), state=start, few_steps=False)
+    stepper = make_stepper(problem, "auto", run.stepper.tolerance, h=run.grid.step(0), state=start, few_steps=False)
 
     def step(row: int, h: float) -> np.ndarray:
         t, x = float(made.t[row]), made.x[row]

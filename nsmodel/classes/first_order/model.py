@@ -47,6 +47,7 @@ class FirstOrderSystem(Model):
     gamma: float = 1.0
 
     paper: ClassVar[str] = "Acary and Perignon, Siconos developer's notes: theta-gamma scheme, Newton linearisation, MLCP"
+    schemes: ClassVar[tuple[str, ...]] = ("theta-gamma",)
 
     def _declare(self) -> None:
         c = self._settle("x", x=self.x, lam=self.lam)

@@ -1,4 +1,4 @@
-"""The catching-up scheme in NumPy."""
+"""The schemes of an inclusion by their definitions, in NumPy."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.classes.units import potential
 from nsmodel.stress.measures import (
     EQUATION,
+    LAW,
     PROJECTION,
     ROUNDING,
     Misfits,
@@ -22,29 +23,61 @@ from nsmodel.trajectory import Trajectory
 
 
 def misfits(model: MonotoneInclusion, run: Trajectory) -> Misfits:
-    """y = x + mu v with v in F(x) - S(x); x+ in C, not farther from y than any other row of the run (by eps at most)."""
-    x, new, h, v = run.x[:-1], run.x[1:], run.step[1:, None], run.v[1:]
+    """What the model's scheme asks of each step."""
+    return {"catching-up": _catching_up, "implicit": _resolvent}[model.scheme](model, run)
+
+
+def _catching_up(model: MonotoneInclusion, run: Trajectory) -> Misfits:
+    """y = x + mu v with v in F(x) - S(x); x+ in C, not farther from y than any other row in C (by eps at most)."""
+    t, x, new, h, v = run.t[:-1], run.x[:-1], run.x[1:], run.step[1:, None], run.v[1:]
     size = np.abs(x).max(axis=1, keepdims=True) + h * np.abs(v).max(axis=1, keepdims=True)
-    asked = [model.field, _signed(model), majorant(model.field), majorant(_signed(model))]
-    field, S, *sizes = evaluated([model.x], asked, x)
+    here, asked = [model.t, model.x], [model.field, _signed(model), majorant(model.field), majorant(_signed(model))]
+    field, S, *sizes = evaluated(here, asked, t, x)
     field, S = field[:, :, 0], S[:, :, 0]
-    kinks = evaluated([model.x], [model.sign_arguments], x)[0][:, :, 0] if model.sign_symbols.numel() else np.ones((len(x), 1))
+    kinks = evaluated(here, [model.sign_arguments], t, x)[0][:, :, 0] if model.sign_symbols.numel() else np.ones((len(x), 1))
     smooth = (kinks != 0).all(axis=1)[:, None]
     if model.potential_split is not None:
         found = {"selection": subgradient_misfit(potential(model.potential_split), model.x, x, field - v, size)}
     else:
         misfit = np.where(smooth, np.abs(field - S - v), 0.0)
         found = {"selection": worst_of(misfit, EQUATION * (np.abs(field) + np.abs(S)) + known_to(*sizes))}
-    lower, upper = (np.array(ca.DM(b)).ravel() for b in (model.lower, model.upper))
+    lower, upper = (bound[:, :, 0] for bound in evaluated([model.t], [model.lower, model.upper], run.t[1:]))
     y, eps = x + h * v, run.tolerance[1:]
     unseen = ROUNDING * (np.abs(x) + h * np.abs(v))
     if not model.constraints and model.tolerances is None:
         return found | {"clip": worst_of(np.abs(new - np.clip(y, lower, upper)), EQUATION * np.abs(new - x) + unseen)}
-    others = [run.x[k] for k in range(len(run.t))]
     distance = ((new - y) ** 2).sum(axis=1)
-    nearest = np.min([((other - y) ** 2).sum(axis=1) for other in others], axis=0)
+    nearest = np.min([np.where(there, ((x - y) ** 2).sum(axis=1), np.inf) for x, there in _rivals(model, run)], axis=0)
     allowed = (PROJECTION * np.linalg.norm(new - x, axis=1)) ** 2 + eps.ravel() + ROUNDING * (distance + (unseen**2).sum(axis=1))
     return found | {"nearest": worst_of(np.maximum(distance - nearest, 0), allowed)}
+
+
+def _resolvent(model: MonotoneInclusion, run: Trajectory) -> Misfits:
+    """w = (x + h F(x) - x+)/h in T(x+): <w - S(z), x+ - z> >= 0 for the other rows z in C (T is maximal monotone); x+ in C."""
+    t, x, new, h, end = run.t[:-1], run.x[:-1], run.x[1:], run.step[1:, None], run.t[1:]
+    field, size = evaluated([model.t, model.x], [model.field, majorant(model.field)], t, x)
+    w = field[:, :, 0] + (x - new) / h
+    S = _signed(model) if model.potential_split is None else ca.gradient(potential(model.potential_split), model.x)
+    unseen = known_to(size) + ROUNDING * (np.abs(x) + np.abs(new)) / h + LAW * np.abs(field[:, :, 0])
+    worst = 0.0
+    for z, there in _rivals(model, run):
+        at, rounding = evaluated([model.t, model.x], [S, majorant(S)], end, np.broadcast_to(z, new.shape))
+        away, other = new - z, at[:, :, 0]
+        there = there & np.isfinite(other).all(axis=1)
+        gap = np.where(there, np.maximum(-((w - other) * away).sum(axis=1), 0), 0.0)
+        allowed = (np.abs(away) * (unseen + known_to(rounding) + LAW * (np.abs(w) + np.abs(other)))).sum(axis=1)
+        worst = max(worst, worst_of(gap[there], allowed[there]))
+    return {"resolvent": worst}
+
+
+def _rivals(model: MonotoneInclusion, run: Trajectory) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The rows of a run (n,), and in the sets of which steps they are (N,): in all of them where C stands still."""
+    c, end = ca.vertcat(ca.SX(0, 1), *model.constraints.values()), run.t[1:]
+    if not ca.depends_on(ca.vertcat(c, model.lower, model.upper), model.t):
+        return [(z, np.ones(len(end), bool)) for z in run.x]
+    rows = ca.vertcat(c, model.x - model.lower, model.upper - model.x)
+    inside = (evaluated([model.t, model.x], [rows], end, np.broadcast_to(z, (len(end), z.size)))[0] for z in run.x)
+    return [(z, (value[:, :, 0] >= 0).all(axis=1)) for z, value in zip(run.x, inside, strict=True)]
 
 
 def acting(model: MonotoneInclusion, run: Trajectory) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Differential inclusions with a maximal monotone operator, stepped by catching-up (2026)."""
+"""Differential inclusions with a maximal monotone operator, stepped by catching-up (2026) or by its resolvent."""
 
 from __future__ import annotations
 
@@ -20,18 +20,19 @@ from nsmodel.pickled import Pickled
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MonotoneInclusion(Model):
-    """x'(t) ∈ F(x(t)) - T(x(t)),   T = S + N_C, C closed convex with interior,   x(0) = x0 in C.
+    """x'(t) ∈ F(t, x(t)) - T(t, x(t)),   T = S + N_C, C(t) closed convex with interior,   x(0) = x0 in C(0).
 
     Attributes:
         x: the state symbols (n).
-        field: F(x), n expressions of x.
-        operator: the single-valued part S(x), n expressions of x, in which ca.sign(u) stands for Sgn(u); or a law of
+        field: F(t, x), n expressions of x and t.
+        operator: the single-valued part S(t, x), n expressions of x and t, in which ca.sign(u) stands for Sgn(u); or a law of
             size n, T(x) = {-l : -x ∈ N_K(l)} (relay(n, -1, 1) gives Sgn); left out: 0.
         phi: instead of ``operator``: a convex potential Phi(x), T = dPhi; its indicators belong to C.
-        lower, upper: bounds of C (n numbers or one, infinite ends allowed).
-        constraints: {name: c(x)}, kept >= 0, concave and smooth: C = {x : c(x) >= 0, lower <= x <= upper}.
+        lower, upper: bounds of C (n numbers or expressions of t, or one; infinite ends allowed).
+        constraints: {name: c(t, x)}, kept >= 0, concave and smooth in x: C(t) = {x : c(t, x) >= 0, lower <= x <= upper}.
         x0: the start (n).
         tolerances: eps_k of the approximate projection: None (exact), a number, a sequence, or a function of the step mu_k.
+        scheme: "catching-up" (project the explicit step on C), or "implicit" (the resolvent of T of the explicit step in F).
 
     Raises:
         ModelError: wrong shapes, undeclared symbols, NaN, lower > upper, bounds without interior.
@@ -48,11 +49,18 @@ class MonotoneInclusion(Model):
     tolerances: float | Sequence[float] | Callable[[float], float] | None = None
 
     paper: ClassVar[str] = "Convergence and stability of a catching-up algorithm with maximal monotone operators (2026)"
+    schemes: ClassVar[tuple[str, ...]] = ("catching-up", "implicit")
     has: ClassVar[Mapping[str, str]] = {"v": "the velocity"}
     of_time: ClassVar[str] = (
-        "the scheme knows no explicit time. Take a LureSystem, where x' = A(x) + f(t) + B l with a law or phi=, "
-        "or a FirstOrderSystem, all terms of which may depend on t"
+        "field, operator, lower, upper and constraints may. Write phi as operator, its kinks with sign, or take a LureSystem, "
+        "where x' = A(x) + f(t) + B l with a law or phi=, or a FirstOrderSystem, all terms of which may depend on t"
     )
+
+    @property
+    def moves(self) -> bool:
+        """Whether F, S or C depend on time."""
+        parts = self.field, self.operator, self.sign_arguments, self.lower, self.upper, *self.constraints.values()
+        return any(part.numel() and ca.depends_on(part, self.t) for part in parts)
 
     def _declare(self) -> None:
         c = self._settle("x", x=self.x)
@@ -63,14 +71,14 @@ class MonotoneInclusion(Model):
             a, b = lower[i], upper[i]
             if a.is_constant() and b.is_constant() and not float(a) < float(b):
                 raise ModelError(f"lower[{i}] = {float(a):g}, upper[{i}] = {float(b):g}: C needs an interior, lower < upper")
-        constraints, names = self._named_constraints(c, self.constraints, [self.x])
+        constraints, names = self._named_constraints(c, self.constraints, [self.t, self.x])
         if potential is not None:
             for i, rows in enumerate(potential.domain):
                 constraints[f"domain {i}"] = rows
                 names += [f"domain {i}"] if rows.numel() == 1 else [f"domain {i}[{j}]" for j in range(rows.numel())]
         smooth, symbols, arguments = split_discontinuities(operator, self.x, "operator")
         self._set(
-            field=self._vector(c, self.field, "field", n, [self.x]),
+            field=self._vector(c, self.field, "field", n, [self.t, self.x]),
             operator=smooth,
             sign_symbols=symbols,
             sign_arguments=arguments,
@@ -86,7 +94,7 @@ class MonotoneInclusion(Model):
     def _bound(self, c: Any, value: Any, label: str, default: float) -> ca.SX:
         n = len(self.names)
         column = ca.vec(ca.SX(c.convert(default if value is None else value, label)))
-        return self._vector(c, ca.repmat(column, n, 1) if column.numel() == 1 else column, label, n, [], infinite=True)
+        return self._vector(c, ca.repmat(column, n, 1) if column.numel() == 1 else column, label, n, [self.t], infinite=True)
 
     def _operator(self, c: Any, n: int, lower: ca.SX, upper: ca.SX) -> tuple[ca.SX, ConvexSplit | None, ca.SX, ca.SX]:
         if self.operator is not None and self.phi is not None:
@@ -101,7 +109,7 @@ class MonotoneInclusion(Model):
         if isinstance(self.operator, Law):
             return self._from_law(checked_law(self, c, self.operator, "operator"), n, lower, upper)
         zero = self.operator is None
-        return self._vector(c, 0 if zero else self.operator, "operator", n, [self.x]), None, lower, upper
+        return self._vector(c, 0 if zero else self.operator, "operator", n, [self.t, self.x]), None, lower, upper
 
     def _from_law(self, law: Law, n: int, lower: ca.SX, upper: ca.SX) -> tuple[ca.SX, None, ca.SX, ca.SX]:
         """T(x) = {-l : -x ∈ N_[lo, up](l)}: -lo for x > 0, -up for x < 0, between at 0; an infinite end bounds C at 0."""
@@ -124,6 +132,10 @@ class MonotoneInclusion(Model):
     def _check_tolerances(self) -> None:
         if self.tolerances is None:
             return
+        if self.scheme != "catching-up":
+            raise ModelError(
+                f"tolerances are of the projections of catching-up, which scheme = {self.scheme!r} has not; keep one"
+            )
         if callable(self.tolerances):
             self._set(tolerances=Tolerance(self.tolerances))
             return

@@ -51,6 +51,7 @@ class LureSystem(Model):
     paper: ClassVar[str] = (
         "Brogliato and Goeleven, Existence, uniqueness of solutions and stability of nonsmooth multivalued Lur'e systems (2013)"
     )
+    schemes: ClassVar[tuple[str, ...]] = ("theta-gamma",)
 
     def _declare(self) -> None:
         c = self._settle("x", x=ca.SX.sym("x", self._count_states()) if self.x is None else self.x, y=self.y)

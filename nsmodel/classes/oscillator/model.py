@@ -50,6 +50,7 @@ class FrictionOscillator(Model):
     x1: Any = None
 
     paper: ClassVar[str] = "Cabot, Discretization of a nonlinear oscillator under dry friction (2004)"
+    schemes: ClassVar[tuple[str, ...]] = ("inertial proximal",)
     has: ClassVar[Mapping[str, str]] = {"v": "the velocity"}
     of_time: ClassVar[str] = (
         "the scheme and its theorems know no explicit time. Write a forced oscillator as a LureSystem of position and velocity, "

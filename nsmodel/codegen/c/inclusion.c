@@ -81,7 +81,7 @@ static double select_velocity(model_solver *s)
             }
 #endif
 #if CONSTRAINED
-    constraints(s, s->x, s->inclusion.c, s->inclusion.J);
+    constraints(s, &s->t, s->x, s->inclusion.c, s->inclusion.J);
     for (int i = 0; i < MODEL_M; i++) {
         if (s->inclusion.c[i] != s->inclusion.c[i])
             return INFINITY;
@@ -114,14 +114,14 @@ static int clip_to_box(model_solver *s)
 {
     int on_graph = 1;
     for (int i = 0; i < MODEL_NX; i++) {
-        const double y = s->work.predictor[i], lo = x_lower[i], up = x_upper[i], x = y < lo ? lo : y > up ? up : y, e = x - y;
+        const double y = s->work.predictor[i], lo = X_LOWER[i], up = X_UPPER[i], x = y < lo ? lo : y > up ? up : y, e = x - y;
         s->work.z[i] = x;
         s->inclusion.defect[i] = e;
-        if (!(is_finite(e) && ((e == 0 && lo <= x && x <= up) || (e > 0 && x == lo) || (e < 0 && x == up))))
+        if (!(is_finite(e) && lo <= x && x <= up && (e == 0 || (e > 0 && x == lo) || (e < 0 && x == up))))
             on_graph = 0;
     }
 #if CONSTRAINED
-    constraints(s, s->work.z, s->inclusion.c, s->inclusion.J);
+    constraints(s, &s->inclusion.end, s->work.z, s->inclusion.c, s->inclusion.J);
     for (int i = 0; i < MODEL_M; i++) { /* row i of J is the unit vector that points inwards from its bound */
         double n = 0;
         for (int j = 0; j < MODEL_NX; j++)
@@ -141,7 +141,7 @@ static int clip_to_box(model_solver *s)
 /* From p in the box, component i of the way to its middle. */
 static double inwards(int i, double p)
 {
-    const double lo = x_lower[i], up = x_upper[i];
+    const double lo = X_LOWER[i], up = X_UPPER[i];
     if (is_finite(lo))
         return is_finite(up) ? lo/2 + up/2 - p : 1 + fabs(p);
     return is_finite(up) ? -1 - fabs(p) : 0;
@@ -160,7 +160,7 @@ static void use_tolerance(model_solver *s)
     const double both = slope + sqrt(slope*slope + size*used), part = both > 0 ? min_of(used/both, 1.0) : 0;
     for (int i = 0; i < MODEL_NX; i++) {
         const double moved = x[i] + part*inwards(i, x[i]);
-        x[i] = moved < x_lower[i] ? x_lower[i] : moved > x_upper[i] ? x_upper[i] : moved;
+        x[i] = moved < X_LOWER[i] ? X_LOWER[i] : moved > X_UPPER[i] ? X_UPPER[i] : moved;
     }
 }
 #endif
@@ -174,7 +174,7 @@ static void use_tolerance(model_solver *s)
 /* Evaluate c and J at x; return whether x is in C. */
 static int admissible(model_solver *s, const double *x)
 {
-    constraints(s, x, s->inclusion.c, s->inclusion.J);
+    constraints(s, &s->inclusion.end, x, s->inclusion.c, s->inclusion.J);
     for (int i = 0; i < MODEL_M; i++)
         if (!(s->inclusion.c[i] >= 0))
             return 0;
@@ -189,7 +189,7 @@ static int add_cuts(model_solver *s, int m, const double *z)
     double *G = s->inclusion.G, *offset = s->inclusion.offset;
     const double *J = s->inclusion.J;
     int *constraint = s->inclusion.constraint, kept = 0;
-    constraints(s, z, s->inclusion.c, s->inclusion.J);
+    constraints(s, &s->inclusion.end, z, s->inclusion.c, s->inclusion.J);
     for (int k = 0; k < m; k++) {
         const int acts = fabs(dot(MODEL_NX, G + k*MODEL_NX, z) + offset[k]) <= ACTS*(1 + fabs(offset[k]));
         if (!acts || memcmp(G + k*MODEL_NX, J + constraint[k]*MODEL_NX, MODEL_NX*sizeof *G) == 0)
@@ -344,6 +344,10 @@ static int step_by_catching_up(model_solver *s)
         if (!is_finite(y[i]))
             return NONE;
     }
+    s->inclusion.end = s->t + s->h;
+#if MOVING_BOX
+    bounds(s, &s->inclusion.end, s->inclusion.x_lower, s->inclusion.x_upper);
+#endif
     s->inclusion.tolerance = 0;
 #if APPROXIMATE
     s->inclusion.tolerance = allowed(s);
@@ -369,7 +373,7 @@ static int step_by_catching_up(model_solver *s)
     s->work.residual = worse_of(s->work.residual, selected);
 #endif
 #if CONSTRAINED
-    constraints(s, x, s->work.y, s->inclusion.J);
+    constraints(s, &s->inclusion.end, x, s->work.y, s->inclusion.J);
 #endif
     return solver;
 }

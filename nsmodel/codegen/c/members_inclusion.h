@@ -1,6 +1,10 @@
     struct {
         double v[MODEL_NX]; /* the velocity chosen */
         double defect[MODEL_NX]; /* next state - predictor */
+        double end; /* t + h: the set of a step is that of its end */
+#if MOVING_BOX
+        double x_lower[MODEL_NX], x_upper[MODEL_NX];
+#endif
         double predictor_distance, excess, tolerance; /* d <= d_C(predictor), |defect|^2 - d^2, eps_k */
 #if CONSTRAINED
         double c[MODEL_M], J[MODEL_M*MODEL_NX];

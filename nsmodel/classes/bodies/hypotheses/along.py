@@ -8,7 +8,7 @@ import numpy as np
 from nsmodel.classes.bodies.hypotheses.near import named, nearest, within
 from nsmodel.classes.bodies.hypotheses.network import network_of
 from nsmodel.classes.bodies.hypotheses.qualification import BODY_ROWS, opposed
-from nsmodel.classes.bodies.schemes.many_bodies import BodiesProblem
+from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem
 from nsmodel.classes.sweeping.hypotheses.constraint import Answer
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.solve.certificate import EPS

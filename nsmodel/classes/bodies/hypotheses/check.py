@@ -14,7 +14,7 @@ from nsmodel.classes.bodies.hypotheses.qualification import BODY_ROWS, ROWS, Poi
 from nsmodel.classes.bodies.hypotheses.start import start, start_of
 from nsmodel.classes.bodies.hypotheses.velocity import velocity
 from nsmodel.classes.bodies.model import ManyBodies
-from nsmodel.classes.bodies.schemes.many_bodies import BodiesProblem
+from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem
 from nsmodel.classes.sweeping.hypotheses import check as sweeping
 from nsmodel.classes.sweeping.hypotheses.consequences import consequences_of
 from nsmodel.classes.sweeping.hypotheses.constants import answers

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.bodies.model import Family
-from nsmodel.classes.bodies.schemes.many_bodies import BodiesProblem, Rows, searched
+from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, Rows, searched
 from nsmodel.proof import interval
 from nsmodel.solve.certificate import EPS
 from nsmodel.solve.near import least_gap, near

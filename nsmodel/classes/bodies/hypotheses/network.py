@@ -14,7 +14,7 @@ import numpy as np
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-from nsmodel.classes.bodies.schemes.many_bodies import Rows
+from nsmodel.classes.bodies.schemes.prediction_correction import Rows
 from nsmodel.classes.sweeping.hypotheses.geometry import mfcq_constant
 
 SMALL = 40  # Groups of so many constraints are solved by Wolfe's method, exactly but for rounding.

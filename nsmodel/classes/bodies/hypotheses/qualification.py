@@ -10,7 +10,7 @@ import numpy as np
 from nsmodel.classes.bodies.hypotheses.families import Kind
 from nsmodel.classes.bodies.hypotheses.near import named, sizes, within
 from nsmodel.classes.bodies.hypotheses.network import LARGE, Network, network_of
-from nsmodel.classes.bodies.schemes.many_bodies import BodiesProblem, Rows
+from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, Rows
 from nsmodel.classes.sweeping.hypotheses.admissible import FEASIBLE
 from nsmodel.classes.sweeping.hypotheses.constraint import EVERYWHERE, ON_THE_BOX
 from nsmodel.classes.sweeping.hypotheses.qualification import FRACTION, TOUCHING, TRIES, Qualified

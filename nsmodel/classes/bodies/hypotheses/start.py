@@ -7,7 +7,7 @@ import numpy as np
 from nsmodel.classes.bodies.hypotheses.families import constraint_of, is_folded_exactly
 from nsmodel.classes.bodies.hypotheses.near import doubtful, named, sizes
 from nsmodel.classes.bodies.model import ManyBodies
-from nsmodel.classes.bodies.schemes.many_bodies import BodiesProblem, Rows
+from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, Rows
 from nsmodel.classes.sweeping.hypotheses.constraint import EVERYWHERE, Answer
 from nsmodel.classes.sweeping.hypotheses.start import ROUNDED, start_value
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED

@@ -13,7 +13,7 @@ import numpy as np
 
 from nsmodel.classes.bodies.hypotheses.near import admits, all_admitted
 from nsmodel.classes.bodies.model import ManyBodies
-from nsmodel.classes.bodies.schemes.many_bodies import BodiesProblem
+from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem
 from nsmodel.classes.sweeping.hypotheses.admissible import part_without_constraints
 from nsmodel.classes.sweeping.hypotheses.constraint import EVERYWHERE, ON_THE_BOX, Answer
 from nsmodel.classes.sweeping.hypotheses.velocity import Block, closed, differ, jumps, lipschitz, steep

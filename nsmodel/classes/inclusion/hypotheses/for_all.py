@@ -13,15 +13,15 @@ from copy import copy
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.inclusion.hypotheses import check as inclusion
-from nsmodel.classes.inclusion.hypotheses.check import A3, HYPOTHESES, check, consequences_of
+from nsmodel.classes.inclusion.hypotheses import autonomous as inclusion
+from nsmodel.classes.inclusion.hypotheses.autonomous import A3, HYPOTHESES, check, consequences_of
 from nsmodel.classes.inclusion.hypotheses.growth import linear_growth
 from nsmodel.classes.inclusion.hypotheses.one_sided import one_sided
 from nsmodel.classes.inclusion.hypotheses.over_parameters import LEAST, Scene, Switching, over_parameters, switching_part
 from nsmodel.classes.inclusion.hypotheses.selected_field import field_of, set_of
 from nsmodel.classes.inclusion.hypotheses.tangent import dissipativity
 from nsmodel.classes.inclusion.model import MonotoneInclusion
-from nsmodel.classes.inclusion.schemes.catching_up import constraints, selection
+from nsmodel.classes.inclusion.set_valued import constraints, selection
 from nsmodel.errors import NsmodelError
 from nsmodel.hypotheses.domain import without_domain
 from nsmodel.hypotheses.findings import UNKNOWN, VIOLATED, Consequence, Finding, found

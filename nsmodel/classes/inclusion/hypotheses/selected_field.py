@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.inclusion.model import MonotoneInclusion
-from nsmodel.classes.inclusion.schemes.catching_up import constraints, selection
+from nsmodel.classes.inclusion.set_valued import constraints, selection
 from nsmodel.proof import exact, interval, polynomial
 from nsmodel.proof.convex.convex_sets import ConvexSet
 from nsmodel.solve.certificate import numeric_law

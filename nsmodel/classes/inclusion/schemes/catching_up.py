@@ -5,74 +5,43 @@
 Where S is discontinuous its element is free; the one taken minimises |P_{T_C(x)}(F - s)|, which keeps the state still when
 it can stay. With T_C's polar, Moreau's decomposition makes that a small bound-constrained least-squares problem:
 min |F - S(x, l) + grad c(x)' n|^2 over l in its face and n >= 0 on the active constraints.
+
+What depends on time is taken at t_k in F and S, at t_{k+1} in C, as Moreau's own scheme for moving convex sets does (*Evolution
+problem associated with a moving convex set in a Hilbert space*, 1977). Where the switching surfaces or C move, the state stays
+on them by moving along: the least |F - S(x, l) - w + grad c' n| is taken, w the least velocity that all that meet at x share.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.classes.inclusion.model import MonotoneInclusion
-from nsmodel.laws import Law, complementarity, relay
-from nsmodel.model.convex import DOMAIN
-from nsmodel.scheme.problem import OneStepProblem, subdifferential
-
-
-@dataclass(frozen=True)
-class Selection:
-    """The velocities F(x) - S(x): ``velocity`` (n) is an expression of x and l, where -u(x) ∈ N_K(l)."""
-
-    x: ca.SX
-    l: ca.SX
-    velocity: ca.SX
-    u: ca.SX
-    law: Law
-
-
-def selection(model: MonotoneInclusion) -> Selection:
-    """Return F - S with its discontinuities written as multipliers."""
-    if model.potential_split is not None:
-        smooth = [term for term in model.potential_split.terms if term.kind not in DOMAIN]
-        part = subdifferential(model.potential_split.with_terms(smooth), model.x, "phi")
-        return Selection(model.x, part.l, model.field + part.force, part.u, part.law)
-    m = model.sign_symbols.numel()
-    l = ca.SX.sym("l", m)
-    S = ca.substitute(model.operator, model.sign_symbols, -l) if m else model.operator
-    return Selection(model.x, l, model.field - S, model.sign_arguments, relay(m))
-
-
-def constraints(model: MonotoneInclusion) -> tuple[ca.SX, tuple[str, ...]]:
-    """C as rows c(x) >= 0, the finite bounds first, and their names."""
-    rows, names = [ca.SX(0, 1)], []
-    for i, name in enumerate(model.names):
-        for bound, row, word in (
-            (model.lower[i], model.x[i] - model.lower[i], "lower"),
-            (model.upper[i], model.upper[i] - model.x[i], "upper"),
-        ):
-            if not (bound.is_constant() and np.isinf(float(bound))):
-                rows.append(row)
-                names.append(f"{word} {name}")
-    return ca.vertcat(*rows, *model.constraints.values()), (*names, *model.constraint_names)
+from nsmodel.classes.inclusion.set_valued import constraints, selection
+from nsmodel.laws import complementarity
+from nsmodel.scheme.problem import OneStepProblem, Prediction
 
 
 def one_step_problem(model: MonotoneInclusion) -> OneStepProblem:
     """Return the exact projection of the predictor (here the ``state``) on C: z - y_k - grad c(z)' n = 0, 0 <= n ⟂ c(z) >= 0."""
-    predictor, z = ca.SX.sym("predictor", model.x.numel()), ca.SX.sym("x_next", model.x.numel())
+    h, predictor, z = ca.SX.sym("h"), ca.SX.sym("predictor", model.x.numel()), ca.SX.sym("x_next", model.x.numel())
     c, names = constraints(model)
-    n = ca.SX.sym("n", c.numel())
-    J = ca.jacobian(c, model.x)
-    c, J = ca.substitute([c, J], [model.x], [z]) if n.numel() else (c, J)
+    n, chosen = ca.SX.sym("n", c.numel()), selection(model)
+    at_end = c, ca.jacobian(c, model.x)
+    Y, J = ca.substitute(at_end, [model.t, model.x], [model.t + h, z]) if n.numel() else at_end
     return OneStepProblem(
         scheme="catching-up with approximate projections",
-        t=model.t, h=ca.SX.sym("h"), state=predictor, p=model.p,
+        t=model.t, h=h, state=predictor, p=model.p,
         z=z, l=n, y=ca.SX.sym("y", n.numel()),
-        E=z - predictor - J.T @ n, Y=c,
+        E=z - predictor - J.T @ n, Y=Y,
         law=complementarity(n.numel()),
         rows=names,
         guess=predictor,
         next_state=z,
+        prediction=Prediction(
+            model.x, chosen.l, chosen.velocity, chosen.u, chosen.law, c,
+            None if model.constraints else (model.lower, model.upper), model.tolerances,
+        ),
     )  # fmt: skip
 
 

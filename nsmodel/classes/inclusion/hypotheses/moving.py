@@ -1,0 +1,205 @@
+"""Hypotheses of an inclusion with time: those of the inclusion that stands still, at each t, and how fast its set moves.
+
+x'(t) ∈ F(t, x(t)) - S(t, x(t)) - N_C(t)(x(t))
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
+from types import MappingProxyType
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.classes.inclusion.hypotheses import autonomous, for_all
+from nsmodel.classes.inclusion.hypotheses.steps import convergence
+from nsmodel.classes.inclusion.model import MonotoneInclusion
+from nsmodel.classes.inclusion.set_valued import constraints
+from nsmodel.hypotheses import uniform
+from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, follows, found, scope_of
+from nsmodel.hypotheses.region import Region
+from nsmodel.hypotheses.scope import Scope
+from nsmodel.proof import extremum, interval
+from nsmodel.proof.convex.moving_sets import MARGIN, MovingSet, has_interior_for_all, outer
+from nsmodel.proof.jumps import find_jump
+from nsmodel.proof.search import quick_searches
+from nsmodel.proof.verdict import Part
+from nsmodel.trajectory import Trajectory
+
+MOVES = Hypothesis("M-H", "t -> C(t) is Lipschitz continuous in the Hausdorff distance", "Moreau 1977")
+EXISTENCE = "Moreau 1977, Edmond and Thibault 2006 (existence); (24) at each t (uniqueness)"
+UP = 1 + 1e-12
+KAPPA = "kappa"
+DOUBLINGS = 6  # Orders of 4 in which a speed is looked for above the least that it may be.
+SHELL = 0.02  # Part of the least c in the box down to which a point is beside the edge of C.
+PARTS = 64  # Parts of the time that a bound is sought on.
+
+
+class Bound(NamedTuple):
+    """d_H(C(t), C(s)) <= kappa |t - s|, and how that was found."""
+
+    kappa: float
+    how: str
+
+
+def check(
+    model: MonotoneInclusion, region: Region, runs: Sequence[Trajectory], quick: bool
+) -> tuple[list[Finding], list[Consequence]]:
+    """Return one finding a hypothesis, of all t between the ends of the region, and what follows; see `check.check`."""
+    frozen, time = _frozen(model), (region.t0, region.t1)
+    box = {str(model.t): time}
+    at_all = replace(region, parameters=MappingProxyType(box))
+    seen = []
+    for one in uniform.values_in(box, for_all.values(frozen, box)):
+        with quick_searches():
+            own = autonomous.check(frozen.bind(one), replace(region, parameters={}), (), True)[0]
+        seen.append((one, {finding.id: finding for finding in own}))
+    proved = {finding.id: finding for finding in for_all.findings(frozen, at_all, quick)}
+    findings = [_in_time(finding, time) for finding in uniform.joined(box, seen, proved)]
+    findings.append(_moves(model, frozen, at_all, quick))
+    return findings, _consequences(model, findings, runs)
+
+
+def _frozen(model: MonotoneInclusion) -> MonotoneInclusion:
+    """The inclusion that stands still at t, a parameter without value."""
+    frozen = copy(model)
+    frozen._set(p=model.t, t=ca.SX.sym("t"), parameters=MappingProxyType({str(model.t): None}), tolerances=None)
+    return frozen
+
+
+def _in_time(finding: Finding, time: tuple[float, float]) -> Finding:
+    states = finding.scope.states if finding.scope is not None else {}
+    return replace(finding, scope=Scope(states, time))
+
+
+# -- M-H ---------------------------------------------------------------------------------------------------------------
+
+
+def _moves(model: MonotoneInclusion, frozen: MonotoneInclusion, region: Region, quick: bool) -> Finding:
+    """A constant kappa with d_H(C(t), C(s)) <= kappa |t - s|."""
+    C = MovingSet(model.x, model.t, constraints(model)[0], *region.of_parameters())
+    part = _still(C) or _jump(model, C) or (_of_box(model, C) if not model.constraints else _of_rows(C, region, quick))
+    scope = region.scope(part.local)
+    where = Scope(scope.states if scope is not None else {}, (region.t0, region.t1))
+    return found(MOVES, part.verdict, part.how, part.value, part.witness, where)
+
+
+def _still(C: MovingSet) -> Part | None:
+    return None if C.moving else Part(HOLDS, "C does not move", {KAPPA: 0.0}, {})
+
+
+def _jump(model: MonotoneInclusion, C: MovingSet) -> Part | None:
+    """A bound that jumps: C does, where it is a box; where nothing jumps that is for the others to bound."""
+    ends = ca.vertcat(*(end for end in (*ca.vertsplit(model.lower), *ca.vertsplit(model.upper)) if ca.depends_on(end, model.t)))
+    if model.constraints or not ends.numel() or interval.is_continuous(ends, C.p, C.lower, C.upper):
+        return None
+    jump = find_jump(ends, C.p, C.lower, C.upper, lambda points: np.ones(len(points), bool))
+    if jump is None:
+        return Part(UNKNOWN, "a bound of C may jump; no jump was seen", {}, {})
+    return Part(
+        VIOLATED, "a bound of C jumps", {"jump": jump.size}, {"t": float(jump.at[0]), "below": jump.below, "above": jump.above}
+    )
+
+
+def _of_box(model: MonotoneInclusion, C: MovingSet) -> Part:
+    """Of a box: its sides move with their own speeds."""
+    total = 0.0
+    for ends in zip(ca.vertsplit(model.lower), ca.vertsplit(model.upper), strict=True):
+        rates = [ca.jacobian(end, model.t) for end in ends]
+        total += max(_largest(rate, C.p, C.lower, C.upper) for rate in rates) ** 2
+    kappa = float(np.sqrt(total)) * UP
+    if not np.isfinite(kappa):
+        return Part(UNKNOWN, "the speed of a bound of C has no bound that was found", {}, {})
+    return Part(HOLDS, "bounds of the speeds of the sides", {KAPPA: kappa}, {})
+
+
+def _of_rows(C: MovingSet, region: Region, quick: bool) -> Part:
+    """The largest of what is found on parts of the time."""
+    hull = outer(C).hull
+    local = not np.isfinite(hull).all()
+    box = (np.maximum(hull[0], region.lower), np.minimum(hull[1], region.upper)) if local else hull
+    left, bounds, least = [(C.lower, C.upper)], dict[str, float](), (C.upper - C.lower) / PARTS
+    while left:
+        low, high = left.pop()
+        bound = _on(C._replace(lower=low, upper=high), box, quick)
+        if bound is not None:
+            bounds[bound.how] = max(bounds.get(bound.how, 0.0), bound.kappa)
+        elif (high - low > least).all():
+            left += [(low + (high - low) / 2, high), (low, low + (high - low) / 2)]
+        else:
+            return Part(UNKNOWN, f"no bound was found for t in [{low[0]:.4g}, {high[0]:.4g}]", {}, {}, local)
+    return Part(HOLDS, "; ".join(bounds), {KAPPA: max(bounds.values())}, {}, local)
+
+
+def _on(C: MovingSet, box: tuple[np.ndarray, np.ndarray], quick: bool) -> Bound | None:
+    """One row: |c_t| / |grad c| where c = 0; several: sup |c_t| times the size of the box, over the depth of an inner point."""
+    z, (low, high) = ca.vertcat(C.p, C.x), box
+    lower, upper = np.append(C.lower, low), np.append(C.upper, high)
+    rates = ca.jacobian(C.rows, C.p)
+    if not interval.is_continuous(ca.vertcat(C.rows, rates), z, lower, upper):
+        return None
+    fastest = max(_largest(rate, z, lower, upper) for rate in ca.vertsplit(rates))
+    if C.rows.numel() == 1 and (kappa := _normal_speed(C, z, lower, upper, fastest, quick)) is not None:
+        return Bound(kappa, "bounds of |c_t| / |grad c| beside c = 0")
+    interior = has_interior_for_all(C, (low + high) / 2)
+    point = interior.part.witness.get("interior point") if interior is not None else None
+    if interior is None or point is None:
+        return None
+    far = float(np.linalg.norm(np.maximum(np.abs(low - point), np.abs(high - point))))
+    kappa = fastest * far / interior.part.value[MARGIN] * UP
+    how = "bounds of |c_t| |x - z| / c(t, z), z an inner point of C(t) for a while: x stays in C by going towards it"
+    return Bound(kappa, how) if np.isfinite(kappa) else None
+
+
+def _normal_speed(C: MovingSet, z: ca.SX, lower: np.ndarray, upper: np.ndarray, fastest: float, quick: bool) -> float | None:
+    """A kappa with c_t^2 <= kappa^2 |grad c|^2 where c = 0, and a little outside, where points can be looked at."""
+    rate, steep = ca.jacobian(C.rows, C.p) ** 2, ca.sumsqr(ca.gradient(C.rows, C.x))
+    most = extremum.supremum(steep, z, lower, upper, quick=True).bound
+    if not (0 < fastest < np.inf and 0 < most < np.inf):
+        return 0.0 if fastest == 0 else None
+
+    shell = SHELL * extremum.supremum(-C.rows, z, lower, upper, quick=True).bound
+
+    def enough(kappa: float) -> bool:
+        over = rate - kappa**2 * steep
+        beside = ca.vertcat(-C.rows, C.rows + shell)
+        return extremum.supremum(over, z, lower, upper, where=beside, bound_to=0.0, quick=quick).bound <= 0
+
+    low = fastest / float(np.sqrt(most)) / 2
+    high = next((low * 4**k for k in range(1, DOUBLINGS) if enough(low * 4**k)), None)
+    if high is None:
+        return None
+    low = max(low, high / 4)
+    for _ in range(5):
+        middle = float(np.sqrt(low * high))
+        low, high = (low, middle) if enough(middle) else (middle, high)
+    return high
+
+
+def _largest(rate: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> float:
+    if rate.is_zero():
+        return 0.0
+    return max(extremum.supremum(sign * rate, z, lower, upper, quick=True).bound for sign in (1, -1))
+
+
+# -- consequences ------------------------------------------------------------------------------------------------------
+
+
+def _consequences(model: MonotoneInclusion, findings: Sequence[Finding], runs: Sequence[Trajectory]) -> list[Consequence]:
+    numbers = {finding.id: finding.value for finding in findings}
+    base = ["M-T", "M-C", "M-A1", "M-A2", "M-24", MOVES.id]
+    scope = scope_of(findings, base)
+    local = scope is not None and bool(scope.states)
+    starts = "from x0 one and only one solution starts" if local else "one and only one solution for each start in C(0)"
+    out = [follows("well posed", starts, findings, base, EXISTENCE)]
+    L = numbers["M-24"].get("L", np.nan)
+    if np.isfinite(L):
+        word, ids = "contraction" if L < 0 else "stability", ("M-T", "M-C", "M-24")
+        own = scope_of(findings, ids)
+        end = " while both stay inside the box" if own is not None and own.states else ""
+        statement = f"|x(t) - y(t)| <= e^({L:.6g} t) |x_0 - y_0|{end}"
+        out.append(follows(word, statement, findings, ids, f"{autonomous.PAPER}, Theorem 7.3, at each t", {"L": L}))
+    return [*out, *convergence(model, findings, base, "", runs)]
