@@ -248,7 +248,7 @@ def _refined(model: Model, run: Trajectory) -> list[Consequence]:
     except (StepError, UsageError):
         return []
     seen = [_observed_order(h, runs)]
-    if isinstance(model, MonotoneInclusion):
+    if "predictor_distance" in run.arrays:
         seen.append(_predictor_feasibility(h, runs))
     return seen
 

@@ -199,10 +199,10 @@ def _difference(what: str, model: Model, own: Trajectory, run: Trajectory, x: np
     acted = np.zeros_like(x)
     acted[1:] = np.maximum.accumulate(np.nan_to_num(acting(model, own)[: rows - 1], posinf=0.0), axis=0)
     allowed = AGREE * (motion[:, None] + acted) + rows * ROUNDING * size[:, None]
-    if isinstance(model, MonotoneInclusion) and own.arrays["selection"].shape[1]:
+    if "predictor_distance" in own.arrays and own.arrays["selection"].shape[1]:
         # Explicit in a discontinuous S: beside its jump rounding decides, and one step goes the other way.
         allowed = allowed + 2 * np.nanmax(np.abs(own.step[1:, None] * own.v[1:]))
-    if isinstance(model, MonotoneInclusion):
+    if "tolerance" in own.arrays:
         allowed = allowed + 2 * np.cumsum(np.sqrt(np.nan_to_num(own.tolerance[:rows])))[:, None]  # what projections may be off
     error = np.abs(x - known)
     with np.errstate(all="ignore"):

@@ -211,19 +211,23 @@ def _inclusion(model: MonotoneInclusion, names: Names) -> list[str]:
     single = potential is None and model.operator.is_zero()
     bounds = [_text(side, names) for side in (model.lower, model.upper)]
     box = set(bounds[0]) != {r"-\infty"} or set(bounds[1]) != {r"\infty"}
-    S, N = ("" if single else " - S(x)"), (" - N_C(x)" if box or model.constraints else "")
-    lines = [rf"\dot{{x}} \in F(x){S}{N}" if S or N else r"\dot{x} = F(x)", *_vector_lines("F(x)", model.field, names)]
+    jumps = ca.vertcat(model.operator, model.sign_arguments)
+    F, Sx = _call("F", model.field, model, names, "x"), _call("S", jumps, model, names, "x")
+    moving = ca.vertcat(model.lower, model.upper, *model.constraints.values())
+    C = _call("C", moving, model, names) if box or model.constraints else ""
+    S, N = ("" if single else f" - {Sx}"), (rf" - N_{{{C}}}(x)" if C else "")
+    lines = [rf"\dot{{x}} \in {F}{S}{N}" if S or N else rf"\dot{{x}} = {F}", *_vector_lines(F, model.field, names)]
     if potential is not None:
         lines.append(rf"S = \partial\Phi,\quad \Phi(x) = {_text(_potential(potential), names)[0]}")
     elif not single:
         jumps = [rf"\mathrm{{Sgn}}\left({text}\right)" for text in _text(model.sign_arguments, names)]
         symbols = [str(symbol) for symbol in ca.vertsplit(model.sign_symbols)] if jumps else []
         marked = Names({**names.shown, **dict(zip(symbols, jumps, strict=True))}, names.vectors)
-        lines += _vector_lines("S(x)", model.operator, marked)
+        lines += _vector_lines(Sx, model.operator, marked)
     if N:
         sides = [_box(*bounds)] if box else []
         sides += [r"c_i(x) \geq 0,\ i = 1, \ldots, " + str(len(model.constraint_names))] if model.constraints else []
-        lines.append(rf"C = \left\{{ x : {JOIN.join(sides)} \right\}}")
+        lines.append(rf"{C} = \left\{{ x : {JOIN.join(sides)} \right\}}")
     return [*lines, *_constraint_lines("c", model.constraints, model, names, "x"), _start("x(0)", model.x0, names)]
 
 
