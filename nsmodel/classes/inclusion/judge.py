@@ -10,6 +10,7 @@ from nsmodel.classes.units import potential
 from nsmodel.stress.measures import (
     EQUATION,
     LAW,
+    PROBES,
     PROJECTION,
     ROUNDING,
     Misfits,
@@ -53,15 +54,17 @@ def _catching_up(model: MonotoneInclusion, run: Trajectory) -> Misfits:
 
 
 def _resolvent(model: MonotoneInclusion, run: Trajectory) -> Misfits:
-    """w = (x + h F(x) - x+)/h in T(x+): <w - S(z), x+ - z> >= 0 for the other rows z in C (T is maximal monotone); x+ in C."""
+    """w = (x + h F(x) - x+)/h in T(x+): <w - S(z), x+ - z> >= 0 for z in C, other rows and probes beside x+ (Minty)."""
     t, x, new, h, end = run.t[:-1], run.x[:-1], run.x[1:], run.step[1:, None], run.t[1:]
     field, size = evaluated([model.t, model.x], [model.field, majorant(model.field)], t, x)
     w = field[:, :, 0] + (x - new) / h
     S = _signed(model) if model.potential_split is None else ca.gradient(potential(model.potential_split), model.x)
     unseen = known_to(size) + ROUNDING * (np.abs(x) + np.abs(new)) / h + LAW * np.abs(field[:, :, 0])
-    worst = 0.0
-    for z, there in _rivals(model, run):
-        at, rounding = evaluated([model.t, model.x], [S, majorant(S)], end, np.broadcast_to(z, new.shape))
+    worst, near = 0.0, np.maximum(np.abs(new), np.abs(x)).max(axis=1, keepdims=True)
+    probes = [new + s * p * near * e for e in np.eye(new.shape[1]) for p in PROBES for s in (1, -1)]
+    for z, there in [*_rivals(model, run), *((z, _inside(model, end, z)) for z in probes)]:
+        z = np.broadcast_to(z, new.shape)
+        at, rounding = evaluated([model.t, model.x], [S, majorant(S)], end, z)
         away, other = new - z, at[:, :, 0]
         there = there & np.isfinite(other).all(axis=1)
         gap = np.where(there, np.maximum(-((w - other) * away).sum(axis=1), 0), 0.0)
@@ -72,12 +75,16 @@ def _resolvent(model: MonotoneInclusion, run: Trajectory) -> Misfits:
 
 def _rivals(model: MonotoneInclusion, run: Trajectory) -> list[tuple[np.ndarray, np.ndarray]]:
     """The rows of a run (n,), and in the sets of which steps they are (N,): in all of them where C stands still."""
-    c, end = ca.vertcat(ca.SX(0, 1), *model.constraints.values()), run.t[1:]
-    if not ca.depends_on(ca.vertcat(c, model.lower, model.upper), model.t):
+    end, sides = run.t[1:], ca.vertcat(model.lower, model.upper, *model.constraints.values())
+    if not ca.depends_on(sides, model.t):
         return [(z, np.ones(len(end), bool)) for z in run.x]
-    rows = ca.vertcat(c, model.x - model.lower, model.upper - model.x)
-    inside = (evaluated([model.t, model.x], [rows], end, np.broadcast_to(z, (len(end), z.size)))[0] for z in run.x)
-    return [(z, (value[:, :, 0] >= 0).all(axis=1)) for z, value in zip(run.x, inside, strict=True)]
+    return [(z, _inside(model, end, np.broadcast_to(z, (len(end), z.size)))) for z in run.x]
+
+
+def _inside(model: MonotoneInclusion, t: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Whether z (N, n) are in C(t) (N,)."""
+    rows = ca.vertcat(model.x - model.lower, model.upper - model.x, *model.constraints.values())
+    return (evaluated([model.t, model.x], [rows], t, z)[0][:, :, 0] >= 0).all(axis=1)
 
 
 def acting(model: MonotoneInclusion, run: Trajectory) -> np.ndarray:
