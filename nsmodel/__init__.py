@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from nsmodel.classes.oscillator.model import FrictionOscillator
     from nsmodel.classes.sweeping.model import SweepingProcess
     from nsmodel.hypotheses.findings import Finding, Report
-    from nsmodel.run import RunInterrupted
+    from nsmodel.run.loop import RunInterrupted
     from nsmodel.simulate import explain, simulate
     from nsmodel.stress import Stress, stress
     from nsmodel.study import Study, study
@@ -97,7 +97,7 @@ _later(
         "nsmodel.classes.lure.model": ["LureSystem"],
         "nsmodel.classes.oscillator.model": ["FrictionOscillator"],
         "nsmodel.classes.sweeping.model": ["SweepingProcess"],
-        "nsmodel.run": ["RunInterrupted"],
+        "nsmodel.run.loop": ["RunInterrupted"],
         "nsmodel.simulate": ["explain", "simulate"],
         "nsmodel.stress": ["Stress", "stress"],
         "nsmodel.study": ["Study", "study"],

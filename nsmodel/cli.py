@@ -22,7 +22,7 @@ from nsmodel.hypotheses.findings import VIOLATED, Report
 from nsmodel.loader import load_with
 from nsmodel.lock import held
 from nsmodel.model.base import Model
-from nsmodel.run import RunInterrupted
+from nsmodel.run.loop import RunInterrupted
 from nsmodel.simulate import explain, simulate
 from nsmodel.solve.choose import SOLVERS
 from nsmodel.storage import STAMP, dumps, refuse_unwritable, write_json, write_text

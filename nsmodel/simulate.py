@@ -8,14 +8,19 @@ from pathlib import Path
 from typing import Any
 
 from nsmodel import lock
-from nsmodel.adaptive import AdaptiveRun
-from nsmodel.classes.bodies.model import ManyBodies
+from nsmodel.classes.registry import class_of
 from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import UsageError
-from nsmodel.grid import is_number, make_grid, written
+from nsmodel.grid import Grid, make_grid
+from nsmodel.identity import WAY
 from nsmodel.model.base import Model, shown
 from nsmodel.model.parameters import Values
-from nsmodel.run import Loop, Run
+from nsmodel.run.controlled import Controlled
+from nsmodel.run.loop import Run, keep_unfinished
+from nsmodel.run.on_grid import OnGrid
+from nsmodel.run.options import Options
+from nsmodel.run.walk import There
+from nsmodel.storage import ChunkStore
 from nsmodel.trajectory import Trajectory
 
 
@@ -65,21 +70,18 @@ def simulate(
         StorageError: ``resume`` without a matching run, or after its files were changed; another run is at work in ``out``; or it
             cannot be written: then ``error.trajectory`` holds what was computed.
     """
-    with contextlib.nullcontext() if out is None else lock.held(Path(out)):
-        run = _arranged(
-            model, step=step, steps=steps, t_end=t_end, parameters=parameters, solver=solver, tolerance=tolerance,
-            save_every=save_every, out=None if out is None else Path(out), resume=resume, compiled=compiled, rtol=rtol, atol=atol,
-        )  # fmt: skip
-        return run.go(progress)
+    options = Options(step, steps, t_end, parameters, solver, tolerance, save_every, out, resume, compiled, rtol, atol)
+    with contextlib.nullcontext() if options.folder is None else lock.held(options.folder):
+        return arranged(model, options).go(progress)
 
 
-def prepare(model: Model, **options: Any) -> Loop:
+def prepare(model: Model, **options: Any) -> Run:
     """Return a run that has all its set-up behind it: ``run.go()``, once, then ``run.cpu_seconds`` is what its steps took.
 
     The options are those of ``simulate`` but ``out``, ``resume`` and ``progress``.
     """
-    run = _arranged(model, **options)
-    run.warm_up()
+    run = arranged(model, Options(**options))
+    run.walk.warm_up()
     return run
 
 
@@ -94,63 +96,62 @@ def explain(
     compiled: bool | str = "auto",
 ) -> str:
     """What a run with these arguments would use and what it leaves out, and why, as text."""
-    _check(model, solver, tolerance, compiled)
-    bound = model.bind(parameters)
-    grid = make_grid(bound, step, None, t_end)
-    run = _run_of(bound)(bound, grid, solver, float(tolerance), grid.N, None, False, compiled)
-    return run.plan.text(run.problem)
+    options = Options(step=step, t_end=t_end, parameters=parameters, solver=solver, tolerance=tolerance, compiled=compiled)
+    bound = _bound(model, options)
+    walk = _on_grid(bound)(bound, options, make_grid(bound, step, None, t_end), lambda: None)
+    return walk.plan.text(walk.problem)
 
 
-def _arranged(
-    model: Model,
-    *,
-    step: float | None = None,
-    steps: Sequence[float] | None = None,
-    t_end: float | None = None,
-    parameters: Values | None = None,
-    solver: str = "auto",
-    tolerance: float = TOLERANCE,
-    save_every: int = 1,
-    out: Path | None = None,
-    resume: bool = False,
-    compiled: bool | str = "auto",
-    rtol: float | None = None,
-    atol: float | Sequence[float] | None = None,
-) -> Loop:
-    """The run that these arguments ask for; see ``simulate``."""
-    _check(model, solver, tolerance, compiled)
-    if not (is_number(save_every) and save_every >= 1 and float(save_every).is_integer()):
-        raise UsageError(f"save_every = {written(save_every)}; expected a whole number >= 1")
-    if resume and out is None:
-        raise UsageError("resume needs out=, the folder of the run to continue")
-    bound = model.bind(parameters)
-    if rtol is None and atol is None:
-        grid = make_grid(bound, step, steps, t_end)
-        return _run_of(bound)(bound, grid, solver, float(tolerance), int(save_every), out, resume, compiled)
-    if isinstance(bound, ManyBodies):
+def arranged(model: Model, options: Options) -> Run:
+    """Return the run that these options ask for; see ``simulate``."""
+    bound = _bound(model, options)
+    if options.rtol is not None or options.atol is not None:
+        return _controlled(bound, options)
+    folder = _Folder(options)
+    grid = make_grid(bound, options.step, options.steps, options.t_end)
+    return Run(_on_grid(bound)(bound, options, grid, folder.way), options, folder.store())
+
+
+class _Folder:
+    """The folder of a run, opened when it is first asked for: a model that cannot be run leaves it as it was."""
+
+    def __init__(self, options: Options) -> None:
+        self._options = options
+        self._store: ChunkStore | None = None
+
+    def store(self) -> ChunkStore | None:
+        """The folder of the run that is there, or a new one; a run that can be continued is not overwritten."""
+        out, resume = self._options.folder, self._options.resume
+        if self._store is None and out is not None:
+            if not resume:
+                keep_unfinished(out)
+            self._store = ChunkStore.open(out) if resume else ChunkStore(out)
+        return self._store
+
+    def way(self) -> str | None:
+        """How the run that is resumed was stepped; None for a new one."""
+        store = self.store()
+        return store.manifest["checkpoint"]["settings"].get(WAY) if store and store.manifest["chunks"] else None
+
+
+def _controlled(model: Model, options: Options) -> Run:
+    if _on_grid(model) is not OnGrid:
         raise UsageError("rtol and atol do not apply to many bodies, whose contacts change at nearly every step; give step=")
-    if steps is not None or resume or save_every != 1:
-        name = "steps" if steps is not None else "resume" if resume else "save_every"
+    if options.steps is not None or options.resume or options.save_every != 1:
+        name = "steps" if options.steps is not None else "resume" if options.resume else "save_every"
         raise UsageError(f"{name} and rtol are both given: error control chooses the steps, and keeps them all; leave one out")
-    return AdaptiveRun(bound, step, t_end, solver, float(tolerance), out, compiled, rtol, atol)
+    if options.folder is not None:
+        keep_unfinished(options.folder)
+    return Run(Controlled(model, options), options, None)
 
 
-def _run_of(model: Model) -> Callable[..., Loop]:
-    """The kind of run that a model takes."""
-    if not isinstance(model, ManyBodies):
-        return Run
-    from nsmodel.bodies_run import BodiesRun
-
-    return BodiesRun
-
-
-def _check(model: Any, solver: str, tolerance: Any, compiled: Any) -> None:
-    """Refuse what a run and its explanation cannot use."""
+def _bound(model: Any, options: Options) -> Model:
     if not isinstance(model, Model):
         raise UsageError(f"expected a model such as LureSystem(...), not {shown(model)}; a file is read with nsmodel.load(path)")
-    if not (is_number(tolerance) and 0 < tolerance < 1):
-        raise UsageError(f"tolerance = {written(tolerance)}; expected a number between 0 and 1")
-    if not (isinstance(compiled, bool) or (isinstance(compiled, str) and compiled == "auto")):
-        raise UsageError(f"compiled = {compiled!r}; expected True, False or 'auto'")
-    if compiled is True and solver != "auto":
-        raise UsageError(f"solver '{solver}' and compiled=True are both given: compiled steps bring their own solvers; keep one")
+    return model.bind(options.parameters)
+
+
+def _on_grid(model: Model) -> Callable[[Any, Options, Grid, There], Any]:
+    """The walk of a model over a grid: its class's own, where it has one."""
+    own = class_of(model).optional("walk")
+    return OnGrid if own is None else own.OnGrid

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import nsmodel
 
-RUN = importlib.import_module("nsmodel.run")
+RUN = importlib.import_module("nsmodel.run.schemes")
 
 HERE = Path(__file__).resolve().parent
 

@@ -39,7 +39,7 @@ from nsmodel import (
 from nsmodel.classes.units import in_units
 from nsmodel.codegen.rollout import Rollout
 from nsmodel.grid import make_grid
-from nsmodel.run import make_stepper
+from nsmodel.run.schemes import make_stepper
 from nsmodel.scheme import one_step_problem
 from nsmodel.simulate import prepare
 

@@ -4,6 +4,7 @@ The C is built without optimisation, to spend less time on it; some runs of the 
 """
 
 import ctypes
+import importlib
 import json
 import os
 import re
@@ -62,13 +63,14 @@ from nsmodel.codegen.bodies import solver_source
 from nsmodel.codegen.rollout import SOLVERS, Rollout
 from nsmodel.errors import CodegenError
 from nsmodel.grid import make_grid
-from nsmodel.run import IN_C
+from nsmodel.run.in_c import IN_C
+from nsmodel.run.schemes import OfScheme
 from nsmodel.scheme import one_step_problem
 from nsmodel.simulate import explain, prepare
 from nsmodel.solve.cost import LOADING, Cost, building, interpreted
 
 IS_KEPT = cache.is_kept  # the true one
-loop = sys.modules["nsmodel.run"]
+loop, walk = (importlib.import_module(f"nsmodel.run.{name}") for name in ("loop", "walk"))
 pytestmark = pytest.mark.usefixtures("own_cache")
 NO_UNIQUE_MULTIPLIERS = {"zhuravlev_ivanov"}
 CASES = Path(__file__).resolve().parents[1] / "cases"
@@ -86,7 +88,7 @@ def make_fresh_cache(tmp_path, monkeypatch):
 
 @pytest.fixture(name="small_chunks")
 def make_small_chunks(monkeypatch):
-    monkeypatch.setattr(loop, "CHUNK_BYTES", FEW_ROWS)
+    monkeypatch.setattr(walk, "CHUNK_BYTES", FEW_ROWS)
 
 
 @pytest.fixture(name="whole", scope="module")
@@ -373,7 +375,7 @@ def test_a_last_row_that_is_no_nth_one_has_room(steps, tmp_path, small_chunks):
 def test_a_run_on_disk_needs_no_more_memory_when_it_is_longer(tmp_path):
     body = """
         import resource
-        loop.Trajectory.load, loop.CHUNK_BYTES = lambda path: None, 1 << 20
+        loop.Trajectory.load, walk.CHUNK_BYTES = lambda path: None, 1 << 20
         for end in (5e2, 3e3):
             model = nsmodel.LureSystem(A=[[-1]], B=1, C=1, law=nsmodel.relay(1, -0.5, 0.5), x0=1, t_end=end, step=1e-3)
             nsmodel.simulate(model, out=f"run{end:g}", save_every=10, compiled=True)
@@ -426,7 +428,7 @@ import test_resume
 import nsmodel
 from nsmodel.codegen import cache
 from nsmodel.codegen.rollout import Rollout
-loop = sys.modules["nsmodel.run"]
+from nsmodel.run import loop, walk
 cache.FLAGS = {flags!r}
 print("ready", flush=True)
 {body}
@@ -446,7 +448,7 @@ def test_a_killed_run_is_resumed_to_the_same_bytes(build, tmp_path, whole):
     body = f"""
         advance = Rollout.advance
         Rollout.advance = lambda self, k, steps, *args: (time.sleep(2e-3), advance(self, k, min(steps, 1), *args))[1]
-        loop.CHUNK_BYTES = test_resume.FEW_ROWS
+        walk.CHUNK_BYTES = test_resume.FEW_ROWS
         nsmodel.simulate(test_resume.{build.__name__}(), out="run", compiled=True)
     """
     kill_when_there(start(body, tmp_path), tmp_path / "run" / "chunk-000002.npz")
@@ -712,7 +714,7 @@ def test_auto_builds_for_the_case_that_takes_seconds_and_for_no_other(case_file,
     def refuse(run):
         raise CodegenError("chosen")
 
-    monkeypatch.setattr(loop.Run, "_build", refuse)
+    monkeypatch.setattr(OfScheme, "_build", refuse)
     assert ("steps in C: chosen" in explain(model)) == (case_file.stem == "zhuravlev_ivanov")
 
 
@@ -720,7 +722,7 @@ def test_auto_builds_for_the_case_that_takes_seconds_and_for_no_other(case_file,
 def test_auto_compiles_where_building_takes_less_than_it_saves(tmp_path, calls):
     line, left_out = IN_C, "building them would take longer"
     for model in (lure(), first_order(), inclusion_in_a_box(tolerances=None)):
-        cost = prepare(model, compiled=False)._cost()
+        cost = prepare(model, compiled=False).walk._cost()
         least = int((LOADING + cost.building()) / cost.step) + 1
         assert 1000 < least < 500_000
         few, many = (explain(model, t_end=N * model.step) for N in (least - 1, least))
@@ -733,7 +735,7 @@ def test_auto_compiles_where_building_takes_less_than_it_saves(tmp_path, calls):
         assert left_out not in never
     assert line not in explain(lure(gamma=1), t_end=500_000 * 0.05, solver="lemke")
     model = first_order()
-    cost = prepare(model, compiled=False)._cost()
+    cost = prepare(model, compiled=False).walk._cost()
     least = int((LOADING + cost.building()) / cost.step) + 1
     run = simulate(model, t_end=least * model.step, save_every=1000)
     assert run.metadata["used"][-1] == line
@@ -744,12 +746,12 @@ def test_auto_compiles_where_building_takes_less_than_it_saves(tmp_path, calls):
 def test_auto_takes_what_was_built_before(calls, monkeypatch):
     monkeypatch.setattr(cache, "is_kept", IS_KEPT)
     model = first_order(theta=0.8)
-    cost = prepare(model, compiled=False)._cost()
+    cost = prepare(model, compiled=False).walk._cost()
     assert cost.building() > 0
     few = int(LOADING / cost.step) + 1
     assert IN_C not in explain(model, t_end=few * model.step)
     simulate(model, compiled=True)
-    assert prepare(model, compiled=False)._cost().building() == 0
+    assert prepare(model, compiled=False).walk._cost().building() == 0
     assert IN_C in explain(model, t_end=few * model.step)
     assert IN_C not in explain(model, t_end=(few - 1) * model.step)  # loading takes longer than so few steps
     monkeypatch.setenv("CC", "no-such-compiler")
@@ -757,7 +759,7 @@ def test_auto_takes_what_was_built_before(calls, monkeypatch):
 
 
 def test_costs_grow_with_what_they_stand_for():
-    structure = prepare(first_order(), compiled=False).stepper.structure
+    structure = prepare(first_order(), compiled=False).walk.stepper.structure
     sizes = [replace(structure, n=n, m=m) for n, m in ((1, 1), (4, 8), (40, 20), (200, 100))]
     problem = one_step_problem(first_order().bind(None))
     for path in ("kernel", "newton", "sparse"):
@@ -771,7 +773,7 @@ def test_costs_grow_with_what_they_stand_for():
 def test_many_bodies_share_a_solver(load_case, monkeypatch):
     model, kept = load_case("crowd", n=50), []
     monkeypatch.setattr(cache, "is_kept", lambda key: kept and key == kept[0])
-    cost = prepare(model, compiled=False)._cost()
+    cost = prepare(model, compiled=False).walk._cost()
     alone = int((LOADING + cost.building()) / cost.step) + 1
     kept.append(bodies_step._key(solver_source(2), library.compiler()))
     shared = int((LOADING + cost.building()) / cost.step) + 1

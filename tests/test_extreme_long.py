@@ -85,10 +85,10 @@ model = SweepingProcess(t=t, q=q, f=[-1, ca.cos(t / 7)], constraints=walls, q0=[
 """
 COMMAND = """
 import sys
-import nsmodel.run
+import nsmodel.run.walk
 from nsmodel.cli import main
 from nsmodel.codegen import cache
-nsmodel.run.CHUNK_BYTES, cache.FLAGS = {bytes}, {flags}
+nsmodel.run.walk.CHUNK_BYTES, cache.FLAGS = {bytes}, {flags}
 sys.exit(main(sys.argv[1:]))
 """
 

@@ -187,7 +187,7 @@ def test_a_run_that_is_refused_leaves_nothing(tmp_path, wrong, error):
 
 @pytest.mark.parametrize("error", [StepError("a step"), KeyboardInterrupt(), SystemExit(), MemoryError(), TypeError("a fault")])
 def test_the_lock_goes_however_the_run_ends(tmp_path, monkeypatch, error):
-    make = sys.modules["nsmodel.run"].make_stepper
+    make = sys.modules["nsmodel.run.schemes"].make_stepper
 
     def broken(*args, **options):
         stepper = make(*args, **options)
@@ -199,7 +199,7 @@ def test_the_lock_goes_however_the_run_ends(tmp_path, monkeypatch, error):
         stepper.__class__ = Broken
         return stepper
 
-    monkeypatch.setattr(sys.modules["nsmodel.run"], "make_stepper", broken)
+    monkeypatch.setattr(sys.modules["nsmodel.run.schemes"], "make_stepper", broken)
     with pytest.raises((StepError, KeyboardInterrupt, SystemExit, TypeError)):
         simulate(model(), out=tmp_path)
     assert not (tmp_path / lock.LOCK).exists()

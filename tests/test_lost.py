@@ -1,6 +1,7 @@
 """Nothing that was computed is lost: not to a signal, a full disk, a lack of memory, numbers that overflow, an odd name."""
 
 import errno
+import importlib
 import json
 import os
 import signal
@@ -33,7 +34,7 @@ from nsmodel import (
 from nsmodel.cli import main
 from nsmodel.storage import read_json, read_npz
 
-loop = sys.modules["nsmodel.run"]
+loop, walk = (importlib.import_module(f"nsmodel.run.{name}") for name in ("loop", "walk"))
 RELAY = """
 from nsmodel import LureSystem, relay
 model = LureSystem(A=[[0, 1], [-1, 0]], B=[0, 1], C=[0, 1], law=relay(1), x0=[3, 0], t_end=10, step=0.05)
@@ -166,7 +167,7 @@ def test_sigterm_keeps_what_a_study_has_measured(in_folder, monkeypatch, capfd):
 
 def test_rows_that_a_full_disk_does_not_take_are_given_to_the_caller(tmp_path, monkeypatch, full_disk):
     whole = simulate(lure())
-    monkeypatch.setattr(loop, "CHUNK_BYTES", 1)
+    monkeypatch.setattr(walk, "CHUNK_BYTES", 1)
     full_disk(5)  # two chunks with their manifests, then no more
     with pytest.raises(StorageError, match=r"cannot write .*chunk-000003\.npz: .*No space left") as caught:
         simulate(lure(), out=tmp_path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import signal
 import sys
@@ -16,15 +17,15 @@ from processes import kill_when_there, start
 
 import nsmodel
 from nsmodel import Bodies, Family, Items, ManyBodies, ModelError, StepError, StorageError, Trajectory, UsageError, neighbours
-from nsmodel.bodies_run import BodiesRun
 from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem
 from nsmodel.contacts import Contacts
 from nsmodel.grid import make_grid
 from nsmodel.identity import fingerprint
+from nsmodel.simulate import prepare
 from nsmodel.solve.many_bodies import COLD, SOLVERS, BodiesStepper
 from nsmodel.solve.near import least_gap, near
 
-loop = sys.modules["nsmodel.run"]
+loop, walk = (importlib.import_module(f"nsmodel.run.{name}") for name in ("loop", "walk"))
 
 
 def simulate(model, **options):
@@ -488,7 +489,7 @@ def test_a_run_in_chunks_and_a_resumed_run_have_the_same_bytes(tmp_path, whole, 
     memory = simulate(resumable())
     memory.save(tmp_path / "memory.npz")
     assert (tmp_path / "memory.npz").read_bytes() == whole
-    monkeypatch.setattr(loop, "CHUNK_BYTES", 1)  # 64 rows
+    monkeypatch.setattr(walk, "CHUNK_BYTES", 1)  # 64 rows
     simulate(resumable(), out=tmp_path / "chunks")
     assert (tmp_path / "chunks" / "trajectory.npz").read_bytes() == whole
     simulate(resumable(), out=tmp_path / "parts", t_end=0.5)
@@ -506,7 +507,7 @@ def test_a_run_in_chunks_and_a_resumed_run_have_the_same_bytes(tmp_path, whole, 
 
 def test_a_killed_run_is_resumed_to_the_same_bytes(tmp_path, whole):
     code = (
-        "import time, test_many_bodies as t; t.loop.CHUNK_BYTES = 1\n"
+        "import time, test_many_bodies as t; t.walk.CHUNK_BYTES = 1\n"
         "call = t.BodiesStepper.__call__\n"
         "def slow(*args): time.sleep(1e-3); return call(*args)\n"
         "t.BodiesStepper.__call__ = slow; t.simulate(t.resumable(), out='run')"
@@ -579,8 +580,8 @@ def test_a_compiled_step_that_fails_is_taken_interpreted(monkeypatch):
 
     monkeypatch.setitem(sys.modules, "nsmodel.codegen.bodies_step", type(sys)("bodies"))
     sys.modules["nsmodel.codegen.bodies_step"].CompiledStep = Failing
-    run = BodiesRun(model, make_grid(model, None, None, None), "auto", 1e-9, 1, None, False, True)
-    assert run.settings["way of stepping"].startswith("compiled by")
+    run = prepare(model, compiled=True)
+    assert run.walk.settings["way of stepping"].startswith("compiled by")
     assert run.go().x == pytest.approx(simulate(model).x, abs=0)
 
 

@@ -2,11 +2,11 @@
 
 import errno
 import functools
+import importlib
 import json
 import os
 import re
 import signal
-import sys
 import textwrap
 import time
 
@@ -33,7 +33,7 @@ from nsmodel import (
 )
 
 simulate = functools.partial(nsmodel.simulate, compiled=False)  # whatever other tests have left in the cache
-loop = sys.modules["nsmodel.run"]
+loop, schemes, walk = (importlib.import_module(f"nsmodel.run.{name}") for name in ("loop", "schemes", "walk"))
 FEW_ROWS = 1  # Chunks of the least number of rows, 64.
 
 
@@ -121,7 +121,7 @@ def make_whole(tmp_path_factory):
 
 @pytest.fixture(name="small_chunks")
 def make_small_chunks(monkeypatch):
-    monkeypatch.setattr(loop, "CHUNK_BYTES", FEW_ROWS)
+    monkeypatch.setattr(walk, "CHUNK_BYTES", FEW_ROWS)
 
 
 def stop_at(monkeypatch, call, error):
@@ -234,7 +234,7 @@ def test_a_last_chunk_of_one_row_is_noted_once(tmp_path, small_chunks):
 
 def slow_down(seconds):
     """Make every step of this process take longer."""
-    make = loop.make_stepper
+    make = schemes.make_stepper
 
     def slow(*args, **options):
         stepper = make(*args, **options)
@@ -247,12 +247,12 @@ def slow_down(seconds):
         stepper.__class__ = Slow
         return stepper
 
-    loop.make_stepper = slow
+    schemes.make_stepper = slow
 
 
 DRIVER = """
 import test_resume
-test_resume.loop.CHUNK_BYTES = test_resume.FEW_ROWS
+test_resume.walk.CHUNK_BYTES = test_resume.FEW_ROWS
 print("ready", flush=True)
 nsmodel = test_resume.nsmodel
 {body}
@@ -291,7 +291,7 @@ def test_ctrl_c_never_cuts_a_step_in_two(tmp_path, monkeypatch):
 
     simulate(build(), out=tmp_path / "whole")
     expected = (tmp_path / "whole" / "trajectory.npz").read_bytes()
-    make, rng, stopped = loop.make_stepper, np.random.default_rng(0), 0
+    make, rng, stopped = schemes.make_stepper, np.random.default_rng(0), 0
 
     def armed(*args, **options):
         stepper, calls = make(*args, **options), []
@@ -310,7 +310,7 @@ def test_ctrl_c_never_cuts_a_step_in_two(tmp_path, monkeypatch):
     try:
         for i in range(20):
             with monkeypatch.context() as patch:
-                patch.setattr(loop, "make_stepper", armed)
+                patch.setattr(schemes, "make_stepper", armed)
                 try:
                     simulate(build(), out=tmp_path / str(i))
                 except RunInterrupted as error:
@@ -531,11 +531,12 @@ def test_the_totals_are_those_of_the_rows(build):
 def test_rows_do_not_wait_long_for_a_chunk_to_fill(build, every, tmp_path, monkeypatch):
     simulate(build(), out=tmp_path / "whole", save_every=every)
     monkeypatch.setattr(loop, "CHUNK_SECONDS", 0.0)
+    monkeypatch.setattr(loop, "MOST_AT_ONCE", 1)
     with monkeypatch.context() as patch:
         stop_at(patch, 100, SystemExit())  # as if killed: nothing is written at the end
         with pytest.raises(SystemExit):
             simulate(build(), out=tmp_path / "run", save_every=every)
-    assert len(list((tmp_path / "run").glob("chunk-*.npz"))) == 99 // every
+    assert len(list((tmp_path / "run").glob("chunk-*.npz"))) == 99 // every + (every > 1)  # the start is a row too
     simulate(build(), out=tmp_path / "run", save_every=every, resume=True)
     assert (tmp_path / "run" / "trajectory.npz").read_bytes() == (tmp_path / "whole" / "trajectory.npz").read_bytes()
 
@@ -547,7 +548,7 @@ def test_memory_does_not_grow_with_the_number_of_steps(tmp_path):
     """400 000 steps take no more memory than a tenth of them; reading the result is left out."""
     body = """
         import resource, sys
-        test_resume.loop.CHUNK_BYTES = 1 << 20
+        test_resume.walk.CHUNK_BYTES = 1 << 20
         test_resume.loop.Trajectory.load = lambda path: None
         for end in (40, 400):
             model = nsmodel.LureSystem(A=[[-1]], B=1, C=1, law=nsmodel.relay(1, -0.5, 0.5), x0=1, t_end=end, step=1e-3)

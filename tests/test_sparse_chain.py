@@ -269,11 +269,11 @@ def test_a_resumed_run_repeats_bit_for_bit(tmp_path):
 
 def test_a_step_depends_on_its_arguments_alone():
     run, other = prepare(chain(50), compiled=False), prepare(chain(50), compiled=False)
-    first = run.stepper(0.0, 0.01, run.state, run.warm)
-    again = other.stepper
+    first = run.walk.stepper(0.0, 0.01, run.walk.state, run.walk.warm)
+    again = other.walk.stepper
     for h in (0.02, 0.013, 0.01, 0.004, *np.linspace(0.005, 0.006, 20)):
-        again(0.3, h, other.state * 1.1, other.warm)
-    repeated = again(0.0, 0.01, run.state, run.warm)
+        again(0.3, h, other.walk.state * 1.1, other.walk.warm)
+    repeated = again(0.0, 0.01, run.walk.state, run.walk.warm)
     assert np.array_equal(first.row, repeated.row)
 
 

@@ -273,9 +273,9 @@ def general(**given):
 def test_a_step_from_a_row_of_a_run_leads_to_the_next_row(model, load_case):
     model = load_case(model) if isinstance(model, str) else model
     run = prepare(model, t_end=20 * model.step, compiled=False)
-    start = run.state.copy()
+    start = run.walk.state.copy()
     made = run.go()
-    step = steps_from(run, start, made)
+    step = steps_from(run.walk, start, made)
     for row in range(20):
         np.testing.assert_allclose(step(row, made.step[row + 1]), made.x[row + 1], rtol=1e-9, atol=1e-12)
     assert np.isfinite(step(3, 0.3 * model.step)).all()

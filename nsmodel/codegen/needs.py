@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from nsmodel.classes.first_order.model import FirstOrderSystem
-from nsmodel.classes.lure.model import LureSystem
-from nsmodel.classes.oscillator.model import FrictionOscillator
 from nsmodel.codegen import fixed, inclusion, newton, sets
 from nsmodel.codegen.scene import BANDED, FIXED, INCLUSION, NEWTON, Scene
 from nsmodel.solve.active_set import MOST_INDEX_SETS
@@ -19,7 +16,7 @@ MAPS_BYTES = 16 << 10  # Memory for the inverses of index sets; between 2 and 8 
 
 def flags_of(scene: Scene) -> frozenset[str]:
     """What the code of a scene has, as the flags of the fragments in ``c/``."""
-    structure, law, problem, model = scene.structure, scene.law, scene.problem, scene.model
+    structure, law, problem = scene.structure, scene.law, scene.problem
     stepped = scene.path == NEWTON or inclusion.projects(scene)
     few = fixed.index_sets(law) > 0  # then every one of them is tried, and a psd W needs no pivoting
     has = {
@@ -48,8 +45,8 @@ def flags_of(scene: Scene) -> frozenset[str]:
         "CURVED_OF_PARAMETERS": scene.law_of_parameters and sets.numbers(problem.law).numel() > 0,
         "REWRITTEN": problem.multipliers is not None,
         "MULTIPLIERS": structure.m > 0 or problem.multipliers is not None,
-        "VELOCITY": isinstance(model, FrictionOscillator),
-        "FORCE": isinstance(model, FirstOrderSystem | LureSystem) and problem.state.numel() > len(model.names),
+        "VELOCITY": bool(problem.velocity),
+        "FORCE": problem.state.numel() > len(scene.model.names) and not problem.velocity,
         "FIXED_MAPS": scene.path == FIXED and structure.m > 0 and not law.curved,
         "ONE_STEP": scene.path in (FIXED, BANDED) or inclusion.one_step(scene),
     } | inclusion.flags(scene)

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.oscillator.model import FrictionOscillator
-from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.codegen import banded, fixed, inclusion, newton, sets, statuses
 from nsmodel.codegen.bounds import MOST_WORK, work_bound
 from nsmodel.codegen.expression import number
@@ -19,7 +17,7 @@ from nsmodel.codegen.loops import c_function
 from nsmodel.codegen.needs import flags_of, sizes_of
 from nsmodel.codegen.scene import BANDED, FIXED, INCLUSION, Scene
 from nsmodel.codegen.tables import table
-from nsmodel.scheme import constraints, initial_rows
+from nsmodel.scheme import constraints, initial_rows, start_of
 from nsmodel.solve.build import start_state
 from nsmodel.solve.layout import extras
 from nsmodel.solve.newton import WORKING_SET_ABOVE
@@ -101,7 +99,7 @@ def _has(part: str, flags: frozenset[str]) -> bool:
 def _words(name: str, scene: Scene, flags: frozenset[str], sizes: dict[str, int], bound: int, fingerprint: str) -> dict[str, str]:
     model, problem = scene.model, scene.problem
     one = "MODEL_STEP: the matrices in the code belong to it" if scene.path in (FIXED, BANDED) else "MODEL_STEP"
-    last = "last difference of positions" if isinstance(model, FrictionOscillator) else "reaction of the last step"
+    last = "last difference of positions" if problem.velocity else "reaction of the last step"
     carried = "" if sizes["NSTATE"] == sizes["NX"] else f", then the {last}"
     return {
         "NAME": name,
@@ -227,11 +225,10 @@ def _bounds(scene: Scene) -> dict[str, ca.SX]:
 
 def _start(scene: Scene) -> ca.SX:
     """The state that a run starts from, as an expression of h and the parameters."""
-    model, h = scene.model, scene.problem.h
-    if isinstance(model, FrictionOscillator):
-        return ca.vertcat(model.x0, h * model.v0) if model.x1 is None else ca.vertcat(model.x1, model.x1 - model.x0)
-    x0 = model.q0 if hasattr(model, "q0") else model.x0
-    numbers = initial_rows(scene.numbers, scene.h)[-1][0]
+    own = start_of(scene.model, scene.problem.h)
+    if own is not None:
+        return own
+    x0, numbers = scene.model.start, initial_rows(scene.numbers, scene.h)[-1][0]
     carried = start_state(scene.problem_of_numbers, numbers, scene.h, scene.tolerance)
     return ca.vertcat(x0, ca.DM(carried[x0.numel() :]))
 
@@ -248,11 +245,11 @@ def _run_flags(scene: Scene, flags: frozenset[str]) -> frozenset[str]:
     """What only whole runs have: further columns; a look at W where it may cease to be monotone; error control."""
     structure = scene.structure
     watched = {"NEWTON", "LAW"} <= flags and structure.m <= WORKING_SET_ABOVE and not (scene.by_rows or structure.gram)
-    sweeping, kept = isinstance(scene.model, SweepingProcess), bool(constraints(scene.model).numel())
+    projected, kept = bool(scene.problem.gap), bool(constraints(scene.model).numel())
     has = {
         "RECORDS": bool(scene.problem.records),
         "MONOTONE": watched,
-        "ADAPTIVE": not {"ONE_STEP", "INCLUSION"} & flags and (sweeping or not kept),
-        "CLOSING": sweeping and kept,
+        "ADAPTIVE": not {"ONE_STEP", "INCLUSION"} & flags and (projected or not kept),
+        "CLOSING": projected,
     }
     return frozenset(name for name, holds in has.items() if holds)

@@ -64,6 +64,7 @@ class Model(Pickled):
 
     paper: ClassVar[str]
     schemes: ClassVar[tuple[str, ...]]
+    letter: ClassVar[str] = "x"  # What the state is called, and its start: x0.
     has: ClassVar[Mapping[str, str]] = {}  # What a run of the class has beside those of all classes: {name: in words}.
     of_time: ClassVar[str] = "move that term elsewhere"  # What to do with time where it may not stand.
 
@@ -75,6 +76,16 @@ class Model(Pickled):
 
     def _declare(self) -> None:
         raise NotImplementedError
+
+    @property
+    def state(self) -> ca.SX:
+        """The symbols of the state (n)."""
+        return getattr(self, self.letter)
+
+    @property
+    def start(self) -> ca.SX:
+        """The state at t = 0 (n)."""
+        return getattr(self, f"{self.letter}0")
 
     def _scheme(self) -> str:
         if not self.scheme:

@@ -23,6 +23,12 @@ def initial_rows(model: Any, h: float) -> list[tuple[np.ndarray, dict[str, np.nd
     return _scheme(model).initial_rows(model, h)
 
 
+def start_of(model: Any, h: ca.SX) -> ca.SX | None:
+    """Return the state that the first step starts from as an expression of h, where the scheme has one of its own."""
+    own = getattr(_scheme(model), "start_of", None)
+    return None if own is None else own(model, h)
+
+
 def derived_columns(model: Any, arrays: dict[str, np.ndarray], h_next: np.ndarray) -> dict[str, np.ndarray]:
     """Return the columns that follow from others: reactions, energy. ``h_next`` is the step that starts at each row."""
     derive = getattr(_scheme(model), "derived_columns", None)

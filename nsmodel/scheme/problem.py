@@ -81,6 +81,8 @@ class OneStepProblem:
         overreach: of each row, how far Y is below the constraint that it linearises at z, beside what it changes by; else None.
         start: problem that turns (x0, 0) into the first state, where the scheme needs a multiplier at t = 0.
         order: of the scheme between switches.
+        velocity: the record that is the change of the state in a step over h, where the state carries that change; else "".
+        gap: the record of how far next_state is inside what it is projected on, where it is; else "".
         prediction: how the state is made of the model's, where it is a predictor; else None.
         explicit: numbers of the unknowns that their own rows give: E_i = z_i - G_i of the others, E and Y linear in them.
     """
@@ -105,6 +107,8 @@ class OneStepProblem:
     overreach: ca.SX | None = None
     start: OneStepProblem | None = None
     order: Order = field(default_factory=lambda: Order(1))
+    velocity: str = ""
+    gap: str = ""
     prediction: Prediction | None = None
     explicit: tuple[int, ...] = ()
 
@@ -130,18 +134,8 @@ def feedthrough(Y: ca.SX, l: ca.SX) -> tuple[int, ...]:
     return tuple(sorted(set(ca.jacobian_sparsity(Y, l).row())))
 
 
-class BasicLaw(NamedTuple):
-    """A law rewritten for boxes and curved sets: multipliers = L(l), and rows Y(l, y) of the rewritten law."""
-
-    law: Law
-    l: ca.SX
-    multipliers: ca.SX
-    rows: tuple[str, ...]
-    Y: ca.SX
-
-
-def basic_law(law: Law, names: tuple[str, ...], y: ca.SX) -> BasicLaw:
-    """Rewrite what is no basic law, such as a polyhedron, in terms of basic ones.
+def basic_law(law: Law, names: tuple[str, ...], y: ca.SX) -> Rewritten:
+    """Rewrite what is no basic law, such as a polyhedron, in terms of boxes and curved sets.
 
     ``y`` (m, 1) is the output that the user's law speaks of; it must not depend on the new symbols.
     """
@@ -151,7 +145,7 @@ def basic_law(law: Law, names: tuple[str, ...], y: ca.SX) -> BasicLaw:
         own = y[rows.start : rows.stop], tuple(names[rows])
         parts.append(block.rewritten(*own) or Rewritten(Law((block,)), l, l, own[1], own[0]))
     labels = tuple(name for part in parts for name in part.rows)
-    return BasicLaw(
+    return Rewritten(
         product(*(part.law for part in parts)), _stack([part.l for part in parts]),
         _stack([part.multipliers for part in parts]), labels, _stack([part.y for part in parts]),
     )  # fmt: skip

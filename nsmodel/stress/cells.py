@@ -23,7 +23,7 @@ from nsmodel.hypotheses.findings import ALONG_A_RUN, VIOLATED
 from nsmodel.hypotheses.quick import UNIQUENESS
 from nsmodel.model.base import Model, shown
 from nsmodel.model.parameters import Values
-from nsmodel.run import progress_bar
+from nsmodel.run.interrupt import progress_bar
 from nsmodel.simulate import simulate
 from nsmodel.stress.judge import acting, by_formulas
 from nsmodel.stress.measures import ROUNDING

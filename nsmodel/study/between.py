@@ -16,7 +16,8 @@ from nsmodel.classes.first_order.model import FirstOrderSystem
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.classes.oscillator.model import FrictionOscillator
 from nsmodel.errors import StepError
-from nsmodel.run import Run, make_stepper
+from nsmodel.run.on_grid import OnGrid
+from nsmodel.run.schemes import make_stepper
 from nsmodel.trajectory import Trajectory
 
 MOST = 300  # Steps that are taken for one question; what is left stays on its line.
@@ -67,7 +68,7 @@ class Between:
         return x, float(bend.max(initial=0.0))
 
 
-def steps_from(run: Run, start: np.ndarray, made: Trajectory) -> Step:
+def steps_from(run: OnGrid, start: np.ndarray, made: Trajectory) -> Step:
     """Return the step from the rows of a run that was ``made`` by ``run``, whose packed state at the start was ``start``."""
     model, problem = run.model, run.problem
     n, m = len(model.names), made.multipliers.shape[1]

@@ -126,10 +126,10 @@ class Search:
                 for n in (count / 4, count / 2, count):
                     self.say(f"reference: {n:.0f} steps, {method.name}")
                     run = self.prepared(method, n)
-                    start = run.state.copy()
+                    start = run.walk.state.copy()
                     made = run.go(progress=False)
                     runs.append(Rows.of(made))
-                step = steps_from(run, start, made)
+                step = steps_from(run.walk, start, made)
             except NsmodelError as error:
                 self.notes.append(f"no reference by {method.name} with {count:.0f} steps: {error}")
             else:

@@ -89,7 +89,7 @@ def microseconds(n: int, steps: int, compiled: bool) -> tuple[float, float]:
         run = run_of(n, steps, compiled)
         ready = max(ready, time.perf_counter() - start)  # the first one, which builds the library
         run.go()
-        assert run.totals["worst_residual"] <= run.stepper.tolerance
+        assert run.walk.totals["worst_residual"] <= run.walk.stepper.tolerance
         times.append(1e6 * run.cpu_seconds / steps)
     return min(times), ready
 
@@ -106,7 +106,7 @@ def megabytes(n: int) -> float:
 def shares(n: int, steps: int) -> dict[str, float]:
     """Microseconds a step of each part."""
     run, spent = run_of(n, steps), defaultdict(float)
-    sparse = run.stepper._sparse
+    sparse = run.walk.stepper._sparse
     for name, functions in PARTS.items():
         for owner, attribute in functions:
             for target in [sparse] if owner is Sparse else list(sparse._steps.values()):

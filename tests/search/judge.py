@@ -249,7 +249,7 @@ def _from_parts(case: Case, teller: Teller, known: tuple[float, float, np.ndarra
 
 def _last_predictor(model: Any, run: Run, t: float, h: float) -> np.ndarray | None:
     """x + h v with v as the selection gives it."""
-    from nsmodel.run import make_stepper
+    from nsmodel.run.schemes import make_stepper
 
     stepper = make_stepper(one_step_problem(model), "auto", 1e-9, h=h, state=run.x[-1])
     try:

@@ -112,7 +112,7 @@ class _Step:
         self.E = model.M @ (x - model.x) - self.step * (
             theta * f + (1 - theta) * model.f + gamma * g + (1 - gamma) * (r_k if gamma < 1 else 0)
         )
-        self.Y = ca.substitute([basic.Y], [y_user], [y])[0]
+        self.Y = ca.substitute([basic.y], [y_user], [y])[0]
         self.x, self.user_l = x, basic.multipliers
         inputs, both = [x, self.l, self.t, self.x_k, self.step], ca.vertcat(self.E, self.Y)
         self.values = ca.Function("values", inputs, [ca.densify(ca.horzcat(both, ca.jacobian(both, ca.vertcat(x, self.l))))])

@@ -40,7 +40,7 @@ def one_step_problem(model: FirstOrderSystem) -> OneStepProblem:
     hx, gx = end(model.h, l), end(model.g, l)
     f_k, f = model.f, end(model.f, l)
     y = ca.SX.sym("y", basic.l.numel())
-    Y = ca.substitute(basic.Y, y_user, hx)
+    Y = ca.substitute(basic.y, y_user, hx)
     R = model.M @ (x - x_k) - h * th * f - h * (1 - th) * f_k - h * ga * r - h * (1 - ga) * (r_k if ga < 1 else 0)
     R_r = r - gx
     split = basic.l.numel() != l.numel()
@@ -71,7 +71,7 @@ def _start(model: FirstOrderSystem, h: ca.SX, state: ca.SX) -> OneStepProblem:
         scheme="multiplier at the start",
         t=model.t, h=h, state=state, p=model.p,
         z=ca.SX(0, 1), l=basic.l, y=ca.SX.sym("y", basic.l.numel()),
-        E=ca.SX(0, 1), Y=ca.substitute(basic.Y, y_user, here[0]),
+        E=ca.SX(0, 1), Y=ca.substitute(basic.y, y_user, here[0]),
         law=basic.law,
         rows=basic.rows,
         guess=ca.SX(0, 1),

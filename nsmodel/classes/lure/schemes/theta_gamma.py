@@ -63,7 +63,7 @@ def _rows(model: LureSystem, x: ca.SX) -> _Rows:
     if model.law is not None:
         basic = basic_law(model.law, model.multiplier_names, y)
         output = ca.densify(model.C @ x + model.D @ basic.multipliers)
-        Y = ca.substitute(basic.Y, y, output)
+        Y = ca.substitute(basic.y, y, output)
         return _Rows(basic.law, basic.l, basic.rows, Y, basic.multipliers, output, basic.l.numel() != m)
     part = subdifferential(model.phi_split, model.y, "phi")
     implicit = not model.D.is_zero()

@@ -53,6 +53,7 @@ def one_step_problem(model: FrictionOscillator) -> OneStepProblem:
         guess=d_old,
         next_state=ca.vertcat(x_next, d),
         records={"v": v},
+        velocity="v",
     )  # fmt: skip
 
 
@@ -113,6 +114,11 @@ def initial_rows(model: FrictionOscillator, h: float) -> list[tuple[np.ndarray, 
         return [(np.concatenate([x0, h * v0]), {"v": v0})]
     x1 = np.array(ca.DM(model.x1)).ravel()
     return [(np.concatenate([x0, np.full(x0.size, np.nan)]), {}), (np.concatenate([x1, x1 - x0]), {"v": (x1 - x0) / h})]
+
+
+def start_of(model: FrictionOscillator, h: ca.SX) -> ca.SX:
+    """The state of the last of these rows as an expression of h."""
+    return ca.vertcat(model.x0, h * model.v0) if model.x1 is None else ca.vertcat(model.x1, model.x1 - model.x0)
 
 
 def derived_columns(model: FrictionOscillator, arrays: dict[str, np.ndarray], h_next: np.ndarray) -> dict[str, np.ndarray]:

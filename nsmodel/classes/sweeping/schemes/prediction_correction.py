@@ -39,6 +39,7 @@ def one_step_problem(model: SweepingProcess) -> OneStepProblem:
         guess=q,
         next_state=q_next,
         records={"gap": ca.substitute(g, q, q_next)} if m.numel() else {},
+        gap="gap" if m.numel() else "",
         overreach=_overreach(g, G, q, q_next),
     )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Steps chosen by local error control: each step is taken once with h and again as two steps of h/2.
+"""Steps of a scheme chosen by local error control: each step is taken once with h and again as two steps of h/2.
 
     e = max_i |d_i| / (atol_i + rtol s_i),    d = (x_fine - x_coarse) / (2^p - 1),    s_i = the largest |x_i| so far
 
@@ -25,25 +25,23 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.oscillator.model import FrictionOscillator
-from nsmodel.classes.sweeping.model import SweepingProcess
-from nsmodel.errors import StepError, StorageError, UsageError
+from nsmodel.errors import StepError, UsageError
 from nsmodel.grid import Grid, check_times, is_number, make_grid, written
 from nsmodel.model.base import Model
 from nsmodel.record import UNSET
-from nsmodel.run import Run, is_numerical, keep_unfinished, progress_bar, runaway, unsolvable
+from nsmodel.run.options import Options
+from nsmodel.run.schemes import OfScheme
+from nsmodel.run.walk import is_numerical, runaway, unsolvable
 from nsmodel.scheme import constraints, shortened
 from nsmodel.scheme.problem import feedthrough
 from nsmodel.solve.certificate import EPS, numeric_law
 from nsmodel.solve.stepper import StepResult, Warm
-from nsmodel.trajectory import Trajectory
 
 LARGEST, LEAST = 4, 40  # Steps are T/2^j with j between these.
 FIRST = 7  # j of the first step where none is given.
@@ -53,29 +51,6 @@ NEGLIGIBLE = 1e-6  # A state that stays below this part of the largest of its sy
 UNSOLVED = 4  # How often a step without an answer is halved at once: to find that out takes every solver.
 MOST = 10_000_000  # Accepted steps after which a run stops: its tolerance is out of reach.
 ROWS = 4096
-
-
-@dataclass
-class Ladder:
-    """Times of the rows so far, and the step that is tried; it stands where another run has its `Grid`."""
-
-    h: float
-    times: list[float] = field(default_factory=lambda: [0.0])
-    N: int = 2 * MOST
-    steps: None = None
-
-    @property
-    def last(self) -> float:
-        """No step is shortened."""
-        return self.h
-
-    def step(self, k: int) -> float:
-        """The step that is tried."""
-        return self.h
-
-    def time(self, k: int) -> float:
-        """Time of row k."""
-        return self.times[k]
 
 
 class Place(NamedTuple):
@@ -121,32 +96,36 @@ class Accepted(NamedTuple):
     end: Place
 
 
-class AdaptiveRun(Run):
-    """A run with error control; see `simulate` for the arguments."""
+class Controlled(OfScheme):
+    """The walk under error control; see `walk.Walk`. The rows of all half steps stay in memory."""
 
-    def __init__(
-        self, model: Model, step: float | None, t_end: float | None, solver: str, tolerance: float, out: Path | None,
-        compiled: bool | str, rtol: float | None, atol: Any,
-    ) -> None:  # fmt: skip
-        check_times(step=step, t_end=t_end)
-        self.T = T = float(model.t_end if t_end is None else t_end)
-        h = model.step if step is None else step
+    N = 2 * MOST
+
+    def __init__(self, model: Model, options: Options) -> None:
+        check_times(step=options.step, t_end=options.t_end)
+        given: Any = model.t_end if options.t_end is None else options.t_end
+        self.T = T = float(given)
+        h = model.step if options.step is None else options.step
         h = T / 2**FIRST if h is None else h
-        make_grid(model, h, None, t_end)  # refuses a step far too small for the run
-        self.rtol, self.atol = _tolerances(model, rtol, atol)
+        make_grid(model, h, None, options.t_end)  # refuses a step far too small for the run
+        self.rtol, self.atol = _tolerances(model, options.rtol, options.atol)
         _refuse_fixed(model)
-        self.folder = out
-        if out is not None:
-            keep_unfinished(out)
         j = min(max(math.ceil(math.log2(T / h)), LARGEST), LEAST)
-        super().__init__(model, Ladder(self._h(j)), solver, tolerance, 1, None, False, compiled is True)
-        self.totals |= {"accepted": 0, "rejected": 0, "extrapolated": 0, "at_least_step": 0, "least_step": None, "rtol": rtol}
-        n, slices = len(model.names), self.stepper.layout.slices
-        self._watched = np.r_[0:n, slices["v"]] if isinstance(model, FrictionOscillator) else np.arange(n)
-        self._groups = [np.array(at) + shift for shift in range(0, self._watched.size, n) for at in model.stems.values()]
+        first, of_any_step = Grid(1, h := self._h(j), h), Grid(1, h, h, np.array([h]), np.array([0.0, h]))
+        constant = replace(options, compiled=options.compiled is True)
+        super().__init__(model, constant, first, of_any_step, lambda: None)
+        self.record, self.times = self.start(first, ROWS), [0.0]
+        self.totals |= {
+            "accepted": 0, "rejected": 0, "extrapolated": 0, "at_least_step": 0, "least_step": None, "rtol": options.rtol,
+        }  # fmt: skip
+        n, slices = len(self.model.names), self.stepper.layout.slices
+        velocity = slices[self.problem.velocity] if self.problem.velocity else slice(0, 0)
+        self._watched = np.r_[0:n, velocity]
+        self._groups = [np.array(at) + shift for shift in range(0, self._watched.size, n) for at in self.model.stems.values()]
+        self.atol = np.resize(self.atol, self._watched.size)
         watched = self.record.rows[0, self._watched]
         self._size, self.place = np.abs(watched), Place(0, j, self.state, self.warm, watched, np.full(watched.size, np.nan), None)
-        state, c = model.q if isinstance(model, SweepingProcess) else model.x, constraints(model)
+        state, c = model.state, constraints(model)
         self._c: Any = (
             ca.Function("c", [model.t, state], [ca.densify(c), ca.densify(ca.jacobian(c, state))]) if c.numel() else None
         )
@@ -157,35 +136,48 @@ class AdaptiveRun(Run):
     def _h(self, j: int) -> float:
         return math.ldexp(self.T, -j)
 
-    def _grid_in_c(self) -> Grid:
-        return Grid(1, self.grid.h, self.grid.h, np.array([self.grid.h]), np.array([0.0, self.grid.h]))
-
-    def _capacity(self, known: int) -> int:
-        return ROWS
-
-    def _bar(self) -> Any:
-        return progress_bar(total=100, unit="%", bar_format="{percentage:3.0f}%|{bar}| {elapsed}<{remaining}")
+    @property
+    def bar(self) -> dict[str, Any]:
+        """Per cent."""
+        return {"total": 100, "unit": "%", "bar_format": "{percentage:3.0f}%|{bar}| {elapsed}<{remaining}"}
 
     @property
-    def _runaway(self) -> tuple[str, float] | None:
-        return runaway(self.model.names, self.place.state[: len(self.model.names)])
+    def passed(self) -> float:
+        """Per cent of the time."""
+        return 100 * math.ldexp(self.place.t, -LEAST - 1)
 
     @property
-    def _ended(self) -> bool:
+    def ended(self) -> bool:
+        """Whether the end of the time is reached."""
         return self.place.t == 2 ** (LEAST + 1)
 
-    def _advance(self, bar: Any, interrupted: Sequence[float]) -> None:
-        while not (self._ended or interrupted):
-            if self.rollout is None or not self.rollout.adaptive or self._block_in_c():
-                self._advance_one()
-            if bar is not None:
-                bar.update(100 * math.ldexp(self.place.t, -LEAST - 1) - bar.n)
+    @property
+    def time(self) -> float:
+        """Where the next step starts."""
+        return self.times[self.k]
 
-    def _advance_one(self) -> None:
+    @property
+    def h(self) -> float:
+        """The step that is tried."""
+        return self._h(self.place.j)
+
+    @property
+    def runaway(self) -> tuple[str, float] | None:
+        """Name and value of the largest state, where it is beyond what can be computed with."""
+        return runaway(self.model.names, self.place.state[: len(self.model.names)])
+
+    def advance(self, steps: int, stop: Sequence[float]) -> None:
+        """Take steps, each at whatever length it is accepted; in C as many as there is time for."""
+        for _ in range(steps):
+            if self.ended or stop:
+                return
+            if self.rollout is None or not self.rollout.adaptive or self._in_c():
+                self._one()
+
+    def _one(self) -> None:
         """Take one step, at whatever length it is accepted."""
         accepted = first = None
         while accepted is None:
-            self.grid.h = self._h(self.place.j)
             trial = self._trial(self.place, first)
             accepted = None if trial is None else self._accepted(self.place, trial)
             if accepted is not None:
@@ -198,7 +190,7 @@ class AdaptiveRun(Run):
                 self.place = self.place._replace(j=self.place.j + shorter, state=after)
                 first = None if trial is None else trial.half
 
-    def _block_in_c(self) -> bool:
+    def _in_c(self) -> bool:
         """Take steps in C and record them, as many as there is time and room for; whether then one was not certified."""
         record, totals, place = self.record, self.totals, self.place
         if len(record.t) - record.filled < 2:
@@ -218,20 +210,18 @@ class AdaptiveRun(Run):
         for number, group in enumerate(self._groups):
             control["group"][group] = number
         columns = np.empty((3, len(record.t) - record.filled))
-        counting = self.stepper.plan.path == "newton"
-        least = min(self.stepper.least_eigenvalue, totals.get("least_eigenvalue", np.inf)) if counting else -np.inf
-        done = self.rollout.adapt(control, self.k, least, record.rows[free], record.index[free], columns)
+        done = self.rollout.adapt(control, self.k, self._least(), record.rows[free], record.index[free], columns)
         times, lengths, moved = columns[:, : done.steps]
         if done.steps:
             record.extend(np.arange(self.k + 1, self.k + 1 + done.steps), times, lengths, lengths)
-            self.grid.times.extend(times.tolist())
+            self.times.extend(times.tolist())
             self._corrections.extend(moved.tolist())
             self.last_index = record.index[record.filled - 1].copy()
-            worst_k = done.worst_step if done.worst > totals["worst_residual"] else None
+            worst_t = self.times[done.worst_step] if done.worst > totals["worst_residual"] else None
             self._size, self.counts = control["size"].copy(), self.counts + Counter(done.solvers)
-            newton = (done.newton, done.newton_max) if counting else (0.0, 0.0)
-            self._put(self.k + done.steps, self.state, self.warm, self.last_index, done.worst, worst_k, *newton, done.changes)
-            if counting:
+            newton = (done.newton, done.newton_max) if self.counting else (0.0, 0.0)
+            self._put(self.k + done.steps, self.state, self.warm, self.last_index, done.worst, worst_t, *newton, done.changes)
+            if self.counting:
                 self.stepper.met(done.least_eigenvalue)
         for name in ("accepted", "rejected", "extrapolated", "at_least_step"):
             totals[name] += int(control[name])
@@ -331,19 +321,19 @@ class AdaptiveRun(Run):
         state, end = fine + (fine - coarse) / (2**trial.order - 1), at.t + 2 * at.half
         if self.problem.start is not None:
             state[self._watched.size :] = fine[self._watched.size :]
-        if isinstance(self.model, FrictionOscillator):
+        if self.problem.velocity:
             n = len(self.model.names)
             if (np.sign(state[n:]) != np.sign(fine[n:])).any():
                 return None
         if self._c is None:
             return state, None
-        if not isinstance(self.model, SweepingProcess):
+        if not self.problem.gap:
             return (state, None) if self._feasible(self._time(end), state) else None
         try:
             closing = self._step(self._time(end - 1), self._h(LEAST + 1), state, trial.fine.warm).row
         except StepError:
             return None
-        return closing[states], closing[self.stepper.layout.slices["gap"]]
+        return closing[states], closing[self.stepper.layout.slices[self.problem.gap]]
 
     def _feasible(self, t: float, state: np.ndarray) -> bool:
         """Whether every constraint is >= 0, to the rounding of evaluating it."""
@@ -356,9 +346,9 @@ class AdaptiveRun(Run):
         layout, n, row = self.stepper.layout, len(self.model.names), trial.fine.row.copy()
         row[layout.state] = state
         if gaps is not None:
-            row[layout.slices["gap"]] = gaps
-        if isinstance(self.model, FrictionOscillator):
-            row[layout.slices["v"]] = state[n:] / (self._h(at.j) / 2)
+            row[layout.slices[self.problem.gap]] = gaps
+        if self.problem.velocity:
+            row[layout.slices[self.problem.velocity]] = state[n:] / (self._h(at.j) / 2)
         return row
 
     def _record(self, accepted: Accepted) -> None:
@@ -383,13 +373,13 @@ class AdaptiveRun(Run):
             self.record.grow()
         layout, totals, index = self.stepper.layout, self.totals, result.warm.index
         self.k += 1
-        self.grid.times.append(t)
+        self.times.append(t)
         self.record.add(self.k, t, h, h, row, index)
         self._corrections.append(correction)
         self.counts[result.solver] += 1
         if row[layout.residual] > totals["worst_residual"]:
             totals["worst_residual"], totals["worst_residual_t"] = float(row[layout.residual]), t
-        if self.stepper.plan.path == "newton":
+        if self.counting:
             totals["newton"] += float(row[layout.newton])
             totals["newton_max"] = max(totals["newton_max"], float(row[layout.newton]))
         totals["index_set_changes"] += int(self.last_index is not None and not np.array_equal(index, self.last_index))
@@ -440,31 +430,28 @@ class AdaptiveRun(Run):
             "what rtol allows; compare with constant steps"
         ]
 
-    def _finish(self, status: str, message: str) -> Trajectory:
-        self.warnings += self._turns()
-        run = super()._finish(status, message)
-        run.arrays["correction"] = np.array(self._corrections)
-        if self.folder is not None:
-            try:
-                run.save(self.folder / "trajectory.npz")
-            except StorageError as error:
-                error.trajectory = run
-                raise
-        return run
+    def columns(self) -> dict[str, np.ndarray]:
+        """The rows as the arrays of a trajectory, and how far extrapolation has moved them."""
+        return super().columns() | {"correction": np.array(self._corrections)}
+
+    def metadata(self) -> dict[str, Any]:
+        """As of every scheme, with what whole and half steps do not see."""
+        self.warnings += [text for text in self._turns() if text not in self.warnings]
+        return super().metadata()
 
 
 def _tolerances(model: Model, rtol: Any, atol: Any) -> tuple[float, np.ndarray]:
     rtol = 0.0 if rtol is None else rtol
     if not (is_number(rtol) and (1e-12 <= rtol < 1 or (rtol == 0 and atol is not None))):
         raise UsageError(f"rtol = {written(rtol)}; expected a number between 1e-12 and 1")
-    n = len(model.names) * (2 if isinstance(model, FrictionOscillator) else 1)
+    names = model.names or ()
     try:
         array = np.asarray(0.0 if atol is None else atol, float)
     except (TypeError, ValueError):
         array = np.full(1, np.nan)
-    if array.ndim > 1 or array.size not in (1, len(model.names)) or not (np.isfinite(array) & (array >= 0)).all():
-        raise UsageError(f"atol = {atol!r}; expected a number >= 0, or one for each of {', '.join(model.names)}")
-    return float(rtol), np.resize(array, n)
+    if array.ndim > 1 or array.size not in (1, len(names)) or not (np.isfinite(array) & (array >= 0)).all():
+        raise UsageError(f"atol = {atol!r}; expected a number >= 0, or one for each of {', '.join(names)}")
+    return float(rtol), array
 
 
 def _refuse_fixed(model: Any) -> None:

@@ -1,12 +1,10 @@
-"""A run of many bodies: the step of `solve.many_bodies` over a grid, bodies that leave and enter, and the contacts that acted."""
+"""The walk of many bodies: the step of `solve.many_bodies` over a grid, bodies that leave and enter, contacts that acted."""
 
 from __future__ import annotations
 
 import contextlib
-import time
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,8 +15,10 @@ from nsmodel.contacts import NO_CONTACTS, Contacts, in_order
 from nsmodel.errors import StepError, UsageError
 from nsmodel.grid import Grid
 from nsmodel.hypotheses.quick import warnings_of
-from nsmodel.identity import INTERPRETED, settings
-from nsmodel.run import Loop, runaway
+from nsmodel.identity import settings
+from nsmodel.run.in_c import chosen
+from nsmodel.run.options import Options
+from nsmodel.run.walk import There, check_exact, note_distance_to_exact, overrun, rows_in_memory, runaway
 from nsmodel.solve.certificate import EPS
 from nsmodel.solve.choose import Plan
 from nsmodel.solve.cost import Cost, of_bodies
@@ -67,52 +67,70 @@ class BodiesRecord:
         return arrays | {"contact_row": row} | {f"contact_{k}": v for k, v in zip(Contacts._fields, parts, strict=True)}
 
 
-class BodiesRun(Loop):
-    """A run of many bodies; see `simulate` for the arguments.
+class OnGrid:
+    """The walk of many bodies over a grid; see `run.walk.Walk`.
 
     It stands at (k, q, waiting, warm): ``q (N, d)`` is NaN where a body is not there, ``waiting (N,)`` who has not yet entered.
     It ends before the grid does where nobody is left, or where nothing will ever change again (see `standstill`).
     ``seconds``: run time of the interpreted steps by what they do.
     """
 
-    def __init__(
-        self, model: ManyBodies, grid: Grid, solver: str, tolerance: float, save_every: int, out: Path | None, resume: bool,
-        compiled: bool | str = False,
-    ) -> None:  # fmt: skip
-        self.model, self.grid, self.save_every, self.out, self.tolerance = model, grid, save_every, out, tolerance
-        self._check_exact()
+    def __init__(self, model: ManyBodies, options: Options, grid: Grid, there: There) -> None:
+        self.model: Any = model
+        self.grid, self.N, self.every, self.tolerance = grid, grid.N, int(options.save_every), float(options.tolerance)
+        check_exact(model)
         self.problem = BodiesProblem(model)
-        self.stepper = BodiesStepper(self.problem, solver, tolerance)
-        self.plan = Plan("bodies", (), True, "never", True, 0.0, *map(tuple, explained(self.problem, solver)))
-        self.counts = Counter()
-        self.warnings = warnings_of(model, self.plan)
+        self.stepper = BodiesStepper(self.problem, options.solver, self.tolerance)
+        plan = Plan("bodies", (), True, "never", True, 0.0, *map(tuple, explained(self.problem, options.solver)))
+        self.counts: Counter[str] = Counter()
         self.totals: dict[str, Any] = {
             "worst_residual": 0.0, "worst_residual_t": None, "index_set_changes": 0, "steps": 0, "left": 0, "entered": 0,
             "least_gap": np.inf, "least_gap_t": None, "largest_pressure": 0.0, "largest_pressure_t": None,
             "largest_pressure_body": None, "most_contacts": 0,
         }  # fmt: skip
         self._check_f()
-        self._start_store(resume)
-        in_c = self._in_c(compiled, solver)
-        self.step, way = (self.stepper, INTERPRETED) if in_c is None else (in_c, in_c.way)
-        self.settings = settings(model, grid, solver, tolerance, save_every, way)
-        N, d = model.bodies.q0.shape
-        row = 8 * (N * d + N + 4) + 25 * CONTACTS_EACH * N
-        self.record = BodiesRecord(N, d, self._rows_in_memory(row, 1))
+        steps = chosen(options, plan, there(), grid.N, self._cost, self._build)
+        self.step: Any = self.stepper if steps.steps is None else steps.steps
+        self.plan, self.warnings = steps.plan, [*warnings_of(model, plan), *steps.warnings]
+        self.settings = settings(model, grid, options.solver, self.tolerance, self.every, steps.way)
+        count, d = model.bodies.q0.shape
+        row = 8 * (count * d + count + 4) + 25 * CONTACTS_EACH * count
+        self.record = BodiesRecord(count, d, rows_in_memory(grid.N, options, row, 1))
         self.k, self.warm, self.waiting = 0, COLD, model.enter > 0
         self.q = np.where(self.waiting[:, None], np.nan, model.bodies.q0)
         self.still, self._steady = Still(self.q, 0), autonomous(model)
-        self._flushed = time.monotonic()
-        if resume:
-            self._restore()
-            self.record.first = self.store.manifest["rows"]
-        else:
+        if not options.resume:
             gap = refuse_start(self.problem, self.q)
             self._note_gap(gap, 0.0)
             self.record.add(0.0, np.nan, self.q, gap, np.nan, np.nan, NO_CONTACTS)
 
     @property
-    def _runaway(self) -> tuple[str, float] | None:
+    def bar(self) -> dict[str, Any]:
+        """Steps."""
+        return {"total": self.N, "initial": self.k, "unit": "step"}
+
+    @property
+    def passed(self) -> int:
+        """Steps taken."""
+        return self.k
+
+    @property
+    def ended(self) -> bool:
+        """Whether the grid has, nobody is left, or nothing will ever change."""
+        return self.k >= self.N or "ended" in self.totals
+
+    @property
+    def time(self) -> float:
+        """t_k."""
+        return self.grid.time(self.k)
+
+    @property
+    def h(self) -> float:
+        """h_k."""
+        return self.grid.step(self.k)
+
+    @property
+    def runaway(self) -> tuple[str, float] | None:
         """The body that is, or would be after this step without constraints, where numbers end."""
         after = self.q
         with contextlib.suppress(StepError):
@@ -155,32 +173,30 @@ class BodiesRun(Loop):
         there = np.isfinite(self.q).all(axis=1)
         return there & ~self.problem.leaves(self.grid.time(self.k), self.q, there)
 
-    def _advance(self, bar: Any, interrupted: Sequence[float]) -> None:
-        grid = self.grid
-        while not (self._ended or interrupted):
-            t, h = grid.time(self.k), grid.step(self.k)
-            present = self._present()
-            result = self._take(t, h, np.where(present[:, None], self.q, np.nan), present)
-            left = int(np.isfinite(self.q).all(axis=1).sum() - present.sum())
-            # From here on nothing fails: the step has happened, or it has not.
-            pressure = self._pressure(result.contacts, present)
-            q = result.q
-            entering = self._entering(t + h, q) if self.waiting.any() else np.zeros(0, int)
-            q[entering] = self.model.bodies.q0[entering]
-            self._count(t + h, result, pressure, left, entering)
-            before, self.k, self.q, self.warm = (self.q, self.warm), self.k + 1, q, result.warm
-            self._note_end(before)
-            if self.k % self.save_every == 0 or self._ended:
-                contacts = in_order(result.contacts)
-                self.record.add(grid.time(self.k), h, q, result.gap_min, result.residual, pressure, contacts)
-                if self.store is not None and self._due:
-                    self._flush("running", "")
-            if bar is not None:
-                bar.update()
+    def advance(self, steps: int, stop: Sequence[float]) -> None:
+        """Go on step by step."""
+        for _ in range(steps):
+            if self.ended or stop or self.record.full:
+                return
+            self._one()
 
-    @property
-    def _ended(self) -> bool:
-        return super()._ended or "ended" in self.totals
+    def _one(self) -> None:
+        grid = self.grid
+        t, h = grid.time(self.k), grid.step(self.k)
+        present = self._present()
+        result = self._take(t, h, np.where(present[:, None], self.q, np.nan), present)
+        left = int(np.isfinite(self.q).all(axis=1).sum() - present.sum())
+        # From here on nothing fails: the step has happened, or it has not.
+        pressure = self._pressure(result.contacts, present)
+        q = result.q
+        entering = self._entering(t + h, q) if self.waiting.any() else np.zeros(0, int)
+        q[entering] = self.model.bodies.q0[entering]
+        self._count(t + h, result, pressure, left, entering)
+        before, self.k, self.q, self.warm = (self.q, self.warm), self.k + 1, q, result.warm
+        self._note_end(before)
+        if self.k % self.every == 0 or self.ended:
+            contacts = in_order(result.contacts)
+            self.record.add(grid.time(self.k), h, q, result.gap_min, result.residual, pressure, contacts)
 
     def _note_end(self, before: tuple[np.ndarray, BodiesWarm]) -> None:
         """Note that nobody is left, or that nothing will ever change again."""
@@ -272,33 +288,37 @@ class BodiesRun(Loop):
             name = self.problem.name(int(rows.family[i]), int(rows.first[i]), int(rows.second[i]))
             totals["overrun"] = {"gap": float(rows.g[i]), "constraint": name, "t": t}
 
-    def _note(self) -> None:
-        if self.model.exact is not None and self.record.filled:
+    def note(self) -> None:
+        """Keep the distance to the exact state."""
+        if self.record.filled:
             rows = slice(0, self.record.filled)
-            distance = self._distance_to_exact(self.record.t[rows], self.record.x[rows])
-            self.totals["largest_error"] = max(self.totals.get("largest_error", 0.0), distance)
+            note_distance_to_exact(self.model, self.totals, self.record.t[rows], self.record.x[rows])
 
-    def _columns(self) -> dict[str, np.ndarray]:
+    def columns(self) -> dict[str, np.ndarray]:
+        """The rows in memory as the arrays of a trajectory."""
         return self.record.columns()
 
-    def _standing(self) -> dict[str, Any]:
+    def standing(self) -> dict[str, Any]:
+        """What to continue from."""
         contacts = {name: value.tolist() for name, value in self.warm.contacts._asdict().items()}
-        return {"q": self.q.ravel(), "waiting": np.flatnonzero(self.waiting), "moved": self.warm.moved,
-                "contacts": contacts, "still": {"q": self.still.q.ravel(), "since": self.still.since}}  # fmt: skip
+        return {
+            "q": self.q.ravel(), "waiting": np.flatnonzero(self.waiting), "moved": self.warm.moved, "contacts": contacts,
+            "rows": self.record.first + self.record.filled, "still": {"q": self.still.q.ravel(), "since": self.still.since},
+        }  # fmt: skip
 
-    def _stand(self, saved: dict[str, Any]) -> None:
+    def stand(self, saved: dict[str, Any]) -> None:
+        """Take up what ``standing`` gave."""
         self.q = np.array(saved["q"], float).reshape(self.q.shape)
         self.waiting = np.isin(np.arange(self.problem.count), saved["waiting"])
         contacts = (np.array(saved["contacts"][name], kind.dtype) for name, kind in NO_CONTACTS._asdict().items())
         self.warm = BodiesWarm(Contacts(*contacts), saved["moved"])
-        if "still" in saved:
-            self.still = Still(np.array(saved["still"]["q"], float).reshape(self.q.shape), saved["still"]["since"])
-        else:
-            self.still = Still(self.q, self.k)
+        self.still = Still(np.array(saved["still"]["q"], float).reshape(self.q.shape), saved["still"]["since"])
+        self.record.first = saved["rows"]
 
-    def _metadata(self, status: str, message: str) -> dict[str, Any]:
+    def metadata(self) -> dict[str, Any]:
+        """The families, who is there, who stands still, warnings."""
         there = np.isfinite(self.q).all(axis=1)
-        return super()._metadata(status, message) | {
+        return {
             "scheme": self.problem.scheme,
             "tolerance": self.tolerance,
             "families": list(self.problem.names),
@@ -308,7 +328,7 @@ class BodiesRun(Loop):
                        "waiting": int(self.waiting.sum()), "left": int(self.problem.count - there.sum() - self.waiting.sum()),
                        "empty_at": self.grid.time(self.k) if self.totals.get("ended") == "empty" else None,
                        "standstill": self._standstill()},
-            "warnings": [*self.warnings, *self._overrun()],
+            "warnings": [*self.warnings, *overrun(self.totals)],
         }  # fmt: skip
 
 

@@ -1,0 +1,1 @@
+"""A run: one loop over whatever advances a model, every step verified, nothing lost when it stops."""

@@ -1,0 +1,56 @@
+"""Signals that wait for the end of a step, and the bar that shows how far a run is."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+
+class Signals(list[float]):
+    """The times at which signals came, and the number of the last; once ``patient`` no signal raises."""
+
+    number = signal.SIGINT
+    patient = False
+
+
+@contextlib.contextmanager
+def deferred_signals() -> Iterator[Signals]:
+    """Ctrl-C and SIGTERM inside put their time into the list instead of cutting a step in two; one more a second later raises.
+
+    Outside the main thread signals are not for us. Whatever was to be done with them before is so again afterwards.
+    """
+    signals = Signals()
+    if threading.current_thread() is not threading.main_thread():
+        yield signals
+        return
+
+    def note(number: int, frame: Any) -> None:
+        signals.append(time.monotonic())
+        signals.number = signal.Signals(number)
+        if signals[-1] - signals[0] > 1 and not signals.patient:
+            raise KeyboardInterrupt
+
+    usual = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    if usual[signal.SIGTERM] is signal.SIG_IGN:
+        del usual[signal.SIGTERM]
+    for number in usual:
+        signal.signal(number, note)
+    try:
+        yield signals
+    finally:
+        for number, handler in usual.items():
+            signal.signal(number, handler or signal.SIG_DFL)
+
+
+def progress_bar(**options: Any) -> Any:
+    """A bar on standard error that leaves nothing behind; None where that is no terminal."""
+    if not sys.stderr.isatty():
+        return None
+    from tqdm import tqdm
+
+    return tqdm(delay=1.0, leave=False, dynamic_ncols=True, **options)

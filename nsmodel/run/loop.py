@@ -1,0 +1,221 @@
+"""The loop of every run: what advances it goes on, rows are written, signals wait; whatever happens, what there is is kept."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import time
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nsmodel.errors import StepError, StorageError, UsageError
+from nsmodel.identity import WAY, difference, versions
+from nsmodel.run.interrupt import deferred_signals, progress_bar
+from nsmodel.run.options import Options
+from nsmodel.run.walk import CHUNK_SECONDS, Walk, is_numerical, unsolvable
+from nsmodel.storage import ChunkStore, unfinished
+from nsmodel.trajectory import Trajectory
+from nsmodel.version import VERSION
+
+MOST_AT_ONCE, QUICKLY = 64, 0.01  # Steps between two looks at the clock: twice as many after those that took less than this.
+
+
+class RunInterrupted(KeyboardInterrupt):
+    """Ctrl-C or SIGTERM during a run; ``trajectory`` holds what was computed, ``signal`` is which of them came."""
+
+    def __init__(self, trajectory: Trajectory, signal: int = signal.SIGINT) -> None:
+        super().__init__(trajectory.metadata["message"])
+        self.trajectory, self.signal = trajectory, signal
+
+    def __reduce__(self) -> tuple[type[RunInterrupted], tuple[Trajectory]]:
+        """Pickle with the trajectory, of which the message is a part."""
+        return type(self), (self.trajectory,)
+
+
+class Run:
+    """A walk, and the folder that it is written to; ``store`` is None where its rows stay in memory."""
+
+    def __init__(self, walk: Walk, options: Options, store: ChunkStore | None) -> None:
+        self.walk, self.options, self.store = walk, options, store
+        self.cpu_seconds = 0.0
+        self._flushed = time.monotonic()
+        if options.resume and store is not None:
+            self._restore(store)
+
+    def go(self, progress: bool = False) -> Trajectory:
+        """Run to the end; where that fails, or is interrupted, save what there is and say so.
+
+        Numbers that cannot be computed with end in a StepError, whatever library says so; a fault of the program stays what
+        it is.
+        """
+        bar = progress_bar(**self.walk.bar) if progress else None
+        # What overflows is for the certificate to judge.
+        with deferred_signals() as signals, np.errstate(all="ignore"):
+            start = time.process_time()
+            try:
+                try:
+                    self._advance(bar, signals)
+                finally:
+                    signals.patient = True
+                    self.cpu_seconds = time.process_time() - start
+                    if bar is not None:
+                        bar.close()
+            except StepError as error:
+                self._stop(error)
+                raise
+            except StorageError as error:
+                error.trajectory = self._in_memory("failed", str(error))
+                raise
+            except MemoryError as error:
+                raise self._stop(StepError(f"{self._span}: not enough memory ({error})")) from error
+            except Exception as error:
+                if is_numerical(error) or self.walk.runaway is not None:
+                    raise self._stop(unsolvable(self._span, error)) from error
+                self._finish("failed", f"{type(error).__name__}: {error}")
+                raise
+            except KeyboardInterrupt:  # a second signal, in the middle of a step: the step did not happen
+                pass
+            if not self.walk.ended:
+                run = self._finish("interrupted", f"interrupted at t = {self.walk.time:.10g}")
+                raise RunInterrupted(run, signals.number)
+            return self._finish("done", "")
+
+    def _advance(self, bar: Any, signals: Sequence[float]) -> None:
+        """Go on until the run has ended or is interrupted."""
+        walk, steps = self.walk, 1
+        while not (walk.ended or signals):
+            began, passed = time.monotonic(), walk.passed
+            walk.advance(steps, signals)
+            now = time.monotonic()
+            steps = min(2 * steps, MOST_AT_ONCE) if now - began < QUICKLY else max(steps // 2, 1)
+            if self.store is not None and (walk.record.full or (walk.record.filled and now - self._flushed >= CHUNK_SECONDS)):
+                self._flush(self.store, "running", "")
+            if bar is not None:
+                bar.update(walk.passed - passed)
+
+    @property
+    def _span(self) -> str:
+        t = self.walk.time
+        return f"no verified step from t = {t:.10g} to {t + self.walk.h:.10g}"
+
+    def _stop(self, error: StepError) -> StepError:
+        """Complete what is known of a failed step, and save the run before it."""
+        walk, runaway = self.walk, self.walk.runaway
+        grown = "" if runaway is None else f". The run has diverged: {runaway[0]} = {runaway[1]:.3g}"
+        error.step, error.time = walk.k, walk.time + walk.h
+        error.args = (f"step {walk.k}: {error.args[0]}{grown}",)
+        with contextlib.suppress(MemoryError):  # of a run in a folder the chunks are there
+            error.trajectory = self._finish("failed", str(error))
+        return error
+
+    def _flush(self, store: ChunkStore, status: str, message: str) -> None:
+        """Write the rows in memory as a chunk, with the checkpoint to continue from."""
+        walk = self.walk
+        walk.note()
+        checkpoint = {
+            "k": walk.k, "t": walk.time, **walk.standing(),
+            "counts": dict(walk.counts), "totals": walk.totals, "settings": walk.settings,
+        }  # fmt: skip
+        store.append(walk.columns(), checkpoint, self._metadata(status, message))
+        walk.record.clear()
+        self._flushed = time.monotonic()
+
+    def _restore(self, store: ChunkStore) -> None:
+        """Take up the checkpoint of the run in ``out``; refuse another model, other settings, other versions, another grid."""
+        walk, saved, out = self.walk, store.manifest["checkpoint"], self.options.folder
+        other = difference(saved["settings"], walk.settings)
+        if other is not None:
+            same_way = "leave compiled (--compiled) out to go on as it began, or " if WAY in other else ""
+            raise StorageError(f"{out}: the run there was made with {other}; {same_way}start afresh without resuming")
+        if saved["k"] > walk.N:
+            raise StorageError(f"{out}: the run there has reached t = {saved['t']:g}, past this run's end; give a later end")
+        walk.k = saved["k"]
+        if abs(walk.time - saved["t"]) > 1e-9 * saved["t"]:
+            raise StorageError(
+                f"{out}: the run there ended at t = {saved['t']:g} with a shortened step, which is no time of this run's "
+                "grid; start afresh without resuming"
+            )
+        walk.counts, walk.totals = Counter(saved["counts"]), dict(saved["totals"])
+        walk.stand(saved)
+
+    def _finish(self, status: str, message: str) -> Trajectory:
+        """The run so far, in the folder where there is one; where that cannot be written, the StorageError has it."""
+        walk, store, folder = self.walk, self.store, self.options.folder
+        if store is None:
+            walk.note()
+            run = Trajectory(walk.columns(), self._metadata(status, message))
+            if folder is not None:
+                _save(run, folder / "trajectory.npz")
+            return run
+        try:
+            if walk.record.filled:
+                self._flush(store, status, message)
+            path = store.directory / "trajectory.npz"
+            store.join(path, self._metadata(status, message))
+        except StorageError as error:
+            error.trajectory = self._in_memory(status, message)
+            raise
+        return Trajectory.load(path)
+
+    def _in_memory(self, status: str, message: str) -> Trajectory | None:
+        """The run so far without writing: what is in the folder, if it can be read, and the rows not yet written."""
+        parts = []
+        with contextlib.suppress(StorageError, MemoryError):
+            parts = [self.store.read()] if self.store and self.store.manifest["chunks"] else []
+        if self.walk.record.filled:
+            parts.append(self.walk.columns())
+        if not parts:
+            return None
+        arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        return Trajectory(arrays, self._metadata(status, message))
+
+    def _metadata(self, status: str, message: str) -> dict[str, Any]:
+        walk = self.walk
+        model, plan = walk.model, walk.plan
+        data = {
+            "title": model.title,
+            "model_class": type(model).__name__,
+            "paper": model.paper,
+            "state_names": list(model.names),
+            "stems": {stem: list(at) for stem, at in model.stems.items()},
+            "units": dict(model.units),
+            "parameters": dict(getattr(model, "bound_parameters", {})),
+            "save_every": int(self.options.save_every),
+            "steps": walk.totals["steps"],
+            "used": list(plan.used),
+            "left_out": list(plan.left_out),
+            "solver_counts": dict(sorted(walk.counts.items())),
+            "totals": dict(walk.totals),
+            "warnings": list(walk.warnings),
+            "status": status,
+            "message": message,
+            "model_hash": walk.settings["model"],
+            "versions": versions(),
+        }
+        if getattr(model, "scene", None):
+            data["scene"] = {key: value.tolist() for key, value in model.scene.items()}
+        return data | walk.metadata()
+
+
+def _save(run: Trajectory, path: Path) -> None:
+    try:
+        run.save(path)
+    except StorageError as error:
+        error.trajectory = run
+        raise
+
+
+def keep_unfinished(out: Path) -> None:
+    """Refuse to overwrite a run that can be continued."""
+    manifest = unfinished(out)
+    if manifest is not None:
+        by = manifest["metadata"]["versions"]["nsmodel"]
+        of, how = ("", "resume=True (--resume)") if by == VERSION else (f" of nsmodel {by}", "that version")
+        raise UsageError(
+            f"{out} holds an unfinished run{of}, up to t = {manifest['checkpoint']['t']:g}; go on with {how}, "
+            "or remove the folder"
+        )

@@ -1,0 +1,55 @@
+"""What a run is asked for, checked; `simulate` says what each option means."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from nsmodel.defaults import TOLERANCE
+from nsmodel.errors import UsageError
+from nsmodel.grid import is_number, written
+from nsmodel.model.parameters import Values
+
+
+@dataclass(frozen=True)
+class Options:
+    """The options of `simulate`, but its progress bar.
+
+    Raises:
+        UsageError: a value that no model could be run with.
+    """
+
+    step: float | None = None
+    steps: Sequence[float] | None = None
+    t_end: float | None = None
+    parameters: Values | None = None
+    solver: str = "auto"
+    tolerance: float = TOLERANCE
+    save_every: int = 1
+    out: str | Path | None = None
+    resume: bool = False
+    compiled: bool | str = "auto"
+    rtol: float | None = None
+    atol: Any = None
+
+    def __post_init__(self) -> None:
+        """Refuse what does not depend on the model."""
+        if not (is_number(self.tolerance) and 0 < self.tolerance < 1):
+            raise UsageError(f"tolerance = {written(self.tolerance)}; expected a number between 0 and 1")
+        if not (isinstance(self.compiled, bool) or (isinstance(self.compiled, str) and self.compiled == "auto")):
+            raise UsageError(f"compiled = {self.compiled!r}; expected True, False or 'auto'")
+        if self.compiled is True and self.solver != "auto":
+            raise UsageError(
+                f"solver '{self.solver}' and compiled=True are both given: compiled steps bring their own solvers; keep one"
+            )
+        if not (is_number(self.save_every) and self.save_every >= 1 and float(self.save_every).is_integer()):
+            raise UsageError(f"save_every = {written(self.save_every)}; expected a whole number >= 1")
+        if self.resume and self.out is None:
+            raise UsageError("resume needs out=, the folder of the run to continue")
+
+    @property
+    def folder(self) -> Path | None:
+        """Where the run is kept."""
+        return None if self.out is None else Path(self.out)

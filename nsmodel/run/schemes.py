@@ -1,0 +1,239 @@
+"""What the walks of schemes with one nonsmooth problem a step share: the stepper, its compiled steps, rows, counts."""
+
+from __future__ import annotations
+
+import contextlib
+from collections import Counter
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel import cache_folder
+from nsmodel.errors import StepError, UsageError
+from nsmodel.grid import Grid
+from nsmodel.hypotheses import impacts
+from nsmodel.hypotheses.quick import UNIQUENESS, refuse_start, warnings_of
+from nsmodel.hypotheses.rest import finite_convergence
+from nsmodel.identity import settings
+from nsmodel.model.base import Model
+from nsmodel.record import Record
+from nsmodel.run.in_c import chosen
+from nsmodel.run.options import Options
+from nsmodel.run.walk import There, check_exact, note_distance_to_exact, overrun, runaway
+from nsmodel.scheme import constraints, initial_rows, one_step_problem
+from nsmodel.scheme.problem import OneStepProblem
+from nsmodel.solve.build import Stepper, start_state
+from nsmodel.solve.cost import Cost, building, interpreted
+from nsmodel.solve.projection import CatchingUp
+from nsmodel.solve.stepper import Step, Warm
+from nsmodel.solve.structure import is_monotone
+
+FEW_STEPS = 8  # Different step sizes up to which constant matrices are factored once for each.
+
+
+def make_stepper(
+    problem: OneStepProblem, solver: str, tolerance: float, *, h: float, state: np.ndarray, few_steps: bool = True
+) -> Step:
+    """Return the stepper of a bound model's problem."""
+    if problem.prediction is not None:
+        return CatchingUp(problem, problem.prediction, solver, tolerance, h=h, state=state)
+    return Stepper(problem, solver, tolerance, h=h, state=state, few_steps=few_steps)
+
+
+class OfScheme:
+    """The part of a walk that does not depend on how its steps are chosen: it stands at (k, state, warm).
+
+    Attributes beside those of `walk.Walk`:
+        problem, stepper: of the scheme; rollout: the compiled steps, None where they are interpreted.
+        state, warm: what the next step starts from; last_index: the index set of the last step.
+        watches: multipliers that may call for an impulse.
+    """
+
+    record: Record
+
+    def __init__(self, model: Model, options: Options, grid: Grid, in_c: Grid, there: There) -> None:
+        """Prepare steps.
+
+        Args:
+            model: bound.
+            options: of the run.
+            grid: its first step is the one that is prepared.
+            in_c: the grid that the C is written for: one step size, or any.
+            there: tells how the run that is resumed was stepped; asked once the model is known to run.
+        """
+        refuse_start(model)
+        check_exact(model)
+        given = getattr(model, "tolerances", None)
+        if given is not None and not callable(given) and 1 < np.size(given) < grid.N:
+            raise UsageError(f"tolerances: {np.size(given)} values for {grid.N} steps; give one for each, or one for all")
+        self.model: Any = model
+        self.options, self.in_c, tolerance = options, in_c, float(options.tolerance)
+        self.problem, h = one_step_problem(model), grid.step(0)
+        self._first = h
+        self.known = initial_rows(model, h)
+        self.k, self.state = len(self.known) - 1, start_state(self.problem, self.known[-1][0], h, tolerance)
+        few = grid.steps is None or np.unique(grid.steps).size <= FEW_STEPS
+        self.stepper: Any = make_stepper(self.problem, options.solver, tolerance, h=h, state=self.state, few_steps=few)
+        self.warm, self.last_index = self.stepper.cold(), None
+        self.watches = impacts.watched(model)
+        self.counts: Counter[str] = Counter()
+        self.totals: dict[str, Any] = {
+            "worst_residual": 0.0, "worst_residual_t": None, "newton": 0.0, "newton_max": 0.0, "index_set_changes": 0, "steps": 0,
+        }  # fmt: skip
+        steps = chosen(options, self.stepper.plan, there(), grid.N, self._cost, self._build)
+        self.rollout, self.plan = steps.steps, steps.plan
+        self.warnings = [*warnings_of(model, self.stepper.plan), *steps.warnings]
+        self.settings = settings(model, grid, options.solver, tolerance, int(options.save_every), steps.way)
+
+    def start(self, grid: Grid, capacity: int) -> Record:
+        """Return the rows of a run that begins: those that are known before the first step."""
+        record = Record(self.model, self.stepper.layout, self.warm.index.size, capacity)
+        if not self.options.resume:
+            for k, (state, records) in enumerate(self.known):
+                record.known(k, grid.time(k), grid.step(min(k, grid.N - 1)), state, records)
+        return record
+
+    @property
+    def counting(self) -> bool:
+        """Whether Newton iterations are counted."""
+        return self.plan.path == "newton"
+
+    def _build(self) -> Any:
+        """Compile the steps; CodegenError where that cannot be."""
+        from nsmodel.codegen.rollout import Rollout
+
+        return Rollout(self.model, self.in_c, self.stepper.tolerance)
+
+    def _cost(self) -> Cost:
+        """What an interpreted step takes, and building the compiled one."""
+        path, structure = self.stepper.plan.path, getattr(self.stepper, "structure", None)
+        if path == "sparse" and self.in_c.steps is not None:  # C has it for one time step
+            return Cost(interpreted(path, structure), lambda: np.inf)
+        return Cost(interpreted(path, structure), lambda: 0.0 if self._is_built() else building(path, structure, self.problem))
+
+    def _is_built(self) -> bool:
+        """Whether the compiled steps are in the cache."""
+        if cache_folder.is_empty():
+            return False
+        from nsmodel.codegen import cache, library
+
+        name = library.compiler()
+        return name is not None and cache.is_cached(self.model, self.in_c, self.stepper.tolerance, name)
+
+    @property
+    def runaway(self) -> tuple[str, float] | None:
+        """Name and value of the largest state, where it is beyond what can be computed with."""
+        return runaway(self.model.names, self.state[: len(self.model.names)])
+
+    def warm_up(self) -> None:
+        """Take a step and forget it."""
+        with contextlib.suppress(StepError):
+            self.stepper(0.0, self._first, self.state, self.warm)
+
+    def _least(self) -> float:
+        """The least eigenvalue known of W + W'; -inf where none is looked for."""
+        return min(self.stepper.least_eigenvalue, self.totals.get("least_eigenvalue", np.inf)) if self.counting else -np.inf
+
+    def _put(
+        self, k: int, state: np.ndarray, warm: Warm, last: np.ndarray | None, worst: float, worst_t: float | None, newton: float,
+        newton_max: float, changes: int,
+    ) -> None:  # fmt: skip
+        """Stand after step k; ``worst_t`` is the time of a residual that is worse than those before."""
+        self.k, self.state, self.warm, self.last_index = k, state, warm, last
+        totals = self.totals
+        if worst_t is not None:
+            totals["worst_residual"], totals["worst_residual_t"] = float(worst), worst_t
+        totals["newton"] += float(newton)
+        totals["newton_max"] = max(totals["newton_max"], float(newton_max))
+        totals["index_set_changes"] += int(changes)
+        totals["steps"] = k
+
+    def note(self) -> None:
+        """Keep of the rows what the end will ask for: the distance to the exact state, when an oscillator last moved."""
+        if not self.record.filled:
+            return
+        t, x = self.record.t[: self.record.filled], self.record.states
+        note_distance_to_exact(self.model, self.totals, t, x)
+        least = min(self.stepper.least_eigenvalue, self.totals.get("least_eigenvalue", np.inf))
+        if np.isfinite(least):
+            self.totals["least_eigenvalue"] = float(least)
+        if self.problem.gap:
+            self._note_overrun(t, x)
+        if self.watches:
+            names = {"multipliers": "multipliers" if "multipliers" in self.stepper.layout.slices else "l"}
+            names |= {"v": self.problem.velocity} if self.problem.velocity else {}
+            columns = {"t": t, "x": x, **{name: self.record.column(own) for name, own in names.items()}}
+            self.totals["impacts"] = impacts.met(self.watches, columns, self.totals.get("impacts", {}))
+        if self.problem.velocity:
+            self._note_rest(t, x)
+
+    def _note_rest(self, t: np.ndarray, x: np.ndarray) -> None:
+        v = self.record.column(self.problem.velocity)
+        moving = np.flatnonzero((v != 0).any(axis=1) & np.isfinite(v).all(axis=1))
+        rest = moving[-1] + 1 if moving.size else 0
+        if moving.size:
+            self.totals["rest_from"] = None
+        if self.totals.get("rest_from") is None and rest < len(v):
+            self.totals["rest_from"] = [int(self.record.number[rest]), float(t[rest])]
+        self.totals["last_x"] = x[-1].tolist()
+        self.totals["last_v"] = [*self.totals.get("last_v", []), *v[-2:].tolist()][-2:]
+
+    def _note_overrun(self, t: np.ndarray, x: np.ndarray) -> None:
+        """Keep the worst gap below 0, beyond rounding: a linearised constraint can be overrun where it is not convex."""
+        gap, model = self.record.column(self.problem.gap), self.model
+        if not gap.min() < 0:
+            return
+        slopes = ca.Function("slopes", [model.t, model.state], [ca.densify(ca.jacobian(constraints(model), model.state))])
+        for i, k in enumerate(gap.argmin(axis=0)):
+            rounding = 1e-10 * np.linalg.norm(np.array(slopes(t[k], x[k]))[i]) * (1 + np.linalg.norm(x[k]))
+            if gap[k, i] < min(-rounding, self.totals.get("overrun", {"gap": 0.0})["gap"]):
+                self.totals["overrun"] = {"gap": float(gap[k, i]), "constraint": model.multiplier_names[i], "t": float(t[k])}
+
+    def _lost_monotonicity(self) -> list[str]:
+        least = self.totals.get("least_eigenvalue", np.inf)
+        if not self.stepper.plan.monotone or is_monotone(least, self.warm.index.size):
+            return []
+        return [f"the one-step problem was not monotone all the time (least eigenvalue {least:.3g}): {UNIQUENESS}"]
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """The rows in memory as the arrays of a trajectory."""
+        return self.record.columns(self.stepper.plan.path == "newton")
+
+    def standing(self) -> dict[str, Any]:
+        """What to continue from."""
+        last = None if self.last_index is None else self.last_index.tolist()
+        return {"state": self.state.tolist(), "l": self.warm.l.tolist(), "index": self.warm.index.tolist(), "last_index": last}
+
+    def stand(self, saved: dict[str, Any]) -> None:
+        """Take up what ``standing`` gave."""
+        self.state = np.array(saved["state"], float)
+        self.warm = Warm(np.array(saved["l"], float), np.array(saved["index"], np.int8))
+        self.last_index = None if saved["last_index"] is None else np.array(saved["last_index"], np.int8)
+
+    def metadata(self) -> dict[str, Any]:
+        """The scheme, the names of rows, warnings, when an oscillator rests."""
+        model = self.model
+        told = impacts.told(self.watches, self.totals.get("impacts", {}), model)
+        data: dict[str, Any] = {
+            "scheme": self.problem.scheme,
+            "multiplier_names": list(getattr(model, "multiplier_names", self.problem.rows)),
+            "index_names": list(self.problem.rows),
+            "law_kinds": self.problem.law.labels,
+            "tolerance": self.stepper.tolerance,
+            "warnings": [*self.warnings, *self._lost_monotonicity(), *overrun(self.totals), *told],
+        }
+        if "last_v" in self.totals:
+            x, v = (np.array(self.totals[key]) for key in ("last_x", "last_v"))
+            data["convergence"] = finite_convergence(model, x, v, self.totals["rest_from"])
+        if getattr(model, "scene", None):
+            data["constraint_bodies"] = _bodies(model)
+        return data
+
+
+def _bodies(model: Any) -> list[list[int]]:
+    """For each constraint of a planar scene, the discs whose coordinates it contains."""
+    bodies: list[set[int]] = [set() for _ in range(model.g.numel())]
+    for row, column in zip(*ca.jacobian(model.g, model.q).sparsity().get_triplet(), strict=True):
+        bodies[row].add(column // 2)
+    return [sorted(found) for found in bodies]

@@ -1,0 +1,180 @@
+"""The contract between the loop of a run and what advances it; and what all of these share."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+from nsmodel.errors import StepError, UsageError
+from nsmodel.model.base import Model
+from nsmodel.run.options import Options
+from nsmodel.solve.choose import Plan
+
+CHUNK_BYTES, CHUNK_SECONDS = 64 << 20, 10.0  # Rows go to the folder when they fill the one or have waited for the other.
+RUNAWAY = 1e100  # A state beyond this has diverged: squares of it, and of what grows with it, soon overflow.
+
+
+There = Callable[[], str | None]  # Tells how the run that is resumed was stepped; None for a new one.
+
+
+class Rows(Protocol):
+    """Rows in memory: when they are ``full`` they must be cleared."""
+
+    filled: int
+    full: bool
+
+    def clear(self) -> None:
+        """Forget the rows."""
+        ...
+
+
+class Walk(Protocol):
+    """A run as it goes: the place where it stands, how it goes on from there, and what has been counted on the way.
+
+    Attributes:
+        model: bound; plan: what is used for a step, and left out.
+        settings: all that the numbers depend on (see `identity`).
+        N: steps in all, as far as that is known; k: steps taken; record: the rows not yet written.
+        counts: steps by solver; totals: what is known of all steps; warnings: about the run as a whole.
+        bar: options of a progress bar; passed: how far the run is, in its unit.
+        ended: whether nothing is left to do; time, h: where the next step starts, and its length.
+        runaway: name and value of the largest state, where that has left the range of numbers to compute with.
+    """
+
+    model: Any
+    plan: Plan
+    settings: dict[str, Any]
+    N: int
+    k: int
+    record: Any  # Rows
+    counts: Counter[str]
+    totals: dict[str, Any]
+    warnings: list[str]
+
+    @property
+    def bar(self) -> dict[str, Any]: ...  # noqa: D102
+    @property
+    def passed(self) -> float: ...  # noqa: D102
+    @property
+    def ended(self) -> bool: ...  # noqa: D102
+    @property
+    def time(self) -> float: ...  # noqa: D102
+    @property
+    def h(self) -> float: ...  # noqa: D102
+    @property
+    def runaway(self) -> tuple[str, float] | None: ...  # noqa: D102
+
+    def advance(self, steps: int, stop: Sequence[float]) -> None:
+        """Take about so many steps, fewer where the rows are full, the run has ended or ``stop`` is no longer empty.
+
+        Raises:
+            StepError: a step could not be verified; the place is that before it.
+        """
+        ...
+
+    def warm_up(self) -> None:
+        """Take a step and forget it: what is built at its first use is built."""
+        ...
+
+    def note(self) -> None:
+        """Keep of the rows in memory what the end will ask for."""
+        ...
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """The rows in memory as the arrays of a trajectory."""
+        ...
+
+    def standing(self) -> dict[str, Any]:
+        """What to continue from, for the checkpoint."""
+        ...
+
+    def stand(self, saved: dict[str, Any]) -> None:
+        """Take up what ``standing`` gave."""
+        ...
+
+    def metadata(self) -> dict[str, Any]:
+        """What a trajectory tells beside that of every run."""
+        ...
+
+
+# -- failures ----------------------------------------------------------------------------------------------------------
+
+
+def is_numerical(error: Exception) -> bool:
+    """Whether an exception speaks of numbers, and not of a fault in the program: of CasADi, LAPACK, SuperLU, Python's own."""
+    return isinstance(error, ArithmeticError | np.linalg.LinAlgError) or type(error) is RuntimeError
+
+
+def unsolvable(span: str, error: Exception) -> StepError:
+    """The error of a step whose numbers a library refuses."""
+    return StepError(f"{span}: its numbers cannot be computed with ({type(error).__name__}: {error})")
+
+
+def runaway(names: Sequence[str], x: np.ndarray) -> tuple[str, float] | None:
+    """Name and value of the largest of x (n,), where it is beyond RUNAWAY or no number."""
+    i = int(np.argmax(np.nan_to_num(np.abs(x), nan=np.inf)))
+    return None if abs(x[i]) <= RUNAWAY else (names[i], float(x[i]))
+
+
+def overrun(totals: dict[str, Any]) -> list[str]:
+    """The warning about a constraint that was overrun."""
+    if "overrun" not in totals:
+        return []
+    worst = totals["overrun"]
+    return [
+        f"constraint '{worst['constraint']}' was overrun, at worst by {-worst['gap']:.3g} at t = {worst['t']:.6g}: the "
+        "scheme keeps a constraint >= 0 only where it is convex"
+    ]
+
+
+# -- memory ------------------------------------------------------------------------------------------------------------
+
+
+def rows_in_memory(N: int, options: Options, row: int, known: int) -> int:
+    """Rows of so many bytes kept in memory: all of them, or a chunk where they go to a folder."""
+    total = N // int(options.save_every) + 1 + known
+    if options.folder is not None:
+        return int(min(total, max(64, CHUNK_BYTES // row)))
+    if total * row > _memory():
+        raise UsageError(
+            f"{N} steps do not fit in memory ({total * row / 2**30:.3g} GiB); give out=DIR (--out DIR), "
+            "and save_every=N (--save-every N) to keep fewer rows"
+        )
+    return int(total)
+
+
+def _memory() -> float:
+    """Bytes that a run may take: 0.8 of the machine's memory."""
+    try:
+        return 0.8 * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return 8 * 2**30
+
+
+# -- the exact state ---------------------------------------------------------------------------------------------------
+
+
+def check_exact(model: Model) -> None:
+    """Refuse a function for the exact state that fails, or returns another shape."""
+    if model.exact is not None:
+        try:
+            got, expected = np.shape(model.exact(np.zeros(2))), (2, len(model.names or ()))
+        except Exception as error:
+            raise UsageError(f"exact: it raised {type(error).__name__} at t = 0: {error}") from error
+        if got != expected:
+            raise UsageError(f"exact: it returned shape {got} for 2 times; expected {expected}")
+
+
+def note_distance_to_exact(model: Model, totals: dict[str, Any], t: np.ndarray, x: np.ndarray) -> None:
+    """Keep max |x - exact(t)|; inf where the user's function fails or gives NaN: no reason to lose the run."""
+    if model.exact is None:
+        return
+    try:
+        distance = float(np.abs(x - np.asarray(model.exact(t), float)).max())
+    except Exception:
+        distance = np.inf
+    totals["largest_error"] = max(totals.get("largest_error", 0.0), distance if np.isfinite(distance) else np.inf)
