@@ -61,6 +61,7 @@ class Model(Pickled):
     title: str = ""
 
     paper: ClassVar[str]
+    letter: ClassVar[str] = "x"  # Of the state: its symbols are model.x, its start is model.x0.
     has: ClassVar[Mapping[str, str]] = {}  # What a run of the class has beside those of all classes: {name: in words}.
     of_time: ClassVar[str] = "move that term elsewhere"  # What to do with time where it may not stand.
 
@@ -167,6 +168,16 @@ class Model(Pickled):
             columns[str(name)] = column
             names += [str(name)] if column.numel() == 1 else [f"{name}[{i}]" for i in range(column.numel())]
         return columns, names
+
+    @property
+    def state(self) -> ca.SX:
+        """The symbols of the state, under the letter of the class."""
+        return getattr(self, self.letter)
+
+    @property
+    def start(self) -> Any:
+        """The state at t = 0, under the letter of the class."""
+        return getattr(self, f"{self.letter}0")
 
     @property
     def parameter_names(self) -> list[str]:

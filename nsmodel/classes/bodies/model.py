@@ -191,6 +191,7 @@ class ManyBodies(Model):
     scene: Mapping[str, Any] | None = None
 
     paper: ClassVar[str] = SweepingProcess.paper
+    letter: ClassVar[str] = "q"
 
     def _declare(self) -> None:
         if not isinstance(self.bodies, Bodies):

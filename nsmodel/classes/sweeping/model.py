@@ -37,6 +37,7 @@ class SweepingProcess(Model):
     scene: Mapping[str, Any] | None = None
 
     paper: ClassVar[str] = "Bernicot and Venel, Convergence order of a numerical scheme for sweeping process (2010)"
+    letter: ClassVar[str] = "q"
 
     def _declare(self) -> None:
         c = self._settle("q", q=self.q)
