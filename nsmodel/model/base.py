@@ -170,6 +170,11 @@ class Model(Pickled):
         return columns, names
 
     @property
+    def weights(self) -> tuple[float, float] | None:
+        """theta and gamma, where the scheme of the class has them."""
+        return None
+
+    @property
     def state(self) -> ca.SX:
         """The symbols of the state, under the letter of the class."""
         return getattr(self, self.letter)
