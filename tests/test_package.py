@@ -144,7 +144,7 @@ LAYERS = (  # What stands in a line may import, at its top, what stands in it an
     "scheme classes.schemes classes.set_valued",
     "loader storage contacts trajectory grid identity cache_folder lock",
     "solve standstill record",
-    "codegen hypotheses classes.hypotheses",
+    "codegen hypotheses classes.hypotheses classes.equations",
     "run classes.walk",
     "simulate",
     "checking crowd",

@@ -19,11 +19,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.first_order.model import FirstOrderSystem
-from nsmodel.classes.lure.model import LureSystem
-from nsmodel.classes.oscillator.model import FrictionOscillator
+from nsmodel.classes.registry import class_of
+from nsmodel.laws import Law
 from nsmodel.model.base import Model
-from nsmodel.solve.rounding import equilibrated
 
 ROUNDING = 1e-12  # A sum is 0 below this part of its terms.
 UNSEEN = 1e-9  # A rate is 0 below this part of the largest one.
@@ -41,6 +39,7 @@ class Watch:
         degree: of the least derivative of y that it enters: 2, 3, ...; 0: none.
         moved: the states that it acts on.
         rate: (t, s, l) -> y', s the states, of an oscillator also its velocities, l the columns ``inputs`` of a run.
+        untouched: what no such multiplier enters, in words.
     """
 
     name: str
@@ -51,6 +50,7 @@ class Watch:
     moved: tuple[str, ...]
     rate: ca.Function
     inputs: slice
+    untouched: str
 
     @property
     def relay(self) -> bool:
@@ -74,7 +74,7 @@ class Watch:
         return -rate if np.isfinite(self.lower) else rate
 
 
-class _System(NamedTuple):
+class System(NamedTuple):
     """s' = F(t, s, l), y = Y(t, s, l), and how l enters. lower and upper: ends of l, NaN where it is in no box."""
 
     t: ca.SX
@@ -91,11 +91,16 @@ class _System(NamedTuple):
     states: Sequence[str]
     multipliers: Sequence[str]
     first: int  # The column of the first of l in a run.
+    untouched: str = "y'"  # What rows that are watched have no multiplier in.
 
 
 def watched(model: Model) -> tuple[Watch, ...]:
-    """Return the rows to watch in runs of the bound ``model``: of most models none."""
-    system = _system(model)
+    """Return the rows to watch in runs of the bound ``model``: of most models none.
+
+    A class whose states may jump has a module of this name; its `system` is None of a model whose states do not.
+    """
+    part = class_of(model).optional("hypotheses.impacts")
+    system = None if part is None else part.system(model)
     if system is None or not system.l.numel():
         return ()
     entries = partial(_entries, system, _places(system))
@@ -123,59 +128,26 @@ def watched(model: Model) -> tuple[Watch, ...]:
             name=system.multipliers[i], column=system.first + i, lower=float(system.lower[i]), upper=float(system.upper[i]),
             degree=degree, moved=tuple(system.states[j] for j in np.unique(acted[acting == i])),
             rate=ca.Function("rate", [system.t, system.s, system.l], [ca.densify(rate)]),
-            inputs=slice(system.first, system.first + system.l.numel() or None),
+            inputs=slice(system.first, system.first + system.l.numel() or None), untouched=system.untouched,
         ))  # fmt: skip
     return tuple(found)
 
 
-def _system(model: Any) -> _System | None:
-    """The model as a system; None of a class whose states do not jump, or phi stands in for a law, or M has no inverse."""
-    if isinstance(model, LureSystem) and model.law is not None and model.law.size:
-        l = ca.SX.sym("l", model.law.size)
-        F, Y = model.A + model.f + model.B @ l, model.C @ model.x + model.D @ l
-        matrices, law = (model.B, model.C, model.D), model.law
-    elif isinstance(model, FirstOrderSystem) and model.law.size and not _is_singular(model.M):
-        l, Y = model.lam, model.h
-        F = ca.solve(model.M, model.f + model.g) if not _is_unit(model.M) else model.f + model.g
-        matrices, law = (ca.jacobian(F, l), ca.jacobian(Y, model.x), ca.jacobian(Y, l)), model.law
-    elif isinstance(model, FrictionOscillator) and model.constraint_names:
-        return _oscillator(model)
-    else:
-        return None
+def system_of(model: Any, law: Law, l: ca.SX, F: ca.SX, Y: ca.SX, matrices: Sequence[ca.SX], untouched: str = "y'") -> System:
+    """The system of a law on the states x; matrices are F_l, Y_x, Y_l."""
     lower, upper = [np.empty(0)], [np.empty(0)]
     for block in law.blocks:
         low, high = block.hull() if block.separable else np.full((2, block.size), np.nan)
         lower.append(low)
         upper.append(high)
     ends = np.concatenate(lower), np.concatenate(upper)
-    return _System(model.t, model.x, l, F, Y, *matrices, model.x0, *ends, model.names, model.multiplier_names, 0)
-
-
-def _oscillator(model: FrictionOscillator) -> _System:
-    """s = (x, v): what moves an oscillator against its constraints; other forces are bounded, and do not enter y'."""
-    c = ca.vertcat(*model.constraints.values())
-    n, v = ca.SX.sym("n", c.numel()), ca.SX.sym("v", model.x.numel())
-    s, slopes = ca.vertcat(model.x, v), ca.jacobian(c, model.x)
-    F_l = ca.vertcat(ca.SX(v.numel(), c.numel()), slopes.T)
-    start = ca.vertcat(model.x0 if model.x1 is None else model.x1, ca.SX.zeros(v.numel()) if model.v0 is None else model.v0)
-    names = tuple(model.names or ())
-    states = [*names, *(f"v of {name}" for name in names)]
-    return _System(
-        model.t, s, n, ca.vertcat(v, slopes.T @ n), c, F_l, ca.jacobian(c, s), ca.SX(n.numel(), n.numel()), start,
-        np.zeros(n.numel()), np.full(n.numel(), np.inf), states, model.constraint_names, -n.numel(),
+    F_l, Y_x, Y_l = matrices
+    return System(
+        model.t, model.x, l, F, Y, F_l, Y_x, Y_l, model.x0, *ends, model.names, model.multiplier_names, 0, untouched
     )  # fmt: skip
 
 
-def _is_singular(M: ca.SX) -> bool:
-    """Whether M, a constant matrix, has no inverse that double precision would know."""
-    return M.is_constant() and bool(np.linalg.matrix_rank(equilibrated(np.array(ca.DM(M)))[0]) < M.shape[0])
-
-
-def _is_unit(M: ca.SX) -> bool:
-    return (M - ca.SX.eye(M.shape[0])).is_zero()
-
-
-def _places(system: _System) -> list[tuple[float, np.ndarray, np.ndarray]]:
+def _places(system: System) -> list[tuple[float, np.ndarray, np.ndarray]]:
     """(t, s, l) where rows are looked at."""
     rng, start = np.random.default_rng(0), np.array(ca.DM(system.start)).ravel()
     size = np.abs(start) + (np.abs(start).max(initial=0.0) or 1.0)
@@ -189,7 +161,7 @@ def _places(system: _System) -> list[tuple[float, np.ndarray, np.ndarray]]:
     return [(0.0, start, np.clip(0.0, low, np.maximum(low, high))), *around]
 
 
-def _entries(system: _System, places: Sequence[Any], *factors: ca.SX) -> tuple[np.ndarray, np.ndarray]:
+def _entries(system: System, places: Sequence[Any], *factors: ca.SX) -> tuple[np.ndarray, np.ndarray]:
     """(rows, columns) where the product of matrices is not 0, beyond the rounding of its terms, at one of the places."""
     first, *others = (ca.DM(factor) if factor.is_constant() else factor for factor in factors)
     product, size = first, ca.fabs(first)
@@ -249,13 +221,13 @@ def _met(watch: Watch, columns: Mapping[str, np.ndarray], known: Mapping[str, An
     return found
 
 
-def told(watches: Sequence[Watch], known: Mapping[str, Any], model: Any) -> list[str]:
+def told(watches: Sequence[Watch], known: Mapping[str, Any], model: Model) -> list[str]:
     """What a run met, in the words of a mechanic: a line for each row that met something."""
     return [_told(watch, known[watch.name], model) for watch in watches if known.get(watch.name, _NOTHING)["count"]]
 
 
-def _told(watch: Watch, found: Mapping[str, Any], model: Any) -> str:
-    why = f"{watch.acts}" + (", not on y' (C B = 0)" if isinstance(model, LureSystem) else ", not on y'")
+def _told(watch: Watch, found: Mapping[str, Any], model: Model) -> str:
+    why = f"{watch.acts}, not on {watch.untouched}"
     if watch.relay:
         return (
             f"{why}, and slides from t = {found['t']:.6g} on: a relay that acts so late is switched ever faster around y = 0 and "
@@ -263,7 +235,7 @@ def _told(watch: Watch, found: Mapping[str, Any], model: Any) -> str:
         )
     jumps = " and ".join(f"'{name}'" for name in watch.moved[:4]) + (", ..." if len(watch.moved) > 4 else "")
     times = "once," if found["count"] == 1 else f"{found['count']} times, first"
-    theta, gamma = float(getattr(model, "theta", 1.0)), float(getattr(model, "gamma", 1.0))
+    theta, gamma = map(float, model.weights or (1.0, 1.0))
     answer = "This scheme's answer is the inelastic one, y' = 0 afterwards."
     if not theta == gamma == 1:
         answer = (

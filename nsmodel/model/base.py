@@ -64,7 +64,7 @@ class Model(Pickled):
 
     paper: ClassVar[str]
     schemes: ClassVar[tuple[str, ...]]
-    letter: ClassVar[str] = "x"  # What the state is called, and its start: x0.
+    letter: ClassVar[str] = "x"  # Of the state: its symbols are model.x, its start is model.x0.
     has: ClassVar[Mapping[str, str]] = {}  # What a run of the class has beside those of all classes: {name: in words}.
     of_time: ClassVar[str] = "move that term elsewhere"  # What to do with time where it may not stand.
 
@@ -76,16 +76,6 @@ class Model(Pickled):
 
     def _declare(self) -> None:
         raise NotImplementedError
-
-    @property
-    def state(self) -> ca.SX:
-        """The symbols of the state (n)."""
-        return getattr(self, self.letter)
-
-    @property
-    def start(self) -> ca.SX:
-        """The state at t = 0 (n)."""
-        return getattr(self, f"{self.letter}0")
 
     def _scheme(self) -> str:
         if not self.scheme:
@@ -189,6 +179,21 @@ class Model(Pickled):
             columns[str(name)] = column
             names += [str(name)] if column.numel() == 1 else [f"{name}[{i}]" for i in range(column.numel())]
         return columns, names
+
+    @property
+    def weights(self) -> tuple[float, float] | None:
+        """theta and gamma, where the scheme of the class has them."""
+        return None
+
+    @property
+    def state(self) -> ca.SX:
+        """The symbols of the state, under the letter of the class."""
+        return getattr(self, self.letter)
+
+    @property
+    def start(self) -> Any:
+        """The state at t = 0, under the letter of the class."""
+        return getattr(self, f"{self.letter}0")
 
     @property
     def parameter_names(self) -> list[str]:

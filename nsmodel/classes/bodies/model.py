@@ -192,6 +192,7 @@ class ManyBodies(Model):
 
     paper: ClassVar[str] = SweepingProcess.paper
     schemes: ClassVar[tuple[str, ...]] = SweepingProcess.schemes
+    letter: ClassVar[str] = "q"
 
     def _declare(self) -> None:
         if not isinstance(self.bodies, Bodies):

@@ -74,6 +74,11 @@ class FirstOrderSystem(Model):
         )
         check_weights(self.theta, self.gamma)
 
+    @property
+    def weights(self) -> tuple[float, float]:
+        """theta and gamma."""
+        return self.theta, self.gamma
+
 
 def checked_law(model: Model, converter: Converter, law: Any, label: str = "law") -> Law:
     """Return ``law`` with its numbers in the symbols of the model's parameters; refuse what is no law, and other symbols."""

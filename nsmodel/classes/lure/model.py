@@ -79,6 +79,11 @@ class LureSystem(Model):
             self._set(phi=phi, phi_split=split(phi, self.y, "phi"))
         check_weights(self.theta, self.gamma)
 
+    @property
+    def weights(self) -> tuple[float, float]:
+        """theta and gamma."""
+        return self.theta, self.gamma
+
     def _count_states(self) -> int:
         """The number of entries of x0, where no state symbols are given."""
         c = Converter(declared(self.parameters)[0])

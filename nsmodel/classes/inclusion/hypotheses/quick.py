@@ -1,0 +1,28 @@
+"""What a run of an inclusion looks at before it starts: its potential, its bounds, x0 in C."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.classes.inclusion.model import MonotoneInclusion
+from nsmodel.classes.inclusion.set_valued import constraints
+from nsmodel.errors import UsageError
+from nsmodel.hypotheses.quick import refuse_outside, refuse_weights, with_values
+
+
+def refuse_start(model: MonotoneInclusion) -> None:
+    """Refuse weights < 0 of Phi, lower >= upper, and x0 outside C."""
+    if model.potential_split is not None:
+        refuse_weights(model.potential_split, "phi", model)
+    low, high = (np.array(ca.DM(ca.substitute(bound, model.t, 0))).ravel() for bound in (model.lower, model.upper))
+    for i in np.flatnonzero(~(low < high)):
+        raise UsageError(
+            f"lower[{i}] = {low[i]:g}, upper[{i}] = {high[i]:g}{with_values(model)}: C needs an interior, lower < upper"
+        )
+    refuse_outside(*constraints(model), model, "x0")
+
+
+def warnings(model: MonotoneInclusion) -> list[str]:
+    """Nothing beside what the step shows."""
+    return []

@@ -1,0 +1,24 @@
+"""What a run of a Lur'e system looks at before it starts: its law, D and Phi."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nsmodel.classes.lure.model import LureSystem
+from nsmodel.hypotheses.quick import concave, not_psd, refuse_law, refuse_weights
+
+
+def refuse_start(model: LureSystem) -> None:
+    """Refuse weights < 0 of Phi, and a law that the parameters made empty."""
+    if model.law is None:
+        refuse_weights(model.phi_split, "phi", model)
+    else:
+        refuse_law(model.law, model)
+
+
+def warnings(model: LureSystem) -> list[str]:
+    """Where D is not psd, or Phi not convex."""
+    found = not_psd("D", model.D) if model.D.numel() else []
+    if model.law is None:
+        found += concave(model.phi_split.smooth, model.y, np.zeros(model.y.numel()), "phi is not convex at y = 0")
+    return found
