@@ -706,7 +706,7 @@ def test_what_is_built_once_is_not_built_again(fresh_cache, monkeypatch):
 # ---------------------------------------------------------------------------------------------- auto
 
 
-def test_auto_builds_for_the_case_that_takes_seconds_and_for_no_other(case_file, load_case, monkeypatch):
+def test_auto_builds_for_no_case_as_none_takes_seconds_and_for_a_long_one(case_file, load_case, monkeypatch):
     model = load_case(case_file.stem, **SMALLER.get(case_file.stem, {}))
     if isinstance(model, ManyBodies):
         return
@@ -715,7 +715,9 @@ def test_auto_builds_for_the_case_that_takes_seconds_and_for_no_other(case_file,
         raise CodegenError("chosen")
 
     monkeypatch.setattr(OfScheme, "_build", refuse)
-    assert ("steps in C: chosen" in explain(model)) == (case_file.stem == "zhuravlev_ivanov")
+    assert "steps in C: chosen" not in explain(model)
+    if case_file.stem == "zhuravlev_ivanov":
+        assert "steps in C: chosen" in explain(model, t_end=100)
 
 
 @compiles

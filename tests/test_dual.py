@@ -131,7 +131,11 @@ def weak(monkeypatch):
             found.residual = 1.0
         return found
 
-    return lambda: monkeypatch.setattr(Newton, "solve", solve)
+    def weaken():
+        monkeypatch.setattr(Newton, "solve", solve)
+        monkeypatch.setattr(Stepper, "_repeated", None)
+
+    return weaken
 
 
 def test_copies_move_as_one_alone(weak):

@@ -24,7 +24,7 @@ from nsmodel.run.walk import There, check_exact, note_distance_to_exact, overrun
 from nsmodel.scheme import constraints, initial_rows, one_step_problem
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.build import Stepper, start_state
-from nsmodel.solve.cost import Cost, building, interpreted
+from nsmodel.solve.cost import REPEATED, Cost, building, interpreted
 from nsmodel.solve.projection import CatchingUp
 from nsmodel.solve.stepper import Step, Warm
 from nsmodel.solve.structure import is_monotone
@@ -108,9 +108,10 @@ class OfScheme:
     def _cost(self) -> Cost:
         """What an interpreted step takes, and building the compiled one."""
         path, structure = self.stepper.plan.path, getattr(self.stepper, "structure", None)
+        own = REPEATED if getattr(self.stepper, "repeats", False) else path
         if path == "sparse" and self.in_c.steps is not None:  # C has it for one time step
-            return Cost(interpreted(path, structure), lambda: np.inf)
-        return Cost(interpreted(path, structure), lambda: 0.0 if self._is_built() else building(path, structure, self.problem))
+            return Cost(interpreted(own, structure), lambda: np.inf)
+        return Cost(interpreted(own, structure), lambda: 0.0 if self._is_built() else building(path, structure, self.problem))
 
     def _is_built(self) -> bool:
         """Whether the compiled steps are in the cache."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from nsmodel.errors import StepError, UsageError
 from nsmodel.scheme.problem import OneStepProblem
-from nsmodel.solve import active_set, curved, diagnose, mlcp
+from nsmodel.solve import active_set, curved, diagnose, mlcp, repeated
 from nsmodel.solve.certificate import REACH, numeric_law
 from nsmodel.solve.choose import DUAL, choose, pays
 from nsmodel.solve.kernel import Kernel
@@ -19,6 +19,7 @@ from nsmodel.solve.layout import Layout
 from nsmodel.solve.newton import ENOUGH, Buffered, Iterate, Newton
 from nsmodel.solve.nlp import Programme
 from nsmodel.solve.parts import part, split
+from nsmodel.solve.repeated import Repeated
 from nsmodel.solve.stepper import StepResult, Warm
 from nsmodel.solve.structure import DENSE, read
 
@@ -69,10 +70,25 @@ class Stepper:
     def _newton(self) -> Newton:
         return Newton(self.problem, self.structure, self.law, self.tolerance)
 
+    @cached_property
+    def _repeated(self) -> Repeated | None:
+        """The step on the last index set of a problem whose matrices change, where it is small enough for one graph."""
+        s = self.structure
+        if self.plan.path != "newton" or not self.plan.use_last or self.law.curved or not 0 < s.n + s.m <= repeated.MOST:
+            return None
+        found = Repeated(self.problem, s, self.law, self.layout, self.tolerance, self._newton.enough)
+        return found if found.useful else None
+
+    @property
+    def repeats(self) -> bool:
+        """Whether a step on the last index set costs little though the matrices change."""
+        return self._repeated is not None
+
     @property
     def least_eigenvalue(self) -> float:
         """Least eigenvalue of the scaled W + W' met so far, at the start included."""
-        return min(self.plan.least_eigenvalue, np.inf if self._sparse else self._newton.least_eigenvalue)
+        met = np.inf if self._sparse else self._newton.least_eigenvalue
+        return min(self.plan.least_eigenvalue, met, np.inf if self._repeated is None else self._repeated.least_eigenvalue)
 
     def met(self, least_eigenvalue: float) -> None:
         """Note what steps met that were computed elsewhere."""
@@ -97,6 +113,11 @@ class Stepper:
             enough = self.tolerance * (ENOUGH if kernel.singular else 1.0)
             if kernel.settled[0] and out[self.layout.residual] <= enough and not (self.law.curved or kernel.fragile):
                 return StepResult(out + 0.0, warm, "last index set")  # + 0.0: a copy without -0
+        if self._repeated is not None and (again := self._repeated.call(t, h, state, warm.l, warm.index)) is not None:
+            row, reach = again
+            if reach > REACH:
+                self._stay_in_reach(t, h, state, row)
+            return StepResult(row, Warm(row[self.layout.l], warm.index), mlcp.INDEX_SET if self.law.size else "none needed")
         best: Attempt | None = None
         for attempt in self._attempts(kernel, t, h, state, warm):
             if attempt.residual <= self.tolerance:

@@ -17,6 +17,7 @@ import casadi as ca
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.structure import Structure
 
+REPEATED = "repeated"  # The path "newton" where most steps are those of `repeated`.
 LOADING = 0.05  # Seconds for finding a library that was built before, its hash, and loading it.
 
 
@@ -37,12 +38,14 @@ class Cost(NamedTuple):
 
 
 def interpreted(path: str, structure: Structure | None) -> float:
-    """Seconds of a step on a path of `choose.Plan`; None: the structure of a projection on given sets."""
+    """Seconds of a step on a path of `choose.Plan`, or REPEATED; None: the structure of a projection on given sets."""
     if structure is None:
         return 2.5e-4
     if path == "kernel":
         return 4.5e-6 + 2.5e-7 * structure.m**2
     size = structure.n + structure.m
+    if path == REPEATED:
+        return 3e-5 + 1e-6 * size**2
     return 1.3e-4 + 2.8e-7 * size if path == "sparse" else 3.2e-4 + 4.4e-6 * size
 
 

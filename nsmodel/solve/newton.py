@@ -107,7 +107,7 @@ class Newton:
         self._complementarity = law.is_complementarity
         self._error: Buffered | None = None
         self._by_rows = works_on_rows(structure, law)
-        self._enough = tolerance * (ENOUGH_IF_AFFINE if structure.affine else ENOUGH)
+        self.enough = tolerance * (ENOUGH_IF_AFFINE if structure.affine else ENOUGH)
 
     def linearise(self, t: float, h: float, state: np.ndarray, z: np.ndarray, l: np.ndarray) -> Linearisation:
         """Evaluate E, Y and the exact Jacobians."""
@@ -157,7 +157,7 @@ class Newton:
             stalled = best is not None and found.residual <= self.tolerance and found.residual > best.residual / 10
             if best is None or found.residual < best.residual:
                 best, at_best = found, at
-            if stalled or found.residual <= self._enough:
+            if stalled or found.residual <= self.enough:
                 if self._is_fragile(at_best, best.index):
                     whole = self._whole(known, best.z, best.l, best.index, best)
                     whole.solver, whole.iterations = best.solver, best.iterations
@@ -173,7 +173,7 @@ class Newton:
 
     def _refined(self, known: Known, found: Iterate) -> Iterate:
         """The better one of an iterate and the solution on its index set by the whole system, of which W keeps less."""
-        if not np.isfinite(found.residual) or found.residual <= self._enough:
+        if not np.isfinite(found.residual) or found.residual <= self.enough:
             return found
         if self._on_boundary(found.index) or not found.l.size:
             if found.residual <= self.tolerance:
@@ -374,7 +374,7 @@ class Newton:
             z = at.z - columns * active_set.solve_or_least_squares(scaled, rows * at.E) if z.size else z
             at = self.linearise(t, h, state, z, l)
             found = self.judge(known, at, l, index, "", iteration)
-            if found.residual <= self._enough:
+            if found.residual <= self.enough:
                 break
         return found
 
@@ -442,12 +442,12 @@ class Newton:
             found = self._on_index_set(known, z, l, index, least=2)
             if found is None:
                 break
-            best = found if best is None or found.residual <= max(best.residual, self._enough) else best
+            best = found if best is None or found.residual <= max(best.residual, self.enough) else best
             z, l = found.z, found.l
             at = self.linearise(*known[:3], z, l)
             unseen = ROUNDING * UNIT * (np.abs(at.Y_z) @ np.abs(z) + np.abs(at.Y_l) @ np.abs(l) + np.abs(at.Y))
             outside = np.where(l < self.law.lower, -1, np.where(l > self.law.upper, 1, 0))
-            if found.residual > self._enough:  # rows that cannot all be held: one that is left open goes to its bound
+            if found.residual > self.enough:  # rows that cannot all be held: one that is left open goes to its bound
                 left_open = np.where((at.Y > unseen) & np.isfinite(self.law.lower), -1, 0)
                 left_open = np.where((at.Y < -unseen) & np.isfinite(self.law.upper), 1, left_open)
                 outside = np.where(outside == 0, left_open, outside)
@@ -508,8 +508,8 @@ class Newton:
                         found = found if self.structure.affine or old == 0 else None
                 t_step /= 2
             z, l, at, stalled = z_new, l_new, at_new, size >= (1 - 2e-4 * t_step) * old
-            best = found if best is None or found.residual <= max(best.residual, self._enough) else best
-            if (found.residual <= self._enough and iteration >= least) or (stalled and iteration > 3):
+            best = found if best is None or found.residual <= max(best.residual, self.enough) else best
+            if (found.residual <= self.enough and iteration >= least) or (stalled and iteration > 3):
                 break
             J = self._system(at, index)[0]
         return best

@@ -1,0 +1,259 @@
+"""A nonlinear step on the index set of the last one: Newton's iteration, its certificate and the packed row in one function.
+
+What `newton.Newton` does by solvers and NumPy, for the case that nothing switches: with (z, l) an iterate, E_z dz_0 = -E,
+E_z Z = -E_l, W = Y_l + Y_z Z, b = Y + Y_z (dz_0 - Z l) - Y_l l,
+
+    l+ = -W_ff^{-1} (b + W l_b)_f on the rows f that are held, l_b at the bounds of the others,     z+ = z + dz_0 + Z (l+ - l)
+
+A step is taken here where each affine problem is solved on the index set, and rounding does not decide that, and the certificate
+of `Newton.judge` passes well below the tolerance: the general way would go the same. All else is left to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.proof.graph import column
+from nsmodel.scheme.problem import OneStepProblem
+from nsmodel.solve.certificate import EPS, GROWTH, NEGLIGIBLE, ROUNDING, UNRESOLVED, NumericLaw, bound_size
+from nsmodel.solve.layout import Layout, extras
+from nsmodel.solve.rounding import FRAGILE, UNIT
+from nsmodel.solve.structure import Structure, least_eigenvalue
+
+MOST = 20  # Unknowns and multipliers up to which a graph has the linear algebra of a step.
+LONGEST = 12_000  # Operations of a graph from which on it is of no use.
+ITERATIONS = 6
+CLEAR = 1e3  # So many times its rounding a row must be on its side.
+
+
+@dataclass(frozen=True)
+class Linear:
+    """The linearisation at (z, l) in symbols, eliminated: dz_0, Z, W, b."""
+
+    z: ca.SX
+    E: ca.SX
+    Y: ca.SX
+    E_z: ca.SX
+    E_l: ca.SX
+    Y_z: ca.SX
+    Y_l: ca.SX
+    dz_0: ca.SX
+    Z: ca.SX
+    W: ca.SX
+
+    @classmethod
+    def of(cls, p: OneStepProblem, structure: Structure) -> Linear:
+        """Linearise a problem."""
+        z, E = (p.z, p.E) if structure.affine else p.settled
+        E_z, E_l, Y_z, Y_l = map(ca.densify, p.jacobians)
+        both = ca.horzcat(E, E_l)
+        both = -both if structure.identity or not p.z.numel() else -ca.solve(ca.sparsify(E_z), both)
+        dz_0, Z = both[:, 0], both[:, 1:]
+        return cls(z, E, p.Y, E_z, E_l, Y_z, Y_l, dz_0, Z, Y_l + Y_z @ Z)
+
+
+class Repeated:
+    """The step on the last index set; ``law`` has boxes alone. ``call`` returns None where the general way has to be gone."""
+
+    def __init__(
+        self, problem: OneStepProblem, structure: Structure, law: NumericLaw, layout: Layout, tolerance: float, enough: float
+    ) -> None:
+        self._law, self._layout, self._enough, m = law, layout, enough, law.size
+        self._most = 1 if structure.affine else ITERATIONS  # an affine step that is not there at once is refined elsewhere
+        p, at = problem, Linear.of(problem, structure)
+        code, bound = ca.SX.sym("code", m), ca.SX.sym("bound", m)
+        free = code == 0
+        z_next, l_next, fragility, stays = _iteration(p, at, structure, law, code, bound)
+        row = _judged(p, at, structure, law, tolerance, free)
+        over = p.overreach if p.overreach is not None and m else ca.SX(0, 1)
+        reach = _largest([ca.if_else(p.l[i] == 0, 0, over[i]) for i in range(over.numel())])
+        watched = m > 0 and not structure.gram
+        known = [p.t, p.h, p.state, p.l, code, bound, p.z]
+        moved = [z_next, l_next, at.W, ca.vertcat(_pivot(at.W) if watched else 1, stays)]
+        first, again = ca.substitute(moved, [p.z], [p.guess]), [*moved, row, ca.vertcat(fragility, reach)]
+        self._first = ca.Function("first", known[:-1], [ca.densify(e) for e in first], {"cse": True})
+        self._again = ca.Function("again", known, [ca.densify(e) for e in again], {"cse": True})
+        self.useful = self._again.n_instructions() <= LONGEST
+        self._in = [np.zeros(e.numel()) for e in known]
+        self._out = [np.zeros(e.numel()) for e in again]
+        self._run = []
+        for function in (self._first, self._again):
+            buffer, run = function.buffer()
+            for i in range(function.n_in()):
+                buffer.set_arg(i, memoryview(self._in[i]))
+            for i in range(function.n_out()):
+                buffer.set_res(i, memoryview(self._out[i]))
+            self._run.append((buffer, run))
+        self._loaded: np.ndarray | None = None
+        self._possible = False
+        self.least_eigenvalue = np.inf
+
+    def call(self, t: float, h: float, state: np.ndarray, l: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, float] | None:
+        """Return the packed row and the overreach of the step, on the index set ``index`` from the multipliers ``l``."""
+        if index is not self._loaded:
+            self._load(index)
+        if not self._possible:
+            return None
+        given, out = self._in, self._out
+        given[0][0], given[1][0], given[2][:], given[3][:] = t, h, state, l
+        self._run[0][1]()
+        last = np.inf
+        for iteration in range(1, self._most + 1):
+            self._look()
+            if out[3][1] != 1.0:
+                return None
+            given[6][:], given[3][:] = out[0], out[1]
+            self._run[1][1]()
+            residual = out[4][self._layout.residual]
+            if residual <= self._enough:
+                fragility, reach = out[5]
+                if not fragility <= FRAGILE * max(self._held, 1):
+                    return None
+                row = out[4] + 0.0  # a copy without -0
+                row[self._layout.newton] = iteration
+                return row, reach
+            if not residual < last / 10:
+                return None
+            last = residual
+        return None
+
+    def _load(self, index: np.ndarray) -> None:
+        held = index == 0
+        bound = np.where(index < 0, self._law.lower, np.where(index > 0, self._law.upper, 0.0))
+        self._in[4][:], self._in[5][:] = index, bound
+        self._held, self._possible, self._loaded = int(held.sum()), bool(np.isfinite(bound).all()), index
+
+    def _look(self) -> None:
+        """Note the least eigenvalue of W + W' where it may be below 0."""
+        if not self._out[3][0] > 0:
+            m = self._law.size
+            W = self._out[2].reshape(m, m, order="F")
+            if np.isfinite(W).all():
+                self.least_eigenvalue = min(self.least_eigenvalue, least_eigenvalue(W))
+
+
+def _iteration(
+    p: OneStepProblem, at: Linear, structure: Structure, law: NumericLaw, code: ca.SX, bound: ca.SX
+) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:  # fmt: skip
+    """The next (z, l), sum |A^-1| |A| of W in the rows held (see `rounding.is_fragile`), whether the index set solves it."""
+    m, l, free = p.l.numel(), p.l, code == 0
+    if not m:
+        return at.z + at.dz_0, l, ca.SX(0), ca.SX(1)
+    b = at.Y + at.Y_z @ (at.dz_0 - at.Z @ l) - at.Y_l @ l
+    A = (free @ free.T) * at.W + ca.diag(1 - free)
+    inverse = ca.inv_minor(A) if m <= 3 else ca.solve(A, ca.SX.eye(m))
+    l_next = bound - inverse @ (free * (b + at.W @ bound))
+    fragility = ca.sum1(ca.sum2(ca.fabs(inverse) * ca.fabs(A.T))) - (m - ca.sum1(free))
+    z = ca.densify(at.z + at.dz_0 + at.Z @ (l_next - l))
+    zero = [ca.SX.zeros(p.z.shape), ca.SX.zeros(p.l.shape)]
+    Y_0, E_0 = ca.substitute([p.Y, p.E], [p.z, p.l], zero)
+    for row, j, factor in structure.unit_rows:
+        z[j] = ca.if_else(free[row], -Y_0[row] / factor, z[j])
+    for i, needed in structure.follow_rows:
+        given = [ca.sum1(free[list(rows)]) > 0 for _, rows in needed]
+        rest = E_0[i] + sum(at.E_z[i, j] * z[j] for j, _ in needed)
+        z[i] = ca.if_else(ca.sum1(column(given)) == len(given), -rest / at.E_z[i, i], z[i])
+    if structure.rest_rows:
+        z = ca.if_else(ca.sum1(free[list(structure.rest_rows)]) == len(structure.rest_rows), 0, z)
+    y, noise = at.W @ l_next + b, 4 * EPS * (ca.fabs(at.W) @ ca.fabs(l_next) + ca.fabs(b))
+    felt, stays = ca.fabs(inverse) @ (free * noise), ca.SX(1)
+    for i in range(m):
+        off = CLEAR * felt[i]
+        inside = ca.logic_and(l_next[i] - law.lower[i] >= off, law.upper[i] - l_next[i] >= off)
+        clear = ca.logic_or(-code[i] * y[i] > CLEAR * noise[i], ca.logic_and(y[i] == 0, noise[i] == 0))
+        stays = ca.logic_and(stays, ca.if_else(free[i], inside, ca.logic_or(clear, law.lower[i] == law.upper[i])))
+    return z, l_next, ca.if_else(ca.sum1(free) > 1, fragility, 0), stays
+
+
+def _pivot(W: ca.SX) -> ca.SX:
+    """The least pivot of Cholesky's method for (W + W')/2, rows and columns scaled alike: > 0 where it is positive definite."""
+    m, S = W.shape[0], (W + W.T) / 2
+    d = [ca.sqrt(ca.mmax(ca.fabs(S[i, :]))) for i in range(m)]
+    scaled = [[S[i, j] / (d[i] * d[j]) for j in range(i + 1)] for i in range(m)]
+    L: list[list[ca.SX]] = []
+    least = ca.SX(ca.inf)
+    for i in range(m):
+        L.append([])
+        for j in range(i):
+            L[i].append((scaled[i][j] - sum((L[i][k] * L[j][k] for k in range(j)), ca.SX(0))) / L[j][j])
+        pivot = scaled[i][i] - sum((x * x for x in L[i]), ca.SX(0)) - 1e-12
+        least = ca.if_else(pivot < least, pivot, ca.if_else(pivot > 0, least, -1))
+        L[i].append(ca.sqrt(pivot))
+    return least
+
+
+def _judged(
+    p: OneStepProblem, at: Linear, structure: Structure, law: NumericLaw, tolerance: float, free: ca.SX
+) -> ca.SX:  # fmt: skip
+    """The packed row at (z, l) with its residual: `Newton.judge` in symbols."""
+    m, z, l, Y, rounding = law.size, at.z, p.l, at.Y, ROUNDING * UNIT / tolerance
+    zero_l = ca.SX.zeros(l.shape)
+    guess = ca.substitute(p.guess, l, zero_l) if m else p.guess
+    E_guess = ca.substitute([p.E], [p.z, l], [guess, zero_l])[0] if p.z.numel() else p.E
+    dz, unmoved = z - guess, ca.fabs(E_guess)
+    here = ca.fabs(at.E - at.E_z @ dz - at.E_l @ l)
+    error_E = rounding * (ca.fabs(at.E_z) @ ca.fabs(z) + ca.fabs(at.E_l) @ ca.fabs(l))
+    s_E = ca.fmin(unmoved, here) + ca.fabs(at.E_z) @ ca.fabs(dz) + error_E
+    worst = _largest([_ratio(ca.fabs(at.E[i]), ca.fmax(s_E[i], UNRESOLVED)) for i in range(z.numel())])
+    if m:
+        error_Y = rounding * (ca.fabs(at.Y_z) @ ca.fabs(z) + ca.fabs(at.Y_l) @ ca.fabs(l))
+        s_y, s_l = _law_scales(at, law, l, free, error_Y)
+        worst = _largest([worst, *(_of_row(law, i, l[i], Y[i], s_l[i], s_y[i]) for i in range(m))])
+        if structure.projection:
+            gap = ca.dot(ca.fmax(l, 0), ca.fmax(Y, 0))
+            reach = ca.fmax(ca.sumsqr(dz) + ca.sumsqr(unmoved), UNRESOLVED)
+            unseen = tolerance * ca.dot(ca.fabs(l), error_Y)
+            worst = _largest([worst, ca.if_else(gap > unseen, gap / reach, 0)])
+    y = ca.if_else(free, 0, Y) if m else Y
+    rest = [p.next_state, *extras(p).values()]
+    rest = [ca.substitute([e], [p.z, p.y], [z, y])[0] if e.numel() and m else e for e in rest]
+    rest = rest if m else [ca.substitute(e, p.z, z) if e.numel() else e for e in rest]
+    return ca.vertcat(rest[0], l, y, worst, 0, *map(ca.vec, rest[1:]))
+
+
+def _law_scales(at: Linear, law: NumericLaw, l: ca.SX, free: ca.SX, error_Y: ca.SX) -> tuple[list[ca.SX], list[ca.SX]]:
+    """s_y and s_l, as in `certificate`."""
+    m, moved = law.size, at.Z @ l
+    b = at.Y - at.Y_z @ moved - at.Y_l @ l
+    terms = ca.fabs(at.Y_z) @ ca.fabs(moved) + ca.fabs(at.Y_l) @ ca.fabs(l)
+    w = [ca.mmax(ca.fabs(at.W[i, :])) for i in range(m)]
+    if law.is_complementarity:
+        w = [ca.if_else(ca.logic_or(l[i] != 0, free[i]), w[i], 1) for i in range(m)]
+    root = [ca.sqrt(w_i) for w_i in w]
+    weighed = ca.mmax(column([ca.if_else(root[i] > 0, ca.fabs(b[i]) / root[i], 0) for i in range(m)]))
+    most = NEGLIGIBLE * ca.mmax(column([ca.fabs(l[i]) * root[i] for i in range(m)]))
+    size, s_y, s_l = bound_size(law), [], []
+    for i in range(m):
+        own = ca.fabs(b[i])
+        capped = ca.fmin(own + terms[i], ca.fmax(GROWTH * root[i] * weighed, own))
+        s_y.append(ca.fmax(ca.if_else(root[i] > 0, capped, own) + error_Y[i], UNRESOLVED))
+        large = ca.fmax(ca.fabs(l[i]), size[i])
+        s_l.append(ca.if_else(root[i] > 0, ca.fmin(s_y[i] / w[i], ca.fmax(large, most / root[i])), large))
+    return s_y, s_l
+
+
+def _of_row(law: NumericLaw, i: int, l: ca.SX, y: ca.SX, s_l: ca.SX, s_y: ca.SX) -> ca.SX:
+    """The residual of a row of a box."""
+    lo, up, size = law.lower[i], law.upper[i], ca.fabs(y)
+    best = ca.fmax(_ratio(ca.fmax(ca.fmax(lo - l, l - up), 0), s_l), _ratio(size, s_y))
+    if np.isfinite(lo):
+        best = ca.fmin(best, ca.fmax(_ratio(ca.fabs(l - lo), s_l), _ratio(ca.if_else(y < 0, size, 0), s_y)))
+    if np.isfinite(up):
+        best = ca.fmin(best, ca.fmax(_ratio(ca.fabs(l - up), s_l), _ratio(ca.if_else(y > 0, size, 0), s_y)))
+    finite = ca.logic_and(ca.logic_and(ca.fabs(l) < ca.inf, size < ca.inf), s_y < ca.inf)
+    return ca.if_else(finite, best, ca.inf)
+
+
+def _ratio(a: ca.SX, s: ca.SX) -> ca.SX:
+    return ca.if_else(a == 0, 0, ca.if_else(s < ca.inf, a / s, ca.inf))
+
+
+def _largest(items: list[ca.SX]) -> ca.SX:
+    worst = ca.SX(0)
+    for item in items:
+        # fmax passes over a NaN; comparisons with one are false.
+        worst = ca.fmax(worst, ca.if_else(item < ca.inf, item, ca.inf))
+    return worst
