@@ -185,6 +185,15 @@ class Model(Pickled):
         return getattr(self, f"{self.letter}0")
 
     @property
+    def axes(self) -> tuple[tuple[str, ...], Mapping[str, Sequence[int]]]:
+        """Names and stems of the coordinates in which a box of states is given."""
+        return tuple(self.names or ()), self.stems
+
+    def points(self, rows: np.ndarray) -> np.ndarray:
+        """Rows of states (k, n) as points in the coordinates of ``axes``."""
+        return rows
+
+    @property
     def parameter_names(self) -> list[str]:
         """The names that ``bind`` knows: of vectors and matrices, and of all scalars."""
         return [*self.vectors, *self.parameters]
