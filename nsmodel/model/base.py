@@ -185,6 +185,11 @@ class Model(Pickled):
         return getattr(self, f"{self.letter}0")
 
     @property
+    def tied_to_step(self) -> bool:
+        """Whether the start is that of one step alone, as two positions are."""
+        return False
+
+    @property
     def axes(self) -> tuple[tuple[str, ...], Mapping[str, Sequence[int]]]:
         """Names and stems of the coordinates in which a box of states is given."""
         return tuple(self.names or ()), self.stems

@@ -78,6 +78,11 @@ class FrictionOscillator(Model):
             x1=None if self.x1 is None else self._numbers(c, self.x1, "x1", n),
         )
 
+    @property
+    def tied_to_step(self) -> bool:
+        """Where x1 is given: a step after x0."""
+        return self.x1 is not None
+
     def _elements(self, c: Any, n: int) -> list[Friction]:
         given = {} if self.friction is None else self.friction
         if not isinstance(given, Mapping):

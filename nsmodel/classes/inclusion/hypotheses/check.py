@@ -49,6 +49,7 @@ A2 = Hypothesis("M-A2", "|F(x) - S(x)| <= a_1 + a_2 |x| on C", f"{PAPER}, (A2)")
 A3 = Hypothesis("M-A3", "<x, w> <= -alpha |x|^2 + beta for w in P_{T_C(x)}(F(x) - S(x)), x in C", f"{PAPER}, (A3)")
 LIPSCHITZ = Hypothesis("M-24", "<G(x) - G(y), x - y> <= L |x - y|^2, G = F - S", f"{PAPER}, (24)")
 HYPOTHESES = (OPERATOR, SET, A1, A2, A3, LIPSCHITZ)
+TWIN = True  # Two solutions are compared: a check makes a second run, from another start.
 KINKS = {ca.OP_FABS: "fabs", ca.OP_FMAX: "fmax", ca.OP_FMIN: "fmin"}
 HALVINGS = 6
 FEW = 64  # Fewer points show nothing.
