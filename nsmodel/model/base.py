@@ -63,6 +63,7 @@ class Model(Pickled):
     paper: ClassVar[str]
     letter: ClassVar[str] = "x"  # Of the state: its symbols are model.x, its start is model.x0.
     has: ClassVar[Mapping[str, str]] = {}  # What a run of the class has beside those of all classes: {name: in words}.
+    refuses: ClassVar[Mapping[str, str]] = {}  # What is not done with a model of the class: {what: why, and what to do instead}.
     of_time: ClassVar[str] = "move that term elsewhere"  # What to do with time where it may not stand.
 
     def __post_init__(self) -> None:
@@ -183,6 +184,11 @@ class Model(Pickled):
     def start(self) -> Any:
         """The state at t = 0, under the letter of the class."""
         return getattr(self, f"{self.letter}0")
+
+    def refuse(self, what: str) -> None:
+        """Raise UsageError where the class refuses to be used for it."""
+        if why := self.refuses.get(what):
+            raise UsageError(f"{what}: '{self.title or type(self).__name__}' {why}")
 
     @property
     def tied_to_step(self) -> bool:

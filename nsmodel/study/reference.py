@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.errors import UsageError
 from nsmodel.model.base import Model
 from nsmodel.scheme.problem import OneStepProblem
@@ -192,7 +191,7 @@ def why_not_unique(model: Model, problem: OneStepProblem, run: Trajectory) -> st
     They are where the rows and columns of W with y_i = 0 are a regular matrix: y = W l + b then has one solution with this
     index set.
     """
-    if isinstance(model, MonotoneInclusion):
+    if "defect" in run.arrays:
         return "catching-up has no multipliers: it projects"
     if not problem.l.numel():
         return "the model has none"

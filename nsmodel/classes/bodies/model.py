@@ -192,6 +192,12 @@ class ManyBodies(Model):
 
     paper: ClassVar[str] = SweepingProcess.paper
     letter: ClassVar[str] = "q"
+    refuses: ClassVar[Mapping[str, str]] = {
+        "stress": "is a model of many bodies, whose steps are judged as they are taken; push a small scene written out, "
+        "stress(model.written_out())",
+        "study": "is a model of many bodies, whose states come and go; study a small scene written out, "
+        "study(model.written_out()), or compare two runs of simulate(model, step=...)",
+    }
 
     def _declare(self) -> None:
         if not isinstance(self.bodies, Bodies):
