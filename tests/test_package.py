@@ -147,7 +147,7 @@ LAYERS = (  # What stands in a line may import, at its top, what stands in it an
     "codegen hypotheses classes.hypotheses classes.equations",
     "run bodies_run adaptive simulate",
     "checking crowd",
-    "certificate classes.certificate study classes.study stress classes.units classes.judge plot",
+    "certificate classes.certificate study classes.study stress classes.units classes.judge plot classes.plots",
     "cli",
 )
 RANK = {part: rank for rank, line in enumerate(LAYERS) for part in line.split()}

@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError, NsmodelError, UsageError
+from nsmodel.laws import Words
 from nsmodel.model.convert import Converter, Declared, declare
 from nsmodel.model.parameters import Values, declared, number, scalars
 from nsmodel.pickled import Pickled
@@ -63,6 +64,9 @@ class Model(Pickled):
     paper: ClassVar[str]
     letter: ClassVar[str] = "x"  # Of the state: its symbols are model.x, its start is model.x0.
     has: ClassVar[Mapping[str, str]] = {}  # What a run of the class has beside those of all classes: {name: in words}.
+    gaps: ClassVar[bool] = False  # Whether y of a run is by how much constraints are kept.
+    second_order: ClassVar[bool] = False  # Whether what moves is x with its velocity v, a column of runs.
+    words: ClassVar[Mapping[str, tuple[str, Words]]] = {}  # What laws are called in the class, and its words for their states.
     refuses: ClassVar[Mapping[str, str]] = {}  # What is not done with a model of the class: {what: why, and what to do instead}.
     of_time: ClassVar[str] = "move that term elsewhere"  # What to do with time where it may not stand.
 

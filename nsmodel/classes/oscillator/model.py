@@ -9,6 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 import casadi as ca
 
 from nsmodel.errors import ModelError
+from nsmodel.laws import Words
 from nsmodel.model.base import Model, refuse_infinite, shown
 from nsmodel.model.convex import split
 
@@ -51,6 +52,11 @@ class FrictionOscillator(Model):
 
     paper: ClassVar[str] = "Cabot, Discretization of a nonlinear oscillator under dry friction (2004)"
     has: ClassVar[Mapping[str, str]] = {"v": "the velocity"}
+    second_order: ClassVar[bool] = True
+    words: ClassVar[Mapping[str, tuple[str, Words]]] = {
+        "relay": ("friction", {-1: ("lower", "slip (y > 0)"), 0: ("zero", "stick (y = 0)"), 1: ("upper", "slip (y < 0)")}),
+        "ball": ("isotropic friction", {0: ("zero", "stick (y = 0)"), 1: ("upper", "slip (l on the sphere)")}),
+    }
     of_time: ClassVar[str] = (
         "the scheme and its theorems know no explicit time. Write a forced oscillator as a LureSystem of position and velocity, "
         "x=[x, v], A=[v, -(dg(x) + M v)], f=[0, f(t)], B=[0, H'], C=[0, H], law=relay(m, -mu, mu): section 2.2 of the guide"
