@@ -10,14 +10,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.bodies.model import ManyBodies
-from nsmodel.classes.inclusion.model import MonotoneInclusion
-from nsmodel.classes.lure.model import LureSystem
 from nsmodel.classes.registry import class_of
 from nsmodel.errors import ModelError, StepError, UsageError
 from nsmodel.hypotheses import impacts, uniform
 from nsmodel.hypotheses.along import along
-from nsmodel.hypotheses.findings import ALONG_A_RUN, HOLDS, SAMPLED, VIOLATED, Consequence, Finding, Hypothesis, Report, plain
+from nsmodel.hypotheses.findings import ALONG_A_RUN, HOLDS, VIOLATED, Consequence, Finding, Hypothesis, Report, measured, plain
 from nsmodel.hypotheses.region import Region, around, region_of
 from nsmodel.hypotheses.scope import Box, Scope, meet
 from nsmodel.hypotheses.stay import clauses
@@ -32,7 +29,6 @@ from nsmodel.trajectory import Trajectory
 
 ROUND_OFF = 1e-11  # Differences of runs below this part of the state are not told from rounding.
 FEW_STEPS = 4000  # Steps looked at where each needs Newton's method.
-BODY_STEPS = 100_000, 20_000  # Bodies times steps of a run that is made; up to the second, also with the steps 2h and 4h.
 LATE = f"where y closes with y' != 0 a state jumps, an impact; see {impacts.GUIDE}"
 WIDER, FEW_STATES = 10.0, 4  # Where counterexamples outside the box are looked for, jumps where there are up to so many states.
 ASYMPTOTIC = 0.3, 2.5  # Orders seen outside of this range are chance.
@@ -85,7 +81,7 @@ def check(
     if boxes:
         return _for_all(model, values, boxes, runs, region, quick)
     missing = tuple(name for name, value in values.items() if value is None)
-    if missing and isinstance(model, LureSystem):
+    if missing and class_of(model).optional("hypotheses.symbolic"):
         return _symbolic(model.bind(values, partly=True), values, missing)
     bound = model.bind(values)
     notes: list[str] = []
@@ -98,8 +94,8 @@ def check(
         findings = findings if quick else _known_outside(bound, box, own, findings)
     except OpaqueExpression as error:
         raise ModelError(str(error)) from None
-    if isinstance(bound, ManyBodies):
-        notes += _of_bodies(bound, [] if given else own)
+    if effort := _effort(bound):
+        notes += effort.notes(bound, [] if given else own)
     if not own:
         notes += [f"{watch.acts}, not on y': {LATE}" for watch in impacts.watched(bound) if not watch.relay]
     else:
@@ -182,10 +178,10 @@ def _report(
     )  # fmt: skip
 
 
-def _symbolic(model: LureSystem, values: Mapping[str, float | None], missing: Sequence[str]) -> Report:
+def _symbolic(model: Model, values: Mapping[str, float | None], missing: Sequence[str]) -> Report:
     """The conditions on parameters that have no value."""
     note = f"parameters without value: {', '.join(missing)}; give them with parameters={{...}} or --set to decide the rest"
-    findings = _checker(LureSystem).symbolic_findings(model)
+    findings = class_of(model).part("hypotheses.symbolic").findings(model)
     return _report(model, "no region: parameters are symbols", findings, [], values, [note], False)
 
 
@@ -202,59 +198,50 @@ def _runs(model: Model, notes: list[str]) -> list[Trajectory]:
     except UsageError as error:
         notes.append(f"the model was not run: {error}")
         return []
-    if isinstance(model, LureSystem | MonotoneInclusion):
+    if _checker(type(model)).TWIN:
         start = (run.x[0] + run.x[-1]) / 2
         if np.abs(start - run.x[0]).max() > ROUND_OFF * np.abs(run.x).max():
             try:
-                return [run, simulate(_started_at(model, start), t_end=t_end)]
+                return [run, simulate(started_at(model, start), t_end=t_end)]
             except (StepError, UsageError) as error:
                 notes.append(f"a second run from {start} was not possible: {error}")
     return [run]
 
 
-def _of_bodies(model: ManyBodies, runs: Sequence[Trajectory]) -> list[str]:
-    """What the reader of a report on many bodies should know beside."""
-    changing = model.leave is not None or model.enter.any()
-    notes = ["bodies leave or enter: the theory speaks of each interval between such times"] if changing else []
-    n, steps = model.bodies.count, len(runs[0].t) - 1 if runs else 0
-    if n * steps > BODY_STEPS[1]:
-        notes.append(f"no runs with the steps 2h and 4h: {n} bodies times {steps} steps are too many")
-    return notes
-
-
 def _end(model: Model) -> float | None:
     """Where to cut a long run whose steps are dear; None where it is run as the model says."""
-    few = max(BODY_STEPS[0] // model.bodies.count, 1) if isinstance(model, ManyBodies) else FEW_STEPS
+    effort = _effort(model)
+    few = effort.most_steps(model) if effort else FEW_STEPS
     if model.step is None or model.t_end is None or model.t_end <= few * model.step:
         return None
-    return few * model.step if isinstance(model, ManyBodies) or not read(one_step_problem(model)).affine else None
+    return few * model.step if effort or not read(one_step_problem(model)).affine else None
 
 
-def _started_at(model: Model, x0: np.ndarray) -> Model:
+def _effort(model: Model) -> Any:
+    """The module of a class that says how many steps a check takes, where all are dear; else None."""
+    return class_of(model).optional("hypotheses.effort")
+
+
+def started_at(model: Model, x0: np.ndarray) -> Model:
+    """The model from another start."""
     other = copy(model)
-    other._set(x0=ca.SX(ca.DM(x0)), exact=None)
+    other._set(**{f"{model.letter}0": ca.SX(ca.DM(x0))}, exact=None)
     return other
 
 
 def _refined(model: Model, run: Trajectory) -> list[Consequence]:
-    """What runs with the steps 4h, 2h, h show together: the order, and how fast the predictors of catching-up reach C."""
+    """What runs with the steps 4h, 2h, h show together: the order, and what the class looks at."""
     h, N = model.step, len(run.t) - 1
-    if h is None or N < 16 or run.status != "done" or getattr(model, "x1", None) is not None:
+    if h is None or N < 16 or run.status != "done" or model.tied_to_step:
         return []
-    if isinstance(model, ManyBodies) and model.bodies.count * N > BODY_STEPS[1]:
+    if (effort := _effort(model)) and not effort.is_refined(model, N):
         return []
     try:
         runs = [run, *(simulate(model, step=factor * h, t_end=float(run.t[-1])) for factor in (2, 4))]
     except (StepError, UsageError):
         return []
-    seen = [_observed_order(h, runs)]
-    if "predictor_distance" in run.arrays:
-        seen.append(_predictor_feasibility(h, runs))
-    return seen
-
-
-def _measured(name: str, statement: str, value: Mapping[str, float]) -> Consequence:
-    return Consequence(name, statement, (), SAMPLED, {key: float(number) for key, number in value.items()}, "measured on runs")
+    part = class_of(model).optional("hypotheses.refined")
+    return [_observed_order(h, runs), *([] if part is None else part.seen(h, runs))]
 
 
 def _observed_order(h: float, runs: Sequence[Trajectory]) -> Consequence:
@@ -268,23 +255,11 @@ def _observed_order(h: float, runs: Sequence[Trajectory]) -> Consequence:
     if error is not None:
         value["largest error"] = error
     if near <= ROUND_OFF * max(np.nanmax(np.abs(runs[0].x)), np.finfo(float).tiny):
-        return _measured(
+        return measured(
             "observed order", "runs with steps 4h, 2h, h agree to rounding: no order is seen, and no error of the step", value
         )
     order = np.log2(far / near) if far else 0.0
     if not ASYMPTOTIC[0] <= order <= ASYMPTOTIC[1]:
         why = "no order is seen at steps 4h, 2h, h: they are too large, or switches fall between rows differently"
-        return _measured("observed order", why, value)
-    return _measured("observed order", "the error shrinks like h^order, seen at steps 4h, 2h, h", {"order": order, **value})
-
-
-def _predictor_feasibility(h: float, runs: Sequence[Trajectory]) -> Consequence:
-    """The time mean of d_C(y_k) at the steps h, 2h, 4h (Corollary 6.4: it tends to 0)."""
-    means = [float(np.average(run.arrays["predictor_distance"][1:].ravel(), weights=run.step[1:])) for run in runs]
-    value = {f"mean d_C at {name}": mean for name, mean in zip(("h", "2h", "4h"), means, strict=True)}
-    if not means[0]:
-        return _measured("predictor feasibility", "the predictor never leaves C", value)
-    rate = np.log2(means[2] / means[0]) / 2
-    return _measured(
-        "predictor feasibility", "the mean distance of the predictor from C shrinks like h^rate", {"rate": rate, **value}
-    )
+        return measured("observed order", why, value)
+    return measured("observed order", "the error shrinks like h^order, seen at steps 4h, 2h, h", {"order": order, **value})

@@ -11,8 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from nsmodel.classes.registry import class_named
 from nsmodel.contacts import Contacts
 from nsmodel.errors import MissingExtraError, StorageError, UsageError
+from nsmodel.model.base import Model
 from nsmodel.storage import LIST, dumps, read_npz, write_csv, write_npz
 
 _WIDTH = 100
@@ -196,6 +198,12 @@ class Trajectory:
         return f"Trajectory({self.title!r}, {kind}, {len(self)} steps, {span}, {self.status})"
 
 
+def model_type(run: Trajectory) -> type[Model]:
+    """Return the class of the run's model; what all share where it is not known here."""
+    found = class_named(run.metadata.get("model_class"))
+    return Model if found is None else found.type
+
+
 def state_names(run: Trajectory) -> list[str]:
     """Return one name for each column of ``run.x``."""
     return _names(run.metadata.get("state_names"), "x", run.x.shape[1])
@@ -349,9 +357,9 @@ def _newton(run: Trajectory, totals: dict[str, Any], computed: np.ndarray) -> di
 
 
 def _smallest_gap(run: Trajectory) -> dict[str, Any]:
-    """The smallest gap of the saved rows of a sweeping process, the constraint and the time."""
+    """The smallest gap of the saved rows, the constraint and the time, where the class has gaps."""
     gap = run.arrays.get("gap", run.arrays.get("y", np.zeros((0, 0))))
-    if run.metadata.get("model_class") != "SweepingProcess" or not np.isfinite(gap).any():
+    if not model_type(run).gaps or not np.isfinite(gap).any():
         return {"gap_min": None, "gap_min_name": None, "gap_min_t": None}
     row, column = np.unravel_index(np.nanargmin(gap), gap.shape)
     names = multiplier_names(run)

@@ -129,7 +129,8 @@ def test_every_hypothesis_has_a_paragraph_in_the_docs_and_a_case():
     page = (REPOSITORY / "docs" / "hypotheses.md").read_text()
     headings = set(re.findall(r"^### (\S+)", page, flags=re.M))
     hypotheses = list(dict.fromkeys(hypothesis for kind in CLASSES for hypothesis in hypotheses_of(kind.type)))
-    hypotheses += along.HYPOTHESES
+    parts = filter(None, (kind.optional("hypotheses.along") for kind in CLASSES))
+    hypotheses += [*along.HYPOTHESES, *(hypothesis for part in parts for hypothesis in part.HYPOTHESES)]
     ids = [hypothesis.id for hypothesis in hypotheses]
     assert len(set(ids)) == len(ids)
     assert set(ids) <= headings

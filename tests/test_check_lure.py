@@ -13,6 +13,7 @@ from nsmodel import LureSystem, complementarity, relay
 from nsmodel.classes.lure.hypotheses import check as lure
 from nsmodel.classes.lure.hypotheses.dissipation import least_rate
 from nsmodel.classes.lure.hypotheses.passivity import input_output, storage
+from nsmodel.classes.lure.hypotheses.symbolic import findings as symbolic_findings
 from nsmodel.hypotheses.region import region_of
 from nsmodel.proof import exact
 
@@ -531,7 +532,7 @@ def test_runs_that_cannot_be_compared():
 
 def symbolic(**arguments):
     model = LureSystem(t_end=1, step=0.1, **arguments)
-    return {finding.id: finding for finding in lure.symbolic_findings(model)}
+    return {finding.id: finding for finding in symbolic_findings(model)}
 
 
 def test_two_masses_need_only_positive_masses_and_friction_forces():

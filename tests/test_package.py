@@ -148,7 +148,7 @@ LAYERS = (  # What stands in a line may import, at its top, what stands in it an
     "run classes.walk",
     "simulate",
     "checking crowd",
-    "certificate study stress classes.units classes.judge plot",
+    "certificate classes.certificate study classes.study stress classes.units classes.judge plot classes.plots",
     "cli",
 )
 RANK = {part: rank for rank, line in enumerate(LAYERS) for part in line.split()}

@@ -4,26 +4,21 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import casadi as ca
-import numpy as np
-
 from nsmodel.certificate import verify
-from nsmodel.certificate.data import data_of
+from nsmodel.certificate.data import Subject, subject_of
 from nsmodel.certificate.graph import NoProgram, text
-from nsmodel.certificate.hints import ROOMS, TooManyParts, Unproved, covered, proofs_of, value_of
-from nsmodel.classes.bodies.model import ManyBodies
-from nsmodel.classes.first_order.model import FirstOrderSystem
+from nsmodel.certificate.hints import ROOMS, TooManyParts, Unproved, covered, value_of
+from nsmodel.classes.registry import class_of
 from nsmodel.errors import UsageError
 from nsmodel.hypotheses.findings import ALONG_A_RUN, HOLDS, Finding, Report
 from nsmodel.hypotheses.scope import Scope
-from nsmodel.model.base import Model
 from nsmodel.storage import replacing
 
 FORMAT = 2
-MOST_CONSTRAINTS = 400  # Families of more are not written out.
 
 
 def certificate_of(report: Report) -> dict[str, Any]:
@@ -34,39 +29,36 @@ def certificate_of(report: Report) -> dict[str, Any]:
     """
     found: dict[str, Any] = {"format": FORMAT, "title": report.title, "hash": "", "model": {}, "statements": []}
     findings = {finding.id: finding for finding in report.findings if finding.verdict == HOLDS}
-    reason = ""
-    model = report.model
-    if isinstance(model, ManyBodies):
-        if sum(family.count for family in model.constraints.values()) > MOST_CONSTRAINTS:
-            reason = f"more than {MOST_CONSTRAINTS} constraints of families"
-        elif not isinstance(model.f, ca.SX):
-            reason = "a velocity that is a function of numbers"
-        else:
-            model = model.written_out()
-    found["model"] = {} if reason else data_of(model, findings)
+    reason, subject = "", Subject(report.model, {})
+    try:
+        subject = subject_of(report.model, findings)
+    except Unproved as why:
+        reason = str(why)
+    found["model"] = subject.data
     found["hash"] = verify.digest(found["model"])
     for finding in report.findings:
         if finding.verdict == HOLDS and not finding.id.startswith(ALONG_A_RUN):
-            found["statements"].append(_statement(model, found["model"], finding, findings, reason))
+            found["statements"].append(_statement(subject, finding, findings, reason))
     return found
 
 
-def _statement(model: Model, data: dict[str, Any], finding: Finding, findings: dict[str, Finding], reason: str) -> dict[str, Any]:
+def _statement(subject: Subject, finding: Finding, findings: dict[str, Finding], reason: str) -> dict[str, Any]:
     statement: dict[str, Any] = {
         "id": finding.id, "statement": finding.statement, "source": finding.source, "value": value_of(finding),
-        "scope": None if finding.scope is None else _scope(finding.scope, model), "proof": None,
+        "scope": None if finding.scope is None else _scope(finding.scope, subject.box), "proof": None,
     }  # fmt: skip
+    part = class_of(subject.model).part("certificate")
     for room in ROOMS if not reason else ():
         value = value_of(finding, room)
         try:
-            proofs = proofs_of(model, data, finding, findings, value, room)
+            proofs = part.proofs(subject.model, subject.data, finding, findings, value, room)
         except (Unproved, NoProgram, verify.NotCheckable) as why:
             reason = str(why)
             break
         for proof in proofs:
             proved = statement | {"value": value, "proof": proof}
             try:
-                answer = covered(data, proved)
+                answer = covered(subject.data, proved)
             except TooManyParts as why:
                 reason = str(why)
                 continue
@@ -76,14 +68,9 @@ def _statement(model: Model, data: dict[str, Any], finding: Finding, findings: d
     return statement | {"why": reason}
 
 
-def _scope(scope: Scope, model: Model) -> dict[str, Any]:
-    """The scope; of a first-order system on a box the multipliers lie in K, where it is bounded."""
-    states = dict(scope.states)
-    if states and isinstance(model, FirstOrderSystem):
-        ends = np.array(ca.DM(ca.horzcat(model.law.lower, model.law.upper))).reshape(-1, 2)
-        states = {
-            name: tuple(end) for name, end in zip(model.multiplier_names, ends, strict=True) if np.isfinite(end).all()
-        } | states
+def _scope(scope: Scope, box: Mapping[str, Sequence[float]]) -> dict[str, Any]:
+    """The scope; what lies on a box of states has the box of the other inputs too."""
+    states = {**box, **scope.states} if scope.states else {}
     return {
         "states": {name: [text(end) for end in ends] for name, ends in states.items()} or None,
         "time": None if scope.time is None else [text(end) for end in scope.time],

@@ -52,6 +52,11 @@ CLASSES = (
 _BY_NAME = {kind.model: kind for kind in CLASSES}
 
 
+def class_named(name: str | None) -> ModelClass | None:
+    """The descriptor of the class that a run names as its model's; None where that is none of this package."""
+    return _BY_NAME.get(name or "")
+
+
 def class_of(model: Any) -> ModelClass:
     """The descriptor of a model, or of its type.
 

@@ -117,6 +117,11 @@ class Consequence(Pickled):
     until: float | None = None
 
 
+def measured(name: str, statement: str, value: Mapping[str, float]) -> Consequence:
+    """Return what runs show beside the theory."""
+    return Consequence(name, statement, (), SAMPLED, {key: float(number) for key, number in value.items()}, "measured on runs")
+
+
 def follows(
     name: str, statement: str, findings: Sequence[Finding], rests_on: Sequence[str], source: str,
     value: Mapping[str, float] | None = None, moving: bool = True,

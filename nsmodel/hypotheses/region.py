@@ -10,7 +10,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.errors import UsageError
 from nsmodel.hypotheses.scope import Box, Scope
 from nsmodel.model.base import Model
@@ -68,7 +67,7 @@ class Region(Pickled):
 def region_of(model: Model, runs: Sequence[Trajectory], given: Mapping[str, Any] | None = None) -> Region:
     """Return the box around the runs, wider by half; states named in ``given`` have their own interval.
 
-    Of `ManyBodies` it is the box of one body, around all of them: its states are ``i.q_0``, ``i.q_1``, ..., its stem is ``i.q``.
+    Of many bodies it is the box of one body, around all of them: its states are ``i.q_0``, ``i.q_1``, ..., its stem is ``i.q``.
 
     Args:
         model: bound.
@@ -78,8 +77,8 @@ def region_of(model: Model, runs: Sequence[Trajectory], given: Mapping[str, Any]
     Raises:
         UsageError: an unknown name, or no interval low < high of finite numbers.
     """
-    names, stems, x = _of_one(model, runs) if isinstance(model, ManyBodies) else _of_all(model, runs)
-    centre, half = (x.max(axis=0) + x.min(axis=0)) / 2, (x.max(axis=0) - x.min(axis=0)) / 2
+    (names, stems), (low, high) = model.axes, _ends(model, runs)
+    centre, half = (high + low) / 2, (high - low) / 2
     widest = half.max(initial=0.0) or np.abs(centre).max(initial=0.0) or 1.0
     half = np.maximum(GROWTH * half, np.maximum(0.1 * np.abs(centre), 0.25 * widest))
     lower, upper = centre - half, centre + half
@@ -107,21 +106,11 @@ def around(regions: Sequence[Region], parameters: Box) -> Region:
     return replace(regions[0], lower=lower, upper=upper, t1=t1, parameters=MappingProxyType(dict(parameters)))
 
 
-_States = tuple[tuple[str, ...], Mapping[str, Sequence[int]], np.ndarray]
-
-
-def _of_all(model: Any, runs: Sequence[Trajectory]) -> _States:
-    """Names, stems and rows (k, n) of all states."""
-    start = np.array(ca.DM(model.x0 if hasattr(model, "x0") else model.q0)).ravel()
-    x = np.vstack([start[None, :], *(run.x[np.isfinite(run.x).all(axis=1)] for run in runs)])
-    return tuple(model.names), model.stems, x
-
-
-def _of_one(model: ManyBodies, runs: Sequence[Trajectory]) -> _States:
-    """Names and stem of the states of one body, and the ends (k, d) of what all bodies go through; NaN: absent."""
-    d = model.bodies.d
-    ends = [model.q0, *(end(run.x, axis=0, where=np.isfinite(run.x), initial=worst)
-                        for run in runs for end, worst in ((np.min, np.inf), (np.max, -np.inf)))]  # fmt: skip
-    x = np.vstack(ends).reshape(-1, d)
-    names = tuple(symbol.name() for symbol in ca.vertsplit(model.me.q))
-    return names, {f"{model.me.name}.q": range(d)}, x[np.isfinite(x).all(axis=1)]
+def _ends(model: Model, runs: Sequence[Trajectory]) -> tuple[np.ndarray, np.ndarray]:
+    """The least and the largest of what the start and the runs go through; rows that are not finite do not count."""
+    start = np.array(ca.DM(model.start)).ravel()
+    parts = [model.points(rows) for rows in (start[None, :], *(run.x for run in runs))]
+    known = [np.isfinite(part).all(axis=1)[:, None] for part in parts]
+    low = [np.min(part, axis=0, where=there, initial=np.inf) for part, there in zip(parts, known, strict=True)]
+    high = [np.max(part, axis=0, where=there, initial=-np.inf) for part, there in zip(parts, known, strict=True)]
+    return np.min(low, axis=0), np.max(high, axis=0)

@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError, NsmodelError, UsageError
+from nsmodel.laws import Words
 from nsmodel.model.convert import Converter, Declared, declare
 from nsmodel.model.parameters import Values, declared, number, scalars
 from nsmodel.pickled import Pickled
@@ -66,6 +67,10 @@ class Model(Pickled):
     schemes: ClassVar[tuple[str, ...]]
     letter: ClassVar[str] = "x"  # Of the state: its symbols are model.x, its start is model.x0.
     has: ClassVar[Mapping[str, str]] = {}  # What a run of the class has beside those of all classes: {name: in words}.
+    gaps: ClassVar[bool] = False  # Whether y of a run is by how much constraints are kept.
+    second_order: ClassVar[bool] = False  # Whether what moves is x with its velocity v, a column of runs.
+    words: ClassVar[Mapping[str, tuple[str, Words]]] = {}  # What laws are called in the class, and its words for their states.
+    refuses: ClassVar[Mapping[str, str]] = {}  # What is not done with a model of the class: {what: why, and what to do instead}.
     of_time: ClassVar[str] = "move that term elsewhere"  # What to do with time where it may not stand.
 
     def __post_init__(self) -> None:
@@ -194,6 +199,25 @@ class Model(Pickled):
     def start(self) -> Any:
         """The state at t = 0, under the letter of the class."""
         return getattr(self, f"{self.letter}0")
+
+    def refuse(self, what: str) -> None:
+        """Raise UsageError where the class refuses to be used for it."""
+        if why := self.refuses.get(what):
+            raise UsageError(f"{what}: '{self.title or type(self).__name__}' {why}")
+
+    @property
+    def tied_to_step(self) -> bool:
+        """Whether the start is that of one step alone, as two positions are."""
+        return False
+
+    @property
+    def axes(self) -> tuple[tuple[str, ...], Mapping[str, Sequence[int]]]:
+        """Names and stems of the coordinates in which a box of states is given."""
+        return tuple(self.names or ()), self.stems
+
+    def points(self, rows: np.ndarray) -> np.ndarray:
+        """Rows of states (k, n) as points in the coordinates of ``axes``."""
+        return rows
 
     @property
     def parameter_names(self) -> list[str]:

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel.crowd.measure import maps
+from nsmodel.classes.registry import class_named
 from nsmodel.plot import crowd, style
-from nsmodel.plot.plane import configuration, phase
+from nsmodel.plot.plane import phase
 from nsmodel.plot.strip import MAX_ROWS, index_strip
 from nsmodel.plot.time import MAX_LINES, energy, multipliers, residual, states
 from nsmodel.storage import replacing
+from nsmodel.trajectory import model_type
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -103,20 +104,20 @@ def save(figure: Figure, path: Path, dpi: int = 100) -> None:
 
 def _panels(run: Trajectory, model: Any, *, lines: int, rows: int) -> dict[str, Panel]:
     """What the run can give, with at most so many lines and rows of the index set."""
-    kind, n = run.metadata.get("model_class"), run.x.shape[1]
-    if kind == "ManyBodies" and "radii" in (run.metadata.get("scene") or {}):
-        return _crowd(run)
-    panels: dict[str, Panel] = {"states": (2.6, partial(states, run, limit=lines))}
+    found = class_named(run.metadata.get("model_class"))
+    part = None if found is None else found.optional("plots")
+    own = {} if part is None else part.panels(run, model)
+    if "frame" in own:
+        return own
+    panels: dict[str, Panel] = {"states": (2.6, partial(states, run, limit=lines)), **own}
     if bands := min(rows, style.table(run, "index_set").shape[1]):
         panels["index_strip"] = (0.5 + 0.16 * bands, partial(index_strip, run, limit=rows))
         panels["multipliers"] = (2, partial(multipliers, run, limit=lines))
         if "reactions" in run.arrays:
             panels["reactions"] = (2, partial(multipliers, run, which="reactions", limit=lines))
-    if kind == "SweepingProcess" and (run.metadata.get("scene") or (model is not None and n <= 2)):
-        panels["configuration"] = (3.6, partial(configuration, run, model))
     if "pressure" in run.arrays:
         panels["pressures"] = (2, partial(crowd.pressures, run))
-    if n > 1 or (kind == "FrictionOscillator" and "v" in run.arrays):
+    if run.x.shape[1] > 1 or (model_type(run).second_order and "v" in run.arrays):
         panels["phase"] = (2.6, partial(phase, run))
     for name, draw in (("energy", energy), ("residual", residual)):
         if name in run.arrays:
@@ -138,21 +139,6 @@ def _of_crowd(figure: Figure, panels: dict[str, Panel]) -> Figure:
     for k, names in enumerate(CROWD):
         _stack(figure, grid[k], [panels[name] for name in names if name in panels], shared=False)
     return figure
-
-
-def _crowd(run: Trajectory) -> dict[str, Panel]:
-    """What a run of many bodies in the plane can give; maps where it knows a room with exits."""
-    panels: dict[str, Panel] = {
-        "frame": (3.6, partial(crowd.frame, run)),
-        "evacuation": (1.8, partial(crowd.evacuation, run)),
-        "paths": (3.6, partial(crowd.paths, run)),
-    }
-    if len(run.metadata["scene"].get("exits", ())):
-        found = maps(run)
-        for draw in (crowd.density, crowd.pressure, crowd.velocity):
-            panels[draw.__name__] = (2.2, partial(draw, found, run))
-    panels["pressures"] = (1.4, partial(crowd.pressures, run))
-    return panels
 
 
 def _sheet(run: Trajectory, panels: Sequence[Panel], width: float, scale: float) -> Figure:

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nsmodel.classes.registry import class_named
 from nsmodel.errors import PlotError
-from nsmodel.plot import crowd, style
-from nsmodel.plot.scene import discs
-from nsmodel.trajectory import state_names
+from nsmodel.plot import style
+from nsmodel.trajectory import model_type, state_names
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,7 +54,7 @@ def phase(run: Trajectory, i: int = 0, j: int | None = None, *, ax: Axes | None 
 def _second_column(run: Trajectory, i: int, j: int | None) -> tuple[np.ndarray, str]:
     """What a phase portrait has upwards, and its label."""
     n, names = run.x.shape[1], state_names(run)
-    if j is None and run.metadata.get("model_class") == "FrictionOscillator" and "v" in run.arrays:
+    if j is None and model_type(run).second_order and "v" in run.arrays:
         length, time = style.unit(run, names[i]), style.unit(run, "t")
         unit = f"{length}/{time}" if length and time else ""
         return run.arrays["v"][:, i], style.with_unit(f"velocity of {style.short(names[i])}", unit)
@@ -104,48 +104,15 @@ def configuration(run: Trajectory, model: Any = None, row: int = -1, *, ax: Axes
         PlotError: another class of model, more than two states and no scene, no model, or no such row.
 
     """
-    n, rows, scene = run.x.shape[1], len(run.t), run.metadata.get("scene")
     kind = run.metadata.get("model_class")
-    if kind == "ManyBodies":
-        return crowd.frame(run, row, ax=ax)
-    if kind != "SweepingProcess":
+    found = class_named(kind)
+    part = None if found is None else found.optional("plots")
+    if part is None:
         raise PlotError(f"a configuration is drawn for a SweepingProcess, and this run is of a {kind}")
-    if not -rows <= row < rows:
-        raise PlotError(f"row {row} does not exist: this run has rows 0 to {rows - 1}")
-    if not scene and n > 2:
-        raise PlotError(f"a configuration needs one state, two, or a scene of discs; this run has {n} and no scene")
-    if not scene and model is None:
-        raise PlotError("the forbidden set is drawn from the constraints: give the model as well")
-    row %= rows
-    if scene:
-        return discs(style.axes(ax, 7, 6.5), run, scene, row)
-    gap, moving = _gap(model, n)
-    if n == 1:
-        return _half_plane(style.axes(ax, 8, 5), run, gap, row)
-    return _plane(style.axes(ax, 7, 6.5), run, gap, row, moving=moving)
+    return part.configuration(run, model, row, ax)
 
 
-def _gap(model: Any, n: int) -> tuple[Gap, bool]:
-    """min_i g_i(t, q) on many points at once, negative where q is forbidden; and whether it depends on t."""
-    import casadi as ca
-
-    stack = ca.vertcat(ca.SX.inf(1), *model.constraints.values())
-    if model.q.numel() != n:
-        raise PlotError(f"the model has {model.q.numel()} states and the run {n}: they do not belong together")
-    free = [s.name() for s in ca.symvar(stack) if not ca.depends_on(ca.vertcat(model.t, ca.vec(model.q)), s)]
-    if free:
-        raise PlotError(f"the constraints still hold {', '.join(free)}: bind the parameters to numbers first")
-    function = ca.Function("g", [model.t, model.q], [ca.mmin(stack)])
-
-    def gap(t: np.ndarray | float, *q: np.ndarray) -> np.ndarray:
-        times = np.broadcast_to(t, q[0].shape).reshape(1, -1)
-        values = function.map(times.size)(times, np.stack([part.ravel() for part in q]))
-        return np.ma.masked_invalid(np.array(values).reshape(q[0].shape))
-
-    return gap, ca.depends_on(stack, model.t)
-
-
-def _half_plane(ax: Axes, run: Trajectory, gap: Gap, row: int) -> Axes:
+def half_plane(ax: Axes, run: Trajectory, gap: Gap, row: int) -> Axes:
     """One state: the plane (t, q)."""
     ((low, high),) = _window(run.x[:, 0], margin=0.25)
     times, values = np.meshgrid(np.linspace(run.t[0], run.t[-1], GRID), np.linspace(low, high, GRID))
@@ -157,7 +124,7 @@ def _half_plane(ax: Axes, run: Trajectory, gap: Gap, row: int) -> Axes:
     return ax
 
 
-def _plane(ax: Axes, run: Trajectory, gap: Gap, row: int, *, moving: bool) -> Axes:
+def whole_plane(ax: Axes, run: Trajectory, gap: Gap, row: int, *, moving: bool) -> Axes:
     """Two states: the plane."""
     for margin in (0.25, 0.5, 1.0):  # far enough to see some of the forbidden set
         limits = style.filled(ax, *_window(*run.x.T, margin=margin))

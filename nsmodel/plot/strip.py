@@ -11,6 +11,7 @@ from nsmodel import laws
 from nsmodel.errors import PlotError
 from nsmodel.plot import style
 from nsmodel.plot.style import LOWER, PALE, UPPER, ZERO
+from nsmodel.trajectory import model_type
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,15 +25,13 @@ COLUMNS = 800  # about a pixel each
 CHATTER = "split band: changes within a pixel"
 
 COLOURS = {"lower": LOWER, "zero": ZERO, "upper": UPPER, "nothing": PALE}
-WORDS: dict[str, Words] = {
-    label.removeprefix("second-order "): {code: (COLOURS[role], text) for code, (role, text) in words.items()}
-    for label, words in laws.WORDS.items()
-}
-# The same laws where they are the dry friction of an oscillator.
-FRICTION: dict[str, tuple[str, Words]] = {
-    "relay": ("friction", {-1: (LOWER, "slip (y > 0)"), 0: (ZERO, "stick (y = 0)"), 1: (UPPER, "slip (y < 0)")}),
-    "ball": ("isotropic friction", {0: (ZERO, "stick (y = 0)"), 1: (UPPER, "slip (l on the sphere)")}),
-}
+
+
+def _coloured(words: laws.Words) -> Words:
+    return {code: (COLOURS[role], text) for code, (role, text) in words.items()}
+
+
+WORDS: dict[str, Words] = {label.removeprefix("second-order "): _coloured(words) for label, words in laws.WORDS.items()}
 
 
 def index_strip(run: Trajectory, *, limit: int = MAX_ROWS, ax: Axes | None = None) -> Axes:
@@ -71,9 +70,9 @@ def _laws(run: Trajectory, names: Sequence[str]) -> list[tuple[str, Words]]:
     kinds = [kind.removeprefix("second-order ") for kind in run.metadata.get("law_kinds") or ["complementarity"] * len(names)]
     if len(kinds) != len(names) or set(kinds) - set(WORDS):
         raise PlotError(f"law_kinds must name one of {', '.join(WORDS)} for each of {len(names)} rows, and is {kinds[:8]}")
-    friction = run.metadata.get("model_class") == "FrictionOscillator"
+    own = {label: (name, _coloured(words)) for label, (name, words) in model_type(run).words.items()}
     return [
-        FRICTION[kind] if friction and kind in FRICTION and not name.startswith("potential ") else (kind, WORDS[kind])
+        own[kind] if kind in own and not name.startswith("potential ") else (kind, WORDS[kind])
         for kind, name in zip(kinds, names, strict=True)
     ]
 

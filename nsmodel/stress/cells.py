@@ -8,13 +8,10 @@ from copy import copy
 from itertools import product
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
-from nsmodel.checking import check
-from nsmodel.classes.bodies.model import ManyBodies
-from nsmodel.classes.inclusion.model import MonotoneInclusion
-from nsmodel.classes.lure.model import LureSystem
+from nsmodel.checking import check, started_at
+from nsmodel.classes.registry import class_of
 from nsmodel.classes.units import in_units
 from nsmodel.errors import NsmodelError, StepError, UsageError
 from nsmodel.grid import is_number, written
@@ -84,12 +81,8 @@ def push(
     progress: bool = False,
 ) -> Stress:
     """Push bound models that differ in the values named beside each; see `stress`."""
-    many = next((model for _, model in variants if isinstance(model, ManyBodies)), None)
-    if many is not None:
-        raise UsageError(
-            f"stress: '{many.title or 'ManyBodies'}' is a model of many bodies, whose steps are judged as they are taken; "
-            "push a small scene written out, stress(model.written_out())"
-        )
+    for _, model in variants:
+        model.refuse("stress")
     if not (is_number(steps) and steps >= 3 and float(steps).is_integer()):
         raise UsageError(f"steps = {written(steps)}; expected a whole number >= 3")
     if step is not None and not (is_number(step) and 0 < step < np.inf):
@@ -200,7 +193,7 @@ def _difference(what: str, model: Model, own: Trajectory, run: Trajectory, x: np
     acted[1:] = np.maximum.accumulate(np.nan_to_num(acting(model, own)[: rows - 1], posinf=0.0), axis=0)
     allowed = AGREE * (motion[:, None] + acted) + rows * ROUNDING * size[:, None]
     if "predictor_distance" in own.arrays and own.arrays["selection"].shape[1]:
-        # Explicit in a discontinuous S: beside its jump rounding decides, and one step goes the other way.
+        # Explicit in a discontinuous operator: beside its jump rounding decides, and one step goes the other way.
         allowed = allowed + 2 * np.nanmax(np.abs(own.step[1:, None] * own.v[1:]))
     if "tolerance" in own.arrays:
         allowed = allowed + 2 * np.cumsum(np.sqrt(np.nan_to_num(own.tolerance[:rows])))[:, None]  # what projections may be off
@@ -216,10 +209,8 @@ def _promised(model: Model, run: Trajectory, h: float, steps: int) -> dict[str, 
     runs = [run]
     if len(run) < 3:
         return {}
-    if isinstance(model, LureSystem | MonotoneInclusion):
-        twin = copy(model)
-        twin._set(x0=ca.SX(ca.DM((run.x[0] + run.x[-1]) / 2)))
-        other, message = _run(twin, h, steps)
+    if class_of(model).part("hypotheses.check").TWIN:
+        other, message = _run(started_at(model, (run.x[0] + run.x[-1]) / 2), h, steps)
         if not message and not np.array_equal(other.x[0], run.x[0]):
             runs.append(other)
     try:

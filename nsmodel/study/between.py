@@ -9,12 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 
-from nsmodel.classes.first_order.model import FirstOrderSystem
-from nsmodel.classes.lure.model import LureSystem
-from nsmodel.classes.oscillator.model import FrictionOscillator
+from nsmodel.classes.registry import class_of
 from nsmodel.errors import StepError
 from nsmodel.run.on_grid import OnGrid
 from nsmodel.run.schemes import make_stepper
@@ -70,25 +67,14 @@ class Between:
 
 def steps_from(run: OnGrid, start: np.ndarray, made: Trajectory) -> Step:
     """Return the step from the rows of a run that was ``made`` by ``run``, whose packed state at the start was ``start``."""
-    model, problem = run.model, run.problem
-    n, m = len(model.names), made.multipliers.shape[1]
-    input = None
-    if problem.state.numel() > n and isinstance(model, LureSystem | FirstOrderSystem):
-        l = model.lam if isinstance(model, FirstOrderSystem) else ca.SX.sym("l", m)
-        r = model.g if isinstance(model, FirstOrderSystem) else model.B @ l
-        input = ca.Function("r", [model.t, model.x, l], [ca.densify(r)])
-    stepper = make_stepper(problem, "auto", run.stepper.tolerance, h=run.grid.step(0), state=start, few_steps=False)
+    model, n = run.model, len(run.model.names)
+    part = class_of(model).optional("study")
+    state_at = part.states(model, made, start) if part is not None else lambda row, h: made.x[row]
+    stepper = make_stepper(run.problem, "auto", run.stepper.tolerance, h=run.grid.step(0), state=start, few_steps=False)
 
     def step(row: int, h: float) -> np.ndarray:
-        t, x = float(made.t[row]), made.x[row]
-        state = x
-        if isinstance(model, FrictionOscillator):
-            state = np.concatenate([x, h * made.v[row]])
-        elif input is not None:
-            r = start[n:] if row == 0 else np.array(input(t, x, made.multipliers[row])).ravel()
-            state = np.concatenate([x, r])
         try:
-            return stepper(t, h, state, stepper.cold(), row).row[stepper.layout.state][:n]
+            return stepper(float(made.t[row]), h, state_at(row, h), stepper.cold(), row).row[stepper.layout.state][:n]
         except StepError:
             return np.full(n, np.nan)
 

@@ -14,9 +14,7 @@ from typing import Any
 import numpy as np
 
 from nsmodel.checking import check
-from nsmodel.classes.bodies.model import ManyBodies
-from nsmodel.classes.first_order.model import FirstOrderSystem
-from nsmodel.classes.lure.model import LureSystem
+from nsmodel.classes.registry import class_of
 from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import NsmodelError, UsageError
 from nsmodel.grid import is_number, written
@@ -74,11 +72,7 @@ def study(
     """
     if not isinstance(model, Model):
         raise UsageError(f"study: expected a model such as LureSystem(...), not {shown(model)}; a file is read with nsmodel.load")
-    if isinstance(model, ManyBodies):
-        raise UsageError(
-            f"study: '{model.title or 'ManyBodies'}' is a model of many bodies, whose states come and go; study a small scene "
-            "written out, study(model.written_out()), or compare two runs of simulate(model, step=...)"
-        )
+    model.refuse("study")
     for name, value in (("target", target), ("budget", budget), ("t_end", t_end)):
         if value is not None and not (is_number(value) and np.isfinite(value) and value > 0):
             raise UsageError(f"{name} = {written(value)}; expected a finite number > 0")
@@ -232,7 +226,7 @@ class _Session:
 
     def _hypotheses(self, run: Trajectory) -> list[Finding] | None:
         """What the inequalities along a run rest on; None where the class promises none."""
-        if isinstance(self.model, FirstOrderSystem | LureSystem):
+        if class_of(self.model).optional("hypotheses.along") is None:
             return None
         try:
             return list(check(self.model, [run], quick=True).findings)

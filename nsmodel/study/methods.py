@@ -10,8 +10,6 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from nsmodel.classes.first_order.model import FirstOrderSystem
-from nsmodel.classes.lure.model import LureSystem
 from nsmodel.errors import UsageError
 from nsmodel.model.base import Model
 from nsmodel.simulate import prepare
@@ -54,10 +52,10 @@ class Measured(NamedTuple):
 
 def schemes(model: Model) -> list[Method]:
     """Return the model's own scheme, then those with other weights theta and gamma where its class has them."""
-    if not isinstance(model, LureSystem | FirstOrderSystem):
+    if model.weights is None:
         return [Method("", model)]
-    own = float(model.theta), float(model.gamma)
-    return [_weighted(model, *weights) for weights in dict.fromkeys([own, *WEIGHTS])]
+    theta, gamma = map(float, model.weights)
+    return [_weighted(model, *weights) for weights in dict.fromkeys([(theta, gamma), *WEIGHTS])]
 
 
 def _weighted(model: Any, theta: float, gamma: float) -> Method:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
@@ -193,6 +193,12 @@ class ManyBodies(Model):
     paper: ClassVar[str] = SweepingProcess.paper
     schemes: ClassVar[tuple[str, ...]] = SweepingProcess.schemes
     letter: ClassVar[str] = "q"
+    refuses: ClassVar[Mapping[str, str]] = {
+        "stress": "is a model of many bodies, whose steps are judged as they are taken; push a small scene written out, "
+        "stress(model.written_out())",
+        "study": "is a model of many bodies, whose states come and go; study a small scene written out, "
+        "study(model.written_out()), or compare two runs of simulate(model, step=...)",
+    }
 
     def _declare(self) -> None:
         if not isinstance(self.bodies, Bodies):
@@ -216,6 +222,15 @@ class ManyBodies(Model):
     def q0(self) -> np.ndarray:
         """The starts, one after the other (count d,)."""
         return self.bodies.q0.ravel()
+
+    @property
+    def axes(self) -> tuple[tuple[str, ...], Mapping[str, Sequence[int]]]:
+        """Those of one body: ``i.q_0``, ``i.q_1``, ... with the stem ``i.q``."""
+        return tuple(symbol.name() for symbol in ca.vertsplit(self.me.q)), {f"{self.me.name}.q": range(self.bodies.d)}
+
+    def points(self, rows: np.ndarray) -> np.ndarray:
+        """A point for each body in each row."""
+        return rows.reshape(-1, self.bodies.d)
 
     def _symbols(self, *members: Member) -> dict[str, ca.SX]:
         """{name: symbol} of what an expression of these members may use."""

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 import casadi as ca
 
 from nsmodel.errors import ModelError
+from nsmodel.laws import Words
 from nsmodel.model.base import Model, refuse_infinite, shown
 from nsmodel.model.convex import split
 
@@ -52,6 +53,11 @@ class FrictionOscillator(Model):
     paper: ClassVar[str] = "Cabot, Discretization of a nonlinear oscillator under dry friction (2004)"
     schemes: ClassVar[tuple[str, ...]] = ("inertial proximal",)
     has: ClassVar[Mapping[str, str]] = {"v": "the velocity"}
+    second_order: ClassVar[bool] = True
+    words: ClassVar[Mapping[str, tuple[str, Words]]] = {
+        "relay": ("friction", {-1: ("lower", "slip (y > 0)"), 0: ("zero", "stick (y = 0)"), 1: ("upper", "slip (y < 0)")}),
+        "ball": ("isotropic friction", {0: ("zero", "stick (y = 0)"), 1: ("upper", "slip (l on the sphere)")}),
+    }
     of_time: ClassVar[str] = (
         "the scheme and its theorems know no explicit time. Write a forced oscillator as a LureSystem of position and velocity, "
         "x=[x, v], A=[v, -(dg(x) + M v)], f=[0, f(t)], B=[0, H'], C=[0, H], law=relay(m, -mu, mu): section 2.2 of the guide"
@@ -78,6 +84,11 @@ class FrictionOscillator(Model):
             v0=None if self.x1 is not None else self._numbers(c, 0 if self.v0 is None else self.v0, "v0", n),
             x1=None if self.x1 is None else self._numbers(c, self.x1, "x1", n),
         )
+
+    @property
+    def tied_to_step(self) -> bool:
+        """Where x1 is given: a step after x0."""
+        return self.x1 is not None
 
     def _elements(self, c: Any, n: int) -> list[Friction]:
         given = {} if self.friction is None else self.friction

@@ -39,6 +39,7 @@ class SweepingProcess(Model):
     paper: ClassVar[str] = "Bernicot and Venel, Convergence order of a numerical scheme for sweeping process (2010)"
     letter: ClassVar[str] = "q"
     schemes: ClassVar[tuple[str, ...]] = ("prediction-correction",)
+    gaps: ClassVar[bool] = True
 
     def _declare(self) -> None:
         c = self._settle("q", q=self.q)

@@ -2,21 +2,43 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import casadi as ca
 import numpy as np
 
 from nsmodel.classes.bodies.hypotheses.near import named, nearest, within
 from nsmodel.classes.bodies.hypotheses.network import network_of
 from nsmodel.classes.bodies.hypotheses.qualification import BODY_ROWS, opposed
+from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem
 from nsmodel.classes.sweeping.hypotheses.constraint import Answer
-from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
+from nsmodel.hypotheses.along import FEASIBLE, QUALIFIED
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, found
 from nsmodel.solve.certificate import EPS
 from nsmodel.trajectory import Trajectory
 
 UNSEEN = 1e-10  # A deficit below this part of the positions counts as rounding.
 MOST_ROWS = 100
 LONGEST = 4_000_000  # Bodies times rows where each step's length is looked at.
+MOTION = Hypothesis(
+    "run-motion", "|q_{k+1} - q_k| <= h |f(t_k, q_k)|, over all bodies together: constraints only slow down",
+    "projection on a convex set that holds q_k",
+)  # fmt: skip
+HYPOTHESES = (MOTION,)
+
+
+def along(
+    model: ManyBodies, run: Trajectory, numbers: Mapping[str, Finding], twin: Trajectory | None, quick: bool
+) -> list[Finding]:  # fmt: skip
+    """Q(t), (A5), and the length of a step."""
+    problem, slope = BodiesProblem(model), numbers["A1"].value.get("b", 1.0)
+    answers = {
+        FEASIBLE: feasible(problem, run, quick),
+        QUALIFIED: qualified(problem, run, slope, quick),
+        MOTION: shorter(problem, run),
+    }
+    return [found(id, item.verdict, item.how, item.value, item.witness) for id, item in answers.items() if item is not None]
 
 
 def feasible(problem: BodiesProblem, run: Trajectory, quick: bool) -> Answer | None:

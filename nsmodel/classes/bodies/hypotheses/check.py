@@ -26,6 +26,7 @@ from nsmodel.proof.search import are_quick
 from nsmodel.trajectory import Trajectory
 
 HYPOTHESES = sweeping.HYPOTHESES
+TWIN = False  # No two solutions are compared.
 ONE_BY_ONE = 60, 200  # Up to so many constraints (quick, else) A5 is decided on the model written out, with more proofs.
 
 

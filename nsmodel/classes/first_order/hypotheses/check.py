@@ -45,6 +45,7 @@ F_MLCP = Hypothesis(
 F_UNIQUE = Hypothesis("F-unique", "the one-step problem has one and only one solution x_{k+1}", f"{NOTES}, one-step problem")
 F_STEP = Hypothesis("F-step", "h < h*, the least step at which W is singular", f"{NOTES}: W is regular for small h")
 HYPOTHESES = (F_JACOBIANS, F_W, F_MLCP, F_UNIQUE, F_STEP)
+TWIN = False  # No two solutions are compared.
 KINKS = {
     ca.OP_FABS: "fabs", ca.OP_FMAX: "fmax", ca.OP_FMIN: "fmin", ca.OP_SIGN: "sign", ca.OP_IF_ELSE_ZERO: "if_else",
     ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil",

@@ -11,7 +11,9 @@ from nsmodel.hypotheses.findings import Consequence, Finding
 from nsmodel.hypotheses.region import Region
 from nsmodel.trajectory import Trajectory
 
-__all__ = ["HYPOTHESES", "check"]
+__all__ = ["HYPOTHESES", "TWIN", "check"]
+
+TWIN = True  # Two solutions are compared: a check makes a second run, from another start.
 
 
 def check(

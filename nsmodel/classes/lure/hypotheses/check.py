@@ -12,7 +12,6 @@ from nsmodel.classes.lure.hypotheses import large, range_condition
 from nsmodel.classes.lure.hypotheses.hypomonotone import HYPOMONOTONE, Growth, hypomonotone
 from nsmodel.classes.lure.hypotheses.pairing import root
 from nsmodel.classes.lure.hypotheses.passivity import D_PSD, PAPER, STORAGE, input_output, storage
-from nsmodel.classes.lure.hypotheses.passivity_symbolic import symbolic_findings
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, follows, found
 from nsmodel.hypotheses.region import Region
@@ -23,11 +22,10 @@ from nsmodel.proof.defined import Defined, in_time
 from nsmodel.proof.exact import EPS
 from nsmodel.trajectory import Trajectory
 
-__all__ = ["CONTRACTION", "HYPOTHESES", "check", "contraction", "symbolic_findings"]
-
 _OWN = {hypothesis.id: hypothesis for hypothesis in (D_PSD, STORAGE, HYPOMONOTONE, *range_condition.HYPOTHESES)}
 ORDER = ("3.1", "4.1", "5.1", "5.2", "5.4a", "5.4b", "5.4c", "5.x0", "7.1")
 HYPOTHESES = tuple(_OWN[id] for id in ORDER)
+TWIN = True  # Two solutions are compared: a check makes a second run, from another start.
 CONTRACTION = Hypothesis("run-contraction", "|x(t) - y(t)|_P <= e^{omega t} |x_0 - y_0|_P for two runs", f"{PAPER}, (40)")
 MONOTONE = ("3.1", "4.1", "5.1", "5.2", "5.4a", "5.4b", "5.4c")
 

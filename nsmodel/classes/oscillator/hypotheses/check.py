@@ -33,6 +33,7 @@ G = Hypothesis("O-g", "g is closed and convex, inf g > -inf, int dom g is not em
 DRY = Hypothesis("O-dry", "dry friction: 0 is interior to A(0), that is theta'(0) > 0", f"{PAPER}, Theorem 4.1, Corollary 4.2")
 STEPS = Hypothesis("O-steps", "the steps are positive and nondecreasing", f"{PAPER}, Proposition 4.1")
 HYPOTHESES = (THETA, G, DRY, STEPS)
+TWIN = False  # No two solutions are compared.
 RADIUS = "radius of A(0)"
 TIGHT = 1e-7  # A lower bound of g that is attained but for this, beside 1 and its size, is given as inf g.
 BOUNDARY = 1e-9  # A margin below this, beside the forces, at the end of a run may be 0.

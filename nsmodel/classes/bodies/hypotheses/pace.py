@@ -1,0 +1,26 @@
+"""How fast many bodies together move on the box of one: as a sweeping process does."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.classes.bodies.model import ManyBodies
+from nsmodel.classes.sweeping.hypotheses.pace import fastest, swept
+from nsmodel.hypotheses.findings import Consequence, Finding
+from nsmodel.hypotheses.region import Region
+from nsmodel.hypotheses.stay import Pace
+
+
+def pace(
+    model: ManyBodies, region: Region, findings: Sequence[Finding], known: Mapping[str, Consequence], h: float
+) -> Pace | None:  # fmt: skip
+    """The pace on the box; None where it has no bound, as of a function of numbers."""
+    if not isinstance(model.f, ca.SX):
+        return None
+    numbers, table = model.me.symbols[model.bodies.d :], model.bodies.table[:, model.bodies.d :]
+    z = ca.vertcat(model.t, model.me.q, numbers)
+    ends = (np.concatenate([end, by(table, axis=0)]) for end, by in zip(region.with_time(), (np.min, np.max), strict=True))
+    return swept(fastest(model.f, z, *ends, model.bodies.count), findings, known["K_L"], h)

@@ -1,0 +1,98 @@
+"""What a run of an oscillator shows: it stays in dom g, and friction takes energy away."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.classes.oscillator.model import FrictionOscillator
+from nsmodel.classes.oscillator.schemes.inertial_proximal import energy
+from nsmodel.hypotheses.along import SLACK, feasible, has_every_row, rows_missing
+from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, found
+from nsmodel.trajectory import Trajectory, extrapolated
+
+ENERGY = Hypothesis("run-energy", "E_{n+1} - E_n <= -l_n <v, A(v)>: friction takes energy away", "Cabot 2004, Proposition 4.1")
+DISSIPATED = Hypothesis("run-dissipated", "sum l_n <v_n, A(v_n)> <= E_0 - inf g", "Cabot 2004, Proposition 4.1")
+BOUND = Hypothesis(
+    "run-bound",
+    "|x_{k+1}|^2 <= |x_k|^2 - 2 mu (alpha |x_k|^2 - beta) + mu^2 |v_k|^2 + projection error",
+    "catching-up 2026, Lemma 4.4",
+)
+DISSIPATED = Hypothesis("run-dissipated", "sum l_n <v_n, A(v_n)> <= E_0 - inf g", "Cabot 2004, Proposition 4.1")
+BOUND = Hypothesis(
+    "run-bound",
+    "|x_{k+1}|^2 <= |x_k|^2 - 2 mu (alpha |x_k|^2 - beta) + mu^2 |v_k|^2 + projection error",
+    "catching-up 2026, Lemma 4.4",
+)
+HYPOTHESES = (ENERGY, DISSIPATED)
+
+
+def along(
+    model: FrictionOscillator, run: Trajectory, numbers: Mapping[str, Finding], twin: Trajectory | None, quick: bool
+) -> list[Finding]:  # fmt: skip
+    """dom g, and Proposition 4.1."""
+    c = ca.vertcat(ca.SX(0, 1), *model.constraints.values())
+    energies = _energies(model, run, numbers) if has_every_row(run) else rows_missing(ENERGY, DISSIPATED)
+    return [*feasible(model, run, c, model.constraint_names), *energies]
+
+
+def _energies(model: FrictionOscillator, run: Trajectory, numbers: Mapping[str, Finding]) -> list[Finding]:
+    """Proposition 4.1 from x and v alone: E at a row has the last difference over the step that comes next."""
+    first = 1 if model.x1 is not None else 0
+    l = np.where(np.isfinite(run.step), run.step, run.t - np.roll(run.t, 1))[1:]
+    nominal = np.append(l[0], l) / np.append(l, l[-1])
+    moved = extrapolated(run)[1:]  # the inequality is about steps of the scheme
+    if "correction" in run.arrays:
+        nominal[:] = 1.0
+    elif model.steps is None and len(l) > 1 and l[-1] < l[-2]:
+        nominal[-2] = 1.0  # a last step that only the end of the run shortens keeps the velocity
+    v = run.arrays["v"]
+    E = np.array(energy(model).map(len(run.t))(run.x.T, (v * nominal[:, None]).T)).ravel()
+    power = _friction_power(model, v)[first + 1 :]
+    rise = np.where(moved[first:], -np.inf, np.diff(E[first:]) + l[first:] * power)
+    rounding = SLACK * max(np.nanmax(np.abs(E[first:])), np.finfo(float).tiny)
+    k = int(np.argmax(rise))
+    witness = {"t": run.t[first + k + 1], "E before": E[first + k], "E after": E[first + k + 1]}
+    values = {"largest excess": rise[k], "rounding bound": rounding}
+    evaluated = f"evaluated at {rise.size - moved[first:].sum()} steps" + (
+        ", where nothing was extrapolated" if moved.any() else ""
+    )
+    steps_ok = numbers["O-steps"].verdict == HOLDS and numbers["O-g"].verdict != VIOLATED
+    if rise[k] <= rounding:
+        energy_finding = found(ENERGY, HOLDS, evaluated, values, witness)
+    elif steps_ok:
+        energy_finding = found(ENERGY, VIOLATED, evaluated, values, witness)
+    else:
+        how = "the energy grows, and the proposition does not apply: O-steps or O-g does not hold"
+        energy_finding = found(ENERGY, VIOLATED, how, values, witness)
+    if moved.any():
+        return [energy_finding]
+    total = float(np.sum(l[first:] * power))
+    known = numbers["O-g"].value
+    below, met = known.get("inf g", known.get("lower bound of g", -np.inf)), known.get("inf g", known.get("least g met", np.inf))
+    values = {"dissipated": total}
+    values |= {"E_0 - inf g is at least": E[first] - met} if np.isfinite(met) and "inf g" not in known else {}
+    values |= {"E_0 - inf g is at most": E[first] - below} if np.isfinite(below) and "inf g" not in known else {}
+    rest = rise.size * rounding
+    if np.isfinite(met) and total <= E[first] - met + rest:
+        verdict = HOLDS
+    elif np.isfinite(below) and total > E[first] - below + rest:
+        verdict = VIOLATED
+    else:
+        return [energy_finding, found(DISSIPATED, UNKNOWN, "inf g is not known closely enough", values)]
+    values |= {"E_0 - inf g": E[first] - known["inf g"]} if "inf g" in known else {}
+    return [energy_finding, found(DISSIPATED, verdict, f"summed over {rise.size} steps", values, {"t": run.t[-1]})]
+
+
+def _friction_power(model: FrictionOscillator, v: np.ndarray) -> np.ndarray:
+    """<v, A(v)> at each row: sum_j |H_j v| theta_j'(|H_j v|) + <v, M v>."""
+    power = np.zeros(len(v))
+    for element in model.elements:
+        s = np.linalg.norm(v @ np.array(ca.DM(element.H)).T, axis=1)
+        slope = np.array(ca.Function("slope", [model.s], [ca.gradient(element.theta, model.s)])(s[None, :])).ravel()
+        power += np.where(s > 0, s * slope, 0.0)
+    if model.damping is not None:
+        power += np.einsum("ki,ij,kj->k", v, np.array(ca.DM(model.damping)), v)
+    return power

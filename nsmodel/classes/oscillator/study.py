@@ -1,0 +1,15 @@
+"""What a step of an oscillator starts from, at any row of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from nsmodel.classes.oscillator.model import FrictionOscillator
+from nsmodel.trajectory import Trajectory
+
+
+def states(model: FrictionOscillator, run: Trajectory, start: np.ndarray) -> Callable[[int, float], np.ndarray]:
+    """(row, h) -> x and the difference h v, the older position that the velocity gives for this step."""
+    return lambda row, h: np.concatenate([run.x[row], h * run.v[row]])

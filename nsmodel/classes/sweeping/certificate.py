@@ -1,0 +1,144 @@
+"""Certificates of sweeping processes: the constraints with the U_i of A0 to A4, and what shows their forms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from fractions import Fraction
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.certificate import verify
+from nsmodel.certificate.data import Data, Subject, numbers, program
+from nsmodel.certificate.graph import graph, matrix, text
+from nsmodel.certificate.hints import ROOM, Grown, Unproved, convexity
+from nsmodel.classes.sweeping.hypotheses.forms import Affine, Shape
+from nsmodel.classes.sweeping.hypotheses.geometry import mfcq_constant
+from nsmodel.classes.sweeping.hypotheses.shapes import read_shapes
+from nsmodel.classes.sweeping.model import SweepingProcess
+from nsmodel.hypotheses.findings import Finding
+from nsmodel.proof import exact, extremum
+
+
+def subject(model: SweepingProcess, findings: Mapping[str, Finding]) -> Subject:
+    """The model as data."""
+    shapes = read_shapes(model.g, model.q) if model.multiplier_names else []
+    own = [list(shape.own) for shape in shapes]
+    c, b = (findings[id].value.get(name, 1.0) if id in findings else 1.0 for id, name in (("A0", "c"), ("A1", "b")))
+    on_box = Fraction(c) * Fraction(b) if np.isfinite([c, b]).all() else Fraction(1)
+    deltas = [
+        {} if shape.kind == "plane" else {"delta": text(reach_of(shape, model) / 2 if shape.kind == "distance" else on_box)}
+        for shape in shapes
+    ]
+    rows = zip(model.multiplier_names, ca.vertsplit(model.g), own, deltas, strict=True) if own else []
+    data = {
+        "constraints": [
+            {"name": name, "graph": program(g, ca.vertcat(model.t, model.q[own]), ["t", *(model.names[i] for i in own)])} | delta
+            for name, g, own, delta in rows
+        ],
+        "f": program(model.f, ca.vertcat(model.t, model.q), ["t", *(model.names or ())]),
+        "q0": numbers(model.q0),
+    }  # fmt: skip
+    return Subject(model, data)
+
+
+def reach_of(shape: Shape, model: SweepingProcess) -> Fraction:
+    """Of a distance less r(t) a number that r is not below, at all times; U_i = {g_i > -delta} with half of it."""
+    offset = shape.form.affine.offset
+    if isinstance(offset, Fraction):
+        return -offset
+    top = extremum.supremum(offset, model.t, np.zeros(1), np.array([float(model.t_end or 0.0)])).bound
+    return Fraction(-top) * (1 - Fraction(1, 2**40)) if top < 0 else Fraction(0)
+
+
+def proofs(
+    model: SweepingProcess, data: Data, finding: Finding, findings: Mapping[str, Finding], value: dict[str, str], room: Fraction
+) -> list[Any]:
+    """Hints: the form of each constraint, covers of the box, directions of escape."""
+    return [_hint(model, data, finding, findings, room)]
+
+
+def _hint(model: SweepingProcess, data: Data, finding: Finding, findings: Mapping[str, Finding], room: Fraction) -> Any:
+    if finding.id == "S-f":
+        graph(model.f, ca.vertcat(model.t, model.q), ["t", *(model.names or ())])  # it may not be written
+    if finding.id in ("S-f", "S-start"):
+        return {"time": Grown(), "cover": Grown()}
+    if finding.id in ("A5", "A5'"):
+        return {"cover": Grown(_escape(model))}
+    shapes = read_shapes(model.g, model.q) if model.multiplier_names else []
+    return {"constraints": [_constraint(model, data, k, shape, finding, findings, room) for k, shape in enumerate(shapes)]}
+
+
+def _constraint(
+    model: SweepingProcess, data: Data, k: int, shape: Any, finding: Finding, findings: Mapping[str, Finding], room: Fraction
+) -> dict[str, Any]:
+    """The form of one constraint: affine, a norm or the distance to a segment, else bounds over the box."""
+    if shape.kind == "plane":
+        return {"form": "affine", "time": Grown()}
+    if shape.kind == "distance":
+        hint = _norm(model, shape)
+        if hint is not None:
+            return hint
+    local = finding.scope is not None and bool(finding.scope.states)
+    if finding.id == "S-convex":
+        program, atoms = data["constraints"][k]["graph"], verify.Atoms()
+        hint = convexity(*atoms.read(program), range(1, len(program["inputs"])), atoms)
+        return hint | {"form": "box" if "cover" in hint else "rules"}
+    if not local and finding.id not in ("A2", "A3", "A4"):
+        raise Unproved(f"constraint '{model.multiplier_names[k]}': a form that is not written down here")
+    b = finding.value.get("b") if finding.id == "A1" else findings["A1"].value.get("b") if "A1" in findings else None
+    if finding.id not in ("A0", "A1"):
+        b = np.inf
+    if b is None:
+        raise Unproved("no bound of the gradients is known")
+    b = text(Fraction(b) * (1 + room / 2)) if np.isfinite(b) else "inf"
+    return {"form": "box", "b": b, "cover": Grown()}
+
+
+def _norm(model: SweepingProcess, shape: Any) -> dict[str, Any] | None:
+    """w |A q + c(t)| + offset(t), or the distance to a segment."""
+    (weight, squares), offset = shape.form.norms[0], shape.form.affine.offset
+    if any(w != 1 for w, _ in squares):
+        return None
+    place = {i: j for j, i in enumerate(shape.own)}
+    A = exact.zeros(len(squares), len(place))
+    for row, (_, a) in enumerate(squares):
+        for i, number in a.row.items():
+            if i >= 0:
+                A[row, place[i]] = number
+    hint: dict[str, Any] = {"form": "norm", "w": text(weight), "A": matrix(A), "time": Grown(),
+                            "c": [_of_time(a, model) for _, a in squares], "offset": _of_time(offset, model)}  # fmt: skip
+    if shape.clips:
+        if any(a.row.get(i) != -1 for _, a in squares for i in a.row if i < 0):
+            raise Unproved("the distance to a segment that is aslant: its projection is one up to rounding only")
+        clips = [next(shape.clips[i] for i in a.row if i < 0) for _, a in squares]
+        hint["box"] = [[text(clip.low), text(clip.high)] for clip in clips]
+    gram = exact.doubles(exact.product(A, A.T))
+    b = Fraction(float(weight) * float(np.sqrt(np.linalg.eigvalsh(gram)[-1]))) * (1 + ROOM / 4)
+    return hint | {"reach": text(reach_of(shape, model)), "b": text(b)}
+
+
+def _of_time(a: Affine | Any, model: SweepingProcess) -> Any:
+    offset = a.offset if isinstance(a, Affine) else a
+    if isinstance(offset, Fraction):
+        return {"inputs": ["t"], "steps": [["const", text(offset)]], "outputs": [0]}
+    return graph(offset, model.t, ["t"])
+
+
+def _escape(model: SweepingProcess) -> Callable[[list[Any]], Any]:
+    """A direction of escape for the constraints near the middle of a part."""
+    slopes = ca.Function("slopes", [model.t, model.q], [ca.densify(ca.jacobian(model.g, model.q)), ca.densify(model.g)])
+
+    def direction(box: list[Any]) -> Any:
+        middle = np.array([float(x.lo + x.hi) / 2 for x in box])
+        reach = np.linalg.norm([float(x.hi - x.lo) for x in box])
+        G, g = (np.array(item) for item in slopes(middle[0], middle[1:]))
+        size = np.linalg.norm(G, axis=1)
+        near = np.flatnonzero((g.ravel() <= reach * np.maximum(size, 1e-300)) & (size > 0))
+        if len(near) < 2 or not np.isfinite(G[near]).all():
+            return [text(x) for x in (G[near[0]] if len(near) and np.isfinite(G[near[0]]).all() else np.ones(len(middle) - 1))]
+        normals = G[near] / size[near, None]
+        return [text(x) for x in mfcq_constant(normals)[1] @ normals]
+
+    return direction

@@ -1,0 +1,60 @@
+"""Pictures of sweeping processes: where the state is, and where it may not be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.errors import PlotError
+from nsmodel.plot import plane, style
+from nsmodel.plot.scene import discs
+from nsmodel.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+def panels(run: Trajectory, model: Any) -> dict[str, tuple[float, Callable[..., Axes]]]:
+    """What its sheets have beside those of all runs: height, and what draws it."""
+    known = run.metadata.get("scene") or (model is not None and run.x.shape[1] <= 2)
+    return {"configuration": (3.6, partial(plane.configuration, run, model))} if known else {}
+
+
+def configuration(run: Trajectory, model: Any, row: int, ax: Axes | None) -> Axes:
+    """Draw the scene, or the forbidden set of one or two states."""
+    n, rows, scene = run.x.shape[1], len(run.t), run.metadata.get("scene")
+    if not -rows <= row < rows:
+        raise PlotError(f"row {row} does not exist: this run has rows 0 to {rows - 1}")
+    if not scene and n > 2:
+        raise PlotError(f"a configuration needs one state, two, or a scene of discs; this run has {n} and no scene")
+    if not scene and model is None:
+        raise PlotError("the forbidden set is drawn from the constraints: give the model as well")
+    row %= rows
+    if scene:
+        return discs(style.axes(ax, 7, 6.5), run, scene, row)
+    gap, moving = _gap(model, n)
+    if n == 1:
+        return plane.half_plane(style.axes(ax, 8, 5), run, gap, row)
+    return plane.whole_plane(style.axes(ax, 7, 6.5), run, gap, row, moving=moving)
+
+
+def _gap(model: Any, n: int) -> tuple[plane.Gap, bool]:
+    """min_i g_i(t, q) on many points at once, negative where q is forbidden; and whether it depends on t."""
+    stack = ca.vertcat(ca.SX.inf(1), *model.constraints.values())
+    if model.q.numel() != n:
+        raise PlotError(f"the model has {model.q.numel()} states and the run {n}: they do not belong together")
+    free = [s.name() for s in ca.symvar(stack) if not ca.depends_on(ca.vertcat(model.t, ca.vec(model.q)), s)]
+    if free:
+        raise PlotError(f"the constraints still hold {', '.join(free)}: bind the parameters to numbers first")
+    function = ca.Function("g", [model.t, model.q], [ca.mmin(stack)])
+
+    def gap(t: np.ndarray | float, *q: np.ndarray) -> np.ndarray:
+        times = np.broadcast_to(t, q[0].shape).reshape(1, -1)
+        values = function.map(times.size)(times, np.stack([part.ravel() for part in q]))
+        return np.ma.masked_invalid(np.array(values).reshape(q[0].shape))
+
+    return gap, ca.depends_on(stack, model.t)
