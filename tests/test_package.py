@@ -178,6 +178,20 @@ def test_imports_run_downwards_only(name):
             assert rank_of(node.module) <= rank_of(name), node.module
 
 
+PARTS = "certificate checking cli hypotheses identity loader plot stress study storage trajectory".split()
+OF_ONE_CLASS = {"nsmodel.hypotheses.rest"}  # finite convergence of oscillators
+BY_THE_REGISTRY = [name for name in MODULES if name.split(".")[1] in PARTS and name not in OF_ONE_CLASS]
+
+
+@pytest.mark.parametrize("name", BY_THE_REGISTRY)
+def test_what_a_class_brings_is_found_by_the_registry(name):
+    """Of these modules none imports a class: a new one is its folder, and a line in the registry."""
+    tree = ast.parse(Path(importlib.import_module(name).__file__).read_text())
+    imported = {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    found = {module for module in imported if module.startswith("nsmodel.classes.")}
+    assert found <= {"nsmodel.classes.registry", "nsmodel.classes.units"}
+
+
 def in_types(tree, node):
     """Whether an import is one for type checkers alone."""
     return any(node in ast.walk(top) for top in tree.body if isinstance(top, ast.If))
