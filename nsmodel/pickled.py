@@ -10,7 +10,7 @@ import copyreg
 import io
 import pickle
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy, deepcopy
 from functools import reduce
 from types import FunctionType, MappingProxyType
@@ -27,6 +27,11 @@ class Pickled:
 
     A function in it must have a name to be found by in another process: that of a module, or of a model file, which is run there.
     """
+
+    @property
+    def made_of(self) -> Mapping[str, Any]:
+        """Its parts by name: what tells it from others."""
+        return vars(self)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle; UsageError for a function without such a name."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from fractions import Fraction
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -23,14 +23,7 @@ from nsmodel.proof import sum_of_squares
 # many parts, as a bound that is attained is told from its violation only by small ones.
 ROOMS = ROOM, *_ = Fraction(1, 2**40), Fraction(1, 2**10), Fraction(1, 2**5)
 MOST_PARTS, DEEP = 1000, 40  # Parts of a cover.
-NAMES = {("A2", "b"): "speed", ("A3", "M"): "turn", ("4.1", "least eigenvalue"): "least"}
-LEAST = {"a", "c", "least", "alpha", "radius of A(0)", "lower bound of g", "least eigenvalue"}  # The larger, the more is said.
-STATED = {
-    "A0": ("c",), "A1": ("a", "b"), "A2": ("b",), "A3": ("M",), "A4": ("M", "M_contact"), "A5": ("gamma", "rho"),
-    "A5'": ("gamma",), "S-f": ("K_f", "L_f", "L_t"), "4.1": ("least eigenvalue",), "5.2": ("omega",), "M-A2": ("a_1", "a_2"),
-    "M-A3": ("alpha", "beta"), "M-24": ("L",), "O-g": ("lower bound of g",), "O-dry": ("radius of A(0)",), "F-step": ("h",),
-    "F-W": ("h",),
-}  # fmt: skip
+AT_LEAST, EXACTLY, AT_MOST = -1, 0, 1
 
 
 class Unproved(Exception):
@@ -41,15 +34,21 @@ class TooManyParts(Unproved):
     """A cover would take too many parts."""
 
 
-def value_of(finding: Finding, room: Fraction = ROOM) -> dict[str, str]:
+class Stated(NamedTuple):
+    """A number of a finding that its statement needs: its key, where it says less, its name there."""
+
+    key: str
+    sense: int = AT_MOST
+    name: str = ""
+
+
+def value_of(finding: Finding, stated: Sequence[Stated], room: Fraction = ROOM) -> dict[str, str]:
     """The numbers of a finding as the certificate states them: rounded in the direction in which they say less."""
     found = {}
-    for name in STATED.get(finding.id, ()):
-        if name in finding.value and np.isfinite(finding.value[name]):
-            number = Fraction(finding.value[name])
-            less = -1 if name in LEAST else 1
-            more = 0 if name in ("rho", "h") else room * abs(number)
-            found[NAMES.get((finding.id, name), name)] = text(number + less * more)
+    for key, sense, name in stated:
+        if key in finding.value and np.isfinite(finding.value[key]):
+            number = Fraction(finding.value[key])
+            found[name or key] = text(number + sense * room * abs(number))
     return found
 
 

@@ -43,13 +43,14 @@ def certificate_of(report: Report) -> dict[str, Any]:
 
 
 def _statement(subject: Subject, finding: Finding, findings: dict[str, Finding], reason: str) -> dict[str, Any]:
+    part = class_of(subject.model).part("certificate")
+    stated = part.STATED.get(finding.id, ())
     statement: dict[str, Any] = {
-        "id": finding.id, "statement": finding.statement, "source": finding.source, "value": value_of(finding),
+        "id": finding.id, "statement": finding.statement, "source": finding.source, "value": value_of(finding, stated),
         "scope": None if finding.scope is None else _scope(finding.scope, subject.box), "proof": None,
     }  # fmt: skip
-    part = class_of(subject.model).part("certificate")
     for room in ROOMS if not reason else ():
-        value = value_of(finding, room)
+        value = value_of(finding, stated, room)
         try:
             proofs = part.proofs(subject.model, subject.data, finding, findings, value, room)
         except (Unproved, NoProgram, verify.NotCheckable) as why:

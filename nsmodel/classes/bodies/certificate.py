@@ -13,6 +13,7 @@ from nsmodel.classes.sweeping import certificate as sweeping
 from nsmodel.hypotheses.findings import Finding
 
 MOST_CONSTRAINTS = 400  # Families of more are not written out.
+STATED = sweeping.STATED
 
 
 def subject(model: ManyBodies, findings: Mapping[str, Finding]) -> Subject:

@@ -47,6 +47,11 @@ class Member(Pickled):
         """All of them as one column, in the order of ``group.numbers``."""
         return ca.vertcat(ca.SX(0, 1), *(getattr(self, key) for key in self.group.numbers))
 
+    @property
+    def made_of(self) -> Mapping[str, Any]:
+        """The group under its name: all members of a group have the same numbers."""
+        return {self.name: self.group}
+
     def __repr__(self) -> str:
         """Return the name and what it has."""
         return f"{self.name} with {', '.join(f'{self.name}.{key}' for key in self.group.numbers)}"
@@ -72,6 +77,11 @@ class Items(Pickled):
             listed = ", ".join(f"{key} has {length}" for key, length in lengths.items())
             raise ModelError(f"one row for each is needed, but {listed}")
         self.count = next(iter(lengths.values()))
+
+    @property
+    def made_of(self) -> Mapping[str, Any]:
+        """The numbers."""
+        return self.numbers
 
     def member(self, name: str) -> Member:
         """Any one of them, in symbols that begin with ``name``."""

@@ -11,10 +11,12 @@ import numpy as np
 
 from nsmodel.certificate.data import Data, Subject, dense, law_data, numbers, program, steps
 from nsmodel.certificate.graph import matrix, text
-from nsmodel.certificate.hints import Grown, Unproved
+from nsmodel.certificate.hints import EXACTLY, Grown, Stated, Unproved
 from nsmodel.classes.first_order.model import FirstOrderSystem
 from nsmodel.hypotheses.findings import Finding
 from nsmodel.proof import exact
+
+STATED = {"F-step": (Stated("h", EXACTLY),), "F-W": (Stated("h", EXACTLY),)}
 
 
 def subject(model: FirstOrderSystem, findings: Mapping[str, Finding]) -> Subject:

@@ -10,11 +10,15 @@ import casadi as ca
 
 from nsmodel.certificate import verify
 from nsmodel.certificate.data import Data, Subject, numbers, program
-from nsmodel.certificate.hints import Grown, Unproved, convexity, cover, inside, nowhere_negative
+from nsmodel.certificate.hints import AT_LEAST, Grown, Stated, Unproved, convexity, cover, inside, nowhere_negative
 from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.classes.inclusion.set_valued import constraints
 from nsmodel.hypotheses.domain import without_domain
 from nsmodel.hypotheses.findings import Finding
+
+STATED = {
+    "M-A2": (Stated("a_1"), Stated("a_2")), "M-A3": (Stated("alpha", AT_LEAST), Stated("beta")), "M-24": (Stated("L"),),
+}  # fmt: skip
 
 
 def subject(model: MonotoneInclusion, findings: Mapping[str, Finding]) -> Subject:

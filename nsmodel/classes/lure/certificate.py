@@ -13,10 +13,12 @@ import numpy as np
 from nsmodel.certificate import verify
 from nsmodel.certificate.data import Data, Subject, dense, law_data, numbers, program
 from nsmodel.certificate.graph import text
-from nsmodel.certificate.hints import Unproved, cover
+from nsmodel.certificate.hints import AT_LEAST, Stated, Unproved, cover
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.hypotheses.findings import Finding
 from nsmodel.proof import exact, feasibility
+
+STATED = {"4.1": (Stated("least eigenvalue", AT_LEAST, "least"),), "5.2": (Stated("omega"),)}
 
 
 def subject(model: LureSystem, findings: Mapping[str, Finding]) -> Subject:

@@ -13,12 +13,14 @@ from scipy.optimize import minimize
 from nsmodel.certificate import verify
 from nsmodel.certificate.data import Data, Subject, dense, numbers, program, steps
 from nsmodel.certificate.graph import text
-from nsmodel.certificate.hints import Grown, Unproved, convexity, inside, nowhere_negative, squares
+from nsmodel.certificate.hints import AT_LEAST, Grown, Stated, Unproved, convexity, inside, nowhere_negative, squares
 from nsmodel.classes.oscillator.hypotheses.check import domain_of
 from nsmodel.classes.oscillator.model import FrictionOscillator
 from nsmodel.hypotheses.domain import without_domain
 from nsmodel.hypotheses.findings import Finding
 from nsmodel.proof import exact
+
+STATED = {"O-g": (Stated("lower bound of g", AT_LEAST),), "O-dry": (Stated("radius of A(0)", AT_LEAST),)}
 
 
 def subject(model: FrictionOscillator, findings: Mapping[str, Finding]) -> Subject:

@@ -12,13 +12,20 @@ import numpy as np
 from nsmodel.certificate import verify
 from nsmodel.certificate.data import Data, Subject, numbers, program
 from nsmodel.certificate.graph import graph, matrix, text
-from nsmodel.certificate.hints import ROOM, Grown, Unproved, convexity
+from nsmodel.certificate.hints import AT_LEAST, EXACTLY, ROOM, Grown, Stated, Unproved, convexity
 from nsmodel.classes.sweeping.hypotheses.forms import Affine, Shape
 from nsmodel.classes.sweeping.hypotheses.geometry import mfcq_constant
 from nsmodel.classes.sweeping.hypotheses.shapes import read_shapes
 from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.hypotheses.findings import Finding
 from nsmodel.proof import exact, extremum
+
+STATED = {
+    "A0": (Stated("c", AT_LEAST),), "A1": (Stated("a", AT_LEAST), Stated("b")), "A2": (Stated("b", name="speed"),),
+    "A3": (Stated("M", name="turn"),), "A4": (Stated("M"), Stated("M_contact")),
+    "A5": (Stated("gamma"), Stated("rho", EXACTLY)), "A5'": (Stated("gamma"),),
+    "S-f": (Stated("K_f"), Stated("L_f"), Stated("L_t")),
+}  # fmt: skip
 
 
 def subject(model: SweepingProcess, findings: Mapping[str, Finding]) -> Subject:

@@ -1,0 +1,13 @@
+"""What the functions of an inclusion give: they are known by that."""
+
+from __future__ import annotations
+
+from nsmodel.classes.inclusion.model import MonotoneInclusion
+from nsmodel.grid import Grid
+
+
+def given(model: MonotoneInclusion, grid: Grid) -> list[list[float]]:
+    """The tolerances at the steps of the run, where they are a function."""
+    if not callable(model.tolerances):
+        return []
+    return [[float(model.tolerances(h)) for h in ([grid.h, grid.last] if grid.steps is None else grid.steps.tolist())]]
