@@ -14,7 +14,8 @@ from nsmodel.codegen.tables import table
 from nsmodel.errors import CodegenError
 from nsmodel.laws import Law
 from nsmodel.solve.certificate import NumericLaw, numeric_law
-from nsmodel.solve.projection import interior_point
+from nsmodel.solve.layout import Layout
+from nsmodel.solve.projection import interior_point, row_layout
 
 
 def flags(scene: Scene) -> dict[str, bool]:
@@ -66,9 +67,9 @@ def sizes(scene: Scene, known: dict[str, int]) -> dict[str, int]:
     }
 
 
-def columns(scene: Scene) -> int:
-    """Numbers that a step of an inclusion records."""
-    return 2 * len(scene.model.names) + _selection(scene).l.numel() + 3 if scene.path == INCLUSION else 0
+def layout(scene: Scene) -> Layout:
+    """A packed row of a run."""
+    return row_layout(scene.problem, _selection(scene)) if scene.path == INCLUSION else Layout.of(scene.problem)
 
 
 def text(scene: Scene) -> str:

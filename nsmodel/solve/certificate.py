@@ -24,6 +24,7 @@ import numpy as np
 
 from nsmodel.laws import Curved, Law
 from nsmodel.laws.curved import norm
+from nsmodel.solve.rounding import INSIDE
 
 EPS = np.finfo(float).eps
 ROUNDING = 8  # c: the part of E that a row may err by, in units of u.
@@ -31,6 +32,8 @@ NEGLIGIBLE = 1e-6  # Part of the largest multiplier that another one need not re
 UNRESOLVED = 1e-280  # Scales below this are lost in denormal numbers.
 REACH = 1 / 3  # Part of the motion that a constraint may be off its linearisation: a ball's normal turns by 37 degrees.
 GROWTH = 1e3  # How far the multipliers' terms may raise the scale of y above that of b.
+CLEAR = 1e-2  # Part of the tolerance up to which a residual is told as it is; above, rounding may be excused.
+STRICTER = 10  # The affine problem of a step is solved to the tolerance divided by this.
 
 
 @dataclass(frozen=True)
@@ -162,7 +165,7 @@ def settled_sx(law: NumericLaw, rows: list[int], l: Any, y: Any, free: Any, roun
     good = ca.SX(1)
     for i in rows:
         lo, up = law.lower[i], law.upper[i]
-        inside = ca.fmax(ca.fmax(lo - l[i], l[i] - up), 0) <= 8 * EPS * ca.fabs(l[i])
+        inside = ca.fmax(ca.fmax(lo - l[i], l[i] - up), 0) <= INSIDE * EPS * ca.fabs(l[i])
         at_lower = ca.logic_and(l[i] == lo, y[i] >= -round_off[i])
         at_upper = ca.logic_and(l[i] == up, y[i] <= round_off[i])
         good = ca.logic_and(good, ca.if_else(free[i], inside, ca.logic_or(at_lower, at_upper)))

@@ -18,7 +18,7 @@ from nsmodel.solve.rounding import UNIT, condition, equilibrated, is_fragile
 from nsmodel.solve.structure import Structure
 
 UNDETERMINED = 1e-2  # Part of z that rounding may decide.
-SINGULAR = 1e13  # Condition from which on a matrix counts as singular.
+ILL_CONDITIONED = 1e13  # Condition from which on a matrix counts as singular.
 CSE_BELOW = 80  # Unknowns up to which sharing common subexpressions pays for the time it takes.
 
 
@@ -89,7 +89,7 @@ class Kernel:
         """Whether the whole system is regular on an index set, as far as double precision tells."""
         E_z, E_l, Y_z, Y_l = self._matrices
         J = np.block([[E_z, E_l[:, free]], [Y_z[free], Y_l[np.ix_(free, free)]]])
-        return bool(np.isfinite(J).all() and np.linalg.cond(equilibrated(J)[0]) <= SINGULAR)
+        return bool(np.isfinite(J).all() and np.linalg.cond(equilibrated(J)[0]) <= ILL_CONDITIONED)
 
     def b(self, t: float, state: np.ndarray) -> np.ndarray:
         """The vector b of y = W l + b."""
@@ -140,7 +140,7 @@ def _inverse(A: np.ndarray) -> tuple[np.ndarray, bool]:
         inverse = np.linalg.inv(scaled)
     except np.linalg.LinAlgError:
         return np.linalg.pinv(A), False
-    if not np.abs(inverse).max() * np.abs(scaled).max() <= SINGULAR:
+    if not np.abs(inverse).max() * np.abs(scaled).max() <= ILL_CONDITIONED:
         return np.linalg.pinv(A), False
     return columns[:, None] * inverse * rows, True
 
