@@ -12,7 +12,15 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.scheme.problem import OneStepProblem
-from nsmodel.solve.certificate import ROUNDING, UNRESOLVED, NumericLaw, box_residual_sx, output_scale_sx, settled_sx
+from nsmodel.solve.certificate import (
+    ROUNDING,
+    SYMBOLS,
+    UNRESOLVED,
+    NumericLaw,
+    output_scale,
+    residual_in_symbols,
+    settled_in_symbols,
+)
 from nsmodel.solve.layout import Layout, extras
 from nsmodel.solve.rounding import UNIT, condition, equilibrated, is_fragile
 from nsmodel.solve.structure import Structure
@@ -227,11 +235,11 @@ def _judge(
     if m:
         w_max = np.abs(W).max(axis=1)
         terms = ca.fabs(at.Y_z) @ ca.fabs(ca.sparsify(ca.DM(Z)) @ l) + ca.fabs(at.Y_l) @ ca.fabs(l)
-        s_y = output_scale_sx(b, terms, w_max)
+        s_y = output_scale(b, terms, w_max, SYMBOLS)
         s_y = ca.fmax(s_y + error_Y / tolerance, UNRESOLVED)
         box = [i for i in range(m) if not any(rows.start <= i < rows.stop for rows, _ in law.curved)]
-        residual = ca.fmax(residual, box_residual_sx(law, box, w_max, l, at.Y, s_y))
-        settled = settled_sx(law, box, l, at.Y, free, error_Y)
+        residual = ca.fmax(residual, residual_in_symbols(law, box, w_max, l, at.Y, s_y))
+        settled = settled_in_symbols(law, box, l, at.Y, free, error_Y)
     if structure.projection:  # <l, y> bounds the square of the distance to the projection
         gap = ca.dot(ca.fmax(l, 0), ca.fmax(at.Y, 0))
         reach = ca.sumsqr(z - at.guess) + ca.sumsqr(at.E_guess)
