@@ -28,7 +28,7 @@ from nsmodel.scheme import initial_rows, one_step_problem
 from nsmodel.solve import active_set, curved, mlcp, qp
 from nsmodel.solve import kernel as kernel_module
 from nsmodel.solve.build import Stepper
-from nsmodel.solve.certificate import ROUNDING, NumericLaw, box_residual_sx, law_residual, numeric_law, output_scale
+from nsmodel.solve.certificate import ROUNDING, NumericLaw, law_residual, numeric_law, output_scale, residual_in_symbols
 from nsmodel.solve.newton import Newton
 from nsmodel.solve.nlp import Programme
 from nsmodel.solve.rounding import UNIT
@@ -332,7 +332,7 @@ def test_what_is_not_a_number_has_residual_inf(bad):
         found = law_residual(law, np.array(l, float), np.array(y, float), one, one)
         assert found[0] == INF
         symbols = ca.SX.sym("l", 2), ca.SX.sym("y", 2)
-        residual = ca.Function("r", list(symbols), [box_residual_sx(law, [0, 1], one, *symbols, ca.SX(one))])
+        residual = ca.Function("r", list(symbols), [residual_in_symbols(law, [0, 1], one, *symbols, ca.SX(one))])
         assert float(residual(l, y)) == INF
     for own in (ball(2, 1), second_order_cone(2)):
         assert law_residual(numeric_law(own), np.array([bad, 0.0]), np.zeros(2), one, one).max() == INF

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from test_solvers import DEGENERATE, INF, LAWS, PSD, infeasible, matrix, point_of_graph, problem, random_law, spd
 
-from nsmodel.codegen import sets
+from nsmodel.codegen import constants, sets, statuses
 from nsmodel.codegen.fragments import fragment, pruned
 from nsmodel.laws import Law, ball, box, product, second_order_cone
 from nsmodel.solve import active_set, curved, mlcp
@@ -47,9 +47,7 @@ PRELUDE = """
 #include <stdio.h>
 #include <string.h>
 #define EPS DBL_EPSILON
-#define UNRESOLVED 1e-280
-#define NEGLIGIBLE 1e-6
-#define GROWTH 1e3
+{constants}
 #define MODEL_ROWS {rows}
 #define MODEL_M {m}
 #define MODEL_LEMKE {lemke}
@@ -157,6 +155,7 @@ def source(of: Law | None = None, *, both: bool = False, main: bool = False, row
         m=m,
         lemke=lemke if box_too else m,
         curved=len(law.curved),
+        constants=constants.of_steps(),
         members=members,
         common=fragment("common.c", frozenset(), {}).replace("static double sign_of", "double sign_of"),
     )
@@ -165,7 +164,7 @@ def source(of: Law | None = None, *, both: bool = False, main: bool = False, row
         text += f"#define MODEL_BLOCK {block}\n#define MODEL_NUMBERS {numbers}\n"
         text += TABLES.format(lower=joined(law.lower), upper=joined(law.upper)) + sets.text(of, False)
     parts = ["solvers.c", "linear.c", "affine.c", *(["lemke.c"] if box_too else []), *(["curved.c"] if law.curved else [])]
-    text += "\n".join(fragment(part, flags, {}) for part in parts)
+    text += "\n".join(fragment(part, flags, {"SOLVERS": statuses.solvers()}) for part in parts)
     choose = "#define LO (lo ? lo : lower)\n#define UP (up ? up : upper)\n" if law.curved else "#define LO lo\n#define UP up\n"
     text += choose + ENTRY + (BOX_ENTRY if box_too else "") + (CURVED_ENTRY if law.curved else "") + (MAIN if main else "")
     return pruned(text) if law.curved else text

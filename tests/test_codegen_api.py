@@ -20,7 +20,6 @@ import pytest
 import nsmodel
 from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, MonotoneInclusion, codegen
 from nsmodel.cli import main
-from nsmodel.codegen import bounds, needs
 from nsmodel.errors import CodegenError, NsmodelError, StorageError, UsageError
 from nsmodel.laws import complementarity, product, relay
 from nsmodel.scheme import initial_rows, one_step_problem
@@ -573,24 +572,6 @@ def test_no_step_takes_longer_than_the_header_says(kind, written, tmp_path):
     assert solved >= 40
     assert most > 0 or head not in code
     assert max(most, iterations) <= about["max_work"]
-
-
-def constant(file: str, name: str, part: int = 0) -> int:
-    """A constant of a fragment; ``part``: which of its definitions."""
-    return int(re.findall(rf"^#define {name} (\d+)", (FRAGMENTS / file).read_text(encoding="utf-8"), re.MULTILINE)[part])
-
-
-def test_bounds_count_with_the_constants_of_the_code():
-    assert constant("affine.c", "PRIMAL_DUAL_SWEEPS") == bounds.PRIMAL_DUAL_SWEEPS
-    assert constant("affine.c", "MOST_INDEX_SETS") == needs.MOST_INDEX_SETS
-    assert constant("curved.c", "NEWTON_ON_SETS") == bounds.SEMISMOOTH_ITERATIONS
-    assert constant("curved.c", "GAUSS_SEIDEL_SWEEPS") == bounds.GAUSS_SEIDEL_SWEEPS
-    assert constant("newton.c", "NEWTON_ITERATIONS", 0) == bounds.NEWTON_ITERATIONS["AFFINE"]
-    assert constant("newton.c", "NEWTON_ITERATIONS", 1) == bounds.NEWTON_ITERATIONS["other"]
-    assert constant("newton.c", "NEARBY_SETS") == bounds.NEARBY_SETS
-    assert constant("newton.c", "SMOOTH_ITERATIONS") == bounds.SMOOTH_ITERATIONS
-    assert constant("inclusion.c", "CUT_ITERATIONS") == bounds.CUT_ITERATIONS
-    assert "pivots = 20*size + 50;" in (FRAGMENTS / "lemke.c").read_text(encoding="utf-8")
 
 
 NOT_AS_WRITTEN = ("-ffast-math", "-ffinite-math-only", "-funsafe-math-optimizations")

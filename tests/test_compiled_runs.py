@@ -3,7 +3,6 @@
 The C is built without optimisation, to spend less time on it; some runs of the command line build it as users do.
 """
 
-import ctypes
 import importlib
 import json
 import os
@@ -60,7 +59,7 @@ from nsmodel import (
 from nsmodel.cli import main
 from nsmodel.codegen import bodies_step, cache, library
 from nsmodel.codegen.bodies import solver_source
-from nsmodel.codegen.rollout import SOLVERS, Rollout
+from nsmodel.codegen.rollout import Rollout
 from nsmodel.errors import CodegenError
 from nsmodel.grid import make_grid
 from nsmodel.run.in_c import IN_C
@@ -804,21 +803,6 @@ def test_a_wrong_argument_is_refused(compiled):
 def test_a_solver_and_compiled_steps_are_not_given_together():
     with pytest.raises(UsageError, match=r"solver 'lemke' and compiled=True are both given: .* their own solvers; keep one"):
         simulate(lure(), compiled=True, solver="lemke")
-
-
-# ---------------------------------------------------------------------------------------------- the two sides
-
-
-def test_the_totals_and_solvers_are_those_of_the_c():
-    folder = Path(cache.__file__).parent / "c"
-    struct = re.search(r"typedef struct \{(.*?)\} model_totals;", (folder / "rollout.c").read_text(), re.DOTALL)[1]
-    fields = re.findall(r"(\w+)(?:\[(\d+)\])?(?=[,;])", re.sub(r"/\*.*?\*/", "", struct, flags=re.DOTALL))
-    from nsmodel.codegen.rollout import _Totals
-
-    sizes = [(name, ctypes.sizeof(kind) // 8) for name, kind in _Totals._fields_]
-    assert sizes == [(name, int(size or 1)) for name, size in fields]
-    names = re.search(r"enum \{(.*?)\}", (folder / "solvers.c").read_text(), re.DOTALL)[1].split(",")
-    assert len(names) == len(SOLVERS) <= 16
 
 
 # ---------------------------------------------------------------------------------------------- the command line

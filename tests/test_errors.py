@@ -799,7 +799,7 @@ def test_a_step_that_fails_says_why(model, message):
 def test_catching_up_says_what_it_could_not_verify(monkeypatch, start, solves, iterations, message):
     """No model is known that brings these about: the solver is made to fail."""
     solve = projection.mlcp.solve
-    monkeypatch.setattr(projection, "ITERATIONS", iterations)
+    monkeypatch.setattr(projection, "CUT_ITERATIONS", iterations)
     monkeypatch.setattr(projection.mlcp, "solve", lambda *args: solve(*args) if solves else replace(solve(*args), residual=inf))
     disc = {"disc": 1 - ca.sumsqr(x)}
     with pytest.raises(StepError, match=re.escape(message)):

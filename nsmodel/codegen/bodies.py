@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Set
 from typing import Any
 
 import casadi as ca
@@ -10,7 +11,7 @@ import numpy as np
 
 from nsmodel.classes.bodies.model import Family, ManyBodies
 from nsmodel.classes.bodies.schemes.prediction_correction import SCHEME, BodiesProblem, searched
-from nsmodel.codegen import statuses
+from nsmodel.codegen import constants, statuses, structs
 from nsmodel.codegen.bounds import MOST_WORK
 from nsmodel.codegen.expression import c_function
 from nsmodel.codegen.fragments import comment, fragment, guard, prefixed, pruned
@@ -27,15 +28,20 @@ ROOM_LEAST = 65_536  # for all of them.
 HEADERS = "".join(f"#include <{name}.h>\n" for name in ("float", "math", "stddef", "stdlib", "string"))
 
 
+def _parts(flags: Set[str] = frozenset(), report: structs.Struct = structs.REPORT) -> list[str]:
+    """The step, whatever the model."""
+    return [fragment(part, flags, {"REPORT": report.c(), "MOTION": structs.MOTION.c()}) for part in PARTS]
+
+
 def solver_source(d: int) -> str:
     """The C that moves bodies of d states, whatever the model, for runs; times are taken."""
-    parts = [fragment(part, frozenset({"TIMES", "EXPORTED"}), {}) for part in PARTS]
+    parts = _parts(frozenset({"TIMES", "EXPORTED"}), structs.TIMED_REPORT)
     return "\n".join(
         [
             HEADERS,
             "#include <time.h>\n",
             guard().replace("static int", "int"),
-            f"#define DIM {d}\n",
+            f"#define DIM {d}\n{constants.of_bodies()}",
             statuses.enumeration(),
             *parts,
         ]
@@ -44,17 +50,17 @@ def solver_source(d: int) -> str:
 
 def model_source(model: ManyBodies) -> str:
     """The C of a bound model's own functions, for runs: ``own_functions`` is visible."""
-    declared = fragment("bodies.c", frozenset(), {}).partition("/* Rows in use")[0]
+    declared = _parts()[-1].partition("/* Rows in use")[0]
     own = _functions(model).replace("static const model_functions own", "const model_functions own")
     return "\n".join([HEADERS, "typedef struct model_solver model_solver;\n", declared, own])
 
 
 def library_source(model: ManyBodies, name: str) -> str:
     """All of the C of a bound model's library."""
-    parts = [fragment(part, frozenset(), {}) for part in PARTS]
     text = [
-        f'#include "{name}.h"\n\n{HEADERS}', guard(), f"#define DIM {model.bodies.d} /* states of a body */\n", *parts,
-        _functions(model), _numbers(model), fragment("bodies_api.c", frozenset(), {"STATUS_CASES": statuses.cases()}),
+        f'#include "{name}.h"\n\n{HEADERS}', guard(), f"#define DIM {model.bodies.d} /* states of a body */\n",
+        constants.of_bodies(), *_parts(), _functions(model), _numbers(model),
+        fragment("bodies_api.c", frozenset(), {"STATUS_CASES": statuses.cases()}),
     ]  # fmt: skip
     return prefixed(pruned("\n".join(text)), name)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, searched
-from nsmodel.codegen import cache
+from nsmodel.codegen import cache, structs
 from nsmodel.codegen.bodies import item_size, model_source, solver_source
 from nsmodel.codegen.bounds import MOST_WORK
 from nsmodel.codegen.cache import kept, key_for
@@ -59,32 +59,7 @@ def _is_kept(text: str) -> bool:
     return by is not None and cache.is_kept(_key(text, by))
 
 
-class _Motion(ctypes.Structure):
-    """``model_motion`` in ``c/bodies.c``."""
-
-    _fields_ = tuple(
-        (name, kind)
-        for kind, names in (
-            (ctypes.c_void_p, "model"), (ctypes.c_double, "t h tolerance"), (ctypes.c_int, "n"),
-            (ctypes.c_void_p, "q present velocity numbers items item_count over over_count farthest halves p"),
-            (ctypes.c_long, "budget"), (ctypes.c_double, "motion"), (ctypes.c_int, "contacts"),
-            (ctypes.c_void_p, "family first second multiplier q_next leaves"), (ctypes.c_int, "contacts_out"),
-            (ctypes.c_void_p, "family_out first_out second_out multiplier_out"),
-        )
-        for name in names.split()
-    )  # fmt: skip
-
-
-class Report(ctypes.Structure):
-    """``model_report`` in ``c/bodies.c``: what a step met."""
-
-    _fields_ = (
-        *((name, ctypes.c_double) for name in ("residual", "gap", "motion", "cutoff")),
-        *((name, ctypes.c_int) for name in ("worst_family", "worst_first", "worst_second", "rows", "groups", "largest",
-          "factorisations", "repeats", "by_active_set", "by_interior", "unsettled")),
-        ("work", ctypes.c_long),
-        *((name, ctypes.c_double) for name in ("search", "assembly", "solve")),
-    )  # fmt: skip
+Motion, Report = structs.MOTION.in_python(), structs.TIMED_REPORT.in_python()
 
 
 class CompiledStep:
@@ -126,7 +101,7 @@ class CompiledStep:
         self._memory = np.empty(4096 * (n + 64), np.uint8)
         self._missing, self.report = ctypes.c_size_t(0), Report()
         self.seconds = {"search": 0.0, "assembly": 0.0, "solve": 0.0}
-        s = self._motion = _Motion()
+        s = self._motion = Motion()
         s.model = ctypes.addressof(ctypes.c_char.in_dll(self._own, "own_functions"))
         s.n, s.tolerance, s.budget = n, tolerance, MOST_WORK
         s.q, s.present, s.numbers, s.farthest = map(_at, (self._q, self._present, self._numbers, self._farthest))

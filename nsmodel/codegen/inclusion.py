@@ -12,7 +12,8 @@ from nsmodel.errors import CodegenError
 from nsmodel.laws import Law
 from nsmodel.scheme.problem import Prediction
 from nsmodel.solve.certificate import NumericLaw, numeric_law
-from nsmodel.solve.projection import interior_point
+from nsmodel.solve.layout import Layout
+from nsmodel.solve.projection import interior_point, row_layout
 
 
 def flags(scene: Scene) -> dict[str, bool]:
@@ -64,9 +65,9 @@ def sizes(scene: Scene, known: dict[str, int]) -> dict[str, int]:
     }
 
 
-def columns(scene: Scene) -> int:
-    """Numbers that a step of an inclusion records."""
-    return 2 * len(scene.model.names) + scene.problem.prediction.l.numel() + 3 if scene.path == INCLUSION else 0
+def layout(scene: Scene) -> Layout:
+    """A packed row of a run."""
+    return Layout.of(scene.problem) if scene.problem.prediction is None else row_layout(scene.problem, scene.problem.prediction)
 
 
 def text(scene: Scene) -> str:

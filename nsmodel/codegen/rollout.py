@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nsmodel.codegen import structs
 from nsmodel.codegen.cache import NAME, cached
 from nsmodel.codegen.library import Library, compiler, no_compiler
-from nsmodel.codegen.statuses import BAD_ARITHMETIC, STATUSES
+from nsmodel.codegen.statuses import BAD_ARITHMETIC, SOLVERS, STATUSES
 from nsmodel.errors import CodegenError
 from nsmodel.grid import Grid
 from nsmodel.model.base import Model
@@ -17,20 +18,8 @@ from nsmodel.solve.layout import Layout
 from nsmodel.solve.stepper import StepResult, Warm
 
 SECONDS = 0.05  # A call takes about as long: so late comes Ctrl-C.
-SOLVERS = (
-    "none", "last index set", "index set", "lemke", "enumeration", "semismooth", "newton on the index set", "clip",
-    "outer approximation", "none needed",
-)  # fmt: skip
 
-
-class _Totals(ctypes.Structure):
-    """As ``model_totals`` in C."""
-
-    _fields_ = [
-        ("worst", ctypes.c_double), ("newton", ctypes.c_double), ("newton_max", ctypes.c_double),
-        ("worst_step", ctypes.c_double), ("changes", ctypes.c_double), ("least", ctypes.c_double),
-        ("counts", ctypes.c_double * 16), ("status", ctypes.c_double),
-    ]  # fmt: skip
+_Totals = structs.TOTALS.in_python()
 
 
 class Block(NamedTuple):
@@ -123,13 +112,7 @@ class Rollout:
     @staticmethod
     def control(state: int, m: int, watched: int) -> np.ndarray:
         """``model_control`` in C, by name: numbers, then the state, the multipliers and what is watched of the state."""
-        numbers = (
-            "T", "rtol", "largest", "least", "crossing", "grow", "negligible", "order", "t", "j", "fresh", "accepted", "rejected",
-            "extrapolated", "at_least_step", "least_step",
-        )  # fmt: skip
-        arrays = {"x": state, "l": max(m, 1), "index": max(m, 1), "lowering": max(m, 1)}
-        arrays |= dict.fromkeys(("atol", "size", "group", "watched", "rate"), watched)
-        return np.zeros((), [*((name, float) for name in numbers), *((name, float, (size,)) for name, size in arrays.items())])
+        return np.zeros((), structs.CONTROL.in_python(STATES=state, ROWS=max(m, 1), WATCHED=watched))
 
     def adapt(
         self, control: np.ndarray, number: int, least: float, rows: np.ndarray, index: np.ndarray, columns: np.ndarray
@@ -163,7 +146,7 @@ class Rollout:
         return StepResult(row, Warm(row[layout.l], codes), SOLVERS[next(i for i, count in enumerate(totals.counts) if count)])
 
 
-def _block(done: int, totals: _Totals, state: np.ndarray, warm: Warm) -> Block:
+def _block(done: int, totals: Any, state: np.ndarray, warm: Warm) -> Block:
     return Block(
         done, totals.status != 0, state, warm, totals.worst, int(totals.worst_step), totals.newton, totals.newton_max,
         int(totals.changes), totals.least, {SOLVERS[i]: int(count) for i, count in enumerate(totals.counts) if count},

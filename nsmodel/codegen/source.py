@@ -9,17 +9,17 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from nsmodel.codegen import banded, fixed, inclusion, newton, sets, statuses
+from nsmodel.codegen import banded, constants, fixed, inclusion, newton, sets, statuses, structs
 from nsmodel.codegen.bounds import MOST_WORK, work_bound
 from nsmodel.codegen.expression import number
-from nsmodel.codegen.fragments import FOLDER, FUNCTION, comment, fragment, guard, prefixed, pruned, resolved
+from nsmodel.codegen.fragments import CONSTANT, FOLDER, FUNCTION, comment, fragment, guard, prefixed, pruned, resolved
 from nsmodel.codegen.loops import c_function
 from nsmodel.codegen.needs import flags_of, sizes_of
 from nsmodel.codegen.scene import BANDED, FIXED, INCLUSION, Scene
 from nsmodel.codegen.tables import table
 from nsmodel.scheme import constraints, initial_rows, start_of
 from nsmodel.solve.build import start_state
-from nsmodel.solve.layout import extras
+from nsmodel.solve.layout import Layout
 from nsmodel.solve.newton import WORKING_SET_ABOVE
 
 
@@ -71,10 +71,11 @@ def _has_memory(group: str, flags: frozenset[str], sizes: dict[str, int]) -> boo
 
 
 def _missing(text: str, code: str) -> str:
-    """The common functions that ``text`` uses and ``code`` does not have."""
-    common = pruned(resolved((FOLDER / "common.c").read_text(encoding="utf-8"), frozenset()) + "\n" + text)
-    wanted = [match for match in FUNCTION.finditer(common) if match[0] not in text]
-    return "".join(match[0] for match in wanted if f" {match[1]}(" not in code)
+    """The constants and the common functions that ``text`` uses and ``code`` does not have."""
+    common = resolved((FOLDER / "common.c").read_text(encoding="utf-8"), frozenset())
+    used = pruned(constants.of_steps() + common + "\n" + text)
+    wanted = [match[0] for pattern in (CONSTANT, FUNCTION) for match in pattern.finditer(used) if match[0] not in text]
+    return "".join(piece for piece in wanted if piece not in code)
 
 
 _FRAGMENTS = [
@@ -100,10 +101,13 @@ def _words(name: str, scene: Scene, flags: frozenset[str], sizes: dict[str, int]
     model, problem = scene.model, scene.problem
     one = "MODEL_STEP: the matrices in the code belong to it" if scene.path in (FIXED, BANDED) else "MODEL_STEP"
     last = "last difference of positions" if problem.velocity else "reaction of the last step"
+    layout = inclusion.layout(scene)
     carried = "" if sizes["NSTATE"] == sizes["NX"] else f", then the {last}"
     return {
         "NAME": name,
         "GUARD": guard(),
+        "CONSTANTS": constants.of_steps(),
+        "SOLVERS": statuses.solvers(),
         "STATUSES": prefixed(statuses.enumeration(), name),
         "STATUS_CASES": prefixed(statuses.cases(), name),
         "TITLE": comment(model.title) or type(model).__name__,
@@ -118,8 +122,10 @@ def _words(name: str, scene: Scene, flags: frozenset[str], sizes: dict[str, int]
         "UNIT_T": f", {comment(model.units['t'])}" if "t" in model.units else "",
         "SIZES": "",
         "MATRICES": "".join(f", s->newton.{key}" for key in newton.outputs(scene)),
-        "REWRITTEN_COLUMNS": str(0 if problem.multipliers is None else 2 * sizes["NL"]),
-        "WIDTH": str(row_width(scene)),
+        "COLUMNS": _columns(layout, problem.records),
+        "WIDTH": str(layout.width),
+        "TOTALS": prefixed(structs.TOTALS.c(), name),
+        "CONTROL": prefixed(structs.CONTROL.c(), name),
     } | {key: str(value) for key, value in sizes.items()}
 
 
@@ -134,10 +140,11 @@ def _inner_sizes(name: str, sizes: dict[str, int], text: str) -> str:
     return prefixed(f"\n/* Sizes of what a step works in. */\n{lines}", name) if lines else ""
 
 
-def row_width(scene: Scene) -> int:
-    """Numbers in a packed row of a run (see `solve.layout`)."""
-    own = 2 * scene.structure.m + 2 + sum(e.numel() for e in extras(scene.problem).values())
-    return scene.problem.state.numel() + own + inclusion.columns(scene)
+def _columns(layout: Layout, records: Iterable[str]) -> str:
+    """Where each quantity of a packed row begins, and where what the scheme records does, as an enum of C."""
+    starts = {name: part.start for name, part in layout.slices.items()}
+    starts["records"] = min((starts[name] for name in records), default=layout.width)
+    return f"enum {{ {', '.join(f'AT_{name.upper()} = {start}' for name, start in starts.items())} }};"
 
 
 def names(scene: Scene) -> dict[str, str]:

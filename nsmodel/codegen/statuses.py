@@ -1,4 +1,4 @@
-"""What the functions of every C library return: each number means one thing, whatever the model."""
+"""What the functions of every C library return and whose answer a step is: each number means one thing, whatever the model."""
 
 from __future__ import annotations
 
@@ -36,6 +36,17 @@ STATUSES = (
     ),
 )
 NO_ROOM, BAD_ARITHMETIC = ([status.name for status in STATUSES].index(name) for name in ("NO_ROOM", "BAD_ARITHMETIC"))
+
+READY = 0x6E736D64  # What marks a solver that was initialised.
+SOLVERS = (
+    "none", "last index set", "index set", "lemke", "enumeration", "semismooth", "newton on the index set", "clip",
+    "outer approximation", "none needed",
+)  # fmt: skip
+
+
+def solvers() -> str:
+    """Whose answer a step is, as an enum of C."""
+    return f"enum {{ {', '.join(name.upper().replace(' ', '_') for name in SOLVERS)} }};"
 
 
 def enumeration() -> str:

@@ -1,6 +1,4 @@
 
-#define MOST_FOR_MULTIPLIER 100
-
 /* The ellipsoid {sum d_i w_i^2 <= 1}, w = V'l, with d = k, V = k + m row by row. */
 static void ellipsoid_axes(int m, const double *k, const double *u, double *w)
 {
@@ -38,7 +36,7 @@ static double ellipsoid_size(int m, const double *k, const double *w, double mu,
 static double ellipsoid_multiplier(int m, const double *k, const double *w)
 {
     double mu = 0, slope;
-    for (int i = 0; i < MOST_FOR_MULTIPLIER; i++) {
+    for (int i = 0; i < MULTIPLIER_ITERATIONS; i++) {
         const double size = ellipsoid_size(m, k, w, mu, &slope), step = size > 1 ? (size - 1)/slope : 0;
         if (!(step > 2*EPS*mu))
             break;

@@ -20,7 +20,7 @@ from nsmodel.laws.given import array
 from nsmodel.laws.law import Law
 
 EPS = np.finfo(float).eps
-NEWTON = 100  # Iterations for mu; a dozen are usual.
+MULTIPLIER_ITERATIONS = 100  # Of Newton's method for mu; a dozen are usual.
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class EllipsoidSet(Curved):
         (as in the trust-region problem; Conn, Gould and Toint 2000, section 7.3).
         """
         mu, root = 0.0, np.sqrt(self.d)
-        for _ in range(NEWTON):
+        for _ in range(MULTIPLIER_ITERATIONS):
             s = root * w / (1 + mu * self.d)
             psi = norm(s)
             step = (psi - 1) / float((self.d / (1 + mu * self.d)) @ (s / psi) ** 2) if psi > 1 else 0.0

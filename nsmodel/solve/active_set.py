@@ -11,9 +11,22 @@ from itertools import combinations, product
 import numpy as np
 
 from nsmodel.solve.certificate import EPS, NumericLaw
-from nsmodel.solve.rounding import equilibrated
+from nsmodel.solve.rounding import INSIDE, SUM_ERROR, equilibrated
 
 MOST_INDEX_SETS = 20000  # More are not tried one by one.
+PRIMAL_DUAL_SWEEPS = 12  # Index sets that the primal-dual method tries.
+CANCELLED = 1e12  # Terms of a solution, beside its right-hand side, from which on a matrix seems singular.
+EQUILIBRATIONS = 8  # Sweeps of Ruiz' iteration before pivoting.
+NOUGHT = 8  # Times EPS: entries below this, of about 1, are round-off.
+REGULARISED = 1e-7  # Added to the diagonal of a W of about 1 where round-off makes a ray of it.
+PIVOTS_EACH, PIVOTS_MORE = 20, 50  # The most pivots of Lemke's method: so many for each row, and so many more.
+GONE = 1e-13  # Part of the largest |q| from which on Lemke's artificial variable is 0.
+PREFERRED = 1e-13  # Part of the largest step within which it is that variable which leaves.
+PIVOT_ERROR = 64  # Times EPS: the part of its terms by which an entry of a pivot column may err.
+LEAST_PIVOT = 1e-12  # Part of the largest entry of a pivot column below which none is a pivot.
+TIED = 1e-12  # Part of the largest value within which two are equal.
+RANK = 1e-12  # Singular values below this part of the largest are 0 where a regularised answer is polished.
+POLISHED = 1e-10  # Part of the sizes of the problem to which it then must be solved.
 
 
 def polish(W: np.ndarray, b: np.ndarray, law: NumericLaw, index: np.ndarray) -> np.ndarray | None:
@@ -59,7 +72,7 @@ def _solve(A: np.ndarray, rhs: np.ndarray) -> np.ndarray | None:
     except np.linalg.LinAlgError:
         return None
     size = np.abs(A) @ np.abs(x)
-    return x if np.isfinite(x).all() and size.max(initial=0.0) <= 1e12 * np.abs(rhs).max(initial=0.0) else None
+    return x if np.isfinite(x).all() and size.max(initial=0.0) <= CANCELLED * np.abs(rhs).max(initial=0.0) else None
 
 
 def classify(l: np.ndarray, y: np.ndarray, law: NumericLaw, c: np.ndarray) -> np.ndarray:
@@ -80,7 +93,7 @@ def row_scale(W: np.ndarray) -> np.ndarray:
 def equilibrate(W: np.ndarray, b: np.ndarray, law: NumericLaw) -> tuple[np.ndarray, np.ndarray, NumericLaw, np.ndarray]:
     """The problem in units in which the entries of W and b are about 1: (W, b, box, s), l = s l' (Ruiz' iteration)."""
     s = np.ones(law.size)
-    for _ in range(8):
+    for _ in range(EQUILIBRATIONS):
         scaled = np.abs(s[:, None] * W * s)
         most = np.maximum(scaled.max(axis=1, initial=0.0), scaled.max(axis=0, initial=0.0))
         s = s / np.sqrt(np.where(most > 0, most, 1.0))
@@ -88,12 +101,10 @@ def equilibrate(W: np.ndarray, b: np.ndarray, law: NumericLaw) -> tuple[np.ndarr
     return s[:, None] * W * s, s * b / size, NumericLaw(law.lower / (s * size), law.upper / (s * size), ()), s * size
 
 
-def primal_dual(
-    W: np.ndarray, b: np.ndarray, law: NumericLaw, index: np.ndarray, sweeps: int = 12
-) -> tuple[np.ndarray, np.ndarray] | None:
+def primal_dual(W: np.ndarray, b: np.ndarray, law: NumericLaw, index: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """Iterate polish and classify from ``index`` until the set repeats; None if it cycles or breaks."""
     seen: set[bytes] = set()
-    for _ in range(sweeps):
+    for _ in range(PRIMAL_DUAL_SWEEPS):
         l = polish(W, b, law, index)
         key = index.tobytes()
         if l is None or key in seen:
@@ -102,8 +113,8 @@ def primal_dual(
         y = W @ l + b
         y[index == 0] = 0.0
         l_in = np.clip(l, law.lower, law.upper)
-        tiny = 8 * EPS * np.abs(l)
-        noise = 4 * EPS * (np.abs(W) @ np.abs(l) + np.abs(b))
+        tiny = INSIDE * EPS * np.abs(l)
+        noise = SUM_ERROR * EPS * (np.abs(W) @ np.abs(l) + np.abs(b))
         settled = np.where(index == 0, np.abs(l - l_in) <= tiny, index * y <= noise)
         if settled.all():
             return l, index
@@ -119,7 +130,7 @@ def lemke(W: np.ndarray, b: np.ndarray, law: NumericLaw) -> np.ndarray | None:
     where round-off makes a ray of a singular W, W + 1e-7 I suggests the index set.
     """
     W, b, law, s = equilibrate(W, b, law)
-    W[np.abs(W) < 8 * EPS] = 0  # A pivot on round-off would be a solution at infinity.
+    W[np.abs(W) < NOUGHT * EPS] = 0  # A pivot on round-off would be a solution at infinity.
     columns, offset, signs = _standard_form(law)
     M, q = signs[:, None] * W[np.ix_(columns, columns)] * signs, signs * (b + W @ offset)[columns]
     caps = np.flatnonzero(np.isfinite(law.lower) & np.isfinite(law.upper))
@@ -129,8 +140,8 @@ def lemke(W: np.ndarray, b: np.ndarray, law: NumericLaw) -> np.ndarray | None:
         S[caps, range(k)] = 1
         M = np.block([[M, S], [-S.T, np.zeros((k, k))]])
         q = np.concatenate([q, (law.upper - law.lower)[caps]])
-    for regular in (0.0, 1e-7):
-        z = _lemke_standard(M + regular * np.eye(n + k), q, 20 * (n + k) + 50)
+    for regular in (0.0, REGULARISED):
+        z = _lemke_standard(M + regular * np.eye(n + k), q, PIVOTS_EACH * (n + k) + PIVOTS_MORE)
         if z is None:
             continue
         l = offset.copy()
@@ -147,12 +158,13 @@ def _polished(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray) -> n
     index = classify(l, W @ l + b, law, row_scale(W))
     free, exact = index == 0, np.where(index < 0, law.lower, np.where(index > 0, law.upper, 0.0))
     if free.any():  # W may be singular: the solution of least norm, which is what the regularised one tends to
-        exact[free] = np.linalg.lstsq(W[np.ix_(free, free)], -(b[free] + W[free] @ exact), rcond=1e-12)[0]
+        exact[free] = np.linalg.lstsq(W[np.ix_(free, free)], -(b[free] + W[free] @ exact), rcond=RANK)[0]
     y = W @ exact + b
     scale = np.abs(b).max(initial=0.0)
     wrong = np.where(index == 0, np.abs(y), np.maximum(index * y, 0)).max(initial=0.0)
     outside = np.maximum(law.lower - exact, exact - law.upper).max(initial=0.0)
-    return np.clip(exact, law.lower, law.upper) if wrong <= 1e-10 * scale and outside <= 1e-10 * np.abs(exact).max() else None
+    solves = wrong <= POLISHED * scale and outside <= POLISHED * np.abs(exact).max()
+    return np.clip(exact, law.lower, law.upper) if solves else None
 
 
 def _standard_form(law: NumericLaw) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -186,19 +198,19 @@ def _lemke_standard(M: np.ndarray, q: np.ndarray, pivots: int) -> np.ndarray | N
             return None
         value = inverse @ q
         artificial = np.flatnonzero(basis == 2 * n)
-        if not artificial.size or value[artificial[0]] <= 1e-13 * np.abs(q).max():
+        if not artificial.size or value[artificial[0]] <= GONE * np.abs(q).max():
             z = np.zeros(2 * n + 1)
             z[basis] = value
             return np.maximum(z[n : 2 * n], 0)
         entering = leaving + n if leaving < n else leaving - n
         column = inverse @ A[:, entering]
-        noise = 64 * EPS * np.abs(inverse) @ np.abs(A[:, entering])
-        usable = np.flatnonzero(column > np.maximum(noise, 1e-12 * np.abs(column).max()))
+        noise = PIVOT_ERROR * EPS * np.abs(inverse) @ np.abs(A[:, entering])
+        usable = np.flatnonzero(column > np.maximum(noise, LEAST_PIVOT * np.abs(column).max()))
         if not usable.size:
             return None
         table = (inverse @ right)[usable] / column[usable, None]
         its_row = np.flatnonzero(basis[usable] == 2 * n)
-        if its_row.size and table[its_row[0], 0] <= table[:, 0].min() + 1e-13 * np.abs(table[:, 0]).max():
+        if its_row.size and table[its_row[0], 0] <= table[:, 0].min() + PREFERRED * np.abs(table[:, 0]).max():
             row = int(usable[its_row[0]])
         else:
             row = int(usable[_least(table, np.arange(usable.size))])
@@ -209,7 +221,7 @@ def _least(table: np.ndarray, rows: np.ndarray) -> int:
     """The lexicographically least of the rows of a table."""
     for column in table.T:
         values = column[rows]
-        rows = rows[values <= values.min() + 1e-12 * np.abs(values).max()]
+        rows = rows[values <= values.min() + TIED * np.abs(values).max()]
         if rows.size == 1:
             break
     return int(rows[0])
@@ -223,10 +235,10 @@ def choices(law: NumericLaw) -> list[list[int]]:
     ]
 
 
-def index_sets(law: NumericLaw, last: np.ndarray, most: int = MOST_INDEX_SETS) -> Iterator[np.ndarray]:
-    """Every index set of a small law, those nearest to ``last`` first; nothing when there are more than ``most``."""
+def index_sets(law: NumericLaw, last: np.ndarray) -> Iterator[np.ndarray]:
+    """Every index set of a small law, those nearest to ``last`` first; nothing when there are more than MOST_INDEX_SETS."""
     codes_of = choices(law)
-    if np.prod([float(len(c)) for c in codes_of]) > most:
+    if np.prod([float(len(c)) for c in codes_of]) > MOST_INDEX_SETS:
         return
     usable = np.array([code if code in c else c[0] for code, c in zip(last, codes_of, strict=True)], np.int8)
     free = [i for i, c in enumerate(codes_of) if len(c) > 1]

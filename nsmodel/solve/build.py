@@ -12,7 +12,7 @@ import numpy as np
 from nsmodel.errors import StepError, UsageError
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import active_set, curved, diagnose, mlcp, repeated
-from nsmodel.solve.certificate import REACH, numeric_law
+from nsmodel.solve.certificate import REACH, STRICTER, numeric_law
 from nsmodel.solve.choose import DUAL, choose, pays
 from nsmodel.solve.kernel import Kernel
 from nsmodel.solve.layout import Layout
@@ -26,7 +26,7 @@ from nsmodel.solve.structure import DENSE, read
 if TYPE_CHECKING:  # SciPy is loaded by who uses it.
     from nsmodel.solve.sparse import AtStep, Sparse
 
-NEARBY = 400  # Index sets around the last one that are tried where Newton's method does not settle.
+NEARBY_SETS = 400  # Index sets around the last one that are tried where Newton's method does not settle.
 STARTS = 3  # Random starts of IPOPT, after the last multiplier and 0.
 
 
@@ -216,7 +216,9 @@ class Stepper:
         chain = self.plan.chain
         while chain:
             b = kernel.b(t, state)
-            found = mlcp.solve(kernel.W, b, self.law, warm.l, warm.index, chain, self.structure.symmetric, self.tolerance / 10)
+            found = mlcp.solve(
+                kernel.W, b, self.law, warm.l, warm.index, chain, self.structure.symmetric, self.tolerance / STRICTER
+            )
             if not np.isfinite(found.l).all():
                 break
             yield from self._of(found, kernel, b, t, state)
@@ -262,7 +264,7 @@ class Stepper:
         """At a switch Newton's index set may alternate: try those around the last one, each a smooth system."""
         z = self._newton.guess(t, h, state, warm.l)
         for count, index in enumerate(active_set.index_sets(self.law, warm.index)):
-            if count == NEARBY:
+            if count == NEARBY_SETS:
                 return
             found = self._newton.on_index_set(t, h, state, z, warm.l, index)
             if found is not None:

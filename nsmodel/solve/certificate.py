@@ -16,14 +16,16 @@ that is known (`mlcp`), |W| |l| stands for it. Two limits on these scales:
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.laws import Curved, Law
 from nsmodel.laws.curved import norm
+from nsmodel.solve.rounding import INSIDE
 
 EPS = np.finfo(float).eps
 ROUNDING = 8  # c: the part of E that a row may err by, in units of u.
@@ -31,6 +33,8 @@ NEGLIGIBLE = 1e-6  # Part of the largest multiplier that another one need not re
 UNRESOLVED = 1e-280  # Scales below this are lost in denormal numbers.
 REACH = 1 / 3  # Part of the motion that a constraint may be off its linearisation: a ball's normal turns by 37 degrees.
 GROWTH = 1e3  # How far the multipliers' terms may raise the scale of y above that of b.
+CLEAR = 1e-2  # Part of the tolerance up to which a residual is told as it is; above, rounding may be excused.
+STRICTER = 10  # The affine problem of a step is solved to the tolerance divided by this.
 
 
 @dataclass(frozen=True)
@@ -59,12 +63,35 @@ def numeric_law(law: Law) -> NumericLaw:
     return NumericLaw(lower, upper, tuple((rows, K) for rows, K in curved if K is not None))
 
 
-def output_scale(b: np.ndarray, terms: np.ndarray, w_max: np.ndarray) -> np.ndarray:
+class Ops(NamedTuple):
+    """What the residual is computed by: NumPy, of numbers, or CasADi, in symbols."""
+
+    abs: Callable
+    max: Callable
+    min: Callable
+    where: Callable
+    choose: Callable  # `where` of a mask of numbers: what is not chosen leaves nothing in a graph.
+    largest: Callable  # Of the entries that a mask of numbers chooses; 0 where it chooses none.
+
+
+def _chosen(mask: np.ndarray, a: Any, b: Any) -> ca.SX:
+    return ca.vertcat(*((a if holds else b)[i] for i, holds in enumerate(mask)))
+
+
+def _largest_chosen(mask: np.ndarray, a: ca.SX) -> ca.SX:
+    return ca.mmax(ca.vertcat(*(a[i] for i in np.flatnonzero(mask)))) if mask.any() else ca.SX(0)
+
+
+NUMBERS = Ops(np.abs, np.maximum, np.minimum, np.where, np.where, lambda mask, a: a.max(where=mask, initial=0.0))
+SYMBOLS = Ops(ca.fabs, ca.fmax, ca.fmin, ca.if_else, _chosen, _largest_chosen)
+
+
+def output_scale(b: Any, terms: Any, w_max: np.ndarray, op: Ops = NUMBERS) -> Any:
     """s_y (m,) from b, the terms of W l, and w_max."""
-    root = np.sqrt(w_max)
-    weighed = np.divide(np.abs(b), root, out=np.zeros_like(root), where=root > 0)
-    cap = GROWTH * root * weighed.max(initial=0.0)
-    return np.where(root > 0, np.minimum(np.abs(b) + terms, np.maximum(cap, np.abs(b))), np.abs(b))
+    size, root, acts = op.abs(b), np.sqrt(w_max), w_max > 0
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        cap = GROWTH * root * op.largest(acts, size / root)
+        return op.choose(acts, op.min(size + terms, op.max(cap, size)), size)
 
 
 def law_residual(
@@ -75,18 +102,38 @@ def law_residual(
     Rounding never excuses an l that is outside K: there is an index set on which it is not.
     """
     s_y = np.maximum(s_y + unseen, UNRESOLVED)
-    lo, up = law.lower, law.upper
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        s_l, size = np.minimum(np.where(w_max > 0, s_y / w_max, np.inf), multiplier_scale(law, l, w_max)), np.abs(y)
-        outside = np.maximum(np.maximum(lo - l, l - up), 0)
-        at_lower = np.maximum(_ratio(np.abs(l - lo), s_l), _ratio(np.where(y < 0, size, 0), s_y))
-        at_upper = np.maximum(_ratio(np.abs(l - up), s_l), _ratio(np.where(y > 0, size, 0), s_y))
-        at_lower[np.isinf(lo)], at_upper[np.isinf(up)] = np.inf, np.inf
-        between = np.maximum(_ratio(outside, s_l), _ratio(size, s_y))
-        residual = np.minimum(np.minimum(at_lower, at_upper), between)
+        s_l = multiplier_scale(law, l, s_y, w_max)
+        residual = box_residual(law, l, y, s_y, s_l)
         for block in law.curved:
             residual[block[0]] = _curved_residual(block, l, y, s_y, s_l, w_max)
     return np.where(np.isnan(residual) | ~(np.isfinite(l) & np.isfinite(y) & np.isfinite(s_y)), np.inf, residual)
+
+
+def residual_in_symbols(law: NumericLaw, rows: list[int], w_max: np.ndarray, l: ca.SX, y: ca.SX, s_y: ca.SX) -> ca.SX:
+    """The largest residual of the given rows of a box."""
+    if not rows:
+        return ca.SX(0)
+    best = box_residual(law, l, y, s_y, multiplier_scale(law, l, s_y, w_max, SYMBOLS), SYMBOLS)
+    worst = ca.SX(0)
+    for i in rows:
+        # fmax and fmin pass over a NaN; comparisons with one are false.
+        finite = ca.logic_and(ca.logic_and(ca.fabs(l[i]) < ca.inf, ca.fabs(y[i]) < ca.inf), s_y[i] < ca.inf)
+        worst = ca.fmax(worst, ca.if_else(finite, ca.if_else(best[i] < ca.inf, best[i], ca.inf), ca.inf))
+    return worst
+
+
+def box_residual(law: NumericLaw, l: Any, y: Any, s_y: Any, s_l: Any, op: Ops = NUMBERS) -> Any:
+    """The residual of each row of a box: to where l is between its ends, to its lower and to its upper end."""
+
+    def off(of_l: Any, of_y: Any) -> Any:
+        return op.max(op.where(of_l == 0, 0, of_l / s_l), op.where(of_y == 0, 0, of_y / s_y))
+
+    lo, up, size = law.lower, law.upper, op.abs(y)
+    best = off(op.max(op.max(lo - l, l - up), 0), size)
+    for end, wrong in ((lo, y < 0), (up, y > 0)):
+        best = op.choose(np.isfinite(end), op.min(best, off(op.abs(l - end), op.where(wrong, size, 0))), best)
+    return best
 
 
 def bound_size(law: NumericLaw) -> np.ndarray:
@@ -94,15 +141,15 @@ def bound_size(law: NumericLaw) -> np.ndarray:
     return np.maximum(*(np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (law.lower, law.upper)))
 
 
-def multiplier_scale(law: NumericLaw, l: np.ndarray, w_max: np.ndarray) -> np.ndarray:
-    """max(|l_i|, its finite bounds, 1e-6 max_j |l_j| sqrt(w_j / w_i)) (m,); a ball's radius counts as a bound."""
-    size, root = np.abs(l), np.sqrt(w_max)
-    largest = (size * root).max(initial=0.0)
-    others = np.divide(NEGLIGIBLE * largest, root, out=np.zeros_like(root), where=root > 0)
-    scale = np.maximum(np.maximum(size, bound_size(law)), others)
-    for rows, K in law.curved:
-        scale[rows] = max(norm(size[rows]), K.radius if K.is_bounded else 0.0, others[rows].max())
-    return scale
+def multiplier_scale(law: NumericLaw, l: Any, s_y: Any, w_max: np.ndarray, op: Ops = NUMBERS) -> Any:
+    """s_l (m,): s_y / w, at most max(|l_i|, its finite bounds, 1e-6 max_j |l_j| sqrt(w_j / w_i)); a radius counts as a bound."""
+    size, root, acts = op.abs(l), np.sqrt(w_max), w_max > 0
+    others = op.choose(acts, NEGLIGIBLE * op.largest(root >= 0, size * root) / root, np.zeros(w_max.size))
+    scale = op.max(op.max(size, bound_size(law)), others)
+    if op is NUMBERS:
+        for rows, K in law.curved:
+            scale[rows] = max(norm(size[rows]), K.radius if K.is_bounded else 0.0, others[rows].max())
+    return op.choose(acts, op.min(s_y / w_max, scale), scale)
 
 
 def _curved_residual(block: Any, l: Any, y: Any, s_y: Any, s_l: Any, w_max: Any) -> float:
@@ -115,54 +162,12 @@ def _curved_residual(block: Any, l: Any, y: Any, s_y: Any, s_l: Any, w_max: Any)
     return float(distance / scale) if distance else 0.0
 
 
-def _ratio(a: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """a / s with 0/0 = 0; to be called where division by 0 is silenced."""
-    return np.divide(a, s, out=np.zeros_like(a), where=a != 0)
-
-
-def output_scale_sx(b: Any, terms: Any, w_max: np.ndarray) -> Any:
-    """`output_scale` in symbols."""
-    root = np.sqrt(w_max)
-    weighed = [ca.fabs(b[i]) / root[i] for i in np.flatnonzero(root)]
-    largest = ca.mmax(ca.vertcat(*weighed)) if weighed else 0
-    return ca.vertcat(*(
-        ca.fmin(ca.fabs(b[i]) + terms[i], ca.fmax(GROWTH * root[i] * largest, ca.fabs(b[i]))) if root[i] else ca.fabs(b[i])
-        for i in range(w_max.size)
-    ))  # fmt: skip
-
-
-def box_residual_sx(law: NumericLaw, rows: list[int], w_max: np.ndarray, l: Any, y: Any, s_y: Any) -> Any:
-    """Return the largest residual of the given box rows as a CasADi expression: `law_residual` in symbols."""
-
-    def ratio(a: Any, s: Any) -> Any:
-        return ca.if_else(a == 0, 0, a / s)
-
-    worst, bounds, root = ca.SX(0), bound_size(law), np.sqrt(w_max)
-    largest = NEGLIGIBLE * ca.mmax(ca.fabs(l) * root)
-    for i in rows:
-        lo, up, size = law.lower[i], law.upper[i], ca.fabs(y[i])
-        s_l = ca.fmax(ca.fabs(l[i]), bounds[i])
-        if root[i] > 0:
-            s_l = ca.fmin(s_y[i] / w_max[i], ca.fmax(s_l, largest / root[i]))
-        best = ca.fmax(ratio(ca.fmax(ca.fmax(lo - l[i], l[i] - up), 0), s_l), ratio(size, s_y[i]))
-        if np.isfinite(lo):
-            at_lower = ca.fmax(ratio(ca.fabs(l[i] - lo), s_l), ratio(ca.if_else(y[i] < 0, size, 0), s_y[i]))
-            best = ca.fmin(best, at_lower)
-        if np.isfinite(up):
-            at_upper = ca.fmax(ratio(ca.fabs(l[i] - up), s_l), ratio(ca.if_else(y[i] > 0, size, 0), s_y[i]))
-            best = ca.fmin(best, at_upper)
-        # fmax and fmin pass over a NaN; comparisons with one are false.
-        finite = ca.logic_and(ca.logic_and(ca.fabs(l[i]) < ca.inf, size < ca.inf), s_y[i] < ca.inf)
-        worst = ca.fmax(worst, ca.if_else(finite, ca.if_else(best < ca.inf, best, ca.inf), ca.inf))
-    return worst
-
-
-def settled_sx(law: NumericLaw, rows: list[int], l: Any, y: Any, free: Any, round_off: Any) -> Any:
+def settled_in_symbols(law: NumericLaw, rows: list[int], l: Any, y: Any, free: Any, round_off: Any) -> Any:
     """1 where (l, y) needs no other index set: free l inside its bounds, y of the right sign at a bound; else 0."""
     good = ca.SX(1)
     for i in rows:
         lo, up = law.lower[i], law.upper[i]
-        inside = ca.fmax(ca.fmax(lo - l[i], l[i] - up), 0) <= 8 * EPS * ca.fabs(l[i])
+        inside = ca.fmax(ca.fmax(lo - l[i], l[i] - up), 0) <= INSIDE * EPS * ca.fabs(l[i])
         at_lower = ca.logic_and(l[i] == lo, y[i] >= -round_off[i])
         at_upper = ca.logic_and(l[i] == up, y[i] <= round_off[i])
         good = ca.logic_and(good, ca.if_else(free[i], inside, ca.logic_or(at_lower, at_upper)))

@@ -7,6 +7,15 @@ import numpy as np
 from nsmodel.laws.curved import Curved, norm
 from nsmodel.solve.active_set import row_scale, solve_or_least_squares
 from nsmodel.solve.certificate import EPS, NumericLaw
+from nsmodel.solve.rounding import SUM_ERROR
+
+SEMISMOOTH_ITERATIONS = 60  # Of Newton's method on curved sets.
+GAUSS_SEIDEL_SWEEPS = 400  # Projected gradient sweeps that give Newton's method a start.
+SWEPT = 1e-10  # Part of l: changes below this end the sweeps.
+CONVERGED = 1e-13  # The natural map, beside what it consists of, from which on an iteration that gains no factor 2 is the last.
+ACCEPTED = 1e-11  # The same up to which the last iteration is an answer.
+ARMIJO = 1e-4  # Part of the decrease that a step promises which it must bring; else it is halved.
+LEAST_STEP = 1e-4  # Part of a step on curved sets below which it is not halved any more.
 
 
 def block_scale(W: np.ndarray, law: NumericLaw) -> np.ndarray:
@@ -42,7 +51,7 @@ def index_set(law: NumericLaw, l: np.ndarray, y: np.ndarray, c: np.ndarray) -> n
     return code
 
 
-def semismooth_newton(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray, iterations: int = 60) -> np.ndarray | None:
+def semismooth_newton(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray) -> np.ndarray | None:
     """Solve l = P_K(l - c (W l + b)) from ``l``; None if it does not converge."""
     c, eye = block_scale(W, law), np.eye(law.size)
     l = projection(law, l)
@@ -53,9 +62,9 @@ def semismooth_newton(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarr
         return l - projection(law, l - c * (W @ l + b))
 
     F, best = natural(l), np.inf
-    for _ in range(iterations):
+    for _ in range(SEMISMOOTH_ITERATIONS):
         size, relative = norm(F), _relative(F, c, W, b, law, l)
-        if relative <= 4 * EPS or (relative <= 1e-13 and relative >= best / 2):
+        if relative <= SUM_ERROR * EPS or (relative <= CONVERGED and relative >= best / 2):
             return l
         best = min(best, relative)
         P = projection_jacobian(law, l - c * (W @ l + b))
@@ -63,11 +72,11 @@ def semismooth_newton(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarr
         if not np.isfinite(step).all():
             return None
         t = 1.0
-        while norm(natural(l + t * step)) > (1 - 1e-4 * t) * size and t > 1e-4:
+        while norm(natural(l + t * step)) > (1 - ARMIJO * t) * size and t > LEAST_STEP:
             t /= 2
         l = l + t * step
         F = natural(l)
-    return l if _relative(F, c, W, b, law, l) <= 1e-11 else None
+    return l if _relative(F, c, W, b, law, l) <= ACCEPTED else None
 
 
 def _relative(F: np.ndarray, c: np.ndarray, W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray) -> float:
@@ -87,7 +96,7 @@ def _relative(F: np.ndarray, c: np.ndarray, W: np.ndarray, b: np.ndarray, law: N
     return float(np.where(np.isnan(ratio), np.inf, ratio).max(initial=0.0))
 
 
-def gauss_seidel(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray, sweeps: int = 400) -> np.ndarray:
+def gauss_seidel(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray) -> np.ndarray:
     """Projected block gradient sweeps: slow, but convergent for symmetric psd W. Gives Newton a start near the solution."""
     l = projection(law, l)
     start = l.copy()
@@ -97,14 +106,14 @@ def gauss_seidel(W: np.ndarray, b: np.ndarray, law: NumericLaw, l: np.ndarray, s
         in_block[rows] = True
     blocks += [(slice(i, i + 1), None) for i in np.flatnonzero(~in_block)]
     steps = [1 / max(np.linalg.norm(W[rows, rows], 2), np.finfo(float).tiny) for rows, _ in blocks]
-    for _ in range(sweeps):
+    for _ in range(GAUSS_SEIDEL_SWEEPS):
         if not np.isfinite(l).all() or np.abs(l).max(initial=0.0) > 1e100:  # it diverges: W is not symmetric psd
             return start
         old = l.copy()
         for (rows, K), step in zip(blocks, steps, strict=True):
             u = l[rows] - step * (W[rows] @ l + b[rows])
             l[rows] = np.clip(u, law.lower[rows], law.upper[rows]) if K is None else K.project(u)
-        if np.abs(l - old).max(initial=0.0) <= 1e-10 * np.abs(l).max(initial=0.0):
+        if np.abs(l - old).max(initial=0.0) <= SWEPT * np.abs(l).max(initial=0.0):
             break
     return l
 

@@ -12,13 +12,21 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.scheme.problem import OneStepProblem
-from nsmodel.solve.certificate import ROUNDING, UNRESOLVED, NumericLaw, box_residual_sx, output_scale_sx, settled_sx
+from nsmodel.solve.certificate import (
+    ROUNDING,
+    SYMBOLS,
+    UNRESOLVED,
+    NumericLaw,
+    output_scale,
+    residual_in_symbols,
+    settled_in_symbols,
+)
 from nsmodel.solve.layout import Layout, extras
 from nsmodel.solve.rounding import UNIT, condition, equilibrated, is_fragile
 from nsmodel.solve.structure import Structure
 
 UNDETERMINED = 1e-2  # Part of z that rounding may decide.
-SINGULAR = 1e13  # Condition from which on a matrix counts as singular.
+ILL_CONDITIONED = 1e13  # Condition from which on a matrix counts as singular.
 CSE_BELOW = 80  # Unknowns up to which sharing common subexpressions pays for the time it takes.
 
 
@@ -89,7 +97,7 @@ class Kernel:
         """Whether the whole system is regular on an index set, as far as double precision tells."""
         E_z, E_l, Y_z, Y_l = self._matrices
         J = np.block([[E_z, E_l[:, free]], [Y_z[free], Y_l[np.ix_(free, free)]]])
-        return bool(np.isfinite(J).all() and np.linalg.cond(equilibrated(J)[0]) <= SINGULAR)
+        return bool(np.isfinite(J).all() and np.linalg.cond(equilibrated(J)[0]) <= ILL_CONDITIONED)
 
     def b(self, t: float, state: np.ndarray) -> np.ndarray:
         """The vector b of y = W l + b."""
@@ -140,7 +148,7 @@ def _inverse(A: np.ndarray) -> tuple[np.ndarray, bool]:
         inverse = np.linalg.inv(scaled)
     except np.linalg.LinAlgError:
         return np.linalg.pinv(A), False
-    if not np.abs(inverse).max() * np.abs(scaled).max() <= SINGULAR:
+    if not np.abs(inverse).max() * np.abs(scaled).max() <= ILL_CONDITIONED:
         return np.linalg.pinv(A), False
     return columns[:, None] * inverse * rows, True
 
@@ -227,11 +235,11 @@ def _judge(
     if m:
         w_max = np.abs(W).max(axis=1)
         terms = ca.fabs(at.Y_z) @ ca.fabs(ca.sparsify(ca.DM(Z)) @ l) + ca.fabs(at.Y_l) @ ca.fabs(l)
-        s_y = output_scale_sx(b, terms, w_max)
+        s_y = output_scale(b, terms, w_max, SYMBOLS)
         s_y = ca.fmax(s_y + error_Y / tolerance, UNRESOLVED)
         box = [i for i in range(m) if not any(rows.start <= i < rows.stop for rows, _ in law.curved)]
-        residual = ca.fmax(residual, box_residual_sx(law, box, w_max, l, at.Y, s_y))
-        settled = settled_sx(law, box, l, at.Y, free, error_Y)
+        residual = ca.fmax(residual, residual_in_symbols(law, box, w_max, l, at.Y, s_y))
+        settled = settled_in_symbols(law, box, l, at.Y, free, error_Y)
     if structure.projection:  # <l, y> bounds the square of the distance to the projection
         gap = ca.dot(ca.fmax(l, 0), ca.fmax(at.Y, 0))
         reach = ca.sumsqr(z - at.guess) + ca.sumsqr(at.E_guess)

@@ -8,6 +8,8 @@ import numpy as np
 
 from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, Rows, searched
 
+FARTHER = 1e-12  # Part of its reach by which a search looks farther: rounding hides no pair.
+
 Members = tuple[np.ndarray, np.ndarray]
 
 
@@ -62,7 +64,7 @@ def _near_pairs(problem: BodiesProblem, family: int, t: float, q: np.ndarray, pr
     around it.
     """
     there = np.flatnonzero(present)
-    size = (problem.halves(family, t)[there] + cutoff / 2) * (1 + 1e-12) if there.size > 1 else np.zeros(0)
+    size = (problem.halves(family, t)[there] + cutoff / 2) * (1 + FARTHER) if there.size > 1 else np.zeros(0)
     if not size.size or size.max() <= 0:
         return np.zeros(0, int), np.zeros(0, int)
     size = np.maximum(size, 1e-6 * size.max())

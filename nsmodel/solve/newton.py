@@ -17,20 +17,25 @@ import numpy as np
 from nsmodel.proof.graph import column
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import active_set, mlcp
-from nsmodel.solve.certificate import EPS, ROUNDING, UNRESOLVED, NumericLaw, law_residual, output_scale
+from nsmodel.solve.certificate import EPS, ROUNDING, STRICTER, UNRESOLVED, NumericLaw, law_residual, output_scale
+from nsmodel.solve.curved import ARMIJO
 from nsmodel.solve.dual import nearest
 from nsmodel.solve.layout import extras
-from nsmodel.solve.rounding import UNIT, equilibrated, error_bound, felt_dense, is_fragile, largest
+from nsmodel.solve.rounding import SUM_ERROR, UNIT, equilibrated, error_bound, felt_dense, is_fragile, largest
 from nsmodel.solve.structure import Structure, least_eigenvalue
 
-ITERATIONS = 30
+NEWTON_ITERATIONS = 30  # Linearisations in a step.
 SWEEPS = 12  # Index sets that are tried on the whole system.
 CUTS = 40  # Linearisations of curved constraints, of all of which the nearest point is found.
 REFINEMENTS = 5  # Of an affine step on an index set.
 NEAR = 1e-6  # Part of the unknowns: the size of a last step of Newton's method.
-TINY = 2.0**-20  # The least part of a step of Newton's method.
+HALVINGS = 20  # Of a step of Newton's method, at most.
+TINY = 2.0**-HALVINGS  # Its least part.
 ENOUGH = 1e-2  # Part of the tolerance from which on nothing is improved;
 ENOUGH_IF_AFFINE = 1e-4  # one linear system more takes an affine step to rounding.
+GAIN = 10  # Factor by which an iteration must better the residual for another one to follow.
+EARLY = 3  # Iterations up to which Newton's method on an index set goes on where a step brings nothing.
+BESIDE = 4  # Operations of a row beside those with its unknowns.
 WORKING_SET_ABOVE = 24
 SHARED_BELOW = 5000  # Inputs up to which looking for common subexpressions pays for the time it takes.
 UNKNOWN = object()  # Not computed yet.
@@ -147,14 +152,14 @@ class Newton:
         z, known = self.start(t, h, state, l)
         best, at_best, self._offsets = None, None, self._offset(t, h, state)[0]
         at = self.linearise(t, h, state, z, l)
-        for iteration in range(1, ITERATIONS + 1):
+        for iteration in range(1, NEWTON_ITERATIONS + 1):
             moved = self._advance(at, l, index, chain)
             if moved is None:
                 break
             z, l, index, solver = moved
             at = self.linearise(t, h, state, z, l)
             found = self.judge(known, at, l, index, solver, iteration, thorough=self.structure.affine)
-            stalled = best is not None and found.residual <= self.tolerance and found.residual > best.residual / 10
+            stalled = best is not None and found.residual <= self.tolerance and found.residual > best.residual / GAIN
             if best is None or found.residual < best.residual:
                 best, at_best = found, at
             if stalled or found.residual <= self.enough:
@@ -246,20 +251,20 @@ class Newton:
             W = at.Y_l + at.Y_z @ Z
             if l.size <= WORKING_SET_ABOVE and not self.structure.gram:
                 self.least_eigenvalue = min(self.least_eigenvalue, least_eigenvalue(W))
-            return mlcp.solve(W, b, self.law, l, index, chain, self.structure.symmetric, self.tolerance / 10)
+            return mlcp.solve(W, b, self.law, l, index, chain, self.structure.symmetric, self.tolerance / STRICTER)
         chosen = (b < 0) | (index == 0)
         for _ in range(l.size + 1):
             rows = np.flatnonzero(chosen)
             law = NumericLaw(self.law.lower[rows], self.law.upper[rows], ())
             W = at.Y_z[rows] @ Z[:, rows] + at.Y_l[np.ix_(rows, rows)]
-            part = mlcp.solve(W, b[rows], law, l[rows], index[rows], chain, True, self.tolerance / 10)
+            part = mlcp.solve(W, b[rows], law, l[rows], index[rows], chain, True, self.tolerance / STRICTER)
             if not np.isfinite(part.l).all():
                 return mlcp.Solution(np.full(l.size, np.nan), index, np.inf, part.solver)
             full, code = np.zeros(l.size), np.full(l.size, -1, np.int8)
             full[rows], code[rows] = part.l, part.index
             y = b + at.Y_z @ (Z[:, rows] @ part.l) + at.Y_l[:, rows] @ part.l
             scale = np.abs(b) + np.abs(at.Y_z) @ np.abs(Z[:, rows] @ part.l)
-            violated = (y < -4 * (Z.shape[0] + 4) * EPS * scale) & ~chosen
+            violated = (y < -SUM_ERROR * (Z.shape[0] + BESIDE) * EPS * scale) & ~chosen
             if not violated.any():
                 return mlcp.Solution(full, code, part.residual, part.solver if rows.size else "none needed")
             chosen |= violated
@@ -483,7 +488,7 @@ class Newton:
         at = self.linearise(t, h, state, z, l)
         J, free = self._system(at, index)
         size, best, exact = np.linalg.norm(np.concatenate([at.E, at.Y[free]])), None, False
-        for iteration in range(1, (REFINEMENTS if self.structure.affine else ITERATIONS) + 1):
+        for iteration in range(1, (REFINEMENTS if self.structure.affine else NEWTON_ITERATIONS) + 1):
             if not np.isfinite(J).all():
                 break
             scaled, rows, columns = equilibrated(J)
@@ -502,14 +507,14 @@ class Newton:
                     self._make_exact(at, z_new, index)
                 at_new = self.linearise(t, h, state, z_new, l_new)
                 size = np.linalg.norm(np.concatenate([at_new.E, at_new.Y[free]]))
-                if size <= (1 - 1e-4 * t_step) * old or t_step in (1.0, TINY) or self.structure.affine:
+                if size <= (1 - ARMIJO * t_step) * old or t_step in (1.0, TINY) or self.structure.affine:
                     found = self.judge(known, at_new, l_new, index, "newton on the index set", iteration, near)
-                    if t_step == 1.0 and found.residual > self.tolerance and not size <= (1 - 1e-4) * old:
+                    if t_step == 1.0 and found.residual > self.tolerance and not size <= (1 - ARMIJO) * old:
                         found = found if self.structure.affine or old == 0 else None
                 t_step /= 2
-            z, l, at, stalled = z_new, l_new, at_new, size >= (1 - 2e-4 * t_step) * old
+            z, l, at, stalled = z_new, l_new, at_new, size >= (1 - 2 * ARMIJO * t_step) * old
             best = found if best is None or found.residual <= max(best.residual, self.enough) else best
-            if (found.residual <= self.enough and iteration >= least) or (stalled and iteration > 3):
+            if (found.residual <= self.enough and iteration >= least) or (stalled and iteration > EARLY):
                 break
             J = self._system(at, index)[0]
         return best

@@ -19,13 +19,17 @@ from nsmodel.errors import ModelError, StepError
 from nsmodel.scheme.problem import OneStepProblem, Prediction
 from nsmodel.solve import mlcp
 from nsmodel.solve.build import Stepper
-from nsmodel.solve.certificate import EPS, NumericLaw, law_residual, numeric_law
+from nsmodel.solve.certificate import EPS, STRICTER, NumericLaw, law_residual, numeric_law
 from nsmodel.solve.choose import Plan
 from nsmodel.solve.layout import Layout
+from nsmodel.solve.rounding import SUM_ERROR
 from nsmodel.solve.stepper import StepResult, Warm
 
 USED = 0.9  # Part of eps_k that an approximate projection on a box uses up.
-ITERATIONS = 60
+CUT_ITERATIONS = 60  # Outer polyhedra that are projected on, at most.
+CUT_TOLERANCE = 1e-10  # Residual to which that is done.
+ACTS = 1e-9  # A cut with |value| below this part of its size holds the foot.
+BISECTIONS = 80  # On the way from that foot into C.
 
 
 class CatchingUp:
@@ -36,7 +40,7 @@ class CatchingUp:
     ) -> None:
         n, m = problem.state.numel(), problem.l.numel()
         self.problem, self.tolerance, self.rows = problem, tolerance, problem.rows
-        self.layout = Layout.of(problem, v=n, selection=given.l.numel(), defect=n, predictor_distance=1, excess=1, tolerance=1)
+        self.layout = row_layout(problem, given)
         self._face, here = numeric_law(given.law), [problem.t, given.x]
         A = ca.densify(ca.jacobian(given.velocity, given.l))
         at_zero = ca.substitute([given.velocity], [given.l], [ca.SX.zeros(given.l.shape)])[0]
@@ -146,7 +150,7 @@ class CatchingUp:
             np.concatenate([face.lower[free], np.zeros(k)]), np.concatenate([face.upper[free], np.full(k, np.inf)]), curved
         )
         chain = (mlcp.SEMISMOOTH,) if curved else (mlcp.INDEX_SET, "qpoases", mlcp.LEMKE)
-        found = mlcp.solve(W, b, law, np.zeros(b.size), np.zeros(b.size, np.int8), chain, True, self.tolerance / 10)
+        found = mlcp.solve(W, b, law, np.zeros(b.size), np.zeros(b.size, np.int8), chain, True, self.tolerance / STRICTER)
         if found.residual > self.tolerance:
             raise StepError(f"no verified selection of the operator at t = {t:.10g}, x = {x}", residual=found.residual)
         l[free] = found.l[: free.size]
@@ -174,7 +178,7 @@ class CatchingUp:
             return y.copy(), np.zeros(self._m), 0.0, np.full(self._m, -1, np.int8), 0
         z, best = y.copy(), np.inf
         cuts = [(J, c - J @ y, np.arange(self._m))]
-        for iteration in range(1, ITERATIONS + 1):
+        for iteration in range(1, CUT_ITERATIONS + 1):
             A, a = np.vstack([cut[0] for cut in cuts]), np.concatenate([cut[1] for cut in cuts])
             z, l = self._project_on_cuts(t, A, a, y)
             d2 = float(np.sum((z - y) ** 2))
@@ -185,7 +189,7 @@ class CatchingUp:
                 return x, l, d2, np.where(l > 0, 0, -1).astype(np.int8), iteration
             c, J = self._values(end, z)
             # C lies in every {c(z) + J(z)(x - z) >= 0}; those that no longer act are dropped.
-            acts = [np.abs(Ai @ z + ai) <= 1e-9 * (1 + np.abs(ai)) for Ai, ai, _ in cuts]
+            acts = [np.abs(Ai @ z + ai) <= ACTS * (1 + np.abs(ai)) for Ai, ai, _ in cuts]
             cuts = [tuple(part[keep] for part in cut) for cut, keep in zip(cuts, acts, strict=True) if keep.any()]
             cuts.append((J, c - J @ z, np.arange(self._m)))
         raise StepError(f"approximate projection at t = {t:.10g}: excess {best:.3g} stays above eps_k = {eps:.3g}", residual=best)
@@ -194,9 +198,8 @@ class CatchingUp:
         m = a.size
         law = NumericLaw(np.zeros(m), np.full(m, np.inf), ())
         W, b = A @ A.T, A @ y + a
-        found = mlcp.solve(
-            W, b, law, np.zeros(m), np.where(b < 0, 0, -1).astype(np.int8), (mlcp.INDEX_SET, "qpoases", mlcp.LEMKE), True, 1e-10
-        )
+        chain, index = (mlcp.INDEX_SET, "qpoases", mlcp.LEMKE), np.where(b < 0, 0, -1).astype(np.int8)
+        found = mlcp.solve(W, b, law, np.zeros(m), index, chain, True, CUT_TOLERANCE)
         if found.residual > self.tolerance:
             raise StepError(
                 f"approximate projection at t = {t:.10g}: the linearised set could not be projected on", residual=found.residual
@@ -208,19 +211,25 @@ class CatchingUp:
         if (self._values(t, z)[0] >= 0).all():
             return z
         low, high = 0.0, 1.0
-        for _ in range(80):
+        for _ in range(BISECTIONS):
             middle = (low + high) / 2
             if (self._values(t, z + middle * (inner - z))[0] >= 0).all():
                 high = middle
             else:
                 low = middle
-            if high - low <= 4 * EPS * high:
+            if high - low <= SUM_ERROR * EPS * high:
                 break
         return z + high * (inner - z)
 
     def _values(self, t: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         c, J = self._c(t, x)
         return np.array(c).ravel(), np.array(J).reshape(-1, self._n)
+
+
+def row_layout(problem: OneStepProblem, given: Prediction) -> Layout:
+    """A packed row: that of the projection problem, then what catching-up records."""
+    n = problem.state.numel()
+    return Layout.of(problem, v=n, selection=given.l.numel(), defect=n, predictor_distance=1, excess=1, tolerance=1)
 
 
 def tolerance_function(given: Any) -> Callable[[int, float], float]:

@@ -21,9 +21,12 @@ from nsmodel.proof.graph import applied, column, fold, keys, operations
 
 UNIT = 2.0**-53  # u
 LARGE = 10_000  # Nodes of a graph up to which its own bound is formed; beyond, its code would be many times that of the step.
-PROBES = 8
+PROBES = 8  # Sign vectors by which it is told what the unknowns err by.
 FRAGILE = 1e3  # Condition of what elimination leaves up to which its answer is as good as that of the whole system.
 WORTH = 1e8  # Condition up to which the rounding of the unknowns excuses a row: beyond, it could excuse any.
+INSIDE = 8  # Times EPS: the part of itself by which rounding may put an l out of its box.
+SUM_ERROR = 4  # Times EPS: the part of its terms by which a sum may err.
+SPREAD, MIXED, STIRRED = 2654435769, 2246822519, 3266489917  # Factors of the hash whose bits are the signs of probes.
 EXACT = frozenset({
     ca.OP_ASSIGN, ca.OP_NEG, ca.OP_FABS, ca.OP_SIGN, ca.OP_COPYSIGN, ca.OP_FMIN, ca.OP_FMAX, ca.OP_TWICE,
     ca.OP_IF_ELSE_ZERO, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR,
@@ -92,9 +95,9 @@ def _derivatives(op: int, value: ca.SX, args: list[ca.SX]) -> list[ca.SX]:
 
 def signs(n: int) -> np.ndarray:
     """PROBES vectors (PROBES, n) of +-1 that look random and are the same everywhere: bits of a hash of the entry's number."""
-    x = (np.arange(n * PROBES, dtype=np.uint64) + 1) * 2654435769 & 0xFFFFFFFF
-    x = ((x ^ x >> 15) * 2246822519) & 0xFFFFFFFF
-    x = ((x ^ x >> 13) * 3266489917) & 0xFFFFFFFF
+    x = (np.arange(n * PROBES, dtype=np.uint64) + 1) * SPREAD & 0xFFFFFFFF
+    x = ((x ^ x >> 15) * MIXED) & 0xFFFFFFFF
+    x = ((x ^ x >> 13) * STIRRED) & 0xFFFFFFFF
     return np.where(x >> 16 & 1, 1.0, -1.0).reshape(n, PROBES).T
 
 

@@ -30,18 +30,17 @@ from scipy.sparse.linalg import LinearOperator, splu
 
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import active_set, mlcp
-from nsmodel.solve.certificate import EPS, ROUNDING, UNRESOLVED, NumericLaw
+from nsmodel.solve.certificate import CLEAR, EPS, ROUNDING, STRICTER, UNRESOLVED, NumericLaw
 from nsmodel.solve.layout import extras
-from nsmodel.solve.newton import Buffered, Iterate
-from nsmodel.solve.rounding import UNIT, error_bound, felt, largest, scales
+from nsmodel.solve.newton import REFINEMENTS, Buffered, Iterate
+from nsmodel.solve.rounding import INSIDE, UNIT, error_bound, felt, largest, scales
 from nsmodel.solve.structure import DENSE, Structure
 
 BAND = 48  # Diagonals above or below the main one up to which a band is factored.
-SWEEPS = 200  # Index sets that are tried in a step.
+PIVOTED_SETS = 200  # Index sets that are tried in a step.
 PATIENCE = 10  # Changes of all rows that may fail to make the contradictions fewer.
-REFINEMENTS = 5
-SINGULAR = 1e-13  # Pivots below this, of entries of about 1, are round-off.
-SHIFT = 1e-8  # Then added to the diagonal of Y_l; refinement takes its effect away.
+SINGULAR_PIVOT = 1e-13  # Pivots below this, of entries of about 1, are round-off.
+SHIFT = 1e-8  # Added to the diagonal of Y_l where a pivot is round-off; refinement takes its effect away.
 KEPT = 8  # Step sizes whose matrices are kept,
 FACTORS = 3  # and for each of them index sets whose factors are.
 
@@ -133,14 +132,14 @@ class AtStep:
             band = np.zeros((2 * below + above + 1, rows.size), order="F")
             band[below + above + i - j, j] = values
             lu, pivots, info = dgbtrf(band, below, above, overwrite_ab=True)
-            if info != 0 or not np.abs(lu[below + above]).min(initial=1.0) > SINGULAR:
+            if info != 0 or not np.abs(lu[below + above]).min(initial=1.0) > SINGULAR_PIVOT:
                 raise Singular
             return lu, pivots
         try:
             lu = splu(sp.csc_matrix((values, (i, j)), shape=(rows.size, rows.size)))
         except RuntimeError:
             raise Singular from None
-        if not np.abs(lu.U.diagonal()).min(initial=1.0) > SINGULAR:
+        if not np.abs(lu.U.diagonal()).min(initial=1.0) > SINGULAR_PIVOT:
             raise Singular
         return lu
 
@@ -247,7 +246,7 @@ class Sparse:
         index = np.where(np.isfinite(self._held(index)), index, 0).astype(np.int8)
         best = self._unsolved(step, index)
         fewest, patience, first, seen = self.structure.m + 1, PATIENCE, index, set()
-        for _ in range(SWEEPS):
+        for _ in range(PIVOTED_SETS):
             found, wrong = self._on_index_set(at, step, index)
             if found is None or not wrong.size:
                 best = best if found is None else found
@@ -283,7 +282,7 @@ class Sparse:
             both = active_set.solved(E_z, np.column_stack([step.constant[z], E_l]))
             W, b = Y_l - Y_z @ both[:, 1:], step.constant[at.n + rows] - Y_z @ both[:, 0]
             law = NumericLaw(self.law.lower[rows], self.law.upper[rows], ())
-            found[rows] = mlcp.solve(W, b, law, l[rows], index[rows], chain, False, self.tolerance / 10).index
+            found[rows] = mlcp.solve(W, b, law, l[rows], index[rows], chain, False, self.tolerance / STRICTER).index
         return self._on_index_set(at, step, found)[0] or self._unsolved(step, index)
 
     def _unsolved(self, step: _Step, index: np.ndarray) -> Iterate:
@@ -326,7 +325,7 @@ class Sparse:
             found = self._judge(at, step, u, F, size, index)
             if best is None or found.residual < best[0].residual:
                 best = found, np.flatnonzero(wrong)
-            if found.residual <= self.tolerance / 10:
+            if found.residual <= self.tolerance / STRICTER:
                 break
             F[n:][held] = 0.0
             F[n + self._unit_row] = 0.0  # z is exact by these that stand: as near as doubles come
@@ -345,7 +344,7 @@ class Sparse:
         z, l = u[:n], u[n:]
         l[index != 0] = self._held(index)[index != 0]
         inside = np.clip(l, law.lower, law.upper)
-        outside = np.abs(l - inside) > 8 * EPS * np.abs(l)
+        outside = np.abs(l - inside) > INSIDE * EPS * np.abs(l)
         l[~outside] = inside[~outside]
         free = index[self._unit_row] == 0
         exact = self._unit_column[free]
@@ -393,7 +392,7 @@ class Sparse:
         scale = np.abs(step.constant + at.J @ guess) + at.sizes[:, :n] @ np.abs(z - step.guess)
         scale[n:] = 0.0
         off = np.where(index == 0, np.abs(Y), np.maximum(index * Y, 0.0))
-        if (off > 1e-2 * tolerance * unseen[n:]).any():
+        if (off > CLEAR * tolerance * unseen[n:]).any():
             scale[n:] = np.abs(self._offset(at, step))
         ratio = np.concatenate([np.abs(E), off]) / np.maximum(scale + unseen, UNRESOLVED)
         worst = int(np.argmax(ratio)) if ratio.size else 0

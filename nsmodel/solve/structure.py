@@ -20,6 +20,7 @@ if TYPE_CHECKING:  # SciPy is loaded by who uses it.
 EPS = np.finfo(float).eps
 DENSE = 1500  # Unknowns and multipliers up to which dense matrices are tried.
 EIGENVALUES_UP_TO = 300  # Rows up to which all eigenvalues are computed.
+MONOTONE_ERROR = 64  # Times EPS and the rows: what rounding may take from a least eigenvalue.
 LANCZOS_ERROR = 1e-9  # Of an operator scaled to 1: what is nearer to 0 is not told from it.
 
 
@@ -211,4 +212,4 @@ def _by_lanczos(W: LinearOperator) -> float:
 
 def is_monotone(least: float, m: int) -> bool:
     """Whether a least eigenvalue of a scaled (m, m) matrix is >= 0 up to round-off."""
-    return least >= -64 * np.finfo(float).eps * max(m, 1)
+    return least >= -MONOTONE_ERROR * EPS * max(m, 1)

@@ -5,16 +5,10 @@
 #else
 #define WATCHED MODEL_NX
 #endif
-#define ROOM(size) ((size) > 0 ? (size) : 1)
+#define STATES MODEL_NSTATE
+#define ROWS (MODEL_M > 0 ? MODEL_M : 1)
 
-typedef struct { /* doubles only: the caller lays it out by name */
-    double T, rtol, largest, least, crossing, grow, negligible; /* the constants of adaptive.py; j between largest and least */
-    double order; /* of the scheme on one index set, but for rows that are held and lower it to 1 */
-    double t, j, fresh; /* time in units of T/2^(least + 1); the step is T/2^j; fresh: no step has been taken */
-    double accepted, rejected, extrapolated, at_least_step, least_step;
-    double x[MODEL_NSTATE], l[ROOM(MODEL_M)], index[ROOM(MODEL_M)], lowering[ROOM(MODEL_M)];
-    double atol[WATCHED], size[WATCHED], group[WATCHED], watched[WATCHED], rate[WATCHED];
-} model_control;
+@CONTROL@
 
 /* Take steps, two rows each, until there is no room for more, the end is reached, `seconds` are over, or a step is not certified
    here. moved: how far extrapolation has moved the state of a row, in units of what is allowed. Return the number of rows. */
@@ -23,8 +17,8 @@ long model_adapt(model_solver *s, model_control *c, long room, double number, do
 long model_control_size(void);
 
 typedef struct {
-    double x[MODEL_NSTATE], l[ROOM(MODEL_M)], watched[WATCHED];
-    signed char index[ROOM(MODEL_M)];
+    double x[MODEL_NSTATE], l[ROWS], watched[WATCHED];
+    signed char index[ROWS];
     double residual, iterations;
     int solver;
 } model_result;
@@ -165,11 +159,11 @@ long model_adapt(model_solver *s, model_control *c, long room, double number, do
     const clock_t start = clock();
     const double last = ldexp(1.0, (int)c->least + 1);
     model_result coarse, half, fine;
-    signed char before[ROOM(MODEL_M)];
+    signed char before[ROWS];
     int known = 0; /* whether coarse is known: the first half of a step that was refused */
     long row = 0, tried = 0;
     totals->status = MODEL_OK;
-    for (int i = 0; i < ROOM(MODEL_M); i++)
+    for (int i = 0; i < ROWS; i++)
         before[i] = (signed char)c->index[i];
     while (c->t < last && row + 2 <= room) {
         if (++tried % LOOK == 0 && (double)(clock() - start) >= seconds*CLOCKS_PER_SEC)
@@ -265,7 +259,7 @@ long model_adapt(model_solver *s, model_control *c, long room, double number, do
         shorten(c->x, ldexp(2.0, (int)(j - c->j)));
 #endif
         row += 2;
-        for (int i = 0; i < ROOM(MODEL_M); i++)
+        for (int i = 0; i < ROWS; i++)
             c->index[i] = before[i];
     }
     if (c->t < last && row + 2 <= room)

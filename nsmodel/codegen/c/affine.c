@@ -4,13 +4,6 @@
  * Codes of an index set: 0 where y_i = 0, -1 where l_i = lower_i, +1 where l_i = upper_i; the rows of a curved set share one.
  */
 
-#if BOX_PROBLEM
-#define PRIMAL_DUAL_SWEEPS 12
-#endif
-#if INDEX_SETS
-#define MOST_INDEX_SETS 20000
-#endif
-
 typedef struct {
     int m;
     const double *W, *b, *lo, *up;
@@ -223,7 +216,7 @@ static int primal_dual(model_solver *s, const affine_problem *p)
         for (int i = 0; i < p->m; i++) {
             const double *W = p->W + i*p->m;
             if (code[i] == 0) {
-                if (fabs(l[i] - clip(l[i], p->lo[i], p->up[i])) <= 8*EPS*fabs(l[i]))
+                if (fabs(l[i] - clip(l[i], p->lo[i], p->up[i])) <= INSIDE*EPS*fabs(l[i]))
                     continue;
                 code[i] = l[i] < p->lo[i] ? -1 : 1;
             } else {
@@ -232,7 +225,7 @@ static int primal_dual(model_solver *s, const affine_problem *p)
                     y += W[j]*l[j];
                     size += fabs(W[j]*l[j]);
                 }
-                if (code[i]*(y + p->b[i]) <= 4*EPS*(size + fabs(p->b[i])))
+                if (code[i]*(y + p->b[i]) <= SUM_ERROR*EPS*(size + fabs(p->b[i])))
                     continue;
                 code[i] = 0;
             }

@@ -1,6 +1,5 @@
 /* The interface. */
 
-#define READY 0x6e736d64UL
 
 /* Whether the solver was initialised. */
 static int is_ready(const model_solver *s) { return s->ready == READY; }

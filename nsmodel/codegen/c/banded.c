@@ -7,10 +7,6 @@
  * pivoting from the last one. F = constant + J u, row by row of J; E is judged beside what moves in the step, y beside its
  * rounding, and l lies exactly where it must.
  */
-#define SWEEPS 200 /* index sets that are tried */
-#define PATIENCE 10 /* changes of all rows that may fail to make the contradictions fewer */
-#define SINGULAR_PIVOT 1e-13 /* pivots below this, of entries of about 1, are round-off */
-#define SHIFT 1e-8 /* then added to the diagonal of Y_l; refinement takes its effect away */
 
 #if LAW
 /* The end at which the code holds l_i. */
@@ -159,9 +155,9 @@ static void make_exact(model_solver *s)
     for (int i = 0; i < MODEL_M; i++) {
         if (code[i] != 0)
             l[i] = end_of(i, code[i]);
-        else if (l[i] < lower[i] && lower[i] - l[i] <= 8*EPS*fabs(l[i]))
+        else if (l[i] < lower[i] && lower[i] - l[i] <= INSIDE*EPS*fabs(l[i]))
             l[i] = lower[i];
-        else if (l[i] > upper[i] && l[i] - upper[i] <= 8*EPS*fabs(l[i]))
+        else if (l[i] > upper[i] && l[i] - upper[i] <= INSIDE*EPS*fabs(l[i]))
             l[i] = upper[i];
     }
 #if UNIT_ROWS
@@ -224,7 +220,7 @@ static double judged(const model_solver *s)
         if (off == 0)
             continue;
         double scale = ROUND_OFF/TOLERANCE*size[i], moved = s->banded.constant[i];
-        if (!(off <= CLEAR*scale)) {
+        if (!(off <= CLEAR*TOLERANCE*scale)) {
             double step = 0;
             for (int k = J_start[i]; k < J_start[i + 1]; k++) {
                 const int j = J_column[k];
@@ -337,7 +333,7 @@ static int on_index_set(model_solver *s, double *residual)
             best = found;
             memcpy(s->banded.best, u, sizeof s->banded.u);
         }
-        if (best <= 0.1*TOLERANCE || refined == REFINEMENTS || !(found < INFINITY) || !spend(s))
+        if (best <= TOLERANCE/STRICTER || refined == REFINEMENTS || !(found < INFINITY) || !spend(s))
             break;
 #if LAW
         for (int i = 0; i < MODEL_M; i++)
@@ -372,7 +368,7 @@ static int step_by_band(model_solver *s)
     int fewest = MODEL_M + 1, patience = PATIENCE, sweep = 0, wrong = 0;
     for (int i = 0; i < MODEL_M; i++)
         s->banded.code[i] = s->index[i] && is_finite(end_of(i, s->index[i])) ? s->index[i] : 0;
-    for (; sweep < SWEEPS; sweep++) {
+    for (; sweep < PIVOTED_SETS; sweep++) {
         wrong = on_index_set(s, &residual);
         if (wrong <= 0)
             break;

@@ -1,5 +1,7 @@
 /* ---- Sparse L D L' of symmetric positive definite matrices of DIM x DIM blocks, multifrontal ---- */
 
+#define LINE 64 /* bytes of a line of the processor's cache */
+
 /* Memory of a step: pieces of one array, taken in order and given back all at once. */
 typedef struct {
     char *next, *end;
@@ -9,7 +11,7 @@ typedef struct {
 
 static void *take(model_arena *a, size_t count, size_t size)
 {
-    size_t bytes = (count*size + 63) & ~(size_t)63;
+    size_t bytes = (count*size + LINE - 1) & ~(size_t)(LINE - 1);
     char *start = a->next;
     if (bytes > (size_t)(a->end - start)) {
         a->missing += bytes;
@@ -45,6 +47,8 @@ typedef struct {
 #define BAND 4.0      /* rows of bodies on each side of the middle among which a part is cut */
 #define DEGREE 5      /* neighbours up to which a block row is eliminated before the division */
 #define SLACK 8       /* neighbours that one may gain */
+#define MIDDLE 6      /* the cut is looked for in one part of so many on each side of the middle */
+#define NODE_COST 20.0 /* of a node without columns and rows */
 
 static int width_of(const model_ldl *f, int s) { return PADDED(DIM*(f->begin[s + 1] - f->begin[s])); }
 static int rest_of(const model_ldl *f, int s) { return PADDED(DIM*(f->start[s + 1] - f->start[s])); }
@@ -133,7 +137,7 @@ static void dissect(model_graph *g, const double *x, int from, int count)
             }
         }
         items = g->sorted[axis] + from;
-        if (half > count/6) half = count/6;
+        if (half > count/MIDDLE) half = count/MIDDLE;
         g->low = count/2 - half;
         g->high = count - g->low;
         for (i = 0; i < count; i++) g->position[items[i]] = i;
@@ -247,7 +251,7 @@ static int arrange(int *order, int n, const double *x, const int *near, const in
 static double cost_of(int columns, int rows)
 {
     double width = PADDED(DIM*columns)/4, rest = PADDED(DIM*rows)/4;
-    return width*(width*width/3.0 + width*rest + rest*rest*0.5) + rest*rest + 20.0;
+    return width*(width*width/3.0 + width*rest + rest*rest*0.5) + rest*rest + NODE_COST;
 }
 
 /* Order, tree and pattern for n block rows at x and pairs (first, second), second < 0 where there is none;
@@ -528,7 +532,7 @@ static void factor_ldl(model_ldl *f)
  * for the 4 x 4 tile that is AHEAD bytes away. */
 #define AHEAD 8192
 #ifdef __GNUC__
-#define FETCH(address) (__builtin_prefetch((const void *)(address)), __builtin_prefetch((const void *)((address) + 64)))
+#define FETCH(address) (__builtin_prefetch((const void *)(address)), __builtin_prefetch((const void *)((address) + LINE)))
 #else
 #define FETCH(address) ((void)0)
 #endif

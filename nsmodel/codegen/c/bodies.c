@@ -23,45 +23,9 @@ typedef struct {
     double *size;       /* |gradients| */
 } model_rows;
 
-typedef struct {
-    double residual, gap, motion, cutoff;
-    int worst_family, worst_first, worst_second;
-    int rows, groups, largest, factorisations, repeats;
-    int by_active_set, by_interior, unsettled;
-    long work;                       /* linear systems factored or solved */
-#if TIMES
-    double search, assembly, solve;  /* CPU seconds */
-#endif
-} model_report;
+@REPORT@
 
-typedef struct {
-    const model_functions *model;
-    double t, h, tolerance;
-    int n;
-    const double *q;               /* (n, DIM) */
-    const unsigned char *present;  /* (n) */
-    const double *velocity;        /* (n, DIM) f, where it is given from outside; else NULL */
-    const double *numbers;         /* (n, NUMBERS) */
-    const double *const *items;    /* for each family, its items' numbers */
-    const int *item_count;
-    const int *const *over;        /* for each family, the pairs it runs over (2 each), or NULL: all */
-    const int *over_count;
-    const double *farthest;        /* for each family the largest c of g = |q_i - q_j| - c; negative: another kind */
-    const double *const *halves;   /* for each such family (n) numbers with c_ij <= half_i + half_j, which then serve for the
-                                      largest c; NULL: half of it */
-    const double *p;
-    long budget;                   /* the most work */
-    double motion;                 /* the largest |d_i| of the last step; 0: unknown */
-    int contacts;                  /* of the last step: rows with m > 0 */
-    const int *family, *first, *second;
-    const double *multiplier;
-    /* out */
-    double *q_next;
-    unsigned char *leaves;         /* (n) who leaves after the step; NULL: not asked */
-    int contacts_out;              /* as those of the last step; they lie in the memory given */
-    int *family_out, *first_out, *second_out;
-    double *multiplier_out;
-} model_motion;
+@MOTION@
 
 static double norm_of(const double *v)
 {
@@ -110,6 +74,10 @@ static int consider(const model_motion *s, model_rows *rows, int family, int i, 
     return 1;
 }
 
+#define NARROWEST 1e-9 /* width of a cell, beside what all span, */
+#define CELLS_EACH 4.0 /* and the most cells: so many for each body, */
+#define CELLS_MORE 64.0 /* and so many more; */
+#define COARSER 1.5 /* factor by which cells are made wider until they are as few */
 #define SIZES 12 /* sizes of bodies that are searched apart, each class up to twice as large as the one before */
 
 /* Pairs of a body of one kind of size and one of another, or of the same, no farther apart than their sizes, by cells. */
@@ -132,13 +100,13 @@ static int search_between(const model_motion *s, model_rows *rows, int family, c
         count++;
     }
     for (k = 0; k < DIM; k++)
-        if (width < 1e-9*(high[k] - low[k])) width = 1e-9*(high[k] - low[k]);
+        if (width < NARROWEST*(high[k] - low[k])) width = NARROWEST*(high[k] - low[k]);
     if (width < DBL_MIN) width = DBL_MIN;
     for (;;) {
         double product = 1.0;
         for (k = 0; k < DIM; k++) product *= floor((high[k] - low[k])/width) + 1.0;
-        if (product <= 4.0*count + 64.0) break;
-        width *= 1.5;
+        if (product <= CELLS_EACH*count + CELLS_MORE) break;
+        width *= COARSER;
     }
     for (k = 0; k < DIM; k++) {
         shape[k] = (int)floor((high[k] - low[k])/width) + 1;
@@ -198,7 +166,7 @@ static int search_pairs(const model_motion *s, model_rows *rows, int family, con
     if (a->full) return 1;
     for (i = 0; i < s->n; i++) {
         /* a little more: what is left out is left out for certain */
-        size[i] = (1.0 + 1e-12)*((s->halves ? s->halves[family][i] : 0.5*s->farthest[family]) + motion);
+        size[i] = (1.0 + FARTHER)*((s->halves ? s->halves[family][i] : 0.5*s->farthest[family]) + motion);
         if (!s->present[i]) continue;
         if (size[i] < least) least = size[i];
     }
@@ -266,6 +234,7 @@ static int collect(const model_motion *s, model_rows *rows, const double *record
 
 #define NEAR 0.5   /* a row enters where the forces of the last step leave it less than this times the largest speed */
 #define WIDER 2.0  /* how far is looked at first, beside what moved last and what wants to move now */
+#define FARTHER_YET 1.5 /* then farther than they moved by this factor */
 #define REPEATS 20 /* times that a step is taken again because bodies moved farther than was looked */
 
 #if TIMES
@@ -354,13 +323,16 @@ static int begin(model_work *k)
     return MODEL_OK;
 }
 
+#define ROWS_EACH 4  /* room for rows at first: so many for each body, two for each contact of the last step, */
+#define ROWS_MORE 64 /* and so many more */
+
 /* The rows that may act when nobody moves by more than `motion`. */
 static int look(model_work *k, double motion)
 {
     model_rows *rows = &k->rows;
     model_arena *a = k->a;
     char *mark = a->next;
-    rows->room = 64 + 2*k->contacts + 4*k->s->n;
+    rows->room = ROWS_MORE + 2*k->contacts + ROWS_EACH*k->s->n;
     for (;;) {
         a->next = mark;
         rows->family = TAKE(int, rows->room);
@@ -533,9 +505,9 @@ static int solve_groups(model_work *k, int close)
         k->exhausted |= p.exhausted;
         if (how < 0) return 0;
         k->report->factorisations += p.factorisations;
-        k->report->by_active_set += how == 1;
-        k->report->by_interior += how == 2 || how == 3;
-        k->report->unsettled += how == 4;
+        k->report->by_active_set += how == BY_ACTIVE_SET;
+        k->report->by_interior += how == BY_INTERIOR || how == BY_LAGRANGIAN;
+        k->report->unsettled += how == UNSETTLED;
         for (i = 0; i < p.n; i++) COPY(k->w + (ptrdiff_t)DIM*own[i], p.w + (ptrdiff_t)DIM*i, DIM);
         for (i = 0; i < p.m; i++) {
             r = p.row[i];
@@ -581,6 +553,8 @@ static double move(model_work *k)
     return largest;
 }
 
+#define ROUND_OFF 16.0 /* times DBL_EPSILON: part of positions and terms that is none of the residual */
+
 /* The residual without unit, from the definition: S is the largest of all h |f_i| and |d_i|; E = d - h f - G' m beside S; of each
  * row divided by its |gradient| the violation and min(m, |y|) beside S; the gap <m, |y|> beside |d|^2 + |h f|^2, or round-off.
  * 0: no memory. */
@@ -599,7 +573,7 @@ static int certify(model_work *k, double largest)
         moved += d[i]*d[i] + s->h*s->h*k->f[i]*k->f[i];
         if (there && fabs(s->q[i]) > far) far = fabs(s->q[i]);
     }
-    least = 16.0*DBL_EPSILON*(far + S)/s->tolerance;
+    least = ROUND_OFF*DBL_EPSILON*(far + S)/s->tolerance;
     if (S < least) S = least;
     for (r = 0; r < k->rows.count; r++) {
         double y = k->rows.g[r] + along_row(k, r, k->rows.slope, d), bad, least_of;
@@ -619,7 +593,7 @@ static int certify(model_work *k, double largest)
     }
     for (i = 0; i < DIM*s->n; i++) worst = worse_of(worst, fabs(e[i]));
     worst /= S > 0.0 ? S : 1.0;
-    if (!(gap <= 16.0*DBL_EPSILON*noise) && !(gap <= worst*moved)) worst = gap/moved;
+    if (!(gap <= ROUND_OFF*DBL_EPSILON*noise) && !(gap <= worst*moved)) worst = gap/moved;
     /* a scale that is infinite excuses nothing */
     k->report->residual = isfinite(S + moved + noise) && worst < INFINITY ? worst : INFINITY;
     return 1;
@@ -674,8 +648,6 @@ static int know_contacts(model_work *k, char *begin)
     k->multiplier = memmove(multiplier, s->multiplier_out, count*sizeof(double));
     return 1;
 }
-
-#define REACH (1.0/3) /* part of the motion that a constraint may be off its linearisation */
 
 /* Whether the linearisation of the row r, which acts, means nothing where the step leads: there are its value and gradients. */
 static int leads_too_far(const model_work *k, int r, const double *there)
@@ -786,7 +758,7 @@ int move_bodies(model_motion *s, char *memory, size_t size, size_t *missing, mod
         if (!isfinite(largest)) return MODEL_NOT_SOLVED;
         if (largest <= motion) break;
         if (report->repeats == REPEATS) return MODEL_NOT_SOLVED;
-        motion = 1.5*largest;
+        motion = FARTHER_YET*largest;
         if (!know_contacts(k, mark)) goto no_room;
     }
     if (!certify(k, largest)) goto no_room;

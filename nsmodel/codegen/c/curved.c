@@ -2,8 +2,6 @@
  * y = W l + b, -y ∈ N_K(l) where K has curved sets: semismooth Newton, with block Gauss-Seidel behind it.
  */
 
-#define NEWTON_ON_SETS 60
-#define GAUSS_SEIDEL_SWEEPS 400
 
 /* u = P_K(u). */
 static void project_all(const model_solver *s, const affine_problem *p, double *u)
@@ -78,9 +76,9 @@ static int semismooth_newton(model_solver *s, const affine_problem *p)
     double *l = s->semismooth.l, *trial = s->semismooth.trial, best = INFINITY;
     project_all(s, p, l);
     double size = natural_map(s, p, l);
-    for (int iteration = 0; iteration < NEWTON_ON_SETS; iteration++) {
+    for (int iteration = 0; iteration < SEMISMOOTH_ITERATIONS; iteration++) {
         const double relative = relative_map(s, p, l);
-        if (relative <= 4*EPS || (relative <= 1e-13 && relative >= best/2))
+        if (relative <= SUM_ERROR*EPS || (relative <= CONVERGED && relative >= best/2))
             return 0;
         best = min_of(best, relative);
         natural_jacobian(s, p);
@@ -92,14 +90,14 @@ static int semismooth_newton(model_solver *s, const affine_problem *p)
             for (int i = 0; i < m; i++)
                 trial[i] = l[i] + t*s->semismooth.step[i];
             const double now = natural_map(s, p, trial);
-            if (!(now > (1 - 1e-4*t)*size) || t <= 1e-4) {
+            if (!(now > (1 - ARMIJO*t)*size) || t <= LEAST_STEP) {
                 size = now;
                 break;
             }
         }
         COPY(l, trial, m);
     }
-    return !(relative_map(s, p, l) <= 1e-11);
+    return !(relative_map(s, p, l) <= ACCEPTED);
 }
 
 /* 1 / |W_kk| for the diagonal block of n rows from ``start``, in the spectral norm. */
@@ -147,7 +145,7 @@ static void gauss_seidel(model_solver *s, const affine_problem *p)
                 i += curved[k++].size - 1;
             else
                 change = worse_of(change, relax(s, p, -1, i, 1));
-        if (!(change > 1e-10*largest(p->m, s->semismooth.l)))
+        if (!(change > SWEPT*largest(p->m, s->semismooth.l)))
             break;
     }
 }

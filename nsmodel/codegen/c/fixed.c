@@ -35,7 +35,7 @@ static double dynamics_residual(model_solver *s)
     scale_E(s, s->fixed.E_0, s->work.z, scale);
     for (int i = 0; i < MODEL_N; i++)
         worst = worst_of(worst, fabs(E[i]), scale[i]);
-    if (worst <= CLEAR)
+    if (worst <= CLEAR*TOLERANCE)
         return worst;
     look_at_rounding(s);
     worst = 0;
@@ -53,7 +53,7 @@ static double residual_of_law(model_solver *s)
     double *s_y = s->fixed.s_y;
     output_scale(MODEL_M, s->fixed.b, s->fixed.terms, w_max, s_y);
     const double residual = law_residual(s, MODEL_M, lower, upper, l, s->fixed.Y, s_y, w_max);
-    if (residual <= CLEAR)
+    if (residual <= CLEAR*TOLERANCE)
         return residual;
     look_at_rounding(s);
     for (int i = 0; i < MODEL_M; i++)
@@ -112,7 +112,7 @@ static double box_residual(model_solver *s, int *settled)
                 off = lower[i] - l[i];
             else if (l[i] > upper[i])
                 off = l[i] - upper[i];
-            if (off > 8*EPS*fabs(l[i]))
+            if (off > INSIDE*EPS*fabs(l[i]))
                 *settled = 0;
         } else {
             off = fabs(l[i] - (code < 0 ? lower[i] : upper[i]));
@@ -122,7 +122,7 @@ static double box_residual(model_solver *s, int *settled)
         if (wrong == 0 && off == 0)
             continue;
         double s_y = output_scale_of(s, i, &most);
-        if (code != 0 || wrong > CLEAR*s_y) {
+        if (code != 0 || wrong > CLEAR*TOLERANCE*s_y) {
             look_at_rounding(s);
             s_y += ROUND_OFF/TOLERANCE*error_Y[i];
             if (code != 0 && wrong > ROUND_OFF*error_Y[i])
@@ -148,7 +148,7 @@ static double gap_residual(model_solver *s)
     if (gap == 0)
         return 0;
     moved(s, s->fixed.E_0, s->work.z, reach);
-    if (gap <= CLEAR*reach[0])
+    if (gap <= CLEAR*TOLERANCE*reach[0])
         return worst_of(0, gap, reach[0]);
     look_at_rounding(s);
     for (int i = 0; i < MODEL_M; i++)
@@ -521,7 +521,7 @@ static int step_by_matrices(model_solver *s)
 #else
     memcpy(s->fixed.l, s->l, sizeof s->l);
     memcpy(s->fixed.code, s->index, sizeof s->index);
-    int solver = affine_solve(s, MODEL_M, W, s->fixed.b, lower, upper, s->fixed.l, s->fixed.code, TOLERANCE/10);
+    int solver = affine_solve(s, MODEL_M, W, s->fixed.b, lower, upper, s->fixed.l, s->fixed.code, TOLERANCE/STRICTER);
 #if SETTLED
     const int passed = on_index_set(s, s->fixed.code) ? certified(s) : 0;
     if (passed == 2 || (passed && settle(s)))

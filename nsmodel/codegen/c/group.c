@@ -133,7 +133,13 @@ static int solve_for_dw(model_group *p)
 #define OUTER 40        /* updates of the multipliers, */
 #define INNER 60        /* Newton steps for each, */
 #define FLAT 1e-12      /* to a gradient of so much beside the largest multiplier */
-#define REFINED 24      /* conjugate gradients on an index set, at most */
+#define REFINED 24      /* conjugate gradients on an index set, at most, */
+#define AFRESH 8        /* begun anew after so many, */
+#define AWAY 100.0      /* up to so many times the least remainder so far */
+#define EXACTER 0.1     /* part of ROUGH to which a row that acts is at 0 while the index set changes */
+#define FEWEST 4        /* changes of the index set that need not become fewer */
+#define STIFFER 10.0    /* factor by which the rows' weight in the augmented Lagrangian grows */
+#define HALVINGS 40     /* in a line search */
 
 /* out := (G G' + 1/STIFF)^-1 r on the rows that act, as STIFF (r - G dw) with (I + STIFF G' G) dw = STIFF G' r; 0 where there is no more
  * work to spend. */
@@ -175,11 +181,11 @@ static void equalise(model_group *p, double fine)
     }
     least = worst = remainder_of(p, r);
     COPY(p->safe, p->multiplier, p->m);
-    for (k = 0; k < REFINED && worst > fine && worst < 100.0*least; k++) {
+    for (k = 0; k < REFINED && worst > fine && worst < AWAY*least; k++) {
         double before = rz, along = 0.0;
         if (!precondition(p, r, z)) break;
         for (i = 0, rz = 0.0; i < p->m; i++) rz += r[i]*z[i];
-        for (i = 0; i < p->m; i++) d[i] = k%8 ? z[i] + rz/before*d[i] : z[i];
+        for (i = 0; i < p->m; i++) d[i] = k%AFRESH ? z[i] + rz/before*d[i] : z[i];
         ZERO(p->rhs, (ptrdiff_t)DIM*p->n);
         add_transposed(p, d, p->rhs);
         for (i = 0; i < p->m; i++) {
@@ -188,8 +194,8 @@ static void equalise(model_group *p, double fine)
         }
         if (!(along > 0.0)) break;
         for (i = 0; i < p->m; i++) p->multiplier[i] += rz/along*d[i];
-        worst = k%8 == 7 ? remainder_of(p, r) : 0.0;
-        for (i = 0; i < p->m && k%8 < 7; i++) {
+        worst = k%AFRESH == AFRESH - 1 ? remainder_of(p, r) : 0.0;
+        for (i = 0; i < p->m && k%AFRESH < AFRESH - 1; i++) {
             r[i] -= rz/along*q[i];
             worst = worse_of(worst, fabs(r[i]));
         }
@@ -211,7 +217,7 @@ static int solve_and_change(model_group *p)
     if (!factor_group(p)) return p->m + 1;
     for (pass = 0; pass < 2 && !wrong; pass++) {
         double bound = pass ? WRONG : ROUGH;
-        equalise(p, pass ? SETTLED : 0.1*ROUGH);
+        equalise(p, pass ? SETTLED : EXACTER*ROUGH);
         for (i = 0; i < p->m; i++) {
             if ((p->acts[i] ? p->multiplier[i] : row_of(p, p->w, i) + p->b[i]) >= -bound) continue;
             if (p->acts[i]) p->multiplier[i] = 0.0;
@@ -243,7 +249,7 @@ static int settle(model_group *p, int rounds, int most)
         int wrong = solve_and_change(p);
         if (!wrong) return accept(p);
         if (wrong > most) return 0;
-        most = wrong > 4 ? wrong : 4;
+        most = wrong > FEWEST ? wrong : FEWEST;
     }
     return 0;
 }
@@ -266,7 +272,7 @@ static int augmented(model_group *p)
 {
     double c = SOFT;
     int i, k, outer, inner, n = DIM*p->n;
-    for (outer = 0; outer < OUTER; outer++, c = c < STIFF ? 10.0*c : c) {
+    for (outer = 0; outer < OUTER; outer++, c = c < STIFF ? STIFFER*c : c) {
         COPY(p->multiplier, p->kept, p->m);
         for (inner = 0; inner < INNER; inner++) {
             double worst = 0.0, linear = 0.0, square = 0.0, low = 0.0, step = 1.0, size = 1.0;
@@ -290,7 +296,7 @@ static int augmented(model_group *p)
             }
             if (slope_at(p, c, 1.0, linear, square) > 0.0) {
                 double high = 1.0;
-                for (k = 0; k < 40; k++) {
+                for (k = 0; k < HALVINGS; k++) {
                     step = 0.5*(low + high);
                     if (slope_at(p, c, step, linear, square) > 0.0) high = step;
                     else low = step;
@@ -346,17 +352,21 @@ static int enter(model_group *p, double near)
     return p->m - before;
 }
 
-#define LOOKS 2        /* at rows that wait */
+#define LOOKS 2        /* at rows that wait: */
+#define LOOK_BELOW {2.0, 1e-2}  /* mu from which on one is taken, */
+#define ENTER_BELOW {0.5, 0.05} /* and values below which they enter */
 #define FRESH 0.3      /* slack of a row that enters, at least, or the root of mu */
 #define SHORT 0.1      /* a step below this is followed by one to the centre */
-#define STALLED 8      /* iterations that may fail to halve mu near the end */
+#define STALLED 8      /* iterations that may fail to halve mu near the end, */
+#define NEAR_END 1e-4  /* which is below this mu */
+#define BACK 0.995     /* part of the way to the boundary that is gone */
 #define STEEPEST 1e13  /* largest weight of a row in the normal equations */
 
 /* Interior point (Mehrotra's predictor and corrector): w = G' m, G w + b = s, m s = mu, until mu <= target; 0 where it is not
  * reached, -1: no memory. On its way, from `look` on, rows that wait may enter. */
 static int interior(model_group *p, double target, int most, int look, model_arena *a)
 {
-    static const double looks[LOOKS] = {2.0, 1e-2}, nears[LOOKS] = {0.5, 0.05};
+    static const double looks[LOOKS] = LOOK_BELOW, nears[LOOKS] = ENTER_BELOW;
     int i, k, m = p->m, n = DIM*p->n, stalled = 0;
     double *s = p->slack, *u = p->multiplier, least = INFINITY, reached = 1.0;
     for (k = 0; k < most; k++) {
@@ -384,7 +394,7 @@ static int interior(model_group *p, double target, int most, int look, model_are
         if (mu < 0.5*least) {
             least = mu;
             stalled = 0;
-        } else if (++stalled > STALLED && mu < 1e-4) return 0;
+        } else if (++stalled > STALLED && mu < NEAR_END) return 0;
         for (i = 0; i < m; i++) {
             p->theta[i] = u[i]/s[i];
             if (!(p->theta[i] < STEEPEST)) p->theta[i] = STEEPEST;
@@ -411,7 +421,7 @@ static int interior(model_group *p, double target, int most, int look, model_are
         }
         step = room(s, p->ds, m);
         other = room(u, p->dm, m);
-        reached = step = 0.995*(other < step ? other : step);
+        reached = step = BACK*(other < step ? other : step);
         for (i = 0; i < m; i++) {
             s[i] += step*p->ds[i];
             u[i] += step*p->dm[i];
@@ -422,16 +432,24 @@ static int interior(model_group *p, double target, int most, int look, model_are
 }
 
 #define SMALL 64        /* rows up to which the active set is tried first whatever has changed */
-#define INSIDE 1.0     /* slacks and multipliers that the interior point starts from, at least, */
+#define START 1.0     /* slacks and multipliers that the interior point starts from, at least, */
 #define CLOSE 0.03     /* and where all but some new rows are solved */
 #define FEW 12          /* changes up to which it is tried first in larger groups */
+#define ROUNDS_SMALL 12 /* of the active set in small groups, */
+#define ROUNDS_FIRST 6  /* in larger ones, */
+#define ROUNDS_AFTER 8  /* and after the interior point, */
+#define ITERATIONS 60   /* which takes up to so many, */
+#define TARGETS {1e-6, 1e-8} /* to one mean of multipliers times slacks, then to the other */
 
-/* Solve a group whose rows that act and multipliers are guessed: 1 by the active set alone, 2 by the interior point and the
- * active set, 3 by both and the augmented Lagrangian, 4 as far as that gets (the certificate decides), -1: no memory. */
+/* What has solved a group; UNSETTLED: as far as all ways get, and the certificate decides. */
+enum { BY_ACTIVE_SET = 1, BY_INTERIOR, BY_LAGRANGIAN, UNSETTLED };
+
+/* Solve a group whose rows that act and multipliers are guessed: by the active set alone, by the interior point and the active
+ * set, by both and the augmented Lagrangian; -1: no memory. */
 static int solve_group(model_group *p, model_arena *a)
 {
-    static const double roughness[] = {1e-6, 1e-8}; /* mean of multipliers times slacks at which the interior point stops */
-    double inside = p->close ? CLOSE : INSIDE;
+    static const double targets[] = TARGETS;
+    double inside = p->close ? CLOSE : START;
     int i, k, m = p->m, n = p->n, doubtful = 0;
     p->slot = TAKE(int, p->most);
     p->slack = TAKE(double, p->most);
@@ -453,7 +471,8 @@ static int solve_group(model_group *p, model_arena *a)
     }
     set_w(p);
     for (i = 0; i < m; i++) doubtful += !p->acts[i] && row_of(p, p->w, i) + p->b[i] < -WRONG;
-    if ((m <= SMALL || doubtful <= FEW || p->close) && settle(p, m <= SMALL ? 12 : 6, m <= SMALL || p->close ? m : FEW)) return 1;
+    if ((m <= SMALL || doubtful <= FEW || p->close) && settle(p, m <= SMALL ? ROUNDS_SMALL : ROUNDS_FIRST, m <= SMALL || p->close ? m : FEW))
+        return BY_ACTIVE_SET;
     for (i = 0; i < m; i++) p->multiplier[i] = p->kept[i] > inside ? p->kept[i] : inside;
     set_w(p);
     for (i = 0; i < m; i++) {
@@ -461,14 +480,14 @@ static int solve_group(model_group *p, model_arena *a)
         p->slack[i] = y > inside ? y : inside;
     }
     for (k = 0; k < 2; k++) {
-        if (interior(p, roughness[k], 60, k > 0 ? LOOKS : 0, a) < 0) return -1;
+        if (interior(p, targets[k], ITERATIONS, k > 0 ? LOOKS : 0, a) < 0) return -1;
         m = p->m;
         for (i = 0; i < m; i++) {
             p->acts[i] = p->multiplier[i] > p->slack[i];
             p->kept[i] = p->multiplier[i];
         }
-        if (p->exhausted) return 4;
-        if (settle(p, 8, m)) return 2;
+        if (p->exhausted) return UNSETTLED;
+        if (settle(p, ROUNDS_AFTER, m)) return BY_INTERIOR;
         COPY(p->multiplier, p->kept, m);
         set_w(p);
     }
@@ -476,5 +495,5 @@ static int solve_group(model_group *p, model_arena *a)
         if (!(p->kept[i] > p->slack[i])) p->kept[i] = 0.0;
     COPY(p->multiplier, p->kept, m);
     set_w(p);
-    return augmented(p) ? 3 : 4;
+    return augmented(p) ? BY_LAGRANGIAN : UNSETTLED;
 }

@@ -99,7 +99,7 @@ static double select_velocity(model_solver *s)
     for (int i = 0; i < MODEL_SELECTION; i++)
         if (!tied[i])
             s->inclusion.W[i*m + i] = 1;
-    const double residual = solve_form(s, m, TOLERANCE/10);
+    const double residual = solve_form(s, m, TOLERANCE/STRICTER);
     for (int i = 0; i < MODEL_SELECTION; i++)
         if (tied[i])
             l[i] = s->inclusion.l[i];
@@ -136,7 +136,6 @@ static int clip_to_box(model_solver *s)
 }
 #if APPROXIMATE
 
-#define USED 0.9 /* part of eps_k that an approximate projection on a box uses up */
 
 /* From p in the box, component i of the way to its middle. */
 static double inwards(int i, double p)
@@ -167,9 +166,6 @@ static void use_tolerance(model_solver *s)
 #endif
 #if CUTS
 
-#define CUT_ITERATIONS 60
-#define BISECTIONS 80
-#define ACTS 1e-9 /* a cut with |value| below this part of its size holds the foot */
 
 /* Evaluate c and J at x; return whether x is in C. */
 static int admissible(model_solver *s, const double *x)
@@ -217,7 +213,7 @@ static int project_on_cuts(model_solver *s, int m)
         s->inclusion.upper[i] = INFINITY;
         s->inclusion.code[i] = s->inclusion.b[i] < 0 ? 0 : -1;
     }
-    if (!(solve_form(s, m, 1e-10) <= TOLERANCE))
+    if (!(solve_form(s, m, CUT_TOLERANCE) <= TOLERANCE))
         return 0;
     for (int j = 0; j < MODEL_NX; j++) {
         double moved = 0;
@@ -236,7 +232,7 @@ static int pull_back(model_solver *s, double *x)
     memcpy(x, z, sizeof s->inclusion.foot);
     if (admissible(s, z))
         return 1;
-    for (int i = 0; i < BISECTIONS && high - low > 4*EPS*high; i++) {
+    for (int i = 0; i < BISECTIONS && high - low > SUM_ERROR*EPS*high; i++) {
         const double middle = (low + high)/2;
         for (int j = 0; j < MODEL_NX; j++)
             point[j] = z[j] + middle*(interior[j] - z[j]);
@@ -360,7 +356,7 @@ static int step_by_catching_up(model_solver *s)
     const double excess = distance2(x, y) - d2;
 #if APPROXIMATE
     /* Beside the d^2 of a predictor far away, eps_k may be less than round-off. */
-    if (!(excess <= s->inclusion.tolerance + 4*MODEL_NX*EPS*d2)) {
+    if (!(excess <= s->inclusion.tolerance + SUM_ERROR*MODEL_NX*EPS*d2)) {
         s->work.residual = INFINITY;
         return NONE;
     }

@@ -3,12 +3,10 @@
  *
  * One-sided rows are shifted to 0 <= l' ⟂ y' >= 0; an upper bound beside a lower one adds a slack row; a free row is split in
  * two. For psd W the method ends with a solution or proves that there is none (Cottle, Pang and Stone, Theorem 4.4.12); where
- * round-off makes a ray of a singular W, W + 1e-7 I suggests the index set.
+ * round-off makes a ray of a singular W of about 1, W + REGULARISED I suggests the index set.
  *
  * Variables of the pivoting, size = lemke.size: w (0..size-1), z (size..2 size-1), z0 (2 size) of w - M z - z0 = q.
  */
-
-#define EQUILIBRATIONS 8
 
 /* The problem in units in which the entries of W and b are about 1: l = scale l' (Ruiz' iteration). Return 0, or 1 where it has
    no such units. */
@@ -35,7 +33,7 @@ static int equilibrate(model_solver *s, const affine_problem *p)
     if (size == 0)
         size = 1;
     for (int i = 0; i < m*m; i++)
-        if (fabs(W[i]) < 8*EPS)
+        if (fabs(W[i]) < NOUGHT*EPS)
             W[i] = 0; /* A pivot on round-off would be a solution at infinity. */
     for (int i = 0; i < m; i++) {
         s->lemke.b[i] = scale[i]*p->b[i]/size;
@@ -111,7 +109,7 @@ static int least_row(model_solver *s, int count)
         }
         int kept = 0;
         for (int k = 0; k < count; k++)
-            if (table[k] <= least + 1e-12*most)
+            if (table[k] <= least + TIED*most)
                 rows[kept++] = rows[k];
         if (kept == 0)
             break;
@@ -133,10 +131,10 @@ static int leaving_row(model_solver *s, int m, int variable)
         most = worse_of(most, fabs(s->lemke.entering[i]));
         noise[i] = 0;
         for (int j = 0; j < size; j++)
-            noise[i] += 64*EPS*fabs(s->linear.v[i*size + j]*a[j]);
+            noise[i] += PIVOT_ERROR*EPS*fabs(s->linear.v[i*size + j]*a[j]);
     }
     for (int i = 0; i < size; i++)
-        if (s->lemke.entering[i] > max_of(noise[i], 1e-12*most)) {
+        if (s->lemke.entering[i] > max_of(noise[i], LEAST_PIVOT*most)) {
             const double step = s->lemke.value[i]/s->lemke.entering[i];
             s->lemke.rows[count++] = i;
             least = min_of(least, step);
@@ -144,7 +142,7 @@ static int leaving_row(model_solver *s, int m, int variable)
             if (s->lemke.basis[i] == 2*size)
                 artificial = i;
         }
-    if (artificial >= 0 && s->lemke.value[artificial]/s->lemke.entering[artificial] <= least + 1e-13*most_step)
+    if (artificial >= 0 && s->lemke.value[artificial]/s->lemke.entering[artificial] <= least + PREFERRED*most_step)
         return artificial;
     return count ? least_row(s, count) : -1;
 }
@@ -155,7 +153,7 @@ static int leaving_row(model_solver *s, int m, int variable)
    degenerate problems do not cycle. */
 static int pivot_to_solution(model_solver *s, int m)
 {
-    const int size = s->lemke.size, pivots = 20*size + 50;
+    const int size = s->lemke.size, pivots = PIVOTS_EACH*size + PIVOTS_MORE;
     int *basis = s->lemke.basis, satisfied = 1, variable = 2*size;
     for (int i = 0; i < size; i++) {
         basis[i] = s->lemke.rows[i] = i;
@@ -183,7 +181,7 @@ static int pivot_to_solution(model_solver *s, int m)
             if (basis[i] == 2*size)
                 z0 = s->lemke.value[i];
         }
-        if (z0 <= 1e-13*largest(size, s->lemke.q))
+        if (z0 <= GONE*largest(size, s->lemke.q))
             return 0;
         variable = leaving < size ? leaving + size : leaving - size;
         row = leaving_row(s, m, variable);
@@ -209,7 +207,7 @@ static int polish_regularised(model_solver *s, const affine_problem *p)
         for (int j = 0; j < n; j++)
             s->linear.lu[i*n + j] = p->W[row[i]*m + row[j]];
     }
-    if (!spend(s) || least_squares(s, n, 1e-12, s->affine.x)) /* W may be singular: the regularised solution tends to that of least norm */
+    if (!spend(s) || least_squares(s, n, RANK, s->affine.x)) /* W may be singular: the regularised solution tends to that of least norm */
         return 1;
     for (int i = 0; i < n; i++)
         exact[row[i]] = s->affine.x[i];
@@ -221,7 +219,7 @@ static int polish_regularised(model_solver *s, const affine_problem *p)
         outside = worse_of(outside, max_of(p->lo[i] - exact[i], exact[i] - p->up[i]));
         s->lemke.l[i] = clip(exact[i], p->lo[i], p->up[i]);
     }
-    return !(wrong <= 1e-10*largest(m, p->b) && outside <= 1e-10*largest(m, exact));
+    return !(wrong <= POLISHED*largest(m, p->b) && outside <= POLISHED*largest(m, exact));
 }
 
 static int lemke(model_solver *s, const affine_problem *p)
@@ -230,7 +228,7 @@ static int lemke(model_solver *s, const affine_problem *p)
     if (equilibrate(s, p))
         return 1;
     for (int regularised = 0; regularised < 2; regularised++) {
-        s->lemke.regular = regularised ? 1e-7 : 0;
+        s->lemke.regular = regularised ? REGULARISED : 0;
         if (standard_form(s, &scaled) || pivot_to_solution(s, p->m))
             continue;
         COPY(s->lemke.l, s->lemke.offset, p->m);

@@ -4,10 +4,12 @@
 
 #define COPY(to, from, count) memcpy(to, from, (size_t)(count)*sizeof *(to))
 #define ZERO(to, count) memset(to, 0, (size_t)(count)*sizeof *(to))
-#define SVD_SWEEPS 60 /* Jacobi's method needs about 10. */
-#define SCALE_SWEEPS 6
+#define SVD_SWEEPS 60 /* Jacobi's method needs about 10 */
+#define SCALE_SWEEPS 6 /* of Ruiz' iteration */
+#define LEAST_EXPONENT (-1000) /* of the unit of a matrix: its squares are no denormal numbers */
 #if FIXED_MAPS
-#define PINV_CUT 1e-15 /* Singular values below this part of the largest count as 0 in a pseudo-inverse. */
+#define PINV_CUT 1e-15 /* singular values below this part of the largest count as 0 in a pseudo-inverse */
+#define AS_GIVEN 1e3 /* condition up to which a matrix is inverted in the user's units */
 #endif
 
 /* Factor A = P L U in place, row pivot[k] swapped with row k at step k. Return 0, or 1 where A is singular or not finite. */
@@ -46,7 +48,7 @@ static double less(double x, int n, const double *a, const double *b)
         sum -= a[j]*b[j];
         size += fabs(a[j]*b[j]);
     }
-    return fabs(sum) <= 4*EPS*size ? 0 : sum;
+    return fabs(sum) <= SUM_ERROR*EPS*size ? 0 : sum;
 }
 #else
 /* x - the sum of a_j b_j. */
@@ -144,7 +146,7 @@ static double decompose(model_solver *s, int n, double *unit)
     double *G = s->linear.lu, *V = s->linear.v, most = 0;
     int exponent, rotated = 1;
     frexp(largest(n*n, G), &exponent);
-    *unit = ldexp(1, exponent > -1000 ? exponent - 1 : -1000);
+    *unit = ldexp(1, exponent > LEAST_EXPONENT ? exponent - 1 : LEAST_EXPONENT);
     for (int i = 0; i < n; i++)
         for (int j = 0; j <= i; j++) {
             const double held = G[i*n + j];
@@ -195,7 +197,7 @@ static int least_squares(model_solver *s, int n, double cut, double *x)
 }
 
 /* Solve A x = x_0 with the factors in linear.lu, x_0 in x, with one refinement by A, whose entry (i, j) is rows_i A_ij columns_j.
-   Return 0, or 1 where A seems singular: cancellation by 1e12. */
+   Return 0, or 1 where A seems singular. */
 static int solved(model_solver *s, int n, const double *A, double *x)
 {
     double *rhs = s->linear.rhs, *more = s->linear.x, size = 0;
@@ -215,7 +217,7 @@ static int solved(model_solver *s, int n, const double *A, double *x)
             terms += fabs(rows[i]*A[i*n + j]*columns[j]*x[j]);
         size = worse_of(size, terms);
     }
-    return !all_finite(n, x) || !(size <= 1e12*largest(n, rhs));
+    return !all_finite(n, x) || !(size <= CANCELLED*largest(n, rhs));
 }
 
 /* Solve A x = x_0, x_0 in x, with one refinement; the least-squares solution of least norm where A is singular, also in units in
@@ -280,7 +282,7 @@ static int invert(model_solver *s, int n, const double *A, double *inverse)
         if (lu_factor(n, s->linear.lu, s->linear.pivot))
             continue;
         lu_inverse(s, n, inverse);
-        regular = all_finite(n*n, inverse) && largest(n*n, inverse)*size <= (balanced ? 1e13 : 1e3);
+        regular = all_finite(n*n, inverse) && largest(n*n, inverse)*size <= (balanced ? ILL_CONDITIONED : AS_GIVEN);
         if (regular && !balanced)
             return 0;
     }

@@ -4,19 +4,9 @@
  */
 
 #if AFFINE
-#define NEWTON_ITERATIONS 3 /* one solves the problem, more remove round-off */
+#define ITERATIONS AFFINE_ITERATIONS
 #else
-#define NEWTON_ITERATIONS 30
-#define ENOUGH (1e-2*TOLERANCE) /* the residual from which on nothing is improved */
-#endif
-#if NEARBY
-#define NEARBY_SETS 400 /* index sets around the last one that are tried where Newton's method does not settle */
-#define SMOOTH_ITERATIONS 30
-#define HALVINGS 20 /* of a damped step */
-#endif
-
-#if OVERREACH
-#define REACH (1.0/3) /* part of what it changes by that a constraint may be off its linearisation */
+#define ITERATIONS NEWTON_ITERATIONS
 #endif
 
 /* What is known of the matrices: nothing, their entries, or also whether E_z has an inverse. */
@@ -267,7 +257,7 @@ static int eliminate(model_solver *s)
 static int solve_affine(model_solver *s, int m, const double *W, const double *b, const double *lo, const double *up, double *l,
                         signed char *code)
 {
-    const int solver = affine_solve(s, m, W, b, lo, up, l, code, TOLERANCE/10);
+    const int solver = affine_solve(s, m, W, b, lo, up, l, code, TOLERANCE/STRICTER);
 #if CURVED
     return solver == NONE && s->affine.residual < INFINITY ? SEMISMOOTH : solver;
 #else
@@ -538,7 +528,7 @@ static double dynamics_residual(model_solver *s)
     double *scale = s->newton.scale, worst;
 #if AFFINE
     worst = largest_ratio(E, s->newton.E_guess);
-    if (worst <= CLEAR)
+    if (worst <= CLEAR*TOLERANCE)
         return worst;
 #endif
 #if LAW
@@ -563,7 +553,7 @@ static double dynamics_residual(model_solver *s)
         scale[i] = moved + min_of(s->newton.E_guess[i], fabs(unmoved));
     }
     worst = largest_ratio(E, scale);
-    if (worst <= CLEAR || !all_finite(MODEL_N, scale))
+    if (worst <= CLEAR*TOLERANCE || !all_finite(MODEL_N, scale))
         return all_finite(MODEL_N, scale) ? worst : INFINITY;
     look_at_rounding(s);
 #if !AFFINE
@@ -661,7 +651,7 @@ static double gap_residual(model_solver *s)
         return 0;
     for (int i = 0; i < MODEL_N; i++)
         reach += (z[i] - s->newton.guess[i])*(z[i] - s->newton.guess[i]) + s->newton.E_guess[i]*s->newton.E_guess[i];
-    if (gap > CLEAR*reach) {
+    if (gap > CLEAR*TOLERANCE*reach) {
         look_at_rounding(s);
         for (int i = 0; i < MODEL_M; i++)
             unseen += ROUND_OFF*fabs(l[i])*s->newton.error_Y[i];
@@ -682,7 +672,7 @@ static double judge(model_solver *s)
         const double law = certified_law(s);
 #else
         double law = residual_by_code(s);
-        if (!(law <= CLEAR))
+        if (!(law <= CLEAR*TOLERANCE))
             law = min_of(law, certified_law(s)); /* both are numbers, or infinite */
 #endif
         residual = worse_of(residual, law);
@@ -792,7 +782,7 @@ static int newton(model_solver *s)
         return NONE;
 #if REFINED
     int passed = NONE; /* what passes is corrected until rounding explains its residual: elimination keeps a part of the system */
-    for (int iteration = 1; iteration <= NEWTON_ITERATIONS && spend(s); iteration++) {
+    for (int iteration = 1; iteration <= ITERATIONS && spend(s); iteration++) {
         const int solver = passed == NONE ? iterate(s) : correct(s) ? passed : NONE;
         if (solver == NONE || !evaluate(s))
             break;
@@ -812,7 +802,7 @@ static int newton(model_solver *s)
     return passed;
 #else
 #if AFFINE
-    for (int iteration = 1; iteration <= NEWTON_ITERATIONS && spend(s); iteration++) {
+    for (int iteration = 1; iteration <= ITERATIONS && spend(s); iteration++) {
         const int solver = iterate(s);
         if (solver == NONE || !evaluate(s))
             return NONE;
@@ -824,7 +814,7 @@ static int newton(model_solver *s)
 #else
     int best = NONE;
     double least = INFINITY; /* residual so far */
-    for (int iteration = 1; iteration <= NEWTON_ITERATIONS && spend(s); iteration++) {
+    for (int iteration = 1; iteration <= ITERATIONS && spend(s); iteration++) {
         const int solver = iterate(s);
         if (solver == NONE || !evaluate(s))
             break;
@@ -833,7 +823,7 @@ static int newton(model_solver *s)
         if (residual <= TOLERANCE) {
             if (best != NONE && s->newton.best.residual <= residual)
                 break;
-            if (residual <= ENOUGH || residual > least/10) /* as good as it gets */
+            if (residual <= ENOUGH*TOLERANCE || residual > least/GAIN) /* as good as it gets */
                 return solver;
             keep(s);
             best = solver;
@@ -906,7 +896,7 @@ static int on_index_set(model_solver *s)
     if (!evaluate(s))
         return 0;
     double size = defect(s, free);
-    for (int iteration = 1; iteration <= SMOOTH_ITERATIONS; iteration++) {
+    for (int iteration = 1; iteration <= NEWTON_ITERATIONS; iteration++) {
         const double old = size;
         int better = 0;
         if (smooth_direction(s, free) != 0)
@@ -924,15 +914,15 @@ static int on_index_set(model_solver *s)
                 make_exact(s);
 #endif
             size = evaluate(s) ? defect(s, free) : INFINITY;
-            better = size < (1 - 1e-4*t)*old;
-            if (better || size == (1 - 1e-4*t)*old || old == 0)
+            better = size < (1 - ARMIJO*t)*old;
+            if (better || size == (1 - ARMIJO*t)*old || old == 0)
                 break;
         }
         if (!(size < INFINITY))
             return 0;
         s->work.iterations = iteration;
         const double residual = judge(s);
-        if (residual <= 1e-2*TOLERANCE || (!better && iteration > 3))
+        if (residual <= ENOUGH*TOLERANCE || (!better && iteration > EARLY))
             return residual <= TOLERANCE;
     }
     return s->work.residual <= TOLERANCE;
@@ -946,7 +936,7 @@ static int nearby(model_solver *s)
     for (int count = 0; count < NEARBY_SETS && spend(s); count++) {
         this_index_set(s, MODEL_M, s->work.code);
         if (on_index_set(s))
-            return NEARBY_INDEX_SET;
+            return NEWTON_ON_THE_INDEX_SET;
         if (!next_index_set(s, LOWER, UPPER))
             break;
     }

@@ -3,18 +3,9 @@
 
 #define LOOK 256 /* steps between two looks at the clock, at most */
 
-enum { /* a row: state | l | y | residual | newton | multipliers | outputs | records */
-    AT_L = MODEL_NSTATE, AT_Y = AT_L + MODEL_M, AT_RESIDUAL = AT_Y + MODEL_M, AT_EXTRA = AT_RESIDUAL + 2,
-    AT_RECORDS = AT_EXTRA + @REWRITTEN_COLUMNS@
-};
+@COLUMNS@
 
-typedef struct {
-    double worst, newton, newton_max; /* residual, Newton iterations in all and in one step */
-    double worst_step, changes; /* the step with the worst residual, from 1; how often the index set changed */
-    double least; /* eigenvalue of W + W' so far, scaled as in Python; -inf: not looked at */
-    double counts[16]; /* steps by solver */
-    double status; /* of the step that ended the block; MODEL_OK: all steps are taken, or the time is over */
-} model_totals;
+@TOTALS@
 
 /* Where a run stands: what the next step starts from. */
 void model_place(model_solver *s, double k, double h, const double *x, const double *l, const signed char *index);
@@ -26,19 +17,16 @@ void model_fetch(const model_solver *s, double *x, double *l, signed char *index
 long model_size(void);
 
 #if INCLUSION
-static void inclusion_columns(const model_solver *s, double *columns)
+static void inclusion_columns(const model_solver *s, double *at)
 {
-    memcpy(columns, s->inclusion.v, sizeof s->inclusion.v);
-    columns += MODEL_NX;
+    memcpy(at + AT_V, s->inclusion.v, sizeof s->inclusion.v);
 #if SELECTION
-    memcpy(columns, s->inclusion.selection, sizeof s->inclusion.selection);
-    columns += MODEL_SELECTION;
+    memcpy(at + AT_SELECTION, s->inclusion.selection, sizeof s->inclusion.selection);
 #endif
-    memcpy(columns, s->inclusion.defect, sizeof s->inclusion.defect);
-    columns += MODEL_NX;
-    columns[0] = s->inclusion.predictor_distance;
-    columns[1] = s->inclusion.excess;
-    columns[2] = s->inclusion.tolerance;
+    memcpy(at + AT_DEFECT, s->inclusion.defect, sizeof s->inclusion.defect);
+    at[AT_PREDICTOR_DISTANCE] = s->inclusion.predictor_distance;
+    at[AT_EXCESS] = s->inclusion.excess;
+    at[AT_TOLERANCE] = s->inclusion.tolerance;
 }
 
 #endif
@@ -58,6 +46,9 @@ static int exceeds(double (*S)[MODEL_M], double shift, double (*L)[MODEL_M])
     return 1;
 }
 
+#define LOWER_BY 1e-3 /* part by which a least eigenvalue must be below the one known */
+#define RESOLVED 1e-9 /* part of it to which it is found */
+
 /* The least eigenvalue of (W + W')/2, rows and columns scaled alike, where it is below 0 and the least so far; else that. */
 static double least_eigenvalue(const double *W, double least)
 {
@@ -75,10 +66,10 @@ static double least_eigenvalue(const double *W, double least)
         for (int j = 0; j < MODEL_M; j++)
             S[i][j] /= d[i]*d[j];
     double high = least < 0 ? least : 0.0, low = -MODEL_M - 1.0;
-    high -= 1e-3*fabs(high) + 64*MODEL_M*EPS; /* no search for what is nearly known */
+    high -= LOWER_BY*fabs(high) + MONOTONE_ERROR*MODEL_M*EPS; /* no search for what is nearly known */
     if (exceeds(S, high, L))
         return least;
-    while (high - low > 1e-9*fabs(high)) {
+    while (high - low > RESOLVED*fabs(high)) {
         const double middle = (low + high)/2;
         if (exceeds(S, middle, L))
             low = middle;
@@ -94,14 +85,14 @@ static void write_row(const model_solver *s, double *at)
 {
     memcpy(at, s->work.x_next, sizeof s->work.x_next);
     at[AT_RESIDUAL] = s->work.residual;
-    at[AT_RESIDUAL + 1] = s->work.iterations;
+    at[AT_NEWTON] = s->work.iterations;
 #if LAW
     memcpy(at + AT_L, s->work.l, sizeof s->work.l);
     memcpy(at + AT_Y, s->work.y, sizeof s->work.y);
 #endif
 #if REWRITTEN
-    memcpy(at + AT_EXTRA, s->work.multipliers, sizeof s->work.multipliers);
-    memcpy(at + AT_EXTRA + MODEL_NL, s->work.outputs, sizeof s->work.outputs);
+    memcpy(at + AT_MULTIPLIERS, s->work.multipliers, sizeof s->work.multipliers);
+    memcpy(at + AT_OUTPUTS, s->work.outputs, sizeof s->work.outputs);
 #endif
 #if RECORDS
 #if LAW
@@ -111,7 +102,7 @@ static void write_row(const model_solver *s, double *at)
 #endif
 #endif
 #if INCLUSION
-    inclusion_columns(s, at + AT_RECORDS);
+    inclusion_columns(s, at);
 #endif
     for (int j = 0; j < @WIDTH@; j++)
         at[j] += 0.0; /* no -0 */

@@ -139,7 +139,7 @@ static int solve_rows(model_solver *s)
         S_times(s, l, v);
         for (int i = 0; i < MODEL_M; i++) {
             y[i] = b[i] - Y_z_times(s, i, v);
-            if (place[i] == OUT && y[i] < -4*(MODEL_N + 4)*EPS*(fabs(b[i]) + Y_z_size(s, i, v))) {
+            if (place[i] == OUT && y[i] < -SUM_ERROR*(MODEL_N + BESIDE)*EPS*(fabs(b[i]) + Y_z_size(s, i, v))) {
                 place[i] = WANTED;
                 violated++;
             }

@@ -14,6 +14,4 @@ static void first_multiplier(const model_solver *s, double *l, signed char *code
 static int spend(model_solver *s) { return s->spent < s->budget ? (s->spent++, 1) : 0; }
 
 /* Whose answer a step is. */
-enum {
-    NONE, LAST_INDEX_SET, INDEX_SET, LEMKE, ENUMERATION, SEMISMOOTH, NEARBY_INDEX_SET, CLIP, OUTER_APPROXIMATION, NONE_NEEDED
-};
+@SOLVERS@

@@ -1,0 +1,113 @@
+"""The structs that Python and C both read: each is a table, which prints the C and makes the ``ctypes.Structure``."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from nsmodel.codegen.statuses import SOLVERS
+
+KINDS: dict[str, Any] = {"double": ctypes.c_double, "int": ctypes.c_int, "long": ctypes.c_long}  # All others are pointers.
+
+
+class Line(NamedTuple):
+    """Members of one kind, as a line of C: their names, each with its ``[size]`` where it is an array, and what they are."""
+
+    kind: str
+    names: str
+    about: str = ""
+
+    def c(self) -> str:
+        """The declaration."""
+        base, stars = re.fullmatch(r"(.*?)\s*(\*.*)?", self.kind).groups("")  # pyright: ignore[reportOptionalMemberAccess]
+        listed = ", ".join(stars + name for name in self.names.split())
+        return f"    {base} {listed};{f' /* {self.about} */' if self.about else ''}\n"
+
+    def members(self, sizes: Mapping[str, int]) -> Iterator[tuple[str, Any]]:
+        """Name and type of each member; ``sizes``: what the sizes that are no numbers are."""
+        kind = KINDS.get(self.kind, ctypes.c_void_p)
+        for name, size in re.findall(r"(\w+)(?:\[(\S+)\])?", self.names):
+            yield name, kind * (int(size) if size.isdigit() else sizes[size]) if size else kind
+
+
+class Struct(NamedTuple):
+    """A struct of C: its name and its lines."""
+
+    name: str
+    lines: tuple[Line, ...]
+
+    def c(self) -> str:
+        """The definition, for a model called "model"."""
+        return f"typedef struct {{\n{''.join(line.c() for line in self.lines)}}} {self.name};"
+
+    def in_python(self, **sizes: int) -> Any:
+        """The same for ctypes."""
+        fields = [member for line in self.lines for member in line.members(sizes)]
+        return type(self.name, (ctypes.Structure,), {"_fields_": fields})
+
+
+TOTALS = Struct(
+    "model_totals",
+    (
+        Line("double", "worst newton newton_max", "residual, Newton iterations in all and in one step"),
+        Line("double", "worst_step changes", "the step with the worst residual, from 1; how often the index set changed"),
+        Line("double", "least", "eigenvalue of W + W' so far, scaled as in Python; -inf: not looked at"),
+        Line("double", f"counts[{len(SOLVERS)}]", "steps by solver"),
+        Line("double", "status", "of the step that ended the block; MODEL_OK: all steps are taken, or the time is over"),
+    ),
+)
+CONTROL = Struct(
+    "model_control",
+    (
+        Line("double", "T rtol largest least crossing grow negligible",
+             "the constants of adaptive.py; j between largest and least"),
+        Line("double", "order", "of the scheme on one index set, but for rows that are held and lower it to 1"),
+        Line("double", "t j fresh", "time in units of T/2^(least + 1); the step is T/2^j; fresh: no step has been taken"),
+        Line("double", "accepted rejected extrapolated at_least_step least_step"),
+        Line("double", "x[STATES] l[ROWS] index[ROWS] lowering[ROWS]"),
+        Line("double", "atol[WATCHED] size[WATCHED] group[WATCHED] watched[WATCHED] rate[WATCHED]"),
+    ),
+)  # fmt: skip
+MOTION = Struct(
+    "model_motion",
+    (
+        Line("const model_functions *", "model"),
+        Line("double", "t h tolerance"),
+        Line("int", "n"),
+        Line("const double *", "q", "(n, DIM)"),
+        Line("const unsigned char *", "present", "(n)"),
+        Line("const double *", "velocity", "(n, DIM) f, where it is given from outside; else NULL"),
+        Line("const double *", "numbers", "(n, NUMBERS)"),
+        Line("const double *const *", "items", "for each family, its items' numbers"),
+        Line("const int *", "item_count"),
+        Line("const int *const *", "over", "for each family, the pairs it runs over (2 each), or NULL: all"),
+        Line("const int *", "over_count"),
+        Line("const double *", "farthest", "for each family the largest c of g = |q_i - q_j| - c; negative: another kind"),
+        Line("const double *const *", "halves",
+             "for each such family (n) numbers with c_ij <= half_i + half_j, which serve for the largest c; NULL: half of it"),
+        Line("const double *", "p"),
+        Line("long", "budget", "the most work"),
+        Line("double", "motion", "the largest |d_i| of the last step; 0: unknown"),
+        Line("int", "contacts", "of the last step: rows with m > 0"),
+        Line("const int *", "family first second"),
+        Line("const double *", "multiplier"),
+        Line("double *", "q_next", "from here on what the step gives"),
+        Line("unsigned char *", "leaves", "(n) who leaves after the step; NULL: not asked"),
+        Line("int", "contacts_out", "as those of the last step; they lie in the memory given"),
+        Line("int *", "family_out first_out second_out"),
+        Line("double *", "multiplier_out"),
+    ),
+)  # fmt: skip
+REPORT = Struct(
+    "model_report",
+    (
+        Line("double", "residual gap motion cutoff"),
+        Line("int", "worst_family worst_first worst_second"),
+        Line("int", "rows groups largest factorisations repeats"),
+        Line("int", "by_active_set by_interior unsettled"),
+        Line("long", "work", "linear systems factored or solved"),
+    ),
+)
+TIMED_REPORT = REPORT._replace(lines=(*REPORT.lines, Line("double", "search assembly solve", "CPU seconds")))

@@ -1,0 +1,117 @@
+"""What Python and C both know stands once: constants and structs."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+import shutil
+import subprocess
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+import nsmodel
+from nsmodel import load
+from nsmodel.codegen import bodies, constants, structs
+from nsmodel.codegen.fragments import FOLDER, prefixed
+from nsmodel.codegen.scene import make_scene
+from nsmodel.codegen.source import write_source
+from nsmodel.grid import make_grid
+from nsmodel.laws import C as LAWS
+
+CASES = Path(nsmodel.__file__).parents[1] / "cases"
+FRAGMENTS = {path.name: path.read_text(encoding="utf-8") for path in (*FOLDER.glob("*.[ch]"), *LAWS.glob("*.c"))}
+OF_BODIES = {"block_ldl.c", "group.c", "bodies.c"}
+LITERAL = re.compile(r"(?<![\w.])(?:0x[0-9a-fA-F]+|(?:\d+\.\d*|\.\d+|\d+)(?:[eE][-+]?\d+)?)[uUlL]*(?!\w)")
+ALLOWED = {"0", "1", "2", "0.0", "1.0", "2.0", "0.5"}
+OTHERS = {  # by file, with the reason
+    "adaptive.c": {"4": "a step of twice the length begins where both halves of two steps end"},
+    "affine.c": {"3": "codes of a row: 0, -1, 1"},
+    "block_ldl.c": {"3": "tiles of 4 x 4, written out", "4": "the same", "3.0": "the sum of squares up to n is n^3/3"},
+    "bodies.c": {"3": "dimensions of a grid of cells", "3.0": "so many cells below the first one no neighbour is in one"},
+    "bodies_main.c": {"10": "decimal"},
+    "curved.c": {"4": "two starts, twice each"},
+    "example_main.c": {"10": "decimal"},
+    "guard.c": {"1e-25": "lost beside 1"},
+    "rounding.c": {"13": "shifts of the hash", "15": "the same", "16": "the same", "0xFFFFFFFFUL": "32 bits"},
+}
+
+
+def code_of(text: str) -> str:
+    """C without comments, strings and includes."""
+    text = re.sub(r"/\*.*?\*/", " ", text, flags=re.DOTALL)
+    return re.sub(r'"(?:\\.|[^"\\\n])*"|^#include.*$', " ", text, flags=re.MULTILINE)
+
+
+@pytest.mark.parametrize("name", sorted(FRAGMENTS))
+def test_a_number_in_c_has_a_name(name):
+    """It stands in the table of `constants`, or, where only the C has it, in a #define."""
+    lines = [line for line in code_of(FRAGMENTS[name]).splitlines() if not re.match(r"#define \w+ ", line)]
+    found = {literal for line in lines for literal in LITERAL.findall(line)} - ALLOWED
+    assert found == set(OTHERS.get(name, ()))
+
+
+@pytest.mark.parametrize("name", sorted(FRAGMENTS))
+def test_a_number_that_the_c_alone_has_is_none_of_python(name):
+    own = re.findall(r"^#define (\w+) \S*\d", FRAGMENTS[name], re.MULTILINE)
+    table = constants.OF_BODIES if name in OF_BODIES else constants.OF_STEPS
+    assert [(key, module) for key in own for module in table if hasattr(import_module(f"nsmodel.{module}"), key)] == []
+
+
+@pytest.mark.parametrize(
+    ("table", "files"),
+    [(constants.OF_STEPS, FRAGMENTS.keys() - OF_BODIES), (constants.OF_BODIES, OF_BODIES | {"bodies_api.c"})],
+    ids=["steps", "bodies"],
+)
+def test_the_c_has_the_constants_of_python(table, files):
+    used = set(re.findall(r"\w+", " ".join(code_of(FRAGMENTS[name]) for name in files)))
+    for module, names in table.items():
+        for name in names.split():
+            line = constants.defined(module, name)
+            define, same, text = line.split()[:3]
+            assert (define, same, line.count("\n")) == ("#define", name, 1)
+            assert float(text.removesuffix("UL")) == getattr(import_module(f"nsmodel.{module}"), name)
+            assert line.count("/*") == line.count("*/") == 1, f"{module}.{name} needs a comment"
+            assert name in used
+
+
+def layout(program: str, prefix: str, folder: Path, structure: structs.Struct, **sizes: int) -> tuple[list[int], list[int]]:
+    """Size and offsets in C, where ``program`` has the struct, and in Python."""
+    own = structure.in_python(**sizes)
+    name = prefixed(structure.name, prefix)
+    asked = [f"sizeof({name})", *(f"offsetof({name}, {field})" for field, _ in own._fields_)]
+    prints = "\n".join(f'    printf("%zu\\n", {text});' for text in asked)
+    headers = "#include <stddef.h>\n#include <stdio.h>\n"
+    (folder / "main.c").write_text(f"{headers}{program}\nint main(void)\n{{\n{prints}\n    return 0;\n}}\n")
+    subprocess.run(["gcc", "-std=gnu99", "-o", "main", "main.c", "-lm"], cwd=folder, check=True)
+    in_c = subprocess.run(["./main"], cwd=folder, check=True, capture_output=True, text=True).stdout.split()
+    return [int(number) for number in in_c], [ctypes.sizeof(own), *(getattr(own, field).offset for field, _ in own._fields_)]
+
+
+needs_gcc = pytest.mark.skipif(shutil.which("gcc") is None, reason="no C compiler")
+
+
+@needs_gcc
+@pytest.mark.parametrize("case", ["diode_bridge", "friction_oscillator"])
+def test_the_structs_of_a_run_are_those_of_the_c(case, tmp_path):
+    source = source_of(load(CASES / f"{case}.py"))
+    for name, text in {"step.h": source.header, "step.c": source.code, "rollout.c": source.rollout}.items():
+        (tmp_path / name).write_text(text)
+    watched = (2 if "VELOCITY" in source.flags else 1) * source.sizes["NX"]
+    sizes = {"STATES": source.sizes["NSTATE"], "ROWS": max(source.sizes["M"], 1), "WATCHED": watched}
+    for structure in (structs.TOTALS, structs.CONTROL):
+        in_c, in_python = layout('#include "rollout.c"', "step", tmp_path, structure, **sizes)
+        assert in_c == in_python
+
+
+@needs_gcc
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_the_structs_of_many_bodies_are_those_of_the_c(d, tmp_path):
+    for structure in (structs.MOTION, structs.TIMED_REPORT):
+        in_c, in_python = layout(bodies.solver_source(d), "model", tmp_path, structure)
+        assert in_c == in_python
+
+
+def source_of(model):
+    return write_source(make_scene(model, None, make_grid(model.bind(None), None, None, None), True, 1e-9), "step", "")
