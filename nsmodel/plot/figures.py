@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel.classes.registry import class_named
 from nsmodel.plot import crowd, style
-from nsmodel.plot.plane import phase
+from nsmodel.plot.plane import phase, plots_of
 from nsmodel.plot.strip import MAX_ROWS, index_strip
 from nsmodel.plot.time import MAX_LINES, energy, multipliers, residual, states
 from nsmodel.storage import replacing
@@ -104,9 +103,8 @@ def save(figure: Figure, path: Path, dpi: int = 100) -> None:
 
 def _panels(run: Trajectory, model: Any, *, lines: int, rows: int) -> dict[str, Panel]:
     """What the run can give, with at most so many lines and rows of the index set."""
-    found = class_named(run.metadata.get("model_class"))
-    part = None if found is None else found.optional("plots")
-    own = {} if part is None else part.panels(run, model)
+    plots = plots_of(run)
+    own = {} if plots is None else plots.panels(run, model)
     if "frame" in own:
         return own
     panels: dict[str, Panel] = {"states": (2.6, partial(states, run, limit=lines)), **own}

@@ -104,12 +104,17 @@ def configuration(run: Trajectory, model: Any = None, row: int = -1, *, ax: Axes
         PlotError: another class of model, more than two states and no scene, no model, or no such row.
 
     """
-    kind = run.metadata.get("model_class")
-    found = class_named(kind)
-    part = None if found is None else found.optional("plots")
-    if part is None:
+    own = plots_of(run)
+    if own is None:
+        kind = run.metadata.get("model_class")
         raise PlotError(f"a configuration is drawn for a SweepingProcess, and this run is of a {kind}")
-    return part.configuration(run, model, row, ax)
+    return own.configuration(run, model, row, ax)
+
+
+def plots_of(run: Trajectory) -> Any:
+    """The pictures that the class of the run's model brings; None where it brings none."""
+    found = class_named(run.metadata.get("model_class"))
+    return None if found is None else found.optional("plots")
 
 
 def half_plane(ax: Axes, run: Trajectory, gap: Gap, row: int) -> Axes:
