@@ -76,7 +76,7 @@ class Stepper:
         s = self.structure
         if self.plan.path != "newton" or not self.plan.use_last or self.law.curved or not 0 < s.n + s.m <= repeated.MOST:
             return None
-        found = Repeated(self.problem, s, self.law, self.layout, self.tolerance, self._newton.enough)
+        found = Repeated(self._newton, self.layout)
         return found if found.useful else None
 
     @property
@@ -87,8 +87,7 @@ class Stepper:
     @property
     def least_eigenvalue(self) -> float:
         """Least eigenvalue of the scaled W + W' met so far, at the start included."""
-        met = np.inf if self._sparse else self._newton.least_eigenvalue
-        return min(self.plan.least_eigenvalue, met, np.inf if self._repeated is None else self._repeated.least_eigenvalue)
+        return min(self.plan.least_eigenvalue, np.inf if self._sparse else self._newton.least_eigenvalue)
 
     def met(self, least_eigenvalue: float) -> None:
         """Note what steps met that were computed elsewhere."""

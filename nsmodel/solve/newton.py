@@ -138,6 +138,11 @@ class Newton:
         W = None if eliminated is None else at.Y_l + at.Y_z @ eliminated[1]
         return W if W is not None and np.isfinite(W).all() else None
 
+    def note_eigenvalue(self, W: np.ndarray | None) -> None:
+        """Note the least eigenvalue of W + W', where it has one."""
+        if W is not None:
+            self.least_eigenvalue = min(self.least_eigenvalue, least_eigenvalue(W))
+
     def affine_problem(self, t: float, h: float, state: np.ndarray, l: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
         """(W, b) of the first iterate; (None, None) where the linear system is singular."""
         at = self.linearise(t, h, state, self.guess(t, h, state, l), l)
@@ -250,7 +255,7 @@ class Newton:
         if not self._by_rows:
             W = at.Y_l + at.Y_z @ Z
             if l.size <= WORKING_SET_ABOVE and not self.structure.gram:
-                self.least_eigenvalue = min(self.least_eigenvalue, least_eigenvalue(W))
+                self.note_eigenvalue(W)
             return mlcp.solve(W, b, self.law, l, index, chain, self.structure.symmetric, self.tolerance / STRICTER)
         chosen = (b < 0) | (index == 0)
         for _ in range(l.size + 1):

@@ -20,6 +20,7 @@ from nsmodel.proof.graph import column
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.certificate import EPS, GROWTH, NEGLIGIBLE, ROUNDING, UNRESOLVED, NumericLaw, bound_size
 from nsmodel.solve.layout import Layout, extras
+from nsmodel.solve.newton import Newton
 from nsmodel.solve.rounding import FRAGILE, UNIT
 from nsmodel.solve.structure import Structure, least_eigenvalue
 
@@ -58,10 +59,9 @@ class Linear:
 class Repeated:
     """The step on the last index set; ``law`` has boxes alone. ``call`` returns None where the general way has to be gone."""
 
-    def __init__(
-        self, problem: OneStepProblem, structure: Structure, law: NumericLaw, layout: Layout, tolerance: float, enough: float
-    ) -> None:
-        self._law, self._layout, self._enough, m = law, layout, enough, law.size
+    def __init__(self, newton: Newton, layout: Layout) -> None:
+        problem, structure, law, tolerance = newton.problem, newton.structure, newton.law, newton.tolerance
+        self._newton, self._law, self._layout, m = newton, law, layout, law.size
         self._most = 1 if structure.affine else ITERATIONS  # an affine step that is not there at once is refined elsewhere
         p, at = problem, Linear.of(problem, structure)
         code, bound = ca.SX.sym("code", m), ca.SX.sym("bound", m)
@@ -89,7 +89,6 @@ class Repeated:
             self._run.append((buffer, run))
         self._loaded: np.ndarray | None = None
         self._possible = False
-        self.least_eigenvalue = np.inf
 
     def call(self, t: float, h: float, state: np.ndarray, l: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, float] | None:
         """Return the packed row and the overreach of the step, on the index set ``index`` from the multipliers ``l``."""
@@ -102,13 +101,14 @@ class Repeated:
         self._run[0][1]()
         last = np.inf
         for iteration in range(1, self._most + 1):
-            self._look()
+            if not out[3][0] > 0:
+                self._look(t, h, state, given[6] if iteration > 1 else None, given[3])
             if out[3][1] != 1.0:
                 return None
             given[6][:], given[3][:] = out[0], out[1]
             self._run[1][1]()
             residual = out[4][self._layout.residual]
-            if residual <= self._enough:
+            if residual <= self._newton.enough:
                 fragility, reach = out[5]
                 if not fragility <= FRAGILE * max(self._held, 1):
                     return None
@@ -126,13 +126,11 @@ class Repeated:
         self._in[4][:], self._in[5][:] = index, bound
         self._held, self._possible, self._loaded = int(held.sum()), bool(np.isfinite(bound).all()), index
 
-    def _look(self) -> None:
-        """Note the least eigenvalue of W + W' where it may be below 0."""
-        if not self._out[3][0] > 0:
-            m = self._law.size
-            W = self._out[2].reshape(m, m, order="F")
-            if np.isfinite(W).all():
-                self.least_eigenvalue = min(self.least_eigenvalue, least_eigenvalue(W))
+    def _look(self, t: float, h: float, state: np.ndarray, z: np.ndarray | None, l: np.ndarray) -> None:
+        """Let Newton's method note the least eigenvalue of W + W' where that may be below what it has met."""
+        newton, W = self._newton, self._out[2].reshape(self._law.size, -1, order="F")
+        if np.isfinite(W).all() and least_eigenvalue(W) < newton.least_eigenvalue:
+            newton.note_eigenvalue(newton.matrix_at(t, h, state, newton.guess(t, h, state, l) if z is None else z, l))
 
 
 def _iteration(
