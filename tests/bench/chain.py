@@ -55,7 +55,7 @@ def table() -> str:
         compiled = f"{each[True]:9.1f}" if True in each else f"{'':9}"
         setup = " + ".join(f"{value:.1f}" for value in ready.values())
         lines.append(f"{n:7d} {each[False]:12.1f} {compiled} {beside} {setup:>12} {megabytes(n):8.1f}")
-        if any(line.startswith("sparse matrices") for line in run_of(n, 2).plan.used):
+        if any(line.startswith("sparse matrices") for line in run_of(n, 2).walk.plan.used):
             parts.append((n, shares(n, min(steps, 100))))
         if peer and n in GOALS:
             lines[-1] += f"   goal {GOALS[n]} times: {'met' if peer / best >= GOALS[n] else 'NOT MET'}"
