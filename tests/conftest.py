@@ -24,7 +24,8 @@ KINDS = {  # Marks of test files, by what their names begin with; what is in non
     "slow": (
         "test_adaptive", "test_agreement", "test_cases", "test_check", "test_cli", "test_closed", "test_convex", "test_crowd",
         "test_docs", "test_extreme", "test_makefile", "test_many", "test_moving", "test_orders", "test_plot", "test_repeated",
-        "test_resume", "test_rounding", "test_schemes", "test_search", "test_sparse", "test_stress", "test_study", "test_one_variable", "test_certificate_files",
+        "test_resume", "test_rounding", "test_schemes", "test_search", "test_sparse", "test_stress", "test_study",
+        "test_one_variable", "test_certificate_files",
         "test_sum_of_squares",
     ),
 }  # fmt: skip
