@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from nsmodel import MonotoneInclusion, StepError, Trajectory, check, explain, simulate, stress
+from nsmodel import MonotoneInclusion, StepError, Trajectory, check, explain, relay, simulate, stress
 from nsmodel.classes.inclusion.judge import misfits
 
 T = ca.SX.sym("t")
@@ -229,6 +229,18 @@ def test_the_judge_finds_a_step_that_is_wrong(scheme):
     wrong = Trajectory(run.arrays | {"x": run.x + 1e-5 * (np.arange(len(run.t)) == 12)[:, None]}, run.metadata)
     with np.errstate(all="ignore"):
         assert max(misfits(model, wrong).values()) > 100
+
+
+def test_the_judge_knows_what_a_state_is_known_to():
+    """A state that comes to rest at a jump of S is off it by a rounding of the step, on either side."""
+    model = MonotoneInclusion(
+        x=Y, field=[1 - Y[1], -Y[0]], operator=relay(2, -1, 1), lower=-1, upper=2, x0=[0, 0.1], t_end=1, step=0.02,
+        scheme="implicit",
+    )  # fmt: skip
+    run = simulate(model, compiled=False)
+    assert 0 < np.abs(run.x[5, 1]) < 1e-16
+    with np.errstate(all="ignore"):
+        assert max(misfits(model, run).values()) <= 1
 
 
 def test_explain_names_the_scheme():

@@ -162,6 +162,15 @@ def _curved_residual(block: Any, l: Any, y: Any, s_y: Any, s_l: Any, w_max: Any)
     return float(distance / scale) if distance else 0.0
 
 
+def largest_in_symbols(items: list[ca.SX]) -> ca.SX:
+    """The largest of some sizes; inf where one is no number."""
+    worst = ca.SX(0)
+    for item in items:
+        # fmax passes over a NaN; comparisons with one are false.
+        worst = ca.fmax(worst, ca.if_else(item < ca.inf, item, ca.inf))
+    return worst
+
+
 def settled_in_symbols(law: NumericLaw, rows: list[int], l: Any, y: Any, free: Any, round_off: Any) -> Any:
     """1 where (l, y) needs no other index set: free l inside its bounds, y of the right sign at a bound; else 0."""
     good = ca.SX(1)

@@ -17,6 +17,7 @@ from nsmodel.solve.certificate import (
     SYMBOLS,
     UNRESOLVED,
     NumericLaw,
+    largest_in_symbols,
     output_scale,
     residual_in_symbols,
     settled_in_symbols,
@@ -230,7 +231,7 @@ def _judge(
     s_E = ca.fmax(s_E + error_E / tolerance, UNRESOLVED)
     # An infinite scale excuses nothing.
     ratios = [ca.if_else(s_E[i] < ca.inf, ca.fabs(at.E[i]) / s_E[i], ca.inf) for i in range(n)]
-    residual = _largest([ca.if_else(at.E[i] == 0, 0, ratios[i]) for i in range(n)])
+    residual = largest_in_symbols([ca.if_else(at.E[i] == 0, 0, ratios[i]) for i in range(n)])
     settled = ca.SX(1)
     if m:
         w_max = np.abs(W).max(axis=1)
@@ -250,11 +251,3 @@ def _judge(
     rest = [ca.substitute(e, p.y, y) if e.numel() and m else e for e in at.rest]
     packed = ca.densify(ca.vertcat(rest[0], l, y, residual, 1, *rest[1:]))
     return ca.Function("judge", [p.t, p.state, z, l, b, free], [packed, ca.densify(settled)])
-
-
-def _largest(items: list[ca.SX]) -> ca.SX:
-    worst = ca.SX(0)
-    for item in items:
-        # fmax passes over a NaN; comparisons with one are false.
-        worst = ca.fmax(worst, ca.if_else(item < ca.inf, item, ca.inf))
-    return worst

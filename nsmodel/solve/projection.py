@@ -83,7 +83,6 @@ class CatchingUp:
         eps, end = self._eps(k, h), t + h
         if self._clip:
             bounds = self._bounds(end)
-            _refuse_empty(end, *bounds)
             x, solver = np.clip(y, *bounds), "clip"
             d2 = float(np.sum((x - y) ** 2))
             l = self._box_multipliers(x - y, *bounds)
@@ -252,18 +251,19 @@ def bounds_of(given: Prediction, t: ca.SX) -> Callable[[float], tuple[np.ndarray
         lower, upper = f(time)
         return np.array(lower).ravel(), np.array(upper).ravel()
 
+    def moved(time: float) -> tuple[np.ndarray, np.ndarray]:
+        lower, upper = at(time)
+        for i in np.flatnonzero(lower > upper):
+            raise StepError(f"C is empty at t = {time:.10g}: lower[{i}] = {lower[i]:.10g} > upper[{i}] = {upper[i]:.10g}")
+        return lower, upper
+
     fixed = at(0.0)
-    return at if ca.depends_on(ca.vertcat(*given.box), t) else lambda time: fixed
+    return moved if ca.depends_on(ca.vertcat(*given.box), t) else lambda time: fixed
 
 
 def _clip_plan(plan: Plan, exact: bool) -> Plan:
     used = ("projection on bounds: a clip" + ("" if exact else ", then moved inwards by what eps_k allows"),)
     return replace(plan, path="clip", chain=(), ipopt="never", used=used, left_out=("every solver: C is a box",))
-
-
-def _refuse_empty(t: float, lower: np.ndarray, upper: np.ndarray) -> None:
-    for i in np.flatnonzero(lower > upper):
-        raise StepError(f"C is empty at t = {t:.10g}: lower[{i}] = {lower[i]:.10g} > upper[{i}] = {upper[i]:.10g}")
 
 
 def _use_tolerance(p: np.ndarray, y: np.ndarray, eps: float, lo: np.ndarray, up: np.ndarray) -> np.ndarray:

@@ -18,7 +18,18 @@ import numpy as np
 
 from nsmodel.proof.graph import column
 from nsmodel.scheme.problem import OneStepProblem
-from nsmodel.solve.certificate import EPS, GROWTH, NEGLIGIBLE, ROUNDING, UNRESOLVED, NumericLaw, bound_size
+from nsmodel.solve.certificate import (
+    EPS,
+    GROWTH,
+    NEGLIGIBLE,
+    ROUNDING,
+    SYMBOLS,
+    UNRESOLVED,
+    NumericLaw,
+    bound_size,
+    box_residual,
+    largest_in_symbols,
+)
 from nsmodel.solve.layout import Layout, extras
 from nsmodel.solve.newton import Newton
 from nsmodel.solve.rounding import FRAGILE, UNIT
@@ -69,7 +80,7 @@ class Repeated:
         z_next, l_next, fragility, stays = _iteration(p, at, structure, law, code, bound)
         row = _judged(p, at, structure, law, tolerance, free)
         over = p.overreach if p.overreach is not None and m else ca.SX(0, 1)
-        reach = _largest([ca.if_else(p.l[i] == 0, 0, over[i]) for i in range(over.numel())])
+        reach = largest_in_symbols([ca.if_else(p.l[i] == 0, 0, over[i]) for i in range(over.numel())])
         watched = m > 0 and not structure.gram
         known = [p.t, p.h, p.state, p.l, code, bound, p.z]
         moved = [z_next, l_next, at.W, ca.vertcat(_pivot(at.W) if watched else 1, stays)]
@@ -194,17 +205,20 @@ def _judged(
     dz, unmoved = z - guess, ca.fabs(E_guess)
     here = ca.fabs(at.E - at.E_z @ dz - at.E_l @ l)
     error_E = rounding * (ca.fabs(at.E_z) @ ca.fabs(z) + ca.fabs(at.E_l) @ ca.fabs(l))
+    matrices = [entry for J in (at.E_z, at.E_l, at.Y_z, at.Y_l) for entry in ca.vertsplit(ca.vec(J)) if not entry.is_constant()]
     s_E = ca.fmin(unmoved, here) + ca.fabs(at.E_z) @ ca.fabs(dz) + error_E
-    worst = _largest([_ratio(ca.fabs(at.E[i]), ca.fmax(s_E[i], UNRESOLVED)) for i in range(z.numel())])
+    worst = largest_in_symbols([_ratio(ca.fabs(at.E[i]), ca.fmax(s_E[i], UNRESOLVED)) for i in range(z.numel())])
+    worst = largest_in_symbols([worst, *map(_finite, matrices)])
     if m:
         error_Y = rounding * (ca.fabs(at.Y_z) @ ca.fabs(z) + ca.fabs(at.Y_l) @ ca.fabs(l))
         s_y, s_l = _law_scales(at, law, l, free, error_Y)
-        worst = _largest([worst, *(_of_row(law, i, l[i], Y[i], s_l[i], s_y[i]) for i in range(m))])
+        rows = box_residual(law, l, Y, s_y, s_l, SYMBOLS)
+        worst = largest_in_symbols([worst, *ca.vertsplit(rows), *map(_finite, ca.vertsplit(ca.vertcat(l, Y, s_y, s_l)))])
         if structure.projection:
             gap = ca.dot(ca.fmax(l, 0), ca.fmax(Y, 0))
             reach = ca.fmax(ca.sumsqr(dz) + ca.sumsqr(unmoved), UNRESOLVED)
             unseen = tolerance * ca.dot(ca.fabs(l), error_Y)
-            worst = _largest([worst, ca.if_else(gap > unseen, gap / reach, 0)])
+            worst = largest_in_symbols([worst, ca.if_else(gap > unseen, gap / reach, 0)])
     y = ca.if_else(free, 0, Y) if m else Y
     rest = [p.next_state, *extras(p).values()]
     rest = [ca.substitute([e], [p.z, p.y], [z, y])[0] if e.numel() and m else e for e in rest]
@@ -212,8 +226,8 @@ def _judged(
     return ca.vertcat(rest[0], l, y, worst, 0, *map(ca.vec, rest[1:]))
 
 
-def _law_scales(at: Linear, law: NumericLaw, l: ca.SX, free: ca.SX, error_Y: ca.SX) -> tuple[list[ca.SX], list[ca.SX]]:
-    """s_y and s_l, as in `certificate`."""
+def _law_scales(at: Linear, law: NumericLaw, l: ca.SX, free: ca.SX, error_Y: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """s_y and s_l, as in `certificate`, where W is no number."""
     m, moved = law.size, at.Z @ l
     b = at.Y - at.Y_z @ moved - at.Y_l @ l
     terms = ca.fabs(at.Y_z) @ ca.fabs(moved) + ca.fabs(at.Y_l) @ ca.fabs(l)
@@ -230,28 +244,13 @@ def _law_scales(at: Linear, law: NumericLaw, l: ca.SX, free: ca.SX, error_Y: ca.
         s_y.append(ca.fmax(ca.if_else(root[i] > 0, capped, own) + error_Y[i], UNRESOLVED))
         large = ca.fmax(ca.fabs(l[i]), size[i])
         s_l.append(ca.if_else(root[i] > 0, ca.fmin(s_y[i] / w[i], ca.fmax(large, most / root[i])), large))
-    return s_y, s_l
+    return column(s_y), column(s_l)
 
 
-def _of_row(law: NumericLaw, i: int, l: ca.SX, y: ca.SX, s_l: ca.SX, s_y: ca.SX) -> ca.SX:
-    """The residual of a row of a box."""
-    lo, up, size = law.lower[i], law.upper[i], ca.fabs(y)
-    best = ca.fmax(_ratio(ca.fmax(ca.fmax(lo - l, l - up), 0), s_l), _ratio(size, s_y))
-    if np.isfinite(lo):
-        best = ca.fmin(best, ca.fmax(_ratio(ca.fabs(l - lo), s_l), _ratio(ca.if_else(y < 0, size, 0), s_y)))
-    if np.isfinite(up):
-        best = ca.fmin(best, ca.fmax(_ratio(ca.fabs(l - up), s_l), _ratio(ca.if_else(y > 0, size, 0), s_y)))
-    finite = ca.logic_and(ca.logic_and(ca.fabs(l) < ca.inf, size < ca.inf), s_y < ca.inf)
-    return ca.if_else(finite, best, ca.inf)
+def _finite(a: ca.SX) -> ca.SX:
+    """0 where it is a finite number, else inf."""
+    return ca.if_else(ca.fabs(a) < ca.inf, 0, ca.inf)
 
 
 def _ratio(a: ca.SX, s: ca.SX) -> ca.SX:
     return ca.if_else(a == 0, 0, ca.if_else(s < ca.inf, a / s, ca.inf))
-
-
-def _largest(items: list[ca.SX]) -> ca.SX:
-    worst = ca.SX(0)
-    for item in items:
-        # fmax passes over a NaN; comparisons with one are false.
-        worst = ca.fmax(worst, ca.if_else(item < ca.inf, item, ca.inf))
-    return worst

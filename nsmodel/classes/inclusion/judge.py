@@ -59,7 +59,8 @@ def _resolvent(model: MonotoneInclusion, run: Trajectory) -> Misfits:
     field, size = evaluated([model.t, model.x], [model.field, majorant(model.field)], t, x)
     w = field[:, :, 0] + (x - new) / h
     S = _signed(model) if model.potential_split is None else ca.gradient(potential(model.potential_split), model.x)
-    unseen = known_to(size) + ROUNDING * (np.abs(x) + np.abs(new)) / h + LAW * np.abs(field[:, :, 0])
+    place = ROUNDING * (np.abs(x) + np.abs(new) + h * np.abs(field[:, :, 0]))  # what x+ is known to, beside a jump of S too
+    unseen = known_to(size) + place / h + LAW * np.abs(field[:, :, 0])
     worst, near = 0.0, np.maximum(np.abs(new), np.abs(x)).max(axis=1, keepdims=True)
     probes = [new + s * p * near * e for e in np.eye(new.shape[1]) for p in PROBES for s in (1, -1)]
     for z, there in [*_rivals(model, run), *((z, _inside(model, end, z)) for z in probes)]:
@@ -69,6 +70,7 @@ def _resolvent(model: MonotoneInclusion, run: Trajectory) -> Misfits:
         there = there & np.isfinite(other).all(axis=1)
         gap = np.where(there, np.maximum(-((w - other) * away).sum(axis=1), 0), 0.0)
         allowed = (np.abs(away) * (unseen + known_to(rounding) + LAW * (np.abs(w) + np.abs(other)))).sum(axis=1)
+        allowed += (np.abs(w - other) * place).sum(axis=1)
         worst = max(worst, worst_of(gap[there], allowed[there]))
     return {"resolvent": worst}
 
