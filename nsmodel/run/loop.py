@@ -184,7 +184,7 @@ class Run:
             "stems": {stem: list(at) for stem, at in model.stems.items()},
             "units": dict(model.units),
             "parameters": dict(getattr(model, "bound_parameters", {})),
-            "save_every": int(self.options.save_every),
+            "save_every": self.options.save_every,
             "steps": walk.totals["steps"],
             "used": list(plan.used),
             "left_out": list(plan.left_out),

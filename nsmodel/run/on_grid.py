@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -11,43 +10,18 @@ from nsmodel.grid import Grid
 from nsmodel.model.base import Model
 from nsmodel.run.options import Options
 from nsmodel.run.schemes import OfScheme
-from nsmodel.run.walk import There, rows_in_memory
+from nsmodel.run.walk import OverGrid, There, rows_in_memory
 from nsmodel.scheme import shortened
 
 
-class OnGrid(OfScheme):
+class OnGrid(OverGrid, OfScheme):
     """The walk over a grid; see `walk.Walk`."""
 
     def __init__(self, model: Model, options: Options, grid: Grid, there: There) -> None:
         super().__init__(model, options, grid, grid, there)
-        self.grid, self.N, self.every = grid, grid.N, int(options.save_every)
+        self.grid, self.N, self.every = grid, grid.N, options.save_every
         row = 8 * (self.stepper.layout.width + 5) + self.warm.index.size
         self.record = self.start(grid, rows_in_memory(grid.N, options, row, len(self.known)))
-
-    @property
-    def bar(self) -> dict[str, Any]:
-        """Steps."""
-        return {"total": self.N, "initial": self.k, "unit": "step"}
-
-    @property
-    def passed(self) -> int:
-        """Steps taken."""
-        return self.k
-
-    @property
-    def ended(self) -> bool:
-        """Whether the grid has."""
-        return self.k >= self.N
-
-    @property
-    def time(self) -> float:
-        """t_k."""
-        return self.grid.time(self.k)
-
-    @property
-    def h(self) -> float:
-        """h_k."""
-        return self.grid.step(self.k)
 
     def advance(self, steps: int, stop: Sequence[float]) -> None:
         """Go on: a step that C cannot certify, or a shortened one, is interpreted."""

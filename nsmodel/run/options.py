@@ -35,7 +35,7 @@ class Options:
     atol: Any = None
 
     def __post_init__(self) -> None:
-        """Refuse what does not depend on the model."""
+        """Refuse what does not depend on the model; numbers become a float and an int."""
         if not (is_number(self.tolerance) and 0 < self.tolerance < 1):
             raise UsageError(f"tolerance = {written(self.tolerance)}; expected a number between 0 and 1")
         if not (isinstance(self.compiled, bool) or (isinstance(self.compiled, str) and self.compiled == "auto")):
@@ -48,6 +48,8 @@ class Options:
             raise UsageError(f"save_every = {written(self.save_every)}; expected a whole number >= 1")
         if self.resume and self.out is None:
             raise UsageError("resume needs out=, the folder of the run to continue")
+        object.__setattr__(self, "tolerance", float(self.tolerance))
+        object.__setattr__(self, "save_every", int(self.save_every))
 
     @property
     def folder(self) -> Path | None:

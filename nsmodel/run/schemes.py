@@ -68,7 +68,7 @@ class OfScheme:
         if given is not None and not callable(given) and 1 < np.size(given) < grid.N:
             raise UsageError(f"tolerances: {np.size(given)} values for {grid.N} steps; give one for each, or one for all")
         self.model: Any = model
-        self.options, self.in_c, tolerance = options, in_c, float(options.tolerance)
+        self.options, self.in_c, tolerance = options, in_c, options.tolerance
         self.problem, h = one_step_problem(model), grid.step(0)
         self._first = h
         self.known = initial_rows(model, h)
@@ -84,7 +84,7 @@ class OfScheme:
         steps = chosen(options, self.stepper.plan, there(), grid.N, self._cost, self._build)
         self.rollout, self.plan = steps.steps, steps.plan
         self.warnings = [*warnings_of(model, self.stepper.plan), *steps.warnings]
-        self.settings = settings(model, grid, options.solver, tolerance, int(options.save_every), steps.way)
+        self.settings = settings(model, grid, options.solver, tolerance, options.save_every, steps.way)
 
     def start(self, grid: Grid, capacity: int) -> Record:
         """Return the rows of a run that begins: those that are known before the first step."""

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from nsmodel.errors import StepError, UsageError
+from nsmodel.grid import Grid
 from nsmodel.model.base import Model
 from nsmodel.run.options import Options
 from nsmodel.solve.choose import Plan
@@ -101,6 +102,39 @@ class Walk(Protocol):
         ...
 
 
+class OverGrid:
+    """Where a walk over a grid stands: at row k of N."""
+
+    grid: Grid
+    N: int
+    k: int
+
+    @property
+    def bar(self) -> dict[str, Any]:
+        """Steps."""
+        return {"total": self.N, "initial": self.k, "unit": "step"}
+
+    @property
+    def passed(self) -> int:
+        """Steps taken."""
+        return self.k
+
+    @property
+    def ended(self) -> bool:
+        """Whether the grid has."""
+        return self.k >= self.N
+
+    @property
+    def time(self) -> float:
+        """t_k."""
+        return self.grid.time(self.k)
+
+    @property
+    def h(self) -> float:
+        """h_k."""
+        return self.grid.step(self.k)
+
+
 # -- failures ----------------------------------------------------------------------------------------------------------
 
 
@@ -136,7 +170,7 @@ def overrun(totals: dict[str, Any]) -> list[str]:
 
 def rows_in_memory(N: int, options: Options, row: int, known: int) -> int:
     """Rows of so many bytes kept in memory: all of them, or a chunk where they go to a folder."""
-    total = N // int(options.save_every) + 1 + known
+    total = N // options.save_every + 1 + known
     if options.folder is not None:
         return int(min(total, max(64, CHUNK_BYTES // row)))
     if total * row > _memory():

@@ -18,7 +18,7 @@ from nsmodel.hypotheses.quick import warnings_of
 from nsmodel.identity import settings
 from nsmodel.run.in_c import chosen
 from nsmodel.run.options import Options
-from nsmodel.run.walk import There, check_exact, note_distance_to_exact, overrun, rows_in_memory, runaway
+from nsmodel.run.walk import OverGrid, There, check_exact, note_distance_to_exact, overrun, rows_in_memory, runaway
 from nsmodel.solve.certificate import EPS
 from nsmodel.solve.choose import Plan
 from nsmodel.solve.cost import Cost, of_bodies
@@ -67,7 +67,7 @@ class BodiesRecord:
         return arrays | {"contact_row": row} | {f"contact_{k}": v for k, v in zip(Contacts._fields, parts, strict=True)}
 
 
-class OnGrid:
+class OnGrid(OverGrid):
     """The walk of many bodies over a grid; see `run.walk.Walk`.
 
     It stands at (k, q, waiting, warm): ``q (N, d)`` is NaN where a body is not there, ``waiting (N,)`` who has not yet entered.
@@ -77,7 +77,7 @@ class OnGrid:
 
     def __init__(self, model: ManyBodies, options: Options, grid: Grid, there: There) -> None:
         self.model: Any = model
-        self.grid, self.N, self.every, self.tolerance = grid, grid.N, int(options.save_every), float(options.tolerance)
+        self.grid, self.N, self.every, self.tolerance = grid, grid.N, options.save_every, options.tolerance
         check_exact(model)
         self.problem = BodiesProblem(model)
         self.stepper = BodiesStepper(self.problem, options.solver, self.tolerance)
@@ -105,29 +105,9 @@ class OnGrid:
             self.record.add(0.0, np.nan, self.q, gap, np.nan, np.nan, NO_CONTACTS)
 
     @property
-    def bar(self) -> dict[str, Any]:
-        """Steps."""
-        return {"total": self.N, "initial": self.k, "unit": "step"}
-
-    @property
-    def passed(self) -> int:
-        """Steps taken."""
-        return self.k
-
-    @property
     def ended(self) -> bool:
         """Whether the grid has, nobody is left, or nothing will ever change."""
-        return self.k >= self.N or "ended" in self.totals
-
-    @property
-    def time(self) -> float:
-        """t_k."""
-        return self.grid.time(self.k)
-
-    @property
-    def h(self) -> float:
-        """h_k."""
-        return self.grid.step(self.k)
+        return super().ended or "ended" in self.totals
 
     @property
     def runaway(self) -> tuple[str, float] | None:

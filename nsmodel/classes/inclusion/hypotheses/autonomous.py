@@ -56,14 +56,7 @@ CONTRACTS = ("M-T", "M-C", "M-A1", "M-24")
 def check(
     model: MonotoneInclusion, region: Region, runs: Sequence[Trajectory], quick: bool
 ) -> tuple[list[Finding], list[Consequence]]:
-    """Return one finding a hypothesis, and what follows.
-
-    Args:
-        model: bound.
-        region: the box in which what is not settled everywhere is looked at.
-        runs: of this model; their steps enter the tolerances.
-        quick: skip global searches.
-    """
+    """Return one finding a hypothesis, and what follows; see `check.check`."""
     C = set_of(model)
     x0 = np.array(ca.DM(model.x0)).ravel()
     if C.empty:
