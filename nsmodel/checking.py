@@ -104,7 +104,7 @@ def check(
         findings += [replace(item, scope=span) for item in along(bound, own[0], findings, twin, quick)]
         if not given:
             consequences += _refined(bound, own[0])
-    return _report(bound, box.text, findings, consequences, getattr(bound, "bound_parameters", {}), notes, quick)
+    return _report(bound, box.text, findings, consequences, bound.bound_parameters, notes, quick)
 
 
 def _for_all(
@@ -133,7 +133,7 @@ def _for_all(
     except OpaqueExpression as error:
         raise ModelError(str(error)) from None
     made = [replace(item, scope=meet(item.scope, Scope(parameters=boxes))) for item in made]
-    shown_values: dict[str, Any] = {**getattr(part, "bound_parameters", {}), **boxes}
+    shown_values: dict[str, Any] = {**part.bound_parameters, **boxes}
     notes.append(f"{', '.join(boxes)}: all values between the ends; looked at {len(at)} of them, the run is that of the middle")
     return _report(part, box.text, findings, made, shown_values, notes, quick)
 
@@ -188,7 +188,7 @@ def _symbolic(model: Model, values: Mapping[str, float | None], missing: Sequenc
 def _runs(model: Model, notes: list[str]) -> list[Trajectory]:
     """The model's own run, and for two classes one more from half way to where the first one ends."""
     t_end = _end(model)
-    if t_end is not None:
+    if t_end is not None and model.step is not None:
         notes.append(f"the run was cut at t = {t_end:g}, after {t_end / model.step:.0f} steps; check(model, [run]) takes any run")
     try:
         run = simulate(model, t_end=t_end)

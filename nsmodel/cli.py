@@ -636,7 +636,7 @@ def _refused(error: NsmodelError) -> int:
 def _table(results: Sequence[Result]) -> str:
     """One line a file: steps, time simulated and used, worst residual, index-set changes, the overview picture."""
     head = ("model", "status", "steps", "t", "worst residual", "index set changes", "run time", "picture")
-    lines = [head]
+    lines: list[tuple[str, ...]] = [head]
     for result in results:
         name, run, folder = Path(result.file).stem, result.run, result.folder
         if run is None:

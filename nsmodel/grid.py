@@ -36,7 +36,7 @@ class Grid:
 
     def around(self, rows: np.ndarray) -> tuple[Any, Any, Any]:
         """The times of these rows, the steps that end there and those that start there; no row is that of a shortened step."""
-        if self.steps is None:
+        if self.steps is None or self.times is None:
             return rows * self.h, self.h, self.h
         return self.times[rows], self.steps[rows - 1], self.steps[np.minimum(rows, self.N - 1)]
 

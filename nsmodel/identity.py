@@ -56,7 +56,7 @@ def fingerprint(model: Model, grid: Grid) -> str:
 
 def versions() -> dict[str, str]:
     """Versions of what the numbers depend on."""
-    return {"nsmodel": VERSION, "casadi": ca.__version__, "numpy": np.__version__, "python": platform.python_version()}
+    return {"nsmodel": VERSION, "casadi": ca.CasadiMeta.version(), "numpy": np.__version__, "python": platform.python_version()}
 
 
 def _hash(items: list[Any]) -> str:

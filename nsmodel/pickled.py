@@ -86,7 +86,8 @@ class _Pickler(pickle.Pickler):
         if isinstance(obj, MappingProxyType):
             return _frozen, (dict(obj),)
         if isinstance(obj, Pickled):
-            return copyreg.__newobj__, (type(obj),), vars(obj)
+            new = copyreg.__newobj__  # pyright: ignore[reportAttributeAccessIssue]
+            return new, (type(obj),), vars(obj)
         return _by_file(obj) if isinstance(obj, FunctionType | type) else NotImplemented
 
 

@@ -56,9 +56,11 @@ def dense(entries: Any) -> list[list[str]]:
     return matrix(values) if values.size else [[] for _ in range(len(values))]
 
 
-def _numbers_of(value: Any) -> Data:
+def _numbers_of(value: Any) -> str | list[str] | list[list[str]]:
     array = np.asarray(value, float)
-    return text(float(array)) if not array.ndim else matrix(array) if array.ndim > 1 else [text(number) for number in array]
+    if array.ndim > 1:
+        return matrix(array)
+    return [text(number) for number in array] if array.ndim else text(float(array))
 
 
 def law_data(law: Law) -> list[Data]:

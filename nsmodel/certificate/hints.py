@@ -175,7 +175,8 @@ def convexity(p: verify.Poly, own: Sequence[int], atoms: verify.Atoms) -> dict[s
         return {"cover": Grown()}
     parts = [_hint(part, [*names, *(-1 - v for v in names)]) for names, part in found]
     G = block_diag(*(part.G for _, part in found)) if parts else []
-    one = {"monomials": [m for part in parts for m in part["monomials"]], "G": [[text(Fraction(x)) for x in row] for row in G]}
+    rows = [[text(Fraction(x)) for x in row] for row in np.asarray(G, dtype=object)]
+    one = {"monomials": [m for part in parts for m in part["monomials"]], "G": rows}
     return {"squares": one} if verify.convex(p, own, atoms, one) else {"cover": Grown()}
 
 

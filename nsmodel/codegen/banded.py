@@ -26,7 +26,7 @@ class Matrices(NamedTuple):
         order = self.at.order
         upper = order.above + order.below  # of U, with what row interchanges fill in
         return {
-            "SIZE": self.at.J.shape[0], "NONZEROS": self.at.J.nnz, "BELOW": order.below, "UPPER": upper,
+            "SIZE": self.at.diagonal.size, "NONZEROS": self.at.J.nnz, "BELOW": order.below, "UPPER": upper,
             "BAND": order.below + upper + 1,
         }  # fmt: skip
 

@@ -44,7 +44,7 @@ def description(scene: Scene, source: Source, fingerprint: str) -> dict:
         "sizes": {key: source.sizes[key] for key in ("NX", "NSTATE", "NP", "NL", "N", "M")},
         "states": list(model.names),
         "parameters": scene.parameters,
-        "multipliers": list(getattr(model, "multiplier_names", problem.rows)),
+        "multipliers": list(problem.multiplier_names),
         "rows": list(problem.rows),
         "units": dict(model.units),
         "step": scene.h,
@@ -61,7 +61,7 @@ def description(scene: Scene, source: Source, fingerprint: str) -> dict:
 
 
 def _example(scene: Scene, source: Source, grid: Grid) -> str:
-    model, first = scene.model, 1 if getattr(scene.model, "x1", None) is not None else 0
+    model, first = scene.model, 1 if scene.model.tied_to_step else 0
     whole = grid.N if grid.steps is not None or grid.last == grid.h else grid.N - 1
     given = np.zeros(0) if grid.steps is None else grid.steps[:STEPS_IN_EXAMPLE]
     steps = given.tolist()
@@ -69,7 +69,7 @@ def _example(scene: Scene, source: Source, grid: Grid) -> str:
     names = list(model.names or ())
     columns = ["t", *names]
     columns += [f"v_{name}" for name in names] if "VELOCITY" in flags else []
-    columns += list(getattr(model, "multiplier_names", scene.problem.rows)) if "LAW" in flags else []
+    columns += list(scene.problem.multiplier_names) if "LAW" in flags else []
     words = {
         "NAME": source.name,
         "VELOCITIES": ", velocities" if "VELOCITY" in flags else "",

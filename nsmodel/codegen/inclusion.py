@@ -10,6 +10,7 @@ from nsmodel.codegen.scene import INCLUSION, Scene
 from nsmodel.codegen.tables import table
 from nsmodel.errors import CodegenError
 from nsmodel.laws import Law
+from nsmodel.proof.sure import sure
 from nsmodel.scheme.problem import Prediction
 from nsmodel.solve.certificate import NumericLaw, numeric_law
 from nsmodel.solve.layout import Layout
@@ -38,12 +39,14 @@ def flags(scene: Scene) -> dict[str, bool]:
 
 def projects(scene: Scene) -> bool:
     """Whether a step solves the projection problem exactly."""
-    return scene.path == INCLUSION and scene.problem.prediction.box is None and (not scene.allowed or min(scene.allowed) == 0)
+    given = scene.problem.prediction
+    return given is not None and given.box is None and (not scene.allowed or min(scene.allowed) == 0)
 
 
 def one_step(scene: Scene) -> bool:
     """Whether the step is that of the tolerance."""
-    return scene.path == INCLUSION and callable(scene.problem.prediction.tolerances) and len(scene.allowed) == 1
+    given = scene.problem.prediction
+    return given is not None and callable(given.tolerances) and len(scene.allowed) == 1
 
 
 def sizes(scene: Scene, known: dict[str, int]) -> dict[str, int]:
@@ -100,8 +103,8 @@ def text(scene: Scene) -> str:
         rows = {"c": given.c, "J": ca.jacobian(given.c, given.x)}
         parts.append(c_function("constraints", at, rows, "C = {c >= 0}, and the Jacobian"))
     if has["CUTS"]:
-        numbers, x0 = scene.problem_of_numbers, np.array(ca.DM(scene.numbers.x0)).ravel()
-        tables.append(table("interior", interior_point(numbers.prediction, numbers.t)(0.0, x0), "MODEL_NX"))
+        numbers, x0 = scene.problem_of_numbers, np.array(ca.DM(scene.numbers.start)).ravel()
+        tables.append(table("interior", interior_point(sure(numbers.prediction), numbers.t)(0.0, x0), "MODEL_NX"))
     if has["TOLERANCE_OF_NUMBER"]:
         tables.append(table("eps", scene.allowed, str(len(scene.allowed)), "eps_k"))
         last = len(scene.allowed) - 1
@@ -119,7 +122,7 @@ def _moving_box(scene: Scene, given: Prediction) -> bool:
 
 def _given(scene: Scene) -> Prediction:
     """The prediction; refused where a parameter of the code moves what is written down as numbers, or time what is so in C."""
-    given, model, t = scene.problem.prediction, scene.model, scene.problem.t
+    given, model, t = sure(scene.problem.prediction), scene.model, scene.problem.t
     faces = ca.vertcat(given.u, given.c)
     if given.l.numel() and ca.depends_on(faces, t):
         raise CodegenError("sign or another jump of S beside a set or a switching surface that moves has no counterpart in C")
@@ -138,10 +141,11 @@ def _given(scene: Scene) -> Prediction:
 
 def selection_law(scene: Scene) -> NumericLaw:
     """The law of the discontinuous part."""
-    return numeric_law(scene.problem_of_numbers.prediction.law)
+    return numeric_law(sure(scene.problem_of_numbers.prediction).law)
 
 
 def law_of_sets(scene: Scene) -> Law:
     """The law that has the curved sets: that of the step, or of the selection."""
     own = scene.problem.law
-    return own if not own.is_box or scene.path != INCLUSION else scene.problem_of_numbers.prediction.law
+    given = scene.problem_of_numbers.prediction
+    return own if given is None or not own.is_box else given.law

@@ -69,8 +69,10 @@ def _called(command: list[str]) -> tuple[int, str]:
     Raises:
         CodegenError: it takes longer than TIMEOUT.
     """
-    quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
-    with subprocess.Popen(command, text=True, errors="replace", start_new_session=True, **quiet) as process:
+    quiet = subprocess.DEVNULL
+    with subprocess.Popen(
+        command, text=True, errors="replace", start_new_session=True, stdin=quiet, stdout=quiet, stderr=subprocess.PIPE
+    ) as process:
         try:
             errors = process.communicate(timeout=TIMEOUT)[1]
             return process.returncode, errors

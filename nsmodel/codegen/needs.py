@@ -6,6 +6,7 @@ import numpy as np
 
 from nsmodel.codegen import fixed, inclusion, newton, sets
 from nsmodel.codegen.scene import BANDED, FIXED, INCLUSION, NEWTON, Scene
+from nsmodel.proof.sure import sure
 from nsmodel.solve.active_set import MOST_INDEX_SETS
 from nsmodel.solve.certificate import NumericLaw
 from nsmodel.solve.choose import ENUMERATE_UP_TO
@@ -69,7 +70,7 @@ def _regular_sets_suffice(scene: Scene) -> bool:
     """Whether a solvable step has a solution on an index set whose block of W is regular: W psd and each row with an end, by
     Lemke's method, which ends in such a set (Cottle, Pang and Stone, Theorem 4.4.12).
     """
-    W, law = scene.matrices.W, scene.law
+    W, law = sure(scene.matrices).W, scene.law
     has_end = np.isfinite(law.lower) | np.isfinite(law.upper)
     return bool(has_end.all()) and is_monotone(least_eigenvalue(W), law.size)
 
@@ -105,7 +106,7 @@ def sizes_of(scene: Scene, flags: frozenset[str]) -> dict[str, int]:
         own = inclusion.law_of_sets(scene)
         sizes |= {"BLOCK": max(block.size for _, block in sets.curved(own)), "NUMBERS": max(1, sets.numbers(own).numel())}
     if scene.path == BANDED:
-        sizes |= scene.band.sizes
+        sizes |= sure(scene.band).sizes
     systems = [(sizes["ROWS"], "AFFINE_PROBLEM"), (m, "FIXED_MAPS"), (sizes["LEMKE"], "PIVOTING"), (n + m, "NEARBY")]
     return sizes | {"LINEAR": max((size for size, flag in systems if flag in flags), default=0)}
 

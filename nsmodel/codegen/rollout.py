@@ -93,7 +93,7 @@ class Rollout:
         grid, totals = self.grid, _Totals(least=least)
         x, l, codes = np.array(state, float), np.array(warm.l, float), np.array(warm.index, np.int8)
         times = lengths = None
-        if grid.steps is not None:
+        if grid.steps is not None and grid.times is not None:
             times, lengths = grid.times[k : k + steps].ctypes.data, grid.steps[k : k + steps].ctypes.data
         at = x.ctypes.data, l.ctypes.data, codes.ctypes.data
         self._place(self._solver, k, grid.h, *at)

@@ -17,6 +17,7 @@ from nsmodel.codegen.loops import c_function
 from nsmodel.codegen.needs import flags_of, sizes_of
 from nsmodel.codegen.scene import BANDED, FIXED, INCLUSION, Scene
 from nsmodel.codegen.tables import table
+from nsmodel.proof.sure import sure
 from nsmodel.scheme import constraints, initial_rows, start_of
 from nsmodel.solve.build import start_state
 from nsmodel.solve.layout import Layout
@@ -155,7 +156,7 @@ def names(scene: Scene) -> dict[str, str]:
         each = [comment(f"{name} [{units[name]}]" if name in units else name) for name in names]
         return ", ".join(each if len(each) <= 40 else [*each[:39], f"... ({len(each)} in all)"])
 
-    multipliers = getattr(scene.model, "multiplier_names", scene.problem.rows)
+    multipliers = scene.problem.multiplier_names
     return {"x": listed(scene.model.names), "p": listed(scene.parameters), "multipliers": listed(multipliers)}
 
 
@@ -174,7 +175,7 @@ def _tables(scene: Scene, flags: frozenset[str]) -> str:
         lines.append(sets.text(inclusion.law_of_sets(scene), "CURVED_OF_PARAMETERS" in flags))
     if scene.parameters:
         lines.append(table("default_p", list(scene.parameters.values()), "MODEL_NP"))
-    lines.append(f"#define START_STEPS {1 if getattr(scene.model, 'x1', None) is not None else 0}\n")
+    lines.append(f"#define START_STEPS {1 if scene.model.tied_to_step else 0}\n")
     return "".join(lines)
 
 
@@ -188,16 +189,16 @@ def _functions(scene: Scene, flags: frozenset[str]) -> str:
     if "LAW_OF_PARAMETERS" in flags:
         parts.append(c_function("law_of_parameters", {"s->p": problem.p}, _bounds(scene), "the ends of the law"))
     if "FIXED" in flags:
-        parts.append(fixed.text(problem, scene.structure, scene.law, h, scene.matrices))
+        parts.append(fixed.text(problem, scene.structure, scene.law, h, sure(scene.matrices)))
     if "BANDED" in flags:
-        parts.append(banded.text(problem, scene.structure, h, scene.band))
+        parts.append(banded.text(problem, scene.structure, h, sure(scene.band)))
     if "NEWTON" in flags:
         parts.append(newton.text(scene, known))
     if "INCLUSION" in flags:
         parts.append(inclusion.text(scene))
     out = {"x_next": problem.next_state}
     if "REWRITTEN" in flags:
-        out |= {"multipliers": problem.multipliers, "outputs": problem.outputs}
+        out |= {"multipliers": sure(problem.multipliers), "outputs": sure(problem.outputs)}
     values = {key: ca.substitute(e, problem.h, h) for key, e in out.items()} if {"FIXED", "BANDED"} & flags else out
     parts.append(
         c_function(

@@ -185,7 +185,7 @@ def maps(
     Raises:
         UsageError: no row in between; the run knows no exits and no room is given; a wrong spacing, cut-off or number of rows.
     """
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     spacing, cut_off = (number(value, name, kind=UsageError) for name, value in (("spacing", spacing), ("cut_off", cut_off)))
     if not isinstance(most_rows, int) or most_rows < 1:
@@ -204,7 +204,7 @@ def maps(
     for q, velocity, push in _frames(run, rows, pressure):
         if not len(q):
             continue
-        away, owner = cKDTree(q).query(centres, distance_upper_bound=cut_off)
+        away, owner = map(np.asarray, KDTree(q).query(centres, distance_upper_bound=cut_off))
         near = np.isfinite(away)
         owner = owner[near]
         area = np.bincount(owner, minlength=len(q)) * spacing**2

@@ -96,7 +96,7 @@ class DesiredVelocity:
         _, ny, nx, _ = self.values.shape
         column, row, _, _ = self._cell(q)
         start = (self.group * ny + row) * nx + column
-        return np.isnan(self.distances.ravel()[start[:, None] + [0, 1, nx, nx + 1]]).all(axis=1)
+        return np.all(np.isnan(self.distances.ravel()[start[:, None] + [0, 1, nx, nx + 1]]), axis=1)
 
     def _cell(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Column and row of the cell of each place, and where in the cell it is (0 to 1); nan is anywhere."""
@@ -304,5 +304,5 @@ def _spread(directions: np.ndarray, lengths: np.ndarray, grid: Grid, reach: int)
     lengths[...] = values[..., 2]
     directions[...] = np.where(inside[..., None], values[..., :2], directions)
     unknown = ~np.isfinite(directions[..., 0])
-    nearest = distance_transform_edt(unknown, return_distances=False, return_indices=True)
+    nearest: Any = distance_transform_edt(unknown, return_distances=False, return_indices=True)
     directions[...] = directions[tuple(nearest)]

@@ -17,6 +17,7 @@ from nsmodel.crowd.paths import KEEP, DesiredVelocity, desired_velocity
 from nsmodel.crowd.room import Room, polygon
 from nsmodel.errors import ModelError
 from nsmodel.model.base import shown
+from nsmodel.proof.sure import sure
 
 ROUNDS = 4000  # Of pushing apart, before `place` gives up.
 WEDGED = 200  # Rounds after which those who still overlap somebody placed before are put elsewhere.
@@ -74,7 +75,7 @@ def place(
     Raises:
         ModelError: they do not fit; the message says how full the room would be.
     """
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     if not isinstance(count, int | np.integer) or count < 1:
         raise ModelError(f"place: {shown(count)} people; expected a whole number >= 1")
@@ -94,7 +95,7 @@ def place(
     fixed = np.concatenate([np.zeros((0, 2)), *(people.places for people in beside)])
     taken = np.concatenate([np.zeros(0), *(people.radii for people in beside)])
     if len(fixed):
-        away, who = cKDTree(fixed).query(nodes)
+        away, who = KDTree(fixed).query(nodes)
         nodes = nodes[away > taken[who] + low]
     area, covered = len(nodes) * grid.spacing**2, np.pi * (sizes**2).sum()
     sizes = np.concatenate([sizes, taken])
@@ -249,7 +250,7 @@ def behind(room: Room, q: ca.SX, beyond: float, stride: float = 0.0) -> ca.SX:
         x, y = ca.dot(ca.DM(normal), q - a), ca.dot(ca.DM(along), q - a)
         this = ca.fmin(ca.fmin(x - beyond, beyond + deep - x), ca.fmin(y + left, width + right - y))
         found = this if found is None else ca.fmax(found, this)
-    return found
+    return sure(found)
 
 
 def _all_get_out(room: Room, places: np.ndarray, desired: DesiredVelocity) -> None:
@@ -278,11 +279,11 @@ def _pushed_apart(
     Each overlap pushes both discs apart by half of it and a little more, as Uzawa's iteration does; nobody goes through a wall.
     Who stays wedged between those that do not move starts again from one of the nodes.
     """
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     radii, most = radii + APART, float(radii.min()) / 2
     for k in range(1, ROUNDS + 1):
-        pairs = cKDTree(q).query_pairs(2 * radii.max() + APART, output_type="ndarray")
+        pairs = KDTree(q).query_pairs(2 * radii.max() + APART, output_type="ndarray")
         i, j = pairs.T
         gap = q[i] - q[j]
         size = np.linalg.norm(gap, axis=1)

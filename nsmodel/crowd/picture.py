@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from nsmodel.crowd.geometry import closed, nearest_points
 from nsmodel.errors import ModelError
+from nsmodel.grid import is_number
 from nsmodel.model.base import shown
 
 ALIKE = 60  # Colours are the same where no channel differs by more, of 255.
@@ -19,7 +20,7 @@ STRAIGHT = 0.75  # An outline is a straight line where it is this near to one, i
 
 def read(image: Any, pixel: float, walls: Any, exits: Mapping[str, Any]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Wall segments (W, 2, 2) and exits {name: (E, 2, 2)} of a picture, in metres; see `Room.from_picture`."""
-    if not (np.isscalar(pixel) and np.isfinite(pixel) and pixel > 0):
+    if not (is_number(pixel) and np.isfinite(pixel) and pixel > 0):
         raise ModelError(f"pixel: {shown(pixel)}; expected the side of a pixel in metres, a number > 0")
     if not isinstance(exits, Mapping) or not exits:
         raise ModelError(f"exits: {shown(exits)}; expected a dictionary {{name: colour}}")
@@ -29,7 +30,7 @@ def read(image: Any, pixel: float, walls: Any, exits: Mapping[str, Any]) -> tupl
         if np.abs(table[i] - table[j]).max() <= 2 * ALIKE:
             raise ModelError(f"the colours of {names[i]} and {names[j]}, {_rgb(table[i])} and {_rgb(table[j])}, are too alike")
     array = _pixels(image)
-    masks = {name: (np.abs(array - colour) <= ALIKE).all(axis=2)[::-1] for name, colour in colours.items()}
+    masks = {name: np.all(np.abs(array - colour) <= ALIKE, axis=2)[::-1] for name, colour in colours.items()}
     for name, mask in masks.items():
         if not mask.any():
             size, colour = "{1} x {0}".format(*array.shape), _rgb(colours[name])
@@ -104,7 +105,7 @@ def _doors(mask: np.ndarray, wall: np.ndarray, walls: np.ndarray) -> np.ndarray:
     """A segment (E, 2, 2) along the middle of each patch of pixels, from the wall on one of its sides to that on the other."""
     from scipy.ndimage import binary_dilation, label
 
-    patches = np.asarray(label(mask, np.ones((3, 3)))[0])
+    patches, _ = cast("tuple[np.ndarray, int]", label(mask, np.ones((3, 3))))
     beside = binary_dilation(wall, np.ones((3, 3)), iterations=BLURRED)
     found = []
     for k in range(1, int(patches.max()) + 1):

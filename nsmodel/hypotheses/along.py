@@ -104,6 +104,6 @@ def feasible(model: Any, run: Trajectory, c: ca.SX, names: Sequence[str]) -> lis
     broken = values < -unseen
     if broken.any():
         row, i = np.unravel_index(np.argmin(np.where(broken, values, np.inf)), values.shape)
-    witness = {"constraint": names[i], "t": run.t[row], "state": run.x[row]}
+    witness = {"constraint": names[int(i)], "t": run.t[int(row)], "state": run.x[int(row)]}
     how = f"evaluated at {k} rows; a deficit below 1e-10 of the state's size counts as rounding"
     return [found(FEASIBLE, VIOLATED if broken.any() else HOLDS, how, {"least value": values[row, i]}, witness)]

@@ -42,7 +42,7 @@ def warnings_of(model: Model, plan: Plan) -> list[str]:
 
 def with_values(model: Any) -> str:
     """The values of the parameters, as a message ends with them."""
-    values = getattr(model, "bound_parameters", {})
+    values = model.bound_parameters
     return " with " + ", ".join(f"{name} = {value:g}" for name, value in values.items()) if values else ""
 
 

@@ -35,7 +35,7 @@ def clauses(
         return list(consequences)
     pace = _pace(model, region, findings, {consequence.name: consequence for consequence in consequences})
     until = None if pace is None else _until(model, region, pace)
-    if until is None or not until > region.t0:
+    if pace is None or until is None or not until > region.t0:
         why = "; for how long they do is not proved"
         return [replace(item, clause=item.clause + why) if item.clause else item for item in consequences]
     until = min(until, region.t1) if region.t1 > region.t0 else until

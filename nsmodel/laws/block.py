@@ -72,7 +72,7 @@ class Writer(Protocol):
         """A matrix."""
         ...
 
-    def column(self, numbers: Sequence[float]) -> str:
+    def column(self, numbers: Sequence[float] | np.ndarray) -> str:
         """A column of numbers."""
         ...
 

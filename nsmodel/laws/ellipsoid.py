@@ -18,6 +18,7 @@ from nsmodel.laws.box import boxes
 from nsmodel.laws.curved import Curved, norm
 from nsmodel.laws.given import array
 from nsmodel.laws.law import Law
+from nsmodel.proof.sure import sure
 
 EPS = np.finfo(float).eps
 MULTIPLIER_ITERATIONS = 100  # Of Newton's method for mu; a dozen are usual.
@@ -142,7 +143,7 @@ class Ellipsoid(Block):
         """Sqrt((Q^-1)_ii) each way."""
         from nsmodel.proof import exact
 
-        inverse = exact.inverse(exact.rational(self.Q))
+        inverse = sure(exact.inverse(exact.rational(self.Q)))
         half = np.array([nextafter(sqrt(exact.up(entry)), np.inf) for entry in np.diag(inverse)])
         return -half, half
 

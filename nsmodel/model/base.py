@@ -17,7 +17,7 @@ from nsmodel.laws import Words
 from nsmodel.model.convert import Converter, Declared, declare
 from nsmodel.model.parameters import Values, declared, number, scalars
 from nsmodel.pickled import Pickled
-from nsmodel.proof.graph import COMPARISONS, column
+from nsmodel.proof.graph import COMPARISONS, column, entries
 from nsmodel.words import one_line
 
 # Attributes of every Trajectory: a state may not take these names.
@@ -28,6 +28,7 @@ RESERVED = frozenset(
 )
 ARRAYS = frozenset("x gap_min pressure contact_reaction".split())  # Further arrays that may have a unit.
 KINKS = "potential ", "phi "  # What the names of a potential's kinks begin with.
+LEFT_OUT: Any = None  # A field that may be left out, and has its type once the model is declared.
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,26 +43,34 @@ class Model(Pickled):
         scheme: the formula of a time step, one of the class's ``schemes``; the first where left out.
         parameters: {symbol or name: value}, a list or array for a vector or matrix of symbols; a value of None must be given
             when the model is run. After construction {name: value} of each scalar.
-        vectors: after construction {name: names of its entries} of each vector and matrix among the parameters.
         names: one name for each state, where the symbols' own are not wanted.
         units: {name: unit} for states, multipliers and "t"; used by pictures and tables.
         exact: the exact state, where known: a callable t (N,) -> (N, n), or n expressions of ``t``.
         title: one line for pictures and tables.
 
-    After construction every expression is a CasADi SX in the symbols ``t``, the state and ``p`` (the parameters, in the
-    order of ``parameters``).
+    After construction every expression is a CasADi SX in the symbols ``t``, the state and ``p`` (the parameters without a value
+    yet bound, in the order of ``parameters``), and there are
+
+        stems: {name: indices of its states} of each vector of states, and of each state that stands alone.
+        vectors: {name: names of its entries} of each vector and matrix among the parameters.
+        bound_parameters: {name: value} of the parameters that `bind` replaced.
     """
 
-    t: Any = None
-    t_end: float | None = None
+    t: Any = LEFT_OUT
+    t_end: float = LEFT_OUT
     step: float | None = None
     steps: Sequence[float] | None = None
     scheme: str = ""
     parameters: Values = field(default_factory=dict)
-    names: Sequence[str] | None = None
+    names: Sequence[str] = LEFT_OUT
     units: Mapping[str, str] = field(default_factory=dict)
     exact: Any = None
     title: str = ""
+
+    p: ca.SX = field(init=False, repr=False)
+    stems: Mapping[str, Sequence[int]] = field(init=False, repr=False)
+    vectors: Mapping[str, np.ndarray] = field(init=False, repr=False)
+    bound_parameters: Mapping[str, float] = field(init=False, repr=False, default_factory=lambda: MappingProxyType({}))
 
     paper: ClassVar[str]
     schemes: ClassVar[tuple[str, ...]]
@@ -119,9 +128,9 @@ class Model(Pickled):
         )
         self._set(**_grid(self.t_end, self.step, self.steps))
         if self.exact is not None and not callable(self.exact):
-            self._set(exact=self._vector(converter, self.exact, "exact", len(names), [self.t]))
+            self._set(exact=self._vector(converter, self.exact, "exact", len(names), [time.sx]))
             if not self.p.numel():
-                self._set(exact=Sampled(self.t, self.exact))
+                self._set(exact=Sampled(time.sx, self.exact))
         return converter
 
     def _vector(
@@ -206,6 +215,11 @@ class Model(Pickled):
             raise UsageError(f"{what}: '{self.title or type(self).__name__}' {why}")
 
     @property
+    def row_names(self) -> tuple[str, ...]:
+        """Names of what besides states may have a unit."""
+        return ()
+
+    @property
     def tied_to_step(self) -> bool:
         """Whether the start is that of one step alone, as two positions are."""
         return False
@@ -213,7 +227,7 @@ class Model(Pickled):
     @property
     def axes(self) -> tuple[tuple[str, ...], Mapping[str, Sequence[int]]]:
         """Names and stems of the coordinates in which a box of states is given."""
-        return tuple(self.names or ()), self.stems
+        return tuple(self.names), self.stems
 
     def points(self, rows: np.ndarray) -> np.ndarray:
         """Rows of states (k, n) as points in the coordinates of ``axes``."""
@@ -269,7 +283,7 @@ class Model(Pickled):
         rest = ca.vertcat(ca.SX(0, 1), *(self.p[i] for i in range(self.p.numel()) if i not in given))
         whole = {name: names for name, names in self.vectors.items() if set(names.ravel()) <= set(missing)}
         bound._set(p=rest, parameters=MappingProxyType(dict.fromkeys(missing)), vectors=MappingProxyType(whole))
-        bound._set(bound_parameters=MappingProxyType(checked))
+        bound._set(bound_parameters=MappingProxyType({**self.bound_parameters, **checked}))
         bound._refuse_undefined(", ".join(f"{name} = {value:g}" for name, value in checked.items()))
         if isinstance(bound.exact, ca.SX) and not missing:
             bound._set(exact=Sampled(bound.t, bound.exact))
@@ -277,15 +291,12 @@ class Model(Pickled):
 
     def _check_units(self) -> None:
         """Refuse the unit of something that the model does not have."""
-        rows = [*getattr(self, "multiplier_names", ()), *getattr(self, "constraint_names", ())]
-        rows += [*getattr(self, "constraints", ()), *(element.name for element in getattr(self, "elements", ()))]
-        states = list(self.names or ())
+        rows, states = self.row_names, list(self.names)
         known = ["t", *self.stems, *states, *rows, *(row.partition("[")[0] for row in rows), *self.parameter_names]
         bounds = [f"{end} {name}" for end in ("lower", "upper") for name in states]
-        bodies = list(getattr(getattr(self, "bodies", None), "numbers", ()))
         for name in self.units:
             group = name.partition("[")[0]
-            if not ({name, group} & {*known, *bounds, *bodies, *self.has, *ARRAYS, *RESERVED} or group.startswith(KINKS)):
+            if not ({name, group} & {*known, *bounds, *self.has, *ARRAYS, *RESERVED} or group.startswith(KINKS)):
                 hint = difflib.get_close_matches(name, known, 1)
                 raise ModelError(
                     f"units: '{name}' is no state, multiplier or time; the model has {', '.join(dict.fromkeys(known))}"
@@ -301,11 +312,11 @@ class Model(Pickled):
 
 def refuse_infinite(matrix: ca.SX, label: str, error: type[NsmodelError] = ModelError) -> None:
     """Refuse a constant entry that is not finite."""
-    entries, symbols = column(matrix.nonzeros()), column(ca.symvar(matrix))
-    values = np.array(ca.Function("values", [symbols], [entries])(np.full(symbols.numel(), 0.7))).ravel()
+    stored, symbols = column(entries(matrix)), column(ca.symvar(matrix))
+    values = np.array(ca.Function("values", [symbols], [stored])(np.full(symbols.numel(), 0.7))).ravel()
     where = np.column_stack(matrix.sparsity().get_triplet())
     for k in np.flatnonzero(~np.isfinite(values)):
-        entry, (i, j) = entries[int(k)], where[k]
+        entry, (i, j) = stored[int(k)], where[k]
         if entry.is_constant():
             index = "" if matrix.numel() == 1 else f"[{i}]" if matrix.shape[1] == 1 else f"[{i}, {j}]"
             raise error(f"{label}{index} = {float(entry)}; expected a finite number")

@@ -137,17 +137,22 @@ def _symbols(value: Any, label: str) -> list[_Named]:
         return _symbols(value.ravel().tolist(), label)
     if isinstance(value, list | tuple):
         return [pair for item in value for pair in _symbols(item, label)]
-    if _is_sympy(value):
-        if type(value).__name__ == "MatrixSymbol":
-            return [(name, ca.SX.sym(name), value) for name in _entries_of(value.name, int(value.rows * value.cols))]
-        if hasattr(value, "tolist"):
-            return _symbols(_flat(value.tolist()), label)
-        if getattr(value, "is_Symbol", False) and not hasattr(value, "shape"):
-            return [(value.name, ca.SX.sym(value.name), value)]
+    found = _sympy_symbols(value, label) if _is_sympy(value) else None
+    if found is not None:
+        return found
     raise ModelError(
         f"{label}: {_shown(value)} is not a symbol; expected symbols only, such as ca.SX.sym('{_word(label)}', 2), "
         "a list of scalar symbols, or SymPy symbols"
     )
+
+
+def _sympy_symbols(value: Any, label: str) -> list[_Named] | None:
+    if type(value).__name__ == "MatrixSymbol":
+        return [(name, ca.SX.sym(name), value) for name in _entries_of(value.name, int(value.rows * value.cols))]
+    if hasattr(value, "tolist"):
+        return _symbols(_flat(value.tolist()), label)
+    scalar = getattr(value, "is_Symbol", False) and not hasattr(value, "shape")
+    return [(value.name, ca.SX.sym(value.name), value)] if scalar else None
 
 
 def _entries_of(name: str, size: int) -> list[str]:

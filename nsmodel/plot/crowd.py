@@ -14,6 +14,7 @@ import numpy as np
 from nsmodel.crowd.measure import Flow, Maps, evacuation_times, positions, present
 from nsmodel.errors import MissingExtraError, PlotError
 from nsmodel.plot import style
+from nsmodel.proof.sure import sure
 from nsmodel.storage import replacing
 
 if TYPE_CHECKING:
@@ -93,7 +94,7 @@ class _People:
         if "contact_row" in self.run.arrays:
             lines, reactions = self._network(row)
             self.lines.set_segments(list(lines))
-            self.lines.set_linewidths(np.clip(THICKEST * reactions / self.scale, 0.2, THICKEST))
+            self.lines.set_linewidth(np.clip(THICKEST * reactions / self.scale, 0.2, THICKEST).tolist())
 
     def _network(self, row: int) -> tuple[np.ndarray, np.ndarray]:
         """The lines (K, 2, 2) between those that touch: two people, or one and the nearest point of a wall; their reactions."""
@@ -366,9 +367,10 @@ def _write_mp4(path: Path, pictures: Iterator[np.ndarray], _: int, fps: float) -
     given = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"{fps}", "-i", "-"]
     command = [program, "-y", "-loglevel", "error", *given, "-pix_fmt", "yuv420p", "-f", "mp4", str(path)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        pipe = sure(process.stdin)
         try:
             for picture in chain([first], pictures):
-                process.stdin.write(np.ascontiguousarray(picture[:height, :width]).tobytes())
+                pipe.write(np.ascontiguousarray(picture[:height, :width]).tobytes())
         except BrokenPipeError:
             pass
         message = process.communicate()[1].decode(errors="replace").strip()

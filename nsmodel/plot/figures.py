@@ -80,7 +80,7 @@ def save_all(run: Trajectory, model: Any, directory: str | Path, prefix: str = "
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     panels = _panels(run, model, lines=MAX_LINES, rows=MAX_ROWS)
-    draws = {
+    draws: dict[str, Callable[[], Figure]] = {
         name: partial(_sheet, run, [panels[part] for part in parts if part in panels], width, scale)
         for name, (parts, width, scale) in SHEETS.items()
         if parts[0] in panels

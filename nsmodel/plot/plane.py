@@ -62,8 +62,10 @@ def _second_column(run: Trajectory, i: int, j: int | None) -> tuple[np.ndarray, 
         raise PlotError(f"a phase portrait needs two states, or a velocity; this run has the state {names[0]} alone")
     if j is None:
         others = [(i + k) % n for k in range(1, n)]
-        j = next((k for k in others if style.unit(run, names[k]) != style.unit(run, names[i])), others[0])
-    return run.x[:, _checked(run, j)], style.label(run, names[j])
+        chosen = next((k for k in others if style.unit(run, names[k]) != style.unit(run, names[i])), others[0])
+    else:
+        chosen = _checked(run, j)
+    return run.x[:, chosen], style.label(run, names[chosen])
 
 
 def _checked(run: Trajectory, state: int) -> int:

@@ -9,6 +9,7 @@ import numpy as np
 
 from nsmodel.errors import PlotError
 from nsmodel.plot import style
+from nsmodel.proof.sure import sure
 from nsmodel.study.text import number
 
 if TYPE_CHECKING:
@@ -46,10 +47,10 @@ def work_precision(study: Study, *, ax: Axes | None = None) -> Axes:
         look = {"color": colours.get(line.name, PALE), "linestyle": "--" if line.kind == "peer" else "-"}
         look |= {"linewidth": 0.7 if solver else 1.4, "zorder": 2 if solver else 3}
         mark = {"marker": MARKERS[k % len(MARKERS)], "markersize": 3.5 if solver else 5}
-        ax.plot([point.error for point in points], [point.seconds for point in points], **look)
+        ax.plot([point.error for point in points], [sure(point.seconds) for point in points], **look)
         for point in points:
             face = look["color"] if point.resolved else "white"
-            ax.plot(point.error, point.seconds, **look, **mark, markerfacecolor=face)
+            ax.plot(sure(point.error), sure(point.seconds), **look, **mark, markerfacecolor=face)
         if not solver:
             labelled += [(point, look["color"]) for point in points]
         count = sum(point.status == "failed" for point in line.points)
@@ -74,8 +75,8 @@ def _label(ax: Axes, points: Sequence[tuple[Point, str]]) -> None:
     (left, right), (low, high), (width, height) = np.log(ax.get_xlim()), np.log(ax.get_ylim()), style.inches(ax)
     taken: list[tuple[float, float]] = []
     for point, colour in points:
-        x = width * (np.log(point.error) - left) / (right - left)
-        y = height * (np.log(point.seconds) - low) / (high - low)
+        x = width * (np.log(sure(point.error)) - left) / (right - left)
+        y = height * (np.log(sure(point.seconds)) - low) / (high - low)
         if all(abs(x - u) > 0.35 or abs(y - v) > 0.13 for u, v in taken):
             words = number(point.step) if point.step else point.label.removeprefix("rtol = ")
             look = {"fontsize": 6.5, "color": colour}

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nsmodel.errors import PlotError
+from nsmodel.proof.sure import sure
 from nsmodel.trajectory import units_of
 
 if TYPE_CHECKING:
@@ -118,8 +119,8 @@ def blank(width: float, height: float) -> Figure:
     """Return an empty figure that arranges its axes itself."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), layout="constrained")
-    figure.get_layout_engine().set(w_pad=0.1, h_pad=0.1, hspace=0.02, wspace=0.02)
+    figure = Figure(figsize=(width, height))
+    figure.set_layout_engine("constrained", w_pad=0.1, h_pad=0.1, hspace=0.02, wspace=0.02)
     return figure
 
 
@@ -149,7 +150,7 @@ def over_time(ax: Axes, run: Trajectory, title: str, ylabel: str, *, grid: bool 
 def inches(ax: Axes) -> tuple[float, float]:
     """Return the width and height of the axes, before the layout leaves room for labels."""
     box = ax.get_position()
-    width, height = ax.get_figure(root=True).get_size_inches()
+    width, height = sure(ax.get_figure(root=True)).get_size_inches()
     return box.width * width, box.height * height
 
 

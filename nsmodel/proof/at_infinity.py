@@ -24,6 +24,7 @@ from nsmodel.proof.exact import down, up
 from nsmodel.proof.interval_arithmetic import Pair
 from nsmodel.proof.interval_functions import OPERATIONS, constant_power, log
 from nsmodel.proof.straight_line import Program, Step, program
+from nsmodel.proof.sure import sure
 
 FAST = 4  # A power of t above those of polynomials that matter here.
 MOST = 60  # Orders beyond this, and factors of exponentials, are not followed.
@@ -40,7 +41,7 @@ class Order(NamedTuple):
     high: float
 
     @property
-    def rate(self) -> tuple[Fraction, Fraction]:
+    def rate(self) -> tuple[Fraction | int, Fraction | int]:
         """(p, l): orders compare like these."""
         return self.p, self.l
 
@@ -84,7 +85,7 @@ def curve(coefficients: Sequence[Fraction | float], k: int) -> Order:
     total = ZERO
     for power, number in enumerate(coefficients):
         if number:
-            total = plus(total, Order(Fraction(power), Fraction(0), down(Fraction(number)), up(Fraction(number))), k)
+            total = sure(plus(total, Order(Fraction(power), Fraction(0), down(Fraction(number)), up(Fraction(number))), k))
     return total
 
 

@@ -186,7 +186,8 @@ def _limits(rows: Program, lower: np.ndarray, upper: np.ndarray) -> Bounds:
     if len(rows.outputs) <= FEW_ROWS:
         return mean_value(rows, lower, upper)
     lo, hi = natural(rows, lower, upper)
-    return Bounds(lo, hi, *(np.zeros((len(lo), len(lower), 0)),) * 2, lo, hi)
+    none = np.zeros((len(lo), len(lower), 0))
+    return Bounds(lo, hi, none, none, lo, hi)
 
 
 def _with_multipliers(f: Bounds, limits: Bounds, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:

@@ -7,12 +7,41 @@ from typing import Any
 import numpy as np
 
 
-def minimise(cost: np.ndarray, A: np.ndarray, b: np.ndarray, cones: list[Any]) -> Any:
-    """Return Clarabel's solution of min cost'x with b - A x in the cones, in their order; it is for the caller to verify."""
-    import clarabel
+def zero(size: int) -> Any:
+    """The cone {0}."""
+    return _clarabel().ZeroConeT(size)
+
+
+def nonnegative(size: int) -> Any:
+    """The cone of vectors >= 0."""
+    return _clarabel().NonnegativeConeT(size)
+
+
+def second_order(size: int) -> Any:
+    """The cone of vectors (s, v) with |v| <= s."""
+    return _clarabel().SecondOrderConeT(size)
+
+
+def semidefinite(order: int) -> Any:
+    """The cone of symmetric matrices >= 0, as the scaled columns of their upper triangles."""
+    return _clarabel().PSDTriangleConeT(order)
+
+
+def minimise(cost: np.ndarray, A: Any, b: np.ndarray, cones: list[Any], P: Any = None, tolerance: float | None = None) -> Any:
+    """Return Clarabel's solution of min x'Px/2 + cost'x with b - A x in the cones, in their order; the caller verifies it."""
     from scipy import sparse
 
+    clarabel = _clarabel()
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    quadratic = sparse.csc_matrix((cost.size, cost.size))
+    if tolerance is not None:
+        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
+    quadratic = sparse.csc_matrix((cost.size, cost.size)) if P is None else P
     return clarabel.DefaultSolver(quadratic, cost, sparse.csc_matrix(A), b, cones, settings).solve()
+
+
+def _clarabel() -> Any:
+    """The module, whose names pyright does not see; loaded where it is used."""
+    import clarabel
+
+    return clarabel

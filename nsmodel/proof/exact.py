@@ -164,7 +164,7 @@ def _flint(M: np.ndarray) -> Any:
     """The matrix (m, n) as one of FLINT's."""
     from flint import fmpq, fmpq_mat
 
-    return fmpq_mat(*M.shape, [fmpq(entry.numerator, entry.denominator) for entry in M.ravel()])
+    return fmpq_mat(M.shape[0], M.shape[1], [fmpq(entry.numerator, entry.denominator) for entry in M.ravel()])
 
 
 def _fraction(number: Any) -> Fraction:

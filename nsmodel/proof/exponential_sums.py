@@ -323,7 +323,7 @@ def _bracket(G: Sum, left: Place | None, right: Place | None, before: int, line:
     high = line.high if right is None else right[0]
     if high is None:
         step = Fraction(1)
-        while _sign_on(G, (low + step,) * 2) != -before:
+        while _sign_on(G, (low + step, low + step)) != -before:
             step *= 2
             if step > 2**BISECTIONS:
                 raise Undecided

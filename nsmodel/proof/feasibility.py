@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsmodel.proof import exact
-from nsmodel.proof.conic_program import minimise
+from nsmodel.proof import conic_program, exact
+from nsmodel.proof.sure import sure
 
 SMALL, LARGE = 1000, 20000  # Entries of A below which the simplex method goes first, above which it is not tried.
 
@@ -107,11 +107,11 @@ def _by_simplex(system: System) -> Answer:
     F = exact.product(N.T, A[:, positive]) if N.shape[1] else exact.zeros(0, len(positive))
     s, z = _stiemke(F)
     if s is None:
-        return Answer(None, exact.product(N, z[:, None]).ravel())
+        return Answer(None, exact.product(N, sure(z)[:, None]).ravel())
     u = exact.zeros(A.shape[1], 1).ravel()
     u[positive] = s
     if free and len(A):
-        u[free] = exact.solve(A[:, free], -exact.product(A[:, positive], s[:, None])).ravel()
+        u[free] = sure(exact.solve(A[:, free], -exact.product(A[:, positive], s[:, None]))).ravel()
     return Answer(u, None)
 
 
@@ -140,7 +140,7 @@ def _stiemke(F: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
                 s[j] += Fraction(table[i, -1], table[i, j])
         return s, None
     scale = table[r, -2]
-    y = np.array([1 - Fraction(table[r, p + i], scale) for i in range(r)], dtype=object)
+    y = np.array([1 - Fraction(int(table[r, p + i]), int(scale)) for i in range(r)], dtype=object)
     return None, -(sign * factor * y)
 
 
@@ -182,26 +182,24 @@ def _by_interior_point(system: System) -> Answer:
 
 def _optimised(system: System) -> tuple[np.ndarray | None, np.ndarray | None, float]:
     """Maximise t subject to A u = 0, u - t inside the cones, sum of the bounded entries <= 1: u, w and t."""
-    import clarabel
-
     A, rows, columns = _scaled(system)
     r, n = A.shape
     heads = [*system.positive, *(cone[0] for cone in system.cones)]
-    G, h, cones = [np.column_stack([A, np.zeros(r)])], [np.zeros(r)], [clarabel.ZeroConeT(r)]
+    G, h, cones = [np.column_stack([A, np.zeros(r)])], [np.zeros(r)], [conic_program.zero(r)]
     inside = np.zeros((len(system.positive), n + 1))
     inside[range(len(system.positive)), list(system.positive)], inside[:, n] = -1, 1
     total = np.zeros((1, n + 1))
     total[0, heads] = 1
     G += [inside, total]
     h += [np.zeros(len(inside)), np.ones(1)]
-    cones.append(clarabel.NonnegativeConeT(len(inside) + 1))
+    cones.append(conic_program.nonnegative(len(inside) + 1))
     for cone in system.cones:
         block = np.zeros((len(cone), n + 1))
         block[range(len(cone)), list(cone)], block[0, n] = -1, 1
         G.append(block)
         h.append(np.zeros(len(cone)))
-        cones.append(clarabel.SecondOrderConeT(len(cone)))
-    found = minimise(np.concatenate([np.zeros(n), [-1.0]]), np.vstack(G), np.concatenate(h), cones)
+        cones.append(conic_program.second_order(len(cone)))
+    found = conic_program.minimise(np.concatenate([np.zeros(n), [-1.0]]), np.vstack(G), np.concatenate(h), cones)
     x, z = np.array(found.x), np.array(found.z)
     if not (np.isfinite(x).all() and np.isfinite(z).all()):
         return None, None, np.nan

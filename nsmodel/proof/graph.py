@@ -22,6 +22,11 @@ def column(items: Iterable[ca.SX]) -> ca.SX:
     return ca.vertcat(ca.SX(0, 1), *items)
 
 
+def entries(matrix: ca.SX) -> list[ca.SX]:
+    """The entries that are stored, each an expression; their type in CasADi's stubs is another."""
+    return [ca.SX(entry) for entry in matrix.nonzeros()]  # pyright: ignore[reportCallIssue, reportArgumentType]
+
+
 def constants(expr: ca.SX) -> np.ndarray:
     """Return the numbers in an expression."""
     function = ca.Function("constants", [column(ca.symvar(expr))], [expr])

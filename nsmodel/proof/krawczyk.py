@@ -10,7 +10,7 @@ and the fixed point is a zero of F.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import casadi as ca
 import numpy as np
@@ -75,7 +75,7 @@ def _felt(J: np.ndarray, m: int) -> np.ndarray | None:
     rows = np.linalg.norm(J, axis=1)
     if not rows.all():
         return None
-    R, order = qr(J / rows[:, None], mode="r", pivoting=True)  # pyright: ignore
+    R, order = cast("tuple[np.ndarray, np.ndarray]", qr(J / rows[:, None], mode="r", pivoting=True))
     pivots = np.abs(np.diag(R[:m, :m]))
     return np.sort(order[:m]) if pivots.min() > SINGULAR * pivots.max() else None
 

@@ -158,7 +158,8 @@ def _recentred(h: ca.SX, s: ca.SX, low: float, high: float) -> tuple[ca.SX, floa
         arguments.extend(polynomial.read(args[0] if len(args) == 1 else args[0] - args[1], s))
 
     replay(h, note, (*KINKS, *STEPS), s, "expression")
-    first = next((p for p in arguments if p is not None and set(p) - {()} == {((0, 1),)}), {((0, 1),): Fraction(1)})
+    itself: polynomial.Polynomial = {((0, 1),): Fraction(1)}
+    first = next((p for p in arguments if p is not None and set(p) - {()} == set(itself)), itself)
     slope, offset = first[((0, 1),)], first.get((), Fraction(0))
     slope, offset = (slope, offset) if slope > 0 else (-slope, -offset)
     if (slope, offset) == (1, 0):
@@ -192,7 +193,7 @@ def _recentred(h: ca.SX, s: ca.SX, low: float, high: float) -> tuple[ca.SX, floa
 def _rounded(number: Fraction | float, towards: float) -> float:
     if isinstance(number, float):
         return number
-    return exact.down(number) if towards < 0 else exact.up(number)
+    return (exact.down if towards < 0 else exact.up)(Fraction(number))
 
 
 def _pieces(

@@ -188,7 +188,7 @@ def multiply(a: Polynomial, b: Polynomial) -> Polynomial | None:
     return {monomial: number for monomial, number in total.items() if number}
 
 
-def value(p: Polynomial, x: Sequence[Fraction] | Mapping[int, Fraction]) -> Fraction:
+def value(p: Polynomial, x: Sequence[Fraction] | Mapping[int, Fraction] | np.ndarray) -> Fraction:
     """The exact value at rational x."""
     total = Fraction(0)
     for monomial, number in p.items():

@@ -15,8 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsmodel.proof import exact, polynomial
-from nsmodel.proof.conic_program import minimise
+from nsmodel.proof import conic_program, exact, polynomial
 from nsmodel.proof.polynomial import Polynomial
 
 MOST_MONOMIALS = 45
@@ -228,8 +227,6 @@ def _pairs(r: int) -> list[tuple[int, int]]:
 
 def _most_definite(space: _Space, r: int) -> tuple[np.ndarray, float] | None:
     """Y and its least eigenvalue, as large as possible up to 1, in doubles."""
-    import clarabel
-
     pairs = _pairs(r)
     A, b = exact.doubles(space.A), exact.doubles(space.b).ravel()
     weight = np.array([1.0 if i == j else np.sqrt(2.0) for i, j in pairs])
@@ -239,8 +236,8 @@ def _most_definite(space: _Space, r: int) -> tuple[np.ndarray, float] | None:
         np.column_stack([-np.diag(weight), unit]),
     ])  # fmt: skip
     right = np.concatenate([b, [1.0], np.zeros(len(pairs))])
-    cones = [clarabel.ZeroConeT(len(A)), clarabel.NonnegativeConeT(1), clarabel.PSDTriangleConeT(r)]
-    solution = minimise(np.append(np.zeros(len(pairs)), -1.0), rows, right, cones)
+    cones = [conic_program.zero(len(A)), conic_program.nonnegative(1), conic_program.semidefinite(r)]
+    solution = conic_program.minimise(np.append(np.zeros(len(pairs)), -1.0), rows, right, cones)
     x = np.array(solution.x)
     if not np.isfinite(x).all() or str(solution.status) not in ("Solved", "AlmostSolved", "InsufficientProgress"):
         return None
@@ -283,8 +280,6 @@ def _kernel(Y: np.ndarray) -> np.ndarray | None:
 
 def _largest_constant(m: list[Power], target: dict[Power, Fraction]) -> float | None:
     """The largest c for which p - c is a sum of squares, in doubles."""
-    import clarabel
-
     r, zero = len(m), (0,) * len(m[0])
     space = _space(m, exact.eye(r), target)
     rows = {power: i for i, power in enumerate(dict.fromkeys(_plus(a, b) for a in m for b in m))}
@@ -294,8 +289,10 @@ def _largest_constant(m: list[Power], target: dict[Power, Fraction]) -> float | 
     level[rows[zero]] = 1.0
     weight = np.array([1.0 if i == j else np.sqrt(2.0) for i, j in pairs])
     whole = np.vstack([np.column_stack([A, level]), np.column_stack([-np.diag(weight), np.zeros(len(pairs))])])
-    cones = [clarabel.ZeroConeT(len(A)), clarabel.PSDTriangleConeT(r)]
-    solution = minimise(np.append(np.zeros(len(pairs)), -1.0), whole, np.concatenate([b, np.zeros(len(pairs))]), cones)
+    cones = [conic_program.zero(len(A)), conic_program.semidefinite(r)]
+    solution = conic_program.minimise(
+        np.append(np.zeros(len(pairs)), -1.0), whole, np.concatenate([b, np.zeros(len(pairs))]), cones
+    )
     best = float(solution.x[-1])
     solved = str(solution.status) in ("Solved", "AlmostSolved", "InsufficientProgress")
     return best if solved and np.isfinite(best) and abs(best) < 1e12 else None

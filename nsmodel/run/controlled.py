@@ -99,7 +99,7 @@ class Accepted(NamedTuple):
 class Controlled(OfScheme):
     """The walk under error control; see `walk.Walk`. The rows of all half steps stay in memory."""
 
-    N = 2 * MOST
+    N: int = 2 * MOST
 
     def __init__(self, model: Model, options: Options) -> None:
         check_times(step=options.step, t_end=options.t_end)
@@ -389,7 +389,7 @@ class Controlled(OfScheme):
         """A warning where theta = 1/2 meets a multiplier with two ends."""
         jumps = np.isfinite(self._law.lower) & np.isfinite(self._law.upper) & (self._law.lower < self._law.upper)
         jumps[[i for rows, K in self._law.curved if K.is_bounded for i in range(rows.start, rows.stop)]] = True
-        if getattr(self.model, "theta", 1) != 0.5 or not jumps.any():
+        if (self.model.weights or (1.0, 1.0))[0] != 0.5 or not jumps.any():
             return []
         return [
             f"theta = 1/2 with the relay '{self.problem.rows[jumps.argmax()]}': rtol does not see all of its switches (stick may "
@@ -456,7 +456,7 @@ def _tolerances(model: Model, rtol: Any, atol: Any) -> tuple[float, np.ndarray]:
 
 def _refuse_fixed(model: Any) -> None:
     """Refuse what is bound to steps that are known beforehand."""
-    if getattr(model, "x1", None) is not None:
+    if model.tied_to_step:
         raise UsageError("x1 is a position one constant step after x0; with rtol give the velocity v0 instead")
     tolerances = getattr(model, "tolerances", None)
     if tolerances is not None and not callable(tolerances) and np.size(tolerances) > 1:

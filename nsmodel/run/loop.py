@@ -183,7 +183,7 @@ class Run:
             "state_names": list(model.names),
             "stems": {stem: list(at) for stem, at in model.stems.items()},
             "units": dict(model.units),
-            "parameters": dict(getattr(model, "bound_parameters", {})),
+            "parameters": dict(model.bound_parameters),
             "save_every": self.options.save_every,
             "steps": walk.totals["steps"],
             "used": list(plan.used),

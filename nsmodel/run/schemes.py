@@ -218,7 +218,7 @@ class OfScheme:
         told = impacts.told(self.watches, self.totals.get("impacts", {}), model)
         data: dict[str, Any] = {
             "scheme": self.problem.scheme,
-            "multiplier_names": list(getattr(model, "multiplier_names", self.problem.rows)),
+            "multiplier_names": list(self.problem.multiplier_names),
             "index_names": list(self.problem.rows),
             "law_kinds": self.problem.law.labels,
             "tolerance": self.stepper.tolerance,

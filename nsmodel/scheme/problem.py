@@ -77,6 +77,7 @@ class OneStepProblem:
         guess: first z, an expression of k: the value for which nothing moves.
         next_state: expression of z, l and k.
         multipliers, outputs: l and y as the user declared them, where they differ from l and y; else None.
+        declared: the names of these multipliers.
         records: further columns of the trajectory, expressions of z, l, y and k.
         overreach: of each row, how far Y is below the constraint that it linearises at z, beside what it changes by; else None.
         start: problem that turns (x0, 0) into the first state, where the scheme needs a multiplier at t = 0.
@@ -103,6 +104,7 @@ class OneStepProblem:
     next_state: ca.SX
     multipliers: ca.SX | None = None
     outputs: ca.SX | None = None
+    declared: tuple[str, ...] = ()
     records: dict[str, ca.SX] = field(default_factory=dict)
     overreach: ca.SX | None = None
     start: OneStepProblem | None = None
@@ -112,10 +114,17 @@ class OneStepProblem:
     prediction: Prediction | None = None
     explicit: tuple[int, ...] = ()
 
+    @property
+    def multiplier_names(self) -> tuple[str, ...]:
+        """The names of the multipliers as the user declared them."""
+        return self.rows if self.multipliers is None else self.declared
+
     @cached_property
     def jacobians(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         """(E_z, E_l, Y_z, Y_l), sparse, exact."""
-        return tuple(derivatives(e, v) for e in (self.E, self.Y) for v in (self.z, self.l))
+        E_z, E_l = (derivatives(self.E, v) for v in (self.z, self.l))
+        Y_z, Y_l = (derivatives(self.Y, v) for v in (self.z, self.l))
+        return E_z, E_l, Y_z, Y_l
 
     @cached_property
     def settled(self) -> tuple[ca.SX, ca.SX]:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from nsmodel.errors import StepError, UsageError
+from nsmodel.proof.sure import sure
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import active_set, curved, diagnose, mlcp, repeated
 from nsmodel.solve.certificate import REACH, STRICTER, numeric_law
@@ -149,7 +150,7 @@ class Stepper:
     @cached_property
     def _overreach(self) -> Buffered:
         p = self.problem
-        return Buffered("overreach", [p.t, p.h, p.state, p.z], [p.overreach])
+        return Buffered("overreach", [p.t, p.h, p.state, p.z], [sure(p.overreach)])
 
     def _sparse_step(self, sparse: Sparse, t: float, h: float, state: np.ndarray, warm: Warm) -> StepResult:
         """The step of a large scene; one that is small enough for dense matrices goes to the other solvers where that fails."""

@@ -79,7 +79,7 @@ def _chosen(mask: np.ndarray, a: Any, b: Any) -> ca.SX:
 
 
 def _largest_chosen(mask: np.ndarray, a: ca.SX) -> ca.SX:
-    return ca.mmax(ca.vertcat(*(a[i] for i in np.flatnonzero(mask)))) if mask.any() else ca.SX(0)
+    return ca.mmax(ca.vertcat(*(a[int(i)] for i in np.flatnonzero(mask)))) if mask.any() else ca.SX(0)
 
 
 NUMBERS = Ops(np.abs, np.maximum, np.minimum, np.where, np.where, lambda mask, a: a.max(where=mask, initial=0.0))

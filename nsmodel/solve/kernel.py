@@ -11,6 +11,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel.proof.buffered import attached
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.certificate import (
     ROUNDING,
@@ -50,14 +51,10 @@ class Kernel:
         self._t, self._state = np.zeros(1), np.zeros(problem.state.numel())
         self._S, self._s, self._free = np.zeros((m, m), order="F"), np.zeros(m), np.zeros(m)
         self.out = np.zeros(where.width)
-        buffer, self._run = function.buffer()
         self._one = np.ones(1)
-        for i, array in enumerate((self._t, self._state, self._S, self._s, self._free, self._one)):
-            buffer.set_arg(i, memoryview(array.reshape(-1, order="F")))
-        buffer.set_res(0, memoryview(self.out))
         self.settled = np.zeros(1)  # 1 where no other index set is called for.
-        buffer.set_res(1, memoryview(self.settled))
-        self._buffer = buffer
+        given = self._t, self._state, self._S, self._s, self._free, self._one
+        self._buffer, self._run = attached(function, given, (self.out, self.settled))
         self._maps: dict[bytes, tuple[np.ndarray, np.ndarray, bool, bool]] = {}
         self.loaded: np.ndarray | None = None
         self.fragile = False  # Whether the map in place loses digits that the whole system has;

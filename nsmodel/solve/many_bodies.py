@@ -21,6 +21,7 @@ from scipy.sparse.linalg import splu
 from nsmodel.classes.bodies.schemes.prediction_correction import SCHEME, BodiesProblem, Rows, searched
 from nsmodel.contacts import NO_CONTACTS, Contacts
 from nsmodel.errors import StepError, UsageError
+from nsmodel.proof import conic_program
 from nsmodel.solve import mlcp, qp
 from nsmodel.solve.certificate import EPS, REACH, UNRESOLVED, NumericLaw
 from nsmodel.solve.diagnose import opposing_rows, out_of_reach
@@ -343,18 +344,11 @@ class Group:
 
     def _clarabel(self) -> np.ndarray | None:
         """The answer of Clarabel, an interior-point method, in units in which h f is about 1."""
-        import clarabel
-
-        settings = clarabel.DefaultSettings()
-        settings.verbose = False
-        settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-11
         size = np.abs(self.hf).max() or 1.0
         bodies, inverse = np.unique(self.B.indices, return_inverse=True)
         G = sp.csr_matrix((self.B.data, inverse, self.B.indptr), (len(self.rows.g), bodies.size)).tocsc()
-        cone = [clarabel.NonnegativeConeT(len(self.rows.g))]
-        found = clarabel.DefaultSolver(
-            sp.eye(bodies.size, format="csc"), -self.hf.ravel()[bodies] / size, -G, self.rows.g / size, cone, settings
-        ).solve()
+        cones, P = [conic_program.nonnegative(len(self.rows.g))], sp.eye(bodies.size, format="csc")
+        found = conic_program.minimise(-self.hf.ravel()[bodies] / size, -G, self.rows.g / size, cones, P, tolerance=1e-11)
         m = size * np.array(found.z)
         return m if np.isfinite(m).all() else None
 

@@ -83,9 +83,9 @@ def _near_pairs(problem: BodiesProblem, family: int, t: float, q: np.ndarray, pr
 
 
 def _tree(q: np.ndarray) -> Any:
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
-    return cKDTree(q)
+    return KDTree(q)
 
 
 def _all(problem: BodiesProblem, family: int, present: np.ndarray) -> Members:

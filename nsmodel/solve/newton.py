@@ -14,7 +14,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel.proof.buffered import attached
 from nsmodel.proof.graph import column
+from nsmodel.proof.sure import sure
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import active_set, mlcp
 from nsmodel.solve.certificate import EPS, ROUNDING, STRICTER, UNRESOLVED, NumericLaw, law_residual, output_scale
@@ -155,8 +157,8 @@ class Newton:
     def solve(self, t: float, h: float, state: np.ndarray, l: np.ndarray, index: np.ndarray, chain: Sequence[str]) -> Iterate:
         """Return the accepted iterate, or the best one found (residual above the tolerance)."""
         z, known = self.start(t, h, state, l)
-        best, at_best, self._offsets = None, None, self._offset(t, h, state)[0]
-        at = self.linearise(t, h, state, z, l)
+        best, self._offsets = None, self._offset(t, h, state)[0]
+        at = at_best = self.linearise(t, h, state, z, l)
         for iteration in range(1, NEWTON_ITERATIONS + 1):
             moved = self._advance(at, l, index, chain)
             if moved is None:
@@ -169,7 +171,7 @@ class Newton:
                 best, at_best = found, at
             if stalled or found.residual <= self.enough:
                 if self._is_fragile(at_best, best.index):
-                    whole = self._whole(known, best.z, best.l, best.index, best)
+                    whole = sure(self._whole(known, best.z, best.l, best.index, best))
                     whole.solver, whole.iterations = best.solver, best.iterations
                     return whole
                 return self._refined(known, best) if self.structure.affine else best
@@ -539,11 +541,7 @@ class Buffered:
         self._in = [np.zeros(e.numel()) for e in inputs]
         columns = len(outputs) - matrices
         self._out = [np.zeros(e.numel() if i < columns else e.shape, order="F") for i, e in enumerate(outputs)]
-        self._buffer, self._run = function.buffer()
-        for i, array in enumerate(self._in):
-            self._buffer.set_arg(i, memoryview(array))
-        for i, array in enumerate(self._out):
-            self._buffer.set_res(i, memoryview(array.reshape(-1, order="F")))
+        self._buffer, self._run = attached(function, self._in, self._out)
 
     def __call__(self, *values: float | np.ndarray) -> list[np.ndarray]:
         """The outputs at these inputs."""

@@ -39,7 +39,7 @@ class Programme:
         for rows, _ in law.curved:
             curved[rows] = True
         gap, extra, y = ca.SX(0), [], up - down
-        for i in np.flatnonzero(~curved):
+        for i in np.flatnonzero(~curved).tolist():
             gap += (p.l[i] - law.lower[i]) * up[i] if has_lo[i] else 0
             gap += (law.upper[i] - p.l[i]) * down[i] if has_up[i] else 0
         for rows, K in law.curved:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -236,7 +236,7 @@ def tolerance_function(given: Any) -> Callable[[int, float], float]:
     if given is None:
         return lambda k, h: 0.0
     if callable(given):
-        return lambda k, h: float(given(h))
+        return lambda k, h: float(cast(float, given(h)))
     values = np.atleast_1d(np.asarray(given, float))
     return lambda k, h: float(values[min(k, values.size - 1)])
 

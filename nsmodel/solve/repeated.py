@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from nsmodel.proof.buffered import attached
 from nsmodel.proof.graph import column
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.certificate import (
@@ -90,14 +91,7 @@ class Repeated:
         self.useful = self._again.n_instructions() <= LONGEST
         self._in = [np.zeros(e.numel()) for e in known]
         self._out = [np.zeros(e.numel()) for e in again]
-        self._run = []
-        for function in (self._first, self._again):
-            buffer, run = function.buffer()
-            for i in range(function.n_in()):
-                buffer.set_arg(i, memoryview(self._in[i]))
-            for i in range(function.n_out()):
-                buffer.set_res(i, memoryview(self._out[i]))
-            self._run.append((buffer, run))
+        self._run = [attached(f, self._in[: f.n_in()], self._out[: f.n_out()]) for f in (self._first, self._again)]
         self._loaded: np.ndarray | None = None
         self._possible = False
 

@@ -24,7 +24,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
-from scipy.linalg.lapack import dgbtrf, dgbtrs
+from scipy.linalg.lapack import dgbtrf, dgbtrs  # pyright: ignore[reportAttributeAccessIssue]
 from scipy.sparse.csgraph import breadth_first_order, connected_components, reverse_cuthill_mckee
 from scipy.sparse.linalg import LinearOperator, splu
 
@@ -61,7 +61,7 @@ class Order:
 
 def order(J: sp.csr_matrix) -> Order:
     """The narrower one of two orders: reverse Cuthill and McKee, and by distance from an end of the graph."""
-    size = J.shape[0]
+    size = J.indptr.size - 1
     graph = (abs(J) + abs(J.T) + sp.eye(size)).tocsr()
     candidates = [reverse_cuthill_mckee(graph, symmetric_mode=True)]
     if connected_components(graph, directed=False)[0] == 1:
@@ -94,7 +94,7 @@ class AtStep:
         self.J, self.n, self.order = J, n, like.order if like is not None and same else order(J)
         self.sizes, self.diagonal = abs(J), J.diagonal()
         self.others = (J[:n, :n] - sp.diags(self.diagonal[:n])).tocsr()
-        size, entries, place = J.shape[0], J.tocoo(), self.order.place
+        size, entries, place = self.diagonal.size, J.tocoo(), self.order.place
         self.rows, self.columns = scales(entries.row, entries.col, np.abs(entries.data), size)
         own = entries.row == entries.col  # every diagonal entry is there, once, at the end
         self._row = np.concatenate([entries.row[~own], np.arange(size)])
@@ -168,7 +168,7 @@ class AtStep:
 
     def W(self) -> LinearOperator:
         """W = Y_l - Y_z E_z^{-1} E_l, rows and columns scaled alike, as an operator."""
-        n, m = self.n, self.J.shape[0] - self.n
+        n, m = self.n, self.diagonal.size - self.n
         held = np.ones(m, bool)
         factor, Y = self.factor(held, 0.0), self.J[n:]
 
@@ -186,7 +186,7 @@ class AtStep:
         def scaled(product: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
             return lambda v: product(np.ravel(v) / d) / d
 
-        return LinearOperator((m, m), matvec=scaled(times), rmatvec=scaled(transposed))
+        return LinearOperator((m, m), matvec=scaled(times), rmatvec=scaled(transposed))  # pyright: ignore[reportCallIssue]
 
 
 def matrix_at(problem: OneStepProblem, h: float) -> sp.csr_matrix:
@@ -240,9 +240,13 @@ class Sparse:
             self._steps[h] = AtStep(self._J(h), self.structure.n, next(iter(self._steps.values()), None))
         return self._steps[h]
 
+    def _given(self, t: float, h: float, state: np.ndarray) -> _Step:
+        constant, guess = self._constant_part(t, h, state)
+        return _Step(constant, guess, t, h, state)
+
     def solve(self, t: float, h: float, state: np.ndarray, index: np.ndarray) -> Iterate:
         """Return the step, or the best answer where none was certified (residual above the tolerance)."""
-        at, step = self.at(h), _Step(*self._constant_part(t, h, state), t, h, state)
+        at, step = self.at(h), self._given(t, h, state)
         index = np.where(np.isfinite(self._held(index)), index, 0).astype(np.int8)
         best = self._unsolved(step, index)
         fewest, patience, first, seen = self.structure.m + 1, PATIENCE, index, set()
@@ -269,7 +273,7 @@ class Sparse:
         self, t: float, h: float, state: np.ndarray, l: np.ndarray, index: np.ndarray, chain: Sequence[str]
     ) -> Iterate:
         """The step on the index sets that dense solvers find for the parts that do not touch, where all are small enough."""
-        at, step = self.at(h), _Step(*self._constant_part(t, h, state), t, h, state)
+        at, step = self.at(h), self._given(t, h, state)
         found = index.copy()
         for part in at.parts:
             if part.size > DENSE:
@@ -362,7 +366,7 @@ class Sparse:
 
     def certify(self, t: float, h: float, state: np.ndarray, z: np.ndarray, l: np.ndarray, index: np.ndarray) -> Iterate:
         """Any (z, l) on an index set, judged."""
-        at, step = self.at(h), _Step(*self._constant_part(t, h, state), t, h, state)
+        at, step = self.at(h), self._given(t, h, state)
         u, F = np.concatenate([z, l]), self._residuals(t, h, state, z, l)[0]
         return self._judge(at, step, u, F, at.sizes @ np.abs(u) + np.abs(step.constant), index)
 

@@ -6,12 +6,12 @@ A structure that is not recognised costs speed, never correctness: every step is
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof.graph import column
+from nsmodel.proof.graph import column, entries
 from nsmodel.scheme.problem import OneStepProblem
 
 if TYPE_CHECKING:  # SciPy is loaded by who uses it.
@@ -63,7 +63,7 @@ def read(problem: OneStepProblem) -> Structure:
     """Read the structure of a problem; what is said of it holds for any value of parameters left symbolic."""
     z, l = problem.z, problem.l
     E_z, E_l, Y_z, Y_l = problem.jacobians
-    matrices = column(entry for J in (E_z, E_l, Y_z, Y_l) for entry in J.nonzeros())
+    matrices = column(entry for J in (E_z, E_l, Y_z, Y_l) for entry in entries(J))
     affine = not _depends(matrices, ca.vertcat(z, l))
     known = ca.vertcat(problem.t, problem.state)
     identity = E_z.is_constant() and E_z.shape == ca.SX.eye(z.numel()).shape and _is_zero(E_z - ca.SX.eye(z.numel()))
@@ -141,7 +141,7 @@ def _equal(a: ca.DM, b: ca.DM) -> bool:
 
 def _unit_rows(Y_z: ca.SX, Y_l: ca.SX) -> list[tuple[int, int, float]]:
     by_row: dict[int, list[tuple[int, ca.SX]]] = {}
-    for i, j, entry in zip(*Y_z.sparsity().get_triplet(), Y_z.nonzeros(), strict=True):
+    for i, j, entry in zip(*Y_z.sparsity().get_triplet(), entries(Y_z), strict=True):
         if not entry.is_zero():
             by_row.setdefault(i, []).append((j, entry))
     coupled = set(Y_l.sparsity().get_triplet()[0])
@@ -151,10 +151,10 @@ def _unit_rows(Y_z: ca.SX, Y_l: ca.SX) -> list[tuple[int, int, float]]:
 
 def _follow_rows(E_z: ca.SX, E_l: ca.SX, unit: list[tuple[int, int, float]]) -> tuple:
     columns: dict[int, set[int]] = {}
-    for i, j, entry in zip(*E_z.sparsity().get_triplet(), E_z.nonzeros(), strict=True):
+    for i, j, entry in zip(*E_z.sparsity().get_triplet(), entries(E_z), strict=True):
         if not entry.is_zero():
             columns.setdefault(i, set()).add(j)
-    pushed = {i for i, entry in zip(E_l.sparsity().get_triplet()[0], E_l.nonzeros(), strict=True) if not entry.is_zero()}
+    pushed = {i for i, entry in zip(E_l.sparsity().get_triplet()[0], entries(E_l), strict=True) if not entry.is_zero()}
     giving: dict[int, tuple[int, ...]] = {}
     for row, j, _ in unit:
         giving[j] = (*giving.get(j, ()), row)
@@ -198,10 +198,11 @@ def least_eigenvalue(W: np.ndarray | LinearOperator) -> float:
 def _by_lanczos(W: LinearOperator) -> float:
     from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 
-    symmetric = LinearOperator(W.shape, matvec=lambda v: (W.matvec(v) + W.rmatvec(v)) / 2)
+    symmetric = LinearOperator(W.shape, matvec=lambda v: (W.matvec(v) + W.rmatvec(v)) / 2)  # pyright: ignore[reportCallIssue]
     start = np.random.default_rng(0).normal(size=W.shape[0])
+    how: dict[str, Any] = {"which": "SA", "v0": start, "tol": 1e-3, "maxiter": 20, "return_eigenvectors": False}
     try:
-        found = eigsh(symmetric, 1, which="SA", v0=start, tol=1e-3, maxiter=20, return_eigenvectors=False)
+        found: Any = eigsh(symmetric, 1, **how)
     except ArpackNoConvergence as error:
         found = error.eigenvalues
     least = float(found.min(initial=np.inf))

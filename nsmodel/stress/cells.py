@@ -20,6 +20,7 @@ from nsmodel.hypotheses.findings import ALONG_A_RUN, VIOLATED
 from nsmodel.hypotheses.quick import UNIQUENESS
 from nsmodel.model.base import Model, shown
 from nsmodel.model.parameters import Values
+from nsmodel.proof.sure import sure
 from nsmodel.run.interrupt import progress_bar
 from nsmodel.simulate import simulate
 from nsmodel.stress.judge import acting, by_formulas
@@ -123,7 +124,7 @@ def _values(vary: Mapping[str, Sequence[float]] | None) -> list[list[float]]:
 def _own_step(model: Model) -> float:
     if model.step is None and model.steps is None:
         raise UsageError("no time step: give the model step=, or give stress step=H (--step H)")
-    return float(model.step if model.steps is None else np.mean(model.steps))
+    return float(sure(model.step) if model.steps is None else np.mean(model.steps))
 
 
 def _column(model: Model, values: Mapping[str, float], factor: float, h: float, steps: int, until: float) -> Iterator[Cell]:
@@ -211,7 +212,7 @@ def _promised(model: Model, run: Trajectory, h: float, steps: int) -> dict[str, 
         return {}
     if class_of(model).part("hypotheses.check").TWIN:
         other, message = _run(started_at(model, (run.x[0] + run.x[-1]) / 2), h, steps)
-        if not message and not np.array_equal(other.x[0], run.x[0]):
+        if not message and other is not None and not np.array_equal(other.x[0], run.x[0]):
             runs.append(other)
     try:
         findings = check(model, runs, quick=True).findings

@@ -67,7 +67,7 @@ def worst_of(misfit: np.ndarray, allowed: np.ndarray) -> float:
 
 def known_to(*sizes: np.ndarray) -> np.ndarray:
     """ROUNDING times sizes (N, k, 1); where a slope is infinite (a norm at 0) nothing is allowed."""
-    return ROUNDING * sum(np.where(np.isfinite(size), size, 0.0) for size in sizes)[:, :, 0]
+    return ROUNDING * np.sum([np.where(np.isfinite(size), size, 0.0)[:, :, 0] for size in sizes], axis=0)
 
 
 def over(misfit: np.ndarray, allowed: np.ndarray) -> np.ndarray:

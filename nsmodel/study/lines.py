@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from nsmodel.errors import UsageError
+from nsmodel.proof.sure import sure
 
 DONE, FAILED, LEFT_OUT = "done", "failed", "left out"
 SCHEME, SOLVER, PEER = "scheme", "solver", "peer"
@@ -149,7 +150,7 @@ class Line:
         if not points or target <= own:
             return None
         if not above.size:
-            return Cost(self.name, points[0].step, points[0].label, points[0].seconds, "at the coarsest point")
+            return Cost(self.name, points[0].step, points[0].label, sure(points[0].seconds), "at the coarsest point")
         i, how = int(above[-1]), "between points"
         if i == len(points) - 1:
             if len(points) < 2 or not points[i].resolved or target < errors[i] / FURTHER:

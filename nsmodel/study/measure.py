@@ -22,6 +22,7 @@ from nsmodel.hypotheses.along import along
 from nsmodel.hypotheses.findings import Finding
 from nsmodel.model.base import Model, shown
 from nsmodel.model.parameters import Values
+from nsmodel.proof.sure import sure
 from nsmodel.study import methods
 from nsmodel.study.lines import DONE, LEFT_OUT, SCHEME, SOLVER, Line, Point
 from nsmodel.study.methods import Measured, Method
@@ -82,7 +83,7 @@ def study(
     exact = bound.exact
     T = float(bound.t_end if t_end is None else t_end)
     bound._set(exact=None, steps=None, t_end=T, step=_own_step(bound, T))  # comparing is not part of what is timed
-    counts = _counts(T, bound.step) if steps is None else _given(steps, T)
+    counts = _counts(T, sure(bound.step)) if steps is None else _given(steps, T)
     session = _Session(bound, T, exact, tolerance, float(budget), progress)
     try:
         session.run(counts, steps is None, solvers)
@@ -166,8 +167,9 @@ class _Session:
         for (wide, coarse), (near, fine) in pairwise(self.kept.get(way.name, [])):
             if len(fine.t) == 2 * len(coarse.t) - 1 and np.allclose(fine.t[::2], coarse.t, rtol=0, atol=1e-9 * self.T):
                 rows = Rows(coarse.t, (2**p * fine.x[::2] - coarse.x) / (2**p - 1))
-                point = self.reference.point(f"{wide.label} and h/2", rows, wide.seconds + near.seconds, wide.step)
-                points.append(replace(point, steps=wide.steps + near.steps))
+                seconds = sure(wide.seconds) + sure(near.seconds)
+                point = sure(self.reference).point(f"{wide.label} and h/2", rows, seconds, wide.step)
+                points.append(replace(point, steps=sure(wide.steps) + sure(near.steps)))
         name = way.but("Richardson").name
         self.lines[name] = Line(name, tuple(points), f"(2^p x_h/2 - x_h)/(2^p - 1) with p = {p}, at the cost of both runs")
 
@@ -214,7 +216,7 @@ class _Session:
         run, rows = measured.run, Rows.of(measured.run)
         totals = run.metadata["totals"]
         point = replace(
-            self.reference.point(label, rows, measured.seconds, step),
+            sure(self.reference).point(label, rows, measured.seconds, step),
             steps=int(totals["steps"]),
             setup=measured.setup,
             residual=float(totals["worst_residual"]),

@@ -9,6 +9,7 @@ import numpy as np
 
 from nsmodel.errors import UsageError
 from nsmodel.model.base import Model
+from nsmodel.proof.sure import sure
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.active_set import equilibrate
 from nsmodel.solve.certificate import NumericLaw, numeric_law
@@ -120,7 +121,8 @@ def closed_form(
         UsageError: it raises, gives another shape, or what is not finite.
     """
     state = ClosedForm(exact, len(model.names))
-    own, scale = dict.fromkeys(("max", "end", "l2"), ROUNDING), scale_of(model, state(t)[0])
+    own: dict[str, float] = dict.fromkeys(("max", "end", "l2"), ROUNDING)
+    scale = scale_of(model, state(t)[0])
     text = "the closed form that the model declares"
     if refined is None:
         return Reference(text, "", state, scale, None, own, without_multipliers or "there is no refined run")
@@ -177,8 +179,9 @@ def _multiplier_error(rows: Rows, right: Rows) -> float | None:
 
 def _known(rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times, steps and multipliers of the rows that have multipliers: not the start."""
-    known = np.isfinite(rows.multipliers).all(axis=1)
-    return rows.t[known], np.diff(rows.t, prepend=rows.t[0])[known], rows.multipliers[known]
+    l = sure(rows.multipliers)
+    known = np.all(np.isfinite(l), axis=1)
+    return rows.t[known], np.diff(rows.t, prepend=rows.t[0])[known], l[known]
 
 
 def _between(t: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:

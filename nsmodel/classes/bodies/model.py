@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -41,6 +41,10 @@ class Member(Pickled):
         self.group, self.name = group, name
         for key, values in group.numbers.items():
             setattr(self, key, ca.SX.sym(f"{name}.{key}", values.shape[1]))
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, key: str) -> Any: ...
 
     @property
     def symbols(self) -> ca.SX:
@@ -140,6 +144,16 @@ class Family(Pickled):
         return self.second is not None and isinstance(self.second.group, Bodies)
 
     @property
+    def members(self) -> tuple[Member, ...]:
+        """The one or two of which g speaks."""
+        return (self.first,) if self.second is None else (self.first, self.second)
+
+    @property
+    def moving(self) -> tuple[Member, ...]:
+        """Those of them that are bodies."""
+        return tuple(member for member in self.members if isinstance(member.group, Bodies))
+
+    @property
     def count(self) -> int:
         """How many constraints there are."""
         if self.over is not None:
@@ -164,7 +178,7 @@ class Family(Pickled):
         """c where g = |q_i - q_j| - c with c >= 0 a function of numbers: what a neighbour search needs; else None."""
         if not self.of_pairs:
             return None
-        q, p = self.first.q, self.second.q
+        q, p = (member.q for member in self.moving)
         return -ca.substitute(self.g, ca.vertcat(q, p), ca.SX.zeros(2 * q.numel())) if _is_distance(self.g, q, p) else None
 
 
@@ -200,6 +214,9 @@ class ManyBodies(Model):
     enter: Any = None
     scene: Mapping[str, Any] | None = None
 
+    q: ca.SX = field(init=False, repr=False)
+    me: Member = field(init=False, repr=False)  # Any one of the bodies, in symbols.
+
     paper: ClassVar[str] = SweepingProcess.paper
     schemes: ClassVar[tuple[str, ...]] = SweepingProcess.schemes
     letter: ClassVar[str] = "q"
@@ -227,6 +244,11 @@ class ManyBodies(Model):
             enter=np.zeros(n) if self.enter is None else _times(self.enter, n),
             scene=None if self.scene is None else _scene(self.scene, n),
         )
+
+    @property
+    def row_names(self) -> tuple[str, ...]:
+        """Those of the constraints and of the numbers of bodies."""
+        return (*self.constraints, *self.bodies.numbers)
 
     @property
     def q0(self) -> np.ndarray:
@@ -262,11 +284,11 @@ class ManyBodies(Model):
         for prefix in prefixes - {me.name}:
             one = {s.name(): s for s in ca.symvar(column)}
             mine = self._symbols(me)
-            renamed = {name: mine.get(me.name + name[len(prefix) :]) for name in one if "." in name}
-            unknown = [name for name, symbol in renamed.items() if symbol is None]
+            own = {name: me.name + name[len(prefix) :] for name in one if "." in name}
+            unknown = [name for name, wanted in own.items() if wanted not in mine]
             if unknown:
                 raise ModelError(f"{label} depends on '{unknown[0]}', which the bodies do not have; they have {self._has()}")
-            column = ca.substitute(column, ca.vertcat(*(one[k] for k in renamed)), ca.vertcat(*renamed.values()))
+            column = ca.substitute(column, ca.vertcat(*(one[k] for k in own)), ca.vertcat(*(mine[k] for k in own.values())))
         return to_sx(column, self._symbols(me), label)
 
     def _has(self) -> str:
@@ -286,8 +308,7 @@ class ManyBodies(Model):
             raise ModelError(f"{label}: the second member, {shown(second)}, is neither a body of the model nor one of some Items")
         if second is not None and second.name == first.name:
             raise ModelError(f"{label}: both members are called '{first.name}'; give them different names")
-        members = (first,) if second is None else (first, second)
-        g = ca.densify(to_sx(family.g, self._symbols(*members), label))
+        g = ca.densify(to_sx(family.g, self._symbols(*family.members), label))
         if g.numel() != 1:
             raise ModelError(f"{label}: shape {g.shape}; expected one scalar expression")
         over = None if family.over is None else _numbers_of_members(family, label)

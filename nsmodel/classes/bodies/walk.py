@@ -81,7 +81,8 @@ class OnGrid(OverGrid):
         check_exact(model)
         self.problem = BodiesProblem(model)
         self.stepper = BodiesStepper(self.problem, options.solver, self.tolerance)
-        plan = Plan("bodies", (), True, "never", True, 0.0, *map(tuple, explained(self.problem, options.solver)))
+        used, left_out = map(tuple, explained(self.problem, options.solver))
+        plan = Plan("bodies", (), True, "never", True, 0.0, used, left_out)
         self.counts: Counter[str] = Counter()
         self.totals: dict[str, Any] = {
             "worst_residual": 0.0, "worst_residual_t": None, "index_set_changes": 0, "steps": 0, "left": 0, "entered": 0,
@@ -114,7 +115,7 @@ class OnGrid(OverGrid):
         """The body that is, or would be after this step without constraints, where numbers end."""
         after = self.q
         with contextlib.suppress(StepError):
-            present = np.isfinite(self.q).all(axis=1)
+            present = np.all(np.isfinite(self.q), axis=1)
             after = self.q + self.grid.step(self.k) * self.problem.f(self.grid.time(self.k), self.q, present)
         far = np.nan_to_num([self.q, after], nan=0.0).reshape(2, len(self.q), -1)
         return runaway([f"q of body {i}" for i in range(len(self.q))], np.abs(far).max(axis=(0, 2)))
@@ -150,7 +151,7 @@ class OnGrid(OverGrid):
 
     def _present(self) -> np.ndarray:
         """Who takes part in the next step (N,): those that are there and do not leave."""
-        there = np.isfinite(self.q).all(axis=1)
+        there = np.all(np.isfinite(self.q), axis=1)
         return there & ~self.problem.leaves(self.grid.time(self.k), self.q, there)
 
     def advance(self, steps: int, stop: Sequence[float]) -> None:
@@ -165,7 +166,7 @@ class OnGrid(OverGrid):
         t, h = grid.time(self.k), grid.step(self.k)
         present = self._present()
         result = self._take(t, h, np.where(present[:, None], self.q, np.nan), present)
-        left = int(np.isfinite(self.q).all(axis=1).sum() - present.sum())
+        left = int(np.all(np.isfinite(self.q), axis=1).sum() - present.sum())
         # From here on nothing fails: the step has happened, or it has not.
         pressure = self._pressure(result.contacts, present)
         q = result.q
@@ -193,7 +194,7 @@ class OnGrid(OverGrid):
 
     def _standstill(self) -> dict[str, Any] | None:
         """Since when nobody has moved, and who holds whom; None where somebody moves, or nobody is there."""
-        there = np.isfinite(self.q).all(axis=1)
+        there = np.all(np.isfinite(self.q), axis=1)
         if self.k - self.still.since < WINDOW or not there.any():
             return None
         return {
@@ -224,7 +225,7 @@ class OnGrid(OverGrid):
         if not due.any():
             return np.zeros(0, int)
         placed = np.where(due[:, None], self.model.bodies.q0, q)
-        rows = near(self.problem, t, placed, np.isfinite(placed).all(axis=1), 0.0)
+        rows = near(self.problem, t, placed, np.all(np.isfinite(placed), axis=1), 0.0)
         rows = rows.at(rows.g < -_rounding(rows, placed))
         both = rows.pair & due[rows.first] & due[rows.other]
         refused = np.zeros(len(due), bool)
@@ -261,7 +262,7 @@ class OnGrid(OverGrid):
             totals["least_gap"], totals["least_gap_t"] = float(gap), t
         if q is None or gap >= totals.get("overrun", {"gap": 0.0})["gap"] or gap >= -ROUNDED * np.nanmax(np.abs(q)):
             return
-        rows = near(self.problem, t, q, np.isfinite(q).all(axis=1), 0.0)
+        rows = near(self.problem, t, q, np.all(np.isfinite(q), axis=1), 0.0)
         over = rows.g + OVERRUN * _rounding(rows, q)
         if over.size and over.min() < 0:
             i = int(over.argmin())
@@ -297,7 +298,7 @@ class OnGrid(OverGrid):
 
     def metadata(self) -> dict[str, Any]:
         """The families, who is there, who stands still, warnings."""
-        there = np.isfinite(self.q).all(axis=1)
+        there = np.all(np.isfinite(self.q), axis=1)
         return {
             "scheme": self.problem.scheme,
             "tolerance": self.tolerance,
@@ -318,7 +319,7 @@ def refuse_start(problem: BodiesProblem, q: np.ndarray) -> float:
     Raises:
         UsageError: names the constraint, its value, the bodies and where they are.
     """
-    present = np.isfinite(q).all(axis=1)
+    present = np.all(np.isfinite(q), axis=1)
     rows = near(problem, 0.0, q, present, 0.0)
     bad = np.flatnonzero(~(rows.g >= -_rounding(rows, q)))
     if bad.size:

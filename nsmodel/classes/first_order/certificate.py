@@ -45,7 +45,7 @@ def _hint(model: FirstOrderSystem, finding: Finding, value: dict[str, str]) -> A
     if finding.id in ("F-mlcp", "F-unique"):
         return _complementarity(model)
     steps = model.steps if model.steps is not None else [model.step]
-    value["h"] = text(np.max(steps))
+    value["h"] = text(np.max(np.asarray(steps, float)))
     inverse = exact.inverse(exact.rational(np.array(ca.DM(ca.densify(model.M)))))
     if inverse is None:
         raise Unproved("M is singular")
@@ -61,7 +61,7 @@ def _complementarity(model: FirstOrderSystem) -> Any:
     A, _, K, B, C, D = (exact.rational(np.array(ca.DM(ca.densify(part))).reshape(part.shape)) for part in J)
     M, theta, gamma = exact.rational(np.array(ca.DM(ca.densify(model.M)))), Fraction(model.theta), Fraction(model.gamma)
     found: dict[str, list[Any]] = {"inverses": [], "T": []}
-    for h in np.unique(model.step if model.steps is None else model.steps):
+    for h in np.unique(np.asarray(model.step if model.steps is None else model.steps, float)):
         inverse = exact.inverse(M - Fraction(h) * (theta * A + gamma * K))
         if inverse is None:
             raise Unproved("W is singular")

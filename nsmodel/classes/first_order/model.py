@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from numbers import Real
 from typing import Any, ClassVar
 
@@ -10,7 +10,7 @@ import casadi as ca
 
 from nsmodel.errors import ModelError
 from nsmodel.laws import Law
-from nsmodel.model.base import Model, shown
+from nsmodel.model.base import LEFT_OUT, Model, shown
 from nsmodel.model.convert import Converter
 
 
@@ -40,11 +40,13 @@ class FirstOrderSystem(Model):
     h: Any = None
     g: Any = None
     M: Any = None
-    law: Law | None = None
+    law: Law = LEFT_OUT
     x0: Any
     lam0: Any = None
     theta: float = 1.0
     gamma: float = 1.0
+
+    multiplier_names: tuple[str, ...] = field(init=False, repr=False)
 
     paper: ClassVar[str] = "Acary and Perignon, Siconos developer's notes: theta-gamma scheme, Newton linearisation, MLCP"
     schemes: ClassVar[tuple[str, ...]] = ("theta-gamma",)
@@ -75,6 +77,11 @@ class FirstOrderSystem(Model):
         check_weights(self.theta, self.gamma)
 
     @property
+    def row_names(self) -> tuple[str, ...]:
+        """Those of the multipliers."""
+        return self.multiplier_names
+
+    @property
     def weights(self) -> tuple[float, float]:
         """theta and gamma."""
         return self.theta, self.gamma
@@ -96,5 +103,5 @@ def checked_law(model: Model, converter: Converter, law: Any, label: str = "law"
 def check_weights(theta: Any, gamma: Any) -> None:
     """Refuse theta and gamma outside [0, 1]."""
     for name, value in (("theta", theta), ("gamma", gamma)):
-        if isinstance(value, bool) or not isinstance(value, Real) or not 0 <= value <= 1:
+        if isinstance(value, bool) or not isinstance(value, Real) or not 0 <= float(value) <= 1:
             raise ModelError(f"{name} = {value!r}; expected a number in [0, 1]")

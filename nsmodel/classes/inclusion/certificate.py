@@ -49,7 +49,8 @@ def proofs(
         if model.phi is None:
             return [cover(model.operator, model.x)]
         atoms = verify.Atoms()
-        return [convexity(*atoms.read(data["phi"]), range(model.x.numel()), atoms)]
+        (phi,) = atoms.read(data["phi"])
+        return [convexity(phi, range(model.x.numel()), atoms)]
     if finding.id == "M-A2":
         return [{}]
     if finding.id == "M-A3":

@@ -67,7 +67,7 @@ def _resolvent(model: MonotoneInclusion, run: Trajectory) -> Misfits:
         z = np.broadcast_to(z, new.shape)
         at, rounding = evaluated([model.t, model.x], [S, majorant(S)], end, z)
         away, other = new - z, at[:, :, 0]
-        there = there & np.isfinite(other).all(axis=1)
+        there = there & np.all(np.isfinite(other), axis=1)
         gap = np.where(there, np.maximum(-((w - other) * away).sum(axis=1), 0), 0.0)
         allowed = (np.abs(away) * (unseen + known_to(rounding) + LAW * (np.abs(w) + np.abs(other)))).sum(axis=1)
         allowed += (np.abs(w - other) * place).sum(axis=1)
@@ -86,7 +86,7 @@ def _rivals(model: MonotoneInclusion, run: Trajectory) -> list[tuple[np.ndarray,
 def _inside(model: MonotoneInclusion, t: np.ndarray, z: np.ndarray) -> np.ndarray:
     """Whether z (N, n) are in C(t) (N,)."""
     rows = ca.vertcat(model.x - model.lower, model.upper - model.x, *model.constraints.values())
-    return (evaluated([model.t, model.x], [rows], t, z)[0][:, :, 0] >= 0).all(axis=1)
+    return np.all(evaluated([model.t, model.x], [rows], t, z)[0][:, :, 0] >= 0, axis=1)
 
 
 def acting(model: MonotoneInclusion, run: Trajectory) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
@@ -48,6 +49,11 @@ class MonotoneInclusion(Model):
     x0: Any
     tolerances: float | Sequence[float] | Callable[[float], float] | None = None
 
+    sign_symbols: ca.SX = dataclasses.field(init=False, repr=False)
+    sign_arguments: ca.SX = dataclasses.field(init=False, repr=False)
+    potential_split: ConvexSplit | None = dataclasses.field(init=False, repr=False)
+    constraint_names: tuple[str, ...] = dataclasses.field(init=False, repr=False)
+
     paper: ClassVar[str] = "Convergence and stability of a catching-up algorithm with maximal monotone operators (2026)"
     schemes: ClassVar[tuple[str, ...]] = ("catching-up", "implicit")
     has: ClassVar[Mapping[str, str]] = {"v": "the velocity"}
@@ -55,6 +61,11 @@ class MonotoneInclusion(Model):
         "field, operator, lower, upper and constraints may. Write phi as operator, its kinks with sign, or take a LureSystem, "
         "where x' = A(x) + f(t) + B l with a law or phi=, or a FirstOrderSystem, all terms of which may depend on t"
     )
+
+    @property
+    def row_names(self) -> tuple[str, ...]:
+        """Those of the constraints."""
+        return (*self.constraint_names, *self.constraints)
 
     @property
     def moves(self) -> bool:

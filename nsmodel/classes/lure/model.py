@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import casadi as ca
@@ -13,7 +13,7 @@ from nsmodel.errors import ModelError
 from nsmodel.laws import Law
 from nsmodel.model.base import Model
 from nsmodel.model.convert import Converter
-from nsmodel.model.convex import split
+from nsmodel.model.convex import ConvexSplit, split
 from nsmodel.model.parameters import declared
 
 
@@ -48,6 +48,9 @@ class LureSystem(Model):
     theta: float = 1.0
     gamma: float = 1.0
 
+    multiplier_names: tuple[str, ...] = field(init=False, repr=False)
+    phi_split: ConvexSplit = field(init=False, repr=False)  # Of phi, where it is given.
+
     paper: ClassVar[str] = (
         "Brogliato and Goeleven, Existence, uniqueness of solutions and stability of nonsmooth multivalued Lur'e systems (2013)"
     )
@@ -78,6 +81,11 @@ class LureSystem(Model):
             phi = self._vector(c, self.phi, "phi", 1, [self.y])
             self._set(phi=phi, phi_split=split(phi, self.y, "phi"))
         check_weights(self.theta, self.gamma)
+
+    @property
+    def row_names(self) -> tuple[str, ...]:
+        """Those of the multipliers."""
+        return self.multiplier_names
 
     @property
     def weights(self) -> tuple[float, float]:

@@ -12,8 +12,12 @@ from nsmodel.classes.units import at, scaled_law
 
 def in_units(model: LureSystem, u: float, tau: float, common: dict[str, Any]) -> LureSystem:
     """States u times and times tau times as large."""
-    t, x, y = (model.t, model.t / tau), (model.x, model.x / u), (model.y, None if model.y is None else model.y / u)
-    law = {"law": scaled_law(model.law, u)} if model.phi is None else {"y": model.y, "phi": u**2 * at(model.phi, y)}
+    t, x = (model.t, model.t / tau), (model.x, model.x / u)
+    law = (
+        {"law": scaled_law(model.law, u)}
+        if model.law is not None
+        else {"y": model.y, "phi": u**2 * at(model.phi, (model.y, model.y / u))}
+    )
     n = model.x.numel()
     return LureSystem(
         x=model.x, x0=u * ca.DM(model.x0), A=ca.SX.zeros(n, n) if model.A.is_zero() else u / tau * at(model.A, x),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
 import casadi as ca
@@ -11,7 +11,7 @@ import casadi as ca
 from nsmodel.errors import ModelError
 from nsmodel.laws import Words
 from nsmodel.model.base import Model, refuse_infinite, shown
-from nsmodel.model.convex import split
+from nsmodel.model.convex import ConvexSplit, split
 
 
 class Friction(NamedTuple):
@@ -50,6 +50,10 @@ class FrictionOscillator(Model):
     v0: Any = None
     x1: Any = None
 
+    potential_split: ConvexSplit = field(init=False, repr=False)
+    elements: tuple[Friction, ...] = field(init=False, repr=False)
+    constraint_names: tuple[str, ...] = field(init=False, repr=False)
+
     paper: ClassVar[str] = "Cabot, Discretization of a nonlinear oscillator under dry friction (2004)"
     schemes: ClassVar[tuple[str, ...]] = ("inertial proximal",)
     has: ClassVar[Mapping[str, str]] = {"v": "the velocity"}
@@ -84,6 +88,11 @@ class FrictionOscillator(Model):
             v0=None if self.x1 is not None else self._numbers(c, 0 if self.v0 is None else self.v0, "v0", n),
             x1=None if self.x1 is None else self._numbers(c, self.x1, "x1", n),
         )
+
+    @property
+    def row_names(self) -> tuple[str, ...]:
+        """Those of the constraints and of the friction elements."""
+        return (*self.constraint_names, *self.constraints, *(element.name for element in self.elements))
 
     @property
     def tied_to_step(self) -> bool:

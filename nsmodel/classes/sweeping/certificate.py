@@ -52,7 +52,7 @@ def subject(model: SweepingProcess, findings: Mapping[str, Finding]) -> Subject:
 
 def reach_of(shape: Shape, model: SweepingProcess) -> Fraction:
     """Of a distance less r(t) a number that r is not below, at all times; U_i = {g_i > -delta} with half of it."""
-    offset = shape.form.affine.offset
+    offset = shape.written.affine.offset
     if isinstance(offset, Fraction):
         return -offset
     top = extremum.supremum(offset, model.t, np.zeros(1), np.array([float(model.t_end or 0.0)])).bound
@@ -90,7 +90,8 @@ def _constraint(
     local = finding.scope is not None and bool(finding.scope.states)
     if finding.id == "S-convex":
         program, atoms = data["constraints"][k]["graph"], verify.Atoms()
-        hint = convexity(*atoms.read(program), range(1, len(program["inputs"])), atoms)
+        (p,) = atoms.read(program)
+        hint = convexity(p, range(1, len(program["inputs"])), atoms)
         return hint | {"form": "box" if "cover" in hint else "rules"}
     if not local and finding.id not in ("A2", "A3", "A4"):
         raise Unproved(f"constraint '{model.multiplier_names[k]}': a form that is not written down here")
@@ -105,7 +106,7 @@ def _constraint(
 
 def _norm(model: SweepingProcess, shape: Any) -> dict[str, Any] | None:
     """w |A q + c(t)| + offset(t), or the distance to a segment."""
-    (weight, squares), offset = shape.form.norms[0], shape.form.affine.offset
+    (weight, squares), offset = shape.written.norms[0], shape.written.affine.offset
     if any(w != 1 for w, _ in squares):
         return None
     place = {i: j for j, i in enumerate(shape.own)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import casadi as ca
@@ -36,6 +36,8 @@ class SweepingProcess(Model):
     mean_forcing: bool = False
     scene: Mapping[str, Any] | None = None
 
+    multiplier_names: tuple[str, ...] = field(init=False, repr=False)
+
     paper: ClassVar[str] = "Bernicot and Venel, Convergence order of a numerical scheme for sweeping process (2010)"
     letter: ClassVar[str] = "q"
     schemes: ClassVar[tuple[str, ...]] = ("prediction-correction",)
@@ -54,6 +56,11 @@ class SweepingProcess(Model):
             q0=self._numbers(c, self.q0, "q0", n),
             scene=None if self.scene is None else _scene(self.scene, n),
         )
+
+    @property
+    def row_names(self) -> tuple[str, ...]:
+        """Those of the multipliers and of the constraints."""
+        return (*self.multiplier_names, *self.constraints)
 
     @property
     def g(self) -> ca.SX:

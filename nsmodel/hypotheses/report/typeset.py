@@ -163,7 +163,7 @@ class _Writer:
         """A matrix."""
         return matrix_latex(ca.SX(matrix), Names({}, {}))
 
-    def column(self, numbers: Sequence[float]) -> str:
+    def column(self, numbers: Sequence[float] | np.ndarray) -> str:
         """A column of numbers."""
         return listed([decimal(float(value)) for value in numbers])
 

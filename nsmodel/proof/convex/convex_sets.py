@@ -13,6 +13,7 @@ import numpy as np
 from nsmodel.proof import exact, extremum, feasibility, interval, polynomial
 from nsmodel.proof.convex import convexity
 from nsmodel.proof.quiet import quiet
+from nsmodel.proof.sure import sure
 from nsmodel.proof.verdict import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Part
 
 POINTS = 512
@@ -84,8 +85,8 @@ class ConvexSet:
         proved = [i for i, s in zip(left, convexity.everywhere(self.rows[left], self.x), strict=True) if s.concave]
         base = [Fraction(round(float(entry) * 2**20), 2**20) for entry in point]
         touched = [base, *([b + (sign if j == i else 0) for j, b in enumerate(base)] for i in range(self.n) for sign in (1, -1))]
-        for p in (self.polynomials[i] for i in proved):
-            for x in touched if p is not None else ():
+        for p in (sure(self.polynomials[i]) for i in proved):
+            for x in touched:
                 slope = [polynomial.value(polynomial.derivative(p, j), x) for j in range(self.n)]
                 N = np.vstack([N, exact.rational([slope])])
                 offset = polynomial.value(p, x) - sum((a * b for a, b in zip(slope, x, strict=True)), Fraction(0))

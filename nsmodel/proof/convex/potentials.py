@@ -87,8 +87,8 @@ def _split(g: ca.SX, x: ca.SX) -> Smooth:
     """Set aside the convex terms with kinks; what is left is to be smooth, quadratic terms included."""
     kept, proved, whole = ca.SX(0), True, True
     terms = additive_terms(g)
-    scaled = [_times(factor, term) for factor, term in terms]
-    if any(term is None for term in scaled):
+    scaled = [product for product in (_times(factor, term) for factor, term in terms) if product is not None]
+    if len(scaled) < len(terms):
         return Smooth(g, False, True)
     shapes = convexity.everywhere(ca.vertcat(*scaled), x)
     polynomials = polynomial.read(ca.vertcat(*scaled), x)

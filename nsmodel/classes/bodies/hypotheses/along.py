@@ -104,12 +104,12 @@ def shorter(problem: BodiesProblem, run: Trajectory) -> Answer | None:
     tolerance = float(run.metadata["tolerance"])
     for k in np.unique(np.linspace(0, len(run.t) - 2, count, dtype=int)):
         q, new = _states(problem, run, k), _states(problem, run, k + 1)
-        there = np.isfinite(new).all(axis=1)
-        both = there & np.isfinite(q).all(axis=1)
+        there = np.all(np.isfinite(new), axis=1)
+        both = there & np.all(np.isfinite(q), axis=1)
         if (there & ~both).any():
             continue  # Who enters here took no part in the step, or did so unseen.
         h = float(run.step[k + 1])
-        speed = h * np.linalg.norm(problem.f(float(run.t[k]), np.where(both[:, None], q, np.nan), both)[both])
+        speed = h * float(np.linalg.norm(problem.f(float(run.t[k]), np.where(both[:, None], q, np.nan), both)[both]))
         moved = float(np.linalg.norm((new - q)[both]))
         rounding = 4 * EPS * np.sqrt(both.sum()) * np.abs(q[both]).max(initial=0.0)
         broken |= moved > speed * (1 + 4 * tolerance * np.sqrt(max(both.sum(), 1))) + rounding

@@ -78,7 +78,7 @@ def numbers_of(family: Family) -> ca.SX:
 
 def states_of(family: Family) -> ca.SX:
     """The states of one body, or of both."""
-    return ca.vertcat(family.first.q, family.second.q) if family.of_pairs else family.first.q
+    return ca.vertcat(*(member.q for member in family.moving))
 
 
 def tables_of(family: Family) -> tuple[np.ndarray, np.ndarray]:

@@ -8,6 +8,7 @@ import numpy as np
 from nsmodel.classes.bodies.model import Family
 from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, Rows, searched
 from nsmodel.proof import interval
+from nsmodel.proof.sure import sure
 from nsmodel.solve.certificate import EPS
 from nsmodel.solve.near import least_gap, near
 
@@ -49,9 +50,9 @@ def _margin(least: float, q: np.ndarray) -> float:
 def _rounding(problem: BodiesProblem, t: float, family: Family) -> float:
     """How much the reach of a pair is rounded, from that of two bodies with the numbers of each."""
     d, numbers = problem.d, np.unique(problem.numbers, axis=0)
-    z = ca.vertcat(problem.model.t, family.first.symbols[d:], family.second.symbols[d:])
+    z = ca.vertcat(problem.model.t, *(member.symbols[d:] for member in family.moving))
     points = np.hstack([np.full((len(numbers), 1), t), numbers, numbers])
-    low, high = interval.enclose(ca.SX(family.reach), z, points, points)
+    low, high = interval.enclose(sure(family.reach), z, points, points)
     return 4 * float(np.nan_to_num(high - low, posinf=0.0).max(initial=0.0))
 
 
@@ -109,4 +110,4 @@ def bounds(problem: BodiesProblem, t: float, q: np.ndarray, rows: Rows) -> tuple
 
 
 def _there(q: np.ndarray) -> np.ndarray:
-    return np.isfinite(q).all(axis=1)
+    return np.all(np.isfinite(q), axis=1)

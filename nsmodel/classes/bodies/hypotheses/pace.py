@@ -22,5 +22,6 @@ def pace(
         return None
     numbers, table = model.me.symbols[model.bodies.d :], model.bodies.table[:, model.bodies.d :]
     z = ca.vertcat(model.t, model.me.q, numbers)
-    ends = (np.concatenate([end, by(table, axis=0)]) for end, by in zip(region.with_time(), (np.min, np.max), strict=True))
-    return swept(fastest(model.f, z, *ends, model.bodies.count), findings, known["K_L"], h)
+    start, end = region.with_time()
+    low, high = np.append(start, table.min(axis=0)), np.append(end, table.max(axis=0))
+    return swept(fastest(model.f, z, low, high, model.bodies.count), findings, known["K_L"], h)

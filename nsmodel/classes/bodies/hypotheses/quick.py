@@ -12,15 +12,14 @@ def warnings(model: ManyBodies) -> list[str]:
     """Of each family one member where the bodies start: has its constraint a gradient, and is it convex there."""
     found = []
     for name, family in model.constraints.items():
-        others = [] if family.second is None else [family.second.symbols]
-        q = ca.vertcat(family.first.q, family.second.q) if family.of_pairs else family.first.q
+        q = ca.vertcat(*(member.q for member in family.moving))
         H, slope = ca.hessian(family.g, q)
-        f = ca.Function("H", [model.t, family.first.symbols, *others], [ca.densify(H), ca.densify(slope)])
+        f = ca.Function("H", [model.t, *(member.symbols for member in family.members)], [ca.densify(H), ca.densify(slope)])
         i, j = (0, int(family.of_pairs)) if family.over is None else family.over[0] if len(family.over) else (0, -1)
         if family.of_pairs and j >= model.bodies.count:
             continue
-        given = [family.second.group.table[j]] if others else []
-        H, slope = (np.array(value) for value in f(0, model.bodies.table[i], *given))
+        others = [] if family.second is None else [family.second.group.table[j]]
+        H, slope = (np.array(value) for value in f(0, model.bodies.table[i], *others))
         label = f"constraint '{name} {i}'" if not others else f"constraint '{name} {i}-{j}'"
         if not slope.any():
             found.append(f"{label} has a zero gradient at q0: near there it acts on nothing")

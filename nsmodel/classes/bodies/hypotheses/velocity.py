@@ -152,7 +152,7 @@ def _some(model: ManyBodies, table: np.ndarray) -> tuple[np.ndarray, list[np.nda
 
 def _jump(problem: BodiesProblem, points: Sequence[Point], region: Region) -> _Jump | None:
     """(a lower bound of its size, the jump nearest to a body), one body moved to where its own velocity switches."""
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     model, d, table = problem.model, problem.d, problem.numbers
     f = ca.Function("f", [model.t, model.me.symbols], [ca.densify(model.f)])
@@ -165,15 +165,15 @@ def _jump(problem: BodiesProblem, points: Sequence[Point], region: Region) -> _J
             there = alike[np.isfinite(q[alike]).all(axis=1)]
             if not there.size or not len(x):
                 continue
-            far, nearest = cKDTree(q[there]).query(x[:, 1 : 1 + d])
+            far, nearest = map(np.asarray, KDTree(q[there]).query(x[:, 1 : 1 + d]))
             tried = 0
             for k in np.argsort(far, kind="stable"):
                 if (found and far[k] >= min(item[0] for item in found)) or tried == PROVED:
                     break
                 time, body = float(x[k, 0]) if moves else t, int(there[nearest[k]])
                 ends = x[k, 1 : 1 + d], y[k, 1 : 1 + d]
-                values = (np.array(f(time, np.concatenate([end, table[kind]]))).T for end in ends)
-                if not differ(*values, least[k : k + 1])[0] or not all(others.admit(time, body, end) for end in ends):
+                one, other = (np.array(f(time, np.concatenate([end, table[kind]]))).T for end in ends)
+                if not differ(one, other, least[k : k + 1])[0] or not all(others.admit(time, body, end) for end in ends):
                     continue
                 tried += 1
                 size = _proved(model, table[kind], time, *ends)
@@ -196,7 +196,7 @@ def _proved(model: ManyBodies, numbers: np.ndarray, time: float, x: np.ndarray, 
 def _steep(problem: BodiesProblem, region: Region, points: Sequence[Point]) -> dict[str, Any] | None:
     """A place where difference quotients of a body's velocity keep growing, if the body nearest to it can be there."""
     model, table = problem.model, problem.numbers
-    occupied = [(t, q) for t, q in points if np.isfinite(q).all(axis=1).any()]
+    occupied = [(t, q) for t, q in points if np.all(np.isfinite(q), axis=1).any()]
     if not occupied:
         return None
     t, q = occupied[0]
@@ -250,7 +250,7 @@ def _called(problem: BodiesProblem, region: Region, points: Sequence[Point]) -> 
     size = float(np.max(region.upper - region.lower))
     how = "f is a function of arrays: nothing is proved"
     for t, q in points[:4]:
-        there = np.isfinite(q).all(axis=1)
+        there = np.all(np.isfinite(q), axis=1)
         if not there.any():
             continue
         looked += 1

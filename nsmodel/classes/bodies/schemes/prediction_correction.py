@@ -15,6 +15,8 @@ import numpy as np
 
 from nsmodel.classes.bodies.model import Family, ManyBodies
 from nsmodel.errors import StepError, UsageError
+from nsmodel.proof.buffered import attached
+from nsmodel.proof.sure import sure
 
 BLOCK = 4096  # Members evaluated in one call.
 LARGEST_TABLE = 20_000_000  # Rows that a step evaluates at most.
@@ -51,12 +53,10 @@ class Batch:
 
     def _prepare(self, size: int) -> tuple[Any, ...]:
         """(run, buffer, t, inputs, output) of a call for so many columns, and their memory."""
-        buffer, run = self._function.map(f"{self._function.name()}_{size}", "serial", size, [0], []).buffer()
         time, output = np.zeros(1), np.zeros((size, self._width))
         inputs = [np.zeros((size, k)) for k in self._sizes]
-        for i, array in enumerate((time, *inputs)):
-            buffer.set_arg(i, memoryview(array.reshape(-1)))
-        buffer.set_res(0, memoryview(output.reshape(-1)))
+        many = self._function.map(f"{self._function.name()}_{size}", "serial", size, [0], [])
+        buffer, run = attached(many, [array.reshape(-1) for array in (time, *inputs)], [output.reshape(-1)])
         self._calls[size] = run, buffer, time, inputs, output
         return self._calls[size]
 
@@ -120,12 +120,11 @@ class BodiesProblem:
         self._leave = None if model.leave is None else Batch("leave", t, [model.me.symbols], model.leave)
         self._gap, self._row, self.curved = [], [], []
         for family in self.families:
-            members = [family.first.symbols] if family.second is None else [family.first.symbols, family.second.symbols]
-            g = ca.SX(family.g)
-            slopes = [ca.gradient(g, family.first.q), *([ca.gradient(g, family.second.q)] if family.of_pairs else [])]
+            members = [member.symbols for member in family.members]
+            g, states = ca.SX(family.g), [member.q for member in family.moving]
+            slopes = [ca.gradient(g, q) for q in states]
             self._gap.append(Batch("gap", t, members, g))
             self._row.append(Batch("row", t, members, ca.vertcat(g, *slopes)))
-            states = [family.first.q, *([family.second.q] if family.of_pairs else [])]
             self.curved.append(bool(ca.depends_on(ca.vertcat(*slopes), ca.vertcat(*states))))
         self._reach = [_Reach(family, t, self.numbers, name) if searched(family) else None
                        for name, family in zip(self.names, self.families, strict=True)]  # fmt: skip
@@ -188,11 +187,11 @@ class BodiesProblem:
 
     def reach(self, family: int, t: float) -> float:
         """The largest c of g = |q_i - q_j| - c."""
-        return self._reach[family].largest(t)
+        return sure(self._reach[family]).largest(t)
 
     def halves(self, family: int, t: float) -> np.ndarray:
         """Numbers (N,) with c_ij <= half_i + half_j for each pair."""
-        return self._reach[family].halves(t)
+        return sure(self._reach[family]).halves(t)
 
     def name(self, family: int, first: int, second: int) -> str:
         """What the user calls a constraint: "pair 3-7", "wall 12-0"; as in ``ManyBodies.written_out``."""
@@ -215,13 +214,12 @@ class _Reach:
     """How far the pairs of a family reach: the largest c, and a share of it for each body."""
 
     def __init__(self, family: Family, t: ca.SX, numbers: np.ndarray, name: str) -> None:
-        n, m = (member.symbols[member.q.numel() :] for member in (family.first, family.second))
-        self._c = Batch("reach", t, [n, m], ca.SX(family.reach))
-        self._fixed = not ca.depends_on(family.reach, t)
+        n, m = (member.symbols[member.q.numel() :] for member in family.moving)
+        reach = sure(family.reach)
+        self._c = Batch("reach", t, [n, m], reach)
+        self._fixed = not ca.depends_on(reach, t)
         self._numbers, self._kind = np.unique(numbers, axis=0, return_inverse=True)
-        self._additive = not n.numel() or (
-            ca.jacobian(ca.gradient(family.reach, n), m).nnz() == 0 and not _switches(family.reach, [t, n, m])
-        )
+        self._additive = not n.numel() or (ca.jacobian(ca.gradient(reach, n), m).nnz() == 0 and not _switches(reach, [t, n, m]))
         if not self._additive and len(self._numbers) ** 2 > LARGEST_TABLE:
             raise UsageError(
                 f"constraint '{name}': the reach {family.reach} is not a sum of a number of either body, and the numbers of "

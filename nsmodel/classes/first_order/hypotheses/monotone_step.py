@@ -28,8 +28,7 @@ from nsmodel.classes.first_order.hypotheses.linearised import Linearised, number
 from nsmodel.classes.lure.hypotheses.jacobian_hull import tidy
 from nsmodel.classes.lure.hypotheses.pairing import well_conditioned
 from nsmodel.classes.lure.hypotheses.passivity import storage
-from nsmodel.proof import exact, extremum, interval
-from nsmodel.proof.conic_program import minimise
+from nsmodel.proof import conic_program, exact, extremum, interval
 from nsmodel.proof.exact import EPS
 from nsmodel.proof.graph import operations
 
@@ -299,8 +298,6 @@ def _in_parts(at: Linearised, h: float, regular: bool) -> Unique | None:
 
 def _multipliers(at: Linearised, form: _Form) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """L, N and Theta with the form as definite as can be at some points, in units of the box; None where it is not."""
-    import clarabel
-
     n, m = form.W.shape[0], form.D.shape[0]
     rng = np.random.default_rng(0)
     corners = np.where(rng.random((POINTS, len(form.lower))) < 0.5, form.lower, form.upper)
@@ -337,20 +334,20 @@ def _multipliers(at: Linearised, form: _Form) -> tuple[np.ndarray, np.ndarray, n
             columns.append(_stacked((Q + Q.T) / 2))
         data.append(np.column_stack([*(-column for column in columns), _stacked(np.eye(n + m))]))
         right.append(np.zeros(len(columns[0])))
-        cones.append(clarabel.PSDTriangleConeT(n + m))
+        cones.append(conic_program.semidefinite(n + m))
     for sign in (1.0, -1.0):  # |unknowns| <= 1e3, Theta >= 1e-3
         data.append(np.hstack([sign * np.eye(unknowns), np.zeros((unknowns, 1))]))
         bound = np.full(unknowns, 1e3)
         if sign < 0:
             bound[n * n + n * m :] = -1e-3
         right.append(bound)
-        cones.append(clarabel.NonnegativeConeT(unknowns))
+        cones.append(conic_program.nonnegative(unknowns))
     cost = np.zeros(unknowns + 1)
     cost[-1] = -1.0
     data.append(np.append(np.zeros(unknowns), 1.0)[None, :])
     right.append(np.array([1.0]))
-    cones.append(clarabel.NonnegativeConeT(1))
-    solution = minimise(cost, np.vstack(data), np.concatenate(right), cones)
+    cones.append(conic_program.nonnegative(1))
+    solution = conic_program.minimise(cost, np.vstack(data), np.concatenate(right), cones)
     answer = np.array(solution.x)
     if str(solution.status) not in ("Solved", "AlmostSolved") or answer[-1] <= 1e-7:
         return None

@@ -111,8 +111,8 @@ def _constant(hypothesis: Hypothesis, at: Linearised, mlcp_finding: Finding, qui
         return found(hypothesis, HOLDS, f"{one.how[0].upper()}{one.how[1:]}.", {"solutions": 1}, scope=scope)
     if not at.model.law.is_box:
         return None
-    several = [affine_step(at, h) for h in lengths]
-    if quick or not several[0].few:
+    several = [step for step in (affine_step(at, h) for h in lengths) if step is not None]
+    if quick or len(several) < len(lengths) or not several[0].few:
         return None
     reasons = []
     for step in reversed(several):

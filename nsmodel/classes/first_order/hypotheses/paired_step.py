@@ -280,9 +280,9 @@ def _form_of(
     ends = [np.where(uses, end, 0.0) for end in ends]
     if not np.isfinite(ends).all():
         return None
-    empty = ca.SX.zeros(n, m), ca.SX.zeros(m, n), ca.SX.zeros(m, m)
     span = (at.upper - at.lower)[1 : n + 1] / 2
-    return _Form(product, *empty, z, *ends, np.where(np.isfinite(span) & (span > 0), span, 1.0), extended, True)
+    sizes = np.where(np.isfinite(span) & (span > 0), span, 1.0)
+    return _Form(product, ca.SX.zeros(n, m), ca.SX.zeros(m, n), ca.SX.zeros(m, m), z, ends[0], ends[1], sizes, extended, True)
 
 
 def _force(

@@ -76,7 +76,7 @@ def _along(hypothesis: Hypothesis, at: Linearised, quick: bool) -> Finding:
     """The points, where a clear violation counts; a proof over the region for small systems."""
     h = float(at.steps.max())
     matrices = at.mlcp_values(h)
-    usable = np.isfinite(matrices).all(axis=(1, 2))
+    usable = np.all(np.isfinite(matrices), axis=(1, 2))
     if not usable.any():
         return found(hypothesis, UNKNOWN, "W_mlcp is nowhere finite at the points looked at")
     worst, value, minor = 0, {}, Minor(np.nan, [])

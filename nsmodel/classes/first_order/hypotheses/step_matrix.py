@@ -132,7 +132,7 @@ def change_by_rounding(M: np.ndarray, G: np.ndarray, h: float) -> float:
     if not len(M):
         return 0.0
     with np.errstate(all="ignore"):
-        near = 1 / eigvals(exact.doubles(G), exact.doubles(M))
+        near = 1 / np.asarray(eigvals(exact.doubles(G), exact.doubles(M)))
         steps = [h, *(float(s.real) for s in near if np.isfinite(s) and 0 < s.real < h)]
     return max(change_at_step(M, G, s) for s in steps)
 
@@ -155,11 +155,11 @@ def _least_step(M: np.ndarray, G: np.ndarray) -> tuple[float, np.ndarray | None]
     if not len(M):
         return np.inf, None
     values, vectors = eig(G, M)[:2]
-    real = np.isfinite(values) & (np.abs(values.imag) <= 1e-9 * np.abs(values)) & (values.real > 0)
+    real = np.isfinite(values) & (np.abs(np.imag(values)) <= 1e-9 * np.abs(values)) & (np.real(values) > 0)
     if not real.any():
         return np.inf, None
-    k = int(np.argmax(np.where(real, values.real, -np.inf)))
-    return float(1 / values[k].real), vectors[:, k].real
+    k = int(np.argmax(np.where(real, np.real(values), -np.inf)))
+    return float(1 / np.real(values[k])), np.real(vectors[:, k])
 
 
 def _determinant(X: np.ndarray) -> list[Fraction]:

@@ -325,7 +325,7 @@ class _Step:
                 continue
             proved.append(zero)
             changes.append(change)
-            if len(proved) > 1 and self._disjoint(*proved, changes[0] + changes[-1]):
+            if len(proved) > 1 and self._disjoint(proved[0], proved[1], changes[0] + changes[-1]):
                 first, other = ((zero.middle[: self.n], self._user(zero.middle)) for zero in proved)
                 r_k = None if self.r_k is None else np.array(self.r_k(point.t, point.x_k)).ravel()
                 return Two(point.t, point.x_k, r_k, first, other)

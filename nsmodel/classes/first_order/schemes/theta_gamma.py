@@ -54,6 +54,7 @@ def one_step_problem(model: FirstOrderSystem) -> OneStepProblem:
         guess=ca.vertcat(x_k, r_k if ga < 1 else ca.substitute([model.g], [model.lam], [l])[0]),
         next_state=ca.vertcat(x, r) if ga < 1 else x,
         multipliers=l if split else None,
+        declared=model.multiplier_names,
         outputs=hx if split else None,
         records={"residual_R": ca.norm_inf(R), "residual_Ry": ca.norm_inf(y - Y), "residual_Rr": ca.norm_inf(R_r)},
         start=_start(model, h, ca.vertcat(x_k, r_k)) if ga < 1 else None,

@@ -164,7 +164,7 @@ def _filled(model: MonotoneInclusion, C: ConvexSet) -> Part:
     """S is monotone, but steps of if_else, floor or ceil are no sets: with one inside C it is not maximal."""
     S = ca.substitute(model.operator, model.sign_symbols, ca.SX.zeros(model.sign_symbols.shape))
     low, high = (np.clip(end, -1e3, 1e3) for end in C.hull)
-    jump = find_jump(S, C.x, low, high, lambda points: (C.values(points) > 0).all(axis=1))
+    jump = find_jump(S, C.x, low, high, lambda points: np.all(C.values(points) > 0, axis=1))
     if jump is None:
         return Part(UNKNOWN, "S is monotone, but it may jump in C where it is not filled in; only sign stands for a set", {}, {})
     how = "S jumps and is single-valued there: monotone, but not maximal; write the jump with sign, which stands for all between"
@@ -249,7 +249,7 @@ def continuous(model: MonotoneInclusion, C: ConvexSet, box: tuple[np.ndarray, np
     kinks: list[str] = []
     replay(F, lambda op, args, old: kinks.append(KINKS[op]), tuple(KINKS), x, "field")
     note = f"; kinks: {', '.join(f'{kinks.count(name)} {name}' for name in dict.fromkeys(kinks))}" if kinks else ""
-    value = {"kinks": len(kinks)}
+    value: dict[str, float] = {"kinks": len(kinks)}
     n = x.numel()
     F = continuous_terms_removed(F, C)
     for local, place, (low, high) in (

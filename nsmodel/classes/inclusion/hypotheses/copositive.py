@@ -7,8 +7,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from nsmodel.proof import exact
-from nsmodel.proof.conic_program import minimise
+from nsmodel.proof import conic_program, exact
 
 MOST_ROWS, MOST_STATES = 14, 12
 CAP = 1e4
@@ -52,8 +51,6 @@ def _symmetric(N: np.ndarray, i: int, j: int) -> np.ndarray:
 
 def _solve(S: np.ndarray, basis: list[np.ndarray]) -> tuple[float, np.ndarray] | None:
     """The largest k with S - k I - sum w_ij basis_ij psd, 0 <= w <= CAP |S|, k <= |S|, by Clarabel."""
-    import clarabel
-
     n, m = len(S), len(basis)
     size = float(np.abs(S).max()) or 1.0
     scale = [float(np.abs(matrix).max()) or 1.0 for matrix in basis]
@@ -68,8 +65,8 @@ def _solve(S: np.ndarray, basis: list[np.ndarray]) -> tuple[float, np.ndarray] |
     psd = np.column_stack([packed(np.eye(n)), *(packed(matrix / s) for matrix, s in zip(basis, scale, strict=True))])
     A = np.vstack([psd, np.eye(m + 1), -np.eye(m + 1)[1:]])
     b = np.concatenate([packed(S / size), np.ones(1), np.full(m, CAP), np.zeros(m)])
-    cones = [clarabel.PSDTriangleConeT(n), clarabel.NonnegativeConeT(2 * m + 1)]
-    x = np.array(minimise(np.append(-1.0, np.full(m, 1e-6)), A, b, cones).x)
+    cones = [conic_program.semidefinite(n), conic_program.nonnegative(2 * m + 1)]
+    x = np.array(conic_program.minimise(np.append(-1.0, np.full(m, 1e-6)), A, b, cones).x)
     if not np.isfinite(x).all() or x[0] <= 1e-7:
         return None
     return float(x[0]) * size * (1 - 1e-6), x[1:] * size / np.array(scale)

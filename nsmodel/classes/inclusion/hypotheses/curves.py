@@ -254,7 +254,8 @@ def not_drawn_back(field: Field) -> Part | None:
                 continue
             if order.low >= 0 or order.rate < (2 * path.power, 0):
                 how = f"along {_named(path)} <x, F - S> >= 0 or small beside |x|^2: no alpha > 0 bounds it (by its order)"
-                value = {"lim <x, F - S>/|x|^2": max(order.low, 0.0) if order.rate == (2 * path.power, 0) else 0.0}
+                limit = max(order.low, 0.0) if order.rate == (2 * path.power, 0) else 0.0
+                value = {"lim <x, F - S>/|x|^2": limit}
                 return Part(VIOLATED, how, value, path.witness)
     return None
 

@@ -160,7 +160,7 @@ def _ridges_between_lines(
     along, whole = ca.SX(0), terms[0][1][j] / a[j] if len(terms) == 1 else Fraction(1)
     for h, c in terms:
         b = c[j] / a[j] if len(terms) == 1 else Fraction(float(c[j] / a[j]))
-        along += (float(np.sign(b)) if len(terms) == 1 else float(b)) * h
+        along += (float((b > 0) - (b < 0)) if len(terms) == 1 else float(b)) * h
         left = [number - b * entry for number, entry in zip(c, a, strict=True)]
         (exactly,) = polynomial.read(h, s)
         if any(left) and exactly is not None:
@@ -271,7 +271,8 @@ def in_square(expr: ca.SX, x: ca.SX, square: ca.SX) -> ca.SX | None:
         if p is not None and polynomial.degree(p) <= 2:
             return (applied(op, [node for node, _ in args]) if all(node is not None for node, _ in args) else None), p
         nodes = [shown(node, q) for node, q in args]
-        return (None if any(node is None for node in nodes) else applied(op, nodes)), None
+        known = [node for node in nodes if node is not None]
+        return (applied(op, known) if len(known) == len(nodes) else None), None
 
     def variable(entry: ca.SX) -> tuple[ca.SX | None, polynomial.Polynomial | None]:
         i = place.get(entry.element_hash())

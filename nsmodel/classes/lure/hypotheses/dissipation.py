@@ -171,8 +171,8 @@ def _neutral(problem: _Problem, J: np.ndarray) -> np.ndarray:
     r, near = len(problem.pairing.G), problem.near
     hat = near.left[r:, r:] @ exact.doubles(J[r:, r:]) @ near.back[r:, r:]
     values, vectors = np.linalg.eig(hat)
-    still = vectors[:, np.abs(values.real) <= ZERO * near.scale]
-    U, sizes, _ = np.linalg.svd(np.hstack([still.real, still.imag])) if still.size else (hat[:, :0], np.zeros(0), None)
+    still = vectors[:, np.abs(np.real(values)) <= ZERO * near.scale]
+    U, sizes, _ = np.linalg.svd(np.hstack([np.real(still), np.imag(still)])) if still.size else (hat[:, :0], np.zeros(0), None)
     U = U[:, : int((sizes > 1e-6).sum())]
     basis = exact.zeros(len(J), U.shape[1])
     basis[r:] = _simple(near.back[r:, r:] @ U, np.abs(near.back[r:, r:]).max(axis=1))

@@ -321,11 +321,12 @@ def _same(a: ca.SX, b: ca.SX) -> bool:
 def _affine(term: Term, y: ca.SX) -> Affine:
     m = y.numel()
     forms = [polynomial.quadratic(p, m) for p in polynomial.read(term.u, y)]
-    if any(form is None or form.H.any() for form in forms):
+    flat = [form for form in forms if form is not None and not form.H.any()]
+    if len(flat) < len(forms):
         raise Undecided(f"phi holds {term.kind}({term.u}), which is curved inside: its domain is no polyhedron or cone")
-    J = np.array([form.q.ravel() for form in forms], dtype=object).reshape(-1, m)
+    J = np.array([form.q.ravel() for form in flat], dtype=object).reshape(-1, m)
     weight = 1.0 if term.kind in BOUNDS else float(ca.DM(term.weight))
-    return Affine(term.kind, weight, J, np.array([form.c for form in forms], dtype=object))
+    return Affine(term.kind, weight, J, np.array([form.c for form in flat], dtype=object))
 
 
 def of_potential(p: Potential, m: int, coupled: bool) -> Domains:

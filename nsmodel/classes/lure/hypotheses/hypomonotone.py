@@ -22,6 +22,7 @@ from nsmodel.proof import exact, extremum, interval
 from nsmodel.proof.exact import EPS
 from nsmodel.proof.graph import operations
 from nsmodel.proof.jumps import find_jump, jumps_in
+from nsmodel.proof.sure import sure
 
 HYPOMONOTONE = Hypothesis(
     "5.2", "R A(-R^{-1} .) + omega I is maximal monotone for some omega, R^2 = P", f"{PAPER}, Assumption 5.2"
@@ -74,7 +75,7 @@ def hypomonotone(model: LureSystem, passivity: Passivity, region: Region, quick:
     if not ca.depends_on(J, x) and not np.isfinite(_numbers(J)).all():
         return Growth(found(HYPOMONOTONE, UNKNOWN, "A has a coefficient that is not finite"))
     if not ca.depends_on(J, x) and not jumps_in(A, x):
-        rate = least_rate(passivity.pairing, [_numbers(J)], quick=quick)
+        rate = least_rate(sure(passivity.pairing), [_numbers(J)], quick=quick)
         return _growth(passivity, rate, quick, "A is linear; proved in rational arithmetic", linear=True)
     return _nonlinear(J, model, passivity, region, quick)
 
@@ -88,18 +89,18 @@ def _nonlinear(J: ca.SX, model: LureSystem, passivity: Passivity, region: Region
         return Growth(jump)
     if is_continuous(A, x, -infinite, infinite):
         hull = bounded_hull(J, x, -infinite, infinite)
-        rate = least_rate(passivity.pairing, hull.vertices, hull.cones, quick=quick) if hull is not None else None
+        rate = least_rate(sure(passivity.pairing), hull.vertices, hull.cones, quick=quick) if hull is not None else None
         if rate is not None:
             return _growth(passivity, rate, quick, "proved in rational arithmetic, from bounds of the entries of A'")
     if not is_continuous(A, x, region.lower, region.upper):
         how = "A is not seen to be continuous on the box, though no jump was found"
         return Growth(found(HYPOMONOTONE, UNKNOWN, how))
     hull = bounded_hull(J, x, region.lower, region.upper) or sampled_hull(J, x, region.lower, region.upper)
-    rate = least_rate(passivity.pairing, hull.vertices, hull.cones, quick=quick)
+    rate = least_rate(sure(passivity.pairing), hull.vertices, hull.cones, quick=quick)
     if rate is None:
         return Growth(found(HYPOMONOTONE, UNKNOWN, "A' is not bounded on the box, and no P is found that allows for it"))
     if not hull.sure or not quick:
-        rate = _on_box(J, x, passivity.pairing.storage(rate.Y), region, rate, hull.sure, quick)
+        rate = _on_box(J, x, sure(passivity.pairing).storage(rate.Y), region, rate, hull.sure, quick)
     if rate is None:
         return Growth(found(HYPOMONOTONE, UNKNOWN, "no bound of the largest eigenvalue of sym(R A' R^{-1}) on the box is found"))
     return _growth(passivity, rate, quick, "proved by bounds over the whole box", region)
@@ -144,11 +145,11 @@ def _growth(
     """The finding for a rate, on a region or everywhere; the verdict is no better than that on 5.1, whose P it needs."""
     verdict = HOLDS if passivity.finding.verdict == HOLDS else SAMPLED
     if rate is None:  # A linear, ill conditioned beyond the last rounding: Remark 5.3 iii).
-        P = passivity.pairing.storage(well_conditioned(passivity.pairing))
+        P = sure(passivity.pairing).storage(well_conditioned(sure(passivity.pairing)))
         how = "A is linear, and Lipschitz (Remark 5.3); no useful omega is found"
         witness = shown(NAME, P)
         return Growth(found(HYPOMONOTONE, verdict, how, {"cond P": condition(witness[NAME])}, witness), P)
-    P = passivity.pairing.storage(rate.Y)
+    P = sure(passivity.pairing).storage(rate.Y)
     witness = shown(NAME, P)
     texts = [f"{proof} for {NAME}" + ("" if len(witness) == 1 else " as fractions, which are in the data; doubles are shown")]
     if verdict == SAMPLED:

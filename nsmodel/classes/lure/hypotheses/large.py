@@ -64,9 +64,9 @@ def findings(model: LureSystem) -> tuple[Growth, Sequence[Finding]]:
     ]  # fmt: skip
 
 
-def _diagonal(B: sp.spmatrix, C: sp.spmatrix) -> list[Fraction] | None:
+def _diagonal(B: sp.csr_matrix, C: sp.csr_matrix) -> list[Fraction] | None:
     """P = diag(p_i) > 0 with p_i B_ij = C_ji, entry by entry and exactly; None where there is none."""
-    columns, rows = C.T.tocsr(), B.tocsr()
+    columns, rows = sp.csr_matrix(C.T), sp.csr_matrix(B)
     rows.sort_indices()
     columns.sort_indices()
     if not (np.array_equal(rows.indptr, columns.indptr) and np.array_equal(rows.indices, columns.indices)):

@@ -9,7 +9,7 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from nsmodel.proof.conic_program import minimise
+from nsmodel.proof import conic_program
 
 SPREAD = 1e3  # 1/SPREAD <= Y <= SPREAD: a smaller omega would cost a worse conditioned P.
 TINY = 1e-9  # of balanced numbers, which are about 1
@@ -135,8 +135,6 @@ def program(near: Balanced, omega: float, kernels: Sequence[np.ndarray] | None =
 
     With ``kernels``, one basis (n, k) for each J: slack(Y, J, omega) v = 0 on them, and >= t on their complements.
     """
-    import clarabel
-
     s, n = near.free, len(near.left)
     parts, zero = units(s), np.zeros((s, s))
     blocks, offsets, cones = [], [], []
@@ -155,18 +153,18 @@ def program(near: Balanced, omega: float, kernels: Sequence[np.ndarray] | None =
                 rank = int((sizes > TINY).sum())  # dependent equations would trouble the solver
                 blocks.append(np.column_stack([np.zeros(rank), sizes[:rank, None] * right[:rank]]))
                 offsets.append(-left[:, :rank].T @ (constant @ N).ravel())
-                cones.append(clarabel.ZeroConeT(rank))
+                cones.append(conic_program.zero(rank))
         blocks.append(np.column_stack([_stacked(Q.T @ level @ Q), *(-_stacked(Q.T @ column @ Q) for column in columns)]))
         offsets.append(_stacked(Q.T @ constant @ Q))
-        cones.append(clarabel.PSDTriangleConeT(Q.shape[1]))
+        cones.append(conic_program.semidefinite(Q.shape[1]))
     for sign, constant in ((1, -np.eye(s) / SPREAD), (-1, np.eye(s) * SPREAD)):
         blocks.append(np.column_stack([0 * _stacked(zero), *(-sign * _stacked(part) for part in parts)]))
         offsets.append(_stacked(constant))
-        cones.append(clarabel.PSDTriangleConeT(s))
+        cones.append(conic_program.semidefinite(s))
     blocks.append(np.eye(1, 1 + len(parts)))
     offsets.append(np.array([1.0]))
-    cones.append(clarabel.NonnegativeConeT(1))
-    solution = minimise(-np.eye(1, 1 + len(parts))[0], np.vstack(blocks), np.concatenate(offsets), cones)
+    cones.append(conic_program.nonnegative(1))
+    solution = conic_program.minimise(-np.eye(1, 1 + len(parts))[0], np.vstack(blocks), np.concatenate(offsets), cones)
     if str(solution.status) not in ("Solved", "AlmostSolved"):
         return None
     return np.tensordot(solution.x[1:], parts, 1)

@@ -132,7 +132,7 @@ def _kernel(text: str, zero: str, name: str, M: np.ndarray, K: np.ndarray) -> li
         if image.any():
             image, v, size = exact.doubles(image).ravel(), exact.doubles(v), np.abs(exact.doubles(K))
             margin = _share(image, size @ np.abs(v))
-            return [_Fault(text, f"|{name}|", np.linalg.norm(image), margin, {f"v with {zero}": v, name: image})]
+            return [_Fault(text, f"|{name}|", float(np.linalg.norm(image)), margin, {f"v with {zero}": v, name: image})]
     return []
 
 

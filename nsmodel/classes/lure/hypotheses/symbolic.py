@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import combinations
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import casadi as ca
 import numpy as np
@@ -82,8 +82,8 @@ def _for_positive(expr: sp.Expr) -> sp.Expr:
     """The expression with all its parameters > 0."""
     import sympy as sp
 
-    put = {symbol: sp.Symbol(symbol.name, positive=True) for symbol in expr.free_symbols}
-    return sp.factor(expr.subs(put, simultaneous=True))
+    put: Any = {symbol: sp.Symbol(str(symbol), positive=True) for symbol in expr.free_symbols}
+    return cast("sp.Expr", sp.factor(expr.subs(put, simultaneous=True)))
 
 
 def _semidefinite(M: sp.Matrix) -> _Conditions | str:
@@ -99,16 +99,15 @@ def _semidefinite(M: sp.Matrix) -> _Conditions | str:
 
 def _pairing(B: sp.Matrix, C: sp.Matrix) -> _Conditions | str:
     """5.1 on columns of B that are independent for almost all parameters; the others' rows of C must follow."""
-    import sympy as sp
-
     if _simple(C - B.T).is_zero_matrix:
         return _Conditions([], [], True, "C = B': P = I")
     columns, echelon = list(B.rref(simplify=True)[1]), B.rref(simplify=True)[0]
     G = _simple(C.extract(columns, list(range(C.cols))) * B.extract(list(range(B.rows)), columns))
-    zero = [_short(G[i, j] - G[j, i]) for i in range(G.rows) for j in range(i)]
+    skew = G - G.T
+    zero = [_short(skew[i, j]) for i in range(G.rows) for j in range(i)]
     for j in sorted(set(range(B.cols)) - set(columns)):
-        row = sum((echelon[k, j] * C[column, :] for k, column in enumerate(columns)), start=sp.zeros(1, C.cols))
-        zero += [_short(entry) for entry in sp.Matrix(C[j, :] - row).flat()]
+        row = echelon[: len(columns), j].T * C.extract(columns, list(range(C.cols)))
+        zero += [_short(entry) for entry in (C.row(j) - row).flat()]
     positive = []
     for block in components(_nonzero(G)):
         if len(block) > MINORS:
@@ -126,8 +125,8 @@ def _short(expr: Any) -> sp.Expr:
     """Factored where that is no longer, so that signs of factors can be read off."""
     import sympy as sp
 
-    plain = sp.simplify(expr)
-    factored = sp.factor(plain)
+    plain = cast("sp.Expr", sp.simplify(expr))
+    factored = cast("sp.Expr", sp.factor(plain))
     return factored if sp.count_ops(factored) <= sp.count_ops(plain) + 2 else plain
 
 
@@ -150,7 +149,7 @@ def _solved(conditions: _Conditions) -> tuple[str, dict[str, float]]:
     """The conditions solved for a parameter that enters linearly; of one other parameter, the extreme of that boundary."""
     import sympy as sp
 
-    free = sorted({s for expr in conditions.positive for s in expr.free_symbols}, key=str)
+    free: list[Any] = sorted({s for expr in conditions.positive for s in expr.free_symbols}, key=str)
     if conditions.zero or not conditions.positive or not 1 <= len(free) <= 2:
         return "", {}
     if len(free) == 1 and all(expr.is_rational_function(free[0]) for expr in conditions.positive):
@@ -180,7 +179,9 @@ def _extreme(symbol: sp.Symbol, other: sp.Symbol, boundary: sp.Expr) -> tuple[st
         values[~np.isfinite(values)] = np.inf
         least = np.flatnonzero(values <= values.min() * (1 + 1e-4))
         k = int(min(least, key=lambda i: (abs(grid[i]), -grid[i])))
-        near = minimize_scalar(lambda u: abs(float(f(u))), bounds=(grid[max(k - 1, 0)], grid[min(k + 1, 4000)]), method="bounded")
+        near: Any = minimize_scalar(
+            lambda u: abs(float(f(u))), bounds=(grid[max(k - 1, 0)], grid[min(k + 1, 4000)]), method="bounded"
+        )
     text = f"; the boundary is {symbol} = {boundary}"
     if not np.isfinite(near.fun) or near.fun <= 1e-9 or k in (0, 4000):
         return text, {}

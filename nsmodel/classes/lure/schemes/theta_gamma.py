@@ -35,6 +35,7 @@ def one_step_problem(model: LureSystem) -> OneStepProblem:
         guess=ca.vertcat(x_k, ca.substitute([law.guess], [x], [x_k])[0]),
         next_state=ca.vertcat(x, r) if ga < 1 else x,
         multipliers=law.multipliers if law.rewritten else None,
+        declared=model.multiplier_names,
         outputs=law.outputs if law.rewritten else None,
         start=_start(model, h, ca.vertcat(x_k, r_k)) if ga < 1 else None,
         order=Order.of_weights(th, ga, r, ca.vertcat(x, law.z), law.law, law.Y, ca.vertcat(law.l, law.z)),

@@ -6,7 +6,7 @@ the parameters, they are decided at corners, exactly; else by bounds over states
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import casadi as ca
@@ -24,7 +24,7 @@ from nsmodel.hypotheses.uniform import Values, agreed, for_the_box, middle_of, r
 from nsmodel.proof import exact, extremum, interval
 from nsmodel.proof.convex import convexity, lower_bound, potentials
 from nsmodel.proof.convex.moving_sets import MovingSet, has_interior_for_all, is_convex_for_all, outer
-from nsmodel.proof.graph import column
+from nsmodel.proof.graph import column, entries
 from nsmodel.proof.mixtures import mixture
 from nsmodel.proof.multiaffine import corners
 from nsmodel.proof.verdict import Part
@@ -41,7 +41,7 @@ def values(model: FrictionOscillator, box: Box) -> list[Values]:
     """Values of a single parameter at which some theta_j'(0) or an entry of the Hessian of g vanishes."""
     slopes = [ca.substitute(ca.gradient(element.theta, model.s), model.s, 0) for element in model.elements]
     H = ca.hessian(without_domain(model.potential, model.x, "potential"), model.x)[0]
-    return roots([*slopes, *(entry for entry in H.nonzeros() if not ca.depends_on(entry, model.x))], model, box)
+    return roots([*slopes, *(entry for entry in entries(H) if not ca.depends_on(entry, model.x))], model, box)
 
 
 def findings(model: FrictionOscillator, region: Region, quick: bool) -> list[Finding]:
@@ -97,7 +97,8 @@ def _law(element: Friction, model: FrictionOscillator, region: Region, quick: bo
     """Theta is convex, C1 and nondecreasing."""
     s, laws = model.s, _laws(element, model, region)
     if laws is not None:
-        ends = dict.fromkeys((friction_law.SLOPE, friction_law.CURVATURE, friction_law.LEAST_CURVATURE), min)
+        numbers = friction_law.SLOPE, friction_law.CURVATURE, friction_law.LEAST_CURVATURE
+        ends: dict[str, Callable[..., float]] = dict.fromkeys(numbers, min)
         return agreed((friction_law.is_law(one, s, quick=quick) for one in laws), ends)
     low, high = region.of_parameters()
     z, low, high = ca.vertcat(s, model.p), np.append(0.0, low), np.append(np.inf, high)
@@ -182,7 +183,7 @@ def _convex(g: ca.SX, C: MovingSet, region: Region, start: np.ndarray, quick: bo
     z, low, high = ca.vertcat(C.x, C.p), np.append(whole.hull[0], C.lower), np.append(whole.hull[1], C.upper)
     least = float(np.min(interval.enclose(g, z, low, high)[0]))
     if at is not None:
-        ends = dict.fromkeys((potentials.LEAST, potentials.BOUND, LOWER), min)
+        ends: dict[str, Callable[..., float]] = dict.fromkeys((potentials.LEAST, potentials.BOUND, LOWER), min)
         part = agreed((_convex_and_bounded(one, whole, region, start, quick) for one in at), ends)
         bound = -np.inf if part is None else max(least, part.value.get(LOWER, -np.inf))
         return part if part is None or bound == -np.inf else part._replace(value={**part.value, LOWER: bound})

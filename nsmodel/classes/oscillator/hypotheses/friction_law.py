@@ -175,7 +175,8 @@ def _undefined(theta: ca.SX, s: ca.SX) -> Part | None:
     values, slopes = (np.array(part).ravel() for part in f(SPEEDS[None, :]))
     undefined = np.flatnonzero(np.isnan(values))
     if undefined.size:
-        return Part(VIOLATED, "theta is not defined for every s >= 0", {"s": SPEEDS[undefined[0]]}, {"s": SPEEDS[undefined[0]]})
+        at = {"s": float(SPEEDS[undefined[0]])}
+        return Part(VIOLATED, "theta is not defined for every s >= 0", at, at)
     if np.isinf(values[0]) or np.isinf(slopes[0]):
         how = "theta or its slope is infinite at s = 0: it is not C1 on [0, inf)"
         return Part(VIOLATED, how, {"theta'(0)": slopes[0]}, {"s": 0.0})

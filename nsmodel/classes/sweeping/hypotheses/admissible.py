@@ -11,6 +11,7 @@ import numpy as np
 from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.hypotheses.region import Region
 from nsmodel.proof import extremum
+from nsmodel.proof.buffered import attached
 from nsmodel.solve import mlcp
 from nsmodel.solve.certificate import NumericLaw
 from nsmodel.trajectory import Trajectory
@@ -93,12 +94,8 @@ def _evaluator(function: ca.Function, p: int, n: int) -> Callable[[float, np.nda
     """Call a function through its buffer: many times as fast as with CasADi's own matrices."""
     if not p or not n:
         return lambda t, q: (np.array(function(t, q)[0]).ravel(), np.zeros((p, n)))
-    buffer, call = function.buffer()
     time, state, g, G = np.zeros(1), np.zeros(n), np.zeros(p), np.zeros(n * p)
-    for k, array in enumerate((time, state)):
-        buffer.set_arg(k, memoryview(array))
-    for k, array in enumerate((g, G)):
-        buffer.set_res(k, memoryview(array))
+    buffer, call = attached(function, (time, state), (g, G))
 
     def evaluate(t: float, q: np.ndarray, keep: object = buffer) -> tuple[np.ndarray, np.ndarray]:
         time[0], state[:] = t, q  # ``keep``: the call lives as long as its buffer.

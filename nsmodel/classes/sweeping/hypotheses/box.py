@@ -119,7 +119,7 @@ def _by_convexity(c: Constraint, lowest: Any, delta: float) -> float:
     """For convex g and a point q* with g(t, q*) <= -m, m > delta: |grad g| >= (m - delta) / |q - q*| on U_i."""
     q = np.asarray(lowest.at)[1:]
     over = over_time(c, ca.substitute(c.g, c.q, ca.DM(q)))
-    reach = np.linalg.norm(np.maximum(np.abs(c.lower[1:] - q), np.abs(c.upper[1:] - q)))
+    reach = float(np.linalg.norm(np.maximum(np.abs(c.lower[1:] - q), np.abs(c.upper[1:] - q))))
     return max((-over.bound - delta) / reach / UP - 1e-15 * delta / reach, 0.0)
 
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, Consequence, Finding, follows, scope_of
 from nsmodel.hypotheses.scope import Scope, meet
+from nsmodel.model.base import Model
 from nsmodel.trajectory import Trajectory
 
 PAPER = "Bernicot and Venel 2010"
@@ -18,7 +18,7 @@ MOVING = ("S-convex", "A0", "A1", "A2", "A5")
 SOLVABLE = ("S-convex", "A0", "A1", "A2", "A4", "A5", "S-f", "S-start")
 
 
-def consequences_of(model: SweepingProcess, findings: Sequence[Finding], runs: Sequence[Trajectory], p: int) -> list[Consequence]:
+def consequences_of(model: Model, findings: Sequence[Finding], runs: Sequence[Trajectory], p: int) -> list[Consequence]:
     """Return the constants of the theory; ``p`` is the number of constraints."""
     number = {(finding.id, name): value for finding in findings for name, value in finding.value.items()}
     verdicts, nothing = {finding.id: finding.verdict for finding in findings}, (np.inf, 0.0) if not p else (0.0, np.inf)
@@ -96,7 +96,7 @@ def _speed(local: bool) -> str:
 
 
 def _order(
-    model: SweepingProcess, findings: Sequence[Finding], runs: Sequence[Trajectory], number: dict[tuple[str, str], float],
+    model: Model, findings: Sequence[Finding], runs: Sequence[Trajectory], number: dict[tuple[str, str], float],
     K_L: float, kappa: float, r: float,
 ) -> Consequence:  # fmt: skip
     """max |q_h - q| <= C_0 sqrt(h): C_0 with C bounding |q_h| and K bounding |q_h'| on the runs."""

@@ -33,6 +33,7 @@ from nsmodel.proof.discontinuity import proved_jump
 from nsmodel.proof.germ import grows
 from nsmodel.proof.graph import constants
 from nsmodel.proof.jumps import jumps_in
+from nsmodel.proof.sure import sure
 
 REACH, STATES = 1e-6, 16  # How far from a time, beside the interval, and at how many states a rate is looked at.
 
@@ -60,7 +61,7 @@ def of_slow_shape(c: Constraint) -> Answers | None:
     """The answers of a plane, or of a distance from something with a radius, for all times and parameters; None of others."""
     if c.shape.kind == "plane":
         return _plane(c)
-    if c.shape.kind == "distance" and over_time(c, expression(c.shape.form.affine.offset)).bound < 0:
+    if c.shape.kind == "distance" and over_time(c, expression(c.shape.written.affine.offset)).bound < 0:
         found = _distance(c)
         return found if found is not None and len(found) > 1 else None
     return None
@@ -125,7 +126,7 @@ def _turning_in_steps(c: Constraint) -> Answers:
 
 
 def _plane(c: Constraint) -> Answers:
-    a: Affine = c.shape.form.affine
+    a: Affine = c.shape.written.affine
     size = sum((x * x for x in a.row.values()), Fraction(0))
     speed = over_time(c, ca.fabs(_rate(c, a.offset)))
     text = "affine with a constant gradient: U_i is the whole space"
@@ -167,7 +168,7 @@ def _turning_plane(c: Constraint) -> Answers | None:
 
 def _distance(c: Constraint) -> Answers | None:
     """w |u| - r(t): u = A q - c(t), or the distance to a segment or a box, whose gradient is A'n with |n| = 1 too."""
-    (weight, squares), moving = c.shape.form.norms[0], c.shape.form.affine.offset
+    (weight, squares), moving = c.shape.written.norms[0], c.shape.written.affine.offset
     w, A = float(weight), _matrix(c, squares)
     gram = A @ A.T
     diagonal = not (gram - np.diag(np.diag(gram))).any()
@@ -180,7 +181,7 @@ def _distance(c: Constraint) -> Answers | None:
     taken = "; the rounded constants of its nearest point are taken as exact" if c.shape.rounded else ""
     known = {"S-convex": Answer(HOLDS, {"least": 0.0}, EVERYWHERE, f"{text} less a number{taken}")}
     if least_reach.value >= 0:
-        t = float(np.ravel(least_reach.at)[0])
+        t = float(np.ravel(sure(least_reach.at))[0])
         return known | _no_reach(c, squares, t, -least_reach.value)
     if not reach > 0:
         return known
@@ -191,8 +192,8 @@ def _distance(c: Constraint) -> Answers | None:
         ]
         a, b = root_below(min(sizes)), root_above(max(sizes))
     else:
-        sure = 1 + 64 * len(A) * exact.EPS * float(sigma[0] / sigma[-1])  # More than an SVD errs by.
-        a, b = w * float(sigma[-1]) / sure, w * float(sigma[0]) * sure
+        margin = 1 + 64 * len(A) * exact.EPS * float(sigma[0] / sigma[-1])  # More than an SVD errs by.
+        a, b = w * float(sigma[-1]) / margin, w * float(sigma[0]) * margin
     delta = reach / 2
     rates = [np.sqrt(float(v)) * _rate(c, a.offset) for v, a in squares]
     speed = ca.norm_2(ca.vertcat(*rates)) if any(not r.is_zero() for r in rates) else ca.SX(0)
@@ -242,7 +243,7 @@ def _matrix(c: Constraint, squares: Squares) -> np.ndarray:
 
 def _quadratic(c: Constraint) -> Answers:
     """q'Hq/2 + b(t)'q + c(t) with a constant H, rational."""
-    H_exact, _ = hessian(c.shape.form)
+    H_exact, _ = hessian(c.shape.written)
     sign, H = exact.psd(H_exact), exact.doubles(H_exact)
     values = np.linalg.eigvalsh(H)
     slack = 16 * len(H) * exact.EPS * float(np.linalg.norm(H))  # More than eigenvalues in doubles err by.
@@ -288,7 +289,7 @@ def _depth(c: Constraint, H: np.ndarray, values: np.ndarray, gradient: ca.SX) ->
     bottom, lowest = (c0 - factor * ca.dot(b, ca.DM(np.linalg.inv(H)) @ b) / 2 for factor in (1 - 1e-6, 1 + 1e-6))
     above = over_time(c, bottom)  # sup of m
     if above.value >= 0:
-        t = float(np.ravel(above.at)[0])
+        t = float(np.ravel(sure(above.at))[0])
         if float(interval.enclose(lowest, c.t, np.full(1, t), np.full(1, t))[0].item()) >= 0:
             return flat(c, np.append(t, minimum(t)), "the gradient vanishes at its minimum, which is admissible")
         return {}

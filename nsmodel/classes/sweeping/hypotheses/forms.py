@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof.exact import psd
+from nsmodel.proof.sure import sure
 
 Offset = Fraction | ca.SX  # A number, or an expression of time.
 _ZERO = Fraction(0)
@@ -72,6 +73,11 @@ class Shape:
     form: Form | None
     clips: Mapping[int, Clip] = field(default_factory=dict)
     rounded: bool = False
+
+    @property
+    def written(self) -> Form:
+        """The form, of a kind that has one."""
+        return sure(self.form)
 
 
 def plus(a: Offset, b: Offset) -> Offset:

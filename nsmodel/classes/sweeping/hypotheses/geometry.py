@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from fractions import Fraction
 
@@ -122,7 +123,7 @@ def gram_bound(G: np.ndarray) -> float:
         exact_y = rational(y * (1 + more))
         product = exact_G @ exact_y
         if all(value >= 1 for value in product):
-            return root_above(exact_y @ product)
+            return root_above(sum(map(operator.mul, exact_y, product), Fraction(0)))
     return np.inf
 
 

@@ -24,6 +24,7 @@ from nsmodel.classes.sweeping.hypotheses.witness import attained, opposed
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.proof.components import sharing
 from nsmodel.proof.quiet import quiet
+from nsmodel.proof.sure import sure
 
 FRACTION, TRIES, FINER = 0.1, 3, (12, 16, 20)
 FEW_STATES = 4
@@ -131,12 +132,14 @@ def _decide(
         value = worst.gamma if np.isfinite(worst.gamma) else 1.0
         bound = over_box(scene, slope, rho, value, at, _known(constraints, rho, apart), tries)
         if bound.value > value:
-            worst = _worst(scene, [(bound.at[0], bound.at[1:])], rho)
+            at = sure(bound.at)
+            worst = _worst(scene, [(at[0], at[1:])], rho)
         if np.isfinite(bound.bound):
             how = f"one escape direction on each of {bound.looked} parts of the box"
             return _holds(constraints, scene, worst, names, Proof(bound.bound, rho, how), ON_THE_BOX, rho)
         if bound.left is not None:
-            start = Worst(1.0, bound.left[0], bound.left[1:], bound.rows, np.full(bound.rows.size, 1 / bound.rows.size), 1)
+            rows = sure(bound.rows)
+            start = Worst(1.0, bound.left[0], bound.left[1:], rows, np.full(rows.size, 1 / rows.size), 1)
             for within in dict.fromkeys((0.0, rho)):
                 further = _worst(scene, [_worsened(scene, start, within)], within)
                 if further.gamma > LOST and (found := _opposed(constraints, scene, further, names)) is not None:
@@ -158,7 +161,7 @@ def _holds(
 
 def _opposed(constraints: Sequence[Constraint], scene: Scene, worst: Worst, names: Sequence[str]) -> Qualified | None:
     """The violation, if an admissible point where these constraints are active and oppose each other is proved to exist."""
-    found = opposed(constraints, scene, worst.rows, worst.weights, np.append(worst.t, worst.q))
+    found = opposed(constraints, scene, worst.rows, worst.weights, np.append(worst.t, sure(worst.q)))
     if found is None:
         return None
     at = Worst(np.inf, float(found.at[0]), found.at[1:], np.array(found.rows), np.array(found.weights), worst.looked)
@@ -179,7 +182,7 @@ def corners(scene: Scene, points: Sequence[tuple[float, np.ndarray]]) -> list[tu
         for _ in range(ROUNDS):
             g, G = (np.array(part) for part in scene.function.map(len(t))(t[None], q.T))
             J = G.reshape(p, len(t), n).transpose(1, 0, 2)[:, list(rows)]
-            ok = np.isfinite(J).all(axis=(1, 2)) & np.isfinite(g[list(rows)]).all(axis=0)
+            ok = np.all(np.isfinite(J), axis=(1, 2)) & np.all(np.isfinite(g[list(rows)]), axis=0)
             J, value = np.where(ok[:, None, None], J, 0.0), np.where(ok[:, None], g[list(rows)].T, 0.0)
             q = q - (np.linalg.pinv(J, rcond=1e-9) @ value[:, :, None])[:, :, 0]
         near = np.isfinite(q).all(axis=1) & (q >= scene.lower[1:]).all(axis=1) & (q <= scene.upper[1:]).all(axis=1)
@@ -263,7 +266,7 @@ def _worst(scene: Scene, points: Sequence[tuple[float, np.ndarray]], rho: float)
 
 def _worsened(scene: Scene, worst: Worst, rho: float) -> tuple[float, np.ndarray]:
     """Minimise |sum u_i n_i(t, q)|^2 over u, t and q with the same constraints within rho; the end, or the start again."""
-    J = [int(i) for i in worst.rows]
+    J, start = [int(i) for i in worst.rows], sure(worst.q)
     u = ca.SX.sym("u", len(J))
     slopes = ca.jacobian(scene.g[J], scene.q)
     hull = sum((u[k] * slopes[k, :] / ca.norm_2(slopes[k, :]) for k in range(len(J))), ca.SX(0))
@@ -275,21 +278,21 @@ def _worsened(scene: Scene, worst: Worst, rho: float) -> tuple[float, np.ndarray
     try:
         with quiet():
             answer = ca.nlpsol("worsened", "ipopt", nlp, options)(
-                x0=np.concatenate([[worst.t], worst.q, worst.weights]),
+                x0=np.concatenate([[worst.t], start, worst.weights]),
                 lbx=np.concatenate([scene.lower, np.zeros(k)]), ubx=np.concatenate([scene.upper, np.ones(k)]),
                 lbg=np.concatenate([np.zeros(p), np.full(k, -np.inf), [0]]),
                 ubg=np.concatenate([np.full(p, np.inf), np.full(k, free), [0]]),
             )  # fmt: skip
         end = np.array(answer["x"]).ravel()
     except RuntimeError:
-        return worst.t, worst.q
-    return (float(end[0]), end[1 : 1 + len(scene.columns)]) if np.isfinite(end).all() else (worst.t, worst.q)
+        return worst.t, start
+    return (float(end[0]), end[1 : 1 + len(scene.columns)]) if np.isfinite(end).all() else (worst.t, start)
 
 
 def _witness(constraints: Sequence[Constraint], scene: Scene, worst: Worst, names: Sequence[str]) -> dict[str, Any]:
     if worst.q is None:
         return {}
-    used = [k for k in np.argsort(-worst.weights, kind="stable") if worst.weights[k] > 0]
+    used = [int(k) for k in np.argsort(-worst.weights, kind="stable") if worst.weights[k] > 0]
     rows = [constraints[worst.rows[k]] for k in used]
     found: dict[str, Any] = {"constraints": [row.name for row in rows], "weights": [float(worst.weights[k]) for k in used]}
     return found | {"t": worst.t} | named([names[j] for j in scene.columns], worst.q)

@@ -83,12 +83,12 @@ def _gradient_space(shape: Shape, states: Sequence[int]) -> np.ndarray | None:
     place = {i: k for k, i in enumerate(states)}
     if shape.kind == "plane":
         normal = np.zeros((len(states), 1))
-        for i, value in shape.form.affine.row.items():
+        for i, value in shape.written.affine.row.items():
             normal[place[i]] = float(value)
         return normal / np.linalg.norm(normal)
     if shape.kind == "distance":
-        A = exact.zeros(len(shape.form.norms[0][1]), len(states))
-        for row, (_, a) in enumerate(shape.form.norms[0][1]):
+        A = exact.zeros(len(shape.written.norms[0][1]), len(states))
+        for row, (_, a) in enumerate(shape.written.norms[0][1]):
             for i, value in a.row.items():
                 if i >= 0:
                     A[row, place[i]] = value
@@ -112,7 +112,7 @@ def discs(constraints: Sequence[Constraint], rho: float, count: int | None = Non
     ``count``: there are so many bodies, and each constraint is like one of these.
     """
     pairs = [pair for c in constraints if (pair := pair_of(c)) is not None]
-    planes = [c.shape.form.affine.row for c in constraints if c.shape.kind == "plane"]
+    planes = [c.shape.written.affine.row for c in constraints if c.shape.kind == "plane"]
     if not pairs or len(pairs) + len(planes) < len(constraints):
         return None
     bodies = {body for pair in pairs for body in (pair.first, pair.second)}
@@ -220,7 +220,7 @@ def _planes(constraints: Sequence[Constraint], rho: float) -> Proof | None:
     if any(c.shape.kind != "plane" for c in constraints):
         return None
     states = sorted({i for c in constraints for i in c.shape.own})
-    rows = [[c.shape.form.affine.row.get(i, Fraction(0)) for i in states] for c in constraints]
+    rows = [[c.shape.written.affine.row.get(i, Fraction(0)) for i in states] for c in constraints]
     if not all(any(row) for row in rows):
         return None
     N = np.array([[float(x / size) for x in row] for row in rows for size in [max(abs(x) for x in row)]])
@@ -250,7 +250,7 @@ def _planes(constraints: Sequence[Constraint], rho: float) -> Proof | None:
 
 def _apart(constraints: Sequence[Constraint], J: Sequence[int], rho: float) -> bool:
     """Whether opposing planes are always further apart than rho allows: sum u_i g_i, u > 0, is a function of time alone."""
-    rows = [constraints[j].shape.form.affine.row for j in J]
+    rows = [constraints[j].shape.written.affine.row for j in J]
     states = sorted({i for row in rows for i in row})
     A = exact.zeros(len(states), len(J))
     for k, row in enumerate(rows):
@@ -264,7 +264,7 @@ def _apart(constraints: Sequence[Constraint], J: Sequence[int], rho: float) -> b
         return False
     total = Fraction(0)
     for weight, j in zip(u, J, strict=True):
-        total = plus(total, times(weight, constraints[j].shape.form.affine.offset))
+        total = plus(total, times(weight, constraints[j].shape.written.affine.offset))
     if isinstance(total, Fraction):
         return total > Fraction(rho) * sum(u, Fraction(0))
     least = -over_time(constraints[J[0]], -expression(total)).bound
@@ -273,7 +273,7 @@ def _apart(constraints: Sequence[Constraint], J: Sequence[int], rho: float) -> b
 
 def _offsets(constraints: Sequence[Constraint]) -> Offsets:
     """Return offsets(a, b) -> lower and upper ends (p,) of the planes' offsets over a <= t <= b."""
-    code = program(column(expression(c.shape.form.affine.offset) for c in constraints), constraints[0].t)
+    code = program(column(expression(c.shape.written.affine.offset) for c in constraints), constraints[0].t)
 
     def offsets(a: float, b: float) -> tuple[np.ndarray, np.ndarray]:
         low, high = interval.natural(code, np.array([[a]]), np.array([[b]]))
@@ -319,7 +319,7 @@ def _feasible(
     # Columns: q, the homogenising h > 0, a slack > 0 for each row.
     A = exact.zeros(p + len(J), n + 1 + p + len(J))
     for row, (i, sign) in enumerate([*((i, 1) for i in range(p)), *((j, -1) for j in J)]):
-        for state, value in constraints[i].shape.form.affine.row.items():
+        for state, value in constraints[i].shape.written.affine.row.items():
             A[row, place[state]] = sign * value
         A[row, n] = Fraction(float(high[i] + loose if sign > 0 else rho - low[i] + loose))
         A[row, n + 1 + row] = Fraction(-1)

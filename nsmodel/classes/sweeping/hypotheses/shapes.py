@@ -121,8 +121,9 @@ class _Reader:
 
     def _apply(self, op: int, parts: list[Part]) -> Part:
         own, time = frozenset().union(*(part.own for part in parts)), any(part.time for part in parts)
-        if not own and op != ca.OP_CALL and all(part.value is not None for part in parts):
-            value = applied(op, [part.value for part in parts])
+        values = [part.value for part in parts if part.value is not None]
+        if not own and op != ca.OP_CALL and len(values) == len(parts):
+            value = applied(op, values)
             nonnegative = op in (ca.OP_SQ, ca.OP_FABS, ca.OP_EXP, ca.OP_SQRT) or (
                 op in (ca.OP_ADD, ca.OP_MUL) and all(part.nonnegative for part in parts)
             )

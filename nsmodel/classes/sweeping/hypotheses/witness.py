@@ -40,7 +40,7 @@ class Opposed(NamedTuple):
 
 
 def opposed(
-    constraints: Sequence[Constraint], scene: Scene, rows: Sequence[int], weights: Sequence[float], at: np.ndarray
+    constraints: Sequence[Constraint], scene: Scene, rows: np.ndarray, weights: np.ndarray, at: np.ndarray
 ) -> Opposed | None:
     """Return a proof that constraints oppose each other in contact near ``at`` (t, q), or None."""
     used = [int(k) for k, u in zip(rows, weights, strict=True) if u > WEIGHT]
@@ -214,7 +214,7 @@ def _sloping(scene: Scene, used: Sequence[int], lower: np.ndarray, upper: np.nda
 # -- how large gamma is at a point ---------------------------------------------------------------------------------------
 
 
-def attained(scene: Scene, rows: Sequence[int], weights: Sequence[float], at: np.ndarray, rho: float) -> float:
+def attained(scene: Scene, rows: np.ndarray, weights: np.ndarray, at: np.ndarray, rho: float) -> float:
     """Return a proved lower bound of gamma(rho) from constraints with weights near a point (t, q); 1 where there is none.
 
     For rho > 0 the point is moved off the constraints, to where all are > 0 and these still within rho; for rho = 0 a box in
