@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
+from itertools import count
 from math import isqrt
 from typing import NamedTuple
 
@@ -91,47 +92,47 @@ class _Node(NamedTuple):
 
 def _settled(term: ca.SX, s: ca.SX, low: Fraction, high: Fraction | None) -> tuple[Cases, Place | None]:
     """The cases of a term on (low, high), or a place inside where one of them changes."""
-    cases: Cases = {}
-    cuts: list[Place] = []
-    calls = iter(range(10**9))
-    own = s.element_hash()
-    middle = low + 1 if high is None else (low + high) / 2
+    walk = _CasesOnInterval(s, low, high)
+    fold(term, walk.symbol, lambda value: _Node(polynomial.constant(value), ca.SX(value), False, False), walk.apply)
+    return walk.cases, walk.cuts[0] if walk.cuts else None
 
-    def symbol(item: ca.SX) -> _Node:
-        if item.element_hash() != own:
+
+class _CasesOnInterval:
+    """What is decided on (low, high) as the operations of a term are gone through: its cases, and where one of them changes."""
+
+    def __init__(self, s: ca.SX, low: Fraction, high: Fraction | None) -> None:
+        self.s, self.low, self.high = s, low, high
+        self.cases: Cases = {}
+        self.cuts: list[Place] = []
+        self._calls = count()
+
+    def symbol(self, item: ca.SX) -> _Node:
+        if item.element_hash() != self.s.element_hash():
             raise Unsettled
         return _Node({((0, 1),): Fraction(1)}, item, True, False)
 
-    def apply(op: int, args: list[_Node]) -> _Node:
+    def apply(self, op: int, args: list[_Node]) -> _Node:
         if op == ca.OP_CALL:
             raise Unsettled
-        call, old = next(calls), applied(op, [arg.old for arg in args])
+        call, old = next(self._calls), applied(op, [arg.old for arg in args])
         holds, settled = any(arg.holds for arg in args), any(arg.settled for arg in args)
-        if not holds or op not in (*KINKS, *COMPARED, *LOGIC, ca.OP_SIGN, ca.OP_IF_ELSE_ZERO) or cuts:
+        if not holds or op not in (*KINKS, *COMPARED, *LOGIC, ca.OP_SIGN, ca.OP_IF_ELSE_ZERO) or self.cuts:
             known = [arg.p for arg in args if arg.p is not None]
             return _Node(polynomial.apply(op, known) if len(known) == len(args) else None, old, holds, settled)
-        case = _case(op, args)
+        case = self._case(op, args)
         if case is None:
             return _Node(None, old, True, True)
-        cases[call] = case
+        self.cases[call] = case
         p: polynomial.Polynomial | None = polynomial.constant(float(case[1]))
         for factor, arg in zip(case[0], args, strict=True):
             if factor:
                 p = None if p is None or arg.p is None else polynomial.add(p, arg.p, Fraction(factor))
         return _Node(p, old, True, True)
 
-    def _case(op: int, args: list[_Node]) -> tuple[tuple[int, ...], Fraction] | None:
+    def _case(self, op: int, args: list[_Node]) -> tuple[tuple[int, ...], Fraction] | None:
         if op in LOGIC or op == ca.OP_IF_ELSE_ZERO:
-            truth = [arg.p == {(): Fraction(1)} if arg.p is not None and polynomial.is_constant(arg.p) else None for arg in args]
-            if op == ca.OP_IF_ELSE_ZERO:
-                if truth[0] is None and args[0].holds:
-                    raise Unsettled
-                return (0, int(bool(truth[0]))), Fraction(0)
-            if None in truth:
-                raise Unsettled
-            value = not truth[0] if op == ca.OP_NOT else all(truth) if op == ca.OP_AND else any(truth)
-            return (0,) * len(args), Fraction(int(value))
-        sign = _sign(op, args)
+            return _truth(op, args)
+        sign = self._sign(op, args)
         if sign is None:
             return None
         if op == ca.OP_FABS:
@@ -144,30 +145,44 @@ def _settled(term: ca.SX, s: ca.SX, low: Fraction, high: Fraction | None) -> tup
         true = {ca.OP_LT: sign < 0, ca.OP_LE: sign <= 0, ca.OP_EQ: sign == 0, ca.OP_NE: sign != 0}[op]
         return (0, 0), Fraction(int(true))
 
-    def _sign(op: int, args: list[_Node]) -> int | None:
+    def _sign(self, op: int, args: list[_Node]) -> int | None:
         """The sign of the argument, or of the difference of two; None: it changes at the cut that is noted."""
         first, last = args[0].p, args[-1].p if len(args) > 1 else {}
         if first is not None and last is not None:
-            c = polynomial.coefficients(polynomial.add(first, last, Fraction(-1)))
-            roots = [place for place in polynomial_signs.real_roots(c, low, high) if place[0] > low and place[1] != high]
-            if roots:
-                cuts.append(roots[0])
-                return None
-            value = polynomial_signs.at(c, middle)
-            return (value > 0) - (value < 0)
+            return self._sign_of(polynomial.coefficients(polynomial.add(first, last, Fraction(-1))))
         if op not in KINKS or any(arg.settled for arg in args):
             raise Unsettled
         u = args[0].old if len(args) == 1 else args[0].old - args[1].old
-        found = one_variable.signs(u, s, low, high)
+        found = one_variable.signs(u, self.s, self.low, self.high)
         if found is None:
             raise Unsettled
         if found.places:
-            cuts.append(found.places[0])
+            self.cuts.append(found.places[0])
             return None
         return found.signs[0]
 
-    fold(term, symbol, lambda value: _Node(polynomial.constant(value), ca.SX(value), False, False), apply)
-    return cases, cuts[0] if cuts else None
+    def _sign_of(self, c: list[Fraction]) -> int | None:
+        """The same of a polynomial with these coefficients."""
+        low, high = self.low, self.high
+        roots = [place for place in polynomial_signs.real_roots(c, low, high) if place[0] > low and place[1] != high]
+        if roots:
+            self.cuts.append(roots[0])
+            return None
+        value = polynomial_signs.at(c, low + 1 if high is None else (low + high) / 2)
+        return (value > 0) - (value < 0)
+
+
+def _truth(op: int, args: list[_Node]) -> tuple[tuple[int, ...], Fraction]:
+    """The case of a logical operation, or of a condition, whose arguments are known to be true or false."""
+    truth = [arg.p == {(): Fraction(1)} if arg.p is not None and polynomial.is_constant(arg.p) else None for arg in args]
+    if op == ca.OP_IF_ELSE_ZERO:
+        if truth[0] is None and args[0].holds:
+            raise Unsettled
+        return (0, int(bool(truth[0]))), Fraction(0)
+    if None in truth:
+        raise Unsettled
+    value = not truth[0] if op == ca.OP_NOT else all(truth) if op == ca.OP_AND else any(truth)
+    return (0,) * len(args), Fraction(int(value))
 
 
 # -- joints ------------------------------------------------------------------------------------------------------------
@@ -212,44 +227,12 @@ def _jump(term: ca.SX, s: ca.SX, place: Place, before: Cases, after: Cases) -> t
             return None
         bounds = _bounds(slope, s, place)
         return None if bounds is None else (_ZERO, _ZERO, bounds)
-    symbols: list[ca.SX] = []
-    rates: list[_Sides] = []
-
-    def slope_of(node: ca.SX, side: int) -> ca.SX:
-        total = ca.gradient(node, s)
-        for k, rate in zip(symbols, rates, strict=True):
-            total += ca.gradient(node, k) * rate[side]
-        return total
-
-    calls = iter(range(10**9))
-
-    def apply(op: int, args: list[_Sides]) -> _Sides:
-        call = next(calls)
-        if call not in before or call not in after:
-            return _Sides(applied(op, [arg.left for arg in args]), applied(op, [arg.right for arg in args]))
-        one, other = before[call], after[call]
-        if op in KINKS and one != other:
-            return kink(one[0], other[0], args)
-        return _Sides(*(_chosen(case, [arg[side] for arg in args]) for side, case in enumerate((one, other))))
-
-    def kink(one: tuple[int, ...], other: tuple[int, ...], args: list[_Sides]) -> _Sides:
-        base = None if len(args) == 1 else 0 if args[0].left.is_constant() else 1
-        k = ca.SX.sym("k")
-        parts = []
-        for side, factors in enumerate((one, other)):
-            difference = ca.SX(0)
-            for j, factor in enumerate(factors):
-                difference += (factor - (j == base)) * args[j][side]
-            parts.append(slope_of(difference, side))
-        symbols.append(k)
-        rates.append(_Sides(*parts))
-        return _Sides(k, k) if base is None else _Sides(args[base].left + k, args[base].right + k)
-
-    (sides,) = fold(term, lambda item: _Sides(item, item), lambda value: _Sides(ca.SX(value), ca.SX(value)), apply)
-    k = column(symbols)
-    own = [ca.vertcat(side, ca.gradient(side, s), *(ca.gradient(side, symbol) for symbol in symbols)) for side in sides]
+    walk = _Kinks(s, before, after)
+    (sides,) = fold(term, lambda item: _Sides(item, item), lambda value: _Sides(ca.SX(value), ca.SX(value)), walk.apply)
+    k = column(walk.symbols)
+    own = [ca.vertcat(side, ca.gradient(side, s), *(ca.gradient(side, symbol) for symbol in walk.symbols)) for side in sides]
     values = [ca.substitute(part, k, ca.DM.zeros(k.numel())) for part in own]
-    slopes = [ca.substitute(slope_of(side, i), k, ca.DM.zeros(k.numel())) for i, side in enumerate(sides)]
+    slopes = [ca.substitute(walk.slope(side, i), k, ca.DM.zeros(k.numel())) for i, side in enumerate(sides)]
     if not all(interval.is_continuous(ca.vertcat(value, slope), s, *around) for value, slope in zip(values, slopes, strict=True)):
         return None
     if any(op in (ca.OP_EQ, ca.OP_NE, ca.OP_SIGN) for op in operations(term)):
@@ -258,6 +241,44 @@ def _jump(term: ca.SX, s: ca.SX, place: Place, before: Cases, after: Cases) -> t
     by_slope = _difference(slopes[0], slopes[1], s, place)
     first = _bounds(slopes[0], s, place)
     return None if by_value is None or by_slope is None or first is None else (by_value, by_slope, first)
+
+
+class _Kinks:
+    """A term on both sides of a joint, its kinks written with new symbols, and the slopes of these on each side."""
+
+    def __init__(self, s: ca.SX, before: Cases, after: Cases) -> None:
+        self.s, self.before, self.after = s, before, after
+        self.symbols: list[ca.SX] = []
+        self._rates: list[_Sides] = []
+        self._calls = count()
+
+    def slope(self, node: ca.SX, side: int) -> ca.SX:
+        total = ca.gradient(node, self.s)
+        for k, rate in zip(self.symbols, self._rates, strict=True):
+            total += ca.gradient(node, k) * rate[side]
+        return total
+
+    def apply(self, op: int, args: list[_Sides]) -> _Sides:
+        call = next(self._calls)
+        if call not in self.before or call not in self.after:
+            return _Sides(applied(op, [arg.left for arg in args]), applied(op, [arg.right for arg in args]))
+        one, other = self.before[call], self.after[call]
+        if op in KINKS and one != other:
+            return self._kink(one[0], other[0], args)
+        return _Sides(*(_chosen(case, [arg[side] for arg in args]) for side, case in enumerate((one, other))))
+
+    def _kink(self, one: tuple[int, ...], other: tuple[int, ...], args: list[_Sides]) -> _Sides:
+        base = None if len(args) == 1 else 0 if args[0].left.is_constant() else 1
+        k = ca.SX.sym("k")
+        parts = []
+        for side, factors in enumerate((one, other)):
+            difference = ca.SX(0)
+            for j, factor in enumerate(factors):
+                difference += (factor - (j == base)) * args[j][side]
+            parts.append(self.slope(difference, side))
+        self.symbols.append(k)
+        self._rates.append(_Sides(*parts))
+        return _Sides(k, k) if base is None else _Sides(args[base].left + k, args[base].right + k)
 
 
 def _chosen(case: tuple[tuple[int, ...], Fraction], args: list[ca.SX]) -> ca.SX:
