@@ -13,7 +13,7 @@ from nsmodel.codegen.tables import exact_tables, table
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.active_set import choices
 from nsmodel.solve.certificate import NumericLaw, bound_size
-from nsmodel.solve.kernel import at_step, matrices_at, regular_inverse
+from nsmodel.solve.kernel import AtStep, at_step, matrices_at, regular_inverse
 from nsmodel.solve.rounding import equilibrated, error_bound
 from nsmodel.solve.structure import Structure
 
@@ -49,73 +49,101 @@ def matrices(problem: OneStepProblem, h: float) -> Matrices | None:
     return Matrices(E_z, E_l, Y_z, Y_l, inverse, Z, Y_l + Y_z @ Z)
 
 
+class _Symbols(NamedTuple):
+    """A step at one h, with E_z^{-1} and Z sparse, and arguments of its C functions; ``Y`` and ``l`` are empty without a law."""
+
+    at: AtStep
+    inverse: ca.DM
+    Z: ca.DM
+    z: ca.SX
+    l: ca.SX
+    known: dict[str, ca.SX]
+    E: dict[str, ca.SX]
+    Y: dict[str, ca.SX]
+
+    @property
+    def solution(self) -> dict[str, ca.SX]:
+        """z, and l where there is one."""
+        return {"z": self.z} | ({"l": self.l} if self.Y else {})
+
+
 def text(problem: OneStepProblem, structure: Structure, law: NumericLaw, h: float, M: Matrices) -> str:
     """The C functions and tables."""
-    at, m = at_step(problem, h, tuple(M[:4])), problem.l.numel()
-    E_0, Y_0, z_0 = (ca.SX.sym(name, size) for name, size in (("E_0", M.E_z.shape[0]), ("Y_0", m), ("z_0", M.E_z.shape[0])))
-    z, l = problem.z, problem.l
+    at, n, m = at_step(problem, h, tuple(M[:4])), M.E_z.shape[0], problem.l.numel()
     inverse, Z = (ca.sparsify(ca.DM(A)) for A in (M.inverse, M.Z))
     known = {"s->t": problem.t, "s->x": problem.state}
-    E, Y = {"E_0": E_0}, ({"Y_0": Y_0} if m else {})
-    multiplier = {"l": l} if m else {}
-    predicted = -inverse @ E_0
-    unknowns = ca.vertcat(z, l)
+    E, Y = {"E_0": ca.SX.sym("E_0", n)}, ({"Y_0": ca.SX.sym("Y_0", m)} if m else {})
+    step = _Symbols(at, inverse, Z, problem.z, problem.l, known, E, Y)
+    functions, units = _functions_of_unknowns(step), _unit_tables(M)
+    if not m:
+        return units + "\n" + "\n".join(functions)
+    functions += _functions_of_law(step, structure.projection)
+    tables = [_law_tables(M, law), units, exact_tables(structure), _follow_tables(structure, M.E_z), _choice_tables(law)]
+    return "".join(tables) + "\n" + "\n".join(functions)
+
+
+def _functions_of_unknowns(step: _Symbols) -> list[str]:
+    """What each step has."""
+    at, z, l, known, E, Y, m = step.at, step.z, step.l, step.known, step.E, step.Y, bool(step.Y)
+    E_0, Y_0 = E["E_0"], Y.get("Y_0", ca.SX())
+    predicted = -step.inverse @ E_0
     moved = ca.fabs(E_0 + at.E_z @ at.guess) + ca.fabs(at.E_z) @ ca.fabs(z - at.guess)
-    functions = [
+    passed = {"felt_E": at.E_z @ z + (at.E_l @ l if m else 0)} | ({"felt_Y": at.Y_z @ z + at.Y_l @ l} if m else {})
+    return [
         c_function("constant_part", known, {"E_0": at.E_0} | ({"Y_0": at.Y_0} if m else {}), "E and Y at z = 0, l = 0"),
         c_function(
             "predict", E | Y, {"z_0": predicted} | ({"b": Y_0 + at.Y_z @ predicted} if m else {}),
             "the solution without multipliers" + (", and y there" if m else ""),
         ),
         c_function(
-            "residuals", E | Y | {"z": z} | multiplier,
+            "residuals", E | Y | step.solution,
             {"E": E_0 + at.E_z @ z + (at.E_l @ l if m else 0)} | ({"Y": Y_0 + at.Y_z @ z + at.Y_l @ l} if m else {}),
         ),
         c_function(
             "scale_E", known | E | {"z": z}, {"scale": moved}, "what moves in the step"
         ),
         c_function(
-            "round_off_E", known | {"z": z} | multiplier, {"error": error_bound(at.E, unknowns)}, "running error bound in EPS/2"
+            "round_off_E", known | step.solution, {"error": error_bound(at.E, ca.vertcat(z, l))}, "running error bound in EPS/2"
         ),
+        c_function("passed_on", step.solution, passed, "what E and Y feel of errors of z" + (" and l" if m else "")),
     ]  # fmt: skip
-    passed = {"felt_E": at.E_z @ z + (at.E_l @ l if m else 0)} | ({"felt_Y": at.Y_z @ z + at.Y_l @ l} if m else {})
-    functions.append(
-        c_function("passed_on", {"z": z} | multiplier, passed, "what E and Y feel of errors of z" + (" and l" if m else ""))
-    )
-    units = _unit_tables(M)
-    if not m:
-        return units + "\n" + "\n".join(functions)
-    functions += [
+
+
+def _functions_of_law(step: _Symbols, projection: bool) -> list[str]:
+    """What a step with multipliers has besides."""
+    at, z, l, Z, E_0 = step.at, step.z, step.l, step.Z, step.E["E_0"]
+    z_0 = ca.SX.sym("z_0", E_0.numel())
+    functions = [
         c_function("respond", {"z_0": z_0, "l": l}, {"z": z_0 + Z @ l}, "z = z_0 + Z l"),
         c_function(
             "scale_Y", {"l": l}, {"terms": ca.fabs(at.Y_z) @ ca.fabs(Z @ l) + ca.fabs(at.Y_l) @ ca.fabs(l)}, "the terms of W l"
         ),
-        c_function("round_off_Y", known | {"z": z, "l": l}, {"error": error_bound(at.Y, unknowns)}),
+        c_function("round_off_Y", step.known | step.solution, {"error": error_bound(at.Y, ca.vertcat(z, l))}),
     ]  # fmt: skip
-    if structure.projection:
+    if projection:
         reach = ca.sumsqr(z - at.guess) + ca.sumsqr(E_0 + at.E_z @ at.guess)
-        functions.append(c_function("moved", known | E | {"z": z}, {"reach": reach}, "the square of what moves"))
-    w_max = np.abs(M.W).max(axis=1)
-    tables = [
-        table("W", M.W.ravel(), "MODEL_M*MODEL_M", "y = W l + b"),
-        *(
-            [table("w_max", w_max, "MODEL_M", "max_j |W_ij|")]
-            if law.curved
-            else [
-                table("w_root", np.sqrt(w_max), "MODEL_M", "sqrt(max_j |W_ij|)"),
-                table("bound_size", bound_size(law), "MODEL_M"),
-            ]
-        ),
-        units,
-        exact_tables(structure),
-        _follow_tables(structure, M.E_z),
-    ]
+        functions.append(c_function("moved", step.known | step.E | {"z": z}, {"reach": reach}, "the square of what moves"))
+    return functions
+
+
+def _law_tables(M: Matrices, law: NumericLaw) -> str:
+    """W, and the sizes by which the law is judged."""
+    W, w_max = table("W", M.W.ravel(), "MODEL_M*MODEL_M", "y = W l + b"), np.abs(M.W).max(axis=1)
+    if law.curved:
+        return W + table("w_max", w_max, "MODEL_M", "max_j |W_ij|")
+    w_root = table("w_root", np.sqrt(w_max), "MODEL_M", "sqrt(max_j |W_ij|)")
+    return W + w_root + table("bound_size", bound_size(law), "MODEL_M")
+
+
+def _choice_tables(law: NumericLaw) -> str:
+    """The codes of the index sets that are tried one by one."""
+    if not index_sets(law):
+        return ""
     codes = choices(law)
-    if index_sets(law):
-        rows = ", ".join("{" + ", ".join(map(str, (codes[i] + [0, 0])[:3])) + "}" for i in range(m))
-        tables.append(f"static const signed char choices[MODEL_M][3] = {{{rows}}}; /* codes that a row can have */\n")
-        tables.append(table("choice_count", [len(c) for c in codes], "MODEL_M", kind="int"))
-    return "".join(tables) + "\n" + "\n".join(functions)
+    rows = ", ".join("{" + ", ".join(map(str, [*code, 0, 0][:3])) + "}" for code in codes)
+    return f"static const signed char choices[MODEL_M][3] = {{{rows}}}; /* codes that a row can have */\n" + table(
+        "choice_count", [len(code) for code in codes], "MODEL_M", kind="int"
+    )
 
 
 def _unit_tables(M: Matrices) -> str:

@@ -17,10 +17,14 @@ MAPS_BYTES = 16 << 10  # Memory for the inverses of index sets; between 2 and 8 
 
 def flags_of(scene: Scene) -> frozenset[str]:
     """What the code of a scene has, as the flags of the fragments in ``c/``."""
-    structure, law, problem = scene.structure, scene.law, scene.problem
-    stepped = scene.path == NEWTON or inclusion.projects(scene)
-    few = fixed.index_sets(law) > 0  # then every one of them is tried, and a psd W needs no pivoting
-    has = {
+    has = _implied(scene, _read_off(scene))
+    return frozenset(name for name, holds in has.items() if holds)
+
+
+def _read_off(scene: Scene) -> dict[str, bool]:
+    """The flags that say what the scene is."""
+    structure, law, problem, stepped = scene.structure, scene.law, scene.problem, _is_stepped(scene)
+    return {
         "LAW": structure.m > 0,
         "FIXED": scene.path == FIXED,
         "BANDED": scene.path == BANDED,
@@ -32,7 +36,7 @@ def flags_of(scene: Scene) -> frozenset[str]:
         "TERMS": stepped and newton.bounded_by_terms(scene),
         "EXPLICIT": stepped and bool(problem.explicit) and not structure.affine,
         "ROWS": scene.by_rows,
-        "ENUMERATION": structure.m <= ENUMERATE_UP_TO or few,
+        "ENUMERATION": structure.m <= ENUMERATE_UP_TO or _has_few_sets(scene),
         "FEEDTHROUGH": scene.jacobians[3].nnz() > 0,
         "TRANSPOSED": stepped and newton.transposed(scene),
         "PROJECTION": structure.projection,
@@ -51,6 +55,11 @@ def flags_of(scene: Scene) -> frozenset[str]:
         "FIXED_MAPS": scene.path == FIXED and structure.m > 0 and not law.curved,
         "ONE_STEP": scene.path in (FIXED, BANDED) or inclusion.one_step(scene),
     } | inclusion.flags(scene)
+
+
+def _implied(scene: Scene, given: dict[str, bool]) -> dict[str, bool]:
+    """The flags that follow: how the affine problems of the step are solved."""
+    structure, law, stepped, few, has = scene.structure, scene.law, _is_stepped(scene), _has_few_sets(scene), dict(given)
     has["CURVED"] = bool(law.curved) or has.get("SELECTION_CURVED", False)
     has["ENUMERATED"] = has["FIXED_MAPS"] and few
     has["SETTLED"] = has["FIXED_MAPS"] and not has["ENUMERATED"]
@@ -63,7 +72,16 @@ def flags_of(scene: Scene) -> frozenset[str]:
     has["NEARBY"] = stepped and has["LAW"] and not (few and structure.affine) and fixed.index_sets(law, MOST_INDEX_SETS) > 0
     has["INDEX_SETS"] = has["NEARBY"] or (has["BOX_PROBLEM"] and has["ENUMERATION"])
     has["INVERSE"] = has["FIXED_MAPS"] or has["PIVOTING"]
-    return frozenset(name for name, holds in has.items() if holds)
+    return has
+
+
+def _is_stepped(scene: Scene) -> bool:
+    return scene.path == NEWTON or inclusion.projects(scene)
+
+
+def _has_few_sets(scene: Scene) -> bool:
+    """Whether every index set is tried: then a psd W needs no pivoting."""
+    return fixed.index_sets(scene.law) > 0
 
 
 def _regular_sets_suffice(scene: Scene) -> bool:
