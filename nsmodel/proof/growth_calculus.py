@@ -130,7 +130,7 @@ class _Calculus:
             number, atom = self._atom(p, max(abs(low), abs(high)))
             lower, upper = ((number / UP, ((atom, Fraction(1)),)),), (Term(number * UP, ((atom, Fraction(1)),)),)
         else:
-            lower, upper = self._rule(i, step, [out[j] for j in step.sources])
+            lower, upper = self._rule(step, [out[j] for j in step.sources])
         sign = low > 0 or high < 0
         most = max(abs(low), abs(high))
         plain = upper is None or not all(term.below for term in upper)
@@ -158,61 +158,17 @@ class _Calculus:
     def _most_of(self, slot: int) -> float:
         return next((max(abs(a) for a in self.ends[i]) for i, s in enumerate(self.code.steps) if s.slot == slot), np.inf)
 
-    def _rule(self, i: int, step: Step, args: list[Size]) -> tuple[Sum, tuple[Term, ...] | None]:
-        op = step.op
-        if op == ca.OP_CONST:
+    def _rule(self, step: Step, args: list[Size]) -> tuple[Sum, tuple[Term, ...] | None]:
+        if step.op == ca.OP_CONST:
             number = abs(step.number)
             return (((number, ()),) if number else ()), ((Term(number, ()),) if number else ())
         if not args:
             return (), None
-        a, b = args[0], args[-1]
-        if op in (ca.OP_NEG, ca.OP_FABS, ca.OP_ASSIGN):
-            return a.lower, a.upper
-        if op == ca.OP_TWICE:
-            return _product(a.lower, ((2.0, ()),)), _times(a.upper, (Term(2.0, ()),))
-        if op in (ca.OP_ADD, ca.OP_SUB):
-            b_low, b_high = (b.low, b.high) if op == ca.OP_ADD else (-b.high, -b.low)
-            alike = (a.low >= 0 and b_low >= 0) or (a.high <= 0 and b_high <= 0)
-            return (a.lower + b.lower if alike else ()), _plus(a.upper, b.upper)
-        if op == ca.OP_MUL:
-            return _product(a.lower, b.lower), _times(a.upper, b.upper)
-        if op == ca.OP_SQ:
-            return _powers(a.lower, Fraction(2), below=True), _times(a.upper, a.upper)
-        if op in (ca.OP_DIV, ca.OP_INV):
-            top = a.upper if op == ca.OP_DIV else (Term(1.0, ()),)
-            return (), _over(top, b.lower)
-        if op == ca.OP_SQRT:
-            return (_powers(a.lower, Fraction(1, 2), below=True), _raised(a.upper, Fraction(1, 2))) if a.low >= 0 else ((), None)
-        if op in (ca.OP_POW, ca.OP_CONSTPOW) and b.low == b.high:
-            c = Fraction(b.low)
-            if c > 0 and (a.low >= 0 or c.denominator == 1):
-                return _powers(a.lower, c, below=True), _raised(a.upper, c)
-            if c < 0 and (a.low >= 0 or c.denominator == 1):
-                return (), _over((Term(1.0, ()),), _powers(a.lower, -c, below=True))
-            return (), None
-        if op == ca.OP_HYPOT:
-            return _product(a.lower + b.lower, ((0.7071067811865, ()),)), _plus(a.upper, b.upper)
-        if op in (ca.OP_FMAX, ca.OP_FMIN):
-            positive = a.low >= 0 and b.low >= 0
-            if op == ca.OP_FMIN and positive:
-                return (), a.upper if a.upper is not None and (b.upper is None or len(a.upper) <= len(b.upper)) else b.upper
-            lower = a.lower if a.low >= 0 else b.lower if b.low >= 0 else ()
-            return (lower if op == ca.OP_FMAX else ()), _plus(a.upper, b.upper)
-        if op in (ca.OP_FLOOR, ca.OP_CEIL):
-            return (), _plus(a.upper, (Term(1.0, ()),))
-        if op == ca.OP_IF_ELSE_ZERO:
-            return (), b.upper
-        if op in (ca.OP_SIN, ca.OP_TANH, ca.OP_ATAN, ca.OP_ASINH):
-            return (), a.upper
-        if op == ca.OP_EXP and a.high <= 0:
-            square, cube = _product(a.lower, a.lower), _powers(a.lower, Fraction(3), below=True)
-            u = ((1.0, ()), *a.lower, *_scaled(square, 0.5), *_scaled(cube, 1 / 6))
-            return (), _over((Term(1.0, ()),), u)
-        if op in (ca.OP_LOG, ca.OP_LOG1P):
-            return (), self._log(op, step, args, a)
-        return (), None
+        if step.op in (ca.OP_LOG, ca.OP_LOG1P):
+            return (), self._log(step.op, step, args[0])
+        return _bounds(step.op, args[0], args[-1])
 
-    def _log(self, op: int, step: Step, args: list[Size], a: Size) -> tuple[Term, ...] | None:
+    def _log(self, op: int, step: Step, a: Size) -> tuple[Term, ...] | None:
         inner = self.code.steps[step.sources[0]]
         parts = [step.sources[0]] if op == ca.OP_LOG1P else list(inner.sources) if inner.op == ca.OP_ADD else []
         exponents = [j for j in parts if self.code.steps[j].op == ca.OP_EXP]
@@ -288,6 +244,64 @@ class _Calculus:
                 for atom, power in monomial:
                     left[atom] = left.get(atom, Fraction(0)) - w * power
         return all(power >= 0 for power in left.values())
+
+
+# -- rules -------------------------------------------------------------------------------------------------------------
+
+
+def _bounds(op: int, a: Size, b: Size) -> tuple[Sum, tuple[Term, ...] | None]:
+    """Lower and upper bounds of the size of an operation's value, from those of its first and its last argument."""
+    if op in (ca.OP_NEG, ca.OP_FABS, ca.OP_ASSIGN):
+        return a.lower, a.upper
+    if op == ca.OP_TWICE:
+        return _product(a.lower, ((2.0, ()),)), _times(a.upper, (Term(2.0, ()),))
+    if op in (ca.OP_ADD, ca.OP_SUB):
+        b_low, b_high = (b.low, b.high) if op == ca.OP_ADD else (-b.high, -b.low)
+        alike = (a.low >= 0 and b_low >= 0) or (a.high <= 0 and b_high <= 0)
+        return (a.lower + b.lower if alike else ()), _plus(a.upper, b.upper)
+    if op == ca.OP_MUL:
+        return _product(a.lower, b.lower), _times(a.upper, b.upper)
+    if op == ca.OP_SQ:
+        return _powers(a.lower, Fraction(2), below=True), _times(a.upper, a.upper)
+    if op in (ca.OP_DIV, ca.OP_INV):
+        top = a.upper if op == ca.OP_DIV else (Term(1.0, ()),)
+        return (), _over(top, b.lower)
+    if op == ca.OP_SQRT:
+        return (_powers(a.lower, Fraction(1, 2), below=True), _raised(a.upper, Fraction(1, 2))) if a.low >= 0 else ((), None)
+    if op in (ca.OP_POW, ca.OP_CONSTPOW) and b.low == b.high:
+        return _bounds_of_power(a, Fraction(b.low))
+    if op == ca.OP_HYPOT:
+        return _product(a.lower + b.lower, ((0.7071067811865, ()),)), _plus(a.upper, b.upper)
+    return _bounds_of_function(op, a, b)
+
+
+def _bounds_of_power(a: Size, c: Fraction) -> tuple[Sum, tuple[Term, ...] | None]:
+    if c > 0 and (a.low >= 0 or c.denominator == 1):
+        return _powers(a.lower, c, below=True), _raised(a.upper, c)
+    if c < 0 and (a.low >= 0 or c.denominator == 1):
+        return (), _over((Term(1.0, ()),), _powers(a.lower, -c, below=True))
+    return (), None
+
+
+def _bounds_of_function(op: int, a: Size, b: Size) -> tuple[Sum, tuple[Term, ...] | None]:
+    """The same of what is no arithmetic."""
+    if op in (ca.OP_FMAX, ca.OP_FMIN):
+        positive = a.low >= 0 and b.low >= 0
+        if op == ca.OP_FMIN and positive:
+            return (), a.upper if a.upper is not None and (b.upper is None or len(a.upper) <= len(b.upper)) else b.upper
+        lower = a.lower if a.low >= 0 else b.lower if b.low >= 0 else ()
+        return (lower if op == ca.OP_FMAX else ()), _plus(a.upper, b.upper)
+    if op in (ca.OP_FLOOR, ca.OP_CEIL):
+        return (), _plus(a.upper, (Term(1.0, ()),))
+    if op == ca.OP_IF_ELSE_ZERO:
+        return (), b.upper
+    if op in (ca.OP_SIN, ca.OP_TANH, ca.OP_ATAN, ca.OP_ASINH):
+        return (), a.upper
+    if op == ca.OP_EXP and a.high <= 0:
+        square, cube = _product(a.lower, a.lower), _powers(a.lower, Fraction(3), below=True)
+        u = ((1.0, ()), *a.lower, *_scaled(square, 0.5), *_scaled(cube, 1 / 6))
+        return (), _over((Term(1.0, ()),), u)
+    return (), None
 
 
 # -- sums of monomials -------------------------------------------------------------------------------------------------

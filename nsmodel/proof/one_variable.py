@@ -266,20 +266,8 @@ def _outer(op: int, u: Jet, exponent: Fraction | None, line: Line) -> Jet:
             for k, factor in enumerate((Fraction(1), p, p * (p - 1)))
         ]
         return Jet(*powers)
-    if op in (ca.OP_EXP, ca.OP_EXPM1):
-        e = _exp(x, 1)
-        return Jet(e if op == ca.OP_EXP else _plus(e, one, -1), e, e)
-    if op in (ca.OP_SINH, ca.OP_COSH):
-        both = (
-            _scaled(_plus(_exp(x, 1), _exp(x, -1), -1), Fraction(1, 2)),
-            _scaled(_plus(_exp(x, 1), _exp(x, -1), 1), Fraction(1, 2)),
-        )
-        odd, even = both if op == ca.OP_SINH else both[::-1]
-        return Jet(odd, even, odd)
-    if op == ca.OP_TANH:
-        v = _plus(one, _product(_scaled(one, 2), _inverse(_plus(_exp(x, 2), one, 1), line)), -1)
-        d = _plus(one, _product(v, v), -1)
-        return Jet(v, d, _scaled(_product(v, d), -2))
+    if op in (ca.OP_EXP, ca.OP_EXPM1, ca.OP_SINH, ca.OP_COSH, ca.OP_TANH):
+        return _exponential(op, x, line)
     if op in (ca.OP_LOG, ca.OP_LOG1P):
         inner = x if op == ca.OP_LOG else _plus(x, one, 1)
         inside = pattern(inner.top, line)
@@ -296,6 +284,24 @@ def _outer(op: int, u: Jet, exponent: Fraction | None, line: Line) -> Jet:
         cube = _raised(around, Fraction(-3, 2), line)
         return Jet(None, d, None if cube is None else _scaled(_product(x, cube), -1))
     return nothing
+
+
+def _exponential(op: int, x: Quotient, line: Line) -> Jet:
+    """The jet of exp, or of a function made of it, at x."""
+    one = Quotient(constant(Fraction(1)), {})
+    if op in (ca.OP_EXP, ca.OP_EXPM1):
+        e = _exp(x, 1)
+        return Jet(e if op == ca.OP_EXP else _plus(e, one, -1), e, e)
+    if op == ca.OP_TANH:
+        v = _plus(one, _product(_scaled(one, 2), _inverse(_plus(_exp(x, 2), one, 1), line)), -1)
+        d = _plus(one, _product(v, v), -1)
+        return Jet(v, d, _scaled(_product(v, d), -2))
+    both = (
+        _scaled(_plus(_exp(x, 1), _exp(x, -1), -1), Fraction(1, 2)),
+        _scaled(_plus(_exp(x, 1), _exp(x, -1), 1), Fraction(1, 2)),
+    )
+    odd, even = both if op == ca.OP_SINH else both[::-1]
+    return Jet(odd, even, odd)
 
 
 def _scaled(a: Quotient, factor: Fraction | int) -> Quotient:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from nsmodel.scheme.problem import OneStepProblem
@@ -46,28 +48,50 @@ def why(
         )
     least = 0.0 if structure.gram else min(least_eigenvalue(W), least)
     monotone = is_monotone(least, law.size)
-    opposed = opposing_rows(W, b, law) if monotone else None
-    if opposed:
-        names = [f"'{problem.rows[i]}' (weight {u:.3g})" for i, u in opposed]
-        if len(names) == 1:
-            return f"no multiplier can keep {names[0]} from being violated"
-        no_point = "the constraints leave no point: " + " and ".join(names) + " oppose each other"
-        if problem.overreach is None:
-            return no_point
-        return f"linearised at the step's start, {no_point} (with curved ones smaller steps, or rtol, may find one)"
-    inverse_gamma, rows = nearly_opposite(W) if structure.projection else (1.0, [])
-    if inverse_gamma < OPPOSITE:
-        names = " and ".join(f"'{problem.rows[i]}' (weight {u:.3g})" for i, u in rows)
-        return (
-            f"{names} are nearly opposite (gamma > {1 / OPPOSITE:.0e}): double precision does not tell "
-            "where between them the state is; leave more room between them, or join them to an equality"
-        )
-    if not monotone and mlcp.ENUMERATION in plan.chain:
-        count = sum(1 for _ in index_sets(law, np.zeros(law.size, np.int8)))
-        if count:  # not too many to be tried one by one
-            which = "has no solution" if structure.affine else "seems to have no solution"
-            none = f"none of the {count} index sets satisfies the law"
-            return f"the step {which}: W is not psd (least eigenvalue {least:.3g}) and {none}"
+    return (
+        (_no_point(problem, law, W, b) if monotone else "")
+        or (_no_room(problem, W) if structure.projection else "")
+        or (_no_index_set(structure, law, least) if not monotone and mlcp.ENUMERATION in plan.chain else "")
+        or _not_found(problem, structure, law, plan, W)
+    )
+
+
+def _no_point(problem: OneStepProblem, law: NumericLaw, W: np.ndarray, b: np.ndarray) -> str:
+    """That constraints oppose each other, '' where none are proved to."""
+    names = _weighted(problem, opposing_rows(W, b, law) or [])
+    if not names:
+        return ""
+    if len(names) == 1:
+        return f"no multiplier can keep {names[0]} from being violated"
+    no_point = "the constraints leave no point: " + " and ".join(names) + " oppose each other"
+    if problem.overreach is None:
+        return no_point
+    return f"linearised at the step's start, {no_point} (with curved ones smaller steps, or rtol, may find one)"
+
+
+def _no_room(problem: OneStepProblem, W: np.ndarray) -> str:
+    """That constraints are nearly opposite, '' where none are."""
+    inverse_gamma, rows = nearly_opposite(W)
+    if not inverse_gamma < OPPOSITE:
+        return ""
+    return (
+        f"{' and '.join(_weighted(problem, rows))} are nearly opposite (gamma > {1 / OPPOSITE:.0e}): double precision does not "
+        "tell where between them the state is; leave more room between them, or join them to an equality"
+    )
+
+
+def _no_index_set(structure: Structure, law: NumericLaw, least: float) -> str:
+    """That all index sets were tried, '' where there are too many."""
+    count = sum(1 for _ in index_sets(law, np.zeros(law.size, np.int8)))
+    if not count:
+        return ""
+    which = "has no solution" if structure.affine else "seems to have no solution"
+    none = f"none of the {count} index sets satisfies the law"
+    return f"the step {which}: W is not psd (least eigenvalue {least:.3g}) and {none}"
+
+
+def _not_found(problem: OneStepProblem, structure: Structure, law: NumericLaw, plan: Plan, W: np.ndarray) -> str:
+    """What is known where nothing is proved."""
     if not plan.use_last and plan.chain:
         return "the forced solver did not find it"
     if not (structure.affine and law.size):
@@ -77,12 +101,16 @@ def why(
         )
     part, dependent = dependent_rows(W)
     if part < DEPENDENT and len(dependent) > 1:
-        names = " and ".join(f"'{problem.rows[i]}' (weight {u:.3g})" for i, u in dependent)
         return (
-            f"no solver reached the tolerance; {names} depend on one another to a part of {part:.1g}: "
-            "where they are held together, double precision does not tell their multipliers"
+            f"no solver reached the tolerance; {' and '.join(_weighted(problem, dependent))} depend on one another to a part of "
+            f"{part:.1g}: where they are held together, double precision does not tell their multipliers"
         )
     return "no solver reached the tolerance"
+
+
+def _weighted(problem: OneStepProblem, rows: Sequence[tuple[int, float]]) -> list[str]:
+    """The rows by name, with their weights."""
+    return [f"'{problem.rows[i]}' (weight {u:.3g})" for i, u in rows]
 
 
 def dependent_rows(W: np.ndarray) -> tuple[float, list[tuple[int, float]]]:

@@ -113,21 +113,12 @@ class CatchingUp:
     def _select(self, t: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """v ∈ F(x) - S(x) of least |P_{T_C(x)} v|, the element l of S that gives it, and the residual of that choice."""
         v_0, A, u = (np.array(part) for part in self._velocity(t, x))
-        v_0, u, face = v_0.ravel(), u.ravel(), self._face
+        v_0, u = v_0.ravel(), u.ravel()
         if not (np.isfinite(v_0).all() and np.isfinite(u).all()):
             raise StepError(
                 f"field - operator is not finite at t = {t:.10g}, x = {x}: a division by 0 or a root of a negative number?"
             )
-        l, tied = np.zeros(u.size), np.zeros(u.size, bool)
-        for i in range(u.size):
-            if u[i] == 0:
-                tied[i] = True
-            else:
-                l[i] = face.lower[i] if u[i] > 0 else face.upper[i]
-        for rows, K in face.curved:
-            tied[rows] = not u[rows].any()
-            if u[rows].any():
-                l[rows] = K.selected(u[rows])
+        l, tied = self._forced(u)
         if not tied.any():
             return v_0 + A @ l, l, 0.0
         c, J = (np.array(part) for part in self._c(t, x))
@@ -139,21 +130,39 @@ class CatchingUp:
             base = base - self._shared_velocity(t, x, np.concatenate([free, u.size + acting]))
         M = np.hstack([A[:, free], normals.T])
         W, b = M.T @ M, M.T @ base
-        k = normals.shape[0]
-        position = {int(i): j for j, i in enumerate(free)}
-        curved = tuple(
-            (slice(position[rows.start], position[rows.start] + rows.stop - rows.start), K)
-            for rows, K in face.curved if tied[rows].all()
-        )  # fmt: skip
-        law = NumericLaw(
-            np.concatenate([face.lower[free], np.zeros(k)]), np.concatenate([face.upper[free], np.full(k, np.inf)]), curved
-        )
-        chain = (mlcp.SEMISMOOTH,) if curved else (mlcp.INDEX_SET, "qpoases", mlcp.LEMKE)
+        law = self._law_of(tied, acting.size)
+        chain = (mlcp.SEMISMOOTH,) if law.curved else (mlcp.INDEX_SET, "qpoases", mlcp.LEMKE)
         found = mlcp.solve(W, b, law, np.zeros(b.size), np.zeros(b.size, np.int8), chain, True, self.tolerance / STRICTER)
         if found.residual > self.tolerance:
             raise StepError(f"no verified selection of the operator at t = {t:.10g}, x = {x}", residual=found.residual)
         l[free] = found.l[: free.size]
         return v_0 + A @ l, l, found.residual
+
+    def _forced(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The multipliers that u decides, 0 elsewhere, and which rows are left."""
+        l, tied, face = np.zeros(u.size), np.zeros(u.size, bool), self._face
+        for i in range(u.size):
+            if u[i] == 0:
+                tied[i] = True
+            else:
+                l[i] = face.lower[i] if u[i] > 0 else face.upper[i]
+        for rows, K in face.curved:
+            tied[rows] = not u[rows].any()
+            if u[rows].any():
+                l[rows] = K.selected(u[rows])
+        return l, tied
+
+    def _law_of(self, tied: np.ndarray, k: int) -> NumericLaw:
+        """The law of the rows that u leaves open, and of k constraints."""
+        face, free = self._face, np.flatnonzero(tied)
+        position = {int(i): j for j, i in enumerate(free)}
+        curved = tuple(
+            (slice(position[rows.start], position[rows.start] + rows.stop - rows.start), K)
+            for rows, K in face.curved if tied[rows].all()
+        )  # fmt: skip
+        return NumericLaw(
+            np.concatenate([face.lower[free], np.zeros(k)]), np.concatenate([face.upper[free], np.full(k, np.inf)]), curved
+        )
 
     def _shared_velocity(self, t: float, x: np.ndarray, faces: np.ndarray) -> np.ndarray:
         """The least w with u_t + u_x w = 0, c_t + c_x w = 0 in the rows ``faces``: the velocity with which they move along."""

@@ -290,17 +290,7 @@ def _by_samples(step: AffineStep, seed: int = 0) -> Iterator[np.ndarray]:
             right = b[free] + W[free] @ l
             l[free] = -inverse @ right
             of_l[free] = np.abs(inverse) @ (np.abs(b[free]) + step.size[free] @ np.abs(l))
-        y = W @ l + b
-        of_y = step.size @ (np.abs(l) + of_l) + np.abs(b)
-        slack = np.full(b.shape[1], np.inf)
-        with np.errstate(all="ignore"):
-            for i, code in enumerate(index):
-                if code == 0:
-                    for end, way in ((step.lower[i], 1), (step.upper[i], -1)):
-                        if np.isfinite(end):
-                            slack = np.fmin(slack, way * (l[i] - end) / (of_l[i] + abs(end)))
-                elif step.lower[i] < step.upper[i]:
-                    slack = np.fmin(slack, -code * y[i] / of_y[i])
+        slack = _slack(step, index, l, of_l, W @ l + b, step.size @ (np.abs(l) + of_l) + np.abs(b))
         good = slack > 1e-7
         clearest = np.minimum(clearest, np.abs(slack))
         fresh = good & (solved == 0)
@@ -313,6 +303,20 @@ def _by_samples(step: AffineStep, seed: int = 0) -> Iterator[np.ndarray]:
     for chosen in (order[two[order]], order[(solved == 0)[order]]):
         for k in chosen[:3]:
             yield exact.rational(states[:, k])[:, None]
+
+
+def _slack(step: AffineStep, index: np.ndarray, l: np.ndarray, of_l: np.ndarray, y: np.ndarray, of_y: np.ndarray) -> np.ndarray:
+    """How far l, y on an index set are from breaking the law, relative to the sizes of their terms; < 0: they break it."""
+    slack = np.full(l.shape[1], np.inf)
+    with np.errstate(all="ignore"):
+        for i, code in enumerate(index):
+            if code == 0:
+                for end, way in ((step.lower[i], 1), (step.upper[i], -1)):
+                    if np.isfinite(end):
+                        slack = np.fmin(slack, way * (l[i] - end) / (of_l[i] + abs(end)))
+            elif step.lower[i] < step.upper[i]:
+                slack = np.fmin(slack, -code * y[i] / of_y[i])
+    return slack
 
 
 def _states(step: AffineStep, rng: np.random.Generator, W, N, b_0, graph: bool) -> np.ndarray:

@@ -183,14 +183,9 @@ def _definite(
 
     It is linear in the Jacobians, whose interval bounds on parts of the box give a middle and a radius of the form.
     """
-    n = form.W.shape[0]
-    pieces = (form.W, form.B, form.C, form.D)
-    stacked = ca.densify(ca.vertcat(*(ca.vec(ca.densify(piece)) for piece in pieces)))
-    ends = np.cumsum([0, *(piece.numel() for piece in pieces)])
-    scale = form.scale[:n] if of_x else form.scale
-    boxes = form.lower[None], form.upper[None]
+    stacked = ca.densify(ca.vertcat(*(ca.vec(ca.densify(piece)) for piece in form[:4])))
     whole = np.where([ca.depends_on(stacked, symbol) for symbol in ca.vertsplit(form.z)], form.upper - form.lower, 0.0)
-    count = 0
+    boxes, count = (form.lower[None], form.upper[None]), 0
     while len(boxes[0]):
         count += len(boxes[0])
         if count > most:
@@ -198,34 +193,42 @@ def _definite(
         low, high = (end.reshape(len(boxes[0]), -1) for end in interval.enclose(stacked, form.z, *boxes))
         if not np.isfinite([low, high]).all():
             return False
-        parts = []
-        for entries, absolute in (((low + high) / 2, False), ((high - low) / 2, True), (np.maximum(abs(low), abs(high)), True)):
-            W, B, C, D = (
-                entries[:, a:b].reshape(len(entries), piece.shape[1], piece.shape[0]).transpose(0, 2, 1)
-                for a, b, piece in zip(ends, ends[1:], pieces, strict=False)
-            )
-            l, k, t, minus = (abs(L), abs(N), abs(theta), 1.0) if absolute else (L, N, theta, -1.0)
-            Q = l.T @ W
-            if not of_x:
-                bottom = np.concatenate([t[:, None] * C + k.T @ W, t[:, None] * D + minus * (k.T @ B)], axis=2)
-                Q = np.concatenate([np.concatenate([Q, minus * (l.T @ B)], axis=2), bottom], axis=1)
-            Q = Q * scale[:, None] * scale
-            parts.append((Q + Q.transpose(0, 2, 1)) / 2)
-        middle, radius, size = parts
+        size = _quadratic(form, np.maximum(abs(low), abs(high)), abs(L), abs(N), abs(theta), 1.0, of_x)
+        radius = _quadratic(form, (high - low) / 2, abs(L), abs(N), abs(theta), 1.0, of_x)
         room = (ROOM + rounding) * np.linalg.norm(size, axis=(1, 2))
-        least = np.linalg.eigvalsh(middle)[:, 0] - room
+        least = np.linalg.eigvalsh(_quadratic(form, (low + high) / 2, L, N, theta, -1.0, of_x))[:, 0] - room
         bad = least <= np.minimum(np.linalg.norm(radius, axis=(1, 2)), radius.sum(axis=2).max(axis=1))
         if (bad & (least < 0) & (len(boxes[0]) > 64)).any() or (bad.any() and not whole.any()):
             return False
-        lower, upper = boxes[0][bad], boxes[1][bad]
-        if not len(lower):
-            return True
-        j = np.argmax((upper - lower) / np.where(whole > 0, whole, np.inf), axis=1)
-        row = np.arange(len(lower))
-        left, right = upper.copy(), lower.copy()
-        left[row, j] = right[row, j] = (lower[row, j] + upper[row, j]) / 2
-        boxes = np.vstack([lower, right]), np.vstack([left, upper])
+        boxes = _halves(boxes[0][bad], boxes[1][bad], whole)
     return True
+
+
+def _quadratic(
+    form: _Form, entries: np.ndarray, L: np.ndarray, N: np.ndarray, theta: np.ndarray, minus: float, of_x: bool
+) -> np.ndarray:
+    """The symmetric matrices of the form where its Jacobians have these entries, one row a box; ``minus`` stands for -1."""
+    pieces = form[:4]
+    ends = np.cumsum([0, *(piece.numel() for piece in pieces)])
+    W, B, C, D = (
+        entries[:, a:b].reshape(len(entries), piece.shape[1], piece.shape[0]).transpose(0, 2, 1)
+        for a, b, piece in zip(ends, ends[1:], pieces, strict=False)
+    )
+    Q, scale = L.T @ W, form.scale[: form.W.shape[0]] if of_x else form.scale
+    if not of_x:
+        bottom = np.concatenate([theta[:, None] * C + N.T @ W, theta[:, None] * D + minus * (N.T @ B)], axis=2)
+        Q = np.concatenate([np.concatenate([Q, minus * (L.T @ B)], axis=2), bottom], axis=1)
+    Q = Q * scale[:, None] * scale
+    return (Q + Q.transpose(0, 2, 1)) / 2
+
+
+def _halves(lower: np.ndarray, upper: np.ndarray, whole: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Boxes, one a row, cut in two where they are longest in parts of the ``whole``."""
+    j = np.argmax((upper - lower) / np.where(whole > 0, whole, np.inf), axis=1)
+    row = np.arange(len(lower))
+    left, right = upper.copy(), lower.copy()
+    left[row, j] = right[row, j] = (lower[row, j] + upper[row, j]) / 2
+    return np.vstack([lower, right]), np.vstack([left, upper])
 
 
 # -- L, N and Theta of a semidefinite program -----------------------------------------------------------------------------
@@ -296,46 +299,69 @@ def _in_parts(at: Linearised, h: float, regular: bool) -> Unique | None:
     return _by_brouwer(Unique(how, False, True), regular)
 
 
+class _Sampled(NamedTuple):
+    """W, B, C, D at some points, in units of the box; the sizes of the rows of W, B, and of those of C, D that share a theta."""
+
+    points: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]
+    rows: np.ndarray
+    blocks: list[list[int]]
+    block_size: np.ndarray
+
+
 def _multipliers(at: Linearised, form: _Form) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """L, N and Theta with the form as definite as can be at some points, in units of the box; None where it is not."""
+    n, m = form.W.shape[0], form.D.shape[0]
+    x, l = form.scale[:n], form.scale[n:]
+    seen = _at_points(at, form)
+    if seen is None:
+        return None
+    answer = _most_definite(seen, n, m)
+    if answer is None:
+        return None
+    both = answer[: n * (n + m)].reshape(n, n + m) / seen.rows[:, None]
+    theta = np.zeros(m)
+    for own, weight, unit in zip(seen.blocks, answer[n * (n + m) :], seen.block_size, strict=True):
+        theta[own] = weight / unit
+    return both[:, :n] / x, both[:, n:] / l, theta
+
+
+def _at_points(at: Linearised, form: _Form) -> _Sampled | None:
+    """What multiplies the unknowns at corners of the box and at points inside; None where it is not finite."""
     n, m = form.W.shape[0], form.D.shape[0]
     rng = np.random.default_rng(0)
     corners = np.where(rng.random((POINTS, len(form.lower))) < 0.5, form.lower, form.upper)
     corners[: POINTS // 3] = rng.uniform(form.lower, form.upper, (POINTS // 3, len(form.lower)))
     corners[-1, len(at.lower) :] = 1.0
-    values = ca.Function("values", [form.z], [ca.densify(part) for part in (form.W, form.B, form.C, form.D)])
+    values = ca.Function("values", [form.z], [ca.densify(part) for part in form[:4]])
     x, l = form.scale[:n], form.scale[n:]
-    blocks = _blocks(at)
-    parts = []  # for each point the matrices that multiply the unknowns, in units of the box
+    points = []
     for point in corners:
         W, B, C, D = (
             np.array(part).reshape(shape) for part, shape in zip(values(point), ((n, n), (n, m), (m, n), (m, m)), strict=True)
         )
         if not all(np.isfinite(part).all() for part in (W, B, C, D)):
             return None
-        parts.append((W * x, B * l, l[:, None] * C * x, l[:, None] * D * l))
-    rows = np.max([np.abs(np.hstack([W, B])).max(axis=1) for W, B, _, _ in parts], axis=0)
-    outs = np.max([np.abs(np.hstack([C, D])).max(axis=1) for _, _, C, D in parts], axis=0) if m else np.zeros(0)
+        points.append((W * x, B * l, l[:, None] * C * x, l[:, None] * D * l))
+    rows = np.max([np.abs(np.hstack([W, B])).max(axis=1) for W, B, _, _ in points], axis=0)
+    outs = np.max([np.abs(np.hstack([C, D])).max(axis=1) for _, _, C, D in points], axis=0) if m else np.zeros(0)
     rows, outs = np.where(rows > 0, rows, 1.0), np.where(outs > 0, outs, 1.0)
-    block_size = np.array([max(outs[own]) for own in blocks]) if m else np.zeros(0)
-    unknowns = n * n + n * m + len(blocks)
+    blocks = _blocks(at)
+    return _Sampled(points, rows, blocks, np.array([max(outs[own]) for own in blocks]) if m else np.zeros(0))
+
+
+def _most_definite(seen: _Sampled, n: int, m: int) -> np.ndarray | None:
+    """Maximise the least eigenvalue of the forms at all points over the entries of L and N, row by row, and Theta by blocks.
+
+    |unknowns| <= 1e3, Theta >= 1e-3, and the eigenvalue is at most 1.
+    """
+    unknowns = n * n + n * m + len(seen.blocks)
     data, right, cones = [], [], []
-    for W, B, C, D in parts:
-        columns = []
-        for i in range(n):  # L[i, j]: dx_j * (row i of W dx - B dl)
-            row = np.concatenate([W[i], -B[i]]) / rows[i]
-            for j in range(n + m):
-                Q = np.zeros((n + m, n + m))
-                Q[j] = row
-                columns.append(_stacked((Q + Q.T) / 2))
-        for own, unit in zip(blocks, block_size, strict=True):
-            Q = np.zeros((n + m, n + m))
-            Q[[n + i for i in own]] = np.hstack([C, D])[own] / unit
-            columns.append(_stacked((Q + Q.T) / 2))
+    for point in seen.points:
+        columns = _columns(seen, *point)
         data.append(np.column_stack([*(-column for column in columns), _stacked(np.eye(n + m))]))
         right.append(np.zeros(len(columns[0])))
         cones.append(conic_program.semidefinite(n + m))
-    for sign in (1.0, -1.0):  # |unknowns| <= 1e3, Theta >= 1e-3
+    for sign in (1.0, -1.0):
         data.append(np.hstack([sign * np.eye(unknowns), np.zeros((unknowns, 1))]))
         bound = np.full(unknowns, 1e3)
         if sign < 0:
@@ -349,13 +375,23 @@ def _multipliers(at: Linearised, form: _Form) -> tuple[np.ndarray, np.ndarray, n
     cones.append(conic_program.nonnegative(1))
     solution = conic_program.minimise(cost, np.vstack(data), np.concatenate(right), cones)
     answer = np.array(solution.x)
-    if str(solution.status) not in ("Solved", "AlmostSolved") or answer[-1] <= 1e-7:
-        return None
-    both = answer[: n * (n + m)].reshape(n, n + m) / rows[:, None]
-    theta = np.zeros(m)
-    for own, weight, unit in zip(blocks, answer[n * (n + m) : unknowns], block_size, strict=True):
-        theta[own] = weight / unit
-    return both[:, :n] / x, both[:, n:] / l, theta
+    return answer[:-1] if str(solution.status) in ("Solved", "AlmostSolved") and answer[-1] > 1e-7 else None
+
+
+def _columns(seen: _Sampled, W: np.ndarray, B: np.ndarray, C: np.ndarray, D: np.ndarray) -> list[np.ndarray]:
+    """The form at a point as the sum of these, times the unknowns."""
+    n, size, columns = len(W), len(W) + len(D), []
+    for i in range(n):  # L[i, j]: dx_j * (row i of W dx - B dl)
+        row = np.concatenate([W[i], -B[i]]) / seen.rows[i]
+        for j in range(size):
+            Q = np.zeros((size, size))
+            Q[j] = row
+            columns.append(_stacked((Q + Q.T) / 2))
+    for own, unit in zip(seen.blocks, seen.block_size, strict=True):
+        Q = np.zeros((size, size))
+        Q[[n + i for i in own]] = np.hstack([C, D])[own] / unit
+        columns.append(_stacked((Q + Q.T) / 2))
+    return columns
 
 
 def _blocks(at: Linearised) -> list[list[int]]:

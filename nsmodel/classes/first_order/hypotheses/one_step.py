@@ -8,6 +8,8 @@ proved.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from nsmodel.classes.first_order.hypotheses import two_solutions
@@ -99,21 +101,41 @@ def _constant(hypothesis: Hypothesis, at: Linearised, mlcp_finding: Finding, qui
     """Every state and each step length that occurs, where the Jacobians are constant; None where that settles nothing."""
     if len(at.steps) > MOST_STEPS:
         return None
-    scope, lengths = at.scope(local=False), [float(h) for h in at.steps]
+    lengths = [float(h) for h in at.steps]
     try:
         domains.of_law(at.model.law, np.zeros((at.model.law.size,) * 2))
     except domains.Empty:
         return None
     reasons = [_one(at, at.exact_mlcp(h)) for h in lengths]
     if all(reasons):
-        return found(hypothesis, HOLDS, f"{reasons[0][0].upper()}{reasons[0][1:]}.", {"solutions": 1}, scope=scope)
+        return _just_one(hypothesis, at, reasons[0])
     if (one := unique_paired(at, True)) is not None and one.exists:
-        return found(hypothesis, HOLDS, f"{one.how[0].upper()}{one.how[1:]}.", {"solutions": 1}, scope=scope)
+        return _just_one(hypothesis, at, one.how)
     if not at.model.law.is_box:
         return None
     several = [step for step in (affine_step(at, h) for h in lengths) if step is not None]
     if quick or len(several) < len(lengths) or not several[0].few:
         return None
+    finding = _exactly(hypothesis, at, several)
+    if finding is None:
+        finding = _searched(hypothesis, at)
+    if finding.verdict in (HOLDS, VIOLATED):
+        return finding
+    if most := _at_most_one(at, several[-1]):
+        how = f"{most[0].upper()}{most[1:]}; whether one exists for every state is not decided."
+        return found(hypothesis, UNKNOWN, how, {"solutions": 1})
+    how = f"All index sets tried at {2 * SAMPLES} states: one solution each, as far as the signs are clear."
+    if mlcp_finding.verdict == SAMPLED:
+        how += " W_mlcp is psd up to rounding only (F-mlcp)."
+    return found(hypothesis, SAMPLED, how, {"solutions": 1}, scope=at.scope(local=False))
+
+
+def _just_one(hypothesis: Hypothesis, at: Linearised, why: str) -> Finding:
+    return found(hypothesis, HOLDS, f"{why[0].upper()}{why[1:]}.", {"solutions": 1}, scope=at.scope(local=False))
+
+
+def _exactly(hypothesis: Hypothesis, at: Linearised, several: Sequence[AffineStep]) -> Finding | None:
+    """What rational arithmetic decides of the steps, of the longest first; None where it does not."""
     reasons = []
     for step in reversed(several):
         most = _at_most_one(at, step)
@@ -126,18 +148,7 @@ def _constant(hypothesis: Hypothesis, at: Linearised, mlcp_finding: Finding, qui
         if isinstance(exists, Infeasible):
             return _infeasible(hypothesis, at, step, exists)
         reasons.append(f"{most}; {exists}" if exists else "")
-    if all(reasons):
-        return found(hypothesis, HOLDS, f"{reasons[0][0].upper()}{reasons[0][1:]}.", {"solutions": 1}, scope=scope)
-    finding = _searched(hypothesis, at)
-    if finding.verdict == VIOLATED:
-        return finding
-    if most := _at_most_one(at, several[-1]):
-        how = f"{most[0].upper()}{most[1:]}; whether one exists for every state is not decided."
-        return found(hypothesis, UNKNOWN, how, {"solutions": 1})
-    how = f"All index sets tried at {2 * SAMPLES} states: one solution each, as far as the signs are clear."
-    if mlcp_finding.verdict == SAMPLED:
-        how += " W_mlcp is psd up to rounding only (F-mlcp)."
-    return found(hypothesis, SAMPLED, how, {"solutions": 1}, scope=scope)
+    return _just_one(hypothesis, at, reasons[0]) if all(reasons) else None
 
 
 def _exists(step: AffineStep) -> str | Infeasible:

@@ -53,6 +53,43 @@ class Paired(NamedTuple):
 def paired(at: Linearised) -> Paired | None:
     """Read g and h in this form, exactly; None where they do not have it."""
     model, n, m = at.model, len(at.model.names), at.model.law.size
+    read = _read(at)
+    parted = None if read is None else _parted(read.rows, n, m)
+    if read is None or parted is None:
+        return None
+    linear, smooth = parted
+    factored = _factored(read, linear, n)
+    if factored is None:
+        return None
+    beta, B, D = factored
+    own = [monomial for monomial in smooth if ca.depends_on(read.expression(monomial), model.x)]
+    H = np.hstack([exact.zeros(m, 0), *(smooth[monomial][n:] for monomial in own)])
+    weights = _weights(B, H, [read.expression(monomial) for monomial in own], model.x)
+    if weights is None:
+        return None
+    features = ca.vertcat(ca.SX(0, 1), *(read.expression(monomial) for monomial in own), model.x)
+    timed = any(monomial and monomial not in own and smooth[monomial][n:].any() for monomial in smooth)
+    d = None if timed else smooth.get((), exact.zeros(n + m, 1))[n:]
+    near = exact.doubles(weights)
+    s, terms = ca.DM(near) @ features, ca.DM(np.abs(near)) @ ca.fabs(ca.jacobian(features, model.x))
+    return Paired(beta, B, s, terms, tuple(D), d)
+
+
+class _Polynomials(NamedTuple):
+    """The rows of (g, h), as polynomials of t, x, l and of what is no polynomial of these, and what the variables stand for."""
+
+    rows: Sequence[polynomial.Polynomial]
+    values: list[ca.SX]
+
+    def expression(self, monomial: Monomial) -> ca.SX:
+        out = ca.SX(1)
+        for j, power in monomial:
+            out = out * self.values[j] ** power
+        return out
+
+
+def _read(at: Linearised) -> _Polynomials | None:
+    """The rows of (g, h), where what is no polynomial is free of l."""
     atoms: list[tuple[ca.SX, ca.SX]] = []
 
     def atom(expression: ca.SX) -> ca.SX:
@@ -71,20 +108,24 @@ def paired(at: Linearised) -> Paired | None:
             return None
         return atom(old)
 
-    stacked = ca.densify(ca.vertcat(model.g, model.h))
+    stacked = ca.densify(ca.vertcat(at.model.g, at.model.h))
     flat = replay(stacked, rule, tuple(operations(stacked) - POLYNOMIAL), at.z, "the model")
-    if any(ca.depends_on(old, model.lam) for _, old in atoms):
+    if any(ca.depends_on(old, at.model.lam) for _, old in atoms):
         return None
-    z = ca.vertcat(at.z, *(symbol for symbol, _ in atoms))
-    values = [*ca.vertsplit(at.z), *(old for _, old in atoms)]
-    rows = polynomial.read(flat, z)
-    if any(row is None for row in rows):
-        return None
+    rows = polynomial.read(flat, ca.vertcat(at.z, *(symbol for symbol, _ in atoms)))
+    known = [row for row in rows if row is not None]
+    return _Polynomials(known, [*ca.vertsplit(at.z), *(old for _, old in atoms)]) if len(known) == len(rows) else None
+
+
+def _parted(
+    rows: Sequence[polynomial.Polynomial], n: int, m: int
+) -> tuple[dict[Monomial, np.ndarray], dict[Monomial, np.ndarray]] | None:
+    """By monomials in t, x: the matrices (n + m, m) of l, and the columns (n + m, 1) without; None where l enters otherwise."""
     multipliers = range(1 + n, 1 + n + m)
-    linear: dict[Monomial, np.ndarray] = {}  # the matrices (n + m, m) of monomials in t, x
-    smooth: dict[Monomial, np.ndarray] = {}  # the columns (n + m, 1)
+    linear: dict[Monomial, np.ndarray] = {}
+    smooth: dict[Monomial, np.ndarray] = {}
     for i, row in enumerate(rows):
-        for monomial, number in (row or {}).items():
+        for monomial, number in row.items():
             own = [(j, power) for j, power in monomial if j in multipliers]
             rest = tuple((j, power) for j, power in monomial if j not in multipliers)
             if sum(power for _, power in own) > 1:
@@ -92,13 +133,13 @@ def paired(at: Linearised) -> Paired | None:
             part = linear if own else smooth
             entries = part.setdefault(rest, exact.zeros(n + m, m if own else 1))
             entries[i, own[0][0] - 1 - n if own else 0] += number
+    return linear, smooth
 
-    def expression(monomial: Monomial) -> ca.SX:
-        out = ca.SX(1)
-        for j, power in monomial:
-            out = out * values[j] ** power
-        return out
 
+def _factored(
+    read: _Polynomials, linear: dict[Monomial, np.ndarray], n: int
+) -> tuple[ca.SX, np.ndarray, list[tuple[ca.SX, np.ndarray]]] | None:
+    """beta, B and D; None where the matrix of l in g is not beta B, or 0."""
     B = next((matrix[:n] for matrix in linear.values() if matrix[:n].any()), None)
     if B is None:
         return None
@@ -108,20 +149,10 @@ def paired(at: Linearised) -> Paired | None:
         factor = matrix[i, j] / B[i, j]
         if (matrix[:n] != factor * B).any():
             return None
-        beta += float(factor) * expression(monomial)
+        beta += float(factor) * read.expression(monomial)
         if matrix[n:].any():
-            D.append((expression(monomial), matrix[n:]))
-    own = [monomial for monomial in smooth if ca.depends_on(expression(monomial), model.x)]
-    H = np.hstack([exact.zeros(m, 0), *(smooth[monomial][n:] for monomial in own)])
-    weights = _weights(B, H, [expression(monomial) for monomial in own], model.x)
-    if weights is None:
-        return None
-    features = ca.vertcat(ca.SX(0, 1), *(expression(monomial) for monomial in own), model.x)
-    timed = any(monomial and monomial not in own and smooth[monomial][n:].any() for monomial in smooth)
-    d = None if timed else smooth.get((), exact.zeros(n + m, 1))[n:]
-    near = exact.doubles(weights)
-    s, terms = ca.DM(near) @ features, ca.DM(np.abs(near)) @ ca.fabs(ca.jacobian(features, model.x))
-    return Paired(beta, B, s, terms, tuple(D), d)
+            D.append((read.expression(monomial), matrix[n:]))
+    return beta, B, D
 
 
 def unique_paired(at: Linearised, regular: bool) -> Unique | None:

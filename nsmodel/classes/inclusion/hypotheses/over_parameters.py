@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import casadi as ca
@@ -48,54 +49,80 @@ def switching_part(model: MonotoneInclusion) -> ca.SX | None:
     return None if ca.depends_on(B, ca.vertcat(model.x, symbols)) or jumps_in(model.operator, symbols) else B @ symbols
 
 
+class _Domain(NamedTuple):
+    """F = (F - S) + S, S the gradient of phi where there is one, over the states of a box and all parameters."""
+
+    scene: Scene
+    phi: ca.SX | None
+    S: ca.SX
+    states: tuple[np.ndarray, np.ndarray]
+
+    @property
+    def box(self) -> tuple[ca.SX, np.ndarray, np.ndarray]:
+        """(x, p) and its bounds."""
+        (low, high), moving = self.states, self.scene.moving
+        return ca.vertcat(self.scene.C.x, self.scene.model.p), np.append(low, moving.lower), np.append(high, moving.upper)
+
+
 def over_parameters(scene: Scene, switching: Switching) -> dict[str, Part]:
     """What is proved, first on a box that holds C for all p, then on the box looked at."""
-    model, C, moving, found = scene.model, scene.C, scene.moving, dict[str, Part]()
-    z, n = ca.vertcat(C.x, model.p), C.n
+    model, C, found = scene.model, scene.C, dict[str, Part]()
     phi = None if model.phi is None else without_domain(model.phi, model.x, "phi")
     S = ca.gradient(phi, C.x) if phi is not None else ca.substitute(model.operator, model.sign_symbols, 0 * model.sign_symbols)
-    for (own_low, own_high), local in ((C.hull, False), (scene.box, True)):
-        low, high = np.append(own_low, moving.lower), np.append(own_high, moving.upper)
-
-        def put(id: str, how: str, value: dict[str, float], local: bool = local) -> None:
+    for states, local in ((C.hull, False), (scene.box, True)):
+        for id, how, value in _proved(_Domain(scene, phi, S, states), switching, "M-T" in found, local):
             found.setdefault(id, Part(HOLDS, f"{how}: {HOW}", value, {}, local))
-
-        if interval.is_continuous(model.field, z, low, high):
-            put("M-A1", "no operation of F jumps or has a pole", {"kinks": 0})
-        if phi is not None and convexity.shapes(phi, z, low, high, of=C.x)[0].convex:
-            put("M-T", "T = dphi, phi convex by the rules of convex functions", {LEAST: 0.0})
-        if not interval.is_continuous(ca.vertcat(model.field, S), z, low, high):
-            continue
-        J, slope = ca.jacobian(model.field - S, C.x), ca.jacobian(S, C.x)
-        if switching.monotone and "M-T" not in found:
-            top = extremum.largest_eigenvalue(-(slope + slope.T) / 2, z, low, high, bound_to=0.0, quick=scene.quick).bound
-            if top <= 0:
-                put("M-T", "the symmetric Jacobian of S is psd", {LEAST: max(-top, 0.0)})
-        L = extremum.largest_eigenvalue((J + J.T) / 2, z, low, high, quick=scene.quick).bound
-        if switching.monotone and np.isfinite(L):
-            put("M-24", "eigenvalues of the symmetric Jacobian", {"L": L + 0.0})
-        steep = extremum.spectral_norm(J, z, low, high, quick=True).bound
-        base = np.clip(np.zeros(n), own_low, own_high)
-        ends = np.append(base, moving.lower), np.append(base, moving.upper)
-        at = np.max(np.abs(interval.enclose(model.field - S, z, *ends)), axis=0)
-        M = float(np.linalg.norm(at)) * UP + switching.size
-        if local or not np.isfinite(M + L):
-            continue
-        if np.isfinite(steep):
-            put("M-A2", "|F - S| <= |F - S|(c) + |(F - S)'| |x - c|", {"a_1": M + steep * _size(base), "a_2": steep})
-        a = found["M-A2"].value if "M-A2" in found else None
-        if a is None and scene.reach:
-            continue
-        # <x, w> <= <x, v> + reach |v|, |v| <= a_1 + a_2 |x|
-        p, q = (M + scene.reach * a["a_2"], scene.reach * a["a_1"]) if a is not None and scene.reach else (M, 0.0)
-        if L < 0 and not base.any():
-            beta = (p**2 / (-2 * L) + q) * UP
-            put("M-A3", "<x, F - S> <= L |x|^2 + |F - S|(0) |x|, L < 0", {"alpha": -L / 2, "beta": beta})
-        elif C.bounded and a is not None:
-            R = _size(np.maximum(np.abs(own_low), np.abs(own_high)))
-            beta = ((R + scene.reach) * (a["a_1"] + a["a_2"] * R) + R**2) * UP
-            put("M-A3", f"C is bounded (|x| <= {R:.4g}): any alpha will do, here 1", {"alpha": 1.0, "beta": beta})
     return found
+
+
+def _proved(on: _Domain, switching: Switching, monotone: bool, local: bool) -> Iterator[tuple[str, str, dict[str, float]]]:
+    """(id, how, values) of what is proved there; ``monotone``: S is known to be."""
+    model, C, phi, S, quick = on.scene.model, on.scene.C, on.phi, on.S, on.scene.quick
+    z, low, high = on.box
+    if interval.is_continuous(model.field, z, low, high):
+        yield "M-A1", "no operation of F jumps or has a pole", {"kinks": 0}
+    if phi is not None and convexity.shapes(phi, z, low, high, of=C.x)[0].convex:
+        monotone = True
+        yield "M-T", "T = dphi, phi convex by the rules of convex functions", {LEAST: 0.0}
+    if not interval.is_continuous(ca.vertcat(model.field, S), z, low, high):
+        return
+    J, slope = ca.jacobian(model.field - S, C.x), ca.jacobian(S, C.x)
+    if switching.monotone and not monotone:
+        top = extremum.largest_eigenvalue(-(slope + slope.T) / 2, z, low, high, bound_to=0.0, quick=quick).bound
+        if top <= 0:
+            yield "M-T", "the symmetric Jacobian of S is psd", {LEAST: max(-top, 0.0)}
+    L = extremum.largest_eigenvalue((J + J.T) / 2, z, low, high, quick=quick).bound
+    if switching.monotone and np.isfinite(L):
+        yield "M-24", "eigenvalues of the symmetric Jacobian", {"L": L + 0.0}
+    if not local:
+        yield from _of_growth(on, J, L, switching.size)
+
+
+def _of_growth(on: _Domain, J: ca.SX, L: float, jump: float) -> Iterator[tuple[str, str, dict[str, float]]]:
+    """(A2) and (A3), where J = (F - S)', L bounds the eigenvalues of sym J, ``jump`` the size of what jumps."""
+    model, C, reach, moving = on.scene.model, on.scene.C, on.scene.reach, on.scene.moving
+    z, low, high = on.box
+    steep = extremum.spectral_norm(J, z, low, high, quick=True).bound
+    base = np.clip(np.zeros(C.n), *on.states)
+    ends = np.append(base, moving.lower), np.append(base, moving.upper)
+    at = np.max(np.abs(interval.enclose(model.field - on.S, z, *ends)), axis=0)
+    M = float(np.linalg.norm(at)) * UP + jump
+    if not np.isfinite(M + L):
+        return
+    a = {"a_1": M + steep * _size(base), "a_2": steep} if np.isfinite(steep) else None
+    if a is not None:
+        yield "M-A2", "|F - S| <= |F - S|(c) + |(F - S)'| |x - c|", a
+    elif reach:
+        return
+    # <x, w> <= <x, v> + reach |v|, |v| <= a_1 + a_2 |x|
+    p, q = (M + reach * a["a_2"], reach * a["a_1"]) if a is not None and reach else (M, 0.0)
+    if L < 0 and not base.any():
+        beta = (p**2 / (-2 * L) + q) * UP
+        yield "M-A3", "<x, F - S> <= L |x|^2 + |F - S|(0) |x|, L < 0", {"alpha": -L / 2, "beta": beta}
+    elif C.bounded and a is not None:
+        R = _size(np.maximum(*np.abs(on.states)))
+        beta = ((R + reach) * (a["a_1"] + a["a_2"] * R) + R**2) * UP
+        yield "M-A3", f"C is bounded (|x| <= {R:.4g}): any alpha will do, here 1", {"alpha": 1.0, "beta": beta}
 
 
 def _size(v: np.ndarray) -> float:

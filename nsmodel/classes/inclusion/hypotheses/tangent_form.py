@@ -82,58 +82,78 @@ def form_between_lines(field: Field, k: int, *, merged: bool) -> Form | None:
 
     ``merged``: polynomials of one direction are taken as such functions too, and may make up for others.
     """
-    n = field.x.numel()
-    z, low, high = field.variables
-    whole: polynomial.Polynomial = {}
-    degree, constant = 0, Fraction(0)
-    sizes, slopes = np.zeros(n), np.zeros(n)
-    ridge_terms: dict[tuple[Fraction, ...], list[tuple[ca.SX, list[Fraction]]]] = {}
-    symbol = ca.SX.sym("s")
+    terms = _Terms(field, k)
     for i, row in enumerate(ca.vertsplit(field.rest)):
         for outer, inner in additive_terms(row):
             number, term = factored(inner)
-            factor = outer * number
-            (p,) = polynomial.read(term, field.x)
-            linear = p is not None and polynomial.degree(p) <= 1
-            split = None if linear or (p is not None and not merged) else ridges(term, field.x)
-            if p is not None and (split is None or split.s.numel() != 1):
-                degree = max(degree, polynomial.degree(p))
-                longer = polynomial.multiply(p, {((i, 1),): factor})
-                if longer is None:
-                    return None
-                whole = polynomial.add(whole, longer)
-                continue
-            if split is not None and split.s.numel() == 1:
-                h = ca.substitute(split.h, split.s, symbol)
-                own = ridge_terms.setdefault(tuple(split.a[0]), [])
-                place = next((c for other, c in own if same(other, h)), None)
-                if place is None:
-                    place = [Fraction(0)] * n
-                    own.append((h, place))
-                place[i] += factor
-                continue
-            radial = _radial(factor, term, i, field, k)
-            if radial is not None:
-                whole = polynomial.add(whole, {((i, 2),): Fraction(radial[0])})
-                constant += Fraction(radial[1])
-                continue
-            size, slope = growth.bound_of(term, field, z, low, high, 2.0**k)
-            sizes[i] += float(abs(factor)) * size * UP
-            slopes[i] += float(abs(factor)) * slope * UP
-    extra = rest_slope = 0.0
-    for direction, terms in ridge_terms.items():
-        found = _ridges_between_lines(field, np.array(direction, dtype=object), terms, symbol, k)
+            if not terms.add(i, outer * number, term, merged):
+                return None
+    whole, extra, rest_slope = terms.whole, 0.0, 0.0
+    for direction, own in terms.ridges.items():
+        found = _ridges_between_lines(field, np.array(direction, dtype=object), own, terms.s, k)
         if found is None:
             return None
         p, size, slope = found
         whole, extra, rest_slope = polynomial.add(whole, p), extra + size, rest_slope + slope
-    others = (float(np.linalg.norm(sizes)) + extra) * UP
-    slope = (float(np.linalg.norm(slopes)) + rest_slope) * UP
+    others = (float(np.linalg.norm(terms.sizes)) + extra) * UP
+    slope = (float(np.linalg.norm(terms.slopes)) + rest_slope) * UP
     for i, number in enumerate(field.shift):
         if number:
             whole = polynomial.add(whole, {((i, 1),): Fraction(float(number))})
-    whole = polynomial.add(whole, {(): constant}) if constant else whole
-    return _form(whole, n, others, degree, slope)
+    whole = polynomial.add(whole, {(): terms.constant}) if terms.constant else whole
+    return _form(whole, field.x.numel(), others, terms.degree, slope)
+
+
+class _Terms:
+    """The terms of <x, rest>, sorted by what bounds them.
+
+    Attributes:
+        whole, degree, constant: the polynomial, the degree of what was one, and the constants of radial terms.
+        ridges: by direction a, the functions h of s = a'x with their c.
+        sizes, slopes: of the other terms of each row.
+    """
+
+    def __init__(self, field: Field, k: int) -> None:
+        n = field.x.numel()
+        self._field, self._k = field, k
+        self.whole: polynomial.Polynomial = {}
+        self.degree, self.constant = 0, Fraction(0)
+        self.ridges: dict[tuple[Fraction, ...], list[tuple[ca.SX, list[Fraction]]]] = {}
+        self.s = ca.SX.sym("s")
+        self.sizes, self.slopes = np.zeros(n), np.zeros(n)
+
+    def add(self, i: int, factor: Fraction, term: ca.SX, merged: bool) -> bool:
+        """Take in factor times a term of row i; False where the polynomial becomes too long."""
+        field = self._field
+        (p,) = polynomial.read(term, field.x)
+        linear = p is not None and polynomial.degree(p) <= 1
+        split = None if linear or (p is not None and not merged) else ridges(term, field.x)
+        if split is not None and split.s.numel() == 1:
+            self._add_ridge(i, factor, split)
+            return True
+        if p is not None:
+            self.degree = max(self.degree, polynomial.degree(p))
+            longer = polynomial.multiply(p, {((i, 1),): factor})
+            self.whole = self.whole if longer is None else polynomial.add(self.whole, longer)
+            return longer is not None
+        radial = _radial(factor, term, i, field, self._k)
+        if radial is not None:
+            self.whole = polynomial.add(self.whole, {((i, 2),): Fraction(radial[0])})
+            self.constant += Fraction(radial[1])
+            return True
+        size, slope = growth.bound_of(term, field, *field.variables, 2.0**self._k)
+        self.sizes[i] += float(abs(factor)) * size * UP
+        self.slopes[i] += float(abs(factor)) * slope * UP
+        return True
+
+    def _add_ridge(self, i: int, factor: Fraction, split: Ridges) -> None:
+        h = ca.substitute(split.h, split.s, self.s)
+        own = self.ridges.setdefault(tuple(split.a[0]), [])
+        place = next((c for other, c in own if same(other, h)), None)
+        if place is None:
+            place = [Fraction(0)] * self._field.x.numel()
+            own.append((h, place))
+        place[i] += factor
 
 
 def _form(whole: polynomial.Polynomial, n: int, others: float, degree: int, slope: float) -> Form | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -14,12 +15,6 @@ from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypot
 from nsmodel.trajectory import Trajectory, extrapolated
 
 ENERGY = Hypothesis("run-energy", "E_{n+1} - E_n <= -l_n <v, A(v)>: friction takes energy away", "Cabot 2004, Proposition 4.1")
-DISSIPATED = Hypothesis("run-dissipated", "sum l_n <v_n, A(v_n)> <= E_0 - inf g", "Cabot 2004, Proposition 4.1")
-BOUND = Hypothesis(
-    "run-bound",
-    "|x_{k+1}|^2 <= |x_k|^2 - 2 mu (alpha |x_k|^2 - beta) + mu^2 |v_k|^2 + projection error",
-    "catching-up 2026, Lemma 4.4",
-)
 DISSIPATED = Hypothesis("run-dissipated", "sum l_n <v_n, A(v_n)> <= E_0 - inf g", "Cabot 2004, Proposition 4.1")
 BOUND = Hypothesis(
     "run-bound",
@@ -38,8 +33,32 @@ def along(
     return [*feasible(model, run, c, model.constraint_names), *energies]
 
 
+class _Balance(NamedTuple):
+    """From the first row that has a difference: E, what friction takes, how much more than that E rises in each step.
+
+    ``moved``: the steps beside which something was extrapolated.
+    """
+
+    t: np.ndarray
+    E: np.ndarray
+    taken: np.ndarray
+    rise: np.ndarray
+    moved: np.ndarray
+
+    @property
+    def rounding(self) -> float:
+        return SLACK * max(np.nanmax(np.abs(self.E)), np.finfo(float).tiny)
+
+
 def _energies(model: FrictionOscillator, run: Trajectory, numbers: Mapping[str, Finding]) -> list[Finding]:
-    """Proposition 4.1 from x and v alone: E at a row has the last difference over the step that comes next."""
+    """Proposition 4.1 from x and v alone."""
+    balance = _balance(model, run)
+    grows = _taken_away(balance, numbers)
+    return [grows] if balance.moved.any() else [grows, _dissipated(balance, numbers["O-g"].value)]
+
+
+def _balance(model: FrictionOscillator, run: Trajectory) -> _Balance:
+    """E at a row has the last difference over the step that comes next."""
     first = 1 if model.x1 is not None else 0
     l = np.where(np.isfinite(run.step), run.step, run.t - np.roll(run.t, 1))[1:]
     nominal = np.append(l[0], l) / np.append(l, l[-1])
@@ -50,40 +69,42 @@ def _energies(model: FrictionOscillator, run: Trajectory, numbers: Mapping[str, 
         nominal[-2] = 1.0  # a last step that only the end of the run shortens keeps the velocity
     v = run.arrays["v"]
     E = np.array(energy(model).map(len(run.t))(run.x.T, (v * nominal[:, None]).T)).ravel()
-    power = _friction_power(model, v)[first + 1 :]
-    rise = np.where(moved[first:], -np.inf, np.diff(E[first:]) + l[first:] * power)
-    rounding = SLACK * max(np.nanmax(np.abs(E[first:])), np.finfo(float).tiny)
+    taken = l[first:] * _friction_power(model, v)[first + 1 :]
+    rise = np.where(moved[first:], -np.inf, np.diff(E[first:]) + taken)
+    return _Balance(run.t[first:], E[first:], taken, rise, moved)
+
+
+def _taken_away(balance: _Balance, numbers: Mapping[str, Finding]) -> Finding:
+    t, E, _, rise, moved = balance
     k = int(np.argmax(rise))
-    witness = {"t": run.t[first + k + 1], "E before": E[first + k], "E after": E[first + k + 1]}
-    values = {"largest excess": rise[k], "rounding bound": rounding}
-    evaluated = f"evaluated at {rise.size - moved[first:].sum()} steps" + (
-        ", where nothing was extrapolated" if moved.any() else ""
-    )
-    steps_ok = numbers["O-steps"].verdict == HOLDS and numbers["O-g"].verdict != VIOLATED
-    if rise[k] <= rounding:
-        energy_finding = found(ENERGY, HOLDS, evaluated, values, witness)
-    elif steps_ok:
-        energy_finding = found(ENERGY, VIOLATED, evaluated, values, witness)
-    else:
-        how = "the energy grows, and the proposition does not apply: O-steps or O-g does not hold"
-        energy_finding = found(ENERGY, VIOLATED, how, values, witness)
-    if moved.any():
-        return [energy_finding]
-    total = float(np.sum(l[first:] * power))
-    known = numbers["O-g"].value
+    witness = {"t": t[k + 1], "E before": E[k], "E after": E[k + 1]}
+    values = {"largest excess": rise[k], "rounding bound": balance.rounding}
+    evaluated = f"evaluated at {rise.size - moved[-rise.size :].sum()} steps"
+    evaluated += ", where nothing was extrapolated" if moved.any() else ""
+    if rise[k] <= balance.rounding:
+        return found(ENERGY, HOLDS, evaluated, values, witness)
+    if numbers["O-steps"].verdict == HOLDS and numbers["O-g"].verdict != VIOLATED:
+        return found(ENERGY, VIOLATED, evaluated, values, witness)
+    how = "the energy grows, and the proposition does not apply: O-steps or O-g does not hold"
+    return found(ENERGY, VIOLATED, how, values, witness)
+
+
+def _dissipated(balance: _Balance, known: Mapping[str, float]) -> Finding:
+    """``known``: what is known of inf g."""
+    E_0, total = balance.E[0], float(np.sum(balance.taken))
     below, met = known.get("inf g", known.get("lower bound of g", -np.inf)), known.get("inf g", known.get("least g met", np.inf))
     values = {"dissipated": total}
-    values |= {"E_0 - inf g is at least": E[first] - met} if np.isfinite(met) and "inf g" not in known else {}
-    values |= {"E_0 - inf g is at most": E[first] - below} if np.isfinite(below) and "inf g" not in known else {}
-    rest = rise.size * rounding
-    if np.isfinite(met) and total <= E[first] - met + rest:
+    values |= {"E_0 - inf g is at least": E_0 - met} if np.isfinite(met) and "inf g" not in known else {}
+    values |= {"E_0 - inf g is at most": E_0 - below} if np.isfinite(below) and "inf g" not in known else {}
+    rest = balance.rise.size * balance.rounding
+    if np.isfinite(met) and total <= E_0 - met + rest:
         verdict = HOLDS
-    elif np.isfinite(below) and total > E[first] - below + rest:
+    elif np.isfinite(below) and total > E_0 - below + rest:
         verdict = VIOLATED
     else:
-        return [energy_finding, found(DISSIPATED, UNKNOWN, "inf g is not known closely enough", values)]
-    values |= {"E_0 - inf g": E[first] - known["inf g"]} if "inf g" in known else {}
-    return [energy_finding, found(DISSIPATED, verdict, f"summed over {rise.size} steps", values, {"t": run.t[-1]})]
+        return found(DISSIPATED, UNKNOWN, "inf g is not known closely enough", values)
+    values |= {"E_0 - inf g": E_0 - known["inf g"]} if "inf g" in known else {}
+    return found(DISSIPATED, verdict, f"summed over {balance.rise.size} steps", values, {"t": balance.t[-1]})
 
 
 def _friction_power(model: FrictionOscillator, v: np.ndarray) -> np.ndarray:

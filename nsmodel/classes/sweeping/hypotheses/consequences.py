@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,59 +19,89 @@ MOVING = ("S-convex", "A0", "A1", "A2", "A5")
 SOLVABLE = ("S-convex", "A0", "A1", "A2", "A4", "A5", "S-f", "S-start")
 
 
-def consequences_of(model: Model, findings: Sequence[Finding], runs: Sequence[Trajectory], p: int) -> list[Consequence]:
-    """Return the constants of the theory; ``p`` is the number of constraints."""
-    number = {(finding.id, name): value for finding in findings for name, value in finding.value.items()}
-    verdicts, nothing = {finding.id: finding.verdict for finding in findings}, (np.inf, 0.0) if not p else (0.0, np.inf)
+class _Constants(NamedTuple):
+    """The constants of the theory; ``bend`` is M/(2a), ``eta_on_U`` that with the M of all of U_i."""
+
+    K_L: float
+    K_L_paper: float
+    c: float
+    r: float
+    Theta: float
+    kappa: float
+    bend: float
+    eta: float
+    eta_on_U: float
+
+
+def _constants(number: dict[tuple[str, str], float], moves_in_all: bool, p: int) -> _Constants:
+    """``moves_in_all``: A0 may be proved without a number, for U_i is all of space."""
+    nothing = (np.inf, 0.0) if not p else (0.0, np.inf)
     a, b = number.get(("A1", "a"), nothing[0]), number.get(("A1", "b"), nothing[1])
     speed = number.get(("A2", "b"), nothing[1])
-    c = number.get(
-        ("A0", "c"), np.inf if verdicts["A0"] in (HOLDS, SAMPLED) else 0.0
-    )  # Proved without a number: U_i is all of space.
+    c = number.get(("A0", "c"), np.inf if moves_in_all else 0.0)
     M, M_contact = (number.get(("A4", name), nothing[1]) for name in ("M", "M_contact"))
     if not M and np.isfinite(c):  # U_i is not all: beyond c nothing is as straight as there, and |q - q_k| <= |q - q_k|^2 / c.
         M = M_contact = 2 * a / c
     gamma, gamma_0, rho = number[("A5", "gamma")], number[("A5'", "gamma")], number.get(("A5", "rho"), np.inf)
-    K_L, K_L_paper = _times(gamma, _over(speed, a)), _times(gamma, _over(max(speed, b), a))
-    r = min(_over(rho, 6 * b), _over(a, _times(4 * gamma, M)))
     Theta = _times(2 * gamma, _over(b, a))
-    kappa = _times(Theta * p, _over(M, 2 * a))
-    bound = _over(c, K_L)
+    return _Constants(
+        K_L=_times(gamma, _over(speed, a)), K_L_paper=_times(gamma, _over(max(speed, b), a)), c=c,
+        r=min(_over(rho, 6 * b), _over(a, _times(4 * gamma, M))), Theta=Theta, kappa=_times(Theta * p, _over(M, 2 * a)),
+        bend=_over(M, 2 * a), eta=_over(a, _times(M_contact, gamma_0)), eta_on_U=_over(a, _times(M, gamma_0)),
+    )  # fmt: skip
+
+
+def consequences_of(model: Model, findings: Sequence[Finding], runs: Sequence[Trajectory], p: int) -> list[Consequence]:
+    """Return what follows, with the constants of the theory; ``p`` is the number of constraints."""
+    number = {(finding.id, name): value for finding in findings for name, value in finding.value.items()}
+    verdicts = {finding.id: finding.verdict for finding in findings}
+    known = _constants(number, verdicts["A0"] in (HOLDS, SAMPLED), p)
+    bound = _over(known.c, known.K_L)
     h = float(np.max(model.steps)) if model.steps is not None else float(model.step or np.nan)
     met = "" if np.isnan(h) else f"; the model's own step {h:.4g} " + ("meets it" if h < bound else "does not meet it")
-    steps = {"h": bound, "h with b": _over(c, K_L_paper)} | ({} if np.isnan(h) else {"step": h})
-    qualified = ("A1", "A4", "A5")
-    local = {name: bool((scope := scope_of(findings, ids)) and scope.states) for name, ids in (
-        ("eta", REGULAR), ("K_L", MOVING), ("step", MOVING), ("linear", ("S-convex", "A1", "A4")),
-    )}  # fmt: skip
-    eta, on_U = _over(a, _times(M_contact, gamma_0)), _over(a, _times(M, gamma_0))
+    steps = {"h": bound, "h with b": _over(known.c, known.K_L_paper)} | ({} if np.isnan(h) else {"step": h})
     found = [
         follows("well posed", "one and only one absolutely continuous solution", findings, SOLVABLE, f"{PAPER}, Theorem 2.5"),
-        follows(
-            "prox-regular", _regular(eta, local["eta"]), findings, REGULAR, f"{PAPER}, Proposition 2.3",
-            {"eta": eta, "eta on U": on_U}, moving=False,
-        ),
-        follows(
-            "K_L", _speed(local["K_L"]), findings, MOVING, f"{PAPER}, Proposition 2.4", {"K_L": K_L, "K_L with b": K_L_paper},
-            moving=False,
-        ),
+        *_of_the_set(findings, known),
         follows(
             "step bound", f"the scheme is well defined for {'every h' if np.isinf(bound) else 'h < c / K_L'}{met}", findings,
             MOVING, f"{PAPER}, section 3", steps,
         ),
+        *_of_its_linearisation(findings, known, p),
+    ]  # fmt: skip
+    return [*found, _order(model, findings, runs, number, known.K_L, known.kappa, known.r)]
+
+
+def _of_the_set(findings: Sequence[Finding], known: _Constants) -> list[Consequence]:
+    """Prox-regularity and speed."""
+    local = {name: bool((scope := scope_of(findings, ids)) and scope.states) for name, ids in (("eta", REGULAR), ("K_L", MOVING))}
+    return [
+        follows(
+            "prox-regular", _regular(known.eta, local["eta"]), findings, REGULAR, f"{PAPER}, Proposition 2.3",
+            {"eta": known.eta, "eta on U": known.eta_on_U}, moving=False,
+        ),
+        follows(
+            "K_L", _speed(local["K_L"]), findings, MOVING, f"{PAPER}, Proposition 2.4",
+            {"K_L": known.K_L, "K_L with b": known.K_L_paper}, moving=False,
+        ),
+    ]  # fmt: skip
+
+
+def _of_its_linearisation(findings: Sequence[Finding], known: _Constants, p: int) -> list[Consequence]:
+    """How far it is from the set."""
+    return [
         follows(
             "linearisation error", "the distance from q in Q(t) to the linearised Q_i(t) at q_k is at most M/(2a) |q - q_k|^2",
-            findings, ("S-convex", "A1", "A4"), f"{PAPER}, Proposition 3.6", {"M/(2a)": _over(M, 2 * a)}, moving=False,
+            findings, ("S-convex", "A1", "A4"), f"{PAPER}, Proposition 3.6", {"M/(2a)": known.bend}, moving=False,
         ),
         follows(
             "metric qualification",
             "d(q, linearised Q) <= Theta sum d(q, linearised Q_i) within r/4, r = min(rho/(6b), a/(4 M gamma)), "
             f"Theta = 2 gamma b/a; kappa = Theta p M/(2a) with p = {p}, the number of all constraints",
-            findings, ("S-convex", *qualified), f"{PAPER}, Theorem 4.9", {"r": r, "Theta": Theta, "kappa": kappa, "p": p},
-            moving=False,
+            findings, ("S-convex", "A1", "A4", "A5"), f"{PAPER}, Theorem 4.9",
+            {"r": known.r, "Theta": known.Theta, "kappa": known.kappa, "p": p}, moving=False,
         ),
     ]  # fmt: skip
-    return [*found, _order(model, findings, runs, number, K_L, kappa, r)]
 
 
 def _regular(eta: float, local: bool) -> str:

@@ -185,15 +185,7 @@ def _distance(c: Constraint) -> Answers | None:
         return known | _no_reach(c, squares, t, -least_reach.value)
     if not reach > 0:
         return known
-    if diagonal:
-        sizes = [
-            w2 * sum((x * x for i, x in a.row.items() if i >= 0), Fraction(0))
-            for w2, a in ((v * weight**2, a) for v, a in squares)
-        ]
-        a, b = root_below(min(sizes)), root_above(max(sizes))
-    else:
-        margin = 1 + 64 * len(A) * exact.EPS * float(sigma[0] / sigma[-1])  # More than an SVD errs by.
-        a, b = w * float(sigma[-1]) / margin, w * float(sigma[0]) * margin
+    a, b = _stretch(weight, squares, None if diagonal else sigma)
     delta = reach / 2
     rates = [np.sqrt(float(v)) * _rate(c, a.offset) for v, a in squares]
     speed = ca.norm_2(ca.vertcat(*rates)) if any(not r.is_zero() for r in rates) else ca.SX(0)
@@ -211,6 +203,18 @@ def _distance(c: Constraint) -> Answers | None:
         "A3": bounded("M", centre, turning),
         "A4": Answer(HOLDS, {"M": M, "M_contact": M_contact}, EVERYWHERE, f"{text}: |A|^2 / distance{clipped}{taken}"),
     }
+
+
+def _stretch(weight: Fraction, squares: Squares, sigma: np.ndarray | None) -> tuple[float, float]:
+    """Bounds of the singular values of w A: from those found, or from the rows, which are orthogonal where ``sigma`` is None."""
+    if sigma is None:
+        sizes = [
+            w2 * sum((x * x for i, x in a.row.items() if i >= 0), Fraction(0))
+            for w2, a in ((v * weight**2, a) for v, a in squares)
+        ]
+        return root_below(min(sizes)), root_above(max(sizes))
+    margin = 1 + 64 * len(squares) * exact.EPS * float(sigma[0] / sigma[-1])  # More than an SVD errs by.
+    return float(weight) * float(sigma[-1]) / margin, float(weight) * float(sigma[0]) * margin
 
 
 def _no_reach(c: Constraint, squares: Squares, t: float, reach: float) -> Answers:

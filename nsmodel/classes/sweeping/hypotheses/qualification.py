@@ -120,8 +120,7 @@ def _decide(
         return found
     if worst.gamma > LOST and rho > 0:
         return _lost(constraints, scene, worst, names, rho)
-    groups = sharing([set(constraint.shape.own) for constraint in constraints])
-    if len(groups) > 1:
+    if len(groups := sharing([set(constraint.shape.own) for constraint in constraints])) > 1:
         return _together(constraints, scene, slope, rho, points, names, quick, groups, worst)
     apart = away(constraints, slope, scene.columns, scene.lower, scene.upper)
     cut = len(scene.columns) <= FEW_STATES and not quick

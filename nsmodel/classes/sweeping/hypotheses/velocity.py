@@ -26,6 +26,8 @@ TRIED, ENTRIES = 16, 16  # Jumps that are to be proved, and entries of a derivat
 RAY, SNAP = 1e-6, 1e-3  # How long a ray is, and how far a point is moved to a number of the formula, beside the box.
 ASIDE = 1e-3  # The part of the box that a point is moved by to see how large f is around it.
 
+Bound = tuple[str, float, str, int]  # (verdict, K, where, points)
+
 
 class Block(NamedTuple):
     """Components of f that share states with each other only; blocks of one formula share ``f`` and ``q``.
@@ -88,28 +90,43 @@ def velocity(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]],
         if all(verdict == HOLDS for verdict, *_ in own):
             how = "Q(t) keeps away from where f is singular: there f is continued to the whole box with a bounded f_q"
             return closed(defined, {"K_f": max(K for _, K, _, _ in own), "L_f": L_f} | rate, ON_THE_BOX, how + steady)
-    L_f = _growth(f, scene, blocks, np.inf, ON_THE_BOX, quick)
-    count = sum(number for *_, number in norms)
-    if quick:
-        worst = max(worst, _quotient(f, scene, points))
-        how = f"{count} points; neither jumps of f nor steep places were looked for (quick)"
-        verdict = UNKNOWN if any(jumps_in(block.f, block.q) for block in blocks) else SAMPLED
-        how = "f has operations that jump; " + how if verdict == UNKNOWN else how
-        return Answer(verdict, {"K_f": worst, "L_f": L_f} | rate, ON_THE_BOX, how + steady)
+    known = {"L_f": _growth(f, scene, blocks, np.inf, ON_THE_BOX, quick)} | rate
+    broken = None if quick else _broken(f, scene, points, names, blocks, norms, known, steady)
+    return _sampled(f, scene, points, blocks, norms, known, steady, quick) if broken is None else broken
+
+
+def _broken(
+    f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]], names: Sequence[str], blocks: list[Block],
+    norms: list[Bound], known: dict[str, float], steady: str,
+) -> Answer | None:  # fmt: skip
+    """That f jumps, or is infinitely steep somewhere in Q(t); None where neither is found."""
     jump = _worst_jump(f, blocks, scene, points, names)
     if jump is not None:
         size, witness = jump
         how = "f jumps inside Q(t), by intervals on both sides, so it is not Lipschitz; the place nearest to the runs is shown"
-        return Answer(VIOLATED, {"K_f": np.inf, "jump": size, "L_f": L_f} | rate, ON_THE_BOX, how + steady, witness)
+        return Answer(VIOLATED, {"K_f": np.inf, "jump": size} | known, ON_THE_BOX, how + steady, witness)
     point = steep(f, blocks, norms, scene, points, names)
-    if point is not None:
-        value = {"K_f": np.inf, "L_f": L_f} | rate
-        return Answer(
-            VIOLATED, value, ON_THE_BOX, "an entry of f_q grows without bound towards this point, along a ray in Q(t)", point
-        )
-    worst = max(worst, _quotient(f, scene, points))
-    how = f"{count} points; f was not proved continuous with a bounded derivative, no jump was found inside Q(t)"
-    return Answer(SAMPLED, {"K_f": worst, "L_f": L_f} | rate, ON_THE_BOX, how + steady)
+    if point is None:
+        return None
+    how = "an entry of f_q grows without bound towards this point, along a ray in Q(t)"
+    return Answer(VIOLATED, {"K_f": np.inf} | known, ON_THE_BOX, how, point)
+
+
+def _sampled(
+    f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]], blocks: list[Block], norms: list[Bound],
+    known: dict[str, float], steady: str, quick: bool,
+) -> Answer:  # fmt: skip
+    """The largest slope that was seen."""
+    worst = max((K for _, K, _, _ in norms), default=0.0)
+    value = {"K_f": max(worst, _quotient(f, scene, points))} | known
+    how, verdict = f"{sum(number for *_, number in norms)} points; ", SAMPLED
+    if not quick:
+        how += "f was not proved continuous with a bounded derivative, no jump was found inside Q(t)"
+    elif any(jumps_in(block.f, block.q) for block in blocks):
+        how, verdict = f"f has operations that jump; {how}neither jumps of f nor steep places were looked for (quick)", UNKNOWN
+    else:
+        how += "neither jumps of f nor steep places were looked for (quick)"
+    return Answer(verdict, value, ON_THE_BOX, how + steady)
 
 
 def closed(defined: Defined, value: dict[str, float], where: str, how: str) -> Answer:
@@ -185,7 +202,7 @@ def _block(f: ca.SX, scene: Scene, rows: list[int], columns: list[int]) -> Block
 # -- bounds ------------------------------------------------------------------------------------------------------------
 
 
-def lipschitz(block: Block, quick: bool) -> tuple[str, float, str, int]:
+def lipschitz(block: Block, quick: bool) -> Bound:
     """(verdict, K, where, points): proved for all states, else on the box, else the largest |f_q| seen."""
     J = ca.jacobian(block.f, block.q)
     for everywhere in (True, False):
@@ -378,7 +395,7 @@ def _quotient(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]]
 
 
 def steep(
-    f: ca.SX, blocks: list[Block], norms: list[tuple[str, float, str, int]], scene: Scene,
+    f: ca.SX, blocks: list[Block], norms: list[Bound], scene: Scene,
     points: Sequence[tuple[float, np.ndarray]], names: Sequence[str],
 ) -> dict[str, Any] | None:  # fmt: skip
     """A point of Q(t) near which difference quotients of f, a function of the scene's t and q, keep growing.
