@@ -492,7 +492,7 @@ def test_ctrl_c_stops_the_files_that_follow(run, monkeypatch, tmp_path):
 
     (tmp_path / "b.py").write_text(NOT_MONOTONE)
     (tmp_path / "a.py").write_text(RELAY)
-    monkeypatch.setattr("nsmodel.cli.simulate", interrupted)
+    monkeypatch.setattr("nsmodel.cli.run.simulate", interrupted)
     status, out, _ = run("a.py", None, "b.py")
     assert status == 130
     assert "b " not in out

@@ -1,0 +1,8 @@
+"""``python -m nsmodel.cli``."""
+
+import sys
+
+from nsmodel.cli import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,103 @@
+"""``nsmodel check``: the hypotheses behind model files."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from nsmodel.cli.output import print_json
+from nsmodel.cli.settings import Commands, add_set, by_name, load, setting
+from nsmodel.cli.status import AT_FAULT, DONE, refused
+from nsmodel.errors import NsmodelError, UsageError
+from nsmodel.hypotheses.findings import VIOLATED, Report
+from nsmodel.storage import write_text
+from nsmodel.words import print_shown as print
+
+
+def add(commands: Commands) -> None:
+    """Add the command and its options."""
+    about = "Decide the hypotheses that the theory of the model's class rests on, and say what follows from them."
+    parser = commands.add_parser("check", help="check the hypotheses behind a model file", description=about)
+    parser.add_argument("files", metavar="FILE", nargs="+", help="a Python file that defines model = ... or def model(...)")
+    add_set(parser)
+    parser.add_argument(
+        "--parameters",
+        action="append",
+        default=[],
+        metavar="NAME=LOW:HIGH",
+        help="decide for all values of a parameter between these; may be repeated",
+    )
+    parser.add_argument(
+        "--region", action="append", default=[], metavar="NAME=LOW:HIGH",
+        help="interval of a state, where no proof covers all states (default: around the run); repeatable",
+    )  # fmt: skip
+    parser.add_argument("--quick", action="store_true", help="skip runs and global searches")
+    parser.add_argument("--strict", action="store_true", help="exit with status 1 where a hypothesis is violated")
+    parser.add_argument("--json", action="store_true", help="print the report as JSON")
+    parser.add_argument("--markdown", metavar="PATH", help="also write the report as Markdown, with the equations")
+    parser.add_argument(
+        "--certificate", metavar="DIR", help="also write what proves each hypothesis that holds, and a program that verifies it"
+    )
+    parser.set_defaults(command=_check)
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    """Check each file; several end in a line a file. The status is that of the worst."""
+    from nsmodel.checking import check
+
+    several = len(arguments.files) > 1
+    for option in ("markdown", "certificate"):
+        if several and getattr(arguments, option):
+            raise UsageError(f"--{option} takes one model file; check them one by one")
+    region = by_name((_interval("--region", one, "q_0=-2:2") for one in arguments.region), "--region")
+    boxes = by_name((_interval("--parameters", one, "mu=0.1:0.5") for one in arguments.parameters), "--parameters")
+    if twice := set(boxes) & set(by_name(map(setting, arguments.set), "--set")):
+        raise UsageError(f"'{min(twice)}' is given with --set and with --parameters; keep one")
+    if boxes and arguments.certificate:
+        raise UsageError("--certificate: certificates are of numbers; give the parameters values with --set")
+    reports: list[tuple[str, Report | None, int]] = []
+    documents = []
+    for file in arguments.files:
+        try:
+            model, values = load(file, arguments.set)
+            report = check(model, parameters={**values, **boxes}, region=region, quick=arguments.quick)
+        except NsmodelError as error:
+            reports.append((file, None, refused(error)))
+            documents.append({"file": file, "status": "refused", "message": str(error)})
+            continue
+        at_fault = arguments.strict and report.having(VIOLATED)
+        reports.append((file, report, AT_FAULT if at_fault else DONE))
+        documents.append({"file": file, **report.document()} if arguments.json else {})
+        if not arguments.json:
+            print(report.text(), end="\n\n" if several else "\n")
+    if arguments.markdown and reports[0][1] is not None:
+        write_text(Path(arguments.markdown), reports[0][1].markdown())
+    if arguments.certificate and reports[0][1] is not None:
+        _certify(reports[0][1], arguments.certificate, quiet=arguments.json)
+    if arguments.json:
+        print_json(arguments, documents if several else documents[0])
+    elif several:
+        width = max(len(Path(file).stem) for file, _, _ in reports)
+        for file, report, _ in reports:
+            print(f"{Path(file).stem:{width}}  {'refused' if report is None else report.verdict}")
+    return max(status for *_, status in reports)
+
+
+def _interval(option: str, setting: str, example: str) -> tuple[str, tuple[float, float]]:
+    name, equals, text = setting.partition("=")
+    low, colon, high = text.partition(":")
+    try:
+        if not (equals and colon and name.strip()):
+            raise ValueError
+        return name.strip(), (float(low), float(high))
+    except ValueError:
+        raise UsageError(f"{option} {setting}: expected NAME=LOW:HIGH, for example {option} {example}") from None
+
+
+def _certify(report: Report, folder: str, quiet: bool) -> None:
+    from nsmodel.certificate.write import write_certificate
+
+    path, proved, left = write_certificate(report, folder)
+    if not quiet:
+        more = f", {left} of them not checkable: each says why" if left else ""
+        print(f"\ncertificate  {path}: {proved + left} statements{more}\n             python {path.parent / 'verify.py'} {path}")

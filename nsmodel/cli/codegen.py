@@ -1,0 +1,41 @@
+"""``nsmodel codegen``: a model's step in C."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from nsmodel.cli.settings import ACCEPTED, Commands, add_set, load
+from nsmodel.cli.status import DONE
+from nsmodel.defaults import TOLERANCE
+from nsmodel.words import print_shown as print
+
+
+def add(commands: Commands) -> None:
+    """Add the command and its options."""
+    about = "Write the model's verified step as a C99 library: header, source, Makefile, example, description, README."
+    parser = commands.add_parser("codegen", help="write a model's step as a C library", description=about)
+    parser.add_argument("file", metavar="FILE", help="a Python file that defines model = ... or def model(...)")
+    parser.add_argument("--out", metavar="DIR", help="folder of the library (default: FILE-c)")
+    parser.add_argument("--name", metavar="NAME", help="prefix of all names in C (default: the file's name)")
+    parser.add_argument("--step", type=float, metavar="H", help="time step of the code (default: the model's)")
+    parser.add_argument("--any-step", action="store_true", help="let a linear scene take any step, not this one alone")
+    parser.add_argument("--tolerance", type=float, default=TOLERANCE, metavar="TOL", help=ACCEPTED)
+    parser.add_argument("--max-work", type=int, metavar="N", help="most linear systems, index sets and sweeps in a step")
+    add_set(parser)
+    parser.set_defaults(command=_codegen)
+
+
+def _codegen(arguments: argparse.Namespace) -> int:
+    """Write the C library of a file; a parameter given with --set becomes a number in the code."""
+    from nsmodel import codegen
+
+    model, values = load(arguments.file, arguments.set)
+    stem = Path(arguments.file).stem
+    name = codegen.identifier(stem) if arguments.name is None else arguments.name
+    written = codegen.write(
+        model, arguments.out or f"{stem}-c", name=name, step=arguments.step, any_step=arguments.any_step, parameters=values,
+        tolerance=arguments.tolerance, max_work=arguments.max_work,
+    )  # fmt: skip
+    print(written.text())
+    return DONE

@@ -1,0 +1,275 @@
+"""``nsmodel run``: simulations, and what is written of them."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import sys
+import textwrap
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from nsmodel.cli.output import print_json
+from nsmodel.cli.settings import ACCEPTED, Commands, add_set, load
+from nsmodel.cli.signals import INTERRUPTED, TERMINATED, no_more_signals
+from nsmodel.cli.status import DONE, FAILED_STEP, USAGE, refused, silenced
+from nsmodel.defaults import TOLERANCE
+from nsmodel.errors import NsmodelError, StepError, StorageError, UsageError
+from nsmodel.lock import held
+from nsmodel.model.base import Model
+from nsmodel.run.loop import RunInterrupted
+from nsmodel.simulate import explain, simulate
+from nsmodel.solve.choose import SOLVERS
+from nsmodel.storage import STAMP, refuse_unwritable, write_json
+from nsmodel.trajectory import Trajectory
+from nsmodel.words import print_shown as print
+
+
+def add(commands: Commands) -> None:
+    """Add the command and its options."""
+    parser = commands.add_parser("run", help="simulate a model file", description="Simulate a model file and print a summary.")
+    parser.add_argument("files", metavar="FILE", nargs="+", help="a Python file that defines model = ... or def model(...)")
+    parser.add_argument("--step", type=float, metavar="H", help="time step (default: the model's)")
+    parser.add_argument("--t-end", type=float, metavar="T", help="end of the run (default: the model's)")
+    parser.add_argument("--rtol", type=float, metavar="R", help="choose the steps by error control: error allowed, relative")
+    parser.add_argument("--atol", type=float, metavar="A", help="error allowed besides, absolute (default 0)")
+    add_set(parser)
+    parser.add_argument("--solver", default="auto", metavar="NAME", help=f"use this solver alone: {', '.join(SOLVERS[1:])}")
+    parser.add_argument(
+        "--compiled", action="store_true",
+        help="step in C, built once for this model (left out: only where the run is long enough to pay for it)",
+    )  # fmt: skip
+    parser.add_argument("--tolerance", type=float, default=TOLERANCE, metavar="TOL", help=ACCEPTED)
+    parser.add_argument("--save-every", type=int, default=1, metavar="N", help="keep every N-th row")
+    parser.add_argument("--resume", action="store_true", help="continue the run found in --out")
+    parser.add_argument("--out", metavar="DIR", help="folder for trajectory.npz, summary.json and pictures")
+    parser.add_argument("--csv", metavar="PATH", help="also write the trajectory as CSV")
+    parser.add_argument("--plot", action="store_true", help="write pictures into --out (default: FILE-run)")
+    parser.add_argument("--film", metavar="PATH", help="write a film of bodies in the plane: .gif, or .mp4 with ffmpeg")
+    parser.add_argument("--explain", action="store_true", help="say what is used and what is left out, and why; then run")
+    parser.add_argument("--json", action="store_true", help="print the summary as JSON")
+    parser.add_argument("--quiet", action="store_true", help="print warnings and errors only")
+    parser.set_defaults(command=_run)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    """Run each file; several files end in a table. The status is that of the worst run."""
+    if arguments.resume and arguments.out is None:
+        raise UsageError("--resume needs --out DIR, the folder of the run to continue")
+    several = len(arguments.files) > 1
+    stems = [Path(file).stem for file in arguments.files]
+    if (arguments.out or arguments.plot) and len(set(stems)) < len(stems):
+        twice = next(stem for stem in stems if stems.count(stem) > 1)
+        raise UsageError(f"two files are called '{twice}': their results would go to one folder; run them one by one")
+    if several and arguments.csv:
+        raise UsageError("--csv takes one model file; for several give --out DIR and read the trajectory.npz in it")
+    if several and arguments.film:
+        raise UsageError("--film takes one model file; run them one by one")
+    if arguments.film:
+        from nsmodel.plot.crowd import check_film
+
+        check_film(arguments.film)
+    if arguments.csv:
+        refuse_unwritable(arguments.csv)
+    results: list[Result] = []
+    for file in arguments.files:
+        results.append(_run_file(arguments, file, _folder(arguments, file)))
+        if results[-1].status in (INTERRUPTED, TERMINATED):
+            break
+    with contextlib.ExitStack() as kept:
+        for result in results:
+            if result.run is not None and result.folder is None:
+                kept.enter_context(_kept(result.file, result.run))
+        if arguments.json:
+            documents = [result.document for result in results]
+            print_json(arguments, documents if several else documents[0])
+        elif several and not arguments.quiet:
+            print(_table(results))
+        arguments.stdout.flush()
+    return max(result.status for result in results)
+
+
+class Result(NamedTuple):
+    """What became of one file; ``document`` is what --json prints."""
+
+    status: int
+    file: str
+    run: Trajectory | None
+    seconds: float
+    folder: Path | None
+    document: dict[str, Any]
+
+
+def _run_file(arguments: argparse.Namespace, file: str, folder: Path | None) -> Result:
+    """Run a file; its folder is held until everything is written there."""
+    try:
+        with contextlib.nullcontext() if folder is None else held(folder):
+            return _run_here(arguments, file, folder)
+    except NsmodelError as error:
+        document = {"file": file, "status": "refused", "message": str(error)}
+        return Result(refused(error), file, None, 0.0, None, document)
+
+
+def _run_here(arguments: argparse.Namespace, file: str, folder: Path | None) -> Result:
+    start, compiled = time.perf_counter(), True if arguments.compiled else "auto"
+    try:
+        model, values = load(file, arguments.set)
+        if arguments.explain and not arguments.json:
+            how = explain(
+                model, step=arguments.step, t_end=arguments.t_end, parameters=values, solver=arguments.solver,
+                tolerance=arguments.tolerance, compiled=compiled,
+            )  # fmt: skip
+            print(how, end="\n\n")
+        run = simulate(
+            model, step=arguments.step, t_end=arguments.t_end, parameters=values, solver=arguments.solver,
+            tolerance=arguments.tolerance, save_every=arguments.save_every, out=folder, resume=arguments.resume,
+            progress=not (arguments.quiet or arguments.json), compiled=compiled, rtol=arguments.rtol, atol=arguments.atol,
+        )  # fmt: skip
+    except StepError as error:
+        return _stopped(arguments, file, folder, error.trajectory, f"error: {error}", FAILED_STEP, start)
+    except RunInterrupted as stop:
+        return _stopped(arguments, file, folder, stop.trajectory, str(stop), 128 + stop.signal, start)
+    except StorageError as error:
+        if error.trajectory is None:
+            raise
+        return _stopped(arguments, file, None, error.trajectory, f"storage error: {error}", USAGE, start)
+    with contextlib.nullcontext() if folder is not None else _kept(file, run):
+        return _report(arguments, file, run, time.perf_counter() - start, model.bind(values), folder)
+
+
+@contextlib.contextmanager
+def _kept(file: str, run: Trajectory) -> Iterator[None]:
+    """Save a run that nobody asked to be saved where it cannot be reported in the way that was asked for."""
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except Exception:
+        path = _own_folder(file) / "trajectory.npz"
+        run.save(path)
+        print(f"nsmodel: the run is saved in {path}", file=sys.stderr)
+        raise
+
+
+def _folder(arguments: argparse.Namespace, file: str) -> Path | None:
+    """Where a file's results go: --out, with a folder for each of several files; FILE-run where --plot needs one."""
+    if arguments.out is None:
+        return _own_folder(file) if arguments.plot else None
+    return Path(arguments.out) / Path(file).stem if len(arguments.files) > 1 else Path(arguments.out)
+
+
+def _own_folder(file: str) -> Path:
+    return Path(f"{Path(file).stem}-run")
+
+
+def _report(
+    arguments: argparse.Namespace, file: str, run: Trajectory, seconds: float, model: Model, folder: Path | None
+) -> Result:
+    """Write what was asked for; print the summary of a single run."""
+    pictures = []
+    if arguments.csv:
+        run.to_csv(arguments.csv)
+    if arguments.plot and folder is not None:
+        from nsmodel.plot import save_all
+
+        pictures = [str(path) for path in save_all(run, model, folder)]
+    if arguments.film:
+        from nsmodel.plot import animate
+
+        pictures.append(str(animate(run, arguments.film)))
+    printed = not (arguments.json or arguments.quiet or len(arguments.files) > 1)
+    document = _document(file, run, seconds, folder, pictures)
+    if printed or arguments.json or folder is not None:
+        document["hypotheses"] = _verdict(model, run)
+    if folder is not None:
+        write_json(folder / "summary.json", document)
+    where = f"{file}: " if len(arguments.files) > 1 else ""
+    for warning in run.metadata["warnings"]:
+        print(f"nsmodel: {where}warning: {warning}", file=sys.stderr)
+    if printed:
+        _print_summary(run, seconds)
+        print(textwrap.fill(document["hypotheses"], 100, initial_indent="  hypotheses      ", subsequent_indent=" " * 18))
+        if folder is not None:
+            print(f"  saved           {folder / 'trajectory.npz'}")
+        for path in pictures:
+            print(f"  picture         {path}")
+        sys.stdout.flush()
+    return Result(DONE, file, run, seconds, folder, document)
+
+
+def _verdict(model: Model, run: Trajectory) -> str:
+    """What the quick check says, in one line; a run that is done is not refused for what cannot be checked."""
+    from nsmodel.checking import check
+
+    try:
+        return check(model, [run], quick=True).verdict
+    except NsmodelError as error:
+        return f"not checked: {error}"
+
+
+def _stopped(
+    arguments: argparse.Namespace, file: str, folder: Path | None, run: Trajectory | None, message: str, status: int, start: float
+) -> Result:
+    """Save what a stopped run has computed, and say where."""
+    seconds = time.perf_counter() - start
+    where = f"{file}: " if len(arguments.files) > 1 else ""
+    if run is None:
+        print(f"nsmodel: {where}{message}", file=sys.stderr)
+        return Result(status, file, None, seconds, None, {"file": file, "status": "failed", "message": message})
+    no_more_signals()
+    resumable = folder is not None
+    if folder is None:
+        folder = _own_folder(file)
+        try:
+            run.save(folder / "trajectory.npz")
+        except StorageError:
+            print(f"nsmodel: {where}{message}", file=sys.stderr)
+            raise
+    document = _document(file, run, seconds, folder, [])
+    write_json(folder / "summary.json", document)
+    if not (arguments.json or arguments.quiet or len(arguments.files) > 1):
+        try:
+            _print_summary(run, seconds)
+            sys.stdout.flush()
+        except OSError as error:
+            silenced(error)
+    steps = sum(run.metadata["solver_counts"].values())
+    how = "; go on with --resume" if resumable and status in (INTERRUPTED, TERMINATED) else ""
+    print(f"nsmodel: {where}{message}", file=sys.stderr)
+    print(f"nsmodel: {where}{steps} verified steps are saved in {folder / 'trajectory.npz'}{how}", file=sys.stderr)
+    return Result(status, file, run, seconds, folder, document)
+
+
+def _document(file: str, run: Trajectory, seconds: float, folder: Path | None, pictures: list[str]) -> dict[str, Any]:
+    """What --json prints and summary.json holds: the summary with its plan, its files and its run time."""
+    plan = {key: run.metadata[key] for key in ("scheme", "used", "left_out")}
+    saved = None if folder is None else str(folder / "trajectory.npz")
+    return {**STAMP, "file": file, **run.summary(), "seconds": seconds, "saved": saved, "pictures": pictures, "plan": plan}
+
+
+def _print_summary(run: Trajectory, seconds: float) -> None:
+    each = seconds / max(run.metadata["steps"], 1)
+    text = f"{1e6 * each:.3g} us" if each < 1e-3 else f"{1e3 * each:.3g} ms" if each < 1 else f"{each:.3g} s"
+    # Warnings and errors have their own stream.
+    print(run.summary_text(messages=False))
+    print(f"  run time        {seconds:.3g} s ({text} a step, loading and set-up included)")
+
+
+def _table(results: Sequence[Result]) -> str:
+    """One line a file: steps, time simulated and used, worst residual, index-set changes, the overview picture."""
+    head = ("model", "status", "steps", "t", "worst residual", "index set changes", "run time", "picture")
+    lines: list[tuple[str, ...]] = [head]
+    for result in results:
+        name, run, folder = Path(result.file).stem, result.run, result.folder
+        if run is None:
+            lines.append((name, result.document["status"], *[""] * 6))
+            continue
+        totals, picture = run.metadata["totals"], None if folder is None else folder / "overview.png"
+        lines.append((
+            name, run.status, str(totals["steps"]), f"{run.t[-1]:g}", f"{totals['worst_residual']:.2g}",
+            str(totals["index_set_changes"]), f"{result.seconds:.2f} s", str(picture) if picture and picture.exists() else "",
+        ))  # fmt: skip
+    widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
+    return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines)

@@ -1,0 +1,57 @@
+"""Arguments that several commands read: NAME=VALUE, the model of a file, the tolerance."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Sequence
+from typing import Any, TypeAlias, TypeVar
+
+from nsmodel.defaults import TOLERANCE
+from nsmodel.errors import UsageError
+from nsmodel.loader import load_with
+from nsmodel.model.base import Model
+
+T = TypeVar("T")
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+
+ACCEPTED = f"largest accepted residual (default {TOLERANCE:g})".replace("e-0", "e-")
+
+
+def add_set(parser: argparse.ArgumentParser) -> None:
+    """Add the option --set."""
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE",
+        help="value of a parameter or of an argument of model(): a number, V1,V2,... or rows with ; between; repeatable",
+    )  # fmt: skip
+
+
+def load(file: str, settings: Sequence[str]) -> tuple[Model, dict[str, Any]]:
+    """The model and the values of its parameters; settings that the file's model() takes go there."""
+    return load_with(file, by_name(map(setting, settings), "--set"))
+
+
+def by_name(pairs: Iterable[tuple[str, T]], option: str) -> dict[str, T]:
+    """The values by name; a name that is given twice is refused."""
+    found: dict[str, T] = {}
+    for name, value in pairs:
+        if name in found:
+            raise UsageError(f"{option} gives '{name}' twice; keep one")
+        found[name] = value
+    return found
+
+
+def setting(setting: str) -> tuple[str, Any]:
+    """The name and its number, list of numbers or list of rows."""
+    name, equals, text = setting.partition("=")
+    if not equals or not name.strip():
+        raise UsageError(f"--set {setting}: expected NAME=VALUE, for example --set mu=0.3")
+    try:
+        rows = [[parsed(one) for one in row.split(",")] for row in text.split(";")]
+    except ValueError:
+        raise UsageError(f"--set {setting}: '{text}' is not a number, nor numbers with commas between") from None
+    return name.strip(), rows if len(rows) > 1 else rows[0] if len(rows[0]) > 1 else rows[0][0]
+
+
+def parsed(text: str) -> int | float:
+    """The number that a text spells."""
+    return int(text) if text.strip().lstrip("+-").isdigit() else float(text)

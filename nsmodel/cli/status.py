@@ -1,0 +1,27 @@
+"""What a command returns to the shell, and what it says on standard error where it stops."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+from nsmodel.errors import CodegenError, ModelError, NsmodelError, StorageError
+from nsmodel.words import print_shown as print
+
+DONE, AT_FAULT, USAGE, FAILED_STEP, REFUSED = 0, 1, 2, 3, 4
+
+
+def refused(error: NsmodelError) -> int:
+    """Say what was refused, and return the status of that."""
+    kinds = ((ModelError, "model error"), (StorageError, "storage error"), (CodegenError, "no C code"), (NsmodelError, "error"))
+    print(f"nsmodel: {next(name for kind, name in kinds if isinstance(error, kind))}: {error}", file=sys.stderr)
+    return REFUSED if isinstance(error, CodegenError) else USAGE
+
+
+def silenced(error: OSError) -> int:
+    """Give up standard output; no fault where its reader (head, less) has gone."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if isinstance(error, BrokenPipeError):
+        return DONE
+    print(f"nsmodel: error: cannot write the output: {error}", file=sys.stderr)
+    return USAGE

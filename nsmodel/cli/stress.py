@@ -1,0 +1,75 @@
+"""``nsmodel stress``: a model pushed."""
+
+from __future__ import annotations
+
+import argparse
+from itertools import product
+from pathlib import Path
+
+from nsmodel.cli.output import print_json
+from nsmodel.cli.settings import Commands, add_set, by_name, parsed, setting
+from nsmodel.cli.status import AT_FAULT, DONE
+from nsmodel.errors import UsageError
+from nsmodel.loader import load_with
+from nsmodel.storage import write_json, write_text
+from nsmodel.words import print_shown as print
+
+
+def add(commands: Commands) -> None:
+    """Add the command and its options."""
+    about = "Push a model: its step, its units, its parameters; say of each short run whether it is right, stopped or wrong."
+    parser = commands.add_parser("stress", help="push a model's step, units and parameters", description=about)
+    parser.add_argument("file", metavar="FILE", help="a Python file that defines model = ... or def model(...)")
+    add_set(parser)
+    parser.add_argument(
+        "--vary", action="append", default=[], metavar="NAME=V1,V2,...",
+        help="values of a parameter or of an argument of model(); repeatable: all combinations are run",
+    )  # fmt: skip
+    parser.add_argument("--step", type=float, metavar="H", help="the step that is taken for 1 (default: the model's)")
+    parser.add_argument(
+        "--budget", type=float, metavar="SECONDS", help="wall time; cells beyond it are left out (default: none is)"
+    )
+    parser.add_argument("--json", action="store_true", help="print all cells as JSON")
+    parser.add_argument("--out", metavar="DIR", help="folder for stress.txt, stress.json and stress.png")
+    parser.set_defaults(command=_stress)
+
+
+def _stress(arguments: argparse.Namespace) -> int:
+    """Push a file's model, for each combination of the values given with --vary; the status says whether a cell is wrong."""
+    from nsmodel.stress import push
+
+    given, vary = by_name(map(setting, arguments.set), "--set"), by_name(map(_varied, arguments.vary), "--vary")
+    twice = next((name for name in vary if name in given), None)
+    if twice is not None:
+        raise UsageError(f"'{twice}' is given with --set and with --vary; keep one")
+    variants = []
+    for values in product(*vary.values()):
+        varied = dict(zip(vary, values, strict=True))
+        model, own = load_with(arguments.file, given | varied)
+        variants.append((varied, model.bind(own)))
+    found = push(variants, step=arguments.step, budget=arguments.budget, progress=not arguments.json)
+    document = {"file": arguments.file, **found.document()}
+    if arguments.json:
+        print_json(arguments, document)
+    else:
+        print(found.text())
+    if arguments.out:
+        folder = Path(arguments.out)
+        write_text(folder / "stress.txt", found.text())
+        write_json(folder / "stress.json", document)
+        from nsmodel.plot import save
+
+        save(found.plot().figure, folder / "stress.png")
+        if not arguments.json:
+            print(f"\nsaved in {folder}: stress.txt, stress.json, stress.png")
+    return AT_FAULT if found.wrong else DONE
+
+
+def _varied(setting: str) -> tuple[str, list[int | float]]:
+    name, equals, text = setting.partition("=")
+    try:
+        if not equals or not name.strip():
+            raise ValueError
+        return name.strip(), [parsed(one) for one in text.split(",")]
+    except ValueError:
+        raise UsageError(f"--vary {setting}: expected NAME=V1,V2,..., for example --vary mu=0.1,0.5,1") from None

@@ -1,0 +1,79 @@
+"""``nsmodel study``: errors and times of a model."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from nsmodel.cli.output import print_json
+from nsmodel.cli.settings import Commands, add_set, load
+from nsmodel.cli.signals import by_signal, no_more_signals
+from nsmodel.cli.status import DONE
+from nsmodel.errors import UsageError
+from nsmodel.storage import write_json, write_text
+from nsmodel.words import print_shown as print
+
+
+def add(commands: Commands) -> None:
+    """Add the command and its options."""
+    about = "Measure how accurate the schemes and solvers that apply to a model are for what they cost."
+    parser = commands.add_parser("study", help="measure errors and times: a work-precision study", description=about)
+    parser.add_argument("file", metavar="FILE", help="a Python file that defines model = ... or def model(...)")
+    parser.add_argument("--steps", metavar="H1,H2,...", help="time steps (default: 16 h, 8 h, ... h/8 around the model's own)")
+    parser.add_argument("--target", type=float, metavar="ERROR", help="say what this relative error costs")
+    parser.add_argument("--t-end", type=float, metavar="T", help="end of the runs (default: the model's)")
+    add_set(parser)
+    parser.add_argument("--solvers", metavar="A,B,...", help="solvers to time alone (default: all that apply; '' for none)")
+    parser.add_argument("--budget", type=float, default=60.0, metavar="SECONDS", help="wall time of the study (default 60)")
+    parser.add_argument("--json", action="store_true", help="print the study as JSON")
+    parser.add_argument("--csv", metavar="PATH", help="also write one row a point as CSV")
+    parser.add_argument("--out", metavar="DIR", help="folder for study.txt, study.json, study.csv and study.png")
+    parser.set_defaults(command=_study)
+
+
+def _study(arguments: argparse.Namespace) -> int:
+    """Measure a file's model; Ctrl-C keeps what was measured."""
+    from nsmodel.study import StudyInterrupted, study
+
+    model, values = load(arguments.file, arguments.set)
+    status, given = DONE, arguments.solvers
+    try:
+        found = study(
+            model, steps=None if arguments.steps is None else _steps(arguments.steps), target=arguments.target,
+            t_end=arguments.t_end, parameters=values, budget=arguments.budget, progress=not arguments.json,
+            solvers=None if given is None else [name for name in map(str.strip, given.split(",")) if name],
+        )  # fmt: skip
+    except StudyInterrupted as stop:
+        no_more_signals()
+        found, status = stop.study, by_signal(stop)
+    document = {"file": arguments.file, **found.document()}
+    if arguments.json:
+        print_json(arguments, document)
+    else:
+        print(found.text())
+    if arguments.csv:
+        found.to_csv(arguments.csv)
+    if arguments.out:
+        folder = Path(arguments.out)
+        write_text(folder / "study.txt", found.text())
+        write_json(folder / "study.json", document)
+        found.to_csv(folder / "study.csv")
+        names = ["study.txt", "study.json", "study.csv"]
+        if any(point.drawn for line in found.lines for point in line.points):
+            from nsmodel.plot import save
+
+            save(found.plot().figure, folder / "study.png")
+            names.append("study.png")
+        if not arguments.json:
+            print(f"\nsaved in {folder}: {', '.join(names)}")
+    if status != DONE:
+        print("nsmodel: interrupted; what was measured before is above", file=sys.stderr)
+    return status
+
+
+def _steps(text: str) -> list[float]:
+    try:
+        return [float(step) for step in text.split(",")]
+    except ValueError:
+        raise UsageError(f"--steps {text}: expected numbers with commas between, for example --steps 1e-2,5e-3") from None
