@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from nsmodel import lock
+from nsmodel.chunks import ChunkStore
 from nsmodel.classes.registry import class_of
 from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import UsageError
@@ -20,7 +21,6 @@ from nsmodel.run.loop import Run, keep_unfinished
 from nsmodel.run.on_grid import OnGrid
 from nsmodel.run.options import Options
 from nsmodel.run.walk import There
-from nsmodel.storage import ChunkStore
 from nsmodel.trajectory import Trajectory
 
 

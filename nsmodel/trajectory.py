@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from nsmodel.archive import LIST, read_npz, write_npz
 from nsmodel.classes.registry import class_named
 from nsmodel.contacts import Contacts
 from nsmodel.errors import MissingExtraError, StorageError, UsageError
 from nsmodel.model.base import Model
-from nsmodel.storage import LIST, dumps, read_npz, write_csv, write_npz
+from nsmodel.storage import dumps, write_csv
 
 _WIDTH = 100
 _STATES_SHOWN = 8

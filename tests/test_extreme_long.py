@@ -13,9 +13,9 @@ from conftest import QUICK
 from processes import environment, kill_when_there, start
 
 from nsmodel import FrictionOscillator, SweepingProcess, Trajectory, simulate
+from nsmodel.chunks import ChunkStore
 from nsmodel.cli import main
 from nsmodel.codegen import cache, library
-from nsmodel.storage import ChunkStore
 
 T, Q2, S = ca.SX.sym("t"), ca.SX.sym("q", 2), ca.SX.sym("s")
 

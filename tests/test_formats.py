@@ -14,8 +14,10 @@ import pytest
 
 import nsmodel
 from nsmodel import StorageError, Trajectory, UsageError, simulate, storage
+from nsmodel.archive import read_npz, write_npz
+from nsmodel.chunks import ChunkStore
 from nsmodel.cli import main
-from nsmodel.storage import ChunkStore, read_json, read_npz, write_json, write_npz
+from nsmodel.storage import read_json, write_json
 
 FORMAT_1 = Path(__file__).parent / "fixtures" / "format-1"
 RELAY = """
@@ -101,9 +103,14 @@ def test_every_file_says_its_format(tmp_path, relay_file):
     assert document["arrays"] == list(Trajectory.load(tmp_path / "run" / "trajectory.npz").arrays)
 
 
+def of_a_later_version(patch):
+    for module in ("storage", "archive", "chunks"):
+        patch.setattr(f"nsmodel.{module}.STAMP", {"format": 9, "version": "7.1.0"})
+
+
 def test_a_later_format_is_refused_by_the_version_that_wrote_it(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(storage, "STAMP", {"format": 9, "version": "7.1.0"})
+        of_a_later_version(patch)
         write_npz(tmp_path / "run.npz", {"t": np.zeros(2), "x": np.zeros((2, 1))}, {})
         write_json(tmp_path / "summary.json", {"format": 9, "version": "7.1.0"})
         store = ChunkStore(tmp_path / "run")
@@ -121,7 +128,7 @@ def test_a_later_format_is_refused_by_the_version_that_wrote_it(tmp_path, monkey
 
 def test_an_unfinished_run_of_a_later_version_is_not_overwritten(tmp_path, monkeypatch, relay_file):
     with monkeypatch.context() as patch:
-        patch.setattr(storage, "STAMP", {"format": 9, "version": "7.1.0"})
+        of_a_later_version(patch)
         ChunkStore(tmp_path / "run").append({"t": np.zeros(2)}, {"t": 1.0}, {"status": "running"})
     with pytest.raises(StorageError, match=r"manifest\.json is of format 9, written by nsmodel 7\.1\.0"):
         simulate(nsmodel.load(relay_file), out=tmp_path / "run")

@@ -13,8 +13,8 @@ import processes
 import pytest
 
 from nsmodel import LureSystem, StepError, StorageError, UsageError, lock, relay, simulate
+from nsmodel.archive import read_npz, write_npz
 from nsmodel.cli import main
-from nsmodel.storage import read_npz, write_npz
 
 HOST = socket.gethostname()
 SLOW = """

@@ -31,8 +31,9 @@ from nsmodel import (
     relay,
     simulate,
 )
+from nsmodel.archive import read_npz
 from nsmodel.cli import main
-from nsmodel.storage import read_json, read_npz
+from nsmodel.storage import read_json
 
 loop, walk = (importlib.import_module(f"nsmodel.run.{name}") for name in ("loop", "walk"))
 RELAY = """
@@ -207,12 +208,12 @@ def test_many_bodies_and_error_control_give_their_rows_too(tmp_path, full_disk):
 
 
 def test_a_command_saves_elsewhere_what_its_folder_does_not_take(in_folder, monkeypatch, capfd):
-    append = nsmodel.storage.ChunkStore.append
+    append = nsmodel.chunks.ChunkStore.append
 
     def full(*arguments):
         raise StorageError("cannot write far/chunk-000001.npz: No space left on device")
 
-    monkeypatch.setattr(nsmodel.storage.ChunkStore, "append", full)
+    monkeypatch.setattr(nsmodel.chunks.ChunkStore, "append", full)
     assert main(["run", "m.py", "--out", "far", "--quiet"]) == 2
     first, second = capfd.readouterr().err.splitlines()
     assert first == "nsmodel: storage error: cannot write far/chunk-000001.npz: No space left on device"

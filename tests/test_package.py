@@ -142,7 +142,7 @@ LAYERS = (  # What stands in a line may import, at its top, what stands in it an
     "model",
     "classes classes.registry classes.model",
     "scheme classes.schemes classes.set_valued",
-    "loader storage contacts trajectory grid identity classes.identity cache_folder lock",
+    "loader storage archive chunks contacts trajectory grid identity classes.identity cache_folder lock",
     "solve standstill record",
     "codegen hypotheses classes.hypotheses classes.equations",
     "run classes.walk",

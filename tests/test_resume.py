@@ -477,7 +477,7 @@ def test_a_limit_of_file_size_is_met_by_a_message(tmp_path):
     assert re.search(r"cannot write .*: .*File too large; take a folder that is writable and has room", printed)
     assert not list((tmp_path / "run").glob(".*"))
     for path in (tmp_path / "run").glob("*.npz"):
-        nsmodel.storage.read_npz(path)
+        nsmodel.archive.read_npz(path)
 
 
 # every n-th row

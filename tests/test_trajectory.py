@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from nsmodel import FirstOrderSystem, LureSystem, relay, simulate
+from nsmodel.archive import write_npz
 from nsmodel.errors import MissingExtraError, StorageError, UsageError
-from nsmodel.storage import write_npz
 from nsmodel.trajectory import Trajectory, multiplier_names, state_names, units_of
 
 

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from nsmodel.chunks import ChunkStore, unfinished
 from nsmodel.errors import StepError, StorageError, UsageError
 from nsmodel.identity import WAY, difference, versions
 from nsmodel.run.interrupt import deferred_signals, progress_bar
 from nsmodel.run.options import Options
 from nsmodel.run.walk import CHUNK_SECONDS, Walk, is_numerical, unsolvable
-from nsmodel.storage import ChunkStore, unfinished
 from nsmodel.trajectory import Trajectory
 from nsmodel.version import VERSION
 
