@@ -142,7 +142,7 @@ LAYERS = (  # What stands in a line may import, at its top, what stands in it an
     "model",
     "classes classes.registry classes.model",
     "scheme classes.schemes classes.set_valued",
-    "loader storage archive chunks contacts trajectory grid identity classes.identity cache_folder lock",
+    "loader storage archive chunks contacts trajectory columns summary grid identity classes.identity cache_folder lock",
     "solve standstill record",
     "codegen hypotheses classes.hypotheses classes.equations",
     "run classes.walk",
@@ -179,7 +179,7 @@ def test_imports_run_downwards_only(name):
             assert rank_of(node.module) <= rank_of(name), node.module
 
 
-PARTS = "certificate checking cli hypotheses identity loader plot stress study storage trajectory".split()
+PARTS = "certificate checking cli hypotheses identity loader plot stress study storage trajectory columns summary".split()
 OF_ONE_CLASS = {"nsmodel.hypotheses.rest"}  # finite convergence of oscillators
 BY_THE_REGISTRY = [name for name in MODULES if name.split(".")[1] in PARTS and name not in OF_ONE_CLASS]
 

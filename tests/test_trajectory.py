@@ -14,8 +14,9 @@ import pytest
 
 from nsmodel import FirstOrderSystem, LureSystem, relay, simulate
 from nsmodel.archive import write_npz
+from nsmodel.columns import multiplier_names, state_names, units_of
 from nsmodel.errors import MissingExtraError, StorageError, UsageError
-from nsmodel.trajectory import Trajectory, multiplier_names, state_names, units_of
+from nsmodel.trajectory import Trajectory
 
 
 def make_run(n=10, **metadata):
