@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from math import factorial
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -22,41 +21,13 @@ import numpy as np
 from nsmodel.proof import interval_arithmetic as arithmetic
 from nsmodel.proof.exact import down, up
 from nsmodel.proof.interval_arithmetic import Pair
-from nsmodel.proof.interval_functions import OPERATIONS, constant_power, log
+from nsmodel.proof.interval_functions import OPERATIONS, constant_power
+from nsmodel.proof.interval_library import log
+from nsmodel.proof.orders import FAST, MOST, ZERO, Order, constant, natural, order_of, pair, plus, times, together
 from nsmodel.proof.straight_line import Program, Step, program
 from nsmodel.proof.sure import sure
 
-FAST = 4  # A power of t above those of polynomials that matter here.
-MOST = 60  # Orders beyond this, and factors of exponentials, are not followed.
-ROUNDED = 1e-11  # T^p with p rounded to a double is off by less than |p| 2^-53 log T.
 STARTS = (6, 20, 60)  # T = 2^k.
-
-
-class Order(NamedTuple):
-    """t^p (log t)^l c, low <= c <= high, for all t >= T."""
-
-    p: Fraction
-    l: Fraction
-    low: float
-    high: float
-
-    @property
-    def rate(self) -> tuple[Fraction | int, Fraction | int]:
-        """(p, l): orders compare like these."""
-        return self.p, self.l
-
-    @property
-    def sign(self) -> int:
-        """1 or -1 where the value keeps that sign, else 0."""
-        return int(self.low > 0) - int(self.high < 0)
-
-
-ZERO = Order(Fraction(0), Fraction(0), 0.0, 0.0)
-
-
-def constant(low: float, high: float | None = None) -> Order:
-    """A value between two numbers."""
-    return Order(Fraction(0), Fraction(0), low, low if high is None else high)
 
 
 def orders(expr: ca.SX, z: ca.SX, inputs: Sequence[Order | None], k: int) -> list[Order | None]:
@@ -89,81 +60,6 @@ def curve(coefficients: Sequence[Fraction | float], k: int) -> Order:
     return total
 
 
-# -- intervals and orders ----------------------------------------------------------------------------------------------
-
-
-def _pair(value: Order) -> Pair:
-    return np.array([value.low]), np.array([value.high])
-
-
-def _order(p: Fraction, l: Fraction, ends: Pair) -> Order | None:
-    low, high = float(ends[0][0]), float(ends[1][0])
-    if max(abs(p), abs(l)) > MOST:
-        return None
-    return ZERO if low == high == 0 else Order(p, l, low, high)
-
-
-def _share(p: Fraction, l: Fraction, k: int) -> Pair | None:
-    """The interval of t^p (log t)^l for t >= 2^k where it is bounded: p < 0, or p = 0 and l <= 0; None where it is not known.
-
-    Its logarithm p s + l log s, s = log t, has the derivative p + l/s, which is not above 0 for s >= s_0 if p s_0 + l <= 0.
-    """
-    T = np.array([2.0**k])
-    s = log((T, T))
-    if p > 0 or p * Fraction(float(s[0][0])) + l > 0:
-        return None
-    if not p and not l:
-        return arithmetic.ONE
-    power = constant_power((T, T), float(p)) if p else arithmetic.ONE
-    factor = constant_power(s, float(l)) if l else arithmetic.ONE
-    return np.zeros(1), arithmetic.above(arithmetic.mul(power, factor)[1], ROUNDED)
-
-
-@np.errstate(all="ignore")
-def natural(value: Order, k: int) -> Pair:
-    """The interval of the values themselves."""
-    share = _share(value.p, value.l, k)
-    if share is not None:
-        return arithmetic.mul(_pair(value), share)
-    inverse = _share(-value.p, -value.l, k)
-    if inverse is None:
-        return (np.array([0.0 if value.low >= 0 else -np.inf]), np.array([0.0 if value.high <= 0 else np.inf]))
-    least = arithmetic.inv(inverse)[0]
-    return arithmetic.mul(_pair(value), (np.maximum(least, 0.0), np.array([np.inf])))
-
-
-@np.errstate(all="ignore")
-def plus(a: Order | None, b: Order | None, k: int) -> Order | None:
-    """a + b."""
-    both = _together(a, b, k)
-    return both and _order(both[0], both[1], arithmetic.add(both[2], both[3]))
-
-
-@np.errstate(all="ignore")
-def times(a: Order | None, b: Order | None) -> Order | None:
-    """a b."""
-    if a is None or b is None:
-        return None
-    return _order(a.p + b.p, a.l + b.l, arithmetic.mul(_pair(a), _pair(b)))
-
-
-def _together(a: Order | None, b: Order | None, k: int) -> tuple[Fraction, Fraction, Pair, Pair] | None:
-    """Both with one order, the larger one."""
-    if a is None or b is None:
-        return None
-    if a == ZERO or b == ZERO:
-        large = b if a == ZERO else a
-        return large.p, large.l, _pair(a), _pair(b)
-    large = max(a, b, key=lambda value: value.rate)
-    parts = []
-    for value in (a, b):
-        share = _share(value.p - large.p, value.l - large.l, k)
-        if share is None:
-            return None
-        parts.append(arithmetic.mul(_pair(value), share))
-    return large.p, large.l, parts[0], parts[1]
-
-
 # -- operations --------------------------------------------------------------------------------------------------------
 
 
@@ -185,7 +81,7 @@ def _plain(op: int, args: list[Order], k: int) -> Order | None:
     result = operation.bounds(*pairs)
     defined = operation.jumps or operation.continuous is None or bool(np.all(operation.continuous(result, *pairs)))
     inside = op not in (ca.OP_SQRT, ca.OP_ASIN, ca.OP_ACOS, ca.OP_ACOSH) or _inside(op, pairs[0])
-    return _order(Fraction(0), Fraction(0), result) if defined and inside else None
+    return order_of(Fraction(0), Fraction(0), result) if defined and inside else None
 
 
 def _inside(op: int, x: Pair) -> bool:
@@ -194,13 +90,13 @@ def _inside(op: int, x: Pair) -> bool:
 
 
 def _negated(k: int, a: Order) -> Order | None:
-    return _order(a.p, a.l, arithmetic.neg(_pair(a)))
+    return order_of(a.p, a.l, arithmetic.neg(pair(a)))
 
 
 def _divided(k: int, a: Order, b: Order) -> Order | None:
     if not b.sign:
         return None
-    return _order(a.p - b.p, a.l - b.l, arithmetic.div(_pair(a), _pair(b)))
+    return order_of(a.p - b.p, a.l - b.l, arithmetic.div(pair(a), pair(b)))
 
 
 def _power(k: int, a: Order, b: Order) -> Order | None:
@@ -209,15 +105,15 @@ def _power(k: int, a: Order, b: Order) -> Order | None:
     c = Fraction(b.low)
     if (c.denominator != 1 and a.low < 0) or (c < 0 and not a.sign) or (c.denominator != 1 and c <= 0 and a.low <= 0):
         return None
-    return _order(c * a.p, c * a.l, constant_power(_pair(a), b.low)) if a != ZERO else (ZERO if c > 0 else None)
+    return order_of(c * a.p, c * a.l, constant_power(pair(a), b.low)) if a != ZERO else (ZERO if c > 0 else None)
 
 
 def _squared(k: int, a: Order) -> Order | None:
-    return _order(2 * a.p, 2 * a.l, arithmetic.square(_pair(a)))
+    return order_of(2 * a.p, 2 * a.l, arithmetic.square(pair(a)))
 
 
 def _root(k: int, a: Order) -> Order | None:
-    return _order(a.p / 2, a.l / 2, arithmetic.root(_pair(a))) if a.low >= 0 else None
+    return order_of(a.p / 2, a.l / 2, arithmetic.root(pair(a))) if a.low >= 0 else None
 
 
 def _hypot(k: int, a: Order, b: Order) -> Order | None:
@@ -227,14 +123,14 @@ def _hypot(k: int, a: Order, b: Order) -> Order | None:
 
 
 def _larger(k: int, a: Order, b: Order, smaller: bool = False) -> Order | None:
-    both = _together(a, b, k)
+    both = together(a, b, k)
     if both is None:
         return None
     gap = arithmetic.sub(both[2], both[3])
     if gap[0][0] >= 0 or gap[1][0] <= 0:
         return a if (gap[0][0] >= 0) != smaller else b
     pick = np.minimum if smaller else np.maximum
-    return _order(both[0], both[1], (pick(both[2][0], both[3][0]), pick(both[2][1], both[3][1])))
+    return order_of(both[0], both[1], (pick(both[2][0], both[3][0]), pick(both[2][1], both[3][1])))
 
 
 def _rounded(op: int) -> Callable[[int, Order], Order | None]:
@@ -265,8 +161,8 @@ def _exp(k: int, a: Order) -> Order | None:
     low = constant_power((np.array([size.low]), np.array([size.low])), float(m))
     least = arithmetic.div(low, arithmetic.point(float(factorial(m))))[0]
     if a.sign > 0:
-        return _order(m * a.p, m * a.l, (least, np.array([np.inf])))
-    return _order(-m * a.p, -m * a.l, (np.zeros(1), arithmetic.inv((least, least))[1])) if least[0] > 0 else None
+        return order_of(m * a.p, m * a.l, (least, np.array([np.inf])))
+    return order_of(-m * a.p, -m * a.l, (np.zeros(1), arithmetic.inv((least, least))[1])) if least[0] > 0 else None
 
 
 def _expm1(k: int, a: Order) -> Order | None:
@@ -283,7 +179,7 @@ def _hyperbolic(op: int) -> Callable[[int, Order], Order | None]:
         m += (m + (op == ca.OP_SINH)) % 2
         size = a.low if a.sign > 0 else -a.high
         least = arithmetic.div(constant_power(arithmetic.point(size), float(m)), arithmetic.point(float(factorial(m))))[0]
-        grown = _order(m * a.p, m * a.l, (least, np.array([np.inf])))
+        grown = order_of(m * a.p, m * a.l, (least, np.array([np.inf])))
         return grown if grown is None or a.sign > 0 or op == ca.OP_COSH else _negated(k, grown)
 
     return rule
@@ -300,10 +196,10 @@ def _log(k: int, a: Order) -> Order | None:
     total = arithmetic.add(
         _fraction(a.p),
         arithmetic.add(
-            arithmetic.mul(_fraction(a.l), zero_to(ratio[1])), arithmetic.mul(log(_pair(a)), zero_to(arithmetic.inv(s)[1]))
+            arithmetic.mul(_fraction(a.l), zero_to(ratio[1])), arithmetic.mul(log(pair(a)), zero_to(arithmetic.inv(s)[1]))
         ),
     )
-    return _order(Fraction(0), Fraction(1), total)
+    return order_of(Fraction(0), Fraction(1), total)
 
 
 def _fraction(number: Fraction) -> Pair:
@@ -338,7 +234,7 @@ def _chosen(args: list[Order | None], k: int) -> Order | None:
         return ZERO
     if value is None or low[0] > 0 or high[0] < 0:
         return value
-    return _order(value.p, value.l, (np.minimum(value.low, 0.0).reshape(1), np.maximum(value.high, 0.0).reshape(1)))
+    return order_of(value.p, value.l, (np.minimum(value.low, 0.0).reshape(1), np.maximum(value.high, 0.0).reshape(1)))
 
 
 def _compared(op: int) -> Callable[[int, Order, Order], Order | None]:
@@ -366,7 +262,7 @@ _RULES: dict[int, Callable[..., Order | None]] = {
     ca.OP_SQRT: _root,
     ca.OP_POW: _power,
     ca.OP_CONSTPOW: _power,
-    ca.OP_FABS: lambda k, a: _order(a.p, a.l, arithmetic.magnitude(_pair(a))),
+    ca.OP_FABS: lambda k, a: order_of(a.p, a.l, arithmetic.magnitude(pair(a))),
     ca.OP_SIGN: lambda k, a: constant(float(a.sign)) if a.sign or a == ZERO else constant(-1.0, 1.0),
     ca.OP_HYPOT: _hypot,
     ca.OP_FMAX: _larger,

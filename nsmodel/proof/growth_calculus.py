@@ -26,14 +26,10 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof import interval, polynomial
+from nsmodel.proof.monomial_sums import MOST, UP, Sum, Term, over, plus, power_of_sum, product, raised, scaled, times
 from nsmodel.proof.straight_line import Program, Step, program
 
-MOST = 60  # Terms of a bound.
 LOG_2 = 0.6931471805599454
-UP = 1 + 1e-12  # One operation on coefficients is rounded by less.
-
-Monomial = tuple[tuple[int, Fraction], ...]  # ((atom, power), ...), atoms increasing, powers not 0
-Sum = tuple[tuple[float, Monomial], ...]
 
 
 class Power(NamedTuple):
@@ -43,14 +39,6 @@ class Power(NamedTuple):
     alpha: float
     gamma: float
     p: Fraction
-
-
-class Term(NamedTuple):
-    """A monomial over the product of ``below``."""
-
-    size: float
-    monomial: Monomial
-    below: tuple[Sum, ...] = ()
 
 
 class Size(NamedTuple):
@@ -176,12 +164,12 @@ class _Calculus:
         numbers = [1.0] if op == ca.OP_LOG1P else numbers
         if len(exponents) == 1 and len(numbers) == 1 and numbers[0] > 0:
             u = self.found[self.code.steps[exponents[0]].sources[0]].upper
-            return _plus(u, (Term((abs(float(np.log(numbers[0]))) + LOG_2) * UP, ()),))
+            return plus(u, (Term((abs(float(np.log(numbers[0]))) + LOG_2) * UP, ()),))
         if op == ca.OP_LOG1P:
-            return _raised(a.upper, Fraction(1, 2)) if a.low >= 0 else None
+            return raised(a.upper, Fraction(1, 2)) if a.low >= 0 else None
         if not a.low > 0:
             return None
-        return _plus(_raised(a.upper, Fraction(1, 2)), (Term(max(-float(np.log(a.low)), 0.0) * UP, ()),))
+        return plus(raised(a.upper, Fraction(1, 2)), (Term(max(-float(np.log(a.low)), 0.0) * UP, ()),))
 
     def resolved(self, term: Term) -> Power | None:
         """The bound of a term as a power of |x|."""
@@ -254,32 +242,32 @@ def _bounds(op: int, a: Size, b: Size) -> tuple[Sum, tuple[Term, ...] | None]:
     if op in (ca.OP_NEG, ca.OP_FABS, ca.OP_ASSIGN):
         return a.lower, a.upper
     if op == ca.OP_TWICE:
-        return _product(a.lower, ((2.0, ()),)), _times(a.upper, (Term(2.0, ()),))
+        return product(a.lower, ((2.0, ()),)), times(a.upper, (Term(2.0, ()),))
     if op in (ca.OP_ADD, ca.OP_SUB):
         b_low, b_high = (b.low, b.high) if op == ca.OP_ADD else (-b.high, -b.low)
         alike = (a.low >= 0 and b_low >= 0) or (a.high <= 0 and b_high <= 0)
-        return (a.lower + b.lower if alike else ()), _plus(a.upper, b.upper)
+        return (a.lower + b.lower if alike else ()), plus(a.upper, b.upper)
     if op == ca.OP_MUL:
-        return _product(a.lower, b.lower), _times(a.upper, b.upper)
+        return product(a.lower, b.lower), times(a.upper, b.upper)
     if op == ca.OP_SQ:
-        return _powers(a.lower, Fraction(2), below=True), _times(a.upper, a.upper)
+        return power_of_sum(a.lower, Fraction(2), below=True), times(a.upper, a.upper)
     if op in (ca.OP_DIV, ca.OP_INV):
         top = a.upper if op == ca.OP_DIV else (Term(1.0, ()),)
-        return (), _over(top, b.lower)
+        return (), over(top, b.lower)
     if op == ca.OP_SQRT:
-        return (_powers(a.lower, Fraction(1, 2), below=True), _raised(a.upper, Fraction(1, 2))) if a.low >= 0 else ((), None)
+        return (power_of_sum(a.lower, Fraction(1, 2), below=True), raised(a.upper, Fraction(1, 2))) if a.low >= 0 else ((), None)
     if op in (ca.OP_POW, ca.OP_CONSTPOW) and b.low == b.high:
         return _bounds_of_power(a, Fraction(b.low))
     if op == ca.OP_HYPOT:
-        return _product(a.lower + b.lower, ((0.7071067811865, ()),)), _plus(a.upper, b.upper)
+        return product(a.lower + b.lower, ((0.7071067811865, ()),)), plus(a.upper, b.upper)
     return _bounds_of_function(op, a, b)
 
 
 def _bounds_of_power(a: Size, c: Fraction) -> tuple[Sum, tuple[Term, ...] | None]:
     if c > 0 and (a.low >= 0 or c.denominator == 1):
-        return _powers(a.lower, c, below=True), _raised(a.upper, c)
+        return power_of_sum(a.lower, c, below=True), raised(a.upper, c)
     if c < 0 and (a.low >= 0 or c.denominator == 1):
-        return (), _over((Term(1.0, ()),), _powers(a.lower, -c, below=True))
+        return (), over((Term(1.0, ()),), power_of_sum(a.lower, -c, below=True))
     return (), None
 
 
@@ -290,75 +278,15 @@ def _bounds_of_function(op: int, a: Size, b: Size) -> tuple[Sum, tuple[Term, ...
         if op == ca.OP_FMIN and positive:
             return (), a.upper if a.upper is not None and (b.upper is None or len(a.upper) <= len(b.upper)) else b.upper
         lower = a.lower if a.low >= 0 else b.lower if b.low >= 0 else ()
-        return (lower if op == ca.OP_FMAX else ()), _plus(a.upper, b.upper)
+        return (lower if op == ca.OP_FMAX else ()), plus(a.upper, b.upper)
     if op in (ca.OP_FLOOR, ca.OP_CEIL):
-        return (), _plus(a.upper, (Term(1.0, ()),))
+        return (), plus(a.upper, (Term(1.0, ()),))
     if op == ca.OP_IF_ELSE_ZERO:
         return (), b.upper
     if op in (ca.OP_SIN, ca.OP_TANH, ca.OP_ATAN, ca.OP_ASINH):
         return (), a.upper
     if op == ca.OP_EXP and a.high <= 0:
-        square, cube = _product(a.lower, a.lower), _powers(a.lower, Fraction(3), below=True)
-        u = ((1.0, ()), *a.lower, *_scaled(square, 0.5), *_scaled(cube, 1 / 6))
-        return (), _over((Term(1.0, ()),), u)
+        square, cube = product(a.lower, a.lower), power_of_sum(a.lower, Fraction(3), below=True)
+        u = ((1.0, ()), *a.lower, *scaled(square, 0.5), *scaled(cube, 1 / 6))
+        return (), over((Term(1.0, ()),), u)
     return (), None
-
-
-# -- sums of monomials -------------------------------------------------------------------------------------------------
-
-
-def _joined(a: Monomial, b: Monomial) -> Monomial:
-    total = dict(a)
-    for atom, power in b:
-        total[atom] = total.get(atom, Fraction(0)) + power
-    return tuple(sorted((atom, power) for atom, power in total.items() if power))
-
-
-def _scaled(a: Sum, number: float) -> Sum:
-    return tuple((size * number / UP, monomial) for size, monomial in a)
-
-
-def _product(a: Sum, b: Sum) -> Sum:
-    return tuple((x * y / UP, _joined(m, k)) for x, m in a for y, k in b) if len(a) * len(b) <= MOST else ()
-
-
-def _to(m: Monomial, q: Fraction) -> Monomial:
-    return tuple((atom, power * q) for atom, power in m)
-
-
-def _powers(a: Sum, q: Fraction, *, below: bool) -> Sum:
-    """A bound of (sum)^q, from below or from above."""
-    flat = (q < 1) == below  # where N^(q-1) stands before the sum
-    factor = len(a) ** float(q - 1) if flat and a else 1.0
-    rounding = 1 / (1 + 1e-10) if below else 1 + 1e-10
-    return tuple((size ** float(q) * factor * rounding, _to(m, q)) for size, m in a)
-
-
-def _plus(a: tuple[Term, ...] | None, b: tuple[Term, ...] | None) -> tuple[Term, ...] | None:
-    return None if a is None or b is None else a + b
-
-
-def _times(a: tuple[Term, ...] | None, b: tuple[Term, ...] | None) -> tuple[Term, ...] | None:
-    if a is None or b is None or len(a) * len(b) > MOST:
-        return None
-    return tuple(Term(x.size * y.size * UP, _joined(x.monomial, y.monomial), x.below + y.below) for x in a for y in b)
-
-
-def _over(a: tuple[Term, ...] | None, below: Sum) -> tuple[Term, ...] | None:
-    if a is None or not below:
-        return None
-    return tuple(term._replace(below=(*term.below, below)) for term in a)
-
-
-def _raised(a: tuple[Term, ...] | None, q: Fraction) -> tuple[Term, ...] | None:
-    """The sum to the power q > 0: at most the sum of the powers for q <= 1, N^(q-1) times it for q >= 1."""
-    if a is None:
-        return None
-    factor = len(a) ** float(q - 1) if q > 1 and a else 1.0
-    return tuple(
-        Term(
-            term.size ** float(q) * factor * (1 + 1e-10), _to(term.monomial, q),
-            tuple(_powers(below, q, below=True) for below in term.below),
-        )
-        for term in a
-    )  # fmt: skip

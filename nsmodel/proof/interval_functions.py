@@ -9,12 +9,8 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof.interval_arithmetic import (
-    HALF_PI,
-    LIBRARY,
     MINUS_ONE,
     ONE,
-    PI_ABOVE,
-    PI_BELOW,
     UNBOUNDED,
     ZERO,
     Array,
@@ -24,7 +20,6 @@ from nsmodel.proof.interval_arithmetic import (
     below,
     choose,
     div,
-    down,
     excludes,
     hull,
     in_domain,
@@ -40,6 +35,31 @@ from nsmodel.proof.interval_arithmetic import (
     square,
     sub,
     up,
+)
+from nsmodel.proof.interval_library import (
+    acos,
+    acosh,
+    asin,
+    asinh,
+    atan,
+    atan2,
+    atanh,
+    cos,
+    cosh,
+    erf_bounds,
+    erfinv_bounds,
+    exp,
+    expm1,
+    has_pole,
+    hypot,
+    hypot_slopes,
+    log,
+    log1p,
+    off_cut,
+    sin,
+    sinh,
+    tan,
+    tanh,
 )
 
 
@@ -121,142 +141,6 @@ def _power_slopes(r: Pair, x: Pair, y: Pair) -> tuple[Pair, Pair]:
 def _fixed_power_slopes(r: Pair, x: Pair, y: Pair) -> tuple[Pair, Pair]:
     by_base = mul(y, _fixed_power(x, sub(y, ONE)))
     return by_base, ZERO if is_point(y).all() else choose(x[0] >= 0, mul(r, log(x)), UNBOUNDED)
-
-
-# -- library functions -------------------------------------------------------------------------------------------------
-
-
-def _monotone(
-    f: Callable[[Array], Array],
-    anchor: tuple[float, float],
-    domain: tuple[float, float] = (-np.inf, np.inf),
-    values: tuple[float, float] = (-np.inf, np.inf),
-    error: float = LIBRARY,
-) -> Callable[[Pair], Pair]:
-    """Return the bounds of an increasing f, sharp at the anchor (p, f(p))."""
-
-    def bounds(x: Pair) -> Pair:
-        a, b = (np.clip(end, *domain) for end in x)
-        lo, hi = f(a), f(b)
-        lo, hi = below(lo, error), above(hi, error)
-        lo = np.where(a >= anchor[0], np.maximum(lo, anchor[1]), lo)
-        hi = np.where(b <= anchor[0], np.minimum(hi, anchor[1]), hi)
-        inner = pair(np.clip(lo, *values), np.clip(hi, *values))
-        return choose(in_domain(x, *domain), inner, UNBOUNDED)
-
-    return bounds
-
-
-def _erf(x: Array) -> Array:
-    from scipy.special import erf
-
-    return erf(x)
-
-
-def _erfinv(x: Array) -> Array:
-    from scipy.special import erfinv
-
-    return erfinv(x)
-
-
-exp = _monotone(np.exp, (0, 1), values=(0, np.inf))
-log = _monotone(np.log, (1, 0), (0, np.inf))
-_expm1 = _monotone(np.expm1, (0, 0), values=(-1, np.inf))
-_log1p = _monotone(np.log1p, (0, 0), (-1, np.inf))
-_asin = _monotone(np.arcsin, (0, 0), (-1, 1), (-HALF_PI, HALF_PI))
-_atan = _monotone(np.arctan, (0, 0), values=(-HALF_PI, HALF_PI))
-_sinh = _monotone(np.sinh, (0, 0))
-_tanh = _monotone(np.tanh, (0, 0), values=(-1, 1))
-_asinh = _monotone(np.arcsinh, (0, 0))
-_acosh = _monotone(np.arccosh, (1, 0), (1, np.inf))
-_atanh = _monotone(np.arctanh, (0, 0), (-1, 1))
-_erf_bounds = _monotone(_erf, (0, 0), values=(-1, 1), error=1e-14)
-_erfinv_bounds = _monotone(_erfinv, (0, 0), (-1, 1), error=1e-4)  # CasADi's own is not exact: its values lie inside too.
-_cosh_half = _monotone(np.cosh, (0, 1), values=(1, np.inf))
-
-
-def _cosh(x: Pair) -> Pair:
-    return _cosh_half(magnitude(x))
-
-
-def _acos(x: Pair) -> Pair:
-    a, b = np.arccos(np.clip(x[1], -1, 1)), np.arccos(np.clip(x[0], -1, 1))
-    lo = np.clip(down(a - 1e-15), 0, PI_ABOVE)
-    hi = np.where(x[0] >= 1, 0, np.clip(up(b + 1e-15), 0, PI_ABOVE))
-    return choose(in_domain(x, -1, 1), pair(lo, hi), UNBOUNDED)
-
-
-def _holds_multiple(x: Pair, period: float, phase: float) -> Array:
-    """Whether the interval may hold (k + phase) period for a whole k: never a false no."""
-    a, b = x[0] / period - phase, x[1] / period - phase
-    slack = 1e-14
-    first, last = np.ceil(a - slack * (1 + np.abs(a))), np.floor(b + slack * (1 + np.abs(b)))
-    return ~(last < first) | ~np.isfinite(a) | ~np.isfinite(b)
-
-
-def sin(x: Pair) -> Pair:
-    """Return the sine."""
-    return _wave(x, np.sin, 0.25)
-
-
-def cos(x: Pair) -> Pair:
-    """Return the cosine."""
-    return _wave(x, np.cos, 0.0)
-
-
-def _wave(x: Pair, f: Callable[[Array], Array], phase: float) -> Pair:
-    """Bounds of a wave with its crests at (k + phase) 2 pi."""
-    a, b = f(np.where(np.isfinite(x[0]), x[0], 0.0)), f(np.where(np.isfinite(x[1]), x[1], 0.0))
-    lo, hi = np.clip(np.minimum(a, b) - 1e-15, -1, 1), np.clip(np.maximum(a, b) + 1e-15, -1, 1)
-    lo = np.where(_holds_multiple(x, 2 * np.pi, phase + 0.5), -1.0, lo)
-    hi = np.where(_holds_multiple(x, 2 * np.pi, phase), 1.0, hi)
-    if f is np.sin:  # sin x lies between 0 and x for |x| <= pi: sharp at 0
-        lo = np.where((x[0] >= 0) & (x[1] <= PI_BELOW), np.maximum(lo, 0), lo)
-        hi = np.where((x[1] <= 0) & (x[0] >= -PI_BELOW), np.minimum(hi, 0), hi)
-        small = (x[0] >= -PI_BELOW) & (x[1] <= PI_BELOW)
-        lo = np.where(small & (x[0] <= 0), np.maximum(lo, x[0]), lo)
-        hi = np.where(small & (x[1] >= 0), np.minimum(hi, x[1]), hi)
-    return lo, hi
-
-
-def _pole(x: Pair) -> Array:
-    return _holds_multiple(x, np.pi, 0.5)
-
-
-_tan_between = _monotone(np.tan, (0, 0))
-
-
-def _tan(x: Pair) -> Pair:
-    pole = _pole(x)
-    lo, hi = _tan_between((np.where(pole, 0.0, x[0]), np.where(pole, 0.0, x[1])))
-    near = np.maximum(np.abs(x[0]), np.abs(x[1])) < 1.5  # the anchor at 0 holds in this branch alone
-    far = pair(below(np.tan(np.where(pole, 0.0, x[0]))), above(np.tan(np.where(pole, 0.0, x[1]))))
-    return choose(pole, UNBOUNDED, choose(near, (lo, hi), far))
-
-
-def _atan2(y: Pair, x: Pair) -> Pair:
-    """Angle of (x, y): the corners bound it away from the cut along the negative axis."""
-    corners = np.broadcast_arrays(*(np.arctan2(b, a) for a in x for b in y))
-    lo, hi = below(np.minimum.reduce(corners)), above(np.maximum.reduce(corners))
-    lo, hi = np.where(y[0] >= 0, np.maximum(lo, 0), lo), np.where(y[1] <= 0, np.minimum(hi, 0), hi)
-    lo, hi = np.maximum(lo, -PI_ABOVE), np.minimum(hi, PI_ABOVE)
-    return choose(_off_cut(y, x), pair(lo, hi), (np.full(1, -PI_ABOVE), np.full(1, PI_ABOVE)))
-
-
-def _off_cut(y: Pair, x: Pair) -> Array:
-    return (x[0] > 0) | excludes(y)
-
-
-def _hypot(x: Pair, y: Pair) -> Pair:
-    a, b = magnitude(x), magnitude(y)
-    exact = [(a[i] == 0) | (b[i] == 0) for i in (0, 1)]
-    lo, hi = np.hypot(a[0], b[0]), np.hypot(a[1], b[1])
-    return pair(np.where(exact[0], lo, np.maximum(below(lo), 0)), np.where(exact[1], hi, above(hi)))
-
-
-def _hypot_slopes(r: Pair, x: Pair, y: Pair) -> tuple[Pair, ...]:
-    within = np.full(1, -1.0), np.full(1, 1.0)
-    return tuple(meet(within, choose(r[0] > 0, div(a, r), within)) for a in (x, y))
 
 
 # -- operations with kinks and jumps -----------------------------------------------------------------------------------
@@ -355,29 +239,29 @@ OPERATIONS: dict[int, Operation] = {
     ca.OP_POW: Operation(power, _power_slopes, _power_continuous),
     ca.OP_CONSTPOW: Operation(_fixed_power, _fixed_power_slopes, _power_continuous),
     ca.OP_EXP: _plain(exp, lambda r, x: r),
-    ca.OP_EXPM1: _plain(_expm1, lambda r, x: exp(x)),
+    ca.OP_EXPM1: _plain(expm1, lambda r, x: exp(x)),
     ca.OP_LOG: _plain(log, lambda r, x: inv(x), lambda r, x: x[0] > 0),
-    ca.OP_LOG1P: _plain(_log1p, lambda r, x: inv(add(ONE, x)), lambda r, x: x[0] > -1),
+    ca.OP_LOG1P: _plain(log1p, lambda r, x: inv(add(ONE, x)), lambda r, x: x[0] > -1),
     ca.OP_SIN: _plain(sin, lambda r, x: cos(x)),
     ca.OP_COS: _plain(cos, lambda r, x: neg(sin(x))),
-    ca.OP_TAN: _plain(_tan, lambda r, x: add(ONE, square(r)), lambda r, x: ~_pole(x)),
-    ca.OP_ASIN: _plain(_asin, lambda r, x: inv(root(_one_minus_square(x))), lambda r, x: in_domain(x, -1, 1)),
-    ca.OP_ACOS: _plain(_acos, lambda r, x: neg(inv(root(_one_minus_square(x)))), lambda r, x: in_domain(x, -1, 1)),
-    ca.OP_ATAN: _plain(_atan, lambda r, x: inv(add(ONE, square(x)))),
+    ca.OP_TAN: _plain(tan, lambda r, x: add(ONE, square(r)), lambda r, x: ~has_pole(x)),
+    ca.OP_ASIN: _plain(asin, lambda r, x: inv(root(_one_minus_square(x))), lambda r, x: in_domain(x, -1, 1)),
+    ca.OP_ACOS: _plain(acos, lambda r, x: neg(inv(root(_one_minus_square(x)))), lambda r, x: in_domain(x, -1, 1)),
+    ca.OP_ATAN: _plain(atan, lambda r, x: inv(add(ONE, square(x)))),
     ca.OP_ATAN2: Operation(
-        _atan2,
+        atan2,
         lambda r, y, x: (div(x, add(square(x), square(y))), neg(div(y, add(square(x), square(y))))),
-        lambda r, y, x: _off_cut(y, x),
+        lambda r, y, x: off_cut(y, x),
     ),
-    ca.OP_SINH: _plain(_sinh, lambda r, x: _cosh(x)),
-    ca.OP_COSH: _plain(_cosh, lambda r, x: _sinh(x)),
-    ca.OP_TANH: _plain(_tanh, lambda r, x: _one_minus_square(r)),
-    ca.OP_ASINH: _plain(_asinh, lambda r, x: inv(root(add(ONE, square(x))))),
-    ca.OP_ACOSH: _plain(_acosh, lambda r, x: inv(root(sub(square(x), ONE))), lambda r, x: in_domain(x, 1, np.inf)),
-    ca.OP_ATANH: _plain(_atanh, lambda r, x: inv(_one_minus_square(x)), lambda r, x: (x[0] > -1) & (x[1] < 1)),
-    ca.OP_ERF: _plain(_erf_bounds, lambda r, x: mul(_ERF_SLOPE, exp(neg(square(x))))),
-    ca.OP_ERFINV: _plain(_erfinv_bounds, lambda r, x: div(exp(square(r)), _ERF_SLOPE), lambda r, x: (x[0] > -1) & (x[1] < 1)),
-    ca.OP_HYPOT: Operation(_hypot, _hypot_slopes),
+    ca.OP_SINH: _plain(sinh, lambda r, x: cosh(x)),
+    ca.OP_COSH: _plain(cosh, lambda r, x: sinh(x)),
+    ca.OP_TANH: _plain(tanh, lambda r, x: _one_minus_square(r)),
+    ca.OP_ASINH: _plain(asinh, lambda r, x: inv(root(add(ONE, square(x))))),
+    ca.OP_ACOSH: _plain(acosh, lambda r, x: inv(root(sub(square(x), ONE))), lambda r, x: in_domain(x, 1, np.inf)),
+    ca.OP_ATANH: _plain(atanh, lambda r, x: inv(_one_minus_square(x)), lambda r, x: (x[0] > -1) & (x[1] < 1)),
+    ca.OP_ERF: _plain(erf_bounds, lambda r, x: mul(_ERF_SLOPE, exp(neg(square(x))))),
+    ca.OP_ERFINV: _plain(erfinv_bounds, lambda r, x: div(exp(square(r)), _ERF_SLOPE), lambda r, x: (x[0] > -1) & (x[1] < 1)),
+    ca.OP_HYPOT: Operation(hypot, hypot_slopes),
     ca.OP_FABS: _plain(magnitude, lambda r, x: _sign_slope(x)),
     ca.OP_FMIN: Operation(
         lambda x, y: (np.minimum(x[0], y[0]), np.minimum(x[1], y[1])), lambda r, x, y: _share(x[1] <= y[0], y[1] <= x[0])

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof import exact, extremum, interval, polynomial, polynomial_signs
-from nsmodel.proof.convex.lower_bound import additive_terms
+from nsmodel.proof.convex.duality import additive_terms
 from nsmodel.proof.graph import applied, fold, replay
 from nsmodel.proof.straight_line import is_double
 

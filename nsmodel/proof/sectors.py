@@ -12,7 +12,8 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof import interval
-from nsmodel.proof.at_infinity import curve, natural, orders, times
+from nsmodel.proof.at_infinity import curve, orders
+from nsmodel.proof.orders import natural, times
 from nsmodel.proof.straight_line import program
 
 CELLS = 16  # Parts of each octave of [-T, T].

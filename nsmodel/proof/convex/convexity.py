@@ -6,7 +6,6 @@ nondecreasing function of a convex one is convex, and so on; quadratic nodes are
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -14,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof import exact, interval, polynomial
+from nsmodel.proof.convex.curvature import UNARY, Pieces, even, of_inverse, of_power
 from nsmodel.proof.graph import COMPARISONS, applied, column, fold, operations, replay
 
 MOST_VARIABLES = 40  # Quadratic nodes in more variables are not decided one by one.
@@ -107,52 +107,6 @@ def _nodes(expr: ca.SX, z: ca.SX) -> tuple[list[_Node], list[int]]:
         apply,
     )
     return nodes, outputs
-
-
-# -- functions of one variable -----------------------------------------------------------------------------------------
-
-Pieces = Callable[[float, float], tuple[int, int] | None]  # (curvature, slope) signs on [low, high], None where unknown
-
-
-def _even(low: float, high: float) -> tuple[int, int] | None:
-    return 1, 1 if low >= 0 else -1 if high <= 0 else 0
-
-
-def _odd(sign: int) -> Pieces:
-    """Increasing, of curvature ``sign`` on the right and -sign on the left, as x^3 or tanh (sign -1)."""
-    return lambda low, high: (sign, 1) if low >= 0 else (-sign, 1) if high <= 0 else None
-
-
-def _on(least: float, curvature: int, slope: int, *, strict: bool) -> Pieces:
-    """Defined above ``least`` only."""
-    return lambda low, high: (curvature, slope) if (low > least if strict else low >= least) else None
-
-
-_UNARY: dict[int, Pieces] = {
-    ca.OP_SQ: _even, ca.OP_FABS: _even, ca.OP_COSH: _even,
-    ca.OP_EXP: lambda low, high: (1, 1), ca.OP_EXPM1: lambda low, high: (1, 1),
-    ca.OP_LOG: _on(0, -1, 1, strict=True), ca.OP_LOG1P: _on(-1, -1, 1, strict=True), ca.OP_SQRT: _on(0, -1, 1, strict=False),
-    ca.OP_SINH: _odd(1), ca.OP_TANH: _odd(-1), ca.OP_ATAN: _odd(-1), ca.OP_ASINH: _odd(-1), ca.OP_ERF: _odd(-1),
-}  # fmt: skip
-
-
-def _power(exponent: float) -> Pieces:
-    """x^p, with real values on the range."""
-
-    def pieces(low: float, high: float) -> tuple[int, int] | None:
-        if exponent in (0, 1):
-            return None
-        if exponent == int(exponent) and exponent > 1:
-            return _even(low, high) if exponent % 2 == 0 else _odd(1)(low, high)
-        if exponent < 0:
-            return (1, -1) if low > 0 else None
-        return ((1 if exponent > 1 else -1), 1) if low >= 0 else None
-
-    return pieces
-
-
-def _inverse(low: float, high: float) -> tuple[int, int] | None:
-    return (1, -1) if low > 0 else (-1, -1) if high < 0 else None
 
 
 class _Walk:
@@ -254,7 +208,7 @@ class _Walk:
         if self.nodes[left].constant:  # c / u
             low, high = self.low[left], self.high[left]
             factor = 1 if low >= 0 else -1 if high <= 0 else 0
-            return bool(factor) and self._compose(_inverse, right, sign * factor)
+            return bool(factor) and self._compose(of_inverse, right, sign * factor)
         u, absolute, p = self.powers[k]
         if u == k:
             return False
@@ -269,13 +223,13 @@ class _Walk:
             base, exponent = node.source
             if not self.nodes[exponent].constant or self.low[exponent] != self.high[exponent]:
                 return False
-            return self._compose(_power(float(self.low[exponent])), base, sign)
+            return self._compose(of_power(float(self.low[exponent])), base, sign)
         if node.op == ca.OP_INV:
-            return self._compose(_inverse, node.source[0], sign)
-        return node.op in _UNARY and self._compose(_UNARY[node.op], node.source[0], sign)
+            return self._compose(of_inverse, node.source[0], sign)
+        return node.op in UNARY and self._compose(UNARY[node.op], node.source[0], sign)
 
     def _compose_power(self, u: int, absolute: bool, p: float, sign: int) -> bool:
-        return self._compose(_even if absolute and p >= 1 else _power(p), u, sign)
+        return self._compose(even if absolute and p >= 1 else of_power(p), u, sign)
 
     def _compose(self, pieces: Pieces, u: int, sign: int) -> bool:
         """Whether sign f(u) is convex: f of that curvature, and u affine or curved the way that f's slope asks for."""

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import casadi as ca
 
 from nsmodel.proof import polynomial, polynomial_signs
-from nsmodel.proof.convex.joints import exact_value, split
+from nsmodel.proof.convex.joints import exact_value
+from nsmodel.proof.convex.pieces import split
 from nsmodel.proof.graph import fold
 from nsmodel.proof.one_variable import Cases
 

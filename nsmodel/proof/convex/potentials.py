@@ -11,8 +11,8 @@ import numpy as np
 from nsmodel.proof import exact, extremum, interval, one_variable, polynomial, polynomial_signs, sum_of_squares
 from nsmodel.proof.convex import convexity
 from nsmodel.proof.convex.convex_sets import ConvexSet
+from nsmodel.proof.convex.duality import additive_terms
 from nsmodel.proof.convex.joints import exact_value
-from nsmodel.proof.convex.lower_bound import additive_terms
 from nsmodel.proof.convex.ridges import Ridges, ridges
 from nsmodel.proof.exact import EPS
 from nsmodel.proof.graph import replay, same

@@ -16,9 +16,10 @@ from nsmodel.classes.inclusion.hypotheses.recession import directions
 from nsmodel.classes.inclusion.hypotheses.selected_field import Field
 from nsmodel.hypotheses.findings import VIOLATED
 from nsmodel.proof import polynomial
-from nsmodel.proof.at_infinity import STARTS, Order, constant, curve, orders, plus, run, times
+from nsmodel.proof.at_infinity import STARTS, curve, orders, run
 from nsmodel.proof.convex.convex_sets import ConvexSet, has_interior
-from nsmodel.proof.convex.lower_bound import additive_terms
+from nsmodel.proof.convex.duality import additive_terms
+from nsmodel.proof.orders import Order, constant, plus, times
 from nsmodel.proof.straight_line import program
 from nsmodel.proof.verdict import Part
 

@@ -14,7 +14,7 @@ from nsmodel.classes.inclusion.hypotheses.recession import directions
 from nsmodel.classes.inclusion.hypotheses.selected_field import Field
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED
 from nsmodel.proof import exact, extremum, interval, polynomial
-from nsmodel.proof.convex.lower_bound import additive_terms
+from nsmodel.proof.convex.duality import additive_terms
 from nsmodel.proof.convex.ridges import ridges
 from nsmodel.proof.growth_calculus import growth, linear
 from nsmodel.proof.sectors import sector

@@ -14,7 +14,7 @@ import numpy as np
 
 from nsmodel.proof import extremum, interval, jumps, polynomial
 from nsmodel.proof.convex.convex_sets import ConvexSet
-from nsmodel.proof.convex.lower_bound import additive_terms
+from nsmodel.proof.convex.duality import additive_terms
 from nsmodel.proof.convex.ridges import Ridges, ridges
 from nsmodel.proof.graph import same
 from nsmodel.proof.monotone import Jump, factored, is_continuous, shape

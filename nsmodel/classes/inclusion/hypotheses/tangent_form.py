@@ -14,13 +14,14 @@ from nsmodel.classes.inclusion.hypotheses import growth
 from nsmodel.classes.inclusion.hypotheses.growth import UP
 from nsmodel.classes.inclusion.hypotheses.selected_field import Field
 from nsmodel.proof import exact, extremum, interval, polynomial
-from nsmodel.proof.at_infinity import curve, natural, orders
+from nsmodel.proof.at_infinity import curve, orders
 from nsmodel.proof.convex.convex_sets import ConvexSet, has_interior
+from nsmodel.proof.convex.duality import additive_terms
 from nsmodel.proof.convex.least_value import least_value
-from nsmodel.proof.convex.lower_bound import additive_terms
 from nsmodel.proof.convex.ridges import Ridges, ridges
 from nsmodel.proof.graph import applied, fold, keys, same
 from nsmodel.proof.monotone import factored
+from nsmodel.proof.orders import natural
 from nsmodel.proof.sectors import sector
 from nsmodel.proof.straight_line import is_double
 

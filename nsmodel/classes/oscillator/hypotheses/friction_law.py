@@ -12,7 +12,8 @@ from nsmodel.classes.oscillator.model import Friction
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.proof import exact, extremum, interval, one_variable, polynomial_signs
 from nsmodel.proof.convex import convexity, joints, piecewise
-from nsmodel.proof.convex.lower_bound import additive_terms
+from nsmodel.proof.convex.duality import additive_terms
+from nsmodel.proof.convex.pieces import Piece, Terms, split
 from nsmodel.proof.jumps import find_jump, jumps_in
 from nsmodel.proof.verdict import Part
 
@@ -37,11 +38,11 @@ def slope_at_zero(element: Friction, s: ca.SX) -> tuple[float, float]:
         number = pieces[0].c[1] if len(pieces[0].c) > 1 else Fraction(0)
         return exact.down(number), exact.up(number)
     terms = additive_terms(theta)
-    found = joints.split(terms, s)
+    found = split(terms, s)
     return _start(terms, s, found[0]) if found is not None else _by_intervals(theta, s)
 
 
-def _start(terms: joints.Terms, s: ca.SX, piece: joints.Piece) -> tuple[float, float]:
+def _start(terms: Terms, s: ca.SX, piece: Piece) -> tuple[float, float]:
     """The slope at 0 of a sum whose cases are settled near 0."""
     low = high = Fraction(0)
     for (factor, term), cases in zip(terms, piece.cases, strict=True):
@@ -71,7 +72,7 @@ def is_law(element: Friction, s: ca.SX, *, quick: bool) -> Part:
     if pieces is not None:
         return _piecewise(pieces)
     terms = additive_terms(theta)
-    found = joints.split(terms, s)
+    found = split(terms, s)
     undefined = _undefined(theta, s)
     if undefined is not None:
         return undefined
@@ -117,7 +118,7 @@ def _searched(theta: ca.SX, first: ca.SX, s: ca.SX, smooth: bool, convex: bool, 
 # -- convexity ---------------------------------------------------------------------------------------------------------
 
 
-def _convex(theta: ca.SX, terms: joints.Terms, s: ca.SX, pieces: list[joints.Piece]) -> tuple[str, dict[str, float]] | None:
+def _convex(theta: ca.SX, terms: Terms, s: ca.SX, pieces: list[Piece]) -> tuple[str, dict[str, float]] | None:
     """How theta, C1, is proved convex, and a bound of theta'' where there is one."""
     (shape,) = convexity.shapes(theta, s, ZERO, INFINITY)
     if shape.convex:
@@ -131,7 +132,7 @@ def _convex(theta: ca.SX, terms: joints.Terms, s: ca.SX, pieces: list[joints.Pie
     return None
 
 
-def _convex_on(terms: joints.Terms, s: ca.SX, piece: joints.Piece) -> bool:
+def _convex_on(terms: Terms, s: ca.SX, piece: Piece) -> bool:
     """Whether the sum is convex on a piece: terms that are quotients of sums together, the others by bounds."""
     low, high = piece.spread
     known, rest = _parted(terms, s, piece)
@@ -149,7 +150,7 @@ def _convex_on(terms: joints.Terms, s: ca.SX, piece: joints.Piece) -> bool:
     return found is not None and min(found.signs) >= 0
 
 
-def _parted(terms: joints.Terms, s: ca.SX, piece: joints.Piece) -> tuple[list[int], list[tuple[Fraction, ca.SX]]]:
+def _parted(terms: Terms, s: ca.SX, piece: Piece) -> tuple[list[int], list[tuple[Fraction, ca.SX]]]:
     """Which terms have second derivatives that are quotients of sums on a piece, and the others."""
     known = [i for i, (_, term) in enumerate(terms) if one_variable.is_smooth(term, s, *piece.spread, piece.cases[i])]
     return known, [term for i, term in enumerate(terms) if i not in known]
@@ -158,7 +159,7 @@ def _parted(terms: joints.Terms, s: ca.SX, piece: joints.Piece) -> tuple[list[in
 # -- C1 ----------------------------------------------------------------------------------------------------------------
 
 
-def _is_smooth(terms: joints.Terms, s: ca.SX, piece: joints.Piece) -> bool:
+def _is_smooth(terms: Terms, s: ca.SX, piece: Piece) -> bool:
     """Whether theta' is proved continuous within a piece."""
     _, rest = _parted(terms, s, piece)
     return all(interval.is_continuous(ca.vertcat(term, ca.gradient(term, s)), s, *piece.outer) for _, term in rest)
@@ -186,7 +187,7 @@ def _undefined(theta: ca.SX, s: ca.SX) -> Part | None:
     return None
 
 
-def _broken(jump: joints.Jump, piece: joints.Piece) -> Part | None:
+def _broken(jump: joints.Jump, piece: Piece) -> Part | None:
     """A jump of theta or of its slope at the beginning of a piece, clear of rounding."""
     place = float(sum(piece.low) / 2)
     for what, (low, high), before in (("jumps", jump.value, None), ("has a kink", jump.slope, jump.before)):
