@@ -16,7 +16,9 @@ from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem
 from nsmodel.classes.sweeping.hypotheses.admissible import part_without_constraints
 from nsmodel.classes.sweeping.hypotheses.constraint import EVERYWHERE, ON_THE_BOX, Answer
-from nsmodel.classes.sweeping.hypotheses.velocity import Block, closed, differ, jumps, lipschitz, steep
+from nsmodel.classes.sweeping.hypotheses.velocity import closed, lipschitz
+from nsmodel.classes.sweeping.hypotheses.velocity_blocks import Block
+from nsmodel.classes.sweeping.hypotheses.velocity_jumps import differ, jumps, steep
 from nsmodel.errors import StepError
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.hypotheses.region import Region

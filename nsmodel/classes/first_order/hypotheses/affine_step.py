@@ -8,25 +8,20 @@ state, which counts when each index set is decided in fractions, with signs far 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from itertools import combinations, product
+from itertools import product
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.classes.first_order.hypotheses.linearised import Linearised, numbers
-from nsmodel.proof import exact, feasibility
+from nsmodel.proof import exact
 from nsmodel.solve.certificate import numeric_law
 
 MOST_SETS = 750  # Index sets that are all decided.
-SAMPLES = 3000  # States that floating point looks at, in each of two ways.
 CLEAR = 1e-9  # A sign counts where the number is this part of its terms, or exactly 0.
-LOST = 1e-6  # A b smaller than this part of its size is none that was asked for.
-REGULAR = 1e8  # Condition beyond which a block of W is left to exact arithmetic.
-MOST_PAIRS = 800  # Pairs of index sets, times states, that are all decided.
 
 
 @dataclass(frozen=True)
@@ -116,9 +111,6 @@ def affine_step(at: Linearised, h: float) -> AffineStep | None:
     )  # fmt: skip
 
 
-# -- from one state -------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class OnSet:
     """What an index set gives: l (m, 1), or None where its equations contradict each other; ``sign`` 1: a solution, -1: none,
@@ -206,184 +198,6 @@ def apart(step: AffineStep, x: np.ndarray, l: np.ndarray, other: np.ndarray) -> 
     return bool((moved > CLEAR * (terms.ravel() + np.abs(exact.doubles(step.x_0)).ravel())).any())
 
 
-# -- states with two solutions, or none -----------------------------------------------------------------------------------
-
-
-def two_or_none(step: AffineStep) -> Shown | None:
-    """A state with two solutions or none, verified; None where none is found."""
-    for x in (*_by_minors(step), *_by_samples(step)):
-        shown = decided(step, x)
-        if shown is not None:
-            return shown
-    return _along_a_kernel(step)
-
-
-def _state(step: AffineStep, b: np.ndarray) -> np.ndarray | None:
-    """A state (n, 1) with this b; in doubles where that may do."""
-    x = exact.solve(step.N, b - step.b_0)
-    return None if x is None else exact.rational(exact.doubles(x))
-
-
-def _finite(step: AffineStep) -> np.ndarray:
-    """Bounds at which rows are held, 0 where there is none."""
-    return np.where(np.isfinite(step.lower), step.lower, np.where(np.isfinite(step.upper), step.upper, 0.0))
-
-
-def _widths(step: AffineStep) -> np.ndarray:
-    """How far l may go from its bound."""
-    width = step.upper - step.lower
-    typical = np.median(width[np.isfinite(width)]) if np.isfinite(width).any() else 1.0
-    return np.where(np.isfinite(width), width, typical or 1.0)
-
-
-def _by_minors(step: AffineStep) -> Iterator[np.ndarray]:
-    """States from the least principal minors < 0 (Samelson, Thrall and Wesler).
-
-    With all proper minors of the rows a > 0 and det W_aa < 0, d = -W_aa^{-1} e_k has d_k > 0: row k leaves its bound with y_k = 0
-    on one side, stays there with y_k > 0 on the other, while y = 0 on the rest of a, and all other rows stay at their bounds.
-    """
-    m = len(step.W)
-    if not np.isfinite(_finite(step)).all() or m > 6:
-        return
-    held, width = _finite(step), _widths(step)
-    side = np.where(np.isfinite(step.lower), 1.0, -1.0)  # into K, from the bound
-    for count in range(1, m + 1):
-        for rows in map(list, combinations(range(m), count)):
-            if exact.determinant(step.W[np.ix_(rows, rows)]) >= 0:
-                continue
-            inverse = exact.inverse(step.W[np.ix_(rows, rows)])
-            for place, k in enumerate(rows):
-                if inverse is None or inverse[place, place] >= 0:
-                    continue
-                d = -side[k] * exact.doubles(inverse[:, place])  # W_aa d = -side_k e_k, side_k d_k > 0
-                far = 0.3 * (width[rows] / np.where(d != 0, np.abs(d), np.inf)).min()
-                l = held + 0.5 * side * np.where(np.isin(np.arange(m), rows), width, 0.0)
-                l[k] = held[k]
-                y = side * 10 * step.size @ (np.abs(l) + width)
-                y[rows] = 0.0
-                y[k] = side[k] * 0.5 * far
-                b = exact.rational(y)[:, None] - exact.product(step.W, exact.rational(l)[:, None])
-                x = _state(step, b)
-                if x is not None:
-                    yield x
-
-
-def _by_samples(step: AffineStep, seed: int = 0) -> Iterator[np.ndarray]:
-    """States at which floating point finds two solutions or none: first those with the clearest signs."""
-    rng, m = np.random.default_rng(seed), len(step.W)
-    W, N, b_0 = exact.doubles(step.W), exact.doubles(step.N), exact.doubles(step.b_0)
-    states = np.hstack([_states(step, rng, W, N, b_0, graph) for graph in (True, False)])
-    b = N @ states + b_0
-    solved, clearest = np.zeros(b.shape[1], int), np.full(b.shape[1], np.inf)
-    first = np.full((m, b.shape[1]), np.nan)
-    two = np.zeros(b.shape[1], bool)
-    X_l = exact.doubles(step.X_l)
-    for index in step.sets:
-        free, l = np.flatnonzero(index == 0), exact.doubles(step.bounds(index)) + np.zeros((m, b.shape[1]))
-        of_l = np.zeros_like(l)
-        if free.size:
-            block = W[np.ix_(free, free)]
-            scale = np.abs(block).max(axis=1, keepdims=True)
-            if not scale.all() or np.linalg.cond(block / scale) > REGULAR:
-                continue
-            inverse = np.linalg.inv(block)
-            right = b[free] + W[free] @ l
-            l[free] = -inverse @ right
-            of_l[free] = np.abs(inverse) @ (np.abs(b[free]) + step.size[free] @ np.abs(l))
-        slack = _slack(step, index, l, of_l, W @ l + b, step.size @ (np.abs(l) + of_l) + np.abs(b))
-        good = slack > 1e-7
-        clearest = np.minimum(clearest, np.abs(slack))
-        fresh = good & (solved == 0)
-        change = np.abs(X_l @ (l - np.where(np.isnan(first), l, first))).max(axis=0, initial=0.0)
-        size = (np.abs(X_l) @ np.abs(l)).max(axis=0, initial=0.0)
-        two |= good & (solved > 0) & (change > 1e-6 * size)
-        first[:, fresh] = l[:, fresh]
-        solved += good
-    order = np.argsort(-clearest)
-    for chosen in (order[two[order]], order[(solved == 0)[order]]):
-        for k in chosen[:3]:
-            yield exact.rational(states[:, k])[:, None]
-
-
-def _slack(step: AffineStep, index: np.ndarray, l: np.ndarray, of_l: np.ndarray, y: np.ndarray, of_y: np.ndarray) -> np.ndarray:
-    """How far l, y on an index set are from breaking the law, relative to the sizes of their terms; < 0: they break it."""
-    slack = np.full(l.shape[1], np.inf)
-    with np.errstate(all="ignore"):
-        for i, code in enumerate(index):
-            if code == 0:
-                for end, way in ((step.lower[i], 1), (step.upper[i], -1)):
-                    if np.isfinite(end):
-                        slack = np.fmin(slack, way * (l[i] - end) / (of_l[i] + abs(end)))
-            elif step.lower[i] < step.upper[i]:
-                slack = np.fmin(slack, -code * y[i] / of_y[i])
-    return slack
-
-
-def _states(step: AffineStep, rng: np.random.Generator, W, N, b_0, graph: bool) -> np.ndarray:
-    """States (n, SAMPLES): with a solution that was drawn, or with any b of that size."""
-    m, n = N.shape
-    width, held = _widths(step), _finite(step)
-    side = np.where(np.isfinite(step.lower), 1.0, -1.0)
-    spread = 10.0 ** rng.uniform(-1, 1, (1, SAMPLES))
-    of_y = step.size @ (width + np.abs(held))
-    of_y = np.where(of_y > 0, of_y, of_y.max(initial=0.0) or 1.0)[:, None]
-    if graph:
-        code = rng.integers(0, 3, (m, SAMPLES))
-        inside = held[:, None] + side[:, None] * width[:, None] * np.where(
-            np.isfinite(step.upper - step.lower)[:, None], rng.random((m, SAMPLES)), rng.exponential(1, (m, SAMPLES)) * spread
-        )
-        up = np.where(np.isfinite(step.upper), step.upper, held)[:, None]
-        low = np.where(np.isfinite(step.lower), step.lower, held)[:, None]
-        l = np.where(code == 0, inside, np.where(code == 1, low, up))
-        away = of_y * rng.exponential(1, (m, SAMPLES)) * spread
-        at_low = np.isfinite(step.lower)[:, None] & (code == 1)
-        at_up = np.isfinite(step.upper)[:, None] & (code == 2)
-        b = np.where(at_low, away, np.where(at_up, -away, 0.0)) - W @ l
-    else:
-        b = of_y * rng.normal(size=(m, SAMPLES)) * spread * 10
-    weight = 1 / of_y
-    x = np.linalg.pinv(weight * N) @ (weight * (b - b_0))
-    lost = np.abs(weight * (N @ x)).max(axis=0, initial=0.0) < LOST  # b is out of reach, what is left of x rounding
-    away = rng.normal(size=x.shape) * spread
-    largest = np.abs(weight * (N @ away)).max(axis=0, initial=0.0)
-    x = np.where(lost, away / np.where(largest > 0, largest, 1.0), x)
-    size = np.abs(x).max(axis=0, initial=0.0)
-    kernel = np.linalg.svd(weight * N)[2][np.linalg.matrix_rank(weight * N) :].T if n else np.zeros((0, 0))
-    return x + kernel @ rng.normal(size=(kernel.shape[1], SAMPLES)) * np.where(size > 0, size, 1.0)
-
-
-def _along_a_kernel(step: AffineStep) -> Shown | None:
-    """Two solutions l, l + s d with W_a d_a = 0 on the rows a, where both have y = 0, and the other rows at their bounds."""
-    m = len(step.W)
-    if not step.sharp or m > 6:
-        return None
-    width, held = _widths(step), _finite(step)
-    side = np.where(np.isfinite(step.lower), 1.0, -1.0)
-    free_rows = [i for i in range(m) if not np.isfinite(step.lower[i]) and not np.isfinite(step.upper[i])]
-    for count in range(1, m + 1):
-        for rows in map(list, combinations(range(m), count)):
-            if not set(free_rows) <= set(rows) or (step.lower[rows] == step.upper[rows]).any():
-                continue
-            for own in exact.nullspace(step.W[np.ix_(rows, rows)]).T:
-                d = exact.zeros(m, 1)
-                d[rows, 0] = own
-                if not exact.product(step.X_l, d).any():
-                    continue
-                near = np.abs(exact.doubles(d)).ravel()
-                far = Fraction(float(0.25 * (width / np.where(near > 0, near, np.inf)).min()))
-                l = exact.rational(held + 0.5 * side * np.where(np.isin(np.arange(m), rows), width, 0.0))[:, None]
-                y = side * 10 * step.size @ (np.abs(exact.doubles(l)).ravel() + width)
-                y[rows] = 0.0
-                b = exact.rational(y)[:, None] - exact.product(step.W, l)
-                x = exact.solve(step.N, b - step.b_0)
-                if x is None:
-                    continue
-                b, pair = step.b(x), (l, l + far * d)
-                if all(is_solution(step, b, one) for one in pair) and apart(step, x, *pair):
-                    return Shown(x, pair, 2)
-    return None
-
-
 def is_solution(step: AffineStep, b: np.ndarray, l: np.ndarray) -> bool:
     """Whether -y ∈ N_K(l), exactly."""
     y = exact.product(step.W, l) + b
@@ -392,115 +206,3 @@ def is_solution(step: AffineStep, b: np.ndarray, l: np.ndarray) -> bool:
         if l[i, 0] < low or l[i, 0] > up or (y[i, 0] > 0 and l[i, 0] != low) or (y[i, 0] < 0 and l[i, 0] != up):
             return False
     return True
-
-
-# -- existence ------------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Infeasible:
-    """From the state x (n, 1) no step exists: v'y < 0 for all l in K, while a solution has v'y >= 0."""
-
-    x: np.ndarray
-    v: np.ndarray
-
-
-def solvable(step: AffineStep) -> Infeasible | bool | None:
-    """Whether every state has some l in K with y in (K_inf)*; for a psd W that is a solution, as K is a polyhedron.
-
-    If not, some v in K_inf with W'v in -(K_inf)* has v'y <= sup_K v'W l + v'b_0 + v'N x < 0, while v'y >= 0 is asked for. Where
-    N'v = 0 for all such v, all states have one or none has. None: undecided.
-    """
-    m = len(step.W)
-    conditions = _recession(step)
-    positive = [k for k, (_, strict) in enumerate(conditions) if strict]
-    A = np.hstack([np.array([row for row, _ in conditions], dtype=object), exact.zeros(len(conditions), len(positive))])
-    for place, k in enumerate(positive):
-        A[k, m + place] = Fraction(-1)
-    zero = feasibility.implied_zeros(feasibility.System(A, tuple(range(m, A.shape[1]))))
-    left = [j for j in range(A.shape[1]) if j not in zero]
-    inner = feasibility.decide(feasibility.System(A[:, left], tuple(range(m, len(left))))).point
-    if inner is None:
-        return None
-    span = exact.nullspace(A[:, left])
-    slopes = exact.product(step.N.T, span[:m])
-    if not slopes.any():
-        b = step.b(exact.zeros(step.N.shape[1], 1))
-        return True if any(on_set(step, b, index).sign > 0 for index in step.sets) else None
-    if not exact.product(step.N.T, inner[:m, None]).any():
-        away = span[:, np.flatnonzero(slopes.any(axis=0))[0]]
-        small = min((abs(inner[j] / away[j]) for j in range(m, len(left)) if away[j]), default=Fraction(1)) / 2
-        inner = inner + small * away
-    return _downhill(step, inner[:m, None])
-
-
-def _recession(step: AffineStep) -> list[tuple[np.ndarray, bool]]:
-    """Rows a with a v >= 0 (True) or a v = 0 for v in K_inf with W'v in -(K_inf)*."""
-    rows, units = [], exact.eye(len(step.W))
-    for unit, column, low, up in zip(units, step.W.T, np.isfinite(step.lower), np.isfinite(step.upper), strict=True):
-        if low and up:
-            rows.append((unit, False))
-        elif low or up:
-            rows += [(unit, True), (-column, True)] if low else [(-unit, True), (column, True)]
-        else:
-            rows.append((column, False))
-    return rows
-
-
-def _downhill(step: AffineStep, v: np.ndarray) -> Infeasible | None:
-    """A state from which v'y < 0 for all l in K, beyond rounding of W."""
-    felt, size = exact.product(step.W.T, v), step.size.T @ np.abs(exact.doubles(v))
-    if any(entry and abs(float(entry)) <= CLEAR * terms for entry, terms in zip(felt.ravel(), size.ravel(), strict=True)):
-        return None
-    top = exact.product(v.T, step.b_0)[0, 0]
-    for entry, low, up in zip(felt.ravel(), step.lower, step.upper, strict=True):
-        top += entry * Fraction(float(up if entry > 0 else low)) if entry else 0
-    slope = exact.product(step.N.T, v)
-    reach = 2 * (abs(top) + sum(abs(entry) for entry in slope.ravel())) / exact.product(slope.T, slope)[0, 0]
-    x = exact.rational(exact.doubles(-reach * slope))
-    return Infeasible(x, v) if top + exact.product(slope.T, x)[0, 0] < 0 else None
-
-
-# -- at most one solution ---------------------------------------------------------------------------------------------------
-
-
-def never_two(step: AffineStep) -> bool:
-    """Whether no state has two solutions with different x, by exact linear programs on all pairs of index sets."""
-    if not step.sharp or len(step.sets) ** 2 * len(step.X_l) > MOST_PAIRS:
-        return False
-    return all(_same_x(step, pair, row) for pair in product(step.sets, repeat=2) for row in step.X_l if row.any())
-
-
-def _same_x(step: AffineStep, pair: tuple[np.ndarray, ...], row: np.ndarray) -> bool:
-    """Whether row (l - l') > 0 for no l, l' of these index sets and one x_k; homogeneous in (tau, x_k, l, l')."""
-    m, n = step.N.shape
-    places = [range(1 + n, 1 + n + m), range(1 + n + m, 1 + n + 2 * m)]
-    columns, total, rows = [0], 1 + n + 2 * m, []
-
-    def equation(entries: dict[int, Fraction], slack: int) -> None:
-        rows.append((entries, slack))
-
-    for index, l in zip(pair, places, strict=True):
-        for i, code in enumerate(index):
-            y = {l[j]: step.W[i, j] for j in range(m)}
-            y |= {1 + j: step.N[i, j] for j in range(n)} | {0: step.b_0[i, 0]}
-            ends = {sign: Fraction(float(end)) for sign, end in ((1, step.lower[i]), (-1, step.upper[i])) if np.isfinite(end)}
-            if code == 0:
-                equation(y, 0)
-                for sign, end in ends.items():
-                    equation({l[i]: Fraction(sign), 0: -sign * end}, 1)
-            else:
-                equation({l[i]: Fraction(1), 0: -ends[-int(code)]}, 0)
-                if step.lower[i] < step.upper[i]:
-                    equation({place: -int(code) * entry for place, entry in y.items()}, 1)
-    apart = {place: sign * entry for l, sign in zip(places, (1, -1), strict=True) for place, entry in zip(l, row, strict=True)}
-    equation(apart, 1)
-    A = exact.zeros(len(rows), total + sum(slack for _, slack in rows))
-    for k, (entries, slack) in enumerate(rows):
-        for place, entry in entries.items():
-            A[k, place] += entry
-        if slack:
-            A[k, total] = Fraction(-1)
-            columns.append(total)
-            total += 1
-    return columns[-1] in feasibility.implied_zeros(feasibility.System(A, tuple(columns)))

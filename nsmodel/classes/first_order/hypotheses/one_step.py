@@ -13,16 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from nsmodel.classes.first_order.hypotheses import two_solutions
-from nsmodel.classes.first_order.hypotheses.affine_step import (
-    SAMPLES,
-    AffineStep,
-    Infeasible,
-    Shown,
-    affine_step,
-    never_two,
-    solvable,
-    two_or_none,
-)
+from nsmodel.classes.first_order.hypotheses.affine_existence import Infeasible, never_two, solvable
+from nsmodel.classes.first_order.hypotheses.affine_search import SAMPLES, two_or_none
+from nsmodel.classes.first_order.hypotheses.affine_step import AffineStep, Shown, affine_step
 from nsmodel.classes.first_order.hypotheses.held_rows import without_held
 from nsmodel.classes.first_order.hypotheses.linearised import Linearised, numbers
 from nsmodel.classes.first_order.hypotheses.monotone_step import Unique, unique_on_region

@@ -20,7 +20,8 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.first_order.hypotheses.linearised import Linearised
-from nsmodel.classes.first_order.hypotheses.monotone_step import TOTAL, Unique, _answer, _bounded, _definite, _Form, _tidied
+from nsmodel.classes.first_order.hypotheses.monotone_form import Form, is_bounded, is_definite, tidied
+from nsmodel.classes.first_order.hypotheses.monotone_step import TOTAL, Unique, answered
 from nsmodel.laws.block import Halfspaces, Intervals, Round
 from nsmodel.proof import exact, feasibility, interval, polynomial
 from nsmodel.proof.exact import EPS
@@ -193,18 +194,18 @@ def _at_step(at: Linearised, parts: Paired, h: float, regular: bool) -> Unique |
     turn = -1.0 if high < 0 else 1.0
     g_0 = ca.substitute([model.g], [model.lam], [ca.DM.zeros(m)])[0]
     W = model.M - h * ca.jacobian(model.theta * model.f + model.gamma * g_0, model.x)
-    S, bounded = turn * ca.jacobian(parts.s, model.x), _bounded(at)
+    S, bounded = turn * ca.jacobian(parts.s, model.x), is_bounded(at)
     if not _clear(at, parts, W, S, lower, upper):
         return None
     local = bool(ca.depends_on(ca.vertcat(ca.vec(W), ca.vec(S)), model.x)) or not timed
     if timed:
         for extended in (True, False):
             form = _form_of(at, W, S, lower, upper, extended=extended)
-            if form is None or not _definite(form, np.eye(n), np.zeros((n, m)), np.zeros(m), of_x=True, rounding=64 * EPS):
+            if form is None or not is_definite(form, np.eye(n), np.zeros((n, m)), np.zeros(m), of_x=True, rounding=64 * EPS):
                 continue
             how = "g = beta B l and h = B's + D l with D psd, and <ds, W dx> > 0"
             exists = extended and (bounded or (signed and _maximal(at, parts)))
-            return _answer(
+            return answered(
                 how,
                 form._replace(local=local),
                 exists or (bounded and regular),
@@ -219,10 +220,10 @@ def _at_step(at: Linearised, parts: Paired, h: float, regular: bool) -> Unique |
     symbols = ca.SX.sym("e", n)
     E = W - symbols @ ca.gradient(ca.log(ca.fabs(parts.beta)), model.x).T
     form = _form_of(at, E, S, lower, upper, extended=False, more=(symbols, *q))
-    if form is None or not _definite(form, np.eye(n), np.zeros((n, m)), np.zeros(m), of_x=True, rounding=64 * EPS):
+    if form is None or not is_definite(form, np.eye(n), np.zeros((n, m)), np.zeros(m), of_x=True, rounding=64 * EPS):
         return None
     how = "g = beta(x) B l and h = B's + D l with D psd, and <ds, d(e / beta)> > 0 with e what the step asks of g"
-    return _answer(how, form._replace(local=True), regular, "K is bounded, and x a function of l")
+    return answered(how, form._replace(local=True), regular, "K is bounded, and x a function of l")
 
 
 def _clear(at: Linearised, parts: Paired, W: ca.SX, S: ca.SX, lower: np.ndarray, upper: np.ndarray) -> bool:
@@ -283,7 +284,7 @@ def _form_of(
     *,
     extended: bool,
     more: tuple[ca.SX, np.ndarray, np.ndarray] | None = None,
-) -> _Form | None:
+) -> Form | None:
     """S(x_1)'W(x_2) on the box of both; ``extended``: their columns also between their middle and these values."""
     model, n, m = at.model, len(at.model.names), at.model.law.size
     x_1 = ca.SX.sym("x_1", n)
@@ -306,14 +307,14 @@ def _form_of(
                 z, ends = ca.vertcat(z, factor), [np.append(ends[0], 0.0), np.append(ends[1], 1.0)]
             columns.append(column)
         matrices.append(ca.horzcat(*columns))
-    product = _tidied(matrices[0].T @ matrices[1], z)
+    product = tidied(matrices[0].T @ matrices[1], z)
     uses = np.array([bool(ca.depends_on(product, symbol)) for symbol in ca.vertsplit(z)])
     ends = [np.where(uses, end, 0.0) for end in ends]
     if not np.isfinite(ends).all():
         return None
     span = (at.upper - at.lower)[1 : n + 1] / 2
     sizes = np.where(np.isfinite(span) & (span > 0), span, 1.0)
-    return _Form(product, ca.SX.zeros(n, m), ca.SX.zeros(m, n), ca.SX.zeros(m, m), z, ends[0], ends[1], sizes, extended, True)
+    return Form(product, ca.SX.zeros(n, m), ca.SX.zeros(m, n), ca.SX.zeros(m, m), z, ends[0], ends[1], sizes, extended, True)
 
 
 def _force(

@@ -2,65 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
 
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.sweeping.hypotheses.admissible import Scene, named
+from nsmodel.classes.sweeping.hypotheses.admissible import Scene
 from nsmodel.classes.sweeping.hypotheses.constraint import EVERYWHERE, ON_THE_BOX, Answer
+from nsmodel.classes.sweeping.hypotheses.velocity_blocks import Block, blocks_of
+from nsmodel.classes.sweeping.hypotheses.velocity_jumps import Bound, quotient, steep, worst_jump
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.proof import extremum, interval
-from nsmodel.proof.components import sharing
 from nsmodel.proof.defined import Defined, in_time
-from nsmodel.proof.discontinuity import jump_between
-from nsmodel.proof.germ import grows
-from nsmodel.proof.graph import OpaqueExpression, applied, column, constants, keys, replay
-from nsmodel.proof.jumps import SWITCHES, jumps_in, surface_points
+from nsmodel.proof.graph import OpaqueExpression, applied, replay
+from nsmodel.proof.jumps import jumps_in
 
-BASES, JUMPS = 4, 256  # Admissible states from which jumps are looked for, and switching points tried.
-PAIRS = 32
 MOST_STATES = 6  # With more, where Q(t) keeps away from is not looked for.
-TRIED, ENTRIES = 16, 16  # Jumps that are to be proved, and entries of a derivative that are followed along a ray.
-RAY, SNAP = 1e-6, 1e-3  # How long a ray is, and how far a point is moved to a number of the formula, beside the box.
-ASIDE = 1e-3  # The part of the box that a point is moved by to see how large f is around it.
-
-Bound = tuple[str, float, str, int]  # (verdict, K, where, points)
-
-
-class Block(NamedTuple):
-    """Components of f that share states with each other only; blocks of one formula share ``f`` and ``q``.
-
-    Attributes:
-        f: SX (r, 1) in t, q and s.
-        q: SX (k, 1).
-        s, s_lower, s_upper: switches that depend on time alone, as symbols within bounds.
-        members: (rows, columns) of each block with this formula, in the model.
-        lower, upper: (1 + k,) bounds of (t, q) around all members.
-    """
-
-    f: ca.SX
-    q: ca.SX
-    t: ca.SX
-    s: ca.SX
-    s_lower: np.ndarray
-    s_upper: np.ndarray
-    members: list[tuple[list[int], list[int]]]
-    lower: np.ndarray
-    upper: np.ndarray
-
-    @property
-    def z(self) -> ca.SX:
-        """(t, q, s)."""
-        return ca.vertcat(self.t, self.q, self.s)
-
-    def box(self, everywhere: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Bounds of z; of all states where ``everywhere``."""
-        k = self.q.numel()
-        lower = np.concatenate([self.lower[:1], np.full(k, -np.inf) if everywhere else self.lower[1:], self.s_lower])
-        upper = np.concatenate([self.upper[:1], np.full(k, np.inf) if everywhere else self.upper[1:], self.s_upper])
-        return lower, upper
 
 
 def velocity(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]], names: Sequence[str], quick: bool) -> Answer:
@@ -74,7 +31,7 @@ def velocity(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]],
         return Answer(
             VIOLATED, {"L_f": np.inf}, EVERYWHERE, f"f has no finite value for all times: {defined.how}", {"t": defined.at}
         )
-    blocks = _blocks(f, scene)
+    blocks = blocks_of(f, scene)
     rate, steady = _in_time(f, scene, quick)
     norms = [lipschitz(block, quick) for block in blocks]
     worst = max((K for _, K, _, _ in norms), default=0.0)
@@ -85,8 +42,8 @@ def velocity(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]],
         return closed(defined, {"K_f": worst, "L_f": L_f} | rate, where, how + steady)
     kept = None if quick or defined.verdict != HOLDS else kept_away(f, scene)
     if kept is not None:
-        L_f = _growth(kept, scene, _blocks(kept, scene), np.inf, ON_THE_BOX, quick)
-        own = [lipschitz(block, quick) for block in _blocks(kept, scene)]
+        L_f = _growth(kept, scene, blocks_of(kept, scene), np.inf, ON_THE_BOX, quick)
+        own = [lipschitz(block, quick) for block in blocks_of(kept, scene)]
         if all(verdict == HOLDS for verdict, *_ in own):
             how = "Q(t) keeps away from where f is singular: there f is continued to the whole box with a bounded f_q"
             return closed(defined, {"K_f": max(K for _, K, _, _ in own), "L_f": L_f} | rate, ON_THE_BOX, how + steady)
@@ -100,7 +57,7 @@ def _broken(
     norms: list[Bound], known: dict[str, float], steady: str,
 ) -> Answer | None:  # fmt: skip
     """That f jumps, or is infinitely steep somewhere in Q(t); None where neither is found."""
-    jump = _worst_jump(f, blocks, scene, points, names)
+    jump = worst_jump(f, blocks, scene, points, names)
     if jump is not None:
         size, witness = jump
         how = "f jumps inside Q(t), by intervals on both sides, so it is not Lipschitz; the place nearest to the runs is shown"
@@ -118,7 +75,7 @@ def _sampled(
 ) -> Answer:  # fmt: skip
     """The largest slope that was seen."""
     worst = max((K for _, K, _, _ in norms), default=0.0)
-    value = {"K_f": max(worst, _quotient(f, scene, points))} | known
+    value = {"K_f": max(worst, quotient(f, scene, points))} | known
     how, verdict = f"{sum(number for *_, number in norms)} points; ", SAMPLED
     if not quick:
         how += "f was not proved continuous with a bounded derivative, no jump was found inside Q(t)"
@@ -136,70 +93,6 @@ def closed(defined: Defined, value: dict[str, float], where: str, how: str) -> A
     if not np.isfinite(value["L_f"]):
         return Answer(UNKNOWN, value, where, f"no finite bound L_f of |f| was found; {how}")
     return Answer(HOLDS, {name: number for name, number in value.items() if np.isfinite(number)}, where, how)
-
-
-# -- blocks ------------------------------------------------------------------------------------------------------------
-
-
-def _blocks(f: ca.SX, scene: Scene) -> list[Block]:
-    """Split f where its components share no states, and put blocks of the same formula together."""
-    rows, columns = _pattern(f, scene.q)
-    entries = sorted(set(rows))
-    states = [{j for k, j in zip(rows, columns, strict=True) if k == i} for i in entries]
-    found: dict[tuple, Block] = {}
-    for group in sharing(states):
-        r, j = [entries[k] for k in group], sorted(set().union(*(states[k] for k in group)))
-        block = _block(f[r], scene, r, j)
-        first = found.setdefault(_formula(block), block)
-        if first is not block:
-            first.members.append((r, j))
-            for least, other in ((first.lower, block.lower), (first.s_lower, block.s_lower)):
-                np.minimum(least, other, out=least)
-            for largest, other in ((first.upper, block.upper), (first.s_upper, block.s_upper)):
-                np.maximum(largest, other, out=largest)
-    return list(found.values())
-
-
-def _formula(block: Block) -> tuple:
-    """The operations of a block with all digits of their constants, whatever the symbols are called."""
-    f = ca.Function("f", [block.t, block.q, block.s], [ca.densify(block.f)])
-    steps = [(f.instruction_id(i), *f.instruction_input(i), -1, *f.instruction_output(i)) for i in range(f.n_instructions())]
-    constants = [f.instruction_constant(i) for i, step in enumerate(steps) if step[0] == ca.OP_CONST]
-    return tuple(steps), tuple(constants), block.q.numel(), block.s.numel()
-
-
-def _pattern(f: ca.SX, q: ca.SX) -> tuple[list[int], list[int]]:
-    """Which components depend on which states: a sign or a comparison counts, though its derivative is 0."""
-    pattern = ca.Function("f", [q, column(_others(f, q))], [ca.densify(f)]).jac_sparsity(0, 0)
-    return pattern.get_triplet()
-
-
-def _others(f: ca.SX, q: ca.SX) -> list[ca.SX]:
-    own = keys(q)
-    return [symbol for symbol in ca.symvar(f) if symbol.element_hash() not in own]
-
-
-def _block(f: ca.SX, scene: Scene, rows: list[int], columns: list[int]) -> Block:
-    own = scene.q[columns]
-    plain = ca.SX.sym("q", len(columns))
-    formula = ca.substitute(f, own, plain)
-    nodes: list[tuple[ca.SX, ca.SX]] = []
-
-    def in_time(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
-        if ca.depends_on(old, plain):
-            return None
-        nodes.append((ca.SX.sym(f"s{len(nodes)}"), old))
-        return nodes[-1][0]
-
-    formula = replay(formula, in_time, SWITCHES, scene.t, "f")
-    ends = [0, *(1 + j for j in columns)]
-    lower, upper = scene.lower[ends].copy(), scene.upper[ends].copy()
-    bounds = interval.enclose(column(old for _, old in nodes), scene.t, lower[:1], upper[:1]) if nodes else (np.zeros(0),) * 2
-    s = column(symbol for symbol, _ in nodes)
-    return Block(formula, plain, scene.t, s, np.ravel(bounds[0]), np.ravel(bounds[1]), [(rows, columns)], lower, upper)
-
-
-# -- bounds ------------------------------------------------------------------------------------------------------------
 
 
 def lipschitz(block: Block, quick: bool) -> Bound:
@@ -282,169 +175,3 @@ def _in_time(f: ca.SX, scene: Scene, quick: bool) -> tuple[dict[str, float], str
     if np.isfinite(top.bound):
         return {"L_t": float(top.bound)}, ""
     return {"L_t": np.inf, "largest |f_t| seen": float(top.value)}, "; |f_t| was not bounded: no L_t, and no order is proved"
-
-
-# -- violations --------------------------------------------------------------------------------------------------------
-
-
-def _worst_jump(
-    f: ca.SX, blocks: list[Block], scene: Scene, points_of_Q: Sequence[tuple[float, np.ndarray]], names: Sequence[str]
-) -> tuple[float, dict[str, Any]] | None:
-    """(a lower bound of its size, the jump nearest to the known states) at states of Q(t), proved.
-
-    From an admissible state only the states of one block are moved, to a point where its formula switches.
-    """
-    found: list[tuple[float, list[int], tuple[np.ndarray, np.ndarray], dict[str, Any]]] = []
-    bases = [points_of_Q[k] for k in np.unique(np.linspace(0, len(points_of_Q) - 1, BASES, dtype=int)) if len(points_of_Q)]
-    touched = _touched(scene)
-    for block in blocks:
-        x, y, least = jumps(block)
-        if not len(x):
-            continue
-        own, moves = slice(1, 1 + block.q.numel()), bool(ca.depends_on(block.f, ca.vertcat(block.t, block.s)))
-        for rows, columns in block.members:
-            sides = _sides(f[rows], scene, touched, columns)
-            for t, q in bases:
-                times = x[:, 0] if moves else np.full(len(x), t)
-                size = sides(times, x[:, own], y[:, own], least, q)
-                far = np.linalg.norm(x[:, own] - q[columns], axis=1)
-                for k in np.flatnonzero(size):
-                    point = q.copy()
-                    point[columns] = x[k, own]
-                    other = point.copy()
-                    other[columns] = y[k, own]
-                    witness = {"t": times[k], "moved": [names[j] for j in columns], "to": x[k, own]}
-                    ends = np.append(times[k], point), np.append(times[k], other)
-                    found.append((far[k], rows, ends, witness | named(names, point)))
-    for _, rows, ends, witness in sorted(found, key=lambda item: item[0])[:TRIED]:
-        size = jump_between(ca.densify(f[rows]), scene.z, *ends, scene.g, scene.lower, scene.upper)
-        if size > 0:
-            return size, witness | {"size": size}
-    return None
-
-
-def jumps(block: Block) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points (k, n) on both sides of switches of a block, where its value jumps, and what is rounding there (k,)."""
-    lower, upper = block.box(False)
-    x, y = surface_points(block.f, block.z, lower, upper)
-    if not len(x):
-        return x, y, np.zeros(0)
-    f = ca.Function("f", [block.z], [ca.densify(block.f)])
-    least = _rounding(f, x, ASIDE * (upper - lower))
-    some = np.flatnonzero(differ(np.array(f(x.T)).T, np.array(f(y.T)).T, least))
-    some = some[:: max(1, some.size // JUMPS)]
-    return x[some], y[some], least[some]
-
-
-def _rounding(f: ca.Function, x: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """How much of a change of f beside x (k, n) the rounding of f and of x explains (k,), from the values around x."""
-    around = np.zeros(len(x))
-    for direction in np.random.default_rng(0).uniform(-1, 1, (4, step.size)):
-        for sign in (1, -1):
-            size = np.linalg.norm(np.array(f((x + sign * step * direction).T)), axis=0)
-            around = np.fmax(around, np.where(np.isfinite(size), size, 0.0))
-    far = np.max(np.abs(x) / np.where(step > 0, step, np.inf), axis=1, initial=0.0)
-    return 1e-12 * around * (1 + far)
-
-
-def differ(below: np.ndarray, above: np.ndarray, least: np.ndarray) -> np.ndarray:
-    """The size (k,) of the jumps between values (k, r); 0 where rounding explains it, which ``least`` (k,) is known to."""
-    with np.errstate(all="ignore"):
-        size = np.linalg.norm(above - below, axis=1)
-        scale = np.linalg.norm(below, axis=1) + np.linalg.norm(above, axis=1)
-        return np.where(np.isfinite(size) & (size > 1e-7 * scale) & (size > least), size, 0.0)
-
-
-def _touched(scene: Scene) -> list[set[int]]:
-    """The states that each constraint depends on."""
-    pattern = ca.Function("g", [scene.q, scene.t], [ca.densify(scene.g)]).jac_sparsity(0, 0)
-    found: list[set[int]] = [set() for _ in range(scene.g.numel())]
-    for i, j in zip(*pattern.get_triplet(), strict=True):
-        found[i].add(j)
-    return found
-
-
-def _sides(f: ca.SX, scene: Scene, touched: list[set[int]], columns: list[int]) -> Callable[..., np.ndarray]:
-    """Return sides(times (k,), x (k, c), y (k, c), least (k,), q): how far f jumps (k,) from x to y, both in Q(t), else 0."""
-    rows = [i for i, states in enumerate(touched) if states & set(columns)]
-    others = [j for j in range(scene.q.numel()) if j not in set(columns)]
-    together = ca.vertcat(scene.t, scene.q[columns])
-    r, value = f.numel(), ca.densify(ca.vertcat(f, scene.g[rows]))
-    function = ca.Function("sides", [together, scene.q[others]], [value])
-
-    def sides(times: np.ndarray, x: np.ndarray, y: np.ndarray, least: np.ndarray, q: np.ndarray) -> np.ndarray:
-        # The other states are one column: CasADi repeats it.
-        both = np.hstack([np.vstack([times, side.T]) for side in (x, y)])
-        values = np.array(function(both, q[others])).T.reshape(2, len(x), -1)
-        inside = (values[:, :, r:] >= 0).all(axis=(0, 2))
-        return np.where(inside, differ(values[0, :, :r], values[1, :, :r], least), 0.0)
-
-    return sides
-
-
-def _quotient(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]]) -> float:
-    """The largest |f(t, q) - f(t, q')| / |q - q'| over pairs of admissible points."""
-    value, worst = ca.Function("f", [scene.t, scene.q], [ca.densify(f)]), 0.0
-    some = [points[k] for k in np.unique(np.linspace(0, len(points) - 1, PAIRS, dtype=int))] if points else []
-    for k, (t, q) in enumerate(some):
-        for _, other in some[:k]:
-            far = np.linalg.norm(q - other)
-            if far > 0 and (not scene.rows or scene.admits(*scene.at(t, other))):
-                worst = max(worst, float(np.linalg.norm(np.array(value(t, q) - value(t, other))) / far))
-    return worst
-
-
-def steep(
-    f: ca.SX, blocks: list[Block], norms: list[Bound], scene: Scene,
-    points: Sequence[tuple[float, np.ndarray]], names: Sequence[str],
-) -> dict[str, Any] | None:  # fmt: skip
-    """A point of Q(t) near which difference quotients of f, a function of the scene's t and q, keep growing.
-
-    From an admissible state only the states of one block are moved, to where its derivative is largest or to numbers of its
-    formula near to that; along a ray from there that stays in Q(t) an entry of the derivative is shown to grow as a power < 0 of
-    the distance.
-    """
-    if not points:
-        return None
-    base_t, base = points[0]
-    for block, (verdict, *_) in zip(blocks, norms, strict=True):
-        if verdict == HOLDS:
-            continue
-        rows, columns = block.members[0]
-        top = extremum.supremum(ca.sumsqr(ca.jacobian(block.f, block.q)), block.z, *block.box(False))
-        if top.at is None:
-            continue
-        J = ca.jacobian(f[rows], scene.q[columns])
-        entries = [entry for entry in ca.vertsplit(ca.vec(J)) if not entry.is_constant()][:ENTRIES]
-        time = float(top.at[0]) if ca.depends_on(block.f, ca.vertcat(block.t, block.s)) else base_t
-        numbers = constants(f[rows])
-        for own in _snapped(top.at[1 : 1 + len(columns)], numbers, scene.lower[1:][columns], scene.upper[1:][columns]):
-            point = base.copy()
-            point[columns] = own
-            z, width = np.append(time, point), float(np.max((scene.upper - scene.lower)[1:][columns]))
-            h = RAY * min(width, 1.0)
-            for direction in [sign * row for row in np.eye(z.size)[1:][columns] for sign in (1.0, -1.0)]:
-                if not _admitted(scene, z, z + h * direction):
-                    continue
-                if any(grows(entry, scene.z, z, direction, h) is not None for entry in entries):
-                    return {"t": time} | named(names, point)
-    return None
-
-
-def _snapped(at: np.ndarray, numbers: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> list[np.ndarray]:
-    """A point, and it with each coordinate replaced by a number (or 0, or an end of the box) that is near to it."""
-    width = np.where(upper > lower, upper - lower, 1.0)
-    found = at.copy()
-    for k, x in enumerate(at):
-        near = np.concatenate([numbers, -numbers, [0.0, lower[k], upper[k]]])
-        best = near[np.argmin(np.abs(near - x))]
-        found[k] = best if abs(best - x) <= SNAP * width[k] else x
-    return [found, at]
-
-
-def _admitted(scene: Scene, *corners: np.ndarray) -> bool:
-    """Whether all constraints are >= 0 on the box between two points (t, q), which lies inside the scene's."""
-    low, high = np.minimum(*corners), np.maximum(*corners)
-    if (low < scene.lower).any() or (high > scene.upper).any():
-        return False
-    return not scene.rows or bool((interval.enclose(scene.g, scene.z, low, high)[0] >= 0).all())

@@ -1,0 +1,106 @@
+"""The velocity field in blocks that share no states, each formula once."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.classes.sweeping.hypotheses.admissible import Scene
+from nsmodel.proof import interval
+from nsmodel.proof.components import sharing
+from nsmodel.proof.graph import column, keys, replay
+from nsmodel.proof.jumps import SWITCHES
+
+
+class Block(NamedTuple):
+    """Components of f that share states with each other only; blocks of one formula share ``f`` and ``q``.
+
+    Attributes:
+        f: SX (r, 1) in t, q and s.
+        q: SX (k, 1).
+        s, s_lower, s_upper: switches that depend on time alone, as symbols within bounds.
+        members: (rows, columns) of each block with this formula, in the model.
+        lower, upper: (1 + k,) bounds of (t, q) around all members.
+    """
+
+    f: ca.SX
+    q: ca.SX
+    t: ca.SX
+    s: ca.SX
+    s_lower: np.ndarray
+    s_upper: np.ndarray
+    members: list[tuple[list[int], list[int]]]
+    lower: np.ndarray
+    upper: np.ndarray
+
+    @property
+    def z(self) -> ca.SX:
+        """(t, q, s)."""
+        return ca.vertcat(self.t, self.q, self.s)
+
+    def box(self, everywhere: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of z; of all states where ``everywhere``."""
+        k = self.q.numel()
+        lower = np.concatenate([self.lower[:1], np.full(k, -np.inf) if everywhere else self.lower[1:], self.s_lower])
+        upper = np.concatenate([self.upper[:1], np.full(k, np.inf) if everywhere else self.upper[1:], self.s_upper])
+        return lower, upper
+
+
+def blocks_of(f: ca.SX, scene: Scene) -> list[Block]:
+    """Split f where its components share no states, and put blocks of the same formula together."""
+    rows, columns = _pattern(f, scene.q)
+    entries = sorted(set(rows))
+    states = [{j for k, j in zip(rows, columns, strict=True) if k == i} for i in entries]
+    found: dict[tuple, Block] = {}
+    for group in sharing(states):
+        r, j = [entries[k] for k in group], sorted(set().union(*(states[k] for k in group)))
+        block = _block(f[r], scene, r, j)
+        first = found.setdefault(_formula(block), block)
+        if first is not block:
+            first.members.append((r, j))
+            for least, other in ((first.lower, block.lower), (first.s_lower, block.s_lower)):
+                np.minimum(least, other, out=least)
+            for largest, other in ((first.upper, block.upper), (first.s_upper, block.s_upper)):
+                np.maximum(largest, other, out=largest)
+    return list(found.values())
+
+
+def _formula(block: Block) -> tuple:
+    """The operations of a block with all digits of their constants, whatever the symbols are called."""
+    f = ca.Function("f", [block.t, block.q, block.s], [ca.densify(block.f)])
+    steps = [(f.instruction_id(i), *f.instruction_input(i), -1, *f.instruction_output(i)) for i in range(f.n_instructions())]
+    constants = [f.instruction_constant(i) for i, step in enumerate(steps) if step[0] == ca.OP_CONST]
+    return tuple(steps), tuple(constants), block.q.numel(), block.s.numel()
+
+
+def _pattern(f: ca.SX, q: ca.SX) -> tuple[list[int], list[int]]:
+    """Which components depend on which states: a sign or a comparison counts, though its derivative is 0."""
+    pattern = ca.Function("f", [q, column(_others(f, q))], [ca.densify(f)]).jac_sparsity(0, 0)
+    return pattern.get_triplet()
+
+
+def _others(f: ca.SX, q: ca.SX) -> list[ca.SX]:
+    own = keys(q)
+    return [symbol for symbol in ca.symvar(f) if symbol.element_hash() not in own]
+
+
+def _block(f: ca.SX, scene: Scene, rows: list[int], columns: list[int]) -> Block:
+    own = scene.q[columns]
+    plain = ca.SX.sym("q", len(columns))
+    formula = ca.substitute(f, own, plain)
+    nodes: list[tuple[ca.SX, ca.SX]] = []
+
+    def in_time(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
+        if ca.depends_on(old, plain):
+            return None
+        nodes.append((ca.SX.sym(f"s{len(nodes)}"), old))
+        return nodes[-1][0]
+
+    formula = replay(formula, in_time, SWITCHES, scene.t, "f")
+    ends = [0, *(1 + j for j in columns)]
+    lower, upper = scene.lower[ends].copy(), scene.upper[ends].copy()
+    bounds = interval.enclose(column(old for _, old in nodes), scene.t, lower[:1], upper[:1]) if nodes else (np.zeros(0),) * 2
+    s = column(symbol for symbol, _ in nodes)
+    return Block(formula, plain, scene.t, s, np.ravel(bounds[0]), np.ravel(bounds[1]), [(rows, columns)], lower, upper)

@@ -1,0 +1,188 @@
+"""Places of Q(t) where the velocity field jumps, or is infinitely steep."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.classes.sweeping.hypotheses.admissible import Scene, named
+from nsmodel.classes.sweeping.hypotheses.velocity_blocks import Block
+from nsmodel.hypotheses.findings import HOLDS
+from nsmodel.proof import extremum, interval
+from nsmodel.proof.discontinuity import jump_between
+from nsmodel.proof.germ import grows
+from nsmodel.proof.graph import constants
+from nsmodel.proof.jumps import surface_points
+
+BASES, JUMPS = 4, 256  # Admissible states from which jumps are looked for, and switching points tried.
+PAIRS = 32
+TRIED, ENTRIES = 16, 16  # Jumps that are to be proved, and entries of a derivative that are followed along a ray.
+RAY, SNAP = 1e-6, 1e-3  # How long a ray is, and how far a point is moved to a number of the formula, beside the box.
+ASIDE = 1e-3  # The part of the box that a point is moved by to see how large f is around it.
+Bound = tuple[str, float, str, int]  # (verdict, K, where, points)
+
+
+def worst_jump(
+    f: ca.SX, blocks: list[Block], scene: Scene, points_of_Q: Sequence[tuple[float, np.ndarray]], names: Sequence[str]
+) -> tuple[float, dict[str, Any]] | None:
+    """(a lower bound of its size, the jump nearest to the known states) at states of Q(t), proved.
+
+    From an admissible state only the states of one block are moved, to a point where its formula switches.
+    """
+    found: list[tuple[float, list[int], tuple[np.ndarray, np.ndarray], dict[str, Any]]] = []
+    bases = [points_of_Q[k] for k in np.unique(np.linspace(0, len(points_of_Q) - 1, BASES, dtype=int)) if len(points_of_Q)]
+    touched = _touched(scene)
+    for block in blocks:
+        x, y, least = jumps(block)
+        if not len(x):
+            continue
+        own, moves = slice(1, 1 + block.q.numel()), bool(ca.depends_on(block.f, ca.vertcat(block.t, block.s)))
+        for rows, columns in block.members:
+            sides = _sides(f[rows], scene, touched, columns)
+            for t, q in bases:
+                times = x[:, 0] if moves else np.full(len(x), t)
+                size = sides(times, x[:, own], y[:, own], least, q)
+                far = np.linalg.norm(x[:, own] - q[columns], axis=1)
+                for k in np.flatnonzero(size):
+                    point = q.copy()
+                    point[columns] = x[k, own]
+                    other = point.copy()
+                    other[columns] = y[k, own]
+                    witness = {"t": times[k], "moved": [names[j] for j in columns], "to": x[k, own]}
+                    ends = np.append(times[k], point), np.append(times[k], other)
+                    found.append((far[k], rows, ends, witness | named(names, point)))
+    for _, rows, ends, witness in sorted(found, key=lambda item: item[0])[:TRIED]:
+        size = jump_between(ca.densify(f[rows]), scene.z, *ends, scene.g, scene.lower, scene.upper)
+        if size > 0:
+            return size, witness | {"size": size}
+    return None
+
+
+def jumps(block: Block) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points (k, n) on both sides of switches of a block, where its value jumps, and what is rounding there (k,)."""
+    lower, upper = block.box(False)
+    x, y = surface_points(block.f, block.z, lower, upper)
+    if not len(x):
+        return x, y, np.zeros(0)
+    f = ca.Function("f", [block.z], [ca.densify(block.f)])
+    least = _rounding(f, x, ASIDE * (upper - lower))
+    some = np.flatnonzero(differ(np.array(f(x.T)).T, np.array(f(y.T)).T, least))
+    some = some[:: max(1, some.size // JUMPS)]
+    return x[some], y[some], least[some]
+
+
+def _rounding(f: ca.Function, x: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """How much of a change of f beside x (k, n) the rounding of f and of x explains (k,), from the values around x."""
+    around = np.zeros(len(x))
+    for direction in np.random.default_rng(0).uniform(-1, 1, (4, step.size)):
+        for sign in (1, -1):
+            size = np.linalg.norm(np.array(f((x + sign * step * direction).T)), axis=0)
+            around = np.fmax(around, np.where(np.isfinite(size), size, 0.0))
+    far = np.max(np.abs(x) / np.where(step > 0, step, np.inf), axis=1, initial=0.0)
+    return 1e-12 * around * (1 + far)
+
+
+def differ(below: np.ndarray, above: np.ndarray, least: np.ndarray) -> np.ndarray:
+    """The size (k,) of the jumps between values (k, r); 0 where rounding explains it, which ``least`` (k,) is known to."""
+    with np.errstate(all="ignore"):
+        size = np.linalg.norm(above - below, axis=1)
+        scale = np.linalg.norm(below, axis=1) + np.linalg.norm(above, axis=1)
+        return np.where(np.isfinite(size) & (size > 1e-7 * scale) & (size > least), size, 0.0)
+
+
+def _touched(scene: Scene) -> list[set[int]]:
+    """The states that each constraint depends on."""
+    pattern = ca.Function("g", [scene.q, scene.t], [ca.densify(scene.g)]).jac_sparsity(0, 0)
+    found: list[set[int]] = [set() for _ in range(scene.g.numel())]
+    for i, j in zip(*pattern.get_triplet(), strict=True):
+        found[i].add(j)
+    return found
+
+
+def _sides(f: ca.SX, scene: Scene, touched: list[set[int]], columns: list[int]) -> Callable[..., np.ndarray]:
+    """Return sides(times (k,), x (k, c), y (k, c), least (k,), q): how far f jumps (k,) from x to y, both in Q(t), else 0."""
+    rows = [i for i, states in enumerate(touched) if states & set(columns)]
+    others = [j for j in range(scene.q.numel()) if j not in set(columns)]
+    together = ca.vertcat(scene.t, scene.q[columns])
+    r, value = f.numel(), ca.densify(ca.vertcat(f, scene.g[rows]))
+    function = ca.Function("sides", [together, scene.q[others]], [value])
+
+    def sides(times: np.ndarray, x: np.ndarray, y: np.ndarray, least: np.ndarray, q: np.ndarray) -> np.ndarray:
+        # The other states are one column: CasADi repeats it.
+        both = np.hstack([np.vstack([times, side.T]) for side in (x, y)])
+        values = np.array(function(both, q[others])).T.reshape(2, len(x), -1)
+        inside = (values[:, :, r:] >= 0).all(axis=(0, 2))
+        return np.where(inside, differ(values[0, :, :r], values[1, :, :r], least), 0.0)
+
+    return sides
+
+
+def quotient(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]]) -> float:
+    """The largest |f(t, q) - f(t, q')| / |q - q'| over pairs of admissible points."""
+    value, worst = ca.Function("f", [scene.t, scene.q], [ca.densify(f)]), 0.0
+    some = [points[k] for k in np.unique(np.linspace(0, len(points) - 1, PAIRS, dtype=int))] if points else []
+    for k, (t, q) in enumerate(some):
+        for _, other in some[:k]:
+            far = np.linalg.norm(q - other)
+            if far > 0 and (not scene.rows or scene.admits(*scene.at(t, other))):
+                worst = max(worst, float(np.linalg.norm(np.array(value(t, q) - value(t, other))) / far))
+    return worst
+
+
+def steep(
+    f: ca.SX, blocks: list[Block], norms: list[Bound], scene: Scene,
+    points: Sequence[tuple[float, np.ndarray]], names: Sequence[str],
+) -> dict[str, Any] | None:  # fmt: skip
+    """A point of Q(t) near which difference quotients of f, a function of the scene's t and q, keep growing.
+
+    From an admissible state only the states of one block are moved, to where its derivative is largest or to numbers of its
+    formula near to that; along a ray from there that stays in Q(t) an entry of the derivative is shown to grow as a power < 0 of
+    the distance.
+    """
+    if not points:
+        return None
+    base_t, base = points[0]
+    for block, (verdict, *_) in zip(blocks, norms, strict=True):
+        if verdict == HOLDS:
+            continue
+        rows, columns = block.members[0]
+        top = extremum.supremum(ca.sumsqr(ca.jacobian(block.f, block.q)), block.z, *block.box(False))
+        if top.at is None:
+            continue
+        J = ca.jacobian(f[rows], scene.q[columns])
+        entries = [entry for entry in ca.vertsplit(ca.vec(J)) if not entry.is_constant()][:ENTRIES]
+        time = float(top.at[0]) if ca.depends_on(block.f, ca.vertcat(block.t, block.s)) else base_t
+        numbers = constants(f[rows])
+        for own in _snapped(top.at[1 : 1 + len(columns)], numbers, scene.lower[1:][columns], scene.upper[1:][columns]):
+            point = base.copy()
+            point[columns] = own
+            z, width = np.append(time, point), float(np.max((scene.upper - scene.lower)[1:][columns]))
+            h = RAY * min(width, 1.0)
+            for direction in [sign * row for row in np.eye(z.size)[1:][columns] for sign in (1.0, -1.0)]:
+                if not _admitted(scene, z, z + h * direction):
+                    continue
+                if any(grows(entry, scene.z, z, direction, h) is not None for entry in entries):
+                    return {"t": time} | named(names, point)
+    return None
+
+
+def _snapped(at: np.ndarray, numbers: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> list[np.ndarray]:
+    """A point, and it with each coordinate replaced by a number (or 0, or an end of the box) that is near to it."""
+    width = np.where(upper > lower, upper - lower, 1.0)
+    found = at.copy()
+    for k, x in enumerate(at):
+        near = np.concatenate([numbers, -numbers, [0.0, lower[k], upper[k]]])
+        best = near[np.argmin(np.abs(near - x))]
+        found[k] = best if abs(best - x) <= SNAP * width[k] else x
+    return [found, at]
+
+
+def _admitted(scene: Scene, *corners: np.ndarray) -> bool:
+    """Whether all constraints are >= 0 on the box between two points (t, q), which lies inside the scene's."""
+    low, high = np.minimum(*corners), np.maximum(*corners)
+    if (low < scene.lower).any() or (high > scene.upper).any():
+        return False
+    return not scene.rows or bool((interval.enclose(scene.g, scene.z, low, high)[0] >= 0).all())
