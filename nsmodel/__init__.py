@@ -31,7 +31,8 @@ __version__ = VERSION
 
 if TYPE_CHECKING:
     from nsmodel.checking import check
-    from nsmodel.classes.bodies.model import Bodies, Family, Items, ManyBodies, neighbours
+    from nsmodel.classes.bodies.groups import Bodies, Family, Items, neighbours
+    from nsmodel.classes.bodies.model import ManyBodies
     from nsmodel.classes.first_order.model import FirstOrderSystem
     from nsmodel.classes.inclusion.model import MonotoneInclusion
     from nsmodel.classes.lure.model import LureSystem
@@ -91,7 +92,8 @@ _later(
     {
         "nsmodel.checking": ["check"],
         "nsmodel.hypotheses.findings": ["Finding", "Report"],
-        "nsmodel.classes.bodies.model": ["Bodies", "Family", "Items", "ManyBodies", "neighbours"],
+        "nsmodel.classes.bodies.groups": ["Bodies", "Family", "Items", "neighbours"],
+        "nsmodel.classes.bodies.model": ["ManyBodies"],
         "nsmodel.classes.first_order.model": ["FirstOrderSystem"],
         "nsmodel.classes.inclusion.model": ["MonotoneInclusion"],
         "nsmodel.classes.lure.model": ["LureSystem"],

@@ -18,7 +18,8 @@ from nsmodel.hypotheses.findings import ALONG_A_RUN, HOLDS, VIOLATED, Consequenc
 from nsmodel.hypotheses.region import Region, around, region_of
 from nsmodel.hypotheses.scope import Box, Scope, meet
 from nsmodel.hypotheses.stay import clauses
-from nsmodel.model.base import Model, shown
+from nsmodel.model.arguments import shown
+from nsmodel.model.base import Model
 from nsmodel.model.parameters import Values, split_boxes
 from nsmodel.proof.graph import OpaqueExpression
 from nsmodel.proof.search import quick_searches

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from nsmodel.errors import UsageError
-from nsmodel.model.base import Model, step_array
+from nsmodel.model.arguments import step_array
+from nsmodel.model.base import Model
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,8 @@ from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import UsageError
 from nsmodel.grid import Grid, make_grid
 from nsmodel.identity import WAY
-from nsmodel.model.base import Model, shown
+from nsmodel.model.arguments import shown
+from nsmodel.model.base import Model
 from nsmodel.model.parameters import Values
 from nsmodel.run.controlled import Controlled
 from nsmodel.run.loop import Run, keep_unfinished

@@ -23,7 +23,8 @@ from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, Rows
 from nsmodel.contacts import Contacts
 from nsmodel.solve.certificate import EPS
-from nsmodel.solve.many_bodies import BodiesWarm, Group
+from nsmodel.solve.contact_projection import Group
+from nsmodel.solve.many_bodies import BodiesWarm
 
 ROUNDED = 64 * EPS  # Beside the largest position: what moves less moves by rounding.
 WINDOW = 20  # Steps after which bodies that have moved by no more than that are said to stand still.

@@ -31,7 +31,7 @@ from nsmodel import (
     second_order_cone,
     simulate,
 )
-from nsmodel.model.base import RESERVED
+from nsmodel.model.arguments import RESERVED
 from nsmodel.solve import projection
 
 nan, inf = float("nan"), float("inf")

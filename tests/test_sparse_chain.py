@@ -11,9 +11,10 @@ from nsmodel.errors import CodegenError, ModelError, StepError, UsageError
 from nsmodel.scheme import one_step_problem
 from nsmodel.simulate import prepare
 from nsmodel.solve import build
+from nsmodel.solve.band import order
 from nsmodel.solve.certificate import numeric_law
 from nsmodel.solve.newton import Newton
-from nsmodel.solve.sparse import Sparse, order
+from nsmodel.solve.sparse import Sparse
 from nsmodel.solve.structure import read
 
 pytestmark = pytest.mark.usefixtures("own_cache")

@@ -68,7 +68,7 @@ def _run(arguments: argparse.Namespace) -> int:
     if several and arguments.film:
         raise UsageError("--film takes one model file; run them one by one")
     if arguments.film:
-        from nsmodel.plot.crowd import check_film
+        from nsmodel.plot.film import check_film
 
         check_film(arguments.film)
     if arguments.csv:

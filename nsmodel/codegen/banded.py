@@ -10,8 +10,8 @@ import numpy as np
 from nsmodel.codegen.loops import c_function
 from nsmodel.codegen.tables import exact_tables, table
 from nsmodel.scheme.problem import OneStepProblem
+from nsmodel.solve.band import AtStep, matrix_at
 from nsmodel.solve.rounding import error_bound
-from nsmodel.solve.sparse import AtStep, matrix_at
 from nsmodel.solve.structure import Structure
 
 

@@ -9,7 +9,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.bodies.model import Family, ManyBodies
+from nsmodel.classes.bodies.groups import Family
+from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.classes.bodies.schemes.prediction_correction import SCHEME, BodiesProblem, searched
 from nsmodel.codegen import constants, statuses, structs
 from nsmodel.codegen.bounds import MOST_WORK

@@ -15,11 +15,11 @@ from nsmodel.model.base import Model
 from nsmodel.model.parameters import Values
 from nsmodel.scheme import one_step_problem
 from nsmodel.scheme.problem import OneStepProblem
+from nsmodel.solve.band import BAND
 from nsmodel.solve.certificate import NumericLaw, numeric_law
 from nsmodel.solve.choose import pays
 from nsmodel.solve.newton import works_on_rows
 from nsmodel.solve.projection import tolerance_function
-from nsmodel.solve.sparse import BAND
 from nsmodel.solve.structure import DENSE, Structure, read
 
 FIXED, BANDED, NEWTON, INCLUSION = "FIXED", "BANDED", "NEWTON", "INCLUSION"

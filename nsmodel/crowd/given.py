@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from nsmodel.errors import ModelError, NsmodelError
-from nsmodel.model.base import shown
+from nsmodel.model.arguments import shown
 
 
 def numbers(value: Any, label: str, expected: str, kind: type[NsmodelError] = ModelError) -> np.ndarray:

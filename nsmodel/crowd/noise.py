@@ -15,7 +15,7 @@ import numpy as np
 from nsmodel.crowd.given import number
 from nsmodel.crowd.paths import DesiredVelocity
 from nsmodel.errors import ModelError
-from nsmodel.model.base import shown
+from nsmodel.model.arguments import shown
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from nsmodel.crowd.geometry import CHUNK, distances, nearest_points, sight
 from nsmodel.crowd.given import number, numbers, of_each
 from nsmodel.crowd.room import Grid, Room
 from nsmodel.errors import ModelError, UsageError
-from nsmodel.model.base import shown
+from nsmodel.model.arguments import shown
 
 PIECE = np.pi / 6  # The arc round a corner that one tangent stands for, at most.
 KEEP = 1 / np.cos(PIECE / 2)  # Distance of the corners of the tangents, in clearances.

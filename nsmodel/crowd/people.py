@@ -9,14 +9,15 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.bodies.model import Bodies, Family, Items, ManyBodies
+from nsmodel.classes.bodies.groups import Bodies, Family, Items
+from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.crowd.geometry import closed, contains, crosses_any, nearest_points
 from nsmodel.crowd.given import generator, number, numbers, of_each, radii_between
 from nsmodel.crowd.noise import Noise, Wavering
 from nsmodel.crowd.paths import KEEP, DesiredVelocity, desired_velocity
 from nsmodel.crowd.room import Room, polygon
 from nsmodel.errors import ModelError
-from nsmodel.model.base import shown
+from nsmodel.model.arguments import shown
 from nsmodel.proof.sure import sure
 
 ROUNDS = 4000  # Of pushing apart, before `place` gives up.

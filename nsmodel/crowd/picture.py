@@ -11,7 +11,7 @@ import numpy as np
 from nsmodel.crowd.geometry import closed, nearest_points
 from nsmodel.errors import ModelError
 from nsmodel.grid import is_number
-from nsmodel.model.base import shown
+from nsmodel.model.arguments import shown
 
 ALIKE = 60  # Colours are the same where no channel differs by more, of 255.
 BLURRED = 2  # So many pixels between a wall and a door may have a colour in between.

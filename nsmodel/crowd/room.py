@@ -15,7 +15,7 @@ from nsmodel.crowd import picture
 from nsmodel.crowd.geometry import closed, contains, distances, nearest_points
 from nsmodel.crowd.given import number, numbers
 from nsmodel.errors import ModelError
-from nsmodel.model.base import shown
+from nsmodel.model.arguments import shown
 
 MARGIN = 1.0  # What a grid shows of the outside, m.
 TOUCHES = 1e-3  # An exit ends at a wall that is as near as this, m.

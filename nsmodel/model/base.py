@@ -14,18 +14,13 @@ import numpy as np
 
 from nsmodel.errors import ModelError, NsmodelError, UsageError
 from nsmodel.laws import Words
-from nsmodel.model.convert import Converter, Declared, declare
-from nsmodel.model.parameters import Values, declared, number, scalars
+from nsmodel.model.arguments import RESERVED, grid_given, names_of_states, units_given
+from nsmodel.model.convert import Converter, declare
+from nsmodel.model.parameters import Values, declared, scalars
 from nsmodel.pickled import Pickled
 from nsmodel.proof.graph import COMPARISONS, column, entries
 from nsmodel.words import one_line
 
-# Attributes of every Trajectory: a state may not take these names.
-RESERVED = frozenset(
-    "t multipliers y index_set residual step active status title arrays metadata multiplier contacts save load to_csv to_xarray "
-    "plot summary summary_text energy reactions newton gap residual_R residual_Ry residual_Rr defect selection "
-    "predictor_distance excess tolerance".split()
-)
 ARRAYS = frozenset("x gap_min pressure contact_reaction".split())  # Further arrays that may have a unit.
 KINKS = "potential ", "phi "  # What the names of a potential's kinks begin with.
 LEFT_OUT: Any = None  # A field that may be left out, and has its type once the model is declared.
@@ -114,7 +109,7 @@ class Model(Pickled):
         known = [*([] if self.t is None else [time]), *given.values(), *p]
         converter = Converter(known)
         own = given[state]
-        names, stems = _state_names(self.names, own, state, self.has)
+        names, stems = names_of_states(self.names, own, state, self.has)
         self._set(
             t=time.sx,
             p=ca.vertcat(ca.SX(0, 1), *(item.sx for item in p)),
@@ -122,11 +117,11 @@ class Model(Pickled):
             vectors=MappingProxyType(vectors),
             names=tuple(names),
             stems=MappingProxyType(stems),
-            units=MappingProxyType(_units(self.units)),
+            units=MappingProxyType(units_given(self.units)),
             title="" if self.title is None else one_line(str(self.title)),
             **{label: item.sx for label, item in given.items()},
         )
-        self._set(**_grid(self.t_end, self.step, self.steps))
+        self._set(**grid_given(self.t_end, self.step, self.steps))
         if self.exact is not None and not callable(self.exact):
             self._set(exact=self._vector(converter, self.exact, "exact", len(names), [time.sx]))
             if not self.p.numel():
@@ -320,78 +315,6 @@ def refuse_infinite(matrix: ca.SX, label: str, error: type[NsmodelError] = Model
         if entry.is_constant():
             index = "" if matrix.numel() == 1 else f"[{i}]" if matrix.shape[1] == 1 else f"[{i}, {j}]"
             raise error(f"{label}{index} = {float(entry)}; expected a finite number")
-
-
-def _units(units: Any) -> dict[str, str]:
-    given = {} if units is None else units
-    if not isinstance(given, Mapping) or not all(isinstance(part, str) for pair in given.items() for part in pair):
-        raise ModelError(f"units: {given!r}; expected a dictionary {{name: unit}} of strings, such as {{'t': 's', 'q': 'm'}}")
-    return dict(given)
-
-
-def _state_names(
-    names: Sequence[str] | None, state: Declared, label: str, has: Mapping[str, str]
-) -> tuple[list[str], dict[str, list[int]]]:
-    n = len(state.names)
-    if names is not None:
-        row = isinstance(names, list | tuple) or (isinstance(names, np.ndarray) and names.ndim == 1)
-        listed = row and all(isinstance(name, str) and name for name in names)
-        if not listed or len(names) != n:
-            raise ModelError(f"names: {names!r}; expected a list of {n} names, one for each of {', '.join(state.names)}")
-        chosen, stems = list(map(str, names)), {str(name): [i] for i, name in enumerate(names)}
-    elif state.stem is not None:
-        chosen, stems = list(state.names), {state.stem: list(range(n))}
-    else:
-        chosen, stems = list(state.names), {name: [i] for i, name in enumerate(state.names)}
-    if len(set(chosen)) != n:
-        raise ModelError(f"names: {chosen} repeats a name; give each state its own")
-    for name in stems:
-        whole = name == "x" and n > 1 and len(stems) > 1
-        if name in RESERVED or name in has or whole:
-            what = has.get(name, "which holds all states" if whole else "an attribute of runs")
-            where = f"names: '{name}'" if names is not None else f"{label}: the state '{name}'"
-            fix = f"take another name, such as '{name}1'" if names is not None else "rename it, or give names=[...], one for each"
-            raise ModelError(f"{where} clashes with run.{name}, {what}; {fix}")
-    return chosen, stems
-
-
-def _grid(t_end: Any, step: Any, steps: Any) -> dict[str, Any]:
-    if steps is not None:
-        if step is not None:
-            raise ModelError("step and steps are both given; keep one")
-        array = step_array(steps, ModelError)
-        total = float(array.sum())
-        if t_end is not None and abs(number(t_end, "t_end") - total) > 1e-9 * total:
-            raise ModelError(f"t_end = {t_end:g} but the steps sum to {total:g}; leave t_end out")
-        return {"steps": array, "t_end": total, "step": None}
-    if t_end is None:
-        raise ModelError("t_end is missing; give the end of the run, a number > 0")
-    found = {"t_end": number(t_end, "t_end"), "step": None if step is None else number(step, "step")}
-    for name, value in found.items():
-        if value is not None and value <= 0:
-            raise ModelError(f"{name} = {value:g}; expected a number > 0")
-    return found
-
-
-def step_array(steps: Any, error: type[NsmodelError]) -> np.ndarray:
-    """The steps h_0, h_1, ... as an array; ``error`` where they are no finite numbers > 0."""
-    try:
-        array = np.asarray(steps, float)
-    except (OverflowError, TypeError, ValueError, RuntimeError):
-        array = None
-    if array is None or array.ndim != 1:
-        raise error(f"steps: expected a list or 1-D array of numbers > 0, not {shown(steps)}")
-    bad = np.flatnonzero(~(np.isfinite(array) & (array > 0)))
-    if bad.size or not array.size:
-        where = f"steps[{bad[0]}] = {array[bad[0]]:g}" if bad.size else "steps is empty"
-        raise error(f"{where}; expected finite numbers > 0")
-    return array
-
-
-def shown(value: Any) -> str:
-    """A value as a message shows it: short, with its type."""
-    text = " ".join(repr(value).split())
-    return f"{text if len(text) <= 60 else text[:57] + '...'} (a {type(value).__name__})"
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,16 +7,17 @@ symbol stands for its scalars q_0, q_1, ...: the names that ``SX.sym("q", 2)`` g
 from __future__ import annotations
 
 import numbers
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError
+from nsmodel.model.from_sympy import from_sympy
+from nsmodel.model.symbols import entries_of, is_casadi, is_sympy, refuse_repeats, refuse_undeclared, shown, stem_of, symbols_of
 from nsmodel.model.tables import opened
 from nsmodel.proof.graph import column, constants
 
@@ -47,9 +48,9 @@ def declare(value: Any, label: str) -> Declared:
     >>> declare([ca.SX.sym("q_0"), ca.SX.sym("q_1")], "q").stem
     'q'
     """
-    pairs = _symbols(value, label)
+    pairs = symbols_of(value, label)
     names = tuple(name for name, _, _ in pairs)
-    _refuse_repeats(names, label)
+    refuse_repeats(names, label)
     source = tuple(item for i, (_, _, item) in enumerate(pairs) if i == 0 or item is not pairs[i - 1][2])
     return Declared(names, stem_of(names), column([symbol for _, symbol, _ in pairs]), source)
 
@@ -69,7 +70,7 @@ class Converter:
 
     def __post_init__(self) -> None:
         """Refuse a name declared twice."""
-        _refuse_repeats([name for item in self.declared for name in item.names], "the declared symbols")
+        refuse_repeats([name for item in self.declared for name in item.names], "the declared symbols")
 
     @cached_property
     def symbols(self) -> dict[str, ca.SX]:
@@ -96,7 +97,7 @@ def to_sx(value: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
     result = opened(_convert(value, symbols, label))
     used = ca.symvar(result)
     known = {symbol.element_hash() for symbol in symbols.values()} if used else set()
-    _refuse_undeclared((symbol.name() for symbol in used), symbols, label)
+    refuse_undeclared((symbol.name() for symbol in used), symbols, label)
     strange = [symbol for symbol in used if symbol.element_hash() not in known]
     if strange:
         result = ca.substitute(result, column(strange), column([symbols[symbol.name()] for symbol in strange]))
@@ -120,77 +121,6 @@ def expand_mx(exprs: Sequence[ca.MX], mx_symbols: Sequence[ca.MX], sx_symbols: S
         ) from None
 
 
-# -- symbols -----------------------------------------------------------------------------------------------------------
-
-_Named = tuple[str, ca.SX, Any]
-
-
-def _symbols(value: Any, label: str) -> list[_Named]:
-    """List (scalar name, SX symbol, the user's object)."""
-    if isinstance(value, str):
-        return [(value, ca.SX.sym(value), value)]
-    if isinstance(value, ca.SX) and value.is_dense() and value.is_valid_input():
-        return [(s.name(), s, s) for s in ca.vertsplit(ca.vec(value))]
-    if isinstance(value, ca.MX) and value.is_dense() and value.is_valid_input():
-        return [(name, ca.SX.sym(name), mx) for mx in value.primitives() for name in _entries_of(mx.name(), mx.numel())]
-    if isinstance(value, np.ndarray) and value.dtype == object:
-        return _symbols(value.ravel().tolist(), label)
-    if isinstance(value, list | tuple):
-        return [pair for item in value for pair in _symbols(item, label)]
-    found = _sympy_symbols(value, label) if _is_sympy(value) else None
-    if found is not None:
-        return found
-    raise ModelError(
-        f"{label}: {_shown(value)} is not a symbol; expected symbols only, such as ca.SX.sym('{_word(label)}', 2), "
-        "a list of scalar symbols, or SymPy symbols"
-    )
-
-
-def _sympy_symbols(value: Any, label: str) -> list[_Named] | None:
-    if type(value).__name__ == "MatrixSymbol":
-        return [(name, ca.SX.sym(name), value) for name in _entries_of(value.name, int(value.rows * value.cols))]
-    if hasattr(value, "tolist"):
-        return _symbols(_flat(value.tolist()), label)
-    scalar = getattr(value, "is_Symbol", False) and not hasattr(value, "shape")
-    return [(value.name, ca.SX.sym(value.name), value)] if scalar else None
-
-
-def _entries_of(name: str, size: int) -> list[str]:
-    """Name the scalars of a symbol as SX.sym does, column by column."""
-    return [name] if size == 1 else [f"{name}_{i}" for i in range(size)]
-
-
-def stem_of(names: Sequence[str]) -> str | None:
-    """The name q of q_0, q_1, ...; None where there is none."""
-    if len(names) == 1:
-        return names[0]
-    stem = names[0].removesuffix("_0") if names else ""
-    return stem if stem and list(names) == [f"{stem}_{i}" for i in range(len(names))] else None
-
-
-def _refuse_repeats(names: Sequence[str], label: str) -> None:
-    repeated = [name for name, count in Counter(names).items() if count > 1]
-    if repeated:
-        raise ModelError(f"{label}: the symbol '{repeated[0]}' is declared twice; give each symbol its own name")
-
-
-def _refuse_undeclared(names: Any, symbols: Mapping[str, ca.SX], label: str) -> None:
-    for name in names:
-        if name not in symbols:
-            whole = name.rpartition("_")[0]
-            fix = (
-                f"'{whole}' is declared as one number; give parameters={{'{whole}': [...]}} as many as it has entries"
-                if whole in symbols
-                else "add it to parameters={...} or declare it as x=, t="
-            )
-            raise ModelError(
-                f"{label} uses the symbol '{name}', which is not declared: {fix}; declared are {', '.join(symbols) or 'none'}"
-            )
-
-
-# -- values ------------------------------------------------------------------------------------------------------------
-
-
 def _convert(value: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
     if isinstance(value, ca.SX):
         return value
@@ -207,22 +137,22 @@ def _convert(value: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
             raise ModelError(f"{label}: a whole number beyond 1.8e308; expected one that a double can hold") from None
     if isinstance(value, list | tuple):
         return _from_list(value, symbols, label)
-    if _is_sympy(value):
+    if is_sympy(value):
         value = value.as_explicit() if hasattr(value, "as_explicit") else value
         matrix = hasattr(value, "tolist")
-        return _from_list(value.tolist(), symbols, label) if matrix else _from_sympy(value, symbols, label)
+        return _from_list(value.tolist(), symbols, label) if matrix else from_sympy(value, symbols, label)
     if hasattr(value, "tocsc"):
         return _from_sparse(value, label)
     hint = "; call it with your symbols" if callable(value) else ""
     raise ModelError(
-        f"{label}: {_shown(value)} is not an expression{hint}; expected a number, a list, an array, CasADi SX or MX, or SymPy"
+        f"{label}: {shown(value)} is not an expression{hint}; expected a number, a list, an array, CasADi SX or MX, or SymPy"
     )
 
 
 def _from_mx(value: ca.MX, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
     own = ca.symvar(value)
-    _refuse_undeclared((name for mx in own for name in _entries_of(mx.name(), mx.numel())), symbols, label)
-    columns = [ca.reshape(column([symbols[name] for name in _entries_of(mx.name(), mx.numel())]), *mx.shape) for mx in own]
+    refuse_undeclared((name for mx in own for name in entries_of(mx.name(), mx.numel())), symbols, label)
+    columns = [ca.reshape(column([symbols[name] for name in entries_of(mx.name(), mx.numel())]), *mx.shape) for mx in own]
     return expand_mx([value], own, columns, label)[0]
 
 
@@ -247,7 +177,7 @@ def _from_sparse(value: Any, label: str) -> ca.SX:
 
 def _from_list(value: Sequence[Any], symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
     """Read a list of rows where any entry is a list or 1-D array, else a column of scalars and columns."""
-    if any(isinstance(item, list | tuple) or np.ndim(item) == 1 for item in value if not _is_casadi(item)):
+    if any(isinstance(item, list | tuple) or np.ndim(item) == 1 for item in value if not is_casadi(item)):
         return _rows([[_convert(entry, symbols, label) for entry in _entries(row)] for row in value], label)
     pieces = [_convert(item, symbols, label) for item in value]
     for i, piece in enumerate(pieces):
@@ -280,99 +210,3 @@ def _refuse_nan(value: ca.SX, label: str) -> None:
     where = next((i, j) for i, j in zip(*value.sparsity().get_triplet(), strict=True) if np.isnan(constants(value[i, j])).any())
     index = "" if value.numel() == 1 else f"[{where[0]}]" if value.shape[1] == 1 else f"[{where[0]}, {where[1]}]"
     raise ModelError(f"{label}{index} holds a NaN; give a number (inf is allowed) or an expression")
-
-
-# -- SymPy, which is never imported here -------------------------------------------------------------------------------
-
-
-def _equals(value: ca.SX, number: float) -> bool:
-    return value.is_constant() and float(value) == number
-
-
-def _heaviside(u: ca.SX, at_zero: ca.SX) -> ca.SX:
-    """(1 + sign u)/2, so that split_discontinuities sees the jump."""
-    step = (1 + ca.sign(u)) / 2
-    return step if _equals(at_zero, 0.5) else ca.if_else(u == 0, at_zero, step)
-
-
-_SYMPY: dict[str, Callable[..., ca.SX]] = {
-    "Add": lambda *args: reduce(lambda a, b: a + b, args),
-    "Mul": lambda *args: reduce(lambda a, b: a * b, args),
-    "Max": lambda *args: reduce(ca.fmax, args),
-    "Min": lambda *args: reduce(ca.fmin, args),
-    "Pow": lambda base, exponent: ca.sqrt(base) if _equals(exponent, 0.5) else base**exponent,
-    "Abs": ca.fabs,
-    "Heaviside": _heaviside,
-    "ceiling": ca.ceil,
-    "LessThan": lambda a, b: a <= b,
-    "StrictLessThan": lambda a, b: a < b,
-    "GreaterThan": lambda a, b: a >= b,
-    "StrictGreaterThan": lambda a, b: a > b,
-    "Equality": lambda a, b: a == b,
-    "Unequality": lambda a, b: a != b,
-    "And": lambda *args: reduce(ca.logic_and, args),
-    "Or": lambda *args: reduce(ca.logic_or, args),
-    "Not": ca.logic_not,
-    "BooleanTrue": lambda: ca.SX(1),
-    "BooleanFalse": lambda: ca.SX(0),
-    **{
-        name: getattr(ca, name)
-        for name in "exp log sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh atanh sign floor erf".split()
-    },
-}
-
-
-def _from_sympy(expr: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
-    name = type(expr).__name__
-    if name in ("Symbol", "Dummy"):
-        _refuse_undeclared([expr.name], symbols, label)
-        return symbols[expr.name]
-    if name == "MatrixElement":
-        matrix, i, j = expr.args
-        entries = _entries_of(matrix.name, int(matrix.rows * matrix.cols))
-        _refuse_undeclared([entry := entries[int(i + j * matrix.rows)]], symbols, label)
-        return symbols[entry]
-    if expr.is_Number or getattr(expr, "is_NumberSymbol", False):
-        return ca.SX(float(expr))
-    if name == "Piecewise":
-        return _from_piecewise(expr, symbols, label)
-    if name not in _SYMPY:
-        raise ModelError(
-            f"{label}: '{name}' in {expr} has no CasADi counterpart; write it with elementary functions, "
-            "sqrt, Abs, Max, Min, sign or Piecewise, or call .doit() first"
-        )
-    return _SYMPY[name](*(_from_sympy(arg, symbols, label) for arg in expr.args))
-
-
-def _from_piecewise(expr: Any, symbols: Mapping[str, ca.SX], label: str) -> ca.SX:
-    pieces = [(_from_sympy(piece, symbols, label), _from_sympy(cond, symbols, label)) for piece, cond in expr.args]
-    if not pieces[-1][1].is_one():
-        raise ModelError(f"{label}: {expr} has no value where none of its conditions holds; end it with (expression, True)")
-    result = pieces[-1][0]
-    for piece, condition in reversed(pieces[:-1]):
-        result = ca.if_else(condition, piece, result)
-    return result
-
-
-# -- small helpers -----------------------------------------------------------------------------------------------------
-
-
-def _is_sympy(value: Any) -> bool:
-    return any(str(base.__module__).partition(".")[0] == "sympy" for base in type(value).__mro__)
-
-
-def _is_casadi(value: Any) -> bool:
-    return isinstance(value, ca.SX | ca.MX | ca.DM) or _is_sympy(value)
-
-
-def _flat(rows: Any) -> list[Any]:
-    return [item for row in rows for item in _flat(row)] if isinstance(rows, list) else [rows]
-
-
-def _shown(value: Any) -> str:
-    text = str(value)
-    return f"{text if len(text) <= 60 else text[:57] + '...'} (a {type(value).__name__})"
-
-
-def _word(label: str) -> str:
-    return label if label.isidentifier() else "x"

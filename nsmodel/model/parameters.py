@@ -10,7 +10,8 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError, NsmodelError, UsageError
-from nsmodel.model.convert import Declared, declare, stem_of
+from nsmodel.model.convert import Declared, declare
+from nsmodel.model.symbols import stem_of
 
 Values = Mapping[Any, Any]  # {symbol or name: number, list, array or None}
 

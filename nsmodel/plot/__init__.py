@@ -5,8 +5,8 @@ and no display is needed. Long runs are thinned so that no extremum and no event
 of the index set belongs to the step that *ends* at t_k, and is drawn from t_{k-1} to t_k.
 """
 
-from nsmodel.plot.crowd import animate
 from nsmodel.plot.figures import overview, save, save_all
+from nsmodel.plot.film import animate
 from nsmodel.plot.plane import configuration, phase
 from nsmodel.plot.stress import stress
 from nsmodel.plot.strip import index_strip

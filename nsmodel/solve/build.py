@@ -25,7 +25,8 @@ from nsmodel.solve.stepper import StepResult, Warm
 from nsmodel.solve.structure import DENSE, read
 
 if TYPE_CHECKING:  # SciPy is loaded by who uses it.
-    from nsmodel.solve.sparse import AtStep, Sparse
+    from nsmodel.solve.band import AtStep
+    from nsmodel.solve.sparse import Sparse
 
 NEARBY_SETS = 400  # Index sets around the last one that are tried where Newton's method does not settle.
 STARTS = 3  # Random starts of IPOPT, after the last multiplier and 0.

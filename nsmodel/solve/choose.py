@@ -18,7 +18,7 @@ from nsmodel.solve.structure import Structure, is_monotone, least_eigenvalue
 if TYPE_CHECKING:  # SciPy is loaded by who uses it.
     from scipy.sparse.linalg import LinearOperator
 
-    from nsmodel.solve.sparse import Order
+    from nsmodel.solve.band import Order
 
 DUAL, IPOPT = "dual active set", "ipopt"
 OWN = {"active-set": mlcp.INDEX_SET, "lemke": mlcp.LEMKE, "enumeration": mlcp.ENUMERATION, "semismooth": mlcp.SEMISMOOTH}

@@ -18,7 +18,8 @@ from nsmodel.grid import is_number, written
 from nsmodel.hypotheses.along import CONTINUOUS, QUALIFIED
 from nsmodel.hypotheses.findings import ALONG_A_RUN, VIOLATED
 from nsmodel.hypotheses.quick import UNIQUENESS
-from nsmodel.model.base import Model, shown
+from nsmodel.model.arguments import shown
+from nsmodel.model.base import Model
 from nsmodel.model.parameters import Values
 from nsmodel.proof.sure import sure
 from nsmodel.run.interrupt import progress_bar

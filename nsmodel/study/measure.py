@@ -20,7 +20,8 @@ from nsmodel.errors import NsmodelError, UsageError
 from nsmodel.grid import is_number, written
 from nsmodel.hypotheses.along import along
 from nsmodel.hypotheses.findings import Finding
-from nsmodel.model.base import Model, shown
+from nsmodel.model.arguments import shown
+from nsmodel.model.base import Model
 from nsmodel.model.parameters import Values
 from nsmodel.proof.sure import sure
 from nsmodel.study import methods

@@ -20,7 +20,8 @@ from peers import programs
 import nsmodel
 from nsmodel.codegen.library import compiler
 from nsmodel.simulate import prepare
-from nsmodel.solve.sparse import AtStep, Sparse
+from nsmodel.solve.band import AtStep
+from nsmodel.solve.sparse import Sparse
 
 CASE = Path(__file__).resolve().parents[2] / "cases" / "friction_chain.py"
 SHORT = bool(os.environ.get("NSMODEL_SHORT"))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import casadi as ca
 
-from nsmodel.classes.bodies.model import Bodies, ManyBodies, Member
+from nsmodel.classes.bodies.groups import Bodies, Member
+from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.hypotheses.report.formula import Names
 from nsmodel.hypotheses.report.notation import symbol_latex, words
 from nsmodel.hypotheses.report.typeset import call, space, texts, vector_lines

@@ -10,7 +10,8 @@ import casadi as ca
 
 from nsmodel.errors import ModelError
 from nsmodel.laws import Law
-from nsmodel.model.base import LEFT_OUT, Model, shown
+from nsmodel.model.arguments import shown
+from nsmodel.model.base import LEFT_OUT, Model
 from nsmodel.model.convert import Converter
 
 

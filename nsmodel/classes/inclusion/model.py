@@ -14,7 +14,8 @@ import numpy as np
 from nsmodel.classes.first_order.model import checked_law
 from nsmodel.errors import ModelError
 from nsmodel.laws import Law
-from nsmodel.model.base import Model, shown
+from nsmodel.model.arguments import shown
+from nsmodel.model.base import Model
 from nsmodel.model.convex import ConvexSplit, split, split_discontinuities
 from nsmodel.pickled import Pickled
 

@@ -10,7 +10,8 @@ import casadi as ca
 
 from nsmodel.errors import ModelError
 from nsmodel.laws import Words
-from nsmodel.model.base import Model, refuse_infinite, shown
+from nsmodel.model.arguments import shown
+from nsmodel.model.base import Model, refuse_infinite
 from nsmodel.model.convex import ConvexSplit, split
 
 

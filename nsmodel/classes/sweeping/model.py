@@ -10,7 +10,8 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError
-from nsmodel.model.base import Model, shown
+from nsmodel.model.arguments import shown
+from nsmodel.model.base import Model
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

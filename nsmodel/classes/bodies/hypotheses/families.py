@@ -13,7 +13,8 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.bodies.model import Family, ManyBodies
+from nsmodel.classes.bodies.groups import Family
+from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.classes.sweeping.hypotheses.constraint import Constraint
 from nsmodel.classes.sweeping.hypotheses.shapes import read_shapes
 from nsmodel.hypotheses.region import Region

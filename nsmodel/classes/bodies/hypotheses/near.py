@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.bodies.model import Family
+from nsmodel.classes.bodies.groups import Family
 from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, Rows, searched
 from nsmodel.proof import interval
 from nsmodel.proof.sure import sure

@@ -13,7 +13,8 @@ from typing import Any, NoReturn
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.bodies.model import Family, ManyBodies
+from nsmodel.classes.bodies.groups import Family
+from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.errors import StepError, UsageError
 from nsmodel.proof.buffered import attached
 from nsmodel.proof.sure import sure

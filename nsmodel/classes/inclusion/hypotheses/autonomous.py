@@ -11,11 +11,12 @@ from copy import copy
 import casadi as ca
 import numpy as np
 
+from nsmodel.classes.inclusion.hypotheses.continuity import continuous
 from nsmodel.classes.inclusion.hypotheses.growth import linear_growth
-from nsmodel.classes.inclusion.hypotheses.one_sided import one_sided, switching_point
+from nsmodel.classes.inclusion.hypotheses.one_sided import one_sided
 from nsmodel.classes.inclusion.hypotheses.selected_field import Field, field_of, set_of
 from nsmodel.classes.inclusion.hypotheses.steps import PAPER, convergence
-from nsmodel.classes.inclusion.hypotheses.switches import continuous_terms_removed, monotone_part, opposed
+from nsmodel.classes.inclusion.hypotheses.switches import monotone_part, opposed
 from nsmodel.classes.inclusion.hypotheses.tangent import dissipativity
 from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.hypotheses.domain import without_domain
@@ -35,8 +36,8 @@ from nsmodel.hypotheses.region import Region
 from nsmodel.proof import exact, extremum, interval, polynomial
 from nsmodel.proof.convex import potentials
 from nsmodel.proof.convex.convex_sets import ConvexSet, has_interior, is_convex
-from nsmodel.proof.graph import keys, replay
-from nsmodel.proof.jumps import SWITCHES, find_jump
+from nsmodel.proof.graph import keys
+from nsmodel.proof.jumps import find_jump
 from nsmodel.proof.search import are_quick
 from nsmodel.proof.verdict import Part
 from nsmodel.trajectory import Trajectory
@@ -48,7 +49,6 @@ A2 = Hypothesis("M-A2", "|F(x) - S(x)| <= a_1 + a_2 |x| on C", f"{PAPER}, (A2)")
 A3 = Hypothesis("M-A3", "<x, w> <= -alpha |x|^2 + beta for w in P_{T_C(x)}(F(x) - S(x)), x in C", f"{PAPER}, (A3)")
 LIPSCHITZ = Hypothesis("M-24", "<G(x) - G(y), x - y> <= L |x - y|^2, G = F - S", f"{PAPER}, (24)")
 HYPOTHESES = (OPERATOR, SET, A1, A2, A3, LIPSCHITZ)
-KINKS = {ca.OP_FABS: "fabs", ca.OP_FMAX: "fmax", ca.OP_FMIN: "fmin"}
 FEW = 64  # Fewer points show nothing.
 CONTRACTS = ("M-T", "M-C", "M-A1", "M-24")
 
@@ -238,87 +238,6 @@ def _broken_monotony(field: Field) -> Part:
     if part.verdict == VIOLATED:
         return Part(VIOLATED, "S jumps downwards across a switching surface: it is not monotone", part.value, part.witness)
     return Part(UNKNOWN, f"the switches of S are not seen to be monotone: {part.how}", {}, {})
-
-
-# -- M-A1 --------------------------------------------------------------------------------------------------------------
-
-
-def continuous(model: MonotoneInclusion, C: ConvexSet, box: tuple[np.ndarray, np.ndarray]) -> Part:
-    """(A1): F is continuous on C, or on a box of states."""
-    F, x, x0 = model.field, model.x, np.array(ca.DM(model.x0)).ravel()
-    kinks: list[str] = []
-    replay(F, lambda op, args, old: kinks.append(KINKS[op]), tuple(KINKS), x, "field")
-    note = f"; kinks: {', '.join(f'{kinks.count(name)} {name}' for name in dict.fromkeys(kinks))}" if kinks else ""
-    value: dict[str, float] = {"kinks": len(kinks)}
-    n = x.numel()
-    F = continuous_terms_removed(F, C)
-    for local, place, (low, high) in (
-        (False, "", (np.full(n, -np.inf), np.full(n, np.inf))),
-        (False, " on C", C.hull),
-        (True, "", (np.maximum(C.hull[0], box[0]), np.minimum(C.hull[1], box[1]))),
-    ):
-        if interval.is_continuous(F, x, low, high):
-            return Part(HOLDS, f"no operation of F jumps or has a pole{place}{note}", value, {}, local)
-    jump = _jump(model.field, C, box, x0)
-    if jump is not None:
-        return jump
-    return Part(UNKNOWN, "an operation of F may jump or have a pole on the box; no jump was seen", {}, {})
-
-
-def _jump(F: ca.SX, C: ConvexSet, box: tuple[np.ndarray, np.ndarray], x0: np.ndarray) -> Part | None:
-    """A point of C where F jumps: on both sides of the zero of a switching argument."""
-    arguments: list[ca.SX] = []
-
-    def rule(op: int, args: list[ca.SX], old: ca.SX) -> None:
-        arguments.append(args[0] if len(args) == 1 else args[0] - args[1])
-
-    replay(F, rule, SWITCHES, C.x, "field")
-    for k, u in enumerate(arguments):
-        point = switching_point(C, u, box, x0)
-        if point is None:
-            continue
-        slope = np.array(ca.Function("slope", [C.x], [ca.gradient(u, C.x)])(point)).ravel()
-        if not slope.any() or not np.isfinite(slope).all():
-            continue
-        below, above = (_one_sided(F, C.x, k, side) for side in (-1, 1))
-        for size in (1e-12, 1e-9, 1e-7):
-            d = size * (1 + np.linalg.norm(point)) * slope / np.linalg.norm(slope)
-            ends = point - d, point + d
-            cell = np.minimum(*ends), np.maximum(*ends)
-            signs = [interval.enclose(u, C.x, end, end) for end in ends]
-            crosses = float(np.max(signs[0][1])) < 0 < float(np.min(signs[1][0]))
-            if not crosses or any(C.surely_inside(end) is None for end in ends):
-                continue
-            left, right = (interval.enclose(part, C.x, *cell) for part in (below, above))
-            gaps = np.maximum(np.maximum(left[0] - right[1], right[0] - left[1]), 0.0)
-            if gaps.max() > 0 and np.isfinite([*left, *right]).all():
-                how = "F jumps across a switching surface inside C: bounds of both sides around the point do not meet"
-                middles = [((part[0] + part[1]) / 2).ravel() for part in (left, right)]
-                values = {"jump": float(np.linalg.norm(gaps))}
-                return Part(VIOLATED, how, values, {"x": point, "switch": str(u), "below": middles[0], "above": middles[1]})
-    return None
-
-
-def _one_sided(F: ca.SX, x: ca.SX, k: int, side: int) -> ca.SX:
-    """F with its k-th switch put to what it is on one side of u = 0."""
-    count = iter(range(10**6))
-
-    def rule(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
-        if next(count) != k:
-            return None
-        up = side > 0
-        values = {
-            ca.OP_SIGN: side,
-            ca.OP_FLOOR: up - 1,
-            ca.OP_CEIL: up,
-            ca.OP_LT: not up,
-            ca.OP_LE: not up,
-            ca.OP_EQ: 0,
-            ca.OP_NE: 1,
-        }
-        return ca.SX(float(values[op]))
-
-    return replay(F, rule, SWITCHES, x, "field")
 
 
 # -- consequences ------------------------------------------------------------------------------------------------------

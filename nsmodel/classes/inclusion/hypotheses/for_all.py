@@ -15,6 +15,7 @@ import numpy as np
 
 from nsmodel.classes.inclusion.hypotheses import autonomous as inclusion
 from nsmodel.classes.inclusion.hypotheses.autonomous import A3, HYPOTHESES, check, consequences_of
+from nsmodel.classes.inclusion.hypotheses.continuity import continuous
 from nsmodel.classes.inclusion.hypotheses.growth import linear_growth
 from nsmodel.classes.inclusion.hypotheses.one_sided import one_sided
 from nsmodel.classes.inclusion.hypotheses.over_parameters import LEAST, Scene, Switching, over_parameters, switching_part
@@ -125,7 +126,7 @@ def _at_corners(scene: Scene) -> dict[str, Part | None]:
     operators = whole or _models(scene, ca.vertcat(ca.SX.zeros(n), rows))
     fields = whole or _models(scene, ca.vertcat(model.field, ca.SX.zeros(rows.numel())))
     T = agreed((inclusion.operator(one, scene.C, scene.box, quick) for one in operators), {LEAST: min, "terms": max})
-    F = agreed((inclusion.continuous(one, scene.C, scene.box) for one in fields), {"kinks": max})
+    F = agreed((continuous(one, scene.C, scene.box) for one in fields), {"kinks": max})
     made = [field_of(one, scene.C) for one in whole]
     growth = [linear_growth(field, scene.box, quick=quick) for field in made]
     reach = scene.reach if scene.moving.moving else 0.0

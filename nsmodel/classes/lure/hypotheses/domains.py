@@ -11,21 +11,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Any, NamedTuple
+from typing import Any
 
-import casadi as ca
 import numpy as np
 
-from nsmodel.hypotheses.domain import domain_rows, without_domain
 from nsmodel.laws import Block, Law
 from nsmodel.laws.block import Intervals, Round, SecondOrder, Shape
-from nsmodel.model.convex import ConvexSplit, Term
-from nsmodel.model.expressions import evaluate, points
-from nsmodel.proof import exact, feasibility, interval, polynomial
-from nsmodel.proof.convex import convexity
+from nsmodel.proof import exact, feasibility
 from nsmodel.proof.feasibility import System
 
-BOUNDS = ("indicator", "equality", "cone")  # terms of a potential that bound its domain
 TAU = [0]  # the column of tau
 Part = tuple[list[int], Any]  # columns and the matrix (., columns) that they are multiplied with
 
@@ -94,9 +88,6 @@ def _assembled(parts: list[Part], rows: int, columns: int) -> np.ndarray:
     for own, matrix in parts:
         A[:, own] = A[:, own] + exact.rational(matrix)
     return A
-
-
-# -- laws -----------------------------------------------------------------------------------------------------------------
 
 
 def of_law(law: Law, D: np.ndarray, changed: Callable[[Shape], Shape] = lambda shape: shape) -> Domains:
@@ -183,7 +174,7 @@ def _round(found: Domains, unit: np.ndarray, shape: Round, seen: bool, label: st
 def _polyhedron(found: Domains, unit: np.ndarray, H: np.ndarray, K: np.ndarray) -> None:
     """{l : H l >= K}: slacks > 0 but for the rows that are equalities on all of the set; K_inf* = H' R+^r."""
     own = found.add(H.shape[1], "free")
-    _slacks(found, own, H, K)
+    slacks(found, own, H, K)
     found.k.append((own, unit))
     found.y.append((found.add(len(K), "positive"), unit @ H.T))
     found.across.append(H @ unit.T)
@@ -191,7 +182,7 @@ def _polyhedron(found: Domains, unit: np.ndarray, H: np.ndarray, K: np.ndarray) 
     found.flat.append(exact.product(receding.T, unit.T))
 
 
-def _slacks(found: Domains, own: list[int], H: np.ndarray, K: np.ndarray) -> list[int]:
+def slacks(found: Domains, own: list[int], H: np.ndarray, K: np.ndarray) -> list[int]:
     """Rows H u >= tau K, strict where they can be; returns the indices of those that are equalities on all of the set."""
     implied = equalities(H, K)
     strict = [i for i in range(len(K)) if i not in implied]
@@ -219,169 +210,3 @@ def equalities(H: np.ndarray, K: np.ndarray) -> list[int]:
     if 0 in zero:
         raise Empty("it is empty: its conditions contradict each other")
     return [j - 1 - H.shape[1] for j in zero]
-
-
-# -- potentials -----------------------------------------------------------------------------------------------------------
-
-
-class Affine(NamedTuple):
-    """A term of a potential with numbers: kind and weight as in :class:`Term`, u = J y + c."""
-
-    kind: str
-    weight: float
-    J: np.ndarray
-    c: np.ndarray
-
-
-class Potential(NamedTuple):
-    """What is known of Phi.
-
-    Attributes:
-        Q, b: of the smooth part y'Qy/2 + b'y + ..., rational; None where it is not quadratic, or nested terms hide it.
-        terms: those whose argument is affine and holds no nested level; all of them where Q is given.
-        finite: whether Phi is finite everywhere.
-        unknown: why its domain is not known; empty where it is.
-    """
-
-    Q: np.ndarray | None
-    b: np.ndarray | None
-    terms: tuple[Affine, ...]
-    finite: bool
-    unknown: str = ""
-
-    @property
-    def bounds(self) -> list[Affine]:
-        """The terms that bound the domain."""
-        return [term for term in self.terms if term.kind in BOUNDS]
-
-    @property
-    def piecewise(self) -> bool:
-        """Whether Phi is piecewise linear-quadratic."""
-        return self.Q is not None and all(term.kind not in ("norm", "cone") for term in self.terms)
-
-
-def potential(phi: ca.SX, split: ConvexSplit, y: ca.SX) -> Potential:
-    """Read a potential.
-
-    Raises:
-        Undecided: it is not proved to be convex.
-    """
-    m, z = y.numel(), ca.vertcat(y, split.tau)
-    try:
-        terms, unknown = _affine_terms(split, y), ""
-    except Undecided as reason:
-        terms, unknown = (), str(reason)
-    form = None if unknown or split.tau.numel() else polynomial.quadratic(polynomial.read(split.smooth, y)[0], m)
-    if form is not None:
-        if not exact.psd(form.H).psd:
-            raise Undecided("phi is not convex: its smooth part has an indefinite Hessian")
-        return Potential(form.H, form.q, terms, not any(term.kind in BOUNDS for term in terms))
-    if not convexity.everywhere(without_domain(phi, y, "phi"), y)[0].convex:
-        raise Undecided("phi is not proved to be convex")
-    finite = interval.is_continuous(phi, y, *_whole(m))
-    if not (finite or unknown or interval.is_continuous(ca.vertcat(split.smooth, split.epigraph), z, *_whole(z.numel()))):
-        unknown = "the smooth part of phi is not proved to be finite everywhere: its domain is not known"
-    if unknown and not finite and not _is_proper(phi, y):
-        raise Undecided(f"{unknown}; nor is phi proved to be convex and finite somewhere")
-    return Potential(None, None, terms, finite, unknown)
-
-
-def _is_proper(phi: ca.SX, y: ca.SX) -> bool:
-    """Whether the domain is proved to be convex, and phi is finite at a sample point."""
-    rows, equal = domain_rows(phi, y, "phi")
-    shapes = convexity.everywhere(ca.vertcat(ca.SX(0, 1), *rows, *equal), y)
-    bounds_good = all(shape.concave and (i < len(rows) or shape.convex) for i, shape in enumerate(shapes))
-    return bounds_good and bool(
-        np.isfinite(evaluate(phi, y, np.vstack([np.zeros((1, y.numel())), points(y.numel(), 200)]))).any()
-    )
-
-
-def _whole(n: int) -> tuple[np.ndarray, np.ndarray]:
-    return np.full(n, -np.inf), np.full(n, np.inf)
-
-
-def _affine_terms(split: ConvexSplit, y: ca.SX) -> tuple[Affine, ...]:
-    terms = [_affine(term, y) for term in split.terms if not _is_level(term, split.tau)]
-    return tuple(term for term in terms if term.weight)
-
-
-def _is_level(term: Term, tau: ca.SX) -> bool:
-    """Whether a term is part of a nested one and bounds no domain."""
-    if not tau.numel() or not ca.depends_on(term.u, tau):
-        return False
-    if term.kind in ("abs", "max", "norm") or (term.kind == "cone" and any(_same(term.u[0], s) for s in ca.vertsplit(tau))):
-        return True
-    raise Undecided(f"the domain of phi has a nested bound, {term.u}: write it with separate conditions")
-
-
-def _same(a: ca.SX, b: ca.SX) -> bool:
-    return bool(ca.is_equal(a, b, 5))
-
-
-def _affine(term: Term, y: ca.SX) -> Affine:
-    m = y.numel()
-    forms = [polynomial.quadratic(p, m) for p in polynomial.read(term.u, y)]
-    flat = [form for form in forms if form is not None and not form.H.any()]
-    if len(flat) < len(forms):
-        raise Undecided(f"phi holds {term.kind}({term.u}), which is curved inside: its domain is no polyhedron or cone")
-    J = np.array([form.q.ravel() for form in flat], dtype=object).reshape(-1, m)
-    weight = 1.0 if term.kind in BOUNDS else float(ca.DM(term.weight))
-    return Affine(term.kind, weight, J, np.array([form.c for form in flat], dtype=object))
-
-
-def of_potential(p: Potential, m: int, coupled: bool) -> Domains:
-    """The domains of Xi(z) = Phi*(-z) and of Phi; ``coupled`` says that k is needed (D is not 0).
-
-    Raises:
-        Empty: no point is seen inside all the sets that bound the domain of Phi.
-        Undecided: that domain is not known; k is needed and the smooth part is not quadratic.
-    """
-    if p.unknown and not p.finite:
-        raise Undecided(p.unknown)
-    found = Domains(m, loose=np.full(m, p.finite))
-    if p.finite:
-        return found
-    own = found.add(m, "free")
-    found.y.append((own, np.eye(m)))
-    normals = _bounds(found, own, p.bounds)
-    found.across.append(exact.nullspace(normals).T if len(normals) else exact.eye(m))
-    found.flat += [term.J for term in p.bounds]
-    if found.groups and feasibility.decide(found.system([])).point is None:
-        raise Empty("no point is seen inside all the cones that bound it")
-    if coupled:
-        if p.Q is None:
-            raise Undecided("the smooth part of phi is not quadratic, and D is not 0: the domain of Xi is not known")
-        found.k += [(TAU, exact.product(p.b, [[-1]])), (found.add(m, "free"), exact.product(p.Q, -np.eye(m)))]
-        for term in p.terms:
-            _multiplier(found, term)
-    return found
-
-
-def _bounds(found: Domains, own: list[int], bounds: list[Affine]) -> np.ndarray:
-    """Rows for y in rint dom Phi; returns the normals of its affine hull (., m)."""
-    m = len(own)
-    planes = [(term.J, -term.c) for term in bounds if term.kind == "indicator"]
-    planes += [(sign * term.J, -sign * term.c) for term in bounds if term.kind == "equality" for sign in (1, -1)]
-    H = np.vstack([exact.zeros(0, m), *(J for J, _ in planes)])
-    K = np.concatenate([exact.zeros(0, 1).ravel(), *(c for _, c in planes)])
-    implied = _slacks(found, own, H, K)
-    for term in bounds:
-        if term.kind == "cone":
-            inside = found.add(len(term.c), "cone")
-            found.rows.append([(own, term.J), (TAU, term.c.reshape(-1, 1)), (inside, -np.eye(len(term.c)))])
-    return H[implied]
-
-
-def _multiplier(found: Domains, term: Affine) -> None:
-    """J' l' with l' in the relative interior of the term's own set of multipliers."""
-    w = Fraction(term.weight)
-    if term.kind in ("abs", "max"):
-        for row in term.J:
-            found.between(row, -w, w if term.kind == "max" else 2 * w)
-    elif term.kind == "norm":
-        own = found.add(len(term.J) + 1, "cone")
-        found.rows.append([(own[:1], [[1.0]]), (TAU, [[-w]])])
-        found.k.append((own[1:], term.J.T))
-    else:
-        kind = {"indicator": "positive", "equality": "free", "cone": "cone"}[term.kind]
-        found.k.append((found.add(len(term.J), kind), term.J.T))

@@ -8,7 +8,8 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.lure.hypotheses import domains
-from nsmodel.classes.lure.hypotheses.domains import Empty, Potential
+from nsmodel.classes.lure.hypotheses.domains import Empty
+from nsmodel.classes.lure.hypotheses.potential_domains import Potential
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, found
 from nsmodel.laws import Law

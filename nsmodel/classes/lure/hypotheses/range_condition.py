@@ -16,15 +16,16 @@ C'w = 0 (5.4a), S w = 0, w recedes in dom Xi and <D w, k> + <w, y> >= <w, C x> f
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.classes.lure.hypotheses import domains
-from nsmodel.classes.lure.hypotheses.domains import TAU, Domains, Empty, Potential, Undecided
+from nsmodel.classes.lure.hypotheses.domains import TAU, Domains
 from nsmodel.classes.lure.hypotheses.interior import interior
-from nsmodel.classes.lure.hypotheses.passivity import PAPER, ROUNDING, input_output
+from nsmodel.classes.lure.hypotheses.passivity import PAPER
+from nsmodel.classes.lure.hypotheses.range_setting import Setting, line_of, setting_of
 from nsmodel.classes.lure.hypotheses.rest_point import rest_point
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, found
@@ -43,48 +44,9 @@ H_71 = Hypothesis("7.1", "0 in X_0, A(0) = 0, 0 in (D + dXi)^-1(0), and f = 0", 
 HYPOTHESES = (H_31, H_54A, H_54B, H_54C, H_5X0, H_71)
 
 
-@dataclass(frozen=True)
-class Setting:
-    """What the findings share: matrices in Fractions, the domains, or why they are not known."""
-
-    model: LureSystem
-    C: np.ndarray
-    D: np.ndarray
-    psd: bool
-    rounded: bool
-    kernel: int
-    potential: Potential | None
-    domains: Domains | None
-    reason: str
-    broken: bool
-    line: np.ndarray | None
-
-    @property
-    def m(self) -> int:
-        """Number of multipliers."""
-        return len(self.D)
-
-    @property
-    def bounded(self) -> bool:
-        """Whether the law's K is a product of bounded intervals and balls."""
-        return self.model.law is not None and self.domains is not None and bool(self.domains.loose.all())
-
-    @property
-    def everything(self) -> str:
-        """Why int dom Upsilon* is the whole space; empty where that is not seen at once."""
-        if self.broken:
-            return ""
-        if not self.kernel:
-            return "ker(D + D') = {0} (exact), so that int dom Upsilon* is the whole space"
-        if self.domains is not None and self.domains.loose.all():
-            what = "K is bounded" if self.model.law is not None else "Phi is finite everywhere"
-            return f"{what}, so that int dom Upsilon* is the whole space"
-        return ""
-
-
 def range_findings(model: LureSystem, quick: bool) -> list[Finding]:
     """Decide 3.1, 5.4a, 5.4b, 5.4c, 5.x0 and 7.1, in this order; the model is bound. Nothing here is left out by ``quick``."""
-    at = _setting(model)
+    at = setting_of(model)
     x0 = np.array(ca.DM(model.x0)).ravel()
     start = _admissible(at, H_5X0, exact.product(at.C, exact.rational(x0)[:, None]))
     origin = start if not x0.any() else _admissible(at, H_5X0, exact.zeros(at.m, 1))
@@ -102,45 +64,6 @@ def _softened(at: Setting, finding: Finding) -> Finding:
     return replace(finding, verdict=verdict, how=f"{finding.how} But {why}.")
 
 
-def _setting(model: LureSystem) -> Setting:
-    C, D = (np.array(ca.DM(matrix)).reshape(matrix.shape) for matrix in (model.C, model.D))
-    S = exact.rational(D) + exact.rational(D).T
-    kernel = len(S) - exact.rank(S)
-    potential, own, reason, broken = None, None, "", False
-    try:
-        if model.law is not None:
-            own = domains.of_law(model.law, D)
-        else:
-            broken = True
-            potential = domains.potential(model.phi, model.phi_split, model.y)
-            broken = False
-            own = domains.of_potential(potential, len(D), bool(D.any()))
-    except Empty as empty:
-        reason, broken = f"{'K' if model.law is not None else 'the domain of phi'}: {empty}", True
-    except Undecided as undecided:
-        reason = str(undecided)
-    line = None if own is None or own.loose.all() or not kernel else _line(own, exact.rational(D))
-    psd = exact.psd(D).psd
-    rounded = input_output(D).verdict == SAMPLED or (psd and _rank_in_doubles(D) < len(S) - kernel)
-    return Setting(
-        model, exact.rational(C), exact.rational(D), psd or rounded, rounded, kernel, potential, own, reason, broken, line
-    )
-
-
-def _rank_in_doubles(D: np.ndarray) -> int:
-    """Rank of D + D', D psd, scaled to a unit diagonal, where eigenvalues of the size of rounding count as 0."""
-    root = np.sqrt(np.diagonal(D)[np.diagonal(D) > 0])
-    S = (D + D.T)[np.ix_(np.diagonal(D) > 0, np.diagonal(D) > 0)] / 2 / root[:, None] / root
-    return int((np.linalg.eigvalsh(S) > len(D) * ROUNDING).sum()) if len(S) else 0
-
-
-def _line(own: Domains, D: np.ndarray) -> np.ndarray | None:
-    """A direction v so that Upsilon is linear along v and -v; None where there is none."""
-    rows = np.vstack([own.stacked(own.across), D + D.T, exact.product(own.stacked(own.flat), D)])
-    lines = exact.nullspace(rows)
-    return exact.doubles(lines[:, 0]) if lines.shape[1] else None
-
-
 def covers_everything(law: Law, D: np.ndarray) -> bool:
     """Whether int dom Upsilon* is the whole space: R(D + N_K) is, then, for a psd D (rational).
 
@@ -152,7 +75,7 @@ def covers_everything(law: Law, D: np.ndarray) -> bool:
     own.loose = domains.loose(law)
     if own.loose.all():
         return True
-    return _line(own, D) is None and feasibility.decide(own.system(_parts(D, own), own.m)).point is not None
+    return line_of(own, D) is None and feasibility.decide(own.system(_parts(D, own), own.m)).point is not None
 
 
 # -- 5.4a and 5.x0 --------------------------------------------------------------------------------------------------------

@@ -7,7 +7,8 @@ from fractions import Fraction
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.lure.hypotheses.domains import TAU, Affine, Domains, Potential
+from nsmodel.classes.lure.hypotheses.domains import TAU, Domains
+from nsmodel.classes.lure.hypotheses.potential_domains import Affine, Potential
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, found
 from nsmodel.laws import Law

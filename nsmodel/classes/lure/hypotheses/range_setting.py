@@ -1,0 +1,95 @@
+"""What the range conditions rest on: matrices in Fractions, the domains of the law, a line in them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.classes.lure.hypotheses import domains, potential_domains
+from nsmodel.classes.lure.hypotheses.domains import Domains, Empty, Undecided
+from nsmodel.classes.lure.hypotheses.passivity import ROUNDING, input_output
+from nsmodel.classes.lure.hypotheses.potential_domains import Potential
+from nsmodel.classes.lure.model import LureSystem
+from nsmodel.hypotheses.findings import SAMPLED
+from nsmodel.proof import exact
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What the findings share: matrices in Fractions, the domains, or why they are not known."""
+
+    model: LureSystem
+    C: np.ndarray
+    D: np.ndarray
+    psd: bool
+    rounded: bool
+    kernel: int
+    potential: Potential | None
+    domains: Domains | None
+    reason: str
+    broken: bool
+    line: np.ndarray | None
+
+    @property
+    def m(self) -> int:
+        """Number of multipliers."""
+        return len(self.D)
+
+    @property
+    def bounded(self) -> bool:
+        """Whether the law's K is a product of bounded intervals and balls."""
+        return self.model.law is not None and self.domains is not None and bool(self.domains.loose.all())
+
+    @property
+    def everything(self) -> str:
+        """Why int dom Upsilon* is the whole space; empty where that is not seen at once."""
+        if self.broken:
+            return ""
+        if not self.kernel:
+            return "ker(D + D') = {0} (exact), so that int dom Upsilon* is the whole space"
+        if self.domains is not None and self.domains.loose.all():
+            what = "K is bounded" if self.model.law is not None else "Phi is finite everywhere"
+            return f"{what}, so that int dom Upsilon* is the whole space"
+        return ""
+
+
+def setting_of(model: LureSystem) -> Setting:
+    """Read the model."""
+    C, D = (np.array(ca.DM(matrix)).reshape(matrix.shape) for matrix in (model.C, model.D))
+    S = exact.rational(D) + exact.rational(D).T
+    kernel = len(S) - exact.rank(S)
+    potential, own, reason, broken = None, None, "", False
+    try:
+        if model.law is not None:
+            own = domains.of_law(model.law, D)
+        else:
+            broken = True
+            potential = potential_domains.potential(model.phi, model.phi_split, model.y)
+            broken = False
+            own = potential_domains.of_potential(potential, len(D), bool(D.any()))
+    except Empty as empty:
+        reason, broken = f"{'K' if model.law is not None else 'the domain of phi'}: {empty}", True
+    except Undecided as undecided:
+        reason = str(undecided)
+    line = None if own is None or own.loose.all() or not kernel else line_of(own, exact.rational(D))
+    psd = exact.psd(D).psd
+    rounded = input_output(D).verdict == SAMPLED or (psd and _rank_in_doubles(D) < len(S) - kernel)
+    return Setting(
+        model, exact.rational(C), exact.rational(D), psd or rounded, rounded, kernel, potential, own, reason, broken, line
+    )
+
+
+def _rank_in_doubles(D: np.ndarray) -> int:
+    """Rank of D + D', D psd, scaled to a unit diagonal, where eigenvalues of the size of rounding count as 0."""
+    root = np.sqrt(np.diagonal(D)[np.diagonal(D) > 0])
+    S = (D + D.T)[np.ix_(np.diagonal(D) > 0, np.diagonal(D) > 0)] / 2 / root[:, None] / root
+    return int((np.linalg.eigvalsh(S) > len(D) * ROUNDING).sum()) if len(S) else 0
+
+
+def line_of(own: Domains, D: np.ndarray) -> np.ndarray | None:
+    """A direction v so that Upsilon is linear along v and -v; None where there is none."""
+    rows = np.vstack([own.stacked(own.across), D + D.T, exact.product(own.stacked(own.flat), D)])
+    lines = exact.nullspace(rows)
+    return exact.doubles(lines[:, 0]) if lines.shape[1] else None
