@@ -9,10 +9,10 @@ from nsmodel.solve.active_set import MOST_INDEX_SETS, PIVOTS_EACH, PIVOTS_MORE, 
 from nsmodel.solve.build import NEARBY_SETS
 from nsmodel.solve.certificate import NumericLaw
 from nsmodel.solve.curved import GAUSS_SEIDEL_SWEEPS, SEMISMOOTH_ITERATIONS
-from nsmodel.solve.newton import NEWTON_ITERATIONS, REFINEMENTS
 from nsmodel.solve.projection import CUT_ITERATIONS
 from nsmodel.solve.rounding import PROBES
 from nsmodel.solve.sparse import PIVOTED_SETS
+from nsmodel.solve.whole_system import NEWTON_ITERATIONS, REFINEMENTS
 
 MOST_WORK = 2**31 - 1  # What a counter in C holds.
 AFFINE_ITERATIONS = 3  # Of Newton's method where the problem is affine: one solves it, more remove rounding.

@@ -17,7 +17,8 @@ from nsmodel.solve.certificate import REACH, STRICTER, numeric_law
 from nsmodel.solve.choose import DUAL, choose, pays
 from nsmodel.solve.kernel import Kernel
 from nsmodel.solve.layout import Layout
-from nsmodel.solve.newton import ENOUGH, Buffered, Iterate, Newton
+from nsmodel.solve.linearised import ENOUGH, Buffered, Iterate
+from nsmodel.solve.newton import Newton
 from nsmodel.solve.nlp import Programme
 from nsmodel.solve.parts import part, split
 from nsmodel.solve.repeated import Repeated

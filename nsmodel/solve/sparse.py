@@ -28,9 +28,10 @@ from nsmodel.solve import active_set, mlcp
 from nsmodel.solve.band import AtStep, Singular, matrix_of
 from nsmodel.solve.certificate import CLEAR, EPS, ROUNDING, STRICTER, UNRESOLVED, NumericLaw
 from nsmodel.solve.layout import extras
-from nsmodel.solve.newton import REFINEMENTS, Buffered, Iterate
+from nsmodel.solve.linearised import Buffered, Iterate
 from nsmodel.solve.rounding import INSIDE, UNIT, error_bound, felt, largest
 from nsmodel.solve.structure import DENSE, Structure
+from nsmodel.solve.whole_system import REFINEMENTS
 
 PIVOTED_SETS = 200  # Index sets that are tried in a step.
 PATIENCE = 10  # Changes of all rows that may fail to make the contradictions fewer.
