@@ -37,7 +37,8 @@ if TYPE_CHECKING:
     from nsmodel.classes.lure.model import LureSystem
     from nsmodel.classes.oscillator.model import FrictionOscillator
     from nsmodel.classes.sweeping.model import SweepingProcess
-    from nsmodel.hypotheses.findings import Finding, Report
+    from nsmodel.hypotheses.findings import Finding
+    from nsmodel.hypotheses.report.report import Report
     from nsmodel.run.loop import RunInterrupted
     from nsmodel.simulate import explain, simulate
     from nsmodel.stress import Stress, stress
@@ -90,7 +91,8 @@ _later(
     __name__,
     {
         "nsmodel.checking": ["check"],
-        "nsmodel.hypotheses.findings": ["Finding", "Report"],
+        "nsmodel.hypotheses.findings": ["Finding"],
+        "nsmodel.hypotheses.report.report": ["Report"],
         "nsmodel.classes.bodies.model": ["Bodies", "Family", "Items", "ManyBodies", "neighbours"],
         "nsmodel.classes.first_order.model": ["FirstOrderSystem"],
         "nsmodel.classes.inclusion.model": ["MonotoneInclusion"],

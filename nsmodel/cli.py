@@ -18,7 +18,8 @@ from typing import Any, NamedTuple, TypeVar
 
 from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import CodegenError, ModelError, NsmodelError, StepError, StorageError, UsageError
-from nsmodel.hypotheses.findings import VIOLATED, Report
+from nsmodel.hypotheses.findings import VIOLATED
+from nsmodel.hypotheses.report.report import Report
 from nsmodel.loader import load_with
 from nsmodel.lock import held
 from nsmodel.model.base import Model

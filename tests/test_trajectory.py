@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 
 from nsmodel import FirstOrderSystem, LureSystem, relay, simulate
+from nsmodel.columns import multiplier_names, state_names, units_of
 from nsmodel.errors import MissingExtraError, StorageError, UsageError
 from nsmodel.storage import write_npz
-from nsmodel.trajectory import Trajectory, multiplier_names, state_names, units_of
+from nsmodel.trajectory import Trajectory
 
 
 def make_run(n=10, **metadata):
@@ -227,7 +228,7 @@ def test_xarray_missing(run, monkeypatch):
 
 def test_plot_forwards_to_the_overview(run, monkeypatch):
     plot = types.SimpleNamespace(overview=lambda trajectory, **options: (trajectory, options))
-    monkeypatch.setitem(sys.modules, "nsmodel.plot", plot)
+    monkeypatch.setitem(sys.modules, "nsmodel.plot.figures", plot)
     assert run.plot(title="a") == (run, {"title": "a"})
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,7 +16,9 @@ from nsmodel.crowd.geometry import cross, crossed
 from nsmodel.crowd.given import number, numbers
 from nsmodel.crowd.room import Room
 from nsmodel.errors import ModelError, UsageError
-from nsmodel.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from nsmodel.trajectory import Trajectory
 
 CUT_OFF = 1.0  # Nobody takes up more room than a disc of this radius, m.
 

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nsmodel.columns import model_type
 from nsmodel.plot import crowd, style
 from nsmodel.plot.plane import phase, plots_of
 from nsmodel.plot.strip import MAX_ROWS, index_strip
 from nsmodel.plot.time import MAX_LINES, energy, multipliers, residual, states
 from nsmodel.storage import replacing
-from nsmodel.trajectory import model_type
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nsmodel.classes.registry import class_named
+from nsmodel.columns import model_type, state_names
 from nsmodel.errors import PlotError
 from nsmodel.plot import style
-from nsmodel.trajectory import model_type, state_names
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nsmodel.columns import state_names
 from nsmodel.errors import PlotError
 from nsmodel.plot import style
-from nsmodel.trajectory import state_names
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

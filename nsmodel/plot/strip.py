@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nsmodel import laws
+from nsmodel.columns import model_type
 from nsmodel.errors import PlotError
 from nsmodel.plot import style
 from nsmodel.plot.style import LOWER, PALE, UPPER, ZERO
-from nsmodel.trajectory import model_type
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

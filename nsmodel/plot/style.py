@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nsmodel.columns import units_of
 from nsmodel.errors import PlotError
 from nsmodel.proof.sure import sure
-from nsmodel.trajectory import units_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nsmodel.columns import multiplier_names, state_names
 from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import PlotError
 from nsmodel.plot import style
-from nsmodel.trajectory import multiplier_names, state_names
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -32,7 +32,7 @@ ROUNDED = 1e-11  # T^p with p rounded to a double is off by less than |p| 2^-53 
 STARTS = (6, 20, 60)  # T = 2^k.
 
 
-class Order(NamedTuple):
+class Asymptotic(NamedTuple):
     """t^p (log t)^l c, low <= c <= high, for all t >= T."""
 
     p: Fraction
@@ -51,22 +51,22 @@ class Order(NamedTuple):
         return int(self.low > 0) - int(self.high < 0)
 
 
-ZERO = Order(Fraction(0), Fraction(0), 0.0, 0.0)
+ZERO = Asymptotic(Fraction(0), Fraction(0), 0.0, 0.0)
 
 
-def constant(low: float, high: float | None = None) -> Order:
+def constant(low: float, high: float | None = None) -> Asymptotic:
     """A value between two numbers."""
-    return Order(Fraction(0), Fraction(0), low, low if high is None else high)
+    return Asymptotic(Fraction(0), Fraction(0), low, low if high is None else high)
 
 
-def orders(expr: ca.SX, z: ca.SX, inputs: Sequence[Order | None], k: int) -> list[Order | None]:
+def orders(expr: ca.SX, z: ca.SX, inputs: Sequence[Asymptotic | None], k: int) -> list[Asymptotic | None]:
     """The order of each entry of ``expr`` for t >= 2^k, where the symbols z (n, 1) have the orders ``inputs``."""
     return run(program(expr, z), inputs, k)
 
 
-def run(code: Program, inputs: Sequence[Order | None], k: int) -> list[Order | None]:
+def run(code: Program, inputs: Sequence[Asymptotic | None], k: int) -> list[Asymptotic | None]:
     """The orders of the outputs of a program."""
-    values: list[Order | None] = []
+    values: list[Asymptotic | None] = []
     with np.errstate(all="ignore"):
         for step in code.steps:
             if step.op == ca.OP_INPUT:
@@ -80,27 +80,27 @@ def run(code: Program, inputs: Sequence[Order | None], k: int) -> list[Order | N
 
 
 @np.errstate(all="ignore")
-def curve(coefficients: Sequence[Fraction | float], k: int) -> Order:
+def curve(coefficients: Sequence[Fraction | float], k: int) -> Asymptotic:
     """The order of a polynomial in t."""
     total = ZERO
     for power, number in enumerate(coefficients):
         if number:
-            total = sure(plus(total, Order(Fraction(power), Fraction(0), down(Fraction(number)), up(Fraction(number))), k))
+            total = sure(plus(total, Asymptotic(Fraction(power), Fraction(0), down(Fraction(number)), up(Fraction(number))), k))
     return total
 
 
 # -- intervals and orders ----------------------------------------------------------------------------------------------
 
 
-def _pair(value: Order) -> Pair:
+def _pair(value: Asymptotic) -> Pair:
     return np.array([value.low]), np.array([value.high])
 
 
-def _order(p: Fraction, l: Fraction, ends: Pair) -> Order | None:
+def _order(p: Fraction, l: Fraction, ends: Pair) -> Asymptotic | None:
     low, high = float(ends[0][0]), float(ends[1][0])
     if max(abs(p), abs(l)) > MOST:
         return None
-    return ZERO if low == high == 0 else Order(p, l, low, high)
+    return ZERO if low == high == 0 else Asymptotic(p, l, low, high)
 
 
 def _share(p: Fraction, l: Fraction, k: int) -> Pair | None:
@@ -120,7 +120,7 @@ def _share(p: Fraction, l: Fraction, k: int) -> Pair | None:
 
 
 @np.errstate(all="ignore")
-def natural(value: Order, k: int) -> Pair:
+def natural(value: Asymptotic, k: int) -> Pair:
     """The interval of the values themselves."""
     share = _share(value.p, value.l, k)
     if share is not None:
@@ -133,21 +133,21 @@ def natural(value: Order, k: int) -> Pair:
 
 
 @np.errstate(all="ignore")
-def plus(a: Order | None, b: Order | None, k: int) -> Order | None:
+def plus(a: Asymptotic | None, b: Asymptotic | None, k: int) -> Asymptotic | None:
     """a + b."""
     both = _together(a, b, k)
     return both and _order(both[0], both[1], arithmetic.add(both[2], both[3]))
 
 
 @np.errstate(all="ignore")
-def times(a: Order | None, b: Order | None) -> Order | None:
+def times(a: Asymptotic | None, b: Asymptotic | None) -> Asymptotic | None:
     """a b."""
     if a is None or b is None:
         return None
     return _order(a.p + b.p, a.l + b.l, arithmetic.mul(_pair(a), _pair(b)))
 
 
-def _together(a: Order | None, b: Order | None, k: int) -> tuple[Fraction, Fraction, Pair, Pair] | None:
+def _together(a: Asymptotic | None, b: Asymptotic | None, k: int) -> tuple[Fraction, Fraction, Pair, Pair] | None:
     """Both with one order, the larger one."""
     if a is None or b is None:
         return None
@@ -167,7 +167,7 @@ def _together(a: Order | None, b: Order | None, k: int) -> tuple[Fraction, Fract
 # -- operations --------------------------------------------------------------------------------------------------------
 
 
-def _applied(op: int, args: list[Order | None], k: int) -> Order | None:
+def _applied(op: int, args: list[Asymptotic | None], k: int) -> Asymptotic | None:
     if op == ca.OP_IF_ELSE_ZERO:
         return _chosen(args, k)
     known = [arg for arg in args if arg is not None]
@@ -177,7 +177,7 @@ def _applied(op: int, args: list[Order | None], k: int) -> Order | None:
     return rule(k, *known) if rule is not None else _plain(op, known, k)
 
 
-def _plain(op: int, args: list[Order], k: int) -> Order | None:
+def _plain(op: int, args: list[Asymptotic], k: int) -> Asymptotic | None:
     """By the intervals of the arguments themselves, where the operation is proved to be defined on them."""
     if op not in OPERATIONS:
         return None
@@ -193,17 +193,17 @@ def _inside(op: int, x: Pair) -> bool:
     return bool(x[0][0] >= low and x[1][0] <= high)
 
 
-def _negated(k: int, a: Order) -> Order | None:
+def _negated(k: int, a: Asymptotic) -> Asymptotic | None:
     return _order(a.p, a.l, arithmetic.neg(_pair(a)))
 
 
-def _divided(k: int, a: Order, b: Order) -> Order | None:
+def _divided(k: int, a: Asymptotic, b: Asymptotic) -> Asymptotic | None:
     if not b.sign:
         return None
     return _order(a.p - b.p, a.l - b.l, arithmetic.div(_pair(a), _pair(b)))
 
 
-def _power(k: int, a: Order, b: Order) -> Order | None:
+def _power(k: int, a: Asymptotic, b: Asymptotic) -> Asymptotic | None:
     if b.low != b.high or b.rate != (0, 0):
         return _plain(ca.OP_POW, [a, b], k)
     c = Fraction(b.low)
@@ -212,21 +212,21 @@ def _power(k: int, a: Order, b: Order) -> Order | None:
     return _order(c * a.p, c * a.l, constant_power(_pair(a), b.low)) if a != ZERO else (ZERO if c > 0 else None)
 
 
-def _squared(k: int, a: Order) -> Order | None:
+def _squared(k: int, a: Asymptotic) -> Asymptotic | None:
     return _order(2 * a.p, 2 * a.l, arithmetic.square(_pair(a)))
 
 
-def _root(k: int, a: Order) -> Order | None:
+def _root(k: int, a: Asymptotic) -> Asymptotic | None:
     return _order(a.p / 2, a.l / 2, arithmetic.root(_pair(a))) if a.low >= 0 else None
 
 
-def _hypot(k: int, a: Order, b: Order) -> Order | None:
+def _hypot(k: int, a: Asymptotic, b: Asymptotic) -> Asymptotic | None:
     squares = _squared(k, a), _squared(k, b)
     total = plus(*squares, k)
     return None if total is None else _root(k, total._replace(low=max(total.low, 0.0)))
 
 
-def _larger(k: int, a: Order, b: Order, smaller: bool = False) -> Order | None:
+def _larger(k: int, a: Asymptotic, b: Asymptotic, smaller: bool = False) -> Asymptotic | None:
     both = _together(a, b, k)
     if both is None:
         return None
@@ -237,10 +237,10 @@ def _larger(k: int, a: Order, b: Order, smaller: bool = False) -> Order | None:
     return _order(both[0], both[1], (pick(both[2][0], both[3][0]), pick(both[2][1], both[3][1])))
 
 
-def _rounded(op: int) -> Callable[[int, Order], Order | None]:
+def _rounded(op: int) -> Callable[[int, Asymptotic], Asymptotic | None]:
     """floor and ceil: the argument and a part of a unit, the value itself where that is bounded."""
 
-    def rule(k: int, a: Order) -> Order | None:
+    def rule(k: int, a: Asymptotic) -> Asymptotic | None:
         if a.rate <= (0, 0):
             return _plain(op, [a], k)
         return plus(a, constant(-1.0, 0.0) if op == ca.OP_FLOOR else constant(0.0, 1.0), k)
@@ -248,20 +248,20 @@ def _rounded(op: int) -> Callable[[int, Order], Order | None]:
     return rule
 
 
-def _endless(a: Order) -> bool:
+def _endless(a: Asymptotic) -> bool:
     """Whether |a| grows without end like a power of t."""
     return a.p > 0 and a.l >= 0 and bool(a.sign)
 
 
-def _steep(a: Order) -> int:
+def _steep(a: Asymptotic) -> int:
     return int(np.ceil(FAST / float(a.p))) if a.p * MOST > FAST else 0
 
 
-def _exp(k: int, a: Order) -> Order | None:
+def _exp(k: int, a: Asymptotic) -> Asymptotic | None:
     m = _steep(a) if _endless(a) else 0
     if not m:
         return _plain(ca.OP_EXP, [a], k)
-    size = a if a.sign > 0 else Order(a.p, a.l, -a.high, -a.low)
+    size = a if a.sign > 0 else Asymptotic(a.p, a.l, -a.high, -a.low)
     low = constant_power((np.array([size.low]), np.array([size.low])), float(m))
     least = arithmetic.div(low, arithmetic.point(float(factorial(m))))[0]
     if a.sign > 0:
@@ -269,14 +269,14 @@ def _exp(k: int, a: Order) -> Order | None:
     return _order(-m * a.p, -m * a.l, (np.zeros(1), arithmetic.inv((least, least))[1])) if least[0] > 0 else None
 
 
-def _expm1(k: int, a: Order) -> Order | None:
+def _expm1(k: int, a: Asymptotic) -> Asymptotic | None:
     return plus(_exp(k, a), constant(-1.0), k)
 
 
-def _hyperbolic(op: int) -> Callable[[int, Order], Order | None]:
+def _hyperbolic(op: int) -> Callable[[int, Asymptotic], Asymptotic | None]:
     """sinh u >= u^m/m! for u >= 0 and odd m, cosh u >= u^m/m! for even m."""
 
-    def rule(k: int, a: Order) -> Order | None:
+    def rule(k: int, a: Asymptotic) -> Asymptotic | None:
         m = _steep(a) if _endless(a) else 0
         if not m:
             return _plain(op, [a], k)
@@ -289,7 +289,7 @@ def _hyperbolic(op: int) -> Callable[[int, Order], Order | None]:
     return rule
 
 
-def _log(k: int, a: Order) -> Order | None:
+def _log(k: int, a: Asymptotic) -> Asymptotic | None:
     """log(t^p s^l c) = s (p + l log(s)/s + log(c)/s), s = log t; log(s)/s falls for s >= e, to 0."""
     if not (a.p > 0 and a.low > 0 and k >= 4):
         return _plain(ca.OP_LOG, [a], k)
@@ -310,7 +310,7 @@ def _fraction(number: Fraction) -> Pair:
     return np.array([np.nextafter(float(number), -np.inf)]), np.array([np.nextafter(float(number), np.inf)])
 
 
-def _softplus(step: Step, steps: Sequence[Step], values: Sequence[Order | None], k: int) -> Order | None:
+def _softplus(step: Step, steps: Sequence[Step], values: Sequence[Asymptotic | None], k: int) -> Asymptotic | None:
     """log(c + e^u) = max(u, log c) + a number of [0, log 2], c > 0: no power of t bounds e^u."""
     if step.op == ca.OP_LOG1P:
         c, inner = 1.0, steps[step.sources[0]]
@@ -329,7 +329,7 @@ def _softplus(step: Step, steps: Sequence[Step], values: Sequence[Order | None],
     return plus(top, constant(0.0, 0.6931471805599454), k) if top is not None else None
 
 
-def _chosen(args: list[Order | None], k: int) -> Order | None:
+def _chosen(args: list[Asymptotic | None], k: int) -> Asymptotic | None:
     condition, value = args
     if condition is None:
         return None
@@ -341,8 +341,8 @@ def _chosen(args: list[Order | None], k: int) -> Order | None:
     return _order(value.p, value.l, (np.minimum(value.low, 0.0).reshape(1), np.maximum(value.high, 0.0).reshape(1)))
 
 
-def _compared(op: int) -> Callable[[int, Order, Order], Order | None]:
-    def rule(k: int, a: Order, b: Order) -> Order | None:
+def _compared(op: int) -> Callable[[int, Asymptotic, Asymptotic], Asymptotic | None]:
+    def rule(k: int, a: Asymptotic, b: Asymptotic) -> Asymptotic | None:
         other = _negated(k, b)
         gap = plus(a, other, k)
         if gap is not None and gap.sign:
@@ -353,7 +353,7 @@ def _compared(op: int) -> Callable[[int, Order, Order], Order | None]:
     return rule
 
 
-_RULES: dict[int, Callable[..., Order | None]] = {
+_RULES: dict[int, Callable[..., Asymptotic | None]] = {
     ca.OP_ASSIGN: lambda k, a: a,
     ca.OP_ADD: lambda k, a, b: plus(a, b, k),
     ca.OP_SUB: lambda k, a, b: plus(a, _negated(k, b), k),

@@ -30,7 +30,7 @@ class Undecided(Exception):
     """The sign is not found this way."""
 
 
-class Line(NamedTuple):
+class OpenInterval(NamedTuple):
     """The open interval (low, high); high None: infinite."""
 
     low: Fraction
@@ -144,7 +144,7 @@ def constant(number: Fraction) -> Sum:
     return {ONE: (poly([number]), poly([Fraction(1)]))} if number else {}
 
 
-def power_of(a: Sum, exponent: Fraction, line: Line) -> Sum:
+def power_of(a: Sum, exponent: Fraction, line: OpenInterval) -> Sum:
     """One term to a power; its rational part is to be > 0, or not 0 where the exponent is whole."""
     from flint import fmpq
 
@@ -187,7 +187,7 @@ def _term(u: tuple[Fraction, ...], p: Fraction) -> Sum:
     return {key: (base, poly([Fraction(1)])) if whole >= 0 else _reduced(poly([Fraction(1)]), base)}
 
 
-def _sign(u: Any, line: Line) -> int:
+def _sign(u: Any, line: OpenInterval) -> int:
     """The sign of a polynomial without roots on the line."""
     if not u:
         raise Undecided
@@ -197,11 +197,11 @@ def _sign(u: Any, line: Line) -> int:
     return 1 if polynomial_signs.at(c, _inside(line)) > 0 else -1
 
 
-def _inside(line: Line) -> Fraction:
+def _inside(line: OpenInterval) -> Fraction:
     return line.low + 1 if line.high is None else (line.low + line.high) / 2
 
 
-def _inner_roots(c: Sequence[Fraction], line: Line) -> list[Place]:
+def _inner_roots(c: Sequence[Fraction], line: OpenInterval) -> list[Place]:
     """The roots of a polynomial within the open interval."""
     found = polynomial_signs.real_roots(c, line.low, line.high)
     return [place for place in found if place != (line.low, line.low) and place != (line.high, line.high)]
@@ -210,7 +210,7 @@ def _inner_roots(c: Sequence[Fraction], line: Line) -> list[Place]:
 # -- signs -------------------------------------------------------------------------------------------------------------
 
 
-def pattern(F: Sum, line: Line) -> Signs:
+def pattern(F: Sum, line: OpenInterval) -> Signs:
     """The signs of a sum on the line."""
     if not F:
         return Signs([], [0])
@@ -253,7 +253,7 @@ def _derivative(F: Sum) -> Sum:
     return out
 
 
-def _rational(c: Sequence[Fraction], line: Line) -> Signs:
+def _rational(c: Sequence[Fraction], line: OpenInterval) -> Signs:
     """The signs of a polynomial."""
     roots = _inner_roots(c, line)
     ends = [(line.low, line.low), *roots, (line.high, line.high)]
@@ -271,7 +271,7 @@ def _rational(c: Sequence[Fraction], line: Line) -> Signs:
     return found._replace(touches=touches)
 
 
-def _integrated(G: Sum, slope: Sum, known: Signs, line: Line) -> Signs:
+def _integrated(G: Sum, slope: Sum, known: Signs, line: OpenInterval) -> Signs:
     """The signs of a function from those of its derivative."""
     places = [_refined(slope, place, known.signs[k], G) for k, place in enumerate(known.places)]
     values = [_end(G, line.low, 1), *(_sign_on(G, place) for place in places), _end(G, line.high, -1)]
@@ -317,7 +317,7 @@ def _refined(f: Sum, place: Place, before: int, G: Sum) -> Place:
     return low, high
 
 
-def _bracket(G: Sum, left: Place | None, right: Place | None, before: int, line: Line) -> Place:
+def _bracket(G: Sum, left: Place | None, right: Place | None, before: int, line: OpenInterval) -> Place:
     """Where a monotone function changes its sign."""
     low = line.low if left is None else left[1]
     high = line.high if right is None else right[0]

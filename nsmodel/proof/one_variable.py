@@ -15,7 +15,7 @@ import casadi as ca
 from nsmodel.proof.exponential_sums import (
     MOST_TERMS,
     ONE,
-    Line,
+    OpenInterval,
     Signs,
     Sum,
     Undecided,
@@ -51,7 +51,7 @@ def signs(expr: ca.SX, s: ca.SX, low: Fraction = Fraction(0), high: Fraction | N
     >>> signs(ca.exp(s) - s - 1, s).signs, signs(s * ca.tanh(s) - s / 2, s).signs
     ([1], [-1, 1])
     """
-    return _decided(lambda line: _read(expr, s, line, {}).value, Line(low, high))
+    return _decided(lambda line: _read(expr, s, line, {}).value, OpenInterval(low, high))
 
 
 def second_signs(
@@ -67,7 +67,7 @@ def second_signs(
     Each fabs, fmax, fmin and condition is replaced by its case on the interval, which ``cases`` holds for each term.
     """
 
-    def total(line: Line) -> Quotient | None:
+    def total(line: OpenInterval) -> Quotient | None:
         out = Quotient(constant(-less), {})
         for (factor, term), own in zip(terms, cases, strict=True):
             part = _read(term, s, line, own).second
@@ -76,14 +76,14 @@ def second_signs(
             out = _plus(out, _scaled(part, factor), 1)
         return out
 
-    return _decided(total, Line(low, high))
+    return _decided(total, OpenInterval(low, high))
 
 
 def is_smooth(term: ca.SX, s: ca.SX, low: Fraction, high: Fraction | None, cases: Cases) -> bool:
     """Whether a term is seen to have two continuous derivatives on the open interval, and these are quotients of sums."""
     with precision():
         try:
-            return _read(term, s, Line(low, high), cases).second is not None
+            return _read(term, s, OpenInterval(low, high), cases).second is not None
         except (Undecided, ZeroDivisionError, OverflowError):
             return False
 
@@ -96,7 +96,7 @@ def slope_at_start(term: ca.SX, s: ca.SX, low: Fraction, cases: Cases) -> tuple[
     with precision():
         for _ in range(20):
             try:
-                found = _read(term, s, Line(low, high), cases).first
+                found = _read(term, s, OpenInterval(low, high), cases).first
                 if found is None:
                     return None
                 order, number = leading(found.top, low, 1)
@@ -118,7 +118,7 @@ def slope_at_start(term: ca.SX, s: ca.SX, low: Fraction, cases: Cases) -> tuple[
 
 def falls_without_end(terms: Sequence[tuple[Fraction, ca.SX]], s: ca.SX, low: Fraction, cases: Sequence[Cases]) -> bool:
     """Whether a sum of factors times terms is proved to tend to -inf: its derivative stays below -c/s, c > 0, for large s."""
-    line = Line(max(low, Fraction(0)) + 1)
+    line = OpenInterval(max(low, Fraction(0)) + 1)
     with precision():
         for _ in range(8):
             try:
@@ -140,13 +140,13 @@ def falls_without_end(terms: Sequence[tuple[Fraction, ca.SX]], s: ca.SX, low: Fr
                     )
                 return bool(number < 0) and (rank > (0, ()) or (rank == (0, ()) and order >= -1))
             except Undecided:  # a sign changes further out
-                line = Line(8 * line.low)
+                line = OpenInterval(8 * line.low)
             except (ZeroDivisionError, OverflowError):
                 return False
     return False
 
 
-def _decided(read: Callable[[Line], Quotient | None], line: Line) -> Signs | None:
+def _decided(read: Callable[[OpenInterval], Quotient | None], line: OpenInterval) -> Signs | None:
     with precision():
         try:
             found = read(line)
@@ -166,7 +166,7 @@ class Jet(NamedTuple):
     second: Quotient | None
 
 
-def _read(expr: ca.SX, s: ca.SX, line: Line, cases: Cases) -> Jet:
+def _read(expr: ca.SX, s: ca.SX, line: OpenInterval, cases: Cases) -> Jet:
     own = s.element_hash()
     one, zero = Quotient(constant(Fraction(1)), {}), Quotient({}, {})
 
@@ -204,7 +204,7 @@ def _sum(a: Jet, b: Jet, factor: int) -> Jet:
     )
 
 
-def _jet(op: int, args: list[Jet], line: Line) -> Jet:
+def _jet(op: int, args: list[Jet], line: OpenInterval) -> Jet:
     """An operation on functions and their derivatives."""
     a, b = args[0], args[-1]
     if op in (ca.OP_ADD, ca.OP_SUB):
@@ -252,7 +252,7 @@ def _chain(u: Jet, f: Jet) -> Jet:
     return Jet(f.value, _mul(f.first, u.first), _add(_mul(f.second, _mul(u.first, u.first)), _mul(f.first, u.second)))
 
 
-def _outer(op: int, u: Jet, exponent: Fraction | None, line: Line) -> Jet:
+def _outer(op: int, u: Jet, exponent: Fraction | None, line: OpenInterval) -> Jet:
     """The jet of an elementary function at the value of u."""
     nothing = Jet(None, None, None)
     x = u.value
@@ -323,7 +323,7 @@ def _plus(a: Quotient, b: Quotient, sign: int) -> Quotient:
     return Quotient(added(tops[0], tops[1], sign), bottom)
 
 
-def _inverse(a: Quotient, line: Line) -> Quotient:
+def _inverse(a: Quotient, line: OpenInterval) -> Quotient:
     if not a.top:
         raise Undecided
     top = constant(Fraction(1))
@@ -340,7 +340,7 @@ def _inverse(a: Quotient, line: Line) -> Quotient:
     return Quotient(times(top, constant(Fraction(found.signs[0]))), {name: (part, 1)})
 
 
-def _raised(a: Quotient, exponent: Fraction, line: Line) -> Quotient | None:
+def _raised(a: Quotient, exponent: Fraction, line: OpenInterval) -> Quotient | None:
     if exponent.denominator == 1 and abs(exponent) <= MOST_TERMS:
         base = a if exponent >= 0 else _inverse(a, line)
         out = Quotient(constant(Fraction(1)), {})

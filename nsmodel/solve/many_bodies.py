@@ -18,7 +18,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from nsmodel.classes.bodies.schemes.prediction_correction import SCHEME, BodiesProblem, Rows, searched
+from nsmodel.classes.bodies.schemes.prediction_correction import SCHEME, BodiesProblem, ContactRows, searched
 from nsmodel.contacts import NO_CONTACTS, Contacts
 from nsmodel.errors import StepError, UsageError
 from nsmodel.proof import conic_program
@@ -123,11 +123,11 @@ class BodiesStepper:
         seconds["solve"] += clock() - start
         return BodiesStep(after, contacts, gap, residual, BodiesWarm(contacts, moved), found.solver, found.groups)
 
-    def _last(self, rows: Rows, contacts: Contacts) -> np.ndarray:
+    def _last(self, rows: ContactRows, contacts: Contacts) -> np.ndarray:
         """The reactions of the last step (R,)."""
         wide = 1 + max([self.problem.count, *(family.second.group.count for family in self.problem.families if family.second)])
 
-        def keys(of: Rows | Contacts) -> np.ndarray:
+        def keys(of: ContactRows | Contacts) -> np.ndarray:
             return (of.family.astype(np.int64) * self.problem.count + of.first) * wide + of.second + 1
 
         now, order = keys(rows), np.argsort(keys(contacts))
@@ -139,7 +139,7 @@ class BodiesStepper:
         """What is no violation: a small part of what the certificate allows."""
         return 1e-2 * self.tolerance * float(np.sqrt((hf**2).sum(axis=1)).max(initial=0.0)) + EPS * _largest(q)
 
-    def _stay_in_reach(self, t: float, h: float, q: np.ndarray, after: np.ndarray, rows: Rows, n: np.ndarray) -> None:
+    def _stay_in_reach(self, t: float, h: float, q: np.ndarray, after: np.ndarray, rows: ContactRows, n: np.ndarray) -> None:
         """Refuse a verified step of a linearisation that means nothing where it leads; `prediction_correction._overreach`.
 
         ``rows``: those that act, of unit gradient, which was n_i.
@@ -162,7 +162,7 @@ class BodiesStepper:
                 residual=float(ratio), component=name,
             )  # fmt: skip
 
-    def _least_gap(self, t: float, q: np.ndarray, present: np.ndarray, rows: Rows, beyond: float) -> float:
+    def _least_gap(self, t: float, q: np.ndarray, present: np.ndarray, rows: ContactRows, beyond: float) -> float:
         """The least gap; all rows that were left out are farther than ``beyond``."""
         least = np.inf
         for family in range(len(self.problem.families)):
@@ -171,7 +171,9 @@ class BodiesStepper:
                 least = min(least, float(self.problem.gap(family, t, q, rows.first[of], rows.second[of]).min()))
         return least if least <= beyond or not self._searched else least_gap(self.problem, t, q, present)
 
-    def _failure(self, t: float, rows: Rows, hf: np.ndarray, found: Answer, residual: float, worst: int | None) -> StepError:
+    def _failure(
+        self, t: float, rows: ContactRows, hf: np.ndarray, found: Forces, residual: float, worst: int | None
+    ) -> StepError:
         """Why there is no verified step, in the user's words."""
         name = None if worst is None else self._name(rows, worst)
         reason = "no solver reached the tolerance" if self.solver == "auto" else "the forced solver did not find it"
@@ -187,7 +189,7 @@ class BodiesStepper:
             residual=residual, component=name,
         )  # fmt: skip
 
-    def _name(self, rows: Rows, i: int) -> str:
+    def _name(self, rows: ContactRows, i: int) -> str:
         return self.problem.name(int(rows.family[i]), int(rows.first[i]), int(rows.second[i]))
 
 
@@ -220,7 +222,7 @@ def explained(problem: BodiesProblem, solver: str) -> tuple[list[str], list[str]
 
 
 @dataclass
-class Answer:
+class Forces:
     """m (R,) and d (N, d) = h f + G' m; whether primal-dual has settled; what found it."""
 
     m: np.ndarray
@@ -232,7 +234,7 @@ class Answer:
 class Group:
     """The projection for some rows of unit gradient."""
 
-    def __init__(self, rows: Rows, hf: np.ndarray) -> None:
+    def __init__(self, rows: ContactRows, hf: np.ndarray) -> None:
         self.rows, self.hf, self.other = rows, hf, rows.other
         d = hf.shape[1]
         columns = np.hstack([rows.first[:, None] * d + np.arange(d), self.other[:, None] * d + np.arange(d)])
@@ -248,15 +250,15 @@ class Group:
         """h f + G' m (N, d)."""
         return self.hf + (self.B.T @ m).reshape(self.hf.shape)
 
-    def solve(self, solver: str, last: np.ndarray, tiny: float) -> Answer:
+    def solve(self, solver: str, last: np.ndarray, tiny: float) -> Forces:
         """The answer of a solver, "auto" or a name; ``last``: the m of the last step."""
         violated = self.y(self.hf) < -tiny
         if not violated.any():
-            return Answer(np.zeros(last.size), self.hf.copy(), "none needed")
+            return Forces(np.zeros(last.size), self.hf.copy(), "none needed")
         if solver in ("auto", ACTIVE_SET):
             m, settled = self.primal_dual(last > 0 if last.any() else violated, tiny)
             if settled or solver == ACTIVE_SET:
-                return Answer(m, self.d(m), ACTIVE_SET)
+                return Forces(m, self.d(m), ACTIVE_SET)
             violated |= self.rows.g < 2 * _largest_row(self.hf)
         return self._by_groups(solver, violated, tiny)
 
@@ -303,7 +305,7 @@ class Group:
             m = m + solve(right - B @ (B.T @ m))
         return m
 
-    def _by_groups(self, solver: str, chosen: np.ndarray, tiny: float) -> Answer:
+    def _by_groups(self, solver: str, chosen: np.ndarray, tiny: float) -> Forces:
         """Solve the chosen rows, each group of bodies that touch apart; rows that are then violated join, until none is."""
         rows, m = self.rows, np.zeros(chosen.size)
         fresh, names = chosen.copy(), set()
@@ -320,7 +322,7 @@ class Group:
             if not fresh.any():
                 break
             chosen |= fresh
-        return Answer(m, self.d(m), "+".join(sorted(names)), count)
+        return Forces(m, self.d(m), "+".join(sorted(names)), count)
 
     def one(self, solver: str, tiny: float) -> tuple[np.ndarray, str]:
         """m of these rows by one solver, polished; all rows enter."""
@@ -354,7 +356,7 @@ class Group:
 
 
 def certificate(
-    rows: Rows, n: np.ndarray, hf: np.ndarray, d: np.ndarray, m: np.ndarray, q: np.ndarray, tolerance: float
+    rows: ContactRows, n: np.ndarray, hf: np.ndarray, d: np.ndarray, m: np.ndarray, q: np.ndarray, tolerance: float
 ) -> tuple[float, int | None]:
     """The residual of a step without unit, and the row where it is worst (None: the equation for d).
 
@@ -379,7 +381,7 @@ def certificate(
     return residual, worst
 
 
-def groups(rows: Rows, count: int) -> tuple[np.ndarray, int]:
+def groups(rows: ContactRows, count: int) -> tuple[np.ndarray, int]:
     """The number of the group of each row, and how many groups there are: rows that share bodies, directly or not."""
     bodies, inverse = np.unique(np.concatenate([rows.first, rows.second[rows.pair]]), return_inverse=True)
     links = inverse[: len(rows.g)][rows.pair], inverse[len(rows.g) :]
@@ -388,7 +390,7 @@ def groups(rows: Rows, count: int) -> tuple[np.ndarray, int]:
     return label[inverse[: len(rows.g)]], count
 
 
-def opposing(rows: Rows, hf: np.ndarray, worst: int) -> list[tuple[int, float]]:
+def opposing(rows: ContactRows, hf: np.ndarray, worst: int) -> list[tuple[int, float]]:
     """Rows and weights of a proof that no d satisfies them all, looked for around the worst row; empty where there is none."""
     near_by = np.arange(len(rows.g))
     label, _ = groups(rows, len(hf))
@@ -401,7 +403,7 @@ def opposing(rows: Rows, hf: np.ndarray, worst: int) -> list[tuple[int, float]]:
     return [(int(near_by[i]), u) for i, u in found]
 
 
-def _scaled(rows: Rows, problem: BodiesProblem, t: float, q: np.ndarray) -> tuple[Rows, np.ndarray]:
+def _scaled(rows: ContactRows, problem: BodiesProblem, t: float, q: np.ndarray) -> tuple[ContactRows, np.ndarray]:
     """Rows of unit gradient, and n_i (1 where the gradient is 0).
 
     Raises:
@@ -418,7 +420,7 @@ def _scaled(rows: Rows, problem: BodiesProblem, t: float, q: np.ndarray) -> tupl
             "(two bodies in one place, a norm or root at 0?)", component=name
         )  # fmt: skip
     n = np.where(n > 0, n, 1.0)
-    return Rows(rows.family, rows.first, rows.second, rows.pair, rows.g / n, rows.G / n[:, None], rows.H / n[:, None]), n
+    return ContactRows(rows.family, rows.first, rows.second, rows.pair, rows.g / n, rows.G / n[:, None], rows.H / n[:, None]), n
 
 
 def _two_largest(d: np.ndarray) -> float:

@@ -33,7 +33,7 @@ class Unsettled(Exception):
     """A case is not decided."""
 
 
-class Piece(NamedTuple):
+class Stretch(NamedTuple):
     """An interval (high None: infinite) with the cases of each term on it."""
 
     low: Place
@@ -51,7 +51,7 @@ class Piece(NamedTuple):
         return np.array([down(self.low[0])]), np.array([np.inf if self.high is None else up(self.high[1])])
 
 
-class Jump(NamedTuple):
+class JointJump(NamedTuple):
     """Bounds of the jumps of a function and of its slope at a joint, and of the slope before it."""
 
     value: Ends
@@ -59,7 +59,7 @@ class Jump(NamedTuple):
     before: Ends
 
 
-def split(terms: Terms, s: ca.SX) -> list[Piece] | None:
+def split(terms: Terms, s: ca.SX) -> list[Stretch] | None:
     """Return the pieces of [0, inf) on which no case of the terms changes; None where they are not all found."""
     zero = Fraction(0), Fraction(0)
     done, left = [], [(zero, None)]
@@ -74,7 +74,7 @@ def split(terms: Terms, s: ca.SX) -> list[Piece] | None:
                     break
                 settled.append(cases)
             else:
-                done.append(Piece(low, high, tuple(settled)))
+                done.append(Stretch(low, high, tuple(settled)))
             if len(done) + len(left) > MOST_PIECES:
                 return None
     except Unsettled:
@@ -178,7 +178,7 @@ class _Sides(NamedTuple):
     right: ca.SX
 
 
-def jump(terms: Terms, s: ca.SX, left: Piece, right: Piece) -> Jump | None:
+def jump(terms: Terms, s: ca.SX, left: Stretch, right: Stretch) -> JointJump | None:
     """Bounds of the jumps at the joint of two pieces; None where there are none, or where there is an isolated value there."""
     place = right.low
     total = [_ZERO, _ZERO, _ZERO]
@@ -187,7 +187,7 @@ def jump(terms: Terms, s: ca.SX, left: Piece, right: Piece) -> Jump | None:
         if found is None:
             return None
         total = [_plus(own, _scaled(part, factor)) for own, part in zip(total, found, strict=True)]
-    return Jump(*((down(part[0]), up(part[1])) for part in total))
+    return JointJump(*((down(part[0]), up(part[1])) for part in total))
 
 
 _Exact = tuple[Fraction, Fraction]

@@ -14,7 +14,7 @@ import numpy as np
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-from nsmodel.classes.bodies.schemes.prediction_correction import Rows
+from nsmodel.classes.bodies.schemes.prediction_correction import ContactRows
 from nsmodel.classes.sweeping.hypotheses.geometry import mfcq_constant
 
 SMALL = 40  # Groups of so many constraints are solved by Wolfe's method, exactly but for rounding.
@@ -37,7 +37,7 @@ class Network(NamedTuple):
     weights: np.ndarray
 
 
-def network_of(rows: Rows, quick: bool = False) -> Network | None:
+def network_of(rows: ContactRows, quick: bool = False) -> Network | None:
     """Return gamma over some constraints where the bodies are; None where one of their groups is too large."""
     second = np.where(rows.pair, rows.second, -1)
     if len(rows.g) and np.bincount(groups(rows.first, second)).max() > LARGE[quick]:

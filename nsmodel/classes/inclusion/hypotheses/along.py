@@ -9,9 +9,10 @@ import numpy as np
 
 from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.classes.inclusion.set_valued import constraints
+from nsmodel.columns import extrapolated
 from nsmodel.hypotheses.along import SLACK, feasible, has_every_row, rows_missing
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, found
-from nsmodel.trajectory import Trajectory, extrapolated
+from nsmodel.trajectory import Trajectory
 
 BOUND = Hypothesis(
     "run-bound",

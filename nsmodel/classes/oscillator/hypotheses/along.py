@@ -9,9 +9,10 @@ import numpy as np
 
 from nsmodel.classes.oscillator.model import FrictionOscillator
 from nsmodel.classes.oscillator.schemes.inertial_proximal import energy
+from nsmodel.columns import extrapolated
 from nsmodel.hypotheses.along import SLACK, feasible, has_every_row, rows_missing
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Finding, Hypothesis, found
-from nsmodel.trajectory import Trajectory, extrapolated
+from nsmodel.trajectory import Trajectory
 
 ENERGY = Hypothesis("run-energy", "E_{n+1} - E_n <= -l_n <v, A(v)>: friction takes energy away", "Cabot 2004, Proposition 4.1")
 DISSIPATED = Hypothesis("run-dissipated", "sum l_n <v_n, A(v_n)> <= E_0 - inf g", "Cabot 2004, Proposition 4.1")

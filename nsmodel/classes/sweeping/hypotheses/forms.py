@@ -52,7 +52,7 @@ class Form:
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class ConstraintShape:
     """A constraint g(t, q) in its own states.
 
     Attributes:

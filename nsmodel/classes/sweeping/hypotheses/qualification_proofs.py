@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nsmodel.classes.sweeping.hypotheses.constraint import Constraint, over_time
-from nsmodel.classes.sweeping.hypotheses.forms import Shape, expression, plus, times
+from nsmodel.classes.sweeping.hypotheses.forms import ConstraintShape, expression, plus, times
 from nsmodel.classes.sweeping.hypotheses.geometry import discs_in_a_row, gram_bound, hull_bound, mfcq_constant, row_space
 from nsmodel.classes.sweeping.hypotheses.qualification_pairs import pairs
 from nsmodel.proof import exact, interval
@@ -78,7 +78,7 @@ def _independent(constraints: Sequence[Constraint], rho: float) -> Proof | None:
     return Proof(gamma, np.inf, "the gradients stay in spaces at bounded angles") if np.isfinite(gamma) else None
 
 
-def _gradient_space(shape: Shape, states: Sequence[int]) -> np.ndarray | None:
+def _gradient_space(shape: ConstraintShape, states: Sequence[int]) -> np.ndarray | None:
     """An orthonormal basis of a space that holds the gradient, but for ``ROUNDED``; of a plane the unit normal itself."""
     place = {i: k for k, i in enumerate(states)}
     if shape.kind == "plane":

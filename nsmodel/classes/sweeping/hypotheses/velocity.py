@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.sweeping.hypotheses.admissible import Scene, named
+from nsmodel.classes.sweeping.hypotheses.admissible import Process, named
 from nsmodel.classes.sweeping.hypotheses.constraint import EVERYWHERE, ON_THE_BOX, Answer
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.proof import extremum, interval
@@ -27,7 +27,7 @@ RAY, SNAP = 1e-6, 1e-3  # How long a ray is, and how far a point is moved to a n
 ASIDE = 1e-3  # The part of the box that a point is moved by to see how large f is around it.
 
 
-class Block(NamedTuple):
+class FieldBlock(NamedTuple):
     """Components of f that share states with each other only; blocks of one formula share ``f`` and ``q``.
 
     Attributes:
@@ -61,53 +61,53 @@ class Block(NamedTuple):
         return lower, upper
 
 
-def velocity(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]], names: Sequence[str], quick: bool) -> Answer:
+def velocity(f: ca.SX, process: Process, points: Sequence[tuple[float, np.ndarray]], names: Sequence[str], quick: bool) -> Answer:
     """Return K_f, L_f and L_t with the verdict on K_f and L_f; ``points`` (t, q) are in Q(t).
 
     L_t is infinite where it is not bounded: "largest |f_t| seen" stands beside it.
     """
-    start = points[0][1] if len(points) else (scene.lower[1:] + scene.upper[1:]) / 2
-    defined = in_time(f, scene.t, float(scene.lower[0]), float(scene.upper[0]), scene.q, start)
+    start = points[0][1] if len(points) else (process.lower[1:] + process.upper[1:]) / 2
+    defined = in_time(f, process.t, float(process.lower[0]), float(process.upper[0]), process.q, start)
     if defined.verdict == VIOLATED:
         return Answer(
             VIOLATED, {"L_f": np.inf}, EVERYWHERE, f"f has no finite value for all times: {defined.how}", {"t": defined.at}
         )
-    blocks = _blocks(f, scene)
-    rate, steady = _in_time(f, scene, quick)
+    blocks = _blocks(f, process)
+    rate, steady = _in_time(f, process, quick)
     norms = [lipschitz(block, quick) for block in blocks]
     worst = max((K for _, K, _, _ in norms), default=0.0)
     if all(verdict == HOLDS for verdict, *_ in norms):
         where = ON_THE_BOX if any(place == ON_THE_BOX for *_, place, _ in norms) else EVERYWHERE
-        L_f = _growth(f, scene, blocks, worst, where, quick)
+        L_f = _growth(f, process, blocks, worst, where, quick)
         how = "f is continuous in q and |f_q| is bounded" if worst else "f does not depend on the state"
         return closed(defined, {"K_f": worst, "L_f": L_f} | rate, where, how + steady)
-    kept = None if quick or defined.verdict != HOLDS else kept_away(f, scene)
+    kept = None if quick or defined.verdict != HOLDS else kept_away(f, process)
     if kept is not None:
-        L_f = _growth(kept, scene, _blocks(kept, scene), np.inf, ON_THE_BOX, quick)
-        own = [lipschitz(block, quick) for block in _blocks(kept, scene)]
+        L_f = _growth(kept, process, _blocks(kept, process), np.inf, ON_THE_BOX, quick)
+        own = [lipschitz(block, quick) for block in _blocks(kept, process)]
         if all(verdict == HOLDS for verdict, *_ in own):
             how = "Q(t) keeps away from where f is singular: there f is continued to the whole box with a bounded f_q"
             return closed(defined, {"K_f": max(K for _, K, _, _ in own), "L_f": L_f} | rate, ON_THE_BOX, how + steady)
-    L_f = _growth(f, scene, blocks, np.inf, ON_THE_BOX, quick)
+    L_f = _growth(f, process, blocks, np.inf, ON_THE_BOX, quick)
     count = sum(number for *_, number in norms)
     if quick:
-        worst = max(worst, _quotient(f, scene, points))
+        worst = max(worst, _quotient(f, process, points))
         how = f"{count} points; neither jumps of f nor steep places were looked for (quick)"
         verdict = UNKNOWN if any(jumps_in(block.f, block.q) for block in blocks) else SAMPLED
         how = "f has operations that jump; " + how if verdict == UNKNOWN else how
         return Answer(verdict, {"K_f": worst, "L_f": L_f} | rate, ON_THE_BOX, how + steady)
-    jump = _worst_jump(f, blocks, scene, points, names)
+    jump = _worst_jump(f, blocks, process, points, names)
     if jump is not None:
         size, witness = jump
         how = "f jumps inside Q(t), by intervals on both sides, so it is not Lipschitz; the place nearest to the runs is shown"
         return Answer(VIOLATED, {"K_f": np.inf, "jump": size, "L_f": L_f} | rate, ON_THE_BOX, how + steady, witness)
-    point = steep(f, blocks, norms, scene, points, names)
+    point = steep(f, blocks, norms, process, points, names)
     if point is not None:
         value = {"K_f": np.inf, "L_f": L_f} | rate
         return Answer(
             VIOLATED, value, ON_THE_BOX, "an entry of f_q grows without bound towards this point, along a ray in Q(t)", point
         )
-    worst = max(worst, _quotient(f, scene, points))
+    worst = max(worst, _quotient(f, process, points))
     how = f"{count} points; f was not proved continuous with a bounded derivative, no jump was found inside Q(t)"
     return Answer(SAMPLED, {"K_f": worst, "L_f": L_f} | rate, ON_THE_BOX, how + steady)
 
@@ -124,15 +124,15 @@ def closed(defined: Defined, value: dict[str, float], where: str, how: str) -> A
 # -- blocks ------------------------------------------------------------------------------------------------------------
 
 
-def _blocks(f: ca.SX, scene: Scene) -> list[Block]:
+def _blocks(f: ca.SX, process: Process) -> list[FieldBlock]:
     """Split f where its components share no states, and put blocks of the same formula together."""
-    rows, columns = _pattern(f, scene.q)
+    rows, columns = _pattern(f, process.q)
     entries = sorted(set(rows))
     states = [{j for k, j in zip(rows, columns, strict=True) if k == i} for i in entries]
-    found: dict[tuple, Block] = {}
+    found: dict[tuple, FieldBlock] = {}
     for group in sharing(states):
         r, j = [entries[k] for k in group], sorted(set().union(*(states[k] for k in group)))
-        block = _block(f[r], scene, r, j)
+        block = _block(f[r], process, r, j)
         first = found.setdefault(_formula(block), block)
         if first is not block:
             first.members.append((r, j))
@@ -143,7 +143,7 @@ def _blocks(f: ca.SX, scene: Scene) -> list[Block]:
     return list(found.values())
 
 
-def _formula(block: Block) -> tuple:
+def _formula(block: FieldBlock) -> tuple:
     """The operations of a block with all digits of their constants, whatever the symbols are called."""
     f = ca.Function("f", [block.t, block.q, block.s], [ca.densify(block.f)])
     steps = [(f.instruction_id(i), *f.instruction_input(i), -1, *f.instruction_output(i)) for i in range(f.n_instructions())]
@@ -162,8 +162,8 @@ def _others(f: ca.SX, q: ca.SX) -> list[ca.SX]:
     return [symbol for symbol in ca.symvar(f) if symbol.element_hash() not in own]
 
 
-def _block(f: ca.SX, scene: Scene, rows: list[int], columns: list[int]) -> Block:
-    own = scene.q[columns]
+def _block(f: ca.SX, process: Process, rows: list[int], columns: list[int]) -> FieldBlock:
+    own = process.q[columns]
     plain = ca.SX.sym("q", len(columns))
     formula = ca.substitute(f, own, plain)
     nodes: list[tuple[ca.SX, ca.SX]] = []
@@ -174,18 +174,18 @@ def _block(f: ca.SX, scene: Scene, rows: list[int], columns: list[int]) -> Block
         nodes.append((ca.SX.sym(f"s{len(nodes)}"), old))
         return nodes[-1][0]
 
-    formula = replay(formula, in_time, SWITCHES, scene.t, "f")
+    formula = replay(formula, in_time, SWITCHES, process.t, "f")
     ends = [0, *(1 + j for j in columns)]
-    lower, upper = scene.lower[ends].copy(), scene.upper[ends].copy()
-    bounds = interval.enclose(column(old for _, old in nodes), scene.t, lower[:1], upper[:1]) if nodes else (np.zeros(0),) * 2
+    lower, upper = process.lower[ends].copy(), process.upper[ends].copy()
+    bounds = interval.enclose(column(old for _, old in nodes), process.t, lower[:1], upper[:1]) if nodes else (np.zeros(0),) * 2
     s = column(symbol for symbol, _ in nodes)
-    return Block(formula, plain, scene.t, s, np.ravel(bounds[0]), np.ravel(bounds[1]), [(rows, columns)], lower, upper)
+    return FieldBlock(formula, plain, process.t, s, np.ravel(bounds[0]), np.ravel(bounds[1]), [(rows, columns)], lower, upper)
 
 
 # -- bounds ------------------------------------------------------------------------------------------------------------
 
 
-def lipschitz(block: Block, quick: bool) -> tuple[str, float, str, int]:
+def lipschitz(block: FieldBlock, quick: bool) -> tuple[str, float, str, int]:
     """(verdict, K, where, points): proved for all states, else on the box, else the largest |f_q| seen."""
     J = ca.jacobian(block.f, block.q)
     for everywhere in (True, False):
@@ -198,13 +198,13 @@ def lipschitz(block: Block, quick: bool) -> tuple[str, float, str, int]:
     return SAMPLED, top.value, ON_THE_BOX, top.count
 
 
-def kept_away(f: ca.SX, scene: Scene) -> ca.SX | None:
+def kept_away(f: ca.SX, process: Process) -> ca.SX | None:
     """A function that agrees with f on Q(t) in the box, with arguments of roots and divisors kept where they are there.
 
     Where u >= m > 0 on Q(t), u and max(u, m) are the same there; beyond, max(u, m) stays away from the singularity of sqrt u and
     1 / u. None where no argument is kept away from 0 by Q(t).
     """
-    if not scene.rows or len(scene.columns) > MOST_STATES:
+    if not process.rows or len(process.columns) > MOST_STATES:
         return None
     known: list[tuple[ca.SX, float]] = []
 
@@ -212,10 +212,10 @@ def kept_away(f: ca.SX, scene: Scene) -> ca.SX | None:
         for other, value in known:
             if ca.is_equal(u, other, 6):
                 return value
-        around = interval.enclose(u, scene.z, scene.lower, scene.upper)
+        around = interval.enclose(u, process.z, process.lower, process.upper)
         value = -np.inf
         if float(around[0].item()) <= 0 < float(around[1].item()):
-            value = -extremum.supremum(-u, scene.z, scene.lower, scene.upper, where=scene.g).bound
+            value = -extremum.supremum(-u, process.z, process.lower, process.upper, where=process.g).bound
         known.append((u, value))
         return value
 
@@ -228,40 +228,40 @@ def kept_away(f: ca.SX, scene: Scene) -> ca.SX | None:
         return applied(op, [(arg + low + ca.fabs(arg - low)) / 2 if k == place else arg for k, arg in enumerate(args)])
 
     try:
-        found = replay(f, rule, (ca.OP_SQRT, ca.OP_DIV, ca.OP_INV), scene.q, "f")
+        found = replay(f, rule, (ca.OP_SQRT, ca.OP_DIV, ca.OP_INV), process.q, "f")
     except OpaqueExpression:
         return None
     return found if any(value > 0 for _, value in known) else None
 
 
-def _growth(f: ca.SX, scene: Scene, blocks: list[Block], K: float, where: str, quick: bool) -> float:
+def _growth(f: ca.SX, process: Process, blocks: list[FieldBlock], K: float, where: str, quick: bool) -> float:
     """L_f: max(K_f, sup |f(t, 0)|) where K_f holds everywhere; on the box sup |f| / (1 + |q|), bounded block by block."""
     if where == EVERYWHERE:
-        at_zero = ca.sumsqr(ca.substitute(f, scene.q, ca.DM.zeros(scene.q.numel())))
-        return max(K, float(np.sqrt(max(_over_time(at_zero, scene).bound, 0.0))))
+        at_zero = ca.sumsqr(ca.substitute(f, process.q, ca.DM.zeros(process.q.numel())))
+        return max(K, float(np.sqrt(max(_over_time(at_zero, process).bound, 0.0))))
     total = 0.0
     for block in blocks:
         top = extremum.supremum(ca.sumsqr(block.f), block.z, *block.box(False), quick=True)
         total += len(block.members) * (top.bound if np.isfinite(top.bound) else max(top.value, 0.0))
     rest = [i for i in range(f.numel()) if not any(i in rows for block in blocks for rows, _ in block.members)]
     if rest:
-        total += max(_over_time(ca.sumsqr(f[rest]), scene).bound, 0.0)
-    nearest = np.clip(0.0, scene.lower[1:], scene.upper[1:])
+        total += max(_over_time(ca.sumsqr(f[rest]), process).bound, 0.0)
+    nearest = np.clip(0.0, process.lower[1:], process.upper[1:])
     return float(np.sqrt(total) / (1 + np.linalg.norm(nearest)))
 
 
-def _over_time(expr: ca.SX, scene: Scene) -> extremum.Supremum:
-    return extremum.supremum(expr, scene.t, scene.lower[:1], scene.upper[:1])
+def _over_time(expr: ca.SX, process: Process) -> extremum.Supremum:
+    return extremum.supremum(expr, process.t, process.lower[:1], process.upper[:1])
 
 
-def _in_time(f: ca.SX, scene: Scene, quick: bool) -> tuple[dict[str, float], str]:
+def _in_time(f: ca.SX, process: Process, quick: bool) -> tuple[dict[str, float], str]:
     """L_t where it is bounded, and a remark where it is not."""
-    if not ca.depends_on(f, scene.t):
+    if not ca.depends_on(f, process.t):
         return {"L_t": 0.0}, ""
-    rate = ca.jacobian(f, scene.t)
-    if not interval.is_continuous(f, scene.z, scene.lower, scene.upper):
+    rate = ca.jacobian(f, process.t)
+    if not interval.is_continuous(f, process.z, process.lower, process.upper):
         return {"L_t": np.inf}, "; f was not proved continuous in t: no L_t, and no order is proved"
-    top = extremum.supremum(ca.norm_2(rate), scene.z, scene.lower, scene.upper, quick=quick)
+    top = extremum.supremum(ca.norm_2(rate), process.z, process.lower, process.upper, quick=quick)
     if np.isfinite(top.bound):
         return {"L_t": float(top.bound)}, ""
     return {"L_t": np.inf, "largest |f_t| seen": float(top.value)}, "; |f_t| was not bounded: no L_t, and no order is proved"
@@ -271,7 +271,7 @@ def _in_time(f: ca.SX, scene: Scene, quick: bool) -> tuple[dict[str, float], str
 
 
 def _worst_jump(
-    f: ca.SX, blocks: list[Block], scene: Scene, points_of_Q: Sequence[tuple[float, np.ndarray]], names: Sequence[str]
+    f: ca.SX, blocks: list[FieldBlock], process: Process, points_of_Q: Sequence[tuple[float, np.ndarray]], names: Sequence[str]
 ) -> tuple[float, dict[str, Any]] | None:
     """(a lower bound of its size, the jump nearest to the known states) at states of Q(t), proved.
 
@@ -279,14 +279,14 @@ def _worst_jump(
     """
     found: list[tuple[float, list[int], tuple[np.ndarray, np.ndarray], dict[str, Any]]] = []
     bases = [points_of_Q[k] for k in np.unique(np.linspace(0, len(points_of_Q) - 1, BASES, dtype=int)) if len(points_of_Q)]
-    touched = _touched(scene)
+    touched = _touched(process)
     for block in blocks:
         x, y, least = jumps(block)
         if not len(x):
             continue
         own, moves = slice(1, 1 + block.q.numel()), bool(ca.depends_on(block.f, ca.vertcat(block.t, block.s)))
         for rows, columns in block.members:
-            sides = _sides(f[rows], scene, touched, columns)
+            sides = _sides(f[rows], process, touched, columns)
             for t, q in bases:
                 times = x[:, 0] if moves else np.full(len(x), t)
                 size = sides(times, x[:, own], y[:, own], least, q)
@@ -300,13 +300,13 @@ def _worst_jump(
                     ends = np.append(times[k], point), np.append(times[k], other)
                     found.append((far[k], rows, ends, witness | named(names, point)))
     for _, rows, ends, witness in sorted(found, key=lambda item: item[0])[:TRIED]:
-        size = jump_between(ca.densify(f[rows]), scene.z, *ends, scene.g, scene.lower, scene.upper)
+        size = jump_between(ca.densify(f[rows]), process.z, *ends, process.g, process.lower, process.upper)
         if size > 0:
             return size, witness | {"size": size}
     return None
 
 
-def jumps(block: Block) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def jumps(block: FieldBlock) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points (k, n) on both sides of switches of a block, where its value jumps, and what is rounding there (k,)."""
     lower, upper = block.box(False)
     x, y = surface_points(block.f, block.z, lower, upper)
@@ -338,22 +338,22 @@ def differ(below: np.ndarray, above: np.ndarray, least: np.ndarray) -> np.ndarra
         return np.where(np.isfinite(size) & (size > 1e-7 * scale) & (size > least), size, 0.0)
 
 
-def _touched(scene: Scene) -> list[set[int]]:
+def _touched(process: Process) -> list[set[int]]:
     """The states that each constraint depends on."""
-    pattern = ca.Function("g", [scene.q, scene.t], [ca.densify(scene.g)]).jac_sparsity(0, 0)
-    found: list[set[int]] = [set() for _ in range(scene.g.numel())]
+    pattern = ca.Function("g", [process.q, process.t], [ca.densify(process.g)]).jac_sparsity(0, 0)
+    found: list[set[int]] = [set() for _ in range(process.g.numel())]
     for i, j in zip(*pattern.get_triplet(), strict=True):
         found[i].add(j)
     return found
 
 
-def _sides(f: ca.SX, scene: Scene, touched: list[set[int]], columns: list[int]) -> Callable[..., np.ndarray]:
+def _sides(f: ca.SX, process: Process, touched: list[set[int]], columns: list[int]) -> Callable[..., np.ndarray]:
     """Return sides(times (k,), x (k, c), y (k, c), least (k,), q): how far f jumps (k,) from x to y, both in Q(t), else 0."""
     rows = [i for i, states in enumerate(touched) if states & set(columns)]
-    others = [j for j in range(scene.q.numel()) if j not in set(columns)]
-    together = ca.vertcat(scene.t, scene.q[columns])
-    r, value = f.numel(), ca.densify(ca.vertcat(f, scene.g[rows]))
-    function = ca.Function("sides", [together, scene.q[others]], [value])
+    others = [j for j in range(process.q.numel()) if j not in set(columns)]
+    together = ca.vertcat(process.t, process.q[columns])
+    r, value = f.numel(), ca.densify(ca.vertcat(f, process.g[rows]))
+    function = ca.Function("sides", [together, process.q[others]], [value])
 
     def sides(times: np.ndarray, x: np.ndarray, y: np.ndarray, least: np.ndarray, q: np.ndarray) -> np.ndarray:
         # The other states are one column: CasADi repeats it.
@@ -365,23 +365,23 @@ def _sides(f: ca.SX, scene: Scene, touched: list[set[int]], columns: list[int]) 
     return sides
 
 
-def _quotient(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]]) -> float:
+def _quotient(f: ca.SX, process: Process, points: Sequence[tuple[float, np.ndarray]]) -> float:
     """The largest |f(t, q) - f(t, q')| / |q - q'| over pairs of admissible points."""
-    value, worst = ca.Function("f", [scene.t, scene.q], [ca.densify(f)]), 0.0
+    value, worst = ca.Function("f", [process.t, process.q], [ca.densify(f)]), 0.0
     some = [points[k] for k in np.unique(np.linspace(0, len(points) - 1, PAIRS, dtype=int))] if points else []
     for k, (t, q) in enumerate(some):
         for _, other in some[:k]:
             far = np.linalg.norm(q - other)
-            if far > 0 and (not scene.rows or scene.admits(*scene.at(t, other))):
+            if far > 0 and (not process.rows or process.admits(*process.at(t, other))):
                 worst = max(worst, float(np.linalg.norm(np.array(value(t, q) - value(t, other))) / far))
     return worst
 
 
 def steep(
-    f: ca.SX, blocks: list[Block], norms: list[tuple[str, float, str, int]], scene: Scene,
+    f: ca.SX, blocks: list[FieldBlock], norms: list[tuple[str, float, str, int]], process: Process,
     points: Sequence[tuple[float, np.ndarray]], names: Sequence[str],
 ) -> dict[str, Any] | None:  # fmt: skip
-    """A point of Q(t) near which difference quotients of f, a function of the scene's t and q, keep growing.
+    """A point of Q(t) near which difference quotients of f, a function of the process's t and q, keep growing.
 
     From an admissible state only the states of one block are moved, to where its derivative is largest or to numbers of its
     formula near to that; along a ray from there that stays in Q(t) an entry of the derivative is shown to grow as a power < 0 of
@@ -397,19 +397,19 @@ def steep(
         top = extremum.supremum(ca.sumsqr(ca.jacobian(block.f, block.q)), block.z, *block.box(False))
         if top.at is None:
             continue
-        J = ca.jacobian(f[rows], scene.q[columns])
+        J = ca.jacobian(f[rows], process.q[columns])
         entries = [entry for entry in ca.vertsplit(ca.vec(J)) if not entry.is_constant()][:ENTRIES]
         time = float(top.at[0]) if ca.depends_on(block.f, ca.vertcat(block.t, block.s)) else base_t
         numbers = constants(f[rows])
-        for own in _snapped(top.at[1 : 1 + len(columns)], numbers, scene.lower[1:][columns], scene.upper[1:][columns]):
+        for own in _snapped(top.at[1 : 1 + len(columns)], numbers, process.lower[1:][columns], process.upper[1:][columns]):
             point = base.copy()
             point[columns] = own
-            z, width = np.append(time, point), float(np.max((scene.upper - scene.lower)[1:][columns]))
+            z, width = np.append(time, point), float(np.max((process.upper - process.lower)[1:][columns]))
             h = RAY * min(width, 1.0)
             for direction in [sign * row for row in np.eye(z.size)[1:][columns] for sign in (1.0, -1.0)]:
-                if not _admitted(scene, z, z + h * direction):
+                if not _admitted(process, z, z + h * direction):
                     continue
-                if any(grows(entry, scene.z, z, direction, h) is not None for entry in entries):
+                if any(grows(entry, process.z, z, direction, h) is not None for entry in entries):
                     return {"t": time} | named(names, point)
     return None
 
@@ -425,9 +425,9 @@ def _snapped(at: np.ndarray, numbers: np.ndarray, lower: np.ndarray, upper: np.n
     return [found, at]
 
 
-def _admitted(scene: Scene, *corners: np.ndarray) -> bool:
-    """Whether all constraints are >= 0 on the box between two points (t, q), which lies inside the scene's."""
+def _admitted(process: Process, *corners: np.ndarray) -> bool:
+    """Whether all constraints are >= 0 on the box between two points (t, q), which lies inside the process's."""
     low, high = np.minimum(*corners), np.maximum(*corners)
-    if (low < scene.lower).any() or (high > scene.upper).any():
+    if (low < process.lower).any() or (high > process.upper).any():
         return False
-    return not scene.rows or bool((interval.enclose(scene.g, scene.z, low, high)[0] >= 0).all())
+    return not process.rows or bool((interval.enclose(process.g, process.z, low, high)[0] >= 0).all())

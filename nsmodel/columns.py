@@ -1,0 +1,104 @@
+"""The columns of a run: their names and units, and the tables that they make."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterator, Sequence
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nsmodel.classes.registry import class_named
+from nsmodel.errors import MissingExtraError
+from nsmodel.model.base import Model
+from nsmodel.storage import LIST, dumps
+
+if TYPE_CHECKING:
+    from nsmodel.trajectory import Trajectory
+
+
+def model_type(run: Trajectory) -> type[Model]:
+    """Return the class of the run's model; what all share where it is not known here."""
+    found = class_named(run.metadata.get("model_class"))
+    return Model if found is None else found.type
+
+
+def state_names(run: Trajectory) -> list[str]:
+    """Return one name for each column of ``run.x``."""
+    return _names(run.metadata.get("state_names"), "x", run.x.shape[1])
+
+
+def multiplier_names(run: Trajectory) -> list[str]:
+    """Return one name for each column of ``run.multipliers``; none where the run has no multipliers."""
+    width = run.multipliers.shape[1] if "multipliers" in run.arrays else 0
+    return _names(run.metadata.get("multiplier_names"), "l", width)
+
+
+def units_of(run: Trajectory) -> dict[str, str]:
+    """Return {name: unit} as declared, with the unit of a symbol or group handed on to each of its members."""
+    units, names = dict(run.metadata.get("units", {})), state_names(run)
+    for stem, columns in run.metadata.get("stems", {}).items():
+        if stem in units:
+            units |= {names[i]: units.get(names[i], units[stem]) for i in columns}
+    for name in multiplier_names(run):
+        if (group := name.split("[")[0]) in units:
+            units.setdefault(name, units[group])
+    return units
+
+
+def extrapolated(run: Trajectory) -> np.ndarray:
+    """Return, for each row (N+1,), whether error control has moved its state off what its step gave."""
+    return run.arrays.get("correction", np.zeros(len(run.t))) > 0
+
+
+def _names(given: Sequence[str] | None, stem: str, width: int) -> list[str]:
+    return list(given) if given is not None and len(given) == width else [f"{stem}_{i}" for i in range(width)]
+
+
+def _free(name: str, taken: Container[str], prefix: str) -> str:
+    return f"{prefix}:{name}" if name in taken else name
+
+
+def of_csv(run: Trajectory) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield (name, column) of the CSV file; no name comes twice."""
+    multipliers = multiplier_names(run)
+    named = {"x": state_names(run), "multipliers": [f"multiplier:{name}" for name in multipliers]}
+    if "y" in run.arrays and run.y.shape[1:] == (len(multipliers),):
+        named["y"] = [f"y:{name}" for name in multipliers]
+    first = [name for name in ("t", "x", "multipliers", "y", "residual") if name in run.arrays]
+    taken: set[str] = set()
+    for name in dict.fromkeys([*first, *(name for name in run.arrays if not name.startswith(LIST))]):
+        array = run.arrays[name]
+        indices = np.ndindex(array.shape[1:])
+        titles = named.get(name) or [name + "".join(f"_{i}" for i in index) for index in indices]
+        for title, column in zip(titles, array.reshape(len(array), len(titles)).T, strict=True):
+            yield (free := _free(title, taken, "array")), column
+            taken.add(free)
+
+
+def dataset(run: Trajectory) -> Any:
+    """The run as an ``xarray.Dataset``; MissingExtraError where xarray is not installed."""
+    xarray = _extra("xarray")
+
+    units = {name: {"units": unit} for name, unit in units_of(run).items()}
+    names, data = multiplier_names(run), {}
+    for name, column in zip(state_names(run), run.x.T, strict=True):
+        data[_free(name, {*run.arrays, "time", "multiplier"}, "state")] = ("time", column, units.get(name))
+    for name, array in run.arrays.items():
+        if name not in ("t", "x"):
+            shared = name in ("multipliers", "y") and array.shape[1:] == (len(names),)
+            along = "contact" if name.startswith(LIST) else "time"
+            rest = ["multiplier"] if shared else [f"{name}_dim_{axis}" for axis in range(1, array.ndim)]
+            data[name] = ((along, *rest), array, units.get(name))
+    coords = {"time": ("time", run.t, units.get("t")), **({"multiplier": names} if names else {})}
+    # netCDF has no attribute that is true, None or nested.
+    plain = {key: type(value) in (str, int, float) for key, value in run.metadata.items()}
+    attrs = {key: value if plain[key] else dumps(value) for key, value in run.metadata.items()}
+    return xarray.Dataset(data, coords, attrs)
+
+
+def _extra(package: str) -> Any:
+    try:
+        return import_module(package)
+    except ImportError as error:
+        raise MissingExtraError(f"{package} is not installed; pip install 'nsmodel[{package}]'") from error

@@ -1,0 +1,236 @@
+"""A run in short: its numbers, and the table of them that a terminal shows."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nsmodel.columns import model_type, multiplier_names, state_names, units_of
+
+if TYPE_CHECKING:
+    from nsmodel.trajectory import Trajectory
+
+_WIDTH = 100
+_STATES_SHOWN = 8
+_ARCH_SHOWN = 8
+FOR_GOOD = {  # How a run of many bodies knows that nothing will ever change again.
+    "given back": "nothing will ever change, the step gives back its state bit for bit; the run ends",
+    "held": "nothing will ever change, the contacts alone hold them in place; the run ends",
+}
+CONTROL = ("rtol", "accepted", "rejected", "extrapolated", "at_least_step", "least_step")
+
+
+def summary(run: Trajectory) -> dict[str, Any]:
+    """The numbers of a run; those of all steps come from metadata["totals"] where it is, since rows may be a sample."""
+    arrays, about, units = run.arrays, run.metadata, units_of(run)
+    totals = about.get("totals") or {}
+    steps = arrays.get("step", np.diff(run.t, prepend=np.nan))
+    computed = np.flatnonzero(np.isfinite(steps))
+    energy = arrays.get("energy", np.zeros(0))
+    energy = _finite(energy) if energy.ndim == 1 else np.zeros(0)
+    return {
+        "title": run.title,
+        "model_class": about.get("model_class"),
+        "scheme": about.get("scheme"),
+        "status": run.status,
+        "message": about.get("message") or "",
+        "steps": totals.get("steps", len(run)),
+        "save_every": about.get("save_every", 1),
+        "t": {"start": float(run.t[0]), "end": float(run.t[-1]), "unit": units.get("t", "")},
+        "step": {"min": float(steps[computed].min()), "max": float(steps[computed].max())} if computed.size else None,
+        "error_control": {key: totals[key] for key in CONTROL} if "rtol" in totals else None,
+        "residual": _worst(run, totals, computed),
+        "index_set_changes": _changes(run, totals, computed),
+        "solver_counts": dict(about.get("solver_counts") or {}),
+        "newton": _newton(run, totals, computed),
+        **_smallest_gap(run),
+        "bodies": _bodies(run, totals),
+        "largest_error": totals.get("largest_error"),
+        "energy": {"start": float(energy[0]), "end": float(energy[-1])} if energy.size else None,
+        "convergence": about.get("convergence"),
+        "final_state": []
+        if "contact_row" in arrays
+        else [
+            {"name": name, "value": float(value), "unit": units.get(name, "")}
+            for name, value in zip(state_names(run), run.x[-1], strict=True)
+        ],
+        "warnings": list(about.get("warnings") or []),
+    }
+
+
+def _worst(run: Trajectory, totals: dict[str, Any], computed: np.ndarray) -> dict[str, Any] | None:
+    """The largest residual, its time and saved row; None where no step was computed."""
+    if not computed.size or "residual" not in run.arrays:
+        return None
+    if "worst_residual" in totals:
+        worst, t = totals["worst_residual"], totals.get("worst_residual_t")
+        rows = np.flatnonzero(run.t == t) if t is not None else []
+        return {"worst": worst, "t": t, "row": int(rows[0]) if len(rows) else None}
+    # A residual that is not a number is as unknown as an infinite one.
+    residual = np.nan_to_num(run.residual[computed], nan=np.inf, posinf=np.inf)
+    row = int(computed[np.argmax(residual)])
+    return {"worst": float(residual.max()), "t": float(run.t[row]), "row": row}
+
+
+def _changes(run: Trajectory, totals: dict[str, Any], computed: np.ndarray) -> int | None:
+    codes = run.arrays.get("index_set", np.zeros((0, 0)))
+    if "contact_row" in run.arrays:
+        return totals.get("index_set_changes")
+    if not codes.size or not computed.size:
+        return None
+    codes = codes[computed]
+    return totals.get("index_set_changes", int((codes[1:] != codes[:-1]).any(axis=1).sum()))
+
+
+def _newton(run: Trajectory, totals: dict[str, Any], computed: np.ndarray) -> dict[str, Any] | None:
+    if "newton" not in run.arrays or not computed.size:
+        return None
+    counts = sum((run.metadata.get("solver_counts") or {}).values())
+    if "newton" in totals and counts:
+        return {"mean": totals["newton"] / counts, "max": int(totals["newton_max"])}
+    newton = run.arrays["newton"][computed]
+    return {"mean": float(newton.mean()), "max": int(newton.max())}
+
+
+def _smallest_gap(run: Trajectory) -> dict[str, Any]:
+    """The smallest gap of the saved rows, the constraint and the time, where the class has gaps."""
+    gap = run.arrays.get("gap", run.arrays.get("y", np.zeros((0, 0))))
+    if not model_type(run).gaps or not np.isfinite(gap).any():
+        return {"gap_min": None, "gap_min_name": None, "gap_min_t": None}
+    row, column = np.unravel_index(np.nanargmin(gap), gap.shape)
+    names = multiplier_names(run)
+    name = names[column] if len(names) == gap.shape[1] else str(column)
+    return {"gap_min": float(gap[row, column]), "gap_min_name": name, "gap_min_t": float(run.t[row])}
+
+
+def _bodies(run: Trajectory, totals: dict[str, Any]) -> dict[str, Any] | None:
+    """Many bodies in short: who is there, what touches at the end, the least gap and the largest pressure of all steps."""
+    if "contact_row" not in run.arrays:
+        return None
+    keys = ("least_gap", "least_gap_t", "largest_pressure", "largest_pressure_t", "largest_pressure_body", "most_contacts")
+    touching = run.contacts(-1)
+    pressed = int(np.count_nonzero(np.nan_to_num(run.arrays["pressure"][-1]) > 0))
+    found = {"contacts": len(touching.first), "in_contact": pressed, **{key: totals.get(key) for key in keys}}
+    return {**run.metadata.get("bodies", {}), **found}
+
+
+def _finite(array: np.ndarray) -> np.ndarray:
+    return array[np.isfinite(array)]
+
+
+def text(summary: dict[str, Any]) -> str:
+    """What `summary` returned as a table of at most 100 columns."""
+    s, t, changes = summary, summary["t"], summary["index_set_changes"]
+    unit = f" {t['unit']}" if t["unit"] else ""
+    counts = sorted(s["solver_counts"].items(), key=lambda item: (-item[1], item[0]))
+    # Adding 0 turns -0 into 0.
+    shown = [(one["name"], f"{one['value'] + 0.0: .6g} {one['unit']}") for one in s["final_state"]]
+    if len(shown) > _STATES_SHOWN:
+        shown = [*shown[: _STATES_SHOWN - 2], (f"... {len(shown) - _STATES_SHOWN + 1} more", ""), shown[-1]]
+    sample = "" if s["save_every"] == 1 else f" (1 row saved of {s['save_every']})"
+    lines: dict[str, str | list[str] | None] = {
+        "model class": s["model_class"],
+        "scheme": s["scheme"] and str(s["scheme"]),
+        "status": s["message"] if s["message"].startswith(s["status"]) else ": ".join(filter(None, (s["status"], s["message"]))),
+        "steps": f"{s['steps']}{sample}, t = {t['start']:.6g} to {t['end']:.6g}{unit}",
+        "step size": s["step"] and _range(s["step"]["min"], s["step"]["max"], unit),
+        "error control": s["error_control"] and _control(**s["error_control"]),
+        "worst residual": s["residual"] and f"{s['residual']['worst']:.3g}{_at(s['residual']['t'], unit)}",
+        "contacts" if s["bodies"] else "index set": (
+            None if changes is None else f"changed at {changes} step{'' if changes == 1 else 's'}"
+        ),
+        "solver calls": _aligned([(name, f"{int(count):>8d}") for name, count in counts]),
+        "newton": s["newton"] and _iterations(s["newton"]["mean"], s["newton"]["max"]),
+        "smallest gap": _gap(s["gap_min"], s["gap_min_name"], s["gap_min_t"], unit),
+        **_bodies_lines(s["bodies"], unit),
+        "largest error": None if s["largest_error"] is None else f"{s['largest_error']:.3g} from the exact state",
+        "energy": s["energy"] and f"{s['energy']['start']:.6g} at the start, {s['energy']['end']:.6g} at the end",
+        "convergence": s["convergence"] and _convergence(s["convergence"], unit),
+        "final state": _aligned(shown),
+        "warnings": s["warnings"],
+    }
+    table = textwrap.wrap(s["title"], _WIDTH)
+    width = max(map(len, lines)) + 4
+    for label, texts in lines.items():
+        for i, line in enumerate([texts] if isinstance(texts, str) else texts or []):
+            first, rest = f"  {label if i == 0 else '':{width - 2}}", " " * (width + 2)
+            table += textwrap.wrap(line, _WIDTH, initial_indent=first, subsequent_indent=rest)
+    return "\n".join(table)
+
+
+def _bodies_lines(bodies: dict[str, Any] | None, unit: str) -> dict[str, str | list[str]]:
+    """Many bodies as lines of the table."""
+    if not bodies:
+        return {}
+    b, gap = bodies, bodies["least_gap"]
+    lines: dict[str, str | list[str]] = {
+        "bodies": f"{b['count']}: {b['there']} there at the end, {b['left']} left"
+        + (f", {b['waiting']} waiting" if b["waiting"] else ""),
+        "in contact": f"{b['in_contact']} bodies, {b['contacts']} contacts at the end; at most {b['most_contacts']} contacts",
+    }
+    if b.get("empty_at") is not None:
+        lines["end"] = f"empty at t = {b['empty_at']:.6g}{unit}"
+    if b.get("standstill"):
+        lines["standstill"] = _standstill(b["standstill"], unit)
+    if gap is not None and np.isfinite(gap):
+        lines["least gap"] = f"{gap:.6g}{_at(b['least_gap_t'], unit)}"
+    if b["largest_pressure_t"] is not None:
+        at = _at(b["largest_pressure_t"], unit)
+        lines["pressure"] = f"at most {b['largest_pressure']:.6g}, on body {b['largest_pressure_body']}{at}"
+    return lines
+
+
+def _standstill(found: dict[str, Any], unit: str) -> list[str]:
+    """Since when nobody has moved, whether for good, and who holds whom."""
+    end = FOR_GOOD.get(found["for_good"], "nobody has moved by more than rounding since")
+    lines = [f"from t = {found['since']:.6g}{unit} on, {found['bodies']} bodies: {end}"]
+    for arch in found["arches"]:
+        places = [f"{body} at ({', '.join(f'{v:.4g}' for v in at)})" for body, at in zip(arch["bodies"], arch["at"], strict=True)]
+        more = [f"{len(places) - _ARCH_SHOWN} more"] if len(places) > _ARCH_SHOWN else []
+        where = "" if arch["exit"] is None else f"before exit '{arch['exit']}' "
+        ends = " and ".join(f"'{name}'" for name in arch["ends"])
+        lines.append(
+            f"{where}{arch['pressed']} bodies stand behind {', '.join(places[:_ARCH_SHOWN] + more)}; ends: {ends or 'none'}"
+        )
+    return lines
+
+
+def _control(rtol: float, accepted: int, rejected: int, extrapolated: int, at_least_step: int, least_step: float) -> str:
+    tail = f"; {at_least_step} at the least step, whatever their error" if at_least_step else ""
+    return f"rtol {rtol:g}: {accepted} steps accepted, {extrapolated} of them extrapolated, {rejected} refused{tail}"
+
+
+def _at(t: float | None, unit: str) -> str:
+    return "" if t is None else f" at t = {t:.6g}{unit}"
+
+
+def _gap(value: float | None, name: str, t: float, unit: str) -> str | None:
+    return None if value is None else f"{value:.6g} of '{name}'{_at(t, unit)}"
+
+
+def _iterations(mean: float, most: int) -> str:
+    if mean == most:
+        return f"{most} iteration{'s' if most > 1 else ''} at every step"
+    return f"{mean:.3g} iterations a step, at most {most}"
+
+
+def _aligned(pairs: Sequence[tuple[str, str]]) -> list[str]:
+    width = min(max((len(name) for name, _ in pairs), default=0), 40)
+    return [f"{name:{width}}  {value}".rstrip() for name, value in pairs]
+
+
+def _range(low: float, high: float, unit: str) -> str:
+    same = high - low <= 1e-9 * abs(high)
+    return f"{high:.6g}{unit}" if same else f"{low:.6g} to {high:.6g}{unit}"
+
+
+def _convergence(found: dict[str, Any], unit: str) -> list[str]:
+    head = "not shown to be finite"
+    if found.get("finite"):
+        head = f"in finite time: at rest from t = {found['t_0']:.6g}{unit} on, step {found['n_0']}"
+    labels = {"theta_prime_0": "theta'(0)", "distance": "d(0, dg(x))", "margin": "margin"}
+    numbers = ", ".join(f"{label} = {found[key]:.6g}" for key, label in labels.items() if found.get(key) is not None)
+    return [line for line in (head, found.get("reason"), numbers) if line]
