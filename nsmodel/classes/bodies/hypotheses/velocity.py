@@ -165,7 +165,7 @@ def _jump(problem: BodiesProblem, points: Sequence[Point], region: Region) -> _J
             there = alike[np.isfinite(q[alike]).all(axis=1)]
             if not there.size or not len(x):
                 continue
-            far, nearest = map(np.asarray, KDTree(q[there]).query(x[:, 1 : 1 + d]))
+            far, nearest = map(np.asarray, KDTree(q[there], 16).query(x[:, 1 : 1 + d]))
             tried = 0
             for k in np.argsort(far, kind="stable"):
                 if (found and far[k] >= min(item[0] for item in found)) or tried == PROVED:

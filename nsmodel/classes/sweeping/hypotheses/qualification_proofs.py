@@ -64,14 +64,14 @@ def _independent(constraints: Sequence[Constraint], rho: float) -> Proof | None:
     if len(constraints) > MOST_PAIRS:
         return None
     states = sorted({i for c in constraints for i in c.shape.own})
-    spaces = [_gradient_space(c.shape, states) for c in constraints]
-    if any(space is None for space in spaces):
+    spaces = [space for c in constraints if (space := _gradient_space(c.shape, states)) is not None]
+    if len(spaces) < len(constraints):
         return None
     G = np.eye(len(constraints))
     for i, j in combinations(range(len(constraints)), 2):
         if not set(constraints[i].shape.own) & set(constraints[j].shape.own):
             continue
-        cosine = spaces[i].T @ spaces[j]  # pyright: ignore
+        cosine = spaces[i].T @ spaces[j]
         signed = constraints[i].shape.kind == constraints[j].shape.kind == "plane"
         G[i, j] = G[j, i] = min((float(cosine[0, 0]) if signed else -float(np.linalg.norm(cosine, 2))) - ROUNDED, 0.0)
     gamma = gram_bound(G)

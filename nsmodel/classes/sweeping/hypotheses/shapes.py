@@ -229,14 +229,16 @@ class _Reader:
                 free = Affine({j: value for j, value in a.row.items() if j != i}, a.offset)
                 best = combined(best, -w * c / size, free)
             clip = self.clips[i].a
-            if any(j < 0 for j in clip.row) or not isinstance(best.offset, Fraction):
+            offsets = [o for o in (clip.offset, best.offset, *(a.offset for _, a, _ in terms)) if isinstance(o, Fraction)]
+            if any(j < 0 for j in clip.row) or len(offsets) < 2 + len(terms):
                 return False
+            own, middle, *others = offsets
             reach = max((abs(value) for value in best.row.values()), default=_ZERO)
-            offset = max([abs(clip.offset), *(abs(w * c * a.offset / size) for w, a, c in terms)])  # pyright: ignore
+            offset = max([abs(own), *(abs(w * c * o / size) for (w, _, c), o in zip(terms, others, strict=True))])
             rest = combined(clip, -_ONE, best)
             if any(abs(value) > TOLERANCE * reach for value in rest.row.values()):
                 return False
-            if abs(rest.offset) > TOLERANCE * offset:  # pyright: ignore
+            if abs(own - middle) > TOLERANCE * offset:
                 return False
             if rest.row or rest.offset:
                 self.rounded.add(i)

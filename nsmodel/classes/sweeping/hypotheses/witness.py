@@ -149,9 +149,9 @@ def _common_point(constraints: Sequence[Constraint], process: Process, used: lis
     rest = [k for k in range(len(constraints)) if k not in used]
     A = exact.zeros(len(constraints), n + 1 + len(rest))
     for k, c in enumerate(constraints):
-        for i, value in c.shape.form.affine.row.items():  # pyright: ignore
+        for i, value in c.shape.written.affine.row.items():
             A[k, place[i]] = value
-        A[k, n] = c.shape.form.affine.offset  # pyright: ignore
+        A[k, n] = c.shape.written.affine.offset
         if k in rest:
             A[k, n + 1 + rest.index(k)] = Fraction(-1)
     point = decide(System(A, tuple(range(n, A.shape[1])))).point
@@ -173,7 +173,7 @@ def _moving(
     slopes = ca.jacobian(g, process.q[own])
     u, fixed = ca.SX.sym("u", len(used)), None
     if all(constraints[k].shape.kind == "plane" for k in used):
-        fixed = cancelling([dict(constraints[k].shape.form.affine.row) for k in used])  # pyright: ignore
+        fixed = cancelling([dict(constraints[k].shape.written.affine.row) for k in used])
     widths = (process.upper - process.lower)[[0, *(1 + j for j in own)]]
     size, z = np.where(widths > 0, widths, 1.0), ca.vertcat(process.t, process.q[own])
     if fixed is not None:
