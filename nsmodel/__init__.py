@@ -38,7 +38,8 @@ if TYPE_CHECKING:
     from nsmodel.classes.lure.model import LureSystem
     from nsmodel.classes.oscillator.model import FrictionOscillator
     from nsmodel.classes.sweeping.model import SweepingProcess
-    from nsmodel.hypotheses.findings import Finding, Report
+    from nsmodel.hypotheses.findings import Finding
+    from nsmodel.hypotheses.report.report import Report
     from nsmodel.run.loop import RunInterrupted
     from nsmodel.simulate import explain, simulate
     from nsmodel.stress import Stress, stress
@@ -91,7 +92,8 @@ _later(
     __name__,
     {
         "nsmodel.checking": ["check"],
-        "nsmodel.hypotheses.findings": ["Finding", "Report"],
+        "nsmodel.hypotheses.findings": ["Finding"],
+        "nsmodel.hypotheses.report.report": ["Report"],
         "nsmodel.classes.bodies.groups": ["Bodies", "Family", "Items", "neighbours"],
         "nsmodel.classes.bodies.model": ["ManyBodies"],
         "nsmodel.classes.first_order.model": ["FirstOrderSystem"],

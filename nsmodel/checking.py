@@ -14,8 +14,9 @@ from nsmodel.classes.registry import class_of
 from nsmodel.errors import ModelError, StepError, UsageError
 from nsmodel.hypotheses import impacts, uniform
 from nsmodel.hypotheses.along import along
-from nsmodel.hypotheses.findings import ALONG_A_RUN, HOLDS, VIOLATED, Consequence, Finding, Hypothesis, Report, measured, plain
+from nsmodel.hypotheses.findings import ALONG_A_RUN, HOLDS, VIOLATED, Consequence, Finding, Hypothesis, measured, plain
 from nsmodel.hypotheses.region import Region, around, region_of
+from nsmodel.hypotheses.report.report import Report
 from nsmodel.hypotheses.scope import Box, Scope, meet
 from nsmodel.hypotheses.stay import clauses
 from nsmodel.model.arguments import shown

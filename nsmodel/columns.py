@@ -1,4 +1,4 @@
-"""What the columns of a run are called, and a run as columns: of a CSV file, of an xarray data set."""
+"""The columns of a run: their names and units, and the tables that they make."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def _free(name: str, taken: Container[str], prefix: str) -> str:
     return f"{prefix}:{name}" if name in taken else name
 
 
-def named_columns(run: Trajectory) -> Iterator[tuple[str, np.ndarray]]:
+def of_csv(run: Trajectory) -> Iterator[tuple[str, np.ndarray]]:
     """Yield (name, column) of the CSV file; no name comes twice."""
     multipliers = multiplier_names(run)
     named = {"x": state_names(run), "multipliers": [f"multiplier:{name}" for name in multipliers]}
@@ -77,8 +77,8 @@ def named_columns(run: Trajectory) -> Iterator[tuple[str, np.ndarray]]:
             taken.add(free)
 
 
-def dataset_of(run: Trajectory) -> Any:
-    """The run as an ``xarray.Dataset``."""
+def dataset(run: Trajectory) -> Any:
+    """The run as an ``xarray.Dataset``; MissingExtraError where xarray is not installed."""
     xarray = _extra("xarray")
 
     units = {name: {"units": unit} for name, unit in units_of(run).items()}

@@ -56,7 +56,8 @@ def fingerprint(model: Model, grid: Grid) -> str:
 
 def versions() -> dict[str, str]:
     """Versions of what the numbers depend on."""
-    return {"nsmodel": VERSION, "casadi": ca.CasadiMeta.version(), "numpy": np.__version__, "python": platform.python_version()}
+    casadi = ca.__version__  # pyright: ignore[reportAttributeAccessIssue]
+    return {"nsmodel": VERSION, "casadi": casadi, "numpy": np.__version__, "python": platform.python_version()}
 
 
 def _hash(items: list[Any]) -> str:

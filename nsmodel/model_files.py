@@ -9,9 +9,12 @@ from collections.abc import Iterator
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 from nsmodel.errors import UsageError
+
+if TYPE_CHECKING:
+    from importlib.abc import Loader
 
 PREFIX = "nsmodel_file_"
 
@@ -31,7 +34,7 @@ def executed(spec: ModuleSpec) -> ModuleType:
     """Run the file; whatever it raises comes out."""
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
-    spec.loader.exec_module(module)  # pyright: ignore[reportOptionalMemberAccess]
+    cast("Loader", spec.loader).exec_module(module)
     return module
 
 

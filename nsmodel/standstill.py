@@ -20,7 +20,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from nsmodel.classes.bodies.model import ManyBodies
-from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, Rows
+from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, ContactRows
 from nsmodel.contacts import Contacts
 from nsmodel.solve.certificate import EPS
 from nsmodel.solve.contact_projection import Group
@@ -122,13 +122,13 @@ def _pressed(contacts: Contacts) -> Contacts:
     return Contacts(*(part[strong] for part in contacts))
 
 
-def _rows(problem: BodiesProblem, t: float, q: np.ndarray, contacts: Contacts) -> Rows:
+def _rows(problem: BodiesProblem, t: float, q: np.ndarray, contacts: Contacts) -> ContactRows:
     """The constraints of these contacts."""
     parts = []
     for family in range(len(problem.families)):
         of = contacts.family == family
         parts.append(problem.rows(family, t, q, contacts.first[of], contacts.second[of]))
-    return Rows(*(np.concatenate([getattr(part, name) for part in parts]) for name in Rows.__dataclass_fields__))
+    return ContactRows(*(np.concatenate([getattr(part, name) for part in parts]) for name in ContactRows.__dataclass_fields__))
 
 
 def _crowns(problem: BodiesProblem, q: np.ndarray, contacts: Contacts, near: dict[int, set[int]]) -> Iterable[tuple[Any, int]]:

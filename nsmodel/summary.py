@@ -1,4 +1,4 @@
-"""A run in short: as numbers, and as a table."""
+"""A run in short: its numbers, and the table of them that a terminal shows."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FOR_GOOD = {  # How a run of many bodies knows that nothing will ever change aga
 CONTROL = ("rtol", "accepted", "rejected", "extrapolated", "at_least_step", "least_step")
 
 
-def summary_of(run: Trajectory) -> dict[str, Any]:
+def summary(run: Trajectory) -> dict[str, Any]:
     """The numbers of a run; those of all steps come from metadata["totals"] where it is, since rows may be a sample."""
     arrays, about, units = run.arrays, run.metadata, units_of(run)
     totals = about.get("totals") or {}
@@ -121,8 +121,8 @@ def _finite(array: np.ndarray) -> np.ndarray:
     return array[np.isfinite(array)]
 
 
-def text_of(summary: dict[str, Any]) -> str:
-    """The summary as a table."""
+def text(summary: dict[str, Any]) -> str:
+    """What `summary` returned as a table of at most 100 columns."""
     s, t, changes = summary, summary["t"], summary["index_set_changes"]
     unit = f" {t['unit']}" if t["unit"] else ""
     counts = sorted(s["solver_counts"].items(), key=lambda item: (-item[1], item[0]))

@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from nsmodel import columns, summary
 from nsmodel.archive import read_npz, write_npz
-from nsmodel.columns import dataset_of, multiplier_names, named_columns
 from nsmodel.contacts import Contacts
 from nsmodel.errors import StorageError, UsageError
 from nsmodel.storage import write_csv
-from nsmodel.summary import summary_of, text_of
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -91,13 +90,13 @@ class Trajectory:
 
     def multiplier(self, name: str) -> np.ndarray:
         """Return the multiplier called ``name`` (N+1,), or all k called ``name[...]`` (N+1, k); else UsageError."""
-        names = multiplier_names(self)
+        names = columns.multiplier_names(self)
         if name in names:
             return self.multipliers[:, names.index(name)]
-        columns = [i for i, full in enumerate(names) if full.startswith(f"{name}[")]
-        if not columns:
+        entries = [i for i, full in enumerate(names) if full.startswith(f"{name}[")]
+        if not entries:
             raise UsageError(f"no multiplier is called '{name}'; this run has {', '.join(names) or 'none'}")
-        return self.multipliers[:, columns]
+        return self.multipliers[:, entries]
 
     def contacts(self, row: int) -> Contacts:
         """Return the contacts that acted in the step that ended at a row, sorted by family and members.
@@ -127,29 +126,29 @@ class Trajectory:
 
     def to_csv(self, path: str | Path) -> None:
         """Write columns t, the states, ``multiplier:NAME``, ``y:NAME``, residual, each entry of the other arrays but lists."""
-        write_csv(path, dict(named_columns(self)))
+        write_csv(path, dict(columns.of_csv(self)))
 
     def to_xarray(self) -> Any:
         """Return an ``xarray.Dataset`` along ``time``: a variable a state, other arrays whole, metadata as attributes.
 
         MissingExtraError where xarray is not installed.
         """
-        return dataset_of(self)
+        return columns.dataset(self)
 
     def plot(self, **options: Any) -> Any:
         """Draw an overview of the run; the options are those of ``nsmodel.plot.overview``."""
-        from nsmodel.plot import overview
+        from nsmodel.plot.figures import overview
 
         return overview(self, **options)
 
     def summary(self) -> dict[str, Any]:
         """Return the run in short as numbers, strings, lists and dictionaries; None for what does not apply."""
-        return summary_of(self)
+        return summary.summary(self)
 
     def summary_text(self, *, messages: bool = True) -> str:
         """Return the run in short as a table of at most 100 columns; ``messages=False`` leaves out warnings and errors."""
-        summary = summary_of(self)
-        return text_of(summary if messages else summary | {"warnings": [], "message": ""})
+        found = summary.summary(self)
+        return summary.text(found if messages else found | {"warnings": [], "message": ""})
 
     def _array(self, name: str) -> np.ndarray:
         if name not in self.arrays:
@@ -167,8 +166,8 @@ class Trajectory:
             raise AttributeError(name)
         stems, names = self.metadata.get("stems", {}), self.metadata.get("state_names", ())
         if name in stems:
-            columns = stems[name]
-            return self.x[:, columns[0]] if len(columns) == 1 else self.x[:, columns]
+            at = stems[name]
+            return self.x[:, at[0]] if len(at) == 1 else self.x[:, at]
         if name in names:
             return self.x[:, list(names).index(name)]
         return self._array(name)

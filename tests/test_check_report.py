@@ -14,10 +14,11 @@ import sympy as sp
 import nsmodel
 from nsmodel import LureSystem, ModelError, SweepingProcess, ball, box, complementarity, equality, polyhedron, product, relay
 from nsmodel import second_order_cone as cone
-from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VERDICTS, VIOLATED, Hypothesis, Report, follows, found
+from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VERDICTS, VIOLATED, Hypothesis, follows, found
 from nsmodel.hypotheses.report.formula import Names, formulas
 from nsmodel.hypotheses.report.markdown import markdown
 from nsmodel.hypotheses.report.notation import decimal, symbol_latex
+from nsmodel.hypotheses.report.report import Report
 from nsmodel.hypotheses.report.table import document, shown, text
 from nsmodel.hypotheses.report.typeset import equations, law_latex, to_sympy
 from nsmodel.storage import dumps, loads

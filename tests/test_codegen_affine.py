@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from test_solvers import DEGENERATE, INF, LAWS, PSD, infeasible, matrix, point_of_graph, problem, random_law, spd
 
-from nsmodel.codegen import constants, sets, statuses
+from nsmodel.codegen import constants, residual, sets, statuses
 from nsmodel.codegen.fragments import fragment, pruned
 from nsmodel.laws import Law, ball, box, product, second_order_cone
 from nsmodel.solve import active_set, curved, mlcp
@@ -164,7 +164,7 @@ def source(of: Law | None = None, *, both: bool = False, main: bool = False, row
         text += f"#define MODEL_BLOCK {block}\n#define MODEL_NUMBERS {numbers}\n"
         text += TABLES.format(lower=joined(law.lower), upper=joined(law.upper)) + sets.text(of, False)
     parts = ["solvers.c", "linear.c", "affine.c", *(["lemke.c"] if box_too else []), *(["curved.c"] if law.curved else [])]
-    text += "\n".join(fragment(part, flags, {"SOLVERS": statuses.solvers()}) for part in parts)
+    text += "\n".join(fragment(part, flags, {"SOLVERS": statuses.solvers(), "ROW_RESIDUAL": residual.of_row()}) for part in parts)
     choose = "#define LO (lo ? lo : lower)\n#define UP (up ? up : upper)\n" if law.curved else "#define LO lo\n#define UP up\n"
     text += choose + ENTRY + (BOX_ENTRY if box_too else "") + (CURVED_ENTRY if law.curved else "") + (MAIN if main else "")
     return pruned(text) if law.curved else text

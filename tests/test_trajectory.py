@@ -228,7 +228,7 @@ def test_xarray_missing(run, monkeypatch):
 
 def test_plot_forwards_to_the_overview(run, monkeypatch):
     plot = types.SimpleNamespace(overview=lambda trajectory, **options: (trajectory, options))
-    monkeypatch.setitem(sys.modules, "nsmodel.plot", plot)
+    monkeypatch.setitem(sys.modules, "nsmodel.plot.figures", plot)
     assert run.plot(title="a") == (run, {"title": "a"})
 
 

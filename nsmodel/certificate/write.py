@@ -14,7 +14,8 @@ from nsmodel.certificate.graph import NoProgram, text
 from nsmodel.certificate.hints import ROOMS, TooManyParts, Unproved, covered, value_of
 from nsmodel.classes.registry import class_of
 from nsmodel.errors import UsageError
-from nsmodel.hypotheses.findings import ALONG_A_RUN, HOLDS, Finding, Report
+from nsmodel.hypotheses.findings import ALONG_A_RUN, HOLDS, Finding
+from nsmodel.hypotheses.report.report import Report
 from nsmodel.hypotheses.scope import Scope
 from nsmodel.storage import replacing
 

@@ -9,7 +9,8 @@ from nsmodel.cli.output import print_json
 from nsmodel.cli.settings import Commands, add_set, by_name, load, setting
 from nsmodel.cli.status import AT_FAULT, DONE, refused
 from nsmodel.errors import NsmodelError, UsageError
-from nsmodel.hypotheses.findings import VIOLATED, Report
+from nsmodel.hypotheses.findings import VIOLATED
+from nsmodel.hypotheses.report.report import Report
 from nsmodel.storage import write_text
 from nsmodel.words import print_shown as print
 

@@ -33,7 +33,7 @@ def c_function(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.
     return tables.text() + head + written(name, arguments, [*given, *outputs], body)
 
 
-def _loop(form: Form, inputs: list[str], tables: Tables) -> list[str]:
+def _loop(form: LoopForm, inputs: list[str], tables: Tables) -> list[str]:
     """The loop of a form; the statement alone where it has one row."""
     leaves, pieces, lines = list(zip(*form.leaves, strict=True)), [], []
     uses = [0] * len(form.nodes)
@@ -59,7 +59,7 @@ def _loop(form: Form, inputs: list[str], tables: Tables) -> list[str]:
     return [f"for (int i = 0; i < {len(form.places)}; i++) {{", *(f"    {line}" for line in lines), "}"]
 
 
-class Form(NamedTuple):
+class LoopForm(NamedTuple):
     """Rows that do the same: the output, the nodes, and each row's place in the output and what its leaves are.
 
     The leaf of an input is (which, entry), that of a number its value.
@@ -71,16 +71,16 @@ class Form(NamedTuple):
     leaves: list[list]
 
 
-def forms(whole: tuple, targets: Sequence[tuple[str, int]]) -> list[Form]:
+def forms(whole: tuple, targets: Sequence[tuple[str, int]]) -> list[LoopForm]:
     """The rows of a graph (see `expression.graph`) by their form; ``targets``: output and place of each."""
     nodes, stores, _ = whole
-    found: dict[tuple, Form] = {}
+    found: dict[tuple, LoopForm] = {}
     for (_, entry), root in stores:
         output, place = targets[entry]
         own, leaves = _row(nodes, root)
         key = (output, own)
         if key not in found:
-            found[key] = Form(output, own, [], [])
+            found[key] = LoopForm(output, own, [], [])
         found[key].places.append(place)
         found[key].leaves.append(leaves)
     return list(found.values())

@@ -22,7 +22,7 @@ SECONDS = 0.05  # A call takes about as long: so late comes Ctrl-C.
 _Totals = structs.TOTALS.in_python()
 
 
-class Block(NamedTuple):
+class StepBlock(NamedTuple):
     """Some steps, and what they add up to.
 
     Attributes:
@@ -84,7 +84,7 @@ class Rollout:
 
     def advance(
         self, k: int, steps: int, state: np.ndarray, warm: Warm, least: float, every: int, rows: np.ndarray, index: np.ndarray
-    ) -> Block:
+    ) -> StepBlock:
         """Take up to ``steps`` steps from number k, for about SECONDS, until one is not certified.
 
         ``rows`` and ``index`` are filled with every ``every``-th row and the grid's last; ``least`` is the least eigenvalue
@@ -116,7 +116,7 @@ class Rollout:
 
     def adapt(
         self, control: np.ndarray, number: int, least: float, rows: np.ndarray, index: np.ndarray, columns: np.ndarray
-    ) -> Block:
+    ) -> StepBlock:
         """Take steps under error control for about SECONDS, until there is no more room or one is not certified.
 
         Args:
@@ -146,8 +146,8 @@ class Rollout:
         return StepResult(row, Warm(row[layout.l], codes), SOLVERS[next(i for i, count in enumerate(totals.counts) if count)])
 
 
-def _block(done: int, totals: Any, state: np.ndarray, warm: Warm) -> Block:
-    return Block(
+def _block(done: int, totals: Any, state: np.ndarray, warm: Warm) -> StepBlock:
+    return StepBlock(
         done, totals.status != 0, state, warm, totals.worst, int(totals.worst_step), totals.newton, totals.newton_max,
         int(totals.changes), totals.least, {SOLVERS[i]: int(count) for i, count in enumerate(totals.counts) if count},
     )  # fmt: skip

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from nsmodel.codegen import banded, constants, fixed, inclusion, newton, sets, statuses, structs
+from nsmodel.codegen import banded, constants, fixed, inclusion, newton, residual, sets, statuses, structs
 from nsmodel.codegen.bounds import MOST_WORK, work_bound
 from nsmodel.codegen.expression import number
 from nsmodel.codegen.fragments import CONSTANT, FOLDER, FUNCTION, comment, fragment, guard, prefixed, pruned, resolved
@@ -125,6 +125,7 @@ def _words(name: str, scene: Scene, flags: frozenset[str], sizes: dict[str, int]
         "MATRICES": "".join(f", s->newton.{key}" for key in newton.outputs(scene)),
         "COLUMNS": _columns(layout, problem.records),
         "WIDTH": str(layout.width),
+        "ROW_RESIDUAL": residual.of_row(),
         "TOTALS": prefixed(structs.TOTALS.c(), name),
         "CONTROL": prefixed(structs.CONTROL.c(), name),
     } | {key: str(value) for key, value in sizes.items()}

@@ -12,7 +12,7 @@ from nsmodel.codegen.statuses import SOLVERS
 KINDS: dict[str, Any] = {"double": ctypes.c_double, "int": ctypes.c_int, "long": ctypes.c_long}  # All others are pointers.
 
 
-class Line(NamedTuple):
+class Members(NamedTuple):
     """Members of one kind, as a line of C: their names, each with its ``[size]`` where it is an array, and what they are."""
 
     kind: str
@@ -36,7 +36,7 @@ class Struct(NamedTuple):
     """A struct of C: its name and its lines."""
 
     name: str
-    lines: tuple[Line, ...]
+    lines: tuple[Members, ...]
 
     def c(self) -> str:
         """The definition, for a model called "model"."""
@@ -51,63 +51,63 @@ class Struct(NamedTuple):
 TOTALS = Struct(
     "model_totals",
     (
-        Line("double", "worst newton newton_max", "residual, Newton iterations in all and in one step"),
-        Line("double", "worst_step changes", "the step with the worst residual, from 1; how often the index set changed"),
-        Line("double", "least", "eigenvalue of W + W' so far, scaled as in Python; -inf: not looked at"),
-        Line("double", f"counts[{len(SOLVERS)}]", "steps by solver"),
-        Line("double", "status", "of the step that ended the block; MODEL_OK: all steps are taken, or the time is over"),
+        Members("double", "worst newton newton_max", "residual, Newton iterations in all and in one step"),
+        Members("double", "worst_step changes", "the step with the worst residual, from 1; how often the index set changed"),
+        Members("double", "least", "eigenvalue of W + W' so far, scaled as in Python; -inf: not looked at"),
+        Members("double", f"counts[{len(SOLVERS)}]", "steps by solver"),
+        Members("double", "status", "of the step that ended the block; MODEL_OK: all steps are taken, or the time is over"),
     ),
 )
 CONTROL = Struct(
     "model_control",
     (
-        Line("double", "T rtol largest least crossing grow negligible",
+        Members("double", "T rtol largest least crossing grow negligible",
              "the constants of adaptive.py; j between largest and least"),
-        Line("double", "order", "of the scheme on one index set, but for rows that are held and lower it to 1"),
-        Line("double", "t j fresh", "time in units of T/2^(least + 1); the step is T/2^j; fresh: no step has been taken"),
-        Line("double", "accepted rejected extrapolated at_least_step least_step"),
-        Line("double", "x[STATES] l[ROWS] index[ROWS] lowering[ROWS]"),
-        Line("double", "atol[WATCHED] size[WATCHED] group[WATCHED] watched[WATCHED] rate[WATCHED]"),
+        Members("double", "order", "of the scheme on one index set, but for rows that are held and lower it to 1"),
+        Members("double", "t j fresh", "time in units of T/2^(least + 1); the step is T/2^j; fresh: no step has been taken"),
+        Members("double", "accepted rejected extrapolated at_least_step least_step"),
+        Members("double", "x[STATES] l[ROWS] index[ROWS] lowering[ROWS]"),
+        Members("double", "atol[WATCHED] size[WATCHED] group[WATCHED] watched[WATCHED] rate[WATCHED]"),
     ),
 )  # fmt: skip
 MOTION = Struct(
     "model_motion",
     (
-        Line("const model_functions *", "model"),
-        Line("double", "t h tolerance"),
-        Line("int", "n"),
-        Line("const double *", "q", "(n, DIM)"),
-        Line("const unsigned char *", "present", "(n)"),
-        Line("const double *", "velocity", "(n, DIM) f, where it is given from outside; else NULL"),
-        Line("const double *", "numbers", "(n, NUMBERS)"),
-        Line("const double *const *", "items", "for each family, its items' numbers"),
-        Line("const int *", "item_count"),
-        Line("const int *const *", "over", "for each family, the pairs it runs over (2 each), or NULL: all"),
-        Line("const int *", "over_count"),
-        Line("const double *", "farthest", "for each family the largest c of g = |q_i - q_j| - c; negative: another kind"),
-        Line("const double *const *", "halves",
+        Members("const model_functions *", "model"),
+        Members("double", "t h tolerance"),
+        Members("int", "n"),
+        Members("const double *", "q", "(n, DIM)"),
+        Members("const unsigned char *", "present", "(n)"),
+        Members("const double *", "velocity", "(n, DIM) f, where it is given from outside; else NULL"),
+        Members("const double *", "numbers", "(n, NUMBERS)"),
+        Members("const double *const *", "items", "for each family, its items' numbers"),
+        Members("const int *", "item_count"),
+        Members("const int *const *", "over", "for each family, the pairs it runs over (2 each), or NULL: all"),
+        Members("const int *", "over_count"),
+        Members("const double *", "farthest", "for each family the largest c of g = |q_i - q_j| - c; negative: another kind"),
+        Members("const double *const *", "halves",
              "for each such family (n) numbers with c_ij <= half_i + half_j, which serve for the largest c; NULL: half of it"),
-        Line("const double *", "p"),
-        Line("long", "budget", "the most work"),
-        Line("double", "motion", "the largest |d_i| of the last step; 0: unknown"),
-        Line("int", "contacts", "of the last step: rows with m > 0"),
-        Line("const int *", "family first second"),
-        Line("const double *", "multiplier"),
-        Line("double *", "q_next", "from here on what the step gives"),
-        Line("unsigned char *", "leaves", "(n) who leaves after the step; NULL: not asked"),
-        Line("int", "contacts_out", "as those of the last step; they lie in the memory given"),
-        Line("int *", "family_out first_out second_out"),
-        Line("double *", "multiplier_out"),
+        Members("const double *", "p"),
+        Members("long", "budget", "the most work"),
+        Members("double", "motion", "the largest |d_i| of the last step; 0: unknown"),
+        Members("int", "contacts", "of the last step: rows with m > 0"),
+        Members("const int *", "family first second"),
+        Members("const double *", "multiplier"),
+        Members("double *", "q_next", "from here on what the step gives"),
+        Members("unsigned char *", "leaves", "(n) who leaves after the step; NULL: not asked"),
+        Members("int", "contacts_out", "as those of the last step; they lie in the memory given"),
+        Members("int *", "family_out first_out second_out"),
+        Members("double *", "multiplier_out"),
     ),
 )  # fmt: skip
 REPORT = Struct(
     "model_report",
     (
-        Line("double", "residual gap motion cutoff"),
-        Line("int", "worst_family worst_first worst_second"),
-        Line("int", "rows groups largest factorisations repeats"),
-        Line("int", "by_active_set by_interior unsettled"),
-        Line("long", "work", "linear systems factored or solved"),
+        Members("double", "residual gap motion cutoff"),
+        Members("int", "worst_family worst_first worst_second"),
+        Members("int", "rows groups largest factorisations repeats"),
+        Members("int", "by_active_set by_interior unsettled"),
+        Members("long", "work", "linear systems factored or solved"),
     ),
 )
-TIMED_REPORT = REPORT._replace(lines=(*REPORT.lines, Line("double", "search assembly solve", "CPU seconds")))
+TIMED_REPORT = REPORT._replace(lines=(*REPORT.lines, Members("double", "search assembly solve", "CPU seconds")))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 CHUNK = 2_000_000  # Numbers in the largest array of intermediate results.
+LEAF = 16  # Places in a leaf of a k-d tree, on which the order of its pairs depends, and which of two equally near it names.
 
 
 def cross(u: np.ndarray, v: np.ndarray) -> np.ndarray:

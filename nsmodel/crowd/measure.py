@@ -8,15 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel.crowd.geometry import cross, crossed
+from nsmodel.crowd.geometry import LEAF, cross, crossed
 from nsmodel.crowd.given import number, numbers
 from nsmodel.crowd.room import Room
 from nsmodel.errors import ModelError, UsageError
-from nsmodel.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from nsmodel.trajectory import Trajectory
 
 CUT_OFF = 1.0  # Nobody takes up more room than a disc of this radius, m.
 
@@ -204,7 +206,7 @@ def maps(
     for q, velocity, push in _frames(run, rows, pressure):
         if not len(q):
             continue
-        away, owner = map(np.asarray, KDTree(q).query(centres, distance_upper_bound=cut_off))
+        away, owner = map(np.asarray, KDTree(q, LEAF).query(centres, distance_upper_bound=cut_off))
         near = np.isfinite(away)
         owner = owner[near]
         area = np.bincount(owner, minlength=len(q)) * spacing**2

@@ -11,7 +11,7 @@ import numpy as np
 
 from nsmodel.classes.bodies.groups import Bodies, Family, Items
 from nsmodel.classes.bodies.model import ManyBodies
-from nsmodel.crowd.geometry import closed, contains, crosses_any, nearest_points
+from nsmodel.crowd.geometry import LEAF, closed, contains, crosses_any, nearest_points
 from nsmodel.crowd.given import generator, number, numbers, of_each, radii_between
 from nsmodel.crowd.noise import Noise, Wavering
 from nsmodel.crowd.paths import KEEP, DesiredVelocity, desired_velocity
@@ -96,7 +96,7 @@ def place(
     fixed = np.concatenate([np.zeros((0, 2)), *(people.places for people in beside)])
     taken = np.concatenate([np.zeros(0), *(people.radii for people in beside)])
     if len(fixed):
-        away, who = KDTree(fixed).query(nodes)
+        away, who = KDTree(fixed, LEAF).query(nodes)
         nodes = nodes[away > taken[who] + low]
     area, covered = len(nodes) * grid.spacing**2, np.pi * (sizes**2).sum()
     sizes = np.concatenate([sizes, taken])
@@ -284,7 +284,7 @@ def _pushed_apart(
 
     radii, most = radii + APART, float(radii.min()) / 2
     for k in range(1, ROUNDS + 1):
-        pairs = KDTree(q).query_pairs(2 * radii.max() + APART, output_type="ndarray")
+        pairs = KDTree(q, LEAF).query_pairs(2 * radii.max() + APART, output_type="ndarray")
         i, j = pairs.T
         gap = q[i] - q[j]
         size = np.linalg.norm(gap, axis=1)

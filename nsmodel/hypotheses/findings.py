@@ -1,4 +1,4 @@
-"""What a check returns: one finding a hypothesis, what follows from them, and the report of both."""
+"""What a check finds: one finding a hypothesis, and what follows from them."""
 
 from __future__ import annotations
 
@@ -144,82 +144,6 @@ def follows(
 def scope_of(findings: Sequence[Finding], ids: Sequence[str]) -> Scope | None:
     """The intersection of the scopes of some findings."""
     return meet(*(finding.scope for finding in findings if finding.id in ids))
-
-
-@dataclass(frozen=True)
-class Report(Pickled):
-    """All findings about one model.
-
-    Attributes:
-        title, model_class, paper: of the model.
-        region: where hypotheses about a region were decided, in words.
-        quick: whether global searches were skipped.
-        findings: one for each hypothesis of the class, then those about the runs.
-        consequences: what follows.
-        parameters: values by name; None where a parameter stayed a symbol.
-        notes: what the reader should know beside (a run that stopped, parameters without value).
-        model: the model with its parameters bound.
-    """
-
-    title: str
-    model_class: str
-    paper: str
-    region: str
-    quick: bool
-    findings: tuple[Finding, ...]
-    consequences: tuple[Consequence, ...]
-    parameters: Mapping[str, float | None]
-    notes: tuple[str, ...]
-    model: Any = field(repr=False, compare=False)
-
-    def text(self) -> str:
-        """The report as a table for a terminal, 100 columns wide."""
-        from nsmodel.hypotheses.report.table import text
-
-        return text(self)
-
-    def document(self) -> dict[str, Any]:
-        """The report as a dictionary that JSON can hold."""
-        from nsmodel.hypotheses.report.table import document
-
-        return document(self)
-
-    def markdown(self) -> str:
-        """The report as a Markdown page, with the model's equations in LaTeX."""
-        from nsmodel.hypotheses.report.markdown import markdown
-
-        return markdown(self, self.model)
-
-    def __getitem__(self, id: str) -> Finding:
-        """Return the finding of a hypothesis: ``report["A5"]``."""
-        for finding in self.findings:
-            if finding.id == id:
-                return finding
-        raise KeyError(f"no finding '{id}'; the report has {', '.join(finding.id for finding in self.findings)}")
-
-    def having(self, verdict: str) -> tuple[Finding, ...]:
-        """The findings with this verdict."""
-        return tuple(finding for finding in self.findings if finding.verdict == verdict)
-
-    @property
-    def verdict(self) -> str:
-        """One line: how many hypotheses are proved, the ids of the others, and how many inequalities the run met."""
-        hypotheses = [finding for finding in self.findings if not finding.id.startswith(ALONG_A_RUN)]
-        along = [finding for finding in self.findings if finding.id.startswith(ALONG_A_RUN)]
-        proved = [finding for finding in hypotheses if finding.verdict == HOLDS]
-        local = sum(finding.scope is not None and bool(finding.scope.states) for finding in proved)
-        parts = [f"{len(proved)} proved" + (f" ({local} of them on a box of states)" if local else ""), *_others(hypotheses)]
-        text = ", ".join(parts) + (" (quick: global searches skipped)" if self.quick else "")
-        if along:
-            met = sum(finding.verdict == HOLDS for finding in along)
-            text += f"; along the run: {', '.join([f'{met} of {len(along)} met', *_others(along)])}"
-        return text
-
-
-def _others(findings: Sequence[Finding]) -> list[str]:
-    """How many findings are not "holds", and which."""
-    ids = {verdict: [finding.id for finding in findings if finding.verdict == verdict] for verdict in VERDICTS[1:]}
-    return [f"{len(own)} {verdict} ({', '.join(own)})" for verdict, own in ids.items() if own]
 
 
 def _plain(item: Any) -> Any:

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError
-from nsmodel.model.convex_read import Bound, Node, Parts, read, rebuilt
+from nsmodel.model.convex_read import Condition, Node, Parts, read, rebuilt
 from nsmodel.model.expressions import evaluate, is_affine, is_concave, is_constant, points
 from nsmodel.pickled import Pickled
 from nsmodel.proof.graph import column, constants, keys, same
@@ -148,7 +148,7 @@ def split_discontinuities(expr: ca.SX, x: ca.SX, label: str) -> tuple[ca.SX, ca.
 # -- rewriting nodes ---------------------------------------------------------------------------------------------------
 
 
-def _pushed(bound: Bound, parts: Parts, y: ca.SX, label: str) -> list[Bound]:
+def _pushed(bound: Condition, parts: Parts, y: ca.SX, label: str) -> list[Condition]:
     """Write r - w |u| >= 0 and the like, w > 0, without the nonsmooth node; drop what always holds."""
     inside = parts.inside(bound.u)
     if bound.kind == "equality" and (inside or not is_affine(bound.u, y)):
@@ -164,7 +164,7 @@ def _pushed(bound: Bound, parts: Parts, y: ca.SX, label: str) -> list[Bound]:
         raise ModelError(f"{label} is not convex: its domain {bound.text} is not convex; turn the inequality round")
     if node.kind == "norm":
         r = ca.substitute(bound.u, node.symbol, 0)
-        return [Bound("cone", ca.vertcat(r / -weight, node.args), bound.text)]
+        return [Condition("cone", ca.vertcat(r / -weight, node.args), bound.text)]
     cases = [replace(bound, u=ca.substitute(bound.u, node.symbol, piece)) for piece in node.pieces]
     return [simple for case in cases for simple in _pushed(case, parts, y, label)]
 

@@ -43,7 +43,7 @@ class Node:
 
 
 @dataclass(frozen=True, eq=False)
-class Bound:
+class Condition:
     """A condition of the domain: "indicator" u >= 0, "equality" u = 0 or "cone" |u[1:]| <= u[0]."""
 
     kind: str
@@ -57,7 +57,7 @@ class Parts:
 
     value: ca.SX
     nodes: list[Node]
-    bounds: list[Bound]
+    bounds: list[Condition]
 
     @property
     def symbols(self) -> ca.SX:
@@ -142,11 +142,11 @@ def rebuilt(expr: ca.SX, rule: Rule, ops: Sequence[int], x: ca.SX, label: str) -
 _Literal = tuple[str, ca.SX, ca.SX]
 
 
-def _conditions(phi: ca.SX, y: ca.SX, label: str) -> tuple[ca.SX, list[Node], list[Bound]]:
+def _conditions(phi: ca.SX, y: ca.SX, label: str) -> tuple[ca.SX, list[Node], list[Condition]]:
     """Turn the conditions of the values inf into the domain, settle finite branches on it; a column of value and bounds."""
     nodes: list[Node] = []
     known: list[_Literal] = []
-    bounds: list[Bound] = []
+    bounds: list[Condition] = []
     branches: list[tuple[ca.SX, ca.SX, ca.SX, str]] = []
 
     def rule(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
@@ -165,7 +165,7 @@ def _conditions(phi: ca.SX, y: ca.SX, label: str) -> tuple[ca.SX, list[Node], li
                 "write the domain as such conditions joined by logic_and"
             )
         new = [literal for literal in literals if not _is_known(literal, known)]
-        bounds.extend(Bound("indicator", b - a, text) if r == "<=" else Bound("equality", a - b, text) for r, a, b in new)
+        bounds.extend(Condition("indicator", b - a, text) if r == "<=" else Condition("equality", a - b, text) for r, a, b in new)
         known.extend(new)
         nodes.append(Node("domain", symbol, ca.SX(0, 1), text))
         return symbol

@@ -5,13 +5,18 @@ and no display is needed. Long runs are thinned so that no extremum and no event
 of the index set belongs to the step that *ends* at t_k, and is drawn from t_{k-1} to t_k.
 """
 
-from nsmodel.plot.figures import overview, save, save_all
-from nsmodel.plot.film import animate
-from nsmodel.plot.plane import configuration, phase
-from nsmodel.plot.stress import stress
-from nsmodel.plot.strip import index_strip
-from nsmodel.plot.study import work_precision
-from nsmodel.plot.time import energy, multipliers, residual, states
+from typing import TYPE_CHECKING
+
+from nsmodel.later import later as _later
+
+if TYPE_CHECKING:
+    from nsmodel.plot.figures import overview, save, save_all
+    from nsmodel.plot.film import animate
+    from nsmodel.plot.plane import configuration, phase
+    from nsmodel.plot.stress import stress
+    from nsmodel.plot.strip import index_strip
+    from nsmodel.plot.study import work_precision
+    from nsmodel.plot.time import energy, multipliers, residual, states
 
 __all__ = [
     "animate",
@@ -28,3 +33,16 @@ __all__ = [
     "stress",
     "work_precision",
 ]
+
+_later(
+    __name__,
+    {
+        "nsmodel.plot.film": ["animate"],
+        "nsmodel.plot.figures": ["overview", "save", "save_all"],
+        "nsmodel.plot.plane": ["configuration", "phase"],
+        "nsmodel.plot.stress": ["stress"],
+        "nsmodel.plot.strip": ["index_strip"],
+        "nsmodel.plot.study": ["work_precision"],
+        "nsmodel.plot.time": ["energy", "multipliers", "residual", "states"],
+    },
+)

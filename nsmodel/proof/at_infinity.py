@@ -23,21 +23,21 @@ from nsmodel.proof.exact import down, up
 from nsmodel.proof.interval_arithmetic import Pair
 from nsmodel.proof.interval_functions import OPERATIONS, constant_power
 from nsmodel.proof.interval_library import log
-from nsmodel.proof.orders import FAST, MOST, ZERO, Order, constant, natural, order_of, pair, plus, times, together
+from nsmodel.proof.orders import FAST, MOST, ZERO, Asymptotic, constant, natural, order_of, pair, plus, times, together
 from nsmodel.proof.straight_line import Program, Step, program
 from nsmodel.proof.sure import sure
 
 STARTS = (6, 20, 60)  # T = 2^k.
 
 
-def orders(expr: ca.SX, z: ca.SX, inputs: Sequence[Order | None], k: int) -> list[Order | None]:
+def orders(expr: ca.SX, z: ca.SX, inputs: Sequence[Asymptotic | None], k: int) -> list[Asymptotic | None]:
     """The order of each entry of ``expr`` for t >= 2^k, where the symbols z (n, 1) have the orders ``inputs``."""
     return run(program(expr, z), inputs, k)
 
 
-def run(code: Program, inputs: Sequence[Order | None], k: int) -> list[Order | None]:
+def run(code: Program, inputs: Sequence[Asymptotic | None], k: int) -> list[Asymptotic | None]:
     """The orders of the outputs of a program."""
-    values: list[Order | None] = []
+    values: list[Asymptotic | None] = []
     with np.errstate(all="ignore"):
         for step in code.steps:
             if step.op == ca.OP_INPUT:
@@ -51,19 +51,19 @@ def run(code: Program, inputs: Sequence[Order | None], k: int) -> list[Order | N
 
 
 @np.errstate(all="ignore")
-def curve(coefficients: Sequence[Fraction | float], k: int) -> Order:
+def curve(coefficients: Sequence[Fraction | float], k: int) -> Asymptotic:
     """The order of a polynomial in t."""
     total = ZERO
     for power, number in enumerate(coefficients):
         if number:
-            total = sure(plus(total, Order(Fraction(power), Fraction(0), down(Fraction(number)), up(Fraction(number))), k))
+            total = sure(plus(total, Asymptotic(Fraction(power), Fraction(0), down(Fraction(number)), up(Fraction(number))), k))
     return total
 
 
 # -- operations --------------------------------------------------------------------------------------------------------
 
 
-def _applied(op: int, args: list[Order | None], k: int) -> Order | None:
+def _applied(op: int, args: list[Asymptotic | None], k: int) -> Asymptotic | None:
     if op == ca.OP_IF_ELSE_ZERO:
         return _chosen(args, k)
     known = [arg for arg in args if arg is not None]
@@ -73,7 +73,7 @@ def _applied(op: int, args: list[Order | None], k: int) -> Order | None:
     return rule(k, *known) if rule is not None else _plain(op, known, k)
 
 
-def _plain(op: int, args: list[Order], k: int) -> Order | None:
+def _plain(op: int, args: list[Asymptotic], k: int) -> Asymptotic | None:
     """By the intervals of the arguments themselves, where the operation is proved to be defined on them."""
     if op not in OPERATIONS:
         return None
@@ -89,17 +89,17 @@ def _inside(op: int, x: Pair) -> bool:
     return bool(x[0][0] >= low and x[1][0] <= high)
 
 
-def _negated(k: int, a: Order) -> Order | None:
+def _negated(k: int, a: Asymptotic) -> Asymptotic | None:
     return order_of(a.p, a.l, arithmetic.neg(pair(a)))
 
 
-def _divided(k: int, a: Order, b: Order) -> Order | None:
+def _divided(k: int, a: Asymptotic, b: Asymptotic) -> Asymptotic | None:
     if not b.sign:
         return None
     return order_of(a.p - b.p, a.l - b.l, arithmetic.div(pair(a), pair(b)))
 
 
-def _power(k: int, a: Order, b: Order) -> Order | None:
+def _power(k: int, a: Asymptotic, b: Asymptotic) -> Asymptotic | None:
     if b.low != b.high or b.rate != (0, 0):
         return _plain(ca.OP_POW, [a, b], k)
     c = Fraction(b.low)
@@ -108,21 +108,21 @@ def _power(k: int, a: Order, b: Order) -> Order | None:
     return order_of(c * a.p, c * a.l, constant_power(pair(a), b.low)) if a != ZERO else (ZERO if c > 0 else None)
 
 
-def _squared(k: int, a: Order) -> Order | None:
+def _squared(k: int, a: Asymptotic) -> Asymptotic | None:
     return order_of(2 * a.p, 2 * a.l, arithmetic.square(pair(a)))
 
 
-def _root(k: int, a: Order) -> Order | None:
+def _root(k: int, a: Asymptotic) -> Asymptotic | None:
     return order_of(a.p / 2, a.l / 2, arithmetic.root(pair(a))) if a.low >= 0 else None
 
 
-def _hypot(k: int, a: Order, b: Order) -> Order | None:
+def _hypot(k: int, a: Asymptotic, b: Asymptotic) -> Asymptotic | None:
     squares = _squared(k, a), _squared(k, b)
     total = plus(*squares, k)
     return None if total is None else _root(k, total._replace(low=max(total.low, 0.0)))
 
 
-def _larger(k: int, a: Order, b: Order, smaller: bool = False) -> Order | None:
+def _larger(k: int, a: Asymptotic, b: Asymptotic, smaller: bool = False) -> Asymptotic | None:
     both = together(a, b, k)
     if both is None:
         return None
@@ -133,10 +133,10 @@ def _larger(k: int, a: Order, b: Order, smaller: bool = False) -> Order | None:
     return order_of(both[0], both[1], (pick(both[2][0], both[3][0]), pick(both[2][1], both[3][1])))
 
 
-def _rounded(op: int) -> Callable[[int, Order], Order | None]:
+def _rounded(op: int) -> Callable[[int, Asymptotic], Asymptotic | None]:
     """floor and ceil: the argument and a part of a unit, the value itself where that is bounded."""
 
-    def rule(k: int, a: Order) -> Order | None:
+    def rule(k: int, a: Asymptotic) -> Asymptotic | None:
         if a.rate <= (0, 0):
             return _plain(op, [a], k)
         return plus(a, constant(-1.0, 0.0) if op == ca.OP_FLOOR else constant(0.0, 1.0), k)
@@ -144,20 +144,20 @@ def _rounded(op: int) -> Callable[[int, Order], Order | None]:
     return rule
 
 
-def _endless(a: Order) -> bool:
+def _endless(a: Asymptotic) -> bool:
     """Whether |a| grows without end like a power of t."""
     return a.p > 0 and a.l >= 0 and bool(a.sign)
 
 
-def _steep(a: Order) -> int:
+def _steep(a: Asymptotic) -> int:
     return int(np.ceil(FAST / float(a.p))) if a.p * MOST > FAST else 0
 
 
-def _exp(k: int, a: Order) -> Order | None:
+def _exp(k: int, a: Asymptotic) -> Asymptotic | None:
     m = _steep(a) if _endless(a) else 0
     if not m:
         return _plain(ca.OP_EXP, [a], k)
-    size = a if a.sign > 0 else Order(a.p, a.l, -a.high, -a.low)
+    size = a if a.sign > 0 else Asymptotic(a.p, a.l, -a.high, -a.low)
     low = constant_power((np.array([size.low]), np.array([size.low])), float(m))
     least = arithmetic.div(low, arithmetic.point(float(factorial(m))))[0]
     if a.sign > 0:
@@ -165,14 +165,14 @@ def _exp(k: int, a: Order) -> Order | None:
     return order_of(-m * a.p, -m * a.l, (np.zeros(1), arithmetic.inv((least, least))[1])) if least[0] > 0 else None
 
 
-def _expm1(k: int, a: Order) -> Order | None:
+def _expm1(k: int, a: Asymptotic) -> Asymptotic | None:
     return plus(_exp(k, a), constant(-1.0), k)
 
 
-def _hyperbolic(op: int) -> Callable[[int, Order], Order | None]:
+def _hyperbolic(op: int) -> Callable[[int, Asymptotic], Asymptotic | None]:
     """sinh u >= u^m/m! for u >= 0 and odd m, cosh u >= u^m/m! for even m."""
 
-    def rule(k: int, a: Order) -> Order | None:
+    def rule(k: int, a: Asymptotic) -> Asymptotic | None:
         m = _steep(a) if _endless(a) else 0
         if not m:
             return _plain(op, [a], k)
@@ -185,7 +185,7 @@ def _hyperbolic(op: int) -> Callable[[int, Order], Order | None]:
     return rule
 
 
-def _log(k: int, a: Order) -> Order | None:
+def _log(k: int, a: Asymptotic) -> Asymptotic | None:
     """log(t^p s^l c) = s (p + l log(s)/s + log(c)/s), s = log t; log(s)/s falls for s >= e, to 0."""
     if not (a.p > 0 and a.low > 0 and k >= 4):
         return _plain(ca.OP_LOG, [a], k)
@@ -206,7 +206,7 @@ def _fraction(number: Fraction) -> Pair:
     return np.array([np.nextafter(float(number), -np.inf)]), np.array([np.nextafter(float(number), np.inf)])
 
 
-def _softplus(step: Step, steps: Sequence[Step], values: Sequence[Order | None], k: int) -> Order | None:
+def _softplus(step: Step, steps: Sequence[Step], values: Sequence[Asymptotic | None], k: int) -> Asymptotic | None:
     """log(c + e^u) = max(u, log c) + a number of [0, log 2], c > 0: no power of t bounds e^u."""
     if step.op == ca.OP_LOG1P:
         c, inner = 1.0, steps[step.sources[0]]
@@ -225,7 +225,7 @@ def _softplus(step: Step, steps: Sequence[Step], values: Sequence[Order | None],
     return plus(top, constant(0.0, 0.6931471805599454), k) if top is not None else None
 
 
-def _chosen(args: list[Order | None], k: int) -> Order | None:
+def _chosen(args: list[Asymptotic | None], k: int) -> Asymptotic | None:
     condition, value = args
     if condition is None:
         return None
@@ -237,8 +237,8 @@ def _chosen(args: list[Order | None], k: int) -> Order | None:
     return order_of(value.p, value.l, (np.minimum(value.low, 0.0).reshape(1), np.maximum(value.high, 0.0).reshape(1)))
 
 
-def _compared(op: int) -> Callable[[int, Order, Order], Order | None]:
-    def rule(k: int, a: Order, b: Order) -> Order | None:
+def _compared(op: int) -> Callable[[int, Asymptotic, Asymptotic], Asymptotic | None]:
+    def rule(k: int, a: Asymptotic, b: Asymptotic) -> Asymptotic | None:
         other = _negated(k, b)
         gap = plus(a, other, k)
         if gap is not None and gap.sign:
@@ -249,7 +249,7 @@ def _compared(op: int) -> Callable[[int, Order, Order], Order | None]:
     return rule
 
 
-_RULES: dict[int, Callable[..., Order | None]] = {
+_RULES: dict[int, Callable[..., Asymptotic | None]] = {
     ca.OP_ASSIGN: lambda k, a: a,
     ca.OP_ADD: lambda k, a, b: plus(a, b, k),
     ca.OP_SUB: lambda k, a, b: plus(a, _negated(k, b), k),

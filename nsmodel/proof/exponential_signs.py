@@ -17,7 +17,7 @@ from nsmodel.proof import polynomial_signs
 from nsmodel.proof.exponential_sums import (
     BISECTIONS,
     MOST_DERIVATIVES,
-    Line,
+    OpenInterval,
     Place,
     Rank,
     Sum,
@@ -43,7 +43,7 @@ class Signs(NamedTuple):
     touches: bool = False
 
 
-def pattern(F: Sum, line: Line) -> Signs:
+def pattern(F: Sum, line: OpenInterval) -> Signs:
     """The signs of a sum on the line."""
     if not F:
         return Signs([], [0])
@@ -86,7 +86,7 @@ def _derivative(F: Sum) -> Sum:
     return out
 
 
-def _rational(c: Sequence[Fraction], line: Line) -> Signs:
+def _rational(c: Sequence[Fraction], line: OpenInterval) -> Signs:
     """The signs of a polynomial."""
     roots = inner_roots(c, line)
     ends = [(line.low, line.low), *roots, (line.high, line.high)]
@@ -104,7 +104,7 @@ def _rational(c: Sequence[Fraction], line: Line) -> Signs:
     return found._replace(touches=touches)
 
 
-def _integrated(G: Sum, slope: Sum, known: Signs, line: Line) -> Signs:
+def _integrated(G: Sum, slope: Sum, known: Signs, line: OpenInterval) -> Signs:
     """The signs of a function from those of its derivative."""
     places = [_refined(slope, place, known.signs[k], G) for k, place in enumerate(known.places)]
     values = [_end(G, line.low, 1), *(_sign_on(G, place) for place in places), _end(G, line.high, -1)]
@@ -150,7 +150,7 @@ def _refined(f: Sum, place: Place, before: int, G: Sum) -> Place:
     return low, high
 
 
-def _bracket(G: Sum, left: Place | None, right: Place | None, before: int, line: Line) -> Place:
+def _bracket(G: Sum, left: Place | None, right: Place | None, before: int, line: OpenInterval) -> Place:
     """Where a monotone function changes its sign."""
     low = line.low if left is None else left[1]
     high = line.high if right is None else right[0]

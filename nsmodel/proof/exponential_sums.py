@@ -25,7 +25,7 @@ class Undecided(Exception):
     """The sign is not found this way."""
 
 
-class Line(NamedTuple):
+class OpenInterval(NamedTuple):
     """The open interval (low, high); high None: infinite."""
 
     low: Fraction
@@ -126,7 +126,7 @@ def constant(number: Fraction) -> Sum:
     return {ONE: (poly([number]), poly([Fraction(1)]))} if number else {}
 
 
-def power_of(a: Sum, exponent: Fraction, line: Line) -> Sum:
+def power_of(a: Sum, exponent: Fraction, line: OpenInterval) -> Sum:
     """One term to a power; its rational part is to be > 0, or not 0 where the exponent is whole."""
     from flint import fmpq
 
@@ -169,7 +169,7 @@ def _term(u: tuple[Fraction, ...], p: Fraction) -> Sum:
     return {key: (base, poly([Fraction(1)])) if whole >= 0 else reduced(poly([Fraction(1)]), base)}
 
 
-def constant_sign(u: Any, line: Line) -> int:
+def constant_sign(u: Any, line: OpenInterval) -> int:
     """The sign of a polynomial without roots on the line."""
     if not u:
         raise Undecided
@@ -179,11 +179,11 @@ def constant_sign(u: Any, line: Line) -> int:
     return 1 if polynomial_signs.at(c, _inside(line)) > 0 else -1
 
 
-def _inside(line: Line) -> Fraction:
+def _inside(line: OpenInterval) -> Fraction:
     return line.low + 1 if line.high is None else (line.low + line.high) / 2
 
 
-def inner_roots(c: Sequence[Fraction], line: Line) -> list[Place]:
+def inner_roots(c: Sequence[Fraction], line: OpenInterval) -> list[Place]:
     """The roots of a polynomial within the open interval."""
     found = polynomial_signs.real_roots(c, line.low, line.high)
     return [place for place in found if place != (line.low, line.low) and place != (line.high, line.high)]

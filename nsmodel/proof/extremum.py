@@ -10,7 +10,7 @@ import numpy as np
 from nsmodel.proof.branch_and_bound import Bounded
 from nsmodel.proof.components import components
 from nsmodel.proof.interval import boxes, mean_value, natural
-from nsmodel.proof.search import Goal, Scene, Supremum, search
+from nsmodel.proof.search import Goal, SearchSpace, Supremum, search
 from nsmodel.proof.search import samples as samples
 from nsmodel.proof.straight_line import Program
 
@@ -42,21 +42,21 @@ def supremum(
     Raises:
         ValueError: other symbols than z, or no box.
     """
-    return _scalar(expr, _scene(z, lower, upper, where, points, quick, bound_to), -np.inf)
+    return _scalar(expr, _space(z, lower, upper, where, points, quick, bound_to), -np.inf)
 
 
-def _scene(
+def _space(
     z: ca.SX, lower: np.ndarray, upper: np.ndarray, where: ca.SX | None, points: np.ndarray | None, quick: bool,
     bound_to: float | None,
-) -> Scene:  # fmt: skip
+) -> SearchSpace:  # fmt: skip
     (low,), (high,) = boxes(z, lower, upper)
     given = np.zeros((0, low.size)) if points is None else np.asarray(points, float).reshape(-1, low.size)
     rows = ca.SX(0, 1) if where is None else ca.vec(ca.densify(ca.SX(where)))
     limit = np.inf if bound_to is None else float(bound_to)
-    return Scene(ca.vec(ca.SX(z)), low, high, rows, given[((given >= low) & (given <= high)).all(axis=1)], quick, limit)
+    return SearchSpace(ca.vec(ca.SX(z)), low, high, rows, given[((given >= low) & (given <= high)).all(axis=1)], quick, limit)
 
 
-def _scalar(expr: ca.SX, scene: Scene, enough: float) -> Supremum:
+def _scalar(expr: ca.SX, space: SearchSpace, enough: float) -> Supremum:
     expr = ca.densify(ca.SX(expr))
 
     def bounds(code: Program, lower: np.ndarray, upper: np.ndarray) -> Bounded:
@@ -65,7 +65,7 @@ def _scalar(expr: ca.SX, scene: Scene, enough: float) -> Supremum:
         return Bounded(found.hi[0], np.maximum(np.abs(slope_lo), np.abs(slope_hi)), slope_lo >= 0, slope_hi <= 0, found)
 
     goal = Goal(expr, lambda entries: entries[:, 0], bounds, 1, (expr, [], lambda entries: np.zeros(0)))
-    return search(goal, scene, enough)
+    return search(goal, space, enough)
 
 
 # -- matrices ----------------------------------------------------------------------------------------------------------
@@ -83,8 +83,8 @@ def spectral_norm(
     bound_to: float | None = None,
 ) -> Supremum:
     """Return the largest singular value of a matrix (m, n) over a box; arguments as for ``supremum``."""
-    J, scene = ca.SX(J), _scene(z, lower, upper, where, points, quick, bound_to)
-    return _over_blocks([_norm_of_block(J[rows, columns]) for rows, columns in _blocks(J)], scene)
+    J, space = ca.SX(J), _space(z, lower, upper, where, points, quick, bound_to)
+    return _over_blocks([_norm_of_block(J[rows, columns]) for rows, columns in _blocks(J)], space)
 
 
 def largest_eigenvalue(
@@ -99,11 +99,11 @@ def largest_eigenvalue(
     bound_to: float | None = None,
 ) -> Supremum:
     """Return the largest eigenvalue of a symmetric matrix (its symmetric part) over a box; arguments as for ``supremum``."""
-    S, scene = ca.SX(S), _scene(z, lower, upper, where, points, quick, bound_to)
+    S, space = ca.SX(S), _space(z, lower, upper, where, points, quick, bound_to)
     n = S.shape[0]
     pattern = np.array(ca.DM(S.sparsity(), 1)) != 0 if S.nnz() else np.zeros((n, n), bool)
     groups = components(pattern | pattern.T)
-    return _over_blocks([_eigenvalue_of_block(S[group, group]) for group in groups], scene)
+    return _over_blocks([_eigenvalue_of_block(S[group, group]) for group in groups], space)
 
 
 class _Matrix(NamedTuple):
@@ -113,11 +113,11 @@ class _Matrix(NamedTuple):
     entries: ca.SX
 
 
-def _over_blocks(parts: list[ca.SX | _Matrix], scene: Scene) -> Supremum:
+def _over_blocks(parts: list[ca.SX | _Matrix], space: SearchSpace) -> Supremum:
     """Return the largest over the parts; a part that cannot exceed what was found already is not looked at closely."""
     best = Supremum(-np.inf, None, -np.inf, 0)
     for part in parts or [ca.SX(0)]:
-        found = _matrix(part, scene, best.value) if isinstance(part, _Matrix) else _scalar(part, scene, best.value)
+        found = _matrix(part, space, best.value) if isinstance(part, _Matrix) else _scalar(part, space, best.value)
         value, at = (found.value, found.at) if found.value > best.value or best.at is None else (best.value, best.at)
         best = Supremum(value, at, max(best.bound, found.bound), max(best.count, found.count))
     return best
@@ -171,7 +171,7 @@ def _measured(full: np.ndarray, norm: bool) -> np.ndarray:
     return np.linalg.norm(full, 2, axis=(1, 2)) if norm else np.linalg.eigvalsh((full + full.swapaxes(1, 2)) / 2)[:, -1]
 
 
-def _matrix(part: _Matrix, scene: Scene, enough: float) -> Supremum:
+def _matrix(part: _Matrix, space: SearchSpace, enough: float) -> Supremum:
     A, norm, (m, n) = part.entries, part.kind == "norm", part.entries.shape
 
     def bounds(code: Program, lower: np.ndarray, upper: np.ndarray) -> Bounded:
@@ -189,7 +189,7 @@ def _matrix(part: _Matrix, scene: Scene, enough: float) -> Supremum:
     left, right = ca.SX.sym("u", m), ca.SX.sym("v", n)
     ascent = (ca.bilin(A, left, right), [left, right]) if norm else (ca.bilin(A, right, right), [right])
     goal = Goal(A, lambda entries: _measured(_shaped(entries, A.shape), norm), bounds, 2 * m * n * min(m, n), (*ascent, begin))
-    return search(goal, scene, enough)
+    return search(goal, space, enough)
 
 
 def _entries(code: Program, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -36,7 +36,7 @@ class System(NamedTuple):
         return [j for j in range(self.A.shape[1]) if j not in bound]
 
 
-class Answer(NamedTuple):
+class Decision(NamedTuple):
     """An exact proof: ``point`` (n,) solves the system, or ``separator`` (r,) shows that nothing does; both None: undecided.
 
     ``margin`` is how far floating point came inside the cones (columns scaled to norm 1); NaN where it was not asked.
@@ -47,10 +47,10 @@ class Answer(NamedTuple):
     margin: float = np.nan
 
 
-def decide(system: System) -> Answer:
+def decide(system: System) -> Decision:
     """Solve the system strictly, or show that it cannot be solved."""
     if not system.positive and not system.cones:
-        return Answer(exact.zeros(system.A.shape[1], 1).ravel(), None)
+        return Decision(exact.zeros(system.A.shape[1], 1).ravel(), None)
     if not system.cones and system.A.size <= SMALL:
         return _by_simplex(system)
     answer = _by_interior_point(system)
@@ -100,19 +100,19 @@ def implied_zeros(system: System) -> list[int]:
 # -- signs only: Stiemke's alternative by the simplex method -------------------------------------------------------------
 
 
-def _by_simplex(system: System) -> Answer:
+def _by_simplex(system: System) -> Decision:
     """Eliminate the free columns, F = N'A_+ with N a basis of {w : A_free' w = 0}; then F s = 0, s > 0."""
     A, positive, free = system.A, list(system.positive), system.free
     N = exact.nullspace(A[:, free].T) if free and len(A) else exact.eye(len(A))
     F = exact.product(N.T, A[:, positive]) if N.shape[1] else exact.zeros(0, len(positive))
     s, z = _stiemke(F)
     if s is None:
-        return Answer(None, exact.product(N, sure(z)[:, None]).ravel())
+        return Decision(None, exact.product(N, sure(z)[:, None]).ravel())
     u = exact.zeros(A.shape[1], 1).ravel()
     u[positive] = s
     if free and len(A):
         u[free] = sure(exact.solve(A[:, free], -exact.product(A[:, positive], s[:, None]))).ravel()
-    return Answer(u, None)
+    return Decision(u, None)
 
 
 def _stiemke(F: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
@@ -165,19 +165,19 @@ def _minimise(table: np.ndarray, basis: list[int], p: int) -> None:
 # -- second-order cones and large systems: floating point, then made exact -----------------------------------------------
 
 
-def _by_interior_point(system: System) -> Answer:
+def _by_interior_point(system: System) -> Decision:
     """Maximise how far u lies inside the cones; the solution or its multiplier is the candidate."""
     u, w, margin = _optimised(system)
     if u is not None and margin > 0:
         point = _exact_point(system, u)
         if point is not None:
-            return Answer(point, None, margin)
+            return Decision(point, None, margin)
     if w is not None:
         for candidate in (w, -w):
             for separator in _exact_separators(system, candidate):
                 if is_separator(system, separator):
-                    return Answer(None, separator, margin)
-    return Answer(None, None, margin)
+                    return Decision(None, separator, margin)
+    return Decision(None, None, margin)
 
 
 def _optimised(system: System) -> tuple[np.ndarray | None, np.ndarray | None, float]:

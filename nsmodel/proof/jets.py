@@ -11,7 +11,7 @@ from nsmodel.proof.exponential_signs import pattern
 from nsmodel.proof.exponential_sums import (
     MOST_TERMS,
     ONE,
-    Line,
+    OpenInterval,
     Sum,
     Undecided,
     added,
@@ -48,7 +48,7 @@ def sum_of(a: Jet, b: Jet, factor: int) -> Jet:
     )
 
 
-def jet_of(op: int, args: list[Jet], line: Line) -> Jet:
+def jet_of(op: int, args: list[Jet], line: OpenInterval) -> Jet:
     """An operation on functions and their derivatives."""
     a, b = args[0], args[-1]
     if op in (ca.OP_ADD, ca.OP_SUB):
@@ -96,7 +96,7 @@ def _chain(u: Jet, f: Jet) -> Jet:
     return Jet(f.value, _mul(f.first, u.first), _add(_mul(f.second, _mul(u.first, u.first)), _mul(f.first, u.second)))
 
 
-def _outer(op: int, u: Jet, exponent: Fraction | None, line: Line) -> Jet:
+def _outer(op: int, u: Jet, exponent: Fraction | None, line: OpenInterval) -> Jet:
     """The jet of an elementary function at the value of u."""
     nothing = Jet(None, None, None)
     x = u.value
@@ -130,7 +130,7 @@ def _outer(op: int, u: Jet, exponent: Fraction | None, line: Line) -> Jet:
     return nothing
 
 
-def _exponential(op: int, x: Quotient, line: Line) -> Jet:
+def _exponential(op: int, x: Quotient, line: OpenInterval) -> Jet:
     """The jet of exp, or of a function made of it, at x."""
     one = Quotient(constant(Fraction(1)), {})
     if op in (ca.OP_EXP, ca.OP_EXPM1):
@@ -175,7 +175,7 @@ def plus(a: Quotient, b: Quotient, sign: int) -> Quotient:
     return Quotient(added(tops[0], tops[1], sign), bottom)
 
 
-def _inverse(a: Quotient, line: Line) -> Quotient:
+def _inverse(a: Quotient, line: OpenInterval) -> Quotient:
     if not a.top:
         raise Undecided
     top = constant(Fraction(1))
@@ -192,7 +192,7 @@ def _inverse(a: Quotient, line: Line) -> Quotient:
     return Quotient(times(top, constant(Fraction(found.signs[0]))), {name: (part, 1)})
 
 
-def _raised(a: Quotient, exponent: Fraction, line: Line) -> Quotient | None:
+def _raised(a: Quotient, exponent: Fraction, line: OpenInterval) -> Quotient | None:
     if exponent.denominator == 1 and abs(exponent) <= MOST_TERMS:
         base = a if exponent >= 0 else _inverse(a, line)
         out = Quotient(constant(Fraction(1)), {})

@@ -77,7 +77,7 @@ def is_continuous(h: ca.SX, s: ca.SX, low: float, high: float) -> bool:
     return True
 
 
-class Jump(NamedTuple):
+class JumpPoint(NamedTuple):
     """A point where the function jumps, by a number of [low, high]; ``filled``: its sign is a set there."""
 
     at: Fraction
@@ -86,49 +86,49 @@ class Jump(NamedTuple):
     filled: bool
 
 
-class Shape(NamedTuple):
+class Monotonicity(NamedTuple):
     """``nondecreasing`` where it is proved (None: undecided, False: it jumps downwards), and the jumps that are not 0."""
 
     nondecreasing: bool | None
-    jumps: tuple[Jump, ...] = ()
+    jumps: tuple[JumpPoint, ...] = ()
 
 
-def shape(h: ca.SX, s: ca.SX, low: float, high: float) -> Shape:
+def shape(h: ca.SX, s: ca.SX, low: float, high: float) -> Monotonicity:
     """Decide whether h is nondecreasing on [low, high], ends may be infinite."""
     stairs = [(factor, term) for factor, term in additive_terms(h) if _rises(factor, term, s)]
     if stairs:  # floor and ceil of what rises
         h = _without(h, [term for _, term in stairs])
     moved = _recentred(h, s, low, high)
     if moved is None:
-        return Shape(None)
+        return Monotonicity(None)
     h, low, high = moved
     found = _pieces(h, s, None if np.isinf(low) else Fraction(low), None if np.isinf(high) else Fraction(high))
     if found is None:
-        return Shape(None)
+        return Monotonicity(None)
     ends, settled, points = found
     inside = ends[1:-1]
     jumps = []
     for point, left, right in zip(inside, settled, settled[1:], strict=False):
         if point is None:
-            return Shape(None)
+            return Monotonicity(None)
         steps = points.get(point, ())
         if not steps:
             continue
         at = np.array([float(point)])
         if Fraction(float(point)) != point:
-            return Shape(None)
+            return Monotonicity(None)
         gap = interval.enclose(right - left, s, at, at)
-        jump = Jump(point, float(np.min(gap[0])), float(np.max(gap[1])), set(steps) == {ca.OP_SIGN})
+        jump = JumpPoint(point, float(np.min(gap[0])), float(np.max(gap[1])), set(steps) == {ca.OP_SIGN})
         if jump.high < 0:
-            return Shape(False, (jump,))
+            return Monotonicity(False, (jump,))
         if jump.low < 0:
-            return Shape(None)
+            return Monotonicity(None)
         if jump.high > 0:
             jumps.append(jump)
     if not all(_rises_between(piece, s, a, b) for piece, (a, b) in zip(settled, pairwise(ends), strict=True)):
-        return Shape(None)
-    stair_jumps = (Jump(Fraction(0), 0.0, 1.0, False),) if stairs else ()
-    return Shape(True, (*jumps, *stair_jumps))
+        return Monotonicity(None)
+    stair_jumps = (JumpPoint(Fraction(0), 0.0, 1.0, False),) if stairs else ()
+    return Monotonicity(True, (*jumps, *stair_jumps))
 
 
 def _rises(factor: Fraction, term: ca.SX, s: ca.SX) -> bool:

@@ -14,7 +14,7 @@ import casadi as ca
 from nsmodel.proof.exponential_signs import Signs, growth_of, leading, pattern, rank_of_quotient
 from nsmodel.proof.exponential_sums import (
     ONE,
-    Line,
+    OpenInterval,
     Undecided,
     constant,
     lower_end,
@@ -34,7 +34,7 @@ def signs(expr: ca.SX, s: ca.SX, low: Fraction = Fraction(0), high: Fraction | N
     >>> signs(ca.exp(s) - s - 1, s).signs, signs(s * ca.tanh(s) - s / 2, s).signs
     ([1], [-1, 1])
     """
-    return _decided(lambda line: _read(expr, s, line, {}).value, Line(low, high))
+    return _decided(lambda line: _read(expr, s, line, {}).value, OpenInterval(low, high))
 
 
 def second_signs(
@@ -50,7 +50,7 @@ def second_signs(
     Each fabs, fmax, fmin and condition is replaced by its case on the interval, which ``cases`` holds for each term.
     """
 
-    def total(line: Line) -> Quotient | None:
+    def total(line: OpenInterval) -> Quotient | None:
         out = Quotient(constant(-less), {})
         for (factor, term), own in zip(terms, cases, strict=True):
             part = _read(term, s, line, own).second
@@ -59,14 +59,14 @@ def second_signs(
             out = plus(out, scaled(part, factor), 1)
         return out
 
-    return _decided(total, Line(low, high))
+    return _decided(total, OpenInterval(low, high))
 
 
 def is_smooth(term: ca.SX, s: ca.SX, low: Fraction, high: Fraction | None, cases: Cases) -> bool:
     """Whether a term is seen to have two continuous derivatives on the open interval, and these are quotients of sums."""
     with precision():
         try:
-            return _read(term, s, Line(low, high), cases).second is not None
+            return _read(term, s, OpenInterval(low, high), cases).second is not None
         except (Undecided, ZeroDivisionError, OverflowError):
             return False
 
@@ -79,7 +79,7 @@ def slope_at_start(term: ca.SX, s: ca.SX, low: Fraction, cases: Cases) -> tuple[
     with precision():
         for _ in range(20):
             try:
-                found = _read(term, s, Line(low, high), cases).first
+                found = _read(term, s, OpenInterval(low, high), cases).first
                 if found is None:
                     return None
                 order, number = leading(found.top, low, 1)
@@ -101,7 +101,7 @@ def slope_at_start(term: ca.SX, s: ca.SX, low: Fraction, cases: Cases) -> tuple[
 
 def falls_without_end(terms: Sequence[tuple[Fraction, ca.SX]], s: ca.SX, low: Fraction, cases: Sequence[Cases]) -> bool:
     """Whether a sum of factors times terms is proved to tend to -inf: its derivative stays below -c/s, c > 0, for large s."""
-    line = Line(max(low, Fraction(0)) + 1)
+    line = OpenInterval(max(low, Fraction(0)) + 1)
     with precision():
         for _ in range(8):
             try:
@@ -123,13 +123,13 @@ def falls_without_end(terms: Sequence[tuple[Fraction, ca.SX]], s: ca.SX, low: Fr
                     )
                 return bool(number < 0) and (rank > (0, ()) or (rank == (0, ()) and order >= -1))
             except Undecided:  # a sign changes further out
-                line = Line(8 * line.low)
+                line = OpenInterval(8 * line.low)
             except (ZeroDivisionError, OverflowError):
                 return False
     return False
 
 
-def _decided(read: Callable[[Line], Quotient | None], line: Line) -> Signs | None:
+def _decided(read: Callable[[OpenInterval], Quotient | None], line: OpenInterval) -> Signs | None:
     with precision():
         try:
             found = read(line)
@@ -138,7 +138,7 @@ def _decided(read: Callable[[Line], Quotient | None], line: Line) -> Signs | Non
             return None
 
 
-def _read(expr: ca.SX, s: ca.SX, line: Line, cases: Cases) -> Jet:
+def _read(expr: ca.SX, s: ca.SX, line: OpenInterval, cases: Cases) -> Jet:
     own = s.element_hash()
     one, zero = Quotient(constant(Fraction(1)), {}), Quotient({}, {})
 

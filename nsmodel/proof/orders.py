@@ -17,7 +17,7 @@ MOST = 60  # Orders beyond this, and factors of exponentials, are not followed.
 ROUNDED = 1e-11  # T^p with p rounded to a double is off by less than |p| 2^-53 log T.
 
 
-class Order(NamedTuple):
+class Asymptotic(NamedTuple):
     """t^p (log t)^l c, low <= c <= high, for all t >= T."""
 
     p: Fraction
@@ -36,25 +36,25 @@ class Order(NamedTuple):
         return int(self.low > 0) - int(self.high < 0)
 
 
-ZERO = Order(Fraction(0), Fraction(0), 0.0, 0.0)
+ZERO = Asymptotic(Fraction(0), Fraction(0), 0.0, 0.0)
 
 
-def constant(low: float, high: float | None = None) -> Order:
+def constant(low: float, high: float | None = None) -> Asymptotic:
     """A value between two numbers."""
-    return Order(Fraction(0), Fraction(0), low, low if high is None else high)
+    return Asymptotic(Fraction(0), Fraction(0), low, low if high is None else high)
 
 
-def pair(value: Order) -> Pair:
+def pair(value: Asymptotic) -> Pair:
     """The interval of c."""
     return np.array([value.low]), np.array([value.high])
 
 
-def order_of(p: Fraction, l: Fraction, ends: Pair) -> Order | None:
+def order_of(p: Fraction, l: Fraction, ends: Pair) -> Asymptotic | None:
     """The order with c between two ends; None where powers are too high to be followed."""
     low, high = float(ends[0][0]), float(ends[1][0])
     if max(abs(p), abs(l)) > MOST:
         return None
-    return ZERO if low == high == 0 else Order(p, l, low, high)
+    return ZERO if low == high == 0 else Asymptotic(p, l, low, high)
 
 
 def _share(p: Fraction, l: Fraction, k: int) -> Pair | None:
@@ -74,7 +74,7 @@ def _share(p: Fraction, l: Fraction, k: int) -> Pair | None:
 
 
 @np.errstate(all="ignore")
-def natural(value: Order, k: int) -> Pair:
+def natural(value: Asymptotic, k: int) -> Pair:
     """The interval of the values themselves."""
     share = _share(value.p, value.l, k)
     if share is not None:
@@ -87,21 +87,21 @@ def natural(value: Order, k: int) -> Pair:
 
 
 @np.errstate(all="ignore")
-def plus(a: Order | None, b: Order | None, k: int) -> Order | None:
+def plus(a: Asymptotic | None, b: Asymptotic | None, k: int) -> Asymptotic | None:
     """a + b."""
     both = together(a, b, k)
     return both and order_of(both[0], both[1], arithmetic.add(both[2], both[3]))
 
 
 @np.errstate(all="ignore")
-def times(a: Order | None, b: Order | None) -> Order | None:
+def times(a: Asymptotic | None, b: Asymptotic | None) -> Asymptotic | None:
     """a b."""
     if a is None or b is None:
         return None
     return order_of(a.p + b.p, a.l + b.l, arithmetic.mul(pair(a), pair(b)))
 
 
-def together(a: Order | None, b: Order | None, k: int) -> tuple[Fraction, Fraction, Pair, Pair] | None:
+def together(a: Asymptotic | None, b: Asymptotic | None, k: int) -> tuple[Fraction, Fraction, Pair, Pair] | None:
     """Both with one order, the larger one."""
     if a is None or b is None:
         return None

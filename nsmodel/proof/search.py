@@ -67,7 +67,7 @@ class Supremum(NamedTuple):
     count: int  # pyright: ignore[reportIncompatibleMethodOverride]
 
 
-class Scene(NamedTuple):
+class SearchSpace(NamedTuple):
     """Where to look: the arguments that all searches share."""
 
     z: ca.SX
@@ -126,14 +126,14 @@ def _primes(count: int) -> np.ndarray:
 class _Watch:
     """Evaluates a goal at points, keeps those that are feasible and counts them."""
 
-    def __init__(self, goal: Goal, scene: Scene) -> None:
-        self._goal, self._scene = goal, scene
+    def __init__(self, goal: Goal, space: SearchSpace) -> None:
+        self._goal, self._space = goal, space
         self._numel = goal.held.numel()
         self._constant = not ca.symvar(goal.held)
-        both = ca.vertcat(ca.vec(goal.held), scene.where)
+        both = ca.vertcat(ca.vec(goal.held), space.where)
         names = keys(both)
-        self.used = [i for i in range(scene.z.numel()) if scene.z[i].element_hash() in names]
-        self._function = ca.Function("values", [scene.z[self.used]], [ca.densify(both)])
+        self.used = [i for i in range(space.z.numel()) if space.z[i].element_hash() in names]
+        self._function = ca.Function("values", [space.z[self.used]], [ca.densify(both)])
         self.count = 0
 
     def at(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -161,65 +161,65 @@ class _Watch:
         return (-np.inf, None) if i < 0 or values[i] == -np.inf else (float(values[i]), points[i].copy())
 
 
-def search(goal: Goal, scene: Scene, enough: float) -> Supremum:
+def search(goal: Goal, space: SearchSpace, enough: float) -> Supremum:
     """Look at points, bound the box, and where that does not settle it climb from the best points and cut the box.
 
     Args:
         goal: what to maximise.
-        scene: where.
+        space: where.
         enough: a value that is known elsewhere: bounds below it are of no use.
     """
-    scene = scene._replace(quick=scene.quick or are_quick())
-    watch = _Watch(goal, scene)
-    task, size = _task(goal, scene, watch, enough)
+    space = space._replace(quick=space.quick or are_quick())
+    watch = _Watch(goal, space)
+    task, size = _task(goal, space, watch, enough)
     state = branch_and_bound.start(task)
     if state.bound <= enough:
         return Supremum(-np.inf, None, float(state.bound), 0)
     state = branch_and_bound.better(state, *task.best(branch_and_bound.middles(state), None))
     if state.value > -np.inf and state.bound - state.value <= branch_and_bound.CLOSE * abs(state.value):
         return Supremum(state.value, state.at, float(state.bound), watch.count)
-    number = FEW if scene.quick else int(np.clip(4e7 // (size + goal.cost), 64, MANY))
-    looked = np.vstack([scene.points, *_spread(scene, watch.used, number)])
+    number = FEW if space.quick else int(np.clip(4e7 // (size + goal.cost), 64, MANY))
+    looked = np.vstack([space.points, *_spread(space, watch.used, number)])
     values, entries, worst = watch.at(looked)
     first = int(np.argmax(values))
     if values[first] > -np.inf:
         state = branch_and_bound.better(state, float(values[first]), looked[first].copy())
     state = branch_and_bound.better(state, *task.best(branch_and_bound.middles(state), state.at))
-    if not scene.quick:
+    if not space.quick:
         feasible = values[values > -np.inf]
         spread = float(np.median(np.abs(feasible - np.median(feasible)))) if feasible.size else 0.0
         task = task._replace(tolerance=branch_and_bound.CLOSE * spread)
         budget = int(np.clip(WORK // (size + goal.cost), 400, BOXES))
         state = branch_and_bound.search(task, state, min(budget, 128))
         if not branch_and_bound.finished(task, state):
-            for points in _climbed(goal, scene, looked, values, entries, worst):
+            for points in _climbed(goal, space, looked, values, entries, worst):
                 state = branch_and_bound.better(state, *watch.best(points))
             state = branch_and_bound.search(task, state, budget)
     return Supremum(state.value, state.at, float(state.bound), watch.count)
 
 
-def _spread(scene: Scene, used: list[int], number: int) -> list[np.ndarray]:
+def _spread(space: SearchSpace, used: list[int], number: int) -> list[np.ndarray]:
     """Return corners of the box (not those at infinity, 64 at most) and sample points, in the coordinates that matter."""
-    free = np.array([i for i in used if scene.lower[i] < scene.upper[i]], int)
-    inner = centre(scene.lower, scene.upper)
+    free = np.array([i for i in used if space.lower[i] < space.upper[i]], int)
+    inner = centre(space.lower, space.upper)
     spread = np.tile(inner, (number, 1))
-    spread[:, used] = samples(scene.lower[used], scene.upper[used], number)
-    if not free.size or not np.isfinite([scene.lower[free], scene.upper[free]]).all():
+    spread[:, used] = samples(space.lower[used], space.upper[used], number)
+    if not free.size or not np.isfinite([space.lower[free], space.upper[free]]).all():
         return [spread]
     corners = np.tile(inner, (2 ** min(free.size, 6), 1))
     bits = (np.arange(len(corners))[:, None] >> (np.arange(free.size) % 6)) & 1
-    corners[:, free] = np.where(bits, scene.upper[free], scene.lower[free])
+    corners[:, free] = np.where(bits, space.upper[free], space.lower[free])
     return [corners, spread]
 
 
-def _task(goal: Goal, scene: Scene, watch: _Watch, enough: float) -> tuple[Task, int]:
+def _task(goal: Goal, space: SearchSpace, watch: _Watch, enough: float) -> tuple[Task, int]:
     """Return what is left to branch and bound, in as few coordinates as the goal needs, and the number of its instructions."""
     own = keys(goal.held)
-    rows = [row for row in ca.vertsplit(scene.where) if keys(row) & own or not ca.symvar(row)] if scene.where.numel() else []
+    rows = [row for row in ca.vertsplit(space.where) if keys(row) & own or not ca.symvar(row)] if space.where.numel() else []
     whole = ca.vertcat(ca.vec(ca.densify(goal.held)), *rows)
-    less = reduced(whole, scene.z, scene.lower, scene.upper)
+    less = reduced(whole, space.z, space.lower, space.upper)
     if less is None:
-        symbols, lower, upper = scene.z, scene.lower, scene.upper
+        symbols, lower, upper = space.z, space.lower, space.upper
     else:
         whole, symbols, lower, upper = less.expr, less.d, less.lower, less.upper
     held, limits = ca.reshape(whole[: goal.held.numel()], *goal.held.shape), whole[goal.held.numel() :]
@@ -227,11 +227,11 @@ def _task(goal: Goal, scene: Scene, watch: _Watch, enough: float) -> tuple[Task,
     free = _free(held, limits, symbols, lower, upper)
 
     def best(points: np.ndarray, at: np.ndarray | None) -> tuple[float, np.ndarray | None]:
-        return watch.best(_completed(points, at, free, scene) if less is None else _lifted(points, at, less, scene))
+        return watch.best(_completed(points, at, free, space) if less is None else _lifted(points, at, less, space))
 
     return Task(
         lambda low, high: goal.bounds(code, low, high), best, program(limits, symbols) if rows else None, lower, upper, free,
-        scene.bound_to, enough, 0.0,
+        space.bound_to, enough, 0.0,
     ), len(code.steps)  # fmt: skip
 
 
@@ -243,26 +243,26 @@ def _free(held: ca.SX, limits: ca.SX, symbols: ca.SX, lower: np.ndarray, upper: 
     return np.array([i for i, name in enumerate(names) if name in wanted and lower[i] < upper[i]], int)
 
 
-def _completed(points: np.ndarray, at: np.ndarray | None, free: np.ndarray, scene: Scene) -> np.ndarray:
+def _completed(points: np.ndarray, at: np.ndarray | None, free: np.ndarray, space: SearchSpace) -> np.ndarray:
     """Return the points with the coordinates that are not cut taken from the best point."""
     if at is not None:
-        fixed = np.setdiff1d(np.flatnonzero(scene.lower < scene.upper), free)
+        fixed = np.setdiff1d(np.flatnonzero(space.lower < space.upper), free)
         points[:, fixed] = at[fixed]
     return points
 
 
-def _lifted(points: np.ndarray, at: np.ndarray | None, less: Reduced, scene: Scene) -> np.ndarray:
+def _lifted(points: np.ndarray, at: np.ndarray | None, less: Reduced, space: SearchSpace) -> np.ndarray:
     """Return points z (k, n) of the box with d = points, as far as there are any; the nearest to the best point."""
-    base = centre(scene.lower, scene.upper) if at is None else at
+    base = centre(space.lower, space.upper) if at is None else at
     inverse = np.linalg.pinv(less.matrix)
     z = np.tile(base, (len(points), 1))
     for _ in range(3):  # Clipping to the box moves d; what is left over goes to the coordinates that are free.
-        z = np.clip(z + (points - z @ less.matrix.T - less.constant) @ inverse.T, scene.lower, scene.upper)
+        z = np.clip(z + (points - z @ less.matrix.T - less.constant) @ inverse.T, space.lower, space.upper)
     return z
 
 
 def _climbed(
-    goal: Goal, scene: Scene, looked: np.ndarray, values: np.ndarray, entries: np.ndarray, worst: np.ndarray
+    goal: Goal, space: SearchSpace, looked: np.ndarray, values: np.ndarray, entries: np.ndarray, worst: np.ndarray
 ) -> list[np.ndarray]:
     """Return points (k, n) on the way to local maxima, from the best points looked at; not all of them are feasible."""
     objective, extra, begin = goal.ascent
@@ -271,22 +271,22 @@ def _climbed(
     if not order.size or not ca.symvar(goal.held):
         return []
     v, unit = column(extra), column(ca.sumsqr(part) - 1 for part in extra)
-    nlp = {"x": ca.vertcat(scene.z, v), "f": -objective, "g": ca.vertcat(scene.where, unit)}
-    large = {"hessian_approximation": "limited-memory"} if ca.n_nodes(objective) > 3000 or scene.z.numel() > 30 else {}
+    nlp = {"x": ca.vertcat(space.z, v), "f": -objective, "g": ca.vertcat(space.where, unit)}
+    large = {"hessian_approximation": "limited-memory"} if ca.n_nodes(objective) > 3000 or space.z.numel() > 30 else {}
     found = []
     with quiet():
         try:
             solver = ca.nlpsol("climb", "ipopt", nlp, {**IPOPT, "ipopt": {**IPOPT["ipopt"], **large}})
-            for i in _apart(looked[order], scene):
+            for i in _apart(looked[order], space):
                 begun = looked[order[i]]
                 answer = solver(
                     x0=np.concatenate([begun, begin(entries[order[i]])]),
-                    lbx=np.concatenate([scene.lower, np.full(v.numel(), -1.5)]),
-                    ubx=np.concatenate([scene.upper, np.full(v.numel(), 1.5)]),
+                    lbx=np.concatenate([space.lower, np.full(v.numel(), -1.5)]),
+                    ubx=np.concatenate([space.upper, np.full(v.numel(), 1.5)]),
                     lbg=np.zeros(nlp["g"].numel()),
-                    ubg=np.concatenate([np.full(scene.where.numel(), np.inf), np.zeros(unit.numel())]),
+                    ubg=np.concatenate([np.full(space.where.numel(), np.inf), np.zeros(unit.numel())]),
                 )  # fmt: skip
-                end = np.clip(np.array(answer["x"]).ravel()[: begun.size], scene.lower, scene.upper)
+                end = np.clip(np.array(answer["x"]).ravel()[: begun.size], space.lower, space.upper)
                 if np.isfinite(end).all():
                     back = np.concatenate([[0.0], 2.0 ** -np.arange(50.0, 0, -2)])[:, None]
                     found.append(end + back * (begun - end))
@@ -295,9 +295,9 @@ def _climbed(
     return found
 
 
-def _apart(points: np.ndarray, scene: Scene) -> list[int]:
+def _apart(points: np.ndarray, space: SearchSpace) -> list[int]:
     """Return indices of the first points that lie apart from each other."""
-    size = np.where(np.isfinite(scene.upper - scene.lower), scene.upper - scene.lower, 1.0)
+    size = np.where(np.isfinite(space.upper - space.lower), space.upper - space.lower, 1.0)
     scaled = points / np.where(size > 0, size, 1.0)
     kept: list[int] = []
     for i, point in enumerate(scaled):

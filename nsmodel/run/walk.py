@@ -22,7 +22,7 @@ RUNAWAY = 1e100  # A state beyond this has diverged: squares of it, and of what 
 There = Callable[[], str | None]  # Tells how the run that is resumed was stepped; None for a new one.
 
 
-class Rows(Protocol):
+class RowBuffer(Protocol):
     """Rows in memory: when they are ``full`` they must be cleared."""
 
     filled: int

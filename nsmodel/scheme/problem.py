@@ -16,14 +16,14 @@ from nsmodel.model.expressions import derivatives
 from nsmodel.proof.graph import operations
 
 
-class Order(NamedTuple):
+class SchemeOrder(NamedTuple):
     """Order of a scheme on one index set: ``most``, but 1 while a row of ``lowered_by`` (their numbers) is held, y_i = 0."""
 
     most: int
     lowered_by: tuple[int, ...] = ()
 
     @classmethod
-    def of_weights(cls, theta: float, gamma: float, r: ca.SX, moving: ca.SX, law: Law, Y: ca.SX, through: ca.SX) -> Order:
+    def of_weights(cls, theta: float, gamma: float, r: ca.SX, moving: ca.SX, law: Law, Y: ca.SX, through: ca.SX) -> SchemeOrder:
         """Of the theta-gamma scheme: 2 for theta = gamma = 1/2, and for theta = 1/2 where a constant r does for the whole step.
 
         That is where r is a function of l alone (``moving``: what else it might depend on), and each l_i stays at its end, or is
@@ -108,7 +108,7 @@ class OneStepProblem:
     records: dict[str, ca.SX] = field(default_factory=dict)
     overreach: ca.SX | None = None
     start: OneStepProblem | None = None
-    order: Order = field(default_factory=lambda: Order(1))
+    order: SchemeOrder = field(default_factory=lambda: SchemeOrder(1))
     velocity: str = ""
     gap: str = ""
     prediction: Prediction | None = None

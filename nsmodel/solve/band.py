@@ -23,7 +23,7 @@ FACTORS = 3  # Index sets whose factors are kept, for each step size.
 
 
 @dataclass(frozen=True)
-class Order:
+class BandOrder:
     """Where each unknown and equation stands in the band, and how wide that is: ``below`` and ``above`` the diagonal."""
 
     place: np.ndarray
@@ -36,7 +36,7 @@ class Order:
         return max(self.below, self.above) <= BAND
 
 
-def order(J: sp.csr_matrix) -> Order:
+def order(J: sp.csr_matrix) -> BandOrder:
     """The narrower one of two orders: reverse Cuthill and McKee, and by distance from an end of the graph."""
     size = J.indptr.size - 1
     graph = (abs(J) + abs(J.T) + sp.eye(size)).tocsr()
@@ -50,7 +50,7 @@ def order(J: sp.csr_matrix) -> Order:
         place[chosen] = np.arange(size)
         entries = J.tocoo()
         offset = place[entries.row] - place[entries.col]
-        found.append(Order(place, int(offset.max(initial=0)), int(-offset.min(initial=0))))
+        found.append(BandOrder(place, int(offset.max(initial=0)), int(-offset.min(initial=0))))
     return min(found, key=lambda o: o.below * (o.below + o.above))
 
 

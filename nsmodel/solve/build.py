@@ -62,7 +62,7 @@ class Stepper:
             from nsmodel.solve.sparse import Sparse
 
             self._sparse = Sparse(problem, self.structure, self.law, tolerance)
-            at = self._matrices(0.0, h)
+            at = _matrices(self._sparse, 0.0, h)
             start, order = at.W(), at.order
         else:
             zero = np.zeros(self.structure.m)
@@ -156,7 +156,7 @@ class Stepper:
 
     def _sparse_step(self, sparse: Sparse, t: float, h: float, state: np.ndarray, warm: Warm) -> StepResult:
         """The step of a large scene; one that is small enough for dense matrices goes to the other solvers where that fails."""
-        self._matrices(t, h)
+        _matrices(sparse, t, h)
         found = sparse.solve(t, h, state, warm.index)
         if not found.residual <= self.tolerance and np.isfinite(state).all():
             chains = (("qpoases",) if self.plan.monotone else (mlcp.INDEX_SET,)), (mlcp.LEMKE,)
@@ -176,14 +176,6 @@ class Stepper:
         row = sparse.pack(t, h, state, found)
         same = np.array_equal(found.index, warm.index)
         return StepResult(row, warm if same else Warm(row[self.layout.l], found.index), found.solver)
-
-    def _matrices(self, t: float, h: float) -> AtStep:
-        """The matrices of a large scene at this h."""
-        assert self._sparse is not None  # noqa: S101
-        try:
-            return self._sparse.at(h)
-        except np.linalg.LinAlgError:
-            raise singular(t, h) from None
 
     def _kernel(self, t: float, h: float) -> Kernel | None:
         """The kernel of this h, built at its first use; None where a step is linearised instead."""
@@ -367,6 +359,14 @@ class Stepper:
 def singular(t: float, h: float) -> StepError:
     """The error where E_z is singular."""
     return StepError(f"the step's matrix is singular at h = {h:g} (t = {t:g}): change the step a little, or check M, A and K")
+
+
+def _matrices(sparse: Sparse, t: float, h: float) -> AtStep:
+    """The matrices of a large scene at this h."""
+    try:
+        return sparse.at(h)
+    except np.linalg.LinAlgError:
+        raise singular(t, h) from None
 
 
 def start_state(problem: OneStepProblem, state: np.ndarray, h: float, tolerance: float) -> np.ndarray:

@@ -64,7 +64,7 @@ def numeric_law(law: Law) -> NumericLaw:
 
 
 class Ops(NamedTuple):
-    """What the residual is computed by: NumPy, of numbers, or CasADi, in symbols."""
+    """What the residual is computed by: NumPy, of numbers, or CasADi, in symbols; `codegen.residual` writes it as C."""
 
     abs: Callable
     max: Callable
@@ -72,6 +72,8 @@ class Ops(NamedTuple):
     where: Callable
     choose: Callable  # `where` of a mask of numbers: what is not chosen leaves nothing in a graph.
     largest: Callable  # Of the entries that a mask of numbers chooses; 0 where it chooses none.
+    lesser: Callable  # (a, b, end): the lesser of two, b where an end of the law is finite alone.
+    ratio: Callable  # (a, s): a/s with 0/0 = 0.
 
 
 def _chosen(mask: np.ndarray, a: Any, b: Any) -> ca.SX:
@@ -82,8 +84,14 @@ def _largest_chosen(mask: np.ndarray, a: ca.SX) -> ca.SX:
     return ca.mmax(ca.vertcat(*(a[int(i)] for i in np.flatnonzero(mask)))) if mask.any() else ca.SX(0)
 
 
-NUMBERS = Ops(np.abs, np.maximum, np.minimum, np.where, np.where, lambda mask, a: a.max(where=mask, initial=0.0))
-SYMBOLS = Ops(ca.fabs, ca.fmax, ca.fmin, ca.if_else, _chosen, _largest_chosen)
+NUMBERS = Ops(
+    np.abs, np.maximum, np.minimum, np.where, np.where, lambda mask, a: a.max(where=mask, initial=0.0),
+    lambda a, b, end: np.where(np.isfinite(end), np.minimum(a, b), a), lambda a, s: np.where(a == 0, 0, a / s),
+)  # fmt: skip
+SYMBOLS = Ops(
+    ca.fabs, ca.fmax, ca.fmin, ca.if_else, _chosen, _largest_chosen,
+    lambda a, b, end: _chosen(np.isfinite(end), ca.fmin(a, b), a), lambda a, s: ca.if_else(a == 0, 0, a / s),
+)  # fmt: skip
 
 
 def output_scale(b: Any, terms: Any, w_max: np.ndarray, op: Ops = NUMBERS) -> Any:
@@ -125,14 +133,14 @@ def residual_in_symbols(law: NumericLaw, rows: list[int], w_max: np.ndarray, l: 
 
 def box_residual(law: NumericLaw, l: Any, y: Any, s_y: Any, s_l: Any, op: Ops = NUMBERS) -> Any:
     """The residual of each row of a box: to where l is between its ends, to its lower and to its upper end."""
+    lo, up, size = law.lower, law.upper, op.abs(y)
 
     def off(of_l: Any, of_y: Any) -> Any:
-        return op.max(op.where(of_l == 0, 0, of_l / s_l), op.where(of_y == 0, 0, of_y / s_y))
+        return op.max(op.ratio(of_l, s_l), op.ratio(of_y, s_y))
 
-    lo, up, size = law.lower, law.upper, op.abs(y)
     best = off(op.max(op.max(lo - l, l - up), 0), size)
     for end, wrong in ((lo, y < 0), (up, y > 0)):
-        best = op.choose(np.isfinite(end), op.min(best, off(op.abs(l - end), op.where(wrong, size, 0))), best)
+        best = op.lesser(best, off(op.abs(l - end), op.where(wrong, size, 0)), end)
     return best
 
 

@@ -18,7 +18,7 @@ from nsmodel.solve.structure import Structure, is_monotone, least_eigenvalue
 if TYPE_CHECKING:  # SciPy is loaded by who uses it.
     from scipy.sparse.linalg import LinearOperator
 
-    from nsmodel.solve.band import Order
+    from nsmodel.solve.band import BandOrder
 
 DUAL, IPOPT = "dual active set", "ipopt"
 OWN = {"active-set": mlcp.INDEX_SET, "lemke": mlcp.LEMKE, "enumeration": mlcp.ENUMERATION, "semismooth": mlcp.SEMISMOOTH}
@@ -74,7 +74,7 @@ def pays(structure: Structure, law: NumericLaw) -> bool:
 
 def choose(
     structure: Structure, law: NumericLaw, W: np.ndarray | LinearOperator | None, solver: str, few_steps: bool = True,
-    order: Order | None = None,
+    order: BandOrder | None = None,
 ) -> Plan:  # fmt: skip
     """Decide, from the structure and from W at the start (None where it has none); ``order``: of a step that stays sparse.
 
@@ -108,7 +108,7 @@ def choose(
     return Plan(path, chain, False, always, monotone, least, tuple(used), tuple(left_out))
 
 
-def _sparse_lines(order: Order, structure: Structure) -> list[str]:
+def _sparse_lines(order: BandOrder, structure: Structure) -> list[str]:
     how = f"a band of {order.below} + 1 + {order.above} diagonals" if order.is_band else "sparse LU, the band being wide"
     lines = [f"sparse matrices, constant: {how}, factored again where the index set changes"]
     if structure.m:

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, Rows
+from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, ContactRows
 from nsmodel.errors import StepError
 from nsmodel.proof import conic_program
 from nsmodel.solve import mlcp
@@ -17,16 +17,16 @@ from nsmodel.solve.certificate import EPS, UNRESOLVED, NumericLaw
 from nsmodel.solve.diagnose import opposing_rows
 
 ACTIVE_SET, CLARABEL, PIQP = "active-set", "clarabel", "piqp"
-DENSE_UP_TO = 100  # Rows up to which a dense factorisation is faster.
-SMALL = 60  # Rows of a group up to which Lemke's pivoting is the robust way.
-MOST_DENSE = 3000  # Rows of a group that a solver of dense problems takes.
+DENSE_UP_TO = 100  # ContactRows up to which a dense factorisation is faster.
+SMALL = 60  # ContactRows of a group up to which Lemke's pivoting is the robust way.
+MOST_DENSE = 3000  # ContactRows of a group that a solver of dense problems takes.
 PATIENCE = 10  # Changes of the active set without fewer wrong rows, after which it is given up.
 PASSES = 100
 REGULAR = 1e-11  # Added to a diagonal of 1, and taken back by refinement.
 
 
 @dataclass
-class Answer:
+class Forces:
     """m (R,) and d (N, d) = h f + G' m; whether primal-dual has settled; what found it."""
 
     m: np.ndarray
@@ -38,7 +38,7 @@ class Answer:
 class Group:
     """The projection for some rows of unit gradient."""
 
-    def __init__(self, rows: Rows, hf: np.ndarray) -> None:
+    def __init__(self, rows: ContactRows, hf: np.ndarray) -> None:
         self.rows, self.hf, self.other = rows, hf, rows.other
         d = hf.shape[1]
         columns = np.hstack([rows.first[:, None] * d + np.arange(d), self.other[:, None] * d + np.arange(d)])
@@ -54,15 +54,15 @@ class Group:
         """h f + G' m (N, d)."""
         return self.hf + (self.B.T @ m).reshape(self.hf.shape)
 
-    def solve(self, solver: str, last: np.ndarray, tiny: float) -> Answer:
+    def solve(self, solver: str, last: np.ndarray, tiny: float) -> Forces:
         """The answer of a solver, "auto" or a name; ``last``: the m of the last step."""
         violated = self.y(self.hf) < -tiny
         if not violated.any():
-            return Answer(np.zeros(last.size), self.hf.copy(), "none needed")
+            return Forces(np.zeros(last.size), self.hf.copy(), "none needed")
         if solver in ("auto", ACTIVE_SET):
             m, settled = self.primal_dual(last > 0 if last.any() else violated, tiny)
             if settled or solver == ACTIVE_SET:
-                return Answer(m, self.d(m), ACTIVE_SET)
+                return Forces(m, self.d(m), ACTIVE_SET)
             violated |= self.rows.g < 2 * _largest_row(self.hf)
         return self._by_groups(solver, violated, tiny)
 
@@ -109,7 +109,7 @@ class Group:
             m = m + solve(right - B @ (B.T @ m))
         return m
 
-    def _by_groups(self, solver: str, chosen: np.ndarray, tiny: float) -> Answer:
+    def _by_groups(self, solver: str, chosen: np.ndarray, tiny: float) -> Forces:
         """Solve the chosen rows, each group of bodies that touch apart; rows that are then violated join, until none is."""
         rows, m = self.rows, np.zeros(chosen.size)
         fresh, names = chosen.copy(), set()
@@ -126,7 +126,7 @@ class Group:
             if not fresh.any():
                 break
             chosen |= fresh
-        return Answer(m, self.d(m), "+".join(sorted(names)), count)
+        return Forces(m, self.d(m), "+".join(sorted(names)), count)
 
     def one(self, solver: str, tiny: float) -> tuple[np.ndarray, str]:
         """m of these rows by one solver, polished; all rows enter."""
@@ -160,7 +160,7 @@ class Group:
 
 
 def certificate(
-    rows: Rows, n: np.ndarray, hf: np.ndarray, d: np.ndarray, m: np.ndarray, q: np.ndarray, tolerance: float
+    rows: ContactRows, n: np.ndarray, hf: np.ndarray, d: np.ndarray, m: np.ndarray, q: np.ndarray, tolerance: float
 ) -> tuple[float, int | None]:
     """The residual of a step without unit, and the row where it is worst (None: the equation for d).
 
@@ -185,7 +185,7 @@ def certificate(
     return residual, worst
 
 
-def groups(rows: Rows, count: int) -> tuple[np.ndarray, int]:
+def groups(rows: ContactRows, count: int) -> tuple[np.ndarray, int]:
     """The number of the group of each row, and how many groups there are: rows that share bodies, directly or not."""
     bodies, inverse = np.unique(np.concatenate([rows.first, rows.second[rows.pair]]), return_inverse=True)
     links = inverse[: len(rows.g)][rows.pair], inverse[len(rows.g) :]
@@ -194,7 +194,7 @@ def groups(rows: Rows, count: int) -> tuple[np.ndarray, int]:
     return label[inverse[: len(rows.g)]], count
 
 
-def opposing(rows: Rows, hf: np.ndarray, worst: int) -> list[tuple[int, float]]:
+def opposing(rows: ContactRows, hf: np.ndarray, worst: int) -> list[tuple[int, float]]:
     """Rows and weights of a proof that no d satisfies them all, looked for around the worst row; empty where there is none."""
     near_by = np.arange(len(rows.g))
     label, _ = groups(rows, len(hf))
@@ -207,7 +207,7 @@ def opposing(rows: Rows, hf: np.ndarray, worst: int) -> list[tuple[int, float]]:
     return [(int(near_by[i]), u) for i, u in found]
 
 
-def scaled_rows(rows: Rows, problem: BodiesProblem, t: float, q: np.ndarray) -> tuple[Rows, np.ndarray]:
+def scaled_rows(rows: ContactRows, problem: BodiesProblem, t: float, q: np.ndarray) -> tuple[ContactRows, np.ndarray]:
     """Rows of unit gradient, and n_i (1 where the gradient is 0).
 
     Raises:
@@ -224,7 +224,7 @@ def scaled_rows(rows: Rows, problem: BodiesProblem, t: float, q: np.ndarray) -> 
             "(two bodies in one place, a norm or root at 0?)", component=name
         )  # fmt: skip
     n = np.where(n > 0, n, 1.0)
-    return Rows(rows.family, rows.first, rows.second, rows.pair, rows.g / n, rows.G / n[:, None], rows.H / n[:, None]), n
+    return ContactRows(rows.family, rows.first, rows.second, rows.pair, rows.g / n, rows.G / n[:, None], rows.H / n[:, None]), n
 
 
 def largest(q: np.ndarray) -> float:

@@ -4,7 +4,7 @@
 
 Pairs with g_i = |q_i - q_j| - c beyond a cut-off are left out. As |grad g_i| = 1 in either body, their rows hold if
 |d_i| + |d_j| <= cut-off: where the two largest |d_i| exceed it, the step is taken again with a wider one. Of the rows that are
-left, those enter that are violated without them. Rows are divided by n_i = |grad g_i|: m and y are lengths.
+left, those enter that are violated without them. ContactRows are divided by n_i = |grad g_i|: m and y are lengths.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nsmodel.classes.bodies.schemes.prediction_correction import SCHEME, BodiesProblem, Rows, searched
+from nsmodel.classes.bodies.schemes.prediction_correction import SCHEME, BodiesProblem, ContactRows, searched
 from nsmodel.contacts import NO_CONTACTS, Contacts
 from nsmodel.errors import StepError, UsageError
 from nsmodel.solve import mlcp, qp
@@ -23,7 +23,7 @@ from nsmodel.solve.contact_projection import (
     ACTIVE_SET,
     CLARABEL,
     SMALL,
-    Answer,
+    Forces,
     Group,
     certificate,
     largest,
@@ -122,11 +122,11 @@ class BodiesStepper:
         seconds["solve"] += clock() - start
         return BodiesStep(after, contacts, gap, residual, BodiesWarm(contacts, moved), found.solver, found.groups)
 
-    def _last(self, rows: Rows, contacts: Contacts) -> np.ndarray:
+    def _last(self, rows: ContactRows, contacts: Contacts) -> np.ndarray:
         """The reactions of the last step (R,)."""
         wide = 1 + max([self.problem.count, *(family.second.group.count for family in self.problem.families if family.second)])
 
-        def keys(of: Rows | Contacts) -> np.ndarray:
+        def keys(of: ContactRows | Contacts) -> np.ndarray:
             return (of.family.astype(np.int64) * self.problem.count + of.first) * wide + of.second + 1
 
         now, order = keys(rows), np.argsort(keys(contacts))
@@ -138,7 +138,7 @@ class BodiesStepper:
         """What is no violation: a small part of what the certificate allows."""
         return 1e-2 * self.tolerance * float(np.sqrt((hf**2).sum(axis=1)).max(initial=0.0)) + EPS * largest(q)
 
-    def _stay_in_reach(self, t: float, h: float, q: np.ndarray, after: np.ndarray, rows: Rows, n: np.ndarray) -> None:
+    def _stay_in_reach(self, t: float, h: float, q: np.ndarray, after: np.ndarray, rows: ContactRows, n: np.ndarray) -> None:
         """Refuse a verified step of a linearisation that means nothing where it leads; `prediction_correction._overreach`.
 
         ``rows``: those that act, of unit gradient, which was n_i.
@@ -161,7 +161,7 @@ class BodiesStepper:
                 residual=float(ratio), component=name,
             )  # fmt: skip
 
-    def _least_gap(self, t: float, q: np.ndarray, present: np.ndarray, rows: Rows, beyond: float) -> float:
+    def _least_gap(self, t: float, q: np.ndarray, present: np.ndarray, rows: ContactRows, beyond: float) -> float:
         """The least gap; all rows that were left out are farther than ``beyond``."""
         least = np.inf
         for family in range(len(self.problem.families)):
@@ -170,7 +170,9 @@ class BodiesStepper:
                 least = min(least, float(self.problem.gap(family, t, q, rows.first[of], rows.second[of]).min()))
         return least if least <= beyond or not self._searched else least_gap(self.problem, t, q, present)
 
-    def _failure(self, t: float, rows: Rows, hf: np.ndarray, found: Answer, residual: float, worst: int | None) -> StepError:
+    def _failure(
+        self, t: float, rows: ContactRows, hf: np.ndarray, found: Forces, residual: float, worst: int | None
+    ) -> StepError:
         """Why there is no verified step, in the user's words."""
         name = None if worst is None else self._name(rows, worst)
         reason = "no solver reached the tolerance" if self.solver == "auto" else "the forced solver did not find it"
@@ -186,7 +188,7 @@ class BodiesStepper:
             residual=residual, component=name,
         )  # fmt: skip
 
-    def _name(self, rows: Rows, i: int) -> str:
+    def _name(self, rows: ContactRows, i: int) -> str:
         return self.problem.name(int(rows.family[i]), int(rows.first[i]), int(rows.second[i]))
 
 

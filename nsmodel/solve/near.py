@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, Rows, searched
+from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, ContactRows, searched
 
 FARTHER = 1e-12  # Part of its reach by which a search looks farther: rounding hides no pair.
 
 Members = tuple[np.ndarray, np.ndarray]
 
 
-def near(problem: BodiesProblem, t: float, q: np.ndarray, present: np.ndarray, cutoff: float) -> Rows:
+def near(problem: BodiesProblem, t: float, q: np.ndarray, present: np.ndarray, cutoff: float) -> ContactRows:
     """The rows of bodies that are present: searched pairs with g < ``cutoff``, and all rows of the other families."""
     return rows_of(problem, t, q, candidates(problem, t, q, present, cutoff), cutoff)
 
@@ -26,7 +26,7 @@ def candidates(problem: BodiesProblem, t: float, q: np.ndarray, present: np.ndar
     ]
 
 
-def rows_of(problem: BodiesProblem, t: float, q: np.ndarray, members: list[Members], cutoff: float) -> Rows:
+def rows_of(problem: BodiesProblem, t: float, q: np.ndarray, members: list[Members], cutoff: float) -> ContactRows:
     """The rows of the candidates, searched pairs only where g < ``cutoff``."""
     parts = []
     for family, about in enumerate(problem.families):
@@ -35,8 +35,8 @@ def rows_of(problem: BodiesProblem, t: float, q: np.ndarray, members: list[Membe
     if not parts:
         nobody = np.zeros(0, int)
         none = np.zeros((0, problem.d))
-        return Rows(nobody.astype(np.int8), nobody, nobody, nobody.astype(bool), np.zeros(0), none, none)
-    return Rows(*(np.concatenate([getattr(part, name) for part in parts]) for name in Rows.__dataclass_fields__))
+        return ContactRows(nobody.astype(np.int8), nobody, nobody, nobody.astype(bool), np.zeros(0), none, none)
+    return ContactRows(*(np.concatenate([getattr(part, name) for part in parts]) for name in ContactRows.__dataclass_fields__))
 
 
 def least_gap(problem: BodiesProblem, t: float, q: np.ndarray, present: np.ndarray) -> float:

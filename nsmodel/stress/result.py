@@ -135,7 +135,7 @@ class Stress:
 
     def plot(self, ax: Any = None) -> Any:
         """Draw the table as a heat map: `nsmodel.plot.stress`."""
-        from nsmodel.plot import stress
+        from nsmodel.plot.stress import stress
 
         return stress(self, ax=ax)
 

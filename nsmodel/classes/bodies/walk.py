@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from nsmodel.classes.bodies.model import ManyBodies
-from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, Rows
+from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, ContactRows
 from nsmodel.contacts import NO_CONTACTS, Contacts, in_order
 from nsmodel.errors import StepError, UsageError
 from nsmodel.grid import Grid
@@ -336,7 +336,7 @@ def refuse_start(problem: BodiesProblem, q: np.ndarray) -> float:
     return least_gap(problem, 0.0, q, present)
 
 
-def _rounding(rows: Rows, q: np.ndarray) -> np.ndarray:
+def _rounding(rows: ContactRows, q: np.ndarray) -> np.ndarray:
     """How far g may be below 0 by the rounding of positions (R,)."""
     return 8 * EPS * rows.size * (np.abs(q[np.isfinite(q)]).max(initial=0.0) + np.abs(rows.g))
 

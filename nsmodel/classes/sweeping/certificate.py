@@ -13,7 +13,7 @@ from nsmodel.certificate import verify
 from nsmodel.certificate.data import Data, Subject, numbers, program
 from nsmodel.certificate.graph import graph, matrix, text
 from nsmodel.certificate.hints import AT_LEAST, EXACTLY, ROOM, Grown, Stated, Unproved, convexity
-from nsmodel.classes.sweeping.hypotheses.forms import Affine, Shape
+from nsmodel.classes.sweeping.hypotheses.forms import Affine, ConstraintShape
 from nsmodel.classes.sweeping.hypotheses.geometry import mfcq_constant
 from nsmodel.classes.sweeping.hypotheses.shapes import read_shapes
 from nsmodel.classes.sweeping.model import SweepingProcess
@@ -50,7 +50,7 @@ def subject(model: SweepingProcess, findings: Mapping[str, Finding]) -> Subject:
     return Subject(model, data)
 
 
-def reach_of(shape: Shape, model: SweepingProcess) -> Fraction:
+def reach_of(shape: ConstraintShape, model: SweepingProcess) -> Fraction:
     """Of a distance less r(t) a number that r is not below, at all times; U_i = {g_i > -delta} with half of it."""
     offset = shape.written.affine.offset
     if isinstance(offset, Fraction):

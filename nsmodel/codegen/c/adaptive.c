@@ -136,23 +136,6 @@ static int extrapolate(model_solver *s, const model_control *c, double end, cons
     return 1;
 }
 
-static void count(model_totals *totals, const model_result *r, const signed char *before, double number)
-{
-#if LAW
-    totals->changes += before != NULL && memcmp(before, r->index, MODEL_M) != 0;
-#else
-    (void)before;
-#endif
-    if (r->residual > totals->worst) {
-        totals->worst = r->residual;
-        totals->worst_step = number;
-    }
-    totals->newton += r->iterations;
-    if (r->iterations > totals->newton_max)
-        totals->newton_max = r->iterations;
-    totals->counts[r->solver] += 1;
-}
-
 long model_adapt(model_solver *s, model_control *c, long room, double number, double seconds, double *rows, signed char *index,
                  double *times, double *lengths, double *moved, model_totals *totals)
 {
@@ -166,7 +149,7 @@ long model_adapt(model_solver *s, model_control *c, long room, double number, do
     for (int i = 0; i < ROWS; i++)
         before[i] = (signed char)c->index[i];
     while (c->t < last && row + 2 <= room) {
-        if (++tried % LOOK == 0 && (double)(clock() - start) >= seconds*CLOCKS_PER_SEC)
+        if (++tried % LOOK == 0 && is_over(start, seconds))
             return row;
         const double h = ldexp(c->T, -(int)c->j), halves = ldexp(1.0, (int)(c->least - c->j));
         double *at = rows + (long)@WIDTH@*row, x[MODEL_NSTATE];
@@ -180,8 +163,7 @@ long model_adapt(model_solver *s, model_control *c, long room, double number, do
             break;
         write_row(s, at);
 #if MONOTONE
-        if (totals->least > -INFINITY)
-            totals->least = least_eigenvalue(s->newton.W, totals->least);
+        watch_monotone(totals, s);
 #endif
         if (!take(s, time_at(c, c->t + halves), h/2, half.x, half.l, half.index, &fine))
             break;
@@ -214,11 +196,14 @@ long model_adapt(model_solver *s, model_control *c, long room, double number, do
         moved[row] = 0;
         moved[row + 1] = better ? error : 0.0;
 #if LAW
-        memcpy(index + (long)MODEL_M*row, half.index, MODEL_M);
-        memcpy(index + (long)MODEL_M*(row + 1), fine.index, MODEL_M);
+        keep_index(index, row, half.index);
+        keep_index(index, row + 1, fine.index);
+        if (c->fresh == 0)
+            count_change(totals, before, half.index);
+        count_change(totals, half.index, fine.index);
 #endif
-        count(totals, &half, c->fresh != 0 ? NULL : before, number + (double)row + 1);
-        count(totals, &fine, half.index, number + (double)row + 2);
+        count(totals, half.residual, half.iterations, half.solver, number + (double)row + 1);
+        count(totals, fine.residual, fine.iterations, fine.solver, number + (double)row + 2);
         for (int i = 0; i < WATCHED; i++) {
             c->rate[i] = (fine.watched[i] - half.watched[i])/(h/2);
             c->watched[i] = fine.watched[i];

@@ -62,12 +62,7 @@ static double ratio(double a, double s)
 /* The residual of one row of a box. */
 static double row_residual(double lo, double up, double l, double y, double s_y, double s_l)
 {
-    double best = max_of(ratio(max_of(max_of(lo - l, l - up), 0), s_l), ratio(fabs(y), s_y));
-    if (is_finite(lo))
-        best = min_of(best, max_of(ratio(fabs(l - lo), s_l), y < 0 ? ratio(-y, s_y) : 0));
-    if (is_finite(up))
-        best = min_of(best, max_of(ratio(fabs(l - up), s_l), y > 0 ? ratio(y, s_y) : 0));
-    return best;
+    return @ROW_RESIDUAL@;
 }
 #if CURVED
 

@@ -108,6 +108,43 @@ static void write_row(const model_solver *s, double *at)
         at[j] += 0.0; /* no -0 */
 }
 
+/* What a certified step adds to the totals. */
+static void count(model_totals *totals, double residual, double iterations, int solver, double number)
+{
+    if (residual > totals->worst) {
+        totals->worst = residual;
+        totals->worst_step = number;
+    }
+    totals->newton += iterations;
+    if (iterations > totals->newton_max)
+        totals->newton_max = iterations;
+    totals->counts[solver] += 1;
+}
+
+#if LAW
+static void keep_index(signed char *index, long row, const signed char *code)
+{
+    memcpy(index + (long)MODEL_M*row, code, MODEL_M);
+}
+
+static void count_change(model_totals *totals, const signed char *before, const signed char *code)
+{
+    totals->changes += memcmp(before, code, MODEL_M) != 0;
+}
+
+#endif
+#if MONOTONE
+/* Look at W + W' of the step that was attempted last, where it is asked for. */
+static void watch_monotone(model_totals *totals, const model_solver *s)
+{
+    if (totals->least > -INFINITY)
+        totals->least = least_eigenvalue(s->newton.W, totals->least);
+}
+
+#endif
+/* Whether the time for a call is over. */
+static int is_over(clock_t start, double seconds) { return (double)(clock() - start) >= seconds*CLOCKS_PER_SEC; }
+
 void model_place(model_solver *s, double k, double h, const double *x, const double *l, const signed char *index)
 {
     memcpy(s->x, x, sizeof s->x);
@@ -143,7 +180,7 @@ long model_rollout(model_solver *s, double k, long steps, double last, long ever
 #endif
     for (long i = 0; i < steps; i++) {
         if (i == look) {
-            if ((double)(clock() - start) >= seconds*CLOCKS_PER_SEC)
+            if (is_over(start, seconds))
                 return i;
             look += look < LOOK ? look : LOOK;
         }
@@ -169,25 +206,17 @@ long model_rollout(model_solver *s, double k, long steps, double last, long ever
         if (keep) {
             write_row(s, rows + (long)@WIDTH@*row);
 #if LAW
-            memcpy(index + (long)MODEL_M*row, s->work.code, sizeof s->work.code);
+            keep_index(index, row, s->work.code);
 #endif
             row++;
         }
 #if LAW
-        totals->changes += memcmp(s->index, s->work.code, sizeof s->index) != 0;
+        count_change(totals, s->index, s->work.code);
 #endif
 #if MONOTONE
-        if (totals->least > -INFINITY)
-            totals->least = least_eigenvalue(s->newton.W, totals->least);
+        watch_monotone(totals, s);
 #endif
-        if (s->work.residual > totals->worst) {
-            totals->worst = s->work.residual;
-            totals->worst_step = number;
-        }
-        totals->newton += s->work.iterations;
-        if (s->work.iterations > totals->newton_max)
-            totals->newton_max = s->work.iterations;
-        totals->counts[s->work.solver] += 1;
+        count(totals, s->work.residual, s->work.iterations, s->work.solver, number);
         commit(s);
     }
     return steps;

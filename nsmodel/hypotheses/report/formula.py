@@ -16,7 +16,7 @@ from nsmodel.hypotheses.report.notation import (
     PRODUCT,
     RELATION,
     SUM,
-    Piece,
+    FormulaPart,
     bracketed,
     listed,
     number_piece,
@@ -66,13 +66,13 @@ class Names:
 def formulas(expr: ca.SX, names: Names) -> list[str]:
     """LaTeX of each entry, column by column; formulas too long to be read are given by their number of operations."""
 
-    def symbol(name: str) -> Piece:
-        return Piece(names.shown.get(name) or symbol_latex(name), ATOM, op=INPUT, name=name)
+    def symbol(name: str) -> FormulaPart:
+        return FormulaPart(names.shown.get(name) or symbol_latex(name), ATOM, op=INPUT, name=name)
 
-    def apply(op: int, args: list[Piece]) -> Piece:
+    def apply(op: int, args: list[FormulaPart]) -> FormulaPart:
         size = 1 + sum(arg.size for arg in args)
         if size > LARGEST:
-            return Piece(rf"\left[\text{{{size} operations}}\right]", ATOM, op=INPUT, size=size)
+            return FormulaPart(rf"\left[\text{{{size} operations}}\right]", ATOM, op=INPUT, size=size)
         return replace(_applied(op, args, names), op=op, args=tuple(args), size=size)
 
     return [piece.text for piece in written(expr, symbol, number_piece, apply)]
@@ -81,51 +81,53 @@ def formulas(expr: ca.SX, names: Names) -> list[str]:
 # -- the operations ----------------------------------------------------------------------------------------------------
 
 
-def _applied(op: int, args: list[Piece], names: Names) -> Piece:
+def _applied(op: int, args: list[FormulaPart], names: Names) -> FormulaPart:
     if op in (ca.OP_ADD, ca.OP_SUB):
         return _sum(args[0], args[1], op == ca.OP_SUB)
     if op in (ca.OP_MUL, ca.OP_TWICE):
         return _product(*((number_piece(2.0), args[0]) if op == ca.OP_TWICE else args))
     if op in (ca.OP_DIV, ca.OP_INV):
         a, b = args if op == ca.OP_DIV else (number_piece(1.0), args[0])
-        return Piece(rf"\frac{{{a.body}}}{{{b.body}}}", PRODUCT, a.negative != b.negative)
+        return FormulaPart(rf"\frac{{{a.body}}}{{{b.body}}}", PRODUCT, a.negative != b.negative)
     if op == ca.OP_NEG:
         return (
-            Piece(args[0].factor(), PRODUCT, not args[0].negative) if not args[0].negative else replace(args[0], negative=False)
+            FormulaPart(args[0].factor(), PRODUCT, not args[0].negative)
+            if not args[0].negative
+            else replace(args[0], negative=False)
         )
     if op in (ca.OP_SQ, ca.OP_POW, ca.OP_CONSTPOW):
         return _power(args[0], number_piece(2.0) if op == ca.OP_SQ else args[1])
     if op in (ca.OP_SQRT, ca.OP_HYPOT):
         squares = _squares(args[0]) if op == ca.OP_SQRT else args
         if squares is None:
-            return Piece(rf"\sqrt{{{args[0].text}}}", ATOM)
-        return Piece(rf"\left\Vert {_vector(squares, names)} \right\Vert", ATOM)
+            return FormulaPart(rf"\sqrt{{{args[0].text}}}", ATOM)
+        return FormulaPart(rf"\left\Vert {_vector(squares, names)} \right\Vert", ATOM)
     return _special(op, args)
 
 
-def _special(op: int, args: list[Piece]) -> Piece:
+def _special(op: int, args: list[FormulaPart]) -> FormulaPart:
     if op == ca.OP_FABS:
-        return Piece(rf"\left|{args[0].body}\right|", ATOM)
+        return FormulaPart(rf"\left|{args[0].body}\right|", ATOM)
     if op in (ca.OP_FMAX, ca.OP_FMIN):
         flat = [part for arg in args for part in (arg.args if arg.op == op and not arg.negative else (arg,))]
-        return Piece(_FUNCTIONS[op] + bracketed(r",\ ".join(part.text for part in flat)), POWER)
+        return FormulaPart(_FUNCTIONS[op] + bracketed(r",\ ".join(part.text for part in flat)), POWER)
     if op in (ca.OP_FLOOR, ca.OP_CEIL):
         side = "floor" if op == ca.OP_FLOOR else "ceil"
-        return Piece(rf"\left\l{side} {args[0].text} \right\r{side}", ATOM)
+        return FormulaPart(rf"\left\l{side} {args[0].text} \right\r{side}", ATOM)
     if op in (ca.OP_LOG1P, ca.OP_EXPM1):
         if op == ca.OP_LOG1P:
-            return Piece(r"\log" + bracketed(_sum(number_piece(1.0), args[0], False).text), POWER)
-        return Piece(rf"\exp{bracketed(args[0].text)} - 1", SUM)
+            return FormulaPart(r"\log" + bracketed(_sum(number_piece(1.0), args[0], False).text), POWER)
+        return FormulaPart(rf"\exp{bracketed(args[0].text)} - 1", SUM)
     if op in _COMPARISONS or op in (ca.OP_NOT, ca.OP_AND, ca.OP_OR):
-        return Piece(_condition(op, args), RELATION)
+        return FormulaPart(_condition(op, args), RELATION)
     if op == ca.OP_IF_ELSE_ZERO:
-        return Piece(_cases([(args[1].text, args[0].text), ("0", "")]), ATOM)
+        return FormulaPart(_cases([(args[1].text, args[0].text), ("0", "")]), ATOM)
     if op in _FUNCTIONS:
-        return Piece(_FUNCTIONS[op] + bracketed(r",\ ".join(arg.text for arg in args)), POWER)
-    return Piece(r"\mathrm{op}" + f"_{{{op}}}" + bracketed(r",\ ".join(arg.text for arg in args)), POWER)
+        return FormulaPart(_FUNCTIONS[op] + bracketed(r",\ ".join(arg.text for arg in args)), POWER)
+    return FormulaPart(r"\mathrm{op}" + f"_{{{op}}}" + bracketed(r",\ ".join(arg.text for arg in args)), POWER)
 
 
-def _sum(a: Piece, b: Piece, minus: bool) -> Piece:
+def _sum(a: FormulaPart, b: FormulaPart, minus: bool) -> FormulaPart:
     if not minus and (merged := _branches(a, b)) is not None:
         return merged
     minus = minus != b.negative
@@ -133,35 +135,35 @@ def _sum(a: Piece, b: Piece, minus: bool) -> Piece:
         a, b, minus = replace(b, negative=False), replace(a, negative=False), True
     left = bracketed(a.text) if a.level < SUM else a.text
     if b.level == SUM and not minus:  # a + (-b + c) is a - b + c
-        return Piece(f"{left} - {b.body[1:]}" if b.body.startswith("-") else f"{left} + {b.body}", SUM)
-    return Piece(f"{left} {'-' if minus else '+'} {b.factor()}", SUM)
+        return FormulaPart(f"{left} - {b.body[1:]}" if b.body.startswith("-") else f"{left} + {b.body}", SUM)
+    return FormulaPart(f"{left} {'-' if minus else '+'} {b.factor()}", SUM)
 
 
-def _product(a: Piece, b: Piece) -> Piece:
+def _product(a: FormulaPart, b: FormulaPart) -> FormulaPart:
     if b.op == CONST and a.op != CONST:
         a, b = b, a
     (base, m), (other, n) = _base(a), _base(b)
     if base == other and a.op != CONST:
-        return Piece(f"{base}^{{{m + n}}}", POWER, a.negative != b.negative)
+        return FormulaPart(f"{base}^{{{m + n}}}", POWER, a.negative != b.negative)
     left, right = a.factor(), b.factor()
     sign = r" \cdot " if right[0].isdigit() or (right.startswith(r"\frac{1") and a.op == CONST) else r"\,"
-    return Piece(f"{left}{sign}{right}", PRODUCT, a.negative != b.negative)
+    return FormulaPart(f"{left}{sign}{right}", PRODUCT, a.negative != b.negative)
 
 
-def _power(base: Piece, exponent: Piece) -> Piece:
+def _power(base: FormulaPart, exponent: FormulaPart) -> FormulaPart:
     root, n = _base(base)
     if n > 1 and exponent.text.isdigit():  # x * x^2 and (x^2)^2 are how the graph holds x^3 and x^4.
-        return Piece(f"{root}^{{{n * int(exponent.text)}}}", POWER)
-    return Piece(f"{base.at(ATOM)}^{{{exponent.text}}}", POWER)
+        return FormulaPart(f"{root}^{{{n * int(exponent.text)}}}", POWER)
+    return FormulaPart(f"{base.at(ATOM)}^{{{exponent.text}}}", POWER)
 
 
-def _base(piece: Piece) -> tuple[str, int]:
+def _base(piece: FormulaPart) -> tuple[str, int]:
     """(base, n) of a power base^n with a whole number n; n = 1 of anything else."""
     found = re.fullmatch(r"(.*)\^\{(\d+)\}", piece.body) if piece.level == POWER else None
     return (found[1], int(found[2])) if found else (piece.factor(), 1)
 
 
-def _squares(piece: Piece) -> list[Piece] | None:
+def _squares(piece: FormulaPart) -> list[FormulaPart] | None:
     """The entries u_i where a piece is a sum of squares u_i^2."""
     if piece.negative:
         return None
@@ -173,7 +175,7 @@ def _squares(piece: Piece) -> list[Piece] | None:
     return None if left is None or right is None else left + right
 
 
-def _vector(entries: Sequence[Piece], names: Names) -> str:
+def _vector(entries: Sequence[FormulaPart], names: Names) -> str:
     """The vector with these entries: q - (1, 2) where they are those of a whole vector q, else one by one."""
     heads = [piece.args[0] if piece.op == ca.OP_SUB and piece.args else piece for piece in entries]
     for stem, symbols in names.vectors.items():
@@ -187,7 +189,7 @@ def _vector(entries: Sequence[Piece], names: Names) -> str:
 # -- conditions --------------------------------------------------------------------------------------------------------
 
 
-def _condition(op: int, args: Sequence[Piece]) -> str:
+def _condition(op: int, args: Sequence[FormulaPart]) -> str:
     if op in _COMPARISONS:
         return f"{args[0].text} {_COMPARISONS[op]} {args[1].text}"
     if op == ca.OP_NOT:
@@ -199,7 +201,7 @@ def _condition(op: int, args: Sequence[Piece]) -> str:
     return joint.join(bracketed(arg.text) if arg.op in (ca.OP_AND, ca.OP_OR) and arg.op != op else arg.text for arg in args)
 
 
-def _branches(a: Piece, b: Piece) -> Piece | None:
+def _branches(a: FormulaPart, b: FormulaPart) -> FormulaPart | None:
     """The two halves of an if_else put together, where a + b is one."""
     if a.op != ca.OP_IF_ELSE_ZERO or b.op != ca.OP_IF_ELSE_ZERO or not (a.args and b.args) or a.negative or b.negative:
         return None
@@ -207,7 +209,7 @@ def _branches(a: Piece, b: Piece) -> Piece | None:
     if second.op != ca.OP_NOT or second.args[0] is not first:
         return None
     condition = first.text if first.op in (*_COMPARISONS, ca.OP_NOT, ca.OP_AND, ca.OP_OR) else rf"{first.text} \neq 0"
-    return Piece(_cases([(a.args[1].text, condition), (b.args[1].text, "")]), ATOM)
+    return FormulaPart(_cases([(a.args[1].text, condition), (b.args[1].text, "")]), ATOM)
 
 
 def _cases(rows: Sequence[tuple[str, str]]) -> str:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from nsmodel.hypotheses.findings import Consequence, Finding, Report
+from nsmodel.hypotheses.findings import Consequence, Finding
 from nsmodel.hypotheses.report.table import conditions, pairs, parameters, rests, told, witness
 from nsmodel.hypotheses.report.typeset import equations
 from nsmodel.model.base import Model
+
+if TYPE_CHECKING:
+    from nsmodel.hypotheses.report.report import Report
 
 # Markdown takes away the backslash before punctuation, also in formulas: \, \{ \\ and the like are spelled with letters.
 _SPELLED = {r"\\": r"\cr ", r"\,": r"\thinspace ", r"\{": r"\lbrace ", r"\}": r"\rbrace ", r"\_": "_"}

@@ -20,14 +20,14 @@ _GREEK = set(
 
 
 @dataclass(frozen=True)
-class Piece:
+class FormulaPart:
     """A part of a formula: ``body`` without its sign, how tightly it binds, the operation and the parts it was made of."""
 
     body: str
     level: int
     negative: bool = False
     op: int = ca.OP_CONST
-    args: tuple[Piece, ...] = ()
+    args: tuple[FormulaPart, ...] = ()
     size: int = 1
     name: str = ""
 
@@ -86,30 +86,30 @@ def decimal(value: float) -> str:
     return number_piece(value).text
 
 
-def number_piece(value: float) -> Piece:
+def number_piece(value: float) -> FormulaPart:
     """A constant as a piece of a formula; see :func:`decimal`."""
     negative, size = value < 0, abs(float(value))
     if isfinite(size) and len(f"{float(f'{size:.13g}')!r}") <= 10:
         size = float(f"{size:.13g}")  # 3.9000000000000004 was meant to be 3.9.
     if isnan(value):
-        return Piece(r"\mathrm{nan}", ATOM)
+        return FormulaPart(r"\mathrm{nan}", ATOM)
     if size == inf:
-        return Piece(r"\infty", ATOM, negative)
+        return FormulaPart(r"\infty", ATOM, negative)
     known = named_constant(size)
     if known is not None:
         ratio, root = known
         head = "" if ratio.numerator == 1 and root else str(ratio.numerator)
         body = rf"{head}{root}" if ratio.denominator == 1 else rf"\frac{{{head}{root}}}{{{ratio.denominator}}}"
-        return Piece(body, PRODUCT if head and root and ratio.denominator == 1 else ATOM, negative)
+        return FormulaPart(body, PRODUCT if head and root and ratio.denominator == 1 else ATOM, negative)
     if size == int(size) and size < 1e7 and size != 1e6:
-        return Piece(str(int(size)), ATOM, negative)
+        return FormulaPart(str(int(size)), ATOM, negative)
     power = Decimal(repr(size)).adjusted()
     if -4 <= power < 6:
-        return Piece(_shortened(repr(size)), ATOM, negative)
+        return FormulaPart(_shortened(repr(size)), ATOM, negative)
     mantissa = _shortened(_mantissa(size))
     if mantissa == "1":
-        return Piece(f"10^{{{power}}}", POWER, negative)
-    return Piece(rf"{mantissa}\cdot 10^{{{power}}}", PRODUCT, negative)
+        return FormulaPart(f"10^{{{power}}}", POWER, negative)
+    return FormulaPart(rf"{mantissa}\cdot 10^{{{power}}}", PRODUCT, negative)
 
 
 def named_constant(size: float) -> tuple[Fraction, str] | None:

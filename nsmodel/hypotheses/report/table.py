@@ -5,10 +5,13 @@ from __future__ import annotations
 import textwrap
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from nsmodel.hypotheses.findings import ALONG_A_RUN, HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding, Report
+from nsmodel.hypotheses.findings import ALONG_A_RUN, HOLDS, SAMPLED, UNKNOWN, VIOLATED, Consequence, Finding
 from nsmodel.hypotheses.scope import words
+
+if TYPE_CHECKING:
+    from nsmodel.hypotheses.report.report import Report
 
 LONGEST = 6  # Entries of a vector that are shown.
 ENTRIES = 12  # Entries of a witness that are shown.

@@ -20,7 +20,7 @@ MOST_VARIABLES = 40  # Quadratic nodes in more variables are not decided one by 
 
 
 @dataclass(frozen=True)
-class Shape:
+class Curvature:
     """What is proved of an expression on a box: both flags for an affine one; ``low`` and ``high`` bound its values."""
 
     convex: bool
@@ -43,7 +43,7 @@ class _Node:
     constant: bool
 
 
-def shapes(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, of: ca.SX | None = None) -> list[Shape]:
+def shapes(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, of: ca.SX | None = None) -> list[Curvature]:
     """Return what the rules prove of each entry of ``expr`` on the box (ends may be infinite).
 
     With ``of``, as functions of these symbols among z alone, for all values of the others in their box.
@@ -53,7 +53,7 @@ def shapes(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, of: ca.S
     [True, False]
     """
     if ca.OP_CALL in operations(expr):  # nothing is known of what cannot be looked into
-        return [Shape(False, False, -np.inf, np.inf)] * expr.numel()
+        return [Curvature(False, False, -np.inf, np.inf)] * expr.numel()
     nodes, outputs = _nodes(expr, z if of is None else of)
     if not nodes:
         return []
@@ -65,7 +65,7 @@ def shapes(expr: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, of: ca.S
     return [walk.shape(k) for k in outputs]
 
 
-def everywhere(expr: ca.SX, z: ca.SX) -> list[Shape]:
+def everywhere(expr: ca.SX, z: ca.SX) -> list[Curvature]:
     """The same for all z."""
     return shapes(expr, z, np.full(z.numel(), -np.inf), np.full(z.numel(), np.inf))
 
@@ -114,13 +114,13 @@ class _Walk:
 
     def __init__(self, nodes: list[_Node], low: np.ndarray, high: np.ndarray, n: int) -> None:
         self.nodes, self.low, self.high, self.n = nodes, low, high, n
-        self.known: list[Shape] = []
+        self.known: list[Curvature] = []
         self.polynomials: list[polynomial.Polynomial | None] = []
         self.powers: list[tuple[int, bool, float]] = []  # (node u, whether |u|, p): the node is u^p or |u|^p
         for k in range(len(nodes)):
             self._visit(k)
 
-    def shape(self, k: int) -> Shape:
+    def shape(self, k: int) -> Curvature:
         """What is known of node k."""
         return self.known[k]
 
@@ -129,15 +129,15 @@ class _Walk:
         self.polynomials.append(self._polynomial(node))
         self.powers.append(self._as_power(k))
         if node.constant:
-            self.known.append(Shape(True, True, self.low[k], self.high[k], self.low[k] > 0))
+            self.known.append(Curvature(True, True, self.low[k], self.high[k], self.low[k] > 0))
             return
         if node.op == ca.OP_INPUT:
-            self.known.append(Shape(True, True, self.low[k], self.high[k]))
+            self.known.append(Curvature(True, True, self.low[k], self.high[k]))
             return
         up, down = self._rule(k, 1), self._rule(k, -1)
         if not (up or down):
             up, down = self._quadratic(k)
-        self.known.append(Shape(up, down, self.low[k], self.high[k], self._log_convex(node)))
+        self.known.append(Curvature(up, down, self.low[k], self.high[k], self._log_convex(node)))
 
     def _polynomial(self, node: _Node) -> polynomial.Polynomial | None:
         if node.op == ca.OP_INPUT:

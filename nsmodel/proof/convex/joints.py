@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.proof import interval, polynomial
-from nsmodel.proof.convex.pieces import COMPARED, KINKS, LOGIC, Piece, Terms
+from nsmodel.proof.convex.pieces import COMPARED, KINKS, LOGIC, Stretch, Terms
 from nsmodel.proof.exact import down, up
 from nsmodel.proof.exponential_sums import Place
 from nsmodel.proof.graph import applied, column, fold, operations, same
@@ -25,7 +25,7 @@ from nsmodel.proof.one_variable import Cases
 Ends = tuple[float, float]
 
 
-class Jump(NamedTuple):
+class JointJump(NamedTuple):
     """Bounds of the jumps of a function and of its slope at a joint, and of the slope before it."""
 
     value: Ends
@@ -38,7 +38,7 @@ class _Sides(NamedTuple):
     right: ca.SX
 
 
-def jump(terms: Terms, s: ca.SX, left: Piece, right: Piece) -> Jump | None:
+def jump(terms: Terms, s: ca.SX, left: Stretch, right: Stretch) -> JointJump | None:
     """Bounds of the jumps at the joint of two pieces; None where there are none, or where there is an isolated value there."""
     place = right.low
     total = [_ZERO, _ZERO, _ZERO]
@@ -47,7 +47,7 @@ def jump(terms: Terms, s: ca.SX, left: Piece, right: Piece) -> Jump | None:
         if found is None:
             return None
         total = [_plus(own, _scaled(part, factor)) for own, part in zip(total, found, strict=True)]
-    return Jump(*((down(part[0]), up(part[1])) for part in total))
+    return JointJump(*((down(part[0]), up(part[1])) for part in total))
 
 
 _Exact = tuple[Fraction, Fraction]

@@ -27,7 +27,7 @@ class Unsettled(Exception):
     """A case is not decided."""
 
 
-class Piece(NamedTuple):
+class Stretch(NamedTuple):
     """An interval (high None: infinite) with the cases of each term on it."""
 
     low: Place
@@ -45,7 +45,7 @@ class Piece(NamedTuple):
         return np.array([down(self.low[0])]), np.array([np.inf if self.high is None else up(self.high[1])])
 
 
-def split(terms: Terms, s: ca.SX) -> list[Piece] | None:
+def split(terms: Terms, s: ca.SX) -> list[Stretch] | None:
     """Return the pieces of [0, inf) on which no case of the terms changes; None where they are not all found."""
     zero = Fraction(0), Fraction(0)
     done, left = [], [(zero, None)]
@@ -60,7 +60,7 @@ def split(terms: Terms, s: ca.SX) -> list[Piece] | None:
                     break
                 settled.append(cases)
             else:
-                done.append(Piece(low, high, tuple(settled)))
+                done.append(Stretch(low, high, tuple(settled)))
             if len(done) + len(left) > MOST_PIECES:
                 return None
     except Unsettled:

@@ -14,7 +14,7 @@ from nsmodel.proof.graph import fold
 from nsmodel.proof.one_variable import Cases
 
 
-class Piece(NamedTuple):
+class PolynomialPiece(NamedTuple):
     """The expression on [low, high] (None: infinite) as a polynomial."""
 
     low: Fraction
@@ -22,7 +22,7 @@ class Piece(NamedTuple):
     c: list[Fraction]
 
 
-def pieces(expr: ca.SX, s: ca.SX) -> list[Piece] | None:
+def pieces(expr: ca.SX, s: ca.SX) -> list[PolynomialPiece] | None:
     """The expression as a piecewise polynomial, its cases settled exactly; None where that does not work."""
     if any(symbol.element_hash() != s.element_hash() for symbol in ca.symvar(expr)):
         return None
@@ -35,7 +35,7 @@ def pieces(expr: ca.SX, s: ca.SX) -> list[Piece] | None:
         if p is None:
             return None
         low, high = piece.spread
-        done.append(Piece(low, high, polynomial.coefficients(p)))
+        done.append(PolynomialPiece(low, high, polynomial.coefficients(p)))
     if any(exact_value(expr, s, piece.low) != polynomial_signs.at(piece.c, piece.low) for piece in done):
         return None  # the value at the joint itself, where a condition or sign may differ from both sides
     return done

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.bodies.groups import Family
-from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, Rows, searched
+from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, ContactRows, searched
 from nsmodel.proof import interval
 from nsmodel.proof.sure import sure
 from nsmodel.solve.certificate import EPS
@@ -17,13 +17,13 @@ AT_ONCE = 1 << 18  # Constraints that are bounded in one go.
 LOOSE = 1e-9  # Constraints above a margin by this part of the positions are looked at too: their value is rounded.
 
 
-def within(problem: BodiesProblem, t: float, q: np.ndarray, margin: float) -> Rows:
+def within(problem: BodiesProblem, t: float, q: np.ndarray, margin: float) -> ContactRows:
     """Return the constraints with g <= margin at the states q (N, d), NaN where a body is absent."""
     rows = near(problem, t, q, _there(q), float(np.nextafter(margin, np.inf)))
     return rows.at(~(rows.g > margin))
 
 
-def nearest(problem: BodiesProblem, t: float, q: np.ndarray) -> Rows:
+def nearest(problem: BodiesProblem, t: float, q: np.ndarray) -> ContactRows:
     """Return the constraints with the least g, and all whose g may be below 0."""
     least = least_gap(problem, t, q, _there(q))
     if not np.isfinite(least):
@@ -31,7 +31,7 @@ def nearest(problem: BodiesProblem, t: float, q: np.ndarray) -> Rows:
     return within(problem, t, q, _margin(least, q))
 
 
-def doubtful(problem: BodiesProblem, t: float, q: np.ndarray) -> tuple[Rows, np.ndarray, np.ndarray]:
+def doubtful(problem: BodiesProblem, t: float, q: np.ndarray) -> tuple[ContactRows, np.ndarray, np.ndarray]:
     """Return the constraints with the least g and all whose g may be below 0, rounding included, with rigorous bounds (R,)."""
     least = least_gap(problem, t, q, _there(q))
     margin = _margin(least, q) if np.isfinite(least) else 0.0
@@ -56,7 +56,7 @@ def _rounding(problem: BodiesProblem, t: float, family: Family) -> float:
     return 4 * float(np.nan_to_num(high - low, posinf=0.0).max(initial=0.0))
 
 
-def named(problem: BodiesProblem, rows: Rows, k: int) -> str:
+def named(problem: BodiesProblem, rows: ContactRows, k: int) -> str:
     """The constraint of one row."""
     return problem.name(int(rows.family[k]), int(rows.first[k]), int(rows.second[k]))
 
@@ -78,7 +78,7 @@ def admits(problem: BodiesProblem, t: float, q: np.ndarray, body: int) -> bool:
     return True
 
 
-def sizes(problem: BodiesProblem, t: float, q: np.ndarray, rows: Rows) -> np.ndarray:
+def sizes(problem: BodiesProblem, t: float, q: np.ndarray, rows: ContactRows) -> np.ndarray:
     """Return how large (R,) the terms are that g is added up from: its states, each by its slope, and what its bounds show."""
     low, high = bounds(problem, t, q, rows)
     with np.errstate(all="ignore"):
@@ -92,7 +92,7 @@ def all_admitted(problem: BodiesProblem, t: float, q: np.ndarray) -> bool:
     return bool((rows.g >= -UNSEEN * sizes(problem, t, q, rows)).all())
 
 
-def bounds(problem: BodiesProblem, t: float, q: np.ndarray, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
+def bounds(problem: BodiesProblem, t: float, q: np.ndarray, rows: ContactRows) -> tuple[np.ndarray, np.ndarray]:
     """Return rigorous bounds (R,) of g, rounding included."""
     low, high = np.full(len(rows.g), -np.inf), np.full(len(rows.g), np.inf)
     for k, family in enumerate(problem.families):

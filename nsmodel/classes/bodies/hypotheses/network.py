@@ -14,8 +14,9 @@ import numpy as np
 if TYPE_CHECKING:
     from scipy.sparse import csr_matrix
 
-from nsmodel.classes.bodies.schemes.prediction_correction import Rows
+from nsmodel.classes.bodies.schemes.prediction_correction import ContactRows
 from nsmodel.classes.sweeping.hypotheses.geometry import mfcq_constant
+from nsmodel.proof.sure import sure
 
 SMALL = 40  # Groups of so many constraints are solved by Wolfe's method, exactly but for rounding.
 ITERATIONS = 60
@@ -37,7 +38,7 @@ class Network(NamedTuple):
     weights: np.ndarray
 
 
-def network_of(rows: Rows, quick: bool = False) -> Network | None:
+def network_of(rows: ContactRows, quick: bool = False) -> Network | None:
     """Return gamma over some constraints where the bodies are; None where one of their groups is too large."""
     second = np.where(rows.pair, rows.second, -1)
     if len(rows.g) and np.bincount(groups(rows.first, second)).max() > LARGE[quick]:
@@ -112,7 +113,7 @@ def escape(N: csr_matrix) -> tuple[float, float, np.ndarray]:
     from scipy.sparse import diags, identity
     from scipy.sparse.linalg import splu
 
-    k, n = int(N.shape[0]), int(N.shape[1])  # pyright: ignore
+    k, n = map(int, sure(N.shape))
     v, s, l = np.zeros(n), np.ones(k), np.ones(k)
     low, high, best = 0.0, np.inf, np.full(k, 1 / k)
     for _ in range(ITERATIONS):

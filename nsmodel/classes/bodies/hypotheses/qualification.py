@@ -10,7 +10,7 @@ import numpy as np
 from nsmodel.classes.bodies.hypotheses.families import Kind
 from nsmodel.classes.bodies.hypotheses.near import named, sizes, within
 from nsmodel.classes.bodies.hypotheses.network import LARGE, Network, network_of
-from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, Rows
+from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, ContactRows
 from nsmodel.classes.sweeping.hypotheses.admissible import FEASIBLE
 from nsmodel.classes.sweeping.hypotheses.constraint import EVERYWHERE, ON_THE_BOX
 from nsmodel.classes.sweeping.hypotheses.qualification import FRACTION, TOUCHING, TRIES, Qualified
@@ -112,14 +112,14 @@ def _discs(kinds: Sequence[Kind], rho: float, problem: BodiesProblem) -> Proof |
     return discs(constraints, rho, problem.count) if tied(constraints, problem.d) else None
 
 
-def _sure(problem: BodiesProblem, t: float, q: np.ndarray, rows: Rows, network: Network, rho: float) -> bool:
+def _sure(problem: BodiesProblem, t: float, q: np.ndarray, rows: ContactRows, network: Network, rho: float) -> bool:
     """Whether those that weigh in are within rho, and all are met, to the rounding of their own terms."""
     unseen = TOUCHING * sizes(problem, t, q, rows)
     used = network.rows[network.weights > 0]
     return bool((rows.g >= -unseen).all() and (rows.g[used] <= rho + unseen[used]).all())
 
 
-def opposed(problem: BodiesProblem, network: Network, rows: Rows) -> dict[str, Any]:
+def opposed(problem: BodiesProblem, network: Network, rows: ContactRows) -> dict[str, Any]:
     """The constraints of the group with the largest gamma and their weights, the largest first."""
     used = [k for k in np.argsort(-network.weights, kind="stable") if network.weights[k] > 0]
     if not used:

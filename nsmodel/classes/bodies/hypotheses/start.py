@@ -7,7 +7,7 @@ import numpy as np
 from nsmodel.classes.bodies.hypotheses.families import constraint_of, is_folded_exactly
 from nsmodel.classes.bodies.hypotheses.near import doubtful, named, sizes
 from nsmodel.classes.bodies.model import ManyBodies
-from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, Rows
+from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem, ContactRows
 from nsmodel.classes.sweeping.hypotheses.constraint import EVERYWHERE, Answer
 from nsmodel.classes.sweeping.hypotheses.start import ROUNDED, start_value
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED
@@ -43,7 +43,7 @@ def start(problem: BodiesProblem) -> Answer:
     return Answer(HOLDS, value, EVERYWHERE, how, {"constraint": named(problem, rows, k)})
 
 
-def _sign(problem: BodiesProblem, rows: Rows, k: int, q: np.ndarray) -> int:
+def _sign(problem: BodiesProblem, rows: ContactRows, k: int, q: np.ndarray) -> int:
     """The exact sign of one constraint at the start; -1 where it is not known."""
     i, j, number = int(rows.first[k]), int(rows.second[k]), int(rows.family[k])
     family, state = problem.families[number], np.concatenate([q[i], q[j]]) if rows.pair[k] else q[i]

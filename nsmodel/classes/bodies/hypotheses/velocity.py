@@ -17,7 +17,7 @@ from nsmodel.classes.bodies.schemes.prediction_correction import BodiesProblem
 from nsmodel.classes.sweeping.hypotheses.admissible import part_without_constraints
 from nsmodel.classes.sweeping.hypotheses.constraint import EVERYWHERE, ON_THE_BOX, Answer
 from nsmodel.classes.sweeping.hypotheses.velocity import closed, lipschitz
-from nsmodel.classes.sweeping.hypotheses.velocity_blocks import Block
+from nsmodel.classes.sweeping.hypotheses.velocity_blocks import FieldBlock
 from nsmodel.classes.sweeping.hypotheses.velocity_jumps import differ, jumps, steep
 from nsmodel.errors import StepError
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
@@ -88,7 +88,7 @@ def _used(model: ManyBodies) -> list[int]:
     return [k for k in range(symbols.numel() - d) if ca.depends_on(model.f, symbols[d + k])]
 
 
-def _block(model: ManyBodies, region: Region, table: np.ndarray) -> Block:
+def _block(model: ManyBodies, region: Region, table: np.ndarray) -> FieldBlock:
     """The velocity of one of the bodies with the numbers ``table`` (k, K).
 
     The numbers, and switches that depend on them and on time alone, are symbols within bounds.
@@ -112,10 +112,10 @@ def _block(model: ManyBodies, region: Region, table: np.ndarray) -> Block:
     s = ca.vertcat(chosen, column(symbol for symbol, _ in nodes))
     s_lower, s_upper = (np.concatenate([end[1:], np.ravel(more)]) for end, more in zip((lower, upper), bounds, strict=True))
     box = (np.concatenate([[time], end]) for time, end in zip((region.t0, region.t1), (region.lower, region.upper), strict=True))
-    return Block(f, plain, model.t, s, s_lower, s_upper, [(list(range(d)), list(range(d)))], *box)
+    return FieldBlock(f, plain, model.t, s, s_lower, s_upper, [(list(range(d)), list(range(d)))], *box)
 
 
-def _growth(model: ManyBodies, block: Block, K: float, where: str) -> float:
+def _growth(model: ManyBodies, block: FieldBlock, K: float, where: str) -> float:
     """L_f: max(K_f, sup |f(t, 0)|) where K_f holds everywhere, else sup |f| / (1 + |q|) on the box."""
     n = model.bodies.count
     lower, upper = block.box(False)
@@ -128,7 +128,7 @@ def _growth(model: ManyBodies, block: Block, K: float, where: str) -> float:
     return float(np.sqrt(total) / (1 + np.sqrt(n) * np.linalg.norm(nearest)))
 
 
-def _in_time(model: ManyBodies, block: Block, quick: bool) -> tuple[dict[str, float], str]:
+def _in_time(model: ManyBodies, block: FieldBlock, quick: bool) -> tuple[dict[str, float], str]:
     """L_t where it is bounded, and a remark where it is not."""
     if not ca.depends_on(model.f, model.t):
         return {"L_t": 0.0}, ""
@@ -167,7 +167,7 @@ def _jump(problem: BodiesProblem, points: Sequence[Point], region: Region) -> _J
             there = alike[np.isfinite(q[alike]).all(axis=1)]
             if not there.size or not len(x):
                 continue
-            far, nearest = map(np.asarray, KDTree(q[there]).query(x[:, 1 : 1 + d]))
+            far, nearest = map(np.asarray, KDTree(q[there], 16).query(x[:, 1 : 1 + d]))
             tried = 0
             for k in np.argsort(far, kind="stable"):
                 if (found and far[k] >= min(item[0] for item in found)) or tried == PROVED:
@@ -209,8 +209,8 @@ def _steep(problem: BodiesProblem, region: Region, points: Sequence[Point]) -> d
             continue
         own = _block(model, region, table[kind : kind + 1])
         f = ca.substitute(model.f, model.me.symbols, ca.vertcat(own.q, ca.SX(ca.DM(table[kind]))))
-        scene = part_without_constraints(own.q, own.t, own.lower, own.upper)
-        found = steep(f, [own], [(SAMPLED, 0.0, ON_THE_BOX, 0)], scene, [(t, q[there[0]])], region.names)
+        process = part_without_constraints(own.q, own.t, own.lower, own.upper)
+        found = steep(f, [own], [(SAMPLED, 0.0, ON_THE_BOX, 0)], process, [(t, q[there[0]])], region.names)
         if found is None:
             continue
         at = np.array([found[name] for name in region.names])

@@ -63,7 +63,7 @@ class Batch:
 
 
 @dataclass(frozen=True)
-class Rows:
+class ContactRows:
     """Constraints looked at in a step, sorted by family, first and second member.
 
     Attributes:
@@ -90,9 +90,9 @@ class Rows:
         """n_i = |grad g_i| (R,)."""
         return np.sqrt((self.G**2).sum(axis=1) + (self.H**2).sum(axis=1))
 
-    def at(self, rows: np.ndarray) -> Rows:
+    def at(self, rows: np.ndarray) -> ContactRows:
         """Some of the rows."""
-        return Rows(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+        return ContactRows(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
 
 def one_step_problem(model: ManyBodies) -> NoReturn:
@@ -170,13 +170,13 @@ class BodiesProblem:
         """g of these members (M,)."""
         return self._gap[family](t, *self._members(family, q, first, second))[:, 0]
 
-    def rows(self, family: int, t: float, q: np.ndarray, first: np.ndarray, second: np.ndarray) -> Rows:
+    def rows(self, family: int, t: float, q: np.ndarray, first: np.ndarray, second: np.ndarray) -> ContactRows:
         """g and its gradients for these members."""
         d, pair = self.d, self.families[family].of_pairs
         values = self._row[family](t, *self._members(family, q, first, second))
         H = values[:, 1 + d :] if pair else np.zeros((len(first), d))
         kind = np.full(len(first), family, np.int8)
-        return Rows(kind, first, second, np.full(len(first), pair), values[:, 0], values[:, 1 : 1 + d], H)
+        return ContactRows(kind, first, second, np.full(len(first), pair), values[:, 0], values[:, 1 : 1 + d], H)
 
     def _members(self, family: int, q: np.ndarray, first: np.ndarray, second: np.ndarray) -> list[np.ndarray]:
         """The numbers of the first members, and of the second where there are any."""

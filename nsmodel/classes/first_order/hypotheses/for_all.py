@@ -31,7 +31,7 @@ READS = ("M", "f", "h", "g", "law")
 MOST_STEPS, STATES, ROWS = 5, 6, 6  # Step lengths, states and multipliers up to which W_mlcp is written out.
 
 
-class Affine(NamedTuple):
+class AffineSystem(NamedTuple):
     """The matrices of affine f, h, g as expressions of (p, h, theta, gamma), all exact, with the box of these.
 
     Attributes:
@@ -93,7 +93,7 @@ def consequences(model: FirstOrderSystem, region: Region, own: Sequence[Finding]
     return consequences_of(model, _affine(model, region) is not None, own, ())
 
 
-def _affine(model: FirstOrderSystem, region: Region) -> Affine | None:
+def _affine(model: FirstOrderSystem, region: Region) -> AffineSystem | None:
     """The matrices, where f, h and g are affine in x and l and finite for all times and values; None elsewhere."""
     inner, (low, high) = ca.vertcat(model.x, model.lam), region.of_parameters()
     stacked = ca.vertcat(model.f, model.h, model.g)
@@ -111,10 +111,10 @@ def _affine(model: FirstOrderSystem, region: Region) -> Affine | None:
     weights = [np.nan, model.theta, model.gamma]
     z = ca.vertcat(model.p, h, theta, gamma)
     M = ca.densify(model.M)
-    return Affine(M, theta * A + gamma * K, B, C, D, z, np.append(low, weights), np.append(high, weights))
+    return AffineSystem(M, theta * A + gamma * K, B, C, D, z, np.append(low, weights), np.append(high, weights))
 
 
-def _step(parts: Affine, h: float) -> Finding | None:
+def _step(parts: AffineSystem, h: float) -> Finding | None:
     """F-step by sym(M - s G) > 0, or by a norm of M^-1 G where M is constant."""
     at = corners([parts.M, parts.G], parts.z, *parts.box(h))
     if at is None:
@@ -142,7 +142,7 @@ def _row_sums(X: np.ndarray) -> Fraction:
     return max((sum((abs(entry) for entry in row), Fraction(0)) for row in X), default=Fraction(0))
 
 
-def _solvable(model: FirstOrderSystem, parts: Affine, steps: np.ndarray) -> list[Finding]:
+def _solvable(model: FirstOrderSystem, parts: AffineSystem, steps: np.ndarray) -> list[Finding]:
     """F-mlcp and F-unique from det(W) W_mlcp / det M at each step length."""
     n, m = len(model.names), model.law.size
     if not m:
@@ -178,7 +178,7 @@ def _cofactor(W: ca.SX, i: int, j: int) -> ca.SX:
     return (-1) ** (i + j) * ca.det(W[rest[0], rest[1]])
 
 
-def _kind(mlcp: ca.SX, parts: Affine, h: float) -> str:
+def _kind(mlcp: ca.SX, parts: AffineSystem, h: float) -> str:
     """What the matrix is for all values; '' where it is not known."""
     low, high = parts.box(h)
     at = corners([mlcp], parts.z, low, high)

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.first_order.model import FirstOrderSystem
-from nsmodel.scheme.problem import OneStepProblem, Order, basic_law
+from nsmodel.scheme.problem import OneStepProblem, SchemeOrder, basic_law
 
 
 def one_step_problem(model: FirstOrderSystem) -> OneStepProblem:
@@ -58,7 +58,7 @@ def one_step_problem(model: FirstOrderSystem) -> OneStepProblem:
         outputs=hx if split else None,
         records={"residual_R": ca.norm_inf(R), "residual_Ry": ca.norm_inf(y - Y), "residual_Rr": ca.norm_inf(R_r)},
         start=_start(model, h, ca.vertcat(x_k, r_k)) if ga < 1 else None,
-        order=Order.of_weights(th, ga, gx, ca.vertcat(t, h, x), basic.law, Y, basic.l),
+        order=SchemeOrder.of_weights(th, ga, gx, ca.vertcat(t, h, x), basic.law, Y, basic.l),
         explicit=tuple(range(n, 2 * n)),
     )  # fmt: skip
 
@@ -95,7 +95,7 @@ def _smooth(model: FirstOrderSystem, h: ca.SX, x: ca.SX) -> OneStepProblem:
         guess=x_k,
         next_state=x,
         records={"residual_R": ca.norm_inf(R)},
-        order=Order.of_weights(th, ga, g, ca.vertcat(t, h, x), model.law, empty, empty),
+        order=SchemeOrder.of_weights(th, ga, g, ca.vertcat(t, h, x), model.law, empty, empty),
     )  # fmt: skip
 
 

@@ -19,7 +19,7 @@ from nsmodel.proof import polynomial
 from nsmodel.proof.at_infinity import STARTS, curve, orders, run
 from nsmodel.proof.convex.convex_sets import ConvexSet, has_interior
 from nsmodel.proof.convex.duality import additive_terms
-from nsmodel.proof.orders import Order, constant, plus, times
+from nsmodel.proof.orders import Asymptotic, constant, plus, times
 from nsmodel.proof.straight_line import program
 from nsmodel.proof.verdict import Part
 
@@ -42,11 +42,11 @@ class Curve(NamedTuple):
         """The point."""
         return self.coefficients @ t ** np.arange(self.power + 1)
 
-    def orders(self, k: int) -> list[Order]:
+    def orders(self, k: int) -> list[Asymptotic]:
         """The order of each state."""
         return [curve([Fraction(float(number)) for number in row], k) for row in self.coefficients]
 
-    def put_into(self, p: polynomial.Polynomial, k: int) -> Order | None:
+    def put_into(self, p: polynomial.Polynomial, k: int) -> Asymptotic | None:
         """The order of a polynomial in the states, its coefficients in t exact."""
         rows = [{((0, j),) if j else (): Fraction(float(c)) for j, c in enumerate(row) if c} for row in self.coefficients]
         total: polynomial.Polynomial = {}
@@ -93,7 +93,7 @@ class Along:
         self.speed = ca.Function("v", [z], [field.rest])
         self.u = ca.Function("u", [field.x], [ca.vertcat(ca.SX(0, 1), *(jump.u for jump in field.jumps))])
 
-    def velocity(self, path: Curve, k: int) -> list[Order | None]:
+    def velocity(self, path: Curve, k: int) -> list[Asymptotic | None]:
         """The rows of ``rest`` on the curve for t >= 2^k, the multipliers that switch put in."""
         out = []
         for (p, _), others in zip(self.rows, self._terms(path, k), strict=True):
@@ -103,7 +103,7 @@ class Along:
             out.append(total)
         return out
 
-    def product(self, path: Curve, k: int) -> Order | None:
+    def product(self, path: Curve, k: int) -> Asymptotic | None:
         """<x, v> on the curve, v any element of G."""
         exact: polynomial.Polynomial = {}
         for i, (p, _) in enumerate(self.rows):
@@ -121,7 +121,7 @@ class Along:
             total = plus(total, times(own, constant(-size, size)), k) if size else total
         return total
 
-    def _terms(self, path: Curve, k: int) -> list[list[Order | None]]:
+    def _terms(self, path: Curve, k: int) -> list[list[Asymptotic | None]]:
         """The terms of each row that are no polynomials."""
         x = path.orders(k)
         u = run(self.switches, x, k) if self.field.jumps else []
@@ -137,7 +137,7 @@ class Along:
         return x, np.array(self.speed(np.concatenate([x, l]))).ravel()
 
 
-def _selected(lower: float, upper: float, u: Order | None) -> Order:
+def _selected(lower: float, upper: float, u: Asymptotic | None) -> Asymptotic:
     if u is None or not u.sign:
         return constant(lower, upper)
     return constant(lower if u.sign > 0 else upper)

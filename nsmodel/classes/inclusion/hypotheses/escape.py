@@ -10,7 +10,7 @@ import numpy as np
 
 from nsmodel.classes.inclusion.hypotheses.recession import directions
 from nsmodel.classes.inclusion.hypotheses.selected_field import Field
-from nsmodel.classes.inclusion.hypotheses.tangent_form import Form, holds
+from nsmodel.classes.inclusion.hypotheses.tangent_form import TangentForm, holds
 from nsmodel.hypotheses.findings import UNKNOWN, VIOLATED
 from nsmodel.proof import exact, polynomial
 from nsmodel.proof.convex import piecewise
@@ -19,7 +19,7 @@ from nsmodel.proof.verdict import Part
 FAR = (1e3, 1e6)  # Sizes at which an escape is looked for.
 
 
-def escape(field: Field, form: Form | None) -> Part | None:
+def escape(field: Field, form: TangentForm | None) -> Part | None:
     """A direction d of a polyhedral C along which <x, w>/|x|^2 does not become negative.
 
     <x, n> stays below a constant times |v| on a polyhedron, so that the highest power of t in <t d, G(t d)> decides where it is

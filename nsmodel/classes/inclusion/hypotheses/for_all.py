@@ -18,7 +18,7 @@ from nsmodel.classes.inclusion.hypotheses.autonomous import A3, HYPOTHESES, chec
 from nsmodel.classes.inclusion.hypotheses.continuity import continuous
 from nsmodel.classes.inclusion.hypotheses.growth import linear_growth
 from nsmodel.classes.inclusion.hypotheses.one_sided import one_sided
-from nsmodel.classes.inclusion.hypotheses.over_parameters import LEAST, Scene, Switching, over_parameters, switching_part
+from nsmodel.classes.inclusion.hypotheses.over_parameters import LEAST, Grounds, Switching, over_parameters, switching_part
 from nsmodel.classes.inclusion.hypotheses.selected_field import field_of, set_of
 from nsmodel.classes.inclusion.hypotheses.tangent import dissipativity
 from nsmodel.classes.inclusion.model import MonotoneInclusion
@@ -58,7 +58,7 @@ def findings(model: MonotoneInclusion, region: Region, quick: bool) -> list[Find
     if interior is None:
         return for_the_box([], same, region)
     reach = interior.reach if interior.reach and not _holds_zero(moving) else 0.0
-    parts = _decided(Scene(model, moving, C, box, reach, quick))
+    parts = _decided(Grounds(model, moving, C, box, reach, quick))
     if convex is not None:
         parts["M-C"] = interior.part._replace(how=f"{convex.how}; {interior.part.how}", local=convex.local)
     own = [
@@ -97,20 +97,22 @@ def _not_drawn_back(model: MonotoneInclusion, region: Region) -> Finding:
     return found(A3, UNKNOWN, "not proved for all values, and no value was found at which it fails")
 
 
-def _decided(scene: Scene) -> dict[str, Part]:
+def _decided(grounds: Grounds) -> dict[str, Part]:
     """(5), (A1)-(A3), (24), where proved."""
-    parts = {id: part for id, part in _at_corners(scene).items() if part is not None}
-    return parts if len(parts) == len(HYPOTHESES) - 1 else {**over_parameters(scene, _switching(scene)), **parts}
+    parts = {id: part for id, part in _at_corners(grounds).items() if part is not None}
+    return parts if len(parts) == len(HYPOTHESES) - 1 else {**over_parameters(grounds, _switching(grounds)), **parts}
 
 
-def _switching(scene: Scene) -> Switching:
+def _switching(grounds: Grounds) -> Switching:
     """What the signs of S are proved to be, and the kinks of phi (nothing is said of these)."""
-    if not selection(scene.model).l.numel():
+    if not selection(grounds.model).l.numel():
         return Switching(monotone=True, size=0.0)
-    signs = None if scene.model.phi is not None else switching_part(scene.model)
-    models = [] if signs is None else _models(scene, ca.vertcat(ca.SX.zeros(scene.C.n), signs))
-    T = agreed((inclusion.operator(one, scene.C, scene.box, scene.quick) for one in models), {})
-    a = agreed((linear_growth(field_of(one, scene.C), scene.box, quick=scene.quick) for one in models), {"a_1": max, "a_2": max})
+    signs = None if grounds.model.phi is not None else switching_part(grounds.model)
+    models = [] if signs is None else _models(grounds, ca.vertcat(ca.SX.zeros(grounds.C.n), signs))
+    T = agreed((inclusion.operator(one, grounds.C, grounds.box, grounds.quick) for one in models), {})
+    a = agreed(
+        (linear_growth(field_of(one, grounds.C), grounds.box, quick=grounds.quick) for one in models), {"a_1": max, "a_2": max}
+    )
     size = a.value["a_1"] if a is not None and not a.value["a_2"] else np.inf
     return Switching(monotone=T is not None and not T.local, size=size)
 
@@ -118,31 +120,31 @@ def _switching(scene: Scene) -> Switching:
 # -- corners -----------------------------------------------------------------------------------------------------------
 
 
-def _at_corners(scene: Scene) -> dict[str, Part | None]:
+def _at_corners(grounds: Grounds) -> dict[str, Part | None]:
     """(5), (A1)-(A3), (24), of convex combinations."""
-    n, model, quick = scene.C.n, scene.model, scene.quick
+    n, model, quick = grounds.C.n, grounds.model, grounds.quick
     rows = model.operator if model.phi is None else without_domain(model.phi, model.x, "phi")
-    whole = _models(scene, ca.vertcat(model.field, rows))
-    operators = whole or _models(scene, ca.vertcat(ca.SX.zeros(n), rows))
-    fields = whole or _models(scene, ca.vertcat(model.field, ca.SX.zeros(rows.numel())))
-    T = agreed((inclusion.operator(one, scene.C, scene.box, quick) for one in operators), {LEAST: min, "terms": max})
-    F = agreed((continuous(one, scene.C, scene.box) for one in fields), {"kinks": max})
-    made = [field_of(one, scene.C) for one in whole]
-    growth = [linear_growth(field, scene.box, quick=quick) for field in made]
-    reach = scene.reach if scene.moving.moving else 0.0
+    whole = _models(grounds, ca.vertcat(model.field, rows))
+    operators = whole or _models(grounds, ca.vertcat(ca.SX.zeros(n), rows))
+    fields = whole or _models(grounds, ca.vertcat(model.field, ca.SX.zeros(rows.numel())))
+    T = agreed((inclusion.operator(one, grounds.C, grounds.box, quick) for one in operators), {LEAST: min, "terms": max})
+    F = agreed((continuous(one, grounds.C, grounds.box) for one in fields), {"kinks": max})
+    made = [field_of(one, grounds.C) for one in whole]
+    growth = [linear_growth(field, grounds.box, quick=quick) for field in made]
+    reach = grounds.reach if grounds.moving.moving else 0.0
     drawn = (dissipativity(field, a, quick=quick, reach=reach) for field, a in zip(made, growth, strict=True))
     alone = [one.field if T is not None and not T.local else None for one in whole]
-    slopes = (one_sided(field, scene.box, quick=quick, alone=own) for field, own in zip(made, alone, strict=True))
+    slopes = (one_sided(field, grounds.box, quick=quick, alone=own) for field, own in zip(made, alone, strict=True))
     return {
         "M-T": T, "M-A1": F, "M-A2": agreed(growth, {"a_1": max, "a_2": max}),
         "M-A3": agreed(drawn, {"alpha": min, "beta": max}), "M-24": agreed(slopes, {"L": max}),
     }  # fmt: skip
 
 
-def _models(scene: Scene, rows: ca.SX) -> list[MonotoneInclusion]:
+def _models(grounds: Grounds, rows: ca.SX) -> list[MonotoneInclusion]:
     """Models without parameters of whose F and S (or phi), stacked in ``rows``, those of all values are convex combinations."""
-    model, n = scene.model, scene.C.n
-    at = mixture(rows, model.p, scene.moving.lower, scene.moving.upper)
+    model, n = grounds.model, grounds.C.n
+    at = mixture(rows, model.p, grounds.moving.lower, grounds.moving.upper)
     if at is None or reads(model.sign_arguments, model.p):
         return []
     made = []

@@ -26,7 +26,7 @@ MOST_CORNERS = 12
 START, SCALE = 8, 64.0  # Slopes at infinity are those beyond 2^8; powers of |x| below 1 are bounded by tangents at 64.
 
 
-class Affine(NamedTuple):
+class AffineField(NamedTuple):
     """rest = A x + b + (columns of the jumps) l + terms of size at most more + slopes |x|.
 
     A (n, n), b (n, 1) and the columns (n, k) are Fractions.
@@ -127,7 +127,7 @@ def _of_one_direction(term: ca.SX, field: Field) -> tuple[polynomial.Polynomial,
     return p if middle else {}, found.reach, width * UP
 
 
-def affine(field: Field) -> Affine | None:
+def affine(field: Field) -> AffineField | None:
     """The rest of G as an affine map but for bounded terms, where it is one."""
     n, z = field.x.numel(), field.variables[0]
     rows, read = [], read_rows(field)
@@ -139,7 +139,7 @@ def affine(field: Field) -> Affine | None:
             return None
         rows.append((found.q.T[0], found.c))
     whole = np.array([row for row, _ in rows], dtype=object).reshape(n, z.numel())
-    return Affine(
+    return AffineField(
         whole[:, :n],
         exact.rational([[c] for _, c in rows]),
         whole[:, n:],

@@ -38,7 +38,7 @@ SHELL = 0.02  # Part of the least c in the box down to which a point is beside t
 PARTS = 64  # Parts of the time that a bound is sought on.
 
 
-class Bound(NamedTuple):
+class HausdorffBound(NamedTuple):
     """d_H(C(t), C(s)) <= kappa |t - s|, and how that was found."""
 
     kappa: float
@@ -134,7 +134,7 @@ def _of_rows(C: MovingSet, region: Region, quick: bool) -> Part:
     return Part(HOLDS, "; ".join(bounds), {KAPPA: max(bounds.values())}, {}, local)
 
 
-def _on(C: MovingSet, box: tuple[np.ndarray, np.ndarray], quick: bool) -> Bound | None:
+def _on(C: MovingSet, box: tuple[np.ndarray, np.ndarray], quick: bool) -> HausdorffBound | None:
     """One row: |c_t| / |grad c| where c = 0; several: sup |c_t| times the size of the box, over the depth of an inner point."""
     z, (low, high) = ca.vertcat(C.p, C.x), box
     lower, upper = np.append(C.lower, low), np.append(C.upper, high)
@@ -143,7 +143,7 @@ def _on(C: MovingSet, box: tuple[np.ndarray, np.ndarray], quick: bool) -> Bound 
         return None
     fastest = max(_largest(rate, z, lower, upper) for rate in ca.vertsplit(rates))
     if C.rows.numel() == 1 and (kappa := _normal_speed(C, z, lower, upper, fastest, quick)) is not None:
-        return Bound(kappa, "bounds of |c_t| / |grad c| beside c = 0")
+        return HausdorffBound(kappa, "bounds of |c_t| / |grad c| beside c = 0")
     interior = has_interior_for_all(C, (low + high) / 2)
     point = interior.part.witness.get("interior point") if interior is not None else None
     if interior is None or point is None:
@@ -151,7 +151,7 @@ def _on(C: MovingSet, box: tuple[np.ndarray, np.ndarray], quick: bool) -> Bound 
     far = float(np.linalg.norm(np.maximum(np.abs(low - point), np.abs(high - point))))
     kappa = fastest * far / interior.part.value[MARGIN] * UP
     how = "bounds of |c_t| |x - z| / c(t, z), z an inner point of C(t) for a while: x stays in C by going towards it"
-    return Bound(kappa, how) if np.isfinite(kappa) else None
+    return HausdorffBound(kappa, how) if np.isfinite(kappa) else None
 
 
 def _normal_speed(C: MovingSet, z: ca.SX, lower: np.ndarray, upper: np.ndarray, fastest: float, quick: bool) -> float | None:

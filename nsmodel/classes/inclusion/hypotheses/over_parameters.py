@@ -21,7 +21,7 @@ from nsmodel.proof.verdict import HOLDS, Part
 LEAST, HOW = "least eigenvalue of sym S'", "bounds over states and parameters together"
 
 
-class Scene(NamedTuple):
+class Grounds(NamedTuple):
     """What all decisions rest on: C(p), a set that holds them all, the part of it that is looked at.
 
     Each C(p) has a point no farther than ``reach`` from 0.
@@ -52,7 +52,7 @@ def switching_part(model: MonotoneInclusion) -> ca.SX | None:
 class _Domain(NamedTuple):
     """F = (F - S) + S, S the gradient of phi where there is one, over the states of a box and all parameters."""
 
-    scene: Scene
+    grounds: Grounds
     phi: ca.SX | None
     S: ca.SX
     states: tuple[np.ndarray, np.ndarray]
@@ -60,24 +60,24 @@ class _Domain(NamedTuple):
     @property
     def box(self) -> tuple[ca.SX, np.ndarray, np.ndarray]:
         """(x, p) and its bounds."""
-        (low, high), moving = self.states, self.scene.moving
-        return ca.vertcat(self.scene.C.x, self.scene.model.p), np.append(low, moving.lower), np.append(high, moving.upper)
+        (low, high), moving = self.states, self.grounds.moving
+        return ca.vertcat(self.grounds.C.x, self.grounds.model.p), np.append(low, moving.lower), np.append(high, moving.upper)
 
 
-def over_parameters(scene: Scene, switching: Switching) -> dict[str, Part]:
+def over_parameters(grounds: Grounds, switching: Switching) -> dict[str, Part]:
     """What is proved, first on a box that holds C for all p, then on the box looked at."""
-    model, C, found = scene.model, scene.C, dict[str, Part]()
+    model, C, found = grounds.model, grounds.C, dict[str, Part]()
     phi = None if model.phi is None else without_domain(model.phi, model.x, "phi")
     S = ca.gradient(phi, C.x) if phi is not None else ca.substitute(model.operator, model.sign_symbols, 0 * model.sign_symbols)
-    for states, local in ((C.hull, False), (scene.box, True)):
-        for id, how, value in _proved(_Domain(scene, phi, S, states), switching, "M-T" in found, local):
+    for states, local in ((C.hull, False), (grounds.box, True)):
+        for id, how, value in _proved(_Domain(grounds, phi, S, states), switching, "M-T" in found, local):
             found.setdefault(id, Part(HOLDS, f"{how}: {HOW}", value, {}, local))
     return found
 
 
 def _proved(on: _Domain, switching: Switching, monotone: bool, local: bool) -> Iterator[tuple[str, str, dict[str, float]]]:
     """(id, how, values) of what is proved there; ``monotone``: S is known to be."""
-    model, C, phi, S, quick = on.scene.model, on.scene.C, on.phi, on.S, on.scene.quick
+    model, C, phi, S, quick = on.grounds.model, on.grounds.C, on.phi, on.S, on.grounds.quick
     z, low, high = on.box
     if interval.is_continuous(model.field, z, low, high):
         yield "M-A1", "no operation of F jumps or has a pole", {"kinks": 0}
@@ -100,7 +100,7 @@ def _proved(on: _Domain, switching: Switching, monotone: bool, local: bool) -> I
 
 def _of_growth(on: _Domain, J: ca.SX, L: float, jump: float) -> Iterator[tuple[str, str, dict[str, float]]]:
     """(A2) and (A3), where J = (F - S)', L bounds the eigenvalues of sym J, ``jump`` the size of what jumps."""
-    model, C, reach, moving = on.scene.model, on.scene.C, on.scene.reach, on.scene.moving
+    model, C, reach, moving = on.grounds.model, on.grounds.C, on.grounds.reach, on.grounds.moving
     z, low, high = on.box
     steep = extremum.spectral_norm(J, z, low, high, quick=True).bound
     base = np.clip(np.zeros(C.n), *on.states)

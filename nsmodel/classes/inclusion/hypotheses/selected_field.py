@@ -55,7 +55,7 @@ class Aligned:
 
 
 @dataclass(frozen=True)
-class Jump:
+class FreeMultiplier:
     """A multiplier that is not aligned: its symbol, u, ends, the direction B (n, 1) in which G jumps."""
 
     l: ca.SX
@@ -85,7 +85,7 @@ class Field:
     upper: np.ndarray
     rest: ca.SX
     aligned: tuple[Aligned, ...]
-    jumps: tuple[Jump, ...]
+    jumps: tuple[FreeMultiplier, ...]
 
     @property
     def variables(self) -> tuple[ca.SX, np.ndarray, np.ndarray]:
@@ -121,7 +121,7 @@ def field_of(model: MonotoneInclusion, C: ConvexSet) -> Field:
         lower[rows], upper[rows] = -radius, radius
     G, settled = _settle(G, l, u, lower, upper, C, {i for rows, _ in balls.values() for i in range(rows.start, rows.stop)})
     aligned: list[Aligned] = []
-    jumps: list[Jump] = []
+    jumps: list[FreeMultiplier] = []
     slopes = ca.jacobian(G, l)
     i, zero = 0, []
     while i < l.numel():
@@ -132,7 +132,7 @@ def field_of(model: MonotoneInclusion, C: ConvexSet) -> Field:
         text = " ,".join(str(entry) for entry in ca.vertsplit(u[rows]))
         term = _aligned(slopes[:, rows], u[rows], C.x, lower[rows.start], upper[rows.start], text)
         if term is None:
-            jumps += [Jump(l[k], u[k], lower[k], upper[k], slopes[:, k]) for k in range(rows.start, rows.stop)]
+            jumps += [FreeMultiplier(l[k], u[k], lower[k], upper[k], slopes[:, k]) for k in range(rows.start, rows.stop)]
         else:
             aligned.append(term)
             zero += list(range(rows.start, rows.stop))

@@ -17,7 +17,7 @@ from nsmodel.proof.convex.convex_sets import ConvexSet
 from nsmodel.proof.convex.duality import additive_terms
 from nsmodel.proof.convex.ridges import Ridges, ridges
 from nsmodel.proof.graph import same
-from nsmodel.proof.monotone import Jump, factored, is_continuous, shape
+from nsmodel.proof.monotone import JumpPoint, factored, is_continuous, shape
 from nsmodel.proof.straight_line import is_double
 
 SIZE = 1e3  # Pairs of points are looked for up to this distance from 0 where C is not bounded.
@@ -28,7 +28,7 @@ class Split(NamedTuple):
 
     rest: ca.SX
     ridges: int
-    open: tuple[Jump, ...]
+    open: tuple[JumpPoint, ...]
 
 
 def monotone_part(S: ca.SX, C: ConvexSet) -> Split:

@@ -23,7 +23,7 @@ from nsmodel.classes.inclusion.hypotheses.curves import not_drawn_back
 from nsmodel.classes.inclusion.hypotheses.escape import escape, looked_at
 from nsmodel.classes.inclusion.hypotheses.growth import UP, around
 from nsmodel.classes.inclusion.hypotheses.selected_field import Field
-from nsmodel.classes.inclusion.hypotheses.tangent_form import Form, form_between_lines, form_of, nearest, offsets
+from nsmodel.classes.inclusion.hypotheses.tangent_form import TangentForm, form_between_lines, form_of, nearest, offsets
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN
 from nsmodel.proof import exact, extremum, interval, polynomial, polynomial_signs, sum_of_squares
 from nsmodel.proof.verdict import Part
@@ -32,7 +32,7 @@ SLOWER = 1.0, 0.125  # Rates k that are tried where terms beyond the quadratic o
 FAR = (4, 8, 14, 20)  # Slopes beyond 2^k are tried.
 
 
-class Bound(NamedTuple):
+class DecayBound(NamedTuple):
     """<x, rest + nearest elements> <= -k |x|^2 + p |x| + q on C, k > 0; ``displaced``: d |v| is counted already."""
 
     k: float
@@ -66,7 +66,7 @@ def dissipativity(field: Field, a: Part, *, quick: bool, reach: float = 0.0) -> 
     return escape(field, form) or not_drawn_back(field) or looked_at(field)
 
 
-def _from_form(field: Field, form: Form | None, distance: float, *, cube: bool = True) -> Bound | None:
+def _from_form(field: Field, form: TangentForm | None, distance: float, *, cube: bool = True) -> DecayBound | None:
     """The bound from <x, rest> as a form; ``cube``: terms beyond the quadratic ones that couple states are looked at too."""
     return (
         _quadratic(field, form)
@@ -84,12 +84,12 @@ def _but(field: Field) -> str:
     return ", but for bounded terms" if any(row.size for row in growth.read_rows(field)) else ""
 
 
-def _linear(form: Form) -> float:
+def _linear(form: TangentForm) -> float:
     """|linear| + the jumps' share."""
     return growth.norm(exact.doubles(form.linear)) + form.others
 
 
-def _quadratic(field: Field, form: Form | None) -> Bound | None:
+def _quadratic(field: Field, form: TangentForm | None) -> DecayBound | None:
     """The form is quadratic and negative definite on the whole space, decided exactly."""
     if form is None or form.higher or not exact.psd(-form.Q).definite:
         return None
@@ -97,7 +97,7 @@ def _quadratic(field: Field, form: Form | None) -> Bound | None:
     if k is None:
         return None
     how = "<x, F - S> is quadratic and negative definite (exact)" + _but(field)
-    return Bound(k, _linear(form), exact.up(form.constant) + offsets(field), how)
+    return DecayBound(k, _linear(form), exact.up(form.constant) + offsets(field), how)
 
 
 def _rate(P: np.ndarray) -> float | None:
@@ -112,7 +112,7 @@ def _rate(P: np.ndarray) -> float | None:
     return None
 
 
-def _on_cone(field: Field, form: Form | None) -> Bound | None:
+def _on_cone(field: Field, form: TangentForm | None) -> DecayBound | None:
     """The form is quadratic and negative on the directions of C only: -Q/2 - k I - N'M N psd with M >= 0 entrywise.
 
     With y = N x + h >= 0, x'N'M N x = (y - h)'M(y - h) >= -2 h'M y + h'M h = -2 h'M N x - h'M h.
@@ -128,10 +128,10 @@ def _on_cone(field: Field, form: Form | None) -> Bound | None:
     constant = form.constant + exact.product(h.T, M, h)[0, 0]
     p = growth.norm(exact.doubles(linear)) + form.others
     how = "<x, F - S> is quadratic and negative on the directions in which C is unbounded (exact multipliers)"
-    return Bound(k, p, exact.up(constant) + offsets(field), how)
+    return DecayBound(k, p, exact.up(constant) + offsets(field), how)
 
 
-def _superlinear(field: Field, form: Form | None) -> Bound | None:
+def _superlinear(field: Field, form: TangentForm | None) -> DecayBound | None:
     """Terms beyond the quadratic ones in one state each, falling at both ends of C: they dominate that state's square."""
     if form is None or not form.higher or any(len(monomial) > 1 for monomial in form.higher):
         return None
@@ -155,11 +155,11 @@ def _superlinear(field: Field, form: Form | None) -> Bound | None:
                 return None
             total += top
         how = "beyond the quadratic part, terms in one state each that fall at infinity (exact)"
-        return Bound(k, _linear(form), exact.up(total) + offsets(field), how)
+        return DecayBound(k, _linear(form), exact.up(total) + offsets(field), how)
     return None
 
 
-def _squares(field: Field, form: Form | None) -> Bound | None:
+def _squares(field: Field, form: TangentForm | None) -> DecayBound | None:
     """The form is -k |x|^2 + c less a sum of squares, in rational arithmetic, with c as small as it can be for some k."""
     if form is None or not form.higher or polynomial.degree(form.higher) % 2 or not np.isfinite(form.others):
         return None
@@ -177,11 +177,11 @@ def _squares(field: Field, form: Form | None) -> Bound | None:
         least = sum_of_squares.lower_bound(rest, n)
         if least is not None:
             how = "<x, F - S> + k |x|^2 is a constant less a sum of squares (exact)" + _but(field)
-            return Bound(k, form.others, exact.up(form.constant - least) + offsets(field), how)
+            return DecayBound(k, form.others, exact.up(form.constant - least) + offsets(field), how)
     return None
 
 
-def _homogeneous(field: Field, form: Form | None, distance: float) -> Bound | None:
+def _homogeneous(field: Field, form: TangentForm | None, distance: float) -> DecayBound | None:
     """Terms beyond the quadratic ones whose highest form is negative: bounds on the faces of a cube, and scaling.
 
     A form of degree m is at most M r^m, r the largest |x_i|, with M its bound where r = 1; |x|^2 <= n r^2.
@@ -207,10 +207,10 @@ def _homogeneous(field: Field, form: Form | None, distance: float) -> Bound | No
     if top is None:
         return None
     how = "the highest form of <x, F - S> is negative on the faces of a cube (bounds), and dominates"
-    return Bound(1.0, _linear(form), exact.up(top + form.constant) + offsets(field), how, True)
+    return DecayBound(1.0, _linear(form), exact.up(top + form.constant) + offsets(field), how, True)
 
 
-def _speed(field: Field, form: Form) -> polynomial.Polynomial:
+def _speed(field: Field, form: TangentForm) -> polynomial.Polynomial:
     """A polynomial in r = max |x_i| that |v| does not exceed."""
     n = field.x.numel()
     total: polynomial.Polynomial = {(): Fraction(form.others + sum(term.size for term in field.aligned) * UP)}
@@ -274,7 +274,7 @@ def _largest(p: polynomial.Polynomial, low: float, high: float) -> Fraction | No
     return None
 
 
-def _by_jacobian(field: Field, base: np.ndarray) -> Bound | None:
+def _by_jacobian(field: Field, base: np.ndarray) -> DecayBound | None:
     """rest is strongly monotone downwards on the hull of C, or outside a box B around a point c of C: its Jacobian.
 
     With M the largest |rest| on B, D its radius about c, and L < 0 bounding the symmetric Jacobian outside B: for x outside, y
@@ -300,21 +300,21 @@ def _by_jacobian(field: Field, base: np.ndarray) -> Bound | None:
                 # |x - c| <= |x| + d; <c, v(x)> is added with the displacement of C.
                 p = -L * D + M
                 how = "bounds of the symmetric Jacobian on C, below 0" + (" outside a box" if half else "")
-                return Bound(-L, 2 * -L * d + p, p * d + offsets(field), how)
+                return DecayBound(-L, 2 * -L * d + p, p * d + offsets(field), how)
     return None
 
 
-def _displaced(bound: Bound, distance: float, a: Part) -> Bound | None:
+def _displaced(bound: DecayBound, distance: float, a: Part) -> DecayBound | None:
     """Add d |v| <= d (a_1 + a_2 |x|), twice where the Jacobian was used: once for the cone, once for its <c, v>."""
     a_1, a_2 = a.value.get("a_1", np.inf), a.value.get("a_2", np.inf)
     if a.verdict != HOLDS or not np.isfinite(a_1 + a_2):
         return None
     times = 2 if "Jacobian" in bound.how else 1
     how = f"{bound.how}; C does not hold 0, its distance {distance:.4g} enters beta"
-    return Bound(bound.k, bound.p + times * distance * a_2, bound.q + times * distance * a_1, how)
+    return DecayBound(bound.k, bound.p + times * distance * a_2, bound.q + times * distance * a_1, how)
 
 
-def _solved(bound: Bound, field: Field) -> Part:
+def _solved(bound: DecayBound, field: Field) -> Part:
     """-k |x|^2 + p |x| + q <= -(k/2) |x|^2 + p^2/(2 k) + q."""
     alpha, beta = bound.k / 2, max(bound.p**2 / (2 * bound.k) + bound.q, 0.0)
     return Part(HOLDS, bound.how, {"alpha": alpha, "beta": beta}, {})

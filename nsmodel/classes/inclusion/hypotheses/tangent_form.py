@@ -26,7 +26,7 @@ from nsmodel.proof.sectors import sector
 from nsmodel.proof.straight_line import is_double
 
 
-class Form(NamedTuple):
+class TangentForm(NamedTuple):
     """<x, rest(x, l_o) + shift> as a polynomial in x: x'Qx/2 + linear + constant, ``higher`` terms; l_o enters ``others`` only.
 
     ``others`` bounds the share of the jumps and of bounded terms: at most others |x|; ``degree`` is that of G; the share
@@ -43,7 +43,7 @@ class Form(NamedTuple):
     slope: float
 
 
-def form_of(field: Field) -> Form | None:
+def form_of(field: Field) -> TangentForm | None:
     """<x, rest> exactly, but for terms of ``rest`` that are bounded on C; None where neither works for some term.
 
     The jumps must enter by constant columns.
@@ -73,7 +73,7 @@ def form_of(field: Field) -> Form | None:
     return _form(whole, n, others, degree, slope)
 
 
-def form_between_lines(field: Field, k: int, *, merged: bool) -> Form | None:
+def form_between_lines(field: Field, k: int, *, merged: bool) -> TangentForm | None:
     """The same, with what <x, rest> gains at infinity: the slopes of its terms are those beyond 2^k.
 
     - (c'x) h(a'x) with c = b a + d: b s h(s) <= b m s^2 + |b| r |s| where h lies between two lines, s = a'x, m the larger slope
@@ -157,14 +157,14 @@ class _Terms:
         place[i] += factor
 
 
-def _form(whole: polynomial.Polynomial, n: int, others: float, degree: int, slope: float) -> Form | None:
+def _form(whole: polynomial.Polynomial, n: int, others: float, degree: int, slope: float) -> TangentForm | None:
     low = {monomial: number for monomial, number in whole.items() if sum(power for _, power in monomial) <= 2}
     found = polynomial.quadratic(low, n)
     if found is None or not np.isfinite(others + slope):
         return None
     higher = {monomial: number for monomial, number in whole.items() if monomial not in low}
     Q = found.H + 2 * Fraction(slope) * exact.eye(n)
-    return Form(Q, found.q, found.c, higher, others, whole, degree, slope)
+    return TangentForm(Q, found.q, found.c, higher, others, whole, degree, slope)
 
 
 def _ridges_between_lines(

@@ -18,7 +18,7 @@ from nsmodel.proof.convex import convexity
 BOUNDS = ("indicator", "equality", "cone")  # terms of a potential that bound its domain
 
 
-class Affine(NamedTuple):
+class AffineTerm(NamedTuple):
     """A term of a potential with numbers: kind and weight as in :class:`Term`, u = J y + c."""
 
     kind: str
@@ -39,12 +39,12 @@ class Potential(NamedTuple):
 
     Q: np.ndarray | None
     b: np.ndarray | None
-    terms: tuple[Affine, ...]
+    terms: tuple[AffineTerm, ...]
     finite: bool
     unknown: str = ""
 
     @property
-    def bounds(self) -> list[Affine]:
+    def bounds(self) -> list[AffineTerm]:
         """The terms that bound the domain."""
         return [term for term in self.terms if term.kind in BOUNDS]
 
@@ -94,7 +94,7 @@ def _is_whole(n: int) -> tuple[np.ndarray, np.ndarray]:
     return np.full(n, -np.inf), np.full(n, np.inf)
 
 
-def _affine_terms(split: ConvexSplit, y: ca.SX) -> tuple[Affine, ...]:
+def _affine_terms(split: ConvexSplit, y: ca.SX) -> tuple[AffineTerm, ...]:
     terms = [_affine(term, y) for term in split.terms if not _is_level(term, split.tau)]
     return tuple(term for term in terms if term.weight)
 
@@ -112,7 +112,7 @@ def _same(a: ca.SX, b: ca.SX) -> bool:
     return bool(ca.is_equal(a, b, 5))
 
 
-def _affine(term: Term, y: ca.SX) -> Affine:
+def _affine(term: Term, y: ca.SX) -> AffineTerm:
     m = y.numel()
     forms = [polynomial.quadratic(p, m) for p in polynomial.read(term.u, y)]
     flat = [form for form in forms if form is not None and not form.H.any()]
@@ -120,7 +120,7 @@ def _affine(term: Term, y: ca.SX) -> Affine:
         raise Undecided(f"phi holds {term.kind}({term.u}), which is curved inside: its domain is no polyhedron or cone")
     J = np.array([form.q.ravel() for form in flat], dtype=object).reshape(-1, m)
     weight = 1.0 if term.kind in BOUNDS else float(ca.DM(term.weight))
-    return Affine(term.kind, weight, J, np.array([form.c for form in flat], dtype=object))
+    return AffineTerm(term.kind, weight, J, np.array([form.c for form in flat], dtype=object))
 
 
 def of_potential(p: Potential, m: int, coupled: bool) -> Domains:
@@ -151,7 +151,7 @@ def of_potential(p: Potential, m: int, coupled: bool) -> Domains:
     return found
 
 
-def _bounds(found: Domains, own: list[int], bounds: list[Affine]) -> np.ndarray:
+def _bounds(found: Domains, own: list[int], bounds: list[AffineTerm]) -> np.ndarray:
     """Rows for y in rint dom Phi; returns the normals of its affine hull (., m)."""
     m = len(own)
     planes = [(term.J, -term.c) for term in bounds if term.kind == "indicator"]
@@ -166,7 +166,7 @@ def _bounds(found: Domains, own: list[int], bounds: list[Affine]) -> np.ndarray:
     return H[implied]
 
 
-def _multiplier(found: Domains, term: Affine) -> None:
+def _multiplier(found: Domains, term: AffineTerm) -> None:
     """J' l' with l' in the relative interior of the term's own set of multipliers."""
     w = Fraction(term.weight)
     if term.kind in ("abs", "max"):

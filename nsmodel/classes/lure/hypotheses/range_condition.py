@@ -94,7 +94,7 @@ def _prepared(at: Setting, hypothesis: Hypothesis) -> Finding | Domains:
     return at.domains
 
 
-def _empty(at: Setting, hypothesis: Hypothesis, line: np.ndarray, answer: feasibility.Answer) -> Finding:
+def _empty(at: Setting, hypothesis: Hypothesis, line: np.ndarray, answer: feasibility.Decision) -> Finding:
     """Upsilon is linear along ``line``: the hypothesis fails, though what the proof needs may hold."""
     how = "int dom Upsilon* is empty, as Upsilon is linear along v and -v (an equality row whose l D does not bound)."
     if answer.point is not None and at.psd:

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.lure.hypotheses.domains import TAU, Domains
-from nsmodel.classes.lure.hypotheses.potential_domains import Affine, Potential
+from nsmodel.classes.lure.hypotheses.potential_domains import AffineTerm, Potential
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED, Finding, Hypothesis, found
 from nsmodel.laws import Law
@@ -180,7 +180,7 @@ def _stationary(model: LureSystem, p: Potential) -> tuple[str, dict, str]:
     return HOLDS, {}, ""
 
 
-def _own_multipliers(found_: Domains, term: Affine) -> bool:
+def _own_multipliers(found_: Domains, term: AffineTerm) -> bool:
     """Add J'l' with l' in the closed set of multipliers at u = c; False where that set is curved (and nothing is added)."""
     w = Fraction(term.weight)
     if term.kind in ("norm", "cone"):

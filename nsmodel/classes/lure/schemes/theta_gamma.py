@@ -13,7 +13,7 @@ import numpy as np
 
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.laws import Law
-from nsmodel.scheme.problem import OneStepProblem, Order, basic_law, subdifferential
+from nsmodel.scheme.problem import OneStepProblem, SchemeOrder, basic_law, subdifferential
 
 
 def one_step_problem(model: LureSystem) -> OneStepProblem:
@@ -38,7 +38,7 @@ def one_step_problem(model: LureSystem) -> OneStepProblem:
         declared=model.multiplier_names,
         outputs=law.outputs if law.rewritten else None,
         start=_start(model, h, ca.vertcat(x_k, r_k)) if ga < 1 else None,
-        order=Order.of_weights(th, ga, r, ca.vertcat(x, law.z), law.law, law.Y, ca.vertcat(law.l, law.z)),
+        order=SchemeOrder.of_weights(th, ga, r, ca.vertcat(x, law.z), law.law, law.Y, ca.vertcat(law.l, law.z)),
     )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.proof import exact, extremum, interval, one_variable, polynomial_signs
 from nsmodel.proof.convex import convexity, joints, piecewise
 from nsmodel.proof.convex.duality import additive_terms
-from nsmodel.proof.convex.pieces import Piece, Terms, split
+from nsmodel.proof.convex.pieces import Stretch, Terms, split
 from nsmodel.proof.jumps import find_jump, jumps_in
 from nsmodel.proof.verdict import Part
 
@@ -42,7 +42,7 @@ def slope_at_zero(element: Friction, s: ca.SX) -> tuple[float, float]:
     return _start(terms, s, found[0]) if found is not None else _by_intervals(theta, s)
 
 
-def _start(terms: Terms, s: ca.SX, piece: Piece) -> tuple[float, float]:
+def _start(terms: Terms, s: ca.SX, piece: Stretch) -> tuple[float, float]:
     """The slope at 0 of a sum whose cases are settled near 0."""
     low = high = Fraction(0)
     for (factor, term), cases in zip(terms, piece.cases, strict=True):
@@ -118,7 +118,7 @@ def _searched(theta: ca.SX, first: ca.SX, s: ca.SX, smooth: bool, convex: bool, 
 # -- convexity ---------------------------------------------------------------------------------------------------------
 
 
-def _convex(theta: ca.SX, terms: Terms, s: ca.SX, pieces: list[Piece]) -> tuple[str, dict[str, float]] | None:
+def _convex(theta: ca.SX, terms: Terms, s: ca.SX, pieces: list[Stretch]) -> tuple[str, dict[str, float]] | None:
     """How theta, C1, is proved convex, and a bound of theta'' where there is one."""
     (shape,) = convexity.shapes(theta, s, ZERO, INFINITY)
     if shape.convex:
@@ -132,7 +132,7 @@ def _convex(theta: ca.SX, terms: Terms, s: ca.SX, pieces: list[Piece]) -> tuple[
     return None
 
 
-def _convex_on(terms: Terms, s: ca.SX, piece: Piece) -> bool:
+def _convex_on(terms: Terms, s: ca.SX, piece: Stretch) -> bool:
     """Whether the sum is convex on a piece: terms that are quotients of sums together, the others by bounds."""
     low, high = piece.spread
     known, rest = _parted(terms, s, piece)
@@ -150,7 +150,7 @@ def _convex_on(terms: Terms, s: ca.SX, piece: Piece) -> bool:
     return found is not None and min(found.signs) >= 0
 
 
-def _parted(terms: Terms, s: ca.SX, piece: Piece) -> tuple[list[int], list[tuple[Fraction, ca.SX]]]:
+def _parted(terms: Terms, s: ca.SX, piece: Stretch) -> tuple[list[int], list[tuple[Fraction, ca.SX]]]:
     """Which terms have second derivatives that are quotients of sums on a piece, and the others."""
     known = [i for i, (_, term) in enumerate(terms) if one_variable.is_smooth(term, s, *piece.spread, piece.cases[i])]
     return known, [term for i, term in enumerate(terms) if i not in known]
@@ -159,7 +159,7 @@ def _parted(terms: Terms, s: ca.SX, piece: Piece) -> tuple[list[int], list[tuple
 # -- C1 ----------------------------------------------------------------------------------------------------------------
 
 
-def _is_smooth(terms: Terms, s: ca.SX, piece: Piece) -> bool:
+def _is_smooth(terms: Terms, s: ca.SX, piece: Stretch) -> bool:
     """Whether theta' is proved continuous within a piece."""
     _, rest = _parted(terms, s, piece)
     return all(interval.is_continuous(ca.vertcat(term, ca.gradient(term, s)), s, *piece.outer) for _, term in rest)
@@ -187,7 +187,7 @@ def _undefined(theta: ca.SX, s: ca.SX) -> Part | None:
     return None
 
 
-def _broken(jump: joints.Jump, piece: Piece) -> Part | None:
+def _broken(jump: joints.JointJump, piece: Stretch) -> Part | None:
     """A jump of theta or of its slope at the beginning of a piece, clear of rounding."""
     place = float(sum(piece.low) / 2)
     for what, (low, high), before in (("jumps", jump.value, None), ("has a kink", jump.slope, jump.before)):
@@ -204,7 +204,7 @@ def _broken(jump: joints.Jump, piece: Piece) -> Part | None:
 # -- piecewise polynomials ----------------------------------------------------------------------------------------------
 
 
-def _piecewise(pieces: list[piecewise.Piece]) -> Part:
+def _piecewise(pieces: list[piecewise.PolynomialPiece]) -> Part:
     """Decide a piecewise polynomial: signs of the derivatives on each piece, values and slopes at the joints."""
     for left, right in pairwise(pieces):
         place = right.low
@@ -242,7 +242,7 @@ def _piecewise(pieces: list[piecewise.Piece]) -> Part:
     return Part(HOLDS, f"for every s >= 0: theta is {kind}; the signs of its derivatives are decided exactly", values, {})
 
 
-def _derivatives(piece: piecewise.Piece) -> tuple[list[Fraction], list[Fraction]]:
+def _derivatives(piece: piecewise.PolynomialPiece) -> tuple[list[Fraction], list[Fraction]]:
     first = polynomial_signs.derivative(piece.c)
     return first, polynomial_signs.derivative(first)
 

@@ -21,7 +21,7 @@ MOST_NAMED = 12
 FEASIBLE = 1e-10  # A constraint may be this much below 0, relative to its gradient and the box.
 
 
-class Scene(NamedTuple):
+class Process(NamedTuple):
     """A sweeping process, or a part of one whose states no other constraint touches.
 
     Attributes:
@@ -63,31 +63,31 @@ class Scene(NamedTuple):
         """Whether a point with these values and gradients is in Q(t), to rounding."""
         return bool(np.isfinite(G).all() and (g >= -FEASIBLE * self.size * np.linalg.norm(G, axis=1)).all())
 
-    def part(self, rows: Sequence[int], columns: Sequence[int]) -> Scene:
-        """Return the scene of some constraints and states, given by their places in this one."""
+    def part(self, rows: Sequence[int], columns: Sequence[int]) -> Process:
+        """Return the process of some constraints and states, given by their places in this one."""
         ends = [0, *(1 + j for j in columns)]
         known = tuple((t, q[list(columns)]) for t, q in self.known)
         names = tuple(self.rows[i] for i in rows), tuple(self.columns[j] for j in columns)
-        return _scene(self.g[list(rows)], self.q[list(columns)], self.t, *names, self.lower[ends], self.upper[ends], known)
+        return _process(self.g[list(rows)], self.q[list(columns)], self.t, *names, self.lower[ends], self.upper[ends], known)
 
 
-def scene_of(model: SweepingProcess, region: Region, runs: Sequence[Trajectory], count: int) -> Scene:
-    """Return the scene of a model, with up to ``count`` rows of each run."""
+def process_of(model: SweepingProcess, region: Region, runs: Sequence[Trajectory], count: int) -> Process:
+    """Return the process of a model, with up to ``count`` rows of each run."""
     known = [(0.0, np.array(ca.DM(model.q0)).ravel())]
     known += [(float(run.t[k]), run.x[k]) for run in runs for k in np.unique(np.linspace(0, len(run.t) - 1, count, dtype=int))]
     finite = tuple((t, q) for t, q in known if np.isfinite(q).all())
     names = tuple(range(model.g.numel())), tuple(range(len(model.names)))
-    return _scene(model.g, model.q, model.t, *names, *region.with_time(), finite)
+    return _process(model.g, model.q, model.t, *names, *region.with_time(), finite)
 
 
-def part_without_constraints(q: ca.SX, t: ca.SX, lower: np.ndarray, upper: np.ndarray) -> Scene:
-    """Return the scene of some states alone, on the box (1 + n,) of (t, q)."""
-    return _scene(ca.SX(0, 1), q, t, (), tuple(range(q.numel())), lower, upper, ())
+def part_without_constraints(q: ca.SX, t: ca.SX, lower: np.ndarray, upper: np.ndarray) -> Process:
+    """Return the process of some states alone, on the box (1 + n,) of (t, q)."""
+    return _process(ca.SX(0, 1), q, t, (), tuple(range(q.numel())), lower, upper, ())
 
 
-def _scene(g, q, t, rows, columns, lower, upper, known) -> Scene:
+def _process(g, q, t, rows, columns, lower, upper, known) -> Process:
     function = ca.Function("g", [t, q], [ca.densify(g), ca.densify(ca.jacobian(g, q))])
-    return Scene(g, q, t, rows, columns, lower, upper, known, function, _evaluator(function, len(rows), len(columns)))
+    return Process(g, q, t, rows, columns, lower, upper, known, function, _evaluator(function, len(rows), len(columns)))
 
 
 def _evaluator(function: ca.Function, p: int, n: int) -> Callable[[float, np.ndarray], tuple[np.ndarray, np.ndarray]]:
@@ -110,39 +110,39 @@ def named(names: Sequence[str], q: np.ndarray) -> dict[str, Any]:
     return dict(zip(names, q.tolist(), strict=True)) if len(names) <= MOST_NAMED else {"q": q.tolist()}
 
 
-def admissible_points(scene: Scene, count: int) -> list[tuple[float, np.ndarray]]:
+def admissible_points(process: Process, count: int) -> list[tuple[float, np.ndarray]]:
     """Return points (t, q) of Q(t): those known, ``count`` of the box, and of each known one a point pushed on from it."""
-    rows = [(t, q) for t, q in scene.known if scene.admits(*scene.at(t, q))]
+    rows = [(t, q) for t, q in process.known if process.admits(*process.at(t, q))]
     found = list(rows)
-    for k, goal in enumerate(extremum.samples(scene.lower, scene.upper, count)):
+    for k, goal in enumerate(extremum.samples(process.lower, process.upper, count)):
         t, y = float(goal[0]), goal[1:]
-        point = projected(scene, t, y, y)
+        point = projected(process, t, y, y)
         if point is None and rows:
             t, start = rows[k % len(rows)]
-            point = projected(scene, t, start, start + 0.5 * (y - start))
+            point = projected(process, t, start, start + 0.5 * (y - start))
         if point is not None:
             found.append((t, point))
-    for (t, start), y in zip(rows, extremum.samples(scene.lower, scene.upper, len(rows) + 1)[1:, 1:], strict=True):
-        point = projected(scene, t, start, start + 0.3 * (y - start))
+    for (t, start), y in zip(rows, extremum.samples(process.lower, process.upper, len(rows) + 1)[1:, 1:], strict=True):
+        point = projected(process, t, start, start + 0.3 * (y - start))
         if point is not None:
             found.append((t, point))
     return found
 
 
-def projected(scene: Scene, t: float, start: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
+def projected(process: Process, t: float, start: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
     """Return a point of Q(t) near ``goal``: projections on the linearised constraints, from ``start``, until they agree."""
     q, best = start, None
     for _ in range(ROUNDS):
-        g, G = scene.at(t, q)
+        g, G = process.at(t, q)
         if not (np.isfinite(g).all() and np.isfinite(G).all()):
             return best
         new = _linearised(g, G, q, goal)
         if new is None:
             return best
-        value, slope = scene.at(t, new)
-        if scene.admits(value, slope):
+        value, slope = process.at(t, new)
+        if process.admits(value, slope):
             best = new
-            if np.linalg.norm(new - q) <= 1e-11 * scene.size:
+            if np.linalg.norm(new - q) <= 1e-11 * process.size:
                 return best
         q = new
     return best

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.sweeping.hypotheses.admissible import Scene, admissible_points, scene_of
+from nsmodel.classes.sweeping.hypotheses.admissible import Process, admissible_points, process_of
 from nsmodel.classes.sweeping.hypotheses.consequences import consequences_of
 from nsmodel.classes.sweeping.hypotheses.constants import answers
 from nsmodel.classes.sweeping.hypotheses.constraint import ON_THE_BOX, Answers, Constraint
@@ -63,15 +63,15 @@ def check(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # NaN and inf are met on purpose, where gradients do not exist.
         constraints = _constraints(model, region)
-        scene = _scene(model, constraints, region, runs)
+        process = _process(model, constraints, region, runs)
         unknown = sum(c.shape.kind == "other" for c in constraints)
         each = _grouped(constraints, quick or unknown > PLENTY)
         findings = [joined(hypothesis, constraints, each, region) for hypothesis in HYPOTHESES[:6]]
-        points = _points(scene, len(model.names) > FEW, quick or are_quick())
-        near, active = _qualified(constraints, each, scene, points, model, quick or are_quick())
+        points = _points(process, len(model.names) > FEW, quick or are_quick())
+        near, active = _qualified(constraints, each, process, points, model, quick or are_quick())
         timed = any(constraint.shape.time for constraint in constraints)
         findings += [gamma(A5, near, region, timed), gamma(A5_ACTIVE, active, region, timed)]
-        findings.append(_velocity(model, scene, region, points, quick))
+        findings.append(_velocity(model, process, region, points, quick))
         findings.append(_start(model, constraints))
     return findings, consequences_of(model, findings, runs, len(constraints))
 
@@ -80,28 +80,28 @@ def qualified(model: SweepingProcess, region: Region, runs: Sequence[Trajectory]
     """Return A5 and A5' alone."""
     quick = quick or are_quick()
     constraints = _constraints(model, region)
-    scene = _scene(model, constraints, region, runs)
+    process = _process(model, constraints, region, runs)
     unknown = sum(c.shape.kind == "other" for c in constraints)
     each = _grouped(constraints, quick or unknown > PLENTY)
     if not quick and len(model.names) > FEW_STATES:  # Bounds of so many states need no points.
-        known = [(t, q) for t, q in scene.known if scene.admits(*scene.at(t, q))]
-        found = _qualified(constraints, each, scene, known, model, True)
+        known = [(t, q) for t, q in process.known if process.admits(*process.at(t, q))]
+        found = _qualified(constraints, each, process, known, model, True)
         if found[0].verdict == HOLDS:
             return found
-    return _qualified(constraints, each, scene, _points(scene, len(model.names) > FEW, quick), model, quick)
+    return _qualified(constraints, each, process, _points(process, len(model.names) > FEW, quick), model, quick)
 
 
-def _scene(model: SweepingProcess, constraints: Sequence[Constraint], region: Region, runs: Sequence[Trajectory]) -> Scene:
-    return scene_of(model, region, runs, 32 if len(constraints) <= 60 else 12)
+def _process(model: SweepingProcess, constraints: Sequence[Constraint], region: Region, runs: Sequence[Trajectory]) -> Process:
+    return process_of(model, region, runs, 32 if len(constraints) <= 60 else 12)
 
 
-def _points(scene: Scene, many: bool, quick: bool) -> list[Point]:
+def _points(process: Process, many: bool, quick: bool) -> list[Point]:
     """Points of Q(t); with many states the quick check takes what is known."""
-    if not scene.rows:
-        return list(scene.known)
+    if not process.rows:
+        return list(process.known)
     if many and quick:
-        return [(t, q) for t, q in scene.known if scene.admits(*scene.at(t, q))]
-    return admissible_points(scene, 12 if many else 24 if quick else 64)
+        return [(t, q) for t, q in process.known if process.admits(*process.at(t, q))]
+    return admissible_points(process, 12 if many else 24 if quick else 64)
 
 
 def _constraints(model: SweepingProcess, region: Region) -> list[Constraint]:
@@ -150,21 +150,21 @@ def joined(hypothesis: Hypothesis, constraints: Sequence[Constraint], each: Sequ
 
 
 def _qualified(
-    constraints: Sequence[Constraint], each: Sequence[Answers], scene: Scene, points: list[Point], model: SweepingProcess,
+    constraints: Sequence[Constraint], each: Sequence[Answers], process: Process, points: list[Point], model: SweepingProcess,
     quick: bool,
 ) -> tuple[Qualified, Qualified]:  # fmt: skip
     acting = [k for k, constraint in enumerate(constraints) if constraint.shape.own]  # A gradient 0 adds nothing to either side.
     if len(acting) < len(constraints):
-        scene = scene.part(acting, range(len(model.names)))
+        process = process.part(acting, range(len(model.names)))
         constraints, each = [constraints[k] for k in acting], [each[k] for k in acting]
     slope = np.array([item["A1"].value.get("b", np.inf) for item in each])
     # Twice delta is the radius or the depth; where there is none, half the way across the box.
     depth = [2 * item["A0"].value.get("delta", np.inf) for item in each]
-    across = np.where(np.isfinite(slope) & (slope > 0), slope, 1.0) * 0.5 * scene.size
+    across = np.where(np.isfinite(slope) & (slope > 0), slope, 1.0) * 0.5 * process.size
     reach = min((d if np.isfinite(d) else w for d, w in zip(depth, across, strict=True)), default=1.0)
     # A bound of |grad g_i| on U_i that was only sampled is none.
     proved = np.array([item["A1"].verdict == HOLDS for item in each], bool)
-    return qualification(constraints, scene, np.where(proved, slope, np.inf), reach, points, model.names, quick)
+    return qualification(constraints, process, np.where(proved, slope, np.inf), reach, points, model.names, quick)
 
 
 def gamma(hypothesis: Hypothesis, result: Qualified, region: Region, timed: bool) -> Finding:
@@ -178,8 +178,8 @@ def gamma(hypothesis: Hypothesis, result: Qualified, region: Region, timed: bool
     return found(hypothesis, result.verdict, result.how + any_rho, value, witness, scope)
 
 
-def _velocity(model: SweepingProcess, scene: Scene, region: Region, points: list[Point], quick: bool) -> Finding:
-    answer = velocity(model.f, scene, points, model.names, quick)
+def _velocity(model: SweepingProcess, process: Process, region: Region, points: list[Point], quick: bool) -> Finding:
+    answer = velocity(model.f, process, points, model.names, quick)
     scope = region.scope(answer.where == ON_THE_BOX, bool(ca.depends_on(model.f, model.t)))
     return found(S_F, answer.verdict, answer.how, answer.value, answer.witness, scope)
 

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.sweeping.hypotheses.forms import Shape
+from nsmodel.classes.sweeping.hypotheses.forms import ConstraintShape
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED
 from nsmodel.proof import extremum, interval
 from nsmodel.proof.krawczyk import zero_near
@@ -33,7 +33,7 @@ class Constraint:
 
     name: str
     g: ca.SX
-    shape: Shape
+    shape: ConstraintShape
     t: ca.SX
     q: ca.SX
     names: tuple[str, ...]

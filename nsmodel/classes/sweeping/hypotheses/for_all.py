@@ -16,7 +16,7 @@ from nsmodel.classes.sweeping.hypotheses.check import A5, A5_ACTIVE, HYPOTHESES,
 from nsmodel.classes.sweeping.hypotheses.consequences import consequences_of
 from nsmodel.classes.sweeping.hypotheses.constants import of_slow_shape
 from nsmodel.classes.sweeping.hypotheses.constraint import UP, Answers, Constraint
-from nsmodel.classes.sweeping.hypotheses.forms import Shape
+from nsmodel.classes.sweeping.hypotheses.forms import ConstraintShape
 from nsmodel.classes.sweeping.hypotheses.qualification import FRACTION, TRIES
 from nsmodel.classes.sweeping.hypotheses.qualification_proofs import Proof, everywhere
 from nsmodel.classes.sweeping.hypotheses.shapes import read_shapes
@@ -72,7 +72,7 @@ def _constraints(model: SweepingProcess, region: Region) -> list[Constraint]:
     return found
 
 
-def _moving(shape: Shape, g: ca.SX, model: SweepingProcess) -> Shape:
+def _moving(shape: ConstraintShape, g: ca.SX, model: SweepingProcess) -> ConstraintShape:
     """The shape with whether it moves in time, of which parameters are none."""
     return replace(shape, time=bool(ca.depends_on(g, model.t)))
 

@@ -52,7 +52,7 @@ class Form:
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
+class ConstraintShape:
     """A constraint g(t, q) in its own states.
 
     Attributes:
@@ -90,6 +90,11 @@ def times(c: Fraction, a: Offset) -> Offset:
     return c * a if isinstance(a, Fraction) else float(c) * a
 
 
+def squared(a: Offset) -> Offset:
+    """a a."""
+    return a * a if isinstance(a, Fraction) else a**2
+
+
 def expression(a: Offset) -> ca.SX:
     """The offset as an expression."""
     return ca.SX(float(a)) if isinstance(a, Fraction) else a
@@ -107,8 +112,9 @@ def scaled(part: Form, c: Fraction) -> Form:
     """c times a form."""
     if not c:
         return Form((), Affine({}, _ZERO), ())
-    squares, norms = (tuple((c * w, item) for w, item in items) for items in (part.squares, part.norms))
-    return Form(squares, combined(Affine({}, _ZERO), c, part.affine), norms)  # pyright: ignore
+    squares = tuple((c * w, item) for w, item in part.squares)
+    norms = tuple((c * w, item) for w, item in part.norms)
+    return Form(squares, combined(Affine({}, _ZERO), c, part.affine), norms)
 
 
 def is_zero(a: Affine) -> bool:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.sweeping.hypotheses.admissible import Scene, named
+from nsmodel.classes.sweeping.hypotheses.admissible import Process, named
 from nsmodel.classes.sweeping.hypotheses.constraint import EVERYWHERE, ON_THE_BOX, Constraint
 from nsmodel.classes.sweeping.hypotheses.geometry import mfcq_constant
 from nsmodel.classes.sweeping.hypotheses.qualification_away import UP, Away, away
@@ -58,29 +58,29 @@ class Worst(NamedTuple):
 
 
 def qualification(
-    constraints: Sequence[Constraint], scene: Scene, slope: np.ndarray, reach: float, points: list[tuple[float, np.ndarray]],
+    constraints: Sequence[Constraint], process: Process, slope: np.ndarray, reach: float, points: list[tuple[float, np.ndarray]],
     names: Sequence[str], quick: bool,
 ) -> tuple[Qualified, Qualified]:  # fmt: skip
     """Return A5 (with the rho chosen) and A5'.
 
     Args:
         constraints: all of them.
-        scene: of the whole model.
+        process: of the whole model.
         slope: (p,) upper bounds of |grad g_i|.
         reach: the least reach.
         points: (t, q) in Q(t).
         names: of the states.
         quick: no bounds over boxes and no local searches.
     """
-    cut = len(scene.columns) <= FEW_STATES and not quick  # Else a smaller rho proves no more.
-    near = _decide(constraints, scene, slope, FRACTION * reach, points, names, quick)
+    cut = len(process.columns) <= FEW_STATES and not quick  # Else a smaller rho proves no more.
+    near = _decide(constraints, process, slope, FRACTION * reach, points, names, quick)
     for k in range(1, TRIES):
         if near.verdict in (HOLDS, VIOLATED) or (np.isfinite(near.gamma) and not cut):
             break
-        near = _decide(constraints, scene, slope, FRACTION * reach * 4.0**-k, points, names, quick, k)
+        near = _decide(constraints, process, slope, FRACTION * reach * 4.0**-k, points, names, quick, k)
     if near.verdict == VIOLATED:  # Opposing normals were proved in contact.
         return near._replace(rho=0.0), near._replace(rho=0.0)
-    active = _decide(constraints, scene, slope, 0.0, points, names, quick or near.verdict == HOLDS, 1)
+    active = _decide(constraints, process, slope, 0.0, points, names, quick or near.verdict == HOLDS, 1)
     if near.verdict == HOLDS:
         if active.verdict != HOLDS or active.gamma > near.gamma:
             how = f"gamma(0) <= gamma(rho): {near.how}"
@@ -90,7 +90,7 @@ def qualification(
         return active, active
     finer = (*range(TRIES, 3 * TRIES), *FINER) if active.verdict == HOLDS else range(TRIES, 3 * TRIES)
     for k in finer if active.verdict == HOLDS or np.isinf(near.gamma) else ():
-        near = _decide(constraints, scene, slope, FRACTION * reach * 4.0**-k, points, names, quick, k)
+        near = _decide(constraints, process, slope, FRACTION * reach * 4.0**-k, points, names, quick, k)
         if near.verdict == HOLDS or (active.verdict != HOLDS and np.isfinite(near.gamma)):
             return near, active
     if np.isinf(near.gamma):
@@ -101,76 +101,76 @@ def qualification(
 
 
 def _decide(
-    constraints: Sequence[Constraint], scene: Scene, slope: np.ndarray, rho: float, points: list[tuple[float, np.ndarray]],
+    constraints: Sequence[Constraint], process: Process, slope: np.ndarray, rho: float, points: list[tuple[float, np.ndarray]],
     names: Sequence[str], quick: bool, tries: int = 0,
 ) -> Qualified:  # fmt: skip
     """gamma(rho): proved, seen to be infinite in contact (then for every rho), or the largest that was seen."""
     proof = everywhere(constraints, rho)
     if proof is not None and np.isfinite(proof.gamma):
-        worst = _worst(scene, points, rho)
-        return _holds(constraints, scene, worst, names, Proof(max(proof.gamma, 1.0), proof.rho, proof.how), EVERYWHERE, rho)
-    if not quick and len(scene.columns) <= FEW_STATES:
-        points = [*points, *corners(scene, points)]
-    worst = _worst(scene, points, rho)
-    if proof is not None and proof.at is not None and len(proof.at) == 1 + len(scene.columns):
+        worst = _worst(process, points, rho)
+        return _holds(constraints, process, worst, names, Proof(max(proof.gamma, 1.0), proof.rho, proof.how), EVERYWHERE, rho)
+    if not quick and len(process.columns) <= FEW_STATES:
+        points = [*points, *corners(process, points)]
+    worst = _worst(process, points, rho)
+    if proof is not None and proof.at is not None and len(proof.at) == 1 + len(process.columns):
         worst = worst._replace(
             gamma=np.inf, t=proof.at[0], q=proof.at[1:], rows=np.array(proof.opposed), weights=np.array(proof.weights)
         )
-    if worst.gamma > LOST and (found := _opposed(constraints, scene, worst, names)) is not None:
+    if worst.gamma > LOST and (found := _opposed(constraints, process, worst, names)) is not None:
         return found
     if worst.gamma > LOST and rho > 0:
-        return _lost(constraints, scene, worst, names, rho)
+        return _lost(constraints, process, worst, names, rho)
     if len(groups := sharing([set(constraint.shape.own) for constraint in constraints])) > 1:
-        return _together(constraints, scene, slope, rho, points, names, quick, groups, worst)
-    apart = away(constraints, slope, scene.columns, scene.lower, scene.upper)
-    cut = len(scene.columns) <= FEW_STATES and not quick
+        return _together(constraints, process, slope, rho, points, names, quick, groups, worst)
+    apart = away(constraints, slope, process.columns, process.lower, process.upper)
+    cut = len(process.columns) <= FEW_STATES and not quick
     if apart is not None and not cut:
-        return _holds(constraints, scene, worst, names, Proof(apart.gamma, np.inf, apart.how), ON_THE_BOX, rho)
+        return _holds(constraints, process, worst, names, Proof(apart.gamma, np.inf, apart.how), ON_THE_BOX, rho)
     if cut:
         at = np.append(worst.t, worst.q) if worst.q is not None and np.isfinite(worst.gamma) else None
         value = worst.gamma if np.isfinite(worst.gamma) else 1.0
-        bound = over_box(scene, slope, rho, value, at, _known(constraints, rho, apart), tries)
+        bound = over_box(process, slope, rho, value, at, _known(constraints, rho, apart), tries)
         if bound.value > value:
             at = sure(bound.at)
-            worst = _worst(scene, [(at[0], at[1:])], rho)
+            worst = _worst(process, [(at[0], at[1:])], rho)
         if np.isfinite(bound.bound):
             how = f"one escape direction on each of {bound.looked} parts of the box"
-            return _holds(constraints, scene, worst, names, Proof(bound.bound, rho, how), ON_THE_BOX, rho)
+            return _holds(constraints, process, worst, names, Proof(bound.bound, rho, how), ON_THE_BOX, rho)
         if bound.left is not None:
             rows = sure(bound.rows)
             start = Worst(1.0, bound.left[0], bound.left[1:], rows, np.full(rows.size, 1 / rows.size), 1)
             for within in dict.fromkeys((0.0, rho)):
-                further = _worst(scene, [_worsened(scene, start, within)], within)
-                if further.gamma > LOST and (found := _opposed(constraints, scene, further, names)) is not None:
+                further = _worst(process, [_worsened(process, start, within)], within)
+                if further.gamma > LOST and (found := _opposed(constraints, process, further, names)) is not None:
                     return found
                 worst = further._replace(looked=worst.looked) if further.gamma > worst.gamma else worst
-    return _sampled(constraints, scene, rho, points, names, quick, worst)
+    return _sampled(constraints, process, rho, points, names, quick, worst)
 
 
 def _holds(
-    constraints: Sequence[Constraint], scene: Scene, worst: Worst, names: Sequence[str], proof: Proof, where: str, rho: float
+    constraints: Sequence[Constraint], process: Process, worst: Worst, names: Sequence[str], proof: Proof, where: str, rho: float
 ) -> Qualified:  # fmt: skip
     """The finding of a bound, with the largest gamma that is proved to be attained, and near where."""
     reached = 1.0
     if worst.q is not None:
-        reached = attained(scene, worst.rows, worst.weights, np.append(worst.t, worst.q), min(rho, proof.rho))
-    witness = _witness(constraints, scene, worst, names) if reached > 1 else {}
+        reached = attained(process, worst.rows, worst.weights, np.append(worst.t, worst.q), min(rho, proof.rho))
+    witness = _witness(constraints, process, worst, names) if reached > 1 else {}
     return Qualified(HOLDS, proof.gamma, proof.rho, where, proof.how, min(reached, proof.gamma), witness)
 
 
-def _opposed(constraints: Sequence[Constraint], scene: Scene, worst: Worst, names: Sequence[str]) -> Qualified | None:
+def _opposed(constraints: Sequence[Constraint], process: Process, worst: Worst, names: Sequence[str]) -> Qualified | None:
     """The violation, if an admissible point where these constraints are active and oppose each other is proved to exist."""
-    found = opposed(constraints, scene, worst.rows, worst.weights, np.append(worst.t, sure(worst.q)))
+    found = opposed(constraints, process, worst.rows, worst.weights, np.append(worst.t, sure(worst.q)))
     if found is None:
         return None
     at = Worst(np.inf, float(found.at[0]), found.at[1:], np.array(found.rows), np.array(found.weights), worst.looked)
     how = f"opposing normals in contact, at an admissible point: {found.how}"
-    return Qualified(VIOLATED, np.inf, 0.0, ON_THE_BOX, how, np.inf, _witness(constraints, scene, at, names))
+    return Qualified(VIOLATED, np.inf, 0.0, ON_THE_BOX, how, np.inf, _witness(constraints, process, at, names))
 
 
-def corners(scene: Scene, points: Sequence[tuple[float, np.ndarray]]) -> list[tuple[float, np.ndarray]]:
+def corners(process: Process, points: Sequence[tuple[float, np.ndarray]]) -> list[tuple[float, np.ndarray]]:
     """Points of Q(t) where two constraints meet: from each of some points by the steps of Gauss and Newton."""
-    n, p = len(scene.columns), len(scene.rows)
+    n, p = len(process.columns), len(process.rows)
     if n < 2 or p < 2 or not points:
         return []
     some = [points[k] for k in np.unique(np.linspace(0, len(points) - 1, STARTS, dtype=int))]
@@ -179,12 +179,12 @@ def corners(scene: Scene, points: Sequence[tuple[float, np.ndarray]]) -> list[tu
     for rows in list(combinations(range(p), 2))[:MOST_PAIRS]:
         q = start.copy()
         for _ in range(ROUNDS):
-            g, G = (np.array(part) for part in scene.function.map(len(t))(t[None], q.T))
+            g, G = (np.array(part) for part in process.function.map(len(t))(t[None], q.T))
             J = G.reshape(p, len(t), n).transpose(1, 0, 2)[:, list(rows)]
             ok = np.all(np.isfinite(J), axis=(1, 2)) & np.all(np.isfinite(g[list(rows)]), axis=0)
             J, value = np.where(ok[:, None, None], J, 0.0), np.where(ok[:, None], g[list(rows)].T, 0.0)
             q = q - (np.linalg.pinv(J, rcond=1e-9) @ value[:, :, None])[:, :, 0]
-        near = np.isfinite(q).all(axis=1) & (q >= scene.lower[1:]).all(axis=1) & (q <= scene.upper[1:]).all(axis=1)
+        near = np.isfinite(q).all(axis=1) & (q >= process.lower[1:]).all(axis=1) & (q <= process.upper[1:]).all(axis=1)
         found += [(float(t[k]), q[k]) for k in np.flatnonzero(near)]
     return found
 
@@ -202,39 +202,39 @@ def _known(constraints: Sequence[Constraint], rho: float, apart: Away | None) ->
 
 
 def _sampled(
-    constraints: Sequence[Constraint], scene: Scene, rho: float, points: list[tuple[float, np.ndarray]], names: Sequence[str],
+    constraints: Sequence[Constraint], process: Process, rho: float, points: list[tuple[float, np.ndarray]], names: Sequence[str],
     quick: bool, worst: Worst,
 ) -> Qualified:  # fmt: skip
     """The worst point, made worse by a local search."""
     how = f"{worst.looked} admissible points"
-    if len(scene.columns) > MOST_STATES:
-        how += f", no local search ({len(scene.columns)} states)"
+    if len(process.columns) > MOST_STATES:
+        how += f", no local search ({len(process.columns)} states)"
     elif quick:
         how += ", no local search (quick)"
     elif worst.q is not None and 1 < len(worst.rows) <= 12:
-        further = _worst(scene, [_worsened(scene, worst, rho)], rho)
+        further = _worst(process, [_worsened(process, worst, rho)], rho)
         how += ", one local search"
         if further.gamma > worst.gamma:
             worst = further._replace(looked=worst.looked)
     if worst.gamma > LOST:
-        return _opposed(constraints, scene, worst, names) or _lost(constraints, scene, worst, names, rho)
-    witness = _witness(constraints, scene, worst, names)
+        return _opposed(constraints, process, worst, names) or _lost(constraints, process, worst, names, rho)
+    witness = _witness(constraints, process, worst, names)
     return Qualified(SAMPLED, worst.gamma, rho, ON_THE_BOX, how, worst.gamma, witness)
 
 
-def _lost(constraints: Sequence[Constraint], scene: Scene, worst: Worst, names: Sequence[str], rho: float) -> Qualified:
+def _lost(constraints: Sequence[Constraint], process: Process, worst: Worst, names: Sequence[str], rho: float) -> Qualified:
     """Neither a bound nor a violation: normals oppose each other to rounding at a point that is admissible to rounding."""
     how = "constraints oppose each other, to rounding, near a point that was not proved admissible"
-    return Qualified(UNKNOWN, np.inf, rho, ON_THE_BOX, how, worst.gamma, _witness(constraints, scene, worst, names))
+    return Qualified(UNKNOWN, np.inf, rho, ON_THE_BOX, how, worst.gamma, _witness(constraints, process, worst, names))
 
 
-def _together(constraints, scene, slope, rho, points, names, quick, groups, worst) -> Qualified:
+def _together(constraints, process, slope, rho, points, names, quick, groups, worst) -> Qualified:
     """Groups without common states have orthogonal gradients: gamma^2 is the sum of theirs."""
-    own = {j: k for k, j in enumerate(scene.columns)}
+    own = {j: k for k, j in enumerate(process.columns)}
     found = []
     for rows in groups:
         columns = sorted({own[i] for k in rows for i in constraints[k].shape.own})
-        part = scene.part(rows, columns)
+        part = process.part(rows, columns)
         some = [(t, q[columns]) for t, q in points]
         found.append(_decide([constraints[k] for k in rows], part, slope[rows], rho, some, names, quick))
     gamma = float(np.sqrt(sum(item.gamma**2 for item in found)))
@@ -246,52 +246,52 @@ def _together(constraints, scene, slope, rho, points, names, quick, groups, wors
     reached = min(item.rho for item in found)
     how = f"{len(groups)} groups of constraints without common states; " + "; ".join(sorted({item.how for item in found}))
     if least.verdict == HOLDS:
-        return _holds(constraints, scene, worst, names, Proof(gamma, reached, how), where, rho)
-    return Qualified(least.verdict, gamma, reached, where, how, worst.gamma, _witness(constraints, scene, worst, names))
+        return _holds(constraints, process, worst, names, Proof(gamma, reached, how), where, rho)
+    return Qualified(least.verdict, gamma, reached, where, how, worst.gamma, _witness(constraints, process, worst, names))
 
 
-def _worst(scene: Scene, points: Sequence[tuple[float, np.ndarray]], rho: float) -> Worst:
+def _worst(process: Process, points: Sequence[tuple[float, np.ndarray]], rho: float) -> Worst:
     worst = Worst(1.0, 0.0, None, np.zeros(0, int), np.zeros(0), len(points))
     for t, q in points:
-        g, G = scene.at(t, q)
-        if not scene.admits(g, G):
+        g, G = process.at(t, q)
+        if not process.admits(g, G):
             continue
-        rows = np.flatnonzero(g <= rho + TOUCHING * scene.size * np.linalg.norm(G, axis=1))
+        rows = np.flatnonzero(g <= rho + TOUCHING * process.size * np.linalg.norm(G, axis=1))
         gamma, weights = mfcq_constant(G[rows])
         if gamma > worst.gamma or (worst.q is None and rows.size):
             worst = Worst(gamma, t, q, rows, weights, len(points))
     return worst
 
 
-def _worsened(scene: Scene, worst: Worst, rho: float) -> tuple[float, np.ndarray]:
+def _worsened(process: Process, worst: Worst, rho: float) -> tuple[float, np.ndarray]:
     """Minimise |sum u_i n_i(t, q)|^2 over u, t and q with the same constraints within rho; the end, or the start again."""
     J, start = [int(i) for i in worst.rows], sure(worst.q)
     u = ca.SX.sym("u", len(J))
-    slopes = ca.jacobian(scene.g[J], scene.q)
+    slopes = ca.jacobian(process.g[J], process.q)
     hull = sum((u[k] * slopes[k, :] / ca.norm_2(slopes[k, :]) for k in range(len(J))), ca.SX(0))
-    free = rho + TOUCHING * scene.size
-    nlp = {"x": ca.vertcat(scene.z, u), "f": ca.sumsqr(hull), "g": ca.vertcat(scene.g, scene.g[J], ca.sum1(u) - 1)}
+    free = rho + TOUCHING * process.size
+    nlp = {"x": ca.vertcat(process.z, u), "f": ca.sumsqr(hull), "g": ca.vertcat(process.g, process.g[J], ca.sum1(u) - 1)}
     options = {"print_time": False, "error_on_fail": False, "show_eval_warnings": False,
                "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 100, "tol": 1e-12}}  # fmt: skip
-    p, k = len(scene.rows), len(J)
+    p, k = len(process.rows), len(J)
     try:
         with quiet():
             answer = ca.nlpsol("worsened", "ipopt", nlp, options)(
                 x0=np.concatenate([[worst.t], start, worst.weights]),
-                lbx=np.concatenate([scene.lower, np.zeros(k)]), ubx=np.concatenate([scene.upper, np.ones(k)]),
+                lbx=np.concatenate([process.lower, np.zeros(k)]), ubx=np.concatenate([process.upper, np.ones(k)]),
                 lbg=np.concatenate([np.zeros(p), np.full(k, -np.inf), [0]]),
                 ubg=np.concatenate([np.full(p, np.inf), np.full(k, free), [0]]),
             )  # fmt: skip
         end = np.array(answer["x"]).ravel()
     except RuntimeError:
         return worst.t, start
-    return (float(end[0]), end[1 : 1 + len(scene.columns)]) if np.isfinite(end).all() else (worst.t, start)
+    return (float(end[0]), end[1 : 1 + len(process.columns)]) if np.isfinite(end).all() else (worst.t, start)
 
 
-def _witness(constraints: Sequence[Constraint], scene: Scene, worst: Worst, names: Sequence[str]) -> dict[str, Any]:
+def _witness(constraints: Sequence[Constraint], process: Process, worst: Worst, names: Sequence[str]) -> dict[str, Any]:
     if worst.q is None:
         return {}
     used = [int(k) for k in np.argsort(-worst.weights, kind="stable") if worst.weights[k] > 0]
     rows = [constraints[worst.rows[k]] for k in used]
     found: dict[str, Any] = {"constraints": [row.name for row in rows], "weights": [float(worst.weights[k]) for k in used]}
-    return found | {"t": worst.t} | named([names[j] for j in scene.columns], worst.q)
+    return found | {"t": worst.t} | named([names[j] for j in process.columns], worst.q)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.sweeping.hypotheses.admissible import Scene
+from nsmodel.classes.sweeping.hypotheses.admissible import Process
 from nsmodel.classes.sweeping.hypotheses.geometry import mfcq_constant
 from nsmodel.proof.interval import halves, mean_value
 from nsmodel.proof.straight_line import Program, program
@@ -21,7 +21,7 @@ DEEP, DEEPER = 12, 40  # Halvings of each coordinate after which a part without 
 HOPELESS = 1e3  # Where so large a constant is attained, a smaller rho is the better question.
 
 
-class Bound(NamedTuple):
+class GammaBound(NamedTuple):
     """gamma(rho) <= ``bound`` on the box; ``value`` is attained at ``at`` (t, q); inf: not bounded after so many parts looked at.
 
     ``left`` (t, q) is the middle of a part that could not be bounded, with ``rows`` near active there.
@@ -55,26 +55,26 @@ class Parts(NamedTuple):
 
 
 def over_box(
-    scene: Scene, slope: np.ndarray, rho: float, value: float, at: np.ndarray | None, known: Callable[[tuple[int, ...]], float],
-    tries: int,
-) -> Bound:  # fmt: skip
-    """Bound gamma(rho) over the box of a scene, cutting the parts with the largest bound first.
+    process: Process, slope: np.ndarray, rho: float, value: float, at: np.ndarray | None,
+    known: Callable[[tuple[int, ...]], float], tries: int,
+) -> GammaBound:  # fmt: skip
+    """Bound gamma(rho) over the box of a process, cutting the parts with the largest bound first.
 
     On a part J = {j : min g_j <= rho} holds every near-active set, and for each direction d of length 1 the distance from 0 to
     the hull is at least min over J of <n_j, d>; d is the best one at the middle.
 
     Args:
-        scene: constraints of few states.
+        process: constraints of few states.
         slope: (p,) upper bounds of |grad g_i|.
         rho: within which a constraint counts.
         value, at: the largest gamma(rho) known, and where; 1 and None if there is none.
         known: bounds for a set J of constraints that hold everywhere; inf where there is none.
         tries: how often larger rho were tried before; then fewer parts are looked at.
     """
-    codes = program(scene.g, scene.z), program(ca.jacobian(scene.g, scene.q), scene.z)
+    codes = program(process.g, process.z), program(ca.jacobian(process.g, process.q), process.z)
     most = int(PARTS * min(1.0, INSTRUCTIONS / len(codes[1].steps)) / (1 + tries))
-    deep = (DEEP if rho else DEEPER) * int(np.count_nonzero(scene.upper > scene.lower))
-    parts = _judged(codes, scene, scene.lower[None], scene.upper[None], np.zeros(1, int), slope, rho, known)
+    deep = (DEEP if rho else DEEPER) * int(np.count_nonzero(process.upper > process.lower))
+    parts = _judged(codes, process, process.lower[None], process.upper[None], np.zeros(1, int), slope, rho, known)
     retired, count = 1.0, 1
     while len(parts.bound):
         order = np.lexsort((parts.depth, -parts.bound))
@@ -84,23 +84,25 @@ def over_box(
         enough = min(ENOUGH, most) if parts.bound[first] <= 2 * value else most
         if count >= enough or (value > HOPELESS and rho > 0) or stuck:
             middle = (parts.lower[first] + parts.upper[first]) / 2
-            return Bound(max(retired, float(parts.bound[first])), value, at, count, middle, np.flatnonzero(parts.near[first]))
+            return GammaBound(
+                max(retired, float(parts.bound[first])), value, at, count, middle, np.flatnonzero(parts.near[first])
+            )
         chosen, rest = parts.take(order[:AT_ONCE]), parts.take(order[AT_ONCE:])
         lower, upper = halves(chosen.lower, chosen.upper, chosen.cut)
         count += len(lower)
-        new = _judged(codes, scene, lower, upper, np.tile(chosen.depth + 1, 2), slope, rho, known)
-        best, where = _attained(scene, (new.lower + new.upper) / 2, rho)
+        new = _judged(codes, process, lower, upper, np.tile(chosen.depth + 1, 2), slope, rho, known)
+        best, where = _attained(process, (new.lower + new.upper) / 2, rho)
         if best > value:
             value, at = best, where
         parts = rest.join(new)
         open_ = parts.bound > CLOSE * value
         retired = max(retired, float(parts.bound[~open_].max(initial=1.0)))
         parts = parts.take(open_)
-    return Bound(retired, value, at, count)
+    return GammaBound(retired, value, at, count)
 
 
 def _judged(
-    codes: tuple[Program, Program], scene: Scene, lower: np.ndarray, upper: np.ndarray, depth: np.ndarray, slope: np.ndarray,
+    codes: tuple[Program, Program], process: Process, lower: np.ndarray, upper: np.ndarray, depth: np.ndarray, slope: np.ndarray,
     rho: float, known: Callable[[tuple[int, ...]], float],
 ) -> Parts:  # fmt: skip
     """The parts where several constraints may be near active and all may be admissible, with their bounds."""
@@ -113,21 +115,21 @@ def _judged(
     width = upper - lower
     reach = np.where(width > 0, np.where(np.isfinite(rate), rate, 1.0), 0.0) * width
     cut = np.argmax(np.where(reach.max(axis=1, keepdims=True) > 0, reach, width), axis=1) if len(lower) else np.zeros(0, int)
-    return Parts(lower, upper, _bounds(codes[1], scene, lower, upper, near, slope, known), near.T, cut, depth[live])
+    return Parts(lower, upper, _bounds(codes[1], process, lower, upper, near, slope, known), near.T, cut, depth[live])
 
 
 def _bounds(
-    code: Program, scene: Scene, lower: np.ndarray, upper: np.ndarray, near: np.ndarray, slope: np.ndarray,
+    code: Program, process: Process, lower: np.ndarray, upper: np.ndarray, near: np.ndarray, slope: np.ndarray,
     known: Callable[[tuple[int, ...]], float],
 ) -> np.ndarray:  # fmt: skip
     """Bounds (k,) of gamma(rho) on parts; inf if unknown. Parts with the same J are done together."""
-    p, n, k = len(scene.rows), len(scene.columns), len(lower)
+    p, n, k = len(process.rows), len(process.columns), len(lower)
     result = np.ones(k)
     if not k:
         return result
     lo, hi = (end.reshape(n, p, k).transpose(2, 1, 0) for end in mean_value(code, lower, upper)[:2])
     middle = (lower + upper) / 2
-    G = np.array(scene.function.map(k)(middle[:, :1].T, middle[:, 1:].T)[1]).reshape(p, k, n).transpose(1, 0, 2)
+    G = np.array(process.function.map(k)(middle[:, :1].T, middle[:, 1:].T)[1]).reshape(p, k, n).transpose(1, 0, 2)
     sets, which = np.unique(near, axis=1, return_inverse=True)
     for number in range(sets.shape[1]):
         J, own = np.flatnonzero(sets[:, number]), np.flatnonzero(which.ravel() == number)
@@ -151,14 +153,14 @@ def _escape(middle: np.ndarray, lo: np.ndarray, hi: np.ndarray, slope: np.ndarra
         return np.where(least > 0, np.maximum(1 / least, 1.0), np.inf)
 
 
-def _attained(scene: Scene, points: np.ndarray, rho: float) -> tuple[float, np.ndarray | None]:
+def _attained(process: Process, points: np.ndarray, rho: float) -> tuple[float, np.ndarray | None]:
     """The largest gamma(rho) at those of the points (k, 1 + n) that are admissible."""
     best, at = 1.0, None
     if not len(points):
         return best, at
-    values = np.array(scene.function.map(len(points))(points[:, :1].T, points[:, 1:].T)[0])
+    values = np.array(process.function.map(len(points))(points[:, :1].T, points[:, 1:].T)[0])
     for z in points[(values >= 0).all(axis=0) & ((values <= rho).sum(axis=0) > 1)][:200]:
-        g, G = scene.at(z[0], z[1:])
+        g, G = process.at(z[0], z[1:])
         if np.isfinite(G).all():
             gamma = mfcq_constant(G[g <= rho])[0]
             if gamma > best:

@@ -17,9 +17,10 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.sweeping.hypotheses.constraint import Constraint, over_time
-from nsmodel.classes.sweeping.hypotheses.forms import Affine, Offset, expression, plus, times
+from nsmodel.classes.sweeping.hypotheses.forms import Affine, Offset, expression, plus, squared, times
 from nsmodel.classes.sweeping.hypotheses.geometry import gram_bound, root_above
 from nsmodel.proof import exact
+from nsmodel.proof.sure import sure
 
 MOST_CONSTRAINTS = 60
 UP = 1 + 1e-12
@@ -105,12 +106,11 @@ def _product(a: Constraint, b: Constraint, rho: float) -> float | None:
     if one is None and other is None:
         return _of_planes(a, b)
     if one is None or other is None:
-        plane, ball = (a, other) if one is None else (b, one)
-        return _of_plane(plane, ball)  # pyright: ignore
+        return _of_plane(a if one is None else b, sure(other if one is None else one))
     d2: Offset = Fraction(0)
     for i in one.centre:
         apart = plus(one.centre[i], times(Fraction(-1), other.centre[i]))
-        d2 = plus(d2, apart * apart)  # pyright: ignore
+        d2 = plus(d2, squared(apart))
     if isinstance(d2, Fraction) and isinstance(one.square, Fraction) and isinstance(other.square, Fraction):
         if one.square <= 0 or other.square <= 0:
             return None
@@ -161,7 +161,7 @@ def _further(ball: Round, square: float, rho: float) -> float:
 
 def _of_planes(a: Constraint, b: Constraint) -> float | None:
     """The product of two fixed unit normals, rounded down."""
-    one, other = (c.shape.form.affine.row for c in (a, b))  # pyright: ignore
+    one, other = (c.shape.written.affine.row for c in (a, b))
     dot = sum((value * other.get(i, Fraction(0)) for i, value in one.items()), Fraction(0))
     if dot >= 0:
         return 0.0
@@ -171,10 +171,10 @@ def _of_planes(a: Constraint, b: Constraint) -> float | None:
 
 def _of_plane(plane: Constraint, ball: Round) -> float | None:
     """-d / s, d the height of the centre above the boundary, over the time at hand."""
-    form = plane.shape.form
-    height: Offset = form.affine.offset  # pyright: ignore
-    size = sum((x * x for x in form.affine.row.values()), Fraction(0))  # pyright: ignore
-    for i, value in form.affine.row.items():  # pyright: ignore
+    form = plane.shape.written
+    height: Offset = form.affine.offset
+    size = sum((x * x for x in form.affine.row.values()), Fraction(0))
+    for i, value in form.affine.row.items():
         height = plus(height, times(value, ball.centre[i]))
     if isinstance(height, Fraction) and isinstance(ball.square, Fraction):
         if height <= 0:
@@ -186,7 +186,7 @@ def _of_plane(plane: Constraint, ball: Round) -> float | None:
     if not least > 0:
         return None
     top = over_time(plane, expression(height) / ca.sqrt(float(size) * square)).bound
-    top += 64 * exact.EPS * (1 + _largest(ball, form.affine) / least**0.5)  # pyright: ignore
+    top += 64 * exact.EPS * (1 + _largest(ball, form.affine) / least**0.5)
     return -max(float(np.nextafter(top, 2)), 0.0) if top < 1 else None
 
 

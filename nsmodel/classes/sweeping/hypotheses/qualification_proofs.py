@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nsmodel.classes.sweeping.hypotheses.constraint import Constraint, over_time
-from nsmodel.classes.sweeping.hypotheses.forms import Shape, expression, plus, times
+from nsmodel.classes.sweeping.hypotheses.forms import ConstraintShape, expression, plus, times
 from nsmodel.classes.sweeping.hypotheses.geometry import discs_in_a_row, gram_bound, hull_bound, mfcq_constant, row_space
 from nsmodel.classes.sweeping.hypotheses.qualification_pairs import pairs
 from nsmodel.proof import exact, interval
@@ -64,21 +64,21 @@ def _independent(constraints: Sequence[Constraint], rho: float) -> Proof | None:
     if len(constraints) > MOST_PAIRS:
         return None
     states = sorted({i for c in constraints for i in c.shape.own})
-    spaces = [_gradient_space(c.shape, states) for c in constraints]
-    if any(space is None for space in spaces):
+    spaces = [space for c in constraints if (space := _gradient_space(c.shape, states)) is not None]
+    if len(spaces) < len(constraints):
         return None
     G = np.eye(len(constraints))
     for i, j in combinations(range(len(constraints)), 2):
         if not set(constraints[i].shape.own) & set(constraints[j].shape.own):
             continue
-        cosine = spaces[i].T @ spaces[j]  # pyright: ignore
+        cosine = spaces[i].T @ spaces[j]
         signed = constraints[i].shape.kind == constraints[j].shape.kind == "plane"
         G[i, j] = G[j, i] = min((float(cosine[0, 0]) if signed else -float(np.linalg.norm(cosine, 2))) - ROUNDED, 0.0)
     gamma = gram_bound(G)
     return Proof(gamma, np.inf, "the gradients stay in spaces at bounded angles") if np.isfinite(gamma) else None
 
 
-def _gradient_space(shape: Shape, states: Sequence[int]) -> np.ndarray | None:
+def _gradient_space(shape: ConstraintShape, states: Sequence[int]) -> np.ndarray | None:
     """An orthonormal basis of a space that holds the gradient, but for ``ROUNDED``; of a plane the unit normal itself."""
     place = {i: k for k, i in enumerate(states)}
     if shape.kind == "plane":

@@ -15,8 +15,8 @@ import numpy as np
 from nsmodel.classes.sweeping.hypotheses.forms import (
     Affine,
     Clip,
+    ConstraintShape,
     Form,
-    Shape,
     Squares,
     affines,
     combined,
@@ -57,7 +57,7 @@ class Part:
         return a.offset if a is not None and not a.row and isinstance(a.offset, Fraction) else None
 
 
-def read_shapes(g: ca.SX, q: ca.SX) -> list[Shape]:
+def read_shapes(g: ca.SX, q: ca.SX) -> list[ConstraintShape]:
     """Return the shape of each entry of ``g`` (p, 1) in the states q, for all values of its other symbols (time, parameters)."""
     reader = _Reader(q)
     return [reader.shape(part) for part in reader.parts(g)]
@@ -98,20 +98,20 @@ class _Reader:
         """Return the part of each entry."""
         return fold(g, self._symbol, _number, self._apply)
 
-    def shape(self, part: Part) -> Shape:
+    def shape(self, part: Part) -> ConstraintShape:
         """Say what a constraint is."""
         own, form = tuple(sorted(part.own)), part.form
         if form is None:
-            return Shape("other", part.convex, own, part.time, None)
+            return ConstraintShape("other", part.convex, own, part.time, None)
         used = {i for a in affines(form) for i in a.row if i < 0}
         clips = {i: self.clips[i] for i in used}
         convex = part.convex or sums_of_convex(form)
         if not form.norms and not used:
             kind = "quadratic" if form.squares else "plane"
-            return Shape(kind, convex or kind == "plane", own, part.time, form)
+            return ConstraintShape(kind, convex or kind == "plane", own, part.time, form)
         if len(form.norms) == 1 and not form.squares and not form.affine.row and form.norms[0][0] > 0 and convex:
-            return Shape("distance", True, own, part.time, form, clips, not self.rounded.isdisjoint(used))
-        return Shape("other", convex, own, part.time, form, clips)
+            return ConstraintShape("distance", True, own, part.time, form, clips, not self.rounded.isdisjoint(used))
+        return ConstraintShape("other", convex, own, part.time, form, clips)
 
     def _symbol(self, symbol: ca.SX) -> Part:
         index = self.place.get(symbol.element_hash())
@@ -229,14 +229,16 @@ class _Reader:
                 free = Affine({j: value for j, value in a.row.items() if j != i}, a.offset)
                 best = combined(best, -w * c / size, free)
             clip = self.clips[i].a
-            if any(j < 0 for j in clip.row) or not isinstance(best.offset, Fraction):
+            offsets = [o for o in (clip.offset, best.offset, *(a.offset for _, a, _ in terms)) if isinstance(o, Fraction)]
+            if any(j < 0 for j in clip.row) or len(offsets) < 2 + len(terms):
                 return False
+            own, middle, *others = offsets
             reach = max((abs(value) for value in best.row.values()), default=_ZERO)
-            offset = max([abs(clip.offset), *(abs(w * c * a.offset / size) for w, a, c in terms)])  # pyright: ignore
+            offset = max([abs(own), *(abs(w * c * o / size) for (w, _, c), o in zip(terms, others, strict=True))])
             rest = combined(clip, -_ONE, best)
             if any(abs(value) > TOLERANCE * reach for value in rest.row.values()):
                 return False
-            if abs(rest.offset) > TOLERANCE * offset:  # pyright: ignore
+            if abs(own - middle) > TOLERANCE * offset:
                 return False
             if rest.row or rest.offset:
                 self.rounded.add(i)

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.sweeping.hypotheses.admissible import Scene
+from nsmodel.classes.sweeping.hypotheses.admissible import Process
 from nsmodel.classes.sweeping.hypotheses.constraint import EVERYWHERE, ON_THE_BOX, Answer
-from nsmodel.classes.sweeping.hypotheses.velocity_blocks import Block, blocks_of
+from nsmodel.classes.sweeping.hypotheses.velocity_blocks import FieldBlock, blocks_of
 from nsmodel.classes.sweeping.hypotheses.velocity_jumps import Bound, quotient, steep, worst_jump
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.proof import extremum, interval
@@ -20,49 +20,49 @@ from nsmodel.proof.jumps import jumps_in
 MOST_STATES = 6  # With more, where Q(t) keeps away from is not looked for.
 
 
-def velocity(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]], names: Sequence[str], quick: bool) -> Answer:
+def velocity(f: ca.SX, process: Process, points: Sequence[tuple[float, np.ndarray]], names: Sequence[str], quick: bool) -> Answer:
     """Return K_f, L_f and L_t with the verdict on K_f and L_f; ``points`` (t, q) are in Q(t).
 
     L_t is infinite where it is not bounded: "largest |f_t| seen" stands beside it.
     """
-    start = points[0][1] if len(points) else (scene.lower[1:] + scene.upper[1:]) / 2
-    defined = in_time(f, scene.t, float(scene.lower[0]), float(scene.upper[0]), scene.q, start)
+    start = points[0][1] if len(points) else (process.lower[1:] + process.upper[1:]) / 2
+    defined = in_time(f, process.t, float(process.lower[0]), float(process.upper[0]), process.q, start)
     if defined.verdict == VIOLATED:
         return Answer(
             VIOLATED, {"L_f": np.inf}, EVERYWHERE, f"f has no finite value for all times: {defined.how}", {"t": defined.at}
         )
-    blocks = blocks_of(f, scene)
-    rate, steady = _in_time(f, scene, quick)
+    blocks = blocks_of(f, process)
+    rate, steady = _in_time(f, process, quick)
     norms = [lipschitz(block, quick) for block in blocks]
     worst = max((K for _, K, _, _ in norms), default=0.0)
     if all(verdict == HOLDS for verdict, *_ in norms):
         where = ON_THE_BOX if any(place == ON_THE_BOX for *_, place, _ in norms) else EVERYWHERE
-        L_f = _growth(f, scene, blocks, worst, where, quick)
+        L_f = _growth(f, process, blocks, worst, where, quick)
         how = "f is continuous in q and |f_q| is bounded" if worst else "f does not depend on the state"
         return closed(defined, {"K_f": worst, "L_f": L_f} | rate, where, how + steady)
-    kept = None if quick or defined.verdict != HOLDS else kept_away(f, scene)
+    kept = None if quick or defined.verdict != HOLDS else kept_away(f, process)
     if kept is not None:
-        L_f = _growth(kept, scene, blocks_of(kept, scene), np.inf, ON_THE_BOX, quick)
-        own = [lipschitz(block, quick) for block in blocks_of(kept, scene)]
+        L_f = _growth(kept, process, blocks_of(kept, process), np.inf, ON_THE_BOX, quick)
+        own = [lipschitz(block, quick) for block in blocks_of(kept, process)]
         if all(verdict == HOLDS for verdict, *_ in own):
             how = "Q(t) keeps away from where f is singular: there f is continued to the whole box with a bounded f_q"
             return closed(defined, {"K_f": max(K for _, K, _, _ in own), "L_f": L_f} | rate, ON_THE_BOX, how + steady)
-    known = {"L_f": _growth(f, scene, blocks, np.inf, ON_THE_BOX, quick)} | rate
-    broken = None if quick else _broken(f, scene, points, names, blocks, norms, known, steady)
-    return _sampled(f, scene, points, blocks, norms, known, steady, quick) if broken is None else broken
+    known = {"L_f": _growth(f, process, blocks, np.inf, ON_THE_BOX, quick)} | rate
+    broken = None if quick else _broken(f, process, points, names, blocks, norms, known, steady)
+    return _sampled(f, process, points, blocks, norms, known, steady, quick) if broken is None else broken
 
 
 def _broken(
-    f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]], names: Sequence[str], blocks: list[Block],
+    f: ca.SX, process: Process, points: Sequence[tuple[float, np.ndarray]], names: Sequence[str], blocks: list[FieldBlock],
     norms: list[Bound], known: dict[str, float], steady: str,
 ) -> Answer | None:  # fmt: skip
     """That f jumps, or is infinitely steep somewhere in Q(t); None where neither is found."""
-    jump = worst_jump(f, blocks, scene, points, names)
+    jump = worst_jump(f, blocks, process, points, names)
     if jump is not None:
         size, witness = jump
         how = "f jumps inside Q(t), by intervals on both sides, so it is not Lipschitz; the place nearest to the runs is shown"
         return Answer(VIOLATED, {"K_f": np.inf, "jump": size} | known, ON_THE_BOX, how + steady, witness)
-    point = steep(f, blocks, norms, scene, points, names)
+    point = steep(f, blocks, norms, process, points, names)
     if point is None:
         return None
     how = "an entry of f_q grows without bound towards this point, along a ray in Q(t)"
@@ -70,12 +70,12 @@ def _broken(
 
 
 def _sampled(
-    f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]], blocks: list[Block], norms: list[Bound],
+    f: ca.SX, process: Process, points: Sequence[tuple[float, np.ndarray]], blocks: list[FieldBlock], norms: list[Bound],
     known: dict[str, float], steady: str, quick: bool,
 ) -> Answer:  # fmt: skip
     """The largest slope that was seen."""
     worst = max((K for _, K, _, _ in norms), default=0.0)
-    value = {"K_f": max(worst, quotient(f, scene, points))} | known
+    value = {"K_f": max(worst, quotient(f, process, points))} | known
     how, verdict = f"{sum(number for *_, number in norms)} points; ", SAMPLED
     if not quick:
         how += "f was not proved continuous with a bounded derivative, no jump was found inside Q(t)"
@@ -95,7 +95,7 @@ def closed(defined: Defined, value: dict[str, float], where: str, how: str) -> A
     return Answer(HOLDS, {name: number for name, number in value.items() if np.isfinite(number)}, where, how)
 
 
-def lipschitz(block: Block, quick: bool) -> Bound:
+def lipschitz(block: FieldBlock, quick: bool) -> Bound:
     """(verdict, K, where, points): proved for all states, else on the box, else the largest |f_q| seen."""
     J = ca.jacobian(block.f, block.q)
     for everywhere in (True, False):
@@ -108,13 +108,13 @@ def lipschitz(block: Block, quick: bool) -> Bound:
     return SAMPLED, top.value, ON_THE_BOX, top.count
 
 
-def kept_away(f: ca.SX, scene: Scene) -> ca.SX | None:
+def kept_away(f: ca.SX, process: Process) -> ca.SX | None:
     """A function that agrees with f on Q(t) in the box, with arguments of roots and divisors kept where they are there.
 
     Where u >= m > 0 on Q(t), u and max(u, m) are the same there; beyond, max(u, m) stays away from the singularity of sqrt u and
     1 / u. None where no argument is kept away from 0 by Q(t).
     """
-    if not scene.rows or len(scene.columns) > MOST_STATES:
+    if not process.rows or len(process.columns) > MOST_STATES:
         return None
     known: list[tuple[ca.SX, float]] = []
 
@@ -122,10 +122,10 @@ def kept_away(f: ca.SX, scene: Scene) -> ca.SX | None:
         for other, value in known:
             if ca.is_equal(u, other, 6):
                 return value
-        around = interval.enclose(u, scene.z, scene.lower, scene.upper)
+        around = interval.enclose(u, process.z, process.lower, process.upper)
         value = -np.inf
         if float(around[0].item()) <= 0 < float(around[1].item()):
-            value = -extremum.supremum(-u, scene.z, scene.lower, scene.upper, where=scene.g).bound
+            value = -extremum.supremum(-u, process.z, process.lower, process.upper, where=process.g).bound
         known.append((u, value))
         return value
 
@@ -138,40 +138,40 @@ def kept_away(f: ca.SX, scene: Scene) -> ca.SX | None:
         return applied(op, [(arg + low + ca.fabs(arg - low)) / 2 if k == place else arg for k, arg in enumerate(args)])
 
     try:
-        found = replay(f, rule, (ca.OP_SQRT, ca.OP_DIV, ca.OP_INV), scene.q, "f")
+        found = replay(f, rule, (ca.OP_SQRT, ca.OP_DIV, ca.OP_INV), process.q, "f")
     except OpaqueExpression:
         return None
     return found if any(value > 0 for _, value in known) else None
 
 
-def _growth(f: ca.SX, scene: Scene, blocks: list[Block], K: float, where: str, quick: bool) -> float:
+def _growth(f: ca.SX, process: Process, blocks: list[FieldBlock], K: float, where: str, quick: bool) -> float:
     """L_f: max(K_f, sup |f(t, 0)|) where K_f holds everywhere; on the box sup |f| / (1 + |q|), bounded block by block."""
     if where == EVERYWHERE:
-        at_zero = ca.sumsqr(ca.substitute(f, scene.q, ca.DM.zeros(scene.q.numel())))
-        return max(K, float(np.sqrt(max(_over_time(at_zero, scene).bound, 0.0))))
+        at_zero = ca.sumsqr(ca.substitute(f, process.q, ca.DM.zeros(process.q.numel())))
+        return max(K, float(np.sqrt(max(_over_time(at_zero, process).bound, 0.0))))
     total = 0.0
     for block in blocks:
         top = extremum.supremum(ca.sumsqr(block.f), block.z, *block.box(False), quick=True)
         total += len(block.members) * (top.bound if np.isfinite(top.bound) else max(top.value, 0.0))
     rest = [i for i in range(f.numel()) if not any(i in rows for block in blocks for rows, _ in block.members)]
     if rest:
-        total += max(_over_time(ca.sumsqr(f[rest]), scene).bound, 0.0)
-    nearest = np.clip(0.0, scene.lower[1:], scene.upper[1:])
+        total += max(_over_time(ca.sumsqr(f[rest]), process).bound, 0.0)
+    nearest = np.clip(0.0, process.lower[1:], process.upper[1:])
     return float(np.sqrt(total) / (1 + np.linalg.norm(nearest)))
 
 
-def _over_time(expr: ca.SX, scene: Scene) -> extremum.Supremum:
-    return extremum.supremum(expr, scene.t, scene.lower[:1], scene.upper[:1])
+def _over_time(expr: ca.SX, process: Process) -> extremum.Supremum:
+    return extremum.supremum(expr, process.t, process.lower[:1], process.upper[:1])
 
 
-def _in_time(f: ca.SX, scene: Scene, quick: bool) -> tuple[dict[str, float], str]:
+def _in_time(f: ca.SX, process: Process, quick: bool) -> tuple[dict[str, float], str]:
     """L_t where it is bounded, and a remark where it is not."""
-    if not ca.depends_on(f, scene.t):
+    if not ca.depends_on(f, process.t):
         return {"L_t": 0.0}, ""
-    rate = ca.jacobian(f, scene.t)
-    if not interval.is_continuous(f, scene.z, scene.lower, scene.upper):
+    rate = ca.jacobian(f, process.t)
+    if not interval.is_continuous(f, process.z, process.lower, process.upper):
         return {"L_t": np.inf}, "; f was not proved continuous in t: no L_t, and no order is proved"
-    top = extremum.supremum(ca.norm_2(rate), scene.z, scene.lower, scene.upper, quick=quick)
+    top = extremum.supremum(ca.norm_2(rate), process.z, process.lower, process.upper, quick=quick)
     if np.isfinite(top.bound):
         return {"L_t": float(top.bound)}, ""
     return {"L_t": np.inf, "largest |f_t| seen": float(top.value)}, "; |f_t| was not bounded: no L_t, and no order is proved"

@@ -7,14 +7,14 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.sweeping.hypotheses.admissible import Scene
+from nsmodel.classes.sweeping.hypotheses.admissible import Process
 from nsmodel.proof import interval
 from nsmodel.proof.components import sharing
 from nsmodel.proof.graph import column, keys, replay
 from nsmodel.proof.jumps import SWITCHES
 
 
-class Block(NamedTuple):
+class FieldBlock(NamedTuple):
     """Components of f that share states with each other only; blocks of one formula share ``f`` and ``q``.
 
     Attributes:
@@ -48,15 +48,15 @@ class Block(NamedTuple):
         return lower, upper
 
 
-def blocks_of(f: ca.SX, scene: Scene) -> list[Block]:
+def blocks_of(f: ca.SX, process: Process) -> list[FieldBlock]:
     """Split f where its components share no states, and put blocks of the same formula together."""
-    rows, columns = _pattern(f, scene.q)
+    rows, columns = _pattern(f, process.q)
     entries = sorted(set(rows))
     states = [{j for k, j in zip(rows, columns, strict=True) if k == i} for i in entries]
-    found: dict[tuple, Block] = {}
+    found: dict[tuple, FieldBlock] = {}
     for group in sharing(states):
         r, j = [entries[k] for k in group], sorted(set().union(*(states[k] for k in group)))
-        block = _block(f[r], scene, r, j)
+        block = _block(f[r], process, r, j)
         first = found.setdefault(_formula(block), block)
         if first is not block:
             first.members.append((r, j))
@@ -67,7 +67,7 @@ def blocks_of(f: ca.SX, scene: Scene) -> list[Block]:
     return list(found.values())
 
 
-def _formula(block: Block) -> tuple:
+def _formula(block: FieldBlock) -> tuple:
     """The operations of a block with all digits of their constants, whatever the symbols are called."""
     f = ca.Function("f", [block.t, block.q, block.s], [ca.densify(block.f)])
     steps = [(f.instruction_id(i), *f.instruction_input(i), -1, *f.instruction_output(i)) for i in range(f.n_instructions())]
@@ -86,8 +86,8 @@ def _others(f: ca.SX, q: ca.SX) -> list[ca.SX]:
     return [symbol for symbol in ca.symvar(f) if symbol.element_hash() not in own]
 
 
-def _block(f: ca.SX, scene: Scene, rows: list[int], columns: list[int]) -> Block:
-    own = scene.q[columns]
+def _block(f: ca.SX, process: Process, rows: list[int], columns: list[int]) -> FieldBlock:
+    own = process.q[columns]
     plain = ca.SX.sym("q", len(columns))
     formula = ca.substitute(f, own, plain)
     nodes: list[tuple[ca.SX, ca.SX]] = []
@@ -98,9 +98,9 @@ def _block(f: ca.SX, scene: Scene, rows: list[int], columns: list[int]) -> Block
         nodes.append((ca.SX.sym(f"s{len(nodes)}"), old))
         return nodes[-1][0]
 
-    formula = replay(formula, in_time, SWITCHES, scene.t, "f")
+    formula = replay(formula, in_time, SWITCHES, process.t, "f")
     ends = [0, *(1 + j for j in columns)]
-    lower, upper = scene.lower[ends].copy(), scene.upper[ends].copy()
-    bounds = interval.enclose(column(old for _, old in nodes), scene.t, lower[:1], upper[:1]) if nodes else (np.zeros(0),) * 2
+    lower, upper = process.lower[ends].copy(), process.upper[ends].copy()
+    bounds = interval.enclose(column(old for _, old in nodes), process.t, lower[:1], upper[:1]) if nodes else (np.zeros(0),) * 2
     s = column(symbol for symbol, _ in nodes)
-    return Block(formula, plain, scene.t, s, np.ravel(bounds[0]), np.ravel(bounds[1]), [(rows, columns)], lower, upper)
+    return FieldBlock(formula, plain, process.t, s, np.ravel(bounds[0]), np.ravel(bounds[1]), [(rows, columns)], lower, upper)

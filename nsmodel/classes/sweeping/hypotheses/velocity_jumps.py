@@ -8,8 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.sweeping.hypotheses.admissible import Scene, named
-from nsmodel.classes.sweeping.hypotheses.velocity_blocks import Block
+from nsmodel.classes.sweeping.hypotheses.admissible import Process, named
+from nsmodel.classes.sweeping.hypotheses.velocity_blocks import FieldBlock
 from nsmodel.hypotheses.findings import HOLDS
 from nsmodel.proof import extremum, interval
 from nsmodel.proof.discontinuity import jump_between
@@ -26,7 +26,7 @@ Bound = tuple[str, float, str, int]  # (verdict, K, where, points)
 
 
 def worst_jump(
-    f: ca.SX, blocks: list[Block], scene: Scene, points_of_Q: Sequence[tuple[float, np.ndarray]], names: Sequence[str]
+    f: ca.SX, blocks: list[FieldBlock], process: Process, points_of_Q: Sequence[tuple[float, np.ndarray]], names: Sequence[str]
 ) -> tuple[float, dict[str, Any]] | None:
     """(a lower bound of its size, the jump nearest to the known states) at states of Q(t), proved.
 
@@ -34,14 +34,14 @@ def worst_jump(
     """
     found: list[tuple[float, list[int], tuple[np.ndarray, np.ndarray], dict[str, Any]]] = []
     bases = [points_of_Q[k] for k in np.unique(np.linspace(0, len(points_of_Q) - 1, BASES, dtype=int)) if len(points_of_Q)]
-    touched = _touched(scene)
+    touched = _touched(process)
     for block in blocks:
         x, y, least = jumps(block)
         if not len(x):
             continue
         own, moves = slice(1, 1 + block.q.numel()), bool(ca.depends_on(block.f, ca.vertcat(block.t, block.s)))
         for rows, columns in block.members:
-            sides = _sides(f[rows], scene, touched, columns)
+            sides = _sides(f[rows], process, touched, columns)
             for t, q in bases:
                 times = x[:, 0] if moves else np.full(len(x), t)
                 size = sides(times, x[:, own], y[:, own], least, q)
@@ -55,13 +55,13 @@ def worst_jump(
                     ends = np.append(times[k], point), np.append(times[k], other)
                     found.append((far[k], rows, ends, witness | named(names, point)))
     for _, rows, ends, witness in sorted(found, key=lambda item: item[0])[:TRIED]:
-        size = jump_between(ca.densify(f[rows]), scene.z, *ends, scene.g, scene.lower, scene.upper)
+        size = jump_between(ca.densify(f[rows]), process.z, *ends, process.g, process.lower, process.upper)
         if size > 0:
             return size, witness | {"size": size}
     return None
 
 
-def jumps(block: Block) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def jumps(block: FieldBlock) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points (k, n) on both sides of switches of a block, where its value jumps, and what is rounding there (k,)."""
     lower, upper = block.box(False)
     x, y = surface_points(block.f, block.z, lower, upper)
@@ -93,22 +93,22 @@ def differ(below: np.ndarray, above: np.ndarray, least: np.ndarray) -> np.ndarra
         return np.where(np.isfinite(size) & (size > 1e-7 * scale) & (size > least), size, 0.0)
 
 
-def _touched(scene: Scene) -> list[set[int]]:
+def _touched(process: Process) -> list[set[int]]:
     """The states that each constraint depends on."""
-    pattern = ca.Function("g", [scene.q, scene.t], [ca.densify(scene.g)]).jac_sparsity(0, 0)
-    found: list[set[int]] = [set() for _ in range(scene.g.numel())]
+    pattern = ca.Function("g", [process.q, process.t], [ca.densify(process.g)]).jac_sparsity(0, 0)
+    found: list[set[int]] = [set() for _ in range(process.g.numel())]
     for i, j in zip(*pattern.get_triplet(), strict=True):
         found[i].add(j)
     return found
 
 
-def _sides(f: ca.SX, scene: Scene, touched: list[set[int]], columns: list[int]) -> Callable[..., np.ndarray]:
+def _sides(f: ca.SX, process: Process, touched: list[set[int]], columns: list[int]) -> Callable[..., np.ndarray]:
     """Return sides(times (k,), x (k, c), y (k, c), least (k,), q): how far f jumps (k,) from x to y, both in Q(t), else 0."""
     rows = [i for i, states in enumerate(touched) if states & set(columns)]
-    others = [j for j in range(scene.q.numel()) if j not in set(columns)]
-    together = ca.vertcat(scene.t, scene.q[columns])
-    r, value = f.numel(), ca.densify(ca.vertcat(f, scene.g[rows]))
-    function = ca.Function("sides", [together, scene.q[others]], [value])
+    others = [j for j in range(process.q.numel()) if j not in set(columns)]
+    together = ca.vertcat(process.t, process.q[columns])
+    r, value = f.numel(), ca.densify(ca.vertcat(f, process.g[rows]))
+    function = ca.Function("sides", [together, process.q[others]], [value])
 
     def sides(times: np.ndarray, x: np.ndarray, y: np.ndarray, least: np.ndarray, q: np.ndarray) -> np.ndarray:
         # The other states are one column: CasADi repeats it.
@@ -120,23 +120,23 @@ def _sides(f: ca.SX, scene: Scene, touched: list[set[int]], columns: list[int]) 
     return sides
 
 
-def quotient(f: ca.SX, scene: Scene, points: Sequence[tuple[float, np.ndarray]]) -> float:
+def quotient(f: ca.SX, process: Process, points: Sequence[tuple[float, np.ndarray]]) -> float:
     """The largest |f(t, q) - f(t, q')| / |q - q'| over pairs of admissible points."""
-    value, worst = ca.Function("f", [scene.t, scene.q], [ca.densify(f)]), 0.0
+    value, worst = ca.Function("f", [process.t, process.q], [ca.densify(f)]), 0.0
     some = [points[k] for k in np.unique(np.linspace(0, len(points) - 1, PAIRS, dtype=int))] if points else []
     for k, (t, q) in enumerate(some):
         for _, other in some[:k]:
             far = np.linalg.norm(q - other)
-            if far > 0 and (not scene.rows or scene.admits(*scene.at(t, other))):
+            if far > 0 and (not process.rows or process.admits(*process.at(t, other))):
                 worst = max(worst, float(np.linalg.norm(np.array(value(t, q) - value(t, other))) / far))
     return worst
 
 
 def steep(
-    f: ca.SX, blocks: list[Block], norms: list[Bound], scene: Scene,
+    f: ca.SX, blocks: list[FieldBlock], norms: list[Bound], process: Process,
     points: Sequence[tuple[float, np.ndarray]], names: Sequence[str],
 ) -> dict[str, Any] | None:  # fmt: skip
-    """A point of Q(t) near which difference quotients of f, a function of the scene's t and q, keep growing.
+    """A point of Q(t) near which difference quotients of f, a function of the process's t and q, keep growing.
 
     From an admissible state only the states of one block are moved, to where its derivative is largest or to numbers of its
     formula near to that; along a ray from there that stays in Q(t) an entry of the derivative is shown to grow as a power < 0 of
@@ -152,19 +152,19 @@ def steep(
         top = extremum.supremum(ca.sumsqr(ca.jacobian(block.f, block.q)), block.z, *block.box(False))
         if top.at is None:
             continue
-        J = ca.jacobian(f[rows], scene.q[columns])
+        J = ca.jacobian(f[rows], process.q[columns])
         entries = [entry for entry in ca.vertsplit(ca.vec(J)) if not entry.is_constant()][:ENTRIES]
         time = float(top.at[0]) if ca.depends_on(block.f, ca.vertcat(block.t, block.s)) else base_t
         numbers = constants(f[rows])
-        for own in _snapped(top.at[1 : 1 + len(columns)], numbers, scene.lower[1:][columns], scene.upper[1:][columns]):
+        for own in _snapped(top.at[1 : 1 + len(columns)], numbers, process.lower[1:][columns], process.upper[1:][columns]):
             point = base.copy()
             point[columns] = own
-            z, width = np.append(time, point), float(np.max((scene.upper - scene.lower)[1:][columns]))
+            z, width = np.append(time, point), float(np.max((process.upper - process.lower)[1:][columns]))
             h = RAY * min(width, 1.0)
             for direction in [sign * row for row in np.eye(z.size)[1:][columns] for sign in (1.0, -1.0)]:
-                if not _admitted(scene, z, z + h * direction):
+                if not _admitted(process, z, z + h * direction):
                     continue
-                if any(grows(entry, scene.z, z, direction, h) is not None for entry in entries):
+                if any(grows(entry, process.z, z, direction, h) is not None for entry in entries):
                     return {"t": time} | named(names, point)
     return None
 
@@ -180,9 +180,9 @@ def _snapped(at: np.ndarray, numbers: np.ndarray, lower: np.ndarray, upper: np.n
     return [found, at]
 
 
-def _admitted(scene: Scene, *corners: np.ndarray) -> bool:
-    """Whether all constraints are >= 0 on the box between two points (t, q), which lies inside the scene's."""
+def _admitted(process: Process, *corners: np.ndarray) -> bool:
+    """Whether all constraints are >= 0 on the box between two points (t, q), which lies inside the process's."""
     low, high = np.minimum(*corners), np.maximum(*corners)
-    if (low < scene.lower).any() or (high > scene.upper).any():
+    if (low < process.lower).any() or (high > process.upper).any():
         return False
-    return not scene.rows or bool((interval.enclose(scene.g, scene.z, low, high)[0] >= 0).all())
+    return not process.rows or bool((interval.enclose(process.g, process.z, low, high)[0] >= 0).all())

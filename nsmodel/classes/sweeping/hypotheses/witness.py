@@ -17,7 +17,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.sweeping.hypotheses.admissible import Scene
+from nsmodel.classes.sweeping.hypotheses.admissible import Process
 from nsmodel.classes.sweeping.hypotheses.constraint import Constraint
 from nsmodel.classes.sweeping.hypotheses.start import direction_at, sign_at
 from nsmodel.proof import exact
@@ -40,22 +40,22 @@ class Opposed(NamedTuple):
 
 
 def opposed(
-    constraints: Sequence[Constraint], scene: Scene, rows: np.ndarray, weights: np.ndarray, at: np.ndarray
+    constraints: Sequence[Constraint], process: Process, rows: np.ndarray, weights: np.ndarray, at: np.ndarray
 ) -> Opposed | None:
     """Return a proof that constraints oppose each other in contact near ``at`` (t, q), or None."""
     used = [int(k) for k, u in zip(rows, weights, strict=True) if u > WEIGHT]
     if len(used) < 2 or not np.isfinite(at).all():
         return None
     start = np.array([u for u in weights if u > WEIGHT])
-    return _exactly(constraints, scene, used, at) or _moving(constraints, scene, used, start / start.sum(), at)
+    return _exactly(constraints, process, used, at) or _moving(constraints, process, used, start / start.sum(), at)
 
 
 # -- at rest -----------------------------------------------------------------------------------------------------------
 
 
-def _exactly(constraints: Sequence[Constraint], scene: Scene, used: list[int], at: np.ndarray) -> Opposed | None:
-    for t, q in _rational_points(constraints, scene, used, at):
-        state = dict(zip(scene.columns, q, strict=True))
+def _exactly(constraints: Sequence[Constraint], process: Process, used: list[int], at: np.ndarray) -> Opposed | None:
+    for t, q in _rational_points(constraints, process, used, at):
+        state = dict(zip(process.columns, q, strict=True))
         if any(sign_at(constraints[k], t, state) != 0 for k in used):
             continue
         weights = cancelling([direction_at(constraints[k], t, state) for k in used])
@@ -87,13 +87,13 @@ def cancelling(directions: Sequence[dict[int, Fraction] | None]) -> tuple[float,
 
 
 def _rational_points(
-    constraints: Sequence[Constraint], scene: Scene, used: list[int], at: np.ndarray
+    constraints: Sequence[Constraint], process: Process, used: list[int], at: np.ndarray
 ) -> Iterator[tuple[float, list[Fraction]]]:
     own = [constraints[k] for k in used]
     moving = any(c.shape.time for c in constraints)
-    times = dict.fromkeys(float(t) for t in (at[0], scene.lower[0], scene.upper[0], round(at[0], 6)) if abs(t - at[0]) < 1e-6)
+    times = dict.fromkeys(float(t) for t in (at[0], process.lower[0], process.upper[0], round(at[0], 6)) if abs(t - at[0]) < 1e-6)
     if all(c.shape.kind == "plane" for c in own):
-        point = _common_point(constraints, scene, used)
+        point = _common_point(constraints, process, used)
         if point is not None:
             yield float(at[0]), point
     q = [Fraction(float(x)) for x in at[1:]]
@@ -101,20 +101,20 @@ def _rational_points(
         yield t, q
         yield from ((t, [x.limit_denominator(number) for x in q]) for number in DIGITS)
         yield from ((t, [Fraction(round(float(x), digits)) for x in q]) for digits in (1, 2, 3, 6, 9))
-    touch = _touch(own, scene)
+    touch = _touch(own, process)
     if touch is not None:
         yield float(at[0]), touch
 
 
-def _touch(own: Sequence[Constraint], scene: Scene) -> list[Fraction] | None:
+def _touch(own: Sequence[Constraint], process: Process) -> list[Fraction] | None:
     """Where two balls of fixed place and radius touch: on the line between their centres."""
     balls = [ball for c in own if (ball := fixed_ball(c)) is not None]
-    if len(own) != 2 or len(balls) != 2 or tuple(sorted(balls[0][0])) != tuple(sorted(scene.columns)):
+    if len(own) != 2 or len(balls) != 2 or tuple(sorted(balls[0][0])) != tuple(sorted(process.columns)):
         return None
     (a, r), (b, s) = balls
     if a.keys() != b.keys():
         return None
-    return [a[i] + (b[i] - a[i]) * r / (r + s) for i in scene.columns]
+    return [a[i] + (b[i] - a[i]) * r / (r + s) for i in process.columns]
 
 
 def fixed_ball(c: Constraint) -> tuple[dict[int, Fraction], Fraction] | None:
@@ -141,17 +141,17 @@ def fixed_ball(c: Constraint) -> tuple[dict[int, Fraction], Fraction] | None:
     return (centre, r / (w * scale)) if scale * scale == square and r > 0 else None
 
 
-def _common_point(constraints: Sequence[Constraint], scene: Scene, used: list[int]) -> list[Fraction] | None:
+def _common_point(constraints: Sequence[Constraint], process: Process, used: list[int]) -> list[Fraction] | None:
     """A point on some fixed planes and on the admissible side of all others."""
     if any(c.shape.kind != "plane" or c.shape.time for c in constraints):
         return None
-    n, place = len(scene.columns), {j: k for k, j in enumerate(scene.columns)}
+    n, place = len(process.columns), {j: k for k, j in enumerate(process.columns)}
     rest = [k for k in range(len(constraints)) if k not in used]
     A = exact.zeros(len(constraints), n + 1 + len(rest))
     for k, c in enumerate(constraints):
-        for i, value in c.shape.form.affine.row.items():  # pyright: ignore
+        for i, value in c.shape.written.affine.row.items():
             A[k, place[i]] = value
-        A[k, n] = c.shape.form.affine.offset  # pyright: ignore
+        A[k, n] = c.shape.written.affine.offset
         if k in rest:
             A[k, n + 1 + rest.index(k)] = Fraction(-1)
     point = decide(System(A, tuple(range(n, A.shape[1])))).point
@@ -162,20 +162,20 @@ def _common_point(constraints: Sequence[Constraint], scene: Scene, used: list[in
 
 
 def _moving(
-    constraints: Sequence[Constraint], scene: Scene, used: list[int], weights: np.ndarray, at: np.ndarray
+    constraints: Sequence[Constraint], process: Process, used: list[int], weights: np.ndarray, at: np.ndarray
 ) -> Opposed | None:  # fmt: skip
-    g = scene.g[used]
-    if not scene.lower[0] < scene.upper[0] or not ca.depends_on(g, scene.t):
+    g = process.g[used]
+    if not process.lower[0] < process.upper[0] or not ca.depends_on(g, process.t):
         return None
-    own = [j for j in range(len(scene.columns)) if ca.depends_on(g, scene.q[j])]
-    rest = [j for j in range(len(scene.columns)) if j not in own]
-    g = ca.substitute(g, scene.q[rest], ca.DM(at[1:][rest])) if rest else g
-    slopes = ca.jacobian(g, scene.q[own])
+    own = [j for j in range(len(process.columns)) if ca.depends_on(g, process.q[j])]
+    rest = [j for j in range(len(process.columns)) if j not in own]
+    g = ca.substitute(g, process.q[rest], ca.DM(at[1:][rest])) if rest else g
+    slopes = ca.jacobian(g, process.q[own])
     u, fixed = ca.SX.sym("u", len(used)), None
     if all(constraints[k].shape.kind == "plane" for k in used):
-        fixed = cancelling([dict(constraints[k].shape.form.affine.row) for k in used])  # pyright: ignore
-    widths = (scene.upper - scene.lower)[[0, *(1 + j for j in own)]]
-    size, z = np.where(widths > 0, widths, 1.0), ca.vertcat(scene.t, scene.q[own])
+        fixed = cancelling([dict(constraints[k].shape.written.affine.row) for k in used])
+    widths = (process.upper - process.lower)[[0, *(1 + j for j in own)]]
+    size, z = np.where(widths > 0, widths, 1.0), ca.vertcat(process.t, process.q[own])
     if fixed is not None:
         F, start = g, at[[0, *(1 + j for j in own)]]
     else:
@@ -191,30 +191,34 @@ def _moving(
     lower, upper = at.copy(), at.copy()
     ends = [0, *(1 + j for j in own)]
     lower[ends], upper[ends] = zero.lower[: len(ends)], zero.upper[: len(ends)]
-    if (lower < scene.lower).any() or (upper > scene.upper).any() or (fixed is None and not (zero.lower[len(ends) :] > 0).all()):
+    if (
+        (lower < process.lower).any()
+        or (upper > process.upper).any()
+        or (fixed is None and not (zero.lower[len(ends) :] > 0).all())
+    ):
         return None
-    if not _others_admit(scene, used, lower, upper) or not _sloping(scene, used, lower, upper):
+    if not _others_admit(process, used, lower, upper) or not _sloping(process, used, lower, upper):
         return None
     how = f"an interval Newton step proves such a point within {float((upper - lower).max()):.1g} of the one shown"
     found = fixed if fixed is not None else tuple(float(x) for x in zero.middle[len(ends) :])
     return Opposed(tuple(used), found, (lower + upper) / 2, how)
 
 
-def _others_admit(scene: Scene, used: Sequence[int], lower: np.ndarray, upper: np.ndarray) -> bool:
-    rest = [k for k in range(len(scene.rows)) if k not in used]
-    return not rest or bool((enclose(scene.g[rest], scene.z, lower, upper)[0] >= 0).all())
+def _others_admit(process: Process, used: Sequence[int], lower: np.ndarray, upper: np.ndarray) -> bool:
+    rest = [k for k in range(len(process.rows)) if k not in used]
+    return not rest or bool((enclose(process.g[rest], process.z, lower, upper)[0] >= 0).all())
 
 
-def _sloping(scene: Scene, used: Sequence[int], lower: np.ndarray, upper: np.ndarray) -> bool:
+def _sloping(process: Process, used: Sequence[int], lower: np.ndarray, upper: np.ndarray) -> bool:
     """Whether no gradient of these vanishes in a box."""
-    lengths = ca.vertcat(*(ca.sumsqr(ca.jacobian(scene.g[k], scene.q)) for k in used))
-    return bool((enclose(lengths, scene.z, lower, upper)[0] > 0).all())
+    lengths = ca.vertcat(*(ca.sumsqr(ca.jacobian(process.g[k], process.q)) for k in used))
+    return bool((enclose(lengths, process.z, lower, upper)[0] > 0).all())
 
 
 # -- how large gamma is at a point ---------------------------------------------------------------------------------------
 
 
-def attained(scene: Scene, rows: np.ndarray, weights: np.ndarray, at: np.ndarray, rho: float) -> float:
+def attained(process: Process, rows: np.ndarray, weights: np.ndarray, at: np.ndarray, rho: float) -> float:
     """Return a proved lower bound of gamma(rho) from constraints with weights near a point (t, q); 1 where there is none.
 
     For rho > 0 the point is moved off the constraints, to where all are > 0 and these still within rho; for rho = 0 a box in
@@ -224,33 +228,37 @@ def attained(scene: Scene, rows: np.ndarray, weights: np.ndarray, at: np.ndarray
     if len(used) < 2 or not np.isfinite(at).all():
         return 1.0
     u = np.array([x for x in weights if x > WEIGHT])
-    hull = ca.SX(1, len(scene.columns))
+    hull = ca.SX(1, len(process.columns))
     for k, weight in zip(used, u / u.sum(), strict=True):
-        slope = ca.jacobian(scene.g[k], scene.q)
+        slope = ca.jacobian(process.g[k], process.q)
         hull += float(weight) * slope / ca.norm_2(slope)
     total = ca.sumsqr(hull)
-    for lower, upper in _places(scene, used, hull, at, rho):
-        inside = (lower >= scene.lower).all() and (upper <= scene.upper).all()
-        if inside and _others_admit(scene, used, lower, upper):
-            high = float(enclose(total, scene.z, lower, upper)[1].item())
+    for lower, upper in _places(process, used, hull, at, rho):
+        inside = (lower >= process.lower).all() and (upper <= process.upper).all()
+        if inside and _others_admit(process, used, lower, upper):
+            high = float(enclose(total, process.z, lower, upper)[1].item())
             if 0 < high < 1:
                 return float(1 / np.sqrt(high)) * (1 - 1e-14)
     return 1.0
 
 
-def _places(scene: Scene, used: list[int], hull: ca.SX, at: np.ndarray, rho: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _places(
+    process: Process, used: list[int], hull: ca.SX, at: np.ndarray, rho: float
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     if rho > 0:
-        away = np.array(ca.Function("hull", [scene.z], [ca.densify(hull)])(at)).ravel()
+        away = np.array(ca.Function("hull", [process.z], [ca.densify(hull)])(at)).ravel()
         size = np.linalg.norm(away)
         for part in INWARD if np.isfinite(size) and size > 0 else ():
             point = at.copy()
-            point[1:] += part * min(rho, scene.size) * away / size
-            low, high = (end.ravel() for end in enclose(scene.g[used], scene.z, point, point))
+            point[1:] += part * min(rho, process.size) * away / size
+            low, high = (end.ravel() for end in enclose(process.g[used], process.z, point, point))
             if (low >= 0).all() and (high <= rho).all():
                 yield point, point
         return
-    if len(used) <= len(scene.columns):
-        g = ca.substitute(scene.g[used], scene.t, float(at[0]))
-        zero = zero_near(g, scene.q, at[1:], np.where(scene.upper[1:] > scene.lower[1:], (scene.upper - scene.lower)[1:], 1.0))
+    if len(used) <= len(process.columns):
+        g = ca.substitute(process.g[used], process.t, float(at[0]))
+        zero = zero_near(
+            g, process.q, at[1:], np.where(process.upper[1:] > process.lower[1:], (process.upper - process.lower)[1:], 1.0)
+        )
         if zero is not None:
             yield np.append(at[0], zero.lower), np.append(at[0], zero.upper)
