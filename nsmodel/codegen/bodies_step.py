@@ -63,7 +63,7 @@ Motion, Report = structs.MOTION.in_python(), structs.TIMED_REPORT.in_python()
 
 
 class CompiledStep:
-    """``step(t, h, q, present, warm, k) -> BodiesStep`` in C; the contract is that of `solve.many_bodies.BodiesStepper`.
+    """A step of many bodies in C: what `solve.many_bodies.BodiesStepper` is in Python.
 
     Attributes:
         way: by what it was compiled.
@@ -115,18 +115,16 @@ class CompiledStep:
             if searched(family):
                 self._halves[k] = np.maximum(self.problem.halves(k, t), 0.0)
 
-    def __call__(
-        self, t: float, h: float, q: np.ndarray, present: np.ndarray, warm: BodiesWarm = COLD, k: int = 0
-    ) -> BodiesStep:  # fmt: skip
-        """Advance the bodies that are present from t to t + h.
+    def __call__(self, t: float, h: float, state: np.ndarray, warm: BodiesWarm = COLD, k: int = 0) -> BodiesStep:
+        """Advance the bodies that are there, q = ``state`` (N, d), from t to t + h.
 
         Raises:
             StepError: the step could not be verified; f or a constraint is not finite.
         """
-        s, report = self._motion, self.report
-        self._q[:], self._present[:] = q, present
+        s, report, present = self._motion, self.report, np.all(np.isfinite(state), axis=1)
+        self._q[:], self._present[:] = state, present
         if s.velocity:
-            self._velocity[:] = self.problem.f(t, q, present)
+            self._velocity[:] = self.problem.f(t, state, present)
         if not self._fixed_reach:
             self._reach(t + h)
         contacts = warm.contacts

@@ -26,7 +26,7 @@ from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.build import Stepper, start_state
 from nsmodel.solve.cost import REPEATED, Cost, building, interpreted
 from nsmodel.solve.projection import CatchingUp
-from nsmodel.solve.stepper import Step, Warm
+from nsmodel.solve.stepper import PackedStep, Warm
 from nsmodel.solve.structure import is_monotone
 
 FEW_STEPS = 8  # Different step sizes up to which constant matrices are factored once for each.
@@ -34,7 +34,7 @@ FEW_STEPS = 8  # Different step sizes up to which constant matrices are factored
 
 def make_stepper(
     problem: OneStepProblem, solver: str, tolerance: float, *, h: float, state: np.ndarray, few_steps: bool = True
-) -> Step:
+) -> PackedStep:
     """Return the stepper of a bound model's problem."""
     if problem.prediction is not None:
         return CatchingUp(problem, problem.prediction, solver, tolerance, h=h, state=state)

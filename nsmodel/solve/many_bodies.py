@@ -70,7 +70,9 @@ class BodiesStep(NamedTuple):
 
 
 class BodiesStepper:
-    """``stepper(t, h, q, present, warm, k) -> BodiesStep``: a pure function, but for ``seconds``, which adds up run times.
+    """A step of many bodies by the contract of `solve.stepper`, pure but for ``seconds``, which adds up run times.
+
+    Its state are the positions (N, d), NaN for bodies that are not there.
 
     Raises:
         UsageError: an unknown solver, too many rows in a family.
@@ -83,15 +85,14 @@ class BodiesStepper:
         self.seconds = {"search": 0.0, "assembly": 0.0, "solve": 0.0}
         self._searched = any(map(searched, problem.families))
 
-    def __call__(
-        self, t: float, h: float, q: np.ndarray, present: np.ndarray, warm: BodiesWarm = COLD, k: int = 0
-    ) -> BodiesStep:  # fmt: skip
-        """Advance the bodies that are present from t to t + h.
+    def __call__(self, t: float, h: float, state: np.ndarray, warm: BodiesWarm = COLD, k: int = 0) -> BodiesStep:
+        """Advance the bodies that are there, q = ``state`` (N, d), from t to t + h.
 
         Raises:
             StepError: no solver reaches the tolerance; f or a constraint is not finite.
         """
         clock, seconds = time.perf_counter, self.seconds
+        q, present = state, np.all(np.isfinite(state), axis=1)
         start = clock()
         hf = h * self.problem.f(t, q, present)
         cutoff = WIDE * max(_two_largest(hf), warm.moved)

@@ -1,15 +1,16 @@
 """The contract of a step, shared by simulation, studies and generated code.
 
-    step(t, h, state, warm, k) -> StepResult
+    step(t, h, state, warm, k) -> result
 
 is a pure function of its arguments: the same arguments give the same bits, whatever was called before. It raises StepError,
-and changes nothing, when no solver reaches the tolerance.
+and changes nothing, when no solver reaches the tolerance. What a state and a warm start are is the stepper's own: of a scheme's
+problem the column that is carried and `Warm`, of many bodies (`many_bodies`) positions and the contacts that acted.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
@@ -38,15 +39,24 @@ class StepResult(NamedTuple):
     solver: str
 
 
-class Step(Protocol):
-    """What every stepper is."""
+State = TypeVar("State", contravariant=True)
+Start = TypeVar("Start", contravariant=True)
+Result = TypeVar("Result", covariant=True)
+
+
+class Step(Protocol[State, Start, Result]):
+    """What every stepper is; its results have ``warm`` for the next step and the ``solver`` whose answer was accepted."""
+
+    def __call__(self, t: float, h: float, state: State, warm: Start, k: int = 0) -> Result:
+        """Advance ``state`` from t to t + h; ``k`` is the number of the step, for tolerances that are a sequence."""
+        ...
+
+
+class PackedStep(Step[np.ndarray, Warm, StepResult], Protocol):
+    """What every stepper of a scheme's problem is: it gives packed rows."""
 
     layout: Layout
     rows: tuple[str, ...]
-
-    def __call__(self, t: float, h: float, state: np.ndarray, warm: Warm, k: int = 0) -> StepResult:
-        """Advance ``state`` from t to t + h; ``k`` is the number of the step, for tolerances that are a sequence."""
-        ...
 
     def cold(self) -> Warm:
         """Return the warm start of a first step."""

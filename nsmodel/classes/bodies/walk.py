@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,6 +25,9 @@ from nsmodel.solve.cost import Cost, of_bodies
 from nsmodel.solve.many_bodies import COLD, BodiesStep, BodiesStepper, BodiesWarm, explained
 from nsmodel.solve.near import least_gap, near
 from nsmodel.standstill import ROUNDED, WINDOW, Still, arches, autonomous, given_back, held
+
+if TYPE_CHECKING:
+    from nsmodel.codegen.bodies_step import CompiledStep
 
 CONTACTS_EACH = 3  # Contacts of a body for which memory is planned.
 OVERRUN = 1e5  # A gap below 0 by more than so many times the rounding of the positions is told.
@@ -91,7 +94,7 @@ class OnGrid(OverGrid):
         }  # fmt: skip
         self._check_f()
         steps = chosen(options, plan, there(), grid.N, self._cost, self._build)
-        self.step: Any = self.stepper if steps.steps is None else steps.steps
+        self.step: BodiesStepper | CompiledStep = self.stepper if steps.steps is None else steps.steps
         self.plan, self.warnings = steps.plan, [*warnings_of(model, plan), *steps.warnings]
         self.settings = settings(model, grid, options.solver, self.tolerance, self.every, steps.way)
         count, d = model.bodies.q0.shape
@@ -128,7 +131,7 @@ class OnGrid(OverGrid):
     def warm_up(self) -> None:
         """Take a step and forget it, and its run time."""
         with contextlib.suppress(StepError):
-            self.step(0.0, self.grid.step(0), self.q, self._present(), self.warm, 0)
+            self.step(0.0, self.grid.step(0), np.where(self._present()[:, None], self.q, np.nan), self.warm, 0)
         self.seconds.update(dict.fromkeys(self.seconds, 0.0))
 
     def _check_f(self) -> None:
@@ -165,7 +168,7 @@ class OnGrid(OverGrid):
         grid = self.grid
         t, h = grid.time(self.k), grid.step(self.k)
         present = self._present()
-        result = self._take(t, h, np.where(present[:, None], self.q, np.nan), present)
+        result = self._take(t, h, np.where(present[:, None], self.q, np.nan))
         left = int(np.all(np.isfinite(self.q), axis=1).sum() - present.sum())
         # From here on nothing fails: the step has happened, or it has not.
         pressure = self._pressure(result.contacts, present)
@@ -202,14 +205,14 @@ class OnGrid(OverGrid):
             "arches": arches(self.problem, self.q, self.warm.contacts),
         }  # fmt: skip
 
-    def _take(self, t: float, h: float, q: np.ndarray, present: np.ndarray) -> BodiesStep:
+    def _take(self, t: float, h: float, q: np.ndarray) -> BodiesStep:
         """The step; a compiled one that fails is taken once more interpreted."""
         try:
-            return self.step(t, h, q, present, self.warm, self.k)
+            return self.step(t, h, q, self.warm, self.k)
         except StepError:
             if self.step is self.stepper:
                 raise
-        return self.stepper(t, h, q, present, self.warm, self.k)
+        return self.stepper(t, h, q, self.warm, self.k)
 
     def _pressure(self, contacts: Contacts, present: np.ndarray) -> np.ndarray:
         """The sum of the reactions on each body (N,), NaN where none is there."""
