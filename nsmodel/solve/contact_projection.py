@@ -17,9 +17,9 @@ from nsmodel.solve.certificate import EPS, UNRESOLVED, NumericLaw
 from nsmodel.solve.diagnose import opposing_rows
 
 ACTIVE_SET, CLARABEL, PIQP = "active-set", "clarabel", "piqp"
-DENSE_UP_TO = 100  # ContactRows up to which a dense factorisation is faster.
-SMALL = 60  # ContactRows of a group up to which Lemke's pivoting is the robust way.
-MOST_DENSE = 3000  # ContactRows of a group that a solver of dense problems takes.
+DENSE_UP_TO = 100  # Rows up to which a dense factorisation is faster.
+SMALL = 60  # Rows of a group up to which Lemke's pivoting is the robust way.
+MOST_DENSE = 3000  # Rows of a group that a solver of dense problems takes.
 PATIENCE = 10  # Changes of the active set without fewer wrong rows, after which it is given up.
 PASSES = 100
 REGULAR = 1e-11  # Added to a diagonal of 1, and taken back by refinement.

@@ -4,7 +4,7 @@
 
 Pairs with g_i = |q_i - q_j| - c beyond a cut-off are left out. As |grad g_i| = 1 in either body, their rows hold if
 |d_i| + |d_j| <= cut-off: where the two largest |d_i| exceed it, the step is taken again with a wider one. Of the rows that are
-left, those enter that are violated without them. ContactRows are divided by n_i = |grad g_i|: m and y are lengths.
+left, those enter that are violated without them. Rows are divided by n_i = |grad g_i|: m and y are lengths.
 """
 
 from __future__ import annotations
