@@ -144,7 +144,7 @@ LAYERS = (  # What stands in a line may import, at its top, what stands in it an
     "classes classes.registry classes.model",
     "scheme classes.schemes classes.set_valued",
     "loader storage archive chunks contacts columns summary trajectory grid identity classes.identity cache_folder lock",
-    "solve standstill record",
+    "pieces solve standstill record",
     "codegen hypotheses classes.hypotheses classes.equations",
     "run classes.walk",
     "simulate",

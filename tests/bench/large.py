@@ -63,12 +63,13 @@ class Clock:
     def __init__(self, step: Any, jam: int, place: Path, radii: np.ndarray, side: float) -> None:
         self.step, self.jam, self.place, self.radii, self.side = step, jam, place, radii, side
 
-    def __call__(self, t: float, h: float, q: np.ndarray, present: np.ndarray, warm: Any, k: int) -> Any:
+    def __call__(self, t: float, h: float, q: np.ndarray, warm: Any, k: int) -> Any:
         if k == self.jam:
             scene = {"side": self.side, "door": DOOR, "cutoff": CUTOFF, "step": STEP}
-            np.savez(self.place, q=q[present], r=self.radii[present], **scene)
+            there = np.isfinite(q).all(axis=1)
+            np.savez(self.place, q=q[there], r=self.radii[there], **scene)
             self.seconds, self.start = dict(self.step.seconds), time.process_time()
-        return self.step(t, h, q, present, warm, k)
+        return self.step(t, h, q, warm, k)
 
 
 def exponent(found: list[dict[str, float]], least: int) -> str:

@@ -1,0 +1,1 @@
+"""Solutions as one smooth piece after another: what they are made of."""

@@ -1,0 +1,323 @@
+"""The graph of an expression as recurrences of Taylor coefficients: read by `expansion`, printed as C by `codegen.jets`.
+
+Operations that are not analytic (fabs, fmax, sign, if_else, floor, ...) are analytic on each side of a switch: a `Branch` says
+on which side a piece is by its ``choice``, and what it watches stays >= 0 as long as that holds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.pieces import series
+from nsmodel.proof.graph import OpaqueExpression, applied
+
+INTEGER_POWERS = 16  # Larger whole exponents are powers of a base that is not 0.
+
+
+class Line(NamedTuple):
+    """Row ``y`` by a recurrence of rows ``args``: a function of `series`, or one of those in `expansion`.
+
+    ``start`` is the function that gives order 0, of the rows ``of``; none where the recurrence gives that too.
+    """
+
+    kind: str
+    y: int
+    args: tuple[int, ...]
+    number: float = 1.0
+    start: str = ""
+    of: tuple[int, ...] = ()
+    branch: int = -1
+
+
+class Branch(NamedTuple):
+    """A switch: how its side is chosen (see `expansion.CHOICES`), and the row that it looks at."""
+
+    kind: str
+    row: int
+
+
+@dataclass(frozen=True)
+class Jets:
+    """Recurrences of an expression.
+
+    Attributes:
+        count: rows in all.
+        inputs: {(which input, its entry): row} of the entries that occur.
+        numbers: {row: number} of rows that are constant.
+        lines: in the order in which they are computed.
+        branches: the switches that occur.
+        outputs: the row of each entry of the expression, column by column.
+    """
+
+    count: int
+    inputs: dict[tuple[int, int], int]
+    numbers: dict[int, float]
+    lines: tuple[Line, ...]
+    branches: tuple[Branch, ...]
+    outputs: tuple[int, ...]
+
+
+def jets_of(expr: ca.SX, inputs: Sequence[ca.SX], label: str) -> Jets:
+    """Return the recurrences of an expression in the entries of ``inputs``.
+
+    Raises:
+        OpaqueExpression: it calls a Function that cannot be looked into, or holds an operation without a recurrence; ``label``
+            is its name.
+    """
+    function = ca.Function("jets", list(inputs), [ca.densify(ca.vec(expr))], {"cse": True})
+    tape = _Tape(label)
+    work: dict[int, int] = {}
+    outputs: dict[int, int] = {}
+    for i in range(function.n_instructions()):
+        op, source, target = function.instruction_id(i), function.instruction_input(i), function.instruction_output(i)
+        if op == ca.OP_OUTPUT:
+            outputs[target[1]] = work[source[0]]
+        elif op == ca.OP_INPUT:
+            work[target[0]] = tape.input(source[0], source[1])
+        elif op == ca.OP_CONST:
+            work[target[0]] = tape.constant(function.instruction_constant(i))
+        else:
+            work[target[0]] = tape.operation(op, [work[j] for j in source])
+    zero = tape.constant(0.0) if len(outputs) < expr.numel() else -1
+    return Jets(
+        tape.count, tape.inputs, tape.numbers, tuple(tape.lines), tuple(tape.branches),
+        tuple(outputs.get(i, zero) for i in range(expr.numel())),
+    )  # fmt: skip
+
+
+class _Tape:
+    """Rows as they are written down."""
+
+    def __init__(self, label: str) -> None:
+        self.label, self.count = label, 0
+        self.inputs: dict[tuple[int, int], int] = {}
+        self.numbers: dict[int, float] = {}
+        self.lines: list[Line] = []
+        self.branches: list[Branch] = []
+        self._known: dict[float, int] = {}
+        self._truths: set[int] = set()
+
+    def input(self, which: int, entry: int) -> int:
+        if (which, entry) not in self.inputs:
+            self.inputs[which, entry] = self._row()
+        return self.inputs[which, entry]
+
+    def constant(self, value: float) -> int:
+        if value not in self._known:
+            self._known[value] = self._row()
+            self.numbers[self._known[value]] = float(value)
+        return self._known[value]
+
+    def operation(self, op: int, args: list[int]) -> int:
+        if op == ca.OP_ASSIGN:
+            return args[0]
+        if op == ca.OP_CALL or (op not in UNARY and op not in BINARY):
+            name = next((name for name in dir(ca) if name.startswith("OP_") and getattr(ca, name) == op), str(op))
+            raise OpaqueExpression(
+                f"{self.label} holds {name.removeprefix('OP_').lower()}, of which no Taylor series is known here"
+            )
+        if all(row in self.numbers for row in args):
+            return self.constant(float(applied(op, [ca.SX(self.numbers[row]) for row in args])))
+        return UNARY[op](self, *args) if op in UNARY else BINARY[op](self, *args)
+
+    def _row(self) -> int:
+        self.count += 1
+        return self.count - 1
+
+    def line(
+        self, kind: str, *args: int, number: float = 1.0, start: str = "", of: tuple[int, ...] = (), branch: int = -1
+    ) -> int:
+        """A new row by a recurrence; -1 among ``args`` stands for the row itself."""
+        y = self._row()
+        self.lines.append(Line(kind, y, tuple(y if row < 0 else row for row in args), number, start, of, branch))
+        return y
+
+    def sum(self, a: int, b: int) -> int:
+        for one, other in ((a, b), (b, a)):
+            if one in self.numbers:
+                return self.line("shifted", other, number=self.numbers[one])
+        return self.line("sum", a, b)
+
+    def difference(self, a: int, b: int) -> int:
+        if b in self.numbers:
+            return self.line("shifted", a, number=-self.numbers[b])
+        return self.sum(self.minus(b), a) if a in self.numbers else self.line("difference", a, b)
+
+    def minus(self, a: int) -> int:
+        return self.line("minus", a)
+
+    def product(self, a: int, b: int) -> int:
+        for one, other in ((a, b), (b, a)):
+            if one in self.numbers:
+                return self.scaled(other, self.numbers[one])
+        return self.square(a) if a == b else self.line("product", a, b)
+
+    def scaled(self, a: int, number: float) -> int:
+        return self.line("scaled", a, number=number)
+
+    def square(self, a: int) -> int:
+        return self.line("square", a)
+
+    def shifted(self, a: int, number: float) -> int:
+        return self.line("shifted", a, number=number)
+
+    def quotient(self, a: int, b: int) -> int:
+        return self.line("over", a, number=self.numbers[b]) if b in self.numbers else self.line("quotient", a, b)
+
+    def root(self, a: int) -> int:
+        return self.line("root", a, start="sqrt", of=(a,))
+
+    def exp(self, a: int) -> int:
+        return self.line("along", -1, a, start="exp", of=(a,))
+
+    def log(self, a: int) -> int:
+        return self.line("against", a, a, start="log", of=(a,))
+
+    def pair(self, a: int, first: str, second: str, sign: float) -> tuple[int, int]:
+        """Sin and cos, sinh and cosh: each is the other's derivative, but for the sign of the second's."""
+        one, two = self.count, self.count + 1
+        self.count += 2
+        self.lines.append(Line("along", one, (two, a), 1.0, first, (a,)))
+        self.lines.append(Line("along", two, (one, a), sign, second, (a,)))
+        return one, two
+
+    def tangent(self, a: int, name: str, sign: float) -> int:
+        """Tan and tanh: D y = (1 + sign y^2) D a."""
+        y, squared, factor = self.count, self.count + 1, self.count + 2
+        self.count += 3
+        self.lines.append(Line("along", y, (factor, a), 1.0, name, (a,)))
+        self.lines.append(Line("square", squared, (y,)))
+        scaled = squared if sign > 0 else self.minus(squared)
+        self.lines.append(Line("shifted", factor, (scaled,), 1.0))
+        return y
+
+    def inverse(self, a: int, name: str, of_square: float, constant: float, *, rooted: bool, sign: float = 1.0) -> int:
+        """An inverse function: D y = sign D a / d, d = of_square a^2 + constant or its root."""
+        squared = self.square(a)
+        d = self.shifted(squared if of_square > 0 else self.minus(squared), constant)
+        return self.line("against", self.root(d) if rooted else d, a, number=sign, start=name, of=(a,))
+
+    def error_function(self, a: int) -> int:
+        density = self.scaled(self.exp(self.minus(self.square(a))), series.TWO_OVER_ROOT_PI)
+        return self.line("along", density, a, start="erf", of=(a,))
+
+    def power(self, a: int, b: int) -> int:
+        if b not in self.numbers:
+            log = self.log(a) if a not in self.numbers else self.constant(float(np.log(self.numbers[a])))
+            return self.line("along", -1, self.product(b, log), start="pow", of=(a, b))
+        p = self.numbers[b]
+        if p == int(p) and abs(p) <= INTEGER_POWERS:
+            y = self.whole_power(a, int(abs(p)))
+            return y if p >= 0 else self.quotient(self.constant(1.0), y)
+        return self.root(a) if p == 0.5 else self.line("power", a, number=p, start="pow", of=(a, b))
+
+    def whole_power(self, a: int, p: int) -> int:
+        if p < 2:
+            return a if p else self.constant(1.0)
+        half = self.square(self.whole_power(a, p // 2))
+        return self.product(half, a) if p % 2 else half
+
+    # Switches.
+
+    def branch(self, kind: str, row: int) -> int:
+        self.branches.append(Branch(kind, row))
+        return len(self.branches) - 1
+
+    def side(self, a: int, one: int, other: int) -> int:
+        """``one`` where a >= 0, else ``other``."""
+        return self.line("chosen", one, other, branch=self.branch("side", a))
+
+    def absolute(self, a: int) -> int:
+        return self.side(a, a, self.minus(a))
+
+    def is_at_most(self, a: int, b: int) -> int:
+        """1 where a <= b, else 0."""
+        return self.true(self.side(self.difference(b, a), self.constant(1.0), self.constant(0.0)))
+
+    def is_equal(self, a: int, b: int) -> int:
+        """1 where a = b all along, else 0."""
+        branch = self.branch("equal", self.difference(a, b))
+        return self.true(self.line("equal", self.constant(1.0), self.constant(0.0), branch=branch))
+
+    def true(self, row: int) -> int:
+        """Note that a row is 0 or 1."""
+        self._truths.add(row)
+        return row
+
+    def logic(self, kind: str, *rows: int) -> int:
+        return self.true(self.line(kind, *(self.truth(row) for row in rows)))
+
+    def truth(self, row: int) -> int:
+        """1 where a row is not 0, else 0."""
+        if row in self._truths or row in self.numbers:
+            return row
+        return self.logic("not", self.is_equal(row, self.constant(0.0)))
+
+    def whole(self, a: int, kind: str) -> int:
+        """The whole number that a branch has chosen."""
+        return self.line("whole", branch=self.branch(kind, a))
+
+    def remainder(self, a: int, b: int, kind: str) -> int:
+        return self.difference(a, self.product(self.whole(self.quotient(a, b), kind), b))
+
+    def where_true(self, condition: int, a: int) -> int:
+        """``a`` where the condition is not 0, else 0, whatever ``a`` is."""
+        return self.line("guarded", self.truth(condition), a)
+
+
+UNARY: dict[int, Callable[[_Tape, int], int]] = {
+    ca.OP_NEG: _Tape.minus,
+    ca.OP_TWICE: lambda t, a: t.scaled(a, 2.0),
+    ca.OP_SQ: _Tape.square,
+    ca.OP_INV: lambda t, a: t.quotient(t.constant(1.0), a),
+    ca.OP_SQRT: _Tape.root,
+    ca.OP_EXP: _Tape.exp,
+    ca.OP_LOG: _Tape.log,
+    ca.OP_EXPM1: lambda t, a: t.line("along", t.exp(a), a, start="expm1", of=(a,)),
+    ca.OP_LOG1P: lambda t, a: t.line("against", t.shifted(a, 1.0), a, start="log1p", of=(a,)),
+    ca.OP_SIN: lambda t, a: t.pair(a, "sin", "cos", -1.0)[0],
+    ca.OP_COS: lambda t, a: t.pair(a, "sin", "cos", -1.0)[1],
+    ca.OP_SINH: lambda t, a: t.pair(a, "sinh", "cosh", 1.0)[0],
+    ca.OP_COSH: lambda t, a: t.pair(a, "sinh", "cosh", 1.0)[1],
+    ca.OP_TAN: lambda t, a: t.tangent(a, "tan", 1.0),
+    ca.OP_TANH: lambda t, a: t.tangent(a, "tanh", -1.0),
+    ca.OP_ASIN: lambda t, a: t.inverse(a, "asin", -1.0, 1.0, rooted=True),
+    ca.OP_ACOS: lambda t, a: t.inverse(a, "acos", -1.0, 1.0, rooted=True, sign=-1.0),
+    ca.OP_ATAN: lambda t, a: t.inverse(a, "atan", 1.0, 1.0, rooted=False),
+    ca.OP_ASINH: lambda t, a: t.inverse(a, "asinh", 1.0, 1.0, rooted=True),
+    ca.OP_ACOSH: lambda t, a: t.inverse(a, "acosh", 1.0, -1.0, rooted=True),
+    ca.OP_ATANH: lambda t, a: t.inverse(a, "atanh", -1.0, 1.0, rooted=False),
+    ca.OP_ERF: _Tape.error_function,
+    ca.OP_FABS: _Tape.absolute,
+    ca.OP_SIGN: lambda t, a: t.side(a, t.constant(1.0), t.constant(-1.0)),
+    ca.OP_FLOOR: lambda t, a: t.whole(a, "floor"),
+    ca.OP_CEIL: lambda t, a: t.whole(a, "ceil"),
+    ca.OP_NOT: lambda t, a: t.logic("not", a),
+}
+BINARY: dict[int, Callable[[_Tape, int, int], int]] = {
+    ca.OP_ADD: _Tape.sum,
+    ca.OP_SUB: _Tape.difference,
+    ca.OP_MUL: _Tape.product,
+    ca.OP_DIV: _Tape.quotient,
+    ca.OP_POW: _Tape.power,
+    ca.OP_CONSTPOW: _Tape.power,
+    ca.OP_HYPOT: lambda t, a, b: t.line("root", t.sum(t.square(a), t.square(b)), start="hypot", of=(a, b)),
+    ca.OP_ATAN2: lambda t, a, b: t.line("angle", a, b, t.sum(t.square(a), t.square(b)), start="atan2", of=(a, b)),
+    ca.OP_FMAX: lambda t, a, b: t.side(t.difference(a, b), a, b),
+    ca.OP_FMIN: lambda t, a, b: t.side(t.difference(b, a), a, b),
+    ca.OP_COPYSIGN: lambda t, a, b: t.side(b, t.absolute(a), t.minus(t.absolute(a))),
+    ca.OP_FMOD: lambda t, a, b: t.remainder(a, b, "toward zero"),
+    ca.OP_REMAINDER: lambda t, a, b: t.remainder(a, b, "nearest"),
+    ca.OP_LT: lambda t, a, b: t.logic("not", t.is_at_most(b, a)),
+    ca.OP_LE: _Tape.is_at_most,
+    ca.OP_EQ: _Tape.is_equal,
+    ca.OP_NE: lambda t, a, b: t.logic("not", t.is_equal(a, b)),
+    ca.OP_AND: lambda t, a, b: t.logic("both", a, b),
+    ca.OP_OR: lambda t, a, b: t.logic("either", a, b),
+    ca.OP_IF_ELSE_ZERO: _Tape.where_true,
+}
