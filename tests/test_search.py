@@ -5,6 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+from fuzz_models import COUNT, FULL
 from search import checked, consequences, oracle
 from search.digits import Exact, column, floats
 from search.judge import REFUSED, VIOLATED, WELL, WRONG_L, WRONG_X, Run, Verdict, judge, judge_run
@@ -54,6 +55,8 @@ FOUND = {  # Models that the search found steps refused in, by what made it.
     "sweeping:457": "rows that repeat one another: one of many index sets, off by 1e-9 of what moves, was taken unrefined",
     "sweeping:370": "curved rows at 1e6: Jacobians of collected terms lost six digits",
 }
+# Their 50 digits take ten seconds and more: not where a part of the random models is asked for.
+LONG = {"first:1589", "inclusion:1473", "inclusion:951", "inclusion:768", "sweeping:113"} if COUNT < FULL else set()
 # Here the last digits decide which of neighbouring index sets is taken, and they differ from processor to processor.
 BY_ROUNDING = pytest.mark.xfail(reason="right on some processors, on others off by more than is promised", strict=False)
 BEYOND = {"sweeping:13": "a point between two discs", "sweeping:206": "a point between discs that close"}
@@ -66,7 +69,9 @@ def test_no_step_with_a_solution_is_refused_and_none_is_wrong(name):
         assert not [f for f in verdict.findings if not f.condition > WELL], f"python -m tests.search --one {name}:{seed}"
 
 
-@pytest.mark.parametrize("one", [pytest.param(one, marks=[BY_ROUNDING] * (one == "sweeping:1905")) for one in FOUND])
+@pytest.mark.parametrize(
+    "one", [pytest.param(one, marks=[BY_ROUNDING] * (one == "sweeping:1905")) for one in FOUND if one not in LONG]
+)
 def test_a_step_once_refused_is_taken(one):
     name, seed = one.split(":")
     verdict = judge(case(name, int(seed)), checks=2)
