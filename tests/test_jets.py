@@ -186,6 +186,10 @@ def test_numbers_apart_from_symbols_are_folded():
     assert [line.kind for line in jets.lines] == ["scaled"]
 
 
+def test_sine_and_cosine_of_one_argument_are_one_pair():
+    assert len(jets_of(ca.sin(U[0]) * ca.cos(U[0]) + ca.cosh(U[1]) - ca.sinh(U[1]), [U], "f").lines) == 7
+
+
 def test_what_has_no_series_is_refused_by_name():
     hidden = ca.Function("hidden", [U], [ca.sin(U[0])], {"never_inline": True})
     with pytest.raises(OpaqueExpression, match="'f' holds call"):

@@ -12,6 +12,7 @@ import sympy
 from nsmodel import (
     Bodies,
     Family,
+    FirstOrderSystem,
     LureSystem,
     ManyBodies,
     ModelError,
@@ -223,3 +224,13 @@ def test_json_names_each_entry(tmp_path, capsys):
     (tmp_path / "m.py").write_text(textwrap.dedent(FILE))
     assert main(["check", str(tmp_path / "m.py"), "--quick", "--json", "--set", "th=1,2"]) == 0
     assert json.loads(capsys.readouterr().out)["parameters"]["th_1"] == 2
+
+
+def test_parameters_bound_one_after_the_other_are_all_told():
+    x, k, c = ca.SX.sym("x"), ca.SX.sym("k"), ca.SX.sym("c")
+    model = FirstOrderSystem(x=x, f=-k * x + c, x0=1, t_end=1, step=0.1, parameters={k: 2.0, c: None})
+    both = model.bind({"c": 0.5}, partly=True).bind()
+    assert dict(both.bound_parameters) == {"k": 2.0, "c": 0.5}
+    later = model.bind({"k": 2.0}, partly=True)
+    assert dict(later.bound_parameters) == {"k": 2.0}
+    assert dict(later.bind({"c": 0.5}).bound_parameters) == {"k": 2.0, "c": 0.5}

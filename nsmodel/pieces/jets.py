@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.pieces import series
-from nsmodel.proof.graph import OpaqueExpression, applied
+from nsmodel.proof.graph import OpaqueExpression, applied, fold
 
 INTEGER_POWERS = 16  # Larger whole exponents are powers of a base that is not 0.
 
@@ -69,25 +69,12 @@ def jets_of(expr: ca.SX, inputs: Sequence[ca.SX], label: str) -> Jets:
         OpaqueExpression: it calls a Function that cannot be looked into, or holds an operation without a recurrence; ``label``
             is its name.
     """
-    function = ca.Function("jets", list(inputs), [ca.densify(ca.vec(expr))], {"cse": True})
+    place = {
+        s.element_hash(): (which, i) for which, given in enumerate(inputs) for i, s in enumerate(ca.vertsplit(ca.vec(given)))
+    }
     tape = _Tape(label)
-    work: dict[int, int] = {}
-    outputs: dict[int, int] = {}
-    for i in range(function.n_instructions()):
-        op, source, target = function.instruction_id(i), function.instruction_input(i), function.instruction_output(i)
-        if op == ca.OP_OUTPUT:
-            outputs[target[1]] = work[source[0]]
-        elif op == ca.OP_INPUT:
-            work[target[0]] = tape.input(source[0], source[1])
-        elif op == ca.OP_CONST:
-            work[target[0]] = tape.constant(function.instruction_constant(i))
-        else:
-            work[target[0]] = tape.operation(op, [work[j] for j in source])
-    zero = tape.constant(0.0) if len(outputs) < expr.numel() else -1
-    return Jets(
-        tape.count, tape.inputs, tape.numbers, tuple(tape.lines), tuple(tape.branches),
-        tuple(outputs.get(i, zero) for i in range(expr.numel())),
-    )  # fmt: skip
+    outputs = fold(ca.cse(ca.SX(expr)), lambda s: tape.input(*place[s.element_hash()]), tape.constant, tape.operation)
+    return Jets(tape.count, tape.inputs, tape.numbers, tuple(tape.lines), tuple(tape.branches), tuple(outputs))
 
 
 class _Tape:
@@ -101,6 +88,7 @@ class _Tape:
         self.branches: list[Branch] = []
         self._known: dict[float, int] = {}
         self._truths: set[int] = set()
+        self._pairs: dict[tuple[str, int], tuple[int, int]] = {}
 
     def input(self, which: int, entry: int) -> int:
         if (which, entry) not in self.inputs:
@@ -180,16 +168,15 @@ class _Tape:
 
     def pair(self, a: int, first: str, second: str, sign: float) -> tuple[int, int]:
         """Sin and cos, sinh and cosh: each is the other's derivative, but for the sign of the second's."""
-        one, two = self.count, self.count + 1
-        self.count += 2
-        self.lines.append(Line("along", one, (two, a), 1.0, first, (a,)))
-        self.lines.append(Line("along", two, (one, a), sign, second, (a,)))
-        return one, two
+        if (first, a) not in self._pairs:
+            one, two = self._pairs[first, a] = self._row(), self._row()
+            self.lines.append(Line("along", one, (two, a), 1.0, first, (a,)))
+            self.lines.append(Line("along", two, (one, a), sign, second, (a,)))
+        return self._pairs[first, a]
 
     def tangent(self, a: int, name: str, sign: float) -> int:
         """Tan and tanh: D y = (1 + sign y^2) D a."""
-        y, squared, factor = self.count, self.count + 1, self.count + 2
-        self.count += 3
+        y, squared, factor = self._row(), self._row(), self._row()
         self.lines.append(Line("along", y, (factor, a), 1.0, name, (a,)))
         self.lines.append(Line("square", squared, (y,)))
         scaled = squared if sign > 0 else self.minus(squared)
