@@ -20,7 +20,7 @@ from nsmodel.storage import STAMP, Metadata, dumps, loads, refuse_later, stream_
 # CPython's parser, which reads an array's header, may fail where two threads of a program parse at once (SystemError).
 _ONE_AT_A_TIME = threading.RLock()
 Layout = dict[str, tuple[np.dtype, tuple[int, ...]]]
-LIST = "contact_"  # Arrays whose names begin so are lists: their length is not the number of rows, but one of their own.
+LIST = ("contact_", "piece_")  # Arrays whose names begin so are lists: their length is one of their own, not the number of rows.
 _METADATA = "metadata.json"
 _BLOCK = 1 << 20
 

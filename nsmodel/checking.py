@@ -90,6 +90,8 @@ def check(
     given = runs is not None or quick
     own = list(runs or ()) if given else _runs(bound, notes)
     box = region_of(bound, own, region)
+    own, pieces = [run for run in own if not run.is_event_driven], [run for run in own if run.is_event_driven]
+    notes += [modes_note(run) for run in pieces]
     try:
         findings, consequences = _checker(type(bound)).check(bound, box, own, quick)
         consequences = clauses(bound, box, findings, consequences)
@@ -107,6 +109,18 @@ def check(
         if not given:
             consequences += _refined(bound, own[0])
     return _report(bound, box.text, findings, consequences, bound.bound_parameters, notes, quick)
+
+
+def modes_note(run: Trajectory) -> str:
+    """What an event-driven run says of its modes: whether l was the only one, and the mode the only one that goes on."""
+    totals = run.metadata["totals"]
+    unique, redundant = totals.get("unique", {}), totals.get("redundant", 0)
+    regular = (
+        f"{redundant} of {totals['pieces']} pieces have redundant rows, their l is the least" if redundant else "all regular"
+    )
+    decided = ", ".join(f"{verdict} at {count}" for verdict, count in sorted(unique.items())) or "no event"
+    only = "whether the mode is the only one, at the start and the events"
+    return f"event-driven run: {totals['pieces']} pieces, {regular}; {only}: {decided}"
 
 
 def _for_all(

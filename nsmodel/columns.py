@@ -88,7 +88,7 @@ def dataset(run: Trajectory) -> Any:
     for name, array in run.arrays.items():
         if name not in ("t", "x"):
             shared = name in ("multipliers", "y") and array.shape[1:] == (len(names),)
-            along = "contact" if name.startswith(LIST) else "time"
+            along = next((stem.rstrip("_") for stem in LIST if name.startswith(stem)), "time")
             rest = ["multiplier"] if shared else [f"{name}_dim_{axis}" for axis in range(1, array.ndim)]
             data[name] = ((along, *rest), array, units.get(name))
     coords = {"time": ("time", run.t, units.get("t")), **({"multiplier": names} if names else {})}

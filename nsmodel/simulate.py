@@ -11,17 +11,20 @@ from nsmodel import lock
 from nsmodel.chunks import ChunkStore
 from nsmodel.classes.registry import class_of
 from nsmodel.defaults import TOLERANCE
-from nsmodel.errors import UsageError
+from nsmodel.errors import StepError, UsageError
 from nsmodel.grid import Grid, make_grid
 from nsmodel.identity import WAY
 from nsmodel.model.arguments import shown
 from nsmodel.model.base import Model
 from nsmodel.model.parameters import Values
+from nsmodel.proof.graph import OpaqueExpression
 from nsmodel.run.controlled import Controlled
+from nsmodel.run.event_driven import EventDriven, problem_of, with_reason
 from nsmodel.run.loop import Run, keep_unfinished
 from nsmodel.run.on_grid import OnGrid
-from nsmodel.run.options import Options
+from nsmodel.run.options import METHODS, Options
 from nsmodel.run.walk import There
+from nsmodel.scheme.continuous import NotEventDriven
 from nsmodel.trajectory import Trajectory
 
 
@@ -41,6 +44,8 @@ def simulate(
     compiled: bool | str = "auto",
     rtol: float | None = None,
     atol: float | Sequence[float] | None = None,
+    method: str = "auto",
+    times: Sequence[float] | None = None,
 ) -> Trajectory:
     """Run a model and return its trajectory; every step in it was verified.
 
@@ -59,9 +64,14 @@ def simulate(
             is taken by the interpreted solvers); False: never; "auto": where building, or finding what was built before, takes
             less time than the interpreted steps, both estimated from the structure (see `solve.cost`). A run that is resumed
             goes on as it began.
-        rtol: choose the steps by local error control (see `adaptive`), so that each state errs by about ``rtol`` of its largest
-            value so far; ``step`` is then the first step.
+        rtol: the error allowed of each state, beside its largest value so far, >= 1e-14. The run is event-driven where that
+            applies: one smooth piece after another, switches found exactly (see `docs/events.md`); rows are the ends of pieces,
+            ``run.at(t)`` gives any time, ``run.events`` the switches.
         atol: an absolute error allowed besides, one for all states or one for each; 0 if left out.
+        method: with ``rtol``: "event-driven" refuses what it cannot take, or cannot go on with; "time-stepping" chooses the
+            steps by local error control (see `run.controlled`; rtol >= 1e-12, ``step`` is the first step); "auto" is
+            event-driven, and takes time stepping, with a warning, where that does not apply or stops.
+        times: the rows of an event-driven run, increasing, from 0 to t_end; left out: the ends of its pieces.
 
     Raises:
         UsageError: a wrong argument, an unknown or inapplicable solver, a start outside the set, an unfinished run in ``out``.
@@ -71,7 +81,9 @@ def simulate(
         StorageError: ``resume`` without a matching run, or after its files were changed; another run is at work in ``out``; or it
             cannot be written: then ``error.trajectory`` holds what was computed.
     """
-    options = Options(step, steps, t_end, parameters, solver, tolerance, save_every, out, resume, compiled, rtol, atol)
+    options = Options(
+        step, steps, t_end, parameters, solver, tolerance, save_every, out, resume, compiled, rtol, atol, method, times
+    )
     with contextlib.nullcontext() if options.folder is None else lock.held(options.folder):
         return arranged(model, options).go(progress)
 
@@ -95,10 +107,24 @@ def explain(
     solver: str = "auto",
     tolerance: float = TOLERANCE,
     compiled: bool | str = "auto",
+    rtol: float | None = None,
+    method: str = "auto",
 ) -> str:
     """What a run with these arguments would use and what it leaves out, and why, as text."""
-    options = Options(step=step, t_end=t_end, parameters=parameters, solver=solver, tolerance=tolerance, compiled=compiled)
+    options = Options(
+        step=step,
+        t_end=t_end,
+        parameters=parameters,
+        solver=solver,
+        tolerance=tolerance,
+        compiled=compiled,
+        rtol=rtol,
+        method=method,
+    )
     bound = _bound(model, options)
+    if rtol is not None:
+        controlled: Any = _with_rtol(bound, options).walk
+        return controlled.plan.text(controlled.problem)
     walk = _on_grid(bound)(bound, options, make_grid(bound, step, None, t_end), lambda: None)
     return walk.plan.text(walk.problem)
 
@@ -106,7 +132,9 @@ def explain(
 def arranged(model: Model, options: Options) -> Run:
     """Return the run that these options ask for; see ``simulate``."""
     bound = _bound(model, options)
-    if options.rtol is not None or options.atol is not None:
+    if options.rtol is not None:
+        return _with_rtol(bound, options)
+    if options.atol is not None:
         return _controlled(bound, options)
     folder = _Folder(options)
     grid = make_grid(bound, options.step, options.steps, options.t_end)
@@ -133,6 +161,68 @@ class _Folder:
         """How the run that is resumed was stepped; None for a new one."""
         store = self.store()
         return store.manifest["checkpoint"]["settings"].get(WAY) if store and store.manifest["chunks"] else None
+
+
+class _GoesOn(Run):
+    """An event-driven run that, where it stops, is made anew by time stepping, with a warning that says why."""
+
+    def go(self, progress: bool = False) -> Trajectory:
+        """Run to the end, one way or the other."""
+        try:
+            return super().go(progress)
+        except StepError as error:
+            if self.options.times is not None:
+                raise
+            reason = f"it stopped: {error}"
+        other = _stepped(self.walk.model, self.options, reason)
+        other.walk.warnings.append(f"event-driven integration: {reason}; all rows are by time stepping")
+        run = other.go(progress)
+        self.cpu_seconds += other.cpu_seconds
+        return run
+
+
+def _with_rtol(model: Model, options: Options) -> Run:
+    """An event-driven run where it applies and ``method`` lets it."""
+    if options.method == METHODS[2]:
+        return _controlled(model, options)
+    try:
+        problem = problem_of(model)
+        if options.compiled is True:
+            raise NotEventDriven("compiled=True is given, and its pieces are interpreted")
+        _refuse_of_steps(options)
+        walk = EventDriven(model, options, problem)
+    except (NotEventDriven, OpaqueExpression, StepError) as error:
+        if options.method == METHODS[1] or options.times is not None:
+            raise error if isinstance(error, StepError) else UsageError(f"not event-driven: {error}") from error
+        run = _stepped(model, options, str(error))
+        if isinstance(error, StepError):
+            run.walk.warnings.append(f"event-driven integration does not start: {error}; all rows are by time stepping")
+        return run
+    if options.folder is not None:
+        keep_unfinished(options.folder)
+    return (Run if options.method == METHODS[1] else _GoesOn)(walk, options, None)
+
+
+def _refuse_of_steps(options: Options) -> None:
+    """Refuse what belongs to time stepping."""
+    given = {
+        "step": options.step is not None, "steps": options.steps is not None,
+        f"solver '{options.solver}'": options.solver != "auto",
+        "resume": options.resume,
+    }  # fmt: skip
+    name = next((name for name, there in given.items() if there), None)
+    if name is not None:
+        raise UsageError(
+            f"{name} and rtol are both given: an event-driven run has no time steps, and begins anew; leave {name} out, or take "
+            "method='time-stepping' (--method time-stepping)"
+        )
+
+
+def _stepped(model: Model, options: Options, reason: str) -> Run:
+    """Time stepping under error control, and why it is not event-driven."""
+    run = _controlled(model, options)
+    run.walk.plan = with_reason(run.walk.plan, reason)
+    return run
 
 
 def _controlled(model: Model, options: Options) -> Run:

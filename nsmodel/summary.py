@@ -21,6 +21,7 @@ FOR_GOOD = {  # How a run of many bodies knows that nothing will ever change aga
     "held": "nothing will ever change, the contacts alone hold them in place; the run ends",
 }
 CONTROL = ("rtol", "accepted", "rejected", "extrapolated", "at_least_step", "least_step")
+PIECES = ("rtol", "order", "pieces", "events", "worst_estimate", "worst_estimate_t")
 
 
 def summary(run: Trajectory) -> dict[str, Any]:
@@ -41,7 +42,8 @@ def summary(run: Trajectory) -> dict[str, Any]:
         "save_every": about.get("save_every", 1),
         "t": {"start": float(run.t[0]), "end": float(run.t[-1]), "unit": units.get("t", "")},
         "step": {"min": float(steps[computed].min()), "max": float(steps[computed].max())} if computed.size else None,
-        "error_control": {key: totals[key] for key in CONTROL} if "rtol" in totals else None,
+        "error_control": {key: totals[key] for key in CONTROL} if "accepted" in totals else None,
+        "event_driven": {key: totals[key] for key in PIECES} if "pieces" in totals else None,
         "residual": _worst(run, totals, computed),
         "index_set_changes": _changes(run, totals, computed),
         "solver_counts": dict(about.get("solver_counts") or {}),
@@ -138,6 +140,7 @@ def text(summary: dict[str, Any]) -> str:
         "steps": f"{s['steps']}{sample}, t = {t['start']:.6g} to {t['end']:.6g}{unit}",
         "step size": s["step"] and _range(s["step"]["min"], s["step"]["max"], unit),
         "error control": s["error_control"] and _control(**s["error_control"]),
+        "event-driven": s["event_driven"] and _event_driven(**s["event_driven"], unit=unit),
         "worst residual": s["residual"] and f"{s['residual']['worst']:.3g}{_at(s['residual']['t'], unit)}",
         "contacts" if s["bodies"] else "index set": (
             None if changes is None else f"changed at {changes} step{'' if changes == 1 else 's'}"
@@ -201,6 +204,17 @@ def _standstill(found: dict[str, Any], unit: str) -> list[str]:
 def _control(rtol: float, accepted: int, rejected: int, extrapolated: int, at_least_step: int, least_step: float) -> str:
     tail = f"; {at_least_step} at the least step, whatever their error" if at_least_step else ""
     return f"rtol {rtol:g}: {accepted} steps accepted, {extrapolated} of them extrapolated, {rejected} refused{tail}"
+
+
+def _event_driven(
+    rtol: float, order: int, pieces: int, events: int, worst_estimate: float, worst_estimate_t: float | None, unit: str
+) -> str:
+    switches = f"{events} event{'' if events == 1 else 's'}"
+    return (
+        f"rtol {rtol:g}: {pieces} pieces of order {order}, {switches}; local error estimated, at most "
+        f"{worst_estimate:.2g} of rtol"
+        f"{_at(worst_estimate_t, unit)}"
+    )
 
 
 def _at(t: float | None, unit: str) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel import columns, summary
+from nsmodel import columns, dense, summary
 from nsmodel.archive import read_npz, write_npz
 from nsmodel.contacts import Contacts
 from nsmodel.errors import StorageError, UsageError
@@ -79,6 +79,11 @@ class Trajectory:
         return self.index_set == 0
 
     @property
+    def is_event_driven(self) -> bool:
+        """Whether the rows are read off the polynomials of pieces."""
+        return "piece_start" in self.arrays
+
+    @property
     def status(self) -> str:
         """How the run ended."""
         return self.metadata.get("status", "unknown")
@@ -110,6 +115,28 @@ class Trajectory:
         row = range(len(self.t))[row]
         at = slice(*np.searchsorted(self.arrays["contact_row"], [row, row + 1]))
         return Contacts(*(self.arrays[f"contact_{name}"][at] for name in Contacts._fields))
+
+    def at(self, t: Any) -> dense.At:
+        """Return the run at times t, a number or (k,) of them: states, velocities, multipliers and outputs, (k, ...) each.
+
+        Of an event-driven run to its tolerance, at an event as they are after it. Of a run by time stepping the states are those
+        of the rows on both sides, joined by straight lines, multipliers and outputs those of the step that t lies in.
+
+        Raises:
+            UsageError: a time that is no number or outside the run.
+        """
+        times = np.atleast_1d(np.asarray(t, float))
+        outside = times[~((times >= self.t[0]) & (times <= self.t[-1]))]
+        if outside.size:
+            raise UsageError(f"t = {outside[0]:.10g}: the run goes from {self.t[0]:.10g} to {self.t[-1]:.10g}")
+        return dense.at(self.arrays, times) if self.is_event_driven else dense.between(self.arrays, times)
+
+    @property
+    def events(self) -> tuple[dense.Event, ...]:
+        """The switches of an event-driven run, in order; UsageError for a run by time stepping, which has none but its rows'."""
+        if not self.is_event_driven:
+            raise UsageError("events are found by event-driven runs: give rtol; of time steps see run.index_set")
+        return dense.events(self.arrays)
 
     def save(self, path: str | Path) -> None:
         """Write one npz file with all arrays and the metadata; StorageError where that fails."""

@@ -1,6 +1,7 @@
 """Steps chosen by error control: against closed forms of every class, at switches, at accumulations, with wrong input."""
 
 import re
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -34,15 +35,16 @@ from nsmodel import (
     complementarity,
     product,
     relay,
-    simulate,
 )
 from nsmodel.classes.units import in_units
 from nsmodel.codegen.rollout import Rollout
 from nsmodel.grid import make_grid
 from nsmodel.run.schemes import make_stepper
 from nsmodel.scheme import one_step_problem
-from nsmodel.simulate import prepare
+from nsmodel.simulate import prepare as prepare_any
+from nsmodel.simulate import simulate as simulate_any
 
+simulate, prepare = (partial(call, method="time-stepping") for call in (simulate_any, prepare_any))
 TIGHT = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-15}
 T, X, S = ca.SX.sym("t"), ca.SX.sym("x"), ca.SX.sym("s")
 Q, Q2 = ca.SX.sym("q"), ca.SX.sym("q", 2)

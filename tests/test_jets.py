@@ -93,7 +93,7 @@ def by_recurrence(expr, u, polynomials, label="f"):
     jets = jets_of(expr, [u], label)
     expansion = Expansion(jets, ORDERS)
     for (_, entry), row in jets.inputs.items():
-        expansion.rows[row, : len(polynomials[entry])] = polynomials[entry]
+        expansion.rows[row][: len(polynomials[entry])] = list(map(float, polynomials[entry]))
     return np.array([expansion.order(k)[0] for k in range(ORDERS + 1)])
 
 
@@ -265,11 +265,11 @@ def test_c_computes_what_python_does(in_c):
         polynomials = ABOVE_ONE if name == "acosh" else INSIDE if isinstance(name, str) else composition(name)[1]
         expansion = Expansion(jets, ORDERS)
         for (_, entry), row in jets.inputs.items():
-            expansion.rows[row, : len(polynomials[entry])] = polynomials[entry]
-        rows, choice = expansion.rows.copy(), np.full(max(len(jets.branches), 1), np.nan)
+            expansion.rows[row][: len(polynomials[entry])] = list(map(float, polynomials[entry]))
+        rows, choice = np.array(expansion.rows), np.full(max(len(jets.branches), 1), np.nan)
         for k in range(ORDERS + 1):
             expansion.order(k)
             order(i, ctypes.c_void_p(rows.ctypes.data), ctypes.c_void_p(choice.ctypes.data), k)
-        size = np.nanmax(np.abs(expansion.rows), axis=0) + 1e-300  # a branch not taken may be no number
-        np.testing.assert_allclose(rows / size, expansion.rows / size, rtol=0, atol=1e-12, err_msg=str(name))
+        size = np.nanmax(np.abs(np.array(expansion.rows)), axis=0) + 1e-300  # a branch not taken may be no number
+        np.testing.assert_allclose(rows / size, np.array(expansion.rows) / size, rtol=0, atol=1e-12, err_msg=str(name))
         assert np.array_equal(choice[: len(jets.branches)], expansion.choice)

@@ -111,7 +111,7 @@ def test_a_signal_is_noted_between_steps(tmp_path, monkeypatch, number):
 def test_a_run_under_error_control_ends_at_a_signal(monkeypatch):
     before_step(monkeypatch, 40, deliver(signal.SIGTERM))
     with pytest.raises(RunInterrupted) as caught:
-        simulate(lure(), rtol=1e-4)
+        simulate(lure(), method="time-stepping", rtol=1e-4)
     assert len(caught.value.trajectory) > 10
 
 

@@ -144,7 +144,7 @@ def ours(scene: Scene) -> list[Line]:
     T, n, lines = scene.model.t_end, len(scene.model.names), {}
     for name, model, compiled, powers in scene.methods:
         asked = [(f"h = {T / 2**k:.3g}", {"step": T / 2**k}) for k in powers]
-        asked = asked or [(f"rtol = {rtol:g}", {"rtol": rtol}) for rtol in TOLERANCES]
+        asked = asked or [(f"rtol = {rtol:g}", {"rtol": rtol, "method": "time-stepping"}) for rtol in TOLERANCES]
         points, way = [], "compiled" if compiled else "interpreted"
         for label, options in asked:
             run, seconds = timed(model, **options, compiled=compiled)

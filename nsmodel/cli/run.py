@@ -20,6 +20,7 @@ from nsmodel.errors import NsmodelError, StepError, StorageError, UsageError
 from nsmodel.lock import held
 from nsmodel.model.base import Model
 from nsmodel.run.loop import RunInterrupted
+from nsmodel.run.options import METHODS
 from nsmodel.simulate import explain, simulate
 from nsmodel.solve.choose import SOLVERS
 from nsmodel.storage import STAMP, refuse_unwritable, write_json
@@ -33,7 +34,11 @@ def add(commands: Commands) -> None:
     parser.add_argument("files", metavar="FILE", nargs="+", help="a Python file that defines model = ... or def model(...)")
     parser.add_argument("--step", type=float, metavar="H", help="time step (default: the model's)")
     parser.add_argument("--t-end", type=float, metavar="T", help="end of the run (default: the model's)")
-    parser.add_argument("--rtol", type=float, metavar="R", help="choose the steps by error control: error allowed, relative")
+    parser.add_argument("--rtol", type=float, metavar="R", help="error allowed, relative: event-driven where that applies")
+    parser.add_argument(
+        "--method", default="auto", choices=METHODS,
+        help="with --rtol: auto (event-driven, else time stepping), or one of them alone",
+    )  # fmt: skip
     parser.add_argument("--atol", type=float, metavar="A", help="error allowed besides, absolute (default 0)")
     add_set(parser)
     parser.add_argument("--solver", default="auto", metavar="NAME", help=f"use this solver alone: {', '.join(SOLVERS[1:])}")
@@ -119,13 +124,14 @@ def _run_here(arguments: argparse.Namespace, file: str, folder: Path | None) -> 
         if arguments.explain and not arguments.json:
             how = explain(
                 model, step=arguments.step, t_end=arguments.t_end, parameters=values, solver=arguments.solver,
-                tolerance=arguments.tolerance, compiled=compiled,
+                tolerance=arguments.tolerance, compiled=compiled, rtol=arguments.rtol, method=arguments.method,
             )  # fmt: skip
             print(how, end="\n\n")
         run = simulate(
             model, step=arguments.step, t_end=arguments.t_end, parameters=values, solver=arguments.solver,
             tolerance=arguments.tolerance, save_every=arguments.save_every, out=folder, resume=arguments.resume,
             progress=not (arguments.quiet or arguments.json), compiled=compiled, rtol=arguments.rtol, atol=arguments.atol,
+            method=arguments.method,
         )  # fmt: skip
     except StepError as error:
         return _stopped(arguments, file, folder, error.trajectory, f"error: {error}", FAILED_STEP, start)
@@ -235,7 +241,7 @@ def _stopped(
             sys.stdout.flush()
         except OSError as error:
             silenced(error)
-    steps = sum(run.metadata["solver_counts"].values())
+    steps = len(run) if run.is_event_driven else sum(run.metadata["solver_counts"].values())
     how = "; go on with --resume" if resumable and status in (INTERRUPTED, TERMINATED) else ""
     print(f"nsmodel: {where}{message}", file=sys.stderr)
     print(f"nsmodel: {where}{steps} verified steps are saved in {folder / 'trajectory.npz'}{how}", file=sys.stderr)

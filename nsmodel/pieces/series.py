@@ -9,58 +9,76 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from operator import mul
 
-import numpy as np
-
-Row = np.ndarray
+Row = list[float]
 TWO_OVER_ROOT_PI = 2 / math.sqrt(math.pi)
 
 
-def product(y: Row, a: Row, b: Row, k: int) -> None:
+def product(a: Row, b: Row, k: int) -> float:
     """y = a b."""
-    y[k] = a[: k + 1] @ b[k::-1]
+    return sum(map(mul, a[: k + 1], b[k::-1]))
 
 
-def square(y: Row, a: Row, k: int) -> None:
+def square(a: Row, k: int) -> float:
     """y = a^2."""
-    y[k] = a[: k + 1] @ a[k::-1]
+    return sum(map(mul, a[: k + 1], a[k::-1]))
 
 
-def quotient(y: Row, a: Row, b: Row, k: int) -> None:
+def quotient(y: Row, a: Row, b: Row, k: int) -> float:
     """y = a / b, from y b = a."""
-    y[k] = (a[k] - y[:k] @ b[k:0:-1]) / b[0]
+    return (a[k] - sum(map(mul, y[:k], b[k:0:-1]))) / b[0]
 
 
-def root(y: Row, a: Row, k: int) -> None:
+def root(y: Row, a: Row, k: int) -> float:
     """y = sqrt(a), from y^2 = a; y_0 is given."""
-    y[k] = (a[k] - y[1:k] @ y[k - 1 : 0 : -1]) / (2 * y[0])
+    return (a[k] - sum(map(mul, y[1:k], y[k - 1 : 0 : -1]))) / (2 * y[0])
 
 
-def power(y: Row, a: Row, p: float, k: int) -> None:
+def power(y: Row, a: Row, p: float, k: int) -> float:
     """y = a^p, from a D y = p y D a; y_0 is given, a_0 != 0."""
-    j = np.arange(k)
-    y[k] = ((p * (k - j) - j) * a[k:0:-1]) @ y[:k] / (k * a[0])
+    return sum((p * (k - j) - j) * a[k - j] * y[j] for j in range(k)) / (k * a[0])
 
 
-def along(y: Row, factor: Row, a: Row, k: int, sign: float = 1.0) -> None:
-    """D y = sign factor D a: exp, sin and cos, sinh and cosh, tan, tanh, erf with their own factors; y_0 is given."""
-    y[k] = sign * (np.arange(1, k + 1) * a[1 : k + 1]) @ factor[k - 1 :: -1][:k] / k
+def along(factor: Row, a: Row, k: int) -> float:
+    """D y = factor D a: exp, sin and cos, sinh and cosh, tan, tanh, erf with their own factors; y_0 is given."""
+    return sum(j * a[j] * factor[k - j] for j in range(1, k + 1)) / k
 
 
-def against(y: Row, divisor: Row, a: Row, k: int, sign: float = 1.0) -> None:
+def against(y: Row, divisor: Row, sign: float, a: Row, k: int) -> float:
     """divisor D y = sign D a: log and the inverse functions; y_0 is given."""
-    y[k] = (sign * a[k] - (np.arange(1, k) * y[1:k]) @ divisor[k - 1 : 0 : -1] / k) / divisor[0]
+    return (sign * a[k] - sum(j * y[j] * divisor[k - j] for j in range(1, k)) / k) / divisor[0]
 
 
-def angle(y: Row, a: Row, b: Row, size: Row, k: int) -> None:
+def angle(y: Row, a: Row, b: Row, size: Row, k: int) -> float:
     """y = atan2(a, b), from (a^2 + b^2) D y = b D a - a D b; ``size`` is a^2 + b^2, y_0 is given."""
-    j = np.arange(1, k + 1)
-    turned = ((j * a[1 : k + 1]) @ b[k - 1 :: -1][:k] - (j * b[1 : k + 1]) @ a[k - 1 :: -1][:k]) / k
-    y[k] = (turned - (np.arange(1, k) * y[1:k]) @ size[k - 1 : 0 : -1] / k) / size[0]
+    turned = sum(j * (a[j] * b[k - j] - b[j] * a[k - j]) for j in range(1, k + 1))
+    return (turned - sum(j * y[j] * size[k - j] for j in range(1, k))) / k / size[0]
 
 
+def divided(a: float, b: float) -> float:
+    """a / b."""
+    return a / b
+
+
+def _number(function: Callable[..., float]) -> Callable[..., float]:
+    """The function, NaN where it has no value: in a branch that is not taken that is no harm."""
+
+    def at(*args: float) -> float:
+        try:
+            return function(*args)
+        except (ValueError, OverflowError, ZeroDivisionError):
+            return math.nan
+
+    return at
+
+
+RECURRENCES: dict[str, Callable[..., float]] = {
+    **{f.__name__: f for f in (product, square, along)},
+    **{f.__name__: _number(f) for f in (divided, quotient, root, power, against, angle)},
+}
 # What a function is at order 0.
 STARTS: dict[str, Callable[..., float]] = {
-    name: getattr(math, name)
+    name: _number(getattr(math, name))
     for name in "acos acosh asin asinh atan atan2 atanh cos cosh erf exp expm1 hypot log log1p pow sin sinh sqrt tan tanh".split()
 }

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nsmodel import dense
 from nsmodel.columns import model_type
 from nsmodel.plot import crowd, style
 from nsmodel.plot.plane import phase, plots_of
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 
     Panel = tuple[float, Callable[..., Axes]]  # height, what draws it on ax=
 
+POINTS = 2000  # Rows that an event-driven run is drawn by.
 TIME = ("states", "index_strip", "multipliers", "reactions", "pressures")
 CROWD = (("frame", "evacuation"), ("density", "pressure", "pressures"))  # its overview, column by column
 # file: (its panels, its width in inches, inches for a unit of height)
@@ -47,6 +50,7 @@ def overview(run: Trajectory, model: Any = None) -> Figure:
     a planar sweeping process (or else the phase portrait), the energy and the residual. Of many bodies in the plane: the moment
     of most pressure, how many are there, maps of density and pressure.
     """
+    run = _drawn(run)
     figure = _titled(run)
     panels = _panels(run, model, lines=8, rows=12)
     if "frame" in panels:
@@ -79,11 +83,12 @@ def save_all(run: Trajectory, model: Any, directory: str | Path, prefix: str = "
     """
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
+    run = _drawn(run)
     panels = _panels(run, model, lines=MAX_LINES, rows=MAX_ROWS)
     draws: dict[str, Callable[[], Figure]] = {
         name: partial(_sheet, run, [panels[part] for part in parts if part in panels], width, scale)
         for name, (parts, width, scale) in SHEETS.items()
-        if parts[0] in panels
+        if parts[0] in panels or (name in TIME and parts[-1] in panels)
     }
     draws["overview"] = partial(overview, run, model)
     if "frame" in panels:  # Its maps are made but once.
@@ -93,6 +98,13 @@ def save_all(run: Trajectory, model: Any, directory: str | Path, prefix: str = "
         paths.append(directory / f"{prefix}{name}.png")
         save(draw(), paths[-1])
     return paths
+
+
+def _drawn(run: Trajectory) -> Trajectory:
+    """The run itself, or an event-driven one with rows read off its polynomials."""
+    if not run.is_event_driven or len(run.arrays["piece_start"]) == 0:
+        return run
+    return replace(run, arrays=dense.drawn(run.arrays, POINTS))
 
 
 def save(figure: Figure, path: Path, dpi: int = 100) -> None:
@@ -110,9 +122,9 @@ def _panels(run: Trajectory, model: Any, *, lines: int, rows: int) -> dict[str, 
     panels: dict[str, Panel] = {"states": (2.6, partial(states, run, limit=lines)), **own}
     if bands := min(rows, style.table(run, "index_set").shape[1]):
         panels["index_strip"] = (0.5 + 0.16 * bands, partial(index_strip, run, limit=rows))
-        panels["multipliers"] = (2, partial(multipliers, run, limit=lines))
-        if "reactions" in run.arrays:
-            panels["reactions"] = (2, partial(multipliers, run, which="reactions", limit=lines))
+        for name in ("reactions",) if run.is_event_driven and "reactions" in run.arrays else ("multipliers", "reactions"):
+            if name in run.arrays:
+                panels[name] = (2, partial(multipliers, run, which=name, limit=lines))
     if "pressure" in run.arrays:
         panels["pressures"] = (2, partial(crowd.pressures, run))
     if run.x.shape[1] > 1 or (model_type(run).second_order and "v" in run.arrays):

@@ -93,7 +93,7 @@ def multipliers(run: Trajectory, *, which: str = "multipliers", limit: int = MAX
         {"color": c, "drawstyle": "steps-pre", "linewidth": DASHES[k % 4][0], "linestyle": DASHES[k % 4][1]}
         for k, c in enumerate(style.colours(len(picks)))
     ]
-    title = "Multipliers" if which == "multipliers" else "Reactions (multipliers / step)"
+    title = "Multipliers" if which == "multipliers" else "Reactions" if run.is_event_driven else "Reactions (multipliers / step)"
     title += style.of(len(picks), values.shape[1], "the largest")
     ax, names = style.axes(ax), [multiplier_names(run)[k] for k in picks]
     units = [style.unit(run, which if which == "reactions" else name) for name in names]

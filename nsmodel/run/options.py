@@ -12,6 +12,8 @@ from nsmodel.errors import UsageError
 from nsmodel.grid import is_number, written
 from nsmodel.model.parameters import Values
 
+METHODS = ("auto", "event-driven", "time-stepping")
+
 
 @dataclass(frozen=True)
 class Options:
@@ -33,6 +35,8 @@ class Options:
     compiled: bool | str = "auto"
     rtol: float | None = None
     atol: Any = None
+    method: str = "auto"
+    times: Any = None
 
     def __post_init__(self) -> None:
         """Refuse what does not depend on the model; numbers become a float and an int."""
@@ -46,6 +50,12 @@ class Options:
             )
         if not (is_number(self.save_every) and self.save_every >= 1 and float(self.save_every).is_integer()):
             raise UsageError(f"save_every = {written(self.save_every)}; expected a whole number >= 1")
+        if self.method not in METHODS:
+            raise UsageError(f"method = {self.method!r}; expected one of {', '.join(METHODS)}")
+        if self.method == METHODS[1] and self.rtol is None:
+            raise UsageError(f"method '{self.method}' needs rtol (--rtol), the error that is allowed")
+        if self.times is not None and (self.rtol is None or self.method == METHODS[2]):
+            raise UsageError("times are rows of an event-driven run: give rtol, and leave method out; else take step or steps")
         if self.resume and self.out is None:
             raise UsageError("resume needs out=, the folder of the run to continue")
         object.__setattr__(self, "tolerance", float(self.tolerance))

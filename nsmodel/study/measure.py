@@ -159,7 +159,7 @@ class _Session:
         self.lines |= {method.name: Line(method.name, ()) for method in chosen}
         for rtol in methods.TOLERANCES:
             for method in chosen:
-                self._point(method, f"rtol = {number(rtol)}", {"rtol": rtol}, HARDER)
+                self._point(method, f"rtol = {number(rtol)}", {"rtol": rtol, "method": "time-stepping"}, HARDER)
 
     def _extrapolated(self, ways: Sequence[Method]) -> None:
         """Richardson's extrapolation of whole runs, at the cost of both: of compiled runs where there are some."""

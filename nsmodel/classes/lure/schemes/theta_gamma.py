@@ -22,7 +22,7 @@ def one_step_problem(model: LureSystem) -> OneStepProblem:
     x_k, r_k, x = model.x, ca.SX.sym("r_k", n), ca.SX.sym("x_next", n)
     rate_k = model.A + model.f
     rate = ca.substitute([rate_k], [t, x_k], [t + h, x])[0]
-    law = _rows(model, x)
+    law = rows_of_law(model, x)
     r = ca.densify(model.B @ law.multipliers)
     E = x - x_k - h * th * rate - h * (1 - th) * rate_k - h * ga * r - h * (1 - ga) * (r_k if ga < 1 else 0)
     return OneStepProblem(
@@ -57,7 +57,7 @@ class _Rows(NamedTuple):
     guess: ca.SX = ca.SX(0, 1)
 
 
-def _rows(model: LureSystem, x: ca.SX) -> _Rows:
+def rows_of_law(model: LureSystem, x: ca.SX) -> _Rows:
     """y = C x + D l with the declared law, or l ∈ -dPhi(y): there y joins the unknowns unless D = 0."""
     m = model.B.shape[1]
     y = ca.SX.sym("y_next", m)
@@ -76,7 +76,7 @@ def _rows(model: LureSystem, x: ca.SX) -> _Rows:
 
 def _start(model: LureSystem, h: ca.SX, state: ca.SX) -> OneStepProblem:
     """l_0 solves the law at x_0: the first B l_k where gamma < 1."""
-    law = _rows(model, model.x)
+    law = rows_of_law(model, model.x)
     return OneStepProblem(
         scheme="multiplier at the start",
         t=model.t, h=h, state=state, p=model.p,

@@ -1,0 +1,50 @@
+"""x'' + dPhi(x') + M x' + dg(x) ∋ 0 as a system of first order in (x, v), with the friction as multipliers (Cabot 2004)."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from nsmodel.classes.oscillator.model import FrictionOscillator
+from nsmodel.classes.oscillator.schemes.inertial_proximal import rest, slope_at_zero
+from nsmodel.laws import ball, complementarity, product
+from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven
+from nsmodel.scheme.problem import subdifferential
+
+
+def continuous_problem(model: FrictionOscillator) -> ContinuousProblem:
+    """Return the model in continuous time: rows H v of the friction elements, then kinks and constraints of the position.
+
+    Raises:
+        NotEventDriven: the model starts from two positions.
+    """
+    if model.v0 is None:
+        raise NotEventDriven(
+            "x1 starts the recursion of the paper, a step after x0; without a step a start is x0 and v0: give v0"
+        )
+    x, v = model.x, ca.SX.sym("v", model.x.numel())
+    xi = [ca.SX.sym(f"xi_{e.name}", e.H.shape[0]) for e in model.elements]
+    pushed = -model.damping @ v if model.damping is not None else ca.SX.zeros(x.numel())
+    for e in model.elements:
+        pushed -= e.H.T @ rest(e, model.s, e.H @ v)
+    potential = subdifferential(model.potential_split, x, "potential")
+    c = ca.vertcat(ca.SX(0, 1), *model.constraints.values())
+    n = ca.SX.sym("n", c.numel())
+    smooth = ca.substitute(potential.force, potential.l, ca.SX.zeros(potential.l.numel()))
+    rubbed = sum((e.H.T @ l for e, l in zip(model.elements, xi, strict=True)), ca.SX.zeros(x.numel()))
+    held = potential.force - smooth + ca.jacobian(c, x).T @ n
+    l, h = (
+        ca.vertcat(ca.SX(0, 1), *xi, potential.l, n),
+        ca.vertcat(ca.SX(0, 1), *(e.H @ v for e in model.elements), potential.u, c),
+    )
+    names = tuple(f"{e.name}[{i}]" if e.H.shape[0] > 1 else e.name for e in model.elements for i in range(e.H.shape[0]))
+    return ContinuousProblem(
+        t=model.t, x=ca.vertcat(x, v), l=l, p=model.p,
+        f=ca.vertcat(v, pushed + smooth), g=ca.densify(ca.vertcat(ca.SX.zeros(x.numel()), rubbed + held)), h=h,
+        law=product(
+            *(ball(e.H.shape[0], slope_at_zero(e, model.s)) for e in model.elements), potential.law, complementarity(n.numel())
+        ),
+        rows=names + potential.rows + model.constraint_names,
+        names=(*model.names, *(f"v of {name}" for name in model.names)),
+        x0=ca.vertcat(model.x0, model.v0),
+        states=x.numel(), records={"v": v, "energy": ca.sumsqr(v) / 2 + model.potential},
+    )  # fmt: skip

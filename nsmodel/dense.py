@@ -1,0 +1,119 @@
+"""The polynomials of an event-driven run: its values at any time, and its events."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+UNKNOWN = -2  # Code of a row before the first piece.
+Arrays = Mapping[str, np.ndarray]
+
+
+class At(NamedTuple):
+    """A run at times t (k,): states (k, n), multipliers and outputs (k, m); velocities (k, n) of an oscillator, else (k, 0)."""
+
+    t: np.ndarray
+    x: np.ndarray
+    v: np.ndarray
+    multipliers: np.ndarray
+    y: np.ndarray
+
+
+class Event(NamedTuple):
+    """A change of the mode at time t, before row ``row`` ends: index sets, and state, multipliers and outputs on both sides.
+
+    Where the state jumps, ``x_after`` is another than ``x_before``.
+    """
+
+    t: float
+    row: int
+    before: np.ndarray
+    after: np.ndarray
+    x_before: np.ndarray
+    x_after: np.ndarray
+    multipliers_before: np.ndarray
+    multipliers_after: np.ndarray
+    y_before: np.ndarray
+    y_after: np.ndarray
+
+
+def polynomials(coefficients: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """sum_k c_k s^k for each row: coefficients (k, n, p + 1), s (k,) -> (k, n)."""
+    total = np.zeros(coefficients.shape[:2])
+    for k in range(coefficients.shape[2] - 1, -1, -1):
+        total = total * s[:, None] + coefficients[:, :, k]
+    return total
+
+
+def integrals(coefficients: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """The integrals of the same from 0 to s."""
+    return s[:, None] * polynomials(coefficients / np.arange(1, coefficients.shape[2] + 1), s)
+
+
+def pieces_at(arrays: Arrays, t: np.ndarray) -> np.ndarray:
+    """The number of the piece that each time is in; at an event that which begins there."""
+    return np.clip(np.searchsorted(arrays["piece_start"], t, side="right") - 1, 0, None)
+
+
+def local(arrays: Arrays, number: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Times in the units of their pieces."""
+    return (t - arrays["piece_start"][number]) / arrays["piece_unit"][number]
+
+
+def at(arrays: Arrays, t: np.ndarray, number: np.ndarray | None = None) -> At:
+    """The run at times t (k,), on the pieces of these numbers."""
+    number = pieces_at(arrays, t) if number is None else number
+    s = local(arrays, number, t)
+    x, l, y = (polynomials(arrays[f"piece_{name}"][number], s) for name in ("x", "multipliers", "y"))
+    n = arrays["x"].shape[1]
+    return At(t, x[:, :n], x[:, n:], l, y)
+
+
+def between(arrays: Arrays, t: np.ndarray) -> At:
+    """A run by time stepping at times t (k,): x on straight lines between rows, the others those of the step."""
+    rows, x = arrays["t"], arrays["x"]
+    k = np.clip(np.searchsorted(rows, t, side="left"), 1, max(len(rows) - 1, 1)) if len(rows) > 1 else np.zeros(len(t), int)
+    share = ((t - rows[k - 1]) / (rows[k] - rows[k - 1]))[:, None] if len(rows) > 1 else np.zeros((len(t), 1))
+    v, l, y = (arrays[name][k] if name in arrays else np.zeros((len(t), 0)) for name in ("v", "multipliers", "y"))
+    return At(t, x[k - 1] + share * (x[k] - x[k - 1]), v, l, y)
+
+
+def events(arrays: Arrays) -> tuple[Event, ...]:
+    """All changes of the mode up to the last row, in order."""
+    starts, codes = arrays["piece_start"], arrays["piece_codes"]
+    x0 = arrays["x"][:1]
+    numbers = np.flatnonzero(arrays["piece_event"] & (starts <= arrays["t"][-1]))
+    found = []
+    for k in numbers:
+        t = starts[k : k + 1]
+        after = at(arrays, t, np.array([k]))
+        before = at(arrays, t, np.array([k - 1])) if k else after._replace(x=x0)
+        row = int(np.searchsorted(arrays["t"], t[0]))
+        sides = [side for one, other in zip(before[1:], after[1:], strict=True) for side in (one[0], other[0])]
+        index = codes[k - 1] if k else np.full_like(codes[k], UNKNOWN)
+        found.append(Event(float(t[0]), row, index, codes[k], *sides[:2], *sides[4:]))
+    return tuple(found)
+
+
+def drawn(arrays: Arrays, points: int) -> dict[str, np.ndarray]:
+    """About so many rows for a picture: each piece from end to end, so that what jumps is there twice; the energy on lines."""
+    starts, end = arrays["piece_start"], arrays["t"][-1]
+    inside = np.flatnonzero(starts < end)
+    stops = np.minimum(np.append(starts[1:], end), end)[inside]
+    counts = np.maximum(2, np.ceil(points * (stops - starts[inside]) / (end - starts[0]))).astype(int)
+    t = np.concatenate([np.linspace(a, b, n) for a, b, n in zip(starts[inside], stops, counts, strict=True)])
+    number = np.repeat(inside, counts)
+    found = at(arrays, t, number)
+    own = {"t": t, "x": found.x, "y": found.y, "index_set": arrays["piece_codes"][number]}
+    own["multipliers"] = found.multipliers
+    if "reactions" in arrays:
+        own["reactions"] = found.multipliers
+    if found.v.shape[1]:
+        own["v"] = found.v
+    kept = {name: arrays[name] for name in ("energy",) if name in arrays}
+    for name, column in kept.items():
+        flat = column.reshape(len(column), -1).astype(float)
+        own[name] = np.stack([np.interp(t, arrays["t"], c) for c in flat.T], axis=1).reshape(len(t), *column.shape[1:])
+    return own

@@ -1,0 +1,87 @@
+"""The first root of a polynomial on [0, 1]: subdivided in the Bernstein basis until it is isolated, or there is proved none.
+
+The coefficients in the Bernstein basis of [lo, hi] enclose the values there, and the number of roots is that of their changes of
+sign, less an even number (Farouki and Rajan, Computer Aided Geometric Design 4, 1987). Halving is de Casteljau's algorithm.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import pairwise
+from math import comb
+
+NONE = 2.0  # Of a root, where there is none.
+NARROW = 1e-13  # Two roots that are as near as this are one.
+
+
+def value(c: list[float], s: float) -> float:
+    """c(s) by Horner's rule."""
+    total = 0.0
+    for a in reversed(c):
+        total = total * s + a
+    return total
+
+
+def slope(c: list[float], s: float) -> float:
+    """c'(s)."""
+    total = 0.0
+    for k in range(len(c) - 1, 0, -1):
+        total = total * s + k * c[k]
+    return total
+
+
+def first_root(c: list[float]) -> float:
+    """Return the first root in (0, 1] of sum c_k s^k, c_0 >= 0; NONE where it is positive on (0, 1]."""
+    if c[0] > sum(map(abs, c[1:])):
+        return NONE
+    n = len(c) - 1
+    b = [sum(row[k] * c[k] for k in range(j + 1)) for j, row in enumerate(_to_bernstein(n))]
+    return _first(c, b, 0.0, 1.0)
+
+
+@cache
+def _to_bernstein(n: int) -> tuple[tuple[float, ...], ...]:
+    """b_j = sum_k comb(j, k)/comb(n, k) c_k."""
+    return tuple(tuple(comb(j, k) / comb(n, k) for k in range(j + 1)) for j in range(n + 1))
+
+
+def _first(c: list[float], b: list[float], low: float, width: float) -> float:
+    if b[0] <= 0 and low > 0:
+        return low
+    signs = [v > 0 for v in b if v != 0]
+    changes = sum(a != z for a, z in pairwise(signs)) + (b[0] == 0 and signs[:1] == [False])
+    if not signs or changes == 0:
+        return low + width if b[-1] == 0 else NONE
+    if changes == 1 and b[0] > 0 and b[-1] <= 0:
+        return low + width if b[-1] == 0 else _simple(c, low, low + width)
+    if width < NARROW:
+        return low
+    left, right = _halves(b)
+    s = _first(c, left, low, width / 2)
+    return s if s <= 1 else _first(c, right, low + width / 2, width / 2)
+
+
+def _halves(b: list[float]) -> tuple[list[float], list[float]]:
+    left, right = [], list(b)
+    for j in range(len(b)):
+        left.append(right[0])
+        for k in range(len(b) - 1 - j):
+            right[k] = (right[k] + right[k + 1]) / 2
+    return left, right
+
+
+def _simple(c: list[float], low: float, high: float) -> float:
+    """The root between c(low) > 0 > c(high): Newton's method, kept inside by halving."""
+    s = (low + high) / 2
+    for _ in range(80):
+        v, d = value(c, s), slope(c, s)
+        if v == 0:
+            return s
+        low, high = (s, high) if v > 0 else (low, s)
+        new = s - v / d if d else low
+        if not low < new < high:
+            new = (low + high) / 2
+        if abs(new - s) <= 2e-16 * high:
+            return new
+        s = new
+    return s

@@ -1,0 +1,296 @@
+"""Event-driven integration: one smooth piece after another, each ended by the first root of its sign conditions.
+
+Taylor series of the orders that rtol asks for (Jorba and Zou 2005: p = -ln(rtol)/2 + 2), the step from the last two coefficients
+of x, y and l, events by Bernstein's test, polished on the expansion at the event itself, modes by their germs.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import Counter
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.errors import StepError
+from nsmodel.pieces.bernstein import value
+from nsmodel.pieces.defect import defect, equations
+from nsmodel.pieces.lengths import length, unit
+from nsmodel.pieces.modes import ORDERS, Place, jump, select, uniqueness
+from nsmodel.pieces.multipliers import Solve
+from nsmodel.pieces.roots import beyond_touch, first_event, polish, same
+from nsmodel.pieces.switches import ROW, TIE, Condition, Switch, conditions, size
+from nsmodel.pieces.system import System
+from nsmodel.proof.sure import sure
+from nsmodel.scheme.continuous import ContinuousProblem
+
+LEAST_RTOL = 1e-14
+LARGEST_ORDER = 30
+LOCAL, ROUGHEST = 0.01, 1e-3  # A piece errs by this share of rtol, and of no more than this.
+ROOM = 1.3  # By which the next piece may be longer than the last without another unit of time.
+SHORTENINGS = 30
+AROUND = 4  # Order of the expansions at an event.
+TINY_PIECES, TINY = 50, 1e-13  # So many pieces one after the other that are so short: switches accumulate.
+NAMED = 4  # Switches that an error names.
+MANY, FASTER = 4096, 0.6  # Events from which on they are asked whether they accumulate; see `_refuse_accumulation`.
+STARTS, TOO_SHORT = 8, 0.05  # First units of time that are tried; a piece that is shorter than this one asks for another.
+
+
+class Piece(NamedTuple):
+    """x, l and y on t + tau [0, s], as coefficients of (time - t)/tau: (n, p + 1), (m, p + 1), (m, p + 1); ``codes`` of the rows.
+
+    ``last`` is x at the end, to rounding on what ends the piece.
+    """
+
+    t: float
+    tau: float
+    s: float
+    x: np.ndarray
+    l: np.ndarray
+    y: np.ndarray
+    codes: tuple[int, ...]
+    defect: float
+    last: list[float]
+
+    @property
+    def end(self) -> float:
+        """The last time."""
+        return self.t + self.tau * self.s
+
+
+class Event(NamedTuple):
+    """A change of the mode: time, number of the piece that begins there, codes before and after, and the impulse of a jump."""
+
+    t: float
+    piece: int
+    before: tuple[int, ...]
+    after: tuple[int, ...]
+    impulse: tuple[float, ...] = ()
+
+
+class Integrator:
+    """A problem as it is integrated: ``advance()`` returns the next piece.
+
+    ``events``: those so far; ``unique``: how often the mode was shown to be the only one, by verdict; ``touches``: conditions
+    that came to 0 and went back; ``redundant``: pieces whose l is one of several, the least.
+    """
+
+    def __init__(self, problem: ContinuousProblem, rtol: float, atol: list[float] | None = None) -> None:
+        self.problem, self.rtol = problem, LOCAL * min(rtol, ROUGHEST)
+        self.order = min(math.ceil(-math.log(self.rtol) / 2) + 2, LARGEST_ORDER)
+        self.system = System(problem, max(self.order, ORDERS))
+        self.atol = [0.0] * self.system.n if atol is None else atol
+        system, x0 = self.system, [float(v) for v in np.array(ca.DM(problem.x0)).ravel()]
+        self.place = Place(0.0, x0, 1.0, [0] * system.m)
+        self.sizes = system.sizes
+        self._equations = equations(problem)
+        self.events: list[Event] = []
+        self.unique: Counter[str] = Counter()
+        self.pieces = self.touches = self.redundant = self._tiny = 0
+        with np.errstate(all="ignore"):
+            self._start()
+
+    @property
+    def t(self) -> float:
+        """Where the next piece starts."""
+        return self.place.t
+
+    def advance(self) -> Piece:
+        """Integrate to the next event, or as far as one expansion goes.
+
+        Raises:
+            StepError: no mode is valid, or pieces become too short.
+        """
+        system, place = self.system, self.place
+        how = self._expand(self.order)
+        s = self._length(how)
+        if s > 1:  # What is rounding at s = 1 is not at s^p.
+            place.tau = unit(s * place.tau)
+            how = self._expand(self.order)
+            s = min(self._length(how), 1.0)
+        hit, s, error = self._accepted(how, s)
+        last = [value(row, s) for row in system.x]
+        x, l, y = (np.array(rows).reshape(len(rows), system.orders + 1) for rows in (system.x, system.l, system.y))
+        piece = Piece(place.t, place.tau, s, x, l, y, tuple(place.codes), error, last)
+        self.pieces += 1
+        self.redundant += how.null is not None and how.null.shape[1] > 0
+        self._grow(s)
+        place.x = last
+        place.t += place.tau * s
+        place.open = set()
+        tau = place.tau * s
+        if hit is None:
+            place.tau = unit(ROOM * tau)
+            return piece
+        self._tiny = self._tiny + 1 if s * place.tau < TINY * max(abs(place.t), place.tau) else 0
+        if self._tiny > TINY_PIECES:
+            raise self._accumulates(hit)
+        place.tau = unit(min(place.tau, 8 * tau) if s > 1e-6 else place.tau)
+        self._event(hit)
+        return piece._replace(s=(place.t - piece.t) / piece.tau, last=list(place.x)) if place.t > piece.t else piece
+
+    def _length(self, how: Solve) -> float:
+        return length(self.system, self.place.codes, how, self.order, self.rtol, self.atol)
+
+    def _accepted(self, how: Solve, s: float) -> tuple[Condition | None, float, float]:
+        """What ends a piece of length s at most, where, and its local error in units of rtol, at most 1."""
+        system, place, p, error = self.system, self.place, self.order, math.inf
+        for _ in range(SHORTENINGS):
+            hit, end = first_event(system, place, how, p, s)
+            error = LOCAL * defect(system, place, self._equations, end, p, self.rtol, self.atol)
+            if error <= 1:
+                return hit, end, error
+            s = end * min(0.5, 0.9 * error ** (-1 / p))
+            if place.t + place.tau * s == place.t:
+                break
+        raise StepError(f"t = {place.t:.10g}: x' = f + g, y = 0 is missed by {error:.3g} times rtol, however short the piece")
+
+    def _start(self) -> None:
+        system, place = self.system, self.place
+        for i in range(system.m):
+            a, b = system.lower[i], system.upper[i]
+            system.l[i][0] = (a + b) / 2 if math.isfinite(a + b) else a if math.isfinite(a) else b if math.isfinite(b) else 0.0
+        self._choose_tau()
+        for _ in range(STARTS):
+            place.codes[:] = [0] * system.m
+            place.open = {(ROW, i) for i in range(system.m)} | set(system.branches)
+            found = select(system, place, ORDERS)
+            how = system.expand(place.t, place.x, place.codes, place.tau, self.order)
+            s = self._length(how) if how is not None else 1.0
+            if found is not None and s >= TOO_SHORT:
+                self._grow(0.0)
+                self._refuse_rivals()
+                return
+            if found is None and (p := jump(system, place)) is not None:
+                self._push(p)
+                continue
+            place.tau = unit(min(s, TOO_SHORT) * place.tau)
+        raise self._stuck("at the start")
+
+    def _push(self, p: np.ndarray) -> None:
+        """x+ = x + g_l p, at one time."""
+        system, place = self.system, self.place
+        codes = tuple(place.codes)
+        place.x = [float(x + d) for x, d in zip(place.x, sure(system.B) @ p, strict=True)]
+        self.sizes.x[:] = [max(size, abs(x)) for size, x in zip(self.sizes.x, place.x, strict=True)]
+        self.events.append(Event(place.t, self.pieces, codes, codes, tuple(map(float, p))))
+
+    def _choose_tau(self) -> None:
+        """A first unit of time: the time in which f changes the state by its own size, where both are something."""
+        system, place = self.system, self.place
+        system.t[0], system.t[1] = place.t, 1.0
+        for row, v in zip(system.x, place.x, strict=True):
+            row[0] = v
+        rates = [abs(v) / abs(x) for v, x in zip(system.parts["f"].order(0), place.x, strict=True) if x and math.isfinite(v)]
+        if max(rates, default=0.0) > 0:
+            place.tau = unit(0.1 / max(rates))
+
+    def _expand(self, orders: int) -> Solve:
+        """The coefficients at the place, in a unit of time in which they are of one size."""
+        system, place = self.system, self.place
+        for _ in range(60):
+            how = system.expand(place.t, place.x, place.codes, place.tau, orders)
+            if how is None:
+                raise self._stuck("any more")
+            if all(math.isfinite(row[orders]) for row in system.x):
+                return how
+            place.tau = math.ldexp(place.tau, -6)
+        raise StepError(f"t = {place.t:.10g}: f, g or h has no number, or no Taylor series, here")
+
+    # -- step
+
+    # -- events
+
+    def _event(self, hit: Condition) -> None:
+        """Go to the event to round-off, and choose the mode after it."""
+        system, place = self.system, self.place
+        before = tuple(place.codes)
+        how, own = polish(system, place, hit, AROUND, self._expand)
+        past = None if own is None else beyond_touch(system, own)
+        if past is not None:
+            place.x = [value(row[: AROUND + 1], past) for row in system.x]
+            place.t += past * place.tau
+            self.touches += 1
+            return
+        for condition in conditions(system, place.codes, how, AROUND):
+            c = condition.coefficients()
+            moves, least = max(map(abs, c[1:]), default=0.0), TIE * size(system, condition)
+            ends = same(condition, hit)
+            if condition.of not in place.open and (ends or abs(c[0]) <= max(least, TIE * moves)):
+                place.open.add(condition.of)
+                if ends or moves > least:
+                    self._turn(condition)
+        self._project(tuple(sorted({*how.active, *(i for kind, i in place.open if kind == ROW)})))
+        if select(system, place, self.order) is None:
+            raise self._stuck("after " + self._name(hit.of))
+        self._refuse_rivals()
+        self.events.append(Event(place.t, self.pieces, before, tuple(place.codes)))
+        self._refuse_accumulation(hit)
+
+    def _refuse_accumulation(self, hit: Condition) -> None:
+        """Stop where event n = 2^k comes as fast again as event n/2, to a part, four times over: n grows exponentially in time.
+
+        Of switches at a constant rate the ratio is 1, of a chirp's, n ~ t^2, it is 0.7.
+        """
+        n = len(self.events)
+        if n < MANY or n & (n - 1):
+            return
+        spacing = [2 * (self.events[(n >> k) - 1].t - self.events[(n >> k + 1) - 1].t) / (n >> k) for k in range(5)]
+        if all(late < FASTER * early for late, early in itertools.pairwise(spacing)):
+            raise self._accumulates(hit)
+
+    def _accumulates(self, hit: Condition) -> StepError:
+        return StepError(
+            f"t = {self.place.t:.10g}: the switches of {self._name(hit.of)} accumulate; time stepping goes over them: "
+            "method='time-stepping' (--method time-stepping)"
+        )
+
+    def _turn(self, condition: Condition) -> None:
+        kind, i = condition.of
+        if kind == ROW:
+            self.place.codes[i] = int(condition.after)
+        else:
+            self.system.parts[kind].choice[i] = condition.after
+
+    def _project(self, rows: tuple[int, ...]) -> None:
+        """Move x so that what no l acts on directly is 0 in ``rows``, by Newton's method along the least motion."""
+        system, place = self.system, self.place
+        for _ in range(3):
+            held, slope = system.held(rows)
+            if not held.any():
+                return
+            place.x = [float(x - d) for x, d in zip(place.x, np.linalg.lstsq(slope, held, rcond=None)[0], strict=True)]
+            system.expand(place.t, place.x, place.codes, place.tau, 1)
+
+    # -- sizes, names
+
+    def _grow(self, s: float) -> None:
+        """Note what the rows come to."""
+        system, sizes = self.system, self.sizes
+        for rows, largest in ((system.x, sizes.x), (system.y, sizes.y), (system.l, sizes.l)):
+            for i, row in enumerate(rows):
+                largest[i] = max(largest[i], abs(value(row, s)), abs(row[0]))
+
+    def _name(self, of: Switch) -> str:
+        return self.problem.rows[of[1]] if of[0] == ROW else f"a switch in {of[0]}"
+
+    def _refuse_rivals(self) -> None:
+        verdict, words = uniqueness(self.system, self.place, self.order)
+        self.unique[verdict] += 1
+        if words:
+            raise StepError(
+                f"t = {self.place.t:.10g}: the solution is not unique: of {self._open()} the modes {words} are valid, and go "
+                "apart"
+            )
+
+    def _open(self) -> str:
+        """The names of the open switches, a few of many."""
+        names = list(dict.fromkeys(self._name(of) for of in sorted(self.place.open, key=lambda of: (of[0] != ROW, of))))
+        more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+        return (", ".join(names[:NAMED]) or "the rows") + more
+
+    def _stuck(self, when: str) -> StepError:
+        rows = self._open()
+        return StepError(f"t = {self.place.t:.10g}: no mode of {rows} is valid {when}: no solution goes on from here")

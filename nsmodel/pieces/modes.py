@@ -1,0 +1,222 @@
+"""The mode that a state goes on in: principal pivoting on germs, and the solvers of a step where that does not settle.
+
+Where a condition is 0 its germ decides: the sign of its first coefficient that is not 0 (Heemels, Schumacher and Weiland, SIAM J.
+Appl. Math. 60, 2000: the rational complementarity problem). A mode is taken only if all germs are valid in it.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from nsmodel.pieces.multipliers import Solve, solve_of
+from nsmodel.pieces.switches import ROW, TIE, Condition, Switch, conditions, size
+from nsmodel.pieces.system import System
+from nsmodel.solve import mlcp
+from nsmodel.solve.certificate import NumericLaw, numeric_law
+
+GERM = 1e-9  # Coefficients below this share of the largest are rounding.
+ORDERS = 6  # Of a germ.
+PIVOTS, TOGETHER = 60, 12  # Changes of the mode, and how many of them of all wrong rows at once.
+PROVED, AGREE, UNDECIDED, SPLIT = "proved", "all valid modes agree", "not decided", "go apart"
+APART = 1e-7  # Of their size: coefficients of two modes that differ.
+INSTANT, AWAY = 1e-6, 1e-9  # A step that is next to none; of an impulse: rounding.
+FEW = 9  # Rows whose modes are all tried.
+
+
+@dataclass
+class Place:
+    """Where a piece starts: time, state, unit of time, mode; ``open``: the switches that germs decide."""
+
+    t: float
+    x: list[float]
+    tau: float
+    codes: list[int]
+    open: set[Switch] = field(default_factory=set)
+
+
+def select(system: System, place: Place, orders: int) -> Solve | None:
+    """Bring ``place.codes`` and the choices of branches to a mode in which all germs are valid; None: there is none."""
+    orders = min(max(orders, 3), ORDERS)
+    before = _state(system, place)
+    for begin in itertools.chain([None], _guesses(system, place)):
+        _restore(system, place, before)
+        if begin is not None:
+            place.codes[:] = begin
+        if (how := _pivot(system, place, orders)) is not None:
+            return how
+    return next((how for how, _ in valid(system, place, orders, before)), None)
+
+
+def valid(system: System, place: Place, orders: int, before: tuple) -> Iterator[tuple[Solve, list[list[float]]]]:
+    """All modes of the open switches, where these are few, in which all germs are valid, with their coefficients of x."""
+    opened = sorted(before[2])
+    if len(opened) > FEW:
+        return
+    for codes in itertools.product(*(_codes(system, switch) for switch in opened)):
+        _restore(system, place, before)
+        for switch, code in zip(opened, codes, strict=True):
+            _turn(system, place, switch, code)
+        if (how := _expand(system, place, orders)) is not None and not (
+            system.apart(how) or list(_wrong(system, place, how, orders))
+        ):
+            yield how, [row[: orders + 1] for row in system.x]
+
+
+def jump(system: System, place: Place) -> np.ndarray | None:
+    """The impulse p (m,) after which x + g_l p can go on; None where there is none, or g_l or h_l, h_x move.
+
+    x+ - x = g_l p, y+ = h(t, x+) with -y+ in the normal cone at p of what K recedes to: a step of length 0. The index set is that
+    of a very short step, p its limit.
+    """
+    B, D, C = system.B, system.D, system.C
+    if B is None or D is None or C is None:
+        return None
+    system.expand(place.t, place.x, place.codes, place.tau, 1)
+    y = np.array([part[0] for part in system.parts["h"].outputs])
+    law = numeric_law(system.problem.law)
+    cone = NumericLaw(np.where(np.isinf(law.lower), law.lower, 0.0), np.where(np.isinf(law.upper), law.upper, 0.0), ())
+    W, start = D / (INSTANT * place.tau) + C @ B, np.zeros(system.m)
+    found = mlcp.solve(
+        W, y, cone, start, np.array(place.codes, np.int8), (mlcp.INDEX_SET, mlcp.LEMKE, mlcp.ENUMERATION), False, 1e-6
+    )
+    if not np.isfinite(found.residual):
+        return None
+    active = [i for i in range(system.m) if found.index[i] == 0 and cone.lower[i] < cone.upper[i]]
+    through = solve_of(tuple(active), B, D, C).through
+    p = np.zeros(system.m)
+    if through is not None:
+        p[active] = -np.array(through) @ y[active]
+    return (
+        p
+        if p.any() and (p >= cone.lower - AWAY * np.abs(p).max()).all() and (p <= cone.upper + AWAY * np.abs(p).max()).all()
+        else None
+    )
+
+
+def uniqueness(system: System, place: Place, orders: int) -> tuple[str, str]:
+    """(PROVED, AGREE, UNDECIDED or SPLIT, words for two valid modes that go apart).
+
+    It is proved where the open rows' matrix, the others held or let go as they are, is a P-matrix (Cottle, Pang and Stone 1992,
+    Theorem 3.3.7), and nothing but rows is open; else all modes of the open switches are tried, where these are few.
+    """
+    opened = [i for kind, i in sorted(place.open) if kind == ROW]
+    if len(opened) == len(place.open) and system.linear_in_l and system.is_p_matrix(opened, place.codes):
+        return PROVED, ""
+    if len(place.open) > FEW:
+        return UNDECIDED, ""
+    before, orders = _state(system, place), min(max(orders, 3), ORDERS)
+    found = [(list(place.codes), x) for _, x in valid(system, place, orders, before)]
+    _restore(system, place, before)
+    _expand(system, place, orders)
+    for (one, x), (other, z) in itertools.combinations(found, 2):
+        for a, b, so_far in zip(x, z, system.sizes.x, strict=True):
+            if max(abs(p - q) for p, q in zip(a, b, strict=True)) > APART * max(map(abs, a + b)) + TIE * so_far:
+                return SPLIT, f"{one} and {other}"
+    return AGREE, ""
+
+
+def germ(c: list[float], least: float) -> int:
+    """The sign of a polynomial just after 0; 0 where none of its coefficients is above ``least``."""
+    scale = max(map(abs, c))
+    if not scale > least:
+        return 0
+    return next(((1 if a > 0 else -1) for a in c if abs(a) > GERM * scale), 0)
+
+
+def _pivot(system: System, place: Place, orders: int) -> Solve | None:
+    seen, one_at_a_time = set(), False
+    for iteration in range(PIVOTS):
+        how = _expand(system, place, orders)
+        if how is None:
+            if not _let_go(system, place):
+                return None
+            continue
+        apart = system.apart(how)
+        for i in apart:
+            place.open.add((ROW, i))
+            place.codes[i] = -1 if system.y[i][0] > 0 else 1
+            if not np.isfinite(system.lower[i] if place.codes[i] < 0 else system.upper[i]):
+                return None
+        if apart:
+            continue
+        wrong = list(_wrong(system, place, how, orders))
+        if not wrong:
+            return how
+        mode = (tuple(place.codes), *(tuple(part.choice) for part in system.parts.values()))
+        one_at_a_time |= mode in seen or iteration >= TOGETHER
+        seen.add(mode)
+        for condition in wrong[:1] if one_at_a_time else wrong:
+            place.open.add(condition.of)
+            _turn(system, place, condition.of, condition.after)
+    return None
+
+
+def _expand(system: System, place: Place, orders: int) -> Solve | None:
+    how = system.expand(place.t, place.x, place.codes, place.tau, orders)
+    return how if how is not None and all(row[k] == row[k] for row in system.x for k in range(orders + 1)) else None
+
+
+def _wrong(system: System, place: Place, how: Solve, orders: int) -> Iterator[Condition]:
+    """The conditions that do not hold just after the start, of those that are open or whose multipliers may have moved."""
+    for condition in conditions(system, place.codes, how, orders):
+        if condition.of in place.open or condition.acts == "l":
+            if germ(condition.coefficients(), TIE * size(system, condition)) < 0:
+                yield condition
+
+
+def _let_go(system: System, place: Place) -> bool:
+    """Leave a singular mode: one of its open rows goes to an end."""
+    for kind, i in sorted(place.open):
+        if kind == ROW and place.codes[i] == 0 and len(_codes(system, (ROW, i))) > 1:
+            place.codes[i] = int(_codes(system, (ROW, i))[1])
+            return True
+    return False
+
+
+def _codes(system: System, switch: Switch) -> list[float]:
+    kind, i = switch
+    if kind == ROW:
+        ends = ((-1, system.lower[i]), (1, system.upper[i]))
+        return [0, *(code for code, end in ends if np.isfinite(end))]
+    choice, branch = system.parts[kind].choice[i], system.parts[kind].jets.branches[i]
+    return [-1.0, 1.0] if branch.kind in ("side", "equal") else [choice, choice - 1, choice + 1]
+
+
+def _turn(system: System, place: Place, switch: Switch, code: float) -> None:
+    kind, i = switch
+    if kind == ROW:
+        place.codes[i] = int(code)
+    else:
+        system.parts[kind].choice[i] = code
+
+
+def _state(system: System, place: Place) -> tuple:
+    return list(place.codes), {name: list(part.choice) for name, part in system.parts.items()}, set(place.open)
+
+
+def _restore(system: System, place: Place, before: tuple) -> None:
+    place.codes[:] = before[0]
+    for name, choices in before[1].items():
+        system.parts[name].choice[:] = choices
+    place.open = set(before[2])
+
+
+def _guesses(system: System, place: Place) -> Iterator[list[int]]:
+    """Index sets of one implicit step, a small one and a smaller one: of the solvers that time stepping has."""
+    if not system.m:
+        return
+    law, m = numeric_law(system.problem.law), system.m
+    chain = (mlcp.INDEX_SET, mlcp.LEMKE, mlcp.ENUMERATION) if m <= FEW else (mlcp.INDEX_SET, mlcp.LEMKE)
+    for share in (1e-3, 1e-6):
+        h = share * place.tau
+        system.expand(place.t, place.x, place.codes, place.tau, 1)
+        y, rate, l = (np.array([row[k] for row in rows]) for rows, k in ((system.y, 0), (system.y, 1), (system.l, 0)))
+        B, D, C = system.slopes()
+        W = D + h * (C @ B)
+        found = mlcp.solve(W, y + share * rate - W @ l, law, l, np.array(place.codes, np.int8), chain, False, 1e-9)
+        if np.isfinite(found.residual):
+            yield [int(code) for code in found.index]

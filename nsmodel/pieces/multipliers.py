@@ -1,0 +1,96 @@
+"""How the multipliers of held rows follow from y and y': generalised inverses of D = h_l and W = h_x g_l, and uniqueness."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+Rows = list[list[float]]
+SINGULAR = 1e-11  # Singular values below this share of the largest, of matrices in their best units, are 0.
+MOST_MINORS = 8  # Rows of a matrix whose principal minors are all looked at.
+SHORT = 1e-6  # W counts beside D as in a step of this share of the time in which they are equal.
+
+
+@dataclass(frozen=True)
+class Solve:
+    """How the multipliers of the rows ``active`` follow, by the matrices ``direct`` (D^+) and ``through`` (N), lists of rows.
+
+    ``null`` is the left null space of both: of rows that nothing can hold at 0.
+    """
+
+    active: tuple[int, ...]
+    direct: Rows | None
+    through: Rows | None
+    null: np.ndarray | None
+    feeds: bool = False  # Whether some y depends directly on an l that ``through`` finds.
+
+    @property
+    def index(self) -> int:
+        """1 where l is found to the order of x, else 2: to one less."""
+        return 1 if self.through is None else 2
+
+
+def solve_of(active: tuple[int, ...], B: np.ndarray, D: np.ndarray, C: np.ndarray) -> Solve:
+    """The matrices of the rows ``active``."""
+    if not active:
+        return Solve(active, None, None, None)
+    a = list(active)
+    D_aa, W_aa = D[np.ix_(a, a)], C[a] @ B[:, a]
+    plus, U, V = generalised_inverse(D_aa)
+    if not U.shape[1]:
+        return Solve(active, plus.tolist(), None, None)
+    inner, left, _ = generalised_inverse(U.T @ W_aa @ V)
+    through = V @ inner @ U.T
+    return Solve(active, plus.tolist() if D_aa.any() else None, through.tolist(), U @ left, bool(D[:, a].any()))
+
+
+def generalised_inverse(A: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(A^+, U, V): least in norm, and bases of the left and the right null space."""
+    m = len(A)
+    if not A.any():
+        return np.zeros((m, m)), np.eye(m), np.eye(m)
+    if not (A - np.diag(A.diagonal())).any() and A.diagonal().all():
+        return np.diag(1 / A.diagonal()), np.zeros((m, 0)), np.zeros((m, 0))
+    if not np.isfinite(A).all():
+        return np.full((m, m), np.nan), np.zeros((m, 0)), np.zeros((m, 0))
+    r, c = _units(A)
+    u, s, vt = np.linalg.svd(A * r[:, None] * c)
+    rank = int((s > SINGULAR * s[0]).sum())
+    if rank == m:
+        return np.linalg.inv(A), np.zeros((m, 0)), np.zeros((m, 0))
+    plus = (c[:, None] * vt[:rank].T) @ ((u[:, :rank] / s[:rank]).T * r)
+    return plus, r[:, None] * u[:, rank:], c[:, None] * vt[rank:].T
+
+
+def _units(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Factors of rows and columns that bring the largest entries near 1 (Ruiz)."""
+    r, c = np.ones(len(A)), np.ones(A.shape[1])
+    for _ in range(4):
+        S = np.abs(A) * r[:, None] * c
+        rows, columns = S.max(axis=1), S.max(axis=0)
+        r /= np.sqrt(np.where(rows > 0, rows, 1))
+        c /= np.sqrt(np.where(columns > 0, columns, 1))
+    return r, c
+
+
+def is_p(D: np.ndarray, W: np.ndarray, opened: list[int], held: list[int]) -> bool:
+    """Whether D + a little W has a P-matrix on the rows ``opened``, its Schur complement with those ``held``."""
+    d, w = (np.abs(A).max(initial=0.0) for A in (D, W))
+    K = D + W * (SHORT * d / w if d and w else 1.0)
+    S = K[np.ix_(opened, opened)]
+    if held:
+        plus, U, _ = generalised_inverse(K[np.ix_(held, held)])
+        if U.shape[1]:
+            return False
+        S = S - K[np.ix_(opened, held)] @ plus @ K[np.ix_(held, opened)]
+    if np.linalg.eigvalsh(S + S.T).min(initial=1.0) > SINGULAR * np.abs(S).max(initial=0.0):
+        return True
+    if len(opened) > MOST_MINORS:
+        return False
+    subsets = itertools.chain.from_iterable(itertools.combinations(range(len(opened)), r + 1) for r in range(len(opened)))
+    return all(
+        np.linalg.det(part) > SINGULAR * float(np.prod(np.abs(part).max(axis=1)))
+        for part in (S[np.ix_(rows, rows)] for rows in map(list, subsets))
+    )

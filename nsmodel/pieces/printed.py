@@ -1,0 +1,121 @@
+"""The recurrences of `jets` as statements: in Python, for `expansion`, and in C, for `codegen.jets`. One text, two dialects."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from nsmodel.pieces.jets import Branch, Jets, Line
+
+
+class Dialect(NamedTuple):
+    """How a language writes a row by its number, a number, a choice, and what its operators are called.
+
+    ``either(condition, a, b)`` is a if the condition holds, else b; ``chosen`` is a statement that makes a choice.
+    """
+
+    row: Callable[[int], str]
+    number: Callable[[float], str]
+    either: Callable[[str, str, str], str]
+    both: str
+    one: str
+    ratio: str
+    end: str
+    choices: dict[str, str]
+
+
+PYTHON = Dialect(
+    row="r{}".format,
+    number=lambda value: f"float('{value!r}')" if value != value or value in (float("inf"), -float("inf")) else repr(value),
+    either="({1} if {0} else {2})".format,
+    both="{0} != 0.0 and {1} != 0.0",
+    one="{0} != 0.0 or {1} != 0.0",
+    ratio="divided({0}, {1})",
+    end="",
+    choices={
+        "side": "-1.0 if {0} < 0 else 1.0",
+        "equal": "float(({0} > 0) - ({0} < 0))",
+        "floor": "floor({0})",
+        "ceil": "ceil({0})",
+        "toward zero": "trunc({0})",
+        "nearest": "rint({0})",
+    },
+)
+_LINEAR = {"sum": "{0} + {1}", "difference": "{0} - {1}", "minus": "-{0}", "scaled": "{number}*{0}", "over": "{0}/{number}"}
+
+
+def first(jets: Jets, language: Dialect) -> list[str]:
+    """The statements of order 0; a choice that is no number is made here."""
+    lines = []
+    for line in jets.lines:
+        if line.branch >= 0:
+            lines.append(_choice(line.branch, jets.branches[line.branch], language))
+        lines.append(f"{language.row(line.y)}[0] = {_first(line, language)}{language.end}")
+    return lines
+
+
+def later(jets: Jets, language: Dialect) -> list[str]:
+    """The statements of order k > 0."""
+    return [
+        f"{language.row(line.y)}[k] = {value}{language.end}"
+        for line in jets.lines
+        if (value := _later(line, language)) is not None
+    ]
+
+
+def _choice(i: int, branch: Branch, language: Dialect) -> str:
+    value = language.choices[branch.kind].format(f"{language.row(branch.row)}[0]")
+    test = f"choice[{i}] != choice[{i}]"
+    return f"if {test}: choice[{i}] = {value}" if language is PYTHON else f"if ({test}) choice[{i}] = {value};"
+
+
+def _first(line: Line, language: Dialect) -> str:
+    at = [f"{language.row(row)}[0]" for row in line.args]
+    if line.start:
+        return f"{line.start}({', '.join(f'{language.row(row)}[0]' for row in line.of)})"
+    match line.kind:
+        case "both" | "either":
+            return language.either((language.both if line.kind == "both" else language.one).format(*at), "1.0", "0.0")
+        case "not":
+            return language.either(f"{at[0]} == 0", "1.0", "0.0")
+        case "whole":
+            return f"choice[{line.branch}]"
+        case "shifted":
+            return f"{at[0]} + {language.number(line.number)}"
+        case "product":
+            return f"{at[0]}*{at[1]}"
+        case "square":
+            return f"{at[0]}*{at[0]}"
+        case "quotient":
+            return language.ratio.format(*at)
+    return _at_any_order(line, at, at, language)
+
+
+def _later(line: Line, language: Dialect) -> str | None:
+    if line.kind in ("both", "either", "not", "whole"):
+        return None  # They stay 0.
+    rows = [language.row(row) for row in line.args]
+    at_k, at_0 = ([f"{row}[{order}]" for row in rows] for order in ("k", "0"))
+    if line.kind == "shifted":
+        return at_k[0]
+    if line.kind in _LINEAR or line.kind in ("guarded", "chosen", "equal"):
+        return _at_any_order(line, at_k, at_0, language)
+    own, factor = language.row(line.y), language.number(line.number)
+    given = {
+        "product": rows,
+        "square": rows,
+        "along": rows,
+        "against": [own, rows[0], factor, rows[-1]],
+        "power": [own, rows[0], factor],
+    }.get(line.kind, [own, *rows])
+    value = f"{line.kind}({', '.join(given)}, k)"
+    return f"-{value}" if line.kind == "along" and line.number < 0 else value
+
+
+def _at_any_order(line: Line, at: list[str], at_0: list[str], language: Dialect) -> str:
+    if line.kind == "guarded":
+        return language.either(f"{at_0[0]} != 0", at[1], "0.0")
+    if line.kind in ("chosen", "equal"):
+        choice = f"choice[{line.branch}]"
+        return language.either(f"{choice} == 0" if line.kind == "equal" else f"{choice} > 0", at[0], at[1])
+    return _LINEAR[line.kind].format(*at, number=language.number(line.number))

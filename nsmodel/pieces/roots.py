@@ -1,0 +1,83 @@
+"""Where a piece ends: the first root of its conditions, by Bernstein's test, and the same to rounding."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from nsmodel.pieces.bernstein import first_root, slope, value
+from nsmodel.pieces.modes import GERM, Place
+from nsmodel.pieces.multipliers import Solve
+from nsmodel.pieces.switches import TIE, Condition, conditions, size
+from nsmodel.pieces.system import System
+
+POLISHING, NEAR = 6, 0.1  # Expansions at the event, and how far from it in units of time they may go.
+TOUCH = 4.0
+
+
+def first_event(system: System, place: Place, how: Solve, orders: int, s: float) -> tuple[Condition | None, float]:
+    """The condition that ends first, and when; (None, s) where none ends before s.
+
+    A condition that is 0 at the start is divided by the power of s that it begins with. What is rounding all along is none.
+    """
+    hit = None
+    for condition in conditions(system, place.codes, how, orders):
+        c, power = condition.coefficients(), 1.0
+        for k in range(len(c)):
+            c[k] *= power
+            power *= s
+        if c[0] > sum(map(abs, c[1:])):
+            continue
+        least, scale, opened = TIE * size(system, condition), max(map(abs, c)), condition.of in place.open
+        if scale <= least:
+            continue
+        if opened or c[0] <= 0:
+            while c and abs(c[0]) <= max(GERM * scale, least if opened else 0.0):
+                c.pop(0)
+            if not c or (c[0] < 0 and opened):
+                continue
+            c[0] = max(c[0], 0.0)
+        root = first_root(c)
+        if root <= 1:
+            s, hit = s * root, condition
+    return hit, s
+
+
+def polish(
+    system: System, place: Place, hit: Condition, orders: int, expand: Callable[[int], Solve]
+) -> tuple[Solve, Condition | None]:
+    """Move the place to where the condition is 0 to rounding, on expansions there; and the condition there.
+
+    On the piece's own expansion the derivatives at the event would have the sign of what it was cut by.
+    """
+    for _ in range(POLISHING):
+        how = expand(orders)
+        own = next((c for c in conditions(system, place.codes, how, orders) if same(c, hit)), None)
+        if own is None:
+            return how, None
+        c = own.coefficients()
+        scale = max(size(system, own), *map(abs, c))
+        if abs(c[0]) <= 1e-3 * TIE * scale or c[1] == 0 or not abs(c[0] / c[1]) < NEAR:
+            return how, own
+        d = -c[0] / c[1]
+        for _ in range(3):
+            e = slope(c, d)
+            d -= value(c, d) / e if e and abs(value(c, d) / e) < NEAR else 0.0
+        place.x = [value(row[: orders + 1], d) for row in system.x]
+        place.t += d * place.tau
+    how = expand(orders)
+    return how, next((c for c in conditions(system, place.codes, how, orders) if same(c, hit)), None)
+
+
+def beyond_touch(system: System, condition: Condition) -> float | None:
+    """Where a condition that comes to 0 and goes back, not deeper than rounding, is past that; None where it does not go back."""
+    c = condition.coefficients()
+    tie = TIE * max(size(system, condition), *map(abs, c))
+    if len(c) < 3 or not c[2] > 0 or abs(c[0]) > tie or c[1] ** 2 > TOUCH * c[2] * tie:
+        return None
+    return 3 * math.sqrt(tie / c[2]) + abs(c[1]) / c[2]
+
+
+def same(one: Condition, other: Condition) -> bool:
+    """Whether two conditions watch the same end of the same switch."""
+    return one.of == other.of and one.after == other.after

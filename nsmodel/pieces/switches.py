@@ -1,0 +1,84 @@
+"""What a mode is made of, and what watches that it goes on: codes of rows, choices of branches, and their sign conditions.
+
+A **condition** is a polynomial that is >= 0 as long as its switch stays as it is; ``after`` is what the switch becomes where it
+is not. A row i of a box has -1 or +1 with l_i at its end and y_i of a sign, or 0 with y_i = 0 and l_i between its ends.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from nsmodel.pieces.multipliers import Solve
+from nsmodel.pieces.system import System
+
+ROW = "row"
+Switch = tuple[str, int]  # (ROW, i), or (part, its branch)
+
+
+class Condition(NamedTuple):
+    """``sign`` * row + ``shift`` >= 0 for switch ``of``; its code is ``after`` beyond.
+
+    ``of`` is (ROW, i) or (part, its branch); ``row`` has ``orders`` + 1 known coefficients; ``acts`` says whose size it has: "y",
+    "l" or nobody's.
+    """
+
+    of: Switch
+    row: list[float]
+    sign: float
+    shift: float
+    orders: int
+    after: float
+    acts: str = ""
+
+    def coefficients(self) -> list[float]:
+        """Of the polynomial, order 0 first."""
+        c = self.row[: self.orders + 1] if self.sign > 0 else [-v for v in self.row[: self.orders + 1]]
+        c[0] += self.shift
+        return c
+
+
+TIE = 1e-12  # A condition below this share of its size is 0: rounding.
+
+
+def size(system: System, condition: Condition) -> float:
+    """What a condition is measured beside: what it is the sum of, and the largest of its y or l so far."""
+    i = condition.of[1]
+    if condition.acts == "y":
+        return max(system.sizes.y[i], system.terms(i))
+    return max(system.sizes.l[i], 1e-6 * max(system.sizes.l)) if condition.acts == "l" else abs(condition.shift)
+
+
+# (below, above) of what a whole number w is chosen for.
+_RANGES = {
+    "floor": lambda w: (w, w + 1),
+    "ceil": lambda w: (w - 1, w),
+    "toward zero": lambda w: (w - (w <= 0), w + (w >= 0)),
+    "nearest": lambda w: (w - 0.5, w + 0.5),
+}
+
+
+def conditions(system: System, codes: list[int], how: Solve, orders: int) -> Iterator[Condition]:
+    """All conditions of a mode, of rows first."""
+    known = orders if how.index == 1 else orders - 1
+    for i, code in enumerate(codes):
+        if code:
+            if system.lower[i] < system.upper[i]:
+                yield Condition((ROW, i), system.y[i], -code, 0.0, known if how.feeds else orders, 0, "y")
+            continue
+        if math.isfinite(system.lower[i]):
+            yield Condition((ROW, i), system.l[i], 1.0, -system.lower[i], known, -1, "l")
+        if math.isfinite(system.upper[i]):
+            yield Condition((ROW, i), system.l[i], -1.0, system.upper[i], known, 1, "l")
+    for name, i in system.branches:
+        part = system.parts[name]
+        branch, choice = part.jets.branches[i], part.choice[i]
+        row = part.rows[branch.row]
+        if branch.kind in ("side", "equal"):
+            if choice:
+                yield Condition((name, i), row, choice, 0.0, orders, -choice)
+            continue
+        low, high = _RANGES[branch.kind](choice)
+        yield Condition((name, i), row, 1.0, -low, orders, choice - 1)
+        yield Condition((name, i), row, -1.0, high, orders, choice + 1)

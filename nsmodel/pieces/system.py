@@ -1,0 +1,274 @@
+"""A continuous problem with its numbers: Taylor coefficients of x, l and y in a mode, order by order.
+
+A **mode** is a code a row: -1, +1: l_i is at that end, 0: y_i = 0. On the rows a with code 0, with D = h_l, W = h_x g_l at the
+start of the piece, l_a is found order by order,
+
+    l_k  -= D_aa^+ y_k                                (what y depends on directly: index 1)
+    l_k  -= (k + 1)/tau N y_{k+1},  N = V (U' W_aa V)^+ U'  (what only y' depends on: index 2)
+
+with U, V the left and the right null space of D_aa: mixed rows need both, regular D_aa the first, D_aa = 0 the second alone. The
+coefficients are those of s = (t - t_0)/tau, so that they are of one size where tau is a time of the motion's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from operator import mul
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.model.expressions import derivatives
+from nsmodel.pieces.expansion import Expansion
+from nsmodel.pieces.jets import jets_of
+from nsmodel.pieces.multipliers import Rows, Solve, generalised_inverse, is_p, solve_of
+from nsmodel.proof.buffered import attached
+from nsmodel.scheme.continuous import ContinuousProblem
+
+NEWTON = 30  # Iterations of l at order 0, where f, g or h are not linear in it.
+SETTLED = 1e-14
+AT_ZERO = 1e-9  # Of the terms of y_i: a row that is held is not further from 0.
+
+
+@dataclass
+class Sizes:
+    """The largest of each x, y and l so far; of l in an interval at least its width."""
+
+    x: list[float]
+    y: list[float]
+    l: list[float]
+
+
+class System:
+    """The rows of coefficients ``t``, ``x``, ``l``, ``y`` with what computes them; ``orders``: the highest."""
+
+    def __init__(self, problem: ContinuousProblem, orders: int) -> None:
+        self.problem, self.orders = problem, orders
+        self.n, self.m = problem.x.numel(), problem.l.numel()
+        self.lower, self.upper = (
+            [float(v) for v in np.array(ca.DM(end)).ravel()] for end in (problem.law.lower, problem.law.upper)
+        )
+        ends = zip(self.lower, self.upper, strict=True)
+        self.sizes = Sizes([0.0] * self.n, [0.0] * self.m, [b - a if np.isfinite(b - a) else 0.0 for a, b in ends])
+        width = orders + 1
+        self.t = [0.0] * width
+        self.x, self.l, self.y = ([[0.0] * width for _ in range(size)] for size in (self.n, self.m, self.m))
+        self.inputs = given = (
+            {(0, 0): self.t} | {(1, i): row for i, row in enumerate(self.x)} | {(2, i): row for i, row in enumerate(self.l)}
+        )
+        p, inputs = problem, [problem.t, problem.x, problem.l]
+        B, D, C = (derivatives(a, b) for a, b in ((p.g, p.l), (p.h, p.l), (p.h, p.x)))
+        moving = ca.veccat(p.t, p.x, p.l)
+        self.linear_in_l = not ca.depends_on(ca.veccat(B, D), p.l)
+        self.B, self.D, self.C = (_numbers(matrix, moving) for matrix in (B, D, C))
+        h = p.h if self.D is None else ca.substitute(p.h, p.l, ca.SX.zeros(self.m)) if self.m else p.h
+        self.jets = {"f": jets_of(p.f, inputs, "f"), "h": jets_of(h, inputs, "h")}
+        if self.B is None:
+            self.jets["g"] = jets_of(p.g, inputs, "g")
+        self.parts = {name: Expansion(jets, orders, given) for name, jets in self.jets.items()}
+        self._slopes = ca.Function("slopes", inputs, [ca.densify(e) for e in (B, D, C)])
+        self._B_columns = [] if self.B is None else [_entries(self.B[:, j]) for j in range(self.m)]
+        self._D_rows = [] if self.D is None else [_entries(self.D[i]) for i in range(self.m)]
+        self._known: dict[tuple[int, ...], Solve] = {}
+        self._p: dict[tuple, bool] = {}
+
+    @cached_property
+    def branches(self) -> list[tuple[str, int]]:
+        """(part, its branch) of every switch in f, g and h."""
+        return [(name, i) for name, jets in self.jets.items() for i in range(len(jets.branches))]
+
+    @cached_property
+    def feedthrough(self) -> np.ndarray:
+        """Whether each y (m,) depends on l directly."""
+        rows = set(ca.jacobian_sparsity(self.problem.h, self.problem.l).row()) if self.m else set()
+        return np.array([i in rows for i in range(self.m)], bool)
+
+    def slopes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(B, D, C) at order 0."""
+        if self.B is not None and self.D is not None and self.C is not None:
+            return self.B, self.D, self.C
+        return self._slopes_at([self.t[0]], [row[0] for row in self.x], [row[0] for row in self.l])
+
+    @cached_property
+    def _slopes_at(self):
+        arrays = [np.zeros(size) for size in (1, self.n, self.m)]
+        out = [np.zeros(shape, order="F") for shape in ((self.n, self.m), (self.m, self.m), (self.m, self.n))]
+        buffer, call = attached(self._slopes, arrays, out)
+
+        def at(*values):
+            for array, given in zip(arrays, values, strict=True):
+                array[:] = given
+            call()
+            return out[0], out[1], out[2]
+
+        at.buffer = buffer  # pyright: ignore[reportFunctionMemberAccess]
+        return at
+
+    def solve(self, codes: list[int]) -> Solve:
+        """What finds the multipliers of a mode, at the point that order 0 is."""
+        active = tuple(i for i, code in enumerate(codes) if code == 0)
+        if self.B is None or self.D is None or self.C is None:
+            return solve_of(active, *self.slopes())
+        if active not in self._known:
+            self._known[active] = solve_of(active, self.B, self.D, self.C)
+        return self._known[active]
+
+    def expand(self, t: float, x: list[float], codes: list[int], tau: float, orders: int) -> Solve | None:
+        """Compute orders 0, ..., ``orders`` of x and y, and of l as far as its index lets; None: the mode has no solution.
+
+        ``l`` at order 0 is the first guess of what is not linear in it.
+        """
+        self.t[0], self.t[1] = t, tau
+        for row, start in zip(self.x, x, strict=True):
+            row[0] = start
+        for i, code in enumerate(codes):
+            row = self.l[i]
+            row[:] = [0.0 if not code and self.linear_in_l else row[0], *[0.0] * self.orders]
+            if code:
+                row[0] = self.upper[i] if code > 0 else self.lower[i]
+        F, G, H = self.parts["f"], self.parts.get("g"), self.parts["h"]
+        self._put_y(H.order(0), 0)
+        how = self.solve(codes)
+        if not self._settle(how, codes):
+            return None
+        how = self.solve(codes) if not self.linear_in_l else how
+        for k in range(orders + 1):
+            if k:
+                self._direct(how, k)
+            if k == orders:
+                break
+            if k:
+                self._rate(F.order(k), G.order(k) if G else None, k)
+            self._put_y(H.order(k + 1), k + 1)
+            if k == 0 or how.through is None:
+                continue
+            step = [-(k + 1) / tau * v for v in _times(how.through, [self.y[i][k + 1] for i in how.active])]
+            for i, d in zip(how.active, step, strict=True):
+                self.l[i][k] += d
+            self._feed(how, k)
+            self._rate(None, G.order(k) if G else None, k)
+            self._put_y(H.order(k + 1), k + 1)
+        if how.through is not None:
+            for i in how.active:
+                self.y[i][1:] = [0.0] * self.orders
+        return how
+
+    def apart(self, how: Solve) -> list[int]:
+        """The rows that only their rate can hold at 0, and that are not there."""
+        if how.through is None or not any(self.y[i][0] for i in how.active):
+            return []
+        return [i for i in how.active if abs(self.y[i][0]) > AT_ZERO * max(self.sizes.y[i], self.terms(i))]
+
+    def terms(self, i: int) -> float:
+        """The size of what y_i is the sum of."""
+        _, D, C = self.slopes()
+        return float(np.abs(C[i]) @ self.sizes.x + np.abs(D[i]) @ self.sizes.l)
+
+    def is_p_matrix(self, opened: list[int], codes: list[int]) -> bool:
+        """Whether the rows ``opened`` have a P-matrix, D with W where D is nothing, the other rows with code 0 held."""
+        key = (tuple(opened), tuple(i for i, code in enumerate(codes) if code == 0 and i not in opened))
+        if key not in self._p or self.B is None or self.D is None or self.C is None:
+            B, D, C = self.slopes()
+            self._p[key] = is_p(D, C @ B, *map(list, key))
+        return self._p[key]
+
+    def held(self, rows: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+        """(U'y, U'h_x) at order 0: the combinations of ``rows`` that no l of theirs acts on directly."""
+        _, D, C = self.slopes()
+        a = list(rows)
+        U = generalised_inverse(D[np.ix_(a, a)])[1]
+        return U.T @ np.array([self.y[i][0] for i in a]), U.T @ C[a]
+
+    def _settle(self, how: Solve, codes: list[int]) -> bool:
+        """Order 0 of l, and order 1 of x; Newton's method where f, g or h are not linear in l."""
+        F, G, H, tau = self.parts["f"], self.parts.get("g"), self.parts["h"], self.t[1]
+        rate = F.order(0)
+        for iteration in range(NEWTON):
+            self._direct(how, 0)
+            self._rate(rate, G.order(0) if G else None, 0)
+            if how.through is None and self.linear_in_l:
+                return True
+            self._put_y(H.order(1), 1)
+            moved = 0.0
+            if how.through is not None:
+                slope = [self.y[i][1] for i in how.active]
+                step = [-v / tau for v in _times(how.through, slope)]
+                for i, d in zip(how.active, step, strict=True):
+                    self.l[i][0] += d
+                    moved = max(moved, abs(d) / (1e-300 + abs(self.l[i][0])))
+                if how.feeds:
+                    self._put_y(self.parts["h"].order(0) if self.D is None else None, 0)
+                if not np.isfinite(moved):
+                    return False
+                self._rate(rate, G.order(0) if G else None, 0)
+            if self.linear_in_l:
+                return self._held(how)
+            if iteration and moved <= SETTLED * NEWTON:
+                return self._held(how)
+            how = self.solve(codes)
+            self._put_y(H.order(0), 0)
+        return False
+
+    def _held(self, how: Solve) -> bool:
+        """Whether the rows that no multiplier acts on stay at 0 by themselves, as redundant ones do."""
+        if how.null is None or not how.null.size:
+            return True
+        self._put_y(self.parts["h"].order(1), 1)
+        slope = np.array([self.y[i][1] for i in how.active])
+        size = max((abs(row[1]) for row in self.x), default=0.0)
+        return bool(np.abs(how.null.T @ slope).max() <= 1e-9 * max(size, float(np.abs(slope).max())))
+
+    def _direct(self, how: Solve, k: int) -> None:
+        """l_k from y_k, of index 1; y_k with it."""
+        if how.direct is None:
+            return
+        step = _times(how.direct, [self.y[i][k] for i in how.active])
+        for i, d in zip(how.active, step, strict=True):
+            self.l[i][k] -= d
+        self._put_y(self.parts["h"].order(k), k) if self.D is None else self._put_y(None, k)
+        if how.through is None:
+            for i in how.active:
+                self.y[i][k] = 0.0
+
+    def _feed(self, how: Solve, k: int) -> None:
+        """Order k of y anew, where it depends on l directly."""
+        if how.feeds:
+            self._put_y(self.parts["h"].order(k) if self.D is None else None, k)
+            for i in how.active:
+                self.y[i][k] = 0.0
+
+    def _put_y(self, h: list[float] | None, k: int) -> None:
+        """Order k of y, from that of h."""
+        values = [row[k] for row in self.parts["h"].outputs] if h is None else h
+        for i, v in enumerate(values):
+            self.y[i][k] = v
+        for i, entries in enumerate(self._D_rows):
+            if entries:
+                self.y[i][k] += sum(d * self.l[j][k] for j, d in entries)
+
+    def _rate(self, f: list[float] | None, g: list[float] | None, k: int) -> None:
+        """Order k + 1 of x from order k of f, g and l."""
+        f = [row[k] for row in self.parts["f"].outputs] if f is None else f
+        total = list(map(float.__add__, f, g)) if g is not None else list(f)
+        for j, entries in enumerate(self._B_columns):
+            l = self.l[j][k]
+            if l:
+                for i, b in entries:
+                    total[i] += b * l
+        factor = self.t[1] / (k + 1)
+        for row, v in zip(self.x, total, strict=True):
+            row[k + 1] = factor * v
+
+
+def _times(A: Rows, v: list[float]) -> list[float]:
+    return [sum(map(mul, row, v)) for row in A]
+
+
+def _numbers(matrix: ca.SX, moving: ca.SX) -> np.ndarray | None:
+    """The matrix, where it depends on nothing that moves."""
+    return None if ca.depends_on(matrix, moving) else np.array(ca.DM(ca.densify(ca.cse(matrix)))).reshape(matrix.shape)
+
+
+def _entries(v: np.ndarray) -> list[tuple[int, float]]:
+    return [(int(i), float(v[i])) for i in np.flatnonzero(v)]

@@ -1,0 +1,47 @@
+"""What an event-driven run is asked for, checked: tolerances and the times of rows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from nsmodel.errors import UsageError
+from nsmodel.grid import is_number, written
+from nsmodel.pieces.integrator import LEAST_RTOL
+from nsmodel.scheme.continuous import ContinuousProblem
+
+
+def tolerances(problem: ContinuousProblem, rtol: Any, atol: Any) -> tuple[float, list[float]]:
+    """Rtol, and atol of each state; UsageError for what is none."""
+    names, n = problem.names[: problem.states], problem.states
+    if not (is_number(rtol) and LEAST_RTOL <= rtol < 1):
+        raise UsageError(
+            f"rtol = {written(rtol)}; expected a number between {LEAST_RTOL:g} and 1: doubles hold no more than 16 digits"
+        )
+    try:
+        array = np.asarray(0.0 if atol is None else atol, float)
+    except (TypeError, ValueError):
+        array = np.full(1, np.nan)
+    if array.ndim > 1 or array.size not in (1, n) or not (np.isfinite(array) & (array >= 0)).all():
+        raise UsageError(f"atol = {atol!r}; expected a number >= 0, or one for each of {', '.join(names)}")
+    return float(rtol), np.resize(array, len(problem.names)).tolist()
+
+
+def times(given: Any, T: float) -> list[float]:
+    """The times of the rows after the start; UsageError for what is no increasing list from 0 to T."""
+    try:
+        found = np.asarray(given, float)
+    except (TypeError, ValueError):
+        found = np.full(1, np.nan)
+    if found.ndim != 1 or not found.size or not np.isfinite(found).all():
+        raise UsageError("times: expected a list of finite numbers, the times of the rows")
+    wrong = np.flatnonzero(np.diff(found) <= 0)
+    if wrong.size:
+        i = int(wrong[0])
+        raise UsageError(f"times[{i + 1}] = {found[i + 1]:.10g} is not after times[{i}] = {found[i]:.10g}; give them in order")
+    outside = np.flatnonzero((found < 0) | (found > T))
+    if outside.size:
+        i = int(outside[0])
+        raise UsageError(f"times[{i}] = {found[i]:.10g} is outside the run, from 0 to t_end = {T:.10g}")
+    return found[found > 0].tolist()

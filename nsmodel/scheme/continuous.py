@@ -1,0 +1,54 @@
+"""A model in continuous time: what event-driven integration takes, one form for the classes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import casadi as ca
+
+from nsmodel.errors import UsageError
+from nsmodel.laws import Law
+
+
+class NotEventDriven(UsageError):
+    """A model that event-driven integration cannot take; says what of it."""
+
+
+@dataclass(frozen=True)
+class ContinuousProblem:
+    """x' = f(t, x) + g(t, x, l),   y = h(t, x, l),   -y ∈ N_K(l),   x(0) = x0.
+
+    Attributes:
+        t, x, l, p: symbols; ``p``: parameters still symbolic.
+        f, g: (n, 1), with the mass matrix divided out; g is what depends on l, and 0 without it where that can be told.
+        h: (m, 1).
+        law: K, made of boxes and curved sets.
+        rows: the user's name of each row of l and y; names: of the states in x.
+        x0: the start (n, 1).
+        states: number of the first entries of x that are the model's states; of an oscillator the others are velocities.
+        multipliers, outputs: l and y as the user declared them, expressions of t, x and l, where they differ; else None.
+        declared: the names of these multipliers.
+        records: further columns of a trajectory, expressions of t, x and l.
+        impulses: whether the class's multipliers are the integrals of l over steps; l itself is then called reactions.
+    """
+
+    scheme: ClassVar[str] = "event-driven integration"
+    t: ca.SX
+    x: ca.SX
+    l: ca.SX
+    p: ca.SX
+    f: ca.SX
+    g: ca.SX
+    h: ca.SX
+    law: Law
+    rows: tuple[str, ...]
+    names: tuple[str, ...]
+    x0: ca.SX
+    states: int
+    multipliers: ca.SX | None = None
+    outputs: ca.SX | None = None
+    declared: tuple[str, ...] = ()
+    records: Mapping[str, ca.SX] = field(default_factory=dict)
+    impulses: bool = False

@@ -1,0 +1,303 @@
+"""Event-driven integration: errors within rtol, no switch missed, and clear words where it does not apply."""
+
+import math
+import os
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import nsmodel
+from nsmodel import FirstOrderSystem, LureSystem, StepError, UsageError, ball, complementarity, relay, simulate
+from tests import event_scenes as scenes
+
+DATA = Path(__file__).parents[2] / "shared" / "data" / "event_driven"
+CASES = Path(__file__).parents[1] / "cases"
+RTOLS = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
+MANY = int(os.environ.get("NSMODEL_FUZZ", "400"))
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the references are not here")
+
+
+def judged(model, rtol, at, reference, events):
+    """Assert that states err by at most 10 rtol of their largest values, and events by 10 rtol of the time."""
+    run = simulate(model, rtol=rtol, times=at, method="event-driven")
+    largest = np.abs(reference).max(axis=0)
+    error = np.abs(run.x - reference) / np.where(largest > 0, largest, 1)
+    assert error.max() <= 10 * rtol
+    if events is not None:
+        found = [event.t for event in run.events]
+        assert len(found) == len(events)
+        assert np.abs(np.array(found) - events).max(initial=0) <= 10 * rtol * at[-1]
+    return run
+
+
+@needs_data
+@pytest.mark.parametrize("rtol", RTOLS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        "friction_oscillator", "friction_oscillator_relay", "sliding_relay", "diode_bridge", "relay_oscillator", "gene_network",
+        "point_past_disc",
+    ],
+)  # fmt: skip
+def test_cases_against_113_bits(name, rtol):
+    reference = np.load(DATA / f"{name}_ref.npz")
+    model = nsmodel.load(CASES / f"{name}.py")
+    judged(model, rtol, np.linspace(0, model.t_end, 241), reference["rows"][:, : len(model.names)], reference["events"])
+
+
+@needs_data
+@pytest.mark.parametrize("rtol", [1e-2, 1e-6, 1e-10])
+def test_chain_pendulums_and_stiff_relay_against_113_bits(rtol):
+    for name, model in (
+        ("friction_chain_10", nsmodel.load(CASES / "friction_chain.py")),
+        ("pendulums", scenes.pendulums()),
+        ("stiff_relay_3", scenes.stiff_relay(1e3)),
+    ):
+        reference = np.load(DATA / f"{name}_ref.npz")
+        judged(model, rtol, np.linspace(0, model.t_end, 241), reference["rows"], reference["events"])
+
+
+@needs_data
+@pytest.mark.parametrize("rtol", [1e-2, 1e-4, 1e-6, 1e-8])
+def test_mains_bridge(rtol):
+    """The reference, good to 1e-11, has the switches of the current alone; the diodes' voltages switch besides."""
+    reference, model = np.load(DATA / "mains_bridge_ref.npz"), scenes.mains_bridge()
+    run = judged(model, rtol, np.linspace(0, model.t_end, 241), reference["rows"], None)
+    found = np.array([event.t for event in run.events])
+    assert all(np.abs(found - event).min() <= 10 * rtol * model.t_end for event in reference["events"])
+
+
+@pytest.mark.parametrize("rtol", RTOLS)
+def test_closed_forms(rtol):
+    for model, exact, events in (*map(scenes.release, (0.77, 1.0, 1.3)), scenes.play(), scenes.diode()):
+        at = np.linspace(0, model.t_end, 241)
+        judged(model, rtol, at, exact(at), events)
+
+
+def test_digits_of_closed_forms():
+    """At rtol = 1e-13 errors are rounding."""
+    for model, exact, _ in (scenes.release(0.77), scenes.play()):
+        at = np.linspace(0, model.t_end, 241)
+        assert np.abs(simulate(model, rtol=1e-13, times=at).x - exact(at)).max() <= 1e-13
+    model = nsmodel.load(CASES / "friction_oscillator.py")
+    run = simulate(model, rtol=1e-13)
+    assert np.abs(run.x - model.exact(run.t)).max() <= 1e-13 * 5.3
+    np.testing.assert_allclose([event.t for event in run.events], np.pi * np.arange(1, 4), rtol=1e-14)
+
+
+def test_simultaneous_switches():
+    A, B, C = np.zeros((8, 8)), np.zeros((8, 4)), np.zeros((4, 8))
+    for i in range(4):
+        A[2 * i, 2 * i + 1], A[2 * i + 1, 2 * i], B[2 * i + 1, i], C[i, 2 * i + 1] = 1, -1, 1, 1
+    model = LureSystem(A=A, B=B, C=C, law=relay(4), x0=[5.3, 0, 5.3, 0, 5.3, 0, 4.3, 0], t_end=12)
+    run = simulate(model, rtol=1e-10, method="event-driven")
+    np.testing.assert_allclose(run.x[-1, ::2], [0.7, 0.7, 0.7, 0.3], atol=1e-10)
+    np.testing.assert_allclose([event.t for event in run.events], np.pi * np.arange(1, 4), rtol=1e-12)
+
+
+@pytest.mark.parametrize("depth", [1e-10, 1e-13, 1e-15, 0.0, -1e-15, -1e-13, -1e-6])
+def test_grazing(depth):
+    """A touch no deeper than rounding changes nothing; one of 1e-10 is a contact, felt to its square root at most."""
+    run = simulate(scenes.grazing(depth), rtol=1e-13, method="event-driven")
+    assert np.abs(run.x[-1] - [math.sin(6), math.cos(6)]).max() <= (2e-12 if depth == 1e-10 else 2e-15)
+    assert len(run.events) == (2 if depth == 1e-10 else 0)
+
+
+@pytest.mark.parametrize("w", [3.3, 5.7, 9.1])
+def test_brief_contacts_are_not_missed(w):
+    rng, at, checked = np.random.default_rng(int(10 * w)), np.linspace(0, 20, 200_001), 0
+    for _ in range(max(3, MANY // 10)):
+        a, b, p, q = rng.uniform(0.5, 1), rng.uniform(0.2, 0.6), *rng.uniform(0, 2 * np.pi, 2)
+        place, depth = a * np.cos(at + p) + b * np.cos(w * at + q), 10 ** rng.uniform(-5, -1)
+        wall = place.max() - depth
+        if place[0] > wall - 1e-3:
+            continue
+        start = [a * np.cos(p), -a * np.sin(p), b * np.cos(q), -w * b * np.sin(q), wall]
+        first = at[np.argmax(place > wall)]
+        for rtol in (1e-2, 1e-3, 1e-6, 1e-9):
+            if depth >= 10 * rtol:
+                run = simulate(scenes.brief_contact(w, start), rtol=rtol, method="event-driven")
+                assert run.events
+                assert abs(run.events[0].t - first) <= max(2e-4, 200 * rtol)
+                checked += 1
+    assert checked
+
+
+def test_accumulation_and_many_switches():
+    run = simulate(scenes.twisting(), rtol=1e-10, method="event-driven")
+    end = (math.sqrt(2) + math.sqrt(2) / 3) / (1 - 1 / math.sqrt(3))
+    assert abs(run.events[-1].t - end) <= 1e-5  # the last ones are below rounding of the state
+    assert np.abs(run.x[-1]).max() <= 1e-12
+    run = simulate(scenes.relay_of_degree_2(0, 1000), rtol=1e-13, method="event-driven")
+    k = len(run.events)
+    assert k == 354
+    assert abs(run.events[-1].t - math.sqrt(2) * (2 * k - 1)) <= 1e-13 * 1000
+
+
+def test_what_never_ends_is_told():
+    """x'' + x' = -sgn x has exponentially many switches: alone it stops and keeps the rows."""
+    with pytest.raises(StepError, match="accumulate"):
+        simulate(scenes.relay_of_degree_2(1, 50), rtol=1e-4, method="event-driven")
+
+
+def test_no_uniqueness():
+    """x' in +Sgn x has three solutions from 0: refused, or with a warning by time stepping."""
+    model = LureSystem(A=[[0]], B=[[-1]], C=[[1]], law=relay(1), x0=[0], t_end=1, step=0.1)
+    with pytest.raises(StepError, match="not unique"):
+        simulate(model, rtol=1e-6, method="event-driven")
+    run = simulate(model, rtol=1e-6)
+    assert not run.is_event_driven
+    assert any("not unique" in text for text in run.metadata["warnings"])
+
+
+def test_jump_at_the_start():
+    """From the jump on the digits of a run that starts after it; x+ by hand: C and C_f share the charge."""
+    model = scenes.capacitor_filter()
+    run = simulate(model, rtol=1e-10, method="event-driven")
+    shared = 10 * 1e-6 / (1e-6 + 3e-7)
+    after = run.at(0.0)
+    np.testing.assert_allclose(after.x[0], [shared, 0, shared], rtol=1e-14)
+    np.testing.assert_allclose(run.events[0].x_before, [10, 0, 0])
+    fine = simulate(model, step=1e-7)
+    assert np.abs(run.x[-1] - fine.x[-1]).max() <= 0.02 * np.abs(run.x).max()
+
+
+def test_known_discontinuities_of_time_and_branches():
+    """f with fmod, fabs, fmax and if_else: switches of what is not analytic, against arcs joined by hand."""
+    x, time = ca.SX.sym("x"), scenes.t
+    saw = simulate(FirstOrderSystem(t=time, x=x, f=[ca.fmod(time, 0.3)], x0=[0], t_end=2), rtol=1e-10, method="event-driven")
+    assert abs(saw.x[-1, 0] - (6 * 0.045 + 0.2**2 / 2)) <= 1e-10
+    steps = simulate(
+        FirstOrderSystem(t=time, x=x, f=[ca.if_else(time < 0.7, 1, -ca.fabs(x) + ca.fmax(time, 1))], x0=[0], t_end=1), rtol=1e-10
+    )
+    # from 0.7 on x' = 1 - x: x = 1 - 0.3 exp(-(t - 0.7))
+    assert abs(steps.x[-1, 0] - (1 - 0.3 * math.exp(-0.3))) <= 1e-10
+
+
+def test_mass_matrix_and_redundant_rows():
+    """M full; two rows that say the same: l is the least, and their sum what one row has."""
+    x, l, time = ca.SX.sym("x", 2), ca.SX.sym("l", 2), scenes.t
+    M = np.array([[2.0, 0.5], [0.5, 1.0]])
+    twice = FirstOrderSystem(
+        t=time, x=x, lam=l, M=M, f=[3 * ca.sin(time), -x[1]], g=[l[0] + l[1], 0], h=[x[0], x[0]], law=relay(2), x0=[1, 1], t_end=6
+    )
+    once = FirstOrderSystem(
+        t=time, x=x, lam=l[0], M=M, f=[3 * ca.sin(time), -x[1]], g=[l[0], 0], h=[x[0]], law=relay(1, -2, 2), x0=[1, 1], t_end=6
+    )
+    at = np.linspace(0, 6, 61)
+    a, b = (simulate(model, rtol=1e-9, times=at, method="event-driven") for model in (twice, once))
+    np.testing.assert_allclose(a.x, b.x, atol=1e-8)
+    np.testing.assert_allclose(a.multipliers.sum(axis=1)[1:], b.multipliers[1:, 0], atol=1e-7)
+
+
+# -- random models against time stepping -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(max(4, MANY // 8)))
+def test_random_lure_systems(seed):
+    """Passive Lur'e systems (B = C', D psd): the event-driven state is the limit of time stepping's."""
+    rng = np.random.default_rng(seed)
+    n, m = int(rng.integers(2, 5)), int(rng.integers(1, 4))
+    S, K = rng.normal(size=(n, n)), rng.normal(size=(n, n))
+    A, C = K - K.T - 0.1 * S @ S.T, rng.normal(size=(m, n))
+    E = rng.normal(size=(m, m))
+    D = (np.zeros((m, m)), E @ E.T + 0.1 * np.eye(m), E @ E.T + E - E.T + 0.1 * np.eye(m))[seed % 3]
+    law = relay(m) if seed % 2 or not D.any() else complementarity(m)
+    drive = rng.normal(size=(n, 2)) @ ca.vertcat(ca.sin(1.7 * scenes.t), ca.cos(0.6 * scenes.t))
+    model = LureSystem(t=scenes.t, A=A, B=C.T, C=C, D=D, f=drive, law=law, x0=rng.normal(size=n), t_end=4)
+    run = simulate(model, rtol=1e-9, method="event-driven")
+    coarse, fine = (simulate(model, step=h) for h in (2e-3, 1e-3))
+    size, apart = np.abs(run.x).max(), np.abs(coarse.x[-1] - fine.x[-1]).max()
+    assert np.abs(fine.x[-1] - run.x[-1]).max() <= 3 * apart + 1e-6 * size
+
+
+# -- what a user sees ---------------------------------------------------------------------------------------------------
+
+
+def test_rows_dense_output_and_files(tmp_path):
+    model = nsmodel.load(CASES / "diode_bridge.py")
+    run = simulate(model, rtol=1e-8)
+    assert run.is_event_driven
+    assert (np.diff(run.t) > 0).all()
+    assert run.t[-1] == model.t_end
+    inside = np.linspace(0, model.t_end, 500)
+    np.testing.assert_array_equal(run.at(run.t[1:-1]).x.shape, (len(run) - 1, 2))
+    run.save(tmp_path / "run.npz")
+    again = nsmodel.Trajectory.load(tmp_path / "run.npz")
+    for one, other in zip(run.at(inside), again.at(inside), strict=True):
+        np.testing.assert_array_equal(one, other)
+    rows = simulate(model, rtol=1e-8, times=inside)
+    np.testing.assert_array_equal(rows.t, inside)
+    np.testing.assert_allclose(rows.x[1:], run.at(inside[1:]).x, rtol=0, atol=1e-12)
+    third = simulate(model, rtol=1e-8, save_every=3)
+    np.testing.assert_array_equal(third.t, run.t[np.unique([*range(0, len(run.t), 3), len(run.t) - 1])])
+    run.to_csv(tmp_path / "run.csv")
+    assert "piece" not in (tmp_path / "run.csv").read_text().splitlines()[0]
+
+
+def test_events_tell_both_sides():
+    run = simulate(nsmodel.load(CASES / "point_past_disc.py"), rtol=1e-8)
+    touch, leave = run.events
+    assert (touch.before[0], touch.after[0], leave.before[0], leave.after[0]) == (-1, 0, 0, -1)
+    assert run.t[touch.row] == touch.t
+    assert touch.multipliers_before[0] == 0 < touch.multipliers_after[0]
+    assert abs(touch.y_after[0]) <= 1e-15
+    total = run.multipliers[1:, 0].sum()
+    reaction = run.at(np.linspace(0, 4.5, 100_001)).multipliers[:, 0]
+    assert abs(total - np.trapezoid(reaction, dx=4.5 / 100_000)) <= 1e-4
+
+
+def test_pieces_do_not_depend_on_the_end():
+    model = nsmodel.load(CASES / "relay_oscillator.py")
+    long, short = simulate(model, rtol=1e-6), simulate(model, rtol=1e-6, t_end=0.37 * model.t_end)
+    k = len(short.arrays["piece_start"])
+    for name in ("piece_start", "piece_unit", "piece_x"):
+        np.testing.assert_array_equal(short.arrays[name], long.arrays[name][:k])
+    assert short.t[-1] == 0.37 * model.t_end
+
+
+def test_time_stepping_has_values_between_rows_but_no_events():
+    run = simulate(nsmodel.load(CASES / "friction_oscillator.py"), step=0.1)
+    np.testing.assert_allclose(run.at(0.25).x[0], (run.x[2] + run.x[3]) / 2)
+    np.testing.assert_array_equal(run.at(run.t).x, run.x)
+    with pytest.raises(UsageError, match="rtol"):
+        _ = run.events
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"rtol": 1e-15}, "between 1e-14 and 1"),
+        ({"rtol": "small"}, "rtol"),
+        ({"rtol": 1e-6, "method": "events"}, "'events'; expected one of auto, event-driven, time-stepping"),
+        ({"method": "event-driven"}, "needs rtol"),
+        ({"rtol": 1e-6, "times": [0.2, 0.1]}, r"times\[1\] = 0.1 is not after times\[0\] = 0.2"),
+        ({"rtol": 1e-6, "times": [0.0, 13.0]}, r"times\[1\] = 13 is outside the run, from 0 to t_end = 12"),
+        ({"rtol": 1e-6, "times": ["soon"]}, "times: expected a list"),
+        ({"times": [0.0, 1.0]}, "give rtol"),
+        ({"rtol": 1e-6, "step": 1e-3}, "step and rtol"),
+        ({"rtol": 1e-6, "steps": [1e-3]}, "steps and rtol"),
+        ({"rtol": 1e-6, "solver": "lemke"}, "solver 'lemke' and rtol"),
+        ({"rtol": 1e-6, "atol": [1, 2, 3]}, "atol"),
+    ],
+)
+def test_wrong_options(options, words):
+    with pytest.raises(UsageError, match=words):
+        simulate(nsmodel.load(CASES / "friction_oscillator.py"), **options)
+
+
+def test_what_it_cannot_take():
+    disc = LureSystem(A=-np.eye(2), B=np.eye(2), C=np.eye(2), law=ball(2), x0=[1, 1], t_end=1, step=0.1)
+    with pytest.raises(UsageError, match="'ball' is no box"):
+        simulate(disc, rtol=1e-6, method="event-driven")
+    run = simulate(disc, rtol=1e-4)
+    assert not run.is_event_driven
+    assert any("event-driven" in line and "ball" in line for line in run.metadata["left_out"])
+    x = ca.SX.sym("x", 2)
+    singular = FirstOrderSystem(x=x, f=[-x[0], x[1] - 1], M=[[1, 0], [0, 0]], x0=[1, 1], t_end=1, step=0.1)
+    with pytest.raises(UsageError, match="M is singular"):
+        simulate(singular, rtol=1e-6, method="event-driven")
+    with pytest.raises(UsageError, match="the run goes from"):
+        simulate(nsmodel.load(CASES / "friction_oscillator.py"), rtol=1e-3).at(13)
