@@ -90,8 +90,7 @@ def check(
     given = runs is not None or quick
     own = list(runs or ()) if given else _runs(bound, notes)
     box = region_of(bound, own, region)
-    own, pieces = [run for run in own if not run.is_event_driven], [run for run in own if run.is_event_driven]
-    notes += [modes_note(run) for run in pieces]
+    own = _stepped(own, notes)
     try:
         findings, consequences = _checker(type(bound)).check(bound, box, own, quick)
         consequences = clauses(bound, box, findings, consequences)
@@ -111,12 +110,18 @@ def check(
     return _report(bound, box.text, findings, consequences, bound.bound_parameters, notes, quick)
 
 
+def _stepped(runs: Sequence[Trajectory], notes: list[str]) -> list[Trajectory]:
+    """The runs by time stepping, whose rows the checks along a run are about; a note on the modes of each other one."""
+    notes += [modes_note(run) for run in runs if run.is_event_driven]
+    return [run for run in runs if not run.is_event_driven]
+
+
 def modes_note(run: Trajectory) -> str:
     """What an event-driven run says of its modes: whether l was the only one, and the mode the only one that goes on."""
     totals = run.metadata["totals"]
     unique, redundant = totals.get("unique", {}), totals.get("redundant", 0)
     regular = (
-        f"{redundant} of {totals['pieces']} pieces have redundant rows, their l is the least" if redundant else "all regular"
+        f"{redundant} of {totals['pieces']} pieces have redundant rows, their l is one of several" if redundant else "all regular"
     )
     decided = ", ".join(f"{verdict} at {count}" for verdict, count in sorted(unique.items())) or "no event"
     only = "whether the mode is the only one, at the start and the events"
@@ -141,6 +146,7 @@ def _for_all(
     at = [(one, part.bind(one)) for one in uniform.values_in(boxes, special)]
     own = list(runs or ()) if runs is not None or quick else _runs(at[0][1], notes)
     box = around([region_of(bound, own, region) for _, bound in at], boxes)
+    own = _stepped(own, notes)
     try:
         reports = [(one, *_quickly(bound, replace(box, parameters={}), own)) for one, bound in at]
         proved = {finding.id: finding for finding in (proofs.findings(part, box, quick) if proofs else ())}

@@ -90,23 +90,24 @@ class ChunkStore:
         Lists (see LIST) have another all the same.
         """
         data = {name: np.asarray(array) for name, array in arrays.items()}
-        lengths = _lengths({name: (array.dtype, array.shape) for name, array in data.items()})
-        if lengths is None:
+        if _lengths(_layout(data)) is None:
             shapes = ", ".join(f"{name} {array.shape}" for name, array in data.items()) or "no array"
             raise StorageError(f"a chunk in {self.directory} needs arrays of one number of rows, got {shapes}")
         if self._manifest["chunks"]:
-            layout = {name: (array.dtype, array.shape) for name, array in data.items()}
-            _same_layout(self._first(), layout, self.directory)
+            _same_layout(self._first(), _layout(data), self.directory)
         else:
             # An older run's manifest must not describe the chunks that are overwritten from here on.
             (self.directory / MANIFEST).unlink(missing_ok=True)
         chunks = self._manifest["chunks"]
         path = self.directory / f"chunk-{len(chunks) + 1:06d}.npz"
+        self._commit([*chunks, self._written(path, data)], checkpoint, metadata)
+
+    def _written(self, path: Path, data: Mapping[str, np.ndarray]) -> dict[str, Any]:
+        """Write a chunk; and what the manifest says of it."""
         members = members_of(data, path)
         with stream_beside(path) as stream:
             write_archive(stream, members, {})
-            digest = digest_of_stream(stream)
-        self._commit([*chunks, {"file": path.name, **lengths, "sha256": digest}], checkpoint, metadata)
+            return {"file": path.name, **(_lengths(_layout(data)) or {}), "sha256": digest_of_stream(stream)}
 
     def read(self) -> dict[str, np.ndarray]:
         """The arrays of all chunks, joined in memory."""
@@ -137,6 +138,23 @@ class ChunkStore:
         for stale in self.directory.iterdir():
             if _CHUNK.fullmatch(stale.name):
                 stale.unlink()
+
+    def shorten(self, rows: int, listed: int) -> None:
+        """Take the last rows of the whole run away, and the last of its lists: what was cut off at its end is made anew."""
+        if len(self._manifest["chunks"]) > 1 or _CHUNK.fullmatch(self._manifest["chunks"][0]["file"]):
+            self.join(self.directory / "trajectory.npz", self._manifest["metadata"])
+        away = {"rows": rows, "listed": listed}
+        arrays = {name: array[: len(array) - away[_length(name)]] for name, array in self.read().items()}
+        metadata = {**self._manifest["metadata"], "status": "running", "message": ""}
+        path = self.directory / "chunk-000001.npz"
+        self._commit([self._written(path, arrays)], {**self._manifest["checkpoint"], "cut": None}, metadata)
+
+    def discard(self) -> None:
+        """Forget the run: its manifest and its chunks are removed."""
+        (self.directory / MANIFEST).unlink(missing_ok=True)
+        for file in self._files():
+            file.unlink(missing_ok=True)
+        self._manifest = _manifest([], {}, {})
 
     def _files(self) -> list[Path]:
         return [self.directory / chunk["file"] for chunk in self._manifest["chunks"]]
@@ -184,6 +202,10 @@ def unfinished(directory: str | Path) -> dict[str, Any] | None:
         return None
     refuse_later(manifest, path)
     return manifest if whole and manifest["status"] in ("running", "interrupted") else None
+
+
+def _layout(data: Mapping[str, np.ndarray]) -> Layout:
+    return {name: (array.dtype, array.shape) for name, array in data.items()}
 
 
 def _digest_of(path: Path) -> str:

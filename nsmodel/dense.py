@@ -24,7 +24,8 @@ class At(NamedTuple):
 class Event(NamedTuple):
     """A change of the mode at time t, before row ``row`` ends: index sets, and state, multipliers and outputs on both sides.
 
-    Where the state jumps, ``x_after`` is another than ``x_before``.
+    Where the state jumps, ``x_after`` is another than ``x_before``, by M^-1 g_l p with the ``impulse`` p (m,), one of each row of
+    the law; it is 0 elsewhere.
     """
 
     t: float
@@ -37,6 +38,7 @@ class Event(NamedTuple):
     multipliers_after: np.ndarray
     y_before: np.ndarray
     y_after: np.ndarray
+    impulse: np.ndarray
 
 
 def polynomials(coefficients: np.ndarray, s: np.ndarray) -> np.ndarray:
@@ -91,9 +93,9 @@ def events(arrays: Arrays) -> tuple[Event, ...]:
         after = at(arrays, t, np.array([k]))
         before = at(arrays, t, np.array([k - 1])) if k else after._replace(x=x0)
         row = int(np.searchsorted(arrays["t"], t[0]))
-        sides = [side for one, other in zip(before[1:], after[1:], strict=True) for side in (one[0], other[0])]
+        x, _, l, y = ((one[0], other[0]) for one, other in zip(before[1:], after[1:], strict=True))
         index = codes[k - 1] if k else np.full_like(codes[k], UNKNOWN)
-        found.append(Event(float(t[0]), row, index, codes[k], *sides[:2], *sides[4:]))
+        found.append(Event(float(t[0]), row, index, codes[k], *x, *l, *y, arrays["piece_impulse"][k]))
     return tuple(found)
 
 
@@ -106,7 +108,7 @@ def drawn(arrays: Arrays, points: int) -> dict[str, np.ndarray]:
     t = np.concatenate([np.linspace(a, b, n) for a, b, n in zip(starts[inside], stops, counts, strict=True)])
     number = np.repeat(inside, counts)
     found = at(arrays, t, number)
-    own = {"t": t, "x": found.x, "y": found.y, "index_set": arrays["piece_codes"][number]}
+    own = {"piece_start": starts, "t": t, "x": found.x, "y": found.y, "index_set": arrays["piece_codes"][number]}
     own["multipliers"] = found.multipliers
     if "reactions" in arrays:
         own["reactions"] = found.multipliers

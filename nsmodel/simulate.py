@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,7 @@ def simulate(
     atol: float | Sequence[float] | None = None,
     method: str = "auto",
     times: Sequence[float] | None = None,
+    certify: str = "estimate",
 ) -> Trajectory:
     """Run a model and return its trajectory; every step in it was verified.
 
@@ -72,6 +74,9 @@ def simulate(
             steps by local error control (see `run.controlled`; rtol >= 1e-12, ``step`` is the first step); "auto" is
             event-driven, and takes time stepping, with a warning, where that does not apply or stops.
         times: the rows of an event-driven run, increasing, from 0 to t_end; left out: the ends of its pieces.
+        certify: "interval": prove of each piece of an event-driven run, by interval arithmetic, a bound of its defect and the
+            signs of its conditions, and of the run a bound of its error where the model is monotone (see `docs/events.md`); what
+            is not proved is named, and the run is one all the same. "estimate": do not.
 
     Raises:
         UsageError: a wrong argument, an unknown or inapplicable solver, a start outside the set, an unfinished run in ``out``.
@@ -82,8 +87,8 @@ def simulate(
             cannot be written: then ``error.trajectory`` holds what was computed.
     """
     options = Options(
-        step, steps, t_end, parameters, solver, tolerance, save_every, out, resume, compiled, rtol, atol, method, times
-    )
+        step, steps, t_end, parameters, solver, tolerance, save_every, out, resume, compiled, rtol, atol, method, times, certify,
+    )  # fmt: skip
     with contextlib.nullcontext() if options.folder is None else lock.held(options.folder):
         return arranged(model, options).go(progress)
 
@@ -109,18 +114,11 @@ def explain(
     compiled: bool | str = "auto",
     rtol: float | None = None,
     method: str = "auto",
+    certify: str = "estimate",
 ) -> str:
     """What a run with these arguments would use and what it leaves out, and why, as text."""
-    options = Options(
-        step=step,
-        t_end=t_end,
-        parameters=parameters,
-        solver=solver,
-        tolerance=tolerance,
-        compiled=compiled,
-        rtol=rtol,
-        method=method,
-    )
+    asked: dict[str, Any] = {"step": step, "t_end": t_end, "parameters": parameters, "solver": solver, "tolerance": tolerance}
+    options = Options(**asked, compiled=compiled, rtol=rtol, method=method, certify=certify)
     bound = _bound(model, options)
     if rtol is not None:
         controlled: Any = _with_rtol(bound, options).walk
@@ -173,8 +171,13 @@ class _GoesOn(Run):
         except StepError as error:
             if self.options.times is not None:
                 raise
-            reason = f"it stopped: {error}"
-        other = _stepped(self.walk.model, self.options, reason)
+            reason, stopped = f"it stopped: {error}", error
+        try:
+            other = _stepped(self.walk.model, replace(self.options, resume=False), reason)
+        except UsageError:  # what is asked for is not for time stepping
+            raise stopped from None
+        if self.store is not None:
+            self.store.discard()
         other.walk.warnings.append(f"event-driven integration: {reason}; all rows are by time stepping")
         run = other.go(progress)
         self.cpu_seconds += other.cpu_seconds
@@ -192,15 +195,17 @@ def _with_rtol(model: Model, options: Options) -> Run:
         _refuse_of_steps(options)
         walk = EventDriven(model, options, problem)
     except (NotEventDriven, OpaqueExpression, StepError) as error:
-        if options.method == METHODS[1] or options.times is not None:
+        if options.method == METHODS[1] or options.times is not None or options.certified:
             raise error if isinstance(error, StepError) else UsageError(f"not event-driven: {error}") from error
         run = _stepped(model, options, str(error))
         if isinstance(error, StepError):
             run.walk.warnings.append(f"event-driven integration does not start: {error}; all rows are by time stepping")
         return run
-    if options.folder is not None:
-        keep_unfinished(options.folder)
-    return (Run if options.method == METHODS[1] else _GoesOn)(walk, options, None)
+    if options.certified:  # of all pieces at once
+        if options.folder is not None:
+            keep_unfinished(options.folder)
+        return Run(walk, options, None)
+    return (Run if options.method == METHODS[1] else _GoesOn)(walk, options, _Folder(options).store())
 
 
 def _refuse_of_steps(options: Options) -> None:
@@ -208,12 +213,11 @@ def _refuse_of_steps(options: Options) -> None:
     given = {
         "step": options.step is not None, "steps": options.steps is not None,
         f"solver '{options.solver}'": options.solver != "auto",
-        "resume": options.resume,
     }  # fmt: skip
     name = next((name for name, there in given.items() if there), None)
     if name is not None:
         raise UsageError(
-            f"{name} and rtol are both given: an event-driven run has no time steps, and begins anew; leave {name} out, or take "
+            f"{name} and rtol are both given: an event-driven run has no time steps; leave {name} out, or take "
             "method='time-stepping' (--method time-stepping)"
         )
 

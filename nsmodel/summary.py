@@ -44,6 +44,7 @@ def summary(run: Trajectory) -> dict[str, Any]:
         "step": {"min": float(steps[computed].min()), "max": float(steps[computed].max())} if computed.size else None,
         "error_control": {key: totals[key] for key in CONTROL} if "accepted" in totals else None,
         "event_driven": {key: totals[key] for key in PIECES} if "pieces" in totals else None,
+        "certificate": about.get("certificate"),
         "residual": _worst(run, totals, computed),
         "index_set_changes": _changes(run, totals, computed),
         "solver_counts": dict(about.get("solver_counts") or {}),
@@ -141,6 +142,7 @@ def text(summary: dict[str, Any]) -> str:
         "step size": s["step"] and _range(s["step"]["min"], s["step"]["max"], unit),
         "error control": s["error_control"] and _control(**s["error_control"]),
         "event-driven": s["event_driven"] and _event_driven(**s["event_driven"], unit=unit),
+        "certificate": s["certificate"] and _certificate(s["certificate"], unit),
         "worst residual": s["residual"] and f"{s['residual']['worst']:.3g}{_at(s['residual']['t'], unit)}",
         "contacts" if s["bodies"] else "index set": (
             None if changes is None else f"changed at {changes} step{'' if changes == 1 else 's'}"
@@ -215,6 +217,22 @@ def _event_driven(
         f"{worst_estimate:.2g} of rtol"
         f"{_at(worst_estimate_t, unit)}"
     )
+
+
+def _certificate(about: dict[str, Any], unit: str) -> list[str]:
+    """What interval arithmetic proves of the pieces, and what it does not."""
+    verdict = "proved" if about["proved"] == about["pieces"] else "not proved"
+    first = (
+        f"{verdict} by intervals, {about['proved']} of {about['pieces']} pieces: defects add up to at most {about['share']:.2g} "
+        f"of rtol on each, rows to {about['row_defect']:.2g}, signs to {about['depth']:.2g} of their size, and kept from "
+        f"{about['reach']:.2g}{unit} off the ends of pieces"
+    )
+    more = about["not_proved"] - len(about["failures"])
+    bound, why = about["error"], f"no bound of the global error: {about['no_error_bound']}"
+    if bound is not None:
+        near = f"every state is within {bound['bound']:.2g} of the solution until t = {bound['until']:.6g}{unit}"
+        why = f"{near}, worst '{bound['state']}' (omega = {bound['omega']:.3g} in |.|_P)"
+    return [first, why, *(f"not proved: {one}" for one in about["failures"]), *([f"and {more} more"] if more else [])]
 
 
 def _at(t: float | None, unit: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -130,6 +130,12 @@ class Trajectory:
         if outside.size:
             raise UsageError(f"t = {outside[0]:.10g}: the run goes from {self.t[0]:.10g} to {self.t[-1]:.10g}")
         return dense.at(self.arrays, times) if self.is_event_driven else dense.between(self.arrays, times)
+
+    def smooth(self, points: int = 2000) -> Trajectory:
+        """Return an event-driven run with about so many rows read off its polynomials, two at each jump; others as they are."""
+        if "piece_x" not in self.arrays or not len(self.arrays["piece_start"]):
+            return self
+        return replace(self, arrays=dense.drawn(self.arrays, points))
 
     @property
     def events(self) -> tuple[dense.Event, ...]:

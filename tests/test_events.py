@@ -9,7 +9,19 @@ import numpy as np
 import pytest
 
 import nsmodel
-from nsmodel import FirstOrderSystem, LureSystem, StepError, UsageError, ball, complementarity, relay, simulate
+from nsmodel import (
+    FirstOrderSystem,
+    LureSystem,
+    StepError,
+    SweepingProcess,
+    UsageError,
+    ball,
+    complementarity,
+    plot,
+    relay,
+    simulate,
+)
+from nsmodel.hypotheses.region import region_of
 from tests import event_scenes as scenes
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "event_driven"
@@ -160,6 +172,7 @@ def test_jump_at_the_start():
     after = run.at(0.0)
     np.testing.assert_allclose(after.x[0], [shared, 0, shared], rtol=1e-14)
     np.testing.assert_allclose(run.events[0].x_before, [10, 0, 0])
+    np.testing.assert_allclose(np.array(ca.DM(model.B)) @ run.events[0].impulse, after.x[0] - [10, 0, 0], atol=1e-14)
     fine = simulate(model, step=1e-7)
     assert np.abs(run.x[-1] - fine.x[-1]).max() <= 0.02 * np.abs(run.x).max()
 
@@ -301,3 +314,35 @@ def test_what_it_cannot_take():
         simulate(singular, rtol=1e-6, method="event-driven")
     with pytest.raises(UsageError, match="the run goes from"):
         simulate(nsmodel.load(CASES / "friction_oscillator.py"), rtol=1e-3).at(13)
+
+
+def test_pictures_and_the_box_of_check_see_the_polynomials():
+    """x = sin: pieces end where they like, lines and the box reach the maxima."""
+    x = ca.SX.sym("x", 2)
+    model = FirstOrderSystem(x=x, f=[x[1], -x[0]], x0=[0, 1], t_end=6.5)
+    run = simulate(model, rtol=1e-8)
+    assert np.abs(run.x[:, 0]).max() < 0.9995
+    (line,) = (line for line in plot.states(run, ["x_0"]).lines if len(line.get_xdata()) > 2)
+    assert np.abs(line.get_ydata()).max() > 0.99999
+    np.testing.assert_allclose(line.get_ydata(), np.sin(line.get_xdata()), atol=1e-7)
+    low, high = (np.array(ends) for ends in (region_of(model, [run]).lower, region_of(model, [run]).upper))
+    assert np.minimum(high, -low).min() >= 1.24
+
+
+@pytest.mark.parametrize("rtol", [10.0**-k for k in np.arange(2, 12, 0.37)])
+def test_release_from_a_wall_that_is_no_polynomial(rtol):
+    """Held rows drift by what the series leaves; the release is where l ends on the wall itself, at every rtol."""
+    model = nsmodel.load(CASES / "moving_half_line.py")
+    run = simulate(model, rtol=rtol, method="event-driven")
+    assert [event.t for event in run.events] == pytest.approx([3 * math.pi / 4], abs=1e-13)
+    assert np.abs(run.at(t := np.linspace(0, 3, 500)).x - model.exact(t)).max() <= 10 * rtol
+
+
+def test_a_start_at_zero_against_a_wall_in_other_units():
+    """All states and sizes are 0 at the start; rows are 1e-7 of the states: q_0 and q_1 stay together and share the push."""
+    q = ca.SX.sym("q", 2)
+    model = SweepingProcess(
+        t=scenes.t, q=q, f=[-1, 3 + ca.sin(scenes.t)], constraints={"g": 1e-7 * (q[0] - q[1])}, q0=[0, 0], t_end=1
+    )
+    run = simulate(model, rtol=1e-8, method="event-driven")
+    np.testing.assert_allclose(run.x[-1], (2 + 1 - math.cos(1)) / 2, rtol=1e-9)

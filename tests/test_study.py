@@ -327,8 +327,7 @@ def test_variable_steps_over_a_jump_are_within_what_they_ask(monkeypatch):
     for line in variable:
         for point in line.points:
             assert point.status == "done"
-            assert point.error < 3 * found.reference.own["max"]
-            assert not point.resolved
+            assert point.error < 1e-4
 
 
 # ---------------------------------------------------------------------------------------------- whole studies
@@ -379,7 +378,7 @@ def test_a_refined_reference_agrees_with_the_closed_form(half_line, load_case):
     assert found.reference.own["max"] < 2e-3
     for name in ("interpreted", "compiled"):
         for ours, theirs in zip(found.line(name).points, half_line.line(name).points, strict=False):
-            assert ours.error == pytest.approx(theirs.error, abs=2 * found.reference.own["max"])
+            assert ours.error == pytest.approx(theirs.error, rel=1e-5, abs=2 * found.reference.own["max"])  # scales are of rows
     blind = replace(found, target=found.reference.own["max"] / 1e3, lines=found.lines[:1])
     assert "cannot be told from the reference's own error" in blind.text()
 

@@ -20,7 +20,7 @@ from nsmodel.errors import NsmodelError, StepError, StorageError, UsageError
 from nsmodel.lock import held
 from nsmodel.model.base import Model
 from nsmodel.run.loop import RunInterrupted
-from nsmodel.run.options import METHODS
+from nsmodel.run.options import CERTIFICATES, METHODS
 from nsmodel.simulate import explain, simulate
 from nsmodel.solve.choose import SOLVERS
 from nsmodel.storage import STAMP, refuse_unwritable, write_json
@@ -39,6 +39,9 @@ def add(commands: Commands) -> None:
         "--method", default="auto", choices=METHODS,
         help="with --rtol: auto (event-driven, else time stepping), or one of them alone",
     )  # fmt: skip
+    parser.add_argument(
+        "--certify", default="estimate", choices=CERTIFICATES, help="interval: prove the pieces of an event-driven run"
+    )
     parser.add_argument("--atol", type=float, metavar="A", help="error allowed besides, absolute (default 0)")
     add_set(parser)
     parser.add_argument("--solver", default="auto", metavar="NAME", help=f"use this solver alone: {', '.join(SOLVERS[1:])}")
@@ -125,13 +128,14 @@ def _run_here(arguments: argparse.Namespace, file: str, folder: Path | None) -> 
             how = explain(
                 model, step=arguments.step, t_end=arguments.t_end, parameters=values, solver=arguments.solver,
                 tolerance=arguments.tolerance, compiled=compiled, rtol=arguments.rtol, method=arguments.method,
+                certify=arguments.certify,
             )  # fmt: skip
             print(how, end="\n\n")
         run = simulate(
             model, step=arguments.step, t_end=arguments.t_end, parameters=values, solver=arguments.solver,
             tolerance=arguments.tolerance, save_every=arguments.save_every, out=folder, resume=arguments.resume,
             progress=not (arguments.quiet or arguments.json), compiled=compiled, rtol=arguments.rtol, atol=arguments.atol,
-            method=arguments.method,
+            method=arguments.method, certify=arguments.certify,
         )  # fmt: skip
     except StepError as error:
         return _stopped(arguments, file, folder, error.trajectory, f"error: {error}", FAILED_STEP, start)

@@ -17,6 +17,7 @@ C = Dialect(
     one="{0} != 0 || {1} != 0",
     ratio="{0}/{1}",
     end=";",
+    choose="if (choice[{i}] != choice[{i}]) choice[{i}] = {value};",
     choices={
         "side": "{0} < 0 ? -1 : 1",
         "equal": "({0} > 0) - ({0} < 0)",

@@ -109,7 +109,7 @@ def around(regions: Sequence[Region], parameters: Box) -> Region:
 def _ends(model: Model, runs: Sequence[Trajectory]) -> tuple[np.ndarray, np.ndarray]:
     """The least and the largest of what the start and the runs go through; rows that are not finite do not count."""
     start = np.array(ca.DM(model.start)).ravel()
-    parts = [model.points(rows) for rows in (start[None, :], *(run.x for run in runs))]
+    parts = [model.points(rows) for rows in (start[None, :], *(run.smooth().x for run in runs))]
     known = [np.all(np.isfinite(part), axis=1)[:, None] for part in parts]
     low = [np.min(part, axis=0, where=there, initial=np.inf) for part, there in zip(parts, known, strict=True)]
     high = [np.max(part, axis=0, where=there, initial=-np.inf) for part, there in zip(parts, known, strict=True)]

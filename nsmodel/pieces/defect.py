@@ -58,6 +58,6 @@ def defect(system: System, place: Place, of: Equations, s: float, p: int, rtol: 
                 worst = max(worst, seen * s / (p + 1) / share**p / goal if goal and seen == seen else math.inf)
         for i in held:
             if y[i]:
-                size = max(sizes.y[i], system.terms(i))
+                size = max(sizes.y[i], system.terms(i, x, l))
                 worst = max(worst, (abs(y[i]) - SEEN_ROW * size) / (MULTIPLIERS * rtol * size + 1e-300))
     return float(worst)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from nsmodel.pieces import series
 from nsmodel.pieces.jets import Jets
-from nsmodel.pieces.printed import PYTHON, first, later
+from nsmodel.pieces.printed import PYTHON, Dialect, first, later
 
 _KNOWN = series.RECURRENCES | series.STARTS | {name: getattr(np, name) for name in ("floor", "ceil", "trunc", "rint")}
 
@@ -34,7 +35,7 @@ class Expansion:
             self.rows[row][0] = value
         self.choice = [math.nan] * len(jets.branches)
         self.outputs = [self.rows[row] for row in jets.outputs]
-        self._first, self._later = _compiled(jets, self.rows, self.choice)
+        self._first, self._later = compiled(jets, self.rows, self.choice, PYTHON, _KNOWN)
 
     def order(self, k: int) -> list[float]:
         """Compute order k of all rows, and return that of the outputs; NaN where they have none."""
@@ -45,14 +46,14 @@ class Expansion:
         return [row[k] for row in self.outputs]
 
 
-def _compiled(jets: Jets, rows: list[list[float]], choice: list[float]):
-    """The functions of order 0 and of order k > 0, with the rows as their variables."""
+def compiled(jets: Jets, rows: list[list[Any]], choice: list[Any], language: Dialect, known: Mapping[str, Any]):
+    """The functions of order 0 and of order k > 0, with the rows as their variables; ``known``: what the language calls."""
     names = [f"r{row}" for row in range(jets.count)]
     bodies = [
         f"    def {name}:\n" + "\n".join(f"        {line}" for line in lines or ["pass"])
-        for name, lines in (("first()", first(jets, PYTHON)), ("later(k)", later(jets, PYTHON)))
+        for name, lines in (("first()", first(jets, language)), ("later(k)", later(jets, language)))
     ]
     made: dict = {}
     text = f"def make(rows, choice):\n    [{', '.join(names)}] = rows\n" + "\n".join(bodies) + "\n    return first, later\n"
-    exec(compile(text, "<series>", "exec"), dict(_KNOWN), made)
+    exec(compile(text, "<series>", "exec"), dict(known), made)
     return made["make"](rows, choice)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -18,7 +18,7 @@ from nsmodel.errors import StepError
 from nsmodel.pieces.bernstein import value
 from nsmodel.pieces.defect import defect, equations
 from nsmodel.pieces.lengths import length, unit
-from nsmodel.pieces.modes import ORDERS, Place, jump, select, uniqueness
+from nsmodel.pieces.modes import Place, jump, select, turn, uniqueness
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.roots import beyond_touch, first_event, polish, same
 from nsmodel.pieces.switches import ROW, TIE, Condition, Switch, conditions, size
@@ -41,7 +41,8 @@ STARTS, TOO_SHORT = 8, 0.05  # First units of time that are tried; a piece that 
 class Piece(NamedTuple):
     """x, l and y on t + tau [0, s], as coefficients of (time - t)/tau: (n, p + 1), (m, p + 1), (m, p + 1); ``codes`` of the rows.
 
-    ``last`` is x at the end, to rounding on what ends the piece.
+    ``last`` is x at the end, to rounding on what ends the piece; ``event`` is None where the mode goes on as before, else the
+    impulse p of the jump that the piece begins after, 0 where there is none.
     """
 
     t: float
@@ -53,6 +54,7 @@ class Piece(NamedTuple):
     codes: tuple[int, ...]
     defect: float
     last: list[float]
+    event: tuple[float, ...] | None
 
     @property
     def end(self) -> float:
@@ -60,35 +62,26 @@ class Piece(NamedTuple):
         return self.t + self.tau * self.s
 
 
-class Event(NamedTuple):
-    """A change of the mode: time, number of the piece that begins there, codes before and after, and the impulse of a jump."""
-
-    t: float
-    piece: int
-    before: tuple[int, ...]
-    after: tuple[int, ...]
-    impulse: tuple[float, ...] = ()
-
-
 class Integrator:
     """A problem as it is integrated: ``advance()`` returns the next piece.
 
-    ``events``: those so far; ``unique``: how often the mode was shown to be the only one, by verdict; ``touches``: conditions
-    that came to 0 and went back; ``redundant``: pieces whose l is one of several, the least.
+    ``events``: how many so far; ``unique``: how often the mode was shown to be the only one, by verdict; ``touches``: conditions
+    that came to 0 and went back; ``redundant``: pieces whose l is one of several.
     """
 
     def __init__(self, problem: ContinuousProblem, rtol: float, atol: list[float] | None = None) -> None:
         self.problem, self.rtol = problem, LOCAL * min(rtol, ROUGHEST)
         self.order = min(math.ceil(-math.log(self.rtol) / 2) + 2, LARGEST_ORDER)
-        self.system = System(problem, max(self.order, ORDERS))
+        self.system = System(problem, self.order)
         self.atol = [0.0] * self.system.n if atol is None else atol
         system, x0 = self.system, [float(v) for v in np.array(ca.DM(problem.x0)).ravel()]
         self.place = Place(0.0, x0, 1.0, [0] * system.m)
         self.sizes = system.sizes
         self._equations = equations(problem)
-        self.events: list[Event] = []
+        self._times: list[float] = []  # Of the events 1, 2, 4, 8, ...
+        self._begun: tuple[float, ...] | None = None  # The event that the next piece begins with.
         self.unique: Counter[str] = Counter()
-        self.pieces = self.touches = self.redundant = self._tiny = 0
+        self.events = self.touches = self.redundant = self._tiny = 0
         with np.errstate(all="ignore"):
             self._start()
 
@@ -113,8 +106,8 @@ class Integrator:
         hit, s, error = self._accepted(how, s)
         last = [value(row, s) for row in system.x]
         x, l, y = (np.array(rows).reshape(len(rows), system.orders + 1) for rows in (system.x, system.l, system.y))
-        piece = Piece(place.t, place.tau, s, x, l, y, tuple(place.codes), error, last)
-        self.pieces += 1
+        piece = Piece(place.t, place.tau, s, x, l, y, tuple(place.codes), error, last, self._begun)
+        self._begun = self._begun if s == 0 else None
         self.redundant += how.null is not None and how.null.shape[1] > 0
         self._grow(s)
         place.x = last
@@ -156,7 +149,7 @@ class Integrator:
         for _ in range(STARTS):
             place.codes[:] = [0] * system.m
             place.open = {(ROW, i) for i in range(system.m)} | set(system.branches)
-            found = select(system, place, ORDERS)
+            found = select(system, place)
             how = system.expand(place.t, place.x, place.codes, place.tau, self.order)
             s = self._length(how) if how is not None else 1.0
             if found is not None and s >= TOO_SHORT:
@@ -172,10 +165,10 @@ class Integrator:
     def _push(self, p: np.ndarray) -> None:
         """x+ = x + g_l p, at one time."""
         system, place = self.system, self.place
-        codes = tuple(place.codes)
         place.x = [float(x + d) for x, d in zip(place.x, sure(system.B) @ p, strict=True)]
         self.sizes.x[:] = [max(size, abs(x)) for size, x in zip(self.sizes.x, place.x, strict=True)]
-        self.events.append(Event(place.t, self.pieces, codes, codes, tuple(map(float, p))))
+        before = self._begun or (0.0,) * system.m
+        self._begun = tuple(float(a + b) for a, b in zip(before, p, strict=True))
 
     def _choose_tau(self) -> None:
         """A first unit of time: the time in which f changes the state by its own size, where both are something."""
@@ -199,14 +192,12 @@ class Integrator:
             place.tau = math.ldexp(place.tau, -6)
         raise StepError(f"t = {place.t:.10g}: f, g or h has no number, or no Taylor series, here")
 
-    # -- step
-
     # -- events
 
     def _event(self, hit: Condition) -> None:
         """Go to the event to round-off, and choose the mode after it."""
         system, place = self.system, self.place
-        before = tuple(place.codes)
+        self._project(self._expand(AROUND).active)  # Afterwards it would move the root that is polished.
         how, own = polish(system, place, hit, AROUND, self._expand)
         past = None if own is None else beyond_touch(system, own)
         if past is not None:
@@ -221,12 +212,12 @@ class Integrator:
             if condition.of not in place.open and (ends or abs(c[0]) <= max(least, TIE * moves)):
                 place.open.add(condition.of)
                 if ends or moves > least:
-                    self._turn(condition)
+                    turn(system, place, condition.of, condition.after)
         self._project(tuple(sorted({*how.active, *(i for kind, i in place.open if kind == ROW)})))
-        if select(system, place, self.order) is None:
+        if select(system, place) is None:
             raise self._stuck("after " + self._name(hit.of))
         self._refuse_rivals()
-        self.events.append(Event(place.t, self.pieces, before, tuple(place.codes)))
+        self._begun = self._begun or (0.0,) * system.m
         self._refuse_accumulation(hit)
 
     def _refuse_accumulation(self, hit: Condition) -> None:
@@ -234,10 +225,14 @@ class Integrator:
 
         Of switches at a constant rate the ratio is 1, of a chirp's, n ~ t^2, it is 0.7.
         """
-        n = len(self.events)
-        if n < MANY or n & (n - 1):
+        self.events += 1
+        n, times = self.events, self._times
+        if n & (n - 1):
             return
-        spacing = [2 * (self.events[(n >> k) - 1].t - self.events[(n >> k + 1) - 1].t) / (n >> k) for k in range(5)]
+        times.append(self.place.t)
+        if n < MANY:
+            return
+        spacing = [2 * (times[-1 - k] - times[-2 - k]) / (n >> k) for k in range(5)]
         if all(late < FASTER * early for late, early in itertools.pairwise(spacing)):
             raise self._accumulates(hit)
 
@@ -246,13 +241,6 @@ class Integrator:
             f"t = {self.place.t:.10g}: the switches of {self._name(hit.of)} accumulate; time stepping goes over them: "
             "method='time-stepping' (--method time-stepping)"
         )
-
-    def _turn(self, condition: Condition) -> None:
-        kind, i = condition.of
-        if kind == ROW:
-            self.place.codes[i] = int(condition.after)
-        else:
-            self.system.parts[kind].choice[i] = condition.after
 
     def _project(self, rows: tuple[int, ...]) -> None:
         """Move x so that what no l acts on directly is 0 in ``rows``, by Newton's method along the least motion."""
@@ -263,6 +251,34 @@ class Integrator:
                 return
             place.x = [float(x - d) for x, d in zip(place.x, np.linalg.lstsq(slope, held, rcond=None)[0], strict=True)]
             system.expand(place.t, place.x, place.codes, place.tau, 1)
+
+    # -- for files
+
+    def standing(self) -> dict[str, Any]:
+        """What the next pieces depend on, as lists and numbers."""
+        place, system, sizes = self.place, self.system, self.sizes
+        return {
+            "t": place.t, "x": list(place.x), "tau": place.tau, "codes": list(place.codes), "open": sorted(place.open),
+            "choice": {name: list(part.choice) for name, part in system.parts.items()}, "l": [row[0] for row in system.l],
+            "sizes": {"x": list(sizes.x), "y": list(sizes.y), "l": list(sizes.l)}, "begun": self._begun,
+            "times": list(self._times), "events": self.events, "unique": dict(self.unique),
+            "touches": self.touches, "redundant": self.redundant, "tiny": self._tiny,
+        }  # fmt: skip
+
+    def stand(self, saved: dict[str, Any]) -> None:
+        """Take up what ``standing`` gave."""
+        system = self.system
+        opened = {(str(kind), int(i)) for kind, i in saved["open"]}
+        self.place = Place(saved["t"], list(saved["x"]), saved["tau"], [int(code) for code in saved["codes"]], opened)
+        for name, choice in saved["choice"].items():
+            system.parts[name].choice[:] = choice
+        for row, l in zip(system.l, saved["l"], strict=True):
+            row[0] = l
+        for name, sizes in saved["sizes"].items():
+            getattr(self.sizes, name)[:] = sizes
+        self._begun = None if saved["begun"] is None else tuple(saved["begun"])
+        self._times, self.unique, self.events = list(saved["times"]), Counter(saved["unique"]), saved["events"]
+        self.touches, self.redundant, self._tiny = saved["touches"], saved["redundant"], saved["tiny"]
 
     # -- sizes, names
 
@@ -277,7 +293,7 @@ class Integrator:
         return self.problem.rows[of[1]] if of[0] == ROW else f"a switch in {of[0]}"
 
     def _refuse_rivals(self) -> None:
-        verdict, words = uniqueness(self.system, self.place, self.order)
+        verdict, words = uniqueness(self.system, self.place)
         self.unique[verdict] += 1
         if words:
             raise StepError(

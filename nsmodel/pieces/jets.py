@@ -62,8 +62,8 @@ class Jets:
     outputs: tuple[int, ...]
 
 
-def jets_of(expr: ca.SX, inputs: Sequence[ca.SX], label: str) -> Jets:
-    """Return the recurrences of an expression in the entries of ``inputs``.
+def jets_of(expr: ca.SX, inputs: Sequence[ca.SX], label: str, *, rounded: bool = True) -> Jets:
+    """Return the recurrences of an expression in the entries of ``inputs``; ``rounded``: operations on numbers become numbers.
 
     Raises:
         OpaqueExpression: it calls a Function that cannot be looked into, or holds an operation without a recurrence; ``label``
@@ -72,7 +72,7 @@ def jets_of(expr: ca.SX, inputs: Sequence[ca.SX], label: str) -> Jets:
     place = {
         s.element_hash(): (which, i) for which, given in enumerate(inputs) for i, s in enumerate(ca.vertsplit(ca.vec(given)))
     }
-    tape = _Tape(label)
+    tape = _Tape(label, rounded)
     outputs = fold(ca.cse(ca.SX(expr)), lambda s: tape.input(*place[s.element_hash()]), tape.constant, tape.operation)
     return Jets(tape.count, tape.inputs, tape.numbers, tuple(tape.lines), tuple(tape.branches), tuple(outputs))
 
@@ -80,8 +80,8 @@ def jets_of(expr: ca.SX, inputs: Sequence[ca.SX], label: str) -> Jets:
 class _Tape:
     """Rows as they are written down."""
 
-    def __init__(self, label: str) -> None:
-        self.label, self.count = label, 0
+    def __init__(self, label: str, rounded: bool) -> None:
+        self.label, self.rounded, self.count = label, rounded, 0
         self.inputs: dict[tuple[int, int], int] = {}
         self.numbers: dict[int, float] = {}
         self.lines: list[Line] = []
@@ -109,7 +109,7 @@ class _Tape:
             raise OpaqueExpression(
                 f"{self.label} holds {name.removeprefix('OP_').lower()}, of which no Taylor series is known here"
             )
-        if all(row in self.numbers for row in args):
+        if self.rounded and all(row in self.numbers for row in args):
             return self.constant(float(applied(op, [ca.SX(self.numbers[row]) for row in args])))
         return UNARY[op](self, *args) if op in UNARY else BINARY[op](self, *args)
 
@@ -195,7 +195,7 @@ class _Tape:
 
     def power(self, a: int, b: int) -> int:
         if b not in self.numbers:
-            log = self.log(a) if a not in self.numbers else self.constant(float(np.log(self.numbers[a])))
+            log = self.log(a) if a not in self.numbers or not self.rounded else self.constant(float(np.log(self.numbers[a])))
             return self.line("along", -1, self.product(b, log), start="pow", of=(a, b))
         p = self.numbers[b]
         if p == int(p) and abs(p) <= INTEGER_POWERS:

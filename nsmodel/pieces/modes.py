@@ -38,20 +38,19 @@ class Place:
     open: set[Switch] = field(default_factory=set)
 
 
-def select(system: System, place: Place, orders: int) -> Solve | None:
+def select(system: System, place: Place) -> Solve | None:
     """Bring ``place.codes`` and the choices of branches to a mode in which all germs are valid; None: there is none."""
-    orders = min(max(orders, 3), ORDERS)
     before = _state(system, place)
     for begin in itertools.chain([None], _guesses(system, place)):
         _restore(system, place, before)
         if begin is not None:
             place.codes[:] = begin
-        if (how := _pivot(system, place, orders)) is not None:
+        if (how := _pivot(system, place)) is not None:
             return how
-    return next((how for how, _ in valid(system, place, orders, before)), None)
+    return next((how for how, _ in valid(system, place, before)), None)
 
 
-def valid(system: System, place: Place, orders: int, before: tuple) -> Iterator[tuple[Solve, list[list[float]]]]:
+def valid(system: System, place: Place, before: tuple) -> Iterator[tuple[Solve, list[list[float]]]]:
     """All modes of the open switches, where these are few, in which all germs are valid, with their coefficients of x."""
     opened = sorted(before[2])
     if len(opened) > FEW:
@@ -59,11 +58,9 @@ def valid(system: System, place: Place, orders: int, before: tuple) -> Iterator[
     for codes in itertools.product(*(_codes(system, switch) for switch in opened)):
         _restore(system, place, before)
         for switch, code in zip(opened, codes, strict=True):
-            _turn(system, place, switch, code)
-        if (how := _expand(system, place, orders)) is not None and not (
-            system.apart(how) or list(_wrong(system, place, how, orders))
-        ):
-            yield how, [row[: orders + 1] for row in system.x]
+            turn(system, place, switch, code)
+        if (how := _expand(system, place)) is not None and not (system.apart(how) or list(_wrong(system, place, how))):
+            yield how, [row[: ORDERS + 1] for row in system.x]
 
 
 def jump(system: System, place: Place) -> np.ndarray | None:
@@ -97,7 +94,7 @@ def jump(system: System, place: Place) -> np.ndarray | None:
     )
 
 
-def uniqueness(system: System, place: Place, orders: int) -> tuple[str, str]:
+def uniqueness(system: System, place: Place) -> tuple[str, str]:
     """(PROVED, AGREE, UNDECIDED or SPLIT, words for two valid modes that go apart).
 
     It is proved where the open rows' matrix, the others held or let go as they are, is a P-matrix (Cottle, Pang and Stone 1992,
@@ -108,10 +105,10 @@ def uniqueness(system: System, place: Place, orders: int) -> tuple[str, str]:
         return PROVED, ""
     if len(place.open) > FEW:
         return UNDECIDED, ""
-    before, orders = _state(system, place), min(max(orders, 3), ORDERS)
-    found = [(list(place.codes), x) for _, x in valid(system, place, orders, before)]
+    before = _state(system, place)
+    found = [(list(place.codes), x) for _, x in valid(system, place, before)]
     _restore(system, place, before)
-    _expand(system, place, orders)
+    _expand(system, place)
     for (one, x), (other, z) in itertools.combinations(found, 2):
         for a, b, so_far in zip(x, z, system.sizes.x, strict=True):
             if max(abs(p - q) for p, q in zip(a, b, strict=True)) > APART * max(map(abs, a + b)) + TIE * so_far:
@@ -119,18 +116,17 @@ def uniqueness(system: System, place: Place, orders: int) -> tuple[str, str]:
     return AGREE, ""
 
 
-def germ(c: list[float], least: float) -> int:
-    """The sign of a polynomial just after 0; 0 where none of its coefficients is above ``least``."""
-    scale = max(map(abs, c))
-    if not scale > least:
-        return 0
-    return next(((1 if a > 0 else -1) for a in c if abs(a) > GERM * scale), 0)
+def leading(c: list[float], least: float) -> int | None:
+    """The order of the first coefficient that is not rounding, of those that decide a germ; None where all of them are."""
+    decide = c[: ORDERS + 1]
+    least = max(least, GERM * max(map(abs, decide)))
+    return next((k for k, a in enumerate(decide) if abs(a) > least), None)
 
 
-def _pivot(system: System, place: Place, orders: int) -> Solve | None:
+def _pivot(system: System, place: Place) -> Solve | None:
     seen, one_at_a_time = set(), False
     for iteration in range(PIVOTS):
-        how = _expand(system, place, orders)
+        how = _expand(system, place)
         if how is None:
             if not _let_go(system, place):
                 return None
@@ -143,7 +139,7 @@ def _pivot(system: System, place: Place, orders: int) -> Solve | None:
                 return None
         if apart:
             continue
-        wrong = list(_wrong(system, place, how, orders))
+        wrong = list(_wrong(system, place, how))
         if not wrong:
             return how
         mode = (tuple(place.codes), *(tuple(part.choice) for part in system.parts.values()))
@@ -151,20 +147,22 @@ def _pivot(system: System, place: Place, orders: int) -> Solve | None:
         seen.add(mode)
         for condition in wrong[:1] if one_at_a_time else wrong:
             place.open.add(condition.of)
-            _turn(system, place, condition.of, condition.after)
+            turn(system, place, condition.of, condition.after)
     return None
 
 
-def _expand(system: System, place: Place, orders: int) -> Solve | None:
-    how = system.expand(place.t, place.x, place.codes, place.tau, orders)
-    return how if how is not None and all(row[k] == row[k] for row in system.x for k in range(orders + 1)) else None
+def _expand(system: System, place: Place) -> Solve | None:
+    how = system.expand(place.t, place.x, place.codes, place.tau, ORDERS)
+    return how if how is not None and all(row[k] == row[k] for row in system.x for k in range(ORDERS + 1)) else None
 
 
-def _wrong(system: System, place: Place, how: Solve, orders: int) -> Iterator[Condition]:
+def _wrong(system: System, place: Place, how: Solve) -> Iterator[Condition]:
     """The conditions that do not hold just after the start, of those that are open or whose multipliers may have moved."""
-    for condition in conditions(system, place.codes, how, orders):
+    for condition in conditions(system, place.codes, how, ORDERS):
         if condition.of in place.open or condition.acts == "l":
-            if germ(condition.coefficients(), TIE * size(system, condition)) < 0:
+            c = condition.coefficients()
+            first = leading(c, TIE * size(system, condition))
+            if first is not None and c[first] < 0:
                 yield condition
 
 
@@ -186,7 +184,8 @@ def _codes(system: System, switch: Switch) -> list[float]:
     return [-1.0, 1.0] if branch.kind in ("side", "equal") else [choice, choice - 1, choice + 1]
 
 
-def _turn(system: System, place: Place, switch: Switch, code: float) -> None:
+def turn(system: System, place: Place, switch: Switch, code: float) -> None:
+    """Give a switch another code."""
     kind, i = switch
     if kind == ROW:
         place.codes[i] = int(code)

@@ -47,7 +47,7 @@ def solve_of(active: tuple[int, ...], B: np.ndarray, D: np.ndarray, C: np.ndarra
 
 
 def generalised_inverse(A: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(A^+, U, V): least in norm, and bases of the left and the right null space."""
+    """(A^+, U, V): least in norm in units in which A is near 1, and bases of the left and the right null space."""
     m = len(A)
     if not A.any():
         return np.zeros((m, m)), np.eye(m), np.eye(m)

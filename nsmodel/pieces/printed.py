@@ -11,7 +11,7 @@ from nsmodel.pieces.jets import Branch, Jets, Line
 class Dialect(NamedTuple):
     """How a language writes a row by its number, a number, a choice, and what its operators are called.
 
-    ``either(condition, a, b)`` is a if the condition holds, else b; ``chosen`` is a statement that makes a choice.
+    ``either(condition, a, b)`` is a if the condition holds, else b; ``choose`` is a statement that makes choice i by ``choices``.
     """
 
     row: Callable[[int], str]
@@ -21,6 +21,7 @@ class Dialect(NamedTuple):
     one: str
     ratio: str
     end: str
+    choose: str
     choices: dict[str, str]
 
 
@@ -32,6 +33,7 @@ PYTHON = Dialect(
     one="{0} != 0.0 or {1} != 0.0",
     ratio="divided({0}, {1})",
     end="",
+    choose="if choice[{i}] != choice[{i}]: choice[{i}] = {value}",
     choices={
         "side": "-1.0 if {0} < 0 else 1.0",
         "equal": "float(({0} > 0) - ({0} < 0))",
@@ -65,8 +67,7 @@ def later(jets: Jets, language: Dialect) -> list[str]:
 
 def _choice(i: int, branch: Branch, language: Dialect) -> str:
     value = language.choices[branch.kind].format(f"{language.row(branch.row)}[0]")
-    test = f"choice[{i}] != choice[{i}]"
-    return f"if {test}: choice[{i}] = {value}" if language is PYTHON else f"if ({test}) choice[{i}] = {value};"
+    return language.choose.format(i=i, value=value)
 
 
 def _first(line: Line, language: Dialect) -> str:

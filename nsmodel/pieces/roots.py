@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 from nsmodel.pieces.bernstein import first_root, slope, value
-from nsmodel.pieces.modes import GERM, Place
+from nsmodel.pieces.modes import ORDERS, Place, leading
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.switches import TIE, Condition, conditions, size
 from nsmodel.pieces.system import System
@@ -18,23 +18,23 @@ TOUCH = 4.0
 def first_event(system: System, place: Place, how: Solve, orders: int, s: float) -> tuple[Condition | None, float]:
     """The condition that ends first, and when; (None, s) where none ends before s.
 
-    A condition that is 0 at the start is divided by the power of s that it begins with. What is rounding all along is none.
+    A condition that is 0 at the start is divided by the power of s that it begins with, the one that its germ was judged by;
+    where that sign is wrong all the same, it ends at once. What is rounding all along is none.
     """
     hit = None
     for condition in conditions(system, place.codes, how, orders):
-        c, power = condition.coefficients(), 1.0
+        germ = condition.coefficients()
+        c, power = list(germ), 1.0
         for k in range(len(c)):
             c[k] *= power
             power *= s
         if c[0] > sum(map(abs, c[1:])):
             continue
-        least, scale, opened = TIE * size(system, condition), max(map(abs, c)), condition.of in place.open
-        if scale <= least:
-            continue
+        least, opened = TIE * size(system, condition), condition.of in place.open
         if opened or c[0] <= 0:
-            while c and abs(c[0]) <= max(GERM * scale, least if opened else 0.0):
-                c.pop(0)
-            if not c or (c[0] < 0 and opened):
+            first = leading(germ, least if opened else 0.0)
+            c = c[ORDERS + 1 if first is None else first :]
+            if max(map(abs, c)) <= least:
                 continue
             c[0] = max(c[0], 0.0)
         root = first_root(c)

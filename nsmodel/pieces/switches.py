@@ -46,12 +46,12 @@ def size(system: System, condition: Condition) -> float:
     """What a condition is measured beside: what it is the sum of, and the largest of its y or l so far."""
     i = condition.of[1]
     if condition.acts == "y":
-        return max(system.sizes.y[i], system.terms(i))
-    return max(system.sizes.l[i], 1e-6 * max(system.sizes.l)) if condition.acts == "l" else abs(condition.shift)
+        return system.size_y(i)
+    return system.size_l(i) if condition.acts == "l" else abs(condition.shift)
 
 
 # (below, above) of what a whole number w is chosen for.
-_RANGES = {
+RANGES = {
     "floor": lambda w: (w, w + 1),
     "ceil": lambda w: (w - 1, w),
     "toward zero": lambda w: (w - (w <= 0), w + (w >= 0)),
@@ -79,6 +79,6 @@ def conditions(system: System, codes: list[int], how: Solve, orders: int) -> Ite
             if choice:
                 yield Condition((name, i), row, choice, 0.0, orders, -choice)
             continue
-        low, high = _RANGES[branch.kind](choice)
+        low, high = RANGES[branch.kind](choice)
         yield Condition((name, i), row, 1.0, -low, orders, choice - 1)
         yield Condition((name, i), row, -1.0, high, orders, choice + 1)

@@ -12,6 +12,7 @@ coefficients are those of s = (t - t_0)/tau, so that they are of one size where 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from operator import mul
@@ -158,12 +159,21 @@ class System:
         """The rows that only their rate can hold at 0, and that are not there."""
         if how.through is None or not any(self.y[i][0] for i in how.active):
             return []
-        return [i for i in how.active if abs(self.y[i][0]) > AT_ZERO * max(self.sizes.y[i], self.terms(i))]
+        return [i for i in how.active if abs(self.y[i][0]) > AT_ZERO * self.size_y(i)]
 
-    def terms(self, i: int) -> float:
-        """The size of what y_i is the sum of."""
+    def size_y(self, i: int) -> float:
+        """What y_i is measured beside: the largest so far, and what it is the sum of."""
+        return max(self.sizes.y[i], self.terms(i))
+
+    def size_l(self, i: int) -> float:
+        """What l_i is measured beside: the largest so far, and a part of the largest of all."""
+        return max(self.sizes.l[i], 1e-6 * max(self.sizes.l))
+
+    def terms(self, i: int, x: Sequence[float] = (), l: Sequence[float] = ()) -> float:
+        """The size of what y_i is the sum of, with the largest states and multipliers so far, and these."""
         _, D, C = self.slopes()
-        return float(np.abs(C[i]) @ self.sizes.x + np.abs(D[i]) @ self.sizes.l)
+        of_x, of_l = (np.maximum(a, np.abs(b)) if len(b) else a for a, b in ((self.sizes.x, x), (self.sizes.l, l)))
+        return float(np.abs(C[i]) @ of_x + np.abs(D[i]) @ of_l)
 
     def is_p_matrix(self, opened: list[int], codes: list[int]) -> bool:
         """Whether the rows ``opened`` have a P-matrix, D with W where D is nothing, the other rows with code 0 held."""

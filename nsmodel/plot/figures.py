@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel import dense
 from nsmodel.columns import model_type
 from nsmodel.plot import crowd, style
 from nsmodel.plot.plane import phase, plots_of
@@ -26,7 +24,6 @@ if TYPE_CHECKING:
 
     Panel = tuple[float, Callable[..., Axes]]  # height, what draws it on ax=
 
-POINTS = 2000  # Rows that an event-driven run is drawn by.
 TIME = ("states", "index_strip", "multipliers", "reactions", "pressures")
 CROWD = (("frame", "evacuation"), ("density", "pressure", "pressures"))  # its overview, column by column
 # file: (its panels, its width in inches, inches for a unit of height)
@@ -50,7 +47,7 @@ def overview(run: Trajectory, model: Any = None) -> Figure:
     a planar sweeping process (or else the phase portrait), the energy and the residual. Of many bodies in the plane: the moment
     of most pressure, how many are there, maps of density and pressure.
     """
-    run = _drawn(run)
+    run = run.smooth()
     figure = _titled(run)
     panels = _panels(run, model, lines=8, rows=12)
     if "frame" in panels:
@@ -83,7 +80,7 @@ def save_all(run: Trajectory, model: Any, directory: str | Path, prefix: str = "
     """
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
-    run = _drawn(run)
+    run = run.smooth()
     panels = _panels(run, model, lines=MAX_LINES, rows=MAX_ROWS)
     draws: dict[str, Callable[[], Figure]] = {
         name: partial(_sheet, run, [panels[part] for part in parts if part in panels], width, scale)
@@ -98,13 +95,6 @@ def save_all(run: Trajectory, model: Any, directory: str | Path, prefix: str = "
         paths.append(directory / f"{prefix}{name}.png")
         save(draw(), paths[-1])
     return paths
-
-
-def _drawn(run: Trajectory) -> Trajectory:
-    """The run itself, or an event-driven one with rows read off its polynomials."""
-    if not run.is_event_driven or len(run.arrays["piece_start"]) == 0:
-        return run
-    return replace(run, arrays=dense.drawn(run.arrays, POINTS))
 
 
 def save(figure: Figure, path: Path, dpi: int = 100) -> None:

@@ -39,6 +39,7 @@ def phase(run: Trajectory, i: int = 0, j: int | None = None, *, ax: Axes | None 
         PlotError: there is no such state, or only one.
 
     """
+    run = run.smooth()
     x, y, up = run.x[:, _checked(run, i)], *_second_column(run, i, j)
     ax = style.axes(ax, 6, 5)
     known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))  # a velocity may start a row later

@@ -46,6 +46,7 @@ def index_strip(run: Trajectory, *, limit: int = MAX_ROWS, ax: Axes | None = Non
         PlotError: the run has no index set, or a kind of law is unknown.
 
     """
+    run = run.smooth()
     codes = style.table(run, "index_set")
     count = codes.shape[1]
     if not count:

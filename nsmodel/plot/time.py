@@ -38,6 +38,7 @@ def states(run: Trajectory, names: Sequence[str] | None = None, *, limit: int = 
         PlotError: no state has that name.
 
     """
+    run = run.smooth()
     known, note = state_names(run), ""
     discs = names is None and bool(run.metadata.get("scene"))
     if names is not None:
@@ -85,6 +86,7 @@ def multipliers(run: Trajectory, *, which: str = "multipliers", limit: int = MAX
     """
     if which not in ("multipliers", "reactions"):
         raise PlotError(f"which is {which!r}: give 'multipliers' or 'reactions'")
+    run = run.smooth()
     values = style.table(run, which) if which == "multipliers" else style.needed(run, which)
     if not values.shape[1]:
         raise PlotError("this run has no multipliers: its model has no law")

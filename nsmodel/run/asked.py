@@ -1,7 +1,8 @@
-"""What an event-driven run is asked for, checked: tolerances and the times of rows."""
+"""What a run under error control is asked for, checked: tolerances and the times of rows."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,18 +15,22 @@ from nsmodel.scheme.continuous import ContinuousProblem
 
 def tolerances(problem: ContinuousProblem, rtol: Any, atol: Any) -> tuple[float, list[float]]:
     """Rtol, and atol of each state; UsageError for what is none."""
-    names, n = problem.names[: problem.states], problem.states
     if not (is_number(rtol) and LEAST_RTOL <= rtol < 1):
         raise UsageError(
             f"rtol = {written(rtol)}; expected a number between {LEAST_RTOL:g} and 1: doubles hold no more than 16 digits"
         )
+    return float(rtol), np.resize(absolute(atol, problem.names[: problem.states]), len(problem.names)).tolist()
+
+
+def absolute(atol: Any, names: Sequence[str]) -> np.ndarray:
+    """Atol (1,) or of each state (n,); UsageError for what is none."""
     try:
         array = np.asarray(0.0 if atol is None else atol, float)
     except (TypeError, ValueError):
         array = np.full(1, np.nan)
-    if array.ndim > 1 or array.size not in (1, n) or not (np.isfinite(array) & (array >= 0)).all():
+    if array.ndim > 1 or array.size not in (1, len(names)) or not (np.isfinite(array) & (array >= 0)).all():
         raise UsageError(f"atol = {atol!r}; expected a number >= 0, or one for each of {', '.join(names)}")
-    return float(rtol), np.resize(array, len(problem.names)).tolist()
+    return array
 
 
 def times(given: Any, T: float) -> list[float]:

@@ -35,9 +35,10 @@ from nsmodel.errors import StepError, UsageError
 from nsmodel.grid import Grid, check_times, is_number, make_grid, written
 from nsmodel.model.base import Model
 from nsmodel.record import UNSET
+from nsmodel.run.asked import absolute
 from nsmodel.run.options import Options
 from nsmodel.run.schemes import OfScheme
-from nsmodel.run.walk import is_numerical, runaway, unsolvable
+from nsmodel.run.walk import PER_CENT, is_numerical, runaway, unsolvable
 from nsmodel.scheme import constraints, shortened
 from nsmodel.scheme.problem import feedthrough
 from nsmodel.solve.certificate import EPS, numeric_law
@@ -139,7 +140,7 @@ class Controlled(OfScheme):
     @property
     def bar(self) -> dict[str, Any]:
         """Per cent."""
-        return {"total": 100, "unit": "%", "bar_format": "{percentage:3.0f}%|{bar}| {elapsed}<{remaining}"}
+        return PER_CENT
 
     @property
     def passed(self) -> float:
@@ -444,14 +445,7 @@ def _tolerances(model: Model, rtol: Any, atol: Any) -> tuple[float, np.ndarray]:
     rtol = 0.0 if rtol is None else rtol
     if not (is_number(rtol) and (1e-12 <= rtol < 1 or (rtol == 0 and atol is not None))):
         raise UsageError(f"rtol = {written(rtol)}; expected a number between 1e-12 and 1")
-    names = model.names or ()
-    try:
-        array = np.asarray(0.0 if atol is None else atol, float)
-    except (TypeError, ValueError):
-        array = np.full(1, np.nan)
-    if array.ndim > 1 or array.size not in (1, len(names)) or not (np.isfinite(array) & (array >= 0)).all():
-        raise UsageError(f"atol = {atol!r}; expected a number >= 0, or one for each of {', '.join(names)}")
-    return float(rtol), array
+    return float(rtol), absolute(atol, model.names or ())
 
 
 def _refuse_fixed(model: Any) -> None:

@@ -117,8 +117,8 @@ class Run:
         walk = self.walk
         walk.note()
         checkpoint = {
-            "k": walk.k, "t": walk.time, **walk.standing(),
-            "counts": dict(walk.counts), "totals": walk.totals, "settings": walk.settings,
+            "k": walk.k, "t": walk.time, "totals": walk.totals, "counts": dict(walk.counts), "settings": walk.settings,
+            **walk.standing(),
         }  # fmt: skip
         store.append(walk.columns(), checkpoint, self._metadata(status, message))
         walk.record.clear()
@@ -133,14 +133,15 @@ class Run:
             raise StorageError(f"{out}: the run there was made with {other}; {same_way}start afresh without resuming")
         if saved["k"] > walk.N:
             raise StorageError(f"{out}: the run there has reached t = {saved['t']:g}, past this run's end; give a later end")
-        walk.k = saved["k"]
+        walk.k, walk.counts, walk.totals = saved["k"], Counter(saved["counts"]), dict(saved["totals"])
+        walk.stand(saved)
         if abs(walk.time - saved["t"]) > 1e-9 * saved["t"]:
             raise StorageError(
                 f"{out}: the run there ended at t = {saved['t']:g} with a shortened step, which is no time of this run's "
                 "grid; start afresh without resuming"
             )
-        walk.counts, walk.totals = Counter(saved["counts"]), dict(saved["totals"])
-        walk.stand(saved)
+        if saved.get("cut"):
+            store.shorten(**saved["cut"])
 
     def _finish(self, status: str, message: str) -> Trajectory:
         """The run so far, in the folder where there is one; where that cannot be written, the StorageError has it."""

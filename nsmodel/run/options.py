@@ -12,6 +12,7 @@ from nsmodel.errors import UsageError
 from nsmodel.grid import is_number, written
 from nsmodel.model.parameters import Values
 
+CERTIFICATES = ("estimate", "interval")
 METHODS = ("auto", "event-driven", "time-stepping")
 
 
@@ -37,6 +38,7 @@ class Options:
     atol: Any = None
     method: str = "auto"
     times: Any = None
+    certify: str = "estimate"
 
     def __post_init__(self) -> None:
         """Refuse what does not depend on the model; numbers become a float and an int."""
@@ -56,10 +58,24 @@ class Options:
             raise UsageError(f"method '{self.method}' needs rtol (--rtol), the error that is allowed")
         if self.times is not None and (self.rtol is None or self.method == METHODS[2]):
             raise UsageError("times are rows of an event-driven run: give rtol, and leave method out; else take step or steps")
+        if self.certify not in CERTIFICATES:
+            raise UsageError(f"certify = {self.certify!r}; expected one of {', '.join(CERTIFICATES)}")
+        if self.certified and (self.rtol is None or self.method == METHODS[2]):
+            raise UsageError(
+                "certify='interval' (--certify interval) proves the pieces of an event-driven run, and time steps have none: "
+                "give rtol, and leave method out; of steps, run.residual is verified"
+            )
+        if self.certified and self.resume:
+            raise UsageError("certify='interval' and resume are both given: whole runs are proved; leave one of them out")
         if self.resume and self.out is None:
             raise UsageError("resume needs out=, the folder of the run to continue")
         object.__setattr__(self, "tolerance", float(self.tolerance))
         object.__setattr__(self, "save_every", int(self.save_every))
+
+    @property
+    def certified(self) -> bool:
+        """Whether pieces are to be proved."""
+        return self.certify == CERTIFICATES[1]
 
     @property
     def folder(self) -> Path | None:

@@ -15,6 +15,7 @@ from nsmodel.model.base import Model
 from nsmodel.run.options import Options
 from nsmodel.solve.choose import Plan
 
+PER_CENT = {"total": 100, "unit": "%", "bar_format": "{percentage:3.0f}%|{bar}| {elapsed}<{remaining}"}  # Of the time.
 CHUNK_BYTES, CHUNK_SECONDS = 64 << 20, 10.0  # Rows go to the folder when they fill the one or have waited for the other.
 RUNAWAY = 1e100  # A state beyond this has diverged: squares of it, and of what grows with it, soon overflow.
 

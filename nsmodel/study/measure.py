@@ -39,6 +39,7 @@ WORTH = 0.05  # s: a point that takes less is measured even where its line has u
 COARSEST, FINEST = 16, 8  # The default steps: from COARSEST h to h / FINEST, halved each time.
 FEW = 8  # Steps of the coarsest run, at least, where the model's own has more.
 HARDER = 10.0**0.5  # Steps that a tolerance ten times smaller takes for one, where order is two.
+LITTLE_HARDER = 2.0  # Of pieces.
 SHARES = {"reference": 1 / 3, SCHEME: 1 / 4, SOLVER: 1 / 16}  # Parts of the budget that one of these may take.
 
 
@@ -141,7 +142,9 @@ class _Session:
         self.until = now + rest * UNTIL["schemes"]
         self._constant([way for scheme in (own, *others) for way in methods.ways(scheme)], counts)
         self.until = now + rest * UNTIL["variable steps"]
-        self._variable(methods.ways(own))
+        self._asked([methods.event_driven(self.model)], (*methods.TOLERANCES, *methods.FINE), LITTLE_HARDER)
+        variable = [way.but("variable steps", method="time-stepping") for way in methods.ways(own)]
+        self._asked(variable, methods.TOLERANCES, HARDER)
         self._extrapolated(methods.ways(own))
         self.until = now + rest
         self._constant(alone, counts)
@@ -153,13 +156,12 @@ class _Session:
             for method in chosen:
                 self._point(method, f"h = {self.T / count:.4g}", {"step": self.T / count}, count / counts[i - 1] if i else 1.0)
 
-    def _variable(self, ways: Sequence[Method]) -> None:
-        """Steps chosen by error control, each way."""
-        chosen = [way.but("variable steps") for way in ways]
+    def _asked(self, chosen: Sequence[Method], tolerances: Sequence[float], ratio: float) -> None:
+        """Errors that are asked for."""
         self.lines |= {method.name: Line(method.name, ()) for method in chosen}
-        for rtol in methods.TOLERANCES:
+        for rtol in tolerances:
             for method in chosen:
-                self._point(method, f"rtol = {number(rtol)}", {"rtol": rtol, "method": "time-stepping"}, HARDER)
+                self._point(method, f"rtol = {number(rtol)}", {"rtol": rtol}, ratio)
 
     def _extrapolated(self, ways: Sequence[Method]) -> None:
         """Richardson's extrapolation of whole runs, at the cost of both: of compiled runs where there are some."""

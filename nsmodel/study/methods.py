@@ -20,6 +20,7 @@ from nsmodel.trajectory import Trajectory
 
 WEIGHTS = ((1.0, 1.0), (0.5, 1.0), (0.5, 0.5))  # theta, gamma
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
+FINE = (1e-9, 1e-11)  # Those that steps do not reach.
 REPEATS = 5  # Timed runs of a point at most, after the warm-up;
 ENOUGH = 0.25  # none is added once they have taken so many seconds together.
 LONG = 1.0  # A run that takes so many seconds is made once.
@@ -72,6 +73,11 @@ def _fraction(weight: float) -> str:
 def ways(scheme: Method) -> list[Method]:
     """Return the scheme interpreted and compiled, with the default chain of solvers."""
     return [scheme.but("interpreted", compiled=False), scheme.but("compiled", compiled=True)]
+
+
+def event_driven(model: Model) -> Method:
+    """Return one smooth piece after another, whatever the scheme."""
+    return Method("event-driven", model, {"method": "event-driven"})
 
 
 def with_solvers(scheme: Method, names: Sequence[str] | None) -> list[Method]:

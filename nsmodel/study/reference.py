@@ -25,6 +25,7 @@ ROUNDING = 1e-14  # What a closed form is known to, relative.
 UNSEEN = 1e-9  # A state smaller than this part of its group is no more than rounding.
 ORDERS = 0.5, 2.0  # The schemes' orders; outside of them an order seen on three runs is chance.
 REGULAR = 1e-10  # Least singular value, relative to the largest, of a matrix that determines its multipliers.
+FINER = 8  # Parts in which a piece is compared.
 INDEX_SETS = 60  # So many different index sets of a run are looked at.
 
 
@@ -38,8 +39,17 @@ class Rows:
 
     @classmethod
     def of(cls, run: Trajectory) -> Rows:
-        """Return the rows of a run; the multipliers of a sweeping process are its reactions."""
-        return cls(run.t, run.x, run.arrays.get("reactions", run.arrays.get("multipliers")))
+        """Return the rows of a run; the multipliers of a sweeping process are its reactions.
+
+        Of an event-driven run also times between its rows, where it is its polynomials and no straight lines, and no multipliers:
+        those that are compared are constant between rows.
+        """
+        if not run.is_event_driven:
+            return cls(run.t, run.x, run.arrays.get("reactions", run.arrays.get("multipliers")))
+        inside = (run.t[:-1, None] + np.diff(run.t)[:, None] * np.arange(1, FINER) / FINER).ravel()
+        t, x = np.concatenate([run.t, inside]), np.concatenate([run.x, run.at(inside).x])
+        order = np.argsort(t, kind="stable")
+        return cls(t[order], x[order])
 
 
 @dataclass(frozen=True)
@@ -143,6 +153,31 @@ def refined_run(model: Model, run: str, runs: list[Rows], without_multipliers: s
     far, near = reference.errors(wide), reference.errors(medium)
     own = {measure: _own(far[measure], near[measure]) for measure in near}
     return replace(reference, own=own, state=replace(between, good=own["max"]))
+
+
+@dataclass(frozen=True)
+class Polynomials:
+    """An event-driven run as a function of times (N,) -> (N, n); at the start the state before a jump."""
+
+    run: Trajectory
+
+    def __call__(self, times: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return the states, which err by no more between rows than at them."""
+        return np.where((times <= 0)[:, None], self.run.x[0], self.run.at(np.minimum(times, self.run.t[-1])).x), 0.0
+
+
+def polynomials(model: Model, rtol: float, rough: Trajectory, fine: Trajectory, refined: Reference) -> Reference | str:
+    """Return an event-driven run as reference, whose own error is how far a rougher one is from it; or why it is none.
+
+    The multipliers are those of the refined run, which it must agree with to the errors of both.
+    """
+    scale = scale_of(model, fine.smooth().x)
+    new = replace(refined, text=f"an event-driven run, rtol = {rtol:g}", state=Polynomials(fine), scale=scale)
+    states = {measure: max(error, ROUNDING) for measure, error in new.errors(Rows.of(rough)).items()}
+    apart = new.errors(sure(refined.rows))["max"]
+    if apart > CLEAR * (refined.own["max"] + states["max"]):
+        return f"an event-driven run and {refined.text} differ by {apart:.1e}, more than their own errors tell"
+    return replace(new, own={**refined.own, **states})
 
 
 def scale_of(model: Model, x: np.ndarray) -> np.ndarray:

@@ -13,10 +13,11 @@ from nsmodel.scheme import one_step_problem
 from nsmodel.simulate import prepare
 from nsmodel.study.between import steps_from
 from nsmodel.study.methods import Method, not_compiled
-from nsmodel.study.reference import Reference, Rows, closed_form, refined_run, why_not_unique
+from nsmodel.study.reference import Reference, Rows, closed_form, polynomials, refined_run, why_not_unique
 from nsmodel.trajectory import Trajectory
 
 REFINED, LEAST = 8, 2  # The reference has REFINED steps for one of the finest run; LEAST where there is no time for more.
+EVENT_DRIVEN = 1e-9, 1e-11  # The rtol of a rougher run and of the reference.
 KEPT = 3  # So many numbers of steps are measured whatever their reference costs.
 PARTS = 1 + 1 / 2 + 1 / 4  # Steps of the three runs behind a reference, for one of the last.
 MEMORY = 1 << 30  # Bytes that they may take.
@@ -109,7 +110,28 @@ class Search:
             return closed_form(exact, self.model, probe.run.t, refined, why), kept, probe.run
         if refined is None:
             raise StepError(f"no refined run comes to its end, so there is nothing to compare with: {self.notes[-1]}")
-        return refined, kept, probe.run
+        return self._better(refined), kept, probe.run
+
+    def _better(self, refined: Reference) -> Reference:
+        """An event-driven run as reference, where that applies, comes to its end in time, and errs less."""
+        runs: list[Trajectory] = []
+        until = time.perf_counter() + self.seconds / 2
+        for rtol in EVENT_DRIVEN:
+            self.say(f"reference: event-driven, rtol = {rtol:g}")
+            try:
+                run = prepare(self.model, rtol=rtol, method="event-driven")
+                while not run.walk.ended:
+                    run.walk.advance(1, ())
+                    if time.perf_counter() > until:
+                        return refined
+                runs.append(run.go(progress=False))
+            except NsmodelError:
+                return refined
+        found = polynomials(self.model, EVENT_DRIVEN[1], runs[0], runs[1], refined)
+        if isinstance(found, str):
+            self.notes.append(found)
+            return refined
+        return found if found.own["max"] < refined.own["max"] else refined
 
     def _most(self, probe: Probe, candidates: int) -> float:
         """The steps that a reference can have: there are three runs for each candidate."""

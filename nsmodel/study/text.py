@@ -99,7 +99,8 @@ def _about(reference: Reference) -> list[str]:
         return out + _entry("multipliers", f"not compared: {reference.without_multipliers}")
     if multipliers is None:
         return out
-    source = f"compared with {reference.run}; its own error: " if exact else "own error of the reference: "
+    same = reference.text == reference.run
+    source = "own error of the reference: " if same else f"compared with {reference.run}; its own error: "
     return out + _entry("multipliers", f"mean over time, {source}{number(multipliers)}")
 
 

@@ -1,0 +1,280 @@
+"""Proved bounds on pieces as they are stored: of the defect, of the rows of the law, and of every sign condition of the mode."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.pieces.enclosures import Coefficients, Parts, Series, around, parts_of, powers, series_of, shifted
+from nsmodel.pieces.jets import Branch, Jets, jets_of
+from nsmodel.pieces.signs import EPS, least
+from nsmodel.pieces.switches import RANGES
+from nsmodel.proof.interval_arithmetic import up
+from nsmodel.proof.interval_number import ZERO, Interval, exactly
+from nsmodel.scheme.continuous import ContinuousProblem
+
+DOUBLINGS, SHARE = 4, 0.5  # A piece is cut as long as remainders are more than this share of its bounds, so often at most.
+SEEN = 1e-12  # A depth below this share of a condition is rounding.
+
+
+class Stored(NamedTuple):
+    """Pieces as `run.at` evaluates them: [start, end] (K,), unit (K,), x (K, n, p + 1), l, y (K, m, p + 1), codes (K, m)."""
+
+    start: np.ndarray
+    end: np.ndarray
+    unit: np.ndarray
+    x: np.ndarray
+    l: np.ndarray
+    y: np.ndarray
+    codes: np.ndarray
+
+    @property
+    def lengths(self) -> np.ndarray:
+        """Of the pieces, in their units, and not less."""
+        return up(self.end - self.start) / self.unit
+
+
+class Bounds(NamedTuple):
+    """What is proved of each of K pieces, for all of its times.
+
+    Attributes:
+        defect: (K, n) |x' - f - g| is at most this.
+        integral: (K, n) the integral of |x' - f - g| over the piece is at most this.
+        rows: (K, m) |y - h|, and of a held row |h|, are at most this; inf where l of another row is not its end exactly.
+        slopes: (K, m) |dh/dt| of a held row is at most this.
+        least: (K, 2, c) each sign condition is at least this, on the first and on the second half of the piece; those of the
+            rows, then of the branches; inf where there is none.
+        reach: (K, c) and >= 0 further than this, in time, from the ends of the piece.
+        size: (c,) the largest that each condition may be.
+    """
+
+    defect: np.ndarray
+    integral: np.ndarray
+    rows: np.ndarray
+    slopes: np.ndarray
+    least: np.ndarray
+    reach: np.ndarray
+    size: np.ndarray
+
+    @property
+    def depth(self) -> np.ndarray:
+        """(K, c) each sign condition is at least minus this."""
+        return np.maximum(-self.least.min(axis=1), 0.0)
+
+
+class _Found(NamedTuple):
+    """The same on B parts, and the largest share of a bound that is remainder (B,)."""
+
+    defect: np.ndarray
+    integral: np.ndarray
+    rows: np.ndarray
+    slopes: np.ndarray
+    least: np.ndarray
+    reach: np.ndarray
+    size: np.ndarray
+    share: np.ndarray
+
+
+def bounds(problem: ContinuousProblem, stored: Stored) -> Bounds:
+    """Prove what can be proved; inf where there is no bound.
+
+    Raises:
+        OpaqueExpression: f, g or h calls a Function that cannot be looked into.
+    """
+    out = ca.vertcat(problem.f + problem.g, problem.h)
+    jets = jets_of(out, [problem.t, problem.x, problem.l], "f, g or h", rounded=False)
+    ends = [np.array(ca.DM(end)).ravel() for end in (problem.law.lower, problem.law.upper)]
+    counts = np.ones(len(stored.start), int)
+    parts = parts_of(stored.lengths, counts)
+    with np.errstate(all="ignore"):
+        found = _found(jets, stored, parts, ends)
+        for _ in range(DOUBLINGS):
+            coarse = np.zeros(len(counts), bool)
+            np.logical_or.at(coarse, parts.piece, found.share > SHARE)
+            if not coarse.any():
+                break
+            finer, kept = parts_of(stored.lengths, np.where(coarse, 2 * counts, 0)), ~coarse[parts.piece]
+            counts = np.where(coarse, 2 * counts, counts)
+            new = _found(jets, stored, finer, ends)
+            parts = Parts(*(np.concatenate([a[kept], b]) for a, b in zip(parts, finer, strict=True)))
+            found = _Found(*(np.concatenate([a[kept], b]) for a, b in zip(found, new, strict=True)))
+    return _gathered(found, parts, stored, counts)
+
+
+def _gathered(found: _Found, parts: Parts, stored: Stored, counts: np.ndarray) -> Bounds:
+    """Parts together, as pieces."""
+    second = (counts[parts.piece] > 1) & (parts.centre > stored.lengths[parts.piece] / 2)
+    first = (counts[parts.piece] > 1) & ~second
+    both = found.least.min(axis=1)
+    sides = [
+        np.where(other[:, None], np.inf, np.where(whole[:, None], both, found.least[:, side]))
+        for side, (whole, other) in enumerate([(first, second), (second, first)])
+    ]
+
+    def worst(values: np.ndarray) -> np.ndarray:
+        total = np.full((len(counts), *values.shape[1:]), -np.inf)
+        np.maximum.at(total, parts.piece, values)
+        return total
+
+    integral = np.zeros((len(counts), found.integral.shape[1]))
+    np.add.at(integral, parts.piece, found.integral)
+    return Bounds(
+        worst(found.defect), integral * (1 + 64 * EPS), worst(found.rows), worst(found.slopes),
+        -worst(-np.stack(sides, axis=1)), worst(found.reach), found.size.max(axis=0, initial=0.0),
+    )  # fmt: skip
+
+
+def ranges(stored: Stored, count: int) -> tuple[Interval, Interval]:
+    """T (K count,) and x (K count, n) on ``count`` parts of each piece."""
+    parts = parts_of(stored.lengths, np.full(len(stored.start), count))
+    start, unit = exactly(stored.start[parts.piece]), exactly(stored.unit[parts.piece])
+    s = exactly(parts.centre) + Interval(-parts.radius, parts.radius)
+    c = [exactly(np.ascontiguousarray(stored.x[parts.piece, :, k].T)) for k in range(stored.x.shape[2])]
+    about = [a * b for a, b in zip(shifted(c, exactly(parts.centre)), powers(parts.radius, len(c) - 1), strict=True)]
+    spread = _size([ZERO, *about[1:]])
+    x = about[0] + Interval(-spread, spread)
+    return start + unit * s, Interval(x.lo.T, x.hi.T)
+
+
+class _Polynomials(NamedTuple):
+    """Coefficients on parts in u = (s - centre)/radius, the last an interval over the part: x, l, y, x' - f - g, h, branches."""
+
+    x: list[Coefficients]
+    l: list[Coefficients]
+    y: list[Coefficients]
+    defect: list[Coefficients]
+    h: list[Coefficients]
+    branches: list[Coefficients]
+    choice: list[Any]
+
+
+def _found(jets: Jets, stored: Stored, parts: Parts, ends: list[np.ndarray]) -> _Found:
+    p, codes = _polynomials(jets, stored, parts), stored.codes[parts.piece]
+    held = codes == 0
+    residual = [_minus(y, h) for y, h in zip(p.y, p.h, strict=True)]
+    at_end = [
+        _size([l[0] - exactly(np.where(code > 0, ends[1][i], ends[0][i])), *l[1:]])
+        for i, (l, code) in enumerate(zip(p.l, codes.T, strict=True))
+    ]
+    size, moved = _columns([_size(h) for h in p.h], len(held)), [[(k + 1) * a for k, a in enumerate(h[1:])] for h in p.h]
+    rows = np.maximum(
+        _columns([_size(c) for c in residual], len(held)),
+        np.where(held, size, np.where(_columns(at_end, len(held)) > 0, np.inf, 0.0)),
+    )
+    slopes = _columns([_size(c) for c in moved], len(held)) / (parts.radius * stored.unit[parts.piece])[:, None]
+    lowest, reach, sizes, loose = _signs(
+        list(_conditions(p, jets.branches, codes, ends)), stored, parts, len(p.h) + len(p.branches)
+    )
+    remainders = [c[-1].magnitude / np.maximum(_size(c), 1e-300) for c in [*p.defect, *residual]]
+    share = np.max([loose, *(np.where(np.isnan(one), 1.0, one) for one in remainders)], axis=0)
+    width = 2 * parts.radius * stored.unit[parts.piece] * (1 + 4 * EPS)
+    integral = [_size([a / (k + 1) for k, a in enumerate(c)]) * width for c in p.defect]
+    return _Found(
+        _columns([_size(c) for c in p.defect], len(held)), _columns(integral, len(held)), rows,
+        np.where(held, up(slopes * (1 + 4 * EPS)), 0.0), lowest, reach, sizes, share,
+    )  # fmt: skip
+
+
+def _columns(arrays: Sequence[np.ndarray], count: int) -> np.ndarray:
+    return np.stack([np.broadcast_to(a, count) for a in arrays], axis=1) if arrays else np.zeros((count, 0))
+
+
+def _polynomials(jets: Jets, stored: Stored, parts: Parts) -> _Polynomials:
+    n, m, N = stored.x.shape[1], stored.l.shape[1], stored.x.shape[2] - 1
+    stacked = np.concatenate([stored.x, stored.l, stored.y], axis=1)[parts.piece]
+    c = [exactly(np.ascontiguousarray(stacked[:, :, k].T)) for k in range(N + 1)]
+    about = shifted(c, exactly(parts.centre))
+    over = around(about, np.broadcast_to(parts.radius, stacked.shape[1::-1]))
+    at, whole = ([[Interval(a.lo[i], a.hi[i]) for a in rows] for i in range(stacked.shape[1])] for rows in (about, over))
+    tau, r = exactly(stored.unit[parts.piece]), powers(parts.radius, N)
+    low, high = _series(jets, stored, parts, (at, whole), n, m)
+    f, branches = (
+        [[*one[:N], other[N]] for one, other in zip(a, b, strict=True)]
+        for a, b in ((low.outputs, high.outputs), (low.branches, high.branches))
+    )
+    rates = [[*((k + 1) * a / tau for k, a in enumerate(row[1:])), ZERO] for row in at[:n]]
+    defect = [_minus(rate, own) for rate, own in zip(rates, f[:n], strict=True)]
+    lists = (at[:n], at[n : n + m], at[n + m :], defect, f[n:], branches)
+    x, l, y, defect, h, branches = ([[a * b for a, b in zip(c, r, strict=True)] for c in one] for one in lists)
+    return _Polynomials(x, l, y, defect, h, branches, low.choice)
+
+
+def _series(jets: Jets, stored: Stored, parts: Parts, rows: tuple[list, list], n: int, m: int) -> tuple[Series, Series]:
+    """Of f + g and h about the centres, and about all points of parts."""
+    N, tau, start = stored.x.shape[2] - 1, exactly(stored.unit[parts.piece]), exactly(stored.start[parts.piece])
+    off = (tau * exactly(parts.radius)).hi
+    middle = start + tau * exactly(parts.centre)
+    found: list[Series] = []
+    for time, given in zip((middle, middle + Interval(-off, off)), rows, strict=True):
+        t: Coefficients = [time, tau, *[ZERO] * (N - 1)]
+        inputs = {(0, 0): t} | {(1, i): given[i] for i in range(n)} | {(2, i): given[n + i] for i in range(m)}
+        found.append(series_of(jets, inputs, N, found[0].choice if found else None))
+    return found[0], found[1]
+
+
+class _Condition(NamedTuple):
+    """A polynomial that is >= 0 as long as switch ``column`` stays, where ``mask`` holds."""
+
+    column: int
+    mask: np.ndarray
+    c: Coefficients
+    size: np.ndarray
+
+
+def _conditions(p: _Polynomials, kinds: Sequence[Branch], codes: np.ndarray, ends: list[np.ndarray]) -> Iterator[_Condition]:
+    m = len(p.h)
+    for i, (h, l) in enumerate(zip(p.h, p.l, strict=True)):
+        code = codes[:, i]
+        for sign, end in ((-1, ends[1][i]), (1, ends[0][i])):
+            yield _Condition(i, (code == -sign) & (ends[0][i] < ends[1][i]), _signed(h, sign), _size(h))
+            if np.isfinite(end):
+                yield _Condition(i, code == 0, _signed([l[0] - float(end), *l[1:]], sign), _size(l))
+    for k, (branch, c, side) in enumerate(zip(kinds, p.branches, p.choice, strict=True)):
+        everywhere = np.ones(len(codes), bool)
+        if branch.kind in ("side", "equal"):
+            for sign in (-1, 1):
+                yield _Condition(m + k, everywhere & ((side == sign) | (side == 0)), _signed(c, sign), _size(c))
+            continue
+        below, above = RANGES[branch.kind](side.lo)
+        yield _Condition(m + k, everywhere, [c[0] - exactly(below), *c[1:]], _size(c))
+        yield _Condition(m + k, everywhere, _signed([c[0] - exactly(above), *c[1:]], -1), _size(c))
+
+
+def _signs(watched: list[_Condition], stored: Stored, parts: Parts, columns: int) -> tuple[np.ndarray, ...]:
+    """How deep below 0, where, and the size of each switch, on parts; and the largest share of a depth that is remainder."""
+    B, S, tau = len(parts.piece), stored.lengths[parts.piece], stored.unit[parts.piece]
+    lowest, reach, size, loose = np.full((B, 2, columns), np.inf), np.zeros((B, columns)), np.zeros((B, columns)), np.zeros(B)
+    begin, end = parts.centre - parts.radius, parts.centre + parts.radius
+    for one in watched:
+        rows = np.flatnonzero(one.mask)
+        if not rows.size:
+            continue
+        c = [Interval(*(np.broadcast_to(limit, B)[rows] for limit in (a.lo, a.hi))) for a in one.c]
+        own = np.broadcast_to(one.size, B)[rows]
+        low, far = least(c, len(rows))
+        deep = -low.min(axis=0)
+        loose[rows] = np.maximum(loose[rows], np.where(deep > SEEN * own, np.nan_to_num(c[-1].magnitude / deep, nan=1.0), 0.0))
+        left, right = far * parts.radius[rows]
+        left = np.where(left > 0, np.minimum(begin[rows] + left, S[rows] - begin[rows]), 0.0)
+        right = np.where(right > 0, np.minimum(end[rows], S[rows] - end[rows] + right), 0.0)
+        lowest[rows, :, one.column] = np.minimum(lowest[rows, :, one.column], low.T)
+        reach[rows, one.column] = np.maximum(reach[rows, one.column], np.maximum(left, right) * tau[rows] * (1 + 8 * EPS))
+        size[rows, one.column] = np.maximum(size[rows, one.column], own)
+    return lowest, reach, size, loose
+
+
+def _signed(c: Coefficients, sign: int) -> Coefficients:
+    return c if sign > 0 else [-a for a in c]
+
+
+def _minus(a: Coefficients, b: Coefficients) -> Coefficients:
+    return [one - other for one, other in zip(a, b, strict=True)]
+
+
+def _size(c: Coefficients) -> np.ndarray:
+    """A bound of |sum c_k u^k| on [-1, 1]."""
+    total = sum((a.magnitude for a in c), np.zeros(1))
+    return np.where(np.isnan(total), np.inf, total * (1 + (len(c) + 1) * EPS))

@@ -1,0 +1,90 @@
+"""The certificate of an event-driven run: from its pieces, and as arrays and metadata."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.pieces.bounds import Stored
+from nsmodel.pieces.certificate import SHOWN, Allowed, Certificate, certify, values
+from nsmodel.pieces.integrator import Integrator, Piece
+from nsmodel.proof.interval_number import Interval, exactly
+from nsmodel.run.global_error import GlobalError, NoBound, global_error
+
+
+@dataclass(frozen=True)
+class Certified:
+    """Pieces with their certificate, and a bound of the global error, or why there is none."""
+
+    stored: Stored
+    certificate: Certificate
+    error: GlobalError | NoBound
+
+    def arrays(self, number: np.ndarray, t: np.ndarray, x: np.ndarray) -> dict[str, np.ndarray]:
+        """Columns of the rows t (k,), x (k, states), by the piece that each ends or lies in, and lists of pieces."""
+        certificate, bounds, share = self.certificate, self.certificate.bounds, self.certificate.share
+        worst = [share[a : b + 1].max(initial=0.0) for a, b in zip([0, *number], number, strict=False)]
+        arrays = {
+            "defect_bound": np.array([np.nan, *worst[1:]]),
+            "piece_proved": certificate.proved, "piece_defect": bounds.defect, "piece_missed": bounds.integral,
+            "piece_row_defect": bounds.rows, "piece_jump": certificate.jump, "piece_depth": bounds.depth,
+            "piece_reach": bounds.reach,
+        }  # fmt: skip
+        if isinstance(self.error, GlobalError):
+            off = values(self.stored, number, t)
+            off = (Interval(off.lo[:, : x.shape[1]], off.hi[:, : x.shape[1]]) - exactly(x)).magnitude
+            off = np.nextafter(self.error.states[number, : x.shape[1]] + off, np.inf)
+            off[0] = 0.0
+            arrays |= {"error_bound": off, "piece_error": self.error.states}
+        return arrays
+
+    def metadata(self, names: tuple[str, ...]) -> dict[str, Any]:
+        """What is proved, in short; depth beside the largest value of each condition."""
+        certificate, bounds, error = self.certificate, self.certificate.bounds, self.error
+        with np.errstate(all="ignore"):
+            deep = np.where(bounds.depth > 0, bounds.depth / bounds.size, 0.0)
+        about: dict[str, Any] = {
+            "kind": "interval", "pieces": len(certificate.proved), "proved": int(certificate.proved.sum()),
+            "share": float(certificate.share.max(initial=0.0)), "row_defect": float(bounds.rows.max(initial=0.0)),
+            "depth": float(deep.max(initial=0.0)), "reach": float(bounds.reach.max(initial=0.0)),
+            "conditions": list(certificate.conditions), "not_proved": len(certificate.failures),
+            "failures": [
+                f"t = {f.t:.10g} to {f.until:.10g}, piece {f.piece}: {f.what}" for f in certificate.failures[:SHOWN]
+            ],
+        }  # fmt: skip
+        if isinstance(error, NoBound):
+            return about | {"error": None, "no_error_bound": str(error)}
+        known = np.isfinite(error.states).all(axis=1)
+        largest = error.states[known].max(axis=0)
+        until = float(self.stored.end[known][-1])
+        worst = {"state": names[int(largest.argmax())], "bound": float(largest.max())}
+        return about | {
+            "error": {**worst, "omega": error.omega, "P": error.P.tolist(), "until": until}, "no_error_bound": None
+        }  # fmt: skip
+
+
+def certified(integrator: Integrator, pieces: list[Piece], T: float, rtol: float) -> Certified:
+    """Certify the pieces, the last up to T at most."""
+    problem, system, sizes = integrator.problem, integrator.system, integrator.sizes
+    stored = _stored(pieces, T)
+    terms = np.array([system.size_y(i) for i in range(system.m)])
+    allowed = Allowed.of(rtol, np.array(integrator.atol), np.array(sizes.x), terms)
+    certificate = certify(problem, stored, np.array(ca.DM(problem.x0)).ravel(), allowed)
+    try:
+        if any(any(piece.event or ()) for piece in pieces):
+            raise NoBound("the run starts with an impulse, of which nothing is proved")
+        error = global_error(problem, stored, certificate.bounds, certificate.jump)
+    except NoBound as reason:
+        error = reason
+    return Certified(stored, certificate, error)
+
+
+def _stored(pieces: list[Piece], T: float) -> Stored:
+    start = np.array([piece.t for piece in pieces])
+    x, l, y = (np.array([getattr(piece, name) for piece in pieces]) for name in ("x", "l", "y"))
+    codes = np.array([piece.codes for piece in pieces], int).reshape(len(pieces), l.shape[1])
+    end = np.append(start[1:], min(pieces[-1].end, T))
+    return Stored(start, end, np.array([piece.tau for piece in pieces]), x, l, y, codes)

@@ -1,0 +1,110 @@
+"""Event-driven runs that go on: to a later end, after being killed at any piece, in chunks; byte for byte as in one go."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import nsmodel
+from nsmodel import StorageError, UsageError, simulate
+from nsmodel.run import loop
+from tests import event_scenes as scenes
+
+CASES = Path(__file__).parents[1] / "cases"
+NAMES = ("diode_bridge", "inclusion_8_1", "relay_oscillator", "friction_oscillator", "two_discs", "gene_network")
+KILLED = """
+import os, sys
+import nsmodel
+from nsmodel.pieces.integrator import Integrator
+from nsmodel.run import loop
+
+loop.CHUNK_SECONDS = 0.0
+case, out, pieces, more, *times = sys.argv[1:]
+whole, left = Integrator.advance, [int(pieces)]
+
+def advance(self):
+    if not left[0]:
+        os._exit(9)
+    left[0] -= 1
+    return whole(self)
+
+Integrator.advance = advance
+model = nsmodel.load(case)
+rows = {"times": [float(t) for t in times]} if times else {}
+nsmodel.simulate(model, rtol=1e-8, method="event-driven", out=out, resume=more == "more", **rows)
+"""
+
+
+def files(folder):
+    return (folder / "trajectory.npz").read_bytes()
+
+
+def run(model, out, **more):
+    return simulate(model, rtol=1e-8, method="event-driven", out=out, **more)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("every", [1, 3])
+def test_a_later_end_gives_the_bytes_of_one_run(name, every, tmp_path):
+    model, rng = nsmodel.load(CASES / f"{name}.py"), np.random.default_rng(len(name) + every)
+    run(model, tmp_path / "one", save_every=every)
+    ends = np.sort(rng.uniform(0.02, 0.98, 3)) * model.t_end
+    for i, end in enumerate([ends[0], *ends, None]):
+        run(model, tmp_path / "parts", save_every=every, t_end=end, resume=i > 0)
+    assert files(tmp_path / "one") == files(tmp_path / "parts")
+
+
+@pytest.mark.parametrize("name", ["diode_bridge", "relay_oscillator"])
+@pytest.mark.parametrize("asked", [False, True])
+def test_killed_at_any_piece_it_goes_on_to_the_same_bytes(name, asked, tmp_path):
+    case = CASES / f"{name}.py"
+    model = nsmodel.load(case)
+    times = np.linspace(0, model.t_end, 12)[1:].tolist() if asked else None
+    whole = run(model, tmp_path / "one", times=times)
+    pieces, more = whole.metadata["totals"]["pieces"], ["new"]
+    for part in (pieces // 3 + 1, 1, pieces // 4):
+        killed = [sys.executable, "-c", KILLED, str(case), str(tmp_path / "parts"), str(part), *more, *map(repr, times or ())]
+        assert subprocess.run(killed, check=False, capture_output=True).returncode == 9
+        more = ["more"]
+    run(model, tmp_path / "parts", times=times, resume=True)
+    assert files(tmp_path / "one") == files(tmp_path / "parts")
+
+
+def test_chunks_are_those_of_one_run(tmp_path, monkeypatch):
+    model = nsmodel.load(CASES / "relay_oscillator.py")
+    whole = run(model, tmp_path / "one")
+    monkeypatch.setattr(loop, "CHUNK_SECONDS", 0.0)
+    parts = run(model, tmp_path / "parts")
+    assert files(tmp_path / "one") == files(tmp_path / "parts")
+    at = np.linspace(0, model.t_end, 101)
+    np.testing.assert_array_equal(whole.at(at).x, parts.at(at).x)
+
+
+def test_what_does_not_fit_is_refused(tmp_path):
+    model = nsmodel.load(CASES / "diode_bridge.py")
+    run(model, tmp_path, times=[1e-3, 2e-3], t_end=2e-3)
+    with pytest.raises(StorageError, match=r"times: the run there has a row at t = 0.00"):
+        run(model, tmp_path, times=[1.5e-3, 2e-3, 3e-3], t_end=3e-3, resume=True)
+    with pytest.raises(StorageError, match=r"another rtol \(1e-08 there, 1e-06 now\)"):
+        simulate(model, rtol=1e-6, method="event-driven", out=tmp_path, resume=True)
+    with pytest.raises(StorageError, match=r"past this run's end; give a later end"):
+        run(model, tmp_path, times=[1e-4], t_end=1e-4, resume=True)
+    with pytest.raises(UsageError, match="resume needs out="):
+        simulate(model, rtol=1e-6, resume=True)
+
+
+def test_a_run_that_falls_back_leaves_no_chunks_of_the_other(tmp_path, monkeypatch):
+    """x'' + x' = -sgn x: thousands of switches are written before it stops."""
+    monkeypatch.setattr(loop, "CHUNK_SECONDS", 0.2)
+    found = simulate(scenes.relay_of_degree_2(1, 50), rtol=1e-2, out=tmp_path)
+    assert not found.is_event_driven
+    assert any("accumulate" in text for text in found.metadata["warnings"])
+    assert [file.name for file in tmp_path.iterdir() if file.name != ".lock"] == ["trajectory.npz"]
+    np.testing.assert_array_equal(nsmodel.Trajectory.load(tmp_path / "trajectory.npz").x, found.x)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_residuals_are_rounding_in_every_row(name):
+    assert np.nanmax(run(nsmodel.load(CASES / f"{name}.py"), None).residual) <= 1e-12
