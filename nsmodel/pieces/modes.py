@@ -19,7 +19,8 @@ from nsmodel.solve import mlcp
 from nsmodel.solve.certificate import NumericLaw, numeric_law
 
 GERM = 1e-9  # Coefficients below this share of the largest are rounding.
-ORDERS = 6  # Of a germ.
+ORDERS, HALF = 6, 3  # Of a germ, and the first ones, which the others are not to exceed.
+PACES, HALVED = 8, 0.5  # Iterations of their unit of time, until it is no more than halved.
 PIVOTS, TOGETHER = 60, 12  # Changes of the mode, and how many of them of all wrong rows at once.
 PROVED, AGREE, UNDECIDED, SPLIT = "proved", "all valid modes agree", "not decided", "go apart"
 APART = 1e-7  # Of their size: coefficients of two modes that differ.
@@ -47,11 +48,11 @@ def select(system: System, place: Place) -> Solve | None:
             place.codes[:] = begin
         if (how := _pivot(system, place)) is not None:
             return how
-    return next((how for how, _ in valid(system, place, before)), None)
+    return next((how for how, *_ in valid(system, place, before)), None)
 
 
-def valid(system: System, place: Place, before: tuple) -> Iterator[tuple[Solve, list[list[float]]]]:
-    """All modes of the open switches, where these are few, in which all germs are valid, with their coefficients of x."""
+def valid(system: System, place: Place, before: tuple) -> Iterator[tuple[Solve, list[list[float]], float]]:
+    """All modes of the open switches, where these are few, in which all germs are valid, with their x and their `pace`."""
     opened = sorted(before[2])
     if len(opened) > FEW:
         return
@@ -60,7 +61,7 @@ def valid(system: System, place: Place, before: tuple) -> Iterator[tuple[Solve, 
         for switch, code in zip(opened, codes, strict=True):
             turn(system, place, switch, code)
         if (how := _expand(system, place)) is not None and not (system.apart(how) or list(_wrong(system, place, how))):
-            yield how, [row[: ORDERS + 1] for row in system.x]
+            yield how, [row[: ORDERS + 1] for row in system.x], pace(system)
 
 
 def jump(system: System, place: Place) -> np.ndarray | None:
@@ -106,19 +107,41 @@ def uniqueness(system: System, place: Place) -> tuple[str, str]:
     if len(place.open) > FEW:
         return UNDECIDED, ""
     before = _state(system, place)
-    found = [(list(place.codes), x) for _, x in valid(system, place, before)]
+    found = [(list(place.codes), x, share) for _, x, share in valid(system, place, before)]
     _restore(system, place, before)
     _expand(system, place)
-    for (one, x), (other, z) in itertools.combinations(found, 2):
+    for (one, x, r), (other, z, q) in itertools.combinations(found, 2):
         for a, b, so_far in zip(x, z, system.sizes.x, strict=True):
+            a, b = ([v * min(r, q) ** k for k, v in enumerate(row)] for row in (a, b))
             if max(abs(p - q) for p, q in zip(a, b, strict=True)) > APART * max(map(abs, a + b)) + TIE * so_far:
                 return SPLIT, f"{one} and {other}"
     return AGREE, ""
 
 
-def leading(c: list[float], least: float) -> int | None:
-    """The order of the first coefficient that is not rounding, of those that decide a germ; None where all of them are."""
-    decide = c[: ORDERS + 1]
+def pace(system: System) -> float:
+    """The share of the unit of time in which coefficients of x and l do not grow from order to order: germs are looked at in it.
+
+    In a unit that is longer than a mode's own time the first coefficients would seem rounding beside the last.
+    """
+    share = 1.0
+    for rows, sizes in ((system.x, system.sizes.x), (system.l, system.sizes.l)):
+        for row, size in zip(rows, sizes, strict=True):
+            for _ in range(PACES):
+                own = [abs(a) * share**k for k, a in enumerate(row[1 : ORDERS + 1], 1)]
+                largest = max(size, *own[:HALF])
+                factor = min([(largest / a) ** (1 / k) for k, a in enumerate(own[HALF:], HALF + 1) if a > largest > 0], default=1)
+                share *= factor
+                if factor > HALVED:
+                    break
+    return share
+
+
+def leading(c: list[float], least: float, share: float) -> int | None:
+    """The order of the first coefficient that is not rounding, of those that decide a germ; None where all of them are.
+
+    ``share``: of the unit of time, see `pace`.
+    """
+    decide = [a * share**k for k, a in enumerate(c[: ORDERS + 1])]
     least = max(least, GERM * max(map(abs, decide)))
     return next((k for k, a in enumerate(decide) if abs(a) > least), None)
 
@@ -158,10 +181,11 @@ def _expand(system: System, place: Place) -> Solve | None:
 
 def _wrong(system: System, place: Place, how: Solve) -> Iterator[Condition]:
     """The conditions that do not hold just after the start, of those that are open or whose multipliers may have moved."""
+    share = pace(system)
     for condition in conditions(system, place.codes, how, ORDERS):
         if condition.of in place.open or condition.acts == "l":
             c = condition.coefficients()
-            first = leading(c, TIE * size(system, condition))
+            first = leading(c, TIE * size(system, condition), share)
             if first is not None and c[first] < 0:
                 yield condition
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 from nsmodel.pieces.bernstein import first_root, slope, value
-from nsmodel.pieces.modes import ORDERS, Place, leading
+from nsmodel.pieces.modes import ORDERS, Place, leading, pace
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.switches import TIE, Condition, conditions, size
 from nsmodel.pieces.system import System
@@ -21,7 +21,7 @@ def first_event(system: System, place: Place, how: Solve, orders: int, s: float)
     A condition that is 0 at the start is divided by the power of s that it begins with, the one that its germ was judged by;
     where that sign is wrong all the same, it ends at once. What is rounding all along is none.
     """
-    hit = None
+    hit, share = None, pace(system)
     for condition in conditions(system, place.codes, how, orders):
         germ = condition.coefficients()
         c, power = list(germ), 1.0
@@ -32,7 +32,7 @@ def first_event(system: System, place: Place, how: Solve, orders: int, s: float)
             continue
         least, opened = TIE * size(system, condition), condition.of in place.open
         if opened or c[0] <= 0:
-            first = leading(germ, least if opened else 0.0)
+            first = leading(germ, least if opened else 0.0, share)
             c = c[ORDERS + 1 if first is None else first :]
             if max(map(abs, c)) <= least:
                 continue

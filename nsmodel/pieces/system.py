@@ -195,23 +195,22 @@ class System:
         F, G, H, tau = self.parts["f"], self.parts.get("g"), self.parts["h"], self.t[1]
         rate = F.order(0)
         for iteration in range(NEWTON):
-            self._direct(how, 0)
+            moved = self._direct(how, 0)
             self._rate(rate, G.order(0) if G else None, 0)
             if how.through is None and self.linear_in_l:
                 return True
             self._put_y(H.order(1), 1)
-            moved = 0.0
             if how.through is not None:
-                slope = [self.y[i][1] for i in how.active]
-                step = [-v / tau for v in _times(how.through, slope)]
+                slope = [self.y[i][1] / tau for i in how.active]
+                step = [-v for v in _times(how.through, slope)]
                 for i, d in zip(how.active, step, strict=True):
                     self.l[i][0] += d
-                    moved = max(moved, abs(d) / (1e-300 + abs(self.l[i][0])))
+                moved = max(moved, self._moved(how, how.through, step, [abs(row[1]) / tau for row in self.x]))
                 if how.feeds:
                     self._put_y(self.parts["h"].order(0) if self.D is None else None, 0)
-                if not np.isfinite(moved):
-                    return False
                 self._rate(rate, G.order(0) if G else None, 0)
+            if not np.isfinite(moved):
+                return False
             if self.linear_in_l:
                 return self._held(how)
             if iteration and moved <= SETTLED * NEWTON:
@@ -229,17 +228,26 @@ class System:
         size = max((abs(row[1]) for row in self.x), default=0.0)
         return bool(np.abs(how.null.T @ slope).max() <= 1e-9 * max(size, float(np.abs(slope).max())))
 
-    def _direct(self, how: Solve, k: int) -> None:
-        """l_k from y_k, of index 1; y_k with it."""
+    def _direct(self, how: Solve, k: int) -> float:
+        """l_k from y_k, of index 1; y_k with it. Returns the share by which order 0 moved, of what is not linear in l."""
         if how.direct is None:
-            return
+            return 0.0
         step = _times(how.direct, [self.y[i][k] for i in how.active])
         for i, d in zip(how.active, step, strict=True):
             self.l[i][k] -= d
+        moved = 0.0 if k or self.linear_in_l else self._moved(how, how.direct, step, [abs(row[0]) for row in self.x])
         self._put_y(self.parts["h"].order(k), k) if self.D is None else self._put_y(None, k)
         if how.through is None:
             for i in how.active:
                 self.y[i][k] = 0.0
+        return moved
+
+    def _moved(self, how: Solve, inverse: Rows, step: list[float], x: list[float]) -> float:
+        """The largest share by which l moved of what it is the sum of: of itself, and of ``inverse`` times the terms of h."""
+        _, D, C = self.slopes()
+        terms = np.abs(inverse) @ (np.abs(C) @ x + np.abs(D) @ [abs(row[0]) for row in self.l])[list(how.active)]
+        shares = (abs(d) / (1e-300 + abs(self.l[i][0]) + v) for i, d, v in zip(how.active, step, terms, strict=True))
+        return max(shares)
 
     def _feed(self, how: Solve, k: int) -> None:
         """Order k of y anew, where it depends on l directly."""
