@@ -31,6 +31,8 @@ def first_event(system: System, place: Place, how: Solve, orders: int, s: float)
         if c[0] > sum(map(abs, c[1:])):
             continue
         least, opened = TIE * size(system, condition), condition.of in place.open
+        if max(map(abs, c)) <= least:
+            continue
         if opened or c[0] <= 0:
             first = leading(germ, least if opened else 0.0, share)
             c = c[ORDERS + 1 if first is None else first :]
@@ -70,12 +72,16 @@ def polish(
 
 
 def beyond_touch(system: System, condition: Condition) -> float | None:
-    """Where a condition that comes to 0 and goes back, not deeper than rounding, is past that; None where it does not go back."""
+    """Where a condition that comes to 0 and goes back, not deeper than rounding, is past that; None where it does not go back.
+
+    Or not soon: what is rounding for long is no touch.
+    """
     c = condition.coefficients()
     tie = TIE * max(size(system, condition), *map(abs, c))
     if len(c) < 3 or not c[2] > 0 or abs(c[0]) > tie or c[1] ** 2 > TOUCH * c[2] * tie:
         return None
-    return 3 * math.sqrt(tie / c[2]) + abs(c[1]) / c[2]
+    past = 3 * math.sqrt(tie / c[2]) + abs(c[1]) / c[2]
+    return past if past < NEAR else None
 
 
 def same(one: Condition, other: Condition) -> bool:

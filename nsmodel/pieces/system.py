@@ -156,10 +156,11 @@ class System:
         return how
 
     def apart(self, how: Solve) -> list[int]:
-        """The rows that only their rate can hold at 0, and that are not there."""
+        """The rows that only their rate can hold at 0, and that are not there: beside their size, and how far x moves them."""
         if how.through is None or not any(self.y[i][0] for i in how.active):
             return []
-        return [i for i in how.active if abs(self.y[i][0]) > AT_ZERO * self.size_y(i)]
+        motion = np.abs(self.slopes()[2]) @ [abs(row[1]) for row in self.x]
+        return [i for i in how.active if abs(self.y[i][0]) > AT_ZERO * max(self.size_y(i), motion[i])]
 
     def size_y(self, i: int) -> float:
         """What y_i is measured beside: the largest so far, and what it is the sum of."""
