@@ -19,6 +19,7 @@ SAYS = {
     "demo": "Diode bridge rectifier",
     "bench": "seconds of a whole check",
     "bench-large": "parts of an interpreted step",
+    "bench-events": "SciPy, events by hand",
     "study": "",
     "nightly": "lure",
 }
