@@ -44,7 +44,7 @@ struct Cvode : Modes {
             return 2;
         for (int i = 0; i < NX; i++) {
             values[i] = out[i] = x0[i];
-            largest = fmax(largest, fabs(x0[i]));
+            largest = larger(largest, fabs(x0[i]));
         }
         CVodeReInit(memory, 0, vector);
         CVodeSStolerances(memory, rtol, rtol*largest);

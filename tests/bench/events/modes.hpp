@@ -25,7 +25,7 @@ struct Modes : Model {
             for (int r = 0; r < count; r++) {
                 a[r][c] = column[active[r]];
                 diagonal = diagonal && (r == c || a[r][c] == 0);
-                largest = fmax(largest, fabs(a[r][c]));
+                largest = larger(largest, fabs(a[r][c]));
             }
         }
         if (count && largest == 0)
@@ -107,16 +107,16 @@ struct Modes : Model {
 
     double floor_of(int i) const
     {
-        return 1e-5*(code[i] != 0 ? fmax(y_size[i], 1e-6*y_largest) : fmax(l_size[i], 1e-6*l_largest));
+        return 1e-5*(code[i] != 0 ? larger(y_size[i], 1e-6*y_largest) : larger(l_size[i], 1e-6*l_largest));
     }
 
     void grow()
     {
         for (int i = 0; i < M; i++) {
-            y_size[i] = fmax(y_size[i], fabs(y[i][0]));
-            l_size[i] = fmax(l_size[i], fabs(l[i][0]));
-            y_largest = fmax(y_largest, y_size[i]);
-            l_largest = fmax(l_largest, l_size[i]);
+            y_size[i] = larger(y_size[i], fabs(y[i][0]));
+            l_size[i] = larger(l_size[i], fabs(l[i][0]));
+            y_largest = larger(y_largest, y_size[i]);
+            l_largest = larger(l_largest, l_size[i]);
         }
     }
 
@@ -137,8 +137,8 @@ struct Modes : Model {
         for (int i = 0; i < M; i++) {
             y_size[i] = fabs(y[i][0]);
             l_size[i] = bounded(i) ? UP[i] - LO[i] : 0;
-            y_largest = fmax(y_largest, y_size[i]);
-            l_largest = fmax(l_largest, l_size[i]);
+            y_largest = larger(y_largest, y_size[i]);
+            l_largest = larger(l_largest, l_size[i]);
         }
         for (int i = 0; i < M; i++) {
             open[i] = INDEX == 1 || fabs(y[i][0]) < 1e-14;
@@ -303,7 +303,7 @@ private:
             double worst = 0;
             for (int a = 0; a < count; a++) {
                 right[a] = -(k + 1)*y[active[a]][k + 1];
-                worst = fmax(worst, fabs(right[a]));
+                worst = larger(worst, fabs(right[a]));
             }
             if (k ? iteration == 1 : iteration > 0 && worst <= 1e-2*TIE*(1 + fabs(dx[0])))
                 break;
@@ -332,7 +332,7 @@ private:
         double h = 1;
         for (int k = 0; k <= n; k++, h *= unit) {
             c[k] *= h;
-            scale = fmax(scale, fabs(c[k]));
+            scale = larger(scale, fabs(c[k]));
         }
         for (int k = 0; k <= n; k++)
             if (fabs(c[k]) > GERM*scale && scale > 1e-300)

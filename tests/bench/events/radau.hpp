@@ -119,8 +119,8 @@ private:
     void grow_states(const double *at)
     {
         for (int i = 0; i < NX; i++) {
-            size[i] = fmax(size[i], fabs(at[i]));
-            largest = fmax(largest, size[i]);
+            size[i] = larger(size[i], fabs(at[i]));
+            largest = larger(largest, size[i]);
         }
     }
 
@@ -160,7 +160,7 @@ private:
                     v += RADAU_P[k][r]*slopes[r*NX + i];
                 piece[i][k + 1] = h*v;
             }
-            error = fmax(error, fabs(piece[i][STAGES])/fmax(size[i], 1e-6*largest)/ldexp(1, 2*STAGES - 1));
+            error = larger(error, fabs(piece[i][STAGES])/larger(size[i], 1e-6*largest)/ldexp(1, 2*STAGES - 1));
         }
         return error;
     }
@@ -189,7 +189,7 @@ private:
             if (open[i]) {
                 double scale = floor_of(i);
                 for (int k = 0; k <= n; k++)
-                    scale = fmax(scale, fabs(c[k]));
+                    scale = larger(scale, fabs(c[k]));
                 skip = 1;
                 while (skip <= n && fabs(c[skip]) <= 1e-11*scale)
                     skip++;

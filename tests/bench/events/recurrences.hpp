@@ -71,3 +71,6 @@ static inline void sine_cosine_of_line(const double *a, double *s, double *c, in
     s[k] = a[1]*c[k - 1]/k;
     c[k] = -a[1]*s[k - 1]/k;
 }
+
+static inline double larger(double a, double b) { return b > a ? b : a; }
+static inline double smaller(double a, double b) { return b < a ? b : a; }

@@ -66,8 +66,8 @@ private:
     void grow_states()
     {
         for (int i = 0; i < NX; i++) {
-            size[i] = fmax(size[i], fabs(state[i]));
-            largest = fmax(largest, size[i]);
+            size[i] = larger(size[i], fabs(state[i]));
+            largest = larger(largest, size[i]);
         }
     }
 
@@ -76,24 +76,24 @@ private:
         const int n_l = orders_of_l(p);
         double e1 = 0, e2 = 0, m1 = 0, m2 = 0;
         for (int i = 0; i < NX; i++) {
-            const double s = fmax(size[i], 1e-6*largest);
-            e1 = fmax(e1, fabs(x[i][p])/s);
-            e2 = fmax(e2, fabs(x[i][p - 1])/s);
+            const double s = larger(size[i], 1e-6*largest);
+            e1 = larger(e1, fabs(x[i][p])/s);
+            e2 = larger(e2, fabs(x[i][p - 1])/s);
         }
         grow();
         for (int i = 0; i < M; i++) {
             const double *c = code[i] != 0 ? y[i] : l[i];
             const int n = code[i] != 0 ? p : n_l;
-            const double s = code[i] != 0 ? fmax(y_size[i], 1e-3*y_largest) : fmax(l_size[i], 1e-3*l_largest);
+            const double s = code[i] != 0 ? larger(y_size[i], 1e-3*y_largest) : larger(l_size[i], 1e-3*l_largest);
             if (s <= 0)
                 continue;
             const double a1 = fabs(c[n])/s, a2 = fabs(c[n - 1])/s;
             if (n == p) {
-                e1 = fmax(e1, a1/100);
-                e2 = fmax(e2, a2/100);
+                e1 = larger(e1, a1/100);
+                e2 = larger(e2, a2/100);
             } else {
-                m1 = fmax(m1, a1);
-                m2 = fmax(m2, a2);
+                m1 = larger(m1, a1);
+                m2 = larger(m2, a2);
             }
         }
         if (e1 > 0)
@@ -103,9 +103,9 @@ private:
             h = other < h || e1 == 0 ? other : h;
         }
         if (m1 > 0)
-            h = fmin(h, pow(100*tol/m1, 1.0/n_l));
+            h = smaller(h, pow(100*tol/m1, 1.0/n_l));
         if (m2 > 0)
-            h = fmin(h, pow(100*tol/m2, 1.0/(n_l - 1)));
+            h = smaller(h, pow(100*tol/m2, 1.0/(n_l - 1)));
         return h;
     }
 
@@ -132,7 +132,7 @@ private:
                 if (open[i]) {
                     double scale = floor_of(i);
                     for (int k = 0; k <= n; k++)
-                        scale = fmax(scale, fabs(c[k]));
+                        scale = larger(scale, fabs(c[k]));
                     skip = code[i] != 0 && INDEX == 2 ? 1 : 0;
                     while (skip <= n && fabs(c[skip]) <= GERM*scale)
                         skip++;
@@ -160,7 +160,7 @@ private:
             double power = 1;
             c_scale[i] = 1e5*floor_of(i);
             for (int k = 0; k <= n; k++, power *= s)
-                c_scale[i] = fmax(c_scale[i], fabs(c[k])*power);
+                c_scale[i] = larger(c_scale[i], fabs(c[k])*power);
         }
     }
 
@@ -209,7 +209,7 @@ private:
         if (n < 2 || c[2] <= 0 || fabs(c[0]) > tie || c[1]*c[1] > 4*c[2]*tie)
             return false;
         move(q, 3*sqrt(tie/c[2]) + fabs(c[1])/c[2]);
-        t = fmin(t, t_end);
+        t = smaller(t, t_end);
         return true;
     }
 
