@@ -103,6 +103,7 @@ class Integrator:
             place.tau = unit(s * place.tau)
             how = self._expand(self.order)
             s = min(self._length(how), 1.0)
+        longest = s * place.tau
         hit, s, error = self._accepted(how, s)
         last = [value(row, s) for row in system.x]
         x, l, y = (np.array(rows).reshape(len(rows), system.orders + 1) for rows in (system.x, system.l, system.y))
@@ -121,7 +122,7 @@ class Integrator:
         self._tiny = self._tiny + 1 if s * place.tau < TINY * max(abs(place.t), place.tau) else 0
         if self._tiny > TINY_PIECES:
             raise self._accumulates(hit)
-        place.tau = unit(min(place.tau, 8 * tau) if s > 1e-6 else place.tau)
+        place.tau = unit(min(longest, 8 * tau) if s > 1e-6 else longest)  # Longer than a mode's own time coefficients grow.
         self._event(hit)
         return piece._replace(s=(place.t - piece.t) / piece.tau, last=list(place.x)) if place.t > piece.t else piece
 
