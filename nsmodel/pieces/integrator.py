@@ -273,7 +273,7 @@ class Integrator:
         return {
             "t": place.t, "x": list(place.x), "tau": place.tau, "codes": list(place.codes), "open": sorted(place.open),
             "choice": {name: list(part.choice) for name, part in system.parts.items()}, "l": [row[0] for row in system.l],
-            "sizes": {"x": list(sizes.x), "y": list(sizes.y), "l": list(sizes.l)}, "begun": self._begun,
+            "sizes": {name: list(size) for name, size in vars(sizes).items()}, "begun": self._begun,
             "times": list(self._times), "events": self.events, "unique": dict(self.unique),
             "touches": self.touches, "redundant": self.redundant, "tiny": self._tiny,
         }  # fmt: skip
@@ -298,7 +298,9 @@ class Integrator:
     def _grow(self, s: float) -> None:
         """Note what the rows come to."""
         system, sizes = self.system, self.sizes
-        for rows, largest in ((system.x, sizes.x), (system.y, sizes.y), (system.l, sizes.l)):
+        switches = [system.parts[name].rows[system.jets[name].branches[i].row] for name, i in system.branches]
+        both = ((system.x, sizes.x), (system.y, sizes.y), (system.l, sizes.l), (switches, sizes.switches))
+        for rows, largest in both:
             for i, row in enumerate(rows):
                 largest[i] = max(largest[i], abs(value(row, s)), abs(row[0]))
 
