@@ -66,11 +66,18 @@ def missed(scene: Scene, run: Trajectory, rng: np.random.Generator, points: int 
         if 0 < s < 1:
             rate[k] = max(rate[k], np.max(np.abs(miss) / sizes_x) * length)
         off, out = max(off, one), max(out, two)
-    jumps = [np.abs(c_x[0][:, 0] - x0)]
+    jumps = [_start(scene, of, x0, c_x[0][:, 0], arrays["piece_impulse"][0])]
     for k in range(1, len(starts)):
         jumps.append(np.abs(c_x[k][:, 0] - polynomial(c_x[k - 1], (starts[k] - starts[k - 1]) / units[k - 1])[0]))
-    apart = np.array(jumps)[scene.jumps :]
-    return Missed(float(rate.sum()), float((apart / sizes_x).max(axis=1).sum()) if len(apart) else 0.0, off, out)
+    return Missed(float(rate.sum()), float((np.array(jumps) / sizes_x).max(axis=1).sum()), off, out)
+
+
+def _start(scene: Scene, of: ca.Function, x0: np.ndarray, x: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """How far x is from x0 + g_l p with an impulse p in the recession cone of the box."""
+    if not p.any():
+        return np.abs(x - x0)
+    outside = (np.isfinite(scene.lower) & (p < -1e-12)) | (np.isfinite(scene.upper) & (p > 1e-12))
+    return np.abs(x - x0 - np.array(of(0.0, x0, np.zeros(p.size))[2]) @ p) + outside.any()
 
 
 def _signs(scene: Scene, y: np.ndarray, l: np.ndarray) -> tuple[float, float]:

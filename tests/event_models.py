@@ -57,7 +57,6 @@ class Scene:
     upper: np.ndarray
     fixed: ca.SX
     sides: Sides
-    jumps: bool = False  # Whether it starts outside its law.
 
 
 class Draw:
@@ -298,9 +297,8 @@ def lure(seed: int) -> Scene:
     whole_B, whole_C = np.vstack([B, np.zeros((1, v["m"]))]), np.hstack([C, constant[:, None]])
     law = v["law"]
     x0 = np.append(start(d, C, constant, v["lower"], v["upper"]), 1.0)
-    jumps = False
     if d.chance(0.2) and not D.any():
-        x0[:n], jumps = 2 * d.normal(n), True
+        x0[:n] = 2 * d.normal(n)  # a start outside the law: a jump
     model = LureSystem(
         t=t, x=states, A=field_ if nonlinear else full_A, B=whole_B, C=whole_C, D=D if D.any() or d.chance() else None,
         f=ca.vertcat(drive + jump, 0), law=law, x0=x0, t_end=d.uniform(3, 6),
@@ -308,7 +306,7 @@ def lure(seed: int) -> Scene:
     y = C @ x + constant * states[n] + D @ l
     rate = ca.vertcat(A @ x + bend + real + drive + jump + B @ l, 0)
     other = ca.vertcat(A @ x + bend + fixed + drive + jump_fixed + B @ l, 0)
-    return Scene(model, t, states, l, rate, y, v["lower"], v["upper"], other, sides, jumps)
+    return Scene(model, t, states, l, rate, y, v["lower"], v["upper"], other, sides)
 
 
 def sweeping(seed: int) -> Scene:

@@ -103,6 +103,7 @@ class Integrator:
             place.tau = unit(s * place.tau)
             how = self._expand(self.order)
             s = min(self._length(how), 1.0)
+        longest = s * place.tau
         hit, s, error = self._accepted(how, s)
         last = [value(row, s) for row in system.x]
         x, l, y = (np.array(rows).reshape(len(rows), system.orders + 1) for rows in (system.x, system.l, system.y))
@@ -121,7 +122,7 @@ class Integrator:
         self._tiny = self._tiny + 1 if s * place.tau < TINY * max(abs(place.t), place.tau) else 0
         if self._tiny > TINY_PIECES:
             raise self._accumulates(hit)
-        place.tau = unit(min(place.tau, 8 * tau) if s > 1e-6 else place.tau)
+        place.tau = unit(min(longest, 8 * tau) if s > 1e-6 else longest)  # Longer than a mode's own time coefficients grow.
         self._event(hit)
         return piece._replace(s=(place.t - piece.t) / piece.tau, last=list(place.x)) if place.t > piece.t else piece
 
@@ -272,7 +273,7 @@ class Integrator:
         return {
             "t": place.t, "x": list(place.x), "tau": place.tau, "codes": list(place.codes), "open": sorted(place.open),
             "choice": {name: list(part.choice) for name, part in system.parts.items()}, "l": [row[0] for row in system.l],
-            "sizes": {"x": list(sizes.x), "y": list(sizes.y), "l": list(sizes.l)}, "begun": self._begun,
+            "sizes": {name: list(size) for name, size in vars(sizes).items()}, "begun": self._begun,
             "times": list(self._times), "events": self.events, "unique": dict(self.unique),
             "touches": self.touches, "redundant": self.redundant, "tiny": self._tiny,
         }  # fmt: skip
@@ -297,7 +298,9 @@ class Integrator:
     def _grow(self, s: float) -> None:
         """Note what the rows come to."""
         system, sizes = self.system, self.sizes
-        for rows, largest in ((system.x, sizes.x), (system.y, sizes.y), (system.l, sizes.l)):
+        switches = [system.parts[name].rows[system.jets[name].branches[i].row] for name, i in system.branches]
+        both = ((system.x, sizes.x), (system.y, sizes.y), (system.l, sizes.l), (switches, sizes.switches))
+        for rows, largest in both:
             for i, row in enumerate(rows):
                 largest[i] = max(largest[i], abs(value(row, s)), abs(row[0]))
 

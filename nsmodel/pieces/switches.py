@@ -43,11 +43,11 @@ TIE = 1e-12  # A condition below this share of its size is 0: rounding.
 
 
 def size(system: System, condition: Condition) -> float:
-    """What a condition is measured beside: what it is the sum of, and the largest of its y or l so far."""
+    """What a condition is measured beside: what it is the sum of, and the largest of its y, l or argument so far."""
     i = condition.of[1]
     if condition.acts == "y":
         return system.size_y(i)
-    return system.size_l(i) if condition.acts == "l" else abs(condition.shift)
+    return system.size_l(i) if condition.acts == "l" else max(abs(condition.shift), system.size_of_switch(condition.of))
 
 
 # (below, above) of what a whole number w is chosen for.

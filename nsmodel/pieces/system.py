@@ -34,11 +34,12 @@ AT_ZERO = 1e-9  # Of the terms of y_i: a row that is held is not further from 0.
 
 @dataclass
 class Sizes:
-    """The largest of each x, y and l so far; of l in an interval at least its width."""
+    """The largest of each x, y, l and argument of a switch so far; of l in an interval at least its width."""
 
     x: list[float]
     y: list[float]
     l: list[float]
+    switches: list[float]
 
 
 class System:
@@ -51,7 +52,7 @@ class System:
             [float(v) for v in np.array(ca.DM(end)).ravel()] for end in (problem.law.lower, problem.law.upper)
         )
         ends = zip(self.lower, self.upper, strict=True)
-        self.sizes = Sizes([0.0] * self.n, [0.0] * self.m, [b - a if np.isfinite(b - a) else 0.0 for a, b in ends])
+        self.sizes = Sizes([0.0] * self.n, [0.0] * self.m, [b - a if np.isfinite(b - a) else 0.0 for a, b in ends], [])
         width = orders + 1
         self.t = [0.0] * width
         self.x, self.l, self.y = ([[0.0] * width for _ in range(size)] for size in (self.n, self.m, self.m))
@@ -68,6 +69,7 @@ class System:
         if self.B is None:
             self.jets["g"] = jets_of(p.g, inputs, "g")
         self.parts = {name: Expansion(jets, orders, given) for name, jets in self.jets.items()}
+        self.sizes.switches = [0.0] * len(self.branches)
         self._slopes = ca.Function("slopes", inputs, [ca.densify(e) for e in (B, D, C)])
         self._B_columns = [] if self.B is None else [_entries(self.B[:, j]) for j in range(self.m)]
         self._D_rows = [] if self.D is None else [_entries(self.D[i]) for i in range(self.m)]
@@ -169,6 +171,10 @@ class System:
     def size_l(self, i: int) -> float:
         """What l_i is measured beside: the largest so far, and a part of the largest of all."""
         return max(self.sizes.l[i], 1e-6 * max(self.sizes.l))
+
+    def size_of_switch(self, switch: tuple[str, int]) -> float:
+        """What the argument of a switch is measured beside: the largest so far."""
+        return self.sizes.switches[self.branches.index(switch)]
 
     def terms(self, i: int, x: Sequence[float] = (), l: Sequence[float] = ()) -> float:
         """The size of what y_i is the sum of, with the largest states and multipliers so far, and these."""
