@@ -76,6 +76,7 @@ class System:
         self._sum_rate = sums(self.x, rates, _terms(self.B, self.n), self.l, scaled=True)
         self._known: dict[tuple, Solve] = {}
         self._p: dict[tuple, bool] = {}
+        self._null: dict[tuple, np.ndarray] = {}
         self._absolute: dict[int, tuple[list[tuple[int, float]], list[tuple[int, float]]]] = {}
 
     @cached_property
@@ -204,7 +205,10 @@ class System:
         """(U'y, U'h_x) at order 0: the combinations of ``rows`` that no l of theirs acts on directly."""
         _, D, C = self.slopes()
         a = list(rows)
-        U = generalised_inverse(D[np.ix_(a, a)])[1]
+        key = rows, D.tobytes()
+        if key not in self._null:
+            self._null = {key: generalised_inverse(D[np.ix_(a, a)])[1]}
+        U = self._null[key]
         return U.T @ np.array([self.y[i][0] for i in a]), U.T @ C[a]
 
     def _settle(self, how: Solve, codes: list[int]) -> bool:
