@@ -18,8 +18,6 @@ from nsmodel.scheme.continuous import ContinuousProblem
 POINTS = (0.6, 0.95)  # Of a piece.
 SEEN, SEEN_ROW = 1e-14, 1e-12  # Shares of what a residual is made of that are rounding.
 
-BEYOND = 1 + 1e-12  # More than what rounding can make of a factor.
-
 Equations = Callable[[float, list[float], list[float]], tuple[np.ndarray, np.ndarray]]
 
 
@@ -47,18 +45,15 @@ def defect(system: System, place: Place, of: Equations, s: float, p: int, rtol: 
     """
     tau, sizes, worst = place.tau, system.sizes, 0.0
     held = [i for i, code in enumerate(place.codes) if code == 0]
-    rows = [row[: p + 1] for row in system.x]
     for share in POINTS:
         at = share * s
+        rows = [row[: p + 1] for row in system.x]
         x, rate = [value(row, at) for row in rows], [slope(row, at) for row in rows]
         l = [row[0] if code else value(row, at) for row, code in zip(system.l, place.codes, strict=True)]
         velocity, y = of(place.t + tau * at, x, l)
-        for i, (v, w) in enumerate(zip(rate, velocity.tolist(), strict=True)):
+        for i, (v, w) in enumerate(zip(rate, velocity, strict=True)):
             goal = rtol * max(sizes.x[i], abs(x[i]), abs(v * s)) + atol[i]
-            missed, part = abs(v - tau * w), s / (p + 1) / share**p
-            if goal and missed * part / goal * BEYOND <= worst:
-                continue  # less what is rounding it is less still
-            seen = missed - SEEN * (slope([abs(c) for c in rows[i]], at) + abs(tau * w))
+            seen = abs(v - tau * w) - SEEN * (slope([abs(c) for c in rows[i]], at) + abs(tau * w))
             if not seen <= 0:
                 worst = max(worst, seen * s / (p + 1) / share**p / goal if goal and seen == seen else math.inf)
         for i in held:
