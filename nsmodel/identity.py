@@ -14,6 +14,7 @@ import numpy as np
 from nsmodel.classes.registry import class_of
 from nsmodel.grid import Grid
 from nsmodel.model.base import Model
+from nsmodel.once import once
 from nsmodel.pickled import Pickled
 from nsmodel.proof.graph import column
 from nsmodel.version import VERSION
@@ -49,9 +50,18 @@ def difference(there: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
 
 def fingerprint(model: Model, grid: Grid) -> str:
     """A hash of the bound model's expressions, laws and numbers."""
-    parts = [type(model).__name__, {k: v for k, v in sorted(vars(model).items()) if k not in DESCRIPTIVE}]
-    own = class_of(model).optional("identity")
-    return _hash(parts if own is None else [*parts, *own.given(model, grid)])
+    digest, own = _of_model(model).copy(), class_of(model).optional("identity")
+    if own is not None:
+        _add(digest, list(own.given(model, grid)))
+    return digest.hexdigest()[:16]
+
+
+@once
+def _of_model(model: Model) -> Any:
+    """The hash so far of all that a model is but its grid."""
+    digest = hashlib.sha256()
+    _add(digest, [type(model).__name__, {k: v for k, v in sorted(vars(model).items()) if k not in DESCRIPTIVE}])
+    return digest
 
 
 def versions() -> dict[str, str]:
@@ -62,7 +72,11 @@ def versions() -> dict[str, str]:
 
 def _hash(items: list[Any]) -> str:
     digest = hashlib.sha256()
+    _add(digest, items)
+    return digest.hexdigest()[:16]
 
+
+def _add(digest: Any, items: list[Any]) -> None:
     def add(item: Any) -> None:
         if isinstance(item, ca.SX):
             digest.update(ca.Function("e", [column(ca.symvar(item))], [item]).serialize().encode())
@@ -84,4 +98,3 @@ def _hash(items: list[Any]) -> str:
             digest.update(repr(item).encode())
 
     add(items)
-    return digest.hexdigest()[:16]

@@ -136,7 +136,7 @@ def test_every_module_says_what_it_is_for_and_its_examples_run(name):
 
 
 LAYERS = (  # What stands in a line may import, at its top, what stands in it and above.
-    "defaults errors later version words",
+    "defaults errors later once version words",
     "proof",
     "model_files pickled",
     "laws",

@@ -28,24 +28,29 @@ sys.path.insert(0, str(ROOT / "tests" / "bench"))
 from peers import programs  # noqa: E402
 
 IMAGES, RESULTS = ROOT / "docs" / "images", ROOT / "results"
-TARGETS = (1e-2, 1e-4, 1e-6)
+TARGETS = (1e-2, 1e-4, 1e-6, 1e-8)
 MEASURES = {"end": "relative error at the end", "max": "largest relative error over the run"}
-TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
+STEPPING, EVENTS = "time-stepping", "event-driven"  # How runs with an rtol go on.
+TOLERANCES = {STEPPING: (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7), EVENTS: (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)}
 SHORT, LONG = range(6, 14), range(6, 19)  # Powers of 2: numbers of steps of interpreted and of compiled runs.
 REPEATS, ENOUGH = 5, 0.4  # Timed runs after the warm-up; none is added once they have taken so many seconds.
-COLOURS, MARKERS = (*LINES, "#A05A2C", "#8A9A00"), "osD^vP*X<>"
-OWN = 4  # From this colour on they are those of other programs.
+COLOURS, MARKERS = (*LINES, "#A05A2C", "#8A9A00", "#B22222", "#708090", "#20B2AA"), "osD^vP*X<>hpd"
+OWN = 5  # From this colour on they are those of other programs.
+TUNED = ("SciPy LSODA", "SciPy Radau")  # Lines of all settings of a smoothed law.
 WRONG = 0.1  # A tuned run that is further off takes no part; that it reported success is told.
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A file of cases/, what is told of it, its closed form, and the methods: (name, model, compiled, powers of 2)."""
+    """A file of cases/, what is told of it, its closed form, and the methods: (name, model, compiled, powers of 2).
+
+    Instead of powers of 2, the numbers of steps, STEPPING or EVENTS: runs with an rtol.
+    """
 
     case: str
     title: str
     exact: Callable[[np.ndarray], np.ndarray]
-    methods: Sequence[tuple[str, Any, bool, Iterable[int]]] = field(default_factory=list)
+    methods: Sequence[tuple[str, Any, bool, Iterable[int] | str]] = field(default_factory=list)
 
     @property
     def model(self) -> Any:
@@ -81,7 +86,8 @@ def friction_oscillator() -> Scene:
     methods = [
         ("nsmodel, inertial proximal", model, False, SHORT),
         ("nsmodel, inertial proximal", model, True, LONG),
-        ("nsmodel, inertial proximal, variable steps", model, True, ()),
+        ("nsmodel, inertial proximal, variable steps", model, True, STEPPING),
+        ("nsmodel, event-driven", model, False, EVENTS),
         ("nsmodel, relay, theta = 1/2", LureSystem(**lure, theta=0.5), True, LONG),
     ]
     return Scene("friction_oscillator", "Oscillator with dry friction", closed_form("friction_oscillator"), methods)
@@ -93,7 +99,8 @@ def sliding_relay() -> Scene:
     methods = [
         ("nsmodel, theta = 1", one, False, SHORT),
         ("nsmodel, theta = 1", one, True, LONG),
-        ("nsmodel, theta = 1, variable steps", one, True, ()),
+        ("nsmodel, theta = 1, variable steps", one, True, STEPPING),
+        ("nsmodel, event-driven", one, False, EVENTS),
         ("nsmodel, theta = 1/2", half, True, LONG),
     ]
     return Scene("sliding_relay", "Relay with sliding", closed_form("sliding_relay"), methods)
@@ -116,7 +123,8 @@ def diode_bridge() -> Scene:
     methods = [
         ("nsmodel, theta = 1/2, gamma = 1", model, False, range(9, 14)),
         ("nsmodel, theta = 1/2, gamma = 1", model, True, long),
-        ("nsmodel, theta = 1/2, gamma = 1, variable steps", model, True, ()),
+        ("nsmodel, theta = 1/2, gamma = 1, variable steps", model, True, STEPPING),
+        ("nsmodel, event-driven", model, False, EVENTS),
         ("nsmodel, theta = gamma = 1/2", load("diode_bridge", gamma=0.5), True, long),
     ]
     return Scene("diode_bridge", "Diode bridge", exact, methods)
@@ -128,7 +136,8 @@ def point_past_disc() -> Scene:
     methods = [
         ("nsmodel, prediction-correction", model, False, SHORT),
         ("nsmodel, prediction-correction", model, True, LONG),
-        ("nsmodel, prediction-correction, variable steps", model, True, ()),
+        ("nsmodel, prediction-correction, variable steps", model, True, STEPPING),
+        ("nsmodel, event-driven", model, False, EVENTS),
     ]
     return Scene("point_past_disc", "Point carried past a disc", closed_form("point_past_disc"), methods)
 
@@ -143,8 +152,10 @@ def ours(scene: Scene) -> list[Line]:
     """
     T, n, lines = scene.model.t_end, len(scene.model.names), {}
     for name, model, compiled, powers in scene.methods:
-        asked = [(f"h = {T / 2**k:.3g}", {"step": T / 2**k}) for k in powers]
-        asked = asked or [(f"rtol = {rtol:g}", {"rtol": rtol, "method": "time-stepping"}) for rtol in TOLERANCES]
+        if isinstance(powers, str):
+            asked: list[Any] = [(f"rtol = {rtol:g}", {"rtol": rtol, "method": powers}) for rtol in TOLERANCES[powers]]
+        else:
+            asked = [(f"h = {T / 2**k:.3g}", {"step": T / 2**k}) for k in powers]
         points, way = [], "compiled" if compiled else "interpreted"
         for label, options in asked:
             run, seconds = timed(model, **options, compiled=compiled)
@@ -173,7 +184,7 @@ def others(scene: Scene) -> list[Line]:
         if not run.message:
             point = scene.point(run.label, run.t, run.x, run.seconds)
         found.setdefault(run.method, []).append(point)
-    return [tuned(name, points) if name.startswith("SciPy") else Line.measured(name, points) for name, points in found.items()]
+    return [tuned(name, points) if name in TUNED else Line.measured(name, points) for name, points in found.items()]
 
 
 def tuned(name: str, points: list[Point]) -> Line:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from types import ModuleType
@@ -34,11 +35,16 @@ class ModelClass:
 
     def optional(self, name: str) -> ModuleType | None:
         """A module that not every class has."""
-        return self.part(name) if find_spec(f"nsmodel.classes.{self.folder}.{name}") else None
+        return self.part(name) if _is_there(f"nsmodel.classes.{self.folder}.{name}") else None
 
     def scheme(self, name: str) -> ModuleType:
         """The module of a scheme, one of the type's ``schemes``."""
         return self.part(f"schemes.{name.replace(' ', '_').replace('-', '_')}")
+
+
+@cache
+def _is_there(module: str) -> bool:
+    return find_spec(module) is not None
 
 
 CLASSES = (

@@ -9,7 +9,7 @@ import numpy as np
 
 from nsmodel.codegen import structs
 from nsmodel.codegen.cache import NAME, cached
-from nsmodel.codegen.library import Library, compiler, no_compiler
+from nsmodel.codegen.library import compiler, kept, no_compiler
 from nsmodel.codegen.statuses import BAD_ARITHMETIC, SOLVERS, STATUSES
 from nsmodel.errors import CodegenError
 from nsmodel.grid import Grid
@@ -60,7 +60,7 @@ class Rollout:
         if name is None:
             raise no_compiler()
         self.way, self.grid = f"compiled by {name}", grid
-        library = Library(cached(model, grid, tolerance, name), {"name": NAME})
+        library = kept(cached(model, grid, tolerance, name), NAME)
         pointer, number, whole = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
         self._place = library.function("place", None, pointer, number, number, pointer, pointer, pointer)
         self._fetch = library.function("fetch", None, pointer, pointer, pointer, pointer)

@@ -22,6 +22,7 @@ import numpy as np
 from nsmodel.classes.registry import class_of
 from nsmodel.laws import Law
 from nsmodel.model.base import Model
+from nsmodel.once import once
 
 ROUNDING = 1e-12  # A sum is 0 below this part of its terms.
 UNSEEN = 1e-9  # A rate is 0 below this part of the largest one.
@@ -94,6 +95,7 @@ class System(NamedTuple):
     untouched: str = "y'"  # What rows that are watched have no multiplier in.
 
 
+@once
 def watched(model: Model) -> tuple[Watch, ...]:
     """Return the rows to watch in runs of the bound ``model``: of most models none.
 

@@ -9,9 +9,10 @@ import numpy as np
 
 from nsmodel.classes.oscillator.model import FrictionOscillator
 from nsmodel.classes.oscillator.schemes.inertial_proximal import slope_at_zero
+from nsmodel.once import once
 from nsmodel.scheme.problem import subdifferential
 from nsmodel.solve import mlcp
-from nsmodel.solve.certificate import EPS, numeric_law
+from nsmodel.solve.certificate import EPS, NumericLaw, numeric_law
 
 ROUNDING = 64  # Margins below 64 eps times the forces are not told from 0.
 
@@ -31,7 +32,7 @@ def finite_convergence(
         margin = theta_prime_0 - distance, for one isotropic element theta'(0) and d(0, dg(x)); for several, those of the
         element that is nearest to sliding, and its name; reason in words.
     """
-    radii = np.array([float(ca.DM(slope_at_zero(e, model.s))) for e in model.elements])
+    radii = _radii(model)
     force = least_force(model, x)
     margin, bound, binding, part = _margin(model, force, radii)
     still = bool((v == 0).all())
@@ -59,16 +60,10 @@ def finite_convergence(
 
 def least_force(model: FrictionOscillator, x: np.ndarray) -> np.ndarray:
     """The element of least norm of dg(x) (n,): smooth gradient, kinks and active constraints."""
-    g = subdifferential(model.potential_split, model.x, "potential")
-    c = ca.vertcat(ca.SX(0, 1), *model.constraints.values())
-    n = ca.SX.sym("n", c.numel())
-    l, u = ca.vertcat(g.l, n), ca.vertcat(g.u, c)
-    total = -g.force - ca.jacobian(c, model.x).T @ n
-    f = ca.Function("force", [model.x, l], [ca.densify(total), ca.densify(ca.jacobian(total, l)), ca.densify(u)])
-    law = numeric_law(g.law)
-    lower = np.concatenate([law.lower, np.zeros(n.numel())])
-    upper = np.concatenate([law.upper, np.full(n.numel(), np.inf)])
-    base, A, u_x = (np.array(value) for value in f(x, np.zeros(l.numel())))
+    f, law, active = _forces(model)
+    lower = np.concatenate([law.lower, np.zeros(active)])
+    upper = np.concatenate([law.upper, np.full(active, np.inf)])
+    base, A, u_x = (np.array(value) for value in f(x, np.zeros(lower.size)))
     base, u_x = base.ravel(), u_x.ravel()
     # Rows with u != 0 have one multiplier; those with u = 0 any in their face.
     scale = 1e-12 * (1 + np.abs(x).max(initial=0.0))
@@ -93,6 +88,24 @@ def least_force(model: FrictionOscillator, x: np.ndarray) -> np.ndarray:
     chain = (mlcp.SEMISMOOTH,) if curved else (mlcp.INDEX_SET, mlcp.LEMKE, "qpoases")
     found = mlcp.solve(M.T @ M, M.T @ base, sub, np.zeros(free.size), np.zeros(free.size, np.int8), chain, True, 1e-10)
     return base + M @ found.l
+
+
+@once
+def _forces(model: FrictionOscillator) -> tuple[ca.Function, NumericLaw, int]:
+    """(x, l) to the force, its slope in l, and u, of dg(x) and the constraints; its law, and how many constraints there are."""
+    g = subdifferential(model.potential_split, model.x, "potential")
+    c = ca.vertcat(ca.SX(0, 1), *model.constraints.values())
+    n = ca.SX.sym("n", c.numel())
+    l, u = ca.vertcat(g.l, n), ca.vertcat(g.u, c)
+    total = -g.force - ca.jacobian(c, model.x).T @ n
+    f = ca.Function("force", [model.x, l], [ca.densify(total), ca.densify(ca.jacobian(total, l)), ca.densify(u)])
+    return f, numeric_law(g.law), n.numel()
+
+
+@once
+def _radii(model: FrictionOscillator) -> np.ndarray:
+    """theta'(0) of each element."""
+    return np.array([float(ca.DM(slope_at_zero(e, model.s))) for e in model.elements])
 
 
 def _margin(model: FrictionOscillator, force: np.ndarray, radii: np.ndarray) -> tuple[float, float, int, float]:

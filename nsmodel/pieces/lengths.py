@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from operator import mul
 
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.system import System
@@ -24,7 +25,7 @@ def length(system: System, codes: list[int], how: Solve, p: int, rtol: float, at
         rows.append((row, orders, MULTIPLIERS * rtol, size, 0.0))
     s = 0.0
     for _ in range(3):
-        s = min((_longest(row, k, tol, _size(row, size, s, k), more) for row, k, tol, size, more in rows), default=LONGEST)
+        s = _shortest(rows, s)
     return s
 
 
@@ -34,21 +35,21 @@ def unit(tau: float) -> float:
     return math.ldexp(1.0, exponent - (fraction == 0.5))
 
 
-def _size(row: list[float], size: float, s: float, orders: int) -> float:
-    """The size of a row so far, and on a piece of length s."""
-    power = 1.0
-    for k in range(orders // 2):
-        size = max(size, abs(row[k]) * power)
-        power *= s
-    return size
+def _shortest(rows: list[tuple[list[float], int, float, float, float]], s: float) -> float:
+    """The longest s with |c_p| s^p and |c_(p-1)| s^(p-1) at most rtol of the size, in all rows.
 
-
-def _longest(row: list[float], p: int, rtol: float, size: float, more: float) -> float:
-    """The longest s with |c_p| s^p and |c_(p-1)| s^(p-1) at most rtol of the size; of a row of size 0, of its first term."""
-    s = LONGEST
-    first = next((k for k in range(p - 1) if row[k]), p) if size + more == 0 else 0
-    for k in (p, p - 1):
-        if row[k] and k > first:
-            goal = rtol * abs(row[first]) if first else rtol * size + more
-            s = min(s, (goal / abs(row[k])) ** (1 / (k - first)))
-    return s
+    A row's size is its largest so far, and on a piece of length ``s``; of a row of size 0 it is its first term.
+    """
+    powers = [1.0]
+    for _ in range(max((p for _, p, *_ in rows), default=0) // 2):
+        powers.append(powers[-1] * s)
+    least: dict[int, float] = {}  # {order: the least of what s to this power may be}
+    for row, p, rtol, so_far, more in rows:
+        size = max(so_far, max(map(mul, map(abs, row[: p // 2]), powers), default=0.0))
+        first = next((k for k in range(p - 1) if row[k]), p) if size + more == 0 else 0
+        goal = rtol * abs(row[first]) if first else rtol * size + more
+        for k in (p, p - 1):
+            a = abs(row[k])
+            if a and k > first and goal / a < least.get(k - first, math.inf):
+                least[k - first] = goal / a
+    return min([LONGEST, *(ratio ** (1 / k) for k, ratio in least.items())])

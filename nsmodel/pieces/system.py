@@ -24,11 +24,13 @@ from nsmodel.model.expressions import derivatives
 from nsmodel.pieces.expansion import Expansion
 from nsmodel.pieces.jets import jets_of
 from nsmodel.pieces.multipliers import Rows, Solve, generalised_inverse, is_p, solve_of
+from nsmodel.pieces.straight import sums
 from nsmodel.proof.buffered import attached
 from nsmodel.scheme.continuous import ContinuousProblem
 
 NEWTON = 30  # Iterations of l at order 0, where f, g or h are not linear in it.
 SETTLED = 1e-14
+KEPT = 1000  # Modes with their slopes whose matrices are kept.
 AT_ZERO = 1e-9  # Of the terms of y_i: a row that is held is not further from 0.
 
 
@@ -71,10 +73,13 @@ class System:
         self.parts = {name: Expansion(jets, orders, given) for name, jets in self.jets.items()}
         self.sizes.switches = [0.0] * len(self.branches)
         self._slopes = ca.Function("slopes", inputs, [ca.densify(e) for e in (B, D, C)])
-        self._B_columns = [] if self.B is None else [_entries(self.B[:, j]) for j in range(self.m)]
-        self._D_rows = [] if self.D is None else [_entries(self.D[i]) for i in range(self.m)]
-        self._known: dict[tuple[int, ...], Solve] = {}
+        self._sum_y = sums(self.y, [self.parts["h"].outputs], _terms(self.D, self.m), self.l, scaled=False)
+        rates = [self.parts[name].outputs for name in ("f", "g") if name in self.parts]
+        self._sum_rate = sums(self.x, rates, _terms(self.B, self.n), self.l, scaled=True)
+        self._known: dict[tuple, Solve] = {}
         self._p: dict[tuple, bool] = {}
+        self._null: dict[tuple, np.ndarray] = {}
+        self._absolute: dict[int, tuple[list[tuple[int, float]], list[tuple[int, float]]]] = {}
 
     @cached_property
     def branches(self) -> list[tuple[str, int]]:
@@ -111,11 +116,14 @@ class System:
     def solve(self, codes: list[int]) -> Solve:
         """What finds the multipliers of a mode, at the point that order 0 is."""
         active = tuple(i for i, code in enumerate(codes) if code == 0)
-        if self.B is None or self.D is None or self.C is None:
-            return solve_of(active, *self.slopes())
-        if active not in self._known:
-            self._known[active] = solve_of(active, self.B, self.D, self.C)
-        return self._known[active]
+        slopes = self.slopes()
+        constant = self.B is not None and self.D is not None and self.C is not None
+        key = (active, *(() if constant else (a.tobytes() for a in slopes)))
+        if key not in self._known:
+            if len(self._known) >= KEPT:
+                self._known.clear()
+            self._known[key] = solve_of(active, *slopes)
+        return self._known[key]
 
     def expand(self, t: float, x: list[float], codes: list[int], tau: float, orders: int) -> Solve | None:
         """Compute orders 0, ..., ``orders`` of x and y, and of l as far as its index lets; None: the mode has no solution.
@@ -178,9 +186,18 @@ class System:
 
     def terms(self, i: int, x: Sequence[float] = (), l: Sequence[float] = ()) -> float:
         """The size of what y_i is the sum of, with the largest states and multipliers so far, and these."""
-        _, D, C = self.slopes()
-        of_x, of_l = (np.maximum(a, np.abs(b)) if len(b) else a for a, b in ((self.sizes.x, x), (self.sizes.l, l)))
-        return float(np.abs(C[i]) @ of_x + np.abs(D[i]) @ of_l)
+        total = 0.0
+        for entries, sizes, now in zip(self._sizes_of(i), (self.sizes.x, self.sizes.l), (x, l), strict=True):
+            for j, a in entries:
+                total += a * (max(sizes[j], abs(now[j])) if now else sizes[j])
+        return total
+
+    def _sizes_of(self, i: int) -> tuple[list[tuple[int, float]], list[tuple[int, float]]]:
+        """What is not 0 of |C_i| and |D_i|."""
+        if self.C is None or self.D is None or i not in self._absolute:
+            _, D, C = self.slopes()
+            self._absolute[i] = _terms(np.abs(C[i : i + 1]), 1)[0], _terms(np.abs(D[i : i + 1]), 1)[0]
+        return self._absolute[i]
 
     def is_p_matrix(self, opened: list[int], codes: list[int]) -> bool:
         """Whether the rows ``opened`` have a P-matrix, D with W where D is nothing, the other rows with code 0 held."""
@@ -194,7 +211,10 @@ class System:
         """(U'y, U'h_x) at order 0: the combinations of ``rows`` that no l of theirs acts on directly."""
         _, D, C = self.slopes()
         a = list(rows)
-        U = generalised_inverse(D[np.ix_(a, a)])[1]
+        key = rows, D.tobytes()
+        if key not in self._null:
+            self._null = {key: generalised_inverse(D[np.ix_(a, a)])[1]}
+        U = self._null[key]
         return U.T @ np.array([self.y[i][0] for i in a]), U.T @ C[a]
 
     def _settle(self, how: Solve, codes: list[int]) -> bool:
@@ -263,27 +283,13 @@ class System:
             for i in how.active:
                 self.y[i][k] = 0.0
 
-    def _put_y(self, h: list[float] | None, k: int) -> None:
-        """Order k of y, from that of h."""
-        values = [row[k] for row in self.parts["h"].outputs] if h is None else h
-        for i, v in enumerate(values):
-            self.y[i][k] = v
-        for i, entries in enumerate(self._D_rows):
-            if entries:
-                self.y[i][k] += sum(d * self.l[j][k] for j, d in entries)
+    def _put_y(self, computed: object, k: int) -> None:
+        """Order k of y, once that of h is ``computed``."""
+        self._sum_y(k)
 
-    def _rate(self, f: list[float] | None, g: list[float] | None, k: int) -> None:
-        """Order k + 1 of x from order k of f, g and l."""
-        f = [row[k] for row in self.parts["f"].outputs] if f is None else f
-        total = list(map(float.__add__, f, g)) if g is not None else list(f)
-        for j, entries in enumerate(self._B_columns):
-            l = self.l[j][k]
-            if l:
-                for i, b in entries:
-                    total[i] += b * l
-        factor = self.t[1] / (k + 1)
-        for row, v in zip(self.x, total, strict=True):
-            row[k + 1] = factor * v
+    def _rate(self, computed: object, and_computed: object, k: int) -> None:
+        """Order k + 1 of x, once order k of f, g and l is ``computed``."""
+        self._sum_rate(k, self.t[1] / (k + 1))
 
 
 def _times(A: Rows, v: list[float]) -> list[float]:
@@ -295,5 +301,6 @@ def _numbers(matrix: ca.SX, moving: ca.SX) -> np.ndarray | None:
     return None if ca.depends_on(matrix, moving) else np.array(ca.DM(ca.densify(ca.cse(matrix)))).reshape(matrix.shape)
 
 
-def _entries(v: np.ndarray) -> list[tuple[int, float]]:
-    return [(int(i), float(v[i])) for i in np.flatnonzero(v)]
+def _terms(matrix: np.ndarray | None, rows: int) -> list[list[tuple[int, float]]]:
+    """Of each row of a matrix, what is not 0; of none nothing."""
+    return [[]] * rows if matrix is None else [[(int(j), float(row[j])) for j in np.flatnonzero(row)] for row in matrix]

@@ -10,9 +10,11 @@ import numpy as np
 
 from nsmodel.classes.registry import class_of
 from nsmodel.model.base import Model
+from nsmodel.once import once
 from nsmodel.scheme.problem import OneStepProblem
 
 
+@once
 def one_step_problem(model: Model) -> OneStepProblem:
     """Return the one-step problem of the model's scheme."""
     return _scheme(model).one_step_problem(model)

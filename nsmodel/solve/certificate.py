@@ -25,6 +25,7 @@ import numpy as np
 
 from nsmodel.laws import Curved, Law
 from nsmodel.laws.curved import norm
+from nsmodel.once import once
 from nsmodel.solve.rounding import INSIDE
 
 EPS = np.finfo(float).eps
@@ -56,6 +57,7 @@ class NumericLaw:
         return bool((self.lower == 0).all() and np.isposinf(self.upper).all() and not self.curved)
 
 
+@once
 def numeric_law(law: Law) -> NumericLaw:
     """Return the law with its bounds evaluated (they must be constants)."""
     lower, upper = np.array(ca.DM(law.lower)).ravel(), np.array(ca.DM(law.upper)).ravel()

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from nsmodel.once import once
 from nsmodel.proof.graph import column, entries
 from nsmodel.scheme.problem import OneStepProblem
 
@@ -59,6 +60,7 @@ class Structure:
     nonzeros: int
 
 
+@once
 def read(problem: OneStepProblem) -> Structure:
     """Read the structure of a problem; what is said of it holds for any value of parameters left symbolic."""
     z, l = problem.z, problem.l

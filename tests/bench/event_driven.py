@@ -41,6 +41,7 @@ TARGETS = (1e-4,) if SHORT else (1e-4, 1e-8, 1e-12)
 TOLERANCES = (1e-4, 1e-6) if SHORT else tuple(10 ** (-k / 2) for k in range(4, 31))
 ALSO = 2  # Finer settings that are timed once the error is reached: the cheapest is not always the coarsest.
 SLOW = 3.0  # CPU seconds: a method that takes this long at one setting is not asked for finer ones.
+SMALL = 20  # States up to which interpreted runs and time steps are timed.
 BLAS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 Timed = tuple[float, np.ndarray]  # CPU seconds, x (241, n)
@@ -172,13 +173,11 @@ def methods(bench: Bench) -> Iterator[tuple[str, dict[float, tuple[float, float]
         if loop is not None:
             yield label, smallest(bench, (partial(_loop, loop, tol, estimated, len(bench.x0)) for tol in TOLERANCES))
     for label, options in (("nsmodel, compiled, from Python", {"compiled": True}), ("nsmodel, interpreted", {"compiled": False})):
-        if can(bench, options):
+        if can(bench, options) and (options["compiled"] or len(bench.x0) <= SMALL):
             yield label, smallest(bench, (partial(bench.own, options, tol) for tol in TOLERANCES if tol >= 1e-14))
-    if scene.name.startswith("friction_chain") and len(bench.x0) > 20:
-        stepping = {}
-    else:
-        stepping = smallest(bench, (partial(bench.stepped, tol) for tol in TOLERANCES if tol >= 1e-12))
-    yield "nsmodel, time stepping, rtol", stepping
+    if len(bench.x0) <= SMALL:
+        settings = (partial(bench.stepped, tol) for tol in TOLERANCES if tol >= 1e-12)
+        yield "nsmodel, time stepping, rtol", smallest(bench, settings)
     if programs is not None and with_cvode():
         yield (
             "CVODE with roots",

@@ -73,9 +73,10 @@ def runs(scene: str) -> Iterator[Run]:
 
     nosnoc 0.2 takes piecewise smooth fields: relays, but neither complementarity with a D nor constraints on the state.
     """
-    from peers import in_scipy
+    from peers import in_events, in_scipy
 
     yield from in_scipy.runs(scene)
+    yield from in_events.runs(scene)
     yield from _parsed("Siconos", _ask(siconos(), "in_siconos.py", "runs", scene))
     if scene in ("friction_oscillator", "sliding_relay"):
         yield from _parsed("nosnoc", _ask(nosnoc(), "in_nosnoc.py", scene))

@@ -18,6 +18,7 @@ import numpy as np
 
 from nsmodel.classes.oscillator.model import Friction, FrictionOscillator
 from nsmodel.laws import ball, complementarity, product
+from nsmodel.once import once
 from nsmodel.scheme.problem import OneStepProblem, subdifferential
 
 LEAST = 1e-150
@@ -80,6 +81,7 @@ def rest(element: Friction, s: ca.SX, u: ca.SX) -> ca.SX:
     return (ca.substitute(slope, s, size) - slope_at_zero(element, s)) * direction
 
 
+@once
 def energy(model: FrictionOscillator) -> ca.Function:
     """E_n = |x_{n+1} - x_n|^2 / (2 l_n^2) + g(x_{n+1}) (14), as a function of (x_{n+1}, (x_{n+1} - x_n)/l_n)."""
     w = ca.SX.sym("w", model.x.numel())
