@@ -25,6 +25,7 @@ PIVOTS, TOGETHER = 60, 12  # Changes of the mode, and how many of them of all wr
 PROVED, AGREE, UNDECIDED, SPLIT = "proved", "all valid modes agree", "not decided", "go apart"
 APART = 1e-7  # Of their size: coefficients of two modes that differ.
 INSTANT, AWAY = 1e-6, 1e-9  # A step that is next to none; of an impulse: rounding.
+CLEAR = 1e-4  # Of its size: a y that is 0 in no mode.
 FEW = 9  # Rows whose modes are all tried.
 
 
@@ -56,7 +57,7 @@ def valid(system: System, place: Place, before: tuple) -> Iterator[tuple[Solve, 
     opened = sorted(before[2])
     if len(opened) > FEW:
         return
-    for codes in itertools.product(*(_codes(system, switch) for switch in opened)):
+    for codes in itertools.product(*[_possible(system, switch) for switch in opened]):
         _restore(system, place, before)
         for switch, code in zip(opened, codes, strict=True):
             turn(system, place, switch, code)
@@ -125,10 +126,13 @@ def pace(system: System) -> float:
     """
     share = 1.0
     for rows, sizes in ((system.x, system.sizes.x), (system.l, system.sizes.l)):
-        for row, size in zip(rows, sizes, strict=True):
+        for row, so_far in zip(rows, sizes, strict=True):
+            own = list(map(abs, row[1 : ORDERS + 1]))
+            if share == 1 and max(own[HALF:]) <= max(so_far, *own[:HALF]):
+                continue
             for _ in range(PACES):
                 own = [abs(a) * share**k for k, a in enumerate(row[1 : ORDERS + 1], 1)]
-                largest = max(size, *own[:HALF])
+                largest = max(so_far, *own[:HALF])
                 factor = min([(largest / a) ** (1 / k) for k, a in enumerate(own[HALF:], HALF + 1) if a > largest > 0], default=1)
                 share *= factor
                 if factor > HALVED:
@@ -206,6 +210,14 @@ def _codes(system: System, switch: Switch) -> list[float]:
         return [0, *(code for code, end in ends if np.isfinite(end))]
     choice, branch = system.parts[kind].choice[i], system.parts[kind].jets.branches[i]
     return [-1.0, 1.0] if branch.kind in ("side", "equal") else [choice, choice - 1, choice + 1]
+
+
+def _possible(system: System, switch: Switch) -> list[float]:
+    """The codes of a switch but those that y_i refuses: where no l acts on it directly, it has its sign in all modes."""
+    kind, i = switch
+    if kind != ROW or system.feedthrough[i] or abs(system.y[i][0]) <= CLEAR * system.size_y(i):
+        return _codes(system, switch)
+    return [code for code in _codes(system, switch) if code * system.y[i][0] < 0]
 
 
 def turn(system: System, place: Place, switch: Switch, code: float) -> None:
