@@ -13,7 +13,6 @@ import subprocess
 import sys
 import tempfile
 import weakref
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -184,12 +183,6 @@ class Library:
     def status_text(self, status: int) -> str:
         """What a status means."""
         return self.function("status_text", ctypes.c_char_p, ctypes.c_int)(status).decode()
-
-
-@lru_cache(maxsize=8)
-def kept(path: Path, name: str) -> Library:
-    """The library at a path that is named by its content: loaded once as long as it is among those used last."""
-    return Library(path, {"name": name})
 
 
 class Solver:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import ctypes
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from nsmodel.codegen import structs
 from nsmodel.codegen.cache import NAME, cached
-from nsmodel.codegen.library import compiler, kept, no_compiler
+from nsmodel.codegen.library import Library, compiler, no_compiler
 from nsmodel.codegen.statuses import BAD_ARITHMETIC, SOLVERS, STATUSES
 from nsmodel.errors import CodegenError
 from nsmodel.grid import Grid
 from nsmodel.model.base import Model
+from nsmodel.once import once
 from nsmodel.solve.layout import Layout
 from nsmodel.solve.stepper import StepResult, Warm
 
@@ -60,7 +62,8 @@ class Rollout:
         if name is None:
             raise no_compiler()
         self.way, self.grid = f"compiled by {name}", grid
-        library = kept(cached(model, grid, tolerance, name), NAME)
+        path, loaded = cached(model, grid, tolerance, name), _loaded(model)
+        library = loaded[path] = loaded.get(path) or Library(path, {"name": NAME})
         pointer, number, whole = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
         self._place = library.function("place", None, pointer, number, number, pointer, pointer, pointer)
         self._fetch = library.function("fetch", None, pointer, pointer, pointer, pointer)
@@ -144,6 +147,12 @@ class Rollout:
         if not done:
             return None
         return StepResult(row, Warm(row[layout.l], codes), SOLVERS[next(i for i, count in enumerate(totals.counts) if count)])
+
+
+@once
+def _loaded(model: Model) -> dict[Path, Library]:
+    """The libraries that runs of the model have loaded, by their paths, which name their content: they go with the model."""
+    return {}
 
 
 def _block(done: int, totals: Any, state: np.ndarray, warm: Warm) -> StepBlock:
