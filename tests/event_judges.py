@@ -16,7 +16,7 @@ class Missed(NamedTuple):
     """What a run misses, in units of the sizes of its states, rows and multipliers.
 
     Attributes:
-        rate: the integral of |x' - f - g| over the run.
+        rate: the integral of |x' - f - g| over the run, by its mean at random points.
         apart: the sum of the jumps of x between pieces, and of x(0) - x0.
         rows: how far rows are from their sign, or held rows from 0.
         multipliers: how far l is from its box, or from its end where y is not 0.
@@ -64,7 +64,7 @@ def missed(scene: Scene, run: Trajectory, rng: np.random.Generator, points: int 
         y = y.ravel() / sizes_y
         miss, one, two = (slope - f.ravel(), *_signs(scene, y, l)) if l is not None else _law(scene, slope - f.ravel(), y, G)
         if 0 < s < 1:
-            rate[k] = max(rate[k], np.max(np.abs(miss) / sizes_x) * length)
+            rate[k] += np.max(np.abs(miss) / sizes_x) * length / points
         off, out = max(off, one), max(out, two)
     jumps = [_start(scene, of, x0, c_x[0][:, 0], arrays["piece_impulse"][0])]
     for k in range(1, len(starts)):

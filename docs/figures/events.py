@@ -14,6 +14,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import NullLocator
 from page import put
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
@@ -125,12 +126,13 @@ def main() -> None:
     at = TOLERANCES[: max(2, COUNT // 3)]
     shares(left, missed, [rtol == value for value in at], list(at))
     left.invert_xaxis()
+    left.xaxis.set_minor_locator(NullLocator())
     dress(left, "Runs that miss the contact, by tolerance", "rtol", "missed [%]")
     edges = np.quantile(lengths, np.linspace(0, 1, 9 if len(scenes) >= 100 else 3))
     parts = [(lengths >= low) & (lengths <= high) for low, high in zip(edges[:-1], edges[1:], strict=True)]
     shares(right, missed, parts, [float(np.median(lengths[part])) for part in parts])
-    dress(right, "... and by the length of the contact", "length of the contact [time in which cos t turns by 1 rad]", "")
-    right.legend(loc="upper right", fontsize=8, frameon=False, labelcolor=INK)
+    dress(right, "... and by the length of the contact", "length of the contact, in units of t", "")
+    right.legend(loc="lower left", bbox_to_anchor=(0.02, 0.1), fontsize=8, frameon=False, labelcolor=INK)
     figure.savefig(IMAGES / "events_contacts.png", dpi=110)
     rows = [f"| {name} | {runs.sum()} | {len(runs)} | {100 * runs.mean():.1f} % |" for name, runs in missed.items()]
     put("events.md", "contacts", "\n".join(["| method | missed | runs | share |", "| --- | ---: | ---: | ---: |", *rows]))

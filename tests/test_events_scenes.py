@@ -1,0 +1,116 @@
+"""Scenes of event-driven runs against 64 digits of the test's own, and degenerate ones: each within ten times rtol."""
+
+import decimal
+from decimal import Decimal
+
+import casadi as ca
+import event_models as models
+import numpy as np
+import pytest
+from event_digits import Digits
+from fuzz_models import COUNT, FULL
+
+from nsmodel import FirstOrderSystem, StepError, simulate
+from nsmodel.laws import relay
+from tests import event_scenes as scenes
+from tests.search.digits import CONTEXT
+
+RTOLS = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
+
+
+def capacitor_filter():
+    """The start jumps: C and C_f share their charge, exactly 10 C/(C + C_f)."""
+    model = scenes.capacitor_filter()
+    t, x, l = ca.SX.sym("t"), ca.SX.sym("x", 3), ca.SX.sym("l", 4)
+    rate, y = model.A if model.A.is_column() else model.A @ x, model.C @ x + model.D @ l
+    rate = ca.substitute(rate, model.x, x) + model.B @ l
+    with decimal.localcontext(CONTEXT):
+        shared = Decimal(10) * Decimal(1e-6) / (Decimal(1e-6) + Decimal(3e-7))
+    scene = models.Scene(model, t, x, l, rate, y, np.zeros(4), np.full(4, np.inf), rate, models.Sides())
+    return scene, [shared, Decimal(0), shared]
+
+
+def mixed():
+    """D of rank 1 on two rows that are active together; M full; fabs, fmax and if_else in f; an input with an edge in time."""
+    t, x, l, sides = ca.SX.sym("t"), ca.SX.sym("x", 3), ca.SX.sym("l", 2), models.Sides()
+    M = np.array([[2.0, 0.5, 0.0], [0.5, 1.0, 0.25], [0.0, 0.25, 1.5]])
+    D, C = np.array([[1.0, 0.5], [0.5, 0.25]]), np.array([[1.0, 0.5, 0.0], [0.0, 1.0, 0.5]])
+    edge = 1.375
+    plain = ca.vertcat(-x[0] + 3 * ca.sin(2 * t), x[2] - x[1] / 2, -x[1] - x[2] + 2 * ca.cos(3 * t))
+    drive = ca.if_else(t < edge, 1, -0.5)
+    real = plain + ca.vertcat(ca.fabs(x[1]) / 2, drive, ca.fmax(x[0], x[2] / 2) + ca.if_else(x[2] > 0, ca.sin(x[2]), 0))
+    z = x[0] - x[2] / 2
+    fixed = plain + ca.vertcat(
+        sides.chosen(x[1], x[1], -x[1]) / 2, sides.chosen(edge - t, 1, -0.5),
+        sides.chosen(z, x[0], x[2] / 2) + sides.chosen(x[2], ca.sin(x[2]), 0),
+    )  # fmt: skip
+    push, y = C.T @ l, C @ x + D @ l
+    # C x0 = (2, 1) is in the range of D: the combination that no l acts on is 0
+    model = FirstOrderSystem(t=t, x=x, lam=l, M=M, f=real, g=push, h=y, law=relay(2, -2, 2), x0=[1.5, 1, 0], t_end=3)
+    inverse = ca.inv(ca.SX(ca.DM(M)))
+    low, high = np.full(2, -2.0), np.full(2, 2.0)
+    return models.Scene(model, t, x, l, inverse @ (real + push), y, low, high, inverse @ (fixed + push), sides), None
+
+
+@pytest.mark.parametrize("make", [capacitor_filter, mixed])
+def test_scenes_against_64_digits(make):
+    scene, start = make()
+    T = float(scene.model.t_end)
+    t = np.linspace(0, T, 41 if COUNT >= FULL else 9)[1:]
+    reference = Digits(scene, simulate(scene.model, rtol=1e-12, method="event-driven"), t, start)
+    right = np.array(reference.rows, float)
+    assert len(reference.events) >= 4
+    for rtol in RTOLS:
+        run = simulate(scene.model, rtol=rtol, method="event-driven")
+        assert (np.abs(run.at(t).x - right) / np.abs(right).max(axis=0)).max() <= 10 * rtol
+        found = [event.t for event in run.events if event.t > 0]
+        assert len(found) == len(reference.events)
+        assert np.abs(np.array(found) - reference.events).max() <= 10 * rtol * T
+
+
+@pytest.mark.parametrize("name", models.CLASSES)
+@pytest.mark.parametrize("seed", range(3, 15 if COUNT >= FULL else 4))
+def test_random_models_against_64_digits(name, seed):
+    if name == "inclusion":
+        pytest.skip("its rows are the integrator's own; see test_fuzz_events")
+    scene = models.CLASSES[name](seed)
+    run = simulate(scene.model, rtol=1e-10, method="event-driven", t_end=1)
+    if any(event.t == 0 for event in run.events) or ca.depends_on(ca.jacobian(scene.y, scene.l), scene.l):
+        pytest.skip("a start that jumps, or an output that is not linear in l")
+    t = np.linspace(0, 1, 4)[1:]
+    reference, found = Digits(scene, run, t), run.at(t)
+    right = np.array(reference.rows, float)
+    assert (np.abs(np.hstack([found.x, found.v]) - right) / np.abs(right).max()).max() <= 1e-9
+    assert np.abs(np.array([event.t for event in run.events]) - reference.events).max(initial=0) <= 1e-9
+
+
+@pytest.mark.parametrize("rtol", RTOLS)
+@pytest.mark.parametrize("depth", [1e-6, 1e-10, 1e-13, 1e-15, 0.0, -1e-15, -1e-13, -1e-6])
+def test_grazing_at_every_rtol(depth, rtol):
+    """Deeper than 0 the wall pushes with 100 times the depth for a moment: 2 sqrt(2 depth) long, that is 1e-6 deep 2e-7 of speed."""
+    run = simulate(scenes.grazing(depth), rtol=rtol, method="event-driven")
+    t = np.linspace(0, 6, 100)
+    felt = 100 * max(depth, 0) * 2 * np.sqrt(2 * max(depth, 0)) * (1 + 10 * rtol)
+    assert np.abs(run.at(t).x - np.stack([np.sin(t), np.cos(t)], 1)).max() <= 10 * rtol + felt
+    if rtol <= abs(depth):  # else the touch is within what x may err by
+        assert len(run.events) == (2 if depth > 0 else 0)
+
+
+def test_not_unique_is_named_at_every_rtol():
+    for rtol in RTOLS:
+        model = models.LureSystem(A=[[0]], B=[[-1]], C=[[1]], law=relay(1), x0=[0], t_end=1, step=0.1)
+        with pytest.raises(StepError, match="not unique"):
+            simulate(model, rtol=rtol, method="event-driven")
+
+
+@pytest.mark.parametrize("rtol", RTOLS)
+def test_degree_2_and_twisting_at_every_rtol(rtol):
+    T = 100
+    run = simulate(scenes.relay_of_degree_2(0, T), rtol=rtol, method="event-driven")
+    k = np.arange(1, len(run.events) + 1)
+    assert len(k) == 35
+    assert np.abs([event.t for event in run.events] - np.sqrt(2) * (2 * k - 1)).max() <= 10 * rtol * T
+    run = simulate(scenes.twisting(), rtol=rtol, method="event-driven")
+    end = (np.sqrt(2) + np.sqrt(2) / 3) / (1 - 1 / np.sqrt(3))
+    assert abs(run.events[-1].t - end) <= max(10 * rtol * 10, 1e-5)
+    assert np.abs(run.x[-1]).max() <= 10 * rtol
