@@ -21,7 +21,7 @@ FOR_GOOD = {  # How a run of many bodies knows that nothing will ever change aga
     "held": "nothing will ever change, the contacts alone hold them in place; the run ends",
 }
 CONTROL = ("rtol", "accepted", "rejected", "extrapolated", "at_least_step", "least_step")
-PIECES = ("rtol", "order", "pieces", "events", "worst_estimate", "worst_estimate_t")
+PIECES = ("rtol", "order", "pieces", "collocated", "events", "worst_estimate", "worst_estimate_t")
 
 
 def summary(run: Trajectory) -> dict[str, Any]:
@@ -209,11 +209,13 @@ def _control(rtol: float, accepted: int, rejected: int, extrapolated: int, at_le
 
 
 def _event_driven(
-    rtol: float, order: int, pieces: int, events: int, worst_estimate: float, worst_estimate_t: float | None, unit: str
-) -> str:
+    rtol: float, order: int, pieces: int, collocated: int, events: int, worst_estimate: float, worst_estimate_t: float | None,
+    unit: str,
+) -> str:  # fmt: skip
     switches = f"{events} event{'' if events == 1 else 's'}"
+    stiff = f", {collocated} of them by collocation" if collocated else ""
     return (
-        f"rtol {rtol:g}: {pieces} pieces of order {order}, {switches}; local error estimated, at most "
+        f"rtol {rtol:g}: {pieces} pieces of order {order}{stiff}, {switches}; local error estimated, at most "
         f"{worst_estimate:.2g} of rtol"
         f"{_at(worst_estimate_t, unit)}"
     )

@@ -21,6 +21,7 @@ from nsmodel.pieces.lengths import length, unit
 from nsmodel.pieces.modes import Place, jump, select, turn, uniqueness
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.roots import beyond_touch, first_event, polish, same
+from nsmodel.pieces.stiff import Stiff
 from nsmodel.pieces.switches import ROW, TIE, Condition, Switch, conditions, size
 from nsmodel.pieces.system import System
 from nsmodel.proof.sure import sure
@@ -78,6 +79,7 @@ class Integrator:
         self.place = Place(0.0, x0, 1.0, [0] * system.m)
         self.sizes = system.sizes
         self._equations = equations(problem)
+        self.stiff = Stiff(system, self.order, min(rtol, ROUGHEST), self.atol)
         self._times: list[float] = []  # Of the events 1, 2, 4, 8, ...
         self._begun: tuple[float, ...] | None = None  # The event that the next piece begins with.
         self.unique: Counter[str] = Counter()
@@ -104,25 +106,30 @@ class Integrator:
             how = self._expand(self.order)
             s = min(self._length(how), 1.0)
         longest = s * place.tau
-        hit, s, error = self._accepted(how, s)
-        last = [value(row, s) for row in system.x]
+        found = self.stiff.piece(place, how, s)
+        if found is None:
+            hit, s, error = self._accepted(how, s)
+            tau, last = place.tau, [value(row, s) for row in system.x]
+        else:
+            place.tau = unit(ROOM * s * place.tau)  # That of series, and of germs, stays what a series takes.
+            tau, s, error, last, hit = found
         x, l, y = (np.array(rows).reshape(len(rows), system.orders + 1) for rows in (system.x, system.l, system.y))
-        piece = Piece(place.t, place.tau, s, x, l, y, tuple(place.codes), error, last, self._begun)
+        piece = Piece(place.t, tau, s, x, l, y, tuple(place.codes), error, last, self._begun)
         self._begun = self._begun if s == 0 else None
         self.redundant += how.null is not None and how.null.shape[1] > 0
         self._grow(s)
         place.x = last
-        place.t += place.tau * s
+        place.t += tau * s
         place.open = set()
-        tau = place.tau * s
         if hit is None:
             self._hold(how)
-            place.tau = unit(ROOM * tau)
+            place.tau = place.tau if found else unit(ROOM * (tau * s))
             return piece
-        self._tiny = self._tiny + 1 if s * place.tau < TINY * max(abs(place.t), place.tau) else 0
+        self._tiny = self._tiny + 1 if s * tau < TINY * max(abs(place.t), place.tau) else 0
         if self._tiny > TINY_PIECES:
             raise self._accumulates(hit)
-        place.tau = unit(min(longest, 8 * tau) if s > 1e-6 else longest)  # Longer than a mode's own time coefficients grow.
+        place.tau = unit(min(longest, 8 * (tau * s)) if s > 1e-6 else longest)  # Longer than a mode's own time coefficients grow.
+        self.stiff.restart()
         self._event(hit)
         return piece._replace(s=(place.t - piece.t) / piece.tau, last=list(place.x)) if place.t > piece.t else piece
 
@@ -276,6 +283,7 @@ class Integrator:
             "sizes": {name: list(size) for name, size in vars(sizes).items()}, "begun": self._begun,
             "times": list(self._times), "events": self.events, "unique": dict(self.unique),
             "touches": self.touches, "redundant": self.redundant, "tiny": self._tiny,
+            "stiff": self.stiff.standing(),
         }  # fmt: skip
 
     def stand(self, saved: dict[str, Any]) -> None:
@@ -292,6 +300,7 @@ class Integrator:
         self._begun = None if saved["begun"] is None else tuple(saved["begun"])
         self._times, self.unique, self.events = list(saved["times"]), Counter(saved["unique"]), saved["events"]
         self.touches, self.redundant, self._tiny = saved["touches"], saved["redundant"], saved["tiny"]
+        self.stiff.stand(saved["stiff"])
 
     # -- sizes, names
 

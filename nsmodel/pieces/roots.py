@@ -13,6 +13,7 @@ from nsmodel.pieces.system import System
 
 POLISHING, NEAR = 6, 0.1  # Expansions at the event, and how far from it in units of time they may go.
 TOUCH = 4.0
+TAIL, LOST = 2, 1e-2  # Coefficients that tell a truncation, and the share of the largest that is too much for a root.
 
 
 def first_event(system: System, place: Place, how: Solve, orders: int, s: float) -> tuple[Condition | None, float]:
@@ -20,6 +21,7 @@ def first_event(system: System, place: Place, how: Solve, orders: int, s: float)
 
     A condition that is 0 at the start is divided by the power of s that it begins with, the one that its germ was judged by;
     where that sign is wrong all the same, it ends at once. What is rounding all along is none.
+    A root where the last coefficients are not small beside the others is one of what was cut off: half of the way to it is gone.
     """
     hit, share = None, pace(system)
     for condition in conditions(system, place.codes, how, orders):
@@ -42,6 +44,8 @@ def first_event(system: System, place: Place, how: Solve, orders: int, s: float)
         root = first_root(c)
         if root <= 1:
             s, hit = s * root, condition
+            if root > 0 and max(map(abs, c[-TAIL:])) > LOST * max(map(abs, c)):
+                s, hit = s / 2, None
     return hit, s
 
 

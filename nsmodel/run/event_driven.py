@@ -74,7 +74,7 @@ class EventDriven:
         self.counts: Counter[str] = Counter()
         self.totals: dict[str, Any] = {
             "worst_residual": 0.0, "worst_residual_t": None, "index_set_changes": 0, "steps": 0, "rtol": rtol,
-            "order": self.integrator.order, "pieces": 0, "events": 0, "worst_estimate": 0.0, "worst_estimate_t": None,
+            "order": self.integrator.order, "pieces": 0, "collocated": 0, "events": 0, "worst_estimate": 0.0, "worst_estimate_t": None,
         }  # fmt: skip
         own = {"step": "pieces", "rtol": rtol, "atol": atol, "rows": "ends of pieces" if self.times is None else "times"}
         same = settings(model, Grid(1, 1.0, 1.0), METHOD, options.tolerance, options.save_every, "interpreted")
@@ -143,6 +143,7 @@ class EventDriven:
         totals["events"] += piece.event is not None
         totals |= {"steps": self.k, "pieces": totals["pieces"] + 1, "touches": integrator.touches}
         totals |= {"unique": dict(integrator.unique), "redundant": integrator.redundant}
+        totals["collocated"] = integrator.stiff.pieces
         totals["index_set_changes"] = totals["events"]
 
     def note(self) -> None:
@@ -213,6 +214,7 @@ def _plan(integrator: Integrator, options: Options) -> Plan:
     used = [
         f"event-driven: Taylor series of order {integrator.order} in each mode, {system.n} states, {system.m} rows",
         "each switch is a root of its sign condition, found by Bernstein's test",
+        f"pieces by Radau IIA, {integrator.stiff.radau.stages} stages, where a mode turns out to be stiff",
     ]
     if system.branches:
         used.append(f"{len(system.branches)} switches of operations that are not analytic (fabs, fmax, if_else, ...), watched")

@@ -1,0 +1,208 @@
+"""One piece of a stiff mode: the collocation polynomial of Radau IIA, and what it errs by.
+
+In a mode with the held rows a, x' = f + g and y_a = 0 are asked for at the stages, whatever the index: with Z = X - x_0,
+
+    A^-1 Z - h (f + g)(X, L) = 0,    y_a(X, L) = 0,
+
+l_a at the stages is part of the solution. Newton's method takes the Jacobian at the start, made diagonal in the stages by the
+eigenvectors of A^-1 (Hairer and Wanner II, IV.8): s matrices of the size of (x, l_a) are inverted, once a piece. Where h_x is
+constant, y_a = 0 and y_a' = 0 at the stages are one condition (C x' is a polynomial of degree s - 1 with s zeros): l is as good as
+x. Where rows of index 2 have another h_x, l has order s, one less than x inside the piece (Hairer, Lubich and Roche 1989).
+
+The error. The defect d = x' - f - g of the polynomial is 0 at the nodes, so near d(0) M(c)/M(0), with M(c) = (c - c_1) ... (c - c_s).
+The error e' = J e - d of one component with the rate z = h J is then at most h |d(0)| times kappa = max |int_0^c M|/|M(0)|, and
+times 1/|z|: a stiff component forgets. (1/kappa - z)^-1 is at most both, and not less than half of their minimum. With l_a,
+
+    (1/kappa - h f_x) e - h g_l dl = -h d,    h_x e + h_l dl = -y_a,
+
+solved for d and y_a at 0 and between each two nodes, there with the weight |M(0)/M|. y, and what branches look at, are held against
+the polynomials through their values at the nodes.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.pieces.collocation import Collocation, collocation
+from nsmodel.pieces.lengths import MULTIPLIERS, SMALL, unit
+from nsmodel.pieces.modes import Place
+from nsmodel.pieces.multipliers import Solve
+from nsmodel.pieces.sides import on_sides
+from nsmodel.pieces.system import System
+from nsmodel.proof.buffered import attached
+
+ITERATIONS, SETTLED, SLOW = 20, 1e-15, 0.5  # Of Newton's method: how many, what is rounding, by how much each has to come nearer.
+NEAR = 0.1  # Of what is allowed: what is as near as rounding lets iterations come has to be nearer.
+ROUNDING = 1e-14  # Of a size: an error below it is none.
+
+
+class Fit(NamedTuple):
+    """The polynomials on t + h [0, 1], by their values at 0 and at the nodes, (s, q) and (q,), and what they err by.
+
+    ``error``: the largest of what x errs by beside rtol of its size, and of what l and y do beside 100 rtol.
+    """
+
+    h: float
+    x: np.ndarray
+    l: np.ndarray
+    y: np.ndarray
+    watched: np.ndarray
+    error: float
+
+    @property
+    def last(self) -> list[float]:
+        """X at the end."""
+        return self.x[-1].tolist()
+
+
+class Start(NamedTuple):
+    """A place: x, l, y and what branches look at there, the rows that are held, and (f_x, g_l, h_x, h_l)."""
+
+    t: float
+    x: np.ndarray
+    l: np.ndarray
+    y: np.ndarray
+    watched: np.ndarray
+    choices: np.ndarray
+    held: list[int]
+    slopes: list[np.ndarray]
+
+
+class Radau:
+    """Pieces of a system by Radau IIA; ``stages``: half as many as a series has orders, an odd number."""
+
+    def __init__(self, system: System, order: int) -> None:
+        self.system, self.stages = system, 2 * (order // 4) + 1
+
+    @cached_property
+    def table(self) -> Collocation:
+        """The matrices."""
+        return collocation(self.stages)
+
+    @cached_property
+    def _called(self) -> tuple[Any, Any]:
+        values, slopes = on_sides(self.system)
+        return _Called(values.map(self.stages)), _Called(slopes)
+
+    def start(self, place: Place, how: Solve) -> Start:
+        """Where a series of the mode has just been made."""
+        system = self.system
+        watched = np.array([row[0] for row in self._watched()])
+        x, l, y = (np.array([row[0] for row in rows]) for rows in (system.x, system.l, system.y))
+        return Start(place.t, x, l, y, watched, self._choices(), list(how.active), [a.copy() for a in self._slopes(place)])
+
+    def _watched(self) -> list[list[float]]:
+        """The rows that branches look at."""
+        return [part.rows[b.row] for part in self.system.parts.values() for b in part.jets.branches]
+
+    def _choices(self) -> np.ndarray:
+        return np.array([side for part in self.system.parts.values() for side in part.choice])
+
+    def _slopes(self, place: Place) -> list[np.ndarray]:
+        x, l = (np.array([row[0] for row in rows]) for rows in (self.system.x, self.system.l))
+        return self._called[1](np.full((1, 1), place.t), x[:, None], l[:, None], self._choices()[:, None])
+
+    def fit(self, start: Start, h: float, rtol: float, atol: list[float]) -> Fit | None:
+        """The piece of length h; None where Newton's method does not settle."""
+        of, held, n, size = self.table, start.held, len(start.x), self._sizes(start, atol)
+        try:
+            inverses = np.linalg.inv(_matrices(start, h, of.rates))
+        except np.linalg.LinAlgError:
+            return None
+        Z, L = np.zeros((of.stages, n)), np.tile(start.l, (of.stages, 1))
+        moved, before = np.inf, np.inf
+        for _ in range(ITERATIONS):
+            rate, y, watched = self._at(start, start.t + h * of.nodes, start.x + Z, L)
+            missed = np.hstack([h * rate - of.inverse @ Z, -y[:, held]])
+            step = (of.right @ np.einsum("kij,kj->ki", inverses, of.left @ missed)).real
+            Z, L[:, held] = Z + step[:, :n], L[:, held] + step[:, n:]
+            before, moved = moved, float((np.abs(step[:, :n]) / np.maximum(size, np.abs(Z))).max(initial=0.0))
+            if moved <= SETTLED or (moved <= max(NEAR * rtol, ROUNDING) and moved > SLOW * before):
+                break
+            if not moved <= SLOW * before and before < np.inf:
+                return None
+        else:
+            return None
+        _, y, watched = (a.copy() for a in self._at(start, start.t + h * of.nodes, start.x + Z, L))
+        y[:, held] = 0.0
+        found = Fit(h, start.x + Z, L, y, watched, 0.0)
+        return found._replace(error=self._error(start, found, rtol, atol))
+
+    def write(self, start: Start, fit: Fit) -> tuple[float, float]:
+        """Put the polynomials into the rows of the system, and return (tau, s): the unit of time and their length in it."""
+        system, tau = self.system, unit(fit.h)
+        scale = (tau / fit.h) ** np.arange(self.stages + 1)
+        lists = (self._watched(), system.y, system.l, system.x)
+        y = np.where(np.isin(np.arange(system.m), start.held), 0.0, start.y)
+        given = ((fit.watched, start.watched), (fit.y, y), (fit.l, start.l), (fit.x, start.x))
+        for rows, (values, at_0) in zip(lists, given, strict=True):
+            for row, c in zip(rows, self.table.coefficients(values, at_0) * scale, strict=True):
+                row[:] = [*c.tolist(), *[0.0] * (len(row) - len(c))]
+        return tau, fit.h / tau
+
+    def _at(self, start: Start, t: np.ndarray, x: np.ndarray, l: np.ndarray) -> list[np.ndarray]:
+        """F + g, y and what branches look at, a row a point."""
+        return [a.T for a in self._called[0](t[None], x.T, l.T, start.choices[:, None])]
+
+    def _sizes(self, start: Start, atol: list[float]) -> np.ndarray:
+        size = np.maximum(self.system.sizes.x, np.abs(start.x)) + atol
+        return np.where(size > 0, size, 1e-300)
+
+    def _error(self, start: Start, fit: Fit, rtol: float, atol: list[float]) -> float:
+        of, held, n, sizes = self.table, start.held, len(start.x), self.system.sizes
+        x, l, y, watched = (
+            at_0 + of.values @ (values - at_0)
+            for values, at_0 in zip(fit[1:5], (start.x, start.l, start.y, start.watched), strict=True)
+        )
+        rate, h, looked = self._at(start, start.t + fit.h * of.between, x, l)
+        missed = np.hstack([fit.h * rate - of.slopes @ (fit.x - start.x), -h[:, held]])
+        off = np.linalg.solve(_matrices(start, fit.h, np.array([1 / of.share]))[0], missed.T).T
+        free = [i for i in range(len(start.l)) if i not in held]
+        size = np.maximum(sizes.x, np.abs(fit.x).max(axis=0, initial=0.0))
+        errors = [_beside(np.abs(off[:, :n]) * of.weights[:, None], size, rtol * size + atol)]
+        for e, values, so_far in (
+            (off[:, n:], fit.l[:, held], np.array(sizes.l)[held]),
+            ((y - h)[:, free], fit.y[:, free], np.array(sizes.y)[free]),
+            (watched - looked, fit.watched, np.zeros(watched.shape[1])),
+        ):
+            size = np.maximum(so_far, np.abs(values).max(axis=0, initial=0.0))
+            size = np.maximum(size, SMALL * size.max(initial=0.0))
+            errors.append(_beside(np.abs(e), size, MULTIPLIERS * rtol * size))
+        return max(errors)
+
+
+class _Called:
+    """A function of (t, x, l, choices) on arrays with a column a point; its results are overwritten."""
+
+    def __init__(self, function: ca.Function) -> None:
+        self.inputs = [np.zeros(function.size_in(i), order="F") for i in range(4)]
+        self.outputs = [np.zeros(function.size_out(i), order="F") for i in range(function.n_out())]
+        self.buffer, self.call = attached(function, self.inputs, self.outputs)
+
+    def __call__(self, *values: np.ndarray) -> list[np.ndarray]:
+        for array, given in zip(self.inputs, values, strict=True):
+            array[:] = given
+        self.call()
+        return self.outputs
+
+
+def _matrices(start: Start, h: float, rates: np.ndarray) -> np.ndarray:
+    """(r, n + a, n + a) rate E - h J, of (x, l_a), for each rate."""
+    f_x, g_l, h_x, h_l = start.slopes
+    n, held = len(start.x), start.held
+    matrix = np.block([[-h * f_x, -h * g_l[:, held]], [h_x[held], h_l[np.ix_(held, held)]]])
+    out = np.repeat(matrix[None].astype(rates.dtype), len(rates), axis=0)
+    out[:, np.arange(n), np.arange(n)] += rates[:, None]
+    return out
+
+
+def _beside(e: np.ndarray, size: np.ndarray, goal: np.ndarray) -> float:
+    """The largest error in units of what is allowed, but for rounding; inf where it is no number."""
+    seen = np.maximum(e - ROUNDING * size, 0.0)
+    with np.errstate(all="ignore"):
+        ratio = np.where(seen == 0, 0.0, seen / goal)
+    return float(np.where(np.isnan(ratio), np.inf, ratio).max(initial=0.0))

@@ -1,0 +1,138 @@
+"""When a mode is stiff: pieces by Radau IIA, where they are many times as long as a series goes.
+
+How far a series goes its own last coefficients say, at each piece. Where stability and not accuracy limits it, the states hardly move
+on it, and a piece of collocation that is WORTH times as long is tried. Where its error is accepted, the next one is longer, then each as long
+as the error before lets it be; as soon as pieces are less than STAY times a series, series go on. After k trials in a row that failed,
+2^k series pass before the next one: a mode that is not stiff pays next to nothing. What decides is in the coefficients alone.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from nsmodel.pieces.bernstein import slope, value
+from nsmodel.pieces.lengths import unit
+from nsmodel.pieces.modes import Place
+from nsmodel.pieces.multipliers import Solve
+from nsmodel.pieces.radau import Fit, Radau, Start
+from nsmodel.pieces.roots import first_event, same
+from nsmodel.pieces.switches import TIE, Condition, conditions, size
+from nsmodel.pieces.system import System
+
+WORTH, STAY = 8.0, 4.0  # Series that a first piece of collocation has to be worth, and those that go on.
+SMOOTH = 3  # Coefficients of the states that say whether these move.
+INSIDE = 0.1  # Of rtol: what a piece may err by inside; at its end it errs by a power of that.
+LONGER, SAFE = 2, 0.5  # By how many octaves the next piece may be longer, and by which share of what is allowed.
+ENDINGS, ENDED = 8, 1e-15  # How often a piece is made anew to end at an event, and when it does.
+MOVED = 0.1  # By which share of its length a piece may have to be longer than its polynomial told, for that.
+MOST_WAIT = 6  # Octaves.
+
+
+class Found(NamedTuple):
+    """A piece that is in the rows of the system: unit of time, length, error in units of rtol, x at the end; what ends it."""
+
+    tau: float
+    s: float
+    error: float
+    last: list[float]
+    hit: Condition | None
+
+
+class Stiff:
+    """What is known of the stiffness of the mode; ``pieces``: how many were by collocation.
+
+    ``rtol``, ``atol``: what a run may err by.
+    """
+
+    def __init__(self, system: System, order: int, rtol: float, atol: list[float]) -> None:
+        self.system, self.order, self.rtol, self.atol = system, order, INSIDE * rtol, [INSIDE * a for a in atol]
+        self.radau = Radau(system, order)
+        self.pieces = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget what was known: another mode."""
+        self.length, self.failed, self.wait = 0.0, 0, 0
+
+    def piece(self, place: Place, how: Solve, s: float) -> Found | None:
+        """The piece by collocation, where that is worth while; else None, and the series in the rows are as they were.
+
+        ``s`` is how far the series go, in the unit of the place.
+        """
+        series, first = place.tau * s, not self.length
+        length = self._trial(place, how, s) if first else self.length
+        least = series * (WORTH if first else STAY)
+        if not length or length < least:
+            self._fail(failed=not first)
+            return None
+        start = self.radau.start(place, how)
+        fit = self.radau.fit(start, length, self.rtol, self.atol)
+        while fit is None or not fit.error <= 1:
+            length = math.ldexp(length, min(-1 if fit is None else self._octaves(fit.error), -1))
+            if length < least or place.t + length == place.t:
+                self._fail(failed=True)
+                return None
+            fit = self.radau.fit(start, length, self.rtol, self.atol)
+        self.length = math.ldexp(length, LONGER if first else min(self._octaves(fit.error), LONGER))
+        self.failed = self.wait = 0
+        self.pieces += 1
+        return self._ended(place, how, start, fit)
+
+    def _trial(self, place: Place, how: Solve, s: float) -> float:
+        """The length of a first piece; 0 where none is tried: a series that fills its unit of time becomes longer by itself."""
+        if self.wait or s >= 1 or place.open or (how.null is not None and how.null.size):
+            return 0.0
+        for row, size in zip(self.system.x, self.system.sizes.x, strict=True):
+            if sum(abs(row[k]) * (WORTH * s) ** k for k in range(1, SMOOTH + 1)) > size:
+                return 0.0
+        return unit(WORTH * place.tau * s)
+
+    def _fail(self, failed: bool) -> None:
+        self.length, self.wait = 0.0, max(self.wait - 1, 0)
+        if failed:
+            self.failed = min(self.failed + 1, MOST_WAIT)
+            self.wait = 2**self.failed
+
+    def _octaves(self, error: float) -> int:
+        """By how many octaves a piece may be longer: its error has the order s + 1."""
+        if not math.isfinite(error):
+            return -1
+        return math.floor(math.log2(SAFE / max(error, 1e-300)) / (self.radau.stages + 1))
+
+    def _ended(self, place: Place, how: Solve, start: Start, fit: Fit) -> Found:
+        """The piece up to its first event, made anew so that it ends there: inside it has the order s + 1, at its end 2 s - 1."""
+        tau, s = self.radau.write(start, fit)
+        hit, end = first_event(self.system, place, how, self.order, s)
+        for _ in range(ENDINGS if hit else 0):
+            shorter = self.radau.fit(start, tau * end, self.rtol, self.atol) if end > 0 else None
+            if shorter is None:
+                break
+            fit = shorter
+            tau, s = self.radau.write(start, fit)
+            again, end = first_event(self.system, place, how, self.order, s)
+            hit, end = (again, end) if again else self._beyond(place, how, hit, s)
+            if hit is None or abs(end - s) <= ENDED * s:
+                break
+        if hit is None or end >= s:
+            return Found(tau, s, INSIDE * fit.error, fit.last, hit)
+        return Found(tau, end, INSIDE * fit.error, [value(row, end) for row in self.system.x], hit)
+
+    def _beyond(self, place: Place, how: Solve, hit: Condition, s: float) -> tuple[Condition | None, float]:
+        """The condition that was 0 before, and where it is now, just beyond the end; None where it is no more."""
+        own = next((c for c in conditions(self.system, place.codes, how, self.order) if same(c, hit)), hit)
+        c = own.coefficients()
+        v, rate = value(c, s), slope(c, s)
+        if v <= TIE * size(self.system, own):
+            return own, s
+        return (own, s - v / rate) if rate < 0 and v <= MOVED * s * -rate else (None, s)
+
+    # -- for files
+
+    def standing(self) -> dict[str, Any]:
+        """What the next pieces depend on."""
+        return {"length": self.length, "failed": self.failed, "wait": self.wait, "pieces": self.pieces}
+
+    def stand(self, saved: dict[str, Any]) -> None:
+        """Take up what ``standing`` gave."""
+        self.length, self.failed, self.wait, self.pieces = (saved[name] for name in ("length", "failed", "wait", "pieces"))
