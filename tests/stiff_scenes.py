@@ -132,7 +132,9 @@ class Arcs:
 def long(matrix):
     """As complex numbers with 18 digits."""
     rows = matrix.tolist() if isinstance(matrix, mp.matrix) else matrix
-    digits = np.vectorize(lambda v: np.longdouble(mp.nstr(mp.re(v), 25)) + 1j * np.longdouble(mp.nstr(mp.im(v), 25)), otypes=[np.clongdouble])
+    digits = np.vectorize(
+        lambda v: np.longdouble(mp.nstr(mp.re(v), 25)) + 1j * np.longdouble(mp.nstr(mp.im(v), 25)), otypes=[np.clongdouble]
+    )
     return digits(np.array(rows, dtype=object))
 
 
@@ -265,4 +267,6 @@ def kinetics_reference(at):
         return of
 
     never = lambda _, x: 1.0  # noqa: E731
-    return by_radau([(rate(False), jacobian(False), lambda _, x: x[0] - 0.7), (rate(True), jacobian(True), never)], [1, 0, 0], 100, at)
+    return by_radau(
+        [(rate(False), jacobian(False), lambda _, x: x[0] - 0.7), (rate(True), jacobian(True), never)], [1, 0, 0], 100, at
+    )
