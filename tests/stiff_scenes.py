@@ -6,7 +6,6 @@ import casadi as ca
 import mpmath as mp
 import numpy as np
 from scipy.integrate import solve_ivp
-from scipy.optimize import brentq
 
 from nsmodel import FirstOrderSystem, LureSystem, complementarity, relay
 
@@ -183,7 +182,7 @@ def rectifier(stray):
 
 
 def damped_chain(rate, n=4):
-    """Masses in a row with dashpots of c = rate/4 between them, driven at one end, dry friction at the other: sticks and slips."""
+    """Masses in a row with dashpots of c = rate/4, driven at one end, dry friction at the other: sticks and slips."""
     K = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
     K[0, 0] = K[-1, -1] = 1
     A = np.block([[np.zeros((n, n)), np.eye(n)], [-K - 0.2 * np.eye(n), -rate / 4 * K]])
@@ -228,15 +227,13 @@ def van_der_pol():
     return FirstOrderSystem(t=t, x=x, lam=l, f=f, g=[0, l], h=[x[1]], law=relay(1, -FORCE, FORCE), x0=[2, 0], t_end=3000)
 
 
-def van_der_pol_reference(at):
-    def part(sign):
-        return (
-            lambda _, x: [x[1], MU * (1 - x[0] ** 2) * x[1] - x[0] - sign * FORCE],
-            lambda _, x: [[0, 1], [-2 * MU * x[0] * x[1] - 1, MU * (1 - x[0] ** 2)]],
-            lambda _, x: sign * x[1],
-        )
-
-    return by_radau([part(-1), part(1)], [2, 0], 3000, at)
+# By `solve_ivp` with Radau, rtol = 1e-12, atol = 1e-14, between the turns of x', each an event of its own.
+VAN_DER_POL_EVENTS = (992.8209771560537, 1985.7404427370327, 2978.6599083181172)
+VAN_DER_POL = {
+    500.0: (1.67622454, -7.60458675e-04),
+    1500.0: (-1.67082365, 7.65116910e-04),
+    2500.0: (1.66538943, -7.69874176e-04),
+}
 
 
 def kinetics():
