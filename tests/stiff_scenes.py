@@ -13,7 +13,7 @@ t = ca.SX.sym("t")
 
 
 class Arcs:
-    """x' = A x + B l, y = C x + D l with l in boxes, -y in the normal cone: arcs between switches, by the eigenvalues of each mode.
+    """x' = A x + B l, y = C x + D l with l in boxes: arcs between switches, by the eigenvalues of each mode.
 
     Modes are found by trying all of them; roots by samples that grow from the fastest time, then by halving.
     """
@@ -165,7 +165,7 @@ def stiff_lure(seed, fastest=6.0):
 
 
 def rectifier(stray):
-    """10 sin 50 t behind 1 ohm and 0.1 H, a diode, a capacitor with its load; a stray capacitance at the diode's foot makes it stiff.
+    """10 sin 50 t behind 1 ohm and 0.1 H, a diode, a capacitor with its load; a stray capacitance makes it stiff.
 
     x = (current, voltage at the diode, voltage of the load).
     """

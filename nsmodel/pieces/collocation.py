@@ -77,9 +77,10 @@ def collocation(s: int) -> Collocation:
     inverse, sizes = table(slopes, nodes), np.abs(table([M], between)[:, 0])
     integral = [Fraction(0), *(a / (k + 1) for k, a in enumerate(M))]
     rates, right = np.linalg.eig(inverse)
-    left, kept = np.linalg.inv(right), np.flatnonzero(rates.imag >= 0)
+    left, kept = np.linalg.inv(right), np.flatnonzero(np.imag(rates) >= 0)
+    twice = np.where(np.imag(rates[kept]) > 0, 2.0, 1.0)
     return Collocation(
-        np.array([float(c) for c in nodes]), inverse, rates[kept], left[kept], right[:, kept] * np.where(rates[kept].imag > 0, 2.0, 1.0),
+        np.array([float(c) for c in nodes]), inverse, rates[kept], left[kept], right[:, kept] * twice,
         np.array([[float(p[k]) for p in basis] for k in range(1, s + 1)]), np.array([float(v) for v in between]),
         table(basis, between), table(slopes, between), sizes[0] / sizes,
         float(np.abs(table([integral], nodes)).max() / sizes[0]),

@@ -5,18 +5,18 @@ In a mode with the held rows a, x' = f + g and y_a = 0 are asked for at the stag
     A^-1 Z - h (f + g)(X, L) = 0,    y_a(X, L) = 0,
 
 l_a at the stages is part of the solution. Newton's method takes the Jacobian at the start, made diagonal in the stages by the
-eigenvectors of A^-1 (Hairer and Wanner II, IV.8): s matrices of the size of (x, l_a) are inverted, once a piece. Where h_x is
-constant, y_a = 0 and y_a' = 0 at the stages are one condition (C x' is a polynomial of degree s - 1 with s zeros): l is as good as
-x. Where rows of index 2 have another h_x, l has order s, one less than x inside the piece (Hairer, Lubich and Roche 1989).
+eigenvectors of A^-1 (Hairer and Wanner II, IV.8): matrices of the size of (x, l_a) are inverted, once a piece. Where h_x is
+constant, y_a = 0 and y_a' = 0 at the stages are one condition (C x' is a polynomial of degree s - 1 with s zeros), and l is as good
+as x; where rows of index 2 have another h_x, l has the order s, one less than x inside (Hairer, Lubich and Roche 1989).
 
-The error. The defect d = x' - f - g of the polynomial is 0 at the nodes, so near d(0) M(c)/M(0), with M(c) = (c - c_1) ... (c - c_s).
+The error. The defect d = x' - f - g of the polynomial is 0 at the nodes, so near d(0) M(c)/M(0), M(c) = (c - c_1) ... (c - c_s).
 The error e' = J e - d of one component with the rate z = h J is then at most h |d(0)| times kappa = max |int_0^c M|/|M(0)|, and
-times 1/|z|: a stiff component forgets. (1/kappa - z)^-1 is at most both, and not less than half of their minimum. With l_a,
+about 1/|z| times that: a stiff component forgets. 1/(1/kappa + |z|) is between their minimum and half of it. With l_a,
 
     (1/kappa - h f_x) e - h g_l dl = -h d,    h_x e + h_l dl = -y_a,
 
-solved for d and y_a at 0 and between each two nodes, there with the weight |M(0)/M|. y, and what branches look at, are held against
-the polynomials through their values at the nodes.
+solved for d and y_a at 0 and between each two nodes, there with the weight |M(0)/M|. y, and what branches look at, are held
+against the polynomials through their values at the nodes. It is an estimate, to a factor of a few.
 """
 
 from __future__ import annotations

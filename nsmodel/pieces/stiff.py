@@ -1,9 +1,10 @@
 """When a mode is stiff: pieces by Radau IIA, where they are many times as long as a series goes.
 
-How far a series goes its own last coefficients say, at each piece. Where stability and not accuracy limits it, the states hardly move
-on it, and a piece of collocation that is WORTH times as long is tried. Where its error is accepted, the next one is longer, then each as long
-as the error before lets it be; as soon as pieces are less than STAY times a series, series go on. After k trials in a row that failed,
-2^k series pass before the next one: a mode that is not stiff pays next to nothing. What decides is in the coefficients alone.
+How far a series goes its own last coefficients say, at each piece. Where stability and not accuracy limits it, the states hardly
+move on it by their first coefficients, and a piece of collocation that is WORTH times as long is tried. Where its error is
+accepted, the next one is longer, then each as long as the error before lets it be; as soon as pieces are less than STAY times a
+series, series go on. After k trials in a row that failed, 2^k series pass before the next one: a mode that is not stiff pays next
+to nothing. What decides is in the coefficients alone.
 """
 
 from __future__ import annotations
@@ -83,8 +84,8 @@ class Stiff:
         """The length of a first piece; 0 where none is tried: a series that fills its unit of time becomes longer by itself."""
         if self.wait or s >= 1 or place.open or (how.null is not None and how.null.size):
             return 0.0
-        for row, size in zip(self.system.x, self.system.sizes.x, strict=True):
-            if sum(abs(row[k]) * (WORTH * s) ** k for k in range(1, SMOOTH + 1)) > size:
+        for row, largest in zip(self.system.x, self.system.sizes.x, strict=True):
+            if sum(abs(row[k]) * (WORTH * s) ** k for k in range(1, SMOOTH + 1)) > largest:
                 return 0.0
         return unit(WORTH * place.tau * s)
 
@@ -104,7 +105,9 @@ class Stiff:
         """The piece up to its first event, made anew so that it ends there: inside it has the order s + 1, at its end 2 s - 1."""
         tau, s = self.radau.write(start, fit)
         hit, end = first_event(self.system, place, how, self.order, s)
-        for _ in range(ENDINGS if hit else 0):
+        for _ in range(ENDINGS):
+            if hit is None:
+                break
             shorter = self.radau.fit(start, tau * end, self.rtol, self.atol) if end > 0 else None
             if shorter is None:
                 break
@@ -112,7 +115,7 @@ class Stiff:
             tau, s = self.radau.write(start, fit)
             again, end = first_event(self.system, place, how, self.order, s)
             hit, end = (again, end) if again else self._beyond(place, how, hit, s)
-            if hit is None or abs(end - s) <= ENDED * s:
+            if abs(end - s) <= ENDED * s:
                 break
         if hit is None or end >= s:
             return Found(tau, s, INSIDE * fit.error, fit.last, hit)

@@ -74,7 +74,8 @@ class EventDriven:
         self.counts: Counter[str] = Counter()
         self.totals: dict[str, Any] = {
             "worst_residual": 0.0, "worst_residual_t": None, "index_set_changes": 0, "steps": 0, "rtol": rtol,
-            "order": self.integrator.order, "pieces": 0, "collocated": 0, "events": 0, "worst_estimate": 0.0, "worst_estimate_t": None,
+            "order": self.integrator.order, "pieces": 0, "collocated": 0, "events": 0, "worst_estimate": 0.0,
+            "worst_estimate_t": None,
         }  # fmt: skip
         own = {"step": "pieces", "rtol": rtol, "atol": atol, "rows": "ends of pieces" if self.times is None else "times"}
         same = settings(model, Grid(1, 1.0, 1.0), METHOD, options.tolerance, options.save_every, "interpreted")
