@@ -6,8 +6,8 @@ In a mode with the held rows a, x' = f + g and y_a = 0 are asked for at the stag
 
 l_a at the stages is part of the solution. Newton's method takes the Jacobian at the start, made diagonal in the stages by the
 eigenvectors of A^-1 (Hairer and Wanner II, IV.8): matrices of the size of (x, l_a) are inverted, once a piece. Where h_x is
-constant, y_a = 0 and y_a' = 0 at the stages are one condition (C x' is a polynomial of degree s - 1 with s zeros), and l is as good
-as x; where rows of index 2 have another h_x, l has the order s, one less than x inside (Hairer, Lubich and Roche 1989).
+constant, y_a = 0 and y_a' = 0 at the stages are one condition (C x' is a polynomial of degree s - 1 with s zeros), and l is as
+good as x; where rows of index 2 have another h_x, l has the order s, one less than x inside (Hairer, Lubich and Roche 1989).
 
 The error. The defect d = x' - f - g of the polynomial is 0 at the nodes, so near d(0) M(c)/M(0), M(c) = (c - c_1) ... (c - c_s).
 The error e' = J e - d of one component with the rate z = h J is then at most h |d(0)| times kappa = max |int_0^c M|/|M(0)|, and
