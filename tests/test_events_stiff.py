@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import roots_jacobi
 
-from nsmodel import FirstOrderSystem, LureSystem, SweepingProcess, relay, simulate
+from nsmodel import FirstOrderSystem, SweepingProcess, relay, simulate
 from nsmodel.pieces.collocation import collocation
 from tests import event_scenes, stiff_scenes
 from tests.test_events import DATA, RTOLS, judged, needs_data
@@ -165,20 +165,6 @@ def test_a_start_off_the_slow_motion():
         run = simulate(model, rtol=rtol, times=at, method="event-driven")
         assert np.abs(run.x[:, 0] - exact).max() <= rtol
         assert collocated(run)
-
-
-def test_many_states():
-    """120 cells of a rod, rates up to 6e4; a relay holds the first at 0: the others by eigenvectors of a symmetric matrix."""
-    n, at = 120, np.linspace(0, 0.2, 21)
-    A = (n**2) * (np.eye(n, k=1) + np.eye(n, k=-1) - 2 * np.eye(n))
-    C, x0 = np.eye(1, n), 2e-3 * np.sin(np.pi * np.arange(n) / n) * (1 + np.arange(n) % 3)
-    run = simulate(LureSystem(A=A, B=n * C.T, C=C, law=relay(1, -1, 1), x0=x0, t_end=0.2), rtol=1e-6, atol=1e-12, times=at)
-    rates, vectors = np.linalg.eigh(A[1:, 1:])
-    exact = (np.exp(np.multiply.outer(at, rates)) * (vectors.T @ x0[1:])) @ vectors.T
-    assert np.abs(run.x[:, 1:] - exact).max() <= 1e-6 * np.abs(x0).max()
-    assert np.abs(run.x[:, 0]).max() <= 1e-15
-    assert collocated(run)
-    assert run.metadata["totals"]["pieces"] <= 200
 
 
 def test_pieces_do_not_depend_on_the_end_and_go_on(tmp_path):
