@@ -1,7 +1,7 @@
 """An event-driven solution again in 64 digits: each mode that the events name integrated by extrapolation, switches as its roots.
 
-Of the run only the order of the modes is taken, and times as first guesses. In each mode l follows from y = 0, and from y' = 0 where
-y does not depend on it; that the mode is the law's is looked at by definition at every step.
+Of the run only the order of the modes is taken, and times as first guesses. In each mode l follows from y = 0, and from y' = 0
+where y does not depend on it; that the mode is the law's is looked at by definition at every step.
 """
 
 from __future__ import annotations
@@ -164,7 +164,10 @@ class Digits:
         size = max(1, *map(abs, y), *map(abs, l))
         for i, code in enumerate(self.mode.codes):
             if code == 0:
-                assert self.mode.singular or exact(self.scene.lower[i]) - SLACK * size <= l[i] <= exact(self.scene.upper[i]) + SLACK * size
+                assert (
+                    self.mode.singular
+                    or exact(self.scene.lower[i]) - SLACK * size <= l[i] <= exact(self.scene.upper[i]) + SLACK * size
+                )
                 assert abs(y[i]) <= SLACK * size
             elif self.scene.lower[i] < self.scene.upper[i]:
                 assert int(code) * y[i] <= SLACK * size

@@ -1,3 +1,4 @@
+# ruff: noqa: B023 - functions made in loops are called at once
 """Random models of the five classes that switch often, each with x' and y written a second time, in the test's own words."""
 
 from __future__ import annotations
@@ -431,8 +432,8 @@ def inclusion(seed: int) -> Scene:
         walls["constraints"] = {"wall": extra[0]}
         bounds += extra
     model = MonotoneInclusion(
-        t=t, x=x, field=common + real, operator=S, x0=np.zeros(n), t_end=d.uniform(3, 6), scheme=d.one_of("catching-up", "implicit"),
-        **walls,
+        t=t, x=x, field=common + real, operator=S, x0=np.zeros(n), t_end=d.uniform(3, 6),
+        scheme=d.one_of("catching-up", "implicit"), **walls,
     )  # fmt: skip
     k, b = len(arguments), len(bounds)
     l, c = ca.SX.sym("l", k + b), ca.vertcat(ca.SX(0, 1), *bounds)

@@ -1,4 +1,4 @@
-"""Nothing of an event-driven run is lost to a signal or a full disk; bad input is told in clear words, on the command line too."""
+"""Nothing of an event-driven run is lost to a signal or a full disk; bad input is told in clear words on the command line."""
 
 import errno
 import os

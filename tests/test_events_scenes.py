@@ -13,7 +13,7 @@ from fuzz_models import COUNT, FULL
 from nsmodel import FirstOrderSystem, StepError, simulate
 from nsmodel.laws import relay
 from tests import event_scenes as scenes
-from tests.search.digits import CONTEXT
+from tests.search.digits import CONTEXT, exact
 
 RTOLS = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
 
@@ -25,7 +25,7 @@ def capacitor_filter():
     rate, y = model.A if model.A.is_column() else model.A @ x, model.C @ x + model.D @ l
     rate = ca.substitute(rate, model.x, x) + model.B @ l
     with decimal.localcontext(CONTEXT):
-        shared = Decimal(10) * Decimal(1e-6) / (Decimal(1e-6) + Decimal(3e-7))
+        shared = Decimal(10) * exact(1e-6) / (exact(1e-6) + exact(3e-7))
     scene = models.Scene(model, t, x, l, rate, y, np.zeros(4), np.full(4, np.inf), rate, models.Sides())
     return scene, [shared, Decimal(0), shared]
 
@@ -87,7 +87,7 @@ def test_random_models_against_64_digits(name, seed):
 @pytest.mark.parametrize("rtol", RTOLS)
 @pytest.mark.parametrize("depth", [1e-6, 1e-10, 1e-13, 1e-15, 0.0, -1e-15, -1e-13, -1e-6])
 def test_grazing_at_every_rtol(depth, rtol):
-    """Deeper than 0 the wall pushes with 100 times the depth for a moment: 2 sqrt(2 depth) long, that is 1e-6 deep 2e-7 of speed."""
+    """Deeper than 0 the wall pushes with 100 times the depth, for 2 sqrt(2 depth): 1e-6 deep that is 3e-7 of speed."""
     run = simulate(scenes.grazing(depth), rtol=rtol, method="event-driven")
     t = np.linspace(0, 6, 100)
     felt = 100 * max(depth, 0) * 2 * np.sqrt(2 * max(depth, 0)) * (1 + 10 * rtol)

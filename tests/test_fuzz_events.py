@@ -1,6 +1,6 @@
 """Event-driven runs of random models of five classes, over many switches, by judges that share nothing with the integrator.
 
-The inclusion itself at random points of the polynomials (`event_judges`), a run at another tolerance, time stepping at small steps.
+These are the inclusion at random points of the polynomials (`event_judges`), a run at another tolerance, and small time steps.
 """
 
 from __future__ import annotations
@@ -34,8 +34,9 @@ def test_the_inclusion_holds_at_any_time_and_rtol_is_kept(name, seed):
         fine = simulate(scene.model, rtol=FINE, method="event-driven")
     except StepError as error:  # stopped by name, which is no wrong answer
         refused[name] += 1
-        assert refused[name] <= 1 + 0.02 * len(SEEDS), str(error)
-        return
+        if refused[name] > 1 + 0.02 * len(SEEDS):
+            raise
+        pytest.skip(str(error))
     found = missed(scene, fine, np.random.default_rng(seed))
     assert found.rate <= 10 * FINE
     assert found.apart <= 10 * FINE
@@ -114,7 +115,12 @@ def test_a_long_slide_on_a_disc_that_moves_does_not_drift(rtol):
     t, q = ca.SX.sym("t"), ca.SX.sym("q", 2)
     r, T = q - ca.vertcat(ca.sin(0.1 * t), 0), 60 * np.pi
     model = SweepingProcess(
-        t=t, q=q, f=[0.1 * ca.cos(0.1 * t) - r[0] - r[1], -r[1] + r[0]], constraints={"disc": ca.sumsqr(r) - 1}, q0=[1, 0], t_end=T
+        t=t,
+        q=q,
+        f=[0.1 * ca.cos(0.1 * t) - r[0] - r[1], -r[1] + r[0]],
+        constraints={"disc": ca.sumsqr(r) - 1},
+        q0=[1, 0],
+        t_end=T,
     )
     run = simulate(model, rtol=rtol, method="event-driven")
     x, y = run.x.T - [np.sin(0.1 * run.t), 0 * run.t]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import casadi as ca
@@ -23,7 +24,7 @@ from nsmodel import FirstOrderSystem, complementarity, simulate
 from nsmodel.plot.style import INK, LINES, blank, dress
 
 IMAGES = Path(__file__).resolve().parents[1] / "images"
-COUNT = 24 if os.environ.get("NSMODEL_SHORT") else 1000
+COUNT = 8 if os.environ.get("NSMODEL_SHORT") else 1000
 TOLERANCES = 10.0 ** -np.arange(2, 10)
 LAST = 20.0
 METHODS = ("RK45", "DOP853", "LSODA")
@@ -73,7 +74,7 @@ def scene(rng: np.random.Generator, rtol: float) -> Scene:
         after = grid[(grid > top) & (place(grid) < wall)]
         if after.size:
             ends = [brentq(lambda t: place(t) - wall, one, top, xtol=1e-15) for one in (before, after[0])]  # noqa: B023
-            return Scene(a, b, w, p, q, wall, rtol, *ends)
+            return Scene(a, b, w, p, q, wall, rtol, *map(float, ends))
 
 
 def by_nsmodel(s: Scene) -> bool:
@@ -108,7 +109,13 @@ def shares(ax: Axes, missed: dict[str, np.ndarray], bins: list[np.ndarray], at: 
     """The share of the runs of each bin that missed the contact, a line a method."""
     for i, (name, runs) in enumerate(missed.items()):
         own = name == "nsmodel"
-        style = {"marker": "os^D"[i], "ms": 6 if own else 5, "lw": 2.4 if own else 1.4, "color": LINES[i], "zorder": 5 if own else 3}
+        style = {
+            "marker": "os^D"[i],
+            "ms": 6 if own else 5,
+            "lw": 2.4 if own else 1.4,
+            "color": LINES[i],
+            "zorder": 5 if own else 3,
+        }
         ax.plot(at, [100 * runs[chosen].mean() for chosen in bins], label=name, clip_on=False, **style)
     ax.set_xscale("log")
     ax.set_ylim(0, 100)
@@ -123,13 +130,12 @@ def main() -> None:
     rtol, lengths = np.array([s.rtol for s in scenes]), np.array([s.leaves - s.first for s in scenes])
     figure = blank(9.5, 3.9)
     left, right = figure.subplots(1, 2, sharey=True)
-    at = TOLERANCES[: max(2, COUNT // 3)]
-    shares(left, missed, [rtol == value for value in at], list(at))
+    shares(left, missed, [rtol == value for value in TOLERANCES], list(TOLERANCES))
     left.invert_xaxis()
     left.xaxis.set_minor_locator(NullLocator())
     dress(left, "Runs that miss the contact, by tolerance", "rtol", "missed [%]")
     edges = np.quantile(lengths, np.linspace(0, 1, 9 if len(scenes) >= 100 else 3))
-    parts = [(lengths >= low) & (lengths <= high) for low, high in zip(edges[:-1], edges[1:], strict=True)]
+    parts = [(lengths >= low) & (lengths <= high) for low, high in pairwise(edges)]
     shares(right, missed, parts, [float(np.median(lengths[part])) for part in parts])
     dress(right, "... and by the length of the contact", "length of the contact, in units of t", "")
     right.legend(loc="lower left", bbox_to_anchor=(0.02, 0.1), fontsize=8, frameon=False, labelcolor=INK)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,12 @@ from nsmodel.pieces.jets import Jets
 from nsmodel.pieces.printed import PYTHON, Dialect, first, later
 
 _KNOWN = series.RECURRENCES | series.STARTS | {name: getattr(np, name) for name in ("floor", "ceil", "trunc", "rint")}
+
+_SUMS: dict[str, Callable[..., float]] = {
+    "sum": lambda a, b, _: a + b, "difference": lambda a, b, _: a + b, "shifted": lambda a, number: a + number,
+    "minus": lambda a, _: a, "scaled": lambda a, number: number * a, "over": lambda a, number: a / number,
+    "product": lambda a, b, _: a * b, "square": lambda a, _: a * a,
+}  # fmt: skip
 
 
 class Expansion:
@@ -44,6 +50,17 @@ class Expansion:
         else:
             self._first()
         return [row[k] for row in self.outputs]
+
+    def terms(self, inputs: Mapping[tuple[int, int], float]) -> list[float]:
+        """What the branches' arguments are the sums of at order 0, in size; inputs are of the sizes given."""
+        size = [abs(row[0]) for row in self.rows]
+        for place, row in self.jets.inputs.items():
+            size[row] = max(size[row], inputs[place])
+        for line in self.jets.lines:
+            if line.kind in _SUMS:
+                total = _SUMS[line.kind](*(size[row] for row in line.args), abs(line.number))
+                size[line.y] = max(size[line.y], total)
+        return [size[branch.row] for branch in self.jets.branches]
 
 
 def compiled(jets: Jets, rows: list[list[Any]], choice: list[Any], language: Dialect, known: Mapping[str, Any]):

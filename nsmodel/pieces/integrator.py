@@ -307,11 +307,11 @@ class Integrator:
     def _grow(self, s: float) -> None:
         """Note what the rows come to."""
         system, sizes = self.system, self.sizes
-        switches = [system.parts[name].rows[system.jets[name].branches[i].row] for name, i in system.branches]
-        both = ((system.x, sizes.x), (system.y, sizes.y), (system.l, sizes.l), (switches, sizes.switches))
-        for rows, largest in both:
+        for rows, largest in ((system.x, sizes.x), (system.y, sizes.y), (system.l, sizes.l)):
             for i, row in enumerate(rows):
                 largest[i] = max(largest[i], abs(value(row, s)), abs(row[0]))
+        if system.branches:
+            sizes.switches[:] = [max(both) for both in zip(sizes.switches, system.terms_of_switches(), strict=True)]
 
     def _name(self, of: Switch) -> str:
         return self.problem.rows[of[1]] if of[0] == ROW else f"a switch in {of[0]}"

@@ -181,8 +181,14 @@ class System:
         return max(self.sizes.l[i], 1e-6 * max(self.sizes.l))
 
     def size_of_switch(self, switch: tuple[str, int]) -> float:
-        """What the argument of a switch is measured beside: the largest so far."""
+        """What the argument of a switch is measured beside: the largest that it was the sum of so far."""
         return self.sizes.switches[self.branches.index(switch)]
+
+    def terms_of_switches(self) -> list[float]:
+        """What the arguments of switches are the sums of, with the largest states and multipliers so far."""
+        both = ((1, self.sizes.x), (2, self.sizes.l))
+        given = {(0, 0): abs(self.t[0])} | {(which, i): size for which, sizes in both for i, size in enumerate(sizes)}
+        return [size for part in self.parts.values() for size in part.terms(given)]
 
     def terms(self, i: int, x: Sequence[float] = (), l: Sequence[float] = ()) -> float:
         """The size of what y_i is the sum of, with the largest states and multipliers so far, and these."""
