@@ -190,10 +190,9 @@ def _with_rtol(model: Model, options: Options) -> Run:
         return _controlled(model, options)
     try:
         problem = problem_of(model)
-        if options.compiled is True:
-            raise NotEventDriven("compiled=True is given, and its pieces are interpreted")
         _refuse_of_steps(options)
-        walk = EventDriven(model, options, problem)
+        folder = _Folder(options)
+        walk = EventDriven(model, options, problem, lambda: folder.way() if options.resume and not options.certified else None)
     except (NotEventDriven, OpaqueExpression, StepError) as error:
         if options.method == METHODS[1] or options.times is not None or options.certified:
             raise error if isinstance(error, StepError) else UsageError(f"not event-driven: {error}") from error
@@ -205,7 +204,7 @@ def _with_rtol(model: Model, options: Options) -> Run:
         if options.folder is not None:
             keep_unfinished(options.folder)
         return Run(walk, options, None)
-    return (Run if options.method == METHODS[1] else _GoesOn)(walk, options, _Folder(options).store())
+    return (Run if options.method == METHODS[1] else _GoesOn)(walk, options, folder.store())
 
 
 def _refuse_of_steps(options: Options) -> None:

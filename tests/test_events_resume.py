@@ -17,23 +17,25 @@ NAMES = ("diode_bridge", "inclusion_8_1", "relay_oscillator", "friction_oscillat
 KILLED = """
 import os, sys
 import nsmodel
-from nsmodel.pieces.integrator import Integrator
 from nsmodel.run import loop
+from nsmodel.run.piece_makers import InC, Interpreted
 
 loop.CHUNK_SECONDS = 0.0
-case, out, pieces, more, *times = sys.argv[1:]
-whole, left = Integrator.advance, [int(pieces)]
+case, out, pieces, compiled, more, *times = sys.argv[1:]
+maker = InC if compiled == "True" else Interpreted
+whole, left = maker.make, [int(pieces)]
 
-def advance(self):
+def make(self, until, room):
     if not left[0]:
         os._exit(9)
     left[0] -= 1
-    return whole(self)
+    return whole(self, until, 0)
 
-Integrator.advance = advance
+maker.make = make
 model = nsmodel.load(case)
 rows = {"times": [float(t) for t in times]} if times else {}
-nsmodel.simulate(model, rtol=1e-8, method="event-driven", out=out, resume=more == "more", **rows)
+how = {"method": "event-driven", "compiled": compiled == "True"}
+nsmodel.simulate(model, rtol=1e-8, out=out, resume=more == "more", **how, **rows)
 """
 
 
@@ -41,8 +43,8 @@ def files(folder):
     return (folder / "trajectory.npz").read_bytes()
 
 
-def run(model, out, **more):
-    return simulate(model, rtol=1e-8, method="event-driven", out=out, **more)
+def run(model, out, compiled=False, **more):
+    return simulate(model, rtol=1e-8, method="event-driven", out=out, compiled=compiled, **more)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -57,18 +59,19 @@ def test_a_later_end_gives_the_bytes_of_one_run(name, every, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["diode_bridge", "relay_oscillator"])
-@pytest.mark.parametrize("asked", [False, True])
-def test_killed_at_any_piece_it_goes_on_to_the_same_bytes(name, asked, tmp_path):
+@pytest.mark.parametrize(("asked", "compiled"), [(False, False), (True, False), (False, True), (True, True)])
+def test_killed_at_any_piece_it_goes_on_to_the_same_bytes(name, asked, compiled, tmp_path):
     case = CASES / f"{name}.py"
     model = nsmodel.load(case)
     times = np.linspace(0, model.t_end, 12)[1:].tolist() if asked else None
-    whole = run(model, tmp_path / "one", times=times)
+    whole = run(model, tmp_path / "one", compiled, times=times)
     pieces, more = whole.metadata["totals"]["pieces"], ["new"]
     for part in (pieces // 3 + 1, 1, pieces // 4):
-        killed = [sys.executable, "-c", KILLED, str(case), str(tmp_path / "parts"), str(part), *more, *map(repr, times or ())]
+        asks = [str(case), str(tmp_path / "parts"), str(part), str(compiled), *more, *map(repr, times or ())]
+        killed = [sys.executable, "-c", KILLED, *asks]
         assert subprocess.run(killed, check=False, capture_output=True).returncode == 9
         more = ["more"]
-    run(model, tmp_path / "parts", times=times, resume=True)
+    run(model, tmp_path / "parts", compiled, times=times, resume=True)
     assert files(tmp_path / "one") == files(tmp_path / "parts")
 
 
@@ -88,7 +91,7 @@ def test_what_does_not_fit_is_refused(tmp_path):
     with pytest.raises(StorageError, match=r"times: the run there has a row at t = 0.00"):
         run(model, tmp_path, times=[1.5e-3, 2e-3, 3e-3], t_end=3e-3, resume=True)
     with pytest.raises(StorageError, match=r"another rtol \(1e-08 there, 1e-06 now\)"):
-        simulate(model, rtol=1e-6, method="event-driven", out=tmp_path, resume=True)
+        simulate(model, rtol=1e-6, method="event-driven", out=tmp_path, resume=True, compiled=False)
     with pytest.raises(StorageError, match=r"past this run's end; give a later end"):
         run(model, tmp_path, times=[1e-4], t_end=1e-4, resume=True)
     with pytest.raises(UsageError, match="resume needs out="):

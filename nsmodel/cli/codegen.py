@@ -22,6 +22,9 @@ def add(commands: Commands) -> None:
     parser.add_argument("--any-step", action="store_true", help="let a linear scene take any step, not this one alone")
     parser.add_argument("--tolerance", type=float, default=TOLERANCE, metavar="TOL", help=ACCEPTED)
     parser.add_argument("--max-work", type=int, metavar="N", help="most linear systems, index sets and sweeps in a step")
+    parser.add_argument(
+        "--event-driven", action="store_true", help="write NAME_pieces too: NAME_advance goes from switch to switch"
+    )
     add_set(parser)
     parser.set_defaults(command=_codegen)
 
@@ -35,7 +38,7 @@ def _codegen(arguments: argparse.Namespace) -> int:
     name = codegen.identifier(stem) if arguments.name is None else arguments.name
     written = codegen.write(
         model, arguments.out or f"{stem}-c", name=name, step=arguments.step, any_step=arguments.any_step, parameters=values,
-        tolerance=arguments.tolerance, max_work=arguments.max_work,
+        tolerance=arguments.tolerance, max_work=arguments.max_work, event_driven=arguments.event_driven,
     )  # fmt: skip
     print(written.text())
     return DONE

@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from nsmodel.classes.bodies.model import ManyBodies
-from nsmodel.codegen import bodies
+from nsmodel.codegen import bodies, pieces
 from nsmodel.codegen.bounds import MOST_WORK
 from nsmodel.codegen.files import all_files, description
 from nsmodel.codegen.library import Library, Solver, is_library, load
 from nsmodel.codegen.scene import make_scene
 from nsmodel.codegen.source import write_source
 from nsmodel.defaults import TOLERANCE
-from nsmodel.errors import UsageError
+from nsmodel.errors import CodegenError, UsageError
 from nsmodel.grid import is_number, make_grid, written
 from nsmodel.identity import fingerprint
 from nsmodel.model.base import Model
@@ -77,6 +77,7 @@ def write(
     parameters: Values | None = None,
     tolerance: float = TOLERANCE,
     max_work: int | None = None,
+    event_driven: bool = False,
 ) -> Written:
     """Write a model's verified step as a C library into the folder ``out``.
 
@@ -90,6 +91,7 @@ def write(
         tolerance: largest accepted residual (relative, without unit).
         max_work: most work of a step (linear systems solved, index sets tried, sweeps), beyond which it is NOT_SOLVED; left out:
             what all methods in turn may do.
+        event_driven: write NAME_pieces.h and NAME_pieces.c too, whose ``NAME_advance(s, t_end)`` goes from switch to switch.
 
     Raises:
         CodegenError: the model has no C counterpart; nothing is written.
@@ -106,11 +108,15 @@ def write(
     grid = make_grid(bound, step, None, None)
     mark = fingerprint(bound, grid)
     if isinstance(bound, ManyBodies):
+        if event_driven:
+            raise CodegenError("event-driven integration does not take many bodies; they are for time stepping")
         files, about = bodies.all_files(bound, name, grid, float(tolerance), mark, most)
     else:
         scene = make_scene(model, parameters, grid, any_step or grid.steps is not None, float(tolerance))
         source = write_source(scene, name, mark, most)
         files, about = all_files(scene, source, grid, mark), description(scene, source, mark)
+        if event_driven:
+            files |= pieces.library_files(scene.model, scene.parameters, name)
     folder = _free(Path(out), name, files)
     for file, text in files.items():
         write_text(folder / file, text.rstrip())

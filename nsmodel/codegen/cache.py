@@ -130,8 +130,12 @@ def key_of(model: Model, grid: Grid, tolerance: float, compiler: str) -> str:
     """A hash of all that the compiled steps depend on; the end of the run is not part of it."""
     varies = grid.steps is not None
     endless = grid if varies else replace(grid, last=grid.h)
-    made_by = [versions(), _own(), compiler, FLAGS, platform.machine(), platform.system()]
-    return key_for([fingerprint(model, endless), grid.step(0), varies, tolerance, *made_by])
+    return key_for([fingerprint(model, endless), grid.step(0), varies, tolerance, *made_by(compiler)])
+
+
+def made_by(compiler: str) -> list[object]:
+    """What a library depends on beside the model."""
+    return [versions(), _own(), compiler, FLAGS, platform.machine(), platform.system()]
 
 
 def key_for(parts: list[object]) -> str:

@@ -9,6 +9,7 @@ from functools import cache
 from importlib import import_module
 
 from nsmodel.codegen.expression import number
+from nsmodel.pieces.defect import POINTS
 
 OF_STEPS: Mapping[str, str] = {
     "solve.certificate": "ROUNDING NEGLIGIBLE UNRESOLVED REACH GROWTH CLEAR STRICTER",
@@ -30,6 +31,18 @@ OF_STEPS: Mapping[str, str] = {
     "codegen.statuses": "READY",
 }
 OF_BODIES: Mapping[str, str] = {"solve.certificate": "REACH", "solve.near": "FARTHER", "codegen.statuses": "READY"}
+OF_PIECES: Mapping[str, str] = {
+    "pieces.integrator": "LEAST_RTOL LOCAL ROUGHEST ROOM SHORTENINGS AROUND TINY_PIECES TINY MANY FASTER STARTS TOO_SHORT",
+    "pieces.modes": "GERM ORDERS CLEAR HALF PACES HALVED PIVOTS TOGETHER FEW APART",
+    "pieces.switches": "TIE",
+    "pieces.bernstein": "NONE NARROW",
+    "pieces.roots": "POLISHING NEAR TOUCH",
+    "pieces.lengths": "LONGEST MULTIPLIERS SMALL",
+    "pieces.defect": "SEEN SEEN_ROW",
+    "pieces.multipliers": "SINGULAR MOST_MINORS SHORT",
+    "pieces.system": "NEWTON SETTLED AT_ZERO STAYS",
+    "codegen.statuses": "READY",
+}
 
 
 def of_steps() -> str:
@@ -40,6 +53,12 @@ def of_steps() -> str:
 def of_bodies() -> str:
     """What the step of many bodies uses."""
     return _all(OF_BODIES)
+
+
+def of_pieces() -> str:
+    """What event-driven integration uses."""
+    points = "".join(f"#define POINT_{i} {_float(point)}\n" for i, point in enumerate(POINTS, 1))
+    return _all(OF_PIECES) + points
 
 
 def _all(table: Mapping[str, str]) -> str:

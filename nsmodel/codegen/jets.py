@@ -29,9 +29,9 @@ C = Dialect(
 )
 
 
-def kernels() -> str:
-    """The recurrences themselves, once for all functions."""
-    return Path(pieces.__file__).with_name("series.c").read_text(encoding="utf-8")
+def kernels(stride: str = "1") -> str:
+    """The recurrences themselves, once for all functions; ``stride``: how far apart the orders of a row are."""
+    return f"#define STRIDE {stride}\n" + Path(pieces.__file__).with_name("series.c").read_text(encoding="utf-8")
 
 
 def text(jets: Jets, name: str, width: int) -> str:

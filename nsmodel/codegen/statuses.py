@@ -34,6 +34,12 @@ STATUSES = (
     Status(
         "BAD_ARITHMETIC", "the compiler was let to change sums or to leave out NaN", "compile without -ffast-math and its parts"
     ),
+    Status(
+        "NO_MODE",
+        "no mode is found in which a solution goes on, or there are several",
+        "step over it in time, or set another state",
+    ),
+    Status("TOO_SHORT", "the equations are missed by more than rtol, however short a piece is"),
 )
 NO_ROOM, BAD_ARITHMETIC = ([status.name for status in STATUSES].index(name) for name in ("NO_ROOM", "BAD_ARITHMETIC"))
 

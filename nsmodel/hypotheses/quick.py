@@ -31,9 +31,14 @@ def refuse_start(model: Model) -> None:
     class_of(model).part("hypotheses.quick").refuse_start(model)
 
 
+def warnings(model: Model) -> list[str]:
+    """What the model itself gives the user to know before trusting uniqueness or convergence."""
+    return class_of(model).part("hypotheses.quick").warnings(model)
+
+
 def warnings_of(model: Model, plan: Plan) -> list[str]:
     """Return what the user should know before trusting uniqueness or convergence; an empty list where nothing was found."""
-    found = class_of(model).part("hypotheses.quick").warnings(model)
+    found = warnings(model)
     if plan.monotone:
         return found
     least = f"least eigenvalue of W + W', scaled to 1: {plan.least_eigenvalue:.3g}"

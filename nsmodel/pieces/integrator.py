@@ -63,6 +63,11 @@ class Piece(NamedTuple):
         return self.t + self.tau * self.s
 
 
+def order_of(rtol: float) -> int:
+    """The order of the series (Jorba and Zou 2005)."""
+    return min(math.ceil(-math.log(LOCAL * min(rtol, ROUGHEST)) / 2) + 2, LARGEST_ORDER)
+
+
 class Integrator:
     """A problem as it is integrated: ``advance()`` returns the next piece.
 
@@ -72,7 +77,7 @@ class Integrator:
 
     def __init__(self, problem: ContinuousProblem, rtol: float, atol: list[float] | None = None) -> None:
         self.problem, self.rtol = problem, LOCAL * min(rtol, ROUGHEST)
-        self.order = min(math.ceil(-math.log(self.rtol) / 2) + 2, LARGEST_ORDER)
+        self.order = order_of(rtol)
         self.system = System(problem, self.order)
         self.atol = [0.0] * self.system.n if atol is None else atol
         system, x0 = self.system, [float(v) for v in np.array(ca.DM(problem.x0)).ravel()]

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.pieces import series
-from nsmodel.proof.graph import OpaqueExpression, applied, fold
+from nsmodel.proof.graph import OpaqueExpression, applied, fold, operations
 
 INTEGER_POWERS = 16  # Larger whole exponents are powers of a base that is not 0.
 
@@ -308,3 +308,12 @@ BINARY: dict[int, Callable[[_Tape, int, int], int]] = {
     ca.OP_OR: lambda t, a, b: t.logic("either", a, b),
     ca.OP_IF_ELSE_ZERO: _Tape.where_true,
 }
+SWITCHING = frozenset(
+    getattr(ca, f"OP_{name}")
+    for name in "FABS SIGN FLOOR CEIL NOT FMAX FMIN COPYSIGN FMOD REMAINDER LT LE EQ NE AND OR IF_ELSE_ZERO".split()
+)
+
+
+def is_switched(expr: ca.SX) -> bool:
+    """Whether an expression holds operations that are not analytic."""
+    return bool(operations(expr) & SWITCHING)

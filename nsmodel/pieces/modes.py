@@ -195,10 +195,11 @@ def _wrong(system: System, place: Place, how: Solve) -> Iterator[Condition]:
 
 
 def _let_go(system: System, place: Place) -> bool:
-    """Leave a singular mode: one of its open rows goes to an end."""
+    """Leave a singular mode: one of its open rows goes to an end, the one that its rate leads to."""
     for kind, i in sorted(place.open):
-        if kind == ROW and place.codes[i] == 0 and len(_codes(system, (ROW, i))) > 1:
-            place.codes[i] = int(_codes(system, (ROW, i))[1])
+        if kind == ROW and place.codes[i] == 0 and len(ends := _codes(system, (ROW, i))[1:]) > 0:
+            led = -1 if system.y[i][1] > 0 else 1 if system.y[i][1] < 0 else ends[0]
+            place.codes[i] = int(led if led in ends else ends[0])
             return True
     return False
 

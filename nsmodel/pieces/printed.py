@@ -52,7 +52,9 @@ def first(jets: Jets, language: Dialect) -> list[str]:
     for line in jets.lines:
         if line.branch >= 0:
             lines.append(_choice(line.branch, jets.branches[line.branch], language))
-        lines.append(f"{language.row(line.y)}[0] = {_first(line, language)}{language.end}")
+        at_0 = f"{language.row(line.y)}[0]"
+        value = first_value(line, lambda row: f"{language.row(row)}[0]", f"choice[{line.branch}]", language)
+        lines.append(f"{at_0} = {value}{language.end}")
     return lines
 
 
@@ -70,17 +72,18 @@ def _choice(i: int, branch: Branch, language: Dialect) -> str:
     return language.choose.format(i=i, value=value)
 
 
-def _first(line: Line, language: Dialect) -> str:
-    at = [f"{language.row(row)}[0]" for row in line.args]
+def first_value(line: Line, value: Callable[[int], str], choice: str, language: Dialect) -> str:
+    """Order 0 of a line; ``value``: of a row, ``choice``: of its branch."""
+    at = [value(row) for row in line.args]
     if line.start:
-        return f"{line.start}({', '.join(f'{language.row(row)}[0]' for row in line.of)})"
+        return f"{line.start}({', '.join(map(value, line.of))})"
     match line.kind:
         case "both" | "either":
             return language.either((language.both if line.kind == "both" else language.one).format(*at), "1.0", "0.0")
         case "not":
             return language.either(f"{at[0]} == 0", "1.0", "0.0")
         case "whole":
-            return f"choice[{line.branch}]"
+            return choice
         case "shifted":
             return f"{at[0]} + {language.number(line.number)}"
         case "product":
@@ -89,7 +92,7 @@ def _first(line: Line, language: Dialect) -> str:
             return f"{at[0]}*{at[0]}"
         case "quotient":
             return language.ratio.format(*at)
-    return _at_any_order(line, at, at, language)
+    return _at_any_order(line, at, at, choice, language)
 
 
 def _later(line: Line, language: Dialect) -> str | None:
@@ -100,7 +103,7 @@ def _later(line: Line, language: Dialect) -> str | None:
     if line.kind == "shifted":
         return at_k[0]
     if line.kind in _LINEAR or line.kind in ("guarded", "chosen", "equal"):
-        return _at_any_order(line, at_k, at_0, language)
+        return _at_any_order(line, at_k, at_0, f"choice[{line.branch}]", language)
     own, factor = language.row(line.y), language.number(line.number)
     given = {
         "product": rows,
@@ -113,10 +116,9 @@ def _later(line: Line, language: Dialect) -> str | None:
     return f"-{value}" if line.kind == "along" and line.number < 0 else value
 
 
-def _at_any_order(line: Line, at: list[str], at_0: list[str], language: Dialect) -> str:
+def _at_any_order(line: Line, at: list[str], at_0: list[str], choice: str, language: Dialect) -> str:
     if line.kind == "guarded":
         return language.either(f"{at_0[0]} != 0", at[1], "0.0")
     if line.kind in ("chosen", "equal"):
-        choice = f"choice[{line.branch}]"
         return language.either(f"{choice} == 0" if line.kind == "equal" else f"{choice} > 0", at[0], at[1])
     return _LINEAR[line.kind].format(*at, number=language.number(line.number))

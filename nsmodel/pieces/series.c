@@ -1,10 +1,10 @@
-/* Recurrences of Taylor coefficients, as in series.py: order k of a row y from orders 0, ..., k of others. */
+/* Recurrences of Taylor coefficients, as in series.py: order k of a row y from orders 0, ..., k of others; STRIDE apart. */
 
 static double product(const double *a, const double *b, int k)
 {
-    double sum = a[0]*b[k];
+    double sum = a[0]*b[k*STRIDE];
     for (int j = 1; j <= k; j++)
-        sum += a[j]*b[k - j];
+        sum += a[j*STRIDE]*b[(k - j)*STRIDE];
     return sum;
 }
 
@@ -12,23 +12,23 @@ static double square(const double *a, int k)
 {
     double sum = 0;
     for (int j = 0; 2*j < k; j++)
-        sum += a[j]*a[k - j];
-    return k % 2 ? 2*sum : 2*sum + a[k/2]*a[k/2];
+        sum += a[j*STRIDE]*a[(k - j)*STRIDE];
+    return k % 2 ? 2*sum : 2*sum + a[(k/2)*STRIDE]*a[(k/2)*STRIDE];
 }
 
 static double quotient(const double *y, const double *a, const double *b, int k)
 {
-    double sum = a[k];
+    double sum = a[k*STRIDE];
     for (int j = 0; j < k; j++)
-        sum -= y[j]*b[k - j];
+        sum -= y[j*STRIDE]*b[(k - j)*STRIDE];
     return sum/b[0];
 }
 
 static double root(const double *y, const double *a, int k)
 {
-    double sum = a[k];
+    double sum = a[k*STRIDE];
     for (int j = 1; j < k; j++)
-        sum -= y[j]*y[k - j];
+        sum -= y[j*STRIDE]*y[(k - j)*STRIDE];
     return sum/(2*y[0]);
 }
 
@@ -36,7 +36,7 @@ static double power(const double *y, const double *a, double p, int k)
 {
     double sum = 0;
     for (int j = 0; j < k; j++)
-        sum += (p*(k - j) - j)*a[k - j]*y[j];
+        sum += (p*(k - j) - j)*a[(k - j)*STRIDE]*y[j*STRIDE];
     return sum/(k*a[0]);
 }
 
@@ -44,7 +44,7 @@ static double along(const double *factor, const double *a, int k)
 {
     double sum = 0;
     for (int j = 1; j <= k; j++)
-        sum += j*a[j]*factor[k - j];
+        sum += j*a[j*STRIDE]*factor[(k - j)*STRIDE];
     return sum/k;
 }
 
@@ -52,16 +52,16 @@ static double against(const double *y, const double *divisor, double sign, const
 {
     double sum = 0;
     for (int j = 1; j < k; j++)
-        sum += j*y[j]*divisor[k - j];
-    return (sign*a[k] - sum/k)/divisor[0];
+        sum += j*y[j*STRIDE]*divisor[(k - j)*STRIDE];
+    return (sign*a[k*STRIDE] - sum/k)/divisor[0];
 }
 
 static double angle(const double *y, const double *a, const double *b, const double *size, int k)
 {
     double sum = 0;
     for (int j = 1; j <= k; j++)
-        sum += j*(a[j]*b[k - j] - b[j]*a[k - j]);
+        sum += j*(a[j*STRIDE]*b[(k - j)*STRIDE] - b[j*STRIDE]*a[(k - j)*STRIDE]);
     for (int j = 1; j < k; j++)
-        sum -= j*y[j]*size[k - j];
+        sum -= j*y[j*STRIDE]*size[(k - j)*STRIDE];
     return sum/k/size[0];
 }

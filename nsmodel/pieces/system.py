@@ -32,6 +32,7 @@ NEWTON = 30  # Iterations of l at order 0, where f, g or h are not linear in it.
 SETTLED = 1e-14
 KEPT = 1000  # Modes with their slopes whose matrices are kept.
 AT_ZERO = 1e-9  # Of the terms of y_i: a row that is held is not further from 0.
+STAYS = 1e-9  # Of what moves: a row that nothing acts on moves by less.
 
 
 @dataclass
@@ -259,7 +260,7 @@ class System:
         self._put_y(self.parts["h"].order(1), 1)
         slope = np.array([self.y[i][1] for i in how.active])
         size = max((abs(row[1]) for row in self.x), default=0.0)
-        return bool(np.abs(how.null.T @ slope).max() <= 1e-9 * max(size, float(np.abs(slope).max())))
+        return bool(np.abs(how.null.T @ slope).max() <= STAYS * max(size, float(np.abs(slope).max())))
 
     def _direct(self, how: Solve, k: int) -> float:
         """l_k from y_k, of index 1; y_k with it. Returns the share by which order 0 moved, of what is not linear in l."""

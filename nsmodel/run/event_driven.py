@@ -7,7 +7,7 @@ from bisect import bisect_right
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -15,25 +15,33 @@ import numpy as np
 from nsmodel.classes.registry import class_of
 from nsmodel.errors import StepError, StorageError
 from nsmodel.grid import Grid, check_times
-from nsmodel.hypotheses.quick import refuse_start, warnings_of
-from nsmodel.identity import settings
+from nsmodel.hypotheses.quick import refuse_start, warnings
+from nsmodel.identity import INTERPRETED, WAY, settings
 from nsmodel.model.base import Model
-from nsmodel.pieces.integrator import Integrator, Piece
+from nsmodel.once import once
+from nsmodel.pieces.integrator import order_of
+from nsmodel.pieces.jets import is_switched
 from nsmodel.run.asked import times, tolerances
+from nsmodel.run.in_c import chosen
 from nsmodel.run.options import METHODS, Options
-from nsmodel.run.piece_rows import PieceRows
-from nsmodel.run.walk import PER_CENT, check_exact, note_distance_to_exact, runaway
+from nsmodel.run.piece_makers import InC, Interpreted, Maker
+from nsmodel.run.piece_rows import Block, Columns, PieceRows
+from nsmodel.run.walk import PER_CENT, There, check_exact, note_distance_to_exact, runaway
 from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven
+from nsmodel.solve import cost
 from nsmodel.solve.choose import Plan
+from nsmodel.solve.cost import Cost
 
 if TYPE_CHECKING:
     from nsmodel.run.certified import Certified
 
 METHOD = METHODS[1]
 MOST = 10_000_000  # Pieces after which a run stops.
+IN_C = "pieces in C, compiled for this model; one that C cannot make is interpreted"
 LARGE = 10_000  # Operations of f, g and h up to which "auto" is event-driven.
 
 
+@once
 def problem_of(model: Model) -> ContinuousProblem:
     """Return the model in continuous time, as this method takes it.
 
@@ -55,31 +63,30 @@ class EventDriven:
 
     N: int = MOST
 
-    def __init__(self, model: Model, options: Options, problem: ContinuousProblem) -> None:
+    def __init__(self, model: Model, options: Options, problem: ContinuousProblem, there: There) -> None:
         check_times(t_end=options.t_end)
         self.model: Any = model
         self.options, self.problem = options, problem
         self.T = float(model.t_end if options.t_end is None else options.t_end)
         rtol, atol = tolerances(problem, options.rtol, options.atol)
         self.times = None if options.times is None else times(options.times, self.T)
-        refuse_start(model)
+        found = _looked_at(model)
         check_exact(model)
         _refuse_large(problem, options)
-        self.integrator = Integrator(problem, rtol, atol)
-        self.record, self.k = PieceRows(problem, self.integrator.system, options.save_every), 0
+        same = settings(model, Grid(1, 1.0, 1.0), METHOD, options.tolerance, options.save_every, INTERPRETED)
+        chosen = _chosen(problem, options, there(), (rtol, atol), same["model"], float(model.t_end))  # whatever its end here
+        self.maker, self.plan = chosen.maker, chosen.plan
+        self.record, self.k = PieceRows(problem, self.maker.order, options.save_every, chosen.columns), 0
         self._cut: dict[str, Any] | None = None  # The checkpoint before a piece that goes beyond the end.
-        self.plan = _plan(self.integrator, options)
         self.certified: Certified | None = None
-        self.warnings = warnings_of(model, self.plan)
+        self.warnings = [*found, *chosen.warnings]
         self.counts: Counter[str] = Counter()
         self.totals: dict[str, Any] = {
             "worst_residual": 0.0, "worst_residual_t": None, "index_set_changes": 0, "steps": 0, "rtol": rtol,
-            "order": self.integrator.order, "pieces": 0, "collocated": 0, "events": 0, "worst_estimate": 0.0,
-            "worst_estimate_t": None,
+            "order": self.maker.order, "pieces": 0, "collocated": 0, "events": 0, "worst_estimate": 0.0, "worst_estimate_t": None,
         }  # fmt: skip
         own = {"step": "pieces", "rtol": rtol, "atol": atol, "rows": "ends of pieces" if self.times is None else "times"}
-        same = settings(model, Grid(1, 1.0, 1.0), METHOD, options.tolerance, options.save_every, "interpreted")
-        self.settings = same | own
+        self.settings = same | {WAY: chosen.way} | own
 
     # -- as the loop sees it
 
@@ -101,50 +108,52 @@ class EventDriven:
     @property
     def time(self) -> float:
         """Where the next piece starts."""
-        return self.integrator.t
+        return self.maker.t
 
     @property
     def h(self) -> float:
         """The unit of time of the next piece."""
-        return self.integrator.place.tau
+        return self.maker.tau
 
     @property
     def runaway(self) -> tuple[str, float] | None:
         """Name and value of the largest state, where it is beyond what can be computed with."""
-        return runaway(self.problem.names, np.array(self.integrator.place.x))
+        return runaway(self.problem.names, self.maker.x)
 
     def warm_up(self) -> None:
         """Everything is built."""
 
     def advance(self, steps: int, stop: Sequence[float]) -> None:
         """Integrate so many pieces."""
-        for _ in range(steps):
-            if self.ended or stop:
-                return
-            before = None if self.options.folder is None else self._checkpoint()
-            piece = self.integrator.advance()
-            if piece.end > piece.t:
-                rows = self.record.filled
-                self._take(piece)
-                if before is not None and piece.end > self.T:
-                    self._cut = before | {"cut": {"rows": self.record.filled - rows, "listed": 1}}
+        left = steps
+        while left > 0 and not (self.ended or stop or self.record.full):
+            block = self.maker.make(self.T, left)
+            left -= len(block.t)
+            cut = self.options.folder is not None and block.end[-1] > self.T
+            if cut and len(block.t) > 1:
+                self._take(block.cut(slice(-1)), self.maker.counts(before=True))
+            if cut:
+                self._cut = self._checkpoint(before=True) | {"cut": {"rows": self.record.filled, "listed": 1}}
+                block = block.cut(slice(-1, None))
+            self._take(block, self.maker.counts())
+            if self._cut is not None:
+                self._cut["cut"]["rows"] = self.record.filled - self._cut["cut"]["rows"]
             if self.totals["pieces"] > MOST:
                 raise StepError(f"{MOST:,} pieces, and more are needed: ask for less accuracy (rtol)")
 
-    def _take(self, piece: Piece) -> None:
-        totals, integrator, end = self.totals, self.integrator, min(piece.end, self.T)
-        times, last = [end], self.ended
+    def _take(self, block: Block, counts: dict[str, Any]) -> None:
+        totals, end, last = self.totals, np.minimum(block.end, self.T), bool(block.end[-1] >= self.T)
+        times = end
         if self.times is not None:
-            stop = bisect_right(self.times, end)
-            times, last = self.times[self.record.carried.rows : stop], stop == len(self.times)
-        self.record.take(piece, times, last)
+            stop = bisect_right(self.times, end[-1])
+            times, last = np.array(self.times[self.record.carried.rows : stop]), stop == len(self.times)
+        self.record.take(block, times, last)
         self.k = self.record.carried.rows
-        if piece.defect > totals["worst_estimate"]:
-            totals["worst_estimate"], totals["worst_estimate_t"] = piece.defect, piece.t
-        totals["events"] += piece.event is not None
-        totals |= {"steps": self.k, "pieces": totals["pieces"] + 1, "touches": integrator.touches}
-        totals |= {"unique": dict(integrator.unique), "redundant": integrator.redundant}
-        totals["collocated"] = integrator.stiff.pieces
+        worst = int(block.defect.argmax())
+        if block.defect[worst] > totals["worst_estimate"]:
+            totals["worst_estimate"], totals["worst_estimate_t"] = float(block.defect[worst]), float(block.t[worst])
+        totals["events"] += int(block.event.sum())
+        totals |= {"steps": self.k, "pieces": totals["pieces"] + len(block.t), **counts}
         totals["index_set_changes"] = totals["events"]
 
     def note(self) -> None:
@@ -152,7 +161,7 @@ class EventDriven:
         if self.options.certified and self.record.pieces:
             from nsmodel.run.certified import certified
 
-            self.certified = certified(self.integrator, self.record.pieces, self.T, self.totals["rtol"])
+            self.certified = certified(self.maker.integrator, self.record.pieces, self.T, self.totals["rtol"])
         self._note(self.totals, self.record.filled)
         if self._cut is not None:
             self._note(self._cut["totals"], self.record.filled - self._cut["cut"]["rows"])
@@ -176,15 +185,17 @@ class EventDriven:
         """What to continue from; ``cut``: how many rows and pieces before the end, where a piece goes beyond it."""
         return self._checkpoint() if self._cut is None else self._cut
 
-    def _checkpoint(self) -> dict[str, Any]:
+    def _checkpoint(self, *, before: bool = False) -> dict[str, Any]:
+        maker = self.maker
+        standing = maker.standing(before=before)
         return {
-            "k": self.k, "t": self.time, "totals": dict(self.totals), "rows": self.record.standing(),
-            "integrator": self.integrator.standing(), "cut": None,
+            "k": self.k, "t": standing["t"], "totals": dict(self.totals), "rows": self.record.standing(),
+            "integrator": standing, "cut": None,
         }  # fmt: skip
 
     def stand(self, saved: dict[str, Any]) -> None:
         """Take up what ``standing`` gave."""
-        self.integrator.stand(saved["integrator"])
+        self.maker.stand(saved["integrator"])
         self.record.stand(saved["rows"])
         if self.time > self.T:
             raise StorageError(f"the run there has reached t = {self.time:.10g}, past this run's end; give a later end")
@@ -195,7 +206,7 @@ class EventDriven:
         """What was integrated, and how."""
         p = self.problem
         return {
-            "scheme": f"event-driven: Taylor series of order {self.integrator.order}",
+            "scheme": f"event-driven: Taylor series of order {self.maker.order}",
             "multiplier_names": list(p.rows if p.multipliers is None else p.declared),
             "index_names": list(p.rows),
             "law_kinds": p.law.labels,
@@ -210,20 +221,74 @@ def _refuse_large(problem: ContinuousProblem, options: Options) -> None:
         raise NotEventDriven(f"f, g and h have {size} operations, and each event ends a piece of all of them; steps cost less")
 
 
-def _plan(integrator: Integrator, options: Options) -> Plan:
-    system = integrator.system
+@once
+def _looked_at(model: Model) -> tuple[str, ...]:
+    """The warnings of a model, whose start is not refused."""
+    refuse_start(model)
+    return tuple(warnings(model))
+
+
+class _Chosen(NamedTuple):
+    """Who makes the pieces, by which way; how columns are told, where that is not CasADi's; the plan, and a warning."""
+
+    maker: Maker
+    way: str
+    columns: Columns | None
+    plan: Plan
+    warnings: list[str]
+
+
+def _chosen(
+    problem: ContinuousProblem, options: Options, there: str | None, tolerances: tuple[float, list[float]], mark: str, T: float
+) -> _Chosen:
+    """In C where that is asked for, or pays, or the run that is resumed had it."""
+    plan, made = _plan(problem, options, tolerances[0]), []
+
+    def build() -> Any:
+        from nsmodel.codegen.piece_runs import PiecesInC
+
+        return PiecesInC(problem, mark, *tolerances)
+
+    def interpreted() -> Interpreted:
+        made.extend([] if made else [Interpreted(problem, *tolerances)])
+        return made[0]
+
+    def costs() -> Cost:
+        size, nodes = problem.x.numel() + problem.l.numel(), ca.n_nodes(ca.veccat(problem.f, problem.g, problem.h))
+        return cost.of_pieces(size, nodes, lambda: is_built(mark))
+
+    count = 1
+    if options.compiled == "auto" and there is None and not is_built(mark):
+        count = math.ceil(min(T / interpreted().tau, MOST))
+    found = chosen(options, plan, there, count, costs, build, IN_C, "pieces")
+    if found.steps is None:
+        maker = interpreted()
+        stiff = f"pieces by Radau IIA, {maker.integrator.stiff.radau.stages} stages, where a mode turns out to be stiff"
+        return _Chosen(maker, found.way, None, replace(found.plan, used=(*found.plan.used, stiff)), found.warnings)
+    size = problem.h.numel() + sum(e.numel() for e in problem.columns.values())
+    maker = InC(problem, *tolerances, found.steps)
+    return _Chosen(maker, found.way, lambda rows: found.steps.columns(rows, size), found.plan, found.warnings)
+
+
+def is_built(mark: str) -> bool:
+    """Whether the pieces of a model are compiled already."""
+    from nsmodel.codegen.piece_runs import is_there
+
+    return is_there(mark)
+
+
+def _plan(problem: ContinuousProblem, options: Options, rtol: float) -> Plan:
+    parts = ca.veccat(problem.f, problem.g, problem.h)
     used = [
-        f"event-driven: Taylor series of order {integrator.order} in each mode, {system.n} states, {system.m} rows",
+        f"event-driven: Taylor series of order {order_of(rtol)} in each mode, "
+        f"{problem.x.numel()} states, {problem.l.numel()} rows",
         "each switch is a root of its sign condition, found by Bernstein's test",
-        f"pieces by Radau IIA, {integrator.stiff.radau.stages} stages, where a mode turns out to be stiff",
     ]
-    if system.branches:
-        used.append(f"{len(system.branches)} switches of operations that are not analytic (fabs, fmax, if_else, ...), watched")
+    if is_switched(parts):
+        used.append("switches of operations that are not analytic (fabs, fmax, if_else, ...), watched")
     if options.certified:
         used.append("after the run each piece is proved by interval arithmetic: defect, rows, signs of conditions")
     left = [f"time steps and their solvers (step, solver): {METHOD} pieces are as long as rtol lets them be"]
-    if system.B is not None and system.D is not None and system.C is not None:
-        left.append("linearisations: g_l, h_x and h_l are constant")
     return Plan("pieces", (), False, "never", True, math.inf, tuple(used), tuple(left))
 
 

@@ -29,7 +29,8 @@ class Chosen(NamedTuple):
 
 
 def chosen(
-    options: Options, plan: Plan, there: str | None, N: int, cost: Callable[[], Cost], build: Callable[[], Any]
+    options: Options, plan: Plan, there: str | None, N: int, cost: Callable[[], Cost], build: Callable[[], Any],
+    words: str = IN_C, what: str = "steps",
 ) -> Chosen:  # fmt: skip
     """Decide.
 
@@ -40,13 +41,14 @@ def chosen(
         N: number of its steps.
         cost: what an interpreted step takes, and building the compiled one.
         build: compiles the steps; CodegenError where that cannot be.
+        words, what: of the plan, and what is called a step there.
     """
     wanted = options.compiled is True
     if options.compiled == "auto":
         pays = options.solver == "auto" and cost().pays(N)
         wanted = pays if there is None else there != INTERPRETED
         if options.solver == "auto" and not (pays or wanted):
-            plan = replace(plan, left_out=(*plan.left_out, cost().text(N)))
+            plan = replace(plan, left_out=(*plan.left_out, cost().text(N, what)))
     if not wanted:
         return Chosen(None, plan, [])
     try:
@@ -54,7 +56,7 @@ def chosen(
     except CodegenError as error:
         if there not in (None, INTERPRETED):
             raise StorageError(f"{options.folder}: the run there is {there}, which it cannot be here: {error}") from error
-        plan = replace(plan, left_out=(*plan.left_out, f"steps in C: {error}"))
+        plan = replace(plan, left_out=(*plan.left_out, f"{what} in C: {error}"))
         asked = options.compiled is True
-        return Chosen(None, plan, [f"not compiled, the steps are interpreted: {error}"] if asked else [])
-    return Chosen(steps, replace(plan, used=(*plan.used, IN_C)), [])
+        return Chosen(None, plan, [f"not compiled, the {what} are interpreted: {error}"] if asked else [])
+    return Chosen(steps, replace(plan, used=(*plan.used, words)), [])

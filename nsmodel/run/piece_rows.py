@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -13,22 +14,54 @@ from nsmodel import dense
 from nsmodel.pieces.expansion import Expansion
 from nsmodel.pieces.integrator import Piece
 from nsmodel.pieces.jets import jets_of
-from nsmodel.pieces.system import System
 from nsmodel.run.walk import CHUNK_BYTES
 from nsmodel.scheme.continuous import ContinuousProblem
 
+Columns = Callable[[np.ndarray], np.ndarray]
 
-class Row(NamedTuple):
-    """A time, the number of its piece among those in memory, the largest estimate since the row before; and the sizes of y and l.
 
-    ``integral``: of the multipliers, from the start of the run.
-    """
+class Block(NamedTuple):
+    """Pieces (K), see `integrator.Piece`, as arrays; and what residuals of y and l are measured beside (K, m) at their ends."""
 
-    t: float
-    piece: int
-    worst: float
-    sizes: tuple[list[float], list[float]]
-    integral: np.ndarray
+    t: np.ndarray
+    tau: np.ndarray
+    s: np.ndarray
+    x: np.ndarray
+    l: np.ndarray
+    y: np.ndarray
+    codes: np.ndarray
+    defect: np.ndarray
+    last: np.ndarray
+    event: np.ndarray
+    impulse: np.ndarray
+    size_y: np.ndarray
+    size_l: np.ndarray
+
+    @property
+    def end(self) -> np.ndarray:
+        """The last times."""
+        return self.t + self.tau * self.s
+
+    @classmethod
+    def of(cls, piece: Piece, size_y: list[float], size_l: list[float]) -> Block:
+        """One piece."""
+        impulse = (0.0,) * len(piece.codes) if piece.event is None else piece.event
+        given = (*piece[:6], piece.codes, piece.defect, piece.last, piece.event is not None, impulse, size_y, size_l)
+        kinds = [float] * 6 + [np.int8, float, float, bool, float, float, float]
+        return cls(*(np.array([value], kind) for value, kind in zip(given, kinds, strict=True)))
+
+    def cut(self, part: slice) -> Block:
+        """Some of them."""
+        return Block(*(array[part] for array in self))
+
+    def pieces(self) -> list[Piece]:
+        """One by one."""
+        found = []
+        for k in range(len(self.t)):
+            codes, last, event = tuple(self.codes[k].tolist()), self.last[k].tolist(), tuple(self.impulse[k].tolist())
+            series = self.x[k], self.l[k], self.y[k], codes, float(self.defect[k]), last, event if self.event[k] else None
+            found.append(Piece(float(self.t[k]), float(self.tau[k]), float(self.s[k]), *series))
+        return found
 
 
 @dataclass(frozen=True)
@@ -45,70 +78,90 @@ class Carried:
     worst: float = 0.0
 
 
+class _Rows(NamedTuple):
+    """Rows: times, pieces among those in memory, the largest estimate since the row before, integrals of the multipliers."""
+
+    t: np.ndarray
+    piece: np.ndarray
+    worst: np.ndarray
+    integral: np.ndarray
+
+
 class PieceRows:
     """Rows in memory: every n-th of those that ``take`` is given, of pieces that are all kept; see `walk.RowBuffer`."""
 
-    def __init__(self, problem: ContinuousProblem, system: System, every: int) -> None:
-        self.problem, self.system, self.every = problem, system, every
-        self._out = _outputs(problem, system.orders)
+    def __init__(self, problem: ContinuousProblem, orders: int, every: int, columns: Columns | None = None) -> None:
+        """``columns``: (h, y, records) side by side of rows (t, x, l), where these are computed elsewhere."""
+        self.problem, self.orders, self.every = problem, orders, every
+        self._out = _outputs(problem, orders)
         self._names = len(problem.rows if problem.multipliers is None else problem.declared)
+        self._law = [np.array(ca.DM(end)).ravel() for end in (problem.law.lower, problem.law.upper)]
+        m = problem.l.numel()
+        direct = set(ca.jacobian_sparsity(problem.h, problem.l).row()) if m else set()
+        self._direct = np.array([i in direct for i in range(m)], bool)
+        self._tell = columns or _columns_of(problem)
         nothing = np.zeros(self._names)
         self.carried = Carried(0, 0.0, nothing, nothing)
         self.starts = True  # Whether the row of the start is among those in memory.
+        self._blocks: list[Block] = []
         self.clear()
 
     def clear(self) -> None:
         """Forget the rows."""
-        if self.__dict__.get("pieces"):
+        if self._blocks:
             self.starts = False
-        self.pieces: list[Piece] = []
-        self.rows: list[Row] = []
+        self._blocks, self._rows, self._shown = [], [], []
+        self.count = self._count_rows = 0
         self._before = self.carried
-        self._shown: list[tuple[np.ndarray, np.ndarray]] = []
         self._columns: dict[str, np.ndarray] | None = None
+
+    @property
+    def pieces(self) -> list[Piece]:
+        """The pieces in memory, one by one."""
+        return [piece for block in self._blocks for piece in block.pieces()]
 
     @property
     def filled(self) -> int:
         """Rows in memory."""
-        return len(self.rows) + self.starts
+        return self._count_rows + self.starts
 
     @property
     def numbers(self) -> np.ndarray:
         """The piece of each row, among those in memory."""
-        return np.array([*[0] * self.starts, *(row.piece for row in self.rows)], int)
+        return np.concatenate([np.zeros(int(self.starts), int), *(rows.piece for rows in self._rows)])
 
     @property
     def full(self) -> bool:
         """Whether they fill a chunk."""
-        return len(self.pieces) * (self.system.n + 2 * self.system.m) * 8 * (self.system.orders + 1) > CHUNK_BYTES
+        n, m = self.problem.x.numel(), self.problem.l.numel()
+        return self.count * (n + 2 * m) * 8 * (self.orders + 1) > CHUNK_BYTES
 
-    def take(self, piece: Piece, times: list[float], last: bool) -> None:
-        """Keep a piece, and of the rows at these times in it every n-th, and the ``last`` one."""
-        self.pieces.append(piece)
+    def take(self, block: Block, times: np.ndarray, last: bool) -> None:
+        """Keep pieces, and of the rows at these times in them every n-th, and the ``last`` one."""
+        before, end = self.carried, block.end
         self._columns = None
-        l, y = (piece.l, piece.y) if self._out is None else _expanded(self._out, piece, self._names)
+        self._blocks.append(block)
+        l, y = (block.l, block.y) if self._out is None else _expanded(self._out, block, self._names)
         self._shown.append((l, y))
-        now = replace(self.carried, worst=max(self.carried.worst, piece.defect))
-        sizes = self._sizes()
-        for i, t in enumerate(times):
-            now = replace(now, rows=now.rows + 1)
-            if now.rows % self.every == 0 or (last and i == len(times) - 1):
-                integral = now.until + self._integral(l, piece, t)
-                self.rows.append(Row(t, len(self.pieces) - 1, now.worst, sizes, integral))
-                now = replace(now, t=t, integral=integral, worst=piece.defect)
-        self.carried = replace(now, until=now.until + self._integral(l, piece, piece.end))
-
-    def _sizes(self) -> tuple[list[float], list[float]]:
-        """What residuals of y and of l are measured beside."""
-        system, direct = self.system, self.system.feedthrough
-        of_y = [system.size_y(i) if direct[i] else 1.0 for i in range(system.m)]
-        return of_y, [system.size_l(i) if direct[i] else 1.0 for i in range(system.m)]
-
-    def _integral(self, l: np.ndarray, piece: Piece, t: float) -> np.ndarray:
-        """Of the multipliers from the start of the piece to t."""
-        if not self.problem.impulses:
-            return self.carried.until
-        return piece.tau * dense.integrals(l[None], np.array([(t - piece.t) / piece.tau]))[0]
+        until = np.repeat(before.until[None], len(block.t) + 1, axis=0)
+        if self.problem.impulses:
+            whole = block.tau[:, None] * dense.integrals(l, (end - block.t) / block.tau)
+            until = np.cumsum(np.vstack([before.until[None], whole]), axis=0)
+        numbers = before.rows + np.arange(1, len(times) + 1)
+        keep = numbers % self.every == 0
+        if last and len(times):
+            keep[-1] = True
+        t = times[keep]
+        piece = np.minimum(np.searchsorted(end, t, side="left"), len(end) - 1)
+        integral = until[piece]
+        if self.problem.impulses:
+            integral = integral + block.tau[piece, None] * dense.integrals(l[piece], (t - block.t[piece]) / block.tau[piece])
+        worst, rest = _worst(before.worst, block.defect, piece)
+        self._rows.append(_Rows(t, piece + self.count, worst, integral))
+        now = (float(t[-1]), integral[-1]) if len(t) else (before.t, before.integral)
+        self.carried = Carried(before.rows + len(times), *now, until[-1], rest)
+        self.count += len(block.t)
+        self._count_rows += len(t)
 
     # -- columns
 
@@ -119,27 +172,32 @@ class PieceRows:
         return dict(self._columns)
 
     def _read(self) -> dict[str, np.ndarray]:
-        lists, n, first = self._lists(), self.problem.states, int(self.starts)
-        if not self.pieces:
-            return self._start_alone() | lists
-        t = np.array([*[0.0] * first, *(row.t for row in self.rows)])
-        number = self.numbers
-        found = dense.at({"t": t, "x": np.empty((len(t), n))} | lists, t, number)
-        full = np.hstack([found.x, found.v])
+        n, first = self.problem.states, int(self.starts)
+        if not self._blocks:
+            return self._start_alone() | self._lists(_nothing(self.problem, self.orders))
+        block = Block(
+            *(np.concatenate(arrays) if len(arrays) > 1 else next(iter(arrays)) for arrays in zip(*self._blocks, strict=True))
+        )
+        rows = _Rows(*(np.concatenate(arrays) for arrays in zip(*self._rows, strict=True)))
+        lists = self._lists(block)
+        t, number = np.concatenate([np.zeros(first), rows.t]), self.numbers
+        s = dense.local(lists, number, t)
+        full = dense.polynomials(block.x[number], s)
+        multipliers = dense.polynomials(lists["piece_multipliers"][number], s)
         full[:first] = np.array(ca.DM(self.problem.x0)).T
-        for i, row in enumerate(self.rows, first):
-            if row.t == self.pieces[row.piece].end:
-                full[i] = self.pieces[row.piece].last
+        ends = np.flatnonzero(rows.t == block.end[rows.piece])
+        full[ends + first] = block.last[rows.piece[ends]]
         before = math.nan if first else self._before.t
         arrays: dict[str, np.ndarray] = {
-            "t": t, "x": full[:, :n], "multipliers": found.multipliers, "index_set": lists["piece_codes"][number],
-            "step": np.diff(t, prepend=before), "error_estimate": np.array([*[0.0] * first, *(row.worst for row in self.rows)]),
+            "t": t, "x": full[:, :n], "multipliers": multipliers, "index_set": lists["piece_codes"][number],
+            "step": np.diff(t, prepend=before), "error_estimate": np.concatenate([np.zeros(first), rows.worst]),
         }  # fmt: skip
-        l, h, records = self._records(t, full, number, dense.local(lists, number, t))
-        arrays |= {"residual": np.r_[[0.0] * first, self._residuals(l[first:], h[first:])], **records}
+        l, h, records = self._records(t, full, dense.polynomials(block.l[number], s))
+        residual = self._residuals(l[first:], h[first:], block, rows.piece)
+        arrays |= {"residual": np.concatenate([np.zeros(first), residual]), **records}
         if self.problem.impulses:
             arrays["reactions"] = arrays["multipliers"].copy()
-            integrals = np.array([*[self._before.integral] * (first + 1), *(row.integral for row in self.rows)])
+            integrals = np.concatenate([np.repeat(self._before.integral[None], first + 1, axis=0), rows.integral])
             arrays["multipliers"] = np.diff(integrals, axis=0)
         for name in ("multipliers", "y", "residual", "error_estimate", "reactions"):
             if name in arrays:
@@ -157,39 +215,27 @@ class PieceRows:
             "index_set": np.full((1, p.l.numel()), dense.UNKNOWN, np.int8), **unknown,
         }  # fmt: skip
 
-    def _lists(self) -> dict[str, np.ndarray]:
-        pieces, m, none = self.pieces, self.system.m, (0.0,) * self.system.m
-        order, n, shown = self.system.orders + 1, len(self.problem.names), self._names
+    def _lists(self, block: Block) -> dict[str, np.ndarray]:
+        none = (np.zeros((0, self._names, self.orders + 1)),) * 2
+        l, y = (np.concatenate(arrays) for arrays in zip(*(self._shown or [none]), strict=True))
         return {
-            "piece_start": np.array([p.t for p in pieces]), "piece_unit": np.array([p.tau for p in pieces]),
-            "piece_x": np.array([p.x for p in pieces]).reshape(len(pieces), n, order),
-            "piece_multipliers": np.array([l for l, _ in self._shown]).reshape(len(pieces), shown, order),
-            "piece_y": np.array([y for _, y in self._shown]).reshape(len(pieces), shown, order),
-            "piece_codes": np.array([p.codes for p in pieces], np.int8).reshape(len(pieces), m),
-            "piece_event": np.array([p.event is not None for p in pieces], bool),
-            "piece_impulse": np.array([none if p.event is None else p.event for p in pieces], float).reshape(len(pieces), m),
+            "piece_start": block.t, "piece_unit": block.tau, "piece_x": np.ascontiguousarray(block.x), "piece_multipliers": l,
+            "piece_y": y, "piece_codes": block.codes, "piece_event": block.event, "piece_impulse": block.impulse,
         }  # fmt: skip
 
-    def _residuals(self, l: np.ndarray, y: np.ndarray) -> np.ndarray:
+    def _residuals(self, l: np.ndarray, y: np.ndarray, block: Block, number: np.ndarray) -> np.ndarray:
         """How far each row is from its law where that is algebraic (y depends on l directly), beside the sizes of y and l."""
-        system, rows = self.system, self.rows
-        codes = np.array([self.pieces[row.piece].codes for row in rows]).reshape(len(rows), system.m)
-        of_y, of_l = (np.array([row.sizes[k] for row in rows]).reshape(len(rows), system.m) for k in (0, 1))
-        off = np.where(codes == 0, np.abs(y), np.maximum(codes * y, 0)) / np.maximum(of_y, 1e-300)
-        out = np.maximum(np.maximum(system.lower - l, l - system.upper), 0) / np.maximum(of_l, 1e-300)
-        return (np.maximum(off, out) * system.feedthrough).max(axis=1, initial=0.0)
+        codes, (lower, upper) = block.codes[number], self._law
+        off = np.where(codes == 0, np.abs(y), np.maximum(codes * y, 0)) / np.maximum(block.size_y[number], 1e-300)
+        out = np.maximum(np.maximum(lower - l, l - upper), 0) / np.maximum(block.size_l[number], 1e-300)
+        return (np.maximum(off, out) * self._direct).max(axis=1, initial=0.0)
 
-    def _records(
-        self, t: np.ndarray, x: np.ndarray, number: np.ndarray, s: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    def _records(self, t: np.ndarray, x: np.ndarray, l: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
         """What the law speaks of, l and h, and the columns that are expressions of t, x and l: y, and those of the class."""
-        p = self.problem
-        l = dense.polynomials(np.array([piece.l for piece in self.pieces])[number], s)
-        columns = {"y": p.h if p.outputs is None else p.outputs, **p.records}
-        function = ca.Function("records", [p.t, p.x, p.l], [ca.densify(e) for e in (p.h, *columns.values())]).map(len(t))
-        values = function.call([ca.DM(t[None]), ca.DM(x.T), ca.DM(l.T) if p.l.numel() else ca.DM(0, len(t))])
-        h, *found = (np.array(v).T for v in values)
-        return l, h, {name: v[:, 0] if name == "energy" else v for name, v in zip(columns, found, strict=True)}
+        values = self._tell(np.hstack([t[:, None], x, l]))
+        sizes = {name: e.numel() for name, e in self.problem.columns.items()}
+        h, *found = np.split(values, np.cumsum([self.problem.h.numel(), *sizes.values()])[:-1], axis=1)
+        return l, h, {name: v[:, 0] if name == "energy" else v for name, v in zip(sizes, found, strict=True)}
 
     # -- for files
 
@@ -205,6 +251,35 @@ class PieceRows:
         self.starts = False
 
 
+def _columns_of(p: ContinuousProblem) -> Columns:
+    """(h, y, records) of rows (t, x, l), evaluated by CasADi."""
+    given = ca.vertcat(p.t, p.x, p.l)
+    function = ca.Function("records", [given], [ca.densify(ca.veccat(p.h, *p.columns.values()))])
+
+    def at(rows: np.ndarray) -> np.ndarray:
+        return np.array(function.map(len(rows))(rows.T)).T
+
+    return at
+
+
+def _worst(before: float, defects: np.ndarray, piece: np.ndarray) -> tuple[np.ndarray, float]:
+    """The largest estimate from the piece of the row before to that of each row; and since the last row."""
+    all_of = np.concatenate([[before], defects])
+    starts, ends = np.concatenate([[0], piece[:-1] + 1])[: len(piece)], piece + 1
+    rest = float(all_of[ends[-1] if len(piece) else 0 :].max())
+    if not len(piece):
+        return np.zeros(0), rest
+    pairs = np.stack([starts, ends + 1], axis=1).ravel()
+    return np.maximum.reduceat(np.append(all_of, 0.0), pairs)[::2], rest
+
+
+def _nothing(p: ContinuousProblem, orders: int) -> Block:
+    n, m = p.x.numel(), p.l.numel()
+    none, rows, series = np.zeros(0), np.zeros((0, m)), np.zeros((0, m, orders + 1))
+    x, codes, event = np.zeros((0, n, orders + 1)), np.zeros((0, m), np.int8), np.zeros(0, bool)
+    return Block(none, none, none, x, series, series, codes, none, np.zeros((0, n)), event, rows, rows, rows)
+
+
 def _outputs(p: ContinuousProblem, orders: int) -> Expansion | None:
     """The series of the user's own multipliers and outputs, where they are not those of the rows."""
     if p.multipliers is None or p.outputs is None:
@@ -213,13 +288,17 @@ def _outputs(p: ContinuousProblem, orders: int) -> Expansion | None:
     return Expansion(jets, orders, None)
 
 
-def _expanded(out: Expansion, piece: Piece, count: int) -> tuple[np.ndarray, np.ndarray]:
-    given = {(0, 0): [piece.t, piece.tau, *[0.0] * (piece.x.shape[1] - 2)]}
-    given |= {(1, i): row for i, row in enumerate(piece.x.tolist())} | {(2, i): row for i, row in enumerate(piece.l.tolist())}
+def _expanded(out: Expansion, block: Block, count: int) -> tuple[np.ndarray, np.ndarray]:
+    rows = np.stack([_series(out, *block.cut(slice(k, k + 1))[:5]) for k in range(len(block.t))])
+    return rows[:, :count], rows[:, count:]
+
+
+def _series(out: Expansion, t: np.ndarray, tau: np.ndarray, _: np.ndarray, x: np.ndarray, l: np.ndarray) -> np.ndarray:
+    given = {(0, 0): [float(t[0]), float(tau[0]), *[0.0] * (x.shape[2] - 2)]}
+    given |= {(1, i): row for i, row in enumerate(x[0].tolist())} | {(2, i): row for i, row in enumerate(l[0].tolist())}
     for place, row in out.jets.inputs.items():
         out.rows[row][:] = given[place]
     out.choice[:] = [math.nan] * len(out.choice)
-    for k in range(piece.x.shape[1]):
+    for k in range(x.shape[2]):
         out.order(k)
-    rows = np.array(out.outputs)
-    return rows[:count], rows[count:]
+    return np.array(out.outputs)

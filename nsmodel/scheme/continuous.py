@@ -52,3 +52,8 @@ class ContinuousProblem:
     declared: tuple[str, ...] = ()
     records: Mapping[str, ca.SX] = field(default_factory=dict)
     impulses: bool = False
+
+    @property
+    def columns(self) -> dict[str, ca.SX]:
+        """The columns of a trajectory that are expressions of t, x and l: y, and those of the class."""
+        return {"y": self.h if self.outputs is None else self.outputs, **self.records}

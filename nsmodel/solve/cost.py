@@ -32,9 +32,9 @@ class Cost(NamedTuple):
         saved = steps * self.step - LOADING
         return saved > 0 and saved > self.building()
 
-    def text(self, steps: int) -> str:
+    def text(self, steps: int, what: str = "steps") -> str:
         """Why it does not, as a line of what is left out."""
-        return f"steps in C: {steps:,} interpreted steps take about {steps * self.step:.2g} s, building them would take longer"
+        return f"{what} in C: {steps:,} interpreted {what} take about {steps * self.step:.2g} s, building them would take longer"
 
 
 def interpreted(path: str, structure: Structure | None) -> float:
@@ -64,3 +64,8 @@ def building(path: str, structure: Structure | None, problem: OneStepProblem) ->
 def of_bodies(count: int, solver: Callable[[], bool], own: Callable[[], bool]) -> Cost:
     """The cost of many bodies; whether the solver, which all models share, and the model's own functions are built."""
     return Cost(1.4e-3 + 5e-6 * count, lambda: 4.5 * (not solver()) + 0.15 * (not own()))
+
+
+def of_pieces(size: int, rows: int, built: Callable[[], bool]) -> Cost:
+    """The cost of event-driven pieces: ``size`` states and rows, operations of f, g and h besides; whether they are built."""
+    return Cost(1e-3 + 1e-4 * size + 2e-5 * rows, lambda: 0.0 if built() else 1.0 + 2e-4 * rows + 2e-3 * size)

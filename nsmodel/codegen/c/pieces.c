@@ -1,0 +1,597 @@
+/* One piece after another: pieces/integrator.py, lengths.py, defect.py. */
+
+/* What a piece is, as numbers: the last state; an event with its jump; the sizes that rows are measured beside; coefficients. */
+enum {
+    AT_T, AT_TAU, AT_S, AT_DEFECT, AT_EVENT, AT_IMPULSE, AT_CODES = AT_IMPULSE + M, AT_SIZE_Y = AT_CODES + M,
+    AT_SIZE_L = AT_SIZE_Y + M, AT_LAST = AT_SIZE_L + M, AT_C = AT_LAST + N
+};
+
+/* The raised of two that is not below tau. */
+static double unit_of(double tau)
+{
+    int exponent;
+    const double fraction = frexp(tau, &exponent);
+    return ldexp(1.0, exponent - (fraction == 0.5));
+}
+
+static int expand_finite(model_pieces *s, int orders)
+{
+    for (int pass = 0; pass < 60; pass++) {
+        int finite = 1;
+        if (!expand(s, orders))
+            return MODEL_NO_MODE;
+        for (int i = 0; i < N; i++)
+            finite &= is_finite(s->c[orders][i]);
+        if (finite)
+            return MODEL_OK;
+        s->at.tau = ldexp(s->at.tau, -6);
+    }
+    return MODEL_NOT_FINITE;
+}
+
+/* Row out of count: its column, how many terms are known, its size so far, and what it is asked for. */
+typedef struct {
+    int column, known;
+    double size, rtol, more;
+} measured;
+
+static int rows_of(const model_pieces *s, measured *rows)
+{
+    const int p = s->order;
+    int count = 0;
+    for (int i = 0; i < N; i++)
+        rows[count++] = (measured){i, p, s->at.size_x[i], s->rtol, s->atol[i]};
+#if LAW
+    const int known = HOW.through ? p - 1 : p;
+    double y_floor = 0, l_floor = 0;
+    for (int i = 0; i < M; i++) {
+        y_floor = max_of(y_floor, SMALL*s->at.size_y[i]);
+        l_floor = max_of(l_floor, SMALL*s->at.size_l[i]);
+    }
+    for (int i = 0; i < M; i++)
+        rows[count++] = s->at.codes[i] ? (measured){Y + i, p, max_of(s->at.size_y[i], y_floor), MULTIPLIERS*s->rtol, 0}
+                                       : (measured){L + i, known, max_of(s->at.size_l[i], l_floor), MULTIPLIERS*s->rtol, 0};
+#endif
+    return count;
+}
+
+/* The size of a row on a piece of this length. */
+static double size_on(const model_pieces *s, const measured *row, double length)
+{
+    double size = row->size, raised = length;
+    for (int k = 1; k < row->known/2; k++) {
+        const double term = fabs(s->c[k][row->column])*raised;
+        size = term > size ? term : size;
+        raised *= length;
+    }
+    return size;
+}
+
+/*
+ * The length of the piece in units of time: the last two terms of x, l and y are what is asked for. The size of a row is not less
+ * than so far, so that only a row that would be the shortest with that needs its size on the piece.
+ */
+static double length_of(model_pieces *s)
+{
+    measured rows[N + M];
+    const int p = s->order, count = rows_of(s, rows);
+    double length = 0, last[3] = {-1, -1, -1}, (*ratio)[2] = s->ratio, longest = LONGEST;
+    for (int i = 0; i < count; i++) {
+        measured *row = &rows[i];
+        const int n = row->known, column = row->column;
+        row->size = max_of(row->size, fabs(s->c[0][column]));
+        const double goal = row->rtol*row->size + row->more;
+        int first = 0;
+        if (goal == 0) {
+            while (first < n - 1 && s->c[first][column] == 0)
+                first++;
+            first = first == n - 1 ? n : first;
+        }
+        for (int e = 0; e < 2; e++) {
+            const double a = fabs(s->c[n - e][column]);
+            ratio[i][e] = INFINITY;
+            if (a == 0 || n - e <= first)
+                continue;
+            if (first)
+                longest = min_of(longest, pow(row->rtol*fabs(s->c[first][column])/a, 1.0/(n - e - first)));
+            else
+                ratio[i][e] = goal/a;
+        }
+    }
+    for (int pass = 0; pass < 3; pass++) {
+        double least[3] = {INFINITY, INFINITY, INFINITY}; /* of goal/|c_k|, by k = p - 2, p - 1, p */
+        for (int i = 0; i < count; i++) {
+            double size = -1, *of = least + rows[i].known - p + 2;
+            for (int e = 0; e < 2; e++) {
+                if (ratio[i][e] >= of[-e])
+                    continue;
+                if (pass == 0) {
+                    of[-e] = ratio[i][e];
+                    continue;
+                }
+                size = size < 0 ? size_on(s, &rows[i], length) : size;
+                const double now = (rows[i].rtol*size + rows[i].more)/fabs(s->c[rows[i].known - e][rows[i].column]);
+                of[-e] = now < of[-e] ? now : of[-e];
+            }
+        }
+        if (memcmp(last, least, sizeof last) == 0)
+            return length;
+        memcpy(last, least, sizeof last);
+        length = longest;
+        for (int e = 0; e < 3; e++)
+            if (least[e] < INFINITY)
+                length = min_of(length, pow(least[e], 1.0/(p - 2 + e)));
+    }
+    return length;
+}
+
+/* An estimate of the local error in units of rtol, from |x' - f - g| and |y| of held rows at two points of a piece of length s. */
+static double defect_of(model_pieces *s, double length)
+{
+    static const double points[] = {POINT_1, POINT_2};
+    const int p = s->order;
+    double worst = 0, y[M + 1];
+    for (int point = 0; point < 2; point++) {
+        const double at = points[point]*length;
+        double *value = s->value, *slope = s->slope, *size = s->terms;
+        for (int i = 0; i < N; i++) {
+            double v = s->c[p][i], d = p*v, most = fabs(d);
+            for (int k = p - 1; k >= 1; k--) {
+                const double c = s->c[k][i], e = k*c;
+                v = v*at + c;
+                d = d*at + e;
+                most = most*at + fabs(e);
+            }
+            value[i] = v*at + s->c[0][i];
+            slope[i] = d;
+            size[i] = most;
+        }
+#if LAW
+        horner(&s->c[0][0] + L, COLUMNS, p, at, M, value + L);
+#endif
+#if LAW
+        for (int i = 0; i < M; i++)
+            if (s->at.codes[i])
+                value[L + i] = s->c[0][L + i];
+#endif
+        s->now[0] = s->at.t + s->at.tau*at;
+        equations(s, s->now, value, value + N, s->f, y);
+        for (int i = 0; i < N; i++) {
+            const double w = s->at.tau*s->f[i];
+            const double largest = max_of(s->at.size_x[i], max_of(fabs(value[i]), fabs(slope[i]*length)));
+            const double goal = s->rtol*largest + s->atol[i];
+            const double seen = fabs(slope[i] - w) - SEEN*(size[i] + fabs(w));
+            if (!(seen <= 0))
+                worst = max_of(worst, goal != 0 && seen == seen ? seen*length/(p + 1)/s->shares[point]/goal : INFINITY);
+        }
+#if LAW
+        double of_x[N], of_l[M];
+        int any = 0;
+        for (int i = 0; i < M; i++)
+            any |= s->at.codes[i] == 0 && y[i] != 0;
+        if (!any)
+            continue;
+        for (int i = 0; i < N; i++)
+            of_x[i] = max_of(s->at.size_x[i], fabs(value[i]));
+        for (int i = 0; i < M; i++)
+            of_l[i] = max_of(s->at.size_l[i], fabs(value[L + i]));
+        for (int i = 0; i < M; i++)
+            if (s->at.codes[i] == 0 && y[i] != 0) {
+                const double of = max_of(s->at.size_y[i], terms_of(s, i, of_x, of_l));
+                worst = max_of(worst, (fabs(y[i]) - SEEN_ROW*of)/(MULTIPLIERS*s->rtol*of + 1e-300));
+            }
+#endif
+    }
+    return worst;
+}
+
+/* What ends a piece of this length at most: *found and hit; its error in units of rtol. */
+static int accept(model_pieces *s, double *length, condition *hit, int *found, double *error)
+{
+    for (int pass = 0; pass < SHORTENINGS; pass++) {
+        *found = first_event(s, length, hit);
+        *error = s->estimated ? LOCAL*defect_of(s, *length) : 0;
+        if (*error <= 1)
+            return MODEL_OK;
+        *length *= min_of(0.5, 0.9*pow(*error, -1.0/s->order));
+        if (s->at.t + s->at.tau**length == s->at.t)
+            break;
+    }
+    return MODEL_TOO_SHORT;
+}
+
+/* Note what the rows come to; x at s into s->value. */
+static void grow(model_pieces *s, double length)
+{
+    horner(&s->c[0][0], COLUMNS, s->order, length, ROWS, s->value);
+    for (int i = 0; i < N; i++)
+        s->at.size_x[i] = max_of(s->at.size_x[i], max_of(fabs(s->value[i]), fabs(s->c[0][i])));
+#if LAW
+    for (int i = 0; i < M; i++) {
+        s->at.size_y[i] = max_of(s->at.size_y[i], max_of(fabs(s->value[Y + i]), fabs(s->c[0][Y + i])));
+        s->at.size_l[i] = max_of(s->at.size_l[i], max_of(fabs(s->value[L + i]), fabs(s->c[0][L + i])));
+    }
+#endif
+#if SWITCHED
+    for (int b = 0; b < CHOICES; b++) {
+        double v;
+        horner(&s->c[0][0] + branch_column[b], COLUMNS, s->order, length, 1, &v);
+        s->at.size_switches[b] = max_of(s->at.size_switches[b], max_of(fabs(v), fabs(s->c[0][branch_column[b]])));
+    }
+#endif
+}
+
+#if LAW
+/* Move x so that what no l acts on directly is 0 in these rows, along the least motion. */
+static void project(model_pieces *s, const signed char *rows)
+{
+#if ORTHOGONAL
+    for (int pass = 0; pass < 3; pass++) {
+        int any = 0;
+        memcpy(s->c[0], s->at.x, sizeof s->at.x);
+        s->c[0][T] = s->at.t;
+        h_first(s);
+        for (int i = 0; i < M; i++) {
+            const double y = s->c[0][Y + i];
+            double sum = 0;
+            if (!rows[i] || y == 0)
+                continue;
+            any = 1;
+            for (int e = C_start[i]; e < C_start[i + 1]; e++)
+                sum += C_value[e]*C_value[e];
+            for (int e = C_start[i]; e < C_start[i + 1]; e++)
+                s->at.x[C_column[e]] -= C_value[e]*(y/sum);
+        }
+        if (!any)
+            break;
+    }
+#else
+    for (int pass = 0; pass < 3; pass++) {
+        int a[M], n = 0, any = 0, rank = 0, q = 0;
+        double y[M], *U = s->work_u;
+        for (int i = 0; i < M; i++)
+            if (rows[i])
+                a[n++] = i;
+        for (int i = 0; i < n; i++)
+            for (int j = 0; j < n; j++)
+                s->work_a[i*n + j] = D_AT(a[i], a[j]);
+        if (n)
+            rank = generalised_inverse(n, s->work_a, s->work_b, U, s->work_v);
+        for (int u = 0; u < n - rank; u++) { /* the combinations that no l acts on, made orthogonal one after the other */
+            double *row = s->row + q*N, size = 0, rest = 0;
+            y[q] = 0;
+            memset(row, 0, N*sizeof *row);
+            for (int i = 0; i < n; i++) {
+                const double weight = U[i*n + rank + u];
+                y[q] += weight*s->c[0][Y + a[i]];
+                for (int j = 0; j < N; j++)
+                    row[j] += weight*C_AT(a[i], j);
+            }
+            any |= y[q] != 0;
+            for (int j = 0; j < N; j++)
+                size += row[j]*row[j];
+            for (int v = 0; v < q; v++) {
+                double dot = 0;
+                for (int j = 0; j < N; j++)
+                    dot += s->row[v*N + j]*row[j];
+                for (int j = 0; j < N; j++)
+                    row[j] -= dot*s->row[v*N + j];
+                y[q] -= dot*y[v];
+            }
+            for (int j = 0; j < N; j++)
+                rest += row[j]*row[j];
+            if (!(rest > 1e-26*size))
+                continue;
+            rest = sqrt(rest);
+            for (int j = 0; j < N; j++)
+                row[j] /= rest;
+            y[q++] /= rest;
+        }
+        if (!any)
+            break;
+        for (int v = 0; v < q; v++)
+            for (int j = 0; j < N; j++)
+                s->at.x[j] -= y[v]*s->row[v*N + j];
+        expand(s, 1);
+    }
+#endif
+}
+#endif
+
+#if LAW
+/* Move x back to y = 0 in rows that only y' holds, once their drift is seen: each piece leaves its share of rtol. */
+static int hold(model_pieces *s)
+{
+    double y[M];
+    signed char rows[M];
+    int seen = 0, status;
+    s->now[0] = s->at.t;
+    equations(s, s->now, s->at.x, s->c[0] + L, s->f, y);
+    for (int i = 0; i < M; i++) {
+        rows[i] = s->at.codes[i] == 0;
+        if (rows[i] && !feeds[i])
+            seen |= fabs(y[i]) > s->rtol*size_y(s, i);
+    }
+    if (!seen)
+        return MODEL_OK;
+    if ((status = expand_finite(s, 1)))
+        return status;
+    project(s, rows);
+    return MODEL_OK;
+}
+#endif
+
+/* Note whether the mode is the only one. */
+static int judge_uniqueness(model_pieces *s)
+{
+#if LAW
+#if LINEAR
+    if (!count_open(s, M, M + CHOICES) && is_p_matrix(s)) {
+        s->at.unique[0] += 1;
+        return MODEL_OK;
+    }
+#endif
+#else
+    if (!count_open(s, 0, CHOICES)) {
+        s->at.unique[0] += 1;
+        return MODEL_OK;
+    }
+#endif
+    if (count_open(s, 0, M + CHOICES) > FEW) {
+        s->at.unique[2] += 1;
+        return MODEL_OK;
+    }
+    s->at.unique[1] += 1;
+    return is_agreed(s) ? MODEL_OK : MODEL_NO_MODE;
+}
+
+/* Whether event n = 2^k comes as fast again as event n/2, to a part, four times over. */
+static int accumulates(model_pieces *s)
+{
+    const long n = (long)(s->at.events += 1);
+    int k = 0;
+    if (n & (n - 1))
+        return 0;
+    while (1L << k < n)
+        k++;
+    s->at.times[k] = s->at.t;
+    if (n < MANY)
+        return 0;
+    double late = 2*(s->at.times[k] - s->at.times[k - 1])/(double)n;
+    for (int i = 1; i < 5; i++) {
+        const double early = 2*(s->at.times[k - i] - s->at.times[k - i - 1])/(double)(n >> i);
+        if (!(late < FASTER*early))
+            return 0;
+        late = early;
+    }
+    return 1;
+}
+
+/* Go to the event to rounding, and choose the mode after it. */
+static int pass_event(model_pieces *s, const condition *hit)
+{
+    condition own, all[2];
+    int there = 0, status;
+    double c[MOST_ORDERS + 1];
+#if LAW
+    signed char rows[M]; /* those that were held, and then the open ones */
+    int any = 0;
+    for (int i = 0; i < M; i++)
+        any |= rows[i] = s->at.codes[i] == 0;
+#if !ORTHOGONAL
+    if (any && (status = expand_finite(s, AROUND)))
+        return status;
+#endif
+    if (any)
+        project(s, rows);
+#endif
+    if ((status = polish(s, hit, &own, &there)))
+        return status;
+    const double past = there ? beyond_touch(s, &own) : 0;
+    if (past > 0) {
+        for (int i = 0; i < N; i++) {
+            double v = 0;
+            for (int k = AROUND; k >= 0; k--)
+                v = v*past + s->c[k][i];
+            s->at.x[i] = v;
+        }
+        s->at.t += past*s->at.tau;
+        s->at.touches += 1;
+        return MODEL_OK;
+    }
+    for (int of = 0; of < M + CHOICES; of++)
+        for (int n = conditions_of(s, of, AROUND, all), i = 0; i < n; i++) {
+            coefficients(s, &all[i], c);
+            const double moves = largest_of(all[i].orders, c + 1), least = TIE*size_of(s, &all[i]);
+            const int ends = is_same(&all[i], hit);
+            if (s->at.open[of] || !(ends || fabs(c[0]) <= max_of(least, TIE*moves)))
+                continue;
+            s->at.open[of] = 1;
+            if (ends || moves > least)
+                turn(s, of, all[i].after);
+        }
+#if LAW
+    for (int i = 0; i < M; i++)
+        rows[i] = rows[i] || s->at.open[i];
+    project(s, rows);
+#endif
+    if (!choose_mode(s))
+        return MODEL_NO_MODE;
+    if ((status = judge_uniqueness(s)))
+        return status;
+    if (s->at.begun == 0)
+        memset(s->at.impulse, 0, sizeof s->at.impulse);
+    s->at.begun = 1;
+    return accumulates(s) ? MODEL_NO_MODE : MODEL_OK;
+}
+
+/* What is written down of a piece, but where it ends. */
+static void record_piece(model_pieces *s, double length, double error)
+{
+    double *piece = s->piece;
+    piece[AT_T] = s->at.t;
+    piece[AT_TAU] = s->at.tau;
+    piece[AT_S] = length;
+    piece[AT_DEFECT] = error;
+    piece[AT_EVENT] = s->at.begun;
+#if LAW
+    for (int i = 0; i < M; i++) {
+        piece[AT_IMPULSE + i] = s->at.begun != 0 ? s->at.impulse[i] : 0;
+        piece[AT_CODES + i] = s->at.codes[i];
+    }
+#endif
+    memcpy(piece + AT_LAST, s->value, sizeof s->at.x);
+    for (int k = 0; k <= s->order; k++)
+        memcpy(piece + AT_C + k*ROWS, s->c[k], ROWS*sizeof *piece);
+}
+
+/* The sizes that rows are measured beside, where they depend on l directly. */
+static void record_sizes(model_pieces *s)
+{
+#if LAW
+    for (int i = 0; i < M; i++) {
+#if FEED
+        s->piece[AT_SIZE_Y + i] = feeds[i] ? size_y(s, i) : 1;
+        s->piece[AT_SIZE_L + i] = feeds[i] ? size_l(s, i) : 1;
+#else
+        s->piece[AT_SIZE_Y + i] = s->piece[AT_SIZE_L + i] = 1;
+#endif
+    }
+#else
+    UNUSED(s);
+#endif
+}
+
+/* Integrate to the next event, or as far as one expansion goes. */
+static int next_piece(model_pieces *s)
+{
+    condition hit;
+    int found = 0, status;
+    double error = 0, length;
+    s->before = s->at;
+    s->work = 0;
+    if ((status = expand_finite(s, s->order)))
+        return status;
+    length = length_of(s);
+    if (length > 1) { /* what is rounding at s = 1 is not at s^p */
+        s->at.tau = unit_of(length*s->at.tau);
+        if ((status = expand_finite(s, s->order)))
+            return status;
+        length = min_of(length_of(s), 1.0);
+    }
+    const double longest = length*s->at.tau;
+    if ((status = accept(s, &length, &hit, &found, &error)))
+        return status;
+    grow(s, length);
+    record_piece(s, length, error);
+    if (length != 0)
+        s->at.begun = 0;
+#if LAW
+    s->at.redundant += HOW.null > 0;
+#endif
+    memcpy(s->at.x, s->value, sizeof s->at.x);
+    s->at.t += s->at.tau*length;
+    memset(s->at.open, 0, sizeof s->at.open);
+    const double start = s->piece[AT_T], unit = s->at.tau, tau = unit*length;
+    if (!found) {
+#if LAW
+        if (HOW.through && (status = hold(s)))
+            return status;
+#endif
+        s->at.tau = unit_of(ROOM*tau);
+    }
+    else {
+        s->at.tiny = length*unit < TINY*max_of(fabs(s->at.t), unit) ? s->at.tiny + 1 : 0;
+        if (s->at.tiny > TINY_PIECES)
+            return MODEL_NO_MODE;
+        s->at.tau = unit_of(length > 1e-6 ? min_of(longest, 8*tau) : longest); /* longer than a mode's own time coefficients grow */
+        if ((status = pass_event(s, &hit)))
+            return status;
+        if (s->at.t > start) {
+            s->piece[AT_S] = (s->at.t - start)/unit;
+            memcpy(s->piece + AT_LAST, s->at.x, sizeof s->at.x);
+        }
+    }
+    record_sizes(s);
+    return s->work < s->budget ? MODEL_OK : MODEL_NOT_SOLVED;
+}
+
+/* The next piece that has a length; where that fails the place is as before. */
+static int advance_piece(model_pieces *s)
+{
+    int status;
+    do
+        status = next_piece(s);
+    while (status == MODEL_OK && !(s->piece[AT_T] + s->piece[AT_TAU]*s->piece[AT_S] > s->piece[AT_T]));
+    if (status != MODEL_OK)
+        s->at = s->before;
+    return status;
+}
+
+/* A first unit of time: in which f changes the state by a tenth of its size. */
+static void choose_unit(model_pieces *s)
+{
+    double most = 0;
+    s->c[0][T] = s->at.t;
+    s->c[1][T] = s->at.tau;
+    memcpy(s->c[0], s->at.x, sizeof s->at.x);
+    f_first(s, 1, s->c[1]);
+#if B_NUMBERS
+    const double *f = s->c[1];
+#else
+    const double *f = s->f;
+#endif
+    for (int i = 0; i < N; i++)
+        if (s->at.x[i] != 0 && is_finite(f[i]))
+            most = max_of(most, fabs(f[i])/fabs(s->at.x[i]));
+    if (most > 0)
+        s->at.tau = unit_of(0.1/most);
+}
+
+/* Begin at the state x and time t: choose the mode. */
+static int begin(model_pieces *s, double t, const double *x)
+{
+    memset(&s->at, 0, sizeof s->at);
+    s->at.t = t;
+    s->at.tau = 1;
+    for (int i = 0; i < N; i++) {
+        s->at.x[i] = x[i];
+        s->at.size_x[i] = fabs(x[i]);
+    }
+    for (int b = 0; b < CHOICES; b++)
+        s->at.choice[b] = NAN;
+#if LAW
+    for (int i = 0; i < M; i++) {
+        const int below = is_finite(lower[i]), above = is_finite(upper[i]);
+        s->at.l[i] = below && above ? (lower[i] + upper[i])/2 : below ? lower[i] : above ? upper[i] : 0;
+        s->at.size_l[i] = below && above ? upper[i] - lower[i] : 0;
+    }
+#endif
+    choose_unit(s);
+    for (int pass = 0; pass < STARTS; pass++) {
+        memset(s->at.codes, 0, sizeof s->at.codes);
+        memset(s->at.open, 1, M + CHOICES);
+        s->work = 0;
+        const int found = choose_mode(s); /* in a shorter time the germ of a multiplier may show */
+        const double length = expand(s, s->order) ? length_of(s) : 1;
+        if (found && length >= TOO_SHORT) {
+            grow(s, 0);
+            return judge_uniqueness(s);
+        }
+        s->at.tau = unit_of(min_of(length, TOO_SHORT)*s->at.tau);
+    }
+    return MODEL_NO_MODE;
+}
+
+/* Orders and tolerances; numbers that series are made of. */
+static void prepare_pieces(model_pieces *s, double rtol)
+{
+    static const double points[] = {POINT_1, POINT_2};
+    s->rtol = LOCAL*min_of(rtol, ROUGHEST);
+    s->order = (int)ceil(-log(s->rtol)/2) + 2;
+    if (s->order > MOST_ORDERS)
+        s->order = MOST_ORDERS;
+    for (int i = 0; i < 2; i++)
+        s->shares[i] = pow(points[i], s->order);
+    numbers(s);
+}

@@ -1,0 +1,118 @@
+/* The interface. */
+
+static int is_ready(const model_pieces *s) { return s->ready == READY; }
+
+int model_pieces_init(model_pieces *s, double rtol)
+{
+    double x[N];
+    memset(s, 0, sizeof *s);
+    if (!is_sound())
+        return MODEL_BAD_ARITHMETIC;
+    if (!(rtol >= LEAST_RTOL && rtol < 1))
+        return MODEL_BAD_STEP;
+    s->ready = READY;
+    s->estimated = 1;
+    s->budget = MOST_WORK;
+    s->most = MOST_PIECES;
+#if PARAMETERS
+    memcpy(s->p, default_p, sizeof s->p);
+#endif
+    prepare_pieces(s, rtol);
+    start(s, x);
+    return model_pieces_set_state(s, 0, x);
+}
+
+int model_pieces_set_state(model_pieces *s, double t, const double *x)
+{
+    if (!is_ready(s))
+        return MODEL_NOT_INITIALISED;
+    if (!is_finite(t) || !all_finite(N, x))
+        return MODEL_NOT_FINITE;
+    s->live = 0;
+    s->t = t;
+    return s->status = begin(s, t, x);
+}
+
+#if PARAMETERS
+int model_pieces_set_parameters(model_pieces *s, const double *p)
+{
+    double x[N];
+    if (!is_ready(s))
+        return MODEL_NOT_INITIALISED;
+    if (!all_finite(MODEL_PIECES_NP, p))
+        return MODEL_NOT_FINITE;
+    model_pieces_get_state(s, x);
+    memcpy(s->p, p, sizeof s->p);
+    s->count = s->current = s->next = 0;
+    numbers(s);
+    return model_pieces_set_state(s, s->t, x);
+}
+#endif
+
+void model_pieces_set_most(model_pieces *s, long pieces) { s->most = pieces; }
+
+int model_advance(model_pieces *s, double t_end)
+{
+    if (!is_ready(s))
+        return MODEL_NOT_INITIALISED;
+    if (!is_finite(t_end))
+        return MODEL_NOT_FINITE;
+    if (t_end < s->t)
+        return MODEL_BAD_STEP;
+    if (!s->live && s->status != MODEL_OK)
+        return s->status;
+    for (s->pieces = 0; s->at.t < t_end; s->pieces++) {
+        s->status = s->pieces < s->most ? advance_piece(s) : MODEL_NOT_SOLVED;
+        if (s->status != MODEL_OK) {
+            if (s->live)
+                s->t = s->at.t;
+            return s->status;
+        }
+        s->live = 1;
+    }
+    s->t = t_end;
+    return s->status = MODEL_OK;
+}
+
+double model_pieces_get_time(const model_pieces *s) { return s->t; }
+
+/* count columns of the piece from the first one, at the time reached. */
+static void read_piece(const model_pieces *s, int first, int count, double *out)
+{
+    const double at = (s->t - s->piece[AT_T])/s->piece[AT_TAU];
+    horner(s->piece + AT_C + first, ROWS, s->order, at, count, out);
+}
+
+void model_pieces_get_state(const model_pieces *s, double *x)
+{
+    if (!s->live || s->t == s->at.t)
+        memcpy(x, s->at.x, sizeof s->at.x);
+    else
+        read_piece(s, 0, N, x);
+}
+
+#if LAW
+void model_pieces_get_multipliers(const model_pieces *s, double *l)
+{
+    if (s->live)
+        read_piece(s, L, M, l);
+    else
+        memcpy(l, s->at.l, M*sizeof *l);
+}
+
+void model_pieces_get_outputs(const model_pieces *s, double *y)
+{
+    if (s->live)
+        read_piece(s, Y, M, y);
+    else
+        memcpy(y, s->c[0] + Y, M*sizeof *y);
+}
+
+void model_pieces_get_index_set(const model_pieces *s, signed char *index)
+{
+    for (int i = 0; i < M; i++)
+        index[i] = s->live ? (signed char)s->piece[AT_CODES + i] : s->at.codes[i];
+}
+#endif
+
+long model_pieces_get_events(const model_pieces *s) { return (long)s->at.events; }

@@ -1,0 +1,672 @@
+/* Conditions of a mode, their first roots, and the mode after an event: pieces/switches.py, bernstein.py, roots.py, modes.py. */
+
+enum { NOBODY, OF_Y, OF_L };
+enum { SIDE, EQUAL, FLOOR, CEIL, TOWARD_ZERO, NEAREST };
+
+/* sign * column + shift >= 0 for switch of: a row, or M + a branch; its code is after beyond. */
+typedef struct {
+    int of, column, orders, acts;
+    double sign, shift, after;
+} condition;
+
+/* The conditions of a switch; how many, 2 at most. */
+static int conditions_of(const model_pieces *s, int of, int orders, condition *out)
+{
+#if LAW
+    const int known = HOW.through ? orders - 1 : orders;
+    if (of < M) {
+        const int code = s->at.codes[of];
+        int count = 0;
+        if (code) {
+            out[0] = (condition){of, Y + of, HOW.feeds ? known : orders, OF_Y, -code, 0, 0};
+            return lower[of] < upper[of];
+        }
+        if (is_finite(lower[of]))
+            out[count++] = (condition){of, L + of, known, OF_L, 1, -lower[of], -1};
+        if (is_finite(upper[of]))
+            out[count++] = (condition){of, L + of, known, OF_L, -1, upper[of], 1};
+        return count;
+    }
+#endif
+#if SWITCHED
+    const int b = of - M, column = branch_column[b];
+    const double choice = s->at.choice[b];
+    double low = choice, high = choice + 1;
+    switch (branch_kind[b]) {
+    case SIDE:
+    case EQUAL:
+        out[0] = (condition){of, column, orders, NOBODY, choice, 0, -choice};
+        return choice != 0;
+    case CEIL:
+        low = choice - 1;
+        high = choice;
+        break;
+    case TOWARD_ZERO:
+        low = choice - (choice <= 0);
+        high = choice + (choice >= 0);
+        break;
+    case NEAREST:
+        low = choice - 0.5;
+        high = choice + 0.5;
+    }
+    out[0] = (condition){of, column, orders, NOBODY, 1, -low, choice - 1};
+    out[1] = (condition){of, column, orders, NOBODY, -1, high, choice + 1};
+    return 2;
+#else
+    UNUSED(s);
+    UNUSED(of);
+    UNUSED(orders);
+    UNUSED(out);
+    return 0;
+#endif
+}
+
+static void coefficients(const model_pieces *s, const condition *of, double *c)
+{
+    for (int k = 0; k <= of->orders; k++)
+        c[k] = of->sign > 0 ? s->c[k][of->column] : -s->c[k][of->column];
+    c[0] += of->shift;
+}
+
+static double size_of(const model_pieces *s, const condition *of)
+{
+#if LAW
+    if (of->acts == OF_Y)
+        return size_y(s, of->of);
+    if (of->acts == OF_L)
+        return size_l(s, of->of);
+#endif
+    return max_of(fabs(of->shift), s->at.size_switches[of->of - M]);
+}
+
+static int is_same(const condition *a, const condition *b) { return a->of == b->of && a->after == b->after; }
+
+static double largest_of(int n, const double *c)
+{
+    double most = 0;
+    for (int k = 0; k < n; k++)
+        most = max_of(most, fabs(c[k]));
+    return most;
+}
+
+/* By how much the unit of time is to shrink for a column not to grow from order to order. */
+static double pace_of(const model_pieces *s, int column, double size, double share)
+{
+    double first = size, later = 0;
+    for (int k = 1; k <= ORDERS && share == 1; k++)
+        if (k <= HALF)
+            first = max_of(first, fabs(s->c[k][column]));
+        else
+            later = max_of(later, fabs(s->c[k][column]));
+    if (share == 1 && later <= first)
+        return share;
+    for (int pass = 0; pass < PACES; pass++) {
+        double largest = size, factor = 1, raised = share, own[ORDERS + 1];
+        for (int k = 1; k <= ORDERS; k++) {
+            own[k] = fabs(s->c[k][column])*raised;
+            raised *= share;
+        }
+        for (int k = 1; k <= HALF; k++)
+            largest = max_of(largest, own[k]);
+        for (int k = HALF + 1; k <= ORDERS; k++)
+            if (own[k] > largest && largest > 0)
+                factor = min_of(factor, pow(largest/own[k], 1.0/k));
+        share *= factor;
+        if (factor > HALVED)
+            break;
+    }
+    return share;
+}
+
+/* The share of the unit of time in which coefficients of x and l do not grow from order to order: germs are looked at in it. */
+static double pace(const model_pieces *s)
+{
+    double share = 1;
+    for (int i = 0; i < N; i++)
+        share = pace_of(s, i, s->at.size_x[i], share);
+#if LAW
+    for (int i = 0; i < M; i++)
+        share = pace_of(s, L + i, s->at.size_l[i], share);
+#endif
+    return share;
+}
+
+/* The order of the first coefficient that is not rounding, of those that decide a germ; -1 where all of them are. */
+static int leading(int n, const double *c, double least, double share)
+{
+    const int decide = n < ORDERS + 1 ? n : ORDERS + 1;
+    double own[ORDERS + 1], raised = 1, largest = 0;
+    for (int k = 0; k < decide; k++) {
+        own[k] = fabs(c[k])*raised;
+        largest = max_of(largest, own[k]);
+        raised *= share;
+    }
+    least = max_of(least, GERM*largest);
+    for (int k = 0; k < decide; k++)
+        if (own[k] > least)
+            return k;
+    return -1;
+}
+
+/* The value of a polynomial of n coefficients. */
+static double value_of(int n, const double *c, double s)
+{
+    double total = 0;
+    for (int k = n - 1; k >= 0; k--)
+        total = total*s + c[k];
+    return total;
+}
+
+static double slope_of(int n, const double *c, double s)
+{
+    double total = 0;
+    for (int k = n - 1; k > 0; k--)
+        total = total*s + k*c[k];
+    return total;
+}
+
+/* The root between c(low) > 0 > c(high): Newton's method, kept inside by halving. */
+static double simple_root(int n, const double *c, double low, double high)
+{
+    double s = (low + high)/2;
+    for (int iteration = 0; iteration < 80; iteration++) {
+        double v = 0, d = 0;
+        for (int k = n - 1; k >= 0; k--) {
+            d = d*s + v;
+            v = v*s + c[k];
+        }
+        if (v == 0)
+            return s;
+        if (v > 0)
+            low = s;
+        else
+            high = s;
+        double next = d != 0 ? s - v/d : low;
+        if (!(low < next && next < high))
+            next = (low + high)/2;
+        if (fabs(next - s) <= 2e-16*high)
+            return next;
+        s = next;
+    }
+    return s;
+}
+
+/* The first root in (low, low + width] of a polynomial with the coefficients b in Bernstein's basis there; NONE where there is none. */
+static double first_in(model_pieces *s, int n, const double *c, const double *b, double low, double width)
+{
+    int changes = 0, last = 0;
+    if (b[0] <= 0 && low > 0)
+        return low;
+    for (int j = 0; j < n; j++)
+        if (b[j] != 0) {
+            const int sign = b[j] > 0 ? 1 : -1;
+            changes += last ? sign != last : b[0] == 0 && sign < 0;
+            last = sign;
+        }
+    if (last == 0 || changes == 0)
+        return b[n - 1] == 0 ? low + width : NONE;
+    if (changes == 1 && b[0] > 0 && b[n - 1] <= 0)
+        return b[n - 1] == 0 ? low + width : simple_root(n, c, low, low + width);
+    if (width < NARROW || !spend_on(s))
+        return low;
+    double left[MOST_ORDERS + 1], right[MOST_ORDERS + 1];
+    memcpy(right, b, n*sizeof *b);
+    for (int j = 0; j < n; j++) {
+        left[j] = right[0];
+        for (int k = 0; k < n - 1 - j; k++)
+            right[k] = (right[k] + right[k + 1])/2;
+    }
+    const double at = first_in(s, n, c, left, low, width/2);
+    return at <= 1 ? at : first_in(s, n, c, right, low + width/2, width/2);
+}
+
+/* The first root in (0, 1] of sum c_k s^k, c_0 >= 0; NONE where it is positive on (0, 1]. */
+static double first_root(model_pieces *s, int n, const double *c)
+{
+    double b[MOST_ORDERS + 1], sum = 0, binomial = 1;
+    for (int k = 1; k < n; k++)
+        sum += fabs(c[k]);
+    if (c[0] > sum)
+        return NONE;
+    for (int k = 0; k < n; k++) { /* b_j = sum_k comb(j, k)/comb(n - 1, k) c_k */
+        b[k] = c[k]/binomial;
+        binomial = binomial*(n - 1 - k)/(k + 1);
+    }
+    for (int r = 1; r < n; r++)
+        for (int j = n - 1; j >= r; j--)
+            b[j] += b[j - 1];
+    return first_in(s, n, c, b, 0, 1);
+}
+
+/* A condition is at least this on a piece of this length. */
+static double least_on(const model_pieces *s, const condition *of, double length)
+{
+    double least = 0;
+    for (int k = of->orders; k > 0; k--) {
+        least = of->sign*s->c[k][of->column] + least;
+        least = least < 0 ? least*length : 0;
+    }
+    return of->sign*s->c[0][of->column] + of->shift + least;
+}
+
+/* The condition that ends first, put into hit, and where; *length where none ends before: then 0 is returned. */
+static int first_event(model_pieces *s, double *length, condition *hit)
+{
+    const int p = s->order;
+    double raised = 1, share = 0, c[MOST_ORDERS + 1], germ[MOST_ORDERS + 1];
+    int found = 0;
+    condition all[2];
+    for (int of = 0; of < M + CHOICES; of++)
+        for (int count = conditions_of(s, of, p, all), i = 0; i < count; i++) {
+            const condition *one = &all[i];
+            if (!s->at.open[of] && least_on(s, one, *length) > 0)
+                continue;
+            const int n = one->orders + 1;
+            const double *d = c;
+            int left = n;
+            coefficients(s, one, germ);
+            raised = 1;
+            double sum = 0;
+            for (int k = 0; k < n; k++) {
+                c[k] = germ[k]*raised;
+                raised *= *length;
+                sum += k ? fabs(c[k]) : 0;
+            }
+            if (c[0] > sum)
+                continue;
+            const double least = TIE*size_of(s, one);
+            if (largest_of(n, c) <= least)
+                continue;
+            if (s->at.open[of] || c[0] <= 0) {
+                share = share > 0 ? share : pace(s);
+                int first = leading(n, germ, s->at.open[of] ? least : 0, share);
+                first = first < 0 ? ORDERS + 1 : first;
+                if (first >= n)
+                    continue;
+                d += first;
+                left -= first;
+                if (largest_of(left, d) <= least)
+                    continue;
+                c[first] = max_of(c[first], 0.0);
+            }
+            const double at = first_root(s, left, d);
+            if (at <= 1) {
+                *length *= at;
+                *hit = *one;
+                found = 1;
+            }
+        }
+    return found;
+}
+
+static int expand_finite(model_pieces *s, int orders);
+
+/* The condition that watches the same end as hit, as it stands now; 0 where there is none. */
+static int own_condition(const model_pieces *s, const condition *hit, int orders, condition *own)
+{
+    condition all[2];
+    for (int count = conditions_of(s, hit->of, orders, all), i = 0; i < count; i++)
+        if (is_same(&all[i], hit)) {
+            *own = all[i];
+            return 1;
+        }
+    return 0;
+}
+
+/* Move the place to where the condition is 0 to rounding, on expansions there; *there: whether it is still watched. */
+static int polish(model_pieces *s, const condition *hit, condition *own, int *there)
+{
+    double c[MOST_ORDERS + 1];
+    for (int pass = 0; pass < POLISHING; pass++) {
+        const int status = expand_finite(s, AROUND);
+        if (status)
+            return status;
+        if (!(*there = own_condition(s, hit, AROUND, own)))
+            return 0;
+        const int n = own->orders + 1;
+        coefficients(s, own, c);
+        const double scale = max_of(size_of(s, own), largest_of(n, c));
+        if (fabs(c[0]) <= 1e-3*TIE*scale || c[1] == 0 || !(fabs(c[0]/c[1]) < NEAR))
+            return 0;
+        double d = -c[0]/c[1];
+        for (int i = 0; i < 3; i++) {
+            const double e = slope_of(n, c, d), v = value_of(n, c, d);
+            d -= e != 0 && fabs(v/e) < NEAR ? v/e : 0;
+        }
+        for (int i = 0; i < N; i++) {
+            double v = 0;
+            for (int k = AROUND; k >= 0; k--)
+                v = v*d + s->c[k][i];
+            s->at.x[i] = v;
+        }
+        s->at.t += d*s->at.tau;
+    }
+    const int status = expand_finite(s, AROUND);
+    *there = !status && own_condition(s, hit, AROUND, own);
+    return status;
+}
+
+/* Where a condition that comes to 0 and goes back, not deeper than rounding, is past that; 0 where it does not go back, or not soon. */
+static double beyond_touch(const model_pieces *s, const condition *of)
+{
+    double c[MOST_ORDERS + 1];
+    const int n = of->orders + 1;
+    coefficients(s, of, c);
+    const double tie = TIE*max_of(size_of(s, of), largest_of(n, c));
+    if (n < 3 || !(c[2] > 0) || fabs(c[0]) > tie || c[1]*c[1] > TOUCH*c[2]*tie)
+        return 0;
+    const double past = 3*sqrt(tie/c[2]) + fabs(c[1])/c[2];
+    return past < NEAR ? past : 0;
+}
+
+/* Give a switch another code. */
+static void turn(model_pieces *s, int of, double code)
+{
+    if (of < M)
+        s->at.codes[of] = (signed char)code;
+    else
+        s->at.choice[of - M] = code;
+}
+
+#if LAW
+/* The first end of row i that is finite: -1 or 1; 0 where none is. */
+static int end_of(int i) { return is_finite(lower[i]) ? -1 : is_finite(upper[i]) ? 1 : 0; }
+
+/* Leave a singular mode: one of its open rows goes to an end, the one that its rate leads to. */
+static int let_go(model_pieces *s)
+{
+    for (int i = 0; i < M; i++)
+        if (s->at.open[i] && s->at.codes[i] == 0 && end_of(i)) {
+            const double rate = s->c[1][Y + i];
+            s->at.codes[i] = rate > 0 && is_finite(lower[i]) ? -1 : rate < 0 && is_finite(upper[i]) ? 1 : end_of(i);
+            return 1;
+        }
+    return 0;
+}
+
+/* Whether a row that only its rate can hold at 0 is not there: beside its size, and how far x moves it. */
+static int is_apart(const model_pieces *s, int i)
+{
+    const double y = s->c[0][Y + i];
+    double motion[N];
+    if (y == 0)
+        return 0;
+    for (int j = 0; j < N; j++)
+        motion[j] = fabs(s->c[1][j]);
+    return fabs(y) > AT_ZERO*max_of(size_y(s, i), terms_of_x(s, i, motion));
+}
+
+/* The rows that are apart go to an end: how many; -1: there is no such end. */
+static int let_apart(model_pieces *s)
+{
+    int count = 0;
+    if (!HOW.through)
+        return 0;
+    for (int a = 0; a < HOW.n; a++) {
+        const int i = HOW.active[a];
+        const double y = s->c[0][Y + i];
+        if (!is_apart(s, i))
+            continue;
+        s->at.open[i] = 1;
+        s->at.codes[i] = y > 0 ? -1 : 1;
+        if (!is_finite(y > 0 ? lower[i] : upper[i]))
+            return -1;
+        count++;
+    }
+    return count;
+}
+#endif
+
+static int has_numbers(const model_pieces *s)
+{
+    for (int k = 0; k <= ORDERS; k++)
+        for (int i = 0; i < N; i++)
+            if (s->c[k][i] != s->c[k][i])
+                return 0;
+    return 1;
+}
+
+/* A mark of the mode, by which those that were tried are known. */
+static unsigned long long mark_of(const model_pieces *s)
+{
+    unsigned long long mark = 14695981039346656037ULL;
+    for (int i = 0; i < M; i++)
+        mark = (mark ^ (unsigned)(s->at.codes[i] + 2))*1099511628211ULL;
+    for (int b = 0; b < CHOICES; b++) {
+        unsigned long long bits;
+        memcpy(&bits, &s->at.choice[b], sizeof bits);
+        mark = (mark ^ bits)*1099511628211ULL;
+    }
+    return mark;
+}
+
+/* Whether a condition does not hold just after the start; asked of switches that are open, and of multipliers, which may have moved. */
+static int is_wrong(const model_pieces *s, const condition *of, double share)
+{
+    double c[MOST_ORDERS + 1];
+    if (!s->at.open[of->of] && of->acts != OF_L)
+        return 0;
+    coefficients(s, of, c);
+    const int first = leading(of->orders + 1, c, TIE*size_of(s, of), share);
+    return first >= 0 && c[first] < 0;
+}
+
+/* The mode in which all germs are valid, by principal pivoting; 0 where it does not settle. */
+static int pivot(model_pieces *s)
+{
+    unsigned long long seen[PIVOTS];
+    int one = 0, count = 0;
+    condition all[2];
+    for (int iteration = 0; iteration < PIVOTS; iteration++) {
+        int any = 0;
+        if (!expand(s, ORDERS) || !has_numbers(s)) {
+#if LAW
+            if (let_go(s))
+                continue;
+#endif
+            return 0;
+        }
+#if LAW
+        const int apart = let_apart(s);
+        if (apart < 0)
+            return 0;
+        if (apart)
+            continue;
+#endif
+        const unsigned long long mark = mark_of(s);
+        int known = iteration >= TOGETHER;
+        for (int i = 0; i < count; i++)
+            known |= seen[i] == mark;
+        one |= known;
+        const double share = pace(s);
+        for (int of = 0; of < M + CHOICES; of++)
+            for (int n = conditions_of(s, of, ORDERS, all), i = 0; i < n; i++) {
+                if ((any && one) || !is_wrong(s, &all[i], share))
+                    continue;
+                any = 1;
+                s->at.open[of] = 2; /* to be turned when all are known */
+                s->turns[of] = all[i].after;
+            }
+        if (!any)
+            return 1;
+        for (int of = 0; of < M + CHOICES; of++)
+            if (s->at.open[of] == 2) {
+                s->at.open[of] = 1;
+                turn(s, of, s->turns[of]);
+            }
+        seen[count++] = mark;
+    }
+    return 0;
+}
+
+/* Whether all germs are valid in the mode at the place. */
+static int is_valid(model_pieces *s)
+{
+    condition all[2];
+    if (!expand(s, ORDERS) || !has_numbers(s))
+        return 0;
+#if LAW
+    for (int a = 0; HOW.through && a < HOW.n; a++)
+        if (is_apart(s, HOW.active[a]))
+            return 0;
+#endif
+    const double share = pace(s);
+    for (int of = 0; of < M + CHOICES; of++)
+        for (int n = conditions_of(s, of, ORDERS, all), i = 0; i < n; i++)
+            if (is_wrong(s, &all[i], share))
+                return 0;
+    return 1;
+}
+
+/* The codes that a switch may have, but those that y refuses: where no l acts on it directly, it has its sign in all modes. */
+static int codes_of(const model_pieces *s, int of, double *codes)
+{
+    int count = 0;
+#if LAW
+    if (of < M) {
+        const double y = s->c[0][Y + of];
+        const int clear = !feeds[of] && fabs(y) > CLEAR*size_y(s, of);
+        if (!clear)
+            codes[count++] = 0;
+        if (is_finite(lower[of]) && !(clear && y <= 0))
+            codes[count++] = -1;
+        if (is_finite(upper[of]) && !(clear && y >= 0))
+            codes[count++] = 1;
+        return count;
+    }
+#endif
+#if SWITCHED
+    const double choice = s->at.choice[of - M];
+    const int two = branch_kind[of - M] == SIDE || branch_kind[of - M] == EQUAL;
+    codes[count++] = two ? -1 : choice;
+    codes[count++] = two ? 1 : choice - 1;
+    if (!two)
+        codes[count++] = choice + 1;
+#else
+    UNUSED(s);
+    UNUSED(of);
+    UNUSED(codes);
+#endif
+    return count;
+}
+
+/* Whether the x of the mode at the place and that of germs go the same way. */
+static int agrees(const model_pieces *s, double (*germs)[N], double share)
+{
+    for (int i = 0; i < N; i++) {
+        double most = 0, apart = 0, raised = 1;
+        for (int k = 0; k <= ORDERS; k++) {
+            const double a = germs[k][i]*raised, b = s->c[k][i]*raised;
+            most = max_of(most, max_of(fabs(a), fabs(b)));
+            apart = max_of(apart, fabs(a - b));
+            raised *= share;
+        }
+        if (apart > APART*most + TIE*s->at.size_x[i])
+            return 0;
+    }
+    return 1;
+}
+
+/* The open switches, FEW at most, the codes that each may have, and which of these it has: a counter with so many digits. */
+typedef struct {
+    int n, open[FEW], counts[FEW], digits[FEW];
+    double codes[FEW][3];
+} modes;
+
+static int list_modes(const model_pieces *s, modes *all)
+{
+    int any = 1;
+    memset(all, 0, sizeof *all);
+    for (int of = 0; of < M + CHOICES; of++)
+        if (s->at.open[of]) {
+            all->open[all->n] = of;
+            all->counts[all->n] = codes_of(s, of, all->codes[all->n]);
+            any &= all->counts[all->n++] > 0;
+        }
+    return any;
+}
+
+/* Turn the switches as the digits say; whether that is a mode of these codes. */
+static int turn_all(model_pieces *s, const modes *all, const double *codes)
+{
+    int same = 1;
+    for (int i = 0; i < all->n; i++) {
+        same &= all->codes[i][all->digits[i]] == codes[i];
+        turn(s, all->open[i], all->codes[i][all->digits[i]]);
+    }
+    return same;
+}
+
+/* Count on; 0 at the end. */
+static int next_mode(modes *all)
+{
+    for (int i = all->n - 1; i >= 0; i--) {
+        if (++all->digits[i] < all->counts[i])
+            return 1;
+        all->digits[i] = 0;
+    }
+    return 0;
+}
+
+static int count_open(const model_pieces *s, int from, int to)
+{
+    int count = 0;
+    for (int of = from; of < to; of++)
+        count += s->at.open[of] != 0;
+    return count;
+}
+
+/* Whether all valid modes of the open switches have the x of the one at the place, of which the series are there. */
+static int is_agreed(model_pieces *s)
+{
+    modes all;
+    double now[FEW], shares[SOLUTIONS];
+    int found = 1, agreed = 1;
+    shares[0] = pace(s);
+    if (!list_modes(s, &all))
+        return 1;
+    for (int i = 0; i < all.n; i++)
+        now[i] = all.open[i] < M ? s->at.codes[all.open[i]] : s->at.choice[all.open[i] - M];
+    for (int k = 0; k <= ORDERS; k++)
+        memcpy(s->germs[0][k], s->c[k], sizeof s->germs[0][k]);
+    do {
+        if (turn_all(s, &all, now) || !is_valid(s))
+            continue;
+        const double share = pace(s);
+        for (int i = 0; i < found; i++)
+            agreed &= agrees(s, s->germs[i], min_of(share, shares[i]));
+        if (found < SOLUTIONS)
+            shares[found] = share;
+        for (int k = 0; k <= ORDERS && found < SOLUTIONS; k++)
+            memcpy(s->germs[found][k], s->c[k], sizeof s->germs[0][k]);
+        agreed &= found++ < SOLUTIONS;
+    } while (next_mode(&all) && agreed);
+    for (int i = 0; i < all.n; i++)
+        turn(s, all.open[i], now[i]);
+#if LAW
+#if !LINEAR
+    expand(s, ORDERS);
+#endif
+#endif
+    return agreed;
+}
+
+/* The mode that the place goes on in; 0 where none is found. */
+static int choose_mode(model_pieces *s)
+{
+    modes all;
+    const model_place begun = s->at;
+    if (pivot(s))
+        return 1;
+    s->at = begun;
+    if (count_open(s, 0, M + CHOICES) > FEW)
+        return 0;
+    if (!list_modes(s, &all))
+        return 0;
+    do {
+        turn_all(s, &all, all.codes[0]);
+        if (is_valid(s))
+            return 1;
+    } while (next_mode(&all));
+    return 0;
+}

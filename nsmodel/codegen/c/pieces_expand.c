@@ -1,0 +1,401 @@
+/* Taylor coefficients of x, l and y in a mode: pieces/system.py. */
+
+/* The values at s of count columns of polynomials, whose orders are stride apart. */
+static void horner(const double *c, int stride, int order, double s, int count, double *out)
+{
+    int i = 0;
+    for (; i + 4 <= count; i += 4) {
+        const double *o = c + (long)order*stride + i;
+        double a = o[0], b = o[1], d = o[2], e = o[3];
+        for (int k = order; k > 0; k--) {
+            o -= stride;
+            a = a*s + o[0];
+            b = b*s + o[1];
+            d = d*s + o[2];
+            e = e*s + o[3];
+        }
+        out[i] = a;
+        out[i + 1] = b;
+        out[i + 2] = d;
+        out[i + 3] = e;
+    }
+    for (; i + 2 <= count; i += 2) {
+        const double *o = c + (long)order*stride + i;
+        double a = o[0], b = o[1];
+        for (int k = order; k > 0; k--) {
+            o -= stride;
+            a = a*s + o[0];
+            b = b*s + o[1];
+        }
+        out[i] = a;
+        out[i + 1] = b;
+    }
+    for (; i < count; i++) {
+        const double *o = c + (long)order*stride + i;
+        double a = o[0];
+        for (int k = order; k > 0; k--) {
+            o -= stride;
+            a = a*s + o[0];
+        }
+        out[i] = a;
+    }
+}
+
+static int spend_on(model_pieces *s) { return s->work < s->budget ? (s->work++, 1) : 0; }
+
+#if LAW
+/* Order k of y anew from order k of h and of l. */
+static void refresh_y(model_pieces *s, int k)
+{
+#if FEED
+#if D_NUMBERS
+    add_D(s->c[k] + Y, s->c[k] + H, s->c[k] + L);
+#else
+    if (k)
+        h_later(s, k);
+    else
+        h_first(s);
+#endif
+#else
+    UNUSED(s);
+    UNUSED(k);
+#endif
+}
+
+static void outputs(model_pieces *s, int k)
+{
+    if (k)
+        h_later(s, k);
+    else
+        h_first(s);
+#if D_NUMBERS
+    refresh_y(s, k);
+#endif
+}
+#endif
+
+#if LAW
+#if !B_NUMBERS
+/* Order k + 1 of x from s->f and order k of g. */
+static void add_g(model_pieces *s, int k, double factor)
+{
+    if (k)
+        g_later(s, k);
+    else
+        g_first(s);
+    for (int i = 0; i < N; i++)
+        s->c[k + 1][i] = factor*(s->f[i] + s->value[i]);
+}
+
+#endif
+#endif
+/* Order k + 1 of x from order k of f, l, and g; what f is made of is brought to order k. */
+static void rate(model_pieces *s, int k)
+{
+    const double factor = s->at.tau/(k + 1);
+    double *next = s->c[k + 1];
+    if (k)
+        f_later(s, k, factor, next);
+    else
+        f_first(s, factor, next);
+#if LAW
+#if B_NUMBERS
+#if FEED
+    add_B(next, s->c[k] + L, factor);
+#else
+    if (k == 0)
+        add_B(next, s->c[k] + L, factor);
+#endif
+#else
+    add_g(s, k, factor);
+#endif
+#endif
+}
+
+#if LAW
+/* |h_x| of row i times these sizes of states. */
+static double terms_of_x(const model_pieces *s, int i, const double *of_x)
+{
+    double sum = 0;
+#if SLOPES
+    for (int j = 0; j < N; j++)
+        sum += fabs(s->C[i*N + j])*of_x[j];
+#else
+    UNUSED(s);
+    for (int e = C_start[i]; e < C_start[i + 1]; e++)
+        sum += fabs(C_value[e])*of_x[C_column[e]];
+#endif
+    return sum;
+}
+
+/* |h_l| of row i times these sizes of multipliers. */
+static double terms_of_l(const model_pieces *s, int i, const double *of_l)
+{
+    double sum = 0;
+#if SLOPES
+    for (int j = 0; j < M; j++)
+        sum += fabs(s->D[i*M + j])*of_l[j];
+#else
+    UNUSED(s);
+#if FEED
+    for (int e = D_start[i]; e < D_start[i + 1]; e++)
+        sum += fabs(D_value[e])*of_l[D_column[e]];
+#else
+    UNUSED(i);
+    UNUSED(of_l);
+#endif
+#endif
+    return sum;
+}
+
+#if !LINEAR
+/* The largest share by which l of held rows moved by d of what it is the sum of: of itself, and of A times the terms of h. */
+static double moved_by(const model_pieces *s, const double *A, const double *d, const double *of_x)
+{
+    const int n = HOW.n;
+    double of_l[M], terms[M], most = 0;
+    for (int i = 0; i < M; i++)
+        of_l[i] = fabs(s->c[0][L + i]);
+    for (int b = 0; b < n; b++)
+        terms[b] = terms_of_x(s, HOW.active[b], of_x) + terms_of_l(s, HOW.active[b], of_l);
+    for (int a = 0; a < n; a++) {
+        double sum = 1e-300 + of_l[HOW.active[a]];
+        for (int b = 0; b < n; b++)
+            sum += fabs(A[a*n + b])*terms[b];
+        most = worse_of(most, fabs(d[a])/sum);
+    }
+    return most;
+}
+#endif
+
+/* Let the multipliers of held rows move by d at order k, and x at order k + 1. */
+static void push(model_pieces *s, int k, const double *d)
+{
+#if B_NUMBERS
+    const double factor = s->at.tau/(k + 1);
+    double *next = s->c[k + 1];
+    for (int a = 0; a < HOW.n; a++) {
+        const int j = HOW.active[a];
+        s->c[k][L + j] += d[a];
+        for (int e = B_start[j]; e < B_start[j + 1]; e++)
+            next[B_row[e]] += factor*(B_value[e]*d[a]);
+    }
+#else
+    for (int a = 0; a < HOW.n; a++)
+        s->c[k][L + HOW.active[a]] += d[a];
+    add_g(s, k, s->at.tau/(k + 1));
+#endif
+}
+
+/* d = -A y/unit at order k on held rows, A = N. */
+static void through(const model_pieces *s, int k, double unit, double *d)
+{
+    const int n = HOW.n;
+    const double *y = s->c[k] + Y;
+    for (int a = 0; a < n; a++) {
+#if DIAGONAL
+        d[a] = -unit*(inverse[HOW.active[a]]*y[HOW.active[a]]);
+#else
+        double sum = 0;
+        for (int b = 0; b < n; b++)
+            sum += HOW.rates[a*n + b]*y[HOW.active[b]];
+        d[a] = -unit*sum;
+#endif
+    }
+}
+
+/* l of order k from y, where it depends on it directly; the share by which order 0 moved, of what is not linear in l. */
+static double direct(model_pieces *s, int k)
+{
+    double moved = 0;
+#if FEED
+    const int n = HOW.n;
+    double *y = s->c[k] + Y, *l = s->c[k] + L, d[M];
+    if (!HOW.direct)
+        return 0;
+    for (int a = 0; a < n; a++) {
+        double sum = 0;
+        for (int b = 0; b < n; b++)
+            sum += HOW.plus[a*n + b]*y[HOW.active[b]];
+        l[HOW.active[a]] -= d[a] = sum;
+    }
+#if !LINEAR
+    double of_x[N];
+    for (int i = 0; i < N; i++)
+        of_x[i] = fabs(s->c[0][i]);
+    moved = k ? 0 : moved_by(s, HOW.plus, d, of_x);
+#endif
+    refresh_y(s, k);
+    if (!HOW.through)
+        for (int a = 0; a < n; a++)
+            y[HOW.active[a]] = 0;
+#else
+    UNUSED(s);
+    UNUSED(k);
+#endif
+    return moved;
+}
+
+/* Whether the rows that nothing acts on stay at 0 by themselves. */
+static int stays(model_pieces *s)
+{
+#if MATRICES
+    const int n = HOW.n;
+    double size = 0, worst = 0;
+    if (!HOW.null)
+        return 1;
+    outputs(s, 1);
+    for (int i = 0; i < N; i++)
+        size = max_of(size, fabs(s->c[1][i]));
+    for (int a = 0; a < n; a++)
+        size = max_of(size, fabs(s->c[1][Y + HOW.active[a]]));
+    for (int z = 0; z < HOW.null; z++) {
+        double sum = 0;
+        for (int a = 0; a < n; a++)
+            sum += HOW.rest[a*HOW.null + z]*s->c[1][Y + HOW.active[a]];
+        worst = worse_of(worst, fabs(sum));
+    }
+    return worst <= STAYS*size;
+#else
+    UNUSED(s);
+    return 1;
+#endif
+}
+
+/* Order 0 of l and order 1 of x; 0 where the mode has none. */
+static int settle(model_pieces *s)
+{
+    double d[M];
+    for (int iteration = 0; iteration < NEWTON; iteration++) {
+        double moved = direct(s, 0);
+        rate(s, 0);
+#if LINEAR
+        if (!HOW.through)
+            return 1;
+#endif
+        outputs(s, 1);
+        if (HOW.through) {
+            through(s, 1, 1/s->at.tau, d);
+            push(s, 0, d);
+            for (int a = 0; a < HOW.n; a++)
+                if (!is_finite(d[a]))
+                    return 0;
+#if !LINEAR
+            double of_x[N];
+            for (int i = 0; i < N; i++)
+                of_x[i] = fabs(s->c[1][i])/s->at.tau;
+            moved = worse_of(moved, moved_by(s, HOW.rates, d, of_x));
+#endif
+            if (HOW.feeds)
+                refresh_y(s, 0);
+        }
+        if (!is_finite(moved))
+            return 0;
+#if LINEAR
+        return stays(s);
+#else
+        if (iteration && moved <= SETTLED*NEWTON)
+            return stays(s);
+        solve_mode(s);
+        outputs(s, 0);
+#endif
+    }
+    return 0;
+}
+#endif
+
+/* Orders 0, ..., orders of x and y, and of l as far as its index lets; 0: the mode has no solution. */
+static int expand(model_pieces *s, int orders)
+{
+    double *c = s->c[0];
+    c[T] = s->at.t;
+    s->c[1][T] = s->at.tau;
+    memcpy(c, s->at.x, sizeof s->at.x);
+    spend_on(s);
+#if LAW
+    double d[M];
+    for (int i = 0; i < M; i++) {
+        const int code = s->at.codes[i];
+#if LINEAR
+        c[L + i] = code < 0 ? lower[i] : code > 0 ? upper[i] : 0;
+#else
+        c[L + i] = code < 0 ? lower[i] : code > 0 ? upper[i] : s->at.l[i];
+#endif
+    }
+    for (int k = 1; k <= orders; k++)
+        memset(s->c[k] + L, 0, M*sizeof *c);
+    outputs(s, 0);
+    solve_mode(s);
+    const int settled = settle(s);
+    memcpy(s->at.l, c + L, M*sizeof *c);
+    if (!settled)
+        return 0;
+#if !LINEAR
+    solve_mode(s);
+#endif
+#else
+    rate(s, 0);
+#endif
+    for (int k = 0; k <= orders; k++) {
+#if LAW
+        if (k)
+            direct(s, k);
+#endif
+        if (k == orders)
+            break;
+        if (k)
+            rate(s, k);
+#if LAW
+        if (!HOW.through) {
+            outputs(s, k + 1);
+            continue;
+        }
+        if (k) {
+            outputs(s, k + 1);
+            through(s, k + 1, (k + 1)/s->at.tau, d);
+            push(s, k, d);
+            if (HOW.feeds) {
+                refresh_y(s, k);
+                for (int a = 0; a < HOW.n; a++)
+                    s->c[k][Y + HOW.active[a]] = 0;
+            }
+        }
+#if !STILL
+        outputs(s, k + 1);
+#endif
+#endif
+    }
+#if LAW
+    if (HOW.through)
+        for (int k = 1; k <= orders; k++)
+            for (int a = 0; a < HOW.n; a++)
+                s->c[k][Y + HOW.active[a]] = 0;
+#if SLOPES
+    slopes_here(s);
+#endif
+#endif
+    return 1;
+}
+
+#if LAW
+/* The size of what y_i is the sum of, with these sizes of states and multipliers. */
+static double terms_of(const model_pieces *s, int i, const double *of_x, const double *of_l)
+{
+    return terms_of_x(s, i, of_x) + terms_of_l(s, i, of_l);
+}
+
+/* What y_i is measured beside. */
+static double size_y(const model_pieces *s, int i)
+{
+    return max_of(s->at.size_y[i], terms_of(s, i, s->at.size_x, s->at.size_l));
+}
+
+/* What l_i is measured beside. */
+static double size_l(const model_pieces *s, int i)
+{
+    double largest = 0;
+    for (int j = 0; j < M; j++)
+        largest = max_of(largest, s->at.size_l[j]);
+    return max_of(s->at.size_l[i], 1e-6*largest);
+}
+#endif

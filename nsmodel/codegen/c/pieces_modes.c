@@ -1,0 +1,414 @@
+/* How multipliers follow in a mode: pieces/multipliers.py. */
+
+#if LAW
+#define HOW (s->kept[s->current])
+
+#if MATRICES
+#if SLOPES
+static void slopes_here(model_pieces *s)
+{
+    slopes(s, s->c[0] + T, s->c[0], s->c[0] + L, s->B, s->D, s->C);
+}
+
+#define B_AT(i, j) s->B[(i)*M + (j)]
+#define D_AT(i, j) s->D[(i)*M + (j)]
+#define C_AT(i, j) s->C[(i)*N + (j)]
+
+static double W_at(const model_pieces *s, int i, int j)
+{
+    double sum = 0;
+    for (int k = 0; k < N; k++)
+        sum += C_AT(i, k)*B_AT(k, j);
+    return sum;
+}
+#define W_AT(i, j) W_at(s, i, j)
+#else
+#define D_AT(i, j) D_dense[(i)*M + (j)]
+#define W_AT(i, j) W_dense[(i)*M + (j)]
+#endif
+
+/* Factors of rows and columns that bring the largest entries of A (n, n) near 1. */
+static void units(int n, const double *A, double *r, double *c)
+{
+    for (int i = 0; i < n; i++)
+        r[i] = c[i] = 1;
+    for (int pass = 0; pass < 4; pass++) {
+        double rows[M] = {0}, columns[M] = {0};
+        for (int i = 0; i < n; i++)
+            for (int j = 0; j < n; j++) {
+                const double a = fabs(A[i*n + j])*r[i]*c[j];
+                rows[i] = max_of(rows[i], a);
+                columns[j] = max_of(columns[j], a);
+            }
+        for (int i = 0; i < n; i++) {
+            r[i] /= rows[i] > 0 ? sqrt(rows[i]) : 1;
+            c[i] /= columns[i] > 0 ? sqrt(columns[i]) : 1;
+        }
+    }
+}
+
+/* The inverse of A (n, n), which is overwritten, by Gauss and Jordan with pivots; 0 where it is singular. */
+static int inverted(int n, double *A, double *out)
+{
+    memset(out, 0, n*n*sizeof *out);
+    for (int i = 0; i < n; i++)
+        out[i*n + i] = 1;
+    for (int k = 0; k < n; k++) {
+        int p = k;
+        for (int i = k + 1; i < n; i++)
+            if (fabs(A[i*n + k]) > fabs(A[p*n + k]))
+                p = i;
+        if (!(fabs(A[p*n + k]) > 0))
+            return 0;
+        for (int j = 0; j < n && p != k; j++) {
+            double swap = A[k*n + j];
+            A[k*n + j] = A[p*n + j];
+            A[p*n + j] = swap;
+            swap = out[k*n + j];
+            out[k*n + j] = out[p*n + j];
+            out[p*n + j] = swap;
+        }
+        const double d = 1/A[k*n + k];
+        for (int j = 0; j < n; j++) {
+            A[k*n + j] *= d;
+            out[k*n + j] *= d;
+        }
+        for (int i = 0; i < n; i++) {
+            const double a = A[i*n + k];
+            if (i == k || a == 0)
+                continue;
+            for (int j = 0; j < n; j++) {
+                A[i*n + j] -= a*A[k*n + j];
+                out[i*n + j] -= a*out[k*n + j];
+            }
+        }
+    }
+    return 1;
+}
+
+/*
+ * Singular values by one-sided rotations (Hestenes): A (n, n) becomes U times them, largest first, V the right vectors.
+ * Columns of U beyond the rank are completed to an orthonormal basis. Return the rank.
+ */
+static int singular_values(int n, double *A, double *sigma, double *V)
+{
+    memset(V, 0, n*n*sizeof *V);
+    for (int i = 0; i < n; i++)
+        V[i*n + i] = 1;
+    for (int sweep = 0, turned = 1; sweep < SWEEPS && turned; sweep++) {
+        turned = 0;
+        for (int p = 0; p < n; p++)
+            for (int q = p + 1; q < n; q++) {
+                double a = 0, b = 0, g = 0;
+                for (int i = 0; i < n; i++) {
+                    a += A[i*n + p]*A[i*n + p];
+                    b += A[i*n + q]*A[i*n + q];
+                    g += A[i*n + p]*A[i*n + q];
+                }
+                if (g == 0 || fabs(g) <= EPS*sqrt(a*b))
+                    continue;
+                const double z = (b - a)/(2*g), t = (z < 0 ? -1 : 1)/(fabs(z) + sqrt(1 + z*z)), co = 1/sqrt(1 + t*t), si = co*t;
+                turned = 1;
+                for (int i = 0; i < n; i++) {
+                    const double u = A[i*n + p], v = V[i*n + p];
+                    A[i*n + p] = co*u - si*A[i*n + q];
+                    A[i*n + q] = si*u + co*A[i*n + q];
+                    V[i*n + p] = co*v - si*V[i*n + q];
+                    V[i*n + q] = si*v + co*V[i*n + q];
+                }
+            }
+    }
+    for (int j = 0; j < n; j++) {
+        double sum = 0;
+        for (int i = 0; i < n; i++)
+            sum += A[i*n + j]*A[i*n + j];
+        sigma[j] = sqrt(sum);
+    }
+    for (int j = 0; j < n; j++) {
+        int best = j;
+        for (int k = j + 1; k < n; k++)
+            if (sigma[k] > sigma[best])
+                best = k;
+        for (int i = 0; i < n && best != j; i++) {
+            double swap = A[i*n + j];
+            A[i*n + j] = A[i*n + best];
+            A[i*n + best] = swap;
+            swap = V[i*n + j];
+            V[i*n + j] = V[i*n + best];
+            V[i*n + best] = swap;
+        }
+        const double swap = sigma[j];
+        sigma[j] = sigma[best];
+        sigma[best] = swap;
+    }
+    int rank = 0;
+    while (rank < n && sigma[rank] > SINGULAR*sigma[0])
+        rank++;
+    for (int j = 0; j < rank; j++)
+        for (int i = 0; i < n; i++)
+            A[i*n + j] /= sigma[j];
+    for (int j = rank; j < n; j++) { /* the unit vector with the most outside of what is there */
+        double most = -1, best[M], v[M];
+        for (int e = 0; e < n; e++) {
+            double size = 0;
+            for (int i = 0; i < n; i++)
+                v[i] = i == e;
+            for (int pass = 0; pass < 2; pass++)
+                for (int k = 0; k < j; k++) {
+                    double dot = 0;
+                    for (int i = 0; i < n; i++)
+                        dot += A[i*n + k]*v[i];
+                    for (int i = 0; i < n; i++)
+                        v[i] -= dot*A[i*n + k];
+                }
+            for (int i = 0; i < n; i++)
+                size += v[i]*v[i];
+            if (size > most) {
+                most = size;
+                for (int i = 0; i < n; i++)
+                    best[i] = v[i];
+            }
+        }
+        for (int i = 0; i < n; i++)
+            A[i*n + j] = best[i]/sqrt(most);
+    }
+    return rank;
+}
+
+/* A^+ (n, n), and bases of the left and the right null space in the last columns of U and V; A is overwritten. Return the rank. */
+static int generalised_inverse(int n, double *A, double *plus, double *U, double *V)
+{
+    double r[M], c[M], sigma[M];
+    int any = 0, off = 0, holes = 0, finite = 1;
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) {
+            any |= A[i*n + j] != 0;
+            off |= i != j && A[i*n + j] != 0;
+            holes |= i == j && A[i*n + j] == 0;
+            finite &= is_finite(A[i*n + j]);
+        }
+    memset(plus, 0, n*n*sizeof *plus);
+    if (!any || !finite) {
+        for (int i = 0; i < n*n; i++) {
+            U[i] = V[i] = i % (n + 1) == 0;
+            plus[i] = finite ? 0 : NAN;
+        }
+        return finite ? 0 : n;
+    }
+    if (!off && !holes) {
+        for (int i = 0; i < n; i++)
+            plus[i*n + i] = 1/A[i*n + i];
+        return n;
+    }
+    units(n, A, r, c);
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++)
+            U[i*n + j] = A[i*n + j]*r[i]*c[j];
+    const int rank = singular_values(n, U, sigma, V);
+    if (rank == n && inverted(n, A, plus))
+        return n;
+    memset(plus, 0, n*n*sizeof *plus);
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++)
+            for (int k = 0; k < rank; k++)
+                plus[i*n + j] += c[i]*V[i*n + k]*(U[j*n + k]/sigma[k]*r[j]);
+    for (int i = 0; i < n; i++)
+        for (int k = rank; k < n; k++) {
+            U[i*n + k] *= r[i];
+            V[i*n + k] *= c[i];
+        }
+    return rank;
+}
+
+/* N = V (U' W_aa V)^+ U', and the left null space of D_aa and W_aa, of rows held by their rate alone. */
+static void held_by_rate(model_pieces *s, int rank)
+{
+    const int n = HOW.n, q = n - rank;
+    const int *a = HOW.active;
+    double *A = s->work_a, *P = s->work_b, *U = s->work_u, *V = s->work_v;
+    double plus[M*M], left[M*M], right[M*M];
+    memset(A, 0, q*q*sizeof *A);
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) {
+            const double w = W_AT(a[i], a[j]);
+            if (w != 0)
+                for (int u = 0; u < q; u++)
+                    for (int v = 0; v < q; v++)
+                        A[u*q + v] += U[i*n + rank + u]*w*V[j*n + rank + v];
+        }
+    const int inner = generalised_inverse(q, A, plus, left, right);
+    memset(P, 0, n*q*sizeof *P);
+    for (int i = 0; i < n; i++)
+        for (int u = 0; u < q; u++)
+            for (int v = 0; v < q; v++)
+                P[i*q + u] += V[i*n + rank + v]*plus[v*q + u];
+    memset(HOW.rates, 0, n*n*sizeof *P);
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++)
+            for (int u = 0; u < q; u++)
+                HOW.rates[i*n + j] += P[i*q + u]*U[j*n + rank + u];
+    HOW.null = q - inner;
+    for (int i = 0; i < n; i++)
+        for (int z = 0; z < HOW.null; z++) {
+            double sum = 0;
+            for (int u = 0; u < q; u++)
+                sum += U[i*n + rank + u]*left[u*q + inner + z];
+            HOW.rest[i*HOW.null + z] = sum;
+        }
+}
+
+/* The matrices of the mode at the place. */
+static void find_mode(model_pieces *s)
+{
+    const int n = HOW.n;
+    const int *a = HOW.active;
+    int any = 0, feeds = 0;
+    HOW.direct = HOW.through = HOW.feeds = HOW.null = 0;
+    if (n == 0)
+        return;
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) {
+            s->work_a[i*n + j] = D_AT(a[i], a[j]);
+            any |= s->work_a[i*n + j] != 0;
+        }
+    for (int i = 0; i < M; i++)
+        for (int j = 0; j < n; j++)
+            feeds |= D_AT(i, a[j]) != 0;
+    const int rank = generalised_inverse(n, s->work_a, HOW.plus, s->work_u, s->work_v);
+    HOW.direct = rank == n || any;
+    if (rank < n) {
+        HOW.through = 1;
+        HOW.feeds = feeds;
+        held_by_rate(s, rank);
+    }
+}
+#endif
+
+static void solve_mode(model_pieces *s)
+{
+    int n = 0;
+#if MATRICES
+    signed char held[M];
+    for (int i = 0; i < M; i++)
+        held[i] = s->at.codes[i] == 0;
+#if SLOPES
+    slopes_here(s);
+#else
+    for (int k = 0; k < s->count; k++) {
+        if (memcmp(held, HOW.held, sizeof held) == 0)
+            return;
+        s->current = (s->current + 1) % s->count;
+    }
+    if (s->count < KEPT)
+        s->current = s->count++;
+    else {
+        s->current = s->next;
+        s->next = (s->next + 1) % KEPT;
+    }
+#endif
+    memcpy(HOW.held, held, sizeof held);
+#endif
+    for (int i = 0; i < M; i++)
+        if (s->at.codes[i] == 0)
+            HOW.active[n++] = i;
+    HOW.n = n;
+#if MATRICES
+    find_mode(s);
+#else
+    HOW.through = n > 0;
+#endif
+}
+
+/* Whether the open rows have a P-matrix, D + a little W, those with code 0 that are not open held. */
+static int is_p_matrix(model_pieces *s)
+{
+#if ALWAYS_P
+    UNUSED(s);
+    return 1;
+#else
+    int o[M], h[M], n = 0, q = 0, r = 0;
+    double *S = s->work_a, *among = s->work_b, *plus = s->work_u, largest = 0;
+    double d = 0, w = 0;
+    for (int i = 0; i < M; i++)
+        for (int j = 0; j < M; j++) {
+            d = max_of(d, fabs(D_AT(i, j)));
+            w = max_of(w, fabs(W_AT(i, j)));
+        }
+    const double little = d != 0 && w != 0 ? SHORT*d/w : 1;
+    for (int i = 0; i < M; i++)
+        if (s->at.open[i])
+            o[n++] = i;
+        else if (s->at.codes[i] == 0)
+            h[q++] = i;
+#define K_AT(i, j) (D_AT(i, j) + W_AT(i, j)*little)
+    for (int i = 0; i < q; i++)
+        for (int j = 0; j < q; j++)
+            among[i*q + j] = K_AT(h[i], h[j]);
+    if (q && generalised_inverse(q, among, plus, s->work_a, s->work_v) < q)
+        return 0;
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) {
+            double sum = K_AT(o[i], o[j]);
+            for (int a = 0; a < q; a++)
+                for (int b = 0; b < q; b++)
+                    sum -= K_AT(o[i], h[a])*plus[a*q + b]*K_AT(h[b], o[j]);
+            S[i*n + j] = sum;
+            largest = max_of(largest, fabs(sum));
+        }
+    /* S + S' by Cholesky */
+    double *G = s->work_b;
+    for (r = 0; r < n; r++) {
+        for (int j = 0; j <= r; j++) {
+            double sum = S[r*n + j] + S[j*n + r] - (r == j ? SINGULAR*largest : 0);
+            for (int k = 0; k < j; k++)
+                sum -= G[r*n + k]*G[j*n + k];
+            if (j < r)
+                G[r*n + j] = sum/G[j*n + j];
+            else if (!(sum > 0))
+                goto minors;
+            else
+                G[r*n + r] = sqrt(sum);
+        }
+    }
+    return 1;
+minors:
+    if (n > MOST_MINORS)
+        return 0;
+    for (int set = 1; set < 1 << n; set++) {
+        int rows[MOST_MINORS], k = 0;
+        double det = 1, scale = 1;
+        for (int i = 0; i < n; i++)
+            if (set >> i & 1)
+                rows[k++] = i;
+        for (int i = 0; i < k; i++) {
+            double most = 0;
+            for (int j = 0; j < k; j++) {
+                G[i*k + j] = S[rows[i]*n + rows[j]];
+                most = max_of(most, fabs(G[i*k + j]));
+            }
+            scale *= most;
+        }
+        for (int c = 0; c < k; c++) {
+            int p = c;
+            for (int i = c + 1; i < k; i++)
+                if (fabs(G[i*k + c]) > fabs(G[p*k + c]))
+                    p = i;
+            for (int j = 0; j < k && p != c; j++) {
+                const double swap = G[c*k + j];
+                G[c*k + j] = G[p*k + j];
+                G[p*k + j] = swap;
+            }
+            det *= p != c ? -G[c*k + c] : G[c*k + c];
+            for (int i = c + 1; i < k && G[c*k + c] != 0; i++) {
+                const double a = G[i*k + c]/G[c*k + c];
+                for (int j = c; j < k; j++)
+                    G[i*k + j] -= a*G[c*k + j];
+            }
+        }
+        if (!(det > SINGULAR*scale))
+            return 0;
+    }
+    return 1;
+#endif
+}
+#endif

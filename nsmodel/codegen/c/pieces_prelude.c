@@ -1,0 +1,27 @@
+/* @TITLE@, event-driven. See @NAME@_pieces.h. */
+#include "@NAME@_pieces.h"
+
+#include <float.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+@GUARD@
+#define EPS DBL_EPSILON
+#define N MODEL_PIECES_N
+#define M MODEL_PIECES_M
+#define CHOICES MODEL_PIECES_CHOICES
+#define MOST_ORDERS MODEL_PIECES_ORDERS
+#define COLUMNS MODEL_PIECES_COLUMNS
+#define ROWS MODEL_PIECES_ROWS
+#define KEPT MODEL_PIECES_KEPT
+#define L N /* columns of l, y, t, and of h without l */
+#define Y (N + M)
+#define T @T@
+#define H @H@
+#define UNUSED(a) (void)(a)
+#define SWEEPS 60 /* of rotations */
+#define SOLUTIONS MODEL_PIECES_SOLUTIONS
+#define MOST_WORK 1000000L /* of a piece */
+#define MOST_PIECES 1000000L /* of a call */
+@CONSTANTS@

@@ -1,0 +1,57 @@
+/* Whole runs. */
+
+#ifdef __GNUC__
+#pragma GCC visibility push(default)
+#endif
+
+long model_size(void) { return (long)sizeof(model_pieces); }
+
+/* What a piece takes in a list of them. */
+long model_width(int order) { return AT_C + (order + 1L)*ROWS; }
+
+/* Begin at the start of the model. */
+int model_begin(model_pieces *s, double rtol, const double *atol, int estimated)
+{
+    double x[N];
+    const int status = model_pieces_init(s, rtol);
+    if (status == MODEL_BAD_ARITHMETIC)
+        return status;
+    memcpy(s->atol, atol, sizeof s->atol);
+    s->estimated = estimated;
+    start(s, x);
+    return model_pieces_set_state(s, 0, x);
+}
+
+/* Pieces until a time, as many as there is room for; how many. *status is that of the piece that could not be made. */
+long model_many(model_pieces *s, double until, long room, double *out, int *status)
+{
+    long count = 0;
+    const long width = model_width(s->order);
+    *status = MODEL_OK;
+    while (count < room && s->at.t < until) {
+        if ((*status = advance_piece(s)) != MODEL_OK)
+            break;
+        memcpy(out + width*count++, s->piece, width*sizeof *out);
+    }
+    return count;
+}
+
+/* Values of columns first, ..., first + width - 1 of the pieces of these numbers, at s. */
+void model_rows(const double *pieces, int order, long rows, const long *number, const double *at, int first, int width, double *out)
+{
+    const long size = model_width(order);
+    for (long r = 0; r < rows; r++)
+        horner(pieces + size*number[r] + AT_C + first, ROWS, order, at[r], width, out + r*width);
+}
+
+/* What a trajectory tells beside: of each row t, x, l. */
+void model_columns(const model_pieces *s, long rows, const double *given, double *out)
+{
+    const long width = 1 + N + M;
+    for (long r = 0; r < rows; r++)
+        records(s, given + r*width, given + r*width + 1, given + r*width + 1 + N, out + r*RECORDS);
+}
+
+#ifdef __GNUC__
+#pragma GCC visibility pop
+#endif

@@ -1,0 +1,57 @@
+/* How the multipliers of the rows that are held follow from y and y'. */
+typedef struct {
+    int n, direct, through, feeds, null; /* rows; which of the matrices are there; how many rows nothing can hold */
+    int active[MODEL_PIECES_M + 1];
+#if MATRICES
+    signed char held[MODEL_PIECES_M]; /* 1: y = 0 */
+    double plus[MODEL_PIECES_M*MODEL_PIECES_M], rates[MODEL_PIECES_M*MODEL_PIECES_M]; /* by y, and by y' */
+    double rest[MODEL_PIECES_M*MODEL_PIECES_M]; /* the left null space of both */
+#endif
+} model_solve;
+
+/* Where a piece starts, and all that the next pieces depend on. */
+typedef struct {
+    double t, tau; /* time; unit of time */
+    double x[MODEL_PIECES_N], l[MODEL_PIECES_M + 1]; /* state, multipliers at order 0 */
+    double size_x[MODEL_PIECES_N], size_y[MODEL_PIECES_M + 1], size_l[MODEL_PIECES_M + 1]; /* the largest so far */
+    double choice[MODEL_PIECES_CHOICES + 1]; /* of branches; NaN: none yet */
+    double size_switches[MODEL_PIECES_CHOICES + 1]; /* of their arguments, the largest so far */
+    double begun, impulse[MODEL_PIECES_M + 1]; /* 1: an event begins the next piece, after a jump by this */
+    double times[64], events, touches, redundant, tiny; /* times of events 1, 2, 4, 8, ... */
+    double unique[3]; /* modes shown to be the only one, by all valid ones, not decided */
+    signed char codes[MODEL_PIECES_M + 1], open[MODEL_PIECES_M + MODEL_PIECES_CHOICES + 1];
+} model_place;
+
+typedef struct {
+    model_place at, before; /* before: where the last piece began */
+    double t, t_0; /* the time reached; the time of the state that was set */
+    double rtol, atol[MODEL_PIECES_N], shares[2];
+    int order; /* of the series */
+    int estimated; /* whether the defect of each piece is estimated */
+    int status, live; /* live: there is a piece */
+    unsigned long ready;
+    long work, budget; /* series computed, polynomials halved: of a piece, at most */
+    long pieces, most; /* of one call, at most */
+#if PARAMETERS
+    double p[MODEL_PIECES_NP];
+#endif
+    model_solve kept[MODEL_PIECES_KEPT]; /* of modes */
+    int current, count, next;
+    double c[MODEL_PIECES_ORDERS + 1][MODEL_PIECES_COLUMNS]; /* coefficients of x, l, y and what they are made of */
+    double f[MODEL_PIECES_N], now[1];
+    double turns[MODEL_PIECES_M + MODEL_PIECES_CHOICES + 1]; /* codes that wrong conditions ask for */
+    double germs[MODEL_PIECES_SOLUTIONS][7][MODEL_PIECES_N]; /* of x, of valid modes */
+    double ratio[MODEL_PIECES_N + MODEL_PIECES_M][2];
+    double value[MODEL_PIECES_ROWS], slope[MODEL_PIECES_N], terms[MODEL_PIECES_N];
+#if SLOPES
+    double B[MODEL_PIECES_N*MODEL_PIECES_M], D[MODEL_PIECES_M*MODEL_PIECES_M], C[MODEL_PIECES_M*MODEL_PIECES_N];
+#endif
+#if MATRICES
+    double work_a[MODEL_PIECES_M*MODEL_PIECES_M], work_b[MODEL_PIECES_M*MODEL_PIECES_M];
+    double work_u[MODEL_PIECES_M*MODEL_PIECES_M], work_v[MODEL_PIECES_M*MODEL_PIECES_M];
+#endif
+#if GENERAL
+    double row[MODEL_PIECES_M*MODEL_PIECES_N];
+#endif
+    double piece[MODEL_PIECES_RECORD]; /* the last one; see the enum in @NAME@_pieces.c */
+} model_pieces;

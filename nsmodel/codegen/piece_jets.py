@@ -1,0 +1,189 @@
+"""The recurrences of `pieces.jets` as C that is fused: sums are expressions, and only what a recurrence reads is stored.
+
+Order k of all rows that are stored lies together, in ``s->c[k]``: x, l and y first. What depends on t linearly has two terms,
+what is a number one, and the recurrences know that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from nsmodel.codegen.expression import number
+from nsmodel.codegen.jets import C
+from nsmodel.pieces.jets import Jets, Line
+from nsmodel.pieces.printed import first_value
+
+LINEAR = frozenset("sum difference minus scaled over shifted".split())
+CHOSEN = frozenset("guarded chosen equal".split())
+FIXED = frozenset("both either not whole".split())  # At order 0 alone.
+CURVED = 99  # The degree in t of what has terms of all orders.
+ZERO = "0.0"
+
+
+@dataclass
+class Columns:
+    """Where rows are stored: ``inputs`` by (which input, its entry), what is added behind them, numbers among it."""
+
+    inputs: dict[tuple[int, int], int]
+    count: int
+    numbers: dict[int, float] = field(default_factory=dict)
+    choices: int = 0
+    branches: list[tuple[str, int, str]] = field(default_factory=list)  # (part, column watched, kind) of each.
+
+    def new(self) -> int:
+        """A further column."""
+        self.count += 1
+        return self.count - 1
+
+
+class Printer:
+    """One part, f, g or h, as two functions of C: its order 0, and its order k > 0."""
+
+    def __init__(self, jets: Jets, part: str, columns: Columns, degrees: Mapping[int, int]) -> None:
+        """``degrees``: in t, of the inputs by which they are; see `_degrees`."""
+        self.jets, self.part, self.columns = jets, part, columns
+        self.degree = _degrees(jets, degrees)
+        self.offset = columns.choices
+        columns.choices += len(jets.branches)
+        self.column = {row: columns.inputs[place] for place, row in jets.inputs.items()}
+        for row in sorted(_read(jets) - set(self.column)):
+            self.column[row] = columns.new()
+            if row in jets.numbers:
+                columns.numbers[self.column[row]] = jets.numbers[row]
+        columns.branches += [(part, self.column[branch.row], branch.kind) for branch in jets.branches]
+
+    def text(self, targets: list[str], given: str = "") -> str:
+        """``part_first(s)`` and ``part_later(s, k)``: statements ``targets`` of order 0 and k of the outputs, {} each.
+
+        ``given``: further arguments of both.
+        """
+        return self._function("first", given, self._first(), targets) + self._function(
+            "later", f", int k{given}", self._later(), targets
+        )
+
+    def _function(self, name: str, more: str, made: tuple[list[str], dict[int, str]], targets: list[str]) -> str:
+        lines, value = made
+        lines = lines + [target.format(value[row]) for target, row in zip(targets, self.jets.outputs, strict=True)]
+        order = "k" if name == "later" else "0"
+        text = "".join(f"    {line}\n" for line in [f"double *const c = s->c[{order}];", *_used(lines)])
+        body = text.split("\n", 1)[1]
+        unused = "" if "c[" in body else "    (void)c;\n"
+        unused += "".join(f"    (void){word};\n" for word in ("factor", "next") if word in more and word not in body)
+        return f"static void {self.part}_{name}(model_pieces *s{more})\n{{\n{text}{unused}}}\n\n"
+
+    def _start(self) -> dict[int, str]:
+        return {row: f"c[{column}]" for row, column in self.column.items()}
+
+    def _keep(self, line: Line, text: str, value: dict[int, str], lines: list[str]) -> None:
+        if line.y in self.column:
+            lines.append(f"c[{self.column[line.y]}] = {text};")
+        else:
+            name = f"a{line.y}"
+            lines.append(f"const double {name} = {text};")
+            value[line.y] = name
+
+    def _first(self) -> tuple[list[str], dict[int, str]]:
+        value, lines = self._start(), []
+        value |= {row: number(v).within(0) for row, v in self.jets.numbers.items() if row not in self.column}
+        for line in self.jets.lines:
+            choice = f"s->at.choice[{self.offset + line.branch}]"
+            if line.branch >= 0:
+                branch = self.jets.branches[line.branch]
+                made = C.choices[branch.kind].format(value[branch.row])
+                lines.append(f"if ({choice} != {choice}) {choice} = {made};")
+            self._keep(line, first_value(line, value.__getitem__, choice, C), value, lines)
+        return lines, value
+
+    def _later(self) -> tuple[list[str], dict[int, str]]:
+        value, lines = self._start(), []
+        value |= dict.fromkeys(self.jets.numbers, ZERO)
+        for line in self.jets.lines:
+            if self.degree[line.y] == 0:
+                value[line.y] = ZERO  # What is stored is 0 from order 1 on for good.
+                continue
+            text = self._linear(line, value) if line.kind in LINEAR | CHOSEN else self._convolved(line)
+            if text == ZERO or (line.y not in self.column and text.isidentifier()):
+                value[line.y] = text
+            else:
+                self._keep(line, text, value, lines)
+        return lines, value
+
+    def _linear(self, line: Line, value: Mapping[int, str]) -> str:
+        at = [value[row] for row in line.args]
+        factor = number(line.number).within(1)
+        match line.kind:
+            case "shifted":
+                return at[0]
+            case "sum":
+                return " + ".join(a for a in at if a != ZERO) or ZERO
+            case "difference":
+                return at[0] if at[1] == ZERO else f"-{at[1]}" if at[0] == ZERO else f"{at[0]} - {at[1]}"
+            case "minus":
+                return ZERO if at[0] == ZERO else f"-{at[0]}"
+            case "scaled" | "over":
+                sign = "*" if line.kind == "scaled" else "/"
+                return ZERO if at[0] == ZERO else f"{factor}{sign}{at[0]}" if sign == "*" else f"{at[0]}/{factor}"
+            case "guarded":
+                return ZERO if at[1] == ZERO else f"s->c[0][{self.column[line.args[0]]}] != 0 ? {at[1]} : 0.0"
+        if at[0] == at[1]:
+            return at[0]
+        side = f"s->at.choice[{self.offset + line.branch}]"
+        return f"{side} {'== 0' if line.kind == 'equal' else '> 0'} ? {at[0]} : {at[1]}"
+
+    def _convolved(self, line: Line) -> str:
+        rows, degree = [self._row(row) for row in line.args], [self.degree[row] for row in line.args]
+        own, factor = self._row(line.y), number(line.number).text
+        if line.kind == "product" and min(degree) <= 1:
+            low, other = (0, 1) if degree[0] <= degree[1] else (1, 0)
+            return f"product_{'line' if degree[low] else 'point'}({rows[low]}, {rows[other]}, k)"
+        if line.kind == "along" and degree[1] <= 1:
+            value = f"along_line({rows[0]}, {rows[1]}, k)"
+            return f"-{value}" if line.number < 0 else value
+        given = {
+            "product": rows, "square": rows, "along": rows,
+            "against": [own, rows[0], factor, rows[-1]], "power": [own, rows[0], factor],
+        }.get(line.kind, [own, *rows])  # fmt: skip
+        value = f"{line.kind}({', '.join(given)}, k)"
+        return f"-{value}" if line.kind == "along" and line.number < 0 else value
+
+    def _row(self, row: int) -> str:
+        return f"s->c[0] + {self.column[row]}"
+
+
+def _degrees(jets: Jets, given: Mapping[int, int]) -> dict[int, int]:
+    """The degree in t of each row: 0 for numbers, 1 for t; CURVED where it may be any."""
+    degree = dict.fromkeys(range(jets.count), CURVED)
+    degree |= {row: given[which] for (which, _), row in jets.inputs.items()} | dict.fromkeys(jets.numbers, 0)
+    for line in jets.lines:
+        of = [degree[row] for row in line.args if row != line.y]
+        if line.kind in LINEAR | CHOSEN or not any(of):
+            degree[line.y] = max(of, default=0)
+        elif line.kind in FIXED:
+            degree[line.y] = 0
+        elif line.kind in ("product", "square") and sum(of * (3 - len(of))) <= 1:
+            degree[line.y] = sum(of)
+    return degree
+
+
+def _read(jets: Jets) -> set[int]:
+    """The rows of which a recurrence, a condition or a later order reads other orders than its own."""
+    read = {branch.row for branch in jets.branches}
+    for line in jets.lines:
+        if line.kind == "guarded":
+            read.add(line.args[0])
+        elif line.kind not in LINEAR | CHOSEN | FIXED:
+            read |= {line.y, *line.args}
+    return read
+
+
+def _used(lines: list[str]) -> list[str]:
+    """The lines without the names that nothing reads."""
+    kept: list[str] = []
+    words: set[str] = set()
+    for line in reversed(lines):
+        name = line.split()[2] if line.startswith("const double ") else None
+        if name is None or name in words:
+            kept.append(line)
+            words |= set("".join(ch if ch.isalnum() or ch == "_" else " " for ch in line).split())
+    return kept[::-1]

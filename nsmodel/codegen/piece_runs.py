@@ -1,0 +1,121 @@
+"""Event-driven runs in C: many pieces a call, compiled once for a model (see `cache`)."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+import numpy as np
+
+from nsmodel.codegen import pieces
+from nsmodel.codegen.cache import NAME, is_kept, kept, key_for, made_by
+from nsmodel.codegen.library import FLAGS, Library, compiler, no_compiler
+from nsmodel.codegen.statuses import BAD_ARITHMETIC, STATUSES
+from nsmodel.errors import CodegenError
+from nsmodel.once import once
+from nsmodel.pieces.integrator import order_of
+from nsmodel.scheme.continuous import ContinuousProblem
+
+FASTER = tuple("-O3" if flag == "-O2" else flag for flag in FLAGS)  # Loops over few rows are unrolled.
+_POINTER, _NUMBER, _WHOLE = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
+
+
+def key_of(fingerprint: str) -> str | None:
+    """What names the library of a model; None without a compiler."""
+    name = compiler()
+    return None if name is None else key_for(["pieces", fingerprint, *made_by(name)])
+
+
+def is_there(fingerprint: str) -> bool:
+    """Whether nothing is to be built."""
+    key = key_of(fingerprint)
+    return key is not None and is_kept(key)
+
+
+class PiecesInC:
+    """The pieces of one problem; ``way``: by what they are compiled; ``branches``: which choices belong to f, g and h.
+
+    Raises:
+        CodegenError: the problem has no C counterpart, or there is no compiler, or it fails.
+    """
+
+    def __init__(self, problem: ContinuousProblem, fingerprint: str, rtol: float, atol: list[float]) -> None:
+        name, key = compiler(), key_of(fingerprint)
+        if name is None or key is None:
+            raise no_compiler()
+        self.way = f"compiled by {name}"
+        loaded = _loaded(problem)
+        if key not in loaded:
+            loaded[key] = _load(problem, key)
+        library, self.sizes, self.branches = loaded[key]
+        self.rtol, self.atol, self.order = rtol, np.array(atol, float), order_of(rtol)
+        size = library.function("size", _WHOLE)()
+        self._memory = np.zeros(size // 8 + 1)
+        self._solver = self._memory.ctypes.data
+        layout = _place(self.sizes)
+        self.at, self.before = self._memory.view(np.uint8)[: 2 * layout.itemsize].view(layout)
+        self._begin = library.function("begin", ctypes.c_int, _POINTER, _NUMBER, _POINTER, ctypes.c_int)
+        self._many = library.function("many", _WHOLE, _POINTER, _NUMBER, _WHOLE, _POINTER, _POINTER)
+        self._columns = library.function("columns", None, _POINTER, _WHOLE, _POINTER, _POINTER)
+        self._rows = library.function(
+            "rows", None, _POINTER, ctypes.c_int, _WHOLE, _POINTER, _POINTER, *[ctypes.c_int] * 2, _POINTER
+        )
+        self.width = library.function("width", _WHOLE, ctypes.c_int)(self.order)
+        self._status = ctypes.c_int()
+
+    def begin(self) -> bool:
+        """Choose the mode at the start; whether there is one that C finds."""
+        status = self._begin(self._solver, self.rtol, self.atol.ctypes.data, 1)
+        if status == BAD_ARITHMETIC:
+            raise CodegenError(f"{self.way}: {STATUSES[status].text}")
+        return status == 0
+
+    def many(self, until: float, room: int) -> tuple[np.ndarray, bool]:
+        """Pieces up to a time, ``room`` at most, as records (K, width), see `c/pieces.c`; whether C cannot make the next."""
+        out = np.empty((room, self.width))
+        count = self._many(self._solver, until, room, out.ctypes.data, ctypes.byref(self._status))
+        return (out if count == room else out[:count].copy()), self._status.value != 0
+
+    def columns(self, given: np.ndarray, count: int) -> np.ndarray:
+        """The columns of a trajectory that are expressions of t, x and l; ``given``: these, a row each."""
+        given, out = np.ascontiguousarray(given), np.empty((len(given), count))
+        self._columns(self._solver, len(given), given.ctypes.data, out.ctypes.data)
+        return out
+
+
+@once
+def _loaded(problem: ContinuousProblem) -> dict[str, Any]:
+    """The libraries that runs of the problem have loaded, by their keys; they go with the problem."""
+    del problem
+    return {}
+
+
+def _load(problem: ContinuousProblem, key: str) -> tuple[Library, dict[str, int], dict[str, slice]]:
+    scene = pieces.piece_scene(problem)
+
+    def files() -> dict[str, str]:
+        return {
+            f"{NAME}_pieces.c": pieces.code(scene, NAME, "a run", runs=True),
+            f"{NAME}_pieces.h": pieces.header(scene, NAME, "a run", None),
+        }
+
+    return Library(kept(key, files, FASTER), {"name": NAME}), scene.sizes, scene.branches
+
+
+def _place(sizes: dict[str, int]) -> np.dtype:
+    """``model_place`` in C."""
+    n, m, choices = sizes["N"], sizes["M"], sizes["CHOICES"]
+    lists = {
+        "x": n,
+        "l": m + 1,
+        "size_x": n,
+        "size_y": m + 1,
+        "size_l": m + 1,
+        "choice": choices + 1,
+        "size_switches": choices + 1,
+    }
+    fields: list[Any] = [("t", float), ("tau", float), *((name, float, (size,)) for name, size in lists.items())]
+    fields += [("begun", float), ("impulse", float, (m + 1,)), ("times", float, (64,))]
+    fields += [(name, float) for name in ("events", "touches", "redundant", "tiny")] + [("unique", float, (3,))]
+    fields += [("codes", np.int8, (m + 1,)), ("open", np.int8, (m + choices + 1,))]
+    return np.dtype(fields, align=True)

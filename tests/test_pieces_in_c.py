@@ -1,0 +1,238 @@
+"""Event-driven integration in C beside the integrator, piece by piece, and beside references; the library that users compile."""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import nsmodel
+from nsmodel import FirstOrderSystem, LureSystem, codegen, complementarity, relay, simulate
+from nsmodel.errors import CodegenError
+from nsmodel.run.event_driven import EventDriven, problem_of
+from nsmodel.run.options import Options
+from tests import event_scenes as scenes
+from tests.test_events_resume import files
+
+CASES = Path(__file__).parents[1] / "cases"
+CC = next((name for name in ("gcc", "cc", "clang") if shutil.which(name)), None)
+pytestmark = pytest.mark.skipif(CC is None, reason="no C compiler")
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wno-unused-function")
+SANITIZED = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+
+
+def case(name):
+    return nsmodel.load(CASES / f"{name}.py")
+
+
+def switches():
+    """Operations that are not analytic, in f and in h, and a table's edge."""
+    t, x, l = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("l")
+    f = [x[1], -ca.fabs(x[0]) + ca.if_else(t < 1.5, 1, -0.5) + 0.1 * ca.fmax(x[0], x[1]) - 0.2 * ca.floor(2 * x[0])]
+    h = x[1] - 0.1 * ca.sin(t)
+    return FirstOrderSystem(t=t, x=x, lam=l, f=f, g=[0, 0.3 * l], h=[h], law=relay(1), x0=[0.7, -0.2], t_end=4)
+
+
+def functions():
+    """A recurrence of every kind."""
+    t, x = ca.SX.sym("t"), ca.SX.sym("x", 3)
+    f = [
+        ca.exp(-x[0]) * ca.tanh(x[1]) + ca.sqrt(2 + x[2]) / (1 + x[0] ** 2), ca.log(3 + x[1]) - ca.atan(x[0] * t) + ca.erf(x[2]),
+        ca.atan2(x[0], 2 + x[1]) - (1.5 + x[2]) ** 0.7 + ca.sinh(0.1 * x[0]) * ca.cos(2 * t),
+    ]  # fmt: skip
+    return FirstOrderSystem(t=t, x=x, f=f, x0=[0.3, 0.1, -0.2], t_end=2)
+
+
+def nonlinear():
+    """A law that is not linear in l."""
+    x, l = ca.SX.sym("x", 2), ca.SX.sym("l")
+    return FirstOrderSystem(
+        x=x, lam=l, f=[x[1], -x[0]], g=[0, -l - 0.1 * l**3], h=[0.8 - x[0] + 0.05 * l + 0.01 * l**3], law=complementarity(1),
+        x0=[0, 1], t_end=6,
+    )  # fmt: skip
+
+
+MODELS = {
+    **{
+        name: (lambda name=name: case(name))
+        for name in (
+            "friction_oscillator", "friction_oscillator_relay", "sliding_relay", "diode_bridge", "relay_oscillator",
+            "gene_network", "point_past_disc", "two_discs", "two_masses", "inclusion_8_1", "inclusion_8_2", "moving_disc",
+        )
+    },
+    "release": lambda: scenes.release(1.3)[0], "play": lambda: scenes.play()[0], "diode": lambda: scenes.diode()[0],
+    "mains": scenes.mains_bridge, "pendulums": scenes.pendulums, "twisting": scenes.twisting, "filter": scenes.capacitor_filter,
+    "stiff": lambda: scenes.stiff_relay(1e2), "degree 2": lambda: scenes.relay_of_degree_2(0, 100),
+    "grazing": lambda: scenes.grazing(1e-6), "switches": switches, "functions": functions, "nonlinear": nonlinear,
+}  # fmt: skip
+
+
+def both(model, rtol, **more):
+    return (simulate(model, rtol=rtol, method="event-driven", compiled=compiled, **more) for compiled in (False, True))
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_c_makes_the_pieces_of_the_integrator(name):
+    """The same pieces, modes and notes; numbers to what rounding at an event becomes."""
+    model = MODELS[name]()
+    end = min(model.t_end, 5.0) if name == "twisting" else None
+    for rtol in (1e-4, 1e-8):
+        python, c = both(model, rtol, t_end=end)
+        assert any("pieces in C" in line for line in c.metadata["used"])
+        assert not c.metadata["warnings"] or c.metadata["warnings"] == python.metadata["warnings"]
+        np.testing.assert_array_equal(c.arrays["piece_codes"], python.arrays["piece_codes"])
+        np.testing.assert_array_equal(c.arrays["piece_event"], python.arrays["piece_event"])
+        for key in ("unique", "touches", "redundant", "events", "pieces"):
+            assert c.metadata["totals"][key] == python.metadata["totals"][key]
+        size = np.abs(python.x).max(axis=0)
+        assert (np.abs(c.x - python.x) <= 1e-10 * size).all()
+        assert np.abs(c.t - python.t).max() <= 1e-11 * model.t_end
+        for part in ("multipliers", "y"):
+            a, b = c.arrays[part][1:], python.arrays[part][1:]
+            assert (np.abs(a - b) <= 1e-7 * np.abs(b).max(axis=0) + 1e-13 * size.max()).all()
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_random_systems_go_the_same_way(seed):
+    """Lur'e systems with D of any rank: index 1, 2 and mixed."""
+    rng = np.random.default_rng(seed)
+    n, m = int(rng.integers(1, 5)), int(rng.integers(1, 5))
+    G = rng.standard_normal((n, m))
+    half = rng.standard_normal((m, int(rng.integers(0, m + 1))))
+    skew = rng.standard_normal((m, m)) * (rng.random() < 0.5)
+    law = relay(m) if rng.random() < 0.5 else complementarity(m)
+    t = ca.SX.sym("t")
+    model = LureSystem(
+        t=t, A=rng.standard_normal((n, n)) - np.eye(n), B=G, C=G.T, D=half @ half.T + skew - skew.T, law=law,
+        f=rng.standard_normal(n) * ca.sin(2 * t), x0=G @ np.abs(rng.standard_normal(m)), t_end=5,
+    )  # fmt: skip
+    try:
+        python = simulate(model, rtol=1e-8, method="event-driven", compiled=False)
+    except nsmodel.NsmodelError as error:
+        with pytest.raises(type(error)):
+            simulate(model, rtol=1e-8, method="event-driven", compiled=True)
+        return
+    at = np.linspace(0, 5, 101)
+    c = simulate(model, rtol=1e-8, method="event-driven", compiled=True)
+    size = np.abs(python.x).max(axis=0)
+    assert np.abs(c.at(at).x - python.at(at).x).max() <= 1e-8 * size.max()
+
+
+@pytest.mark.parametrize("name", ["diode_bridge", "relay_oscillator", "two_discs"])
+def test_runs_in_c_go_on_byte_for_byte(name, tmp_path):
+    model = case(name)
+    run = lambda out, **more: simulate(model, rtol=1e-8, method="event-driven", compiled=True, out=out, **more)  # noqa: E731
+    run(tmp_path / "one")
+    for i, end in enumerate([0.21, 0.5, 0.83, 1.0]):
+        run(tmp_path / "parts", t_end=end * model.t_end, resume=i > 0)
+    run(tmp_path / "again")
+    assert files(tmp_path / "one") == files(tmp_path / "parts") == files(tmp_path / "again")
+
+
+def test_places_go_to_the_integrator_and_back():
+    """At any piece, with switches, the integrator goes on from where C is, and C from there."""
+    model = switches()
+    walk = EventDriven(model, Options(rtol=1e-8, compiled=True), problem_of(model), lambda: None)
+    for _ in range(6):
+        walk.maker.make(4.0, 0)
+        place = walk.maker.standing()
+        assert walk.maker.integrator.standing() == place
+        walk.maker.stand(place)
+        assert walk.maker.standing() == place
+
+
+# -- the library
+
+
+MAIN = """
+#include "thing_pieces.h"
+#include <stdio.h>
+#include <stdlib.h>
+#include <math.h>
+int main(int argc, char **argv)
+{
+    static thing_pieces s;
+    double x[THING_PIECES_N], end = atof(argv[2]);
+    int status = thing_pieces_init(&s, atof(argv[1]));
+    for (int k = 0; status == THING_OK && k <= 40; k++) {
+        status = thing_advance(&s, end*k/40);
+        thing_pieces_get_state(&s, x);
+        printf("%.17g", thing_pieces_get_time(&s));
+        for (int i = 0; i < THING_PIECES_N; i++)
+            printf(" %.17g", x[i]);
+        printf("\\n");
+    }
+    if (thing_advance(&s, NAN) != THING_NOT_FINITE && status == THING_OK)
+        return 50;
+    return argc > 3 ? 0 : status;
+}
+"""
+
+
+def built(model, folder, *flags):
+    codegen.write(model, folder, name="thing", event_driven=True, step=model.step or 1e-3 * model.t_end)
+    (folder / "use.c").write_text(MAIN)
+    program = folder / "use"
+    sources = [str(folder / file) for file in ("use.c", "thing_pieces.c")]
+    subprocess.run([CC, *STRICT, *flags, "-o", str(program), *sources, "-lm"], check=True)
+    return program
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["friction_oscillator", "diode_bridge", "gene_network", "point_past_disc", "mains", "switches", "nonlinear", "two_discs"],
+)
+def test_the_library_is_sound_and_right(name, tmp_path):
+    """Under AddressSanitizer and UndefinedBehaviorSanitizer, and as the run in Python has it."""
+    model = MODELS[name]()
+    found = subprocess.run(
+        [built(model, tmp_path, *SANITIZED), "1e-8", repr(model.t_end)], check=True, capture_output=True, text=True
+    )
+    assert not found.stderr
+    rows = np.array([line.split() for line in found.stdout.splitlines()], float)
+    run = simulate(model, rtol=1e-8, method="event-driven", compiled=False)
+    x = run.at(rows[:, 0])
+    expected = np.hstack([x.x, x.v])
+    assert np.abs(rows[:, 1:] - expected).max() <= 1e-9 * np.abs(expected).max()
+
+
+def test_the_library_keeps_its_budget_and_says_what_it_cannot(tmp_path):
+    model = case("relay_oscillator")
+    folder = built(model, tmp_path).parent
+    library = folder / "thing.so"
+    subprocess.run([CC, "-shared", "-fPIC", "-O2", "-o", library, folder / "thing_pieces.c", "-lm"], check=True)
+    lib = ctypes.CDLL(str(library))
+    lib.thing_pieces_get_time.restype = ctypes.c_double
+    s = ctypes.create_string_buffer(1 << 20)
+    number, names = ctypes.c_double, ["OK", "NOT_SOLVED", "NOT_FINITE", "BAD_STEP", "BAD_PARAMETER", "NO_ROOM", "NOT_INITIALISED"]
+    assert lib.thing_advance(s, number(1.0)) == names.index("NOT_INITIALISED")
+    assert lib.thing_pieces_init(s, number(1e-15)) == names.index("BAD_STEP")
+    assert lib.thing_pieces_init(s, number(1e-8)) == 0
+    lib.thing_pieces_set_most(s, ctypes.c_long(5))
+    calls = 0
+    while (status := lib.thing_advance(s, number(model.t_end))) == names.index("NOT_SOLVED"):
+        calls += 1
+    assert status == 0
+    assert calls > 5
+    x = (number * 3)()
+    lib.thing_pieces_get_state(s, x)
+    run = simulate(model, rtol=1e-8, method="event-driven", compiled=False)
+    np.testing.assert_allclose(list(x), run.x[-1], rtol=1e-10)
+    assert lib.thing_pieces_set_state(s, number(0.0), (number * 3)(np.nan, 0, 0)) == names.index("NOT_FINITE")
+    assert lib.thing_advance(s, number(0.5 * model.t_end)) == names.index("BAD_STEP")
+
+
+def test_what_has_no_pieces_in_c_is_named(tmp_path):
+    with pytest.raises(CodegenError, match="many bodies"):
+        codegen.write(case("evacuation"), tmp_path / "a", event_driven=True)
+    ball = nsmodel.FrictionOscillator(
+        x=(x := ca.SX.sym("x", 2)), s=(s := ca.SX.sym("s")), potential=ca.sumsqr(x), friction=s, x0=[1, 0], v0=[0, 1], t_end=1,
+        step=0.01,
+    )  # fmt: skip
+    with pytest.raises(CodegenError, match="is no box"):
+        codegen.write(ball, tmp_path / "b", event_driven=True)
