@@ -36,11 +36,12 @@ OF_PIECES: Mapping[str, str] = {
     "pieces.modes": "GERM ORDERS CLEAR HALF PACES HALVED PIVOTS TOGETHER FEW APART",
     "pieces.switches": "TIE",
     "pieces.bernstein": "NONE NARROW",
-    "pieces.roots": "POLISHING NEAR TOUCH",
+    "pieces.roots": "POLISHING NEAR TOUCH TAIL LOST",
     "pieces.lengths": "LONGEST MULTIPLIERS SMALL",
     "pieces.defect": "SEEN SEEN_ROW",
     "pieces.multipliers": "SINGULAR MOST_MINORS SHORT",
     "pieces.system": "NEWTON SETTLED AT_ZERO STAYS",
+    "pieces.stiff": "WORTH SMOOTH",
     "codegen.statuses": "READY",
 }
 

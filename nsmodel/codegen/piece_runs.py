@@ -116,6 +116,7 @@ def _place(sizes: dict[str, int]) -> np.dtype:
     }
     fields: list[Any] = [("t", float), ("tau", float), *((name, float, (size,)) for name, size in lists.items())]
     fields += [("begun", float), ("impulse", float, (m + 1,)), ("times", float, (64,))]
-    fields += [(name, float) for name in ("events", "touches", "redundant", "tiny")] + [("unique", float, (3,))]
+    fields += [(name, float) for name in ("events", "touches", "redundant", "tiny")]
+    fields += [("stiff", float, (3,)), ("unique", float, (3,))]
     fields += [("codes", np.int8, (m + 1,)), ("open", np.int8, (m + choices + 1,))]
     return np.dtype(fields, align=True)

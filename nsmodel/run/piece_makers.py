@@ -14,6 +14,7 @@ from nsmodel.run.piece_rows import Block
 from nsmodel.scheme.continuous import ContinuousProblem
 
 VERDICTS = (PROVED, AGREE, UNDECIDED)  # In the order of `unique` in C.
+STIFF = ("length", "failed", "wait")  # Of `stiff.Stiff`, as C has it.
 MOST, BYTES = 1024, 8 << 20  # Pieces of a call, and the memory that they may take.
 
 
@@ -116,12 +117,12 @@ class Interpreted:
 
 
 class InC:
-    """C, and the integrator for a start that jumps, a mode that C does not find, and all that ends in an error."""
+    """C, and the integrator for a start that jumps, a mode that C does not find, stiff pieces, and all that ends in an error."""
 
     def __init__(self, problem: ContinuousProblem, rtol: float, atol: list[float], steps: Any) -> None:
         """``steps``: `codegen.piece_runs.PiecesInC`."""
         self.problem, self.rtol, self.atol, self._c = problem, rtol, atol, steps
-        self._stiff: dict[str, Any] = {"length": 0.0, "failed": 0, "wait": 0, "pieces": 0}  # Of `stiff.Stiff`, which C has not.
+        self._collocated = 0  # Pieces by collocation, which C leaves to the integrator.
         self._behind: tuple[dict[str, Any], dict[str, Any]] | None = None  # Before a piece that was interpreted.
         if not steps.begin():
             self.stand(self._interpreted.standing())
@@ -188,7 +189,7 @@ class InC:
         place = self._c.before if before else self._c.at
         unique = {verdict: int(count) for verdict, count in zip(VERDICTS, place["unique"], strict=True) if count}
         notes = {"touches": int(place["touches"]), "unique": unique, "redundant": int(place["redundant"])}
-        return notes | {"collocated": self._stiff["pieces"]}
+        return notes | {"collocated": self._collocated}
 
     def standing(self, *, before: bool = False) -> dict[str, Any]:
         """As the integrator's."""
@@ -209,7 +210,7 @@ class InC:
             },
             "begun": tuple(place["impulse"][:m].tolist()) if place["begun"] else None, "times": place["times"][:n].tolist(),
             "events": int(place["events"]), **notes, "tiny": int(place["tiny"]),
-            "stiff": dict(self._stiff),
+            "stiff": dict(zip(STIFF, place["stiff"].tolist(), strict=True)) | {"pieces": self._collocated},
         }  # fmt: skip
 
     def stand(self, saved: dict[str, Any]) -> None:
@@ -226,7 +227,7 @@ class InC:
         for kind, i in saved["open"]:
             place["open"][i if kind == "row" else m + self._of(kind).start + i] = 1
         place["times"][: len(saved["times"])] = saved["times"]
-        self._stiff = dict(saved["stiff"])
+        place["stiff"], self._collocated = [saved["stiff"][name] for name in STIFF], saved["stiff"]["pieces"]
         unique = Counter(saved["unique"])
         place["unique"] = [unique[verdict] for verdict in VERDICTS]
         for name in ("events", "touches", "redundant", "tiny"):

@@ -462,6 +462,32 @@ static void record_sizes(model_pieces *s)
 #endif
 }
 
+/* Whether a piece by collocation is tried, as in stiff.py. */
+static int is_stiff(model_pieces *s, double length)
+{
+    double *left = s->at.stiff + 2;
+    if (s->at.stiff[0] > 0)
+        return 1;
+    if (*left > 0) {
+        *left -= 1;
+        return 0;
+    }
+#if LAW
+    if (HOW.null > 0)
+        return 0;
+#endif
+    if (length >= 1 || memchr(s->at.open, 1, M + CHOICES))
+        return 0;
+    for (int i = 0; i < N; i++) {
+        double moved = 0, power = 1;
+        for (int k = 1; k <= SMOOTH; k++)
+            moved += fabs(s->c[k][i])*(power *= WORTH*length);
+        if (moved > s->at.size_x[i])
+            return 0;
+    }
+    return 1;
+}
+
 /* Integrate to the next event, or as far as one expansion goes. */
 static int next_piece(model_pieces *s)
 {
@@ -479,6 +505,8 @@ static int next_piece(model_pieces *s)
             return status;
         length = min_of(length_of(s), 1.0);
     }
+    if (s->leaves && is_stiff(s, length))
+        return MODEL_NOT_SOLVED;
     const double longest = length*s->at.tau;
     if ((status = accept(s, &length, &hit, &found, &error)))
         return status;
@@ -505,6 +533,7 @@ static int next_piece(model_pieces *s)
         if (s->at.tiny > TINY_PIECES)
             return MODEL_NO_MODE;
         s->at.tau = unit_of(length > 1e-6 ? min_of(longest, 8*tau) : longest); /* longer than a mode's own time coefficients grow */
+        memset(s->at.stiff, 0, sizeof s->at.stiff);
         if ((status = pass_event(s, &hit)))
             return status;
         if (s->at.t > start) {

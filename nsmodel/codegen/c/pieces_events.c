@@ -293,7 +293,9 @@ static int first_event(model_pieces *s, double *length, condition *hit)
             if (at <= 1) {
                 *length *= at;
                 *hit = *one;
-                found = 1;
+                const int tail = left < TAIL ? left : TAIL;
+                found = !(at > 0 && largest_of(tail, d + left - tail) > LOST*largest_of(left, d));
+                *length *= found ? 1 : 0.5; /* a root of what was cut off */
             }
         }
     return found;

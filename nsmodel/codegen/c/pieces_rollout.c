@@ -18,6 +18,7 @@ int model_begin(model_pieces *s, double rtol, const double *atol, int estimated)
         return status;
     memcpy(s->atol, atol, sizeof s->atol);
     s->estimated = estimated;
+    s->leaves = 1;
     start(s, x);
     return model_pieces_set_state(s, 0, x);
 }

@@ -18,6 +18,7 @@ typedef struct {
     double size_switches[MODEL_PIECES_CHOICES + 1]; /* of their arguments, the largest so far */
     double begun, impulse[MODEL_PIECES_M + 1]; /* 1: an event begins the next piece, after a jump by this */
     double times[64], events, touches, redundant, tiny; /* times of events 1, 2, 4, 8, ... */
+    double stiff[3]; /* length of the next piece by collocation, trials that failed, series until the next one */
     double unique[3]; /* modes shown to be the only one, by all valid ones, not decided */
     signed char codes[MODEL_PIECES_M + 1], open[MODEL_PIECES_M + MODEL_PIECES_CHOICES + 1];
 } model_place;
@@ -28,6 +29,7 @@ typedef struct {
     double rtol, atol[MODEL_PIECES_N], shares[2];
     int order; /* of the series */
     int estimated; /* whether the defect of each piece is estimated */
+    int leaves; /* whether pieces by collocation are left to the caller */
     int status, live; /* live: there is a piece */
     unsigned long ready;
     long work, budget; /* series computed, polynomials halved: of a piece, at most */
