@@ -89,6 +89,22 @@ def step_array(steps: Any, error: type[NsmodelError]) -> np.ndarray:
     return array
 
 
+def known_times(given: Any) -> tuple[float, ...]:
+    """``switch_times`` as a tuple; ModelError where they are no increasing finite numbers >= 0."""
+    given = () if given is None else given
+    if not (isinstance(given, list | tuple) or (isinstance(given, np.ndarray) and given.ndim == 1)):
+        raise ModelError(f"switch_times: expected a list or 1-D array of times, not {shown(given)}")
+    times = tuple(number(value, f"switch_times[{i}]") for i, value in enumerate(given))
+    for i, time in enumerate(times):
+        if time < 0:
+            raise ModelError(f"switch_times[{i}] = {time:.10g}; expected times >= 0: a run begins at 0")
+        if i and time <= times[i - 1]:
+            raise ModelError(
+                f"switch_times[{i}] = {time:.10g} is not after switch_times[{i - 1}] = {times[i - 1]:.10g}; give them in order"
+            )
+    return times
+
+
 def shown(value: Any) -> str:
     """A value as a message shows it: short, with its type."""
     text = " ".join(repr(value).split())

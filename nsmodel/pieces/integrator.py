@@ -6,20 +6,23 @@ of x, y and l, events by Bernstein's test, polished on the expansion at the even
 
 from __future__ import annotations
 
-import itertools
 import math
+from bisect import bisect_right
 from collections import Counter
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.errors import StepError
+from nsmodel.pieces.accumulation import Accumulation
 from nsmodel.pieces.bernstein import value
 from nsmodel.pieces.defect import defect, equations
 from nsmodel.pieces.lengths import length, unit
 from nsmodel.pieces.modes import Place, jump, select, turn, uniqueness
 from nsmodel.pieces.multipliers import Solve
+from nsmodel.pieces.piece import Piece
 from nsmodel.pieces.roots import beyond_touch, first_event, polish, same
 from nsmodel.pieces.switches import ROW, TIE, Condition, Switch, conditions, size
 from nsmodel.pieces.system import System
@@ -31,46 +34,25 @@ LARGEST_ORDER = 30
 LOCAL, ROUGHEST = 0.01, 1e-3  # A piece errs by this share of rtol, and of no more than this.
 ROOM = 1.3  # By which the next piece may be longer than the last without another unit of time.
 SHORTENINGS = 30
+SAME_TIME = 4 * float(np.finfo(float).eps)  # Of a known time: an event that is as near is at it.
+JUMPS = 2  # At one time.
 AROUND = 4  # Order of the expansions at an event.
-TINY_PIECES, TINY = 50, 1e-13  # So many pieces one after the other that are so short: switches accumulate.
 NAMED = 4  # Switches that an error names.
-MANY, FASTER = 4096, 0.6  # Events from which on they are asked whether they accumulate; see `_refuse_accumulation`.
 STARTS, TOO_SHORT = 8, 0.05  # First units of time that are tried; a piece that is shorter than this one asks for another.
-
-
-class Piece(NamedTuple):
-    """x, l and y on t + tau [0, s], as coefficients of (time - t)/tau: (n, p + 1), (m, p + 1), (m, p + 1); ``codes`` of the rows.
-
-    ``last`` is x at the end, to rounding on what ends the piece; ``event`` is None where the mode goes on as before, else the
-    impulse p of the jump that the piece begins after, 0 where there is none.
-    """
-
-    t: float
-    tau: float
-    s: float
-    x: np.ndarray
-    l: np.ndarray
-    y: np.ndarray
-    codes: tuple[int, ...]
-    defect: float
-    last: list[float]
-    event: tuple[float, ...] | None
-
-    @property
-    def end(self) -> float:
-        """The last time."""
-        return self.t + self.tau * self.s
 
 
 class Integrator:
     """A problem as it is integrated: ``advance()`` returns the next piece.
 
-    ``events``: how many so far; ``unique``: how often the mode was shown to be the only one, by verdict; ``touches``: conditions
+    ``unique``: how often the mode was shown to be the only one, by verdict; ``touches``: conditions
     that came to 0 and went back; ``redundant``: pieces whose l is one of several.
     """
 
-    def __init__(self, problem: ContinuousProblem, rtol: float, atol: list[float] | None = None) -> None:
-        self.problem, self.rtol = problem, LOCAL * min(rtol, ROUGHEST)
+    def __init__(
+        self, problem: ContinuousProblem, rtol: float, atol: list[float] | None = None, known_times: Sequence[float] = ()
+    ) -> None:
+        """``known_times``, increasing: each ends a piece, and the mode is decided anew for the data after it."""
+        self.problem, self.rtol, self.known_times = problem, LOCAL * min(rtol, ROUGHEST), known_times
         self.order = min(math.ceil(-math.log(self.rtol) / 2) + 2, LARGEST_ORDER)
         self.system = System(problem, self.order)
         self.atol = [0.0] * self.system.n if atol is None else atol
@@ -78,10 +60,10 @@ class Integrator:
         self.place = Place(0.0, x0, 1.0, [0] * system.m)
         self.sizes = system.sizes
         self._equations = equations(problem)
-        self._times: list[float] = []  # Of the events 1, 2, 4, 8, ...
+        self.accumulation = Accumulation()
         self._begun: tuple[float, ...] | None = None  # The event that the next piece begins with.
         self.unique: Counter[str] = Counter()
-        self.events = self.touches = self.redundant = self._tiny = 0
+        self.touches = self.redundant = 0
         with np.errstate(all="ignore"):
             self._start()
 
@@ -103,8 +85,8 @@ class Integrator:
             place.tau = unit(s * place.tau)
             how = self._expand(self.order)
             s = min(self._length(how), 1.0)
-        longest = s * place.tau
-        hit, s, error = self._accepted(how, s)
+        longest, known = s * place.tau, self._next_known()
+        hit, s, error = self._accepted(how, min(s, (known - place.t) / place.tau))
         last = [value(row, s) for row in system.x]
         x, l, y = (np.array(rows).reshape(len(rows), system.orders + 1) for rows in (system.x, system.l, system.y))
         piece = Piece(place.t, place.tau, s, x, l, y, tuple(place.codes), error, last, self._begun)
@@ -115,15 +97,17 @@ class Integrator:
         place.t += place.tau * s
         place.open = set()
         tau = place.tau * s
+        if hit is None and self._reaches(known):
+            self._cross(known)
+            return piece._replace(s=(known - piece.t) / piece.tau)
         if hit is None:
             self._hold(how)
             place.tau = unit(ROOM * tau)
             return piece
-        self._tiny = self._tiny + 1 if s * place.tau < TINY * max(abs(place.t), place.tau) else 0
-        if self._tiny > TINY_PIECES:
+        if self.accumulation.shrinks(tau, place.t, place.tau):
             raise self._accumulates(hit)
         place.tau = unit(min(longest, 8 * tau) if s > 1e-6 else longest)  # Longer than a mode's own time coefficients grow.
-        self._event(hit)
+        self._event(hit, known)
         return piece._replace(s=(place.t - piece.t) / piece.tau, last=list(place.x)) if place.t > piece.t else piece
 
     def _length(self, how: Solve) -> float:
@@ -141,6 +125,15 @@ class Integrator:
             if place.t + place.tau * s == place.t:
                 break
         raise StepError(f"t = {place.t:.10g}: x' = f + g, y = 0 is missed by {error:.3g} times rtol, however short the piece")
+
+    def _next_known(self) -> float:
+        """The first known time after the place."""
+        k = bisect_right(self.known_times, self.place.t)
+        return self.known_times[k] if k < len(self.known_times) else math.inf
+
+    def _reaches(self, known: float) -> bool:
+        """Whether the place is at a known time, to rounding, or beyond."""
+        return self.place.t >= known * (1 - SAME_TIME) if known < math.inf else False
 
     def _start(self) -> None:
         system, place = self.system, self.place
@@ -197,16 +190,21 @@ class Integrator:
 
     # -- events
 
-    def _event(self, hit: Condition) -> None:
-        """Go to the event to round-off, and choose the mode after it."""
+    def _event(self, hit: Condition, known: float) -> None:
+        """Go to the event to round-off, but not beyond a known time, and choose the mode after it."""
         system, place = self.system, self.place
         self._project(self._expand(AROUND).active)  # Afterwards it would move the root that is polished.
         how, own = polish(system, place, hit, AROUND, self._expand)
         past = None if own is None else beyond_touch(system, own)
-        if past is not None:
+        self.touches += past is not None
+        to_known = (known - place.t) / place.tau
+        if past is not None and past < to_known:
             place.x = [value(row[: AROUND + 1], past) for row in system.x]
             place.t += past * place.tau
-            self.touches += 1
+            return
+        if past is not None or self._reaches(known):
+            place.x = [value(row[: AROUND + 1], to_known) for row in system.x]
+            self._cross(known)
             return
         for condition in conditions(system, place.codes, how, AROUND):
             c = condition.coefficients()
@@ -217,27 +215,43 @@ class Integrator:
                 if ends or moves > least:
                     turn(system, place, condition.of, condition.after)
         self._project(tuple(sorted({*how.active, *(i for kind, i in place.open if kind == ROW)})))
-        if select(system, place) is None:
-            raise self._stuck("after " + self._name(hit.of))
-        self._refuse_rivals()
-        self._begun = self._begun or (0.0,) * system.m
-        self._refuse_accumulation(hit)
-
-    def _refuse_accumulation(self, hit: Condition) -> None:
-        """Stop where event n = 2^k comes as fast again as event n/2, to a part, four times over: n grows exponentially in time.
-
-        Of switches at a constant rate the ratio is 1, of a chirp's, n ~ t^2, it is 0.7.
-        """
-        self.events += 1
-        n, times = self.events, self._times
-        if n & (n - 1):
-            return
-        times.append(self.place.t)
-        if n < MANY:
-            return
-        spacing = [2 * (times[-1 - k] - times[-2 - k]) / (n >> k) for k in range(5)]
-        if all(late < FASTER * early for late, early in itertools.pairwise(spacing)):
+        self._go_on("after " + self._name(hit.of))
+        if self.accumulation.grows(place.t):
             raise self._accumulates(hit)
+
+    def _cross(self, known: float) -> None:
+        """Stand at a known time, with the branches of the data after it, and choose the mode."""
+        system, place = self.system, self.place
+        place.t = known
+        for part in system.parts.values():
+            part.choice[:] = [math.nan] * len(part.choice)
+        how = system.expand(place.t, place.x, place.codes, place.tau, AROUND)
+        if how is None:
+            place.open = {(ROW, i) for i in range(system.m)} | set(system.branches)
+        else:
+            place.open = {c.of for c in conditions(system, place.codes, how, AROUND) if self._near(c)}
+        self._go_on("at a known time")
+
+    def _near(self, condition: Condition) -> bool:
+        """Whether a condition is 0, to rounding, or does not hold."""
+        c = condition.coefficients()
+        return not c[0] > TIE * max(size(self.system, condition), *map(abs, c[1:]))
+
+    def _go_on(self, when: str) -> None:
+        """Choose the mode of the open switches, after a jump where x is outside its law; the next piece begins with an event."""
+        system, place = self.system, self.place
+        for _ in range(JUMPS):
+            before = list(place.codes)
+            if select(system, place) is not None:
+                self._refuse_rivals()
+                self._begun = self._begun or (0.0,) * system.m
+                return
+            place.codes[:] = before
+            if (p := jump(system, place)) is None:
+                break
+            self._push(p)
+            place.open = {(ROW, i) for i in range(system.m)} | set(system.branches)
+        raise self._stuck(when)
 
     def _accumulates(self, hit: Condition) -> StepError:
         return StepError(
@@ -274,8 +288,8 @@ class Integrator:
             "t": place.t, "x": list(place.x), "tau": place.tau, "codes": list(place.codes), "open": sorted(place.open),
             "choice": {name: list(part.choice) for name, part in system.parts.items()}, "l": [row[0] for row in system.l],
             "sizes": {name: list(size) for name, size in vars(sizes).items()}, "begun": self._begun,
-            "times": list(self._times), "events": self.events, "unique": dict(self.unique),
-            "touches": self.touches, "redundant": self.redundant, "tiny": self._tiny,
+            "accumulation": self.accumulation.standing(), "unique": dict(self.unique), "touches": self.touches,
+            "redundant": self.redundant,
         }  # fmt: skip
 
     def stand(self, saved: dict[str, Any]) -> None:
@@ -290,8 +304,8 @@ class Integrator:
         for name, sizes in saved["sizes"].items():
             getattr(self.sizes, name)[:] = sizes
         self._begun = None if saved["begun"] is None else tuple(saved["begun"])
-        self._times, self.unique, self.events = list(saved["times"]), Counter(saved["unique"]), saved["events"]
-        self.touches, self.redundant, self._tiny = saved["touches"], saved["redundant"], saved["tiny"]
+        self.accumulation.stand(saved["accumulation"])
+        self.unique, self.touches, self.redundant = Counter(saved["unique"]), saved["touches"], saved["redundant"]
 
     # -- sizes, names
 

@@ -18,7 +18,8 @@ from nsmodel.grid import Grid, check_times
 from nsmodel.hypotheses.quick import refuse_start, warnings_of
 from nsmodel.identity import settings
 from nsmodel.model.base import Model
-from nsmodel.pieces.integrator import Integrator, Piece
+from nsmodel.pieces.integrator import Integrator
+from nsmodel.pieces.piece import Piece
 from nsmodel.run.asked import times, tolerances
 from nsmodel.run.options import METHODS, Options
 from nsmodel.run.piece_rows import PieceRows
@@ -65,7 +66,7 @@ class EventDriven:
         refuse_start(model)
         check_exact(model)
         _refuse_large(problem, options)
-        self.integrator = Integrator(problem, rtol, atol)
+        self.integrator = Integrator(problem, rtol, atol, model.switch_times)
         self.record, self.k = PieceRows(problem, self.integrator.system, options.save_every), 0
         self._cut: dict[str, Any] | None = None  # The checkpoint before a piece that goes beyond the end.
         self.plan = _plan(self.integrator, options)
@@ -214,6 +215,8 @@ def _plan(integrator: Integrator, options: Options) -> Plan:
         f"event-driven: Taylor series of order {integrator.order} in each mode, {system.n} states, {system.m} rows",
         "each switch is a root of its sign condition, found by Bernstein's test",
     ]
+    if integrator.known_times:
+        used.append(f"{len(integrator.known_times)} known times (switch_times): each ends a piece, the mode is chosen anew")
     if system.branches:
         used.append(f"{len(system.branches)} switches of operations that are not analytic (fabs, fmax, if_else, ...), watched")
     if options.certified:

@@ -11,8 +11,8 @@ import numpy as np
 
 from nsmodel import dense
 from nsmodel.pieces.expansion import Expansion
-from nsmodel.pieces.integrator import Piece
 from nsmodel.pieces.jets import jets_of
+from nsmodel.pieces.piece import Piece
 from nsmodel.pieces.system import System
 from nsmodel.run.walk import CHUNK_BYTES
 from nsmodel.scheme.continuous import ContinuousProblem
@@ -88,7 +88,10 @@ class PieceRows:
         self._columns = None
         l, y = (piece.l, piece.y) if self._out is None else _expanded(self._out, piece, self._names)
         self._shown.append((l, y))
-        now = replace(self.carried, worst=max(self.carried.worst, piece.defect))
+        until = self.carried.until
+        if piece.event is not None and self.problem.impulses:
+            until = until + np.array(piece.event)
+        self.carried = now = replace(self.carried, until=until, worst=max(self.carried.worst, piece.defect))
         sizes = self._sizes()
         for i, t in enumerate(times):
             now = replace(now, rows=now.rows + 1)
