@@ -72,7 +72,7 @@ def simulate(
         atol: an absolute error allowed besides, one for all states or one for each; 0 if left out.
         method: with ``rtol``: "event-driven" refuses what it cannot take, or cannot go on with; "time-stepping" chooses the
             steps by local error control (see `run.controlled`; rtol >= 1e-12, ``step`` is the first step); "auto" is
-            event-driven, and takes time stepping, with a warning, where that does not apply or stops.
+            event-driven, and takes time stepping, with a warning, where that does not apply, and for a stretch where it stops.
         times: the rows of an event-driven run, increasing, from 0 to t_end; left out: the ends of its pieces.
         certify: "interval": prove of each piece of an event-driven run, by interval arithmetic, a bound of its defect and the
             signs of its conditions, and of the run a bound of its error where the model is monotone (see `docs/events.md`); what

@@ -164,7 +164,10 @@ class Digits:
         size = max(1, *map(abs, y), *map(abs, l))
         for i, code in enumerate(self.mode.codes):
             if code == 0:
-                assert self.mode.singular or exact(self.scene.lower[i]) - SLACK * size <= l[i] <= exact(self.scene.upper[i]) + SLACK * size
+                assert (
+                    self.mode.singular
+                    or exact(self.scene.lower[i]) - SLACK * size <= l[i] <= exact(self.scene.upper[i]) + SLACK * size
+                )
                 assert abs(y[i]) <= SLACK * size
             elif self.scene.lower[i] < self.scene.upper[i]:
                 assert int(code) * y[i] <= SLACK * size

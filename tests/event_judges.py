@@ -37,7 +37,17 @@ def polynomial(c: np.ndarray, s: float) -> tuple[np.ndarray, np.ndarray]:
 def missed(scene: Scene, run: Trajectory, rng: np.random.Generator, points: int = 3) -> Missed:
     """Judge a run of a scene, as declared in other words."""
     arrays = run.arrays
-    of = ca.Function("of", [scene.t, scene.x, scene.l], [ca.densify(scene.rate), ca.densify(scene.y), ca.jacobian(scene.rate, scene.l), ca.jacobian(scene.y, scene.x), ca.jacobian(scene.y, scene.l)])
+    of = ca.Function(
+        "of",
+        [scene.t, scene.x, scene.l],
+        [
+            ca.densify(scene.rate),
+            ca.densify(scene.y),
+            ca.jacobian(scene.rate, scene.l),
+            ca.jacobian(scene.y, scene.x),
+            ca.jacobian(scene.y, scene.l),
+        ],
+    )
     starts, units, c_x, c_l = (arrays[f"piece_{name}"] for name in ("start", "unit", "x", "multipliers"))
     ends, T = np.append(starts[1:], np.inf), run.t[-1]
     x0 = np.array(ca.DM(scene.model.x0 if hasattr(scene.model, "x0") else scene.model.q0)).ravel()
@@ -57,7 +67,10 @@ def missed(scene: Scene, run: Trajectory, rng: np.random.Generator, points: int 
     sizes_x = np.max([np.abs(x) for _, _, _, x, *_ in found], axis=0)
     sizes_x = np.maximum(sizes_x, 1e-3 * sizes_x.max())
     rows = [[np.array(v) for v in of(t, x, np.zeros(scene.l.numel()) if l is None else l)] for _, _, t, x, _, l, _ in found]
-    terms = [np.abs(y).ravel() + np.abs(C) @ sizes_x + np.abs(D) @ (np.zeros(D.shape[1]) if free else np.abs(l)) for (*_, l, _), (_, y, _, C, D) in zip(found, rows, strict=True)]
+    terms = [
+        np.abs(y).ravel() + np.abs(C) @ sizes_x + np.abs(D) @ (np.zeros(D.shape[1]) if free else np.abs(l))
+        for (*_, l, _), (_, y, _, C, D) in zip(found, rows, strict=True)
+    ]
     sizes_y = np.max(terms, axis=0, initial=0)
     rate, off, out = np.zeros(len(starts)), 0.0, 0.0
     for (k, s, _, _, slope, l, length), (f, y, G, *_) in zip(found, rows, strict=True):

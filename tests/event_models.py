@@ -425,7 +425,9 @@ def inclusion(seed: int) -> Scene:
         walls |= {"lower": -low, "upper": high}
         bounds += [*ca.vertsplit(x + low), *ca.vertsplit(high - x)]
     if d.chance(0.4):
-        extra = [1.3**2 - ca.sumsqr(x - d.waves(t, n, 0.2))] if d.chance() else [0.8 + d.wave(t, 0.3) + ca.dot(ca.DM(d.normal(n)), x)]
+        extra = (
+            [1.3**2 - ca.sumsqr(x - d.waves(t, n, 0.2))] if d.chance() else [0.8 + d.wave(t, 0.3) + ca.dot(ca.DM(d.normal(n)), x)]
+        )
         walls["constraints"] = {"wall": extra[0]}
         bounds += extra
     model = MonotoneInclusion(

@@ -114,7 +114,12 @@ def test_a_long_slide_on_a_disc_that_moves_does_not_drift(rtol):
     t, q = ca.SX.sym("t"), ca.SX.sym("q", 2)
     r, T = q - ca.vertcat(ca.sin(0.1 * t), 0), 60 * np.pi
     model = SweepingProcess(
-        t=t, q=q, f=[0.1 * ca.cos(0.1 * t) - r[0] - r[1], -r[1] + r[0]], constraints={"disc": ca.sumsqr(r) - 1}, q0=[1, 0], t_end=T
+        t=t,
+        q=q,
+        f=[0.1 * ca.cos(0.1 * t) - r[0] - r[1], -r[1] + r[0]],
+        constraints={"disc": ca.sumsqr(r) - 1},
+        q0=[1, 0],
+        t_end=T,
     )
     run = simulate(model, rtol=rtol, method="event-driven")
     x, y = run.x.T - [np.sin(0.1 * run.t), 0 * run.t]

@@ -22,6 +22,7 @@ from nsmodel.pieces.defect import defect, equations
 from nsmodel.pieces.lengths import length, unit
 from nsmodel.pieces.modes import Place, jump, select, turn, uniqueness
 from nsmodel.pieces.multipliers import Solve
+from nsmodel.pieces.names import few, name
 from nsmodel.pieces.piece import Piece
 from nsmodel.pieces.roots import beyond_touch, first_event, polish, same
 from nsmodel.pieces.switches import ROW, TIE, Condition, Switch, conditions, size
@@ -33,19 +34,17 @@ LEAST_RTOL = 1e-14
 LARGEST_ORDER = 30
 LOCAL, ROUGHEST = 0.01, 1e-3  # A piece errs by this share of rtol, and of no more than this.
 ROOM = 1.3  # By which the next piece may be longer than the last without another unit of time.
-SHORTENINGS = 30
 SAME_TIME = 4 * float(np.finfo(float).eps)  # Of a known time: an event that is as near is at it.
-JUMPS = 2  # At one time.
+SHORTENINGS, JUMPS = 30, 2  # Of a piece; at one time.
 AROUND = 4  # Order of the expansions at an event.
-NAMED = 4  # Switches that an error names.
 STARTS, TOO_SHORT = 8, 0.05  # First units of time that are tried; a piece that is shorter than this one asks for another.
 
 
 class Integrator:
     """A problem as it is integrated: ``advance()`` returns the next piece.
 
-    ``unique``: how often the mode was shown to be the only one, by verdict; ``touches``: conditions
-    that came to 0 and went back; ``redundant``: pieces whose l is one of several.
+    ``unique``: how often the mode was shown to be the only one, by verdict; ``touches``: conditions that came to 0 and went back;
+    ``redundant``: pieces whose l is one of several.
     """
 
     def __init__(
@@ -62,10 +61,14 @@ class Integrator:
         self._equations = equations(problem)
         self.accumulation = Accumulation()
         self._begun: tuple[float, ...] | None = None  # The event that the next piece begins with.
+        self.stopped: str | None = None  # Why no piece follows.
         self.unique: Counter[str] = Counter()
         self.touches = self.redundant = 0
         with np.errstate(all="ignore"):
-            self._start()
+            try:
+                self._start()
+            except StepError as error:
+                self.stopped = str(error)
 
     @property
     def t(self) -> float:
@@ -78,6 +81,8 @@ class Integrator:
         Raises:
             StepError: no mode is valid, or pieces become too short.
         """
+        if self.stopped is not None:
+            raise StepError(self.stopped)
         system, place = self.system, self.place
         how = self._expand(self.order)
         s = self._length(how)
@@ -97,17 +102,20 @@ class Integrator:
         place.t += place.tau * s
         place.open = set()
         tau = place.tau * s
-        if hit is None and self._reaches(known):
-            self._cross(known)
-            return piece._replace(s=(known - piece.t) / piece.tau)
-        if hit is None:
+        if hit is None and not self._reaches(known):
             self._hold(how)
             place.tau = unit(ROOM * tau)
             return piece
-        if self.accumulation.shrinks(tau, place.t, place.tau):
-            raise self._accumulates(hit)
-        place.tau = unit(min(longest, 8 * tau) if s > 1e-6 else longest)  # Longer than a mode's own time coefficients grow.
-        self._event(hit, known)
+        place.tau = unit(min(longest, 8 * tau) if hit is not None and s > 1e-6 else longest)  # Else coefficients grow.
+        try:
+            if hit is None:
+                self._cross(known)
+            elif self.accumulation.shrinks(tau, place.t, place.tau):
+                raise self._accumulates(hit)
+            else:
+                self._event(hit, known)
+        except StepError as error:
+            self.stopped = str(error)
         return piece._replace(s=(place.t - piece.t) / piece.tau, last=list(place.x)) if place.t > piece.t else piece
 
     def _length(self, how: Solve) -> float:
@@ -126,6 +134,23 @@ class Integrator:
                 break
         raise StepError(f"t = {place.t:.10g}: x' = f + g, y = 0 is missed by {error:.3g} times rtol, however short the piece")
 
+    def take_up(self, t: float, x: list[float], l: list[float], codes: list[int], tau: float) -> None:
+        """Go on from a state that other means have come to; StepError where no mode does."""
+        system = self.system
+        self.place = Place(t, list(x), unit(tau), list(codes), {(ROW, i) for i in range(system.m)} | set(system.branches))
+        self.accumulation, self.stopped, self._begun = Accumulation(), None, (0.0,) * system.m
+        for row, guess in zip(system.l, l, strict=True):
+            row[0] = guess
+        self._forget_branches()
+        if (how := select(system, self.place)) is None:
+            raise self._stuck("here")
+        self._project(how.active)
+        self._refuse_rivals()
+
+    def _forget_branches(self) -> None:
+        for part in self.system.parts.values():
+            part.choice[:] = [math.nan] * len(part.choice)
+
     def _next_known(self) -> float:
         """The first known time after the place."""
         k = bisect_right(self.known_times, self.place.t)
@@ -133,14 +158,13 @@ class Integrator:
 
     def _reaches(self, known: float) -> bool:
         """Whether the place is at a known time, to rounding, or beyond."""
-        return self.place.t >= known * (1 - SAME_TIME) if known < math.inf else False
+        return known < math.inf and self.place.t >= known * (1 - SAME_TIME)
 
     def _start(self) -> None:
         system, place = self.system, self.place
         self.sizes.x[:] = [abs(x) for x in place.x]
-        for i in range(system.m):
-            a, b = system.lower[i], system.upper[i]
-            system.l[i][0] = (a + b) / 2 if math.isfinite(a + b) else a if math.isfinite(a) else b if math.isfinite(b) else 0.0
+        for row, middle in zip(system.l, system.middle, strict=True):
+            row[0] = middle
         self._choose_tau()
         for _ in range(STARTS):
             place.codes[:] = [0] * system.m
@@ -223,8 +247,7 @@ class Integrator:
         """Stand at a known time, with the branches of the data after it, and choose the mode."""
         system, place = self.system, self.place
         place.t = known
-        for part in system.parts.values():
-            part.choice[:] = [math.nan] * len(part.choice)
+        self._forget_branches()
         how = system.expand(place.t, place.x, place.codes, place.tau, AROUND)
         if how is None:
             place.open = {(ROW, i) for i in range(system.m)} | set(system.branches)
@@ -255,8 +278,8 @@ class Integrator:
 
     def _accumulates(self, hit: Condition) -> StepError:
         return StepError(
-            f"t = {self.place.t:.10g}: the switches of {self._name(hit.of)} accumulate; time stepping goes over them: "
-            "method='time-stepping' (--method time-stepping)"
+            f"t = {self.place.t:.10g}: the switches of {self._name(hit.of)} accumulate; time steps go over them: "
+            "method='auto' or 'time-stepping' (--method auto)"
         )
 
     def _hold(self, how: Solve) -> None:
@@ -289,7 +312,7 @@ class Integrator:
             "choice": {name: list(part.choice) for name, part in system.parts.items()}, "l": [row[0] for row in system.l],
             "sizes": {name: list(size) for name, size in vars(sizes).items()}, "begun": self._begun,
             "accumulation": self.accumulation.standing(), "unique": dict(self.unique), "touches": self.touches,
-            "redundant": self.redundant,
+            "redundant": self.redundant, "stopped": self.stopped,
         }  # fmt: skip
 
     def stand(self, saved: dict[str, Any]) -> None:
@@ -297,8 +320,8 @@ class Integrator:
         system = self.system
         opened = {(str(kind), int(i)) for kind, i in saved["open"]}
         self.place = Place(saved["t"], list(saved["x"]), saved["tau"], [int(code) for code in saved["codes"]], opened)
-        for name, choice in saved["choice"].items():
-            system.parts[name].choice[:] = choice
+        for part, choice in saved["choice"].items():
+            system.parts[part].choice[:] = choice
         for row, l in zip(system.l, saved["l"], strict=True):
             row[0] = l
         for name, sizes in saved["sizes"].items():
@@ -306,6 +329,7 @@ class Integrator:
         self._begun = None if saved["begun"] is None else tuple(saved["begun"])
         self.accumulation.stand(saved["accumulation"])
         self.unique, self.touches, self.redundant = Counter(saved["unique"]), saved["touches"], saved["redundant"]
+        self.stopped = saved["stopped"]
 
     # -- sizes, names
 
@@ -319,7 +343,7 @@ class Integrator:
                 largest[i] = max(largest[i], abs(value(row, s)), abs(row[0]))
 
     def _name(self, of: Switch) -> str:
-        return self.problem.rows[of[1]] if of[0] == ROW else f"a switch in {of[0]}"
+        return name(of, self.problem.rows)
 
     def _refuse_rivals(self) -> None:
         verdict, words = uniqueness(self.system, self.place)
@@ -331,11 +355,7 @@ class Integrator:
             )
 
     def _open(self) -> str:
-        """The names of the open switches, a few of many."""
-        names = list(dict.fromkeys(self._name(of) for of in sorted(self.place.open, key=lambda of: (of[0] != ROW, of))))
-        more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-        return (", ".join(names[:NAMED]) or "the rows") + more
+        return few(self.place.open, self.problem.rows)
 
     def _stuck(self, when: str) -> StepError:
-        rows = self._open()
-        return StepError(f"t = {self.place.t:.10g}: no mode of {rows} is valid {when}: no solution goes on from here")
+        return StepError(f"t = {self.place.t:.10g}: no mode of {self._open()} is valid {when}: no smooth piece goes on from here")

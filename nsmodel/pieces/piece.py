@@ -11,7 +11,8 @@ class Piece(NamedTuple):
     """x, l and y on t + tau [0, s], as coefficients of (time - t)/tau: (n, p + 1), (m, p + 1), (m, p + 1); ``codes`` of the rows.
 
     ``last`` is x at the end, to rounding on what ends the piece; ``event`` is None where the mode goes on as before, else the
-    impulse p of the jump that the piece begins after, 0 where there is none.
+    impulse p of the jump that the piece begins after, 0 where there is none. ``residual`` is that of a verified time step where
+    the piece is one: x on a straight line, l and y constant; else None.
     """
 
     t: float
@@ -24,6 +25,7 @@ class Piece(NamedTuple):
     defect: float
     last: list[float]
     event: tuple[float, ...] | None
+    residual: float | None = None
 
     @property
     def end(self) -> float:

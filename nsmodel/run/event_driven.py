@@ -18,8 +18,10 @@ from nsmodel.grid import Grid, check_times
 from nsmodel.hypotheses.quick import refuse_start, warnings_of
 from nsmodel.identity import settings
 from nsmodel.model.base import Model
+from nsmodel.pieces.course import Course
 from nsmodel.pieces.integrator import Integrator
 from nsmodel.pieces.piece import Piece
+from nsmodel.pieces.stretch import BUDGET, Stretches
 from nsmodel.run.asked import times, tolerances
 from nsmodel.run.options import METHODS, Options
 from nsmodel.run.piece_rows import PieceRows
@@ -67,6 +69,7 @@ class EventDriven:
         check_exact(model)
         _refuse_large(problem, options)
         self.integrator = Integrator(problem, rtol, atol, model.switch_times)
+        self.course = self._course(rtol, atol)
         self.record, self.k = PieceRows(problem, self.integrator.system, options.save_every), 0
         self._cut: dict[str, Any] | None = None  # The checkpoint before a piece that goes beyond the end.
         self.plan = _plan(self.integrator, options)
@@ -76,10 +79,22 @@ class EventDriven:
         self.totals: dict[str, Any] = {
             "worst_residual": 0.0, "worst_residual_t": None, "index_set_changes": 0, "steps": 0, "rtol": rtol,
             "order": self.integrator.order, "pieces": 0, "events": 0, "worst_estimate": 0.0, "worst_estimate_t": None,
+            "stretches": [],
         }  # fmt: skip
         own = {"step": "pieces", "rtol": rtol, "atol": atol, "rows": "ends of pieces" if self.times is None else "times"}
         same = settings(model, Grid(1, 1.0, 1.0), METHOD, options.tolerance, options.save_every, "interpreted")
         self.settings = same | own
+
+    def _course(self, rtol: float, atol: list[float]) -> Course:
+        """What goes on, with stretches of steps where "auto" lets it; StepError where it cannot start."""
+        integrator, options = self.integrator, self.options
+        if options.method == METHOD or options.certified:
+            if integrator.stopped is not None:
+                raise StepError(integrator.stopped)
+            return Course(integrator, None)
+        sizes, width = integrator.sizes.x, integrator.system.orders + 1
+        known = integrator.known_times
+        return Course(integrator, Stretches(self.problem, rtol, atol, options.tolerance, known, sizes, width))
 
     # -- as the loop sees it
 
@@ -101,7 +116,7 @@ class EventDriven:
     @property
     def time(self) -> float:
         """Where the next piece starts."""
-        return self.integrator.t
+        return self.course.t
 
     @property
     def h(self) -> float:
@@ -111,7 +126,7 @@ class EventDriven:
     @property
     def runaway(self) -> tuple[str, float] | None:
         """Name and value of the largest state, where it is beyond what can be computed with."""
-        return runaway(self.problem.names, np.array(self.integrator.place.x))
+        return runaway(self.problem.names, np.array(self.course.x))
 
     def warm_up(self) -> None:
         """Everything is built."""
@@ -122,29 +137,31 @@ class EventDriven:
             if self.ended or stop:
                 return
             before = None if self.options.folder is None else self._checkpoint()
-            piece = self.integrator.advance()
-            if piece.end > piece.t:
-                rows = self.record.filled
-                self._take(piece)
-                if before is not None and piece.end > self.T:
-                    self._cut = before | {"cut": {"rows": self.record.filled - rows, "listed": 1}}
+            rows, listed = self.record.filled, len(self.record.pieces)
+            for piece in self.course.advance():
+                if piece.end > piece.t and piece.t < self.T:
+                    self._take(piece)
+            if before is not None and self.time > self.T:
+                listed = len(self.record.pieces) - listed
+                self._cut = before | {"cut": {"rows": self.record.filled - rows, "listed": listed}}
             if self.totals["pieces"] > MOST:
                 raise StepError(f"{MOST:,} pieces, and more are needed: ask for less accuracy (rtol)")
 
     def _take(self, piece: Piece) -> None:
         totals, integrator, end = self.totals, self.integrator, min(piece.end, self.T)
-        times, last = [end], self.ended
+        times, last = [end], end >= self.T
         if self.times is not None:
             stop = bisect_right(self.times, end)
             times, last = self.times[self.record.carried.rows : stop], stop == len(self.times)
         self.record.take(piece, times, last)
         self.k = self.record.carried.rows
-        if piece.defect > totals["worst_estimate"]:
+        if piece.residual is None and piece.defect > totals["worst_estimate"]:
             totals["worst_estimate"], totals["worst_estimate_t"] = piece.defect, piece.t
         totals["events"] += piece.event is not None
         totals |= {"steps": self.k, "pieces": totals["pieces"] + 1, "touches": integrator.touches}
         totals |= {"unique": dict(integrator.unique), "redundant": integrator.redundant}
         totals["index_set_changes"] = totals["events"]
+        totals["stretches"] = [dict(one) for one in self.course.past]
 
     def note(self) -> None:
         """The distance to the exact state, the worst residual, and the certificate that was asked for."""
@@ -178,12 +195,12 @@ class EventDriven:
     def _checkpoint(self) -> dict[str, Any]:
         return {
             "k": self.k, "t": self.time, "totals": dict(self.totals), "rows": self.record.standing(),
-            "integrator": self.integrator.standing(), "cut": None,
+            "course": self.course.standing(), "cut": None,
         }  # fmt: skip
 
     def stand(self, saved: dict[str, Any]) -> None:
         """Take up what ``standing`` gave."""
-        self.integrator.stand(saved["integrator"])
+        self.course.stand(saved["course"])
         self.record.stand(saved["rows"])
         if self.time > self.T:
             raise StorageError(f"the run there has reached t = {self.time:.10g}, past this run's end; give a later end")
@@ -199,7 +216,21 @@ class EventDriven:
             "index_names": list(p.rows),
             "law_kinds": p.law.labels,
             "tolerance": self.options.tolerance,
+            "warnings": [*self.warnings, *_of_stretches(self.totals["stretches"])],
         } | ({} if self.certified is None else {"certificate": self.certified.metadata(p.names)})
+
+
+def _of_stretches(stretches: list[dict[str, Any]]) -> list[str]:
+    """What a user must know of the stretches: that there are some and why, and whether rtol is missed."""
+    if not stretches:
+        return []
+    first, steps, error = stretches[0], sum(one["steps"] for one in stretches), sum(one["estimate"] for one in stretches)
+    count = "once" if len(stretches) == 1 else f"{len(stretches)} times"
+    found = [
+        f"event-driven integration stopped {count}, first: {first['why']}; {steps} time steps, from t = {first['start']:.10g} to "
+        f"{first['until']:.10g}{' and later' if len(stretches) > 1 else ''} (run.stepped)"
+    ]
+    return found + ([f"rtol is missed: the errors of these steps add up to about {error:.2g} rtol"] if error > 1 else [])
 
 
 def _refuse_large(problem: ContinuousProblem, options: Options) -> None:
@@ -221,6 +252,8 @@ def _plan(integrator: Integrator, options: Options) -> Plan:
         used.append(f"{len(system.branches)} switches of operations that are not analytic (fabs, fmax, if_else, ...), watched")
     if options.certified:
         used.append("after the run each piece is proved by interval arithmetic: defect, rows, signs of conditions")
+    elif options.method != METHOD:
+        used.append(f"where no mode goes on: steps of backward Euler under error control, {BUDGET:,} at most, until one does")
     left = [f"time steps and their solvers (step, solver): {METHOD} pieces are as long as rtol lets them be"]
     if system.B is not None and system.D is not None and system.C is not None:
         left.append("linearisations: g_l, h_x and h_l are constant")

@@ -136,7 +136,8 @@ class PieceRows:
         before = math.nan if first else self._before.t
         arrays: dict[str, np.ndarray] = {
             "t": t, "x": full[:, :n], "multipliers": found.multipliers, "index_set": lists["piece_codes"][number],
-            "step": np.diff(t, prepend=before), "error_estimate": np.array([*[0.0] * first, *(row.worst for row in self.rows)]),
+            "step": np.diff(t, prepend=before), "stepped": lists["piece_stepped"][number],
+            "error_estimate": np.array([*[0.0] * first, *(row.worst for row in self.rows)]),
         }  # fmt: skip
         l, h, records = self._records(t, full, number, dense.local(lists, number, t))
         arrays |= {"residual": np.r_[[0.0] * first, self._residuals(l[first:], h[first:])], **records}
@@ -148,6 +149,7 @@ class PieceRows:
             if name in arrays:
                 arrays[name][:first] = np.nan
         arrays["index_set"][:first] = dense.UNKNOWN
+        arrays["stepped"][:first] = False
         return arrays | lists
 
     def _start_alone(self) -> dict[str, np.ndarray]:
@@ -157,7 +159,7 @@ class PieceRows:
         return {
             "t": np.zeros(1), "x": np.array(ca.DM(p.x0))[: p.states].T,
             **{name: np.full((1, shown), np.nan) for name in ("multipliers", "y")},
-            "index_set": np.full((1, p.l.numel()), dense.UNKNOWN, np.int8), **unknown,
+            "index_set": np.full((1, p.l.numel()), dense.UNKNOWN, np.int8), "stepped": np.zeros(1, bool), **unknown,
         }  # fmt: skip
 
     def _lists(self) -> dict[str, np.ndarray]:
@@ -170,6 +172,7 @@ class PieceRows:
             "piece_y": np.array([y for _, y in self._shown]).reshape(len(pieces), shown, order),
             "piece_codes": np.array([p.codes for p in pieces], np.int8).reshape(len(pieces), m),
             "piece_event": np.array([p.event is not None for p in pieces], bool),
+            "piece_stepped": np.array([p.residual is not None for p in pieces], bool),
             "piece_impulse": np.array([none if p.event is None else p.event for p in pieces], float).reshape(len(pieces), m),
         }  # fmt: skip
 
@@ -180,7 +183,9 @@ class PieceRows:
         of_y, of_l = (np.array([row.sizes[k] for row in rows]).reshape(len(rows), system.m) for k in (0, 1))
         off = np.where(codes == 0, np.abs(y), np.maximum(codes * y, 0)) / np.maximum(of_y, 1e-300)
         out = np.maximum(np.maximum(system.lower - l, l - system.upper), 0) / np.maximum(of_l, 1e-300)
-        return (np.maximum(off, out) * system.feedthrough).max(axis=1, initial=0.0)
+        of_law = (np.maximum(off, out) * system.feedthrough).max(axis=1, initial=0.0)
+        of_step = (self.pieces[row.piece].residual for row in rows)
+        return np.array([law if step is None else step for law, step in zip(of_law, of_step, strict=True)])
 
     def _records(
         self, t: np.ndarray, x: np.ndarray, number: np.ndarray, s: np.ndarray
