@@ -19,13 +19,13 @@ from nsmodel.errors import StepError
 from nsmodel.pieces.accumulation import Accumulation
 from nsmodel.pieces.bernstein import value
 from nsmodel.pieces.defect import defect, equations
-from nsmodel.pieces.lengths import length, unit
+from nsmodel.pieces.lengths import first_unit, length, unit
 from nsmodel.pieces.modes import Place, jump, select, turn, uniqueness
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.names import few, name
 from nsmodel.pieces.piece import Piece
 from nsmodel.pieces.roots import beyond_touch, first_event, polish, same
-from nsmodel.pieces.switches import ROW, TIE, Condition, Switch, conditions, size
+from nsmodel.pieces.switches import ROW, TIE, Condition, conditions, size
 from nsmodel.pieces.system import System
 from nsmodel.proof.sure import sure
 from nsmodel.scheme.continuous import ContinuousProblem
@@ -165,7 +165,7 @@ class Integrator:
         self.sizes.x[:] = [abs(x) for x in place.x]
         for row, middle in zip(system.l, system.middle, strict=True):
             row[0] = middle
-        self._choose_tau()
+        place.tau = first_unit(system, place.t, place.x, place.tau)
         for _ in range(STARTS):
             place.codes[:] = [0] * system.m
             place.open = {(ROW, i) for i in range(system.m)} | set(system.branches)
@@ -189,16 +189,6 @@ class Integrator:
         self.sizes.x[:] = [max(size, abs(x)) for size, x in zip(self.sizes.x, place.x, strict=True)]
         before = self._begun or (0.0,) * system.m
         self._begun = tuple(float(a + b) for a, b in zip(before, p, strict=True))
-
-    def _choose_tau(self) -> None:
-        """A first unit of time: the time in which f changes the state by its own size, where both are something."""
-        system, place = self.system, self.place
-        system.t[0], system.t[1] = place.t, 1.0
-        for row, v in zip(system.x, place.x, strict=True):
-            row[0] = v
-        rates = [abs(v) / abs(x) for v, x in zip(system.parts["f"].order(0), place.x, strict=True) if x and math.isfinite(v)]
-        if max(rates, default=0.0) > 0:
-            place.tau = unit(0.1 / max(rates))
 
     def _expand(self, orders: int) -> Solve:
         """The coefficients at the place, in a unit of time in which they are of one size."""
@@ -239,7 +229,7 @@ class Integrator:
                 if ends or moves > least:
                     turn(system, place, condition.of, condition.after)
         self._project(tuple(sorted({*how.active, *(i for kind, i in place.open if kind == ROW)})))
-        self._go_on("after " + self._name(hit.of))
+        self._go_on("after " + name(hit.of, self.problem.rows))
         if self.accumulation.grows(place.t):
             raise self._accumulates(hit)
 
@@ -278,7 +268,7 @@ class Integrator:
 
     def _accumulates(self, hit: Condition) -> StepError:
         return StepError(
-            f"t = {self.place.t:.10g}: the switches of {self._name(hit.of)} accumulate; time steps go over them: "
+            f"t = {self.place.t:.10g}: the switches of {name(hit.of, self.problem.rows)} accumulate; time steps go over them: "
             "method='auto' or 'time-stepping' (--method auto)"
         )
 
@@ -324,8 +314,8 @@ class Integrator:
             system.parts[part].choice[:] = choice
         for row, l in zip(system.l, saved["l"], strict=True):
             row[0] = l
-        for name, sizes in saved["sizes"].items():
-            getattr(self.sizes, name)[:] = sizes
+        for of, sizes in saved["sizes"].items():
+            getattr(self.sizes, of)[:] = sizes
         self._begun = None if saved["begun"] is None else tuple(saved["begun"])
         self.accumulation.stand(saved["accumulation"])
         self.unique, self.touches, self.redundant = Counter(saved["unique"]), saved["touches"], saved["redundant"]
@@ -341,9 +331,6 @@ class Integrator:
         for rows, largest in both:
             for i, row in enumerate(rows):
                 largest[i] = max(largest[i], abs(value(row, s)), abs(row[0]))
-
-    def _name(self, of: Switch) -> str:
-        return name(of, self.problem.rows)
 
     def _refuse_rivals(self) -> None:
         verdict, words = uniqueness(self.system, self.place)

@@ -29,6 +29,15 @@ def length(system: System, codes: list[int], how: Solve, p: int, rtol: float, at
     return s
 
 
+def first_unit(system: System, t: float, x: list[float], tau: float) -> float:
+    """The time in which f changes the state by its own size, where both are something; else tau."""
+    system.t[0], system.t[1] = t, 1.0
+    for row, v in zip(system.x, x, strict=True):
+        row[0] = v
+    rates = [abs(v) / abs(a) for v, a in zip(system.parts["f"].order(0), x, strict=True) if a and math.isfinite(v)]
+    return unit(0.1 / max(rates)) if max(rates, default=0.0) > 0 else tau
+
+
 def unit(tau: float) -> float:
     """The power of two that is not below tau: in this unit a piece is not longer than 1."""
     fraction, exponent = math.frexp(tau)
