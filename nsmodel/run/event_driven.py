@@ -287,7 +287,7 @@ def _chosen(
     count, auto = 1, options.compiled == "auto"
     if known and auto:  # The reason is told, whatever it would cost.
         options = replace(options, compiled=True)
-    elif auto and there is None and not is_built(mark):
+    elif auto and there in (None, INTERPRETED) and not is_built(mark):
         count = math.ceil(min(float(model.t_end) / course().integrator.place.tau, MOST))  # whatever its end here
     found = chosen(options, plan, there, count, costs, build, IN_C, "pieces")
     if found.steps is None:
