@@ -24,7 +24,7 @@ from nsmodel.run.event_driven import EventDriven, problem_of, with_reason
 from nsmodel.run.loop import Run, keep_unfinished
 from nsmodel.run.on_grid import OnGrid
 from nsmodel.run.options import METHODS, Options
-from nsmodel.run.walk import There
+from nsmodel.run.walk import There, noting_known_times
 from nsmodel.scheme.continuous import NotEventDriven
 from nsmodel.trajectory import Trajectory
 
@@ -72,7 +72,7 @@ def simulate(
         atol: an absolute error allowed besides, one for all states or one for each; 0 if left out.
         method: with ``rtol``: "event-driven" refuses what it cannot take, or cannot go on with; "time-stepping" chooses the
             steps by local error control (see `run.controlled`; rtol >= 1e-12, ``step`` is the first step); "auto" is
-            event-driven, and takes time stepping, with a warning, where that does not apply or stops.
+            event-driven, and takes time stepping, with a warning, where that does not apply, and for a stretch where it stops.
         times: the rows of an event-driven run, increasing, from 0 to t_end; left out: the ends of its pieces.
         certify: "interval": prove of each piece of an event-driven run, by interval arithmetic, a bound of its defect and the
             signs of its conditions, and of the run a bound of its error where the model is monotone (see `docs/events.md`); what
@@ -123,7 +123,7 @@ def explain(
     if rtol is not None:
         controlled: Any = _with_rtol(bound, options).walk
         return controlled.plan.text(controlled.problem)
-    walk = _on_grid(bound)(bound, options, make_grid(bound, step, None, t_end), lambda: None)
+    walk = _over_grid(bound, options, make_grid(bound, step, None, t_end), lambda: None)
     return walk.plan.text(walk.problem)
 
 
@@ -136,7 +136,7 @@ def arranged(model: Model, options: Options) -> Run:
         return _controlled(bound, options)
     folder = _Folder(options)
     grid = make_grid(bound, options.step, options.steps, options.t_end)
-    return Run(_on_grid(bound)(bound, options, grid, folder.way), options, folder.store())
+    return Run(_over_grid(bound, options, grid, folder.way), options, folder.store())
 
 
 class _Folder:
@@ -243,6 +243,13 @@ def _bound(model: Any, options: Options) -> Model:
     if not isinstance(model, Model):
         raise UsageError(f"expected a model such as LureSystem(...), not {shown(model)}; a file is read with nsmodel.load(path)")
     return model.bind(options.parameters)
+
+
+def _over_grid(model: Model, options: Options, grid: Grid, there: There) -> Any:
+    """The walk over a grid."""
+    walk = _on_grid(model)(model, options, grid, there)
+    walk.plan = noting_known_times(walk.plan, model, ends=False)
+    return walk
 
 
 def _on_grid(model: Model) -> Callable[[Any, Options, Grid, There], Any]:

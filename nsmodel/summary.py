@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 _WIDTH = 100
 _STATES_SHOWN = 8
 _ARCH_SHOWN = 8
+_SPANS_SHOWN = 4
 FOR_GOOD = {  # How a run of many bodies knows that nothing will ever change again.
     "given back": "nothing will ever change, the step gives back its state bit for bit; the run ends",
     "held": "nothing will ever change, the contacts alone hold them in place; the run ends",
@@ -44,6 +45,7 @@ def summary(run: Trajectory) -> dict[str, Any]:
         "step": {"min": float(steps[computed].min()), "max": float(steps[computed].max())} if computed.size else None,
         "error_control": {key: totals[key] for key in CONTROL} if "accepted" in totals else None,
         "event_driven": {key: totals[key] for key in PIECES} if "pieces" in totals else None,
+        "stretches": list(totals.get("stretches", [])),
         "certificate": about.get("certificate"),
         "residual": _worst(run, totals, computed),
         "index_set_changes": _changes(run, totals, computed),
@@ -142,6 +144,7 @@ def text(summary: dict[str, Any]) -> str:
         "step size": s["step"] and _range(s["step"]["min"], s["step"]["max"], unit),
         "error control": s["error_control"] and _control(**s["error_control"]),
         "event-driven": s["event_driven"] and _event_driven(**s["event_driven"], unit=unit),
+        "time steps": _stretches(s.get("stretches", []), unit),
         "certificate": s["certificate"] and _certificate(s["certificate"], unit),
         "worst residual": s["residual"] and f"{s['residual']['worst']:.3g}{_at(s['residual']['t'], unit)}",
         "contacts" if s["bodies"] else "index set": (
@@ -219,6 +222,16 @@ def _event_driven(
         f"{worst_estimate:.2g} of rtol"
         f"{_at(worst_estimate_t, unit)}"
     )
+
+
+def _stretches(stretches: list[dict[str, Any]], unit: str) -> str | None:
+    """Where steps went on in place of pieces, and what they err by."""
+    if not stretches:
+        return None
+    steps, error = (sum(one[key] for one in stretches) for key in ("steps", "estimate"))
+    spans = ", ".join(f"{one['start']:.6g} to {one['until']:.6g}" for one in stretches[:_SPANS_SHOWN])
+    more = f" and {len(stretches) - _SPANS_SHOWN} more" if len(stretches) > _SPANS_SHOWN else ""
+    return f"{steps} where no piece went on, t = {spans}{unit}{more}; errors estimated, in all {error:.2g} of rtol"
 
 
 def _certificate(about: dict[str, Any], unit: str) -> list[str]:

@@ -10,7 +10,6 @@ import pytest
 import nsmodel
 from nsmodel import StorageError, UsageError, simulate
 from nsmodel.run import loop
-from tests import event_scenes as scenes
 
 CASES = Path(__file__).parents[1] / "cases"
 NAMES = ("diode_bridge", "inclusion_8_1", "relay_oscillator", "friction_oscillator", "two_discs", "gene_network")
@@ -96,16 +95,6 @@ def test_what_does_not_fit_is_refused(tmp_path):
         run(model, tmp_path, times=[1e-4], t_end=1e-4, resume=True)
     with pytest.raises(UsageError, match="resume needs out="):
         simulate(model, rtol=1e-6, resume=True)
-
-
-def test_a_run_that_falls_back_leaves_no_chunks_of_the_other(tmp_path, monkeypatch):
-    """x'' + x' = -sgn x: thousands of switches are written before it stops."""
-    monkeypatch.setattr(loop, "CHUNK_SECONDS", 0.2)
-    found = simulate(scenes.relay_of_degree_2(1, 50), rtol=1e-2, out=tmp_path)
-    assert not found.is_event_driven
-    assert any("accumulate" in text for text in found.metadata["warnings"])
-    assert [file.name for file in tmp_path.iterdir() if file.name != ".lock"] == ["trajectory.npz"]
-    np.testing.assert_array_equal(nsmodel.Trajectory.load(tmp_path / "trajectory.npz").x, found.x)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -146,7 +146,7 @@ def test_places_go_to_the_integrator_and_back():
     for _ in range(6):
         walk.maker.make(4.0, 0)
         place = walk.maker.standing()
-        assert walk.maker.integrator.standing() == place
+        assert walk.maker.integrator.standing() == place["integrator"]
         walk.maker.stand(place)
         assert walk.maker.standing() == place
 

@@ -40,9 +40,10 @@ def at(expression: Any, *pairs: tuple[ca.SX, ca.SX]) -> ca.SX:
 
 
 def _grid(model: Model, tau: float) -> dict[str, Any]:
+    edges = {"switch_times": [tau * time for time in model.switch_times]}
     if model.steps is not None:
-        return {"steps": tau * np.asarray(model.steps)}
-    return {"step": None if model.step is None else tau * model.step, "t_end": tau * model.t_end}
+        return {"steps": tau * np.asarray(model.steps)} | edges
+    return {"step": None if model.step is None else tau * model.step, "t_end": tau * model.t_end} | edges
 
 
 def scaled_law(law: Law, u: float) -> Law:

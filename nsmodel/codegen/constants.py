@@ -32,12 +32,13 @@ OF_STEPS: Mapping[str, str] = {
 }
 OF_BODIES: Mapping[str, str] = {"solve.certificate": "REACH", "solve.near": "FARTHER", "codegen.statuses": "READY"}
 OF_PIECES: Mapping[str, str] = {
-    "pieces.integrator": "LEAST_RTOL LOCAL ROUGHEST ROOM SHORTENINGS AROUND TINY_PIECES TINY MANY FASTER STARTS TOO_SHORT",
+    "pieces.integrator": "LEAST_RTOL ROOM SHORTENINGS AROUND STARTS TOO_SHORT",
+    "pieces.accumulation": "TINY_PIECES TINY MANY FASTER",
     "pieces.modes": "GERM ORDERS CLEAR HALF PACES HALVED PIVOTS TOGETHER FEW APART",
     "pieces.switches": "TIE",
     "pieces.bernstein": "NONE NARROW",
     "pieces.roots": "POLISHING NEAR TOUCH TAIL LOST",
-    "pieces.lengths": "LONGEST MULTIPLIERS SMALL",
+    "pieces.lengths": "LOCAL ROUGHEST LONGEST MULTIPLIERS SMALL",
     "pieces.defect": "SEEN SEEN_ROW",
     "pieces.multipliers": "SINGULAR MOST_MINORS SHORT",
     "pieces.system": "NEWTON SETTLED AT_ZERO STAYS",

@@ -13,7 +13,7 @@ from nsmodel.codegen.library import FLAGS, Library, compiler, no_compiler
 from nsmodel.codegen.statuses import BAD_ARITHMETIC, STATUSES
 from nsmodel.errors import CodegenError
 from nsmodel.once import once
-from nsmodel.pieces.integrator import order_of
+from nsmodel.pieces.lengths import order_of
 from nsmodel.scheme.continuous import ContinuousProblem
 
 FASTER = tuple("-O3" if flag == "-O2" else flag for flag in FLAGS)  # Loops over few rows are unrolled.

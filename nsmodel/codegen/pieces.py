@@ -20,8 +20,8 @@ from nsmodel.codegen.tables import table
 from nsmodel.errors import CodegenError
 from nsmodel.model.base import Model
 from nsmodel.model.expressions import derivatives
-from nsmodel.pieces.integrator import LARGEST_ORDER
 from nsmodel.pieces.jets import jets_of
+from nsmodel.pieces.lengths import LARGEST_ORDER
 from nsmodel.pieces.multipliers import SHORT, SINGULAR
 from nsmodel.proof.sure import sure
 from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven
@@ -171,6 +171,8 @@ def scene_of(model: Model, values: Mapping[str, float]) -> PieceScene:
     if problem is None or curved:
         what = f"the law '{curved[0]}' is no box" if curved else "many bodies change their contacts at nearly every step"
         raise CodegenError(f"event-driven integration in C does not take this model: {what}")
+    if model.switch_times:
+        raise CodegenError("event-driven integration in C does not take this model: its pieces do not end at switch_times")
     return piece_scene(problem, values)
 
 

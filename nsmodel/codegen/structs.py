@@ -61,10 +61,10 @@ TOTALS = Struct(
 CONTROL = Struct(
     "model_control",
     (
-        Members("double", "T rtol largest least crossing grow negligible",
-             "the constants of adaptive.py; j between largest and least"),
+        Members("double", "T start length rtol largest least crossing grow negligible",
+             "the end of the run, a span between known times, the constants of controlled.py; j between largest and least"),
         Members("double", "order", "of the scheme on one index set, but for rows that are held and lower it to 1"),
-        Members("double", "t j fresh", "time in units of T/2^(least + 1); the step is T/2^j; fresh: no step has been taken"),
+        Members("double", "t j fresh", "time in length/2^(least + 1), the step length/2^j; fresh: no step has been taken"),
         Members("double", "accepted rejected extrapolated at_least_step least_step"),
         Members("double", "x[STATES] l[ROWS] index[ROWS] lowering[ROWS]"),
         Members("double", "atol[WATCHED] size[WATCHED] group[WATCHED] watched[WATCHED] rate[WATCHED]"),

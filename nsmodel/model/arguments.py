@@ -16,7 +16,7 @@ RESERVED = frozenset(
     "t multipliers y index_set residual step active status title arrays metadata multiplier contacts save load to_csv to_xarray "
     "plot summary summary_text energy reactions newton gap residual_R residual_Ry residual_Rr defect selection "
     "predictor_distance excess tolerance at events is_event_driven smooth error_estimate "
-    "piece_start piece_unit piece_x piece_multipliers piece_y piece_codes piece_event".split()
+    "piece_start piece_unit piece_x piece_multipliers piece_y piece_codes piece_event piece_stepped stepped".split()
 )
 
 
@@ -87,6 +87,22 @@ def step_array(steps: Any, error: type[NsmodelError]) -> np.ndarray:
         where = f"steps[{bad[0]}] = {array[bad[0]]:g}" if bad.size else "steps is empty"
         raise error(f"{where}; expected finite numbers > 0")
     return array
+
+
+def known_times(given: Any) -> tuple[float, ...]:
+    """``switch_times`` as a tuple; ModelError where they are no increasing finite numbers >= 0."""
+    given = () if given is None else given
+    if not (isinstance(given, list | tuple) or (isinstance(given, np.ndarray) and given.ndim == 1)):
+        raise ModelError(f"switch_times: expected a list or 1-D array of times, not {shown(given)}")
+    times = tuple(number(value, f"switch_times[{i}]") for i, value in enumerate(given))
+    for i, time in enumerate(times):
+        if time < 0:
+            raise ModelError(f"switch_times[{i}] = {time:.10g}; expected times >= 0: a run begins at 0")
+        if i and time <= times[i - 1]:
+            raise ModelError(
+                f"switch_times[{i}] = {time:.10g} is not after switch_times[{i - 1}] = {times[i - 1]:.10g}; give them in order"
+            )
+    return times
 
 
 def shown(value: Any) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 from nsmodel.errors import ModelError, NsmodelError, UsageError
 from nsmodel.laws import Words
-from nsmodel.model.arguments import RESERVED, grid_given, names_of_states, units_given
+from nsmodel.model.arguments import RESERVED, grid_given, known_times, names_of_states, units_given
 from nsmodel.model.convert import Converter, declare
 from nsmodel.model.parameters import Values, declared, scalars
 from nsmodel.pickled import Pickled
@@ -35,6 +35,8 @@ class Model(Pickled):
         t_end: end of the run, > 0 (it starts at 0).
         step: the time step h > 0, constant; or
         steps: the time steps h_0, h_1, ...: a sequence of numbers > 0 (then ``t_end`` is their sum).
+        switch_times: known times, >= 0 and increasing, at which the data has an edge (a table's point, a force that is switched
+            on): steps under error control, and pieces, end there; constant steps stay where they are.
         scheme: the formula of a time step, one of the class's ``schemes``; the first where left out.
         parameters: {symbol or name: value}, a list or array for a vector or matrix of symbols; a value of None must be given
             when the model is run. After construction {name: value} of each scalar.
@@ -55,6 +57,7 @@ class Model(Pickled):
     t_end: float = LEFT_OUT
     step: float | None = None
     steps: Sequence[float] | None = None
+    switch_times: Sequence[float] = ()
     scheme: str = ""
     parameters: Values = field(default_factory=dict)
     names: Sequence[str] = LEFT_OUT
@@ -121,7 +124,7 @@ class Model(Pickled):
             title="" if self.title is None else one_line(str(self.title)),
             **{label: item.sx for label, item in given.items()},
         )
-        self._set(**grid_given(self.t_end, self.step, self.steps))
+        self._set(**grid_given(self.t_end, self.step, self.steps), switch_times=known_times(self.switch_times))
         if self.exact is not None and not callable(self.exact):
             self._set(exact=self._vector(converter, self.exact, "exact", len(names), [time.sx]))
             if not self.p.numel():

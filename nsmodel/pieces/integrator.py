@@ -6,77 +6,50 @@ of x, y and l, events by Bernstein's test, polished on the expansion at the even
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections import Counter
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.errors import StepError
+from nsmodel.pieces.accumulation import Accumulation
 from nsmodel.pieces.bernstein import value
 from nsmodel.pieces.defect import defect, equations
-from nsmodel.pieces.lengths import length, unit
+from nsmodel.pieces.known import next_known, reaches
+from nsmodel.pieces.lengths import LOCAL, ROUGHEST, first_unit, length, order_of, unit
 from nsmodel.pieces.modes import Place, jump, select, turn, uniqueness
 from nsmodel.pieces.multipliers import Solve
+from nsmodel.pieces.names import few, name
+from nsmodel.pieces.piece import Piece
 from nsmodel.pieces.roots import beyond_touch, first_event, polish, same
 from nsmodel.pieces.stiff import Stiff
-from nsmodel.pieces.switches import ROW, TIE, Condition, Switch, conditions, size
+from nsmodel.pieces.switches import ROW, TIE, Condition, conditions, size
 from nsmodel.pieces.system import System
 from nsmodel.proof.sure import sure
 from nsmodel.scheme.continuous import ContinuousProblem
 
 LEAST_RTOL = 1e-14
-LARGEST_ORDER = 30
-LOCAL, ROUGHEST = 0.01, 1e-3  # A piece errs by this share of rtol, and of no more than this.
 ROOM = 1.3  # By which the next piece may be longer than the last without another unit of time.
-SHORTENINGS = 30
+SHORTENINGS, JUMPS = 30, 2  # Of a piece; at one time.
 AROUND = 4  # Order of the expansions at an event.
-TINY_PIECES, TINY = 50, 1e-13  # So many pieces one after the other that are so short: switches accumulate.
-NAMED = 4  # Switches that an error names.
-MANY, FASTER = 4096, 0.6  # Events from which on they are asked whether they accumulate; see `_refuse_accumulation`.
 STARTS, TOO_SHORT = 8, 0.05  # First units of time that are tried; a piece that is shorter than this one asks for another.
-
-
-class Piece(NamedTuple):
-    """x, l and y on t + tau [0, s], as coefficients of (time - t)/tau: (n, p + 1), (m, p + 1), (m, p + 1); ``codes`` of the rows.
-
-    ``last`` is x at the end, to rounding on what ends the piece; ``event`` is None where the mode goes on as before, else the
-    impulse p of the jump that the piece begins after, 0 where there is none.
-    """
-
-    t: float
-    tau: float
-    s: float
-    x: np.ndarray
-    l: np.ndarray
-    y: np.ndarray
-    codes: tuple[int, ...]
-    defect: float
-    last: list[float]
-    event: tuple[float, ...] | None
-
-    @property
-    def end(self) -> float:
-        """The last time."""
-        return self.t + self.tau * self.s
-
-
-def order_of(rtol: float) -> int:
-    """The order of the series (Jorba and Zou 2005)."""
-    return min(math.ceil(-math.log(LOCAL * min(rtol, ROUGHEST)) / 2) + 2, LARGEST_ORDER)
 
 
 class Integrator:
     """A problem as it is integrated: ``advance()`` returns the next piece.
 
-    ``events``: how many so far; ``unique``: how often the mode was shown to be the only one, by verdict; ``touches``: conditions
-    that came to 0 and went back; ``redundant``: pieces whose l is one of several.
+    ``unique``: how often the mode was shown to be the only one, by verdict; ``touches``: conditions that came to 0 and went back;
+    ``redundant``: pieces whose l is one of several.
     """
 
-    def __init__(self, problem: ContinuousProblem, rtol: float, atol: list[float] | None = None) -> None:
-        self.problem, self.rtol = problem, LOCAL * min(rtol, ROUGHEST)
+    def __init__(
+        self, problem: ContinuousProblem, rtol: float, atol: list[float] | None = None, known_times: Sequence[float] = ()
+    ) -> None:
+        """``known_times``, increasing: each ends a piece, and the mode is decided anew for the data after it."""
+        self.problem, self.rtol, self.known_times = problem, LOCAL * min(rtol, ROUGHEST), known_times
         self.order = order_of(rtol)
         self.system = System(problem, self.order)
         self.atol = [0.0] * self.system.n if atol is None else atol
@@ -85,12 +58,16 @@ class Integrator:
         self.sizes = system.sizes
         self._equations = equations(problem)
         self.stiff = Stiff(system, self.order, min(rtol, ROUGHEST), self.atol)
-        self._times: list[float] = []  # Of the events 1, 2, 4, 8, ...
+        self.accumulation = Accumulation()
         self._begun: tuple[float, ...] | None = None  # The event that the next piece begins with.
+        self.stopped: str | None = None  # Why no piece follows.
         self.unique: Counter[str] = Counter()
-        self.events = self.touches = self.redundant = self._tiny = 0
+        self.touches = self.redundant = 0
         with np.errstate(all="ignore"):
-            self._start()
+            try:
+                self._start()
+            except StepError as error:
+                self.stopped = str(error)
 
     @property
     def t(self) -> float:
@@ -103,6 +80,8 @@ class Integrator:
         Raises:
             StepError: no mode is valid, or pieces become too short.
         """
+        if self.stopped is not None:
+            raise StepError(self.stopped)
         system, place = self.system, self.place
         how = self._expand(self.order)
         s = self._length(how)
@@ -110,10 +89,10 @@ class Integrator:
             place.tau = unit(s * place.tau)
             how = self._expand(self.order)
             s = min(self._length(how), 1.0)
-        longest = s * place.tau
-        found = self.stiff.piece(place, how, s)
+        longest, known = s * place.tau, next_known(self.known_times, place.t)
+        found = self.stiff.piece(place, how, s, known - place.t)
         if found is None:
-            hit, s, error = self._accepted(how, s)
+            hit, s, error = self._accepted(how, min(s, (known - place.t) / place.tau))
             tau, last = place.tau, [value(row, s) for row in system.x]
         else:
             place.tau = unit(ROOM * s * place.tau)  # That of series, and of germs, stays what a series takes.
@@ -123,19 +102,22 @@ class Integrator:
         self._begun = self._begun if s == 0 else None
         self.redundant += how.null is not None and how.null.shape[1] > 0
         self._grow(s)
-        place.x = last
-        place.t += tau * s
-        place.open = set()
-        if hit is None:
+        place.t, place.x, place.open = place.t + tau * s, last, set()
+        if hit is None and not reaches(place.t, known):
             self._hold(how)
             place.tau = place.tau if found else unit(ROOM * (tau * s))
             return piece
-        self._tiny = self._tiny + 1 if s * tau < TINY * max(abs(place.t), place.tau) else 0
-        if self._tiny > TINY_PIECES:
-            raise self._accumulates(hit)
-        place.tau = unit(min(longest, 8 * (tau * s)) if s > 1e-6 else longest)  # Longer than a mode's own time coefficients grow.
+        place.tau = unit(min(longest, 8 * (tau * s)) if hit is not None and s > 1e-6 else longest)  # Else coefficients grow.
         self.stiff.restart()
-        self._event(hit)
+        try:
+            if hit is None:
+                self._cross(known)
+            elif self.accumulation.shrinks(tau * s, place.t, place.tau):
+                raise self._accumulates(hit)
+            else:
+                self._event(hit, known)
+        except StepError as why:
+            self.stopped = str(why)
         return piece._replace(s=(place.t - piece.t) / piece.tau, last=list(place.x)) if place.t > piece.t else piece
 
     def _length(self, how: Solve) -> float:
@@ -154,13 +136,30 @@ class Integrator:
                 break
         raise StepError(f"t = {place.t:.10g}: x' = f + g, y = 0 is missed by {error:.3g} times rtol, however short the piece")
 
+    def take_up(self, t: float, x: list[float], l: list[float], codes: list[int], tau: float) -> None:
+        """Go on from a state that other means have come to; StepError where no mode does."""
+        system = self.system
+        self.place = Place(t, list(x), unit(tau), list(codes), {(ROW, i) for i in range(system.m)} | set(system.branches))
+        self.accumulation, self.stopped, self._begun = Accumulation(), None, (0.0,) * system.m
+        self.stiff.restart()
+        for row, guess in zip(system.l, l, strict=True):
+            row[0] = guess
+        self._forget_branches()
+        if (how := select(system, self.place)) is None:
+            raise self._stuck("here")
+        self._project(how.active)
+        self._refuse_rivals()
+
+    def _forget_branches(self) -> None:
+        for part in self.system.parts.values():
+            part.choice[:] = [math.nan] * len(part.choice)
+
     def _start(self) -> None:
         system, place = self.system, self.place
         self.sizes.x[:] = [abs(x) for x in place.x]
-        for i in range(system.m):
-            a, b = system.lower[i], system.upper[i]
-            system.l[i][0] = (a + b) / 2 if math.isfinite(a + b) else a if math.isfinite(a) else b if math.isfinite(b) else 0.0
-        self._choose_tau()
+        for row, middle in zip(system.l, system.middle, strict=True):
+            row[0] = middle
+        place.tau = first_unit(system, place.t, place.x, place.tau)
         for _ in range(STARTS):
             place.codes[:] = [0] * system.m
             place.open = {(ROW, i) for i in range(system.m)} | set(system.branches)
@@ -185,16 +184,6 @@ class Integrator:
         before = self._begun or (0.0,) * system.m
         self._begun = tuple(float(a + b) for a, b in zip(before, p, strict=True))
 
-    def _choose_tau(self) -> None:
-        """A first unit of time: the time in which f changes the state by its own size, where both are something."""
-        system, place = self.system, self.place
-        system.t[0], system.t[1] = place.t, 1.0
-        for row, v in zip(system.x, place.x, strict=True):
-            row[0] = v
-        rates = [abs(v) / abs(x) for v, x in zip(system.parts["f"].order(0), place.x, strict=True) if x and math.isfinite(v)]
-        if max(rates, default=0.0) > 0:
-            place.tau = unit(0.1 / max(rates))
-
     def _expand(self, orders: int) -> Solve:
         """The coefficients at the place, in a unit of time in which they are of one size."""
         system, place = self.system, self.place
@@ -209,16 +198,21 @@ class Integrator:
 
     # -- events
 
-    def _event(self, hit: Condition) -> None:
-        """Go to the event to round-off, and choose the mode after it."""
+    def _event(self, hit: Condition, known: float) -> None:
+        """Go to the event to round-off, but not beyond a known time, and choose the mode after it."""
         system, place = self.system, self.place
         self._project(self._expand(AROUND).active)  # Afterwards it would move the root that is polished.
         how, own = polish(system, place, hit, AROUND, self._expand)
         past = None if own is None else beyond_touch(system, own)
-        if past is not None:
+        self.touches += past is not None
+        to_known = (known - place.t) / place.tau
+        if past is not None and past < to_known:
             place.x = [value(row[: AROUND + 1], past) for row in system.x]
             place.t += past * place.tau
-            self.touches += 1
+            return
+        if past is not None or reaches(place.t, known):
+            place.x = [value(row[: AROUND + 1], to_known) for row in system.x]
+            self._cross(known)
             return
         for condition in conditions(system, place.codes, how, AROUND):
             c = condition.coefficients()
@@ -229,32 +223,47 @@ class Integrator:
                 if ends or moves > least:
                     turn(system, place, condition.of, condition.after)
         self._project(tuple(sorted({*how.active, *(i for kind, i in place.open if kind == ROW)})))
-        if select(system, place) is None:
-            raise self._stuck("after " + self._name(hit.of))
-        self._refuse_rivals()
-        self._begun = self._begun or (0.0,) * system.m
-        self._refuse_accumulation(hit)
-
-    def _refuse_accumulation(self, hit: Condition) -> None:
-        """Stop where event n = 2^k comes as fast again as event n/2, to a part, four times over: n grows exponentially in time.
-
-        Of switches at a constant rate the ratio is 1, of a chirp's, n ~ t^2, it is 0.7.
-        """
-        self.events += 1
-        n, times = self.events, self._times
-        if n & (n - 1):
-            return
-        times.append(self.place.t)
-        if n < MANY:
-            return
-        spacing = [2 * (times[-1 - k] - times[-2 - k]) / (n >> k) for k in range(5)]
-        if all(late < FASTER * early for late, early in itertools.pairwise(spacing)):
+        self._go_on("after " + name(hit.of, self.problem.rows))
+        if self.accumulation.grows(place.t):
             raise self._accumulates(hit)
+
+    def _cross(self, known: float) -> None:
+        """Stand at a known time, with the branches of the data after it, and choose the mode."""
+        system, place = self.system, self.place
+        place.t = known
+        self._forget_branches()
+        how = system.expand(place.t, place.x, place.codes, place.tau, AROUND)
+        if how is None:
+            place.open = {(ROW, i) for i in range(system.m)} | set(system.branches)
+        else:
+            place.open = {c.of for c in conditions(system, place.codes, how, AROUND) if self._near(c)}
+        self._go_on("at a known time")
+
+    def _near(self, condition: Condition) -> bool:
+        """Whether a condition is 0, to rounding, or does not hold."""
+        c = condition.coefficients()
+        return not c[0] > TIE * max(size(self.system, condition), *map(abs, c[1:]))
+
+    def _go_on(self, when: str) -> None:
+        """Choose the mode of the open switches, after a jump where x is outside its law; the next piece begins with an event."""
+        system, place = self.system, self.place
+        for _ in range(JUMPS):
+            before = list(place.codes)
+            if select(system, place) is not None:
+                self._refuse_rivals()
+                self._begun = self._begun or (0.0,) * system.m
+                return
+            place.codes[:] = before
+            if (p := jump(system, place)) is None:
+                break
+            self._push(p)
+            place.open = {(ROW, i) for i in range(system.m)} | set(system.branches)
+        raise self._stuck(when)
 
     def _accumulates(self, hit: Condition) -> StepError:
         return StepError(
-            f"t = {self.place.t:.10g}: the switches of {self._name(hit.of)} accumulate; time stepping goes over them: "
-            "method='time-stepping' (--method time-stepping)"
+            f"t = {self.place.t:.10g}: the switches of {name(hit.of, self.problem.rows)} accumulate; time steps go over them: "
+            "method='auto' or 'time-stepping' (--method auto)"
         )
 
     def _hold(self, how: Solve) -> None:
@@ -286,9 +295,8 @@ class Integrator:
             "t": place.t, "x": list(place.x), "tau": place.tau, "codes": list(place.codes), "open": sorted(place.open),
             "choice": {name: list(part.choice) for name, part in system.parts.items()}, "l": [row[0] for row in system.l],
             "sizes": {name: list(size) for name, size in vars(sizes).items()}, "begun": self._begun,
-            "times": list(self._times), "events": self.events, "unique": dict(self.unique),
-            "touches": self.touches, "redundant": self.redundant, "tiny": self._tiny,
-            "stiff": self.stiff.standing(),
+            "accumulation": self.accumulation.standing(), "unique": dict(self.unique), "touches": self.touches,
+            "redundant": self.redundant, "stopped": self.stopped, "stiff": self.stiff.standing(),
         }  # fmt: skip
 
     def stand(self, saved: dict[str, Any]) -> None:
@@ -296,15 +304,16 @@ class Integrator:
         system = self.system
         opened = {(str(kind), int(i)) for kind, i in saved["open"]}
         self.place = Place(saved["t"], list(saved["x"]), saved["tau"], [int(code) for code in saved["codes"]], opened)
-        for name, choice in saved["choice"].items():
-            system.parts[name].choice[:] = choice
+        for part, choice in saved["choice"].items():
+            system.parts[part].choice[:] = choice
         for row, l in zip(system.l, saved["l"], strict=True):
             row[0] = l
-        for name, sizes in saved["sizes"].items():
-            getattr(self.sizes, name)[:] = sizes
+        for of, sizes in saved["sizes"].items():
+            getattr(self.sizes, of)[:] = sizes
         self._begun = None if saved["begun"] is None else tuple(saved["begun"])
-        self._times, self.unique, self.events = list(saved["times"]), Counter(saved["unique"]), saved["events"]
-        self.touches, self.redundant, self._tiny = saved["touches"], saved["redundant"], saved["tiny"]
+        self.accumulation.stand(saved["accumulation"])
+        self.unique, self.touches, self.redundant = Counter(saved["unique"]), saved["touches"], saved["redundant"]
+        self.stopped = saved["stopped"]
         self.stiff.stand(saved["stiff"])
 
     # -- sizes, names
@@ -318,9 +327,6 @@ class Integrator:
         if system.branches:
             sizes.switches[:] = [max(both) for both in zip(sizes.switches, system.terms_of_switches(), strict=True)]
 
-    def _name(self, of: Switch) -> str:
-        return self.problem.rows[of[1]] if of[0] == ROW else f"a switch in {of[0]}"
-
     def _refuse_rivals(self) -> None:
         verdict, words = uniqueness(self.system, self.place)
         self.unique[verdict] += 1
@@ -331,11 +337,7 @@ class Integrator:
             )
 
     def _open(self) -> str:
-        """The names of the open switches, a few of many."""
-        names = list(dict.fromkeys(self._name(of) for of in sorted(self.place.open, key=lambda of: (of[0] != ROW, of))))
-        more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-        return (", ".join(names[:NAMED]) or "the rows") + more
+        return few(self.place.open, self.problem.rows)
 
     def _stuck(self, when: str) -> StepError:
-        rows = self._open()
-        return StepError(f"t = {self.place.t:.10g}: no mode of {rows} is valid {when}: no solution goes on from here")
+        return StepError(f"t = {self.place.t:.10g}: no mode of {self._open()} is valid {when}: no smooth piece goes on from here")

@@ -8,9 +8,16 @@ from operator import mul
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.system import System
 
+LARGEST_ORDER = 30
+LOCAL, ROUGHEST = 0.01, 1e-3  # A piece errs by this share of rtol, and of no more than this.
 LONGEST = 32.0  # In units of time: a piece that would be longer begins anew in another unit.
 MULTIPLIERS = 100.0  # l and y are asked for to so many times rtol.
 SMALL = 1e-3  # Rows of y and l below this share of the largest are measured beside that share.
+
+
+def order_of(rtol: float) -> int:
+    """The order of the series (Jorba and Zou 2005: -ln(rtol)/2 + 2)."""
+    return min(math.ceil(-math.log(LOCAL * min(rtol, ROUGHEST)) / 2) + 2, LARGEST_ORDER)
 
 
 def length(system: System, codes: list[int], how: Solve, p: int, rtol: float, atol: list[float]) -> float:
@@ -27,6 +34,15 @@ def length(system: System, codes: list[int], how: Solve, p: int, rtol: float, at
     for _ in range(3):
         s = _shortest(rows, s)
     return s
+
+
+def first_unit(system: System, t: float, x: list[float], tau: float) -> float:
+    """The time in which f changes the state by its own size, where both are something; else tau."""
+    system.t[0], system.t[1] = t, 1.0
+    for row, v in zip(system.x, x, strict=True):
+        row[0] = v
+    rates = [abs(v) / abs(a) for v, a in zip(system.parts["f"].order(0), x, strict=True) if a and math.isfinite(v)]
+    return unit(0.1 / max(rates)) if max(rates, default=0.0) > 0 else tau
 
 
 def unit(tau: float) -> float:

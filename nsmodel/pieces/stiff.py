@@ -56,14 +56,14 @@ class Stiff:
         """Forget what was known: another mode."""
         self.length, self.failed, self.wait = 0.0, 0, 0
 
-    def piece(self, place: Place, how: Solve, s: float) -> Found | None:
+    def piece(self, place: Place, how: Solve, s: float, most: float = math.inf) -> Found | None:
         """The piece by collocation, where that is worth while; else None, and the series in the rows are as they were.
 
-        ``s`` is how far the series go, in the unit of the place.
+        ``s`` is how far the series go, in the unit of the place; ``most`` how long the piece may be.
         """
         series, first = place.tau * s, not self.length
         length = self._trial(place, how, s) if first else self.length
-        least = series * (WORTH if first else STAY)
+        least, length = series * (WORTH if first else STAY), min(length, most)
         if not length or length < least:
             self._fail(failed=not first)
             return None
@@ -78,7 +78,7 @@ class Stiff:
         self.length = math.ldexp(length, LONGER if first else min(self._octaves(fit.error), LONGER))
         self.failed = self.wait = 0
         self.pieces += 1
-        return self._ended(place, how, start, fit)
+        return self._ended(place, how, start, fit, most)
 
     def _trial(self, place: Place, how: Solve, s: float) -> float:
         """The length of a first piece; 0 where none is tried: a series that fills its unit of time becomes longer by itself."""
@@ -101,14 +101,14 @@ class Stiff:
             return -1
         return math.floor(math.log2(SAFE / max(error, 1e-300)) / (self.radau.stages + 1))
 
-    def _ended(self, place: Place, how: Solve, start: Start, fit: Fit) -> Found:
+    def _ended(self, place: Place, how: Solve, start: Start, fit: Fit, most: float) -> Found:
         """The piece up to its first event, made anew so that it ends there: inside it has the order s + 1, at its end 2 s - 1."""
         tau, s = self.radau.write(start, fit)
         hit, end = first_event(self.system, place, how, self.order, s)
         for _ in range(ENDINGS):
             if hit is None:
                 break
-            shorter = self.radau.fit(start, tau * end, self.rtol, self.atol) if end > 0 else None
+            shorter = self.radau.fit(start, min(tau * end, most), self.rtol, self.atol) if end > 0 else None
             if shorter is None:
                 break
             fit = shorter
@@ -117,6 +117,8 @@ class Stiff:
             hit, end = (again, end) if again else self._beyond(place, how, hit, s)
             if abs(end - s) <= ENDED * s:
                 break
+            if end > s and tau * s >= most:
+                hit = None
         if hit is None or end >= s:
             return Found(tau, s, INSIDE * fit.error, fit.last, hit)
         return Found(tau, end, INSIDE * fit.error, [value(row, end) for row in self.system.x], hit)

@@ -12,6 +12,7 @@ coefficients are those of s = (t - t_0)/tau, so that they are of one size where 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -31,6 +32,7 @@ from nsmodel.scheme.continuous import ContinuousProblem
 NEWTON = 30  # Iterations of l at order 0, where f, g or h are not linear in it.
 SETTLED = 1e-14
 KEPT = 1000  # Modes with their slopes whose matrices are kept.
+HELD_ORDERS = 4  # Orders of a row that nothing acts on, and that must be 0.
 AT_ZERO = 1e-9  # Of the terms of y_i: a row that is held is not further from 0.
 STAYS = 1e-9  # Of what moves: a row that nothing acts on moves by less.
 
@@ -81,6 +83,14 @@ class System:
         self._p: dict[tuple, bool] = {}
         self._null: dict[tuple, np.ndarray] = {}
         self._absolute: dict[int, tuple[list[tuple[int, float]], list[tuple[int, float]]]] = {}
+
+    @cached_property
+    def middle(self) -> list[float]:
+        """Of each l its middle, or the end that there is, or 0."""
+        return [
+            (a + b) / 2 if math.isfinite(a + b) else a if math.isfinite(a) else b if math.isfinite(b) else 0.0
+            for a, b in zip(self.lower, self.upper, strict=True)
+        ]
 
     @cached_property
     def branches(self) -> list[tuple[str, int]]:
@@ -140,11 +150,8 @@ class System:
             if code:
                 row[0] = self.upper[i] if code > 0 else self.lower[i]
         F, G, H = self.parts["f"], self.parts.get("g"), self.parts["h"]
-        self._put_y(H.order(0), 0)
-        how = self.solve(codes)
-        if not self._settle(how, codes):
+        if (how := self._solved(codes)) is None:
             return None
-        how = self.solve(codes) if not self.linear_in_l else how
         for k in range(orders + 1):
             if k:
                 self._direct(how, k)
@@ -162,9 +169,37 @@ class System:
             self._rate(None, G.order(k) if G else None, k)
             self._put_y(H.order(k + 1), k + 1)
         if how.through is not None:
+            if not self._stays(how, min(orders, HELD_ORDERS)):
+                return None
             for i in how.active:
                 self.y[i][1:] = [0.0] * self.orders
         return how
+
+    def _solved(self, codes: list[int]) -> Solve | None:
+        """What solves order 0, once l has it: from the guess that l is, then from the middle of K; None: l is the guess again."""
+        guess = [row[0] for row in self.l]
+        middle = [l if code else self.middle[i] for i, (l, code) in enumerate(zip(guess, codes, strict=True))]
+        for start in (guess,) if self.linear_in_l else (guess, middle):
+            for row, l in zip(self.l, start, strict=True):
+                row[0] = l
+            self._put_y(self.parts["h"].order(0), 0)
+            how = self.solve(codes)
+            if self._settle(how, codes):
+                return how if self.linear_in_l else self.solve(codes)
+        for row, l in zip(self.l, guess, strict=True):
+            row[0] = l
+        return None
+
+    def _stays(self, how: Solve, orders: int) -> bool:
+        """Whether the rows that no multiplier acts on stay at 0 beyond the rate that `_held` has looked at."""
+        if how.null is None or not how.null.size:
+            return True
+        for k in range(2, orders + 1):
+            y = np.array([self.y[i][k] for i in how.active])
+            size = max(float(np.abs(y).max()), *(abs(row[k]) for row in self.x))
+            if not np.abs(how.null.T @ y).max() <= AT_ZERO * size:
+                return False
+        return True
 
     def apart(self, how: Solve) -> list[int]:
         """The rows that only their rate can hold at 0, and that are not there: beside their size, and how far x moves them."""

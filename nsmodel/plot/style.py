@@ -143,6 +143,8 @@ def dress(ax: Axes, title: str, xlabel: str, ylabel: str, *, grid: bool = True) 
 def over_time(ax: Axes, run: Trajectory, title: str, ylabel: str, *, grid: bool = True) -> None:
     """Dress axes over time: from the start to the end of the run and no more, the same for all its pictures."""
     dress(ax, title, label(run, "t"), ylabel, grid=grid)
+    for one in (run.metadata.get("totals") or {}).get("stretches", ()) if grid else ():
+        ax.axvspan(one["start"], min(one["until"], run.t[-1]), color=FREE, alpha=0.15, linewidth=0.8, zorder=0)  # by time steps
     if run.t[-1] > run.t[0]:
         ax.set_xlim(run.t[0], run.t[-1])
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from nsmodel.pieces.bounds import Stored
 from nsmodel.pieces.certificate import SHOWN, Allowed, Certificate, certify, values
-from nsmodel.pieces.integrator import Integrator, Piece
+from nsmodel.pieces.integrator import Integrator
+from nsmodel.pieces.piece import Piece
 from nsmodel.proof.interval_number import Interval, exactly
 from nsmodel.run.global_error import GlobalError, NoBound, global_error
 

@@ -15,13 +15,14 @@ across a switch; x_fine + d is of order p + 1 in smooth phases. A step is accept
 The rows of the run are the half steps. Each is verified; its multipliers and outputs are those of its step, and
 ``correction`` tells how far extrapolation has then moved the state, in units of what is allowed.
 
-Steps are T/2^j and start at multiples of themselves: times are exact, the last step ends at T, and the first half of a
-refused step is the next trial. At T/2^LEAST every verified step is accepted, and counted: at an accumulation of switches a
-run goes on.
+Steps are L/2^j and start at multiples of themselves, L the length of the span between two known times (``switch_times``, the
+start and the end T): times are exact, the last step ends there, and the first half of a refused step is the next trial. At
+L/2^LEAST every verified step is accepted, and counted: at an accumulation of switches a run goes on.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import Counter
 from collections.abc import Sequence
@@ -38,24 +39,26 @@ from nsmodel.record import UNSET
 from nsmodel.run.asked import absolute
 from nsmodel.run.options import Options
 from nsmodel.run.schemes import OfScheme
-from nsmodel.run.walk import PER_CENT, is_numerical, runaway, unsolvable
+from nsmodel.run.walk import PER_CENT, is_numerical, noting_known_times, runaway, unsolvable
 from nsmodel.scheme import constraints, shortened
 from nsmodel.scheme.problem import feedthrough
 from nsmodel.solve.certificate import EPS, numeric_law
 from nsmodel.solve.stepper import StepResult, Warm
 
-LARGEST, LEAST = 4, 40  # Steps are T/2^j with j between these.
+LARGEST, LEAST = 4, 40  # Steps are L/2^j with j between these.
+WHOLE = 2 ** (LEAST + 1)  # A span, in its units of time.
 FIRST = 7  # j of the first step where none is given.
 SWITCH = 0.25  # Part of the allowed error that a step across a switch may use.
 GROW = 0.5  # A step is doubled where the error expected of it stays below this part of what is allowed.
 NEGLIGIBLE = 1e-6  # A state that stays below this part of the largest of its symbol is measured beside that.
+CONSTANTS = {"largest": LARGEST, "least": LEAST, "crossing": SWITCH, "grow": GROW, "negligible": NEGLIGIBLE}  # Of the C too.
 UNSOLVED = 4  # How often a step without an answer is halved at once: to find that out takes every solver.
 MOST = 10_000_000  # Accepted steps after which a run stops: its tolerance is out of reach.
 ROWS = 4096
 
 
 class Place(NamedTuple):
-    """Where a step starts: the time in units of T/2^(LEAST + 1), the step T/2^j, the state for it; and what came before.
+    """Where a step starts: the time in units of L/2^(LEAST + 1), the step L/2^j, the state for it; and what came before.
 
     ``watched``: the x_i; ``rate``: their change per time in the last half step; ``index_set``: that of the half step.
     """
@@ -106,12 +109,14 @@ class Controlled(OfScheme):
         check_times(step=options.step, t_end=options.t_end)
         given: Any = model.t_end if options.t_end is None else options.t_end
         self.T = T = float(given)
+        self._spans = _spans(model, T)
+        self._start, self._length = self._spans.pop()
         h = model.step if options.step is None else options.step
         h = T / 2**FIRST if h is None else h
         make_grid(model, h, None, options.t_end)  # refuses a step far too small for the run
         self.rtol, self.atol = _tolerances(model, options.rtol, options.atol)
         _refuse_fixed(model)
-        j = min(max(math.ceil(math.log2(T / h)), LARGEST), LEAST)
+        j = self._nearest(h)
         first, of_any_step = Grid(1, h := self._h(j), h), Grid(1, h, h, np.array([h]), np.array([0.0, h]))
         constant = replace(options, compiled=options.compiled is True)
         super().__init__(model, constant, first, of_any_step, lambda: None)
@@ -133,9 +138,24 @@ class Controlled(OfScheme):
         self._corrections = [0.0]
         self._law = numeric_law(self.problem.law)
         self.warnings += self._relays()
+        self.plan = noting_known_times(self.plan, model, ends=True)
 
     def _h(self, j: int) -> float:
-        return math.ldexp(self.T, -j)
+        return math.ldexp(self._length, -j)
+
+    def _nearest(self, h: float) -> int:
+        """The j of the longest step that is not longer than h."""
+        return min(max(math.ceil(math.log2(self._length / h)), LARGEST), LEAST)
+
+    def _cross(self) -> None:
+        """Begin the next span, where the place is at the end of one: with about the same step."""
+        place = self.place
+        if place.t < WHOLE or not self._spans:
+            return
+        h = self._h(place.j)
+        self._start, self._length = self._spans.pop()
+        j = self._nearest(h)
+        self.place = place._replace(t=0, j=j, state=shortened(self.model, place.state, self._h(j) / h))
 
     @property
     def bar(self) -> dict[str, Any]:
@@ -145,12 +165,12 @@ class Controlled(OfScheme):
     @property
     def passed(self) -> float:
         """Per cent of the time."""
-        return 100 * math.ldexp(self.place.t, -LEAST - 1)
+        return 100 * self._time(self.place.t) / self.T
 
     @property
     def ended(self) -> bool:
         """Whether the end of the time is reached."""
-        return self.place.t == 2 ** (LEAST + 1)
+        return self.place.t == WHOLE and not self._spans
 
     @property
     def time(self) -> float:
@@ -174,6 +194,7 @@ class Controlled(OfScheme):
                 return
             if self.rollout is None or not self.rollout.adaptive or self._in_c():
                 self._one()
+            self._cross()
 
     def _one(self) -> None:
         """Take one step, at whatever length it is accepted."""
@@ -199,8 +220,8 @@ class Controlled(OfScheme):
         free, m = slice(record.filled, None), place.warm.index.size
         control = self.rollout.control(place.state.size, m, self._watched.size)
         given = {
-            "T": self.T, "rtol": self.rtol, "largest": LARGEST, "least": LEAST, "crossing": SWITCH, "grow": GROW,
-            "negligible": NEGLIGIBLE, "order": self.problem.order.most, "t": place.t, "j": place.j,
+            "T": self.T, "start": self._start, "length": self._length, "rtol": self.rtol, **CONSTANTS,
+            "order": self.problem.order.most, "t": place.t, "j": place.j,
             "fresh": place.index_set is None, "x": place.state, "least_step": totals["least_step"] or np.inf, "atol": self.atol,
             "size": self._size, "watched": place.watched, "rate": place.rate,
         }  # fmt: skip
@@ -270,7 +291,7 @@ class Controlled(OfScheme):
             raise unsolvable(f"no verified step from t = {t:.10g} to {t + h:.10g}", error) from error
 
     def _time(self, t: int) -> float:
-        return math.ldexp(t, -LEAST - 1) * self.T
+        return self._start + math.ldexp(t, -LEAST - 1) * self._length
 
     def _error(self, at: Place, coarse: StepResult, half: StepResult, fine: StepResult, smooth: bool, order: int) -> float:
         """|x_fine - x_coarse|/(2^order - 1); at a switch not less than the bends within the step and at its start: none hides."""
@@ -439,6 +460,12 @@ class Controlled(OfScheme):
         """As of every scheme, with what whole and half steps do not see."""
         self.warnings += [text for text in self._turns() if text not in self.warnings]
         return super().metadata()
+
+
+def _spans(model: Model, T: float) -> list[tuple[float, float]]:
+    """Start and length of each span between known times, the first one last."""
+    ends = [0.0, *(time for time in model.switch_times if 0 < time < T), T]
+    return [(start, end - start) for start, end in itertools.pairwise(ends)][::-1]
 
 
 def _tolerances(model: Model, rtol: Any, atol: Any) -> tuple[float, np.ndarray]:

@@ -13,14 +13,17 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.registry import class_of
-from nsmodel.errors import StepError, StorageError
+from nsmodel.errors import CodegenError, StepError, StorageError
 from nsmodel.grid import Grid, check_times
 from nsmodel.hypotheses.quick import refuse_start, warnings
 from nsmodel.identity import INTERPRETED, WAY, settings
 from nsmodel.model.base import Model
 from nsmodel.once import once
-from nsmodel.pieces.integrator import order_of
+from nsmodel.pieces.course import Course, time_of
+from nsmodel.pieces.integrator import Integrator
 from nsmodel.pieces.jets import is_switched
+from nsmodel.pieces.lengths import order_of
+from nsmodel.pieces.stretch import BUDGET, Stretches
 from nsmodel.run.asked import times, tolerances
 from nsmodel.run.in_c import chosen
 from nsmodel.run.options import METHODS, Options
@@ -74,7 +77,7 @@ class EventDriven:
         check_exact(model)
         _refuse_large(problem, options)
         same = settings(model, Grid(1, 1.0, 1.0), METHOD, options.tolerance, options.save_every, INTERPRETED)
-        chosen = _chosen(problem, options, there(), (rtol, atol), same["model"], float(model.t_end))  # whatever its end here
+        chosen = _chosen(problem, options, there(), (rtol, atol), model, same["model"])
         self.maker, self.plan = chosen.maker, chosen.plan
         self.record, self.k = PieceRows(problem, self.maker.order, options.save_every, chosen.columns), 0
         self._cut: dict[str, Any] | None = None  # The checkpoint before a piece that goes beyond the end.
@@ -84,6 +87,7 @@ class EventDriven:
         self.totals: dict[str, Any] = {
             "worst_residual": 0.0, "worst_residual_t": None, "index_set_changes": 0, "steps": 0, "rtol": rtol,
             "order": self.maker.order, "pieces": 0, "collocated": 0, "events": 0, "worst_estimate": 0.0, "worst_estimate_t": None,
+            "stretches": [],
         }  # fmt: skip
         own = {"step": "pieces", "rtol": rtol, "atol": atol, "rows": "ends of pieces" if self.times is None else "times"}
         self.settings = same | {WAY: chosen.way} | own
@@ -129,12 +133,13 @@ class EventDriven:
         while left > 0 and not (self.ended or stop or self.record.full):
             block = self.maker.make(self.T, left)
             left -= len(block.t)
-            cut = self.options.folder is not None and block.end[-1] > self.T
-            if cut and len(block.t) > 1:
-                self._take(block.cut(slice(-1)), self.maker.counts(before=True))
+            behind = self.maker.behind
+            cut = self.options.folder is not None and self.time > self.T
+            if cut and len(block.t) > behind:
+                self._take(block.cut(slice(-behind)), self.maker.counts(before=True))
             if cut:
-                self._cut = self._checkpoint(before=True) | {"cut": {"rows": self.record.filled, "listed": 1}}
-                block = block.cut(slice(-1, None))
+                self._cut = self._checkpoint(before=True) | {"cut": {"rows": self.record.filled, "listed": behind}}
+                block = block.cut(slice(-behind, None))
             self._take(block, self.maker.counts())
             if self._cut is not None:
                 self._cut["cut"]["rows"] = self.record.filled - self._cut["cut"]["rows"]
@@ -149,9 +154,10 @@ class EventDriven:
             times, last = np.array(self.times[self.record.carried.rows : stop]), stop == len(self.times)
         self.record.take(block, times, last)
         self.k = self.record.carried.rows
-        worst = int(block.defect.argmax())
-        if block.defect[worst] > totals["worst_estimate"]:
-            totals["worst_estimate"], totals["worst_estimate_t"] = float(block.defect[worst]), float(block.t[worst])
+        estimates = np.where(block.stepped, 0.0, block.defect)
+        worst = int(estimates.argmax())
+        if estimates[worst] > totals["worst_estimate"]:
+            totals["worst_estimate"], totals["worst_estimate_t"] = float(estimates[worst]), float(block.t[worst])
         totals["events"] += int(block.event.sum())
         totals |= {"steps": self.k, "pieces": totals["pieces"] + len(block.t), **counts}
         totals["index_set_changes"] = totals["events"]
@@ -186,16 +192,15 @@ class EventDriven:
         return self._checkpoint() if self._cut is None else self._cut
 
     def _checkpoint(self, *, before: bool = False) -> dict[str, Any]:
-        maker = self.maker
-        standing = maker.standing(before=before)
+        standing = self.maker.standing(before=before)
         return {
-            "k": self.k, "t": standing["t"], "totals": dict(self.totals), "rows": self.record.standing(),
-            "integrator": standing, "cut": None,
+            "k": self.k, "t": time_of(standing), "totals": dict(self.totals), "rows": self.record.standing(),
+            "course": standing, "cut": None,
         }  # fmt: skip
 
     def stand(self, saved: dict[str, Any]) -> None:
         """Take up what ``standing`` gave."""
-        self.maker.stand(saved["integrator"])
+        self.maker.stand(saved["course"])
         self.record.stand(saved["rows"])
         if self.time > self.T:
             raise StorageError(f"the run there has reached t = {self.time:.10g}, past this run's end; give a later end")
@@ -211,7 +216,21 @@ class EventDriven:
             "index_names": list(p.rows),
             "law_kinds": p.law.labels,
             "tolerance": self.options.tolerance,
+            "warnings": [*self.warnings, *_of_stretches(self.totals["stretches"])],
         } | ({} if self.certified is None else {"certificate": self.certified.metadata(p.names)})
+
+
+def _of_stretches(stretches: list[dict[str, Any]]) -> list[str]:
+    """What a user must know of the stretches: that there are some and why, and whether rtol is missed."""
+    if not stretches:
+        return []
+    first, steps, error = stretches[0], sum(one["steps"] for one in stretches), sum(one["estimate"] for one in stretches)
+    count = "once" if len(stretches) == 1 else f"{len(stretches)} times"
+    found = [
+        f"event-driven integration stopped {count}, first: {first['why']}; {steps} time steps, from t = {first['start']:.10g} to "
+        f"{first['until']:.10g}{' and later' if len(stretches) > 1 else ''} (run.stepped)"
+    ]
+    return found + ([f"rtol is missed: the errors of these steps add up to about {error:.2g} rtol"] if error > 1 else [])
 
 
 def _refuse_large(problem: ContinuousProblem, options: Options) -> None:
@@ -239,35 +258,57 @@ class _Chosen(NamedTuple):
 
 
 def _chosen(
-    problem: ContinuousProblem, options: Options, there: str | None, tolerances: tuple[float, list[float]], mark: str, T: float
+    problem: ContinuousProblem,
+    options: Options,
+    there: str | None,
+    tolerances: tuple[float, list[float]],
+    model: Model,
+    mark: str,
 ) -> _Chosen:
     """In C where that is asked for, or pays, or the run that is resumed had it."""
-    plan, made = _plan(problem, options, tolerances[0]), []
+    known, made = model.switch_times, []
+    plan = _plan(problem, options, tolerances[0], known)
 
     def build() -> Any:
         from nsmodel.codegen.piece_runs import PiecesInC
 
+        if known:
+            raise CodegenError("they do not end at known times (switch_times)")
         return PiecesInC(problem, mark, *tolerances)
 
-    def interpreted() -> Interpreted:
-        made.extend([] if made else [Interpreted(problem, *tolerances)])
+    def course() -> Course:
+        made.extend([] if made else [_course(problem, options, *tolerances, known)])
         return made[0]
 
     def costs() -> Cost:
         size, nodes = problem.x.numel() + problem.l.numel(), ca.n_nodes(ca.veccat(problem.f, problem.g, problem.h))
         return cost.of_pieces(size, nodes, lambda: is_built(mark))
 
-    count = 1
-    if options.compiled == "auto" and there is None and not is_built(mark):
-        count = math.ceil(min(T / interpreted().tau, MOST))
+    count, auto = 1, options.compiled == "auto"
+    if known and auto:  # The reason is told, whatever it would cost.
+        options = replace(options, compiled=True)
+    elif auto and there in (None, INTERPRETED) and not is_built(mark):
+        count = math.ceil(min(float(model.t_end) / course().integrator.place.tau, MOST))  # whatever its end here
     found = chosen(options, plan, there, count, costs, build, IN_C, "pieces")
     if found.steps is None:
-        maker = interpreted()
+        maker = Interpreted(course())
         stiff = f"pieces by Radau IIA, {maker.integrator.stiff.radau.stages} stages, where a mode turns out to be stiff"
-        return _Chosen(maker, found.way, None, replace(found.plan, used=(*found.plan.used, stiff)), found.warnings)
+        plan = replace(found.plan, used=(*found.plan.used, stiff))
+        return _Chosen(maker, found.way, None, plan, [] if auto else found.warnings)
     size = problem.h.numel() + sum(e.numel() for e in problem.columns.values())
-    maker = InC(problem, *tolerances, found.steps)
+    maker = InC(problem, course, found.steps)
     return _Chosen(maker, found.way, lambda rows: found.steps.columns(rows, size), found.plan, found.warnings)
+
+
+def _course(problem: ContinuousProblem, options: Options, rtol: float, atol: list[float], known: Sequence[float]) -> Course:
+    """What goes on, with stretches of steps where "auto" lets it; StepError where it cannot start."""
+    integrator = Integrator(problem, rtol, atol, known)
+    if options.method == METHOD or options.certified:
+        if integrator.stopped is not None:
+            raise StepError(integrator.stopped)
+        return Course(integrator, None)
+    width = integrator.system.orders + 1
+    return Course(integrator, Stretches(problem, rtol, atol, options.tolerance, known, integrator.sizes.x, width))
 
 
 def is_built(mark: str) -> bool:
@@ -277,7 +318,7 @@ def is_built(mark: str) -> bool:
     return is_there(mark)
 
 
-def _plan(problem: ContinuousProblem, options: Options, rtol: float) -> Plan:
+def _plan(problem: ContinuousProblem, options: Options, rtol: float, known: Sequence[float]) -> Plan:
     parts = ca.veccat(problem.f, problem.g, problem.h)
     used = [
         f"event-driven: Taylor series of order {order_of(rtol)} in each mode, "
@@ -286,8 +327,12 @@ def _plan(problem: ContinuousProblem, options: Options, rtol: float) -> Plan:
     ]
     if is_switched(parts):
         used.append("switches of operations that are not analytic (fabs, fmax, if_else, ...), watched")
+    if known:
+        used.append(f"{len(known)} known times (switch_times): each ends a piece, the mode is chosen anew")
     if options.certified:
         used.append("after the run each piece is proved by interval arithmetic: defect, rows, signs of conditions")
+    elif options.method != METHOD:
+        used.append(f"where no mode goes on: steps of backward Euler under error control, {BUDGET:,} at most, until one does")
     left = [f"time steps and their solvers (step, solver): {METHOD} pieces are as long as rtol lets them be"]
     return Plan("pieces", (), False, "never", True, math.inf, tuple(used), tuple(left))
 

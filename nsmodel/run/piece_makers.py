@@ -1,15 +1,19 @@
-"""What makes the pieces of an event-driven run: the integrator, or C with the integrator for what C leaves to it."""
+"""What makes the pieces of an event-driven run: the course, or C with the course for what C leaves to it."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
+from copy import deepcopy
 from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
 
+from nsmodel.pieces.course import NEW, Course
 from nsmodel.pieces.integrator import Integrator
 from nsmodel.pieces.modes import AGREE, PROVED, UNDECIDED
+from nsmodel.pieces.piece import Piece
 from nsmodel.run.piece_rows import Block
 from nsmodel.scheme.continuous import ContinuousProblem
 
@@ -23,8 +27,10 @@ class Maker(Protocol):
 
     Attributes:
         t: where the next one starts; tau: its unit of time; x: its state; order: of the series.
-        integrator: the interpreted one, at the same place.
+        integrator: the interpreted one, at the same place; behind: of how many pieces "before" is, see ``standing``.
     """
+
+    behind: int
 
     @property
     def t(self) -> float: ...  # noqa: D102
@@ -42,11 +48,11 @@ class Maker(Protocol):
         ...
 
     def counts(self, *, before: bool = False) -> dict[str, Any]:
-        """What was counted so far; ``before``: before the last piece."""
+        """What was counted so far; ``before``: before the last pieces, ``behind`` of them."""
         ...
 
     def standing(self, *, before: bool = False) -> dict[str, Any]:
-        """What the next pieces depend on; ``before``: the last one and those after it."""
+        """What the next pieces depend on; ``before``: the last ones, ``behind`` of them, and those after."""
         ...
 
     def stand(self, saved: dict[str, Any]) -> None:
@@ -55,17 +61,19 @@ class Maker(Protocol):
 
 
 class Interpreted:
-    """The integrator itself."""
+    """The course itself: the integrator, and stretches of steps where these are let."""
 
-    def __init__(self, problem: ContinuousProblem, rtol: float, atol: list[float]) -> None:
-        self.integrator = Integrator(problem, rtol, atol)
+    behind: int = 1
+
+    def __init__(self, course: Course) -> None:
+        self.course, self.integrator = course, course.integrator
         self._feeds = self.integrator.system.feedthrough
         self._before: tuple[dict[str, Any], dict[str, Any]] | None = None
 
     @property
     def t(self) -> float:
         """Where the next piece starts."""
-        return self.integrator.t
+        return self.course.t
 
     @property
     def tau(self) -> float:
@@ -75,7 +83,7 @@ class Interpreted:
     @property
     def x(self) -> np.ndarray:
         """Its state."""
-        return np.array(self.integrator.place.x)
+        return np.array(self.course.x)
 
     @property
     def order(self) -> int:
@@ -83,53 +91,60 @@ class Interpreted:
         return self.integrator.order
 
     def make(self, until: float, room: int) -> Block:
-        """One piece."""
-        del until, room
-        while True:
+        """One piece, or those of a step that begin before ``until``."""
+        del room
+        blocks: list[Block] = []
+        while not blocks:
             self._before = self.standing(), self.counts()
-            piece = self.integrator.advance()
-            if piece.end > piece.t:
-                return self.block(piece)
+            for piece in self.course.advance():
+                if piece.end > piece.t and not (blocks and blocks[-1].end[-1] >= until):
+                    blocks.append(self._block(piece))
+        self.behind = len(blocks)
+        return Block.joined(blocks)
 
-    def block(self, piece: Any) -> Block:
+    def _block(self, piece: Piece) -> Block:
         """A piece that was just made, with the sizes at its end."""
         system, feeds = self.integrator.system, self._feeds
         of_y = [system.size_y(i) if feeds[i] else 1.0 for i in range(system.m)]
         return Block.of(piece, of_y, [system.size_l(i) if feeds[i] else 1.0 for i in range(system.m)])
 
     def counts(self, *, before: bool = False) -> dict[str, Any]:
-        """Touches, verdicts about modes, pieces with redundant rows."""
+        """Touches, verdicts about modes, pieces with redundant rows or by collocation; stretches."""
         if before and self._before is not None:
             return self._before[1]
         made = self.integrator
         return {
             "touches": made.touches, "unique": dict(made.unique), "redundant": made.redundant,
-            "collocated": made.stiff.pieces,
+            "collocated": made.stiff.pieces, "stretches": [dict(one) for one in self.course.past],
         }  # fmt: skip
 
     def standing(self, *, before: bool = False) -> dict[str, Any]:
-        """The integrator's."""
-        return self._before[0] if before and self._before is not None else self.integrator.standing()
+        """The course's."""
+        return self._before[0] if before and self._before is not None else self.course.standing()
 
     def stand(self, saved: dict[str, Any]) -> None:
         """Take up what ``standing`` gave."""
-        self.integrator.stand(saved)
+        self.course.stand(saved)
 
 
 class InC:
-    """C, and the integrator for a start that jumps, a mode that C does not find, stiff pieces, and all that ends in an error."""
+    """C, and the course for what C leaves to it: a start that jumps, a mode not found, stiff pieces, stretches, errors."""
 
-    def __init__(self, problem: ContinuousProblem, rtol: float, atol: list[float], steps: Any) -> None:
+    behind: int = 1
+
+    def __init__(self, problem: ContinuousProblem, course: Callable[[], Course], steps: Any) -> None:
         """``steps``: `codegen.piece_runs.PiecesInC`."""
-        self.problem, self.rtol, self.atol, self._c = problem, rtol, atol, steps
+        self.problem, self._course, self._c = problem, course, steps
         self._collocated = 0  # Pieces by collocation, which C leaves to the integrator.
+        self._stopped: str | None = None  # Of the integrator.
+        self._stretches = NEW  # Of the course.
         self._behind: tuple[dict[str, Any], dict[str, Any]] | None = None  # Before a piece that was interpreted.
         if not steps.begin():
             self.stand(self._interpreted.standing())
 
     @cached_property
     def _interpreted(self) -> Interpreted:
-        return Interpreted(self.problem, self.rtol, self.atol)
+        return Interpreted(self._course())
 
     @property
     def integrator(self) -> Integrator:
@@ -140,7 +155,7 @@ class InC:
     @property
     def t(self) -> float:
         """Where the next piece starts."""
-        return float(self._c.at["t"])
+        return float(self._c.at["t"]) if self._step is None else float(self._step["t"])
 
     @property
     def tau(self) -> float:
@@ -150,7 +165,13 @@ class InC:
     @property
     def x(self) -> np.ndarray:
         """Its state."""
-        return self._c.at["x"].copy()
+        return self._c.at["x"].copy() if self._step is None else np.array(self._step["x"])
+
+    @property
+    def _step(self) -> dict[str, Any] | None:
+        """Where the next step of a stretch begins, see `stretch.Stand`; None between stretches."""
+        steps = self._stretches["stretches"]
+        return None if steps is None else steps["stand"]
 
     @property
     def order(self) -> int:
@@ -158,16 +179,17 @@ class InC:
         return self._c.order
 
     def make(self, until: float, room: int) -> Block:
-        """As many pieces as there is room for; the one that C cannot make is interpreted."""
-        room = max(1, min(16 * room, MOST, BYTES // (8 * self._c.width)))
-        rows, stuck = self._c.many(until, room)
-        self._behind = None
-        if len(rows) or not stuck:
-            return self._block(rows)
-        self._interpreted.stand(self.standing())
-        block = self._interpreted.make(until, 1)
-        self._behind = self._interpreted.standing(before=True), self._interpreted.counts(before=True)
-        self.stand(self._interpreted.standing())
+        """As many pieces as there is room for; what C cannot make is interpreted, and all from a stop until pieces go on."""
+        self.behind, self._behind = 1, None
+        if self._stopped is None and self._step is None:
+            rows, stuck = self._c.many(until, max(1, min(16 * room, MOST, BYTES // (8 * self._c.width))))
+            if len(rows) or not stuck:
+                return self._block(rows)
+        own = self._interpreted
+        own.stand(self.standing())
+        block = own.make(until, 1)
+        self.behind, self._behind = own.behind, (own.standing(before=True), own.counts(before=True))
+        self.stand(own.standing())
         return block
 
     def _block(self, rows: np.ndarray) -> Block:
@@ -179,28 +201,29 @@ class InC:
         c = rows[:, 5 + 4 * m + n :].reshape(count, order + 1, n + 2 * m).transpose(0, 2, 1)
         l, y = (np.ascontiguousarray(c[:, start : start + m]) for start in (n, n + m))
         return Block(
-            t, tau, s, c[:, :n], l, y, codes.astype(np.int8), defect, last, event != 0, impulse, size_y, size_l
+            t, tau, s, c[:, :n], l, y, codes.astype(np.int8), defect, last, event != 0, impulse, size_y, size_l,
+            np.full(count, np.nan),
         )  # fmt: skip
 
     def counts(self, *, before: bool = False) -> dict[str, Any]:
-        """Touches, verdicts about modes, pieces with redundant rows."""
+        """Touches, verdicts about modes, pieces with redundant rows or by collocation; stretches."""
         if before and self._behind is not None:
             return self._behind[1]
         place = self._c.before if before else self._c.at
         unique = {verdict: int(count) for verdict, count in zip(VERDICTS, place["unique"], strict=True) if count}
         notes = {"touches": int(place["touches"]), "unique": unique, "redundant": int(place["redundant"])}
-        return notes | {"collocated": self._collocated}
+        past = [dict(one) for one in self._stretches["past"]]
+        return notes | {"collocated": self._collocated, "stretches": past}
 
     def standing(self, *, before: bool = False) -> dict[str, Any]:
-        """As the integrator's."""
+        """As the course's."""
         if before and self._behind is not None:
             return self._behind[0]
         place, m = self._c.before if before else self._c.at, self.problem.l.numel()
         choices = [place["choice"][:-1][self._of(part)].tolist() for part in self._parts]
         n = int(place["events"]).bit_length()
-        notes = self.counts(before=before)
-        del notes["collocated"]
-        return {
+        counts = self.counts(before=before)
+        integrator = {
             "t": float(place["t"]), "x": place["x"].tolist(), "tau": float(place["tau"]), "codes": place["codes"][:m].tolist(),
             "open": self._opened(place["open"]), "choice": dict(zip(self._parts, choices, strict=True)),
             "l": place["l"][:m].tolist(),
@@ -208,13 +231,17 @@ class InC:
                 name: place[f"size_{name}"][:count].tolist()
                 for name, count in (("x", None), ("y", m), ("l", m), ("switches", len(place["choice"]) - 1))
             },
-            "begun": tuple(place["impulse"][:m].tolist()) if place["begun"] else None, "times": place["times"][:n].tolist(),
-            "events": int(place["events"]), **notes, "tiny": int(place["tiny"]),
+            "begun": tuple(place["impulse"][:m].tolist()) if place["begun"] else None,
+            "accumulation": {"events": int(place["events"]), "times": place["times"][:n].tolist(), "tiny": int(place["tiny"])},
+            "unique": counts["unique"], "touches": counts["touches"], "redundant": counts["redundant"], "stopped": self._stopped,
             "stiff": dict(zip(STIFF, place["stiff"].tolist(), strict=True)) | {"pieces": self._collocated},
         }  # fmt: skip
+        return {"integrator": integrator, **deepcopy(self._stretches)}
 
     def stand(self, saved: dict[str, Any]) -> None:
         """Take up what ``standing`` gave."""
+        self._stretches = {name: deepcopy(saved[name]) for name in NEW}
+        saved = saved["integrator"]
         place, m = self._c.at, self.problem.l.numel()
         place["t"], place["tau"], place["x"], place["begun"] = saved["t"], saved["tau"], saved["x"], saved["begun"] is not None
         place["codes"][:m], place["l"][:m] = saved["codes"], saved["l"]
@@ -226,12 +253,14 @@ class InC:
         place["open"] = 0
         for kind, i in saved["open"]:
             place["open"][i if kind == "row" else m + self._of(kind).start + i] = 1
-        place["times"][: len(saved["times"])] = saved["times"]
+        counted = saved["accumulation"]
+        place["times"][: len(counted["times"])] = counted["times"]
+        place["events"], place["tiny"] = counted["events"], counted["tiny"]
         place["stiff"], self._collocated = [saved["stiff"][name] for name in STIFF], saved["stiff"]["pieces"]
+        self._stopped = saved["stopped"]
         unique = Counter(saved["unique"])
         place["unique"] = [unique[verdict] for verdict in VERDICTS]
-        for name in ("events", "touches", "redundant", "tiny"):
-            place[name] = saved[name]
+        place["touches"], place["redundant"] = saved["touches"], saved["redundant"]
 
     @property
     def _parts(self) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -12,8 +12,8 @@ import numpy as np
 
 from nsmodel import dense
 from nsmodel.pieces.expansion import Expansion
-from nsmodel.pieces.integrator import Piece
 from nsmodel.pieces.jets import jets_of
+from nsmodel.pieces.piece import Piece
 from nsmodel.run.walk import CHUNK_BYTES
 from nsmodel.scheme.continuous import ContinuousProblem
 
@@ -21,7 +21,10 @@ Columns = Callable[[np.ndarray], np.ndarray]
 
 
 class Block(NamedTuple):
-    """Pieces (K), see `integrator.Piece`, as arrays; and what residuals of y and l are measured beside (K, m) at their ends."""
+    """Pieces (K), see `pieces.piece`, as arrays; and what residuals of y and l are measured beside (K, m) at their ends.
+
+    ``residual``: of time steps, else NaN.
+    """
 
     t: np.ndarray
     tau: np.ndarray
@@ -36,6 +39,12 @@ class Block(NamedTuple):
     impulse: np.ndarray
     size_y: np.ndarray
     size_l: np.ndarray
+    residual: np.ndarray
+
+    @property
+    def stepped(self) -> np.ndarray:
+        """Which are by time steps (K)."""
+        return ~np.isnan(self.residual)
 
     @property
     def end(self) -> np.ndarray:
@@ -46,9 +55,15 @@ class Block(NamedTuple):
     def of(cls, piece: Piece, size_y: list[float], size_l: list[float]) -> Block:
         """One piece."""
         impulse = (0.0,) * len(piece.codes) if piece.event is None else piece.event
-        given = (*piece[:6], piece.codes, piece.defect, piece.last, piece.event is not None, impulse, size_y, size_l)
-        kinds = [float] * 6 + [np.int8, float, float, bool, float, float, float]
+        residual = math.nan if piece.residual is None else piece.residual
+        given = (*piece[:8], piece.last, piece.event is not None, impulse, size_y, size_l, residual)
+        kinds = [float] * 6 + [np.int8, float, float, bool, float, float, float, float]
         return cls(*(np.array([value], kind) for value, kind in zip(given, kinds, strict=True)))
+
+    @classmethod
+    def joined(cls, blocks: Sequence[Block]) -> Block:
+        """One after the other."""
+        return blocks[0] if len(blocks) == 1 else cls(*(np.concatenate(arrays) for arrays in zip(*blocks, strict=True)))
 
     def cut(self, part: slice) -> Block:
         """Some of them."""
@@ -60,7 +75,8 @@ class Block(NamedTuple):
         for k in range(len(self.t)):
             codes, last, event = tuple(self.codes[k].tolist()), self.last[k].tolist(), tuple(self.impulse[k].tolist())
             series = self.x[k], self.l[k], self.y[k], codes, float(self.defect[k]), last, event if self.event[k] else None
-            found.append(Piece(float(self.t[k]), float(self.tau[k]), float(self.s[k]), *series))
+            residual = float(self.residual[k]) if self.stepped[k] else None
+            found.append(Piece(float(self.t[k]), float(self.tau[k]), float(self.s[k]), *series, residual))
         return found
 
 
@@ -143,10 +159,10 @@ class PieceRows:
         self._blocks.append(block)
         l, y = (block.l, block.y) if self._out is None else _expanded(self._out, block, self._names)
         self._shown.append((l, y))
-        until = np.repeat(before.until[None], len(block.t) + 1, axis=0)
+        whole = block.impulse.copy() if self.problem.impulses else np.zeros((len(block.t), len(before.until)))
         if self.problem.impulses:
-            whole = block.tau[:, None] * dense.integrals(l, (end - block.t) / block.tau)
-            until = np.cumsum(np.vstack([before.until[None], whole]), axis=0)
+            whole += block.tau[:, None] * dense.integrals(l, (end - block.t) / block.tau)
+        until = np.cumsum(np.vstack([before.until[None], whole]), axis=0)
         numbers = before.rows + np.arange(1, len(times) + 1)
         keep = numbers % self.every == 0
         if last and len(times):
@@ -155,7 +171,8 @@ class PieceRows:
         piece = np.minimum(np.searchsorted(end, t, side="left"), len(end) - 1)
         integral = until[piece]
         if self.problem.impulses:
-            integral = integral + block.tau[piece, None] * dense.integrals(l[piece], (t - block.t[piece]) / block.tau[piece])
+            part = block.tau[piece, None] * dense.integrals(l[piece], (t - block.t[piece]) / block.tau[piece])
+            integral = integral + (block.impulse[piece] + part)
         worst, rest = _worst(before.worst, block.defect, piece)
         self._rows.append(_Rows(t, piece + self.count, worst, integral))
         now = (float(t[-1]), integral[-1]) if len(t) else (before.t, before.integral)
@@ -175,9 +192,7 @@ class PieceRows:
         n, first = self.problem.states, int(self.starts)
         if not self._blocks:
             return self._start_alone() | self._lists(_nothing(self.problem, self.orders))
-        block = Block(
-            *(np.concatenate(arrays) if len(arrays) > 1 else next(iter(arrays)) for arrays in zip(*self._blocks, strict=True))
-        )
+        block = Block.joined(self._blocks)
         rows = _Rows(*(np.concatenate(arrays) for arrays in zip(*self._rows, strict=True)))
         lists = self._lists(block)
         t, number = np.concatenate([np.zeros(first), rows.t]), self.numbers
@@ -190,7 +205,8 @@ class PieceRows:
         before = math.nan if first else self._before.t
         arrays: dict[str, np.ndarray] = {
             "t": t, "x": full[:, :n], "multipliers": multipliers, "index_set": lists["piece_codes"][number],
-            "step": np.diff(t, prepend=before), "error_estimate": np.concatenate([np.zeros(first), rows.worst]),
+            "step": np.diff(t, prepend=before), "stepped": lists["piece_stepped"][number],
+            "error_estimate": np.concatenate([np.zeros(first), rows.worst]),
         }  # fmt: skip
         l, h, records = self._records(t, full, dense.polynomials(block.l[number], s))
         residual = self._residuals(l[first:], h[first:], block, rows.piece)
@@ -203,6 +219,7 @@ class PieceRows:
             if name in arrays:
                 arrays[name][:first] = np.nan
         arrays["index_set"][:first] = dense.UNKNOWN
+        arrays["stepped"][:first] = False
         return arrays | lists
 
     def _start_alone(self) -> dict[str, np.ndarray]:
@@ -212,7 +229,7 @@ class PieceRows:
         return {
             "t": np.zeros(1), "x": np.array(ca.DM(p.x0))[: p.states].T,
             **{name: np.full((1, shown), np.nan) for name in ("multipliers", "y")},
-            "index_set": np.full((1, p.l.numel()), dense.UNKNOWN, np.int8), **unknown,
+            "index_set": np.full((1, p.l.numel()), dense.UNKNOWN, np.int8), "stepped": np.zeros(1, bool), **unknown,
         }  # fmt: skip
 
     def _lists(self, block: Block) -> dict[str, np.ndarray]:
@@ -221,14 +238,20 @@ class PieceRows:
         return {
             "piece_start": block.t, "piece_unit": block.tau, "piece_x": np.ascontiguousarray(block.x), "piece_multipliers": l,
             "piece_y": y, "piece_codes": block.codes, "piece_event": block.event, "piece_impulse": block.impulse,
+            "piece_stepped": block.stepped,
         }  # fmt: skip
 
     def _residuals(self, l: np.ndarray, y: np.ndarray, block: Block, number: np.ndarray) -> np.ndarray:
         """How far each row is from its law where that is algebraic (y depends on l directly), beside the sizes of y and l."""
+        """How far each row is from its law where that is algebraic (y depends on l directly), beside the sizes of y and l.
+
+        Of a row by a time step it is the residual of that.
+        """
         codes, (lower, upper) = block.codes[number], self._law
         off = np.where(codes == 0, np.abs(y), np.maximum(codes * y, 0)) / np.maximum(block.size_y[number], 1e-300)
         out = np.maximum(np.maximum(lower - l, l - upper), 0) / np.maximum(block.size_l[number], 1e-300)
-        return (np.maximum(off, out) * self._direct).max(axis=1, initial=0.0)
+        of_law = (np.maximum(off, out) * self._direct).max(axis=1, initial=0.0)
+        return np.where(block.stepped[number], block.residual[number], of_law)
 
     def _records(self, t: np.ndarray, x: np.ndarray, l: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
         """What the law speaks of, l and h, and the columns that are expressions of t, x and l: y, and those of the class."""
@@ -277,7 +300,7 @@ def _nothing(p: ContinuousProblem, orders: int) -> Block:
     n, m = p.x.numel(), p.l.numel()
     none, rows, series = np.zeros(0), np.zeros((0, m)), np.zeros((0, m, orders + 1))
     x, codes, event = np.zeros((0, n, orders + 1)), np.zeros((0, m), np.int8), np.zeros(0, bool)
-    return Block(none, none, none, x, series, series, codes, none, np.zeros((0, n)), event, rows, rows, rows)
+    return Block(none, none, none, x, series, series, codes, none, np.zeros((0, n)), event, rows, rows, rows, none)
 
 
 def _outputs(p: ContinuousProblem, orders: int) -> Expansion | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -134,6 +135,17 @@ class OverGrid:
     def h(self) -> float:
         """h_k."""
         return self.grid.step(self.k)
+
+
+def noting_known_times(plan: Plan, model: Model, *, ends: bool) -> Plan:
+    """The plan with what steps do at ``switch_times``: whether one ends at each."""
+    count = len(model.switch_times)
+    if not count:
+        return plan
+    if ends:
+        return replace(plan, used=(*plan.used, f"a step ends at each of {count} known times (switch_times)"))
+    left = f"{count} known times (switch_times): the points of a grid are not moved to them; give rtol, or steps that end there"
+    return replace(plan, left_out=(*plan.left_out, left))
 
 
 # -- failures ----------------------------------------------------------------------------------------------------------

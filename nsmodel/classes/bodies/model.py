@@ -173,7 +173,7 @@ class ManyBodies(Model):
                 if family.second is not None:
                     other = ca.vertcat(q[j], numbers[j]) if family.of_pairs else ca.SX(family.second.group.table[j])
                 rows[f"{name} {i}" if j < 0 else f"{name} {i}-{j}"] = g(self.t, self.p, one, other)
-        shared = {key: getattr(self, key) for key in ("t_end", "step", "steps", "exact", "title")}
+        shared = {key: getattr(self, key) for key in ("t_end", "step", "steps", "switch_times", "exact", "title")}
         units = {name: unit for name, unit in self.units.items() if name in ("t", *self.stems, *(self.names or ()))}
         scene = self.scene and {key: self.scene[key] for key in ("radii", "walls") if key in self.scene}
         f = ca.vertcat(*(own(self.t, self.p, ca.vertcat(q[i], numbers[i])) for i in range(n)))

@@ -1,5 +1,5 @@
 
-/* Steps chosen by local error control: the rules, the names and the order of operations are those of nsmodel/adaptive.py. */
+/* Steps chosen by local error control: the rules, the names and the order of operations are those of nsmodel/run/controlled.py. */
 #if VELOCITY
 #define WATCHED (2*MODEL_NX)
 #else
@@ -25,7 +25,10 @@ typedef struct {
 
 long model_control_size(void) { return (long)sizeof(model_control); }
 
-static double time_at(const model_control *c, double t) { return ldexp(t, -(int)c->least - 1)*c->T; }
+static double time_at(const model_control *c, double t)
+{
+    return c->start + ldexp(t, -(int)c->least - 1)*c->length;
+}
 
 /* One step as a result; 0 where it is not certified. */
 static int take(model_solver *s, double t, double h, const double *x, const double *l, const signed char *index, model_result *r)
@@ -125,7 +128,7 @@ static int extrapolate(model_solver *s, const model_control *c, double end, cons
     }
 #if CLOSING
     model_result closing;
-    if (!take(s, time_at(c, end - 1), ldexp(c->T, -(int)c->least - 1), x, fine->l, fine->index, &closing))
+    if (!take(s, time_at(c, end - 1), ldexp(c->length, -(int)c->least - 1), x, fine->l, fine->index, &closing))
         return 0;
     memcpy(x, closing.x, sizeof closing.x);
 #else
@@ -151,7 +154,7 @@ long model_adapt(model_solver *s, model_control *c, long room, double number, do
     while (c->t < last && row + 2 <= room) {
         if (++tried % LOOK == 0 && is_over(start, seconds))
             return row;
-        const double h = ldexp(c->T, -(int)c->j), halves = ldexp(1.0, (int)(c->least - c->j));
+        const double h = ldexp(c->length, -(int)c->j), halves = ldexp(1.0, (int)(c->least - c->j));
         double *at = rows + (long)@WIDTH@*row, x[MODEL_NSTATE];
         memcpy(x, c->x, sizeof x);
         if (!known && !take(s, time_at(c, c->t), h, x, c->l, before, &coarse))

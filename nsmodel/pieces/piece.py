@@ -1,0 +1,33 @@
+"""A piece of a run: polynomials of x, l and y in one mode, and what is known of them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Piece(NamedTuple):
+    """x, l and y on t + tau [0, s], as coefficients of (time - t)/tau: (n, p + 1), (m, p + 1), (m, p + 1); ``codes`` of the rows.
+
+    ``last`` is x at the end, to rounding on what ends the piece; ``event`` is None where the mode goes on as before, else the
+    impulse p of the jump that the piece begins after, 0 where there is none. ``residual`` is that of a verified time step where
+    the piece is one: x on a straight line, l and y constant; else None.
+    """
+
+    t: float
+    tau: float
+    s: float
+    x: np.ndarray
+    l: np.ndarray
+    y: np.ndarray
+    codes: tuple[int, ...]
+    defect: float
+    last: list[float]
+    event: tuple[float, ...] | None
+    residual: float | None = None
+
+    @property
+    def end(self) -> float:
+        """The last time."""
+        return self.t + self.tau * self.s

@@ -1,0 +1,228 @@
+"""A stretch by time stepping: verified steps of backward Euler under error control, from where no mode goes on.
+
+    x1 = x + h (f + g)(t + h, x1, l),   y = h(t + h, x1, l),   -y ∈ N_K(l)
+
+is the continuous problem itself, taken once with h and again as two steps of h/2. With d = x_fine - x_coarse, between switches
+(one index set from the step before to the end) x_fine + d is of second order where it keeps the law, and errs by about
+|d - d_before (h/h_before)^2|; across a switch x_fine errs by |d| or by how far the path bends. Steps are powers of two, and end
+at known times. At the least step, where a velocity may jump, d is compared a step later.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.errors import StepError
+from nsmodel.pieces.defect import equations
+from nsmodel.pieces.known import next_known
+from nsmodel.pieces.lengths import unit
+from nsmodel.pieces.piece import Piece
+from nsmodel.scheme.continuous import ContinuousProblem
+from nsmodel.scheme.problem import OneStepProblem
+from nsmodel.solve.build import Stepper
+from nsmodel.solve.stepper import StepResult, Warm
+
+BUDGET = 100_000  # Steps of a run, over all of its stretches.
+STRICT, TENFOLD = 20_000, 5_000  # Steps from which on more error is allowed, and after which it is ten times as much.
+SMOOTH, SWITCH = 0.1, 0.1  # Of rtol: a smooth step may err by this share times h/t, one across a switch by this.
+GROW = 0.5  # A step is doubled where the error expected of it stays below this part of what is allowed.
+FIRST, LEAST, LARGEST = 20, 40, 6  # Steps in 2^-j of the time so far: the first, the least, the largest.
+NEGLIGIBLE = 1e-6  # A state below this part of the largest is measured beside that.
+FINEST = 1e-11  # Tolerance of a step's residual, at the least.
+PREPARED = 2.0**-10  # The step that the stepper is built for; it takes others all the same.
+
+
+@dataclass
+class Stand:
+    """Where a stretch stands, as lists and numbers: time, state, multipliers, index set; the next step, and the time so far as a
+    power of two; where the stretch began; the rate of x in the last half step; d and h of the last step where it was smooth; the
+    steps of the stretch; the sum of the errors of its steps, in units of rtol.
+    """
+
+    t: float
+    x: list[float]
+    l: list[float]
+    index: list[int]
+    h: float
+    scale: float
+    begin: float
+    rate: list[float] | None = None
+    d: list[float] | None = None
+    of_h: float = 0.0
+    own: int = 0
+    error: float = 0.0
+
+
+class Trial(NamedTuple):
+    """A step both ways: where it ends, its error in units of rtol, whether it is smooth, d."""
+
+    half: StepResult
+    fine: StepResult
+    end: np.ndarray
+    error: float
+    smooth: bool
+    d: np.ndarray
+
+
+class Stretches:
+    """The steps of a problem: ``begin`` a stretch, ``advance`` it; ``stand`` is where, None between stretches."""
+
+    def __init__(
+        self, problem: ContinuousProblem, rtol: float, atol: list[float], tolerance: float, known: Sequence[float],
+        sizes: list[float], width: int,
+    ) -> None:  # fmt: skip
+        """``sizes``: the largest of each x so far, brought up to date; ``width``: coefficients of a row of a piece."""
+        self.problem, self.rtol, self.atol, self.known = problem, rtol, np.array(atol), known
+        self.tolerance = max(FINEST, min(tolerance, rtol / 10))
+        self.sizes, self.width, self.steps = sizes, width, 0
+        self.stand: Stand | None = None
+
+    @cached_property
+    def _stepper(self) -> Stepper:
+        x0 = np.array(ca.DM(self.problem.x0)).ravel()
+        return Stepper(backward_euler(self.problem), "auto", self.tolerance, h=PREPARED, state=x0, few_steps=False)
+
+    @cached_property
+    def _equations(self):
+        return equations(self.problem)
+
+    def begin(self, t: float, x: list[float], l: list[float], codes: list[int], tau: float) -> Stand:
+        """Begin a stretch at a state."""
+        scale = unit(max(t, tau))
+        inside = np.clip(l, self._stepper.law.lower, self._stepper.law.upper).tolist()
+        self.stand = Stand(t, list(x), inside, list(codes), math.ldexp(scale, -FIRST), scale, t)
+        return self.stand
+
+    def standing(self) -> dict[str, Any]:
+        """What the next steps depend on."""
+        return {"steps": self.steps, "stand": None if self.stand is None else asdict(self.stand)}
+
+    def take_up(self, saved: dict[str, Any]) -> None:
+        """Take up what ``standing`` gave."""
+        self.steps, stand = saved["steps"], saved["stand"]
+        self.stand = None if stand is None else Stand(**stand)
+
+    def advance(self, at: Stand) -> list[Piece]:
+        """Take one step, as two pieces: straight lines of x, constant l and y.
+
+        Raises:
+            StepError: a step has no verified answer however short, or the budget is used up.
+        """
+        if self.steps >= BUDGET:
+            raise StepError(f"t = {at.t:.10g}: the {BUDGET:,} time steps that a run may take where no mode goes on are used up")
+        looser = 10.0 ** max(0.0, (self.steps - STRICT) / TENFOLD)
+        coarse = None
+        while True:
+            h = min(at.h, math.ldexp(at.scale, -LARGEST), self._to_known(at.t))
+            least = h <= math.ldexp(at.scale, -LEAST)
+            trial = self._trial(at, h, coarse, least)
+            allowed = looser * (SMOOTH * h / (at.t + h) if trial is not None and trial.smooth else SWITCH)
+            if trial is not None and (trial.error <= allowed or least):
+                return self._accepted(at, h, trial, allowed)
+            if least:
+                raise StepError(f"t = {at.t:.10g}: no verified step goes on from here")
+            at.h = unit(h) / 2
+            coarse = trial.half if trial is not None and at.h == h / 2 else None
+
+    def _to_known(self, t: float) -> float:
+        return next_known(self.known, t) - t
+
+    def _step(self, t: float, h: float, x: np.ndarray, warm: Warm) -> StepResult:
+        with np.errstate(all="ignore"):
+            try:
+                return self._stepper(t, h, x, warm)
+            except (ArithmeticError, np.linalg.LinAlgError, RuntimeError) as error:
+                raise StepError(f"t = {t:.10g}: {error}") from error
+
+    def _trial(self, at: Stand, h: float, coarse: StepResult | None, least: bool) -> Trial | None:
+        """The step both ways; None where a step has no answer."""
+        state, x = self._stepper.layout.state, np.array(at.x)
+        warm = Warm(np.array(at.l), np.array(at.index, np.int8))
+        try:
+            coarse = self._step(at.t, h, x, warm) if coarse is None else coarse
+            half = self._step(at.t, h / 2, x, warm)
+            fine = self._step(at.t + h / 2, h / 2, half.row[state], half.warm)
+            smooth = all(np.array_equal(one.warm.index, at.index) for one in (coarse, half, fine)) and at.own > 0
+            d = fine.row[state] - coarse.row[state]
+            if not smooth and least:
+                d = self._a_step_later(at.t + h, h, coarse, fine)
+        except StepError:
+            return None
+        end, off = fine.row[state], np.abs(d)
+        if smooth and (better := self._extrapolated(at.t + h, end + d, fine)) is not None:
+            end = better
+            if at.d is not None:
+                off = np.abs(d - np.array(at.d) * (h / at.of_h) ** 2)
+        elif not least:
+            moved = half.row[state] - x
+            before = moved if at.rate is None else h / 2 * np.array(at.rate)
+            off = np.fmax(off, np.fmax(np.abs(end - x - 2 * moved), np.abs(moved - before)))
+        return Trial(half, fine, end, self._units(off, end), smooth, d)
+
+    def _a_step_later(self, t: float, h: float, coarse: StepResult, fine: StepResult) -> np.ndarray:
+        """X_fine - x_coarse after one more step."""
+        state = self._stepper.layout.state
+        coarse = self._step(t, h, coarse.row[state], coarse.warm)
+        half = self._step(t, h / 2, fine.row[state], fine.warm)
+        return self._step(t + h / 2, h / 2, half.row[state], half.warm).row[state] - coarse.row[state]
+
+    def _extrapolated(self, t: float, x: np.ndarray, fine: StepResult) -> np.ndarray | None:
+        """X where every y that is let go keeps its sign."""
+        y = self._equations(t, x.tolist(), fine.row[self._stepper.layout.l].tolist())[1]
+        return x if (fine.warm.index * y <= 0).all() else None
+
+    def _units(self, off: np.ndarray, x: np.ndarray) -> float:
+        """The largest of the errors in units of what is allowed."""
+        size = np.maximum(self.sizes, np.abs(x))
+        allowed = self.rtol * np.maximum(size, NEGLIGIBLE * size.max(initial=0.0)) + self.atol
+        units = np.divide(off, allowed, out=np.where(off > 0, np.inf, 0.0), where=allowed > 0)
+        return float(np.nan_to_num(units, nan=np.inf).max(initial=0.0))
+
+    def _accepted(self, at: Stand, h: float, trial: Trial, allowed: float) -> list[Piece]:
+        """Move on, and the two pieces."""
+        state = self._stepper.layout.state
+        middle, x = trial.half.row[state], np.array(at.x)
+        end = at.t + h
+        known = next_known(self.known, at.t)
+        if h == known - at.t:
+            end = known
+        pieces = [
+            self._piece(at.t, at.t + h / 2, x, middle, trial.half, 0.0),
+            self._piece(at.t + h / 2, end, middle, trial.end, trial.fine, trial.error),
+        ]
+        smooth = trial.smooth and end not in self.known
+        at.rate, at.d, at.of_h = ((trial.end - middle) / (h / 2)).tolist(), trial.d.tolist() if smooth else None, h
+        at.t, at.x, at.l = end, trial.end.tolist(), trial.fine.row[self._stepper.layout.l].tolist()
+        at.index, at.error, at.own = trial.fine.warm.index.tolist(), at.error + trial.error, at.own + 1
+        self.sizes[:] = np.maximum(self.sizes, np.abs(trial.end)).tolist()
+        self.steps += 1
+        at.scale = max(at.scale, unit(end))
+        if 8 * trial.error <= GROW * allowed:
+            at.h = min(2 * at.h, math.ldexp(at.scale, -LARGEST))
+        return pieces
+
+    def _piece(self, t: float, end: float, x: np.ndarray, z: np.ndarray, result: StepResult, error: float) -> Piece:
+        layout, row = self._stepper.layout, result.row
+        tau = unit(end - t)
+        s = (end - t) / tau
+        line, l, y = (np.zeros((count, self.width)) for count in (x.size, row[layout.l].size, row[layout.y].size))
+        line[:, 0], line[:, 1], l[:, 0], y[:, 0] = x, (z - x) / s, row[layout.l], row[layout.y]
+        codes = tuple(result.warm.index.tolist())
+        return Piece(t, tau, s, line, l, y, codes, error, z.tolist(), None, float(row[layout.residual]))
+
+
+def backward_euler(p: ContinuousProblem) -> OneStepProblem:
+    """One implicit step of the continuous problem."""
+    h, state, x = ca.SX.sym("h"), ca.SX.sym("x_k", p.x.numel()), ca.SX.sym("x", p.x.numel())
+    rate, y = ca.substitute([p.f + p.g, p.h], [p.t, p.x], [p.t + h, x])
+    return OneStepProblem(
+        scheme="backward Euler", t=p.t, h=h, state=state, p=p.p, z=x, l=p.l, y=ca.SX.sym("y", p.l.numel()),
+        E=x - state - h * rate, Y=y, law=p.law, rows=p.rows, guess=state, next_state=x,
+    )  # fmt: skip
