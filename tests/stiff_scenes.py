@@ -33,6 +33,7 @@ class Arcs:
             start += length
             self.events.append(float(start))
 
+    @mp.workdps(15)  # Whatever other tests have set.
     def closed(self, mode):
         """(rates, vectors, inverse of these, conditions) of X = (x, 1): X' = closed X, conditions X >= 0."""
         if mode in self.known:

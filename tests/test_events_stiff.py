@@ -77,7 +77,7 @@ def against(model, exact, rtols, t_end):
     return min(map(collocated, runs))
 
 
-@pytest.mark.parametrize("seed", range(max(5, MANY // 4)))
+@pytest.mark.parametrize("seed", range(15 if MANY >= 400 else 5))
 def test_random_passive_systems(seed):
     """Rates from 1 to 1e6 in all directions; relays that slide, complementarity, one and two rows."""
     fastest = (1.0, 3.0, 4.5, 6.0)[seed // 5 % 4]
