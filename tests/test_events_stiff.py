@@ -197,3 +197,4 @@ def test_what_is_proved_of_them_is_true():
 def test_it_is_told():
     run = simulate(event_scenes.stiff_relay(1e3), rtol=1e-4)
     assert run.summary()["event_driven"]["collocated"] == collocated(run) > 0
+    assert any("Radau IIA" in line for line in run.metadata["used"])
