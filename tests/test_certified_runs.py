@@ -203,7 +203,7 @@ def test_refused_by_name(options, words):
 
 def test_what_is_not_event_driven_is_refused():
     with pytest.raises(UsageError, match="not event-driven"):
-        simulate(nsmodel.load(CASES / "friction_chain.py"), rtol=1e-4, certify="interval", compiled=True)
+        simulate(nsmodel.load(CASES / "evacuation.py"), rtol=1e-4, certify="interval", compiled=True)
 
 
 # -- the global error

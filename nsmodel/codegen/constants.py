@@ -32,16 +32,16 @@ OF_STEPS: Mapping[str, str] = {
 }
 OF_BODIES: Mapping[str, str] = {"solve.certificate": "REACH", "solve.near": "FARTHER", "codegen.statuses": "READY"}
 OF_PIECES: Mapping[str, str] = {
-    "pieces.integrator": "LEAST_RTOL ROOM SHORTENINGS AROUND STARTS TOO_SHORT",
-    "pieces.accumulation": "TINY_PIECES TINY MANY FASTER",
+    "pieces.integrator": "LEAST_RTOL ROOM SHORTENINGS CAUTION UNITS OCTAVES LONGER STUMP PROJECTIONS AROUND STARTS TOO_SHORT",
+    "pieces.accumulation": "TINY_PIECES TINY MANY FASTER SPACINGS",
     "pieces.modes": "GERM ORDERS CLEAR HALF PACES HALVED PIVOTS TOGETHER FEW APART",
     "pieces.switches": "TIE",
-    "pieces.bernstein": "NONE NARROW",
-    "pieces.roots": "POLISHING NEAR TOUCH TAIL LOST",
-    "pieces.lengths": "LOCAL ROUGHEST LONGEST MULTIPLIERS SMALL",
+    "pieces.bernstein": "NONE NARROW ITERATIONS EXACT",
+    "pieces.roots": "POLISHING POLISHED ON_ONE NEAR TOUCH PAST TAIL LOST",
+    "pieces.lengths": "LOCAL ROUGHEST LONGEST MULTIPLIERS PASSES FIRST SMALL",
     "pieces.defect": "SEEN SEEN_ROW",
-    "pieces.multipliers": "SINGULAR MOST_MINORS SHORT",
-    "pieces.system": "NEWTON SETTLED AT_ZERO STAYS",
+    "pieces.multipliers": "SINGULAR MOST_MINORS BALANCING NOTHING SHORT",
+    "pieces.system": "NEWTON SETTLED LITTLE AT_ZERO STAYS",
     "pieces.stiff": "WORTH SMOOTH",
     "codegen.statuses": "READY",
 }

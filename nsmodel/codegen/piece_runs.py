@@ -56,10 +56,7 @@ class PiecesInC:
         self.at, self.before = self._memory.view(np.uint8)[: 2 * layout.itemsize].view(layout)
         self._begin = library.function("begin", ctypes.c_int, _POINTER, _NUMBER, _POINTER, ctypes.c_int)
         self._many = library.function("many", _WHOLE, _POINTER, _NUMBER, _WHOLE, _POINTER, _POINTER)
-        self._columns = library.function("columns", None, _POINTER, _WHOLE, _POINTER, _POINTER)
-        self._rows = library.function(
-            "rows", None, _POINTER, ctypes.c_int, _WHOLE, _POINTER, _POINTER, *[ctypes.c_int] * 2, _POINTER
-        )
+        self._told = library.function("told", None, _POINTER, _WHOLE, _POINTER, _POINTER)
         self.width = library.function("width", _WHOLE, ctypes.c_int)(self.order)
         self._status = ctypes.c_int()
 
@@ -79,7 +76,7 @@ class PiecesInC:
     def columns(self, given: np.ndarray, count: int) -> np.ndarray:
         """The columns of a trajectory that are expressions of t, x and l; ``given``: these, a row each."""
         given, out = np.ascontiguousarray(given), np.empty((len(given), count))
-        self._columns(self._solver, len(given), given.ctypes.data, out.ctypes.data)
+        self._told(self._solver, len(given), given.ctypes.data, out.ctypes.data)
         return out
 
 

@@ -22,6 +22,7 @@ from nsmodel.model.base import Model
 from nsmodel.model.expressions import derivatives
 from nsmodel.pieces.jets import jets_of
 from nsmodel.pieces.lengths import LARGEST_ORDER
+from nsmodel.pieces.modes import ORDERS
 from nsmodel.pieces.multipliers import SHORT, SINGULAR
 from nsmodel.proof.sure import sure
 from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven
@@ -133,7 +134,7 @@ class PieceScene:
         kept = 1 if not {"MATRICES"} <= self.flags or "SLOPES" in self.flags else int(np.clip(KEPT_BYTES // (24 * m * m), 2, 16))
         return {
             "N": n, "M": m, "NP": len(self.values), "CHOICES": columns.choices, "ORDERS": LARGEST_ORDER, "KEPT": kept,
-            "COLUMNS": columns.count + outputs, "T": n + 2 * m, "H": columns.count if outputs else n + m,
+            "GERM": ORDERS + 1, "COLUMNS": columns.count + outputs, "T": n + 2 * m, "H": columns.count if outputs else n + m,
         }  # fmt: skip
 
 
@@ -251,7 +252,6 @@ def _own(scene: PieceScene) -> str:
     given = {"f": ", double factor, double *restrict next"}
     parts += [printer.text(targets[name], given.get(name, "")) for name, printer in scene.printers.items() if m or name == "f"]
     given = {"t": p.t, "x": p.x, "l": p.l} | ({"s->p": p.p} if p.p.numel() else {})
-    given = {key: value for key, value in given.items()}
     parts.append(_printed("equations", given, {"rate": p.f + p.g, "y": p.h}))
     if "SLOPES" in flags:
         parts.append(_printed("slopes", given, dict(zip("BDC", scene.slopes, strict=True))))

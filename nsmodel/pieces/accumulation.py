@@ -7,6 +7,7 @@ from typing import Any
 
 TINY_PIECES, TINY = 50, 1e-13  # So many pieces one after the other that are so short: switches accumulate.
 MANY, FASTER = 4096, 0.6  # Events from which on they are asked whether they accumulate; see `Accumulation.grows`.
+SPACINGS = 5  # Between events n and n/2, n/2 and n/4, ... that are compared.
 
 
 class Accumulation:
@@ -33,7 +34,7 @@ class Accumulation:
         times.append(t)
         if n < MANY:
             return False
-        spacing = [2 * (times[-1 - k] - times[-2 - k]) / (n >> k) for k in range(5)]
+        spacing = [2 * (times[-1 - k] - times[-2 - k]) / (n >> k) for k in range(SPACINGS)]
         return all(late < FASTER * early for late, early in itertools.pairwise(spacing))
 
     def standing(self) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from math import comb
 
 NONE = 2.0  # Of a root, where there is none.
 NARROW = 1e-13  # Two roots that are as near as this are one.
+ITERATIONS, EXACT = 80, 2e-16  # Of Newton's method, and when a root is known.
 
 
 def value(c: list[float], s: float) -> float:
@@ -73,7 +74,7 @@ def _halves(b: list[float]) -> tuple[list[float], list[float]]:
 def _simple(c: list[float], low: float, high: float) -> float:
     """The root between c(low) > 0 > c(high): Newton's method, kept inside by halving."""
     s = (low + high) / 2
-    for _ in range(80):
+    for _ in range(ITERATIONS):
         v, d = value(c, s), slope(c, s)
         if v == 0:
             return s
@@ -81,7 +82,7 @@ def _simple(c: list[float], low: float, high: float) -> float:
         new = s - v / d if d else low
         if not low < new < high:
             new = (low + high) / 2
-        if abs(new - s) <= 2e-16 * high:
+        if abs(new - s) <= EXACT * high:
             return new
         s = new
     return s

@@ -11,6 +11,7 @@ import numpy as np
 from nsmodel.pieces.bernstein import slope, value
 from nsmodel.pieces.lengths import MULTIPLIERS
 from nsmodel.pieces.modes import Place
+from nsmodel.pieces.multipliers import NOTHING
 from nsmodel.pieces.system import System
 from nsmodel.proof.buffered import attached
 from nsmodel.scheme.continuous import ContinuousProblem
@@ -59,5 +60,5 @@ def defect(system: System, place: Place, of: Equations, s: float, p: int, rtol: 
         for i in held:
             if y[i]:
                 size = max(sizes.y[i], system.terms(i, x, l))
-                worst = max(worst, (abs(y[i]) - SEEN_ROW * size) / (MULTIPLIERS * rtol * size + 1e-300))
+                worst = max(worst, (abs(y[i]) - SEEN_ROW * size) / (MULTIPLIERS * rtol * size + NOTHING))
     return float(worst)

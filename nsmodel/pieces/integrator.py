@@ -33,7 +33,10 @@ from nsmodel.scheme.continuous import ContinuousProblem
 
 LEAST_RTOL = 1e-14
 ROOM = 1.3  # By which the next piece may be longer than the last without another unit of time.
-SHORTENINGS, JUMPS = 30, 2  # Of a piece; at one time.
+SHORTENINGS, CAUTION, JUMPS = 30, 0.9, 2  # Of a piece, and the share of the length that its error allows; at one time.
+UNITS, OCTAVES = 60, 6  # Units of time that are tried where a series overflows, and how much shorter each is.
+LONGER, STUMP = 8, 1e-6  # The unit of time after an event, in pieces; of the unit before: a piece too short to tell.
+PROJECTIONS = 3  # Iterations.
 AROUND = 4  # Order of the expansions at an event.
 STARTS, TOO_SHORT = 8, 0.05  # First units of time that are tried; a piece that is shorter than this one asks for another.
 
@@ -41,14 +44,17 @@ STARTS, TOO_SHORT = 8, 0.05  # First units of time that are tried; a piece that 
 class Integrator:
     """A problem as it is integrated: ``advance()`` returns the next piece.
 
+    ``known_times``, increasing: each ends a piece, and the mode is decided anew for the data after it; ``residuals``: whether
+    x' - f - g of stiff pieces is itself to be within rtol, as a proof of the pieces asks.
     ``unique``: how often the mode was shown to be the only one, by verdict; ``touches``: conditions that came to 0 and went back;
     ``redundant``: pieces whose l is one of several.
     """
 
     def __init__(
-        self, problem: ContinuousProblem, rtol: float, atol: list[float] | None = None, known_times: Sequence[float] = ()
-    ) -> None:
-        """``known_times``, increasing: each ends a piece, and the mode is decided anew for the data after it."""
+        self, problem: ContinuousProblem, rtol: float, atol: list[float] | None = None, known_times: Sequence[float] = (),
+        *, residuals: bool = False,
+    ) -> None:  # fmt: skip
+        """See `Integrator`."""
         self.problem, self.rtol, self.known_times = problem, LOCAL * min(rtol, ROUGHEST), known_times
         self.order = order_of(rtol)
         self.system = System(problem, self.order)
@@ -57,7 +63,7 @@ class Integrator:
         self.place = Place(0.0, x0, 1.0, [0] * system.m)
         self.sizes = system.sizes
         self._equations = equations(problem)
-        self.stiff = Stiff(system, self.order, min(rtol, ROUGHEST), self.atol)
+        self.stiff = Stiff(system, self.order, min(rtol, ROUGHEST), self.atol, residuals=residuals)
         self.accumulation = Accumulation()
         self._begun: tuple[float, ...] | None = None  # The event that the next piece begins with.
         self.stopped: str | None = None  # Why no piece follows.
@@ -107,7 +113,8 @@ class Integrator:
             self._hold(how)
             place.tau = place.tau if found else unit(ROOM * (tau * s))
             return piece
-        place.tau = unit(min(longest, 8 * (tau * s)) if hit is not None and s > 1e-6 else longest)  # Else coefficients grow.
+        # In a unit that is longer than a mode's own time coefficients grow.
+        place.tau = unit(longest if hit is None or s <= STUMP else min(longest, LONGER * (tau * s)))
         self.stiff.restart()
         try:
             if hit is None:
@@ -131,7 +138,7 @@ class Integrator:
             error = LOCAL * defect(system, place, self._equations, end, p, self.rtol, self.atol)
             if error <= 1:
                 return hit, end, error
-            s = end * min(0.5, 0.9 * error ** (-1 / p))
+            s = end * min(0.5, CAUTION * error ** (-1 / p))
             if place.t + place.tau * s == place.t:
                 break
         raise StepError(f"t = {place.t:.10g}: x' = f + g, y = 0 is missed by {error:.3g} times rtol, however short the piece")
@@ -187,13 +194,13 @@ class Integrator:
     def _expand(self, orders: int) -> Solve:
         """The coefficients at the place, in a unit of time in which they are of one size."""
         system, place = self.system, self.place
-        for _ in range(60):
+        for _ in range(UNITS):
             how = system.expand(place.t, place.x, place.codes, place.tau, orders)
             if how is None:
                 raise self._stuck("any more")
             if all(math.isfinite(row[orders]) for row in system.x):
                 return how
-            place.tau = math.ldexp(place.tau, -6)
+            place.tau = math.ldexp(place.tau, -OCTAVES)
         raise StepError(f"t = {place.t:.10g}: f, g or h has no number, or no Taylor series, here")
 
     # -- events
@@ -279,7 +286,7 @@ class Integrator:
     def _project(self, rows: tuple[int, ...]) -> None:
         """Move x so that what no l acts on directly is 0 in ``rows``, by Newton's method along the least motion."""
         system, place = self.system, self.place
-        for _ in range(3):
+        for _ in range(PROJECTIONS):
             held, slope = system.held(rows)
             if not held.any():
                 return

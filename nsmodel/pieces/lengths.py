@@ -12,6 +12,8 @@ LARGEST_ORDER = 30
 LOCAL, ROUGHEST = 0.01, 1e-3  # A piece errs by this share of rtol, and of no more than this.
 LONGEST = 32.0  # In units of time: a piece that would be longer begins anew in another unit.
 MULTIPLIERS = 100.0  # l and y are asked for to so many times rtol.
+PASSES = 3  # In which sizes on the piece and its length settle.
+FIRST = 0.1  # By which share of their size states may move in the first unit of time.
 SMALL = 1e-3  # Rows of y and l below this share of the largest are measured beside that share.
 
 
@@ -31,7 +33,7 @@ def length(system: System, codes: list[int], how: Solve, p: int, rtol: float, at
             row, orders, size = system.y[i], p, max(sizes.y[i], y_floor)
         rows.append((row, orders, MULTIPLIERS * rtol, size, 0.0))
     s = 0.0
-    for _ in range(3):
+    for _ in range(PASSES):
         s = _shortest(rows, s)
     return s
 
@@ -42,7 +44,7 @@ def first_unit(system: System, t: float, x: list[float], tau: float) -> float:
     for row, v in zip(system.x, x, strict=True):
         row[0] = v
     rates = [abs(v) / abs(a) for v, a in zip(system.parts["f"].order(0), x, strict=True) if a and math.isfinite(v)]
-    return unit(0.1 / max(rates)) if max(rates, default=0.0) > 0 else tau
+    return unit(FIRST / max(rates)) if max(rates, default=0.0) > 0 else tau
 
 
 def unit(tau: float) -> float:

@@ -10,6 +10,8 @@ import numpy as np
 Rows = list[list[float]]
 SINGULAR = 1e-11  # Singular values below this share of the largest, of matrices in their best units, are 0.
 MOST_MINORS = 8  # Rows of a matrix whose principal minors are all looked at.
+BALANCING = 4  # Passes that bring the entries of a matrix near 1.
+NOTHING = 1e-300  # Beside what may be 0, where it divides.
 SHORT = 1e-6  # W counts beside D as in a step of this share of the time in which they are equal.
 
 
@@ -67,7 +69,7 @@ def generalised_inverse(A: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
 def _units(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Factors of rows and columns that bring the largest entries near 1 (Ruiz)."""
     r, c = np.ones(len(A)), np.ones(A.shape[1])
-    for _ in range(4):
+    for _ in range(BALANCING):
         S = np.abs(A) * r[:, None] * c
         rows, columns = S.max(axis=1), S.max(axis=0)
         r /= np.sqrt(np.where(rows > 0, rows, 1))

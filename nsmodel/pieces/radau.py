@@ -72,11 +72,19 @@ class Start(NamedTuple):
     slopes: list[np.ndarray]
 
 
-class Radau:
-    """Pieces of a system by Radau IIA; ``stages``: half as many as a series has orders, an odd number."""
+def stages_of(order: int) -> int:
+    """Half as many as a series has orders, an odd number."""
+    return 2 * (order // 4) + 1
 
-    def __init__(self, system: System, order: int) -> None:
-        self.system, self.stages = system, 2 * (order // 4) + 1
+
+class Radau:
+    """Pieces of a system by Radau IIA.
+
+    ``residuals``: whether x' - f - g itself is to be within what is allowed, and not only what it does to the state.
+    """
+
+    def __init__(self, system: System, order: int, *, residuals: bool) -> None:
+        self.system, self.stages, self.residuals = system, stages_of(order), residuals
 
     @cached_property
     def table(self) -> Collocation:
@@ -164,6 +172,8 @@ class Radau:
         free = [i for i in range(len(start.l)) if i not in held]
         size = np.maximum(sizes.x, np.abs(fit.x).max(axis=0, initial=0.0))
         errors = [_beside(np.abs(off[:, :n]) * of.weights[:, None], size, rtol * size + atol)]
+        if self.residuals:
+            errors.append(_beside(np.abs(missed[:, :n]) * of.weights[:, None], size, rtol * size + atol))
         for e, values, so_far in (
             (off[:, n:], fit.l[:, held], np.array(sizes.l)[held]),
             ((y - h)[:, free], fit.y[:, free], np.array(sizes.y)[free]),

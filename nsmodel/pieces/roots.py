@@ -12,7 +12,8 @@ from nsmodel.pieces.switches import TIE, Condition, conditions, size
 from nsmodel.pieces.system import System
 
 POLISHING, NEAR = 6, 0.1  # Expansions at the event, and how far from it in units of time they may go.
-TOUCH = 4.0
+POLISHED, ON_ONE = 1e-3, 3  # Of a tie: what is no more is on the event; steps of Newton's method on one expansion.
+TOUCH, PAST = 4.0, 3  # How deep a touch may be, in ties; how many of its half lengths lead out of it.
 TAIL, LOST = 2, 1e-2  # Coefficients that tell a truncation, and the share of the largest that is too much for a root.
 
 
@@ -63,10 +64,10 @@ def polish(
             return how, None
         c = own.coefficients()
         scale = max(size(system, own), *map(abs, c))
-        if abs(c[0]) <= 1e-3 * TIE * scale or c[1] == 0 or not abs(c[0] / c[1]) < NEAR:
+        if abs(c[0]) <= POLISHED * TIE * scale or c[1] == 0 or not abs(c[0] / c[1]) < NEAR:
             return how, own
         d = -c[0] / c[1]
-        for _ in range(3):
+        for _ in range(ON_ONE):
             e = slope(c, d)
             d -= value(c, d) / e if e and abs(value(c, d) / e) < NEAR else 0.0
         place.x = [value(row[: orders + 1], d) for row in system.x]
@@ -84,7 +85,7 @@ def beyond_touch(system: System, condition: Condition) -> float | None:
     tie = TIE * max(size(system, condition), *map(abs, c))
     if len(c) < 3 or not c[2] > 0 or abs(c[0]) > tie or c[1] ** 2 > TOUCH * c[2] * tie:
         return None
-    past = 3 * math.sqrt(tie / c[2]) + abs(c[1]) / c[2]
+    past = PAST * math.sqrt(tie / c[2]) + abs(c[1]) / c[2]
     return past if past < NEAR else None
 
 

@@ -43,12 +43,12 @@ class Found(NamedTuple):
 class Stiff:
     """What is known of the stiffness of the mode; ``pieces``: how many were by collocation.
 
-    ``rtol``, ``atol``: what a run may err by.
+    ``rtol``, ``atol``: what a run may err by; ``residuals``: see `Radau`.
     """
 
-    def __init__(self, system: System, order: int, rtol: float, atol: list[float]) -> None:
+    def __init__(self, system: System, order: int, rtol: float, atol: list[float], *, residuals: bool) -> None:
         self.system, self.order, self.rtol, self.atol = system, order, INSIDE * rtol, [INSIDE * a for a in atol]
-        self.radau = Radau(system, order)
+        self.radau = Radau(system, order, residuals=residuals)
         self.pieces = 0
         self.restart()
 

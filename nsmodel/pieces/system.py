@@ -24,7 +24,7 @@ import numpy as np
 from nsmodel.model.expressions import derivatives
 from nsmodel.pieces.expansion import Expansion
 from nsmodel.pieces.jets import jets_of
-from nsmodel.pieces.multipliers import Rows, Solve, generalised_inverse, is_p, solve_of
+from nsmodel.pieces.multipliers import NOTHING, Rows, Solve, generalised_inverse, is_p, solve_of
 from nsmodel.pieces.straight import sums
 from nsmodel.proof.buffered import attached
 from nsmodel.scheme.continuous import ContinuousProblem
@@ -33,6 +33,7 @@ NEWTON = 30  # Iterations of l at order 0, where f, g or h are not linear in it.
 SETTLED = 1e-14
 KEPT = 1000  # Modes with their slopes whose matrices are kept.
 HELD_ORDERS = 4  # Orders of a row that nothing acts on, and that must be 0.
+LITTLE = 1e-6  # Of the largest multiplier: a smaller one is measured beside that.
 AT_ZERO = 1e-9  # Of the terms of y_i: a row that is held is not further from 0.
 STAYS = 1e-9  # Of what moves: a row that nothing acts on moves by less.
 
@@ -214,7 +215,7 @@ class System:
 
     def size_l(self, i: int) -> float:
         """What l_i is measured beside: the largest so far, and a part of the largest of all."""
-        return max(self.sizes.l[i], 1e-6 * max(self.sizes.l))
+        return max(self.sizes.l[i], LITTLE * max(self.sizes.l))
 
     def size_of_switch(self, switch: tuple[str, int]) -> float:
         """What the argument of a switch is measured beside: the largest that it was the sum of so far."""
@@ -315,7 +316,7 @@ class System:
         """The largest share by which l moved of what it is the sum of: of itself, and of ``inverse`` times the terms of h."""
         _, D, C = self.slopes()
         terms = np.abs(inverse) @ (np.abs(C) @ x + np.abs(D) @ [abs(row[0]) for row in self.l])[list(how.active)]
-        shares = (abs(d) / (1e-300 + abs(self.l[i][0]) + v) for i, d, v in zip(how.active, step, terms, strict=True))
+        shares = (abs(d) / (NOTHING + abs(self.l[i][0]) + v) for i, d, v in zip(how.active, step, terms, strict=True))
         return max(shares)
 
     def _feed(self, how: Solve, k: int) -> None:

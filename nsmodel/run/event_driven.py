@@ -23,6 +23,7 @@ from nsmodel.pieces.course import Course, time_of
 from nsmodel.pieces.integrator import Integrator
 from nsmodel.pieces.jets import is_switched
 from nsmodel.pieces.lengths import order_of
+from nsmodel.pieces.radau import stages_of
 from nsmodel.pieces.stretch import BUDGET, Stretches
 from nsmodel.run.asked import times, tolerances
 from nsmodel.run.in_c import chosen
@@ -291,10 +292,7 @@ def _chosen(
         count = math.ceil(min(float(model.t_end) / course().integrator.place.tau, MOST))  # whatever its end here
     found = chosen(options, plan, there, count, costs, build, IN_C, "pieces")
     if found.steps is None:
-        maker = Interpreted(course())
-        stiff = f"pieces by Radau IIA, {maker.integrator.stiff.radau.stages} stages, where a mode turns out to be stiff"
-        plan = replace(found.plan, used=(*found.plan.used, stiff))
-        return _Chosen(maker, found.way, None, plan, [] if auto else found.warnings)
+        return _Chosen(Interpreted(course()), found.way, None, found.plan, [] if auto else found.warnings)
     size = problem.h.numel() + sum(e.numel() for e in problem.columns.values())
     maker = InC(problem, course, found.steps)
     return _Chosen(maker, found.way, lambda rows: found.steps.columns(rows, size), found.plan, found.warnings)
@@ -302,7 +300,7 @@ def _chosen(
 
 def _course(problem: ContinuousProblem, options: Options, rtol: float, atol: list[float], known: Sequence[float]) -> Course:
     """What goes on, with stretches of steps where "auto" lets it; StepError where it cannot start."""
-    integrator = Integrator(problem, rtol, atol, known)
+    integrator = Integrator(problem, rtol, atol, known, residuals=options.certified)
     if options.method == METHOD or options.certified:
         if integrator.stopped is not None:
             raise StepError(integrator.stopped)
@@ -324,6 +322,7 @@ def _plan(problem: ContinuousProblem, options: Options, rtol: float, known: Sequ
         f"event-driven: Taylor series of order {order_of(rtol)} in each mode, "
         f"{problem.x.numel()} states, {problem.l.numel()} rows",
         "each switch is a root of its sign condition, found by Bernstein's test",
+        f"pieces by Radau IIA, {stages_of(order_of(rtol))} stages, where a mode turns out to be stiff",
     ]
     if is_switched(parts):
         used.append("switches of operations that are not analytic (fabs, fmax, if_else, ...), watched")

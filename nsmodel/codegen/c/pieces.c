@@ -16,7 +16,7 @@ static double unit_of(double tau)
 
 static int expand_finite(model_pieces *s, int orders)
 {
-    for (int pass = 0; pass < 60; pass++) {
+    for (int pass = 0; pass < UNITS; pass++) {
         int finite = 1;
         if (!expand(s, orders))
             return MODEL_NO_MODE;
@@ -24,7 +24,7 @@ static int expand_finite(model_pieces *s, int orders)
             finite &= is_finite(s->c[orders][i]);
         if (finite)
             return MODEL_OK;
-        s->at.tau = ldexp(s->at.tau, -6);
+        s->at.tau = ldexp(s->at.tau, -OCTAVES);
     }
     return MODEL_NOT_FINITE;
 }
@@ -75,7 +75,7 @@ static double length_of(model_pieces *s)
 {
     measured rows[N + M];
     const int p = s->order, count = rows_of(s, rows);
-    double length = 0, last[3] = {-1, -1, -1}, (*ratio)[2] = s->ratio, longest = LONGEST;
+    double length = 0, last[EXPONENTS] = {-1, -1, -1}, (*ratio)[2] = s->ratio, longest = LONGEST;
     for (int i = 0; i < count; i++) {
         measured *row = &rows[i];
         const int n = row->known, column = row->column;
@@ -98,8 +98,8 @@ static double length_of(model_pieces *s)
                 ratio[i][e] = goal/a;
         }
     }
-    for (int pass = 0; pass < 3; pass++) {
-        double least[3] = {INFINITY, INFINITY, INFINITY}; /* of goal/|c_k|, by k = p - 2, p - 1, p */
+    for (int pass = 0; pass < PASSES; pass++) {
+        double least[EXPONENTS] = {INFINITY, INFINITY, INFINITY}; /* of goal/|c_k|, by k = p - 2, p - 1, p */
         for (int i = 0; i < count; i++) {
             double size = -1, *of = least + rows[i].known - p + 2;
             for (int e = 0; e < 2; e++) {
@@ -118,7 +118,7 @@ static double length_of(model_pieces *s)
             return length;
         memcpy(last, least, sizeof last);
         length = longest;
-        for (int e = 0; e < 3; e++)
+        for (int e = 0; e < EXPONENTS; e++)
             if (least[e] < INFINITY)
                 length = min_of(length, pow(least[e], 1.0/(p - 2 + e)));
     }
@@ -178,7 +178,7 @@ static double defect_of(model_pieces *s, double length)
         for (int i = 0; i < M; i++)
             if (s->at.codes[i] == 0 && y[i] != 0) {
                 const double of = max_of(s->at.size_y[i], terms_of(s, i, of_x, of_l));
-                worst = max_of(worst, (fabs(y[i]) - SEEN_ROW*of)/(MULTIPLIERS*s->rtol*of + 1e-300));
+                worst = max_of(worst, (fabs(y[i]) - SEEN_ROW*of)/(MULTIPLIERS*s->rtol*of + NOTHING));
             }
 #endif
     }
@@ -193,7 +193,7 @@ static int accept(model_pieces *s, double *length, condition *hit, int *found, d
         *error = s->estimated ? LOCAL*defect_of(s, *length) : 0;
         if (*error <= 1)
             return MODEL_OK;
-        *length *= min_of(0.5, 0.9*pow(*error, -1.0/s->order));
+        *length *= min_of(0.5, CAUTION*pow(*error, -1.0/s->order));
         if (s->at.t + s->at.tau**length == s->at.t)
             break;
     }
@@ -226,7 +226,7 @@ static void grow(model_pieces *s, double length)
 static void project(model_pieces *s, const signed char *rows)
 {
 #if ORTHOGONAL
-    for (int pass = 0; pass < 3; pass++) {
+    for (int pass = 0; pass < PROJECTIONS; pass++) {
         int any = 0;
         memcpy(s->c[0], s->at.x, sizeof s->at.x);
         s->c[0][T] = s->at.t;
@@ -246,7 +246,7 @@ static void project(model_pieces *s, const signed char *rows)
             break;
     }
 #else
-    for (int pass = 0; pass < 3; pass++) {
+    for (int pass = 0; pass < PROJECTIONS; pass++) {
         int a[M], n = 0, any = 0, rank = 0, q = 0;
         double y[M], *U = s->work_u;
         for (int i = 0; i < M; i++)
@@ -280,7 +280,7 @@ static void project(model_pieces *s, const signed char *rows)
             }
             for (int j = 0; j < N; j++)
                 rest += row[j]*row[j];
-            if (!(rest > 1e-26*size))
+            if (!(rest > DEPENDENT*size))
                 continue;
             rest = sqrt(rest);
             for (int j = 0; j < N; j++)
@@ -352,13 +352,13 @@ static int accumulates(model_pieces *s)
     int k = 0;
     if (n & (n - 1))
         return 0;
-    while (1L << k < n)
+    while ((long)1 << k < n)
         k++;
     s->at.times[k] = s->at.t;
     if (n < MANY)
         return 0;
     double late = 2*(s->at.times[k] - s->at.times[k - 1])/(double)n;
-    for (int i = 1; i < 5; i++) {
+    for (int i = 1; i < SPACINGS; i++) {
         const double early = 2*(s->at.times[k - i] - s->at.times[k - i - 1])/(double)(n >> i);
         if (!(late < FASTER*early))
             return 0;
@@ -532,7 +532,7 @@ static int next_piece(model_pieces *s)
         s->at.tiny = length*unit < TINY*max_of(fabs(s->at.t), unit) ? s->at.tiny + 1 : 0;
         if (s->at.tiny > TINY_PIECES)
             return MODEL_NO_MODE;
-        s->at.tau = unit_of(length > 1e-6 ? min_of(longest, 8*tau) : longest); /* longer than a mode's own time coefficients grow */
+        s->at.tau = unit_of(length > STUMP ? min_of(longest, LONGER*tau) : longest); /* longer than a mode's own time coefficients grow */
         memset(s->at.stiff, 0, sizeof s->at.stiff);
         if ((status = pass_event(s, &hit)))
             return status;
@@ -574,7 +574,7 @@ static void choose_unit(model_pieces *s)
         if (s->at.x[i] != 0 && is_finite(f[i]))
             most = max_of(most, fabs(f[i])/fabs(s->at.x[i]));
     if (most > 0)
-        s->at.tau = unit_of(0.1/most);
+        s->at.tau = unit_of(FIRST/most);
 }
 
 /* Begin at the state x and time t: choose the mode. */

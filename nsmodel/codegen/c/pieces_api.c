@@ -12,7 +12,7 @@ int model_pieces_init(model_pieces *s, double rtol)
         return MODEL_BAD_STEP;
     s->ready = READY;
     s->estimated = 1;
-    s->budget = MOST_WORK;
+    s->budget = WORK_OF_PIECE;
     s->most = MOST_PIECES;
 #if PARAMETERS
     memcpy(s->p, default_p, sizeof s->p);

@@ -169,7 +169,7 @@ static double slope_of(int n, const double *c, double s)
 static double simple_root(int n, const double *c, double low, double high)
 {
     double s = (low + high)/2;
-    for (int iteration = 0; iteration < 80; iteration++) {
+    for (int iteration = 0; iteration < ITERATIONS; iteration++) {
         double v = 0, d = 0;
         for (int k = n - 1; k >= 0; k--) {
             d = d*s + v;
@@ -184,7 +184,7 @@ static double simple_root(int n, const double *c, double low, double high)
         double next = d != 0 ? s - v/d : low;
         if (!(low < next && next < high))
             next = (low + high)/2;
-        if (fabs(next - s) <= 2e-16*high)
+        if (fabs(next - s) <= EXACT*high)
             return next;
         s = next;
     }
@@ -328,10 +328,10 @@ static int polish(model_pieces *s, const condition *hit, condition *own, int *th
         const int n = own->orders + 1;
         coefficients(s, own, c);
         const double scale = max_of(size_of(s, own), largest_of(n, c));
-        if (fabs(c[0]) <= 1e-3*TIE*scale || c[1] == 0 || !(fabs(c[0]/c[1]) < NEAR))
+        if (fabs(c[0]) <= POLISHED*TIE*scale || c[1] == 0 || !(fabs(c[0]/c[1]) < NEAR))
             return 0;
         double d = -c[0]/c[1];
-        for (int i = 0; i < 3; i++) {
+        for (int i = 0; i < ON_ONE; i++) {
             const double e = slope_of(n, c, d), v = value_of(n, c, d);
             d -= e != 0 && fabs(v/e) < NEAR ? v/e : 0;
         }
@@ -355,9 +355,9 @@ static double beyond_touch(const model_pieces *s, const condition *of)
     const int n = of->orders + 1;
     coefficients(s, of, c);
     const double tie = TIE*max_of(size_of(s, of), largest_of(n, c));
-    if (n < 3 || !(c[2] > 0) || fabs(c[0]) > tie || c[1]*c[1] > TOUCH*c[2]*tie)
+    if (n <= 2 || !(c[2] > 0) || fabs(c[0]) > tie || c[1]*c[1] > TOUCH*c[2]*tie)
         return 0;
-    const double past = 3*sqrt(tie/c[2]) + fabs(c[1])/c[2];
+    const double past = PAST*sqrt(tie/c[2]) + fabs(c[1])/c[2];
     return past < NEAR ? past : 0;
 }
 
@@ -431,13 +431,13 @@ static int has_numbers(const model_pieces *s)
 /* A mark of the mode, by which those that were tried are known. */
 static unsigned long long mark_of(const model_pieces *s)
 {
-    unsigned long long mark = 14695981039346656037ULL;
+    unsigned long long mark = FNV_BASIS;
     for (int i = 0; i < M; i++)
-        mark = (mark ^ (unsigned)(s->at.codes[i] + 2))*1099511628211ULL;
+        mark = (mark ^ (unsigned)(s->at.codes[i] + 2))*FNV_PRIME;
     for (int b = 0; b < CHOICES; b++) {
         unsigned long long bits;
         memcpy(&bits, &s->at.choice[b], sizeof bits);
-        mark = (mark ^ bits)*1099511628211ULL;
+        mark = (mark ^ bits)*FNV_PRIME;
     }
     return mark;
 }
@@ -572,7 +572,7 @@ static int agrees(const model_pieces *s, double (*germs)[N], double share)
 /* The open switches, FEW at most, the codes that each may have, and which of these it has: a counter with so many digits. */
 typedef struct {
     int n, open[FEW], counts[FEW], digits[FEW];
-    double codes[FEW][3];
+    double codes[FEW][MOST_CODES];
 } modes;
 
 static int list_modes(const model_pieces *s, modes *all)

@@ -159,7 +159,7 @@ static double moved_by(const model_pieces *s, const double *A, const double *d, 
     for (int b = 0; b < n; b++)
         terms[b] = terms_of_x(s, HOW.active[b], of_x) + terms_of_l(s, HOW.active[b], of_l);
     for (int a = 0; a < n; a++) {
-        double sum = 1e-300 + of_l[HOW.active[a]];
+        double sum = NOTHING + of_l[HOW.active[a]];
         for (int b = 0; b < n; b++)
             sum += fabs(A[a*n + b])*terms[b];
         most = worse_of(most, fabs(d[a])/sum);
@@ -396,6 +396,6 @@ static double size_l(const model_pieces *s, int i)
     double largest = 0;
     for (int j = 0; j < M; j++)
         largest = max_of(largest, s->at.size_l[j]);
-    return max_of(s->at.size_l[i], 1e-6*largest);
+    return max_of(s->at.size_l[i], LITTLE*largest);
 }
 #endif

@@ -32,7 +32,7 @@ static void units(int n, const double *A, double *r, double *c)
 {
     for (int i = 0; i < n; i++)
         r[i] = c[i] = 1;
-    for (int pass = 0; pass < 4; pass++) {
+    for (int pass = 0; pass < BALANCING; pass++) {
         double rows[M] = {0}, columns[M] = {0};
         for (int i = 0; i < n; i++)
             for (int j = 0; j < n; j++) {
@@ -95,7 +95,7 @@ static int singular_values(int n, double *A, double *sigma, double *V)
     memset(V, 0, n*n*sizeof *V);
     for (int i = 0; i < n; i++)
         V[i*n + i] = 1;
-    for (int sweep = 0, turned = 1; sweep < SWEEPS && turned; sweep++) {
+    for (int sweep = 0, turned = 1; sweep < ROTATIONS && turned; sweep++) {
         turned = 0;
         for (int p = 0; p < n; p++)
             for (int q = p + 1; q < n; q++) {

@@ -20,8 +20,13 @@
 #define T @T@
 #define H @H@
 #define UNUSED(a) (void)(a)
-#define SWEEPS 60 /* of rotations */
+#define ROTATIONS 60 /* of all pairs of columns */
+#define DEPENDENT 1e-26 /* of its square: what is left of a row that depends on others */
+#define EXPONENTS 3 /* p - 2, p - 1, p */
+#define MOST_CODES 3 /* of a switch */
+#define FNV_BASIS 14695981039346656037ULL /* Fowler, Noll, Vo: a hash */
+#define FNV_PRIME 1099511628211ULL
 #define SOLUTIONS MODEL_PIECES_SOLUTIONS
-#define MOST_WORK 1000000L /* of a piece */
+#define WORK_OF_PIECE 1000000L /* of a piece */
 #define MOST_PIECES 1000000L /* of a call */
 @CONSTANTS@

@@ -7,7 +7,7 @@
 long model_size(void) { return (long)sizeof(model_pieces); }
 
 /* What a piece takes in a list of them. */
-long model_width(int order) { return AT_C + (order + 1L)*ROWS; }
+long model_width(int order) { return AT_C + (long)(order + 1)*ROWS; }
 
 /* Begin at the start of the model. */
 int model_begin(model_pieces *s, double rtol, const double *atol, int estimated)
@@ -37,16 +37,8 @@ long model_many(model_pieces *s, double until, long room, double *out, int *stat
     return count;
 }
 
-/* Values of columns first, ..., first + width - 1 of the pieces of these numbers, at s. */
-void model_rows(const double *pieces, int order, long rows, const long *number, const double *at, int first, int width, double *out)
-{
-    const long size = model_width(order);
-    for (long r = 0; r < rows; r++)
-        horner(pieces + size*number[r] + AT_C + first, ROWS, order, at[r], width, out + r*width);
-}
-
 /* What a trajectory tells beside: of each row t, x, l. */
-void model_columns(const model_pieces *s, long rows, const double *given, double *out)
+void model_told(const model_pieces *s, long rows, const double *given, double *out)
 {
     const long width = 1 + N + M;
     for (long r = 0; r < rows; r++)

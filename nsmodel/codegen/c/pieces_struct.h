@@ -17,9 +17,9 @@ typedef struct {
     double choice[MODEL_PIECES_CHOICES + 1]; /* of branches; NaN: none yet */
     double size_switches[MODEL_PIECES_CHOICES + 1]; /* of their arguments, the largest so far */
     double begun, impulse[MODEL_PIECES_M + 1]; /* 1: an event begins the next piece, after a jump by this */
-    double times[64], events, touches, redundant, tiny; /* times of events 1, 2, 4, 8, ... */
-    double stiff[3]; /* length of the next piece by collocation, trials that failed, series until the next one */
-    double unique[3]; /* modes shown to be the only one, by all valid ones, not decided */
+    double times[MODEL_PIECES_TIMES], events, touches, redundant, tiny; /* times of events 1, 2, 4, 8, ... */
+    double stiff[MODEL_PIECES_STIFF]; /* length of the next piece by collocation, trials that failed, series until the next one */
+    double unique[MODEL_PIECES_VERDICTS]; /* modes shown to be the only one, by all valid ones, not decided */
     signed char codes[MODEL_PIECES_M + 1], open[MODEL_PIECES_M + MODEL_PIECES_CHOICES + 1];
 } model_place;
 
@@ -42,7 +42,7 @@ typedef struct {
     double c[MODEL_PIECES_ORDERS + 1][MODEL_PIECES_COLUMNS]; /* coefficients of x, l, y and what they are made of */
     double f[MODEL_PIECES_N], now[1];
     double turns[MODEL_PIECES_M + MODEL_PIECES_CHOICES + 1]; /* codes that wrong conditions ask for */
-    double germs[MODEL_PIECES_SOLUTIONS][7][MODEL_PIECES_N]; /* of x, of valid modes */
+    double germs[MODEL_PIECES_SOLUTIONS][MODEL_PIECES_GERM][MODEL_PIECES_N]; /* of x, of valid modes */
     double ratio[MODEL_PIECES_N + MODEL_PIECES_M][2];
     double value[MODEL_PIECES_ROWS], slope[MODEL_PIECES_N], terms[MODEL_PIECES_N];
 #if SLOPES

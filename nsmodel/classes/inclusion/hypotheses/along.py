@@ -38,7 +38,9 @@ def along(
     """C, the bounds of a step, and two runs."""
     if model.scheme != "catching-up":
         return feasible(model, run, *constraints(model))
-    steps = _steps(model, run, numbers) if has_every_row(run) and not run.is_event_driven else rows_missing(BOUND, DEFECTS, CESARO)
+    steps = (
+        _steps(model, run, numbers) if has_every_row(run) and not run.is_event_driven else rows_missing(BOUND, DEFECTS, CESARO)
+    )
     two = [] if twin is None else [_contraction(run, twin, numbers["M-24"])]
     return [*feasible(model, run, *constraints(model)), *steps, *two]
 
