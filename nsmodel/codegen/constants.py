@@ -39,7 +39,7 @@ OF_PIECES: Mapping[str, str] = {
     "pieces.bernstein": "NONE NARROW ITERATIONS EXACT",
     "pieces.roots": "POLISHING POLISHED ON_ONE NEAR TOUCH PAST TAIL LOST",
     "pieces.lengths": "LOCAL ROUGHEST LONGEST MULTIPLIERS PASSES FIRST SMALL",
-    "pieces.defect": "SEEN SEEN_ROW",
+    "pieces.defect": "SEEN SEEN_ROW ROUNDING",
     "pieces.multipliers": "SINGULAR MOST_MINORS BALANCING NOTHING SHORT",
     "pieces.system": "NEWTON SETTLED LITTLE AT_ZERO STAYS",
     "pieces.stiff": "WORTH SMOOTH",

@@ -26,6 +26,7 @@ from nsmodel.pieces.modes import ORDERS
 from nsmodel.pieces.multipliers import SHORT, SINGULAR
 from nsmodel.proof.sure import sure
 from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven
+from nsmodel.solve.rounding import error_bound
 
 MOST_ROWS = 64  # Of a law whose matrices are kept dense.
 KEPT_BYTES = 32 << 10  # Memory for the matrices of modes.
@@ -96,7 +97,7 @@ class PieceScene:
 
     @cached_property
     def columns(self) -> Columns:
-        """Where series are stored; complete once ``printers`` are made."""
+        """Where series are stored."""
         return self._made[0]
 
     @cached_property
@@ -128,8 +129,7 @@ class PieceScene:
     def sizes(self) -> dict[str, int]:
         """The constants of the header."""
         n, m = self.problem.x.numel(), self.problem.l.numel()
-        printers, columns = self.printers, self.columns
-        del printers
+        columns = self.columns
         outputs = m if {"FEED", "D_NUMBERS"} <= self.flags else 0
         kept = 1 if not {"MATRICES"} <= self.flags or "SLOPES" in self.flags else int(np.clip(KEPT_BYTES // (24 * m * m), 2, 16))
         return {
@@ -253,6 +253,7 @@ def _own(scene: PieceScene) -> str:
     parts += [printer.text(targets[name], given.get(name, "")) for name, printer in scene.printers.items() if m or name == "f"]
     given = {"t": p.t, "x": p.x, "l": p.l} | ({"s->p": p.p} if p.p.numel() else {})
     parts.append(_printed("equations", given, {"rate": p.f + p.g, "y": p.h}))
+    parts.append(_printed("rounding", given, {"bound": error_bound(ca.densify(p.f + p.g), ca.veccat(p.t, p.x, p.l))}))
     if "SLOPES" in flags:
         parts.append(_printed("slopes", given, dict(zip("BDC", scene.slopes, strict=True))))
     parts.append(_printed("start", {key: value for key, value in given.items() if key == "s->p"}, {"x": ca.SX(p.x0)}))

@@ -3,40 +3,52 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.pieces.bernstein import slope, value
-from nsmodel.pieces.lengths import MULTIPLIERS
+from nsmodel.pieces.lengths import LOCAL, MULTIPLIERS
 from nsmodel.pieces.modes import Place
 from nsmodel.pieces.multipliers import NOTHING
 from nsmodel.pieces.system import System
 from nsmodel.proof.buffered import attached
 from nsmodel.scheme.continuous import ContinuousProblem
+from nsmodel.solve.rounding import error_bound
 
 POINTS = (0.6, 0.95)  # Of a piece.
 SEEN, SEEN_ROW = 1e-14, 1e-12  # Shares of what a residual is made of that are rounding.
+ROUNDING = 8 * 2.0**-53  # c u, of the bound of running error analysis.
 
-Equations = Callable[[float, list[float], list[float]], tuple[np.ndarray, np.ndarray]]
 
+class Equations:
+    """(f + g, h) at (t, x, l), as declared; and what rounding does to f + g there."""
 
-def equations(problem: ContinuousProblem) -> Equations:
-    """(f + g, h) at (t, x, l), as declared."""
-    n, m = problem.x.numel(), problem.l.numel()
-    out = [ca.densify(problem.f + problem.g), ca.densify(problem.h)]
-    function = ca.Function("equations", [problem.t, problem.x, problem.l], out)
-    t, x, l, rate, y = np.zeros(1), np.zeros(n), np.zeros(m), np.zeros(n), np.zeros(m)
-    buffer, call = attached(function, [t, x, l], [rate, y])
+    def __init__(self, problem: ContinuousProblem) -> None:
+        self._problem, (n, m) = problem, (problem.x.numel(), problem.l.numel())
+        out = [ca.densify(problem.f + problem.g), ca.densify(problem.h)]
+        function = ca.Function("equations", [problem.t, problem.x, problem.l], out)
+        self._given = [np.zeros(1), np.zeros(n), np.zeros(m)]
+        self._found = np.zeros(n), np.zeros(m)
+        self._buffer, self._call = attached(function, self._given, list(self._found))
 
-    def at(time: float, state: list[float], multipliers: list[float]) -> tuple[np.ndarray, np.ndarray]:
-        t[0], x[:], l[:] = time, state, multipliers
-        call()
-        return rate, y
+    def __call__(self, time: float, state: Sequence[float], multipliers: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+        """The two; what they returned before is overwritten."""
+        self._given[0][0], self._given[1][:], self._given[2][:] = time, state, multipliers
+        self._call()
+        return self._found
 
-    at.buffer = buffer  # pyright: ignore[reportFunctionMemberAccess]
-    return at
+    @cached_property
+    def _bound(self) -> ca.Function:
+        p = self._problem
+        given = [p.t, p.x, p.l]
+        return ca.Function("bound", given, [error_bound(ca.densify(p.f + p.g), ca.veccat(*given))])
+
+    def rounding(self) -> np.ndarray:
+        """What f + g may err by (n,) where it was evaluated last, its arguments known to the nearest double."""
+        return ROUNDING * np.array(self._bound(*self._given)).ravel()
 
 
 def defect(system: System, place: Place, of: Equations, s: float, p: int, rtol: float, atol: list[float]) -> float:
@@ -55,10 +67,18 @@ def defect(system: System, place: Place, of: Equations, s: float, p: int, rtol: 
         for i, (v, w) in enumerate(zip(rate, velocity, strict=True)):
             goal = rtol * max(sizes.x[i], abs(x[i]), abs(v * s)) + atol[i]
             seen = abs(v - tau * w) - SEEN * (slope([abs(c) for c in rows[i]], at) + abs(tau * w))
+            if seen <= 0:
+                continue
+            least = share**p * (p + 1) / s * goal / LOCAL
+            if not seen <= least:
+                seen -= tau * of.rounding()[i]
             if not seen <= 0:
-                worst = max(worst, seen * s / (p + 1) / share**p / goal if goal and seen == seen else math.inf)
+                worst = max(worst, seen / (least * LOCAL) if least and seen == seen else math.inf)
         for i in held:
             if y[i]:
                 size = max(sizes.y[i], system.terms(i, x, l))
-                worst = max(worst, (abs(y[i]) - SEEN_ROW * size) / (MULTIPLIERS * rtol * size + NOTHING))
+                off, goal = abs(y[i]) - SEEN_ROW * size, MULTIPLIERS * rtol * size
+                if off > goal / LOCAL:
+                    off -= float(np.abs(system.slopes()[2][i]) @ (tau * at * of.rounding()))
+                worst = max(worst, off / (goal + NOTHING))
     return float(worst)

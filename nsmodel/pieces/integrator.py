@@ -17,7 +17,7 @@ import numpy as np
 from nsmodel.errors import StepError
 from nsmodel.pieces.accumulation import Accumulation
 from nsmodel.pieces.bernstein import value
-from nsmodel.pieces.defect import defect, equations
+from nsmodel.pieces.defect import Equations, defect
 from nsmodel.pieces.known import next_known, reaches
 from nsmodel.pieces.lengths import LOCAL, ROUGHEST, first_unit, length, order_of, unit
 from nsmodel.pieces.modes import Place, jump, select, turn, uniqueness
@@ -62,7 +62,7 @@ class Integrator:
         system, x0 = self.system, [float(v) for v in np.array(ca.DM(problem.x0)).ravel()]
         self.place = Place(0.0, x0, 1.0, [0] * system.m)
         self.sizes = system.sizes
-        self._equations = equations(problem)
+        self._equations = Equations(problem)
         self.stiff = Stiff(system, self.order, min(rtol, ROUGHEST), self.atol, residuals=residuals)
         self.accumulation = Accumulation()
         self._begun: tuple[float, ...] | None = None  # The event that the next piece begins with.

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import StepError
-from nsmodel.pieces.defect import equations
+from nsmodel.pieces.defect import Equations
 from nsmodel.pieces.known import next_known
 from nsmodel.pieces.lengths import unit
 from nsmodel.pieces.piece import Piece
@@ -90,8 +90,8 @@ class Stretches:
         return Stepper(backward_euler(self.problem), "auto", self.tolerance, h=PREPARED, state=x0, few_steps=False)
 
     @cached_property
-    def _equations(self):
-        return equations(self.problem)
+    def _equations(self) -> Equations:
+        return Equations(self.problem)
 
     def begin(self, t: float, x: list[float], l: list[float], codes: list[int], tau: float) -> Stand:
         """Begin a stretch at a state."""

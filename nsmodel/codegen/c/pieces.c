@@ -125,6 +125,18 @@ static double length_of(model_pieces *s)
     return length;
 }
 
+/* What f + g may err by at the values, evaluated where it is not known yet. */
+static const double *bound_of(model_pieces *s, int *known)
+{
+    if (!*known) {
+        rounding(s, s->now, s->value, s->value + N, s->bound);
+        for (int i = 0; i < N; i++)
+            s->bound[i] *= ROUNDING*s->at.tau;
+        *known = 1;
+    }
+    return s->bound;
+}
+
 /* An estimate of the local error in units of rtol, from |x' - f - g| and |y| of held rows at two points of a piece of length s. */
 static double defect_of(model_pieces *s, double length)
 {
@@ -133,6 +145,7 @@ static double defect_of(model_pieces *s, double length)
     double worst = 0, y[M + 1];
     for (int point = 0; point < 2; point++) {
         const double at = points[point]*length;
+        int known = 0;
         double *value = s->value, *slope = s->slope, *size = s->terms;
         for (int i = 0; i < N; i++) {
             double v = s->c[p][i], d = p*v, most = fabs(d);
@@ -160,9 +173,12 @@ static double defect_of(model_pieces *s, double length)
             const double w = s->at.tau*s->f[i];
             const double largest = max_of(s->at.size_x[i], max_of(fabs(value[i]), fabs(slope[i]*length)));
             const double goal = s->rtol*largest + s->atol[i];
-            const double seen = fabs(slope[i] - w) - SEEN*(size[i] + fabs(w));
+            const double least = s->shares[point]*(p + 1)/length*goal/LOCAL; /* that is too much */
+            double seen = fabs(slope[i] - w) - SEEN*(size[i] + fabs(w));
+            if (!(seen <= 0) && !(seen <= least))
+                seen -= bound_of(s, &known)[i];
             if (!(seen <= 0))
-                worst = max_of(worst, goal != 0 && seen == seen ? seen*length/(p + 1)/s->shares[point]/goal : INFINITY);
+                worst = max_of(worst, least != 0 && seen == seen ? seen/(least*LOCAL) : INFINITY);
         }
 #if LAW
         double of_x[N], of_l[M];
@@ -178,7 +194,11 @@ static double defect_of(model_pieces *s, double length)
         for (int i = 0; i < M; i++)
             if (s->at.codes[i] == 0 && y[i] != 0) {
                 const double of = max_of(s->at.size_y[i], terms_of(s, i, of_x, of_l));
-                worst = max_of(worst, (fabs(y[i]) - SEEN_ROW*of)/(MULTIPLIERS*s->rtol*of + NOTHING));
+                const double allowed = MULTIPLIERS*s->rtol*of;
+                double off = fabs(y[i]) - SEEN_ROW*of;
+                if (off > allowed/LOCAL)
+                    off -= at*terms_of_x(s, i, bound_of(s, &known));
+                worst = max_of(worst, off/(allowed + NOTHING));
             }
 #endif
     }
@@ -389,13 +409,7 @@ static int pass_event(model_pieces *s, const condition *hit)
         return status;
     const double past = there ? beyond_touch(s, &own) : 0;
     if (past > 0) {
-        for (int i = 0; i < N; i++) {
-            double v = 0;
-            for (int k = AROUND; k >= 0; k--)
-                v = v*past + s->c[k][i];
-            s->at.x[i] = v;
-        }
-        s->at.t += past*s->at.tau;
+        go_along(s, past);
         s->at.touches += 1;
         return MODEL_OK;
     }

@@ -315,6 +315,18 @@ static int own_condition(const model_pieces *s, const condition *hit, int orders
     return 0;
 }
 
+/* Move the place along an expansion at an event, by d in its unit of time. */
+static void go_along(model_pieces *s, double d)
+{
+    for (int i = 0; i < N; i++) {
+        double v = 0;
+        for (int k = AROUND; k >= 0; k--)
+            v = v*d + s->c[k][i];
+        s->at.x[i] = v;
+    }
+    s->at.t += d*s->at.tau;
+}
+
 /* Move the place to where the condition is 0 to rounding, on expansions there; *there: whether it is still watched. */
 static int polish(model_pieces *s, const condition *hit, condition *own, int *there)
 {
@@ -335,13 +347,7 @@ static int polish(model_pieces *s, const condition *hit, condition *own, int *th
             const double e = slope_of(n, c, d), v = value_of(n, c, d);
             d -= e != 0 && fabs(v/e) < NEAR ? v/e : 0;
         }
-        for (int i = 0; i < N; i++) {
-            double v = 0;
-            for (int k = AROUND; k >= 0; k--)
-                v = v*d + s->c[k][i];
-            s->at.x[i] = v;
-        }
-        s->at.t += d*s->at.tau;
+        go_along(s, d);
     }
     const int status = expand_finite(s, AROUND);
     *there = !status && own_condition(s, hit, AROUND, own);

@@ -47,6 +47,13 @@ static void units(int n, const double *A, double *r, double *c)
     }
 }
 
+static void exchange(double *a, double *b)
+{
+    const double kept = *a;
+    *a = *b;
+    *b = kept;
+}
+
 /* The inverse of A (n, n), which is overwritten, by Gauss and Jordan with pivots; 0 where it is singular. */
 static int inverted(int n, double *A, double *out)
 {
@@ -61,12 +68,8 @@ static int inverted(int n, double *A, double *out)
         if (!(fabs(A[p*n + k]) > 0))
             return 0;
         for (int j = 0; j < n && p != k; j++) {
-            double swap = A[k*n + j];
-            A[k*n + j] = A[p*n + j];
-            A[p*n + j] = swap;
-            swap = out[k*n + j];
-            out[k*n + j] = out[p*n + j];
-            out[p*n + j] = swap;
+            exchange(&A[k*n + j], &A[p*n + j]);
+            exchange(&out[k*n + j], &out[p*n + j]);
         }
         const double d = 1/A[k*n + k];
         for (int j = 0; j < n; j++) {
@@ -130,16 +133,10 @@ static int singular_values(int n, double *A, double *sigma, double *V)
             if (sigma[k] > sigma[best])
                 best = k;
         for (int i = 0; i < n && best != j; i++) {
-            double swap = A[i*n + j];
-            A[i*n + j] = A[i*n + best];
-            A[i*n + best] = swap;
-            swap = V[i*n + j];
-            V[i*n + j] = V[i*n + best];
-            V[i*n + best] = swap;
+            exchange(&A[i*n + j], &A[i*n + best]);
+            exchange(&V[i*n + j], &V[i*n + best]);
         }
-        const double swap = sigma[j];
-        sigma[j] = sigma[best];
-        sigma[best] = swap;
+        exchange(&sigma[j], &sigma[best]);
     }
     int rank = 0;
     while (rank < n && sigma[rank] > SINGULAR*sigma[0])
@@ -393,11 +390,8 @@ minors:
             for (int i = c + 1; i < k; i++)
                 if (fabs(G[i*k + c]) > fabs(G[p*k + c]))
                     p = i;
-            for (int j = 0; j < k && p != c; j++) {
-                const double swap = G[c*k + j];
-                G[c*k + j] = G[p*k + j];
-                G[p*k + j] = swap;
-            }
+            for (int j = 0; j < k && p != c; j++)
+                exchange(&G[c*k + j], &G[p*k + j]);
             det *= p != c ? -G[c*k + c] : G[c*k + c];
             for (int i = c + 1; i < k && G[c*k + c] != 0; i++) {
                 const double a = G[i*k + c]/G[c*k + c];

@@ -44,7 +44,7 @@ typedef struct {
     double turns[MODEL_PIECES_M + MODEL_PIECES_CHOICES + 1]; /* codes that wrong conditions ask for */
     double germs[MODEL_PIECES_SOLUTIONS][MODEL_PIECES_GERM][MODEL_PIECES_N]; /* of x, of valid modes */
     double ratio[MODEL_PIECES_N + MODEL_PIECES_M][2];
-    double value[MODEL_PIECES_ROWS], slope[MODEL_PIECES_N], terms[MODEL_PIECES_N];
+    double value[MODEL_PIECES_ROWS], slope[MODEL_PIECES_N], terms[MODEL_PIECES_N], bound[MODEL_PIECES_N];
 #if SLOPES
     double B[MODEL_PIECES_N*MODEL_PIECES_M], D[MODEL_PIECES_M*MODEL_PIECES_M], C[MODEL_PIECES_M*MODEL_PIECES_N];
 #endif
