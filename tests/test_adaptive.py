@@ -275,6 +275,34 @@ def test_a_turn_that_half_steps_do_not_see_is_told(compiled):
     assert np.abs(run.x - play_exact(run.t)).max() / (rtol * np.abs(run.x).max()) == pytest.approx(told, rel=0.05)
 
 
+@pytest.mark.parametrize("rtol", [1e-4, 1e-6])
+@pytest.mark.parametrize("theta", [0.5, 1])
+@pytest.mark.parametrize("s", [0.77, 1.3])
+def test_a_release_that_half_steps_see_too_late_is_told(s, theta, rtol):
+    """x' = s t + l sticks at 0 until t = 1/s: l is a value inside the step."""
+    model = LureSystem(t=T, A=[0], B=[1], C=[1], f=[s * T], law=relay(1), x0=[0], t_end=2, step=0.01, theta=theta)
+    run = simulate(model, rtol=rtol)
+    exact = s * np.maximum(run.t - 1 / s, 0) ** 2 / 2
+    error = np.abs(run.x[:, 0] - exact).max() / (rtol * exact.max())
+    told = [float(number) for line in run.metadata["warnings"] for number in re.findall(r"by about (\S+) times", line)]
+    assert told == pytest.approx([error] if error > 1 else [], rel=0.05)
+
+
+def test_a_current_that_ends_too_late_between_diodes_is_told():
+    """Rows that depend on l, but on none that is free: a rectifier's current, once both of its diodes block."""
+    rate = [[-500, 0], [0, -20]]
+    model = LureSystem(
+        t=T, A=rate, B=[[-1e3, 1e3, 0, 0], [0, 0, 2e3, 2e3]], C=[[-1, 0], [1, 0], [0, 1], [0, 1]],
+        D=[[0, 0, 1, 0], [0, 0, 0, 1], [-1, 0, 0, 0], [0, -1, 0, 0]], f=[3e5 * ca.sin(300 * T), 0], law=complementarity(4),
+        x0=[0, 0], t_end=0.1, step=1e-5, theta=0.5,
+    )  # fmt: skip
+    run, exact = simulate(model, rtol=1e-4), simulate_any(model, rtol=1e-11, method="event-driven")
+    error = (np.abs(run.x - exact.at(run.t).x) / np.abs(exact.x).max(axis=0)).max() / 1e-4
+    told = [float(number) for line in run.metadata["warnings"] for number in re.findall(r"by about (\S+) times", line)]
+    assert error > 10
+    assert told == pytest.approx([error], rel=2)
+
+
 @pytest.mark.parametrize("name", [name for name in SCENES if "= 1/2" not in name or "diode" in name])
 def test_no_warning_without_reason(name):
     assert simulate(SCENES[name][0], rtol=1e-3).metadata["warnings"] == []

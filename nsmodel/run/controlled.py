@@ -35,13 +35,13 @@ import numpy as np
 from nsmodel.errors import StepError, UsageError
 from nsmodel.grid import Grid, check_times, is_number, make_grid, written
 from nsmodel.model.base import Model
+from nsmodel.model.expressions import derivatives
 from nsmodel.record import UNSET
 from nsmodel.run.asked import absolute
 from nsmodel.run.options import Options
 from nsmodel.run.schemes import OfScheme
 from nsmodel.run.walk import PER_CENT, is_numerical, noting_known_times, runaway, unsolvable
 from nsmodel.scheme import constraints, shortened
-from nsmodel.scheme.problem import feedthrough
 from nsmodel.solve.certificate import EPS, numeric_law
 from nsmodel.solve.stepper import StepResult, Warm
 
@@ -421,36 +421,52 @@ class Controlled(OfScheme):
     def _turns(self) -> list[str]:
         """A warning where a path turns back inside a step whose index set stays: whole and half steps agree on it, and err alike.
 
-        A row that is held, and does not depend on l directly, has in l_i the mean of a half step, where nothing is carried
-        (gamma = 1). On the line through both means l_i leaves K before the step ends by a part o of their difference: it should
-        have let go, and what has bent the path by b, |x_fine - 2 x_half + x| in units of what is allowed, has moved it o^2 b/2
-        too far.
+        A row that is held, and does not depend on a held l directly, has in l_i the mean of a half step (with a theta, its value
+        there), where nothing is carried (gamma = 1). On the line through both l_i leaves K before the step ends by a part o of
+        their difference d: it should have let go. What has bent the path by b, |x_fine - 2 x_half + x| in units of what is
+        allowed, has moved it o^2 b/2 too far, and so has l_i, too large by o d/2 in the mean for the part o of a half step.
         """
         layout, filled, law = self.stepper.layout, self.record.filled, self._law
-        held = np.setdiff1d(np.arange(law.size), feedthrough(self.problem.Y, self.problem.l))
-        if self.problem.start is not None or not held.size or filled < 3:
+        if self.problem.start is not None or not law.size or filled < 3:
             return []
-        rows, index = self.record.rows[:filled], self.record.index[:filled, held]
+        rows, index = self.record.rows[:filled], self.record.index[:filled, : law.size]
         start, half, fine = slice(0, -2, 2), slice(1, -1, 2), slice(2, None, 2)
-        stays = (index[half] == 0) & (index[fine] == 0) & (np.isin(index[start], (0, UNSET)))
-        l = rows[:, layout.l][:, held]
-        step = l[fine] - l[half]
-        outside = np.maximum(law.lower[held] - l[fine] - step / 2, l[fine] + step / 2 - law.upper[held])
-        part = np.divide(outside, np.abs(step), out=np.zeros_like(step), where=stays & (outside > 0)).max(axis=1)
-        if not part.any():
+        held = (index[half] == 0) & (index[fine] == 0) & np.isin(index[start], (0, UNSET))
+        held &= (held @ np.array(ca.DM(self.problem.jacobians[3].sparsity(), 1)).T) == 0
+        step = rows[fine, layout.l] - rows[half, layout.l]
+        theta = (self.model.weights or (0.5, 1.0))[0]
+        end = rows[fine, layout.l] + (1 - theta) * step
+        outside = np.maximum(law.lower - end, end - law.upper)
+        part = np.divide(outside, np.abs(step), out=np.zeros_like(step), where=held & (outside > 0))
+        at = np.flatnonzero(part.any(axis=1))
+        if not at.size:
             return []
         x = rows[:, self._watched]
-        allowed = self._allowed(np.maximum.accumulate(np.abs(x[::2]), axis=0)[1:])
-        bend = np.abs(x[fine] - 2 * x[half] + x[start])
-        error = part**2 / 2 * np.divide(bend, allowed, out=np.zeros_like(bend), where=allowed > 0).max(axis=1)
+        allowed = self._allowed(np.abs(x).max(axis=0))
+        off = part[at].max(axis=1, keepdims=True) ** 2 / 2 * np.abs(x[fine] - 2 * x[half] + x[start])[at]
+        n = len(self.model.names)
+        pushed = np.abs(self._pushes(2 * at + 1)) @ (part[at] ** 2 / 2 * np.abs(step[at]))[:, :, None]
+        off[:, :n] = np.maximum(off[:, :n], pushed[:, :, 0])
+        error = np.divide(off, allowed, out=np.zeros_like(off), where=allowed > 0).max(axis=1)
         found = np.flatnonzero(error > 1)
         if not found.size:
             return []
         return [
             f"the path turned back inside {found.size} step{'s' if found.size > 1 else ''}, first before "
-            f"t = {self.record.t[2 * found[0] + 2]:.6g}, unseen by whole and half steps: off by about {error.max():.2g} times "
-            "what rtol allows; compare with constant steps"
+            f"t = {self.record.t[2 * at[found[0]] + 2]:.6g}, unseen by whole and half steps: off by about {error.max():.2g} "
+            "times what rtol allows; compare with constant steps"
         ]
+
+    def _pushes(self, at: np.ndarray) -> np.ndarray:
+        """How the model's state (k, n, m) at the end of the step from each row k follows its multipliers."""
+        p, layout, record = self.problem, self.stepper.layout, self.record
+        E_z, E_l = p.jacobians[:2]
+        x_z, x_l = (ca.densify(derivatives(p.next_state[: len(self.model.names)], v)) for v in (p.z, p.l))
+        push = ca.substitute(x_l - x_z @ ca.solve(ca.densify(E_z), ca.densify(E_l)), p.z, p.guess)
+        of = ca.Function("push", [p.t, p.h, p.state, p.l], [push])
+        h = np.diff(record.t[: record.filled])
+        given = ((record.t[k], h[k], record.rows[k, layout.state], record.rows[k + 1, layout.l]) for k in at)
+        return np.array([np.array(of(*row)) for row in given])
 
     def columns(self) -> dict[str, np.ndarray]:
         """The rows as the arrays of a trajectory, and how far extrapolation has moved them."""
