@@ -34,8 +34,8 @@ STEPPING, EVENTS = "time-stepping", "event-driven"  # How runs with an rtol go o
 TOLERANCES = {STEPPING: (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7), EVENTS: (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)}
 SHORT, LONG = range(6, 14), range(6, 19)  # Powers of 2: numbers of steps of interpreted and of compiled runs.
 REPEATS, ENOUGH = 5, 0.4  # Timed runs after the warm-up; none is added once they have taken so many seconds.
-COLOURS, MARKERS = (*LINES, "#A05A2C", "#8A9A00", "#B22222", "#708090", "#20B2AA"), "osD^vP*X<>hpd"
-OWN = 5  # From this colour on they are those of other programs.
+COLOURS, MARKERS = (*LINES, "#A05A2C", "#8A9A00", "#B22222", "#708090", "#20B2AA", "#4B0082"), "osD^vP*X<>hpd8"
+OWN = 6  # From this colour on they are those of other programs.
 TUNED = ("SciPy LSODA", "SciPy Radau")  # Lines of all settings of a smoothed law.
 WRONG = 0.1  # A tuned run that is further off takes no part; that it reported success is told.
 
@@ -88,6 +88,7 @@ def friction_oscillator() -> Scene:
         ("nsmodel, inertial proximal", model, True, LONG),
         ("nsmodel, inertial proximal, variable steps", model, True, STEPPING),
         ("nsmodel, event-driven", model, False, EVENTS),
+        ("nsmodel, event-driven", model, True, EVENTS),
         ("nsmodel, relay, theta = 1/2", LureSystem(**lure, theta=0.5), True, LONG),
     ]
     return Scene("friction_oscillator", "Oscillator with dry friction", closed_form("friction_oscillator"), methods)
@@ -101,6 +102,7 @@ def sliding_relay() -> Scene:
         ("nsmodel, theta = 1", one, True, LONG),
         ("nsmodel, theta = 1, variable steps", one, True, STEPPING),
         ("nsmodel, event-driven", one, False, EVENTS),
+        ("nsmodel, event-driven", one, True, EVENTS),
         ("nsmodel, theta = 1/2", half, True, LONG),
     ]
     return Scene("sliding_relay", "Relay with sliding", closed_form("sliding_relay"), methods)
@@ -125,6 +127,7 @@ def diode_bridge() -> Scene:
         ("nsmodel, theta = 1/2, gamma = 1", model, True, long),
         ("nsmodel, theta = 1/2, gamma = 1, variable steps", model, True, STEPPING),
         ("nsmodel, event-driven", model, False, EVENTS),
+        ("nsmodel, event-driven", model, True, EVENTS),
         ("nsmodel, theta = gamma = 1/2", load("diode_bridge", gamma=0.5), True, long),
     ]
     return Scene("diode_bridge", "Diode bridge", exact, methods)
@@ -138,6 +141,7 @@ def point_past_disc() -> Scene:
         ("nsmodel, prediction-correction", model, True, LONG),
         ("nsmodel, prediction-correction, variable steps", model, True, STEPPING),
         ("nsmodel, event-driven", model, False, EVENTS),
+        ("nsmodel, event-driven", model, True, EVENTS),
     ]
     return Scene("point_past_disc", "Point carried past a disc", closed_form("point_past_disc"), methods)
 

@@ -142,7 +142,7 @@ class _Session:
         self.until = now + rest * UNTIL["schemes"]
         self._constant([way for scheme in (own, *others) for way in methods.ways(scheme)], counts)
         self.until = now + rest * UNTIL["variable steps"]
-        self._asked([methods.event_driven(self.model)], (*methods.TOLERANCES, *methods.FINE), LITTLE_HARDER)
+        self._asked(methods.event_driven(self.model), (*methods.TOLERANCES, *methods.FINE), LITTLE_HARDER)
         variable = [way.but("variable steps", method="time-stepping") for way in methods.ways(own)]
         self._asked(variable, methods.TOLERANCES, HARDER)
         self._extrapolated(methods.ways(own))

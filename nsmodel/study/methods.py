@@ -75,9 +75,9 @@ def ways(scheme: Method) -> list[Method]:
     return [scheme.but("interpreted", compiled=False), scheme.but("compiled", compiled=True)]
 
 
-def event_driven(model: Model) -> Method:
-    """Return one smooth piece after another, whatever the scheme."""
-    return Method("event-driven", model, {"method": "event-driven"})
+def event_driven(model: Model) -> list[Method]:
+    """Return one smooth piece after another, whatever the scheme, interpreted and compiled."""
+    return ways(Method("event-driven", model, {"method": "event-driven"}))
 
 
 def with_solvers(scheme: Method, names: Sequence[str] | None) -> list[Method]:
