@@ -38,6 +38,14 @@ def switches():
     return FirstOrderSystem(t=t, x=x, lam=l, f=f, g=[0, 0.3 * l], h=[h], law=relay(1), x0=[0.7, -0.2], t_end=4)
 
 
+def edges():
+    """Known times, two of them edges, one just after a touch that the first piece does not have."""
+    t, x, l = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("l")
+    f = [x[1], -4 * x[0] + ca.if_else(t < 1, 0, ca.if_else(t < 2.5, 3, -1))]
+    h, times = x[1] - ca.fmod(t, 2.5) / 5, [0.3, 1, 2.5, 2.5 + 1e-9, 3.7]
+    return FirstOrderSystem(t=t, x=x, lam=l, f=f, g=[0, l], h=[h], law=relay(1), x0=[1, 0], t_end=5, switch_times=times)
+
+
 def functions():
     """A recurrence of every kind."""
     t, x = ca.SX.sym("t"), ca.SX.sym("x", 3)
@@ -68,7 +76,7 @@ MODELS = {
     "release": lambda: scenes.release(1.3)[0], "play": lambda: scenes.play()[0], "diode": lambda: scenes.diode()[0],
     "mains": scenes.mains_bridge, "pendulums": scenes.pendulums, "twisting": scenes.twisting, "filter": scenes.capacitor_filter,
     "stiff": lambda: scenes.stiff_relay(1e2), "degree 2": lambda: scenes.relay_of_degree_2(0, 100),
-    "grazing": lambda: scenes.grazing(1e-6), "switches": switches, "functions": functions, "nonlinear": nonlinear,
+    "grazing": lambda: scenes.grazing(1e-6), "switches": switches, "edges": edges, "functions": functions, "nonlinear": nonlinear,
 }  # fmt: skip
 
 
@@ -190,7 +198,17 @@ def built(model, folder, *flags):
 
 @pytest.mark.parametrize(
     "name",
-    ["friction_oscillator", "diode_bridge", "gene_network", "point_past_disc", "mains", "switches", "nonlinear", "two_discs"],
+    [
+        "friction_oscillator",
+        "diode_bridge",
+        "gene_network",
+        "point_past_disc",
+        "mains",
+        "switches",
+        "edges",
+        "nonlinear",
+        "two_discs",
+    ],
 )
 def test_the_library_is_sound_and_right(name, tmp_path):
     """Under AddressSanitizer and UndefinedBehaviorSanitizer, and as the run in Python has it."""

@@ -21,12 +21,14 @@ from nsmodel import (
     relay,
     simulate,
 )  # fmt: skip
+from nsmodel.codegen.library import compiler
 from nsmodel.grid import make_grid
 from nsmodel.identity import fingerprint
 from nsmodel.pieces.integrator import Integrator
 from nsmodel.run.event_driven import problem_of
 from nsmodel.simulate import explain
 
+WAYS = [False, *([True] if compiler() else [])]
 t, x, q, s = ca.SX.sym("t"), ca.SX.sym("x"), ca.SX.sym("q"), ca.SX.sym("s")
 
 
@@ -34,6 +36,13 @@ def pushed(times=(), rate=0.0):
     """x' = -rate x + u(t) + l, l in -Sgn x, u = 2 on [1, 2], else 0: from stick to 1 at t = 2, and back (rate = 0)."""
     u = ca.if_else(t < 1, 0, ca.if_else(t < 2, 2, 0))
     return LureSystem(t=t, A=[[-rate]], B=[[1]], C=[[1]], f=[u], law=relay(1), x0=[0], t_end=4, switch_times=times)
+
+
+def by_events(model, rtol, compiled, **more):
+    """A run whose pieces are made in the way that is asked for."""
+    run = simulate(model, rtol=rtol, method="event-driven", compiled=compiled, **more)
+    assert any("pieces in C" in line for line in run.metadata["used"]) == compiled
+    return run
 
 
 def of_each_class(times):
@@ -83,9 +92,10 @@ def test_what_is_no_list_of_times_is_refused(given, words):
         pushed(given)
 
 
+@pytest.mark.parametrize("compiled", WAYS)
 @pytest.mark.parametrize("times", [(), (1, 2), (0, 0.1 + 0.2, 1, 2, 9)])
-def test_an_edge_and_a_branch_at_one_time_are_one_event(times):
-    run = simulate(pushed(times), rtol=1e-10, method="event-driven")
+def test_an_edge_and_a_branch_at_one_time_are_one_event(times, compiled):
+    run = by_events(pushed(times), 1e-10, compiled)
     inside = sorted({1.0, 2.0, 3.0} | {time for time in times if 0 < time < 4})
     assert [event.t for event in run.events] == pytest.approx(inside, abs=1e-13)
     assert {*times} & {*inside} <= {*run.t.tolist()}
@@ -94,24 +104,26 @@ def test_an_edge_and_a_branch_at_one_time_are_one_event(times):
     np.testing.assert_allclose([first.multipliers_before[0], first.multipliers_after[0]], [0, -1])
 
 
-def test_branches_of_time_are_those_after_the_edge():
+@pytest.mark.parametrize("compiled", WAYS)
+def test_branches_of_time_are_those_after_the_edge(compiled):
     """x' = fmod(t, 1/10) - x, with the edges where doubles put them: a sawtooth."""
     edges = np.arange(1, 10) / 10
     model = FirstOrderSystem(t=t, x=x, f=[ca.fmod(t, 0.1) - x], x0=[0], t_end=1, switch_times=edges)
-    run = simulate(model, rtol=1e-12, method="event-driven")
+    run = by_events(model, 1e-12, compiled)
     assert [event.t for event in run.events] == edges.tolist()
     k = np.arange(10)
     end = np.sum(np.exp(-(1 - k / 10)) * (1 - np.exp(0.1) * (1 - 0.1)))  # e^-1 times the integrals of (s - k/10) e^s
     assert run.x[-1, 0] == pytest.approx(end, rel=1e-12)
 
 
+@pytest.mark.parametrize("compiled", WAYS)
 @pytest.mark.parametrize("edge", [(), (1,)])
-def test_a_wall_that_jumps_pushes_with_an_impulse(edge):
+def test_a_wall_that_jumps_pushes_with_an_impulse(edge, compiled):
     """q' = -1 + l above a wall that jumps from 0 to 1/2 at t = 1: also where the edge is only a branch."""
     model = SweepingProcess(
         t=t, q=q, f=[-1], constraints={"wall": q - ca.if_else(t < 1, 0, 0.5)}, q0=[0.2], t_end=2, switch_times=edge
     )
-    run = simulate(model, rtol=1e-8, method="event-driven")
+    run = by_events(model, 1e-8, compiled)
     touch, jump = run.events
     assert touch.t == pytest.approx(0.2, abs=1e-14)
     assert jump.t == pytest.approx(1, abs=1e-14)
@@ -120,24 +132,26 @@ def test_a_wall_that_jumps_pushes_with_an_impulse(edge):
     np.testing.assert_allclose(np.nansum(run.multipliers), 0.8 + 1 + 0.5, atol=1e-13)
 
 
-def test_a_voltage_that_jumps_starts_anew():
+@pytest.mark.parametrize("compiled", WAYS)
+def test_a_voltage_that_jumps_starts_anew(compiled):
     """A source behind a diode onto a capacitor: v >= u(t), u jumps from 1 to 3 at t = 2 and v with it."""
     u = ca.if_else(t < 2, 1, ca.if_else(t < 3, 3, 0))
     model = FirstOrderSystem(
         t=t, x=x, lam=s, f=[-x], g=[s], h=[x - u], law=complementarity(1), x0=[1], t_end=4, switch_times=[2, 3]
     )
-    run = simulate(model, rtol=1e-10, method="event-driven")
+    run = by_events(model, 1e-10, compiled)
     np.testing.assert_allclose(run.at([1, 2, 2.5, 3, 4]).x[:, 0], [1, 3, 3, 3, 3 * np.exp(-1)], rtol=1e-12)
     assert [event.t for event in run.events] == [2, 3]
     np.testing.assert_allclose(run.events[0].impulse, [2])
 
 
-def test_no_number_of_a_piece_depends_on_the_end(tmp_path):
+@pytest.mark.parametrize("compiled", WAYS)
+def test_no_number_of_a_piece_depends_on_the_end(compiled, tmp_path):
     """Whole, in parts, and with ends at, before and after an edge."""
     model = pushed((0.7, 1, 2, 3.3), rate=0.3)
 
     def go(out, **more):
-        return simulate(model, rtol=1e-8, method="event-driven", out=out, **more)
+        return by_events(model, 1e-8, compiled, out=out, **more)
 
     go(tmp_path / "one")
     for i, end in enumerate([0.35, 0.7, 0.9, 1.0, 2.7, 3.3, 3.7, None]):
@@ -145,12 +159,13 @@ def test_no_number_of_a_piece_depends_on_the_end(tmp_path):
     assert (tmp_path / "one" / "trajectory.npz").read_bytes() == (tmp_path / "parts" / "trajectory.npz").read_bytes()
 
 
-def test_a_piece_ends_exactly_there_whatever_the_numbers():
+@pytest.mark.parametrize("compiled", WAYS)
+def test_a_piece_ends_exactly_there_whatever_the_numbers(compiled):
     rng = np.random.default_rng(3)
     times = np.sort(rng.uniform(0, 5, 200))
     model = LureSystem(A=[[0, 1], [-9, -0.2]], B=[0, 1], C=[0, 1], law=relay(1), x0=[9, 0], t_end=5, switch_times=times)
     free = simulate(LureSystem(A=[[0, 1], [-9, -0.2]], B=[0, 1], C=[0, 1], law=relay(1), x0=[9, 0], t_end=5), rtol=1e-12)
-    run = simulate(model, rtol=1e-12, method="event-driven")
+    run = by_events(model, 1e-12, compiled)
     assert {*times.tolist()} <= {*run.t.tolist()}
     assert (np.diff(run.t) > 0).all()
     np.testing.assert_allclose(run.at(times).x, free.at(times).x, atol=1e-10)

@@ -33,6 +33,7 @@ OF_STEPS: Mapping[str, str] = {
 OF_BODIES: Mapping[str, str] = {"solve.certificate": "REACH", "solve.near": "FARTHER", "codegen.statuses": "READY"}
 OF_PIECES: Mapping[str, str] = {
     "pieces.integrator": "LEAST_RTOL ROOM SHORTENINGS CAUTION UNITS OCTAVES LONGER STUMP PROJECTIONS AROUND STARTS TOO_SHORT",
+    "pieces.known": "SAME_TIME",
     "pieces.accumulation": "TINY_PIECES TINY MANY FASTER SPACINGS",
     "pieces.modes": "GERM ORDERS CLEAR HALF PACES HALVED PIVOTS TOGETHER FEW APART",
     "pieces.switches": "TIE",

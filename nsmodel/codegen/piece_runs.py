@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -33,20 +34,24 @@ def is_there(fingerprint: str) -> bool:
 
 
 class PiecesInC:
-    """The pieces of one problem; ``way``: by what they are compiled; ``branches``: which choices belong to f, g and h.
+    """The pieces of one problem, which end at ``known`` times.
+
+    ``way``: by what they are compiled; ``branches``: which choices belong to f, g and h.
 
     Raises:
         CodegenError: the problem has no C counterpart, or there is no compiler, or it fails.
     """
 
-    def __init__(self, problem: ContinuousProblem, fingerprint: str, rtol: float, atol: list[float]) -> None:
+    def __init__(
+        self, problem: ContinuousProblem, fingerprint: str, rtol: float, atol: list[float], known: Sequence[float]
+    ) -> None:
         name, key = compiler(), key_of(fingerprint)
         if name is None or key is None:
             raise no_compiler()
         self.way = f"compiled by {name}"
         loaded = _loaded(problem)
         if key not in loaded:
-            loaded[key] = _load(problem, key)
+            loaded[key] = _load(problem, known, key)
         library, self.sizes, self.branches = loaded[key]
         self.rtol, self.atol, self.order = rtol, np.array(atol, float), order_of(rtol)
         size = library.function("size", _WHOLE)()
@@ -87,8 +92,8 @@ def _loaded(problem: ContinuousProblem) -> dict[str, Any]:
     return {}
 
 
-def _load(problem: ContinuousProblem, key: str) -> tuple[Library, dict[str, int], dict[str, slice]]:
-    scene = pieces.piece_scene(problem)
+def _load(problem: ContinuousProblem, known: Sequence[float], key: str) -> tuple[Library, dict[str, int], dict[str, slice]]:
+    scene = pieces.piece_scene(problem, known)
 
     def files() -> dict[str, str]:
         return {

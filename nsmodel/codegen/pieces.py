@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
@@ -37,10 +37,14 @@ PARTS = ("common", "pieces_modes", "pieces_expand", "pieces_events", "pieces")
 
 @dataclass(frozen=True)
 class PieceScene:
-    """A problem of which code is written; its law has numbers for ends. ``start`` is x0, ``values`` are those of p."""
+    """A problem of which code is written; its law has numbers for ends.
+
+    ``values`` are those of p; ``known``: the times that end a piece.
+    """
 
     problem: ContinuousProblem
     values: Mapping[str, float]
+    known: tuple[float, ...] = ()
 
     @cached_property
     def lower(self) -> np.ndarray:
@@ -83,7 +87,7 @@ class PieceScene:
             "SLOPES": law and not known, "DIAGONAL": diagonal, "MATRICES": law and not diagonal, "ORTHOGONAL": orthogonal,
             "GENERAL": law and not orthogonal, "STILL": diagonal and not self.curved_rows,
             "ALWAYS_P": law and known and _is_always_p(D0, W), "SWITCHED": bool(self.columns.branches),
-            "PARAMETERS": bool(self.values),
+            "PARAMETERS": bool(self.values), "KNOWN": bool(self.known),
         }  # fmt: skip
         return frozenset(name for name, holds in has.items() if holds)
 
@@ -141,8 +145,8 @@ class PieceScene:
 _SUMS = frozenset("sum difference minus scaled over shifted".split())
 
 
-def piece_scene(problem: ContinuousProblem, values: Mapping[str, float] | None = None) -> PieceScene:
-    """Return what code is written of.
+def piece_scene(problem: ContinuousProblem, known: Sequence[float], values: Mapping[str, float] | None = None) -> PieceScene:
+    """Return what code is written of; ``known`` times are increasing.
 
     Raises:
         CodegenError: the law's ends are no numbers, or it has too many rows that depend on each other.
@@ -150,7 +154,7 @@ def piece_scene(problem: ContinuousProblem, values: Mapping[str, float] | None =
     ends = ca.veccat(ca.SX(problem.law.lower), ca.SX(problem.law.upper))
     if not ends.is_constant():
         raise CodegenError("event-driven integration in C needs numbers as ends of the law; give its parameters values")
-    scene = PieceScene(problem, dict(values or {}))
+    scene = PieceScene(problem, dict(values or {}), tuple(known))
     m = problem.l.numel()
     if m > MOST_ROWS and "MATRICES" in scene.flags:
         raise CodegenError(f"{m} rows that depend on each other are more than the {MOST_ROWS} that pieces in C have room for")
@@ -172,18 +176,14 @@ def scene_of(model: Model, values: Mapping[str, float]) -> PieceScene:
     if problem is None or curved:
         what = f"the law '{curved[0]}' is no box" if curved else "many bodies change their contacts at nearly every step"
         raise CodegenError(f"event-driven integration in C does not take this model: {what}")
-    if model.switch_times:
-        raise CodegenError("event-driven integration in C does not take this model: its pieces do not end at switch_times")
-    return piece_scene(problem, values)
+    return piece_scene(problem, model.switch_times, values)
 
 
 def library_files(model: Model, values: Mapping[str, float], name: str) -> dict[str, str]:
     """NAME_pieces.h and NAME_pieces.c, to be compiled beside a library."""
     scene, title = scene_of(model, values), model.title or type(model).__name__
-    return {
-        f"{name}_pieces.h": header(scene, name, title, f"{name}.h"),
-        f"{name}_pieces.c": code(scene, name, title, runs=False),
-    }
+    shared = f"{name}.h"
+    return {f"{name}_pieces.h": header(scene, name, title, shared), f"{name}_pieces.c": code(scene, name, title, runs=False)}
 
 
 def header(scene: PieceScene, name: str, title: str, shared: str | None) -> str:
@@ -220,9 +220,9 @@ _FINITE = """static int all_finite(int n, const double *x)
 def _words(scene: PieceScene, name: str, title: str, shared: str | None) -> dict[str, str]:
     words = {key: str(value) for key, value in scene.sizes.items()}
     words |= {
-        "NAME": name, "TITLE": comment(title) or name, "GUARD": guard(), "CONSTANTS": constants.of_pieces(),
+        "NAME": name, "TITLE": comment(title) or name, "GUARD": guard(), "KNOWN_TIMES": str(len(scene.known)),
+        "CONSTANTS": constants.of_pieces(),
         "STATUSES": prefixed(statuses.enumeration(), name) if shared is None else f'#include "{shared}"',
-        "T": str(scene.sizes["T"]), "H": str(scene.sizes["H"]),
     }  # fmt: skip
     words["STRUCT"] = fragment("pieces_struct.h", scene.flags, words)
     return words
@@ -239,24 +239,22 @@ def _records(scene: PieceScene) -> str:
 def _own(scene: PieceScene) -> str:
     """The model's own tables and functions."""
     p, flags, n, m = scene.problem, scene.flags, scene.sizes["N"], scene.sizes["M"]
-    parts, plain = (
-        [_tables(scene), kernels("COLUMNS"), (FOLDER / "pieces_series.c").read_text(encoding="utf-8")],
-        "B_NUMBERS" in flags or not m,
-    )
+    parts = [_tables(scene), kernels("COLUMNS"), (FOLDER / "pieces_series.c").read_text(encoding="utf-8"), _products(scene)]
+    plain = "B_NUMBERS" in flags or not m
     targets = {
         "f": [f"next[{i}] = factor*{{}};" if plain else f"s->f[{i}] = {{}};" for i in range(n)],
         "g": [f"s->value[{i}] = {{}};" for i in range(n)],
         "h": [f"c[{(scene.sizes['H'] if {'FEED', 'D_NUMBERS'} <= flags else n + m) + i}] = {{}};" for i in range(m)],
     }  # fmt: skip
-    parts.append(_products(scene))
     given = {"f": ", double factor, double *restrict next"}
     parts += [printer.text(targets[name], given.get(name, "")) for name, printer in scene.printers.items() if m or name == "f"]
-    given = {"t": p.t, "x": p.x, "l": p.l} | ({"s->p": p.p} if p.p.numel() else {})
+    own = {"s->p": p.p} if p.p.numel() else {}
+    given = {"t": p.t, "x": p.x, "l": p.l} | own
     parts.append(_printed("equations", given, {"rate": p.f + p.g, "y": p.h}))
     parts.append(_printed("rounding", given, {"bound": error_bound(ca.densify(p.f + p.g), ca.veccat(p.t, p.x, p.l))}))
     if "SLOPES" in flags:
         parts.append(_printed("slopes", given, dict(zip("BDC", scene.slopes, strict=True))))
-    parts.append(_printed("start", {key: value for key, value in given.items() if key == "s->p"}, {"x": ca.SX(p.x0)}))
+    parts.append(_printed("start", own, {"x": ca.SX(p.x0)}))
     numbers = [f"    s->c[0][{column}] = {value!r};\n" for column, value in scene.columns.numbers.items()]
     first = scene.sizes["N"] + 2 * m + 1
     numbers += [f"    s->c[0][{first + i}] = s->p[{i}];\n" for i in range(len(scene.values))]
@@ -297,6 +295,7 @@ def _few(terms: list[str], loop: str) -> str:
 def _tables(scene: PieceScene) -> str:
     flags, m, (B, D, C) = scene.flags, scene.sizes["M"], scene.matrices
     lines = [table("default_p", list(scene.values.values()), "MODEL_PIECES_NP")] if scene.values else []
+    lines += [table("known_times", scene.known, "KNOWN_TIMES", "switch_times")] if scene.known else []
     if scene.columns.branches:
         _, columns, kinds = zip(*scene.columns.branches, strict=True)
         lines += [table("branch_column", columns, "CHOICES", kind="int")]

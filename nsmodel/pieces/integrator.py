@@ -213,23 +213,23 @@ class Integrator:
         past = None if own is None else beyond_touch(system, own)
         self.touches += past is not None
         to_known = (known - place.t) / place.tau
-        if past is not None and past < to_known:
-            place.x = [value(row[: AROUND + 1], past) for row in system.x]
-            place.t += past * place.tau
-            return
         if past is not None or reaches(place.t, known):
-            place.x = [value(row[: AROUND + 1], to_known) for row in system.x]
-            self._cross(known)
+            d = to_known if past is None else min(past, to_known)
+            place.x, place.t = [value(row[: AROUND + 1], d) for row in system.x], place.t + d * place.tau
+            if d == to_known:
+                self._cross(known)
             return
+        turned: list[Condition] = []
         for condition in conditions(system, place.codes, how, AROUND):
             c = condition.coefficients()
             moves, least = max(map(abs, c[1:]), default=0.0), TIE * size(system, condition)
             ends = same(condition, hit)
             if condition.of not in place.open and (ends or abs(c[0]) <= max(least, TIE * moves)):
                 place.open.add(condition.of)
-                if ends or moves > least:
-                    turn(system, place, condition.of, condition.after)
+                turned += [condition] if ends or moves > least else []
         self._project(tuple(sorted({*how.active, *(i for kind, i in place.open if kind == ROW)})))
+        for condition in turned:  # On another branch y may be another.
+            turn(system, place, condition.of, condition.after)
         self._go_on("after " + name(hit.of, self.problem.rows))
         if self.accumulation.grows(place.t):
             raise self._accumulates(hit)

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.registry import class_of
-from nsmodel.errors import CodegenError, StepError, StorageError
+from nsmodel.errors import StepError, StorageError
 from nsmodel.grid import Grid, check_times
 from nsmodel.hypotheses.quick import refuse_start, warnings
 from nsmodel.identity import INTERPRETED, WAY, settings
@@ -273,9 +273,7 @@ def _chosen(
     def build() -> Any:
         from nsmodel.codegen.piece_runs import PiecesInC
 
-        if known:
-            raise CodegenError("they do not end at known times (switch_times)")
-        return PiecesInC(problem, mark, *tolerances)
+        return PiecesInC(problem, mark, *tolerances, known)
 
     def course() -> Course:
         made.extend([] if made else [_course(problem, options, *tolerances, known)])
@@ -286,9 +284,7 @@ def _chosen(
         return cost.of_pieces(size, nodes, lambda: is_built(mark))
 
     count, auto = 1, options.compiled == "auto"
-    if known and auto:  # The reason is told, whatever it would cost.
-        options = replace(options, compiled=True)
-    elif auto and there in (None, INTERPRETED) and not is_built(mark):
+    if auto and there in (None, INTERPRETED) and not is_built(mark):
         count = math.ceil(min(float(model.t_end) / course().integrator.place.tau, MOST))  # whatever its end here
     found = chosen(options, plan, there, count, costs, build, IN_C, "pieces")
     if found.steps is None:

@@ -387,12 +387,70 @@ static int accumulates(model_pieces *s)
     return 1;
 }
 
-/* Go to the event to rounding, and choose the mode after it. */
-static int pass_event(model_pieces *s, const condition *hit)
+/* The first known time after t, infinite where there is none. */
+static double next_known(double t)
+{
+#if KNOWN
+    int low = 0, high = KNOWN_TIMES;
+    while (low < high) {
+        const int middle = (low + high)/2;
+        if (known_times[middle] > t)
+            high = middle;
+        else
+            low = middle + 1;
+    }
+    if (low < KNOWN_TIMES)
+        return known_times[low];
+#else
+    UNUSED(t);
+#endif
+    return INFINITY;
+}
+
+/* Whether t is at a known time, to rounding, or beyond. */
+static int reaches(double t, double known) { return known < INFINITY && t >= known*(1 - SAME_TIME); }
+
+/* Choose the mode of the open switches; the next piece begins with an event. */
+static int go_on(model_pieces *s)
+{
+    const int status = choose_mode(s) ? judge_uniqueness(s) : MODEL_NO_MODE;
+    if (status)
+        return status;
+    if (s->at.begun == 0)
+        memset(s->at.impulse, 0, sizeof s->at.impulse);
+    s->at.begun = 1;
+    return MODEL_OK;
+}
+
+/* Stand at a known time, with the branches of the data after it, and choose the mode. */
+static int cross(model_pieces *s, double known)
+{
+    condition all[2];
+    double c[MOST_ORDERS + 1];
+    s->at.t = known;
+    for (int b = 0; b < CHOICES; b++)
+        s->at.choice[b] = NAN;
+    if (!expand(s, AROUND)) {
+        memset(s->at.open, 1, M + CHOICES);
+        return go_on(s);
+    }
+    memset(s->at.open, 0, M + CHOICES);
+    for (int of = 0; of < M + CHOICES; of++)
+        for (int n = conditions_of(s, of, AROUND, all), i = 0; i < n; i++) {
+            coefficients(s, &all[i], c);
+            if (!(c[0] > TIE*max_of(size_of(s, &all[i]), largest_of(all[i].orders + 1, c))))
+                s->at.open[of] = 1;
+        }
+    return go_on(s);
+}
+
+/* Go to the event to rounding, but not beyond a known time, and choose the mode after it. */
+static int pass_event(model_pieces *s, const condition *hit, double known)
 {
     condition own, all[2];
     int there = 0, status;
-    double c[MOST_ORDERS + 1];
+    double c[MOST_ORDERS + 1], after[M + CHOICES + 1];
+    signed char turned[M + CHOICES + 1] = {0};
 #if LAW
     signed char rows[M]; /* those that were held, and then the open ones */
     int any = 0;
@@ -407,11 +465,12 @@ static int pass_event(model_pieces *s, const condition *hit)
 #endif
     if ((status = polish(s, hit, &own, &there)))
         return status;
-    const double past = there ? beyond_touch(s, &own) : 0;
-    if (past > 0) {
-        go_along(s, past);
-        s->at.touches += 1;
-        return MODEL_OK;
+    const double past = there ? beyond_touch(s, &own) : 0, to_known = (known - s->at.t)/s->at.tau;
+    s->at.touches += past > 0;
+    if (past > 0 || reaches(s->at.t, known)) {
+        const double d = past > 0 ? min_of(past, to_known) : to_known;
+        go_along(s, d);
+        return d == to_known ? cross(s, known) : MODEL_OK;
     }
     for (int of = 0; of < M + CHOICES; of++)
         for (int n = conditions_of(s, of, AROUND, all), i = 0; i < n; i++) {
@@ -421,21 +480,19 @@ static int pass_event(model_pieces *s, const condition *hit)
             if (s->at.open[of] || !(ends || fabs(c[0]) <= max_of(least, TIE*moves)))
                 continue;
             s->at.open[of] = 1;
-            if (ends || moves > least)
-                turn(s, of, all[i].after);
+            turned[of] = ends || moves > least;
+            after[of] = all[i].after;
         }
 #if LAW
     for (int i = 0; i < M; i++)
         rows[i] = rows[i] || s->at.open[i];
     project(s, rows);
 #endif
-    if (!choose_mode(s))
-        return MODEL_NO_MODE;
-    if ((status = judge_uniqueness(s)))
+    for (int of = 0; of < M + CHOICES; of++) /* on another branch y may be another */
+        if (turned[of])
+            turn(s, of, after[of]);
+    if ((status = go_on(s)))
         return status;
-    if (s->at.begun == 0)
-        memset(s->at.impulse, 0, sizeof s->at.impulse);
-    s->at.begun = 1;
     return accumulates(s) ? MODEL_NO_MODE : MODEL_OK;
 }
 
@@ -521,7 +578,8 @@ static int next_piece(model_pieces *s)
     }
     if (s->leaves && is_stiff(s, length))
         return MODEL_NOT_SOLVED;
-    const double longest = length*s->at.tau;
+    const double longest = length*s->at.tau, known = next_known(s->at.t);
+    length = min_of(length, (known - s->at.t)/s->at.tau);
     if ((status = accept(s, &length, &hit, &found, &error)))
         return status;
     grow(s, length);
@@ -535,7 +593,7 @@ static int next_piece(model_pieces *s)
     s->at.t += s->at.tau*length;
     memset(s->at.open, 0, sizeof s->at.open);
     const double start = s->piece[AT_T], unit = s->at.tau, tau = unit*length;
-    if (!found) {
+    if (!found && !reaches(s->at.t, known)) {
 #if LAW
         if (HOW.through && (status = hold(s)))
             return status;
@@ -543,12 +601,15 @@ static int next_piece(model_pieces *s)
         s->at.tau = unit_of(ROOM*tau);
     }
     else {
-        s->at.tiny = length*unit < TINY*max_of(fabs(s->at.t), unit) ? s->at.tiny + 1 : 0;
-        if (s->at.tiny > TINY_PIECES)
-            return MODEL_NO_MODE;
-        s->at.tau = unit_of(length > STUMP ? min_of(longest, LONGER*tau) : longest); /* longer than a mode's own time coefficients grow */
+        /* In a unit that is longer than a mode's own time coefficients grow. */
+        s->at.tau = unit_of(found && length > STUMP ? min_of(longest, LONGER*tau) : longest);
         memset(s->at.stiff, 0, sizeof s->at.stiff);
-        if ((status = pass_event(s, &hit)))
+        if (found) {
+            s->at.tiny = length*unit < TINY*max_of(fabs(s->at.t), unit) ? s->at.tiny + 1 : 0;
+            if (s->at.tiny > TINY_PIECES)
+                return MODEL_NO_MODE;
+        }
+        if ((status = found ? pass_event(s, &hit, known) : cross(s, known)))
             return status;
         if (s->at.t > start) {
             s->piece[AT_S] = (s->at.t - start)/unit;

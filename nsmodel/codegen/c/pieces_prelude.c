@@ -19,6 +19,9 @@
 #define Y (N + M)
 #define T @T@
 #define H @H@
+#if KNOWN
+#define KNOWN_TIMES @KNOWN_TIMES@
+#endif
 #define UNUSED(a) (void)(a)
 #define ROTATIONS 60 /* of all pairs of columns */
 #define DEPENDENT 1e-26 /* of its square: what is left of a row that depends on others */
