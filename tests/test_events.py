@@ -302,8 +302,8 @@ def test_wrong_options(options, words):
 
 
 def test_what_it_cannot_take():
-    disc = LureSystem(A=-np.eye(2), B=np.eye(2), C=np.eye(2), law=ball(2), x0=[1, 1], t_end=1, step=0.1)
-    with pytest.raises(UsageError, match="'ball' is no box"):
+    disc = LureSystem(A=-np.eye(2), B=np.eye(2), C=np.eye(2), D=np.eye(2), law=ball(2), x0=[1, 1], t_end=1, step=0.1)
+    with pytest.raises(UsageError, match="'ball': its y depends on l directly"):
         simulate(disc, rtol=1e-6, method="event-driven")
     run = simulate(disc, rtol=1e-4)
     assert not run.is_event_driven

@@ -122,8 +122,8 @@ def test_bad_input_on_the_command_line(tmp_path, monkeypatch, capfd, arguments, 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("ball(2)", "the law 'ball' is no box; its sets are for time stepping"),
-        ("second_order_cone(2)", "is no box; its sets are for time stepping"),
+        ("ball(2)", "in the law 'ball': its y depends on l directly"),
+        ("second_order_cone(2)", "has other modes than stick and slip; its sets are for time stepping"),
     ],
 )
 def test_laws_that_it_cannot_take_are_named_on_the_command_line(tmp_path, monkeypatch, capfd, text, words):

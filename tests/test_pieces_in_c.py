@@ -257,5 +257,5 @@ def test_what_has_no_pieces_in_c_is_named(tmp_path):
         x=(x := ca.SX.sym("x", 2)), s=(s := ca.SX.sym("s")), potential=ca.sumsqr(x), friction=s, x0=[1, 0], v0=[0, 1], t_end=1,
         step=0.01,
     )  # fmt: skip
-    with pytest.raises(CodegenError, match="is no box"):
+    with pytest.raises(CodegenError, match="its l is a series of y"):
         codegen.write(ball, tmp_path / "b", event_driven=True)

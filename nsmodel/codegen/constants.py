@@ -32,10 +32,11 @@ OF_STEPS: Mapping[str, str] = {
 }
 OF_BODIES: Mapping[str, str] = {"solve.certificate": "REACH", "solve.near": "FARTHER", "codegen.statuses": "READY"}
 OF_PIECES: Mapping[str, str] = {
-    "pieces.integrator": "LEAST_RTOL ROOM SHORTENINGS CAUTION UNITS OCTAVES LONGER STUMP PROJECTIONS AROUND STARTS TOO_SHORT",
+    "pieces.integrator": "LEAST_RTOL ROOM SHORTENINGS CAUTION UNITS OCTAVES LONGER STUMP AROUND STARTS TOO_SHORT",
     "pieces.known": "SAME_TIME",
     "pieces.accumulation": "TINY_PIECES TINY MANY FASTER SPACINGS",
     "pieces.modes": "GERM ORDERS CLEAR HALF PACES HALVED PIVOTS TOGETHER FEW APART",
+    "pieces.moves": "PROJECTIONS",
     "pieces.switches": "TIE",
     "pieces.bernstein": "NONE NARROW ITERATIONS EXACT",
     "pieces.roots": "POLISHING POLISHED ON_ONE NEAR TOUCH PAST TAIL LOST",

@@ -24,6 +24,7 @@ from nsmodel.pieces.jets import jets_of
 from nsmodel.pieces.lengths import LARGEST_ORDER
 from nsmodel.pieces.modes import ORDERS
 from nsmodel.pieces.multipliers import SHORT, SINGULAR
+from nsmodel.pieces.sliding import with_modes
 from nsmodel.proof.sure import sure
 from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven
 from nsmodel.solve.rounding import error_bound
@@ -149,8 +150,10 @@ def piece_scene(problem: ContinuousProblem, known: Sequence[float], values: Mapp
     """Return what code is written of; ``known`` times are increasing.
 
     Raises:
-        CodegenError: the law's ends are no numbers, or it has too many rows that depend on each other.
+        CodegenError: l in slip is a series, ends of the law are no numbers, or it has too many rows that depend on each other.
     """
+    if problem.sliding:
+        raise CodegenError(f"while '{problem.sliding[0]}' slips, its l is a series of y, which only interpreted pieces have")
     ends = ca.veccat(ca.SX(problem.law.lower), ca.SX(problem.law.upper))
     if not ends.is_constant():
         raise CodegenError("event-driven integration in C needs numbers as ends of the law; give its parameters values")
@@ -169,13 +172,11 @@ def scene_of(model: Model, values: Mapping[str, float]) -> PieceScene:
     """
     module = class_of(model).optional("continuous")
     try:
-        problem = None if module is None else module.continuous_problem(model)
+        problem = None if module is None else with_modes(module.continuous_problem(model))
     except NotEventDriven as error:
         raise CodegenError(f"event-driven integration does not take this model: {error}") from error
-    curved = [] if problem is None else [block.label for _, block in problem.law.parts() if not block.separable]
-    if problem is None or curved:
-        what = f"the law '{curved[0]}' is no box" if curved else "many bodies change their contacts at nearly every step"
-        raise CodegenError(f"event-driven integration in C does not take this model: {what}")
+    if problem is None:
+        raise CodegenError("event-driven integration in C does not take many bodies, whose contacts change at nearly every step")
     return piece_scene(problem, model.switch_times, values)
 
 

@@ -54,6 +54,11 @@ class BallSet(Curved):
         """<l, y> + r |y|, r^2 - |l|^2."""
         return ca.dot(l, y) + self.radius * ca.sqrt(ca.sumsqr(y) + tiny), [self.radius**2 - ca.sumsqr(l)]
 
+    def slip(self, y: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """-r y/|y|, |y|."""
+        size = ca.sqrt(ca.sumsqr(y))
+        return -self.radius * y / size, size
+
     def quadric(self, m: int) -> tuple[np.ndarray, float]:
         """r^2 - |l|^2."""
         return np.eye(m), self.radius**2

@@ -52,6 +52,10 @@ class Curved(ABC):
     def complementarity(self, l: ca.SX, y: ca.SX, tiny: float) -> tuple[ca.SX, list[ca.SX]]:
         """(gap, rows): -y ∈ N_K(l) if and only if gap = 0 and rows >= 0; roots are smoothed by ``tiny``."""
 
+    def slip(self, y: ca.SX) -> tuple[ca.SX, ca.SX] | None:
+        """(l, sqrt(y'S^-1 y)) with -y ∈ N_K(l), y != 0, as expressions of y; None: its modes are not these and y = 0."""
+        return None
+
     @abstractmethod
     def quadric(self, m: int) -> tuple[np.ndarray, float]:
         """(S, c), S (m, m)."""

@@ -89,6 +89,12 @@ class EllipsoidSet(Curved):
         w, v = ca.DM(self.V.T) @ l, ca.DM(self.V.T) @ y
         return ca.dot(l, y) + ca.sqrt(ca.dot(v, v / ca.DM(self.d)) + tiny), [1 - ca.dot(w, ca.DM(self.d) * w)]
 
+    def slip(self, y: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """-Q^-1 y / size, size = sqrt(y'Q^-1 y)."""
+        v = (ca.DM(self.V.T) @ y) / ca.DM(np.sqrt(self.d))
+        size = ca.sqrt(ca.sumsqr(v))
+        return -(ca.DM(self.V) @ (v / ca.DM(np.sqrt(self.d)))) / size, size
+
     def quadric(self, m: int) -> tuple[np.ndarray, float]:
         """1 - l'Q l."""
         return self.V @ np.diag(self.d) @ self.V.T, 1.0

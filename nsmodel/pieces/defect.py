@@ -52,17 +52,20 @@ class Equations:
 
 
 def defect(system: System, place: Place, of: Equations, s: float, p: int, rtol: float, atol: list[float]) -> float:
-    """An estimate of the local error in units of rtol, from |x' - f - g| and |y_a| at points of the piece.
+    """An estimate of the local error in units of rtol, from |x' - f - g|, |y_a| and l in slip at points of the piece.
 
     A series cut after order p has the defect r s^p, which integrates to r(s) s/(p + 1).
     """
     tau, sizes, worst = place.tau, system.sizes, 0.0
     held = [i for i, code in enumerate(place.codes) if code == 0]
+    slipping = system.blocks.slipping(place.codes)
     for share in POINTS:
         at = share * s
         rows = [row[: p + 1] for row in system.x]
         x, rate = [value(row, at) for row in rows], [slope(row, at) for row in rows]
-        l = [row[0] if code else value(row, at) for row, code in zip(system.l, place.codes, strict=True)]
+        l = [value(row, at) for row in system.push]
+        for block in slipping:
+            l[block.at[0] : block.at[-1] + 1] = block.pushing(at)
         velocity, y = of(place.t + tau * at, x, l)
         for i, (v, w) in enumerate(zip(rate, velocity, strict=True)):
             goal = rtol * max(sizes.x[i], abs(x[i]), abs(v * s)) + atol[i]
@@ -81,4 +84,6 @@ def defect(system: System, place: Place, of: Equations, s: float, p: int, rtol: 
                 if off > goal / LOCAL:
                     off -= float(np.abs(system.slopes()[2][i]) @ (tau * at * of.rounding()))
                 worst = max(worst, off / (goal + NOTHING))
+        for block in slipping:
+            worst = max(worst, block.missed(at, y) / (MULTIPLIERS * rtol))
     return float(worst)

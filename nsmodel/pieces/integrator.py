@@ -21,12 +21,14 @@ from nsmodel.pieces.defect import Equations, defect
 from nsmodel.pieces.known import next_known, reaches
 from nsmodel.pieces.lengths import LOCAL, ROUGHEST, first_unit, length, order_of, unit
 from nsmodel.pieces.modes import Place, jump, select, turn, uniqueness
+from nsmodel.pieces.moves import coast, project
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.names import few, name
 from nsmodel.pieces.piece import Piece
-from nsmodel.pieces.roots import beyond_touch, first_event, polish, same
+from nsmodel.pieces.roots import NEAR, beyond_touch, first_event, polish, same
+from nsmodel.pieces.sliding import STOPS
 from nsmodel.pieces.stiff import Stiff
-from nsmodel.pieces.switches import ROW, TIE, Condition, conditions, size
+from nsmodel.pieces.switches import ROW, TIE, Condition, conditions, is_zero, size, switches
 from nsmodel.pieces.system import System
 from nsmodel.proof.sure import sure
 from nsmodel.scheme.continuous import ContinuousProblem
@@ -36,7 +38,6 @@ ROOM = 1.3  # By which the next piece may be longer than the last without anothe
 SHORTENINGS, CAUTION, JUMPS = 30, 0.9, 2  # Of a piece, and the share of the length that its error allows; at one time.
 UNITS, OCTAVES = 60, 6  # Units of time that are tried where a series overflows, and how much shorter each is.
 LONGER, STUMP = 8, 1e-6  # The unit of time after an event, in pieces; of the unit before: a piece too short to tell.
-PROJECTIONS = 3  # Iterations.
 AROUND = 4  # Order of the expansions at an event.
 STARTS, TOO_SHORT = 8, 0.05  # First units of time that are tried; a piece that is shorter than this one asks for another.
 
@@ -57,7 +58,7 @@ class Integrator:
         """See `Integrator`."""
         self.problem, self.rtol, self.known_times = problem, LOCAL * min(rtol, ROUGHEST), known_times
         self.order = order_of(rtol)
-        self.system = System(problem, self.order)
+        self.system = System(problem, self.order, self.rtol)
         self.atol = [0.0] * self.system.n if atol is None else atol
         system, x0 = self.system, [float(v) for v in np.array(ca.DM(problem.x0)).ravel()]
         self.place = Place(0.0, x0, 1.0, [0] * system.m)
@@ -125,7 +126,8 @@ class Integrator:
                 self._event(hit, known)
         except StepError as why:
             self.stopped = str(why)
-        return piece._replace(s=(place.t - piece.t) / piece.tau, last=list(place.x)) if place.t > piece.t else piece
+        off = STOPS * LOCAL if hit is not None and hit.stops else 0.0
+        return piece.moved(place.t, place.x, max(error, off))
 
     def _length(self, how: Solve) -> float:
         return length(self.system, self.place.codes, how, self.order, self.rtol, self.atol)
@@ -146,7 +148,7 @@ class Integrator:
     def take_up(self, t: float, x: list[float], l: list[float], codes: list[int], tau: float) -> None:
         """Go on from a state that other means have come to; StepError where no mode does."""
         system = self.system
-        self.place = Place(t, list(x), unit(tau), list(codes), {(ROW, i) for i in range(system.m)} | set(system.branches))
+        self.place = Place(t, list(x), unit(tau), list(codes), switches(system))
         self.accumulation, self.stopped, self._begun = Accumulation(), None, (0.0,) * system.m
         self.stiff.restart()
         for row, guess in zip(system.l, l, strict=True):
@@ -154,7 +156,7 @@ class Integrator:
         self._forget_branches()
         if (how := select(system, self.place)) is None:
             raise self._stuck("here")
-        self._project(how.active)
+        project(system, self.place, how.active)
         self._refuse_rivals()
 
     def _forget_branches(self) -> None:
@@ -169,7 +171,7 @@ class Integrator:
         place.tau = first_unit(system, place.t, place.x, place.tau)
         for _ in range(STARTS):
             place.codes[:] = [0] * system.m
-            place.open = {(ROW, i) for i in range(system.m)} | set(system.branches)
+            place.open = switches(system)
             found = select(system, place)
             how = system.expand(place.t, place.x, place.codes, place.tau, self.order)
             s = self._length(how) if how is not None else 1.0
@@ -208,8 +210,14 @@ class Integrator:
     def _event(self, hit: Condition, known: float) -> None:
         """Go to the event to round-off, but not beyond a known time, and choose the mode after it."""
         system, place = self.system, self.place
-        self._project(self._expand(AROUND).active)  # Afterwards it would move the root that is polished.
-        how, own = polish(system, place, hit, AROUND, self._expand)
+        project(system, place, self._expand(AROUND).active)  # Afterwards it would move the root that is polished.
+        left, tau = 0.0, place.tau
+        if hit.stops:  # No matter of digits; in a longer unit of time coefficients are beyond measure.
+            self._expand(1)
+            place.tau = unit(min(left := system.blocks.of[hit.of[1]].left, 1.0) * tau)
+            how, own = self._expand(AROUND), None
+        else:
+            how, own = polish(system, place, hit, AROUND, self._expand)
         past = None if own is None else beyond_touch(system, own)
         self.touches += past is not None
         to_known = (known - place.t) / place.tau
@@ -227,9 +235,16 @@ class Integrator:
             if condition.of not in place.open and (ends or abs(c[0]) <= max(least, TIE * moves)):
                 place.open.add(condition.of)
                 turned += [condition] if ends or moves > least else []
-        self._project(tuple(sorted({*how.active, *(i for kind, i in place.open if kind == ROW)})))
+        if hit.stops:
+            coast(system, place, min(left * tau if left <= NEAR else 0.0, known - place.t))
+            place.tau = tau
+        opened = (row for kind, i in place.open if kind == ROW for row in system.blocks.rows_of(i))
+        project(system, place, tuple(sorted({*how.active, *opened})))
         for condition in turned:  # On another branch y may be another.
             turn(system, place, condition.of, condition.after)
+        if reaches(place.t, known):
+            self._cross(known)
+            return
         self._go_on("after " + name(hit.of, self.problem.rows))
         if self.accumulation.grows(place.t):
             raise self._accumulates(hit)
@@ -241,15 +256,10 @@ class Integrator:
         self._forget_branches()
         how = system.expand(place.t, place.x, place.codes, place.tau, AROUND)
         if how is None:
-            place.open = {(ROW, i) for i in range(system.m)} | set(system.branches)
+            place.open = switches(system)
         else:
-            place.open = {c.of for c in conditions(system, place.codes, how, AROUND) if self._near(c)}
+            place.open = {c.of for c in conditions(system, place.codes, how, AROUND) if is_zero(system, c)}
         self._go_on("at a known time")
-
-    def _near(self, condition: Condition) -> bool:
-        """Whether a condition is 0, to rounding, or does not hold."""
-        c = condition.coefficients()
-        return not c[0] > TIE * max(size(self.system, condition), *map(abs, c[1:]))
 
     def _go_on(self, when: str) -> None:
         """Choose the mode of the open switches, after a jump where x is outside its law; the next piece begins with an event."""
@@ -264,14 +274,12 @@ class Integrator:
             if (p := jump(system, place)) is None:
                 break
             self._push(p)
-            place.open = {(ROW, i) for i in range(system.m)} | set(system.branches)
+            place.open = switches(system)
         raise self._stuck(when)
 
     def _accumulates(self, hit: Condition) -> StepError:
-        return StepError(
-            f"t = {self.place.t:.10g}: the switches of {name(hit.of, self.problem.rows)} accumulate; time steps go over them: "
-            "method='auto' or 'time-stepping' (--method auto)"
-        )
+        words = f"the switches of {name(hit.of, self.problem.rows)} accumulate; time steps go over them"
+        return StepError(f"t = {self.place.t:.10g}: {words}: method='auto' or 'time-stepping' (--method auto)")
 
     def _hold(self, how: Solve) -> None:
         """Move x back to y = 0 in rows that only y' holds, once their drift is seen: each piece leaves its share of rtol."""
@@ -281,17 +289,7 @@ class Integrator:
         _, y = self._equations(place.t, place.x, [row[0] for row in system.l])
         if any(abs(y[i]) > self.rtol * system.size_y(i) for i in how.active if not system.feedthrough[i]):
             self._expand(1)
-            self._project(how.active)
-
-    def _project(self, rows: tuple[int, ...]) -> None:
-        """Move x so that what no l acts on directly is 0 in ``rows``, by Newton's method along the least motion."""
-        system, place = self.system, self.place
-        for _ in range(PROJECTIONS):
-            held, slope = system.held(rows)
-            if not held.any():
-                return
-            place.x = [float(x - d) for x, d in zip(place.x, np.linalg.lstsq(slope, held, rcond=None)[0], strict=True)]
-            system.expand(place.t, place.x, place.codes, place.tau, 1)
+            project(system, place, how.active)
 
     # -- for files
 
@@ -339,8 +337,7 @@ class Integrator:
         self.unique[verdict] += 1
         if words:
             raise StepError(
-                f"t = {self.place.t:.10g}: the solution is not unique: of {self._open()} the modes {words} are valid, and go "
-                "apart"
+                f"t = {self.place.t:.10g}: the solution is not unique: of {self._open()} modes {words} are valid, and go apart"
             )
 
     def _open(self) -> str:

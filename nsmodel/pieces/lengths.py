@@ -30,6 +30,8 @@ def length(system: System, codes: list[int], how: Solve, p: int, rtol: float, at
     for i, code in enumerate(codes):
         row, orders, size = system.l[i], known, max(sizes.l[i], l_floor)
         if code:
+            if i in system.blocks.of:
+                rows.append((row, orders, MULTIPLIERS * rtol, size, 0.0))
             row, orders, size = system.y[i], p, max(sizes.y[i], y_floor)
         rows.append((row, orders, MULTIPLIERS * rtol, size, 0.0))
     s = 0.0

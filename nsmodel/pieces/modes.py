@@ -77,7 +77,9 @@ def jump(system: System, place: Place) -> np.ndarray | None:
     system.expand(place.t, place.x, place.codes, place.tau, 1)
     y = np.array([part[0] for part in system.parts["h"].outputs])
     law = numeric_law(system.problem.law)
-    cone = NumericLaw(np.where(np.isinf(law.lower), law.lower, 0.0), np.where(np.isinf(law.upper), law.upper, 0.0), ())
+    box = np.array([not system.blocks.is_curved(i) for i in range(system.m)], bool)
+    lower, upper = (np.where(np.isinf(end) & box, end, 0.0) for end in (law.lower, law.upper))
+    cone = NumericLaw(lower, upper, ())
     W, start = D / (INSTANT * place.tau) + C @ B, np.zeros(system.m)
     found = mlcp.solve(
         W, y, cone, start, np.array(place.codes, np.int8), (mlcp.INDEX_SET, mlcp.LEMKE, mlcp.ENUMERATION), False, 1e-6
@@ -100,10 +102,12 @@ def uniqueness(system: System, place: Place) -> tuple[str, str]:
     """(PROVED, AGREE, UNDECIDED or SPLIT, words for two valid modes that go apart).
 
     It is proved where the open rows' matrix, the others held or let go as they are, is a P-matrix (Cottle, Pang and Stone 1992,
-    Theorem 3.3.7), and nothing but rows is open; else all modes of the open switches are tried, where these are few.
+    Theorem 3.3.7), of curved blocks a definite one, and nothing but rows is open; else all modes of the open switches are tried,
+    where these are few.
     """
     opened = [i for kind, i in sorted(place.open) if kind == ROW]
-    if len(opened) == len(place.open) and system.linear_in_l and system.is_p_matrix(opened, place.codes):
+    rows = [row for i in opened for row in system.blocks.rows_of(i)]
+    if len(opened) == len(place.open) and system.linear_in_l and system.is_p_matrix(rows, place.codes):
         return PROVED, ""
     if len(place.open) > FEW:
         return UNDECIDED, ""
@@ -120,12 +124,13 @@ def uniqueness(system: System, place: Place) -> tuple[str, str]:
 
 
 def pace(system: System) -> float:
-    """The share of the unit of time in which coefficients of x and l do not grow from order to order: germs are looked at in it.
+    """The share of the unit of time in which coefficients of x, l and l'S l do not grow from order to order: that of germs.
 
     In a unit that is longer than a mode's own time the first coefficients would seem rounding beside the last.
     """
-    share = 1.0
-    for rows, sizes in ((system.x, system.sizes.x), (system.l, system.sizes.l)):
+    share, watched = 1.0, [block for block in system.blocks.all if block.curved is not None]
+    inner = [block.inner for block in watched], [block.quadric[1] for block in watched]
+    for rows, sizes in ((system.x, system.sizes.x), (system.l, system.sizes.l), inner):
         for row, so_far in zip(rows, sizes, strict=True):
             own = list(map(abs, row[1 : ORDERS + 1]))
             if share == 1 and max(own[HALF:]) <= max(so_far, *own[:HALF]):
@@ -160,7 +165,11 @@ def _pivot(system: System, place: Place) -> Solve | None:
             continue
         apart = system.apart(how)
         for i in apart:
-            place.open.add((ROW, i))
+            own = system.blocks.rows_of(i)
+            place.open.add((ROW, own[0]))
+            if len(own) > 1:
+                turn(system, place, (ROW, own[0]), 1)
+                continue
             place.codes[i] = -1 if system.y[i][0] > 0 else 1
             if not np.isfinite(system.lower[i] if place.codes[i] < 0 else system.upper[i]):
                 return None
@@ -187,7 +196,7 @@ def _wrong(system: System, place: Place, how: Solve) -> Iterator[Condition]:
     """The conditions that do not hold just after the start, of those that are open or whose multipliers may have moved."""
     share = pace(system)
     for condition in conditions(system, place.codes, how, ORDERS):
-        if condition.of in place.open or condition.acts == "l":
+        if condition.of in place.open or condition.acts in ("l", "inside"):
             c = condition.coefficients()
             first = leading(c, TIE * size(system, condition), share)
             if first is not None and c[first] < 0:
@@ -199,7 +208,7 @@ def _let_go(system: System, place: Place) -> bool:
     for kind, i in sorted(place.open):
         if kind == ROW and place.codes[i] == 0 and len(ends := _codes(system, (ROW, i))[1:]) > 0:
             led = -1 if system.y[i][1] > 0 else 1 if system.y[i][1] < 0 else ends[0]
-            place.codes[i] = int(led if led in ends else ends[0])
+            turn(system, place, (ROW, i), led if led in ends and not system.blocks.is_curved(i) else ends[0])
             return True
     return False
 
@@ -207,6 +216,8 @@ def _let_go(system: System, place: Place) -> bool:
 def _codes(system: System, switch: Switch) -> list[float]:
     kind, i = switch
     if kind == ROW:
+        if system.blocks.is_curved(i):
+            return [0, 1]
         ends = ((-1, system.lower[i]), (1, system.upper[i]))
         return [0, *(code for code, end in ends if np.isfinite(end))]
     choice, branch = system.parts[kind].choice[i], system.parts[kind].jets.branches[i]
@@ -225,7 +236,8 @@ def turn(system: System, place: Place, switch: Switch, code: float) -> None:
     """Give a switch another code."""
     kind, i = switch
     if kind == ROW:
-        place.codes[i] = int(code)
+        for row in system.blocks.rows_of(i):
+            place.codes[row] = int(code)
     else:
         system.parts[kind].choice[i] = code
 
@@ -247,6 +259,8 @@ def _guesses(system: System, place: Place) -> Iterator[list[int]]:
         return
     law, m = numeric_law(system.problem.law), system.m
     chain = (mlcp.INDEX_SET, mlcp.LEMKE, mlcp.ENUMERATION) if m <= FEW else (mlcp.INDEX_SET, mlcp.LEMKE)
+    if law.curved:
+        chain = (mlcp.SEMISMOOTH,)
     for share in (1e-3, 1e-6):
         h = share * place.tau
         system.expand(place.t, place.x, place.codes, place.tau, 1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from operator import mul
 
 import numpy as np
 
@@ -19,6 +20,7 @@ SHORT = 1e-6  # W counts beside D as in a step of this share of the time in whic
 class Solve:
     """How the multipliers of the rows ``active`` follow, by the matrices ``direct`` (D^+) and ``through`` (N), lists of rows.
 
+    ``lift`` is the least motion of x by which what is held through y' moves by 1, where that is asked for.
     ``null`` is the left null space of both: of rows that nothing can hold at 0.
     """
 
@@ -27,6 +29,7 @@ class Solve:
     through: Rows | None
     null: np.ndarray | None
     feeds: bool = False  # Whether some y depends directly on an l that ``through`` finds.
+    lift: Rows | None = None
 
     @property
     def index(self) -> int:
@@ -34,8 +37,8 @@ class Solve:
         return 1 if self.through is None else 2
 
 
-def solve_of(active: tuple[int, ...], B: np.ndarray, D: np.ndarray, C: np.ndarray) -> Solve:
-    """The matrices of the rows ``active``."""
+def solve_of(active: tuple[int, ...], B: np.ndarray, D: np.ndarray, C: np.ndarray, *, lifts: bool = False) -> Solve:
+    """The matrices of the rows ``active``; ``lifts``: with ``lift``."""
     if not active:
         return Solve(active, None, None, None)
     a = list(active)
@@ -45,7 +48,19 @@ def solve_of(active: tuple[int, ...], B: np.ndarray, D: np.ndarray, C: np.ndarra
         return Solve(active, plus.tolist(), None, None)
     inner, left, _ = generalised_inverse(U.T @ W_aa @ V)
     through = V @ inner @ U.T
-    return Solve(active, plus.tolist() if D_aa.any() else None, through.tolist(), U @ left, bool(D[:, a].any()))
+    lift = np.linalg.pinv(U.T @ C[a]) @ U.T if lifts and np.isfinite(C[a]).all() else None
+    return Solve(
+        active, plus.tolist() if D_aa.any() else None, through.tolist(), U @ left, bool(D[:, a].any()),
+        None if lift is None else lift.tolist(),
+    )  # fmt: skip
+
+
+def clear(how: Solve, x: Rows, y: Rows, k: int) -> None:
+    """Take the rounding of held rows out of order k of x: a state that never moves is 0, and not 1e-20 of nothing."""
+    off = [y[i][k] for i in how.active]
+    if how.lift is not None and any(off):
+        for row, d in zip(x, times(how.lift, off), strict=True):
+            row[k] -= d
 
 
 def generalised_inverse(A: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -77,8 +92,8 @@ def _units(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return r, c
 
 
-def is_p(D: np.ndarray, W: np.ndarray, opened: list[int], held: list[int]) -> bool:
-    """Whether D + a little W has a P-matrix on the rows ``opened``, its Schur complement with those ``held``."""
+def is_p(D: np.ndarray, W: np.ndarray, opened: list[int], held: list[int], *, definite: bool) -> bool:
+    """Whether D + a little W has a P-matrix (a ``definite`` one) on rows ``opened``, its Schur complement with the ``held``."""
     d, w = (np.abs(A).max(initial=0.0) for A in (D, W))
     K = D + W * (SHORT * d / w if d and w else 1.0)
     S = K[np.ix_(opened, opened)]
@@ -89,10 +104,15 @@ def is_p(D: np.ndarray, W: np.ndarray, opened: list[int], held: list[int]) -> bo
         S = S - K[np.ix_(opened, held)] @ plus @ K[np.ix_(held, opened)]
     if np.linalg.eigvalsh(S + S.T).min(initial=1.0) > SINGULAR * np.abs(S).max(initial=0.0):
         return True
-    if len(opened) > MOST_MINORS:
+    if definite or len(opened) > MOST_MINORS:
         return False
     subsets = itertools.chain.from_iterable(itertools.combinations(range(len(opened)), r + 1) for r in range(len(opened)))
     return all(
         np.linalg.det(part) > SINGULAR * float(np.prod(np.abs(part).max(axis=1)))
         for part in (S[np.ix_(rows, rows)] for rows in map(list, subsets))
     )
+
+
+def times(A: Rows, v: list[float]) -> list[float]:
+    """A v."""
+    return [sum(map(mul, row, v)) for row in A]

@@ -31,3 +31,7 @@ class Piece(NamedTuple):
     def end(self) -> float:
         """The last time."""
         return self.t + self.tau * self.s
+
+    def moved(self, t: float, x: list[float], error: float) -> Piece:
+        """The piece with its end there, where that is one."""
+        return self._replace(s=(t - self.t) / self.tau, last=list(x), defect=error) if t > self.t else self

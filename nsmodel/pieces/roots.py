@@ -14,6 +14,7 @@ from nsmodel.pieces.system import System
 POLISHING, NEAR = 6, 0.1  # Expansions at the event, and how far from it in units of time they may go.
 POLISHED, ON_ONE = 1e-3, 3  # Of a tie: what is no more is on the event; steps of Newton's method on one expansion.
 TOUCH, PAST = 4.0, 3  # How deep a touch may be, in ties; how many of its half lengths lead out of it.
+CUBIC, SETTLED = 1e3, 1e-9  # What the third order of a threefold root is beside rounding, and when that root is found.
 TAIL, LOST = 2, 1e-2  # Coefficients that tell a truncation, and the share of the largest that is too much for a root.
 
 
@@ -64,6 +65,13 @@ def polish(
             return how, None
         c = own.coefficients()
         scale = max(size(system, own), *map(abs, c))
+        d = _threefold(c, TIE * scale)
+        if d is not None and abs(d) < SETTLED:
+            return how, own
+        if d is not None:
+            place.x = [value(row[: orders + 1], d) for row in system.x]
+            place.t += d * place.tau
+            continue
         if abs(c[0]) <= POLISHED * TIE * scale or c[1] == 0 or not abs(c[0] / c[1]) < NEAR:
             return how, own
         d = -c[0] / c[1]
@@ -74,6 +82,14 @@ def polish(
         place.t += d * place.tau
     how = expand(orders)
     return how, next((c for c in conditions(system, place.codes, how, orders) if same(c, hit)), None)
+
+
+def _threefold(c: list[float], tie: float) -> float | None:
+    """Where c'' is 0, if c and c' are rounding there: c alone tells a threefold root to the cube root of its rounding."""
+    if len(c) < 4 or not abs(c[3]) > CUBIC * tie or not abs(c[2] / (3 * c[3])) < NEAR:
+        return None
+    d = -c[2] / (3 * c[3])
+    return d if max(abs(value(c, d)), abs(slope(c, d))) <= tie else None
 
 
 def beyond_touch(system: System, condition: Condition) -> float | None:

@@ -81,8 +81,11 @@ class Stiff:
         return self._ended(place, how, start, fit, most)
 
     def _trial(self, place: Place, how: Solve, s: float) -> float:
-        """The length of a first piece; 0 where none is tried: a series that fills its unit of time becomes longer by itself."""
-        if self.wait or s >= 1 or place.open or (how.null is not None and how.null.size):
+        """The length of a first piece; 0 where none is tried: a series that fills its unit of time becomes longer by itself.
+
+        None is tried where l of blocks that slip follows from y: the equations of `radau` do not have that.
+        """
+        if self.wait or s >= 1 or place.open or self.system.blocks.all or (how.null is not None and how.null.size):
             return 0.0
         for row, largest in zip(self.system.x, self.system.sizes.x, strict=True):
             if sum(abs(row[k]) * (WORTH * s) ** k for k in range(1, SMOOTH + 1)) > largest:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+
 Rows = Sequence[list[float]]
 Terms = Sequence[Sequence[tuple[int, float]]]  # (j, a_j) of each row.
 MOST = 2000  # Terms and rows of a sum that is written out; longer ones are loops.
@@ -29,6 +31,11 @@ def sums(out: Rows, parts: Sequence[Rows], terms: Terms, inner: Rows, scaled: bo
     made: dict[str, Any] = {}
     exec(compile(head + "".join(f"        {line}\n" for line in body or ["pass"]) + "    return of\n", "<sums>", "exec"), made)
     return made["make"](**known)
+
+
+def terms_of(matrix: np.ndarray | None, rows: int) -> list[list[tuple[int, float]]]:
+    """Of each row of a matrix, what is not 0; of none nothing."""
+    return [[]] * rows if matrix is None else [[(int(j), float(row[j])) for j in np.flatnonzero(row)] for row in matrix]
 
 
 def _loops(out: Rows, parts: Sequence[Rows], terms: Terms, inner: Rows, scaled: bool) -> Callable[..., None]:

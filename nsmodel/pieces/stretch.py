@@ -221,7 +221,7 @@ class Stretches:
 def backward_euler(p: ContinuousProblem) -> OneStepProblem:
     """One implicit step of the continuous problem."""
     h, state, x = ca.SX.sym("h"), ca.SX.sym("x_k", p.x.numel()), ca.SX.sym("x", p.x.numel())
-    rate, y = ca.substitute([p.f + p.g, p.h], [p.t, p.x], [p.t + h, x])
+    rate, y = ca.substitute([p.rate, p.h], [p.t, p.x], [p.t + h, x])
     return OneStepProblem(
         scheme="backward Euler", t=p.t, h=h, state=state, p=p.p, z=x, l=p.l, y=ca.SX.sym("y", p.l.numel()),
         E=x - state - h * rate, Y=y, law=p.law, rows=p.rows, guess=state, next_state=x,

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from nsmodel.pieces.multipliers import Solve
+from nsmodel.pieces.sliding import Block
 from nsmodel.pieces.system import System
 
 ROW = "row"
@@ -20,8 +21,8 @@ Switch = tuple[str, int]  # (ROW, i), or (part, its branch)
 class Condition(NamedTuple):
     """``sign`` * row + ``shift`` >= 0 for switch ``of``; its code is ``after`` beyond.
 
-    ``of`` is (ROW, i) or (part, its branch); ``row`` has ``orders`` + 1 known coefficients; ``acts`` says whose size it has: "y",
-    "l" or nobody's.
+    ``of`` is (ROW, i) or (part, its branch), of a curved block the first of its rows; ``row`` has ``orders`` + 1 known
+    coefficients; ``acts`` says whose size it has: "y", "l" or, of "inside" a curved block, its bound; "" is nobody's.
     """
 
     of: Switch
@@ -31,6 +32,11 @@ class Condition(NamedTuple):
     orders: int
     after: float
     acts: str = ""
+
+    @property
+    def stops(self) -> bool:
+        """Whether it ends at the threshold below which a block stands."""
+        return self.acts == "y" and self.shift != 0
 
     def coefficients(self) -> list[float]:
         """Of the polynomial, order 0 first."""
@@ -42,12 +48,26 @@ class Condition(NamedTuple):
 TIE = 1e-12  # A condition below this share of its size is 0: rounding.
 
 
+def switches(system: System) -> set[Switch]:
+    """All of them."""
+    return {(ROW, system.blocks.rows_of(i)[0]) for i in range(system.m)} | set(system.branches)
+
+
 def size(system: System, condition: Condition) -> float:
     """What a condition is measured beside: what it is the sum of, and the largest of its y, l or argument so far."""
     i = condition.of[1]
     if condition.acts == "y":
-        return system.size_y(i)
+        block = system.blocks.of.get(i)
+        return system.size_y(i) if block is None else block.unit * max(map(system.size_y, block.at))
+    if condition.acts == "inside":
+        return abs(condition.shift)
     return system.size_l(i) if condition.acts == "l" else max(abs(condition.shift), system.size_of_switch(condition.of))
+
+
+def is_zero(system: System, condition: Condition) -> bool:
+    """Whether a condition is 0, to rounding, or does not hold."""
+    c = condition.coefficients()
+    return not c[0] > TIE * max(size(system, condition), *map(abs, c[1:]))
 
 
 # (below, above) of what a whole number w is chosen for.
@@ -62,7 +82,11 @@ RANGES = {
 def conditions(system: System, codes: list[int], how: Solve, orders: int) -> Iterator[Condition]:
     """All conditions of a mode, of rows first."""
     known = orders if how.index == 1 else orders - 1
+    for block in system.blocks.all:
+        yield from _of_block(system, block, codes[block.first], known)
     for i, code in enumerate(codes):
+        if system.blocks.is_curved(i) or (code and i in system.blocks.of):
+            continue
         if code:
             if system.lower[i] < system.upper[i]:
                 yield Condition((ROW, i), system.y[i], -code, 0.0, known if how.feeds else orders, 0, "y")
@@ -82,3 +106,11 @@ def conditions(system: System, codes: list[int], how: Solve, orders: int) -> Ite
         low, high = RANGES[branch.kind](choice)
         yield Condition((name, i), row, 1.0, -low, orders, choice - 1)
         yield Condition((name, i), row, -1.0, high, orders, choice + 1)
+
+
+def _of_block(system: System, block: Block, code: int, known: int) -> Iterator[Condition]:
+    """Of a block that slips, |y| above the threshold at which it stands; of a curved one that sticks, l inside."""
+    if code:
+        yield Condition((ROW, block.first), block.size, 1.0, -block.threshold(system.sizes.y, system.rtol), known, 0, "y")
+    elif block.curved is not None:
+        yield Condition((ROW, block.first), block.inner, -1.0, block.quadric[1], known, 1, "inside")

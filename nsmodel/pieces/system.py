@@ -13,10 +13,9 @@ coefficients are those of s = (t - t_0)/tau, so that they are of one size where 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import cached_property
-from operator import mul
 
 import casadi as ca
 import numpy as np
@@ -24,9 +23,12 @@ import numpy as np
 from nsmodel.model.expressions import derivatives
 from nsmodel.pieces.expansion import Expansion
 from nsmodel.pieces.jets import jets_of
-from nsmodel.pieces.multipliers import NOTHING, Rows, Solve, generalised_inverse, is_p, solve_of
-from nsmodel.pieces.straight import sums
-from nsmodel.proof.buffered import attached
+from nsmodel.pieces.multipliers import NOTHING, Rows, Solve, clear, generalised_inverse, is_p, solve_of, times
+from nsmodel.pieces.release import Release
+from nsmodel.pieces.sizes import Sizes
+from nsmodel.pieces.sliding import Blocks
+from nsmodel.pieces.slopes import at_points, numbers
+from nsmodel.pieces.straight import sums, terms_of
 from nsmodel.scheme.continuous import ContinuousProblem
 
 NEWTON = 30  # Iterations of l at order 0, where f, g or h are not linear in it.
@@ -38,21 +40,14 @@ AT_ZERO = 1e-9  # Of the terms of y_i: a row that is held is not further from 0.
 STAYS = 1e-9  # Of what moves: a row that nothing acts on moves by less.
 
 
-@dataclass
-class Sizes:
-    """The largest of each x, y, l and argument of a switch so far; of l in an interval at least its width."""
-
-    x: list[float]
-    y: list[float]
-    l: list[float]
-    switches: list[float]
-
-
 class System:
-    """The rows of coefficients ``t``, ``x``, ``l``, ``y`` with what computes them; ``orders``: the highest."""
+    """The rows of coefficients ``t``, ``x``, ``l``, ``y`` with what computes them; ``orders``: the highest.
 
-    def __init__(self, problem: ContinuousProblem, orders: int) -> None:
-        self.problem, self.orders = problem, orders
+    ``push`` is what stands for l in f, g and h: l itself but where a block grows; ``rtol``: see `sliding.Block.threshold`.
+    """
+
+    def __init__(self, problem: ContinuousProblem, orders: int, rtol: float = 0.0) -> None:
+        self.problem, self.orders, self.rtol = problem, orders, rtol
         self.n, self.m = problem.x.numel(), problem.l.numel()
         self.lower, self.upper = (
             [float(v) for v in np.array(ca.DM(end)).ravel()] for end in (problem.law.lower, problem.law.upper)
@@ -62,14 +57,16 @@ class System:
         width = orders + 1
         self.t = [0.0] * width
         self.x, self.l, self.y = ([[0.0] * width for _ in range(size)] for size in (self.n, self.m, self.m))
+        self.blocks = Blocks(problem, self.l, self.y)
+        self.push = self.blocks.push
         self.inputs = given = (
-            {(0, 0): self.t} | {(1, i): row for i, row in enumerate(self.x)} | {(2, i): row for i, row in enumerate(self.l)}
+            {(0, 0): self.t} | {(1, i): row for i, row in enumerate(self.x)} | {(2, i): row for i, row in enumerate(self.push)}
         )
         p, inputs = problem, [problem.t, problem.x, problem.l]
         B, D, C = (derivatives(a, b) for a, b in ((p.g, p.l), (p.h, p.l), (p.h, p.x)))
         moving = ca.veccat(p.t, p.x, p.l)
         self.linear_in_l = not ca.depends_on(ca.veccat(B, D), p.l)
-        self.B, self.D, self.C = (_numbers(matrix, moving) for matrix in (B, D, C))
+        self.B, self.D, self.C = (numbers(matrix, moving) for matrix in (B, D, C))
         h = p.h if self.D is None else ca.substitute(p.h, p.l, ca.SX.zeros(self.m)) if self.m else p.h
         self.jets = {"f": jets_of(p.f, inputs, "f"), "h": jets_of(h, inputs, "h")}
         if self.B is None:
@@ -77,9 +74,10 @@ class System:
         self.parts = {name: Expansion(jets, orders, given) for name, jets in self.jets.items()}
         self.sizes.switches = [0.0] * len(self.branches)
         self._slopes = ca.Function("slopes", inputs, [ca.densify(e) for e in (B, D, C)])
-        self._sum_y = sums(self.y, [self.parts["h"].outputs], _terms(self.D, self.m), self.l, scaled=False)
+        self._sum_y = sums(self.y, [self.parts["h"].outputs], terms_of(self.D, self.m), self.l, scaled=False)
         rates = [self.parts[name].outputs for name in ("f", "g") if name in self.parts]
-        self._sum_rate = sums(self.x, rates, _terms(self.B, self.n), self.l, scaled=True)
+        self._sum_rate = sums(self.x, rates, terms_of(self.B, self.n), self.push, scaled=True)
+        self._from_rest: Release | None = None
         self._known: dict[tuple, Solve] = {}
         self._p: dict[tuple, bool] = {}
         self._null: dict[tuple, np.ndarray] = {}
@@ -108,22 +106,11 @@ class System:
         """(B, D, C) at order 0."""
         if self.B is not None and self.D is not None and self.C is not None:
             return self.B, self.D, self.C
-        return self._slopes_at([self.t[0]], [row[0] for row in self.x], [row[0] for row in self.l])
+        return self._slopes_at([self.t[0]], [row[0] for row in self.x], [row[0] for row in self.push])
 
     @cached_property
     def _slopes_at(self):
-        arrays = [np.zeros(size) for size in (1, self.n, self.m)]
-        out = [np.zeros(shape, order="F") for shape in ((self.n, self.m), (self.m, self.m), (self.m, self.n))]
-        buffer, call = attached(self._slopes, arrays, out)
-
-        def at(*values):
-            for array, given in zip(arrays, values, strict=True):
-                array[:] = given
-            call()
-            return out[0], out[1], out[2]
-
-        at.buffer = buffer  # pyright: ignore[reportFunctionMemberAccess]
-        return at
+        return at_points(self._slopes)
 
     def solve(self, codes: list[int]) -> Solve:
         """What finds the multipliers of a mode, at the point that order 0 is."""
@@ -134,7 +121,7 @@ class System:
         if key not in self._known:
             if len(self._known) >= KEPT:
                 self._known.clear()
-            self._known[key] = solve_of(active, *slopes)
+            self._known[key] = solve_of(active, *slopes, lifts=bool(self.blocks.all))
         return self._known[key]
 
     def expand(self, t: float, x: list[float], codes: list[int], tau: float, orders: int) -> Solve | None:
@@ -148,14 +135,15 @@ class System:
         for i, code in enumerate(codes):
             row = self.l[i]
             row[:] = [0.0 if not code and self.linear_in_l else row[0], *[0.0] * self.orders]
-            if code:
-                row[0] = self.upper[i] if code > 0 else self.lower[i]
+            if code and math.isfinite(end := self.upper[i] if code > 0 else self.lower[i]):
+                row[0] = end
         F, G, H = self.parts["f"], self.parts.get("g"), self.parts["h"]
-        if (how := self._solved(codes)) is None:
+        if (how := self._solved(codes)) is None or (self.blocks.released and (how := self._release(how)) is None):
             return None
         for k in range(orders + 1):
             if k:
                 self._direct(how, k)
+                self.blocks.slide(codes, k)
             if k == orders:
                 break
             if k:
@@ -163,17 +151,19 @@ class System:
             self._put_y(H.order(k + 1), k + 1)
             if k == 0 or how.through is None:
                 continue
-            step = [-(k + 1) / tau * v for v in _times(how.through, [self.y[i][k + 1] for i in how.active])]
-            for i, d in zip(how.active, step, strict=True):
+            for i, d in self._found(how, k):
                 self.l[i][k] += d
+            self.blocks.pushed(codes, k)
             self._feed(how, k)
             self._rate(None, G.order(k) if G else None, k)
             self._put_y(H.order(k + 1), k + 1)
+            clear(how, self.x, self.y, k + 1)
         if how.through is not None:
-            if not self._stays(how, min(orders, HELD_ORDERS)):
+            if not self._stays(how, range(2, min(orders, HELD_ORDERS) + 1)):
                 return None
             for i in how.active:
                 self.y[i][1:] = [0.0] * self.orders
+        self.blocks.watch(codes, orders if how.index == 1 else orders - 1)
         return how
 
     def _solved(self, codes: list[int]) -> Solve | None:
@@ -184,21 +174,24 @@ class System:
             for row, l in zip(self.l, start, strict=True):
                 row[0] = l
             self._put_y(self.parts["h"].order(0), 0)
-            how = self.solve(codes)
+            how, self._from_rest = self.solve(codes), None
+            self.blocks.begin(codes, self.size_y)
             if self._settle(how, codes):
                 return how if self.linear_in_l else self.solve(codes)
         for row, l in zip(self.l, guess, strict=True):
             row[0] = l
         return None
 
-    def _stays(self, how: Solve, orders: int) -> bool:
-        """Whether the rows that no multiplier acts on stay at 0 beyond the rate that `_held` has looked at."""
+    def _stays(self, how: Solve, orders: Iterable[int]) -> bool:
+        """Whether the rows that no multiplier acts on stay at 0 by themselves, as redundant ones do; 1: once x has its rate."""
         if how.null is None or not how.null.size:
             return True
-        for k in range(2, orders + 1):
+        for k in orders:
+            if k == 1:
+                self._put_y(self.parts["h"].order(1), 1)
             y = np.array([self.y[i][k] for i in how.active])
-            size = max(float(np.abs(y).max()), *(abs(row[k]) for row in self.x))
-            if not np.abs(how.null.T @ y).max() <= AT_ZERO * size:
+            size = max([float(np.abs(y).max()), *(abs(row[k]) for row in self.x)])
+            if not np.abs(how.null.T @ y).max() <= STAYS * size:
                 return False
         return True
 
@@ -239,15 +232,18 @@ class System:
         """What is not 0 of |C_i| and |D_i|."""
         if self.C is None or self.D is None or i not in self._absolute:
             _, D, C = self.slopes()
-            self._absolute[i] = _terms(np.abs(C[i : i + 1]), 1)[0], _terms(np.abs(D[i : i + 1]), 1)[0]
+            self._absolute[i] = terms_of(np.abs(C[i : i + 1]), 1)[0], terms_of(np.abs(D[i : i + 1]), 1)[0]
         return self._absolute[i]
 
     def is_p_matrix(self, opened: list[int], codes: list[int]) -> bool:
-        """Whether the rows ``opened`` have a P-matrix, D with W where D is nothing, the other rows with code 0 held."""
+        """Whether the rows ``opened`` have a P-matrix, D with W where D is nothing, the other rows with code 0 held.
+
+        Where some are those of a curved block: whether it is definite.
+        """
         key = (tuple(opened), tuple(i for i, code in enumerate(codes) if code == 0 and i not in opened))
         if key not in self._p or self.B is None or self.D is None or self.C is None:
             B, D, C = self.slopes()
-            self._p[key] = is_p(D, C @ B, *map(list, key))
+            self._p[key] = is_p(D, C @ B, *map(list, key), definite=any(len(self.blocks.rows_of(i)) > 1 for i in opened))
         return self._p[key]
 
     def held(self, rows: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -259,6 +255,31 @@ class System:
             self._null = {key: generalised_inverse(D[np.ix_(a, a)])[1]}
         U = self._null[key]
         return U.T @ np.array([self.y[i][0] for i in a]), U.T @ C[a]
+
+    def _release(self, how: Solve) -> Solve | None:
+        """Order 0 of l, and order 1 of x, where blocks begin to slip."""
+        tau, active = self.t[1], how.active if how.through is not None else ()
+        self._from_rest = release = Release(active, self.blocks.released, self.slopes(), tau)
+        self._put_y(self.parts["h"].order(1), 1)
+        rate, l = (np.array([row[k] for row in (rows[i] for i in release.rows)]) for rows, k in ((self.y, 1), (self.l, 0)))
+        found = release.begin(rate / tau, l)
+        if found is None:
+            return None
+        for i, v in zip(release.rows, found, strict=True):
+            self.l[i][0] = float(v)
+        self.blocks.pushed([0] * self.m, 0)
+        F, G = self.parts["f"], self.parts.get("g")
+        self._feed(how, 0)
+        self._rate(F.order(0), G.order(0) if G else None, 0)
+        return how if how.through is not None else replace(how, through=[])
+
+    def _found(self, how: Solve, k: int) -> Iterator[tuple[int, float]]:
+        """What order k of the multipliers of held rows is to be moved by, (row, motion)."""
+        if self._from_rest is not None:
+            rows = self._from_rest.rows
+            return zip(rows, self._from_rest.step(k, np.array([self.y[i][k + 1] for i in rows])).tolist(), strict=True)
+        step = [-(k + 1) / self.t[1] * v for v in times(how.through or [], [self.y[i][k + 1] for i in how.active])]
+        return zip(how.active, step, strict=True)
 
     def _settle(self, how: Solve, codes: list[int]) -> bool:
         """Order 0 of l, and order 1 of x; Newton's method where f, g or h are not linear in l."""
@@ -272,9 +293,10 @@ class System:
             self._put_y(H.order(1), 1)
             if how.through is not None:
                 slope = [self.y[i][1] / tau for i in how.active]
-                step = [-v for v in _times(how.through, slope)]
+                step = [-v for v in times(how.through, slope)]
                 for i, d in zip(how.active, step, strict=True):
                     self.l[i][0] += d
+                self.blocks.pushed(codes, 0)
                 moved = max(moved, self._moved(how, how.through, step, [abs(row[1]) / tau for row in self.x]))
                 if how.feeds:
                     self._put_y(self.parts["h"].order(0) if self.D is None else None, 0)
@@ -282,27 +304,18 @@ class System:
             if not np.isfinite(moved):
                 return False
             if self.linear_in_l:
-                return self._held(how)
+                return self._stays(how, (1,))
             if iteration and moved <= SETTLED * NEWTON:
-                return self._held(how)
+                return self._stays(how, (1,))
             how = self.solve(codes)
             self._put_y(H.order(0), 0)
         return False
-
-    def _held(self, how: Solve) -> bool:
-        """Whether the rows that no multiplier acts on stay at 0 by themselves, as redundant ones do."""
-        if how.null is None or not how.null.size:
-            return True
-        self._put_y(self.parts["h"].order(1), 1)
-        slope = np.array([self.y[i][1] for i in how.active])
-        size = max((abs(row[1]) for row in self.x), default=0.0)
-        return bool(np.abs(how.null.T @ slope).max() <= STAYS * max(size, float(np.abs(slope).max())))
 
     def _direct(self, how: Solve, k: int) -> float:
         """l_k from y_k, of index 1; y_k with it. Returns the share by which order 0 moved, of what is not linear in l."""
         if how.direct is None:
             return 0.0
-        step = _times(how.direct, [self.y[i][k] for i in how.active])
+        step = times(how.direct, [self.y[i][k] for i in how.active])
         for i, d in zip(how.active, step, strict=True):
             self.l[i][k] -= d
         moved = 0.0 if k or self.linear_in_l else self._moved(how, how.direct, step, [abs(row[0]) for row in self.x])
@@ -333,17 +346,3 @@ class System:
     def _rate(self, computed: object, and_computed: object, k: int) -> None:
         """Order k + 1 of x, once order k of f, g and l is ``computed``."""
         self._sum_rate(k, self.t[1] / (k + 1))
-
-
-def _times(A: Rows, v: list[float]) -> list[float]:
-    return [sum(map(mul, row, v)) for row in A]
-
-
-def _numbers(matrix: ca.SX, moving: ca.SX) -> np.ndarray | None:
-    """The matrix, where it depends on nothing that moves."""
-    return None if ca.depends_on(matrix, moving) else np.array(ca.DM(ca.densify(ca.cse(matrix)))).reshape(matrix.shape)
-
-
-def _terms(matrix: np.ndarray | None, rows: int) -> list[list[tuple[int, float]]]:
-    """Of each row of a matrix, what is not 0; of none nothing."""
-    return [[]] * rows if matrix is None else [[(int(j), float(row[j])) for j in np.flatnonzero(row)] for row in matrix]

@@ -24,6 +24,7 @@ from nsmodel.pieces.integrator import Integrator
 from nsmodel.pieces.jets import is_switched
 from nsmodel.pieces.lengths import order_of
 from nsmodel.pieces.radau import stages_of
+from nsmodel.pieces.sliding import with_modes
 from nsmodel.pieces.stretch import BUDGET, Stretches
 from nsmodel.run.asked import times, tolerances
 from nsmodel.run.in_c import chosen
@@ -55,11 +56,7 @@ def problem_of(model: Model) -> ContinuousProblem:
     module = class_of(model).optional("continuous")
     if module is None:
         raise NotEventDriven("many bodies change their contacts at nearly every step; they are for time stepping")
-    problem = module.continuous_problem(model)
-    curved = [block.label for _, block in problem.law.parts() if not block.separable]
-    if curved:
-        raise NotEventDriven(f"the law '{curved[0]}' is no box; its sets are for time stepping")
-    return problem
+    return with_modes(module.continuous_problem(model))
 
 
 class EventDriven:
@@ -77,6 +74,7 @@ class EventDriven:
         found = _looked_at(model)
         check_exact(model)
         _refuse_large(problem, options)
+        _refuse_unproved(problem, options)
         same = settings(model, Grid(1, 1.0, 1.0), METHOD, options.tolerance, options.save_every, INTERPRETED)
         chosen = _chosen(problem, options, there(), (rtol, atol), model, same["model"])
         self.maker, self.plan = chosen.maker, chosen.plan
@@ -241,6 +239,12 @@ def _refuse_large(problem: ContinuousProblem, options: Options) -> None:
         raise NotEventDriven(f"f, g and h have {size} operations, and each event ends a piece of all of them; steps cost less")
 
 
+def _refuse_unproved(problem: ContinuousProblem, options: Options) -> None:
+    """Refuse to prove what interval arithmetic has no form of."""
+    if options.certified and problem.sliding:
+        raise NotEventDriven(f"certify='interval' proves boxes alone; while '{problem.sliding[0]}' slips, its l is a series of y")
+
+
 @once
 def _looked_at(model: Model) -> tuple[str, ...]:
     """The warnings of a model, whose start is not refused."""
@@ -284,7 +288,9 @@ def _chosen(
         return cost.of_pieces(size, nodes, lambda: is_built(mark))
 
     count, auto = 1, options.compiled == "auto"
-    if auto and there in (None, INTERPRETED) and not is_built(mark):
+    if problem.sliding and auto:  # The reason is told, whatever it would cost.
+        options = replace(options, compiled=True)
+    elif auto and there in (None, INTERPRETED) and not is_built(mark):
         count = math.ceil(min(float(model.t_end) / course().integrator.place.tau, MOST))  # whatever its end here
     found = chosen(options, plan, there, count, costs, build, IN_C, "pieces")
     if found.steps is None:
@@ -324,6 +330,8 @@ def _plan(problem: ContinuousProblem, options: Options, rtol: float, known: Sequ
         used.append("switches of operations that are not analytic (fabs, fmax, if_else, ...), watched")
     if known:
         used.append(f"{len(known)} known times (switch_times): each ends a piece, the mode is chosen anew")
+    if problem.sliding:
+        used.append(f"stick and slip are modes of {', '.join(problem.sliding)}: in slip, l is a series of y")
     if options.certified:
         used.append("after the run each piece is proved by interval arithmetic: defect, rows, signs of conditions")
     elif options.method != METHOD:

@@ -67,7 +67,8 @@ class Interpreted:
 
     def __init__(self, course: Course) -> None:
         self.course, self.integrator = course, course.integrator
-        self._feeds = self.integrator.system.feedthrough
+        system = self.integrator.system
+        self._feeds = [system.feedthrough[i] or system.blocks.is_curved(i) for i in range(system.m)]
         self._before: tuple[dict[str, Any], dict[str, Any]] | None = None
 
     @property

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel import dense
+from nsmodel import dense, laws
 from nsmodel.pieces.expansion import Expansion
 from nsmodel.pieces.jets import jets_of
 from nsmodel.pieces.piece import Piece
@@ -112,6 +112,7 @@ class PieceRows:
         self._out = _outputs(problem, orders)
         self._names = len(problem.rows if problem.multipliers is None else problem.declared)
         self._law = [np.array(ca.DM(end)).ravel() for end in (problem.law.lower, problem.law.upper)]
+        self._curved = [(at, part) for at, part in problem.law.parts() if part.curved() is not None]
         m = problem.l.numel()
         direct = set(ca.jacobian_sparsity(problem.h, problem.l).row()) if m else set()
         self._direct = np.array([i in direct for i in range(m)], bool)
@@ -242,8 +243,7 @@ class PieceRows:
         }  # fmt: skip
 
     def _residuals(self, l: np.ndarray, y: np.ndarray, block: Block, number: np.ndarray) -> np.ndarray:
-        """How far each row is from its law where that is algebraic (y depends on l directly), beside the sizes of y and l."""
-        """How far each row is from its law where that is algebraic (y depends on l directly), beside the sizes of y and l.
+        """How far each row is from its law where that is algebraic (y depends on l) or curved, beside the sizes of y and l.
 
         Of a row by a time step it is the residual of that.
         """
@@ -251,6 +251,8 @@ class PieceRows:
         off = np.where(codes == 0, np.abs(y), np.maximum(codes * y, 0)) / np.maximum(block.size_y[number], 1e-300)
         out = np.maximum(np.maximum(lower - l, l - upper), 0) / np.maximum(block.size_l[number], 1e-300)
         of_law = (np.maximum(off, out) * self._direct).max(axis=1, initial=0.0)
+        for at, part in self._curved:
+            of_law = np.maximum(of_law, _missed(part, l[:, at], y[:, at], block.size_y[number][:, at]))
         return np.where(block.stepped[number], block.residual[number], of_law)
 
     def _records(self, t: np.ndarray, x: np.ndarray, l: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
@@ -272,6 +274,13 @@ class PieceRows:
         integral, until = (np.array(saved[name], float) for name in ("integral", "until"))
         self.carried = self._before = Carried(saved["rows"], saved["t"], integral, until, saved["worst"])
         self.starts = False
+
+
+def _missed(part: laws.Block, l: np.ndarray, y: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """How far rows are from -y ∈ N_K(l): l outside K, beside K, and the largest <l - l', y>, l' ∈ K, beside K and y."""
+    outside = part.excess(l).max(axis=1) / part.extent
+    least = np.einsum("kni,ni->kn", part.rivals(l, y), y).min(axis=0)
+    return np.maximum(outside, ((l * y).sum(axis=1) - least) / (part.extent * np.maximum(size.max(axis=1), 1e-300)))
 
 
 def _columns_of(p: ContinuousProblem) -> Columns:

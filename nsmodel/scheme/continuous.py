@@ -4,16 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import casadi as ca
 
 from nsmodel.errors import UsageError
 from nsmodel.laws import Law
 
+TINY = 1e-150  # Beside a size, that its derivatives are numbers where it is 0.
+
 
 class NotEventDriven(UsageError):
     """A model that event-driven integration cannot take; says what of it."""
+
+
+class Growth(NamedTuple):
+    """Where block ``first`` (its first row) slips, f + g has factor(s) l in place of its l, s = |y|; factor(0) = 1."""
+
+    first: int
+    s: ca.SX
+    factor: ca.SX
 
 
 @dataclass(frozen=True)
@@ -31,6 +41,7 @@ class ContinuousProblem:
         multipliers, outputs: l and y as the user declared them, expressions of t, x and l, where they differ; else None.
         declared: the names of these multipliers.
         records: further columns of a trajectory, expressions of t, x and l.
+        growths: of the blocks whose l pushes with another force the faster they slip.
         impulses: whether the class's multipliers are the integrals of l over steps; l itself is then called reactions.
     """
 
@@ -51,7 +62,25 @@ class ContinuousProblem:
     outputs: ca.SX | None = None
     declared: tuple[str, ...] = ()
     records: Mapping[str, ca.SX] = field(default_factory=dict)
+    growths: tuple[Growth, ...] = ()
     impulses: bool = False
+
+    @property
+    def sliding(self) -> tuple[str, ...]:
+        """The blocks whose l, or what stands for it, moves while they slip: by the names of their laws, or of their rows."""
+        curved = tuple(block.label for _, block in self.law.parts() if not block.separable)
+        return curved + tuple(self.rows[growth.first] for growth in self.growths)
+
+    @property
+    def rate(self) -> ca.SX:
+        """F + g as expressions of t, x and l, with the factors of `growths` in."""
+        whole, l = self.f + self.g, self.l
+        starts = {rows.start: rows for rows, _ in self.law.parts()}
+        for growth in self.growths:
+            own = starts[growth.first]
+            size = ca.sqrt(ca.sumsqr(self.h[own]) + TINY**2)
+            whole = ca.substitute(whole, l[own], ca.substitute(growth.factor, growth.s, size) * l[own])
+        return whole
 
     @property
     def columns(self) -> dict[str, ca.SX]:

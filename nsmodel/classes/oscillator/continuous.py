@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import casadi as ca
+import numpy as np
 
-from nsmodel.classes.oscillator.model import FrictionOscillator
+from nsmodel.classes.oscillator.model import Friction, FrictionOscillator
 from nsmodel.classes.oscillator.schemes.inertial_proximal import rest, slope_at_zero
 from nsmodel.laws import ball, complementarity, product
-from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven
+from nsmodel.scheme.continuous import ContinuousProblem, Growth, NotEventDriven
 from nsmodel.scheme.problem import subdifferential
 
 
@@ -24,8 +25,14 @@ def continuous_problem(model: FrictionOscillator) -> ContinuousProblem:
     x, v = model.x, ca.SX.sym("v", model.x.numel())
     xi = [ca.SX.sym(f"xi_{e.name}", e.H.shape[0]) for e in model.elements]
     pushed = -model.damping @ v if model.damping is not None else ca.SX.zeros(x.numel())
+    growths, row = [], 0
     for e in model.elements:
-        pushed -= e.H.T @ rest(e, model.s, e.H @ v)
+        growth = _growth(e, model.s, row)
+        if growth is None:
+            pushed -= e.H.T @ rest(e, model.s, e.H @ v)
+        else:
+            growths.append(growth)
+        row += e.H.shape[0]
     potential = subdifferential(model.potential_split, x, "potential")
     c = ca.vertcat(ca.SX(0, 1), *model.constraints.values())
     n = ca.SX.sym("n", c.numel())
@@ -46,5 +53,25 @@ def continuous_problem(model: FrictionOscillator) -> ContinuousProblem:
         rows=names + potential.rows + model.constraint_names,
         names=(*model.names, *(f"v of {name}" for name in model.names)),
         x0=ca.vertcat(model.x0, model.v0),
-        states=x.numel(), records={"v": v, "energy": ca.sumsqr(v) / 2 + model.potential},
+        states=x.numel(), growths=tuple(growths), records={"v": v, "energy": ca.sumsqr(v) / 2 + model.potential},
     )  # fmt: skip
+
+
+def _growth(element: Friction, s: ca.SX, first: int) -> Growth | None:
+    """theta'(|Hv|)/theta'(0) as a factor of the friction at the threshold; None where the rest of it has a series at Hv = 0.
+
+    Raises:
+        NotEventDriven: theta'(0) = 0, and the rest has none.
+    """
+    slope = ca.gradient(element.theta, s)
+    curvature = ca.gradient(slope, s)
+    if not ca.depends_on(curvature, s):
+        return None
+    if element.H.shape[0] == 1 and np.isfinite(float(ca.substitute(curvature, s, 0))):
+        return None
+    least = slope_at_zero(element, s)
+    if not float(least):
+        raise NotEventDriven(
+            f"friction '{element.name}': theta'(0) = 0, and theta' is not linear: |Hv| has no series where the motion turns"
+        )
+    return Growth(first, s, slope / least)

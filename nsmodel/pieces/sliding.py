@@ -1,0 +1,262 @@
+"""Blocks of the law whose l moves while they slip, balls and ellipsoids {c - l'S l >= 0}, or that push more the faster they slip.
+
+Stick is y = 0 with l inside, slip is y != 0 with l on the boundary: y + sigma S l = 0, l'S l = c, sigma = size/sqrt(c) with
+size^2 = y'S^-1 y. While size > 0 l is a function of y, and its series follows from that of y; see `release` for size = 0.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.laws import Curved, Law, box, product
+from nsmodel.pieces.bernstein import value
+from nsmodel.pieces.expansion import Expansion
+from nsmodel.pieces.jets import jets_of
+from nsmodel.scheme.continuous import ContinuousProblem, Growth, NotEventDriven
+
+STOPS = 10.0  # A block stands as soon as its speed is below this share of rtol of its largest: y is then put to 0.
+REST = 1e-12  # A speed below this share of its size is 0: rounding.
+ABOVE = 4.0  # A slip that becomes slower ends so many times above that.
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """The rows ``at`` of a law with what they slip by.
+
+    Attributes:
+        at: numbers of the rows.
+        l, y, push: their rows of coefficients; ``push`` is what stands for l in f and g.
+        size: coefficients of |y| (sqrt(y'S^-1 y)) in slip.
+        inner: coefficients of l'S l in stick.
+        curved: the set; None for a row of a box.
+    """
+
+    at: tuple[int, ...]
+    l: list[list[float]]
+    y: list[list[float]]
+    push: list[list[float]]
+    size: list[float]
+    inner: list[float]
+    curved: Curved | None
+    growth: Growth | None
+
+    @property
+    def first(self) -> int:
+        """The row that it is named by."""
+        return self.at[0]
+
+    @cached_property
+    def quadric(self) -> tuple[np.ndarray, float]:
+        """(S, c)."""
+        return self.curved.quadric(len(self.at)) if self.curved else (np.eye(1), 1.0)
+
+    @cached_property
+    def unit(self) -> float:
+        """The largest size of a y with |y| = 1."""
+        return 1 / math.sqrt(np.linalg.eigvalsh(self.quadric[0])[0])
+
+    @cached_property
+    def is_rough(self) -> bool:
+        """Whether the factor has no series where the slip begins."""
+        if self._grown is None:
+            return False
+        orders = len(self.size)
+        self.size[:], before = [0.0, 1.0, *[0.0] * (orders - 2)], list(self.size)
+        found = [self._grown.order(k) for k in range(orders)]
+        self.size[:] = before
+        return not all(math.isfinite(v) for values in found for v in values)
+
+    @cached_property
+    def _edge(self) -> Expansion | None:
+        """(l, size) of y."""
+        if self.curved is None:
+            return None
+        y = ca.SX.sym("y", len(self.at))
+        slip = self.curved.slip(y)
+        jets = jets_of(ca.vertcat(*(slip or ())), [y], "l in slip")
+        return Expansion(jets, len(self.size) - 1, {(0, i): row for i, row in enumerate(self.y)})
+
+    @cached_property
+    def _inside(self) -> Expansion:
+        """l'S l of l."""
+        l = ca.SX.sym("l", len(self.at))
+        jets = jets_of(ca.dot(l, ca.DM(self.quadric[0]) @ l), [l], "l'S l")
+        return Expansion(jets, len(self.size) - 1, {(0, i): row for i, row in enumerate(self.l)})
+
+    @cached_property
+    def _grown(self) -> Expansion | None:
+        """factor(size) l."""
+        if self.growth is None:
+            return None
+        l = ca.SX.sym("l", len(self.at))
+        jets = jets_of(self.growth.factor * l, [self.growth.s, l], "the growth of friction")
+        given = {(0, 0): self.size} | {(1, i): row for i, row in enumerate(self.l)}
+        return Expansion(jets, len(self.size) - 1, given)
+
+    @property
+    def left(self) -> float:
+        """The time in which it would stop at this rate, in the unit of time; inf where it does not become slower."""
+        return -self.size[0] / self.size[1] if self.size[1] < 0 else math.inf
+
+    def is_at_rest(self, least: float) -> bool:
+        """Whether y is 0 at the start of the piece, or below ``least`` of a size."""
+        return math.hypot(*(row[0] for row in self.y)) <= least
+
+    def slide(self, code: int, k: int) -> None:
+        """Order k of l and of |y|, from those of y; y is not 0."""
+        if self._edge is None:
+            self.size[k] = -code * self.y[0][k]
+        else:
+            *l, self.size[k] = self._edge.order(k)
+            for row, v in zip(self.l, l, strict=True):
+                row[k] = v
+        self.pushed(code, k)
+
+    def pushed(self, code: int, k: int) -> None:
+        """Order k of what pushes, from those of l and |y|."""
+        if self._grown is not None:
+            smooth = code and (self.size[0] or not (self.is_rough or self.size[1] < 0))
+            for row, v in zip(self.push, self._grown.order(k) if smooth else [row[k] for row in self.l], strict=True):
+                row[k] = v
+
+    def pushing(self, s: float) -> list[float]:
+        """What pushes in slip at a point of the piece, with the factor itself."""
+        l, growth = [value(row, s) for row in self.l], self.growth
+        if growth is None:
+            return l
+        factor = float(self._factor(max(value(self.size, s), 0.0)))
+        return [factor * v for v in l]
+
+    @cached_property
+    def _factor(self) -> ca.Function:
+        return ca.Function("factor", [self.growth.s], [self.growth.factor]) if self.growth else ca.Function()
+
+    def missed(self, s: float, y: np.ndarray) -> float:
+        """How far l in slip is from the law at a point of the piece where the model's y (all rows) are these, beside the set."""
+        if self.curved is None or not y[list(self.at)].any():
+            return 0.0
+        off = np.array([value(row, s) for row in self.l]) - self.curved.selected(y[list(self.at)])
+        return float(np.abs(off).max() / self.curved.radius)
+
+    def watch(self, orders: int) -> None:
+        """The coefficients of l'S l up to this order."""
+        if self.curved is not None:
+            for k in range(orders + 1):
+                self.inner[k] = self._inside.order(k)[0]
+
+    def threshold(self, sizes: Sequence[float], rtol: float) -> float:
+        """The size at which a slip ends: y is then put to 0, which no row feels by more than a share of rtol, or of rounding.
+
+        One that begins below it is let grow.
+        """
+        now = math.hypot(*(row[0] for row in self.y))
+        if not now or (self.curved is None and not self.is_rough):
+            return 0.0
+        share = min(sizes[i] / abs(row[0]) for i, row in zip(self.at, self.y, strict=True) if row[0])
+        least = max(STOPS * rtol * share, ABOVE * REST * max(sizes[i] for i in self.at) / now)
+        return self.size[0] * least if least < 1 or self.size[1] < 0 else 0.0
+
+
+class Blocks:
+    """The blocks of a law that are no boxes, or that grow.
+
+    Attributes:
+        all: these; of: those that are at rows, by row.
+        push: what stands for l in f, g and h: l itself but where a block grows.
+        released: curved ones that slip, and begin the piece with y = 0: see `release`.
+    """
+
+    def __init__(self, problem: ContinuousProblem, l: list[list[float]], y: list[list[float]]) -> None:
+        growths, width = {growth.first: growth for growth in problem.growths}, len(l[0]) if l else 0
+        self.all: list[Block] = []
+        self.released: list[Block] = []
+        self.push = list(l)
+        for rows, block in problem.law.parts():
+            at, curved = tuple(range(rows.start, rows.stop)), block.curved()
+            for own in [at] if curved is not None else [(i,) for i in at if i in growths]:
+                growth = growths.get(own[0])
+                push = [l[i] if growth is None else [0.0] * width for i in own]
+                self.push[own[0] : own[-1] + 1] = push
+                series = [l[i] for i in own], [y[i] for i in own], push
+                self.all.append(Block(own, *series, [0.0] * width, [0.0] * width, curved, growth))
+        self.of = {i: block for block in self.all for i in block.at}
+
+    def rows_of(self, i: int) -> tuple[int, ...]:
+        """The rows that have one code with row i."""
+        return self.of[i].at if i in self.of else (i,)
+
+    def is_curved(self, i: int) -> bool:
+        """Whether row i is one of a curved block."""
+        return i in self.of and self.of[i].curved is not None
+
+    def slipping(self, codes: Sequence[int]) -> list[Block]:
+        """Those that slip."""
+        return [block for block in self.all if codes[block.first]]
+
+    def begin(self, codes: Sequence[int], size_y: Callable[[int], float]) -> None:
+        """Order 0, with who slips from y = 0."""
+        self.released = []
+        for block in self.slipping(codes):
+            block.size[:] = [0.0] * len(block.size)
+            rests = block.is_at_rest(REST * max(map(size_y, block.at)))
+            if rests and block.curved is not None:
+                self.released.append(block)
+                continue
+            block.slide(codes[block.first], 0)
+            if rests:
+                block.size[0] = 0.0
+        self.pushed(codes, 0)
+
+    def slide(self, codes: Sequence[int], k: int) -> None:
+        """Order k of what follows from y."""
+        for block in self.slipping(codes):
+            if block not in self.released:
+                block.slide(codes[block.first], k)
+        self.pushed(codes, k)
+
+    def pushed(self, codes: Sequence[int], k: int) -> None:
+        """Order k of what pushes."""
+        for block in self.all:
+            block.pushed(codes[block.first], k)
+
+    def watch(self, codes: Sequence[int], orders: int) -> None:
+        """What is looked at in stick, 0 in slip."""
+        for block in self.all:
+            block.inner[:] = [0.0] * len(block.inner)
+            if not codes[block.first]:
+                block.watch(orders)
+
+
+def with_modes(problem: ContinuousProblem) -> ContinuousProblem:
+    """Return the problem, where all of its curved blocks have stick and slip as modes; a ball of radius 0 as the box that it is.
+
+    Raises:
+        NotEventDriven: a cone, or another curved set; a row of a curved block that depends on a multiplier.
+    """
+    laws, l = [], problem.l
+    for rows, block in problem.law.parts():
+        K, here = block.curved(), slice(rows.start, rows.stop)
+        if not block.separable and (K is None or K.slip(ca.SX.sym("y", block.size)) is None):
+            raise NotEventDriven(f"the law '{block.label}' has other modes than stick and slip; its sets are for time stepping")
+        if K is not None and block.extent == 0:
+            zero = ca.SX.zeros(block.size)
+            laws.append(box(zero, zero))
+            continue
+        laws.append(Law((block,)))
+        if K is None:
+            continue
+        name = f"{problem.rows[rows.start]}, in the law '{block.label}'"
+        if ca.depends_on(problem.h[here], l) or ca.depends_on(problem.h, l[here]):
+            raise NotEventDriven(f"{name}: its y depends on l directly, or another y on its l; that is for time stepping")
+        if ca.depends_on(ca.jacobian(problem.g, l), l):
+            raise NotEventDriven(f"{name}: x' is not linear in l; that is for time stepping")
+    for growth in problem.growths:
+        if jets_of(growth.factor, [growth.s], "friction").branches:
+            raise NotEventDriven(f"{problem.rows[growth.first]}: theta has a kink; that is for time stepping")
+    return replace(problem, law=product(*laws))
