@@ -54,7 +54,8 @@ class Equations:
 def defect(system: System, place: Place, of: Equations, s: float, p: int, rtol: float, atol: list[float]) -> float:
     """An estimate of the local error in units of rtol, from |x' - f - g|, |y_a| and l in slip at points of the piece.
 
-    A series cut after order p has the defect r s^p, which integrates to r(s) s/(p + 1).
+    A series cut after order p has the defect r s^p, which integrates to r(s) s/(p + 1). With blocks that slip, its part along g_l
+    of held rows is one of l.
     """
     tau, sizes, worst = place.tau, system.sizes, 0.0
     held = [i for i, code in enumerate(place.codes) if code == 0]
@@ -67,9 +68,13 @@ def defect(system: System, place: Place, of: Equations, s: float, p: int, rtol: 
         for block in slipping:
             l[block.at[0] : block.at[-1] + 1] = block.pushing(at)
         velocity, y = of(place.t + tau * at, x, l)
-        for i, (v, w) in enumerate(zip(rate, velocity, strict=True)):
+        off, of_l, pushed = _split(system, place, np.array(rate) - tau * velocity, l)
+        for i, d in of_l:
+            if size := max(system.size_l(i), abs(l[i])):
+                worst = max(worst, (abs(d) / tau - SEEN_ROW * size) / (MULTIPLIERS * rtol * size))
+        for i, (v, w, missed) in enumerate(zip(rate, velocity, off, strict=True)):
             goal = rtol * max(sizes.x[i], abs(x[i]), abs(v * s)) + atol[i]
-            seen = abs(v - tau * w) - SEEN * (slope([abs(c) for c in rows[i]], at) + abs(tau * w))
+            seen = abs(missed) - SEEN * (slope([abs(c) for c in rows[i]], at) + tau * (abs(w) + pushed[i]))
             if seen <= 0:
                 continue
             least = share**p * (p + 1) / s * goal / LOCAL
@@ -79,11 +84,31 @@ def defect(system: System, place: Place, of: Equations, s: float, p: int, rtol: 
                 worst = max(worst, seen / (least * LOCAL) if least and seen == seen else math.inf)
         for i in held:
             if y[i]:
-                size = max(sizes.y[i], system.terms(i, x, l))
-                off, goal = abs(y[i]) - SEEN_ROW * size, MULTIPLIERS * rtol * size
-                if off > goal / LOCAL:
-                    off -= float(np.abs(system.slopes()[2][i]) @ (tau * at * of.rounding()))
-                worst = max(worst, off / (goal + NOTHING))
+                size = max(sizes.y[i], system.terms(i, x, l), tau * at * float(np.abs(system.slopes()[2][i]) @ pushed))
+                beyond, goal = abs(y[i]) - SEEN_ROW * size, MULTIPLIERS * rtol * size
+                if beyond > goal / LOCAL:
+                    beyond -= float(np.abs(system.slopes()[2][i]) @ (tau * at * of.rounding()))
+                worst = max(worst, beyond / (goal + NOTHING))
         for block in slipping:
-            worst = max(worst, block.missed(at, y) / (MULTIPLIERS * rtol))
+            rounding = ROUNDING * max(map(system.size_y, block.at))
+            worst = max(worst, block.missed(at, y, rounding) / (MULTIPLIERS * rtol))
     return float(worst)
+
+
+def _split(
+    system: System, place: Place, off: np.ndarray, l: list[float]
+) -> tuple[np.ndarray, list[tuple[int, float]], np.ndarray]:
+    """What x' - f - g is beside the part along g_l of held rows; that part, of each l; the size of what multipliers add to x'.
+
+    Without blocks that slip it is left as it is.
+    """
+    if not system.blocks.all:
+        return off, [], np.zeros(system.n)
+    how = system.solve(place.codes)
+    B, _, C = system.slopes()
+    pushed = np.abs(B) @ np.abs(l)
+    if how.through is None:
+        return off, [], pushed
+    rows = list(how.active)
+    moved = np.array(how.through) @ (C[rows] @ off)
+    return off - B[:, rows] @ moved, list(zip(rows, moved.tolist(), strict=True)), pushed
