@@ -90,6 +90,13 @@ class Stretches:
         return Stepper(backward_euler(self.problem), "auto", self.tolerance, h=PREPARED, state=x0, few_steps=False)
 
     @cached_property
+    def _boxes(self) -> np.ndarray:
+        """Which rows are those of boxes (m,)."""
+        return np.concatenate(
+            [np.zeros(0, bool), *(np.full(block.size, block.separable) for _, block in self.problem.law.parts())]
+        )
+
+    @cached_property
     def _equations(self) -> Equations:
         return Equations(self.problem)
 
@@ -174,9 +181,9 @@ class Stretches:
         return self._step(t + h / 2, h / 2, half.row[state], half.warm).row[state] - coarse.row[state]
 
     def _extrapolated(self, t: float, x: np.ndarray, fine: StepResult) -> np.ndarray | None:
-        """X where every y that is let go keeps its sign."""
+        """X where every y of a box that is let go keeps its sign."""
         y = self._equations(t, x.tolist(), fine.row[self._stepper.layout.l].tolist())[1]
-        return x if (fine.warm.index * y <= 0).all() else None
+        return x if (fine.warm.index * y * self._boxes <= 0).all() else None
 
     def _units(self, off: np.ndarray, x: np.ndarray) -> float:
         """The largest of the errors in units of what is allowed."""
