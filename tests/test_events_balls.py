@@ -160,7 +160,7 @@ def test_friction_that_grows(n):
         (s, lambda v: 1.0), (s + s**2 / 2, lambda v: 1 + v), (s + s**3 / 3, lambda v: 1 + v**2),
         (s + s**1.5, lambda v: 1 + 1.5 * np.sqrt(v)),
     ):  # fmt: skip
-        for rtol in (1e-3, 1e-7):
+        for rtol in (1e-3, 1e-7) if MANY >= 400 else (1e-5,):
             oscillator(theta, n, rtol, growth)
 
 
@@ -172,8 +172,9 @@ def test_elements_of_their_own():
         x=x, potential=(x[0] ** 2 + (x[1] - x[2]) ** 2 + x[2] ** 2 + 0.3 * x[0] * x[2]), friction=friction, s=s, x0=[1, -1, 0.5],
         v0=[0, 0.2, 0], t_end=5,
     )  # fmt: skip
-    run, fine = simulate(model, rtol=1e-8, method="event-driven"), simulate(model, step=5e-4)
-    assert np.abs(run.at(fine.t[2:]).x - fine.x[2:]).max() <= 5e-3
+    step = 5e-4 if MANY >= 400 else 2e-3
+    run, fine = simulate(model, rtol=1e-8, method="event-driven"), simulate(model, step=step)
+    assert np.abs(run.at(fine.t[2:]).x - fine.x[2:]).max() <= 10 * step
     assert set(np.unique(run.index_set[1:, :2])) <= {0, 1}
     later = fine.t > 0.05
     number = np.clip(np.searchsorted(run.arrays["piece_start"], fine.t[later], side="right") - 1, 0, None)
@@ -210,9 +211,9 @@ def test_random_blocks_against_another_integrator(seed):
         judged(model, rtol, at, reference, events)
 
 
-@pytest.mark.parametrize("seed", range(MANY * 4 // 5) if MANY == 400 else range(4))
+@pytest.mark.parametrize("seed", range(max(4, MANY // 10)))
 def test_random_models_against_small_steps(seed):
-    """Every class with such a law: at another rtol to 10 rtol, at small steps to what these err by, told by two lengths."""
+    """Every class with such a law: at another rtol to 10 rtol; small steps, of an order of 0.42 at least where blocks turn."""
     _, model = random_model(seed)
     fine, coarse = simulate(model, step=1e-2), simulate(model, step=2e-2)
     at = fine.t[2:]
@@ -220,7 +221,7 @@ def test_random_models_against_small_steps(seed):
     assert (np.abs(rough - run) / np.abs(run).max(axis=0)).max() <= 10 * 1e-4
     off = np.abs(fine.x[2:] - run).max(axis=0)
     both = np.isin(np.round(fine.t, 9), np.round(coarse.t, 9))
-    assert (off <= 10 * 1e-8 + 2 * np.abs(fine.x[both] - coarse.x).max(axis=0)).all()
+    assert (off <= 10 * 1e-8 + 3 * np.abs(fine.x[both] - coarse.x).max(axis=0)).all()
 
 
 def test_redundant_rows_beside_a_ball():
@@ -235,6 +236,19 @@ def test_redundant_rows_beside_a_ball():
     at = np.linspace(0, 5, 51)
     two, one = (simulate(model, rtol=1e-8, times=at, method="event-driven") for model in (twice, once))
     np.testing.assert_allclose(two.x, one.x, atol=1e-6)
+
+
+def test_blocks_that_stop_together():
+    """y = 0 of one block is y = 0 of the other: v' = -(0.5 + 2 0.25) v/|v| is one ball of radius 1."""
+    x, l = ca.SX.sym("x", 4), ca.SX.sym("l", 4)
+    model = FirstOrderSystem(
+        x=x, lam=l, f=[x[2], x[3], 0, 0], g=[0, 0, l[0] + 2 * l[2], l[1] + 2 * l[3]], h=[x[2], x[3], 2 * x[2], 2 * x[3]],
+        law=product(ball(2, 0.5), ball(2, 0.25)), x0=[0, 0, 3, 4], t_end=8,
+    )  # fmt: skip
+    at = np.linspace(0, 8, 41)
+    run = simulate(model, rtol=1e-8, times=at, method="event-driven")
+    np.testing.assert_allclose(run.x, _straight(at, 5, -1, 0, [0.6, 0.8]), atol=1e-8)
+    assert [event.after.tolist() for event in run.events] == [[0, 0, 0, 0]]
 
 
 def test_a_ball_of_radius_0_is_no_force():

@@ -21,7 +21,7 @@ from nsmodel.pieces.defect import Equations, defect
 from nsmodel.pieces.known import next_known, reaches
 from nsmodel.pieces.lengths import LOCAL, ROUGHEST, first_unit, length, order_of, unit
 from nsmodel.pieces.modes import Place, jump, select, turn, uniqueness
-from nsmodel.pieces.moves import coast, project
+from nsmodel.pieces.moves import coast, project, stick
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.names import few, name
 from nsmodel.pieces.piece import Piece
@@ -240,6 +240,7 @@ class Integrator:
             place.tau = tau
         opened = (row for kind, i in place.open if kind == ROW for row in system.blocks.rows_of(i))
         project(system, place, tuple(sorted({*how.active, *opened})))
+        stick(system, place)
         for condition in turned:  # On another branch y may be another.
             turn(system, place, condition.of, condition.after)
         if reaches(place.t, known):

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from nsmodel.pieces.modes import Place
+from nsmodel.pieces.modes import Place, turn
+from nsmodel.pieces.switches import ROW
 from nsmodel.pieces.system import System
 
 PROJECTIONS = 3  # Iterations.
@@ -25,3 +26,10 @@ def coast(system: System, place: Place, time: float) -> None:
     d = time / place.tau
     place.x = [row[0] + d * row[1] for row in system.x]
     place.t += time
+
+
+def stick(system: System, place: Place) -> None:
+    """Open the blocks that slip with y = 0, as their rows came to 0 with others, and let them begin with stick."""
+    for block in system.blocks.released:
+        place.open.add((ROW, block.first))
+        turn(system, place, (ROW, block.first), 0)
