@@ -11,6 +11,8 @@ from scipy.optimize import lsq_linear
 
 from nsmodel import MonotoneInclusion, Trajectory
 
+TINY = 1e-300
+
 
 class Missed(NamedTuple):
     """What a run misses, in units of the sizes of its states, rows and multipliers.
@@ -65,17 +67,23 @@ def missed(scene: Scene, run: Trajectory, rng: np.random.Generator, points: int 
             l = None if free else polynomial(c_l[k], local)[0]
             found.append((k, s, starts[k] + s * (end - starts[k]), x, slope / units[k], l, end - starts[k]))
     sizes_x = np.max([np.abs(x) for _, _, _, x, *_ in found], axis=0)
-    sizes_x = np.maximum(sizes_x, 1e-3 * sizes_x.max())
+    sizes_x = np.maximum(sizes_x, 1e-3 * sizes_x.max()) + TINY  # of states that rest at 0
     rows = [[np.array(v) for v in of(t, x, np.zeros(scene.l.numel()) if l is None else l)] for _, _, t, x, _, l, _ in found]
+    if not free:  # a state that rests is rounding of what pushes it
+        pushed = [np.abs(G) @ np.abs(l) * length for (*_, l, length), (_, _, G, *_) in zip(found, rows, strict=True)]
+        sizes_x = np.maximum(sizes_x, 1e-3 * np.max(pushed, axis=0))
     terms = [
         np.abs(y).ravel() + np.abs(C) @ sizes_x + np.abs(D) @ (np.zeros(D.shape[1]) if free else np.abs(l))
         for (*_, l, _), (_, y, _, C, D) in zip(found, rows, strict=True)
     ]
-    sizes_y = np.max(terms, axis=0, initial=0)
+    sizes_y = np.max(terms, axis=0, initial=TINY)
+    sizes_l = np.maximum(1.0, np.max([np.abs(l) for *_, l, _ in found], axis=0)) if not free else np.empty(0)
     rate, off, out = np.zeros(len(starts)), 0.0, 0.0
     for (k, s, _, _, slope, l, length), (f, y, G, *_) in zip(found, rows, strict=True):
         y = y.ravel() / sizes_y
-        miss, one, two = (slope - f.ravel(), *_signs(scene, y, l)) if l is not None else _law(scene, slope - f.ravel(), y, G)
+        miss, one, two = (
+            (slope - f.ravel(), *_signs(scene, y, l, sizes_l)) if l is not None else _law(scene, slope - f.ravel(), y, G)
+        )
         if 0 < s < 1:
             rate[k] += np.max(np.abs(miss) / sizes_x) * length / points
         off, out = max(off, one), max(out, two)
@@ -93,11 +101,10 @@ def _start(scene: Scene, of: ca.Function, x0: np.ndarray, x: np.ndarray, p: np.n
     return np.abs(x - x0 - np.array(of(0.0, x0, np.zeros(p.size))[2]) @ p) + outside.any()
 
 
-def _signs(scene: Scene, y: np.ndarray, l: np.ndarray) -> tuple[float, float]:
+def _signs(scene: Scene, y: np.ndarray, l: np.ndarray, sizes: np.ndarray) -> tuple[float, float]:
     """-y in N_K(l): the least move of (y, l) that makes it so, in units; each row may move either."""
-    size = np.maximum(1.0, np.abs(l).max(initial=0))
     off, out = 0.0, 0.0
-    for a, b, v, u in zip(scene.lower, scene.upper, y, l, strict=True):
+    for a, b, v, u, size in zip(scene.lower, scene.upper, y, l, sizes, strict=True):
         outside = max(a - u, u - b, 0.0) / size
         inside = max(min(u - a, b - u), 0.0) / size  # y may have any sign at an end, as far as it is allowed
         wrong = abs(v) if a < u < b else max(-v, 0) if u <= a < b else max(v, 0) if u >= b > a else 0.0

@@ -2,6 +2,7 @@
 
 import math
 import os
+import shutil
 from pathlib import Path
 
 import casadi as ca
@@ -28,12 +29,13 @@ DATA = Path(__file__).parents[2] / "shared" / "data" / "event_driven"
 CASES = Path(__file__).parents[1] / "cases"
 RTOLS = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
 MANY = int(os.environ.get("NSMODEL_FUZZ", "400"))
+HAS_CC = any(map(shutil.which, ("gcc", "cc", "clang")))
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the references are not here")
 
 
-def judged(model, rtol, at, reference, events):
+def judged(model, rtol, at, reference, events, compiled="auto"):
     """Assert that states err by at most 10 rtol of their largest values, and events by 10 rtol of the time."""
-    run = simulate(model, rtol=rtol, times=at, method="event-driven")
+    run = simulate(model, rtol=rtol, times=at, method="event-driven", compiled=compiled)
     largest = np.abs(reference).max(axis=0)
     error = np.abs(run.x - reference) / np.where(largest > 0, largest, 1)
     assert error.max() <= 10 * rtol
@@ -57,6 +59,17 @@ def test_cases_against_113_bits(name, rtol):
     reference = np.load(DATA / f"{name}_ref.npz")
     model = nsmodel.load(CASES / f"{name}.py")
     judged(model, rtol, np.linspace(0, model.t_end, 241), reference["rows"][:, : len(model.names)], reference["events"])
+
+
+@needs_data
+@pytest.mark.skipif(not HAS_CC, reason="no C compiler")
+@pytest.mark.parametrize("rtol", [1e-4, 1e-8, 1e-12])
+def test_runs_in_c_against_113_bits(rtol):
+    for name in ("friction_oscillator", "sliding_relay", "diode_bridge", "relay_oscillator", "gene_network", "point_past_disc"):
+        reference, model = np.load(DATA / f"{name}_ref.npz"), nsmodel.load(CASES / f"{name}.py")
+        at, states = np.linspace(0, model.t_end, 241), reference["rows"][:, : len(model.names)]
+        run = judged(model, rtol, at, states, reference["events"], True)
+        assert any("pieces in C" in line for line in run.metadata["used"])
 
 
 @needs_data

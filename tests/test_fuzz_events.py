@@ -90,6 +90,13 @@ def test_rows_that_are_rounding_for_long_end_nothing():
     assert np.abs(fine.at(t).x - rough.at(t).x).max() <= 10 * ROUGH * np.abs(fine.x).max()
 
 
+def test_rows_that_a_guess_of_the_mode_turns_are_asked_too():
+    """l_0 leaves its end where y_1 and y_2 are held: the mode that one small step suggests lets them go, against their germs."""
+    scene = models.first_order(284)
+    found = missed(scene, simulate(scene.model, rtol=FINE, method="event-driven"), np.random.default_rng(284))
+    assert max(found) <= 100 * FINE
+
+
 @pytest.mark.parametrize("seed", [110, 124])
 def test_an_argument_of_a_switch_that_is_held_at_0_is_no_event(seed):
     """Friction with w |w| in stick: w is rounding, its sign no switch; the same events at every rtol."""

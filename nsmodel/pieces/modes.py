@@ -46,6 +46,7 @@ def select(system: System, place: Place) -> Solve | None:
     for begin in itertools.chain([None], _guesses(system, place)):
         _restore(system, place, before)
         if begin is not None:
+            place.open |= {(ROW, i) for i, code in enumerate(begin) if code != place.codes[i]}
             place.codes[:] = begin
         if (how := _pivot(system, place)) is not None:
             return how
