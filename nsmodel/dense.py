@@ -43,9 +43,10 @@ class Event(NamedTuple):
 
 def polynomials(coefficients: np.ndarray, s: np.ndarray) -> np.ndarray:
     """sum_k c_k s^k for each row: coefficients (k, n, p + 1), s (k,) -> (k, n)."""
-    total = np.zeros(coefficients.shape[:2])
-    for k in range(coefficients.shape[2] - 1, -1, -1):
-        total = total * s[:, None] + coefficients[:, :, k]
+    total, s = coefficients[:, :, -1].copy(), s[:, None]
+    for k in range(coefficients.shape[2] - 2, -1, -1):
+        total *= s
+        total += coefficients[:, :, k]
     return total
 
 

@@ -32,7 +32,8 @@ OF_STEPS: Mapping[str, str] = {
 }
 OF_BODIES: Mapping[str, str] = {"solve.certificate": "REACH", "solve.near": "FARTHER", "codegen.statuses": "READY"}
 OF_PIECES: Mapping[str, str] = {
-    "pieces.integrator": "LEAST_RTOL ROOM SHORTENINGS CAUTION UNITS OCTAVES LONGER STUMP AROUND STARTS TOO_SHORT",
+    "pieces.integrator": "LEAST_RTOL ROOM UNITS OCTAVES LONGER STUMP AROUND STARTS TOO_SHORT",
+    "pieces.ending": "SHORTENINGS CAUTION",
     "pieces.known": "SAME_TIME",
     "pieces.accumulation": "TINY_PIECES TINY MANY FASTER SPACINGS",
     "pieces.modes": "GERM ORDERS CLEAR HALF PACES HALVED PIVOTS TOGETHER FEW APART",
@@ -43,7 +44,8 @@ OF_PIECES: Mapping[str, str] = {
     "pieces.lengths": "LOCAL ROUGHEST LONGEST MULTIPLIERS PASSES FIRST SMALL",
     "pieces.defect": "SEEN SEEN_ROW ROUNDING",
     "pieces.multipliers": "SINGULAR MOST_MINORS BALANCING NOTHING SHORT",
-    "pieces.system": "NEWTON SETTLED LITTLE AT_ZERO STAYS",
+    "pieces.system": "NEWTON SETTLED LITTLE AT_ZERO",
+    "pieces.settled": "STAYS",
     "pieces.stiff": "WORTH SMOOTH",
     "codegen.statuses": "READY",
 }

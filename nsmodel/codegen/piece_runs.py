@@ -18,19 +18,19 @@ from nsmodel.pieces.lengths import order_of
 from nsmodel.scheme.continuous import ContinuousProblem
 
 FASTER = tuple("-O3" if flag == "-O2" else flag for flag in FLAGS)  # Loops over few rows are unrolled.
+TIMES = 64  # As in C: of events 1, 2, 4, ...
 _POINTER, _NUMBER, _WHOLE = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
 
 
-def key_of(fingerprint: str) -> str | None:
-    """What names the library of a model; None without a compiler."""
-    name = compiler()
-    return None if name is None else key_for(["pieces", fingerprint, *made_by(name)])
+def key_of(fingerprint: str, compiler: str) -> str:
+    """What names the library of a model."""
+    return key_for(["pieces", fingerprint, *made_by(compiler)])
 
 
 def is_there(fingerprint: str) -> bool:
     """Whether nothing is to be built."""
-    key = key_of(fingerprint)
-    return key is not None and is_kept(key)
+    name = compiler()
+    return name is not None and is_kept(key_of(fingerprint, name))
 
 
 class PiecesInC:
@@ -45,9 +45,10 @@ class PiecesInC:
     def __init__(
         self, problem: ContinuousProblem, fingerprint: str, rtol: float, atol: list[float], known: Sequence[float]
     ) -> None:
-        name, key = compiler(), key_of(fingerprint)
-        if name is None or key is None:
+        name = compiler()
+        if name is None:
             raise no_compiler()
+        key = key_of(fingerprint, name)
         self.way = f"compiled by {name}"
         loaded = _loaded(problem)
         if key not in loaded:
@@ -58,12 +59,20 @@ class PiecesInC:
         self._memory = np.zeros(size // 8 + 1)
         self._solver = self._memory.ctypes.data
         layout = _place(self.sizes)
-        self.at, self.before = self._memory.view(np.uint8)[: 2 * layout.itemsize].view(layout)
+        places = 2 * layout.itemsize
+        self.at, self.before = self._memory.view(np.uint8)[:places].view(layout)
+        self.times = self._memory[places // 8 :][:TIMES]
+        self._t = self._memory[:1]
         self._begin = library.function("begin", ctypes.c_int, _POINTER, _NUMBER, _POINTER, ctypes.c_int)
         self._many = library.function("many", _WHOLE, _POINTER, _NUMBER, _WHOLE, _POINTER, _POINTER)
         self._told = library.function("told", None, _POINTER, _WHOLE, _POINTER, _POINTER)
         self.width = library.function("width", _WHOLE, ctypes.c_int)(self.order)
         self._status = ctypes.c_int()
+
+    @property
+    def t(self) -> float:
+        """Where the next piece starts, ``at["t"]``."""
+        return self._t.item()
 
     def begin(self) -> bool:
         """Choose the mode at the start; whether there is one that C finds."""
@@ -117,8 +126,9 @@ def _place(sizes: dict[str, int]) -> np.dtype:
         "size_switches": choices + 1,
     }
     fields: list[Any] = [("t", float), ("tau", float), *((name, float, (size,)) for name, size in lists.items())]
-    fields += [("begun", float), ("impulse", float, (m + 1,)), ("times", float, (64,))]
+    fields += [("begun", float), ("impulse", float, (m + 1,))]
     fields += [(name, float) for name in ("events", "touches", "redundant", "tiny")]
+    fields += [("known", np.int32)]
     fields += [("stiff", float, (3,)), ("unique", float, (3,))]
     fields += [("codes", np.int8, (m + 1,)), ("open", np.int8, (m + choices + 1,))]
     return np.dtype(fields, align=True)

@@ -23,7 +23,7 @@ from nsmodel.model.expressions import derivatives
 from nsmodel.pieces.jets import jets_of
 from nsmodel.pieces.lengths import LARGEST_ORDER
 from nsmodel.pieces.modes import ORDERS
-from nsmodel.pieces.multipliers import SHORT, SINGULAR
+from nsmodel.pieces.multipliers import SHORT, SINGULAR, is_monotone
 from nsmodel.pieces.sliding import with_modes
 from nsmodel.proof.sure import sure
 from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven
@@ -87,8 +87,8 @@ class PieceScene:
             "LINEAR": not ca.depends_on(ca.veccat(*self.slopes[:2]), p.l),
             "SLOPES": law and not known, "DIAGONAL": diagonal, "MATRICES": law and not diagonal, "ORTHOGONAL": orthogonal,
             "GENERAL": law and not orthogonal, "STILL": diagonal and not self.curved_rows,
-            "ALWAYS_P": law and known and _is_always_p(D0, W), "SWITCHED": bool(self.columns.branches),
-            "PARAMETERS": bool(self.values), "KNOWN": bool(self.known),
+            "UNIQUE": law and known and (_is_always_p(D0, W) or is_monotone(sure(B), D0, C0)),
+            "SWITCHED": bool(self.columns.branches), "PARAMETERS": bool(self.values), "KNOWN": bool(self.known),
         }  # fmt: skip
         return frozenset(name for name, holds in has.items() if holds)
 

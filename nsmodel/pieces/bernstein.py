@@ -9,10 +9,11 @@ from __future__ import annotations
 from functools import cache
 from itertools import pairwise
 from math import comb
+from operator import mul
 
 NONE = 2.0  # Of a root, where there is none.
 NARROW = 1e-13  # Two roots that are as near as this are one.
-ITERATIONS, EXACT = 80, 2e-16  # Of Newton's method, and when a root is known.
+ITERATIONS, EXACT = 80, 1e-9  # Of Newton's method, and the step after which the next would be rounding.
 
 
 def value(c: list[float], s: float) -> float:
@@ -36,7 +37,7 @@ def first_root(c: list[float]) -> float:
     if c[0] > sum(map(abs, c[1:])):
         return NONE
     n = len(c) - 1
-    b = [sum(row[k] * c[k] for k in range(j + 1)) for j, row in enumerate(_to_bernstein(n))]
+    b = [sum(map(mul, row, c)) for row in _to_bernstein(n)]
     return _first(c, b, 0.0, 1.0)
 
 
@@ -54,7 +55,7 @@ def _first(c: list[float], b: list[float], low: float, width: float) -> float:
     if not signs or changes == 0:
         return low + width if b[-1] == 0 else NONE
     if changes == 1 and b[0] > 0 and b[-1] <= 0:
-        return low + width if b[-1] == 0 else _simple(c, low, low + width)
+        return low + width if b[-1] == 0 else _simple(c, low, low + width, low + width * _crossing(b))
     if width < NARROW:
         return low
     left, right = _halves(b)
@@ -71,9 +72,14 @@ def _halves(b: list[float]) -> tuple[list[float], list[float]]:
     return left, right
 
 
-def _simple(c: list[float], low: float, high: float) -> float:
-    """The root between c(low) > 0 > c(high): Newton's method, kept inside by halving."""
-    s = (low + high) / 2
+def _crossing(b: list[float]) -> float:
+    """Where the polygon of the coefficients is 0, the share of their interval: near the root."""
+    j = next(j for j, v in enumerate(b) if v < 0)
+    return (j - 1 + b[j - 1] / (b[j - 1] - b[j])) / (len(b) - 1)
+
+
+def _simple(c: list[float], low: float, high: float, s: float) -> float:
+    """The root between c(low) > 0 > c(high): Newton's method from s, kept inside by halving."""
     for _ in range(ITERATIONS):
         v, d = value(c, s), slope(c, s)
         if v == 0:

@@ -74,10 +74,9 @@ def defect(system: System, place: Place, of: Equations, s: float, p: int, rtol: 
                 worst = max(worst, (abs(d) / tau - SEEN_ROW * size) / (MULTIPLIERS * rtol * size))
         for i, (v, w, missed) in enumerate(zip(rate, velocity, off, strict=True)):
             goal = rtol * max(sizes.x[i], abs(x[i]), abs(v * s)) + atol[i]
-            seen = abs(missed) - SEEN * (slope([abs(c) for c in rows[i]], at) + tau * (abs(w) + pushed[i]))
-            if seen <= 0:
-                continue
-            least = share**p * (p + 1) / s * goal / LOCAL
+            seen, least = abs(missed), share**p * (p + 1) / s * goal / LOCAL if s else math.inf
+            if not seen <= LOCAL * least:
+                seen -= SEEN * (slope([abs(c) for c in rows[i]], at) + tau * (abs(w) + pushed[i]))
             if not seen <= least:
                 seen -= tau * of.rounding()[i]
             if not seen <= 0:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Mapping
+import operator
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -43,12 +45,16 @@ class Expansion:
         self.outputs = [self.rows[row] for row in jets.outputs]
         self._first, self._later = compiled(jets, self.rows, self.choice, PYTHON, _KNOWN)
 
-    def order(self, k: int) -> list[float]:
-        """Compute order k of all rows, and return that of the outputs; NaN where they have none."""
+    def compute(self, k: int) -> None:
+        """Compute order k of all rows."""
         if k:
             self._later(k)
         else:
             self._first()
+
+    def order(self, k: int) -> list[float]:
+        """Compute order k of all rows, and return that of the outputs; NaN where they have none."""
+        self.compute(k)
         return [row[k] for row in self.outputs]
 
     def terms(self, inputs: Mapping[tuple[int, int], float]) -> list[float]:
@@ -61,6 +67,13 @@ class Expansion:
                 total = _SUMS[line.kind](*(size[row] for row in line.args), abs(line.number))
                 size[line.y] = max(size[line.y], total)
         return [size[branch.row] for branch in self.jets.branches]
+
+
+def scale(rows: Sequence[list[float]], times: float) -> None:
+    """Let the unit of time be so many times as long, a power of two; a row that is there twice is one."""
+    powers = list(itertools.accumulate([times] * (max(map(len, rows)) - 1), operator.mul, initial=1.0))
+    for row in {id(row): row for row in rows}.values():
+        row[:] = map(operator.mul, row, powers)
 
 
 def compiled(jets: Jets, rows: list[list[Any]], choice: list[Any], language: Dialect, known: Mapping[str, Any]):

@@ -17,25 +17,27 @@ import numpy as np
 from nsmodel.errors import StepError
 from nsmodel.pieces.accumulation import Accumulation
 from nsmodel.pieces.bernstein import value
-from nsmodel.pieces.defect import Equations, defect
+from nsmodel.pieces.defect import Equations
+from nsmodel.pieces.ending import ending
+from nsmodel.pieces.expansion import scale
 from nsmodel.pieces.known import next_known, reaches
 from nsmodel.pieces.lengths import LOCAL, ROUGHEST, first_unit, length, order_of, unit
-from nsmodel.pieces.modes import Place, jump, select, turn, uniqueness
+from nsmodel.pieces.modes import ORDERS, Place, jump, select, take_sides, turn, uniqueness
 from nsmodel.pieces.moves import coast, project, stick
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.names import few, name
 from nsmodel.pieces.piece import Piece
-from nsmodel.pieces.roots import NEAR, beyond_touch, first_event, polish, same
+from nsmodel.pieces.roots import NEAR, beyond_touch, polish, same
 from nsmodel.pieces.sliding import STOPS
 from nsmodel.pieces.stiff import Stiff
-from nsmodel.pieces.switches import ROW, TIE, Condition, conditions, is_zero, size, switches
+from nsmodel.pieces.switches import ROW, TIE, Condition, conditions, grow, is_zero, size, switches
 from nsmodel.pieces.system import System
 from nsmodel.proof.sure import sure
 from nsmodel.scheme.continuous import ContinuousProblem
 
 LEAST_RTOL = 1e-14
 ROOM = 1.3  # By which the next piece may be longer than the last without another unit of time.
-SHORTENINGS, CAUTION, JUMPS = 30, 0.9, 2  # Of a piece, and the share of the length that its error allows; at one time.
+JUMPS = 2  # At one time.
 UNITS, OCTAVES = 60, 6  # Units of time that are tried where a series overflows, and how much shorter each is.
 LONGER, STUMP = 8, 1e-6  # The unit of time after an event, in pieces; of the unit before: a piece too short to tell.
 AROUND = 4  # Order of the expansions at an event.
@@ -67,6 +69,7 @@ class Integrator:
         self.stiff = Stiff(system, self.order, min(rtol, ROUGHEST), self.atol, residuals=residuals)
         self.accumulation = Accumulation()
         self._begun: tuple[float, ...] | None = None  # The event that the next piece begins with.
+        self._left: Solve | None = None  # Of the mode just chosen, whose first orders stand.
         self.stopped: str | None = None  # Why no piece follows.
         self.unique: Counter[str] = Counter()
         self.touches = self.redundant = 0
@@ -90,16 +93,16 @@ class Integrator:
         if self.stopped is not None:
             raise StepError(self.stopped)
         system, place = self.system, self.place
-        how = self._expand(self.order)
+        how = self._series()
         s = self._length(how)
         if s > 1:  # What is rounding at s = 1 is not at s^p.
-            place.tau = unit(s * place.tau)
-            how = self._expand(self.order)
-            s = min(self._length(how), 1.0)
+            how, s = self._in_longer_unit(how, s)
         longest, known = s * place.tau, next_known(self.known_times, place.t)
         found = self.stiff.piece(place, how, s, known - place.t)
         if found is None:
-            hit, s, error = self._accepted(how, min(s, (known - place.t) / place.tau))
+            hit, s, error = ending(
+                system, place, how, self._equations, self.order, min(s, (known - place.t) / place.tau), self.rtol, self.atol
+            )
             tau, last = place.tau, [value(row, s) for row in system.x]
         else:
             place.tau = unit(ROOM * s * place.tau)  # That of series, and of germs, stays what a series takes.
@@ -108,7 +111,7 @@ class Integrator:
         piece = Piece(place.t, tau, s, x, l, y, tuple(place.codes), error, last, self._begun)
         self._begun = self._begun if s == 0 else None
         self.redundant += how.null is not None and how.null.shape[1] > 0
-        self._grow(s)
+        grow(system, s)
         place.t, place.x, place.open = place.t + tau * s, last, set()
         if hit is None and not reaches(place.t, known):
             self._hold(how)
@@ -129,27 +132,33 @@ class Integrator:
         off = STOPS * LOCAL if hit is not None and hit.stops else 0.0
         return piece.moved(place.t, place.x, max(error, off))
 
+    def _series(self) -> Solve:
+        """All orders at the place, of which the mode's choice has left some."""
+        how, self._left = self._left, None
+        if how is not None and self.system.extend(how, self.place.codes, ORDERS, self.order):
+            if all(math.isfinite(row[self.order]) for row in self.system.x):
+                return how
+        return self._expand(self.order)
+
+    def _in_longer_unit(self, how: Solve, s: float) -> tuple[Solve, float]:
+        """The series of a piece of length s > 1 in the unit in which it is at most 1: scaled, or anew where blocks slip."""
+        system, place, times = self.system, self.place, unit(s * self.place.tau) / self.place.tau
+        place.tau *= times
+        if system.blocks.all:
+            how = self._expand(self.order)
+            return how, min(self._length(how), 1.0)
+        parts = (row for part in system.parts.values() for row in part.rows)
+        scale([system.t, *system.x, *system.l, *system.y, *parts], times)
+        return how, min(s / times, 1.0)
+
     def _length(self, how: Solve) -> float:
         return length(self.system, self.place.codes, how, self.order, self.rtol, self.atol)
-
-    def _accepted(self, how: Solve, s: float) -> tuple[Condition | None, float, float]:
-        """What ends a piece of length s at most, where, and its local error in units of rtol, at most 1."""
-        system, place, p, error = self.system, self.place, self.order, math.inf
-        for _ in range(SHORTENINGS):
-            hit, end = first_event(system, place, how, p, s)
-            error = LOCAL * defect(system, place, self._equations, end, p, self.rtol, self.atol)
-            if error <= 1:
-                return hit, end, error
-            s = end * min(0.5, CAUTION * error ** (-1 / p))
-            if place.t + place.tau * s == place.t:
-                break
-        raise StepError(f"t = {place.t:.10g}: x' = f + g, y = 0 is missed by {error:.3g} times rtol, however short the piece")
 
     def take_up(self, t: float, x: list[float], l: list[float], codes: list[int], tau: float) -> None:
         """Go on from a state that other means have come to; StepError where no mode does."""
         system = self.system
         self.place = Place(t, list(x), unit(tau), list(codes), switches(system))
-        self.accumulation, self.stopped, self._begun = Accumulation(), None, (0.0,) * system.m
+        self.accumulation, self.stopped, self._begun, self._left = Accumulation(), None, (0.0,) * system.m, None
         self.stiff.restart()
         for row, guess in zip(system.l, l, strict=True):
             row[0] = guess
@@ -170,13 +179,13 @@ class Integrator:
             row[0] = middle
         place.tau = first_unit(system, place.t, place.x, place.tau)
         for _ in range(STARTS):
-            place.codes[:] = [0] * system.m
             place.open = switches(system)
+            take_sides(system, place)
             found = select(system, place)
             how = system.expand(place.t, place.x, place.codes, place.tau, self.order)
             s = self._length(how) if how is not None else 1.0
             if found is not None and s >= TOO_SHORT:
-                self._grow(0.0)
+                grow(system, 0.0)
                 self._refuse_rivals()
                 return
             if found is None and (p := jump(system, place)) is not None:
@@ -267,8 +276,9 @@ class Integrator:
         system, place = self.system, self.place
         for _ in range(JUMPS):
             before = list(place.codes)
-            if select(system, place) is not None:
+            if (how := select(system, place)) is not None:
                 self._refuse_rivals()
+                self._left = how if system.linear_in_l and not system.blocks.all else None
                 self._begun = self._begun or (0.0,) * system.m
                 return
             place.codes[:] = before
@@ -307,7 +317,7 @@ class Integrator:
 
     def stand(self, saved: dict[str, Any]) -> None:
         """Take up what ``standing`` gave."""
-        system = self.system
+        system, self._left = self.system, None
         opened = {(str(kind), int(i)) for kind, i in saved["open"]}
         self.place = Place(saved["t"], list(saved["x"]), saved["tau"], [int(code) for code in saved["codes"]], opened)
         for part, choice in saved["choice"].items():
@@ -323,15 +333,6 @@ class Integrator:
         self.stiff.stand(saved["stiff"])
 
     # -- sizes, names
-
-    def _grow(self, s: float) -> None:
-        """Note what the rows come to."""
-        system, sizes = self.system, self.sizes
-        for rows, largest in ((system.x, sizes.x), (system.y, sizes.y), (system.l, sizes.l)):
-            for i, row in enumerate(rows):
-                largest[i] = max(largest[i], abs(value(row, s)), abs(row[0]))
-        if system.branches:
-            sizes.switches[:] = [max(both) for both in zip(sizes.switches, system.terms_of_switches(), strict=True)]
 
     def _refuse_rivals(self) -> None:
         verdict, words = uniqueness(self.system, self.place)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from itertools import accumulate
 from operator import mul
+from typing import NamedTuple
 
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.system import System
 
 LARGEST_ORDER = 30
-LOCAL, ROUGHEST = 0.01, 1e-3  # A piece errs by this share of rtol, and of no more than this.
+LOCAL, ROUGHEST = 0.01, 1e-1  # A piece errs by this share of rtol, and of no more than this.
 LONGEST = 32.0  # In units of time: a piece that would be longer begins anew in another unit.
 MULTIPLIERS = 100.0  # l and y are asked for to so many times rtol.
 PASSES = 3  # In which sizes on the piece and its length settle.
@@ -26,17 +28,19 @@ def length(system: System, codes: list[int], how: Solve, p: int, rtol: float, at
     """The length of the piece in tau; a row's size is that on the piece too."""
     sizes, known = system.sizes, p if how.index == 1 else p - 1
     y_floor, l_floor = (SMALL * max(of, default=0.0) for of in (sizes.y, sizes.l))
-    rows = [(row, p, rtol, size, more) for row, size, more in zip(system.x, sizes.x, atol, strict=True)]
+    rows = [_Row.of(row, p, rtol, size, more) for row, size, more in zip(system.x, sizes.x, atol, strict=True)]
     for i, code in enumerate(codes):
         row, orders, size = system.l[i], known, max(sizes.l[i], l_floor)
         if code:
             if i in system.blocks.of:
-                rows.append((row, orders, MULTIPLIERS * rtol, size, 0.0))
+                rows.append(_Row.of(row, orders, MULTIPLIERS * rtol, size, 0.0))
             row, orders, size = system.y[i], p, max(sizes.y[i], y_floor)
-        rows.append((row, orders, MULTIPLIERS * rtol, size, 0.0))
+        rows.append(_Row.of(row, orders, MULTIPLIERS * rtol, size, 0.0))
     s = 0.0
     for _ in range(PASSES):
-        s = _shortest(rows, s)
+        before, s = s, _shortest(rows, s)
+        if s == before:
+            break
     return s
 
 
@@ -55,21 +59,34 @@ def unit(tau: float) -> float:
     return math.ldexp(1.0, exponent - (fraction == 0.5))
 
 
-def _shortest(rows: list[tuple[list[float], int, float, float, float]], s: float) -> float:
+class _Row(NamedTuple):
+    """A row's coefficients, how many are known, what it is asked for, its size so far; the sizes of its first coefficients."""
+
+    c: list[float]
+    known: int
+    rtol: float
+    so_far: float
+    more: float
+    first: list[float]
+
+    @classmethod
+    def of(cls, c: list[float], known: int, rtol: float, so_far: float, more: float) -> _Row:
+        return cls(c, known, rtol, so_far, more, list(map(abs, c[: known // 2])))
+
+
+def _shortest(rows: list[_Row], s: float) -> float:
     """The longest s with |c_p| s^p and |c_(p-1)| s^(p-1) at most rtol of the size, in all rows.
 
     A row's size is its largest so far, and on a piece of length ``s``; of a row of size 0 it is its first term.
     """
-    powers = [1.0]
-    for _ in range(max((p for _, p, *_ in rows), default=0) // 2):
-        powers.append(powers[-1] * s)
+    powers = list(accumulate([s] * (max((row.known for row in rows), default=0) // 2), mul, initial=1.0))
     least: dict[int, float] = {}  # {order: the least of what s to this power may be}
-    for row, p, rtol, so_far, more in rows:
-        size = max(so_far, max(map(mul, map(abs, row[: p // 2]), powers), default=0.0))
-        first = next((k for k in range(p - 1) if row[k]), p) if size + more == 0 else 0
-        goal = rtol * abs(row[first]) if first else rtol * size + more
+    for c, p, rtol, so_far, more, beginning in rows:
+        size = max(so_far, max(map(mul, beginning, powers), default=0.0))
+        first = next((k for k in range(p - 1) if c[k]), p) if size + more == 0 else 0
+        goal = rtol * abs(c[first]) if first else rtol * size + more
         for k in (p, p - 1):
-            a = abs(row[k])
+            a = abs(c[k])
             if a and k > first and goal / a < least.get(k - first, math.inf):
                 least[k - first] = goal / a
     return min([LONGEST, *(ratio ** (1 / k) for k, ratio in least.items())])

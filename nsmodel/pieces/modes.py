@@ -53,6 +53,14 @@ def select(system: System, place: Place) -> Solve | None:
     return next((how for how, *_ in valid(system, place, before)), None)
 
 
+def take_sides(system: System, place: Place) -> None:
+    """Codes to begin with: the end that the sign of y asks for, where no l acts on it and it is clear; else y = 0."""
+    system.outputs(place.t, place.x)
+    for i in range(system.m):
+        codes = _possible(system, (ROW, i))
+        place.codes[i] = int(codes[0]) if len(codes) == 1 and i not in system.blocks.of else 0
+
+
 def valid(system: System, place: Place, before: tuple) -> Iterator[tuple[Solve, list[list[float]], float]]:
     """All modes of the open switches, where these are few, in which all germs are valid, with their x and their `pace`."""
     opened = sorted(before[2])
@@ -103,13 +111,14 @@ def uniqueness(system: System, place: Place) -> tuple[str, str]:
     """(PROVED, AGREE, UNDECIDED or SPLIT, words for two valid modes that go apart).
 
     It is proved where the open rows' matrix, the others held or let go as they are, is a P-matrix (Cottle, Pang and Stone 1992,
-    Theorem 3.3.7), of curved blocks a definite one, and nothing but rows is open; else all modes of the open switches are tried,
-    where these are few.
+    Theorem 3.3.7), of curved blocks a definite one, or the model is monotone (`multipliers.is_monotone`), and nothing but rows is
+    open; else all modes of the open switches are tried, where these are few.
     """
     opened = [i for kind, i in sorted(place.open) if kind == ROW]
     rows = [row for i in opened for row in system.blocks.rows_of(i)]
-    if len(opened) == len(place.open) and system.linear_in_l and system.is_p_matrix(rows, place.codes):
-        return PROVED, ""
+    if len(opened) == len(place.open) and system.linear_in_l:
+        if system.is_p_matrix(rows, place.codes) or system.is_monotone:
+            return PROVED, ""
     if len(place.open) > FEW:
         return UNDECIDED, ""
     before = _state(system, place)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from nsmodel.pieces.modes import Place, turn
+from nsmodel.pieces.multipliers import least_motion
 from nsmodel.pieces.switches import ROW
 from nsmodel.pieces.system import System
 
@@ -17,7 +16,7 @@ def project(system: System, place: Place, rows: tuple[int, ...]) -> None:
         held, slope = system.held(rows)
         if not held.any():
             return
-        place.x = [float(x - d) for x, d in zip(place.x, np.linalg.lstsq(slope, held, rcond=None)[0], strict=True)]
+        place.x = [float(x - d) for x, d in zip(place.x, least_motion(slope, held), strict=True)]
         system.expand(place.t, place.x, place.codes, place.tau, 1)
 
 

@@ -81,6 +81,13 @@ def generalised_inverse(A: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
     return plus, r[:, None] * u[:, rank:], c[:, None] * vt[rank:].T
 
 
+def least_motion(slope: np.ndarray, held: np.ndarray) -> np.ndarray:
+    """The d (n,) least in norm with slope d = held, (k, n) and (k,), or next to it."""
+    if len(held) == 1 and (squared := slope[0] @ slope[0]) > 0:
+        return slope[0] * (held[0] / squared)
+    return np.linalg.lstsq(slope, held, rcond=None)[0]
+
+
 def _units(A: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Factors of rows and columns that bring the largest entries near 1 (Ruiz)."""
     r, c = np.ones(len(A)), np.ones(A.shape[1])
@@ -116,3 +123,21 @@ def is_p(D: np.ndarray, W: np.ndarray, opened: list[int], held: list[int], *, de
 def times(A: Rows, v: list[float]) -> list[float]:
     """A v."""
     return [sum(map(mul, row, v)) for row in A]
+
+
+def is_monotone(B: np.ndarray | None, D: np.ndarray | None, C: np.ndarray | None) -> bool:
+    """Whether x is unique whatever is open: D + D' >= 0 and P B = C' with a P = P' > 0, exactly; None where a matrix moves.
+
+    Here g = B l, h = C x + D l + e(t). Two solutions with one x part by no more than f lets them (Brogliato and Goeleven 2013);
+    l may be one of several. P exists iff C B is symmetric and psd, ker B lies in ker C' and rank C B = rank B.
+    """
+    from nsmodel.proof import exact
+
+    if B is None or D is None or C is None or not np.isfinite(np.concatenate([B.ravel(), D.ravel(), C.ravel()])).all():
+        return False
+    W = exact.product(C, B)
+    rank = exact.rank(B)
+    return (
+        exact.is_symmetric(W) and exact.is_psd(D) and exact.is_psd(W)
+        and exact.rank(W) == rank == exact.rank(np.vstack([B, C.T]))
+    )  # fmt: skip

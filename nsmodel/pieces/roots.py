@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from itertools import accumulate
+from operator import mul
 
 from nsmodel.pieces.bernstein import first_root, slope, value
 from nsmodel.pieces.modes import ORDERS, Place, leading, pace
@@ -25,19 +27,17 @@ def first_event(system: System, place: Place, how: Solve, orders: int, s: float)
     where that sign is wrong all the same, it ends at once. What is rounding all along is none.
     A root where the last coefficients are not small beside the others is one of what was cut off: half of the way to it is gone.
     """
-    hit, share = None, pace(system)
+    hit, share, powers = None, None, _powers(s, orders)
     for condition in conditions(system, place.codes, how, orders):
         germ = condition.coefficients()
-        c, power = list(germ), 1.0
-        for k in range(len(c)):
-            c[k] *= power
-            power *= s
+        c = list(map(mul, germ, powers))
         if c[0] > sum(map(abs, c[1:])):
             continue
         least, opened = TIE * size(system, condition), condition.of in place.open
         if max(map(abs, c)) <= least:
             continue
         if opened or c[0] <= 0:
+            share = pace(system) if share is None else share
             first = leading(germ, least if opened else 0.0, share)
             c = c[ORDERS + 1 if first is None else first :]
             if max(map(abs, c)) <= least:
@@ -48,7 +48,12 @@ def first_event(system: System, place: Place, how: Solve, orders: int, s: float)
             s, hit = s * root, condition
             if root > 0 and max(map(abs, c[-TAIL:])) > LOST * max(map(abs, c)):
                 s, hit = s / 2, None
+            powers = _powers(s, orders)
     return hit, s
+
+
+def _powers(s: float, orders: int) -> list[float]:
+    return list(accumulate([s] * orders, mul, initial=1.0))
 
 
 def polish(

@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from nsmodel.pieces.bernstein import value
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.sliding import Block
 from nsmodel.pieces.system import System
@@ -61,7 +62,29 @@ def size(system: System, condition: Condition) -> float:
         return system.size_y(i) if block is None else block.unit * max(map(system.size_y, block.at))
     if condition.acts == "inside":
         return abs(condition.shift)
-    return system.size_l(i) if condition.acts == "l" else max(abs(condition.shift), system.size_of_switch(condition.of))
+    return system.size_l(i) if condition.acts == "l" else max(abs(condition.shift), _size_of_switch(system, condition.of))
+
+
+def _size_of_switch(system: System, switch: Switch) -> float:
+    """What the argument of a switch is measured beside: the largest that it was the sum of so far."""
+    return system.sizes.switches[system.branches.index(switch)]
+
+
+def _terms_of_switches(system: System) -> list[float]:
+    """What the arguments of switches are the sums of, with the largest states and multipliers so far."""
+    both = ((1, system.sizes.x), (2, system.sizes.l))
+    given = {(0, 0): abs(system.t[0])} | {(which, i): size for which, sizes in both for i, size in enumerate(sizes)}
+    return [size for part in system.parts.values() for size in part.terms(given)]
+
+
+def grow(system: System, s: float) -> None:
+    """Note what the rows come to on a piece of length s."""
+    sizes = system.sizes
+    for rows, largest in ((system.x, sizes.x), (system.y, sizes.y), (system.l, sizes.l)):
+        for i, row in enumerate(rows):
+            largest[i] = max(largest[i], abs(value(row, s)), abs(row[0]))
+    if system.branches:
+        sizes.switches[:] = [max(both) for both in zip(sizes.switches, _terms_of_switches(system), strict=True)]
 
 
 def is_zero(system: System, condition: Condition) -> bool:

@@ -13,7 +13,7 @@ coefficients are those of s = (t - t_0)/tau, so that they are of one size where 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -23,8 +23,9 @@ import numpy as np
 from nsmodel.model.expressions import derivatives
 from nsmodel.pieces.expansion import Expansion
 from nsmodel.pieces.jets import jets_of
-from nsmodel.pieces.multipliers import NOTHING, Rows, Solve, clear, generalised_inverse, is_p, solve_of, times
+from nsmodel.pieces.multipliers import Solve, clear, generalised_inverse, is_monotone, is_p, solve_of, times
 from nsmodel.pieces.release import Release
+from nsmodel.pieces.settled import moved_share, stays
 from nsmodel.pieces.sizes import Sizes
 from nsmodel.pieces.sliding import Blocks
 from nsmodel.pieces.slopes import at_points, numbers
@@ -37,7 +38,6 @@ KEPT = 1000  # Modes with their slopes whose matrices are kept.
 HELD_ORDERS = 4  # Orders of a row that nothing acts on, and that must be 0.
 LITTLE = 1e-6  # Of the largest multiplier: a smaller one is measured beside that.
 AT_ZERO = 1e-9  # Of the terms of y_i: a row that is held is not further from 0.
-STAYS = 1e-9  # Of what moves: a row that nothing acts on moves by less.
 
 
 class System:
@@ -137,34 +137,51 @@ class System:
             row[:] = [0.0 if not code and self.linear_in_l else row[0], *[0.0] * self.orders]
             if code and math.isfinite(end := self.upper[i] if code > 0 else self.lower[i]):
                 row[0] = end
-        F, G, H = self.parts["f"], self.parts.get("g"), self.parts["h"]
         if (how := self._solved(codes)) is None or (self.blocks.released and (how := self._release(how)) is None):
             return None
-        for k in range(orders + 1):
+        return how if self.extend(how, codes, 0, orders) else None
+
+    def extend(self, how: Solve, codes: list[int], known: int, orders: int) -> bool:
+        """Compute orders ``known``, ..., ``orders`` in the same mode; whether it has them all."""
+        F, G, H, tau = self.parts["f"], self.parts.get("g"), self.parts["h"], self.t[1]
+        for k in range(known, orders + 1):
             if k:
                 self._direct(how, k)
                 self.blocks.slide(codes, k)
             if k == orders:
                 break
             if k:
-                self._rate(F.order(k), G.order(k) if G else None, k)
-            self._put_y(H.order(k + 1), k + 1)
+                for part in (F, G) if G else (F,):
+                    part.compute(k)
+                self._sum_rate(k, tau / (k + 1))
+            H.compute(k + 1)
+            self._sum_y(k + 1)
             if k == 0 or how.through is None:
                 continue
             for i, d in self._found(how, k):
                 self.l[i][k] += d
             self.blocks.pushed(codes, k)
             self._feed(how, k)
-            self._rate(None, G.order(k) if G else None, k)
-            self._put_y(H.order(k + 1), k + 1)
+            if G:
+                G.compute(k)
+            self._sum_rate(k, tau / (k + 1))
+            H.compute(k + 1)
+            self._sum_y(k + 1)
             clear(how, self.x, self.y, k + 1)
         if how.through is not None:
-            if not self._stays(how, range(2, min(orders, HELD_ORDERS) + 1)):
-                return None
+            if not known and not stays(self, how, range(2, min(orders, HELD_ORDERS) + 1)):
+                return False
             for i in how.active:
                 self.y[i][1:] = [0.0] * self.orders
         self.blocks.watch(codes, orders if how.index == 1 else orders - 1)
-        return how
+        return True
+
+    def outputs(self, t: float, x: list[float]) -> None:
+        """Order 0 of y, with l as it stands."""
+        self.t[0] = t
+        for row, start in zip(self.x, x, strict=True):
+            row[0] = start
+        self._put_y(self.parts["h"].compute(0), 0)
 
     def _solved(self, codes: list[int]) -> Solve | None:
         """What solves order 0, once l has it: from the guess that l is, then from the middle of K; None: l is the guess again."""
@@ -173,7 +190,7 @@ class System:
         for start in (guess,) if self.linear_in_l else (guess, middle):
             for row, l in zip(self.l, start, strict=True):
                 row[0] = l
-            self._put_y(self.parts["h"].order(0), 0)
+            self._put_y(self.parts["h"].compute(0), 0)
             how, self._from_rest = self.solve(codes), None
             self.blocks.begin(codes, self.size_y)
             if self._settle(how, codes):
@@ -181,19 +198,6 @@ class System:
         for row, l in zip(self.l, guess, strict=True):
             row[0] = l
         return None
-
-    def _stays(self, how: Solve, orders: Iterable[int]) -> bool:
-        """Whether the rows that no multiplier acts on stay at 0 by themselves, as redundant ones do; 1: once x has its rate."""
-        if how.null is None or not how.null.size:
-            return True
-        for k in orders:
-            if k == 1:
-                self._put_y(self.parts["h"].order(1), 1)
-            y = np.array([self.y[i][k] for i in how.active])
-            size = max([float(np.abs(y).max()), *(abs(row[k]) for row in self.x)])
-            if not np.abs(how.null.T @ y).max() <= STAYS * size:
-                return False
-        return True
 
     def apart(self, how: Solve) -> list[int]:
         """The rows that only their rate can hold at 0, and that are not there: beside their size, and how far x moves them."""
@@ -210,16 +214,6 @@ class System:
         """What l_i is measured beside: the largest so far, and a part of the largest of all."""
         return max(self.sizes.l[i], LITTLE * max(self.sizes.l))
 
-    def size_of_switch(self, switch: tuple[str, int]) -> float:
-        """What the argument of a switch is measured beside: the largest that it was the sum of so far."""
-        return self.sizes.switches[self.branches.index(switch)]
-
-    def terms_of_switches(self) -> list[float]:
-        """What the arguments of switches are the sums of, with the largest states and multipliers so far."""
-        both = ((1, self.sizes.x), (2, self.sizes.l))
-        given = {(0, 0): abs(self.t[0])} | {(which, i): size for which, sizes in both for i, size in enumerate(sizes)}
-        return [size for part in self.parts.values() for size in part.terms(given)]
-
     def terms(self, i: int, x: Sequence[float] = (), l: Sequence[float] = ()) -> float:
         """The size of what y_i is the sum of, with the largest states and multipliers so far, and these."""
         total = 0.0
@@ -234,6 +228,11 @@ class System:
             _, D, C = self.slopes()
             self._absolute[i] = terms_of(np.abs(C[i : i + 1]), 1)[0], terms_of(np.abs(D[i : i + 1]), 1)[0]
         return self._absolute[i]
+
+    @cached_property
+    def is_monotone(self) -> bool:
+        """Whether x is unique in all modes; see `multipliers.is_monotone`."""
+        return not self.blocks.all and is_monotone(self.B, self.D, self.C)
 
     def is_p_matrix(self, opened: list[int], codes: list[int]) -> bool:
         """Whether the rows ``opened`` have a P-matrix, D with W where D is nothing, the other rows with code 0 held.
@@ -252,7 +251,7 @@ class System:
         a = list(rows)
         key = rows, D.tobytes()
         if key not in self._null:
-            self._null = {key: generalised_inverse(D[np.ix_(a, a)])[1]}
+            self._null = ({} if self.D is None else self._null) | {key: generalised_inverse(D[np.ix_(a, a)])[1]}
         U = self._null[key]
         return U.T @ np.array([self.y[i][0] for i in a]), U.T @ C[a]
 
@@ -260,7 +259,7 @@ class System:
         """Order 0 of l, and order 1 of x, where blocks begin to slip."""
         tau, active = self.t[1], how.active if how.through is not None else ()
         self._from_rest = release = Release(active, self.blocks.released, self.slopes(), tau)
-        self._put_y(self.parts["h"].order(1), 1)
+        self._put_y(self.parts["h"].compute(1), 1)
         rate, l = (np.array([row[k] for row in (rows[i] for i in release.rows)]) for rows, k in ((self.y, 1), (self.l, 0)))
         found = release.begin(rate / tau, l)
         if found is None:
@@ -270,7 +269,7 @@ class System:
         self.blocks.pushed([0] * self.m, 0)
         F, G = self.parts["f"], self.parts.get("g")
         self._feed(how, 0)
-        self._rate(F.order(0), G.order(0) if G else None, 0)
+        self._rate(F.compute(0), G.compute(0) if G else None, 0)
         return how if how.through is not None else replace(how, through=[])
 
     def _found(self, how: Solve, k: int) -> Iterator[tuple[int, float]]:
@@ -284,32 +283,41 @@ class System:
     def _settle(self, how: Solve, codes: list[int]) -> bool:
         """Order 0 of l, and order 1 of x; Newton's method where f, g or h are not linear in l."""
         F, G, H, tau = self.parts["f"], self.parts.get("g"), self.parts["h"], self.t[1]
-        rate = F.order(0)
+        rate = F.compute(0)
         for iteration in range(NEWTON):
             moved = self._direct(how, 0)
-            self._rate(rate, G.order(0) if G else None, 0)
+            self._rate(rate, G.compute(0) if G else None, 0)
             if how.through is None and self.linear_in_l:
                 return True
-            self._put_y(H.order(1), 1)
+            self._put_y(H.compute(1), 1)
             if how.through is not None:
                 slope = [self.y[i][1] / tau for i in how.active]
                 step = [-v for v in times(how.through, slope)]
                 for i, d in zip(how.active, step, strict=True):
                     self.l[i][0] += d
                 self.blocks.pushed(codes, 0)
-                moved = max(moved, self._moved(how, how.through, step, [abs(row[1]) / tau for row in self.x]))
+                if self.linear_in_l:
+                    moved = sum(step)
+                else:
+                    moved = max(moved, moved_share(self, how, how.through, step, [abs(row[1]) / tau for row in self.x]))
                 if how.feeds:
-                    self._put_y(self.parts["h"].order(0) if self.D is None else None, 0)
-                self._rate(rate, G.order(0) if G else None, 0)
-            if not np.isfinite(moved):
+                    self._put_y(self.parts["h"].compute(0) if self.D is None else None, 0)
+                self._rate(rate, G.compute(0) if G else None, 0)
+            if not math.isfinite(moved):
                 return False
             if self.linear_in_l:
-                return self._stays(how, (1,))
+                return self._stays(how)
             if iteration and moved <= SETTLED * NEWTON:
-                return self._stays(how, (1,))
+                return self._stays(how)
             how = self.solve(codes)
-            self._put_y(H.order(0), 0)
+            self._put_y(H.compute(0), 0)
         return False
+
+    def _stays(self, how: Solve) -> bool:
+        if how.null is None or not how.null.size:
+            return True
+        self._put_y(self.parts["h"].compute(1), 1)
+        return stays(self, how, (1,))
 
     def _direct(self, how: Solve, k: int) -> float:
         """l_k from y_k, of index 1; y_k with it. Returns the share by which order 0 moved, of what is not linear in l."""
@@ -318,24 +326,17 @@ class System:
         step = times(how.direct, [self.y[i][k] for i in how.active])
         for i, d in zip(how.active, step, strict=True):
             self.l[i][k] -= d
-        moved = 0.0 if k or self.linear_in_l else self._moved(how, how.direct, step, [abs(row[0]) for row in self.x])
-        self._put_y(self.parts["h"].order(k), k) if self.D is None else self._put_y(None, k)
+        moved = 0.0 if k or self.linear_in_l else moved_share(self, how, how.direct, step, [abs(row[0]) for row in self.x])
+        self._put_y(self.parts["h"].compute(k), k) if self.D is None else self._put_y(None, k)
         if how.through is None:
             for i in how.active:
                 self.y[i][k] = 0.0
         return moved
 
-    def _moved(self, how: Solve, inverse: Rows, step: list[float], x: list[float]) -> float:
-        """The largest share by which l moved of what it is the sum of: of itself, and of ``inverse`` times the terms of h."""
-        _, D, C = self.slopes()
-        terms = np.abs(inverse) @ (np.abs(C) @ x + np.abs(D) @ [abs(row[0]) for row in self.l])[list(how.active)]
-        shares = (abs(d) / (NOTHING + abs(self.l[i][0]) + v) for i, d, v in zip(how.active, step, terms, strict=True))
-        return max(shares)
-
     def _feed(self, how: Solve, k: int) -> None:
         """Order k of y anew, where it depends on l directly."""
         if how.feeds:
-            self._put_y(self.parts["h"].order(k) if self.D is None else None, k)
+            self._put_y(self.parts["h"].compute(k) if self.D is None else None, k)
             for i in how.active:
                 self.y[i][k] = 0.0
 

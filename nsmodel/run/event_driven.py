@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import casadi as ca
 import numpy as np
 
 from nsmodel.classes.registry import class_of
@@ -21,7 +20,6 @@ from nsmodel.model.base import Model
 from nsmodel.once import once
 from nsmodel.pieces.course import Course, time_of
 from nsmodel.pieces.integrator import Integrator
-from nsmodel.pieces.jets import is_switched
 from nsmodel.pieces.lengths import order_of
 from nsmodel.pieces.radau import stages_of
 from nsmodel.pieces.sliding import with_modes
@@ -31,6 +29,7 @@ from nsmodel.run.in_c import chosen
 from nsmodel.run.options import METHODS, Options
 from nsmodel.run.piece_makers import InC, Interpreted, Maker
 from nsmodel.run.piece_rows import Block, Columns, PieceRows
+from nsmodel.run.row_facts import facts
 from nsmodel.run.walk import PER_CENT, There, check_exact, note_distance_to_exact, runaway
 from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven
 from nsmodel.solve import cost
@@ -175,8 +174,9 @@ class EventDriven:
         if rows:
             t, x, residual = (self.columns()[name][:rows] for name in ("t", "x", "residual"))
             note_distance_to_exact(self.model, totals, t, x)
-            row = int(np.nan_to_num(residual).argmax())
-            if residual[row] > totals["worst_residual"]:
+            larger = residual > totals["worst_residual"]
+            if larger.any():
+                row = int(np.where(larger, residual, 0.0).argmax())
                 totals |= {"worst_residual": float(residual[row]), "worst_residual_t": float(t[row])}
 
     def columns(self) -> dict[str, np.ndarray]:
@@ -234,8 +234,7 @@ def _of_stretches(stretches: list[dict[str, Any]]) -> list[str]:
 
 def _refuse_large(problem: ContinuousProblem, options: Options) -> None:
     """Refuse what would take longer than steps, unless it is asked for."""
-    size = sum(ca.n_nodes(part) for part in (problem.f, problem.g, problem.h))
-    if options.method != METHOD and size > LARGE:
+    if options.method != METHOD and (size := facts(problem).operations) > LARGE:
         raise NotEventDriven(f"f, g and h have {size} operations, and each event ends a piece of all of them; steps cost less")
 
 
@@ -284,8 +283,8 @@ def _chosen(
         return made[0]
 
     def costs() -> Cost:
-        size, nodes = problem.x.numel() + problem.l.numel(), ca.n_nodes(ca.veccat(problem.f, problem.g, problem.h))
-        return cost.of_pieces(size, nodes, lambda: is_built(mark))
+        size = problem.x.numel() + problem.l.numel()
+        return cost.of_pieces(size, facts(problem).operations, lambda: is_built(mark))
 
     count, auto = 1, options.compiled == "auto"
     if problem.sliding and auto:  # The reason is told, whatever it would cost.
@@ -294,8 +293,10 @@ def _chosen(
         count = math.ceil(min(float(model.t_end) / course().integrator.place.tau, MOST))  # whatever its end here
     found = chosen(options, plan, there, count, costs, build, IN_C, "pieces")
     if found.steps is None:
-        return _Chosen(Interpreted(course()), found.way, None, found.plan, [] if auto else found.warnings)
-    size = problem.h.numel() + sum(e.numel() for e in problem.columns.values())
+        return _Chosen(
+            Interpreted(course(), kept=options.folder is not None), found.way, None, found.plan, [] if auto else found.warnings
+        )
+    size = facts(problem).m + sum(facts(problem).columns.values())
     maker = InC(problem, course, found.steps)
     return _Chosen(maker, found.way, lambda rows: found.steps.columns(rows, size), found.plan, found.warnings)
 
@@ -319,14 +320,13 @@ def is_built(mark: str) -> bool:
 
 
 def _plan(problem: ContinuousProblem, options: Options, rtol: float, known: Sequence[float]) -> Plan:
-    parts = ca.veccat(problem.f, problem.g, problem.h)
     used = [
         f"event-driven: Taylor series of order {order_of(rtol)} in each mode, "
         f"{problem.x.numel()} states, {problem.l.numel()} rows",
         "each switch is a root of its sign condition, found by Bernstein's test",
         f"pieces by Radau IIA, {stages_of(order_of(rtol))} stages, where a mode turns out to be stiff",
     ]
-    if is_switched(parts):
+    if facts(problem).is_switched:
         used.append("switches of operations that are not analytic (fabs, fmax, if_else, ...), watched")
     if known:
         used.append(f"{len(known)} known times (switch_times): each ends a piece, the mode is chosen anew")

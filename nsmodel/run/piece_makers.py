@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from nsmodel.errors import StepError
 from nsmodel.pieces.course import NEW, Course
 from nsmodel.pieces.integrator import Integrator
 from nsmodel.pieces.modes import AGREE, PROVED, UNDECIDED
@@ -65,11 +66,13 @@ class Interpreted:
 
     behind: int = 1
 
-    def __init__(self, course: Course) -> None:
-        self.course, self.integrator = course, course.integrator
+    def __init__(self, course: Course, *, kept: bool) -> None:
+        """``kept``: whether the place before the last pieces may be asked for; then they are made one by one."""
+        self.course, self.integrator, self._kept = course, course.integrator, kept
         system = self.integrator.system
         self._feeds = [system.feedthrough[i] or system.blocks.is_curved(i) for i in range(system.m)]
         self._before: tuple[dict[str, Any], dict[str, Any]] | None = None
+        self._error: StepError | None = None  # After pieces that were made in the same call.
 
     @property
     def t(self) -> float:
@@ -92,12 +95,21 @@ class Interpreted:
         return self.integrator.order
 
     def make(self, until: float, room: int) -> Block:
-        """One piece, or those of a step that begin before ``until``."""
-        del room
+        """So many pieces, one where places are kept; of a step those that begin before ``until``."""
+        if self._error is not None:
+            raise self._error
         blocks: list[Block] = []
-        while not blocks:
-            self._before = self.standing(), self.counts()
-            for piece in self.course.advance():
+        while not blocks or (len(blocks) < room and not self._kept and self.t < until):
+            if self._kept:
+                self._before = self.standing(), self.counts()
+            try:
+                made = self.course.advance()
+            except StepError as error:
+                if not blocks:
+                    raise
+                self._error = error
+                break
+            for piece in made:
                 if piece.end > piece.t and not (blocks and blocks[-1].end[-1] >= until):
                     blocks.append(self._block(piece))
         self.behind = len(blocks)
@@ -125,6 +137,7 @@ class Interpreted:
 
     def stand(self, saved: dict[str, Any]) -> None:
         """Take up what ``standing`` gave."""
+        self._error = None
         self.course.stand(saved)
 
 
@@ -145,7 +158,7 @@ class InC:
 
     @cached_property
     def _interpreted(self) -> Interpreted:
-        return Interpreted(self._course())
+        return Interpreted(self._course(), kept=True)
 
     @property
     def integrator(self) -> Integrator:
@@ -156,7 +169,7 @@ class InC:
     @property
     def t(self) -> float:
         """Where the next piece starts."""
-        return float(self._c.at["t"]) if self._step is None else float(self._step["t"])
+        return self._c.t if self._step is None else float(self._step["t"])
 
     @property
     def tau(self) -> float:
@@ -233,7 +246,7 @@ class InC:
                 for name, count in (("x", None), ("y", m), ("l", m), ("switches", len(place["choice"]) - 1))
             },
             "begun": tuple(place["impulse"][:m].tolist()) if place["begun"] else None,
-            "accumulation": {"events": int(place["events"]), "times": place["times"][:n].tolist(), "tiny": int(place["tiny"])},
+            "accumulation": {"events": int(place["events"]), "times": self._c.times[:n].tolist(), "tiny": int(place["tiny"])},
             "unique": counts["unique"], "touches": counts["touches"], "redundant": counts["redundant"], "stopped": self._stopped,
             "stiff": dict(zip(STIFF, place["stiff"].tolist(), strict=True)) | {"pieces": self._collocated},
         }  # fmt: skip
@@ -255,13 +268,13 @@ class InC:
         for kind, i in saved["open"]:
             place["open"][i if kind == "row" else m + self._of(kind).start + i] = 1
         counted = saved["accumulation"]
-        place["times"][: len(counted["times"])] = counted["times"]
+        self._c.times[: len(counted["times"])] = counted["times"]
         place["events"], place["tiny"] = counted["events"], counted["tiny"]
         place["stiff"], self._collocated = [saved["stiff"][name] for name in STIFF], saved["stiff"]["pieces"]
         self._stopped = saved["stopped"]
         unique = Counter(saved["unique"])
         place["unique"] = [unique[verdict] for verdict in VERDICTS]
-        place["touches"], place["redundant"] = saved["touches"], saved["redundant"]
+        place["touches"], place["redundant"], place["known"] = saved["touches"], saved["redundant"], 0
 
     @property
     def _parts(self) -> list[str]:

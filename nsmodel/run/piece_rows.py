@@ -14,6 +14,7 @@ from nsmodel import dense, laws
 from nsmodel.pieces.expansion import Expansion
 from nsmodel.pieces.jets import jets_of
 from nsmodel.pieces.piece import Piece
+from nsmodel.run.row_facts import facts
 from nsmodel.run.walk import CHUNK_BYTES
 from nsmodel.scheme.continuous import ContinuousProblem
 
@@ -95,12 +96,21 @@ class Carried:
 
 
 class _Rows(NamedTuple):
-    """Rows: times, pieces among those in memory, the largest estimate since the row before, integrals of the multipliers."""
+    """Rows: times, pieces among those in memory, the largest estimate since the row before; integrals of l where these are asked."""
 
     t: np.ndarray
     piece: np.ndarray
     worst: np.ndarray
-    integral: np.ndarray
+    integral: np.ndarray | None
+
+    @classmethod
+    def joined(cls, rows: Sequence[_Rows]) -> _Rows:
+        """One after the other."""
+        if len(rows) == 1:
+            return rows[0]
+        t, piece, worst, integral = zip(*rows, strict=True)
+        whole = None if integral[0] is None else np.concatenate(integral)
+        return cls(np.concatenate(t), np.concatenate(piece), np.concatenate(worst), whole)
 
 
 class PieceRows:
@@ -110,14 +120,10 @@ class PieceRows:
         """``columns``: (h, y, records) side by side of rows (t, x, l), where these are computed elsewhere."""
         self.problem, self.orders, self.every = problem, orders, every
         self._out = _outputs(problem, orders)
-        self._names = len(problem.rows if problem.multipliers is None else problem.declared)
-        self._law = [np.array(ca.DM(end)).ravel() for end in (problem.law.lower, problem.law.upper)]
+        self._facts = facts(problem)
         self._curved = [(at, part) for at, part in problem.law.parts() if part.curved() is not None]
-        m = problem.l.numel()
-        direct = set(ca.jacobian_sparsity(problem.h, problem.l).row()) if m else set()
-        self._direct = np.array([i in direct for i in range(m)], bool)
         self._tell = columns or _columns_of(problem)
-        nothing = np.zeros(self._names)
+        nothing = np.zeros(self._facts.shown)
         self.carried = Carried(0, 0.0, nothing, nothing)
         self.starts = True  # Whether the row of the start is among those in memory.
         self._blocks: list[Block] = []
@@ -150,7 +156,7 @@ class PieceRows:
     @property
     def full(self) -> bool:
         """Whether they fill a chunk."""
-        n, m = self.problem.x.numel(), self.problem.l.numel()
+        n, m = self._facts.n, self._facts.m
         return self.count * (n + 2 * m) * 8 * (self.orders + 1) > CHUNK_BYTES
 
     def take(self, block: Block, times: np.ndarray, last: bool) -> None:
@@ -158,28 +164,31 @@ class PieceRows:
         before, end = self.carried, block.end
         self._columns = None
         self._blocks.append(block)
-        l, y = (block.l, block.y) if self._out is None else _expanded(self._out, block, self._names)
+        l, y = (block.l, block.y) if self._out is None else _expanded(self._out, block, self._facts.shown)
         self._shown.append((l, y))
-        whole = block.impulse.copy() if self.problem.impulses else np.zeros((len(block.t), len(before.until)))
-        if self.problem.impulses:
-            whole += block.tau[:, None] * dense.integrals(l, (end - block.t) / block.tau)
-        until = np.cumsum(np.vstack([before.until[None], whole]), axis=0)
-        numbers = before.rows + np.arange(1, len(times) + 1)
-        keep = numbers % self.every == 0
-        if last and len(times):
-            keep[-1] = True
-        t = times[keep]
+        t = times
+        if self.every > 1:
+            keep = (before.rows + np.arange(1, len(times) + 1)) % self.every == 0
+            if last and len(times):
+                keep[-1] = True
+            t = times[keep]
         piece = np.minimum(np.searchsorted(end, t, side="left"), len(end) - 1)
-        integral = until[piece]
-        if self.problem.impulses:
-            part = block.tau[piece, None] * dense.integrals(l[piece], (t - block.t[piece]) / block.tau[piece])
-            integral = integral + (block.impulse[piece] + part)
+        until, integral = self._integrals(block, l, t, piece) if self.problem.impulses else (before.until, None)
         worst, rest = _worst(before.worst, block.defect, piece)
         self._rows.append(_Rows(t, piece + self.count, worst, integral))
-        now = (float(t[-1]), integral[-1]) if len(t) else (before.t, before.integral)
-        self.carried = Carried(before.rows + len(times), *now, until[-1], rest)
+        now = float(t[-1]) if len(t) else before.t
+        self.carried = Carried(
+            before.rows + len(times), now, integral[-1] if integral is not None and len(t) else before.integral, until, rest
+        )
         self.count += len(block.t)
         self._count_rows += len(t)
+
+    def _integrals(self, block: Block, l: np.ndarray, t: np.ndarray, piece: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The integral of the multipliers up to the end of the pieces, and up to times (k,) in them."""
+        whole = block.impulse + block.tau[:, None] * dense.integrals(l, (block.end - block.t) / block.tau)
+        until = np.cumsum(np.vstack([self.carried.until[None], whole]), axis=0)
+        part = block.tau[piece, None] * dense.integrals(l[piece], (t - block.t[piece]) / block.tau[piece])
+        return until[-1], until[piece] + (block.impulse[piece] + part)
 
     # -- columns
 
@@ -190,52 +199,51 @@ class PieceRows:
         return dict(self._columns)
 
     def _read(self) -> dict[str, np.ndarray]:
-        n, first = self.problem.states, int(self.starts)
+        states, first, own = self.problem.states, int(self.starts), self._facts
         if not self._blocks:
             return self._start_alone() | self._lists(_nothing(self.problem, self.orders))
-        block = Block.joined(self._blocks)
-        rows = _Rows(*(np.concatenate(arrays) for arrays in zip(*self._rows, strict=True)))
+        block, rows = Block.joined(self._blocks), _Rows.joined(self._rows)
         lists = self._lists(block)
-        t, number = np.concatenate([np.zeros(first), rows.t]), self.numbers
+        t, number = np.concatenate([np.zeros(first), rows.t]), np.concatenate([np.zeros(first, int), rows.piece])
         s = dense.local(lists, number, t)
-        full = dense.polynomials(block.x[number], s)
-        multipliers = dense.polynomials(lists["piece_multipliers"][number], s)
-        full[:first] = np.array(ca.DM(self.problem.x0)).T
+        both = dense.polynomials(np.concatenate([block.x, block.l], axis=1)[number], s)
+        full, l = both[:, : own.n], both[:, own.n :]
+        multipliers = l.copy() if self._out is None else dense.polynomials(lists["piece_multipliers"][number], s)
+        full[:first] = own.x0
         ends = np.flatnonzero(rows.t == block.end[rows.piece])
         full[ends + first] = block.last[rows.piece[ends]]
-        before = math.nan if first else self._before.t
         arrays: dict[str, np.ndarray] = {
-            "t": t, "x": full[:, :n], "multipliers": multipliers, "index_set": lists["piece_codes"][number],
-            "step": np.diff(t, prepend=before), "stepped": lists["piece_stepped"][number],
-            "error_estimate": np.concatenate([np.zeros(first), rows.worst]),
+            "t": t, "x": full[:, :states], "multipliers": multipliers, "index_set": lists["piece_codes"][number],
+            "step": t - np.concatenate([[math.nan if first else self._before.t], t[:-1]]),
+            "stepped": lists["piece_stepped"][number], "error_estimate": np.concatenate([np.zeros(first), rows.worst]),
         }  # fmt: skip
-        l, h, records = self._records(t, full, dense.polynomials(block.l[number], s))
+        h, records = self._records(t, both)
         residual = self._residuals(l[first:], h[first:], block, rows.piece)
         arrays |= {"residual": np.concatenate([np.zeros(first), residual]), **records}
-        if self.problem.impulses:
-            arrays["reactions"] = arrays["multipliers"].copy()
+        if rows.integral is not None:
+            arrays["reactions"] = multipliers
             integrals = np.concatenate([np.repeat(self._before.integral[None], first + 1, axis=0), rows.integral])
             arrays["multipliers"] = np.diff(integrals, axis=0)
-        for name in ("multipliers", "y", "residual", "error_estimate", "reactions"):
-            if name in arrays:
-                arrays[name][:first] = np.nan
-        arrays["index_set"][:first] = dense.UNKNOWN
-        arrays["stepped"][:first] = False
+        if first:
+            for name in ("multipliers", "y", "residual", "error_estimate", "reactions"):
+                if name in arrays:
+                    arrays[name][0] = np.nan
+            arrays["index_set"][0], arrays["stepped"][0] = dense.UNKNOWN, False
         return arrays | lists
 
     def _start_alone(self) -> dict[str, np.ndarray]:
         """The one row of a run that has no piece yet."""
-        p, shown = self.problem, self._names
+        p, own = self.problem, self._facts
         unknown = {name: np.full(1, np.nan) for name in ("residual", "step", "error_estimate")}
         return {
-            "t": np.zeros(1), "x": np.array(ca.DM(p.x0))[: p.states].T,
-            **{name: np.full((1, shown), np.nan) for name in ("multipliers", "y")},
-            "index_set": np.full((1, p.l.numel()), dense.UNKNOWN, np.int8), "stepped": np.zeros(1, bool), **unknown,
+            "t": np.zeros(1), "x": own.x0[None, : p.states].copy(),
+            **{name: np.full((1, own.shown), np.nan) for name in ("multipliers", "y")},
+            "index_set": np.full((1, own.m), dense.UNKNOWN, np.int8), "stepped": np.zeros(1, bool), **unknown,
         }  # fmt: skip
 
     def _lists(self, block: Block) -> dict[str, np.ndarray]:
-        none = (np.zeros((0, self._names, self.orders + 1)),) * 2
-        l, y = (np.concatenate(arrays) for arrays in zip(*(self._shown or [none]), strict=True))
+        none = (np.zeros((0, self._facts.shown, self.orders + 1)),) * 2
+        l, y = self._shown[0] if len(self._shown) == 1 else map(np.concatenate, zip(*(self._shown or [none]), strict=True))
         return {
             "piece_start": block.t, "piece_unit": block.tau, "piece_x": np.ascontiguousarray(block.x), "piece_multipliers": l,
             "piece_y": y, "piece_codes": block.codes, "piece_event": block.event, "piece_impulse": block.impulse,
@@ -247,20 +255,23 @@ class PieceRows:
 
         Of a row by a time step it is the residual of that.
         """
-        codes, (lower, upper) = block.codes[number], self._law
-        off = np.where(codes == 0, np.abs(y), np.maximum(codes * y, 0)) / np.maximum(block.size_y[number], 1e-300)
-        out = np.maximum(np.maximum(lower - l, l - upper), 0) / np.maximum(block.size_l[number], 1e-300)
-        of_law = (np.maximum(off, out) * self._direct).max(axis=1, initial=0.0)
+        own, of_law = self._facts, np.zeros(len(number))
+        if own.direct.any():
+            codes = block.codes[number]
+            off = np.where(codes == 0, np.abs(y), np.maximum(codes * y, 0)) / np.maximum(block.size_y[number], 1e-300)
+            out = np.maximum(np.maximum(own.lower - l, l - own.upper), 0) / np.maximum(block.size_l[number], 1e-300)
+            of_law = (np.maximum(off, out) * own.direct).max(axis=1)
         for at, part in self._curved:
             of_law = np.maximum(of_law, _missed(part, l[:, at], y[:, at], block.size_y[number][:, at]))
         return np.where(block.stepped[number], block.residual[number], of_law)
 
-    def _records(self, t: np.ndarray, x: np.ndarray, l: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-        """What the law speaks of, l and h, and the columns that are expressions of t, x and l: y, and those of the class."""
-        values = self._tell(np.hstack([t[:, None], x, l]))
-        sizes = {name: e.numel() for name, e in self.problem.columns.items()}
-        h, *found = np.split(values, np.cumsum([self.problem.h.numel(), *sizes.values()])[:-1], axis=1)
-        return l, h, {name: v[:, 0] if name == "energy" else v for name, v in zip(sizes, found, strict=True)}
+    def _records(self, t: np.ndarray, both: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Rows of h, and the columns that are expressions of t, x and l: y, and those of the class; ``both``: x and l."""
+        values, at, found = self._tell(np.column_stack([t, both])), self._facts.m, {}
+        for name, size in self._facts.columns.items():
+            found[name] = values[:, at] if name == "energy" else values[:, at : at + size]
+            at += size
+        return values[:, : self._facts.m], found
 
     # -- for files
 
@@ -297,6 +308,8 @@ def _columns_of(p: ContinuousProblem) -> Columns:
 def _worst(before: float, defects: np.ndarray, piece: np.ndarray) -> tuple[np.ndarray, float]:
     """The largest estimate from the piece of the row before to that of each row; and since the last row."""
     all_of = np.concatenate([[before], defects])
+    if len(piece) == len(defects) and (piece == np.arange(len(piece))).all():  # the rows are the ends of the pieces
+        return np.maximum(all_of[:-1], all_of[1:]), float(all_of[-1])
     starts, ends = np.concatenate([[0], piece[:-1] + 1])[: len(piece)], piece + 1
     rest = float(all_of[ends[-1] if len(piece) else 0 :].max())
     if not len(piece):

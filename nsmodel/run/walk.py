@@ -13,6 +13,7 @@ import numpy as np
 from nsmodel.errors import StepError, UsageError
 from nsmodel.grid import Grid
 from nsmodel.model.base import Model
+from nsmodel.once import once
 from nsmodel.run.options import Options
 from nsmodel.solve.choose import Plan
 
@@ -205,6 +206,7 @@ def _memory() -> float:
 # -- the exact state ---------------------------------------------------------------------------------------------------
 
 
+@once
 def check_exact(model: Model) -> None:
     """Refuse a function for the exact state that fails, or returns another shape."""
     if model.exact is not None:

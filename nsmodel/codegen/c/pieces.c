@@ -17,30 +17,95 @@ static double unit_of(double tau)
 static int expand_finite(model_pieces *s, int orders)
 {
     for (int pass = 0; pass < UNITS; pass++) {
-        int finite = 1;
         if (!expand(s, orders))
             return MODEL_NO_MODE;
-        for (int i = 0; i < N; i++)
-            finite &= is_finite(s->c[orders][i]);
-        if (finite)
+        if (all_finite(N, s->c[orders]))
             return MODEL_OK;
         s->at.tau = ldexp(s->at.tau, -OCTAVES);
     }
     return MODEL_NOT_FINITE;
 }
 
-/* Row out of count: its column, how many terms are known, its size so far, and what it is asked for. */
+/* All orders at the place, of which the mode's choice has left some. */
+static int expand_piece(model_pieces *s)
+{
+    const int known = s->at.known;
+    s->at.known = 0;
+#if LINEAR
+    if (known) {
+        extend(s, known, s->order);
+        if (all_finite(N, s->c[s->order]))
+            return MODEL_OK;
+    }
+#else
+    UNUSED(known);
+#endif
+    return expand_finite(s, s->order);
+}
+
+/* A row: its column, how many terms are known, its size so far, and what it is asked for. */
 typedef struct {
     int column, known;
     double size, rtol, more;
 } measured;
 
-static int rows_of(const model_pieces *s, measured *rows)
+/* The length that a row of size 0, measured beside its first term, lets a piece have. */
+static double length_from_0(const model_pieces *s, const measured *row, double longest)
 {
+    const int column = row->column, n = row->known;
+    int k = 0;
+    while (k < n - 1 && s->c[k][column] == 0)
+        k++;
+    if (k == n - 1)
+        return longest;
+    const double least = row->rtol*fabs(s->c[k][column]), last = fabs(s->c[n][column]), before = fabs(s->c[n - 1][column]);
+    if (last != 0)
+        longest = min_of(longest, pow(least/last, 1.0/(n - k)));
+    if (before != 0 && n - 1 > k)
+        longest = min_of(longest, pow(least/before, 1.0/(n - 1 - k)));
+    return longest;
+}
+
+/* What a row is asked for over its term k, with its size on a piece of this length. */
+static double ratio_on(const model_pieces *s, const measured *row, int k, double length)
+{
+    double size = row->size, raised = length;
+    for (int j = 1; j < row->known/2; j++) {
+        const double term = fabs(s->c[j][row->column])*raised;
+        size = term > size ? term : size;
+        raised *= length;
+    }
+    return (row->rtol*size + row->more)/fabs(s->c[k][row->column]);
+}
+
+/* The longest s, no longer than this, with s^k at most least[k - first]: roots are drawn where they are shorter alone. */
+static double shortest(const double *least, int first, double s)
+{
+    for (int e = 0; e < EXPONENTS; e++) {
+        double raised = 1, square = s;
+        for (int k = first + e; k; k >>= 1) {
+            raised *= k & 1 ? square : 1;
+            square *= square;
+        }
+        if (raised > least[e])
+            s = pow(least[e], 1.0/(first + e));
+    }
+    return s;
+}
+
+/*
+ * The length of the piece in units of time: the last two terms of x, l and y are what is asked for. The size of a row is not less
+ * than so far, so that only a row that would be the shortest with that needs its size on the piece.
+ */
+static double length_of(const model_pieces *s)
+{
+    measured rows[N + M];
     const int p = s->order;
-    int count = 0;
+    int which[EXPONENTS] = {0};
+    double ratio[N + M][2], least[EXPONENTS] = {INFINITY, INFINITY, INFINITY}; /* of goal/|c_k|, by k = p - 2, p - 1, p */
+    double length, longest = LONGEST;
     for (int i = 0; i < N; i++)
-        rows[count++] = (measured){i, p, s->at.size_x[i], s->rtol, s->atol[i]};
+        rows[i] = (measured){i, p, s->at.size_x[i], s->rtol, s->atol[i]};
 #if LAW
     const int known = HOW.through ? p - 1 : p;
     double y_floor = 0, l_floor = 0;
@@ -49,78 +114,43 @@ static int rows_of(const model_pieces *s, measured *rows)
         l_floor = max_of(l_floor, SMALL*s->at.size_l[i]);
     }
     for (int i = 0; i < M; i++)
-        rows[count++] = s->at.codes[i] ? (measured){Y + i, p, max_of(s->at.size_y[i], y_floor), MULTIPLIERS*s->rtol, 0}
-                                       : (measured){L + i, known, max_of(s->at.size_l[i], l_floor), MULTIPLIERS*s->rtol, 0};
+        rows[N + i] = s->at.codes[i] ? (measured){Y + i, p, max_of(s->at.size_y[i], y_floor), MULTIPLIERS*s->rtol, 0}
+                                     : (measured){L + i, known, max_of(s->at.size_l[i], l_floor), MULTIPLIERS*s->rtol, 0};
 #endif
-    return count;
-}
-
-/* The size of a row on a piece of this length. */
-static double size_on(const model_pieces *s, const measured *row, double length)
-{
-    double size = row->size, raised = length;
-    for (int k = 1; k < row->known/2; k++) {
-        const double term = fabs(s->c[k][row->column])*raised;
-        size = term > size ? term : size;
-        raised *= length;
-    }
-    return size;
-}
-
-/*
- * The length of the piece in units of time: the last two terms of x, l and y are what is asked for. The size of a row is not less
- * than so far, so that only a row that would be the shortest with that needs its size on the piece.
- */
-static double length_of(model_pieces *s)
-{
-    measured rows[N + M];
-    const int p = s->order, count = rows_of(s, rows);
-    double length = 0, last[EXPONENTS] = {-1, -1, -1}, (*ratio)[2] = s->ratio, longest = LONGEST;
-    for (int i = 0; i < count; i++) {
+    for (int i = 0; i < N + M; i++) {
         measured *row = &rows[i];
-        const int n = row->known, column = row->column;
-        row->size = max_of(row->size, fabs(s->c[0][column]));
+        const double first = fabs(s->c[0][row->column]);
+        row->size = first > row->size ? first : row->size;
         const double goal = row->rtol*row->size + row->more;
-        int first = 0;
-        if (goal == 0) {
-            while (first < n - 1 && s->c[first][column] == 0)
-                first++;
-            first = first == n - 1 ? n : first;
-        }
+        if (goal == 0)
+            longest = length_from_0(s, row, longest);
         for (int e = 0; e < 2; e++) {
-            const double a = fabs(s->c[n - e][column]);
-            ratio[i][e] = INFINITY;
-            if (a == 0 || n - e <= first)
-                continue;
-            if (first)
-                longest = min_of(longest, pow(row->rtol*fabs(s->c[first][column])/a, 1.0/(n - e - first)));
-            else
-                ratio[i][e] = goal/a;
-        }
-    }
-    for (int pass = 0; pass < PASSES; pass++) {
-        double least[EXPONENTS] = {INFINITY, INFINITY, INFINITY}; /* of goal/|c_k|, by k = p - 2, p - 1, p */
-        for (int i = 0; i < count; i++) {
-            double size = -1, *of = least + rows[i].known - p + 2;
-            for (int e = 0; e < 2; e++) {
-                if (ratio[i][e] >= of[-e])
-                    continue;
-                if (pass == 0) {
-                    of[-e] = ratio[i][e];
-                    continue;
-                }
-                size = size < 0 ? size_on(s, &rows[i], length) : size;
-                const double now = (rows[i].rtol*size + rows[i].more)/fabs(s->c[rows[i].known - e][rows[i].column]);
-                of[-e] = now < of[-e] ? now : of[-e];
+            const double a = fabs(s->c[row->known - e][row->column]);
+            const int at = row->known - e - p + 2;
+            ratio[i][e] = goal != 0 && a != 0 ? goal/a : INFINITY;
+            if (ratio[i][e] < least[at]) {
+                least[at] = ratio[i][e];
+                which[at] = i;
             }
         }
-        if (memcmp(last, least, sizeof last) == 0)
-            return length;
-        memcpy(last, least, sizeof last);
-        length = longest;
+    }
+    length = shortest(least, p - 2, longest);
+    for (int pass = 1; pass < PASSES; pass++) {
+        double now[EXPONENTS];
         for (int e = 0; e < EXPONENTS; e++)
-            if (least[e] < INFINITY)
-                length = min_of(length, pow(least[e], 1.0/(p - 2 + e)));
+            now[e] = least[e] < INFINITY ? ratio_on(s, &rows[which[e]], p - 2 + e, length) : INFINITY;
+        if (memcmp(now, least, sizeof now) == 0)
+            break;
+        for (int i = 0; i < N + M; i++)
+            for (int e = 0; e < 2; e++) {
+                const int k = rows[i].known - e;
+                if (ratio[i][e] < now[k - p + 2])
+                    now[k - p + 2] = min_of(now[k - p + 2], ratio_on(s, &rows[i], k, length));
+            }
+        if (memcmp(now, least, sizeof now) == 0)
+            break;
+        memcpy(least, now, sizeof now);
+        length = shortest(least, p - 2, longest);
     }
     return length;
 }
@@ -137,6 +167,15 @@ static const double *bound_of(model_pieces *s, int *known)
     return s->bound;
 }
 
+/* What the slope of state i is the sum of. */
+static double size_of_slope(const model_pieces *s, int i, double at)
+{
+    double most = 0;
+    for (int k = s->order; k >= 1; k--)
+        most = most*at + fabs(k*s->c[k][i]);
+    return most;
+}
+
 /* An estimate of the local error in units of rtol, from |x' - f - g| and |y| of held rows at two points of a piece of length s. */
 static double defect_of(model_pieces *s, double length)
 {
@@ -146,23 +185,19 @@ static double defect_of(model_pieces *s, double length)
     for (int point = 0; point < 2; point++) {
         const double at = points[point]*length;
         int known = 0;
-        double *value = s->value, *slope = s->slope, *size = s->terms;
+        double *value = s->value, *slope = s->slope;
         for (int i = 0; i < N; i++) {
-            double v = s->c[p][i], d = p*v, most = fabs(d);
+            double v = s->c[p][i], d = p*v;
             for (int k = p - 1; k >= 1; k--) {
-                const double c = s->c[k][i], e = k*c;
+                const double c = s->c[k][i];
                 v = v*at + c;
-                d = d*at + e;
-                most = most*at + fabs(e);
+                d = d*at + k*c;
             }
             value[i] = v*at + s->c[0][i];
             slope[i] = d;
-            size[i] = most;
         }
 #if LAW
-        horner(&s->c[0][0] + L, COLUMNS, p, at, M, value + L);
-#endif
-#if LAW
+        values_at(s->c[0] + L, COLUMNS, p, at, M, value + L);
         for (int i = 0; i < M; i++)
             if (s->at.codes[i])
                 value[L + i] = s->c[0][L + i];
@@ -174,8 +209,10 @@ static double defect_of(model_pieces *s, double length)
             const double largest = max_of(s->at.size_x[i], max_of(fabs(value[i]), fabs(slope[i]*length)));
             const double goal = s->rtol*largest + s->atol[i];
             const double least = s->shares[point]*(p + 1)/length*goal/LOCAL; /* that is too much */
-            double seen = fabs(slope[i] - w) - SEEN*(size[i] + fabs(w));
-            if (!(seen <= 0) && !(seen <= least))
+            double seen = fabs(slope[i] - w);
+            if (!(seen <= LOCAL*least))
+                seen -= SEEN*(size_of_slope(s, i, at) + fabs(w));
+            if (!(seen <= least))
                 seen -= bound_of(s, &known)[i];
             if (!(seen <= 0))
                 worst = max_of(worst, least != 0 && seen == seen ? seen/(least*LOCAL) : INFINITY);
@@ -223,7 +260,7 @@ static int accept(model_pieces *s, double *length, condition *hit, int *found, d
 /* Note what the rows come to; x at s into s->value. */
 static void grow(model_pieces *s, double length)
 {
-    horner(&s->c[0][0], COLUMNS, s->order, length, ROWS, s->value);
+    values_at(s->c[0], COLUMNS, s->order, length, ROWS, s->value);
     for (int i = 0; i < N; i++)
         s->at.size_x[i] = max_of(s->at.size_x[i], max_of(fabs(s->value[i]), fabs(s->c[0][i])));
 #if LAW
@@ -235,7 +272,7 @@ static void grow(model_pieces *s, double length)
 #if SWITCHED
     for (int b = 0; b < CHOICES; b++) {
         double v;
-        horner(&s->c[0][0] + branch_column[b], COLUMNS, s->order, length, 1, &v);
+        values_at(s->c[0] + branch_column[b], COLUMNS, s->order, length, 1, &v);
         s->at.size_switches[b] = max_of(s->at.size_switches[b], max_of(fabs(v), fabs(s->c[0][branch_column[b]])));
     }
 #endif
@@ -362,6 +399,7 @@ static int judge_uniqueness(model_pieces *s)
         return MODEL_OK;
     }
     s->at.unique[1] += 1;
+    s->at.known = 0;
     return is_agreed(s) ? MODEL_OK : MODEL_NO_MODE;
 }
 
@@ -374,12 +412,12 @@ static int accumulates(model_pieces *s)
         return 0;
     while ((long)1 << k < n)
         k++;
-    s->at.times[k] = s->at.t;
+    s->times[k] = s->at.t;
     if (n < MANY)
         return 0;
-    double late = 2*(s->at.times[k] - s->at.times[k - 1])/(double)n;
+    double late = 2*(s->times[k] - s->times[k - 1])/(double)n;
     for (int i = 1; i < SPACINGS; i++) {
-        const double early = 2*(s->at.times[k - i] - s->at.times[k - i - 1])/(double)(n >> i);
+        const double early = 2*(s->times[k - i] - s->times[k - i - 1])/(double)(n >> i);
         if (!(late < FASTER*early))
             return 0;
         late = early;
@@ -413,8 +451,11 @@ static int reaches(double t, double known) { return known < INFINITY && t >= kno
 /* Choose the mode of the open switches; the next piece begins with an event. */
 static int go_on(model_pieces *s)
 {
-    const int status = choose_mode(s) ? judge_uniqueness(s) : MODEL_NO_MODE;
-    if (status)
+    int status;
+    if (!choose_mode(s))
+        return MODEL_NO_MODE;
+    s->at.known = ORDERS;
+    if ((status = judge_uniqueness(s)))
         return status;
     if (s->at.begun == 0)
         memset(s->at.impulse, 0, sizeof s->at.impulse);
@@ -566,15 +607,21 @@ static int next_piece(model_pieces *s)
     int found = 0, status;
     double error = 0, length;
     s->before = s->at;
+    s->before.known = 0;
     s->work = 0;
-    if ((status = expand_finite(s, s->order)))
+    if ((status = expand_piece(s)))
         return status;
     length = length_of(s);
     if (length > 1) { /* what is rounding at s = 1 is not at s^p */
-        s->at.tau = unit_of(length*s->at.tau);
-        if ((status = expand_finite(s, s->order)))
-            return status;
-        length = min_of(length_of(s), 1.0);
+        const double unit = unit_of(length*s->at.tau), times = unit/s->at.tau;
+        double raised = times;
+        for (int k = 1; k <= s->order; k++) {
+            for (int j = 0; j < COLUMNS; j++)
+                s->c[k][j] *= raised;
+            raised *= times;
+        }
+        length = min_of(length/times, 1.0);
+        s->at.tau = unit;
     }
     if (s->leaves && is_stiff(s, length))
         return MODEL_NOT_SOLVED;
@@ -652,6 +699,25 @@ static void choose_unit(model_pieces *s)
         s->at.tau = unit_of(FIRST/most);
 }
 
+#if LAW
+/* Codes to begin with: the end that the sign of y asks for, where no l acts on it and it is clear; else y = 0. */
+static void take_sides(model_pieces *s)
+{
+    s->c[0][T] = s->at.t;
+    memcpy(s->c[0], s->at.x, sizeof s->at.x);
+    memcpy(s->c[0] + L, s->at.l, M*sizeof *s->at.l);
+    outputs(s, 0);
+#if SLOPES
+    slopes_here(s);
+#endif
+    for (int i = 0; i < M; i++) {
+        const double y = s->c[0][Y + i];
+        const int clear = !feeds[i] && fabs(y) > CLEAR*size_y(s, i);
+        s->at.codes[i] = !clear ? 0 : y > 0 ? -is_finite(lower[i]) : is_finite(upper[i]);
+    }
+}
+#endif
+
 /* Begin at the state x and time t: choose the mode. */
 static int begin(model_pieces *s, double t, const double *x)
 {
@@ -673,8 +739,10 @@ static int begin(model_pieces *s, double t, const double *x)
 #endif
     choose_unit(s);
     for (int pass = 0; pass < STARTS; pass++) {
-        memset(s->at.codes, 0, sizeof s->at.codes);
         memset(s->at.open, 1, M + CHOICES);
+#if LAW
+        take_sides(s);
+#endif
         s->work = 0;
         const int found = choose_mode(s); /* in a shorter time the germ of a multiplier may show */
         const double length = expand(s, s->order) ? length_of(s) : 1;

@@ -55,6 +55,11 @@ int model_advance(model_pieces *s, double t_end)
 {
     if (!is_ready(s))
         return MODEL_NOT_INITIALISED;
+    if (s->live && s->t <= t_end && t_end <= s->at.t) {
+        s->pieces = 0;
+        s->t = t_end;
+        return s->status = MODEL_OK;
+    }
     if (!is_finite(t_end))
         return MODEL_NOT_FINITE;
     if (t_end < s->t)
@@ -80,7 +85,7 @@ double model_pieces_get_time(const model_pieces *s) { return s->t; }
 static void read_piece(const model_pieces *s, int first, int count, double *out)
 {
     const double at = (s->t - s->piece[AT_T])/s->piece[AT_TAU];
-    horner(s->piece + AT_C + first, ROWS, s->order, at, count, out);
+    values_at(s->piece + AT_C + first, ROWS, s->order, at, count, out);
 }
 
 void model_pieces_get_state(const model_pieces *s, double *x)

@@ -93,6 +93,13 @@ static double largest_of(int n, const double *c)
 static double pace_of(const model_pieces *s, int column, double size, double share)
 {
     double first = size, later = 0;
+    if (share == 1) {
+        int below = 1;
+        for (int k = HALF + 1; k <= ORDERS; k++)
+            below &= fabs(s->c[k][column]) <= size;
+        if (below)
+            return share;
+    }
     for (int k = 1; k <= ORDERS && share == 1; k++)
         if (k <= HALF)
             first = max_of(first, fabs(s->c[k][column]));
@@ -165,10 +172,9 @@ static double slope_of(int n, const double *c, double s)
     return total;
 }
 
-/* The root between c(low) > 0 > c(high): Newton's method, kept inside by halving. */
-static double simple_root(int n, const double *c, double low, double high)
+/* The root between c(low) > 0 > c(high): Newton's method from s, kept inside by halving. */
+static double simple_root(int n, const double *c, double low, double high, double s)
 {
-    double s = (low + high)/2;
     for (int iteration = 0; iteration < ITERATIONS; iteration++) {
         double v = 0, d = 0;
         for (int k = n - 1; k >= 0; k--) {
@@ -205,8 +211,14 @@ static double first_in(model_pieces *s, int n, const double *c, const double *b,
         }
     if (last == 0 || changes == 0)
         return b[n - 1] == 0 ? low + width : NONE;
-    if (changes == 1 && b[0] > 0 && b[n - 1] <= 0)
-        return b[n - 1] == 0 ? low + width : simple_root(n, c, low, low + width);
+    if (changes == 1 && b[0] > 0 && b[n - 1] < 0) { /* the coefficients, as a polygon, are 0 near the root */
+        int j = 1;
+        while (b[j] >= 0)
+            j++;
+        return simple_root(n, c, low, low + width, low + width*((j - 1 + b[j - 1]/(b[j - 1] - b[j]))/(n - 1)));
+    }
+    if (changes == 1 && b[0] > 0 && b[n - 1] == 0)
+        return low + width;
     if (width < NARROW || !spend_on(s))
         return low;
     double left[MOST_ORDERS + 1], right[MOST_ORDERS + 1];

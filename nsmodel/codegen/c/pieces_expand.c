@@ -1,43 +1,39 @@
 /* Taylor coefficients of x, l and y in a mode: pieces/system.py. */
 
-/* The values at s of count columns of polynomials, whose orders are stride apart. */
-static void horner(const double *c, int stride, int order, double s, int count, double *out)
+/*
+ * The values at s of count polynomials of two orders or more, which lie stride apart. Even and odd orders apart, in s^2, and two
+ * columns at once: so that little waits for what is not there yet.
+ */
+static inline void values_at(const double *c, int stride, int order, double s, int count, double *restrict out)
 {
+    const double q = s*s;
     int i = 0;
-    for (; i + 4 <= count; i += 4) {
-        const double *o = c + (long)order*stride + i;
-        double a = o[0], b = o[1], d = o[2], e = o[3];
-        for (int k = order; k > 0; k--) {
-            o -= stride;
-            a = a*s + o[0];
-            b = b*s + o[1];
-            d = d*s + o[2];
-            e = e*s + o[3];
-        }
-        out[i] = a;
-        out[i + 1] = b;
-        out[i + 2] = d;
-        out[i + 3] = e;
-    }
     for (; i + 2 <= count; i += 2) {
         const double *o = c + (long)order*stride + i;
-        double a = o[0], b = o[1];
-        for (int k = order; k > 0; k--) {
-            o -= stride;
-            a = a*s + o[0];
-            b = b*s + o[1];
+        double even[2], odd[2];
+        for (int j = 0; j < 2; j++) {
+            even[j] = o[j];
+            odd[j] = o[j - stride];
         }
-        out[i] = a;
-        out[i + 1] = b;
+        for (int k = order - 2; k > 0; k -= 2) {
+            o -= 2*stride;
+            for (int j = 0; j < 2; j++) {
+                even[j] = even[j]*q + o[j];
+                odd[j] = odd[j]*q + o[j - stride];
+            }
+        }
+        for (int j = 0; j < 2; j++)
+            out[i + j] = order % 2 ? even[j]*s + odd[j] : even[j]*q + odd[j]*s + c[i + j];
     }
     for (; i < count; i++) {
         const double *o = c + (long)order*stride + i;
-        double a = o[0];
-        for (int k = order; k > 0; k--) {
-            o -= stride;
-            a = a*s + o[0];
+        double even = o[0], odd = o[-stride];
+        for (int k = order - 2; k > 0; k -= 2) {
+            o -= 2*stride;
+            even = even*q + o[0];
+            odd = odd*q + o[-stride];
         }
-        out[i] = a;
+        out[i] = order % 2 ? even*s + odd : even*q + odd*s + c[i];
     }
 }
 
@@ -119,7 +115,7 @@ static double terms_of_x(const model_pieces *s, int i, const double *of_x)
     double sum = 0;
 #if SLOPES
     for (int j = 0; j < N; j++)
-        sum += fabs(s->C[i*N + j])*of_x[j];
+        sum += fabs(s->slopes.C[i*N + j])*of_x[j];
 #else
     UNUSED(s);
     for (int e = C_start[i]; e < C_start[i + 1]; e++)
@@ -134,7 +130,7 @@ static double terms_of_l(const model_pieces *s, int i, const double *of_l)
     double sum = 0;
 #if SLOPES
     for (int j = 0; j < M; j++)
-        sum += fabs(s->D[i*M + j])*of_l[j];
+        sum += fabs(s->slopes.D[i*M + j])*of_l[j];
 #else
     UNUSED(s);
 #if FEED
@@ -304,39 +300,15 @@ static int settle(model_pieces *s)
 }
 #endif
 
-/* Orders 0, ..., orders of x and y, and of l as far as its index lets; 0: the mode has no solution. */
-static int expand(model_pieces *s, int orders)
+/* Orders beyond those that are known, see expand. */
+static void extend(model_pieces *s, int known, int orders)
 {
-    double *c = s->c[0];
-    c[T] = s->at.t;
-    s->c[1][T] = s->at.tau;
-    memcpy(c, s->at.x, sizeof s->at.x);
-    spend_on(s);
 #if LAW
     double d[M];
-    for (int i = 0; i < M; i++) {
-        const int code = s->at.codes[i];
-#if LINEAR
-        c[L + i] = code < 0 ? lower[i] : code > 0 ? upper[i] : 0;
-#else
-        c[L + i] = code < 0 ? lower[i] : code > 0 ? upper[i] : s->at.l[i];
+    for (int k = known + 1; k <= orders; k++)
+        memset(s->c[k] + L, 0, M*sizeof *d);
 #endif
-    }
-    for (int k = 1; k <= orders; k++)
-        memset(s->c[k] + L, 0, M*sizeof *c);
-    outputs(s, 0);
-    solve_mode(s);
-    const int settled = settle(s);
-    memcpy(s->at.l, c + L, M*sizeof *c);
-    if (!settled)
-        return 0;
-#if !LINEAR
-    solve_mode(s);
-#endif
-#else
-    rate(s, 0);
-#endif
-    for (int k = 0; k <= orders; k++) {
+    for (int k = known; k <= orders; k++) {
 #if LAW
         if (k)
             direct(s, k);
@@ -367,9 +339,45 @@ static int expand(model_pieces *s, int orders)
     }
 #if LAW
     if (HOW.through)
-        for (int k = 1; k <= orders; k++)
+        for (int k = known + 1; k <= orders; k++)
             for (int a = 0; a < HOW.n; a++)
                 s->c[k][Y + HOW.active[a]] = 0;
+#endif
+}
+
+/* Orders 0, ..., orders of x and y, and of l as far as its index lets; 0: the mode has no solution. */
+static int expand(model_pieces *s, int orders)
+{
+    double *c = s->c[0];
+    c[T] = s->at.t;
+    s->c[1][T] = s->at.tau;
+    memcpy(c, s->at.x, sizeof s->at.x);
+    spend_on(s);
+#if LAW
+    for (int i = 0; i < M; i++) {
+        const int code = s->at.codes[i];
+#if LINEAR
+        c[L + i] = code < 0 ? lower[i] : code > 0 ? upper[i] : 0;
+#else
+        c[L + i] = code < 0 ? lower[i] : code > 0 ? upper[i] : s->at.l[i];
+#endif
+    }
+    for (int k = 1; k <= orders; k++)
+        memset(s->c[k] + L, 0, M*sizeof *c);
+    outputs(s, 0);
+    solve_mode(s);
+    const int settled = settle(s);
+    memcpy(s->at.l, c + L, M*sizeof *c);
+    if (!settled)
+        return 0;
+#if !LINEAR
+    solve_mode(s);
+#endif
+#else
+    rate(s, 0);
+#endif
+    extend(s, 0, orders);
+#if LAW
 #if SLOPES
     slopes_here(s);
 #endif

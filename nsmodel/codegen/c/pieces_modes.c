@@ -7,12 +7,12 @@
 #if SLOPES
 static void slopes_here(model_pieces *s)
 {
-    slopes(s, s->c[0] + T, s->c[0], s->c[0] + L, s->B, s->D, s->C);
+    slopes(s, s->c[0] + T, s->c[0], s->c[0] + L, s->slopes.B, s->slopes.D, s->slopes.C);
 }
 
-#define B_AT(i, j) s->B[(i)*M + (j)]
-#define D_AT(i, j) s->D[(i)*M + (j)]
-#define C_AT(i, j) s->C[(i)*N + (j)]
+#define B_AT(i, j) s->slopes.B[(i)*M + (j)]
+#define D_AT(i, j) s->slopes.D[(i)*M + (j)]
+#define C_AT(i, j) s->slopes.C[(i)*N + (j)]
 
 static double W_at(const model_pieces *s, int i, int j)
 {
@@ -172,6 +172,19 @@ static int singular_values(int n, double *A, double *sigma, double *V)
     return rank;
 }
 
+/* Whether A (n, n) with this inverse is clear of being singular in its units: |A||A^-1| bounds the ratio of its singular values. */
+static int is_clear(int n, const double *A, const double *inverse, const double *r, const double *c)
+{
+    double size = 0, of_inverse = 0;
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) {
+            const double a = A[i*n + j]*r[i]*c[j], b = inverse[i*n + j]/(c[i]*r[j]);
+            size += a*a;
+            of_inverse += b*b;
+        }
+    return size*of_inverse < CLEAR_RATIO*CLEAR_RATIO;
+}
+
 /* A^+ (n, n), and bases of the left and the right null space in the last columns of U and V; A is overwritten. Return the rank. */
 static int generalised_inverse(int n, double *A, double *plus, double *U, double *V)
 {
@@ -198,6 +211,9 @@ static int generalised_inverse(int n, double *A, double *plus, double *U, double
         return n;
     }
     units(n, A, r, c);
+    memcpy(U, A, n*n*sizeof *U);
+    if (inverted(n, U, plus) && is_clear(n, A, plus, r, c))
+        return n;
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++)
             U[i*n + j] = A[i*n + j]*r[i]*c[j];
@@ -271,8 +287,21 @@ static void find_mode(model_pieces *s)
     for (int i = 0; i < M; i++)
         for (int j = 0; j < n; j++)
             feeds |= D_AT(i, a[j]) != 0;
+    if (!any) { /* all by their rate */
+        for (int i = 0; i < n; i++)
+            for (int j = 0; j < n; j++)
+                s->work_a[i*n + j] = W_AT(a[i], a[j]);
+        const int rank = generalised_inverse(n, s->work_a, HOW.rates, s->work_u, s->work_v);
+        HOW.through = 1;
+        HOW.feeds = feeds;
+        HOW.null = n - rank;
+        for (int i = 0; i < n; i++)
+            for (int z = 0; z < HOW.null; z++)
+                HOW.rest[i*HOW.null + z] = s->work_u[i*n + rank + z];
+        return;
+    }
     const int rank = generalised_inverse(n, s->work_a, HOW.plus, s->work_u, s->work_v);
-    HOW.direct = rank == n || any;
+    HOW.direct = 1;
     if (rank < n) {
         HOW.through = 1;
         HOW.feeds = feeds;
@@ -290,6 +319,10 @@ static void solve_mode(model_pieces *s)
         held[i] = s->at.codes[i] == 0;
 #if SLOPES
     slopes_here(s);
+    if (s->count && memcmp(held, HOW.held, sizeof held) == 0 && memcmp(&s->slopes, &s->solved, sizeof s->slopes) == 0)
+        return;
+    s->solved = s->slopes;
+    s->count = 1;
 #else
     for (int k = 0; k < s->count; k++) {
         if (memcmp(held, HOW.held, sizeof held) == 0)
@@ -316,10 +349,10 @@ static void solve_mode(model_pieces *s)
 #endif
 }
 
-/* Whether the open rows have a P-matrix, D + a little W, those with code 0 that are not open held. */
+/* Whether the open rows have a P-matrix, D + a little W, those with code 0 that are not open held; or x is unique in all modes. */
 static int is_p_matrix(model_pieces *s)
 {
-#if ALWAYS_P
+#if UNIQUE
     UNUSED(s);
     return 1;
 #else

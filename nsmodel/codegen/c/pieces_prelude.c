@@ -24,6 +24,7 @@
 #endif
 #define UNUSED(a) (void)(a)
 #define ROTATIONS 60 /* of all pairs of columns */
+#define CLEAR_RATIO 1e6 /* of singular values: so far from SINGULAR that they need not be known */
 #define DEPENDENT 1e-26 /* of its square: what is left of a row that depends on others */
 #define EXPONENTS 3 /* p - 2, p - 1, p */
 #define MOST_CODES 3 /* of a switch */

@@ -9,6 +9,12 @@ typedef struct {
 #endif
 } model_solve;
 
+#if SLOPES
+typedef struct {
+    double B[MODEL_PIECES_N*MODEL_PIECES_M], D[MODEL_PIECES_M*MODEL_PIECES_M], C[MODEL_PIECES_M*MODEL_PIECES_N];
+} model_slopes;
+
+#endif
 /* Where a piece starts, and all that the next pieces depend on. */
 typedef struct {
     double t, tau; /* time; unit of time */
@@ -17,7 +23,8 @@ typedef struct {
     double choice[MODEL_PIECES_CHOICES + 1]; /* of branches; NaN: none yet */
     double size_switches[MODEL_PIECES_CHOICES + 1]; /* of their arguments, the largest so far */
     double begun, impulse[MODEL_PIECES_M + 1]; /* 1: an event begins the next piece, after a jump by this */
-    double times[MODEL_PIECES_TIMES], events, touches, redundant, tiny; /* times of events 1, 2, 4, 8, ... */
+    double events, touches, redundant, tiny; /* counts; tiny: pieces in a row */
+    int known; /* orders of the series that stand for the place */
     double stiff[MODEL_PIECES_STIFF]; /* length of the next piece by collocation, trials that failed, series until the next one */
     double unique[MODEL_PIECES_VERDICTS]; /* modes shown to be the only one, by all valid ones, not decided */
     signed char codes[MODEL_PIECES_M + 1], open[MODEL_PIECES_M + MODEL_PIECES_CHOICES + 1];
@@ -25,7 +32,8 @@ typedef struct {
 
 typedef struct {
     model_place at, before; /* before: where the last piece began */
-    double t, t_0; /* the time reached; the time of the state that was set */
+    double times[MODEL_PIECES_TIMES]; /* of events 1, 2, 4, 8, ... */
+    double t; /* the time reached */
     double rtol, atol[MODEL_PIECES_N], shares[2];
     int order; /* of the series */
     int estimated; /* whether the defect of each piece is estimated */
@@ -43,10 +51,9 @@ typedef struct {
     double f[MODEL_PIECES_N], now[1];
     double turns[MODEL_PIECES_M + MODEL_PIECES_CHOICES + 1]; /* codes that wrong conditions ask for */
     double germs[MODEL_PIECES_SOLUTIONS][MODEL_PIECES_GERM][MODEL_PIECES_N]; /* of x, of valid modes */
-    double ratio[MODEL_PIECES_N + MODEL_PIECES_M][2];
-    double value[MODEL_PIECES_ROWS], slope[MODEL_PIECES_N], terms[MODEL_PIECES_N], bound[MODEL_PIECES_N];
+    double value[MODEL_PIECES_ROWS], slope[MODEL_PIECES_N], bound[MODEL_PIECES_N];
 #if SLOPES
-    double B[MODEL_PIECES_N*MODEL_PIECES_M], D[MODEL_PIECES_M*MODEL_PIECES_M], C[MODEL_PIECES_M*MODEL_PIECES_N];
+    model_slopes slopes, solved; /* here; those of the matrices that are kept */
 #endif
 #if MATRICES
     double work_a[MODEL_PIECES_M*MODEL_PIECES_M], work_b[MODEL_PIECES_M*MODEL_PIECES_M];
