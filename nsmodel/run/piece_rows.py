@@ -96,7 +96,7 @@ class Carried:
 
 
 class _Rows(NamedTuple):
-    """Rows: times, pieces among those in memory, the largest estimate since the row before; integrals of l where these are asked."""
+    """Rows: times, pieces among those in memory, the largest estimate since the row before; integrals of l where asked."""
 
     t: np.ndarray
     piece: np.ndarray
