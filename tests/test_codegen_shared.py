@@ -34,7 +34,6 @@ OTHERS = {  # by file, with the reason
     "curved.c": {"4": "two starts, twice each"},
     "example_main.c": {"10": "decimal"},
     "guard.c": {"1e-25": "lost beside 1"},
-    "pieces_expand.c": {"3": "four rows at once, written out", "4": "the same"},
     "rounding.c": {"13": "shifts of the hash", "15": "the same", "16": "the same", "0xFFFFFFFFUL": "32 bits"},
 }
 
