@@ -6,7 +6,6 @@ import hashlib
 import platform
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from functools import cache
 from typing import Any
 
 import casadi as ca
@@ -67,11 +66,6 @@ def _of_model(model: Model) -> Any:
 
 def versions() -> dict[str, str]:
     """Versions of what the numbers depend on."""
-    return dict(_versions())
-
-
-@cache
-def _versions() -> dict[str, str]:
     casadi = ca.__version__  # pyright: ignore[reportAttributeAccessIssue]
     return {"nsmodel": VERSION, "casadi": casadi, "numpy": np.__version__, "python": platform.python_version()}
 
