@@ -640,7 +640,7 @@ static int count_open(const model_pieces *s, int from, int to)
 static int is_agreed(model_pieces *s)
 {
     modes all;
-    double now[FEW], shares[SOLUTIONS];
+    double now[FEW] = {0}, shares[SOLUTIONS];
     int found = 1, agreed = 1;
     shares[0] = pace(s);
     if (!list_modes(s, &all))

@@ -145,7 +145,7 @@ static int singular_values(int n, double *A, double *sigma, double *V)
         for (int i = 0; i < n; i++)
             A[i*n + j] /= sigma[j];
     for (int j = rank; j < n; j++) { /* the unit vector with the most outside of what is there */
-        double most = -1, best[M], v[M];
+        double most = -1, best[M] = {0}, v[M];
         for (int e = 0; e < n; e++) {
             double size = 0;
             for (int i = 0; i < n; i++)
