@@ -259,7 +259,7 @@ def main() -> None:
         RESULTS.mkdir(exist_ok=True)
     for scene in (friction_oscillator(), sliding_relay(), diode_bridge(), point_past_disc()):
         lines = [*ours(scene), *others(scene)]
-        draw(scene, lines).savefig((RESULTS if missing else IMAGES) / f"study_{scene.case}.png", dpi=110)
+        draw(scene, lines).savefig((RESULTS if missing else IMAGES) / f"study_{scene.case}.png", dpi=100)
         text = "\n".join([table(lines), *remarks(lines)])
         if missing:
             print(f"{scene.case}\n\n{text}\n", flush=True)
