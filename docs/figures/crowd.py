@@ -6,15 +6,13 @@ draws a thousand people in front of one door, which takes longer.
 
 from __future__ import annotations
 
-import io
 import sys
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from page import put
-from PIL import Image
+from page import put, save
 
 import nsmodel
 from nsmodel import Trajectory, simulate
@@ -25,15 +23,9 @@ from nsmodel.plot import crowd as pictures
 DOCS = Path(__file__).resolve().parents[1]
 IMAGES = DOCS / "images"
 INK, GREEN = "#30363D", "#009E73"
+COLOURS = 96  # Of a picture.
 
 sys.path.insert(0, str(DOCS.parent / "cases"))
-
-
-def save(figure: Figure, name: str, dpi: int = 110) -> None:
-    """Write a picture with few colours, which is small."""
-    memory = io.BytesIO()
-    figure.savefig(memory, dpi=dpi)
-    Image.open(memory).convert("RGB").quantize(96, dither=Image.Dither.NONE).save(IMAGES / name, optimize=True)
 
 
 def blank(width: float, height: float) -> Figure:
@@ -102,7 +94,7 @@ def thousand() -> None:
     figure = blank(11.5, 3.6)
     for ax, t in zip(figure.subplots(1, 3), (5, 30, 60), strict=True):
         pictures.frame(run, int(np.searchsorted(run.t, t - 1e-9)), ax=ax)
-    save(figure, "crowd_1000.png", dpi=100)
+    save(figure, IMAGES / "crowd_1000.png", COLOURS, dpi=100)
     animate(run, IMAGES / "crowd_1000.gif", seconds=6, fps=8, size=(4.6, 3.9), dpi=72)
 
 
@@ -111,8 +103,8 @@ def main() -> None:
     from evacuation import room
 
     run = simulate(nsmodel.load(DOCS.parent / "cases" / "evacuation.py"))
-    save(ways(room), "crowd_ways.png")
-    save(evacuation(run), "crowd_evacuation.png", dpi=90)
+    save(ways(room), IMAGES / "crowd_ways.png", COLOURS)
+    save(evacuation(run), IMAGES / "crowd_evacuation.png", COLOURS, dpi=90)
     animate(run, IMAGES / "crowd_evacuation.gif", seconds=9, fps=10, size=(5.4, 3.6), dpi=72)
     put("crowd.md", "doors", table(room, run))
     if "1000" in sys.argv[1:]:

@@ -1,9 +1,13 @@
-"""Tables of a page, each between two marks: ``<!-- table: NAME -->`` and ``<!-- end -->``."""
+"""Tables of a page, each between two marks: ``<!-- table: NAME -->`` and ``<!-- end -->``; pictures of few colours."""
 
 from __future__ import annotations
 
+import io
 import re
 from pathlib import Path
+
+from matplotlib.figure import Figure
+from PIL import Image
 
 DOCS = Path(__file__).resolve().parents[1]
 
@@ -18,3 +22,10 @@ def put(page: str, name: str, text: str) -> None:
     if found != 1:
         raise SystemExit(f"{path}: expected one mark for the table {name}, found {found}")
     path.write_text(after, encoding="utf-8")
+
+
+def save(figure: Figure, path: Path, colours: int, dpi: int = 110) -> None:
+    """Write a picture with so many colours at most, which is small."""
+    memory = io.BytesIO()
+    figure.savefig(memory, dpi=dpi)
+    Image.open(memory).convert("RGB").quantize(colours, dither=Image.Dither.NONE).save(path, optimize=True)

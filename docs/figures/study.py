@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from page import put
+from page import put, save
 
 import nsmodel
 from nsmodel import LureSystem, relay
@@ -35,6 +35,7 @@ TOLERANCES = {STEPPING: (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7), EVENTS: (1e-2, 1e-
 SHORT, LONG = range(6, 14), range(6, 19)  # Powers of 2: numbers of steps of interpreted and of compiled runs.
 REPEATS, ENOUGH = 5, 0.4  # Timed runs after the warm-up; none is added once they have taken so many seconds.
 COLOURS, MARKERS = (*LINES, "#A05A2C", "#8A9A00", "#B22222", "#708090", "#20B2AA", "#4B0082"), "osD^vP*X<>hpd8"
+SHADES = 128  # Of a picture.
 OWN = 6  # From this colour on they are those of other programs.
 TUNED = ("SciPy LSODA", "SciPy Radau")  # Lines of all settings of a smoothed law.
 WRONG = 0.1  # A tuned run that is further off takes no part; that it reported success is told.
@@ -259,7 +260,7 @@ def main() -> None:
         RESULTS.mkdir(exist_ok=True)
     for scene in (friction_oscillator(), sliding_relay(), diode_bridge(), point_past_disc()):
         lines = [*ours(scene), *others(scene)]
-        draw(scene, lines).savefig((RESULTS if missing else IMAGES) / f"study_{scene.case}.png", dpi=100)
+        save(draw(scene, lines), (RESULTS if missing else IMAGES) / f"study_{scene.case}.png", SHADES)
         text = "\n".join([table(lines), *remarks(lines)])
         if missing:
             print(f"{scene.case}\n\n{text}\n", flush=True)
