@@ -432,21 +432,22 @@ class Controlled(OfScheme):
         rows, index = self.record.rows[:filled], self.record.index[:filled, : law.size]
         start, half, fine = slice(0, -2, 2), slice(1, -1, 2), slice(2, None, 2)
         held = (index[half] == 0) & (index[fine] == 0) & np.isin(index[start], (0, UNSET))
-        held &= (held @ np.array(ca.DM(self.problem.jacobians[3].sparsity(), 1)).T) == 0
+        free = held.copy()
+        for i, j in zip(*self.problem.jacobians[3].sparsity().get_triplet(), strict=True):
+            free[:, i] &= ~held[:, j]
         step = rows[fine, layout.l] - rows[half, layout.l]
         theta = (self.model.weights or (0.5, 1.0))[0]
         end = rows[fine, layout.l] + (1 - theta) * step
         outside = np.maximum(law.lower - end, end - law.upper)
-        part = np.divide(outside, np.abs(step), out=np.zeros_like(step), where=held & (outside > 0))
+        part = np.divide(outside, np.abs(step), out=np.zeros_like(step), where=free & (outside > 0))
         at = np.flatnonzero(part.any(axis=1))
         if not at.size:
             return []
         x = rows[:, self._watched]
         allowed = self._allowed(np.abs(x).max(axis=0))
         off = part[at].max(axis=1, keepdims=True) ** 2 / 2 * np.abs(x[fine] - 2 * x[half] + x[start])[at]
-        n = len(self.model.names)
-        pushed = np.abs(self._pushes(2 * at + 1)) @ (part[at] ** 2 / 2 * np.abs(step[at]))[:, :, None]
-        off[:, :n] = np.maximum(off[:, :n], pushed[:, :, 0])
+        n, late = len(self.model.names), part[at] ** 2 / 2 * np.abs(step[at])
+        off[:, :n] = np.maximum(off[:, :n], self._pushed(2 * at + 1, late))
         error = np.divide(off, allowed, out=np.zeros_like(off), where=allowed > 0).max(axis=1)
         found = np.flatnonzero(error > 1)
         if not found.size:
@@ -457,16 +458,19 @@ class Controlled(OfScheme):
             "times what rtol allows; compare with constant steps"
         ]
 
-    def _pushes(self, at: np.ndarray) -> np.ndarray:
-        """How the model's state (k, n, m) at the end of the step from each row k follows its multipliers."""
+    def _pushed(self, at: np.ndarray, l: np.ndarray) -> np.ndarray:
+        """How far multipliers l (k, m) >= 0 move the model's state (k, n) at the end of the step from each of k rows."""
         p, layout, record = self.problem, self.stepper.layout, self.record
-        E_z, E_l = p.jacobians[:2]
-        x_z, x_l = (ca.densify(derivatives(p.next_state[: len(self.model.names)], v)) for v in (p.z, p.l))
-        push = ca.substitute(x_l - x_z @ ca.solve(ca.densify(E_z), ca.densify(E_l)), p.z, p.guess)
-        of = ca.Function("push", [p.t, p.h, p.state, p.l], [push])
-        h = np.diff(record.t[: record.filled])
-        given = ((record.t[k], h[k], record.rows[k, layout.state], record.rows[k + 1, layout.l]) for k in at)
-        return np.array([np.array(of(*row)) for row in given])
+        x = p.next_state[: len(self.model.names)]
+        parts = [*p.jacobians[:2], derivatives(x, p.z), derivatives(x, p.l)]
+        of = ca.Function("push", [p.t, p.h, p.state, p.l], ca.substitute(parts, [p.z], [p.guess]))
+        moved, h = np.zeros((len(at), x.numel())), np.diff(record.t[: record.filled])
+        for row, k, own in zip(moved, at, l, strict=True):
+            E_z, E_l, x_z, x_l = of(record.t[k], h[k], record.rows[k, layout.state], record.rows[k + 1, layout.l])
+            some = np.flatnonzero(own).tolist()
+            push = x_l[:, some] - x_z @ ca.solve(E_z, E_l[:, some])
+            row[:] = np.abs(np.array(ca.densify(push))) @ own[some]
+        return moved
 
     def columns(self) -> dict[str, np.ndarray]:
         """The rows as the arrays of a trajectory, and how far extrapolation has moved them."""
