@@ -83,7 +83,9 @@ def defect(system: System, place: Place, of: Equations, s: float, p: int, rtol: 
                 worst = max(worst, seen / (least * LOCAL) if least and seen == seen else math.inf)
         for i in held:
             if y[i]:
-                size = max(sizes.y[i], system.terms(i, x, l), tau * at * float(np.abs(system.slopes()[2][i]) @ pushed))
+                size = max(sizes.y[i], system.terms(i, x, l))
+                if system.blocks.all:
+                    size = max(size, tau * at * float(np.abs(system.slopes()[2][i]) @ pushed))
                 beyond, goal = abs(y[i]) - SEEN_ROW * size, MULTIPLIERS * rtol * size
                 if beyond > goal / LOCAL:
                     beyond -= float(np.abs(system.slopes()[2][i]) @ (tau * at * of.rounding()))
