@@ -18,7 +18,6 @@ from nsmodel.pieces.lengths import order_of
 from nsmodel.scheme.continuous import ContinuousProblem
 
 FASTER = tuple("-O3" if flag == "-O2" else flag for flag in FLAGS)  # Loops over few rows are unrolled.
-TIMES = 64  # As in C: of events 1, 2, 4, ...
 _POINTER, _NUMBER, _WHOLE = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
 
 
@@ -61,7 +60,7 @@ class PiecesInC:
         layout = _place(self.sizes)
         places = 2 * layout.itemsize
         self.at, self.before = self._memory.view(np.uint8)[:places].view(layout)
-        self.times = self._memory[places // 8 :][:TIMES]
+        self.times = self._memory[places // 8 :][: pieces.TIMES]
         self._t = self._memory[:1]
         self._begin = library.function("begin", ctypes.c_int, _POINTER, _NUMBER, _POINTER, ctypes.c_int)
         self._many = library.function("many", _WHOLE, _POINTER, _NUMBER, _WHOLE, _POINTER, _POINTER)

@@ -31,6 +31,7 @@ from nsmodel.solve.rounding import error_bound
 
 MOST_ROWS = 64  # Of a law whose matrices are kept dense.
 KEPT_BYTES = 32 << 10  # Memory for the matrices of modes.
+TIMES = 64  # Events 1, 2, 4, ... whose times are kept.
 WRITTEN_OUT = 24  # Terms of a product that are written out.
 KINDS = ("side", "equal", "floor", "ceil", "toward zero", "nearest")  # As in c/pieces_events.c.
 PARTS = ("common", "pieces_modes", "pieces_expand", "pieces_events", "pieces")
@@ -38,10 +39,7 @@ PARTS = ("common", "pieces_modes", "pieces_expand", "pieces_events", "pieces")
 
 @dataclass(frozen=True)
 class PieceScene:
-    """A problem of which code is written; its law has numbers for ends.
-
-    ``values`` are those of p; ``known``: the times that end a piece.
-    """
+    """A problem of which code is written, its law's ends as numbers; ``values`` of p, ``known`` times that end a piece."""
 
     problem: ContinuousProblem
     values: Mapping[str, float]
@@ -139,7 +137,8 @@ class PieceScene:
         kept = 1 if not {"MATRICES"} <= self.flags or "SLOPES" in self.flags else int(np.clip(KEPT_BYTES // (24 * m * m), 2, 16))
         return {
             "N": n, "M": m, "NP": len(self.values), "CHOICES": columns.choices, "ORDERS": LARGEST_ORDER, "KEPT": kept,
-            "GERM": ORDERS + 1, "COLUMNS": columns.count + outputs, "T": n + 2 * m, "H": columns.count if outputs else n + m,
+            "GERM": ORDERS + 1, "TIMES": TIMES, "COLUMNS": columns.count + outputs, "T": n + 2 * m,
+            "H": columns.count if outputs else n + m,
         }  # fmt: skip
 
 
