@@ -21,7 +21,7 @@ FOR_GOOD = {  # How a run of many bodies knows that nothing will ever change aga
     "given back": "nothing will ever change, the step gives back its state bit for bit; the run ends",
     "held": "nothing will ever change, the contacts alone hold them in place; the run ends",
 }
-CONTROL = ("rtol", "accepted", "rejected", "extrapolated", "at_least_step", "least_step")
+CONTROL = ("rtol", "accepted", "rejected", "extrapolated", "at_least_step", "least_step", "estimate")
 PIECES = ("rtol", "order", "pieces", "collocated", "events", "worst_estimate", "worst_estimate_t")
 
 
@@ -206,9 +206,14 @@ def _standstill(found: dict[str, Any], unit: str) -> list[str]:
     return lines
 
 
-def _control(rtol: float, accepted: int, rejected: int, extrapolated: int, at_least_step: int, least_step: float) -> str:
-    tail = f"; {at_least_step} at the least step, whatever their error" if at_least_step else ""
-    return f"rtol {rtol:g}: {accepted} steps accepted, {extrapolated} of them extrapolated, {rejected} refused{tail}"
+def _control(
+    rtol: float, accepted: int, rejected: int, extrapolated: int, at_least_step: int, least_step: float, estimate: float
+) -> str:  # fmt: skip
+    tail = f" but for {at_least_step} at the least step, whatever their error" if at_least_step else ""
+    return (
+        f"rtol {rtol:g}: {accepted} steps accepted, {extrapolated} of them extrapolated, {rejected} refused; errors estimated, "
+        f"in all {estimate:.2g} of rtol{tail}"
+    )
 
 
 def _event_driven(

@@ -35,10 +35,13 @@ from nsmodel import (
     complementarity,
     product,
     relay,
+    second_order_cone,
 )
 from nsmodel.classes.units import in_units
 from nsmodel.codegen.rollout import Rollout
 from nsmodel.grid import make_grid
+from nsmodel.pieces import stretch
+from nsmodel.run import controlled
 from nsmodel.run.schemes import make_stepper
 from nsmodel.scheme import one_step_problem
 from nsmodel.simulate import prepare as prepare_any
@@ -135,6 +138,27 @@ SCENES = {
 }  # fmt: skip
 
 
+@pytest.mark.c
+@pytest.mark.parametrize("compiled", [False, True])
+def test_where_pieces_do_not_apply_steps_have_a_budget(monkeypatch, compiled):
+    """A cone: the estimate tells what a run that had to end allowed itself; method="time-stepping" goes on in earnest."""
+    for of, constant, value in ((stretch, "STRICT", 200), (stretch, "TENFOLD", 100), (controlled, "CHUNK", 50)):
+        monkeypatch.setattr(of, constant, value)
+    one, f = np.eye(3), ca.vertcat(ca.sin(2 * T), 2 * ca.cos(3 * T), 1.5 * ca.sin(T))
+    model = LureSystem(t=T, A=-one, B=one, C=one, f=f, law=second_order_cone(3), x0=[1, 0, 0], t_end=2)
+    run = simulate_any(model, rtol=1e-6, compiled=compiled)
+    assert run.status == "done"
+    assert run.summary()["error_control"]["estimate"] > 100
+    assert sum("add up to" in text for text in run.metadata["warnings"]) == 1
+    earnest = simulate(model, rtol=1e-4, compiled=compiled)
+    assert len(earnest) > 1000
+    apart = max(np.abs(np.interp(run.t, earnest.t, earnest.x[:, i]) - run.x[:, i]).max() for i in range(3))
+    assert apart <= 1e-6 * run.summary()["error_control"]["estimate"]
+    monkeypatch.setattr(controlled, "BUDGET", 220)
+    with pytest.raises(StepError, match=r"220 steps were accepted.*time-stepping"):
+        simulate_any(model, rtol=1e-6, compiled=compiled)
+
+
 @pytest.mark.parametrize("name", SCENES)
 def test_the_tolerance_is_met(name):
     """The error of the whole run stays below 3 rtol of the largest state, and falls with rtol."""
@@ -146,6 +170,7 @@ def test_the_tolerance_is_met(name):
         assert run.residual[1:].max() <= 1e-9
         errors.append(np.abs(run.x - exact(run.t)).max() / np.abs(exact(run.t)).max())
         assert errors[-1] <= 3 * rtol
+        assert errors[-1] <= 2 * rtol * run.summary()["error_control"]["estimate"]
     assert errors[1] <= max(errors[0] / 10, 1e-5)
 
 

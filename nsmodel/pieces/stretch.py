@@ -39,6 +39,11 @@ FINEST = 1e-11  # Tolerance of a step's residual, at the least.
 PREPARED = 2.0**-10  # The step that the stepper is built for; it takes others all the same.
 
 
+def looser(steps: int) -> float:
+    """How many times the error that a step may have grows after so many steps of a run."""
+    return 10.0 ** max(0.0, (steps - STRICT) / TENFOLD)
+
+
 @dataclass
 class Stand:
     """Where a stretch stands, as lists and numbers: time, state, multipliers, index set; the next step, and the time so far as a
@@ -124,13 +129,12 @@ class Stretches:
         """
         if self.steps >= BUDGET:
             raise StepError(f"t = {at.t:.10g}: the {BUDGET:,} time steps that a run may take where no mode goes on are used up")
-        looser = 10.0 ** max(0.0, (self.steps - STRICT) / TENFOLD)
-        coarse = None
+        coarse, more = None, looser(self.steps)
         while True:
             h = min(at.h, math.ldexp(at.scale, -LARGEST), self._to_known(at.t))
             least = h <= math.ldexp(at.scale, -LEAST)
             trial = self._trial(at, h, coarse, least)
-            allowed = looser * (SMOOTH * h / (at.t + h) if trial is not None and trial.smooth else SWITCH)
+            allowed = more * (SMOOTH * h / (at.t + h) if trial is not None and trial.smooth else SWITCH)
             if trial is not None and (trial.error <= allowed or least):
                 return self._accepted(at, h, trial, allowed)
             if least:

@@ -35,11 +35,11 @@ import numpy as np
 from nsmodel.errors import StepError, UsageError
 from nsmodel.grid import Grid, check_times, is_number, make_grid, written
 from nsmodel.model.base import Model
-from nsmodel.model.expressions import derivatives
-from nsmodel.record import UNSET
+from nsmodel.pieces.stretch import BUDGET, looser
 from nsmodel.run.asked import absolute
-from nsmodel.run.options import Options
+from nsmodel.run.options import METHODS, Options
 from nsmodel.run.schemes import OfScheme
+from nsmodel.run.turns import turned
 from nsmodel.run.walk import PER_CENT, is_numerical, noting_known_times, runaway, unsolvable
 from nsmodel.scheme import constraints, shortened
 from nsmodel.solve.certificate import EPS, numeric_law
@@ -54,13 +54,16 @@ NEGLIGIBLE = 1e-6  # A state that stays below this part of the largest of its sy
 CONSTANTS = {"largest": LARGEST, "least": LEAST, "crossing": SWITCH, "grow": GROW, "negligible": NEGLIGIBLE}  # Of the C too.
 UNSOLVED = 4  # How often a step without an answer is halved at once: to find that out takes every solver.
 MOST = 10_000_000  # Accepted steps after which a run stops: its tolerance is out of reach.
+MISSED = 10  # Times what rtol allows: where errors add up to more, a warning says so.
+CHUNK = 500  # Accepted steps after which what is allowed may grow.
 ROWS = 4096
 
 
 class Place(NamedTuple):
     """Where a step starts: the time in units of L/2^(LEAST + 1), the step L/2^j, the state for it; and what came before.
 
-    ``watched``: the x_i; ``rate``: their change per time in the last half step; ``index_set``: that of the half step.
+    ``watched``: the x_i; ``rate``: their change per time in the last half step; ``index_set``: that of the half step; ``d`` and
+    j of the last step, nan where it was not extrapolated.
     """
 
     t: int
@@ -70,6 +73,8 @@ class Place(NamedTuple):
     watched: np.ndarray
     rate: np.ndarray
     index_set: np.ndarray | None
+    d: np.ndarray
+    of_j: int = 0
 
     @property
     def half(self) -> int:
@@ -78,25 +83,30 @@ class Place(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """One step taken both ways; ``error`` in units of what is allowed; ``smooth``: one index set from before it to its end;
-    ``order`` of the scheme in this step.
+    """One step taken both ways; ``error`` of x_fine in units of what is allowed, and of x_fine + d; ``smooth``: one index set
+    from before it to its end; ``order`` of the scheme in this step.
     """
 
     coarse: StepResult
     half: StepResult
     fine: StepResult
+    d: np.ndarray
     error: float
+    of_better: float
     smooth: bool
     order: int
 
 
 class Accepted(NamedTuple):
-    """A step that is accepted: where it started, its two rows, how far the second was moved, where the next one starts."""
+    """A step that is accepted: where it started, its two rows, how far the second was moved and what it errs by, in units of what
+    is allowed; where the next one starts.
+    """
 
     start: Place
     trial: Trial
     row: np.ndarray
     correction: float
+    estimate: float
     end: Place
 
 
@@ -115,6 +125,7 @@ class Controlled(OfScheme):
         h = T / 2**FIRST if h is None else h
         make_grid(model, h, None, options.t_end)  # refuses a step far too small for the run
         self.rtol, self.atol = _tolerances(model, options.rtol, options.atol)
+        self._limited = options.method == METHODS[0]
         _refuse_fixed(model)
         j = self._nearest(h)
         first, of_any_step = Grid(1, h := self._h(j), h), Grid(1, h, h, np.array([h]), np.array([0.0, h]))
@@ -123,6 +134,7 @@ class Controlled(OfScheme):
         self.record, self.times = self.start(first, ROWS), [0.0]
         self.totals |= {
             "accepted": 0, "rejected": 0, "extrapolated": 0, "at_least_step": 0, "least_step": None, "rtol": options.rtol,
+            "estimate": 0.0,
         }  # fmt: skip
         n, slices = len(self.model.names), self.stepper.layout.slices
         velocity = slices[self.problem.velocity] if self.problem.velocity else slice(0, 0)
@@ -130,7 +142,8 @@ class Controlled(OfScheme):
         self._groups = [np.array(at) + shift for shift in range(0, self._watched.size, n) for at in self.model.stems.values()]
         self.atol = np.resize(self.atol, self._watched.size)
         watched = self.record.rows[0, self._watched]
-        self._size, self.place = np.abs(watched), Place(0, j, self.state, self.warm, watched, np.full(watched.size, np.nan), None)
+        unknown = np.full(watched.size, np.nan)
+        self._size, self.place = np.abs(watched), Place(0, j, self.state, self.warm, watched, unknown, None, unknown)
         state, c = model.state, constraints(model)
         self._c: Any = (
             ca.Function("c", [model.t, state], [ca.densify(c), ca.densify(ca.jacobian(c, state))]) if c.numel() else None
@@ -217,13 +230,17 @@ class Controlled(OfScheme):
         record, totals, place = self.record, self.totals, self.place
         if len(record.t) - record.filled < 2:
             record.grow()
-        free, m = slice(record.filled, None), place.warm.index.size
+        room = len(record.t) - record.filled
+        if self._limited:
+            room = min(room, 2 * (CHUNK - totals["accepted"] % CHUNK))
+        free, m = slice(record.filled, record.filled + room), place.warm.index.size
         control = self.rollout.control(place.state.size, m, self._watched.size)
         given = {
             "T": self.T, "start": self._start, "length": self._length, "rtol": self.rtol, **CONSTANTS,
             "order": self.problem.order.most, "t": place.t, "j": place.j,
             "fresh": place.index_set is None, "x": place.state, "least_step": totals["least_step"] or np.inf, "atol": self.atol,
-            "size": self._size, "watched": place.watched, "rate": place.rate,
+            "size": self._size, "watched": place.watched, "rate": place.rate, "d": place.d, "of_j": place.of_j,
+            "looser": self._looser, "estimate": totals["estimate"],
         }  # fmt: skip
         for name, value in given.items():
             control[name] = value
@@ -231,7 +248,7 @@ class Controlled(OfScheme):
         control["lowering"][list(self.problem.order.lowered_by)] = 1
         for number, group in enumerate(self._groups):
             control["group"][group] = number
-        columns = np.empty((3, len(record.t) - record.filled))
+        columns = np.empty((3, room))
         done = self.rollout.adapt(control, self.k, self._least(), record.rows[free], record.index[free], columns)
         times, lengths, moved = columns[:, : done.steps]
         if done.steps:
@@ -247,11 +264,12 @@ class Controlled(OfScheme):
                 self.stepper.met(done.least_eigenvalue)
         for name in ("accepted", "rejected", "extrapolated", "at_least_step"):
             totals[name] += int(control[name])
+        totals["estimate"] = float(control["estimate"])
         totals["least_step"] = float(control["least_step"]) if np.isfinite(control["least_step"]) else None
         warm = Warm(control["l"][:m].copy(), control["index"][:m].astype(np.int8))
         known = None if control["fresh"] else warm.index.astype(float)
-        state, watched, rate = (control[name].copy() for name in ("x", "watched", "rate"))
-        self.place = Place(int(control["t"]), int(control["j"]), state, warm, watched, rate, known)
+        state, watched, rate, d = (control[name].copy() for name in ("x", "watched", "rate", "d"))
+        self.place = Place(int(control["t"]), int(control["j"]), state, warm, watched, rate, known, d, int(control["of_j"]))
         self._refuse_endless()
         return done.stuck
 
@@ -270,7 +288,17 @@ class Controlled(OfScheme):
         before = sets[0] if at.index_set is None else at.index_set
         smooth = all(np.array_equal(one, before) for one in sets)
         order = self._order(at, fine) if smooth else 1
-        return Trial(coarse, half, fine, self._error(at, coarse, half, fine, smooth, order), smooth, order)
+        x_coarse, x_half, x_fine = (result.row[self._watched] for result in (coarse, half, fine))
+        d = (x_fine - x_coarse) / (2**order - 1)
+        difference, size = np.abs(d), np.maximum(self._size, np.abs(x_fine))
+        if smooth:
+            before = at.d * 2.0 ** ((at.of_j - at.j) * (order + 1))
+            error, of_better = self._units(difference, size), self._units(np.abs(d - np.nan_to_num(before)), size)
+        else:  # not less than the bends within the step and at its start: none hides
+            moved = x_half - at.watched
+            bends = np.abs(x_fine - x_half - moved), np.abs(moved - self._h(at.j) / 2 * at.rate)
+            error = of_better = self._units(np.fmax(difference, np.fmax(*bends)), size)
+        return Trial(coarse, half, fine, d, error, of_better, smooth, order)
 
     def _order(self, at: Place, fine: StepResult) -> int:
         """The order of a step on one index set; 1 for the first one where it uses a multiplier of the start."""
@@ -293,16 +321,10 @@ class Controlled(OfScheme):
     def _time(self, t: int) -> float:
         return self._start + math.ldexp(t, -LEAST - 1) * self._length
 
-    def _error(self, at: Place, coarse: StepResult, half: StepResult, fine: StepResult, smooth: bool, order: int) -> float:
-        """|x_fine - x_coarse|/(2^order - 1); at a switch not less than the bends within the step and at its start: none hides."""
-        x_coarse, x_half, x_fine = (result.row[self._watched] for result in (coarse, half, fine))
-        difference, size = np.abs(x_fine - x_coarse) / (2**order - 1), np.maximum(self._size, np.abs(x_fine))
-        if not smooth:
-            moved = x_half - at.watched
-            bends = np.abs(x_fine - x_half - moved), np.abs(moved - self._h(at.j) / 2 * at.rate)
-            difference = np.fmax(difference, np.fmax(*bends))
+    def _units(self, off: np.ndarray, size: np.ndarray) -> float:
+        """The largest error in units of what is allowed."""
         allowed = self._allowed(size)
-        units = np.divide(difference, allowed, out=np.where(difference > 0, np.inf, 0.0), where=allowed > 0)
+        units = np.divide(off, allowed, out=np.where(off > 0, np.inf, 0.0), where=allowed > 0)
         return float(np.nan_to_num(units, nan=np.inf).max(initial=0.0))
 
     def _allowed(self, size: np.ndarray) -> np.ndarray:
@@ -319,9 +341,9 @@ class Controlled(OfScheme):
 
     def _accepted(self, at: Place, trial: Trial) -> Accepted | None:
         """The step as it is kept; None where its error is too large."""
-        error, least, h = trial.error, at.j == LEAST, self._h(at.j)
-        state = self._extrapolated(at, trial) if error <= 1 and trial.smooth else None
-        allowed = 1.0 if state is not None else h / self.T if trial.smooth else SWITCH
+        error, least, h, more = trial.error, at.j == LEAST, self._h(at.j), self._looser
+        state = self._extrapolated(at, trial) if error <= more and trial.smooth else None
+        allowed = more * (1.0 if state is not None else h / self.T if trial.smooth else SWITCH)
         if error > allowed and not least:
             return None
         row, correction = trial.fine.row, 0.0
@@ -333,8 +355,9 @@ class Controlled(OfScheme):
             j -= 1
         after = shortened(self.model, row[self.stepper.layout.state], self._h(j) / (h / 2))
         rate = (trial.fine.row - trial.half.row)[self._watched] / (h / 2)
-        end = Place(t, j, after, trial.fine.warm, row[self._watched], rate, self._index(trial.fine))
-        return Accepted(at, trial, row, correction, end)
+        d = trial.d if state is not None and at.index_set is not None else np.full(rate.size, np.nan)
+        end = Place(t, j, after, trial.fine.warm, row[self._watched], rate, self._index(trial.fine), d, at.j)
+        return Accepted(at, trial, row, correction, 0.0 if least else trial.error if state is None else trial.of_better, end)
 
     def _extrapolated(self, at: Place, trial: Trial) -> tuple[np.ndarray, np.ndarray | None] | None:
         """The combination, and its gaps; None where a velocity changes its sign or a constraint is broken."""
@@ -382,12 +405,20 @@ class Controlled(OfScheme):
         totals["accepted"] += 1
         totals["extrapolated"] += int(accepted.correction > 0)
         totals["at_least_step"] += int(at.j == LEAST)
+        totals["estimate"] += accepted.estimate
         totals["least_step"] = min(totals["least_step"] or np.inf, h)
         self._refuse_endless()
 
+    @property
+    def _looser(self) -> float:
+        """How many times what is allowed a step may err by."""
+        return looser(self.totals["accepted"] // CHUNK * CHUNK) if self._limited else 1.0
+
     def _refuse_endless(self) -> None:
-        if self.totals["accepted"] > MOST:
-            raise StepError(f"{MOST:,} steps were accepted and more are needed: ask for less accuracy (rtol)")
+        most = BUDGET if self._limited else MOST
+        if self.totals["accepted"] > most:
+            other = " or take method='time-stepping', which allows more" if self._limited else ""
+            raise StepError(f"{most:,} steps were accepted and more are needed: ask for less accuracy (rtol){other}")
 
     def _add(self, t: float, h: float, row: np.ndarray, result: StepResult, correction: float) -> None:
         """Add the row of a half step."""
@@ -418,67 +449,16 @@ class Controlled(OfScheme):
             "end half a step late); compare with theta = 1"
         ]
 
-    def _turns(self) -> list[str]:
-        """A warning where a path turns back inside a step whose index set stays: whole and half steps agree on it, and err alike.
-
-        A row that is held, and does not depend on a held l directly, has in l_i the mean of a half step (with a theta, its value
-        there), where nothing is carried (gamma = 1). On the line through both l_i leaves K before the step ends by a part o of
-        their difference d: it should have let go. What has bent the path by b, |x_fine - 2 x_half + x| in units of what is
-        allowed, has moved it o^2 b/2 too far, and so has l_i, too large by o d/2 in the mean for the part o of a half step.
-        """
-        layout, filled, law = self.stepper.layout, self.record.filled, self._law
-        if self.problem.start is not None or not law.size or filled < 3:
-            return []
-        rows, index = self.record.rows[:filled], self.record.index[:filled, : law.size]
-        start, half, fine = slice(0, -2, 2), slice(1, -1, 2), slice(2, None, 2)
-        held = (index[half] == 0) & (index[fine] == 0) & np.isin(index[start], (0, UNSET))
-        free = held.copy()
-        for i, j in zip(*self.problem.jacobians[3].sparsity().get_triplet(), strict=True):
-            free[:, i] &= ~held[:, j]
-        step = rows[fine, layout.l] - rows[half, layout.l]
-        theta = (self.model.weights or (0.5, 1.0))[0]
-        end = rows[fine, layout.l] + (1 - theta) * step
-        outside = np.maximum(law.lower - end, end - law.upper)
-        part = np.divide(outside, np.abs(step), out=np.zeros_like(step), where=free & (outside > 0))
-        at = np.flatnonzero(part.any(axis=1))
-        if not at.size:
-            return []
-        x = rows[:, self._watched]
-        allowed = self._allowed(np.abs(x).max(axis=0))
-        off = part[at].max(axis=1, keepdims=True) ** 2 / 2 * np.abs(x[fine] - 2 * x[half] + x[start])[at]
-        n, late = len(self.model.names), part[at] ** 2 / 2 * np.abs(step[at])
-        off[:, :n] = np.maximum(off[:, :n], self._pushed(2 * at + 1, late))
-        error = np.divide(off, allowed, out=np.zeros_like(off), where=allowed > 0).max(axis=1)
-        found = np.flatnonzero(error > 1)
-        if not found.size:
-            return []
-        return [
-            f"the path turned back inside {found.size} step{'s' if found.size > 1 else ''}, first before "
-            f"t = {self.record.t[2 * at[found[0]] + 2]:.6g}, unseen by whole and half steps: off by about {error.max():.2g} "
-            "times what rtol allows; compare with constant steps"
-        ]
-
-    def _pushed(self, at: np.ndarray, l: np.ndarray) -> np.ndarray:
-        """How far multipliers l (k, m) >= 0 move the model's state (k, n) at the end of the step from each of k rows."""
-        p, layout, record = self.problem, self.stepper.layout, self.record
-        x = p.next_state[: len(self.model.names)]
-        parts = [*p.jacobians[:2], derivatives(x, p.z), derivatives(x, p.l)]
-        of = ca.Function("push", [p.t, p.h, p.state, p.l], ca.substitute(parts, [p.z], [p.guess]))
-        moved, h = np.zeros((len(at), x.numel())), np.diff(record.t[: record.filled])
-        for row, k, own in zip(moved, at, l, strict=True):
-            E_z, E_l, x_z, x_l = of(record.t[k], h[k], record.rows[k, layout.state], record.rows[k + 1, layout.l])
-            some = np.flatnonzero(own).tolist()
-            push = x_l[:, some] - x_z @ ca.solve(E_z, E_l[:, some])
-            row[:] = np.abs(np.array(ca.densify(push))) @ own[some]
-        return moved
-
     def columns(self) -> dict[str, np.ndarray]:
         """The rows as the arrays of a trajectory, and how far extrapolation has moved them."""
         return super().columns() | {"correction": np.array(self._corrections)}
 
     def metadata(self) -> dict[str, Any]:
-        """As of every scheme, with what whole and half steps do not see."""
-        self.warnings += [text for text in self._turns() if text not in self.warnings]
+        """As of every scheme, with what its steps err by, and what whole and half steps do not see."""
+        found, estimate = turned(self.problem, self.model, self.record, self._watched, self._allowed), self.totals["estimate"]
+        if estimate > MISSED:
+            found.append(f"the errors of the steps are estimated to add up to {estimate:.2g} times what rtol allows")
+        self.warnings += [text for text in found if text not in self.warnings]
         return super().metadata()
 
 

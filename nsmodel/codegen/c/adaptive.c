@@ -80,29 +80,43 @@ static int order_of(const model_control *c, const model_result *fine)
     return (int)c->order;
 }
 
-/* The error in units of what is allowed; weight: 2^order - 1. */
-static double error_of(const model_control *c, double h, const model_result *coarse, const model_result *half,
-                       const model_result *fine, int smooth, double weight)
+/* The largest of errors in units of what is allowed. */
+static double units_of(const model_control *c, const double *off, const model_result *fine)
 {
     double size[WATCHED], worst = 0;
     for (int i = 0; i < WATCHED; i++)
         size[i] = max_of(c->size[i], fabs(fine->watched[i]));
     for (int i = 0; i < WATCHED; i++) {
-        double difference = fabs(fine->watched[i] - coarse->watched[i])/weight, floor = 0;
-        if (!smooth) {
-            const double step = half->watched[i] - c->watched[i];
-            const double within = fabs(fine->watched[i] - half->watched[i] - step), before = fabs(step - h/2*c->rate[i]);
-            difference = worse_of(difference, worse_of(within, before));
-        }
+        double floor = 0;
         for (int k = 0; k < WATCHED; k++)
             if (c->group[k] == c->group[i])
-                floor = max_of(floor, c->negligible*max_of(c->size[k], fabs(fine->watched[k])));
+                floor = max_of(floor, c->negligible*size[k]);
         const double allowed = c->atol[i] + c->rtol*max_of(size[i], floor);
-        const double units = allowed > 0 ? difference/allowed : difference > 0 ? INFINITY : 0.0;
+        const double units = allowed > 0 ? off[i]/allowed : off[i] > 0 ? INFINITY : 0.0;
         if (!(units <= worst))
             worst = units < INFINITY ? units : INFINITY;
     }
     return worst;
+}
+
+/* The error of x_fine, and of x_fine + d; d = (x_fine - x_coarse)/(2^order - 1). */
+static double error_of(const model_control *c, double h, const model_result *coarse, const model_result *half,
+                       const model_result *fine, int smooth, int order, double *d, double *of_better)
+{
+    double off[WATCHED], better[WATCHED];
+    for (int i = 0; i < WATCHED; i++) {
+        d[i] = (fine->watched[i] - coarse->watched[i])/(ldexp(1.0, order) - 1);
+        off[i] = fabs(d[i]);
+        const double before = c->d[i]*ldexp(1.0, ((int)c->of_j - (int)c->j)*(order + 1));
+        better[i] = isnan(before) ? off[i] : fabs(d[i] - before);
+        if (!smooth) {
+            const double step = half->watched[i] - c->watched[i];
+            const double within = fabs(fine->watched[i] - half->watched[i] - step), start = fabs(step - h/2*c->rate[i]);
+            off[i] = worse_of(off[i], worse_of(within, start));
+        }
+    }
+    *of_better = units_of(c, smooth ? better : off, fine);
+    return units_of(c, off, fine);
 }
 
 /* x = x_fine + (x_fine - x_coarse)/weight, what is carried of the multipliers as it is; 0 where a velocity would change its
@@ -179,9 +193,10 @@ long model_adapt(model_solver *s, model_control *c, long room, double number, do
 #endif
         const int order = smooth ? order_of(c, &fine) : 1, least = c->j >= c->least;
         const double weight = ldexp(1.0, order) - 1, end = c->t + 2*halves;
-        const double error = error_of(c, h, &coarse, &half, &fine, smooth, weight);
-        const int better = error <= 1 && smooth && extrapolate(s, c, end, &coarse, &fine, weight, x);
-        const double allowed = better ? 1.0 : smooth ? h/c->T : c->crossing;
+        double d[WATCHED], of_better;
+        const double error = error_of(c, h, &coarse, &half, &fine, smooth, order, d, &of_better);
+        const int better = error <= c->looser && smooth && extrapolate(s, c, end, &coarse, &fine, weight, x);
+        const double allowed = c->looser*(better ? 1.0 : smooth ? h/c->T : c->crossing);
         if (error > allowed && !least) {
             c->rejected += 1;
             c->j += 1;
@@ -210,7 +225,10 @@ long model_adapt(model_solver *s, model_control *c, long room, double number, do
         for (int i = 0; i < WATCHED; i++) {
             c->rate[i] = (fine.watched[i] - half.watched[i])/(h/2);
             c->watched[i] = fine.watched[i];
+            c->d[i] = better && c->fresh == 0 ? d[i] : NAN;
         }
+        c->of_j = c->j;
+        c->estimate += least ? 0.0 : better ? of_better : error;
         memcpy(c->x, fine.x, sizeof fine.x);
         if (better) {
             memcpy(c->x, x, sizeof x);
