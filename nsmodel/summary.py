@@ -43,7 +43,7 @@ def summary(run: Trajectory) -> dict[str, Any]:
         "save_every": about.get("save_every", 1),
         "t": {"start": float(run.t[0]), "end": float(run.t[-1]), "unit": units.get("t", "")},
         "step": {"min": float(steps[computed].min()), "max": float(steps[computed].max())} if computed.size else None,
-        "error_control": {key: totals[key] for key in CONTROL} if "accepted" in totals else None,
+        "error_control": {key: totals.get(key) for key in CONTROL} if "accepted" in totals else None,
         "event_driven": {key: totals[key] for key in PIECES} if "pieces" in totals else None,
         "stretches": list(totals.get("stretches", [])),
         "certificate": about.get("certificate"),
@@ -207,13 +207,12 @@ def _standstill(found: dict[str, Any], unit: str) -> list[str]:
 
 
 def _control(
-    rtol: float, accepted: int, rejected: int, extrapolated: int, at_least_step: int, least_step: float, estimate: float
-) -> str:  # fmt: skip
-    tail = f" but for {at_least_step} at the least step, whatever their error" if at_least_step else ""
-    return (
-        f"rtol {rtol:g}: {accepted} steps accepted, {extrapolated} of them extrapolated, {rejected} refused; errors estimated, "
-        f"in all {estimate:.2g} of rtol{tail}"
-    )
+    rtol: float, accepted: int, rejected: int, extrapolated: int, at_least_step: int, least_step: float, estimate: float | None
+) -> str:
+    head = f"rtol {rtol:g}: {accepted} steps accepted, {extrapolated} of them extrapolated, {rejected} refused"
+    errors = "" if estimate is None else f"; errors estimated, in all {estimate:.2g} of rtol"
+    tail = f"; {at_least_step} at the least step, whatever their error" if at_least_step else ""
+    return head + errors + tail
 
 
 def _event_driven(

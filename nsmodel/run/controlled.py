@@ -234,20 +234,7 @@ class Controlled(OfScheme):
         if self._limited:
             room = min(room, 2 * (CHUNK - totals["accepted"] % CHUNK))
         free, m = slice(record.filled, record.filled + room), place.warm.index.size
-        control = self.rollout.control(place.state.size, m, self._watched.size)
-        given = {
-            "T": self.T, "start": self._start, "length": self._length, "rtol": self.rtol, **CONSTANTS,
-            "order": self.problem.order.most, "t": place.t, "j": place.j,
-            "fresh": place.index_set is None, "x": place.state, "least_step": totals["least_step"] or np.inf, "atol": self.atol,
-            "size": self._size, "watched": place.watched, "rate": place.rate, "d": place.d, "of_j": place.of_j,
-            "looser": self._looser, "estimate": totals["estimate"],
-        }  # fmt: skip
-        for name, value in given.items():
-            control[name] = value
-        control["l"][:m], control["index"][:m] = place.warm.l, place.warm.index
-        control["lowering"][list(self.problem.order.lowered_by)] = 1
-        for number, group in enumerate(self._groups):
-            control["group"][group] = number
+        control = self._control(place)
         columns = np.empty((3, room))
         done = self.rollout.adapt(control, self.k, self._least(), record.rows[free], record.index[free], columns)
         times, lengths, moved = columns[:, : done.steps]
@@ -272,6 +259,25 @@ class Controlled(OfScheme):
         self.place = Place(int(control["t"]), int(control["j"]), state, warm, watched, rate, known, d, int(control["of_j"]))
         self._refuse_endless()
         return done.stuck
+
+    def _control(self, place: Place) -> np.ndarray:
+        """What the loop in C goes on from."""
+        m, totals = place.warm.index.size, self.totals
+        control = self.rollout.control(place.state.size, m, self._watched.size)
+        given = {
+            "T": self.T, "start": self._start, "length": self._length, "rtol": self.rtol, **CONSTANTS,
+            "order": self.problem.order.most, "t": place.t, "j": place.j,
+            "fresh": place.index_set is None, "x": place.state, "least_step": totals["least_step"] or np.inf, "atol": self.atol,
+            "size": self._size, "watched": place.watched, "rate": place.rate, "d": place.d, "of_j": place.of_j,
+            "looser": self._looser, "estimate": totals["estimate"],
+        }  # fmt: skip
+        for name, value in given.items():
+            control[name] = value
+        control["l"][:m], control["index"][:m] = place.warm.l, place.warm.index
+        control["lowering"][list(self.problem.order.lowered_by)] = 1
+        for number, group in enumerate(self._groups):
+            control["group"][group] = number
+        return control
 
     def _trial(self, at: Place, coarse: StepResult | None) -> Trial | None:
         """The step from here both ways, None where a step has no answer; ``coarse``: where it is known already."""
@@ -456,7 +462,7 @@ class Controlled(OfScheme):
     def metadata(self) -> dict[str, Any]:
         """As of every scheme, with what its steps err by, and what whole and half steps do not see."""
         found, estimate = turned(self.problem, self.model, self.record, self._watched, self._allowed), self.totals["estimate"]
-        if estimate > MISSED:
+        if self._limited and estimate > MISSED:
             found.append(f"the errors of the steps are estimated to add up to {estimate:.2g} times what rtol allows")
         self.warnings += [text for text in found if text not in self.warnings]
         return super().metadata()
