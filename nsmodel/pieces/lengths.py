@@ -20,8 +20,8 @@ SMALL = 1e-3  # Rows of y and l below this share of the largest are measured bes
 
 
 def order_of(rtol: float) -> int:
-    """The order of the series (Jorba and Zou 2005: -ln(rtol)/2 + 2)."""
-    return min(math.ceil(-math.log(LOCAL * min(rtol, ROUGHEST)) / 2) + 2, LARGEST_ORDER)
+    """The order of the series: one more than where products cost least (Jorba and Zou 2005), as a piece has a price of its own."""
+    return min(math.ceil(-math.log(LOCAL * min(rtol, ROUGHEST)) / 2) + 3, LARGEST_ORDER)
 
 
 def length(system: System, codes: list[int], how: Solve, p: int, rtol: float, atol: list[float]) -> float:

@@ -38,7 +38,7 @@ from nsmodel.simulate import prepare
 
 SHORT = bool(os.environ.get("NSMODEL_SHORT"))
 TARGETS = (1e-4,) if SHORT else (1e-4, 1e-8, 1e-12)
-TOLERANCES = (1e-4, 1e-6) if SHORT else tuple(10 ** (-k / 2) for k in range(4, 31))
+TOLERANCES = (1e-4, 1e-6) if SHORT else tuple(10 ** (-k / 2) for k in range(2, 31))
 ALSO = 2  # Finer settings that are timed once the error is reached: the cheapest is not always the coarsest.
 SLOW = 3.0  # CPU seconds: a method that takes this long at one setting is not asked for finer ones.
 SMALL = 20  # States up to which interpreted runs and time steps are timed.

@@ -760,7 +760,7 @@ static void prepare_pieces(model_pieces *s, double rtol)
 {
     static const double points[] = {POINT_1, POINT_2};
     s->rtol = LOCAL*min_of(rtol, ROUGHEST);
-    s->order = (int)ceil(-log(s->rtol)/2) + 2;
+    s->order = (int)ceil(-log(s->rtol)/2) + 3;
     if (s->order > MOST_ORDERS)
         s->order = MOST_ORDERS;
     for (int i = 0; i < 2; i++)

@@ -268,6 +268,9 @@ static int settle(model_pieces *s)
 #if LINEAR
         if (!HOW.through)
             return 1;
+#else
+        if (!HOW.n)
+            return 1;
 #endif
         outputs(s, 1);
         if (HOW.through) {
