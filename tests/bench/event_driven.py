@@ -59,7 +59,7 @@ static int run(double rtol, int estimated)
     NAME_pieces_init(&s, rtol);
     s.estimated = estimated;
     for (int row = 0; row < ROWS; row++) {
-        if (NAME_advance(&s, row*T_END/(ROWS - 1)) != 0)
+        if (NAME_advance(&s, row*(T_END/(ROWS - 1))) != 0)
             return 1;
         NAME_pieces_get_state(&s, out[row]);
     }
