@@ -248,7 +248,7 @@ def generated(bench: Bench) -> Path | None:
         return None
     if not folder.exists():
         try:
-            codegen.write(model, folder, name=name, parameters={}, event_driven=True)
+            codegen.write(model, folder, name=name, step=bench.t_end / ROWS, parameters={}, event_driven=True)
         except UsageError:
             return None
         text = LOOP.replace("NAME_PIECES", f"{name}_PIECES".upper()).replace("NAME", name)
