@@ -41,7 +41,7 @@ OF_PIECES: Mapping[str, str] = {
     "pieces.switches": "TIE",
     "pieces.bernstein": "NONE NARROW ITERATIONS EXACT",
     "pieces.roots": "POLISHING POLISHED ON_ONE NEAR TOUCH PAST TAIL LOST",
-    "pieces.lengths": "LOCAL ROUGHEST LONGEST MULTIPLIERS PASSES FIRST SMALL",
+    "pieces.lengths": "BEYOND LOCAL ROUGHEST LONGEST MULTIPLIERS PASSES FIRST SMALL",
     "pieces.defect": "SEEN SEEN_ROW ROUNDING",
     "pieces.multipliers": "SINGULAR MOST_MINORS BALANCING NOTHING SHORT",
     "pieces.system": "NEWTON SETTLED LITTLE AT_ZERO",

@@ -6,7 +6,7 @@ what is a number one, and the recurrences know that.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 
 from nsmodel.codegen.expression import number
@@ -23,13 +23,18 @@ ZERO = "0.0"
 
 @dataclass
 class Columns:
-    """Where rows are stored: ``inputs`` by (which input, its entry), what is added behind them, numbers among it."""
+    """Where rows are stored: ``inputs`` by (which input, its entry), what is added behind them, numbers among it.
+
+    ``standing``: the columns of the rows of h that hold no l, by what they are; g reads them.
+    """
 
     inputs: dict[tuple[int, int], int]
     count: int
     numbers: dict[int, float] = field(default_factory=dict)
     choices: int = 0
     branches: list[tuple[str, int, str]] = field(default_factory=list)  # (part, column watched, kind) of each.
+    standing: dict[int, int] = field(default_factory=dict)
+    alike: dict[tuple, int] = field(default_factory=dict)  # {what a row is made of: its number}, of all parts.
 
     def new(self) -> int:
         """A further column."""
@@ -38,7 +43,7 @@ class Columns:
 
 
 class Printer:
-    """One part, f, g or h, as two functions of C: its order 0, and its order k > 0."""
+    """One part, f, g or h, as two functions of C: its order 0, and its order k > 0; of g once more for another l."""
 
     def __init__(self, jets: Jets, part: str, columns: Columns, degrees: Mapping[int, int]) -> None:
         """``degrees``: in t, of the inputs by which they are; see `_degrees`."""
@@ -47,8 +52,17 @@ class Printer:
         self.offset = columns.choices
         columns.choices += len(jets.branches)
         self.column = {row: columns.inputs[place] for place, row in jets.inputs.items()}
+        self.free = _without_l(jets, columns.alike)
+        self.standing: set[int] = set()  # Rows that h has computed.
         for row in sorted(_read(jets) - set(self.column)):
+            of = self.free.get(row, -1)
+            if part == "g" and of in columns.standing:
+                self.column[row] = columns.standing[of]
+                self.standing.add(row)
+                continue
             self.column[row] = columns.new()
+            if part == "h" and row in self.free:
+                columns.standing[of] = self.column[row]
             if row in jets.numbers:
                 columns.numbers[self.column[row]] = jets.numbers[row]
         columns.branches += [(part, self.column[branch.row], branch.kind) for branch in jets.branches]
@@ -58,14 +72,17 @@ class Printer:
 
         ``given``: further arguments of both.
         """
-        return self._function("first", given, self._first(), targets) + self._function(
-            "later", f", int k{given}", self._later(), targets
+        made = [("", self.standing), *([("again_", self.standing | self.free.keys())] if self.part == "g" else [])]
+        return "".join(
+            self._function(f"{again}first", given, self._first(known), targets)
+            + self._function(f"{again}later", f", int k{given}", self._later(known), targets)
+            for again, known in made
         )
 
     def _function(self, name: str, more: str, made: tuple[list[str], dict[int, str]], targets: list[str]) -> str:
         lines, value = made
         lines = lines + [target.format(value[row]) for target, row in zip(targets, self.jets.outputs, strict=True)]
-        order = "k" if name == "later" else "0"
+        order = "k" if name.endswith("later") else "0"
         text = "".join(f"    {line}\n" for line in [f"double *const c = s->c[{order}];", *_used(lines)])
         body = text.split("\n", 1)[1]
         unused = "" if "c[" in body else "    (void)c;\n"
@@ -75,7 +92,9 @@ class Printer:
     def _start(self) -> dict[int, str]:
         return {row: f"c[{column}]" for row, column in self.column.items()}
 
-    def _keep(self, line: Line, text: str, value: dict[int, str], lines: list[str]) -> None:
+    def _keep(self, line: Line, text: str, value: dict[int, str], lines: list[str], known: Set[int]) -> None:
+        if line.y in self.column and line.y in known:
+            return
         if line.y in self.column:
             lines.append(f"c[{self.column[line.y]}] = {text};")
         else:
@@ -83,7 +102,7 @@ class Printer:
             lines.append(f"const double {name} = {text};")
             value[line.y] = name
 
-    def _first(self) -> tuple[list[str], dict[int, str]]:
+    def _first(self, known: Set[int]) -> tuple[list[str], dict[int, str]]:
         value, lines = self._start(), []
         value |= {row: number(v).within(0) for row, v in self.jets.numbers.items() if row not in self.column}
         for line in self.jets.lines:
@@ -92,10 +111,10 @@ class Printer:
                 branch = self.jets.branches[line.branch]
                 made = C.choices[branch.kind].format(value[branch.row])
                 lines.append(f"if ({choice} != {choice}) {choice} = {made};")
-            self._keep(line, first_value(line, value.__getitem__, choice, C), value, lines)
+            self._keep(line, first_value(line, value.__getitem__, choice, C), value, lines, known)
         return lines, value
 
-    def _later(self) -> tuple[list[str], dict[int, str]]:
+    def _later(self, known: Set[int]) -> tuple[list[str], dict[int, str]]:
         value, lines = self._start(), []
         value |= dict.fromkeys(self.jets.numbers, ZERO)
         for line in self.jets.lines:
@@ -106,7 +125,7 @@ class Printer:
             if text == ZERO or (line.y not in self.column and text.isidentifier()):
                 value[line.y] = text
             else:
-                self._keep(line, text, value, lines)
+                self._keep(line, text, value, lines, known)
         return lines, value
 
     def _linear(self, line: Line, value: Mapping[int, str]) -> str:
@@ -175,6 +194,18 @@ def _read(jets: Jets) -> set[int]:
         elif line.kind not in LINEAR | CHOSEN | FIXED:
             read |= {line.y, *line.args}
     return read
+
+
+def _without_l(jets: Jets, alike: dict[tuple, int]) -> dict[int, int]:
+    """The rows that no l, no switch and no row behind them enter, each with a number that says what it is."""
+    found = {row: alike.setdefault(place, len(alike)) for place, row in jets.inputs.items() if place[0] != 2}
+    found |= {row: alike.setdefault(("number", value), len(alike)) for row, value in jets.numbers.items()}
+    for line in jets.lines:
+        rows = [row for row in (*line.args, *line.of) if row != line.y]
+        if line.branch < 0 and all(row in found for row in rows):
+            made = (line.kind, line.number, line.start, tuple(found.get(row, -1) for row in (*line.args, *line.of)))
+            found[line.y] = alike.setdefault(made, len(alike))
+    return found
 
 
 def _used(lines: list[str]) -> list[str]:

@@ -1,6 +1,6 @@
 """Event-driven integration: one smooth piece after another, each ended by the first root of its sign conditions.
 
-Taylor series of the orders that rtol asks for (Jorba and Zou 2005: p = -ln(rtol)/2 + 2), the step from the last two coefficients
+Taylor series of the orders that rtol asks for (p = -ln(rtol)/2 + 3, see `lengths`), the step from the last two coefficients
 of x, y and l, events by Bernstein's test, polished on the expansion at the event itself, modes by their germs.
 """
 

@@ -11,6 +11,7 @@ from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.system import System
 
 LARGEST_ORDER = 30
+BEYOND = 3  # Orders of a series beyond -ln(rtol)/2.
 LOCAL, ROUGHEST = 0.01, 1e-1  # A piece errs by this share of rtol, and of no more than this.
 LONGEST = 32.0  # In units of time: a piece that would be longer begins anew in another unit.
 MULTIPLIERS = 100.0  # l and y are asked for to so many times rtol.
@@ -20,8 +21,8 @@ SMALL = 1e-3  # Rows of y and l below this share of the largest are measured bes
 
 
 def order_of(rtol: float) -> int:
-    """The order of the series (Jorba and Zou 2005: -ln(rtol)/2 + 2)."""
-    return min(math.ceil(-math.log(LOCAL * min(rtol, ROUGHEST)) / 2) + 2, LARGEST_ORDER)
+    """The order of the series: one more than where products cost least (Jorba and Zou 2005), as a piece has its own price."""
+    return min(math.ceil(-math.log(LOCAL * min(rtol, ROUGHEST)) / 2) + BEYOND, LARGEST_ORDER)
 
 
 def length(system: System, codes: list[int], how: Solve, p: int, rtol: float, atol: list[float]) -> float:

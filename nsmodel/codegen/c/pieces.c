@@ -543,6 +543,7 @@ static void record_piece(model_pieces *s, double length, double error)
     double *piece = s->piece;
     piece[AT_T] = s->at.t;
     piece[AT_TAU] = s->at.tau;
+    s->per_unit = 1/s->at.tau;
     piece[AT_S] = length;
     piece[AT_DEFECT] = error;
     piece[AT_EVENT] = s->at.begun;
@@ -760,7 +761,7 @@ static void prepare_pieces(model_pieces *s, double rtol)
 {
     static const double points[] = {POINT_1, POINT_2};
     s->rtol = LOCAL*min_of(rtol, ROUGHEST);
-    s->order = (int)ceil(-log(s->rtol)/2) + 2;
+    s->order = (int)ceil(-log(s->rtol)/2) + BEYOND;
     if (s->order > MOST_ORDERS)
         s->order = MOST_ORDERS;
     for (int i = 0; i < 2; i++)

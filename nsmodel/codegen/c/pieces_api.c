@@ -84,7 +84,7 @@ double model_pieces_get_time(const model_pieces *s) { return s->t; }
 /* count columns of the piece from the first one, at the time reached. */
 static void read_piece(const model_pieces *s, int first, int count, double *out)
 {
-    const double at = (s->t - s->piece[AT_T])/s->piece[AT_TAU];
+    const double at = (s->t - s->piece[AT_T])*s->per_unit;
     values_at(s->piece + AT_C + first, ROWS, s->order, at, count, out);
 }
 

@@ -636,17 +636,21 @@ static int count_open(const model_pieces *s, int from, int to)
     return count;
 }
 
-/* Whether all valid modes of the open switches have the x of the one at the place, of which the series are there. */
+/*
+ * Whether all valid modes of the open switches have the x of the one at the place, of which the series are there; after this
+ * order 0 alone.
+ */
 static int is_agreed(model_pieces *s)
 {
     modes all;
-    double now[FEW] = {0}, shares[SOLUTIONS];
+    double now[FEW] = {0}, shares[SOLUTIONS], first[COLUMNS];
     int found = 1, agreed = 1;
     shares[0] = pace(s);
     if (!list_modes(s, &all))
         return 1;
     for (int i = 0; i < all.n; i++)
         now[i] = all.open[i] < M ? s->at.codes[all.open[i]] : s->at.choice[all.open[i] - M];
+    memcpy(first, s->c[0], sizeof first);
     for (int k = 0; k <= ORDERS; k++)
         memcpy(s->germs[0][k], s->c[k], sizeof s->germs[0][k]);
     do {
@@ -663,9 +667,11 @@ static int is_agreed(model_pieces *s)
     } while (next_mode(&all) && agreed);
     for (int i = 0; i < all.n; i++)
         turn(s, all.open[i], now[i]);
+    memcpy(s->c[0], first, sizeof first);
 #if LAW
-#if !LINEAR
-    expand(s, ORDERS);
+    memcpy(s->at.l, first + L, M*sizeof *first);
+#if SLOPES
+    slopes_here(s);
 #endif
 #endif
     return agreed;

@@ -75,10 +75,6 @@ static void outputs(model_pieces *s, int k)
 /* Order k + 1 of x from s->f and order k of g. */
 static void add_g(model_pieces *s, int k, double factor)
 {
-    if (k)
-        g_later(s, k);
-    else
-        g_first(s);
     for (int i = 0; i < N; i++)
         s->c[k + 1][i] = factor*(s->f[i] + s->value[i]);
 }
@@ -103,6 +99,10 @@ static void rate(model_pieces *s, int k)
         add_B(next, s->c[k] + L, factor);
 #endif
 #else
+    if (k)
+        g_later(s, k);
+    else
+        g_first(s);
     add_g(s, k, factor);
 #endif
 #endif
@@ -179,6 +179,10 @@ static void push(model_pieces *s, int k, const double *d)
 #else
     for (int a = 0; a < HOW.n; a++)
         s->c[k][L + HOW.active[a]] += d[a];
+    if (k)
+        g_again_later(s, k);
+    else
+        g_again_first(s);
     add_g(s, k, s->at.tau/(k + 1));
 #endif
 }
@@ -267,6 +271,9 @@ static int settle(model_pieces *s)
         rate(s, 0);
 #if LINEAR
         if (!HOW.through)
+            return 1;
+#else
+        if (!HOW.n)
             return 1;
 #endif
         outputs(s, 1);

@@ -318,6 +318,11 @@ static void solve_mode(model_pieces *s)
     for (int i = 0; i < M; i++)
         held[i] = s->at.codes[i] == 0;
 #if SLOPES
+    if (!memchr(held, 1, sizeof held)) { /* of slopes that nothing asks for here */
+        HOW.n = s->count = 0;
+        find_mode(s);
+        return;
+    }
     slopes_here(s);
     if (s->count && memcmp(held, HOW.held, sizeof held) == 0 && memcmp(&s->slopes, &s->solved, sizeof s->slopes) == 0)
         return;

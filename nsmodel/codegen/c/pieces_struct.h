@@ -63,4 +63,5 @@ typedef struct {
     double row[MODEL_PIECES_M*MODEL_PIECES_N];
 #endif
     double piece[MODEL_PIECES_RECORD]; /* the last one; see the enum in @NAME@_pieces.c */
+    double per_unit; /* 1 by its unit of time: exact, and a row is read without a division */
 } model_pieces;
