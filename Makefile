@@ -23,10 +23,10 @@ demo: $(STAMP) ## set up, run a rectifier, a crowd and a friction oscillator, dr
 	$(BIN)/nsmodel run $(SCENES) --plot --out results
 
 test: $(STAMP) ## set up and run the tests
-	$(BIN)/python -m pytest -n auto --dist loadfile
+	$(BIN)/python -m pytest -n auto --dist worksteal
 
 quick: $(STAMP) ## set up and run the tests that take seconds: under a minute on two cores
-	$(BIN)/python -m pytest -n auto --dist loadfile -m fast
+	$(BIN)/python -m pytest -n auto --dist worksteal -m fast
 
 nightly: $(STAMP) ## set up and run the search for refused steps and wrong answers: 2000 random models a class, hours
 	mkdir -p results

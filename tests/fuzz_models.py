@@ -7,7 +7,7 @@ table in which small multiples of 1/4 are as frequent as any others: ties, zeros
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -40,6 +40,13 @@ COUNT = int(os.environ.get("NSMODEL_FUZZ", FULL))  # Those of this run; other te
 def share(number: int, least: int = 1) -> int:
     """So many of the random models of another test are tried in this run."""
     return max(least, number * COUNT // FULL)
+
+
+def some(values: Iterable[Any], least: int = 2) -> list[Any]:
+    """The same part of a list, spread evenly over it, both ends among them."""
+    values = list(values)
+    places = np.linspace(0, len(values) - 1, min(share(len(values), least), len(values)))
+    return [values[round(place)] for place in places]
 
 
 def repeatable(count: int) -> settings:

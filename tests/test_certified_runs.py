@@ -7,6 +7,7 @@ import casadi as ca
 import mpmath as mp
 import numpy as np
 import pytest
+from fuzz_models import share, some
 
 import nsmodel
 from nsmodel import FirstOrderSystem, LureSystem, SweepingProcess, Trajectory, UsageError, complementarity, relay, simulate
@@ -77,7 +78,7 @@ def random_model(seed):
     )
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(share(12, 2)))
 @pytest.mark.parametrize("rtol", [1e-4, 1e-9])
 def test_bounds_are_above_50_digits_and_near(seed, rtol):
     model = random_model(seed)
@@ -142,7 +143,7 @@ def mutations(pieces, random):
     yield "a piece past its event", pieces._replace(end=end)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(share(5, 2)))
 def test_mutated_pieces_are_found(seed):
     problem, pieces, x0, allowed = scene()
     assert not certify(problem, pieces, x0, allowed).failures
@@ -219,7 +220,7 @@ def forms():
         yield name, model, model.exact
 
 
-@pytest.mark.parametrize("rtol", [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10])
+@pytest.mark.parametrize("rtol", some([1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10], 3))
 def test_error_of_closed_forms_is_below_its_bound(rtol):
     for name, model, exact in forms():
         run = simulate(model, rtol=rtol, certify="interval")
@@ -249,7 +250,7 @@ def random_monotone(seed):
     return LureSystem(t=t, A=A, B=B, C=C, D=D, f=[wave() for _ in range(n)], law=law, x0=x0, t_end=3)
 
 
-@pytest.mark.parametrize("model", [random_model(seed) for seed in range(6)] + [random_monotone(seed) for seed in range(15)])
+@pytest.mark.parametrize("model", [*map(random_model, range(share(6))), *map(random_monotone, range(share(15, 5)))])
 def test_errors_of_random_models_are_below_their_bounds(model):
     """Against a run at 1e-13 whose own bound is added; no bound where the error has left the tube."""
     fine, at = simulate(model, rtol=1e-13, certify="interval", method="event-driven"), np.linspace(0, model.t_end, 300)

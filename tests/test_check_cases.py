@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+import casadi as ca
 import numpy as np
 import pytest
 from conftest import CASES, REPOSITORY
@@ -84,6 +85,29 @@ def test_a_case_has_each_hypothesis_once_and_those_that_must_be_proved_are(case_
         assert {finding.id for finding in report.having(verdict)} == set(known.get(stem, {}))
     for id, reason in UNKNOWN.get(stem, {}).items():
         assert reason in report[id].how
+
+
+def test_the_crowd_in_a_room(load_case, report_of):
+    """Its numbers are those of the people and the walls, for all states; in the doorway the wish of the slim jumps."""
+    model, found = load_case("crowd_room"), report_of("crowd_room")
+    assert {found[id].scope for id in ("S-convex", "A0", "A1", "A2", "A3", "A4")} == {None}
+    radii = np.asarray(model.scene["radii"])
+    assert (found["A1"].value["a"], found["A1"].value["b"]) == pytest.approx((1, np.sqrt(2)))
+    assert found["A4"].value["M_contact"] == pytest.approx(1 / radii.min())
+    assert found["A0"].value["c"] == pytest.approx(radii.min() / 2)
+    assert found["A5'"].verdict == found["A5"].verdict == "sampled"
+    assert 1 < found["A5'"].value["gamma"] <= found["A5"].value["gamma"] < np.inf
+    witness = found["S-f"].witness
+    state, moved = np.array(witness["q"]), [model.names.index(name) for name in witness["moved"]]
+    assert state[moved].tolist() == witness["to"]
+    assert np.array(ca.Function("g", [model.t, model.q], [model.g])(witness["t"], state)).min() >= -1e-12
+    f = ca.Function("f", [model.t, model.q], [model.f])
+    across = []
+    for side in (-1e-9, 1e-9):
+        beside = state.copy()
+        beside[moved[0]] = 3.6 + side  # the door's wall
+        across.append(np.linalg.norm(np.array(f(0, state) - f(0, beside))))
+    assert max(across) == pytest.approx(witness["size"], rel=1e-5)
 
 
 def test_findings_of_a_case_carry_numbers_reasons_and_sources(case_file, report_of):

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from fuzz_models import COUNT, FULL
+from fuzz_models import COUNT, FULL, share
 
 import nsmodel
 from nsmodel import LureSystem, complementarity, relay
@@ -206,7 +206,7 @@ def test_a_stiff_rectifier_is_accepted():
 
 def test_P_is_about_as_well_conditioned_as_possible():
     rng = np.random.default_rng(4)
-    for _ in range(40):
+    for _ in range(share(40, 10)):
         b, c = rng.normal(size=2), rng.normal(size=2)
         c *= np.sign(c @ b)
         B, C = b[:, None], c[None, :]
@@ -259,7 +259,7 @@ def test_D_with_a_clear_sign_is_never_sampled():
 
 def test_omega_is_a_bound_and_no_search_over_P_beats_it():
     rng = np.random.default_rng(6)
-    for trial in range(30):
+    for trial in range(share(30, 8)):
         n = 2 + trial % 2
         b = rng.normal(size=(n, 1))
         L = rng.normal(size=(n, n))
@@ -281,7 +281,7 @@ def test_omega_is_a_bound_and_no_search_over_P_beats_it():
 
 def test_omega_over_a_scalar_Y_is_the_minimum_of_a_fine_scan():
     rng = np.random.default_rng(7)
-    for _ in range(25):
+    for _ in range(share(25, 6)):
         J = rng.normal(size=(2, 2))
         passivity = storage(np.array([[0.0], [1.0]]), np.array([[0.0, 1.0]]))
         rate = least_rate(passivity.pairing, [J])

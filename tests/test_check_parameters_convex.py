@@ -329,7 +329,7 @@ def brute(model, report, seed=0, **values):
 
 def test_random_inclusions_are_judged_as_at_dense_values():
     rng, seen, dense = np.random.default_rng(7), [], np.linspace(0, 1, 21)
-    for seed in range(share(30, 9)):
+    for seed in range(share(30, 3)):
         A, M = (rng.integers(-4, 5, (2, 2)) + p * rng.integers(-2, 3, (2, 2)) for _ in range(2))
         M = ca.SX(M) + 5 * ca.SX.eye(2)
         mu, r = rng.integers(0, 3) + rng.integers(-1, 2) * p, rng.integers(0, 3) + rng.integers(-1, 3) * p

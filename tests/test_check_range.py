@@ -7,6 +7,7 @@ from itertools import combinations, product
 import casadi as ca
 import numpy as np
 import pytest
+from fuzz_models import share
 
 import nsmodel
 from nsmodel import LureSystem, ball, box, complementarity, equality, polyhedron, relay, second_order_cone
@@ -88,7 +89,7 @@ def random_psd(rng, m):
     ] * 1.0
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(share(12, 3)))
 def test_boxes_against_complementary_cones(seed):
     rng, seen = np.random.default_rng(seed), set()
     for _ in range(40):
@@ -112,7 +113,7 @@ def test_boxes_against_complementary_cones(seed):
     assert seen == {"holds", "violated"}
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(share(6, 2)))
 def test_polyhedra_against_active_sets(seed):
     rng = np.random.default_rng(100 + seed)
     for _ in range(25):
@@ -267,7 +268,7 @@ def test_potentials_that_are_laws_agree_with_the_laws(seed):
         (lambda y: indicator(2 * y[0] + y[1], y[1] - y[0]) , polyhedron([[1 / 4, 1 / 4], [-1 / 4, 1 / 2]], [0, 0])),
     ]  # fmt: skip
     for phi, law in pairs:
-        for _ in range(12):
+        for _ in range(share(12, 3)):
             D, C, x0 = random_psd(rng, 2), rng.integers(-2, 3, (2, 2)), rng.integers(-2, 3, 2)
             assert verdicts(C, D, x0=x0, phi=phi) == verdicts(C, D, law, x0)
 

@@ -447,33 +447,6 @@ def test_the_step_of_the_model_is_compared_with_the_bound():
 # -- the crowd ---------------------------------------------------------------------------------------------------------
 
 
-def test_crowd_room(load_case, run_case):
-    model, run = load_case("crowd_room"), run_case("crowd_room")
-    findings, _ = check(model, region_of(model, [run]), [run], False)
-    found = {finding.id: finding for finding in findings}
-    for id in ("S-convex", "A0", "A1", "A2", "A3", "A4"):
-        assert found[id].verdict == HOLDS
-        assert found[id].scope is None
-    radii = np.asarray(model.scene["radii"])
-    assert (found["A1"].value["a"], found["A1"].value["b"]) == pytest.approx((1, SQRT2))
-    assert found["A4"].value["M_contact"] == pytest.approx(1 / radii.min())
-    assert found["A0"].value["c"] == pytest.approx(radii.min() / 2)
-    assert found["A5'"].verdict == found["A5"].verdict == SAMPLED
-    assert 1 < found["A5'"].value["gamma"] <= found["A5"].value["gamma"] < np.inf
-    witness = found["S-f"].witness  # in the doorway the wish jumps for those who are narrower than 0.25 m
-    assert found["S-f"].verdict == VIOLATED
-    state, moved = np.array(witness["q"]), [model.names.index(name) for name in witness["moved"]]
-    assert state[moved].tolist() == witness["to"]
-    assert np.array(ca.Function("g", [model.t, model.q], [model.g])(witness["t"], state)).min() >= -1e-12
-    f = ca.Function("f", [model.t, model.q], [model.f])
-    across = []
-    for side in (-1e-9, 1e-9):
-        beside = state.copy()
-        beside[moved[0]] = 3.6 + side  # the door's wall
-        across.append(np.linalg.norm(np.array(f(0, state) - f(0, beside))))
-    assert max(across) == pytest.approx(witness["size"], rel=1e-5)
-
-
 # -- many random models ------------------------------------------------------------------------------------------------
 
 

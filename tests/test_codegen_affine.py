@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fuzz_models import share
 from test_solvers import DEGENERATE, INF, LAWS, PSD, infeasible, matrix, point_of_graph, problem, random_law, spd
 
 from nsmodel.codegen import constants, residual, sets, statuses
@@ -342,7 +343,7 @@ def test_units_do_not_matter(boxes, kind):
 
 @pytest.mark.parametrize("symmetric", [True, False])
 def test_what_has_no_solution_gets_none(boxes, symmetric):
-    for seed in range(40):
+    for seed in range(share(40, 10)):
         W, b, _ = infeasible(seed, symmetric)
         law = NumericLaw(np.zeros(b.size), np.full(b.size, INF), ())
         answer = boxes.solve(W, b, law)
@@ -593,7 +594,7 @@ def test_linear_systems_with_nan_or_inf_are_refused(boxes):
 def test_balls_and_cones_are_solved_as_in_python(on_law, name, kind):
     law, library = on_law(name)
     solved = set()
-    for seed in range(16):
+    for seed in range(share(16, 5)):
         rng = np.random.default_rng(seed)
         m = law.size
         W, b = matrix(rng, kind, m), rng.normal(size=m) * 10.0 ** rng.uniform(-2, 2)

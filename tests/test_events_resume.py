@@ -57,8 +57,15 @@ def test_a_later_end_gives_the_bytes_of_one_run(name, every, tmp_path):
     assert files(tmp_path / "one") == files(tmp_path / "parts")
 
 
-@pytest.mark.parametrize("name", ["diode_bridge", "relay_oscillator"])
-@pytest.mark.parametrize(("asked", "compiled"), [(False, False), (True, False), (False, True), (True, True)])
+@pytest.mark.parametrize(
+    ("name", "asked", "compiled"),  # All pairs of them.
+    [
+        ("diode_bridge", False, False),
+        ("diode_bridge", True, True),
+        ("relay_oscillator", True, False),
+        ("relay_oscillator", False, True),
+    ],
+)
 def test_killed_at_any_piece_it_goes_on_to_the_same_bytes(name, asked, compiled, tmp_path):
     case = CASES / f"{name}.py"
     model = nsmodel.load(case)

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from conftest import QUICK
+from fuzz_models import share
 from scipy.optimize import nnls
 
 from nsmodel import (
@@ -80,7 +81,7 @@ def test_rod_lifting_off_beyond_the_critical_friction_has_two_solutions():
         assert speeds[k] == pytest.approx(1e-3 * (9.81 + b * l), abs=1e-14)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(share(3)))
 def test_rod_at_any_angle_is_judged_by_the_sign_of_b(seed):
     """b < 0 iff mu > (4 + tan^2)/(3 tan), however close: then no solution where A < 0, and two where A > 0."""
     rng = np.random.default_rng(seed)

@@ -1,5 +1,6 @@
 """Pictures of fabricated runs: their words, their lines, their files, and that nothing overlaps or is cut off."""
 
+import functools
 import subprocess
 import sys
 from types import SimpleNamespace
@@ -570,11 +571,22 @@ PANELS = {
 }
 
 
+@pytest.fixture(scope="module")
+def drawn():
+    """Return drawn(case) -> (run, overview, its pixels), each drawn once."""
+
+    @functools.cache
+    def draw(case):
+        run, model = CASES[case]()
+        figure = plot.overview(run, model)
+        return run, figure, pixels(figure)
+
+    return draw
+
+
 @pytest.mark.parametrize("case", CASES)
-def test_overview_is_composed_for_the_class(case):
-    run, model = CASES[case]()
-    figure = plot.overview(run, model)
-    image = pixels(figure)
+def test_overview_is_composed_for_the_class(case, drawn):
+    run, figure, image = drawn(case)
     assert image.shape[:2] == (900, 1400)
     assert figure.get_suptitle() == run.title
     assert [title(ax).split(" (")[0].split(" at ")[0] for ax in figure.axes if title(ax)] == PANELS[case]
@@ -583,9 +595,8 @@ def test_overview_is_composed_for_the_class(case):
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_nothing_in_an_overview_overlaps_or_is_cut_off(case):
-    figure = plot.overview(*CASES[case]())
-    pixels(figure)
+def test_nothing_in_an_overview_overlaps_or_is_cut_off(case, drawn):
+    _, figure, _ = drawn(case)
     frames = []
     for ax in figure.axes:
         keys = [*([ax._left_title] if title(ax) else []), *([ax.get_legend()] if ax.get_legend() else [])]

@@ -5,6 +5,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 import pytest
+from fuzz_models import share
 
 from nsmodel import FirstOrderSystem, SweepingProcess, complementarity, product, relay, simulate
 from nsmodel.simulate import prepare
@@ -49,13 +50,13 @@ def first_order(seed):
     return FirstOrderSystem(**given, lam=lam, h=h, g=C.T @ lam * (1 + 0.1 * ca.cos(x[0])), law=product(*laws))
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(share(40, 10)))
 def test_random_systems_go_the_same_way(seed, general):
     model = first_order(seed)
     assert_same(simulate(model, compiled=False), general(model))
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(share(10, 3)))
 def test_discs_and_walls_go_the_same_way(seed, general):
     rng = np.random.default_rng(seed)
     t, q = ca.SX.sym("t"), ca.SX.sym("q", 4)

@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 import processes
 import pytest
+from fuzz_models import share
 from processes import before_step, fail, kill_when_there
 
 import nsmodel
@@ -308,7 +309,7 @@ def test_ctrl_c_never_cuts_a_step_in_two(tmp_path, monkeypatch):
 
     old = signal.signal(signal.SIGALRM, interrupt)
     try:
-        for i in range(20):
+        for i in range(share(20, 10)):
             with monkeypatch.context() as patch:
                 patch.setattr(schemes, "make_stepper", armed)
                 try:
@@ -530,9 +531,9 @@ def test_the_totals_are_those_of_the_rows(build):
 @pytest.mark.parametrize("every", [1, 7])
 def test_rows_do_not_wait_long_for_a_chunk_to_fill(build, every, tmp_path, monkeypatch):
     simulate(build(), out=tmp_path / "whole", save_every=every)
-    monkeypatch.setattr(loop, "CHUNK_SECONDS", 0.0)
-    monkeypatch.setattr(loop, "MOST_AT_ONCE", 1)
     with monkeypatch.context() as patch:
+        patch.setattr(loop, "CHUNK_SECONDS", 0.0)
+        patch.setattr(loop, "MOST_AT_ONCE", 1)
         stop_at(patch, 100, SystemExit())  # as if killed: nothing is written at the end
         with pytest.raises(SystemExit):
             simulate(build(), out=tmp_path / "run", save_every=every)
@@ -545,18 +546,18 @@ def test_rows_do_not_wait_long_for_a_chunk_to_fill(build, every, tmp_path, monke
 
 
 def test_memory_does_not_grow_with_the_number_of_steps(tmp_path):
-    """400 000 steps take no more memory than a tenth of them; reading the result is left out."""
+    """200 000 steps take no more memory than a tenth of them; reading the result is left out."""
     body = """
         import resource, sys
         test_resume.walk.CHUNK_BYTES = 1 << 20
         test_resume.loop.Trajectory.load = lambda path: None
-        for end in (40, 400):
+        for end in (20, 200):
             model = nsmodel.LureSystem(A=[[-1]], B=1, C=1, law=nsmodel.relay(1, -0.5, 0.5), x0=1, t_end=end, step=1e-3)
             nsmodel.simulate(model, out=f"run{end:g}", compiled=False)
             print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
     """
     short, long = map(int, start(body, tmp_path).communicate(timeout=300)[0].split())
-    assert (tmp_path / "run400" / "trajectory.npz").stat().st_size > 19e6
+    assert (tmp_path / "run200" / "trajectory.npz").stat().st_size > 9e6
     assert long - short < 4e3  # kB
 
 

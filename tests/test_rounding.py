@@ -7,6 +7,7 @@ import mpmath
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from fuzz_models import COUNT, FULL, share, some
 
 from nsmodel import (
     Bodies,
@@ -67,7 +68,7 @@ def test_the_bound_is_one():
     """fl(row) at the given doubles is within u E of its value in 60 digits; and E is no more than what the terms can lose."""
     rng, x, k = np.random.default_rng(0), ca.SX.sym("x", 3), ca.SX.sym("k", 3)
     both = ca.vertcat(x, k)
-    for _ in range(300):
+    for _ in range(share(300, 60)):
         row, values = random_row(rng, x, k), rng.normal(size=6) * 10.0 ** rng.uniform(-3, 3, 6)
         values[3:] = np.where(rng.random(3) < 0.5, values[:3] * (1 + 1e-13 * rng.normal(size=3)), values[3:])
         found, bound = (float(v) for v in ca.Function("f", [both], [row, error_bound(row, x)])(values))
@@ -173,7 +174,7 @@ def positions(name):
 
 
 @pytest.mark.parametrize("compiled", WAYS)
-@pytest.mark.parametrize("shift", [1e3, 1e6, 1e9])
+@pytest.mark.parametrize("shift", some([1e3, 1e6, 1e9]))
 @pytest.mark.parametrize("name", SCENES)
 def test_scenes_far_from_0_are_as_right_as_before(name, shift, compiled):
     """Each position is known to u shift, each force to that times the stiffness; a switch moves by a step where that decides."""
@@ -185,7 +186,7 @@ def test_scenes_far_from_0_are_as_right_as_before(name, shift, compiled):
     assert error <= 1e-9 + 200 * UNIT * shift * len(at_0.t)
 
 
-@pytest.mark.parametrize("shift", [0.0, 1e3, 1e6, 1e9])
+@pytest.mark.parametrize("shift", some([0.0, 1e3, 1e6, 1e9], 3))
 @pytest.mark.parametrize("name", [n for n in SCENES if n != "in_a_box"])
 def test_errors_of_a_ten_millionth_of_the_motion_are_refused_wherever_it_happens(name, shift):
     model = SCENES[name](shift)
@@ -274,7 +275,7 @@ def test_states_that_decay_to_nothing(compiled):
     """g cancels where the state is 0: l = (1/2, -1), also beside |x| = 1e-71."""
     x, l = ca.SX.sym("x", 2), ca.SX.sym("l", 2)
     g = ca.vertcat(-l[0] * l[1] * x[1] / 2, (2 * l[0] + l[1]) / (1 - l[0] * l[1] / 2))
-    for size in (1e-60, 1e-71, 1e-79):
+    for size in some((1e-60, 1e-71, 1e-79)):
         model = FirstOrderSystem(
             x=x, lam=l, f=[x[1], 0], h=x, g=g, law=relay(2), x0=[0, 3e0 * size], t_end=0.05, step=1e-3, theta=0.5
         )
@@ -318,7 +319,7 @@ def test_a_step_that_leads_beyond_its_linearisation_is_refused_by_name(y, compil
 
 
 @pytest.mark.parametrize("compiled", WAYS)
-@pytest.mark.parametrize("y", [-1e-6, 1e-3, 1e-9])
+@pytest.mark.parametrize("y", [-1e-6, 1e-3, *([1e-9] if COUNT == FULL else [])])
 def test_error_control_passes_the_door(y, compiled):
     run = simulate(door(y), rtol=1e-4, compiled=compiled)
     assert run.x[-1] == pytest.approx([0, np.sign(y) * np.sqrt(1 - 0.25)], abs=1e-4)

@@ -34,7 +34,7 @@ from nsmodel import (
 )
 from nsmodel.classes.units import in_units
 from nsmodel.cli import main
-from nsmodel.stress import LEFT_OUT, RIGHT, STOPPED, WRONG
+from nsmodel.stress import LEFT_OUT, RIGHT, STOPPED, WRONG, push
 from nsmodel.stress.judge import acting, by_formulas
 from nsmodel.stress.measures import majorant
 
@@ -336,6 +336,7 @@ def model(gap=0.5, n=2):
 def test_the_command_line(tmp_path, capsys, monkeypatch):
     file = tmp_path / "walls.py"
     file.write_text(FILE)
+    monkeypatch.setitem(push.__kwdefaults__, "steps", 3)
     assert main(["stress", str(file), "--set", "gap=0.5", "--vary", "n=1,2", "--out", str(tmp_path / "out")]) == 0
     out = capsys.readouterr().out
     assert "112:" in out
@@ -352,7 +353,7 @@ def test_the_command_line(tmp_path, capsys, monkeypatch):
     for module in ("nsmodel.stress.measures", "nsmodel.classes.sweeping.judge"):
         for name in ("EQUATION", "ROUNDING"):
             monkeypatch.setattr(sys.modules[module], name, 0.0)
-    assert main(["stress", str(file), "--json"]) == 1
+    assert main(["stress", str(file), "--set", "n=1", "--json"]) == 1
     document = json.loads(capsys.readouterr().out)
     assert document["wrong"] > 0
     assert document["right"] + document["stopped"] + document["wrong"] == 56 == len(document["cells"])

@@ -30,8 +30,9 @@ def _flat(model: SweepingProcess) -> list[str]:
 def _not_convex(model: SweepingProcess) -> list[str]:
     """Constraints whose Hessian at q0 has a negative eigenvalue: the scheme's feasibility rests on convexity (S-convex)."""
     found, q0 = [], np.array(ca.DM(model.q0)).ravel()
-    for name, g in zip(model.multiplier_names, ca.vertsplit(model.g), strict=True) if model.multiplier_names else ():
-        own = [i for i, symbol in enumerate(ca.vertsplit(model.q)) if ca.depends_on(g, symbol)]
+    rows, columns = map(np.array, ca.jacobian_sparsity(model.g, model.q).get_triplet())
+    for k, name in enumerate(model.multiplier_names):
+        g, own = model.g[k], columns[rows == k].tolist()
         gradient = ca.gradient(g, model.q[own]) if own else ca.SX(0, 1)
         if not own or not ca.depends_on(gradient, model.q[own]):
             continue
