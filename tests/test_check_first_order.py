@@ -7,6 +7,7 @@ from itertools import combinations, product
 import casadi as ca
 import numpy as np
 import pytest
+from fuzz_models import share
 
 import nsmodel
 from nsmodel import FirstOrderSystem, ball, box, complementarity, polyhedron, relay, simulate
@@ -139,7 +140,7 @@ def lcp_solutions(W, b):
     return out
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(share(4)))
 def test_unique_steps_by_counting_solutions(seed):
     rng, seen = np.random.default_rng(seed), set()
     for _ in range(30):
@@ -402,7 +403,7 @@ def test_a_step_whose_matrices_vary_is_unique_where_a_form_is_definite():
     assert report(wrong)[0]["F-unique"].verdict != "holds"
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(share(3)))
 def test_no_state_has_two_solutions_where_one_is_proved(seed):
     rng = np.random.default_rng(seed)
     for _ in range(12):

@@ -3,6 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
+from fuzz_models import share
 
 from nsmodel import MonotoneInclusion, check
 from nsmodel.proof.at_infinity import curve, orders
@@ -116,7 +117,7 @@ def test_a_jump_is_told_from_a_steep_slope():
 def test_bounds_are_bounds():
     """Orders, lines, monotony and growth of random compositions against their values."""
     rng = np.random.default_rng(0)
-    for _ in range(60):
+    for _ in range(share(60, 15)):
         h, other = (CALM + STEEP)[rng.integers(18)], (CALM + STEEP)[rng.integers(18)]
         h = rng.normal() * ca.substitute(h, z, round(rng.normal(), 2) * z + 0.5) + rng.choice([0, 1]) * other
         f = ca.Function("h", [z], [h])

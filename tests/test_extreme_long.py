@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from conftest import QUICK
+from fuzz_models import share
 from processes import environment, kill_when_there, start
 
 from nsmodel import FrictionOscillator, SweepingProcess, Trajectory, simulate
@@ -109,7 +110,7 @@ def make_swinging(request, tmp_path_factory):
         yield folder, options
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(share(3)))
 def test_kill_9_at_any_moment_leaves_rows_to_read_and_a_run_to_resume(swinging, seed, capfd):
     """Killed within a few ms of some chunk of 64 rows, long before its end."""
     folder, options = swinging

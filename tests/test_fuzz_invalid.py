@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import sympy
-from fuzz_models import repeatable
+from fuzz_models import repeatable, share
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -125,7 +125,7 @@ def refused(action: Callable[[], Any]) -> str | None:
     return None
 
 
-@repeatable(500)
+@repeatable(share(500, 125))
 @given(call=wrong_calls())
 def wrong_models(call: tuple[type, dict[str, Any], dict[str, Any]]) -> None:
     kind, arguments, options = call
@@ -135,7 +135,7 @@ def wrong_models(call: tuple[type, dict[str, Any], dict[str, Any]]) -> None:
         assert any(name in said for name in [*arguments, *options, "constraint", "parameter", "symbol"]), said
 
 
-@repeatable(200)
+@repeatable(share(200, 50))
 @given(data=st.data())
 def wrong_laws(data: Any) -> None:
     make, arguments = data.draw(st.sampled_from(LAWS))
@@ -342,7 +342,7 @@ def mistakes(draw: Callable[[Any], Any]) -> tuple[Callable[[], Any], list[str]]:
     return pick(draw, (every))()
 
 
-@repeatable(500)
+@repeatable(share(500, 125))
 @given(mistake=mistakes())
 def named_mistakes(mistake: tuple[Callable[[], Any], list[str]]) -> None:
     action, expected = mistake
