@@ -83,8 +83,8 @@ class Place(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """One step taken both ways; ``error`` of x_fine in units of what is allowed, and of x_fine + d; ``smooth``: one index set
-    from before it to its end; ``order`` of the scheme in this step.
+    """One step taken both ways; ``error`` of x_fine in units of what is allowed; ``smooth``: one index set from before it to its
+    end; ``order`` of the scheme in this step.
     """
 
     coarse: StepResult
@@ -92,7 +92,6 @@ class Trial(NamedTuple):
     fine: StepResult
     d: np.ndarray
     error: float
-    of_better: float
     smooth: bool
     order: int
 
@@ -296,15 +295,12 @@ class Controlled(OfScheme):
         order = self._order(at, fine) if smooth else 1
         x_coarse, x_half, x_fine = (result.row[self._watched] for result in (coarse, half, fine))
         d = (x_fine - x_coarse) / (2**order - 1)
-        difference, size = np.abs(d), np.maximum(self._size, np.abs(x_fine))
-        if smooth:
-            before = at.d * 2.0 ** ((at.of_j - at.j) * (order + 1))
-            error, of_better = self._units(difference, size), self._units(np.abs(d - np.nan_to_num(before)), size)
-        else:  # not less than the bends within the step and at its start: none hides
+        off = np.abs(d)
+        if not smooth:  # not less than the bends within the step and at its start: none hides
             moved = x_half - at.watched
             bends = np.abs(x_fine - x_half - moved), np.abs(moved - self._h(at.j) / 2 * at.rate)
-            error = of_better = self._units(np.fmax(difference, np.fmax(*bends)), size)
-        return Trial(coarse, half, fine, d, error, of_better, smooth, order)
+            off = np.fmax(off, np.fmax(*bends))
+        return Trial(coarse, half, fine, d, self._units(off, x_fine), smooth, order)
 
     def _order(self, at: Place, fine: StepResult) -> int:
         """The order of a step on one index set; 1 for the first one where it uses a multiplier of the start."""
@@ -327,9 +323,9 @@ class Controlled(OfScheme):
     def _time(self, t: int) -> float:
         return self._start + math.ldexp(t, -LEAST - 1) * self._length
 
-    def _units(self, off: np.ndarray, size: np.ndarray) -> float:
-        """The largest error in units of what is allowed."""
-        allowed = self._allowed(size)
+    def _units(self, off: np.ndarray, x: np.ndarray) -> float:
+        """The largest of the errors at x in units of what is allowed."""
+        allowed = self._allowed(np.maximum(self._size, np.abs(x)))
         units = np.divide(off, allowed, out=np.where(off > 0, np.inf, 0.0), where=allowed > 0)
         return float(np.nan_to_num(units, nan=np.inf).max(initial=0.0))
 
@@ -363,7 +359,13 @@ class Controlled(OfScheme):
         rate = (trial.fine.row - trial.half.row)[self._watched] / (h / 2)
         d = trial.d if state is not None and at.index_set is not None else np.full(rate.size, np.nan)
         end = Place(t, j, after, trial.fine.warm, row[self._watched], rate, self._index(trial.fine), d, at.j)
-        return Accepted(at, trial, row, correction, 0.0 if least else trial.error if state is None else trial.of_better, end)
+        estimate = 0.0 if least else error if state is None else self._of_better(at, trial)
+        return Accepted(at, trial, row, correction, estimate, end)
+
+    def _of_better(self, at: Place, trial: Trial) -> float:
+        """What x_fine + d errs by, in units of what is allowed: d falls like h^(p+1), the rest is of x_fine + d."""
+        expected = np.nan_to_num(at.d) * 2.0 ** ((at.of_j - at.j) * (trial.order + 1))
+        return self._units(np.abs(trial.d - expected), trial.fine.row[self._watched])
 
     def _extrapolated(self, at: Place, trial: Trial) -> tuple[np.ndarray, np.ndarray | None] | None:
         """The combination, and its gaps; None where a velocity changes its sign or a constraint is broken."""

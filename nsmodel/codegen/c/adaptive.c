@@ -99,23 +99,30 @@ static double units_of(const model_control *c, const double *off, const model_re
     return worst;
 }
 
-/* The error of x_fine, and of x_fine + d; d = (x_fine - x_coarse)/(2^order - 1). */
+/* The error of x_fine; d = (x_fine - x_coarse)/weight, weight = 2^order - 1. */
 static double error_of(const model_control *c, double h, const model_result *coarse, const model_result *half,
-                       const model_result *fine, int smooth, int order, double *d, double *of_better)
+                       const model_result *fine, int smooth, double weight, double *d)
 {
-    double off[WATCHED], better[WATCHED];
+    double off[WATCHED];
     for (int i = 0; i < WATCHED; i++) {
-        d[i] = (fine->watched[i] - coarse->watched[i])/(ldexp(1.0, order) - 1);
+        d[i] = (fine->watched[i] - coarse->watched[i])/weight;
         off[i] = fabs(d[i]);
-        const double before = c->d[i]*ldexp(1.0, ((int)c->of_j - (int)c->j)*(order + 1));
-        better[i] = isnan(before) ? off[i] : fabs(d[i] - before);
         if (!smooth) {
             const double step = half->watched[i] - c->watched[i];
-            const double within = fabs(fine->watched[i] - half->watched[i] - step), start = fabs(step - h/2*c->rate[i]);
-            off[i] = worse_of(off[i], worse_of(within, start));
+            const double within = fabs(fine->watched[i] - half->watched[i] - step), before = fabs(step - h/2*c->rate[i]);
+            off[i] = worse_of(off[i], worse_of(within, before));
         }
     }
-    *of_better = units_of(c, smooth ? better : off, fine);
+    return units_of(c, off, fine);
+}
+
+/* The error of x_fine + d: d falls like h^(order + 1), the rest is of x_fine + d. */
+static double of_better(const model_control *c, const model_result *fine, int order, const double *d)
+{
+    const double ratio = ldexp(1.0, ((int)c->of_j - (int)c->j)*(order + 1));
+    double off[WATCHED];
+    for (int i = 0; i < WATCHED; i++)
+        off[i] = fabs(d[i] - (isnan(c->d[i]) ? 0.0 : c->d[i]*ratio));
     return units_of(c, off, fine);
 }
 
@@ -193,8 +200,8 @@ long model_adapt(model_solver *s, model_control *c, long room, double number, do
 #endif
         const int order = smooth ? order_of(c, &fine) : 1, least = c->j >= c->least;
         const double weight = ldexp(1.0, order) - 1, end = c->t + 2*halves;
-        double d[WATCHED], of_better;
-        const double error = error_of(c, h, &coarse, &half, &fine, smooth, order, d, &of_better);
+        double d[WATCHED];
+        const double error = error_of(c, h, &coarse, &half, &fine, smooth, weight, d);
         const int better = error <= c->looser && smooth && extrapolate(s, c, end, &coarse, &fine, weight, x);
         const double allowed = c->looser*(better ? 1.0 : smooth ? h/c->T : c->crossing);
         if (error > allowed && !least) {
@@ -222,13 +229,13 @@ long model_adapt(model_solver *s, model_control *c, long room, double number, do
 #endif
         count(totals, half.residual, half.iterations, half.solver, number + (double)row + 1);
         count(totals, fine.residual, fine.iterations, fine.solver, number + (double)row + 2);
+        c->estimate += least ? 0.0 : better ? of_better(c, &fine, order, d) : error;
         for (int i = 0; i < WATCHED; i++) {
             c->rate[i] = (fine.watched[i] - half.watched[i])/(h/2);
             c->watched[i] = fine.watched[i];
             c->d[i] = better && c->fresh == 0 ? d[i] : NAN;
         }
         c->of_j = c->j;
-        c->estimate += least ? 0.0 : better ? of_better : error;
         memcpy(c->x, fine.x, sizeof fine.x);
         if (better) {
             memcpy(c->x, x, sizeof x);
