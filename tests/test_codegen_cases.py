@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fuzz_models import COUNT, FULL
 
 from nsmodel import ManyBodies, codegen, simulate
 from nsmodel.grid import make_grid
@@ -19,7 +20,7 @@ from nsmodel.grid import make_grid
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2"]
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 SANITIZED = ["diode_bridge", "friction_chain", "gene_network", "two_discs", "inclusion_8_2", "cabot_4_1", "friction_oscillator"]
-SMALLER = {"crowd_room": {"n": 8}}  # thirty people: half a megabyte of C, in 435 pairs written one by one
+SMALLER = {"crowd_room": {"n": 12 if COUNT == FULL else 8}}  # thirty: half a megabyte of C, in 435 pairs
 
 pytestmark = pytest.mark.skipif(not COMPILERS, reason="no C compiler")
 

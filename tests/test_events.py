@@ -333,8 +333,8 @@ def test_pictures_and_the_box_of_check_see_the_polynomials():
     """x = sin: pieces end where they like, lines and the box reach the maxima."""
     x = ca.SX.sym("x", 2)
     model = FirstOrderSystem(x=x, f=[x[1], -x[0]], x0=[0, 1], t_end=6.5)
-    run = simulate(model, rtol=1e-8)
-    assert np.abs(run.x[:, 0]).max() < 0.9999
+    run = simulate(model, rtol=1e-9)
+    assert np.abs(run.x[:, 0]).max() < 0.9995
     (line,) = (line for line in plot.states(run, ["x_0"]).lines if len(line.get_xdata()) > 2)
     assert np.abs(line.get_ydata()).max() > 0.99999
     np.testing.assert_allclose(line.get_ydata(), np.sin(line.get_xdata()), atol=1e-7)
