@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.codegen import pieces
-from nsmodel.codegen.cache import NAME, is_kept, kept, key_for, made_by
+from nsmodel.codegen import cache, pieces
+from nsmodel.codegen.cache import NAME, kept, key_for, made_by
 from nsmodel.codegen.library import FLAGS, Library, compiler, no_compiler
 from nsmodel.codegen.statuses import BAD_ARITHMETIC, STATUSES
 from nsmodel.errors import CodegenError
@@ -29,7 +29,7 @@ def key_of(fingerprint: str, compiler: str) -> str:
 def is_there(fingerprint: str) -> bool:
     """Whether nothing is to be built."""
     name = compiler()
-    return name is not None and is_kept(key_of(fingerprint, name))
+    return name is not None and cache.is_kept(key_of(fingerprint, name))
 
 
 class PiecesInC:
