@@ -207,10 +207,11 @@ def _standstill(found: dict[str, Any], unit: str) -> list[str]:
 
 
 def _control(
-    rtol: float, accepted: int, rejected: int, extrapolated: int, at_least_step: int, least_step: float, estimate: float | None
-) -> str:
-    head = f"rtol {rtol:g}: {accepted} steps accepted, {extrapolated} of them extrapolated, {rejected} refused"
-    errors = "" if estimate is None else f"; errors estimated, in all {estimate:.2g} of rtol"
+    rtol: float | None, accepted: int, rejected: int, extrapolated: int, at_least_step: int, least_step: float,
+    estimate: float | None,
+) -> str:  # fmt: skip
+    head = f"rtol {rtol or 0:g}: {accepted} steps accepted, {extrapolated} of them extrapolated, {rejected} refused"
+    errors = "" if estimate is None else f"; errors estimated, in all {estimate:.2g} of what is allowed"
     tail = f"; {at_least_step} at the least step, whatever their error" if at_least_step else ""
     return head + errors + tail
 

@@ -139,6 +139,10 @@ SCENES = {
 }  # fmt: skip
 
 
+def test_atol_alone_has_a_summary():
+    assert "rtol 0: " in simulate(sliding(), atol=1e-4).summary_text()
+
+
 @pytest.mark.c
 @pytest.mark.parametrize("compiled", [False, True])
 def test_where_pieces_do_not_apply_steps_have_a_budget(monkeypatch, compiled):

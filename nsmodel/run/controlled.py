@@ -132,7 +132,7 @@ class Controlled(OfScheme):
         super().__init__(model, constant, first, of_any_step, lambda: None)
         self.record, self.times = self.start(first, ROWS), [0.0]
         self.totals |= {
-            "accepted": 0, "rejected": 0, "extrapolated": 0, "at_least_step": 0, "least_step": None, "rtol": options.rtol,
+            "accepted": 0, "rejected": 0, "extrapolated": 0, "at_least_step": 0, "least_step": None, "rtol": self.rtol,
             "estimate": 0.0,
         }  # fmt: skip
         n, slices = len(self.model.names), self.stepper.layout.slices
