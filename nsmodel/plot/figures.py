@@ -47,8 +47,7 @@ def overview(run: Trajectory, model: Any = None) -> Figure:
     a planar sweeping process (or else the phase portrait), the energy and the residual. Of many bodies in the plane: the moment
     of most pressure, how many are there, maps of density and pressure.
     """
-    run = run.smooth()
-    figure = _titled(run)
+    figure, run = _titled(run), run.smooth()
     panels = _panels(run, model, lines=8, rows=12)
     if "frame" in panels:
         return _of_crowd(figure, panels)
@@ -80,10 +79,10 @@ def save_all(run: Trajectory, model: Any, directory: str | Path, prefix: str = "
     """
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
-    run = run.smooth()
-    panels = _panels(run, model, lines=MAX_LINES, rows=MAX_ROWS)
+    smooth = run.smooth()
+    panels = _panels(smooth, model, lines=MAX_LINES, rows=MAX_ROWS)
     draws: dict[str, Callable[[], Figure]] = {
-        name: partial(_sheet, run, [panels[part] for part in parts if part in panels], width, scale)
+        name: partial(_sheet, smooth, [panels[part] for part in parts if part in panels], width, scale)
         for name, (parts, width, scale) in SHEETS.items()
         if parts[0] in panels or (name in TIME and parts[-1] in panels)
     }
