@@ -14,7 +14,7 @@ import pytest
 from event_judges import missed
 from fuzz_models import COUNT, FULL
 
-from nsmodel import StepError, SweepingProcess, Trajectory, simulate
+from nsmodel import FirstOrderSystem, StepError, SweepingProcess, Trajectory, relay, simulate
 
 SEEDS = range(500 if COUNT >= FULL else max(2, COUNT // 8))
 FINE, ROUGH = 1e-10, 1e-4
@@ -133,3 +133,30 @@ def test_a_long_slide_on_a_disc_that_moves_does_not_drift(rtol):
     x, y = run.x.T - [np.sin(0.1 * run.t), 0 * run.t]
     assert np.abs(x**2 + y**2 - 1).max() <= 0.03 * rtol
     assert max(np.abs(x - np.cos(run.t)).max(), np.abs(y - np.sin(run.t)).max()) <= 0.1 * rtol
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_rows_that_say_the_same_where_all_is_0(compiled):
+    """Pushed on a wall that two rows describe, from x = 0: l is one of many, x rests and is rounding; no event, no rivals."""
+    x, l, t = ca.SX.sym("x"), ca.SX.sym("l", 2), ca.SX.sym("t")
+    model = FirstOrderSystem(
+        t=t, x=x, lam=l, f=[t**2 - 3 * t], g=[1.5 * l[0] + 1.25 * l[1]], h=[1.5 * x, 1.25 * x], law=relay(2), x0=[0], t_end=2
+    )
+    run = simulate(model, rtol=FINE, method="event-driven", compiled=compiled)
+    assert not run.events
+    assert np.abs(run.x).max() <= 4.5 * 8 * np.finfo(float).eps  # of what is pushed in this time
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_walls_that_are_nearly_parallel(compiled):
+    """Where the second takes over, x is not moved by rounding times 10^7: q follows -sin t - 0.3, then -1."""
+    q, t = ca.SX.sym("q", 2), ca.SX.sym("t")
+    walls = {"one": q[0] + 1e-8 * q[1] + ca.sin(t) + 0.3, "two": q[0] + 1.1 - ca.exp(-t) - 1e-8 * q[1]}
+    model = SweepingProcess(t=t, q=q, f=[-3, ca.cos(5 * t)], constraints=walls, q0=[1, 0], t_end=3)
+    run = simulate(model, rtol=FINE, method="event-driven", compiled=compiled)
+    for event in run.events:
+        assert np.abs(event.x_after - event.x_before).max() <= 1e-13
+    q1 = np.sin(5 * run.t) / 5
+    wall = np.maximum(-np.sin(run.t) - 0.3, np.exp(-run.t) - 1.1)
+    assert np.abs(run.x[:, 1] - q1).max() <= 1e-7
+    assert np.abs(run.x[:, 0] - np.maximum(wall, 1 - 3 * run.t)).max() <= 1e-7

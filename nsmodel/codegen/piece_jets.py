@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from nsmodel.codegen.expression import number
 from nsmodel.codegen.jets import C
 from nsmodel.pieces.jets import Jets, Line
-from nsmodel.pieces.printed import first_value
+from nsmodel.pieces.printed import first_value, summed
 
 LINEAR = frozenset("sum difference minus scaled over shifted".split())
 CHOSEN = frozenset("guarded chosen equal".split())
@@ -78,6 +78,23 @@ class Printer:
             + self._function(f"{again}later", f", int k{given}", self._later(known), targets)
             for again, known in made
         )
+
+    def sizes(self) -> str:
+        """``part_sizes(s)``: what the arguments of switches are the sums of, as in `pieces.expansion`; "" without switches."""
+        if not self.jets.branches:
+            return ""
+        of = {0: ZERO, 1: "s->at.size_x[{i}] + RESTS*s->pushed[{i}]", 2: "s->at.size_l[{i}]", 3: ZERO}
+        lines, value = self._first(self.standing)
+        lines = [line for line in lines if line.startswith("const double ")]
+        made = {row: of[which].format(i=i) for (which, i), row in self.jets.inputs.items()} | dict.fromkeys(
+            self.jets.numbers, "0.0"
+        )
+        made |= {line.y: summed(line, "b{}".format, C) or ZERO for line in self.jets.lines}
+        lines += [f"const double b{row} = max_of(fabs({value[row]}), {text});" for row, text in made.items() if row in value]
+        for i, branch in enumerate(self.jets.branches, self.offset):
+            lines.append(f"s->at.size_switches[{i}] = max_of(s->at.size_switches[{i}], b{branch.row});")
+        body = "".join(f"    {line}\n" for line in _used(["double *const c = s->c[0];", *lines]))
+        return f"static void {self.part}_sizes(model_pieces *s)\n{{\n{body}    (void)c;\n}}\n\n"
 
     def _function(self, name: str, more: str, made: tuple[list[str], dict[int, str]], targets: list[str]) -> str:
         lines, value = made
@@ -168,6 +185,13 @@ class Printer:
 
     def _row(self, row: int) -> str:
         return f"s->c[0] + {self.column[row]}"
+
+
+def sizes_of_switches(printers: Mapping[str, Printer]) -> str:
+    """``sizes_of_switches(s)``, which calls those of the parts; "" without switches."""
+    texts = {name: text for name, printer in printers.items() if (text := printer.sizes())}
+    calls = "".join(f"    {name}_sizes(s);\n" for name in texts)
+    return "".join(texts.values()) + (f"static void sizes_of_switches(model_pieces *s)\n{{\n{calls}}}\n" if texts else "")
 
 
 def _degrees(jets: Jets, given: Mapping[int, int]) -> dict[int, int]:

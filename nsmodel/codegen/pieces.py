@@ -15,7 +15,7 @@ from nsmodel.codegen import constants, statuses
 from nsmodel.codegen.expression import c_function
 from nsmodel.codegen.fragments import FOLDER, comment, fragment, guard, prefixed, pruned
 from nsmodel.codegen.jets import kernels
-from nsmodel.codegen.piece_jets import CURVED, Columns, Printer
+from nsmodel.codegen.piece_jets import CURVED, Columns, Printer, sizes_of_switches
 from nsmodel.codegen.tables import table
 from nsmodel.errors import CodegenError
 from nsmodel.model.base import Model
@@ -24,6 +24,7 @@ from nsmodel.pieces.jets import jets_of
 from nsmodel.pieces.lengths import LARGEST_ORDER
 from nsmodel.pieces.modes import ORDERS
 from nsmodel.pieces.multipliers import SHORT, SINGULAR, is_monotone
+from nsmodel.pieces.sizes import moves
 from nsmodel.pieces.sliding import with_modes
 from nsmodel.proof.sure import sure
 from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven
@@ -200,21 +201,11 @@ def code(scene: PieceScene, name: str, title: str, *, runs: bool) -> str:
     own += prefixed(_records(scene), name) if runs else ""
     text = "\n".join(
         [
-            fragment("pieces_prelude.c", scene.flags, words), parts[0], _FINITE, own, *parts[1:],
+            fragment("pieces_prelude.c", scene.flags, words), parts[0], own, *parts[1:],
             *(fragment(f"{part}.c", scene.flags, words) for part in more),
         ]
     )  # fmt: skip
     return pruned(text)
-
-
-_FINITE = """static int all_finite(int n, const double *x)
-{
-    for (int i = 0; i < n; i++)
-        if (!is_finite(x[i]))
-            return 0;
-    return 1;
-}
-"""
 
 
 def _words(scene: PieceScene, name: str, title: str, shared: str | None) -> dict[str, str]:
@@ -252,9 +243,11 @@ def _own(scene: PieceScene) -> str:
     given = {"t": p.t, "x": p.x, "l": p.l} | own
     parts.append(_printed("equations", given, {"rate": p.f + p.g, "y": p.h}))
     parts.append(_printed("rounding", given, {"bound": error_bound(ca.densify(p.f + p.g), ca.veccat(p.t, p.x, p.l))}))
+    sizes, moved = moves(p)
+    parts.append(_printed("moves", sizes | own, {"moved": moved}))
     if "SLOPES" in flags:
         parts.append(_printed("slopes", given, dict(zip("BDC", scene.slopes, strict=True))))
-    parts.append(_printed("start", own, {"x": ca.SX(p.x0)}))
+    parts += [_printed("start", own, {"x": ca.SX(p.x0)}), sizes_of_switches(scene.printers)]
     numbers = [f"    s->c[0][{column}] = {value!r};\n" for column, value in scene.columns.numbers.items()]
     first = scene.sizes["N"] + 2 * m + 1
     numbers += [f"    s->c[0][{first + i}] = s->p[{i}];\n" for i in range(len(scene.values))]
@@ -311,6 +304,7 @@ def _tables(scene: PieceScene) -> str:
         lines.append(_sparse("D", D, "column"))
     if C is not None and "SLOPES" not in flags:
         lines.append(_sparse("C", C, "column"))
+        lines.append(_sparse("W", np.abs(C) @ np.abs(sure(B)), "column"))
     if B is not None and D is not None and C is not None:
         if "DIAGONAL" in flags:
             lines.append(table("inverse", 1 / np.diag(C @ B), "M", "1/W_ii"))

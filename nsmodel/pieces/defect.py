@@ -13,6 +13,7 @@ from nsmodel.pieces.bernstein import slope, value
 from nsmodel.pieces.lengths import LOCAL, MULTIPLIERS
 from nsmodel.pieces.modes import Place
 from nsmodel.pieces.multipliers import NOTHING
+from nsmodel.pieces.sizes import ROUNDING
 from nsmodel.pieces.system import System
 from nsmodel.proof.buffered import attached
 from nsmodel.scheme.continuous import ContinuousProblem
@@ -20,7 +21,6 @@ from nsmodel.solve.rounding import error_bound
 
 POINTS = (0.6, 0.95)  # Of a piece.
 SEEN, SEEN_ROW = 1e-14, 1e-12  # Shares of what a residual is made of that are rounding.
-ROUNDING = 8 * 2.0**-53  # c u, of the bound of running error analysis.
 
 
 class Equations:
@@ -51,11 +51,24 @@ class Equations:
         return ROUNDING * np.array(self._bound(*self._given)).ravel()
 
 
-def defect(system: System, place: Place, of: Equations, s: float, p: int, rtol: float, atol: list[float]) -> float:
-    """An estimate of the local error in units of rtol, from |x' - f - g|, |y_a| and l in slip at points of the piece.
+def coming(system: System, place: Place, of: Equations, s: float) -> list[float]:
+    """What states that begin at 0 come to at s of their series, and what f moves them by there: others 0.
 
-    A series cut after order p has the defect r s^p, which integrates to r(s) s/(p + 1). With blocks that slip, its part along g_l
-    of held rows is one of l.
+    A motion that begins beyond the order is nothing on the piece, which says nothing of how large it is to be.
+    """
+    x, l = ([value(row, s) for row in rows] for rows in (system.x, system.push))
+    velocity, _ = of(place.t + place.tau * s, x, l)
+    both = zip(system.x, x, place.tau * s * np.abs(velocity), strict=True)
+    return [0.0 if row[0] else max(abs(v), float(w)) for row, v, w in both]
+
+
+def defect(
+    system: System, place: Place, of: Equations, s: float, p: int, rtol: float, atol: list[float], later: list[float]
+) -> float:
+    """An estimate of the local error in units of rtol, from |x' - f - g|, |y_a| and l at points of the piece.
+
+    A series cut after order p has the defect r s^p, which integrates to r(s) s/(p + 1). What lies along g_l of held rows is an
+    error of l: where x rests it is all that the end of a series of l leaves. ``later``: see `coming`.
     """
     tau, sizes, worst = place.tau, system.sizes, 0.0
     held = [i for i, code in enumerate(place.codes) if code == 0]
@@ -68,27 +81,27 @@ def defect(system: System, place: Place, of: Equations, s: float, p: int, rtol: 
         for block in slipping:
             l[block.at[0] : block.at[-1] + 1] = block.pushing(at)
         velocity, y = of(place.t + tau * at, x, l)
-        off, of_l, pushed = _split(system, place, np.array(rate) - tau * velocity, l)
-        for i, d in of_l:
-            if size := max(system.size_l(i), abs(l[i])):
-                worst = max(worst, (abs(d) / tau - SEEN_ROW * size) / (MULTIPLIERS * rtol * size))
-        for i, (v, w, missed) in enumerate(zip(rate, velocity, off, strict=True)):
-            goal = rtol * max(sizes.x[i], abs(x[i]), abs(v * s)) + atol[i]
-            seen, least = abs(missed), share**p * (p + 1) / s * goal / LOCAL if s else math.inf
-            if not seen <= LOCAL * least:
-                seen -= SEEN * (slope([abs(c) for c in rows[i]], at) + tau * (abs(w) + pushed[i]))
-            if not seen <= least:
-                seen -= tau * of.rounding()[i]
-            if not seen <= 0:
-                worst = max(worst, seen / (least * LOCAL) if least and seen == seen else math.inf)
+        largest = [max(*of_i, abs(v * s)) for *of_i, v in zip(sizes.x, later, map(abs, x), rate, strict=True)]
+        goals = [rtol * size + more + NOTHING for size, more in zip(largest, atol, strict=True)]
+        most = [share**p * (p + 1) / s * goal / LOCAL if s else math.inf for goal in goals]
+        off = np.array(rate) - tau * velocity
+        missed = math.inf if system.blocks.all else _missed(off, most, rows, at, tau, of, np.abs(velocity))
+        if not missed <= 1:
+            off, of_l = _split(system, place, off)
+            missed = _missed(off, most, rows, at, tau, of, np.abs(velocity) + _pushed(system, l))
+            for i, d in of_l:
+                if size := max(system.size_l(i), abs(l[i])):
+                    worst = max(worst, (abs(d) / tau - SEEN_ROW * size) / (MULTIPLIERS * rtol * size))
+        worst = max(worst, missed / LOCAL)
         for i in held:
             if y[i]:
                 size = max(sizes.y[i], system.terms(i, x, l))
-                if system.blocks.all:
-                    size = max(size, tau * at * float(np.abs(system.slopes()[2][i]) @ pushed))
                 beyond, goal = abs(y[i]) - SEEN_ROW * size, MULTIPLIERS * rtol * size
                 if beyond > goal / LOCAL:
-                    beyond -= float(np.abs(system.slopes()[2][i]) @ (tau * at * of.rounding()))
+                    moved = tau * at * np.abs(system.slopes()[2][i])
+                    size = max(size, float(moved @ _pushed(system, l)))
+                    beyond = abs(y[i]) - SEEN_ROW * size - float(moved @ of.rounding())
+                    goal = MULTIPLIERS * rtol * size
                 worst = max(worst, beyond / (goal + NOTHING))
         for block in slipping:
             rounding = ROUNDING * max(map(system.size_y, block.at))
@@ -96,20 +109,33 @@ def defect(system: System, place: Place, of: Equations, s: float, p: int, rtol: 
     return float(worst)
 
 
-def _split(
-    system: System, place: Place, off: np.ndarray, l: list[float]
-) -> tuple[np.ndarray, list[tuple[int, float]], np.ndarray]:
-    """What x' - f - g is beside the part along g_l of held rows; that part, of each l; the size of what multipliers add to x'.
+def _missed(
+    off: np.ndarray, most: list[float], rows: list[list[float]], at: float, tau: float, of: Equations, rates: np.ndarray
+) -> float:
+    """The largest share that ``off`` is of what it may be at ``most``, beyond rounding; ``rates``: what x' is the sum of."""
+    worst = 0.0
+    for i, (missed, least) in enumerate(zip(off, most, strict=True)):
+        seen = abs(missed)
+        if not seen <= LOCAL * least:
+            seen -= SEEN * (slope([abs(c) for c in rows[i]], at) + tau * rates[i])
+        if not seen <= least:
+            seen -= tau * of.rounding()[i]
+        if not seen <= 0:
+            worst = max(worst, seen / least if least and seen == seen else math.inf)
+    return worst
 
-    Without blocks that slip it is left as it is.
-    """
-    if not system.blocks.all:
-        return off, [], np.zeros(system.n)
+
+def _pushed(system: System, l: list[float]) -> np.ndarray:
+    """The size of what multipliers add to x'."""
+    return np.abs(system.slopes()[0]) @ np.abs(l)
+
+
+def _split(system: System, place: Place, off: np.ndarray) -> tuple[np.ndarray, list[tuple[int, float]]]:
+    """What x' - f - g is beside the part along g_l of held rows; that part, of each l."""
     how = system.solve(place.codes)
     B, _, C = system.slopes()
-    pushed = np.abs(B) @ np.abs(l)
     if how.through is None:
-        return off, [], pushed
+        return off, []
     rows = list(how.active)
     moved = np.array(how.through) @ (C[rows] @ off)
-    return off - B[:, rows] @ moved, list(zip(rows, moved.tolist(), strict=True)), pushed
+    return off - B[:, rows] @ moved, list(zip(rows, moved.tolist(), strict=True))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from nsmodel.errors import StepError
-from nsmodel.pieces.defect import Equations, defect
+from nsmodel.pieces.defect import Equations, coming, defect
 from nsmodel.pieces.lengths import LOCAL
 from nsmodel.pieces.modes import Place
 from nsmodel.pieces.multipliers import Solve
@@ -24,10 +24,13 @@ def ending(
     Raises:
         StepError: its error is above 1, however short it is.
     """
-    error = math.inf
-    for _ in range(SHORTENINGS):
+    error, later = math.inf, [0.0] * system.n
+    for shortened in range(SHORTENINGS):
         hit, end = first_event(system, place, how, p, s)
-        error = LOCAL * defect(system, place, of, end, p, rtol, atol)
+        error = LOCAL * defect(system, place, of, end, p, rtol, atol, later)
+        if not shortened and not error <= 1:
+            later = coming(system, place, of, end)
+            error = LOCAL * defect(system, place, of, end, p, rtol, atol, later)
         if error <= 1:
             return hit, end, error
         s = end * min(0.5, CAUTION * error ** (-1 / p))

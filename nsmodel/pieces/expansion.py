@@ -12,15 +12,9 @@ import numpy as np
 
 from nsmodel.pieces import series
 from nsmodel.pieces.jets import Jets
-from nsmodel.pieces.printed import PYTHON, Dialect, first, later
+from nsmodel.pieces.printed import PYTHON, Dialect, first, later, summed
 
 _KNOWN = series.RECURRENCES | series.STARTS | {name: getattr(np, name) for name in ("floor", "ceil", "trunc", "rint")}
-
-_SUMS: dict[str, Callable[..., float]] = {
-    "sum": lambda a, b, _: a + b, "difference": lambda a, b, _: a + b, "shifted": lambda a, number: a + number,
-    "minus": lambda a, _: a, "scaled": lambda a, number: number * a, "over": lambda a, number: a / number,
-    "product": lambda a, b, _: a * b, "square": lambda a, _: a * a,
-}  # fmt: skip
 
 
 class Expansion:
@@ -44,6 +38,7 @@ class Expansion:
         self.choice = [math.nan] * len(jets.branches)
         self.outputs = [self.rows[row] for row in jets.outputs]
         self._first, self._later = compiled(jets, self.rows, self.choice, PYTHON, _KNOWN)
+        self._summed = _summed(jets)
 
     def compute(self, k: int) -> None:
         """Compute order k of all rows."""
@@ -62,10 +57,7 @@ class Expansion:
         size = [abs(row[0]) for row in self.rows]
         for place, row in self.jets.inputs.items():
             size[row] = max(size[row], inputs[place])
-        for line in self.jets.lines:
-            if line.kind in _SUMS:
-                total = _SUMS[line.kind](*(size[row] for row in line.args), abs(line.number))
-                size[line.y] = max(size[line.y], total)
+        self._summed(size)
         return [size[branch.row] for branch in self.jets.branches]
 
 
@@ -87,3 +79,12 @@ def compiled(jets: Jets, rows: list[list[Any]], choice: list[Any], language: Dia
     text = f"def make(rows, choice):\n    [{', '.join(names)}] = rows\n" + "\n".join(bodies) + "\n    return first, later\n"
     exec(compile(text, "<series>", "exec"), dict(known), made)
     return made["make"](rows, choice)
+
+
+def _summed(jets: Jets) -> Callable[[list[float]], None]:
+    """What makes the sizes of rows those of the sums that they are."""
+    texts = ((line.y, summed(line, "size[{}]".format, PYTHON)) for line in jets.lines if jets.branches)
+    lines = [f"    size[{y}] = max(size[{y}], {text})\n" for y, text in texts if text]
+    made: dict = {}
+    exec(compile("def sizes(size):\n" + ("".join(lines) or "    pass\n"), "<sizes>", "exec"), made)
+    return made["sizes"]

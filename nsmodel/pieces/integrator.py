@@ -111,7 +111,7 @@ class Integrator:
         piece = Piece(place.t, tau, s, x, l, y, tuple(place.codes), error, last, self._begun)
         self._begun = self._begun if s == 0 else None
         self.redundant += how.null is not None and how.null.shape[1] > 0
-        grow(system, s)
+        grow(system, s, min(longest, tau * s))
         place.t, place.x, place.open = place.t + tau * s, last, set()
         if hit is None and not reaches(place.t, known):
             self._hold(how)
@@ -185,7 +185,7 @@ class Integrator:
             how = system.expand(place.t, place.x, place.codes, place.tau, self.order)
             s = self._length(how) if how is not None else 1.0
             if found is not None and s >= TOO_SHORT:
-                grow(system, 0.0)
+                grow(system, 0.0, 0.0)
                 self._refuse_rivals()
                 return
             if found is None and (p := jump(system, place)) is not None:

@@ -7,7 +7,8 @@ from itertools import accumulate
 from operator import mul
 from typing import NamedTuple
 
-from nsmodel.pieces.multipliers import Solve
+from nsmodel.pieces.multipliers import NOTHING, Solve
+from nsmodel.pieces.sizes import ROUNDING
 from nsmodel.pieces.system import System
 
 LARGEST_ORDER = 30
@@ -29,14 +30,15 @@ def length(system: System, codes: list[int], how: Solve, p: int, rtol: float, at
     """The length of the piece in tau; a row's size is that on the piece too."""
     sizes, known = system.sizes, p if how.index == 1 else p - 1
     y_floor, l_floor = (SMALL * max(of, default=0.0) for of in (sizes.y, sizes.l))
-    rows = [_Row.of(row, p, rtol, size, more) for row, size, more in zip(system.x, sizes.x, atol, strict=True)]
+    pushed = (ROUNDING * system.pushed() + NOTHING).tolist()
+    rows = [_Row.of(row, p, rtol, *more) for row, *more in zip(system.x, sizes.x, atol, pushed, strict=True)]
     for i, code in enumerate(codes):
         row, orders, size = system.l[i], known, max(sizes.l[i], l_floor)
         if code:
             if i in system.blocks.of:
-                rows.append(_Row.of(row, orders, MULTIPLIERS * rtol, size, 0.0))
+                rows.append(_Row.of(row, orders, MULTIPLIERS * rtol, size))
             row, orders, size = system.y[i], p, max(sizes.y[i], y_floor)
-        rows.append(_Row.of(row, orders, MULTIPLIERS * rtol, size, 0.0))
+        rows.append(_Row.of(row, orders, MULTIPLIERS * rtol, size))
     s = 0.0
     for _ in range(PASSES):
         before, s = s, _shortest(rows, s)
@@ -61,31 +63,33 @@ def unit(tau: float) -> float:
 
 
 class _Row(NamedTuple):
-    """A row's coefficients, how many are known, what it is asked for, its size so far; the sizes of its first coefficients."""
+    """A row's coefficients, how many are known, what it is asked for, its size so far, rounding; the sizes of its first ones."""
 
     c: list[float]
     known: int
     rtol: float
     so_far: float
     more: float
+    rounding: float
     first: list[float]
 
     @classmethod
-    def of(cls, c: list[float], known: int, rtol: float, so_far: float, more: float) -> _Row:
-        return cls(c, known, rtol, so_far, more, list(map(abs, c[: known // 2])))
+    def of(cls, c: list[float], known: int, rtol: float, so_far: float, more: float = 0.0, rounding: float = 0.0) -> _Row:
+        return cls(c, known, rtol, so_far, more, rounding, list(map(abs, c[: known // 2])))
 
 
 def _shortest(rows: list[_Row], s: float) -> float:
     """The longest s with |c_p| s^p and |c_(p-1)| s^(p-1) at most rtol of the size, in all rows.
 
-    A row's size is its largest so far, and on a piece of length ``s``; of a row of size 0 it is its first term.
+    A row's size is its largest so far, and on a piece of length ``s``; of one of size 0 it is its first
+    term, and where that is none of the first half later terms are at most that.
     """
     powers = list(accumulate([s] * (max((row.known for row in rows), default=0) // 2), mul, initial=1.0))
     least: dict[int, float] = {}  # {order: the least of what s to this power may be}
-    for c, p, rtol, so_far, more, beginning in rows:
+    for c, p, rtol, so_far, more, rounding, beginning in rows:
         size = max(so_far, max(map(mul, beginning, powers), default=0.0))
-        first = next((k for k in range(p - 1) if c[k]), p) if size + more == 0 else 0
-        goal = rtol * abs(c[first]) if first else rtol * size + more
+        first = next((k for k in range(p) if c[k]), p) if size + more == 0 else 0
+        goal = max((rtol if first < p // 2 else 1.0) * abs(c[first]) if first else rtol * size + more, rounding)
         for k in (p, p - 1):
             a = abs(c[k])
             if a and k > first and goal / a < least.get(k - first, math.inf):

@@ -61,8 +61,8 @@ def take_sides(system: System, place: Place) -> None:
         place.codes[i] = int(codes[0]) if len(codes) == 1 and i not in system.blocks.of else 0
 
 
-def valid(system: System, place: Place, before: tuple) -> Iterator[tuple[Solve, list[list[float]], float]]:
-    """All modes of the open switches, where these are few, in which all germs are valid, with their x and their `pace`."""
+def valid(system: System, place: Place, before: tuple) -> Iterator[tuple[Solve, list[list[float]], np.ndarray, float]]:
+    """All modes of the open switches, where these are few, in which all germs are valid: x, how l pushes it, `pace`."""
     opened = sorted(before[2])
     if len(opened) > FEW:
         return
@@ -71,7 +71,7 @@ def valid(system: System, place: Place, before: tuple) -> Iterator[tuple[Solve, 
         for switch, code in zip(opened, codes, strict=True):
             turn(system, place, switch, code)
         if (how := _expand(system, place)) is not None and not (system.apart(how) or list(_wrong(system, place, how))):
-            yield how, [row[: ORDERS + 1] for row in system.x], pace(system)
+            yield how, [row[: ORDERS + 1] for row in system.x], system.pushed(), pace(system)
 
 
 def jump(system: System, place: Place) -> np.ndarray | None:
@@ -112,7 +112,8 @@ def uniqueness(system: System, place: Place) -> tuple[str, str]:
 
     It is proved where the open rows' matrix, the others held or let go as they are, is a P-matrix (Cottle, Pang and Stone 1992,
     Theorem 3.3.7), of curved blocks a definite one, or the model is monotone (`multipliers.is_monotone`), and nothing but rows is
-    open; else all modes of the open switches are tried, where these are few.
+    open; else all modes of the open switches are tried, where these are few. Their x is known to rounding of its size so far, and
+    of what l pushes it by: in stick f takes that back.
     """
     opened = [i for kind, i in sorted(place.open) if kind == ROW]
     rows = [row for i in opened for row in system.blocks.rows_of(i)]
@@ -122,15 +123,22 @@ def uniqueness(system: System, place: Place) -> tuple[str, str]:
     if len(place.open) > FEW:
         return UNDECIDED, ""
     before = _state(system, place)
-    found = [(list(place.codes), x, share) for _, x, share in valid(system, place, before)]
+    _expand(system, place)
+    own, pushed, share, split = [row[: ORDERS + 1] for row in system.x], system.pushed(), pace(system), ""
+    for _, x, push, its in valid(system, place, before):
+        rounding = TIE * (np.maximum(pushed, push) + system.sizes.x)
+        if any(_apart(a, b, min(share, its), least) for a, b, least in zip(own, x, rounding, strict=True)):
+            split = f"{before[0]} and {place.codes}"
+            break
     _restore(system, place, before)
     _expand(system, place)
-    for (one, x, r), (other, z, q) in itertools.combinations(found, 2):
-        for a, b, so_far in zip(x, z, system.sizes.x, strict=True):
-            a, b = ([v * min(r, q) ** k for k, v in enumerate(row)] for row in (a, b))
-            if max(abs(p - q) for p, q in zip(a, b, strict=True)) > APART * max(map(abs, a + b)) + TIE * so_far:
-                return SPLIT, f"{one} and {other}"
-    return AGREE, ""
+    return (SPLIT, split) if split else (AGREE, "")
+
+
+def _apart(a: list[float], b: list[float], share: float, least: float) -> bool:
+    """Whether two germs are not the same, in a share of the unit of time."""
+    a, b = ([v * share**k for k, v in enumerate(row)] for row in (a, b))
+    return max(abs(p - q) for p, q in zip(a, b, strict=True)) > APART * max(map(abs, a + b)) + least
 
 
 def pace(system: System) -> float:

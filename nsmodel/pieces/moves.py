@@ -2,21 +2,37 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
+import numpy as np
+
 from nsmodel.pieces.modes import Place, turn
-from nsmodel.pieces.multipliers import least_motion
-from nsmodel.pieces.switches import ROW
+from nsmodel.pieces.multipliers import generalised_inverse, least_motion
+from nsmodel.pieces.sizes import ROUNDING
+from nsmodel.pieces.switches import ROW, TIE
 from nsmodel.pieces.system import System
 
 PROJECTIONS = 3  # Iterations.
 
 
 def project(system: System, place: Place, rows: tuple[int, ...]) -> None:
-    """Move x so that what no l acts on directly is 0 in ``rows``, by Newton's method along the least motion."""
+    """Move x so that what no l acts on directly is 0 in ``rows``, by Newton's method along the least motion.
+
+    Where y is rounding x moves by no more: rows that are nearly parallel would move it by many times that.
+    """
+    a = list(rows)
     for _ in range(PROJECTIONS):
-        held, slope = system.held(rows)
+        _, D, C = system.slopes()
+        U, y = _free(D[np.ix_(a, a)].tobytes(), len(a)), np.array([system.y[i][0] for i in a])
+        held = U.T @ y
         if not held.any():
             return
-        place.x = [float(x - d) for x, d in zip(place.x, least_motion(slope, held), strict=True)]
+        motion = least_motion(U.T @ C[a], held)
+        x, l = (np.abs([row[0] for row in of]) for of in (system.x, system.push))
+        terms = np.abs(C[a]) @ x + np.abs(D[a]) @ l
+        if (np.abs(y) <= ROUNDING * terms).all() and (np.abs(motion) > TIE * np.maximum(x, system.sizes.x)).any():
+            return
+        place.x = [float(x - d) for x, d in zip(place.x, motion, strict=True)]
         system.expand(place.t, place.x, place.codes, place.tau, 1)
 
 
@@ -32,3 +48,9 @@ def stick(system: System, place: Place) -> None:
     for block in system.blocks.released:
         place.open.add((ROW, block.first))
         turn(system, place, (ROW, block.first), 0)
+
+
+@lru_cache(maxsize=64)
+def _free(D: bytes, rows: int) -> np.ndarray:
+    """The left null space of D."""
+    return generalised_inverse(np.frombuffer(D).reshape(rows, rows))[1]

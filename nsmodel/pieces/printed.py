@@ -44,6 +44,18 @@ PYTHON = Dialect(
     },
 )
 _LINEAR = {"sum": "{0} + {1}", "difference": "{0} - {1}", "minus": "-{0}", "scaled": "{number}*{0}", "over": "{0}/{number}"}
+# What a row is the sum of, in size, where its arguments may cancel.
+_SUMMED = {
+    "sum": "{0} + {1}", "difference": "{0} + {1}", "shifted": "{0} + {number}", "minus": "{0}", "scaled": "{number}*{0}",
+    "over": "{0}/{number}", "product": "{0}*{1}", "square": "{0}*{0}",
+}  # fmt: skip
+
+
+def summed(line: Line, size: Callable[[int], str], language: Dialect) -> str | None:
+    """What order 0 of a line is the sum of, in size; None: itself. ``size``: that of a row."""
+    if line.kind not in _SUMMED:
+        return None
+    return _SUMMED[line.kind].format(*map(size, line.args), number=language.number(abs(line.number)))
 
 
 def first(jets: Jets, language: Dialect) -> list[str]:

@@ -3,6 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.model.expressions import derivatives
+from nsmodel.scheme.continuous import ContinuousProblem
+
+NEGLIGIBLE = 1e-6  # Of what moves a state on a piece.
+ROUNDING = 8 * 2.0**-53  # c u, of the bound of running error analysis: of what a number is the sum of, that much is rounding.
 
 
 @dataclass
@@ -13,3 +23,33 @@ class Sizes:
     y: list[float]
     l: list[float]
     switches: list[float]
+
+
+class Negligible:
+    """``of(t, x, l, sizes, time)``: a part of what x and l of their sizes move each x by in this time, to first order at a point.
+
+    What moves by less is measured beside it: the same in all units of each x.
+    """
+
+    def __init__(self, problem: ContinuousProblem) -> None:
+        self._problem = problem
+
+    @cached_property
+    def _moves(self) -> ca.Function:
+        given, moved = moves(self._problem)
+        return ca.Function("moves", list(given.values()), [moved])
+
+    def __call__(self, t: float, x: list[float], l: list[float], sizes: Sizes, time: float) -> list[float]:
+        """0 where there is no number."""
+        found = np.array(self._moves(t, x, l, sizes.x, sizes.l)).ravel()
+        return np.where(np.isfinite(found), NEGLIGIBLE * time * found, 0.0).tolist()
+
+
+def moves(problem: ContinuousProblem) -> tuple[dict[str, ca.SX], ca.SX]:
+    """t, x, l and sizes of x and l; by what states and multipliers of these sizes move each x in the unit of time."""
+    p = problem
+    of_x, of_l = ca.SX.sym("of_x", p.x.numel()), ca.SX.sym("of_l", p.l.numel())
+    rate = p.f + p.g
+    moved = ca.fabs(derivatives(rate, p.x)) @ of_x
+    moved = moved + ca.fabs(derivatives(rate, p.l)) @ of_l if p.l.numel() else moved
+    return {"t": p.t, "x": p.x, "l": p.l, "of_x": of_x, "of_l": of_l}, moved

@@ -13,7 +13,7 @@ from typing import NamedTuple
 from nsmodel.pieces.bernstein import value
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.sliding import Block
-from nsmodel.pieces.system import System
+from nsmodel.pieces.system import RESTS, System
 
 ROW = "row"
 Switch = tuple[str, int]  # (ROW, i), or (part, its branch)
@@ -72,17 +72,19 @@ def _size_of_switch(system: System, switch: Switch) -> float:
 
 def _terms_of_switches(system: System) -> list[float]:
     """What the arguments of switches are the sums of, with the largest states and multipliers so far."""
-    both = ((1, system.sizes.x), (2, system.sizes.l))
+    both = ((1, system.sizes.x + RESTS * system.pushed()), (2, system.sizes.l))
     given = {(0, 0): abs(system.t[0])} | {(which, i): size for which, sizes in both for i, size in enumerate(sizes)}
     return [size for part in system.parts.values() for size in part.terms(given)]
 
 
-def grow(system: System, s: float) -> None:
-    """Note what the rows come to on a piece of length s."""
+def grow(system: System, s: float, length: float) -> None:
+    """Note what the rows come to at s of a piece, and what moves x in the time ``length`` of a series."""
     sizes = system.sizes
     for rows, largest in ((system.x, sizes.x), (system.y, sizes.y), (system.l, sizes.l)):
         for i, row in enumerate(rows):
             largest[i] = max(largest[i], abs(value(row, s)), abs(row[0]))
+    least = system.negligible(system.t[0], [row[0] for row in system.x], [row[0] for row in system.push], sizes, length)
+    sizes.x[:] = [max(both) for both in zip(sizes.x, least, strict=True)]
     if system.branches:
         sizes.switches[:] = [max(both) for both in zip(sizes.switches, _terms_of_switches(system), strict=True)]
 

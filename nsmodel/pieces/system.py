@@ -23,10 +23,10 @@ import numpy as np
 from nsmodel.model.expressions import derivatives
 from nsmodel.pieces.expansion import Expansion
 from nsmodel.pieces.jets import jets_of
-from nsmodel.pieces.multipliers import Solve, clear, generalised_inverse, is_monotone, is_p, solve_of, times
+from nsmodel.pieces.multipliers import Solve, clear, is_monotone, is_p, solve_of, times
 from nsmodel.pieces.release import Release
 from nsmodel.pieces.settled import moved_share, stays
-from nsmodel.pieces.sizes import Sizes
+from nsmodel.pieces.sizes import Negligible, Sizes
 from nsmodel.pieces.sliding import Blocks
 from nsmodel.pieces.slopes import at_points, numbers
 from nsmodel.pieces.straight import sums, terms_of
@@ -37,6 +37,7 @@ SETTLED = 1e-14
 KEPT = 1000  # Modes with their slopes whose matrices are kept.
 HELD_ORDERS = 4  # Orders of a row that nothing acts on, and that must be 0.
 LITTLE = 1e-6  # Of the largest multiplier: a smaller one is measured beside that.
+RESTS = 1e-3  # Of what l pushes by in the unit of time: where x rests all the same, TIE of it is rounding.
 AT_ZERO = 1e-9  # Of the terms of y_i: a row that is held is not further from 0.
 
 
@@ -57,6 +58,7 @@ class System:
         width = orders + 1
         self.t = [0.0] * width
         self.x, self.l, self.y = ([[0.0] * width for _ in range(size)] for size in (self.n, self.m, self.m))
+        self.negligible = Negligible(problem)
         self.blocks = Blocks(problem, self.l, self.y)
         self.push = self.blocks.push
         self.inputs = given = (
@@ -80,8 +82,7 @@ class System:
         self._from_rest: Release | None = None
         self._known: dict[tuple, Solve] = {}
         self._p: dict[tuple, bool] = {}
-        self._null: dict[tuple, np.ndarray] = {}
-        self._absolute: dict[int, tuple[list[tuple[int, float]], list[tuple[int, float]]]] = {}
+        self._absolute: dict[int, tuple[list[tuple[int, float]], ...]] = {}
 
     @cached_property
     def middle(self) -> list[float]:
@@ -207,8 +208,13 @@ class System:
         return [i for i in how.active if abs(self.y[i][0]) > AT_ZERO * max(self.size_y(i), motion[i])]
 
     def size_y(self, i: int) -> float:
-        """What y_i is measured beside: the largest so far, and what it is the sum of."""
-        return max(self.sizes.y[i], self.terms(i))
+        """What y_i is measured beside: the largest so far, what it is the sum of, and a part of what l pushes it by."""
+        pushed = abs(self.t[1]) * sum(a * abs(self.push[j][0]) for j, a in self._sizes_of(i)[2])
+        return max(self.sizes.y[i], self.terms(i) + RESTS * pushed)
+
+    def pushed(self) -> np.ndarray:
+        """By what multipliers push each x (n,) in the unit of time, in size: in stick f takes that back."""
+        return abs(self.t[1]) * np.abs(self.slopes()[0]) @ [abs(row[0]) + abs(row[1]) for row in self.push]
 
     def size_l(self, i: int) -> float:
         """What l_i is measured beside: the largest so far, and a part of the largest of all."""
@@ -217,16 +223,16 @@ class System:
     def terms(self, i: int, x: Sequence[float] = (), l: Sequence[float] = ()) -> float:
         """The size of what y_i is the sum of, with the largest states and multipliers so far, and these."""
         total = 0.0
-        for entries, sizes, now in zip(self._sizes_of(i), (self.sizes.x, self.sizes.l), (x, l), strict=True):
+        for entries, sizes, now in zip(self._sizes_of(i)[:2], (self.sizes.x, self.sizes.l), (x, l), strict=True):
             for j, a in entries:
                 total += a * (max(sizes[j], abs(now[j])) if now else sizes[j])
         return total
 
-    def _sizes_of(self, i: int) -> tuple[list[tuple[int, float]], list[tuple[int, float]]]:
-        """What is not 0 of |C_i| and |D_i|."""
-        if self.C is None or self.D is None or i not in self._absolute:
-            _, D, C = self.slopes()
-            self._absolute[i] = terms_of(np.abs(C[i : i + 1]), 1)[0], terms_of(np.abs(D[i : i + 1]), 1)[0]
+    def _sizes_of(self, i: int) -> tuple[list[tuple[int, float]], ...]:
+        """What is not 0 of |C_i|, |D_i| and |C_i| |B|."""
+        if self.B is None or self.C is None or self.D is None or i not in self._absolute:
+            B, D, C = map(np.abs, self.slopes())
+            self._absolute[i] = tuple(terms_of(rows, 1)[0] for rows in (C[i : i + 1], D[i : i + 1], C[i : i + 1] @ B))
         return self._absolute[i]
 
     @cached_property
@@ -244,16 +250,6 @@ class System:
             B, D, C = self.slopes()
             self._p[key] = is_p(D, C @ B, *map(list, key), definite=any(len(self.blocks.rows_of(i)) > 1 for i in opened))
         return self._p[key]
-
-    def held(self, rows: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-        """(U'y, U'h_x) at order 0: the combinations of ``rows`` that no l of theirs acts on directly."""
-        _, D, C = self.slopes()
-        a = list(rows)
-        key = rows, D.tobytes()
-        if key not in self._null:
-            self._null = ({} if self.D is None else self._null) | {key: generalised_inverse(D[np.ix_(a, a)])[1]}
-        U = self._null[key]
-        return U.T @ np.array([self.y[i][0] for i in a]), U.T @ C[a]
 
     def _release(self, how: Solve) -> Solve | None:
         """Order 0 of l, and order 1 of x, where blocks begin to slip."""

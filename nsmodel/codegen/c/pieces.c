@@ -43,22 +43,36 @@ static int expand_piece(model_pieces *s)
     return expand_finite(s, s->order);
 }
 
-/* A row: its column, how many terms are known, its size so far, and what it is asked for. */
+/* A row: its column, how many terms are known, its size so far, what it is asked for, and what is rounding. */
 typedef struct {
     int column, known;
-    double size, rtol, more;
+    double size, rtol, more, rounding;
 } measured;
 
-/* The length that a row of size 0, measured beside its first term, lets a piece have. */
-static double length_from_0(const model_pieces *s, const measured *row, double longest)
+/* s^k. */
+static double raised_to(double s, int k)
+{
+    double raised = 1;
+    for (; k; k >>= 1) {
+        raised *= k & 1 ? s : 1;
+        s *= s;
+    }
+    return raised;
+}
+
+/* The length that a row of size 0, measured beside its first term, lets a piece have; *late: that is none of the first half. */
+static double length_from_0(const model_pieces *s, const measured *row, int *late)
 {
     const int column = row->column, n = row->known;
+    double longest = LONGEST;
     int k = 0;
-    while (k < n - 1 && s->c[k][column] == 0)
+    while (k < n && s->c[k][column] == 0)
         k++;
-    if (k == n - 1)
+    *late = k >= n/2;
+    if (k == n)
         return longest;
-    const double least = row->rtol*fabs(s->c[k][column]), last = fabs(s->c[n][column]), before = fabs(s->c[n - 1][column]);
+    const double least = max_of((*late ? 1 : row->rtol)*fabs(s->c[k][column]), row->rounding);
+    const double last = fabs(s->c[n][column]), before = fabs(s->c[n - 1][column]);
     if (last != 0)
         longest = min_of(longest, pow(least/last, 1.0/(n - k)));
     if (before != 0 && n - 1 > k)
@@ -75,19 +89,14 @@ static double ratio_on(const model_pieces *s, const measured *row, int k, double
         size = term > size ? term : size;
         raised *= length;
     }
-    return (row->rtol*size + row->more)/fabs(s->c[k][row->column]);
+    return max_of(row->rtol*size + row->more, row->rounding)/fabs(s->c[k][row->column]);
 }
 
 /* The longest s, no longer than this, with s^k at most least[k - first]: roots are drawn where they are shorter alone. */
 static double shortest(const double *least, int first, double s)
 {
     for (int e = 0; e < EXPONENTS; e++) {
-        double raised = 1, square = s;
-        for (int k = first + e; k; k >>= 1) {
-            raised *= k & 1 ? square : 1;
-            square *= square;
-        }
-        if (raised > least[e])
+        if (raised_to(s, first + e) > least[e])
             s = pow(least[e], 1.0/(first + e));
     }
     return s;
@@ -97,15 +106,18 @@ static double shortest(const double *least, int first, double s)
  * The length of the piece in units of time: the last two terms of x, l and y are what is asked for. The size of a row is not less
  * than so far, so that only a row that would be the shortest with that needs its size on the piece.
  */
-static double length_of(const model_pieces *s)
+static double length_of(model_pieces *s)
 {
     measured rows[N + M];
     const int p = s->order;
     int which[EXPONENTS] = {0};
     double ratio[N + M][2], least[EXPONENTS] = {INFINITY, INFINITY, INFINITY}; /* of goal/|c_k|, by k = p - 2, p - 1, p */
-    double length, longest = LONGEST;
+    double length = LONGEST, longest = LONGEST;
+    signed char early[N + M] = {0}; /* rows of size 0 so far that the piece gives a size */
+    int begins = 0;
+    pushes(s, s->pushed);
     for (int i = 0; i < N; i++)
-        rows[i] = (measured){i, p, s->at.size_x[i], s->rtol, s->atol[i]};
+        rows[i] = (measured){i, p, s->at.size_x[i], s->rtol, s->atol[i], ROUNDING*s->pushed[i] + NOTHING};
 #if LAW
     const int known = HOW.through ? p - 1 : p;
     double y_floor = 0, l_floor = 0;
@@ -114,43 +126,51 @@ static double length_of(const model_pieces *s)
         l_floor = max_of(l_floor, SMALL*s->at.size_l[i]);
     }
     for (int i = 0; i < M; i++)
-        rows[N + i] = s->at.codes[i] ? (measured){Y + i, p, max_of(s->at.size_y[i], y_floor), MULTIPLIERS*s->rtol, 0}
-                                     : (measured){L + i, known, max_of(s->at.size_l[i], l_floor), MULTIPLIERS*s->rtol, 0};
+        rows[N + i] = s->at.codes[i] ? (measured){Y + i, p, max_of(s->at.size_y[i], y_floor), MULTIPLIERS*s->rtol, 0, 0}
+                                     : (measured){L + i, known, max_of(s->at.size_l[i], l_floor), MULTIPLIERS*s->rtol, 0, 0};
 #endif
     for (int i = 0; i < N + M; i++) {
         measured *row = &rows[i];
         const double first = fabs(s->c[0][row->column]);
         row->size = first > row->size ? first : row->size;
         const double goal = row->rtol*row->size + row->more;
-        if (goal == 0)
-            longest = length_from_0(s, row, longest);
+        if (goal == 0) {
+            int late;
+            const double first_term = length_from_0(s, row, &late);
+            length = min_of(length, first_term);
+            longest = late ? min_of(longest, first_term) : longest;
+            early[i] = !late;
+            begins |= !late;
+        }
         for (int e = 0; e < 2; e++) {
             const double a = fabs(s->c[row->known - e][row->column]);
             const int at = row->known - e - p + 2;
-            ratio[i][e] = goal != 0 && a != 0 ? goal/a : INFINITY;
+            ratio[i][e] = goal != 0 && a != 0 ? max_of(goal, row->rounding)/a : INFINITY;
             if (ratio[i][e] < least[at]) {
                 least[at] = ratio[i][e];
                 which[at] = i;
             }
         }
     }
-    length = shortest(least, p - 2, longest);
+    length = shortest(least, p - 2, length);
     for (int pass = 1; pass < PASSES; pass++) {
+        const double before = length;
         double now[EXPONENTS];
         for (int e = 0; e < EXPONENTS; e++)
             now[e] = least[e] < INFINITY ? ratio_on(s, &rows[which[e]], p - 2 + e, length) : INFINITY;
-        if (memcmp(now, least, sizeof now) == 0)
+        if (!begins && memcmp(now, least, sizeof now) == 0)
             break;
         for (int i = 0; i < N + M; i++)
             for (int e = 0; e < 2; e++) {
                 const int k = rows[i].known - e;
-                if (ratio[i][e] < now[k - p + 2])
-                    now[k - p + 2] = min_of(now[k - p + 2], ratio_on(s, &rows[i], k, length));
+                const int asked = early[i] ? s->c[k][rows[i].column] != 0 : ratio[i][e] < now[k - p + 2];
+                if (asked)
+                    now[k - p + 2] = min_of(now[k - p + 2], ratio_on(s, &rows[i], k, before));
             }
-        if (memcmp(now, least, sizeof now) == 0)
-            break;
         memcpy(least, now, sizeof now);
         length = shortest(least, p - 2, longest);
+        if (length == before)
+            break;
     }
     return length;
 }
@@ -176,12 +196,51 @@ static double size_of_slope(const model_pieces *s, int i, double at)
     return most;
 }
 
-/* An estimate of the local error in units of rtol, from |x' - f - g| and |y| of held rows at two points of a piece of length s. */
+/* The largest share that off is of what it may be at most, beyond rounding; rates: what x' is the sum of. */
+static double missed_of(model_pieces *s, const double *off, const double *most, double at, const double *rates, int *known)
+{
+    double worst = 0;
+    for (int i = 0; i < N; i++) {
+        double seen = fabs(off[i]);
+        if (!(seen <= LOCAL*most[i]))
+            seen -= SEEN*(size_of_slope(s, i, at) + s->at.tau*rates[i]);
+        if (!(seen <= most[i]))
+            seen -= bound_of(s, known)[i];
+        if (!(seen <= 0))
+            worst = max_of(worst, most[i] != 0 && seen == seen ? seen/most[i] : INFINITY);
+    }
+    return worst;
+}
+
+#if LAW
+/* Take the part of off along g_l of held rows away: the error of l, in units of rtol. */
+static double split(const model_pieces *s, double *off, const double *l)
+{
+    double of_y[M], d[M], along[M], worst = 0;
+    if (!HOW.through)
+        return 0;
+    memset(along, 0, sizeof along);
+    for (int a = 0; a < HOW.n; a++)
+        of_y[HOW.active[a]] = slope_along(s, HOW.active[a], off);
+    through(s, of_y, 1, d);
+    for (int a = 0; a < HOW.n; a++) {
+        const int i = HOW.active[a];
+        const double size = max_of(size_l(s, i), fabs(l[i]));
+        along[i] = d[a];
+        if (size != 0)
+            worst = max_of(worst, (fabs(d[a])/s->at.tau - SEEN_ROW*size)/(MULTIPLIERS*s->rtol*size));
+    }
+    add_push(s, off, along);
+    return worst;
+}
+#endif
+
+/* An estimate of the local error in units of rtol, from |x' - f - g|, |y| of held rows and l at two points of a piece of length s. */
 static double defect_of(model_pieces *s, double length)
 {
     static const double points[] = {POINT_1, POINT_2};
     const int p = s->order;
-    double worst = 0, y[M + 1];
+    double worst = 0, y[M + 1], off[N], most[N], rates[N];
     for (int point = 0; point < 2; point++) {
         const double at = points[point]*length;
         int known = 0;
@@ -205,18 +264,21 @@ static double defect_of(model_pieces *s, double length)
         s->now[0] = s->at.t + s->at.tau*at;
         equations(s, s->now, value, value + N, s->f, y);
         for (int i = 0; i < N; i++) {
-            const double w = s->at.tau*s->f[i];
-            const double largest = max_of(s->at.size_x[i], max_of(fabs(value[i]), fabs(slope[i]*length)));
-            const double goal = s->rtol*largest + s->atol[i];
-            const double least = s->shares[point]*(p + 1)/length*goal/LOCAL; /* that is too much */
-            double seen = fabs(slope[i] - w);
-            if (!(seen <= LOCAL*least))
-                seen -= SEEN*(size_of_slope(s, i, at) + fabs(w));
-            if (!(seen <= least))
-                seen -= bound_of(s, &known)[i];
-            if (!(seen <= 0))
-                worst = max_of(worst, least != 0 && seen == seen ? seen/(least*LOCAL) : INFINITY);
+
+            const double largest = max_of(max_of(s->at.size_x[i], s->later[i]), max_of(fabs(value[i]), fabs(slope[i]*length)));
+            most[i] = s->shares[point]*(p + 1)/length*(s->rtol*largest + s->atol[i] + NOTHING)/LOCAL;
+            off[i] = slope[i] - s->at.tau*s->f[i];
+            rates[i] = fabs(s->f[i]);
         }
+        double missed = missed_of(s, off, most, at, rates, &known);
+#if LAW
+        if (!(missed <= 1)) { /* where x rests, that may be an error of l alone */
+            worst = max_of(worst, split(s, off, value + L));
+            add_pushed(s, rates, value + L);
+            missed = missed_of(s, off, most, at, rates, &known);
+        }
+#endif
+        worst = max_of(worst, missed/LOCAL);
 #if LAW
         double of_x[N], of_l[M];
         int any = 0;
@@ -230,24 +292,49 @@ static double defect_of(model_pieces *s, double length)
             of_l[i] = max_of(s->at.size_l[i], fabs(value[L + i]));
         for (int i = 0; i < M; i++)
             if (s->at.codes[i] == 0 && y[i] != 0) {
-                const double of = max_of(s->at.size_y[i], terms_of(s, i, of_x, of_l));
-                const double allowed = MULTIPLIERS*s->rtol*of;
-                double off = fabs(y[i]) - SEEN_ROW*of;
-                if (off > allowed/LOCAL)
-                    off -= at*terms_of_x(s, i, bound_of(s, &known));
-                worst = max_of(worst, off/(allowed + NOTHING));
+                double of = max_of(s->at.size_y[i], terms_of(s, i, of_x, of_l));
+                double beyond = fabs(y[i]) - SEEN_ROW*of;
+                if (beyond > MULTIPLIERS*s->rtol*of/LOCAL) {
+                    memset(rates, 0, sizeof rates);
+                    add_pushed(s, rates, value + L);
+                    of = max_of(of, s->at.tau*at*terms_of_x(s, i, rates));
+                    beyond = fabs(y[i]) - SEEN_ROW*of - at*terms_of_x(s, i, bound_of(s, &known));
+                }
+                worst = max_of(worst, beyond/(MULTIPLIERS*s->rtol*of + NOTHING));
             }
 #endif
     }
     return worst;
 }
 
+/* What states that begin at 0 come to at the end of a series of this length, and what f moves them by there. */
+static void coming(model_pieces *s, double length)
+{
+    double y[M + 1];
+    values_at(s->c[0], COLUMNS, s->order, length, N, s->value);
+#if LAW
+    values_at(s->c[0] + L, COLUMNS, s->order, length, M, s->value + L);
+    for (int i = 0; i < M; i++)
+        if (s->at.codes[i])
+            s->value[L + i] = s->c[0][L + i];
+#endif
+    s->now[0] = s->at.t + s->at.tau*length;
+    equations(s, s->now, s->value, s->value + N, s->f, y);
+    for (int i = 0; i < N; i++)
+        s->later[i] = s->c[0][i] != 0 ? 0 : max_of(fabs(s->value[i]), s->at.tau*length*fabs(s->f[i]));
+}
+
 /* What ends a piece of this length at most: *found and hit; its error in units of rtol. */
 static int accept(model_pieces *s, double *length, condition *hit, int *found, double *error)
 {
+    memset(s->later, 0, sizeof s->later);
     for (int pass = 0; pass < SHORTENINGS; pass++) {
         *found = first_event(s, length, hit);
         *error = s->estimated ? LOCAL*defect_of(s, *length) : 0;
+        if (pass == 0 && !(*error <= 1)) {
+            coming(s, *length);
+            *error = LOCAL*defect_of(s, *length);
+        }
         if (*error <= 1)
             return MODEL_OK;
         *length *= min_of(0.5, CAUTION*pow(*error, -1.0/s->order));
@@ -257,9 +344,10 @@ static int accept(model_pieces *s, double *length, condition *hit, int *found, d
     return MODEL_TOO_SHORT;
 }
 
-/* Note what the rows come to; x at s into s->value. */
-static void grow(model_pieces *s, double length)
+/* Note what the rows come to at s of a piece, and what moves x in this time of a series; x at s into s->value. */
+static void grow(model_pieces *s, double length, double time)
 {
+    double moved[N];
     values_at(s->c[0], COLUMNS, s->order, length, ROWS, s->value);
     for (int i = 0; i < N; i++)
         s->at.size_x[i] = max_of(s->at.size_x[i], max_of(fabs(s->value[i]), fabs(s->c[0][i])));
@@ -269,16 +357,37 @@ static void grow(model_pieces *s, double length)
         s->at.size_l[i] = max_of(s->at.size_l[i], max_of(fabs(s->value[L + i]), fabs(s->c[0][L + i])));
     }
 #endif
+    s->now[0] = s->c[0][T];
+    moves(s, s->now, s->c[0], s->c[0] + L, s->at.size_x, s->at.size_l, moved);
+    for (int i = 0; i < N; i++)
+        if (is_finite(moved[i]))
+            s->at.size_x[i] = max_of(s->at.size_x[i], NEGLIGIBLE*time*moved[i]);
 #if SWITCHED
-    for (int b = 0; b < CHOICES; b++) {
-        double v;
-        values_at(s->c[0] + branch_column[b], COLUMNS, s->order, length, 1, &v);
-        s->at.size_switches[b] = max_of(s->at.size_switches[b], max_of(fabs(v), fabs(s->c[0][branch_column[b]])));
-    }
+    pushes(s, s->pushed);
+    sizes_of_switches(s);
 #endif
 }
 
 #if LAW
+#if GENERAL
+/* Whether y is rounding in n rows, and the motion more than that: rows that are nearly parallel move x by many times it. */
+static int moves_by_rounding(const model_pieces *s, int n, const int *a, const double *motion)
+{
+    double of_x[N], of_l[M];
+    for (int j = 0; j < N; j++)
+        of_x[j] = fabs(s->c[0][j]);
+    for (int j = 0; j < M; j++)
+        of_l[j] = fabs(s->c[0][L + j]);
+    for (int i = 0; i < n; i++)
+        if (!(fabs(s->c[0][Y + a[i]]) <= ROUNDING*terms_of(s, a[i], of_x, of_l)))
+            return 0;
+    for (int j = 0; j < N; j++)
+        if (fabs(motion[j]) > TIE*max_of(of_x[j], s->at.size_x[j]))
+            return 1;
+    return 0;
+}
+#endif
+
 /* Move x so that what no l acts on directly is 0 in these rows, along the least motion. */
 static void project(model_pieces *s, const signed char *rows)
 {
@@ -346,9 +455,15 @@ static void project(model_pieces *s, const signed char *rows)
         }
         if (!any)
             break;
+        double motion[N];
+        memset(motion, 0, sizeof motion);
         for (int v = 0; v < q; v++)
             for (int j = 0; j < N; j++)
-                s->at.x[j] -= y[v]*s->row[v*N + j];
+                motion[j] += y[v]*s->row[v*N + j];
+        if (moves_by_rounding(s, n, a, motion))
+            break;
+        for (int j = 0; j < N; j++)
+            s->at.x[j] -= motion[j];
         expand(s, 1);
     }
 #endif
@@ -630,7 +745,7 @@ static int next_piece(model_pieces *s)
     length = min_of(length, (known - s->at.t)/s->at.tau);
     if ((status = accept(s, &length, &hit, &found, &error)))
         return status;
-    grow(s, length);
+    grow(s, length, s->at.tau*length);
     record_piece(s, length, error);
     if (length != 0)
         s->at.begun = 0;
@@ -748,7 +863,7 @@ static int begin(model_pieces *s, double t, const double *x)
         const int found = choose_mode(s); /* in a shorter time the germ of a multiplier may show */
         const double length = expand(s, s->order) ? length_of(s) : 1;
         if (found && length >= TOO_SHORT) {
-            grow(s, 0);
+            grow(s, 0, 0);
             return judge_uniqueness(s);
         }
         s->at.tau = unit_of(min_of(length, TOO_SHORT)*s->at.tau);

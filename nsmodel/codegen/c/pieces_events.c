@@ -570,9 +570,11 @@ static int codes_of(const model_pieces *s, int of, double *codes)
     return count;
 }
 
-/* Whether the x of the mode at the place and that of germs go the same way. */
-static int agrees(const model_pieces *s, double (*germs)[N], double share)
+/* Whether the x of the mode at the place and that of germs go the same way; pushed: of these. */
+static int agrees(const model_pieces *s, double (*germs)[N], const double *pushed, double share)
 {
+    double own[N];
+    pushes(s, own);
     for (int i = 0; i < N; i++) {
         double most = 0, apart = 0, raised = 1;
         for (int k = 0; k <= ORDERS; k++) {
@@ -581,7 +583,7 @@ static int agrees(const model_pieces *s, double (*germs)[N], double share)
             apart = max_of(apart, fabs(a - b));
             raised *= share;
         }
-        if (apart > APART*most + TIE*s->at.size_x[i])
+        if (apart > APART*most + TIE*(s->at.size_x[i] + max_of(own[i], pushed[i])))
             return 0;
     }
     return 1;
@@ -643,28 +645,21 @@ static int count_open(const model_pieces *s, int from, int to)
 static int is_agreed(model_pieces *s)
 {
     modes all;
-    double now[FEW] = {0}, shares[SOLUTIONS], first[COLUMNS];
-    int found = 1, agreed = 1;
-    shares[0] = pace(s);
+    double now[FEW] = {0}, pushed[N], first[COLUMNS];
+    const double own = pace(s);
+    int agreed = 1;
     if (!list_modes(s, &all))
         return 1;
     for (int i = 0; i < all.n; i++)
         now[i] = all.open[i] < M ? s->at.codes[all.open[i]] : s->at.choice[all.open[i] - M];
     memcpy(first, s->c[0], sizeof first);
     for (int k = 0; k <= ORDERS; k++)
-        memcpy(s->germs[0][k], s->c[k], sizeof s->germs[0][k]);
-    do {
-        if (turn_all(s, &all, now) || !is_valid(s))
-            continue;
-        const double share = pace(s);
-        for (int i = 0; i < found; i++)
-            agreed &= agrees(s, s->germs[i], min_of(share, shares[i]));
-        if (found < SOLUTIONS)
-            shares[found] = share;
-        for (int k = 0; k <= ORDERS && found < SOLUTIONS; k++)
-            memcpy(s->germs[found][k], s->c[k], sizeof s->germs[0][k]);
-        agreed &= found++ < SOLUTIONS;
-    } while (next_mode(&all) && agreed);
+        memcpy(s->germs[k], s->c[k], sizeof s->germs[k]);
+    pushes(s, pushed);
+    do
+        if (!turn_all(s, &all, now) && is_valid(s))
+            agreed = agrees(s, s->germs, pushed, min_of(own, pace(s)));
+    while (agreed && next_mode(&all));
     for (int i = 0; i < all.n; i++)
         turn(s, all.open[i], now[i]);
     memcpy(s->c[0], first, sizeof first);

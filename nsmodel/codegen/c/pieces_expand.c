@@ -37,6 +37,14 @@ static inline void values_at(const double *c, int stride, int order, double s, i
     }
 }
 
+static int all_finite(int n, const double *x)
+{
+    for (int i = 0; i < n; i++)
+        if (!is_finite(x[i]))
+            return 0;
+    return 1;
+}
+
 static int spend_on(model_pieces *s) { return s->work < s->budget ? (s->work++, 1) : 0; }
 
 #if LAW
@@ -187,11 +195,10 @@ static void push(model_pieces *s, int k, const double *d)
 #endif
 }
 
-/* d = -A y/unit at order k on held rows, A = N. */
-static void through(const model_pieces *s, int k, double unit, double *d)
+/* d = -A y/unit on held rows, A = N. */
+static void through(const model_pieces *s, const double *y, double unit, double *d)
 {
     const int n = HOW.n;
-    const double *y = s->c[k] + Y;
     for (int a = 0; a < n; a++) {
 #if DIAGONAL
         d[a] = -unit*(inverse[HOW.active[a]]*y[HOW.active[a]]);
@@ -278,7 +285,7 @@ static int settle(model_pieces *s)
 #endif
         outputs(s, 1);
         if (HOW.through) {
-            through(s, 1, 1/s->at.tau, d);
+            through(s, s->c[1] + Y, 1/s->at.tau, d);
             push(s, 0, d);
             for (int a = 0; a < HOW.n; a++)
                 if (!is_finite(d[a]))
@@ -331,7 +338,7 @@ static void extend(model_pieces *s, int known, int orders)
         }
         if (k) {
             outputs(s, k + 1);
-            through(s, k + 1, (k + 1)/s->at.tau, d);
+            through(s, s->c[k + 1] + Y, (k + 1)/s->at.tau, d);
             push(s, k, d);
             if (HOW.feeds) {
                 refresh_y(s, k);
@@ -399,10 +406,64 @@ static double terms_of(const model_pieces *s, int i, const double *of_x, const d
     return terms_of_x(s, i, of_x) + terms_of_l(s, i, of_l);
 }
 
+/* h_x of row i times a rate of x. */
+static double slope_along(const model_pieces *s, int i, const double *rate)
+{
+    double sum = 0;
+#if SLOPES
+    for (int j = 0; j < N; j++)
+        sum += C_AT(i, j)*rate[j];
+#else
+    UNUSED(s);
+    for (int e = C_start[i]; e < C_start[i + 1]; e++)
+        sum += C_value[e]*rate[C_column[e]];
+#endif
+    return sum;
+}
+
+/* rate += g_l l. */
+static void add_push(const model_pieces *s, double *rate, const double *l)
+{
+#if SLOPES
+    for (int i = 0; i < N; i++)
+        for (int j = 0; j < M; j++)
+            rate[i] += B_AT(i, j)*l[j];
+#else
+    UNUSED(s);
+    for (int j = 0; j < M; j++)
+        for (int e = B_start[j]; e < B_start[j + 1]; e++)
+            rate[B_row[e]] += B_value[e]*l[j];
+#endif
+}
+
+/* size += |g_l| |l|. */
+static void add_pushed(const model_pieces *s, double *size, const double *l)
+{
+#if SLOPES
+    for (int i = 0; i < N; i++)
+        for (int j = 0; j < M; j++)
+            size[i] += fabs(B_AT(i, j)*l[j]);
+#else
+    UNUSED(s);
+    for (int j = 0; j < M; j++)
+        for (int e = B_start[j]; e < B_start[j + 1]; e++)
+            size[B_row[e]] += fabs(B_value[e]*l[j]);
+#endif
+}
+
 /* What y_i is measured beside. */
 static double size_y(const model_pieces *s, int i)
 {
-    return max_of(s->at.size_y[i], terms_of(s, i, s->at.size_x, s->at.size_l));
+    double pushed = 0;
+#if SLOPES
+    for (int j = 0; j < M; j++)
+        for (int k = 0; k < N; k++)
+            pushed += fabs(C_AT(i, k)*B_AT(k, j)*s->c[0][L + j]);
+#else
+    for (int e = W_start[i]; e < W_start[i + 1]; e++)
+        pushed += W_value[e]*fabs(s->c[0][L + W_column[e]]);
+#endif
+    return max_of(s->at.size_y[i], terms_of(s, i, s->at.size_x, s->at.size_l) + RESTS*(s->c[1][T]*pushed));
 }
 
 /* What l_i is measured beside. */
@@ -414,3 +475,17 @@ static double size_l(const model_pieces *s, int i)
     return max_of(s->at.size_l[i], LITTLE*largest);
 }
 #endif
+
+/* By what multipliers push each state in the unit of time, in size. */
+static void pushes(const model_pieces *s, double *out)
+{
+    memset(out, 0, N*sizeof *out);
+#if LAW
+    double l[M];
+    for (int j = 0; j < M; j++)
+        l[j] = s->c[1][T]*(fabs(s->c[0][L + j]) + fabs(s->c[1][L + j]));
+    add_pushed(s, out, l);
+#else
+    UNUSED(s);
+#endif
+}

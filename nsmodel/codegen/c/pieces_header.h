@@ -21,7 +21,6 @@ extern "C" {
 #define MODEL_PIECES_COLUMNS @COLUMNS@
 #define MODEL_PIECES_ROWS (MODEL_PIECES_N + 2*MODEL_PIECES_M)
 #define MODEL_PIECES_KEPT @KEPT@
-#define MODEL_PIECES_SOLUTIONS 4
 #define MODEL_PIECES_GERM @GERM@ /* coefficients that decide a germ */
 #define MODEL_PIECES_TIMES @TIMES@
 #define MODEL_PIECES_STIFF 3

@@ -50,8 +50,9 @@ typedef struct {
     double c[MODEL_PIECES_ORDERS + 1][MODEL_PIECES_COLUMNS]; /* coefficients of x, l, y and what they are made of */
     double f[MODEL_PIECES_N], now[1];
     double turns[MODEL_PIECES_M + MODEL_PIECES_CHOICES + 1]; /* codes that wrong conditions ask for */
-    double germs[MODEL_PIECES_SOLUTIONS][MODEL_PIECES_GERM][MODEL_PIECES_N]; /* of x, of valid modes */
-    double value[MODEL_PIECES_ROWS], slope[MODEL_PIECES_N], bound[MODEL_PIECES_N];
+    double germs[MODEL_PIECES_GERM][MODEL_PIECES_N]; /* of x */
+    double value[MODEL_PIECES_ROWS], slope[MODEL_PIECES_N], bound[MODEL_PIECES_N], pushed[MODEL_PIECES_N];
+    double later[MODEL_PIECES_N]; /* what states that begin at 0 come to */
 #if SLOPES
     model_slopes slopes, solved; /* here; those of the matrices that are kept */
 #endif
