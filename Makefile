@@ -26,7 +26,7 @@ test: $(STAMP) ## set up and run the tests
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
 quick: $(STAMP) ## set up and run the tests that take seconds: under a minute on two cores
-	$(BIN)/python -m pytest -n auto --dist worksteal -m fast
+	NSMODEL_FUZZ=25 $(BIN)/python -m pytest -n auto --dist worksteal -m fast
 
 nightly: $(STAMP) ## set up and run the search for refused steps and wrong answers: 2000 random models a class, hours
 	mkdir -p results

@@ -5,11 +5,12 @@ from __future__ import annotations
 import functools
 import os
 import signal
+from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
 import pytest
-from fuzz_models import COUNT, FULL
+from fuzz_models import COUNT, FULL, spread
 
 import nsmodel
 from nsmodel.codegen import cache, library, piece_runs
@@ -25,22 +26,32 @@ KINDS = {  # Marks of test files, by what their names begin with; what is in non
     "c": ("test_codegen", "test_compiled", "test_bodies_in_c"),
     "fuzz": ("test_fuzz", "test_codegen_fuzz"),
     "slow": (
-        "test_adaptive", "test_agreement", "test_cases", "test_check", "test_cli", "test_closed", "test_convex", "test_crowd",
-        "test_docs", "test_extreme", "test_makefile", "test_many", "test_moving", "test_orders", "test_plot", "test_repeated",
-        "test_resume", "test_rounding", "test_schemes", "test_search", "test_sparse", "test_stress", "test_study",
-        "test_one_variable", "test_certificate_files",
-        "test_sum_of_squares",
+        "test_adaptive", "test_agreement", "test_cases", "test_certif", "test_check", "test_cli", "test_closed", "test_convex",
+        "test_crowd", "test_docs", "test_events", "test_extreme", "test_kinds", "test_laws", "test_makefile", "test_many",
+        "test_moving", "test_one_variable", "test_orders", "test_parameters", "test_pieces_in_c", "test_plot", "test_repeated",
+        "test_resume", "test_rounding", "test_schemes", "test_search", "test_solvers", "test_sparse", "test_stress",
+        "test_stretches", "test_study", "test_sum_of_squares", "test_switch_times",
     ),
 }  # fmt: skip
 
 
+FEW = 4  # Of the parameters of a test that is not fast, where few random models are tried.
+
+
 @pytest.hookimpl(tryfirst=True)  # before -m chooses
-def pytest_collection_modifyitems(items):
-    """Mark each test by its file; those of tests/search/ are for the night."""
+def pytest_collection_modifyitems(config, items):
+    """Mark each test by its file; those of tests/search/ are for the night. Where few models are tried, take few of many."""
+    many = defaultdict(list)
     for item in items:
         kinds = [kind for kind, starts in KINDS.items() if item.path.name.startswith(starts)]
         for kind in ["nightly"] if item.path.parent.name == "search" else kinds or ["fast"]:
             item.add_marker(kind)
+        if COUNT < FULL and kinds and "case_file" not in getattr(item, "fixturenames", ()):
+            many[item.nodeid.partition("[")[0]].append(item)
+    left = [item for one in many.values() if len(one) > FEW for item in one if item not in spread(one, FEW)]
+    if left:
+        config.hook.pytest_deselected(items=left)
+        items[:] = [item for item in items if item not in set(left)]
 
 
 def pytest_generate_tests(metafunc):

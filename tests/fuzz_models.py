@@ -45,8 +45,12 @@ def share(number: int, least: int = 1) -> int:
 def some(values: Iterable[Any], least: int = 2) -> list[Any]:
     """The same part of a list, spread evenly over it, both ends among them."""
     values = list(values)
-    places = np.linspace(0, len(values) - 1, min(share(len(values), least), len(values)))
-    return [values[round(place)] for place in places]
+    return spread(values, share(len(values), least))
+
+
+def spread(values: list[Any], number: int) -> list[Any]:
+    """So many of a list, evenly, both ends among them."""
+    return [values[round(place)] for place in np.linspace(0, len(values) - 1, min(number, len(values)))]
 
 
 def repeatable(count: int) -> settings:
