@@ -360,6 +360,20 @@ def test_steps_shrink_at_a_switch_and_grow_after_it():
     assert (run.multipliers[1:k, 0] == -1).all()
 
 
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("seed", [134, 138, 20])
+def test_extrapolation_goes_through_no_wall(seed, compiled):
+    """x' = -x + a cos wt + l, 0 <= x complementary to l >= 0: l is at most a, an impulse there is none."""
+    r, t = np.random.default_rng(seed), ca.SX.sym("t")
+    a, w = r.uniform(0.5, 3), r.uniform(0.5, 3)
+    model = LureSystem(
+        t=t, A=[[-1]], B=[[1]], C=[[1]], f=[a * ca.cos(w * t)], law=complementarity(1), x0=[1], t_end=10, step=1e-2
+    )
+    run = simulate(model, rtol=1e-3, compiled=compiled)
+    assert run.x.min() >= 0
+    assert run.multipliers[1:].max() <= a * (1 + 1e-9)
+
+
 def test_an_accumulation_of_impacts_is_passed():
     """The ball of Zhuravlev and Ivanov bounces infinitely often before it rests."""
     x, l, kappa, G = Q2, ca.SX.sym("l", 2), 0.5, 9.81

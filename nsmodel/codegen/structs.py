@@ -68,7 +68,7 @@ CONTROL = Struct(
         Members("double", "looser", "how many times what is allowed a step may err by"),
         Members("double", "accepted rejected extrapolated at_least_step least_step"),
         Members("double", "estimate of_j", "the sum of errors; j of the last d"),
-        Members("double", "x[STATES] l[ROWS] index[ROWS] lowering[ROWS]"),
+        Members("double", "x[STATES] l[ROWS] index[ROWS] lowering[ROWS] wall[ROWS]"),
         Members("double", "atol[WATCHED] size[WATCHED] group[WATCHED] watched[WATCHED] rate[WATCHED] d[WATCHED]"),
     ),
 )  # fmt: skip

@@ -7,8 +7,9 @@ scheme has in this step (``OneStepProblem.order``), 1 but for theta = 1/2: e fal
 across a switch; x_fine + d is of order p + 1 in smooth phases. A step is accepted
 
 - with the state x_fine + d where e <= 1, the index sets are equal and every constraint is >= 0 there (a sweeping process is
-  projected once more, as its scheme does). What the scheme carries of the multipliers (gamma < 1) stays that of the step: on
-  a row that is held it may alternate about its mean, which d would magnify;
+  projected once more, as its scheme does), and every y that an impulse alone would bring back keeps its sign. What the scheme
+  carries of the multipliers (gamma < 1) stays that of the step: on a row that is held it may alternate about its mean, which d
+  would magnify;
 - else as it is where e <= h/T, so that the errors of all steps add up to the tolerance; or where e <= SWITCH and the index
   set changes: that error falls like h, whatever the order.
 
@@ -149,6 +150,7 @@ class Controlled(OfScheme):
         )
         self._corrections = [0.0]
         self._law = numeric_law(self.problem.law)
+        self._walls = self._rows_of_walls()
         self.warnings += self._relays()
         self.plan = noting_known_times(self.plan, model, ends=True)
 
@@ -274,6 +276,7 @@ class Controlled(OfScheme):
             control[name] = value
         control["l"][:m], control["index"][:m] = place.warm.l, place.warm.index
         control["lowering"][list(self.problem.order.lowered_by)] = 1
+        control["wall"][:m] = self._walls
         for number, group in enumerate(self._groups):
             control["group"][group] = number
         return control
@@ -368,7 +371,7 @@ class Controlled(OfScheme):
         return self._units(np.abs(trial.d - expected), trial.fine.row[self._watched])
 
     def _extrapolated(self, at: Place, trial: Trial) -> tuple[np.ndarray, np.ndarray | None] | None:
-        """The combination, and its gaps; None where a velocity changes its sign or a constraint is broken."""
+        """The combination, and its gaps; None where a velocity or y at a wall changes its sign or a constraint is broken."""
         states = self.stepper.layout.state
         fine, coarse = trial.fine.row[states], shortened(self.model, trial.coarse.row[states], 0.5)
         state, end = fine + (fine - coarse) / (2**trial.order - 1), at.t + 2 * at.half
@@ -379,7 +382,9 @@ class Controlled(OfScheme):
             if (np.sign(state[n:]) != np.sign(fine[n:])).any():
                 return None
         if self._c is None:
-            return state, None
+            y, before = (result.row[self.stepper.layout.y] for result in (trial.fine, trial.coarse))
+            past = trial.fine.warm.index * (y + (y - before) / (2**trial.order - 1)) * self._walls > 0
+            return None if past.any() else (state, None)
         if not self.problem.gap:
             return (state, None) if self._feasible(self._time(end), state) else None
         try:
@@ -445,6 +450,16 @@ class Controlled(OfScheme):
             totals["newton_max"] = max(totals["newton_max"], float(row[layout.newton]))
         totals["index_set_changes"] += int(self.last_index is not None and not np.array_equal(index, self.last_index))
         totals["steps"], self.last_index = self.k, index
+
+    def _rows_of_walls(self) -> np.ndarray:
+        """Which rows (m,) of y are those of the end of a step, let go at one end of l alone, with no l in them.
+
+        Past 0 only an impulse would bring them back.
+        """
+        implicit = (self.model.weights or (1.0, 1.0))[0] == 1.0
+        walls = np.isfinite(self._law.lower) != np.isfinite(self._law.upper)
+        walls[list(self.problem.jacobians[3].sparsity().row())] = False
+        return walls & implicit
 
     def _relays(self) -> list[str]:
         """A warning where theta = 1/2 meets a multiplier with two ends."""

@@ -17,7 +17,7 @@ long model_adapt(model_solver *s, model_control *c, long room, double number, do
 long model_control_size(void);
 
 typedef struct {
-    double x[MODEL_NSTATE], l[ROWS], watched[WATCHED];
+    double x[MODEL_NSTATE], l[ROWS], y[ROWS], watched[WATCHED];
     signed char index[ROWS];
     double residual, iterations;
     int solver;
@@ -40,6 +40,7 @@ static int take(model_solver *s, double t, double h, const double *x, const doub
     memcpy(r->x, s->work.x_next, sizeof r->x);
 #if LAW
     memcpy(r->l, s->work.l, sizeof s->work.l);
+    memcpy(r->y, s->work.y, sizeof s->work.y);
     memcpy(r->index, s->work.code, sizeof s->work.code);
 #endif
     for (int i = 0; i < MODEL_NX; i++)
@@ -126,8 +127,8 @@ static double of_better(const model_control *c, const model_result *fine, int or
     return units_of(c, off, fine);
 }
 
-/* x = x_fine + (x_fine - x_coarse)/weight, what is carried of the multipliers as it is; 0 where a velocity would change its
-   sign, or it cannot be projected. */
+/* x = x_fine + (x_fine - x_coarse)/weight, what is carried of the multipliers as it is; 0 where a velocity or y at a wall would
+   change its sign, or it cannot be projected. */
 static int extrapolate(model_solver *s, const model_control *c, double end, const model_result *coarse, const model_result *fine,
                        double weight, double *x)
 {
@@ -153,6 +154,11 @@ static int extrapolate(model_solver *s, const model_control *c, double end, cons
         return 0;
     memcpy(x, closing.x, sizeof closing.x);
 #else
+#if LAW
+    for (int i = 0; i < MODEL_M; i++)
+        if (fine->index[i]*(fine->y[i] + (fine->y[i] - coarse->y[i])/weight)*c->wall[i] > 0)
+            return 0;
+#endif
     (void)s;
     (void)c;
     (void)end;
