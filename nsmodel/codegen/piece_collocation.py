@@ -62,11 +62,11 @@ def _tables() -> str:
 
 def _parts(of: Collocation) -> list[np.ndarray | float]:
     """Real blocks for complex pairs: w = (w_0, u, v, ...) with a w_0, and (a u - b v, b u + a v) of a pair a + b i."""
-    order = np.argsort(of.rates.imag)
+    order = np.argsort(np.imag(of.rates))
     rates, left, right = of.rates[order], of.left[order], of.right[:, order]
     return [
         of.share, of.nodes, of.between, of.weights,
-        np.concatenate([rates[:1].real, *([[z.real, z.imag] for z in rates[1:]])]),
+        np.concatenate([np.real(rates[:1]), *([[z.real, z.imag] for z in rates[1:]])]),
         of.inverse, of.powers, of.values, of.slopes,
         np.vstack([np.real(left[:1]), *(part for row in left[1:] for part in (np.real(row), np.imag(row)))]),
         np.column_stack([np.real(right[:, :1]), *(part for c in right[:, 1:].T for part in (np.real(c), -np.imag(c)))]),

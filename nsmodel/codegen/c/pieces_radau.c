@@ -184,12 +184,16 @@ static void stand(model_pieces *s)
 /* f + g at x and l of a row at this time; y, and what branches look at, into the row. */
 static void at_place(model_pieces *s, double t, double *row, double *rate)
 {
+    double y[M + 1];
     s->now[0] = t;
 #if SWITCHED
-    sides(s, s->now, row, row + L, rate, row + Y, row + ROWS);
+    double looked[CHOICES];
+    sides(s, s->now, row, row + L, rate, y, looked);
+    memcpy(row + ROWS, looked, sizeof looked);
 #else
-    equations(s, s->now, row, row + L, rate, row + Y);
+    equations(s, s->now, row, row + L, rate, y);
 #endif
+    memcpy(row + Y, y, M*sizeof *y);
 }
 
 /* h (f + g) less slopes of the polynomial, and -y of held rows, at each row of places at these times: into s->missed. */
