@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import re
 import shutil
 import subprocess
 from pathlib import Path
@@ -12,11 +13,12 @@ import numpy as np
 import pytest
 
 import nsmodel
-from nsmodel import FirstOrderSystem, LureSystem, codegen, complementarity, relay, simulate
+from nsmodel import FirstOrderSystem, LureSystem, SweepingProcess, codegen, complementarity, relay, simulate
 from nsmodel.errors import CodegenError
 from nsmodel.run.event_driven import EventDriven, problem_of
 from nsmodel.run.options import Options
 from tests import event_scenes as scenes
+from tests import stiff_scenes
 from tests.test_events_resume import files
 
 CASES = Path(__file__).parents[1] / "cases"
@@ -80,6 +82,28 @@ MODELS = {
 }  # fmt: skip
 
 
+def circle():
+    """A point that is drawn along a wall that is round: stiff, index 2, h_x turns."""
+    t, q = ca.SX.sym("t"), ca.SX.sym("q", 2)
+    f = 1e4 * (2 * ca.vertcat(ca.cos(t), ca.sin(t)) - q)
+    return SweepingProcess(t=t, q=q, f=f, constraints={"disc": 1 - ca.sumsqr(q)}, q0=[1, 0], t_end=5)
+
+
+def corners():
+    """A stiff decay to what has kinks in t and x."""
+    t, x = ca.SX.sym("t"), ca.SX.sym("x", 2)
+    f = [-1e4 * (x[0] - ca.fabs(ca.sin(t))), ca.fmax(x[0], 0.5) - x[1]]
+    return FirstOrderSystem(t=t, x=x, f=f, x0=[0.1, 0.2], t_end=10)
+
+
+STIFF = {
+    "relay 1e3": lambda: scenes.stiff_relay(1e3), "circle": circle, "corners": corners, "kinetics": stiff_scenes.kinetics,
+    "van der Pol": stiff_scenes.van_der_pol, "rectifier": lambda: stiff_scenes.rectifier(1e-6)[0],
+    "chain": lambda: stiff_scenes.damped_chain(1e3)[0],
+    **{f"Lur'e {seed}": (lambda seed=seed: stiff_scenes.stiff_lure(seed, 4.0 + seed % 3)[0]) for seed in range(7)},
+}  # fmt: skip
+
+
 def both(model, rtol, **more):
     return (simulate(model, rtol=rtol, method="event-driven", compiled=compiled, **more) for compiled in (False, True))
 
@@ -93,14 +117,9 @@ def test_c_makes_the_pieces_of_the_integrator(name):
         python, c = both(model, rtol, t_end=end)
         assert any("pieces in C" in line for line in c.metadata["used"])
         assert not c.metadata["warnings"] or c.metadata["warnings"] == python.metadata["warnings"]
-        if python.metadata["totals"]["collocated"]:  # C has series alone
-            at = np.linspace(0, python.t[-1], 101)
-            size = np.abs(python.x).max(axis=0)
-            assert (np.abs(c.at(at).x - python.at(at).x) <= 10 * rtol * np.maximum(size, 1e-6 * size.max())).all()
-            continue
         np.testing.assert_array_equal(c.arrays["piece_codes"], python.arrays["piece_codes"])
         np.testing.assert_array_equal(c.arrays["piece_event"], python.arrays["piece_event"])
-        for key in ("unique", "touches", "redundant", "events", "pieces"):
+        for key in ("unique", "touches", "redundant", "events", "pieces", "collocated"):
             assert c.metadata["totals"][key] == python.metadata["totals"][key]
         size, at_events = np.abs(python.x).max(axis=0), python.arrays["piece_event"] != 0
         starts = np.abs(c.arrays["piece_start"] - python.arrays["piece_start"])
@@ -112,6 +131,33 @@ def test_c_makes_the_pieces_of_the_integrator(name):
         for part in ("multipliers", "y"):
             a, b = (getattr(run, part)[1:] for run in (c, python))
             assert (np.abs(a - b) <= 1e-7 * np.abs(b).max(axis=0) + 1e-13 * size.max()).all()
+
+
+@pytest.mark.parametrize("name", STIFF)
+def test_stiff_modes_go_the_same_way(name):
+    """Pieces by collocation at the same places and of the same modes: held rows and free ones, branches, slopes that move."""
+    python, c = both(STIFF[name](), 1e-4)
+    for key in ("events", "pieces", "collocated", "touches", "redundant"):
+        assert c.metadata["totals"][key] == python.metadata["totals"][key]
+    assert c.metadata["totals"]["collocated"] >= 10
+    for key in ("piece_codes", "piece_event"):
+        np.testing.assert_array_equal(c.arrays[key], python.arrays[key])
+    end, size = python.arrays["t"][-1], np.abs(python.x).max(axis=0)
+    assert np.abs(c.arrays["piece_start"] - python.arrays["piece_start"]).max() <= 1e-8 * end
+    at = np.linspace(0, end, 101)
+    assert (np.abs(c.at(at).x - python.at(at).x) <= 1e-10 * size).all()
+
+
+def test_a_stiff_mode_that_rounding_decides_is_within_rtol():
+    """Of a relay through an actuator of 1e5 1/s the fast part decays to rounding, or to 0: that says how long its pieces are."""
+    for rtol in (1e-4, 1e-8):
+        python, c = both(scenes.stiff_relay(1e5), rtol)
+        assert c.metadata["totals"]["events"] == python.metadata["totals"]["events"]
+        assert c.metadata["totals"]["collocated"] >= 40
+        assert c.metadata["totals"]["pieces"] <= 240
+        at = np.linspace(0, 20, 101)
+        size = np.abs(python.x).max(axis=0)
+        assert (np.abs(c.at(at).x - python.at(at).x) <= rtol * size).all()
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -140,9 +186,9 @@ def test_random_systems_go_the_same_way(seed):
     assert np.abs(c.at(at).x - python.at(at).x).max() <= 1e-8 * size.max()
 
 
-@pytest.mark.parametrize("name", ["diode_bridge", "relay_oscillator", "two_discs"])
+@pytest.mark.parametrize("name", ["diode_bridge", "relay_oscillator", "two_discs", "relay 1e3", "circle", "corners"])
 def test_runs_in_c_go_on_byte_for_byte(name, tmp_path):
-    model = case(name)
+    model = (MODELS | STIFF)[name]()
     run = lambda out, **more: simulate(model, rtol=1e-8, method="event-driven", compiled=True, out=out, **more)  # noqa: E731
     run(tmp_path / "one")
     for i, end in enumerate([0.21, 0.5, 0.83, 1.0]):
@@ -212,15 +258,17 @@ def built(model, folder, *flags):
         "edges",
         "nonlinear",
         "two_discs",
+        *("functions", "relay 1e3", "circle", "corners", "kinetics", "chain"),
     ],
 )
 def test_the_library_is_sound_and_right(name, tmp_path):
     """Under AddressSanitizer and UndefinedBehaviorSanitizer, and as the run in Python has it."""
-    model = MODELS[name]()
+    model = (MODELS | STIFF)[name]()
     found = subprocess.run(
         [built(model, tmp_path, *SANITIZED), "1e-8", repr(model.t_end)], check=True, capture_output=True, text=True
     )
     assert not found.stderr
+    assert not re.search(r"\b(malloc|calloc|realloc)\b", (tmp_path / "thing_pieces.c").read_text())
     rows = np.array([line.split() for line in found.stdout.splitlines()], float)
     run = simulate(model, rtol=1e-8, method="event-driven", compiled=False)
     x = run.at(rows[:, 0])
@@ -228,8 +276,10 @@ def test_the_library_is_sound_and_right(name, tmp_path):
     assert np.abs(rows[:, 1:] - expected).max() <= 1e-9 * np.abs(expected).max()
 
 
-def test_the_library_keeps_its_budget_and_says_what_it_cannot(tmp_path):
-    model = case("relay_oscillator")
+@pytest.mark.parametrize("name", ["relay_oscillator", "relay 1e3"])
+def test_the_library_keeps_its_budget_and_says_what_it_cannot(name, tmp_path):
+    model = (MODELS | STIFF)[name]()
+    n = len(model.names)
     folder = built(model, tmp_path).parent
     library = folder / "thing.so"
     subprocess.run([CC, "-shared", "-fPIC", "-O2", "-o", library, folder / "thing_pieces.c", "-lm"], check=True)
@@ -246,11 +296,11 @@ def test_the_library_keeps_its_budget_and_says_what_it_cannot(tmp_path):
         calls += 1
     assert status == 0
     assert calls > 5
-    x = (number * 3)()
+    x = (number * n)()
     lib.thing_pieces_get_state(s, x)
     run = simulate(model, rtol=1e-8, method="event-driven", compiled=False)
     np.testing.assert_allclose(list(x), run.x[-1], rtol=1e-10)
-    assert lib.thing_pieces_set_state(s, number(0.0), (number * 3)(np.nan, 0, 0)) == names.index("NOT_FINITE")
+    assert lib.thing_pieces_set_state(s, number(0.0), (number * n)(np.nan)) == names.index("NOT_FINITE")
     assert lib.thing_advance(s, number(0.5 * model.t_end)) == names.index("BAD_STEP")
 
 

@@ -47,7 +47,8 @@ OF_PIECES: Mapping[str, str] = {
     "pieces.multipliers": "SINGULAR MOST_MINORS BALANCING NOTHING SHORT",
     "pieces.system": "NEWTON SETTLED LITTLE RESTS AT_ZERO",
     "pieces.settled": "STAYS",
-    "pieces.stiff": "WORTH SMOOTH",
+    "pieces.stiff": "WORTH STAY SMOOTH INSIDE OCTAVES_MORE SAFE ENDINGS ENDED MOVED MOST_WAIT",
+    "pieces.radau": "STAGE_ITERATIONS STAGE_SETTLED SLOW STAGE_NEAR STAGE_ROUNDING ORDERS_OF_TWO",
     "codegen.statuses": "READY",
 }
 

@@ -35,15 +35,16 @@ def is_there(fingerprint: str) -> bool:
 class PiecesInC:
     """The pieces of one problem, which end at ``known`` times.
 
-    ``way``: by what they are compiled; ``branches``: which choices belong to f, g and h.
+    ``way``: by what they are compiled; ``branches``: which choices belong to f, g and h; ``residuals``: see `Integrator`.
 
     Raises:
         CodegenError: the problem has no C counterpart, or there is no compiler, or it fails.
     """
 
     def __init__(
-        self, problem: ContinuousProblem, fingerprint: str, rtol: float, atol: list[float], known: Sequence[float]
-    ) -> None:
+        self, problem: ContinuousProblem, fingerprint: str, rtol: float, atol: list[float], known: Sequence[float],
+        *, residuals: bool,
+    ) -> None:  # fmt: skip
         name = compiler()
         if name is None:
             raise no_compiler()
@@ -53,6 +54,7 @@ class PiecesInC:
         if key not in loaded:
             loaded[key] = _load(problem, known, key)
         library, self.sizes, self.branches = loaded[key]
+        self.residuals = residuals
         self.rtol, self.atol, self.order = rtol, np.array(atol, float), order_of(rtol)
         size = library.function("size", _WHOLE)()
         self._memory = np.zeros(size // 8 + 1)
@@ -75,7 +77,7 @@ class PiecesInC:
 
     def begin(self) -> bool:
         """Choose the mode at the start; whether there is one that C finds."""
-        status = self._begin(self._solver, self.rtol, self.atol.ctypes.data, 1)
+        status = self._begin(self._solver, self.rtol, self.atol.ctypes.data, self.residuals)
         if status == BAD_ARITHMETIC:
             raise CodegenError(f"{self.way}: {STATUSES[status].text}")
         return status == 0
@@ -128,6 +130,6 @@ def _place(sizes: dict[str, int]) -> np.dtype:
     fields += [("begun", float), ("impulse", float, (m + 1,))]
     fields += [(name, float) for name in ("events", "touches", "redundant", "tiny")]
     fields += [("known", np.int32)]
-    fields += [("stiff", float, (3,)), ("unique", float, (3,))]
+    fields += [("stiff", float, (4,)), ("unique", float, (3,))]
     fields += [("codes", np.int8, (m + 1,)), ("open", np.int8, (m + choices + 1,))]
     return np.dtype(fields, align=True)

@@ -15,6 +15,7 @@ from nsmodel.codegen import constants, statuses
 from nsmodel.codegen.expression import c_function
 from nsmodel.codegen.fragments import FOLDER, comment, fragment, guard, prefixed, pruned
 from nsmodel.codegen.jets import kernels
+from nsmodel.codegen.piece_collocation import MOST_UNKNOWN, collocation_code, kept_in, memory
 from nsmodel.codegen.piece_jets import CURVED, Columns, Printer, sizes_of_switches
 from nsmodel.codegen.tables import table
 from nsmodel.errors import CodegenError
@@ -31,11 +32,10 @@ from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven
 from nsmodel.solve.rounding import error_bound
 
 MOST_ROWS = 64  # Of a law whose matrices are kept dense.
-KEPT_BYTES = 32 << 10  # Memory for the matrices of modes.
 TIMES = 64  # Events 1, 2, 4, ... whose times are kept.
 WRITTEN_OUT = 24  # Terms of a product that are written out.
 KINDS = ("side", "equal", "floor", "ceil", "toward zero", "nearest")  # As in c/pieces_events.c.
-PARTS = ("common", "pieces_modes", "pieces_expand", "pieces_events", "pieces")
+PARTS = ("common", "pieces_modes", "pieces_expand", "pieces_events", "pieces_radau", "pieces_stiff", "pieces")
 
 
 @dataclass(frozen=True)
@@ -88,6 +88,7 @@ class PieceScene:
             "GENERAL": law and not orthogonal, "STILL": diagonal and not self.curved_rows,
             "UNIQUE": law and known and (_is_always_p(D0, W) or is_monotone(sure(B), D0, C0)),
             "SWITCHED": bool(self.columns.branches), "PARAMETERS": bool(self.values), "KNOWN": bool(self.known),
+            "STIFF": 0 < p.x.numel() <= MOST_UNKNOWN - p.l.numel(),
         }  # fmt: skip
         return frozenset(name for name, holds in has.items() if holds)
 
@@ -135,12 +136,12 @@ class PieceScene:
         n, m = self.problem.x.numel(), self.problem.l.numel()
         columns = self.columns
         outputs = m if {"FEED", "D_NUMBERS"} <= self.flags else 0
-        kept = 1 if not {"MATRICES"} <= self.flags or "SLOPES" in self.flags else int(np.clip(KEPT_BYTES // (24 * m * m), 2, 16))
+        kept = 1 if not {"MATRICES"} <= self.flags or "SLOPES" in self.flags else kept_in(24 * m * m, 2, 16)
         return {
             "N": n, "M": m, "NP": len(self.values), "CHOICES": columns.choices, "ORDERS": LARGEST_ORDER, "KEPT": kept,
             "GERM": ORDERS + 1, "TIMES": TIMES, "COLUMNS": columns.count + outputs, "T": n + 2 * m,
             "H": columns.count if outputs else n + m,
-        }  # fmt: skip
+        } | memory(n + m)  # fmt: skip
 
 
 _SUMS = frozenset("sum difference minus scaled over shifted".split())
@@ -183,8 +184,7 @@ def scene_of(model: Model, values: Mapping[str, float]) -> PieceScene:
 def library_files(model: Model, values: Mapping[str, float], name: str) -> dict[str, str]:
     """NAME_pieces.h and NAME_pieces.c, to be compiled beside a library."""
     scene, title = scene_of(model, values), model.title or type(model).__name__
-    shared = f"{name}.h"
-    return {f"{name}_pieces.h": header(scene, name, title, shared), f"{name}_pieces.c": code(scene, name, title, runs=False)}
+    return {f"{name}_pieces.h": header(scene, name, title, f"{name}.h"), f"{name}_pieces.c": code(scene, name, title, runs=False)}
 
 
 def header(scene: PieceScene, name: str, title: str, shared: str | None) -> str:
@@ -245,6 +245,7 @@ def _own(scene: PieceScene) -> str:
     parts.append(_printed("rounding", given, {"bound": error_bound(ca.densify(p.f + p.g), ca.veccat(p.t, p.x, p.l))}))
     sizes, moved = moves(p)
     parts.append(_printed("moves", sizes | own, {"moved": moved}))
+    parts += [collocation_code(scene, given)] if "STIFF" in flags else []
     if "SLOPES" in flags:
         parts.append(_printed("slopes", given, dict(zip("BDC", scene.slopes, strict=True))))
     parts += [_printed("start", own, {"x": ca.SX(p.x0)}), sizes_of_switches(scene.printers)]
@@ -273,10 +274,10 @@ def _products(scene: PieceScene) -> str:
             f"    y[{i}] = {' + '.join([f'h[{i}]', *(f'{float(D[i, j])!r}*l[{j}]' for j in np.flatnonzero(D[i]))])};\n"
             for i in range(len(D))
         ]
-        loop = (
-            "    for (int i = 0; i < M; i++) {\n        y[i] = h[i];\n        for (int e = D_start[i]; e < D_start[i + 1]; e++)\n"
+        loop = "    for (int i = 0; i < M; i++) {\n        y[i] = h[i];\n"
+        loop += (
+            "        for (int e = D_start[i]; e < D_start[i + 1]; e++)\n            y[i] += D_value[e]*l[D_column[e]];\n    }\n"
         )
-        loop += "            y[i] += D_value[e]*l[D_column[e]];\n    }\n"
         text += f"static void add_D(double *restrict y, const double *h, const double *l)\n{{\n{_few(terms, loop)}}}\n\n"
     return text
 

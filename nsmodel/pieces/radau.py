@@ -30,14 +30,16 @@ import numpy as np
 from nsmodel.pieces.collocation import Collocation, collocation
 from nsmodel.pieces.lengths import MULTIPLIERS, SMALL, unit
 from nsmodel.pieces.modes import Place
-from nsmodel.pieces.multipliers import Solve
-from nsmodel.pieces.sides import on_sides
+from nsmodel.pieces.multipliers import NOTHING, Solve
+from nsmodel.pieces.sides import functions_on_sides
 from nsmodel.pieces.system import System
 from nsmodel.proof.buffered import attached
 
-ITERATIONS, SETTLED, SLOW = 20, 1e-15, 0.5  # Of Newton's method: how many, what is rounding, by how much each has to come nearer.
-NEAR = 0.1  # Of what is allowed: what is as near as rounding lets iterations come has to be nearer.
-ROUNDING = 1e-14  # Of a size: an error below it is none.
+STAGE_ITERATIONS, STAGE_SETTLED = 20, 1e-15  # Of Newton's method for the stages: how many, and the next one that is rounding.
+ORDERS_OF_TWO = 4  # Of a series, for each two stages beyond the first.
+SLOW = 0.5  # By how much each of them has to come nearer.
+STAGE_NEAR = 0.1  # Of what is allowed: what is as near as rounding lets iterations come has to be nearer.
+STAGE_ROUNDING = 1e-14  # Of a size: an error below it is none.
 
 
 class Fit(NamedTuple):
@@ -74,7 +76,7 @@ class Start(NamedTuple):
 
 def stages_of(order: int) -> int:
     """Half as many as a series has orders, an odd number."""
-    return 2 * (order // 4) + 1
+    return 2 * (order // ORDERS_OF_TWO) + 1
 
 
 class Radau:
@@ -93,7 +95,7 @@ class Radau:
 
     @cached_property
     def _called(self) -> tuple[Any, Any]:
-        values, slopes = on_sides(self.system)
+        values, slopes = functions_on_sides(self.system)
         return _Called(values.map(self.stages)), _Called(slopes)
 
     def start(self, place: Place, how: Solve) -> Start:
@@ -122,16 +124,20 @@ class Radau:
         except np.linalg.LinAlgError:
             return None
         Z, L = np.zeros((of.stages, n)), np.tile(start.l, (of.stages, 1))
-        moved, before = np.inf, np.inf
-        for _ in range(ITERATIONS):
+        moved = np.full(2, np.inf)  # X beside its size, l beside itself.
+        for iteration in range(STAGE_ITERATIONS):
             rate, y, watched = self._at(start, start.t + h * of.nodes, start.x + Z, L)
             missed = np.hstack([h * rate - of.inverse @ Z, -y[:, held]])
             step = (of.right @ np.einsum("kij,kj->ki", inverses, of.left @ missed)).real
             Z, L[:, held] = Z + step[:, :n], L[:, held] + step[:, n:]
-            before, moved = moved, float((np.abs(step[:, :n]) / np.maximum(size, np.abs(Z))).max(initial=0.0))
-            if moved <= SETTLED or (moved <= max(NEAR * rtol, ROUNDING) and moved > SLOW * before):
+            share = np.abs(step) / np.hstack([np.maximum(size, np.abs(Z)), np.abs(L[:, held]) + NOTHING])
+            before, moved = moved, np.array([share[:, :n].max(initial=0.0), share[:, n:].max(initial=0.0)])
+            foretold = moved * np.minimum(moved / (before + NOTHING), 1.0) if iteration else moved
+            if min(moved[0], foretold.max()) <= STAGE_SETTLED:
                 break
-            if not moved <= SLOW * before and before < np.inf:
+            if iteration and not moved[0] <= SLOW * before[0]:
+                if moved[0] <= max(STAGE_NEAR * rtol, STAGE_ROUNDING):
+                    break
                 return None
         else:
             return None
@@ -143,6 +149,7 @@ class Radau:
     def write(self, start: Start, fit: Fit) -> tuple[float, float]:
         """Put the polynomials into the rows of the system, and return (tau, s): the unit of time and their length in it."""
         system, tau = self.system, unit(fit.h)
+        system.t[:2] = start.t, tau
         scale = (tau / fit.h) ** np.arange(self.stages + 1)
         lists = (self._watched(), system.y, system.l, system.x)
         y = np.where(np.isin(np.arange(system.m), start.held), 0.0, start.y)
@@ -158,7 +165,7 @@ class Radau:
 
     def _sizes(self, start: Start, atol: list[float]) -> np.ndarray:
         size = np.maximum(self.system.sizes.x, np.abs(start.x)) + atol
-        return np.where(size > 0, size, 1e-300)
+        return np.maximum(size, NOTHING)
 
     def _error(self, start: Start, fit: Fit, rtol: float, atol: list[float]) -> float:
         of, held, n, sizes = self.table, start.held, len(start.x), self.system.sizes
@@ -212,7 +219,7 @@ def _matrices(start: Start, h: float, rates: np.ndarray) -> np.ndarray:
 
 def _beside(e: np.ndarray, size: np.ndarray, goal: np.ndarray) -> float:
     """The largest error in units of what is allowed, but for rounding; inf where it is no number."""
-    seen = np.maximum(e - ROUNDING * size, 0.0)
+    seen = np.maximum(e - STAGE_ROUNDING * size, 0.0)
     with np.errstate(all="ignore"):
         ratio = np.where(seen == 0, 0.0, seen / goal)
     return float(np.where(np.isnan(ratio), np.inf, ratio).max(initial=0.0))

@@ -5,13 +5,18 @@ The fourth dialect of `printed`: order 0 of the recurrences over CasADi's symbol
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import NamedTuple
+
 import casadi as ca
+import numpy as np
 
 from nsmodel.pieces import series
 from nsmodel.pieces.expansion import compiled
 from nsmodel.pieces.jets import Jets
 from nsmodel.pieces.printed import PYTHON
 from nsmodel.pieces.system import System
+from nsmodel.scheme.continuous import ContinuousProblem
 
 _GRAPH = PYTHON._replace(
     either="where({0}, {1}, {2})".format,
@@ -25,26 +30,40 @@ _KNOWN = {name: getattr(ca, name if name != "pow" else "power") for name in seri
 }  # fmt: skip
 
 
-def on_sides(system: System) -> tuple[ca.Function, ca.Function]:
-    """Functions of (t, x, l, choices): (f + g, h, what each branch looks at), and (f_x + g_x, g_l, h_x, h_l).
+class Sides(NamedTuple):
+    """Columns of choices of the branches, one part after the other, f + g, h and what each branch looks at; and the slopes."""
 
-    The choices are those of the branches of ``system.parts``, one part after the other.
+    choices: ca.SX
+    values: list[ca.SX]
+    slopes: list[ca.SX]
+
+
+def on_sides(p: ContinuousProblem, jets: Mapping[str, Jets], B: np.ndarray | None, D: np.ndarray | None) -> Sides:
+    """The graphs of (t, x, l, p) and choices; ``jets`` are of f, of h without D l, and of g where it is not B l.
+
+    The slopes are f_x + g_x, g_l, h_x and h_l.
     """
-    p, given, choices, outputs, watched = system.problem, {}, [], {}, []
-    for which, symbols in enumerate((p.t, p.x, p.l)):
+    given, choices, outputs, watched = {}, [], {}, []
+    for which, symbols in enumerate((p.t, p.x, p.l, p.p)):
         given |= {(which, i): symbol for i, symbol in enumerate(ca.vertsplit(ca.vec(symbols)))}
-    for name, jets in system.jets.items():
-        own = [ca.SX.sym(f"side_{name}_{i}") for i in range(len(jets.branches))]
-        outputs[name], looked = _replayed(jets, given, own)
+    for name, of in jets.items():
+        own = [ca.SX.sym(f"side_{name}_{i}") for i in range(len(of.branches))]
+        outputs[name], looked = _replayed(of, given, own)
         choices += own
         watched += looked
-    rate = outputs["f"] + (outputs["g"] if system.B is None else ca.mtimes(ca.SX(system.B), p.l))
-    y = outputs["h"] if system.D is None else outputs["h"] + ca.mtimes(ca.SX(system.D), p.l)
-    inputs = [p.t, p.x, p.l, ca.vertcat(ca.SX(0, 1), *choices)]
+    rate = outputs["f"] + (outputs["g"] if B is None else ca.mtimes(ca.SX(B), p.l))
+    y = outputs["h"] if D is None else outputs["h"] + ca.mtimes(ca.SX(D), p.l)
     slopes = [ca.jacobian(a, b) for a in (rate, y) for b in (p.x, p.l)]
+    return Sides(ca.vertcat(ca.SX(0, 1), *choices), [rate, y, ca.vertcat(ca.SX(0, 1), *watched)], slopes)
+
+
+def functions_on_sides(system: System) -> tuple[ca.Function, ca.Function]:
+    """The values and the slopes as functions of (t, x, l, choices)."""
+    p, of = system.problem, on_sides(system.problem, system.jets, system.B, system.D)
+    inputs = [p.t, p.x, p.l, of.choices]
     return (
-        ca.Function("sides", inputs, [ca.densify(e) for e in (rate, y, ca.vertcat(ca.SX(0, 1), *watched))]),
-        ca.Function("slopes_on_sides", inputs, [ca.densify(e) for e in slopes]),
+        ca.Function("sides", inputs, [ca.densify(e) for e in of.values]),
+        ca.Function("slopes_on_sides", inputs, [ca.densify(e) for e in of.slopes]),
     )
 
 

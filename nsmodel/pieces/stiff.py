@@ -15,17 +15,20 @@ from typing import Any, NamedTuple
 from nsmodel.pieces.bernstein import slope, value
 from nsmodel.pieces.lengths import unit
 from nsmodel.pieces.modes import Place
-from nsmodel.pieces.multipliers import Solve
+from nsmodel.pieces.multipliers import NOTHING, Solve
 from nsmodel.pieces.radau import Fit, Radau, Start
 from nsmodel.pieces.roots import first_event, same
 from nsmodel.pieces.switches import TIE, Condition, conditions, size
 from nsmodel.pieces.system import System
 
-WORTH, STAY = 8.0, 4.0  # Series that a first piece of collocation has to be worth, and those that go on.
-SMOOTH = 3  # Coefficients of the states that say whether these move.
+WORTH = 8.0  # Series that a first piece of collocation has to be worth.
+STAY = 4.0  # The same of those that go on.
+SMOOTH = 2  # Coefficients of the states that say whether these move.
 INSIDE = 0.1  # Of rtol: what a piece may err by inside; at its end it errs by a power of that.
-LONGER, SAFE = 2, 0.5  # By how many octaves the next piece may be longer, and by which share of what is allowed.
-ENDINGS, ENDED = 8, 1e-15  # How often a piece is made anew to end at an event, and when it does.
+OCTAVES_MORE = 2  # By which the next piece may be longer.
+SAFE = 0.5  # The share of what is allowed that its error is foretold to be.
+ENDINGS = 8  # How often a piece is made anew to end at an event.
+ENDED = 1e-4  # Of its length: so near its end what it errs by inside counts by the square of that.
 MOVED = 0.1  # By which share of its length a piece may have to be longer than its polynomial told, for that.
 MOST_WAIT = 6  # Octaves.
 
@@ -75,7 +78,7 @@ class Stiff:
                 self._fail(failed=True)
                 return None
             fit = self.radau.fit(start, length, self.rtol, self.atol)
-        self.length = math.ldexp(length, LONGER if first else min(self._octaves(fit.error), LONGER))
+        self.length = math.ldexp(length, OCTAVES_MORE if first else min(self._octaves(fit.error), OCTAVES_MORE))
         self.failed = self.wait = 0
         self.pieces += 1
         return self._ended(place, how, start, fit, most)
@@ -102,10 +105,10 @@ class Stiff:
         """By how many octaves a piece may be longer: its error has the order s + 1."""
         if not math.isfinite(error):
             return -1
-        return math.floor(math.log2(SAFE / max(error, 1e-300)) / (self.radau.stages + 1))
+        return math.floor(math.log2(SAFE / max(error, NOTHING)) / (self.radau.stages + 1))
 
     def _ended(self, place: Place, how: Solve, start: Start, fit: Fit, most: float) -> Found:
-        """The piece up to its first event, made anew so that it ends there: inside it has the order s + 1, at its end 2 s - 1."""
+        """The piece up to its first event, made anew to end near it: inside it has the order s + 1, at its end 2 s - 1."""
         tau, s = self.radau.write(start, fit)
         hit, end = first_event(self.system, place, how, self.order, s)
         for _ in range(ENDINGS):
@@ -118,11 +121,11 @@ class Stiff:
             tau, s = self.radau.write(start, fit)
             again, end = first_event(self.system, place, how, self.order, s)
             hit, end = (again, end) if again else self._beyond(place, how, hit, s)
-            if abs(end - s) <= ENDED * s:
+            if abs(end - s) <= ENDED * s and tau * end <= most:
                 break
             if end > s and tau * s >= most:
                 hit = None
-        if hit is None or end >= s:
+        if hit is None or end == s or end > (1 + ENDED) * s:
             return Found(tau, s, INSIDE * fit.error, fit.last, hit)
         return Found(tau, end, INSIDE * fit.error, [value(row, end) for row in self.system.x], hit)
 

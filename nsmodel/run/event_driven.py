@@ -276,7 +276,7 @@ def _chosen(
     def build() -> Any:
         from nsmodel.codegen.piece_runs import PiecesInC
 
-        return PiecesInC(problem, mark, *tolerances, known)
+        return PiecesInC(problem, mark, *tolerances, known, residuals=options.certified)
 
     def course() -> Course:
         made.extend([] if made else [_course(problem, options, *tolerances, known)])

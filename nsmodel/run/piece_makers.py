@@ -19,7 +19,7 @@ from nsmodel.run.piece_rows import Block
 from nsmodel.scheme.continuous import ContinuousProblem
 
 VERDICTS = (PROVED, AGREE, UNDECIDED)  # In the order of `unique` in C.
-STIFF = ("length", "failed", "wait")  # Of `stiff.Stiff`, as C has it.
+STIFF = ("length", "failed", "wait", "pieces")  # Of `stiff.Stiff`, as C has it.
 MOST, BYTES = 1024, 8 << 20  # Pieces of a call, and the memory that they may take.
 
 
@@ -149,7 +149,6 @@ class InC:
     def __init__(self, problem: ContinuousProblem, course: Callable[[], Course], steps: Any) -> None:
         """``steps``: `codegen.piece_runs.PiecesInC`."""
         self.problem, self._course, self._c = problem, course, steps
-        self._collocated = 0  # Pieces by collocation, which C leaves to the integrator.
         self._stopped: str | None = None  # Of the integrator.
         self._stretches = NEW  # Of the course.
         self._behind: tuple[dict[str, Any], dict[str, Any]] | None = None  # Before a piece that was interpreted.
@@ -227,7 +226,7 @@ class InC:
         unique = {verdict: int(count) for verdict, count in zip(VERDICTS, place["unique"], strict=True) if count}
         notes = {"touches": int(place["touches"]), "unique": unique, "redundant": int(place["redundant"])}
         past = [dict(one) for one in self._stretches["past"]]
-        return notes | {"collocated": self._collocated, "stretches": past}
+        return notes | {"collocated": int(place["stiff"][-1]), "stretches": past}
 
     def standing(self, *, before: bool = False) -> dict[str, Any]:
         """As the course's."""
@@ -248,7 +247,7 @@ class InC:
             "begun": tuple(place["impulse"][:m].tolist()) if place["begun"] else None,
             "accumulation": {"events": int(place["events"]), "times": self._c.times[:n].tolist(), "tiny": int(place["tiny"])},
             "unique": counts["unique"], "touches": counts["touches"], "redundant": counts["redundant"], "stopped": self._stopped,
-            "stiff": dict(zip(STIFF, place["stiff"].tolist(), strict=True)) | {"pieces": self._collocated},
+            "stiff": dict(zip(STIFF, place["stiff"].tolist(), strict=True)),
         }  # fmt: skip
         return {"integrator": integrator, **deepcopy(self._stretches)}
 
@@ -270,7 +269,7 @@ class InC:
         counted = saved["accumulation"]
         self._c.times[: len(counted["times"])] = counted["times"]
         place["events"], place["tiny"] = counted["events"], counted["tiny"]
-        place["stiff"], self._collocated = [saved["stiff"][name] for name in STIFF], saved["stiff"]["pieces"]
+        place["stiff"] = [saved["stiff"][name] for name in STIFF]
         self._stopped = saved["stopped"]
         unique = Counter(saved["unique"])
         place["unique"] = [unique[verdict] for verdict in VERDICTS]

@@ -6,14 +6,6 @@ enum {
     AT_SIZE_L = AT_SIZE_Y + M, AT_LAST = AT_SIZE_L + M, AT_C = AT_LAST + N
 };
 
-/* The raised of two that is not below tau. */
-static double unit_of(double tau)
-{
-    int exponent;
-    const double fraction = frexp(tau, &exponent);
-    return ldexp(1.0, exponent - (fraction == 0.5));
-}
-
 static int expand_finite(model_pieces *s, int orders)
 {
     for (int pass = 0; pass < UNITS; pass++) {
@@ -690,32 +682,6 @@ static void record_sizes(model_pieces *s)
 #endif
 }
 
-/* Whether a piece by collocation is tried, as in stiff.py. */
-static int is_stiff(model_pieces *s, double length)
-{
-    double *left = s->at.stiff + 2;
-    if (s->at.stiff[0] > 0)
-        return 1;
-    if (*left > 0) {
-        *left -= 1;
-        return 0;
-    }
-#if LAW
-    if (HOW.null > 0)
-        return 0;
-#endif
-    if (length >= 1 || memchr(s->at.open, 1, M + CHOICES))
-        return 0;
-    for (int i = 0; i < N; i++) {
-        double moved = 0, power = 1;
-        for (int k = 1; k <= SMOOTH; k++)
-            moved += fabs(s->c[k][i])*(power *= WORTH*length);
-        if (moved > s->at.size_x[i])
-            return 0;
-    }
-    return 1;
-}
-
 /* Integrate to the next event, or as far as one expansion goes. */
 static int next_piece(model_pieces *s)
 {
@@ -739,13 +705,27 @@ static int next_piece(model_pieces *s)
         length = min_of(length/times, 1.0);
         s->at.tau = unit;
     }
-    if (s->leaves && is_stiff(s, length))
-        return MODEL_NOT_SOLVED;
     const double longest = length*s->at.tau, known = next_known(s->at.t);
-    length = min_of(length, (known - s->at.t)/s->at.tau);
-    if ((status = accept(s, &length, &hit, &found, &error)))
-        return status;
-    grow(s, length, s->at.tau*length);
+#if STIFF
+    const int collocated = collocate(s, &length, known - s->at.t, &hit, &found, &error);
+#else
+    const int collocated = 0;
+    if (s->leaves) {
+        if (s->at.stiff[NEXT_LENGTH] > 0 || trial(s, length) > 0)
+            return MODEL_NOT_SOLVED;
+        let_series(s, 0);
+    }
+#endif
+    if (!collocated) {
+        length = min_of(length, (known - s->at.t)/s->at.tau);
+        if ((status = accept(s, &length, &hit, &found, &error)))
+            return status;
+    }
+    grow(s, length, min_of(longest, s->at.tau*length));
+#if STIFF
+    if (collocated)
+        memcpy(s->value, s->last, sizeof s->last);
+#endif
     record_piece(s, length, error);
     if (length != 0)
         s->at.begun = 0;
@@ -756,19 +736,21 @@ static int next_piece(model_pieces *s)
     s->at.t += s->at.tau*length;
     memset(s->at.open, 0, sizeof s->at.open);
     const double start = s->piece[AT_T], unit = s->at.tau, tau = unit*length;
+    s->at.tau = collocated ? unit_of(ROOM*longest) : unit; /* that of series, and of germs, stays what a series takes */
     if (!found && !reaches(s->at.t, known)) {
 #if LAW
         if (HOW.through && (status = hold(s)))
             return status;
 #endif
-        s->at.tau = unit_of(ROOM*tau);
+        if (!collocated)
+            s->at.tau = unit_of(ROOM*tau);
     }
     else {
         /* In a unit that is longer than a mode's own time coefficients grow. */
         s->at.tau = unit_of(found && length > STUMP ? min_of(longest, LONGER*tau) : longest);
-        memset(s->at.stiff, 0, sizeof s->at.stiff);
+        restart(s);
         if (found) {
-            s->at.tiny = length*unit < TINY*max_of(fabs(s->at.t), unit) ? s->at.tiny + 1 : 0;
+            s->at.tiny = tau < TINY*max_of(fabs(s->at.t), s->at.tau) ? s->at.tiny + 1 : 0;
             if (s->at.tiny > TINY_PIECES)
                 return MODEL_NO_MODE;
         }

@@ -45,6 +45,14 @@ static int all_finite(int n, const double *x)
     return 1;
 }
 
+/* The power of two that is not below tau. */
+static double unit_of(double tau)
+{
+    int exponent;
+    const double fraction = frexp(tau, &exponent);
+    return ldexp(1.0, exponent - (fraction == 0.5));
+}
+
 static int spend_on(model_pieces *s) { return s->work < s->budget ? (s->work++, 1) : 0; }
 
 #if LAW

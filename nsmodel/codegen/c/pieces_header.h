@@ -23,7 +23,13 @@ extern "C" {
 #define MODEL_PIECES_KEPT @KEPT@
 #define MODEL_PIECES_GERM @GERM@ /* coefficients that decide a germ */
 #define MODEL_PIECES_TIMES @TIMES@
-#define MODEL_PIECES_STIFF 3
+#define MODEL_PIECES_STIFF 4
+#if STIFF
+#define MODEL_PIECES_STAGES @STAGES@ /* of a piece by collocation, at most */
+#define MODEL_PIECES_OCTAVES @OCTAVES@ /* of lengths whose matrices are kept */
+#define MODEL_PIECES_UNKNOWN (MODEL_PIECES_N + MODEL_PIECES_M) /* at each */
+#define MODEL_PIECES_SIDES (MODEL_PIECES_ROWS + MODEL_PIECES_CHOICES) /* x, l, y and what branches look at */
+#endif
 #define MODEL_PIECES_VERDICTS 3
 #define MODEL_PIECES_RECORD (5 + 4*MODEL_PIECES_M + MODEL_PIECES_N + (MODEL_PIECES_ORDERS + 1)*MODEL_PIECES_ROWS)
 

@@ -9,16 +9,20 @@ long model_size(void) { return (long)sizeof(model_pieces); }
 /* What a piece takes in a list of them. */
 long model_width(int order) { return AT_C + (long)(order + 1)*ROWS; }
 
-/* Begin at the start of the model. */
-int model_begin(model_pieces *s, double rtol, const double *atol, int estimated)
+/* Begin at the start of the model; residuals: see the struct. */
+int model_begin(model_pieces *s, double rtol, const double *atol, int residuals)
 {
     double x[N];
     const int status = model_pieces_init(s, rtol);
     if (status == MODEL_BAD_ARITHMETIC)
         return status;
     memcpy(s->atol, atol, sizeof s->atol);
-    s->estimated = estimated;
+#if STIFF
+    s->residuals = residuals;
+#else
+    UNUSED(residuals);
     s->leaves = 1;
+#endif
     start(s, x);
     return model_pieces_set_state(s, 0, x);
 }

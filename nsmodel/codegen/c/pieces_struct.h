@@ -25,7 +25,7 @@ typedef struct {
     double begun, impulse[MODEL_PIECES_M + 1]; /* 1: an event begins the next piece, after a jump by this */
     double events, touches, redundant, tiny; /* counts; tiny: pieces in a row */
     int known; /* orders of the series that stand for the place */
-    double stiff[MODEL_PIECES_STIFF]; /* length of the next piece by collocation, trials that failed, series until the next one */
+    double stiff[MODEL_PIECES_STIFF]; /* length of the next piece by collocation, trials that failed, series until the next; pieces */
     double unique[MODEL_PIECES_VERDICTS]; /* modes shown to be the only one, by all valid ones, not decided */
     signed char codes[MODEL_PIECES_M + 1], open[MODEL_PIECES_M + MODEL_PIECES_CHOICES + 1];
 } model_place;
@@ -37,7 +37,11 @@ typedef struct {
     double rtol, atol[MODEL_PIECES_N], shares[2];
     int order; /* of the series */
     int estimated; /* whether the defect of each piece is estimated */
+#if STIFF
+    int residuals; /* whether x' - f - g of pieces by collocation is itself within what is allowed */
+#else
     int leaves; /* whether pieces by collocation are left to the caller */
+#endif
     int status, live; /* live: there is a piece */
     unsigned long ready;
     long work, budget; /* series computed, polynomials halved: of a piece, at most */
@@ -62,6 +66,16 @@ typedef struct {
 #endif
 #if GENERAL
     double row[MODEL_PIECES_M*MODEL_PIECES_N];
+#endif
+#if STIFF
+    double first[MODEL_PIECES_SIDES], last[MODEL_PIECES_N]; /* of a piece by collocation: where it begins; x at its end */
+    double jacobian[MODEL_PIECES_UNKNOWN*MODEL_PIECES_UNKNOWN]; /* of f + g and y of held rows, by x and l of these */
+    int unknown; /* its rows */
+    double lengths[MODEL_PIECES_OCTAVES + 1]; /* for which inverses are there */
+    double inverses[MODEL_PIECES_OCTAVES + 1][2*MODEL_PIECES_STAGES*MODEL_PIECES_UNKNOWN*MODEL_PIECES_UNKNOWN];
+    double nodal[MODEL_PIECES_STAGES*MODEL_PIECES_SIDES], between[MODEL_PIECES_STAGES*MODEL_PIECES_SIDES];
+    double work_stages[MODEL_PIECES_STAGES*MODEL_PIECES_SIDES];
+    double missed[MODEL_PIECES_STAGES*MODEL_PIECES_UNKNOWN], moved[MODEL_PIECES_STAGES*MODEL_PIECES_UNKNOWN];
 #endif
     double piece[MODEL_PIECES_RECORD]; /* the last one; see the enum in @NAME@_pieces.c */
     double per_unit; /* 1 by its unit of time: exact, and a row is read without a division */
