@@ -38,12 +38,22 @@ KINDS = {  # Marks of test files, by what their names begin with; what is in non
 FEW = 4  # Of the parameters of a test that is not fast, where few random models are tried.
 
 
+def kinds_of(path):
+    """The marks of a test file; none: it is fast."""
+    return [kind for kind, starts in KINDS.items() if path.name.startswith(starts)]
+
+
+def pytest_ignore_collect(collection_path, config):
+    """Files that are not fast are not even read where fast tests are asked for."""
+    return (config.option.markexpr == "fast" and bool(kinds_of(collection_path))) or None
+
+
 @pytest.hookimpl(tryfirst=True)  # before -m chooses
 def pytest_collection_modifyitems(config, items):
     """Mark each test by its file; those of tests/search/ are for the night. Where few models are tried, take few of many."""
     many = defaultdict(list)
     for item in items:
-        kinds = [kind for kind, starts in KINDS.items() if item.path.name.startswith(starts)]
+        kinds = kinds_of(item.path)
         for kind in ["nightly"] if item.path.parent.name == "search" else kinds or ["fast"]:
             item.add_marker(kind)
         if COUNT < FULL and kinds and "case_file" not in getattr(item, "fixturenames", ()):

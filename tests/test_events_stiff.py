@@ -67,7 +67,7 @@ def test_tables_of_polynomials(s):
 
 
 @needs_data
-@pytest.mark.parametrize("rtol", RTOLS)
+@pytest.mark.parametrize("rtol", [1e-1, *RTOLS])
 @pytest.mark.parametrize(("name", "mu"), [("stiff_relay_3", 1e3), ("stiff_relay_5", 1e5)])
 def test_relay_through_an_actuator_against_113_bits(name, mu, rtol, compiled):
     reference = np.load(DATA / f"{name}_ref.npz")
