@@ -305,6 +305,7 @@ def test_a_turn_that_half_steps_do_not_see_is_told(compiled):
     assert np.abs(run.x - play_exact(run.t)).max() / (rtol * np.abs(run.x).max()) == pytest.approx(told, rel=0.05)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("s", "rtol"), some([(0.77, 1e-6), (0.77, 1e-4), (1.3, 1e-6), (1.3, 1e-4)]))
 @pytest.mark.parametrize("theta", [0.5, 1])
 def test_a_release_that_half_steps_see_too_late_is_told(s, theta, rtol):

@@ -288,6 +288,7 @@ def test_numbers_that_are_left_out_prove_nothing(certificates):
                 assert answer.startswith("no") or name in ("rho", "L_t"), (s["id"], name)
 
 
+@pytest.mark.long
 def test_a_cover_with_a_part_left_out_is_refused():
     """A tree can only halve the box: a leaf too early is a bound that fails."""
     f = (-q[0] + q[1] ** 3 - q[1], -q[1] + 0.5 * ca.sin(3 * q[0]) * q[1])

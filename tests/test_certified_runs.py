@@ -250,6 +250,7 @@ def random_monotone(seed):
     return LureSystem(t=t, A=A, B=B, C=C, D=D, f=[wave() for _ in range(n)], law=law, x0=x0, t_end=3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("model", [*map(random_model, range(share(6))), *map(random_monotone, range(share(15, 5)))])
 def test_errors_of_random_models_are_below_their_bounds(model):
     """Against a run at 1e-13 whose own bound is added; no bound where the error has left the tube."""

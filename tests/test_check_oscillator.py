@@ -283,6 +283,7 @@ def random_potential(x, rng):
     return sum(float(rng.choice([1, 1, 2, 0.5, -0.3])) * atoms[i] for i in rng.choice(len(atoms), int(rng.integers(1, 4))))
 
 
+@pytest.mark.long
 def test_no_pair_of_points_contradicts_a_potential_that_holds():
     rng, held = np.random.default_rng(5), 0
     x, s = ca.SX.sym("x", 2), ca.SX.sym("s")

@@ -327,6 +327,7 @@ def brute(model, report, seed=0, **values):
         assert contradictions(bound, held, rng, 12) == []
 
 
+@pytest.mark.long
 def test_random_inclusions_are_judged_as_at_dense_values():
     rng, seen, dense = np.random.default_rng(7), [], np.linspace(0, 1, 21)
     for seed in range(share(30, 3)):

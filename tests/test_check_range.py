@@ -257,6 +257,7 @@ def indicator(*rows):
     return value
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(3))
 def test_potentials_that_are_laws_agree_with_the_laws(seed):
     rng = np.random.default_rng(seed)

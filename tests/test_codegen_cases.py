@@ -83,6 +83,7 @@ def test_no_finding_of_the_sanitizers(stem, library, tmp_path):
     assert "runtime error" not in done.stderr
 
 
+@pytest.mark.long
 @pytest.mark.skipif(shutil.which("valgrind") is None, reason="no valgrind")
 @pytest.mark.parametrize("stem", ["diode_bridge", "gene_network", "two_discs", "inclusion_8_2_full", "sliding_relay"])
 def test_no_finding_of_valgrind(stem, library, tmp_path):

@@ -362,6 +362,7 @@ def test_a_start_at_zero_against_a_wall_in_other_units():
     np.testing.assert_allclose(run.x[-1], (2 + 1 - math.cos(1)) / 2, rtol=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("compiled", [True, False])
 def test_masses_that_move_only_as_far_as_rounding(compiled):
     """Springs between equal masses pull nothing at the start, but rounding leaves a rest; steps in time know no such thing."""

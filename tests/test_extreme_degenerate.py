@@ -316,6 +316,7 @@ def test_the_constant_of_the_door(a, rho):
         assert mfcq_constant(np.array([[-a, corner], [a, corner]]))[0] == pytest.approx(1 / np.sqrt(1 - a**2))
 
 
+@pytest.mark.long
 def test_the_check_sees_the_closing_door_before_the_step_fails():
     """While it is open, gamma(rho) is finite only for rho < a - 1; from a = 1 on it is inf, with both discs as the witness."""
     for t_end in (0.0, 0.02, 0.04, 0.049):

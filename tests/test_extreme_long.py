@@ -50,6 +50,7 @@ for steps in (1e5, 1e7):
 """
 
 
+@pytest.mark.long
 @pytest.mark.skipif(library.compiler() is None, reason="no C compiler")
 def test_ten_million_steps_take_no_more_memory_than_a_hundred_thousand(tmp_path):
     """In a process of its own: no drift of the contact, nor of the free direction beyond the rounding of a sum of 10^7 steps."""

@@ -152,6 +152,7 @@ def test_lure_systems():
     assert stopped["lure"] <= FULL / 100
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scenes", [models.first_order, models.lure])
 def test_a_wrong_step_is_seen(scenes):
     seen: list[bool] = []

@@ -406,6 +406,7 @@ WRONG = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", WRONG)
 def test_a_wrong_step_is_seen(name):
     scenes, judge, arrays = WRONG[name]

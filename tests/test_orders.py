@@ -416,6 +416,7 @@ def test_order_two_where_a_relay_starts_to_slide_and_one_where_it_jumps(page):
     assert abs(seen.order_extrapolated - 1) <= chance(steps[:-1], 3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("power", "expected"), [(None, 1), (2, 0), (3, 1 / 2), (4, 1)])
 def test_catching_up_with_tolerances_that_are_used_up(power, expected, page):
     """min(1, p/2 - 1) on a half-line, 8.1."""

@@ -652,6 +652,7 @@ FILES = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", CASES)
 def test_save_all_writes_what_the_run_can_give(case, tmp_path):
     paths = plot.save_all(*CASES[case](), tmp_path / "new" / "folder", prefix="a_")

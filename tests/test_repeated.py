@@ -67,6 +67,7 @@ def test_discs_and_walls_go_the_same_way(seed, general):
     assert_same(simulate(model, compiled=False), general(model))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", ["gene_network", "two_discs", "point_past_disc", "zhuravlev_ivanov", "friction_oscillator"])
 def test_cases_go_the_same_way(case, general, load_case):
     model = load_case(case)

@@ -296,6 +296,7 @@ def test_without_tolerances_projections_are_exact(cases_of, run_case):
         assert run.excess[1:].max() <= 1e-15, stem
 
 
+@pytest.mark.long
 def test_tolerances_of_third_order_vanish_and_of_second_order_do_not():
     """Each step may drift by sqrt(eps): a velocity sqrt(eps)/mu, which vanishes with the mesh for mu^3, and is constant for mu^2.
 

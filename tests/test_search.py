@@ -180,6 +180,7 @@ def test_the_models_of_the_checker_are_those_of_other_days():
     assert {name: checked.fingerprint(name, range(12)) for name in checked.MAKERS} == FROZEN
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", oracle.ORACLES)
 def test_the_checker_says_nothing_false_of_the_first_models(name):
     for seed in range(share(2)):

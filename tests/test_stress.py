@@ -57,6 +57,7 @@ def told(found):
     return [(o.cell.scene, dict(o.cell.at), o.misfit, o.message) for o in found]
 
 
+@pytest.mark.long
 def test_a_thousand_cells_of_all_five_classes(outcomes):
     assert len(outcomes) >= 1000 * COUNT / FULL
     counts = Counter(o.cell.kind for o in outcomes)
@@ -257,6 +258,7 @@ def test_a_motion_that_doubles_do_not_determine_is_not_called_right():
     assert all(cell.verdict != RIGHT for cell in last)
 
 
+@pytest.mark.long
 def test_a_run_that_must_stop_is_stopped_and_says_why():
     walls = SweepingProcess(
         t=T, q=X, q0=0.1, constraints={"left": X + 0.5 - T, "right": 0.5 - T - X}, t_end=1, step=0.01, title="Walls"
@@ -269,6 +271,7 @@ def test_a_run_that_must_stop_is_stopped_and_says_why():
     assert "Stopped" in found.text()
 
 
+@pytest.mark.long
 def test_parameters_are_varied_in_all_combinations():
     k, a = ca.SX.sym("k"), ca.SX.sym("a")
     model = FrictionOscillator(
@@ -333,6 +336,7 @@ def model(gap=0.5, n=2):
 """
 
 
+@pytest.mark.long
 def test_the_command_line(tmp_path, capsys, monkeypatch):
     file = tmp_path / "walls.py"
     file.write_text(FILE)

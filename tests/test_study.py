@@ -338,6 +338,7 @@ def half_line(load_case):
     return study(load_case("moving_half_line"), steps=[0.06, 0.03, 0.015], solvers=["lemke"], target=5e-3, budget=600)
 
 
+@pytest.mark.long
 def test_errors_of_a_study_are_those_of_its_runs(half_line, load_case):
     for point in half_line.line("interpreted").points:
         run = nsmodel.simulate(load_case("moving_half_line"), step=point.step)

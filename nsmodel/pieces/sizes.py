@@ -26,9 +26,10 @@ class Sizes:
 
 
 class Negligible:
-    """``of(t, x, l, sizes, time)``: a part of what x and l of their sizes move each x by in this time, to first order at a point.
+    """``of(t, x, l, sizes, time)``: a part of what x of their sizes move each x by in this time, to first order at a point.
 
-    What moves by less is measured beside it: the same in all units of each x.
+    What moves by less is measured beside it: the same in all units of each x. What multipliers move it by says nothing: where
+    walls push against each other they are as large as they like.
     """
 
     def __init__(self, problem: ContinuousProblem) -> None:
@@ -41,15 +42,12 @@ class Negligible:
 
     def __call__(self, t: float, x: list[float], l: list[float], sizes: Sizes, time: float) -> list[float]:
         """0 where there is no number."""
-        found = np.array(self._moves(t, x, l, sizes.x, sizes.l)).ravel()
+        found = np.array(self._moves(t, x, l, sizes.x)).ravel()
         return np.where(np.isfinite(found), NEGLIGIBLE * time * found, 0.0).tolist()
 
 
 def moves(problem: ContinuousProblem) -> tuple[dict[str, ca.SX], ca.SX]:
-    """t, x, l and sizes of x and l; by what states and multipliers of these sizes move each x in the unit of time."""
+    """t, x, l and sizes of x; by what states of these sizes move each x in the unit of time."""
     p = problem
-    of_x, of_l = ca.SX.sym("of_x", p.x.numel()), ca.SX.sym("of_l", p.l.numel())
-    rate = p.f + p.g
-    moved = ca.fabs(derivatives(rate, p.x)) @ of_x
-    moved = moved + ca.fabs(derivatives(rate, p.l)) @ of_l if p.l.numel() else moved
-    return {"t": p.t, "x": p.x, "l": p.l, "of_x": of_x, "of_l": of_l}, moved
+    of_x = ca.SX.sym("of_x", p.x.numel())
+    return {"t": p.t, "x": p.x, "l": p.l, "of_x": of_x}, ca.fabs(derivatives(p.f + p.g, p.x)) @ of_x

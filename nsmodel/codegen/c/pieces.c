@@ -350,7 +350,7 @@ static void grow(model_pieces *s, double length, double time)
     }
 #endif
     s->now[0] = s->c[0][T];
-    moves(s, s->now, s->c[0], s->c[0] + L, s->at.size_x, s->at.size_l, moved);
+    moves(s, s->now, s->c[0], s->c[0] + L, s->at.size_x, moved);
     for (int i = 0; i < N; i++)
         if (is_finite(moved[i]))
             s->at.size_x[i] = max_of(s->at.size_x[i], NEGLIGIBLE*time*moved[i]);
