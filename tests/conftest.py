@@ -54,19 +54,20 @@ def pytest_collection_modifyitems(config, items):
 
     Where few random models are tried, long tests are left out, and few of the many parameters of others are taken.
     """
-    many, left = defaultdict(list), []
+    many, left = defaultdict(list), set()
     for item in items:
         kinds = kinds_of(item.path)
         for kind in ["nightly"] if item.path.parent.name == "search" else kinds or ["fast"]:
             item.add_marker(kind)
         if COUNT < FULL and item.get_closest_marker("long"):
-            left.append(item)
+            left.add(item)
         elif COUNT < FULL and kinds and "case_file" not in getattr(item, "fixturenames", ()):
             many[item.nodeid.partition("[")[0]].append(item)
-    left += [item for one in many.values() if len(one) > FEW for item in one if item not in spread(one, FEW)]
+    for one in many.values():
+        left |= set(one).difference(spread(one, FEW))
     if left:
-        config.hook.pytest_deselected(items=left)
-        items[:] = [item for item in items if item not in set(left)]
+        config.hook.pytest_deselected(items=list(left))
+        items[:] = [item for item in items if item not in left]
 
 
 def pytest_generate_tests(metafunc):

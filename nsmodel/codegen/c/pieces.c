@@ -256,7 +256,6 @@ static double defect_of(model_pieces *s, double length)
         s->now[0] = s->at.t + s->at.tau*at;
         equations(s, s->now, value, value + N, s->f, y);
         for (int i = 0; i < N; i++) {
-
             const double largest = max_of(max_of(s->at.size_x[i], s->later[i]), max_of(fabs(value[i]), fabs(slope[i]*length)));
             most[i] = s->shares[point]*(p + 1)/length*(s->rtol*largest + s->atol[i] + NOTHING)/LOCAL;
             off[i] = slope[i] - s->at.tau*s->f[i];

@@ -1,5 +1,45 @@
 /* How multipliers follow in a mode: pieces/multipliers.py. */
 
+static void exchange(double *a, double *b)
+{
+    const double kept = *a;
+    *a = *b;
+    *b = kept;
+}
+
+/* A (n, n) becomes its inverse, by Gauss and Jordan with pivots; 0 where it is singular. */
+static int inverse_of(int n, double *A)
+{
+    int from[2*(N + M)];
+    for (int k = 0; k < n; k++) {
+        int p = k;
+        for (int i = k + 1; i < n; i++)
+            if (fabs(A[i*n + k]) > fabs(A[p*n + k]))
+                p = i;
+        if (!(fabs(A[p*n + k]) > 0))
+            return 0;
+        from[k] = p;
+        for (int j = 0; j < n && p != k; j++)
+            exchange(&A[k*n + j], &A[p*n + j]);
+        const double d = 1/A[k*n + k];
+        A[k*n + k] = 1;
+        for (int j = 0; j < n; j++)
+            A[k*n + j] *= d;
+        for (int i = 0; i < n; i++) {
+            const double a = A[i*n + k];
+            if (i == k || a == 0)
+                continue;
+            A[i*n + k] = 0;
+            for (int j = 0; j < n; j++)
+                A[i*n + j] -= a*A[k*n + j];
+        }
+    }
+    for (int k = n - 1; k >= 0; k--)
+        for (int i = 0; i < n && from[k] != k; i++)
+            exchange(&A[i*n + k], &A[i*n + from[k]]);
+    return 1;
+}
+
 #if LAW
 #define HOW (s->kept[s->current])
 
@@ -45,48 +85,6 @@ static void units(int n, const double *A, double *r, double *c)
             c[i] /= columns[i] > 0 ? sqrt(columns[i]) : 1;
         }
     }
-}
-
-static void exchange(double *a, double *b)
-{
-    const double kept = *a;
-    *a = *b;
-    *b = kept;
-}
-
-/* The inverse of A (n, n), which is overwritten, by Gauss and Jordan with pivots; 0 where it is singular. */
-static int inverted(int n, double *A, double *out)
-{
-    memset(out, 0, n*n*sizeof *out);
-    for (int i = 0; i < n; i++)
-        out[i*n + i] = 1;
-    for (int k = 0; k < n; k++) {
-        int p = k;
-        for (int i = k + 1; i < n; i++)
-            if (fabs(A[i*n + k]) > fabs(A[p*n + k]))
-                p = i;
-        if (!(fabs(A[p*n + k]) > 0))
-            return 0;
-        for (int j = 0; j < n && p != k; j++) {
-            exchange(&A[k*n + j], &A[p*n + j]);
-            exchange(&out[k*n + j], &out[p*n + j]);
-        }
-        const double d = 1/A[k*n + k];
-        for (int j = 0; j < n; j++) {
-            A[k*n + j] *= d;
-            out[k*n + j] *= d;
-        }
-        for (int i = 0; i < n; i++) {
-            const double a = A[i*n + k];
-            if (i == k || a == 0)
-                continue;
-            for (int j = 0; j < n; j++) {
-                A[i*n + j] -= a*A[k*n + j];
-                out[i*n + j] -= a*out[k*n + j];
-            }
-        }
-    }
-    return 1;
 }
 
 /*
@@ -211,14 +209,15 @@ static int generalised_inverse(int n, double *A, double *plus, double *U, double
         return n;
     }
     units(n, A, r, c);
-    memcpy(U, A, n*n*sizeof *U);
-    if (inverted(n, U, plus) && is_clear(n, A, plus, r, c))
+    memcpy(plus, A, n*n*sizeof *plus);
+    if (inverse_of(n, plus) && is_clear(n, A, plus, r, c))
         return n;
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++)
             U[i*n + j] = A[i*n + j]*r[i]*c[j];
     const int rank = singular_values(n, U, sigma, V);
-    if (rank == n && inverted(n, A, plus))
+    memcpy(plus, A, n*n*sizeof *plus);
+    if (rank == n && inverse_of(n, plus))
         return n;
     memset(plus, 0, n*n*sizeof *plus);
     for (int i = 0; i < n; i++)

@@ -69,45 +69,6 @@ static void multiply(int r, int k, int c, const double *A, const double *B, int 
     }
 }
 
-/* The inverse of A (n, n), which is overwritten, by Gauss and Jordan with pivots; 0 where it is singular. */
-static int inverse_of(int n, double *A)
-{
-    int from[2*UNKNOWN];
-    for (int k = 0; k < n; k++) {
-        int p = k;
-        for (int i = k + 1; i < n; i++)
-            if (fabs(A[i*n + k]) > fabs(A[p*n + k]))
-                p = i;
-        if (!(fabs(A[p*n + k]) > 0))
-            return 0;
-        from[k] = p;
-        for (int j = 0; j < n && p != k; j++) {
-            const double kept = A[k*n + j];
-            A[k*n + j] = A[p*n + j];
-            A[p*n + j] = kept;
-        }
-        const double d = 1/A[k*n + k];
-        A[k*n + k] = 1;
-        for (int j = 0; j < n; j++)
-            A[k*n + j] *= d;
-        for (int i = 0; i < n; i++) {
-            const double a = A[i*n + k];
-            if (i == k || a == 0)
-                continue;
-            A[i*n + k] = 0;
-            for (int j = 0; j < n; j++)
-                A[i*n + j] -= a*A[k*n + j];
-        }
-    }
-    for (int k = n - 1; k >= 0; k--)
-        for (int i = 0; i < n && from[k] != k; i++) {
-            const double kept = A[i*n + k];
-            A[i*n + k] = A[i*n + from[k]];
-            A[i*n + from[k]] = kept;
-        }
-    return 1;
-}
-
 /* The inverse of (a + i b) E - h J, of (x, l of held rows), as real blocks, transposed; one block where b is 0. */
 static int inverse_at(const model_pieces *s, double h, double a, double b, double *out)
 {
