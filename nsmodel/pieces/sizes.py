@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.model.expressions import derivatives
+from nsmodel.proof.buffered import attached
 from nsmodel.scheme.continuous import ContinuousProblem
 
 NEGLIGIBLE = 1e-6  # Of what moves a state on a piece.
@@ -36,14 +40,19 @@ class Negligible:
         self._problem = problem
 
     @cached_property
-    def _moves(self) -> ca.Function:
+    def _moves(self) -> tuple[list[np.ndarray], np.ndarray, Any, Callable[[], None]]:
         given, moved = moves(self._problem)
-        return ca.Function("moves", list(given.values()), [moved])
+        arrays, found = [np.zeros(of.numel()) for of in given.values()], np.zeros(moved.numel())
+        function = ca.Function("moves", list(given.values()), [ca.densify(moved)])
+        return arrays, found, *attached(function, arrays, [found])
 
     def __call__(self, t: float, x: list[float], l: list[float], sizes: Sizes, time: float) -> list[float]:
         """0 where there is no number."""
-        found = np.array(self._moves(t, x, l, sizes.x)).ravel()
-        return np.where(np.isfinite(found), NEGLIGIBLE * time * found, 0.0).tolist()
+        given, found, _, call = self._moves
+        for array, value in zip(given, (t, x, l, sizes.x), strict=True):
+            array[:] = value
+        call()
+        return [NEGLIGIBLE * time * v if math.isfinite(v) else 0.0 for v in found.tolist()]
 
 
 def moves(problem: ContinuousProblem) -> tuple[dict[str, ca.SX], ca.SX]:
