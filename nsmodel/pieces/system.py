@@ -29,7 +29,7 @@ from nsmodel.pieces.settled import moved_share, stays
 from nsmodel.pieces.sizes import Negligible, Sizes
 from nsmodel.pieces.sliding import Blocks
 from nsmodel.pieces.slopes import at_points, numbers
-from nsmodel.pieces.straight import sums, terms_of
+from nsmodel.pieces.straight import Terms, sums, terms_of
 from nsmodel.scheme.continuous import ContinuousProblem
 
 NEWTON = 30  # Iterations of l at order 0, where f, g or h are not linear in it.
@@ -82,7 +82,8 @@ class System:
         self._from_rest: Release | None = None
         self._known: dict[tuple, Solve] = {}
         self._p: dict[tuple, bool] = {}
-        self._absolute: dict[int, tuple[list[tuple[int, float]], ...]] = {}
+        self._absolute: dict[int, Terms] = {}
+        self._pushing: dict[int, Terms] = {}
 
     @cached_property
     def middle(self) -> list[float]:
@@ -209,8 +210,14 @@ class System:
 
     def size_y(self, i: int) -> float:
         """What y_i is measured beside: the largest so far, what it is the sum of, and a part of what l pushes it by."""
-        pushed = abs(self.t[1]) * sum(a * abs(self.push[j][0]) for j, a in self._sizes_of(i)[2])
-        return max(self.sizes.y[i], self.terms(i) + RESTS * pushed)
+        return max(self.sizes.y[i], self.terms(i) + RESTS * abs(self.t[1]) * self._push_of(i))
+
+    def _push_of(self, i: int) -> float:
+        """|C_i| |B| |l|."""
+        if self.B is None or self.C is None or i not in self._pushing:
+            B, _, C = self.slopes()
+            self._pushing[i] = terms_of(np.abs(C[i : i + 1]) @ np.abs(B), 1)
+        return sum(a * abs(self.push[j][0]) for j, a in self._pushing[i][0])
 
     def pushed(self) -> np.ndarray:
         """By what multipliers push each x (n,) in the unit of time, in size: in stick f takes that back."""
@@ -222,17 +229,14 @@ class System:
 
     def terms(self, i: int, x: Sequence[float] = (), l: Sequence[float] = ()) -> float:
         """The size of what y_i is the sum of, with the largest states and multipliers so far, and these."""
-        total = 0.0
-        for entries, sizes, now in zip(self._sizes_of(i)[:2], (self.sizes.x, self.sizes.l), (x, l), strict=True):
-            for j, a in entries:
-                total += a * (max(sizes[j], abs(now[j])) if now else sizes[j])
-        return total
+        both = zip(self._sizes_of(i), (self.sizes.x, self.sizes.l), (x, l), strict=True)
+        return sum(a * (max(of[j], abs(now[j])) if now else of[j]) for entries, of, now in both for j, a in entries)
 
-    def _sizes_of(self, i: int) -> tuple[list[tuple[int, float]], ...]:
-        """What is not 0 of |C_i|, |D_i| and |C_i| |B|."""
-        if self.B is None or self.C is None or self.D is None or i not in self._absolute:
-            B, D, C = map(np.abs, self.slopes())
-            self._absolute[i] = tuple(terms_of(rows, 1)[0] for rows in (C[i : i + 1], D[i : i + 1], C[i : i + 1] @ B))
+    def _sizes_of(self, i: int) -> Terms:
+        """What is not 0 of |C_i| and |D_i|."""
+        if self.C is None or self.D is None or i not in self._absolute:
+            _, D, C = self.slopes()
+            self._absolute[i] = terms_of(np.abs(C[i : i + 1]), 1) + terms_of(np.abs(D[i : i + 1]), 1)
         return self._absolute[i]
 
     @cached_property
