@@ -96,3 +96,25 @@ def test_a_function_that_saturates_is_not_taken_for_a_motion_that_grows():
     for rtol in (1e-2, 1e-4, 1e-8):
         run = simulate(driven(threshold, 2), rtol=rtol, times=at, method="event-driven", compiled=False)
         assert np.abs(run.x - fine.x).max() <= 10 * rtol
+
+
+@pytest.mark.parametrize("compiled", compilers)
+def test_what_sticks_behind_stiff_filters_hinders_no_long_piece(compiled):
+    """Its state and position are of the size of rounding: the stages are right once their second iteration has mended that."""
+    n, k, t = 4, 1e4, ca.SX.sym("t")
+    rates = k * np.arange(1, n + 1)
+    A = np.zeros((n + 2, n + 2))
+    A[:n, :n] = np.diag(rates[1:], -1) - np.diag(rates)
+    A[n, n - 1 :] = [3, -0.1, -1]
+    A[n + 1, n] = 1
+    B, C = np.zeros((n + 2, 1)), np.eye(n + 2)[[n]]
+    B[n] = 0.5
+    f = ca.vertcat(k * ca.if_else(t < START, 0, ca.sin(6 * t)), ca.SX.zeros(n + 1))
+    model = LureSystem(t=t, A=A, B=B, C=C, f=f, law=relay(1), x0=[0] * (n + 2), t_end=6, step=1e-3, switch_times=[START])
+    at = np.linspace(0, 6, 201)
+    fine = simulate(model, rtol=1e-11, times=at, method="event-driven", compiled=False)
+    for rtol in (1e-1, 1e-3, 1e-6):
+        run = simulate(model, rtol=rtol, times=at, method="event-driven", compiled=compiled)
+        assert len(run.events) == len(fine.events) == 12
+        assert (np.abs(run.x - fine.x) <= rtol * np.abs(fine.x).max(axis=0)).all()
+        assert len(run.piece_start) <= 200

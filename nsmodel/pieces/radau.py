@@ -135,7 +135,7 @@ class Radau:
             foretold = moved * np.minimum(moved / (before + NOTHING), 1.0) if iteration else moved
             if min(moved[0], foretold.max()) <= STAGE_SETTLED:
                 break
-            if iteration and not moved[0] <= SLOW * before[0]:
+            if iteration > 1 and not moved[0] <= SLOW * before[0]:  # The second mends what is rounding of the inverse.
                 if moved[0] <= max(STAGE_NEAR * rtol, STAGE_ROUNDING):
                     break
                 return None

@@ -304,7 +304,7 @@ static double fit(model_pieces *s, double h)
             foretold = worse_of(foretold, moved[i]*(iteration && moved[i] < before[i] ? moved[i]/before[i] : 1));
         if (min_of(moved[0], foretold) <= STAGE_SETTLED)
             break;
-        if (iteration && !(moved[0] <= SLOW*before[0])) {
+        if (iteration > 1 && !(moved[0] <= SLOW*before[0])) { /* the second mends what is rounding of the inverse */
             if (moved[0] <= max_of(STAGE_NEAR*rtol, STAGE_ROUNDING))
                 break;
             return NAN;
