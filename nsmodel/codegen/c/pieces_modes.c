@@ -312,12 +312,14 @@ static void find_mode(model_pieces *s)
 static void solve_mode(model_pieces *s)
 {
     int n = 0;
+    for (int i = 0; i < M; i++)
+        n += s->at.codes[i] == 0;
 #if MATRICES
     signed char held[M];
     for (int i = 0; i < M; i++)
         held[i] = s->at.codes[i] == 0;
 #if SLOPES
-    if (!memchr(held, 1, sizeof held)) { /* of slopes that nothing asks for here */
+    if (!n) { /* of slopes that nothing asks for here */
         HOW.n = s->count = 0;
         find_mode(s);
         return;
@@ -342,9 +344,9 @@ static void solve_mode(model_pieces *s)
 #endif
     memcpy(HOW.held, held, sizeof held);
 #endif
-    for (int i = 0; i < M; i++)
+    for (int i = 0, a = 0; i < M; i++)
         if (s->at.codes[i] == 0)
-            HOW.active[n++] = i;
+            HOW.active[a++] = i;
     HOW.n = n;
 #if MATRICES
     find_mode(s);

@@ -72,11 +72,14 @@ typedef struct {
     double jacobian[MODEL_PIECES_UNKNOWN*MODEL_PIECES_UNKNOWN]; /* of f + g and y of held rows, by x and l of these */
     int unknown; /* its rows */
     double lengths[MODEL_PIECES_OCTAVES + 1]; /* for which inverses are there */
+#endif
+    double piece[MODEL_PIECES_RECORD]; /* the last one; see the enum in @NAME@_pieces.c */
+    double per_unit; /* 1 by its unit of time: exact, and a row is read without a division */
+#if STIFF
+    /* Set before they are read: nothing clears them. */
     double inverses[MODEL_PIECES_OCTAVES + 1][2*MODEL_PIECES_STAGES*MODEL_PIECES_UNKNOWN*MODEL_PIECES_UNKNOWN];
     double nodal[MODEL_PIECES_STAGES*MODEL_PIECES_SIDES], between[MODEL_PIECES_STAGES*MODEL_PIECES_SIDES];
     double work_stages[MODEL_PIECES_STAGES*MODEL_PIECES_SIDES];
     double missed[MODEL_PIECES_STAGES*MODEL_PIECES_UNKNOWN], moved[MODEL_PIECES_STAGES*MODEL_PIECES_UNKNOWN];
 #endif
-    double piece[MODEL_PIECES_RECORD]; /* the last one; see the enum in @NAME@_pieces.c */
-    double per_unit; /* 1 by its unit of time: exact, and a row is read without a division */
 } model_pieces;
