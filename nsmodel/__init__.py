@@ -25,6 +25,7 @@ from nsmodel.laws import (
     second_order_cone,
 )
 from nsmodel.loader import load
+from nsmodel.signals import Signal, pwm, signal, steps, table
 from nsmodel.version import VERSION
 
 __version__ = VERSION
@@ -63,6 +64,7 @@ __all__ = [
     "PlotError",
     "Report",
     "RunInterrupted",
+    "Signal",
     "StepError",
     "StorageError",
     "Stress",
@@ -81,11 +83,15 @@ __all__ = [
     "neighbours",
     "polyhedron",
     "product",
+    "pwm",
     "relay",
     "second_order_cone",
+    "signal",
     "simulate",
+    "steps",
     "stress",
     "study",
+    "table",
 ]
 
 _later(

@@ -78,6 +78,7 @@ def check(
     """
     if not isinstance(model, Model):
         raise UsageError(f"check: expected a model, such as LureSystem(...), not {shown(model)}")
+    model.refuse("check")
     parameters, boxes = split_boxes(parameters, model.parameters)
     values = {**model.parameters, **model.values_of(parameters)}
     if boxes:

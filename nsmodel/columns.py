@@ -35,12 +35,19 @@ def multiplier_names(run: Trajectory) -> list[str]:
     return _names(run.metadata.get("multiplier_names"), "l", width)
 
 
+def input_names(run: Trajectory) -> list[str]:
+    """Return one name for each column of ``run.inputs``; none where the run has no inputs."""
+    return [name for names in run.metadata.get("input_groups", {}).values() for name in names]
+
+
 def units_of(run: Trajectory) -> dict[str, str]:
     """Return {name: unit} as declared, with the unit of a symbol or group handed on to each of its members."""
     units, names = dict(run.metadata.get("units", {})), state_names(run)
     for stem, columns in run.metadata.get("stems", {}).items():
         if stem in units:
             units |= {names[i]: units.get(names[i], units[stem]) for i in columns}
+    for stem, entries in run.metadata.get("input_groups", {}).items():
+        units |= {name: units.get(name, units[stem]) for name in entries if stem in units}
     for name in multiplier_names(run):
         if (group := name.split("[")[0]) in units:
             units.setdefault(name, units[group])
@@ -66,6 +73,8 @@ def of_csv(run: Trajectory) -> Iterator[tuple[str, np.ndarray]]:
     named = {"x": state_names(run), "multipliers": [f"multiplier:{name}" for name in multipliers]}
     if "y" in run.arrays and run.y.shape[1:] == (len(multipliers),):
         named["y"] = [f"y:{name}" for name in multipliers]
+    for name, prefix in (("inputs", "input"), ("inputs_begin", "input after the row before")):
+        named[name] = [f"{prefix}:{one}" for one in input_names(run)]
     first = [name for name in ("t", "x", "multipliers", "y", "residual") if name in run.arrays]
     taken: set[str] = set()
     for name in dict.fromkeys([*first, *(name for name in run.arrays if not name.startswith(LIST))]):
@@ -89,9 +98,11 @@ def dataset(run: Trajectory) -> Any:
         if name not in ("t", "x"):
             shared = name in ("multipliers", "y") and array.shape[1:] == (len(names),)
             along = next((stem.rstrip("_") for stem in LIST if name.startswith(stem)), "time")
-            rest = ["multiplier"] if shared else [f"{name}_dim_{axis}" for axis in range(1, array.ndim)]
+            driven = name in ("inputs", "inputs_begin")
+            rest = ["multiplier"] if shared else ["input"] if driven else [f"{name}_dim_{axis}" for axis in range(1, array.ndim)]
             data[name] = ((along, *rest), array, units.get(name))
     coords = {"time": ("time", run.t, units.get("t")), **({"multiplier": names} if names else {})}
+    coords |= {"input": driven} if (driven := input_names(run)) else {}
     # netCDF has no attribute that is true, None or nested.
     plain = {key: type(value) in (str, int, float) for key, value in run.metadata.items()}
     attrs = {key: value if plain[key] else dumps(value) for key, value in run.metadata.items()}

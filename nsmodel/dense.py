@@ -70,8 +70,8 @@ def at(arrays: Arrays, t: np.ndarray, number: np.ndarray | None = None) -> At:
     number = pieces_at(arrays, t) if number is None else number
     s = local(arrays, number, t)
     x, l, y = (polynomials(arrays[f"piece_{name}"][number], s) for name in ("x", "multipliers", "y"))
-    n = arrays["x"].shape[1]
-    return At(t, x[:, :n], x[:, n:], l, y)
+    n, v = arrays["x"].shape[1], arrays["v"].shape[1] if "v" in arrays else 0
+    return At(t, x[:, :n], x[:, n : n + v], l, y)
 
 
 def between(arrays: Arrays, t: np.ndarray) -> At:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,17 +11,25 @@ import numpy as np
 from nsmodel.errors import UsageError
 from nsmodel.model.arguments import step_array
 from nsmodel.model.base import Model
+from nsmodel.signals.drive import Drive
+
+SAME = 1e-12  # Lengths that differ by less than this part are one: matrices, not times.
 
 
 @dataclass(frozen=True)
 class Grid:
-    """N steps: t_k = k h with a shorter last step where T/h is not whole within 1e-9, or given steps and their sums."""
+    """N steps: t_k = k h with a shorter last step where T/h is not whole within 1e-9, or given steps and their sums.
+
+    ``drive``: the inputs along it; ``asked``: the longest step, where the grid was made for their edges.
+    """
 
     N: int
     h: float
     last: float
     steps: np.ndarray | None = None
     times: np.ndarray | None = None
+    asked: float | None = None
+    drive: Drive | None = None
 
     def step(self, k: int) -> float:
         """h_k = t_{k+1} - t_k."""
@@ -35,6 +43,10 @@ class Grid:
             return float(self.times[k])
         return k * self.h if k < self.N or self.last == self.h else (self.N - 1) * self.h + self.last
 
+    def between(self, k: int, last: int) -> np.ndarray:
+        """t_k, ..., t_last."""
+        return np.array([self.time(j) for j in range(k, last + 1)]) if self.times is None else self.times[k : last + 1]
+
     def around(self, rows: np.ndarray) -> tuple[Any, Any, Any]:
         """The times of these rows, the steps that end there and those that start there; no row is that of a shortened step."""
         if self.steps is None or self.times is None:
@@ -42,8 +54,27 @@ class Grid:
         return self.times[rows], self.steps[rows - 1], self.steps[np.minimum(rows, self.N - 1)]
 
 
-def make_grid(model: Model, step: float | None, steps: Sequence[float] | None, t_end: float | None) -> Grid:
-    """Return the grid of a run; ``step``, ``steps`` and ``t_end`` override the model's own.
+def _between(ends: np.ndarray, h: float) -> Grid:
+    """Equal steps, not longer than h, from one end to the next; those of nearly one length have one."""
+    lengths = np.diff(ends)
+    counts = np.maximum(np.ceil(lengths / h * (1 - 1e-9)), 1).astype(int)
+    steps = np.repeat(_as_one(lengths / counts), counts)
+    part = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    times = np.repeat(ends[:-1], counts) + np.repeat(lengths / counts, counts) * part
+    return Grid(steps.size, float(steps[0]), float(steps[-1]), steps, np.append(times, ends[-1]), asked=h)
+
+
+def _as_one(lengths: np.ndarray) -> np.ndarray:
+    """Lengths, each that of the least one that it is nearly the same as."""
+    known, where = np.unique(lengths, return_inverse=True)
+    begins = np.append(True, known[1:] > known[:-1] * (1 + SAME))
+    return known[begins][np.cumsum(begins) - 1][where]
+
+
+def make_grid(
+    model: Model, step: float | None, steps: Sequence[float] | None, t_end: float | None, *, driven: bool = False
+) -> Grid:
+    """Return the grid of a run; ``step``, ``steps`` and ``t_end`` override the model's own; ``driven``: by the model's inputs.
 
     Raises:
         UsageError: not finite, not positive, contradictory, or missing.
@@ -56,7 +87,11 @@ def make_grid(model: Model, step: float | None, steps: Sequence[float] | None, t
         array = step_array(steps, UsageError)
         if t_end is not None:
             raise UsageError("t_end is given with steps, which already say where the run ends; leave it out")
-        return Grid(array.size, float(array[0]), float(array[-1]), array, np.concatenate([[0.0], np.cumsum(array)]))
+        times = np.concatenate([[0.0], np.cumsum(array)])
+        drive = Drive.of(model.inputs, float(times[-1])) if driven else None
+        if drive is not None:
+            _refuse_straddled(times, drive.points)
+        return _with(Grid(array.size, float(array[0]), float(array[-1]), array, times), drive)
     h = model.step if step is None else float(step)
     if h is None:
         raise UsageError("no time step: give the model step=, or the run step=H (--step H)")
@@ -64,11 +99,33 @@ def make_grid(model: Model, step: float | None, steps: Sequence[float] | None, t
     ratio = T / h
     if ratio > 1e12:
         raise UsageError(f"t_end / step = {ratio:.3g} steps; choose a larger step or a shorter run")
+    drive = Drive.of(model.inputs, T) if driven else None
+    if drive is not None and drive.points.size:
+        return _with(_between(np.concatenate([[0.0], drive.points, [T]]), h), drive)
     N = max(round(ratio), 1)
     if abs(ratio - N) <= 1e-9 * N:
-        return Grid(N, h, h)
+        return _with(Grid(N, h, h), drive)
     N = int(np.floor(ratio)) + 1
-    return Grid(N, h, T - (N - 1) * h)
+    return _with(Grid(N, h, T - (N - 1) * h), drive)
+
+
+def _with(grid: Grid, drive: Drive | None) -> Grid:
+    """The grid with what drives along it, which must have as many steps as that says."""
+    if drive is None:
+        return grid
+    drive.refuse_count(grid.N)
+    return replace(grid, drive=drive)
+
+
+def _refuse_straddled(times: np.ndarray, points: np.ndarray) -> None:
+    """Refuse given steps of which one goes over an edge of an input."""
+    k = np.searchsorted(times, points)
+    off = np.minimum(np.abs(times[np.minimum(k, len(times) - 1)] - points), np.abs(times[np.maximum(k - 1, 0)] - points))
+    for i in np.flatnonzero(off > 1e-9 * np.abs(points))[:1]:
+        raise UsageError(
+            f"steps: step {k[i] - 1} goes over t = {points[i]:.10g}, where an input jumps or bends; let a step end there, or "
+            "give step= instead: its grid ends at each"
+        )
 
 
 def check_times(**times: Any) -> None:

@@ -19,8 +19,8 @@ from nsmodel.pickled import Pickled
 from nsmodel.proof.graph import column
 from nsmodel.version import VERSION
 
-# What only names or describes a run does not change its numbers; the grid is a setting of its own.
-DESCRIPTIVE = frozenset({"exact", "title", "units", "scene", "t_end", "step", "steps", "t", "p", "parameters", "vectors"})
+# What only names or describes a run does not change its numbers; the grid is a setting of its own, and so are inputs.
+DESCRIPTIVE = frozenset("exact title units scene t_end step steps t p parameters vectors inputs".split())
 
 WAY = "way of stepping"  # The setting that says whether steps are compiled, and by what: their last bits differ.
 INTERPRETED = "interpreted"
@@ -28,10 +28,12 @@ INTERPRETED = "interpreted"
 
 def settings(model: Model, grid: Grid, solver: str, tolerance: float, save_every: int, way: str) -> dict[str, Any]:
     """All that a run's numbers depend on, t_end excepted: a run may be continued to a later end."""
-    step = grid.h if grid.steps is None else f"{grid.N} given steps, {_hash([grid.steps])}"
+    step = grid.h if grid.steps is None else grid.asked or f"{grid.N} given steps, {digest_of([grid.steps])}"
+    driven = {"inputs": digest_of([dict(model.inputs)])} if model.inputs else {}
     return {
         "model": fingerprint(model, grid),
         "step": step,
+        **driven,
         "solver": solver,
         "tolerance": tolerance,
         "save every": save_every,
@@ -70,7 +72,8 @@ def versions() -> dict[str, str]:
     return {"nsmodel": VERSION, "casadi": casadi, "numpy": np.__version__, "python": platform.python_version()}
 
 
-def _hash(items: list[Any]) -> str:
+def digest_of(items: list[Any]) -> str:
+    """A hash of numbers, texts, expressions and what is made of them; functions have none."""
     digest = hashlib.sha256()
     _add(digest, items)
     return digest.hexdigest()[:16]

@@ -13,7 +13,7 @@ from nsmodel.solve.layout import Layout
 BLOCK = 4096  # Rows that are taken apart at a time.
 UNSET = -2  # Index-set code of a row that no step has computed.
 INNER = frozenset({"state", "l", "y", "residual", "newton", "multipliers", "outputs"})
-VECTORS = frozenset({"v", "gap", "defect", "selection"})  # Two-dimensional even where they have one column.
+VECTORS = frozenset("v gap defect selection inputs inputs_begin".split())  # Two-dimensional even where they have one column.
 
 
 class Record:

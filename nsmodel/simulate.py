@@ -17,6 +17,8 @@ from nsmodel.grid import Grid, make_grid
 from nsmodel.identity import WAY
 from nsmodel.model.arguments import shown
 from nsmodel.model.base import Model
+from nsmodel.model.driven import driven_by
+from nsmodel.model.inputs import Signals
 from nsmodel.model.parameters import Values
 from nsmodel.proof.graph import OpaqueExpression
 from nsmodel.run.controlled import Controlled
@@ -24,7 +26,7 @@ from nsmodel.run.event_driven import EventDriven, problem_of, with_reason
 from nsmodel.run.loop import Run, keep_unfinished
 from nsmodel.run.on_grid import OnGrid
 from nsmodel.run.options import METHODS, Options
-from nsmodel.run.walk import There, noting_known_times
+from nsmodel.run.walk import There, noting_inputs, noting_known_times
 from nsmodel.scheme.continuous import NotEventDriven
 from nsmodel.trajectory import Trajectory
 
@@ -36,6 +38,7 @@ def simulate(
     steps: Sequence[float] | None = None,
     t_end: float | None = None,
     parameters: Values | None = None,
+    inputs: Signals | None = None,
     solver: str = "auto",
     tolerance: float = TOLERANCE,
     save_every: int = 1,
@@ -55,6 +58,7 @@ def simulate(
         model: any of the six classes.
         step, steps, t_end: override the model's own grid.
         parameters: values of parameters, by name or symbol.
+        inputs: signals of inputs, by name or symbol, in place of those declared: steps end at their edges (see `docs/inputs.md`).
         solver: "auto", or one solver to use alone ("qpoases", "qrqp", "daqp", "ipopt", "lemke", ...).
         tolerance: largest accepted residual (relative, without unit).
         save_every: keep every n-th row, and the last (that of each part, where a run was resumed).
@@ -88,6 +92,7 @@ def simulate(
     """
     options = Options(
         step, steps, t_end, parameters, solver, tolerance, save_every, out, resume, compiled, rtol, atol, method, times, certify,
+        inputs,
     )  # fmt: skip
     with contextlib.nullcontext() if options.folder is None else lock.held(options.folder):
         return arranged(model, options).go(progress)
@@ -109,6 +114,7 @@ def explain(
     step: float | None = None,
     t_end: float | None = None,
     parameters: Values | None = None,
+    inputs: Signals | None = None,
     solver: str = "auto",
     tolerance: float = TOLERANCE,
     compiled: bool | str = "auto",
@@ -118,12 +124,12 @@ def explain(
 ) -> str:
     """What a run with these arguments would use and what it leaves out, and why, as text."""
     asked: dict[str, Any] = {"step": step, "t_end": t_end, "parameters": parameters, "solver": solver, "tolerance": tolerance}
-    options = Options(**asked, compiled=compiled, rtol=rtol, method=method, certify=certify)
+    options = Options(**asked, compiled=compiled, rtol=rtol, method=method, certify=certify, inputs=inputs)
     bound = _bound(model, options)
     if rtol is not None:
         controlled: Any = _with_rtol(bound, options).walk
         return controlled.plan.text(controlled.problem)
-    walk = _over_grid(bound, options, make_grid(bound, step, None, t_end), lambda: None)
+    walk = _over_grid(bound, options, _grid(bound, options), lambda: None)
     return walk.plan.text(walk.problem)
 
 
@@ -135,7 +141,7 @@ def arranged(model: Model, options: Options) -> Run:
     if options.atol is not None:
         return _controlled(bound, options)
     folder = _Folder(options)
-    grid = make_grid(bound, options.step, options.steps, options.t_end)
+    grid = _grid(bound, options)
     return Run(_over_grid(bound, options, grid, folder.way), options, folder.store())
 
 
@@ -242,13 +248,17 @@ def _controlled(model: Model, options: Options) -> Run:
 def _bound(model: Any, options: Options) -> Model:
     if not isinstance(model, Model):
         raise UsageError(f"expected a model such as LureSystem(...), not {shown(model)}; a file is read with nsmodel.load(path)")
-    return model.bind(options.parameters)
+    return driven_by(model, options.inputs).bind(options.parameters)
+
+
+def _grid(model: Model, options: Options) -> Grid:
+    return make_grid(model, options.step, options.steps, options.t_end, driven=bool(model.inputs))
 
 
 def _over_grid(model: Model, options: Options, grid: Grid, there: There) -> Any:
     """The walk over a grid."""
     walk = _on_grid(model)(model, options, grid, there)
-    walk.plan = noting_known_times(walk.plan, model, ends=False)
+    walk.plan = noting_inputs(noting_known_times(walk.plan, model, ends=False), grid.drive)
     return walk
 
 

@@ -69,6 +69,14 @@ class Trajectory:
         return self._array("step")
 
     @property
+    def inputs(self) -> np.ndarray:
+        """Inputs (N+1, nu) at the end of the step that ends at each row, u(t-); at the start u(0+).
+
+        ``inputs_begin`` are those at its begin, just after the row before. Each is also found under its own name.
+        """
+        return self._array("inputs")
+
+    @property
     def newton(self) -> np.ndarray:
         """Newton iterations of each step (N+1,): 0 where its equations are affine, NaN at the start."""
         return self.arrays["newton"] if "newton" in self.arrays else np.where(np.isfinite(self.step), 0.0, np.nan)
@@ -159,7 +167,7 @@ class Trajectory:
         return cls(arrays, metadata)
 
     def to_csv(self, path: str | Path) -> None:
-        """Write columns t, the states, ``multiplier:NAME``, ``y:NAME``, residual, each entry of the other arrays but lists."""
+        """Write columns t, states, ``multiplier:NAME``, ``y:NAME``, ``input:NAME``, residual, the other arrays but lists."""
         write_csv(path, dict(columns.of_csv(self)))
 
     def to_xarray(self) -> Any:
@@ -191,7 +199,7 @@ class Trajectory:
 
     def _found(self) -> list[str]:
         stems, names = self.metadata.get("stems", ()), self.metadata.get("state_names", ())
-        return list(dict.fromkeys([*stems, *names, *self.arrays]))
+        return list(dict.fromkeys([*stems, *names, *self.metadata.get("input_groups", ()), *self.arrays]))
 
     def __getattr__(self, name: str) -> np.ndarray:
         """Find a state by its symbol or name, or an array by its own."""
@@ -204,6 +212,9 @@ class Trajectory:
             return self.x[:, at[0]] if len(at) == 1 else self.x[:, at]
         if name in names:
             return self.x[:, list(names).index(name)]
+        if name in (groups := self.metadata.get("input_groups", {})):
+            at = [list(columns.input_names(self)).index(one) for one in groups[name]]
+            return self.inputs[:, at[0]] if len(at) == 1 else self.inputs[:, at]
         return self._array(name)
 
     def __dir__(self) -> list[str]:

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from nsmodel.cli.inputs import add_input, inputs_of
 from nsmodel.cli.output import print_json
 from nsmodel.cli.settings import ACCEPTED, Commands, add_set, load
 from nsmodel.cli.signals import INTERRUPTED, TERMINATED, no_more_signals
@@ -44,6 +45,7 @@ def add(commands: Commands) -> None:
     )
     parser.add_argument("--atol", type=float, metavar="A", help="error allowed besides, absolute (default 0)")
     add_set(parser)
+    add_input(parser)
     parser.add_argument("--solver", default="auto", metavar="NAME", help=f"use this solver alone: {', '.join(SOLVERS[1:])}")
     parser.add_argument(
         "--compiled", action="store_true",
@@ -124,18 +126,19 @@ def _run_here(arguments: argparse.Namespace, file: str, folder: Path | None) -> 
     start, compiled = time.perf_counter(), True if arguments.compiled else "auto"
     try:
         model, values = load(file, arguments.set)
+        inputs = inputs_of(arguments.input, model.input_groups)
         if arguments.explain and not arguments.json:
             how = explain(
                 model, step=arguments.step, t_end=arguments.t_end, parameters=values, solver=arguments.solver,
                 tolerance=arguments.tolerance, compiled=compiled, rtol=arguments.rtol, method=arguments.method,
-                certify=arguments.certify,
+                certify=arguments.certify, inputs=inputs,
             )  # fmt: skip
             print(how, end="\n\n")
         run = simulate(
             model, step=arguments.step, t_end=arguments.t_end, parameters=values, solver=arguments.solver,
             tolerance=arguments.tolerance, save_every=arguments.save_every, out=folder, resume=arguments.resume,
             progress=not (arguments.quiet or arguments.json), compiled=compiled, rtol=arguments.rtol, atol=arguments.atol,
-            method=arguments.method, certify=arguments.certify,
+            method=arguments.method, certify=arguments.certify, inputs=inputs,
         )  # fmt: skip
     except StepError as error:
         return _stopped(arguments, file, folder, error.trajectory, f"error: {error}", FAILED_STEP, start)

@@ -104,7 +104,7 @@ def text(scene: Scene) -> str:
         parts.append(c_function("constraints", at, rows, "C = {c >= 0}, and the Jacobian"))
     if has["CUTS"]:
         numbers, x0 = scene.problem_of_numbers, np.array(ca.DM(scene.numbers.start)).ravel()
-        tables.append(table("interior", interior_point(sure(numbers.prediction), numbers.t)(0.0, x0), "MODEL_NX"))
+        tables.append(table("interior", interior_point(sure(numbers.prediction), numbers.t)(0.0, x0, np.zeros(0)), "MODEL_NX"))
     if has["TOLERANCE_OF_NUMBER"]:
         tables.append(table("eps", scene.allowed, str(len(scene.allowed)), "eps_k"))
         last = len(scene.allowed) - 1

@@ -51,7 +51,8 @@ def _read_off(scene: Scene) -> dict[str, bool]:
         "REWRITTEN": problem.multipliers is not None,
         "MULTIPLIERS": structure.m > 0 or problem.multipliers is not None,
         "VELOCITY": bool(problem.velocity),
-        "FORCE": problem.state.numel() > len(scene.model.names) and not problem.velocity,
+        "FORCE": problem.state.numel() - 2 * problem.inputs > len(scene.model.names) and not problem.velocity,
+        "INPUTS": problem.inputs > 0,
         "FIXED_MAPS": scene.path == FIXED and structure.m > 0 and not law.curved,
         "ONE_STEP": scene.path in (FIXED, BANDED) or inclusion.one_step(scene),
     } | inclusion.flags(scene)
@@ -100,6 +101,7 @@ def sizes_of(scene: Scene, flags: frozenset[str]) -> dict[str, int]:
     sizes = {
         "NX": len(scene.model.names),
         "NSTATE": len(scene.model.names) if scene.path == INCLUSION else problem.state.numel(),
+        "NU": problem.inputs,
         "NP": len(scene.parameters),
         "NL": m if problem.multipliers is None else problem.multipliers.numel(),
         "N": n,

@@ -35,6 +35,9 @@ def is_there(fingerprint: str) -> bool:
 class PiecesInC:
     """The pieces of one problem, which end at ``known`` times.
 
+    Where it has held states these are known when it is compiled no more than what is ``held``: the times, 0 the first, and the
+    states after each.
+
     ``way``: by what they are compiled; ``branches``: which choices belong to f, g and h; ``residuals``: see `Integrator`.
 
     Raises:
@@ -43,7 +46,7 @@ class PiecesInC:
 
     def __init__(
         self, problem: ContinuousProblem, fingerprint: str, rtol: float, atol: list[float], known: Sequence[float],
-        *, residuals: bool,
+        held: tuple[np.ndarray, np.ndarray], *, residuals: bool,
     ) -> None:  # fmt: skip
         name = compiler()
         if name is None:
@@ -64,7 +67,10 @@ class PiecesInC:
         self.at, self.before = self._memory.view(np.uint8)[:places].view(layout)
         self.times = self._memory[places // 8 :][: pieces.TIMES]
         self._t = self._memory[:1]
-        self._begin = library.function("begin", ctypes.c_int, _POINTER, _NUMBER, _POINTER, ctypes.c_int)
+        self._held = tuple(np.ascontiguousarray(part) for part in held)
+        self._begin = library.function(
+            "begin", ctypes.c_int, _POINTER, _NUMBER, _POINTER, ctypes.c_int, _POINTER, _POINTER, _WHOLE
+        )  # fmt: skip
         self._many = library.function("many", _WHOLE, _POINTER, _NUMBER, _WHOLE, _POINTER, _POINTER)
         self._told = library.function("told", None, _POINTER, _WHOLE, _POINTER, _POINTER)
         self.width = library.function("width", _WHOLE, ctypes.c_int)(self.order)
@@ -77,7 +83,10 @@ class PiecesInC:
 
     def begin(self) -> bool:
         """Choose the mode at the start; whether there is one that C finds."""
-        status = self._begin(self._solver, self.rtol, self.atol.ctypes.data, self.residuals)
+        known, data = self._held
+        status = self._begin(
+            self._solver, self.rtol, self.atol.ctypes.data, self.residuals, known.ctypes.data, data.ctypes.data, known.size
+        )  # fmt: skip
         if status == BAD_ARITHMETIC:
             raise CodegenError(f"{self.way}: {STATUSES[status].text}")
         return status == 0

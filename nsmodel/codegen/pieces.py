@@ -20,7 +20,6 @@ from nsmodel.codegen.piece_jets import CURVED, Columns, Printer, sizes_of_switch
 from nsmodel.codegen.tables import table
 from nsmodel.errors import CodegenError
 from nsmodel.model.base import Model
-from nsmodel.model.expressions import derivatives
 from nsmodel.pieces.jets import jets_of
 from nsmodel.pieces.lengths import LARGEST_ORDER
 from nsmodel.pieces.modes import ORDERS
@@ -59,8 +58,7 @@ class PieceScene:
     @cached_property
     def slopes(self) -> tuple[ca.SX, ca.SX, ca.SX]:
         """g_l, h_l, h_x."""
-        p = self.problem
-        return derivatives(p.g, p.l), derivatives(p.h, p.l), derivatives(p.h, p.x)
+        return self.problem.slopes
 
     @cached_property
     def matrices(self) -> tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]:
@@ -88,6 +86,8 @@ class PieceScene:
             "GENERAL": law and not orthogonal, "STILL": diagonal and not self.curved_rows,
             "UNIQUE": law and known and (_is_always_p(D0, W) or is_monotone(sure(B), D0, C0)),
             "SWITCHED": bool(self.columns.branches), "PARAMETERS": bool(self.values), "KNOWN": bool(self.known),
+            "HELD": self.problem.held > 0,
+            "TIMED": bool(self.known or self.problem.held),
             "STIFF": 0 < p.x.numel() <= MOST_UNKNOWN - p.l.numel(),
         }  # fmt: skip
         return frozenset(name for name, holds in has.items() if holds)
@@ -139,7 +139,7 @@ class PieceScene:
         kept = 1 if not {"MATRICES"} <= self.flags or "SLOPES" in self.flags else kept_in(24 * m * m, 2, 16)
         return {
             "N": n, "M": m, "NP": len(self.values), "CHOICES": columns.choices, "ORDERS": LARGEST_ORDER, "KEPT": kept,
-            "GERM": ORDERS + 1, "TIMES": TIMES, "COLUMNS": columns.count + outputs, "T": n + 2 * m,
+            "GERM": ORDERS + 1, "TIMES": TIMES, "COLUMNS": columns.count + outputs, "T": n + 2 * m, "HELD": self.problem.held,
             "H": columns.count if outputs else n + m,
         } | memory(n + m)  # fmt: skip
 

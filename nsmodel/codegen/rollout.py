@@ -68,7 +68,7 @@ class Rollout:
         self._place = library.function("place", None, pointer, number, number, pointer, pointer, pointer)
         self._fetch = library.function("fetch", None, pointer, pointer, pointer, pointer)
         self._rollout = library.function(
-            "rollout", whole, pointer, number, whole, number, whole, number, pointer, pointer, pointer, pointer,
+            "rollout", whole, pointer, number, whole, number, whole, number, pointer, pointer, pointer, pointer, pointer,
             ctypes.POINTER(_Totals),
         )  # fmt: skip
         self._steps = np.zeros(2)
@@ -86,12 +86,13 @@ class Rollout:
             raise CodegenError(f"{name}: {STATUSES[status].text}")
 
     def advance(
-        self, k: int, steps: int, state: np.ndarray, warm: Warm, least: float, every: int, rows: np.ndarray, index: np.ndarray
-    ) -> StepBlock:
+        self, k: int, steps: int, state: np.ndarray, warm: Warm, least: float, every: int, rows: np.ndarray, index: np.ndarray,
+        inputs: np.ndarray | None = None,
+    ) -> StepBlock:  # fmt: skip
         """Take up to ``steps`` steps from number k, for about SECONDS, until one is not certified.
 
         ``rows`` and ``index`` are filled with every ``every``-th row and the grid's last; ``least`` is the least eigenvalue
-        known of W + W', -inf where none is looked for.
+        known of W + W', -inf where none is looked for; ``inputs``: u at both ends of each step (steps, 2 nu).
         """
         grid, totals = self.grid, _Totals(least=least)
         x, l, codes = np.array(state, float), np.array(warm.l, float), np.array(warm.index, np.int8)
@@ -101,8 +102,8 @@ class Rollout:
         at = x.ctypes.data, l.ctypes.data, codes.ctypes.data
         self._place(self._solver, k, grid.h, *at)
         done = self._rollout(
-            self._solver, k, steps, grid.N, every, SECONDS, times, lengths, rows.ctypes.data, index.ctypes.data,
-            ctypes.byref(totals),
+            self._solver, k, steps, grid.N, every, SECONDS, times, lengths,
+            None if inputs is None else inputs.ctypes.data, rows.ctypes.data, index.ctypes.data, ctypes.byref(totals),
         )  # fmt: skip
         self._fetch(self._solver, *at)
         return _block(done, totals, x, Warm(l, codes))
@@ -137,12 +138,13 @@ class Rollout:
         """One step as the contract of `solve.stepper` has it; None where it is not certified. The grid must have given steps."""
         totals, row, codes = _Totals(least=-np.inf), np.empty(layout.width), np.empty(warm.index.size, np.int8)
         x, l, index = (np.ascontiguousarray(part) for part in (state, warm.l, warm.index))
+        inputs = x[layout.inputs]
         self._steps[:] = t, h
         at = self._steps.ctypes.data
         self._place(self._solver, 0, h, x.ctypes.data, l.ctypes.data, index.ctypes.data)
         done = self._rollout(
-            self._solver, 0, 1, 1, 1, SECONDS, at, at + self._steps.itemsize, row.ctypes.data, codes.ctypes.data,
-            ctypes.byref(totals),
+            self._solver, 0, 1, 1, 1, SECONDS, at, at + self._steps.itemsize, inputs.ctypes.data,
+            row.ctypes.data, codes.ctypes.data, ctypes.byref(totals),
         )  # fmt: skip
         if not done:
             return None

@@ -114,6 +114,8 @@ class Scene:
             CodegenError: it is too large for what C has.
         """
         if self.problem.prediction is not None:
+            if self.problem.inputs:
+                raise CodegenError("catching-up has no inputs in C: take scheme='implicit', or interpreted steps")
             return INCLUSION
         if self.band is not None:
             return BANDED

@@ -15,6 +15,7 @@ from nsmodel.errors import UsageError
 from nsmodel.laws import Law
 from nsmodel.model.base import Model
 from nsmodel.model.convex import ConvexSplit
+from nsmodel.model.driven import at_start
 from nsmodel.solve.choose import Plan
 from nsmodel.solve.structure import least_eigenvalue
 
@@ -28,12 +29,12 @@ def refuse_start(model: Model) -> None:
     Raises:
         UsageError: names the constraint, its value and the start; the friction element; the term; the law's component.
     """
-    class_of(model).part("hypotheses.quick").refuse_start(model)
+    class_of(model).part("hypotheses.quick").refuse_start(at_start(model))
 
 
 def warnings(model: Model) -> list[str]:
     """What the model itself gives the user to know before trusting uniqueness or convergence."""
-    return class_of(model).part("hypotheses.quick").warnings(model)
+    return class_of(model).part("hypotheses.quick").warnings(at_start(model))
 
 
 def warnings_of(model: Model, plan: Plan) -> list[str]:

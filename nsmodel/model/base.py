@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping, Sequence
-from copy import copy
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
@@ -16,13 +15,16 @@ from nsmodel.errors import ModelError, NsmodelError, UsageError
 from nsmodel.laws import Words
 from nsmodel.model.arguments import RESERVED, grid_given, known_times, names_of_states, units_given
 from nsmodel.model.convert import Converter, declare
+from nsmodel.model.inputs import Signals, declared_inputs, signals_of
 from nsmodel.model.parameters import Values, declared, scalars
+from nsmodel.model.replaced import replaced
 from nsmodel.pickled import Pickled
 from nsmodel.proof.graph import COMPARISONS, column, entries
 from nsmodel.words import one_line
 
 ARRAYS = frozenset("x gap_min pressure contact_reaction".split())  # Further arrays that may have a unit.
 KINKS = "potential ", "phi "  # What the names of a potential's kinks begin with.
+MOVE = "move that term elsewhere"
 LEFT_OUT: Any = None  # A field that may be left out, and has its type once the model is declared.
 
 
@@ -40,6 +42,8 @@ class Model(Pickled):
         scheme: the formula of a time step, one of the class's ``schemes``; the first where left out.
         parameters: {symbol or name: value}, a list or array for a vector or matrix of symbols; a value of None must be given
             when the model is run. After construction {name: value} of each scalar.
+        inputs: {symbol or name: signal}, what drives the model from outside: `table`, `pwm`, `steps`, `signal`, a number, an
+            expression of t; a list for a vector of symbols; None: given when the model is run. They may stand wherever time may.
         names: one name for each state, where the symbols' own are not wanted.
         units: {name: unit} for states, multipliers and "t"; used by pictures and tables.
         exact: the exact state, where known: a callable t (N,) -> (N, n), or n expressions of ``t``.
@@ -50,6 +54,7 @@ class Model(Pickled):
 
         stems: {name: indices of its states} of each vector of states, and of each state that stands alone.
         vectors: {name: names of its entries} of each vector and matrix among the parameters.
+        u: the symbols of the inputs (nu, 1); input_groups: {name of an input: names of its entries}, in that order.
         bound_parameters: {name: value} of the parameters that `bind` replaced.
     """
 
@@ -60,12 +65,15 @@ class Model(Pickled):
     switch_times: Sequence[float] = ()
     scheme: str = ""
     parameters: Values = field(default_factory=dict)
+    inputs: Signals = field(default_factory=dict)
     names: Sequence[str] = LEFT_OUT
     units: Mapping[str, str] = field(default_factory=dict)
     exact: Any = None
     title: str = ""
 
     p: ca.SX = field(init=False, repr=False)
+    u: ca.SX = field(init=False, repr=False, default=ca.SX(0, 1))
+    input_groups: Mapping[str, tuple[str, ...]] = field(init=False, repr=False, default_factory=lambda: MappingProxyType({}))
     stems: Mapping[str, Sequence[int]] = field(init=False, repr=False)
     vectors: Mapping[str, np.ndarray] = field(init=False, repr=False)
     bound_parameters: Mapping[str, float] = field(init=False, repr=False, default_factory=lambda: MappingProxyType({}))
@@ -78,7 +86,7 @@ class Model(Pickled):
     second_order: ClassVar[bool] = False  # Whether what moves is x with its velocity v, a column of runs.
     words: ClassVar[Mapping[str, tuple[str, Words]]] = {}  # What laws are called in the class, and its words for their states.
     refuses: ClassVar[Mapping[str, str]] = {}  # What is not done with a model of the class: {what: why, and what to do instead}.
-    of_time: ClassVar[str] = "move that term elsewhere"  # What to do with time where it may not stand.
+    of_time: ClassVar[str] = MOVE  # What to do with time where it may not stand.
 
     def __post_init__(self) -> None:
         """Check and convert what was given."""
@@ -109,7 +117,8 @@ class Model(Pickled):
         if len(time.names) != 1:
             raise ModelError(f"t: {len(time.names)} symbols given; expected one scalar time symbol")
         p, values, vectors = declared(self.parameters)
-        known = [*([] if self.t is None else [time]), *given.values(), *p]
+        u, driven = declared_inputs({} if self.inputs is None else self.inputs)
+        known = [*([] if self.t is None else [time]), *given.values(), *p, *u]
         converter = Converter(known)
         own = given[state]
         names, stems = names_of_states(self.names, own, state, self.has)
@@ -129,6 +138,12 @@ class Model(Pickled):
             self._set(exact=self._vector(converter, self.exact, "exact", len(names), [time.sx]))
             if not self.p.numel():
                 self._set(exact=Sampled(time.sx, self.exact))
+        groups = {str(item.stem): item.names for item in u}
+        self._set(
+            u=ca.vertcat(ca.SX(0, 1), *(item.sx for item in u)),
+            input_groups=MappingProxyType(groups),
+            inputs=MappingProxyType(signals_of(driven, groups, Converter([time]))),
+        )
         return converter
 
     def _vector(
@@ -166,11 +181,12 @@ class Model(Pickled):
 
     def _only(self, expression: ca.SX, label: str, allow: Sequence[ca.SX]) -> None:
         allowed = {str(s) for group in [*allow, self.p] for s in ca.symvar(ca.SX(group))}
+        allowed |= {str(s) for s in ca.symvar(self.u)} if str(self.t) in allowed else set()
         for symbol in ca.symvar(expression):
             if symbol.name() not in allowed:
                 raise ModelError(
                     f"{label} depends on '{symbol.name()}', but may depend only on {', '.join(sorted(allowed)) or 'numbers'}; "
-                    + (self.of_time if symbol.name() == str(self.t) else "move that term elsewhere")
+                    + (self.of_time if symbol.name() in {str(s) for s in (self.t, *ca.symvar(self.u))} else MOVE)
                 )
 
     def _named_constraints(
@@ -208,7 +224,10 @@ class Model(Pickled):
         return getattr(self, f"{self.letter}0")
 
     def refuse(self, what: str) -> None:
-        """Raise UsageError where the class refuses to be used for it."""
+        """Raise UsageError where the class refuses to be used for it, or the model's inputs have no place there."""
+        if self.u.numel():
+            of = f"'{self.title or type(self).__name__}' has inputs ({', '.join(self.input_groups)})"
+            raise UsageError(f"{what}: {of}; runs alone take them")
         if why := self.refuses.get(what):
             raise UsageError(f"{what}: '{self.title or type(self).__name__}' {why}")
 
@@ -244,6 +263,11 @@ class Model(Pickled):
         """
         return scalars(parameters, self.parameters, self.vectors)
 
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """One name for each scalar input."""
+        return tuple(name for names in self.input_groups.values() for name in names)
+
     def bind(self, values: Values | None = None, *, partly: bool = False) -> Self:
         """Return the model with its parameters replaced by numbers: ``values`` first, then those declared.
 
@@ -262,22 +286,7 @@ class Model(Pickled):
         if not checked:
             return self
         given = [i for i, value in enumerate(numbers.values()) if value is not None]
-        p, p_value = self.p[given], ca.SX(list(checked.values()))
-
-        def put(expression: Any) -> Any:
-            if isinstance(expression, ca.SX):
-                return ca.substitute(expression, p, p_value) if expression.numel() else expression
-            if is_dataclass(expression) and not isinstance(expression, type):
-                return replace(expression, **{f.name: put(getattr(expression, f.name)) for f in fields(expression)})
-            if isinstance(expression, tuple):
-                items = [put(item) for item in expression]
-                return type(expression)(*items) if hasattr(expression, "_fields") else tuple(items)
-            if isinstance(expression, Mapping):
-                return MappingProxyType({key: put(item) for key, item in expression.items()})
-            return expression
-
-        bound = copy(self)
-        bound._set(**{name: put(value) for name, value in vars(self).items() if name not in ("p", "t", "parameters")})
+        bound = replaced(self, self.p[given], ca.SX(list(checked.values())))
         rest = ca.vertcat(ca.SX(0, 1), *(self.p[i] for i in range(self.p.numel()) if i not in given))
         whole = {name: names for name, names in self.vectors.items() if set(names.ravel()) <= set(missing)}
         bound._set(p=rest, parameters=MappingProxyType(dict.fromkeys(missing)), vectors=MappingProxyType(whole))
@@ -291,6 +300,7 @@ class Model(Pickled):
         """Refuse the unit of something that the model does not have."""
         rows, states = self.row_names, list(self.names)
         known = ["t", *self.stems, *states, *rows, *(row.partition("[")[0] for row in rows), *self.parameter_names]
+        known += [*self.input_groups, *self.input_names]
         bounds = [f"{end} {name}" for end in ("lower", "upper") for name in states]
         for name in self.units:
             group = name.partition("[")[0]

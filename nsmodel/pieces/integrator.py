@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
@@ -20,7 +19,7 @@ from nsmodel.pieces.bernstein import value
 from nsmodel.pieces.defect import Equations
 from nsmodel.pieces.ending import ending
 from nsmodel.pieces.expansion import scale
-from nsmodel.pieces.known import next_known, reaches
+from nsmodel.pieces.known import Known, reaches
 from nsmodel.pieces.lengths import LOCAL, ROUGHEST, first_unit, length, order_of, unit
 from nsmodel.pieces.modes import ORDERS, Place, jump, select, take_sides, turn, uniqueness
 from nsmodel.pieces.moves import coast, project, stick
@@ -35,9 +34,9 @@ from nsmodel.pieces.system import System
 from nsmodel.proof.sure import sure
 from nsmodel.scheme.continuous import ContinuousProblem
 
-LEAST_RTOL = 1e-14
+LEAST_RTOL, JUMPS = 1e-14, 2  # Jumps at one time.
+NONE = Known()
 ROOM = 1.3  # By which the next piece may be longer than the last without another unit of time.
-JUMPS = 2  # At one time.
 UNITS, OCTAVES = 60, 6  # Units of time that are tried where a series overflows, and how much shorter each is.
 LONGER, STUMP = 8, 1e-6  # The unit of time after an event, in pieces; of the unit before: a piece too short to tell.
 AROUND = 4  # Order of the expansions at an event.
@@ -47,18 +46,18 @@ STARTS, TOO_SHORT = 8, 0.05  # First units of time that are tried; a piece that 
 class Integrator:
     """A problem as it is integrated: ``advance()`` returns the next piece.
 
-    ``known_times``, increasing: each ends a piece, and the mode is decided anew for the data after it; ``residuals``: whether
+    ``known``: times, each of which ends a piece, and the mode is decided anew for the data after it; ``residuals``: whether
     x' - f - g of stiff pieces is itself to be within rtol, as a proof of the pieces asks.
     ``unique``: how often the mode was shown to be the only one, by verdict; ``touches``: conditions that came to 0 and went back;
     ``redundant``: pieces whose l is one of several.
     """
 
     def __init__(
-        self, problem: ContinuousProblem, rtol: float, atol: list[float] | None = None, known_times: Sequence[float] = (),
+        self, problem: ContinuousProblem, rtol: float, atol: list[float] | None = None, known: Known = NONE,
         *, residuals: bool = False,
     ) -> None:  # fmt: skip
         """See `Integrator`."""
-        self.problem, self.rtol, self.known_times = problem, LOCAL * min(rtol, ROUGHEST), known_times
+        self.problem, self.rtol, self.known = problem, LOCAL * min(rtol, ROUGHEST), known
         self.order = order_of(rtol)
         self.system = System(problem, self.order, self.rtol)
         self.atol = [0.0] * self.system.n if atol is None else atol
@@ -97,7 +96,7 @@ class Integrator:
         s = self._length(how)
         if s > 1:  # What is rounding at s = 1 is not at s^p.
             how, s = self._in_longer_unit(how, s)
-        longest, known = s * place.tau, next_known(self.known_times, place.t)
+        longest, known = s * place.tau, self.known.next(place.t)
         found = self.stiff.piece(place, how, s, known - place.t)
         if found is None:
             hit, s, error = ending(
@@ -118,7 +117,7 @@ class Integrator:
             place.tau = place.tau if found else unit(ROOM * (tau * s))
             return piece
         # In a unit that is longer than a mode's own time coefficients grow.
-        place.tau = unit(longest if hit is None or s <= STUMP else min(longest, LONGER * (tau * s)))
+        place.tau = unit(longest if s <= STUMP else min(longest, LONGER * (tau * s)))
         self.stiff.restart()
         try:
             if hit is None:
@@ -263,6 +262,8 @@ class Integrator:
         """Stand at a known time, with the branches of the data after it, and choose the mode."""
         system, place = self.system, self.place
         place.t = known
+        place.x = self.known.after(known, place.x)
+        self.sizes.x[:] = [max(size, abs(x)) for size, x in zip(self.sizes.x, place.x, strict=True)]
         self._forget_branches()
         how = system.expand(place.t, place.x, place.codes, place.tau, AROUND)
         if how is None:

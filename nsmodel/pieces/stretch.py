@@ -11,7 +11,6 @@ at known times. At the least step, where a velocity may jump, d is compared a st
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -21,7 +20,7 @@ import numpy as np
 
 from nsmodel.errors import StepError
 from nsmodel.pieces.defect import Equations
-from nsmodel.pieces.known import next_known
+from nsmodel.pieces.known import Known
 from nsmodel.pieces.lengths import unit
 from nsmodel.pieces.piece import Piece
 from nsmodel.scheme.continuous import ContinuousProblem
@@ -80,7 +79,7 @@ class Stretches:
     """The steps of a problem: ``begin`` a stretch, ``advance`` it; ``stand`` is where, None between stretches."""
 
     def __init__(
-        self, problem: ContinuousProblem, rtol: float, atol: list[float], tolerance: float, known: Sequence[float],
+        self, problem: ContinuousProblem, rtol: float, atol: list[float], tolerance: float, known: Known,
         sizes: list[float], width: int,
     ) -> None:  # fmt: skip
         """``sizes``: the largest of each x so far, brought up to date; ``width``: coefficients of a row of a piece."""
@@ -143,7 +142,7 @@ class Stretches:
             coarse = trial.half if trial is not None and at.h == h / 2 else None
 
     def _to_known(self, t: float) -> float:
-        return next_known(self.known, t) - t
+        return self.known.next(t) - t
 
     def _step(self, t: float, h: float, x: np.ndarray, warm: Warm) -> StepResult:
         with np.errstate(all="ignore"):
@@ -201,16 +200,16 @@ class Stretches:
         state = self._stepper.layout.state
         middle, x = trial.half.row[state], np.array(at.x)
         end = at.t + h
-        known = next_known(self.known, at.t)
+        known = self.known.next(at.t)
         if h == known - at.t:
             end = known
         pieces = [
             self._piece(at.t, at.t + h / 2, x, middle, trial.half, 0.0),
             self._piece(at.t + h / 2, end, middle, trial.end, trial.fine, trial.error),
         ]
-        smooth = trial.smooth and end not in self.known
+        smooth = trial.smooth and end != known
         at.rate, at.d, at.of_h = ((trial.end - middle) / (h / 2)).tolist(), trial.d.tolist() if smooth else None, h
-        at.t, at.x, at.l = end, trial.end.tolist(), trial.fine.row[self._stepper.layout.l].tolist()
+        at.t, at.x, at.l = end, self.known.after(end, trial.end.tolist()), trial.fine.row[self._stepper.layout.l].tolist()
         at.index, at.error, at.own = trial.fine.warm.index.tolist(), at.error + trial.error, at.own + 1
         self.sizes[:] = np.maximum(self.sizes, np.abs(trial.end)).tolist()
         self.steps += 1

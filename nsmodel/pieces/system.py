@@ -20,7 +20,6 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from nsmodel.model.expressions import derivatives
 from nsmodel.pieces.expansion import Expansion
 from nsmodel.pieces.jets import jets_of
 from nsmodel.pieces.multipliers import Solve, clear, is_monotone, is_p, solve_of, times
@@ -65,7 +64,7 @@ class System:
             {(0, 0): self.t} | {(1, i): row for i, row in enumerate(self.x)} | {(2, i): row for i, row in enumerate(self.push)}
         )
         p, inputs = problem, [problem.t, problem.x, problem.l]
-        B, D, C = (derivatives(a, b) for a, b in ((p.g, p.l), (p.h, p.l), (p.h, p.x)))
+        B, D, C = p.slopes
         moving = ca.veccat(p.t, p.x, p.l)
         self.linear_in_l = not ca.depends_on(ca.veccat(B, D), p.l)
         self.B, self.D, self.C = (numbers(matrix, moving) for matrix in (B, D, C))

@@ -16,13 +16,14 @@ if TYPE_CHECKING:
     from nsmodel.plot.stress import stress
     from nsmodel.plot.strip import index_strip
     from nsmodel.plot.study import work_precision
-    from nsmodel.plot.time import energy, multipliers, residual, states
+    from nsmodel.plot.time import energy, inputs, multipliers, residual, states
 
 __all__ = [
     "animate",
     "configuration",
     "energy",
     "index_strip",
+    "inputs",
     "multipliers",
     "overview",
     "phase",
@@ -43,6 +44,6 @@ _later(
         "nsmodel.plot.stress": ["stress"],
         "nsmodel.plot.strip": ["index_strip"],
         "nsmodel.plot.study": ["work_precision"],
-        "nsmodel.plot.time": ["energy", "multipliers", "residual", "states"],
+        "nsmodel.plot.time": ["energy", "inputs", "multipliers", "residual", "states"],
     },
 )

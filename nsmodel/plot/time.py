@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel.columns import multiplier_names, state_names
+from nsmodel.columns import input_names, multiplier_names, state_names
 from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import PlotError
 from nsmodel.plot import style
@@ -100,6 +101,26 @@ def multipliers(run: Trajectory, *, which: str = "multipliers", limit: int = MAX
     ax, names = style.axes(ax), [multiplier_names(run)[k] for k in picks]
     units = [style.unit(run, which if which == "reactions" else name) for name in names]
     _series(ax, run, title, which[:-1], values[:, picks], names, units, looks)
+    return ax
+
+
+def inputs(run: Trajectory, *, limit: int = MAX_LINES, ax: Axes | None = None) -> Axes:
+    """Draw the inputs over time, as each step sees them: from its begin to its end, with a jump where one follows another.
+
+    Raises:
+        PlotError: the run has none.
+
+    """
+    begin, end = style.needed(run, "inputs_begin"), style.needed(run, "inputs")
+    known = input_names(run)
+    picks = style.spread(len(known), limit).tolist()
+    t = np.repeat(run.t, 2)[1:-1]
+    values = np.stack([begin[1:], end[1:]], axis=1).reshape(t.size, -1)[:, picks]
+    looks = [{"color": colour, "linewidth": 1.5} for colour in style.colours(len(picks))]
+    drawn = replace(run, arrays={**run.arrays, "t": t})
+    ax, names = style.axes(ax), [known[k] for k in picks]
+    title = f"Inputs{style.of(len(picks), len(known), 'evenly spread')}"
+    _series(ax, drawn, title, "input", values, names, [style.unit(run, name) for name in names], looks)
     return ax
 
 

@@ -16,9 +16,10 @@ across a switch; x_fine + d is of order p + 1 in smooth phases. A step is accept
 The rows of the run are the half steps. Each is verified; its multipliers and outputs are those of its step, and
 ``correction`` tells how far extrapolation has then moved the state, in units of what is allowed.
 
-Steps are L/2^j and start at multiples of themselves, L the length of the span between two known times (``switch_times``, the
-start and the end T): times are exact, the last step ends there, and the first half of a refused step is the next trial. At
-L/2^LEAST every verified step is accepted, and counted: at an accumulation of switches a run goes on.
+Steps are L/2^j, at most T/2^LARGEST, and start at multiples of themselves, L the length of the span between two known times
+(``switch_times``, points of inputs, the start, the end T): times are exact, the last step ends there, and the first half of a
+refused step is the next trial. At L/2^LEAST every verified step is accepted, and counted: at an accumulation of switches a run
+goes on.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -38,11 +39,13 @@ from nsmodel.grid import Grid, check_times, is_number, make_grid, written
 from nsmodel.model.base import Model
 from nsmodel.pieces.stretch import BUDGET, looser
 from nsmodel.run.asked import absolute
+from nsmodel.run.driven import OverSpans
 from nsmodel.run.options import METHODS, Options
 from nsmodel.run.schemes import OfScheme
 from nsmodel.run.turns import turned
-from nsmodel.run.walk import PER_CENT, is_numerical, noting_known_times, runaway, unsolvable
+from nsmodel.run.walk import PER_CENT, is_numerical, noting_inputs, noting_known_times, runaway, unsolvable
 from nsmodel.scheme import constraints, shortened
+from nsmodel.signals.drive import Drive
 from nsmodel.solve.certificate import EPS, numeric_law
 from nsmodel.solve.stepper import StepResult, Warm
 
@@ -119,7 +122,8 @@ class Controlled(OfScheme):
         check_times(step=options.step, t_end=options.t_end)
         given: Any = model.t_end if options.t_end is None else options.t_end
         self.T = T = float(given)
-        self._spans = _spans(model, T)
+        drive = Drive.of(model.inputs, T) if model.inputs else None
+        self._spans = _spans(model, T, drive)
         self._start, self._length = self._spans.pop()
         h = model.step if options.step is None else options.step
         h = T / 2**FIRST if h is None else h
@@ -131,6 +135,7 @@ class Controlled(OfScheme):
         first, of_any_step = Grid(1, h := self._h(j), h), Grid(1, h, h, np.array([h]), np.array([0.0, h]))
         constant = replace(options, compiled=options.compiled is True)
         super().__init__(model, constant, first, of_any_step, lambda: None)
+        self._driven = None if drive is None else OverSpans(drive, self.stepper.layout.inputs, self.starter)
         self.record, self.times = self.start(first, ROWS), [0.0]
         self.totals |= {
             "accepted": 0, "rejected": 0, "extrapolated": 0, "at_least_step": 0, "least_step": None, "rtol": self.rtol,
@@ -146,20 +151,25 @@ class Controlled(OfScheme):
         self._size, self.place = np.abs(watched), Place(0, j, self.state, self.warm, watched, unknown, None, unknown)
         state, c = model.state, constraints(model)
         self._c: Any = (
-            ca.Function("c", [model.t, state], [ca.densify(c), ca.densify(ca.jacobian(c, state))]) if c.numel() else None
+            ca.Function("c", [model.t, state, model.u], [ca.densify(c), ca.densify(ca.jacobian(c, state))]) if c.numel() else None
         )
         self._corrections = [0.0]
         self._law = numeric_law(self.problem.law)
         self._walls = self._rows_of_walls()
         self.warnings += self._relays()
-        self.plan = noting_known_times(self.plan, model, ends=True)
+        self.plan = noting_inputs(noting_known_times(self.plan, model, ends=True), drive)
 
     def _h(self, j: int) -> float:
         return math.ldexp(self._length, -j)
 
     def _nearest(self, h: float) -> int:
         """The j of the longest step that is not longer than h."""
-        return min(max(math.ceil(math.log2(self._length / h)), LARGEST), LEAST)
+        return min(max(math.ceil(math.log2(self._length / h)), self._largest), LEAST)
+
+    @property
+    def _largest(self) -> int:
+        """The j of the longest step of a span: of the whole run L/2^LARGEST, of a short span all of it."""
+        return max(0, LARGEST + math.ceil(math.log2(self._length / self.T)))
 
     def _cross(self) -> None:
         """Begin the next span, where the place is at the end of one: with about the same step."""
@@ -170,6 +180,8 @@ class Controlled(OfScheme):
         self._start, self._length = self._spans.pop()
         j = self._nearest(h)
         self.place = place._replace(t=0, j=j, state=shortened(self.model, place.state, self._h(j) / h))
+        if self._driven is not None:
+            self.place = self.place._replace(state=self._driven.begun(self.place.state, self._start, self._length))
 
     @property
     def bar(self) -> dict[str, Any]:
@@ -206,9 +218,19 @@ class Controlled(OfScheme):
         for _ in range(steps):
             if self.ended or stop:
                 return
-            if self.rollout is None or not self.rollout.adaptive or self._in_c():
+            if (
+                self.rollout is None
+                or not self.rollout.adaptive
+                or not (self._driven is None or self._driven.flat)
+                or self._in_c()
+            ):
                 self._one()
             self._cross()
+
+    @property
+    def _whole_in_c(self) -> bool:
+        """Whether the loop under error control is in C: it knows inputs that are constant within a span."""
+        return self.rollout is not None and self.rollout.adaptive and (self._driven is None or self._driven.flat)
 
     def _one(self) -> None:
         """Take one step, at whatever length it is accepted."""
@@ -267,6 +289,7 @@ class Controlled(OfScheme):
         control = self.rollout.control(place.state.size, m, self._watched.size)
         given = {
             "T": self.T, "start": self._start, "length": self._length, "rtol": self.rtol, **CONSTANTS,
+            "largest": self._largest,
             "order": self.problem.order.most, "t": place.t, "j": place.j,
             "fresh": place.index_set is None, "x": place.state, "least_step": totals["least_step"] or np.inf, "atol": self.atol,
             "size": self._size, "watched": place.watched, "rate": place.rate, "d": place.d, "of_j": place.of_j,
@@ -284,10 +307,14 @@ class Controlled(OfScheme):
     def _trial(self, at: Place, coarse: StepResult | None) -> Trial | None:
         """The step from here both ways, None where a step has no answer; ``coarse``: where it is known already."""
         h, t, middle = self._h(at.j), self._time(at.t), self._time(at.t + at.half)
+        first = whole = at.state
+        second: Callable[[np.ndarray], np.ndarray] = lambda state: state  # noqa: E731
+        if self._driven is not None:
+            first, whole, second = self._driven.halves(at.state, [t, middle, self._time(at.t + 2 * at.half)])
         try:
-            coarse = self._step(t, h, at.state, at.warm) if coarse is None else coarse
-            half = self._step(t, h / 2, shortened(self.model, at.state, 0.5), at.warm)
-            fine = self._step(middle, h / 2, half.row[self.stepper.layout.state], half.warm)
+            coarse = self._step(t, h, whole, at.warm) if coarse is None else coarse
+            half = self._step(t, h / 2, shortened(self.model, first, 0.5), at.warm)
+            fine = self._step(middle, h / 2, second(half.row[self.stepper.layout.state]), half.warm)
         except StepError:
             if at.j == LEAST:
                 raise
@@ -356,7 +383,7 @@ class Controlled(OfScheme):
             row, correction = self._moved(at, trial, *state), error
         j, t = at.j, at.t + 2 * at.half
         growth, of_double = 2.0 ** (trial.order + trial.smooth), 2.0 if trial.smooth and state is None else 1.0
-        if j > LARGEST and error * growth <= GROW * allowed * of_double and t % (4 * at.half) == 0:
+        if j > self._largest and error * growth <= GROW * allowed * of_double and t % (4 * at.half) == 0:
             j -= 1
         after = shortened(self.model, row[self.stepper.layout.state], self._h(j) / (h / 2))
         rate = (trial.fine.row - trial.half.row)[self._watched] / (h / 2)
@@ -377,9 +404,11 @@ class Controlled(OfScheme):
         state, end = fine + (fine - coarse) / (2**trial.order - 1), at.t + 2 * at.half
         if self.problem.start is not None:
             state[self._watched.size :] = fine[self._watched.size :]
+        inputs = self.stepper.layout.inputs
+        state[inputs] = fine[inputs]
         if self.problem.velocity:
             n = len(self.model.names)
-            if (np.sign(state[n:]) != np.sign(fine[n:])).any():
+            if (np.sign(state[n : 2 * n]) != np.sign(fine[n : 2 * n])).any():
                 return None
         if self._c is None:
             y, before = (result.row[self.stepper.layout.y] for result in (trial.fine, trial.coarse))
@@ -387,16 +416,17 @@ class Controlled(OfScheme):
             return None if past.any() else (state, None)
         if not self.problem.gap:
             return (state, None) if self._feasible(self._time(end), state) else None
+        start = state if self._driven is None else self._driven.closing(state)
         try:
-            closing = self._step(self._time(end - 1), self._h(LEAST + 1), state, trial.fine.warm).row
+            closing = self._step(self._time(end - 1), self._h(LEAST + 1), start, trial.fine.warm).row
         except StepError:
             return None
         return closing[states], closing[self.stepper.layout.slices[self.problem.gap]]
 
     def _feasible(self, t: float, state: np.ndarray) -> bool:
         """Whether every constraint is >= 0, to the rounding of evaluating it."""
-        x = state[: len(self.model.names)]
-        c, J = (np.array(part) for part in self._c(t, x))
+        x, u = state[: len(self.model.names)], state[self.stepper.layout.inputs][self.problem.inputs :]
+        c, J = (np.array(part) for part in self._c(t, x, u))
         return bool((c.ravel() >= -4 * EPS * (np.abs(J) @ np.abs(x))).all())
 
     def _moved(self, at: Place, trial: Trial, state: np.ndarray, gaps: np.ndarray | None) -> np.ndarray:
@@ -406,7 +436,7 @@ class Controlled(OfScheme):
         if gaps is not None:
             row[layout.slices[self.problem.gap]] = gaps
         if self.problem.velocity:
-            row[layout.slices[self.problem.velocity]] = state[n:] / (self._h(at.j) / 2)
+            row[layout.slices[self.problem.velocity]] = state[n : 2 * n] / (self._h(at.j) / 2)
         return row
 
     def _record(self, accepted: Accepted) -> None:
@@ -485,9 +515,10 @@ class Controlled(OfScheme):
         return super().metadata()
 
 
-def _spans(model: Model, T: float) -> list[tuple[float, float]]:
+def _spans(model: Model, T: float, drive: Drive | None) -> list[tuple[float, float]]:
     """Start and length of each span between known times, the first one last."""
-    ends = [0.0, *(time for time in model.switch_times if 0 < time < T), T]
+    driven = () if drive is None else drive.points.tolist()
+    ends = sorted({0.0, *(time for time in (*model.switch_times, *driven) if 0 < time < T), T})
     return [(start, end - start) for start, end in itertools.pairwise(ends)][::-1]
 
 

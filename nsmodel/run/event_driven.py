@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,33 +14,26 @@ from nsmodel.classes.registry import class_of
 from nsmodel.errors import StepError, StorageError
 from nsmodel.grid import Grid, check_times
 from nsmodel.hypotheses.quick import refuse_start, warnings
-from nsmodel.identity import INTERPRETED, WAY, settings
+from nsmodel.identity import INTERPRETED, WAY, digest_of, settings
 from nsmodel.model.base import Model
 from nsmodel.once import once
-from nsmodel.pieces.course import Course, time_of
-from nsmodel.pieces.integrator import Integrator
-from nsmodel.pieces.lengths import order_of
-from nsmodel.pieces.radau import stages_of
+from nsmodel.pieces.course import time_of
 from nsmodel.pieces.sliding import with_modes
-from nsmodel.pieces.stretch import BUDGET, Stretches
 from nsmodel.run.asked import times, tolerances
-from nsmodel.run.in_c import chosen
 from nsmodel.run.options import METHODS, Options
-from nsmodel.run.piece_makers import InC, Interpreted, Maker
-from nsmodel.run.piece_rows import Block, Columns, PieceRows
+from nsmodel.run.piece_choice import MOST, chosen_maker, known_of
+from nsmodel.run.piece_rows import Block, PieceRows
 from nsmodel.run.row_facts import facts
 from nsmodel.run.walk import PER_CENT, There, check_exact, note_distance_to_exact, runaway
 from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven
-from nsmodel.solve import cost
+from nsmodel.scheme.driven import driven, kinds
+from nsmodel.signals.drive import Drive
 from nsmodel.solve.choose import Plan
-from nsmodel.solve.cost import Cost
 
 if TYPE_CHECKING:
     from nsmodel.run.certified import Certified
 
 METHOD = METHODS[1]
-MOST = 10_000_000  # Pieces after which a run stops.
-IN_C = "pieces in C, compiled for this model; one that C cannot make is interpreted"
 LARGE = 10_000  # Operations of f, g and h up to which "auto" is event-driven.
 
 
@@ -55,7 +47,7 @@ def problem_of(model: Model) -> ContinuousProblem:
     module = class_of(model).optional("continuous")
     if module is None:
         raise NotEventDriven("many bodies change their contacts at nearly every step; they are for time stepping")
-    return with_modes(module.continuous_problem(model))
+    return with_modes(driven(module.continuous_problem(model), model))
 
 
 class EventDriven:
@@ -75,7 +67,9 @@ class EventDriven:
         _refuse_large(problem, options)
         _refuse_unproved(problem, options)
         same = settings(model, Grid(1, 1.0, 1.0), METHOD, options.tolerance, options.save_every, INTERPRETED)
-        chosen = _chosen(problem, options, there(), (rtol, atol), model, same["model"])
+        mark = digest_of([same["model"], *kinds(model)]) if model.inputs else same["model"]
+        self._drive = Drive.of(model.inputs, self.T) if model.inputs else None
+        chosen = chosen_maker(problem, options, there(), (rtol, atol), model, mark, known_of(model, self.T))
         self.maker, self.plan = chosen.maker, chosen.plan
         self.record, self.k = PieceRows(problem, self.maker.order, options.save_every, chosen.columns), 0
         self._cut: dict[str, Any] | None = None  # The checkpoint before a piece that goes beyond the end.
@@ -182,6 +176,10 @@ class EventDriven:
     def columns(self) -> dict[str, np.ndarray]:
         """The rows in memory as the arrays of a trajectory, and the pieces as lists."""
         arrays = self.record.columns()
+        if self._drive is not None:
+            t = arrays["t"]
+            before = np.concatenate([np.nan_to_num(t[:1] - arrays["step"][:1]), t[:-1]])
+            arrays |= self._drive.rows(t, before)
         return arrays if self.certified is None else arrays | self.certified.arrays(self.record.numbers, arrays["t"], arrays["x"])
 
     # -- for files
@@ -240,6 +238,8 @@ def _refuse_large(problem: ContinuousProblem, options: Options) -> None:
 
 def _refuse_unproved(problem: ContinuousProblem, options: Options) -> None:
     """Refuse to prove what interval arithmetic has no form of."""
+    if options.certified and problem.held:
+        raise NotEventDriven("certify='interval' proves models without inputs alone")
     if options.certified and problem.sliding:
         raise NotEventDriven(f"certify='interval' proves boxes alone; while '{problem.sliding[0]}' slips, its l is a series of y")
 
@@ -249,95 +249,6 @@ def _looked_at(model: Model) -> tuple[str, ...]:
     """The warnings of a model, whose start is not refused."""
     refuse_start(model)
     return tuple(warnings(model))
-
-
-class _Chosen(NamedTuple):
-    """Who makes the pieces, by which way; how columns are told, where that is not CasADi's; the plan, and a warning."""
-
-    maker: Maker
-    way: str
-    columns: Columns | None
-    plan: Plan
-    warnings: list[str]
-
-
-def _chosen(
-    problem: ContinuousProblem,
-    options: Options,
-    there: str | None,
-    tolerances: tuple[float, list[float]],
-    model: Model,
-    mark: str,
-) -> _Chosen:
-    """In C where that is asked for, or pays, or the run that is resumed had it."""
-    known, made = model.switch_times, []
-    plan = _plan(problem, options, tolerances[0], known)
-
-    def build() -> Any:
-        from nsmodel.codegen.piece_runs import PiecesInC
-
-        return PiecesInC(problem, mark, *tolerances, known, residuals=options.certified)
-
-    def course() -> Course:
-        made.extend([] if made else [_course(problem, options, *tolerances, known)])
-        return made[0]
-
-    def costs() -> Cost:
-        size = problem.x.numel() + problem.l.numel()
-        return cost.of_pieces(size, facts(problem).operations, lambda: is_built(mark))
-
-    count, auto = 1, options.compiled == "auto"
-    if problem.sliding and auto:  # The reason is told, whatever it would cost.
-        options = replace(options, compiled=True)
-    elif auto and there in (None, INTERPRETED) and not is_built(mark):
-        count = math.ceil(min(float(model.t_end) / course().integrator.place.tau, MOST))  # whatever its end here
-    found = chosen(options, plan, there, count, costs, build, IN_C, "pieces")
-    if found.steps is None:
-        return _Chosen(
-            Interpreted(course(), kept=options.folder is not None), found.way, None, found.plan, [] if auto else found.warnings
-        )
-    size = facts(problem).m + sum(facts(problem).columns.values())
-    maker = InC(problem, course, found.steps)
-    return _Chosen(maker, found.way, lambda rows: found.steps.columns(rows, size), found.plan, found.warnings)
-
-
-def _course(problem: ContinuousProblem, options: Options, rtol: float, atol: list[float], known: Sequence[float]) -> Course:
-    """What goes on, with stretches of steps where "auto" lets it; StepError where it cannot start."""
-    integrator = Integrator(problem, rtol, atol, known, residuals=options.certified)
-    if options.method == METHOD or options.certified:
-        if integrator.stopped is not None:
-            raise StepError(integrator.stopped)
-        return Course(integrator, None)
-    width = integrator.system.orders + 1
-    return Course(integrator, Stretches(problem, rtol, atol, options.tolerance, known, integrator.sizes.x, width))
-
-
-def is_built(mark: str) -> bool:
-    """Whether the pieces of a model are compiled already."""
-    from nsmodel.codegen.piece_runs import is_there
-
-    return is_there(mark)
-
-
-def _plan(problem: ContinuousProblem, options: Options, rtol: float, known: Sequence[float]) -> Plan:
-    used = [
-        f"event-driven: Taylor series of order {order_of(rtol)} in each mode, "
-        f"{problem.x.numel()} states, {problem.l.numel()} rows",
-        "each switch is a root of its sign condition, found by Bernstein's test",
-        f"pieces by Radau IIA, {stages_of(order_of(rtol))} stages, where a mode turns out to be stiff",
-    ]
-    if facts(problem).is_switched:
-        used.append("switches of operations that are not analytic (fabs, fmax, if_else, ...), watched")
-    if known:
-        used.append(f"{len(known)} known times (switch_times): each ends a piece, the mode is chosen anew")
-    if problem.sliding:
-        used.append(f"stick and slip are modes of {', '.join(problem.sliding)}: in slip, l is a series of y")
-    if options.certified:
-        used.append("after the run each piece is proved by interval arithmetic: defect, rows, signs of conditions")
-    elif options.method != METHOD:
-        used.append(f"where no mode goes on: steps of backward Euler under error control, {BUDGET:,} at most, until one does")
-    left = [f"time steps and their solvers (step, solver): {METHOD} pieces are as long as rtol lets them be"]
-    return Plan("pieces", (), False, "never", True, math.inf, tuple(used), tuple(left))
 
 
 def with_reason(plan: Plan, reason: str) -> Plan:

@@ -197,6 +197,8 @@ class Run:
             "model_hash": walk.settings["model"],
             "versions": versions(),
         }
+        if model.input_groups:
+            data["input_groups"] = {name: list(names) for name, names in model.input_groups.items()}
         if getattr(model, "scene", None):
             data["scene"] = {key: value.tolist() for key, value in model.scene.items()}
         return data | walk.metadata()

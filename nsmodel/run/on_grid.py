@@ -8,6 +8,7 @@ import numpy as np
 
 from nsmodel.grid import Grid
 from nsmodel.model.base import Model
+from nsmodel.run.driven import OnSteps
 from nsmodel.run.options import Options
 from nsmodel.run.schemes import OfScheme
 from nsmodel.run.walk import OverGrid, There, rows_in_memory
@@ -20,6 +21,7 @@ class OnGrid(OverGrid, OfScheme):
     def __init__(self, model: Model, options: Options, grid: Grid, there: There) -> None:
         super().__init__(model, options, grid, grid, there)
         self.grid, self.N, self.every = grid, grid.N, options.save_every
+        self.driven = None if grid.drive is None else OnSteps(grid, grid.drive, self.starter)
         row = 8 * (self.stepper.layout.width + 5) + self.warm.index.size
         self.record = self.start(grid, rows_in_memory(grid.N, options, row, len(self.known)))
 
@@ -39,7 +41,11 @@ class OnGrid(OverGrid, OfScheme):
         free = slice(record.filled, None)
         room = (len(record.t) - record.filled) * every - k % every
         steps = 1 if self.last_index is None else min(end - k, room)  # the first alone: no index set has changed before it
-        done = self.rollout.advance(k, steps, self.state, self.warm, self._least(), every, record.rows[free], record.index[free])
+        state, given = (self.state, None) if self.driven is None else self.driven.block(self.state, k, steps)
+        steps = steps if given is None else len(given)
+        done = self.rollout.advance(
+            k, steps, state, self.warm, self._least(), every, record.rows[free], record.index[free], given
+        )  # fmt: skip
         if done.steps:
             last = k + done.steps
             numbers = np.arange(k - k % every + every, last + 1, every)
@@ -62,7 +68,7 @@ class OnGrid(OverGrid, OfScheme):
         layout, constant, h, N = self.stepper.layout, grid.steps is None, grid.h, grid.N
         state_at, residual_at, newton_at = layout.state, layout.residual, layout.newton
         worst, worst_k, newton, newton_max, changes = self.totals["worst_residual"], None, 0.0, 0.0, 0
-        counting, seen = self.counting, None if last is None else warm
+        counting, seen, driven = self.counting, None if last is None else warm, self.driven
         try:
             while k < end and not (stop or record.full):
                 if constant:
@@ -70,6 +76,7 @@ class OnGrid(OverGrid, OfScheme):
                 else:
                     t, h_k = grid.time(k), grid.step(k)
                 start = state if h_k == h or not constant or k == 0 else shortened(self.model, state, h_k / h)
+                start = start if driven is None else driven.state(start, k)
                 row, warm, solver = step(t, h_k, start, warm, k)
                 state = row[state_at]
                 counts[solver] += 1

@@ -10,6 +10,7 @@ from typing import Any
 from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import UsageError
 from nsmodel.grid import is_number, written
+from nsmodel.model.inputs import Signals
 from nsmodel.model.parameters import Values
 
 CERTIFICATES = ("estimate", "interval")
@@ -39,6 +40,7 @@ class Options:
     method: str = "auto"
     times: Any = None
     certify: str = "estimate"
+    inputs: Signals | None = None
 
     def __post_init__(self) -> None:
         """Refuse what does not depend on the model; numbers become a float and an int."""

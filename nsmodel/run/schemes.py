@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections import Counter
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -23,7 +24,7 @@ from nsmodel.run.options import Options
 from nsmodel.run.walk import There, check_exact, note_distance_to_exact, overrun, runaway
 from nsmodel.scheme import constraints, initial_rows, one_step_problem
 from nsmodel.scheme.problem import OneStepProblem
-from nsmodel.solve.build import Stepper, start_state
+from nsmodel.solve.build import Starter, Stepper, start_state
 from nsmodel.solve.cost import REPEATED, Cost, building, interpreted
 from nsmodel.solve.projection import CatchingUp
 from nsmodel.solve.stepper import PackedStep, Warm
@@ -76,7 +77,7 @@ class OfScheme:
         few = grid.steps is None or np.unique(grid.steps).size <= FEW_STEPS
         self.stepper: Any = make_stepper(self.problem, options.solver, tolerance, h=h, state=self.state, few_steps=few)
         self.warm, self.last_index = self.stepper.cold(), None
-        self.watches = impacts.watched(model)
+        self.watches = () if model.u.numel() else impacts.watched(model)
         self.counts: Counter[str] = Counter()
         self.totals: dict[str, Any] = {
             "worst_residual": 0.0, "worst_residual_t": None, "newton": 0.0, "newton_max": 0.0, "index_set_changes": 0, "steps": 0,
@@ -98,6 +99,12 @@ class OfScheme:
     def counting(self) -> bool:
         """Whether Newton iterations are counted."""
         return self.plan.path == "newton"
+
+    @cached_property
+    def starter(self) -> Starter | None:
+        """What finds the reaction that a state carries anew, where it carries one."""
+        start = self.problem.start
+        return None if start is None else Starter(start, self.stepper.tolerance, h=self._first, state=self.state)
 
     def _build(self) -> Any:
         """Compile the steps; CodegenError where that cannot be."""
@@ -185,9 +192,10 @@ class OfScheme:
         gap, model = self.record.column(self.problem.gap), self.model
         if not gap.min() < 0:
             return
-        slopes = ca.Function("slopes", [model.t, model.state], [ca.densify(ca.jacobian(constraints(model), model.state))])
+        given, u = [model.t, model.state, model.u], self.record.column("inputs") if self.problem.inputs else np.zeros((len(t), 0))
+        slopes = ca.Function("slopes", given, [ca.densify(ca.jacobian(constraints(model), model.state))])
         for i, k in enumerate(gap.argmin(axis=0)):
-            rounding = 1e-10 * np.linalg.norm(np.array(slopes(t[k], x[k]))[i]) * (1 + np.linalg.norm(x[k]))
+            rounding = 1e-10 * np.linalg.norm(np.array(slopes(t[k], x[k], u[k]))[i]) * (1 + np.linalg.norm(x[k]))
             if gap[k, i] < min(-rounding, self.totals.get("overrun", {"gap": 0.0})["gap"]):
                 self.totals["overrun"] = {"gap": float(gap[k, i]), "constraint": model.multiplier_names[i], "t": float(t[k])}
 

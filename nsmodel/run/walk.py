@@ -15,6 +15,7 @@ from nsmodel.grid import Grid
 from nsmodel.model.base import Model
 from nsmodel.once import once
 from nsmodel.run.options import Options
+from nsmodel.signals.drive import Drive
 from nsmodel.solve.choose import Plan
 
 PER_CENT = {"total": 100, "unit": "%", "bar_format": "{percentage:3.0f}%|{bar}| {elapsed}<{remaining}"}  # Of the time.
@@ -147,6 +148,15 @@ def noting_known_times(plan: Plan, model: Model, *, ends: bool) -> Plan:
         return replace(plan, used=(*plan.used, f"a step ends at each of {count} known times (switch_times)"))
     left = f"{count} known times (switch_times): the points of a grid are not moved to them; give rtol, or steps that end there"
     return replace(plan, left_out=(*plan.left_out, left))
+
+
+def noting_inputs(plan: Plan, drive: Drive | None) -> Plan:
+    """The plan with what drives the steps, and where these end for it."""
+    if drive is None:
+        return plan
+    kinds = ", ".join(f"{name} ({type(signal).__name__.lower()})" for name, signal in drive.signals.items())
+    ends = f": a step ends at each of {drive.points.size} times at which they jump or bend" if drive.points.size else ""
+    return replace(plan, used=(*plan.used, f"inputs {kinds}{ends}"))
 
 
 # -- failures ----------------------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ import numpy as np
 
 from nsmodel.classes.registry import class_of
 from nsmodel.model.base import Model
+from nsmodel.model.driven import inputs_at_start
 from nsmodel.once import once
 from nsmodel.scheme.problem import OneStepProblem
 
@@ -22,13 +23,14 @@ def one_step_problem(model: Model) -> OneStepProblem:
 
 def initial_rows(model: Any, h: float) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
     """Return (state, records) of the rows that are known before the first step; h is the first step."""
-    return _scheme(model).initial_rows(model, h)
+    rows = _scheme(model).initial_rows(model, h)
+    return [(np.concatenate([state, np.tile(inputs_at_start(model), 2)]), records) for state, records in rows]
 
 
 def start_of(model: Any, h: ca.SX) -> ca.SX | None:
     """Return the state that the first step starts from as an expression of h, where the scheme has one of its own."""
     own = getattr(_scheme(model), "start_of", None)
-    return None if own is None else own(model, h)
+    return None if own is None else ca.vertcat(own(model, h), np.tile(inputs_at_start(model), 2))
 
 
 def derived_columns(model: Any, arrays: dict[str, np.ndarray], h_next: np.ndarray) -> dict[str, np.ndarray]:
@@ -45,8 +47,8 @@ def constraints(model: Any) -> ca.SX:
 
 def shortened(model: Any, state: np.ndarray, ratio: float) -> np.ndarray:
     """Return the state before a last step that is shorter than the others by ``ratio``."""
-    shorten = getattr(_scheme(model), "shortened", None)
-    return state if shorten is None else shorten(state, ratio)
+    shorten, own = getattr(_scheme(model), "shortened", None), state.size - 2 * model.u.numel()
+    return state if shorten is None else np.concatenate([shorten(state[:own], ratio), state[own:]])
 
 
 def _scheme(model: Any) -> ModuleType:

@@ -10,6 +10,7 @@ import casadi as ca
 
 from nsmodel.errors import UsageError
 from nsmodel.laws import Law
+from nsmodel.model.expressions import derivatives
 
 TINY = 1e-150  # Beside a size, that its derivatives are numbers where it is 0.
 
@@ -42,6 +43,7 @@ class ContinuousProblem:
         declared: the names of these multipliers.
         records: further columns of a trajectory, expressions of t, x and l.
         growths: of the blocks whose l pushes with another force the faster they slip.
+        held: number of the last entries of x that are inputs (see `driven`), set at known times; nothing acts on them.
         impulses: whether the class's multipliers are the integrals of l over steps; l itself is then called reactions.
     """
 
@@ -64,12 +66,21 @@ class ContinuousProblem:
     records: Mapping[str, ca.SX] = field(default_factory=dict)
     growths: tuple[Growth, ...] = ()
     impulses: bool = False
+    held: int = 0
 
     @property
     def sliding(self) -> tuple[str, ...]:
         """The blocks whose l, or what stands for it, moves while they slip: by the names of their laws, or of their rows."""
         curved = tuple(block.label for _, block in self.law.parts() if not block.separable)
         return curved + tuple(self.rows[growth.first] for growth in self.growths)
+
+    @property
+    def slopes(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """g_l, h_l, and h_x by the states that can be moved."""
+        C, free = derivatives(self.h, self.x), self.x.numel() - self.held
+        if self.held:
+            C = ca.horzcat(C[:, :free], ca.SX(C.shape[0], self.held))
+        return derivatives(self.g, self.l), derivatives(self.h, self.l), C
 
     @property
     def rate(self) -> ca.SX:

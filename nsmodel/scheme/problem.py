@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -48,6 +48,7 @@ class Prediction:
         l, velocity, u, law: where u = 0 the element l of K is free.
         c: rows c(t, x) >= 0 of the set that the state is in.
         box: (lower, upper) of that set, expressions of t, where it is a box; else None.
+        inputs: symbols of the inputs in velocity, u, c and box.
         tolerances: eps_k of projections that need not be exact: a number, one for each step, or a function of the step; or None.
     """
 
@@ -58,6 +59,7 @@ class Prediction:
     law: Law
     c: ca.SX
     box: tuple[ca.SX, ca.SX] | None
+    inputs: ca.SX
     tolerances: Any
 
 
@@ -86,6 +88,7 @@ class OneStepProblem:
         gap: the record of how far next_state is inside what it is projected on, where it is; else "".
         prediction: how the state is made of the model's, where it is a predictor; else None.
         explicit: numbers of the unknowns that their own rows give: E_i = z_i - G_i of the others, E and Y linear in them.
+        inputs: how many inputs the state carries behind its own: u(t_k+), then u(t_{k+1}-); see `carrying`.
     """
 
     scheme: str
@@ -113,6 +116,7 @@ class OneStepProblem:
     gap: str = ""
     prediction: Prediction | None = None
     explicit: tuple[int, ...] = ()
+    inputs: int = 0
 
     @property
     def multiplier_names(self) -> tuple[str, ...]:
@@ -136,6 +140,20 @@ class OneStepProblem:
         z, E = ca.substitute([self.z, self.E], [self.z[rows]], [given])
         E[rows] = 0
         return z, E
+
+
+def carrying(problem: OneStepProblem, begin: ca.SX, end: ca.SX) -> OneStepProblem:
+    """The problem with the inputs u(t_k+) = begin and u(t_{k+1}-) = end behind its state: a step passes them on as they are.
+
+    Whoever steps sets them before each step; so all that knows states knows inputs.
+    """
+    if not begin.numel():
+        return problem
+    both, start = ca.vertcat(begin, end), problem.start
+    return replace(
+        problem, state=ca.vertcat(problem.state, both), next_state=ca.vertcat(problem.next_state, both), inputs=begin.numel(),
+        start=None if start is None else carrying(start, begin, end),
+    )  # fmt: skip
 
 
 def feedthrough(Y: ca.SX, l: ca.SX) -> tuple[int, ...]:

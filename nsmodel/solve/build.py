@@ -369,6 +369,22 @@ def _matrices(sparse: Sparse, t: float, h: float) -> AtStep:
         raise singular(t, h) from None
 
 
+class Starter:
+    """Completes a state by the multiplier that solves the law there, for schemes that carry what it pushes (gamma < 1)."""
+
+    def __init__(self, problem: OneStepProblem, tolerance: float, *, h: float, state: np.ndarray) -> None:
+        self._stepper = Stepper(problem, "auto", tolerance, h=h, state=state)
+
+    def __call__(self, t: float, h: float, state: np.ndarray) -> np.ndarray:
+        """The state with what l pushes it by at time t; StepError where the law has no multiplier there."""
+        try:
+            return self._stepper(t, h, state, self._stepper.cold()).row[self._stepper.layout.state]
+        except StepError as error:
+            where = f"t = {t:.10g}" if t else "the start"
+            message = f"gamma < 1 needs a multiplier at {where}, and the law has none there: {error}"
+            raise StepError(message, residual=error.residual, component=error.component) from None
+
+
 def start_state(problem: OneStepProblem, state: np.ndarray, h: float, tolerance: float) -> np.ndarray:
     """What a run starts from: ``state``, completed by the multiplier that solves the law there where the scheme needs one.
 
@@ -377,8 +393,7 @@ def start_state(problem: OneStepProblem, state: np.ndarray, h: float, tolerance:
     """
     if problem.start is None:
         return state
-    stepper = Stepper(problem.start, "auto", tolerance, h=h, state=state)
     try:
-        return stepper(0.0, h, state, stepper.cold()).row[stepper.layout.state]
+        return Starter(problem.start, tolerance, h=h, state=state)(0.0, h, state)
     except StepError as error:
-        raise UsageError(f"gamma < 1 needs a multiplier at the start, and the law has none there: {error}") from None
+        raise UsageError(str(error)) from None

@@ -1,4 +1,7 @@
-"""One row of a trajectory as one vector: [state | l | y | residual | newton | multipliers | outputs | records]."""
+"""One row of a trajectory as one vector: [state | l | y | residual | newton | multipliers | outputs | records].
+
+The state ends with the inputs that the step was given: "inputs_begin", u at its begin, and "inputs", at its end.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +24,7 @@ class Layout:
     y: slice
     residual: int
     newton: int
+    inputs: slice  # Of the state: those of the step at its begin, then at its end.
 
     @classmethod
     def of(cls, problem: OneStepProblem, **records: int) -> Self:
@@ -32,7 +36,13 @@ class Layout:
         for name, size in sizes.items():
             slices[name] = slice(at, at + size)
             at += size
-        return cls(slices, at, slices["state"], slices["l"], slices["y"], slices["residual"].start, slices["newton"].start)
+        end, nu = slices["state"].stop, problem.inputs
+        if nu:
+            slices |= {"inputs_begin": slice(end - 2 * nu, end - nu), "inputs": slice(end - nu, end)}
+        return cls(
+            slices, at, slices["state"], slices["l"], slices["y"], slices["residual"].start, slices["newton"].start,
+            slice(end - 2 * nu, end),
+        )  # fmt: skip
 
 
 def extras(problem: OneStepProblem) -> dict[str, ca.SX]:

@@ -38,10 +38,11 @@ class CatchingUp:
     def __init__(
         self, problem: OneStepProblem, given: Prediction, solver: str, tolerance: float, *, h: float, state: np.ndarray
     ) -> None:
-        n, m = problem.state.numel(), problem.l.numel()
+        self._nu = problem.inputs
+        n, m = problem.state.numel() - 2 * self._nu, problem.l.numel()
         self.problem, self.tolerance, self.rows = problem, tolerance, problem.rows
         self.layout = row_layout(problem, given)
-        self._face, here = numeric_law(given.law), [problem.t, given.x]
+        self._face, here = numeric_law(given.law), [problem.t, given.x, given.inputs]
         A = ca.densify(ca.jacobian(given.velocity, given.l))
         at_zero = ca.substitute([given.velocity], [given.l], [ca.SX.zeros(given.l.shape)])[0]
         self._velocity = ca.Function("velocity", here, [ca.densify(e) for e in (at_zero, A, given.u)])
@@ -56,7 +57,7 @@ class CatchingUp:
         self._stepper = Stepper(problem, solver, tolerance, h=h, state=state)
         self._clip = self._box and solver == "auto"
         self.plan = self._stepper.plan if not self._clip else _clip_plan(self._stepper.plan, self.exact)
-        self._interior = _interior(given, problem.t, h, state) if not (self.exact or self._box) else lambda t, y: y
+        self._interior = _interior(given, problem.t, h, state[:n]) if not (self.exact or self._box) else lambda t, y, u: y
         self._n, self._m = n, m
 
     @property
@@ -78,11 +79,13 @@ class CatchingUp:
         Raises:
             StepError: no selection or projection could be verified.
         """
-        v, selection, slack = self._select(t, state)
+        nu, given = self._nu, state[self._n :]
+        state, begin, u = state[: self._n], given[:nu], given[nu:]
+        v, selection, slack = self._select(t, state, begin)
         y = state + h * v
         eps, end = self._eps(k, h), t + h
         if self._clip:
-            bounds = self._bounds(end)
+            bounds = self._bounds(end, u)
             x, solver = np.clip(y, *bounds), "clip"
             d2 = float(np.sum((x - y) ** 2))
             l = self._box_multipliers(x - y, *bounds)
@@ -94,25 +97,25 @@ class CatchingUp:
             if not residual <= self.tolerance:
                 raise StepError(f"no verified projection at t = {t:.10g}: the predictor is {y}", residual=residual)
         elif eps > 0 and not self._box:
-            x, l, d2, index, newton = self._approximate(t, end, y, eps)
+            x, l, d2, index, newton = self._approximate(t, end, y, eps, u)
             residual, solver = slack, "outer approximation"
         else:
-            found = self._stepper(t, h, y, warm)
+            found = self._stepper(t, h, np.concatenate([y, given]), warm)
             inner = self._stepper.layout
-            x, l, index, solver = found.row[inner.state], found.row[inner.l], found.warm.index, found.solver
+            x, l, index, solver = found.row[inner.state][: self._n], found.row[inner.l], found.warm.index, found.solver
             residual, newton = max(slack, found.row[inner.residual]), found.row[inner.newton]
             d2 = float(np.sum((x - y) ** 2))
         if eps > 0 and self._box:
-            x = _use_tolerance(x, y, eps, *self._bounds(end))
+            x = _use_tolerance(x, y, eps, *self._bounds(end, u))
         e = x - y
         excess = max(float(e @ e) - d2, 0.0)
-        c = np.array(self._c(end, x)[0]).ravel()
-        row = np.concatenate([x, l, c, [residual, newton], v, selection, e, [np.sqrt(d2), excess, eps]])
+        c = np.array(self._c(end, x, u)[0]).ravel()
+        row = np.concatenate([x, given, l, c, [residual, newton], v, selection, e, [np.sqrt(d2), excess, eps]])
         return StepResult(row, Warm(l, index), solver)
 
-    def _select(self, t: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    def _select(self, t: float, x: np.ndarray, given: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """v ∈ F(x) - S(x) of least |P_{T_C(x)} v|, the element l of S that gives it, and the residual of that choice."""
-        v_0, A, u = (np.array(part) for part in self._velocity(t, x))
+        v_0, A, u = (np.array(part) for part in self._velocity(t, x, given))
         v_0, u = v_0.ravel(), u.ravel()
         if not (np.isfinite(v_0).all() and np.isfinite(u).all()):
             raise StepError(
@@ -121,13 +124,13 @@ class CatchingUp:
         l, tied = self._forced(u)
         if not tied.any():
             return v_0 + A @ l, l, 0.0
-        c, J = (np.array(part) for part in self._c(t, x))
+        c, J = (np.array(part) for part in self._c(t, x, given))
         acting = np.flatnonzero(c.ravel() <= 0)
         normals = J[acting]
         fixed = np.flatnonzero(~tied)
         base, free = v_0 + A[:, fixed] @ l[fixed], np.flatnonzero(tied)
         if self._moving:
-            base = base - self._shared_velocity(t, x, np.concatenate([free, u.size + acting]))
+            base = base - self._shared_velocity(t, x, given, np.concatenate([free, u.size + acting]))
         M = np.hstack([A[:, free], normals.T])
         W, b = M.T @ M, M.T @ base
         law = self._law_of(tied, acting.size)
@@ -164,9 +167,9 @@ class CatchingUp:
             np.concatenate([face.lower[free], np.zeros(k)]), np.concatenate([face.upper[free], np.full(k, np.inf)]), curved
         )
 
-    def _shared_velocity(self, t: float, x: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    def _shared_velocity(self, t: float, x: np.ndarray, given: np.ndarray, faces: np.ndarray) -> np.ndarray:
         """The least w with u_t + u_x w = 0, c_t + c_x w = 0 in the rows ``faces``: the velocity with which they move along."""
-        slopes, rates = (np.array(part)[faces] for part in self._faces(t, x))
+        slopes, rates = (np.array(part)[faces] for part in self._faces(t, x, given))
         return np.linalg.lstsq(slopes, -rates.ravel(), rcond=None)[0]
 
     def _box_multipliers(self, e: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
@@ -177,11 +180,11 @@ class CatchingUp:
         return np.array(l)
 
     def _approximate(
-        self, t: float, end: float, y: np.ndarray, eps: float
+        self, t: float, end: float, y: np.ndarray, eps: float, u: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, float, np.ndarray, int]:
         """x ∈ C(end) with |x - y|^2 < d^2 + eps for a certified d <= d_C(y): (x, l, d^2, index set, iterations)."""
-        inner = self._interior(end, y)
-        c, J = self._values(end, y)
+        inner = self._interior(end, y, u)
+        c, J = self._values(end, y, u)
         if (c >= 0).all():
             return y.copy(), np.zeros(self._m), 0.0, np.full(self._m, -1, np.int8), 0
         z, best = y.copy(), np.inf
@@ -190,12 +193,12 @@ class CatchingUp:
             A, a = np.vstack([cut[0] for cut in cuts]), np.concatenate([cut[1] for cut in cuts])
             z, l = self._project_on_cuts(t, A, a, y)
             d2 = float(np.sum((z - y) ** 2))
-            x = self._pull_back(end, z, inner)
+            x = self._pull_back(end, z, inner, u)
             best = float(np.sum((x - y) ** 2)) - d2
             if best < eps:
                 l = np.bincount(np.concatenate([cut[2] for cut in cuts]), l, self._m)  # the cuts of one constraint share it
                 return x, l, d2, np.where(l > 0, 0, -1).astype(np.int8), iteration
-            c, J = self._values(end, z)
+            c, J = self._values(end, z, u)
             # C lies in every {c(z) + J(z)(x - z) >= 0}; those that no longer act are dropped.
             acts = [np.abs(Ai @ z + ai) <= ACTS * (1 + np.abs(ai)) for Ai, ai, _ in cuts]
             cuts = [tuple(part[keep] for part in cut) for cut, keep in zip(cuts, acts, strict=True) if keep.any()]
@@ -214,14 +217,14 @@ class CatchingUp:
             )
         return y + A.T @ found.l, found.l
 
-    def _pull_back(self, t: float, z: np.ndarray, inner: np.ndarray) -> np.ndarray:
+    def _pull_back(self, t: float, z: np.ndarray, inner: np.ndarray, u: np.ndarray) -> np.ndarray:
         """The first point of C from z towards an inner one (c concave: bisection on one crossing)."""
-        if (self._values(t, z)[0] >= 0).all():
+        if (self._values(t, z, u)[0] >= 0).all():
             return z
         low, high = 0.0, 1.0
         for _ in range(BISECTIONS):
             middle = (low + high) / 2
-            if (self._values(t, z + middle * (inner - z))[0] >= 0).all():
+            if (self._values(t, z + middle * (inner - z), u)[0] >= 0).all():
                 high = middle
             else:
                 low = middle
@@ -229,14 +232,14 @@ class CatchingUp:
                 break
         return z + high * (inner - z)
 
-    def _values(self, t: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        c, J = self._c(t, x)
+    def _values(self, t: float, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        c, J = self._c(t, x, u)
         return np.array(c).ravel(), np.array(J).reshape(-1, self._n)
 
 
 def row_layout(problem: OneStepProblem, given: Prediction) -> Layout:
     """A packed row: that of the projection problem, then what catching-up records."""
-    n = problem.state.numel()
+    n = problem.state.numel() - 2 * problem.inputs
     return Layout.of(problem, v=n, selection=given.l.numel(), defect=n, predictor_distance=1, excess=1, tolerance=1)
 
 
@@ -250,24 +253,26 @@ def tolerance_function(given: Any) -> Callable[[int, float], float]:
     return lambda k, h: float(values[min(k, values.size - 1)])
 
 
-def bounds_of(given: Prediction, t: ca.SX) -> Callable[[float], tuple[np.ndarray, np.ndarray]]:
-    """(lower, upper) of the box as a function of time."""
+def bounds_of(given: Prediction, t: ca.SX) -> Callable[[float, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """(lower, upper) of the box as a function of time and inputs."""
     if given.box is None:
-        return lambda at: (np.zeros(0), np.zeros(0))
-    f = ca.Function("box", [t], [ca.densify(bound) for bound in given.box])
+        return lambda at, u: (np.zeros(0), np.zeros(0))
+    f = ca.Function("box", [t, given.inputs], [ca.densify(bound) for bound in given.box])
 
-    def at(time: float) -> tuple[np.ndarray, np.ndarray]:
-        lower, upper = f(time)
+    def at(time: float, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        lower, upper = f(time, u)
         return np.array(lower).ravel(), np.array(upper).ravel()
 
-    def moved(time: float) -> tuple[np.ndarray, np.ndarray]:
-        lower, upper = at(time)
+    def moved(time: float, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        lower, upper = at(time, u)
         for i in np.flatnonzero(lower > upper):
             raise StepError(f"C is empty at t = {time:.10g}: lower[{i}] = {lower[i]:.10g} > upper[{i}] = {upper[i]:.10g}")
         return lower, upper
 
-    fixed = at(0.0)
-    return moved if ca.depends_on(ca.vertcat(*given.box), t) else lambda time: fixed
+    if ca.depends_on(ca.vertcat(*given.box), ca.vertcat(t, given.inputs)):
+        return moved
+    fixed = at(0.0, np.zeros(given.inputs.numel()))
+    return lambda time, u: fixed
 
 
 def _clip_plan(plan: Plan, exact: bool) -> Plan:
@@ -289,29 +294,33 @@ def _use_tolerance(p: np.ndarray, y: np.ndarray, eps: float, lo: np.ndarray, up:
     return np.clip(p + min(s, 1.0) * d, lo, up)
 
 
-def _interior(given: Prediction, t: ca.SX, h: float, x0: np.ndarray) -> Callable[[float, np.ndarray], np.ndarray]:
+Interior = Callable[[float, np.ndarray, np.ndarray], np.ndarray]  # (t, x0, u) -> x.
+
+
+def _interior(given: Prediction, t: ca.SX, h: float, x0: np.ndarray) -> Interior:
     """A point of the interior of C(t), as a function of t and of where the search begins; one for all t where C stands still."""
-    find = interior_point(given, t)
-    if ca.depends_on(given.c, t):
-        find(h, x0)
+    find, driven = interior_point(given, t), ca.depends_on(given.c, given.inputs)
+    if ca.depends_on(given.c, t) or driven:
+        if not driven:
+            find(h, x0, np.zeros(given.inputs.numel()))
         return find
-    fixed = find(0.0, x0)
-    return lambda time, start: fixed
+    fixed = find(0.0, x0, np.zeros(given.inputs.numel()))
+    return lambda time, start, u: fixed
 
 
-def interior_point(given: Prediction, t: ca.SX) -> Callable[[float, np.ndarray], np.ndarray]:
+def interior_point(given: Prediction, t: ca.SX) -> Interior:
     """Return what finds a point with c(t, x) > 0 (Slater), as deep as IPOPT finds within distance 1 of a start."""
     s = ca.SX.sym("s")
     solver = ca.nlpsol(
-        "interior", "ipopt", {"x": ca.vertcat(given.x, s), "f": -s, "g": given.c - s, "p": t},
+        "interior", "ipopt", {"x": ca.vertcat(given.x, s), "f": -s, "g": given.c - s, "p": ca.vertcat(t, given.inputs)},
         {"print_time": False, "error_on_fail": False, "ipopt": {"print_level": 0, "sb": "yes"}},
     )  # fmt: skip
-    c = ca.Function("c", [t, given.x], [given.c])
+    c = ca.Function("c", [t, given.x, given.inputs], [given.c])
 
-    def find(time: float, x0: np.ndarray) -> np.ndarray:
+    def find(time: float, x0: np.ndarray, u: np.ndarray) -> np.ndarray:
         top = np.append(np.full(x0.size, np.inf), 1.0)
-        found = np.array(solver(x0=np.append(x0, 0.0), lbg=0, ubx=top, p=time)["x"]).ravel()[:-1]
-        if not np.array(c(time, found)).min(initial=np.inf) > 0:
+        found = np.array(solver(x0=np.append(x0, 0.0), lbg=0, ubx=top, p=np.append(time, u))["x"]).ravel()[:-1]
+        if not np.array(c(time, found, u)).min(initial=np.inf) > 0:
             raise ModelError(f"constraints: no point with all c(x) > 0 was found{_when(given, t, time)}; C needs an interior")
         return found
 

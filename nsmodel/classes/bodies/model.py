@@ -65,6 +65,8 @@ class ManyBodies(Model):
         if not isinstance(self.bodies, Bodies):
             raise ModelError(f"bodies: {shown(self.bodies)}; expected Bodies(q0, r=...)")
         n, d = self.bodies.q0.shape
+        if self.inputs:
+            raise ModelError("inputs: many bodies take none; write what drives f as an expression of t")
         self._settle("q", q=ca.SX.sym("q", n * d))
         families = {} if self.constraints is None else self.constraints
         if not isinstance(families, Mapping):

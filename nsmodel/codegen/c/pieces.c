@@ -532,18 +532,27 @@ static int accumulates(model_pieces *s)
 }
 
 /* The first known time after t, infinite where there is none. */
-static double next_known(double t)
+static double next_known(const model_pieces *s, double t)
 {
+#if HELD
+    const double *const known_times = s->known_at;
+    const long count = s->knowns;
+#else
+    UNUSED(s);
 #if KNOWN
-    int low = 0, high = KNOWN_TIMES;
+    const long count = KNOWN_TIMES;
+#endif
+#endif
+#if TIMED
+    long low = 0, high = count;
     while (low < high) {
-        const int middle = (low + high)/2;
+        const long middle = (low + high)/2;
         if (known_times[middle] > t)
             high = middle;
         else
             low = middle + 1;
     }
-    if (low < KNOWN_TIMES)
+    if (low < count)
         return known_times[low];
 #else
     UNUSED(t);
@@ -569,12 +578,30 @@ static int go_on(model_pieces *s)
     return MODEL_OK;
 }
 
+#if HELD
+/* Set the held states to what they are after the known time of this number. */
+static void set_held(model_pieces *s, long number)
+{
+    double *const held = s->at.x + N - MODEL_PIECES_HELD, *const size = s->at.size_x + N - MODEL_PIECES_HELD;
+    for (int i = 0; i < MODEL_PIECES_HELD; i++) {
+        held[i] = s->data[MODEL_PIECES_HELD*number + i];
+        size[i] = max_of(size[i], fabs(held[i]));
+    }
+}
+
+#endif
 /* Stand at a known time, with the branches of the data after it, and choose the mode. */
 static int cross(model_pieces *s, double known)
 {
     condition all[2];
     double c[MOST_ORDERS + 1];
     s->at.t = known;
+#if HELD
+    long number = 0;
+    while (s->known_at[number] < known)
+        number++;
+    set_held(s, number);
+#endif
     for (int b = 0; b < CHOICES; b++)
         s->at.choice[b] = NAN;
     if (!expand(s, AROUND)) {
@@ -704,7 +731,7 @@ static int next_piece(model_pieces *s)
         length = min_of(length/times, 1.0);
         s->at.tau = unit;
     }
-    const double longest = length*s->at.tau, known = next_known(s->at.t);
+    const double longest = length*s->at.tau, known = next_known(s, s->at.t);
 #if STIFF
     const int collocated = collocate(s, &length, known - s->at.t, &hit, &found, &error);
 #else
@@ -746,7 +773,7 @@ static int next_piece(model_pieces *s)
     }
     else {
         /* In a unit that is longer than a mode's own time coefficients grow. */
-        s->at.tau = unit_of(found && length > STUMP ? min_of(longest, LONGER*tau) : longest);
+        s->at.tau = unit_of(length > STUMP ? min_of(longest, LONGER*tau) : longest);
         restart(s);
         if (found) {
             s->at.tiny = tau < TINY*max_of(fabs(s->at.t), s->at.tau) ? s->at.tiny + 1 : 0;

@@ -17,6 +17,9 @@ extern "C" {
 #define MODEL_PIECES_M @M@ /* rows of the law */
 #define MODEL_PIECES_NP @NP@ /* parameters */
 #define MODEL_PIECES_CHOICES @CHOICES@ /* operations that are not analytic */
+#if HELD
+#define MODEL_PIECES_HELD @HELD@ /* states at the end that are set at known times */
+#endif
 #define MODEL_PIECES_ORDERS @ORDERS@ /* of series, at most */
 #define MODEL_PIECES_COLUMNS @COLUMNS@
 #define MODEL_PIECES_ROWS (MODEL_PIECES_N + 2*MODEL_PIECES_M)

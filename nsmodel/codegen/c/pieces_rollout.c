@@ -9,8 +9,8 @@ long model_size(void) { return (long)sizeof(model_pieces); }
 /* What a piece takes in a list of them. */
 long model_width(int order) { return AT_C + (long)(order + 1)*ROWS; }
 
-/* Begin at the start of the model; residuals: see the struct. */
-int model_begin(model_pieces *s, double rtol, const double *atol, int residuals)
+/* Begin at the start of the model; residuals: see the struct; known times, 0 the first, and what is held after each. */
+int model_begin(model_pieces *s, double rtol, const double *atol, int residuals, const double *known, const double *data, long knowns)
 {
     double x[N];
     const int status = model_pieces_init(s, rtol);
@@ -24,6 +24,16 @@ int model_begin(model_pieces *s, double rtol, const double *atol, int residuals)
     s->leaves = 1;
 #endif
     start(s, x);
+#if HELD
+    s->known_at = known;
+    s->data = data;
+    s->knowns = knowns;
+    memcpy(x + N - MODEL_PIECES_HELD, data, MODEL_PIECES_HELD*sizeof *data);
+#else
+    UNUSED(known);
+    UNUSED(data);
+    UNUSED(knowns);
+#endif
     return model_pieces_set_state(s, 0, x);
 }
 

@@ -49,6 +49,10 @@ typedef struct {
 #if PARAMETERS
     double p[MODEL_PIECES_NP];
 #endif
+#if HELD
+    const double *known_at, *data; /* known times, and the held states after each */
+    long knowns;
+#endif
     model_solve kept[MODEL_PIECES_KEPT]; /* of modes */
     int current, count, next;
     double c[MODEL_PIECES_ORDERS + 1][MODEL_PIECES_COLUMNS]; /* coefficients of x, l, y and what they are made of */

@@ -10,9 +10,9 @@
 /* Where a run stands: what the next step starts from. */
 void model_place(model_solver *s, double k, double h, const double *x, const double *l, const signed char *index);
 /* Take `steps` steps from number `k` of `last`, fewer where one fails or `seconds` are over; t[i], h[i] for each, or NULL where
-   t = k h. Keep every `every`-th row, and the last; return how many steps were taken. */
+   t = k h; of inputs u at both ends of each, where the model has some. Keep every `every`-th row, and the last; return how many steps were taken. */
 long model_rollout(model_solver *s, double k, long steps, double last, long every, double seconds, const double *t,
-                   const double *h, double *rows, signed char *index, model_totals *totals);
+                   const double *h, const double *inputs, double *rows, signed char *index, model_totals *totals);
 void model_fetch(const model_solver *s, double *x, double *l, signed char *index);
 long model_size(void);
 
@@ -170,13 +170,16 @@ void model_place(model_solver *s, double k, double h, const double *x, const dou
 }
 
 long model_rollout(model_solver *s, double k, long steps, double last, long every, double seconds, const double *t,
-                   const double *h, double *rows, signed char *index, model_totals *totals)
+                   const double *h, const double *inputs, double *rows, signed char *index, model_totals *totals)
 {
     const clock_t start = clock();
     long row = 0, look = 1;
     totals->status = MODEL_OK;
 #if !LAW
     (void)index;
+#endif
+#if !INPUTS
+    (void)inputs;
 #endif
     for (long i = 0; i < steps; i++) {
         if (i == look) {
@@ -197,6 +200,9 @@ long model_rollout(model_solver *s, double k, long steps, double last, long ever
             (void)h;
 #endif
         }
+#if INPUTS
+        memcpy(s->x + MODEL_NSTATE - 2*MODEL_NU, inputs + 2*MODEL_NU*i, 2*MODEL_NU*sizeof *inputs);
+#endif
         int status = attempt(s);
         totals->status = status;
         if (status != MODEL_OK)

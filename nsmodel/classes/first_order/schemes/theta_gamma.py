@@ -20,19 +20,19 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.first_order.model import FirstOrderSystem
-from nsmodel.scheme.problem import OneStepProblem, SchemeOrder, basic_law
+from nsmodel.scheme.problem import OneStepProblem, SchemeOrder, basic_law, carrying
 
 
 def one_step_problem(model: FirstOrderSystem) -> OneStepProblem:
     """Return R = 0, R_r = 0 as E in z = (x, r), and h as Y. r_k is part of the state when gamma < 1."""
     t, h, n, th, ga = model.t, ca.SX.sym("h"), model.x.numel(), model.theta, model.gamma
     x_k, r_k = model.x, ca.SX.sym("r_k", n)
-    x, r = ca.SX.sym("x_next", n), ca.SX.sym("r", n)
+    x, r, u = ca.SX.sym("x_next", n), ca.SX.sym("r", n), ca.SX.sym("u_next", model.u.numel())
     if not model.law.size:
-        return _smooth(model, h, x)
+        return carrying(_smooth(model, h, x, u), model.u, u)
 
     def end(expression: ca.SX, l: ca.SX) -> ca.SX:
-        return ca.substitute([expression], [t, x_k, model.lam], [t + h, x, l])[0]
+        return ca.substitute([expression], [t, x_k, model.u, model.lam], [t + h, x, u, l])[0]
 
     # A polyhedron's rewriting needs y as the user declared it, in terms of the new multipliers.
     basic = basic_law(model.law, model.multiplier_names, y_user := ca.SX.sym("y", model.law.size))
@@ -44,7 +44,7 @@ def one_step_problem(model: FirstOrderSystem) -> OneStepProblem:
     R = model.M @ (x - x_k) - h * th * f - h * (1 - th) * f_k - h * ga * r - h * (1 - ga) * (r_k if ga < 1 else 0)
     R_r = r - gx
     split = basic.l.numel() != l.numel()
-    return OneStepProblem(
+    problem = OneStepProblem(
         scheme=f"theta-gamma, theta = {th:g}, gamma = {ga:g}",
         t=t, h=h, state=ca.vertcat(x_k, r_k) if ga < 1 else x_k, p=model.p,
         z=ca.vertcat(x, r), l=basic.l, y=y,
@@ -58,9 +58,10 @@ def one_step_problem(model: FirstOrderSystem) -> OneStepProblem:
         outputs=hx if split else None,
         records={"residual_R": ca.norm_inf(R), "residual_Ry": ca.norm_inf(y - Y), "residual_Rr": ca.norm_inf(R_r)},
         start=_start(model, h, ca.vertcat(x_k, r_k)) if ga < 1 else None,
-        order=SchemeOrder.of_weights(th, ga, gx, ca.vertcat(t, h, x), basic.law, Y, basic.l),
+        order=SchemeOrder.of_weights(th, ga, gx, ca.vertcat(t, h, x, u), basic.law, Y, basic.l),
         explicit=tuple(range(n, 2 * n)),
     )  # fmt: skip
+    return carrying(problem, model.u, u)
 
 
 def _start(model: FirstOrderSystem, h: ca.SX, state: ca.SX) -> OneStepProblem:
@@ -80,10 +81,10 @@ def _start(model: FirstOrderSystem, h: ca.SX, state: ca.SX) -> OneStepProblem:
     )  # fmt: skip
 
 
-def _smooth(model: FirstOrderSystem, h: ca.SX, x: ca.SX) -> OneStepProblem:
+def _smooth(model: FirstOrderSystem, h: ca.SX, x: ca.SX, u: ca.SX) -> OneStepProblem:
     """Without multipliers: the theta-scheme for M x' = f + g(t, x)."""
     t, x_k, th, ga = model.t, model.x, model.theta, model.gamma
-    f, g = (ca.substitute([e], [t, x_k], [t + h, x])[0] for e in (model.f, model.g))
+    f, g = (ca.substitute([e], [t, x_k, model.u], [t + h, x, u])[0] for e in (model.f, model.g))
     R = model.M @ (x - x_k) - h * th * f - h * (1 - th) * model.f - h * ga * g - h * (1 - ga) * model.g
     empty = ca.SX(0, 1)
     return OneStepProblem(

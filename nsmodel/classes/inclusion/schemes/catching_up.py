@@ -19,17 +19,18 @@ import numpy as np
 from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.classes.inclusion.set_valued import constraints, selection
 from nsmodel.laws import complementarity
-from nsmodel.scheme.problem import OneStepProblem, Prediction
+from nsmodel.scheme.problem import OneStepProblem, Prediction, carrying
 
 
 def one_step_problem(model: MonotoneInclusion) -> OneStepProblem:
     """Return the exact projection of the predictor (here the ``state``) on C: z - y_k - grad c(z)' n = 0, 0 <= n ⟂ c(z) >= 0."""
     h, predictor, z = ca.SX.sym("h"), ca.SX.sym("predictor", model.x.numel()), ca.SX.sym("x_next", model.x.numel())
     c, names = constraints(model)
+    u_end = ca.SX.sym("u_next", model.u.numel())
     n, chosen = ca.SX.sym("n", c.numel()), selection(model)
     at_end = c, ca.jacobian(c, model.x)
-    Y, J = ca.substitute(at_end, [model.t, model.x], [model.t + h, z]) if n.numel() else at_end
-    return OneStepProblem(
+    Y, J = ca.substitute(at_end, [model.t, model.x, model.u], [model.t + h, z, u_end]) if n.numel() else at_end
+    problem = OneStepProblem(
         scheme="catching-up with approximate projections",
         t=model.t, h=h, state=predictor, p=model.p,
         z=z, l=n, y=ca.SX.sym("y", n.numel()),
@@ -40,9 +41,10 @@ def one_step_problem(model: MonotoneInclusion) -> OneStepProblem:
         next_state=z,
         prediction=Prediction(
             model.x, chosen.l, chosen.velocity, chosen.u, chosen.law, c,
-            None if model.constraints else (model.lower, model.upper), model.tolerances,
+            None if model.constraints else (model.lower, model.upper), model.u, model.tolerances,
         ),
     )  # fmt: skip
+    return carrying(problem, model.u, u_end)
 
 
 def initial_rows(model: MonotoneInclusion, h: float) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:

@@ -21,7 +21,7 @@ from nsmodel.classes.inclusion.set_valued import Selection, constraints, selecti
 from nsmodel.laws import complementarity, product, relay
 from nsmodel.proof import polynomial
 from nsmodel.proof.graph import column
-from nsmodel.scheme.problem import OneStepProblem
+from nsmodel.scheme.problem import OneStepProblem, carrying
 
 __all__ = ["initial_rows", "kept_within", "one_step_problem"]
 
@@ -29,15 +29,16 @@ __all__ = ["initial_rows", "kept_within", "one_step_problem"]
 def one_step_problem(model: MonotoneInclusion) -> OneStepProblem:
     """Return the resolvent as (z, l, n): the velocity v = F - S and the reaction grad c' n make x_{k+1} = x_k + h (v + ...)."""
     h, z, chosen = ca.SX.sym("h"), ca.SX.sym("x_next", model.x.numel()), selection(model)
+    u_end = ca.SX.sym("u_next", model.u.numel())
     (c, names), l = constraints(model), chosen.l
     n, S, law, scale = ca.SX.sym("n", c.numel()), chosen.S, chosen.law, ca.SX.ones(l.numel())
     if model.sign_symbols.numel():
         scale = ca.vertcat(*(_share(model, chosen, i) for i in range(l.numel())))
         S, law = ca.substitute(S, l, l / scale), relay(l.numel(), -scale, scale)
     at_end = S, chosen.u, c, ca.jacobian(c, model.x)
-    S, u, c, J = ca.substitute(at_end, [model.t, model.x], [model.t + h, z])
+    S, u, c, J = ca.substitute(at_end, [model.t, model.x, model.u], [model.t + h, z, u_end])
     v = model.field - S
-    return OneStepProblem(
+    problem = OneStepProblem(
         scheme="implicit: the resolvent of T",
         t=model.t, h=h, state=model.x, p=model.p,
         z=z, l=ca.vertcat(l, n), y=ca.SX.sym("y", l.numel() + n.numel()),
@@ -48,6 +49,7 @@ def one_step_problem(model: MonotoneInclusion) -> OneStepProblem:
         next_state=z,
         records={"v": v, "selection": l / scale},
     )  # fmt: skip
+    return carrying(problem, model.u, u_end)
 
 
 def _share(model: MonotoneInclusion, chosen: Selection, i: int) -> ca.SX:

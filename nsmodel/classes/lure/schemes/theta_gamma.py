@@ -13,19 +13,19 @@ import numpy as np
 
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.laws import Law
-from nsmodel.scheme.problem import OneStepProblem, SchemeOrder, basic_law, subdifferential
+from nsmodel.scheme.problem import OneStepProblem, SchemeOrder, basic_law, carrying, subdifferential
 
 
 def one_step_problem(model: LureSystem) -> OneStepProblem:
     """Return the step in z = x_{k+1}, or (x_{k+1}, y_{k+1}) where Phi is given and D is not 0."""
     t, h, n, th, ga = model.t, ca.SX.sym("h"), model.x.numel(), model.theta, model.gamma
-    x_k, r_k, x = model.x, ca.SX.sym("r_k", n), ca.SX.sym("x_next", n)
+    x_k, r_k, x, u = model.x, ca.SX.sym("r_k", n), ca.SX.sym("x_next", n), ca.SX.sym("u_next", model.u.numel())
     rate_k = model.A + model.f
-    rate = ca.substitute([rate_k], [t, x_k], [t + h, x])[0]
+    rate = ca.substitute([rate_k], [t, x_k, model.u], [t + h, x, u])[0]
     law = rows_of_law(model, x)
     r = ca.densify(model.B @ law.multipliers)
     E = x - x_k - h * th * rate - h * (1 - th) * rate_k - h * ga * r - h * (1 - ga) * (r_k if ga < 1 else 0)
-    return OneStepProblem(
+    problem = OneStepProblem(
         scheme="implicit Euler" if th == ga == 1 else f"theta-gamma, theta = {th:g}, gamma = {ga:g}",
         t=t, h=h, state=ca.vertcat(x_k, r_k) if ga < 1 else x_k, p=model.p,
         z=ca.vertcat(x, law.z), l=law.l, y=ca.SX.sym("y", law.l.numel()),
@@ -40,6 +40,7 @@ def one_step_problem(model: LureSystem) -> OneStepProblem:
         start=_start(model, h, ca.vertcat(x_k, r_k)) if ga < 1 else None,
         order=SchemeOrder.of_weights(th, ga, r, ca.vertcat(x, law.z), law.law, law.Y, ca.vertcat(law.l, law.z)),
     )  # fmt: skip
+    return carrying(problem, model.u, u)
 
 
 class _Rows(NamedTuple):

@@ -14,7 +14,8 @@ import numpy as np
 
 from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.laws import complementarity
-from nsmodel.scheme.problem import OneStepProblem
+from nsmodel.model.driven import inputs_at_start
+from nsmodel.scheme.problem import OneStepProblem, carrying
 
 QUADRATURE_POINTS = 8
 
@@ -24,11 +25,11 @@ def one_step_problem(model: SweepingProcess) -> OneStepProblem:
     t, h, q = model.t, ca.SX.sym("h"), model.q
     m = ca.SX.sym("m", model.g.numel())
     y = ca.SX.sym("y", m.numel())
-    q_next = ca.SX.sym("q_next", q.numel())
-    f = _mean(model.f, t, h) if model.mean_forcing else model.f
-    g = ca.substitute(model.g, t, t + h) if m.numel() else m
+    q_next, u = ca.SX.sym("q_next", q.numel()), ca.SX.sym("u_next", model.u.numel())
+    f = _mean(model, h, u) if model.mean_forcing else model.f
+    g = ca.substitute([model.g], [t, model.u], [t + h, u])[0] if m.numel() else m
     G = ca.jacobian(g, q)
-    return OneStepProblem(
+    problem = OneStepProblem(
         scheme="prediction-correction" + (", mean of f (Remark 3.2)" if model.mean_forcing else " (10)"),
         t=t, h=h, state=q, p=model.p,
         z=q_next, l=m, y=y,
@@ -42,6 +43,7 @@ def one_step_problem(model: SweepingProcess) -> OneStepProblem:
         gap="gap" if m.numel() else "",
         overreach=_overreach(g, G, q, q_next),
     )  # fmt: skip
+    return carrying(problem, model.u, u)
 
 
 def _overreach(g: ca.SX, G: ca.SX, q: ca.SX, q_next: ca.SX) -> ca.SX | None:
@@ -66,18 +68,19 @@ def _overreach(g: ca.SX, G: ca.SX, q: ca.SX, q_next: ca.SX) -> ca.SX | None:
     return ca.vertcat(*rows)
 
 
-def _mean(f: ca.SX, t: ca.SX, h: ca.SX) -> ca.SX:
-    """(1/h) int_{t_k}^{t_{k+1}} f(s, q_k) ds (Remark 3.2) by Gauss-Legendre quadrature."""
-    nodes, weights = np.polynomial.legendre.leggauss(QUADRATURE_POINTS)
-    terms = [w / 2 * ca.substitute(f, t, t + h * (1 + x) / 2) for x, w in zip(nodes, weights, strict=True)]
-    return sum(terms[1:], terms[0])
+def _mean(model: SweepingProcess, h: ca.SX, u_end: ca.SX) -> ca.SX:
+    """(1/h) int_{t_k}^{t_{k+1}} f(s, q_k) ds (Remark 3.2) by Gauss-Legendre quadrature; inputs go from one end to the other."""
+    f, t, u, total = model.f, model.t, model.u, 0
+    for x, w in zip(*np.polynomial.legendre.leggauss(QUADRATURE_POINTS), strict=True):
+        total += w / 2 * ca.substitute([f], [t, u], [t + h * (1 + x) / 2, (1 - x) / 2 * u + (1 + x) / 2 * u_end])[0]
+    return ca.SX(total)
 
 
 def initial_rows(model: SweepingProcess, h: float) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
     """q_0 and its gaps g(0, q_0)."""
     q0 = np.array(ca.DM(model.q0)).ravel()
-    gap = ca.Function("gap", [model.t, model.q], [ca.densify(model.g)])
-    return [(q0, {"gap": np.array(gap(0, q0)).ravel()} if model.g.numel() else {})]
+    gap = ca.Function("gap", [model.t, model.q, model.u], [ca.densify(model.g)])
+    return [(q0, {"gap": np.array(gap(0, q0, inputs_at_start(model))).ravel()} if model.g.numel() else {})]
 
 
 def derived_columns(model: SweepingProcess, arrays: dict[str, np.ndarray], h_next: np.ndarray) -> dict[str, np.ndarray]:

@@ -1,0 +1,58 @@
+"""A model with the signals of a run, and as it is at their start."""
+
+from __future__ import annotations
+
+from copy import copy
+from types import MappingProxyType
+from typing import Any, TypeVar
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.errors import UsageError
+from nsmodel.model.convert import Converter, declare
+from nsmodel.model.inputs import Signals, by_name, signals_of
+from nsmodel.model.replaced import replaced
+from nsmodel.signals.signal import Signal
+
+T = TypeVar("T", bound=Any)
+
+
+def driven_by(model: T, signals: Signals | None = None) -> T:
+    """The model with these signals in place of those declared.
+
+    Raises:
+        UsageError: a name that is no input; an input that nothing drives; another number of values.
+    """
+    given = signals_of(
+        by_name(signals, model.input_groups), model.input_groups, Converter([declare(model.t, "t")]), UsageError
+    )  # fmt: skip
+    inputs = {**model.inputs, **given}
+    for name, signal in inputs.items():
+        if signal is None:
+            raise UsageError(f"input '{name}' has no signal; give inputs={{'{name}': ...}} or --input {name}=FILE.csv")
+    return _with(model, inputs=MappingProxyType(inputs)) if given else model
+
+
+def at_start(model: T) -> T:
+    """The model with its inputs held at u(0+)."""
+    if not model.u.numel():
+        return model
+    held = replaced(model, model.u, ca.SX(inputs_at_start(model)))
+    return _with(held, u=ca.SX(0, 1), inputs=MappingProxyType({}), input_groups=MappingProxyType({}))
+
+
+def inputs_at_start(model: Any) -> np.ndarray:
+    """u(0+) (nu,); 0 where nothing drives it yet."""
+    first = [
+        signal.limits(np.zeros(2), 0)[0][0] if isinstance(signal, Signal) else np.zeros(len(model.input_groups[name]))
+        for name, signal in model.inputs.items()
+    ]
+    return np.concatenate([np.zeros(0), *first])
+
+
+def _with(model: T, **fields: Any) -> T:
+    other = copy(model)
+    for name, value in fields.items():
+        object.__setattr__(other, name, value)
+    return other

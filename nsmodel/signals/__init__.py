@@ -1,0 +1,9 @@
+"""Signals: known functions of time that drive a model, with the times at which they jump or bend."""
+
+from nsmodel.signals.function import signal
+from nsmodel.signals.pwm import pwm
+from nsmodel.signals.signal import Signal
+from nsmodel.signals.steps import steps
+from nsmodel.signals.table import table
+
+__all__ = ["Signal", "pwm", "signal", "steps", "table"]

@@ -1,0 +1,69 @@
+"""The signals of all inputs of a model over a run: the points that its grid must have, and what each step sees."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from nsmodel.errors import UsageError
+from nsmodel.signals.signal import Signal, earlier, later
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """Signals, by input, up to t_end.
+
+    Attributes:
+        points: the times within (0, t_end) at which one jumps or bends, those that are near each other as one; jumps: those of
+            them at which one jumps.
+    """
+
+    signals: Mapping[str, Signal]
+    points: np.ndarray
+    jumps: np.ndarray
+
+    @classmethod
+    def of(cls, signals: Mapping[str, Signal], t_end: float) -> Drive:
+        """Look for the points; ModelError where a signal is none up to there."""
+        for name, signal in signals.items():
+            signal.refuse(f"input '{name}'", t_end)
+        edges = [signal.edges(t_end) for signal in signals.values()]
+        points = as_one(np.concatenate([*edges, *(signal.kinks(t_end) for signal in signals.values()), np.zeros(0)]))
+        points = points[points < earlier(np.array(t_end))]
+        jumps = np.concatenate([*edges, np.zeros(0)])
+        at = np.searchsorted(points, earlier(jumps))
+        return cls(signals, points, points[np.unique(at[at < points.size])] if points.size else points)
+
+    def refuse_count(self, N: int) -> None:
+        """UsageError where a signal is for another number of steps than a run's."""
+        for name, signal in self.signals.items():
+            if signal.count is not None and signal.count != N:
+                raise UsageError(f"input '{name}': steps(...) has {signal.count} rows, and the run {N} steps; give one for each")
+
+    @property
+    def size(self) -> int:
+        """The number of inputs."""
+        return sum(signal.size for signal in self.signals.values())
+
+    def limits(self, t: np.ndarray, number: int = 0) -> np.ndarray:
+        """u(a+), u(b-) side by side (K, 2 nu) of the steps between times (K + 1,), the first of which has this number."""
+        both = [signal.limits(t, number) for signal in self.signals.values()]
+        return np.hstack([part for side in (0, 1) for part in (limits[side] for limits in both)])
+
+    def rows(self, t: np.ndarray, before: np.ndarray) -> dict[str, np.ndarray]:
+        """The columns of rows at t (N,), each after a row at another time: u(t-), and u+ at that other time; at 0 u(0+) both."""
+        begin = np.hstack([signal.after(before) for signal in self.signals.values()])
+        end = np.hstack([signal.before(t) for signal in self.signals.values()])
+        return {"inputs": np.where(t[:, None] > 0, end, begin), "inputs_begin": begin}
+
+    def start(self) -> np.ndarray:
+        """u(0+), twice."""
+        return np.tile(np.hstack([signal.limits(np.zeros(2), 0)[0] for signal in self.signals.values()])[0], 2)
+
+
+def as_one(times: np.ndarray) -> np.ndarray:
+    """Times after 0, in order; of those that are near each other the first."""
+    times = np.sort(times[times > 0])
+    return times[np.append(True, times[1:] > later(times[:-1]))] if times.size else times

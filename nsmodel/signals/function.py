@@ -1,0 +1,125 @@
+"""Signals that a Python function or an expression of time gives, with the edges that the user declares."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.errors import ModelError
+from nsmodel.once import once
+from nsmodel.signals.signal import Signal, increasing, numbers
+
+Edges = Sequence[float] | np.ndarray | Callable[[float, float], Sequence[float]]
+
+
+@dataclass(frozen=True, eq=False)
+class Declared(Signal):
+    """A function that is right-continuous at its edges; its left limit there is its value a rounding before."""
+
+    given: Edges  # What ``edges=`` is.
+    label: str
+
+    def edges(self, t_end: float) -> np.ndarray:
+        """Those declared."""
+        given = self.given(0.0, t_end) if callable(self.given) else self.given
+        found = numbers(self.label, "edges", given, 1)
+        increasing(self.label, "edges", found, strictly=True)
+        return found[(found >= 0) & (found <= t_end)]
+
+    def after(self, t: np.ndarray) -> np.ndarray:
+        """The value."""
+        return self._values(t)
+
+    def before(self, t: np.ndarray) -> np.ndarray:
+        """The value, just before an edge where there is one."""
+        edges = self.edges(float(t.max(initial=0.0)))
+        return self._values(np.where(np.isin(t, edges), np.nextafter(t, -np.inf), t))
+
+    def _values(self, t: np.ndarray) -> np.ndarray:
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, eq=False)
+class Function(Declared):
+    """See `signal`."""
+
+    function: Callable[[Any], Any]
+    width: int
+
+    @property
+    def size(self) -> int:
+        """That of its value at t = 0."""
+        return self.width
+
+    def _values(self, t: np.ndarray) -> np.ndarray:
+        found = np.empty((t.size, self.width))
+        for row, time in zip(found, t, strict=True):
+            value = value_of(self.function, float(time), self.label)
+            if value.size != self.width:
+                raise ModelError(f"{self.label}: {value.size} values at t = {time:.10g}, and {self.width} at t = 0")
+            row[:] = value
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Expression(Declared):
+    """Expressions (nu,) of the model's time."""
+
+    time: ca.SX
+    column: ca.SX
+
+    @property
+    def size(self) -> int:
+        """Its entries."""
+        return self.column.numel()
+
+    def _values(self, t: np.ndarray) -> np.ndarray:
+        return np.array(_compiled(self).map(t.size)(t[None])).T if t.size else np.zeros((0, self.size))
+
+
+@once
+def _compiled(expression: Expression) -> ca.Function:
+    return ca.Function("signal", [expression.time], [expression.column])
+
+
+def value_of(function: Callable[[Any], Any], t: float, label: str) -> np.ndarray:
+    """The values (nu,) of a user's function; ModelError where it fails, or gives no finite numbers."""
+    try:
+        value = function(t)
+    except Exception as error:
+        raise ModelError(f"{label}: it raised {type(error).__name__} at t = {t:.10g}: {error}") from error
+    return numbers(label, f"its value at t = {t:.10g}", value, 0, 1).ravel()
+
+
+def signal(function: Any, *, edges: Edges = (), name: str | None = None) -> Signal:
+    """A signal that a Python function t -> number or (nu,) gives, or an expression of the model's time.
+
+    Args:
+        function: right-continuous; a step sees it at both ends.
+        edges: the times at which it jumps or bends, or a function (t_0, t_1) -> these: steps end there. A jump that is not
+            declared is smeared over a step.
+        name: of the function in messages and in files, which cannot hold it; left out: its own.
+
+    Raises:
+        ModelError: a value that is no finite number; edges out of order.
+    """
+    label = f"signal '{name or getattr(function, '__name__', 'of an expression')}'"
+    given = edges if callable(edges) else numbers(label, "edges", edges, 1)
+    if isinstance(function, ca.SX):
+        return expression_of(function, given, label)
+    if not callable(function):
+        raise ModelError(f"{label}: {type(function).__name__} is neither a function of t nor an expression of it")
+    return Function(given, label, function, value_of(function, 0.0, label).size)
+
+
+def expression_of(column: ca.SX, edges: Edges, label: str) -> Expression:
+    """The signal of an expression of time; ModelError where it holds other symbols."""
+    column = ca.densify(ca.vec(column))
+    symbols = ca.symvar(column)
+    if len(symbols) > 1:
+        raise ModelError(f"{label}: {column} holds {', '.join(s.name() for s in symbols)}; expected time alone")
+    return Expression(edges, label, symbols[0] if symbols else ca.SX.sym("t"), column)

@@ -1,0 +1,102 @@
+"""Pulse-width modulation: a value that is high for a part of each period."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nsmodel.errors import ModelError
+from nsmodel.signals.signal import Held, Signal, earlier, later, numbers, one_of
+
+KINDS = ("trailing", "leading", "centre")
+
+
+@dataclass(frozen=True, eq=False)
+class Pwm(Signal):
+    """See `pwm`."""
+
+    period: float
+    duty: Signal
+    phase: float
+    low: float
+    high: float
+    kind: str
+
+    @property
+    def flat(self) -> bool:
+        """It is."""
+        return True
+
+    def refuse(self, label: str, t_end: float) -> None:
+        """A duty that leaves [0, 1]."""
+        self.duty.refuse(label, t_end)
+        t, duty = self._duties(self._periods(t_end))
+        for i in np.flatnonzero(~((duty >= 0) & (duty <= 1)))[:1]:
+            raise ModelError(f"{label}: its duty is {duty[i]:g} at t = {t[i]:.10g}; expected a number from 0 to 1")
+
+    def _periods(self, t_end: float) -> np.ndarray:
+        """The numbers of the periods that meet [0, t_end], and of the one before."""
+        return np.arange(np.floor(-self.phase / self.period) - 1, np.floor((t_end - self.phase) / self.period) + 1)
+
+    def _duties(self, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """When periods k begin, or the run where that is later, and the duty there."""
+        t = np.maximum(self.phase + k * self.period, 0.0)
+        return t, self.duty.after(t)[:, 0]
+
+    def _pulses(self, k: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """When the pulses of periods k begin and end: products, no sums of periods."""
+        _, d = self._duties(k)
+        begin = {"trailing": 0 * d, "leading": 1 - d, "centre": (1 - d) / 2}[self.kind]
+        end = {"trailing": d, "leading": 0 * d + 1, "centre": (1 + d) / 2}[self.kind]
+        return self.phase + (k + begin) * self.period, self.phase + (k + end) * self.period
+
+    def edges(self, t_end: float) -> np.ndarray:
+        """Where pulses begin and end; none where one ends as the next begins, or is empty."""
+        begin, end = self._pulses(self._periods(t_end))
+        real = end > later(begin)
+        begin, end = begin[real], end[real]
+        apart = begin[1:] > later(end[:-1])
+        found = np.concatenate([begin[:1], begin[1:][apart], end[:-1][apart], end[-1:]])
+        return np.sort(found[(found >= 0) & (found <= t_end)])
+
+    def after(self, t: np.ndarray) -> np.ndarray:
+        """High within pulses, their begin included."""
+        return self._value(later(t))
+
+    def before(self, t: np.ndarray) -> np.ndarray:
+        """High within pulses, their end included."""
+        return self._value(earlier(t))
+
+    def _value(self, t: np.ndarray) -> np.ndarray:
+        begin, end = self._pulses(np.floor((t - self.phase) / self.period))
+        return np.where((t >= begin) & (t < end), self.high, self.low)[:, None]
+
+
+def pwm(period: float, duty: Any, *, phase: float = 0.0, low: float = 0.0, high: float = 1.0, kind: str = "trailing") -> Pwm:
+    """A signal that is ``high`` for the part ``duty`` of each ``period``, and ``low`` for the rest; its edges are exact.
+
+    Args:
+        period: > 0.
+        duty: a number from 0 to 1, or a signal, whose value when a period begins is that of the period. 0 and 1 give no edge.
+        phase: when a period begins.
+        low, high: the two values.
+        kind: where the pulse lies: "trailing" begins with the period (its trailing edge is modulated), "leading" ends with it,
+            "centre" lies in the middle.
+
+    Raises:
+        ModelError: a period that is not > 0, a duty outside [0, 1].
+    """
+    one_of("pwm", "kind", kind, KINDS)
+    given = {"period": period, "phase": phase, "low": low, "high": high}
+    values = {name: float(numbers("pwm", name, value, 0)) for name, value in given.items()}
+    if not values["period"] > 0:
+        raise ModelError(f"pwm: period = {period:g}; expected a time > 0")
+    if isinstance(duty, Signal) and duty.size != 1:
+        raise ModelError(f"pwm: duty has {duty.size} values; expected one")
+    if not isinstance(duty, Signal):
+        duty = Held(numbers("pwm", "duty", duty, 0).reshape(1))
+        if not 0 <= duty.values[0] <= 1:
+            raise ModelError(f"pwm: duty = {duty.values[0]:g}; expected a number from 0 to 1")
+    return Pwm(duty=duty, kind=kind, **values)

@@ -1,0 +1,132 @@
+"""What a signal is: right-continuous, smooth between its edges, where it jumps, and its kinks, where it bends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nsmodel.errors import ModelError
+from nsmodel.pickled import Pickled
+
+NEAR = 16 * np.finfo(float).eps  # Times that are nearer than this part of the larger are one.
+
+
+class Signal(Pickled):
+    """A known function u(t) of ``size`` values; a step from a to b sees u(a+) at its begin and u(b-) at its end."""
+
+    @property
+    def size(self) -> int:
+        """The number of values."""
+        return 1
+
+    @property
+    def flat(self) -> bool:
+        """Whether it is constant between its edges."""
+        return False
+
+    @property
+    def count(self) -> int | None:
+        """The number of steps that it is for; None: any."""
+        return None
+
+    def refuse(self, label: str, t_end: float) -> None:
+        """Raise ModelError, naming the input ``label``, where it is no such signal up to ``t_end``."""
+
+    def edges(self, t_end: float) -> np.ndarray:
+        """The times up to ``t_end`` at which it jumps, increasing."""
+        return np.zeros(0)
+
+    def kinks(self, t_end: float) -> np.ndarray:
+        """The times up to ``t_end`` at which it bends."""
+        return np.zeros(0)
+
+    def after(self, t: np.ndarray) -> np.ndarray:
+        """u(t+) at times (K,): (K, size)."""
+        raise NotImplementedError
+
+    def before(self, t: np.ndarray) -> np.ndarray:
+        """u(t-)."""
+        raise NotImplementedError
+
+    @property
+    def degree(self) -> int | None:
+        """Of the polynomials of time that it is between its ``joints``; None where it is none."""
+        return 0 if self.flat else None
+
+    def joints(self, t_end: float) -> np.ndarray:
+        """The times up to ``t_end`` at which one polynomial follows another."""
+        return np.union1d(self.edges(t_end), self.kinks(t_end))
+
+    def derivatives(self, t: float) -> np.ndarray:
+        """(degree + 1, size): u, u', ... just after t."""
+        return self.after(np.array([t]))
+
+    def limits(self, t: np.ndarray, number: int) -> tuple[np.ndarray, np.ndarray]:
+        """u(a+) and u(b-) of the steps between times (K + 1,), the first of which has this number: (K, size) each."""
+        del number
+        return self.after(t[:-1]), self.before(t[1:])
+
+
+@dataclass(frozen=True, eq=False)
+class Held(Signal):
+    """The same values (nu,) for ever."""
+
+    values: np.ndarray
+
+    @property
+    def size(self) -> int:
+        """Those given."""
+        return self.values.size
+
+    @property
+    def flat(self) -> bool:
+        """It is."""
+        return True
+
+    def after(self, t: np.ndarray) -> np.ndarray:
+        """The values."""
+        return np.tile(self.values, (t.size, 1))
+
+    before = after
+
+
+def later(t: np.ndarray) -> np.ndarray:
+    """Times after which what is one with t lies."""
+    return t + NEAR * np.abs(t)
+
+
+def earlier(t: np.ndarray) -> np.ndarray:
+    """Times before which what is one with t lies."""
+    return t - NEAR * np.abs(t)
+
+
+def one_of(label: str, name: str, value: Any, known: Sequence[str]) -> str:
+    """A word among those known; else ModelError."""
+    if value not in known:
+        raise ModelError(f"{label}: {name} = {value!r}; expected one of {', '.join(known)}")
+    return value
+
+
+def increasing(label: str, what: str, t: np.ndarray, *, strictly: bool) -> None:
+    """Refuse times that are out of order."""
+    wrong = np.diff(t) <= 0 if strictly else np.diff(t) < 0
+    for i in np.flatnonzero(wrong)[:1]:
+        raise ModelError(f"{label}: {what}[{i + 1}] = {t[i + 1]:.10g} is not after {what}[{i}] = {t[i]:.10g}; give them in order")
+
+
+def numbers(label: str, what: str, value: Any, *dimensions: int) -> np.ndarray:
+    """An array of finite numbers with one of these numbers of dimensions; else ModelError."""
+    try:
+        array = np.asarray(value, float)
+    except (TypeError, ValueError, OverflowError, RuntimeError):
+        raise ModelError(f"{label}: {what} = {value!r:.60}; expected numbers") from None
+    if array.ndim not in dimensions:
+        shapes = {0: "one number", 1: "a list (N,)", 2: "an array (N, nu)"}
+        raise ModelError(f"{label}: {what} has the shape {array.shape}; expected {' or '.join(shapes[d] for d in dimensions)}")
+    for at in np.argwhere(~np.isfinite(array))[:1]:
+        where = f"[{', '.join(map(str, at))}]" if at.size else ""
+        raise ModelError(f"{label}: {what}{where} = {array[tuple(at)]:g}; expected finite numbers")
+    return array

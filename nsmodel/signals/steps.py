@@ -1,0 +1,44 @@
+"""One value for each step of a constant grid: what an optimiser or a recorded controller gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nsmodel.signals.signal import Signal, numbers
+
+
+@dataclass(frozen=True, eq=False)
+class Steps(Signal):
+    """Values (N, nu), a row a step; see `steps`."""
+
+    values: np.ndarray
+
+    @property
+    def size(self) -> int:
+        """Its columns."""
+        return self.values.shape[1]
+
+    @property
+    def count(self) -> int:
+        """Its rows."""
+        return len(self.values)
+
+    def limits(self, t: np.ndarray, number: int) -> tuple[np.ndarray, np.ndarray]:
+        """The rows of the steps."""
+        rows = self.values[number : number + t.size - 1]
+        return rows, rows
+
+
+def steps(values: Any) -> Steps:
+    """A signal that is held over each step of the run's grid: values (N,), or (N, nu), a row a step.
+
+    The grid is that of the run's step; edges of other inputs must not add steps to it.
+
+    Raises:
+        ModelError: NaN, another shape. When a run begins, UsageError: another number of rows than steps.
+    """
+    given = numbers("steps", "values", values, 1, 2)
+    return Steps(given.reshape(len(given), -1))

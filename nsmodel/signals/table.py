@@ -1,0 +1,168 @@
+"""Tables of measured or planned values: held, joined by straight lines, or by the natural cubic spline."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nsmodel.errors import ModelError
+from nsmodel.once import once
+from nsmodel.signals.signal import Signal, earlier, increasing, later, numbers, one_of
+
+KINDS = ("hold", "linear", "cubic")
+AFTER = ("hold", "error", "periodic")
+FEWEST = 4  # Rows of a cubic table.
+
+
+@dataclass(frozen=True, eq=False)
+class Table(Signal):
+    """Rows at times t (N,) of values (N, nu), see `table`; ``period``: None where the table is not repeated."""
+
+    t: np.ndarray
+    values: np.ndarray
+    kind: str
+    must_reach: bool
+    period: float | None
+
+    @property
+    def size(self) -> int:
+        """Its columns."""
+        return self.values.shape[1]
+
+    @property
+    def flat(self) -> bool:
+        """A held one is."""
+        return self.kind == "hold"
+
+    def refuse(self, label: str, t_end: float) -> None:
+        """A table that must not end before the run does."""
+        if self.must_reach and self.t[-1] < earlier(np.array(t_end)):
+            raise ModelError(
+                f"{label}: its table ends at t = {self.t[-1]:.10g}, before the run does at {t_end:.10g}; give more rows, or "
+                "after='hold' or 'periodic'"
+            )
+
+    @property
+    def degree(self) -> int:
+        """By its kind."""
+        return {"hold": 0, "linear": 1, "cubic": 3}[self.kind]
+
+    def joints(self, t_end: float) -> np.ndarray:
+        """All of its rows."""
+        return self._repeated(self.t, t_end)
+
+    def derivatives(self, t: float) -> np.ndarray:
+        """Of the part that begins at t, or that t lies in; 0 outside of the table."""
+        at = np.array([t])
+        seen = later(at)
+        start = self._start(np.floor, seen)
+        row, found = int(np.searchsorted(self.t, seen - start, side="right")[0]) - 1, np.zeros((self.degree + 1, self.size))
+        found[0] = self.after(at)[0]
+        if self.kind == "hold" or not 0 <= row < self.t.size - 1:
+            return found
+        if self.kind == "linear":
+            found[1] = (self.values[row + 1] - self.values[row]) / (self.t[row + 1] - self.t[row])
+        else:
+            for k in range(1, 4):
+                found[k] = _spline(self)((at - start)[0], k)
+        return found
+
+    def edges(self, t_end: float) -> np.ndarray:
+        """Where a held value changes; where a time stands twice; where a period ends elsewhere than it began."""
+        moves = (np.diff(self.values, axis=0) != 0).any(axis=1)
+        at = self.t[1:][moves if self.kind == "hold" else moves & (np.diff(self.t) == 0)]
+        if self.period is not None and (self.values[0] != self.values[-1]).any():
+            at = np.append(at, self.t[0] + self.period)
+        return self._repeated(at, t_end)
+
+    def kinks(self, t_end: float) -> np.ndarray:
+        """The rows of a polyline; the ends of a spline."""
+        return self._repeated(self.t[:0] if self.kind == "hold" else self.t if self.kind == "linear" else self.t[[0, -1]], t_end)
+
+    def _repeated(self, at: np.ndarray, t_end: float) -> np.ndarray:
+        if self.period is not None and at.size:
+            k = np.arange(np.floor(-at[-1] / self.period), np.floor((t_end - at[0]) / self.period) + 1)
+            at = (at + self.period * k[:, None]).ravel()
+        return np.unique(at[(at >= 0) & (at <= t_end)])
+
+    def after(self, t: np.ndarray) -> np.ndarray:
+        """Of the row, or on the part of the curve, that begins at t."""
+        seen = later(t)
+        start = self._start(np.floor, seen)
+        return self._on(np.searchsorted(self.t, seen - start, side="right") - 1, t - start)
+
+    def before(self, t: np.ndarray) -> np.ndarray:
+        """Of that which ends there."""
+        seen = earlier(t)
+        start = self._start(lambda share: np.ceil(share) - 1, seen)
+        return self._on(np.searchsorted(self.t, seen - start, side="left") - 1, t - start)
+
+    def _start(self, whole: Any, seen: np.ndarray) -> np.ndarray:
+        """By how much the period that times lie in is later than the table."""
+        return np.zeros_like(seen) if self.period is None else self.period * whole((seen - self.t[0]) / self.period)
+
+    def _on(self, row: np.ndarray, t: np.ndarray) -> np.ndarray:
+        """Values at t, which lies in the part that begins with this row; -1: before the first."""
+        if self.kind == "hold" or self.t.size == 1:
+            return self.values[np.maximum(row, 0)]
+        t = np.clip(t, self.t[0], self.t[-1])
+        if self.kind == "cubic":
+            return _spline(self)(t)
+        at = np.clip(row, 0, self.t.size - 2)
+        length = self.t[at + 1] - self.t[at]
+        share = np.divide(t - self.t[at], length, out=np.where(row < 0, 0.0, 1.0), where=length > 0)[:, None]
+        first, last = self.values[at], self.values[at + 1]
+        return np.where(share >= 1, last, first + share * (last - first))
+
+
+@once
+def _spline(table: Table) -> Any:
+    from scipy.interpolate import CubicSpline
+
+    return CubicSpline(table.t, table.values, bc_type="natural")
+
+
+def table(t: Any, values: Any, kind: str = "hold", *, after: str = "hold", period: float | None = None) -> Table:
+    """A signal given by rows.
+
+    Args:
+        t: times (N,), increasing; of kind "linear" a time that stands twice is a jump.
+        values: (N,), or (N, nu) for an input of nu values.
+        kind: "hold" keeps each row's value till the next; "linear" joins them by straight lines; "cubic" by the natural cubic
+            spline (second derivative 0 at both ends).
+        after: what follows the last row: "hold" keeps its value, "error" refuses a run that goes on longer, "periodic" repeats
+            the table every ``period``, also before its first row. Else the first row's value holds before it.
+        period: of after="periodic"; left out: from the first row to the last. A held table needs it.
+
+    Raises:
+        ModelError: shapes that do not fit, times out of order, NaN, fewer than 4 rows of a spline.
+    """
+    one_of("table", "kind", kind, KINDS)
+    one_of("table", "after", after, AFTER)
+    times, given = numbers("table", "t", t, 1), numbers("table", "values", values, 1, 2)
+    if not times.size or len(given) != times.size:
+        raise ModelError(f"table: {times.size} times and {len(given)} rows of values; expected a row for each time, one at least")
+    increasing("table", "t", times, strictly=kind != "linear")
+    for i in np.flatnonzero(times[2:] == times[:-2])[:1]:
+        raise ModelError(f"table: t[{i}] = {times[i]:.10g} stands there three times; a jump has two rows, before and after it")
+    if kind == "cubic" and times.size < FEWEST:
+        raise ModelError(f"table: kind='cubic' and {times.size} rows; expected {FEWEST} or more, or kind='linear'")
+    again = _period(times, kind, period) if after == "periodic" else None
+    if again is None and period is not None:
+        raise ModelError(f"table: period = {period!r} and after={after!r}; give after='periodic', or leave period out")
+    return Table(times, given.reshape(times.size, -1), kind, after == "error", again)
+
+
+def _period(t: np.ndarray, kind: str, given: Any) -> float:
+    """The period of a table that is repeated; ModelError where there is none."""
+    length = float(t[-1] - t[0])
+    if given is None and kind == "hold":
+        raise ModelError("table: after='periodic' needs period=, since it is not known how long the last row is held")
+    period = length if given is None else float(numbers("table", "period", given, 0))
+    held = kind == "hold"
+    if not period > 0 or (period <= length if held else abs(period - length) > 1e-12 * period):
+        asked = f"more than {length:.10g}, the time from the first row to the last" if held else f"{length:.10g} = t[-1] - t[0]"
+        raise ModelError(f"table: period = {period:.10g}; expected {asked}")
+    return period
