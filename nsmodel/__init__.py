@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from nsmodel.hypotheses.report.report import Report
     from nsmodel.run.loop import RunInterrupted
     from nsmodel.simulate import explain, simulate
+    from nsmodel.stepping import ModelStepper, stepper
     from nsmodel.stress import Stress, stress
     from nsmodel.study import Study, study
     from nsmodel.trajectory import Trajectory
@@ -59,6 +60,7 @@ __all__ = [
     "ManyBodies",
     "MissingExtraError",
     "ModelError",
+    "ModelStepper",
     "MonotoneInclusion",
     "NsmodelError",
     "PlotError",
@@ -88,6 +90,7 @@ __all__ = [
     "second_order_cone",
     "signal",
     "simulate",
+    "stepper",
     "steps",
     "stress",
     "study",
@@ -109,6 +112,7 @@ _later(
         "nsmodel.classes.sweeping.model": ["SweepingProcess"],
         "nsmodel.run.loop": ["RunInterrupted"],
         "nsmodel.simulate": ["explain", "simulate"],
+        "nsmodel.stepping": ["ModelStepper", "stepper"],
         "nsmodel.stress": ["Stress", "stress"],
         "nsmodel.study": ["Study", "study"],
         "nsmodel.trajectory": ["Trajectory"],

@@ -164,7 +164,7 @@ LAYERS = (  # What stands in a line may import, at its top, what stands in it an
     "pieces solve standstill record",
     "codegen hypotheses classes.hypotheses classes.equations",
     "run classes.walk",
-    "simulate",
+    "simulate stepping",
     "checking crowd",
     "certificate classes.certificate study classes.study stress classes.units classes.judge plot classes.plots",
     "cli",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -72,6 +73,7 @@ class Rollout:
             ctypes.POINTER(_Totals),
         )  # fmt: skip
         self._steps = np.zeros(2)
+        self._one: _One | None = None
         try:
             self._adapt: Any = library.function(
                 "adapt", whole, pointer, pointer, whole, number, number, pointer, pointer, pointer, pointer, pointer,
@@ -134,6 +136,12 @@ class Rollout:
         done = self._adapt(self._solver, control.ctypes.data, len(rows), number, SECONDS, *at, ctypes.byref(totals))
         return _block(done, totals, control["x"].copy(), Warm(control["l"].copy(), control["index"].astype(np.int8)))
 
+    def one(self, k: int, state: np.ndarray, warm: Warm, layout: Layout) -> StepResult | None:
+        """Step number k alone; None where it is not certified."""
+        if self._one is None:
+            self._one = _One(self, layout, warm.index.size)
+        return self._one(k, state, warm)
+
     def step(self, t: float, h: float, state: np.ndarray, warm: Warm, layout: Layout) -> StepResult | None:
         """One step as the contract of `solve.stepper` has it; None where it is not certified. The grid must have given steps."""
         totals, row, codes = _Totals(least=-np.inf), np.empty(layout.width), np.empty(warm.index.size, np.int8)
@@ -149,6 +157,31 @@ class Rollout:
         if not done:
             return None
         return StepResult(row, Warm(row[layout.l], codes), SOLVERS[next(i for i, count in enumerate(totals.counts) if count)])
+
+
+class _One:
+    """One step a call, with memory that is kept from call to call."""
+
+    def __init__(self, of: Rollout, layout: Layout, m: int) -> None:
+        self._of, self._layout = of, layout
+        self._x, self._l, self._index = np.empty(layout.state.stop), np.empty(m), np.empty(m, np.int8)
+        self._inputs, self._totals = np.empty(layout.inputs.stop - layout.inputs.start), _Totals()
+        self._given = [part.ctypes.data for part in (self._x, self._l, self._index)]
+        self._driven, self._told = self._inputs.ctypes.data, ctypes.byref(self._totals)
+
+    def __call__(self, k: int, state: np.ndarray, warm: Warm) -> StepResult | None:
+        of, layout, totals = self._of, self._layout, self._totals
+        self._x[:], self._l[:], self._index[:], self._inputs[:] = state, warm.l, warm.index, state[layout.inputs]
+        row, index = np.empty(layout.width), np.empty(warm.index.size, np.int8)
+        counts = tuple(totals.counts)
+        totals.least = -math.inf
+        of._place(of._solver, k, of.grid.h, *self._given)
+        rows, codes = row.ctypes.data, index.ctypes.data
+        if not of._rollout(of._solver, k, 1, 0, 1, SECONDS, None, None, self._driven, rows, codes, self._told):
+            return None
+        solver = next(i for i, (old, new) in enumerate(zip(counts, totals.counts, strict=True)) if new > old)
+        same = (index == warm.index).all()
+        return StepResult(row, Warm(row[layout.l], warm.index if same else index), SOLVERS[solver])
 
 
 @once

@@ -73,7 +73,7 @@ def _word(signal: Signal) -> str:
     return "value" if isinstance(signal, Held) else type(signal).__name__.lower()
 
 
-def by_name(given: Any, names: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
+def by_name(given: Any, names: Mapping[str, Any]) -> dict[str, Any]:
     """Signals of a run by the names of the inputs; UsageError for what is no input of the model, or is given twice."""
     if given is None:
         return {}

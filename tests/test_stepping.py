@@ -1,0 +1,159 @@
+"""Models advanced step by step: the bits of `simulate`, checkpoints, what is refused."""
+
+import casadi as ca
+import input_scenes as scenes
+import numpy as np
+import pytest
+
+from nsmodel import (
+    FirstOrderSystem,
+    FrictionOscillator,
+    StepError,
+    UsageError,
+    complementarity,
+    load,
+    relay,
+    simulate,
+    stepper,
+    steps,
+    table,
+)
+from nsmodel.stepping import ModelStepper
+
+T = scenes.T
+WAYS = pytest.mark.parametrize("compiled", [False, True])
+
+
+def walked(s: ModelStepper, values, **options):
+    return np.array([s.step(u, **options).x for u in values])
+
+
+@WAYS
+def test_the_bits_are_those_of_simulate(compiled):
+    values = np.where(np.arange(100) % 20 < 8, 1.0, 0.0)
+    model = scenes.buck(t_end=5 * T)
+    run = simulate(model, inputs={"u": steps(values)}, compiled=compiled)
+    s = stepper(model, inputs={"u": None}, compiled=compiled, record=True)
+    assert s.free == ("u",)
+    np.testing.assert_array_equal(walked(s, values), run.x[1:])
+    kept = s.trajectory
+    for name in ("t", "x", "multipliers", "index_set", "inputs", "inputs_begin", "residual"):
+        np.testing.assert_array_equal(kept.arrays[name], run.arrays[name])
+    np.testing.assert_array_equal(kept.u, run.u)
+
+
+@WAYS
+@pytest.mark.parametrize("case", ["friction_oscillator", "sliding_relay", "crowd_of_two", "gene_network"])
+def test_models_without_inputs(case, compiled, request):
+    path = request.config.rootpath / "cases" / f"{case}.py"
+    if not path.exists():
+        pytest.skip("no such case")
+    model = load(path)
+    run = simulate(model, t_end=20 * model.step, compiled=compiled)
+    s = stepper(model, compiled=compiled)
+    np.testing.assert_array_equal([s.step().x for _ in range(20)], run.x[1:])
+
+
+@WAYS
+def test_steps_of_several_lengths(compiled):
+    model = scenes.follower(None, t_end=1, step=0.1)
+    h = [0.1, 0.1, 0.05, 0.05, 0.2]
+    run = simulate(model, steps=h, inputs={"u": 2.0}, compiled=compiled)
+    s = stepper(model, compiled=compiled)
+    rows = [s.step(2.0, h=one) for one in h]
+    np.testing.assert_allclose([row.x for row in rows], run.x[1:], rtol=1e-14)
+    np.testing.assert_allclose([row.t for row in rows], run.t[1:], rtol=1e-15)
+
+
+def test_both_limits_of_a_step():
+    model = scenes.follower(None, t_end=1, step=0.1)
+    run = simulate(model, inputs={"u": table([0, 1], [0, 2], "linear")}, compiled=False)
+    s = stepper(model, compiled=False)
+    rows = [s.step(a, b) for a, b in zip(run.inputs_begin[1:], run.inputs[1:], strict=True)]
+    np.testing.assert_array_equal([row.x for row in rows], run.x[1:])
+    assert rows[-1].inputs.tolist() == [2]
+
+
+def test_signals_that_the_stepper_has():
+    model = scenes.buck()
+    s = stepper(model, step=T / 20)
+    assert s.free == ()
+    run = simulate(model, t_end=3 * T)
+    np.testing.assert_allclose(walked(s, [None] * 60), run.x[1:], rtol=1e-12)
+    s = stepper(model, step=0.3 * T)
+    s.step()
+    before = s.checkpoint()
+    with pytest.raises(UsageError, match=r"an input jumps or bends at t = 4e-06: step at most 1e-06, or give split=True"):
+        s.step()
+    assert s.checkpoint() == before
+    row = s.step(split=True)
+    assert row.t == pytest.approx(0.6 * T, rel=1e-14)
+    assert s.k == 3
+
+
+@WAYS
+def test_checkpoint_restore_and_reset(compiled):
+    rng = np.random.default_rng(1)
+    values = rng.uniform(0, 1, 40)
+    s = stepper(scenes.buck(), inputs={"u": None}, compiled=compiled, record=True)
+    first = walked(s, values[:15])
+    kept = s.checkpoint()
+    rest = walked(s, values[15:])
+    s.restore(kept)
+    assert len(s.trajectory) == 15
+    np.testing.assert_array_equal(walked(s, values[15:]), rest)
+    s.reset()
+    np.testing.assert_array_equal(walked(s, values[:15]), first)
+    s.reset(x0=[1, 2], t=0.5)
+    assert (s.t, s.x.tolist()) == (0.5, [1, 2])
+    other = stepper(scenes.buck(), inputs={"u": None}, compiled=compiled)
+    other.restore(kept)
+    np.testing.assert_array_equal(walked(other, values[15:]), rest)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"u": [1, 2]}, r"u: 2 values; expected 1 \(u\)"),
+        ({}, r"u: 0 values; expected 1 \(u\)"),
+        ({"u": np.nan}, r"u = \[nan\]; expected finite numbers"),
+        ({"u": "high"}, "u = 'high'; expected numbers"),
+        ({"u": {"v": 1}}, "input 'v' is not declared; the model has u"),
+        ({"u": {}}, "input 'u' has no value in this step; give it, or a signal to the stepper"),
+        ({"u": 1, "h": -1}, "h = -1; expected a finite number > 0"),
+        ({"u": 1, "u_end": np.inf}, r"u = \[inf\]; expected finite numbers"),
+    ],
+)
+def test_what_is_refused_changes_nothing(given, words):
+    s = stepper(scenes.buck(), inputs={"u": None})
+    s.step(1)
+    before = s.checkpoint()
+    with pytest.raises(UsageError, match=words):
+        s.step(**given)
+    assert s.checkpoint() == before
+
+
+def test_a_step_that_fails_changes_nothing():
+    """x' = -x/(1 - u) has no number at u = 1."""
+    x, l, u = ca.SX.sym("x"), ca.SX.sym("l"), ca.SX.sym("u")
+    model = FirstOrderSystem(
+        x=x, lam=l, f=[-x / (1 - u)], g=[l], h=[x], law=complementarity(1), x0=[1], t_end=1, step=0.1, inputs={u: None}
+    )
+    s = stepper(model)
+    s.step(0.5)
+    before = s.checkpoint()
+    with pytest.raises(StepError):
+        s.step(1.0)
+    assert s.checkpoint() == before
+    assert np.isfinite(s.step(0.5).x).all()
+
+
+def test_what_has_no_stepper():
+    with pytest.raises(UsageError, match="stepper: no time step: give the model step=, or step=H here"):
+        stepper(scenes.follower(1.0, t_end=1))
+    x, s = ca.SX.sym("x"), ca.SX.sym("s")
+    oscillator = FrictionOscillator(x=x, potential=x**2 / 2, friction=s / 2, s=s, x0=1, v0=0, t_end=1, step=0.01)
+    assert stepper(oscillator).step().x.size == 1
+    with pytest.raises(UsageError, match="stepper: no rows are kept; give record=True"):
+        stepper(oscillator).trajectory  # noqa: B018
+    assert relay(1).size == 1
