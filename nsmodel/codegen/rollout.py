@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -72,6 +71,7 @@ class Rollout:
             "rollout", whole, pointer, number, whole, number, whole, number, pointer, pointer, pointer, pointer, pointer,
             ctypes.POINTER(_Totals),
         )  # fmt: skip
+        self._single = library.function("single", ctypes.c_int, pointer, number, number, pointer, pointer)
         self._steps = np.zeros(2)
         self._one: _One | None = None
         try:
@@ -139,7 +139,7 @@ class Rollout:
     def one(self, k: int, state: np.ndarray, warm: Warm, layout: Layout) -> StepResult | None:
         """Step number k alone; None where it is not certified."""
         if self._one is None:
-            self._one = _One(self, layout, warm.index.size)
+            self._one = _One(self._single, self._solver, self.grid.h, layout, warm.index.size)
         return self._one(k, state, warm)
 
     def step(self, t: float, h: float, state: np.ndarray, warm: Warm, layout: Layout) -> StepResult | None:
@@ -162,26 +162,21 @@ class Rollout:
 class _One:
     """One step a call, with memory that is kept from call to call."""
 
-    def __init__(self, of: Rollout, layout: Layout, m: int) -> None:
-        self._of, self._layout = of, layout
-        self._x, self._l, self._index = np.empty(layout.state.stop), np.empty(m), np.empty(m, np.int8)
-        self._inputs, self._totals = np.empty(layout.inputs.stop - layout.inputs.start), _Totals()
-        self._given = [part.ctypes.data for part in (self._x, self._l, self._index)]
-        self._driven, self._told = self._inputs.ctypes.data, ctypes.byref(self._totals)
+    def __init__(self, single: Any, solver: int, h: float, layout: Layout, m: int) -> None:
+        self._single, self._solver, self._h, self._m, self._of_l = single, solver, h, m, layout.l
+        n = layout.state.stop
+        values, self._index = np.empty(n + m + layout.width), np.empty(2 * m, np.int8)
+        self._state, self._l, self._row = values[:n], values[n : n + m], values[n + m :]
+        self._at = values.ctypes.data, self._index.ctypes.data
 
     def __call__(self, k: int, state: np.ndarray, warm: Warm) -> StepResult | None:
-        of, layout, totals = self._of, self._layout, self._totals
-        self._x[:], self._l[:], self._index[:], self._inputs[:] = state, warm.l, warm.index, state[layout.inputs]
-        row, index = np.empty(layout.width), np.empty(warm.index.size, np.int8)
-        counts = tuple(totals.counts)
-        totals.least = -math.inf
-        of._place(of._solver, k, of.grid.h, *self._given)
-        rows, codes = row.ctypes.data, index.ctypes.data
-        if not of._rollout(of._solver, k, 1, 0, 1, SECONDS, None, None, self._driven, rows, codes, self._told):
+        self._state[:], self._l[:], self._index[: self._m] = state, warm.l, warm.index
+        done = self._single(self._solver, k, self._h, *self._at)
+        if not done:
             return None
-        solver = next(i for i, (old, new) in enumerate(zip(counts, totals.counts, strict=True)) if new > old)
-        same = (index == warm.index).all()
-        return StepResult(row, Warm(row[layout.l], warm.index if same else index), SOLVERS[solver])
+        solver, same = divmod(done - 1, 2)
+        row = self._row.copy()
+        return StepResult(row, Warm(row[self._of_l], warm.index if same else self._index[self._m :].copy()), SOLVERS[solver])
 
 
 @once

@@ -147,7 +147,7 @@ def _series(
     for side, group, heading in ((ax, first, title), (right, second, ""))[: 2 if second else 1]:
         few = ", ".join(labels[k] for k in group)
         few = few if len(few) <= 30 else f"{word}s"
-        few = f"{word} of {few}" if len(names) == 1 and word != "state" else few
+        few = f"{word} of {few}" if len(names) == 1 and word not in ("state", "input") else few
         unit = ", ".join(dict.fromkeys(units[k] for k in group if units[k]))
         style.over_time(side, run, heading, style.with_unit(few, unit), grid=group is first)
         if second and len(group) == 1:

@@ -14,6 +14,9 @@ void model_place(model_solver *s, double k, double h, const double *x, const dou
 long model_rollout(model_solver *s, double k, long steps, double last, long every, double seconds, const double *t,
                    const double *h, const double *inputs, double *rows, signed char *index, model_totals *totals);
 void model_fetch(const model_solver *s, double *x, double *l, signed char *index);
+/* Take step number k alone, from the state and l at `at`, with the row behind them, and codes with those of the row behind: 0 where
+   it fails, else twice its solver and 1, or 2 where codes are as they were. */
+int model_single(model_solver *s, double k, double h, double *at, signed char *index);
 long model_size(void);
 
 #if INCLUSION
@@ -238,6 +241,23 @@ void model_fetch(const model_solver *s, double *x, double *l, signed char *index
     (void)l;
     (void)index;
 #endif
+}
+
+int model_single(model_solver *s, double k, double h, double *at, signed char *index)
+{
+    double *const l = at + sizeof s->x/sizeof *at;
+    int same = 1;
+    model_place(s, k, h, at, l, index);
+    if (attempt(s) != MODEL_OK)
+        return 0;
+#if LAW
+    write_row(s, l + MODEL_M);
+    keep_index(index, 1, s->work.code);
+    same = memcmp(index, index + MODEL_M, MODEL_M) == 0;
+#else
+    write_row(s, l);
+#endif
+    return 2*(int)s->work.solver + 1 + same;
 }
 
 long model_size(void) { return (long)sizeof(model_solver); }
