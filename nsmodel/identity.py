@@ -62,7 +62,8 @@ def fingerprint(model: Model, grid: Grid) -> str:
 def _of_model(model: Model) -> Any:
     """The hash so far of all that a model is but its grid."""
     digest = hashlib.sha256()
-    _add(digest, [type(model).__name__, {k: v for k, v in sorted(vars(model).items()) if k not in DESCRIPTIVE}])
+    left = DESCRIPTIVE if model.inputs else DESCRIPTIVE | {"u", "input_groups"}
+    _add(digest, [type(model).__name__, {k: v for k, v in sorted(vars(model).items()) if k not in left}])
     return digest
 
 
