@@ -83,6 +83,15 @@ def between(arrays: Arrays, t: np.ndarray) -> At:
     return At(t, x[k - 1] + share * (x[k] - x[k - 1]), v, l, y)
 
 
+def inputs_at(arrays: Arrays, t: np.ndarray, *, after: bool = False) -> np.ndarray:
+    """Inputs (k, nu) just before times, or just ``after``: on lines between what the step that ends at a row saw at both ends."""
+    rows = arrays["t"]
+    k = np.clip(np.searchsorted(rows, t, side="right" if after else "left"), min(1, len(rows) - 1), len(rows) - 1)
+    length = rows[k] - rows[k - 1]
+    share = np.divide(t - rows[k - 1], length, out=np.zeros_like(t), where=length > 0)[:, None]
+    return arrays["inputs_begin"][k] + share * (arrays["inputs"][k] - arrays["inputs_begin"][k])
+
+
 def events(arrays: Arrays) -> tuple[Event, ...]:
     """All changes of the mode up to the last row, in order."""
     starts, codes = arrays["piece_start"], arrays["piece_codes"]
@@ -115,6 +124,9 @@ def drawn(arrays: Arrays, points: int) -> dict[str, np.ndarray]:
         own["reactions"] = found.multipliers
     if found.v.shape[1]:
         own["v"] = found.v
+    if "inputs" in arrays:
+        own["inputs"] = inputs_at(arrays, t)
+        own["inputs_begin"] = inputs_at(arrays, np.concatenate([t[:1], t[:-1]]), after=True)
     kept = {name: arrays[name] for name in ("energy",) if name in arrays}
     for name, column in kept.items():
         flat = column.reshape(len(column), -1).astype(float)

@@ -9,6 +9,7 @@ import pytest
 
 from nsmodel import (
     FirstOrderSystem,
+    FrictionOscillator,
     LureSystem,
     ModelError,
     MonotoneInclusion,
@@ -577,3 +578,30 @@ def test_bad_input_options_are_refused(tmp_path, capsys, monkeypatch, given, wor
         (tmp_path / f"{name}.csv").write_text(text)
     assert main(["run", "mass.py", *(part for one in given for part in ("--input", one))]) == 2
     assert words in capsys.readouterr().err
+
+
+def test_edges_of_expressions_are_those_of_the_run_in_c_too():
+    """One model, other edges: not the library that was built for the first."""
+    for edges in ([0.5], [0.25, 0.7]):
+        model = scenes.follower(signal(ca.sin(ca.SX.sym("t")), edges=edges), t_end=1)
+        assert set(edges) <= set(simulate(model, rtol=1e-6, method="event-driven", compiled=True).t.tolist())
+
+
+def test_classes_that_nothing_drives_say_what_to_do():
+    x, s, u = ca.SX.sym("x"), ca.SX.sym("s"), ca.SX.sym("u")
+    with pytest.raises(
+        ModelError, match="inputs: the scheme and its theorems know no explicit time. Write a forced oscillator as"
+    ):
+        FrictionOscillator(x=x, potential=x**2 / 2, friction=s, s=s, x0=1, v0=0, t_end=1, step=0.1, inputs={u: 1})
+
+
+def test_a_set_that_an_input_moves_is_drawn(tmp_path):
+    from nsmodel import plot
+
+    q, u = ca.SX.sym("q", 2), ca.SX.sym("u")
+    given = {u: table([0, 0.5, 1], [0, 0.5, 0], "linear")}
+    model = SweepingProcess(q=q, f=[1, 0], constraints={"w": 1 + u - q[0]}, q0=[0, 0], t_end=1, step=0.1, inputs=given)
+    for run in (simulate(model), simulate(model, rtol=1e-6)):
+        assert {"configuration.png", "inputs.png"} <= {path.name for path in plot.save_all(run, model, tmp_path)}
+        drawn = run.smooth()
+        np.testing.assert_allclose(drawn.u, np.interp(drawn.t, [0, 0.5, 1], [0, 0.5, 0]), atol=1e-12)

@@ -86,6 +86,7 @@ class Model(Pickled):
     second_order: ClassVar[bool] = False  # Whether what moves is x with its velocity v, a column of runs.
     words: ClassVar[Mapping[str, tuple[str, Words]]] = {}  # What laws are called in the class, and its words for their states.
     refuses: ClassVar[Mapping[str, str]] = {}  # What is not done with a model of the class: {what: why, and what to do instead}.
+    undriven: ClassVar[str] = ""  # Why models of the class take no inputs, and what to do instead.
     of_time: ClassVar[str] = MOVE  # What to do with time where it may not stand.
 
     def __post_init__(self) -> None:
@@ -118,6 +119,8 @@ class Model(Pickled):
             raise ModelError(f"t: {len(time.names)} symbols given; expected one scalar time symbol")
         p, values, vectors = declared(self.parameters)
         u, driven = declared_inputs({} if self.inputs is None else self.inputs)
+        if u and self.undriven:
+            raise ModelError(f"inputs: {self.undriven}")
         known = [*([] if self.t is None else [time]), *given.values(), *p, *u]
         converter = Converter(known)
         own = given[state]

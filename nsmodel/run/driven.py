@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable
 
 import numpy as np
@@ -22,22 +23,25 @@ class OnSteps:
     def __init__(self, grid: Grid, drive: Drive, starter: Starter | None) -> None:
         self._grid, self._drive, self._starter = grid, drive, starter
         self._first, self._limits = 0, np.zeros((0, 2 * drive.size))
-        on = np.zeros(0) if grid.times is None or starter is None else np.searchsorted(grid.times, drive.jumps)
-        self._jumps = frozenset(map(int, on))
+        at = np.zeros(0, int) if grid.times is None else np.searchsorted(grid.times, drive.jumps)
+        turns = [signal.turns for signal in drive.signals.values()]
+        self._jumps = [] if starter is None else np.unique(np.concatenate([at, *turns])).tolist()  # Numbers of steps.
 
     def state(self, state: np.ndarray, k: int) -> np.ndarray:
         """The state that step k starts from."""
         limits = self._of(k, 1)[0]
         started = np.concatenate([state[: state.size - limits.size], limits])
-        if self._starter is None or k not in self._jumps:
-            return started
-        return self._starter(self._grid.time(k), self._grid.step(k), started)
+        jumps = self._next_jump(k - 1) == k
+        return self._starter(self._grid.time(k), self._grid.step(k), started) if self._starter is not None and jumps else started
 
     def block(self, state: np.ndarray, k: int, steps: int) -> tuple[np.ndarray, np.ndarray]:
         """The state that step k starts from, and the limits (K, 2 nu) of at most so many steps that need no other start."""
-        ahead = [jump for jump in self._jumps if jump > k]
-        steps = min(steps, MOST, min(ahead, default=self._grid.N) - k)
-        return self.state(state, k), self._of(k, steps)
+        return self.state(state, k), self._of(k, min(steps, MOST, self._next_jump(k) - k))
+
+    def _next_jump(self, k: int) -> int:
+        """The number of the first step after step k that begins with a jump; that of all where there is none."""
+        at = bisect_right(self._jumps, k)
+        return self._jumps[at] if at < len(self._jumps) else self._grid.N
 
     def _of(self, k: int, steps: int) -> np.ndarray:
         """u(a+), u(b-) side by side (K, 2 nu) of ``steps`` steps from number k."""

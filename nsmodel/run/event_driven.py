@@ -67,9 +67,11 @@ class EventDriven:
         _refuse_large(problem, options)
         _refuse_unproved(problem, options)
         same = settings(model, Grid(1, 1.0, 1.0), METHOD, options.tolerance, options.save_every, INTERPRETED)
-        mark = digest_of([same["model"], *kinds(model)]) if model.inputs else same["model"]
+        known = known_of(model, self.T)
+        own = [*kinds(model), () if problem.held else known.times]  # What of the signals is in the C.
+        mark = digest_of([same["model"], *own]) if model.inputs else same["model"]
         self._drive = Drive.of(model.inputs, self.T) if model.inputs else None
-        chosen = chosen_maker(problem, options, there(), (rtol, atol), model, mark, known_of(model, self.T))
+        chosen = chosen_maker(problem, options, there(), (rtol, atol), model, mark, known)
         self.maker, self.plan = chosen.maker, chosen.plan
         self.record, self.k = PieceRows(problem, self.maker.order, options.save_every, chosen.columns), 0
         self._cut: dict[str, Any] | None = None  # The checkpoint before a piece that goes beyond the end.

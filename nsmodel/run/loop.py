@@ -14,7 +14,8 @@ import numpy as np
 
 from nsmodel.chunks import ChunkStore, unfinished
 from nsmodel.errors import StepError, StorageError, UsageError
-from nsmodel.identity import WAY, difference, versions
+from nsmodel.identity import WAY, difference
+from nsmodel.run import told
 from nsmodel.run.interrupt import deferred_signals, progress_bar
 from nsmodel.run.options import Options
 from nsmodel.run.walk import CHUNK_SECONDS, Walk, is_numerical, unsolvable
@@ -175,16 +176,8 @@ class Run:
         return Trajectory(arrays, self._metadata(status, message))
 
     def _metadata(self, status: str, message: str) -> dict[str, Any]:
-        walk = self.walk
-        model, plan = walk.model, walk.plan
+        walk, plan = self.walk, self.walk.plan
         data = {
-            "title": model.title,
-            "model_class": type(model).__name__,
-            "paper": model.paper,
-            "state_names": list(model.names),
-            "stems": {stem: list(at) for stem, at in model.stems.items()},
-            "units": dict(model.units),
-            "parameters": dict(model.bound_parameters),
             "save_every": self.options.save_every,
             "steps": walk.totals["steps"],
             "used": list(plan.used),
@@ -195,13 +188,8 @@ class Run:
             "status": status,
             "message": message,
             "model_hash": walk.settings["model"],
-            "versions": versions(),
         }
-        if model.input_groups:
-            data["input_groups"] = {name: list(names) for name, names in model.input_groups.items()}
-        if getattr(model, "scene", None):
-            data["scene"] = {key: value.tolist() for key, value in model.scene.items()}
-        return data | walk.metadata()
+        return told.of_model(walk.model) | data | walk.metadata()
 
 
 def _save(run: Trajectory, path: Path) -> None:

@@ -21,6 +21,7 @@ from nsmodel.model.base import Model
 from nsmodel.record import Record
 from nsmodel.run.in_c import chosen
 from nsmodel.run.options import Options
+from nsmodel.run.told import of_scheme
 from nsmodel.run.walk import There, check_exact, note_distance_to_exact, overrun, runaway
 from nsmodel.scheme import constraints, initial_rows, one_step_problem
 from nsmodel.scheme.problem import OneStepProblem
@@ -223,15 +224,9 @@ class OfScheme:
     def metadata(self) -> dict[str, Any]:
         """The scheme, the names of rows, warnings, when an oscillator rests."""
         model = self.model
-        told = impacts.told(self.watches, self.totals.get("impacts", {}), model)
-        data: dict[str, Any] = {
-            "scheme": self.problem.scheme,
-            "multiplier_names": list(self.problem.multiplier_names),
-            "index_names": list(self.problem.rows),
-            "law_kinds": self.problem.law.labels,
-            "tolerance": self.stepper.tolerance,
-            "warnings": [*self.warnings, *self._lost_monotonicity(), *overrun(self.totals), *told],
-        }
+        met = impacts.told(self.watches, self.totals.get("impacts", {}), model)
+        data = of_scheme(self.problem, self.stepper.tolerance)
+        data["warnings"] = [*self.warnings, *self._lost_monotonicity(), *overrun(self.totals), *met]
         if "last_v" in self.totals:
             x, v = (np.array(self.totals[key]) for key in ("last_x", "last_v"))
             data["convergence"] = finite_convergence(model, x, v, self.totals["rest_from"])

@@ -58,10 +58,6 @@ class Drive:
         end = np.hstack([signal.before(t) for signal in self.signals.values()])
         return {"inputs": np.where(t[:, None] > 0, end, begin), "inputs_begin": begin}
 
-    def start(self) -> np.ndarray:
-        """u(0+), twice."""
-        return np.tile(np.hstack([signal.limits(np.zeros(2), 0)[0] for signal in self.signals.values()])[0], 2)
-
 
 def as_one(times: np.ndarray) -> np.ndarray:
     """Times after 0, in order; of those that are near each other the first."""

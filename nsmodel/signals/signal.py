@@ -32,6 +32,11 @@ class Signal(Pickled):
         """The number of steps that it is for; None: any."""
         return None
 
+    @property
+    def turns(self) -> np.ndarray:
+        """The numbers of the steps that begin with a jump, of a signal that is for so many steps."""
+        return np.zeros(0, int)
+
     def refuse(self, label: str, t_end: float) -> None:
         """Raise ModelError, naming the input ``label``, where it is no such signal up to ``t_end``."""
 

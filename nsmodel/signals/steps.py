@@ -26,6 +26,11 @@ class Steps(Signal):
         """Its rows."""
         return len(self.values)
 
+    @property
+    def turns(self) -> np.ndarray:
+        """Those whose row is another than the one before."""
+        return np.flatnonzero((np.diff(self.values, axis=0) != 0).any(axis=1)) + 1
+
     def limits(self, t: np.ndarray, number: int) -> tuple[np.ndarray, np.ndarray]:
         """The rows of the steps."""
         rows = self.values[number : number + t.size - 1]

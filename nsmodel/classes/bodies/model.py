@@ -54,6 +54,7 @@ class ManyBodies(Model):
     paper: ClassVar[str] = SweepingProcess.paper
     schemes: ClassVar[tuple[str, ...]] = SweepingProcess.schemes
     letter: ClassVar[str] = "q"
+    undriven: ClassVar[str] = "many bodies take none; write what drives f as an expression of t"
     refuses: ClassVar[Mapping[str, str]] = {
         "stress": "is a model of many bodies, whose steps are judged as they are taken; push a small scene written out, "
         "stress(model.written_out())",
@@ -65,8 +66,6 @@ class ManyBodies(Model):
         if not isinstance(self.bodies, Bodies):
             raise ModelError(f"bodies: {shown(self.bodies)}; expected Bodies(q0, r=...)")
         n, d = self.bodies.q0.shape
-        if self.inputs:
-            raise ModelError("inputs: many bodies take none; write what drives f as an expression of t")
         self._settle("q", q=ca.SX.sym("q", n * d))
         families = {} if self.constraints is None else self.constraints
         if not isinstance(families, Mapping):

@@ -67,6 +67,7 @@ class FrictionOscillator(Model):
         "the scheme and its theorems know no explicit time. Write a forced oscillator as a LureSystem of position and velocity, "
         "x=[x, v], A=[v, -(dg(x) + M v)], f=[0, f(t)], B=[0, H'], C=[0, H], law=relay(m, -mu, mu): section 2.2 of the guide"
     )
+    undriven: ClassVar[str] = of_time
 
     def _declare(self) -> None:
         c = self._settle("x", x=self.x, s=self.s)

@@ -1,0 +1,38 @@
+"""What a trajectory tells of its model and of its scheme, however it was made."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from nsmodel.identity import versions
+from nsmodel.model.base import Model
+from nsmodel.scheme.problem import OneStepProblem
+
+
+def of_model(model: Model) -> dict[str, Any]:
+    """Names, units, numbers, and the versions of what they were made with."""
+    data: dict[str, Any] = {
+        "title": model.title,
+        "model_class": type(model).__name__,
+        "paper": model.paper,
+        "state_names": list(model.names),
+        "stems": {stem: list(at) for stem, at in model.stems.items()},
+        "units": dict(model.units),
+        "parameters": dict(model.bound_parameters),
+        "versions": versions(),
+    }
+    if model.input_groups:
+        data["input_groups"] = {name: list(names) for name, names in model.input_groups.items()}
+    scene: Any = getattr(model, "scene", None)
+    return data | ({"scene": {key: value.tolist() for key, value in scene.items()}} if scene else {})
+
+
+def of_scheme(problem: OneStepProblem, tolerance: float) -> dict[str, Any]:
+    """Its name, the names of its rows, what was accepted."""
+    return {
+        "scheme": problem.scheme,
+        "multiplier_names": list(problem.multiplier_names),
+        "index_names": list(problem.rows),
+        "law_kinds": problem.law.labels,
+        "tolerance": tolerance,
+    }
