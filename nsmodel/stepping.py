@@ -9,8 +9,8 @@ import numpy as np
 
 from nsmodel.classes.registry import class_of
 from nsmodel.defaults import TOLERANCE
-from nsmodel.errors import StepError, UsageError
-from nsmodel.grid import is_number, written
+from nsmodel.errors import ModelError, StepError, UsageError
+from nsmodel.grid import SAME, is_number, written
 from nsmodel.hypotheses.quick import refuse_start
 from nsmodel.model.base import Model
 from nsmodel.model.driven import driven_by, inputs_at_start
@@ -20,8 +20,10 @@ from nsmodel.record import Record
 from nsmodel.run.one_in_c import InC
 from nsmodel.run.options import Options
 from nsmodel.run.schemes import make_stepper
+from nsmodel.run.told import of_model, of_scheme
 from nsmodel.run.walk import is_numerical, unsolvable
 from nsmodel.scheme import initial_rows, one_step_problem
+from nsmodel.signals.drive import Drive
 from nsmodel.signals.signal import Held, earlier, later
 from nsmodel.solve.build import Starter, start_state
 from nsmodel.solve.layout import Layout
@@ -29,6 +31,7 @@ from nsmodel.solve.stepper import StepResult, Warm
 from nsmodel.trajectory import Trajectory
 
 ROWS = 1024  # Of a record, at first.
+AHEAD = 2.0  # Times as far as steps have come: signals are looked at up to there.
 
 
 class Row:
@@ -98,7 +101,9 @@ class ModelStepper:
         refuse_start(own)
         self._problem = one_step_problem(own)
         self._sizes = {name: len(own.input_groups[name]) for name in self.free}
-        self._driven = [s for name, s in own.inputs.items() if name not in self.free and not isinstance(s, Held)]
+        self._driven = any(not isinstance(signal, Held) for signal in own.inputs.values())
+        self._drive: Drive | None = None  # The signals up to a time that is looked ahead to.
+        self._ahead = 0.0
         entries = [name for name, names in own.input_groups.items() for _ in names]
         self._at = np.flatnonzero(np.isin(entries, self.free))  # Of the inputs that steps are given, among all.
         state = start_state(self._problem, initial_rows(own, self.h)[-1][0], self.h, options.tolerance)
@@ -134,11 +139,13 @@ class ModelStepper:
             state[:n] = own
         self._state = start_state(self._problem, state, self.h, self._tolerance)
         self._warm: Warm = self._step.cold()
-        self._base, self._since, self._last, self.k = float(t), 0, self.h, 0
-        self._jumped = False
+        self._base, self._last, self.k = float(t), self.h, len(rows) - 1
+        self._since = self.k
         self._record = Record(self._model, self._step.layout, self._warm.index.size, ROWS) if self._keeps else None
         if self._record is not None:
-            self._record.known(0, self.t, self.h, self._state, rows[-1][1] if x0 is None else {})
+            rows[-1] = self._state, rows[-1][1] if x0 is None else {}
+            for k, (known, records) in enumerate(rows):
+                self._record.known(k, self._base + k * self.h, self.h, known, records)
 
     def checkpoint(self) -> dict[str, Any]:
         """What to go on from, as lists and numbers; of a record nothing."""
@@ -200,9 +207,25 @@ class ModelStepper:
     def _points(self, h: float) -> list[float]:
         """Where the parts of a step end: at the points of signals within it, and at its end."""
         t, end = self.t, self.t + h
-        times = np.concatenate([part for s in self._driven for part in (s.edges(end), s.kinks(end))])
-        inside = np.unique(times[(times > later(np.array(t))) & (times < earlier(np.array(end)))])
-        return [*inside.tolist(), end]
+        points = self._seen(end).points
+        first, last = np.searchsorted(points, [later(np.array(t)), earlier(np.array(end))])
+        return [*points[first:last].tolist(), end]
+
+    def _seen(self, end: float) -> Drive:
+        """The signals up to the end of a step, and ahead where they let; UsageError where one is none up to there."""
+        inputs = self._model.inputs
+        for name, signal in inputs.items():
+            if signal.count is not None and self.k >= signal.count:
+                raise UsageError(f"input '{name}': steps(...) has {signal.count} rows, and this would be step {self.k + 1}")
+        if self._drive is None or end > self._ahead:
+            try:
+                self._drive, self._ahead = Drive.of(inputs, AHEAD * end), AHEAD * end
+            except ModelError:
+                try:
+                    self._drive, self._ahead = Drive.of(inputs, end), end
+                except ModelError as error:
+                    raise UsageError(str(error)) from error
+        return self._drive
 
     def _given(self, values: Any) -> np.ndarray:
         """The values of the free inputs, one after the other."""
@@ -215,26 +238,25 @@ class ModelStepper:
             return np.concatenate([np.zeros(0), *(_numbers(name, found[name], size) for name, size in sizes.items())])
         return _numbers("u", [] if values is None else values, self._at.size, self.free)
 
-    def _limits(self, begin: np.ndarray, end: np.ndarray, h: float) -> np.ndarray:
-        """U at the begin of a step, then at its end."""
-        if self._driven:
-            times = np.array([self.t, self.t + h])
-            sides = zip(*(signal.limits(times, self.k) for signal in self._model.inputs.values()), strict=True)
-            self._both = np.concatenate([np.concatenate([part[0] for part in side]) for side in sides])
+    def _limits(self, begin: np.ndarray, end: np.ndarray, h: float) -> tuple[np.ndarray, bool]:
+        """U at the begin of a step, then at its end; whether it begins with a jump."""
+        t, nu, jumps = self.t, self._both.size // 2, False
         both = self._both.copy()
-        both[self._at], both[self._at + both.size // 2] = begin, end
-        return both
+        if self._driven:
+            drive = self._seen(t + h)
+            both = drive.limits(np.array([t, t + h]), self.k)[0]
+            jumps = any(self.k in signal.turns for signal in self._model.inputs.values())
+            jumps = jumps or bool((np.abs(drive.jumps - t) <= SAME * t).any())
+        both[self._at], both[self._at + nu] = begin, end
+        return both, jumps or bool((self._state[self._step.layout.inputs][nu:][self._at] != begin).any())
 
     def _one(self, begin: np.ndarray, end: np.ndarray, h: float) -> Row:
         layout, state, k, t = self._step.layout, self._state.copy(), self.k, self.t
         if self._both.size:
-            limits, nu = self._limits(begin, end, h), self._both.size // 2
-            jumps = k > 0 and self._starter is not None and (state[layout.inputs][nu:] != limits[:nu]).any()
+            limits, jumps = self._limits(begin, end, h)
             state[layout.inputs] = limits
             if jumps and self._starter is not None:
                 state = self._starter(t, h, state)
-            if k == 0 and self._record is not None:
-                self._record.rows[0, layout.inputs] = np.tile(limits[:nu], 2)
         found = self._in_c.step(k, t, h, state, self._warm, layout)
         if found is None:
             try:
@@ -248,30 +270,27 @@ class ModelStepper:
         self._since, self.k = self._since + 1, k + 1
         self._state, self._warm = found.row[layout.state], found.warm
         if self._record is not None:
-            self._note(self._record, h, found)
+            self._note(self._record, self.t, h, found)
         return Row(self.t, found.row, found.warm.index, layout, self._n)
 
     # -- a record
 
-    def _note(self, record: Record, h: float, found: StepResult) -> None:
+    def _note(self, record: Record, t: float, h: float, found: StepResult) -> None:
+        if record.filled == 1 and self._both.size:  # at the start u is that of the first step
+            at = self._step.layout.inputs
+            record.rows[0, at] = np.tile(found.row[at][: self._both.size // 2], 2)
+        record.h_next[record.filled - 1] = h
         if record.full:
             record.grow()
-        record.add(self.k, self.t, h, h, found.row, found.warm.index)
+        record.add(self.k, t, h, h, found.row, found.warm.index)
 
     @property
     def trajectory(self) -> Trajectory:
         """The steps since the start or the last reset, as a run; UsageError where they are not recorded."""
         if self._record is None:
             raise UsageError("stepper: no rows are kept; give record=True")
-        model, problem = self._model, self._problem
-        metadata = {
-            "title": model.title, "model_class": type(model).__name__, "paper": model.paper, "state_names": list(model.names),
-            "stems": {stem: list(at) for stem, at in model.stems.items()}, "units": dict(model.units),
-            "parameters": dict(model.bound_parameters), "scheme": problem.scheme,
-            "multiplier_names": list(problem.multiplier_names), "index_names": list(problem.rows),
-            "law_kinds": problem.law.labels, "tolerance": self._tolerance, "steps": self.k, "status": "done", "message": "",
-            "warnings": [], "input_groups": {name: list(names) for name, names in model.input_groups.items()},
-        }  # fmt: skip
+        about = {"steps": self.k, "status": "done", "message": "", "warnings": [], **of_scheme(self._problem, self._tolerance)}
+        metadata = of_model(self._model) | about
         return Trajectory(self._record.columns(newton=False), metadata)
 
 

@@ -589,9 +589,7 @@ def test_edges_of_expressions_are_those_of_the_run_in_c_too():
 
 def test_classes_that_nothing_drives_say_what_to_do():
     x, s, u = ca.SX.sym("x"), ca.SX.sym("s"), ca.SX.sym("u")
-    with pytest.raises(
-        ModelError, match="inputs: the scheme and its theorems know no explicit time. Write a forced oscillator as"
-    ):
+    with pytest.raises(ModelError, match="inputs: the scheme and its theorems know no explicit time"):
         FrictionOscillator(x=x, potential=x**2 / 2, friction=s, s=s, x0=1, v0=0, t_end=1, step=0.1, inputs={u: 1})
 
 

@@ -12,6 +12,7 @@ from nsmodel import (
     UsageError,
     complementarity,
     load,
+    pwm,
     relay,
     simulate,
     stepper,
@@ -154,3 +155,47 @@ def test_what_has_no_stepper():
     with pytest.raises(UsageError, match="stepper: no rows are kept; give record=True"):
         stepper(oscillator).trajectory  # noqa: B018
     assert relay(1).size == 1
+
+
+def test_signals_are_refused_where_they_end():
+    for signal, words in (
+        (steps([1, 2]), r"input 'u': steps\(...\) has 2 rows, and this would be step 3"),
+        (table([0, 0.2], [1, 2], after="error"), "input 'u': its table ends at t = 0.2, before the run does at 0.3"),
+        (pwm(0.2, table([0, 0.3], [0.5, 1.5])), "input 'u': its duty is 1.5 at t = 0.4"),
+    ):
+        s = stepper(scenes.follower(None, t_end=1, step=0.1), inputs={"u": signal})
+        with pytest.raises(UsageError, match=words):
+            walked(s, [None] * 5, split=True)
+        assert s.k >= 2
+
+
+def test_an_oscillator_has_its_energy_and_its_two_positions():
+    x, z = ca.SX.sym("x"), ca.SX.sym("s")
+    given = {"x": x, "potential": x**2 / 2, "friction": z / 2, "s": z, "x0": 1, "t_end": 1, "step": 0.1}
+    h = [0.1, 0.05, 0.05, 0.2]
+    model, s = FrictionOscillator(v0=0, **given), stepper(FrictionOscillator(v0=0, **given), record=True, compiled=False)
+    for length in h:
+        s.step(h=length)
+    np.testing.assert_array_equal(s.trajectory.energy, simulate(model, steps=h, compiled=False).energy)
+    model = FrictionOscillator(x1=0.99, **given)
+    s, run = stepper(model, record=True, compiled=False), simulate(model, compiled=False)
+    for _ in range(9):
+        s.step()
+    np.testing.assert_array_equal(s.trajectory.t, run.t)
+    np.testing.assert_array_equal(s.trajectory.x, run.x)
+
+
+@WAYS
+def test_a_reaction_that_is_carried_is_of_the_values_of_its_step(compiled):
+    values = np.random.default_rng(4).normal(size=20)
+    x, l, u = ca.SX.sym("x"), ca.SX.sym("l"), ca.SX.sym("u")
+    model = FirstOrderSystem(
+        x=x, lam=l, f=[u - x], g=[-l], h=[l - 2 * u], law=relay(1, -1e9, 1e9), x0=[0.5], theta=0.5, gamma=0.5, step=0.05,
+        t_end=1, inputs={u: None},
+    )  # fmt: skip
+    run, s = simulate(model, inputs={"u": steps(values)}, compiled=compiled), stepper(model, compiled=compiled)
+    np.testing.assert_array_equal(walked(s, values), run.x[1:])
+    right = [0.5]
+    for value in values:  # l = 2 u: x' = -u - x, by the trapezoidal rule
+        right.append(((1 - 0.025) * right[-1] - 0.05 * value) / (1 + 0.025))
+    np.testing.assert_allclose(run.x[:, 0], right, rtol=1e-12)
