@@ -19,6 +19,7 @@ from nsmodel import (
     Trajectory,
     UsageError,
     check,
+    codegen,
     complementarity,
     explain,
     pwm,
@@ -30,6 +31,7 @@ from nsmodel import (
     table,
 )
 from nsmodel.cli import main
+from nsmodel.errors import CodegenError
 from nsmodel.run import in_c, piece_choice, schemes
 
 T = scenes.T
@@ -522,11 +524,13 @@ def test_nan_in_the_middle_of_a_run_keeps_what_there_is():
         simulate(model)
 
 
-def test_what_takes_no_inputs_says_so():
+def test_what_takes_no_inputs_says_so(tmp_path):
     model = scenes.buck(t_end=2 * T)
     for of in (check, stress, study):
         with pytest.raises(UsageError, match=r"has inputs \(u\)"):
             of(model)
+    with pytest.raises(CodegenError, match=r"a library has no inputs \(u\); compiled runs do"):
+        codegen.write(model, tmp_path)
     with pytest.raises(UsageError, match="not event-driven: certify='interval' proves models without inputs alone"):
         simulate(model, rtol=1e-4, certify="interval")
 

@@ -104,7 +104,8 @@ def write(
         raise UsageError(f"max_work = {written(max_work)}; expected a whole number from 1 to {MOST_WORK}")
     most = MOST_WORK if max_work is None else max_work
     name = identifier(model.title or type(model).__name__) if name is None else _checked(name)
-    model.refuse("codegen")
+    if model.input_groups:
+        raise CodegenError(f"a library has no inputs ({', '.join(model.input_groups)}); compiled runs do, with compiled=True")
     bound = model.bind(parameters)
     grid = make_grid(bound, step, None, None)
     mark = fingerprint(bound, grid)
