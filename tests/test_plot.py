@@ -98,7 +98,7 @@ def past_disc(speed=0.0):
     q[t <= 1] = np.stack([t - 2, 0 * t], axis=1)[t <= 1]
     time, point = ca.SX.sym("t"), ca.SX.sym("q", 2)
     constraints = {"disc": ca.norm_2(point - ca.vertcat(speed * time, 0)) - 1, "floor": point[1] + 3}
-    model = SimpleNamespace(t=time, q=point, constraints=constraints)
+    model = SimpleNamespace(t=time, q=point, u=ca.SX(0, 1), constraints=constraints)
     return sweeping(t, q, contact * 1.0, "A point past a disc"), model
 
 
@@ -107,7 +107,7 @@ def half_line():
     time, point = ca.SX.sym("t"), ca.SX.sym("q")
     contact = t <= 3 * np.pi / 4
     q = np.where(contact, np.sin(t), np.sin(3 * np.pi / 4) * np.exp(3 * np.pi / 4 - t))
-    model = SimpleNamespace(t=time, q=point, constraints={"wall": point - ca.sin(time)})
+    model = SimpleNamespace(t=time, q=point, u=ca.SX(0, 1), constraints={"wall": point - ca.sin(time)})
     return sweeping(t, q, contact * (np.cos(t) + np.sin(t)), "A moving half-line"), model
 
 
@@ -552,7 +552,7 @@ def test_configuration_refuses_what_it_cannot_draw():
         plot.configuration(half_line()[0], model)
     with pytest.raises(PlotError, match="the scene has 2 discs and the run 60 states: two a disc are needed"):
         plot.configuration(altered(crowd(), scene={"radii": [1, 1], "walls": []}))
-    free = SimpleNamespace(t=model.t, q=model.q, constraints={"disc": model.q[0] - ca.SX.sym("radius")})
+    free = SimpleNamespace(t=model.t, q=model.q, u=model.u, constraints={"disc": model.q[0] - ca.SX.sym("radius")})
     with pytest.raises(PlotError, match="still hold radius: bind the parameters to numbers first"):
         plot.configuration(run, free)
 
