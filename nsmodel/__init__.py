@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING
 
+from nsmodel.blocks import Block, dead_time, delay, each_step, hysteresis, latch, pid, sampled, thyristor
 from nsmodel.errors import (
     MissingExtraError,
     ModelError,
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
     from nsmodel.trajectory import Trajectory
 
 __all__ = [
+    "Block",
     "Bodies",
     "Family",
     "Finding",
@@ -78,15 +80,22 @@ __all__ = [
     "box",
     "check",
     "complementarity",
+    "dead_time",
+    "delay",
+    "each_step",
     "ellipsoid",
     "equality",
     "explain",
+    "hysteresis",
+    "latch",
     "load",
     "neighbours",
+    "pid",
     "polyhedron",
     "product",
     "pwm",
     "relay",
+    "sampled",
     "second_order_cone",
     "signal",
     "simulate",
@@ -95,6 +104,7 @@ __all__ = [
     "stress",
     "study",
     "table",
+    "thyristor",
 ]
 
 _later(

@@ -54,19 +54,27 @@ class Grid:
         return self.times[rows], self.steps[rows - 1], self.steps[np.minimum(rows, self.N - 1)]
 
 
-def _between(ends: np.ndarray, h: float) -> Grid:
-    """Equal steps, not longer than h, from one end to the next; those of nearly one length have one."""
-    lengths = np.diff(ends)
-    counts = np.maximum(np.ceil(lengths / h * (1 - 1e-9)), 1).astype(int)
-    steps = np.repeat(_as_one(lengths / counts), counts)
+def steps_within(lengths: np.ndarray, h: float) -> np.ndarray:
+    """How many equal steps, not longer than h, are of these lengths together."""
+    return np.maximum(np.ceil(lengths / h * (1 - 1e-9)), 1).astype(int)
+
+
+def parted(ends: np.ndarray, counts: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
+    """When so many equal steps from one end to the next begin, and how long they are: h, where that is nearly so."""
+    lengths = np.diff(ends) / counts
     part = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-    times = np.repeat(ends[:-1], counts) + np.repeat(lengths / counts, counts) * part
+    return np.repeat(ends[:-1], counts) + np.repeat(lengths, counts) * part, np.repeat(_as_one(lengths, h), counts)
+
+
+def _between(ends: np.ndarray, h: float, more: int) -> Grid:
+    """Equal steps, not longer than h, from one end to the next, and so many more; those of nearly one length have one."""
+    times, steps = parted(ends, steps_within(np.diff(ends), h) + more, h)
     return Grid(steps.size, float(steps[0]), float(steps[-1]), steps, np.append(times, ends[-1]), asked=h)
 
 
-def _as_one(lengths: np.ndarray) -> np.ndarray:
-    """Lengths, each that of the least one that it is nearly the same as."""
-    known, where = np.unique(lengths, return_inverse=True)
+def _as_one(lengths: np.ndarray, h: float) -> np.ndarray:
+    """Lengths, each that of the least one that it is nearly the same as; h where it is nearly that."""
+    known, where = np.unique(np.where(np.abs(lengths - h) <= SAME * h, h, lengths), return_inverse=True)
     begins = np.append(True, known[1:] > known[:-1] * (1 + SAME))
     return known[begins][np.cumsum(begins) - 1][where]
 
@@ -88,7 +96,9 @@ def make_grid(
         if t_end is not None:
             raise UsageError("t_end is given with steps, which already say where the run ends; leave it out")
         times = np.concatenate([[0.0], np.cumsum(array)])
-        drive = Drive.of(model.inputs, float(times[-1])) if driven else None
+        drive = driving(model, float(times[-1])) if driven else None
+        if drive is not None and drive.moving:
+            raise UsageError("steps: a block places edges of a pwm, which given steps do not know; give step= instead")
         if drive is not None:
             _refuse_straddled(times, drive.points)
         return _with(Grid(array.size, float(array[0]), float(array[-1]), array, times), drive)
@@ -99,14 +109,19 @@ def make_grid(
     ratio = T / h
     if ratio > 1e12:
         raise UsageError(f"t_end / step = {ratio:.3g} steps; choose a larger step or a shorter run")
-    drive = Drive.of(model.inputs, T) if driven else None
-    if drive is not None and drive.points.size:
-        return _with(_between(np.concatenate([[0.0], drive.points, [T]]), h), drive)
+    drive = driving(model, T) if driven else None
+    if drive is not None and (drive.points.size or drive.moving):
+        return _with(_between(np.concatenate([[0.0], drive.points, [T]]), h, drive.moving), drive)
     N = max(round(ratio), 1)
     if abs(ratio - N) <= 1e-9 * N:
         return _with(Grid(N, h, h), drive)
     N = int(np.floor(ratio)) + 1
     return _with(Grid(N, h, T - (N - 1) * h), drive)
+
+
+def driving(model: Model, t_end: float) -> Drive:
+    """What drives a model up to t_end; ModelError where a signal is none up to there."""
+    return Drive.of(model.inputs, t_end, [block.ticks(t_end) for block in model.blocks])
 
 
 def _with(grid: Grid, drive: Drive | None) -> Grid:
@@ -123,8 +138,8 @@ def _refuse_straddled(times: np.ndarray, points: np.ndarray) -> None:
     off = np.minimum(np.abs(times[np.minimum(k, len(times) - 1)] - points), np.abs(times[np.maximum(k - 1, 0)] - points))
     for i in np.flatnonzero(off > 1e-9 * np.abs(points))[:1]:
         raise UsageError(
-            f"steps: step {k[i] - 1} goes over t = {points[i]:.10g}, where an input jumps or bends; let a step end there, or "
-            "give step= instead: its grid ends at each"
+            f"steps: step {k[i] - 1} goes over t = {points[i]:.10g}, where an input jumps or bends, or a block ticks; "
+            "let a step end there, or give step= instead: its grid ends at each"
         )
 
 

@@ -62,7 +62,7 @@ def fingerprint(model: Model, grid: Grid) -> str:
 def _of_model(model: Model) -> Any:
     """The hash so far of all that a model is but its grid."""
     digest = hashlib.sha256()
-    left = DESCRIPTIVE if model.inputs else DESCRIPTIVE | {"u", "input_groups"}
+    left = DESCRIPTIVE | (set() if model.inputs else {"u", "input_groups"}) | (set() if model.blocks else {"blocks"})
     _add(digest, [type(model).__name__, {k: v for k, v in sorted(vars(model).items()) if k not in left}])
     return digest
 

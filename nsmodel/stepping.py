@@ -10,12 +10,13 @@ import numpy as np
 from nsmodel.classes.registry import class_of
 from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import ModelError, StepError, UsageError
-from nsmodel.grid import SAME, is_number, written
+from nsmodel.grid import SAME, driving, is_number, written
 from nsmodel.hypotheses.quick import refuse_start
 from nsmodel.model.base import Model
 from nsmodel.model.driven import driven_by, inputs_at_start
 from nsmodel.model.inputs import Signals, by_name
 from nsmodel.model.parameters import Values
+from nsmodel.model.ticks import ticks_of
 from nsmodel.record import Record
 from nsmodel.run.one_in_c import InC
 from nsmodel.run.options import Options
@@ -101,13 +102,15 @@ class ModelStepper:
         refuse_start(own)
         self._problem = one_step_problem(own)
         self._sizes = {name: len(own.input_groups[name]) for name in self.free}
-        self._driven = any(not isinstance(signal, Held) for signal in own.inputs.values())
+        self._ticks = ticks_of(own)
+        self._driven = bool(own.blocks) or any(not isinstance(signal, Held) for signal in own.inputs.values())
         self._drive: Drive | None = None  # The signals up to a time that is looked ahead to.
         self._ahead = 0.0
         entries = [name for name, names in own.input_groups.items() for _ in names]
         self._at = np.flatnonzero(np.isin(entries, self.free))  # Of the inputs that steps are given, among all.
         state = start_state(self._problem, initial_rows(own, self.h)[-1][0], self.h, options.tolerance)
-        self._step = make_stepper(self._problem, options.solver, options.tolerance, h=self.h, state=state)
+        few = not any(signal.moving for signal in own.inputs.values())
+        self._step = make_stepper(self._problem, options.solver, options.tolerance, h=self.h, state=state, few_steps=few)
         start = self._problem.start
         self._starter = None if start is None else Starter(start, options.tolerance, h=self.h, state=state)
         self._in_c, self._n = InC(own, self.h, options), len(own.names)
@@ -126,6 +129,20 @@ class ModelStepper:
         """The state (n,), a copy."""
         return self._state[: self._n].copy()
 
+    @property
+    def held(self) -> dict[str, Any]:
+        """What blocks hold, by name: their memory and outputs, in the step that has led here."""
+        if self._ticks is None:
+            return {}
+        u = self._state[self._step.layout.inputs][self._both.size // 2 :]
+        return {name: values[0] if values.size == 1 else values.copy() for name, values in self._ticks.kept(u).items()}
+
+    @property
+    def next_tick(self) -> float:
+        """The time of the next tick of a sampled block, that of now included; infinite where there is none."""
+        blocks = () if self._ticks is None else self._ticks.blocks
+        return min((block.next_tick(self.t) for block in blocks), default=np.inf)
+
     def reset(self, x0: Any = None, t: float = 0.0) -> None:
         """Begin anew, at the model's start or at ``x0``, at time t.
 
@@ -137,6 +154,9 @@ class ModelStepper:
         if x0 is not None:
             own = _numbers("x0", x0, n)
             state[:n] = own
+        if self._ticks is not None:
+            at = self._step.layout.inputs
+            state[at] = np.tile(self._ticks.before(state[:n], state[at][: self._both.size // 2]), 2)
         self._state = start_state(self._problem, state, self.h, self._tolerance)
         self._warm: Warm = self._step.cold()
         self._base, self._last, self.k = float(t), self.h, len(rows) - 1
@@ -187,12 +207,13 @@ class ModelStepper:
         end = begin if u_end is None else self._given(u_end)
         if not self._driven:
             return self._one(begin, end, length)
-        ends = self._points(length)
+        ends = self._points(length, begin)
         if len(ends) == 1:
             return self._one(begin, end, length)
         if not split:
             raise UsageError(
-                f"an input jumps or bends at t = {ends[0]:.10g}: step at most {ends[0] - self.t:.10g}, or give split=True"
+                f"an input jumps or bends, or a block ticks, at t = {ends[0]:.10g}: step at most {ends[0] - self.t:.10g}, "
+                "or give split=True"
             )
         kept, t, rows = self.checkpoint(), self.t, []
         try:
@@ -204,12 +225,16 @@ class ModelStepper:
             raise
         return rows[-1]
 
-    def _points(self, h: float) -> list[float]:
-        """Where the parts of a step end: at the points of signals within it, and at its end."""
+    def _points(self, h: float, begin: np.ndarray) -> list[float]:
+        """Where the parts of a step end: at the points of signals within it, at edges that blocks place, and at its end."""
         t, end = self.t, self.t + h
-        points = self._seen(end).points
-        first, last = np.searchsorted(points, [later(np.array(t)), earlier(np.array(end))])
-        return [*points[first:last].tolist(), end]
+        drive = self._seen(end)
+        first, last = np.searchsorted(drive.points, [later(np.array(t)), earlier(np.array(end))])
+        ends = [*drive.points[first:last].tolist(), end]
+        if drive.moving and self._ticks is not None:
+            u = self._limits(begin, begin, ends[0] - t)[0][: drive.size]
+            return [*drive.holding(self._ticks.kept(u)).within(t, ends[0])[1:].tolist(), *ends[1:]]
+        return ends
 
     def _seen(self, end: float) -> Drive:
         """The signals up to the end of a step, and ahead where they let; UsageError where one is none up to there."""
@@ -219,10 +244,10 @@ class ModelStepper:
                 raise UsageError(f"input '{name}': steps(...) has {signal.count} rows, and this would be step {self.k + 1}")
         if self._drive is None or end > self._ahead:
             try:
-                self._drive, self._ahead = Drive.of(inputs, AHEAD * end), AHEAD * end
+                self._drive, self._ahead = driving(self._model, AHEAD * end), AHEAD * end
             except ModelError:
                 try:
-                    self._drive, self._ahead = Drive.of(inputs, end), end
+                    self._drive, self._ahead = driving(self._model, end), end
                 except ModelError as error:
                     raise UsageError(str(error)) from error
         return self._drive
@@ -242,13 +267,24 @@ class ModelStepper:
         """U at the begin of a step, then at its end; whether it begins with a jump."""
         t, nu, jumps = self.t, self._both.size // 2, False
         both = self._both.copy()
-        if self._driven:
-            drive = self._seen(t + h)
+        drive = self._seen(t + h) if self._driven else None
+        if drive is not None:
             both = drive.limits(np.array([t, t + h]), self.k)[0]
             jumps = any(self.k in signal.turns for signal in self._model.inputs.values())
             jumps = jumps or bool((np.abs(drive.jumps - t) <= SAME * t).any())
         both[self._at], both[self._at + nu] = begin, end
-        return both, jumps or bool((self._state[self._step.layout.inputs][nu:][self._at] != begin).any())
+        before = self._state[self._step.layout.inputs][nu:]
+        if self._ticks is not None:
+            u, at = both[:nu].copy(), self._ticks.at
+            u[at] = before[at]
+            due = [*self._ticks.due(t), *self._ticks.each_step]
+            u = self._ticks.after(due, t, self._state[: self._n], self._warm.l, u)
+            if drive is not None and drive.moving:
+                both = drive.holding(self._ticks.kept(u)).limits(np.array([t, t + h]), self.k)[0]
+                both[self._at], both[self._at + nu] = begin, end
+            both[at] = both[at + nu] = u[at]
+            jumps = jumps or bool((u[at] != before[at]).any())
+        return both, jumps or bool((before[self._at] != begin).any())
 
     def _one(self, begin: np.ndarray, end: np.ndarray, h: float) -> Row:
         layout, state, k, t = self._step.layout, self._state.copy(), self.k, self.t

@@ -352,7 +352,9 @@ def test_given_steps_must_end_at_edges():
     model = scenes.follower(table([0, 0.25], [1, 2]), t_end=1, step=0.1)
     run = simulate(model, steps=[0.1, 0.15, 0.5, 0.25])
     assert run.inputs[:, 0].tolist() == [1, 1, 1, 2, 2]
-    with pytest.raises(UsageError, match=r"steps: step 1 goes over t = 0.25, where an input jumps or bends; let a step end"):
+    with pytest.raises(
+        UsageError, match=r"steps: step 1 goes over t = 0.25, where an input jumps or bends, or a block ticks; let a step end"
+    ):
         simulate(model, steps=[0.1, 0.5, 0.4])
 
 
@@ -468,7 +470,7 @@ def test_signals_are_given_to_the_model_or_to_the_run():
 
 def test_explain_names_inputs_and_edges():
     text = explain(scenes.buck(t_end=10 * T))
-    assert "inputs u (pwm): a step ends at each of 19 times at which they jump or bend" in text
+    assert "inputs u (pwm): a step ends at each of 19 times at which they jump, bend or tick" in text
 
 
 @pytest.mark.parametrize(

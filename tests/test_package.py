@@ -156,7 +156,7 @@ LAYERS = (  # What stands in a line may import, at its top, what stands in it an
     "defaults errors later once version words",
     "proof",
     "model_files pickled",
-    "laws signals",
+    "laws signals blocks",
     "model",
     "classes classes.registry classes.model",
     "scheme classes.schemes classes.set_valued classes.continuous",

@@ -81,7 +81,9 @@ def test_signals_that_the_stepper_has():
     s = stepper(model, step=0.3 * T)
     s.step()
     before = s.checkpoint()
-    with pytest.raises(UsageError, match=r"an input jumps or bends at t = 4e-06: step at most 1e-06, or give split=True"):
+    with pytest.raises(
+        UsageError, match=r"an input jumps or bends, or a block ticks, at t = 4e-06: step at most 1e-06, or give split=True"
+    ):
         s.step()
     assert s.checkpoint() == before
     row = s.step(split=True)

@@ -14,7 +14,8 @@ import numpy as np
 from nsmodel.errors import ModelError, NsmodelError, UsageError
 from nsmodel.laws import Words
 from nsmodel.model.arguments import RESERVED, grid_given, known_times, names_of_states, units_given
-from nsmodel.model.convert import Converter, declare
+from nsmodel.model.blocks import declared_blocks, held_duty, kept_signals, latched, model_blocks
+from nsmodel.model.convert import Converter, Declared, declare
 from nsmodel.model.inputs import Signals, declared_inputs, signals_of
 from nsmodel.model.parameters import Values, declared, scalars
 from nsmodel.model.replaced import replaced
@@ -44,6 +45,8 @@ class Model(Pickled):
             when the model is run. After construction {name: value} of each scalar.
         inputs: {symbol or name: signal}, what drives the model from outside: `table`, `pwm`, `steps`, `signal`, a number, an
             expression of t; a list for a vector of symbols; None: given when the model is run. They may stand wherever time may.
+        blocks: controllers, switches and latches, `sampled`, `each_step` and what is made of them: what they hold may stand
+            wherever inputs may, and be the duty of a `pwm`.
         names: one name for each state, where the symbols' own are not wanted.
         units: {name: unit} for states, multipliers and "t"; used by pictures and tables.
         exact: the exact state, where known: a callable t (N,) -> (N, n), or n expressions of ``t``.
@@ -66,6 +69,7 @@ class Model(Pickled):
     scheme: str = ""
     parameters: Values = field(default_factory=dict)
     inputs: Signals = field(default_factory=dict)
+    blocks: Any = ()
     names: Sequence[str] = LEFT_OUT
     units: Mapping[str, str] = field(default_factory=dict)
     exact: Any = None
@@ -119,6 +123,8 @@ class Model(Pickled):
             raise ModelError(f"t: {len(time.names)} symbols given; expected one scalar time symbol")
         p, values, vectors = declared(self.parameters)
         u, driven = declared_inputs({} if self.inputs is None else self.inputs)
+        blocks = declared_blocks(self.blocks)
+        u, driven = self._with_kept(u, driven, [symbol for block in blocks for symbol in block.symbols], kept_signals(blocks))
         if u and self.undriven:
             raise ModelError(f"inputs: {self.undriven}")
         known = [*([] if self.t is None else [time]), *given.values(), *p, *u]
@@ -142,12 +148,34 @@ class Model(Pickled):
             if not self.p.numel():
                 self._set(exact=Sampled(time.sx, self.exact))
         groups = {str(item.stem): item.names for item in u}
-        self._set(
-            u=ca.vertcat(ca.SX(0, 1), *(item.sx for item in u)),
-            input_groups=MappingProxyType(groups),
-            inputs=MappingProxyType(signals_of(driven, groups, Converter([time]))),
-        )
+        self._set(u=ca.vertcat(ca.SX(0, 1), *(item.sx for item in u)), input_groups=MappingProxyType(groups))
+        read = [time.sx, own.sx, *(given[name].sx for name in ("lam",) if name in given)]
+        ends = np.cumsum([0, *(len(names) for names in groups.values())])
+        places = {name: range(ends[i], ends[i + 1]) for i, name in enumerate(groups)}
+        own_blocks = list(model_blocks(blocks, places, converter, lambda expression, label: self._only(expression, label, read)))
+        for name in [name for name, signal in driven.items() if held_duty(signal)]:
+            duty = ca.densify(ca.SX(converter.convert(driven[name].duty, f"input '{name}': duty")))
+            self._only(duty, f"input '{name}': duty", read)
+            driven[name], latch = latched(name, driven[name], places[f"{name}.duty"][0], duty)
+            own_blocks.append(latch)
+            driven[f"{name}.duty"] = driven[name].duty
+        self._set(inputs=MappingProxyType(signals_of(driven, groups, Converter([time]))), blocks=tuple(own_blocks))
         return converter
+
+    def _with_kept(
+        self, u: list[Declared], driven: dict[str, Any], kept: list[Declared], signals: Mapping[str, Any]
+    ) -> tuple[list[Declared], dict[str, Any]]:
+        """The symbols of inputs, what blocks set behind those that are given; and what drives them."""
+        known = {*RESERVED, *(str(other.stem) for other in u)}
+        for symbol in kept:
+            clash = {str(symbol.stem), *symbol.names} & known
+            known |= {str(symbol.stem)}
+            if clash:
+                raise ModelError(
+                    f"blocks: '{min(clash)}' is an input, or what another block sets, or an attribute of runs; take another name"
+                )
+        duties = [declare(f"{name}.duty", "inputs") for name, signal in driven.items() if held_duty(signal)]
+        return [*u, *kept, *duties], {**driven, **signals, **{str(duty.stem): None for duty in duties}}
 
     def _vector(
         self, converter: Converter, value: Any, label: str, size: int, allow: Sequence[ca.SX], *, infinite: bool = False

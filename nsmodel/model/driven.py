@@ -13,6 +13,8 @@ from nsmodel.errors import UsageError
 from nsmodel.model.convert import Converter, declare
 from nsmodel.model.inputs import Signals, by_name, signals_of
 from nsmodel.model.replaced import replaced
+from nsmodel.model.ticks import ticks_of
+from nsmodel.signals.kept import Kept
 from nsmodel.signals.signal import Signal
 
 T = TypeVar("T", bound=Any)
@@ -27,6 +29,9 @@ def driven_by(model: T, signals: Signals | None = None) -> T:
     given = signals_of(
         by_name(signals, model.input_groups), model.input_groups, Converter([declare(model.t, "t")]), UsageError
     )  # fmt: skip
+    for name in given:
+        if isinstance(model.inputs[name], Kept):
+            raise UsageError(f"input '{name}' is set by the block '{model.inputs[name].by}'; leave it out")
     inputs = {**model.inputs, **given}
     for name, signal in inputs.items():
         if signal is None:
@@ -39,16 +44,26 @@ def at_start(model: T) -> T:
     if not model.u.numel():
         return model
     held = replaced(model, model.u, ca.SX(inputs_at_start(model)))
-    return _with(held, u=ca.SX(0, 1), inputs=MappingProxyType({}), input_groups=MappingProxyType({}))
+    return _with(held, u=ca.SX(0, 1), inputs=MappingProxyType({}), input_groups=MappingProxyType({}), blocks=())
 
 
-def inputs_at_start(model: Any) -> np.ndarray:
-    """u(0+) (nu,); 0 where nothing drives it yet."""
+def inputs_at_start(model: Any, x: np.ndarray | None = None) -> np.ndarray:
+    """u(0+) (nu,) where the state is ``x``, else the model's start; 0 where nothing drives it yet."""
     first = [
         signal.limits(np.zeros(2), 0)[0][0] if isinstance(signal, Signal) else np.zeros(len(model.input_groups[name]))
         for name, signal in model.inputs.items()
     ]
-    return np.concatenate([np.zeros(0), *first])
+    u = np.concatenate([np.zeros(0), *first])
+    ticks = None if model.p.numel() else ticks_of(model)
+    if ticks is None:
+        return u
+    u = ticks.start(np.array(ca.DM(model.start)).ravel() if x is None else x, u)
+    at = 0
+    for signal, names in zip(model.inputs.values(), model.input_groups.values(), strict=True):
+        if signal is not None and signal.moving:  # A PWM whose duty a block has set just now.
+            u[at : at + len(names)] = signal.holding(ticks.kept(u)).after(np.zeros(1))[0]
+        at += len(names)
+    return u
 
 
 def _with(model: T, **fields: Any) -> T:

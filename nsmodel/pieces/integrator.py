@@ -34,7 +34,7 @@ from nsmodel.pieces.system import System
 from nsmodel.proof.sure import sure
 from nsmodel.scheme.continuous import ContinuousProblem
 
-LEAST_RTOL, JUMPS = 1e-14, 2  # Jumps at one time.
+LEAST_RTOL, JUMPS, UPDATES = 1e-14, 2, 8  # Jumps at one time, and changes of what blocks hold.
 NONE = Known()
 ROOM = 1.3  # By which the next piece may be longer than the last without another unit of time.
 UNITS, OCTAVES = 60, 6  # Units of time that are tried where a series overflows, and how much shorter each is.
@@ -96,7 +96,7 @@ class Integrator:
         s = self._length(how)
         if s > 1:  # What is rounding at s = 1 is not at s^p.
             how, s = self._in_longer_unit(how, s)
-        longest, known = s * place.tau, self.known.next(place.t)
+        longest, known = s * place.tau, self.known.next(place.t, place.x)
         found = self.stiff.piece(place, how, s, known - place.t)
         if found is None:
             hit, s, error = ending(
@@ -185,6 +185,10 @@ class Integrator:
             s = self._length(how) if how is not None else 1.0
             if found is not None and s >= TOO_SHORT:
                 grow(system, 0.0, 0.0)
+                if self._update():
+                    self._go_on("at the start")
+                    self._begun = None
+                    return
                 self._refuse_rivals()
                 return
             if found is None and (p := jump(system, place)) is not None:
@@ -260,9 +264,15 @@ class Integrator:
 
     def _cross(self, known: float) -> None:
         """Stand at a known time, with the branches of the data after it, and choose the mode."""
-        system, place = self.system, self.place
+        place = self.place
         place.t = known
         place.x = self.known.after(known, place.x)
+        self._begin_anew()
+        self._go_on("at a known time")
+
+    def _begin_anew(self) -> None:
+        """Open the switches that the data at the place leaves undecided."""
+        system, place = self.system, self.place
         self.sizes.x[:] = [max(size, abs(x)) for size, x in zip(self.sizes.x, place.x, strict=True)]
         self._forget_branches()
         how = system.expand(place.t, place.x, place.codes, place.tau, AROUND)
@@ -270,14 +280,39 @@ class Integrator:
             place.open = switches(system)
         else:
             place.open = {c.of for c in conditions(system, place.codes, how, AROUND) if is_zero(system, c)}
-        self._go_on("at a known time")
+
+    def _update(self) -> bool:
+        """Set what blocks hold to what they set it to in the mode just chosen; whether that was something else.
+
+        Raises:
+            StepError: what a block sets moves with time.
+        """
+        p, place, updates = self.problem, self.place, self.system.parts.get("blocks")
+        if updates is None:
+            return False
+        before = [place.x[i] for i in p.updated]
+        for i, row in zip(p.updated, updates.outputs, strict=True):
+            place.x[i] = row[0]
+        changed = [k for k, i in enumerate(p.updated) if place.x[i] != before[k]]
+        if changed:
+            self._begin_anew()
+            return True
+        for k, row in enumerate(updates.outputs):
+            if any(row[1 : ORDERS + 1]):
+                raise StepError(
+                    f"t = {place.t:.10g}: block '{p.updaters[k]}' sets {p.names[p.updated[k]]} to what moves with time, not at "
+                    "switches alone; give it a period (sampled)"
+                )
+        return False
 
     def _go_on(self, when: str) -> None:
         """Choose the mode of the open switches, after a jump where x is outside its law; the next piece begins with an event."""
         system, place = self.system, self.place
-        for _ in range(JUMPS):
+        for _ in range(JUMPS + UPDATES * bool(self.problem.updated)):
             before = list(place.codes)
             if (how := select(system, place)) is not None:
+                if self._update():
+                    continue
                 self._refuse_rivals()
                 self._left = how if system.linear_in_l and not system.blocks.all else None
                 self._begun = self._begun or (0.0,) * system.m

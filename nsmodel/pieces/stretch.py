@@ -130,7 +130,7 @@ class Stretches:
             raise StepError(f"t = {at.t:.10g}: the {BUDGET:,} time steps that a run may take where no mode goes on are used up")
         coarse, more = None, looser(self.steps)
         while True:
-            h = min(at.h, math.ldexp(at.scale, -LARGEST), self._to_known(at.t))
+            h = min(at.h, math.ldexp(at.scale, -LARGEST), self._to_known(at))
             least = h <= math.ldexp(at.scale, -LEAST)
             trial = self._trial(at, h, coarse, least)
             allowed = more * (SMOOTH * h / (at.t + h) if trial is not None and trial.smooth else SWITCH)
@@ -141,8 +141,8 @@ class Stretches:
             at.h = unit(h) / 2
             coarse = trial.half if trial is not None and at.h == h / 2 else None
 
-    def _to_known(self, t: float) -> float:
-        return self.known.next(t) - t
+    def _to_known(self, at: Stand) -> float:
+        return self.known.next(at.t, at.x) - at.t
 
     def _step(self, t: float, h: float, x: np.ndarray, warm: Warm) -> StepResult:
         with np.errstate(all="ignore"):
@@ -200,7 +200,7 @@ class Stretches:
         state = self._stepper.layout.state
         middle, x = trial.half.row[state], np.array(at.x)
         end = at.t + h
-        known = self.known.next(at.t)
+        known = self.known.next(at.t, at.x)
         if h == known - at.t:
             end = known
         pieces = [

@@ -72,6 +72,8 @@ class System:
         self.jets = {"f": jets_of(p.f, inputs, "f"), "h": jets_of(h, inputs, "h")}
         if self.B is None:
             self.jets["g"] = jets_of(p.g, inputs, "g")
+        if p.updated:
+            self.jets["blocks"] = jets_of(p.updates, inputs, "the update of a block")
         self.parts = {name: Expansion(jets, orders, given) for name, jets in self.jets.items()}
         self.sizes.switches = [0.0] * len(self.branches)
         self._slopes = ca.Function("slopes", inputs, [ca.densify(e) for e in (B, D, C)])
@@ -145,7 +147,10 @@ class System:
     def extend(self, how: Solve, codes: list[int], known: int, orders: int) -> bool:
         """Compute orders ``known``, ..., ``orders`` in the same mode; whether it has them all."""
         F, G, H, tau = self.parts["f"], self.parts.get("g"), self.parts["h"], self.t[1]
+        updates = self.parts.get("blocks")
         for k in range(known, orders + 1):
+            if updates is not None:
+                updates.compute(k)
             if k:
                 self._direct(how, k)
                 self.blocks.slide(codes, k)

@@ -35,8 +35,9 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import StepError, UsageError
-from nsmodel.grid import Grid, check_times, is_number, make_grid, written
+from nsmodel.grid import Grid, check_times, driving, is_number, make_grid, written
 from nsmodel.model.base import Model
+from nsmodel.model.ticks import ticks_of
 from nsmodel.pieces.stretch import BUDGET, looser
 from nsmodel.run.asked import absolute
 from nsmodel.run.driven import OverSpans
@@ -122,7 +123,7 @@ class Controlled(OfScheme):
         check_times(step=options.step, t_end=options.t_end)
         given: Any = model.t_end if options.t_end is None else options.t_end
         self.T = T = float(given)
-        drive = Drive.of(model.inputs, T) if model.inputs else None
+        drive = driving(model, T) if model.inputs else None
         self._spans = _spans(model, T, drive)
         self._start, self._length = self._spans.pop()
         h = model.step if options.step is None else options.step
@@ -135,7 +136,10 @@ class Controlled(OfScheme):
         first, of_any_step = Grid(1, h := self._h(j), h), Grid(1, h, h, np.array([h]), np.array([0.0, h]))
         constant = replace(options, compiled=options.compiled is True)
         super().__init__(model, constant, first, of_any_step, lambda: None)
-        self._driven = None if drive is None else OverSpans(drive, self.stepper.layout.inputs, self.starter)
+        self._driven = None if drive is None else OverSpans(drive, self.stepper.layout.inputs, self.starter, ticks_of(model))
+        if drive is not None and drive.moving:
+            self.state = self._begun(self.state, self.warm)
+            j = self._nearest(h)
         self.record, self.times = self.start(first, ROWS), [0.0]
         self.totals |= {
             "accepted": 0, "rejected": 0, "extrapolated": 0, "at_least_step": 0, "least_step": None, "rtol": self.rtol,
@@ -178,10 +182,18 @@ class Controlled(OfScheme):
             return
         h = self._h(place.j)
         self._start, self._length = self._spans.pop()
+        state = self._begun(place.state, place.warm)
         j = self._nearest(h)
-        self.place = place._replace(t=0, j=j, state=shortened(self.model, place.state, self._h(j) / h))
-        if self._driven is not None:
-            self.place = self.place._replace(state=self._driven.begun(self.place.state, self._start, self._length))
+        self.place = place._replace(t=0, j=j, state=shortened(self.model, state, self._h(j) / h))
+
+    def _begun(self, state: np.ndarray, warm: Warm) -> np.ndarray:
+        """The state with the inputs at the begin of a span, which ends at the first edge that blocks place in it."""
+        if self._driven is None:
+            return state
+        state, ends = self._driven.begun(state, self._start, self._length, warm.l)
+        self._spans += [(start, end - start) for start, end in itertools.pairwise(ends[1:])][::-1]
+        self._length = ends[1] - self._start
+        return state
 
     @property
     def bar(self) -> dict[str, Any]:

@@ -8,8 +8,10 @@ from collections.abc import Callable
 import numpy as np
 
 from nsmodel.errors import UsageError
-from nsmodel.grid import SAME, Grid
+from nsmodel.grid import SAME, Grid, parted, steps_within
+from nsmodel.model.ticks import Ticks
 from nsmodel.signals.drive import Drive
+from nsmodel.signals.signal import earlier
 
 BLOCK, MOST = 4096, 65536  # Steps whose inputs are computed at a time: one by one, and in C at most.
 
@@ -18,25 +20,43 @@ Starter = Callable[[float, float, np.ndarray], np.ndarray]  # (t, h, state) -> t
 
 
 class OnSteps:
-    """The inputs of the steps of a grid; ``starter``: None where no reaction is carried."""
+    """The inputs of the steps of a grid; ``starter``: None where no reaction is carried, ``ticks``: no blocks."""
 
-    def __init__(self, grid: Grid, drive: Drive, starter: Starter | None) -> None:
+    def __init__(self, grid: Grid, drive: Drive, starter: Starter | None, ticks: Ticks | None) -> None:
         self._grid, self._drive, self._starter = grid, drive, starter
         self._first, self._limits = 0, np.zeros((0, 2 * drive.size))
         at = np.zeros(0, int) if grid.times is None else np.searchsorted(grid.times, drive.jumps)
         turns = [signal.turns for signal in drive.signals.values()]
         self._jumps = [] if starter is None else np.unique(np.concatenate([at, *turns])).tolist()  # Numbers of steps.
+        self._blocks = None if ticks is None else AtTicks(grid, drive, ticks)
 
-    def state(self, state: np.ndarray, k: int) -> np.ndarray:
-        """The state that step k starts from."""
+    def state(self, state: np.ndarray, k: int, l: np.ndarray) -> np.ndarray:
+        """The state that step k starts from; ``l``: of the step before."""
+        jumps = self._ticked(self._blocks, state, k, l) if self._blocks is not None else False
         limits = self._of(k, 1)[0]
         started = np.concatenate([state[: state.size - limits.size], limits])
-        jumps = self._next_jump(k - 1) == k
-        return self._starter(self._grid.time(k), self._grid.step(k), started) if self._starter is not None and jumps else started
+        if self._starter is None or not (jumps or self._next_jump(k - 1) == k):
+            return started
+        return self._starter(self._grid.time(k), self._grid.step(k), started)
 
-    def block(self, state: np.ndarray, k: int, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    def block(self, state: np.ndarray, k: int, steps: int, l: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The state that step k starts from, and the limits (K, 2 nu) of at most so many steps that need no other start."""
-        return self.state(state, k), self._of(k, min(steps, MOST, self._next_jump(k) - k))
+        started, end = self.state(state, k, l), self._next_jump(k)
+        end = end if self._blocks is None else min(end, self._blocks.next(k))
+        return started, self._of(k, min(steps, MOST, end - k))
+
+    def stand(self, state: np.ndarray, k: int) -> None:
+        """Take up a run before step k."""
+        if self._blocks is not None:
+            self._blocks.stand(state, k)
+
+    def _ticked(self, blocks: AtTicks, state: np.ndarray, k: int, l: np.ndarray) -> bool:
+        """Let the blocks tick that do before step k; whether it begins with another value or edge of theirs."""
+        signals = self._of(k, 1)[0, : self._drive.size] if blocks.due(k) else None
+        jumps, planned = blocks.before(state, k, l, signals)
+        if planned:  # with other times, from k on
+            self._first, self._limits = k, self._limits[:0]
+        return jumps
 
     def _next_jump(self, k: int) -> int:
         """The number of the first step after step k that begins with a jump; that of all where there is none."""
@@ -47,34 +67,134 @@ class OnSteps:
         """u(a+), u(b-) side by side (K, 2 nu) of ``steps`` steps from number k."""
         first, count = self._first, len(self._limits)
         if not first <= k <= k + steps <= first + count:
-            count = min(max(steps, BLOCK), self._grid.N - k)
-            self._first, self._limits = k, self._drive.limits(self._grid.between(k, k + count), k)
-        return self._limits[k - self._first : k - self._first + steps]
+            drive, end = (self._drive, self._grid.N) if self._blocks is None else self._blocks.planned(k)
+            count = min(max(steps, BLOCK), end - k)
+            self._first, self._limits = k, drive.limits(self._grid.between(k, k + count), k)
+        found = self._limits[k - self._first : k - self._first + steps]
+        if self._blocks is not None:
+            self._blocks.put(found)
+        return found
+
+
+class AtTicks:
+    """Blocks along a grid: what they hold, and the times between its points that they place."""
+
+    def __init__(self, grid: Grid, drive: Drive, ticks: Ticks) -> None:
+        self._grid, self._drive, self._ticks, self._now = grid, drive, ticks, drive
+        times = np.zeros(1) if grid.times is None else grid.times
+        self._due = [set(numbers.tolist()) - {0} for numbers in ticks.due_at(times)]  # Of each block, numbers of steps.
+        self._at = np.concatenate([ticks.at, ticks.at + drive.size])
+        points = [] if grid.times is None else np.searchsorted(times, earlier(drive.points)).tolist()
+        self._spans = [0, *points, grid.N] if drive.moving else [0, grid.N]  # Numbers of the steps between which edges move.
+        self._stops = [*sorted(set().union(*self._due, self._spans if drive.moving else ())), grid.N]
+        self._edges: set[int] = set()
+        self._held = np.zeros(ticks.at.size)
+
+    def due(self, k: int) -> list[int]:
+        """The blocks that tick before step k."""
+        return [i for i, numbers in enumerate(self._due) if k in numbers or (k and i in self._ticks.each_step)]
+
+    def next(self, k: int) -> int:
+        """The number of the first step after step k before which something may change."""
+        return k + 1 if self._ticks.each_step else self._stops[bisect_right(self._stops, k)]
+
+    def before(self, state: np.ndarray, k: int, l: np.ndarray, signals: np.ndarray | None) -> tuple[bool, bool]:
+        """Tick, where something is due before step k: whether it begins with a jump, whether times were placed.
+
+        Args:
+            state: at the end of the step before; l: its multipliers.
+            k: the number of the step.
+            signals: u(t_k+) where something is due.
+        """
+        held = state[-self._drive.size :][self._ticks.at]
+        was, self._held = held, held
+        if signals is not None:
+            u = signals.copy()
+            u[self._ticks.at] = held
+            u = self._ticks.after(self.due(k), self._grid.time(k), state[: self._ticks.states], l, u)
+            self._held = u[self._ticks.at]
+        placed = bool(self._drive.moving) and k in self._spans
+        if placed:
+            self._place(k)
+        return bool((self._held != was).any()) or k in self._edges, placed
+
+    def stand(self, state: np.ndarray, k: int) -> None:
+        """Take up a run before step k, in the middle of what was placed."""
+        self._held = state[-self._drive.size :][self._ticks.at]
+        if self._drive.moving and k not in self._spans:
+            self._place(k)
+
+    def planned(self, k: int) -> tuple[Drive, int]:
+        """The signals with what blocks hold, and the number of the step up to which these are known."""
+        return self._now, self._spans[bisect_right(self._spans, k)]
+
+    def put(self, limits: np.ndarray) -> None:
+        """Write what is held into the limits (K, 2 nu) of steps."""
+        limits[:, self._at] = np.concatenate([self._held, self._held])
+
+    def _place(self, k: int) -> None:
+        """Place the times of the span of step k: a step ends at each edge, and there are as many steps as the grid has."""
+        i = bisect_right(self._spans, k) - 1
+        first, last = self._spans[i], self._spans[i + 1]
+        times, steps, h = self._grid.times, self._grid.steps, self._grid.asked
+        assert times is not None and steps is not None and h is not None  # Such a grid is made for edges.
+        u = np.zeros(self._drive.size)
+        u[self._ticks.at] = self._held
+        self._now = self._drive.holding(self._ticks.kept(u))
+        ends = self._now.within(times[first], times[last])
+        counts = steps_within(np.diff(ends), h)
+        for _ in range(last - first - counts.sum()):
+            longest = np.diff(ends) / counts
+            counts[np.argmax(longest > longest.max() * (1 - 1e-9))] += 1  # The first of those that rounding tells apart.
+        times[first:last], steps[first:last] = parted(ends, counts, h)
+        self._edges = set((first + np.cumsum(counts)[:-1]).tolist())
 
 
 class OverSpans:
-    """The inputs of steps of any length between the points of a drive; ``at``: where a state has them."""
+    """The inputs of steps of any length between the points of a drive; ``at``: where a state has them.
 
-    def __init__(self, drive: Drive, at: slice, starter: Starter | None) -> None:
-        self._drive, self._at, self._starter = drive, at, starter
+    Raises:
+        UsageError: a signal, or a block, of steps that are known beforehand.
+    """
+
+    def __init__(self, drive: Drive, at: slice, starter: Starter | None, ticks: Ticks | None) -> None:
+        self._drive, self._now, self._at, self._starter, self._ticks = drive, drive, at, starter, ticks
         for name, signal in drive.signals.items():
             if signal.count is not None:
                 raise UsageError(f"input '{name}': steps(...) has a row a step, and rtol chooses the steps; give table, or step=")
+        for block in () if ticks is None else ticks.blocks:
+            if block.period is None:
+                raise UsageError(
+                    f"block '{block.name}' acts after each step, and rtol chooses the steps: take event-driven integration "
+                    "(method='event-driven'), which finds when it acts, or step="
+                )
+        self._kept = np.zeros(0, int) if ticks is None else np.concatenate([ticks.at, ticks.at + drive.size])
 
     @property
     def flat(self) -> bool:
         """Whether inputs are constant between the points: then the states of a span have them."""
         return all(signal.flat for signal in self._drive.signals.values())
 
-    def begun(self, state: np.ndarray, t: float, length: float) -> np.ndarray:
-        """The state at the begin of a span, its reaction found anew where an input jumps."""
-        state = self._put(state, self._drive.limits(np.array([t, t + length]))[0])
-        jumps = self._starter is not None and (np.abs(self._drive.jumps - t) <= SAME * t).any()
-        return self._starter(t, length, state) if self._starter is not None and jumps else state
+    def begun(self, state: np.ndarray, t: float, length: float, l: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The state at the begin of a span, its reaction found anew where an input jumps; the span's ends, and edges in it.
+
+        ``l``: multipliers of the step before.
+        """
+        ticks, was, ends = self._ticks, state[self._at], np.array([t, t + length])
+        if ticks is not None:
+            nu = self._drive.size
+            u = self._limits(state, ends)[0, :nu]
+            u = ticks.after(ticks.due(t) if t else [], t, state[: ticks.states], l, u)
+            state = self._put(state, np.tile(u, 2))
+            self._now = self._drive.holding(ticks.kept(u))
+            ends = self._now.within(*ends)
+        state = self._put(state, self._limits(state, ends[:2])[0])
+        jumps = bool((np.abs(self._drive.jumps - t) <= SAME * t).any() or (state[self._at][self._kept] != was[self._kept]).any())
+        return (self._starter(t, length, state) if self._starter is not None and jumps else state), ends
 
     def halves(self, state: np.ndarray, times: list[float]) -> tuple[np.ndarray, np.ndarray, Put]:
         """Of a step with begin, middle and end: the state for its first half, for all of it; what makes that for its second."""
-        first, second = self._drive.limits(np.array(times))
+        first, second = self._limits(state, np.array(times))
         nu = first.size // 2
         whole = np.concatenate([first[:nu], second[nu:]])
         return self._put(state, first), self._put(state, whole), lambda middle: self._put(middle, second)
@@ -83,6 +203,12 @@ class OverSpans:
         """The state with u of the end of its step at both ends."""
         u = state[self._at]
         return self._put(state, np.tile(u[u.size // 2 :], 2))
+
+    def _limits(self, state: np.ndarray, times: np.ndarray) -> np.ndarray:
+        """u(a+), u(b-) side by side (K, 2 nu) between times (K + 1,), with what blocks hold in a state."""
+        limits = self._now.limits(times)
+        limits[:, self._kept] = state[self._at][self._kept]
+        return limits
 
     def _put(self, state: np.ndarray, limits: np.ndarray) -> np.ndarray:
         state = state.copy()

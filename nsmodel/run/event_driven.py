@@ -12,7 +12,7 @@ import numpy as np
 
 from nsmodel.classes.registry import class_of
 from nsmodel.errors import StepError, StorageError
-from nsmodel.grid import Grid, check_times
+from nsmodel.grid import Grid, check_times, driving
 from nsmodel.hypotheses.quick import refuse_start, warnings
 from nsmodel.identity import INTERPRETED, WAY, digest_of, settings
 from nsmodel.model.base import Model
@@ -26,8 +26,7 @@ from nsmodel.run.piece_rows import Block, PieceRows
 from nsmodel.run.row_facts import facts
 from nsmodel.run.walk import PER_CENT, There, check_exact, note_distance_to_exact, runaway
 from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven
-from nsmodel.scheme.driven import driven, kinds
-from nsmodel.signals.drive import Drive
+from nsmodel.scheme.driven import driven, kinds, set_by_blocks
 from nsmodel.solve.choose import Plan
 
 if TYPE_CHECKING:
@@ -70,7 +69,7 @@ class EventDriven:
         known = known_of(model, self.T)
         own = [*kinds(model), () if problem.held else known.times]  # What of the signals is in the C.
         mark = digest_of([same["model"], *own]) if model.inputs else same["model"]
-        self._drive = Drive.of(model.inputs, self.T) if model.inputs else None
+        self._drive = driving(model, self.T) if model.inputs else None
         chosen = chosen_maker(problem, options, there(), (rtol, atol), model, mark, known)
         self.maker, self.plan = chosen.maker, chosen.plan
         self.record, self.k = PieceRows(problem, self.maker.order, options.save_every, chosen.columns), 0
@@ -182,7 +181,18 @@ class EventDriven:
             t = arrays["t"]
             before = np.concatenate([np.nan_to_num(t[:1] - arrays["step"][:1]), t[:-1]])
             arrays |= self._drive.rows(t, before)
+            self._put_held(arrays, t, before)
         return arrays if self.certified is None else arrays | self.certified.arrays(self.record.numbers, arrays["t"], arrays["x"])
+
+    def _put_held(self, arrays: dict[str, np.ndarray], t: np.ndarray, before: np.ndarray) -> None:
+        """What blocks hold, in the columns of the inputs: as in the piece that ends at a row, and in that which begins before."""
+        entries, places = set_by_blocks(self.model)
+        if not (entries.size and len(arrays["piece_start"])):
+            return
+        starts, values = arrays["piece_start"], arrays["piece_x"][:, :, 0][:, places + self.problem.x.numel() - self.problem.held]
+        begin = np.maximum(np.searchsorted(starts, before, side="right") - 1, 0)
+        end = np.where(t > 0, np.maximum(np.searchsorted(starts, t, side="left") - 1, 0), 0)
+        arrays["inputs"][:, entries], arrays["inputs_begin"][:, entries] = values[end], values[begin]
 
     # -- for files
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from nsmodel.grid import Grid
 from nsmodel.model.base import Model
+from nsmodel.model.ticks import ticks_of
 from nsmodel.run.driven import OnSteps
 from nsmodel.run.options import Options
 from nsmodel.run.schemes import OfScheme
@@ -21,7 +23,7 @@ class OnGrid(OverGrid, OfScheme):
     def __init__(self, model: Model, options: Options, grid: Grid, there: There) -> None:
         super().__init__(model, options, grid, grid, there)
         self.grid, self.N, self.every = grid, grid.N, options.save_every
-        self.driven = None if grid.drive is None else OnSteps(grid, grid.drive, self.starter)
+        self.driven = None if grid.drive is None else OnSteps(grid, grid.drive, self.starter, ticks_of(model))
         row = 8 * (self.stepper.layout.width + 5) + self.warm.index.size
         self.record = self.start(grid, rows_in_memory(grid.N, options, row, len(self.known)))
 
@@ -41,7 +43,7 @@ class OnGrid(OverGrid, OfScheme):
         free = slice(record.filled, None)
         room = (len(record.t) - record.filled) * every - k % every
         steps = 1 if self.last_index is None else min(end - k, room)  # the first alone: no index set has changed before it
-        state, given = (self.state, None) if self.driven is None else self.driven.block(self.state, k, steps)
+        state, given = (self.state, None) if self.driven is None else self.driven.block(self.state, k, steps, self.warm.l)
         steps = steps if given is None else len(given)
         done = self.rollout.advance(
             k, steps, state, self.warm, self._least(), every, record.rows[free], record.index[free], given
@@ -71,12 +73,12 @@ class OnGrid(OverGrid, OfScheme):
         counting, seen, driven = self.counting, None if last is None else warm, self.driven
         try:
             while k < end and not (stop or record.full):
+                start = state if driven is None else driven.state(state, k, warm.l)
                 if constant:
                     t, h_k = k * h, h if k < N - 1 else grid.last
+                    start = start if h_k == h or k == 0 else shortened(self.model, start, h_k / h)
                 else:
                     t, h_k = grid.time(k), grid.step(k)
-                start = state if h_k == h or not constant or k == 0 else shortened(self.model, state, h_k / h)
-                start = start if driven is None else driven.state(start, k)
                 row, warm, solver = step(t, h_k, start, warm, k)
                 state = row[state_at]
                 counts[solver] += 1
@@ -94,3 +96,9 @@ class OnGrid(OverGrid, OfScheme):
         finally:
             worst_t = None if worst_k is None else grid.time(worst_k)
             self._put(k, state, warm, last, worst, worst_t, newton, newton_max, changes)
+
+    def stand(self, saved: dict[str, Any]) -> None:
+        """Take up what ``standing`` gave."""
+        super().stand(saved)
+        if self.driven is not None:
+            self.driven.stand(self.state, self.k)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nsmodel.errors import StepError
+from nsmodel.errors import CodegenError, StepError
 from nsmodel.identity import INTERPRETED
 from nsmodel.model.base import Model
 from nsmodel.pieces.course import Course
@@ -24,8 +24,9 @@ from nsmodel.run.piece_makers import InC, Interpreted, Maker
 from nsmodel.run.piece_rows import Columns
 from nsmodel.run.row_facts import facts
 from nsmodel.scheme.continuous import ContinuousProblem
-from nsmodel.scheme.driven import data
+from nsmodel.scheme.driven import data, moving
 from nsmodel.signals.drive import as_one
+from nsmodel.signals.kept import Kept
 from nsmodel.signals.signal import Signal
 from nsmodel.solve import cost
 from nsmodel.solve.choose import Plan
@@ -62,6 +63,8 @@ def chosen_maker(
     def build() -> Any:
         from nsmodel.codegen.piece_runs import PiecesInC
 
+        if model.blocks:
+            raise CodegenError("pieces that blocks end have no C counterpart")
         fixed = () if problem.held else known.times
         return PiecesInC(problem, mark, *tolerances, fixed, known.table, residuals=options.certified)
 
@@ -92,15 +95,18 @@ def known_of(model: Model, t_end: float) -> Known:
     """The known times of a model, and of the signals of a run also those beyond its end: pieces go beyond it."""
     if not model.inputs:
         return Known(model.switch_times)
-    joints = [signal.joints(AHEAD * t_end) for signal in model.inputs.values() if isinstance(signal, Signal)]
-    times = as_one(np.concatenate([np.array(model.switch_times, float), *joints]))
-    return Known(tuple(times.tolist()), partial(data, model))
+    ahead = AHEAD * t_end
+    joints = [signal.joints(ahead) for signal in model.inputs.values() if isinstance(signal, Signal)]
+    ticks = [block.ticks(ahead) for block in model.blocks]
+    times = as_one(np.concatenate([np.array(model.switch_times, float), *joints, *ticks]))
+    moves = any(signal.moving for signal in model.inputs.values())
+    return Known(tuple(times.tolist()), partial(data, model), partial(moving, model) if moves else None)
 
 
 def _course(problem: ContinuousProblem, options: Options, rtol: float, atol: list[float], known: Known) -> Course:
     """What goes on, with stretches of steps where "auto" lets it; StepError where it cannot start."""
     integrator = Integrator(problem, rtol, atol, known, residuals=options.certified)
-    if options.method == METHODS[1] or options.certified:
+    if options.method == METHODS[1] or options.certified or problem.updaters:  # Steps do not see updates.
         if integrator.stopped is not None:
             raise StepError(integrator.stopped)
         return Course(integrator, None)
@@ -126,8 +132,11 @@ def _plan(problem: ContinuousProblem, options: Options, rtol: float, model: Mode
         used.append("switches of operations that are not analytic (fabs, fmax, if_else, ...), watched")
     if known := model.switch_times:
         used.append(f"{len(known)} known times (switch_times): each ends a piece, the mode is chosen anew")
-    if model.inputs:
-        used.append(f"inputs {', '.join(model.inputs)}: polynomials of time between known times, each of which ends a piece")
+    if given := [name for name, signal in model.inputs.items() if not isinstance(signal, Kept)]:
+        used.append(f"inputs {', '.join(given)}: polynomials of time between known times, each of which ends a piece")
+    for block in model.blocks:
+        when = "when a condition of its update changes" if block.period is None else "at its ticks, each of which ends a piece"
+        used.append(f"block {block.name}: acts {when}")
     if problem.sliding:
         used.append(f"stick and slip are modes of {', '.join(problem.sliding)}: in slip, l is a series of y")
     if options.certified:

@@ -75,7 +75,7 @@ class OfScheme:
         self._first = h
         self.known = initial_rows(model, h)
         self.k, self.state = len(self.known) - 1, start_state(self.problem, self.known[-1][0], h, tolerance)
-        few = grid.steps is None or np.unique(grid.steps).size <= FEW_STEPS
+        few = grid.steps is None or (np.unique(grid.steps).size <= FEW_STEPS and not (grid.drive and grid.drive.moving))
         self.stepper: Any = make_stepper(self.problem, options.solver, tolerance, h=h, state=self.state, few_steps=few)
         self.warm, self.last_index = self.stepper.cold(), None
         self.watches = () if model.u.numel() else impacts.watched(model)

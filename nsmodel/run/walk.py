@@ -16,6 +16,7 @@ from nsmodel.model.base import Model
 from nsmodel.once import once
 from nsmodel.run.options import Options
 from nsmodel.signals.drive import Drive
+from nsmodel.signals.kept import Kept
 from nsmodel.solve.choose import Plan
 
 PER_CENT = {"total": 100, "unit": "%", "bar_format": "{percentage:3.0f}%|{bar}| {elapsed}<{remaining}"}  # Of the time.
@@ -154,9 +155,13 @@ def noting_inputs(plan: Plan, drive: Drive | None) -> Plan:
     """The plan with what drives the steps, and where these end for it."""
     if drive is None:
         return plan
-    kinds = ", ".join(f"{name} ({type(signal).__name__.lower()})" for name, signal in drive.signals.items())
-    ends = f": a step ends at each of {drive.points.size} times at which they jump or bend" if drive.points.size else ""
-    return replace(plan, used=(*plan.used, f"inputs {kinds}{ends}"))
+    given = {name: signal for name, signal in drive.signals.items() if not isinstance(signal, Kept)}
+    kinds = ", ".join(f"{name} ({type(signal).__name__.lower()})" for name, signal in given.items())
+    ticking = ", ".join(dict.fromkeys(signal.by for signal in drive.signals.values() if isinstance(signal, Kept)))
+    ends = f": a step ends at each of {drive.points.size} times at which they jump, bend or tick" if drive.points.size else ""
+    placed = f"; {drive.moving} edges between two of these lie where blocks place them" if drive.moving else ""
+    what = " and ".join(text for text in (kinds and f"inputs {kinds}", ticking and f"blocks {ticking}") if text)
+    return replace(plan, used=(*plan.used, what + ends + placed))
 
 
 # -- failures ----------------------------------------------------------------------------------------------------------

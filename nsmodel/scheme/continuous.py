@@ -44,6 +44,8 @@ class ContinuousProblem:
         records: further columns of a trajectory, expressions of t, x and l.
         growths: of the blocks whose l pushes with another force the faster they slip.
         held: number of the last entries of x that are inputs (see `driven`), set at known times; nothing acts on them.
+        updates: what blocks that act after each step set next, expressions of t and x; updated: numbers of the entries of x that
+            they set; updaters: the names of these blocks.
         impulses: whether the class's multipliers are the integrals of l over steps; l itself is then called reactions.
     """
 
@@ -67,6 +69,9 @@ class ContinuousProblem:
     growths: tuple[Growth, ...] = ()
     impulses: bool = False
     held: int = 0
+    updates: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
+    updated: tuple[int, ...] = ()
+    updaters: tuple[str, ...] = ()
 
     @property
     def sliding(self) -> tuple[str, ...]:

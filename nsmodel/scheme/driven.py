@@ -7,7 +7,8 @@ steps of stretches, checkpoints and C know inputs as states that nothing else ac
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,9 +16,13 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.model.base import Model
+from nsmodel.model.ticks import ticks_of
+from nsmodel.once import once
 from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven
 from nsmodel.signals.function import Expression
-from nsmodel.signals.signal import Signal
+from nsmodel.signals.kept import Kept
+from nsmodel.signals.pwm import Pwm
+from nsmodel.signals.signal import Signal, later
 
 
 def driven(problem: ContinuousProblem, model: Model) -> ContinuousProblem:
@@ -43,19 +48,27 @@ def driven(problem: ContinuousProblem, model: Model) -> ContinuousProblem:
             rate += [*own[1:], ca.SX(0)]
             names += [symbol.name() for symbol in own]
     held = ca.vertcat(ca.SX(0, 1), *chain)
+    updates = [block for block in model.blocks if block.period is None]
     put = (ca.vertcat(*symbols), ca.vertcat(*values))
     parts = {
         name: ca.substitute(part, *put)
         for name in ("f", "g", "h", "multipliers", "outputs")
         if (part := getattr(problem, name)) is not None and part.numel()
     }
+    first = {str(symbol): problem.x.numel() + i for i, symbol in enumerate(chain)}
+    for block in updates:
+        if ca.depends_on(block.next, getattr(model, "lam", ca.SX(0, 1))):
+            raise NotEventDriven(f"block '{block.name}' reads multipliers after each step")
     f, g = (
         ca.vertcat(parts.get(name, getattr(problem, name)), more) for name, more in (("f", ca.vertcat(*rate)), ("g", 0 * held))
     )
     return replace(
         problem, **parts | {"f": f, "g": ca.densify(g)}, x=ca.vertcat(problem.x, held), held=held.numel(),
-        names=(*problem.names, *names), x0=ca.vertcat(problem.x0, ca.DM(data(model, 0.0))),
+        names=(*problem.names, *names), x0=ca.vertcat(problem.x0, ca.DM(data(model, 0.0, None))),
         records={name: ca.substitute(record, *put) for name, record in problem.records.items()},
+        updates=ca.substitute(ca.vertcat(ca.SX(0, 1), *(block.next for block in updates)), *put),
+        updated=tuple(first[model.input_names[place]] for block in updates for place in block.at),
+        updaters=tuple(block.name for block in updates for _ in block.at),
     )  # fmt: skip
 
 
@@ -72,12 +85,68 @@ def kinds(model: Model) -> list[Any]:
     return [s.column if isinstance(s, Expression) else degree_of(name, s) for name, s in model.inputs.items()]
 
 
-def data(model: Model, t: float) -> list[float]:
-    """What the states of the inputs are just after time t."""
-    return [value for column in _columns(model, t) for value in column]
+def data(model: Model, t: float, x: Sequence[float] | None) -> list[float]:
+    """What the states of the inputs are just after time t, where the state is x; at the start it is None."""
+    ticks = ticks_of(model)
+    if ticks is None:
+        return [value for column in _columns(model.inputs, t) for value in column]
+    u = np.concatenate([signal.after(np.array([t]))[0] for signal in _signals(model.inputs).values()])
+    if x is None:
+        u = ticks.start(np.array(ca.DM(model.start)).ravel(), u)
+    else:
+        u[ticks.at] = held_of(model, x)
+        u = ticks.after(ticks.due(t), t, np.array(x[: ticks.states]), np.zeros(ticks.multipliers), u)
+    kept = ticks.kept(u)
+    return [v for column in _columns({name: s.holding(kept) for name, s in _signals(model.inputs).items()}, t) for v in column]
 
 
-def _columns(model: Model, t: float) -> Iterator[list[float]]:
-    for signal in model.inputs.values():
+def held_of(model: Model, x: Sequence[float]) -> np.ndarray:
+    """What blocks hold, of a state in continuous time, in the order in which they set it."""
+    ticks, places = ticks_of(model), _places(model)
+    return np.array([x[len(x) - places[None] + places[place]] for place in ([] if ticks is None else ticks.at.tolist())])
+
+
+def set_by_blocks(model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """The entries of the inputs that blocks set, or that a PWM has whose duty they hold, and their places among held states."""
+    groups, places = list(model.input_groups.items()), _places(model)
+    owners = [model.inputs[group] for group, names in groups for _ in names]
+    entries = [place for place, signal in enumerate(owners) if isinstance(signal, Kept) or (signal and signal.moving)]
+    return np.array(entries, int), np.array([places[entry] for entry in entries], int)
+
+
+def moving(model: Model, t: float, x: Sequence[float]) -> float:
+    """The first edge after t of PWMs whose duty blocks hold, in the periods of t."""
+    ticks = ticks_of(model)
+    if ticks is None:
+        return math.inf
+    u = np.zeros(model.u.numel())
+    u[ticks.at] = held_of(model, x)
+    kept = ticks.kept(u)
+    pwms = [signal.holding(kept) for signal in _signals(model.inputs).values() if signal.moving]
+    found = [pwm.pulse(t) for pwm in pwms if isinstance(pwm, Pwm)]
+    times = np.concatenate([np.zeros(0), *found])
+    return float(times[times > later(np.array(t))].min(initial=math.inf))
+
+
+def _signals(inputs: Mapping[str, Any]) -> dict[str, Signal]:
+    return {name: signal for name, signal in inputs.items() if isinstance(signal, Signal)}
+
+
+@once
+def _places(model: Model) -> dict[int | None, int]:
+    """Where the value of each entry of u stands among the states of the inputs; under None how many there are."""
+    found: dict[int | None, int] = {}
+    entry = at = 0
+    for group, signal in model.inputs.items():
+        for _ in model.input_groups[group]:
+            if not isinstance(signal, Expression):
+                found[entry] = at
+                at += degree_of(group, signal) + 1
+            entry += 1
+    return {**found, None: at}
+
+
+def _columns(inputs: Mapping[str, Any], t: float) -> Iterator[list[float]]:
+    for signal in inputs.values():
         if isinstance(signal, Signal) and not isinstance(signal, Expression):
             yield from np.asarray(signal.derivatives(t)).T.tolist()

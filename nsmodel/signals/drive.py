@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from nsmodel.errors import UsageError
+from nsmodel.signals.pwm import Pwm
 from nsmodel.signals.signal import Signal, earlier, later
 
 
@@ -16,8 +17,8 @@ class Drive:
     """Signals, by input, up to t_end.
 
     Attributes:
-        points: the times within (0, t_end) at which one jumps or bends, those that are near each other as one; jumps: those of
-            them at which one jumps.
+        points: the times within (0, t_end) at which one jumps or bends, or a block ticks, those that are near each other as one;
+            jumps: those of them at which one jumps.
     """
 
     signals: Mapping[str, Signal]
@@ -25,16 +26,32 @@ class Drive:
     jumps: np.ndarray
 
     @classmethod
-    def of(cls, signals: Mapping[str, Signal], t_end: float) -> Drive:
-        """Look for the points; ModelError where a signal is none up to there."""
+    def of(cls, signals: Mapping[str, Signal], t_end: float, ticks: Sequence[np.ndarray] = ()) -> Drive:
+        """Look for the points, with ``ticks`` of blocks; ModelError where a signal is none up to there."""
         for name, signal in signals.items():
             signal.refuse(f"input '{name}'", t_end)
         edges = [signal.edges(t_end) for signal in signals.values()]
-        points = as_one(np.concatenate([*edges, *(signal.kinks(t_end) for signal in signals.values()), np.zeros(0)]))
+        kinks = [signal.kinks(t_end) for signal in signals.values()]
+        points = as_one(np.concatenate([*edges, *kinks, *ticks, np.zeros(0)]))
         points = points[points < earlier(np.array(t_end))]
         jumps = np.concatenate([*edges, np.zeros(0)])
         at = np.searchsorted(points, earlier(jumps))
         return cls(signals, points, points[np.unique(at[at < points.size])] if points.size else points)
+
+    @property
+    def moving(self) -> int:
+        """The most edges between two points that blocks place."""
+        return sum(signal.moving for signal in self.signals.values())
+
+    def holding(self, kept: Mapping[str, np.ndarray]) -> Drive:
+        """The signals with what blocks hold now."""
+        return replace(self, signals={name: signal.holding(kept) for name, signal in self.signals.items()})
+
+    def within(self, a: float, b: float) -> np.ndarray:
+        """Both times, and between them the edges of PWMs that blocks have placed."""
+        found = [signal.pulse(a) for signal in self.signals.values() if isinstance(signal, Pwm)]
+        times = as_one(np.concatenate([*found, np.zeros(0)]))
+        return np.concatenate([[a], times[(times > later(np.array(a))) & (times < earlier(np.array(b)))], [b]])
 
     def refuse_count(self, N: int) -> None:
         """UsageError where a signal is for another number of steps than a run's."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError
+from nsmodel.signals.kept import Kept
 from nsmodel.signals.signal import Held, Signal, earlier, later, numbers, one_of
 
 KINDS = ("trailing", "leading", "centre")
@@ -18,7 +21,7 @@ class Pwm(Signal):
     """See `pwm`."""
 
     period: float
-    duty: Signal
+    duty: Any  # A signal; of a PWM that a model has not read yet, an expression.
     phase: float
     low: float
     high: float
@@ -28,6 +31,15 @@ class Pwm(Signal):
     def flat(self) -> bool:
         """It is."""
         return True
+
+    @property
+    def moving(self) -> int:
+        """The edges within a period, whose begin is known, where a block says how long pulses are."""
+        return {"centre": 2}.get(self.kind, 1) if isinstance(self.duty, Kept) else 0
+
+    def holding(self, kept: Mapping[str, np.ndarray]) -> Signal:
+        """The PWM with the duty that is held now."""
+        return replace(self, duty=self.duty.holding(kept)) if isinstance(self.duty, Kept) else self
 
     def refuse(self, label: str, t_end: float) -> None:
         """A duty that leaves [0, 1]."""
@@ -52,8 +64,15 @@ class Pwm(Signal):
         end = {"trailing": d, "leading": 0 * d + 1, "centre": (1 + d) / 2}[self.kind]
         return self.phase + (k + begin) * self.period, self.phase + (k + end) * self.period
 
+    def pulse(self, t: float) -> np.ndarray:
+        """When the pulse of the period of a time begins and ends."""
+        return np.concatenate(self._pulses(np.floor((later(np.array([t])) - self.phase) / self.period)))
+
     def edges(self, t_end: float) -> np.ndarray:
-        """Where pulses begin and end; none where one ends as the next begins, or is empty."""
+        """Where pulses begin and end; none where one ends as the next begins, or is empty; where blocks place them, begins of periods."""
+        if isinstance(self.duty, Kept):
+            begins = self.phase + self._periods(t_end) * self.period
+            return begins[(begins >= 0) & (begins <= t_end)]
         begin, end = self._pulses(self._periods(t_end))
         real = end > later(begin)
         begin, end = begin[real], end[real]
@@ -74,12 +93,19 @@ class Pwm(Signal):
         return np.where((t >= begin) & (t < end), self.high, self.low)[:, None]
 
 
+def _is_expression(value: Any) -> bool:
+    """Whether a value is an expression of CasADi or of SymPy."""
+    return isinstance(value, ca.SX | ca.MX) or hasattr(value, "free_symbols")
+
+
 def pwm(period: float, duty: Any, *, phase: float = 0.0, low: float = 0.0, high: float = 1.0, kind: str = "trailing") -> Pwm:
     """A signal that is ``high`` for the part ``duty`` of each ``period``, and ``low`` for the rest; its edges are exact.
 
     Args:
         period: > 0.
-        duty: a number from 0 to 1, or a signal, whose value when a period begins is that of the period. 0 and 1 give no edge.
+        duty: a number from 0 to 1, or a signal, whose value when a period begins is that of the period. 0 and 1 give no edge. Or
+            an expression of what blocks hold, and of all that they read: read when a period begins, after the blocks that tick
+            then, and moved into [0, 1].
         phase: when a period begins.
         low, high: the two values.
         kind: where the pulse lies: "trailing" begins with the period (its trailing edge is modulated), "leading" ends with it,
@@ -95,7 +121,7 @@ def pwm(period: float, duty: Any, *, phase: float = 0.0, low: float = 0.0, high:
         raise ModelError(f"pwm: period = {period:g}; expected a time > 0")
     if isinstance(duty, Signal) and duty.size != 1:
         raise ModelError(f"pwm: duty has {duty.size} values; expected one")
-    if not isinstance(duty, Signal):
+    if not isinstance(duty, Signal) and not _is_expression(duty):
         duty = Held(numbers("pwm", "duty", duty, 0).reshape(1))
         if not 0 <= duty.values[0] <= 1:
             raise ModelError(f"pwm: duty = {duty.values[0]:g}; expected a number from 0 to 1")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,6 +28,11 @@ class Signal(Pickled):
         return False
 
     @property
+    def moving(self) -> int:
+        """The most edges between two of its points that blocks place."""
+        return 0
+
+    @property
     def count(self) -> int | None:
         """The number of steps that it is for; None: any."""
         return None
@@ -36,6 +41,11 @@ class Signal(Pickled):
     def turns(self) -> np.ndarray:
         """The numbers of the steps that begin with a jump, of a signal that is for so many steps."""
         return np.zeros(0, int)
+
+    def holding(self, kept: Mapping[str, np.ndarray]) -> Signal:
+        """The signal with what blocks of a model hold now, by name."""
+        del kept
+        return self
 
     def refuse(self, label: str, t_end: float) -> None:
         """Raise ModelError, naming the input ``label``, where it is no such signal up to ``t_end``."""

@@ -1,0 +1,22 @@
+"""Values that blocks set as a run goes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from nsmodel.signals.signal import Held, Signal
+
+
+@dataclass(frozen=True, eq=False)
+class Kept(Held):
+    """The entry of an input that the block ``by`` sets; until a run says what it is, 0."""
+
+    name: str
+    by: str
+
+    def holding(self, kept: Mapping[str, np.ndarray]) -> Signal:
+        """What is held now."""
+        return Held(kept[self.name])
