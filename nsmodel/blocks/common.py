@@ -101,7 +101,7 @@ def pid(
 
 
 def dead_time(on: Any, off: Any, command: Any, t: Any, *, delay: float, period: float | None = None) -> Block:
-    """Two switches of a leg, never both on: ``on`` follows command > 0, ``off`` the opposite, each ``delay`` after the other is off.
+    """Two switches of a leg, never both on: ``on`` follows command > 0, ``off`` the opposite, ``delay`` later each.
 
     Args:
         on, off: their symbols; command: an expression; t: the model's time.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -136,8 +137,8 @@ class AtTicks:
         """Place the times of the span of step k: a step ends at each edge, and there are as many steps as the grid has."""
         i = bisect_right(self._spans, k) - 1
         first, last = self._spans[i], self._spans[i + 1]
-        times, steps, h = self._grid.times, self._grid.steps, self._grid.asked
-        assert times is not None and steps is not None and h is not None  # Such a grid is made for edges.
+        grid: Any = self._grid  # One that was made for edges.
+        times, steps, h = grid.times, grid.steps, grid.asked
         u = np.zeros(self._drive.size)
         u[self._ticks.at] = self._held
         self._now = self._drive.holding(self._ticks.kept(u))

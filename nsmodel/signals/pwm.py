@@ -69,7 +69,7 @@ class Pwm(Signal):
         return np.concatenate(self._pulses(np.floor((later(np.array([t])) - self.phase) / self.period)))
 
     def edges(self, t_end: float) -> np.ndarray:
-        """Where pulses begin and end; none where one ends as the next begins, or is empty; where blocks place them, begins of periods."""
+        """Where pulses begin and end, not where one ends as the next begins; where periods begin, if blocks place the pulses."""
         if isinstance(self.duty, Kept):
             begins = self.phase + self._periods(t_end) * self.period
             return begins[(begins >= 0) & (begins <= t_end)]
