@@ -35,6 +35,15 @@ ROWS = 1024  # Of a record, at first.
 AHEAD = 2.0  # Times as far as steps have come: signals are looked at up to there.
 
 
+class Free(Held):
+    """An input whose values each step is given."""
+
+    @property
+    def values_taken(self) -> None:
+        """Any."""
+        return
+
+
 class Row:
     """Where a step has led: its time, and what is read off the row that it has made."""
 
@@ -90,7 +99,7 @@ class ModelStepper:
     def __init__(self, model: Model, options: Options, *, record: bool) -> None:
         given = {**model.inputs, **by_name(options.inputs, model.input_groups)}
         self.free = tuple(name for name, signal in given.items() if signal is None)
-        zeros = {name: Held(np.zeros(len(model.input_groups[name]))) for name in self.free}
+        zeros = {name: Free(np.zeros(len(model.input_groups[name]))) for name in self.free}
         self._model: Any = driven_by(model, {**(options.inputs or {}), **zeros}).bind(options.parameters)
         own: Any = self._model
         if class_of(own).optional("walk") is not None:
@@ -110,7 +119,7 @@ class ModelStepper:
         self._at = np.flatnonzero(np.isin(entries, self.free))  # Of the inputs that steps are given, among all.
         state = start_state(self._problem, initial_rows(own, self.h)[-1][0], self.h, options.tolerance)
         few = not any(signal.moving for signal in own.inputs.values())
-        self._step = make_stepper(self._problem, options.solver, options.tolerance, h=self.h, state=state, few_steps=few)
+        self._step = make_stepper(own, options.solver, options.tolerance, h=self.h, state=state, few_steps=few)
         start = self._problem.start
         self._starter = None if start is None else Starter(start, options.tolerance, h=self.h, state=state)
         self._in_c, self._n = InC(own, self.h, options), len(own.names)

@@ -16,7 +16,7 @@ from block_scenes import (
     schmitt,
     thermostat,
 )
-from input_scenes import T
+from input_scenes import T, boost
 
 from nsmodel import (
     FirstOrderSystem,
@@ -275,6 +275,34 @@ def test_reset_wins_over_set():
     np.testing.assert_array_equal(run.z, [0, 0, 0, 0, 1, 1, 1, 0, 0, 0, 0])
 
 
+# -- modes
+
+
+@pytest.mark.parametrize("gamma", [0.5, 1])
+def test_matrices_of_a_switch_that_multiplies_unknowns_are_kept_for_each_mode(gamma):
+    model = boost(gamma=gamma, t_end=1e-3)
+    run = simulate(model, compiled=False)
+    assert "matrices are kept for each mode of u" in run.metadata["used"]
+    assert set(run.metadata["solver_counts"]) <= {"index set", "last index set"}
+    fine = simulate(model, rtol=1e-9)
+    np.testing.assert_allclose(run.x[-1], fine.x[-1], atol={0.5: 1e-2, 1: 0.4}[gamma])
+    c = simulate(model, compiled=True)
+    np.testing.assert_allclose(run.x, c.x, atol=1e-9)
+
+
+def test_a_held_switch_of_two_values_is_a_mode():
+    switch = each_step("b", memory={Z: 1}, update={Z: ca.if_else(X >= 0.5, 0, ca.if_else(X <= 0.2, 1, Z))}, values={Z: (0, 1)})
+    model = plant(switch, f=Z * (1 - X) - 2 * (1 - Z) * X, step=0.01, t_end=3)
+    run = simulate(model, compiled=False)
+    assert "matrices are kept for each mode of z" in run.metadata["used"]
+    x, z = 0.0, 1
+    for k in range(1, len(run)):
+        z = 0 if x >= 0.5 else 1 if x <= 0.2 else z
+        x = (x * (1 - 0.005 * (2 - z)) + 0.01 * z) / (1 + 0.005 * (2 - z))
+        assert run.x[k, 0] == pytest.approx(x, abs=1e-12)
+        assert run.z[k] == z
+
+
 # -- runs: resume, save, stepper, bind
 
 
@@ -408,10 +436,6 @@ def test_given_steps_do_not_know_edges_of_blocks():
         (
             lambda: plant(sampled("b", period=1, memory={Z: 0}, values={Z: "ab"})),
             r"values of z: 'ab'; expected a list of",
-        ),
-        (
-            lambda: plant(sampled("b", period=1, memory={Z: 0}, values={Z: range(17)})),
-            r"17 combinations of values; at most 16 modes",
         ),
         (lambda: plant(counter(), inputs={U: steps([1, 2])}, f=U), None),
     ],

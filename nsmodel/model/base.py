@@ -299,6 +299,15 @@ class Model(Pickled):
         """One name for each scalar input."""
         return tuple(name for names in self.input_groups.values() for name in names)
 
+    @property
+    def values_taken(self) -> list[int | None]:
+        """Of each input how many values it takes at most; None: any."""
+        return [
+            None if signal is None else signal.values_taken
+            for name, signal in self.inputs.items()
+            for _ in self.input_groups[name]
+        ]
+
     def bind(self, values: Values | None = None, *, partly: bool = False) -> Self:
         """Return the model with its parameters replaced by numbers: ``values`` first, then those declared.
 

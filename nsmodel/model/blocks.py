@@ -17,8 +17,6 @@ from nsmodel.signals.kept import Kept
 from nsmodel.signals.pwm import Pwm
 from nsmodel.signals.signal import NEAR, Signal
 
-MOST_MODES = 16  # Combinations of the few values of what multiplies unknowns, for each of which matrices are kept.
-
 
 @dataclass(frozen=True, eq=False)
 class ModelBlock(Pickled):
@@ -29,7 +27,6 @@ class ModelBlock(Pickled):
         at: which entries of the model's inputs it sets.
         next: what a tick sets them to (k, 1), expressions of t, the state, multipliers and inputs.
         start: what they are before the first tick, of the same; memory first.
-        values: of each entry the few values that it takes; None: any.
         latch: whether it follows the other blocks at its ticks, as the duty of a PWM does.
     """
 
@@ -39,7 +36,6 @@ class ModelBlock(Pickled):
     at: tuple[int, ...]
     next: ca.SX
     start: ca.SX
-    values: tuple[tuple[float, ...] | None, ...]
     latch: bool = False
 
     def ticks(self, t_end: float) -> np.ndarray:
@@ -105,11 +101,17 @@ def declared_blocks(given: Any) -> list[DeclaredBlock]:
 
 def kept_signals(blocks: Sequence[DeclaredBlock]) -> dict[str, Kept]:
     """What drives the symbols that blocks set: the blocks."""
-    return {
-        str(symbol.stem): Kept(np.zeros(len(symbol.names)), str(symbol.stem), each.block.name)
-        for each in blocks
-        for symbol in each.symbols
-    }
+    found = {}
+    for each in blocks:
+        label = f"block '{each.block.name}'"
+        few = {
+            name: _few(own, f"{label}: values of {name}")
+            for name, own in _by_name(each.block.values, each, "values", label).items()
+        }
+        for symbol in each.symbols:
+            count = len(few[symbol.stem]) if symbol.stem in few else None
+            found[str(symbol.stem)] = Kept(np.zeros(len(symbol.names)), str(symbol.stem), each.block.name, count)
+    return found
 
 
 def model_blocks(
@@ -127,7 +129,6 @@ def model_blocks(
     for each in blocks:
         block, label = each.block, f"block '{each.block.name}'"
         update, begin = (_by_name(part, each, where, label) for part, where in ((block.update, "update"), (block.start, "start")))
-        few = _by_name(block.values, each, "values", label)
 
         def column(value: Any, symbol: Declared, what: str, label: str = label) -> ca.SX:
             size, where = len(symbol.names), f"{label}: {what} {symbol.stem}"
@@ -144,15 +145,7 @@ def model_blocks(
         starting = [column(value, symbol, "the start of") for symbol, value in each.memory]
         starting += [column(begin.get(symbol.stem, value), symbol, "the start of") for symbol, value in each.outputs]
         at = tuple(place for symbol in each.symbols for place in places[str(symbol.stem)])
-        values = tuple(
-            None if (own := few.get(symbol.stem)) is None else _few(own, f"{label}: values of {symbol.stem}")
-            for symbol in each.symbols
-            for _ in symbol.names
-        )
-        found.append(
-            ModelBlock(block.name, block.period, block.offset, at, ca.vertcat(*following), ca.vertcat(*starting), values)
-        )
-    _refuse_many_modes(found)
+        found.append(ModelBlock(block.name, block.period, block.offset, at, ca.vertcat(*following), ca.vertcat(*starting)))
     return tuple(found)
 
 
@@ -181,14 +174,6 @@ def _few(values: Any, label: str) -> tuple[float, ...]:
     return found
 
 
-def _refuse_many_modes(blocks: Sequence[ModelBlock]) -> None:
-    modes = int(np.prod([len(few) for block in blocks for few in block.values if few is not None], dtype=float))
-    if modes > MOST_MODES:
-        raise ModelError(
-            f"blocks: {modes} combinations of values; at most {MOST_MODES} modes: leave values= out where it is many"
-        )
-
-
 def held_duty(signal: Any) -> bool:
     """Whether a signal is a PWM whose duty is an expression, of what blocks hold."""
     return isinstance(signal, Pwm) and not isinstance(signal.duty, Signal)
@@ -198,5 +183,5 @@ def latched(name: str, signal: Pwm, place: int, duty: ca.SX) -> tuple[Pwm, Model
     """A PWM with the duty that its periods begin with, and the block that keeps that."""
     own, offset = f"{name}.duty", signal.phase % signal.period
     clipped = ca.fmin(ca.fmax(duty, 0), 1)
-    block = ModelBlock(own, signal.period, offset, (place,), clipped, clipped, (None,), latch=True)
+    block = ModelBlock(own, signal.period, offset, (place,), clipped, clipped, latch=True)
     return replace(signal, duty=Kept(np.zeros(1), own, own)), block

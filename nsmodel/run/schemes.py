@@ -24,8 +24,8 @@ from nsmodel.run.options import Options
 from nsmodel.run.told import of_scheme
 from nsmodel.run.walk import There, check_exact, note_distance_to_exact, overrun, runaway
 from nsmodel.scheme import constraints, initial_rows, one_step_problem
-from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.build import Starter, Stepper, start_state
+from nsmodel.solve.by_mode import ByMode, mode_places
 from nsmodel.solve.cost import REPEATED, Cost, building, interpreted
 from nsmodel.solve.projection import CatchingUp
 from nsmodel.solve.stepper import PackedStep, Warm
@@ -35,11 +35,15 @@ FEW_STEPS = 8  # Different step sizes up to which constant matrices are factored
 
 
 def make_stepper(
-    problem: OneStepProblem, solver: str, tolerance: float, *, h: float, state: np.ndarray, few_steps: bool = True
+    model: Model, solver: str, tolerance: float, *, h: float, state: np.ndarray, few_steps: bool = True
 ) -> PackedStep:
-    """Return the stepper of a bound model's problem."""
+    """Return the stepper of a bound model."""
+    problem = one_step_problem(model)
     if problem.prediction is not None:
         return CatchingUp(problem, problem.prediction, solver, tolerance, h=h, state=state)
+    if at := mode_places(problem, model.values_taken, state):
+        names = dict.fromkeys((model.input_names * 2)[place - problem.state.numel()] for place in at)
+        return ByMode(problem, at, list(names), solver, tolerance, h=h, state=state, few_steps=few_steps)
     return Stepper(problem, solver, tolerance, h=h, state=state, few_steps=few_steps)
 
 
@@ -76,7 +80,7 @@ class OfScheme:
         self.known = initial_rows(model, h)
         self.k, self.state = len(self.known) - 1, start_state(self.problem, self.known[-1][0], h, tolerance)
         few = grid.steps is None or (np.unique(grid.steps).size <= FEW_STEPS and not (grid.drive and grid.drive.moving))
-        self.stepper: Any = make_stepper(self.problem, options.solver, tolerance, h=h, state=self.state, few_steps=few)
+        self.stepper: Any = make_stepper(model, options.solver, tolerance, h=h, state=self.state, few_steps=few)
         self.warm, self.last_index = self.stepper.cold(), None
         self.watches = () if model.u.numel() else impacts.watched(model)
         self.counts: Counter[str] = Counter()

@@ -16,6 +16,12 @@ class Kept(Held):
 
     name: str
     by: str
+    few: int | None = None
+
+    @property
+    def values_taken(self) -> int | None:
+        """Those that the block names."""
+        return self.few
 
     def holding(self, kept: Mapping[str, np.ndarray]) -> Signal:
         """What is held now."""

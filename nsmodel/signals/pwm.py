@@ -33,6 +33,11 @@ class Pwm(Signal):
         return True
 
     @property
+    def values_taken(self) -> int:
+        """Low and high."""
+        return 2
+
+    @property
     def moving(self) -> int:
         """The edges within a period, whose begin is known, where a block says how long pulses are."""
         return {"centre": 2}.get(self.kind, 1) if isinstance(self.duty, Kept) else 0

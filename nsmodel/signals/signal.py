@@ -33,6 +33,11 @@ class Signal(Pickled):
         return 0
 
     @property
+    def values_taken(self) -> int | None:
+        """How many values it takes at most; None: any."""
+        return None
+
+    @property
     def count(self) -> int | None:
         """The number of steps that it is for; None: any."""
         return None
@@ -100,6 +105,11 @@ class Held(Signal):
     def flat(self) -> bool:
         """It is."""
         return True
+
+    @property
+    def values_taken(self) -> int | None:
+        """One."""
+        return 1
 
     def after(self, t: np.ndarray) -> np.ndarray:
         """The values."""

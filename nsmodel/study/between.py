@@ -70,7 +70,7 @@ def steps_from(run: OnGrid, start: np.ndarray, made: Trajectory) -> Step:
     model, n = run.model, len(run.model.names)
     part = class_of(model).optional("study")
     state_at = part.states(model, made, start) if part is not None else lambda row, h: made.x[row]
-    stepper = make_stepper(run.problem, "auto", run.stepper.tolerance, h=run.grid.step(0), state=start, few_steps=False)
+    stepper = make_stepper(run.model, "auto", run.stepper.tolerance, h=run.grid.step(0), state=start, few_steps=False)
 
     def step(row: int, h: float) -> np.ndarray:
         try:

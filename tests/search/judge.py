@@ -251,7 +251,7 @@ def _last_predictor(model: Any, run: Run, t: float, h: float) -> np.ndarray | No
     """x + h v with v as the selection gives it."""
     from nsmodel.run.schemes import make_stepper
 
-    stepper = make_stepper(one_step_problem(model), "auto", 1e-9, h=h, state=run.x[-1])
+    stepper = make_stepper(model, "auto", 1e-9, h=h, state=run.x[-1])
     try:
         return run.x[-1] + h * stepper._select(t, run.x[-1])[0]
     except StepError:

@@ -1,0 +1,87 @@
+"""The step of a problem whose matrices move with inputs that take few values: its matrices are kept for each of these."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.scheme.problem import OneStepProblem
+from nsmodel.solve.build import Stepper
+from nsmodel.solve.stepper import StepResult, Warm
+from nsmodel.solve.structure import read
+
+MOST = 16  # Modes whose matrices are kept.
+
+
+class ByMode:
+    """A stepper for each mode, made where it is first met; what is asked of it but a step is that of the first.
+
+    ``at``: where the state has the values that make a mode; ``names``: of the inputs.
+    """
+
+    def __init__(
+        self, problem: OneStepProblem, at: Sequence[int], names: Sequence[str], solver: str, tolerance: float,
+        *, h: float, state: np.ndarray, few_steps: bool = True,
+    ) -> None:  # fmt: skip
+        """As `Stepper`."""
+        self.problem, self._at, self._how = problem, np.array(at), (solver, tolerance)
+        self._options: dict[str, Any] = {"h": h, "few_steps": few_steps}
+        self._steppers: dict[bytes, Stepper] = {}
+        first = self._of(state)
+        self.plan = replace(first.plan, used=(*first.plan.used, f"matrices are kept for each mode of {', '.join(names)}"))
+        self.layout, self.rows, self.structure, self.tolerance = first.layout, first.rows, first.structure, tolerance
+        self.repeats, self.cold, self.met = first.repeats, first.cold, first.met
+
+    @property
+    def least_eigenvalue(self) -> float:
+        """The least of those met in all modes."""
+        return min(stepper.least_eigenvalue for stepper in self._steppers.values())
+
+    def __call__(self, t: float, h: float, state: np.ndarray, warm: Warm, k: int = 0) -> StepResult:
+        """Take the step of the mode that the state is in."""
+        return self._of(state)(t, h, state, warm, k)
+
+    def _of(self, state: np.ndarray) -> Stepper:
+        key = state[self._at].tobytes()
+        if key not in self._steppers:
+            if len(self._steppers) >= MOST:
+                self._steppers.clear()
+            mode = in_mode(self.problem, self._at, state)
+            self._steppers[key] = Stepper(mode, *self._how, state=state, **self._options)
+        return self._steppers[key]
+
+
+def in_mode(problem: OneStepProblem, at: Sequence[int] | np.ndarray, state: np.ndarray) -> OneStepProblem:
+    """The problem with the numbers that a state has in some places; what a step passes on stays as it is."""
+    symbols, values = problem.state[list(at)], ca.SX(state[list(at)].tolist())
+
+    def put(part: ca.SX | None) -> Any:
+        return None if part is None else ca.substitute(part, symbols, values)
+
+    names = ("E", "Y", "guess", "multipliers", "outputs", "overreach")
+    return replace(
+        problem, **{name: put(getattr(problem, name)) for name in names},
+        records={name: put(record) for name, record in problem.records.items()},
+    )  # fmt: skip
+
+
+def mode_places(problem: OneStepProblem, few: Sequence[int | None], state: np.ndarray) -> list[int]:
+    """Where the state has inputs of few values that the matrices move with; empty where these are not constant without them.
+
+    ``few``: of each input how many values it takes, None: any.
+    """
+    nu, end = problem.inputs, problem.state.numel()
+    if not nu or read(problem).constant or not any(few):
+        return []
+    matrices = ca.veccat(*problem.jacobians)
+    found, modes = [], 1
+    for i, count in enumerate(few):
+        places = [place for place in (end - 2 * nu + i, end - nu + i) if ca.depends_on(matrices, problem.state[place])]
+        if places and count is not None:
+            found += places
+            modes *= count
+    return found if found and modes <= MOST and read(in_mode(problem, found, state)).constant else []
