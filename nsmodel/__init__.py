@@ -26,7 +26,7 @@ from nsmodel.laws import (
     second_order_cone,
 )
 from nsmodel.loader import load
-from nsmodel.signals import Signal, pwm, signal, steps, table
+from nsmodel.signals import Signal, Within, pwm, signal, steps, table, within
 from nsmodel.version import VERSION
 
 __version__ = VERSION
@@ -76,6 +76,7 @@ __all__ = [
     "SweepingProcess",
     "Trajectory",
     "UsageError",
+    "Within",
     "ball",
     "box",
     "check",
@@ -105,6 +106,7 @@ __all__ = [
     "study",
     "table",
     "thyristor",
+    "within",
 ]
 
 _later(

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -15,16 +16,19 @@ from nsmodel.errors import ModelError, StepError, UsageError
 from nsmodel.hypotheses import impacts, uniform
 from nsmodel.hypotheses.along import along
 from nsmodel.hypotheses.findings import ALONG_A_RUN, HOLDS, VIOLATED, Consequence, Finding, Hypothesis, measured, plain
+from nsmodel.hypotheses.inputs import Motion, beyond, motion_of, told, unsettled
 from nsmodel.hypotheses.region import Region, around, region_of
 from nsmodel.hypotheses.report.report import Report
 from nsmodel.hypotheses.scope import Box, Scope, meet
 from nsmodel.hypotheses.stay import clauses
 from nsmodel.model.arguments import shown
 from nsmodel.model.base import Model
+from nsmodel.model.driven import frozen
 from nsmodel.model.parameters import Values, split_boxes
 from nsmodel.proof.graph import OpaqueExpression
 from nsmodel.proof.search import quick_searches
 from nsmodel.scheme import one_step_problem
+from nsmodel.signals import Within
 from nsmodel.simulate import simulate
 from nsmodel.solve.structure import read
 from nsmodel.trajectory import Trajectory
@@ -34,6 +38,9 @@ FEW_STEPS = 4000  # Steps looked at where each needs Newton's method.
 LATE = f"where y closes with y' != 0 a state jumps, an impact; see {impacts.GUIDE}"
 WIDER, FEW_STATES = 10.0, 4  # Where counterexamples outside the box are looked for, jumps where there are up to so many states.
 ASYMPTOTIC = 0.3, 2.5  # Orders seen outside of this range are chance.
+SAME_TIME = 1e-12  # Of the run: rows nearer than this are at one time.
+TWICE = 1.8, 2.2  # Rows of a run beside those with steps twice as long.
+CONSTANT = "seen for constant inputs alone"
 
 
 def hypotheses_of(kind: type[Model]) -> tuple[Hypothesis, ...]:
@@ -51,6 +58,7 @@ def check(
     *,
     parameters: Values | None = None,
     region: Mapping[str, tuple[float, float]] | None = None,
+    bounds: Mapping[Any, Within] | None = None,
     quick: bool = False,
 ) -> Report:
     """Decide each hypothesis that the theory of this model class rests on, and say what follows.
@@ -63,13 +71,16 @@ def check(
             holds for all of them, or the value is shown where it fails.
         region: {state or symbol: (low, high)}, where hypotheses about all states are decided if no proof covers them
             everywhere; states left out have an interval around the runs.
+        bounds: {input or its name: within(low, high, rate=None)}: all signals within these are meant, not only the model's own;
+            inputs left out have bounds that are read off their signals (see `docs/inputs.md`).
         quick: skip runs, global searches and local maximisation.
 
     Returns:
         the report: ``report["A5"].verdict``, ``report.findings``, ``report.consequences``, ``report.text()``.
 
     Raises:
-        UsageError: no model, an unknown parameter or state, a parameter without value where numbers are needed.
+        UsageError: no model, an unknown parameter, state or input, a parameter without value where numbers are needed, an input
+            of which neither signal nor bounds tell its values.
 
     >>> from nsmodel import LureSystem, check, relay
     >>> report = check(LureSystem(A=[[0, 1], [-1, 0]], B=[0, 1], C=[0, 1], law=relay(1), x0=[1, 0], t_end=1, step=0.1))
@@ -81,15 +92,18 @@ def check(
     model.refuse("check")
     parameters, boxes = split_boxes(parameters, model.parameters)
     values = {**model.parameters, **model.values_of(parameters)}
-    if boxes:
-        return _for_all(model, values, boxes, runs, region, quick)
+    t_end = max([float(model.t_end or 0.0), *(float(run.t[-1]) for run in runs or ())])
+    motion = motion_of(model, bounds, t_end)
+    if boxes or motion.names:
+        return _for_all(model, values, boxes, motion, runs, region, quick)
     missing = tuple(name for name, value in values.items() if value is None)
     if missing and class_of(model).optional("hypotheses.symbolic"):
-        return _symbolic(model.bind(values, partly=True), values, missing)
-    bound = model.bind(values)
+        return _symbolic(_held(model.bind(values, partly=True), motion), values, missing)
+    driven = model.bind(values)
+    bound = _held(driven, motion)
     notes: list[str] = []
     given = runs is not None or quick
-    own = list(runs or ()) if given else _runs(bound, notes)
+    own = list(runs or ()) if given else _runs(driven, notes)
     box = region_of(bound, own, region)
     own = _stepped(own, notes)
     try:
@@ -102,13 +116,40 @@ def check(
         notes += effort.notes(bound, [] if given else own)
     if not own:
         notes += [f"{watch.acts}, not on y': {LATE}" for watch in impacts.watched(bound) if not watch.relay]
-    else:
-        twin = own[1] if len(own) > 1 and len(own[1].t) == len(own[0].t) else None
-        span = Scope(time=(float(own[0].t[0]), float(own[0].t[-1])))
-        findings += [replace(item, scope=span) for item in along(bound, own[0], findings, twin, quick)]
-        if not given:
-            consequences += _refined(bound, own[0])
-    return _report(bound, box.text, findings, consequences, bound.bound_parameters, notes, quick)
+    seen = _seen(driven, motion, own, findings, notes, given, quick)
+    lines = _told(driven, motion)
+    return _report(
+        driven, box.text, [*findings, *seen[0]], [*consequences, *seen[1]], driven.bound_parameters, notes, quick, lines
+    )
+
+
+def _held(model: Model, motion: Motion) -> Model:
+    """The model at constant values of its inputs, of those that move as parameters without value."""
+    return frozen(model, motion.held) if model.u.numel() else model
+
+
+def _seen(
+    model: Model, motion: Motion, runs: Sequence[Trajectory], findings: Sequence[Finding], notes: list[str], given: bool,
+    quick: bool,
+) -> tuple[list[Finding], list[Consequence]]:  # fmt: skip
+    """What runs with the signals of the model show, where these are among those meant."""
+    if not runs:
+        return [], []
+    if why := beyond(model, motion, runs[0]):
+        notes.append(f"{why}: nothing that is said of signals within them is said of the run, which is not looked at")
+        return [], []
+    twin = runs[1] if len(runs) > 1 and len(runs[1].t) == len(runs[0].t) else None
+    span = Scope(time=(float(runs[0].t[0]), float(runs[0].t[-1])))
+    part = class_of(model).optional("hypotheses.twins") if motion.names else None  # else the class's check compares them
+    made = [*(part.compared(model, findings, runs) if part else []), *along(model, runs[0], findings, twin, quick)]
+    made = [replace(item, scope=span) for item in made]
+    return made, [] if given else _refined(model, runs[0])
+
+
+def _told(model: Model, motion: Motion) -> tuple[str, ...]:
+    """Where inputs stand, and which signals are meant."""
+    part = class_of(model).optional("hypotheses.driven")
+    return told(model, motion, None if part is None else part.PARTS)
 
 
 def _stepped(runs: Sequence[Trajectory], notes: list[str]) -> list[Trajectory]:
@@ -130,35 +171,62 @@ def modes_note(run: Trajectory) -> str:
 
 
 def _for_all(
-    model: Model, values: Mapping[str, float | None], boxes: Box, runs: Sequence[Trajectory] | None,
-    region: Mapping[str, tuple[float, float]] | None, quick: bool,
+    model: Model, values: Mapping[str, float | None], boxes: Box, motion: Motion,
+    runs: Sequence[Trajectory] | None, region: Mapping[str, tuple[float, float]] | None, quick: bool,
 ) -> Report:  # fmt: skip
-    """Decide the hypotheses for all values of parameters in boxes: proofs of the class, and values where one fails.
+    """Decide the hypotheses for all values of parameters and inputs in boxes: proofs of the class, and values where one fails.
 
     Of each hypothesis without such a proof the reports at many values are joined, of which one may show that it fails.
     """
     part = model.bind({**values, **dict.fromkeys(boxes)}, partly=True)
     if missing := set(part.parameters) - set(boxes):
-        raise UsageError(f"parameter '{min(missing)}' has no value; beside boxes of parameters, give it a number or a box")
+        beside = "boxes of parameters" if boxes else "inputs"
+        raise UsageError(f"parameter '{min(missing)}' has no value; beside {beside}, give it a number or a box")
     boxes = {name: boxes[name] for name in part.parameters}
+    driven = part.bind(uniform.middle_of(boxes)) if boxes else part
+    still, every = _held(part, motion), {**boxes, **motion.box}
     notes: list[str] = []
+    given = runs is not None or quick
+    own = list(runs or ()) if given else _runs(driven, notes)
     proofs = _proofs_for_all(type(model))
-    special = proofs.values(part, boxes) if proofs else ()
-    at = [(one, part.bind(one)) for one in uniform.values_in(boxes, special)]
-    own = list(runs or ()) if runs is not None or quick else _runs(at[0][1], notes)
-    box = around([region_of(bound, own, region) for _, bound in at], boxes)
+    looked_at = uniform.values_in(every, proofs.values(still, every) if proofs else ())
+    box = around([region_of(still.bind(one), own, region) for one in looked_at], every)
     own = _stepped(own, notes)
     try:
-        reports = [(one, *_quickly(bound, replace(box, parameters={}), own)) for one, bound in at]
-        proved = {finding.id: finding for finding in (proofs.findings(part, box, quick) if proofs else ())}
-        findings = uniform.joined(boxes, [(one, {item.id: item for item in found}) for one, found, _ in reports], proved)
-        made = proofs.consequences(part, box, findings) if proofs else uniform.seen_alike([item for *_, item in reports], boxes)
+        findings, made, count = _decided(still, box, motion, own, quick)
     except OpaqueExpression as error:
         raise ModelError(str(error)) from None
-    made = [replace(item, scope=meet(item.scope, Scope(parameters=boxes))) for item in made]
+    if boxes:
+        text = f"{', '.join(boxes)}: all values between the ends; looked at {count} of them, the run is that of the middle"
+    else:
+        text = f"{', '.join(motion.names)}: looked at {count} constant values between the ends"
     shown_values: dict[str, Any] = {**part.bound_parameters, **boxes}
-    notes.append(f"{', '.join(boxes)}: all values between the ends; looked at {len(at)} of them, the run is that of the middle")
-    return _report(part, box.text, findings, made, shown_values, notes, quick)
+    seen = ([], []) if boxes else _seen(driven, motion, own, findings, notes, given, quick)
+    findings, made, notes = [*findings, *seen[0]], [*made, *seen[1]], [*notes, text]
+    return _report(part, box.text, findings, made, shown_values, notes, quick, _told(part, motion))
+
+
+def _decided(
+    model: Model, region: Region, motion: Motion, runs: Sequence[Trajectory], quick: bool
+) -> tuple[list[Finding], list[Consequence], int]:
+    """What is found and follows for all values of the parameters, inputs among them, and how many values were looked at."""
+    proofs, driven = _proofs_for_all(type(model)), class_of(model).optional("hypotheses.driven") if motion.names else None
+    still, box = driven.at_rest(model, region, runs) if driven else (model, region)
+    special = proofs.values(still, box.parameters) if proofs else ()
+    at = [(one, still.bind(one)) for one in uniform.values_in(box.parameters, special)]
+    reports = [(one, *_quickly(bound, replace(box, parameters={}), runs)) for one, bound in at]
+    proved = {finding.id: finding for finding in (proofs.findings(still, box, quick) if proofs else ())}
+    seen = [(one, {item.id: item for item in found}) for one, found, _ in reports]
+    findings = uniform.joined(box.parameters, seen, proved)
+    if driven:
+        findings = driven.findings(model, region, motion, findings, runs, quick)
+        made = driven.consequences(model, region, motion, findings, runs)
+    elif proofs and not motion.names:
+        made = proofs.consequences(model, region, findings)
+    else:
+        made = uniform.seen_alike([item for *_, item in reports], region.parameters)
+        made = [unsettled(item, CONSTANT) for item in made] if motion.names else made
+    return findings, [replace(item, scope=meet(item.scope, Scope(parameters=region.parameters))) for item in made], len(at)
 
 
 def _proofs_for_all(kind: type[Model]) -> Any:
@@ -193,11 +261,12 @@ def _local(finding: Finding) -> bool:
 
 def _report(
     model: Model, region: str, findings: Sequence[Finding], consequences: Sequence[Consequence],
-    parameters: Mapping[str, float | None], notes: Sequence[str], quick: bool,
+    parameters: Mapping[str, float | None], notes: Sequence[str], quick: bool, inputs: Sequence[str] = (),
 ) -> Report:  # fmt: skip
     return Report(
         title=model.title or "untitled", model_class=type(model).__name__, paper=model.paper, region=region, quick=quick,
         findings=tuple(findings), consequences=tuple(consequences), parameters=dict(parameters), notes=tuple(notes), model=model,
+        inputs=tuple(inputs),
     )  # fmt: skip
 
 
@@ -263,15 +332,27 @@ def _refined(model: Model, run: Trajectory) -> list[Consequence]:
         runs = [run, *(simulate(model, step=factor * h, t_end=float(run.t[-1])) for factor in (2, 4))]
     except (StepError, UsageError):
         return []
+    if model.u.numel() and not all(TWICE[0] <= len(fine.t) / len(wide.t) <= TWICE[1] for fine, wide in pairwise(runs)):
+        return []  # edges ask for steps of their own
     part = class_of(model).optional("hypotheses.refined")
     return [_observed_order(h, runs), *([] if part is None else part.seen(h, runs))]
 
 
+def _at_common_times(runs: Sequence[Trajectory]) -> Iterator[np.ndarray]:
+    """The states of runs with the steps h, 2h, 4h at the times that all have."""
+    N = len(runs[0].t) - 1
+    if "inputs" not in runs[0].arrays:
+        rows = N // 4 - (1 if N % 4 else 0)  # the last row of a coarse run may be a shortened step
+        return (other.x[: factor * rows + 1 : factor] for factor, other in zip((4, 2, 1), runs, strict=True))
+    t, near = runs[-1].t, SAME_TIME * float(runs[-1].t[-1])
+    at = [np.abs(run.t[:, None] - t).argmin(axis=0) for run in runs]
+    common = np.all([np.abs(run.t[rows] - t) <= near for run, rows in zip(runs, at, strict=True)], axis=0)
+    return (run.x[rows[common]] for run, rows in zip(runs, at, strict=True))
+
+
 def _observed_order(h: float, runs: Sequence[Trajectory]) -> Consequence:
     """log2 of the ratio of the differences between neighbouring runs, at common times."""
-    N = len(runs[0].t) - 1
-    rows = N // 4 - (1 if N % 4 else 0)  # the last row of a coarse run may be a shortened step
-    fine, medium, wide = (other.x[: factor * rows + 1 : factor] for factor, other in zip((4, 2, 1), runs, strict=True))
+    fine, medium, wide = _at_common_times(runs)
     near, far = np.nanmax(np.abs(medium - fine)), np.nanmax(np.abs(wide - medium))  # NaN: bodies that are absent in one of two.
     value = {"difference h, 2h": near, "difference 2h, 4h": far, "h": h}
     error = runs[0].metadata["totals"].get("largest_error")

@@ -18,7 +18,6 @@ from nsmodel import (
     SweepingProcess,
     Trajectory,
     UsageError,
-    check,
     codegen,
     complementarity,
     explain,
@@ -528,7 +527,7 @@ def test_nan_in_the_middle_of_a_run_keeps_what_there_is():
 
 def test_what_takes_no_inputs_says_so(tmp_path):
     model = scenes.buck(t_end=2 * T)
-    for of in (check, stress, study):
+    for of in (stress, study):
         with pytest.raises(UsageError, match=r"has inputs \(u\)"):
             of(model)
     with pytest.raises(CodegenError, match=r"a library has no inputs \(u\); compiled runs do"):

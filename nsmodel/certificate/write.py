@@ -27,7 +27,11 @@ def certificate_of(report: Report) -> dict[str, Any]:
 
     A statement without proof says why under "why"; ``verify`` then answers "not checkable". What was measured along runs has
     no statement.
+
+    Raises:
+        UsageError: a model with inputs.
     """
+    report.model.refuse("certificate")
     found: dict[str, Any] = {"format": FORMAT, "title": report.title, "hash": "", "model": {}, "statements": []}
     findings = {finding.id: finding for finding in report.findings if finding.verdict == HOLDS}
     reason, subject = "", Subject(report.model, {})

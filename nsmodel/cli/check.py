@@ -11,8 +11,11 @@ from nsmodel.cli.status import AT_FAULT, DONE, refused
 from nsmodel.errors import NsmodelError, UsageError
 from nsmodel.hypotheses.findings import VIOLATED
 from nsmodel.hypotheses.report.report import Report
+from nsmodel.signals import Within, within
 from nsmodel.storage import write_text
 from nsmodel.words import print_shown as print
+
+BOUND_OPTIONS = ("rate", "start")
 
 
 def add(commands: Commands) -> None:
@@ -31,6 +34,11 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--region", action="append", default=[], metavar="NAME=LOW:HIGH",
         help="interval of a state, where no proof covers all states (default: around the run); repeatable",
+    )  # fmt: skip
+    parser.add_argument(
+        "--bound", action="append", default=[], metavar="NAME=LOW:HIGH",
+        help="all signals of an input between these are meant (default: read off its signal); behind commas rate=R, the most "
+        "that |u'| may be, start=U, its value at t = 0; repeatable",
     )  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="skip runs and global searches")
     parser.add_argument("--strict", action="store_true", help="exit with status 1 where a hypothesis is violated")
@@ -52,6 +60,7 @@ def _check(arguments: argparse.Namespace) -> int:
             raise UsageError(f"--{option} takes one model file; check them one by one")
     region = by_name((_interval("--region", one, "q_0=-2:2") for one in arguments.region), "--region")
     boxes = by_name((_interval("--parameters", one, "mu=0.1:0.5") for one in arguments.parameters), "--parameters")
+    bounds = by_name(map(_bound, arguments.bound), "--bound")
     if twice := set(boxes) & set(by_name(map(setting, arguments.set), "--set")):
         raise UsageError(f"'{min(twice)}' is given with --set and with --parameters; keep one")
     if boxes and arguments.certificate:
@@ -61,7 +70,9 @@ def _check(arguments: argparse.Namespace) -> int:
     for file in arguments.files:
         try:
             model, values = load(file, arguments.set)
-            report = check(model, parameters={**values, **boxes}, region=region, quick=arguments.quick)
+            if arguments.certificate:
+                model.refuse("--certificate")
+            report = check(model, parameters={**values, **boxes}, region=region, bounds=bounds, quick=arguments.quick)
         except NsmodelError as error:
             reports.append((file, None, refused(error)))
             documents.append({"file": file, "status": "refused", "message": str(error)})
@@ -93,6 +104,24 @@ def _interval(option: str, setting: str, example: str) -> tuple[str, tuple[float
         return name.strip(), (float(low), float(high))
     except ValueError:
         raise UsageError(f"{option} {setting}: expected NAME=LOW:HIGH, for example {option} {example}") from None
+
+
+def _bound(setting: str) -> tuple[str, Within]:
+    interval, *options = setting.split(",")
+    name, (low, high) = _interval("--bound", interval, "u=-1:1")
+    given: dict[str, float] = {}
+    for option in options:
+        key, _, text = option.partition("=")
+        if key not in BOUND_OPTIONS or key in given:
+            raise UsageError(f"--bound {setting}: '{option}'; expected rate=... and start=..., each once at most")
+        try:
+            given[key] = float(text)
+        except ValueError:
+            raise UsageError(f"--bound {setting}: {key} = '{text}' is no number") from None
+    try:
+        return name, within(low, high, **given)
+    except UsageError as error:
+        raise UsageError(f"--bound {setting}: {error}") from None
 
 
 def _certify(report: Report, folder: str, quiet: bool) -> None:

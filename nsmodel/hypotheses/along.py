@@ -51,7 +51,7 @@ def along(
 
 def _continuous(model: Model, run: Trajectory) -> list[Finding]:
     """Impacts of the rows that may call for an impulse; nothing where there is no such row."""
-    watches = impacts.watched(model)
+    watches = () if model.u.numel() else impacts.watched(model)  # as runs do: y' of a row holds u'
     if not watches:
         return []  # nearly always
     known = impacts.met(watches, run.arrays, {})
@@ -78,6 +78,11 @@ def rows_missing(*hypotheses: Hypothesis) -> list[Finding]:
     return [found(hypothesis, UNKNOWN, "the run does not hold every row (save_every)") for hypothesis in hypotheses]
 
 
+def inputs_of(model: Model, run: Trajectory) -> np.ndarray:
+    """u(t-) at each row of a run (N, nu)."""
+    return run.arrays["inputs"] if model.u.numel() else np.zeros((len(run.t), 0))
+
+
 def _residual(run: Trajectory) -> Finding:
     totals = run.metadata["totals"]
     worst, tolerance = float(totals["worst_residual"]), float(run.metadata["tolerance"])
@@ -93,9 +98,9 @@ def feasible(model: Any, run: Trajectory, c: ca.SX, names: Sequence[str]) -> lis
     """The least value of every constraint; what evaluating it in doubles cannot see is no violation."""
     if not c.numel():
         return []
-    f = ca.Function("c", [model.t, model.state], [ca.densify(c), ca.densify(ca.jacobian(c, model.state))])
+    f = ca.Function("c", [model.t, model.state, model.u], [ca.densify(c), ca.densify(ca.jacobian(c, model.state))])
     k = len(run.t)
-    values, gradients = (np.array(v) for v in f.map(k)(run.t[None, :], run.x.T))
+    values, gradients = (np.array(v) for v in f.map(k)(run.t[None, :], run.x.T, inputs_of(model, run).T))
     values = values.T
     size = np.linalg.norm(gradients.reshape(c.numel(), k, model.state.numel()), axis=2).T
     values = np.where(np.isfinite(values), values, -np.inf)

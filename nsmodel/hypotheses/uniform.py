@@ -124,6 +124,8 @@ def joined(box: Box, at: Sequence[tuple[Values, Mapping[str, Finding]]], proofs:
 
 def _joined(box: Box, at: Sequence[tuple[Values, Finding]], proof: Finding | None) -> Finding:
     scope = Scope(parameters=box)
+    if proof is not None and proof.verdict == VIOLATED and not (proof.scope is not None and proof.scope.parameters):
+        return proof  # what does not depend on the parameters
     for values, finding in at:
         if finding.verdict == VIOLATED:
             how = f"at {', '.join(f'{name} = {value:.6g}' for name, value in values.items())}: {finding.how}"

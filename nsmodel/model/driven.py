@@ -1,7 +1,8 @@
-"""A model with the signals of a run, and as it is at their start."""
+"""A model with the signals of a run, as it is at their start, and at constant values."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import copy
 from types import MappingProxyType
 from typing import Any, TypeVar
@@ -18,6 +19,7 @@ from nsmodel.signals.kept import Kept
 from nsmodel.signals.signal import Signal
 
 T = TypeVar("T", bound=Any)
+UNDRIVEN = {"u": ca.SX(0, 1), "inputs": MappingProxyType({}), "input_groups": MappingProxyType({})}
 
 
 def driven_by(model: T, signals: Signals | None = None) -> T:
@@ -44,7 +46,16 @@ def at_start(model: T) -> T:
     if not model.u.numel():
         return model
     held = replaced(model, model.u, ca.SX(inputs_at_start(model)))
-    return _with(held, u=ca.SX(0, 1), inputs=MappingProxyType({}), input_groups=MappingProxyType({}), blocks=())
+    return _with(held, **UNDRIVEN)
+
+
+def frozen(model: T, held: Mapping[str, float]) -> T:
+    """The model at constant values of its inputs: those of ``held`` by their names, the others, behind its own parameters, as
+    parameters without value.
+    """
+    parameters = MappingProxyType(dict.fromkeys([*model.parameters, *model.input_names]))
+    other = _with(model, p=ca.vertcat(model.p, model.u), parameters=parameters, **UNDRIVEN)
+    return other.bind(held, partly=True) if held else other
 
 
 def inputs_at_start(model: Any, x: np.ndarray | None = None) -> np.ndarray:

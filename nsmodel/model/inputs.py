@@ -65,11 +65,12 @@ def _signal(value: Any, label: str, size: int, converter: Converter, error: type
         found = Held(numbers(label, "its value", value, 0, 1).ravel())
     if found.size != size:
         what = "one value" if size == 1 else f"{size} values"
-        raise error(f"{label} has {what}, and its {_word(found)} has {found.size}; give as many")
+        raise error(f"{label} has {what}, and its {word_of(found)} has {found.size}; give as many")
     return found
 
 
-def _word(signal: Signal) -> str:
+def word_of(signal: Signal) -> str:
+    """What messages call it."""
     return "value" if isinstance(signal, Held) else type(signal).__name__.lower()
 
 

@@ -11,7 +11,10 @@ import numpy as np
 
 from nsmodel.errors import ModelError
 from nsmodel.once import once
-from nsmodel.signals.signal import Signal, increasing, numbers
+from nsmodel.signals.bounds import Jump, Within
+from nsmodel.signals.signal import UP, Signal, earlier, increasing, later, numbers
+
+BENDS = 1e-9  # A change at an edge below this part of the values is none.
 
 Edges = Sequence[float] | np.ndarray | Callable[[float, float], Sequence[float]]
 
@@ -38,6 +41,12 @@ class Declared(Signal):
         """The value, just before an edge where there is one."""
         edges = self.edges(float(t.max(initial=0.0)))
         return self._values(np.where(np.isin(t, edges), np.nextafter(t, -np.inf), t))
+
+    def jump(self, t_end: float) -> Jump | None:
+        """The largest at the edges, beyond what a function that bends there changes by in a rounding."""
+        found = super().jump(t_end)
+        seen = found is not None and np.abs(found.after - found.before).max() > BENDS * np.abs([*found[1:]]).max()
+        return found if seen else None
 
     def _values(self, t: np.ndarray) -> np.ndarray:
         raise NotImplementedError
@@ -76,6 +85,30 @@ class Expression(Declared):
     def size(self) -> int:
         """Its entries."""
         return self.column.numel()
+
+    def within(self, t_end: float) -> Within | None:
+        """Bounds by interval arithmetic, and those of its derivative where it is continuous."""
+        from nsmodel.proof import extremum, interval
+
+        ends = np.zeros(1), np.full(1, t_end)
+        columns = ca.vertsplit(self.column)
+        low, high = ([sign * extremum.supremum(sign * one, self.time, *ends).bound for one in columns] for sign in (-1, 1))
+        if not (t_end > 0 and np.isfinite([*low, *high]).all()):
+            return None
+        rates = ca.vertsplit(ca.jacobian(self.column, self.time))
+        fastest = np.array([max(extremum.supremum(s * one, self.time, *ends).bound for s in (-1, 1)) for one in rates]) * UP
+        smooth = interval.is_continuous(self.column, self.time, *ends) and bool(np.isfinite(fastest).all())
+        return Within(np.array(low), np.array(high), np.maximum(fastest, 0.0) if smooth else None, self.after(np.zeros(1))[0])
+
+    def jump(self, t_end: float) -> Jump | None:
+        """One that is proved to be a jump."""
+        from nsmodel.proof.discontinuity import proved_jump
+
+        found = proved_jump(self.column, self.time, np.zeros(1), np.full(1, t_end)) if t_end > 0 else None
+        if found is None:
+            return None
+        sides = self._values(np.append(earlier(found.at), later(found.at)))
+        return Jump(float(found.at[0]), *sides)
 
     def _values(self, t: np.ndarray) -> np.ndarray:
         return np.array(_compiled(self).map(t.size)(t[None])).T if t.size else np.zeros((0, self.size))

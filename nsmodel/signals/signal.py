@@ -10,8 +10,10 @@ import numpy as np
 
 from nsmodel.errors import ModelError
 from nsmodel.pickled import Pickled
+from nsmodel.signals.bounds import Jump, Within
 
 NEAR = 16 * np.finfo(float).eps  # Times that are nearer than this part of the larger are one.
+UP = 1 + 16 * np.finfo(float).eps  # More than a quotient and a few sums lose.
 
 
 class Signal(Pickled):
@@ -84,6 +86,20 @@ class Signal(Pickled):
         """(degree + 1, size): u, u', ... just after t."""
         return self.after(np.array([t]))
 
+    def within(self, t_end: float) -> Within | None:
+        """Bounds of its values up to ``t_end``, with a rate where it has no jump there; None where they are not known."""
+        del t_end
+        return None
+
+    def jump(self, t_end: float) -> Jump | None:
+        """The largest of its jumps after 0 and before ``t_end``; None where none is known."""
+        at = self.edges(t_end)
+        at = at[(at > 0) & (at < earlier(np.array(t_end)))]
+        before, after = self.before(at), self.after(at)
+        size = np.abs(after - before).max(axis=1, initial=0.0)
+        k = int(size.argmax()) if size.size else -1
+        return Jump(float(at[k]), before[k], after[k]) if k >= 0 and size[k] > 0 else None
+
     def limits(self, t: np.ndarray, number: int) -> tuple[np.ndarray, np.ndarray]:
         """u(a+) and u(b-) of the steps between times (K + 1,), the first of which has this number: (K, size) each."""
         del number
@@ -116,6 +132,16 @@ class Held(Signal):
         return np.tile(self.values, (t.size, 1))
 
     before = after
+
+    def within(self, t_end: float) -> Within:
+        """Its values."""
+        del t_end
+        return constant(self.values)
+
+
+def constant(values: np.ndarray) -> Within:
+    """Bounds of a signal that does not move."""
+    return Within(values, values, np.zeros(values.size), values)
 
 
 def later(t: np.ndarray) -> np.ndarray:

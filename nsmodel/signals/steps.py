@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.signals.signal import Signal, numbers
+from nsmodel.signals.bounds import Jump, Within
+from nsmodel.signals.signal import Signal, constant, numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +31,18 @@ class Steps(Signal):
     def turns(self) -> np.ndarray:
         """Those whose row is another than the one before."""
         return np.flatnonzero((np.diff(self.values, axis=0) != 0).any(axis=1)) + 1
+
+    def within(self, t_end: float) -> Within:
+        """The least and the largest of each column."""
+        del t_end
+        low, high = self.values.min(axis=0), self.values.max(axis=0)
+        return constant(low) if (low == high).all() else Within(low, high, None, self.values[0])
+
+    def jump(self, t_end: float) -> Jump | None:
+        """The largest change from a step to the next, of equal steps."""
+        size = np.abs(np.diff(self.values, axis=0)).max(axis=1, initial=0.0)
+        k = int(size.argmax()) if size.size else 0
+        return Jump(t_end * (k + 1) / self.count, *self.values[k : k + 2]) if size.any() else None
 
     def limits(self, t: np.ndarray, number: int) -> tuple[np.ndarray, np.ndarray]:
         """The rows of the steps."""

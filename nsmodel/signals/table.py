@@ -9,7 +9,8 @@ import numpy as np
 
 from nsmodel.errors import ModelError
 from nsmodel.once import once
-from nsmodel.signals.signal import Signal, earlier, increasing, later, numbers, one_of
+from nsmodel.signals.bounds import Within
+from nsmodel.signals.signal import UP, Signal, constant, earlier, increasing, later, numbers, one_of
 
 KINDS = ("hold", "linear", "cubic")
 AFTER = ("hold", "error", "periodic")
@@ -99,6 +100,21 @@ class Table(Signal):
         start = self._start(lambda share: np.ceil(share) - 1, seen)
         return self._on(np.searchsorted(self.t, seen - start, side="left") - 1, t - start)
 
+    def within(self, t_end: float) -> Within:
+        """Between the least and the largest value of the whole table; the steepest slope."""
+        first, smooth = self.after(np.zeros(1))[0], t_end > 0 and self.jump(t_end) is None
+        if smooth and self.kind == "hold":
+            return constant(first)
+        if self.kind == "cubic":
+            low, high, slope = _extremes(self)
+        else:
+            low, high = self.values.min(axis=0), self.values.max(axis=0)
+            run, rise = np.diff(self.t), np.diff(self.values, axis=0)
+            slope = np.abs(rise[run > 0] / run[run > 0, None]).max(axis=0, initial=0.0) * UP
+        if (low == high).all():
+            return constant(low)
+        return Within(low, high, slope if smooth else None, first)
+
     def _start(self, whole: Any, seen: np.ndarray) -> np.ndarray:
         """By how much the period that times lie in is later than the table."""
         return np.zeros_like(seen) if self.period is None else self.period * whole((seen - self.t[0]) / self.period)
@@ -122,6 +138,23 @@ def _spline(table: Table) -> Any:
     from scipy.interpolate import CubicSpline
 
     return CubicSpline(table.t, table.values, bc_type="natural")
+
+
+def _extremes(table: Table) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The least and the largest value of the spline, and its steepest slope, for each column: at rows, and where the next
+    derivative vanishes between them.
+    """
+    spline, found = _spline(table), []
+    for k in range(table.size):
+        column = type(spline)(table.t, table.values[:, k], bc_type="natural")
+        turns = [
+            np.append(own[np.isfinite(own)], table.t) for own in (column.derivative(d).roots(extrapolate=False) for d in (1, 2))
+        ]
+        values, slopes = column(turns[0]), column(turns[1], 1)
+        room = (UP - 1) * np.abs(values).max()
+        found.append((values.min() - room, values.max() + room, np.abs(slopes).max() * UP))
+    low, high, slope = np.array(found).T
+    return low, high, slope
 
 
 def table(t: Any, values: Any, kind: str = "hold", *, after: str = "hold", period: float | None = None) -> Table:

@@ -70,9 +70,9 @@ class MonotoneInclusion(Model):
 
     @property
     def moves(self) -> bool:
-        """Whether F, S or C depend on time."""
+        """Whether F, S or C depend on time, or on an input."""
         parts = self.field, self.operator, self.sign_arguments, self.lower, self.upper, *self.constraints.values()
-        return any(part.numel() and ca.depends_on(part, self.t) for part in parts)
+        return any(part.numel() and ca.depends_on(part, ca.vertcat(self.t, self.u)) for part in parts)
 
     def _declare(self) -> None:
         c = self._settle("x", x=self.x)

@@ -36,6 +36,7 @@ def _head(report: Report) -> str:
     lines = [f"- Class: {report.model_class}; {_escaped(report.paper)}", f"- Region: {_escaped(report.region)}"]
     if report.parameters:
         lines.append(f"- Parameters: {_escaped(', '.join(parameters(report)))}")
+    lines += [f"- Input {_escaped(line)}" for line in report.inputs]
     return "\n".join([*lines, f"- Findings: {_escaped(report.verdict)}"])
 
 

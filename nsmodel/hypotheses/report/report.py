@@ -25,6 +25,7 @@ class Report(Pickled):
         parameters: values by name; None where a parameter stayed a symbol.
         notes: what the reader should know beside (a run that stopped, parameters without value).
         model: the model with its parameters bound.
+        inputs: of each input where it stands, and which signals are meant.
     """
 
     title: str
@@ -37,6 +38,7 @@ class Report(Pickled):
     parameters: Mapping[str, float | None]
     notes: tuple[str, ...]
     model: Any = field(repr=False, compare=False)
+    inputs: tuple[str, ...] = ()
 
     def text(self) -> str:
         """The report as a table for a terminal, 100 columns wide."""

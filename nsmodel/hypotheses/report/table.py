@@ -40,6 +40,7 @@ def document(report: Report) -> dict[str, Any]:
         "quick": report.quick,
         "verdict": report.verdict,
         "parameters": dict(report.parameters),
+        **({"inputs": list(report.inputs)} if report.inputs else {}),
         "findings": [
             {
                 "id": finding.id,
@@ -118,6 +119,8 @@ def _head(report: Report, width: int) -> list[str]:
     rows = {"model": f"{report.model_class}; {report.paper}", "region": report.region}
     lines = [line for name, value in rows.items() for line in _hanging(f"  {name:<12}", value, width)]
     lines += _packed("  parameters  ", given, width) if given else []
+    for k, line in enumerate(report.inputs):
+        lines += _hanging("  inputs      " if k == 0 else " " * 14, line, width)
     return [*textwrap.wrap(report.title, width), *lines, *_hanging("  findings    ", report.verdict, width)]
 
 

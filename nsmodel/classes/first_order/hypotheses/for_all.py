@@ -22,12 +22,13 @@ from nsmodel.classes.lure.hypotheses import domains
 from nsmodel.hypotheses.findings import HOLDS, Consequence, Finding, found
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.scope import Box, Scope, meet
-from nsmodel.hypotheses.uniform import Values, reads, values_in
+from nsmodel.hypotheses.uniform import Values, for_the_box, middle_of, reads, values_in
 from nsmodel.proof import exact, extremum, interval
 from nsmodel.proof.jumps import jumps_in
 from nsmodel.proof.multiaffine import corners
 
 READS = ("M", "f", "h", "g", "law")
+OF_JACOBIANS = (F_JACOBIANS.id, F_W.id, F_MLCP.id, F_STEP.id)
 MOST_STEPS, STATES, ROWS = 5, 6, 6  # Step lengths, states and multipliers up to which W_mlcp is written out.
 
 
@@ -76,7 +77,7 @@ def findings(model: FirstOrderSystem, region: Region, quick: bool) -> list[Findi
         return check(model.bind(values_in(region.parameters)[0]), replace(region, parameters={}), (), quick)[0]
     steps, parts = lengths(model, ()), _affine(model, region)
     if parts is None or not 0 < steps.size <= MOST_STEPS:
-        return []
+        return for_the_box(_shifted(model, region, quick), [], region)
     timed = bool(ca.depends_on(ca.vertcat(model.f, model.h, model.g), model.t))
     scope = meet(region.scope(timed=timed), Scope(parameters=region.parameters))
     count = {"step lengths": steps.size}
@@ -112,6 +113,19 @@ def _affine(model: FirstOrderSystem, region: Region) -> AffineSystem | None:
     z = ca.vertcat(model.p, h, theta, gamma)
     M = ca.densify(model.M)
     return AffineSystem(M, theta * A + gamma * K, B, C, D, z, np.append(low, weights), np.append(high, weights))
+
+
+def _shifted(model: FirstOrderSystem, region: Region, quick: bool) -> list[Finding]:
+    """What asks for Jacobians alone, where parameters do not change these: they add terms free of x and l."""
+    stacked, inner = ca.vertcat(model.f, model.h, model.g), ca.vertcat(model.x, model.lam)
+    added, (low, high) = ca.jacobian(stacked, model.p), region.of_parameters()
+    if ca.depends_on(added, inner) or jumps_in(stacked, model.p) or reads(model.M, model.p) or reads(model.law, model.p):
+        return []
+    ends = np.append(region.t0, low), np.append(region.t1, high)
+    if not np.isfinite(interval.enclose(added, ca.vertcat(model.t, model.p), *ends)).all():
+        return []
+    found = check(model.bind(middle_of(region.parameters)), replace(region, parameters={}), (), quick)[0]
+    return [finding for finding in found if finding.id in OF_JACOBIANS and finding.verdict == HOLDS]
 
 
 def _step(parts: AffineSystem, h: float) -> Finding | None:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -20,6 +20,7 @@ from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.classes.inclusion.set_valued import constraints
 from nsmodel.hypotheses import uniform
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, follows, found, scope_of
+from nsmodel.hypotheses.inputs import STILL, Motion, unbounded
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.scope import Scope
 from nsmodel.proof import extremum, interval
@@ -35,7 +36,30 @@ UP = 1 + 1e-12
 KAPPA = "kappa"
 DOUBLINGS = 6  # Orders of 4 in which a speed is looked for above the least that it may be.
 SHELL = 0.02  # Part of the least c in the box down to which a point is beside the edge of C.
-PARTS = 64  # Parts of the time that a bound is sought on.
+PARTS, MOST_PARTS = 64, 256  # Parts of the time that a bound is sought on, and of the time and all else together.
+POINTS = 256  # Where a point is looked for that a jump of an input puts outside of C.
+
+
+class Passing(NamedTuple):
+    """C as it passes: its rows, the box of z = (x, slow, v), slow = (t, u, p), and the speed of an expression of these."""
+
+    C: MovingSet
+    motion: Motion
+
+    def speed(self, expression: ca.SX) -> ca.SX:
+        """The derivative by time."""
+        return self.motion.velocity(expression, self.C.p[0])
+
+    @property
+    def slow(self) -> tuple[ca.SX, np.ndarray, np.ndarray]:
+        """(slow, v), and their box."""
+        return self.box(ca.SX(0, 1), np.zeros(0), np.zeros(0))
+
+    def box(self, x: ca.SX, low: np.ndarray, high: np.ndarray) -> tuple[ca.SX, np.ndarray, np.ndarray]:
+        """(slow, v, x), and its box where that of x is given."""
+        slowest, fastest = self.motion.rates
+        ends = ((self.C.lower, slowest, low), (self.C.upper, fastest, high))
+        return ca.vertcat(self.C.p, self.motion.v, x), *(np.concatenate(own) for own in ends)  # type: ignore[return-value]
 
 
 class HausdorffBound(NamedTuple):
@@ -49,7 +73,7 @@ def check(
     model: MonotoneInclusion, region: Region, runs: Sequence[Trajectory], quick: bool
 ) -> tuple[list[Finding], list[Consequence]]:
     """Return one finding a hypothesis, of all t between the ends of the region, and what follows; see `check.check`."""
-    frozen, time = _frozen(model), (region.t0, region.t1)
+    frozen, time = at_each_time(model), (region.t0, region.t1)
     box = {str(model.t): time}
     at_all = replace(region, parameters=MappingProxyType(box))
     seen = []
@@ -58,91 +82,135 @@ def check(
             own = autonomous.check(frozen.bind(one), replace(region, parameters={}), (), True)[0]
         seen.append((one, {finding.id: finding for finding in own}))
     proved = {finding.id: finding for finding in for_all.findings(frozen, at_all, quick)}
-    findings = [_in_time(finding, time) for finding in uniform.joined(box, seen, proved)]
-    findings.append(_moves(model, frozen, at_all, quick))
-    return findings, _consequences(model, findings, runs)
+    findings = [in_time(finding, str(model.t), time) for finding in uniform.joined(box, seen, proved)]
+    findings.append(moves(model, region, STILL, quick))
+    return findings, consequences_of(model, findings, runs)
 
 
-def _frozen(model: MonotoneInclusion) -> MonotoneInclusion:
-    """The inclusion that stands still at t, a parameter without value."""
-    frozen = copy(model)
-    frozen._set(p=model.t, t=ca.SX.sym("t"), parameters=MappingProxyType({str(model.t): None}), tolerances=None)
+def at_each_time(model: MonotoneInclusion) -> MonotoneInclusion:
+    """The inclusion that stands still at t, the last of its parameters without value."""
+    frozen, parameters = copy(model), MappingProxyType({**model.parameters, str(model.t): None})
+    frozen._set(p=ca.vertcat(model.p, model.t), t=ca.SX.sym("t"), parameters=parameters, tolerances=None)
     return frozen
 
 
-def _in_time(finding: Finding, time: tuple[float, float]) -> Finding:
-    states = finding.scope.states if finding.scope is not None else {}
-    return replace(finding, scope=Scope(states, time))
+def in_time(finding: Finding, t: str, time: tuple[float, float]) -> Finding:
+    """The finding for all values of the parameter t, as one for all times."""
+    scope = finding.scope or Scope()
+    return replace(finding, scope=Scope(scope.states, time, {name: ends for name, ends in scope.parameters.items() if name != t}))
 
 
 # -- M-H ---------------------------------------------------------------------------------------------------------------
 
 
-def _moves(model: MonotoneInclusion, frozen: MonotoneInclusion, region: Region, quick: bool) -> Finding:
-    """A constant kappa with d_H(C(t), C(s)) <= kappa |t - s|."""
-    C = MovingSet(model.x, model.t, constraints(model)[0], *region.of_parameters())
-    part = _still(C) or _jump(model, C) or (_of_box(model, C) if not model.constraints else _of_rows(C, region, quick))
+def moves(model: MonotoneInclusion, region: Region, motion: Motion, quick: bool) -> Finding:
+    """A constant kappa with d_H(C(t), C(s)) <= kappa |t - s|, at all values of the parameters (and inputs) of the model."""
+    low, high = region.of_parameters()
+    slow, ends = ca.vertcat(model.t, model.p), (np.append(region.t0, low), np.append(region.t1, high))
+    C = Passing(MovingSet(model.x, slow, constraints(model)[0], *ends), motion)
+    part = (
+        _still(C) or _driven(model, C, region) or _jump(model, C)
+        or (_of_box(model, C) if not model.constraints else _of_rows(C, region, quick))
+    )  # fmt: skip
     scope = region.scope(part.local)
-    where = Scope(scope.states if scope is not None else {}, (region.t0, region.t1))
+    where = Scope(scope.states if scope is not None else {}, (region.t0, region.t1), region.parameters)
     return found(MOVES, part.verdict, part.how, part.value, part.witness, where)
 
 
-def _still(C: MovingSet) -> Part | None:
-    return None if C.moving else Part(HOLDS, "C does not move", {KAPPA: 0.0}, {})
+def _still(passing: Passing) -> Part | None:
+    passes = ca.vertcat(passing.C.p[0], passing.motion.u)
+    return None if ca.depends_on(passing.C.rows, passes) else Part(HOLDS, "C does not move", {KAPPA: 0.0}, {})
 
 
-def _jump(model: MonotoneInclusion, C: MovingSet) -> Part | None:
+def _driven(model: MonotoneInclusion, passing: Passing, region: Region) -> Part | None:
+    """Where an input that has no rate moves C: a jump of it, and a point that is in C on one side alone."""
+    C, motion = passing.C, passing.motion
+    loose = motion.may_jump(C.rows)
+    for edge in motion.edges(loose, region):
+        seen = _apart(model, C, [np.append(edge.jump.t, side) for side in (edge.before, edge.after)], region)
+        if seen is not None:
+            return Part(VIOLATED, f"{edge.text}, and C with it", {"jump": seen[0]}, {**edge.witness, **seen[1]})
+    return Part(UNKNOWN, unbounded(motion, loose), {}, {}) if loose else None
+
+
+def _apart(
+    model: MonotoneInclusion, C: MovingSet, sides: Sequence[np.ndarray], region: Region
+) -> tuple[float, dict[str, Any]] | None:
+    """How far a bound of a box jumps, or a point of C on one side of a jump that is not in C on the other."""
+    for ends, word in ((model.lower, "lower"), (model.upper, "upper")):
+        for name, end in zip(model.names, ca.vertsplit(ends), strict=True):
+            if model.constraints or not ca.depends_on(end, C.p):
+                continue
+            (a, b), (c, d) = (np.ravel(interval.enclose(end, C.p, side, side)) for side in sides)
+            gap = max(c - b, a - d)
+            if gap > 0:
+                return float(gap), {"bound": f"{word} {name}", "below": (a + b) / 2, "above": (c + d) / 2}
+    for x in extremum.samples(region.lower, region.upper, POINTS):
+        rows = [interval.enclose(C.rows, ca.vertcat(C.p, C.x), *(np.append(side, x),) * 2) for side in sides]
+        for (inside, _), (_, outside) in (rows, rows[::-1]):
+            if (inside >= 0).all() and (outside < 0).any():
+                return float(-np.min(outside)), {"x": x}
+    return None
+
+
+def _jump(model: MonotoneInclusion, passing: Passing) -> Part | None:
     """A bound that jumps: C does, where it is a box; where nothing jumps that is for the others to bound."""
-    ends = ca.vertcat(*(end for end in (*ca.vertsplit(model.lower), *ca.vertsplit(model.upper)) if ca.depends_on(end, model.t)))
+    C, of = passing.C, ca.vertcat(model.t, passing.motion.u)
+    ends = ca.vertcat(*(end for end in (*ca.vertsplit(model.lower), *ca.vertsplit(model.upper)) if ca.depends_on(end, of)))
     if model.constraints or not ends.numel() or interval.is_continuous(ends, C.p, C.lower, C.upper):
         return None
     jump = find_jump(ends, C.p, C.lower, C.upper, lambda points: np.ones(len(points), bool))
     if jump is None:
         return Part(UNKNOWN, "a bound of C may jump; no jump was seen", {}, {})
-    return Part(
-        VIOLATED, "a bound of C jumps", {"jump": jump.size}, {"t": float(jump.at[0]), "below": jump.below, "above": jump.above}
-    )
+    at = dict(zip(map(str, ca.vertsplit(C.p)), jump.at.tolist(), strict=True))
+    witness = {"t": at.pop(str(model.t)), **at, "below": jump.below, "above": jump.above}
+    return Part(VIOLATED, "a bound of C jumps", {"jump": jump.size}, witness)
 
 
-def _of_box(model: MonotoneInclusion, C: MovingSet) -> Part:
+def _of_box(model: MonotoneInclusion, passing: Passing) -> Part:
     """Of a box: its sides move with their own speeds."""
     total = 0.0
     for ends in zip(ca.vertsplit(model.lower), ca.vertsplit(model.upper), strict=True):
-        rates = [ca.jacobian(end, model.t) for end in ends]
-        total += max(_largest(rate, C.p, C.lower, C.upper) for rate in rates) ** 2
+        total += max(_largest(passing.speed(end), *passing.slow) for end in ends) ** 2
     kappa = float(np.sqrt(total)) * UP
     if not np.isfinite(kappa):
         return Part(UNKNOWN, "the speed of a bound of C has no bound that was found", {}, {})
     return Part(HOLDS, "bounds of the speeds of the sides", {KAPPA: kappa}, {})
 
 
-def _of_rows(C: MovingSet, region: Region, quick: bool) -> Part:
-    """The largest of what is found on parts of the time."""
+def _of_rows(passing: Passing, region: Region, quick: bool) -> Part:
+    """The largest of what is found on parts of the time, and of what else C depends on."""
+    C = passing.C
     hull = outer(C).hull
     local = not np.isfinite(hull).all()
     box = (np.maximum(hull[0], region.lower), np.minimum(hull[1], region.upper)) if local else hull
-    left, bounds, least = [(C.lower, C.upper)], dict[str, float](), (C.upper - C.lower) / PARTS
+    left, bounds, whole, count = [(C.lower, C.upper)], dict[str, float](), np.maximum(C.upper - C.lower, 1e-300), 0
     while left:
         low, high = left.pop()
-        bound = _on(C._replace(lower=low, upper=high), box, quick)
+        count += 1
+        bound = _on(passing._replace(C=C._replace(lower=low, upper=high)), box, quick)
+        widest = int(np.argmax((high - low) / whole))
         if bound is not None:
             bounds[bound.how] = max(bounds.get(bound.how, 0.0), bound.kappa)
-        elif (high - low > least).all():
-            left += [(low + (high - low) / 2, high), (low, low + (high - low) / 2)]
+        elif (high - low)[widest] > whole[widest] / PARTS and count < MOST_PARTS:
+            middle = low[widest] + (high - low)[widest] / 2
+            right, up = low.copy(), high.copy()
+            right[widest], up[widest] = middle, middle
+            left += [(right, high), (low, up)]
         else:
             return Part(UNKNOWN, f"no bound was found for t in [{low[0]:.4g}, {high[0]:.4g}]", {}, {}, local)
     return Part(HOLDS, "; ".join(bounds), {KAPPA: max(bounds.values())}, {}, local)
 
 
-def _on(C: MovingSet, box: tuple[np.ndarray, np.ndarray], quick: bool) -> HausdorffBound | None:
+def _on(passing: Passing, box: tuple[np.ndarray, np.ndarray], quick: bool) -> HausdorffBound | None:
     """One row: |c_t| / |grad c| where c = 0; several: sup |c_t| times the size of the box, over the depth of an inner point."""
-    z, (low, high) = ca.vertcat(C.p, C.x), box
-    lower, upper = np.append(C.lower, low), np.append(C.upper, high)
-    rates = ca.jacobian(C.rows, C.p)
+    C, (low, high) = passing.C, box
+    z, lower, upper = passing.box(C.x, low, high)
+    rates = passing.speed(C.rows)
     if not interval.is_continuous(ca.vertcat(C.rows, rates), z, lower, upper):
         return None
     fastest = max(_largest(rate, z, lower, upper) for rate in ca.vertsplit(rates))
-    if C.rows.numel() == 1 and (kappa := _normal_speed(C, z, lower, upper, fastest, quick)) is not None:
+    if C.rows.numel() == 1 and (kappa := _normal_speed(C, rates, z, lower, upper, fastest, quick)) is not None:
         return HausdorffBound(kappa, "bounds of |c_t| / |grad c| beside c = 0")
     interior = has_interior_for_all(C, (low + high) / 2)
     point = interior.part.witness.get("interior point") if interior is not None else None
@@ -154,9 +222,11 @@ def _on(C: MovingSet, box: tuple[np.ndarray, np.ndarray], quick: bool) -> Hausdo
     return HausdorffBound(kappa, how) if np.isfinite(kappa) else None
 
 
-def _normal_speed(C: MovingSet, z: ca.SX, lower: np.ndarray, upper: np.ndarray, fastest: float, quick: bool) -> float | None:
+def _normal_speed(
+    C: MovingSet, rate: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray, fastest: float, quick: bool
+) -> float | None:  # fmt: skip
     """A kappa with c_t^2 <= kappa^2 |grad c|^2 where c = 0, and a little outside, where points can be looked at."""
-    rate, steep = ca.jacobian(C.rows, C.p) ** 2, ca.sumsqr(ca.gradient(C.rows, C.x))
+    rate, steep = rate**2, ca.sumsqr(ca.gradient(C.rows, C.x))
     most = extremum.supremum(steep, z, lower, upper, quick=True).bound
     if not (0 < fastest < np.inf and 0 < most < np.inf):
         return 0.0 if fastest == 0 else None
@@ -188,7 +258,10 @@ def _largest(rate: ca.SX, z: ca.SX, lower: np.ndarray, upper: np.ndarray) -> flo
 # -- consequences ------------------------------------------------------------------------------------------------------
 
 
-def _consequences(model: MonotoneInclusion, findings: Sequence[Finding], runs: Sequence[Trajectory]) -> list[Consequence]:
+def consequences_of(
+    model: MonotoneInclusion, findings: Sequence[Finding], runs: Sequence[Trajectory]
+) -> list[Consequence]:  # fmt: skip
+    """What follows from the findings at each t."""
     numbers = {finding.id: finding.value for finding in findings}
     base = ["M-T", "M-C", "M-A1", "M-A2", "M-24", MOVES.id]
     scope = scope_of(findings, base)

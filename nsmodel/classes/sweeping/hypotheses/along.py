@@ -9,7 +9,7 @@ import numpy as np
 
 from nsmodel.classes.sweeping.hypotheses.geometry import mfcq_constant
 from nsmodel.classes.sweeping.model import SweepingProcess
-from nsmodel.hypotheses.along import QUALIFIED, feasible
+from nsmodel.hypotheses.along import QUALIFIED, feasible, inputs_of
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED, Finding, found
 from nsmodel.trajectory import Trajectory
 
@@ -33,11 +33,12 @@ def _qualified(model: SweepingProcess, run: Trajectory) -> list[Finding]:
     near = gap <= rho
     crowded = np.flatnonzero(near.sum(axis=1) > 1)
     rows = crowded[np.unique(np.linspace(0, crowded.size - 1, min(crowded.size, MOST_ROWS), dtype=int))]
-    slopes = ca.Function("slopes", [model.t, model.q], [ca.densify(ca.jacobian(model.g, model.q))])
+    slopes = ca.Function("slopes", [model.t, model.q, model.u], [ca.densify(ca.jacobian(model.g, model.q))])
+    u = inputs_of(model, run)
     worst, witness = 1.0, {}
     for k in rows:
         at = np.flatnonzero(near[k])
-        gamma, weights = mfcq_constant(np.array(slopes(run.t[k], run.x[k]))[at])
+        gamma, weights = mfcq_constant(np.array(slopes(run.t[k], run.x[k], u[k]))[at])
         if gamma > worst:
             worst = gamma
             opposed = {model.multiplier_names[at[i]]: float(weights[i]) for i in np.argsort(-weights) if weights[i] > 0}

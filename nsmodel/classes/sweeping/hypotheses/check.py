@@ -72,7 +72,7 @@ def check(
         timed = any(constraint.shape.time for constraint in constraints)
         findings += [gamma(A5, near, region, timed), gamma(A5_ACTIVE, active, region, timed)]
         findings.append(_velocity(model, process, region, points, quick))
-        findings.append(_start(model, constraints))
+        findings.append(_of_start(model, constraints))
     return findings, consequences_of(model, findings, runs, len(constraints))
 
 
@@ -184,7 +184,13 @@ def _velocity(model: SweepingProcess, process: Process, region: Region, points: 
     return found(S_F, answer.verdict, answer.how, answer.value, answer.witness, scope)
 
 
-def _start(model: SweepingProcess, constraints: Sequence[Constraint]) -> Finding:
+def start(model: SweepingProcess) -> Finding:
+    """S-start alone."""
+    nowhere = np.zeros(len(model.names))
+    return _of_start(model, _constraints(model, Region(nowhere, nowhere, 0.0, 0.0, tuple(model.names), "the start")))
+
+
+def _of_start(model: SweepingProcess, constraints: Sequence[Constraint]) -> Finding:
     """The sign of each g_i(0, q_0): by rational arithmetic where the shape allows, else by interval arithmetic."""
     if not constraints:
         return found(S_START, HOLDS, "no constraint", {"constraints": 0})

@@ -330,7 +330,7 @@ def _centre(c: Constraint, H: np.ndarray) -> Answers:
 
 
 def _rate(c: Constraint, offset: Offset) -> ca.SX:
-    return ca.SX(0) if isinstance(offset, Fraction) else ca.densify(ca.jacobian(offset, c.t[0]))
+    return ca.SX(0) if isinstance(offset, Fraction) else c.rate(offset)
 
 
 def _at_time(c: Constraint, offset: Offset, t: float) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 
 from nsmodel.classes.sweeping.hypotheses.forms import ConstraintShape
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, VIOLATED
+from nsmodel.hypotheses.inputs import STILL, Motion
 from nsmodel.proof import extremum, interval
 from nsmodel.proof.krawczyk import zero_near
 
@@ -26,9 +27,11 @@ class Constraint:
         name: the user's.
         g: SX, a function of t and q.
         shape: what it is made of.
-        t: SX symbol, or (t, p) with parameters of which all values in a box are meant; q: SX (k, 1), its own states.
+        t: SX symbol, or (t, p) with parameters of which all values in a box are meant, and (t, p, u') where some are inputs;
+            q: SX (k, 1), its own states.
         names: of these states.
         lower, upper: (1 + k,) bounds of (t, q).
+        motion: the inputs among p.
     """
 
     name: str
@@ -39,6 +42,11 @@ class Constraint:
     names: tuple[str, ...]
     lower: np.ndarray
     upper: np.ndarray
+    motion: Motion = STILL
+
+    def rate(self, expression: ca.SX) -> ca.SX:
+        """The derivative of a column by time, along the inputs."""
+        return self.motion.velocity(expression, self.t[0])
 
     @property
     def z(self) -> ca.SX:

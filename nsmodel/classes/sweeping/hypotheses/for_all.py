@@ -22,10 +22,12 @@ from nsmodel.classes.sweeping.hypotheses.qualification_proofs import Proof, ever
 from nsmodel.classes.sweeping.hypotheses.shapes import read_shapes
 from nsmodel.classes.sweeping.model import SweepingProcess
 from nsmodel.hypotheses.findings import HOLDS, Consequence, Finding, Hypothesis, found
+from nsmodel.hypotheses.inputs import STILL, Motion
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.scope import Box
 from nsmodel.hypotheses.uniform import Values, for_the_box, untouched
 from nsmodel.proof import extremum, interval
+from nsmodel.proof.jumps import jumps_in
 
 READS = {hypothesis.id: ("g",) for hypothesis in HYPOTHESES} | {S_F.id: ("f", "g"), S_START.id: ("g", "q0")}
 
@@ -38,9 +40,9 @@ def values(model: SweepingProcess, box: Box) -> list[Values]:
 def findings(model: SweepingProcess, region: Region, quick: bool) -> list[Finding]:
     """What is decided for all values of the parameters, whose boxes are those of ``region``."""
     same = untouched(check, model, region, quick, READS)
-    constraints = _constraints(model, region)
-    each = [of_slow_shape(constraint) for constraint in constraints]
-    own: list[Finding | None] = [_velocity(model, region), _start(model, region)]
+    constraints = constraints_of(model, region)
+    each = [of_slow_shape(constraint) if is_smooth(constraint) else None for constraint in constraints]
+    own: list[Finding | None] = [velocity_of(model, region), start_of(model, region)]
     answers = [answer for answer in each if answer is not None]
     if len(answers) == len(each):
         own += [joined(hypothesis, constraints, answers, region) for hypothesis in HYPOTHESES[:6]]
@@ -56,9 +58,9 @@ def consequences(model: SweepingProcess, region: Region, own: Sequence[Finding])
     return consequences_of(model, own, (), model.g.numel())
 
 
-def _constraints(model: SweepingProcess, region: Region) -> list[Constraint]:
-    """The constraints, with (t, p) in the place of time."""
-    slow, (low, high) = ca.vertcat(model.t, model.p), region.of_parameters()
+def constraints_of(model: SweepingProcess, region: Region, motion: Motion = STILL) -> list[Constraint]:
+    """The constraints, with (t, p) in the place of time, and u' behind it where inputs are among p."""
+    slow, (low, high), (slowest, fastest) = ca.vertcat(model.t, model.p, motion.v), region.of_parameters(), motion.rates
     found = []
     for name, g, shape in zip(
         model.multiplier_names, ca.vertsplit(model.g), read_shapes(model.g, model.q), strict=True
@@ -66,10 +68,17 @@ def _constraints(model: SweepingProcess, region: Region) -> list[Constraint]:
         rows = list(shape.own)
         names = tuple(model.names[i] for i in rows)
         lower, upper = (
-            np.concatenate([[t], p, x[rows]]) for t, p, x in ((region.t0, low, region.lower), (region.t1, high, region.upper))
+            np.concatenate([[t], p, v, x[rows]])
+            for t, p, v, x in ((region.t0, low, slowest, region.lower), (region.t1, high, fastest, region.upper))
         )
-        found.append(Constraint(name, g, _moving(shape, g, model), slow, model.q[rows], names, lower, upper))
+        found.append(Constraint(name, g, _moving(shape, g, model), slow, model.q[rows], names, lower, upper, motion))
     return found
+
+
+def is_smooth(c: Constraint) -> bool:
+    """Whether neither g nor its gradient jumps with time or with parameters, where derivatives would not tell."""
+    both = ca.vertcat(c.g, ca.gradient(c.g, c.q))
+    return not jumps_in(both, c.t) or interval.is_continuous(both, c.z, c.lower, c.upper)
 
 
 def _moving(shape: ConstraintShape, g: ca.SX, model: SweepingProcess) -> ConstraintShape:
@@ -94,11 +103,12 @@ def _gamma(hypothesis: Hypothesis, proof: Proof, region: Region, timed: bool) ->
     return found(hypothesis, HOLDS, proof.how + any_rho, value, scope=region.scope(timed=timed))
 
 
-def _velocity(model: SweepingProcess, region: Region) -> Finding | None:
+def velocity_of(model: SweepingProcess, region: Region, motion: Motion = STILL) -> Finding | None:
     """S-f by bounds of f and its derivative over (t, p) and all states, else over (t, p) and the box."""
     f, (low, high) = model.f, region.of_parameters()
     z, J = ca.vertcat(model.t, model.p, model.q), ca.jacobian(f, model.q)
     n, timed = model.q.numel(), bool(ca.depends_on(f, model.t))
+    speed, (slowest, fastest) = ca.sumsqr(motion.velocity(f, model.t)), motion.rates
     wide = np.full(n, np.inf)
     for lower, upper, local in ((-wide, wide, False), (region.lower, region.upper, True)):
         ends = np.concatenate([[region.t0], low, lower]), np.concatenate([[region.t1], high, upper])
@@ -107,7 +117,8 @@ def _velocity(model: SweepingProcess, region: Region) -> Finding | None:
         steep = extremum.spectral_norm(J, z, *ends, quick=not local).bound
         about = ca.substitute(f, model.q, ca.DM.zeros(n)) if not local else f
         size = extremum.supremum(ca.sumsqr(about), z, *ends, quick=not local).bound
-        rate = extremum.supremum(ca.sumsqr(ca.jacobian(f, model.t)), z, *ends, quick=True).bound if timed else 0.0
+        moving = np.append(ends[0], slowest), np.append(ends[1], fastest)
+        rate = 0.0 if speed.is_zero() else extremum.supremum(speed, ca.vertcat(z, motion.v), *moving, quick=True).bound
         if np.isfinite(steep) and np.isfinite(size):
             K_f, at_0 = max(steep, 0.0) * UP, np.sqrt(max(size, 0.0)) * UP
             value = {"K_f": K_f, "L_f": at_0 if local else max(K_f, at_0)}
@@ -116,7 +127,7 @@ def _velocity(model: SweepingProcess, region: Region) -> Finding | None:
     return None
 
 
-def _start(model: SweepingProcess, region: Region) -> Finding | None:
+def start_of(model: SweepingProcess, region: Region) -> Finding | None:
     """S-start: g_i(0, q_0) >= 0 for all values, by bounds."""
     at_start = ca.substitute(model.g, ca.vertcat(model.t, model.q), ca.vertcat(0, model.q0))
     ends = region.of_parameters()

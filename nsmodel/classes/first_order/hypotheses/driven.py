@@ -1,0 +1,115 @@
+"""First-order systems with inputs: what is said of a step holds at each value; what is held moves with u in h and g."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.classes.first_order.hypotheses import for_all
+from nsmodel.classes.first_order.hypotheses.check import F_MLCP, F_UNIQUE
+from nsmodel.classes.first_order.hypotheses.linearised import lengths, linearised
+from nsmodel.classes.first_order.model import FirstOrderSystem
+from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, follows, found
+from nsmodel.hypotheses.inputs import Edge, Motion, of_the_scheme, unbounded
+from nsmodel.hypotheses.region import Region
+from nsmodel.hypotheses.scope import Scope
+from nsmodel.proof import extremum, interval
+from nsmodel.trajectory import Trajectory
+
+PARTS = {"f": ("f",), "g": ("g",), "h": ("h",)}
+DRIVEN = Hypothesis(
+    "F-inputs", "h and g are Lipschitz in t along the inputs, at each x and l: no jump of one moves what a row holds",
+    "definition of a solution: x is absolutely continuous",
+)  # fmt: skip
+OF_LENGTHS = (F_MLCP.id, F_UNIQUE.id)
+SHORTER = "Steps that end at an edge of an input may be shorter than the one looked at."
+RANGE = 1.0  # Of multipliers that neither K nor a run bounds.
+UP = 1 + 1e-12
+POINTS = 64  # Where a jump of h or g is looked for.
+
+
+def at_rest(
+    model: FirstOrderSystem, region: Region, runs: Sequence[Trajectory]
+) -> tuple[FirstOrderSystem, Region]:  # fmt: skip
+    """The system whose inputs are parameters, with the step lengths of the runs: those between edges."""
+    other = copy(model)
+    if runs:
+        other._set(steps=lengths(model, runs), step=None)
+    return other, region
+
+
+def findings(
+    model: FirstOrderSystem, region: Region, motion: Motion, own: Sequence[Finding], runs: Sequence[Trajectory], quick: bool
+) -> list[Finding]:  # fmt: skip
+    """Those at each value of the inputs, and F-inputs where one stands in h or g; see the inclusions' module of this name."""
+    if not runs:
+        own = [replace(item, how=f"{item.how} {SHORTER}") if item.id in OF_LENGTHS else item for item in own]
+    return [*own, _moves(model, region, motion, runs, quick)] if motion.read_by(model.h, model.g) else list(own)
+
+
+def _moves(
+    model: FirstOrderSystem, region: Region, motion: Motion, runs: Sequence[Trajectory], quick: bool
+) -> Finding:  # fmt: skip
+    at = linearised(model, region, runs)
+    low = np.where(np.isfinite(at.lower), at.lower, np.minimum(-RANGE, at.upper))
+    high = np.where(np.isfinite(at.upper), at.upper, np.maximum(RANGE, low))
+    loose = motion.may_jump(model.h, model.g)
+    if loose:
+        points = extremum.samples(low, high, POINTS)[:, 1:]
+        return _jump(model, motion.edges(loose, region), points) or found(DRIVEN, UNKNOWN, unbounded(motion, loose))
+    (p_low, p_high), (slowest, fastest) = region.of_parameters(), motion.rates
+    z = ca.vertcat(at.z, model.p, motion.v)
+    ends = np.concatenate([low, p_low, slowest]), np.concatenate([high, p_high, fastest])
+    rates = {name: motion.velocity(part, model.t) for name, part in (("h", model.h), ("g", model.g))}
+    if not interval.is_continuous(ca.vertcat(model.h, model.g, *rates.values()), z, *ends):
+        return found(DRIVEN, UNKNOWN, "h and g are not seen to be continuous along the inputs")
+    tops = {name: extremum.supremum(ca.sumsqr(rate), z, *ends, quick=quick).bound for name, rate in rates.items()}
+    value = {f"|{name}'| at most": float(np.sqrt(max(top, 0.0))) * UP for name, top in tops.items()}
+    if not np.isfinite(list(value.values())).all():
+        return found(DRIVEN, UNKNOWN, "no bound was found of how fast h and g move with the inputs")
+    box = {name: (float(a), float(b)) for name, a, b in zip(at.names[1:], low[1:], high[1:], strict=True)}
+    scope = Scope(box, (float(low[0]), float(high[0])), region.parameters)
+    return found(DRIVEN, HOLDS, "bounds of |h_t + h_u u'| and of |g_t + g_u u'|", value, scope=scope)
+
+
+def _jump(model: FirstOrderSystem, edges: Sequence[Edge], points: np.ndarray) -> Finding | None:
+    """An edge at which a row of h or g provably jumps, the one that does so the most, at the start or another point (x, l)."""
+    rows, n, m = ca.vertcat(model.h, model.g), len(model.names), model.h.numel()
+    z = ca.vertcat(model.x, model.lam, model.t, model.p)
+    start = np.concatenate([np.array(ca.DM(part)).ravel() for part in (model.x0, model.lam0)])
+    for edge in edges:
+        for point in (start, *points):
+            at = [np.concatenate([point, [edge.jump.t], side]) for side in (edge.before, edge.after)]
+            (a, b), (c, d) = (interval.enclose(rows, z, one, one) for one in at)
+            gap = np.maximum(c - b, a - d).ravel()
+            i = int(np.argmax(gap))
+            if not gap[i] > 0:
+                continue
+            row = f"h[{i}]" if i < m else f"g[{i - m}]"
+            how = f"{edge.text}, and {row} with it"
+            if i < m and not ca.depends_on(model.h[i], model.lam):
+                how += "; this row has no l: where it is held, the state jumps"
+            witness = {**edge.witness, "row": row, "x": point[:n], "l": point[n:]}
+            return found(DRIVEN, VIOLATED, how, {"jump": float(gap[i])}, witness)
+    return None
+
+
+def consequences(
+    model: FirstOrderSystem, region: Region, motion: Motion, own: Sequence[Finding], runs: Sequence[Trajectory]
+) -> list[Consequence]:  # fmt: skip
+    """What follows of steps; of the order for signals that are smooth between their edges alone."""
+    del runs
+    moved = [finding.id for finding in own if finding.id == DRIVEN.id]
+    read = motion.read_by(model.f, model.g, model.h)
+    made = []
+    for item in for_all.consequences(model, region, own):
+        if item.name == "order":
+            ids = [*item.rests_on, *moved]
+            item = follows(item.name, item.statement, own, ids, item.source, item.value)
+            item = of_the_scheme(item, motion, read, smooth=True)
+        made.append(item)
+    return made

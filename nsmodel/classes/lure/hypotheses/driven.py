@@ -1,0 +1,59 @@
+"""Lur'e systems with inputs, which stand in f alone: the hypotheses do not ask for f, but for 7.1.
+
+x' + A(x) ∋ f(t) with A + omega maximal monotone has a solution for each integrable f, absolutely continuous in finite dimension;
+two solutions of one f part as those without f do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.classes.lure.hypotheses import for_all
+from nsmodel.classes.lure.hypotheses.passivity import PAPER
+from nsmodel.classes.lure.model import LureSystem
+from nsmodel.hypotheses.findings import Consequence, Finding
+from nsmodel.hypotheses.inputs import Motion, unsettled
+from nsmodel.hypotheses.region import Region
+from nsmodel.proof import interval
+from nsmodel.trajectory import Trajectory
+
+PARTS = {"f": ("f",)}
+INTEGRABLE = f"{PAPER}, Corollary 5.7; for integrable f Brezis 1973, Chapter III"
+AT_REST = ("Lyapunov stable", "globally asymptotically stable")
+WORDS = {
+    "one and only one solution starts": "for each signal one and only one absolutely continuous solution starts",
+    "any two solutions": "any two solutions of one signal",
+}
+
+
+def at_rest(model: LureSystem, region: Region, runs: Sequence[Trajectory]) -> tuple[LureSystem, Region]:
+    """The system itself, whose inputs are parameters."""
+    del runs
+    return model, region
+
+
+def findings(
+    model: LureSystem, region: Region, motion: Motion, own: Sequence[Finding], runs: Sequence[Trajectory], quick: bool
+) -> list[Finding]:  # fmt: skip
+    """Those for constant inputs: none asks how f moves; see the inclusions' module of this name."""
+    del model, region, motion, runs, quick
+    return list(own)
+
+
+def consequences(
+    model: LureSystem, region: Region, motion: Motion, own: Sequence[Finding], runs: Sequence[Trajectory]
+) -> list[Consequence]:  # fmt: skip
+    """What follows for each signal; nothing is at rest that a signal drives."""
+    del motion, runs
+    made = [item for item in for_all.consequences(model, region, own) if item.name not in AT_REST]
+    for few, whole in WORDS.items():
+        made = [replace(item, statement=item.statement.replace(few, whole)) for item in made]
+    made = [replace(item, source=INTEGRABLE) if item.name == "well posed" else item for item in made]
+    low, high = region.of_parameters()
+    last = max(region.t1, float(model.t_end or 0.0))
+    bounded = interval.enclose(model.f, ca.vertcat(model.t, model.p), np.append(region.t0, low), np.append(last, high))
+    return made if np.isfinite(bounded).all() else [unsettled(item, "f is not seen to be bounded") for item in made]

@@ -1,0 +1,136 @@
+"""Sweeping processes with inputs: f may be measurable in t, Q(t) must be Lipschitz.
+
+What does not ask for speeds is decided at each time and value of the inputs; A2, A3 and the L_t of S-f for their velocities.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.classes.sweeping.hypotheses import check, for_all
+from nsmodel.classes.sweeping.hypotheses.check import A2, A3, S_F, S_START, joined
+from nsmodel.classes.sweeping.hypotheses.constants import of_slow_shape
+from nsmodel.classes.sweeping.hypotheses.constraint import ON_THE_BOX, Answer, Answers, Constraint, steady
+from nsmodel.classes.sweeping.model import SweepingProcess
+from nsmodel.hypotheses import uniform
+from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Consequence, Finding
+from nsmodel.hypotheses.inputs import Edge, Motion, unbounded
+from nsmodel.hypotheses.region import Region
+from nsmodel.hypotheses.scope import Scope, meet
+from nsmodel.proof import extremum, interval
+from nsmodel.trajectory import Trajectory
+
+PARTS = {"f": ("f",), "constraints": ("constraints",)}
+POINTS = 64  # Where a jump of a constraint is looked for.
+
+
+def at_rest(
+    model: SweepingProcess, region: Region, runs: Sequence[Trajectory]
+) -> tuple[SweepingProcess, Region]:  # fmt: skip
+    """The process itself, whose inputs are parameters."""
+    del runs
+    return model, region
+
+
+def findings(
+    model: SweepingProcess, region: Region, motion: Motion, own: Sequence[Finding], runs: Sequence[Trajectory], quick: bool
+) -> list[Finding]:  # fmt: skip
+    """Those at each time and value of the inputs, but for speeds and the start; see the inclusions' module of this name."""
+    del runs
+    made = {finding.id: finding for finding in own}
+    if motion.read_by(model.g):
+        made |= {finding.id: finding for finding in _moving(model, region, motion, quick)}
+    if motion.read_by(model.f):
+        made[S_F.id] = _velocity(model, region, motion, made[S_F.id])
+    if motion.read_by(model.g) and motion.start:
+        made[S_START.id] = _start(model, region, motion)
+    return list(made.values())
+
+
+def consequences(
+    model: SweepingProcess, region: Region, motion: Motion, own: Sequence[Finding], runs: Sequence[Trajectory]
+) -> list[Consequence]:  # fmt: skip
+    """What follows for each signal: of the set at each time, of solutions, and of the scheme where speeds are known."""
+    del motion, runs
+    made = for_all.consequences(model, region, own)
+    return [replace(item, statement=f"for each signal {item.statement}") if item.name == "well posed" else item for item in made]
+
+
+def _moving(model: SweepingProcess, region: Region, motion: Motion, quick: bool) -> list[Finding]:
+    """A2 and A3 of constraints along the inputs."""
+    constraints = for_all.constraints_of(model, region, motion)
+    each = [_speeds(c, model, region, motion, quick) for c in constraints]
+    scope = Scope(parameters=region.parameters)
+    made = [joined(hypothesis, constraints, each, region) for hypothesis in (A2, A3)]
+    return [replace(finding, scope=meet(finding.scope, scope)) for finding in made]
+
+
+def _speeds(c: Constraint, model: SweepingProcess, region: Region, motion: Motion, quick: bool) -> Answers:
+    known = of_slow_shape(c) if for_all.is_smooth(c) and not motion.may_jump(c.g) else None
+    made: Answers = {}
+    for id, part, name in (("A2", c.g, "b"), ("A3", ca.gradient(c.g, c.q), "M")):
+        loose = motion.may_jump(part)
+        if known is not None and id in known:
+            made[id] = known[id]
+        elif loose:
+            nothing = Answer(UNKNOWN, how=unbounded(motion, loose), witness={"constraint": c.name})
+            made[id] = _jump(c, part, name, model, region, motion.edges(loose, region)) or nothing
+        else:
+            made[id] = _bounded(c, part, name, quick) if ca.depends_on(part, c.t) else steady(name)
+    return made
+
+
+def _bounded(c: Constraint, part: ca.SX, name: str, quick: bool) -> Answer:
+    """A bound of the speed of g or of its gradient over the box."""
+    rate = c.rate(part)
+    if not interval.is_continuous(ca.vertcat(ca.vec(part), rate), c.z, c.lower, c.upper):
+        return Answer(UNKNOWN, {}, ON_THE_BOX, "not proved continuous along the inputs", {"constraint": c.name})
+    top = extremum.supremum(ca.sumsqr(rate), c.z, c.lower, c.upper, quick=quick)
+    if not np.isfinite(top.bound):
+        return Answer(UNKNOWN, {}, ON_THE_BOX, "no bound of the speed was found", {"constraint": c.name})
+    return Answer(HOLDS, {name: float(np.sqrt(max(top.bound, 0.0))) * (1 + 1e-12)}, ON_THE_BOX, "a bound over the whole box")
+
+
+def _jump(c: Constraint, part: ca.SX, name: str, model: SweepingProcess, region: Region, edges: Sequence[Edge]) -> Answer | None:
+    """An edge at which g, or its gradient, provably jumps at a state that is admissible before or after."""
+    own, (low, high) = list(c.shape.own), region.of_parameters()
+    start = np.array(ca.DM(ca.substitute(model.q0, model.p, low + (high - low) / 2))).ravel()[own]
+    states = (start, *extremum.samples(region.lower[own], region.upper[own], POINTS))
+    column, z = ca.densify(ca.vec(part)), ca.vertcat(c.q, model.t, model.p)
+    for edge in edges:
+        for q in states:
+            at = [np.concatenate([q, [edge.jump.t], side]) for side in (edge.before, edge.after)]
+            if not any((interval.enclose(c.g, z, one, one)[0] >= 0).all() for one in at):
+                continue
+            (a, b), (e, f) = (interval.enclose(column, z, one, one) for one in at)
+            size = float(np.linalg.norm(np.maximum(np.maximum(e - b, a - f), 0.0)))
+            if size > 0:
+                what = "g_i" if name == "b" else "its gradient"
+                how = f"{edge.text}, and {what} with it, by at least {size:.3g}"
+                how += ": Q(t) is not Lipschitz in t" if name == "b" else ""
+                witness = {"constraint": c.name, **edge.witness, **dict(zip(c.names, q, strict=True))}
+                return Answer(VIOLATED, {name: np.inf, "jump": size}, how=how, witness=witness)
+    return None
+
+
+def _velocity(model: SweepingProcess, region: Region, motion: Motion, own: Finding) -> Finding:
+    """S-f, its L_t along the inputs."""
+    made = for_all.velocity_of(model, region, motion) if own.verdict == HOLDS else None
+    if made is not None:
+        return replace(made, scope=meet(made.scope, Scope(parameters=region.parameters)))
+    return replace(own, value={name: number for name, number in own.value.items() if name != "L_t"})
+
+
+def _start(model: SweepingProcess, region: Region, motion: Motion) -> Finding:
+    """S-start at u(0+), where that is known."""
+    known = model.bind(motion.start, partly=True)
+    box = {name: ends for name, ends in region.parameters.items() if name not in motion.start}
+    if not box:
+        return check.start(known)
+    at = [(one, {S_START.id: check.start(known.bind(one))}) for one in uniform.values_in(box)]
+    proof = for_all.start_of(known, replace(region, parameters=box))
+    return uniform.joined(box, at, {} if proof is None else {S_START.id: proof})[0]

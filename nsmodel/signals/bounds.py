@@ -1,0 +1,48 @@
+"""What is known of a signal: between which values it stays, how fast it moves at most, and where it jumps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from nsmodel.pickled import Pickled
+
+
+@dataclass(frozen=True, eq=False)
+class Within(Pickled):
+    """See `within`; each entry is a number for all values of an input, or one for each (nu,)."""
+
+    low: np.ndarray
+    high: np.ndarray
+    rate: np.ndarray | None
+    start: np.ndarray | None
+
+    @property
+    def sizes(self) -> set[int]:
+        """The numbers of values that are given."""
+        given = (getattr(self, end) for end in Ends._fields)
+        return {part.size for part in given if part is not None and part.ndim}
+
+    def of_size(self, size: int) -> Ends:
+        """As (size,) of each."""
+        rate, start = (missing if part is None else part for part, missing in ((self.rate, np.inf), (self.start, np.nan)))
+        return Ends(*(np.broadcast_to(np.asarray(part, float), (size,)) for part in (self.low, self.high, rate, start)))
+
+
+class Ends(NamedTuple):
+    """Bounds of each of the values of an input (nu,): a rate that is not known is inf, a start NaN."""
+
+    low: np.ndarray
+    high: np.ndarray
+    rate: np.ndarray
+    start: np.ndarray
+
+
+class Jump(NamedTuple):
+    """u(t-) and u(t+), (nu,) each."""
+
+    t: float
+    before: np.ndarray
+    after: np.ndarray
