@@ -29,12 +29,17 @@ SLACK = 1e-9  # By which part of its bounds a run's signal may be beyond them.
 
 
 class Edge(NamedTuple):
-    """A jump of one input: the values (k,) of all that a check takes for parameters before and after it, the others the same."""
+    """A jump of one input: the values (k,) of all that a check takes for parameters before and after it."""
 
     name: str
     jump: Jump
     before: np.ndarray
     after: np.ndarray
+
+    def at(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(x, t, p) before and after it."""
+        before, after = (np.concatenate([x, [self.jump.t], p]) for p in (self.before, self.after))
+        return before, after
 
     @property
     def witness(self) -> dict[str, Any]:

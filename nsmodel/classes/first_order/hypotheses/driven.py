@@ -16,7 +16,7 @@ from nsmodel.classes.first_order.model import FirstOrderSystem
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, follows, found
 from nsmodel.hypotheses.inputs import Edge, Motion, of_the_scheme, unbounded
 from nsmodel.hypotheses.region import Region
-from nsmodel.hypotheses.scope import Scope
+from nsmodel.hypotheses.scope import Box, Scope
 from nsmodel.proof import extremum, interval
 from nsmodel.trajectory import Trajectory
 
@@ -60,7 +60,8 @@ def _moves(
     loose = motion.may_jump(model.h, model.g)
     if loose:
         points = extremum.samples(low, high, POINTS)[:, 1:]
-        return _jump(model, motion.edges(loose, region), points) or found(DRIVEN, UNKNOWN, unbounded(motion, loose))
+        jumped = _jump(model, region.parameters, motion.edges(loose, region), points)
+        return jumped or found(DRIVEN, UNKNOWN, unbounded(motion, loose))
     (p_low, p_high), (slowest, fastest) = region.of_parameters(), motion.rates
     z = ca.vertcat(at.z, model.p, motion.v)
     ends = np.concatenate([low, p_low, slowest]), np.concatenate([high, p_high, fastest])
@@ -76,15 +77,15 @@ def _moves(
     return found(DRIVEN, HOLDS, "bounds of |h_t + h_u u'| and of |g_t + g_u u'|", value, scope=scope)
 
 
-def _jump(model: FirstOrderSystem, edges: Sequence[Edge], points: np.ndarray) -> Finding | None:
+def _jump(model: FirstOrderSystem, box: Box, edges: Sequence[Edge], points: np.ndarray) -> Finding | None:
     """An edge at which a row of h or g provably jumps, the one that does so the most, at the start or another point (x, l)."""
     rows, n, m = ca.vertcat(model.h, model.g), len(model.names), model.h.numel()
     z = ca.vertcat(model.x, model.lam, model.t, model.p)
-    start = np.concatenate([np.array(ca.DM(part)).ravel() for part in (model.x0, model.lam0)])
+    middle = ca.DM([low + (high - low) / 2 for low, high in box.values()])
+    start = np.array(ca.DM(ca.substitute(ca.vertcat(model.x0, model.lam0), model.p, middle))).ravel()
     for edge in edges:
         for point in (start, *points):
-            at = [np.concatenate([point, [edge.jump.t], side]) for side in (edge.before, edge.after)]
-            (a, b), (c, d) = (interval.enclose(rows, z, one, one) for one in at)
+            (a, b), (c, d) = (interval.enclose(rows, z, one, one) for one in edge.at(point))
             gap = np.maximum(c - b, a - d).ravel()
             i = int(np.argmax(gap))
             if not gap[i] > 0:
@@ -92,7 +93,7 @@ def _jump(model: FirstOrderSystem, edges: Sequence[Edge], points: np.ndarray) ->
             row = f"h[{i}]" if i < m else f"g[{i - m}]"
             how = f"{edge.text}, and {row} with it"
             if i < m and not ca.depends_on(model.h[i], model.lam):
-                how += "; this row has no l: where it is held, the state jumps"
+                how += "; this row has no l: a state that it holds may have to jump"
             witness = {**edge.witness, "row": row, "x": point[:n], "l": point[n:]}
             return found(DRIVEN, VIOLATED, how, {"jump": float(gap[i])}, witness)
     return None

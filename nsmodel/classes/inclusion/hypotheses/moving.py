@@ -20,7 +20,7 @@ from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.classes.inclusion.set_valued import constraints
 from nsmodel.hypotheses import uniform
 from nsmodel.hypotheses.findings import HOLDS, UNKNOWN, VIOLATED, Consequence, Finding, Hypothesis, follows, found, scope_of
-from nsmodel.hypotheses.inputs import STILL, Motion, unbounded
+from nsmodel.hypotheses.inputs import STILL, Edge, Motion, unbounded
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.scope import Scope
 from nsmodel.proof import extremum, interval
@@ -41,7 +41,7 @@ POINTS = 256  # Where a point is looked for that a jump of an input puts outside
 
 
 class Passing(NamedTuple):
-    """C as it passes: its rows, the box of z = (x, slow, v), slow = (t, u, p), and the speed of an expression of these."""
+    """C(t) as its p = (t, u, parameters) passes: the box of z = (p, u', x), and the speed of an expression of p and x."""
 
     C: MovingSet
     motion: Motion
@@ -52,14 +52,14 @@ class Passing(NamedTuple):
 
     @property
     def slow(self) -> tuple[ca.SX, np.ndarray, np.ndarray]:
-        """(slow, v), and their box."""
+        """(p, u'), and their box."""
         return self.box(ca.SX(0, 1), np.zeros(0), np.zeros(0))
 
     def box(self, x: ca.SX, low: np.ndarray, high: np.ndarray) -> tuple[ca.SX, np.ndarray, np.ndarray]:
-        """(slow, v, x), and its box where that of x is given."""
-        slowest, fastest = self.motion.rates
-        ends = ((self.C.lower, slowest, low), (self.C.upper, fastest, high))
-        return ca.vertcat(self.C.p, self.motion.v, x), *(np.concatenate(own) for own in ends)  # type: ignore[return-value]
+        """z, and its box where that of x is given."""
+        C, (slowest, fastest) = self.C, self.motion.rates
+        z = ca.vertcat(C.p, self.motion.v, x)
+        return z, np.concatenate([C.lower, slowest, low]), np.concatenate([C.upper, fastest, high])
 
 
 class HausdorffBound(NamedTuple):
@@ -97,7 +97,8 @@ def at_each_time(model: MonotoneInclusion) -> MonotoneInclusion:
 def in_time(finding: Finding, t: str, time: tuple[float, float]) -> Finding:
     """The finding for all values of the parameter t, as one for all times."""
     scope = finding.scope or Scope()
-    return replace(finding, scope=Scope(scope.states, time, {name: ends for name, ends in scope.parameters.items() if name != t}))
+    others = {name: ends for name, ends in scope.parameters.items() if name != t}
+    return replace(finding, scope=Scope(scope.states, time, others))
 
 
 # -- M-H ---------------------------------------------------------------------------------------------------------------
@@ -123,31 +124,33 @@ def _still(passing: Passing) -> Part | None:
 
 
 def _driven(model: MonotoneInclusion, passing: Passing, region: Region) -> Part | None:
-    """Where an input that has no rate moves C: a jump of it, and a point that is in C on one side alone."""
+    """Where an input that has no rate moves C: a jump of it that provably moves C."""
     C, motion = passing.C, passing.motion
     loose = motion.may_jump(C.rows)
     for edge in motion.edges(loose, region):
-        seen = _apart(model, C, [np.append(edge.jump.t, side) for side in (edge.before, edge.after)], region)
+        seen = _of_bound(model, C, edge) if not model.constraints else _of_point(C, edge, region)
         if seen is not None:
             return Part(VIOLATED, f"{edge.text}, and C with it", {"jump": seen[0]}, {**edge.witness, **seen[1]})
     return Part(UNKNOWN, unbounded(motion, loose), {}, {}) if loose else None
 
 
-def _apart(
-    model: MonotoneInclusion, C: MovingSet, sides: Sequence[np.ndarray], region: Region
-) -> tuple[float, dict[str, Any]] | None:
-    """How far a bound of a box jumps, or a point of C on one side of a jump that is not in C on the other."""
-    for ends, word in ((model.lower, "lower"), (model.upper, "upper")):
+def _of_bound(model: MonotoneInclusion, C: MovingSet, edge: Edge) -> tuple[float, dict[str, Any]] | None:
+    """How far a bound of a box jumps."""
+    for word, ends in (("lower", model.lower), ("upper", model.upper)):
         for name, end in zip(model.names, ca.vertsplit(ends), strict=True):
-            if model.constraints or not ca.depends_on(end, C.p):
-                continue
-            (a, b), (c, d) = (np.ravel(interval.enclose(end, C.p, side, side)) for side in sides)
-            gap = max(c - b, a - d)
-            if gap > 0:
-                return float(gap), {"bound": f"{word} {name}", "below": (a + b) / 2, "above": (c + d) / 2}
+            if ca.depends_on(end, C.p):
+                (a, b), (c, d) = (np.ravel(interval.enclose(end, C.p, side, side)) for side in edge.at(np.zeros(0)))
+                if max(c - b, a - d) > 0:
+                    return float(max(c - b, a - d)), {"bound": f"{word} {name}", "below": (a + b) / 2, "above": (c + d) / 2}
+    return None
+
+
+def _of_point(C: MovingSet, edge: Edge, region: Region) -> tuple[float, dict[str, Any]] | None:
+    """A point of C on one side of the jump that is not in C on the other, and by how much."""
+    z = ca.vertcat(C.x, C.p)
     for x in extremum.samples(region.lower, region.upper, POINTS):
-        rows = [interval.enclose(C.rows, ca.vertcat(C.p, C.x), *(np.append(side, x),) * 2) for side in sides]
-        for (inside, _), (_, outside) in (rows, rows[::-1]):
+        before, after = (interval.enclose(C.rows, z, side, side) for side in edge.at(x))
+        for (inside, _), (_, outside) in ((before, after), (after, before)):
             if (inside >= 0).all() and (outside < 0).any():
                 return float(-np.min(outside)), {"x": x}
     return None

@@ -57,7 +57,8 @@ def consequences(
     """What follows for each signal: of the set at each time, of solutions, and of the scheme where speeds are known."""
     del motion, runs
     made = for_all.consequences(model, region, own)
-    return [replace(item, statement=f"for each signal {item.statement}") if item.name == "well posed" else item for item in made]
+    words = {item.name: f"for each signal {item.statement}" for item in made if item.name == "well posed"}
+    return [replace(item, statement=words.get(item.name, item.statement)) for item in made]
 
 
 def _moving(model: SweepingProcess, region: Region, motion: Motion, quick: bool) -> list[Finding]:
@@ -95,26 +96,33 @@ def _bounded(c: Constraint, part: ca.SX, name: str, quick: bool) -> Answer:
     return Answer(HOLDS, {name: float(np.sqrt(max(top.bound, 0.0))) * (1 + 1e-12)}, ON_THE_BOX, "a bound over the whole box")
 
 
-def _jump(c: Constraint, part: ca.SX, name: str, model: SweepingProcess, region: Region, edges: Sequence[Edge]) -> Answer | None:
+def _jump(
+    c: Constraint, part: ca.SX, name: str, model: SweepingProcess, region: Region, edges: Sequence[Edge]
+) -> Answer | None:  # fmt: skip
     """An edge at which g, or its gradient, provably jumps at a state that is admissible before or after."""
     own, (low, high) = list(c.shape.own), region.of_parameters()
     start = np.array(ca.DM(ca.substitute(model.q0, model.p, low + (high - low) / 2))).ravel()[own]
     states = (start, *extremum.samples(region.lower[own], region.upper[own], POINTS))
     column, z = ca.densify(ca.vec(part)), ca.vertcat(c.q, model.t, model.p)
+    found = None
     for edge in edges:
         for q in states:
-            at = [np.concatenate([q, [edge.jump.t], side]) for side in (edge.before, edge.after)]
-            if not any((interval.enclose(c.g, z, one, one)[0] >= 0).all() for one in at):
-                continue
-            (a, b), (e, f) = (interval.enclose(column, z, one, one) for one in at)
+            signs = [interval.enclose(c.g, z, one, one) for one in edge.at(q)]
+            admitted = [bool((low >= 0).all()) for low, _ in signs]
+            (a, b), (e, f) = (interval.enclose(column, z, one, one) for one in edge.at(q))
             size = float(np.linalg.norm(np.maximum(np.maximum(e - b, a - f), 0.0)))
-            if size > 0:
+            if not (size > 0 and any(admitted)):
+                continue
+            left = any(inside and (high < 0).all() for inside, (_, high) in zip(admitted, signs[::-1], strict=True))
+            if found is None or left:
                 what = "g_i" if name == "b" else "its gradient"
                 how = f"{edge.text}, and {what} with it, by at least {size:.3g}"
-                how += ": Q(t) is not Lipschitz in t" if name == "b" else ""
+                how += "; this state is admissible on one side of the edge alone" if left else ""
                 witness = {"constraint": c.name, **edge.witness, **dict(zip(c.names, q, strict=True))}
-                return Answer(VIOLATED, {name: np.inf, "jump": size}, how=how, witness=witness)
-    return None
+                found = Answer(VIOLATED, {name: np.inf, "jump": size}, how=how, witness=witness)
+            if left:
+                return found
+    return found
 
 
 def _velocity(model: SweepingProcess, region: Region, motion: Motion, own: Finding) -> Finding:
