@@ -147,7 +147,7 @@ def test_a_field_and_an_operator_need_no_rate():
     assert report["M-H"].value["kappa"] == 0
     assert set(follows(report).values()) <= {"holds", "sampled"}
     assert "bounded" not in follows(report)  # told for the autonomous inclusion alone
-    meant = check(inclusion(None, push=u), bounds={u: within(0, 0.2)})
+    meant = check(inclusion(None, push=u), bounds={u: within(0, 0.2)}, quick=True)
     assert follows(meant)["well posed"] == "holds"
     assert follows(meant)["convergence of the scheme"] == "unknown"  # a step sees a measurable u at its ends alone
 
@@ -255,7 +255,7 @@ def test_rows_of_h_move_with_u():
     assert report["F-inputs"].verdict == "holds"
     assert report["F-inputs"].value["|h'| at most"] == pytest.approx(2)
     assert follows(report)["order"] == "holds"
-    broken = check(held(SQUARE))
+    broken = check(held(SQUARE), quick=True)
     assert broken["F-inputs"].verdict == "violated"
     assert broken["F-inputs"].value["jump"] == pytest.approx(0.2)
     assert "may have to jump" in broken["F-inputs"].how
@@ -376,10 +376,10 @@ def test_a_class_that_proves_nothing_for_all_values(monkeypatch):
 
 def test_a_run_beyond_its_bounds_is_no_evidence():
     for bounds, why in ((within(0, 1), "goes from -1 to 1"), (within(-1, 1, rate=1.5), "moves faster at t = ")):
-        report = check(wall(RAMP), bounds={u: bounds})
+        report = check(wall(RAMP, step=0.05), bounds={u: bounds})
         assert any(why in note for note in report.notes)
         assert not [f for f in report.findings if f.id.startswith("run-")]
-    assert [f for f in check(wall(RAMP), bounds={u: within(-1, 1, rate=2)}).findings if f.id.startswith("run-")]
+    assert [f for f in check(wall(RAMP, step=0.05), bounds={u: within(-1, 1, rate=2)}).findings if f.id.startswith("run-")]
     run = simulate(wall(RAMP), inputs={"u": 0.0})
     assert check(wall(None), [run], bounds={u: within(-1, 1)})["run-feasible"].verdict == "holds"
 

@@ -1,7 +1,7 @@
 """Lur'e systems with inputs, which stand in f alone: the hypotheses do not ask for f, but for 7.1.
 
-x' + A(x) ∋ f(t) with A + omega maximal monotone has a solution for each integrable f, in finite dimension an absolutely continuous
-one; two solutions of one f part as those without f do.
+x' + A(x) ∋ f(t) with A + omega maximal monotone has a solution for each integrable f, which in finite dimension is absolutely
+continuous; two solutions of one f part as those without f do.
 """
 
 from __future__ import annotations
