@@ -16,7 +16,7 @@ from nsmodel.errors import ModelError, StepError, UsageError
 from nsmodel.hypotheses import impacts, uniform
 from nsmodel.hypotheses.along import along
 from nsmodel.hypotheses.findings import ALONG_A_RUN, HOLDS, VIOLATED, Consequence, Finding, Hypothesis, measured, plain
-from nsmodel.hypotheses.inputs import Motion, beyond, motion_of, told, unsettled
+from nsmodel.hypotheses.inputs import Motion, between_ticks, beyond, motion_of, told, unsettled
 from nsmodel.hypotheses.region import Region, around, region_of
 from nsmodel.hypotheses.report.report import Report
 from nsmodel.hypotheses.scope import Box, Scope, meet
@@ -117,7 +117,7 @@ def check(
     if not own:
         notes += [f"{watch.acts}, not on y': {LATE}" for watch in impacts.watched(bound) if not watch.relay]
     seen = _seen(driven, motion, own, findings, notes, given, quick)
-    lines = _told(driven, motion)
+    consequences, lines = between_ticks(driven, consequences), _told(driven, motion)
     return _report(
         driven, box.text, [*findings, *seen[0]], [*consequences, *seen[1]], driven.bound_parameters, notes, quick, lines
     )
@@ -202,7 +202,7 @@ def _for_all(
         text = f"{', '.join(motion.names)}: looked at {count} constant values between the ends"
     shown_values: dict[str, Any] = {**part.bound_parameters, **boxes}
     seen = ([], []) if boxes else _seen(driven, motion, own, findings, notes, given, quick)
-    findings, made, notes = [*findings, *seen[0]], [*made, *seen[1]], [*notes, text]
+    findings, made, notes = [*findings, *seen[0]], [*between_ticks(model, made), *seen[1]], [*notes, text]
     return _report(part, box.text, findings, made, shown_values, notes, quick, _told(part, motion))
 
 

@@ -16,6 +16,7 @@ from nsmodel import (
     complementarity,
     pwm,
     relay,
+    sampled,
     signal,
     simulate,
     steps,
@@ -488,3 +489,19 @@ def test_bounds_on_the_command_line(tmp_path, capsys):
         capsys.readouterr()
         assert main(["check", file, "--quick", *given]) == 2
         assert words in capsys.readouterr().err
+
+
+# -- blocks
+
+
+def test_what_a_block_sets_needs_bounds_where_the_model_reads_it_and_nothing_is_claimed_across_ticks():
+    v, w, z = (ca.SX.sym(name) for name in "vwz")
+    pi = sampled("pi", period=0.05, memory={z: 0}, outputs={w: z - v}, update={z: z - v})
+    model = LureSystem(A=[[-1]], B=[[1]], C=[[1]], f=[w], law=relay(1), x=v, x0=[1], blocks=[pi], t_end=1, step=0.01)
+    with pytest.raises(UsageError, match="input 'w': between which values its signal stays is not known"):
+        check(model)
+    report = check(model, bounds={"w": within(-2, 2)}, quick=True)
+    assert report["5.1"].verdict == report["5.2"].verdict == "holds"
+    made = [item for item in report.consequences if item.name in ("well posed", "contraction")]
+    assert [item.verdict for item in made] == ["unknown"] * 2
+    assert all("what holds between the ticks of 'pi' is not known across them" in item.statement for item in made)

@@ -21,10 +21,11 @@ from nsmodel.hypotheses.uniform import reads
 from nsmodel.model.base import Model
 from nsmodel.model.inputs import by_name, word_of
 from nsmodel.signals.bounds import Ends, Jump, Within
-from nsmodel.signals.signal import Signal
+from nsmodel.signals.signal import Held, Signal
 from nsmodel.trajectory import Trajectory
 
 FIX = "give bounds={{'{0}': within(low, high)}} or --bound {0}=LOW:HIGH"
+UNREAD = Held(np.zeros(1))  # What an input of which nothing of a model depends is taken for.
 SLACK = 1e-9  # By which part of its bounds a run's signal may be beyond them.
 
 
@@ -134,8 +135,12 @@ def motion_of(model: Model, bounds: Any, t_end: float) -> Motion:
     if bounds is not None and not isinstance(bounds, Mapping):
         raise UsageError(f"bounds: expected a dictionary {{input: within(low, high)}}, not a {type(bounds).__name__}")
     given = by_name(bounds, model.input_groups)
+    own = {name: model.u[[model.input_names.index(one) for one in names]] for name, names in model.input_groups.items()}
+    parts = [part for name, part in vars(model).items() if name not in ("blocks", "inputs", "u")]
     meant = {
-        name: _given(name, given[name], len(names)) if name in given else _read(name, model.inputs[name], len(names), t_end)
+        name: _given(name, given[name], len(names))
+        if name in given
+        else _read(name, model.inputs[name] if reads(parts, own[name]) else UNREAD, len(names), t_end)
         for name, names in model.input_groups.items()
     }
     scalars = [(name, place) for name, names in model.input_groups.items() for place in range(len(names))]
@@ -247,6 +252,13 @@ def unsettled(consequence: Consequence, reason: str) -> Consequence:
     """The consequence, which does not follow for a reason."""
     statement = f"{consequence.statement}; {reason}"
     return replace(consequence, verdict=UNKNOWN, statement=statement, value={}, clause="", until=None)
+
+
+def between_ticks(model: Model, made: Iterable[Consequence]) -> list[Consequence]:
+    """What follows for given signals, where blocks make them of the state: unknown."""
+    names = ", ".join(f"'{block.name}'" for block in model.blocks if not block.latch)
+    reason = f"what holds between the ticks of {names} is not known across them: they act on what the state was"
+    return [unsettled(item, reason) if model.blocks else item for item in made]
 
 
 def of_the_scheme(consequence: Consequence, motion: Motion, read: Iterable[int], *, smooth: bool = False) -> Consequence:

@@ -19,7 +19,7 @@ from nsmodel.signals.kept import Kept
 from nsmodel.signals.signal import Signal
 
 T = TypeVar("T", bound=Any)
-UNDRIVEN = {"u": ca.SX(0, 1), "inputs": MappingProxyType({}), "input_groups": MappingProxyType({})}
+UNDRIVEN = {"u": ca.SX(0, 1), "inputs": MappingProxyType({}), "input_groups": MappingProxyType({}), "blocks": ()}
 
 
 def driven_by(model: T, signals: Signals | None = None) -> T:

@@ -23,6 +23,9 @@ class Kept(Held):
         """Those that the block names."""
         return self.few
 
+    def within(self, t_end: float) -> None:
+        """Not known."""
+
     def holding(self, kept: Mapping[str, np.ndarray]) -> Signal:
         """What is held now."""
         return Held(kept[self.name])

@@ -10,13 +10,9 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError
-<<<<<<< HEAD
-from nsmodel.signals.kept import Kept
-from nsmodel.signals.signal import Held, Signal, earlier, later, numbers, one_of
-=======
 from nsmodel.signals.bounds import Within
+from nsmodel.signals.kept import Kept
 from nsmodel.signals.signal import Held, Signal, constant, earlier, later, numbers, one_of
->>>>>>> 70a7c0f (Checks take models with inputs: each hypothesis for all signals within bounds, with a rate where they move what holds the state; an edge there is a violation with its time and jump)
 
 KINDS = ("trailing", "leading", "centre")
 
@@ -100,10 +96,12 @@ class Pwm(Signal):
 
     def within(self, t_end: float) -> Within:
         """Low and high; one of them where no pulse begins or ends."""
+        low, high = np.sort([self.low, self.high])
+        if self.moving:
+            return Within(np.full(1, low), np.full(1, high), None, None)
         first = self.after(np.zeros(1))[0]
         if self.jump(t_end) is None and t_end > 0:
             return constant(first)
-        low, high = np.sort([self.low, self.high])
         return Within(np.full(1, low), np.full(1, high), None, first)
 
     def _value(self, t: np.ndarray) -> np.ndarray:

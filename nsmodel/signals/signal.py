@@ -133,7 +133,7 @@ class Held(Signal):
 
     before = after
 
-    def within(self, t_end: float) -> Within:
+    def within(self, t_end: float) -> Within | None:
         """Its values."""
         del t_end
         return constant(self.values)
