@@ -7,6 +7,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 from event_models import Scene
+from scipy.linalg import null_space
 from scipy.optimize import lsq_linear
 
 from nsmodel import MonotoneInclusion, Trajectory
@@ -21,7 +22,7 @@ class Missed(NamedTuple):
         rate: the integral of |x' - f - g| over the run, by its mean at random points.
         apart: the sum of the jumps of x between pieces, and of x(0) - x0.
         rows: how far rows are from their sign, or held rows from 0.
-        multipliers: how far l is from its box, or from its end where y is not 0.
+        multipliers: how far l is from its box, from its end where y is not 0, or from what x' asks of it where no y has it.
     """
 
     rate: float
@@ -79,12 +80,13 @@ def missed(scene: Scene, run: Trajectory, rng: np.random.Generator, points: int 
     sizes_y = np.max(terms, axis=0, initial=TINY)
     sizes_l = np.maximum(1.0, np.max([np.abs(l) for *_, l, _ in found], axis=0)) if not free else np.empty(0)
     rate, off, out = np.zeros(len(starts)), 0.0, 0.0
-    for (k, s, _, _, slope, l, length), (f, y, G, *_) in zip(found, rows, strict=True):
-        y = y.ravel() / sizes_y
-        miss, one, two = (
-            (slope - f.ravel(), *_signs(scene, y, l, sizes_l)) if l is not None else _law(scene, slope - f.ravel(), y, G)
-        )
+    for (k, s, _, _, slope, l, length), (f, y, G, _, D) in zip(found, rows, strict=True):
+        y, miss = y.ravel() / sizes_y, slope - f.ravel()
+        miss, one, two = _law(scene, miss, y, G) if free else (miss, *_signs(scene, y, l, sizes_l))
         if 0 < s < 1:
+            if not free:
+                lacks = _lacking(scene, miss, l, G, D, sizes_x)
+                miss, two = miss - G @ lacks, max(two, np.max(np.abs(lacks) / sizes_l))
             rate[k] += np.max(np.abs(miss) / sizes_x) * length / points
         off, out = max(off, one), max(out, two)
     jumps = [_start(scene, of, x0, c_x[0][:, 0], arrays["piece_impulse"][0])]
@@ -113,6 +115,13 @@ def _signs(scene: Scene, y: np.ndarray, l: np.ndarray, sizes: np.ndarray) -> tup
             wrong = min(wrong, max(inside, max(-v, 0) if near else max(v, 0)))
         off, out = max(off, wrong), max(out, outside)
     return off, out
+
+
+def _lacking(scene: Scene, miss: np.ndarray, l: np.ndarray, G: np.ndarray, D: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """What l within its box lacks, where no y tells of it: x' alone misses it."""
+    inside = (scene.lower < l) & (l < scene.upper)
+    unseen = np.eye(l.size)[:, inside] @ null_space(D[:, inside])
+    return unseen @ np.linalg.lstsq(G @ unseen / sizes[:, None], miss / sizes)[0]
 
 
 def _law(scene: Scene, rest: np.ndarray, y: np.ndarray, G: np.ndarray) -> tuple[np.ndarray, float, float]:
