@@ -18,6 +18,7 @@ from nsmodel import (
     equality,
     product,
     relay,
+    second_order_cone,
     simulate,
 )
 from nsmodel.cli import main
@@ -44,6 +45,25 @@ def oscillator(**given):
     x = ca.SX.sym("x")
     basis = {"x": x, "potential": x**2 / 2, "friction": 0.05 * S, "s": S, "constraints": {"wall": x + 0.5}}
     return FrictionOscillator(**(basis | {"x0": 1, "t_end": 4, "step": 1e-3} | given))
+
+
+Q, R3 = ca.SX.sym("x", 4), ca.SX.sym("l", 3)
+HIT = np.array([0.3, -np.sqrt(0.91)])  # where what falls from (0.3, 0) meets the unit circle, after
+FALL = np.sqrt(2 * 0.91**0.5 / 9.81)  # seconds
+
+
+def disc(**given):
+    """A point that falls in the unit disc: (1, q) in the cone."""
+    basis = {"x": Q, "lam": R3, "f": [Q[2], Q[3], 0, -9.81], "g": [0, 0, R3[1], R3[2]], "h": [1, Q[0], Q[1]]}
+    return FirstOrderSystem(**(basis | {"law": second_order_cone(3), "x0": [0.3, 0, 0, 0], "t_end": 2, "step": 1e-3} | given))
+
+
+def disc_of_lure(**given):
+    """The same as a Lur'e system, whose fifth state is the radius."""
+    A, B, C = np.zeros((5, 5)), np.zeros((5, 3)), np.zeros((3, 5))
+    A[0, 2] = A[1, 3] = B[2, 1] = B[3, 2] = C[0, 4] = C[1, 0] = C[2, 1] = 1
+    basis = {"A": A, "B": B, "C": C, "f": [0, 0, 0, -9.81, 0], "law": second_order_cone(3)}
+    return LureSystem(**(basis | {"x0": [0.3, 0, 0, 0, 1], "t_end": 2, "step": 1e-3} | given))
 
 
 def told(model, **options):
@@ -194,3 +214,30 @@ def test_the_command_line_tells_it_in_the_warning_and_in_json(tmp_path, capsys):
     assert any("an impact" in text for text in json.loads(capsys.readouterr().out)["warnings"])
     assert main(["check", str(file), "--strict"]) == 1
     assert "an impact" in " ".join(capsys.readouterr().out.split())
+
+
+# -- second-order cones --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("make", [disc, disc_of_lure])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=pytest.mark.c)])
+def test_an_impact_at_a_cone_is_told_at_constant_steps(make, compiled):
+    (text,) = told(make(t_end=0.6), compiled=compiled)
+    assert "where y closes 'x_2' and 'x_3' must jump, here once" in text
+    assert "This scheme's answer is the inelastic one" in text
+    t, rate = (float(text.partition(word)[2].split()[0].rstrip(":")) for word in (" at t = ", " with (y_1 - |(y_2, ...)|)' = "))
+    assert t == pytest.approx(FALL, abs=2e-3)
+    assert rate == pytest.approx(9.81 * FALL * HIT[1], rel=1e-2)
+    assert check(make(), [simulate(make(t_end=0.6))], quick=True)["run-continuous"].verdict == "violated"
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        disc(f=[0, -1, 0, 0], g=[R3[1], R3[2], 0, 0]),  # l moves what it holds
+        disc(h=[1 + 0.1 * R3[0], Q[0], Q[1]]),  # the rim gives way
+        disc(g=[0.1 * R3[1], 0.1 * R3[2], R3[1], R3[2]]),  # and here it is viscous
+    ],
+)
+def test_cones_of_relative_degree_1_are_not_watched(model):
+    assert impacts.watched(model) == ()

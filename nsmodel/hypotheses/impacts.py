@@ -4,6 +4,7 @@ Take a row 0 <= y ⟂ l whose l may be as large as it must. If no such multiplie
 zero; or those of h_l and h_x M^{-1} g_l), then y' is continuous whatever they do: once y comes to 0 with y' < 0, an impulse alone
 keeps y >= 0, and what it acts on jumps: in mechanics a velocity. Where the row of D or C B is not zero something else may hold y,
 and nothing is said; nor where contact does not close in the run, closes with y' = 0, or with a y' that a step explains.
+The rows of a second-order cone are one such contact: it is open where l_1 = 0, and closes as y_1 - |(y_2, ...)| comes to 0.
 
 A relay's l is bounded, so that no state jumps. Where it alone acts on y'' and not before, it is switched ever faster around y = 0
 and does not come to rest there in finite time: a run that begins to slide shows the damping of the scheme.
@@ -21,6 +22,7 @@ import numpy as np
 
 from nsmodel.classes.registry import class_of
 from nsmodel.laws import Law
+from nsmodel.laws.block import SecondOrder
 from nsmodel.model.base import Model
 from nsmodel.once import once
 
@@ -33,17 +35,18 @@ PLACES = 4  # States where rows are looked at: the start, and others around it.
 
 @dataclass(frozen=True)
 class Watch:
-    """A row of y that may call for an impulse (a contact) or slide by the scheme's damping alone (a relay).
+    """A row of y, or a cone of rows, that may call for an impulse (a contact) or slide by the scheme's damping alone (a relay).
 
     Attributes:
-        name: of its multiplier; column: where that is in a run; lower, upper: its ends.
+        names: of its multipliers; column: where the first, of a cone its axis, is in a run; lower, upper: its ends.
         degree: of the least derivative of y that it enters: 2, 3, ...; 0: none.
         moved: the states that it acts on.
-        rate: (t, s, l) -> y', s the states, of an oscillator also its velocities, l the columns ``inputs`` of a run.
+        rate: (t, s, l) -> y', of a cone (y_1 - |(y_2, ...)|)'; s the states, of an oscillator also its velocities, l the columns
+            ``inputs`` of a run.
         untouched: what no such multiplier enters, in words.
     """
 
-    name: str
+    names: tuple[str, ...]
     column: int
     lower: float
     upper: float
@@ -54,15 +57,31 @@ class Watch:
     untouched: str
 
     @property
+    def name(self) -> str:
+        """Of its first multiplier."""
+        return self.names[0]
+
+    @property
     def relay(self) -> bool:
         """Whether l is bounded."""
         return bool(np.isfinite([self.lower, self.upper]).all())
 
     @property
+    def cone(self) -> bool:
+        """Whether its rows are those of a cone."""
+        return len(self.names) > 1
+
+    @property
     def acts(self) -> str:
         """What the multiplier acts on, in words."""
         least = "y" + "'" * self.degree if self.degree < 4 else f"the derivative {self.degree} of y"
-        return f"'{self.name}' acts on {least} only" if self.degree else f"'{self.name}' acts on no derivative of y"
+        who = f"the cone of '{self.name}'" if self.cone else f"'{self.name}'"
+        return f"{who} acts on {least} only" if self.degree else f"{who} acts on no derivative of y"
+
+    @property
+    def jumps(self) -> str:
+        """The states that jump where y closes, in words."""
+        return " and ".join(f"'{name}'" for name in self.moved[:4]) + (", ..." if len(self.moved) > 4 else "")
 
     def free(self, l: np.ndarray) -> np.ndarray:
         """Where l is at an end: open, or a relay that is not at y = 0; so is a start, whose l is not known."""
@@ -76,7 +95,7 @@ class Watch:
 
 
 class System(NamedTuple):
-    """s' = F(t, s, l), y = Y(t, s, l), and how l enters. lower and upper: ends of l, NaN where it is in no box."""
+    """s' = F(t, s, l), y = Y(t, s, l), and how l enters. lower, upper: its ends, NaN where it is in no box; cones: their rows."""
 
     t: ca.SX
     s: ca.SX
@@ -93,6 +112,7 @@ class System(NamedTuple):
     multipliers: Sequence[str]
     first: int  # The column of the first of l in a run.
     untouched: str = "y'"  # What rows that are watched have no multiplier in.
+    cones: tuple[slice, ...] = ()
 
 
 @once
@@ -112,27 +132,36 @@ def watched(model: Model) -> tuple[Watch, ...]:
         """Which of the rows hold a multiplier that counts: beside a relay all do, beside a contact those without end."""
         return np.isin(np.arange(at.size), rows[at[rows] | ~bounded[columns]])
 
-    late = ~np.isnan(system.lower) & ~entered(*entries(system.Y_l), bounded)
-    late &= ~entered(*entries(system.Y_s, system.F_l), bounded)
+    late = ~entered(*entries(system.Y_l), bounded) & ~entered(*entries(system.Y_s, system.F_l), bounded)
     acted, acting = entries(system.F_l)
     found = []
-    for i in map(int, np.flatnonzero(late)):
-        rate = ca.jtimes(system.Y[i], system.s, system.F) + ca.jacobian(system.Y[i], system.t)
-        degree, derivative, alone = 2, rate, bounded[i : i + 1]
-        while not entered(*(at := entries(ca.jacobian(derivative, system.s), system.F_l)), alone)[0]:
+    for rows in (*(slice(i, i + 1) for i in map(int, np.flatnonzero(~np.isnan(system.lower)))), *system.cones):
+        if not late[rows].all():
+            continue
+        Y, first, cone = system.Y[rows], rows.start, rows in system.cones
+        rate = ca.jtimes(Y, system.s, system.F) + ca.jacobian(Y, system.t)
+        degree, derivative, alone = 2, rate, bounded[rows]
+        while not entered(*(at := entries(ca.jacobian(derivative, system.s), system.F_l)), alone).any():
             degree, derivative = degree + 1, ca.jtimes(derivative, system.s, system.F) + ca.jacobian(derivative, system.t)
             if degree > system.s.numel():
                 degree = 0
                 break
-        if bounded[i] and not (degree and (at[1] == i).all()):
+        if bounded[first] and not (degree and (at[1] == first).all()):
             continue  # with others' help a relay may well come to y = 0
+        own = np.unique(acted[(rows.start <= acting) & (acting < rows.stop)])
         found.append(Watch(
-            name=system.multipliers[i], column=system.first + i, lower=float(system.lower[i]), upper=float(system.upper[i]),
-            degree=degree, moved=tuple(system.states[j] for j in np.unique(acted[acting == i])),
-            rate=ca.Function("rate", [system.t, system.s, system.l], [ca.densify(rate)]),
+            names=tuple(system.multipliers[rows]), column=system.first + first, lower=0.0 if cone else float(system.lower[first]),
+            upper=np.inf if cone else float(system.upper[first]), degree=degree, moved=tuple(system.states[j] for j in own),
+            rate=ca.Function("rate", [system.t, system.s, system.l], [ca.densify(_to_surface(Y, rate) if cone else rate)]),
             inputs=slice(system.first, system.first + system.l.numel() or None), untouched=system.untouched,
         ))  # fmt: skip
     return tuple(found)
+
+
+def _to_surface(y: ca.SX, rate: ca.SX) -> ca.SX:
+    """(y_1 - |(y_2, ...)|)', on the axis the one-sided derivative."""
+    size = ca.norm_2(y[1:])
+    return rate[0] - ca.if_else(size > 0, ca.dot(y[1:], rate[1:]) / size, ca.norm_2(rate[1:]))
 
 
 def system_of(model: Any, law: Law, l: ca.SX, F: ca.SX, Y: ca.SX, matrices: Sequence[ca.SX], untouched: str = "y'") -> System:
@@ -143,9 +172,10 @@ def system_of(model: Any, law: Law, l: ca.SX, F: ca.SX, Y: ca.SX, matrices: Sequ
         lower.append(low)
         upper.append(high)
     ends = np.concatenate(lower), np.concatenate(upper)
+    cones = tuple(rows for rows, block in law.parts() if isinstance(block.shape(), SecondOrder))
     F_l, Y_x, Y_l = matrices
     return System(
-        model.t, model.x, l, F, Y, F_l, Y_x, Y_l, model.x0, *ends, model.names, model.multiplier_names, 0, untouched
+        model.t, model.x, l, F, Y, F_l, Y_x, Y_l, model.x0, *ends, model.names, model.multiplier_names, 0, untouched, cones
     )  # fmt: skip
 
 
@@ -235,7 +265,7 @@ def _told(watch: Watch, found: Mapping[str, Any], model: Model) -> str:
             f"{why}, and slides from t = {found['t']:.6g} on: a relay that acts so late is switched ever faster around y = 0 and "
             "does not come to rest there; that it does here is the damping of the scheme. Compare with a smaller step"
         )
-    jumps = " and ".join(f"'{name}'" for name in watch.moved[:4]) + (", ..." if len(watch.moved) > 4 else "")
+    of = "(y_1 - |(y_2, ...)|)'" if watch.cone else "y'"
     times = "once," if found["count"] == 1 else f"{found['count']} times, first"
     theta, gamma = map(float, model.weights or (1.0, 1.0))
     answer = "This scheme's answer is the inelastic one, y' = 0 afterwards."
@@ -245,7 +275,7 @@ def _told(watch: Watch, found: Mapping[str, Any], model: Model) -> str:
             "theta = gamma = 1, whose answer is the inelastic one."
         )
     return (
-        f"{why}: where y closes {jumps} must jump, here {times} at t = {found['t']:.6g} with y' = {found['rate']:.4g}: an "
-        f"impact. {answer} The multiplier of that step is the impulse / h, and grows as h shrinks; "
+        f"{why}: where y closes {watch.jumps} must jump, here {times} at t = {found['t']:.6g} with {of} = {found['rate']:.4g}: "
+        f"an impact. {answer} The multiplier of that step is the impulse / h, and grows as h shrinks; "
         f"there is no restitution: see {GUIDE}"
     )
