@@ -346,6 +346,19 @@ def cone_start(t, kind, zv=0.3):
 CONE = np.array([[1, 1, 0], [1, -1, 0], [0, 0, np.sqrt(2)]]) / np.sqrt(2)  # (u, v, w) = CONE l, symmetric and orthogonal
 
 
+def turning_on_a_cone(t, push, drift):
+    """Return x (N, 3) that turns with speed 1 about the axis of the cone |(x_2, x_3)| <= x_1 and is pushed through its surface.
+
+    Along (-1, e), e = (x_2, x_3)/|(x_2, x_3)|, by p = push (cos t + drift), from (1, 1, 0). On the surface l = max(p, 0) (1, -e):
+    x_1 = 1 + M - P, |(x_2, x_3)| = 1 + P - M, with P = int p and M its largest value so far (Skorokhod).
+    """
+    P = lambda s: push * (np.sin(s) + drift * s)  # noqa: E731
+    top = np.arccos(-drift)
+    last = top + 2 * np.pi * np.floor((t - top) / (2 * np.pi))
+    M = np.where(last > 0, np.maximum(P(t), P(last)), P(t))
+    return np.column_stack([1 + M - P(t), (1 + P(t) - M) * np.cos(t), (1 + P(t) - M) * np.sin(t)])
+
+
 def ball_rest(height=1.0, speed=5.0, restitution=1 / 3, G=9.81):
     """Return (time of the first impact, its speed, time from which the ball lies still)."""
     impact = np.sqrt(speed**2 + 2 * G * height)

@@ -7,6 +7,7 @@ import json
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from nsmodel import (
     FirstOrderSystem,
@@ -20,6 +21,7 @@ from nsmodel import (
     relay,
     second_order_cone,
     simulate,
+    table,
 )
 from nsmodel.cli import main
 from nsmodel.hypotheses import impacts
@@ -64,6 +66,12 @@ def disc_of_lure(**given):
     A[0, 2] = A[1, 3] = B[2, 1] = B[3, 2] = C[0, 4] = C[1, 0] = C[2, 1] = 1
     basis = {"A": A, "B": B, "C": C, "f": [0, 0, 0, -9.81, 0], "law": second_order_cone(3)}
     return LureSystem(**(basis | {"x0": [0.3, 0, 0, 0, 1], "t_end": 2, "step": 1e-3} | given))
+
+
+def disc_with_input(**given):
+    """The weight is an input."""
+    u = ca.SX.sym("u")
+    return disc(f=[Q[2], Q[3], 0, u], inputs={u: table([0, 2], [-9.81, -9.81])}, **given)
 
 
 def told(model, **options):
@@ -231,6 +239,45 @@ def test_an_impact_at_a_cone_is_told_at_constant_steps(make, compiled):
     assert check(make(), [simulate(make(t_end=0.6))], quick=True)["run-continuous"].verdict == "violated"
 
 
+@pytest.mark.parametrize("step", [1e-3, 1e-4, 1e-5])
+def test_the_answer_at_a_cone_is_inelastic_and_keeps_what_moves_along_it(step):
+    v = np.array([0, -9.81 * FALL])
+    close = {"x0": [*(HIT - 20.3 * step * v), *v], "f": [Q[2], Q[3], 0, 0], "t_end": 40 * step, "step": step}
+    run = simulate(disc(**close))
+    assert run.index_set[20, 0] == -1
+    assert (run.index_set[22:, 0] == 1).all()
+    assert np.abs(run.x[23, 2:] - (v - HIT * (HIT @ v))).max() <= 50 * step
+    speed = np.linalg.norm(run.x[:, 2:], axis=1)
+    assert (np.diff(speed) <= 1e-6).all()
+
+
+@pytest.mark.parametrize("make", [disc, disc_of_lure, disc_with_input])
+@pytest.mark.parametrize(
+    ("rtol", "compiled", "method"),
+    [
+        (1e-3, False, "auto"),
+        pytest.param(1e-2, True, "auto", marks=pytest.mark.c),
+        pytest.param(1e-5, True, "time-stepping", marks=pytest.mark.c),
+    ],
+)
+def test_steps_under_error_control_stop_at_an_impact_of_a_cone_by_name(make, rtol, compiled, method):
+    """They halved to the least, and what y was off the cone by became a speed of 100 m/s."""
+    with pytest.raises(StepError, match=r"where y closes 'x_2' and 'x_3' must jump, an impact; at t = 0\.44") as stop:
+        simulate(make(), rtol=rtol, compiled=compiled, method=method)
+    run = stop.value.trajectory
+    assert run.t[-1] == pytest.approx(FALL, abs=rtol)
+    fall = np.column_stack([0.3 + 0 * run.t, -9.81 * run.t**2 / 2, 0 * run.t, -9.81 * run.t])
+    assert np.abs(run.x[:, :4] - fall).max() <= 2 * rtol * 9.81 * FALL
+
+
+@pytest.mark.c
+def test_what_stays_on_a_cone_is_not_refused():
+    """A pendulum of length 1, let go at 0.5 rad: no state jumps."""
+    run = simulate(disc(x0=[np.sin(0.5), -np.cos(0.5), 0, 0]), rtol=1e-4, compiled=True)
+    angle = solve_ivp(lambda _, a: [a[1], -9.81 * np.sin(a[0])], (0, 2), [0.5, 0], rtol=1e-10, atol=1e-12, t_eval=run.t).y[0]
+    assert np.abs(run.x[:, :2] - np.column_stack([np.sin(angle), -np.cos(angle)])).max() <= 2e-3
+
+
 @pytest.mark.parametrize(
     "model",
     [
@@ -241,3 +288,11 @@ def test_an_impact_at_a_cone_is_told_at_constant_steps(make, compiled):
 )
 def test_cones_of_relative_degree_1_are_not_watched(model):
     assert impacts.watched(model) == ()
+
+
+def test_a_wall_beside_a_cone_that_is_open_is_passed():
+    l = ca.SX.sym("l", 4)
+    room = {"lam": l, "g": [0, 0, l[1], l[2] + l[3]], "h": [1, Q[0], Q[1], Q[1] + 0.5]}
+    run = simulate(disc(law=product(second_order_cone(3), complementarity(1)), **room), rtol=1e-3)
+    np.testing.assert_allclose(run.x[-1], [0.3, -0.5, 0, 0], atol=1e-9)
+    assert any("'l_3' acts on y'' only" in text for text in run.metadata["warnings"])

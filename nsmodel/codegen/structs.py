@@ -65,7 +65,7 @@ CONTROL = Struct(
              "the end of the run, a span between known times, the constants of controlled.py; j between largest and least"),
         Members("double", "order", "of the scheme on one index set, but for rows that are held and lower it to 1"),
         Members("double", "t j fresh", "time in length/2^(least + 1), the step length/2^j; fresh: no step has been taken"),
-        Members("double", "looser", "how many times what is allowed a step may err by"),
+        Members("double", "looser no_jump", "how many times what is allowed a step may err by; whether the least one too"),
         Members("double", "accepted rejected extrapolated at_least_step least_step"),
         Members("double", "estimate of_j", "the sum of errors; j of the last d"),
         Members("double", "x[STATES] l[ROWS] index[ROWS] lowering[ROWS] wall[ROWS]"),

@@ -279,3 +279,12 @@ def _told(watch: Watch, found: Mapping[str, Any], model: Model) -> str:
         f"an impact. {answer} The multiplier of that step is the impulse / h, and grows as h shrinks; "
         f"there is no restitution: see {GUIDE}"
     )
+
+
+def refusal(watch: Watch, t: float) -> str:
+    """Why steps under error control end where a cone calls for an impulse, and what does not."""
+    return (
+        f"{watch.acts}, not on {watch.untouched}: where y closes {watch.jumps} must jump, an impact; at t = {t:.6g} the "
+        "least step changes them by more than rtol allows. Error control does not pass that at a cone: what y may be off its "
+        f"surface is any jump over such a step. Constant steps have the inelastic answer, without restitution: see {GUIDE}"
+    )

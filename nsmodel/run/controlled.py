@@ -7,9 +7,10 @@ scheme has in this step (``OneStepProblem.order``), 1 but for theta = 1/2: e fal
 across a switch; x_fine + d is of order p + 1 in smooth phases. A step is accepted
 
 - with the state x_fine + d where e <= 1, the index sets are equal and every constraint is >= 0 there (a sweeping process is
-  projected once more, as its scheme does), and every y that an impulse alone would bring back keeps its sign. What the scheme
-  carries of the multipliers (gamma < 1) stays that of the step: on a row that is held it may alternate about its mean, which d
-  would magnify;
+  projected once more, as its scheme does), and every y that an impulse alone would bring back keeps its sign, or stays in the
+  cone whose l is 0. On the surface of a cone it leaves by the curvature, of size |d|^2, which the next step takes back. What the
+  scheme carries of the multipliers (gamma < 1) stays that of the step: on a row that is held it may alternate about its mean,
+  which d would magnify;
 - else as it is where e <= h/T, so that the errors of all steps add up to the tolerance; or where e <= SWITCH and the index
   set changes: that error falls like h, whatever the order.
 
@@ -19,7 +20,8 @@ The rows of the run are the half steps. Each is verified; its multipliers and ou
 Steps are L/2^j, at most T/2^LARGEST, and start at multiples of themselves, L the length of the span between two known times
 (``switch_times``, points of inputs, the start, the end T): times are exact, the last step ends there, and the first half of a
 refused step is the next trial. At L/2^LEAST every verified step is accepted, and counted: at an accumulation of switches a run
-goes on.
+goes on. Where a state must jump at a cone it does not (`impacts.refusal`): y is certified beside |y|, which is not small on the
+surface of a cone, and what y may be off is any velocity over such a step.
 """
 
 from __future__ import annotations
@@ -36,7 +38,9 @@ import numpy as np
 
 from nsmodel.errors import StepError, UsageError
 from nsmodel.grid import Grid, check_times, driving, is_number, make_grid, written
+from nsmodel.hypotheses import impacts
 from nsmodel.model.base import Model
+from nsmodel.model.driven import at_start
 from nsmodel.model.ticks import ticks_of
 from nsmodel.pieces.stretch import BUDGET, looser
 from nsmodel.run.asked import absolute
@@ -57,6 +61,7 @@ SWITCH = 0.25  # Part of the allowed error that a step across a switch may use.
 GROW = 0.5  # A step is doubled where the error expected of it stays below this part of what is allowed.
 NEGLIGIBLE = 1e-6  # A state that stays below this part of the largest of its symbol is measured beside that.
 CONSTANTS = {"largest": LARGEST, "least": LEAST, "crossing": SWITCH, "grow": GROW, "negligible": NEGLIGIBLE}  # Of the C too.
+OPEN = -1  # The index of a cone whose l is 0: y is inside.
 UNSOLVED = 4  # How often a step without an answer is halved at once: to find that out takes every solver.
 MOST = 10_000_000  # Accepted steps after which a run stops: its tolerance is out of reach.
 MISSED = 10  # Times what rtol allows: where errors add up to more, a warning says so.
@@ -160,6 +165,7 @@ class Controlled(OfScheme):
         self._corrections = [0.0]
         self._law = numeric_law(self.problem.law)
         self._walls = self._rows_of_walls()
+        self._cones = [watch for watch in impacts.watched(at_start(model)) if watch.cone]
         self.warnings += self._relays()
         self.plan = noting_inputs(noting_known_times(self.plan, model, ends=True), drive)
 
@@ -305,7 +311,7 @@ class Controlled(OfScheme):
             "order": self.problem.order.most, "t": place.t, "j": place.j,
             "fresh": place.index_set is None, "x": place.state, "least_step": totals["least_step"] or np.inf, "atol": self.atol,
             "size": self._size, "watched": place.watched, "rate": place.rate, "d": place.d, "of_j": place.of_j,
-            "looser": self._looser, "estimate": totals["estimate"],
+            "looser": self._looser, "estimate": totals["estimate"], "no_jump": bool(self._cones),
         }  # fmt: skip
         for name, value in given.items():
             control[name] = value
@@ -388,8 +394,10 @@ class Controlled(OfScheme):
         error, least, h, more = trial.error, at.j == LEAST, self._h(at.j), self._looser
         state = self._extrapolated(at, trial) if error <= more and trial.smooth else None
         allowed = more * (1.0 if state is not None else h / self.T if trial.smooth else SWITCH)
-        if error > allowed and not least:
-            return None
+        if error > allowed:
+            if not least:
+                return None
+            self._refuse_jump(at, trial)
         row, correction = trial.fine.row, 0.0
         if state is not None:
             row, correction = self._moved(at, trial, *state), error
@@ -404,13 +412,21 @@ class Controlled(OfScheme):
         estimate = 0.0 if least else error if state is None else self._of_better(at, trial)
         return Accepted(at, trial, row, correction, estimate, end)
 
+    def _refuse_jump(self, at: Place, trial: Trial) -> None:
+        """Refuse what the least step moves by more than is allowed where a cone pushes that calls for impulses."""
+        layout = self.stepper.layout
+        l = layout.slices.get("multipliers", layout.slices["l"])
+        for watch in self._cones:
+            if not all(watch.free(result.row[l][watch.column]) for result in (trial.coarse, trial.half, trial.fine)):
+                raise StepError(impacts.refusal(watch, self._time(at.t)))
+
     def _of_better(self, at: Place, trial: Trial) -> float:
         """What x_fine + d errs by, in units of what is allowed: d falls like h^(p+1), the rest is of x_fine + d."""
         expected = np.nan_to_num(at.d) * 2.0 ** ((at.of_j - at.j) * (trial.order + 1))
         return self._units(np.abs(trial.d - expected), trial.fine.row[self._watched])
 
     def _extrapolated(self, at: Place, trial: Trial) -> tuple[np.ndarray, np.ndarray | None] | None:
-        """The combination, and its gaps; None where a velocity or y at a wall changes its sign or a constraint is broken."""
+        """The combination, and its gaps; None where a velocity changes its sign, y is past a wall or a constraint is broken."""
         states = self.stepper.layout.state
         fine, coarse = trial.fine.row[states], shortened(self.model, trial.coarse.row[states], 0.5)
         state, end = fine + (fine - coarse) / (2**trial.order - 1), at.t + 2 * at.half
@@ -424,8 +440,8 @@ class Controlled(OfScheme):
                 return None
         if self._c is None:
             y, before = (result.row[self.stepper.layout.y] for result in (trial.fine, trial.coarse))
-            past = trial.fine.warm.index * (y + (y - before) / (2**trial.order - 1)) * self._walls > 0
-            return None if past.any() else (state, None)
+            past = self._is_past_a_wall(trial.fine.warm.index, y + (y - before) / (2**trial.order - 1))
+            return None if past else (state, None)
         if not self.problem.gap:
             return (state, None) if self._feasible(self._time(end), state) else None
         start = state if self._driven is None else self._driven.closing(state)
@@ -493,13 +509,19 @@ class Controlled(OfScheme):
         totals["index_set_changes"] += int(self.last_index is not None and not np.array_equal(index, self.last_index))
         totals["steps"], self.last_index = self.k, index
 
-    def _rows_of_walls(self) -> np.ndarray:
-        """Which rows (m,) of y are those of the end of a step, let go at one end of l alone, with no l in them.
+    def _is_past_a_wall(self, index: np.ndarray, y: np.ndarray) -> bool:
+        """Whether y is beyond 0 in a row that is let go, or outside a cone whose l is 0: an impulse alone would bring it back."""
+        beyond = index * y * self._walls > 0
+        for rows, K in self._law.curved:
+            beyond[rows] = self._walls[rows].any() and index[rows.start] == OPEN and K.code(-y[rows]) != OPEN
+        return bool(beyond.any())
 
-        Past 0 only an impulse would bring them back.
-        """
+    def _rows_of_walls(self) -> np.ndarray:
+        """Which rows (m,) of y are those of the end of a step, of a cone or let go at one end of l alone, with no l in them."""
         implicit = (self.model.weights or (1.0, 1.0))[0] == 1.0
         walls = np.isfinite(self._law.lower) != np.isfinite(self._law.upper)
+        for rows, K in self._law.curved:
+            walls[rows] = K.is_cone
         walls[list(self.problem.jacobians[3].sparsity().row())] = False
         return walls & implicit
 

@@ -7,7 +7,8 @@ cancel enter with u, never with the tolerance. What is reported is |r| / (s + c 
 With y = W l + b = b + Y_z (Z l) + Y_l l, w_i = max_j |W_ij| and s_y = |b| + |Y_z| |Z l| + |Y_l| |l|, s_l,i = s_y,i / w_i, the
 law's residual is the least max(|l - l^| / s_l, |y - y^| / s_y) over points (l^, y^) of the graph {-y^ ∈ N_K(l^)}; 0/0 = 0. Z l is
 how far the multipliers move z: where they oppose one another, what they move counts, not what they cancel. Where W and b are all
-that is known (`mlcp`), |W| |l| stands for it. Two limits on these scales:
+that is known (`mlcp`), |W| |l| stands for it. Of a curved block, in norms of its rows, a point within sqrt(2) of the least is
+taken (`_curved_residual`). Two limits on these scales:
 - s_l stays below the size of l_i, of its bounds, and of 1e-6 of the other multipliers in its unit: where y is far from 0, an
   l off its bound would else be measured against what it takes to move y (4e-3 would pass for the relay oscillator);
 - s_y stays below 1000 sqrt(w_i) max_k |b_k| / sqrt(w_k): multipliers that grow without bound, because the step has no
@@ -163,13 +164,19 @@ def multiplier_scale(law: NumericLaw, l: Any, s_y: Any, w_max: np.ndarray, op: O
 
 
 def _curved_residual(block: Any, l: Any, y: Any, s_y: Any, s_l: Any, w_max: Any) -> float:
-    """|l - P_K(l - c y)| / s_l: by Minty (P_K(u), (P_K(u) - u)/c), u = l - c y, is a point of the graph, c = 1 / w."""
+    """|l - P_K(l - c y)| / (c s_y): by Minty (P_K(u), (P_K(u) - u)/c), u = l - c y, is a point of the graph.
+
+    In units s_l and s_y (c = s_l / s_y, at most 1 / w) that is at most sqrt(2) from the nearest point, as P_K is firmly
+    nonexpansive. With c = 1 / w an l that is small beside s_y / w would be judged by the rounding of y / w.
+    """
     rows, K = block
     l, y = l[rows], y[rows]
     c = 1 / w_max[rows].max() if w_max[rows].any() else 1.0
-    scale = min(c * norm(s_y[rows]), s_l[rows].max())
+    of_l, of_y = s_l[rows].max(), norm(s_y[rows])
+    if of_l > UNRESOLVED * of_y:
+        c = min(c, of_l / of_y)
     distance = norm(l - K.project(l - c * y))
-    return float(distance / scale) if distance else 0.0
+    return float(distance / (c * of_y)) if distance else 0.0
 
 
 def largest_in_symbols(items: list[ca.SX]) -> ca.SX:

@@ -127,8 +127,41 @@ static double of_better(const model_control *c, const model_result *fine, int or
     return units_of(c, off, fine);
 }
 
-/* x = x_fine + (x_fine - x_coarse)/weight, what is carried of the multipliers as it is; 0 where a velocity or y at a wall would
-   change its sign, or it cannot be projected. */
+#if LAW
+#if !CLOSING
+/* Whether y is beyond 0 in a row that is let go, or outside a cone whose l is 0: an impulse alone would bring it back. */
+static int is_past_a_wall(const model_solver *s, const model_control *c, const signed char *index, const double *y)
+{
+    (void)s; /* it has the numbers of the sets where parameters give them */
+#if CURVED
+    int k = 0;
+#endif
+    for (int i = 0; i < MODEL_M; i++) {
+#if CURVED
+        if (k < MODEL_CURVED && i == curved[k].start) {
+            const int open = -1, first = i;
+            double u[MODEL_BLOCK], wall = 0;
+            for (; i < first + curved[k].size; i++) {
+                u[i - first] = -y[i];
+                wall += c->wall[i];
+            }
+            i--;
+            if (wall > 0 && index[first] == open && set_code(&curved[k], NUMBERS(k), u) != open)
+                return 1;
+            k++;
+            continue;
+        }
+#endif
+        if (index[i]*y[i]*c->wall[i] > 0)
+            return 1;
+    }
+    return 0;
+}
+
+#endif
+#endif
+/* x = x_fine + (x_fine - x_coarse)/weight, what is carried of the multipliers as it is; 0 where a velocity would change its
+   sign, y is past a wall, or it cannot be projected. */
 static int extrapolate(model_solver *s, const model_control *c, double end, const model_result *coarse, const model_result *fine,
                        double weight, double *x)
 {
@@ -155,9 +188,11 @@ static int extrapolate(model_solver *s, const model_control *c, double end, cons
     memcpy(x, closing.x, sizeof closing.x);
 #else
 #if LAW
+    double y[ROWS];
     for (int i = 0; i < MODEL_M; i++)
-        if (fine->index[i]*(fine->y[i] + (fine->y[i] - coarse->y[i])/weight)*c->wall[i] > 0)
-            return 0;
+        y[i] = fine->y[i] + (fine->y[i] - coarse->y[i])/weight;
+    if (is_past_a_wall(s, c, fine->index, y))
+        return 0;
 #endif
     (void)s;
     (void)c;
@@ -220,6 +255,8 @@ long model_adapt(model_solver *s, model_control *c, long room, double number, do
             known = 1;
             continue;
         }
+        if (error > allowed && c->no_jump != 0)
+            break;
         known = 0;
         times[row] = time_at(c, c->t) + h/2;
         times[row + 1] = time_at(c, end);

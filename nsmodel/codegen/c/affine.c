@@ -66,21 +66,23 @@ static double row_residual(double lo, double up, double l, double y, double s_y,
 }
 #if CURVED
 
-/* |l - P_K(l - c y)| / s_l of a block whose rows begin at l: by Minty (P_K(u), (P_K(u) - u)/c), u = l - c y, is a point of the
-   graph, c = 1 / w. */
+/* |l - P_K(l - c y)| / (c s_y) of a block whose rows begin at l: by Minty (P_K(u), (P_K(u) - u)/c), u = l - c y, is a point of the
+   graph, c = min(s_l / s_y, 1 / w). */
 static double block_residual(const curved_block *k, const double *numbers, const double *l, const double *y,
                              const double *s_y, const double *s_l, const double *w_max)
 {
-    const double w = largest(k->size, w_max), c = w > 0 ? 1/w : 1;
-    double u[MODEL_BLOCK], norm_s = 0, distance = 0;
-    for (int i = 0; i < k->size; i++) {
+    const double w = largest(k->size, w_max), of_l = largest(k->size, s_l);
+    double u[MODEL_BLOCK], c = w > 0 ? 1/w : 1, of_y = 0, distance = 0;
+    for (int i = 0; i < k->size; i++)
+        of_y = hypot(of_y, max_of(s_y[i], UNRESOLVED));
+    if (of_l > UNRESOLVED*of_y)
+        c = min_of(c, of_l/of_y);
+    for (int i = 0; i < k->size; i++)
         u[i] = l[i] - c*y[i];
-        norm_s = hypot(norm_s, max_of(s_y[i], UNRESOLVED));
-    }
     set_project(k, numbers, u);
     for (int i = 0; i < k->size; i++)
         distance = hypot(distance, l[i] - u[i]);
-    return ratio(distance, min_of(c*norm_s, largest(k->size, s_l)));
+    return ratio(distance, c*of_y);
 }
 #endif
 
