@@ -22,6 +22,7 @@ from nsmodel.version import VERSION
 # What only names or describes a run does not change its numbers; the grid is a setting of its own, and so are inputs.
 DESCRIPTIVE = frozenset("exact title units scene t_end step steps t p parameters vectors inputs".split())
 
+LATER = frozenset({"e", "blocks"})  # Fields that models have not always had: where they are 0 or empty the hash is what it was.
 WAY = "way of stepping"  # The setting that says whether steps are compiled, and by what: their last bits differ.
 INTERPRETED = "interpreted"
 
@@ -62,9 +63,14 @@ def fingerprint(model: Model, grid: Grid) -> str:
 def _of_model(model: Model) -> Any:
     """The hash so far of all that a model is but its grid."""
     digest = hashlib.sha256()
-    left = DESCRIPTIVE | (set() if model.inputs else {"u", "input_groups"}) | (set() if model.blocks else {"blocks"})
+    left = DESCRIPTIVE if model.inputs else DESCRIPTIVE | {"u", "input_groups"}
+    left |= {name for name in LATER if _is_nothing(vars(model).get(name))}
     _add(digest, [type(model).__name__, {k: v for k, v in sorted(vars(model).items()) if k not in left}])
     return digest
+
+
+def _is_nothing(value: Any) -> bool:
+    return value.is_zero() if isinstance(value, ca.SX) else not value
 
 
 def versions() -> dict[str, str]:

@@ -402,19 +402,19 @@ def convex_ranges(m, s):  # 5.4b; of a potential of one variable the domain of d
     polyhedral = m["law"] and all(block["kind"] in ("box", "polyhedron") for block in m["law"])
     need((everything(m) and (m["law"] or len(m["D"]) == 1)) or (polyhedral and psd(numbers(m["D"]))), "a range", NotCheckable)
 def in_range(m, s, x=None):
-    """C x = D'k + y + (D + D')v, k and y inside: y > 0 where l has no upper end, 0 at an end where l is bounded is no limit."""
-    if everything(m):
-        return
+    """C x + e = D'k + y + (D + D')v, k and y inside: y > 0 where l has no upper end, an end where l is bounded is no limit."""
+    if everything(m): return
     C, D, p, column = numbers(m["C"]), numbers(m["D"]), numbers(s["proof"]), lambda v: [[entry] for entry in v]
     right = plus(plus(times(transpose(D), column(p["k"])), column(p["y"])), times(plus(D, transpose(D)), column(p["v"])))
-    need(psd(D) and times(C, column(p["x"] if x is None else x)) == right, "C x = D'k + y + S v fails")
+    left = plus(times(C, column(p["x"] if x is None else x)), column(numbers(m.get("e", ["0"] * len(D)))))
+    need(psd(D) and left == right, "C x + e = D'k + y + S v fails")
     for (low, high), k, y in zip(law(m), p["k"], p["y"], strict=True):
         free = (low > -math.inf) + 2 * (high < math.inf)
         need(low < k < high and (free == 3 or (free == 1 and y > 0) or (free == 2 and y < 0)), "k or y is not inside")
 def at_rest(m, s):
     in_range(m, s, [Q(0)] * len(m["x0"]))
     zero = all(x.v.lo == 0 == x.v.hi for x in jets(m["A"], [Interval(0)] * len(m["x0"]), 0)) and not any(Atoms().read(m["f"]))
-    need(zero and all(a <= 0 <= b for a, b in law(m)), "A(0) or f is not 0, or 0 is not in K")
+    need(zero and "e" not in m and all(a <= 0 <= b for a, b in law(m)), "A(0), f or e is not 0, or 0 is not in K")
 def form_below(J, P, L):
     """P J + J'P <= 2 L P for an interval matrix J."""
     n = range(len(P))

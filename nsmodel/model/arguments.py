@@ -56,6 +56,11 @@ def names_of_states(
     return chosen, stems
 
 
+def rows_called(name: str, size: int) -> list[str]:
+    """The names of the rows of what the user gave one name: name, or name[0], name[1], ..."""
+    return [name] if size == 1 else [f"{name}[{i}]" for i in range(size)]
+
+
 def grid_given(t_end: Any, step: Any, steps: Any) -> dict[str, Any]:
     """``t_end``, ``step`` and ``steps``, of which two are given."""
     if steps is not None:

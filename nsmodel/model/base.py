@@ -13,7 +13,7 @@ import numpy as np
 
 from nsmodel.errors import ModelError, NsmodelError, UsageError
 from nsmodel.laws import Words
-from nsmodel.model.arguments import RESERVED, grid_given, known_times, names_of_states, units_given
+from nsmodel.model.arguments import RESERVED, grid_given, known_times, names_of_states, rows_called, units_given
 from nsmodel.model.blocks import declared_blocks, held_duty, kept_signals, latched, model_blocks
 from nsmodel.model.convert import Converter, Declared, declare
 from nsmodel.model.inputs import Signals, declared_inputs, signals_of
@@ -237,7 +237,7 @@ class Model(Pickled):
                     raise ModelError(f"{label}: {row} is a comparison; give the expression that stays >= 0, such as q[0] - 1")
             self._only(column, label, allow)
             columns[str(name)] = column
-            names += [str(name)] if column.numel() == 1 else [f"{name}[{i}]" for i in range(column.numel())]
+            names += rows_called(str(name), column.numel())
         return columns, names
 
     @property

@@ -30,7 +30,8 @@ def subject(model: LureSystem, findings: Mapping[str, Finding]) -> Subject:
         "law": [] if model.law is None else law_data(model.law),
         "phi": None if model.law is not None else program(model.phi, y, [f"y_{i}" for i in range(y.numel())]),
     }  # fmt: skip
-    return Subject(model, data)
+    e = {} if model.e.is_zero() else {"e": numbers(model.e) if model.e.is_constant() else program(model.e, model.t, ["t"])}
+    return Subject(model, data | e)
 
 
 def proofs(
@@ -62,13 +63,15 @@ def _everything(data: Data) -> bool:
 
 
 def _in_range(model: LureSystem, x: np.ndarray | None) -> Any:
-    """x, k, y, v with C x = D'k + y + S v, k and y inside, of a law of boxes; empty where nothing is asked.
+    """x, k, y, v with C x + e = D'k + y + S v, k and y inside, of a law of boxes; empty where nothing is asked.
 
     Columns of the homogeneous system: tau > 0, l - low tau > 0 (or high tau - l), where both ends are finite also their sum,
     y > 0 or < 0 where one end is, v, and x where it is not given.
     """
     m, n = model.D.shape[0], model.x.numel()
     C, D = (exact.rational(np.array(ca.DM(part)).reshape(part.shape)) for part in (model.C, model.D))
+    if not model.e.is_constant():
+        raise Unproved("an offset e that moves with time")
     if model.law is None or not model.law.is_box:
         raise Unproved("a law that is no box")
     low, high = (np.concatenate(ends) for ends in zip(*(block.hull() for block in model.law.blocks), strict=True))
@@ -92,6 +95,7 @@ def _in_range(model: LureSystem, x: np.ndarray | None) -> Any:
             A[:m, 1 + 2 * m + i] = -I[i] * sign
             positive += [] if bounded[i] else [1 + 2 * m + i]
     A[:m, 1 + 3 * m : 1 + 4 * m] = -S
+    A[:m, 0] += exact.rational(np.array(ca.DM(model.e))).ravel()
     if x is None:
         A[:m, 1 + 4 * m :] = C
     else:

@@ -1,4 +1,4 @@
-"""x' = A(x) + f(t) + B l,   y = C x + D l,   -y ∈ N_K(l) or l ∈ -dPhi(y)."""
+"""x' = A(x) + f(t) + B l,   y = C x + D l + e(t),   -y ∈ N_K(l) or l ∈ -dPhi(y)."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from nsmodel.scheme.continuous import ContinuousProblem
 
 
 def continuous_problem(model: LureSystem) -> ContinuousProblem:
-    """Return the model in continuous time; where Phi is given and D is not 0, y = C x + D l(y) are rows too, with y free."""
-    law = rows_of_law(model, model.x)
+    """Return the model in continuous time; where Phi is given and D is not 0, y = C x + D l(y) + e are rows too, with y free."""
+    law = rows_of_law(model, model.x, model.e)
     l, names = ca.vertcat(law.l, law.z), (*law.rows, *(f"y_{i}" for i in range(law.z.numel())))
     r = ca.densify(model.B @ law.multipliers)
     at_rest = ca.substitute(r, l, ca.SX.zeros(l.numel()))

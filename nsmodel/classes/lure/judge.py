@@ -12,10 +12,10 @@ from nsmodel.trajectory import Trajectory
 
 
 def misfits(model: LureSystem, run: Trajectory) -> Misfits:
-    """The theta-gamma scheme with M = I, f = A(x) + f(t), r = B l, y = C x + D l."""
+    """The theta-gamma scheme with M = I, f = A(x) + f(t), r = B l, y = C x + D l + e."""
     equation, sizes = _stepped(model, run)
     l = ca.SX.sym("l", model.B.shape[1])
-    y = model.C @ model.x + model.D @ l
+    y = model.output(model.x, l)
     law = outputs_misfit(model, run, y, l, model.law, sizes) if model.law is not None else _potential(model, run, y, l, sizes)
     return {"equation": equation, **law}
 

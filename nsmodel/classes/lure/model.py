@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -10,7 +11,8 @@ import casadi as ca
 
 from nsmodel.classes.first_order.model import check_weights, checked_law
 from nsmodel.errors import ModelError
-from nsmodel.laws import Law
+from nsmodel.laws import Law, product
+from nsmodel.model.arguments import rows_called, shown
 from nsmodel.model.base import Model
 from nsmodel.model.convert import Converter
 from nsmodel.model.convex import ConvexSplit, split
@@ -19,13 +21,15 @@ from nsmodel.model.parameters import declared
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LureSystem(Model):
-    """x' = A(x) + B l + f(t),   y = C x + D l,   -y ∈ N_K(l) or l ∈ -dPhi(y),   x(0) = x0.
+    """x' = A(x) + B l + f(t),   y = C x + D l + e(t),   -y ∈ N_K(l) or l ∈ -dPhi(y),   x(0) = x0.
 
     Attributes:
         A: matrix (n, n), or n expressions of ``x``.
         B, C, D: (n, m), (m, n), (m, m); D left out: 0. Matrices may be sparse (SciPy, CasADi), and stay so.
         f: n expressions of t; left out: 0.
-        law: the relation between l and y, of size m; or
+        e: m expressions of t, an offset of the output; left out: 0, as in the paper.
+        law: the relation between l and y, of size m, or {name: law} of its parts, one after the other: then their multipliers
+            have these names (of several name[0], name[1], ...), and not l_0, l_1, ...; or
         phi, y: a convex potential Phi as an expression of the m symbols ``y``.
         x: the state symbols, needed where A is an expression; left out: x_0, ..., x_{n-1}.
         x0: the start (n).
@@ -41,7 +45,8 @@ class LureSystem(Model):
     C: Any
     D: Any = None
     f: Any = None
-    law: Law | None = None
+    e: Any = None
+    law: Any = None
     phi: Any = None
     y: Any = None
     x0: Any
@@ -63,7 +68,8 @@ class LureSystem(Model):
             raise ModelError("law and phi: give exactly one of them (phi with its symbols y=)")
         if self.phi is not None and self.y is None:
             raise ModelError("phi: declare its argument with y=")
-        law = None if self.law is None else checked_law(self, c, self.law)
+        law, rows = _named_law(self.law)
+        law = None if law is None else checked_law(self, c, law)
         m = self.y.numel() if law is None else law.size
         what = f"{m} components of the law" if law is not None else f"{m} symbols of y"
         square = f"a row and a column for each of {what}"
@@ -73,14 +79,23 @@ class LureSystem(Model):
             C=self._matrix(c, self.C, "C", (m, n), f"a row for each of {what}, a column for each of {n} states"),
             D=ca.SX(m, m) if self.D is None else self._matrix(c, self.D, "D", (m, m), square),
             f=self._vector(c, 0 if self.f is None else self.f, "f", n, [self.t]),
+            e=self._vector(c, 0 if self.e is None else self.e, "e", m, [self.t]),
             law=law,
             x0=self._numbers(c, self.x0, "x0", n),
-            multiplier_names=tuple(f"l_{i}" for i in range(m)),
+            multiplier_names=self._multiplier_names(rows, m),
         )
         if law is None:
             phi = self._vector(c, self.phi, "phi", 1, [self.y])
             self._set(phi=phi, phi_split=split(phi, self.y, "phi"))
         check_weights(self.theta, self.gamma)
+
+    def _multiplier_names(self, rows: dict[str, int] | None, m: int) -> tuple[str, ...]:
+        if rows is None:
+            return tuple(f"l_{i}" for i in range(m))
+        for name in rows:
+            if name in {"t", *self.names, *self.stems, *self.input_groups}:
+                raise ModelError(f"law: '{name}' is also the name of a state, an input or the time; take another name")
+        return tuple(entry for name, size in rows.items() for entry in rows_called(name, size))
 
     @property
     def row_names(self) -> tuple[str, ...]:
@@ -91,6 +106,10 @@ class LureSystem(Model):
     def weights(self) -> tuple[float, float]:
         """theta and gamma."""
         return self.theta, self.gamma
+
+    def output(self, x: ca.SX, l: ca.SX) -> ca.SX:
+        """y = C x + D l + e at the time ``t`` (m, 1)."""
+        return ca.densify(self.C @ x + self.D @ l + self.e)
 
     def _count_states(self) -> int:
         """The number of entries of x0, where no state symbols are given."""
@@ -118,3 +137,15 @@ class LureSystem(Model):
         states = f"{n} state{'s' if n > 1 else ''} {', '.join(self.names[:3])}{', ...' if n > 3 else ''}"
         why = f"a row and a column for each of {states}; or give {n} expression{'s' if n > 1 else ''} of the state"
         return ca.densify(ca.mtimes(self._matrix(c, A, "A", (n, n), why), self.x))
+
+
+def _named_law(given: Any) -> tuple[Any, dict[str, int] | None]:
+    """The law as one, and {name: number of its rows} where its parts have names."""
+    if not isinstance(given, Mapping):
+        return given, None
+    for name, part in given.items():
+        if not isinstance(part, Law) or not isinstance(name, str) or not name:
+            raise ModelError(f"law: {name!r}: {shown(part)}; expected {{name: law}} such as {{'diode': complementarity(1)}}")
+    if not given:
+        raise ModelError("law: an empty dictionary; give {name: law} of each part")
+    return product(*given.values()), {name: part.size for name, part in given.items()}

@@ -19,7 +19,10 @@ def in_units(model: LureSystem, u: float, tau: float, common: dict[str, Any]) ->
         else {"y": model.y, "phi": u**2 * at(model.phi, (model.y, model.y / u))}
     )
     n = model.x.numel()
-    return LureSystem(
+    other = LureSystem(
         x=model.x, x0=u * ca.DM(model.x0), A=ca.SX.zeros(n, n) if model.A.is_zero() else u / tau * at(model.A, x),
-        B=model.B / tau, C=model.C, D=model.D, f=u / tau * at(model.f, t), theta=model.theta, gamma=model.gamma, **law, **common,
+        B=model.B / tau, C=model.C, D=model.D, f=u / tau * at(model.f, t), e=u * at(model.e, t),
+        theta=model.theta, gamma=model.gamma, **law, **common,
     )  # fmt: skip
+    other._set(multiplier_names=model.multiplier_names)
+    return other

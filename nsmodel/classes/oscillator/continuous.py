@@ -8,6 +8,7 @@ import numpy as np
 from nsmodel.classes.oscillator.model import Friction, FrictionOscillator
 from nsmodel.classes.oscillator.schemes.inertial_proximal import rest, slope_at_zero
 from nsmodel.laws import ball, complementarity, product
+from nsmodel.model.arguments import rows_called
 from nsmodel.scheme.continuous import ContinuousProblem, Growth, NotEventDriven
 from nsmodel.scheme.problem import subdifferential
 
@@ -43,7 +44,7 @@ def continuous_problem(model: FrictionOscillator) -> ContinuousProblem:
         ca.vertcat(ca.SX(0, 1), *xi, potential.l, n),
         ca.vertcat(ca.SX(0, 1), *(e.H @ v for e in model.elements), potential.u, c),
     )
-    names = tuple(f"{e.name}[{i}]" if e.H.shape[0] > 1 else e.name for e in model.elements for i in range(e.H.shape[0]))
+    names = tuple(name for e in model.elements for name in rows_called(e.name, e.H.shape[0]))
     return ContinuousProblem(
         t=model.t, x=ca.vertcat(x, v), l=l, p=model.p,
         f=ca.vertcat(v, pushed + smooth), g=ca.densify(ca.vertcat(ca.SX.zeros(x.numel()), rubbed + held)), h=h,

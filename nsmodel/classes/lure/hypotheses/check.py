@@ -73,8 +73,13 @@ def consequences_of(
         "contraction", f"|x(t) - y(t)|_P <= e^(omega t) |x_0 - y_0|_P for any two solutions{here}{norm}", findings, MONOTONE,
         f"{PAPER}, (40)", {"omega": growth.omega} if np.isfinite(growth.omega) else {},
     )  # fmt: skip
-    timed = region.scope(timed=bool(ca.depends_on(model.f, model.t)))
+    timed = region.scope(timed=bool(ca.depends_on(ca.vertcat(model.f, model.e), model.t)))
     well, contraction = (replace(item, scope=meet(item.scope, timed)) for item in (well, contraction))
+    if ca.depends_on(model.e, ca.vertcat(model.t, model.u)):
+        well, contraction = (
+            replace(item, statement=f"{item.statement}; {range_condition.MOVING}") for item in (well, contraction)
+        )
+        texts = range_condition.MOVING
     if texts:
         well, contraction = replace(well, verdict=UNKNOWN), replace(contraction, verdict=UNKNOWN)
     return [well, contraction, *_stability(model, region, growth, findings)]

@@ -33,8 +33,8 @@ from nsmodel.proof.multiaffine import corners
 
 LAW = ("law", "phi")
 READS = {
-    "3.1": LAW, "4.1": ("D",), "5.1": ("B", "C"), "5.2": ("A", "B", "C"), "5.4a": ("C", "D", *LAW), "5.4b": ("D", *LAW),
-    "5.4c": ("D", *LAW), "5.x0": ("C", "D", "x0", *LAW), "7.1": ("D", "f", *LAW),
+    "3.1": LAW, "4.1": ("D",), "5.1": ("B", "C"), "5.2": ("A", "B", "C"), "5.4a": ("C", "D", "e", *LAW), "5.4b": ("D", *LAW),
+    "5.4c": ("D", *LAW), "5.x0": ("C", "D", "e", "x0", *LAW), "7.1": ("D", "e", "f", *LAW),
 }  # fmt: skip
 MOST_COLUMNS = 64  # Of all corners of B together.
 MINORS, DIGITS = 6, 12

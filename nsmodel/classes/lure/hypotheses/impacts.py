@@ -13,5 +13,5 @@ def system(model: LureSystem) -> System | None:
     if model.law is None or not model.law.size:
         return None
     l = ca.SX.sym("l", model.law.size)
-    F, Y = model.A + model.f + model.B @ l, model.C @ model.x + model.D @ l
+    F, Y = model.A + model.f + model.B @ l, model.output(model.x, l)
     return system_of(model, model.law, l, F, Y, (model.B, model.C, model.D), "y' (C B = 0)")

@@ -109,7 +109,7 @@ def _growth(model: LureSystem, P: list[Fraction], why: str) -> Growth:
 
 
 def _rest(model: LureSystem, on_graph: bool, why: str) -> Finding:
-    """7.1: f = 0, A(0) = 0 and 0 on the graph of the law."""
+    """7.1: f = 0, A(0) = 0 and 0 on the graph of the law; e = 0."""
     if not model.f.is_zero():
         t = np.linspace(0, float(model.t_end or 1.0), TIMES)
         f = np.abs(np.array(ca.Function("f", [model.t], [ca.densify(model.f)]).map(TIMES)(t[None, :])))
@@ -120,7 +120,7 @@ def _rest(model: LureSystem, on_graph: bool, why: str) -> Finding:
             return found(H_71, VIOLATED, how, {"sup |f|": largest[k]}, {"t": t[k], "part": "f = 0"})
         return found(H_71, UNKNOWN, why)
     at_zero = float(np.abs(np.array(ca.Function("A", [model.x], [model.A])(0))).max(initial=0.0))
-    if on_graph and at_zero == 0:
+    if on_graph and at_zero == 0 and model.e.is_zero():
         how = "0 is admissible and on the graph of the law, f = 0; A(0) is 0 in floating point"
         return found(H_71, SAMPLED, how, {"|A(0)|": 0.0})
     return found(H_71, UNKNOWN, why)

@@ -10,8 +10,9 @@ by D' rint dom Xi, and as A + U = rint A + U for an open U,
 
     -C x ∈ -D'(dom dXi) + int dom Upsilon*    if and only if    C x = D'k + y + S v,  k ∈ rint dom Xi,  y ∈ rint dom Phi.
 
-For a cone K and D = 0 this is C x ∈ int K*. It is decided in exact rational arithmetic, with a point or a separating vector w:
-C'w = 0 (5.4a), S w = 0, w recedes in dom Xi and <D w, k> + <w, y> >= <w, C x> for all k and y.
+For a cone K and D = 0 this is C x ∈ int K*. A constant offset e of y is a part of the law, Xi + <e, .>, so that C x + e stands in
+place of C x. It is decided in exact rational arithmetic, with a point or a separating vector w: C'w = 0 (5.4a), S w = 0,
+w recedes in dom Xi and <D w, k> + <w, y> >= <w, C x> for all k and y.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ H_54C = Hypothesis(
 )
 H_5X0 = Hypothesis("5.x0", "-C x0 is in -D'(dom dXi) + int dom Upsilon*: the start is admissible", f"{PAPER}, Theorem 5.6")
 H_71 = Hypothesis("7.1", "0 in X_0, A(0) = 0, 0 in (D + dXi)^-1(0), and f = 0", f"{PAPER}, Assumption 7.1")
+MOVING = "y has an offset e that moves with time: the theorems are about y = C x + D l, and a constant e"
 HYPOTHESES = (H_31, H_54A, H_54B, H_54C, H_5X0, H_71)
 
 
@@ -91,7 +93,7 @@ def _prepared(at: Setting, hypothesis: Hypothesis) -> Finding | Domains:
         return found(hypothesis, HOLDS, f"Everywhere: {at.everything}.{_literal(at)}", {"restricting rows": 0})
     if at.domains is None or at.broken:
         return found(hypothesis, UNKNOWN, at.reason)
-    return at.domains
+    return found(hypothesis, UNKNOWN, MOVING) if at.e is None else at.domains
 
 
 def _empty(at: Setting, hypothesis: Hypothesis, line: np.ndarray, answer: feasibility.Decision) -> Finding:
@@ -108,6 +110,14 @@ def _named(at: Setting, w: np.ndarray) -> dict[str, list[str]]:
     return {"multipliers": [name for name, entry in zip(at.model.multiplier_names, w, strict=True) if entry]}
 
 
+def _offset(at: Setting) -> np.ndarray:
+    return exact.zeros(at.m, 1) if at.e is None else at.e
+
+
+def _e(at: Setting) -> str:
+    return " + e" if at.e is None or at.e.any() else ""
+
+
 def _parts(D: np.ndarray, own: Domains) -> list[domains.Part]:
     """D'k + y + S v, with the columns of v behind the others."""
     turned = [(columns, exact.product(D.T, matrix)) for columns, matrix in own.k]
@@ -116,54 +126,59 @@ def _parts(D: np.ndarray, own: Domains) -> list[domains.Part]:
 
 
 def _meets(at: Setting) -> Finding:
-    """5.4a: C x = D'k + y + S v for some x."""
+    """5.4a: C x + e = D'k + y + S v for some x."""
     own = _prepared(at, H_54A)
     if isinstance(own, Finding):
         return own
     n, states = len(own.kinds) + at.m, at.C.shape[1]
-    system = own.system([*_parts(at.D, own), (list(range(n, n + states)), -at.C)], at.m + states)
+    system = own.system([*_parts(at.D, own), (list(range(n, n + states)), -at.C), (TAU, -_offset(at))], at.m + states)
     answer = feasibility.decide(system)
     if at.line is not None:
         return _empty(at, H_54A, at.line, answer)
     value: dict[str, float] = {"restricting rows": int((~own.loose).sum())}
     if answer.point is not None:
         x = exact.doubles(answer.point[n:] / answer.point[0])
-        how = "Decided exactly: for this state x, C x = D'k + y + S v with k in rint dom Xi and y in rint dom Phi." + _literal(at)
+        how = (
+            f"Decided exactly: for this state x, C x{_e(at)} = D'k + y + S v with k in rint dom Xi and y in rint dom Phi."
+            + _literal(at)
+        )
         return found(H_54A, HOLDS, how, value, {"x": x})
     if answer.separator is None:
         return found(H_54A, UNKNOWN, _close(answer.margin), value)
     w = _spread(own, answer.separator)
+    least = "<w, e>" if _e(at) else "0"
     how = (
-        "Decided exactly: w separates R(C) from the set: C'w = 0, (D + D')w = 0, and <D w, k> + <w, y> >= 0 for all k in dom Xi "
-        "and y in dom Phi." + _literal(at)
+        f"Decided exactly: w separates R(C) from the set: C'w = 0, (D + D')w = 0, and <D w, k> + <w, y> >= {least} for all k in "
+        "dom Xi and y in dom Phi." + _literal(at)
     )
     return found(H_54A, VIOLATED, how, value, {"w": w, **_named(at, w)})
 
 
 def _admissible(at: Setting, hypothesis: Hypothesis, output: np.ndarray) -> Finding:
-    """5.x0: C x0 = D'k + y + S v; ``output`` (m, 1) is C x0."""
+    """5.x0: C x0 + e = D'k + y + S v; ``output`` (m, 1) is C x0."""
     own = _prepared(at, hypothesis)
     if isinstance(own, Finding):
         return own
+    output, name = output + _offset(at), f"(C x0{_e(at)})" if _e(at) else "C x0"
     system = own.system([*_parts(at.D, own), (TAU, -output)], at.m)
     answer = feasibility.decide(system)
     if at.line is not None:
         return _empty(at, hypothesis, at.line, answer)
     if answer.point is not None:
-        how = "Decided exactly: C x0 = D'k + y + S v with k in rint dom Xi and y in rint dom Phi." + _literal(at)
+        how = f"Decided exactly: {name} = D'k + y + S v with k in rint dom Xi and y in rint dom Phi." + _literal(at)
         margin = _margin(at, own, output, answer.point)
         value = {"restricting rows": int((~own.loose).sum())} if margin is None else {"margin": margin}
-        return found(hypothesis, HOLDS, how, value, {"C x0": exact.doubles(output.ravel())})
+        return found(hypothesis, HOLDS, how, value, {name: exact.doubles(output.ravel())})
     if answer.separator is None:
         return found(hypothesis, UNKNOWN, _close(answer.margin))
     w = _spread(own, answer.separator)
     gap = float(exact.product(answer.separator[None, :], system.A[:, TAU])[0, 0] / max(map(abs, answer.separator)))
     where = "outside the closure of the set" if gap > 0 else "on the boundary of the set, where the theorem says nothing"
     how = (
-        f"Decided exactly: -C x0 is {where}: <D w, k> + <w, y> - <w, C x0> >= gap for all k in dom Xi and y in dom Phi. "
+        f"Decided exactly: -{name} is {where}: <D w, k> + <w, y> - <w, {name}> >= gap for all k in dom Xi and y in dom Phi. "
         f"A start with <w, C x0> larger, or a little resistance in D, changes this.{_literal(at)}"
     )
-    return found(hypothesis, VIOLATED, how, {"gap": gap}, {"w": w, **_named(at, w), "C x0": exact.doubles(output.ravel())})
+    return found(hypothesis, VIOLATED, how, {"gap": gap}, {"w": w, **_named(at, w), name: exact.doubles(output.ravel())})
 
 
 def _spread(own: Domains, separator: np.ndarray) -> np.ndarray:

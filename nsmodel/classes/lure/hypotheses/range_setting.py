@@ -18,11 +18,12 @@ from nsmodel.proof import exact
 
 @dataclass(frozen=True)
 class Setting:
-    """What the findings share: matrices in Fractions, the domains, or why they are not known."""
+    """What the findings share: matrices in Fractions, the domains, or why they are not known; e (m, 1) None where it moves."""
 
     model: LureSystem
     C: np.ndarray
     D: np.ndarray
+    e: np.ndarray | None
     psd: bool
     rounded: bool
     kernel: int
@@ -58,6 +59,7 @@ class Setting:
 def setting_of(model: LureSystem) -> Setting:
     """Read the model."""
     C, D = (np.array(ca.DM(matrix)).reshape(matrix.shape) for matrix in (model.C, model.D))
+    e = exact.rational(np.array(ca.DM(model.e))) if model.e.is_constant() else None
     S = exact.rational(D) + exact.rational(D).T
     kernel = len(S) - exact.rank(S)
     potential, own, reason, broken = None, None, "", False
@@ -77,7 +79,7 @@ def setting_of(model: LureSystem) -> Setting:
     psd = exact.psd(D).psd
     rounded = input_output(D).verdict == SAMPLED or (psd and _rank_in_doubles(D) < len(S) - kernel)
     return Setting(
-        model, exact.rational(C), exact.rational(D), psd or rounded, rounded, kernel, potential, own, reason, broken, line
+        model, exact.rational(C), exact.rational(D), e, psd or rounded, rounded, kernel, potential, own, reason, broken, line
     )
 
 

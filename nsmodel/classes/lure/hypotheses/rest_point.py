@@ -131,26 +131,33 @@ def _force(model: LureSystem) -> Part:
 
 def _on_the_graph(model: LureSystem, potential: Potential | None) -> Part:
     name = "0 in (D + dXi)^-1(0)"
+    if not model.e.is_zero() and (model.law is None or not model.e.is_constant()):
+        return name, UNKNOWN, {}, "y has an offset e, which moves what y = 0 is"
     if model.law is not None:
-        return name, *_zero_in(model.law, model.multiplier_names)
+        return name, *_zero_in(model.law, model.multiplier_names, np.array(ca.DM(model.e)).ravel())
     if potential is None:
         return name, UNKNOWN, {}, "phi is not proved to be convex"
     return name, *_stationary(model, potential)
 
 
-def _zero_in(law: Law, names: tuple[str, ...]) -> tuple[str, dict, str]:
-    """0 ∈ K, by its rows."""
+def _zero_in(law: Law, names: tuple[str, ...], e: np.ndarray) -> tuple[str, dict, str]:
+    """0 ∈ K and -e ∈ N_K(0), by its rows."""
     for rows, block in law.parts():
         own, shape = names[rows], block.shape()
         if isinstance(shape, Intervals):
             for name, low, up in zip(own, *shape, strict=True):
                 if not low <= 0 <= up:
                     return VIOLATED, {"multiplier": name, "lower": low, "upper": up}, f"0 is not in the interval of {name}"
+            for name, low, up, y in zip(own, *shape, e[rows], strict=True):
+                if (low < 0 and y > 0) or (up > 0 and y < 0):
+                    return VIOLATED, {"multiplier": name, "e": y}, f"at x = 0, l = 0 the law does not let {name} have y = {y:g}"
         elif isinstance(shape, Halfspaces) and max(shape.K, default=0) > 0:
             row = int(np.argmax(shape.K))
             return VIOLATED, {"row": row, "K": shape.K[row]}, f"l = 0 breaks row {row} of the polyhedron of {', '.join(own)}"
         elif shape is None:
             return UNKNOWN, {}, f"the set of {', '.join(own)} ({block.label}) has no exact form"
+        if not isinstance(shape, Intervals) and e[rows].any():
+            return UNKNOWN, {}, f"whether y = e is normal to the set of {', '.join(own)} at 0 is not read off"
     return HOLDS, {}, ""
 
 

@@ -1,7 +1,7 @@
 """Implicit Euler for multivalued Lur'e systems (Brogliato and Goeleven 2013), with theta and gamma for comparison.
 
 x_{k+1} = x_k + h th (A(x_{k+1}) + f(t_{k+1})) + h (1-th) (A(x_k) + f(t_k)) + h ga B l_{k+1} + h (1-ga) B l_k
-y_{k+1} = C x_{k+1} + D l_{k+1},      -y_{k+1} ∈ N_K(l_{k+1})  or  l_{k+1} ∈ -dPhi(y_{k+1})
+y_{k+1} = C x_{k+1} + D l_{k+1} + e(t_{k+1}),      -y_{k+1} ∈ N_K(l_{k+1})  or  l_{k+1} ∈ -dPhi(y_{k+1})
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ def one_step_problem(model: LureSystem) -> OneStepProblem:
     t, h, n, th, ga = model.t, ca.SX.sym("h"), model.x.numel(), model.theta, model.gamma
     x_k, r_k, x, u = model.x, ca.SX.sym("r_k", n), ca.SX.sym("x_next", n), ca.SX.sym("u_next", model.u.numel())
     rate_k = model.A + model.f
-    rate = ca.substitute([rate_k], [t, x_k, model.u], [t + h, x, u])[0]
-    law = rows_of_law(model, x)
+    rate, e = ca.substitute([rate_k, model.e], [t, x_k, model.u], [t + h, x, u])
+    law = rows_of_law(model, x, e)
     r = ca.densify(model.B @ law.multipliers)
     E = x - x_k - h * th * rate - h * (1 - th) * rate_k - h * ga * r - h * (1 - ga) * (r_k if ga < 1 else 0)
     problem = OneStepProblem(
@@ -38,7 +38,7 @@ def one_step_problem(model: LureSystem) -> OneStepProblem:
         declared=model.multiplier_names,
         outputs=law.outputs if law.rewritten else None,
         start=_start(model, h, ca.vertcat(x_k, r_k)) if ga < 1 else None,
-        order=SchemeOrder.of_weights(th, ga, r, ca.vertcat(x, law.z), law.law, law.Y, ca.vertcat(law.l, law.z)),
+        order=SchemeOrder.of_weights(th, ga, r, ca.vertcat(t, h, u, x, law.z), law.law, law.Y, ca.vertcat(law.l, law.z)),
     )  # fmt: skip
     return carrying(problem, model.u, u)
 
@@ -58,26 +58,26 @@ class _Rows(NamedTuple):
     guess: ca.SX = ca.SX(0, 1)
 
 
-def rows_of_law(model: LureSystem, x: ca.SX) -> _Rows:
-    """y = C x + D l with the declared law, or l ∈ -dPhi(y): there y joins the unknowns unless D = 0."""
+def rows_of_law(model: LureSystem, x: ca.SX, e: ca.SX) -> _Rows:
+    """y = C x + D l + e with the declared law, or l ∈ -dPhi(y): there y joins the unknowns unless D = 0."""
     m = model.B.shape[1]
     y = ca.SX.sym("y_next", m)
     if model.law is not None:
         basic = basic_law(model.law, model.multiplier_names, y)
-        output = ca.densify(model.C @ x + model.D @ basic.multipliers)
+        output = ca.densify(model.C @ x + model.D @ basic.multipliers + e)
         Y = ca.substitute(basic.y, y, output)
         return _Rows(basic.law, basic.l, basic.rows, Y, basic.multipliers, output, basic.l.numel() != m)
     part = subdifferential(model.phi_split, model.y, "phi")
-    implicit = not model.D.is_zero()
-    output = y if implicit else ca.densify(model.C @ x)
+    implicit, free = not model.D.is_zero(), ca.densify(model.C @ x + e)
+    output = y if implicit else free
     l, Y = ca.substitute([part.force, part.u], [model.y], [output])
     rows = _Rows(part.law, part.l, part.rows, Y, l, output, True)
-    return rows._replace(z=y, E=y - model.C @ x - model.D @ l, guess=ca.densify(model.C @ x)) if implicit else rows
+    return rows._replace(z=y, E=y - free - model.D @ l, guess=free) if implicit else rows
 
 
 def _start(model: LureSystem, h: ca.SX, state: ca.SX) -> OneStepProblem:
     """l_0 solves the law at x_0: the first B l_k where gamma < 1."""
-    law = rows_of_law(model, model.x)
+    law = rows_of_law(model, model.x, model.e)
     return OneStepProblem(
         scheme="multiplier at the start",
         t=model.t, h=h, state=state, p=model.p,

@@ -18,6 +18,7 @@ import numpy as np
 
 from nsmodel.classes.oscillator.model import Friction, FrictionOscillator
 from nsmodel.laws import ball, complementarity, product
+from nsmodel.model.arguments import rows_called
 from nsmodel.once import once
 from nsmodel.scheme.problem import OneStepProblem, subdifferential
 
@@ -50,7 +51,7 @@ def one_step_problem(model: FrictionOscillator) -> OneStepProblem:
         E=d - d_old + h**2 * (smooth - force),
         Y=ca.vertcat(ca.SX(0, 1), *(e.H @ d for e in elements), at(g.u, x, x_next), at(c, x, x_next)),
         law=law,
-        rows=tuple(name for e in elements for name in _rows(e)) + g.rows + model.constraint_names,
+        rows=tuple(name for e in elements for name in rows_called(e.name, e.H.shape[0])) + g.rows + model.constraint_names,
         guess=d_old,
         next_state=ca.vertcat(x_next, d),
         records={"v": v},
@@ -101,11 +102,6 @@ def shortened(state: np.ndarray, ratio: float) -> np.ndarray:
 def at(expression: ca.SX, x: ca.SX, value: ca.SX) -> ca.SX:
     """The expression with x replaced."""
     return ca.substitute(expression, x, value) if expression.numel() else expression
-
-
-def _rows(element: Friction) -> list[str]:
-    m = element.H.shape[0]
-    return [element.name] if m == 1 else [f"{element.name}[{i}]" for i in range(m)]
 
 
 def initial_rows(model: FrictionOscillator, h: float) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
