@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from nsmodel import (
+    Bodies,
     FirstOrderSystem,
-    FrictionOscillator,
     LureSystem,
+    ManyBodies,
     ModelError,
     MonotoneInclusion,
     RunInterrupted,
@@ -592,10 +593,10 @@ def test_edges_of_expressions_are_those_of_the_run_in_c_too():
         assert set(edges) <= set(simulate(model, rtol=1e-6, method="event-driven", compiled=True).t.tolist())
 
 
-def test_classes_that_nothing_drives_say_what_to_do():
-    x, s, u = ca.SX.sym("x"), ca.SX.sym("s"), ca.SX.sym("u")
-    with pytest.raises(ModelError, match="inputs: the scheme and its theorems know no explicit time"):
-        FrictionOscillator(x=x, potential=x**2 / 2, friction=s, s=s, x0=1, v0=0, t_end=1, step=0.1, inputs={u: 1})
+def test_a_class_that_nothing_drives_says_what_to_do():
+    bodies = Bodies([[0.0, 0.0]], r=[1.0])
+    with pytest.raises(ModelError, match="inputs: many bodies take none"):
+        ManyBodies(bodies=bodies, f=0, t_end=1, step=0.1, inputs={ca.SX.sym("u"): 1})
 
 
 def test_a_set_that_an_input_moves_is_drawn(tmp_path):

@@ -51,6 +51,7 @@ def _read_off(scene: Scene) -> dict[str, bool]:
         "REWRITTEN": problem.multipliers is not None,
         "MULTIPLIERS": structure.m > 0 or problem.multipliers is not None,
         "VELOCITY": bool(problem.velocity),
+        "DIFFERENCE": bool(problem.velocity) and problem.difference,
         "FORCE": problem.state.numel() - 2 * problem.inputs > len(scene.model.names) and not problem.velocity,
         "INPUTS": problem.inputs > 0,
         "FIXED_MAPS": scene.path == FIXED and structure.m > 0 and not law.curved,

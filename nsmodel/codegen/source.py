@@ -101,7 +101,8 @@ def _has(part: str, flags: frozenset[str]) -> bool:
 def _words(name: str, scene: Scene, flags: frozenset[str], sizes: dict[str, int], bound: int, fingerprint: str) -> dict[str, str]:
     model, problem = scene.model, scene.problem
     one = "MODEL_STEP: the matrices in the code belong to it" if scene.path in (FIXED, BANDED) else "MODEL_STEP"
-    last = "last difference of positions" if problem.velocity else "reaction of the last step"
+    moved = "last difference of positions" if problem.difference else "velocity"
+    last = moved if problem.velocity else "reaction of the last step"
     layout = inclusion.layout(scene)
     carried = "" if sizes["NSTATE"] == sizes["NX"] else f", then the {last}"
     return {

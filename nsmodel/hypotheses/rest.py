@@ -30,8 +30,14 @@ def finite_convergence(
     Returns:
         finite: v = 0 twice in a row and the margin theta'(0) - d(0, dg(x)) exceeds the rounding bound; n_0, t_0 or None;
         margin = theta_prime_0 - distance, for one isotropic element theta'(0) and d(0, dg(x)); for several, those of the
-        element that is nearest to sliding, and its name; reason in words.
+        element that is nearest to sliding, and its name; reason in words. Where a force moves with time, all others are None.
     """
+    if model.is_forced:
+        reason = "a force that moves with time acts: it may start again, and no theorem says that it rests"
+        return dict.fromkeys(["n_0", "t_0", "margin", "distance", "theta_prime_0", "element"]) | {
+            "finite": False,
+            "reason": reason,
+        }
     radii = _radii(model)
     force = least_force(model, x)
     margin, bound, binding, part = _margin(model, force, radii)

@@ -464,7 +464,7 @@ class Controlled(OfScheme):
         if gaps is not None:
             row[layout.slices[self.problem.gap]] = gaps
         if self.problem.velocity:
-            row[layout.slices[self.problem.velocity]] = state[n : 2 * n] / (self._h(at.j) / 2)
+            row[layout.slices[self.problem.velocity]] = state[n : 2 * n] / (self._h(at.j) / 2 if self.problem.difference else 1.0)
         return row
 
     def _record(self, accepted: Accepted) -> None:

@@ -49,7 +49,7 @@ def constraints(model: Any) -> ca.SX:
 def shortened(model: Any, state: np.ndarray, ratio: float) -> np.ndarray:
     """Return the state before a last step that is shorter than the others by ``ratio``."""
     shorten, own = getattr(_scheme(model), "shortened", None), state.size - 2 * model.u.numel()
-    return state if shorten is None else np.concatenate([shorten(state[:own], ratio), state[own:]])
+    return state if shorten is None else np.concatenate([shorten(model, state[:own], ratio), state[own:]])
 
 
 def _scheme(model: Any) -> ModuleType:

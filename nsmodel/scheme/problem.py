@@ -85,6 +85,7 @@ class OneStepProblem:
         start: problem that turns (x0, 0) into the first state, where the scheme needs a multiplier at t = 0.
         order: of the scheme between switches.
         velocity: the record that is the change of the state in a step over h, where the state carries that change; else "".
+        difference: whether it carries the change itself, and not the velocity.
         gap: the record of how far next_state is inside what it is projected on, where it is; else "".
         prediction: how the state is made of the model's, where it is a predictor; else None.
         explicit: numbers of the unknowns that their own rows give: E_i = z_i - G_i of the others, E and Y linear in them.
@@ -113,6 +114,7 @@ class OneStepProblem:
     start: OneStepProblem | None = None
     order: SchemeOrder = field(default_factory=lambda: SchemeOrder(1))
     velocity: str = ""
+    difference: bool = True
     gap: str = ""
     prediction: Prediction | None = None
     explicit: tuple[int, ...] = ()

@@ -1,1 +1,1 @@
-"""Oscillators with dry friction: x'' + A(x') + dg(x) ∋ 0."""
+"""Oscillators with dry friction: x'' + A(x') + dg(x) ∋ f(t)."""

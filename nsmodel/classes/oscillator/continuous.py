@@ -1,4 +1,4 @@
-"""x'' + dPhi(x') + M x' + dg(x) ∋ 0 as a system of first order in (x, v), with the friction as multipliers (Cabot 2004)."""
+"""x'' + dPhi(x') + M x' + dg(x) ∋ f(t) as a system of first order in (x, v), with the friction as multipliers (Cabot 2004)."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def continuous_problem(model: FrictionOscillator) -> ContinuousProblem:
     names = tuple(name for e in model.elements for name in rows_called(e.name, e.H.shape[0]))
     return ContinuousProblem(
         t=model.t, x=ca.vertcat(x, v), l=l, p=model.p,
-        f=ca.vertcat(v, pushed + smooth), g=ca.densify(ca.vertcat(ca.SX.zeros(x.numel()), rubbed + held)), h=h,
+        f=ca.vertcat(v, pushed + smooth + model.force), g=ca.densify(ca.vertcat(ca.SX.zeros(x.numel()), rubbed + held)), h=h,
         law=product(
             *(ball(e.H.shape[0], slope_at_zero(e, model.s)) for e in model.elements), potential.law, complementarity(n.numel())
         ),

@@ -4,18 +4,30 @@ from __future__ import annotations
 
 from nsmodel.classes.oscillator.model import FrictionOscillator
 from nsmodel.hypotheses.report.notation import words
-from nsmodel.hypotheses.report.typeset import SHOWN, constraint_lines, matrix_latex, names_of, start_line, state_lines, texts
+from nsmodel.hypotheses.report.typeset import (
+    SHOWN,
+    call,
+    constraint_lines,
+    matrix_latex,
+    names_of,
+    start_line,
+    state_lines,
+    texts,
+    vector_lines,
+)
 
 
 def equations(model: FrictionOscillator) -> list[str]:
     """The model, one formula a line."""
     names = names_of(model)
     damping = r" + M \dot{x}" if model.damping is not None else ""
+    force = call("f", model.force, model, names) if model.is_forced else ""
     dry = r" + \partial\Phi(\dot{x})" if model.elements else ""
     lines = [
-        rf"\ddot{{x}}{dry}{damping} + \partial g(x) \ni 0",
+        rf"\ddot{{x}}{dry}{damping} + \partial g(x) \ni {force or 0}",
         *state_lines(model),
         f"g(x) = {texts(model.potential, names)[0]}",
+        *(vector_lines(force, model.force, names) if force else []),
     ]
     plain = len(model.elements) == 1 and model.elements[0].H.is_eye()
     if model.elements:

@@ -11,9 +11,9 @@ from nsmodel.trajectory import Trajectory
 
 
 def misfits(model: FrictionOscillator, run: Trajectory) -> Misfits:
-    """v+ minimises J(v) = |v - w|^2/2 + h (Phi(v) + <v, M v>/2) + g(x + h v), M symmetric, w the last velocity.
+    """v+ minimises J(v) = |v - w|^2/2 + h (Phi(v) + <v, M v>/2 - <v, f>) + g(x + h v), M symmetric, w the last velocity.
 
-    Of a matrix M the skew part enters as the constant force M v+ that it is at the answer.
+    f is the force at the end of the step. Of a matrix M the skew part enters as the constant force M v+ that it is at the answer.
     """
     first = 1 if model.x1 is not None else 0
     x, w, v, h = run.x[first:-1], run.v[first:-1], run.v[first + 1 :], run.step[first + 1 :]
@@ -26,12 +26,15 @@ def misfits(model: FrictionOscillator, run: Trajectory) -> Misfits:
     c = ca.vertcat(ca.SX(0, 1), *model.constraints.values())
 
     sizes = majorant(model.potential)
+    force = evaluated([model.t], [model.force], run.t[first + 1 :])[0][:, :, 0]
 
     def terms(V_: np.ndarray) -> np.ndarray:
         place = x + h[:, None] * V_
         friction, g, rows = evaluated([V, model.x], [phi, model.potential, c], V_, place)
         friction = np.where((V_ == 0).all(axis=1), 0.0, friction[:, 0, 0]) - at_rest
-        linear = h * (0.5 * np.einsum("ki,ij,kj->k", V_, even, V_) + np.einsum("ki,ij,kj->k", V_, odd, v))
+        linear = h * (
+            0.5 * np.einsum("ki,ij,kj->k", V_, even, V_) + np.einsum("ki,ij,kj->k", V_, odd, v) - (V_ * force).sum(axis=1)
+        )
         seen = np.where((rows[:, :, 0] < 0).any(axis=1), np.inf, g[:, 0, 0])
         return np.stack([0.5 * ((V_ - w) ** 2).sum(axis=1), h * friction, linear, seen])
 
@@ -54,7 +57,8 @@ def misfits(model: FrictionOscillator, run: Trajectory) -> Misfits:
 
 
 def acting(model: FrictionOscillator, run: Trajectory) -> np.ndarray:
-    """|x+ - x| and h^2 |grad g|."""
+    """|x+ - x| and h^2 (|grad g| + |f|)."""
     h, moved = run.step[1:, None], np.abs(run.x[1:] - run.x[:-1])
     (force,) = evaluated([model.x], [ca.gradient(model.potential, model.x)], run.x[1:])
-    return moved + h**2 * np.nan_to_num(np.abs(force[:, :, 0]), posinf=0.0)
+    (given,) = evaluated([model.t], [model.force], run.t[1:])
+    return moved + h**2 * (np.nan_to_num(np.abs(force[:, :, 0]), posinf=0.0) + np.abs(given[:, :, 0]))

@@ -25,7 +25,7 @@ class Friction(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrictionOscillator(Model):
-    """x'' + dPhi(x') + M x' + dg(x) ∋ 0 with Phi(v) = sum_j theta_j(|H_j v|), unit mass, no explicit time.
+    """x'' + dPhi(x') + M x' + dg(x) ∋ f(t) with Phi(v) = sum_j theta_j(|H_j v|), unit mass.
 
     Attributes:
         x: the position symbols (n).
@@ -33,6 +33,7 @@ class FrictionOscillator(Model):
         friction: theta(s) for isotropic friction theta(|v|), or {name: (H_j, theta_j(s))}.
         s: the symbol of theta's argument.
         damping: M (n, n) with M + M' >= 0, a linear part of the friction operator; left out: none.
+        force: f, n expressions of t; left out: 0, as in the paper. A constant one is made a part of g: g(x) - <f, x>.
         constraints: {name: c(x)}, kept >= 0, concave: the domain of g.
         x0, v0: position and velocity at t = 0 (v0 left out: 0): the older position is x0 - h v0; or
         x0, x1: the two positions that start the paper's recursion: rows 0 and 1 of the run.
@@ -46,6 +47,7 @@ class FrictionOscillator(Model):
     friction: Any = None
     s: Any = None
     damping: Any = None
+    force: Any = None
     constraints: Any = None
     x0: Any
     v0: Any = None
@@ -64,10 +66,9 @@ class FrictionOscillator(Model):
         "ball": ("isotropic friction", {0: ("zero", "stick (y = 0)"), 1: ("upper", "slip (l on the sphere)")}),
     }
     of_time: ClassVar[str] = (
-        "the scheme and its theorems know no explicit time. Write a forced oscillator as a LureSystem of position and velocity, "
-        "x=[x, v], A=[v, -(dg(x) + M v)], f=[0, f(t)], B=[0, H'], C=[0, H], law=relay(m, -mu, mu): section 2.2 of the guide"
+        "time and inputs stand in force=, and there alone: section 2.2 of the guide. Where friction, a spring or a wall moves with time, "
+        "write a LureSystem or FirstOrderSystem of position and velocity"
     )
-    undriven: ClassVar[str] = of_time
 
     def _declare(self) -> None:
         c = self._settle("x", x=self.x, s=self.s)
@@ -79,8 +80,12 @@ class FrictionOscillator(Model):
         damping = self.damping
         if damping is not None:
             damping = self._matrix(c, damping, "damping", (n, n), f"as there are {n} states")
+        force = self._vector(c, 0 if self.force is None else self.force, "force", n, [self.t])
+        if not ca.depends_on(force, ca.vertcat(self.t, self.u)):
+            potential, force = potential - (0 if force.is_zero() else ca.dot(force, self.x)), ca.SX.zeros(n)
         self._set(
             potential=potential,
+            force=force,
             potential_split=split(potential, self.x, "potential"),
             elements=tuple(self._elements(c, n)),
             damping=damping,
@@ -90,6 +95,11 @@ class FrictionOscillator(Model):
             v0=None if self.x1 is not None else self._numbers(c, 0 if self.v0 is None else self.v0, "v0", n),
             x1=None if self.x1 is None else self._numbers(c, self.x1, "x1", n),
         )
+
+    @property
+    def is_forced(self) -> bool:
+        """Whether a force that moves with time acts: the theorems are about oscillators left to themselves."""
+        return not self.force.is_zero()
 
     @property
     def row_names(self) -> tuple[str, ...]:

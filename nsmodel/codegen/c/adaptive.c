@@ -47,7 +47,7 @@ static int take(model_solver *s, double t, double h, const double *x, const doub
         r->watched[i] = r->x[i];
 #if VELOCITY
     for (int i = MODEL_NX; i < WATCHED; i++)
-        r->watched[i] = r->x[i]/h;
+        r->watched[i] = r->x[i]/CARRIED(h);
 #endif
     r->residual = s->work.residual;
     r->iterations = s->work.iterations;
@@ -55,7 +55,7 @@ static int take(model_solver *s, double t, double h, const double *x, const doub
     return 1;
 }
 
-#if VELOCITY
+#if DIFFERENCE
 /* The state for a step that is `ratio` as long: the difference of positions keeps its velocity. */
 static void shorten(double *x, double ratio)
 {
@@ -167,7 +167,7 @@ static int extrapolate(model_solver *s, const model_control *c, double end, cons
 {
     for (int i = 0; i < MODEL_NSTATE; i++) {
 #if VELOCITY
-        const double other = i < MODEL_NX ? coarse->x[i] : coarse->x[i]*0.5;
+        const double other = i < MODEL_NX ? coarse->x[i] : coarse->x[i]*CARRIED(0.5);
 #else
         const double other = coarse->x[i];
 #endif
@@ -221,7 +221,7 @@ long model_adapt(model_solver *s, model_control *c, long room, double number, do
         memcpy(x, c->x, sizeof x);
         if (!known && !take(s, time_at(c, c->t), h, x, c->l, before, &coarse))
             break;
-#if VELOCITY
+#if DIFFERENCE
         shorten(x, 0.5);
 #endif
         if (!take(s, time_at(c, c->t), h/2, x, c->l, before, &half))
@@ -248,7 +248,7 @@ long model_adapt(model_solver *s, model_control *c, long room, double number, do
         if (error > allowed && !least) {
             c->rejected += 1;
             c->j += 1;
-#if VELOCITY
+#if DIFFERENCE
             shorten(c->x, 0.5);
 #endif
             coarse = half;
@@ -292,7 +292,7 @@ long model_adapt(model_solver *s, model_control *c, long room, double number, do
 #endif
 #if VELOCITY
             for (int i = MODEL_NX; i < WATCHED; i++)
-                c->watched[i] = at[@WIDTH@ + AT_RECORDS + i - MODEL_NX] = x[i]/(h/2) + 0.0;
+                c->watched[i] = at[@WIDTH@ + AT_RECORDS + i - MODEL_NX] = x[i]/CARRIED(h/2) + 0.0;
 #endif
             for (int i = 0; i < MODEL_NSTATE; i++)
                 at[@WIDTH@ + i] = x[i] + 0.0;
@@ -311,7 +311,7 @@ long model_adapt(model_solver *s, model_control *c, long room, double number, do
         const double j = c->j;
         if (j > c->largest && doubled <= budget && fmod(end, 4*halves) == 0)
             c->j -= 1;
-#if VELOCITY
+#if DIFFERENCE
         shorten(c->x, ldexp(2.0, (int)(j - c->j)));
 #endif
         row += 2;

@@ -218,23 +218,28 @@ int model_set_state(model_solver *s, const double *x)
 }
 
 #if VELOCITY
+#if DIFFERENCE
 /* The difference of the last two positions is kept: a velocity belongs to the step in use. */
+#define CARRIED(h) (h)
+#else
+#define CARRIED(h) 1.0
+#endif
 int model_set_velocity(model_solver *s, const double *v)
 {
     if (!is_ready(s))
         return MODEL_NOT_INITIALISED;
     for (int i = 0; i < MODEL_NX; i++)
-        if (!is_finite(s->h*v[i]))
+        if (!is_finite(CARRIED(s->h)*v[i]))
             return MODEL_NOT_FINITE;
     for (int i = 0; i < MODEL_NX; i++)
-        s->x[MODEL_NX + i] = s->h*v[i];
+        s->x[MODEL_NX + i] = CARRIED(s->h)*v[i];
     return MODEL_OK;
 }
 
 void model_get_velocity(const model_solver *s, double *v)
 {
     for (int i = 0; i < MODEL_NX; i++)
-        v[i] = s->x[MODEL_NX + i]/s->h;
+        v[i] = s->x[MODEL_NX + i]/CARRIED(s->h);
 }
 #endif
 

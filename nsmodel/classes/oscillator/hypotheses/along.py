@@ -8,6 +8,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from nsmodel.classes.oscillator.hypotheses.check import FORCED
 from nsmodel.classes.oscillator.model import FrictionOscillator
 from nsmodel.classes.oscillator.schemes.inertial_proximal import energy
 from nsmodel.columns import extrapolated
@@ -31,6 +32,7 @@ def along(
     """dom g, and Proposition 4.1."""
     c = ca.vertcat(ca.SX(0, 1), *model.constraints.values())
     energies = _energies(model, run, numbers) if has_every_row(run) else rows_missing(ENERGY, DISSIPATED)
+    energies = [found(hypothesis, UNKNOWN, FORCED) for hypothesis in HYPOTHESES] if model.is_forced else energies
     return [*feasible(model, run, c, model.constraint_names), *energies]
 
 

@@ -1,14 +1,16 @@
 """Hypotheses of the inertial proximal method for oscillators under dry friction (Cabot 2004), and what follows from them.
 
-    x'' + dPhi(x') + M x' + dg(x) ∋ 0,   Phi(v) = sum_j theta_j(|H_j v|),   A = dPhi + M,   B = dg
+    x'' + dPhi(x') + M x' + dg(x) ∋ f(t),   Phi(v) = sum_j theta_j(|H_j v|),   A = dPhi + M,   B = dg
 
 A(0) = sum_j H_j' B(0, theta_j'(0)) has the support function sigma(d) = sum_j theta_j'(0) |H_j d|, and 0 is interior to A(0) if
-and only if sigma > 0 off 0; the largest ball in A(0) has the radius min sigma over |d| = 1, of which a lower bound is given.
+and only if sigma > 0 off 0. The theorems are about f = 0: with a force that moves with time they say that a step is solvable, and
+no more. The largest ball in A(0) has the radius min sigma over |d| = 1, of which a lower bound is given.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -37,6 +39,7 @@ TWIN = False  # No two solutions are compared.
 RADIUS = "radius of A(0)"
 TIGHT = 1e-7  # A lower bound of g that is attained but for this, beside 1 and its size, is given as inf g.
 BOUNDARY = 1e-9  # A margin below this, beside the forces, at the end of a run may be 0.
+FORCED = "a force that moves with time does work and does not let it rest: the paper is about oscillators left to themselves"
 ORDER = (VIOLATED, UNKNOWN, SAMPLED, HOLDS)  # from the worst
 
 
@@ -176,6 +179,9 @@ def _dry(model: FrictionOscillator) -> Finding:
 
 
 def _steps(model: FrictionOscillator, runs: Sequence[Trajectory]) -> Finding:
+    if model.is_forced and runs:
+        how = "with a force the velocity goes on from step to step: no order of the steps is asked for"
+        return found(STEPS, HOLDS, how, {"least step": min(float(np.nanmin(run.step)) for run in runs)})
     if runs and all("correction" in run.arrays for run in runs):
         how = "error control carries the velocity over from step to step: the proposition then asks for no order of the steps"
         return found(STEPS, HOLDS, how, {"least step": min(float(run.step[1:].min()) for run in runs)})
@@ -235,6 +241,9 @@ def consequences_of(
         ("convergence", f"sum |x_{{n+1}} - x_n| is finite, x_n -> x_inf, and {limit}", every, f"{theorem} (i), (ii)"),
     )  # fmt: skip
     out = [follows(name, statement, findings, rests_on, source) for name, statement, rests_on, source in statements]
+    if model.is_forced:
+        moved = (replace(item, statement=f"{item.statement}; {FORCED}", verdict=UNKNOWN) for item in out[1:])
+        return [out[0], *moved, _no_order()]
     dry = next(finding for finding in findings if finding.id == "O-dry").value.get(RADIUS, 0.0) > 0
     if below is not None and below.bounded and dry:
         out += rest_points.consequences(model, findings, every, g, domain, below, f"{theorem} (ii)")
@@ -242,8 +251,12 @@ def consequences_of(
     if not runs:
         out.append(follows("finite convergence", condition, findings, every, f"{theorem} (iii)"))
     out += [_finite(run, findings, every, strict, f"{theorem} (iii)") for run in runs if run.metadata.get("convergence")]
+    return [*out, _no_order()]
+
+
+def _no_order() -> Consequence:
     statement = "in the step, order 1 is observed; the paper proves none"
-    return [*out, Consequence("order of convergence", statement, (), UNKNOWN, {}, f"{PAPER} (no statement)")]
+    return Consequence("order of convergence", statement, (), UNKNOWN, {}, f"{PAPER} (no statement)")
 
 
 def _finite(run: Trajectory, findings: Sequence[Finding], every: Sequence[str], strict: str, source: str) -> Consequence:

@@ -57,7 +57,7 @@ def consequences(model: FrictionOscillator, region: Region, own: Sequence[Findin
     C = _domain(model, region)
     made = consequences_of(model, own, ca.SX(0), outer(C), None, ())
     every, proved = [hypothesis.id for hypothesis in HYPOTHESES], all(item.verdict == HOLDS for item in own)
-    if C.x.numel() > 1 or C.moving or not proved or any(item.scope and item.scope.states for item in own):
+    if model.is_forced or C.x.numel() > 1 or C.moving or not proved or any(item.scope and item.scope.states for item in own):
         return made
     return [*made, *rest_points.for_all(model, region, own, every, outer(C), f"{PAPER}, Theorem 4.1 (ii)")]
 

@@ -7,6 +7,11 @@ d = x_{n+2} - x_{n+1}, so that stick is d = 0 and nothing else. With h = l_n, ti
 
     d - (x_{n+1} - x_n) + h^2 ( dPhi(d/h) + dg(x_{n+1} + d) ) ∋ 0
 
+A force f that moves with time is taken at the end of the step, and the state has the velocity (x_{n+1} - x_n)/l_{n-1} in place of
+the difference: where steps change, as they do around edges of inputs, it is the velocity that goes on,
+
+    d - h v_n + h^2 ( dPhi(d/h) + dg(x_{n+1} + d) - f(t_{n+2}) ) ∋ 0
+
 theta_j splits into theta_j'(0) s, whose subdifferential is a ball, and a rest that is C1 in v with gradient 0 at v = 0
 (Proposition 2.2).
 """
@@ -20,7 +25,7 @@ from nsmodel.classes.oscillator.model import Friction, FrictionOscillator
 from nsmodel.laws import ball, complementarity, product
 from nsmodel.model.arguments import rows_called
 from nsmodel.once import once
-from nsmodel.scheme.problem import OneStepProblem, subdifferential
+from nsmodel.scheme.problem import OneStepProblem, carrying, subdifferential
 
 LEAST = 1e-150
 
@@ -28,12 +33,14 @@ LEAST = 1e-150
 def one_step_problem(model: FrictionOscillator) -> OneStepProblem:
     """Return the step as a nonsmooth problem in d, with the friction forces and the reactions of dg as multipliers."""
     h, x, n = ca.SX.sym("h"), model.x, model.x.numel()
-    d_old, d = ca.SX.sym("d_old", n), ca.SX.sym("d", n)
-    v, x_next = d / h, x + d
+    forced, u = model.is_forced, ca.SX.sym("u_next", model.u.numel())
+    old, d = ca.SX.sym("v_old" if forced else "d_old", n), ca.SX.sym("d", n)
+    v, x_next, d_old = d / h, x + d, h * old if forced else old
 
     elements, radii = model.elements, [slope_at_zero(e, model.s) for e in model.elements]
     xi = [ca.SX.sym(f"xi_{e.name}", e.H.shape[0]) for e in elements]
-    smooth = ca.SX.zeros(n) if model.damping is None else model.damping @ v
+    smooth = -ca.substitute([model.force], [model.t, model.u], [model.t + h, u])[0]
+    smooth += 0 if model.damping is None else model.damping @ v
     for element, l in zip(elements, xi, strict=True):
         smooth += element.H.T @ (rest(element, model.s, element.H @ v) - l)
 
@@ -44,19 +51,20 @@ def one_step_problem(model: FrictionOscillator) -> OneStepProblem:
 
     law = product(*(ball(e.H.shape[0], r) for e, r in zip(elements, radii, strict=True)), g.law, complementarity(n_c.numel()))
     l = ca.vertcat(ca.SX(0, 1), *xi, g.l, n_c)
-    return OneStepProblem(
+    problem = OneStepProblem(
         scheme="inertial proximal (A)",
-        t=model.t, h=h, state=ca.vertcat(x, d_old), p=model.p,
+        t=model.t, h=h, state=ca.vertcat(x, old), p=model.p,
         z=d, l=l, y=ca.SX.sym("y", l.numel()),
         E=d - d_old + h**2 * (smooth - force),
         Y=ca.vertcat(ca.SX(0, 1), *(e.H @ d for e in elements), at(g.u, x, x_next), at(c, x, x_next)),
         law=law,
         rows=tuple(name for e in elements for name in rows_called(e.name, e.H.shape[0])) + g.rows + model.constraint_names,
         guess=d_old,
-        next_state=ca.vertcat(x_next, d),
+        next_state=ca.vertcat(x_next, v if forced else d),
         records={"v": v},
-        velocity="v",
+        velocity="v", difference=not forced,
     )  # fmt: skip
+    return carrying(problem, model.u, u)
 
 
 def slope_at_zero(element: Friction, s: ca.SX) -> ca.SX:
@@ -89,13 +97,13 @@ def energy(model: FrictionOscillator) -> ca.Function:
     return ca.Function("energy", [model.x, w], [ca.sumsqr(w) / 2 + model.potential])
 
 
-def shortened(state: np.ndarray, ratio: float) -> np.ndarray:
+def shortened(model: FrictionOscillator, state: np.ndarray, ratio: float) -> np.ndarray:
     """The state before a last step shortened by ``ratio``: the older position is moved so that the velocity is kept.
 
     The paper divides the older difference by the new step, for steps that do not decrease; a step that only the end of the
     run shortens is not meant to be a kick.
     """
-    n = state.size // 2
+    n = state.size if model.is_forced else state.size // 2
     return np.concatenate([state[:n], state[n:] * ratio])
 
 
@@ -109,18 +117,22 @@ def initial_rows(model: FrictionOscillator, h: float) -> list[tuple[np.ndarray, 
     x0 = np.array(ca.DM(model.x0)).ravel()
     if model.x1 is None:
         v0 = np.array(ca.DM(model.v0)).ravel()
-        return [(np.concatenate([x0, h * v0]), {"v": v0})]
+        return [(np.concatenate([x0, v0 if model.is_forced else h * v0]), {"v": v0})]
     x1 = np.array(ca.DM(model.x1)).ravel()
-    return [(np.concatenate([x0, np.full(x0.size, np.nan)]), {}), (np.concatenate([x1, x1 - x0]), {"v": (x1 - x0) / h})]
+    d, v = x1 - x0, (x1 - x0) / h
+    return [(np.concatenate([x0, np.full(x0.size, np.nan)]), {}), (np.concatenate([x1, v if model.is_forced else d]), {"v": v})]
 
 
 def start_of(model: FrictionOscillator, h: ca.SX) -> ca.SX:
     """The state of the last of these rows as an expression of h."""
-    return ca.vertcat(model.x0, h * model.v0) if model.x1 is None else ca.vertcat(model.x1, model.x1 - model.x0)
+    d = h * model.v0 if model.x1 is None else model.x1 - model.x0
+    return ca.vertcat(model.x0 if model.x1 is None else model.x1, d / h if model.is_forced else d)
 
 
 def derived_columns(model: FrictionOscillator, arrays: dict[str, np.ndarray], h_next: np.ndarray) -> dict[str, np.ndarray]:
-    """The energy E_n: the last difference over the step that comes next."""
+    """The energy E_n: the last difference over the step that comes next; with a force, of the velocity."""
+    if model.is_forced:
+        return {"energy": np.array(energy(model).map(len(arrays["v"]))(arrays["x"].T, arrays["v"].T)).ravel()}
     d = arrays["v"] * arrays["step"][:, None]
     if not np.isfinite(arrays["step"][0]):
         d[0] = arrays["v"][0] * h_next[0]
