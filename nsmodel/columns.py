@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from nsmodel.trajectory import Trajectory
 
 
+COORDINATES = ("time", "multiplier", "input")  # Of an xarray.Dataset.
+
+
 def model_type(run: Trajectory) -> type[Model]:
     """Return the class of the run's model; what all share where it is not known here."""
     found = class_named(run.metadata.get("model_class"))
@@ -38,6 +41,12 @@ def multiplier_names(run: Trajectory) -> list[str]:
 def input_names(run: Trajectory) -> list[str]:
     """Return one name for each column of ``run.inputs``; none where the run has no inputs."""
     return [name for names in run.metadata.get("input_groups", {}).values() for name in names]
+
+
+def output_names(run: Trajectory) -> dict[str, list[str]]:
+    """Return {name of an output: names of its columns}, in the order in which they were declared."""
+    sizes = {name: text["size"] for name, text in run.metadata.get("outputs", {}).items() if name in run.arrays}
+    return {name: [name] if size == 1 else [f"{name}_{i}" for i in range(size)] for name, size in sizes.items()}
 
 
 def units_of(run: Trajectory) -> dict[str, str]:
@@ -93,14 +102,14 @@ def dataset(run: Trajectory) -> Any:
     units = {name: {"units": unit} for name, unit in units_of(run).items()}
     names, data = multiplier_names(run), {}
     for name, column in zip(state_names(run), run.x.T, strict=True):
-        data[_free(name, {*run.arrays, "time", "multiplier"}, "state")] = ("time", column, units.get(name))
+        data[_free(name, {*run.arrays, *COORDINATES}, "state")] = ("time", column, units.get(name))
     for name, array in run.arrays.items():
         if name not in ("t", "x"):
             shared = name in ("multipliers", "y") and array.shape[1:] == (len(names),)
             along = next((stem.rstrip("_") for stem in LIST if name.startswith(stem)), "time")
             driven = name in ("inputs", "inputs_begin")
             rest = ["multiplier"] if shared else ["input"] if driven else [f"{name}_dim_{axis}" for axis in range(1, array.ndim)]
-            data[name] = ((along, *rest), array, units.get(name))
+            data[_free(name, COORDINATES, "array")] = ((along, *rest), array, units.get(name))
     coords = {"time": ("time", run.t, units.get("t")), **({"multiplier": names} if names else {})}
     coords |= {"input": driven} if (driven := input_names(run)) else {}
     # netCDF has no attribute that is true, None or nested.

@@ -22,7 +22,8 @@ from nsmodel.version import VERSION
 # What only names or describes a run does not change its numbers; the grid is a setting of its own, and so are inputs.
 DESCRIPTIVE = frozenset("exact title units scene t_end step steps t p parameters vectors inputs".split())
 
-LATER = frozenset({"e", "blocks", "force"})  # Models have not always had these: where they are 0 or empty the hash is what it was.
+# Models have not always had these: where they are 0 or empty the hash is what it was.
+LATER = frozenset({"blocks", "e", "force", "outputs"})
 WAY = "way of stepping"  # The setting that says whether steps are compiled, and by what: their last bits differ.
 INTERPRETED = "interpreted"
 

@@ -17,6 +17,7 @@ from nsmodel.model.driven import driven_by, inputs_at_start
 from nsmodel.model.inputs import Signals, by_name
 from nsmodel.model.parameters import Values
 from nsmodel.model.ticks import ticks_of
+from nsmodel.quantities import Outputs
 from nsmodel.record import Record
 from nsmodel.run.one_in_c import InC
 from nsmodel.run.options import Options
@@ -336,7 +337,8 @@ class ModelStepper:
             raise UsageError("stepper: no rows are kept; give record=True")
         about = {"steps": self.k, "status": "done", "message": "", "warnings": [], **of_scheme(self._problem, self._tolerance)}
         metadata = of_model(self._model) | about
-        return Trajectory(self._record.columns(newton=False), metadata)
+        arrays = self._record.columns(newton=False)
+        return Trajectory(arrays | Outputs.of(self._model, self._problem.multiplier_names)(arrays), metadata)
 
 
 def _numbers(label: str, values: Any, size: int, names: Sequence[str] = ()) -> np.ndarray:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from nsmodel import columns, dense, summary
+from nsmodel import columns, dense, summary, windows
 from nsmodel.archive import read_npz, write_npz
 from nsmodel.contacts import Contacts
 from nsmodel.errors import StorageError, UsageError
+from nsmodel.quantities import evaluated, of_outputs
 from nsmodel.storage import write_csv
 
 
@@ -140,11 +142,60 @@ class Trajectory:
             raise UsageError(f"t = {outside[0]:.10g}: the run goes from {self.t[0]:.10g} to {self.t[-1]:.10g}")
         return dense.at(self.arrays, times) if self.is_event_driven else dense.between(self.arrays, times)
 
+    def evaluate(self, given: Any, units: Mapping[str, str] | None = None) -> Any:
+        """Return the values of an expression at the rows, (N+1,) or (N+1, k); or the run with further columns.
+
+        Args:
+            given: an expression, the name of a column, or {name: expression}: then the run is returned with these columns,
+                which pictures, files and integrals have too. A symbol stands for the column of its name: ``t``, a state, a
+                multiplier (all of them: ``l``, or ``l_0``, ...), ``y``, an input, a parameter, any array (``energy``, ``v``).
+                Row k has the multipliers and the inputs of the step that ends there; row 0 has NaN where multipliers enter.
+            units: {name: unit} of the further columns.
+
+        Raises:
+            UsageError: a symbol that the run does not have, a name that it has already, a matrix.
+        """
+        return evaluated(self, given, units)
+
+    def integral(self, what: Any, t0: float | None = None, t1: float | None = None) -> Any:
+        """Return the integral of a quantity from t0 to t1, a number or (k,); left out they are the ends of the run.
+
+        The quantity is taken once a step, where the scheme takes its rates: for theta = 1/2 in the middle, with the multipliers
+        and both inputs of the step, so that energies balance (see `nsmodel.windows`). Of a step that the window cuts its share
+        counts. Of an event-driven run it is a Gauss sum over its polynomials. Rows of ``save_every`` count as if they were steps.
+
+        Args:
+            what: the name of an output or of a column, or an expression as in ``evaluate``.
+            t0, t1: the window.
+
+        Raises:
+            UsageError: a window outside the run, a name that the run does not have; of an event-driven run a quantity that is
+                known at its rows alone, or a multiplier that has an impulse in the window.
+        """
+        return windows.integral(windows.sums(self, what, t0, t1))
+
+    def mean(self, what: Any, t0: float | None = None, t1: float | None = None) -> Any:
+        """Return the mean of a quantity from t0 to t1: ``integral`` over the length."""
+        return windows.mean(windows.sums(self, what, t0, t1))
+
+    def rms(self, what: Any, t0: float | None = None, t1: float | None = None) -> Any:
+        """Return the root of the mean of the square from t0 to t1; see ``integral``."""
+        return windows.rms(windows.sums(self, what, t0, t1))
+
+    def spectrum(self, what: Any, t0: float | None = None, t1: float | None = None, *, harmonics: int = 50) -> windows.Spectrum:
+        """Return Fourier coefficients of a quantity over a window: ``frequency`` (K+1,), ``coefficient`` (K+1,) or (K+1, k).
+
+        q(t) ~ sum_k Re(c_k exp(2 pi i f_k (t - t0))), f_k = k/(t1 - t0): take whole periods. They are integrals over the window,
+        of straight lines over each step, and no sum over samples: steps may differ, and edges of inputs are as they are.
+        """
+        return windows.spectrum(self, what, t0, t1, harmonics)
+
     def smooth(self, points: int = 2000) -> Trajectory:
         """Return an event-driven run with about so many rows read off its polynomials, two at each jump; others as they are."""
         if "piece_x" not in self.arrays or not len(self.arrays["piece_start"]):
             return self
-        return replace(self, arrays=dense.drawn(self.arrays, points))
+        drawn = replace(self, arrays=dense.drawn(self.arrays, points))
+        return replace(drawn, arrays=drawn.arrays | of_outputs(drawn, self.arrays))
 
     @property
     def events(self) -> tuple[dense.Event, ...]:

@@ -17,6 +17,7 @@ from nsmodel.model.arguments import RESERVED, grid_given, known_times, names_of_
 from nsmodel.model.blocks import declared_blocks, held_duty, kept_signals, latched, model_blocks
 from nsmodel.model.convert import Converter, Declared, declare
 from nsmodel.model.inputs import Signals, declared_inputs, signals_of
+from nsmodel.model.outputs import declared_outputs
 from nsmodel.model.parameters import Values, declared, scalars
 from nsmodel.model.replaced import replaced
 from nsmodel.pickled import Pickled
@@ -48,6 +49,8 @@ class Model(Pickled):
             expression of t; a list for a vector of symbols; None: given when the model is run. They may stand wherever time may.
         blocks: controllers, switches and latches, `sampled`, `each_step` and what is made of them: what they hold may stand
             wherever inputs may, and be the duty of a `pwm`.
+        outputs: {name: expression}, further columns of runs, each a scalar or a column of expressions of t, states, inputs,
+            parameters and what else runs have (see `docs/guide.md`): multipliers by their names, or all as ``l``, and ``y``.
         names: one name for each state, where the symbols' own are not wanted.
         units: {name: unit} for states, multipliers and "t"; used by pictures and tables.
         exact: the exact state, where known: a callable t (N,) -> (N, n), or n expressions of ``t``.
@@ -71,6 +74,7 @@ class Model(Pickled):
     parameters: Values = field(default_factory=dict)
     inputs: Signals = field(default_factory=dict)
     blocks: Any = ()
+    outputs: Mapping[str, Any] = field(default_factory=dict)
     names: Sequence[str] = LEFT_OUT
     units: Mapping[str, str] = field(default_factory=dict)
     exact: Any = None
@@ -92,12 +96,14 @@ class Model(Pickled):
     words: ClassVar[Mapping[str, tuple[str, Words]]] = {}  # What laws are called in the class, and its words for their states.
     refuses: ClassVar[Mapping[str, str]] = {}  # What is not done with a model of the class: {what: why, and what to do instead}.
     undriven: ClassVar[str] = ""  # Why models of the class take no inputs, and what to do instead.
+    outputless: ClassVar[str] = ""  # Why models of the class declare no outputs, and what to do instead.
     of_time: ClassVar[str] = MOVE  # What to do with time where it may not stand.
 
     def __post_init__(self) -> None:
         """Check and convert what was given."""
         self._set(scheme=self._scheme())
         self._declare()
+        self._set(outputs=MappingProxyType(declared_outputs(self.outputs, self)))
         self._check_units()
 
     def _declare(self) -> None:
@@ -341,7 +347,7 @@ class Model(Pickled):
         """Refuse the unit of something that the model does not have."""
         rows, states = self.row_names, list(self.names)
         known = ["t", *self.stems, *states, *rows, *(row.partition("[")[0] for row in rows), *self.parameter_names]
-        known += [*self.input_groups, *self.input_names]
+        known += [*self.input_groups, *self.input_names, *self.outputs]
         bounds = [f"{end} {name}" for end in ("lower", "upper") for name in states]
         for name in self.units:
             group = name.partition("[")[0]

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from nsmodel.plot.stress import stress
     from nsmodel.plot.strip import index_strip
     from nsmodel.plot.study import work_precision
-    from nsmodel.plot.time import energy, inputs, multipliers, residual, states
+    from nsmodel.plot.time import energy, inputs, multipliers, outputs, residual, states
 
 __all__ = [
     "animate",
@@ -25,6 +25,7 @@ __all__ = [
     "index_strip",
     "inputs",
     "multipliers",
+    "outputs",
     "overview",
     "phase",
     "residual",
@@ -44,6 +45,6 @@ _later(
         "nsmodel.plot.stress": ["stress"],
         "nsmodel.plot.strip": ["index_strip"],
         "nsmodel.plot.study": ["work_precision"],
-        "nsmodel.plot.time": ["energy", "inputs", "multipliers", "residual", "states"],
+        "nsmodel.plot.time": ["energy", "inputs", "multipliers", "outputs", "residual", "states"],
     },
 )

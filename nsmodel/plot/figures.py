@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel.columns import model_type
+from nsmodel.columns import model_type, output_names
 from nsmodel.plot import crowd, style
 from nsmodel.plot.plane import phase, plots_of
 from nsmodel.plot.strip import MAX_ROWS, index_strip
-from nsmodel.plot.time import MAX_LINES, energy, inputs, multipliers, residual, states
+from nsmodel.plot.time import MAX_LINES, energy, inputs, multipliers, outputs, residual, states
 from nsmodel.storage import replacing
 
 if TYPE_CHECKING:
@@ -24,12 +24,13 @@ if TYPE_CHECKING:
 
     Panel = tuple[float, Callable[..., Axes]]  # height, what draws it on ax=
 
-TIME = ("states", "inputs", "index_strip", "multipliers", "reactions", "pressures")
+TIME = ("states", "outputs", "inputs", "index_strip", "multipliers", "reactions", "pressures")
 CROWD = (("frame", "evacuation"), ("density", "pressure", "pressures"))  # its overview, column by column
 # file: (its panels, its width in inches, inches for a unit of height)
 SHEETS = {
     "states": (("states", "index_strip"), 9, 1.2),
     "inputs": (("inputs",), 9, 1.9),
+    "outputs": (("outputs",), 9, 1.9),
     "phase": (("phase",), 7, 1.75),
     "multipliers": (("multipliers", "reactions"), 9, 1.5),
     "energy": (("energy",), 9, 1.9),
@@ -112,6 +113,8 @@ def _panels(run: Trajectory, model: Any, *, lines: int, rows: int) -> dict[str, 
     panels: dict[str, Panel] = {"states": (2.6, partial(states, run, limit=lines)), **own}
     if "inputs" in run.arrays:
         panels["inputs"] = (1.4, partial(inputs, run, limit=lines))
+    if output_names(run):
+        panels["outputs"] = (2, partial(outputs, run, limit=lines))
     if bands := min(rows, style.table(run, "index_set").shape[1]):
         panels["index_strip"] = (0.5 + 0.16 * bands, partial(index_strip, run, limit=rows))
         for name in ("reactions",) if run.is_event_driven and "reactions" in run.arrays else ("multipliers", "reactions"):

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nsmodel.columns import input_names, multiplier_names, state_names
+from nsmodel.columns import input_names, multiplier_names, output_names, state_names
 from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import PlotError
 from nsmodel.plot import style
+from nsmodel.quantities import limits, quantity_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -124,6 +125,41 @@ def inputs(run: Trajectory, *, limit: int = MAX_LINES, ax: Axes | None = None) -
     return ax
 
 
+def outputs(run: Trajectory, names: Sequence[str] | None = None, *, limit: int = MAX_LINES, ax: Axes | None = None) -> Axes:
+    """Draw the outputs of the model, and those that `run.evaluate` has added, over time: each step from its begin to its end.
+
+    Args:
+        run: the run.
+        names: of outputs; left out: all.
+        limit: at most so many lines where `names` is left out; beyond, those that reach the most are shown.
+        ax: where to draw; a new figure by default.
+
+    Raises:
+        PlotError: the run has none, or none of that name.
+
+    """
+    known = output_names(run)
+    wanted = list(known) if names is None else [names] if isinstance(names, str) else list(names)
+    if unknown := [name for name in wanted if name not in known] or not wanted:
+        what = f"no output is called {unknown[0]!r}" if isinstance(unknown, list) else "this run has no outputs"
+        raise PlotError(f"{what}; give outputs={{name: expression}} to the model, or run.evaluate({{name: expression}})")
+    entries = [(name, entry) for name in wanted for entry in known[name]]
+    if run.is_event_driven or not len(run):
+        run = run.smooth()
+        values = np.column_stack([run.arrays[name].reshape(len(run.t), -1) for name in wanted])
+    else:
+        ends = [np.stack(limits(run, *quantity_of(run, name), 0, len(run)), axis=1) for name in wanted]
+        values = np.column_stack([pair.reshape(2 * len(run), -1) for pair in ends])
+        run = replace(run, arrays={**run.arrays, "t": np.repeat(run.t, 2)[1:-1]})
+    picks = _largest(style.sizes(values), limit if names is None else len(entries)).tolist()
+    looks = [{"color": colour, "linewidth": 1.5} for colour in style.colours(len(picks))]
+    units = [style.unit(run, entries[k][0]) for k in picks]
+    title = f"Outputs{style.of(len(picks), len(entries), 'the largest')}"
+    ax = style.axes(ax)
+    _series(ax, run, title, "output", values[:, picks], [entries[k][1] for k in picks], units, looks)
+    return ax
+
+
 def _largest(size: np.ndarray, limit: int) -> np.ndarray:
     """Positions, in their order, of the largest sizes; of those that tie for the last places, some evenly spread."""
     cut = np.sort(size)[-min(limit, len(size))]
@@ -147,7 +183,7 @@ def _series(
     for side, group, heading in ((ax, first, title), (right, second, ""))[: 2 if second else 1]:
         few = ", ".join(labels[k] for k in group)
         few = few if len(few) <= 30 else f"{word}s"
-        few = f"{word} of {few}" if len(names) == 1 and word not in ("state", "input") else few
+        few = f"{word} of {few}" if len(names) == 1 and word not in ("state", "input", "output") else few
         unit = ", ".join(dict.fromkeys(units[k] for k in group if units[k]))
         style.over_time(side, run, heading, style.with_unit(few, unit), grid=group is first)
         if second and len(group) == 1:

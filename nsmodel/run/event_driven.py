@@ -19,6 +19,7 @@ from nsmodel.model.base import Model
 from nsmodel.once import once
 from nsmodel.pieces.course import time_of
 from nsmodel.pieces.sliding import with_modes
+from nsmodel.quantities import Outputs
 from nsmodel.run.asked import times, tolerances
 from nsmodel.run.options import METHODS, Options
 from nsmodel.run.piece_choice import MOST, chosen_maker, known_of
@@ -26,7 +27,7 @@ from nsmodel.run.piece_rows import Block, PieceRows
 from nsmodel.run.row_facts import facts
 from nsmodel.run.walk import PER_CENT, There, check_exact, note_distance_to_exact, runaway
 from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven
-from nsmodel.scheme.driven import driven, kinds, set_by_blocks
+from nsmodel.scheme.driven import between_rows, driven, kinds, set_by_blocks
 from nsmodel.solve.choose import Plan
 
 if TYPE_CHECKING:
@@ -73,6 +74,8 @@ class EventDriven:
         chosen = chosen_maker(problem, options, there(), (rtol, atol), model, mark, known)
         self.maker, self.plan = chosen.maker, chosen.plan
         self.record, self.k = PieceRows(problem, self.maker.order, options.save_every, chosen.columns), 0
+        self._outputs = Outputs.of(model, problem.rows if problem.multipliers is None else problem.declared)
+        self._outputs(self._start())  # An unknown name is refused before the first piece.
         self._cut: dict[str, Any] | None = None  # The checkpoint before a piece that goes beyond the end.
         self.certified: Certified | None = None
         self.warnings = [*found, *chosen.warnings]
@@ -182,7 +185,17 @@ class EventDriven:
             before = np.concatenate([np.nan_to_num(t[:1] - arrays["step"][:1]), t[:-1]])
             arrays |= self._drive.rows(t, before)
             self._put_held(arrays, t, before)
+        arrays |= self._outputs(arrays)
         return arrays if self.certified is None else arrays | self.certified.arrays(self.record.numbers, arrays["t"], arrays["x"])
+
+    def _start(self) -> dict[str, np.ndarray]:
+        """Columns as runs have them, of one row."""
+        sizes = {**facts(self.problem).columns, "multipliers": facts(self.problem).shown, "x": self.problem.states}
+        sizes |= {"inputs": self.model.u.numel()} if self.model.inputs else {}
+        sizes |= {"reactions": sizes["multipliers"]} if self.problem.impulses else {}
+        return {name: np.zeros(1) for name in ("t", "step", "residual", "energy") if name != "energy" or name in sizes} | {
+            name: np.zeros((1, size)) for name, size in sizes.items() if name != "energy"
+        }
 
     def _put_held(self, arrays: dict[str, np.ndarray], t: np.ndarray, before: np.ndarray) -> None:
         """What blocks hold, in the columns of the inputs: as in the piece that ends at a row, and in that which begins before."""
@@ -226,6 +239,7 @@ class EventDriven:
             "law_kinds": p.law.labels,
             "tolerance": self.options.tolerance,
             "warnings": [*self.warnings, *_of_stretches(self.totals["stretches"])],
+            **({"between_rows": between_rows(p, self.model)} if self.model.inputs else {}),
         } | ({} if self.certified is None else {"certificate": self.certified.metadata(p.names)})
 
 

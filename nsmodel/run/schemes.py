@@ -18,6 +18,7 @@ from nsmodel.hypotheses.quick import UNIQUENESS, refuse_start, warnings_of
 from nsmodel.hypotheses.rest import finite_convergence
 from nsmodel.identity import settings
 from nsmodel.model.base import Model
+from nsmodel.quantities import Outputs
 from nsmodel.record import Record
 from nsmodel.run.in_c import chosen
 from nsmodel.run.options import Options
@@ -83,6 +84,7 @@ class OfScheme:
         self.stepper: Any = make_stepper(model, options.solver, tolerance, h=h, state=self.state, few_steps=few)
         self.warm, self.last_index = self.stepper.cold(), None
         self.watches = () if model.u.numel() else impacts.watched(model)
+        self.outputs = Outputs.of(model, self.problem.multiplier_names)
         self.counts: Counter[str] = Counter()
         self.totals: dict[str, Any] = {
             "worst_residual": 0.0, "worst_residual_t": None, "newton": 0.0, "newton_max": 0.0, "index_set_changes": 0, "steps": 0,
@@ -98,6 +100,7 @@ class OfScheme:
         if not self.options.resume:
             for k, (state, records) in enumerate(self.known):
                 record.known(k, grid.time(k), grid.step(min(k, grid.N - 1)), state, records)
+            self.outputs(record.columns(newton=self.counting))  # An unknown name is refused before the first step.
         return record
 
     @property
@@ -212,7 +215,8 @@ class OfScheme:
 
     def columns(self) -> dict[str, np.ndarray]:
         """The rows in memory as the arrays of a trajectory."""
-        return self.record.columns(self.stepper.plan.path == "newton")
+        arrays = self.record.columns(self.stepper.plan.path == "newton")
+        return arrays | self.outputs(arrays)
 
     def standing(self) -> dict[str, Any]:
         """What to continue from."""

@@ -6,6 +6,7 @@ from typing import Any
 
 from nsmodel.identity import versions
 from nsmodel.model.base import Model
+from nsmodel.model.quantity import Quantity
 from nsmodel.scheme.problem import OneStepProblem
 
 
@@ -23,6 +24,10 @@ def of_model(model: Model) -> dict[str, Any]:
     }
     if model.input_groups:
         data["input_groups"] = {name: list(names) for name, names in model.input_groups.items()}
+    if model.outputs:
+        data["outputs"] = {name: Quantity.made(expression).text for name, expression in model.outputs.items()}
+    if model.weights is not None:
+        data["weights"] = list(map(float, model.weights))
     scene: Any = getattr(model, "scene", None)
     return data | ({"scene": {key: value.tolist() for key, value in scene.items()}} if scene else {})
 

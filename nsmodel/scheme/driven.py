@@ -18,6 +18,7 @@ import numpy as np
 from nsmodel.model.base import Model
 from nsmodel.model.ticks import ticks_of
 from nsmodel.once import once
+from nsmodel.model.quantity import Quantity
 from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven
 from nsmodel.signals.function import Expression
 from nsmodel.signals.kept import Kept
@@ -144,6 +145,18 @@ def _places(model: Model) -> dict[int | None, int]:
                 at += degree_of(group, signal) + 1
             entry += 1
     return {**found, None: at}
+
+
+def between_rows(problem: ContinuousProblem, model: Model) -> dict[str, Any]:
+    """Of each scalar input what it is within a piece: a column of the pieces' states, or a quantity of t, as JSON can hold it."""
+    found: dict[str, Any] = {}
+    for group, signal in model.inputs.items():
+        for k, name in enumerate(model.input_groups[group]):
+            if isinstance(signal, Expression):
+                found[name] = Quantity.made(ca.substitute(signal.column[k], signal.time, ca.SX.sym("t"))).text
+            else:
+                found[name] = problem.x.numel() - problem.held + problem.names[-problem.held :].index(name)
+    return found
 
 
 def _columns(inputs: Mapping[str, Any], t: float) -> Iterator[list[float]]:

@@ -54,6 +54,7 @@ class ManyBodies(Model):
     paper: ClassVar[str] = SweepingProcess.paper
     schemes: ClassVar[tuple[str, ...]] = SweepingProcess.schemes
     letter: ClassVar[str] = "q"
+    outputless: ClassVar[str] = "many bodies take none; give them to the run, run.evaluate({...})"
     undriven: ClassVar[str] = "many bodies take none; write what drives f as an expression of t"
     refuses: ClassVar[Mapping[str, str]] = {
         "stress": "is a model of many bodies, whose steps are judged as they are taken; push a small scene written out, "

@@ -66,8 +66,8 @@ class FrictionOscillator(Model):
         "ball": ("isotropic friction", {0: ("zero", "stick (y = 0)"), 1: ("upper", "slip (l on the sphere)")}),
     }
     of_time: ClassVar[str] = (
-        "time and inputs stand in force=, and there alone: section 2.2 of the guide. Where friction, a spring or a wall moves with time, "
-        "write a LureSystem or FirstOrderSystem of position and velocity"
+        "time and inputs stand in force=, and there alone: section 2.2 of the guide. Where friction, a spring or a wall moves "
+        "with time, write a LureSystem or FirstOrderSystem of position and velocity"
     )
 
     def _declare(self) -> None:
