@@ -6,8 +6,9 @@ A step of a scheme with weights theta and gamma adds to its states h times a rat
 
 and there a quantity is taken for the whole step: so what an integral says of power is what the states of the run say of energy.
 For theta = 1/2 and gamma = 1 the change of a quadratic energy is that integral exactly, to rounding, whatever the step. Schemes
-without weights are implicit: 1, 1. Within the pieces of an event-driven run everything is a polynomial of time, and integrals are
-Gauss sums.
+without weights are implicit: 1, 1. Where gamma < 1 the reaction of the start, or one that is found anew after a jump of an input,
+is in no row: l and y of such a step are those of its end. Within the pieces of an event-driven run everything is a polynomial of
+time, and integrals are Gauss sums.
 """
 
 from __future__ import annotations
@@ -106,8 +107,16 @@ class _Steps(Mapping[str, np.ndarray]):
         if weight == 1:
             return end
         before = self._arrays[name][self._before]
-        before = np.where(np.isnan(before), end, before) if name in ("multipliers", "y") else before
+        if name in ("multipliers", "y"):
+            before = np.where(np.isnan(before) | self._jumps[:, None], end, before)
         return weight * end + (1 - weight) * before
+
+    @property
+    def _jumps(self) -> np.ndarray:
+        """The steps that begin with a jump of an input: there the row before has what belongs to the old regime."""
+        if "inputs" not in self._arrays:
+            return np.zeros(self._end.stop - self._end.start, bool)
+        return (self._arrays["inputs_begin"][self._end] != self._arrays["inputs"][self._before]).any(axis=1)
 
     def __iter__(self) -> Iterator[str]:
         """The names."""

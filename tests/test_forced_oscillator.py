@@ -110,7 +110,10 @@ def test_the_velocity_goes_on_where_steps_change(compiled, own_cache):
     assert (run.inputs[run.t == TIMES[1]] == 2).all()
     assert run.metadata["convergence"]["finite"] is False
     assert "may start again" in run.metadata["convergence"]["reason"]
-    run = simulate(move(), rtol=1e-9, compiled=compiled)
+
+
+def test_pieces_end_at_edges_of_the_force():
+    run = simulate(move(), rtol=1e-9)
     assert run.x[-1, 0] == pytest.approx(1, abs=1e-13)
     assert set(TIMES) <= set(run.t)
 
@@ -119,7 +122,7 @@ def test_given_steps_and_error_control_keep_the_velocity():
     steps = np.diff(np.unique([*np.linspace(0, 2, 40), *TIMES]))
     run = simulate(move(step=None, t_end=None, steps=steps))
     assert run.v[:, 0] == pytest.approx(speed(run.t), abs=1e-12)
-    run = simulate(move(), rtol=1e-4, method="time-stepping")
+    run = simulate(move(), rtol=1e-2, method="time-stepping")
     assert run.v[:, 0] == pytest.approx(speed(run.t), abs=1e-6)
 
 
@@ -158,7 +161,7 @@ def test_for_all_values_of_a_parameter():
 
 
 def test_the_judge_and_other_units_know_it(own_cache):
-    assert {cell.verdict for cell in stress(swing(), steps=6).cells} == {"right"}
+    assert {cell.verdict for cell in stress(swing(), steps=2).cells} == {"right"}
     run, other = simulate(swing(t_end=3)), simulate(in_units(swing(t_end=3).bind(), 1e3, 10.0))
     assert other.x / 1e3 == pytest.approx(run.x, abs=1e-9)
 

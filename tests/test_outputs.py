@@ -200,6 +200,7 @@ def test_energy_balances_over_200_periods(own_cache):
     assert whole < 1e-12
     assert plain < 1e-5
     assert balance(simulate(powers(step=T / 100), compiled=True))[2] < 1e-6
+    assert balance(simulate(powers(gamma=0.5), compiled=True))[1] < 1e-12
     _, whole, plain = balance(simulate(powers(), rtol=1e-9))
     assert max(whole, plain) < 1e-12
 

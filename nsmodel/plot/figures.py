@@ -68,9 +68,9 @@ def overview(run: Trajectory, model: Any = None) -> Figure:
 def save_all(run: Trajectory, model: Any, directory: str | Path, prefix: str = "") -> list[Path]:
     """Write all pictures the run can give, each beside its place and then renamed; returns their paths.
 
-    `states.png` (with the index set), `phase.png`, `multipliers.png`, `energy.png`, `configuration.png` (a planar
-    sweeping process) and `overview.png`, each with `prefix` before its name. Of many bodies in the plane `frame.png`,
-    `evacuation.png`, `maps.png`, `paths.png` and `overview.png`.
+    `states.png` (with the index set), `outputs.png`, `inputs.png`, `phase.png`, `multipliers.png`, `energy.png`,
+    `configuration.png` (a planar sweeping process) and `overview.png`, each with `prefix` before its name. Of many bodies in
+    the plane `frame.png`, `evacuation.png`, `maps.png`, `paths.png` and `overview.png`.
 
     Args:
         run: the run.

@@ -81,8 +81,8 @@ class FrictionOscillator(Model):
         if damping is not None:
             damping = self._matrix(c, damping, "damping", (n, n), f"as there are {n} states")
         force = self._vector(c, 0 if self.force is None else self.force, "force", n, [self.t])
-        if not ca.depends_on(force, ca.vertcat(self.t, self.u)):
-            potential, force = potential - (0 if force.is_zero() else ca.dot(force, self.x)), ca.SX.zeros(n)
+        if not force.is_zero() and not ca.depends_on(force, ca.vertcat(self.t, self.u)):
+            potential, force = potential - ca.dot(force, self.x), ca.SX.zeros(n)
         self._set(
             potential=potential,
             force=force,
