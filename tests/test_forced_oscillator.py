@@ -161,7 +161,7 @@ def test_for_all_values_of_a_parameter():
 
 
 def test_the_judge_and_other_units_know_it(own_cache):
-    assert {cell.verdict for cell in stress(swing(), steps=2).cells} == {"right"}
+    assert {cell.verdict for cell in stress(swing(), steps=3).cells} == {"right"}
     run, other = simulate(swing(t_end=3)), simulate(in_units(swing(t_end=3).bind(), 1e3, 10.0))
     assert other.x / 1e3 == pytest.approx(run.x, abs=1e-9)
 

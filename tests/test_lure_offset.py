@@ -62,7 +62,7 @@ def test_of_a_potential():
 
 
 def test_the_judge_and_other_units_know_it(own_cache):
-    found = stress(pushed(), steps=2)
+    found = stress(pushed(), steps=3)
     assert {cell.verdict for cell in found.cells} == {"right"}
     run = simulate(in_units(pushed().bind(), 1e3, 10.0))
     assert run.x[:, 0] / 1e3 == pytest.approx(largest(run.t / 10), abs=2e-6)
