@@ -49,17 +49,19 @@ class Names(NamedTuple):
                 return arrays[array][:, list(known).index(name)]
         if name in self.parameters:
             return self.parameters[name]
-        stem, i = entry_of(name) or (name, 0)
-        if f"{stem}[{i}]" in self.multipliers:
+        alias = {"l": "multipliers", self.letter: "x"}
+        whole = arrays.get(alias.get(name, name))
+        if whole is not None and whole.ndim == 1:
+            return whole
+        if whole is not None:
+            return whole[:, 0] if whole.shape[1:] == (1,) else None
+        if (entry := entry_of(name)) is None:
+            return None
+        stem, i = entry
+        if f"{stem}[{i}]" in self.multipliers and name != f"{stem}[{i}]":
             return self.column(f"{stem}[{i}]", arrays)
-        alone = name == stem
-        for own in (name, stem):
-            array = arrays.get({"l": "multipliers", self.letter: "x"}.get(own, own))
-            if array is not None and array.ndim == 1 and own == name:
-                return array
-            if array is not None and array.ndim == 2 and (array.shape[1] == 1 if alone else i < array.shape[1]):
-                return array[:, i]
-        return None
+        vector = arrays.get(alias.get(stem, stem))
+        return vector[:, i] if vector is not None and vector.ndim == 2 and i < vector.shape[1] else None
 
 
 @dataclass(frozen=True)
