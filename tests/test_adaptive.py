@@ -44,7 +44,6 @@ from nsmodel.grid import make_grid
 from nsmodel.pieces import stretch
 from nsmodel.run import controlled
 from nsmodel.run.schemes import make_stepper
-from nsmodel.scheme import one_step_problem
 from nsmodel.simulate import prepare as prepare_any
 from nsmodel.simulate import simulate as simulate_any
 
@@ -517,9 +516,8 @@ def test_a_step_size_that_comes_back_finds_its_own_matrices():
     """Matrices kept from one call must not serve the first step of the next call, where that has the grid's first size."""
     model = sliding().bind()
     grid = make_grid(model, None, [0.01, 0.3, 0.01, 0.01], None)
-    problem = one_step_problem(model)
     state = np.array([1.0, 0.0])
-    step = make_stepper(problem, "auto", 1e-9, h=0.01, state=state)
+    step = make_stepper(model, "auto", 1e-9, h=0.01, state=state)
     rollout, warm = Rollout(model, grid, 1e-9), step.cold()
     rows, index = np.empty((4, step.layout.width)), np.empty((4, 1), np.int8)
     first = rollout.advance(0, 2, state, warm, -np.inf, 1, rows, index)

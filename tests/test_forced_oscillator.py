@@ -151,6 +151,11 @@ def test_nothing_is_said_of_rest():
     free = {item.name for item in check(swing(t_end=2, force=0)).consequences}
     assert {"rest points", "finite convergence"} <= free
     assert r"\ni f(t)" in equations(swing())[0]
+    report = check(move(t_end=1.2))
+    assert next(item for item in report.findings if item.id == "O-steps").verdict == "holds"
+    driven = {item.name: item.verdict for item in report.consequences}
+    assert driven["well posed"] == "holds"
+    assert "holds" not in {driven.get(name) for name in ("energy decay", "convergence", "finite convergence", "rest points")}
 
 
 def test_for_all_values_of_a_parameter():

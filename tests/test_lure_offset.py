@@ -103,6 +103,14 @@ def test_nothing_is_said_of_solutions_where_it_moves():
         assert "moves with time" in next(item for item in report.consequences if item.name == "well posed").statement
 
 
+def test_an_input_in_it_moves():
+    u = ca.SX.sym("u")
+    for inputs in ({u: ca.sin(t)}, {u: pwm(0.7, 0.3)}):
+        found = verdicts(check(circuit(u, law=relay(1), inputs=inputs, t=t), [], quick=True))
+        assert found["well posed"] == found["contraction"] == "unknown"
+        assert found["5.1"] == "holds"
+
+
 def test_certificates_know_it():
     report = check(circuit(0.25), [], quick=True)
     certificate = certificate_of(report)

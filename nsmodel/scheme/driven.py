@@ -16,9 +16,9 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.model.base import Model
+from nsmodel.model.quantity import Quantity
 from nsmodel.model.ticks import ticks_of
 from nsmodel.once import once
-from nsmodel.model.quantity import Quantity
 from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven
 from nsmodel.signals.function import Expression
 from nsmodel.signals.kept import Kept

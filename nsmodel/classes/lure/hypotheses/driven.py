@@ -1,7 +1,7 @@
-"""Lur'e systems with inputs, which stand in f alone: the hypotheses do not ask for f, but for 7.1.
+"""Lur'e systems with inputs, which stand in f or in the offset e of y: the hypotheses do not ask for f, but for 7.1.
 
 x' + A(x) ∋ f(t) with A + omega maximal monotone has a solution for each integrable f, which in finite dimension is absolutely
-continuous; two solutions of one f part as those without f do.
+continuous; two solutions of one f part as those without f do. Of an e that moves the theorems say nothing.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 
 from nsmodel.classes.lure.hypotheses import for_all
 from nsmodel.classes.lure.hypotheses.passivity import PAPER
+from nsmodel.classes.lure.hypotheses.range_condition import MOVING
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.hypotheses.findings import Consequence, Finding
 from nsmodel.hypotheses.inputs import Motion, unsettled
@@ -21,7 +22,7 @@ from nsmodel.hypotheses.region import Region
 from nsmodel.proof import interval
 from nsmodel.trajectory import Trajectory
 
-PARTS = {"f": ("f",)}
+PARTS = {"f": ("f",), "e": ("e",)}
 INTEGRABLE = f"{PAPER}, Corollary 5.7; for integrable f Brezis 1973, Chapter III"
 AT_REST = ("Lyapunov stable", "globally asymptotically stable")
 WORDS = {
@@ -48,11 +49,13 @@ def consequences(
     model: LureSystem, region: Region, motion: Motion, own: Sequence[Finding], runs: Sequence[Trajectory]
 ) -> list[Consequence]:  # fmt: skip
     """What follows for each signal; nothing is at rest that a signal drives."""
-    del motion, runs
+    del runs
     made = [item for item in for_all.consequences(model, region, own) if item.name not in AT_REST]
     for few, whole in WORDS.items():
         made = [replace(item, statement=item.statement.replace(few, whole)) for item in made]
     made = [replace(item, source=INTEGRABLE) if item.name == "well posed" else item for item in made]
+    if motion.read_by(model.e):
+        return [unsettled(item, MOVING) for item in made]
     low, high = region.of_parameters()
     last = max(region.t1, float(model.t_end or 0.0))
     bounded = interval.enclose(model.f, ca.vertcat(model.t, model.p), np.append(region.t0, low), np.append(last, high))

@@ -180,8 +180,7 @@ def _dry(model: FrictionOscillator) -> Finding:
 
 def _steps(model: FrictionOscillator, runs: Sequence[Trajectory]) -> Finding:
     if model.is_forced and runs:
-        how = "with a force the velocity goes on from step to step: no order of the steps is asked for"
-        return found(STEPS, HOLDS, how, {"least step": min(float(np.nanmin(run.step)) for run in runs)})
+        return steps_of_forced(runs)
     if runs and all("correction" in run.arrays for run in runs):
         how = "error control carries the velocity over from step to step: the proposition then asks for no order of the steps"
         return found(STEPS, HOLDS, how, {"least step": min(float(run.step[1:].min()) for run in runs)})
@@ -243,18 +242,30 @@ def consequences_of(
     out = [follows(name, statement, findings, rests_on, source) for name, statement, rests_on, source in statements]
     if model.is_forced:
         moved = (replace(item, statement=f"{item.statement}; {FORCED}", verdict=UNKNOWN) for item in out[1:])
-        return [out[0], *moved, _no_order()]
+        return [out[0], *moved, no_order()]
     dry = next(finding for finding in findings if finding.id == "O-dry").value.get(RADIUS, 0.0) > 0
     if below is not None and below.bounded and dry:
         out += rest_points.consequences(model, findings, every, g, domain, below, f"{theorem} (ii)")
     condition = f"x_n = x_inf from some n_0 on if {strict}"
     if not runs:
         out.append(follows("finite convergence", condition, findings, every, f"{theorem} (iii)"))
-    out += [_finite(run, findings, every, strict, f"{theorem} (iii)") for run in runs if run.metadata.get("convergence")]
-    return [*out, _no_order()]
+    out += [_finite(run, findings, every, strict, f"{theorem} (iii)") for run in runs if _told(run)]
+    return [*out, no_order()]
 
 
-def _no_order() -> Consequence:
+def _told(run: Trajectory) -> bool:
+    """Whether a run says how far it is from moving; one with a force does not."""
+    return (run.metadata.get("convergence") or {}).get("margin") is not None
+
+
+def steps_of_forced(runs: Sequence[Trajectory]) -> Finding:
+    """O-steps of runs with a force."""
+    how = "with a force the velocity goes on from step to step: no order of the steps is asked for"
+    return found(STEPS, HOLDS, how, {"least step": min(float(np.nanmin(run.step)) for run in runs)})
+
+
+def no_order() -> Consequence:
+    """What is not known of the order."""
     statement = "in the step, order 1 is observed; the paper proves none"
     return Consequence("order of convergence", statement, (), UNKNOWN, {}, f"{PAPER} (no statement)")
 

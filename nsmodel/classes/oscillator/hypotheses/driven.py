@@ -1,0 +1,40 @@
+"""Oscillators whose force has inputs: theta, g and the friction at rest do not contain it, and a step has one solution."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from nsmodel.classes.oscillator.hypotheses.check import FORCED, PAPER, STEPS, no_order, steps_of_forced
+from nsmodel.classes.oscillator.model import FrictionOscillator
+from nsmodel.hypotheses.findings import Consequence, Finding, follows
+from nsmodel.hypotheses.inputs import Motion, unsettled
+from nsmodel.hypotheses.region import Region
+from nsmodel.trajectory import Trajectory
+
+PARTS = {"force": ("force",)}
+
+
+def at_rest(
+    model: FrictionOscillator, region: Region, runs: Sequence[Trajectory]
+) -> tuple[FrictionOscillator, Region]:  # fmt: skip
+    """The oscillator itself, whose inputs are parameters."""
+    del runs
+    return model, region
+
+
+def findings(
+    model: FrictionOscillator, region: Region, motion: Motion, own: Sequence[Finding], runs: Sequence[Trajectory], quick: bool
+) -> list[Finding]:  # fmt: skip
+    """Those at each value of the inputs, but for the steps; see the inclusions' module of this name."""
+    del model, region, motion, quick
+    return [steps_of_forced(runs) if item.id == STEPS.id and runs else item for item in own]
+
+
+def consequences(
+    model: FrictionOscillator, region: Region, motion: Motion, own: Sequence[Finding], runs: Sequence[Trajectory]
+) -> list[Consequence]:  # fmt: skip
+    """A step has one solution; nothing is said of rest."""
+    del model, region, motion, runs
+    well = follows("well posed", "each step has one and only one solution", own, ["O-theta", "O-g"], f"{PAPER}, Proposition 2.1")
+    rest = follows("convergence", "x_n converges", own, [item.id for item in own], f"{PAPER}, Theorem 4.1")
+    return [well, unsettled(rest, FORCED), no_order()]
