@@ -20,7 +20,8 @@ SAME = 1e-12  # Lengths that differ by less than this part are one: matrices, no
 class Grid:
     """N steps: t_k = k h with a shorter last step where T/h is not whole within 1e-9, or given steps and their sums.
 
-    ``drive``: the inputs along it; ``asked``: the longest step, where the grid was made for their edges.
+    ``drive``: the inputs along it; ``asked``: the longest step, where the grid was made for their edges; ``any_step``: steps of
+    other lengths are taken too.
     """
 
     N: int
@@ -30,6 +31,17 @@ class Grid:
     times: np.ndarray | None = None
     asked: float | None = None
     drive: Drive | None = None
+    any_step: bool = False
+
+    @property
+    def lengths(self) -> np.ndarray:
+        """The lengths of its steps, each once; a shorter last one counts where steps are given."""
+        return np.array([self.h]) if self.steps is None else np.unique(self.steps)
+
+    @property
+    def varies(self) -> bool:
+        """Whether steps have several lengths."""
+        return self.any_step or self.lengths.size > 1
 
     def step(self, k: int) -> float:
         """h_k = t_{k+1} - t_k."""

@@ -121,9 +121,10 @@ class ModelStepper:
         state = start_state(self._problem, initial_rows(own, self.h)[-1][0], self.h, options.tolerance)
         few = not any(signal.moving for signal in own.inputs.values())
         self._step = make_stepper(own, options.solver, options.tolerance, h=self.h, state=state, few_steps=few)
-        start = self._problem.start
-        self._starter = None if start is None else Starter(start, options.tolerance, h=self.h, state=state)
-        self._in_c, self._n = InC(own, self.h, options), len(own.names)
+        start, self._in_c, self._n = self._problem.start, InC(own, self.h, options), len(own.names)
+        self._starter = None
+        if start is not None:
+            self._starter = self._in_c.starter(Starter(start, options.tolerance, h=self.h, state=state))
         self._both = np.tile(inputs_at_start(own), 2)
         self.reset()
 

@@ -148,7 +148,7 @@ def source(of: Law | None = None, *, both: bool = False, main: bool = False, row
     flags = {"AFFINE_PROBLEM", *(("CURVED",) if law.curved else ())}
     box_too = both or not law.curved
     if box_too:
-        flags |= {"BOX_PROBLEM", "ENUMERATION", "INDEX_SETS", "INVERSE", "FIXED_MAPS", "PIVOTING"}
+        flags |= {"BOX_PROBLEM", "ENUMERATION", "INDEX_SETS", "INVERSE", "INVERTED", "FIXED_MAPS", "PIVOTING"}
     m = law.size if law.curved else rows
     members = fragment("members_affine.h", flags, {})
     text = PRELUDE.format(

@@ -81,6 +81,16 @@ def rewritten():
     )  # fmt: skip
 
 
+def driven():
+    """Two inputs, one of which moves the law, and a reaction that is carried over their jumps."""
+    x, l, u, v = ca.SX.sym("x", 2), ca.SX.sym("l"), ca.SX.sym("u"), ca.SX.sym("v", 2)
+    return FirstOrderSystem(
+        x=x, lam=l, f=[x[1] + v[0], u - x[0]], h=[x[1] + 0.5 * l - v[1]], g=[0, l], x0=[0.5, 1], t_end=1, step=0.03, law=relay(1),
+        gamma=0.5, theta=0.5,
+        inputs={u: nsmodel.pwm(0.2, 0.3), v: nsmodel.table([0, 0.5, 1], [[0, 0], [1, 0.2], [0, 1]], "linear")},
+    )  # fmt: skip
+
+
 def smooth():
     x = ca.SX.sym("x", 2)
     return FirstOrderSystem(x=x, f=[x[1], -ca.sin(x[0])], x0=[1, 0], t_end=1, step=0.01, theta=0.5)
@@ -100,6 +110,7 @@ KINDS = {
     "cuts": (drop, {}),
     "rewritten": (rewritten, {}),
     "smooth": (smooth, {}),
+    "inputs": (driven, {}),
 }
 
 
@@ -506,7 +517,12 @@ def test_every_function_of_the_header(kind, written):
     program = compiled(folder, HARNESS, *STRICT, *known(about))
     failures, work = map(int, re.fullmatch(r"(\d) failures, (\d+) work\n", output(program)).groups())
     assert work > 0 or kind == "clip"
-    assert failures > 0 or kind in ("matrices", "oscillator", "smooth")  # linear, or bounded: these have a solution from anywhere
+    assert failures > 0 or kind in (
+        "matrices",
+        "oscillator",
+        "smooth",
+        "inputs",
+    )  # linear, or bounded: these have a solution from anywhere
 
 
 COUNTING = r"""
@@ -803,12 +819,13 @@ def test_no_size_is_defined_for_nothing(kind, written):
 
 
 @needs_cc
-@pytest.mark.parametrize("kind", ["matrices", "bounds of parameters", "smooth"])
+@pytest.mark.parametrize("kind", ["matrices", "bounds of parameters", "smooth", "inputs"])
 def test_the_code_in_the_readme_compiles(kind, written):
     folder, _ = written(kind)
     include, body = re.search(r"```c\n(#include \S+)\n(.*?)```", (folder / "README.md").read_text(), re.DOTALL).groups()
     source = (
-        f"{include}\nint fail(const char *text);\nint use(const double *p);\nint use(const double *p)\n{{\n(void)p;\n{body}}}\n"
+        f"{include}\nint fail(const char *text);\nint use(const double *p, const double *u);\n"
+        f"int use(const double *p, const double *u)\n{{\n(void)p;\n(void)u;\n{body}}}\n"
     )
     (folder / "use.c").write_text(source)
     subprocess.run([CC, *STRICT, "-fsyntax-only", "use.c"], cwd=folder, check=True)
@@ -872,7 +889,8 @@ def agree(rows, run, first=0) -> None:
 def short(kind, steps, **changes):
     """The interpreted run of a kind's first steps."""
     model = KINDS[kind][0]()
-    return nsmodel.simulate(model, t_end=steps * model.step, compiled=False, **changes)
+    held = {"u": 1, "v": [0, 0]} if kind == "inputs" else None
+    return nsmodel.simulate(model, t_end=steps * model.step, compiled=False, inputs=held, **changes)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -84,9 +84,9 @@ def cone():
 
 
 def lure(**changes):
-    t = ca.SX.sym("t")
+    t, k = ca.SX.sym("t"), ca.SX.sym("k")  # with a parameter matrices are factored when a step is set
     given = {
-        "A": [[-1, 2], [0, -3]], "B": np.eye(2), "C": np.eye(2), "D": [[1, 0.5], [-0.5, 0]],
+        "A": [[-k, 2], [0, -3]], "parameters": {k: 1}, "B": np.eye(2), "C": np.eye(2), "D": [[1, 0.5], [-0.5, 0]],
         "f": [3 * ca.sin(5 * t), ca.cos(4 * t)], "law": product(relay(1), complementarity(1)), "x0": [0.3, -0.2],
     }  # fmt: skip
     return LureSystem(t=t, **GRID, **(given | changes))
@@ -96,7 +96,7 @@ def lure_phi():
     x, y = ca.SX.sym("x", 2), ca.SX.sym("y", 2)
     A = ca.vertcat(x[1] - x[0] ** 3, -ca.sin(x[0]) - x[1])
     phi = ca.fabs(y[0]) + ca.fmax(y[1], 0) + ca.cosh(y[1]) + ca.fabs(y[0] - y[1])
-    return lure(x=x, A=A, y=y, phi=phi, law=None, D=[[1, 0.3], [-0.3, 0.5]])
+    return lure(x=x, A=A, parameters={}, y=y, phi=phi, law=None, D=[[1, 0.3], [-0.3, 0.5]])
 
 
 def nonlinear(law, **changes):
@@ -107,9 +107,9 @@ def nonlinear(law, **changes):
 
 
 def smooth(**changes):
-    x = ca.SX.sym("x", 3)
-    f = ca.vertcat(10 * (x[1] - x[0]), x[0] * (28 - x[2]) - x[1], x[0] * x[1] - 8 / 3 * x[2])
-    return FirstOrderSystem(x=x, f=f, x0=[1, 1, 1], t_end=1, step=0.01, **changes)
+    x, rate = ca.SX.sym("x", 3), ca.SX.sym("rate")
+    f = ca.vertcat(rate * (x[1] - x[0]), x[0] * (28 - x[2]) - x[1], x[0] * x[1] - 8 / 3 * x[2])
+    return FirstOrderSystem(x=x, f=f, x0=[1, 1, 1], t_end=1, step=0.01, parameters={rate: 10}, **changes)
 
 
 SCENES = {

@@ -666,6 +666,7 @@ def test_the_key_is_that_of_the_code(monkeypatch):
     for same in (
         {"t_end": 3},
         {"t_end": 3.01},
+        {"model": lure(**varied([0.05] * 3))},
         {"model": lure(title="T", units={"t": "s"}, exact=lambda t: np.zeros((np.size(t), 2)))},
     ):
         assert key(**same) == base, same
@@ -673,7 +674,7 @@ def test_the_key_is_that_of_the_code(monkeypatch):
     assert key(lure(**with_parameter), parameters={"k": 2}) == key(lure(**(with_parameter | {"parameters": {k: 2}})))
     other = [
         key(lure(x0=[3, 0.1])), key(lure(law=relay(1, -2, 2))), key(lure(theta=0.6)), key(lure(**with_parameter)),
-        key(lure(**with_parameter), parameters={"k": 2}), key(step=0.025), key(lure(**varied([0.05] * 3))), key(tolerance=1e-8),
+        key(lure(**with_parameter), parameters={"k": 2}), key(step=0.025), key(lure(**varied([0.05, 0.04]))), key(tolerance=1e-8),
         key(compiler="gcc"), key(compiler="cc -march=native"), key(inclusion()), key(inclusion(tolerances=lambda h: h**2)),
         key(inclusion(), step=0.02), key(inclusion(**varied([0.03] * 3))), key(inclusion(**varied([0.03, 0.02, 0.02]))),
     ]  # fmt: skip

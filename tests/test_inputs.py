@@ -531,8 +531,8 @@ def test_what_takes_no_inputs_says_so(tmp_path):
     for of in (stress, study):
         with pytest.raises(UsageError, match=r"has inputs \(u\)"):
             of(model)
-    with pytest.raises(CodegenError, match=r"a library has no inputs \(u\); compiled runs do"):
-        codegen.write(model, tmp_path)
+    with pytest.raises(CodegenError, match=r"event-driven integration in a library has no inputs \(u\); its steps do"):
+        codegen.write(model, tmp_path, event_driven=True)
     with pytest.raises(UsageError, match="not event-driven: certify='interval' proves models without inputs alone"):
         simulate(model, rtol=1e-4, certify="interval")
 

@@ -38,7 +38,7 @@ def kind(about: dict) -> str:
     """How a step is computed, in a few words."""
     used = " ".join(about["used"])
     for words, name in (
-        ("clip", "clip"), ("outer polyhedron", "cuts"), ("written down", "fixed matrices"),
+        ("clip", "clip"), ("outer polyhedron", "cuts"), ("written down", "fixed matrices"), ("formed once", "kept matrices"),
         ("not in each step", "prepared matrices"), ("one linearisation", "linearised"),
     ):  # fmt: skip
         if words in used:

@@ -18,7 +18,12 @@ def add(commands: Commands) -> None:
     parser.add_argument("file", metavar="FILE", help="a Python file that defines model = ... or def model(...)")
     parser.add_argument("--out", metavar="DIR", help="folder of the library (default: FILE-c)")
     parser.add_argument("--name", metavar="NAME", help="prefix of all names in C (default: the file's name)")
-    parser.add_argument("--step", type=float, metavar="H", help="time step of the code (default: the model's)")
+    parser.add_argument(
+        "--step",
+        type=_steps,
+        metavar="H,...",
+        help="time step of the code, or up to 8 lengths of steps (default: the model's)",
+    )
     parser.add_argument("--any-step", action="store_true", help="let a linear scene take any step, not this one alone")
     parser.add_argument("--tolerance", type=float, default=TOLERANCE, metavar="TOL", help=ACCEPTED)
     parser.add_argument("--max-work", type=int, metavar="N", help="most linear systems, index sets and sweeps in a step")
@@ -27,6 +32,10 @@ def add(commands: Commands) -> None:
     )
     add_set(parser)
     parser.set_defaults(command=_codegen)
+
+
+def _steps(text: str) -> list[float]:
+    return [float(part) for part in text.split(",")]
 
 
 def _codegen(arguments: argparse.Namespace) -> int:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,12 +13,13 @@ from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.codegen import bodies, pieces
 from nsmodel.codegen.bounds import MOST_WORK
 from nsmodel.codegen.files import all_files, description
+from nsmodel.codegen.fixed import MOST_LENGTHS
 from nsmodel.codegen.library import Library, Solver, is_library, load
 from nsmodel.codegen.scene import make_scene
 from nsmodel.codegen.source import write_source
 from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import CodegenError, UsageError
-from nsmodel.grid import is_number, make_grid, written
+from nsmodel.grid import Grid, check_times, is_number, make_grid, written
 from nsmodel.identity import fingerprint
 from nsmodel.model.base import Model
 from nsmodel.model.parameters import Values
@@ -50,7 +52,11 @@ class Written(NamedTuple):
             "scheme": [about["scheme"]],
             "used": about["used"],
             "left out": about["left_out"],
-            "step": [f"{about['step']:g}" + (", or any other" if about["any_step"] else " only (--any-step for others)")],
+            "step": [
+                ", ".join(f"{h:g}" for h in about.get("lengths") or [about["step"]] if h)
+                + (", or any other" if about["any_step"] else " only (--any-step for others)")
+            ],
+            "inputs": [", ".join(about["inputs"])] if about.get("inputs") else [],
             "parameters": [", ".join(f"{key} = {value:g}" for key, value in about["parameters"].items()) or "none to set"],
             "work": [
                 f"{about['max_work']} linear systems, index sets and sweeps in a step at most"
@@ -72,7 +78,7 @@ def write(
     out: str | os.PathLike[str],
     *,
     name: str | None = None,
-    step: float | None = None,
+    step: float | Sequence[float] | None = None,
     any_step: bool = False,
     parameters: Values | None = None,
     tolerance: float = TOLERANCE,
@@ -85,8 +91,9 @@ def write(
         model: any of the classes.
         out: the folder; the files of a library of this name are replaced.
         name: prefix of all names in C; left out: made from the model's title.
-        step: time step of the code; left out: the model's.
-        any_step: form the matrices of a linear scene when the step is set, so that any step may be used.
+        step: time step of the code, or up to 8 lengths of steps; left out: the model's, between the edges of its signals. The
+            matrices of a linear scene are numbers for one length; of several they are formed when a solver is initialised.
+        any_step: let a linear scene take any step; its matrices are formed when the first step of a length is taken.
         parameters: values that become numbers in the code; the model's other parameters can be set in C.
         tolerance: largest accepted residual (relative, without unit).
         max_work: most work of a step (linear systems solved, index sets tried, sweeps), beyond which it is NOT_SOLVED; left out:
@@ -104,25 +111,44 @@ def write(
         raise UsageError(f"max_work = {written(max_work)}; expected a whole number from 1 to {MOST_WORK}")
     most = MOST_WORK if max_work is None else max_work
     name = identifier(model.title or type(model).__name__) if name is None else _checked(name)
-    if model.input_groups:
-        raise CodegenError(f"a library has no inputs ({', '.join(model.input_groups)}); compiled runs do, with compiled=True")
     bound = model.bind(parameters)
-    grid = make_grid(bound, step, None, None)
+    lengths = _lengths(step)
+    grid = _grid(bound, lengths, any_step=any_step)
     mark = fingerprint(bound, grid)
     if isinstance(bound, ManyBodies):
         if event_driven:
             raise CodegenError("event-driven integration does not take many bodies; they are for time stepping")
         files, about = bodies.all_files(bound, name, grid, float(tolerance), mark, most)
     else:
-        scene = make_scene(model, parameters, grid, any_step or grid.steps is not None, float(tolerance))
+        scene = make_scene(model, parameters, grid, float(tolerance), lengths)
         source = write_source(scene, name, mark, most)
         files, about = all_files(scene, source, grid, mark), description(scene, source, mark)
         if event_driven:
+            if model.input_groups:
+                names = ", ".join(model.input_groups)
+                raise CodegenError(f"event-driven integration in a library has no inputs ({names}); its steps do")
             files |= pieces.library_files(scene.model, scene.parameters, name)
     folder = _free(Path(out), name, files)
     for file, text in files.items():
         write_text(folder / file, text.rstrip())
     return Written(folder, list(files), about)
+
+
+def _lengths(step: float | Sequence[float] | None) -> tuple[float, ...]:
+    """The lengths of steps that are given."""
+    given: list[Any] = [] if step is None else list(step) if isinstance(step, Sequence) else [step]
+    for length in given:
+        check_times(step=length)
+    if step is not None and not 1 <= len(given) <= MOST_LENGTHS:
+        raise UsageError(f"step: {len(given)} lengths; expected 1 to {MOST_LENGTHS}")
+    return tuple(map(float, given))
+
+
+def _grid(model: Model, lengths: tuple[float, ...], *, any_step: bool) -> Grid:
+    """The grid of the model's own run, which ends steps where its signals jump."""
+    driven = bool(model.inputs) and None not in model.inputs.values()
+    grid = make_grid(model, lengths[0] if lengths else None, None, None, driven=driven)
+    return replace(grid, any_step=any_step or len(set(lengths)) > 1)
 
 
 def identifier(text: str) -> str:

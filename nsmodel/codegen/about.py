@@ -8,7 +8,9 @@ from collections.abc import Set
 def used(flags: Set[str], sizes: dict[str, int]) -> list[str]:
     """What a step does, a line for each part."""
     lines = []
-    if "FIXED" in flags:
+    if "LENGTHS" in flags:
+        lines.append(f"matrices formed once for a length of steps; those of the {sizes['LENGTHS']} lengths used last are kept")
+    elif "FIXED" in flags:
         lines.append("matrices written down as numbers for one time step")
     elif "BANDED" in flags:
         lines.append(

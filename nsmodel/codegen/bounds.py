@@ -26,6 +26,7 @@ def work_bound(law: NumericLaw, flags: Set[str], sizes: dict[str, int]) -> int:
     sets = fixed.index_sets(law, MOST_INDEX_SETS)
     bound = 0
     if "FIXED" in flags:
+        bound += 1 if "LENGTHS" in flags else 0  # the matrices of a new one
         if "ENUMERATED" in flags:  # strictly, certified, refined
             bound += 1 + FRAGILE_REFINEMENTS + sizes["SETS"] * (3 * (1 + FRAGILE_REFINEMENTS) + REFINED)
         else:
@@ -42,7 +43,7 @@ def work_bound(law: NumericLaw, flags: Set[str], sizes: dict[str, int]) -> int:
         bound += _affine(flags, sizes, 3 ** sizes["SELECTION"] * 2 ** sizes["M"])
     if "CUTS" in flags:  # where all cuts cannot be projected on, the new ones alone
         bound += CUT_ITERATIONS * (2 * _affine(flags, sizes, 2 ** sizes["CUTS"]) + 1)
-    return max(bound, 1)
+    return max(bound, 1) * (2 if "RESTARTED" in flags else 1)
 
 
 def _affine(flags: Set[str], sizes: dict[str, int], sets: int) -> int:

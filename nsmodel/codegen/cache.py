@@ -42,7 +42,7 @@ def cached(model: Model, grid: Grid, tolerance: float, compiler: str) -> Path:
     """
 
     def files() -> dict[str, str]:
-        source = write_source(make_scene(model, None, grid, grid.steps is not None, tolerance), NAME, "")
+        source = write_source(make_scene(model, None, grid, tolerance), NAME, "")
         return {"rollout.c": source.rollout, f"{NAME}.h": source.header, f"{NAME}.c": source.code}
 
     return kept(key_of(model, grid, tolerance, compiler), files, FLAGS)
@@ -128,9 +128,8 @@ def _tidy(folder: Path) -> None:
 
 def key_of(model: Model, grid: Grid, tolerance: float, compiler: str) -> str:
     """A hash of all that the compiled steps depend on; the end of the run is not part of it."""
-    varies = grid.steps is not None
-    endless = grid if varies else replace(grid, last=grid.h)
-    return key_for([fingerprint(model, endless), grid.step(0), varies, tolerance, *made_by(compiler)])
+    endless = grid if grid.steps is not None else replace(grid, last=grid.h)
+    return key_for([fingerprint(model, endless), grid.step(0), grid.varies, tolerance, *made_by(compiler)])
 
 
 def made_by(compiler: str) -> list[object]:

@@ -10,7 +10,8 @@ import casadi as ca
 from nsmodel.errors import CodegenError
 
 LONGEST = 3000  # Operations from which on a function is cut into several: compilers take long over long ones.
-SCALARS = ("s->t", "s->h")
+SCALARS = ("s->t", "s->h", "AT.h")
+READ = ("s->", "AT.")  # How the names of what is read from the solver begin; AT: the matrices of the step's length.
 WIDTH = 110  # Characters of an expression from which on it gets a name of its own.
 ZEROS = 64  # Zeros from which on a sparse matrix is cleared before its other entries are set.
 TARGETS = 8  # Entries set to one constant in a line.
@@ -58,8 +59,8 @@ def c_function(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.
 
     Args:
         name: of the C function.
-        inputs: symbols by the name of the argument; what begins with "s->" is read from the solver: ``s->t`` and ``s->h``
-            are scalars, all others arrays.
+        inputs: symbols by the name of the argument; what begins as in READ is read from the solver: SCALARS are scalars, all
+            others arrays.
         outputs: expressions; matrices are written row by row.
         comment: what it computes.
 
@@ -70,7 +71,7 @@ def c_function(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.
     sparse = {key: e.numel() for key, e in outputs.items() if e.numel() - e.nnz() >= ZEROS and 2 * e.nnz() < e.numel()}
     entries = [(target, entry) for target, entry in entries if entry.nnz() or target.partition("[")[0] not in sparse]
     cleared = [f"memset({key}, 0, {size}*sizeof *{key});" for key, size in sparse.items()]
-    given = ["s", *(key for key in inputs if not key.startswith("s->"))]
+    given = ["s", *(key for key in inputs if not key.startswith(READ))]
     arguments = [f"const {'model_solver' if key == 's' else 'double'} *{key}" for key in given]
     arguments += [f"double *restrict {key}" for key in outputs]
     whole = _function(inputs, entries)
@@ -97,7 +98,7 @@ def _function(inputs: Mapping[str, ca.SX], entries: list[tuple[str, ca.SX]]) -> 
 def written(name: str, arguments: list[str], names: list[str], body: list[str]) -> str:
     """A function with this body; names that it does not use are marked."""
     text = "\n".join(f"    {line}" for line in body)
-    used = set(_words(text))
+    used = {"s" if word == "AT" else word for word in _words(text)}
     unused = "".join(f"    (void){key};\n" for key in names if key not in used)
     return f"static void {name}({', '.join(arguments)})\n{{\n{unused}{text}\n}}\n"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,9 +13,12 @@ from nsmodel.codegen.scene import Scene
 from nsmodel.codegen.source import Source, names
 from nsmodel.grid import Grid
 from nsmodel.identity import versions
+from nsmodel.proof.sure import sure
 from nsmodel.words import UNSEEN
 
 STEPS_IN_EXAMPLE = 100_000  # A longer list of steps is not written into the example.
+STRETCHES = 10_000  # Nor more stretches of steps between edges of inputs,
+STRAIGHT = 1e-9  # which go on where an input bends by less than this part of its size.
 WIDTH = 100  # Characters of the table's header in a line of the example,
 LONGEST_STRING = 900  # and of one name: C99 asks for strings of 4095 bytes, escapes counted.
 
@@ -41,14 +45,17 @@ def description(scene: Scene, source: Source, fingerprint: str) -> dict:
         "model_class": type(model).__name__,
         "scheme": problem.scheme,
         "paper": model.paper,
-        "sizes": {key: source.sizes[key] for key in ("NX", "NSTATE", "NP", "NL", "N", "M")},
+        "sizes": {key: source.sizes[key] for key in ("NX", "NSTATE", "NP", "NL", "N", "M")}
+        | ({"NU": source.sizes["NU"]} if "INPUTS" in source.flags else {}),
         "states": list(model.names),
         "parameters": scene.parameters,
+        "inputs": list(model.input_names),
         "multipliers": list(problem.multiplier_names),
         "rows": list(problem.rows),
         "units": dict(model.units),
         "step": scene.h,
         "any_step": "ONE_STEP" not in source.flags,
+        "lengths": list(scene.known_lengths) if "LENGTHS" in source.flags else [],
         "tolerance": scene.tolerance,
         "max_work": source.bound,
         "used": used(source.flags, source.sizes),
@@ -63,9 +70,13 @@ def description(scene: Scene, source: Source, fingerprint: str) -> dict:
 def _example(scene: Scene, source: Source, grid: Grid) -> str:
     model, first = scene.model, 1 if scene.model.tied_to_step else 0
     whole = grid.N if grid.steps is not None or grid.last == grid.h else grid.N - 1
+    stretches = _stretches(grid, whole) if grid.drive is not None else []
+    if stretches:
+        whole = sum(stretch.steps for stretch in stretches)
     given = np.zeros(0) if grid.steps is None else grid.steps[:STEPS_IN_EXAMPLE]
     steps = given.tolist()
-    flags = source.flags | ({"MANY_STEPS"} if np.unique(given).size > 1 else set())
+    many = "STRETCHES" if stretches else "MANY_STEPS" if np.unique(given).size > 1 else ""
+    flags = source.flags | {many}
     names = list(model.names or ())
     columns = ["t", *names]
     columns += [f"v_{name}" for name in names] if "VELOCITY" in flags else []
@@ -75,11 +86,44 @@ def _example(scene: Scene, source: Source, grid: Grid) -> str:
         "VELOCITIES": ", velocities" if "VELOCITY" in flags else "",
         "MULTIPLIERS": ", multipliers" if "LAW" in flags else "",
         "STEPS": "\n".join("        " + ", ".join(map(repr, steps[i : i + 5])) + "," for i in range(0, len(steps), 5)),
+        "STRETCHES": "\n".join(map(str, stretches)),
         "LAST": str(min(whole, len(steps)) if steps else whole),
         "FIRST": str(first),
         "COLUMNS": "\n".join(f'    fputs("{_c_string(line)}", stdout);' for line in _lines(columns)),
     }
     return fragment("example_main.c", flags, words)
+
+
+class _Stretch(NamedTuple):
+    """Steps of one length between two edges: the inputs (nu,) at its begin and end, with straight lines between them."""
+
+    t: float
+    steps: int
+    h: float
+    begin: list[float]
+    end: list[float]
+
+    def __str__(self) -> str:
+        """As an initialiser of C."""
+        begin, end = (", ".join(map(repr, values)) for values in (self.begin, self.end))
+        return f"    {{{self.t!r}, {self.steps}, {self.h!r}, {{{begin}}}, {{{end}}}}},"
+
+
+def _stretches(grid: Grid, steps: int) -> list[_Stretch]:
+    """The first ``steps`` steps of a driven grid, at most STRETCHES stretches."""
+    t, limits = grid.between(0, steps), sure(grid.drive).limits(grid.between(0, steps))
+    begin, end = np.hsplit(limits, 2)
+    h = np.array([grid.step(k) for k in range(steps)])
+    size = np.abs(limits).max(axis=0, initial=0.0)[: begin.shape[1]]
+    slope = (end - begin) / h[:, None]
+    bends = np.abs(np.diff(slope, axis=0)) * h[1:, None] > STRAIGHT * size
+    goes_on = (h[1:] == h[:-1]) & (begin[1:] == end[:-1]).all(axis=1) & ~bends.any(axis=1)
+    firsts = np.flatnonzero(np.append(True, ~goes_on))
+    lasts = np.append(firsts[1:], steps)
+    return [
+        _Stretch(t[a].item(), int(b - a), h[a].item(), begin[a].tolist(), end[b - 1].tolist())
+        for a, b in zip(firsts[:STRETCHES], lasts[:STRETCHES], strict=True)
+    ]
 
 
 def _lines(columns: list[str]) -> list[str]:
@@ -119,6 +163,9 @@ def readme_words(scene: Scene, source: Source) -> dict[str, str]:
         "SCHEME": scene.problem.scheme,
         "STATES": listed["x"],
         "PARAMETERS": listed["p"],
+        "INPUTS": listed["u"],
+        "KNOWN": ", ".join(f"{h:g}" for h in scene.known_lengths if h),
+        "LENGTHS": str(source.sizes["LENGTHS"]),
         "MULTIPLIERS": listed["multipliers"],
         "STEP": f"{scene.h:g}",
         "TOLERANCE": f"{scene.tolerance:g}",

@@ -1,8 +1,11 @@
-"""The functions and tables of a step whose matrices are numbers (see ``c/fixed.c``)."""
+"""The functions and tables of a step whose matrices depend on its length alone (see ``c/fixed.c``): numbers for one length, for
+several arrays, formed once for each.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import casadi as ca
@@ -19,6 +22,9 @@ from nsmodel.solve.structure import Structure
 
 MOST_INDEX_SETS = 81  # Up to which every index set may be tried: no pivoting.
 MOST_NUMBERS = 6000  # Coefficients written into the code; a larger step forms its matrices when it is prepared.
+MOST_LENGTHS = 8  # Lengths of steps whose matrices are kept, those used last.
+MOST_KEPT = 2000  # Coefficients of one length.
+GENERIC = 1e-9  # Part of the largest entry below which one of a matrix of generic numbers is 0.
 
 
 class Matrices(NamedTuple):
@@ -37,6 +43,11 @@ class Matrices(NamedTuple):
         """How many coefficients the code holds."""
         return sum(int(np.count_nonzero(M)) for M in self)
 
+    @property
+    def kept(self) -> int:
+        """How many coefficients are kept of a length."""
+        return sum(M.size for M in self)
+
 
 def matrices(problem: OneStepProblem, h: float) -> Matrices | None:
     """Return the matrices at h; None where E_z is singular."""
@@ -50,41 +61,108 @@ def matrices(problem: OneStepProblem, h: float) -> Matrices | None:
 
 
 class _Symbols(NamedTuple):
-    """A step at one h, with E_z^{-1} and Z sparse, and arguments of its C functions; ``Y`` and ``l`` are empty without a law."""
+    """A step, with E_z^{-1} and Z sparse, and arguments of its C functions; ``Y`` and ``l`` are empty without a law.
 
+    Matrices are numbers, or symbols that are read from arrays: ``numbers``.
+    """
+
+    problem: OneStepProblem
     at: AtStep
-    inverse: ca.DM
-    Z: ca.DM
-    z: ca.SX
-    l: ca.SX
+    inverse: ca.DM | ca.SX
+    Z: ca.DM | ca.SX
     known: dict[str, ca.SX]
+    numbers: dict[str, ca.SX]
     E: dict[str, ca.SX]
     Y: dict[str, ca.SX]
 
     @property
     def solution(self) -> dict[str, ca.SX]:
         """z, and l where there is one."""
-        return {"z": self.z} | ({"l": self.l} if self.Y else {})
+        return {"z": self.problem.z} | ({"l": self.problem.l} if self.Y else {})
 
 
-def text(problem: OneStepProblem, structure: Structure, law: NumericLaw, h: float, M: Matrices) -> str:
-    """The C functions and tables."""
-    at, n, m = at_step(problem, h, tuple(M[:4])), M.E_z.shape[0], problem.l.numel()
+def text(
+    problem: OneStepProblem, structure: Structure, law: NumericLaw, M: Matrices, lengths: tuple[float, ...], several: bool
+) -> str:
+    """The C functions and tables of steps of the first of ``lengths``, which M belongs to; ``several``: of any length."""
+    n, m = M.E_z.shape[0], problem.l.numel()
+    given = {"E_0": ca.SX.sym("E_0", n)}, ({"Y_0": ca.SX.sym("Y_0", m)} if m else {})
+    step = _Symbols(problem, *(_kept(problem, M) if several else _written_down(problem, M, lengths[0])), *given)
+    tables = _kept_tables(law, lengths) if several else _number_tables(structure, law, M)
+    shared = exact_tables(structure) + _choice_tables(law) if m else ""
+    functions = _functions_of_unknowns(step) + (_functions_of_law(step, structure.projection) if m else [])
+    return "\n".join([tables + shared, *([_forming(problem)] if several else []), *functions])
+
+
+def _written_down(problem: OneStepProblem, M: Matrices, h: float) -> tuple[AtStep, ca.DM, ca.DM, dict, dict]:
+    """The step of one length, its matrices as numbers; what it knows."""
     inverse, Z = (ca.sparsify(ca.DM(A)) for A in (M.inverse, M.Z))
     known = {"s->t": problem.t, "s->x": problem.state}
-    E, Y = {"E_0": ca.SX.sym("E_0", n)}, ({"Y_0": ca.SX.sym("Y_0", m)} if m else {})
-    step = _Symbols(at, inverse, Z, problem.z, problem.l, known, E, Y)
-    functions, units = _functions_of_unknowns(step), _unit_tables(M)
-    if not m:
-        return units + "\n" + "\n".join(functions)
-    functions += _functions_of_law(step, structure.projection)
-    tables = [_law_tables(M, law), units, exact_tables(structure), _follow_tables(structure, M.E_z), _choice_tables(law)]
-    return "".join(tables) + "\n" + "\n".join(functions)
+    return at_step(problem, h, tuple(M[:4])), inverse, Z, known, {}
+
+
+def _kept(problem: OneStepProblem, M: Matrices) -> tuple[AtStep, ca.SX, ca.SX, dict, dict]:
+    """The step of any length, its matrices as symbols row by row, but for entries that are the same at every length."""
+    matrices, arrays = [], {}
+    for name, entries in zip(_READ, (*map(ca.sparsify, problem.jacobians), *_generic(problem)), strict=True):
+        symbol = ca.SX.sym(name, entries.numel())
+        matrices.append(_of_symbols(symbol, entries))
+        arrays |= {f"AT.{name}": symbol} if entries.numel() else {}
+    at = at_step(problem, problem.h, tuple(M[:4]))._replace(**dict(zip(_READ[:4], matrices[:4], strict=True)))
+    known = {"s->t": problem.t, "s->x": problem.state, "AT.h": problem.h}
+    return at, matrices[4], matrices[5], known | arrays, arrays
+
+
+_READ = ("E_z", "E_l", "Y_z", "Y_l", "inverse", "Z")
+
+
+def _generic(problem: OneStepProblem) -> Iterator[ca.SX]:
+    """E_z^{-1} and Z with symbols where they have entries, which generic numbers tell."""
+    rng = np.random.default_rng(0)
+    sparse = [ca.sparsify(J).sparsity() for J in problem.jacobians[:2]]
+    E_z, E_l = (np.array(ca.DM(own, rng.uniform(1, 2, own.nnz()))).reshape(own.shape) for own in sparse)
+    inverse = np.linalg.inv(E_z)
+    for M in (inverse, inverse @ E_l):
+        pattern = ca.DM((np.abs(M) > GENERIC * np.abs(M).max(initial=0.0)).astype(float).reshape(M.shape))
+        yield ca.SX.sym("entry", ca.sparsify(pattern).sparsity())
+
+
+def _of_symbols(symbol: ca.SX, entries: ca.SX) -> ca.SX:
+    """The matrix with those entries that are no numbers read from a column, row by row."""
+    matrix = ca.SX(entries)
+    for i, j in zip(*entries.sparsity().get_triplet(), strict=True):
+        if not entries[i, j].is_constant():
+            matrix[i, j] = symbol[i * entries.shape[1] + j]
+    return matrix
+
+
+def _forming(problem: OneStepProblem) -> str:
+    read = {name: J for name, J in zip(_READ, problem.jacobians, strict=False) if J.numel()}
+    return c_function("matrices", {"AT.h": problem.h}, read, "the Jacobians of E and Y")
+
+
+def _number_tables(structure: Structure, law: NumericLaw, M: Matrices) -> str:
+    """The numbers of one length."""
+    return (_law_tables(M, law) + _follow_tables(structure, M.E_z) if law.size else "") + _unit_tables(M)
+
+
+def _kept_tables(law: NumericLaw, lengths: tuple[float, ...]) -> str:
+    """What stands for these numbers: the matrices kept of the step's length."""
+    names = ["unit_z", "unit_size_E"]
+    if law.size:
+        names += ["unit_l", "unit_size_Y", "W", "w_max" if law.curved else "w_root"]
+    return (
+        "#define AT s->fixed.lengths[s->fixed.length] /* the matrices of the step's length */\n"
+        + "".join(f"#define {name} AT.{name}\n" for name in names)
+        + (table("bound_size", bound_size(law), "MODEL_M") if law.size and not law.curved else "")
+        + table("known_length", lengths, "", "lengths of steps whose matrices are formed at the start")
+    )
 
 
 def _functions_of_unknowns(step: _Symbols) -> list[str]:
     """What each step has."""
-    at, z, l, known, E, Y, m = step.at, step.z, step.l, step.known, step.E, step.Y, bool(step.Y)
+    at, z, l = step.at, step.problem.z, step.problem.l
+    known, E, Y, m = step.known, step.E, step.Y, bool(step.Y)
     E_0, Y_0 = E["E_0"], Y.get("Y_0", ca.SX())
     predicted = -step.inverse @ E_0
     moved = ca.fabs(E_0 + at.E_z @ at.guess) + ca.fabs(at.E_z) @ ca.fabs(z - at.guess)
@@ -92,11 +170,11 @@ def _functions_of_unknowns(step: _Symbols) -> list[str]:
     return [
         c_function("constant_part", known, {"E_0": at.E_0} | ({"Y_0": at.Y_0} if m else {}), "E and Y at z = 0, l = 0"),
         c_function(
-            "predict", E | Y, {"z_0": predicted} | ({"b": Y_0 + at.Y_z @ predicted} if m else {}),
+            "predict", E | Y | step.numbers, {"z_0": predicted} | ({"b": Y_0 + at.Y_z @ predicted} if m else {}),
             "the solution without multipliers" + (", and y there" if m else ""),
         ),
         c_function(
-            "residuals", E | Y | step.solution,
+            "residuals", E | Y | step.solution | step.numbers,
             {"E": E_0 + at.E_z @ z + (at.E_l @ l if m else 0)} | ({"Y": Y_0 + at.Y_z @ z + at.Y_l @ l} if m else {}),
         ),
         c_function(
@@ -105,18 +183,21 @@ def _functions_of_unknowns(step: _Symbols) -> list[str]:
         c_function(
             "round_off_E", known | step.solution, {"error": error_bound(at.E, ca.vertcat(z, l))}, "running error bound in EPS/2"
         ),
-        c_function("passed_on", step.solution, passed, "what E and Y feel of errors of z" + (" and l" if m else "")),
+        c_function(
+            "passed_on", step.solution | step.numbers, passed, "what E and Y feel of errors of z" + (" and l" if m else "")
+        ),
     ]  # fmt: skip
 
 
 def _functions_of_law(step: _Symbols, projection: bool) -> list[str]:
     """What a step with multipliers has besides."""
-    at, z, l, Z, E_0 = step.at, step.z, step.l, step.Z, step.E["E_0"]
+    at, z, l, Z, E_0 = step.at, step.problem.z, step.problem.l, step.Z, step.E["E_0"]
     z_0 = ca.SX.sym("z_0", E_0.numel())
     functions = [
-        c_function("respond", {"z_0": z_0, "l": l}, {"z": z_0 + Z @ l}, "z = z_0 + Z l"),
+        c_function("respond", {"z_0": z_0, "l": l} | step.numbers, {"z": z_0 + Z @ l}, "z = z_0 + Z l"),
         c_function(
-            "scale_Y", {"l": l}, {"terms": ca.fabs(at.Y_z) @ ca.fabs(Z @ l) + ca.fabs(at.Y_l) @ ca.fabs(l)}, "the terms of W l"
+            "scale_Y", {"l": l} | step.numbers, {"terms": ca.fabs(at.Y_z) @ ca.fabs(Z @ l) + ca.fabs(at.Y_l) @ ca.fabs(l)},
+            "the terms of W l"
         ),
         c_function("round_off_Y", step.known | step.solution, {"error": error_bound(at.Y, ca.vertcat(z, l))}),
     ]  # fmt: skip

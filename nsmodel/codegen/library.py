@@ -197,7 +197,7 @@ class Solver:
         """Allocate and initialise: the start, step and parameters of the model."""
         self.library, sizes = library, library.about["sizes"]
         self._nx, self._nl, self._m = sizes["NX"], sizes["NL"], sizes["M"]
-        self._np = sizes["NP"]
+        self._np, self._nu = sizes["NP"], sizes.get("NU", 0)
         self._address = ctypes.c_void_p(library.function("create", ctypes.c_void_p)())
         if not self._address.value:
             raise CodegenError(f"{library.about['name']}: no memory for a solver")
@@ -243,6 +243,22 @@ class Solver:
         """Put the parameters, in the order of ``about['parameters']``; return the status. The state stays."""
         return self._set("parameters", p, self._np)
 
+    def set_inputs(self, u: Any) -> int:
+        """Put the inputs (nu,) from now on; return the status."""
+        return self._set("inputs", u, self._nu)
+
+    def set_inputs_between(self, begin: Any, end: Any) -> int:
+        """Put the inputs (nu,) at the begin and at the end of the next step; those after it have its end. Return the status."""
+        both = [np.ascontiguousarray(value, float).ravel() for value in (begin, end)]
+        for array in both:
+            if array.size != self._nu:
+                raise CodegenError(f"inputs: {array.size} numbers given; expected {self._nu}")
+        return self._call("set_inputs_between", *both)
+
+    def set_budget(self, work: int) -> int:
+        """Put the most work of a step, beyond which it is not solved; return the status."""
+        return self.library.function("set_budget", ctypes.c_int, ctypes.c_void_p, ctypes.c_long)(self._address, work)
+
     def set_present(self, body: int, present: bool) -> int:
         """Let one of many bodies, at its state, take part or not; return the status."""
         function = self.library.function("set_present", ctypes.c_int, ctypes.c_void_p, ctypes.c_int, ctypes.c_int)
@@ -282,6 +298,11 @@ class Solver:
     def force(self) -> np.ndarray:
         """The reaction (n,) at the state, which a step with gamma < 1 starts from."""
         return self._get("force", self._nx)
+
+    @property
+    def inputs(self) -> np.ndarray:
+        """The inputs (nu,) that the next step begins with; after a step those of its end."""
+        return self._get("inputs", self._nu)
 
     @property
     def multipliers(self) -> np.ndarray:

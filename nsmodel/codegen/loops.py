@@ -8,7 +8,7 @@ from typing import NamedTuple
 import casadi as ca
 
 from nsmodel.codegen import expression
-from nsmodel.codegen.expression import LONGEST, SCALARS, Piece, apply, assigned, graph, number, written
+from nsmodel.codegen.expression import LONGEST, READ, SCALARS, Piece, apply, assigned, graph, number, written
 from nsmodel.codegen.tables import table
 
 FEWEST = 8  # Rows to a form, on average, from which on loops are written.
@@ -26,7 +26,7 @@ def c_function(name: str, inputs: Mapping[str, ca.SX], outputs: Mapping[str, ca.
     tables, body = Tables(name), []
     for form in found:
         body += _loop(form, list(inputs), tables)
-    given = ["s", *(key for key in inputs if not key.startswith("s->"))]
+    given = ["s", *(key for key in inputs if not key.startswith(READ))]
     arguments = [f"const {'model_solver' if key == 's' else 'double'} *{key}" for key in given]
     arguments += [f"double *restrict {key}" for key in outputs]
     head = f"/* {comment} */\n" if comment else ""

@@ -12,7 +12,7 @@ from nsmodel.solve.certificate import NumericLaw
 from nsmodel.solve.choose import ENUMERATE_UP_TO
 from nsmodel.solve.structure import is_monotone, least_eigenvalue
 
-MAPS_BYTES = 16 << 10  # Memory for the inverses of index sets; between 2 and 8 are kept.
+MAPS_BYTES = 16 << 10  # Memory for the inverses of index sets; between 2 and 8 are kept, of several lengths 4 times as many.
 
 
 def flags_of(scene: Scene) -> frozenset[str]:
@@ -27,6 +27,7 @@ def _read_off(scene: Scene) -> dict[str, bool]:
     return {
         "LAW": structure.m > 0,
         "FIXED": scene.path == FIXED,
+        "LENGTHS": _has_lengths(scene),
         "BANDED": scene.path == BANDED,
         "NEWTON": stepped,
         "INCLUSION": scene.path == INCLUSION,
@@ -54,8 +55,9 @@ def _read_off(scene: Scene) -> dict[str, bool]:
         "DIFFERENCE": bool(problem.velocity) and problem.difference,
         "FORCE": problem.state.numel() - 2 * problem.inputs > len(scene.model.names) and not problem.velocity,
         "INPUTS": problem.inputs > 0,
+        "RESTARTED": scene.restarted,
         "FIXED_MAPS": scene.path == FIXED and structure.m > 0 and not law.curved,
-        "ONE_STEP": scene.path in (FIXED, BANDED) or inclusion.one_step(scene),
+        "ONE_STEP": (scene.path in (FIXED, BANDED) and not _has_lengths(scene)) or inclusion.one_step(scene),
     } | inclusion.flags(scene)
 
 
@@ -65,7 +67,7 @@ def _implied(scene: Scene, given: dict[str, bool]) -> dict[str, bool]:
     has["CURVED"] = bool(law.curved) or has.get("SELECTION_CURVED", False)
     has["ENUMERATED"] = has["FIXED_MAPS"] and few
     has["SETTLED"] = has["FIXED_MAPS"] and not has["ENUMERATED"]
-    has["REGULAR_SETS"] = has["ENUMERATED"] and _regular_sets_suffice(scene)
+    has["REGULAR_SETS"] = has["ENUMERATED"] and not has["LENGTHS"] and _regular_sets_suffice(scene)
     has["REFINED"] = stepped and has["LAW"] and structure.affine and not law.curved
     has["KEPT"] = stepped and (has["REFINED"] or not structure.affine)
     has["AFFINE_PROBLEM"] = (has["LAW"] and (stepped or scene.path == FIXED) and not has["ENUMERATED"]) or has.get("GRAM", False)
@@ -73,8 +75,14 @@ def _implied(scene: Scene, given: dict[str, bool]) -> dict[str, bool]:
     has["PIVOTING"] = has["BOX_PROBLEM"] and (has.get("GRAM", False) or not (few and structure.gram))
     has["NEARBY"] = stepped and has["LAW"] and not (few and structure.affine) and fixed.index_sets(law, MOST_INDEX_SETS) > 0
     has["INDEX_SETS"] = has["NEARBY"] or (has["BOX_PROBLEM"] and has["ENUMERATION"])
-    has["INVERSE"] = has["FIXED_MAPS"] or has["PIVOTING"]
+    has["INVERTED"] = has["FIXED_MAPS"] or has["LENGTHS"]
+    has["INVERSE"] = has["INVERTED"] or has["PIVOTING"]
     return has
+
+
+def _has_lengths(scene: Scene) -> bool:
+    """Whether matrices of several lengths are kept."""
+    return scene.path == FIXED and scene.several
 
 
 def _is_stepped(scene: Scene) -> bool:
@@ -118,7 +126,8 @@ def sizes_of(scene: Scene, flags: frozenset[str]) -> dict[str, int]:
         "EXPLICIT": len(problem.explicit),
         "SETS": fixed.index_sets(law) if m and scene.path == FIXED else 0,
         "LINEAR": 0,
-        "MAPS": int(np.clip(MAPS_BYTES // (8 * m * (m + 2) + 1), 2, 8)),
+        "MAPS": int(np.clip(MAPS_BYTES // (8 * m * (m + 2) + 1), 2, 8)) * (4 if "LENGTHS" in flags else 1),
+        "LENGTHS": fixed.MOST_LENGTHS,
     }
     if scene.by_rows:
         sizes |= {"Y_Z": scene.jacobians[2].nnz(), "E_L": scene.jacobians[1].nnz()}
@@ -128,7 +137,8 @@ def sizes_of(scene: Scene, flags: frozenset[str]) -> dict[str, int]:
         sizes |= {"BLOCK": max(block.size for _, block in sets.curved(own)), "NUMBERS": max(1, sets.numbers(own).numel())}
     if scene.path == BANDED:
         sizes |= sure(scene.band).sizes
-    systems = [(sizes["ROWS"], "AFFINE_PROBLEM"), (m, "FIXED_MAPS"), (sizes["LEMKE"], "PIVOTING"), (n + m, "NEARBY")]
+    systems = [(sizes["ROWS"], "AFFINE_PROBLEM"), (m, "FIXED_MAPS"), (sizes["LEMKE"], "PIVOTING")]
+    systems += [(n + m, "NEARBY"), (n + m, "LENGTHS")]
     return sizes | {"LINEAR": max((size for size, flag in systems if flag in flags), default=0)}
 
 

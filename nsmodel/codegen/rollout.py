@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,6 +23,7 @@ from nsmodel.solve.stepper import StepResult, Warm
 SECONDS = 0.05  # A call takes about as long: so late comes Ctrl-C.
 
 _Totals = structs.TOTALS.in_python()
+Start = Callable[[float, float, np.ndarray], np.ndarray]
 
 
 class StepBlock(NamedTuple):
@@ -72,15 +74,13 @@ class Rollout:
             ctypes.POINTER(_Totals),
         )  # fmt: skip
         self._single = library.function("single", ctypes.c_int, pointer, number, number, pointer, pointer)
+        self._restart = _optional(library, "restart", ctypes.c_int, pointer, number, pointer)
         self._steps = np.zeros(2)
         self._one: _One | None = None
-        try:
-            self._adapt: Any = library.function(
-                "adapt", whole, pointer, pointer, whole, number, number, pointer, pointer, pointer, pointer, pointer,
-                ctypes.POINTER(_Totals),
-            )  # fmt: skip
-        except CodegenError:
-            self._adapt = None
+        self._adapt = _optional(
+            library, "adapt", whole, pointer, pointer, whole, number, number, pointer, pointer, pointer, pointer, pointer,
+            ctypes.POINTER(_Totals),
+        )  # fmt: skip
         self._memory = np.zeros(library.function("size", whole)() // 8 + 1)
         self._solver = self._memory.ctypes.data
         status = library.function("init", ctypes.c_int, pointer)(self._solver)
@@ -109,6 +109,15 @@ class Rollout:
         )  # fmt: skip
         self._fetch(self._solver, *at)
         return _block(done, totals, x, Warm(l, codes))
+
+    def starter(self, otherwise: Start) -> Start:
+        """What finds the reaction that a state carries anew, for (t, h, state): in C, where that certifies it."""
+
+        def start(t: float, h: float, state: np.ndarray) -> np.ndarray:
+            x = np.array(state, float)
+            return x if self._restart(self._solver, t, x.ctypes.data) == 0 else otherwise(t, h, state)
+
+        return start
 
     @property
     def adaptive(self) -> bool:
@@ -177,6 +186,14 @@ class _One:
         solver, same = divmod(done - 1, 2)
         row = self._row.copy()
         return StepResult(row, Warm(row[self._of_l], warm.index if same else self._index[self._m :].copy()), SOLVERS[solver])
+
+
+def _optional(library: Library, name: str, *kinds: Any) -> Any:
+    """A function of a library, or None where its model has no use for it."""
+    try:
+        return library.function(name, *kinds)
+    except CodegenError:
+        return None
 
 
 @once

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -32,7 +33,7 @@ class Scene:
     Attributes:
         model: parameters that stay parameters of the code are symbols, all others numbers.
         numbers: the same model with numbers for all parameters.
-        h: the time step; any_step: whether others may be used.
+        h: the time step; any_step: whether others may be used; lengths: those that are known to be.
         tolerance: largest accepted residual.
         allowed: eps_k of an inclusion's approximate projections: of each step, or one for all.
     """
@@ -42,6 +43,7 @@ class Scene:
     h: float
     any_step: bool
     tolerance: float
+    lengths: tuple[float, ...] = ()
     allowed: tuple[float, ...] = ()
 
     @cached_property
@@ -76,22 +78,43 @@ class Scene:
 
     @cached_property
     def matrices(self) -> fixed.Matrices | None:
-        """The matrices where they are numbers, and few enough to be written down."""
+        """The matrices at h where they depend on the step alone, and are few enough to be written down or kept."""
         if not self._of_numbers or pays(self.structure, self.law):
             return None
-        found = fixed.matrices(self.problem, self.h)
+        found = [self._regular(h) for h in (self.h, *self.lengths)]
+        M = found[0]
+        few = M.kept <= fixed.MOST_KEPT if self.several else M.numbers <= fixed.MOST_NUMBERS
+        return M if few else None
+
+    def _regular(self, h: float) -> fixed.Matrices:
+        found = fixed.matrices(self.problem, h)
         if found is None:
-            raise self._singular
-        return found if found.numbers <= fixed.MOST_NUMBERS else None
+            raise _singular(h)
+        return found
+
+    @property
+    def known_lengths(self) -> tuple[float, ...]:
+        """The lengths of steps that are known beforehand, h first."""
+        return (self.h, *self.lengths, *([0.0] if self.restarted else []))
+
+    @property
+    def several(self) -> bool:
+        """Whether steps have several lengths: any, or 0, by which the reaction after a jump of an input is found."""
+        return self.any_step or self.restarted
+
+    @property
+    def restarted(self) -> bool:
+        """Whether the reaction that a step starts from is found anew after a jump of an input."""
+        return self.problem.inputs > 0 and self.problem.start is not None
 
     @cached_property
     def band(self) -> banded.Matrices | None:
         """The matrices of a large, sparse step where they are numbers."""
-        if not self._of_numbers or not pays(self.structure, self.law):
+        if self.several or not self._of_numbers or not pays(self.structure, self.law):
             return None
         found = banded.matrices(self.problem, self.h, self.structure.n)
         if found is None:
-            raise self._singular
+            raise _singular(self.h)
         order = found.at.order
         if not order.is_band:
             width = max(order.below, order.above)
@@ -100,11 +123,7 @@ class Scene:
 
     @property
     def _of_numbers(self) -> bool:
-        return self.structure.constant and not (self.any_step or self.model.p.numel())
-
-    @property
-    def _singular(self) -> CodegenError:
-        return CodegenError(f"the step's matrix is singular at h = {self.h:g}: change the step, or check M, A and K")
+        return self.structure.constant and not self.model.p.numel()
 
     @cached_property
     def path(self) -> str:
@@ -139,13 +158,23 @@ class Scene:
         return self.path == NEWTON and works_on_rows(self.structure, self.law) and not self.law_of_parameters
 
 
-def make_scene(model: Model, parameters: Values | None, grid: Grid, any_step: bool, tolerance: float) -> Scene:
-    """Return the scene of a model; ``parameters`` become numbers, the others stay parameters of the code."""
+def make_scene(model: Model, parameters: Values | None, grid: Grid, tolerance: float, lengths: Collection[float] = ()) -> Scene:
+    """Return the scene of a model; ``parameters`` become numbers, the others stay parameters of the code.
+
+    ``lengths``: of steps that are known beforehand; left out: those of the grid, where they are few.
+    """
     given = model.values_of(parameters)
     numbers = model.bind(given)
     left = dict.fromkeys(name for name in model.parameters if name not in given)
     kept = model.bind({**given, **left}, partly=True) if left else numbers
-    return Scene(kept, numbers, grid.step(0), any_step, tolerance, allowed_tolerances(numbers, grid))
+    own = grid.lengths.tolist() if grid.lengths.size <= fixed.MOST_LENGTHS else ()
+    h = next(iter(lengths), 0.0) if len(lengths) > 1 else grid.step(0)
+    known = tuple(length for length in lengths or own if length != h)
+    return Scene(kept, numbers, h, grid.varies, tolerance, known, allowed_tolerances(numbers, grid))
+
+
+def _singular(h: float) -> CodegenError:
+    return CodegenError(f"the step's matrix is singular at h = {h:g}: change the step, or check M, A and K")
 
 
 def allowed_tolerances(model: Model, grid: Grid) -> tuple[float, ...]:

@@ -100,11 +100,13 @@ def _has(part: str, flags: frozenset[str]) -> bool:
 
 def _words(name: str, scene: Scene, flags: frozenset[str], sizes: dict[str, int], bound: int, fingerprint: str) -> dict[str, str]:
     model, problem = scene.model, scene.problem
-    one = "MODEL_STEP: the matrices in the code belong to it" if scene.path in (FIXED, BANDED) else "MODEL_STEP"
+    one = "MODEL_STEP to 1e-12: the matrices in the code belong to it" if scene.path in (FIXED, BANDED) else "MODEL_STEP"
     moved = "last difference of positions" if problem.difference else "velocity"
     last = moved if problem.velocity else "reaction of the last step"
     layout = inclusion.layout(scene)
-    carried = "" if sizes["NSTATE"] == sizes["NX"] else f", then the {last}"
+    behind = [f"the {last}"] if {"VELOCITY", "FORCE"} & flags else []
+    behind += ["the inputs at the begin and at the end of a step"] if problem.inputs else []
+    carried = "".join(f", then {what}" for what in behind)
     return {
         "NAME": name,
         "GUARD": guard(),
@@ -132,7 +134,7 @@ def _words(name: str, scene: Scene, flags: frozenset[str], sizes: dict[str, int]
     } | {key: str(value) for key, value in sizes.items()}
 
 
-_PUBLIC = {"NX", "NSTATE", "NP", "NL", "N", "M"}
+_PUBLIC = {"NX", "NSTATE", "NP", "NU", "NL", "N", "M"}
 
 
 def _inner_sizes(name: str, sizes: dict[str, int], text: str) -> str:
@@ -159,7 +161,8 @@ def names(scene: Scene) -> dict[str, str]:
         return ", ".join(each if len(each) <= 40 else [*each[:39], f"... ({len(each)} in all)"])
 
     multipliers = scene.problem.multiplier_names
-    return {"x": listed(scene.model.names), "p": listed(scene.parameters), "multipliers": listed(multipliers)}
+    own = {"x": scene.model.names, "p": scene.parameters, "u": scene.model.input_names, "multipliers": multipliers}
+    return {head: listed(names) for head, names in own.items()}
 
 
 def _tables(scene: Scene, flags: frozenset[str]) -> str:
@@ -185,13 +188,12 @@ def _functions(scene: Scene, flags: frozenset[str]) -> str:
     """The model's own functions."""
     problem, h = scene.problem, scene.h
     known = _known(scene)
-    parts = [
-        c_function("start", {key: known[key] for key in ("s->h", "s->p") if key in known}, {"x": _start(scene)}, "the start")
-    ]
+    given = {"s->h": problem.h} | ({"s->p": problem.p} if problem.p.numel() else {})
+    parts = [c_function("start", given, {"x": _start(scene)}, "the start")]
     if "LAW_OF_PARAMETERS" in flags:
         parts.append(c_function("law_of_parameters", {"s->p": problem.p}, _bounds(scene), "the ends of the law"))
     if "FIXED" in flags:
-        parts.append(fixed.text(problem, scene.structure, scene.law, h, sure(scene.matrices)))
+        parts.append(fixed.text(problem, scene.structure, scene.law, sure(scene.matrices), scene.known_lengths, scene.several))
     if "BANDED" in flags:
         parts.append(banded.text(problem, scene.structure, h, sure(scene.band)))
     if "NEWTON" in flags:
@@ -201,7 +203,8 @@ def _functions(scene: Scene, flags: frozenset[str]) -> str:
     out = {"x_next": problem.next_state}
     if "REWRITTEN" in flags:
         out |= {"multipliers": sure(problem.multipliers), "outputs": sure(problem.outputs)}
-    values = {key: ca.substitute(e, problem.h, h) for key, e in out.items()} if {"FIXED", "BANDED"} & flags else out
+    one = {"FIXED", "BANDED"} & flags and "LENGTHS" not in flags
+    values = {key: ca.substitute(e, problem.h, h) for key, e in out.items()} if one else out
     parts.append(
         c_function(
             "advance",
@@ -216,7 +219,8 @@ def _functions(scene: Scene, flags: frozenset[str]) -> str:
 def _known(scene: Scene) -> dict[str, ca.SX]:
     """What a step knows when it begins, by the C names; the problem of an inclusion begins at the predictor."""
     problem, state = scene.problem, "s->work.predictor" if scene.path == INCLUSION else "s->x"
-    known = {"s->t": problem.t, "s->h": problem.h, state: problem.state, "s->p": problem.p}
+    h = "AT.h" if scene.path == FIXED and scene.several else "s->h"
+    known = {"s->t": problem.t, h: problem.h, state: problem.state, "s->p": problem.p}
     return {key: value for key, value in known.items() if value.numel()}
 
 

@@ -138,7 +138,7 @@ class Controlled(OfScheme):
         self._limited = options.method == METHODS[0]
         _refuse_fixed(model)
         j = self._nearest(h)
-        first, of_any_step = Grid(1, h := self._h(j), h), Grid(1, h, h, np.array([h]), np.array([0.0, h]))
+        first, of_any_step = Grid(1, h := self._h(j), h), Grid(1, h, h, np.array([h]), np.array([0.0, h]), any_step=True)
         constant = replace(options, compiled=options.compiled is True)
         super().__init__(model, constant, first, of_any_step, lambda: None)
         self._driven = None if drive is None else OverSpans(drive, self.stepper.layout.inputs, self.starter, ticks_of(model))

@@ -8,15 +8,16 @@ from typing import Any
 import numpy as np
 
 from nsmodel.errors import CodegenError, UsageError
-from nsmodel.grid import Grid
+from nsmodel.grid import SAME, Grid
 from nsmodel.model.base import Model
+from nsmodel.run.driven import Starter
 from nsmodel.run.options import Options
 from nsmodel.solve.layout import Layout
 from nsmodel.solve.stepper import StepResult, Warm
 
 
 class InC:
-    """The steps in C where they are wanted and there: those at k h by a library for h alone, others by one for any step."""
+    """The steps in C where they are wanted and there: those of length h by a library for h alone, others by one for any."""
 
     def __init__(self, model: Model, h: float, options: Options) -> None:
         self._model, self._h, self._tolerance = model, h, options.tolerance
@@ -40,10 +41,15 @@ class InC:
     @cached_property
     def _any(self) -> Any:
         h = self._h
-        return self._load(Grid(1, h, h, np.array([h]), np.array([0.0, h])))
+        return self._load(Grid(1, h, h, np.array([h]), np.array([0.0, h]), any_step=True))
+
+    def starter(self, otherwise: Starter) -> Starter:
+        """What finds the reaction that a state carries anew."""
+        return otherwise if self._own is None else self._own.starter(otherwise)
 
     def step(self, k: int, t: float, h: float, state: np.ndarray, warm: Warm, layout: Layout) -> StepResult | None:
         """One step; None where it is not certified, or there is no C."""
         if h == self._h and t == k * h:
             return None if self._own is None else self._own.one(k, state, warm, layout)
-        return None if self._any is None else self._any.step(t, h, state, warm, layout)
+        library = self._own if abs(h - self._h) <= SAME * self._h else self._any
+        return None if library is None else library.step(t, h, state, warm, layout)

@@ -20,6 +20,7 @@ from nsmodel.identity import settings
 from nsmodel.model.base import Model
 from nsmodel.quantities import Outputs
 from nsmodel.record import Record
+from nsmodel.run import driven
 from nsmodel.run.in_c import chosen
 from nsmodel.run.options import Options
 from nsmodel.run.told import of_scheme
@@ -109,10 +110,13 @@ class OfScheme:
         return self.plan.path == "newton"
 
     @cached_property
-    def starter(self) -> Starter | None:
+    def starter(self) -> driven.Starter | None:
         """What finds the reaction that a state carries anew, where it carries one."""
         start = self.problem.start
-        return None if start is None else Starter(start, self.stepper.tolerance, h=self._first, state=self.state)
+        if start is None:
+            return None
+        interpreted = Starter(start, self.stepper.tolerance, h=self._first, state=self.state)
+        return interpreted if self.rollout is None else self.rollout.starter(interpreted)
 
     def _build(self) -> Any:
         """Compile the steps; CodegenError where that cannot be."""

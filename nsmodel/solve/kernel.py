@@ -167,8 +167,8 @@ class AtStep(NamedTuple):
     Y_l: ca.DM
 
 
-def at_step(p: OneStepProblem, h: float, matrices: tuple[np.ndarray, ...]) -> AtStep:
-    """The problem with h a number."""
+def at_step(p: OneStepProblem, h: float | ca.SX, matrices: tuple[np.ndarray, ...]) -> AtStep:
+    """The problem with this h, a number where it is not the problem's own symbol."""
 
     def put(e: ca.SX, z: ca.SX = p.z, l: ca.SX = p.l) -> ca.SX:
         return ca.substitute([e], [p.h, p.z, p.l], [ca.SX(h), z, l])[0] if e.numel() else e

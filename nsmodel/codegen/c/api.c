@@ -4,18 +4,18 @@
 /* Whether the solver was initialised. */
 static int is_ready(const model_solver *s) { return s->ready == READY; }
 
-/* Compute the next step in s->work; the state stays. */
-static int attempt(model_solver *s)
+#if INPUTS
+/* The inputs at the begin and at the end of a step stand behind all else that it starts from. */
+static double *begin_of(model_solver *s) { return s->x + MODEL_NSTATE - 2*MODEL_NU; }
+
+static double *end_of(model_solver *s) { return s->x + MODEL_NSTATE - MODEL_NU; }
+
+#endif
+/* Compute the step of length h from the time and the state at hand in s->work; they stay. */
+static int next_state(model_solver *s)
 {
-    const double next = s->t_0 + (s->steps + 1)*s->h;
-    s->t = s->t_0 + s->steps*s->h;
-    s->spent = 0;
     s->work.residual = INFINITY;
     s->work.iterations = 0;
-    if (!is_finite(next) || !all_finite(MODEL_NSTATE, s->x))
-        return MODEL_NOT_FINITE;
-    if (!(next > s->t))
-        return MODEL_BAD_STEP;
 #if INCLUSION
     s->work.solver = step_by_catching_up(s);
 #else
@@ -57,10 +57,70 @@ static int attempt(model_solver *s)
     return all_finite(MODEL_NSTATE, s->work.x_next) ? MODEL_OK : MODEL_NOT_FINITE;
 }
 
+#if RESTARTED
+/* After a jump of an input: the reaction that the law has at the time of the state, by a step of no length. */
+static int renew_reaction(model_solver *s)
+{
+    const double h = s->h;
+    double end[MODEL_NU], l[MODEL_M];
+    signed char index[MODEL_M];
+    memcpy(end, end_of(s), sizeof end);
+    memcpy(l, s->l, sizeof l);
+    memcpy(index, s->index, sizeof index);
+    memcpy(end_of(s), begin_of(s), sizeof end);
+    first_multiplier(s, s->l, s->index);
+    s->h = 0;
+#if CONSTANT
+    s->newton.prepared = 0;
+#endif
+    const int status = next_state(s);
+    s->h = h;
+#if CONSTANT
+    s->newton.prepared = 0;
+#endif
+    memcpy(end_of(s), end, sizeof end);
+    memcpy(s->l, l, sizeof l);
+    memcpy(s->index, index, sizeof index);
+    if (status == MODEL_OK)
+        memcpy(s->x + MODEL_NX, s->work.x_next + MODEL_NX, MODEL_NX*sizeof *s->x);
+    return status;
+}
+
+#endif
+/* Compute the next step in s->work; the state stays. */
+static int attempt(model_solver *s)
+{
+    const double next = s->t_0 + (s->steps + 1)*s->h;
+    s->t = s->t_0 + s->steps*s->h;
+    s->spent = 0;
+    s->work.residual = INFINITY;
+    s->work.iterations = 0;
+    if (!is_finite(next) || !all_finite(MODEL_NSTATE, s->x))
+        return MODEL_NOT_FINITE;
+    if (!(next > s->t))
+        return MODEL_BAD_STEP;
+#if RESTARTED
+    if (memcmp(s->regime, begin_of(s), sizeof s->regime) != 0) {
+        double reaction[MODEL_NX];
+        memcpy(reaction, s->x + MODEL_NX, sizeof reaction);
+        int status = renew_reaction(s);
+        if (status == MODEL_OK)
+            status = next_state(s);
+        if (status != MODEL_OK)
+            memcpy(s->x + MODEL_NX, reaction, sizeof reaction);
+        return status;
+    }
+#endif
+    return next_state(s);
+}
+
 /* Make what attempt() has computed the state. */
 static void commit(model_solver *s)
 {
     memcpy(s->x, s->work.x_next, sizeof s->x);
+#if RESTARTED
+    memcpy(s->regime, end_of(s), sizeof s->regime);
+#endif
 #if LAW
     memcpy(s->l, s->work.l, sizeof s->l);
     memcpy(s->y, s->work.y, sizeof s->y);
@@ -85,9 +145,12 @@ int model_step(model_solver *s)
     if (!is_ready(s))
         return s->status = MODEL_NOT_INITIALISED;
     s->status = attempt(s);
-    if (s->status == MODEL_OK)
+    if (s->status == MODEL_OK) {
         commit(s);
-    else {
+#if INPUTS
+        memcpy(begin_of(s), end_of(s), MODEL_NU*sizeof *s->x);
+#endif
+    } else {
         s->residual = s->work.residual;
         s->iterations = s->work.iterations;
         s->solver = NONE;
@@ -129,6 +192,9 @@ static int restart(model_solver *s)
     if (!all_finite(MODEL_NSTATE, x))
         return MODEL_BAD_PARAMETER;
     memcpy(s->x, x, sizeof x);
+#if RESTARTED
+    memcpy(s->regime, begin_of(s), sizeof s->regime);
+#endif
     s->t_0 = 0;
     s->steps = START_STEPS;
     s->t = s->t_0 + s->steps*s->h;
@@ -161,6 +227,14 @@ int model_init(model_solver *s)
     s->h = MODEL_STEP;
     s->budget = MODEL_MAX_WORK;
     s->ready = READY;
+#if LENGTHS
+    for (size_t k = sizeof known_length/sizeof *known_length; k-- > 0;) {
+        s->spent = 0;
+        s->h = known_length[k];
+        find_matrices(s);
+    }
+    s->spent = 0;
+#endif
     for (int i = 0; i < MODEL_NSTATE; i++)
         s->x[i] = NAN; /* until there is a start: no step is taken from here */
 #if PARAMETERS
@@ -191,10 +265,12 @@ int model_set_step(model_solver *s, double h)
     if (!is_ready(s))
         return MODEL_NOT_INITIALISED;
 #if ONE_STEP
-    return h == MODEL_STEP ? MODEL_OK : MODEL_BAD_STEP;
+    if (!(fabs(h - MODEL_STEP) <= SAME*MODEL_STEP))
+        return MODEL_BAD_STEP;
 #else
     if (!(h > 0) || !is_finite(h))
         return MODEL_BAD_STEP;
+#endif
     if (h == s->h)
         return MODEL_OK;
     s->t_0 = s->t;
@@ -204,7 +280,6 @@ int model_set_step(model_solver *s, double h)
     s->newton.prepared = 0;
 #endif
     return MODEL_OK;
-#endif
 }
 
 int model_set_state(model_solver *s, const double *x)
@@ -251,11 +326,39 @@ int model_set_force(model_solver *s, const double *r)
     if (!all_finite(MODEL_NX, r))
         return MODEL_NOT_FINITE;
     memcpy(s->x + MODEL_NX, r, MODEL_NX*sizeof *r);
+#if RESTARTED
+    memcpy(s->regime, begin_of(s), sizeof s->regime);
+#endif
     return MODEL_OK;
 }
 
 void model_get_force(const model_solver *s, double *r) { memcpy(r, s->x + MODEL_NX, MODEL_NX*sizeof *r); }
 #endif
+
+#if INPUTS
+int model_set_inputs_between(model_solver *s, const double *begin, const double *end)
+{
+    if (!is_ready(s))
+        return MODEL_NOT_INITIALISED;
+    if (!all_finite(MODEL_NU, begin) || !all_finite(MODEL_NU, end))
+        return MODEL_NOT_FINITE;
+    memcpy(begin_of(s), begin, MODEL_NU*sizeof *begin);
+    memcpy(end_of(s), end, MODEL_NU*sizeof *end);
+    return MODEL_OK;
+}
+
+int model_set_inputs(model_solver *s, const double *u) { return model_set_inputs_between(s, u, u); }
+
+void model_get_inputs(const model_solver *s, double *u) { memcpy(u, s->x + MODEL_NSTATE - 2*MODEL_NU, MODEL_NU*sizeof *u); }
+#endif
+
+int model_set_budget(model_solver *s, long work)
+{
+    if (!is_ready(s))
+        return MODEL_NOT_INITIALISED;
+    s->budget = work;
+    return MODEL_OK;
+}
 
 #if PARAMETERS
 int model_set_parameters(model_solver *s, const double *p)

@@ -31,6 +31,35 @@ static void print_row(const model_solver *s, int with_multipliers)
     printf("\n");
 }
 
+#if STRETCHES
+/* Steps of one length, between two edges of the inputs: these go from begin to end in straight lines. */
+static const struct {
+    double t;
+    int steps;
+    double h, begin[MODEL_NU], end[MODEL_NU];
+} stretches[] = {
+@STRETCHES@
+};
+
+#endif
+static const long first = @FIRST@, last = @LAST@;
+static double worst;
+
+/* Take step k, and print it where it is to be kept; 0 where it fails. */
+static int advanced(model_solver *s, long k, long every)
+{
+    const int status = model_step(s);
+    if (status != MODEL_OK) {
+        fprintf(stderr, "step %ld from t = %.10g: %s\n", k, model_get_time(s), model_status_text(status));
+        return 0;
+    }
+    if (model_get_residual(s) > worst)
+        worst = model_get_residual(s);
+    if ((k + 1) % every == 0 || k + 1 == last)
+        print_row(s, 1);
+    return 1;
+}
+
 int main(int argc, char **argv)
 {
     static model_solver solver; /* memory of the caller: nothing is allocated */
@@ -39,9 +68,7 @@ int main(int argc, char **argv)
 @STEPS@
     };
 #endif
-    const long first = @FIRST@, last = @LAST@;
     const long every = argc > 1 ? strtol(argv[1], NULL, 10) : 1;
-    double worst = 0;
     if (every < 1) {
         fprintf(stderr, "usage: %s [N], N >= 1: keep every N-th row\n", argv[0]);
         return 2;
@@ -52,20 +79,32 @@ int main(int argc, char **argv)
     }
 @COLUMNS@
     print_row(&solver, 0);
+#if STRETCHES
+    long k = first;
+    for (size_t i = 0; i < sizeof stretches/sizeof *stretches; i++) {
+        model_set_time(&solver, stretches[i].t);
+        model_set_step(&solver, stretches[i].h);
+        for (int j = 0; j < stretches[i].steps; j++, k++) {
+            double begin[MODEL_NU], end[MODEL_NU];
+            for (int m = 0; m < MODEL_NU; m++) {
+                const double u = stretches[i].begin[m], change = (stretches[i].end[m] - u)/stretches[i].steps;
+                begin[m] = u + change*j;
+                end[m] = u + change*(j + 1);
+            }
+            model_set_inputs_between(&solver, begin, end);
+            if (!advanced(&solver, k, every))
+                return 1;
+        }
+    }
+#else
     for (long k = first; k < last; k++) {
 #if MANY_STEPS
         model_set_step(&solver, steps[k]);
 #endif
-        const int status = model_step(&solver);
-        if (status != MODEL_OK) {
-            fprintf(stderr, "step %ld from t = %.10g: %s\n", k, model_get_time(&solver), model_status_text(status));
+        if (!advanced(&solver, k, every))
             return 1;
-        }
-        if (model_get_residual(&solver) > worst)
-            worst = model_get_residual(&solver);
-        if ((k + 1) % every == 0 || k + 1 == last)
-            print_row(&solver, 1);
     }
+#endif
     fprintf(stderr, "%ld steps, largest residual %.3g\n", last - first, worst);
     return 0;
 }

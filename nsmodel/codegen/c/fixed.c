@@ -158,6 +158,125 @@ static double gap_residual(model_solver *s)
 
 #endif
 static void add_felt(model_solver *s);
+#if LENGTHS
+
+/* Units of z and l in which the step is well scaled, and the size of each row in them. */
+static void choose_units(model_solver *s)
+{
+    double *J = s->linear.lu;
+    const double *units = s->linear.columns;
+#if LAW
+    const int size = MODEL_N + MODEL_M;
+#else
+    const int size = MODEL_N;
+#endif
+    for (int i = 0; i < MODEL_N; i++) {
+        COPY(J + size*i, AT.E_z + MODEL_N*i, MODEL_N);
+#if LAW
+        COPY(J + size*i + MODEL_N, AT.E_l + MODEL_M*i, MODEL_M);
+#endif
+    }
+#if LAW
+    for (int i = 0; i < MODEL_M; i++) {
+        COPY(J + size*(MODEL_N + i), AT.Y_z + MODEL_N*i, MODEL_N);
+        COPY(J + size*(MODEL_N + i) + MODEL_N, AT.Y_l + MODEL_M*i, MODEL_M);
+    }
+#endif
+    balance(s, size);
+    COPY(unit_z, units, MODEL_N);
+    for (int i = 0; i < MODEL_N; i++) {
+        unit_size_E[i] = 0;
+        for (int j = 0; j < MODEL_N; j++)
+            unit_size_E[i] += fabs(AT.E_z[MODEL_N*i + j])*units[j];
+#if LAW
+        for (int j = 0; j < MODEL_M; j++)
+            unit_size_E[i] += fabs(AT.E_l[MODEL_M*i + j])*units[MODEL_N + j];
+#endif
+    }
+#if LAW
+    COPY(unit_l, units + MODEL_N, MODEL_M);
+    for (int i = 0; i < MODEL_M; i++) {
+        unit_size_Y[i] = 0;
+        for (int j = 0; j < MODEL_N; j++)
+            unit_size_Y[i] += fabs(AT.Y_z[MODEL_N*i + j])*units[j];
+        for (int j = 0; j < MODEL_M; j++)
+            unit_size_Y[i] += fabs(AT.Y_l[MODEL_M*i + j])*units[MODEL_N + j];
+    }
+#endif
+}
+
+/* Form the matrices of steps of length h, in place of those in use; 0 where E_z has no inverse. */
+static int form_matrices(model_solver *s, double h)
+{
+    AT.h = h;
+#if LAW
+    matrices(s, AT.E_z, AT.E_l, AT.Y_z, AT.Y_l);
+    if (!all_finite(MODEL_N*MODEL_M, AT.E_l) || !all_finite(MODEL_M*MODEL_N, AT.Y_z) || !all_finite(MODEL_M*MODEL_M, AT.Y_l))
+        return 0;
+#else
+    matrices(s, AT.E_z);
+#endif
+    if (invert(s, MODEL_N, AT.E_z, AT.inverse) != 0)
+        return 0;
+#if LAW
+    for (int i = 0; i < MODEL_N; i++)
+        for (int j = 0; j < MODEL_M; j++) {
+            double sum = 0;
+            for (int k = 0; k < MODEL_N; k++)
+                sum += AT.inverse[MODEL_N*i + k]*AT.E_l[MODEL_M*k + j];
+            AT.Z[MODEL_M*i + j] = -sum;
+        }
+    for (int i = 0; i < MODEL_M; i++) {
+        double most = 0;
+        for (int j = 0; j < MODEL_M; j++) {
+            double sum = AT.Y_l[MODEL_M*i + j];
+            for (int k = 0; k < MODEL_N; k++)
+                sum += AT.Y_z[MODEL_N*i + k]*AT.Z[MODEL_M*k + j];
+            W[MODEL_M*i + j] = sum;
+            most = max_of(most, fabs(sum));
+        }
+#if CURVED
+        w_max[i] = most;
+#else
+        w_root[i] = sqrt(most);
+#endif
+    }
+#endif
+    choose_units(s);
+    return 1;
+}
+
+/* Put the matrices of the step's length in place, from the few that are kept; 0 where it has none. */
+static int find_matrices(model_solver *s)
+{
+    int found = -1, oldest = 0;
+    if (s->fixed.formed > 0 && fabs(s->h - AT.h) <= SAME*AT.h)
+        return 1;
+    for (int k = 0; k < s->fixed.formed; k++) {
+        const double h = s->fixed.lengths[k].h;
+        if (fabs(s->h - h) <= SAME*h)
+            found = k;
+        if (s->fixed.lengths[k].used < s->fixed.lengths[oldest].used)
+            oldest = k;
+    }
+#if FIXED_MAPS
+    s->fixed.current = -1;
+#endif
+    s->fixed.length = found >= 0 ? found : s->fixed.formed < MODEL_LENGTHS ? s->fixed.formed++ : oldest;
+    AT.used = ++s->fixed.turn;
+    if (found >= 0)
+        return 1;
+#if FIXED_MAPS
+    for (int k = 0; k < s->fixed.filled; k++)
+        if (s->fixed.maps[k].length == s->fixed.length)
+            s->fixed.maps[k].code[0] = 2; /* no code: it belonged to another length */
+#endif
+    if (spend(s) && form_matrices(s, s->h))
+        return 1;
+    AT.h = NAN; /* no length */
+    return 0;
+}
+#endif
 #if FIXED_MAPS
 
 /* Whether the map at hand is that of the index set at hand. */
@@ -194,11 +313,19 @@ static int judged(model_solver *s, int felt)
         double known = s->fixed.E_0[follow_row[i]];
         int exact = 1;
         for (int k = follow_start[i]; k < follow_start[i + 1]; k++) {
+#if LENGTHS
+            known += AT.E_z[MODEL_N*follow_row[i] + follow_column[k]]*z[follow_column[k]];
+#else
             known += follow_entry[k]*z[follow_column[k]];
+#endif
             exact &= s->fixed.exact[follow_column[k]];
         }
         if (exact)
+#if LENGTHS
+            z[follow_row[i]] = -known/AT.E_z[(MODEL_N + 1)*follow_row[i]];
+#else
             z[follow_row[i]] = -known/follow_own[i];
+#endif
     }
 #endif
 #if REST_ROWS
@@ -306,7 +433,11 @@ static int find_map(model_solver *s, const signed char *code)
     if (s->fixed.current >= 0 && memcmp(s->fixed.maps[s->fixed.current].code, code, MODEL_M) == 0)
         return s->fixed.current;
     for (int k = 0; k < s->fixed.filled; k++)
+#if LENGTHS
+        if (s->fixed.maps[k].length == s->fixed.length && memcmp(s->fixed.maps[k].code, code, MODEL_M) == 0)
+#else
         if (memcmp(s->fixed.maps[k].code, code, MODEL_M) == 0)
+#endif
             return s->fixed.current = k;
     int k = s->fixed.filled < MODEL_MAPS ? s->fixed.filled : s->fixed.oldest;
     int n = 0;
@@ -344,6 +475,9 @@ static int find_map(model_solver *s, const signed char *code)
     s->fixed.maps[k].fragile = !(condition <= FRAGILE*n);
     s->fixed.maps[k].n = n;
     memcpy(s->fixed.maps[k].code, code, MODEL_M);
+#if LENGTHS
+    s->fixed.maps[k].length = s->fixed.length;
+#endif
     if (s->fixed.filled < MODEL_MAPS)
         s->fixed.filled++;
     else
@@ -509,6 +643,10 @@ static int settle(model_solver *s)
 /* The step; the solver whose answer was certified, or NONE. */
 static int step_by_matrices(model_solver *s)
 {
+#if LENGTHS
+    if (!find_matrices(s))
+        return NONE;
+#endif
 #if LAW
     constant_part(s, s->fixed.E_0, s->fixed.Y_0);
     predict(s, s->fixed.E_0, s->fixed.Y_0, s->fixed.z_0, s->fixed.b);

@@ -19,6 +19,9 @@ extern "C" {
 #define MODEL_NX @NX@ /* states */
 #define MODEL_NSTATE @NSTATE@ /* what a step carries on: the states@CARRIED@ */
 #define MODEL_NP @NP@ /* parameters */
+#if INPUTS
+#define MODEL_NU @NU@ /* inputs */
+#endif
 #define MODEL_NL @NL@ /* multipliers */
 #define MODEL_N @N@ /* unknowns of a step */
 #define MODEL_M @M@ /* rows of its law */
@@ -52,6 +55,9 @@ typedef struct model_solver {
     double t_0, steps; /* t = t_0 + steps h */
     long budget; /* most work of a step */
     unsigned long ready; /* whether the solver is initialised */
+#if RESTARTED
+    double regime[MODEL_NU]; /* inputs that the reaction belongs to: where a step begins with others, it is found anew */
+#endif
 #if TOLERANCE_OF_NUMBER
     double number; /* of the step, which picks its tolerance eps_k */
 #endif
@@ -108,6 +114,13 @@ int model_set_force(model_solver *s, const double *r); /* r[MODEL_NX]: the react
 #if PARAMETERS
 int model_set_parameters(model_solver *s, const double *p); /* p[MODEL_NP]; the state stays */
 #endif
+#if INPUTS
+/* u[MODEL_NU]: the inputs from the time of the state on, until they are set again. */
+int model_set_inputs(model_solver *s, const double *u);
+/* The inputs u(t+) and u((t + h)-) of the next step, at its begin and at its end; those after it have those of its end. */
+int model_set_inputs_between(model_solver *s, const double *begin, const double *end);
+#endif
+int model_set_budget(model_solver *s, long work); /* most work of a step, beyond which it is MODEL_NOT_SOLVED; at first MODEL_MAX_WORK */
 
 int model_step(model_solver *s); /* from t to t + h */
 
@@ -123,6 +136,9 @@ void model_get_velocity(const model_solver *s, double *v); /* the last differenc
 #endif
 #if FORCE
 void model_get_force(const model_solver *s, double *r); /* the reaction at the state */
+#endif
+#if INPUTS
+void model_get_inputs(const model_solver *s, double *u); /* those that the next step begins with: after a step those of its end */
 #endif
 #if MULTIPLIERS
 void model_get_multipliers(const model_solver *s, double *l); /* l[MODEL_NL] */

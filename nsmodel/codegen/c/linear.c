@@ -7,7 +7,7 @@
 #define SVD_SWEEPS 60 /* Jacobi's method needs about 10 */
 #define SCALE_SWEEPS 6 /* of Ruiz' iteration */
 #define LEAST_EXPONENT (-1000) /* of the unit of a matrix: its squares are no denormal numbers */
-#if FIXED_MAPS
+#if INVERTED
 #define PINV_CUT 1e-15 /* singular values below this part of the largest count as 0 in a pseudo-inverse */
 #define AS_GIVEN 1e3 /* condition up to which a matrix is inverted in the user's units */
 #endif
@@ -263,7 +263,7 @@ static void lu_inverse(model_solver *s, int n, double *inverse)
     }
 }
 #endif
-#if FIXED_MAPS
+#if INVERTED
 
 #if REGULAR_SETS
 /* The inverse of A. Return 0, or 1 where A is singular to rounding: an index set with a regular matrix solves the problem too. */

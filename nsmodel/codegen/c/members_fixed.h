@@ -1,4 +1,21 @@
     struct {
+#if LENGTHS
+        struct {
+            double h, E_z[MODEL_N*MODEL_N], inverse[MODEL_N*MODEL_N], unit_z[MODEL_N], unit_size_E[MODEL_N];
+#if LAW
+            double E_l[MODEL_N*MODEL_M], Y_z[MODEL_M*MODEL_N], Y_l[MODEL_M*MODEL_M], Z[MODEL_N*MODEL_M], W[MODEL_M*MODEL_M];
+#if CURVED
+            double w_max[MODEL_M];
+#else
+            double w_root[MODEL_M];
+#endif
+            double unit_l[MODEL_M], unit_size_Y[MODEL_M];
+#endif
+            long used; /* when its length was last taken up */
+        } lengths[MODEL_LENGTHS]; /* the matrices of the lengths of steps used last */
+        int length, formed; /* the one in use, and how many there are */
+        long turn;
+#endif
         double E_0[MODEL_N], z_0[MODEL_N], E[MODEL_N], scale[MODEL_N], error_E[MODEL_N];
         double step[MODEL_N], dz[MODEL_N], felt_z[MODEL_N], probe_E[MODEL_N], passed_E[MODEL_N]; /* corrections */
 #if LAW
@@ -21,6 +38,9 @@
             double inverse[MODEL_M * MODEL_M], offset[MODEL_M], at_bound[MODEL_M];
             int n, free[MODEL_M];
             signed char code[MODEL_M];
+#if LENGTHS
+            int length;
+#endif
             signed char fragile, singular; /* whether W keeps too little of the whole system there, or does not tell l */
         } maps[MODEL_MAPS]; /* of the index sets met last */
         int filled, oldest, current;

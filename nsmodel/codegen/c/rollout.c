@@ -17,6 +17,10 @@ void model_fetch(const model_solver *s, double *x, double *l, signed char *index
 /* Take step number k alone, from the state and l at `at`, with the row behind them, and codes with those of the row behind: 0 where
    it fails, else twice its solver and 1, or 2 where codes are as they were. */
 int model_single(model_solver *s, double k, double h, double *at, signed char *index);
+#if RESTARTED
+/* After a jump of an input: put the reaction at time t into the state; the status. */
+int model_restart(model_solver *s, double t, double *x);
+#endif
 long model_size(void);
 
 #if INCLUSION
@@ -151,6 +155,9 @@ static int is_over(clock_t start, double seconds) { return (double)(clock() - st
 void model_place(model_solver *s, double k, double h, const double *x, const double *l, const signed char *index)
 {
     memcpy(s->x, x, sizeof s->x);
+#if RESTARTED
+    memcpy(s->regime, begin_of(s), sizeof s->regime);
+#endif
 #if !ONE_STEP
 #if CONSTANT
     if (s->h != h)
@@ -204,7 +211,10 @@ long model_rollout(model_solver *s, double k, long steps, double last, long ever
 #endif
         }
 #if INPUTS
-        memcpy(s->x + MODEL_NSTATE - 2*MODEL_NU, inputs + 2*MODEL_NU*i, 2*MODEL_NU*sizeof *inputs);
+        memcpy(begin_of(s), inputs + 2*MODEL_NU*i, 2*MODEL_NU*sizeof *inputs);
+#if RESTARTED
+        memcpy(s->regime, begin_of(s), sizeof s->regime); /* no block goes over a jump */
+#endif
 #endif
         int status = attempt(s);
         totals->status = status;
@@ -260,4 +270,16 @@ int model_single(model_solver *s, double k, double h, double *at, signed char *i
     return 2*(int)s->work.solver + 1 + same;
 }
 
+#if RESTARTED
+int model_restart(model_solver *s, double t, double *x)
+{
+    memcpy(s->x, x, sizeof s->x);
+    s->t = t;
+    s->spent = 0;
+    const int status = renew_reaction(s);
+    memcpy(x, s->x, sizeof s->x);
+    return status;
+}
+
+#endif
 long model_size(void) { return (long)sizeof(model_solver); }
