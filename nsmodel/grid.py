@@ -57,7 +57,9 @@ class Grid:
 
     def between(self, k: int, last: int) -> np.ndarray:
         """t_k, ..., t_last."""
-        return np.array([self.time(j) for j in range(k, last + 1)]) if self.times is None else self.times[k : last + 1]
+        if self.times is not None:
+            return self.times[k : last + 1]
+        return np.append(np.arange(k, last) * self.h, self.time(last))
 
     def around(self, rows: np.ndarray) -> tuple[Any, Any, Any]:
         """The times of these rows, the steps that end there and those that start there; no row is that of a shortened step."""

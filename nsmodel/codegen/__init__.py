@@ -9,6 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.codegen import bodies, pieces
 from nsmodel.codegen.bounds import MOST_WORK
@@ -136,7 +138,7 @@ def write(
 
 def _lengths(step: float | Sequence[float] | None) -> tuple[float, ...]:
     """The lengths of steps that are given."""
-    given: list[Any] = [] if step is None else list(step) if isinstance(step, Sequence) else [step]
+    given: list[Any] = [] if step is None else list(step) if np.iterable(step) else [step]
     for length in given:
         check_times(step=length)
     if step is not None and not 1 <= len(given) <= MOST_LENGTHS:
