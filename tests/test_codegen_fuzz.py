@@ -475,6 +475,9 @@ SUBJECTS = {
     "diode bridge, any step": Subject(
         lambda load: load("diode_bridge"), lambda rng: bridge_input(rng, True), judge_bridge, options=(("any_step", True),)
     ),
+    "diode bridge, worst case": Subject(
+        lambda load: load("diode_bridge"), lambda rng: bridge_input(rng, False), judge_bridge, options=(("worst_case", True),)
+    ),
     "two masses": Subject(lambda load: load("two_masses"), masses_input, judge_masses),
     "genes": Subject(lambda load: load("gene_network"), genes_input, judge_genes),
     "closing room": Subject(room, room_input, judge_room, no_room),
@@ -532,7 +535,7 @@ def test_every_accepted_step_is_right_and_every_other_input_is_refused(binary, n
     subject, built = SUBJECTS[name], binary(name, "-O2")
     inputs, ordinary = inputs_of(subject, COUNT, 1)
     rows = built.run(inputs)
-    status, fixed = rows[:, :6].astype(int), name == "diode bridge"
+    status, fixed = rows[:, :6].astype(int), name in ("diode bridge", "diode bridge, worst case")
     assert rows[:, 6].all(), "a refused call has changed something"
 
     def codes(parts, refused):

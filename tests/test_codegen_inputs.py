@@ -300,3 +300,36 @@ def test_the_command_line(tmp_path, monkeypatch, capsys):
     for given in ([], [1e-6] * 9, [-1.0], [np.nan]):
         with pytest.raises(UsageError, match="step"):
             codegen.write(load("buck.py"), tmp_path / "no", step=given)
+
+
+# -- what a step may take ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["discontinuous", "two lengths", "drive cycle"])
+def test_a_step_that_solves_no_linear_system(name, written, tmp_path):
+    """All inverses are formed when a solver is made: the same steps, and work that the number of index sets bounds."""
+    about = codegen.write(SCENES[name](), tmp_path, name="thing", worst_case=True).about
+    usual, sets = written(name).about["max_work"], 3 if name == "drive cycle" else 2
+    assert about["max_work"] < usual / 2
+    solver, other = codegen.load(tmp_path).solver(), written(name).solver()
+    run = simulate(SCENES[name](), compiled=True)
+    most = 0
+    for k in range(min(len(run.t) - 1, 1600)):
+        for s in (solver, other):
+            assert (s.set_step(run.step[k + 1]), s.set_inputs_between(run.inputs_begin[k + 1], run.inputs[k + 1])) == (OK, OK)
+            assert s.step() == OK
+        most = max(most, solver.work)
+        np.testing.assert_array_equal(solver.x, other.x)
+    assert most <= 1 + sets
+    assert solver.set_step(run.step[1] / 3) == BAD_STEP  # its matrices are not there
+
+
+def test_what_has_too_many_index_sets_is_refused(tmp_path):
+    needs = (
+        r"worst_case \(--worst-case\) needs matrices that are numbers .* and a law of at most 4 rows, none of them of a curved"
+    )
+    five = LureSystem(A=-np.eye(5), B=np.eye(5), C=np.eye(5), f=[2] * 5, law=relay(5), x0=[0] * 5, t_end=1, step=0.1)
+    for model in (scenes.boost(), five):
+        with pytest.raises(CodegenError, match=needs):
+            codegen.write(model, tmp_path, name="thing", worst_case=True)
+    assert not list(tmp_path.iterdir())

@@ -28,6 +28,9 @@ def add(commands: Commands) -> None:
     parser.add_argument("--tolerance", type=float, default=TOLERANCE, metavar="TOL", help=ACCEPTED)
     parser.add_argument("--max-work", type=int, metavar="N", help="most linear systems, index sets and sweeps in a step")
     parser.add_argument(
+        "--worst-case", action="store_true", help="form all inverses beforehand: a step of a small law solves no linear system"
+    )
+    parser.add_argument(
         "--event-driven", action="store_true", help="write NAME_pieces too: NAME_advance goes from switch to switch"
     )
     add_set(parser)
@@ -47,7 +50,8 @@ def _codegen(arguments: argparse.Namespace) -> int:
     name = codegen.identifier(stem) if arguments.name is None else arguments.name
     written = codegen.write(
         model, arguments.out or f"{stem}-c", name=name, step=arguments.step, any_step=arguments.any_step, parameters=values,
-        tolerance=arguments.tolerance, max_work=arguments.max_work, event_driven=arguments.event_driven,
+        tolerance=arguments.tolerance, max_work=arguments.max_work, worst_case=arguments.worst_case,
+        event_driven=arguments.event_driven,
     )  # fmt: skip
     print(written.text())
     return DONE

@@ -18,7 +18,7 @@ from nsmodel.codegen.files import all_files, description
 from nsmodel.codegen.fixed import MOST_LENGTHS
 from nsmodel.codegen.library import Library, Solver, is_library, load
 from nsmodel.codegen.scene import make_scene
-from nsmodel.codegen.source import write_source
+from nsmodel.codegen.source import Source, write_source
 from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import CodegenError, UsageError
 from nsmodel.grid import Grid, check_times, is_number, make_grid, written
@@ -28,6 +28,9 @@ from nsmodel.model.parameters import Values
 from nsmodel.storage import write_text
 
 __all__ = ["Library", "Solver", "Written", "identifier", "load", "write"]
+
+MOST_ROWS = 4  # Of a law all of whose index sets have their inverses beforehand.
+_WORST_CASE = "worst_case (--worst-case) needs matrices that are numbers (none that move, parameters given with --set)"
 
 # No prefix: keywords, the standard headers (NAME.h would hide them), the example.
 _RESERVED = frozenset(
@@ -85,6 +88,7 @@ def write(
     parameters: Values | None = None,
     tolerance: float = TOLERANCE,
     max_work: int | None = None,
+    worst_case: bool = False,
     event_driven: bool = False,
 ) -> Written:
     """Write a model's verified step as a C library into the folder ``out``.
@@ -100,6 +104,8 @@ def write(
         tolerance: largest accepted residual (relative, without unit).
         max_work: most work of a step (linear systems solved, index sets tried, sweeps), beyond which it is NOT_SOLVED; left out:
             what all methods in turn may do.
+        worst_case: form the inverses of all index sets of a law of at most 4 rows when a solver is initialised, so that a step
+            solves no linear system: its time is bounded by a few products of matrices and vectors.
         event_driven: write NAME_pieces.h and NAME_pieces.c too, whose ``NAME_advance(s, t_end)`` goes from switch to switch.
 
     Raises:
@@ -120,10 +126,14 @@ def write(
     if isinstance(bound, ManyBodies):
         if event_driven:
             raise CodegenError("event-driven integration does not take many bodies; they are for time stepping")
+        if worst_case:
+            raise CodegenError(f"{_WORST_CASE}; those of many bodies change as they meet")
         files, about = bodies.all_files(bound, name, grid, float(tolerance), mark, most)
     else:
-        scene = make_scene(model, parameters, grid, float(tolerance), lengths)
+        scene = replace(make_scene(model, parameters, grid, float(tolerance), lengths), worst_case=worst_case)
         source = write_source(scene, name, mark, most)
+        if worst_case and not _is_formed(source):
+            raise CodegenError(f"{_WORST_CASE} and a law of at most {MOST_ROWS} rows, none of them of a curved set")
         files, about = all_files(scene, source, grid, mark), description(scene, source, mark)
         if event_driven:
             if model.input_groups:
@@ -134,6 +144,12 @@ def write(
     for file, text in files.items():
         write_text(folder / file, text.rstrip())
     return Written(folder, list(files), about)
+
+
+def _is_formed(source: Source) -> bool:
+    """Whether steps need no linear system that is not formed before."""
+    has = source.flags
+    return "FIXED" in has and ("LAW" not in has or ("WORST_CASE" in has and source.sizes["M"] <= MOST_ROWS))
 
 
 def _lengths(step: float | Sequence[float] | None) -> tuple[float, ...]:

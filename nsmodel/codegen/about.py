@@ -26,8 +26,11 @@ def used(flags: Set[str], sizes: dict[str, int]) -> list[str]:
     elif "NEWTON" in flags:
         lines.append("Newton's method with exact Jacobians")
     if "FIXED_MAPS" in flags:
-        lines.append(f"the last index set first; the inverses of {sizes['MAPS']} index sets are kept")
-    if "ENUMERATED" in flags:
+        kept = "formed when a solver is initialised" if "WORST_CASE" in flags else "kept"
+        lines.append(f"the last index set first; the inverses of {sizes['MAPS']} index sets are {kept}")
+    if "WORST_CASE" in flags:
+        lines.append(f"then that of {sizes['SETS']} index sets which is least violated")
+    elif "ENUMERATED" in flags:
         lines.append(f"then all {sizes['SETS']} index sets, the nearest first")
     elif "BOX_PROBLEM" in flags:
         pivoting = ", then Lemke's pivoting" if "PIVOTING" in flags else ""

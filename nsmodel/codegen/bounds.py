@@ -27,7 +27,9 @@ def work_bound(law: NumericLaw, flags: Set[str], sizes: dict[str, int]) -> int:
     bound = 0
     if "FIXED" in flags:
         bound += 1 if "LENGTHS" in flags else 0  # the matrices of a new one
-        if "ENUMERATED" in flags:  # strictly, certified, refined
+        if "WORST_CASE" in flags:  # the last one, all, the least violated, refined
+            bound += 2 * (1 + FRAGILE_REFINEMENTS) + sizes["SETS"] + REFINED
+        elif "ENUMERATED" in flags:  # strictly, certified, refined
             bound += 1 + FRAGILE_REFINEMENTS + sizes["SETS"] * (3 * (1 + FRAGILE_REFINEMENTS) + REFINED)
         else:
             bound += (2 + _affine(flags, sizes, sets) if "LAW" in flags else 0) + 2 * REFINED + 3 * FRAGILE_REFINEMENTS

@@ -54,7 +54,7 @@ def description(scene: Scene, source: Source, fingerprint: str) -> dict:
         "rows": list(problem.rows),
         "units": dict(model.units),
         "step": scene.h,
-        "any_step": "ONE_STEP" not in source.flags,
+        "any_step": not {"ONE_STEP", "KNOWN_LENGTHS"} & source.flags,
         "lengths": list(scene.known_lengths) if "LENGTHS" in source.flags else [],
         "tolerance": scene.tolerance,
         "max_work": source.bound,

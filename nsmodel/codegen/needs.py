@@ -66,6 +66,8 @@ def _implied(scene: Scene, given: dict[str, bool]) -> dict[str, bool]:
     structure, law, stepped, few, has = scene.structure, scene.law, _is_stepped(scene), _has_few_sets(scene), dict(given)
     has["CURVED"] = bool(law.curved) or has.get("SELECTION_CURVED", False)
     has["ENUMERATED"] = has["FIXED_MAPS"] and few
+    has["WORST_CASE"] = has["ENUMERATED"] and scene.worst_case
+    has["KNOWN_LENGTHS"] = has["WORST_CASE"] and has["LENGTHS"]
     has["SETTLED"] = has["FIXED_MAPS"] and not has["ENUMERATED"]
     has["REGULAR_SETS"] = has["ENUMERATED"] and not has["LENGTHS"] and _regular_sets_suffice(scene)
     has["REFINED"] = stepped and has["LAW"] and structure.affine and not law.curved
@@ -127,8 +129,10 @@ def sizes_of(scene: Scene, flags: frozenset[str]) -> dict[str, int]:
         "SETS": fixed.index_sets(law) if m and scene.path == FIXED else 0,
         "LINEAR": 0,
         "MAPS": int(np.clip(MAPS_BYTES // (8 * m * (m + 2) + 1), 2, 8)) * (4 if "LENGTHS" in flags else 1),
-        "LENGTHS": fixed.MOST_LENGTHS,
+        "LENGTHS": len(scene.known_lengths) if "KNOWN_LENGTHS" in flags else fixed.MOST_LENGTHS,
     }
+    if "WORST_CASE" in flags:
+        sizes["MAPS"] = sizes["SETS"] * (sizes["LENGTHS"] if "LENGTHS" in flags else 1)
     if scene.by_rows:
         sizes |= {"Y_Z": scene.jacobians[2].nnz(), "E_L": scene.jacobians[1].nnz()}
     sizes |= inclusion.sizes(scene, sizes)

@@ -36,6 +36,7 @@ class Scene:
         h: the time step; any_step: whether others may be used; lengths: those that are known to be.
         tolerance: largest accepted residual.
         allowed: eps_k of an inclusion's approximate projections: of each step, or one for all.
+        worst_case: whether steps may solve no linear system: what they need of them is formed beforehand.
     """
 
     model: Model
@@ -45,6 +46,7 @@ class Scene:
     tolerance: float
     lengths: tuple[float, ...] = ()
     allowed: tuple[float, ...] = ()
+    worst_case: bool = False
 
     @cached_property
     def problem(self) -> OneStepProblem:

@@ -101,6 +101,7 @@ def _has(part: str, flags: frozenset[str]) -> bool:
 def _words(name: str, scene: Scene, flags: frozenset[str], sizes: dict[str, int], bound: int, fingerprint: str) -> dict[str, str]:
     model, problem = scene.model, scene.problem
     one = "MODEL_STEP to 1e-12: the matrices in the code belong to it" if scene.path in (FIXED, BANDED) else "MODEL_STEP"
+    known = " or ".join(number(h).text for h in scene.known_lengths if h)
     moved = "last difference of positions" if problem.difference else "velocity"
     last = moved if problem.velocity else "reaction of the last step"
     layout = inclusion.layout(scene)
@@ -122,7 +123,7 @@ def _words(name: str, scene: Scene, flags: frozenset[str], sizes: dict[str, int]
         "TOLERANCE": number(scene.tolerance).text,
         "BOUND": str(bound),
         "HASH": fingerprint,
-        "STEP_RULE": prefixed(one, name) if "ONE_STEP" in flags else "a finite number > 0",
+        "STEP_RULE": prefixed(one, name) if "ONE_STEP" in flags else known if "KNOWN_LENGTHS" in flags else "a finite number > 0",
         "UNIT_T": f", {comment(model.units['t'])}" if "t" in model.units else "",
         "SIZES": "",
         "MATRICES": "".join(f", s->newton.{key}" for key in newton.outputs(scene)),

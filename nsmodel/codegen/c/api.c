@@ -232,8 +232,15 @@ int model_init(model_solver *s)
         s->spent = 0;
         s->h = known_length[k];
         find_matrices(s);
+#if WORST_CASE
+        form_maps(s);
+#endif
     }
     s->spent = 0;
+#else
+#if WORST_CASE
+    form_maps(s);
+#endif
 #endif
     for (int i = 0; i < MODEL_NSTATE; i++)
         s->x[i] = NAN; /* until there is a start: no step is taken from here */
@@ -270,6 +277,13 @@ int model_set_step(model_solver *s, double h)
 #else
     if (!(h > 0) || !is_finite(h))
         return MODEL_BAD_STEP;
+#if KNOWN_LENGTHS
+    int known = 0;
+    for (size_t k = 0; k < sizeof known_length/sizeof *known_length; k++)
+        known |= fabs(h - known_length[k]) <= SAME*known_length[k];
+    if (!known)
+        return MODEL_BAD_STEP;
+#endif
 #endif
     if (h == s->h)
         return MODEL_OK;

@@ -439,6 +439,10 @@ static int find_map(model_solver *s, const signed char *code)
         if (memcmp(s->fixed.maps[k].code, code, MODEL_M) == 0)
 #endif
             return s->fixed.current = k;
+#if WORST_CASE
+    if (s->fixed.filled == MODEL_MAPS)
+        return -1;
+#endif
     int k = s->fixed.filled < MODEL_MAPS ? s->fixed.filled : s->fixed.oldest;
     int n = 0;
     for (int i = 0; i < MODEL_M; i++) {
@@ -485,13 +489,10 @@ static int find_map(model_solver *s, const signed char *code)
     return s->fixed.current = k;
 }
 
-/* Put l on an index set; 0 where the set has no map. */
-static int on_index_set(model_solver *s, const signed char *code)
+/* Put l on the index set of a map. */
+static void follow_map(model_solver *s, int k)
 {
-    int k = spend(s) ? find_map(s, code) : -1;
-    if (k < 0)
-        return 0;
-    int n = s->fixed.maps[k].n;
+    const int n = s->fixed.maps[k].n;
     const int *free = s->fixed.maps[k].free;
     const double *inverse = s->fixed.maps[k].inverse, *offset = s->fixed.maps[k].offset, *b = s->fixed.b;
     memcpy(s->work.l, s->fixed.maps[k].at_bound, sizeof s->work.l);
@@ -501,8 +502,16 @@ static int on_index_set(model_solver *s, const signed char *code)
             sum += inverse[n*i + j]*b[free[j]];
         s->work.l[free[i]] = offset[i] - sum;
     }
-    memcpy(s->work.code, code, MODEL_M);
-    return 1;
+    memcpy(s->work.code, s->fixed.maps[k].code, MODEL_M);
+}
+
+/* Put l on an index set; 0 where the set has no map. */
+static int on_index_set(model_solver *s, const signed char *code)
+{
+    const int k = spend(s) ? find_map(s, code) : -1;
+    if (k >= 0)
+        follow_map(s, k);
+    return k >= 0;
 }
 
 #endif
@@ -584,6 +593,81 @@ static int refined(model_solver *s)
 }
 
 #if ENUMERATED
+/* The codes of an index set, by its number. */
+static void numbered_set(int set, signed char *code)
+{
+    for (int i = 0; i < MODEL_M; i++) {
+        code[i] = choices[i][set % choice_count[i]];
+        set /= choice_count[i];
+    }
+}
+
+/* How many codes differ from those of the last index set. */
+static int changes_to(const model_solver *s, const signed char *code)
+{
+    int different = 0;
+    for (int i = 0; i < MODEL_M; i++)
+        different += code[i] != s->index[i];
+    return different;
+}
+
+#if WORST_CASE
+/* The inverses of all index sets, in their order: what a step needs of linear systems. */
+static void form_maps(model_solver *s)
+{
+    for (int set = 0; set < MODEL_SETS; set++) {
+        s->fixed.current = -1;
+        numbered_set(set, s->fixed.code);
+        if (find_map(s, s->fixed.code) < 0)
+            s->fixed.filled++; /* it has none */
+    }
+}
+
+/* How far l and y = W l + b are from what the index set at hand says, in units of y. */
+static double violation(const model_solver *s)
+{
+    const double *l = s->work.l;
+    double worst = 0;
+    for (int i = 0; i < MODEL_M; i++) {
+        const int code = s->work.code[i];
+        const double y = s->fixed.b[i] + dot(MODEL_M, W + MODEL_M*i, l);
+        const double out = max_of(max_of(lower[i] - l[i], l[i] - upper[i]), 0);
+        worst = worse_of(worst, code == 0 ? fabs(y) : code*y);
+        worst = worse_of(worst, code == 0 ? w_root[i]*w_root[i]*out : 0);
+    }
+    return worst;
+}
+
+/* Take the index set that is least violated, of several the nearest to the last one: as much work whichever it is. */
+static int least_violated(model_solver *s)
+{
+    const double rounding = SUM_ERROR*MODEL_M*EPS*largest(MODEL_M, s->fixed.b);
+#if LENGTHS
+    const int first = MODEL_SETS*s->fixed.length;
+#else
+    const int first = 0;
+#endif
+    double least = INFINITY;
+    int fewest = 0, best = -1;
+    for (int k = first; k < first + MODEL_SETS && spend(s); k++) {
+        if (s->fixed.maps[k].code[0] == 2)
+            continue;
+        follow_map(s, k);
+        const double found = violation(s), wrong = found <= rounding ? 0 : found;
+        const int changes = changes_to(s, s->work.code);
+        if (wrong < least || (wrong == least && changes < fewest)) {
+            least = wrong;
+            fewest = changes;
+            best = k;
+        }
+    }
+    if (best < 0)
+        return NONE;
+    s->fixed.current = best;
+    follow_map(s, best);
+    return certified(s) || refined(s) ? ENUMERATION : NONE;
+}
+#else
 /* Try every index set, those nearest to the last one first; where none is settled, one that is certified will do. */
 static int nearest_index_set(model_solver *s)
 {
@@ -591,17 +675,13 @@ static int nearest_index_set(model_solver *s)
     for (int strict = 1; strict >= -1; strict--) /* in the end refined, too */
         for (int changes = 0; changes <= MODEL_M; changes++)
             for (int set = 0; set < MODEL_SETS; set++) {
-                int different = 0, rest = set;
-                for (int i = 0; i < MODEL_M; i++) {
-                    code[i] = choices[i][rest % choice_count[i]];
-                    rest /= choice_count[i];
-                    different += code[i] != s->index[i];
-                }
-                if (different == changes && on_index_set(s, code) && (strict < 0 ? certified(s) || refined(s) : certified(s) > strict))
+                numbered_set(set, code);
+                if (changes_to(s, code) == changes && on_index_set(s, code) && (strict < 0 ? certified(s) || refined(s) : certified(s) > strict))
                     return ENUMERATION;
             }
     return NONE;
 }
+#endif
 #endif
 
 #if SETTLED
@@ -654,6 +734,9 @@ static int step_by_matrices(model_solver *s)
     if (on_index_set(s, s->index) && certified(s) == 2)
         return LAST_INDEX_SET;
 #endif
+#if WORST_CASE
+    return all_finite(MODEL_M, s->fixed.b) ? least_violated(s) : NONE;
+#else
 #if ENUMERATED
     return all_finite(MODEL_M, s->fixed.b) ? nearest_index_set(s) : NONE;
 #else
@@ -670,6 +753,7 @@ static int step_by_matrices(model_solver *s)
     memcpy(s->work.l, s->fixed.l, sizeof s->work.l);
     memcpy(s->work.code, s->fixed.code, sizeof s->work.code);
     return certified(s) || refined(s) ? (solver == NONE ? INDEX_SET : solver) : NONE;
+#endif
 #endif
 #else
     constant_part(s, s->fixed.E_0);
