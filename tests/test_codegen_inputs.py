@@ -139,6 +139,17 @@ def test_the_lengths_used_last_are_kept(tmp_path):
     np.testing.assert_array_equal(fresh.x, solver.x)  # whatever was kept before
 
 
+@pytest.mark.parametrize("case", ["friction_chain", "diode_bridge", "friction_oscillator"])
+def test_steps_of_many_lengths(case, request):
+    """More than are kept, of laws with few index sets and with many."""
+    model = load(request.config.rootpath / "cases" / f"{case}.py")
+    lengths = model.step * np.tile([1, 1, 0.5, 0.25, 2, 2, 0.5, 1.5, 1, 3, 0.7, 0.8, 0.9, 1.1, 1.2, 1.3, 1], 3)
+    run, right = (simulate(model, steps=lengths, compiled=compiled) for compiled in (True, False))
+    assert any(line.startswith("steps in C") for line in run.metadata["used"])
+    assert {"enumeration", "last index set", "index set"} >= run.metadata["solver_counts"].keys()
+    np.testing.assert_allclose(run.x, right.x, rtol=0, atol=1e-12 * np.abs(right.x).max())
+
+
 def test_limits_of_inputs(written):
     solver = written("drive cycle").solver()
     assert solver.inputs.tolist() == [0]

@@ -150,7 +150,7 @@ def _kept_tables(law: NumericLaw, lengths: tuple[float, ...]) -> str:
     """What stands for these numbers: the matrices kept of the step's length."""
     names = ["unit_z", "unit_size_E"]
     if law.size:
-        names += ["unit_l", "unit_size_Y", "W", "w_max" if law.curved else "w_root"]
+        names += ["unit_l", "unit_size_Y", "output_map", "output_max" if law.curved else "w_root"]
     return (
         "#define AT s->fixed.lengths[s->fixed.length] /* the matrices of the step's length */\n"
         + "".join(f"#define {name} AT.{name}\n" for name in names)
@@ -209,9 +209,9 @@ def _functions_of_law(step: _Symbols, projection: bool) -> list[str]:
 
 def _law_tables(M: Matrices, law: NumericLaw) -> str:
     """W, and the sizes by which the law is judged."""
-    W, w_max = table("W", M.W.ravel(), "MODEL_M*MODEL_M", "y = W l + b"), np.abs(M.W).max(axis=1)
+    W, w_max = table("output_map", M.W.ravel(), "MODEL_M*MODEL_M", "W of y = W l + b"), np.abs(M.W).max(axis=1)
     if law.curved:
-        return W + table("w_max", w_max, "MODEL_M", "max_j |W_ij|")
+        return W + table("output_max", w_max, "MODEL_M", "max_j |W_ij|")
     w_root = table("w_root", np.sqrt(w_max), "MODEL_M", "sqrt(max_j |W_ij|)")
     return W + w_root + table("bound_size", bound_size(law), "MODEL_M")
 

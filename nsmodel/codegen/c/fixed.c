@@ -51,14 +51,14 @@ static double residual_of_law(model_solver *s)
 {
     const double *l = s->work.l;
     double *s_y = s->fixed.s_y;
-    output_scale(MODEL_M, s->fixed.b, s->fixed.terms, w_max, s_y);
-    const double residual = law_residual(s, MODEL_M, lower, upper, l, s->fixed.Y, s_y, w_max);
+    output_scale(MODEL_M, s->fixed.b, s->fixed.terms, output_max, s_y);
+    const double residual = law_residual(s, MODEL_M, lower, upper, l, s->fixed.Y, s_y, output_max);
     if (residual <= CLEAR*TOLERANCE)
         return residual;
     look_at_rounding(s);
     for (int i = 0; i < MODEL_M; i++)
         s_y[i] += ROUND_OFF/TOLERANCE*s->fixed.error_Y[i];
-    return law_residual(s, MODEL_M, lower, upper, l, s->fixed.Y, s_y, w_max);
+    return law_residual(s, MODEL_M, lower, upper, l, s->fixed.Y, s_y, output_max);
 }
 #else
 /* The largest |b_j| / sqrt(w_j): multipliers that run away, because a step has no solution, must not raise the scale of y. */
@@ -232,11 +232,11 @@ static int form_matrices(model_solver *s, double h)
             double sum = AT.Y_l[MODEL_M*i + j];
             for (int k = 0; k < MODEL_N; k++)
                 sum += AT.Y_z[MODEL_N*i + k]*AT.Z[MODEL_M*k + j];
-            W[MODEL_M*i + j] = sum;
+            output_map[MODEL_M*i + j] = sum;
             most = max_of(most, fabs(sum));
         }
 #if CURVED
-        w_max[i] = most;
+        output_max[i] = most;
 #else
         w_root[i] = sqrt(most);
 #endif
@@ -458,7 +458,7 @@ static int find_map(model_solver *s, const signed char *code)
     double *inverse = s->fixed.maps[k].inverse, *offset = s->fixed.maps[k].offset;
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++)
-            s->fixed.block[n*i + j] = W[MODEL_M*free[i] + free[j]];
+            s->fixed.block[n*i + j] = output_map[MODEL_M*free[i] + free[j]];
     const int inverted = n > 0 ? invert(s, n, s->fixed.block, inverse) : 0;
     if (inverted > 0)
         return -1;
@@ -468,7 +468,7 @@ static int find_map(model_solver *s, const signed char *code)
         for (int j = 0; j < n; j++) {
             double shift = 0;
             for (int c = 0; c < MODEL_M; c++)
-                shift += W[MODEL_M*free[j] + c]*s->fixed.maps[k].at_bound[c];
+                shift += output_map[MODEL_M*free[j] + c]*s->fixed.maps[k].at_bound[c];
             offset[i] -= inverse[n*i + j]*shift;
         }
     }
@@ -630,7 +630,7 @@ static double violation(const model_solver *s)
     double worst = 0;
     for (int i = 0; i < MODEL_M; i++) {
         const int code = s->work.code[i];
-        const double y = s->fixed.b[i] + dot(MODEL_M, W + MODEL_M*i, l);
+        const double y = s->fixed.b[i] + dot(MODEL_M, output_map + MODEL_M*i, l);
         const double out = max_of(max_of(lower[i] - l[i], l[i] - upper[i]), 0);
         worst = worse_of(worst, code == 0 ? fabs(y) : code*y);
         worst = worse_of(worst, code == 0 ? w_root[i]*w_root[i]*out : 0);
@@ -742,7 +742,7 @@ static int step_by_matrices(model_solver *s)
 #else
     memcpy(s->fixed.l, s->l, sizeof s->l);
     memcpy(s->fixed.code, s->index, sizeof s->index);
-    int solver = affine_solve(s, MODEL_M, W, s->fixed.b, lower, upper, s->fixed.l, s->fixed.code, TOLERANCE/STRICTER);
+    int solver = affine_solve(s, MODEL_M, output_map, s->fixed.b, lower, upper, s->fixed.l, s->fixed.code, TOLERANCE/STRICTER);
 #if SETTLED
     const int passed = on_index_set(s, s->fixed.code) ? certified(s) : 0;
     if (passed == 2 || (passed && settle(s)))

@@ -3,9 +3,10 @@
         struct {
             double h, E_z[MODEL_N*MODEL_N], inverse[MODEL_N*MODEL_N], unit_z[MODEL_N], unit_size_E[MODEL_N];
 #if LAW
-            double E_l[MODEL_N*MODEL_M], Y_z[MODEL_M*MODEL_N], Y_l[MODEL_M*MODEL_M], Z[MODEL_N*MODEL_M], W[MODEL_M*MODEL_M];
+            double E_l[MODEL_N*MODEL_M], Y_z[MODEL_M*MODEL_N], Y_l[MODEL_M*MODEL_M], Z[MODEL_N*MODEL_M];
+            double output_map[MODEL_M*MODEL_M];
 #if CURVED
-            double w_max[MODEL_M];
+            double output_max[MODEL_M];
 #else
             double w_root[MODEL_M];
 #endif
