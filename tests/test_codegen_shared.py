@@ -115,4 +115,5 @@ def test_the_structs_of_many_bodies_are_those_of_the_c(d, tmp_path):
 
 
 def source_of(model):
-    return write_source(make_scene(model, None, replace(make_grid(model.bind(None), None, None, None), any_step=True), 1e-9), "step", "")
+    grid = replace(make_grid(model.bind(None), None, None, None), any_step=True)
+    return write_source(make_scene(model, None, grid, 1e-9), "step", "")

@@ -45,19 +45,19 @@ static const struct {
 static const long first = @FIRST@, last = @LAST@;
 static double worst;
 
-/* Take step k, and print it where it is to be kept; 0 where it fails. */
+/* Take step k, and print it where it is to be kept; the status. */
 static int advanced(model_solver *s, long k, long every)
 {
     const int status = model_step(s);
     if (status != MODEL_OK) {
         fprintf(stderr, "step %ld from t = %.10g: %s\n", k, model_get_time(s), model_status_text(status));
-        return 0;
+        return status;
     }
     if (model_get_residual(s) > worst)
         worst = model_get_residual(s);
     if ((k + 1) % every == 0 || k + 1 == last)
         print_row(s, 1);
-    return 1;
+    return status;
 }
 
 int main(int argc, char **argv)
@@ -92,7 +92,7 @@ int main(int argc, char **argv)
                 end[m] = u + change*(j + 1);
             }
             model_set_inputs_between(&solver, begin, end);
-            if (!advanced(&solver, k, every))
+            if (advanced(&solver, k, every) != MODEL_OK)
                 return 1;
         }
     }
@@ -101,7 +101,7 @@ int main(int argc, char **argv)
 #if MANY_STEPS
         model_set_step(&solver, steps[k]);
 #endif
-        if (!advanced(&solver, k, every))
+        if (advanced(&solver, k, every) != MODEL_OK)
             return 1;
     }
 #endif
