@@ -143,7 +143,8 @@ def test_the_lengths_used_last_are_kept(tmp_path):
 def test_steps_of_many_lengths(case, request):
     """More than are kept, of laws with few index sets and with many."""
     model = load(request.config.rootpath / "cases" / f"{case}.py")
-    lengths = model.step * np.tile([1, 1, 0.5, 0.25, 2, 2, 0.5, 1.5, 1, 3, 0.7, 0.8, 0.9, 1.1, 1.2, 1.3, 1], 3)
+    parts = [1, 1, 0.5, 0.25, 2, 2, 0.5, 1.5, 1, 3, 0.7, 0.8, 0.9, 1.1, 1.2, 1.3, 1]
+    lengths = [part * model.step for part in 3 * parts]
     run, right = (simulate(model, steps=lengths, compiled=compiled) for compiled in (True, False))
     assert any(line.startswith("steps in C") for line in run.metadata["used"])
     assert {"enumeration", "last index set", "index set"} >= run.metadata["solver_counts"].keys()
@@ -217,6 +218,16 @@ def test_a_jump_that_fails_leaves_the_reaction(tmp_path):
     other = codegen.load(tmp_path).solver()
     assert [other.step(), other.step()] == [OK, OK]
     np.testing.assert_array_equal(solver.x, other.x)
+
+
+def test_a_reaction_that_a_step_of_no_length_does_not_tell_is_refused(tmp_path):
+    x, l, u = ca.SX.sym("x", 2), ca.SX.sym("l"), ca.SX.sym("u")
+    model = FirstOrderSystem(
+        x=x, lam=l, f=[-x[0], x[1] - u], g=[l, 0], h=[x[0] + l], law=relay(1), M=[[1, 0], [0, 0]], x0=[0, 0], theta=0.5,
+        gamma=0.5, step=0.1, t_end=1, inputs={u: 0},
+    )  # fmt: skip
+    with pytest.raises(CodegenError, match=r"found by a step of length 0, whose matrix is singular: take gamma=1"):
+        codegen.write(model, tmp_path)
 
 
 def test_a_budget_while_it_runs(written):
@@ -305,9 +316,6 @@ def test_the_command_line(tmp_path, monkeypatch, capsys):
     assert main(["codegen", "buck.py", "--step", "5e-7", "--out", "one"]) == 0
     solver = codegen.load("one").solver()
     assert (solver.set_step(5e-7 * (1 + 1e-13)), solver.set_step(6e-7)) == (OK, BAD_STEP)
-    capsys.readouterr()
-    assert main(["codegen", "buck.py", "--event-driven", "--out", "three"]) == 4
-    assert "event-driven integration in a library has no inputs (u); its steps do" in capsys.readouterr().err
     for given in ([], [1e-6] * 9, [-1.0], [np.nan]):
         with pytest.raises(UsageError, match="step"):
             codegen.write(load("buck.py"), tmp_path / "no", step=given)
@@ -344,3 +352,54 @@ def test_what_has_too_many_index_sets_is_refused(tmp_path):
         with pytest.raises(CodegenError, match=needs):
             codegen.write(model, tmp_path, name="thing", worst_case=True)
     assert not list(tmp_path.iterdir())
+
+
+# -- from switch to switch ---------------------------------------------------------------------------------------------
+
+PIECES = r"""
+#include "thing_pieces.h"
+#include <math.h>
+#include <stdio.h>
+#define CHECK(done) do { if ((done) != THING_OK) { printf("line %d\n", __LINE__); return 1; } } while (0)
+
+int main(void)
+{
+    static thing_pieces s, before;
+    double x[THING_PIECES_N], u[THING_PIECES_NU], high[] = {1}, low[] = {0}, bad[] = {NAN};
+    if (thing_pieces_set_inputs(&s, high) != THING_NOT_INITIALISED)
+        return 1;
+    CHECK(thing_pieces_init(&s, 1e-10));
+    for (int k = 0; k < 100; k++) {
+        CHECK(thing_pieces_set_inputs(&s, high));
+        CHECK(thing_advance(&s, (k + DUTY)*PERIOD));
+        CHECK(thing_pieces_set_inputs(&s, low));
+        CHECK(thing_advance(&s, (k + 1)*PERIOD));
+    }
+    before = s;
+    thing_pieces_get_state(&s, x);
+    thing_pieces_get_inputs(&s, u);
+    printf("%.17g %.17g %g %d %d %ld\n", x[0], x[1], u[0], thing_pieces_set_inputs(&s, bad) == THING_NOT_FINITE,
+           s.t == before.t && s.p[0] == before.p[0], thing_pieces_get_events(&s));
+    return 0;
+}
+"""
+
+
+@pytest.mark.parametrize(
+    ("model", "period", "duty", "right"),
+    [
+        (scenes.buck(100.0), T, 0.4, scenes.exact_buck(100, 100.0)[100]),
+        (scenes.boost(), 2e-5, 0.5, [2.925686972, 22.974239189]),
+    ],
+)
+def test_inputs_are_held_between_calls_that_go_from_switch_to_switch(model, period, duty, right, tmp_path):
+    codegen.write(model, tmp_path, name="thing", event_driven=True)
+    (tmp_path / "main.c").write_text(PIECES)
+    command = [CC, *STRICT, "-Wno-unused-function", f"-DPERIOD={period!r}", f"-DDUTY={duty}", "-o", "main"]
+    subprocess.run([*command, "main.c", "thing.c", "thing_pieces.c", "-lm"], cwd=tmp_path, check=True)
+    done = subprocess.run([tmp_path / "main"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+    i, v, *told = map(float, done.stdout.split())
+    assert [i, v] == pytest.approx(right, rel=1e-8, abs=1e-12)
+    assert told[:3] == [0, 1, 1]
+    assert told[3] > 20  # events, counted across what was set

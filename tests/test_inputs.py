@@ -19,7 +19,6 @@ from nsmodel import (
     SweepingProcess,
     Trajectory,
     UsageError,
-    codegen,
     complementarity,
     explain,
     pwm,
@@ -31,7 +30,6 @@ from nsmodel import (
     table,
 )
 from nsmodel.cli import main
-from nsmodel.errors import CodegenError
 from nsmodel.run import in_c, piece_choice, schemes
 
 T = scenes.T
@@ -526,13 +524,11 @@ def test_nan_in_the_middle_of_a_run_keeps_what_there_is():
         simulate(model)
 
 
-def test_what_takes_no_inputs_says_so(tmp_path):
+def test_what_takes_no_inputs_says_so():
     model = scenes.buck(t_end=2 * T)
     for of in (stress, study):
         with pytest.raises(UsageError, match=r"has inputs \(u\)"):
             of(model)
-    with pytest.raises(CodegenError, match=r"event-driven integration in a library has no inputs \(u\); its steps do"):
-        codegen.write(model, tmp_path, event_driven=True)
     with pytest.raises(UsageError, match="not event-driven: certify='interval' proves models without inputs alone"):
         simulate(model, rtol=1e-4, certify="interval")
 

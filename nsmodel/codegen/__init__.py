@@ -15,7 +15,7 @@ from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.codegen import bodies, pieces
 from nsmodel.codegen.bounds import MOST_WORK
 from nsmodel.codegen.files import all_files, description
-from nsmodel.codegen.fixed import MOST_LENGTHS
+from nsmodel.codegen.fixed import MOST_LENGTHS, matrices
 from nsmodel.codegen.library import Library, Solver, is_library, load
 from nsmodel.codegen.scene import make_scene
 from nsmodel.codegen.source import Source, write_source
@@ -134,11 +134,12 @@ def write(
         source = write_source(scene, name, mark, most)
         if worst_case and not _is_formed(source):
             raise CodegenError(f"{_WORST_CASE} and a law of at most {MOST_ROWS} rows, none of them of a curved set")
+        if {"RESTARTED", "FIXED"} <= source.flags and matrices(scene.problem, 0.0) is None:
+            raise CodegenError(
+                "after a jump of an input the reaction is found by a step of length 0, whose matrix is singular: take gamma=1"
+            )
         files, about = all_files(scene, source, grid, mark), description(scene, source, mark)
         if event_driven:
-            if model.input_groups:
-                names = ", ".join(model.input_groups)
-                raise CodegenError(f"event-driven integration in a library has no inputs ({names}); its steps do")
             files |= pieces.library_files(scene.model, scene.parameters, name)
     folder = _free(Path(out), name, files)
     for file, text in files.items():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
 
@@ -20,6 +20,7 @@ from nsmodel.codegen.piece_jets import CURVED, Columns, Printer, sizes_of_switch
 from nsmodel.codegen.tables import table
 from nsmodel.errors import CodegenError
 from nsmodel.model.base import Model
+from nsmodel.model.driven import as_parameters, inputs_at_start
 from nsmodel.pieces.jets import jets_of
 from nsmodel.pieces.lengths import LARGEST_ORDER
 from nsmodel.pieces.modes import ORDERS
@@ -39,11 +40,14 @@ PARTS = ("common", "pieces_modes", "pieces_expand", "pieces_events", "pieces_rad
 
 @dataclass(frozen=True)
 class PieceScene:
-    """A problem of which code is written, its law's ends as numbers; ``values`` of p, ``known`` times that end a piece."""
+    """A problem of which code is written, its law's ends as numbers; ``values`` of p, the last of which are ``inputs``;
+    ``known`` times that end a piece.
+    """
 
     problem: ContinuousProblem
     values: Mapping[str, float]
     known: tuple[float, ...] = ()
+    inputs: int = 0
 
     @cached_property
     def lower(self) -> np.ndarray:
@@ -85,7 +89,8 @@ class PieceScene:
             "SLOPES": law and not known, "DIAGONAL": diagonal, "MATRICES": law and not diagonal, "ORTHOGONAL": orthogonal,
             "GENERAL": law and not orthogonal, "STILL": diagonal and not self.curved_rows,
             "UNIQUE": law and known and (_is_always_p(D0, W) or is_monotone(sure(B), D0, C0)),
-            "SWITCHED": bool(self.columns.branches), "PARAMETERS": bool(self.values), "KNOWN": bool(self.known),
+            "SWITCHED": bool(self.columns.branches), "PARAMETERS": bool(self.values), "INPUTS": self.inputs > 0,
+            "OWN_PARAMETERS": len(self.values) > self.inputs, "KNOWN": bool(self.known),
             "HELD": self.problem.held > 0,
             "TIMED": bool(self.known or self.problem.held),
             "STIFF": 0 < p.x.numel() <= MOST_UNKNOWN - p.l.numel(),
@@ -138,8 +143,9 @@ class PieceScene:
         outputs = m if {"FEED", "D_NUMBERS"} <= self.flags else 0
         kept = 1 if not {"MATRICES"} <= self.flags or "SLOPES" in self.flags else kept_in(24 * m * m, 2, 16)
         return {
-            "N": n, "M": m, "NP": len(self.values), "CHOICES": columns.choices, "ORDERS": LARGEST_ORDER, "KEPT": kept,
-            "GERM": ORDERS + 1, "TIMES": TIMES, "COLUMNS": columns.count + outputs, "T": n + 2 * m, "HELD": self.problem.held,
+            "N": n, "M": m, "NP": len(self.values), "NU": self.inputs, "NOWN": len(self.values) - self.inputs,
+            "CHOICES": columns.choices, "ORDERS": LARGEST_ORDER, "KEPT": kept, "GERM": ORDERS + 1, "TIMES": TIMES,
+            "COLUMNS": columns.count + outputs, "T": n + 2 * m, "HELD": self.problem.held,
             "H": columns.count if outputs else n + m,
         } | memory(n + m)  # fmt: skip
 
@@ -166,19 +172,22 @@ def piece_scene(problem: ContinuousProblem, known: Sequence[float], values: Mapp
 
 
 def scene_of(model: Model, values: Mapping[str, float]) -> PieceScene:
-    """The same of a model, whose parameters that stay symbols have ``values`` at first.
+    """The same of a model, whose parameters that stay symbols have ``values`` at first; its inputs are parameters too.
 
     Raises:
         CodegenError: the model has no event-driven form, or as above.
     """
-    module = class_of(model).optional("continuous")
+    names = model.input_names
+    module, u, model = class_of(model).optional("continuous"), inputs_at_start(model), as_parameters(model)
     try:
         problem = None if module is None else with_modes(module.continuous_problem(model))
     except NotEventDriven as error:
         raise CodegenError(f"event-driven integration does not take this model: {error}") from error
     if problem is None:
         raise CodegenError("event-driven integration in C does not take many bodies, whose contacts change at nearly every step")
-    return piece_scene(problem, model.switch_times, values)
+    return replace(
+        piece_scene(problem, model.switch_times, {**values, **dict(zip(names, u.tolist(), strict=True))}), inputs=u.size
+    )
 
 
 def library_files(model: Model, values: Mapping[str, float], name: str) -> dict[str, str]:

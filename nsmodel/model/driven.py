@@ -58,6 +58,11 @@ def frozen(model: T, held: Mapping[str, float]) -> T:
     return other.bind(held, partly=True) if held else other
 
 
+def as_parameters(model: T) -> T:
+    """The model with its inputs as further parameters without name, behind its own."""
+    return _with(model, p=ca.vertcat(model.p, model.u), **UNDRIVEN) if model.u.numel() else model
+
+
 def inputs_at_start(model: Any, x: np.ndarray | None = None) -> np.ndarray:
     """u(0+) (nu,) where the state is ``x``, else the model's start; 0 where nothing drives it yet."""
     first = [

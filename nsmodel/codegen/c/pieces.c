@@ -842,6 +842,19 @@ static void take_sides(model_pieces *s)
 }
 #endif
 
+#if INPUTS
+/* How large everything has been, where it goes on with other inputs; at first s->sizes are 0. */
+static void keep_sizes(model_pieces *s)
+{
+    for (int i = 0; i < N; i++)
+        s->at.size_x[i] = max_of(s->at.size_x[i], s->sizes[i]);
+    for (int i = 0; i < M; i++) {
+        s->at.size_l[i] = max_of(s->at.size_l[i], s->sizes[L + i]);
+        s->at.size_y[i] = max_of(s->at.size_y[i], s->sizes[Y + i]);
+    }
+}
+
+#endif
 /* Begin at the state x and time t: choose the mode. */
 static int begin(model_pieces *s, double t, const double *x)
 {
@@ -860,6 +873,9 @@ static int begin(model_pieces *s, double t, const double *x)
         s->at.l[i] = below && above ? (lower[i] + upper[i])/2 : below ? lower[i] : above ? upper[i] : 0;
         s->at.size_l[i] = below && above ? upper[i] - lower[i] : 0;
     }
+#endif
+#if INPUTS
+    keep_sizes(s);
 #endif
     choose_unit(s);
     for (int pass = 0; pass < STARTS; pass++) {

@@ -38,19 +38,42 @@ int model_pieces_set_state(model_pieces *s, double t, const double *x)
 }
 
 #if PARAMETERS
-int model_pieces_set_parameters(model_pieces *s, const double *p)
+/* Put count numbers in place of those from the first on, and begin anew where it stands. */
+static int put_numbers(model_pieces *s, int first, int count, const double *values)
 {
     double x[N];
     if (!is_ready(s))
         return MODEL_NOT_INITIALISED;
-    if (!all_finite(MODEL_PIECES_NP, p))
+    if (!all_finite(count, values))
         return MODEL_NOT_FINITE;
     model_pieces_get_state(s, x);
-    memcpy(s->p, p, sizeof s->p);
+    memcpy(s->p + first, values, (size_t)count*sizeof *values);
     s->count = s->current = s->next = 0;
     numbers(s);
     return model_pieces_set_state(s, s->t, x);
 }
+#endif
+
+#if OWN_PARAMETERS
+int model_pieces_set_parameters(model_pieces *s, const double *p) { return put_numbers(s, 0, @NOWN@, p); }
+#endif
+
+#if INPUTS
+int model_pieces_set_inputs(model_pieces *s, const double *u)
+{
+    if (!is_ready(s))
+        return MODEL_NOT_INITIALISED;
+    const double events = s->at.events;
+    memcpy(s->sizes, s->at.size_x, sizeof s->at.size_x);
+    memcpy(s->sizes + L, s->at.size_l, M*sizeof *s->sizes);
+    memcpy(s->sizes + Y, s->at.size_y, M*sizeof *s->sizes);
+    const int status = put_numbers(s, @NOWN@, MODEL_PIECES_NU, u);
+    memset(s->sizes, 0, sizeof s->sizes);
+    s->at.events = events;
+    return status;
+}
+
+void model_pieces_get_inputs(const model_pieces *s, double *u) { memcpy(u, s->p + @NOWN@, MODEL_PIECES_NU*sizeof *u); }
 #endif
 
 void model_pieces_set_most(model_pieces *s, long pieces) { s->most = pieces; }

@@ -15,7 +15,12 @@ extern "C" {
 
 #define MODEL_PIECES_N @N@ /* states */
 #define MODEL_PIECES_M @M@ /* rows of the law */
+#if INPUTS
+#define MODEL_PIECES_NP @NP@ /* parameters, then inputs */
+#define MODEL_PIECES_NU @NU@ /* inputs */
+#else
 #define MODEL_PIECES_NP @NP@ /* parameters */
+#endif
 #define MODEL_PIECES_CHOICES @CHOICES@ /* operations that are not analytic */
 #if HELD
 #define MODEL_PIECES_HELD @HELD@ /* states at the end that are set at known times */
@@ -39,8 +44,11 @@ extern "C" {
 @STRUCT@
 int model_pieces_init(model_pieces *s, double rtol); /* first: the start of the model; the error allowed, 1e-14 or more */
 int model_pieces_set_state(model_pieces *s, double t, const double *x); /* begin anew at x[MODEL_PIECES_N] */
-#if PARAMETERS
-int model_pieces_set_parameters(model_pieces *s, const double *p); /* p[MODEL_PIECES_NP]; the state stays, its mode is chosen anew */
+#if OWN_PARAMETERS
+int model_pieces_set_parameters(model_pieces *s, const double *p); /* p[@NOWN@]; the state stays, its mode is chosen anew */
+#endif
+#if INPUTS
+int model_pieces_set_inputs(model_pieces *s, const double *u); /* u[MODEL_PIECES_NU], held from the time reached on; the mode is chosen anew */
 #endif
 void model_pieces_set_most(model_pieces *s, long pieces); /* in a call of model_advance, at most */
 
@@ -49,6 +57,9 @@ int model_advance(model_pieces *s, double t_end); /* integrate to t_end, which i
 /* At the time reached. */
 double model_pieces_get_time(const model_pieces *s);
 void model_pieces_get_state(const model_pieces *s, double *x); /* x[MODEL_PIECES_N] */
+#if INPUTS
+void model_pieces_get_inputs(const model_pieces *s, double *u); /* u[MODEL_PIECES_NU] */
+#endif
 #if LAW
 void model_pieces_get_multipliers(const model_pieces *s, double *l); /* l[MODEL_PIECES_M], row by row of the law */
 void model_pieces_get_outputs(const model_pieces *s, double *y); /* y[MODEL_PIECES_M] */

@@ -49,6 +49,9 @@ typedef struct {
 #if PARAMETERS
     double p[MODEL_PIECES_NP];
 #endif
+#if INPUTS
+    double sizes[MODEL_PIECES_ROWS]; /* of x, l, y before other inputs were set */
+#endif
 #if HELD
     const double *known_at, *data; /* known times, and the held states after each */
     long knowns;
