@@ -139,7 +139,7 @@ def test_the_lengths_used_last_are_kept(tmp_path):
     np.testing.assert_array_equal(fresh.x, solver.x)  # whatever was kept before
 
 
-@pytest.mark.parametrize("case", ["friction_chain", "diode_bridge", "friction_oscillator"])
+@pytest.mark.parametrize("case", ["friction_chain", "diode_bridge"])
 def test_steps_of_many_lengths(case, request):
     """More than are kept, of laws with few index sets and with many."""
     model = load(request.config.rootpath / "cases" / f"{case}.py")
@@ -274,7 +274,7 @@ def test_the_example_of_the_docs(tmp_path):
     command = [CC, "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-I", tmp_path, "-o", tmp_path / "buck", example]
     subprocess.run([*command, tmp_path / "buck.c", "-lm"], check=True)
     printed = subprocess.run([tmp_path / "buck"], check=True, capture_output=True, text=True).stdout
-    s, z = stepper(scenes.buck(), inputs={"u": None}, compiled=False), 0.0
+    s, z = stepper(scenes.buck(), inputs={"u": None}), 0.0
     for _ in range(200):
         e = 9 - s.x[1]
         duty, z = min(max(0.02 * e + z, 0), 0.9), z + 0.002 * e
