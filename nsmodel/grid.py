@@ -83,7 +83,8 @@ def parted(ends: np.ndarray, counts: np.ndarray, h: float) -> tuple[np.ndarray, 
 def _between(ends: np.ndarray, h: float, more: int) -> Grid:
     """Equal steps, not longer than h, from one end to the next, and so many more; those of nearly one length have one."""
     times, steps = parted(ends, steps_within(np.diff(ends), h) + more, h)
-    return Grid(steps.size, float(steps[0]), float(steps[-1]), steps, np.append(times, ends[-1]), asked=h)
+    times = np.append(times, ends[-1])
+    return Grid(steps.size, float(steps[0]), float(steps[-1]), steps, times, asked=h, any_step=more > 0)
 
 
 def _as_one(lengths: np.ndarray, h: float) -> np.ndarray:

@@ -24,6 +24,7 @@ from nsmodel import (
     ModelError,
     StepError,
     UsageError,
+    codegen,
     complementarity,
     dead_time,
     delay,
@@ -38,6 +39,7 @@ from nsmodel import (
     steps,
     table,
 )
+from nsmodel.errors import CodegenError
 
 X, U, Z, Y, D = (ca.SX.sym(name) for name in "xuzwd")
 EVENTS = {"rtol": 1e-10}
@@ -451,6 +453,11 @@ def test_bad_blocks(make, match):
 def test_what_a_block_sets_has_no_other_signal():
     with pytest.raises(UsageError, match=r"input 'z' is set by the block 'n'; leave it out"):
         simulate(plant(counter()), inputs={"z": 1})
+
+
+def test_what_has_no_c_says_so(tmp_path):
+    with pytest.raises(CodegenError, match=r"blocks \(pi, u.duty\) have no C counterpart yet"):
+        codegen.write(regulated(), tmp_path)
 
 
 def test_a_lure_system_with_a_block_and_no_input():

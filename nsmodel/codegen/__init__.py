@@ -118,6 +118,11 @@ def write(
     if not (max_work is None or (isinstance(max_work, int) and not isinstance(max_work, bool) and 1 <= max_work <= MOST_WORK)):
         raise UsageError(f"max_work = {written(max_work)}; expected a whole number from 1 to {MOST_WORK}")
     most = MOST_WORK if max_work is None else max_work
+    if model.blocks:
+        raise CodegenError(
+            f"blocks ({', '.join(block.name for block in model.blocks)}) have no C counterpart yet: write the model with what they set as "
+            "inputs, and let the caller's loop tick"
+        )
     name = identifier(model.title or type(model).__name__) if name is None else _checked(name)
     bound = model.bind(parameters)
     lengths = _lengths(step)
