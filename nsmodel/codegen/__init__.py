@@ -120,8 +120,8 @@ def write(
     most = MOST_WORK if max_work is None else max_work
     if model.blocks:
         raise CodegenError(
-            f"blocks ({', '.join(block.name for block in model.blocks)}) have no C counterpart yet: write the model with what they set as "
-            "inputs, and let the caller's loop tick"
+            f"blocks ({', '.join(block.name for block in model.blocks)}) have no C counterpart yet: write the model with "
+            "what they set as inputs, and let the caller's loop tick"
         )
     name = identifier(model.title or type(model).__name__) if name is None else _checked(name)
     bound = model.bind(parameters)
