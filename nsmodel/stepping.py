@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,7 +32,11 @@ from nsmodel.solve.layout import Layout
 from nsmodel.solve.stepper import StepResult, Warm
 from nsmodel.trajectory import Trajectory
 
+if TYPE_CHECKING:
+    from nsmodel.codegen.rollout import Alone
+
 ROWS = 1024  # Of a record, at first.
+INF = np.inf
 AHEAD = 2.0  # Times as far as steps have come: signals are looked at up to there.
 
 
@@ -126,6 +130,8 @@ class ModelStepper:
         if start is not None:
             self._starter = self._in_c.starter(Starter(start, options.tolerance, h=self.h, state=state))
         self._both = np.tile(inputs_at_start(own), 2)
+        one = self._both.size == 2 * self._at.size == 2 and start is None and not (self._driven or record)
+        self._alone = self._in_c.alone(self._step.layout, self._step.cold().index.size) if one else None
         self.reset()
 
     # -- where it is
@@ -208,6 +214,10 @@ class ModelStepper:
             UsageError: values of another shape or no finite numbers, a signal that jumps within the step.
             StepError: no solver reached the tolerance.
         """
+        if self._alone is not None and type(u) is float and u_end is None and h is None and -INF < u < INF:
+            row = self._quickly(self._alone, u)
+            if row is not None:
+                return row
         if h is None:
             length = self.h
         elif is_number(h) and 0 < h < np.inf:
@@ -235,6 +245,19 @@ class ModelStepper:
             self.restore(kept)
             raise
         return rows[-1]
+
+    def _quickly(self, alone: Alone, u: float) -> Row | None:
+        """A step on the grid of the model's one input, in C; None where it is off the grid or not certified."""
+        layout, k, warm = self._step.layout, self.k, self._warm
+        if self._since != k or self._base or self._last != self.h:
+            return None
+        found = alone(k, self._state, warm.l, warm.index, layout.inputs, u)
+        if found is None:
+            return None
+        packed, index, _ = found
+        self._since = self.k = k + 1
+        self._state, self._warm = packed[layout.state], Warm(packed[layout.l], index)
+        return Row((k + 1) * self.h, packed, index, layout, self._n)
 
     def _points(self, h: float, begin: np.ndarray) -> list[float]:
         """Where the parts of a step end: at the points of signals within it, at edges that blocks place, and at its end."""

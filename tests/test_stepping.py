@@ -201,3 +201,24 @@ def test_a_reaction_that_is_carried_is_of_the_values_of_its_step(compiled):
     for value in values:  # l = 2 u: x' = -u - x, by the trapezoidal rule
         right.append(((1 - 0.025) * right[-1] - 0.05 * value) / (1 + 0.025))
     np.testing.assert_allclose(run.x[:, 0], right, rtol=1e-12)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_rows_stay_what_they_were(compiled):
+    s = stepper(scenes.buck(), inputs={"u": None}, compiled=compiled)
+    rows = [s.step(u) for u in (0.25, 1.0, 0.5)]
+    assert [row.inputs.item() for row in rows] == [0.25, 1.0, 0.5]
+    assert [row.t for row in rows] == [s.h, 2 * s.h, 3 * s.h]
+    kept = rows[1].x.copy()
+    s.step(0.0)
+    np.testing.assert_array_equal(rows[1].x, kept)
+
+
+def test_a_number_a_list_and_a_dictionary_are_one():
+    model = scenes.buck()
+    walked_ = [
+        [s.step(given).x for _ in range(3)]
+        for s, given in ((stepper(model, inputs={"u": None}), u) for u in (0.5, [0.5], {"u": 0.5}))
+    ]
+    np.testing.assert_array_equal(walked_[0], walked_[1])
+    np.testing.assert_array_equal(walked_[0], walked_[2])

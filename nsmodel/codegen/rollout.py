@@ -20,6 +20,7 @@ from nsmodel.once import once
 from nsmodel.solve.layout import Layout
 from nsmodel.solve.stepper import StepResult, Warm
 
+NOWHERE = slice(0, 0)
 SECONDS = 0.05  # A call takes about as long: so late comes Ctrl-C.
 
 _Totals = structs.TOTALS.in_python()
@@ -76,7 +77,7 @@ class Rollout:
         self._single = library.function("single", ctypes.c_int, pointer, number, number, pointer, pointer)
         self._restart = _optional(library, "restart", ctypes.c_int, pointer, number, pointer)
         self._steps = np.zeros(2)
-        self._one: _One | None = None
+        self._one: Alone | None = None
         self._adapt = _optional(
             library, "adapt", whole, pointer, pointer, whole, number, number, pointer, pointer, pointer, pointer, pointer,
             ctypes.POINTER(_Totals),
@@ -147,9 +148,17 @@ class Rollout:
 
     def one(self, k: int, state: np.ndarray, warm: Warm, layout: Layout) -> StepResult | None:
         """Step number k alone; None where it is not certified."""
+        found = self.alone(layout, warm.index.size)(k, state, warm.l, warm.index)
+        if found is None:
+            return None
+        row, index, solver = found
+        return StepResult(row, Warm(row[layout.l], index), SOLVERS[solver])
+
+    def alone(self, layout: Layout, m: int) -> Alone:
+        """What takes single steps of the grid's length."""
         if self._one is None:
-            self._one = _One(self._single, self._solver, self.grid.h, layout, warm.index.size)
-        return self._one(k, state, warm)
+            self._one = Alone(self._single, self._solver, self.grid.h, layout, m)
+        return self._one
 
     def step(self, t: float, h: float, state: np.ndarray, warm: Warm, layout: Layout) -> StepResult | None:
         """One step as the contract of `solve.stepper` has it; None where it is not certified. The grid must have given steps."""
@@ -168,24 +177,30 @@ class Rollout:
         return StepResult(row, Warm(row[layout.l], codes), SOLVERS[next(i for i, count in enumerate(totals.counts) if count)])
 
 
-class _One:
+class Alone:
     """One step a call, with memory that is kept from call to call."""
 
     def __init__(self, single: Any, solver: int, h: float, layout: Layout, m: int) -> None:
-        self._single, self._solver, self._h, self._m, self._of_l = single, solver, h, m, layout.l
+        self._single, self._solver, self._h, self._m = single, solver, h, m
         n = layout.state.stop
         values, self._index = np.empty(n + m + layout.width), np.empty(2 * m, np.int8)
         self._state, self._l, self._row = values[:n], values[n : n + m], values[n + m :]
+        self._before = self._index[:m]
         self._at = values.ctypes.data, self._index.ctypes.data
 
-    def __call__(self, k: int, state: np.ndarray, warm: Warm) -> StepResult | None:
-        self._state[:], self._l[:], self._index[: self._m] = state, warm.l, warm.index
+    def __call__(
+        self, k: int, state: np.ndarray, l: np.ndarray, index: np.ndarray, at: slice = NOWHERE, u: float = 0.0
+    ) -> tuple[np.ndarray, np.ndarray, int] | None:
+        """The packed row, the index set, the same object as long as it holds, and the solver; None where it is not certified.
+
+        ``u`` takes the place of what the state has ``at`` some places.
+        """
+        self._state[:], self._l[:], self._before[:] = state, l, index
+        self._state[at] = u
         done = self._single(self._solver, k, self._h, *self._at)
         if not done:
             return None
-        solver, same = divmod(done - 1, 2)
-        row = self._row.copy()
-        return StepResult(row, Warm(row[self._of_l], warm.index if same else self._index[self._m :].copy()), SOLVERS[solver])
+        return self._row.copy(), index if done & 1 == 0 else self._index[self._m :].copy(), (done - 1) >> 1
 
 
 def _optional(library: Library, name: str, *kinds: Any) -> Any:

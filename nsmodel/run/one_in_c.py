@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from nsmodel.run.driven import Starter
 from nsmodel.run.options import Options
 from nsmodel.solve.layout import Layout
 from nsmodel.solve.stepper import StepResult, Warm
+
+if TYPE_CHECKING:
+    from nsmodel.codegen.rollout import Alone
 
 
 class InC:
@@ -42,6 +45,10 @@ class InC:
     def _any(self) -> Any:
         h = self._h
         return self._load(Grid(1, h, h, np.array([h]), np.array([0.0, h]), any_step=True))
+
+    def alone(self, layout: Layout, m: int) -> Alone | None:
+        """What takes steps of length h in C; None where there is none."""
+        return None if self._own is None else self._own.alone(layout, m)
 
     def starter(self, otherwise: Starter) -> Starter:
         """What finds the reaction that a state carries anew."""
