@@ -121,14 +121,19 @@ def runs_from_python() -> None:
     print(f"  building, once for a model: {building:.2f}")
 
 
-def edges_of_inputs() -> None:
-    """A buck converter whose voltage a PWM chops, beside the same with a constant one; 7.3 steps a period do not fit it."""
-    T, periods = 1e-5, 20 if SHORT else 2000
+def buck(T: float, periods: int) -> nsmodel.LureSystem:
+    """A converter with steps of which 7.3 are a period."""
     L, C, R, u = 1e-4, 47e-6, 5.0, ca.SX.sym("u")
-    model = nsmodel.LureSystem(
+    return nsmodel.LureSystem(
         A=[[0, -1 / L], [1 / C, -1 / (R * C)]], B=[1 / L, 0], C=[1, 0], f=[24 * u / L, 0], law=nsmodel.complementarity(1),
         x0=[0, 0], theta=0.5, step=T / 7.3, t_end=periods * T, inputs={u: 0.4},
     )  # fmt: skip
+
+
+def edges_of_inputs() -> None:
+    """A buck converter whose voltage a PWM chops, beside the same with a constant one."""
+    T, periods = 1e-5, 20 if SHORT else 2000
+    model = buck(T, periods)
     duties = nsmodel.table(T * np.arange(periods), np.random.default_rng(0).uniform(0.1, 0.9, periods))
     signals = {"constant": 0.4, "PWM": nsmodel.pwm(T, 0.4), "PWM, its duty changed each period": nsmodel.pwm(T, duties)}
     print(f"a buck converter of {periods} periods, compiled, a row in 1000 kept, CPU seconds      ratio   goal")
@@ -144,6 +149,20 @@ def edges_of_inputs() -> None:
         print(f"  {name:60s} {seconds[name]:10.5f}   {seconds[name] / seconds['constant']:6.2f} {goal}")
 
 
+def steps_alone() -> None:
+    """The converter in somebody else's loop: one step a call, with a value of its input."""
+    print("a buck converter step by step, us a step (CPU)      goal")
+    for compiled, name, goal in ((True, "compiled", 5), (False, "interpreted", 12)):
+        s = nsmodel.stepper(buck(1e-5, 20), inputs={"u": None}, compiled=compiled)
+        times = []
+        for _ in range(REPEATS if SHORT else 200):
+            start = time.process_time()
+            for _ in range(200):
+                s.step(0.4)
+            times.append((time.process_time() - start) / 200)
+        print(f"  {name:20s} {1e6 * min(times):9.2f} {goal:20d}")
+
+
 def main() -> None:
     """Print the tables."""
     if compiler() is None:
@@ -154,6 +173,8 @@ def main() -> None:
     runs_from_python()
     print()
     edges_of_inputs()
+    print()
+    steps_alone()
 
 
 if __name__ == "__main__":
