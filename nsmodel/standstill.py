@@ -56,7 +56,7 @@ def autonomous(model: ManyBodies) -> bool:
     given = [family.g for family in model.constraints.values()]
     given += [part for part in (model.f, model.leave) if isinstance(part, ca.SX)]
     steady = isinstance(model.f, ca.SX) or getattr(model.f, "autonomous", False) is True
-    return steady and not ca.depends_on(ca.vertcat(*map(ca.vec, given)), model.t)
+    return steady and not model.is_driven and not ca.depends_on(ca.vertcat(*map(ca.vec, given)), model.t)
 
 
 def given_back(before: tuple[np.ndarray, BodiesWarm], after: tuple[np.ndarray, BodiesWarm]) -> bool:

@@ -9,6 +9,7 @@ import pytest
 
 from nsmodel import (
     Bodies,
+    Family,
     FirstOrderSystem,
     LureSystem,
     ManyBodies,
@@ -19,17 +20,21 @@ from nsmodel import (
     SweepingProcess,
     Trajectory,
     UsageError,
+    codegen,
     complementarity,
     explain,
     pwm,
     relay,
+    sampled,
     signal,
     simulate,
     stress,
     study,
     table,
 )
+from nsmodel import steps as held_steps
 from nsmodel.cli import main
+from nsmodel.errors import CodegenError
 from nsmodel.run import in_c, piece_choice, schemes
 
 T = scenes.T
@@ -589,10 +594,64 @@ def test_edges_of_expressions_are_those_of_the_run_in_c_too():
         assert set(edges) <= set(simulate(model, rtol=1e-6, method="event-driven", compiled=True).t.tolist())
 
 
-def test_a_class_that_nothing_drives_says_what_to_do():
-    bodies = Bodies([[0.0, 0.0]], r=[1.0])
-    with pytest.raises(ModelError, match="inputs: many bodies take none"):
-        ManyBodies(bodies=bodies, f=0, t_end=1, step=0.1, inputs={ca.SX.sym("u"): 1})
+def marbles(signal, **fields):
+    """Discs that a wind u(t) pushes from side to side, and that something pulls together."""
+    places = 0.6 * np.stack(np.meshgrid(np.arange(4.0), np.arange(3.0)), axis=-1).reshape(-1, 2)
+    bodies, u = Bodies(places, r=np.full(12, 0.25)), ca.SX.sym("u")
+    i, j = bodies.member("i"), bodies.member("j")
+    given = {"f": ca.vertcat(u - i.q[0], -i.q[1]), "inputs": {u: signal}, "t_end": 2, "step": 0.03} | fields
+    return ManyBodies(bodies=bodies, constraints={"apart": Family(ca.norm_2(i.q - j.q) - i.r - j.r, i, j)}, **given)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_inputs_drive_many_bodies(compiled):
+    model = marbles(pwm(0.5, 0.37, low=-1))
+    run = simulate(model, compiled=compiled)
+    assert run.metadata["totals"]["most_contacts"] > 10
+    edges = np.array([0.185, 0.5, 0.685, 1.0, 1.185, 1.5, 1.685])
+    assert np.abs(run.t[:, None] - edges).min(axis=0).max() < 1e-15
+    whole = simulate(model.written_out(), compiled=False)
+    np.testing.assert_allclose(run.x, whole.x, atol=1e-13)
+    np.testing.assert_array_equal(run.inputs, whole.inputs)
+    every = simulate(model, compiled=compiled, save_every=5)
+    np.testing.assert_array_equal(every.inputs_begin[1:-1], run.inputs_begin[5:-1:5])
+
+
+def test_many_bodies_with_a_constant_input_are_those_with_a_number():
+    number = simulate(marbles(None, f=None), inputs={"u": 0}).x
+    np.testing.assert_array_equal(simulate(marbles(None, f=None), inputs={"u": 3}).x, number)
+    i = Bodies([[0.0]], r=[1.0])
+    u, me = ca.SX.sym("u"), i.member("i")
+    model = ManyBodies(bodies=i, f=u - me.q, inputs={u: None}, t_end=1, step=0.1)
+    x = simulate(model, inputs={"u": 2}).x[:, 0]
+    np.testing.assert_allclose(x, 2 * (1 - 0.9 ** np.arange(11)), rtol=1e-13)
+
+
+def test_what_many_bodies_do_not_take(tmp_path):
+    u, z, bodies = ca.SX.sym("u"), ca.SX.sym("z"), Bodies([[0.0, 0.0]], r=[1.0])
+    with pytest.raises(UsageError, match="input 'u': many bodies take no steps"):
+        simulate(marbles(held_steps(np.ones(67))))
+    with pytest.raises(ModelError, match=r"leave.*'u'"):
+        ManyBodies(bodies=bodies, f=0, leave=bodies.member("i").q[0] - u, t_end=1, step=0.1, inputs={u: 1})
+    with pytest.raises(ModelError, match="blocks: many bodies take none"):
+        ManyBodies(bodies=bodies, f=0, t_end=1, step=0.1, blocks=[sampled("b", period=1, memory={z: 0})])
+    with pytest.raises(CodegenError, match=r"many bodies with inputs \(u\) have no C counterpart"):
+        codegen.write(marbles(1), tmp_path)
+
+
+def test_a_constraint_that_is_not_convex_with_an_input():
+    """What a step checks of its linearisation is the position, behind which the state has the inputs."""
+    q, u, t = ca.SX.sym("q", 2), ca.SX.sym("u"), ca.SX.sym("t")
+
+    def past_disc(wind, **fields):
+        force = ca.vertcat(1, 0.3 + wind)
+        return SweepingProcess(
+            t=t, q=q, f=force, constraints={"disc": ca.norm_2(q) - 1}, q0=[-1.5, 0.1], t_end=3, step=0.01, **fields
+        )
+
+    driven = simulate(past_disc(u, inputs={u: 0.2}), compiled=False)
+    assert (driven.multipliers[1:] > 0).sum() > 50
+    np.testing.assert_allclose(driven.x, simulate(past_disc(0.2), compiled=False).x, atol=1e-14)
 
 
 def test_a_set_that_an_input_moves_is_drawn(tmp_path):

@@ -69,7 +69,7 @@ def library_source(model: ManyBodies, name: str) -> str:
 def _functions(model: ManyBodies) -> str:
     """The model's functions and the table of them."""
     families = list(model.constraints.values())
-    f = model.f if isinstance(model.f, ca.SX) else ca.SX.zeros(model.bodies.d)
+    f = model.f if isinstance(model.f, ca.SX) and not model.is_driven else ca.SX.zeros(model.bodies.d)
     inputs = {"t": model.t, "p": model.p}
     text = [fragment("common.c", frozenset(), {}), c_function("velocity", inputs | {"a": model.me.symbols}, {"out": f}, "f")]
     if model.leave is not None:
@@ -136,6 +136,10 @@ def all_files(
         CodegenError: f is a function of numbers, there are more than MOST bodies, a reach depends on t.
     """
     n, d = model.bodies.q0.shape
+    if model.is_driven:
+        raise CodegenError(
+            f"many bodies with inputs ({', '.join(model.input_groups)}) have no C counterpart: put numbers in their place"
+        )
     if not isinstance(model.f, ca.SX):
         raise CodegenError("f is a Python function; for C it must be an expression of one body's symbols (and t)")
     if n > MOST:

@@ -105,7 +105,7 @@ class CompiledStep:
         s.model = ctypes.addressof(ctypes.c_char.in_dll(self._own, "own_functions"))
         s.n, s.tolerance, s.budget = n, tolerance, MOST_WORK
         s.q, s.present, s.numbers, s.farthest = map(_at, (self._q, self._present, self._numbers, self._farthest))
-        s.velocity = None if isinstance(model.f, ca.SX) else _at(self._velocity)
+        s.velocity = None if isinstance(model.f, ca.SX) and not model.is_driven else _at(self._velocity)
         s.items, s.over, s.item_count, s.over_count = map(_at, (*self._pointers, *self._counts))
         s.q_next, s.halves = _at(self._next), _at(self._shares)
         self._reach(0.0)

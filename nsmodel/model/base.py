@@ -95,7 +95,7 @@ class Model(Pickled):
     second_order: ClassVar[bool] = False  # Whether what moves is x with its velocity v, a column of runs.
     words: ClassVar[Mapping[str, tuple[str, Words]]] = {}  # What laws are called in the class, and its words for their states.
     refuses: ClassVar[Mapping[str, str]] = {}  # What is not done with a model of the class: {what: why, and what to do instead}.
-    undriven: ClassVar[str] = ""  # Why models of the class take no inputs, and what to do instead.
+    unblocked: ClassVar[str] = ""  # Why models of the class take no blocks, and what to do instead.
     outputless: ClassVar[str] = ""  # Why models of the class declare no outputs, and what to do instead.
     of_time: ClassVar[str] = MOVE  # What to do with time where it may not stand.
 
@@ -132,8 +132,8 @@ class Model(Pickled):
         u, driven = declared_inputs({} if self.inputs is None else self.inputs)
         blocks = declared_blocks(self.blocks)
         u, driven = self._with_kept(u, driven, [symbol for block in blocks for symbol in block.symbols], kept_signals(blocks))
-        if u and self.undriven:
-            raise ModelError(f"inputs: {self.undriven}")
+        if self.unblocked and (blocks or any(map(held_duty, driven.values()))):
+            raise ModelError(f"blocks: {self.unblocked}")
         known = [*([] if self.t is None else [time]), *given.values(), *p, *u]
         converter = Converter(known)
         own = given[state]

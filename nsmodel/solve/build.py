@@ -138,7 +138,7 @@ class Stepper:
         acts = row[self.layout.l] != 0
         if self.problem.overreach is None or not acts.any():
             return
-        ratio = np.where(acts, self._overreach(t, h, state, row[self.layout.state])[0], 0.0)
+        ratio = np.where(acts, self._overreach(t, h, state, row[: self.structure.n])[0], 0.0)
         worst = int(np.argmax(ratio))
         if ratio[worst] <= REACH:
             return

@@ -18,6 +18,7 @@ from nsmodel.model.base import Model
 from nsmodel.model.convert import to_sx
 from nsmodel.model.parameters import gathered
 
+NONE = ca.SX(0, 1)
 WRITTEN_OUT_UP_TO = 20_000  # Constraints that `written_out` puts into one model.
 
 
@@ -29,7 +30,7 @@ class ManyBodies(Model):
 
     Attributes:
         bodies: the bodies, with their starts.
-        f: the velocity that a body would have alone: d expressions of one member's symbols and t; or a function
+        f: the velocity that a body would have alone: d expressions of one member's symbols, t and inputs; or a function
             (t, q (N, d)) -> (N, d), called once a step (rows of absent bodies are NaN and do not matter; an attribute
             ``autonomous`` that is True says that it does not depend on t); left out: 0.
         constraints: {name: Family}.
@@ -55,7 +56,7 @@ class ManyBodies(Model):
     schemes: ClassVar[tuple[str, ...]] = SweepingProcess.schemes
     letter: ClassVar[str] = "q"
     outputless: ClassVar[str] = "many bodies take none; give them to the run, run.evaluate({...})"
-    undriven: ClassVar[str] = "many bodies take none; write what drives f as an expression of t"
+    unblocked: ClassVar[str] = "many bodies take none; let a loop of steps give what drives f"
     refuses: ClassVar[Mapping[str, str]] = {
         "stress": "is a model of many bodies, whose steps are judged as they are taken; push a small scene written out, "
         "stress(model.written_out())",
@@ -74,7 +75,7 @@ class ManyBodies(Model):
         me = self.bodies.member("i")
         self._set(
             me=me,
-            f=self.f if callable(self.f) and not isinstance(self.f, ca.SX) else self._of_one(self.f, "f", d, me),
+            f=self.f if callable(self.f) and not isinstance(self.f, ca.SX) else self._of_one(self.f, "f", d, me, self.u),
             constraints=MappingProxyType({str(name): self._family(name, family) for name, family in families.items()}),
             leave=None if self.leave is None else self._of_one(self.leave, "leave", 1, me),
             enter=np.zeros(n) if self.enter is None else times_of_entry(self.enter, n),
@@ -100,12 +101,17 @@ class ManyBodies(Model):
         """A point for each body in each row."""
         return rows.reshape(-1, self.bodies.d)
 
-    def _symbols(self, *members: Member) -> dict[str, ca.SX]:
+    @property
+    def is_driven(self) -> bool:
+        """Whether inputs are in f."""
+        return isinstance(self.f, ca.SX) and bool(self.u.numel()) and ca.depends_on(self.f, self.u)
+
+    def _symbols(self, *members: Member, inputs: ca.SX = NONE) -> dict[str, ca.SX]:
         """{name: symbol} of what an expression of these members may use."""
-        known = ca.vertcat(self.t, self.p, *(member.symbols for member in members))
+        known = ca.vertcat(self.t, self.p, inputs, *(member.symbols for member in members))
         return {symbol.name(): symbol for symbol in ca.vertsplit(known)}
 
-    def _of_one(self, value: Any, label: str, size: int, me: Member) -> ca.SX:
+    def _of_one(self, value: Any, label: str, size: int, me: Member, inputs: ca.SX = NONE) -> ca.SX:
         """``size`` expressions of the symbols of any one body, written with those of ``me``."""
         value = 0 if value is None else value
         if isinstance(value, list | tuple) and any(isinstance(entry, ca.SX) for entry in value):
@@ -125,7 +131,7 @@ class ManyBodies(Model):
             if unknown:
                 raise ModelError(f"{label} depends on '{unknown[0]}', which the bodies do not have; they have {self._has()}")
             column = ca.substitute(column, ca.vertcat(*(one[k] for k in own)), ca.vertcat(*(mine[k] for k in own.values())))
-        return to_sx(column, self._symbols(me), label)
+        return to_sx(column, self._symbols(me, inputs=inputs), label)
 
     def _has(self) -> str:
         return ", ".join(self.bodies.numbers)
@@ -164,7 +170,7 @@ class ManyBodies(Model):
         n, d = self.bodies.q0.shape
         q = [self.q[i * d : (i + 1) * d] for i in range(n)]
         numbers = self.bodies.table[:, d:]
-        own = ca.Function("f", [self.t, self.p, self.me.symbols], [self.f])
+        own = ca.Function("f", [self.t, self.p, self.u, self.me.symbols], [self.f])
         rows = {}
         for name, family in self.constraints.items():
             members = [family.first.symbols, ca.SX(0, 1) if family.second is None else family.second.symbols]
@@ -178,10 +184,12 @@ class ManyBodies(Model):
         shared = {key: getattr(self, key) for key in ("t_end", "step", "steps", "switch_times", "exact", "title")}
         units = {name: unit for name, unit in self.units.items() if name in ("t", *self.stems, *(self.names or ()))}
         scene = self.scene and {key: self.scene[key] for key in ("radii", "walls") if key in self.scene}
-        f = ca.vertcat(*(own(self.t, self.p, ca.vertcat(q[i], numbers[i])) for i in range(n)))
+        f = ca.vertcat(*(own(self.t, self.p, self.u, ca.vertcat(q[i], numbers[i])) for i in range(n)))
+        u = dict(zip(self.input_names, ca.vertsplit(self.u), strict=True))
+        inputs = {ca.vertcat(*(u[one] for one in self.input_groups[name])): signal for name, signal in self.inputs.items()}
         return SweepingProcess(
             t=self.t, q=self.q, f=f, constraints=rows, q0=self.q0, parameters=gathered(self.parameters, self.vectors),
-            scene=scene, units=units, **shared,
+            scene=scene, units=units, inputs=inputs, **shared,
         )  # fmt: skip
 
 

@@ -37,18 +37,19 @@ class BodiesRecord:
     """Rows in memory: ``capacity`` of them, then it is ``full`` and must be cleared; contacts are lists beside them."""
 
     def __init__(self, bodies: int, d: int, capacity: int) -> None:
-        self.t, self.h, self.residual, self.gap_min = (np.empty(capacity) for _ in range(4))
+        self.t, self.h, self.begin, self.residual, self.gap_min = (np.empty(capacity) for _ in range(5))
         self.x, self.pressure = np.empty((capacity, bodies * d)), np.empty((capacity, bodies))
         self.contacts: list[Contacts] = []
         self.first = 0  # Number of the first row in memory.
         self.filled, self.full = 0, False
 
     def add(
-        self, t: float, h: float, q: np.ndarray, gap: float, residual: float, pressure: np.ndarray | float, contacts: Contacts
+        self, begin: float, t: float, h: float, q: np.ndarray, gap: float, residual: float, pressure: np.ndarray | float,
+        contacts: Contacts,
     ) -> None:  # fmt: skip
-        """Add a row."""
+        """Add a row, of the step of length h from ``begin`` to t."""
         r = self.filled
-        self.t[r], self.h[r], self.x[r], self.gap_min[r], self.residual[r] = t, h, q.ravel(), gap, residual
+        self.begin[r], self.t[r], self.h[r], self.x[r], self.gap_min[r], self.residual[r] = begin, t, h, q.ravel(), gap, residual
         self.pressure[r] = pressure
         self.contacts.append(contacts)
         self.filled = r + 1
@@ -82,6 +83,9 @@ class OnGrid(OverGrid):
         self.model: Any = model
         self.grid, self.N, self.every, self.tolerance = grid, grid.N, options.save_every, options.tolerance
         check_exact(model)
+        for name, signal in model.inputs.items():
+            if signal is not None and signal.count is not None:
+                raise UsageError(f"input '{name}': many bodies take no steps(...); give table(t, values)")
         self.problem = BodiesProblem(model)
         self.stepper = BodiesStepper(self.problem, options.solver, self.tolerance)
         used, left_out = map(tuple, explained(self.problem, options.solver))
@@ -106,7 +110,7 @@ class OnGrid(OverGrid):
         if not options.resume:
             gap = refuse_start(self.problem, self.q)
             self._note_gap(gap, 0.0)
-            self.record.add(0.0, np.nan, self.q, gap, np.nan, np.nan, NO_CONTACTS)
+            self.record.add(0.0, 0.0, np.nan, self.q, gap, np.nan, np.nan, NO_CONTACTS)
 
     @property
     def ended(self) -> bool:
@@ -180,7 +184,7 @@ class OnGrid(OverGrid):
         self._note_end(before)
         if self.k % self.every == 0 or self.ended:
             contacts = in_order(result.contacts)
-            self.record.add(grid.time(self.k), h, q, result.gap_min, result.residual, pressure, contacts)
+            self.record.add(t, grid.time(self.k), h, q, result.gap_min, result.residual, pressure, contacts)
 
     def _note_end(self, before: tuple[np.ndarray, BodiesWarm]) -> None:
         """Note that nobody is left, or that nothing will ever change again."""
@@ -280,7 +284,10 @@ class OnGrid(OverGrid):
 
     def columns(self) -> dict[str, np.ndarray]:
         """The rows in memory as the arrays of a trajectory."""
-        return self.record.columns()
+        arrays, drive = self.record.columns(), self.grid.drive
+        if drive is not None:
+            arrays |= drive.rows(arrays["t"], self.record.begin[: self.record.filled])
+        return arrays
 
     def standing(self) -> dict[str, Any]:
         """What to continue from."""

@@ -117,7 +117,8 @@ class BodiesProblem:
         d, t = self.d, model.t
         self.numbers = model.bodies.table[:, d:]
         self.names, self.families = tuple(model.constraints), tuple(model.constraints.values())
-        self._f = Batch("f", t, [model.me.symbols], model.f) if isinstance(model.f, ca.SX) else None
+        self._f = Batch("f", t, [ca.vertcat(model.me.symbols, model.u)], model.f) if isinstance(model.f, ca.SX) else None
+        self._signals = tuple(model.inputs.values())
         self._leave = None if model.leave is None else Batch("leave", t, [model.me.symbols], model.leave)
         self._gap, self._row, self.curved = [], [], []
         for family in self.families:
@@ -137,14 +138,15 @@ class BodiesProblem:
                 )
 
     def f(self, t: float, q: np.ndarray, present: np.ndarray) -> np.ndarray:
-        """The velocities (N, d), 0 for bodies that are not there.
+        """The velocities (N, d) just after t, 0 for bodies that are not there.
 
         Raises:
             StepError: f does not give (N, d) finite numbers.
         """
         out = np.zeros((self.count, self.d))
         if self._f is not None:
-            out[present] = self._f(t, np.hstack([q[present], self.numbers[present]]))
+            u = [np.tile(signal.after(np.array([t])), (int(present.sum()), 1)) for signal in self._signals]
+            out[present] = self._f(t, np.hstack([q[present], self.numbers[present], *u]))
         else:
             given = q.copy()
             try:
