@@ -654,6 +654,31 @@ def test_a_constraint_that_is_not_convex_with_an_input():
     np.testing.assert_allclose(driven.x, simulate(past_disc(0.2), compiled=False).x, atol=1e-14)
 
 
+def test_impacts_are_seen_with_inputs():
+    q, v, l, u = (ca.SX.sym(name) for name in ("q", "v", "l", "u"))
+
+    def dropped(force, **fields):
+        return FirstOrderSystem(
+            x=ca.vertcat(q, v),
+            lam=l,
+            f=[v, force],
+            g=[0, l],
+            h=[q],
+            law=complementarity(1),
+            x0=[1, 0],
+            t_end=2,
+            step=0.01,
+            **fields,
+        )
+
+    said = simulate(dropped(-9.81)).metadata["warnings"]
+    assert "where y closes 'v' must jump, here once, at t = 0.45" in said[0]
+    for compiled in (False, True):
+        assert simulate(dropped(u, inputs={u: -9.81}), compiled=compiled).metadata["warnings"] == said
+    chopped = simulate(dropped(u, inputs={u: pwm(0.3, 0.5, low=-15, high=-5)})).metadata["warnings"]
+    assert "where y closes 'v' must jump, here once, at t = 0.49" in chopped[0]  # 0.15 at -5, 0.15 at -15, 0.15 at -5, then -15
+
+
 def test_a_set_that_an_input_moves_is_drawn(tmp_path):
     from nsmodel import plot
 

@@ -51,7 +51,7 @@ def along(
 
 def _continuous(model: Model, run: Trajectory) -> list[Finding]:
     """Impacts of the rows that may call for an impulse; nothing where there is no such row."""
-    watches = () if model.u.numel() else impacts.watched(model)  # as runs do: y' of a row holds u'
+    watches = impacts.watched(model)
     if not watches:
         return []  # nearly always
     known = impacts.met(watches, run.arrays, {})

@@ -41,8 +41,8 @@ class Watch:
         names: of its multipliers; column: where the first, of a cone its axis, is in a run; lower, upper: its ends.
         degree: of the least derivative of y that it enters: 2, 3, ...; 0: none.
         moved: the states that it acts on.
-        rate: (t, s, l) -> y', of a cone (y_1 - |(y_2, ...)|)'; s the states, of an oscillator also its velocities, l the columns
-            ``inputs`` of a run.
+        rate: (t, s, l, u) -> y', of a cone (y_1 - |(y_2, ...)|)'; s the states, of an oscillator also its velocities, l the
+            columns ``inputs`` of a run.
         untouched: what no such multiplier enters, in words.
     """
 
@@ -113,6 +113,12 @@ class System(NamedTuple):
     first: int  # The column of the first of l in a run.
     untouched: str = "y'"  # What rows that are watched have no multiplier in.
     cones: tuple[slice, ...] = ()
+    u: ca.SX = ca.SX(0, 1)
+
+    @property
+    def given(self) -> tuple[ca.SX, ...]:
+        """What F and Y are expressions of."""
+        return self.t, self.s, self.l, self.u
 
 
 @once
@@ -136,8 +142,8 @@ def watched(model: Model) -> tuple[Watch, ...]:
     acted, acting = entries(system.F_l)
     found = []
     for rows in (*(slice(i, i + 1) for i in map(int, np.flatnonzero(~np.isnan(system.lower)))), *system.cones):
-        if not late[rows].all():
-            continue
+        if not late[rows].all() or ca.depends_on(system.Y[rows], system.u):
+            continue  # of what an input moves y' holds u'
         Y, first, cone = system.Y[rows], rows.start, rows in system.cones
         rate = ca.jtimes(Y, system.s, system.F) + ca.jacobian(Y, system.t)
         degree, derivative, alone = 2, rate, bounded[rows]
@@ -152,7 +158,7 @@ def watched(model: Model) -> tuple[Watch, ...]:
         found.append(Watch(
             names=tuple(system.multipliers[rows]), column=system.first + first, lower=0.0 if cone else float(system.lower[first]),
             upper=np.inf if cone else float(system.upper[first]), degree=degree, moved=tuple(system.states[j] for j in own),
-            rate=ca.Function("rate", [system.t, system.s, system.l], [ca.densify(_to_surface(Y, rate) if cone else rate)]),
+            rate=ca.Function("rate", list(system.given), [ca.densify(_to_surface(Y, rate) if cone else rate)]),
             inputs=slice(system.first, system.first + system.l.numel() or None), untouched=system.untouched,
         ))  # fmt: skip
     return tuple(found)
@@ -175,22 +181,28 @@ def system_of(model: Any, law: Law, l: ca.SX, F: ca.SX, Y: ca.SX, matrices: Sequ
     cones = tuple(rows for rows, block in law.parts() if isinstance(block.shape(), SecondOrder))
     F_l, Y_x, Y_l = matrices
     return System(
-        model.t, model.x, l, F, Y, F_l, Y_x, Y_l, model.x0, *ends, model.names, model.multiplier_names, 0, untouched, cones
+        model.t, model.x, l, F, Y, F_l, Y_x, Y_l, model.x0, *ends, model.names, model.multiplier_names, 0, untouched, cones,
+        model.u,
     )  # fmt: skip
 
 
-def _places(system: System) -> list[tuple[float, np.ndarray, np.ndarray]]:
-    """(t, s, l) where rows are looked at."""
+def _places(system: System) -> list[tuple[float, np.ndarray, np.ndarray, np.ndarray]]:
+    """(t, s, l, u) where rows are looked at."""
     rng, start = np.random.default_rng(0), np.array(ca.DM(system.start)).ravel()
     size = np.abs(start) + (np.abs(start).max(initial=0.0) or 1.0)
     low, high = (
         np.nan_to_num(end, nan=sign, posinf=1.0, neginf=-1.0) for end, sign in ((system.lower, -1.0), (system.upper, 1.0))
     )
     around = [
-        (rng.uniform(), start + size * rng.uniform(-1, 1, start.size), rng.uniform(low, np.maximum(low, high)))
+        (
+            rng.uniform(),
+            start + size * rng.uniform(-1, 1, start.size),
+            rng.uniform(low, np.maximum(low, high)),
+            rng.uniform(-1, 1, system.u.numel()),
+        )
         for _ in range(PLACES - 1)
     ]
-    return [(0.0, start, np.clip(0.0, low, np.maximum(low, high))), *around]
+    return [(0.0, start, np.clip(0.0, low, np.maximum(low, high)), np.zeros(system.u.numel())), *around]
 
 
 def _entries(system: System, places: Sequence[Any], *factors: ca.SX) -> tuple[np.ndarray, np.ndarray]:
@@ -204,7 +216,7 @@ def _entries(system: System, places: Sequence[Any], *factors: ca.SX) -> tuple[np
     if not rows.size:
         return rows, columns
     there, outputs = np.zeros(rows.size, bool), [product, ca.project(size, product.sparsity())]
-    f = ca.Function("f", [system.t, system.s, system.l], outputs)
+    f = ca.Function("f", list(system.given), outputs)
     for place in places[: 1 if product.is_constant() else None]:
         value, terms = (np.array(part.nonzeros()) for part in f(*place))
         there |= ~(np.abs(value) <= ROUNDING * terms)
@@ -216,7 +228,7 @@ def met(watches: Sequence[Watch], columns: Mapping[str, np.ndarray], known: Mapp
 
     Args:
         watches: of the run's model.
-        columns: t (k,), x (k, n), multipliers (k, m), of an oscillator v (k, n): the next rows.
+        columns: t (k,), x (k, n), multipliers (k, m), of an oscillator v (k, n), inputs (k, nu): the next rows.
         known: what was returned for the rows before; {} at the start of the run.
     """
     return {watch.name: _met(watch, columns, known.get(watch.name, _NOTHING)) for watch in watches}
@@ -228,7 +240,8 @@ _NOTHING = {"count": 0, "t": None, "rate": 0.0, "largest": 0.0, "size": 0.0, "ro
 def _met(watch: Watch, columns: Mapping[str, np.ndarray], known: Mapping[str, Any]) -> dict[str, Any]:
     t, l = columns["t"], columns["multipliers"]
     s = np.hstack([columns["x"], columns["v"]]) if "v" in columns else columns["x"]
-    rate = np.array(watch.rate.map(len(t))(t[None, :], s.T, np.nan_to_num(l[:, watch.inputs]).T)).ravel()
+    u = columns.get("inputs", np.zeros((len(t), 0)))
+    rate = np.array(watch.rate.map(len(t))(t[None, :], s.T, np.nan_to_num(l[:, watch.inputs]).T, u.T)).ravel()
     old = len(known["rates"])  # of rows that were there before: what follows is found in the new ones
     times, rates = np.concatenate([known["times"], t]), np.concatenate([known["rates"], np.nan_to_num(rate)])
     free = np.concatenate([known["free"], watch.free(l[:, watch.column])]).astype(bool)

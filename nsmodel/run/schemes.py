@@ -84,7 +84,7 @@ class OfScheme:
         few = grid.steps is None or (np.unique(grid.steps).size <= FEW_STEPS and not (grid.drive and grid.drive.moving))
         self.stepper: Any = make_stepper(model, options.solver, tolerance, h=h, state=self.state, few_steps=few)
         self.warm, self.last_index = self.stepper.cold(), None
-        self.watches = () if model.u.numel() else impacts.watched(model)
+        self.watches = impacts.watched(model)
         self.outputs = Outputs.of(model, self.problem.multiplier_names)
         self.counts: Counter[str] = Counter()
         self.totals: dict[str, Any] = {
@@ -183,6 +183,7 @@ class OfScheme:
         if self.watches:
             names = {"multipliers": "multipliers" if "multipliers" in self.stepper.layout.slices else "l"}
             names |= {"v": self.problem.velocity} if self.problem.velocity else {}
+            names |= {"inputs": "inputs"} if self.problem.inputs else {}
             columns = {"t": t, "x": x, **{name: self.record.column(own) for name, own in names.items()}}
             self.totals["impacts"] = impacts.met(self.watches, columns, self.totals.get("impacts", {}))
         if self.problem.velocity:
