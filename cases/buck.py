@@ -4,7 +4,7 @@
 
 What to see: the current rises while the switch is closed and falls while the diode conducts. After the first surge the diode
 blocks at the end of some periods (i = 0 exactly, l > 0). With --t-end 2e-3 the current never ends any more, and the mean of v
-is D Vin = 9.6 V whatever the load.
+is then D Vin = 9.6 V.
 
 Source: exact by matrix exponentials, one for each position of the switch.
 """

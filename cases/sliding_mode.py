@@ -1,7 +1,7 @@
 """Sampled sliding-mode control of x' = w + 0.5 sin t, explicit or implicit: w held over samples of h.
 
 What to see: implicitly, w = -sat(x/h), the control reaches 0 in a second and then follows -0.5 sin t smoothly, a sample late;
-|x| stays below h/2. Explicitly (--set implicit=0), w = -sgn(x), it chatters between -1 and 1 for ever, and |x| goes to 3h/2.
+|x| stays below h/2. Explicitly (--set implicit=0), w = -sgn(x), it chatters between -1 and 1 for ever, and |x| comes near 3h/2.
 
 Source: exact, as the plant between two samples is an integral.
 """
