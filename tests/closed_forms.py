@@ -548,3 +548,40 @@ def _first_event(events, time, t_end, fine):
         if root < first:
             first, hit = root, what
     return (first, hit) if first <= t_end else (np.inf, None)
+
+
+# ---------------------------------------------------------------------------------------------- driven scenes
+
+
+def rectified(t, alpha=0.0, Vm=325.0, R=10.0, L=0.05, f=50.0):
+    """Return the current (N, 1) of R and L on sin 2 pi f t, behind a thyristor fired at the angle alpha; at 0 it is a diode."""
+    steady = Vm / (R + 2j * np.pi * f * L)
+
+    def current(a):
+        return (steady * (np.exp(1j * a) - np.exp(1j * alpha - (a - alpha) * R / (2 * np.pi * f * L)))).imag
+
+    end = brentq(current, np.pi, 2 * np.pi - 1e-6, xtol=1e-14)
+    a = 2 * np.pi * np.mod(f * np.asarray(t), 1)
+    return np.where((a > alpha) & (a < end), current(a), 0)[:, None]
+
+
+def to_and_fro(t, x, low, high, down, up, tau):
+    """Return x (N, 1) of tau x' = goal - x: the goal is ``up`` until x = high, then ``down`` until x = low, and so on."""
+    t = np.asarray(t, float)
+    found, begin, now, then = np.empty(t.shape), 0.0, (up, high), (down, low)
+    while begin <= t[-1]:
+        goal, end = now
+        later = t >= begin
+        found[later] = goal + (x - goal) * np.exp(-(t[later] - begin) / tau)
+        begin, x, now, then = begin + tau * np.log((goal - x) / (goal - end)), end, then, now
+    return found[:, None]
+
+
+def bang_bang(t, force=2.0, F=0.5):
+    """Return v and p (N, 2) of a unit mass that goes one metre against friction F: straight lines of v, and their areas."""
+    up, down = force - F, force + F
+    peak = np.sqrt(2 * up * down / (up + down))
+    knots, speeds = np.cumsum([0, peak / up, peak / down, 10]), np.array([0, peak, 0, 0])
+    v = np.interp(t, knots, speeds)
+    p = [np.trapezoid(np.r_[speeds[knots < s], w], np.r_[knots[knots < s], s]) for s, w in zip(t, v, strict=True)]
+    return np.column_stack([v, p])

@@ -17,9 +17,9 @@ T, VIN = 1e-5, 24.0
 def buck(R=5.0, duty=0.4, **fields):
     """x = (i, v): L i' = u Vin - v + l, C v' = i - v/R, 0 <= l ⟂ i >= 0."""
     L, C, u = 1e-4, 47e-6, ca.SX.sym("u")
-    given = {"inputs": {u: pwm(T, duty)}, "theta": 0.5, "step": T / 20, "t_end": 200 * T} | fields
+    given = {"inputs": {u: pwm(T, duty)}, "theta": 0.5, "step": T / 20, "t_end": 200 * T, "x0": [0, 0]} | fields
     return LureSystem(
-        A=[[0, -1 / L], [1 / C, -1 / (R * C)]], B=[1 / L, 0], C=[1, 0], f=[u * VIN / L, 0], law=complementarity(1), x0=[0, 0],
+        A=[[0, -1 / L], [1 / C, -1 / (R * C)]], B=[1 / L, 0], C=[1, 0], f=[u * VIN / L, 0], law=complementarity(1),
         names=["i", "v"], **given,
     )  # fmt: skip
 
@@ -62,10 +62,11 @@ def boost(**fields):
     L, C, R, Vin, period = 1e-4, 1e-4, 20.0, 12.0, 2e-5
     x, lam, u = ca.SX.sym("x", 2), ca.SX.sym("lam", 2), ca.SX.sym("u")
     (i, v), (s, l) = ca.vertsplit(x), ca.vertsplit(lam)
-    given = {"inputs": {u: pwm(period, 0.5)}, "theta": 0.5, "gamma": 0.5, "step": period / 20, "t_end": 100 * period} | fields
+    given = {"inputs": {u: pwm(period, 0.5)}, "theta": 0.5, "gamma": 0.5, "step": period / 20, "t_end": 100 * period}
+    given |= {"x0": [0, Vin]} | fields
     return FirstOrderSystem(
         x=x, lam=lam, f=[Vin / L, -v / (R * C)], g=[-s / L, l / C], h=[u * s + (1 - u) * (i - l), v - s],
-        law=product(equality(1), complementarity(1)), x0=[0, Vin], **given,
+        law=product(equality(1), complementarity(1)), **given,
     )  # fmt: skip
 
 

@@ -50,13 +50,18 @@ def test_case_file_is_described_runs_and_is_verified(case_file, load_case, run_c
 
 
 EXACT = {
+    "bang_bang": exact.bang_bang,
     "friction_oscillator": lambda t: exact.friction_free(t, 5.3)[:, :1],
+    "half_wave_rectifier": exact.rectified,
     "inclusion_8_1": exact.inclusion_8_1,
     "inclusion_8_2": lambda t: exact.inclusion_8_2_diagonal(t, [1, 2, 4], [3, 0.5, -4], [1, 1, 1], -2, 1.5, [-1, 1.5, 1]),
     "moving_disc": exact.moving_disc,
     "moving_half_line": exact.half_line,
     "point_past_disc": exact.point_past_disc,
+    "schmitt_trigger": lambda t: exact.to_and_fro(t, 0, -2.5, 2.5, -5, 5, 1e-2),
     "sliding_relay": exact.sliding_relay,
+    "thermostat": lambda t: exact.to_and_fro(t, 15, 19, 21, 5, 35, 2),
+    "thyristor": lambda t: exact.rectified(t, np.pi / 3),
     "two_discs": exact.two_discs,
     "zhuravlev_ivanov": exact.zhuravlev_ivanov,
 }

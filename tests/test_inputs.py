@@ -171,7 +171,6 @@ def test_a_time_optimal_move_ends_at_rest():
         peak = np.sqrt(2) if F == 0 else np.sqrt(2 * 1.5 * 2.5 / 4)
         first = peak / (2 - F)
         second = first + peak / (2 + F)
-        run = simulate(scenes.drive_cycle(table([0, first, second], [2, -2, 0]), t_end=2, step=0.0137, theta=0.5))
         model = LureSystem(
             A=[[0, 0], [1, 0]], B=[1, 0], C=[1, 0], f=[u := ca.SX.sym("u"), 0], law=relay(1, -F, F), x0=[0, 0], theta=0.5,
             inputs={u: table([0, first, second], [2, -2, 0])}, t_end=2, step=0.0137,
