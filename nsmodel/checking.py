@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -15,7 +14,7 @@ from nsmodel.classes.registry import class_of
 from nsmodel.errors import ModelError, StepError, UsageError
 from nsmodel.hypotheses import impacts, uniform
 from nsmodel.hypotheses.along import along
-from nsmodel.hypotheses.findings import ALONG_A_RUN, HOLDS, VIOLATED, Consequence, Finding, Hypothesis, measured, plain
+from nsmodel.hypotheses.findings import ALONG_A_RUN, HOLDS, VIOLATED, Consequence, Finding, Hypothesis, plain
 from nsmodel.hypotheses.inputs import Motion, between_ticks, beyond, motion_of, told, unsettled
 from nsmodel.hypotheses.region import Region, around, region_of
 from nsmodel.hypotheses.report.report import Report
@@ -25,6 +24,7 @@ from nsmodel.model.arguments import shown
 from nsmodel.model.base import Model
 from nsmodel.model.driven import frozen
 from nsmodel.model.parameters import Values, split_boxes
+from nsmodel.observed_order import ROUND_OFF, refined
 from nsmodel.proof.graph import OpaqueExpression
 from nsmodel.proof.search import quick_searches
 from nsmodel.scheme import one_step_problem
@@ -33,13 +33,9 @@ from nsmodel.simulate import simulate
 from nsmodel.solve.structure import read
 from nsmodel.trajectory import Trajectory
 
-ROUND_OFF = 1e-11  # Differences of runs below this part of the state are not told from rounding.
 FEW_STEPS = 4000  # Steps looked at where each needs Newton's method.
 LATE = f"where y closes with y' != 0 a state jumps, an impact; see {impacts.GUIDE}"
 WIDER, FEW_STATES = 10.0, 4  # Where counterexamples outside the box are looked for, jumps where there are up to so many states.
-ASYMPTOTIC = 0.3, 2.5  # Orders seen outside of this range are chance.
-SAME_TIME = 1e-12  # Of the run: rows nearer than this are at one time.
-TWICE = 1.8, 2.2  # Rows of a run beside those with steps twice as long.
 CONSTANT = "seen for constant inputs alone"
 
 
@@ -143,7 +139,7 @@ def _seen(
     part = class_of(model).optional("hypotheses.twins") if motion.names else None  # else the class's check compares them
     made = [*(part.compared(model, findings, runs) if part else []), *along(model, runs[0], findings, twin, quick)]
     made = [replace(item, scope=span) for item in made]
-    return made, [] if given else _refined(model, runs[0])
+    return made, [] if given else refined(model, runs[0], _effort(model))
 
 
 def _told(model: Model, motion: Motion) -> tuple[str, ...]:
@@ -319,51 +315,3 @@ def started_at(model: Model, x0: np.ndarray) -> Model:
     other = copy(model)
     other._set(**{f"{model.letter}0": ca.SX(ca.DM(x0))}, exact=None)
     return other
-
-
-def _refined(model: Model, run: Trajectory) -> list[Consequence]:
-    """What runs with the steps 4h, 2h, h show together: the order, and what the class looks at."""
-    h, N = model.step, len(run.t) - 1
-    if h is None or N < 16 or run.status != "done" or model.tied_to_step:
-        return []
-    if (effort := _effort(model)) and not effort.is_refined(model, N):
-        return []
-    try:
-        runs = [run, *(simulate(model, step=factor * h, t_end=float(run.t[-1])) for factor in (2, 4))]
-    except (StepError, UsageError):
-        return []
-    if model.u.numel() and not all(TWICE[0] <= len(fine.t) / len(wide.t) <= TWICE[1] for fine, wide in pairwise(runs)):
-        return []  # edges ask for steps of their own
-    part = class_of(model).optional("hypotheses.refined")
-    return [_observed_order(h, runs), *([] if part is None else part.seen(h, runs))]
-
-
-def _at_common_times(runs: Sequence[Trajectory]) -> Iterator[np.ndarray]:
-    """The states of runs with the steps h, 2h, 4h at the times that all have."""
-    N = len(runs[0].t) - 1
-    if "inputs" not in runs[0].arrays:
-        rows = N // 4 - (1 if N % 4 else 0)  # the last row of a coarse run may be a shortened step
-        return (other.x[: factor * rows + 1 : factor] for factor, other in zip((4, 2, 1), runs, strict=True))
-    t, near = runs[-1].t, SAME_TIME * float(runs[-1].t[-1])
-    at = [np.abs(run.t[:, None] - t).argmin(axis=0) for run in runs]
-    common = np.all([np.abs(run.t[rows] - t) <= near for run, rows in zip(runs, at, strict=True)], axis=0)
-    return (run.x[rows[common]] for run, rows in zip(runs, at, strict=True))
-
-
-def _observed_order(h: float, runs: Sequence[Trajectory]) -> Consequence:
-    """log2 of the ratio of the differences between neighbouring runs, at common times."""
-    fine, medium, wide = _at_common_times(runs)
-    near, far = np.nanmax(np.abs(medium - fine)), np.nanmax(np.abs(wide - medium))  # NaN: bodies that are absent in one of two.
-    value = {"difference h, 2h": near, "difference 2h, 4h": far, "h": h}
-    error = runs[0].metadata["totals"].get("largest_error")
-    if error is not None:
-        value["largest error"] = error
-    if near <= ROUND_OFF * max(np.nanmax(np.abs(runs[0].x)), np.finfo(float).tiny):
-        return measured(
-            "observed order", "runs with steps 4h, 2h, h agree to rounding: no order is seen, and no error of the step", value
-        )
-    order = np.log2(far / near) if far else 0.0
-    if not ASYMPTOTIC[0] <= order <= ASYMPTOTIC[1]:
-        why = "no order is seen at steps 4h, 2h, h: they are too large, or switches fall between rows differently"
-        return measured("observed order", why, value)
-    return measured("observed order", "the error shrinks like h^order, seen at steps 4h, 2h, h", {"order": order, **value})

@@ -2,33 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from nsmodel.classes.registry import class_of
 from nsmodel.defaults import TOLERANCE
-from nsmodel.errors import ModelError, StepError, UsageError
-from nsmodel.grid import SAME, driving, is_number, written
+from nsmodel.errors import StepError, UsageError
+from nsmodel.grid import is_number, written
 from nsmodel.hypotheses.quick import refuse_start
 from nsmodel.model.base import Model
-from nsmodel.model.driven import driven_by, inputs_at_start
+from nsmodel.model.driven import driven_by
 from nsmodel.model.inputs import Signals, by_name
 from nsmodel.model.parameters import Values
-from nsmodel.model.ticks import ticks_of
 from nsmodel.quantities import Outputs
 from nsmodel.record import Record
 from nsmodel.run.one_in_c import InC
 from nsmodel.run.options import Options
+from nsmodel.run.row import Row
 from nsmodel.run.schemes import make_stepper
+from nsmodel.run.step_inputs import Free, StepInputs, numbers
 from nsmodel.run.told import of_model, of_scheme
 from nsmodel.run.walk import is_numerical, unsolvable
 from nsmodel.scheme import initial_rows, one_step_problem
-from nsmodel.signals.drive import Drive
-from nsmodel.signals.signal import Held, earlier, later
 from nsmodel.solve.build import Starter, start_state
-from nsmodel.solve.layout import Layout
 from nsmodel.solve.stepper import StepResult, Warm
 from nsmodel.trajectory import Trajectory
 
@@ -37,60 +35,6 @@ if TYPE_CHECKING:
 
 ROWS = 1024  # Of a record, at first.
 INF = np.inf
-AHEAD = 2.0  # Times as far as steps have come: signals are looked at up to there.
-
-
-class Free(Held):
-    """An input whose values each step is given."""
-
-    @property
-    def values_taken(self) -> None:
-        """Any."""
-        return
-
-
-class Row:
-    """Where a step has led: its time, and what is read off the row that it has made."""
-
-    __slots__ = ("_layout", "_packed", "_states", "index_set", "t")
-
-    def __init__(self, t: float, packed: np.ndarray, index_set: np.ndarray, layout: Layout, states: int) -> None:
-        self.t, self.index_set = t, index_set
-        self._packed, self._layout, self._states = packed, layout, states
-
-    @property
-    def x(self) -> np.ndarray:
-        """The state (n,)."""
-        return self._packed[: self._states]
-
-    @property
-    def multipliers(self) -> np.ndarray:
-        """The multipliers (m,), as they are declared."""
-        return self._of("multipliers", "l")
-
-    @property
-    def y(self) -> np.ndarray:
-        """The outputs of the law (m,)."""
-        return self._of("outputs", "y")
-
-    @property
-    def residual(self) -> float:
-        """That of the step."""
-        return float(self._packed[self._layout.residual])
-
-    @property
-    def inputs(self) -> np.ndarray:
-        """The inputs (nu,) at the end of the step."""
-        both = self._packed[self._layout.inputs]
-        return both[both.size // 2 :]
-
-    def _of(self, name: str, else_of: str) -> np.ndarray:
-        slices = self._layout.slices
-        return self._packed[slices.get(name, slices[else_of])]
-
-    def __repr__(self) -> str:
-        """The time, the state, the residual."""
-        return f"Row(t={self.t:.10g}, x={self.x}, residual={self.residual:.2g})"
 
 
 class ModelStepper:
@@ -115,13 +59,7 @@ class ModelStepper:
         self.h, self._tolerance, self._keeps = float(h), options.tolerance, record
         refuse_start(own)
         self._problem = one_step_problem(own)
-        self._sizes = {name: len(own.input_groups[name]) for name in self.free}
-        self._ticks = ticks_of(own)
-        self._driven = bool(own.blocks) or any(not isinstance(signal, Held) for signal in own.inputs.values())
-        self._drive: Drive | None = None  # The signals up to a time that is looked ahead to.
-        self._ahead = 0.0
-        entries = [name for name, names in own.input_groups.items() for _ in names]
-        self._at = np.flatnonzero(np.isin(entries, self.free))  # Of the inputs that steps are given, among all.
+        self._inputs = StepInputs(own, self.free)
         state = start_state(self._problem, initial_rows(own, self.h)[-1][0], self.h, options.tolerance)
         few = not any(signal.moving for signal in own.inputs.values())
         self._step = make_stepper(own, options.solver, options.tolerance, h=self.h, state=state, few_steps=few)
@@ -129,8 +67,7 @@ class ModelStepper:
         self._starter = None
         if start is not None:
             self._starter = self._in_c.starter(Starter(start, options.tolerance, h=self.h, state=state))
-        self._both = np.tile(inputs_at_start(own), 2)
-        one = self._both.size == 2 * self._at.size == 2 and start is None and not (self._driven or record)
+        one = own.u.numel() == self._inputs.at.size == 1 and start is None and not (self._inputs.driven or record)
         self._alone = self._in_c.alone(self._step.layout, self._step.cold().index.size) if one else None
         self.reset()
 
@@ -149,16 +86,18 @@ class ModelStepper:
     @property
     def held(self) -> dict[str, Any]:
         """What blocks hold, by name: their memory and outputs, in the step that has led here."""
-        if self._ticks is None:
-            return {}
-        u = self._state[self._step.layout.inputs][self._both.size // 2 :]
-        return {name: values[0] if values.size == 1 else values.copy() for name, values in self._ticks.kept(u).items()}
+        return self._inputs.kept(self._place[2])
 
     @property
     def next_tick(self) -> float:
         """The time of the next tick of a sampled block, that of now included; infinite where there is none."""
-        blocks = () if self._ticks is None else self._ticks.blocks
-        return min((block.next_tick(self.t) for block in blocks), default=np.inf)
+        return self._inputs.next_tick(self.t)
+
+    @property
+    def _place(self) -> tuple[np.ndarray, ...]:
+        """States, multipliers and inputs of the step that has led here."""
+        both = self._state[self._step.layout.inputs]
+        return self._state[: self._n], self._warm.l, both[both.size // 2 :]
 
     def reset(self, x0: Any = None, t: float = 0.0) -> None:
         """Begin anew, at the model's start or at ``x0``, at time t.
@@ -169,11 +108,10 @@ class ModelStepper:
         rows = initial_rows(self._model, self.h)
         state, n = rows[-1][0].copy(), self._n
         if x0 is not None:
-            own = _numbers("x0", x0, n)
-            state[:n] = own
-        if self._ticks is not None:
+            state[:n] = numbers("x0", x0, n)
+        if (ticks := self._inputs.ticks) is not None:
             at = self._step.layout.inputs
-            state[at] = np.tile(self._ticks.before(state[:n], state[at][: self._both.size // 2]), 2)
+            state[at] = np.tile(ticks.before(state[:n], self._inputs.both[: self._inputs.both.size // 2]), 2)
         self._state = start_state(self._problem, state, self.h, self._tolerance)
         self._warm: Warm = self._step.cold()
         self._base, self._last, self.k = float(t), self.h, len(rows) - 1
@@ -224,11 +162,11 @@ class ModelStepper:
             length = float(h)
         else:
             raise UsageError(f"h = {written(h)}; expected a finite number > 0")
-        begin = self._given(u)
-        end = begin if u_end is None else self._given(u_end)
-        if not self._driven:
+        begin = self._inputs.given(u)
+        end = begin if u_end is None else self._inputs.given(u_end)
+        if not self._inputs.driven:
             return self._one(begin, end, length)
-        ends = self._points(length, begin)
+        ends = self._inputs.ends(self.k, self.t, length, begin, self._place)
         if len(ends) == 1:
             return self._one(begin, end, length)
         if not split:
@@ -259,71 +197,10 @@ class ModelStepper:
         self._state, self._warm = packed[layout.state], Warm(packed[layout.l], index)
         return Row((k + 1) * self.h, packed, index, layout, self._n)
 
-    def _points(self, h: float, begin: np.ndarray) -> list[float]:
-        """Where the parts of a step end: at the points of signals within it, at edges that blocks place, and at its end."""
-        t, end = self.t, self.t + h
-        drive = self._seen(end)
-        first, last = np.searchsorted(drive.points, [later(np.array(t)), earlier(np.array(end))])
-        ends = [*drive.points[first:last].tolist(), end]
-        if drive.moving and self._ticks is not None:
-            u = self._limits(begin, begin, ends[0] - t)[0][: drive.size]
-            return [*drive.holding(self._ticks.kept(u)).within(t, ends[0])[1:].tolist(), *ends[1:]]
-        return ends
-
-    def _seen(self, end: float) -> Drive:
-        """The signals up to the end of a step, and ahead where they let; UsageError where one is none up to there."""
-        inputs = self._model.inputs
-        for name, signal in inputs.items():
-            if signal.count is not None and self.k >= signal.count:
-                raise UsageError(f"input '{name}': steps(...) has {signal.count} rows, and this would be step {self.k + 1}")
-        if self._drive is None or end > self._ahead:
-            try:
-                self._drive, self._ahead = driving(self._model, AHEAD * end), AHEAD * end
-            except ModelError:
-                try:
-                    self._drive, self._ahead = driving(self._model, end), end
-                except ModelError as error:
-                    raise UsageError(str(error)) from error
-        return self._drive
-
-    def _given(self, values: Any) -> np.ndarray:
-        """The values of the free inputs, one after the other."""
-        sizes = self._sizes
-        if isinstance(values, Mapping):
-            found = by_name(values, sizes)
-            for name in sizes:
-                if name not in found:
-                    raise UsageError(f"input '{name}' has no value in this step; give it, or a signal to the stepper")
-            return np.concatenate([np.zeros(0), *(_numbers(name, found[name], size) for name, size in sizes.items())])
-        return _numbers("u", [] if values is None else values, self._at.size, self.free)
-
-    def _limits(self, begin: np.ndarray, end: np.ndarray, h: float) -> tuple[np.ndarray, bool]:
-        """U at the begin of a step, then at its end; whether it begins with a jump."""
-        t, nu, jumps = self.t, self._both.size // 2, False
-        both = self._both.copy()
-        drive = self._seen(t + h) if self._driven else None
-        if drive is not None:
-            both = drive.limits(np.array([t, t + h]), self.k)[0]
-            jumps = any(self.k in signal.turns for signal in self._model.inputs.values())
-            jumps = jumps or bool((np.abs(drive.jumps - t) <= SAME * t).any())
-        both[self._at], both[self._at + nu] = begin, end
-        before = self._state[self._step.layout.inputs][nu:]
-        if self._ticks is not None:
-            u, at = both[:nu].copy(), self._ticks.at
-            u[at] = before[at]
-            due = [*self._ticks.due(t), *self._ticks.each_step]
-            u = self._ticks.after(due, t, self._state[: self._n], self._warm.l, u)
-            if drive is not None and drive.moving:
-                both = drive.holding(self._ticks.kept(u)).limits(np.array([t, t + h]), self.k)[0]
-                both[self._at], both[self._at + nu] = begin, end
-            both[at] = both[at + nu] = u[at]
-            jumps = jumps or bool((u[at] != before[at]).any())
-        return both, jumps or bool((before[self._at] != begin).any())
-
     def _one(self, begin: np.ndarray, end: np.ndarray, h: float) -> Row:
         layout, state, k, t = self._step.layout, self._state.copy(), self.k, self.t
-        if self._both.size:
-            limits, jumps = self._limits(begin, end, h)
+        if self._inputs.both.size:
+            limits, jumps = self._inputs.limits(k, t, h, begin, end, self._place)
             state[layout.inputs] = limits
             if jumps and self._starter is not None:
                 state = self._starter(t, h, state)
@@ -346,9 +223,9 @@ class ModelStepper:
     # -- a record
 
     def _note(self, record: Record, t: float, h: float, found: StepResult) -> None:
-        if record.filled == 1 and self._both.size:  # at the start u is that of the first step
+        if record.filled == 1 and (size := self._inputs.both.size):  # at the start u is that of the first step
             at = self._step.layout.inputs
-            record.rows[0, at] = np.tile(found.row[at][: self._both.size // 2], 2)
+            record.rows[0, at] = np.tile(found.row[at][: size // 2], 2)
         record.h_next[record.filled - 1] = h
         if record.full:
             record.grow()
@@ -363,21 +240,6 @@ class ModelStepper:
         metadata = of_model(self._model) | about
         arrays = self._record.columns(newton=False)
         return Trajectory(arrays | Outputs.of(self._model, self._problem.multiplier_names)(arrays), metadata)
-
-
-def _numbers(label: str, values: Any, size: int, names: Sequence[str] = ()) -> np.ndarray:
-    if type(values) is float and size == 1 and -np.inf < values < np.inf:
-        return np.array([values])
-    try:
-        found = np.atleast_1d(np.asarray(values, float)).ravel()
-    except (TypeError, ValueError):
-        raise UsageError(f"{label} = {values!r:.60}; expected numbers") from None
-    if found.size != size:
-        of = f" ({', '.join(names)})" if names else ""
-        raise UsageError(f"{label}: {found.size} values; expected {size}{of}")
-    if not np.isfinite(found).all():
-        raise UsageError(f"{label} = {found.tolist()}; expected finite numbers")
-    return found
 
 
 def stepper(

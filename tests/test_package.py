@@ -164,9 +164,9 @@ LAYERS = (  # What stands in a line may import, at its top, what stands in it an
     "trajectory grid identity classes.identity cache_folder lock",
     "pieces solve standstill record",
     "codegen hypotheses classes.hypotheses classes.equations",
-    "run classes.walk",
+    "run classes.walk classes.record",
     "simulate stepping",
-    "checking crowd",
+    "checking observed_order crowd",
     "certificate classes.certificate study classes.study stress classes.units classes.judge plot classes.plots",
     "cli",
 )

@@ -52,12 +52,12 @@ class PieceScene:
     @cached_property
     def lower(self) -> np.ndarray:
         """The lower ends (m,)."""
-        return _ends(self.problem.law.lower)
+        return np.array(ca.DM(self.problem.law.lower), float).ravel()
 
     @cached_property
     def upper(self) -> np.ndarray:
         """The upper ends (m,)."""
-        return _ends(self.problem.law.upper)
+        return np.array(ca.DM(self.problem.law.upper), float).ravel()
 
     @cached_property
     def slopes(self) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -335,10 +335,6 @@ def _sparse(name: str, A: np.ndarray, index: str) -> str:
         + table(f"{name}_{index}", columns if len(columns) else np.zeros(1), str(size), kind="int")
         + table(f"{name}_value", A[rows, columns] if len(columns) else np.zeros(1), str(size))
     )
-
-
-def _ends(column: ca.DM | ca.SX) -> np.ndarray:
-    return np.array(ca.DM(column), float).ravel()
 
 
 def _is_diagonal(A: np.ndarray) -> bool:

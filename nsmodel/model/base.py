@@ -14,9 +14,10 @@ import numpy as np
 from nsmodel.errors import ModelError, NsmodelError, UsageError
 from nsmodel.laws import Words
 from nsmodel.model.arguments import RESERVED, grid_given, known_times, names_of_states, rows_called, units_given
-from nsmodel.model.blocks import declared_blocks, held_duty, kept_signals, latched, model_blocks
-from nsmodel.model.convert import Converter, Declared, declare
-from nsmodel.model.inputs import Signals, declared_inputs, signals_of
+from nsmodel.model.convert import Converter, declare
+from nsmodel.model.driving import Driving
+from nsmodel.model.exact import Sampled
+from nsmodel.model.inputs import Signals
 from nsmodel.model.outputs import declared_outputs
 from nsmodel.model.parameters import Values, declared, scalars
 from nsmodel.model.replaced import replaced
@@ -129,12 +130,9 @@ class Model(Pickled):
         if len(time.names) != 1:
             raise ModelError(f"t: {len(time.names)} symbols given; expected one scalar time symbol")
         p, values, vectors = declared(self.parameters)
-        u, driven = declared_inputs({} if self.inputs is None else self.inputs)
-        blocks = declared_blocks(self.blocks)
-        u, driven = self._with_kept(u, driven, [symbol for block in blocks for symbol in block.symbols], kept_signals(blocks))
-        if self.unblocked and (blocks or any(map(held_duty, driven.values()))):
-            raise ModelError(f"blocks: {self.unblocked}")
-        known = [*([] if self.t is None else [time]), *given.values(), *p, *u]
+        driving = Driving.of({} if self.inputs is None else self.inputs, self.blocks, self.unblocked)
+        self._set(u=driving.u, input_groups=MappingProxyType(driving.groups))
+        known = [*([] if self.t is None else [time]), *given.values(), *p, *driving.symbols]
         converter = Converter(known)
         own = given[state]
         names, stems = names_of_states(self.names, own, state, self.has)
@@ -154,35 +152,9 @@ class Model(Pickled):
             self._set(exact=self._vector(converter, self.exact, "exact", len(names), [time.sx]))
             if not self.p.numel():
                 self._set(exact=Sampled(time.sx, self.exact))
-        groups = {str(item.stem): item.names for item in u}
-        self._set(u=ca.vertcat(ca.SX(0, 1), *(item.sx for item in u)), input_groups=MappingProxyType(groups))
         read = [time.sx, own.sx, *(given[name].sx for name in ("lam",) if name in given)]
-        ends = np.cumsum([0, *(len(names) for names in groups.values())])
-        places = {name: range(ends[i], ends[i + 1]) for i, name in enumerate(groups)}
-        own_blocks = list(model_blocks(blocks, places, converter, lambda expression, label: self._only(expression, label, read)))
-        for name in [name for name, signal in driven.items() if held_duty(signal)]:
-            duty = ca.densify(ca.SX(converter.convert(driven[name].duty, f"input '{name}': duty")))
-            self._only(duty, f"input '{name}': duty", read)
-            driven[name], latch = latched(name, driven[name], places[f"{name}.duty"][0], duty)
-            own_blocks.append(latch)
-            driven[f"{name}.duty"] = driven[name].duty
-        self._set(inputs=MappingProxyType(signals_of(driven, groups, Converter([time]))), blocks=tuple(own_blocks))
+        self._set(**driving.fields(time, converter, lambda expression, label: self._only(expression, label, read)))
         return converter
-
-    def _with_kept(
-        self, u: list[Declared], driven: dict[str, Any], kept: list[Declared], signals: Mapping[str, Any]
-    ) -> tuple[list[Declared], dict[str, Any]]:
-        """The symbols of inputs, what blocks set behind those that are given; and what drives them."""
-        known = {*RESERVED, *(str(other.stem) for other in u)}
-        for symbol in kept:
-            clash = {str(symbol.stem), *symbol.names} & known
-            known |= {str(symbol.stem)}
-            if clash:
-                raise ModelError(
-                    f"blocks: '{min(clash)}' is an input, or what another block sets, or an attribute of runs; take another name"
-                )
-        duties = [declare(f"{name}.duty", "inputs") for name, signal in driven.items() if held_duty(signal)]
-        return [*u, *kept, *duties], {**driven, **signals, **{str(duty.stem): None for duty in duties}}
 
     def _vector(
         self, converter: Converter, value: Any, label: str, size: int, allow: Sequence[ca.SX], *, infinite: bool = False
@@ -375,17 +347,3 @@ def refuse_infinite(matrix: ca.SX, label: str, error: type[NsmodelError] = Model
         if entry.is_constant():
             index = "" if matrix.numel() == 1 else f"[{i}]" if matrix.shape[1] == 1 else f"[{i}, {j}]"
             raise error(f"{label}{index} = {float(entry)}; expected a finite number")
-
-
-@dataclass(frozen=True, eq=False)
-class Sampled(Pickled):
-    """Expressions of t (n, 1) as a function of times: (N,) -> (N, n)."""
-
-    t: ca.SX
-    column: ca.SX
-
-    def __call__(self, t: Any) -> np.ndarray:
-        """Return the values at the times."""
-        times = np.atleast_1d(np.asarray(t, float))
-        values = ca.Function("exact", [self.t], [self.column]).map(len(times))(times[None, :])
-        return np.array(values).reshape(self.column.numel(), -1).T

@@ -29,8 +29,9 @@ from nsmodel.pieces.piece import Piece
 from nsmodel.pieces.roots import NEAR, beyond_touch, polish, same
 from nsmodel.pieces.sliding import STOPS
 from nsmodel.pieces.stiff import Stiff
-from nsmodel.pieces.switches import ROW, TIE, Condition, conditions, grow, is_zero, size, switches
+from nsmodel.pieces.switches import ROW, TIE, Condition, conditions, grow, size, switches
 from nsmodel.pieces.system import System
+from nsmodel.pieces.updates import AROUND, begin_anew, forget_branches, update
 from nsmodel.proof.sure import sure
 from nsmodel.scheme.continuous import ContinuousProblem
 
@@ -39,7 +40,6 @@ NONE = Known()
 ROOM = 1.3  # By which the next piece may be longer than the last without another unit of time.
 UNITS, OCTAVES = 60, 6  # Units of time that are tried where a series overflows, and how much shorter each is.
 LONGER, STUMP = 8, 1e-6  # The unit of time after an event, in pieces; of the unit before: a piece too short to tell.
-AROUND = 4  # Order of the expansions at an event.
 STARTS, TOO_SHORT = 8, 0.05  # First units of time that are tried; a piece that is shorter than this one asks for another.
 
 
@@ -161,15 +161,11 @@ class Integrator:
         self.stiff.restart()
         for row, guess in zip(system.l, l, strict=True):
             row[0] = guess
-        self._forget_branches()
+        forget_branches(system)
         if (how := select(system, self.place)) is None:
             raise self._stuck("here")
         project(system, self.place, how.active)
         self._refuse_rivals()
-
-    def _forget_branches(self) -> None:
-        for part in self.system.parts.values():
-            part.choice[:] = [math.nan] * len(part.choice)
 
     def _start(self) -> None:
         system, place = self.system, self.place
@@ -185,7 +181,7 @@ class Integrator:
             s = self._length(how) if how is not None else 1.0
             if found is not None and s >= TOO_SHORT:
                 grow(system, 0.0, 0.0)
-                if self._update():
+                if update(system, place):
                     self._go_on("at the start")
                     self._begun = None
                     return
@@ -264,46 +260,11 @@ class Integrator:
 
     def _cross(self, known: float) -> None:
         """Stand at a known time, with the branches of the data after it, and choose the mode."""
-        place = self.place
+        system, place = self.system, self.place
         place.t = known
         place.x = self.known.after(known, place.x)
-        self._begin_anew()
+        begin_anew(system, place)
         self._go_on("at a known time")
-
-    def _begin_anew(self) -> None:
-        """Open the switches that the data at the place leaves undecided."""
-        system, place = self.system, self.place
-        self.sizes.x[:] = [max(size, abs(x)) for size, x in zip(self.sizes.x, place.x, strict=True)]
-        self._forget_branches()
-        how = system.expand(place.t, place.x, place.codes, place.tau, AROUND)
-        if how is None:
-            place.open = switches(system)
-        else:
-            place.open = {c.of for c in conditions(system, place.codes, how, AROUND) if is_zero(system, c)}
-
-    def _update(self) -> bool:
-        """Set what blocks hold to what they set it to in the mode just chosen; whether that was something else.
-
-        Raises:
-            StepError: what a block sets moves with time.
-        """
-        p, place, updates = self.problem, self.place, self.system.parts.get("blocks")
-        if updates is None:
-            return False
-        before = [place.x[i] for i in p.updated]
-        for i, row in zip(p.updated, updates.outputs, strict=True):
-            place.x[i] = row[0]
-        changed = [k for k, i in enumerate(p.updated) if place.x[i] != before[k]]
-        if changed:
-            self._begin_anew()
-            return True
-        for k, row in enumerate(updates.outputs):
-            if any(row[1 : ORDERS + 1]):
-                raise StepError(
-                    f"t = {place.t:.10g}: block '{p.updaters[k]}' sets {p.names[p.updated[k]]} to what moves with time, not at "
-                    "switches alone; give it a period (sampled)"
-                )
-        return False
 
     def _go_on(self, when: str) -> None:
         """Choose the mode of the open switches, after a jump where x is outside its law; the next piece begins with an event."""
@@ -311,7 +272,7 @@ class Integrator:
         for _ in range(JUMPS + UPDATES * bool(self.problem.updated)):
             before = list(place.codes)
             if (how := select(system, place)) is not None:
-                if self._update():
+                if update(system, place):
                     continue
                 self._refuse_rivals()
                 self._left = how if system.linear_in_l and not system.blocks.all else None

@@ -65,16 +65,14 @@ class System:
         )
         p, inputs = problem, [problem.t, problem.x, problem.l]
         B, D, C = p.slopes
-        moving = ca.veccat(p.t, p.x, p.l)
         self.linear_in_l = not ca.depends_on(ca.veccat(B, D), p.l)
-        self.B, self.D, self.C = (numbers(matrix, moving) for matrix in (B, D, C))
+        self.B, self.D, self.C = (numbers(matrix, ca.veccat(*inputs)) for matrix in (B, D, C))
         h = p.h if self.D is None else ca.substitute(p.h, p.l, ca.SX.zeros(self.m)) if self.m else p.h
         self.jets = {"f": jets_of(p.f, inputs, "f"), "h": jets_of(h, inputs, "h")}
-        if self.B is None:
-            self.jets["g"] = jets_of(p.g, inputs, "g")
-        if p.updated:
-            self.jets["blocks"] = jets_of(p.updates, inputs, "the update of a block")
+        self.jets |= {"g": jets_of(p.g, inputs, "g")} if self.B is None else {}
+        self.jets |= {"blocks": jets_of(p.updates, inputs, "the update of a block")} if p.updated else {}
         self.parts = {name: Expansion(jets, orders, given) for name, jets in self.jets.items()}
+        self.updates = [part for name, part in self.parts.items() if name == "blocks"]
         self.sizes.switches = [0.0] * len(self.branches)
         self._slopes = ca.Function("slopes", inputs, [ca.densify(e) for e in (B, D, C)])
         self._sum_y = sums(self.y, [self.parts["h"].outputs], terms_of(self.D, self.m), self.l, scaled=False)
@@ -147,10 +145,9 @@ class System:
     def extend(self, how: Solve, codes: list[int], known: int, orders: int) -> bool:
         """Compute orders ``known``, ..., ``orders`` in the same mode; whether it has them all."""
         F, G, H, tau = self.parts["f"], self.parts.get("g"), self.parts["h"], self.t[1]
-        updates = self.parts.get("blocks")
         for k in range(known, orders + 1):
-            if updates is not None:
-                updates.compute(k)
+            for part in self.updates:
+                part.compute(k)
             if k:
                 self._direct(how, k)
                 self.blocks.slide(codes, k)

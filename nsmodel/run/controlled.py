@@ -158,10 +158,7 @@ class Controlled(OfScheme):
         watched = self.record.rows[0, self._watched]
         unknown = np.full(watched.size, np.nan)
         self._size, self.place = np.abs(watched), Place(0, j, self.state, self.warm, watched, unknown, None, unknown)
-        state, c = model.state, constraints(model)
-        self._c: Any = (
-            ca.Function("c", [model.t, state, model.u], [ca.densify(c), ca.densify(ca.jacobian(c, state))]) if c.numel() else None
-        )
+        self._c = _constraints(model)
         self._corrections = [0.0]
         self._law = numeric_law(self.problem.law)
         self._walls = self._rows_of_walls()
@@ -547,6 +544,14 @@ class Controlled(OfScheme):
             found.append(f"the errors of the steps are estimated to add up to {estimate:.2g} times what rtol allows")
         self.warnings += [text for text in found if text not in self.warnings]
         return super().metadata()
+
+
+def _constraints(model: Model) -> Any:
+    """(t, x, u) -> c, c_x; None where the state is kept within nothing."""
+    state, c = model.state, constraints(model)
+    if not c.numel():
+        return None
+    return ca.Function("c", [model.t, state, model.u], [ca.densify(c), ca.densify(ca.jacobian(c, state))])
 
 
 def _spans(model: Model, T: float, drive: Drive | None) -> list[tuple[float, float]]:

@@ -62,6 +62,13 @@ def _everything(data: Data) -> bool:
     return False
 
 
+def _refuse_moving_or_curved(model: LureSystem) -> None:
+    if not model.e.is_constant():
+        raise Unproved("an offset e that moves with time")
+    if model.law is None or not model.law.is_box:
+        raise Unproved("a law that is no box")
+
+
 def _in_range(model: LureSystem, x: np.ndarray | None) -> Any:
     """x, k, y, v with C x + e = D'k + y + S v, k and y inside, of a law of boxes; empty where nothing is asked.
 
@@ -70,10 +77,7 @@ def _in_range(model: LureSystem, x: np.ndarray | None) -> Any:
     """
     m, n = model.D.shape[0], model.x.numel()
     C, D = (exact.rational(np.array(ca.DM(part)).reshape(part.shape)) for part in (model.C, model.D))
-    if not model.e.is_constant():
-        raise Unproved("an offset e that moves with time")
-    if model.law is None or not model.law.is_box:
-        raise Unproved("a law that is no box")
+    _refuse_moving_or_curved(model)
     low, high = (np.concatenate(ends) for ends in zip(*(block.hull() for block in model.law.blocks), strict=True))
     bounded = np.isfinite(low) & np.isfinite(high)
     S, I = D + D.T, exact.eye(m)
