@@ -30,7 +30,7 @@ quick: $(STAMP) ## set up and run the tests that take seconds: under a minute on
 
 nightly: $(STAMP) ## set up and run the search for refused steps and wrong answers: 2000 random models a class, hours
 	mkdir -p results
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search --models $(if $(NSMODEL_SHORT),2,2000) --compiled 10 --json results/search.json
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search --models $(if $(NSMODEL_SHORT),1,2000) --compiled 10 --json results/search.json
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.oracle --models $(if $(NSMODEL_SHORT),1,300) --json results/oracle.json
 
 lint: $(STAMP) ## ruff and pyright

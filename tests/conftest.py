@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
+import shutil
 import signal
 from collections import defaultdict
 from pathlib import Path
@@ -108,6 +109,24 @@ def quickly_built():
             patch.setattr(piece_runs, "FASTER", QUICK)
             patch.setattr(library.compile_library, "__defaults__", (QUICK,))
         yield
+
+
+def optimised(level: str) -> str:
+    """A compiler's flag where tests do not ask what it does: where few random models are tried, the one that costs a third."""
+    return "-O0" if COUNT < FULL else level
+
+
+@pytest.fixture(scope="session")
+def quick_programs(tmp_path_factory):
+    """Variables for programs that compile C: where few random models are tried, without optimisation, as here."""
+    if COUNT == FULL:
+        return {}
+    folder = tmp_path_factory.mktemp("compilers")
+    for name in ("cc", "gcc", "clang", "g++", "clang++", "c++"):
+        if path := shutil.which(name):
+            (folder / name).write_text(f'#!/bin/sh\nexec {path} "$@" -O0\n')
+            (folder / name).chmod(0o755)
+    return {"PATH": os.pathsep.join([str(folder), os.environ["PATH"]])}
 
 
 @pytest.fixture(scope="session")

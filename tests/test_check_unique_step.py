@@ -207,7 +207,7 @@ def test_fewer_states_than_rows_by_counting():
     # b = N x_k lies on a line, so that W need not be a P-matrix.
     rng, seen = np.random.default_rng(0), set()
     x, l = ca.SX.sym("x"), ca.SX.sym("l", 2)
-    for _ in range(40):
+    for _ in range(share(40, 20)):
         B, C, e = rng.integers(-2, 3, (3, 2))
         D = rng.integers(-1, 2, (2, 2)) * (rng.random() < 0.5)
         model = system(-x, ca.dot(ca.DM(B), l), ca.DM(C) * x + ca.DM(D) @ l + ca.DM(e), relay(2), x, l)

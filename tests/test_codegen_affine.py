@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import optimised
 from fuzz_models import share
 from test_solvers import DEGENERATE, INF, LAWS, PSD, infeasible, matrix, point_of_graph, problem, random_law, spd
 
@@ -252,7 +253,7 @@ def data(array: np.ndarray) -> ctypes.c_void_p:
 
 @pytest.fixture(scope="session")
 def boxes(tmp_path_factory) -> Library:
-    return Library(compiled(tmp_path_factory.mktemp("c"), source(), "-O2", "-shared", "-fPIC", name="boxes"))
+    return Library(compiled(tmp_path_factory.mktemp("c"), source(), optimised("-O2"), "-shared", "-fPIC", name="boxes"))
 
 
 @pytest.fixture(scope="session")
@@ -263,7 +264,8 @@ def on_law(tmp_path_factory):
     def build(name: str) -> tuple[NumericLaw, Library]:
         of = CURVED_LAWS[name]
         law = numeric_law(of)
-        return law, Library(compiled(tmp_path_factory.mktemp("c"), source(of), "-O2", "-shared", "-fPIC", name="curved"))
+        folder = tmp_path_factory.mktemp("c")
+        return law, Library(compiled(folder, source(of), optimised("-O2"), "-shared", "-fPIC", name="curved"))
 
     return build
 
@@ -470,7 +472,7 @@ def test_answers_do_not_depend_on_what_was_solved_before(boxes):
 
 def test_a_law_that_is_larger_than_what_was_declared_is_refused(tmp_path):
     """Room for 3 rows and no slack: two bounds in one row do not fit, and nothing is written where there is no room."""
-    library = Library(compiled(tmp_path, source(rows=3, lemke=3), "-O2", "-shared", "-fPIC", name="tight"))
+    library = Library(compiled(tmp_path, source(rows=3, lemke=3), optimised("-O2"), "-shared", "-fPIC", name="tight"))
     W, b = spd(np.random.default_rng(0), 3), -np.ones(3)
     assert library.lemke(W, b, NumericLaw(np.zeros(3), np.full(3, INF), ())) is not None
     assert library.lemke(W, b, NumericLaw(np.zeros(3), np.array([INF, INF, 1.0]), ())) is None
@@ -650,7 +652,8 @@ def test_a_ball_is_solved_from_its_secular_equation(on_law):
 def test_a_library_may_have_its_own_curved_law_and_boxes_besides(tmp_path):
     """The law is the model's own where the bounds are its own tables, whatever the number of rows."""
     law = numeric_law(CURVED_LAWS["product"])
-    library = Library(compiled(tmp_path, source(CURVED_LAWS["product"], both=True), "-O1", "-shared", "-fPIC", name="both"))
+    text = source(CURVED_LAWS["product"], both=True)
+    library = Library(compiled(tmp_path, text, optimised("-O1"), "-shared", "-fPIC", name="both"))
     for seed in range(10):
         rng = np.random.default_rng(seed)
         W, b = spd(rng, law.size), rng.normal(size=law.size)
@@ -717,7 +720,7 @@ def test_sanitizers_find_nothing(tmp_path):
     if probe.returncode:
         pytest.skip("no sanitizers")
     law = numeric_law(CURVED_LAWS["product"])
-    options = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+    options = (optimised("-O1"), "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
     for own, text in (
         (EMPTY, source(main=True)),
         (law, source(CURVED_LAWS["product"], main=True).replace("W, b, lo, up, l,", "W, b, 0, 0, l,")),

@@ -10,6 +10,7 @@ import subprocess
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import optimised
 
 from nsmodel.codegen.expression import c_function, number
 from nsmodel.codegen.fragments import FOLDER, prefixed, pruned, resolved
@@ -51,7 +52,7 @@ def compiled(folder, inputs, outputs, name="f"):
         "-Wextra",
         "-Werror",
         "-pedantic",
-        "-O2",
+        optimised("-O2"),
         "-fPIC",
         "-shared",
         "-o",

@@ -20,6 +20,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import optimised
 
 from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, MonotoneInclusion, SweepingProcess, codegen, relay
 from nsmodel.words import UNSEEN
@@ -583,7 +584,7 @@ def test_what_a_wrong_step_looks_like(tmp_path, load_case, name):
     subject, rng = SUBJECTS[name], np.random.default_rng(3)
     wrong = f"s->x[i] = {1.01 if name == 'half disc' else 1.000001}*s->work.x_next[i]"
     lie = ("memcpy(s->x, s->work.x_next, sizeof s->x);", f"for (int i = 0; i < SCENE_NSTATE; i++) {wrong};")
-    built = Binary(subject.model(load_case), tmp_path, ("-O1",), lie, **dict(subject.options))
+    built = Binary(subject.model(load_case), tmp_path, (optimised("-O1"),), lie, **dict(subject.options))
     rows = built.run([subject.ordinary(rng) for _ in range(100)])
     caught = [law > LAW or moved > MOTION for law, moved in (judged(built, subject, row) for row in rows if row[STEP] == DONE)]
     assert np.mean(caught) > 0.5
@@ -680,7 +681,7 @@ def test_a_library_may_have_the_name_of_a_method(name, tmp_path, load_case):
 
 def accepted_from_random_states(folder: Path, model: Any, count: int, lie: tuple[str, str] = ("", "")) -> float:
     rng = np.random.default_rng(0)
-    binary = Binary(model, folder, ("-O1",), lie)
+    binary = Binary(model, folder, (optimised("-O1"),), lie)
     empty = np.zeros(binary.nx)
     rows = binary.run([Input(1.0, 0.05, magnitude(rng, binary.nx, -3, 1), empty, NONE, True) for _ in range(count)])
     return float((rows[:, STEP] == DONE).mean())

@@ -10,6 +10,7 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import optimised
 
 from nsmodel import MonotoneInclusion, codegen
 from nsmodel.errors import StepError
@@ -18,7 +19,7 @@ from nsmodel.scheme import one_step_problem
 from nsmodel.solve.projection import CatchingUp
 
 COMPILER = shutil.which("gcc") or shutil.which("cc")
-STRICT = [COMPILER, "-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O1"]
+STRICT = [COMPILER, "-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", optimised("-O1")]
 TOLERANCE = 1e-9
 
 pytestmark = pytest.mark.skipif(COMPILER is None, reason="no C compiler")

@@ -11,6 +11,7 @@ import casadi as ca
 import input_scenes as scenes
 import numpy as np
 import pytest
+from conftest import optimised
 
 from nsmodel import FirstOrderSystem, LureSystem, codegen, load, pwm, relay, simulate, stepper, table
 from nsmodel.cli import main
@@ -18,7 +19,7 @@ from nsmodel.errors import CodegenError, UsageError
 
 T = scenes.T
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
-SANITIZE = ("-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+SANITIZE = (optimised("-O1"), "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 CC = next((name for name in ("gcc", "cc", "clang") if shutil.which(name)), "")
 pytestmark = pytest.mark.skipif(not CC, reason="no C compiler")
 OK, NOT_SOLVED, NOT_FINITE, BAD_STEP = 0, 1, 2, 3

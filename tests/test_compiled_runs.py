@@ -23,6 +23,7 @@ import numpy as np
 import processes
 import pytest
 from conftest import QUICK
+from fuzz_models import COUNT, FULL
 from processes import kill_when_there
 from test_resume import (
     FEW_ROWS,
@@ -169,7 +170,7 @@ def assert_totals_are_those_of_the_rows(run):
 # ---------------------------------------------------------------------------------------------- the same run
 
 
-SMALLER = {"crowd_room": {"n": 8}}
+SMALLER = {"crowd_room": {"n": 8 if COUNT == FULL else 5}}
 PART = {"zhuravlev_ivanov": 0.2, "gene_network": 0.3}  # of the time, where the interpreted run takes seconds
 
 

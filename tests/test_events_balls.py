@@ -20,6 +20,7 @@ from nsmodel import (
     second_order_cone,
     simulate,
 )
+from nsmodel.codegen.library import compiler
 from nsmodel.codegen.pieces import scene_of
 from nsmodel.errors import CodegenError
 from nsmodel.run.event_driven import problem_of
@@ -173,7 +174,8 @@ def test_elements_of_their_own():
         v0=[0, 0.2, 0], t_end=5,
     )  # fmt: skip
     step = 5e-4 if MANY >= 400 else 2e-3
-    run, fine = simulate(model, rtol=1e-8, method="event-driven"), simulate(model, step=step)
+    way = True if MANY < 400 and compiler() else "auto"
+    run, fine = simulate(model, rtol=1e-8, method="event-driven"), simulate(model, step=step, compiled=way)
     assert np.abs(run.at(fine.t[2:]).x - fine.x[2:]).max() <= 10 * step
     assert set(np.unique(run.index_set[1:, :2])) <= {0, 1}
     later = fine.t > 0.05

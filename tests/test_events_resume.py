@@ -1,6 +1,7 @@
 """Event-driven runs that go on: to a later end, after being killed at any piece, in chunks; byte for byte as in one go."""
 
 import itertools
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -67,7 +68,7 @@ def test_a_later_end_gives_the_bytes_of_one_run(name, every, tmp_path):
         if COUNT == FULL or (asked == compiled) == (name == "diode_bridge")  # All pairs of them.
     ],
 )
-def test_killed_at_any_piece_it_goes_on_to_the_same_bytes(name, asked, compiled, tmp_path):
+def test_killed_at_any_piece_it_goes_on_to_the_same_bytes(name, asked, compiled, tmp_path, quick_programs):
     case = CASES / f"{name}.py"
     model = nsmodel.load(case)
     times = np.linspace(0, model.t_end, 12)[1:].tolist() if asked else None
@@ -76,7 +77,7 @@ def test_killed_at_any_piece_it_goes_on_to_the_same_bytes(name, asked, compiled,
     for part in (pieces // 3 + 1, 1, pieces // 4):
         asks = [str(case), str(tmp_path / "parts"), str(part), str(compiled), *more, *map(repr, times or ())]
         killed = [sys.executable, "-c", KILLED, *asks]
-        assert subprocess.run(killed, check=False, capture_output=True).returncode == 9
+        assert subprocess.run(killed, check=False, capture_output=True, env=os.environ | quick_programs).returncode == 9
         more = ["more"]
     run(model, tmp_path / "parts", compiled, times=times, resume=True)
     assert files(tmp_path / "one") == files(tmp_path / "parts")

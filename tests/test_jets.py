@@ -8,6 +8,7 @@ import casadi as ca
 import mpmath as mp
 import numpy as np
 import pytest
+from conftest import optimised
 from fuzz_models import share
 
 from nsmodel.codegen.jets import kernels
@@ -254,7 +255,7 @@ def in_c(tmp_path_factory):
     text += f"void order(int i, double (*N)[{ORDERS + 1}], double *choice, int k)\n{{\n    switch (i) {{\n{cases}    }}\n}}\n"
     folder = tmp_path_factory.mktemp("jets")
     (folder / "jets.c").write_text(text)
-    strict = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off", "-fPIC", "-shared"]
+    strict = ["-std=c99", optimised("-O1"), "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off", "-fPIC", "-shared"]
     subprocess.run([compiler, *strict, "-o", folder / "jets.so", folder / "jets.c", "-lm"], check=True)
     return ctypes.CDLL(str(folder / "jets.so")).order, all_jets
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import optimised
 
 import nsmodel
 from nsmodel import FirstOrderSystem, LureSystem, SweepingProcess, codegen, complementarity, relay, simulate
@@ -25,7 +26,7 @@ CASES = Path(__file__).parents[1] / "cases"
 CC = next((name for name in ("gcc", "cc", "clang") if shutil.which(name)), None)
 pytestmark = pytest.mark.skipif(CC is None, reason="no C compiler")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wno-unused-function")
-SANITIZED = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+SANITIZED = ("-g", optimised("-O1"), "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
 
 def case(name):
@@ -282,7 +283,7 @@ def test_the_library_keeps_its_budget_and_says_what_it_cannot(name, tmp_path):
     n = len(model.names)
     folder = built(model, tmp_path).parent
     library = folder / "thing.so"
-    subprocess.run([CC, "-shared", "-fPIC", "-O2", "-o", library, folder / "thing_pieces.c", "-lm"], check=True)
+    subprocess.run([CC, "-shared", "-fPIC", optimised("-O2"), "-o", library, folder / "thing_pieces.c", "-lm"], check=True)
     lib = ctypes.CDLL(str(library))
     lib.thing_pieces_get_time.restype = ctypes.c_double
     s = ctypes.create_string_buffer(1 << 20)
