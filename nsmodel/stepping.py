@@ -118,6 +118,8 @@ class ModelStepper:
         self._ahead = 0.0
         entries = [name for name, names in own.input_groups.items() for _ in names]
         self._at = np.flatnonzero(np.isin(entries, self.free))  # Of the inputs that steps are given, among all.
+        moving = [name for name, signal in own.inputs.items() if signal.moving]
+        self._unforeseen = np.flatnonzero(np.isin(entries, [*self.free, *moving]))  # And of those whose jumps no signal tells.
         state = start_state(self._problem, initial_rows(own, self.h)[-1][0], self.h, options.tolerance)
         few = not any(signal.moving for signal in own.inputs.values())
         self._step = make_stepper(own, options.solver, options.tolerance, h=self.h, state=state, few_steps=few)
@@ -278,24 +280,29 @@ class ModelStepper:
         """U at the begin of a step, then at its end; whether it begins with a jump."""
         t, nu, jumps = self.t, self._both.size // 2, False
         both = self._both.copy()
+        before = self._state[self._step.layout.inputs][nu:]
         drive = self._seen(t + h) if self._driven else None
         if drive is not None:
-            both = drive.limits(np.array([t, t + h]), self.k)[0]
+            both = self._by_signals(drive, before, h)
             jumps = any(self.k in signal.turns for signal in self._model.inputs.values())
             jumps = jumps or bool((np.abs(drive.jumps - t) <= SAME * t).any())
         both[self._at], both[self._at + nu] = begin, end
-        before = self._state[self._step.layout.inputs][nu:]
         if self._ticks is not None:
             u, at = both[:nu].copy(), self._ticks.at
             u[at] = before[at]
             due = [*self._ticks.due(t), *self._ticks.each_step]
             u = self._ticks.after(due, t, self._state[: self._n], self._warm.l, u)
             if drive is not None and drive.moving:
-                both = drive.holding(self._ticks.kept(u)).limits(np.array([t, t + h]), self.k)[0]
+                both = self._by_signals(drive, u, h)
                 both[self._at], both[self._at + nu] = begin, end
             both[at] = both[at + nu] = u[at]
             jumps = jumps or bool((u[at] != before[at]).any())
-        return both, jumps or bool((before[self._at] != begin).any())
+        return both, jumps or bool((before[self._unforeseen] != both[self._unforeseen]).any())
+
+    def _by_signals(self, drive: Drive, u: np.ndarray, h: float) -> np.ndarray:
+        """U at both ends of a step by signals alone, with what blocks hold in ``u``."""
+        now = drive.holding(self._ticks.kept(u)) if drive.moving and self._ticks is not None else drive
+        return now.limits(np.array([self.t, self.t + h]), self.k)[0]
 
     def _one(self, begin: np.ndarray, end: np.ndarray, h: float) -> Row:
         layout, state, k, t = self._step.layout, self._state.copy(), self.k, self.t
