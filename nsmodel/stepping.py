@@ -167,7 +167,7 @@ class ModelStepper:
         if x0 is not None:
             own = _numbers("x0", x0, n)
             state[:n] = own
-        if self._ticks is not None:
+        if self._ticks is not None and len(rows) == 1:  # else the ticks at 0 lie behind
             at = self._step.layout.inputs
             state[at] = np.tile(self._ticks.before(state[:n], state[at][: self._both.size // 2]), 2)
         self._state = start_state(self._problem, state, self.h, self._tolerance)

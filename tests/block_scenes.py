@@ -9,6 +9,7 @@ from scipy.optimize import brentq
 
 from nsmodel import (
     FirstOrderSystem,
+    FrictionOscillator,
     LureSystem,
     complementarity,
     each_step,
@@ -112,6 +113,29 @@ def pushed(kind, gamma):
     return LureSystem(
         x=v, A=[[-0.5]], B=[[1]], C=[[1]], f=[4 * u], law=relay(1), x0=[0], theta=0.5, gamma=gamma, step=0.01, t_end=1,
         inputs={u: pwm(0.1, d, kind=kind)}, blocks=[pi, each_step("count", memory={n: 0}, update={n: n + u})],
+    )  # fmt: skip
+
+
+# -- an oscillator whose first step is known, a chain with sparse matrices
+
+
+def begun():
+    """An integral control of a rubbing oscillator, from two positions on; a block counts steps."""
+    x, s, w, z, n = (ca.SX.sym(name) for name in "xswzn")
+    control = sampled("control", period=0.1, memory={z: 1}, outputs={w: z - x}, update={z: z + 0.1 * x})
+    return FrictionOscillator(
+        x=x, potential=x**2, friction=0.3 * s, s=s, force=w, x0=[1], x1=[1.004], t_end=3, step=0.01,
+        blocks=[control, each_step("count", memory={n: 0}, update={n: n + 1})],
+    )  # fmt: skip
+
+
+def chain(n=60):
+    """Blocks on springs and a rough floor, the first one pushed less and less."""
+    u, z, x = ca.SX.sym("u"), ca.SX.sym("z"), ca.SX.sym("x", n)
+    return LureSystem(
+        x=x, A=-2 * np.eye(n) + np.eye(n, k=1) + np.eye(n, k=-1), B=np.eye(n), C=np.eye(n), f=[u - z] + [0] * (n - 1),
+        law=relay(n), x0=[0] * n, t_end=1, step=0.01, inputs={u: 1.5},
+        blocks=[sampled("tired", period=0.1, memory={z: 0}, update={z: z + x[0]})],
     )  # fmt: skip
 
 

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from block_scenes import (
     TS,
+    begun,
     exact_friction_pi,
     exact_over_current,
     exact_regulated,
@@ -480,3 +481,13 @@ def test_a_sampled_block_reads_a_pulse_event_driven():
     assert run.n[-1] == exact.n[-1] == 0  # a pulse of 0.3 ends before it is looked at
     wide = FirstOrderSystem(x=x, f=[u - x], x0=[0], step=0.01, t_end=2, inputs={u: pwm(0.1, d + 0.25)}, blocks=[count])
     assert simulate(wide).n[-1] == simulate(wide, rtol=1e-8).n[-1] == 20
+
+
+def test_a_start_with_a_step_behind_it():
+    """What ticked at t = 0 read the first of two positions; the stepper begins behind that."""
+    run, s = simulate(begun(), compiled=False), stepper(begun(), compiled=False)
+    assert run.z[:2].tolist() == [1.1, 1.1]
+    assert run.n[-1] == 300
+    for k in range(1, 40):
+        row = s.step()
+        np.testing.assert_array_equal([*row.x, *row.inputs], [*run.x[k + 1], *run.inputs[k + 1]])

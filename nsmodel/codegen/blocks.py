@@ -60,9 +60,9 @@ def _pulses(places: Places) -> str:
 
 
 def _start(model: Any, places: Places) -> str:
-    """What blocks hold before their first ticks; outputs may be expressions of memory."""
+    """What blocks hold before their first ticks, but where a start has a step behind it; outputs may be expressions of memory."""
     u, lam = ca.vertsplit(model.u), getattr(model, "lam", ca.SX(0, 1))
-    for _ in range(2):
+    for _ in range(0 if model.tied_to_step else 2):
         for block in model.blocks:
             now = ca.vertcat(*u, 0, ca.SX.zeros(lam.numel()))
             u[block.at[0] : block.at[-1] + 1] = ca.vertsplit(ca.substitute(block.start, ca.vertcat(model.u, model.t, lam), now))
