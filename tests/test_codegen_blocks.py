@@ -1,8 +1,10 @@
 """Blocks with memory in C: the bits of the stepper, pulses whose duty blocks set, what the caller reads, sets and is refused."""
 
 import math
+import re
 import shutil
 import subprocess
+from pathlib import Path
 
 import block_scenes as scenes
 import casadi as ca
@@ -51,6 +53,8 @@ SCENES = {
     "over current": scenes.over_current,
     "fired": lambda: scenes.fired(60),
     "carried": lambda: scenes.pushed("trailing", 0.5),
+    "begun": scenes.begun,
+    "sparse": scenes.chain,
     "mixed": mixed,
 }
 
@@ -246,6 +250,18 @@ def test_ticks_of_the_callers_own(written, tmp_path):
     done = subprocess.run([tmp_path / "main"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
     assert list(map(float, done.stdout.split())) == pytest.approx(scenes.exact_regulated()[-1], abs=2e-3)
+
+
+def test_the_example_of_the_docs(tmp_path):
+    codegen.write(scenes.regulated(), tmp_path, name="regulated")
+    example = Path(__file__).parents[1] / "docs/examples/regulated.c"
+    page = (example.parents[1] / "codegen.md").read_text()
+    assert example.read_text().split("/* Go on")[1].split("\n}\n")[0] in page
+    command = [CC, *STRICT, "-I", tmp_path, "-o", tmp_path / "loop", example, tmp_path / "regulated.c", "-lm"]
+    subprocess.run(command, check=True)
+    printed = subprocess.run([tmp_path / "loop"], check=True, capture_output=True, text=True).stdout
+    t, v = map(float, re.findall(r"= (\S+) [sV]", printed))
+    assert (t, v) == (6e-3, pytest.approx(scenes.exact_regulated(periods=600)[-1, 1], abs=2e-3))
 
 
 def test_what_is_refused(tmp_path):

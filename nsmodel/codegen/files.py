@@ -179,6 +179,8 @@ def readme_words(scene: Scene, source: Source) -> dict[str, str]:
         "STATES": listed["x"],
         "PARAMETERS": listed["p"],
         "INPUTS": listed["u"],
+        "MEMORY": listed["z"] or "none",
+        "HELD": listed["w"] or "none",
         "KNOWN": ", ".join(f"{h:g}" for h in scene.known_lengths if h),
         "LENGTHS": str(source.sizes["LENGTHS"]),
         "MULTIPLIERS": listed["multipliers"],

@@ -133,8 +133,8 @@ int model_set_budget(model_solver *s, long work); /* most work of a step, beyond
 /* Blocks act at the time of the state, before the step from there: once, in model_step() or, to read before it what they hold,
    here. MODEL_OWN_TICKS, defined when @NAME@.c is compiled, leaves it to the caller to call this or to set what they keep. */
 int model_sample(model_solver *s);
-/* The first time after that of the state at which a block ticks or a pulse begins or ends, infinite where there is none, as the
-   inputs are: a step over it is MODEL_BAD_STEP. */
+/* The first time after that of the state at which a block ticks or a pulse begins or ends, with the inputs that are set; infinite
+   where there is none. A step over it is MODEL_BAD_STEP. */
 double model_next_tick(const model_solver *s);
 #if MEMORY
 int model_set_memory(model_solver *s, const double *z); /* z[MODEL_NZ] */
