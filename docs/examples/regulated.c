@@ -14,7 +14,7 @@ static int run(regulated_solver *s, double t_end)
     int status = REGULATED_OK;
     for (double t = s->t, next; t < t_end && status == REGULATED_OK; t = next) {
         next = fmin(regulated_next_tick(s), t_end);
-        const int steps = (int)ceil((next - t)/REGULATED_STEP*(1 - 1e-9));
+        const int steps = (int)fmax(ceil((next - t)/REGULATED_STEP - 1e-9), 1);
         status = regulated_set_step(s, (next - t)/steps);
         for (int i = 0; i < steps && status == REGULATED_OK; i++)
             status = regulated_step(s);
