@@ -185,6 +185,24 @@ def test_a_step_that_fails_has_not_ticked(written):
     assert set(failed) == {BAD_STEP}
 
 
+def test_an_input_without_a_signal(tmp_path):
+    """Steps end at ticks and edges all the same: x' = r + u - x, and r is given."""
+    x, r, u, d = (ca.SX.sym(name) for name in "xrud")
+    hold = sampled("hold", period=0.1, offset=0.03, outputs={d: ca.fmin(r, 0.5)})
+    model = FirstOrderSystem(
+        x=x, f=[r + u - x], x0=[0], step=0.04, t_end=1, theta=0.5, inputs={r: None, u: pwm(0.2, d)}, blocks=[hold]
+    )
+    codegen.write(model, tmp_path, name="thing")
+    solver, other = codegen.load(tmp_path).solver(), stepper(model, inputs={"r": None}, compiled=True)
+    for k in range(60):
+        assert solver.set_inputs(0.01 * k) == OK
+        h = min(0.04, solver.next_tick - solver.t)
+        assert (solver.set_step(h), solver.step()) == (OK, OK)
+        row = other.step(0.01 * k, h=h)
+        assert (row.t, row.x[0]) == (solver.t, solver.x[0])
+    assert solver.held[0] == 0.5
+
+
 def test_the_start_of_memory_belongs_to_the_parameters(tmp_path):
     codegen.write(mixed(), tmp_path, name="thing")
     solver = codegen.load(tmp_path).solver()

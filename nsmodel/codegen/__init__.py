@@ -24,6 +24,7 @@ from nsmodel.errors import CodegenError, UsageError
 from nsmodel.grid import Grid, check_times, is_number, make_grid, written
 from nsmodel.identity import fingerprint
 from nsmodel.model.base import Model
+from nsmodel.model.driven import driven_by
 from nsmodel.model.parameters import Values
 from nsmodel.storage import write_text
 
@@ -176,7 +177,11 @@ def _lengths(step: float | Sequence[float] | None) -> tuple[float, ...]:
 
 
 def _grid(model: Model, lengths: tuple[float, ...], *, any_step: bool) -> Grid:
-    """The grid of the model's own run, which ends steps where its signals jump."""
+    """The grid of the model's own run, which ends steps where its signals jump, and at ticks, whatever the caller gives."""
+    if model.blocks:
+        model = driven_by(
+            model, {name: np.zeros(len(model.input_groups[name])) for name in model.inputs if model.inputs[name] is None}
+        )
     driven = bool(model.inputs) and None not in model.inputs.values()
     grid = make_grid(model, lengths[0] if lengths else None, None, None, driven=driven)
     return replace(grid, any_step=any_step or grid.any_step or len(set(lengths)) > 1)
