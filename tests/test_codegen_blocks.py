@@ -129,7 +129,7 @@ def test_the_loop_is_closed_in_c(kind, written):
     np.testing.assert_allclose(seen, right, atol=2e-3)
 
 
-@pytest.mark.parametrize("name", ["friction", "centre", "mixed"])
+@pytest.mark.parametrize("name", ["friction", "centre", "begun", "mixed"])
 def test_the_example_runs_the_models_own_case(name, written, tmp_path):
     """Tables and pulses: the states are those of `simulate` to the order of the steps; no finding of the sanitizers."""
     folder, model = written(name).path.parent, SCENES[name]()

@@ -76,9 +76,9 @@ def _of_inputs(flags: Set[str]) -> list[str]:
 def _example(scene: Scene, source: Source, grid: Grid) -> str:
     model, first = scene.model, 1 if scene.model.tied_to_step else 0
     whole = grid.N if grid.steps is not None or grid.last == grid.h else grid.N - 1
-    stretches = _stretches(grid, whole, list(scene.places.given)) if grid.drive is not None else []
+    stretches = _stretches(grid, first, whole, list(scene.places.given)) if grid.drive is not None else []
     if stretches:
-        whole = sum(stretch.steps for stretch in stretches)
+        whole = first + sum(stretch.steps for stretch in stretches)
     given = np.zeros(0) if grid.steps is None else grid.steps[:STEPS_IN_EXAMPLE]
     steps = given.tolist()
     many = "STRETCHES" if stretches else "MANY_STEPS" if np.unique(given).size > 1 else ""
@@ -124,17 +124,17 @@ class _Stretch(NamedTuple):
         return f"    {{{', '.join([*map(repr, numbers), *limits])}}},"
 
 
-def _stretches(grid: Grid, steps: int, given: list[int]) -> list[_Stretch]:
-    """The first ``steps`` steps of a driven grid, at most STRETCHES stretches, with the inputs that are given."""
-    t = grid.between(0, steps)
-    begin, end = (limits[:, given] for limits in np.hsplit(sure(grid.drive).limits(t), 2))
-    h = np.array([grid.step(k) for k in range(steps)])
+def _stretches(grid: Grid, first: int, last: int, given: list[int]) -> list[_Stretch]:
+    """Steps ``first`` up to ``last`` of a driven grid, at most STRETCHES stretches, with the inputs that are given."""
+    t = grid.between(first, last)
+    begin, end = (limits[:, given] for limits in np.hsplit(sure(grid.drive).limits(t, first), 2))
+    h = np.array([grid.step(k) for k in range(first, last)])
     size = np.abs([begin, end]).max(axis=(0, 1), initial=0.0)
     slope = (end - begin) / h[:, None]
     bends = np.abs(np.diff(slope, axis=0)) * h[1:, None] > STRAIGHT * size
     goes_on = (h[1:] == h[:-1]) & (begin[1:] == end[:-1]).all(axis=1) & ~bends.any(axis=1)
     firsts = np.flatnonzero(np.append(True, ~goes_on))
-    lasts = np.append(firsts[1:], steps)
+    lasts = np.append(firsts[1:], last - first)
     return [
         _Stretch(t[a].item(), t[b].item(), int(b - a), h[a].item(), begin[a].tolist(), end[b - 1].tolist())
         for a, b in zip(firsts[:STRETCHES], lasts[:STRETCHES], strict=True)
