@@ -109,7 +109,7 @@ class ModelStepper:
         state, n = rows[-1][0].copy(), self._n
         if x0 is not None:
             state[:n] = numbers("x0", x0, n)
-        if (ticks := self._inputs.ticks) is not None:
+        if (ticks := self._inputs.ticks) is not None and len(rows) == 1:  # else the ticks at 0 lie behind
             at = self._step.layout.inputs
             state[at] = np.tile(ticks.before(state[:n], self._inputs.both[: self._inputs.both.size // 2]), 2)
         self._state = start_state(self._problem, state, self.h, self._tolerance)

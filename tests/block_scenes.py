@@ -7,7 +7,20 @@ import numpy as np
 from input_scenes import VIN, T, flow
 from scipy.optimize import brentq
 
-from nsmodel import FirstOrderSystem, LureSystem, complementarity, hysteresis, latch, pwm, relay, sampled, table, thyristor
+from nsmodel import (
+    FirstOrderSystem,
+    FrictionOscillator,
+    LureSystem,
+    complementarity,
+    each_step,
+    hysteresis,
+    latch,
+    pwm,
+    relay,
+    sampled,
+    table,
+    thyristor,
+)
 
 # -- a mass with dry friction and a sampled PI: m v' = w - b v - F Sgn(v)
 
@@ -89,6 +102,41 @@ def _through(A, x, u, t):
         return at(t)
     stop = brentq(lambda s: at(s)[0], 0, t, xtol=1e-20, rtol=1e-15) if x[0] > 0 else 0.0
     return np.array([0.0, at(stop)[1] * np.exp(A[1, 1] * (t - stop))])
+
+
+def pushed(kind, gamma):
+    """A mass on a rough floor, pushed by a PWM whose duty a PI sets; a block counts the steps that begin in a pulse."""
+    v, u, d, z, n = (ca.SX.sym(name) for name in "vudzn")
+    pi = sampled(
+        "pi", period=0.1, memory={z: 0.3}, outputs={d: ca.fmin(ca.fmax(0.5 * (1 - v) + z, 0), 1)}, update={z: z + 0.05 * (1 - v)}
+    )
+    return LureSystem(
+        x=v, A=[[-0.5]], B=[[1]], C=[[1]], f=[4 * u], law=relay(1), x0=[0], theta=0.5, gamma=gamma, step=0.01, t_end=1,
+        inputs={u: pwm(0.1, d, kind=kind)}, blocks=[pi, each_step("count", memory={n: 0}, update={n: n + u})],
+    )  # fmt: skip
+
+
+# -- an oscillator whose first step is known, a chain with sparse matrices
+
+
+def begun():
+    """An integral control of a rubbing oscillator, from two positions on; a block counts steps."""
+    x, s, w, z, n = (ca.SX.sym(name) for name in "xswzn")
+    control = sampled("control", period=0.1, memory={z: 1}, outputs={w: z - x}, update={z: z + 0.1 * x})
+    return FrictionOscillator(
+        x=x, potential=x**2, friction=0.3 * s, s=s, force=w, x0=[1], x1=[1.004], t_end=3, step=0.01,
+        blocks=[control, each_step("count", memory={n: 0}, update={n: n + 1})],
+    )  # fmt: skip
+
+
+def chain(n=60):
+    """Blocks on springs and a rough floor, the first one pushed less and less."""
+    u, z, x = ca.SX.sym("u"), ca.SX.sym("z"), ca.SX.sym("x", n)
+    return LureSystem(
+        x=x, A=-2 * np.eye(n) + np.eye(n, k=1) + np.eye(n, k=-1), B=np.eye(n), C=np.eye(n), f=[u - z] + [0] * (n - 1),
+        law=relay(n), x0=[0] * n, t_end=1, step=0.01, inputs={u: 1.5},
+        blocks=[sampled("tired", period=0.1, memory={z: 0}, update={z: z + x[0]})],
+    )  # fmt: skip
 
 
 # -- switches

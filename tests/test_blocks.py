@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from block_scenes import (
     TS,
+    begun,
     exact_friction_pi,
     exact_over_current,
     exact_regulated,
@@ -12,6 +13,7 @@ from block_scenes import (
     fired_current,
     friction_pi,
     over_current,
+    pushed,
     regulated,
     schmitt,
     thermostat,
@@ -24,7 +26,6 @@ from nsmodel import (
     ModelError,
     StepError,
     UsageError,
-    codegen,
     complementarity,
     dead_time,
     delay,
@@ -39,7 +40,6 @@ from nsmodel import (
     steps,
     table,
 )
-from nsmodel.errors import CodegenError
 
 X, U, Z, Y, D = (ca.SX.sym(name) for name in "xuzwd")
 EVENTS = {"rtol": 1e-10}
@@ -455,13 +455,39 @@ def test_what_a_block_sets_has_no_other_signal():
         simulate(plant(counter()), inputs={"z": 1})
 
 
-def test_what_has_no_c_says_so(tmp_path):
-    with pytest.raises(CodegenError, match=r"blocks \(pi, u.duty\) have no C counterpart yet"):
-        codegen.write(regulated(), tmp_path)
-
-
 def test_a_lure_system_with_a_block_and_no_input():
     model = LureSystem(
         x=X, A=[[-1]], B=[[1]], C=[[1]], f=[Z], law=complementarity(1), x0=[0], t_end=1, step=0.1, blocks=[counter()]
     )
     assert simulate(model).z[-1] == 10
+
+
+@pytest.mark.parametrize(("kind", "gamma"), [("trailing", 1.0), ("trailing", 0.5), ("centre", 0.5)])
+def test_a_block_reads_a_pulse_whose_duty_another_sets(kind, gamma):
+    """The stepper has the bits of `simulate` on its steps, at the edges of pulses too, where a carried reaction is found anew."""
+    model = pushed(kind, gamma)
+    run, s = simulate(model, compiled=False), stepper(model, compiled=False)
+    assert run.n[-1] > 20
+    for k in range(len(run.t) - 1):
+        row = s.step(h=run.step[k + 1])
+        np.testing.assert_array_equal([*row.x, *row.inputs], [*run.x[k + 1], *run.inputs[k + 1]])
+
+
+def test_a_sampled_block_reads_a_pulse_event_driven():
+    x, u, d, n = (ca.SX.sym(name) for name in "xudn")
+    count = sampled("count", period=0.1, offset=0.05, memory={n: 0}, outputs={d: 0.3 + 0.06 * n}, update={n: n + u})
+    model = FirstOrderSystem(x=x, f=[u - x], x0=[0], step=0.01, t_end=2, inputs={u: pwm(0.1, d)}, blocks=[count])
+    run, exact = simulate(model), simulate(model, rtol=1e-8)
+    assert run.n[-1] == exact.n[-1] == 0  # a pulse of 0.3 ends before it is looked at
+    wide = FirstOrderSystem(x=x, f=[u - x], x0=[0], step=0.01, t_end=2, inputs={u: pwm(0.1, d + 0.25)}, blocks=[count])
+    assert simulate(wide).n[-1] == simulate(wide, rtol=1e-8).n[-1] == 20
+
+
+def test_a_start_with_a_step_behind_it():
+    """What ticked at t = 0 read the first of two positions; the stepper begins behind that."""
+    run, s = simulate(begun(), compiled=False), stepper(begun(), compiled=False)
+    assert run.z[:2].tolist() == [1.1, 1.1]
+    assert run.n[-1] == 300
+    for k in range(1, 40):
+        row = s.step()
+        np.testing.assert_array_equal([*row.x, *row.inputs], [*run.x[k + 1], *run.inputs[k + 1]])

@@ -24,6 +24,7 @@ from nsmodel.errors import CodegenError, UsageError
 from nsmodel.grid import Grid, check_times, is_number, make_grid, written
 from nsmodel.identity import fingerprint
 from nsmodel.model.base import Model
+from nsmodel.model.driven import driven_by
 from nsmodel.model.parameters import Values
 from nsmodel.storage import write_text
 
@@ -62,6 +63,7 @@ class Written(NamedTuple):
                 + (", or any other" if about["any_step"] else " only (--any-step for others)")
             ],
             "inputs": [", ".join(about["inputs"])] if about.get("inputs") else [],
+            "blocks": [f"{what}: {', '.join(names)}" for what, names in about.get("blocks", {}).items() if names],
             "parameters": [", ".join(f"{key} = {value:g}" for key, value in about["parameters"].items()) or "none to set"],
             "work": [
                 f"{about['max_work']} linear systems, index sets and sweeps in a step at most"
@@ -118,10 +120,11 @@ def write(
     if not (max_work is None or (isinstance(max_work, int) and not isinstance(max_work, bool) and 1 <= max_work <= MOST_WORK)):
         raise UsageError(f"max_work = {written(max_work)}; expected a whole number from 1 to {MOST_WORK}")
     most = MOST_WORK if max_work is None else max_work
-    if model.blocks:
+    if model.blocks and event_driven:
+        listed = ", ".join(block.name for block in model.blocks)
         raise CodegenError(
-            f"blocks ({', '.join(block.name for block in model.blocks)}) have no C counterpart yet: write the model with "
-            "what they set as inputs, and let the caller's loop tick"
+            f"event-driven integration in C does not take blocks ({listed}): write the model with what they set as inputs, and "
+            "let the caller's loop tick"
         )
     name = identifier(model.title or type(model).__name__) if name is None else _checked(name)
     bound = model.bind(parameters)
@@ -135,7 +138,12 @@ def write(
             raise CodegenError(f"{_WORST_CASE}; those of many bodies change as they meet")
         files, about = bodies.all_files(bound, name, grid, float(tolerance), mark, most)
     else:
-        scene = replace(make_scene(model, parameters, grid, float(tolerance), lengths), worst_case=worst_case)
+        scene = make_scene(model, parameters, grid, float(tolerance), lengths)
+        scene = replace(scene, worst_case=worst_case, ticking=bool(bound.blocks))
+        if grid.drive is not None and grid.drive.moving:
+            if worst_case:
+                raise CodegenError(f"{_WORST_CASE} and steps of known lengths; a block places edges of a pwm")
+            scene = replace(scene, h=grid.asked, lengths=lengths[1:])
         source = write_source(scene, name, mark, most)
         if worst_case and not _is_formed(source):
             raise CodegenError(f"{_WORST_CASE} and a law of at most {MOST_ROWS} rows, none of them of a curved set")
@@ -169,10 +177,14 @@ def _lengths(step: float | Sequence[float] | None) -> tuple[float, ...]:
 
 
 def _grid(model: Model, lengths: tuple[float, ...], *, any_step: bool) -> Grid:
-    """The grid of the model's own run, which ends steps where its signals jump."""
+    """The grid of the model's own run, which ends steps where its signals jump, and at ticks, whatever the caller gives."""
+    if model.blocks:
+        model = driven_by(
+            model, {name: np.zeros(len(model.input_groups[name])) for name in model.inputs if model.inputs[name] is None}
+        )
     driven = bool(model.inputs) and None not in model.inputs.values()
     grid = make_grid(model, lengths[0] if lengths else None, None, None, driven=driven)
-    return replace(grid, any_step=any_step or len(set(lengths)) > 1)
+    return replace(grid, any_step=any_step or grid.any_step or len(set(lengths)) > 1)
 
 
 def identifier(text: str) -> str:

@@ -13,6 +13,7 @@ from nsmodel.pieces.defect import POINTS
 
 OF_STEPS: Mapping[str, str] = {
     "grid": "SAME",
+    "signals.signal": "NEAR",
     "solve.certificate": "ROUNDING NEGLIGIBLE UNRESOLVED REACH GROWTH CLEAR STRICTER",
     "solve.rounding": "PROBES FRAGILE WORTH INSIDE SUM_ERROR SPREAD MIXED STIRRED",
     "solve.active_set": "MOST_INDEX_SETS PRIMAL_DUAL_SWEEPS CANCELLED EQUILIBRATIONS NOUGHT REGULARISED PIVOTS_EACH PIVOTS_MORE "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Set
 from typing import NamedTuple
 
 import numpy as np
@@ -38,18 +39,18 @@ def all_files(scene: Scene, source: Source, grid: Grid, fingerprint: str) -> dic
 
 def description(scene: Scene, source: Source, fingerprint: str) -> dict:
     """What the library is, for programs."""
-    model, problem = scene.model, scene.problem
+    model, problem, own = scene.model, scene.problem, scene.places.names(scene.model)
     return {
         "name": source.name,
         "title": model.title,
         "model_class": type(model).__name__,
         "scheme": problem.scheme,
         "paper": model.paper,
-        "sizes": {key: source.sizes[key] for key in ("NX", "NSTATE", "NP", "NL", "N", "M")}
-        | ({"NU": source.sizes["NU"]} if "INPUTS" in source.flags else {}),
+        "sizes": {key: source.sizes[key] for key in "NX NSTATE NP NL N M".split() + _of_inputs(source.flags)},
         "states": list(model.names),
         "parameters": scene.parameters,
-        "inputs": list(model.input_names),
+        "inputs": own["u"],
+        **({"blocks": {"memory": own["z"], "held": own["w"]}} if "BLOCKS" in source.flags else {}),
         "multipliers": list(problem.multiplier_names),
         "rows": list(problem.rows),
         "units": dict(model.units),
@@ -67,12 +68,17 @@ def description(scene: Scene, source: Source, fingerprint: str) -> dict:
     }
 
 
+def _of_inputs(flags: Set[str]) -> list[str]:
+    """The sizes that a model with inputs has."""
+    return ["NU"] * ("INPUTS" in flags) + ["NZ", "NW"] * ("BLOCKS" in flags)
+
+
 def _example(scene: Scene, source: Source, grid: Grid) -> str:
     model, first = scene.model, 1 if scene.model.tied_to_step else 0
     whole = grid.N if grid.steps is not None or grid.last == grid.h else grid.N - 1
-    stretches = _stretches(grid, whole) if grid.drive is not None else []
+    stretches = _stretches(grid, first, whole, list(scene.places.given)) if grid.drive is not None else []
     if stretches:
-        whole = sum(stretch.steps for stretch in stretches)
+        whole = first + sum(stretch.steps for stretch in stretches)
     given = np.zeros(0) if grid.steps is None else grid.steps[:STEPS_IN_EXAMPLE]
     steps = given.tolist()
     many = "STRETCHES" if stretches else "MANY_STEPS" if np.unique(given).size > 1 else ""
@@ -86,7 +92,7 @@ def _example(scene: Scene, source: Source, grid: Grid) -> str:
         "VELOCITIES": ", velocities" if "VELOCITY" in flags else "",
         "MULTIPLIERS": ", multipliers" if "LAW" in flags else "",
         "STEPS": "\n".join("        " + ", ".join(map(repr, steps[i : i + 5])) + "," for i in range(0, len(steps), 5)),
-        "STRETCHES": "\n".join(map(str, stretches)),
+        "STRETCHES": "\n".join(stretch.until if "PULSES" in flags else str(stretch) for stretch in stretches),
         "LAST": str(min(whole, len(steps)) if steps else whole),
         "FIRST": str(first),
         "COLUMNS": "\n".join(f'    fputs("{_c_string(line)}", stdout);' for line in _lines(columns)),
@@ -98,6 +104,7 @@ class _Stretch(NamedTuple):
     """Steps of one length between two edges: the inputs (nu,) at its begin and end, with straight lines between them."""
 
     t: float
+    t_end: float
     steps: int
     h: float
     begin: list[float]
@@ -105,23 +112,31 @@ class _Stretch(NamedTuple):
 
     def __str__(self) -> str:
         """As an initialiser of C."""
-        begin, end = (", ".join(map(repr, values)) for values in (self.begin, self.end))
-        return f"    {{{self.t!r}, {self.steps}, {self.h!r}, {{{begin}}}, {{{end}}}}},"
+        return self._initialiser(self.t, self.steps, self.h)
+
+    @property
+    def until(self) -> str:
+        """The same without steps, where blocks place edges: the caller finds them on its way."""
+        return self._initialiser(self.t, self.t_end)
+
+    def _initialiser(self, *numbers: float) -> str:
+        limits = [f"{{{', '.join(map(repr, values))}}}" for values in (self.begin, self.end) if values]
+        return f"    {{{', '.join([*map(repr, numbers), *limits])}}},"
 
 
-def _stretches(grid: Grid, steps: int) -> list[_Stretch]:
-    """The first ``steps`` steps of a driven grid, at most STRETCHES stretches."""
-    t, limits = grid.between(0, steps), sure(grid.drive).limits(grid.between(0, steps))
-    begin, end = np.hsplit(limits, 2)
-    h = np.array([grid.step(k) for k in range(steps)])
-    size = np.abs(limits).max(axis=0, initial=0.0)[: begin.shape[1]]
+def _stretches(grid: Grid, first: int, last: int, given: list[int]) -> list[_Stretch]:
+    """Steps ``first`` up to ``last`` of a driven grid, at most STRETCHES stretches, with the inputs that are given."""
+    t = grid.between(first, last)
+    begin, end = (limits[:, given] for limits in np.hsplit(sure(grid.drive).limits(t, first), 2))
+    h = np.array([grid.step(k) for k in range(first, last)])
+    size = np.abs([begin, end]).max(axis=(0, 1), initial=0.0)
     slope = (end - begin) / h[:, None]
     bends = np.abs(np.diff(slope, axis=0)) * h[1:, None] > STRAIGHT * size
     goes_on = (h[1:] == h[:-1]) & (begin[1:] == end[:-1]).all(axis=1) & ~bends.any(axis=1)
     firsts = np.flatnonzero(np.append(True, ~goes_on))
-    lasts = np.append(firsts[1:], steps)
+    lasts = np.append(firsts[1:], last - first)
     return [
-        _Stretch(t[a].item(), int(b - a), h[a].item(), begin[a].tolist(), end[b - 1].tolist())
+        _Stretch(t[a].item(), t[b].item(), int(b - a), h[a].item(), begin[a].tolist(), end[b - 1].tolist())
         for a, b in zip(firsts[:STRETCHES], lasts[:STRETCHES], strict=True)
     ]
 
@@ -164,6 +179,8 @@ def readme_words(scene: Scene, source: Source) -> dict[str, str]:
         "STATES": listed["x"],
         "PARAMETERS": listed["p"],
         "INPUTS": listed["u"],
+        "MEMORY": listed["z"] or "none",
+        "HELD": listed["w"] or "none",
         "KNOWN": ", ".join(f"{h:g}" for h in scene.known_lengths if h),
         "LENGTHS": str(source.sizes["LENGTHS"]),
         "MULTIPLIERS": listed["multipliers"],

@@ -198,6 +198,7 @@ class Solver:
         self.library, sizes = library, library.about["sizes"]
         self._nx, self._nl, self._m = sizes["NX"], sizes["NL"], sizes["M"]
         self._np, self._nu = sizes["NP"], sizes.get("NU", 0)
+        self._nz, self._nw = sizes.get("NZ", 0), sizes.get("NW", 0)
         self._address = ctypes.c_void_p(library.function("create", ctypes.c_void_p)())
         if not self._address.value:
             raise CodegenError(f"{library.about['name']}: no memory for a solver")
@@ -255,6 +256,18 @@ class Solver:
                 raise CodegenError(f"inputs: {array.size} numbers given; expected {self._nu}")
         return self._call("set_inputs_between", *both)
 
+    def set_memory(self, z: Any) -> int:
+        """Put the memory of blocks (nz,); return the status."""
+        return self._set("memory", z, self._nz)
+
+    def set_held(self, w: Any) -> int:
+        """Put what blocks hold (nw,), outputs and duties in force; return the status."""
+        return self._set("held", w, self._nw)
+
+    def sample(self) -> int:
+        """Let the blocks act that are due at the time of the state, before the step from there; return the status."""
+        return self._call("sample")
+
     def set_budget(self, work: int) -> int:
         """Put the most work of a step, beyond which it is not solved; return the status."""
         return self.library.function("set_budget", ctypes.c_int, ctypes.c_void_p, ctypes.c_long)(self._address, work)
@@ -303,6 +316,21 @@ class Solver:
     def inputs(self) -> np.ndarray:
         """The inputs (nu,) that the next step begins with; after a step those of its end."""
         return self._get("inputs", self._nu)
+
+    @property
+    def next_tick(self) -> float:
+        """The first time after that of the state at which a block ticks or a pulse begins or ends."""
+        return self.library.function("next_tick", ctypes.c_double, ctypes.c_void_p)(self._address)
+
+    @property
+    def memory(self) -> np.ndarray:
+        """The memory of blocks (nz,)."""
+        return self._get("memory", self._nz)
+
+    @property
+    def held(self) -> np.ndarray:
+        """What blocks hold (nw,): outputs and duties in force."""
+        return self._get("held", self._nw)
 
     @property
     def multipliers(self) -> np.ndarray:

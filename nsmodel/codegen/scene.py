@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.codegen import banded, fixed
+from nsmodel.codegen.places import Places, places_of
 from nsmodel.errors import CodegenError
 from nsmodel.grid import Grid
 from nsmodel.model.base import Model
@@ -37,6 +38,7 @@ class Scene:
         tolerance: largest accepted residual.
         allowed: eps_k of an inclusion's approximate projections: of each step, or one for all.
         worst_case: whether steps may solve no linear system: what they need of them is formed beforehand.
+        ticking: whether the code has the model's blocks; else what they hold is given to it.
     """
 
     model: Model
@@ -47,6 +49,7 @@ class Scene:
     lengths: tuple[float, ...] = ()
     allowed: tuple[float, ...] = ()
     worst_case: bool = False
+    ticking: bool = False
 
     @cached_property
     def problem(self) -> OneStepProblem:
@@ -72,6 +75,11 @@ class Scene:
     def problem_of_numbers(self) -> OneStepProblem:
         """The one-step problem at the default parameters."""
         return self.problem if self.model is self.numbers else one_step_problem(self.numbers)
+
+    @cached_property
+    def places(self) -> Places:
+        """Who sets which inputs."""
+        return places_of(self.model) if self.ticking else Places(tuple(range(self.problem.inputs)))
 
     @property
     def parameters(self) -> dict[str, float]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from nsmodel.codegen import banded, constants, fixed, inclusion, newton, residual, sets, statuses, structs
+from nsmodel.codegen import banded, blocks, constants, fixed, inclusion, newton, residual, sets, statuses, structs
 from nsmodel.codegen.bounds import MOST_WORK, work_bound
 from nsmodel.codegen.expression import number
 from nsmodel.codegen.fragments import CONSTANT, FOLDER, FUNCTION, comment, fragment, guard, prefixed, pruned, resolved
@@ -54,6 +54,7 @@ def write_source(scene: Scene, name: str, fingerprint: str, most: int = MOST_WOR
     parts = [
         part("prelude.c"),
         part("common.c"),
+        *([part("times.c")] if "BLOCKS" in flags else []),
         own,
         *(part(file) for file in _FRAGMENTS if _has(file.removesuffix(".c"), flags)),
     ]
@@ -80,7 +81,8 @@ def _missing(text: str, code: str) -> str:
 
 
 _FRAGMENTS = [
-    f"{name}.c" for name in "solvers rounding linear affine curved lemke fixed banded newton rows inclusion api".split()
+    f"{name}.c"
+    for name in "solvers rounding linear affine curved lemke fixed banded newton rows inclusion state blocks api".split()
 ]
 
 
@@ -95,6 +97,7 @@ def _has(part: str, flags: frozenset[str]) -> bool:
         "affine": "AFFINE_PROBLEM" in flags,
         "lemke": "PIVOTING" in flags,
         "curved": "CURVED" in flags,
+        "blocks": "BLOCKS" in flags,
     }.get(part, True)
 
 
@@ -135,7 +138,7 @@ def _words(name: str, scene: Scene, flags: frozenset[str], sizes: dict[str, int]
     } | {key: str(value) for key, value in sizes.items()}
 
 
-_PUBLIC = {"NX", "NSTATE", "NP", "NU", "NL", "N", "M"}
+_PUBLIC = {"NX", "NSTATE", "NP", "NU", "NZ", "NW", "NL", "N", "M"}
 
 
 def _inner_sizes(name: str, sizes: dict[str, int], text: str) -> str:
@@ -162,7 +165,7 @@ def names(scene: Scene) -> dict[str, str]:
         return ", ".join(each if len(each) <= 40 else [*each[:39], f"... ({len(each)} in all)"])
 
     multipliers = scene.problem.multiplier_names
-    own = {"x": scene.model.names, "p": scene.parameters, "u": scene.model.input_names, "multipliers": multipliers}
+    own = {"x": scene.model.names, "p": scene.parameters, **scene.places.names(scene.model), "multipliers": multipliers}
     return {head: listed(names) for head, names in own.items()}
 
 
@@ -201,6 +204,8 @@ def _functions(scene: Scene, flags: frozenset[str]) -> str:
         parts.append(newton.text(scene, known))
     if "INCLUSION" in flags:
         parts.append(inclusion.text(scene))
+    if "BLOCKS" in flags:
+        parts.append(blocks.text(scene.model, scene.places))
     out = {"x_next": problem.next_state}
     if "REWRITTEN" in flags:
         out |= {"multipliers": sure(problem.multipliers), "outputs": sure(problem.outputs)}

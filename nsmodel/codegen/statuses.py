@@ -26,7 +26,7 @@ STATUSES = (
         "the step may have no solution (closing walls? an empty set?): try a smaller one",
     ),
     Status("NOT_FINITE", "a state, time, step, parameter, velocity or constraint is NaN or infinite, or the step overflows"),
-    Status("BAD_STEP", "the time step is not one that this code takes, or so small beside the time that t + h is t"),
+    Status("BAD_STEP", "the time step is not one that this code takes, goes over a tick, or is so small that t + h is t"),
     Status("BAD_PARAMETER", "the parameters give the law empty bounds or other infinite ones, or no finite start"),
     Status("NO_ROOM", "more constraints act at once than there is room for", "compile with a larger MODEL_MEMORY"),
     Status("NOT_INITIALISED", "the solver was not initialised", "call model_init first"),

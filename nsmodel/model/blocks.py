@@ -27,6 +27,7 @@ class ModelBlock(Pickled):
         at: which entries of the model's inputs it sets.
         next: what a tick sets them to (k, 1), expressions of t, the state, multipliers and inputs.
         start: what they are before the first tick, of the same; memory first.
+        memory: how many of them are memory.
         latch: whether it follows the other blocks at its ticks, as the duty of a PWM does.
     """
 
@@ -36,6 +37,7 @@ class ModelBlock(Pickled):
     at: tuple[int, ...]
     next: ca.SX
     start: ca.SX
+    memory: int = 0
     latch: bool = False
 
     def ticks(self, t_end: float) -> np.ndarray:
@@ -145,7 +147,9 @@ def model_blocks(
         starting = [column(value, symbol, "the start of") for symbol, value in each.memory]
         starting += [column(begin.get(symbol.stem, value), symbol, "the start of") for symbol, value in each.outputs]
         at = tuple(place for symbol in each.symbols for place in places[str(symbol.stem)])
-        found.append(ModelBlock(block.name, block.period, block.offset, at, ca.vertcat(*following), ca.vertcat(*starting)))
+        memory = sum(len(symbol.names) for symbol, _ in each.memory)
+        tick, start = ca.vertcat(*following), ca.vertcat(*starting)
+        found.append(ModelBlock(block.name, block.period, block.offset, at, tick, start, memory))
     return tuple(found)
 
 

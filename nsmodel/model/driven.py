@@ -15,6 +15,7 @@ from nsmodel.model.convert import Converter, declare
 from nsmodel.model.inputs import Signals, by_name, signals_of
 from nsmodel.model.replaced import replaced
 from nsmodel.model.ticks import ticks_of
+from nsmodel.proof.sure import sure
 from nsmodel.signals.kept import Kept
 from nsmodel.signals.signal import Signal
 
@@ -73,10 +74,16 @@ def inputs_at_start(model: Any, x: np.ndarray | None = None) -> np.ndarray:
     ticks = None if model.p.numel() else ticks_of(model)
     if ticks is None:
         return u
-    u = ticks.start(np.array(ca.DM(model.start)).ravel() if x is None else x, u)
-    at = 0
+    x = np.array(ca.DM(model.start)).ravel() if x is None else x
+    u = _with_pulses(model, ticks.before(x, u))
+    return _with_pulses(model, ticks.start(x, u))
+
+
+def _with_pulses(model: Any, u: np.ndarray) -> np.ndarray:
+    """U at t = 0 with the PWMs whose duty it holds."""
+    at, ticks = 0, sure(ticks_of(model))
     for signal, names in zip(model.inputs.values(), model.input_groups.values(), strict=True):
-        if signal is not None and signal.moving:  # A PWM whose duty a block has set just now.
+        if signal is not None and signal.moving:
             u[at : at + len(names)] = signal.holding(ticks.kept(u)).after(np.zeros(1))[0]
         at += len(names)
     return u

@@ -40,6 +40,8 @@ class StepInputs:
         self._sizes = {name: len(model.input_groups[name]) for name in free}
         entries = [name for name, names in model.input_groups.items() for _ in names]
         self.at = np.flatnonzero(np.isin(entries, self.free))
+        moving = [name for name, signal in model.inputs.items() if signal.moving]
+        self._unforeseen = np.flatnonzero(np.isin(entries, [*free, *moving]))  # And of those whose jumps no signal tells.
         self.driven = bool(model.blocks) or any(not isinstance(signal, Held) for signal in model.inputs.values())
         self.both = np.tile(inputs_at_start(model), 2)
         self._drive: Drive | None = None  # The signals up to a time that is looked ahead to.
@@ -93,7 +95,7 @@ class StepInputs:
         x, l, before = place
         drive = self._seen(k, t + h) if self.driven else None
         if drive is not None:
-            both = drive.limits(np.array([t, t + h]), k)[0]
+            both = self._by_signals(drive, before, k, t, h)
             jumps = any(k in signal.turns for signal in self._model.inputs.values())
             jumps = jumps or bool((np.abs(drive.jumps - t) <= SAME * t).any())
         both[self.at], both[self.at + nu] = begin, end
@@ -102,11 +104,16 @@ class StepInputs:
             u[at] = before[at]
             u = self.ticks.after([*self.ticks.due(t), *self.ticks.each_step], t, x, l, u)
             if drive is not None and drive.moving:
-                both = drive.holding(self.ticks.kept(u)).limits(np.array([t, t + h]), k)[0]
+                both = self._by_signals(drive, u, k, t, h)
                 both[self.at], both[self.at + nu] = begin, end
             both[at] = both[at + nu] = u[at]
             jumps = jumps or bool((u[at] != before[at]).any())
-        return both, jumps or bool((before[self.at] != begin).any())
+        return both, jumps or bool((before[self._unforeseen] != both[self._unforeseen]).any())
+
+    def _by_signals(self, drive: Drive, u: np.ndarray, k: int, t: float, h: float) -> np.ndarray:
+        """U at both ends of step k by signals alone, with what blocks hold in ``u``."""
+        now = drive.holding(self.ticks.kept(u)) if drive.moving and self.ticks is not None else drive
+        return now.limits(np.array([t, t + h]), k)[0]
 
     def _seen(self, k: int, end: float) -> Drive:
         """The signals up to the end of a step, and ahead where they let; UsageError where one is none up to there."""

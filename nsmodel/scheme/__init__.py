@@ -24,8 +24,8 @@ def one_step_problem(model: Model) -> OneStepProblem:
 def initial_rows(model: Any, h: float) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
     """Return (state, records) of the rows that are known before the first step; h is the first step."""
     rows = _scheme(model).initial_rows(model, h)
-    n = len(model.names)
-    return [(np.concatenate([state, np.tile(inputs_at_start(model, state[:n]), 2)]), records) for state, records in rows]
+    u = inputs_at_start(model, rows[0][0][: len(model.names)])
+    return [(np.concatenate([state, u, u]), records) for state, records in rows]
 
 
 def start_of(model: Any, h: ca.SX) -> ca.SX | None:

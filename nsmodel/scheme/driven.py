@@ -16,6 +16,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.model.base import Model
+from nsmodel.model.driven import inputs_at_start
 from nsmodel.model.quantity import Quantity
 from nsmodel.model.ticks import ticks_of
 from nsmodel.once import once
@@ -91,11 +92,13 @@ def data(model: Model, t: float, x: Sequence[float] | None) -> list[float]:
     ticks = ticks_of(model)
     if ticks is None:
         return [value for column in _columns(model.inputs, t) for value in column]
-    u = np.concatenate([signal.after(np.array([t]))[0] for signal in _signals(model.inputs).values()])
     if x is None:
-        u = ticks.start(np.array(ca.DM(model.start)).ravel(), u)
+        u = inputs_at_start(model)
     else:
+        u = np.zeros(model.u.numel())
         u[ticks.at] = held_of(model, x)
+        kept = ticks.kept(u)
+        u = np.concatenate([signal.holding(kept).after(np.array([t]))[0] for signal in _signals(model.inputs).values()])
         u = ticks.after(ticks.due(t), t, np.array(x[: ticks.states]), np.zeros(ticks.multipliers), u)
     kept = ticks.kept(u)
     return [v for column in _columns({name: s.holding(kept) for name, s in _signals(model.inputs).items()}, t) for v in column]

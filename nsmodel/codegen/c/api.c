@@ -1,16 +1,6 @@
 /* The interface. */
 
 
-/* Whether the solver was initialised. */
-static int is_ready(const model_solver *s) { return s->ready == READY; }
-
-#if INPUTS
-/* The inputs at the begin and at the end of a step stand behind all else that it starts from. */
-static double *begin_of(model_solver *s) { return s->x + MODEL_NSTATE - 2*MODEL_NU; }
-
-static double *end_of(model_solver *s) { return s->x + MODEL_NSTATE - MODEL_NU; }
-
-#endif
 /* Compute the step of length h from the time and the state at hand in s->work; they stay. */
 static int next_state(model_solver *s)
 {
@@ -62,7 +52,7 @@ static int next_state(model_solver *s)
 static int renew_reaction(model_solver *s)
 {
     const double h = s->h;
-    double end[MODEL_NU], l[MODEL_M];
+    double end[MODEL_INPUTS], l[MODEL_M];
     signed char index[MODEL_M];
     memcpy(end, end_of(s), sizeof end);
     memcpy(l, s->l, sizeof l);
@@ -99,6 +89,11 @@ static int attempt(model_solver *s)
         return MODEL_NOT_FINITE;
     if (!(next > s->t))
         return MODEL_BAD_STEP;
+#if BLOCKS
+    const int placed = place_inputs(s, next);
+    if (placed != MODEL_OK)
+        return placed;
+#endif
 #if RESTARTED
     if (memcmp(s->regime, begin_of(s), sizeof s->regime) != 0) {
         double reaction[MODEL_NX];
@@ -135,6 +130,9 @@ static void commit(model_solver *s)
     s->solver = s->work.solver;
     s->steps += 1;
     s->t = s->t_0 + s->steps*s->h;
+#if BLOCKS
+    s->ticked = 0;
+#endif
 #if TOLERANCE_OF_NUMBER
     s->number += 1;
 #endif
@@ -144,13 +142,20 @@ int model_step(model_solver *s)
 {
     if (!is_ready(s))
         return s->status = MODEL_NOT_INITIALISED;
+#if BLOCKS
+    double before[2*MODEL_INPUTS];
+    memcpy(before, begin_of(s), sizeof before);
+#endif
     s->status = attempt(s);
     if (s->status == MODEL_OK) {
         commit(s);
 #if INPUTS
-        memcpy(begin_of(s), end_of(s), MODEL_NU*sizeof *s->x);
+        memcpy(begin_of(s), end_of(s), MODEL_INPUTS*sizeof *s->x);
 #endif
     } else {
+#if BLOCKS
+        memcpy(begin_of(s), before, sizeof before);
+#endif
         s->residual = s->work.residual;
         s->iterations = s->work.iterations;
         s->solver = NONE;
@@ -189,6 +194,12 @@ static int restart(model_solver *s)
 {
     double x[MODEL_NSTATE];
     start(s, x);
+#if BLOCKS
+    double held[MODEL_NZ + MODEL_NW];
+    start_held(s, x, x + BEGIN, held);
+    memcpy(x + BEGIN + KEPT, held, sizeof held);
+    memcpy(x + BEGIN + MODEL_INPUTS + KEPT, held, sizeof held);
+#endif
     if (!all_finite(MODEL_NSTATE, x))
         return MODEL_BAD_PARAMETER;
     memcpy(s->x, x, sizeof x);
@@ -199,6 +210,9 @@ static int restart(model_solver *s)
     s->steps = START_STEPS;
     s->t = s->t_0 + s->steps*s->h;
     s->status = MODEL_OK;
+#if BLOCKS
+    s->ticked = 0;
+#endif
     s->residual = 0;
     s->spent = 0;
     s->iterations = s->solver = 0;
@@ -264,6 +278,9 @@ int model_set_time(model_solver *s, double t)
         return MODEL_NOT_FINITE;
     s->t = s->t_0 = t;
     s->steps = 0;
+#if BLOCKS
+    s->ticked = 0;
+#endif
     return MODEL_OK;
 }
 
@@ -349,21 +366,36 @@ int model_set_force(model_solver *s, const double *r)
 void model_get_force(const model_solver *s, double *r) { memcpy(r, s->x + MODEL_NX, MODEL_NX*sizeof *r); }
 #endif
 
-#if INPUTS
+#if GIVEN
 int model_set_inputs_between(model_solver *s, const double *begin, const double *end)
 {
     if (!is_ready(s))
         return MODEL_NOT_INITIALISED;
     if (!all_finite(MODEL_NU, begin) || !all_finite(MODEL_NU, end))
         return MODEL_NOT_FINITE;
+#if BLOCKS
+    for (int i = 0; i < MODEL_NU; i++) {
+        begin_of(s)[given_at[i]] = begin[i];
+        end_of(s)[given_at[i]] = end[i];
+    }
+#else
     memcpy(begin_of(s), begin, MODEL_NU*sizeof *begin);
     memcpy(end_of(s), end, MODEL_NU*sizeof *end);
+#endif
     return MODEL_OK;
 }
 
 int model_set_inputs(model_solver *s, const double *u) { return model_set_inputs_between(s, u, u); }
 
-void model_get_inputs(const model_solver *s, double *u) { memcpy(u, s->x + MODEL_NSTATE - 2*MODEL_NU, MODEL_NU*sizeof *u); }
+#if BLOCKS
+void model_get_inputs(const model_solver *s, double *u)
+{
+    for (int i = 0; i < MODEL_NU; i++)
+        u[i] = s->x[BEGIN + given_at[i]];
+}
+#else
+void model_get_inputs(const model_solver *s, double *u) { memcpy(u, s->x + BEGIN, MODEL_NU*sizeof *u); }
+#endif
 #endif
 
 int model_set_budget(model_solver *s, long work)

@@ -10,7 +10,7 @@
 
 #if LAW
 /* The end at which the code holds l_i. */
-static double end_of(int i, int code) { return code < 0 ? lower[i] : upper[i]; }
+static double bound_of(int i, int code) { return code < 0 ? lower[i] : upper[i]; }
 #endif
 
 /* Put the rows of J, and those of the multipliers that are held, into the band. */
@@ -154,7 +154,7 @@ static void make_exact(model_solver *s)
     const signed char *code = s->banded.code;
     for (int i = 0; i < MODEL_M; i++) {
         if (code[i] != 0)
-            l[i] = end_of(i, code[i]);
+            l[i] = bound_of(i, code[i]);
         else if (l[i] < lower[i] && lower[i] - l[i] <= INSIDE*EPS*fabs(l[i]))
             l[i] = lower[i];
         else if (l[i] > upper[i] && l[i] - upper[i] <= INSIDE*EPS*fabs(l[i]))
@@ -312,7 +312,7 @@ static int on_index_set(model_solver *s, double *residual)
 #if LAW
     for (int i = 0; i < MODEL_M; i++)
         if (s->banded.code[i] != 0)
-            s->banded.F[MODEL_N + i] = end_of(i, s->banded.code[i]);
+            s->banded.F[MODEL_N + i] = bound_of(i, s->banded.code[i]);
 #endif
     solve_band(s, u);
     int wrong = 0, refined = 0;
@@ -367,7 +367,7 @@ static int step_by_band(model_solver *s)
 #if LAW
     int fewest = MODEL_M + 1, patience = PATIENCE, sweep = 0, wrong = 0;
     for (int i = 0; i < MODEL_M; i++)
-        s->banded.code[i] = s->index[i] && is_finite(end_of(i, s->index[i])) ? s->index[i] : 0;
+        s->banded.code[i] = s->index[i] && is_finite(bound_of(i, s->index[i])) ? s->index[i] : 0;
     for (; sweep < PIVOTED_SETS; sweep++) {
         wrong = on_index_set(s, &residual);
         if (wrong <= 0)

@@ -19,8 +19,12 @@ extern "C" {
 #define MODEL_NX @NX@ /* states */
 #define MODEL_NSTATE @NSTATE@ /* what a step carries on: the states@CARRIED@ */
 #define MODEL_NP @NP@ /* parameters */
-#if INPUTS
+#if GIVEN
 #define MODEL_NU @NU@ /* inputs */
+#endif
+#if BLOCKS
+#define MODEL_NZ @NZ@ /* memory of blocks */
+#define MODEL_NW @NW@ /* what they hold: outputs, duties in force */
 #endif
 #define MODEL_NL @NL@ /* multipliers */
 #define MODEL_N @N@ /* unknowns of a step */
@@ -56,7 +60,10 @@ typedef struct model_solver {
     long budget; /* most work of a step */
     unsigned long ready; /* whether the solver is initialised */
 #if RESTARTED
-    double regime[MODEL_NU]; /* inputs that the reaction belongs to: where a step begins with others, it is found anew */
+    double regime[MODEL_INPUTS]; /* inputs that the reaction belongs to: where a step begins with others, it is found anew */
+#endif
+#if BLOCKS
+    int ticked; /* whether the blocks that are due at t have acted */
 #endif
 #if TOLERANCE_OF_NUMBER
     double number; /* of the step, which picks its tolerance eps_k */
@@ -114,7 +121,7 @@ int model_set_force(model_solver *s, const double *r); /* r[MODEL_NX]: the react
 #if PARAMETERS
 int model_set_parameters(model_solver *s, const double *p); /* p[MODEL_NP]; the state stays */
 #endif
-#if INPUTS
+#if GIVEN
 /* u[MODEL_NU]: the inputs from the time of the state on, until they are set again. */
 int model_set_inputs(model_solver *s, const double *u);
 /* The inputs u(t+) and u((t + h)-) of the next step, at its begin and at its end; those after it have those of its end. */
@@ -122,6 +129,23 @@ int model_set_inputs_between(model_solver *s, const double *begin, const double 
 #endif
 int model_set_budget(model_solver *s, long work); /* most work of a step, beyond which it is MODEL_NOT_SOLVED; at first MODEL_MAX_WORK */
 
+#if BLOCKS
+/* Blocks act at the time of the state, before the step from there: once, in model_step() or, to read before it what they hold,
+   here. MODEL_OWN_TICKS, defined when @NAME@.c is compiled, leaves it to the caller to call this or to set what they keep. */
+int model_sample(model_solver *s);
+/* The first time after that of the state at which a block ticks or a pulse begins or ends, with the inputs that are set; infinite
+   where there is none. A step over it is MODEL_BAD_STEP. */
+double model_next_tick(const model_solver *s);
+#if MEMORY
+int model_set_memory(model_solver *s, const double *z); /* z[MODEL_NZ] */
+void model_get_memory(const model_solver *s, double *z);
+#endif
+#if HELD
+int model_set_held(model_solver *s, const double *w); /* w[MODEL_NW] */
+void model_get_held(const model_solver *s, double *w);
+#endif
+
+#endif
 int model_step(model_solver *s); /* from t to t + h */
 
 #if LAW
@@ -137,7 +161,7 @@ void model_get_velocity(const model_solver *s, double *v); /* the last differenc
 #if FORCE
 void model_get_force(const model_solver *s, double *r); /* the reaction at the state */
 #endif
-#if INPUTS
+#if GIVEN
 void model_get_inputs(const model_solver *s, double *u); /* those that the next step begins with: after a step those of its end */
 #endif
 #if MULTIPLIERS

@@ -211,7 +211,7 @@ long model_rollout(model_solver *s, double k, long steps, double last, long ever
 #endif
         }
 #if INPUTS
-        memcpy(begin_of(s), inputs + 2*MODEL_NU*i, 2*MODEL_NU*sizeof *inputs);
+        memcpy(begin_of(s), inputs + 2*MODEL_INPUTS*i, 2*MODEL_INPUTS*sizeof *inputs);
 #if RESTARTED
         memcpy(s->regime, begin_of(s), sizeof s->regime); /* no block goes over a jump */
 #endif
