@@ -1,4 +1,4 @@
-"""Study and stress of models with inputs and blocks: exact maps in other units, the judge at both ends of a step, references."""
+"""Study and stress of models with inputs and blocks: exact maps in other units, the judge at both ends of steps, references."""
 
 import json
 import sys
@@ -55,9 +55,9 @@ KINDS = {  # (signal, its edges before 4, u(t+) as a formula)
         table([0, 0.3], [1, 5], after="periodic", period=0.7), [0.3, 0.7, 1.0, 1.4, 1.7, 2.1, 2.4, 2.8, 3.1, 3.5, 3.8],
         lambda s: np.where((s + 1e-12) % 0.7 < 0.3, 1.0, 5.0),
     ),
-    "linear": (table([0, 0.3, 0.3, 3], [0, 3, 1, 10], "linear"), [0.3], lambda s: np.where(s < 0.3, 10 * s, 1 + (s - 0.3) / 0.3)),
+    "linear": (table([0, 1, 1, 3], [0, 3, 1, 9], "linear"), [1.0], lambda s: np.where(s < 1, 3 * s, 4 * s - 3)),
     "pwm": (pwm(1.0, 0.3, phase=0.1), [0.1, 0.4, 1.1, 1.4, 2.1, 2.4, 3.1, 3.4], lambda s: 1.0 * ((s - 0.1 + 1e-12) % 1 < 0.3)),
-    "function": (signal(lambda s: 1.0 if s < 0.3 else np.sin(s), edges=[0.3]), [0.3], lambda s: np.where(s < 0.3, 1, np.sin(s))),
+    "function": (signal(lambda s: 1 if s < 0.3 else np.sin(s), edges=[0.3]), [0.3], lambda s: np.where(s < 0.3, 1, np.sin(s))),
     "edges told by a function": (
         signal(lambda s: float(s >= 1.7), edges=lambda a, b: [1.7] if a <= 1.7 <= b else []), [1.7], lambda s: 1.0 * (s >= 1.7)
     ),

@@ -20,8 +20,8 @@ def in_units(model: Model, u: float, tau: float) -> Model:
 
     Its runs are those of the model with t, x, y, l multiplied; steps and the end of the run too. Names stay; labels of units,
     pictures and the exact solution are left out. Rates become u/tau times, M stays; a potential of forces becomes
-    (u/tau)^2 times, theta u^2/tau^3, a potential in l ∈ -dPhi(y) u^2, the phi of an inclusion u^2/tau. Inputs, and what blocks
-    hold, keep their values; edges and ticks move.
+    (u/tau)^2 times, theta u^2/tau^3, a potential in l ∈ -dPhi(y) u^2, the phi of an inclusion u^2/tau. Inputs, and what
+    blocks hold, keep their values; edges and ticks move.
     """
     common = {"t": model.t, "names": model.names, "title": model.title, "scheme": model.scheme, **_grid(model, tau)}
     other = class_of(model).part("units").in_units(model, u, tau, common | {"inputs": _signals(model, tau)})

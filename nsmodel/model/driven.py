@@ -50,7 +50,7 @@ def at_any_step(model: T, what: str, signals: Signals | None = None) -> T:
     driven = driven_by(model, signals)
     for name, signal in driven.inputs.items():
         if signal.count is not None:
-            raise UsageError(f"{what}: input '{name}' is steps(...), a row a step, and steps have many lengths here; give table")
+            raise UsageError(f"{what}: input '{name}' is steps(...), a row a step, and steps have many lengths; give table")
     return driven
 
 

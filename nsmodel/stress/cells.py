@@ -225,7 +225,7 @@ def _difference(what: str, model: Model, own: Trajectory, run: Trajectory, x: np
 
 @np.errstate(all="ignore")
 def _driven_alike(own: Trajectory, run: Trajectory, tau: float) -> dict[str, float]:
-    """Edges and ticks of two runs in units of time that differ by tau, and what inputs were: AGREE beside the largest of each."""
+    """Edges and ticks of two runs in units of time that differ by tau, and their inputs: AGREE beside the largest of each."""
     rows = min(len(own.t), len(run.t))
     pairs = [(own.t[:rows, None], run.t[:rows, None] / tau)]
     pairs += [(own.arrays[side][:rows], run.arrays[side][:rows]) for side in ("inputs", "inputs_begin")]

@@ -112,7 +112,7 @@ def steps_from(run: OnGrid, start: np.ndarray, made: Trajectory) -> Step:
 
 
 def _driven(run: OnGrid, made: Trajectory, state_at: StateAt) -> StateAt:
-    """The states with the inputs at both ends of the step behind them; after a jump with the reaction that the law has there."""
+    """The states with the inputs at both ends of the step behind them; after a jump with the reaction of the law there."""
     model, anew, held = run.model, begun_anew(run.model, made), entries_of_blocks(run.model)
     drive = driving(model, float(made.t[-1]))
 
