@@ -165,6 +165,8 @@ def scenes():
         "x0": [0.2],
         **rest,
     }
+    beside = {"x": q, "potential": 2 * q**2, "friction": 0.3 * t, "s": t, "x0": 1, "v0": 0, "outputs": {"p": u * q}, **rest}
+    yield "oscillator beside its input", FrictionOscillator(inputs={u: pwm(0.7, 0.3)}, **beside), (0, 0)
     yield "catching-up", MonotoneInclusion(inputs={u: cycle}, **parts), (1, 1)
     yield "implicit", MonotoneInclusion(inputs={u: cycle}, scheme="implicit", **parts), (1, 1)
 
