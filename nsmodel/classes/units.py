@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -19,10 +20,15 @@ def in_units(model: Model, u: float, tau: float) -> Model:
 
     Its runs are those of the model with t, x, y, l multiplied; steps and the end of the run too. Names stay; labels of units,
     pictures and the exact solution are left out. Rates become u/tau times, M stays; a potential of forces becomes
-    (u/tau)^2 times, theta u^2/tau^3, a potential in l ∈ -dPhi(y) u^2, the phi of an inclusion u^2/tau.
+    (u/tau)^2 times, theta u^2/tau^3, a potential in l ∈ -dPhi(y) u^2, the phi of an inclusion u^2/tau. Inputs, and what
+    blocks hold, keep their values; edges and ticks move.
     """
     common = {"t": model.t, "names": model.names, "title": model.title, "scheme": model.scheme, **_grid(model, tau)}
-    return class_of(model).part("units").in_units(model, u, tau, common)
+    other = class_of(model).part("units").in_units(model, u, tau, common | {"inputs": _signals(model, tau)})
+    l = getattr(model, "lam", ca.SX(0, 1))
+    own = (model.t, model.t / tau), (model.state, model.state / u), (l, l / u)
+    other._set(blocks=tuple(block.in_units(tau, lambda read: at(read, *own)) for block in model.blocks))
+    return other
 
 
 def potential(phi: ConvexSplit) -> ca.SX:
@@ -44,6 +50,13 @@ def _grid(model: Model, tau: float) -> dict[str, Any]:
     if model.steps is not None:
         return {"steps": tau * np.asarray(model.steps)} | edges
     return {"step": None if model.step is None else tau * model.step, "t_end": tau * model.t_end} | edges
+
+
+def _signals(model: Model, tau: float) -> dict[ca.SX, Any]:
+    """What drives the symbols of each input; blocks among them, which follow."""
+    ends = np.cumsum([0, *map(len, model.input_groups.values())])
+    entries = (model.u[int(a) : int(b)] for a, b in pairwise(ends))
+    return {symbols: signal.in_time(tau) for symbols, signal in zip(entries, model.inputs.values(), strict=True)}
 
 
 def scaled_law(law: Law, u: float) -> Law:

@@ -6,11 +6,13 @@ import argparse
 from itertools import product
 from pathlib import Path
 
+from nsmodel.cli.inputs import add_input, inputs_of
 from nsmodel.cli.output import print_json
 from nsmodel.cli.settings import Commands, add_set, by_name, parsed, setting
 from nsmodel.cli.status import AT_FAULT, DONE
 from nsmodel.errors import UsageError
 from nsmodel.loader import load_with
+from nsmodel.model.driven import driven_by
 from nsmodel.storage import write_json, write_text
 from nsmodel.words import print_shown as print
 
@@ -21,6 +23,7 @@ def add(commands: Commands) -> None:
     parser = commands.add_parser("stress", help="push a model's step, units and parameters", description=about)
     parser.add_argument("file", metavar="FILE", help="a Python file that defines model = ... or def model(...)")
     add_set(parser)
+    add_input(parser)
     parser.add_argument(
         "--vary", action="append", default=[], metavar="NAME=V1,V2,...",
         help="values of a parameter or of an argument of model(); repeatable: all combinations are run",
@@ -46,7 +49,8 @@ def _stress(arguments: argparse.Namespace) -> int:
     for values in product(*vary.values()):
         varied = dict(zip(vary, values, strict=True))
         model, own = load_with(arguments.file, given | varied)
-        variants.append((varied, model.bind(own)))
+        inputs = inputs_of(arguments.input, model.input_groups)
+        variants.append((varied, driven_by(model, inputs).bind(own)))
     found = push(variants, step=arguments.step, budget=arguments.budget, progress=not arguments.json)
     document = {"file": arguments.file, **found.document()}
     if arguments.json:

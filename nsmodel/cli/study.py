@@ -6,6 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from nsmodel.cli.inputs import add_input, inputs_of
 from nsmodel.cli.output import print_json
 from nsmodel.cli.settings import Commands, add_set, load
 from nsmodel.cli.signals import by_signal, no_more_signals
@@ -24,6 +25,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("--target", type=float, metavar="ERROR", help="say what this relative error costs")
     parser.add_argument("--t-end", type=float, metavar="T", help="end of the runs (default: the model's)")
     add_set(parser)
+    add_input(parser)
     parser.add_argument("--solvers", metavar="A,B,...", help="solvers to time alone (default: all that apply; '' for none)")
     parser.add_argument("--budget", type=float, default=60.0, metavar="SECONDS", help="wall time of the study (default 60)")
     parser.add_argument("--json", action="store_true", help="print the study as JSON")
@@ -42,6 +44,7 @@ def _study(arguments: argparse.Namespace) -> int:
         found = study(
             model, steps=None if arguments.steps is None else _steps(arguments.steps), target=arguments.target,
             t_end=arguments.t_end, parameters=values, budget=arguments.budget, progress=not arguments.json,
+            inputs=inputs_of(arguments.input, model.input_groups),
             solvers=None if given is None else [name for name in map(str.strip, given.split(",")) if name],
         )  # fmt: skip
     except StudyInterrupted as stop:

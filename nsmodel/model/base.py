@@ -28,7 +28,7 @@ from nsmodel.words import one_line
 ARRAYS = frozenset("x gap_min pressure contact_reaction".split())  # Further arrays that may have a unit.
 KINKS = "potential ", "phi "  # What the names of a potential's kinks begin with.
 MOVE = "move that term elsewhere"
-TAKE_INPUTS = frozenset({"check"})  # What beside runs takes models with inputs.
+NO_INPUTS = frozenset({"certificate", "--certificate"})  # What models with inputs have no place in.
 LEFT_OUT: Any = None  # A field that may be left out, and has its type once the model is declared.
 
 
@@ -235,9 +235,9 @@ class Model(Pickled):
 
     def refuse(self, what: str) -> None:
         """Raise UsageError where the class refuses to be used for it, or the model's inputs have no place there."""
-        if self.u.numel() and what not in TAKE_INPUTS:
+        if self.u.numel() and what in NO_INPUTS:
             of = f"'{self.title or type(self).__name__}' has inputs ({', '.join(self.input_groups)})"
-            raise UsageError(f"{what}: {of}; runs and checks alone take them")
+            raise UsageError(f"{what}: {of}; a certificate says nothing of signals")
         if why := self.refuses.get(what):
             raise UsageError(f"{what}: '{self.title or type(self).__name__}' {why}")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -39,6 +39,11 @@ class ModelBlock(Pickled):
     start: ca.SX
     memory: int = 0
     latch: bool = False
+
+    def in_units(self, tau: float, put: Callable[[ca.SX], ca.SX]) -> ModelBlock:
+        """The block where times are tau times as large; ``put`` writes what it reads in those units."""
+        period = None if self.period is None else tau * self.period
+        return replace(self, period=period, offset=tau * self.offset, next=put(self.next), start=put(self.start))
 
     def ticks(self, t_end: float) -> np.ndarray:
         """Its ticks before t_end: products, no sums of periods."""

@@ -42,6 +42,19 @@ def driven_by(model: T, signals: Signals | None = None) -> T:
     return _with(model, inputs=MappingProxyType(inputs)) if given else model
 
 
+def at_any_step(model: T, what: str, signals: Signals | None = None) -> T:
+    """The model with these signals in place of those declared, for ``what`` takes steps of other lengths than its own.
+
+    Raises:
+        UsageError: see `driven_by`; a signal that has a value for each step of one grid.
+    """
+    driven = driven_by(model, signals)
+    for name, signal in driven.inputs.items():
+        if signal.count is not None:
+            raise UsageError(f"{what}: input '{name}' is steps(...), a row a step, and steps have many lengths; give table")
+    return driven
+
+
 def at_start(model: T) -> T:
     """The model with its inputs held at u(0+)."""
     if not model.u.numel():
@@ -62,6 +75,12 @@ def frozen(model: T, held: Mapping[str, float]) -> T:
 def as_parameters(model: T) -> T:
     """The model with its inputs as further parameters without name, behind its own."""
     return _with(model, p=ca.vertcat(model.p, model.u), **UNDRIVEN) if model.u.numel() else model
+
+
+def entries_of_blocks(model: Any) -> np.ndarray:
+    """The entries of the inputs that blocks set, or that a PWM has whose duty they hold."""
+    owners = [signal for name, signal in model.inputs.items() for _ in model.input_groups[name]]
+    return np.array([i for i, signal in enumerate(owners) if isinstance(signal, Kept) or (signal and signal.moving)], int)
 
 
 def inputs_at_start(model: Any, x: np.ndarray | None = None) -> np.ndarray:

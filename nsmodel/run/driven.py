@@ -10,14 +10,24 @@ import numpy as np
 
 from nsmodel.errors import UsageError
 from nsmodel.grid import SAME, Grid, parted, steps_within
+from nsmodel.model.base import Model
+from nsmodel.model.driven import entries_of_blocks
 from nsmodel.model.ticks import Ticks
 from nsmodel.signals.drive import Drive
 from nsmodel.signals.signal import earlier
+from nsmodel.trajectory import Trajectory
 
 BLOCK, MOST = 4096, 65536  # Steps whose inputs are computed at a time: one by one, and in C at most.
 
 Put = Callable[[np.ndarray], np.ndarray]
 Starter = Callable[[float, float, np.ndarray], np.ndarray]  # (t, h, state) -> the state whose carried reaction is that at t.
+
+
+def begun_anew(model: Model, run: Trajectory) -> np.ndarray:
+    """The steps (N,) of a run that begin with a jump of an input: with a reaction that is no row's."""
+    jumps, at = Drive.of(model.inputs, float(run.t[-1])).jumps, entries_of_blocks(model)
+    turned = (run.inputs_begin[1:, at] != run.inputs[:-1, at]).any(axis=1)
+    return turned | (np.abs(run.t[:-1, None] - jumps) <= SAME * jumps).any(axis=1)
 
 
 class OnSteps:

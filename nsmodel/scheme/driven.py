@@ -16,13 +16,12 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.model.base import Model
-from nsmodel.model.driven import inputs_at_start
+from nsmodel.model.driven import entries_of_blocks, inputs_at_start
 from nsmodel.model.quantity import Quantity
 from nsmodel.model.ticks import ticks_of
 from nsmodel.once import once
 from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven
 from nsmodel.signals.function import Expression
-from nsmodel.signals.kept import Kept
 from nsmodel.signals.pwm import Pwm
 from nsmodel.signals.signal import Signal, later
 
@@ -111,11 +110,9 @@ def held_of(model: Model, x: Sequence[float]) -> np.ndarray:
 
 
 def set_by_blocks(model: Model) -> tuple[np.ndarray, np.ndarray]:
-    """The entries of the inputs that blocks set, or that a PWM has whose duty they hold, and their places among held states."""
-    groups, places = list(model.input_groups.items()), _places(model)
-    owners = [model.inputs[group] for group, names in groups for _ in names]
-    entries = [place for place, signal in enumerate(owners) if isinstance(signal, Kept) or (signal and signal.moving)]
-    return np.array(entries, int), np.array([places[entry] for entry in entries], int)
+    """The entries of the inputs that blocks set, or whose edges they place, and their places among held states."""
+    entries, places = entries_of_blocks(model), _places(model)
+    return entries, np.array([places[entry] for entry in entries.tolist()], int)
 
 
 def moving(model: Model, t: float, x: Sequence[float]) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
@@ -21,10 +21,14 @@ Edges = Sequence[float] | np.ndarray | Callable[[float, float], Sequence[float]]
 
 @dataclass(frozen=True, eq=False)
 class Declared(Signal):
-    """A function that is right-continuous at its edges; its left limit there is its value a rounding before."""
+    """A function that is right-continuous at its edges; its left limit there is its value a rounding before.
+
+    Where its edges are ``rounded``, as in another unit of time, both limits are its values beside them.
+    """
 
     given: Edges  # What ``edges=`` is.
     label: str
+    rounded: bool = field(default=False, kw_only=True)
 
     def edges(self, t_end: float) -> np.ndarray:
         """Those declared."""
@@ -35,12 +39,20 @@ class Declared(Signal):
 
     def after(self, t: np.ndarray) -> np.ndarray:
         """The value."""
-        return self._values(t)
+        return self._values(np.where(self._at_edge(t), later(t), t) if self.rounded else t)
 
     def before(self, t: np.ndarray) -> np.ndarray:
         """The value, just before an edge where there is one."""
-        edges = self.edges(float(t.max(initial=0.0)))
-        return self._values(np.where(np.isin(t, edges), np.nextafter(t, -np.inf), t))
+        return self._values(np.where(self._at_edge(t), earlier(t) if self.rounded else np.nextafter(t, -np.inf), t))
+
+    def _at_edge(self, t: np.ndarray) -> np.ndarray:
+        return np.isin(t, self.edges(float(t.max(initial=0.0))))
+
+    def _edges_in_time(self, tau: float) -> Edges:
+        given = self.given
+        if callable(given):
+            return lambda begin, end: [tau * edge for edge in given(begin / tau, end / tau)]
+        return tau * np.asarray(given, float)
 
     def jump(self, t_end: float) -> Jump | None:
         """The largest at the edges, beyond what a function that bends there changes by in a rounding."""
@@ -64,6 +76,11 @@ class Function(Declared):
         """That of its value at t = 0."""
         return self.width
 
+    def in_time(self, tau: float) -> Function:
+        """The function of its own time."""
+        own = self.function
+        return replace(self, given=self._edges_in_time(tau), function=lambda t: own(t / tau), rounded=True)
+
     def _values(self, t: np.ndarray) -> np.ndarray:
         found = np.empty((t.size, self.width))
         for row, time in zip(found, t, strict=True):
@@ -85,6 +102,11 @@ class Expression(Declared):
     def size(self) -> int:
         """Its entries."""
         return self.column.numel()
+
+    def in_time(self, tau: float) -> Expression:
+        """With its own time in the expressions."""
+        column = ca.substitute(self.column, self.time, self.time / tau)
+        return replace(self, given=self._edges_in_time(tau), column=column, rounded=True)
 
     def within(self, t_end: float) -> Within | None:
         """Bounds by interval arithmetic, and those of its derivative where it is continuous."""

@@ -47,6 +47,10 @@ class Pwm(Signal):
         """The PWM with the duty that is held now."""
         return replace(self, duty=self.duty.holding(kept)) if isinstance(self.duty, Kept) else self
 
+    def in_time(self, tau: float) -> Pwm:
+        """With another period and phase, and its duty in that time."""
+        return replace(self, period=tau * self.period, phase=tau * self.phase, duty=self.duty.in_time(tau))
+
     def refuse(self, label: str, t_end: float) -> None:
         """A duty that leaves [0, 1]."""
         self.duty.refuse(label, t_end)

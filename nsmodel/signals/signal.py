@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -53,6 +53,10 @@ class Signal(Pickled):
         """The signal with what blocks of a model hold now, by name."""
         del kept
         return self
+
+    def in_time(self, tau: float) -> Signal:
+        """The signal where times are tau times as large: u(t / tau)."""
+        raise NotImplementedError
 
     def refuse(self, label: str, t_end: float) -> None:
         """Raise ModelError, naming the input ``label``, where it is no such signal up to ``t_end``."""
@@ -126,6 +130,11 @@ class Held(Signal):
     def values_taken(self) -> int | None:
         """One."""
         return 1
+
+    def in_time(self, tau: float) -> Self:
+        """The same."""
+        del tau
+        return self
 
     def after(self, t: np.ndarray) -> np.ndarray:
         """The values."""

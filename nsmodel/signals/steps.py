@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -31,6 +31,11 @@ class Steps(Signal):
     def turns(self) -> np.ndarray:
         """Those whose row is another than the one before."""
         return np.flatnonzero((np.diff(self.values, axis=0) != 0).any(axis=1)) + 1
+
+    def in_time(self, tau: float) -> Self:
+        """The same: it knows steps, and no time."""
+        del tau
+        return self
 
     def within(self, t_end: float) -> Within:
         """The least and the largest of each column."""

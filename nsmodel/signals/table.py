@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -36,6 +36,10 @@ class Table(Signal):
     def flat(self) -> bool:
         """A held one is."""
         return self.kind == "hold"
+
+    def in_time(self, tau: float) -> Table:
+        """Its rows and its period are later."""
+        return replace(self, t=tau * self.t, period=None if self.period is None else tau * self.period)
 
     def refuse(self, label: str, t_end: float) -> None:
         """A table that must not end before the run does."""

@@ -6,7 +6,6 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from itertools import product
-from typing import Any
 
 import numpy as np
 
@@ -14,18 +13,20 @@ from nsmodel.checking import check, started_at
 from nsmodel.classes.registry import class_of
 from nsmodel.classes.units import in_units
 from nsmodel.errors import NsmodelError, StepError, UsageError
-from nsmodel.grid import is_number, written
+from nsmodel.grid import is_number, make_grid, written
 from nsmodel.hypotheses.along import CONTINUOUS, QUALIFIED
 from nsmodel.hypotheses.findings import ALONG_A_RUN, VIOLATED
 from nsmodel.hypotheses.quick import UNIQUENESS
 from nsmodel.model.arguments import shown
 from nsmodel.model.base import Model
+from nsmodel.model.driven import at_any_step, driven_by
+from nsmodel.model.inputs import Signals
 from nsmodel.model.parameters import Values
 from nsmodel.proof.sure import sure
 from nsmodel.run.interrupt import progress_bar
 from nsmodel.simulate import simulate
 from nsmodel.stress.judge import acting, by_formulas
-from nsmodel.stress.measures import ROUNDING
+from nsmodel.stress.measures import ROUNDING, worst_of
 from nsmodel.stress.result import LEFT_OUT, RIGHT, STOPPED, WRONG, Cell, Stress
 from nsmodel.trajectory import Trajectory
 
@@ -42,6 +43,7 @@ def stress(
     *,
     vary: Mapping[str, Sequence[float]] | None = None,
     parameters: Values | None = None,
+    inputs: Signals | None = None,
     step: float | None = None,
     steps: int = STEPS,
     budget: float | None = None,
@@ -58,6 +60,7 @@ def stress(
         model: of any class but ManyBodies.
         vary: {name of a parameter: values}; all combinations are run.
         parameters: values of the other parameters.
+        inputs: signals of inputs, in place of those declared; where steps end at edges, runs are as much shorter.
         step: the step that is taken for 1; left out: the model's own.
         steps: steps of each run.
         budget: wall time in seconds; cells that would exceed it are left out, and counted: first those of the steps that are
@@ -65,11 +68,13 @@ def stress(
         progress: show a progress bar where standard error is a terminal.
 
     Raises:
-        UsageError: no model, a model of many bodies, no step, an unknown parameter, a value that is no number.
+        UsageError: no model, a model of many bodies, no step, an unknown parameter, a value that is no number, an input that
+            is `steps`.
     """
     if not isinstance(model, Model):
         raise UsageError(f"stress: expected a model, such as LureSystem(...), not {shown(model)}")
     combinations = [dict(zip(vary or {}, values, strict=True)) for values in product(*_values(vary))]
+    model = driven_by(model, inputs)
     variants = [(values, model.bind({**model.values_of(parameters), **model.values_of(values)})) for values in combinations]
     return push(variants, step=step, steps=steps, budget=budget, progress=progress)
 
@@ -85,6 +90,7 @@ def push(
     """Push bound models that differ in the values named beside each; see `stress`."""
     for _, model in variants:
         model.refuse("stress")
+        at_any_step(model, "stress")
     if not (is_number(steps) and steps >= 3 and float(steps).is_integer()):
         raise UsageError(f"steps = {written(steps)}; expected a whole number >= 3")
     if step is not None and not (is_number(step) and 0 < step < np.inf):
@@ -134,30 +140,42 @@ def _column(model: Model, values: Mapping[str, float], factor: float, h: float, 
     A cell that would not end before ``until`` is left out, the time of the last one being what it would take.
     """
     own: Trajectory | None = None
-    took = 0.0
+    took, end = 0.0, _end(model, factor * h, steps)
     for u, tau in UNITS:
         begin = time.perf_counter()
         if begin + took > until:
             yield Cell(dict(values), factor, factor * h, u, tau, LEFT_OUT, {}, "the time budget", 0)
             continue
         there = model if (u, tau) == (1.0, 1.0) else in_units(model, u, tau)
-        run, message = _run(there, factor * h * tau, steps)
+        run, message = _run(there, factor * h * tau, end * tau)
         checks = {} if run is None else {f"formula: {name}": value for name, value in by_formulas(there, run).items()}
         if own is None:
             own = run
             if run is not None:
-                checks |= _alone(model, run, factor * h, steps) | _promised(model, run, factor * h, steps)
+                checks |= _alone(model, run, factor * h, end) | _promised(model, run, factor * h, end)
         elif run is not None and own is not None:
-            checks |= _difference("other units", model, own, run, run.x / u, own.x)
+            found = _difference("other units", model, own, run, run.x / u, own.x)
+            checks |= found | (_driven_alike(own, run, tau) if found and model.u.numel() else {})
         verdict = WRONG if any(not value <= 1 for value in checks.values()) else STOPPED if message else RIGHT
         took = time.perf_counter() - begin
         yield Cell(dict(values), factor, factor * h, u, tau, verdict, checks, message, 0 if run is None else len(run))
 
 
-def _run(model: Model, h: float, steps: int, **options: Any) -> tuple[Trajectory | None, str]:
-    """A run of so many steps as far as it came, and why it stopped."""
+def _end(model: Model, h: float, steps: int) -> float:
+    """When so many steps, not longer than h, have been taken."""
+    if not model.u.numel():
+        return steps * h
     try:
-        return simulate(_plain(model), step=h, t_end=steps * h, compiled=False, **options), ""
+        grid = make_grid(model, h, None, steps * h, driven=True)
+    except NsmodelError:  # the run says why
+        return steps * h
+    return grid.time(min(steps, grid.N))
+
+
+def _run(model: Model, h: float, end: float) -> tuple[Trajectory | None, str]:
+    """A run as far as it came, and why it stopped."""
+    try:
+        return simulate(_plain(model), step=h, t_end=end, compiled=False), ""
     except NsmodelError as error:
         return getattr(error, "trajectory", None), str(error)
 
@@ -169,11 +187,11 @@ def _plain(model: Model) -> Model:
     return plain
 
 
-def _alone(model: Model, own: Trajectory, h: float, steps: int) -> dict[str, float]:
+def _alone(model: Model, own: Trajectory, h: float, end: float) -> dict[str, float]:
     """The same run by another solver alone, as far as it comes."""
     for solver in ALONE:
         try:
-            run = simulate(_plain(model), step=h, t_end=steps * h, compiled=False, solver=solver)
+            run = simulate(_plain(model), step=h, t_end=end, compiled=False, solver=solver)
         except StepError as error:
             run = error.trajectory
         except UsageError:
@@ -206,13 +224,22 @@ def _difference(what: str, model: Model, own: Trajectory, run: Trajectory, x: np
 
 
 @np.errstate(all="ignore")
-def _promised(model: Model, run: Trajectory, h: float, steps: int) -> dict[str, float]:
+def _driven_alike(own: Trajectory, run: Trajectory, tau: float) -> dict[str, float]:
+    """Edges and ticks of two runs in units of time that differ by tau, and their inputs: AGREE beside the largest of each."""
+    rows = min(len(own.t), len(run.t))
+    pairs = [(own.t[:rows, None], run.t[:rows, None] / tau)]
+    pairs += [(own.arrays[side][:rows], run.arrays[side][:rows]) for side in ("inputs", "inputs_begin")]
+    return {"inputs in other units": max(worst_of(np.abs(b - a), AGREE * np.abs(a).max(axis=0)) for a, b in pairs)}
+
+
+@np.errstate(all="ignore")
+def _promised(model: Model, run: Trajectory, h: float, end: float) -> dict[str, float]:
     """Infinity for each inequality along the run that is broken, 0 for each that is met, where the hypotheses hold."""
     runs = [run]
     if len(run) < 3:
         return {}
     if class_of(model).part("hypotheses.check").TWIN:
-        other, message = _run(started_at(model, (run.x[0] + run.x[-1]) / 2), h, steps)
+        other, message = _run(started_at(model, (run.x[0] + run.x[-1]) / 2), h, end)
         if not message and other is not None and not np.array_equal(other.x[0], run.x[0]):
             runs.append(other)
     try:

@@ -31,6 +31,21 @@ def evaluated(symbols: Sequence[ca.SX], expressions: Sequence[ca.SX], *columns: 
     ]
 
 
+def begins(run: Trajectory) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """t, x and u(t+) where each step begins: (N,), (N, n), (N, nu)."""
+    return run.t[:-1], run.x[:-1], inputs_of(run, "inputs_begin")[1:]
+
+
+def ends(run: Trajectory) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """t, x and u(t-) where each step ends."""
+    return run.t[1:], run.x[1:], inputs_of(run)[1:]
+
+
+def inputs_of(run: Trajectory, side: str = "inputs") -> np.ndarray:
+    """The inputs of all rows (N + 1, nu): u(t-), or "inputs_begin"."""
+    return run.arrays.get(side, np.zeros((len(run.t), 0)))
+
+
 def majorant(expression: ca.SX) -> ca.SX:
     """The running error bound of evaluating ``expression``, in units of the rounding: the sizes of all its terms.
 
@@ -94,10 +109,14 @@ def outputs_misfit(model: Any, run: Trajectory, output: ca.SX, l: ca.SX, law: La
 def output_of(model: Any, run: Trajectory, output: ca.SX, l: ca.SX, sizes: Sizes) -> tuple[np.ndarray, np.ndarray]:
     """y (N, m), and what it may be off by."""
     given, h = run.multipliers[1:], run.step[1:, None]
-    asked = [output, ca.jacobian(output, model.x), ca.jacobian(output, l), ca.jacobian(output, model.t), majorant(output)]
-    y, C, D, drift, size_y = evaluated([model.t, model.x, l], asked, run.t[1:], run.x[1:], given)
+    slopes = [ca.jacobian(output, symbol) for symbol in (model.x, l, model.t, model.u)]
+    asked = [output, *slopes, majorant(output)]
+    y, C, D, drift, driven, size_y = evaluated([model.t, model.x, model.u, l], asked, *ends(run), given)
     moves = np.abs(run.x[1:] - run.x[:-1]) + sizes.acting
+    begin, end = inputs_of(run, "inputs_begin")[1:], inputs_of(run)
+    turns = np.abs(end[1:] - begin) + np.abs(begin - end[:-1])
     s_y = LAW * (apply(np.abs(C), moves) + apply(np.abs(D), np.abs(given)) + h * np.abs(drift[:, :, 0]))
+    s_y += LAW * apply(np.abs(driven), turns)
     return y[:, :, 0], s_y + apply(np.abs(C), sizes.known) + known_to(size_y)
 
 

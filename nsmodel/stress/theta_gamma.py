@@ -7,7 +7,20 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.stress.measures import EQUATION, ROUNDING, Sizes, apply, evaluated, known_to, majorant, worst_of
+from nsmodel.run.driven import begun_anew
+from nsmodel.stress.measures import (
+    EQUATION,
+    ROUNDING,
+    Sizes,
+    apply,
+    begins,
+    ends,
+    evaluated,
+    inputs_of,
+    known_to,
+    majorant,
+    worst_of,
+)
 from nsmodel.trajectory import Trajectory
 
 
@@ -19,19 +32,28 @@ def theta_misfit(
     f is ``rate`` and r is ``input``, with the multipliers l in place of ``symbol``.
     """
     l, h, x, new = np.nan_to_num(l), run.step[1:, None], run.x[:-1], run.x[1:]
-    asked = [rate, input, ca.jacobian(rate, model.x), ca.jacobian(input, symbol), majorant(rate), majorant(input)]
-    f, r, slope, push, size_f, size_r = evaluated([model.t, model.x, symbol], asked, run.t, run.x, l)
-    f, r, pushes = f[:, :, 0], r[:, :, 0], np.abs(r[:, :, 0]) + apply(np.abs(push), np.abs(l))
+    symbols, rates = [model.t, model.x, model.u], [rate, ca.jacobian(rate, model.x), majorant(rate)]
+    (f, slope, size_f), (f_end, slope_end, size_end) = (evaluated(symbols, rates, *rows) for rows in (begins(run), ends(run)))
+    asked, rows = [input, ca.jacobian(input, symbol), majorant(input)], (run.t, run.x, inputs_of(run), l)
+    r, push, size_r = evaluated([*symbols, symbol], asked, *rows)
+    f, f_end, r = f[:, :, 0], f_end[:, :, 0], r[:, :, 0]
 
-    def weighed(rates: np.ndarray, inputs: np.ndarray) -> np.ndarray:
+    def weighed(begin: np.ndarray, end: np.ndarray, inputs: np.ndarray) -> np.ndarray:
         th, ga = model.theta, model.gamma
-        return h * (th * rates[1:] + (1 - th) * rates[:-1] + ga * inputs[1:] + (1 - ga) * inputs[:-1])
+        return h * (th * end + (1 - th) * begin + ga * inputs[1:] + (1 - ga) * inputs[:-1])
 
-    first = 1 if model.gamma < 1 else 0  # r_0 is not a row of the run
-    misfit = np.abs((new - x) @ M.T - weighed(f, r))
-    size = np.abs(new - x) @ np.abs(M).T + weighed(np.abs(f), pushes)
-    response = np.abs(np.linalg.pinv(np.nan_to_num(M - h[:, :, None] * model.theta * slope[1:])))
+    misfit = np.abs((new - x) @ M.T - weighed(f, f_end, r))
+    size = np.abs(new - x) @ np.abs(M).T + weighed(np.abs(f), np.abs(f_end), np.abs(r) + apply(np.abs(push), np.abs(l)))
+    response = np.abs(np.linalg.pinv(np.nan_to_num(M - h[:, :, None] * model.theta * slope_end)))
     place = np.abs(x) + np.abs(new) + size @ np.abs(np.linalg.pinv(M)).T
-    seen = place @ np.abs(M).T + h * (apply(np.abs(slope[1:]), place) + apply(np.abs(slope[:-1]), place))
-    allowed = EQUATION * size + ROUNDING * seen + weighed(known_to(size_f), known_to(size_r))
-    return worst_of(misfit[first:], allowed[first:]), Sizes(apply(response, size), ROUNDING * place)
+    seen = place @ np.abs(M).T + h * (apply(np.abs(slope_end), place) + apply(np.abs(slope), place))
+    allowed = EQUATION * size + ROUNDING * seen + weighed(known_to(size_f), known_to(size_end), known_to(size_r))
+    known = ~_found_anew(model, run) if model.gamma < 1 else np.ones(len(h), bool)
+    return worst_of(misfit[known], allowed[known]), Sizes(apply(response, size), ROUNDING * place)
+
+
+def _found_anew(model: Any, run: Trajectory) -> np.ndarray:
+    """The steps (N,) whose r_k is no row of the run: the first, and those that begin with a jump of an input."""
+    found = begun_anew(model, run) if model.u.numel() else np.zeros(len(run.t) - 1, bool)
+    found[0] = True
+    return found

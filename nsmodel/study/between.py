@@ -13,12 +13,17 @@ import numpy as np
 
 from nsmodel.classes.registry import class_of
 from nsmodel.errors import StepError
+from nsmodel.grid import driving
+from nsmodel.model.driven import entries_of_blocks
+from nsmodel.run.driven import begun_anew
 from nsmodel.run.on_grid import OnGrid
 from nsmodel.run.schemes import make_stepper
 from nsmodel.trajectory import Trajectory
 
-MOST = 300  # Steps that are taken for one question; what is left stays on its line.
+MOST = 300  # Steps that are taken for one question; what is left stays on its line, or is not known.
+SAME_TIME = 1e-12  # Of the run: times that are nearer than this are one.
 
+StateAt = Callable[[int, float], np.ndarray]  # (row, h) -> what a step of h from there starts from
 Step = Callable[[int, float], np.ndarray]  # (row, h) -> the states (n,) a step of h after it; NaN where there is no such step
 
 
@@ -65,11 +70,36 @@ class Between:
         return x, float(bend.max(initial=0.0))
 
 
+@dataclass(frozen=True)
+class AtRows:
+    """The states of a run with inputs: t (N+1,) and x (N+1, n) its rows, ``step`` from a row.
+
+    At an edge it bends, and no line from row to row tells by how much: at times that are no rows it is known by steps alone.
+    """
+
+    t: np.ndarray
+    x: np.ndarray
+    step: Step
+
+    def __call__(self, times: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return the states (k, n) at ``times``, NaN where they are not known, and what they err by besides the run."""
+        near = SAME_TIME * self.t[-1]
+        row = np.searchsorted(self.t, times + near, side="right") - 1
+        x, ahead = self.x[row].copy(), times - self.t[row]
+        between = np.flatnonzero(ahead > near)
+        x[between] = np.nan
+        for k in between[np.linspace(0, between.size - 1, min(MOST, between.size)).astype(int)]:
+            x[k] = self.step(int(row[k]), float(ahead[k]))
+        return x, 0.0
+
+
 def steps_from(run: OnGrid, start: np.ndarray, made: Trajectory) -> Step:
     """Return the step from the rows of a run that was ``made`` by ``run``, whose packed state at the start was ``start``."""
     model, n = run.model, len(run.model.names)
     part = class_of(model).optional("study")
-    state_at = part.states(model, made, start) if part is not None else lambda row, h: made.x[row]
+    own = start[: start.size - 2 * model.u.numel()]
+    state_at = part.states(model, made, own) if part is not None else lambda row, h: made.x[row]
+    state_at = _driven(run, made, state_at) if model.u.numel() else state_at
     stepper = make_stepper(run.model, "auto", run.stepper.tolerance, h=run.grid.step(0), state=start, few_steps=False)
 
     def step(row: int, h: float) -> np.ndarray:
@@ -79,3 +109,18 @@ def steps_from(run: OnGrid, start: np.ndarray, made: Trajectory) -> Step:
             return np.full(n, np.nan)
 
     return step
+
+
+def _driven(run: OnGrid, made: Trajectory, state_at: StateAt) -> StateAt:
+    """The states with the inputs at both ends of the step behind them; after a jump with the reaction of the law there."""
+    model, anew, held = run.model, begun_anew(run.model, made), entries_of_blocks(run.model)
+    drive = driving(model, float(made.t[-1]))
+
+    def state(row: int, h: float) -> np.ndarray:
+        t, begin = float(made.t[row]), made.inputs_begin[row + 1]
+        end = drive.limits(np.array([t, min(t + h, made.t[row + 1])]))[0, begin.size :]
+        end[held] = begin[held]
+        given = np.concatenate([state_at(row, h), begin, end])
+        return given if run.starter is None or not anew[row] else run.starter(t, h, given)
+
+    return state

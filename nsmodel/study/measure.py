@@ -17,11 +17,13 @@ from nsmodel.checking import check
 from nsmodel.classes.registry import class_of
 from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import NsmodelError, UsageError
-from nsmodel.grid import is_number, written
+from nsmodel.grid import driving, is_number, written
 from nsmodel.hypotheses.along import along
 from nsmodel.hypotheses.findings import Finding
 from nsmodel.model.arguments import shown
 from nsmodel.model.base import Model
+from nsmodel.model.driven import at_any_step
+from nsmodel.model.inputs import Signals
 from nsmodel.model.parameters import Values
 from nsmodel.proof.sure import sure
 from nsmodel.study import methods
@@ -29,7 +31,7 @@ from nsmodel.study.lines import DONE, LEFT_OUT, SCHEME, SOLVER, Line, Point
 from nsmodel.study.methods import Measured, Method
 from nsmodel.study.reference import Reference, Rows
 from nsmodel.study.result import Study, StudyInterrupted
-from nsmodel.study.search import Search
+from nsmodel.study.search import KEPT, Search
 from nsmodel.study.text import number
 from nsmodel.trajectory import Trajectory
 
@@ -50,6 +52,7 @@ def study(
     target: float | None = None,
     t_end: float | None = None,
     parameters: Values | None = None,
+    inputs: Signals | None = None,
     solvers: Sequence[str] | None = None,
     tolerance: float = TOLERANCE,
     budget: float = BUDGET,
@@ -61,7 +64,7 @@ def study(
         model: of any class but ManyBodies.
         steps: time steps; left out: 16 h, 8 h, ... h/8 around the model's own h, changed a little so that the grids nest.
         target: a relative error whose price is wanted.
-        t_end, parameters: override the model's own.
+        t_end, parameters, inputs: override the model's own.
         solvers: solvers to run alone beside the default chain; left out: all that are installed and apply; []: none.
         tolerance: largest accepted residual of a step.
         budget: wall time in seconds that the study may take, a third of it for the reference; runs that would exceed it are
@@ -69,7 +72,7 @@ def study(
         progress: say on standard error what is measured, where that is a terminal.
 
     Raises:
-        UsageError: a wrong argument; a solver that is unknown; a model of many bodies.
+        UsageError: a wrong argument; a solver that is unknown; a model of many bodies; an input that is `steps`.
         StepError: no run with small steps comes to its end: there is nothing to compare with.
         StudyInterrupted: Ctrl-C; ``error.study`` holds what was measured.
     """
@@ -81,11 +84,11 @@ def study(
             raise UsageError(f"{name} = {written(value)}; expected a finite number > 0")
     if isinstance(solvers, str):
         raise UsageError(f"solvers = {solvers!r}; expected a list of names")
-    bound = copy(model.bind(parameters))
+    bound = copy(at_any_step(model, "study", inputs).bind(parameters))
     exact = bound.exact
     T = float(bound.t_end if t_end is None else t_end)
     bound._set(exact=None, steps=None, t_end=T, step=_own_step(bound, T))  # comparing is not part of what is timed
-    counts = _counts(T, sure(bound.step)) if steps is None else _given(steps, T)
+    counts = _counts(T, sure(bound.step), driving(bound, T).points.size) if steps is None else _given(steps, T)
     session = _Session(bound, T, exact, tolerance, float(budget), progress)
     try:
         session.run(counts, steps is None, solvers)
@@ -100,11 +103,15 @@ def _own_step(model: Model, T: float) -> float:
     return T / (256 if model.steps is None else len(model.steps))
 
 
-def _counts(T: float, h: float) -> list[float]:
-    """Numbers of steps, each twice the one before, from about T / (16 h) to 8 T / h."""
+def _counts(T: float, h: float, points: int = 0) -> list[float]:
+    """Numbers of steps, each twice the one before, from about T / (16 h) to 8 T / h.
+
+    Where steps end at so many points, the coarsest that go beyond most of them are left out.
+    """
     own = max(T / h, 1.0)
     first = max(round(own / COARSEST), min(FEW, round(own)), 1)
-    return [float(first << j) for j in range(1 + int(math.log2(1.01 * FINEST * own / first)))]
+    counts = [float(first << j) for j in range(1 + int(math.log2(1.01 * FINEST * own / first)))]
+    return [count for count in counts[:-KEPT] if count > points] + counts[-KEPT:]
 
 
 def _given(steps: Any, T: float) -> list[float]:

@@ -15,7 +15,7 @@ from nsmodel.solve.active_set import equilibrate
 from nsmodel.solve.certificate import NumericLaw, numeric_law
 from nsmodel.solve.newton import Newton
 from nsmodel.solve.structure import read
-from nsmodel.study.between import Between, Step
+from nsmodel.study.between import AtRows, Between, Step
 from nsmodel.study.lines import Point
 from nsmodel.trajectory import Trajectory
 
@@ -148,11 +148,12 @@ def refined_run(model: Model, run: str, runs: list[Rows], without_multipliers: s
     The order p is read off the three (within ORDERS), and the error is |x_h - x_2h|/(2^p - 1), measure by measure.
     """
     wide, medium, fine = runs
-    between = Between(fine.t, fine.x, step, scale_of(model, fine.x), np.inf)
-    reference = Reference(run, run, between, between.scale, fine, {}, without_multipliers)
+    scale = scale_of(model, fine.x)
+    state = AtRows(fine.t, fine.x, step) if model.u.numel() else Between(fine.t, fine.x, step, scale, np.inf)
+    reference = Reference(run, run, state, scale, fine, {}, without_multipliers)
     far, near = reference.errors(wide), reference.errors(medium)
     own = {measure: _own(far[measure], near[measure]) for measure in near}
-    return replace(reference, own=own, state=replace(between, good=own["max"]))
+    return replace(reference, own=own, state=replace(state, good=own["max"]) if isinstance(state, Between) else state)
 
 
 @dataclass(frozen=True)
@@ -196,8 +197,9 @@ def _own(far: float, near: float) -> float:
 
 
 def _state_errors(rows: Rows, right: np.ndarray, scale: np.ndarray) -> dict[str, float]:
-    error = np.abs(rows.x - right) / scale
-    steps = np.diff(rows.t)
+    known = ~np.isnan(right).any(axis=1)
+    error = np.abs(rows.x - right)[known] / scale
+    steps = np.diff(rows.t[known])
     square = (steps[:, None] * error[1:] ** 2).sum(axis=0) / steps.sum()
     return {"max": float(error.max()), "end": float(error[-1].max()), "l2": float(np.sqrt(square.max()))}
 
@@ -241,6 +243,8 @@ def why_not_unique(model: Model, problem: OneStepProblem, run: Trajectory) -> st
         held = np.flatnonzero(codes[k] == 0)
         state = np.zeros(problem.state.numel())
         state[:n] = run.x[k - 1]
+        if "inputs" in run.arrays:
+            state[-2 * run.inputs.shape[1] :] = np.concatenate([run.inputs_begin[k], run.inputs[k]])
         l = run.multipliers[k] if run.multipliers.shape[1] == m else np.zeros(m)
         W, _ = newton.affine_problem(float(run.t[k - 1]), float(run.step[k]), state, l)
         if W is None:

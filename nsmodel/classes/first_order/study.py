@@ -22,10 +22,11 @@ def with_input(model: Model, l: ca.SX, r: ca.SX, run: Trajectory, start: np.ndar
     n = model.state.numel()
     if start.size == n:
         return lambda row, h: run.x[row]
-    input = ca.Function("r", [model.t, model.state, l], [ca.densify(r)])
+    input = ca.Function("r", [model.t, model.state, l, model.u], [ca.densify(r)])
+    u = run.arrays.get("inputs", np.zeros((len(run.t), 0)))
 
     def state(row: int, h: float) -> np.ndarray:
-        here = start[n:] if row == 0 else np.array(input(float(run.t[row]), run.x[row], run.multipliers[row])).ravel()
+        here = start[n:] if row == 0 else np.array(input(float(run.t[row]), run.x[row], run.multipliers[row], u[row])).ravel()
         return np.concatenate([run.x[row], here])
 
     return state

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.oscillator.model import FrictionOscillator
-from nsmodel.stress.measures import EQUATION, PROBES, ROUNDING, Misfits, evaluated, known_to, majorant, worst_of
+from nsmodel.stress.measures import EQUATION, PROBES, ROUNDING, Misfits, ends, evaluated, known_to, majorant, worst_of
 from nsmodel.trajectory import Trajectory
 
 
@@ -26,7 +26,7 @@ def misfits(model: FrictionOscillator, run: Trajectory) -> Misfits:
     c = ca.vertcat(ca.SX(0, 1), *model.constraints.values())
 
     sizes = majorant(model.potential)
-    force = evaluated([model.t], [model.force], run.t[first + 1 :])[0][:, :, 0]
+    force = _force(model, run)[first:]
 
     def terms(V_: np.ndarray) -> np.ndarray:
         place = x + h[:, None] * V_
@@ -60,5 +60,10 @@ def acting(model: FrictionOscillator, run: Trajectory) -> np.ndarray:
     """|x+ - x| and h^2 (|grad g| + |f|)."""
     h, moved = run.step[1:, None], np.abs(run.x[1:] - run.x[:-1])
     (force,) = evaluated([model.x], [ca.gradient(model.potential, model.x)], run.x[1:])
-    (given,) = evaluated([model.t], [model.force], run.t[1:])
-    return moved + h**2 * (np.nan_to_num(np.abs(force[:, :, 0]), posinf=0.0) + np.abs(given[:, :, 0]))
+    return moved + h**2 * (np.nan_to_num(np.abs(force[:, :, 0]), posinf=0.0) + np.abs(_force(model, run)))
+
+
+def _force(model: FrictionOscillator, run: Trajectory) -> np.ndarray:
+    """The force at the end of each step (N, n)."""
+    t, _, u = ends(run)
+    return evaluated([model.t, model.u], [model.force], t, u)[0][:, :, 0]

@@ -102,6 +102,11 @@ class FrictionOscillator(Model):
         return not self.force.is_zero()
 
     @property
+    def keeps_velocity(self) -> bool:
+        """Whether the velocity goes on where steps change, as they do at edges and ticks, whatever reads them."""
+        return self.is_forced or bool(self.u.numel())
+
+    @property
     def row_names(self) -> tuple[str, ...]:
         """Those of the constraints and of the friction elements."""
         return (*self.constraint_names, *self.constraints, *(element.name for element in self.elements))

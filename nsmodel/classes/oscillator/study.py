@@ -12,4 +12,4 @@ from nsmodel.trajectory import Trajectory
 
 def states(model: FrictionOscillator, run: Trajectory, start: np.ndarray) -> Callable[[int, float], np.ndarray]:
     """(row, h) -> x and the difference h v, the older position that the velocity gives for this step; with a force x and v."""
-    return lambda row, h: np.concatenate([run.x[row], (1.0 if model.is_forced else h) * run.v[row]])
+    return lambda row, h: np.concatenate([run.x[row], (1.0 if model.keeps_velocity else h) * run.v[row]])

@@ -6,20 +6,34 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.sweeping.model import SweepingProcess
-from nsmodel.stress.measures import EQUATION, LAW, PROJECTION, ROUNDING, Misfits, apply, evaluated, known_to, majorant, worst_of
+from nsmodel.stress.measures import (
+    EQUATION,
+    LAW,
+    PROJECTION,
+    ROUNDING,
+    Misfits,
+    apply,
+    begins,
+    ends,
+    evaluated,
+    known_to,
+    majorant,
+    worst_of,
+)
 from nsmodel.trajectory import Trajectory
 
 
 def misfits(model: SweepingProcess, run: Trajectory) -> Misfits:
     """q+ = P_Qt(q + h f): q+ - q - h f = G'm with m >= 0, q+ in Qt; the distance to the projection is sqrt(<m, y>) at most."""
-    t, q, new, h, m = run.t[:-1], run.x[:-1], run.x[1:], run.step[1:, None], run.multipliers[1:]
-    f = _mean(model, t, q, h) if model.mean_forcing else evaluated([model.t, model.q], [model.f], t, q)[0][:, :, 0]
-    here = [model.g, ca.jacobian(model.g, model.q), majorant(model.g)]
-    g, G, size_g = evaluated([model.t, model.q], here, t + h[:, 0], q)
+    here, new, h, m = begins(run), run.x[1:], run.step[1:, None], run.multipliers[1:]
+    (t, q, _), (*_, u_end), symbols = here, ends(run), [model.t, model.q, model.u]
+    f = _mean(model, run) if model.mean_forcing else evaluated(symbols, [model.f], *here)[0][:, :, 0]
+    asked = [model.g, ca.jacobian(model.g, model.q), majorant(model.g)]
+    g, G, size_g = evaluated(symbols, asked, t + h[:, 0], q, u_end)
     g, moved = g[:, :, 0], new - q
     push = np.einsum("kij,ki->kj", G, m)
     size = np.abs(moved) + h * np.abs(f) + np.einsum("kij,ki->kj", np.abs(G), np.abs(m))
-    place = ROUNDING * (np.abs(q) + np.abs(new)) + h * known_to(*evaluated([model.t, model.q], [majorant(model.f)], t, q))
+    place = ROUNDING * (np.abs(q) + np.abs(new)) + h * known_to(*evaluated(symbols, [majorant(model.f)], *here))
     y = g + apply(G, moved)
     unseen = known_to(size_g) + ROUNDING * apply(np.abs(G), np.abs(q) + np.abs(new) + size)
     reach = np.linalg.norm(moved, axis=1) + h[:, 0] * np.linalg.norm(f, axis=1)
@@ -35,12 +49,14 @@ def misfits(model: SweepingProcess, run: Trajectory) -> Misfits:
 def acting(model: SweepingProcess, run: Trajectory) -> np.ndarray:
     """|q+ - q|, h |f| and |G'm|."""
     h, moved = run.step[1:, None], np.abs(run.x[1:] - run.x[:-1])
-    f, G = evaluated([model.t, model.q], [model.f, ca.jacobian(model.g, model.q)], run.t[:-1], run.x[:-1])
+    f, G = evaluated([model.t, model.q, model.u], [model.f, ca.jacobian(model.g, model.q)], *begins(run))
     return moved + h * np.abs(f[:, :, 0]) + np.einsum("kij,ki->kj", np.abs(G), np.abs(run.multipliers[1:]))
 
 
-def _mean(model: SweepingProcess, t: np.ndarray, q: np.ndarray, h: np.ndarray) -> np.ndarray:
+def _mean(model: SweepingProcess, run: Trajectory) -> np.ndarray:
+    """Of f over each step, its inputs on straight lines."""
     nodes, weights = np.polynomial.legendre.leggauss(8)
-    times = (t + h[:, 0] * (1 + x) / 2 for x in nodes)
-    values = [evaluated([model.t, model.q], [model.f], s, q)[0][:, :, 0] for s in times]
+    (t, q, u), (*_, u_end), h = begins(run), ends(run), run.step[1:]
+    places = ((t + h * part, q, u + part * (u_end - u)) for part in (1 + nodes) / 2)
+    values = [evaluated([model.t, model.q, model.u], [model.f], *place)[0][:, :, 0] for place in places]
     return np.einsum("i,ikj->kj", weights / 2, values)

@@ -66,7 +66,7 @@ def _balance(model: FrictionOscillator, run: Trajectory) -> _Balance:
     l = np.where(np.isfinite(run.step), run.step, run.t - np.roll(run.t, 1))[1:]
     nominal = np.append(l[0], l) / np.append(l, l[-1])
     moved = extrapolated(run)[1:]  # the inequality is about steps of the scheme
-    if "correction" in run.arrays:
+    if "correction" in run.arrays or model.keeps_velocity:
         nominal[:] = 1.0
     elif model.steps is None and len(l) > 1 and l[-1] < l[-2]:
         nominal[-2] = 1.0  # a last step that only the end of the run shortens keeps the velocity

@@ -7,8 +7,9 @@ d = x_{n+2} - x_{n+1}, so that stick is d = 0 and nothing else. With h = l_n, ti
 
     d - (x_{n+1} - x_n) + h^2 ( dPhi(d/h) + dg(x_{n+1} + d) ) ∋ 0
 
-A force f that moves with time is taken at the end of the step, and the state has the velocity (x_{n+1} - x_n)/l_{n-1} in place of
-the difference: where steps change, as they do around edges of inputs, it is the velocity that goes on,
+A force f that moves with time is taken at the end of the step. With one, and with inputs whatever reads them, the state has the
+velocity (x_{n+1} - x_n)/l_{n-1} in place of the difference: where steps change, as they do around edges, it is the velocity that
+goes on,
 
     d - h v_n + h^2 ( dPhi(d/h) + dg(x_{n+1} + d) - f(t_{n+2}) ) ∋ 0
 
@@ -33,9 +34,9 @@ LEAST = 1e-150
 def one_step_problem(model: FrictionOscillator) -> OneStepProblem:
     """Return the step as a nonsmooth problem in d, with the friction forces and the reactions of dg as multipliers."""
     h, x, n = ca.SX.sym("h"), model.x, model.x.numel()
-    forced, u = model.is_forced, ca.SX.sym("u_next", model.u.numel())
-    old, d = ca.SX.sym("v_old" if forced else "d_old", n), ca.SX.sym("d", n)
-    v, x_next, d_old = d / h, x + d, h * old if forced else old
+    keeps, u = model.keeps_velocity, ca.SX.sym("u_next", model.u.numel())
+    old, d = ca.SX.sym("v_old" if keeps else "d_old", n), ca.SX.sym("d", n)
+    v, x_next, d_old = d / h, x + d, h * old if keeps else old
 
     elements, radii = model.elements, [slope_at_zero(e, model.s) for e in model.elements]
     xi = [ca.SX.sym(f"xi_{e.name}", e.H.shape[0]) for e in elements]
@@ -60,9 +61,9 @@ def one_step_problem(model: FrictionOscillator) -> OneStepProblem:
         law=law,
         rows=tuple(name for e in elements for name in rows_called(e.name, e.H.shape[0])) + g.rows + model.constraint_names,
         guess=d_old,
-        next_state=ca.vertcat(x_next, v if forced else d),
+        next_state=ca.vertcat(x_next, v if keeps else d),
         records={"v": v},
-        velocity="v", difference=not forced,
+        velocity="v", difference=not keeps,
     )  # fmt: skip
     return carrying(problem, model.u, u)
 
@@ -103,7 +104,7 @@ def shortened(model: FrictionOscillator, state: np.ndarray, ratio: float) -> np.
     The paper divides the older difference by the new step, for steps that do not decrease; a step that only the end of the
     run shortens is not meant to be a kick.
     """
-    n = state.size if model.is_forced else state.size // 2
+    n = state.size if model.keeps_velocity else state.size // 2
     return np.concatenate([state[:n], state[n:] * ratio])
 
 
@@ -117,21 +118,24 @@ def initial_rows(model: FrictionOscillator, h: float) -> list[tuple[np.ndarray, 
     x0 = np.array(ca.DM(model.x0)).ravel()
     if model.x1 is None:
         v0 = np.array(ca.DM(model.v0)).ravel()
-        return [(np.concatenate([x0, v0 if model.is_forced else h * v0]), {"v": v0})]
+        return [(np.concatenate([x0, v0 if model.keeps_velocity else h * v0]), {"v": v0})]
     x1 = np.array(ca.DM(model.x1)).ravel()
     d, v = x1 - x0, (x1 - x0) / h
-    return [(np.concatenate([x0, np.full(x0.size, np.nan)]), {}), (np.concatenate([x1, v if model.is_forced else d]), {"v": v})]
+    return [
+        (np.concatenate([x0, np.full(x0.size, np.nan)]), {}),
+        (np.concatenate([x1, v if model.keeps_velocity else d]), {"v": v}),
+    ]
 
 
 def start_of(model: FrictionOscillator, h: ca.SX) -> ca.SX:
     """The state of the last of these rows as an expression of h."""
     d = h * model.v0 if model.x1 is None else model.x1 - model.x0
-    return ca.vertcat(model.x0 if model.x1 is None else model.x1, d / h if model.is_forced else d)
+    return ca.vertcat(model.x0 if model.x1 is None else model.x1, d / h if model.keeps_velocity else d)
 
 
 def derived_columns(model: FrictionOscillator, arrays: dict[str, np.ndarray], h_next: np.ndarray) -> dict[str, np.ndarray]:
     """The energy E_n: the last difference over the step that comes next; with a force, of the velocity."""
-    if model.is_forced:
+    if model.keeps_velocity:
         return {"energy": np.array(energy(model).map(len(arrays["v"]))(arrays["x"].T, arrays["v"].T)).ravel()}
     d = arrays["v"] * arrays["step"][:, None]
     if not np.isfinite(arrays["step"][0]):
