@@ -27,7 +27,7 @@ KINDS = {  # Marks of test files, by what their names begin with; what is in non
     "c": ("test_codegen", "test_compiled", "test_bodies_in_c"),
     "fuzz": ("test_fuzz", "test_codegen_fuzz"),
     "slow": (
-        "test_adaptive", "test_agreement", "test_cases", "test_certif", "test_check", "test_cli", "test_closed",
+        "test_adaptive", "test_agreement", "test_blocks", "test_cases", "test_certif", "test_check", "test_cli", "test_closed",
         "test_convex", "test_crowd", "test_docs", "test_events", "test_extreme", "test_forced", "test_input", "test_kinds",
         "test_laws", "test_lure_offset", "test_makefile", "test_many", "test_moving", "test_one_variable", "test_orders",
         "test_outputs", "test_parameters", "test_pieces_in_c", "test_plot", "test_repeated", "test_resume", "test_rounding",
@@ -38,11 +38,6 @@ KINDS = {  # Marks of test files, by what their names begin with; what is in non
 
 
 FEW = 4  # Of the parameters of a test that is not fast, where few random models are tried.
-
-
-def has_c(model):
-    """Whether ``codegen.write`` has a library for the model; blocks have no C counterpart yet."""
-    return not model.blocks
 
 
 def kinds_of(path):

@@ -12,11 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import has_c, optimised
+from conftest import optimised
 from fuzz_models import COUNT, FULL
 
 from nsmodel import ManyBodies, codegen, simulate
-from nsmodel.errors import CodegenError
 from nsmodel.grid import make_grid
 
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
@@ -30,7 +29,7 @@ pytestmark = pytest.mark.skipif(not COMPILERS, reason="no C compiler")
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory, load_case):
-    """Return library(stem) -> the folder of a case's C library; None where the case is refused, as it must be."""
+    """Return library(stem) -> the folder of a case's C library."""
     base = tmp_path_factory.mktemp("cases")
 
     @cache
@@ -38,10 +37,6 @@ def library(tmp_path_factory, load_case):
         if type(load_case(stem)) is ManyBodies:
             pytest.skip("libraries of many bodies: test_bodies_in_c.py")
         model = load_case(stem, **SMALLER.get(stem, {}))
-        if not has_c(model):
-            with pytest.raises(CodegenError, match=rf"{model.blocks[0].name}.* no C counterpart yet"):
-                codegen.write(model, base / stem, name=stem)
-            return None
         codegen.write(model, base / stem, name=stem)
         return base / stem
 
@@ -64,8 +59,6 @@ def table(text: str) -> tuple[list[str], np.ndarray]:
 @pytest.mark.parametrize("compiler", COMPILERS)
 def test_every_case_in_c_is_the_python_run(case_file, compiler, library, load_case, run_case):
     stem = case_file.stem
-    if library(stem) is None:
-        return
     example = build(library(stem), compiler, "-O2" if stem in OPTIMISED else optimised("-O2"))
     done = subprocess.run([example], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -113,8 +106,6 @@ def test_no_finding_of_valgrind(stem, library, tmp_path):
 def test_self_contained(case_file, library):
     """C99 headers of libc and libm only, no allocation outside create, nothing that is not constant outside functions."""
     stem = case_file.stem
-    if library(stem) is None:
-        return
     code = (library(stem) / f"{stem}.c").read_text()
     assert set(re.findall(r'#include [<"](\S+)[>"]', code)) == {f"{stem}.h", "float.h", "math.h", "stdlib.h", "string.h"}
     bare = re.sub(r"/\*.*?\*/", "", code, flags=re.DOTALL)
@@ -229,8 +220,6 @@ def test_parameters_are_left_out_when_they_are_numbers(tmp_path, load_case):
 
 
 def test_grid_of_a_case_is_that_of_its_example(library, load_case, case_file):
-    if library(case_file.stem) is None:
-        return
     grid = make_grid(load_case(case_file.stem).bind(), None, None, None, driven=True)
     text = (library(case_file.stem) / "example_main.c").read_text()
     assert f"last = {grid.N};" in text

@@ -16,8 +16,9 @@ from nsmodel.codegen import bodies, pieces
 from nsmodel.codegen.bounds import MOST_WORK
 from nsmodel.codegen.files import all_files, description
 from nsmodel.codegen.fixed import MOST_LENGTHS, matrices
-from nsmodel.codegen.library import Library, Solver, is_library, load
+from nsmodel.codegen.library import Library, is_library, load
 from nsmodel.codegen.scene import make_scene
+from nsmodel.codegen.solver import Solver
 from nsmodel.codegen.source import Source, write_source
 from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import CodegenError, UsageError
