@@ -1312,7 +1312,7 @@ def test_the_wrapper_says_what_it_does():
         public = {name: value for name, value in vars(kind).items() if not name.startswith("_")}
         assert all((value.fget if isinstance(value, property) else value).__doc__ for value in public.values())
     header = (FRAGMENTS / "header.h").read_text(encoding="utf-8")
-    wrapped = (Path(codegen.__file__).parent / "library.py").read_text()
+    wrapped = (Path(codegen.__file__).parent / "solver.py").read_text()
     for name in set(re.findall(r"\bmodel_(?:set|get)_(\w+)\(", header)):
         assert f'"{name}"' in wrapped or f'_{name}"' in wrapped, name
     assert issubclass(CodegenError, NsmodelError)

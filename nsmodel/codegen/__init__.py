@@ -116,17 +116,7 @@ def write(
         UsageError: a wrong argument, or a folder with files that are not this library's; nothing is written.
         StorageError: the folder cannot be written.
     """
-    if not (is_number(tolerance) and 0 < tolerance < 1):
-        raise UsageError(f"tolerance = {written(tolerance)}; expected a number between 0 and 1")
-    if not (max_work is None or (isinstance(max_work, int) and not isinstance(max_work, bool) and 1 <= max_work <= MOST_WORK)):
-        raise UsageError(f"max_work = {written(max_work)}; expected a whole number from 1 to {MOST_WORK}")
-    most = MOST_WORK if max_work is None else max_work
-    if model.blocks and event_driven:
-        listed = ", ".join(block.name for block in model.blocks)
-        raise CodegenError(
-            f"event-driven integration in C does not take blocks ({listed}): write the model with what they set as inputs, and "
-            "let the caller's loop tick"
-        )
+    most = _most_work(model, tolerance, max_work, event_driven=event_driven)
     name = identifier(model.title or type(model).__name__) if name is None else _checked(name)
     bound = model.bind(parameters)
     lengths = _lengths(step)
@@ -159,6 +149,21 @@ def write(
     for file, text in files.items():
         write_text(folder / file, text.rstrip())
     return Written(folder, list(files), about)
+
+
+def _most_work(model: Model, tolerance: float, max_work: int | None, *, event_driven: bool) -> int:
+    """The most work of a step; what does not go together is refused."""
+    if not (is_number(tolerance) and 0 < tolerance < 1):
+        raise UsageError(f"tolerance = {written(tolerance)}; expected a number between 0 and 1")
+    if not (max_work is None or (isinstance(max_work, int) and not isinstance(max_work, bool) and 1 <= max_work <= MOST_WORK)):
+        raise UsageError(f"max_work = {written(max_work)}; expected a whole number from 1 to {MOST_WORK}")
+    if model.blocks and event_driven:
+        listed = ", ".join(block.name for block in model.blocks)
+        raise CodegenError(
+            f"event-driven integration in C does not take blocks ({listed}): write the model with what they set as inputs, and "
+            "let the caller's loop tick"
+        )
+    return MOST_WORK if max_work is None else max_work
 
 
 def _is_formed(source: Source) -> bool:

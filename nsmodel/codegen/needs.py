@@ -24,46 +24,56 @@ def flags_of(scene: Scene) -> frozenset[str]:
 def _read_off(scene: Scene) -> dict[str, bool]:
     """The flags that say what the scene is."""
     structure, law, problem, stepped = scene.structure, scene.law, scene.problem, _is_stepped(scene)
+    return (
+        {
+            "LAW": structure.m > 0,
+            "FIXED": scene.path == FIXED,
+            "LENGTHS": _has_lengths(scene),
+            "BANDED": scene.path == BANDED,
+            "NEWTON": stepped,
+            "INCLUSION": scene.path == INCLUSION,
+            "AFFINE": structure.affine,
+            "CONSTANT": structure.constant and stepped,
+            "IDENTITY": structure.identity,
+            "TERMS": stepped and newton.bounded_by_terms(scene),
+            "EXPLICIT": stepped and bool(problem.explicit) and not structure.affine,
+            "ROWS": scene.by_rows,
+            "ENUMERATION": structure.m <= ENUMERATE_UP_TO or _has_few_sets(scene),
+            "FEEDTHROUGH": scene.jacobians[3].nnz() > 0,
+            "TRANSPOSED": stepped and newton.transposed(scene),
+            "PROJECTION": structure.projection,
+            "UNIT_ROWS": bool(structure.unit_rows),
+            "OVERREACH": problem.overreach is not None,
+            "FOLLOW_ROWS": bool(structure.follow_rows),
+            "REST_ROWS": bool(structure.rest_rows),
+            "EXACT_ROWS": bool(structure.unit_rows or structure.rest_rows),
+            "PARAMETERS": bool(scene.parameters),
+            "LAW_OF_PARAMETERS": scene.law_of_parameters,
+            "CURVED_OF_PARAMETERS": scene.law_of_parameters and sets.numbers(problem.law).numel() > 0,
+            "REWRITTEN": problem.multipliers is not None,
+            "MULTIPLIERS": structure.m > 0 or problem.multipliers is not None,
+            "VELOCITY": bool(problem.velocity),
+            "DIFFERENCE": bool(problem.velocity) and problem.difference,
+            "FORCE": problem.state.numel() - 2 * problem.inputs > len(scene.model.names) and not problem.velocity,
+            "FIXED_MAPS": scene.path == FIXED and structure.m > 0 and not law.curved,
+            "ONE_STEP": (scene.path in (FIXED, BANDED) and not _has_lengths(scene)) or inclusion.one_step(scene),
+        }
+        | _of_inputs(scene)
+        | inclusion.flags(scene)
+    )
+
+
+def _of_inputs(scene: Scene) -> dict[str, bool]:
+    """The flags that say what drives the scene."""
     return {
-        "LAW": structure.m > 0,
-        "FIXED": scene.path == FIXED,
-        "LENGTHS": _has_lengths(scene),
-        "BANDED": scene.path == BANDED,
-        "NEWTON": stepped,
-        "INCLUSION": scene.path == INCLUSION,
-        "AFFINE": structure.affine,
-        "CONSTANT": structure.constant and stepped,
-        "IDENTITY": structure.identity,
-        "TERMS": stepped and newton.bounded_by_terms(scene),
-        "EXPLICIT": stepped and bool(problem.explicit) and not structure.affine,
-        "ROWS": scene.by_rows,
-        "ENUMERATION": structure.m <= ENUMERATE_UP_TO or _has_few_sets(scene),
-        "FEEDTHROUGH": scene.jacobians[3].nnz() > 0,
-        "TRANSPOSED": stepped and newton.transposed(scene),
-        "PROJECTION": structure.projection,
-        "UNIT_ROWS": bool(structure.unit_rows),
-        "OVERREACH": problem.overreach is not None,
-        "FOLLOW_ROWS": bool(structure.follow_rows),
-        "REST_ROWS": bool(structure.rest_rows),
-        "EXACT_ROWS": bool(structure.unit_rows or structure.rest_rows),
-        "PARAMETERS": bool(scene.parameters),
-        "LAW_OF_PARAMETERS": scene.law_of_parameters,
-        "CURVED_OF_PARAMETERS": scene.law_of_parameters and sets.numbers(problem.law).numel() > 0,
-        "REWRITTEN": problem.multipliers is not None,
-        "MULTIPLIERS": structure.m > 0 or problem.multipliers is not None,
-        "VELOCITY": bool(problem.velocity),
-        "DIFFERENCE": bool(problem.velocity) and problem.difference,
-        "FORCE": problem.state.numel() - 2 * problem.inputs > len(scene.model.names) and not problem.velocity,
-        "INPUTS": problem.inputs > 0,
+        "INPUTS": scene.problem.inputs > 0,
         "GIVEN": bool(scene.places.given),
         "BLOCKS": scene.ticking,
         "MEMORY": bool(scene.places.memory),
         "HELD": bool(scene.places.held),
         "PULSES": bool(scene.places.pulses),
         "RESTARTED": scene.restarted,
-        "FIXED_MAPS": scene.path == FIXED and structure.m > 0 and not law.curved,
-        "ONE_STEP": (scene.path in (FIXED, BANDED) and not _has_lengths(scene)) or inclusion.one_step(scene),
-    } | inclusion.flags(scene)
+    }
 
 
 def _implied(scene: Scene, given: dict[str, bool]) -> dict[str, bool]:
@@ -150,9 +160,8 @@ def sizes_of(scene: Scene, flags: frozenset[str]) -> dict[str, int]:
         sizes |= {"BLOCK": max(block.size for _, block in sets.curved(own)), "NUMBERS": max(1, sets.numbers(own).numel())}
     if scene.path == BANDED:
         sizes |= sure(scene.band).sizes
-    systems = [(sizes["ROWS"], "AFFINE_PROBLEM"), (m, "FIXED_MAPS"), (sizes["LEMKE"], "PIVOTING")]
-    systems += [(n + m, "NEARBY"), (n + m, "LENGTHS")]
-    return sizes | {"LINEAR": max((size for size, flag in systems if flag in flags), default=0)}
+    systems = {"AFFINE_PROBLEM": sizes["ROWS"], "FIXED_MAPS": m, "PIVOTING": sizes["LEMKE"], "NEARBY": n + m, "LENGTHS": n + m}
+    return sizes | {"LINEAR": max((size for flag, size in systems.items() if flag in flags), default=0)}
 
 
 def _lemke_size(law: NumericLaw, rows: int, by_rows: bool) -> int:
