@@ -34,8 +34,19 @@ def executed(spec: ModuleSpec) -> ModuleType:
     """Run the file; whatever it raises comes out."""
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
-    cast("Loader", spec.loader).exec_module(module)
+    with _unwritten():
+        cast("Loader", spec.loader).exec_module(module)
     return module
+
+
+@contextlib.contextmanager
+def _unwritten() -> Iterator[None]:
+    """Write no bytecode beside a user's files: it would outlive an edit within the second, and nobody asked for it."""
+    before, sys.dont_write_bytecode = sys.dont_write_bytecode, True
+    try:
+        yield
+    finally:
+        sys.dont_write_bytecode = before
 
 
 @contextlib.contextmanager
@@ -47,7 +58,8 @@ def beside(path: Path) -> Iterator[None]:
     folder, before = path.absolute().parent, set(sys.modules)
     sys.path.insert(0, str(folder))
     try:
-        yield
+        with _unwritten():
+            yield
     finally:
         sys.path.remove(str(folder))
         new = {name.partition(".")[0] for name in sys.modules} - before

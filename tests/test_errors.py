@@ -933,6 +933,19 @@ def test_a_model_file_imports_its_neighbours(tmp_path):
     assert float(nsmodel.load(tmp_path / "a" / "m.py").x0) == 3
 
 
+def test_no_bytecode_is_left_beside_a_model_file(tmp_path, monkeypatch):
+    """It would be read instead of a file that was edited within the second and kept its length."""
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    (tmp_path / "common.py").write_text("START = 1.0\n")
+    body = "from common import START\nfrom nsmodel import LureSystem, relay\n"
+    (tmp_path / "m.py").write_text(body + "model = LureSystem(A=1, B=1, C=1, law=relay(1), x0=START, t_end=1, step=0.1)\n")
+    assert float(nsmodel.load(tmp_path / "m.py").x0) == 1
+    (tmp_path / "common.py").write_text("START = 3.0\n")
+    assert float(nsmodel.load(tmp_path / "m.py").x0) == 3
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["common.py", "m.py"]
+    assert sys.dont_write_bytecode is False
+
+
 def test_a_model_file_without_its_neighbour_says_so(tmp_path):
     (tmp_path / "m.py").write_text("import nobody_is_called_so\n")
     with pytest.raises(ModelError, match=r"m.py:1: ModuleNotFoundError: No module named 'nobody_is_called_so'"):

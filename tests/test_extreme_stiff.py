@@ -21,6 +21,7 @@ from nsmodel import (
     relay,
     simulate,
 )
+from nsmodel.classes.units import in_units as units_of_package
 from nsmodel.laws import Law
 
 T, Q, X, LAM, S = (ca.SX.sym(name) for name in ("t", "q", "x", "l", "s"))
@@ -148,8 +149,13 @@ def scaled_law(law, unit):
 
 
 def in_units(model, u, tau):
-    """The same model with states u times and times tau times as large; multipliers and outputs of laws u times."""
+    """The same model with states u times and times tau times as large; multipliers and outputs of laws u times.
+
+    How signals and blocks move is tested in test_study_inputs.py.
+    """
     model = model.bind()
+    if model.inputs:
+        return units_of_package(model, u, tau)
 
     def at(expression, *pairs):
         old, new = zip(*pairs, strict=True)
