@@ -40,7 +40,7 @@ def multiplier_names(run: Trajectory) -> list[str]:
 
 def input_names(run: Trajectory) -> list[str]:
     """Return one name for each column of ``run.inputs``; none where the run has no inputs."""
-    return [name for names in run.metadata.get("input_groups", {}).values() for name in names]
+    return list(run.metadata.get("input_names", ()))
 
 
 def output_names(run: Trajectory) -> dict[str, list[str]]:

@@ -650,6 +650,21 @@ def test_a_constraint_that_is_not_convex_with_an_input():
     np.testing.assert_allclose(driven.x, simulate(past_disc(0.2), compiled=False).x, atol=1e-14)
 
 
+def test_columns_of_inputs_have_their_names_in_files_too(tmp_path):
+    z, a, v = (ca.SX.sym(name, size) for name, size in (("z", 1), ("a", 1), ("v", 2)))
+    x = ca.SX.sym("x")
+    model = FirstOrderSystem(x=x, f=[z + a + ca.sum1(v)], x0=[0], inputs={z: 3, v: [5, 7], a: 1}, t_end=1, step=0.5)
+    run = simulate(model)
+    run.save(tmp_path / "run.npz")
+    for one in (run, Trajectory.load(tmp_path / "run.npz"), simulate(model, out=tmp_path / "out")):
+        assert (one.z[-1], one.a[-1], one.v[-1].tolist()) == (3, 1, [5, 7])
+        one.to_csv(tmp_path / "run.csv")
+        with open(tmp_path / "run.csv", newline="") as file:
+            last = list(csv.DictReader(file))[-1]
+        assert {name: float(last[f"input:{name}"]) for name in ("z", "v_0", "v_1", "a")} == {"z": 3, "v_0": 5, "v_1": 7, "a": 1}
+        assert one.evaluate(z - 2 * a)[-1] == 1
+
+
 def test_impacts_are_seen_with_inputs():
     q, v, l, u = (ca.SX.sym(name) for name in ("q", "v", "l", "u"))
 

@@ -23,6 +23,7 @@ def of_model(model: Model) -> dict[str, Any]:
         "versions": versions(),
     }
     if model.input_groups:
+        data["input_names"] = list(model.input_names)  # In order: of a dictionary files keep none.
         data["input_groups"] = {name: list(names) for name, names in model.input_groups.items()}
     if model.outputs:
         data["outputs"] = {name: Quantity.made(expression).text for name, expression in model.outputs.items()}
