@@ -121,6 +121,18 @@ def test_a_thermostat_switches_where_its_band_ends():
     assert late[1] < late[0] / 2
 
 
+@pytest.mark.parametrize(("low", "high"), [(1.8, 2.2), (0.1, 2.2), (2.1, 2.2)])
+def test_a_current_that_moves_at_constant_rates_stays_in_its_band(low, high):
+    """The motion has no time of its own: what a switch is measured beside is not how far a very long piece would go."""
+    on, off = (24 - 9) / 1e-4, 9 / 1e-4
+    model = plant(hysteresis(U, X, low, high, start=1), f=(24 * U - 9) / 1e-4, t_end=1e-3)
+    run = simulate(model, rtol=1e-10)
+    turns = run.t[np.flatnonzero(np.diff(run.u) < 0)]
+    width = (high - low) * (1 / on + 1 / off)
+    np.testing.assert_allclose(turns, high / on + width * np.arange(turns.size), rtol=1e-9)
+    assert turns.size == int((1e-3 - high / on) / width) + 1
+
+
 def test_a_sampled_thermostat_has_the_period_of_its_samples():
     run = simulate(thermostat(period=0.05, t_end=20), rtol=1e-10)
     x, u = 15.0, 1.0
@@ -451,6 +463,8 @@ def test_bad_blocks(make, match):
 
 
 def test_what_a_block_sets_has_no_other_signal():
+    with pytest.raises(UsageError, match=r"input 'u': a pwm whose duty is an expression; declare it in the model"):
+        simulate(plant(counter(), f=U, inputs={U: 1}), inputs={"u": pwm(0.1, Z)})
     with pytest.raises(UsageError, match=r"input 'z' is set by the block 'n'; leave it out"):
         simulate(plant(counter()), inputs={"z": 1})
 

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import UsageError
+from nsmodel.model.blocks import held_duty
 from nsmodel.model.convert import Converter, declare
 from nsmodel.model.inputs import Signals, by_name, signals_of
 from nsmodel.model.replaced import replaced
@@ -29,9 +30,10 @@ def driven_by(model: T, signals: Signals | None = None) -> T:
     Raises:
         UsageError: a name that is no input; an input that nothing drives; another number of values.
     """
-    given = signals_of(
-        by_name(signals, model.input_groups), model.input_groups, Converter([declare(model.t, "t")]), UsageError
-    )  # fmt: skip
+    named = by_name(signals, model.input_groups)
+    for name in [name for name, signal in named.items() if held_duty(signal)]:
+        raise UsageError(f"input '{name}': a pwm whose duty is an expression; declare it in the model, whose blocks it reads")
+    given = signals_of(named, model.input_groups, Converter([declare(model.t, "t")]), UsageError)
     for name in given:
         if isinstance(model.inputs[name], Kept):
             raise UsageError(f"input '{name}' is set by the block '{model.inputs[name].by}'; leave it out")

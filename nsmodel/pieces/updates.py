@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from nsmodel.errors import StepError
+from nsmodel.pieces.lengths import first_unit
 from nsmodel.pieces.modes import ORDERS, Place
 from nsmodel.pieces.switches import conditions, is_zero, switches
 from nsmodel.pieces.system import System
@@ -42,6 +43,8 @@ def update(system: System, place: Place) -> bool:
     for i, row in zip(p.updated, updates.outputs, strict=True):
         place.x[i] = row[0]
     if [place.x[i] for i in p.updated] != before:
+        # The unit of the motion before may be so long that beside its coefficients what is far from a switch seems rounding.
+        place.tau = min(place.tau, first_unit(system, place.t, place.x, place.tau))
         begin_anew(system, place)
         return True
     for k, row in enumerate(updates.outputs):

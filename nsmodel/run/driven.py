@@ -97,6 +97,7 @@ class AtTicks:
         self._at = np.concatenate([ticks.at, ticks.at + drive.size])
         points = [] if grid.times is None else np.searchsorted(times, earlier(drive.points)).tolist()
         self._spans = [0, *points, grid.N] if drive.moving else [0, grid.N]  # Numbers of the steps between which edges move.
+        self._begins = set(self._spans)
         self._stops = [*sorted(set().union(*self._due, self._spans if drive.moving else ())), grid.N]
         self._edges: set[int] = set()
         self._held = np.zeros(ticks.at.size)
@@ -124,7 +125,7 @@ class AtTicks:
             u[self._ticks.at] = held
             u = self._ticks.after(self.due(k), self._grid.time(k), state[: self._ticks.states], l, u)
             self._held = u[self._ticks.at]
-        placed = bool(self._drive.moving) and k in self._spans
+        placed = bool(self._drive.moving) and k in self._begins
         if placed:
             self._place(k)
         return bool((self._held != was).any()) or k in self._edges, placed
@@ -132,7 +133,7 @@ class AtTicks:
     def stand(self, state: np.ndarray, k: int) -> None:
         """Take up a run before step k, in the middle of what was placed."""
         self._held = state[-self._drive.size :][self._ticks.at]
-        if self._drive.moving and k not in self._spans:
+        if self._drive.moving and k not in self._begins:
             self._place(k)
 
     def planned(self, k: int) -> tuple[Drive, int]:
