@@ -207,7 +207,8 @@ def _decided(
 ) -> tuple[list[Finding], list[Consequence], int]:
     """What is found and follows for all values of the parameters, inputs among them, and how many values were looked at."""
     proofs, driven = _proofs_for_all(type(model)), class_of(model).optional("hypotheses.driven") if motion.names else None
-    still, box = driven.at_rest(model, region, runs) if driven else (model, region)
+    at_rest = getattr(driven, "at_rest", None)
+    still, box = at_rest(model, region, runs) if at_rest else (model, region)
     special = proofs.values(still, box.parameters) if proofs else ()
     at = [(one, still.bind(one)) for one in uniform.values_in(box.parameters, special)]
     reports = [(one, *_quickly(bound, replace(box, parameters={}), runs)) for one, bound in at]

@@ -174,15 +174,17 @@ class ModelStepper:
                 f"an input jumps or bends, or a block ticks, at t = {ends[0]:.10g}: step at most {ends[0] - self.t:.10g}, "
                 "or give split=True"
             )
-        kept, t, rows = self.checkpoint(), self.t, []
+        kept, t = self.checkpoint(), self.t
         try:
-            for at in ends:
-                first, last = (begin + (time - t) / length * (end - begin) for time in (self.t, at))
-                rows.append(self._one(first, last, at - self.t))
+            while True:  # A tick may place edges in what is left.
+                first, last = (begin + (time - t) / length * (end - begin) for time in (self.t, ends[0]))
+                row = self._one(first, last, ends[0] - self.t)
+                if len(ends) == 1:
+                    return row
+                ends = self._inputs.ends(self.k, self.t, ends[-1] - self.t, begin, self._place)
         except StepError:
             self.restore(kept)
             raise
-        return rows[-1]
 
     def _quickly(self, alone: Alone, u: float) -> Row | None:
         """A step on the grid of the model's one input, in C; None where it is off the grid or not certified."""

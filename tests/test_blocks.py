@@ -362,6 +362,14 @@ def test_the_stepper_refuses_to_go_over_a_tick_or_an_edge_of_a_block():
         s.step(h=T)
 
 
+@pytest.mark.parametrize("kind", ["trailing", "leading", "centre"])
+def test_parts_of_a_step_end_at_edges_that_a_tick_within_it_places(kind):
+    s = stepper(regulated(kind, periods=20, step=T / 40))
+    while s.t < 20 * T * (1 - 1e-12):
+        s.step(h=min(0.027 * T, 20 * T - s.t), split=True)
+    np.testing.assert_allclose(s.x, exact_regulated(kind, periods=20)[-1], atol=2e-3)
+
+
 def test_free_inputs_are_read_by_the_tick_of_the_step_that_they_are_given_to():
     model = plant(sampled("b", period=0.1, memory={Z: 0}, update={Z: Z + U}), f=Z, inputs={U: None}, step=0.1, theta=1)
     s = stepper(model)

@@ -31,12 +31,6 @@ WORDS = {
 }
 
 
-def at_rest(model: LureSystem, region: Region, runs: Sequence[Trajectory]) -> tuple[LureSystem, Region]:
-    """The system itself, whose inputs are parameters."""
-    del runs
-    return model, region
-
-
 def findings(
     model: LureSystem, region: Region, motion: Motion, own: Sequence[Finding], runs: Sequence[Trajectory], quick: bool
 ) -> list[Finding]:  # fmt: skip

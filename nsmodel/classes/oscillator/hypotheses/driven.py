@@ -14,14 +14,6 @@ from nsmodel.trajectory import Trajectory
 PARTS = {"force": ("force",)}
 
 
-def at_rest(
-    model: FrictionOscillator, region: Region, runs: Sequence[Trajectory]
-) -> tuple[FrictionOscillator, Region]:  # fmt: skip
-    """The oscillator itself, whose inputs are parameters."""
-    del runs
-    return model, region
-
-
 def findings(
     model: FrictionOscillator, region: Region, motion: Motion, own: Sequence[Finding], runs: Sequence[Trajectory], quick: bool
 ) -> list[Finding]:  # fmt: skip

@@ -28,14 +28,6 @@ PARTS = {"f": ("f",), "constraints": ("constraints",)}
 POINTS = 64  # Where a jump of a constraint is looked for.
 
 
-def at_rest(
-    model: SweepingProcess, region: Region, runs: Sequence[Trajectory]
-) -> tuple[SweepingProcess, Region]:  # fmt: skip
-    """The process itself, whose inputs are parameters."""
-    del runs
-    return model, region
-
-
 def findings(
     model: SweepingProcess, region: Region, motion: Motion, own: Sequence[Finding], runs: Sequence[Trajectory], quick: bool
 ) -> list[Finding]:  # fmt: skip
