@@ -10,6 +10,7 @@ import numpy as np
 
 from nsmodel.codegen import cache, pieces
 from nsmodel.codegen.cache import NAME, kept, key_for, made_by
+from nsmodel.codegen.piece_scene import TIMES, piece_scene
 from nsmodel.codegen.library import FLAGS, Library, compiler, no_compiler
 from nsmodel.codegen.statuses import BAD_ARITHMETIC, STATUSES
 from nsmodel.errors import CodegenError
@@ -65,7 +66,7 @@ class PiecesInC:
         layout = _place(self.sizes)
         places = 2 * layout.itemsize
         self.at, self.before = self._memory.view(np.uint8)[:places].view(layout)
-        self.times = self._memory[places // 8 :][: pieces.TIMES]
+        self.times = self._memory[places // 8 :][: TIMES]
         self._t = self._memory[:1]
         self._held = tuple(np.ascontiguousarray(part) for part in held)
         self._begin = library.function(
@@ -112,7 +113,7 @@ def _loaded(problem: ContinuousProblem) -> dict[str, Any]:
 
 
 def _load(problem: ContinuousProblem, known: Sequence[float], key: str) -> tuple[Library, dict[str, int], dict[str, slice]]:
-    scene = pieces.piece_scene(problem, known)
+    scene = piece_scene(problem, known)
 
     def files() -> dict[str, str]:
         return {
