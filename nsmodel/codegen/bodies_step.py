@@ -21,7 +21,7 @@ from nsmodel.errors import CodegenError, StepError
 from nsmodel.solve.many_bodies import COLD, BodiesStep, BodiesWarm, Contacts
 from nsmodel.solve.near import least_gap
 
-FLAGS = ("-std=c99", "-O3", "-march=native", "-Werror=implicit-function-declaration", "-fPIC", "-shared")
+FLAGS = ("-std=c99", "-O3", "-march=native", "-ffp-contract=off", "-Werror=implicit-function-declaration", "-fPIC", "-shared")
 
 
 def library(text: str, name: str) -> Mapped:

@@ -19,9 +19,12 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import casadi as ca
+
 from nsmodel.cache_folder import cache_folder
+from nsmodel.codegen.all_values import all_values
 from nsmodel.codegen.library import FLAGS, TIMEOUT, compile_library, in_use
-from nsmodel.codegen.scene import make_scene
+from nsmodel.codegen.scene import Scene, make_scene
 from nsmodel.codegen.source import write_source
 from nsmodel.errors import CodegenError
 from nsmodel.grid import Grid
@@ -42,10 +45,27 @@ def cached(model: Model, grid: Grid, tolerance: float, compiler: str) -> Path:
     """
 
     def files() -> dict[str, str]:
-        source = write_source(make_scene(model, None, grid, tolerance), NAME, "")
-        return {"rollout.c": source.rollout, f"{NAME}.h": source.header, f"{NAME}.c": source.code}
+        return _files(make_scene(model, None, grid, tolerance))
 
     return kept(key_of(model, grid, tolerance, compiler), files, FLAGS)
+
+
+def cached_for_all(model: Model, grid: Grid, tolerance: float, compiler: str) -> Path:
+    """The same for all values of the parameters of a model.
+
+    Raises:
+        CodegenError: besides, where the code would depend on values (see `all_values`).
+    """
+
+    def files() -> dict[str, str]:
+        return _files(all_values(model, grid, tolerance))
+
+    return kept(key_for_all(model, grid, tolerance, compiler), files, FLAGS)
+
+
+def _files(scene: Scene) -> dict[str, str]:
+    source = write_source(scene, NAME, "")
+    return {"rollout.c": source.rollout, f"{NAME}.h": source.header, f"{NAME}.c": source.code}
 
 
 def kept(key: str, files: Callable[[], Mapping[str, str]], flags: tuple[str, ...]) -> Path:
@@ -130,6 +150,11 @@ def key_of(model: Model, grid: Grid, tolerance: float, compiler: str) -> str:
     """A hash of all that the compiled steps depend on; the end of the run is not part of it."""
     endless = grid if grid.steps is not None else replace(grid, last=grid.h)
     return key_for([fingerprint(model, endless), grid.step(0), grid.varies, tolerance, *made_by(compiler)])
+
+
+def key_for_all(model: Model, grid: Grid, tolerance: float, compiler: str) -> str:
+    """The same of a model whose parameters are symbols: their names and order count, no value does."""
+    return key_for([key_of(model, grid, tolerance, compiler), "all values", *map(str, ca.symvar(model.p))])
 
 
 def made_by(compiler: str) -> list[object]:

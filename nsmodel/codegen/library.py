@@ -19,7 +19,7 @@ from typing import Any
 from nsmodel.codegen.solver import Solver
 from nsmodel.errors import CodegenError
 
-FLAGS = ("-std=c99", "-O2", "-Werror=implicit-function-declaration", "-fPIC", "-shared")
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Werror=implicit-function-declaration", "-fPIC", "-shared")
 COMPILERS = ("cc", "gcc", "clang")
 TIMEOUT = 600.0  # Seconds that a compiler may take.
 

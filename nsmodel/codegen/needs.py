@@ -73,6 +73,8 @@ def _of_inputs(scene: Scene) -> dict[str, bool]:
         "HELD": bool(scene.places.held),
         "PULSES": bool(scene.places.pulses),
         "RESTARTED": scene.restarted,
+        "BEGUN": scene.begun,
+        "RENEWED": scene.restarted or scene.begun,
     }
 
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from nsmodel.codegen import structs
-from nsmodel.codegen.cache import NAME, cached
+from nsmodel.codegen.cache import NAME, cached, cached_for_all
 from nsmodel.codegen.library import Library, compiler, no_compiler
 from nsmodel.codegen.statuses import BAD_ARITHMETIC, SOLVERS, STATUSES
 from nsmodel.errors import CodegenError
@@ -209,6 +209,20 @@ def _optional(library: Library, name: str, *kinds: Any) -> Any:
         return library.function(name, *kinds)
     except CodegenError:
         return None
+
+
+def library_for_all(model: Model, grid: Grid, tolerance: float) -> tuple[Library, str]:
+    """The steps of a model on a grid for all values of its parameters, and by what they are compiled.
+
+    Raises:
+        CodegenError: see `all_values`; there is no compiler, or it fails.
+    """
+    name = compiler()
+    if name is None:
+        raise no_compiler()
+    path, loaded = cached_for_all(model, grid, tolerance, name), _loaded(model)
+    library = loaded[path] = loaded.get(path) or Library(path, {"name": NAME})
+    return library, f"compiled by {name}, one library for all values"
 
 
 @once

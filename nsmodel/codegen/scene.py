@@ -39,6 +39,7 @@ class Scene:
         allowed: eps_k of an inclusion's approximate projections: of each step, or one for all.
         worst_case: whether steps may solve no linear system: what they need of them is formed beforehand.
         ticking: whether the code has the model's blocks; else what they hold is given to it.
+        of_all: whether it is of all values of the parameters: ``numbers`` are some that the law accepts, and nothing is theirs.
     """
 
     model: Model
@@ -50,6 +51,7 @@ class Scene:
     allowed: tuple[float, ...] = ()
     worst_case: bool = False
     ticking: bool = False
+    of_all: bool = False
 
     @cached_property
     def problem(self) -> OneStepProblem:
@@ -117,6 +119,11 @@ class Scene:
         """Whether the reaction that a step starts from is found anew after a jump of an input."""
         return self.problem.inputs > 0 and self.problem.start is not None
 
+    @property
+    def begun(self) -> bool:
+        """Whether the code finds the reaction that a run starts from."""
+        return self.of_all and self.problem.start is not None
+
     @cached_property
     def band(self) -> banded.Matrices | None:
         """The matrices of a large, sparse step where they are numbers."""
@@ -168,19 +175,23 @@ class Scene:
         return self.path == NEWTON and works_on_rows(self.structure, self.law) and not self.law_of_parameters
 
 
-def make_scene(model: Model, parameters: Values | None, grid: Grid, tolerance: float, lengths: Collection[float] = ()) -> Scene:
+def make_scene(
+    model: Model, parameters: Values | None, grid: Grid, tolerance: float, lengths: Collection[float] = (),
+    numbers: Model | None = None,
+) -> Scene:  # fmt: skip
     """Return the scene of a model; ``parameters`` become numbers, the others stay parameters of the code.
 
-    ``lengths``: of steps that are known beforehand; left out: those of the grid, where they are few.
+    ``lengths``: of steps that are known beforehand; left out: those of the grid, where they are few. ``numbers``: the model at
+    some values, of a scene of all of them; left out: at those declared.
     """
-    given = model.values_of(parameters)
-    numbers = model.bind(given)
+    given, of_all = model.values_of(parameters), numbers is not None
+    numbers = model.bind(given) if numbers is None else numbers
     left = dict.fromkeys(name for name in model.parameters if name not in given)
     kept = model.bind({**given, **left}, partly=True) if left else numbers
     own = grid.lengths.tolist() if grid.lengths.size <= fixed.MOST_LENGTHS else ()
     h = next(iter(lengths), 0.0) if len(lengths) > 1 else grid.step(0)
     known = tuple(length for length in lengths or own if length != h)
-    return Scene(kept, numbers, h, grid.varies, tolerance, known, allowed_tolerances(numbers, grid))
+    return Scene(kept, numbers, h, grid.varies, tolerance, known, allowed_tolerances(numbers, grid), of_all=of_all)
 
 
 def _singular(h: float) -> CodegenError:

@@ -17,6 +17,7 @@ from nsmodel.codegen.loops import c_function
 from nsmodel.codegen.needs import flags_of, sizes_of
 from nsmodel.codegen.scene import BANDED, FIXED, INCLUSION, Scene
 from nsmodel.codegen.tables import table
+from nsmodel.model.driven import inputs_at_start
 from nsmodel.proof.sure import sure
 from nsmodel.scheme import constraints, initial_rows, start_of
 from nsmodel.solve.build import start_state
@@ -60,7 +61,7 @@ def write_source(scene: Scene, name: str, fingerprint: str, most: int = MOST_WOR
     ]
     code = pruned("\n".join(parts))
     run_flags = flags | _run_flags(scene, flags)
-    loops = ("rollout.c", "adaptive.c") if "ADAPTIVE" in run_flags else ("rollout.c",)
+    loops = ["rollout.c", *(["adaptive.c"] if "ADAPTIVE" in run_flags else []), *(["batch.c"] if scene.of_all else [])]
     rollout = prefixed(_records(scene), name) + "\n" + "".join(fragment(file, run_flags, words) for file in loops)
     rollout = f'#include "{name}.c"\n\n{_missing(rollout, code)}{rollout}'
     words["SIZES"] = _inner_sizes(name, sizes, part("header.h") + code + rollout)
@@ -135,6 +136,7 @@ def _words(name: str, scene: Scene, flags: frozenset[str], sizes: dict[str, int]
         "ROW_RESIDUAL": residual.of_row(),
         "TOTALS": prefixed(structs.TOTALS.c(), name),
         "CONTROL": prefixed(structs.CONTROL.c(), name),
+        "CELLS": prefixed(structs.CELLS.c(), name),
     } | {key: str(value) for key, value in sizes.items()}
 
 
@@ -248,7 +250,11 @@ def _start(scene: Scene) -> ca.SX:
     own = start_of(scene.model, scene.problem.h)
     if own is not None:
         return own
-    x0, numbers = scene.model.start, initial_rows(scene.numbers, scene.h)[-1][0]
+    x0 = scene.model.start
+    if scene.of_all:  # room for what is carried, which the code finds
+        inputs = np.tile(inputs_at_start(scene.model), 2)
+        return ca.vertcat(x0, ca.SX.zeros(scene.problem.state.numel() - x0.numel() - inputs.size), inputs)
+    numbers = initial_rows(scene.numbers, scene.h)[-1][0]
     carried = start_state(scene.problem_of_numbers, numbers, scene.h, scene.tolerance)
     return ca.vertcat(x0, ca.DM(carried[x0.numel() :]))
 

@@ -72,6 +72,25 @@ CONTROL = Struct(
         Members("double", "atol[WATCHED] size[WATCHED] group[WATCHED] watched[WATCHED] rate[WATCHED] d[WATCHED]"),
     ),
 )  # fmt: skip
+CELLS = Struct(
+    "model_cells",
+    (
+        Members("long", "cells steps every", "runs, steps of each, every how many one is kept"),
+        Members("long", "rows first width", "kept of a run, of which some are known before a step; columns of each"),
+        Members("double", "last", "length of the last step, where times are multiples of the step"),
+        Members("const double *", "times lengths", "of all steps, or NULL"),
+        Members("const double *", "values", "(cells, NP)"),
+        Members("const double *", "inputs", "(steps, 2 INPUTS) at both ends of each step"),
+        Members("const long *", "jumps", "the steps that begin with a jump of an input"),
+        Members("long", "jumping", "how many"),
+        Members("const long *", "columns", "(width) of a packed row, which are kept"),
+        Members("double *", "whole kept", "a packed row; (cells, rows, width)"),
+        Members("signed char *", "index", "(cells, rows, M), or NULL"),
+        Members("signed char *", "status", "(cells) -1: to do; what is something else is left as it is"),
+        Members("double *", "taken worst changes newton failed_at", "(cells) of each"),
+        Members("long", "cell step row next jump", "where the batch stands: step -1 is before the start of a cell"),
+    ),
+)
 MOTION = Struct(
     "model_motion",
     (

@@ -15,11 +15,12 @@ from nsmodel.errors import UsageError
 from nsmodel.laws import Law
 from nsmodel.model.base import Model
 from nsmodel.model.convex import ConvexSplit
-from nsmodel.model.driven import at_start
+from nsmodel.model.driven import at_start, inputs_at_start
 from nsmodel.solve.choose import Plan
 from nsmodel.solve.structure import least_eigenvalue
 
 UNIQUENESS = "uniqueness of the solution is not guaranteed"
+OUTSIDE, LEAST_OUTSIDE = 1e-10, 1e-14  # Part of the gradient times the start, and number, that a constraint may be below 0.
 DENSE = 1500  # Rows up to which a matrix is looked at with all its eigenvalues.
 
 
@@ -30,6 +31,29 @@ def refuse_start(model: Model) -> None:
         UsageError: names the constraint, its value and the start; the friction element; the term; the law's component.
     """
     class_of(model).part("hypotheses.quick").refuse_start(at_start(model))
+
+
+def admitted(model: Any) -> ca.SX:
+    """What `refuse_start` asks of a model with parameters, as a column of their expressions, each a finite number >= 0."""
+    own = getattr(class_of(model).part("hypotheses.quick"), "admitted", None)
+    rows = ca.vertcat(ca.SX(0, 1), *([] if own is None else own(model)))
+    rows = ca.substitute(rows, model.u, ca.SX(inputs_at_start(model))) if model.u.numel() else rows
+    known = {str(symbol) for symbol in ca.symvar(model.p)}
+    asked = [row for row in ca.vertsplit(rows) if not row.is_constant() and {str(s) for s in ca.symvar(row)} <= known]
+    return ca.vertcat(ca.SX(0, 1), *asked)
+
+
+def weights(split: ConvexSplit) -> ca.SX:
+    """The weights of the terms of a convex potential that are no numbers."""
+    return ca.vertcat(ca.SX(0, 1), *(term.weight for term in split.terms if not term.weight.is_constant()))
+
+
+def inside(g: ca.SX, model: Any, label: str) -> ca.SX:
+    """By how much a start of the model, by its name, is inside {g >= 0} at t = 0, with what `refuse_outside` forgives."""
+    q0 = getattr(model, label)
+    value, gradient = ca.substitute([ca.densify(g), ca.densify(ca.jacobian(g, model.state))], [model.t, model.state], [0, q0])
+    size = ca.vertcat(ca.SX(0, 1), *(ca.norm_2(row) for row in ca.vertsplit(gradient)))
+    return value + OUTSIDE * size * ca.norm_2(q0) + LEAST_OUTSIDE
 
 
 def warnings(model: Model) -> list[str]:
@@ -85,7 +109,7 @@ def refuse_outside(g: ca.SX, names: tuple[str, ...], model: Any, label: str) -> 
                 f"constraint '{names[i]}': its {what} at the start {label} = {_short(q0)} is not a finite number "
                 "(a norm at 0, a root or division by 0?); move the start or rewrite the constraint"
             )
-        if value[i] < -1e-10 * size[i] * np.linalg.norm(q0) - 1e-14:
+        if value[i] < -OUTSIDE * size[i] * np.linalg.norm(q0) - LEAST_OUTSIDE:
             raise UsageError(
                 f"constraint '{names[i]}' = {value[i]:.6g} < 0 at the start {label} = {_short(q0)}: the start is outside the "
                 "set; move it to where every constraint is >= 0"

@@ -36,9 +36,7 @@ class OnSteps:
     def __init__(self, grid: Grid, drive: Drive, starter: Starter | None, ticks: Ticks | None) -> None:
         self._grid, self._drive, self._starter = grid, drive, starter
         self._first, self._limits = 0, np.zeros((0, 2 * drive.size))
-        at = np.zeros(0, int) if grid.times is None else np.searchsorted(grid.times, drive.jumps)
-        turns = [signal.turns for signal in drive.signals.values()]
-        self._jumps = [] if starter is None else np.unique(np.concatenate([at, *turns])).tolist()  # Numbers of steps.
+        self._jumps = [] if starter is None else drive.turns(grid.times)
         self._blocks = None if ticks is None else AtTicks(grid, drive, ticks)
 
     def state(self, state: np.ndarray, k: int, l: np.ndarray) -> np.ndarray:

@@ -28,6 +28,12 @@ def initial_rows(model: Any, h: float) -> list[tuple[np.ndarray, dict[str, np.nd
     return [(np.concatenate([state, u, u]), records) for state, records in rows]
 
 
+def start_rows(model: Any, h: ca.SX) -> list[tuple[ca.SX, dict[str, ca.SX]]]:
+    """The same as `initial_rows` as expressions of h and the parameters, the state as far as the model's own names go."""
+    own = getattr(_scheme(model), "start_rows", None)
+    return [(model.start, {})] if own is None else own(model, h)
+
+
 def start_of(model: Any, h: ca.SX) -> ca.SX | None:
     """Return the state that the first step starts from as an expression of h, where the scheme has one of its own."""
     own = getattr(_scheme(model), "start_of", None)

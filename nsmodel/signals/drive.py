@@ -69,6 +69,11 @@ class Drive:
         both = [signal.limits(t, number) for signal in self.signals.values()]
         return np.hstack([part for side in (0, 1) for part in (limits[side] for limits in both)])
 
+    def turns(self, times: np.ndarray | None) -> list[int]:
+        """The numbers of the steps that begin with a jump, in order, on a grid of these times; None: it has none of their edges."""
+        at = np.zeros(0, int) if times is None else np.searchsorted(times, self.jumps)
+        return np.unique(np.concatenate([at, *(signal.turns for signal in self.signals.values())])).tolist()
+
     def rows(self, t: np.ndarray, before: np.ndarray) -> dict[str, np.ndarray]:
         """The columns of rows at t (N,), each after a row at another time: u(t-), and u+ at that other time; at 0 u(0+) both."""
         begin = np.hstack([signal.after(before) for signal in self.signals.values()])

@@ -47,17 +47,20 @@ static int next_state(model_solver *s)
     return all_finite(MODEL_NSTATE, s->work.x_next) ? MODEL_OK : MODEL_NOT_FINITE;
 }
 
-#if RESTARTED
-/* After a jump of an input: the reaction that the law has at the time of the state, by a step of no length. */
+#if RENEWED
+/* At the start, or after a jump of an input: the reaction that the law has at the time of the state, by a step of no length. */
 static int renew_reaction(model_solver *s)
 {
     const double h = s->h;
-    double end[MODEL_INPUTS], l[MODEL_M];
+    double l[MODEL_M];
     signed char index[MODEL_M];
+#if INPUTS
+    double end[MODEL_INPUTS];
     memcpy(end, end_of(s), sizeof end);
+    memcpy(end_of(s), begin_of(s), sizeof end);
+#endif
     memcpy(l, s->l, sizeof l);
     memcpy(index, s->index, sizeof index);
-    memcpy(end_of(s), begin_of(s), sizeof end);
     first_multiplier(s, s->l, s->index);
     s->h = 0;
 #if CONSTANT
@@ -68,7 +71,9 @@ static int renew_reaction(model_solver *s)
 #if CONSTANT
     s->newton.prepared = 0;
 #endif
+#if INPUTS
     memcpy(end_of(s), end, sizeof end);
+#endif
     memcpy(s->l, l, sizeof l);
     memcpy(s->index, index, sizeof index);
     if (status == MODEL_OK)
@@ -230,7 +235,11 @@ static int restart(model_solver *s)
 #if FIXED_MAPS
     s->fixed.current = -1;
 #endif
+#if BEGUN
+    return renew_reaction(s);
+#else
     return MODEL_OK;
+#endif
 }
 
 int model_init(model_solver *s)

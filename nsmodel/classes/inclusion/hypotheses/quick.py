@@ -8,7 +8,7 @@ import numpy as np
 from nsmodel.classes.inclusion.model import MonotoneInclusion
 from nsmodel.classes.inclusion.set_valued import constraints
 from nsmodel.errors import UsageError
-from nsmodel.hypotheses.quick import refuse_outside, refuse_weights, with_values
+from nsmodel.hypotheses.quick import inside, refuse_outside, refuse_weights, weights, with_values
 
 
 def refuse_start(model: MonotoneInclusion) -> None:
@@ -21,6 +21,13 @@ def refuse_start(model: MonotoneInclusion) -> None:
             f"lower[{i}] = {low[i]:g}, upper[{i}] = {high[i]:g}{with_values(model)}: C needs an interior, lower < upper"
         )
     refuse_outside(*constraints(model), model, "x0")
+
+
+def admitted(model: MonotoneInclusion) -> list[ca.SX]:
+    """That, of all values of the parameters."""
+    low, high = (ca.substitute(bound, model.t, 0) for bound in (model.lower, model.upper))
+    own = [] if model.potential_split is None else [weights(model.potential_split)]
+    return [*own, ca.if_else(low < high, 1, -1), inside(constraints(model)[0], model, "x0")]
 
 
 def warnings(model: MonotoneInclusion) -> list[str]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 
 from nsmodel.classes.lure.model import LureSystem
-from nsmodel.hypotheses.quick import concave, not_psd, refuse_law, refuse_weights
+from nsmodel.hypotheses.quick import concave, not_psd, refuse_law, refuse_weights, weights
 
 
 def refuse_start(model: LureSystem) -> None:
@@ -14,6 +15,11 @@ def refuse_start(model: LureSystem) -> None:
         refuse_weights(model.phi_split, "phi", model)
     else:
         refuse_law(model.law, model)
+
+
+def admitted(model: LureSystem) -> list[ca.SX]:
+    """The weights, of all values of the parameters; the law says itself whether it is empty."""
+    return [weights(model.phi_split)] if model.law is None else []
 
 
 def warnings(model: LureSystem) -> list[str]:

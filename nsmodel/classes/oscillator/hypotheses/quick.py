@@ -8,7 +8,7 @@ import numpy as np
 from nsmodel.classes.oscillator.model import FrictionOscillator
 from nsmodel.classes.oscillator.schemes.inertial_proximal import slope_at_zero
 from nsmodel.errors import UsageError
-from nsmodel.hypotheses.quick import concave, not_psd, refuse_outside, refuse_weights, with_values
+from nsmodel.hypotheses.quick import concave, inside, not_psd, refuse_outside, refuse_weights, weights, with_values
 
 SPEEDS = np.concatenate([[0.0], np.logspace(-6, 3, 60)])  # Where theta' and theta'' are sampled.
 
@@ -23,11 +23,26 @@ def refuse_start(model: FrictionOscillator) -> None:
                 "the friction force at rest must be a finite number >= 0"
             )
     refuse_weights(model.potential_split, "potential", model)
-    domain = [row for rows in model.potential_split.domain for row in ca.vertsplit(rows)]
-    c = ca.vertcat(ca.SX(0, 1), *model.constraints.values(), *domain)
+    c, domain = _kept(model)
     names = (*model.constraint_names, *(f"potential: {row} >= 0" for row in domain))
-    for label in ("x0", "x1") if model.x1 is not None else ("x0",):
+    for label in _starts(model):
         refuse_outside(c, names, model, label)
+
+
+def admitted(model: FrictionOscillator) -> list[ca.SX]:
+    """That, of all values of the parameters."""
+    slopes = [slope_at_zero(element, model.s) for element in model.elements]
+    return [*slopes, weights(model.potential_split), *(inside(_kept(model)[0], model, label) for label in _starts(model))]
+
+
+def _kept(model: FrictionOscillator) -> tuple[ca.SX, list[ca.SX]]:
+    """What positions keep >= 0: constraints, then the domain of the potential; and the latter."""
+    domain = [row for rows in model.potential_split.domain for row in ca.vertsplit(rows)]
+    return ca.vertcat(ca.SX(0, 1), *model.constraints.values(), *domain), domain
+
+
+def _starts(model: FrictionOscillator) -> tuple[str, ...]:
+    return ("x0", "x1") if model.x1 is not None else ("x0",)
 
 
 def warnings(model: FrictionOscillator) -> list[str]:

@@ -127,6 +127,13 @@ def initial_rows(model: FrictionOscillator, h: float) -> list[tuple[np.ndarray, 
     ]
 
 
+def start_rows(model: FrictionOscillator, h: ca.SX) -> list[tuple[ca.SX, dict[str, ca.SX]]]:
+    """These rows as expressions of h and the parameters."""
+    if model.x1 is None:
+        return [(model.x0, {"v": model.v0})]
+    return [(model.x0, {}), (model.x1, {"v": (model.x1 - model.x0) / h})]
+
+
 def start_of(model: FrictionOscillator, h: ca.SX) -> ca.SX:
     """The state of the last of these rows as an expression of h."""
     d = h * model.v0 if model.x1 is None else model.x1 - model.x0

@@ -6,12 +6,17 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.sweeping.model import SweepingProcess
-from nsmodel.hypotheses.quick import refuse_outside
+from nsmodel.hypotheses.quick import inside, refuse_outside
 
 
 def refuse_start(model: SweepingProcess) -> None:
     """Refuse q0 outside Q(0)."""
     refuse_outside(model.g, model.multiplier_names, model, "q0")
+
+
+def admitted(model: SweepingProcess) -> list[ca.SX]:
+    """That, of all values of the parameters."""
+    return [inside(model.g, model, "q0")]
 
 
 def warnings(model: SweepingProcess) -> list[str]:

@@ -83,6 +83,12 @@ def initial_rows(model: SweepingProcess, h: float) -> list[tuple[np.ndarray, dic
     return [(q0, {"gap": np.array(gap(0, q0, inputs_at_start(model))).ravel()} if model.g.numel() else {})]
 
 
+def start_rows(model: SweepingProcess, h: ca.SX) -> list[tuple[ca.SX, dict[str, ca.SX]]]:
+    """The same as expressions of the parameters."""
+    at_start = [model.t, model.q, model.u], [ca.SX(0), model.q0, ca.SX(inputs_at_start(model))]
+    return [(model.q0, {"gap": ca.substitute([ca.densify(model.g)], *at_start)[0]} if model.g.numel() else {})]
+
+
 def derived_columns(model: SweepingProcess, arrays: dict[str, np.ndarray], h_next: np.ndarray) -> dict[str, np.ndarray]:
     """The reactions m_i / h."""
     return {"reactions": arrays["multipliers"] / arrays["step"][:, None]}

@@ -1,0 +1,87 @@
+"""The scene of all values of a model's parameters: nothing of its code is read off some of them.
+
+What is a number in the code and may depend on parameters, sizes and which ends of a law are finite, is read at values that the
+law accepts, whatever the model declares: those of a declaration may be the ones at which a law has no width or a term vanishes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.codegen.scene import INCLUSION, Scene, make_scene
+from nsmodel.errors import CodegenError, NsmodelError
+from nsmodel.grid import Grid
+from nsmodel.hypotheses.quick import admitted, refuse_start
+from nsmodel.model.base import Model
+from nsmodel.model.ticks import ticks_of
+from nsmodel.scheme import one_step_problem
+
+DRAWS = 2000  # Values that are tried, of any sign and size.
+TRIED = 20  # Of those that seem right, models that are made.
+
+
+def all_values(model: Model, grid: Grid, tolerance: float) -> Scene:
+    """The scene of a model whose parameters are all symbols.
+
+    Raises:
+        CodegenError: there are none; blocks; numbers of the code that would depend on them; no values that the law accepts.
+    """
+    if not model.p.numel():
+        raise CodegenError("the model has no parameters: declare the numbers that change, parameters={a: 1.0}")
+    if getattr(model, "blocks", ()):
+        raise CodegenError("a model with blocks has no C for all values of its parameters")
+    problem = one_step_problem(model)
+    given = problem.prediction
+    if given is not None and given.tolerances is not None and ca.depends_on(ca.vertcat(given.c, model.start), model.p):
+        raise CodegenError("the tolerances of projections rest on a point inside of the set, which parameters move")
+    scene = make_scene(model, None, grid, tolerance, numbers=accepted(model))
+    if scene.path == INCLUSION and callable(getattr(given, "tolerances", None)) and grid.step(grid.N - 1) != grid.h:
+        raise CodegenError("the tolerance of projections is a function of the step, and the last step is shorter")
+    return scene
+
+
+def accepted(model: Model) -> Model:
+    """The model at some values that its law and its start accept, and at which no end of the law meets another.
+
+    Raises:
+        CodegenError: none was found.
+    """
+    error: Exception | None = None
+    for values in _seeming_right(model):
+        try:
+            bound = model.bind(dict(zip(model.parameters, values.tolist(), strict=True)))
+            refuse_start(bound)
+            one_step_problem(bound)
+        except NsmodelError as refused:
+            error = refused
+            continue
+        return bound
+    why = f": {error}" if error is not None else ""
+    raise CodegenError(f"no values of the parameters {', '.join(model.parameters)} were found that the model accepts{why}")
+
+
+def _seeming_right(model: Model) -> Iterator[np.ndarray]:
+    """Values (np,) that what can be told of all at once lets pass, at last those declared."""
+    law = one_step_problem(model).law
+    lower, upper = ca.densify(law.lower), ca.densify(law.upper)
+    own = [i for i in range(law.size) if ca.depends_on(ca.vertcat(lower[i], upper[i]), model.p)]
+    asked = ca.vertcat(admitted(model), (upper - lower)[own])
+    f = ca.Function("asked", [model.p], [asked, (upper - lower)[own]])
+    draws = _draws(model.p.numel())
+    rows, widths = (np.array(f(draws.T)[k]).T.reshape(len(draws), -1) for k in (0, 1))
+    right = (rows >= 0).all(axis=1) & (widths > 0).all(axis=1)
+    yield from draws[np.flatnonzero(right)[:TRIED]]
+    declared = list(model.parameters.values())
+    if None not in declared:
+        yield np.array(declared, float)
+
+
+def _draws(count: int) -> np.ndarray:
+    """Positive numbers about 1, then numbers of any sign and size (DRAWS, count): always the same."""
+    rng = np.random.default_rng(0)
+    near = rng.uniform(0.5, 1.5, (DRAWS // 4, count))
+    far = rng.normal(size=(DRAWS - len(near), count)) * 10.0 ** rng.integers(-3, 4, (DRAWS - len(near), count))
+    return np.vstack([near, far])

@@ -1,0 +1,225 @@
+"""Many runs in a call: the steps of a model on a grid for many values of its parameters, in one library."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.codegen import inclusion, structs
+from nsmodel.codegen.all_values import all_values
+from nsmodel.codegen.rollout import SECONDS, library_for_all
+from nsmodel.codegen.statuses import BAD_ARITHMETIC, BAD_PARAMETER, STATUSES
+from nsmodel.errors import CodegenError, UsageError
+from nsmodel.grid import Grid
+from nsmodel.hypotheses.quick import admitted
+from nsmodel.model.base import Model
+from nsmodel.record import INNER, UNSET, VECTORS
+from nsmodel.scheme import start_rows
+
+TO_DO = -1  # The status of a cell that was not reached.
+
+_Cells = structs.CELLS.in_python()
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Runs at many values of the parameters, cell by cell.
+
+    Attributes:
+        arrays: {name: (cells, R) or (cells, R, k)} of what is kept: rows as those of a Trajectory, the start first; NaN, and in
+            index sets -2, behind a failure. Columns that are kept together are views of one array.
+        status: (cells,) of the library (see `statuses`): 0 done; -1 not reached. One that failed says only that C has no
+            verified step: the interpreted solvers may have.
+        steps: (cells,) that were taken and verified; worst_residual, index_set_changes, newton: of these, in all.
+        failed_at: (cells,) the time from which a step failed; NaN where none did.
+    """
+
+    arrays: Mapping[str, np.ndarray]
+    status: np.ndarray
+    steps: np.ndarray
+    worst_residual: np.ndarray
+    index_set_changes: np.ndarray
+    newton: np.ndarray
+    failed_at: np.ndarray
+
+
+class Batch:
+    """The steps of a model on a grid for many values of its parameters, in one library; any number of threads may ``run`` it.
+
+    Attributes:
+        names: of the parameters, one a column of values.
+        way: by what it is compiled.
+
+    Raises:
+        CodegenError: the model has no C of this kind (no parameters, blocks, large sparse steps, many bodies, a set that a
+            parameter moves under catching-up), or there is no compiler, or it fails.
+    """
+
+    def __init__(self, model: Model, grid: Grid, tolerance: float) -> None:
+        self.names, self._grid, self._model = tuple(model.parameters), grid, model
+        self._scene = all_values(model, grid, tolerance)
+        self._layout = inclusion.layout(self._scene)
+        library, self.way = library_for_all(model, grid, tolerance)
+        pointer = ctypes.c_void_p
+        self._size = library.function("size", ctypes.c_long)() // 8 + 1
+        self._run = library.function("run_cells", ctypes.c_int, pointer, ctypes.POINTER(_Cells), ctypes.c_double)
+        if library.function("init", ctypes.c_int, pointer)(np.zeros(self._size).ctypes.data) == BAD_ARITHMETIC:
+            raise CodegenError(f"{self.way}: {STATUSES[BAD_ARITHMETIC].text}")
+        rows = start_rows(model, self._scene.problem.h)
+        self._known, row = len(rows), np.full((len(rows), self._layout.width), np.nan)
+        start = ca.SX(row)
+        for k, (state, records) in enumerate(rows):
+            start[k, : state.numel()] = state
+            for name, value in records.items():
+                start[k, self._layout.slices[name]] = value
+        start = ca.substitute(start, self._scene.problem.h, grid.step(0))
+        self._start = ca.Function("start", [model.p], [ca.vec(start.T), admitted(model)])
+
+    def numbers_kept(self, every: int) -> np.ndarray:
+        """The numbers (R,) of the rows that are kept: those known before a step, every ``every``-th, the last."""
+        if every < 1:
+            raise UsageError(f"every = {every}; expected a whole number >= 1")
+        N, known = self._grid.N, self._known
+        computed = np.arange(every, N + 1, every)
+        computed = computed[computed >= known]
+        last = [N] if N >= known and N % every else []
+        return np.concatenate([np.arange(known), computed, np.array(last, int)])
+
+    def rows_kept(self, every: int) -> np.ndarray:
+        """The times (R,) of the rows that are kept: the start, every ``every``-th step, the last."""
+        return np.array([self._grid.time(k) for k in self.numbers_kept(every).tolist()])
+
+    def columns(self) -> Mapping[str, tuple[int, ...]]:
+        """What can be kept, by the names that a Trajectory has, with the shape that one row has of it."""
+        shapes = {name: () if isinstance(at, int) else (len(at),) for name, at in self._columns.items()}
+        return shapes | {"index_set": (self._scene.structure.m,)}
+
+    @cached_property
+    def _columns(self) -> dict[str, int | list[int]]:
+        """Where each stands in a packed row."""
+        model, slices, problem = self._model, self._layout.slices, self._scene.problem
+        found: dict[str, Any] = {"x": list(range(len(model.names))), "residual": self._layout.residual}
+        for name, first, other in (("multipliers", "multipliers", "l"), ("y", "outputs", "y")):
+            found[name] = _places(slices.get(first, slices[other]))
+        if self._scene.path == "NEWTON":
+            found["newton"] = self._layout.newton
+        for name, at in slices.items():
+            if name not in INNER:
+                found[name] = _places(at) if name in VECTORS or at.stop - at.start != 1 else at.start
+        of_states = {stem: list(at) if len(at) > 1 else at[0] for stem, at in model.stems.items()}
+        of_states |= {name: i for i, name in enumerate(model.names)}
+        of_rows = dict(zip(problem.multiplier_names, found["multipliers"], strict=True))
+        of_inputs = dict(zip(model.input_names, found["inputs"], strict=True)) if problem.inputs else {}
+        return of_inputs | of_rows | of_states | found  # an array comes before what has its name, as in a Trajectory
+
+    def run(
+        self, values: np.ndarray, keep: Sequence[str], every: int = 1, inputs: np.ndarray | None = None,
+        stop: Callable[[], bool] = lambda: False,
+    ) -> Cells:  # fmt: skip
+        """Run all cells, each as if it were alone.
+
+        Args:
+            values: (cells, np) of the parameters, in the order of ``names``.
+            keep: names out of ``columns``; every: which rows.
+            inputs: (N, 2 nu) of all cells, u at the begin and at the end of each step; left out: what drives the grid.
+            stop: asked about every SECONDS; where it says True the cells that are not done get the status -1.
+
+        Raises:
+            UsageError: a name that is no column; another number of parameters or of steps.
+        """
+        given = np.ascontiguousarray(values, float)
+        if given.ndim != 2 or given.shape[1] != len(self.names):
+            raise UsageError(f"values: shape {given.shape}; expected (cells, {len(self.names)}), a column for each parameter")
+        work = _Work(self._picked(keep), len(given), self.numbers_kept(every), self._scene.structure.m, "index_set" in keep)
+        self._begin(work, given)
+        control = self._control(work, given, every, self._driven(inputs))
+        memory = np.zeros(self._size)
+        while not self._run(memory.ctypes.data, ctypes.byref(control), SECONDS):
+            if stop():
+                work.forget(control.cell)
+                break
+        return work.cells(keep)
+
+    def _picked(self, keep: Sequence[str]) -> dict[str, int | list[int]]:
+        unknown = [name for name in keep if name not in self._columns and name != "index_set"]
+        if unknown:
+            raise UsageError(f"keep: '{unknown[0]}' is no column; there are {', '.join(self.columns())}")
+        return {name: self._columns[name] for name in keep if name != "index_set"}
+
+    def _begin(self, work: _Work, given: np.ndarray) -> None:
+        """The rows that are known before a step, and cells refused whose start or weights a run refuses."""
+        rows, asked = (np.array(part).T.reshape(len(given), -1) for part in self._start(given.T))
+        asked_right = (np.isfinite(asked) & (asked >= 0)).all(axis=1) | ~np.isfinite(given).all(axis=1)
+        work.status[~asked_right] = BAD_PARAMETER
+        work.kept[:, : self._known] = rows.reshape(len(given), self._known, -1)[:, :, work.columns] + 0.0
+
+    def _driven(self, inputs: np.ndarray | None) -> np.ndarray | None:
+        nu, N = self._scene.problem.inputs, self._grid.N
+        if not nu:
+            return None
+        if inputs is None and self._grid.drive is not None:
+            inputs = self._grid.drive.limits(self._grid.between(0, N), 0)
+        found = np.ascontiguousarray(inputs, float)
+        if found.shape != (N, 2 * nu):
+            raise UsageError(f"inputs: shape {found.shape}; expected ({N}, {2 * nu}), both ends of each step")
+        return found
+
+    def _control(self, work: _Work, given: np.ndarray, every: int, inputs: np.ndarray | None) -> Any:
+        """The record that the library reads and writes; it holds on to the arrays that it points to."""
+        grid, known = self._grid, self._known
+        jumps = grid.drive.turns(grid.times) if grid.drive is not None and self._scene.restarted else []
+        arrays = {
+            "times": grid.times if grid.steps is not None else None, "lengths": grid.steps, "values": given, "inputs": inputs,
+            "jumps": np.array(jumps, ctypes.c_long), "columns": work.columns.astype(ctypes.c_long),
+            "whole": np.zeros(self._layout.width), "kept": work.kept, "index": work.index, "status": work.status,
+            "taken": work.taken, "worst": work.worst, "changes": work.changes, "newton": work.newton, "failed_at": work.failed_at,
+        }  # fmt: skip
+        held = {name: None if a is None else np.ascontiguousarray(a) for name, a in arrays.items()}
+        control = _Cells(
+            cells=len(given), steps=grid.N, every=every, rows=work.rows, width=work.columns.size, last=grid.step(grid.N - 1),
+            jumping=len(jumps), step=-1, first=known, **{name: None if a is None else a.ctypes.data for name, a in held.items()},
+        )  # fmt: skip
+        control.held = held
+        return control
+
+
+class _Work:
+    """What the cells of one call write."""
+
+    def __init__(self, picked: dict[str, int | list[int]], cells: int, numbers: np.ndarray, m: int, index: bool) -> None:
+        self._at, columns = {}, []
+        for name, places in picked.items():
+            own = [places] if isinstance(places, int) else places
+            self._at[name] = len(columns) if isinstance(places, int) else slice(len(columns), len(columns) + len(own))
+            columns += own
+        self.columns, self.rows = np.array(columns, int), numbers.size
+        self.kept = np.full((cells, self.rows, len(columns)), np.nan)
+        self.index = np.full((cells, self.rows, m), UNSET, np.int8) if index else None
+        self.status = np.full(cells, TO_DO, np.int8)
+        self.taken, self.worst, self.changes, self.newton = (np.zeros(cells) for _ in range(4))
+        self.failed_at = np.full(cells, np.nan)
+
+    def forget(self, cell: int) -> None:
+        """Forget the rows of a cell that was left in the middle."""
+        self.kept[cell:] = np.nan
+        if self.index is not None:
+            self.index[cell:] = UNSET
+        for total in (self.taken, self.worst, self.changes, self.newton):
+            total[cell:] = 0
+
+    def cells(self, keep: Sequence[str]) -> Cells:
+        """What they found."""
+        arrays = {name: self.index if name == "index_set" else self.kept[:, :, self._at[name]] for name in keep}
+        whole = (part.astype(int) for part in (self.taken, self.changes, self.newton))
+        steps, changes, newton = whole
+        return Cells(arrays, self.status, steps, self.worst, changes, newton, self.failed_at)
+
+
+def _places(at: slice) -> list[int]:
+    return list(range(at.start, at.stop))
