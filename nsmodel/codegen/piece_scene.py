@@ -15,12 +15,14 @@ from nsmodel.codegen.piece_jets import CURVED, Columns, Printer
 from nsmodel.errors import CodegenError
 from nsmodel.model.base import Model
 from nsmodel.model.driven import as_parameters, inputs_at_start
+from nsmodel.once import once
 from nsmodel.pieces.jets import jets_of
 from nsmodel.pieces.lengths import LARGEST_ORDER
 from nsmodel.pieces.modes import ORDERS
 from nsmodel.pieces.multipliers import SHORT, SINGULAR, is_monotone
 from nsmodel.pieces.sliding import with_modes
 from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven
+from nsmodel.scheme.driven import driven
 
 MOST_ROWS = 64  # Of a law whose matrices are kept dense.
 TIMES = 64  # Events 1, 2, 4, ... whose times are kept.
@@ -68,7 +70,7 @@ class PieceScene:
             "LINEAR": not ca.depends_on(ca.veccat(*self.slopes[:2]), p.l),
             "SLOPES": law and not known, "DIAGONAL": diagonal, "MATRICES": law and not diagonal, "ORTHOGONAL": orthogonal,
             "GENERAL": law and not orthogonal, "STILL": diagonal and not self.curved_rows,
-            "UNIQUE": law and of_numbers and (_is_always_p(D, product(C, B)) or is_monotone(B, D, C)),
+            "UNIQUE": law and of_numbers and _has_one(B, D, C),
             "JUDGED": law and known and not of_numbers, "ENDS_SET": law and any(isinstance(e, ca.SX) for e in self.ends),
             "SWITCHED": bool(self.columns.branches), "PARAMETERS": bool(self.values), "INPUTS": self.inputs > 0,
             "OWN_PARAMETERS": len(self.values) > self.inputs, "KNOWN": bool(self.known),
@@ -153,6 +155,49 @@ def piece_scene(problem: ContinuousProblem, known: Sequence[float], values: Mapp
     return scene
 
 
+def is_unique(problem: ContinuousProblem, values: np.ndarray) -> bool:
+    """Whether g_l, h_l and h_x at these values of the parameters, which do not move, let x be the only one in all modes."""
+    matrices = _slopes(problem)(values)
+    return _has_one(*(np.array(A).reshape(A.shape) for A in matrices))
+
+
+def free_problem(model: Model) -> ContinuousProblem:
+    """The same, once for a model; CodegenError too where it has no parameters, or blocks."""
+    found = _free(model)
+    if isinstance(found, str):
+        raise CodegenError(found)
+    return found
+
+
+def has_operations_of(problem: ContinuousProblem, free: ContinuousProblem) -> bool:
+    """Whether a problem with values has the operations of that without, one by one: else a switch may look at something else."""
+    return _operations(problem) == _operations(free)
+
+
+@once
+def _operations(p: ContinuousProblem) -> list[int]:
+    whole = ca.Function("whole", [p.t, p.x, p.l, p.p], [p.f, p.g, p.h])
+    count, given = whole.n_instructions(), (ca.OP_INPUT, ca.OP_CONST)
+    return [whole.instruction_id(i) for i in range(count) if whole.instruction_id(i) not in given]
+
+
+@once
+def _free(model: Model) -> ContinuousProblem | str:
+    if not model.p.numel():
+        return "the model has no parameters: declare the numbers that change, parameters={a: 1.0}"
+    if model.blocks:
+        return "pieces that blocks end have no C counterpart"
+    try:
+        return problem_for_all(model)
+    except CodegenError as error:
+        return str(error)
+
+
+@once
+def _slopes(problem: ContinuousProblem) -> ca.Function:
+    return ca.Function("slopes", [problem.p], [ca.densify(A) for A in problem.slopes])
+
+
 def problem_for_all(model: Model) -> ContinuousProblem:
     """A model in continuous time whose parameters stay symbols: what it is of all their values.
 
@@ -163,7 +208,7 @@ def problem_for_all(model: Model) -> ContinuousProblem:
     if module is None:
         raise CodegenError("event-driven integration in C does not take many bodies, whose contacts change at nearly every step")
     try:
-        problem = module.continuous_problem(model)
+        problem = driven(module.continuous_problem(model), model)
         for _, block in problem.law.parts():
             if not block.separable and not all(ca.SX(value).is_constant() for value in block.numbers.values()):
                 raise CodegenError(f"the law '{block.label}' is curved, and of a size that depends on parameters; give these values")
@@ -211,6 +256,10 @@ def is_diagonal(A: Matrix) -> bool:
     """Whether A has entries on its diagonal, none of them always 0, and 0 elsewhere."""
     there = pattern(A)
     return bool(np.diag(there).all() and not (there & ~np.eye(len(there), dtype=bool)).any())
+
+
+def _has_one(B: np.ndarray, D: np.ndarray, C: np.ndarray) -> bool:
+    return _is_always_p(D, C @ B) or is_monotone(B, D, C)
 
 
 def _is_always_p(D: np.ndarray, W: np.ndarray) -> bool:

@@ -14,6 +14,7 @@ from nsmodel.codegen.piece_collocation import collocation_code
 from nsmodel.codegen.piece_jets import sizes_of_switches
 from nsmodel.codegen.piece_scene import PieceScene, scene_of
 from nsmodel.codegen.piece_tables import in_struct, products, set_tables, tables
+from nsmodel.codegen.structs import ASKED, PIECE_CELLS
 from nsmodel.dense import UNKNOWN
 from nsmodel.model.base import Model
 from nsmodel.pieces.sizes import moves
@@ -56,6 +57,7 @@ def _words(scene: PieceScene, name: str, title: str, shared: str | None) -> dict
         "CONSTANTS": constants.of_pieces(),
         "STATUSES": prefixed(statuses.enumeration(), name) if shared is None else f'#include "{shared}"',
     }  # fmt: skip
+    words |= {"ASKED": prefixed(ASKED.c(), name), "PIECE_CELLS": prefixed(PIECE_CELLS.c(), name)}
     words["SET"] = in_struct(tables(scene).settable)
     words["STRUCT"] = fragment("pieces_struct.h", scene.flags, words)
     return words

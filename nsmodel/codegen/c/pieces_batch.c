@@ -4,23 +4,13 @@
 #define LOOK 32 /* pieces between two looks at the clock */
 #define WIDEST 1e100 /* a state beyond this has diverged */
 
-enum { OF_PIECES, OF_EVENTS, OF_ESTIMATE, OF_RESIDUAL, OF_FAILED, OF_ROWS, OF_UNIQUE, OF_COLUMNS };
-
 /* What a row has: x, l, columns of a trajectory, multipliers of the user's law, their integrals since the row before, two numbers. */
 enum {
     ROW_X, ROW_L = ROW_X + N, ROW_MORE = ROW_L + M, ROW_OWN = ROW_MORE + RECORDS, ROW_STEP = ROW_OWN + SHOWN,
     ROW_ESTIMATE = ROW_STEP + (IMPULSES ? M : 0), ROW_RESIDUAL, ROW_WIDTH
 };
 
-/* Where a call goes on. */
-typedef struct {
-    long cell, row, pieces;
-    int begun;
-    double worst; /* defect since the last row */
-    double until[M + 1], told[M + 1]; /* integrals of l: to the end of the pieces, to the last row */
-} model_batch;
-
-long model_batch_size(void) { return (long)sizeof(model_batch); }
+@PIECE_CELLS@
 
 long model_row_width(void) { return ROW_WIDTH; }
 
@@ -71,13 +61,13 @@ static double off_law(const model_pieces *s, const double *l, const double *y)
 }
 
 /* A row at time t of the last piece; the start of the run is one at t = 0. */
-static void write_row(model_pieces *s, model_batch *at, double t, int more, double *row, signed char *codes, double *totals)
+static void write_row(model_pieces *s, model_piece_cells *at, double t, double *row, signed char *codes)
 {
     const double *c = s->piece + AT_C, begin = s->piece[AT_T], end = begin + s->piece[AT_TAU]*s->piece[AT_S];
     const double here = (t - begin)/s->piece[AT_TAU];
     for (int j = 0; j < N + M; j++)
         row[j] = term_by_term(c + j, s->order, here);
-    if (more || FEEDS) {
+    if (at->more || FEEDS) {
         records(s, &t, row, row + ROW_L, row + ROW_MORE);
 #if REWRITTEN
         own_multipliers(s, &t, row, row + ROW_L, row + ROW_OWN);
@@ -85,42 +75,45 @@ static void write_row(model_pieces *s, model_batch *at, double t, int more, doub
     }
     if (t == end)
         memcpy(row, s->piece + AT_LAST, N*sizeof *row);
-    row[ROW_ESTIMATE] = at->worst;
+    row[ROW_ESTIMATE] = at->defect;
     row[ROW_RESIDUAL] = off_law(s, row + ROW_L, row + ROW_MORE);
-    totals[OF_RESIDUAL] = max_of(row[ROW_RESIDUAL], totals[OF_RESIDUAL]);
+    if (t != 0)
+        at->worst[at->cell] = max_of(row[ROW_RESIDUAL], at->worst[at->cell]);
     for (int i = 0; i < M; i++)
         codes[i] = (signed char)s->piece[AT_CODES + i];
+    if (t != 0) {
+        at->defect = s->piece[AT_DEFECT];
 #if IMPULSES
-    for (int i = 0; i < M; i++) {
-        const double part = s->piece[AT_TAU]*integral_of(c + L + i, s->order, here), now = at->until[i] + (s->piece[AT_IMPULSE + i] + part);
-        row[ROW_STEP + i] = now - at->told[i];
-        at->told[i] = now;
-    }
+        for (int i = 0; i < M; i++) {
+            const double part = s->piece[AT_IMPULSE + i] + s->piece[AT_TAU]*integral_of(c + L + i, s->order, here);
+                const double now = at->until[i] + part;
+            row[ROW_STEP + i] = now - at->told[i];
+            at->told[i] = now;
+        }
 #endif
-    if (t == 0) {
-        start(s, row);
+        return;
+    }
+    start(s, row);
 #if HELD
-        memcpy(row + N - MODEL_PIECES_HELD, s->data, MODEL_PIECES_HELD*sizeof *row);
+    memcpy(row + N - MODEL_PIECES_HELD, s->data, MODEL_PIECES_HELD*sizeof *row);
 #endif
-        for (int i = 0; i < M; i++)
-            codes[i] = NO_CODE;
-    }
-    else
-        at->worst = s->piece[AT_DEFECT];
+    for (int i = 0; i < M; i++)
+        codes[i] = NO_CODE;
 }
 
 /* The rows that the last piece has, of those that are asked for. */
-static void write_rows(model_pieces *s, model_batch *at, const double *times, long rows, int more, double *out, signed char *codes, double *totals)
+static void write_rows(model_pieces *s, model_piece_cells *at)
 {
     const double end = s->piece[AT_T] + s->piece[AT_TAU]*s->piece[AT_S];
-    totals[OF_PIECES] += 1;
-    totals[OF_EVENTS] += s->piece[AT_EVENT] != 0;
-    totals[OF_ESTIMATE] = max_of(s->piece[AT_DEFECT], totals[OF_ESTIMATE]);
-    if (!(at->row < rows && times[at->row] == 0))
-        at->worst = max_of(at->worst, s->piece[AT_DEFECT]);
-    for (; at->row < rows && times[at->row] <= end; at->row++) {
-        write_row(s, at, times[at->row], more, out + at->row*ROW_WIDTH, codes + at->row*M, totals);
-        at->worst = max_of(at->worst, s->piece[AT_DEFECT]);
+    const long cell = at->cell;
+    at->pieces[cell] += 1;
+    at->events[cell] += s->piece[AT_EVENT] != 0;
+    at->estimate[cell] = max_of(s->piece[AT_DEFECT], at->estimate[cell]);
+    at->defect = max_of(at->defect, s->piece[AT_DEFECT]);
+    for (; at->row < at->rows && at->times[at->row] <= end; at->row++) {
+        const long row = cell*at->rows + at->row;
+        write_row(s, at, at->times[at->row], at->kept + row*ROW_WIDTH, at->index + row*M);
+        at->taken[cell] += at->times[at->row] != 0;
     }
 #if IMPULSES
     const double whole = (end - s->piece[AT_T])/s->piece[AT_TAU];
@@ -129,50 +122,50 @@ static void write_rows(model_pieces *s, model_batch *at, const double *times, lo
 #endif
 }
 
-/* Begin with the next cell. */
-static int begin_cell(model_pieces *s, model_batch *at, const model_asked *of, const double *p, double *totals)
+static int has_diverged(const model_pieces *s)
 {
-    const long cell = at->cell;
-    memset(at, 0, sizeof *at);
-    at->cell = cell;
-    at->begun = 1;
-    memset(totals, 0, OF_COLUMNS*sizeof *totals);
-    totals[OF_FAILED] = NAN;
-    const int status = begin_run(s, of, p, 0);
-    for (int i = 0; i < N && status == MODEL_OK; i++)
+    for (int i = 0; i < N; i++)
         if (!(fabs(s->at.x[i]) <= WIDEST))
-            return MODEL_NOT_FINITE;
-    return status;
+            return 1;
+    return 0;
+}
+
+/* Begin with a cell; where its start is no number, so is its set. */
+static int begin_cell(model_pieces *s, const model_asked *of, model_piece_cells *at)
+{
+    at->begun = 1;
+    at->row = at->made = 0;
+    at->defect = 0;
+    memset(at->until, 0, M*sizeof *at->until);
+    memset(at->told, 0, M*sizeof *at->told);
+    const int status = begin_run(s, of, at->values + at->cell*MODEL_PIECES_NP, 0);
+    return status == MODEL_NOT_FINITE ? MODEL_BAD_PARAMETER : status == MODEL_OK && has_diverged(s) ? MODEL_NOT_FINITE : status;
 }
 
 /*
- * Runs to t_end of cells that differ in their parameters p, from at->cell on, for about so many seconds; how many are behind. Of each
- * a status; totals; rows at increasing times, which stay as they were from where a run fails; codes of the rows.
+ * Runs of cells that differ in their parameters, from at->cell on, for about so many seconds: whether all are behind. Rows stay as they
+ * were from where a run fails.
  */
-long model_cells(model_pieces *s, model_batch *at, const model_asked *of, const double *p, long cells, double t_end, const double *times,
-                 long rows, int more, long most, double seconds, double *out, signed char *codes, int *statuses, double *totals)
+int model_run_cells(model_pieces *s, const model_asked *of, model_piece_cells *at, double seconds)
 {
     const clock_t first = clock();
     long count = 0;
-    for (; at->cell < cells; at->cell++, at->begun = 0) {
+    for (; at->cell < at->cells; at->cell++, at->begun = 0) {
         const long cell = at->cell;
-        double *const of_cell = totals + cell*OF_COLUMNS;
-        int status = at->begun ? MODEL_OK : begin_cell(s, at, of, p + cell*MODEL_PIECES_NP, of_cell);
-        while (status == MODEL_OK && s->at.t < t_end) {
+        if (at->status[cell] != -1)
+            continue;
+        int status = at->begun ? MODEL_OK : begin_cell(s, of, at);
+        while (status == MODEL_OK && s->at.t < at->t_end) {
             if (++count % LOOK == 0 && (double)(clock() - first) > seconds*CLOCKS_PER_SEC)
-                return at->cell;
-            status = at->pieces++ < most ? advance_piece(s) : MODEL_NOT_SOLVED;
+                return 0;
+            status = at->made++ < at->most ? advance_piece(s) : MODEL_NOT_SOLVED;
             if (status == MODEL_OK)
-                write_rows(s, at, times, rows, more, out + cell*rows*ROW_WIDTH, codes + cell*rows*M, of_cell);
-            for (int i = 0; i < N && status == MODEL_OK; i++)
-                if (!(fabs(s->at.x[i]) <= WIDEST))
-                    status = MODEL_NOT_FINITE;
+                write_rows(s, at);
+            if (status == MODEL_OK && has_diverged(s))
+                status = MODEL_NOT_FINITE;
         }
-        if (status != MODEL_OK)
-            of_cell[OF_FAILED] = s->at.t;
-        of_cell[OF_ROWS] = (double)at->row;
-        of_cell[OF_UNIQUE] = s->at.unique[2];
-        statuses[cell] = status;
+        at->failed_at[cell] = status == MODEL_OK ? NAN : s->at.t;
+        at->status[cell] = (signed char)status;
     }
-    return at->cell;
+    return 1;
 }

@@ -9,12 +9,8 @@ long model_size(void) { return (long)sizeof(model_pieces); }
 /* What a piece takes in a list of them. */
 long model_width(int order) { return AT_C + (long)(order + 1)*ROWS; }
 
-/* What a run is asked for: residuals, see the struct; known times, 0 the first, and what is held after each. */
-typedef struct {
-    double rtol;
-    const double *atol, *known, *data;
-    long knowns, residuals;
-} model_asked;
+/* What a run is asked for. */
+@ASKED@
 
 /* Begin at the start of the model with these parameters; unique: they are known to let x be the only one in all modes. */
 static int begin_run(model_pieces *s, const model_asked *of, const double *p, int unique)
@@ -51,6 +47,17 @@ static int begin_run(model_pieces *s, const model_asked *of, const double *p, in
 }
 
 int model_begin(model_pieces *s, const model_asked *of, const double *p, int unique) { return begin_run(s, of, p, unique); }
+
+#if PARAMETERS
+/* Whether the code is for these parameters too: a status. */
+int model_takes(model_pieces *s, const double *p)
+{
+    const int status = clear(s, ROUGHEST);
+    memcpy(s->p, p, sizeof s->p);
+    return status == MODEL_OK ? take_parameters(s) : status;
+}
+
+#endif
 
 /* Pieces until a time, as many as there is room for; how many. *status is that of the piece that could not be made. */
 long model_many(model_pieces *s, double until, long room, double *out, int *status)
