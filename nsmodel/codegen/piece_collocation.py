@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -37,7 +38,9 @@ def memory(unknown: int) -> dict[str, int]:
 def collocation_code(scene: PieceScene, given: Mapping[str, ca.SX]) -> str:
     """The tables and functions; ``given``: t, x, l and parameters by their names."""
     p, (B, D, _) = scene.problem, scene.matrices
-    of = on_sides(p, {name: made.jets for name, made in scene.printers.items()}, B, D)
+    whole = replace(p, p=ca.veccat(p.p, scene.derived.symbols))
+    of = on_sides(whole, {name: made.jets for name, made in scene.printers.items()}, B, D)
+    of = of._replace(values=scene.derived.back(of.values), slopes=scene.derived.back(of.slopes))
     sided = dict(given) | ({"s->at.choice": of.choices} if of.choices.numel() else {})
     text = _tables()
     if of.choices.numel():

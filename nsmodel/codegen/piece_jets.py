@@ -54,7 +54,7 @@ class Printer:
         self.column = {row: columns.inputs[place] for place, row in jets.inputs.items()}
         self.free = _without_l(jets, columns.alike)
         self.standing: set[int] = set()  # Rows that h has computed.
-        for row in sorted(_read(jets) - set(self.column)):
+        for row in sorted(_read(jets, self.degree) - set(self.column)):
             of = self.free.get(row, -1)
             if part == "g" and of in columns.standing:
                 self.column[row] = columns.standing[of]
@@ -138,7 +138,11 @@ class Printer:
             if self.degree[line.y] == 0:
                 value[line.y] = ZERO  # What is stored is 0 from order 1 on for good.
                 continue
-            text = self._linear(line, value) if line.kind in LINEAR | CHOSEN else self._convolved(line)
+            by = scaled_by(line, self.degree)
+            if by is not None:
+                text = self._scaled(line, by, value)
+            else:
+                text = self._linear(line, value) if line.kind in LINEAR | CHOSEN else self._convolved(line)
             if text == ZERO or (line.y not in self.column and text.isidentifier()):
                 value[line.y] = text
             else:
@@ -166,6 +170,12 @@ class Printer:
             return at[0]
         side = f"s->at.choice[{self.offset + line.branch}]"
         return f"{side} {'== 0' if line.kind == 'equal' else '> 0'} ? {at[0]} : {at[1]}"
+
+    def _scaled(self, line: Line, by: int, value: Mapping[int, str]) -> str:
+        of, factor = value[line.args[1 - by]], f"s->c[0][{self.column[line.args[by]]}]"
+        if of == ZERO:
+            return ZERO
+        return f"{factor}*{_within(of)}" if line.kind == "product" else f"{_within(of)}/{factor}"
 
     def _convolved(self, line: Line) -> str:
         rows, degree = [self._row(row) for row in line.args], [self.degree[row] for row in line.args]
@@ -209,11 +219,27 @@ def _degrees(jets: Jets, given: Mapping[int, int]) -> dict[int, int]:
     return degree
 
 
-def _read(jets: Jets) -> set[int]:
+def scaled_by(line: Line, degree: Mapping[int, int]) -> int | None:
+    """Which argument of a product is a number of all orders, or of a quotient below; None where there is none, or both are."""
+    if line.kind not in ("product", "quotient"):
+        return None
+    places = [place for place in ((0, 1) if line.kind == "product" else (1,)) if degree[line.args[place]] == 0]
+    return places[0] if places and degree[line.args[1 - places[0]]] > 0 else None
+
+
+def _within(text: str) -> str:
+    """As a factor."""
+    return text if text.replace("_", "").replace("[", "").replace("]", "").isalnum() else f"({text})"
+
+
+def _read(jets: Jets, degree: Mapping[int, int]) -> set[int]:
     """The rows of which a recurrence, a condition or a later order reads other orders than its own."""
     read = {branch.row for branch in jets.branches}
     for line in jets.lines:
-        if line.kind == "guarded":
+        by = scaled_by(line, degree)
+        if by is not None:
+            read.add(line.args[by])
+        elif line.kind == "guarded":
             read.add(line.args[0])
         elif line.kind not in LINEAR | CHOSEN | FIXED:
             read |= {line.y, *line.args}

@@ -11,7 +11,8 @@ import numpy as np
 
 from nsmodel.classes.registry import class_of
 from nsmodel.codegen.piece_collocation import MOST_UNKNOWN, kept_in, memory
-from nsmodel.codegen.piece_jets import CURVED, Columns, Printer
+from nsmodel.codegen.piece_jets import CURVED, Columns, Printer, scaled_by
+from nsmodel.codegen.piece_parameters import Derived, derived
 from nsmodel.errors import CodegenError
 from nsmodel.model.base import Model
 from nsmodel.model.driven import as_parameters, inputs_at_start
@@ -84,8 +85,7 @@ class PieceScene:
     def curved_rows(self) -> bool:
         """Whether h is made of more than sums of x, l and functions of t."""
         h = self.printers["h"]
-        scaled = {y for y, kind, args in ((line.y, line.kind, line.args) for line in h.jets.lines)
-                  if kind == "product" and min(h.degree[row] for row in args) == 0}  # fmt: skip
+        scaled = {line.y for line in h.jets.lines if scaled_by(line, h.degree) is not None}
         return any(h.degree[row] > 1 and row not in h.jets.inputs.values() and row not in scaled for row in h.column) or any(
             which == 1
             for which, _ in h.jets.inputs
@@ -104,18 +104,28 @@ class PieceScene:
 
     @cached_property
     def _made(self) -> tuple[Columns, dict[str, Printer]]:
-        p, (B, D, _) = self.problem, self.matrices
+        p = self.problem
         n, m = p.x.numel(), p.l.numel()
         inputs = {(1, i): i for i in range(n)} | {(2, i): n + i for i in range(m)} | {(0, 0): n + 2 * m}
         count = n + 2 * m + 1
-        inputs |= {(3, i): count + i for i in range(p.p.numel())}
-        count += p.p.numel()
+        given = ca.veccat(p.p, self.derived.symbols)
+        inputs |= {(3, i): count + i for i in range(given.numel())}
+        count += given.numel()
         columns = Columns(inputs, count)
-        h = p.h if D is None or not m else ca.substitute(p.h, p.l, ca.SX.zeros(m))
-        exprs = {"f": p.f, "h": h} if B is not None else {"f": p.f, "h": h, "g": p.g}
         degrees = {0: 1, 1: CURVED, 2: CURVED, 3: 0}
-        made = {name: Printer(jets_of(expr, [p.t, p.x, p.l, p.p], name), name, columns, degrees) for name, expr in exprs.items()}
+        made = {
+            name: Printer(jets_of(expr, [p.t, p.x, p.l, given], name), name, columns, degrees)
+            for name, expr in self.derived.expressions.items()
+        }
         return columns, made
+
+    @cached_property
+    def derived(self) -> Derived:
+        """f, h without D l, and g where it is not B l."""
+        p, (B, D, _) = self.problem, self.matrices
+        m = p.l.numel()
+        h = p.h if D is None or not m else ca.substitute(p.h, p.l, ca.SX.zeros(m))
+        return derived({"f": p.f, "h": h} if B is not None else {"f": p.f, "h": h, "g": p.g}, p.p)
 
     @property
     def branches(self) -> dict[str, slice]:
@@ -147,12 +157,16 @@ def piece_scene(problem: ContinuousProblem, known: Sequence[float], values: Mapp
         CodegenError: l in slip is a series, or the law has too many rows that depend on each other.
     """
     if problem.sliding:
-        raise CodegenError(f"while '{problem.sliding[0]}' slips, its l is a series of y, which only interpreted pieces have")
+        raise CodegenError(_series_in_slip(problem))
     scene = PieceScene(problem, dict(values or {}), tuple(known))
     m = problem.l.numel()
     if m > MOST_ROWS and "MATRICES" in scene.flags:
         raise CodegenError(f"{m} rows that depend on each other are more than the {MOST_ROWS} that pieces in C have room for")
     return scene
+
+
+def _series_in_slip(problem: ContinuousProblem) -> str:
+    return f"while '{problem.sliding[0]}' slips, its l is a series of y, which only interpreted pieces have"
 
 
 def is_unique(problem: ContinuousProblem, values: np.ndarray) -> bool:
@@ -167,18 +181,6 @@ def free_problem(model: Model) -> ContinuousProblem:
     if isinstance(found, str):
         raise CodegenError(found)
     return found
-
-
-def has_operations_of(problem: ContinuousProblem, free: ContinuousProblem) -> bool:
-    """Whether a problem with values has the operations of that without, one by one: else a switch may look at something else."""
-    return _operations(problem) == _operations(free)
-
-
-@once
-def _operations(p: ContinuousProblem) -> list[int]:
-    whole = ca.Function("whole", [p.t, p.x, p.l, p.p], [p.f, p.g, p.h])
-    count, given = whole.n_instructions(), (ca.OP_INPUT, ca.OP_CONST)
-    return [whole.instruction_id(i) for i in range(count) if whole.instruction_id(i) not in given]
 
 
 @once
@@ -209,6 +211,8 @@ def problem_for_all(model: Model) -> ContinuousProblem:
         raise CodegenError("event-driven integration in C does not take many bodies, whose contacts change at nearly every step")
     try:
         problem = driven(module.continuous_problem(model), model)
+        if problem.growths:
+            raise CodegenError(_series_in_slip(problem))
         for _, block in problem.law.parts():
             if not block.separable and not all(ca.SX(value).is_constant() for value in block.numbers.values()):
                 raise CodegenError(f"the law '{block.label}' is curved, and of a size that depends on parameters; give these values")

@@ -104,6 +104,9 @@ def _own(scene: PieceScene) -> str:
     numbers = [f"    s->c[0][{column}] = {value!r};\n" for column, value in scene.columns.numbers.items()]
     first = scene.sizes["N"] + 2 * m + 1
     numbers += [f"    s->c[0][{first + i}] = s->p[{i}];\n" for i in range(len(scene.values))]
+    if scene.derived.parts.numel():
+        parts.append(_printed("numbers_of_parameters", own, {"out": scene.derived.parts}))
+        numbers.append(f"    numbers_of_parameters(s, s->c[0] + {first + len(scene.values)});\n")
     numbers += ["    set_tables(s);\n"] if listed.settable else []
     parts.append(f"static void numbers(model_pieces *s)\n{{\n{''.join(numbers) or '    (void)s;' + chr(10)}}}\n")
     return "\n".join(parts)

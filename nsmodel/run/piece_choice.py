@@ -54,7 +54,7 @@ def chosen_maker(
 ) -> Chosen:
     """In C where that is asked for, or pays, or the run that is resumed had it; ``free``: the model before it had values."""
     made: list[Course] = []
-    of_all = None if free is None or options.compiled is False else _of_all_values(free, problem)
+    of_all = None if free is None or options.compiled is False else _of_all_values(free, problem, model)
     own, mark = mark, mark if of_all is None else of_all[1]
     plan = _plan(problem, options, tolerances[0], model)
 
@@ -64,10 +64,9 @@ def chosen_maker(
         if model.blocks:
             raise CodegenError("pieces that blocks end have no C counterpart")
         fixed, held = () if problem.held else known.times, known.table
-        if of_all is not None and free is not None:
-            values = [model.bound_parameters[name] for name in free.parameters]
+        if of_all is not None:
             with suppress(NotForTheseError):
-                return PiecesInC(*of_all, *tolerances, fixed, held, values, residuals=options.certified)
+                return PiecesInC(*of_all[:2], *tolerances, fixed, held, of_all[2], residuals=options.certified)
         return PiecesInC(problem, own, *tolerances, fixed, held, residuals=options.certified)
 
     def course() -> Course:
@@ -93,21 +92,20 @@ def chosen_maker(
     return Chosen(maker, found.way, lambda rows: found.steps.columns(rows, size), found.plan, found.warnings)
 
 
-def _of_all_values(free: Model, problem: ContinuousProblem) -> tuple[ContinuousProblem, str] | None:
-    """The model in continuous time with its parameters as symbols, and the mark of its library; None where it has none.
-
-    Where operations are switches, those of these values must be the same ones: C and the integrator take over from each other.
-    """
+def _of_all_values(free: Model, problem: ContinuousProblem, model: Model) -> tuple[ContinuousProblem, str, list[float]] | None:
+    """The model in continuous time with its parameters as symbols, the mark of its library, the values; None where it has none."""
     from nsmodel.codegen.piece_runs import mark_of_all
-    from nsmodel.codegen.piece_scene import free_problem, has_operations_of
+    from nsmodel.codegen.piece_scene import free_problem
+    from nsmodel.codegen.piece_switches import has_switches_of
 
     try:
         found = free_problem(free)
     except CodegenError:
         return None
-    if facts(problem).is_switched and not has_operations_of(problem, found):
+    values = [model.bound_parameters[name] for name in free.parameters]
+    if not has_switches_of(problem, found, values):
         return None
-    return found, mark_of_all(found)
+    return found, mark_of_all(found), values
 
 
 def _course(problem: ContinuousProblem, options: Options, rtol: float, atol: list[float], known: Known) -> Course:

@@ -9,6 +9,8 @@ from nsmodel.classes.first_order.model import FirstOrderSystem
 from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven
 from nsmodel.scheme.problem import basic_law
 
+SINGULAR = "M is singular: its rows without x' are equations, which need steps; take method='time-stepping'"
+
 
 def continuous_problem(model: FirstOrderSystem) -> ContinuousProblem:
     """Return the model in continuous time.
@@ -32,7 +34,11 @@ def continuous_problem(model: FirstOrderSystem) -> ContinuousProblem:
 def _inverse(M: ca.SX) -> ca.SX:
     if (M - ca.SX.eye(M.shape[0])).is_zero():
         return ca.SX.eye(M.shape[0])
+    if not M.is_constant():
+        if ca.sprank(M) < M.shape[0]:
+            raise NotEventDriven(SINGULAR)
+        return ca.inv(ca.densify(M))
     numbers = np.array(ca.DM(M))
     if np.linalg.matrix_rank(numbers) < numbers.shape[0]:
-        raise NotEventDriven("M is singular: its rows without x' are equations, which need steps; take method='time-stepping'")
+        raise NotEventDriven(SINGULAR)
     return ca.SX(ca.sparsify(ca.DM(np.linalg.inv(numbers))))

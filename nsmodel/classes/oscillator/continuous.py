@@ -12,6 +12,8 @@ from nsmodel.model.arguments import rows_called
 from nsmodel.scheme.continuous import ContinuousProblem, Growth, NotEventDriven
 from nsmodel.scheme.problem import subdifferential
 
+SOME = 0.7  # A value of parameters like any other.
+
 
 def continuous_problem(model: FrictionOscillator) -> ContinuousProblem:
     """Return the model in continuous time: rows H v of the friction elements, then kinks and constraints of the position.
@@ -68,11 +70,17 @@ def _growth(element: Friction, s: ca.SX, first: int) -> Growth | None:
     curvature = ca.gradient(slope, s)
     if not ca.depends_on(curvature, s):
         return None
-    if element.H.shape[0] == 1 and np.isfinite(float(ca.substitute(curvature, s, 0))):
+    if element.H.shape[0] == 1 and np.isfinite(_at(ca.substitute(curvature, s, 0))):
         return None
     least = slope_at_zero(element, s)
-    if not float(least):
+    if not _at(least):
         raise NotEventDriven(
             f"friction '{element.name}': theta'(0) = 0, and theta' is not linear: |Hv| has no series where the motion turns"
         )
     return Growth(first, s, slope / least)
+
+
+def _at(expression: ca.SX) -> float:
+    """The number that an expression is; of parameters, one that it is at some of them."""
+    symbols = ca.veccat(*ca.symvar(expression))
+    return float(ca.substitute(expression, symbols, SOME + 0 * symbols) if symbols.numel() else expression)
