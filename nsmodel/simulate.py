@@ -203,7 +203,8 @@ def _with_rtol(model: Model, options: Options, free: Model | None) -> Run:
         problem = problem_of(model)
         _refuse_of_steps(options)
         folder = _Folder(options)
-        walk = EventDriven(model, options, problem, lambda: folder.way() if options.resume and not options.certified else None, free)
+        resumed = options.resume and not options.certified
+        walk = EventDriven(model, options, problem, lambda: folder.way() if resumed else None, free)
     except (NotEventDriven, OpaqueExpression, StepError) as error:
         if options.method == METHODS[1] or options.times is not None or options.certified:
             raise error if isinstance(error, StepError) else UsageError(f"not event-driven: {error}") from error

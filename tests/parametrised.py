@@ -44,8 +44,8 @@ def with_parameters(model: Any, **more: Any) -> Any:
             field, signs = rate * model.field, ca.sign(model.sign_arguments)
             operator = ca.substitute(model.operator, model.sign_symbols, signs) if signs.numel() else model.operator
             return MonotoneInclusion(
-                t=model.t, x=model.x, field=field, operator=operator, lower=side * model.lower, upper=side * model.upper,
-                constraints=dict(model.constraints), x0=model.x0, scheme=model.scheme, **given,
+                t=model.t, x=model.x, field=field, operator=operator,
+                lower=finite(side, model.lower), upper=finite(side, model.upper), constraints=dict(model.constraints), x0=model.x0, scheme=model.scheme, **given,
             )  # fmt: skip
     raise TypeError(type(model).__name__)
 
@@ -53,3 +53,8 @@ def with_parameters(model: Any, **more: Any) -> Any:
 def scaled(law: Any, factor: ca.SX) -> Any:
     """Boxes with all ends times a factor, infinite ones too."""
     return laws.box(factor * law.lower, factor * law.upper)
+
+
+def finite(factor: ca.SX, ends: ca.SX) -> ca.SX:
+    """The ends of C that are there times a factor."""
+    return ca.vertcat(*(end if str(end) in ("inf", "-inf") else factor * end for end in ca.vertsplit(ends)))

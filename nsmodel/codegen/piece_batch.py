@@ -15,7 +15,7 @@ from nsmodel.codegen.batch import TO_DO, Cells
 from nsmodel.codegen.piece_runs import Asked, Compiled, mark_of_all
 from nsmodel.codegen.piece_scene import free_problem
 from nsmodel.codegen.rollout import SECONDS
-from nsmodel.codegen.statuses import BAD_PARAMETER
+from nsmodel.codegen.statuses import BAD_PARAMETER, NO_MODE
 from nsmodel.codegen.structs import PIECE_CELLS
 from nsmodel.dense import UNKNOWN
 from nsmodel.errors import CodegenError, UsageError
@@ -61,8 +61,8 @@ class PieceBatch:
         way: by what it is compiled.
 
     Raises:
-        CodegenError: the model has no parameters, or no pieces in C that are those of all their values (blocks; a curved law; many
-            bodies; more than LARGE operations; what time stepping alone takes), or there is no compiler, or it fails.
+        CodegenError: the model has no parameters, or no pieces in C that are those of all their values (blocks; a curved law;
+            many bodies; more than LARGE operations; what time stepping alone takes), or there is no compiler, or it fails.
         UsageError: a time, rtol or atol that is none.
     """
 
@@ -111,7 +111,7 @@ class PieceBatch:
         """Where each stands in a row of C."""
         p, model = self._p, self._model
         n, m, own = p.x.numel(), p.l.numel(), len(self._rows)
-        at, found = n + 2 * m, {"x": list(range(p.states))}
+        at, found = n + 2 * m, dict[str, Any](x=list(range(p.states)))
         for name, expression in p.columns.items():
             size = expression.numel()
             found[name] = at if name == "energy" else list(range(at, at + size))
@@ -148,7 +148,8 @@ class PieceBatch:
         if unknown:
             raise UsageError(f"keep: '{unknown[0]}' is no column; there are {', '.join(self.columns())}")
         work = _Work(len(given), len(self._times), self._width, self._p.l.numel())
-        work.status[~self._right(given)] = BAD_PARAMETER
+        work.status[self._is_singular(given)] = NO_MODE
+        work.status[~self._is_right(given)] = BAD_PARAMETER
         plain = {"x", "error_estimate", *self._model.stems, *self._model.names}
         control = work.control(given, self._times, self._T, more=not set(keep) <= plain)
         memory = np.zeros(self._size)
@@ -160,15 +161,18 @@ class PieceBatch:
         work.kept[:, at_start] = self._without_step(work.kept[:, at_start])
         return work.cells({name: self._array(name, work, given) for name in keep})
 
-    def _right(self, given: np.ndarray) -> np.ndarray:
+    def _is_right(self, given: np.ndarray) -> np.ndarray:
         """Whether values are some that a run does not refuse; what the law says of them, C does."""
         asked = np.array(self._admitted(given.T)).T.reshape(len(given), -1)
-        right = (np.isfinite(asked) & (asked >= 0)).all(axis=1) & np.isfinite(given).all(axis=1)
-        if self._mass is not None and right.any():
-            n = round(self._mass.numel_out(0) ** 0.5)
-            M = np.array(self._mass(given[right].T)).T.reshape(-1, n, n)
-            right[right] = np.isfinite(M).all(axis=(1, 2)) & (np.linalg.matrix_rank(np.nan_to_num(M)) == n)
-        return right
+        return np.isfinite(np.column_stack([given, asked])).all(axis=1) & (asked >= 0).all(axis=1)
+
+    def _is_singular(self, given: np.ndarray) -> np.ndarray:
+        """Whether M has no inverse, as a run has it."""
+        if self._mass is None:
+            return np.zeros(len(given), bool)
+        n = round(self._mass.numel_out(0) ** 0.5)
+        M = np.array(self._mass(given.T)).T.reshape(-1, n, n)
+        return np.atleast_1d(np.linalg.matrix_rank(np.where(np.isfinite(M), M, 0)) < n)
 
     def _without_step(self, rows: np.ndarray) -> np.ndarray:
         """Rows at t = 0, before which there is no step."""

@@ -62,9 +62,9 @@ class Compiled(NamedTuple):
     judged: bool  # Whether parameters decide if x is the only one.
     way: str
 
-    @classmethod
-    def of(cls, problem: ContinuousProblem, mark: str, known: Sequence[float]) -> Self:
-        """That of a problem, built where it is not there; CodegenError where it has none, or there is no compiler, or it fails."""
+    @staticmethod
+    def of(problem: ContinuousProblem, mark: str, known: Sequence[float]) -> Compiled:
+        """That of a problem, built where it is not there; CodegenError where there is no compiler, or it fails."""
         name = compiler()
         if name is None:
             raise no_compiler()
@@ -88,7 +88,8 @@ class Asked:
     @classmethod
     def made(cls, rtol: float, atol: Sequence[float], held: tuple[np.ndarray, np.ndarray], *, residuals: bool) -> Self:
         """Of lists."""
-        return cls(rtol, np.array(atol, float), *(np.ascontiguousarray(part) for part in held), residuals)
+        times, data = (np.ascontiguousarray(part) for part in held)
+        return cls(rtol, np.array(atol, float), times, data, residuals)
 
     @cached_property
     def of(self) -> ctypes.Structure:
@@ -107,7 +108,8 @@ class PiecesInC:
     ``values``: of the parameters that the problem has as symbols.
 
     Raises:
-        CodegenError: the problem has no C counterpart, or there is no compiler, or it fails; NotForTheseError: not for these values.
+        CodegenError: the problem has no C counterpart, or there is no compiler, or it fails.
+        NotForTheseError: it has none for these values.
     """
 
     def __init__(

@@ -21,13 +21,14 @@ from nsmodel.pieces.jets import jets_of
 from nsmodel.pieces.lengths import LARGEST_ORDER
 from nsmodel.pieces.modes import ORDERS
 from nsmodel.pieces.multipliers import SHORT, SINGULAR, is_monotone
+from nsmodel.pieces.sides import Matrix
 from nsmodel.pieces.sliding import with_modes
+from nsmodel.proof.graph import constants
 from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven
 from nsmodel.scheme.driven import driven
 
 MOST_ROWS = 64  # Of a law whose matrices are kept dense.
 TIMES = 64  # Events 1, 2, 4, ... whose times are kept.
-Matrix = np.ndarray | ca.SX  # Of numbers, or of expressions of the parameters.
 
 
 @dataclass(frozen=True)
@@ -63,15 +64,16 @@ class PieceScene:
         law = p.l.numel() > 0
         feed = law and self.slopes[1].nnz() > 0 and not (D is not None and not pattern(D).any())
         known = B is not None and D is not None and C is not None
-        orthogonal = law and known and not feed and is_diagonal(product(C, C.T))
-        diagonal = orthogonal and is_diagonal(product(C, B))
-        of_numbers = known and all(isinstance(A, np.ndarray) for A in (B, D, C))
+        orthogonal = law and not feed and B is not None and D is not None and C is not None and is_diagonal(product(C, C.T))
+        diagonal = orthogonal and B is not None and C is not None and is_diagonal(product(C, B))
+        numbers = [A for A in (B, D, C) if isinstance(A, np.ndarray)]
+        of_numbers = len(numbers) == 3
         has = {
             "LAW": law, "FEED": feed, "B_NUMBERS": B is not None, "D_NUMBERS": D is not None,
             "LINEAR": not ca.depends_on(ca.veccat(*self.slopes[:2]), p.l),
             "SLOPES": law and not known, "DIAGONAL": diagonal, "MATRICES": law and not diagonal, "ORTHOGONAL": orthogonal,
             "GENERAL": law and not orthogonal, "STILL": diagonal and not self.curved_rows,
-            "UNIQUE": law and of_numbers and _has_one(B, D, C),
+            "UNIQUE": law and of_numbers and _has_one(*numbers),
             "JUDGED": law and known and not of_numbers, "ENDS_SET": law and any(isinstance(e, ca.SX) for e in self.ends),
             "SWITCHED": bool(self.columns.branches), "PARAMETERS": bool(self.values), "INPUTS": self.inputs > 0,
             "OWN_PARAMETERS": len(self.values) > self.inputs, "KNOWN": bool(self.known),
@@ -211,11 +213,15 @@ def problem_for_all(model: Model) -> ContinuousProblem:
         raise CodegenError("event-driven integration in C does not take many bodies, whose contacts change at nearly every step")
     try:
         problem = driven(module.continuous_problem(model), model)
+        if not np.isfinite(constants(ca.veccat(problem.f, problem.g, problem.h))).all():
+            raise CodegenError("there is an infinite number in f, g or h beside a parameter; write the model without that row")
         if problem.growths:
             raise CodegenError(_series_in_slip(problem))
         for _, block in problem.law.parts():
             if not block.separable and not all(ca.SX(value).is_constant() for value in block.numbers.values()):
-                raise CodegenError(f"the law '{block.label}' is curved, and of a size that depends on parameters; give these values")
+                raise CodegenError(
+                    f"the law '{block.label}' is curved, and of a size that depends on parameters; give these values"
+                )
         return with_modes(problem)
     except NotEventDriven as error:
         raise CodegenError(f"event-driven integration does not take this model: {error}") from error
@@ -229,9 +235,8 @@ def scene_of(model: Model, values: Mapping[str, float]) -> PieceScene:
     """
     names = model.input_names
     u, model = inputs_at_start(model), as_parameters(model)
-    return replace(
-        piece_scene(problem_for_all(model), model.switch_times, {**values, **dict(zip(names, u.tolist(), strict=True))}), inputs=u.size
-    )
+    values = {**values, **dict(zip(names, u.tolist(), strict=True))}
+    return replace(piece_scene(problem_for_all(model), model.switch_times, values), inputs=u.size)
 
 
 def _numbers(A: ca.SX) -> Matrix:

@@ -31,9 +31,7 @@ def has_switches_of(problem: ContinuousProblem, free: ContinuousProblem, values:
     rng = np.random.default_rng(0)
     for _ in range(POINTS):
         given = [rng.normal(size=watched.size1_in(i)) for i in range(3)] + [rng.choice([-1.0, 1.0], len(kinds))]
-        one, other = (
-            np.array(f(*given, p)).ravel() for f, p in ((watched, np.zeros(0)), (watched_of_all, np.array(values)))
-        )
+        one, other = (np.array(f(*given, p)).ravel() for f, p in ((watched, np.zeros(0)), (watched_of_all, np.array(values))))
         if not np.allclose(one, other, rtol=SAME, atol=0, equal_nan=True):
             return False
     return True

@@ -11,8 +11,9 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.codegen.expression import c_function
-from nsmodel.codegen.piece_scene import Matrix, PieceScene, pattern, product
+from nsmodel.codegen.piece_scene import PieceScene, pattern, product
 from nsmodel.codegen.tables import table
+from nsmodel.pieces.sides import Matrix
 from nsmodel.proof.sure import sure
 
 WRITTEN_OUT = 24  # Terms of a product that are written out.

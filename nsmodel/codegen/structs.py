@@ -103,7 +103,7 @@ ASKED = Struct(
 PIECE_CELLS = Struct(
     "model_piece_cells",
     (
-        Members("long", "cells rows more most", "runs; rows of each; whether they have more than x and l; pieces of a run, at most"),
+        Members("long", "cells rows more most", "runs; rows of each; if these have more than x and l; pieces of a run, at most"),
         Members("double", "t_end"),
         Members("const double *", "times values", "(rows) increasing; (cells, NP)"),
         Members("double *", "kept", "(cells, rows, ROW_WIDTH)"),

@@ -30,6 +30,9 @@ _KNOWN = {name: getattr(ca, name if name != "pow" else "power") for name in seri
 }  # fmt: skip
 
 
+Matrix = np.ndarray | ca.SX  # Of numbers, or of expressions of the parameters.
+
+
 class Sides(NamedTuple):
     """Columns of choices of the branches, one part after the other, f + g, h and what each branch looks at; and the slopes."""
 
@@ -38,7 +41,7 @@ class Sides(NamedTuple):
     slopes: list[ca.SX]
 
 
-def on_sides(p: ContinuousProblem, jets: Mapping[str, Jets], B: np.ndarray | None, D: np.ndarray | None) -> Sides:
+def on_sides(p: ContinuousProblem, jets: Mapping[str, Jets], B: Matrix | None, D: Matrix | None) -> Sides:
     """The graphs of (t, x, l, p) and choices; ``jets`` are of f, of h without D l, and of g where it is not B l.
 
     The slopes are f_x + g_x, g_l, h_x and h_l.

@@ -7,7 +7,6 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-
 from nsmodel.errors import CodegenError, StepError
 from nsmodel.identity import INTERPRETED
 from nsmodel.model.base import Model
@@ -93,7 +92,7 @@ def chosen_maker(
 
 
 def _of_all_values(free: Model, problem: ContinuousProblem, model: Model) -> tuple[ContinuousProblem, str, list[float]] | None:
-    """The model in continuous time with its parameters as symbols, the mark of its library, the values; None where it has none."""
+    """The model in continuous time with its parameters as symbols, the mark of its library, the values; None: it has none."""
     from nsmodel.codegen.piece_runs import mark_of_all
     from nsmodel.codegen.piece_scene import free_problem
     from nsmodel.codegen.piece_switches import has_switches_of
@@ -101,6 +100,8 @@ def _of_all_values(free: Model, problem: ContinuousProblem, model: Model) -> tup
     try:
         found = free_problem(free)
     except CodegenError:
+        return None
+    if found.rows != problem.rows or found.names != problem.names:
         return None
     values = [model.bound_parameters[name] for name in free.parameters]
     if not has_switches_of(problem, found, values):
