@@ -14,7 +14,7 @@ NAMES = ("rate", "push", "ends", "side", "begin")
 def with_parameters(model: Any, **more: Any) -> Any:
     """The model with factors ``NAMES``, which are 1 at first: of x' without l, of l in x', of K, of y, of the start."""
     rate, push, ends, side, begin = symbols = [ca.SX.sym(name) for name in NAMES]
-    given = {"t_end": model.t_end, "parameters": dict.fromkeys(symbols, 1.0)} | more
+    given = {"t_end": model.t_end, "parameters": dict.fromkeys(symbols, 1.0), "switch_times": model.switch_times} | more
     match model:
         case FirstOrderSystem():
             return FirstOrderSystem(
@@ -45,7 +45,8 @@ def with_parameters(model: Any, **more: Any) -> Any:
             operator = ca.substitute(model.operator, model.sign_symbols, signs) if signs.numel() else model.operator
             return MonotoneInclusion(
                 t=model.t, x=model.x, field=field, operator=operator,
-                lower=finite(side, model.lower), upper=finite(side, model.upper), constraints=dict(model.constraints), x0=model.x0, scheme=model.scheme, **given,
+                lower=finite(side, model.lower), upper=finite(side, model.upper), constraints=dict(model.constraints),
+                x0=model.x0, scheme=model.scheme, **given,
             )  # fmt: skip
     raise TypeError(type(model).__name__)
 

@@ -1,4 +1,4 @@
-"""Many event-driven runs a call, one library for all values: closed forms, single runs bit for bit, any order and thread, failures."""
+"""Many event-driven runs a call, one library for all values: closed forms, single runs bit for bit, any order, failures."""
 
 from __future__ import annotations
 
@@ -266,13 +266,37 @@ def test_values_that_the_law_refuses_and_those_without_code():
     assert np.abs(run.x[-1] - 4 * np.array([np.cos(12), -np.sin(12)])).max() < 1e-9
 
 
+def test_cells_that_stop_keep_what_was_there():
+    """z' = k z^2 is 1/(1 - k t), which for k = 1 is nowhere at t = 1; a body that meets a wall has no mode there."""
+    k, z = symbols("k z")
+    model, times = FirstOrderSystem(x=z, f=k * z**2, x0=[1], parameters={k: 1}, t_end=3), np.linspace(0, 3, 31)
+    values = np.array([[1.0], [-1.0], [0.2]])
+    cells = PieceBatch(model, None, RTOL, None, times).run(values, ["x"])
+    x, there = cells.arrays["x"][:, :, 0], ~np.isnan(cells.arrays["x"][:, :, 0])
+    assert cells.status[0] not in (OK, BAD_PARAMETER, -1)
+    np.testing.assert_array_equal(cells.status[1:], OK)
+    assert abs(cells.failed_at[0] - 1) < 1e-3
+    np.testing.assert_array_equal(there, [times <= cells.failed_at[0], *np.ones((2, 31), bool)])
+    assert np.abs((x * (1 - values * times) - 1)[there & (values * times < 0.95)]).max() < 1e-8
+    np.testing.assert_array_equal(cells.steps, there.sum(axis=1) - 1)
+    (h0,) = symbols("h0")
+    law = nsmodel.complementarity(1)
+    model = LureSystem(A=[[0, 1], [0, 0]], B=[0, 1], C=[1, 0], f=[0, -1], law=law, x0=[h0, 0], parameters={h0: 1}, t_end=2)
+    cells = PieceBatch(model, None, RTOL, None, [0.5, 2.0]).run(np.array([[0.5], [-1.0]]), ["x", "index_set"])
+    np.testing.assert_array_equal(cells.status, NO_MODE)
+    assert np.isnan(cells.arrays["x"]).all()
+    assert (cells.arrays["index_set"] == -2).all()
+    assert (cells.failed_at <= 1).all()
+    assert abs(simulate(model, parameters={"h0": 0.5}, rtol=RTOL, compiled=True).x[-1]).max() < 1e-6
+
+
 def test_masses_ends_without_end_and_outputs():
     """M of parameters, singular for some; an end at infinity for some; columns of the model's own, inputs as states."""
     t, x, l, m, e = symbols("t x l m e")
     u = ca.SX.sym("u")
     model = FirstOrderSystem(
-        t=t, x=x, lam=l, M=m, f=u, g=l, h=x, law=box(0, 1 / e), x0=[0.5], parameters={m: 1, e: 1}, inputs={u: nsmodel.pwm(2, 0.5)},
-        outputs={"power": m * x * u}, t_end=3,
+        t=t, x=x, lam=l, M=m, f=u, g=l, h=x, law=box(0, 1 / e), x0=[0.5], parameters={m: 1, e: 1},
+        inputs={u: nsmodel.pwm(2, 0.5)}, outputs={"power": m * x * u}, t_end=3,
     )  # fmt: skip
     times = np.linspace(0, 3, 13)
     batch = PieceBatch(model, None, RTOL, None, times)
@@ -293,7 +317,7 @@ def test_what_is_asked_wrongly_is_refused():
     batch = PieceBatch(by_ends(), None, RTOL, None, [1.0])
     with pytest.raises(UsageError, match=r"values: shape \(3,\); expected \(cells, 3\)"):
         batch.run(np.ones(3), ["x"])
-    with pytest.raises(UsageError, match="keep: 'z' is no column; there are .*x"):
+    with pytest.raises(UsageError, match=r"keep: 'z' is no column; there are .*x"):
         batch.run(np.ones((1, 3)), ["z"])
     with pytest.raises(UsageError, match="outside the run"):
         PieceBatch(by_ends(), None, RTOL, None, [13.0])
@@ -322,7 +346,14 @@ def test_the_library_for_users_sets_ends_and_starts(tmp_path):
         assert c.fr_advance(solver, ctypes.c_double(12.0)) == OK
         c.fr_pieces_get_state(solver, x.ctypes.data_as(ctypes.c_void_p))
         assert abs(x[0] - swings(*cell[:, None], np.array([12.0]))[0][0, 0]) < 1e-9
+    assert c.fr_pieces_reset(solver) == OK
     wrong = np.array([-1.0, 1, 4])
     assert c.fr_pieces_set_parameters(solver, wrong.ctypes.data_as(ctypes.c_void_p)) == BAD_PARAMETER
     assert c.fr_advance(solver, ctypes.c_double(13.0)) == BAD_PARAMETER
+    assert c.fr_pieces_reset(solver) == BAD_PARAMETER
+    assert c.fr_pieces_set_parameters(solver, np.array([1.0, 1, 5.3]).ctypes.data_as(ctypes.c_void_p)) == OK
+    assert c.fr_pieces_reset(solver) == OK
+    assert c.fr_advance(solver, ctypes.c_double(12.0)) == OK
+    c.fr_pieces_get_state(solver, x.ctypes.data_as(ctypes.c_void_p))
+    assert np.abs(x - [0.7, 0]).max() < 1e-9
     assert Path(tmp_path / "fr_pieces.h").read_text().count("fr_pieces_reset") == 1

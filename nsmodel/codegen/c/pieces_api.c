@@ -22,26 +22,30 @@ static int clear(model_pieces *s, double rtol)
     return MODEL_OK;
 }
 
-/* Begin at the start of the model. */
+/* Begin at the start of the model; where the parameters do not let it, others may go on from there. */
 static int begin_at_start(model_pieces *s)
 {
     double x[N];
+    const int status = take_parameters(s);
     start(s, x);
-    return model_pieces_set_state(s, 0, x);
+    if (status == MODEL_OK)
+        return model_pieces_set_state(s, 0, x);
+    memcpy(s->at.x, x, sizeof x);
+    s->t = s->at.t = 0;
+    s->live = 0;
+    return s->status = status;
 }
 
 int model_pieces_init(model_pieces *s, double rtol)
 {
-    int status = clear(s, rtol);
+    const int status = clear(s, rtol);
     if (status != MODEL_OK)
         return status;
 #if PARAMETERS
     memcpy(s->p, default_p, sizeof s->p);
 #endif
-    status = take_parameters(s);
-    return s->status = status == MODEL_OK ? begin_at_start(s) : status;
+    return begin_at_start(s);
 }
-
 
 int model_pieces_set_state(model_pieces *s, double t, const double *x)
 {
@@ -81,10 +85,7 @@ int model_pieces_set_parameters(model_pieces *s, const double *p) { return put_n
 
 int model_pieces_reset(model_pieces *s)
 {
-    if (!is_ready(s))
-        return MODEL_NOT_INITIALISED;
-    const int status = take_parameters(s);
-    return s->status = status == MODEL_OK ? begin_at_start(s) : status;
+    return is_ready(s) ? begin_at_start(s) : MODEL_NOT_INITIALISED;
 }
 #endif
 

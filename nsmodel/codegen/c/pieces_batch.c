@@ -67,14 +67,20 @@ static void write_row(model_pieces *s, model_piece_cells *at, double t, double *
     const double here = (t - begin)/s->piece[AT_TAU];
     for (int j = 0; j < N + M; j++)
         row[j] = term_by_term(c + j, s->order, here);
+    if (t == end)
+        memcpy(row, s->piece + AT_LAST, N*sizeof *row);
+    if (t == 0) {
+        start(s, row);
+#if HELD
+        memcpy(row + N - MODEL_PIECES_HELD, s->data, MODEL_PIECES_HELD*sizeof *row);
+#endif
+    }
     if (at->more || FEEDS) {
         records(s, &t, row, row + ROW_L, row + ROW_MORE);
 #if REWRITTEN
         own_multipliers(s, &t, row, row + ROW_L, row + ROW_OWN);
 #endif
     }
-    if (t == end)
-        memcpy(row, s->piece + AT_LAST, N*sizeof *row);
     row[ROW_ESTIMATE] = at->defect;
     row[ROW_RESIDUAL] = off_law(s, row + ROW_L, row + ROW_MORE);
     if (t != 0)
@@ -86,17 +92,13 @@ static void write_row(model_pieces *s, model_piece_cells *at, double t, double *
 #if IMPULSES
         for (int i = 0; i < M; i++) {
             const double part = s->piece[AT_IMPULSE + i] + s->piece[AT_TAU]*integral_of(c + L + i, s->order, here);
-                const double now = at->until[i] + part;
+            const double now = at->until[i] + part;
             row[ROW_STEP + i] = now - at->told[i];
             at->told[i] = now;
         }
 #endif
         return;
     }
-    start(s, row);
-#if HELD
-    memcpy(row + N - MODEL_PIECES_HELD, s->data, MODEL_PIECES_HELD*sizeof *row);
-#endif
     for (int i = 0; i < M; i++)
         codes[i] = NO_CODE;
 }
