@@ -164,7 +164,7 @@ class PieceBatch:
     def _is_right(self, given: np.ndarray) -> np.ndarray:
         """Whether values are some that a run does not refuse; what the law says of them, C does."""
         asked = np.array(self._admitted(given.T)).T.reshape(len(given), -1)
-        return np.isfinite(np.column_stack([given, asked])).all(axis=1) & (asked >= 0).all(axis=1)
+        return np.logical_and(np.isfinite(np.column_stack([given, asked])).all(axis=1), (asked >= 0).all(axis=1))
 
     def _is_singular(self, given: np.ndarray) -> np.ndarray:
         """Whether M has no inverse, as a run has it."""
