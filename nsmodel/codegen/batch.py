@@ -69,7 +69,8 @@ class Batch:
         pointer = ctypes.c_void_p
         self._size = library.function("size", ctypes.c_long)() // 8 + 1
         self._run = library.function("run_cells", ctypes.c_int, pointer, ctypes.POINTER(_Cells), ctypes.c_double)
-        if library.function("init", ctypes.c_int, pointer)(np.zeros(self._size).ctypes.data) == BAD_ARITHMETIC:
+        memory = np.zeros(self._size)
+        if library.function("init", ctypes.c_int, pointer)(memory.ctypes.data) == BAD_ARITHMETIC:
             raise CodegenError(f"{self.way}: {STATUSES[BAD_ARITHMETIC].text}")
         rows = start_rows(model, self._scene.problem.h)
         self._known, row = len(rows), np.full((len(rows), self._layout.width), np.nan)
