@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from nsmodel.stepping import ModelStepper, stepper
     from nsmodel.stress import Stress, stress
     from nsmodel.study import Study, study
+    from nsmodel.sweep import Sweep, SweepInterrupted, sweep
     from nsmodel.trajectory import Trajectory
 
 __all__ = [
@@ -73,6 +74,8 @@ __all__ = [
     "StorageError",
     "Stress",
     "Study",
+    "Sweep",
+    "SweepInterrupted",
     "SweepingProcess",
     "Trajectory",
     "UsageError",
@@ -104,6 +107,7 @@ __all__ = [
     "steps",
     "stress",
     "study",
+    "sweep",
     "table",
     "thyristor",
     "within",
@@ -127,6 +131,7 @@ _later(
         "nsmodel.stepping": ["ModelStepper", "stepper"],
         "nsmodel.stress": ["Stress", "stress"],
         "nsmodel.study": ["Study", "study"],
+        "nsmodel.sweep": ["Sweep", "SweepInterrupted", "sweep"],
         "nsmodel.trajectory": ["Trajectory"],
     },
 )
