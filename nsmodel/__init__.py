@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from nsmodel.stepping import ModelStepper, stepper
     from nsmodel.stress import Stress, stress
     from nsmodel.study import Study, study
+    from nsmodel.sweep import statistics
     from nsmodel.trajectory import Trajectory
 
 __all__ = [
@@ -100,6 +101,7 @@ __all__ = [
     "second_order_cone",
     "signal",
     "simulate",
+    "statistics",
     "stepper",
     "steps",
     "stress",
@@ -127,6 +129,7 @@ _later(
         "nsmodel.stepping": ["ModelStepper", "stepper"],
         "nsmodel.stress": ["Stress", "stress"],
         "nsmodel.study": ["Study", "study"],
+        "nsmodel.sweep.statistics": ["statistics"],
         "nsmodel.trajectory": ["Trajectory"],
     },
 )
