@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from nsmodel.stepping import ModelStepper, stepper
     from nsmodel.stress import Stress, stress
     from nsmodel.study import Study, study
-    from nsmodel.sweep import Sweep, SweepInterrupted, sweep
+    from nsmodel.sweep import Sweep, SweepInterrupted, share, statistics, sweep
     from nsmodel.trajectory import Trajectory
 
 __all__ = [
@@ -103,6 +103,7 @@ __all__ = [
     "second_order_cone",
     "signal",
     "simulate",
+    "statistics",
     "stepper",
     "steps",
     "stress",
@@ -131,7 +132,7 @@ _later(
         "nsmodel.stepping": ["ModelStepper", "stepper"],
         "nsmodel.stress": ["Stress", "stress"],
         "nsmodel.study": ["Study", "study"],
-        "nsmodel.sweep": ["Sweep", "SweepInterrupted", "sweep"],
+        "nsmodel.sweep": ["Sweep", "SweepInterrupted", "share", "statistics", "sweep"],
         "nsmodel.trajectory": ["Trajectory"],
     },
 )

@@ -42,6 +42,7 @@ HEAVY = ["matplotlib", "sympy", "scipy", "tqdm", "xarray", "pandas", "nsmodel.pl
 HEAVY += [
     "nsmodel.stress",
     "nsmodel.study",
+    "nsmodel.sweep",
     "nsmodel.codegen",
     "nsmodel.hypotheses.along",
     "nsmodel.proof.interval",
