@@ -127,7 +127,7 @@ def explain(
     options = Options(**asked, compiled=compiled, rtol=rtol, method=method, certify=certify, inputs=inputs)
     bound = _bound(model, options)
     if rtol is not None:
-        controlled: Any = _with_rtol(bound, options).walk
+        controlled: Any = _with_rtol(bound, options, _free(model, options)).walk
         return controlled.plan.text(controlled.problem)
     walk = _over_grid(bound, options, _grid(bound, options), lambda: None)
     return walk.plan.text(walk.problem)
@@ -137,7 +137,7 @@ def arranged(model: Model, options: Options) -> Run:
     """Return the run that these options ask for; see ``simulate``."""
     bound = _bound(model, options)
     if options.rtol is not None:
-        return _with_rtol(bound, options)
+        return _with_rtol(bound, options, _free(model, options))
     if options.atol is not None:
         return _controlled(bound, options)
     folder = _Folder(options)
@@ -190,7 +190,12 @@ class _GoesOn(Run):
         return run
 
 
-def _with_rtol(model: Model, options: Options) -> Run:
+def _free(model: Model, options: Options) -> Model | None:
+    """The model before it has values; None where it has no parameters."""
+    return driven_by(model, options.inputs) if model.p.numel() else None
+
+
+def _with_rtol(model: Model, options: Options, free: Model | None) -> Run:
     """An event-driven run where it applies and ``method`` lets it."""
     if options.method == METHODS[2]:
         return _controlled(model, options)
@@ -198,7 +203,7 @@ def _with_rtol(model: Model, options: Options) -> Run:
         problem = problem_of(model)
         _refuse_of_steps(options)
         folder = _Folder(options)
-        walk = EventDriven(model, options, problem, lambda: folder.way() if options.resume and not options.certified else None)
+        walk = EventDriven(model, options, problem, lambda: folder.way() if options.resume and not options.certified else None, free)
     except (NotEventDriven, OpaqueExpression, StepError) as error:
         if options.method == METHODS[1] or options.times is not None or options.certified:
             raise error if isinstance(error, StepError) else UsageError(f"not event-driven: {error}") from error

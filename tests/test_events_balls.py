@@ -21,7 +21,7 @@ from nsmodel import (
     simulate,
 )
 from nsmodel.codegen.library import compiler
-from nsmodel.codegen.pieces import scene_of
+from nsmodel.codegen.piece_scene import scene_of
 from nsmodel.errors import CodegenError
 from nsmodel.run.event_driven import problem_of
 from tests.ball_models import random_model

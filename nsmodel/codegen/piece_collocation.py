@@ -17,7 +17,7 @@ from nsmodel.pieces.radau import stages_of
 from nsmodel.pieces.sides import on_sides
 
 if TYPE_CHECKING:
-    from nsmodel.codegen.pieces import PieceScene
+    from nsmodel.codegen.piece_scene import PieceScene
 
 LEAST, MOST = (stages_of(order_of(rtol)) for rtol in (ROUGHEST, LEAST_RTOL))  # Stages.
 KEPT_BYTES = 32 << 10  # Memory for the matrices of modes, or of lengths.

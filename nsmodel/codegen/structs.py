@@ -91,6 +91,30 @@ CELLS = Struct(
         Members("long", "cell step row next jump", "where the batch stands: step -1 is before the start of a cell"),
     ),
 )
+ASKED = Struct(
+    "model_asked",
+    (
+        Members("double", "rtol"),
+        Members("const double *", "atol", "(N)"),
+        Members("const double *", "known data", "known times, 0 the first, and what is held after each"),
+        Members("long", "knowns residuals", "how many; see the struct of a solver"),
+    ),
+)
+PIECE_CELLS = Struct(
+    "model_piece_cells",
+    (
+        Members("long", "cells rows more most", "runs; rows of each; whether they have more than x and l; pieces of a run, at most"),
+        Members("double", "t_end"),
+        Members("const double *", "times values", "(rows) increasing; (cells, NP)"),
+        Members("double *", "kept", "(cells, rows, ROW_WIDTH)"),
+        Members("signed char *", "index", "(cells, rows, M)"),
+        Members("signed char *", "status", "(cells) -1: to do; what is something else is left as it is"),
+        Members("double *", "taken pieces events estimate worst failed_at", "(cells) of each"),
+        Members("long", "cell row made begun", "where the batch stands: in a cell with so many rows and pieces, if it has begun"),
+        Members("double", "defect", "the largest since the last row"),
+        Members("double *", "until told", "(M) integrals of l: to the end of the pieces, to the last row"),
+    ),
+)
 MOTION = Struct(
     "model_motion",
     (

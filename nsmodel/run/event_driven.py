@@ -17,12 +17,13 @@ from nsmodel.hypotheses.quick import refuse_start, warnings
 from nsmodel.identity import INTERPRETED, WAY, digest_of, settings
 from nsmodel.model.base import Model
 from nsmodel.once import once
+from nsmodel.pieces.asked import LARGE, times, tolerances
 from nsmodel.pieces.course import time_of
+from nsmodel.pieces.known_of import known_of
 from nsmodel.pieces.sliding import with_modes
 from nsmodel.quantities import Outputs
-from nsmodel.run.asked import times, tolerances
 from nsmodel.run.options import METHODS, Options
-from nsmodel.run.piece_choice import MOST, chosen_maker, known_of
+from nsmodel.run.piece_choice import MOST, chosen_maker
 from nsmodel.run.piece_rows import Block, PieceRows
 from nsmodel.run.row_facts import facts
 from nsmodel.run.walk import PER_CENT, There, check_exact, note_distance_to_exact, runaway
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     from nsmodel.run.certified import Certified
 
 METHOD = METHODS[1]
-LARGE = 10_000  # Operations of f, g and h up to which "auto" is event-driven.
 
 
 @once
@@ -55,7 +55,10 @@ class EventDriven:
 
     N: int = MOST
 
-    def __init__(self, model: Model, options: Options, problem: ContinuousProblem, there: There) -> None:
+    def __init__(
+        self, model: Model, options: Options, problem: ContinuousProblem, there: There, free: Model | None = None
+    ) -> None:
+        """``free``: the model before it had values, where it has parameters."""
         check_times(t_end=options.t_end)
         self.model: Any = model
         self.options, self.problem = options, problem
@@ -71,7 +74,7 @@ class EventDriven:
         own = [*kinds(model), () if problem.held else known.times]  # What of the signals is in the C.
         mark = digest_of([same["model"], *own]) if model.inputs else same["model"]
         self._drive = driving(model, self.T) if model.inputs else None
-        chosen = chosen_maker(problem, options, there(), (rtol, atol), model, mark, known)
+        chosen = chosen_maker(problem, options, there(), (rtol, atol), model, mark, known, free)
         self.maker, self.plan = chosen.maker, chosen.plan
         self.record, self.k = PieceRows(problem, self.maker.order, options.save_every, chosen.columns), 0
         self._outputs = Outputs.of(model, problem.rows if problem.multipliers is None else problem.declared)

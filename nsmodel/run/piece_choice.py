@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from typing import Any, NamedTuple
 
-import numpy as np
 
 from nsmodel.errors import CodegenError, StepError
 from nsmodel.identity import INTERPRETED
@@ -24,16 +23,12 @@ from nsmodel.run.piece_makers import InC, Interpreted, Maker
 from nsmodel.run.piece_rows import Columns
 from nsmodel.run.row_facts import facts
 from nsmodel.scheme.continuous import ContinuousProblem
-from nsmodel.scheme.driven import data, moving
-from nsmodel.signals.drive import as_one
 from nsmodel.signals.kept import Kept
-from nsmodel.signals.signal import Signal
 from nsmodel.solve import cost
 from nsmodel.solve.choose import Plan
 from nsmodel.solve.cost import Cost
 
 IN_C = "pieces in C, compiled for this model; one that C cannot make is interpreted"
-AHEAD = 2.0  # Times of the run up to which times of signals are known.
 MOST = 10_000_000  # Pieces after which a run stops.
 
 
@@ -55,18 +50,25 @@ def chosen_maker(
     model: Model,
     mark: str,
     known: Known,
+    free: Model | None,
 ) -> Chosen:
-    """In C where that is asked for, or pays, or the run that is resumed had it."""
+    """In C where that is asked for, or pays, or the run that is resumed had it; ``free``: the model before it had values."""
     made: list[Course] = []
+    of_all = None if free is None or options.compiled is False else _of_all_values(free, problem)
+    own, mark = mark, mark if of_all is None else of_all[1]
     plan = _plan(problem, options, tolerances[0], model)
 
     def build() -> Any:
-        from nsmodel.codegen.piece_runs import PiecesInC
+        from nsmodel.codegen.piece_runs import NotForTheseError, PiecesInC
 
         if model.blocks:
             raise CodegenError("pieces that blocks end have no C counterpart")
-        fixed = () if problem.held else known.times
-        return PiecesInC(problem, mark, *tolerances, fixed, known.table, residuals=options.certified)
+        fixed, held = () if problem.held else known.times, known.table
+        if of_all is not None and free is not None:
+            values = [model.bound_parameters[name] for name in free.parameters]
+            with suppress(NotForTheseError):
+                return PiecesInC(*of_all, *tolerances, fixed, held, values, residuals=options.certified)
+        return PiecesInC(problem, own, *tolerances, fixed, held, residuals=options.certified)
 
     def course() -> Course:
         made.extend([] if made else [_course(problem, options, *tolerances, known)])
@@ -91,16 +93,21 @@ def chosen_maker(
     return Chosen(maker, found.way, lambda rows: found.steps.columns(rows, size), found.plan, found.warnings)
 
 
-def known_of(model: Model, t_end: float) -> Known:
-    """The known times of a model, and of the signals of a run also those beyond its end: pieces go beyond it."""
-    if not model.inputs:
-        return Known(model.switch_times)
-    ahead = AHEAD * t_end
-    joints = [signal.joints(ahead) for signal in model.inputs.values() if isinstance(signal, Signal)]
-    ticks = [block.ticks(ahead) for block in model.blocks]
-    times = as_one(np.concatenate([np.array(model.switch_times, float), *joints, *ticks]))
-    moves = any(signal.moving for signal in model.inputs.values())
-    return Known(tuple(times.tolist()), partial(data, model), partial(moving, model) if moves else None)
+def _of_all_values(free: Model, problem: ContinuousProblem) -> tuple[ContinuousProblem, str] | None:
+    """The model in continuous time with its parameters as symbols, and the mark of its library; None where it has none.
+
+    Where operations are switches, those of these values must be the same ones: C and the integrator take over from each other.
+    """
+    from nsmodel.codegen.piece_runs import mark_of_all
+    from nsmodel.codegen.piece_scene import free_problem, has_operations_of
+
+    try:
+        found = free_problem(free)
+    except CodegenError:
+        return None
+    if facts(problem).is_switched and not has_operations_of(problem, found):
+        return None
+    return found, mark_of_all(found)
 
 
 def _course(problem: ContinuousProblem, options: Options, rtol: float, atol: list[float], known: Known) -> Course:

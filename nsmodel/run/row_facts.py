@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.once import once
+from nsmodel.pieces.asked import operations
 from nsmodel.pieces.jets import is_switched
 from nsmodel.scheme.continuous import ContinuousProblem
 
@@ -47,5 +48,5 @@ def facts(p: ContinuousProblem) -> Facts:
     return Facts(
         p.x.numel(), m, len(p.rows if p.multipliers is None else p.declared), x0, lower, upper,
         np.array([i in direct for i in range(m)], bool), {name: e.numel() for name, e in p.columns.items()},
-        sum(ca.n_nodes(part) for part in (p.f, p.g, p.h)), is_switched(ca.veccat(p.f, p.g, p.h)),
+        operations(p), is_switched(ca.veccat(p.f, p.g, p.h)),
     )  # fmt: skip

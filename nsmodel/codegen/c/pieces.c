@@ -905,5 +905,36 @@ static void prepare_pieces(model_pieces *s, double rtol)
         s->order = MOST_ORDERS;
     for (int i = 0; i < 2; i++)
         s->shares[i] = pow(points[i], s->order);
+}
+
+/* What follows from the parameters; NO_MODE where the code, which is that of all values, is not for these. */
+static int take_parameters(model_pieces *s)
+{
     numbers(s);
+#if ENDS_SET
+    for (int i = 0; i < M; i++)
+        if (!(lower[i] <= upper[i] && lower[i] < INFINITY && upper[i] > -INFINITY))
+            return MODEL_BAD_PARAMETER;
+#endif
+#if JUDGED
+    s->unique = is_always_p(s);
+#if DIAGONAL
+    for (int i = 0; i < M; i++)
+        if (!is_finite(W_inverse[i]) || W_inverse[i] == 0)
+            return MODEL_NO_MODE;
+#else
+    if (!all_finite(M*M, D_dense) || !all_finite(M*M, W_dense))
+        return MODEL_NO_MODE;
+#endif
+#if ORTHOGONAL
+    for (int i = 0; i < M; i++) {
+        double sum = 0;
+        for (int e = C_start[i]; e < C_start[i + 1]; e++)
+            sum += C_value[e]*C_value[e];
+        if (!(sum > 0))
+            return MODEL_NO_MODE;
+    }
+#endif
+#endif
+    return MODEL_OK;
 }

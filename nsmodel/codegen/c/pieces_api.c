@@ -2,9 +2,9 @@
 
 static int is_ready(const model_pieces *s) { return s->ready == READY; }
 
-int model_pieces_init(model_pieces *s, double rtol)
+/* A solver without parameters and start. */
+static int clear(model_pieces *s, double rtol)
 {
-    double x[N];
 #if STIFF
     memset(s, 0, offsetof(model_pieces, inverses)); /* most of it lies behind */
 #else
@@ -18,13 +18,30 @@ int model_pieces_init(model_pieces *s, double rtol)
     s->estimated = 1;
     s->budget = WORK_OF_PIECE;
     s->most = MOST_PIECES;
-#if PARAMETERS
-    memcpy(s->p, default_p, sizeof s->p);
-#endif
     prepare_pieces(s, rtol);
+    return MODEL_OK;
+}
+
+/* Begin at the start of the model. */
+static int begin_at_start(model_pieces *s)
+{
+    double x[N];
     start(s, x);
     return model_pieces_set_state(s, 0, x);
 }
+
+int model_pieces_init(model_pieces *s, double rtol)
+{
+    int status = clear(s, rtol);
+    if (status != MODEL_OK)
+        return status;
+#if PARAMETERS
+    memcpy(s->p, default_p, sizeof s->p);
+#endif
+    status = take_parameters(s);
+    return s->status = status == MODEL_OK ? begin_at_start(s) : status;
+}
+
 
 int model_pieces_set_state(model_pieces *s, double t, const double *x)
 {
@@ -49,13 +66,26 @@ static int put_numbers(model_pieces *s, int first, int count, const double *valu
     model_pieces_get_state(s, x);
     memcpy(s->p + first, values, (size_t)count*sizeof *values);
     s->count = s->current = s->next = 0;
-    numbers(s);
+    const int status = take_parameters(s);
+    if (status != MODEL_OK) {
+        memcpy(s->at.x, x, sizeof x);
+        s->live = 0;
+        return s->status = status;
+    }
     return model_pieces_set_state(s, s->t, x);
 }
 #endif
 
 #if OWN_PARAMETERS
 int model_pieces_set_parameters(model_pieces *s, const double *p) { return put_numbers(s, 0, @NOWN@, p); }
+
+int model_pieces_reset(model_pieces *s)
+{
+    if (!is_ready(s))
+        return MODEL_NOT_INITIALISED;
+    const int status = take_parameters(s);
+    return s->status = status == MODEL_OK ? begin_at_start(s) : status;
+}
 #endif
 
 #if INPUTS

@@ -390,15 +390,19 @@ static void turn(model_pieces *s, int of, double code)
 
 #if LAW
 /* The first end of row i that is finite: -1 or 1; 0 where none is. */
-static int end_of(int i) { return is_finite(lower[i]) ? -1 : is_finite(upper[i]) ? 1 : 0; }
+static int end_of(const model_pieces *s, int i) 
+{
+    UNUSED(s);
+    return is_finite(lower[i]) ? -1 : is_finite(upper[i]) ? 1 : 0;
+}
 
 /* Leave a singular mode: one of its open rows goes to an end, the one that its rate leads to. */
 static int let_go(model_pieces *s)
 {
     for (int i = 0; i < M; i++)
-        if (s->at.open[i] && s->at.codes[i] == 0 && end_of(i)) {
+        if (s->at.open[i] && s->at.codes[i] == 0 && end_of(s, i)) {
             const double rate = s->c[1][Y + i];
-            s->at.codes[i] = rate > 0 && is_finite(lower[i]) ? -1 : rate < 0 && is_finite(upper[i]) ? 1 : end_of(i);
+            s->at.codes[i] = rate > 0 && is_finite(lower[i]) ? -1 : rate < 0 && is_finite(upper[i]) ? 1 : end_of(s, i);
             return 1;
         }
     return 0;

@@ -61,7 +61,7 @@ static void refresh_y(model_pieces *s, int k)
 {
 #if FEED
 #if D_NUMBERS
-    add_D(s->c[k] + Y, s->c[k] + H, s->c[k] + L);
+    add_D(s, s->c[k] + Y, s->c[k] + H, s->c[k] + L);
 #else
     if (k)
         h_later(s, k);
@@ -109,10 +109,10 @@ static void rate(model_pieces *s, int k)
 #if LAW
 #if B_NUMBERS
 #if FEED
-    add_B(next, s->c[k] + L, factor);
+    add_B(s, next, s->c[k] + L, factor);
 #else
     if (k == 0)
-        add_B(next, s->c[k] + L, factor);
+        add_B(s, next, s->c[k] + L, factor);
 #endif
 #else
     if (k)
@@ -209,7 +209,7 @@ static void through(const model_pieces *s, const double *y, double unit, double 
     const int n = HOW.n;
     for (int a = 0; a < n; a++) {
 #if DIAGONAL
-        d[a] = -unit*(inverse[HOW.active[a]]*y[HOW.active[a]]);
+        d[a] = -unit*(W_inverse[HOW.active[a]]*y[HOW.active[a]]);
 #else
         double sum = 0;
         for (int b = 0; b < n; b++)

@@ -46,6 +46,7 @@ int model_pieces_init(model_pieces *s, double rtol); /* first: the start of the 
 int model_pieces_set_state(model_pieces *s, double t, const double *x); /* begin anew at x[MODEL_PIECES_N] */
 #if OWN_PARAMETERS
 int model_pieces_set_parameters(model_pieces *s, const double *p); /* p[@NOWN@]; the state stays, its mode is chosen anew */
+int model_pieces_reset(model_pieces *s); /* begin anew at the start of the model, at t = 0, as the parameters say */
 #endif
 #if INPUTS
 int model_pieces_set_inputs(model_pieces *s, const double *u); /* u[MODEL_PIECES_NU], held from the time reached on; the mode is chosen anew */

@@ -355,12 +355,53 @@ static void solve_mode(model_pieces *s)
 #endif
 }
 
+#if JUDGED
+/* Whether D + a little W is so far from having a negative direction that all its Schur complements pass is_p_matrix. */
+static int is_always_p(model_pieces *s)
+{
+#if DIAGONAL
+    for (int i = 0; i < M; i++)
+        if (!(W_inverse[i] > 0))
+            return 0;
+#else
+    double d = 0, w = 0, size = 0, *K = s->work_a, *G = s->work_b;
+    for (int i = 0; i < M*M; i++) {
+        d = max_of(d, fabs(D_dense[i]));
+        w = max_of(w, fabs(W_dense[i]));
+    }
+    const double little = d != 0 && w != 0 ? SHORT*d/w : 1;
+    for (int i = 0; i < M*M; i++) {
+        K[i] = D_dense[i] + W_dense[i]*little;
+        size += K[i]*K[i];
+    }
+    for (int i = 0; i < M; i++)
+        for (int j = 0; j <= i; j++) {
+            double sum = (K[i*M + j] + K[j*M + i])/2 - (i == j ? FAR_FROM_SINGULAR*sqrt(size) : 0);
+            for (int k = 0; k < j; k++)
+                sum -= G[i*M + k]*G[j*M + k];
+            if (i == j && !(sum > 0))
+                return 0;
+            G[i*M + j] = i == j ? sqrt(sum) : sum/G[j*M + j];
+        }
+#endif
+    return 1;
+}
+#endif
+
 /* Whether the open rows have a P-matrix, D + a little W, those with code 0 that are not open held; or x is unique in all modes. */
 static int is_p_matrix(model_pieces *s)
 {
 #if UNIQUE
     UNUSED(s);
     return 1;
+#else
+#if JUDGED
+    if (s->unique)
+        return 1;
+#endif
+#if DIAGONAL
+    UNUSED(s);
+    return 0;
 #else
     int o[M], h[M], n = 0, q = 0, r = 0;
     double *S = s->work_a, *among = s->work_b, *plus = s->work_u, largest = 0;
@@ -442,6 +483,7 @@ minors:
             return 0;
     }
     return 1;
+#endif
 #endif
 }
 #endif

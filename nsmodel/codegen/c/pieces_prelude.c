@@ -27,6 +27,7 @@
 #define ROTATIONS 60 /* of all pairs of columns */
 #define CLEAR_RATIO 1e6 /* of singular values: so far from SINGULAR that they need not be known */
 #define DEPENDENT 1e-26 /* of its square: what is left of a row that depends on others */
+#define FAR_FROM_SINGULAR (1e3*sqrt(SINGULAR))
 #define EXPONENTS 3 /* p - 2, p - 1, p */
 #define MOST_CODES 3 /* of a switch */
 #define FNV_BASIS 14695981039346656037ULL /* Fowler, Noll, Vo: a hash */

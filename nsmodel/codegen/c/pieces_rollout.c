@@ -9,33 +9,55 @@ long model_size(void) { return (long)sizeof(model_pieces); }
 /* What a piece takes in a list of them. */
 long model_width(int order) { return AT_C + (long)(order + 1)*ROWS; }
 
-/* Begin at the start of the model; residuals: see the struct; known times, 0 the first, and what is held after each. */
-int model_begin(model_pieces *s, double rtol, const double *atol, int residuals, const double *known, const double *data, long knowns)
+/* What a run is asked for. */
+@ASKED@
+
+/* Begin at the start of the model with these parameters; unique: they are known to let x be the only one in all modes. */
+static int begin_run(model_pieces *s, const model_asked *of, const double *p, int unique)
 {
     double x[N];
-    const int status = model_pieces_init(s, rtol);
-    if (status == MODEL_BAD_ARITHMETIC)
+    int status = clear(s, of->rtol);
+    if (status != MODEL_OK)
         return status;
-    memcpy(s->atol, atol, sizeof s->atol);
+    memcpy(s->atol, of->atol, sizeof s->atol);
 #if STIFF
-    s->residuals = residuals;
+    s->residuals = (int)of->residuals;
 #else
-    UNUSED(residuals);
     s->leaves = 1;
+#endif
+#if PARAMETERS
+    memcpy(s->p, p, sizeof s->p);
+#else
+    UNUSED(p);
 #endif
     start(s, x);
 #if HELD
-    s->known_at = known;
-    s->data = data;
-    s->knowns = knowns;
-    memcpy(x + N - MODEL_PIECES_HELD, data, MODEL_PIECES_HELD*sizeof *data);
-#else
-    UNUSED(known);
-    UNUSED(data);
-    UNUSED(knowns);
+    s->known_at = of->known;
+    s->data = of->data;
+    s->knowns = of->knowns;
+    memcpy(x + N - MODEL_PIECES_HELD, of->data, MODEL_PIECES_HELD*sizeof *x);
 #endif
-    return model_pieces_set_state(s, 0, x);
+    status = take_parameters(s);
+#if JUDGED
+    s->unique |= unique;
+#else
+    UNUSED(unique);
+#endif
+    return s->status = status == MODEL_OK ? model_pieces_set_state(s, 0, x) : status;
 }
+
+int model_begin(model_pieces *s, const model_asked *of, const double *p, int unique) { return begin_run(s, of, p, unique); }
+
+#if PARAMETERS
+/* Whether the code is for these parameters too: a status. */
+int model_takes(model_pieces *s, const double *p)
+{
+    const int status = clear(s, ROUGHEST);
+    memcpy(s->p, p, sizeof s->p);
+    return status == MODEL_OK ? take_parameters(s) : status;
+}
+
+#endif
 
 /* Pieces until a time, as many as there is room for; how many. *status is that of the piece that could not be made. */
 long model_many(model_pieces *s, double until, long room, double *out, int *status)

@@ -49,6 +49,9 @@ typedef struct {
 #if PARAMETERS
     double p[MODEL_PIECES_NP];
 #endif
+#if JUDGED
+    int unique; /* whether these parameters let x be the only one in all modes */
+#endif
 #if INPUTS
     double sizes[MODEL_PIECES_ROWS]; /* of x, l, y before other inputs were set */
 #endif
@@ -56,7 +59,7 @@ typedef struct {
     const double *known_at, *data; /* known times, and the held states after each */
     long knowns;
 #endif
-    model_solve kept[MODEL_PIECES_KEPT]; /* of modes */
+@SET@    model_solve kept[MODEL_PIECES_KEPT]; /* of modes */
     int current, count, next;
     double c[MODEL_PIECES_ORDERS + 1][MODEL_PIECES_COLUMNS]; /* coefficients of x, l, y and what they are made of */
     double f[MODEL_PIECES_N], now[1];

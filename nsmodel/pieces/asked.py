@@ -1,16 +1,24 @@
-"""What a run under error control is asked for, checked: tolerances and the times of rows."""
+"""What a run under error control is asked for, checked: tolerances and the times of rows; how large a model may be."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from nsmodel.errors import UsageError
 from nsmodel.grid import is_number, written
 from nsmodel.pieces.integrator import LEAST_RTOL
 from nsmodel.scheme.continuous import ContinuousProblem
+
+LARGE = 10_000  # Operations of f, g and h up to which "auto" is event-driven.
+
+
+def operations(p: ContinuousProblem) -> int:
+    """Of f, g and h."""
+    return sum(ca.n_nodes(part) for part in (p.f, p.g, p.h))
 
 
 def tolerances(problem: ContinuousProblem, rtol: Any, atol: Any) -> tuple[float, list[float]]:
