@@ -23,6 +23,7 @@ FACTS: Mapping[str, tuple[str, Any]] = {  # {name of what is kept of every cell:
     "index_set_changes": ("i8", 0),
     "way": ("i1", -1),
 }
+OF_PIECES: Mapping[str, tuple[str, Any]] = {"pieces": ("i8", 0), "estimate": ("f8", np.nan)}  # And of event-driven runs.
 BATCH, PIECES, ALONE = "batch", "pieces", "alone"
 WAYS = (BATCH, PIECES, ALONE)  # Of a cell, by their numbers in ``way``.
 
@@ -52,12 +53,22 @@ class Asked:
             raise UsageError(
                 "nothing is kept of the cells: give keep=['x1'], columns of which rows are kept, or outputs={'end': 'x1[-1]'}"
             )
-        taken = {*FACTS, "message", "t"}
+        taken = {*self.facts, "message", "t"}
         for name in (*self.keep, *self.outputs):
             if name in taken:
                 raise UsageError(f"'{name}' has its own place in every sweep; leave it out, or call the output otherwise")
             if name in self.keep and (self.keep.count(name) > 1 or name in self.outputs):
                 raise UsageError(f"'{name}' is kept twice; keep one")
+
+    @property
+    def facts(self) -> Mapping[str, tuple[str, Any]]:
+        """What is kept of every cell beside what is asked for: {name: (data type, value of a cell that was not run)}."""
+        return {**FACTS, **OF_PIECES} if self.event_driven else FACTS
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All quantities, in their order."""
+        return (*self.keep, *self.outputs, *self.facts)
 
     @property
     def event_driven(self) -> bool:
@@ -78,7 +89,9 @@ class Asked:
         if self.event_driven:
             T = float(self.options.get("t_end") or model.t_end)
             times = self.options.get("times")
-            return Rows(np.linspace(0.0, T, ABOUT + 1) if times is None else np.asarray(times, float), 0)
+            ends = not self.keep and all(isinstance(one, Reduction) and one.needs for one in self.outputs.values())
+            evenly = np.array([0.0, T]) if ends else np.linspace(0.0, T, ABOUT + 1)
+            return Rows(evenly if times is None else np.asarray(times, float), 0)
         grid = self.grid(model, step)
         first = grid if longest is None else self.grid(model, longest)
         every = self.every or max(1, -(-first.N // ABOUT))

@@ -16,7 +16,7 @@ from nsmodel.errors import CodegenError, ModelError, StepError, UsageError
 from nsmodel.model.base import Model
 from nsmodel.scheme.continuous import NotEventDriven
 from nsmodel.simulate import simulate
-from nsmodel.sweep.asked import ALONE, BATCH, FACTS, PIECES, WAYS, Asked, Found, Rows
+from nsmodel.sweep.asked import ALONE, BATCH, FACTS, OF_PIECES, PIECES, WAYS, Asked, Found, Rows
 from nsmodel.sweep.outputs import Reduction, column
 from nsmodel.sweep.variable import DONE, FAILED, NO_MODEL, NOT_RUN
 from nsmodel.trajectory import Trajectory
@@ -76,7 +76,7 @@ def blank(size: int, like: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Arrays for so many cells that were not run."""
     made = {}
     for name, array in like.items():
-        kind, value = FACTS.get(name, (array.dtype, np.nan if array.dtype.kind == "f" else UNKNOWN))
+        kind, value = {**FACTS, **OF_PIECES}.get(name, (array.dtype, np.nan if array.dtype.kind == "f" else UNKNOWN))
         made[name] = np.full((size, *array.shape[1:]), value, kind)
     return made
 
@@ -133,7 +133,9 @@ class _Opened:
             "steps": cells.steps, "worst_residual": cells.worst_residual, "index_set_changes": cells.index_set_changes,
             "way": np.where(cells.status < 0, -1, number),
         }  # fmt: skip
-        return Found(out | {name: np.asarray(values, FACTS[name][0]) for name, values in facts.items()}, {})
+        if asked.event_driven:
+            facts |= {"pieces": cells.pieces, "estimate": cells.estimate}
+        return Found(out | {name: np.asarray(values, asked.facts[name][0]) for name, values in facts.items()}, {})
 
 
 def library(asked: Asked, group: Group) -> Any:
@@ -184,6 +186,8 @@ def alone(asked: Asked, group: Group, values: np.ndarray, stop: Stop = never) ->
             "worst_residual": totals.get("worst_residual", np.nan) if run is not None else np.nan,
             "index_set_changes": totals.get("index_set_changes", totals.get("events", 0)),
         }  # fmt: skip
+        if asked.event_driven:
+            row |= {"pieces": totals.get("pieces", 0), "estimate": totals.get("worst_estimate") or np.nan}
         if status != DONE:
             messages[i] = message
         for name, value in row.items():
@@ -200,7 +204,8 @@ def _simulated(asked: Asked, group: Group, values: dict[str, float]) -> tuple[in
     if group.step is not None:
         options["step"] = group.step
     if asked.event_driven:
-        options["times"] = group.rows.times if asked.keep else None
+        rows = asked.keep or any(isinstance(one, Reduction) for one in asked.outputs.values())
+        options["times"] = group.rows.times if rows else None
     elif all(isinstance(one, Reduction) and one.needs for one in asked.outputs.values()):
         options["save_every"] = group.rows.every
     try:

@@ -19,16 +19,23 @@ BUILDING_PIECES, A_PIECE, PIECES_OF_A_RUN = 1.5, 1e-3, 20  # Seconds for buildin
 
 
 class Choice(NamedTuple):
-    """What is asked, with the way; how the cells are run, in words; whether threads can do it."""
+    """What is asked, with the way; how the cells are run, for settings and in words; whether threads can do it."""
 
     asked: Asked
+    way: str
     words: str
     threads: bool
 
 
-def choose(asked: Asked, group: Group, cells: int, models: int) -> Choice:
-    """Decide for all cells, by what the first group is; the same wherever it is asked."""
-    why = _alone_because(asked, group, cells / models)
+def choose(asked: Asked, group: Group, cells: int, models: int, there: str | None = None) -> Choice:
+    """Decide for all cells, by what the first group is; the same wherever it is asked.
+
+    ``there``: the way of the sweep that is gone on with, which goes on as it began, unless ``compiled`` says otherwise.
+    """
+    goes_on = asked.options["compiled"] == "auto" and there is not None
+    why = _alone_because(asked, group, cells / models, costs=not goes_on or there == ALONE)
+    if goes_on and there == ALONE:
+        why = why or "as it began"
     together = PIECES if asked.event_driven else BATCH
     if why is None:
         found = library(replace(asked, way=together), group)
@@ -37,10 +44,10 @@ def choose(asked: Asked, group: Group, cells: int, models: int) -> Choice:
         else:
             unknown = [name for name in _names(asked) if name not in found.columns()]
             if not unknown:
-                each = f", for each of {models} models" if models > 1 else ""
-                return Choice(replace(asked, way=together), f"{found.way}{each}", True)
+                each = ", for each model" if models > 1 else ""
+                return Choice(replace(asked, way=together), found.way, f"{found.way}{each}", True)
             why = f"'{unknown[0]}' is a column of whole runs"
-    return Choice(replace(asked, way=ALONE), f"each cell by simulate: {why}", False)
+    return Choice(replace(asked, way=ALONE), ALONE, f"each cell by simulate: {why}", False)
 
 
 def _names(asked: Asked) -> list[str]:
@@ -48,7 +55,7 @@ def _names(asked: Asked) -> list[str]:
     return [*asked.keep, *(one.name for one in asked.outputs.values() if isinstance(one, Reduction))]
 
 
-def _alone_because(asked: Asked, group: Group, cells: float) -> str | None:
+def _alone_because(asked: Asked, group: Group, cells: float, *, costs: bool) -> str | None:
     """Why cells are not run together; None where they are, if there is a library."""
     options = asked.options
     if options["compiled"] is False:
@@ -64,12 +71,10 @@ def _alone_because(asked: Asked, group: Group, cells: float) -> str | None:
         return f"the output '{whole[0]}' is of a whole run"
     if asked.event_driven and options["method"] == METHODS[2]:
         return "the steps of each are chosen by error control"
-    if options["compiled"] is True:
+    if options["compiled"] is True or not costs:
         return None
     took, build = _seconds(asked, group)
-    if cells * took > build:
-        return None
-    return f"{cells:.0f} runs of a model of about {took:.2g} s take less time than building a library"
+    return None if cells * took > build else "they take less time than building a library"
 
 
 def _seconds(asked: Asked, group: Group) -> tuple[float, float]:

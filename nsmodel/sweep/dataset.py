@@ -11,7 +11,6 @@ import numpy as np
 from nsmodel.archive import write_npz
 from nsmodel.errors import MissingExtraError
 from nsmodel.storage import dumps, replacing
-from nsmodel.sweep.asked import FACTS
 from nsmodel.sweep.variable import WORDS
 
 if TYPE_CHECKING:
@@ -44,7 +43,7 @@ def table(sweep: Sweep) -> dict[str, np.ndarray]:
     for name, (values, axes) in sweep.varied.items():
         own = values[tuple(places[axis] for axis in axes)].reshape(sweep.size, -1)
         found |= {name if own.shape[1] == 1 else f"{name}_{i}": column for i, column in enumerate(own.T)}
-    for name in (*sweep.metadata.get("outputs", {}), *FACTS):
+    for name in [name for name in sweep.cells if name not in sweep.metadata.get("keep", ())]:
         values = sweep.cells[name].reshape(sweep.size, -1)
         if name != "status":
             found |= {name if values.shape[1] == 1 else f"{name}_{i}": column for i, column in enumerate(values.T)}
@@ -90,7 +89,7 @@ def to_netcdf(sweep: Sweep, path: Path) -> None:
 def to_zarr(sweep: Sweep, path: Path) -> None:
     """A zarr store."""
     _extra("zarr", "zarr")
-    of(sweep).to_zarr(path, mode="w")
+    of(sweep).to_zarr(path, mode="w", zarr_format=2)
 
 
 def _there(package: str) -> bool:

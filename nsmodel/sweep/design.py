@@ -12,11 +12,9 @@ import numpy as np
 from nsmodel.errors import UsageError
 from nsmodel.grid import is_number
 from nsmodel.model.parameters import _names_of
-from nsmodel.storage import dumps
 
 SAMPLE, REPLICATE, SEED, STEP, INPUTS = "sample", "replicate", "seed", "step", "inputs"
 RESERVED = (SAMPLE, REPLICATE, SEED, STEP, INPUTS, "t", "cell")
-NUMBER, ITEM = "number", "item"
 
 
 @dataclass(frozen=True)
@@ -85,19 +83,6 @@ class Design:
         key = tuple(int(place[0]) for place in self.places(np.array([cell])))
         return np.random.default_rng(np.random.SeedSequence(self.entropy, spawn_key=key))
 
-    def document(self) -> dict[str, Any]:
-        """What tells it from another, for JSON."""
-        return {
-            "dims": list(self.dims),
-            "coords": {name: _plain(values) for name, values in self.coords.items()},
-            "columns": [[one.kind, one.name, list(one.along), _plain(one.values)] for one in self.columns if one.numeric],
-            "entropy": self.entropy,
-        }
-
-
-def _plain(values: np.ndarray) -> Any:
-    return values.tolist() if values.dtype != object else [str(one) for one in values.ravel()]
-
 
 def design_of(
     grid: Mapping[Any, Any] | None,
@@ -107,6 +92,7 @@ def design_of(
     step: Any,
     inputs: Any,
     entropy: int | None,
+    replicates: bool = False,
 ) -> Design:
     """Read what varies.
 
@@ -120,7 +106,7 @@ def design_of(
         for name, values in _items(grid, "grid", "{name: values}"):
             made.dimension(name, "value", name, values, f"grid: '{name}'")
     if samples is not None:
-        made.samples(samples)
+        made.samples(samples, bool(replicates))
     if isinstance(start, Mapping):
         for name, values in _items(start, "start", "{state: values}"):
             made.start(name, values)
@@ -166,8 +152,8 @@ class _Maker:
         scalar = array.ndim == 1 and (array.dtype != object or all(isinstance(one, str) for one in array))
         self.coords[dim] = (array.astype(str) if array.dtype == object else array) if scalar else np.arange(len(array))
 
-    def samples(self, given: Any) -> None:
-        """Points that belong together: (N,) of each name, or (R, N) for R replicates; names in a tuple share a table."""
+    def samples(self, given: Any, replicates: bool) -> None:
+        """Points that belong together: (N, ...) of each name, or (R, N, ...) for R replicates; names in a tuple share a table."""
         shapes: dict[str, tuple[int, ...]] = {}
         for key, values in _items(given, "samples", "{name: array}"):
             for name, array in _named(key, values):
@@ -178,16 +164,15 @@ class _Maker:
                     raise UsageError(f"{label} is the name of a dimension; give {_instead(name)}")
                 self.columns.append(Column("value", name, (), array))
                 shapes[name] = array.shape
-        least = min(len(shape) for shape in shapes.values())
-        lead = next(shape[: min(least, 2)] for shape in shapes.values() if len(shape) == least)
-        lead = lead if all(shape[: len(lead)] == lead for shape in shapes.values()) else lead[:1]
+        first, lead = next((name, shape[: 1 + replicates]) for name, shape in shapes.items())
         for name, shape in shapes.items():
-            if shape[: len(lead)] != lead:
-                first = next(iter(shapes))
-                raise UsageError(f"samples: '{name}' has {shape[0]} points and '{first}' {shapes[first][0]}; give as many of each")
+            if len(shape) < 1 + replicates:
+                raise UsageError(f"samples: '{name}' has shape {shape}; expected (replicates, points)")
+            if shape[: 1 + replicates] != lead:
+                raise UsageError(f"samples: '{name}' has {_points(shape, lead)} and '{first}' {_points(lead, lead)}; give as many of each")
         if not prod(lead):
             raise UsageError("samples: no points; give at least one")
-        self.dims = [SAMPLE] if len(lead) == 1 else [REPLICATE, SAMPLE]
+        self.dims = [REPLICATE, SAMPLE] if replicates else [SAMPLE]
         self.columns = [Column(c.kind, c.name, tuple(range(len(lead))), c.values) for c in self.columns]
         self.coords = {dim: np.arange(size) for dim, size in zip(self.dims, lead, strict=True)}
 
@@ -213,6 +198,10 @@ class _Maker:
         self.columns.append(Column(INPUTS, INPUTS, (len(self.dims),), values))
         self.dims.append(INPUTS)
         self.coords[INPUTS] = np.array([str(label) for label in given])
+
+
+def _points(shape: tuple[int, ...], lead: tuple[int, ...]) -> str:
+    return " x ".join(map(str, shape[: len(lead)])) + " points"
 
 
 def _instead(name: str) -> str:
@@ -242,7 +231,7 @@ def _named(key: Any, values: Any) -> Iterator[tuple[str, np.ndarray]]:
         return
     names = [one if isinstance(one, str) else _name_of(one, "samples") for one in key]
     table = _values(values, f"samples: {', '.join(names)}")
-    if table.ndim not in (2, 3) or table.shape[-1] != len(names):
+    if table.ndim < 2 or table.shape[-1] != len(names):
         raise UsageError(f"samples: a table of shape {table.shape} for {', '.join(names)}; expected (points, {len(names)})")
     for i, name in enumerate(names):
         yield name, table[..., i]
@@ -290,8 +279,3 @@ def _entropy(entropy: int | None) -> int:
     if not (isinstance(entropy, int | np.integer) and not isinstance(entropy, bool) and entropy >= 0):
         raise UsageError(f"entropy = {entropy!r:.60}; expected a whole number >= 0")
     return int(entropy)
-
-
-def digest_text(design: Design) -> str:
-    """The document of a design as one text."""
-    return dumps(design.document())

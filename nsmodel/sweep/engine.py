@@ -22,9 +22,15 @@ _inherited: dict[int, Asked] = {}  # What sweeps ask for, for workers that are f
 
 
 class Engine(Protocol):
-    """``submit`` returns a future of (found, seconds); ``workers``: how many chunks are computed at once."""
+    """``submit`` returns a future of (found, seconds).
+
+    Attributes:
+        workers: how many chunks are computed at once; window: how many are out.
+        words: who computes.
+    """
 
     workers: int
+    window: int
     words: str
 
     def submit(self, tasks: Sequence[Task], attempt: int) -> Any:
@@ -47,7 +53,7 @@ def timed(asked: Asked | int, tasks: Sequence[Task], attempt: int = 0, stop: Sto
 class InTurn:
     """One chunk after the other, here."""
 
-    workers, words = 1, "in this process"
+    workers, window, words = 1, 1, "in this process"
 
     def __init__(self, asked: Asked, stop: Stop) -> None:
         self._asked, self._stop = asked, stop
@@ -70,7 +76,7 @@ class Threads:
 
     def __init__(self, asked: Asked, stop: Stop, workers: int) -> None:
         self._asked, self._stop, self.workers = asked, stop, workers
-        self.words = f"{workers} threads"
+        self.words, self.window = f"{workers} threads", workers + 1
         self._pool = ThreadPoolExecutor(workers)
 
     def submit(self, tasks: Sequence[Task], attempt: int) -> Any:
@@ -86,7 +92,7 @@ class Processes:
     """Processes of this machine. Ctrl-C is this process's own: they end what they do, and go when it is gone."""
 
     def __init__(self, asked: Asked, workers: int) -> None:
-        self.workers, self.words, self._asked = workers, f"{workers} processes", asked
+        self.workers, self.window, self.words, self._asked = workers, workers + 1, f"{workers} processes", asked
         forks = "fork" in multiprocessing.get_all_start_methods()
         self._context = multiprocessing.get_context("fork" if forks else "spawn")
         self._given: Asked | int = asked
@@ -121,6 +127,7 @@ class Given:
     def __init__(self, asked: Asked, engine: Any) -> None:
         self._asked, self._engine = asked, engine
         self.workers = _size(engine)
+        self.window = 2 * self.workers
         self.words = f"{type(engine).__module__.partition('.')[0]}.{type(engine).__name__}, {self.workers} at once"
         if isinstance(engine, ProcessPoolExecutor):
             portable(asked)
@@ -139,17 +146,22 @@ def engine_of(workers: Any, asked: Asked, stop: Stop, *, threads: bool, chunks: 
     Raises:
         UsageError: none of these.
     """
+    refuse_workers(workers)
     if hasattr(workers, "submit"):
         return Given(asked, workers)
-    if workers is not None and not (is_number(workers) and workers >= 1 and float(workers).is_integer()):
-        raise UsageError(
-            f"workers = {written(workers)}; expected a whole number >= 1, or an engine with submit(), such as a Dask Client or an "
-            "Executor"
-        )
     count = min(cores() if workers is None else int(workers), max(chunks, 1))
     if count == 1:
         return InTurn(asked, stop)
     return Threads(asked, stop, count) if threads else Processes(asked, count)
+
+
+def refuse_workers(workers: Any) -> None:
+    """Raise UsageError for what cannot compute."""
+    if not (workers is None or hasattr(workers, "submit") or (is_number(workers) and workers >= 1 and float(workers).is_integer())):
+        raise UsageError(
+            f"workers = {written(workers)}; expected a whole number >= 1, or an engine with submit(), such as a Dask Client or an "
+            "Executor"
+        )
 
 
 def cores() -> int:

@@ -212,6 +212,8 @@ class Sweep:
         status = Counter(self.cells["status"].tolist())
         ran = self.cells["status"] != NOT_RUN
         worst = self.cells["worst_residual"][self.cells["status"] == DONE]
+        pieces = self.cells.get("pieces")
+        estimates = self.cells["estimate"][np.isfinite(self.cells["estimate"])] if pieces is not None else np.zeros(0)
         ways = Counter(self.cells["way"][ran].tolist())
         return {
             "title": self.title,
@@ -226,6 +228,8 @@ class Sweep:
             "t": {"start": float(self.t[0]), "end": float(self.t[-1]), "unit": self.units.get("t", "")},
             "steps": int(self.cells["steps"].sum()),
             "worst_residual": float(np.max(worst)) if worst.size else None,
+            "pieces": None if pieces is None else int(pieces.sum()),
+            "estimate": float(estimates.max()) if estimates.size else None,
             "ways": {WAYS[way]: count for way, count in sorted(ways.items())},
             "plan": self.plan,
         }
@@ -251,9 +255,14 @@ class Sweep:
         if s["keep"]:
             lines.append(_line("kept", f"{kept}: {s['rows']} rows, t = {s['t']['start']:.6g} to {s['t']['end']:.6g}{unit}"))
         lines += [_line("outputs" if i == 0 else "", f"{name}: {text}") for i, (name, text) in enumerate(s["outputs"].items())]
-        lines.append(_line("steps", f"{s['steps']:,} in all, each verified"))
-        if s["worst_residual"] is not None:
-            lines.append(_line("worst residual", f"{s['worst_residual']:.2e}"))
+        if s["pieces"] is not None:
+            lines.append(_line("pieces", f"{s['pieces']:,} in all"))
+            if s["estimate"] is not None:
+                lines.append(_line("worst estimate", f"{s['estimate']:.2g} of rtol, of the error of a piece"))
+        else:
+            lines.append(_line("steps", f"{s['steps']:,} in all, each verified"))
+            if s["worst_residual"] is not None:
+                lines.append(_line("worst residual", f"{s['worst_residual']:.2e}"))
         lines.append(_line("way", self.plan))
         alone = s["ways"].get(ALONE, 0)
         if alone and len(s["ways"]) > 1:
@@ -286,7 +295,7 @@ def made(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any], again: C
     varied = {name: (np.asarray(arrays[f"{VALUE}{name}"]), tuple(axes)) for name, axes in along.items()}
     cells = {name: values for name, values in arrays.items() if not name.startswith((DIM, VALUE)) and name != "t"}
     messages = {int(cell): text for cell, text in metadata.get("messages", {}).items()}
-    return Sweep(dims, coords, varied, np.asarray(arrays["t"]), cells, messages, about, again)
+    return Sweep(dims, coords, varied, np.asarray(arrays["t"]), cells, messages, about, _again=again)
 
 
 def _line(head: str, text: str) -> str:

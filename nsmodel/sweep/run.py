@@ -20,12 +20,13 @@ from nsmodel.run.interrupt import deferred_signals
 from nsmodel.run.options import Options
 from nsmodel.run.told import of_model
 from nsmodel.simulate import simulate
+from nsmodel.solve.choose import SOLVERS
 from nsmodel.sweep import dataset, same
 from nsmodel.sweep.asked import ALONE, FACTS, WAYS, Asked, Found
 from nsmodel.sweep.cells import blank
 from nsmodel.sweep.choice import Choice, choose
 from nsmodel.sweep.design import Design, design_of
-from nsmodel.sweep.engine import engine_of
+from nsmodel.sweep.engine import engine_of, refuse_workers
 from nsmodel.sweep.outputs import Reduction, outputs_of
 from nsmodel.sweep.result import DIM, VALUE, Sweep, made
 from nsmodel.sweep.source import Source
@@ -73,6 +74,7 @@ def sweep(
     resume: bool = False,
     retry: bool = False,
     entropy: int | None = None,
+    replicates: bool = False,
     low_discrepancy: bool = False,
     progress: bool = False,
 ) -> Sweep:
@@ -85,7 +87,7 @@ def sweep(
         grid: {name: values}, a product: a dimension for each. A name is that of a parameter (then one library serves all
             values) or of an argument of the model's function (then each value is another model).
         samples: {name: array (N,)}, points that belong together, along the dimension "sample"; {(names): array (N, k)} as SALib
-            and scipy.stats.qmc make them; (R, N) and (R, N, k): R replicates, along "replicate".
+            and scipy.stats.qmc make them.
         start: {state: values}, where runs begin: along the samples, or a dimension of its own; or a function that gets a
             ``numpy.random.Generator`` of each cell and returns {state: value}.
         seeds: for ``def model(seed=...)``, or for the random numbers of ``start``; a number N stands for range(N).
@@ -103,6 +105,7 @@ def sweep(
         resume: go on with the sweep in ``out``: cells that are there are not run again; samples and seeds may have been added.
         retry: with ``resume``, run failed cells again.
         entropy: of the random numbers of ``start`` (default 0), which depend on it and on a cell's place alone.
+        replicates: arrays of samples are (R, N) and (R, N, k): R sets of points, along the dimension "replicate".
         low_discrepancy: samples are a net (Sobol, Halton, Latin hypercube): their means have no standard error.
         progress: show a bar where standard error is a terminal.
 
@@ -115,13 +118,16 @@ def sweep(
     several = step is not None and np.ndim(step) > 0
     many_inputs = isinstance(inputs, list | tuple) or _labelled(inputs)
     design = design_of(
-        grid, samples, start, seeds, step if several else None, inputs if many_inputs else None, entropy
+        grid, samples, start, seeds, step if several else None, inputs if many_inputs else None, entropy, replicates
     )  # fmt: skip
     one_step = None if several or step is None else float(step)
     Options(
         step=one_step, solver=solver, tolerance=tolerance, compiled=compiled, rtol=rtol, atol=atol, method=method,
         times=times, out=out, resume=resume,
     )  # fmt: skip
+    refuse_workers(workers)
+    if solver not in SOLVERS:
+        raise UsageError(f"solver '{solver}' is unknown; there are {', '.join(SOLVERS)}")
     if retry and not resume:
         raise UsageError("retry runs the failed cells of a sweep that is there again: give resume=True and out= with it")
     options = {"solver": solver, "tolerance": float(tolerance), "compiled": compiled, "t_end": t_end, "rtol": rtol, "atol": atol,
@@ -132,12 +138,14 @@ def sweep(
     groups = Groups(
         Source(model), design, asked, fixed, one_step, None if many_inputs else inputs, start if callable(start) else None
     )  # fmt: skip
-    of = _Sweeping(design, groups, choose(asked, groups.first, design.size, groups.count), low_discrepancy)
     if out is None:
-        return of.go(None, workers, progress=progress)
+        choice = choose(asked, groups.first, design.size, groups.count)
+        return _Sweeping(design, groups, choice, low_discrepancy).go(None, workers, progress=progress)
     place = Path(out)
     export = EXPORTS.get(place.suffix)
     folder = place.with_name(f"{place.name}.parts") if export else place
+    there = manifest_of(folder)["settings"].get("way") if resume else None
+    of = _Sweeping(design, groups, choose(asked, groups.first, design.size, groups.count, there), low_discrepancy)
     with lock.held(folder):
         store = of.opened(folder, resume=resume)
         found = of.go(store, workers, progress=progress, retry=retry)
@@ -159,13 +167,13 @@ class _Sweeping:
         grid = asked.grid(first.model, first.step)
         return {
             "model": fingerprint(first.model, grid),
+            "step": first.step if first.step is not None else grid.h,
             "columns": list(asked.keep),
             "rows": f"{len(first.rows.times)} rows, {digest_of([first.rows.times])}",
             "outputs": {name: described(one) for name, one in asked.outputs.items()},
-            "step": first.step if first.step is not None else grid.h,
             "inputs": digest_of([dict(first.model.inputs)]) if first.model.inputs else "",
             **{name: _plain(value) for name, value in asked.options.items() if name not in ("compiled", "times")},
-            "way": self.choice.words,
+            "way": self.choice.way,
             "versions": versions(),
         }
 
@@ -212,13 +220,12 @@ class _Sweeping:
         if store is None:
             return self._result(held.found, engine.words)
         empty = self._result(_nothing(self.design.size), engine.words)
-        order = (*asked.keep, *asked.outputs, *FACTS)
-        store.join(dataset.header(empty), dataset.design_arrays(empty), order)
+        store.join(dataset.header(empty), dataset.design_arrays(empty), asked.names)
         return replace(Sweep.load(store.folder), engine=engine.words, _again=self._simulate)
 
     def _result(self, found: Found, engine: str) -> Sweep:
         asked, first, rows = self.choice.asked, self.groups.first, self.groups.first.rows
-        order = [name for name in (*asked.keep, *asked.outputs, *FACTS) if name in found.arrays]
+        order = [name for name in asked.names if name in found.arrays]
         arrays = {f"{DIM}{dim}": coords for dim, coords in self.design.coords.items()}
         own = [one for one in self.design.columns if one.numeric and one.kind in ("value", "start")]
         names = {one.name if one.kind == "value" else f"{one.name}(0)": one for one in own}

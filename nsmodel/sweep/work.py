@@ -74,7 +74,7 @@ def work(
 
     try:
         while (at < len(cells) or again or out) and not (signals and not out):
-            while not signals and len(out) < engine.workers + 1 and (again or at < len(cells)):
+            while not signals and len(out) < engine.window and (again or at < len(cells)):
                 if again:
                     send(again.pop())
                     continue
