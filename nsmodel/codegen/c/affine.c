@@ -150,6 +150,11 @@ static int passes(model_solver *s, const affine_problem *p, double accepted)
         s->affine.residual = residual;
         COPY(s->affine.best, s->affine.l, p->m);
         COPY(s->affine.best_code, s->affine.code, p->m);
+        for (int i = 0; i < p->m; i++)
+            if (p->lo[i] == p->up[i] && s->affine.code[i] == 0 && s->affine.y[i] != 0) { /* no width: y is not held at 0 */
+                s->affine.best_code[i] = s->affine.y[i] < 0 ? 1 : -1;
+                s->affine.best[i] = p->lo[i];
+            }
     }
     return residual <= accepted;
 }
