@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import ctypes
+import threading
+import weakref
+from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -24,6 +27,7 @@ from nsmodel.solve.layout import Layout
 from nsmodel.solve.stepper import StepResult, Warm
 
 NOWHERE = slice(0, 0)
+MOST_LOADED = 32  # Libraries that are kept loaded while no run has them.
 SECONDS = 0.05  # A call takes about as long: so late comes Ctrl-C.
 
 _Totals = structs.TOTALS.in_python()
@@ -67,9 +71,7 @@ class Rollout:
 
     def __init__(self, model: Model, grid: Grid, tolerance: float, whole: Model | None = None) -> None:
         self.grid = grid
-        library, self.way = (
-            _library(model, grid, tolerance, cached) if whole is None else library_for_all(whole, grid, tolerance)
-        )
+        library, self.way = _library(model, grid, tolerance, cached) if whole is None else library_for_all(whole, grid, tolerance)
         pointer, number, count = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
         self._place = library.function("place", None, pointer, number, number, pointer, pointer, pointer)
         self._fetch = library.function("fetch", None, pointer, pointer, pointer, pointer)
@@ -240,15 +242,33 @@ def _library(model: Model, grid: Grid, tolerance: float, of: Callable[[Model, Gr
     name = compiler()
     if name is None:
         raise no_compiler()
-    path, loaded = of(model, grid, tolerance, name), _loaded(model)
-    library = loaded[path] = loaded.get(path) or Library(path, {"name": NAME})
-    return library, f"compiled by {name}"
+    path = of(model, grid, tolerance, name)
+    return _loaded(model).library(path), f"compiled by {name}"
+
+
+class _Libraries(dict[Path, Library]):
+    """Libraries by their paths, which name their content; the MOST_LOADED used last, of all models, are held on to."""
+
+    recent: ClassVar[OrderedDict[tuple[int, Path], weakref.ref[_Libraries]]] = OrderedDict()
+    lock: ClassVar[threading.RLock] = threading.RLock()
+
+    def library(self, path: Path) -> Library:
+        """The library of a path; what has not been used for long is unloaded, once no run has it."""
+        with self.lock:
+            found = self[path] = self.get(path) or Library(path, {"name": NAME})
+            self.recent.pop((id(self), path), None)
+            self.recent[id(self), path] = weakref.ref(self)
+            while len(self.recent) > MOST_LOADED:
+                (_, old), owner = self.recent.popitem(last=False)
+                if (libraries := owner()) is not None:
+                    libraries.pop(old, None)
+        return found
 
 
 @once
-def _loaded(model: Model) -> dict[Path, Library]:
-    """The libraries that runs of the model have loaded, by their paths, which name their content: they go with the model."""
-    return {}
+def _loaded(model: Model) -> _Libraries:
+    """The libraries that runs of the model have loaded: they go with the model."""
+    return _Libraries()
 
 
 def _block(done: int, totals: Any, state: np.ndarray, warm: Warm) -> StepBlock:

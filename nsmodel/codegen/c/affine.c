@@ -150,11 +150,6 @@ static int passes(model_solver *s, const affine_problem *p, double accepted)
         s->affine.residual = residual;
         COPY(s->affine.best, s->affine.l, p->m);
         COPY(s->affine.best_code, s->affine.code, p->m);
-        for (int i = 0; i < p->m; i++)
-            if (p->lo[i] == p->up[i] && s->affine.code[i] == 0 && s->affine.y[i] != 0) { /* no width: y is not held at 0 */
-                s->affine.best_code[i] = s->affine.y[i] < 0 ? 1 : -1;
-                s->affine.best[i] = p->lo[i];
-            }
     }
     return residual <= accepted;
 }
@@ -376,6 +371,11 @@ static int affine_solve(model_solver *s, int m, const double *W, const double *b
     if (s->affine.residual < INFINITY) {
         COPY(l, s->affine.best, m);
         COPY(code, s->affine.best_code, m);
+        for (int i = 0; i < m; i++)
+            if (code[i] == 0 && lo[i] == up[i]) { /* no width: y is not held at 0 */
+                code[i] = dot(m, W + i*m, l) + b[i] < 0 ? 1 : -1;
+                l[i] = lo[i];
+            }
     }
     return solver;
 }
