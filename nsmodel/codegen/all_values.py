@@ -16,8 +16,8 @@ from nsmodel.errors import CodegenError, NsmodelError
 from nsmodel.grid import Grid
 from nsmodel.hypotheses.quick import admitted, refuse_start
 from nsmodel.model.base import Model
-from nsmodel.model.ticks import ticks_of
 from nsmodel.scheme import one_step_problem
+from nsmodel.solve.choose import pays
 
 DRAWS = 2000  # Values that are tried, of any sign and size.
 TRIED = 20  # Of those that seem right, models that are made.
@@ -38,6 +38,11 @@ def all_values(model: Model, grid: Grid, tolerance: float) -> Scene:
     if given is not None and given.tolerances is not None and ca.depends_on(ca.vertcat(given.c, model.start), model.p):
         raise CodegenError("the tolerances of projections rest on a point inside of the set, which parameters move")
     scene = make_scene(model, None, grid, tolerance, numbers=accepted(model))
+    if pays(scene.structure, scene.law):
+        raise CodegenError(
+            f"{scene.structure.n + scene.structure.m} unknowns and multipliers of a sparse, constant matrix: C keeps it sparse "
+            "where it is of numbers, for one value of the parameters"
+        )
     if scene.path == INCLUSION and callable(getattr(given, "tolerances", None)) and grid.step(grid.N - 1) != grid.h:
         raise CodegenError("the tolerance of projections is a function of the step, and the last step is shorter")
     return scene

@@ -41,8 +41,8 @@ STATUSES = (
     ),
     Status("TOO_SHORT", "the equations are missed by more than rtol, however short a piece is"),
 )
-NO_ROOM, BAD_ARITHMETIC, BAD_PARAMETER = (
-    [status.name for status in STATUSES].index(name) for name in ("NO_ROOM", "BAD_ARITHMETIC", "BAD_PARAMETER")
+NO_ROOM, BAD_ARITHMETIC, BAD_PARAMETER, NOT_SOLVED = (
+    [status.name for status in STATUSES].index(name) for name in ("NO_ROOM", "BAD_ARITHMETIC", "BAD_PARAMETER", "NOT_SOLVED")
 )
 
 READY = 0x6E736D64  # What marks a solver that was initialised.
