@@ -22,6 +22,10 @@ Key = tuple[int, ...]
 Start = Callable[[np.random.Generator], Mapping[str, float]]
 
 
+class OtherRows(UsageError):
+    """Models whose rows have no place in one array."""
+
+
 class Groups:
     """What makes tasks of cells.
 
@@ -51,6 +55,9 @@ class Groups:
         self._drawn = tuple(self._draw(0)) if start is not None else ()
         self.rows: Rows | None = None
         self.first = self._first()
+        if steps and asked.keep:
+            for own in steps[0].tolist():
+                asked.rows(self.first.model, own, self._longest)
 
     def _makes_models(self, column: Column) -> bool:
         if column.kind == SEED:
@@ -104,6 +111,8 @@ class Groups:
             try:
                 group = self._made(key)
                 self._packed[key] = group.packed(), group
+            except OtherRows:
+                raise
             except (ModelError, UsageError) as error:
                 self._packed[key] = str(error), None
             while len(self._packed) > KEPT:
@@ -140,7 +149,7 @@ class Groups:
         if self.rows is None:
             self.rows = rows
         elif self._asked.keep and not _same(rows.times, self.rows.times):
-            raise UsageError(
+            raise OtherRows(
                 f"the rows of this model are at other times (0 to {rows.times[-1]:g} in {len(rows.times)} rows) than those of the "
                 f"first (0 to {self.rows.times[-1]:g} in {len(self.rows.times)}); keep numbers with outputs= in place of rows"
             )
