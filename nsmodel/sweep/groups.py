@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nsmodel.errors import UsageError
-from nsmodel.sweep.variable import DONE, DRAWN, Variable, causes_of
+from nsmodel.sweep.variable import DRAWN, Variable, causes_of
 
 Over = str | Sequence[str] | None
 
@@ -80,8 +80,7 @@ def grouped(variable: Variable, over: Over) -> Groups:
     order = [variable.dims.index(dim) for dim in (*kept, *dims)]
     shape = tuple(variable.sizes[dim] for dim in kept)
     cells = int(np.prod([variable.sizes[dim] for dim in dims]))
-    status = np.expand_dims(variable.status, tuple(k for k, dim in enumerate(variable.dims) if dim not in variable.cell_dims))
-    done = np.broadcast_to(status == DONE, variable.values.shape).transpose(order).reshape(*shape, cells)
+    done = variable.done.transpose(order).reshape(*shape, cells)
     values = variable.values.astype(float).transpose(order).reshape(*shape, cells)
     return Groups(variable, dims, kept, shape, np.where(done, values, np.nan), done)
 

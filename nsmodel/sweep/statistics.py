@@ -137,7 +137,8 @@ def statistics(
         inside = tuple(_over_replicates(part, level) for part in _quantiles(values, done, asked, np.nan))
     else:
         half = stdtrit(np.maximum(count - 1, 1), (1 + level) / 2) * numbers["error"]
-        low, high = numbers["mean"] - half, numbers["mean"] + half
+        with np.errstate(invalid="ignore"):
+            low, high = numbers["mean"] - half, numbers["mean"] + half
         if np.isnan(level):
             numbers["error"] = np.full(groups.shape, np.nan)
     return Statistics(

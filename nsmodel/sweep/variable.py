@@ -98,6 +98,17 @@ class Variable:
         return dict(zip(self.dims, self.values.shape, strict=True))
 
     @property
+    def everywhere(self) -> np.ndarray:
+        """The status of the cell of each of the values: their shape."""
+        within = tuple(k for k, dim in enumerate(self.dims) if dim not in self.cell_dims)
+        return np.broadcast_to(np.expand_dims(self.status, within), self.values.shape)
+
+    @property
+    def done(self) -> np.ndarray:
+        """Of each of the values whether its cell is done, bool."""
+        return self.everywhere == DONE
+
+    @property
     def title(self) -> str:
         """The label in words, or else the name."""
         return self.label or self.name
