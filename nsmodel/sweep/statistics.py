@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -224,8 +224,8 @@ def _mean_of_two(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _checked_quantiles(quantiles: Sequence[float]) -> tuple[float, ...]:
-    asked = (quantiles,) if isinstance(quantiles, int | float) else tuple(quantiles)
+    asked = tuple(quantiles) if isinstance(quantiles, Iterable) else (quantiles,)
     for q in asked:
-        if not (isinstance(q, int | float | np.floating) and 0 < q < 1):
+        if not (isinstance(q, float | np.floating) and 0 < q < 1):
             raise UsageError(f"quantiles={quantiles!r}: {q!r} is not between 0 and 1")
     return tuple(float(q) for q in asked)
