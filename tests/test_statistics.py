@@ -1,5 +1,7 @@
 """Statistics of sweeps: they cover what closed forms know as often as theory says, and no failed cell is lost."""
 
+import pickle
+
 import numpy as np
 import pytest
 import scipy.stats
@@ -84,7 +86,7 @@ def test_the_closed_forms_have_these_moments(f):
 
 @pytest.mark.parametrize(("f", "cells"), [(crossing, 10), (crossing, 100), (rest, 50), (period, 30), (play, 300)])
 def test_the_interval_of_the_mean_covers_as_often_as_its_expansion_says(f, cells):
-    """Student's t of what is not normal: Hall, The Bootstrap and Edgeworth Expansion, 1992, section 2.6, to order 1/n."""
+    """Of what is not normal, to order 1/n: Hall, The Bootstrap and Edgeworth Expansion, 1992."""
     mean, _ = MOMENTS[f]
     of = statistics(ensembles(f, 20_000, cells, seed=cells), over="sample", quantiles=())
     z, skew, kurtosis = norm.ppf(0.975), standardised(f, 3), standardised(f, 4) - 3
@@ -354,6 +356,11 @@ def test_values_that_are_laid_out_are_no_draws():
     [
         (lambda v: statistics(v, over="nu"), "over='nu': x has the dims mu, seed, t"),
         (lambda v: statistics(v, over="t"), "over='t': t is an axis within each cell, .* over= takes mu, seed; .* run.mean"),
+        (lambda v: statistics(v, over=3), "over=3: expected a dim, several, or None for all of mu, seed"),
+        (lambda v: statistics(v.at(mu=0).take("t", 0), quantiles="0.5"), "'0' is not between 0 and 1"),
+        (lambda v: v.at(t="late"), "t is nowhere 'late'; it is 0.0, 0.5, 1.0"),
+        (lambda v: v & 1, "x and 1; expected another variable of the same cells"),
+        (lambda v: statistics(Variable.of("x", np.zeros((2, 0)), ("mu", "seed")), over="seed"), "x has no cells along seed"),
         (lambda v: statistics(v, over=()), r"over=\(\): expected dims of cells, each once: mu, seed"),
         (lambda v: statistics(v, over=("seed", "seed")), "each once"),
         (lambda v: statistics(v, quantiles=(0.5, 1)), "1 is not between 0 and 1"),
@@ -415,6 +422,19 @@ def test_a_net_has_no_error_of_its_own():
     assert "No errors and no intervals were asked for." in of.text
     seeds = Variable.of("x", np.random.default_rng(0).random((4, 3)), ("sample", "seed"), low_discrepancy=True)
     assert np.isfinite(statistics(seeds, over="seed").error).all()
+
+
+def test_a_table_is_of_what_may_be_shown():
+    found = Variable.of("x" + chr(27), np.ones((2, 3)), ("a\n", "seed"), {"a\n": ["p" + chr(0x202E), "q"]})
+    text = statistics(found, over="seed").text
+    assert not any(sign in text for sign in (chr(27), chr(0x202E), "a\n"))
+    assert [line.split()[0] for line in text.splitlines()[1:4]] == ["a", "p", "q"]
+
+
+def test_variables_and_results_are_pickled():
+    found = pickle.loads(pickle.dumps(partly_failed()))
+    assert pickle.loads(pickle.dumps(statistics(found, over="seed"))).text == statistics(partly_failed(), over="seed").text
+    assert pickle.loads(pickle.dumps(share(found > 0))).causes == {"failed": 2, "interrupted": 1}
 
 
 def test_conditions_join():

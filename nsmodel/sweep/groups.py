@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from nsmodel.errors import UsageError
-from nsmodel.sweep.variable import DONE, DRAWN, Variable, causes_of
+from nsmodel.sweep.variable import DRAWN, Variable, causes_of
 
 Over = str | Sequence[str] | None
 
@@ -65,6 +65,8 @@ def grouped(variable: Variable, over: Over) -> Groups:
     Raises:
         UsageError: a dim that is not there, is named twice, or is an axis within a cell.
     """
+    if not (over is None or isinstance(over, Iterable)):
+        raise UsageError(f"over={over!r}: expected a dim, several, or None for all of {', '.join(variable.cell_dims)}")
     dims = variable.cell_dims if over is None else (over,) if isinstance(over, str) else tuple(over)
     for dim in dims:
         if dim not in variable.dims:
@@ -76,12 +78,14 @@ def grouped(variable: Variable, over: Over) -> Groups:
             )
     if not dims or len(set(dims)) < len(dims):
         raise UsageError(f"over={over!r}: expected dims of cells, each once: {', '.join(variable.cell_dims) or 'there are none'}")
+    empty = [dim for dim in dims if not variable.sizes[dim]]
+    if empty:
+        raise UsageError(f"over={over!r}: {variable.name} has no cells along {empty[0]}")
     kept = tuple(dim for dim in variable.dims if dim not in dims)
     order = [variable.dims.index(dim) for dim in (*kept, *dims)]
     shape = tuple(variable.sizes[dim] for dim in kept)
     cells = int(np.prod([variable.sizes[dim] for dim in dims]))
-    status = np.expand_dims(variable.status, tuple(k for k, dim in enumerate(variable.dims) if dim not in variable.cell_dims))
-    done = np.broadcast_to(status == DONE, variable.values.shape).transpose(order).reshape(*shape, cells)
+    done = variable.done.transpose(order).reshape(*shape, cells)
     values = variable.values.astype(float).transpose(order).reshape(*shape, cells)
     return Groups(variable, dims, kept, shape, np.where(done, values, np.nan), done)
 

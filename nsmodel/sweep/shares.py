@@ -131,6 +131,7 @@ def _some(count: np.ndarray) -> np.ndarray:
 def interval_of_means(means: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Mean, standard error (ddof 1) and interval by Student's t of independent values along the last axis."""
     n = means.shape[-1]
-    mean, error = means.mean(axis=-1), means.std(axis=-1, ddof=1) / np.sqrt(n)
-    half = stdtrit(n - 1, (1 + level) / 2) * error
-    return mean, error, mean - half, mean + half
+    with np.errstate(invalid="ignore"):
+        mean, error = means.mean(axis=-1), means.std(axis=-1, ddof=1) / np.sqrt(n)
+        half = stdtrit(n - 1, (1 + level) / 2) * error
+        return mean, error, mean - half, mean + half

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -137,7 +137,8 @@ def statistics(
         inside = tuple(_over_replicates(part, level) for part in _quantiles(values, done, asked, np.nan))
     else:
         half = stdtrit(np.maximum(count - 1, 1), (1 + level) / 2) * numbers["error"]
-        low, high = numbers["mean"] - half, numbers["mean"] + half
+        with np.errstate(invalid="ignore"):
+            low, high = numbers["mean"] - half, numbers["mean"] + half
         if np.isnan(level):
             numbers["error"] = np.full(groups.shape, np.nan)
     return Statistics(
@@ -223,8 +224,8 @@ def _mean_of_two(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _checked_quantiles(quantiles: Sequence[float]) -> tuple[float, ...]:
-    asked = (quantiles,) if isinstance(quantiles, int | float) else tuple(quantiles)
+    asked = tuple(quantiles) if isinstance(quantiles, Iterable) else (quantiles,)
     for q in asked:
-        if not (isinstance(q, int | float | np.floating) and 0 < q < 1):
+        if not (isinstance(q, float | np.floating) and 0 < q < 1):
             raise UsageError(f"quantiles={quantiles!r}: {q!r} is not between 0 and 1")
     return tuple(float(q) for q in asked)

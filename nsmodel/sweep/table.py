@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,47 +16,43 @@ if TYPE_CHECKING:
 
 ROWS = 24  # Of a table; more are thinned.
 WIDEST = 16  # Of a coordinate that is a word.
+_Column = Callable[[np.ndarray], list[str]]  # rows -> their text
 
 
 def statistics_text(of: Statistics) -> str:
     """Statistics as a table."""
-    columns = {"count": of.count, "mean": of.mean, "error": of.error, "std": of.std}
-    cells = {name: _numbers(array) for name, array in columns.items()}
+    columns = {"count": _of(of.count)} | ({"failed": _of(of.failed)} if of.failed.any() else {})
+    columns |= {"mean": _of(of.mean), "error": _of(of.error), "std": _of(of.std)}
     for part in of.quantiles:
-        value = _numbers(part.value)
-        if not np.isnan(of.level):
-            value = [f"{v} ({a} to {b})" for v, a, b in zip(value, _numbers(part.low), _numbers(part.high), strict=True)]
-        cells[f"quantile {part.q:g}"] = value
-    cells |= {"least": _numbers(of.least), "largest": _numbers(of.largest)}
-    if of.failed.any():
-        cells = {"count": cells.pop("count"), "failed": _numbers(of.failed), **cells}
+        bare = np.isnan(of.level)
+        columns[f"quantile {part.q:g}"] = _of(part.value) if bare else _between(part.low, part.high, part.value)
+    columns |= {"least": _of(of.least), "largest": _of(of.largest)}
     unit = f" [{of.unit}]" if of.unit else ""
-    return "\n".join([f"{one_line(of.title)}{unit} over {_cells(of)}", *_table(of, cells), *_about_statistics(of)])
+    return "\n".join([f"{one_line(of.title)}{unit} over {_cells(of)}", *_table(of, columns), *_about_statistics(of)])
 
 
 def share_text(of: Share) -> str:
     """A share as a table."""
-    interval = [f"{a} to {b}" for a, b in zip(_numbers(of.low), _numbers(of.high), strict=True)]
-    cells = {"count": _numbers(of.count), "holds": _numbers(of.holds), "share": _numbers(of.value)}
+    columns = {"count": _of(of.count)} | ({"failed": _of(of.failed)} if of.failed.any() else {})
+    columns |= {"holds": _of(of.holds), "share": _of(of.value)}
     if not np.isnan(of.level):
-        cells[f"{100 * of.level:g} % interval"] = interval
+        columns[f"{100 * of.level:g} % interval"] = _between(of.low, of.high)
     if of.failed.any():
-        cells = {"count": cells.pop("count"), "failed": _numbers(of.failed), **cells}
-        pairs = zip(_numbers(of.bounds[0]), _numbers(of.bounds[1]), strict=True)
-        cells["if all failed ones are against, for"] = [f"{a} to {b}" for a, b in pairs]
+        columns["if all failed ones are against, for"] = _between(*of.bounds)
     lines = _without_result(of, "the share")
     if of.replicates:
         lines.append(f"The interval is that over the shares of {of.replicates}, by Student's t.")
     elif not np.isnan(of.level):
         lines.append("Intervals: Wilson's.")
-    return "\n".join([f"{one_line(of.title)}: share over {_cells(of)}", *_table(of, cells), *lines])
+    return "\n".join([f"{one_line(of.title)}: share over {_cells(of)}", *_table(of, columns), *lines])
 
 
 def _about_statistics(of: Statistics) -> list[str]:
     lines = _without_result(of, "a mean")
     holes = int((np.isnan(of.mean) & (of.count > 0)).sum())
     if holes:
-        lines.append(f"{_rows(holes)} NaN: a cell that is done has NaN there.")
+        why = "a cell that is done has NaN there, or cells have infinities of both signs"
+        lines.append(f"{_rows(holes)} NaN: {why}{', or no cell of a replicate is done' if of.replicates else ''}.")
     if np.isnan(of.level):
         lines.append("No errors and no intervals were asked for.")
     elif of.replicates:
@@ -106,7 +102,7 @@ def _cells(of: Statistics | Share) -> str:
     """Over what, of how many cells."""
     groups = _groups(of)
     many = f"{of.cells * groups} cells in {groups} groups" if groups > 1 else f"{of.cells} cells"
-    return f"{', '.join(of.over)}: {many}"
+    return f"{one_line(', '.join(of.over))}: {many}"
 
 
 def _groups(of: Statistics | Share) -> int:
@@ -114,15 +110,15 @@ def _groups(of: Statistics | Share) -> int:
     return int(np.prod([len(of.coords[dim]) for dim in of.dims if dim in of.cell_dims]))
 
 
-def _table(of: Statistics | Share, cells: Mapping[str, Sequence[str]]) -> list[str]:
-    """Aligned columns: the coordinates of the groups, then `cells`; thinned where there are many rows."""
+def _table(of: Statistics | Share, columns: Mapping[str, _Column]) -> list[str]:
+    """Aligned columns: the coordinates of the groups, then others, each of the rows it is given; many rows are thinned."""
     shape = tuple(len(of.coords[dim]) for dim in of.dims)
     count = int(np.prod(shape))
-    index = np.indices(shape).reshape(len(shape), count)
-    coords = {dim: [_coordinate(of.coords[dim][k]) for k in places] for dim, places in zip(of.dims, index, strict=True)}
-    columns = {**coords, **cells}
-    shown = np.unique(np.linspace(0, count - 1, min(count, ROWS)).round().astype(int)) if count else []
-    rows = [list(columns), *([column[k] for column in columns.values()] for k in shown)]
+    shown = np.unique(np.linspace(0, count - 1, min(count, ROWS)).round().astype(int)) if count else np.zeros(0, dtype=int)
+    index = np.unravel_index(shown, shape) if shape else ()
+    table = {dim: [_coordinate(of.coords[dim][k]) for k in places] for dim, places in zip(of.dims, index, strict=True)}
+    table |= {name: column(shown) for name, column in columns.items()}
+    rows = [list(map(one_line, table)), *zip(*table.values(), strict=True)]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  " + "  ".join(word.rjust(width) for word, width in zip(row, widths, strict=True)) for row in rows]
     return lines + ([f"  {len(shown)} of {count} rows, evenly spread"] if len(shown) < count else [])
@@ -135,10 +131,25 @@ def _coordinate(value: Any) -> str:
     return words if len(words) <= WIDEST else f"{words[: WIDEST - 1]}…"
 
 
-def _numbers(array: np.ndarray) -> list[str]:
-    """Of all groups in a row, to 5 digits; counts whole."""
+def _numbers(array: np.ndarray, rows: np.ndarray) -> list[str]:
+    """Of these groups, to 5 digits; counts whole."""
     whole = np.asarray(array).dtype.kind in "iu"
-    return [f"{value}" if whole else f"{value:.5g}" for value in np.ravel(array)]
+    return [f"{value}" if whole else f"{value:.5g}" for value in np.ravel(array)[rows]]
+
+
+def _of(array: np.ndarray) -> _Column:
+    """A column of numbers."""
+    return lambda rows: _numbers(array, rows)
+
+
+def _between(low: np.ndarray, high: np.ndarray, value: np.ndarray | None = None) -> _Column:
+    """A column of intervals, behind a value where there is one."""
+
+    def column(rows: np.ndarray) -> list[str]:
+        words = [f"{a} to {b}" for a, b in zip(_numbers(low, rows), _numbers(high, rows), strict=True)]
+        return words if value is None else [f"{v} ({w})" for v, w in zip(_numbers(value, rows), words, strict=True)]
+
+    return column
 
 
 def _rows(count: int) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -61,8 +60,8 @@ class Variable:
         settled = {
             "values": _read_only(values), "status": _read_only(np.asarray(self.status, dtype=np.int8)),
             "dims": tuple(self.dims), "cell_dims": tuple(self.cell_dims),
-            "coords": MappingProxyType({name: _read_only(np.asarray(of)) for name, of in self.coords.items()}),
-            "units": MappingProxyType(dict(self.units)), "along": MappingProxyType(dict(self.along)),
+            "coords": {name: _read_only(np.asarray(of)) for name, of in self.coords.items()},
+            "units": dict(self.units), "along": dict(self.along),
         }  # fmt: skip
         for name, value in settled.items():
             object.__setattr__(self, name, value)
@@ -96,6 +95,17 @@ class Variable:
     def sizes(self) -> dict[str, int]:
         """{dim: its length}."""
         return dict(zip(self.dims, self.values.shape, strict=True))
+
+    @property
+    def everywhere(self) -> np.ndarray:
+        """The status of the cell of each of the values: their shape."""
+        within = tuple(k for k, dim in enumerate(self.dims) if dim not in self.cell_dims)
+        return np.broadcast_to(np.expand_dims(self.status, within), self.values.shape)
+
+    @property
+    def done(self) -> np.ndarray:
+        """Of each of the values whether its cell is done, bool."""
+        return self.everywhere == DONE
 
     @property
     def title(self) -> str:
@@ -138,8 +148,9 @@ class Variable:
         return replace(self, values=values, label=label, unit=unit)
 
     def _holds(self, sign: str, compare: Callable[[Any, Any], Any], other: Any) -> Variable:
-        if np.ndim(other):
-            raise UsageError(f"{self.name} {sign} an array of shape {np.shape(other)}; expected a number")
+        if np.ndim(other) or np.asarray(other).dtype.kind not in "biuf":
+            what = f"an array of shape {np.shape(other)}" if np.ndim(other) else repr(other)
+            raise UsageError(f"{self.name} {sign} {what}; expected a number")
         holds = np.where(np.isnan(self.values), np.nan, compare(self.values, other))
         return self.map(lambda _: holds, f"{self.title} {sign} {other:g}")
 
@@ -171,6 +182,8 @@ def paired(a: Variable, b: Variable, operation: Callable[[Any, Any], Any], word:
     Raises:
         UsageError: they have not the same dims and coordinates.
     """
+    if not isinstance(b, Variable):
+        raise UsageError(f"{a.name} {word} {b!r}; expected another variable of the same cells")
     same_cells(a, b)
     status = np.where(a.status != DONE, a.status, b.status)
     return replace(
@@ -248,11 +261,12 @@ def _refuse_shapes(self: Variable) -> None:
 
 
 def _nearest(coordinate: np.ndarray, dim: str, value: Any) -> int:
-    if coordinate.dtype.kind in "biuf":
+    if coordinate.dtype.kind in "biuf" and np.asarray(value).dtype.kind in "biuf":
         return int(np.abs(coordinate - value).argmin())
     equal = np.flatnonzero(coordinate == value)
     if not equal.size:
-        raise UsageError(f"{dim} is nowhere {value!r}; it is {', '.join(map(str, coordinate[:8]))}")
+        few = f"{', '.join(map(str, coordinate[:8]))}{', ...' if len(coordinate) > 8 else ''}"
+        raise UsageError(f"{dim} is nowhere {value!r}; it is {few}")
     return int(equal[0])
 
 
