@@ -101,6 +101,7 @@ __all__ = [
     "relay",
     "sampled",
     "second_order_cone",
+    "share",
     "signal",
     "simulate",
     "statistics",

@@ -16,7 +16,19 @@ from conftest import REPOSITORY
 from sweep_models import CLASSES, X0, A, K, crossing, driven, friction, stopped, with_stop
 
 import nsmodel
-from nsmodel import LureSystem, ModelError, StepError, StorageError, Sweep, SweepInterrupted, UsageError, pwm, relay, simulate, sweep
+from nsmodel import (
+    LureSystem,
+    ModelError,
+    StepError,
+    StorageError,
+    Sweep,
+    SweepInterrupted,
+    UsageError,
+    pwm,
+    relay,
+    simulate,
+    sweep,
+)
 from nsmodel.sweep import engine, work
 
 RNG = np.random.default_rng(5)
@@ -55,7 +67,9 @@ def test_a_cell_is_the_run_of_its_values(name, compiled):
 
 
 def test_a_grid_is_a_product_in_the_order_of_its_names():
-    found = sweep(friction(), grid={K: [0.9, 1.1], "x0": np.linspace(3, 4, 3)}, outputs={"end": "x_1[-1]"}, compiled=True, workers=1)
+    found = sweep(
+        friction(), grid={K: [0.9, 1.1], "x0": np.linspace(3, 4, 3)}, outputs={"end": "x_1[-1]"}, compiled=True, workers=1
+    )
     assert found.dims == ("k", "x0")
     assert found["end"].values.shape == found.shape == (2, 3)
     run = simulate(friction(), parameters={K: 1.1, X0: 3.5}, compiled=False)
@@ -68,7 +82,9 @@ def test_a_grid_is_a_product_in_the_order_of_its_names():
 def test_oscillators_stop_where_the_closed_form_says(options):
     n = 200 if options["compiled"] else 5
     a, k, x0 = RNG.uniform(0.8, 1.5, n), RNG.uniform(0.8, 1.2, n), RNG.uniform(3, 6, n)
-    found = sweep(friction(t_end=20.0), samples={("a", "k", "x0"): np.column_stack([a, k, x0])}, outputs={"rest": "x_1[-1]"}, **options)
+    found = sweep(
+        friction(t_end=20.0), samples={("a", "k", "x0"): np.column_stack([a, k, x0])}, outputs={"rest": "x_1[-1]"}, **options
+    )
     exact, when = stopped(a, k, x0)
     assert (when < 20).all()
     error = np.abs(found["rest"].values - exact)
@@ -224,7 +240,8 @@ def test_models_that_cannot_be_made_are_cells_too():
 def swept(folder=None, **options):
     given = {"grid": {"k": np.linspace(0.8, 1.2, 12)}, "start": {"x_1": [4.0, 5.0, 6.0]}, "keep": ["x_1"], "every": 30}
     given |= {"outputs": {"end": "x_1[-1]", "swing": "max(v_1)"}, "compiled": True, "workers": 1}
-    return sweep(friction(x0=[5, 0], t_end=6.0), **(given | options), out=folder)
+    model = options.pop("model", None) or friction(x0=[5, 0], t_end=6.0)
+    return sweep(model, **(given | options), out=folder)
 
 
 def test_equal_sweeps_are_equal_bytes(tmp_path, monkeypatch):
@@ -281,8 +298,8 @@ def test_resuming_a_whole_sweep_runs_nothing(tmp_path, monkeypatch):
 def test_more_samples_and_seeds_may_be_added(tmp_path):
     def more(n, seeds, folder, **options):
         return sweep(
-            lambda seed: friction(x0=[3 + seed, 0], parameters={A: 1, K: 1}), samples={"k": np.linspace(0.8, 1.2, 7)[:n]}, seeds=seeds,
-            outputs={"end": "x_1[-1]"}, t_end=1.0, workers=1, out=folder, **options,
+            lambda seed: friction(x0=[3 + seed, 0], parameters={A: 1, K: 1}), samples={"k": np.linspace(0.8, 1.2, 7)[:n]},
+            seeds=seeds, outputs={"end": "x_1[-1]"}, t_end=1.0, workers=1, out=folder, **options,
         )  # fmt: skip
 
     more(3, 2, tmp_path / "a")
@@ -313,8 +330,7 @@ def test_another_sweep_is_refused_and_nothing_is_overwritten(tmp_path):
     with pytest.raises(UsageError, match="holds a sweep; go on with it by resume=True"):
         swept(tmp_path / "a")
     with pytest.raises(StorageError, match="another model"):
-        sweep(friction(x0=[5, 0.1], t_end=6.0), grid={"k": np.linspace(0.8, 1.2, 12)}, start={"x_1": [4.0, 5.0, 6.0]}, keep=["x_1"],
-              every=30, outputs={"end": "x_1[-1]", "swing": "max(v_1)"}, compiled=True, out=tmp_path / "a", resume=True)  # fmt: skip
+        swept(tmp_path / "a", model=friction(x0=[5, 0.1], t_end=6.0), resume=True)
     with pytest.raises(StorageError, match="holds no sweep"):
         swept(tmp_path / "none", resume=True)
     assert {path.name: path.read_bytes() for path in (tmp_path / "a").iterdir()} == before
@@ -347,8 +363,8 @@ def test_a_killed_sweep_goes_on(tmp_path):
         from nsmodel.sweep import work
         work.SECONDS = 0.01
         if __name__ == "__main__":
-            nsmodel.sweep(friction(t_end=1.0), grid={{"k": np.linspace(0.8, 1.2, 60)}}, outputs={{"end": "x_1[-1]"}}, compiled=False,
-                          workers=2, out=sys.argv[1], resume="--resume" in sys.argv)
+            nsmodel.sweep(friction(t_end=1.0), grid={{"k": np.linspace(0.8, 1.2, 60)}}, outputs={{"end": "x_1[-1]"}},
+                          compiled=False, workers=2, out=sys.argv[1], resume="--resume" in sys.argv)
     """))  # fmt: skip
     environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
 
@@ -452,8 +468,12 @@ def test_wrong_requests(tmp_path):
 
 def test_a_number_in_a_file_is_told_how_to_become_a_parameter(tmp_path):
     path = tmp_path / "own.py"
-    path.write_text("import casadi as ca\nfrom nsmodel import LureSystem, relay\nstiffness = 2.0\n"
-                    "model = LureSystem(names=['y_1'], A=[[-stiffness]], B=[[1]], C=[[1]], D=0, law=relay(1), x0=[1], t_end=1, step=.1)\n")  # fmt: skip
+    path.write_text(textwrap.dedent("""
+        from nsmodel import LureSystem, relay
+        stiffness = 2.0
+        model = LureSystem(
+            names=["y_1"], A=[[-stiffness]], B=[[1]], C=[[1]], D=0, law=relay(1), x0=[1], t_end=1, step=0.1)
+    """))  # fmt: skip
     with pytest.raises(UsageError, match=r"stiffness = 2 is a number in this file .*parameters=\{stiffness: 2\}"):
         sweep(path, grid={"stiffness": [1, 2]}, outputs={"end": "y_1[-1]"})
 

@@ -45,8 +45,8 @@ def _parser() -> argparse.ArgumentParser:
         prog="nsmodel",
         description="Nonsmooth dynamics: run a model file, every step verified; check its hypotheses; write its step in C.",
         epilog="exit status: 0 done; 1 a hypothesis is violated (check --strict) or a cell is wrong (stress); "
-        "2 usage, missing file or wrong model; 3 a step failed (sweep: some cells are not done; the others are), 130 interrupted by Ctrl-C, 143 by SIGTERM (what was computed is "
-        "saved); "
+        "2 usage, missing file or wrong model; 3 a step failed, or cells of a sweep, 130 interrupted by Ctrl-C, 143 by SIGTERM "
+        "(what was computed is saved); "
         "4 the model has no C counterpart",
     )  # fmt: skip
     parser.add_argument("--version", action="version", version=f"nsmodel {VERSION}")

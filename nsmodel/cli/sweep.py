@@ -34,8 +34,12 @@ def add(commands: Commands) -> None:
     about = "Run a model for many values of its parameters, starts, seeds or steps, on all cores."
     parser = commands.add_parser("sweep", help="run a model file many times", description=about)
     parser.add_argument("file", metavar="FILE", help="a Python file that defines model = ... or def model(...)")
-    parser.add_argument("--grid", action="append", default=[], metavar=VALUES, help="values of a parameter, a dimension; repeatable")
-    parser.add_argument("--samples", metavar="TABLE.csv", help="points that belong together: a column for each name, a first row of names")
+    parser.add_argument(
+        "--grid", action="append", default=[], metavar=VALUES, help="values of a parameter, a dimension; repeatable"
+    )
+    parser.add_argument(
+        "--samples", metavar="TABLE.csv", help="points that belong together: a column for each name, a first row of names"
+    )
     parser.add_argument("--start", action="append", default=[], metavar=VALUES, help="starts of a state; repeatable")
     parser.add_argument("--seeds", type=int, metavar="N", help="seeds 0 ... N-1 for def model(seed=...)")
     parser.add_argument("--step", metavar="H or H1,H2,...", help="time step; several are a dimension")
@@ -44,7 +48,11 @@ def add(commands: Commands) -> None:
     parser.add_argument("--keep", default="", metavar="A,B,...", help="columns of which rows are kept")
     parser.add_argument("--every", type=int, metavar="N", help="keep every N-th row (default: about 200 rows)")
     parser.add_argument(
-        "--output", action="append", default=[], metavar="NAME=TEXT", help="number of a run: x[-1], max(x), mean(x), ...; repeatable"
+        "--output",
+        action="append",
+        default=[],
+        metavar="NAME=TEXT",
+        help="number of a run: x[-1], max(x), mean(x), ...; repeatable",
     )
     parser.add_argument("--t-end", type=float, metavar="T", help="end of the runs (default: the model's)")
     parser.add_argument("--rtol", type=float, metavar="R", help="error allowed, relative: event-driven where that applies")
@@ -74,14 +82,14 @@ def _sweep(arguments: argparse.Namespace) -> int:
     if arguments.csv:
         refuse_unwritable(arguments.csv)
     fixed = by_name(map(setting, arguments.set), "--set")
-    inputs = None
-    if arguments.input:
-        inputs = inputs_of(arguments.input, load_with(arguments.file, {})[0].input_groups)
-    steps = None if arguments.step is None else _numbers(arguments.step, f"--step {arguments.step}")
+    grid, samples = _grid(arguments.grid, "--grid"), _table(arguments.samples)
+    first = fixed | {name: values.tolist()[0] for name, values in (grid or samples or {}).items()}
+    inputs = inputs_of(arguments.input, load_with(arguments.file, first)[0].input_groups) if arguments.input else None
+    steps: Any = [None] if arguments.step is None else _numbers(arguments.step, f"--step {arguments.step}").tolist()
     try:
         found = sweep(
-            arguments.file, grid=_grid(arguments.grid, "--grid"), samples=_table(arguments.samples), start=_grid(arguments.start, "--start"),
-            seeds=arguments.seeds, step=steps[0] if steps is not None and len(steps) == 1 else steps, inputs=inputs, parameters=fixed,
+            arguments.file, grid=grid, samples=samples, start=_grid(arguments.start, "--start"), seeds=arguments.seeds,
+            step=steps[0] if len(steps) == 1 else steps, inputs=inputs, parameters=fixed,
             keep=[name for name in map(str.strip, arguments.keep.split(",")) if name], every=arguments.every,
             outputs=by_name((_named(text, "--output", "rest=x[-1]") for text in arguments.output), "--output"),
             t_end=arguments.t_end, rtol=arguments.rtol, atol=arguments.atol, method=arguments.method, solver=arguments.solver,

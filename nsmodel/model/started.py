@@ -21,7 +21,7 @@ def start_name(state: str) -> str:
 
 
 def starts_of(model: Model) -> dict[str, tuple[str, int]]:
-    """{name: (field, entry)} of what a model starts from: each state, and the velocities ``v`` or ``v_0``, ... where it has some."""
+    """{name: (field, entry)} of what a model starts from: each state; velocities ``v``, or ``v_0``, ..., where it has some."""
     if not isinstance(vars(model).get(f"{model.letter}0"), ca.SX):
         return {}
     found = {name: (f"{model.letter}0", i) for i, name in enumerate(model.names)}

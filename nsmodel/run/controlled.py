@@ -42,8 +42,8 @@ from nsmodel.hypotheses import impacts
 from nsmodel.model.base import Model
 from nsmodel.model.driven import at_start
 from nsmodel.model.ticks import ticks_of
-from nsmodel.pieces.stretch import BUDGET, looser
 from nsmodel.pieces.asked import absolute
+from nsmodel.pieces.stretch import BUDGET, looser
 from nsmodel.run.driven import OverSpans
 from nsmodel.run.options import METHODS, Options
 from nsmodel.run.schemes import OfScheme

@@ -7,7 +7,6 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-
 from nsmodel.errors import CodegenError, StepError
 from nsmodel.identity import INTERPRETED
 from nsmodel.model.base import Model

@@ -98,8 +98,8 @@ class Asked:
         ratio = 1 if longest is None or step is None else longest / step
         if abs(ratio - round(ratio)) > 1e-9 * ratio:
             raise UsageError(
-                f"steps {longest:g} and {step:g} have no common rows, as one is no multiple of the other: give steps that are, or "
-                "outputs= in place of keep="
+                f"steps {longest:g} and {step:g} have no common rows, as one is no multiple of the other; give steps that are, "
+                "or outputs= in place of keep="
             )
         every *= round(ratio)
         numbers = np.append(np.arange(0, grid.N, every), grid.N)

@@ -103,7 +103,7 @@ class _Opened:
 
     def __init__(self, asked: Asked, group: Group) -> None:
         self.asked, self.group, found = asked, group, library(asked, group)
-        self.batch = None if isinstance(found, str) else found
+        self.batch: Any = None if isinstance(found, str) else found
 
     @property
     def numbers(self) -> np.ndarray:
@@ -149,7 +149,7 @@ def library(asked: Asked, group: Group) -> Any:
             from nsmodel.codegen.piece_batch import PieceBatch
 
             T = float(group.rows.times[-1])
-            return PieceBatch(group.model, T, asked.options["rtol"], asked.options.get("atol"), group.rows.times)
+            return PieceBatch(group.model, T, asked.options["rtol"], asked.options.get("atol"), group.rows.times.tolist())
     except (CodegenError, NotEventDriven) as error:
         return str(error)
     return "each is run alone"
@@ -200,7 +200,7 @@ def alone(asked: Asked, group: Group, values: np.ndarray, stop: Stop = never) ->
 
 def _simulated(asked: Asked, group: Group, values: dict[str, float]) -> tuple[int, float, str, Trajectory | None]:
     """A run: its status, when it failed, why, and what there is of it."""
-    options = {name: value for name, value in asked.options.items() if value is not None and name != "times"}
+    options: dict[str, Any] = {name: value for name, value in asked.options.items() if value is not None and name != "times"}
     if group.step is not None:
         options["step"] = group.step
     if asked.event_driven:
@@ -222,7 +222,8 @@ def _ran(model: Model, values: dict[str, float], options: dict[str, Any]) -> Tra
     except UsageError as error:
         if options.get("times") is None or options.get("method", "auto") != "auto" or not isinstance(error.__cause__, Exception):
             raise
-    return simulate(model, parameters=values or None, **(options | {"times": None}))
+    options = {name: value for name, value in options.items() if name != "times"}
+    return simulate(model, parameters=values or None, **options)
 
 
 def _kept(asked: Asked, rows: Rows, run: Trajectory, *, done: bool) -> dict[str, Any]:

@@ -85,5 +85,3 @@ def _seconds(asked: Asked, group: Group) -> tuple[float, float]:
     structure = read(problem) if problem.prediction is None else None
     path = "kernel" if structure is not None and structure.constant and structure.affine else "newton"
     return SET_UP + asked.grid(group.model, group.step).N * interpreted(path, structure), building("newton", structure, problem)
-
-

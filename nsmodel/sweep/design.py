@@ -76,7 +76,10 @@ class Design:
         """Each column with its values (K, ...) at cells (K,)."""
         places = self.places(cells)
         for column in self.columns:
-            yield column, column.of(places) if column.along else np.broadcast_to(column.values, (len(cells), *column.values.shape))
+            yield (
+                column,
+                column.of(places) if column.along else np.broadcast_to(column.values, (len(cells), *column.values.shape)),
+            )
 
     def rng(self, cell: int) -> np.random.Generator:
         """The random numbers of a cell: the same whoever computes it, and whatever is added to the sweep."""
@@ -144,7 +147,9 @@ class _Maker:
         if positive and not (array.dtype != object and array.ndim == 1 and (array > 0).all()):
             raise UsageError(f"{label} = {values!r:.60}; expected numbers > 0")
         if kind == "value" and name in RESERVED:
-            raise UsageError(f"{label}: '{name}' is the name of a dimension of its own; give {_instead(name)}, or call it otherwise")
+            raise UsageError(
+                f"{label}: '{name}' is the name of a dimension of its own; give {_instead(name)}, or call it otherwise"
+            )
         if dim in self.coords:
             raise UsageError(f"{label}: '{dim}' is given twice; keep one")
         self.columns.append(Column(kind, name, (len(self.dims),), array))
@@ -169,7 +174,9 @@ class _Maker:
             if len(shape) < 1 + replicates:
                 raise UsageError(f"samples: '{name}' has shape {shape}; expected (replicates, points)")
             if shape[: 1 + replicates] != lead:
-                raise UsageError(f"samples: '{name}' has {_points(shape, lead)} and '{first}' {_points(lead, lead)}; give as many of each")
+                raise UsageError(
+                    f"samples: '{name}' has {_points(shape, lead)} and '{first}' {_points(lead, lead)}; give as many of each"
+                )
         if not prod(lead):
             raise UsageError("samples: no points; give at least one")
         self.dims = [REPLICATE, SAMPLE] if replicates else [SAMPLE]
@@ -267,8 +274,13 @@ def _values(values: Any, label: str) -> np.ndarray:
 
 def _seeds(seeds: Any) -> np.ndarray:
     """Seeds: whole numbers >= 0; a number N stands for 0, ..., N-1."""
-    array = np.arange(seeds) if isinstance(seeds, int) and not isinstance(seeds, bool) else np.asarray(list(seeds))
-    if array.ndim != 1 or array.dtype.kind not in "iu" or (array < 0).any() or len(np.unique(array)) < len(array):
+    given: Any = range(seeds) if isinstance(seeds, int | np.integer) and not isinstance(seeds, bool) else seeds
+    try:
+        array = np.asarray(list(given))
+    except TypeError:
+        array = np.zeros(0)
+    whole = array.ndim == 1 and array.dtype.kind in "iu"
+    if not (whole and array.size and array.min() >= 0 and len(np.unique(array)) == len(array)):
         raise UsageError(f"seeds = {seeds!r:.60}; expected different whole numbers >= 0, such as range(20)")
     return array
 

@@ -157,10 +157,12 @@ def engine_of(workers: Any, asked: Asked, stop: Stop, *, threads: bool, chunks: 
 
 def refuse_workers(workers: Any) -> None:
     """Raise UsageError for what cannot compute."""
-    if not (workers is None or hasattr(workers, "submit") or (is_number(workers) and workers >= 1 and float(workers).is_integer())):
+    if not (
+        workers is None or hasattr(workers, "submit") or (is_number(workers) and workers >= 1 and float(workers).is_integer())
+    ):
         raise UsageError(
-            f"workers = {written(workers)}; expected a whole number >= 1, or an engine with submit(), such as a Dask Client or an "
-            "Executor"
+            f"workers = {written(workers)}; expected a whole number >= 1, or an engine with submit(), such as a Dask Client or "
+            "an Executor"
         )
 
 
@@ -176,8 +178,8 @@ def portable(asked: Asked) -> None:
             pickle.dumps(function)
         except Exception as error:
             raise UsageError(
-                f"output '{name}' cannot go to other processes ({error}); define it with def at the top level of a module, give a "
-                "text such as 'x1[-1]', or take workers=1"
+                f"output '{name}' cannot go to other processes ({error}); define it with def at the top level of a module, give "
+                "a text such as 'x1[-1]', or take workers=1"
             ) from error
 
 
@@ -190,7 +192,7 @@ def lost(error: BaseException) -> bool:
 def _size(engine: Any) -> int:
     """How many chunks an engine computes at once."""
     for name in ("_max_workers", "nthreads"):
-        number = getattr(engine, name, None)
+        number: Any = getattr(engine, name, None)
         if is_number(number):
             return int(number)
         if callable(number):
@@ -212,4 +214,3 @@ def _begin(parent: int) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-

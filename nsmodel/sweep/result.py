@@ -149,7 +149,9 @@ class Sweep:
         """
         self.at(cell)
         if self._again is None:
-            raise UsageError("a sweep that was read from a file has no model; sweep again with resume=True, which runs nothing anew")
+            raise UsageError(
+                "a sweep that was read from a file has no model; sweep again with resume=True, which runs nothing anew"
+            )
         return self._again(cell % self.size, options)
 
     @property
@@ -177,7 +179,9 @@ class Sweep:
         path = Path(path)
         if path.is_dir():
             if not (path / WHOLE).exists():
-                raise StorageError(f"{path} holds no {WHOLE}: no sweep, or one that is not done; go on with resume=True (--resume)")
+                raise StorageError(
+                    f"{path} holds no {WHOLE}: no sweep, or one that is not done; go on with resume=True (--resume)"
+                )
             path = path / WHOLE
         arrays, metadata = mapped(path)
         if "dims" not in metadata or "status" not in arrays:
@@ -244,7 +248,9 @@ class Sweep:
         for word, count in s["status"].items():
             if word != WORDS[DONE]:
                 low, high = (float(end) for end in wilson(np.array(count), np.array(s["cells"]), 0.95))
-                share = f" ({count / s['cells']:.2g} of all; 95 % interval {low:.2g} to {high:.2g})" if word == WORDS[FAILED] else ""
+                share = (
+                    f" ({count / s['cells']:.2g} of all; 95 % interval {low:.2g} to {high:.2g})" if word == WORDS[FAILED] else ""
+                )
                 lines.append(_line(word, f"{count}{share}"))
         shown = Counter(_kind(why) for _, why in self.failures).most_common(SHOWN)
         for kind, count in shown:
@@ -273,7 +279,9 @@ class Sweep:
         """What varies at a cell, in words."""
         at = self.at(cell)
         numbers = {name: value for name, value in at.items() if isinstance(value, int | float | str)}
-        return ", ".join(f"{name} = {value:.6g}" if isinstance(value, float) else f"{name} = {value}" for name, value in numbers.items())
+        return ", ".join(
+            f"{name} = {value:.6g}" if isinstance(value, float) else f"{name} = {value}" for name, value in numbers.items()
+        )
 
     def __len__(self) -> int:
         """Return the number of cells."""
@@ -305,5 +313,3 @@ def _line(head: str, text: str) -> str:
 def _kind(message: str) -> str:
     """A message without its numbers: what failures have in common."""
     return "".join(character for character in message if not character.isdigit() and character not in ".e+-")
-
-

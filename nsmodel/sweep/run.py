@@ -120,7 +120,8 @@ def sweep(
     design = design_of(
         grid, samples, start, seeds, step if several else None, inputs if many_inputs else None, entropy, replicates
     )  # fmt: skip
-    one_step = None if several or step is None else float(step)
+    given: Any = step
+    one_step = None if several or step is None else float(given)
     Options(
         step=one_step, solver=solver, tolerance=tolerance, compiled=compiled, rtol=rtol, atol=atol, method=method,
         times=times, out=out, resume=resume,
@@ -224,7 +225,7 @@ class _Sweeping:
         return replace(Sweep.load(store.folder), engine=engine.words, _again=self._simulate)
 
     def _result(self, found: Found, engine: str) -> Sweep:
-        asked, first, rows = self.choice.asked, self.groups.first, self.groups.first.rows
+        asked, rows = self.choice.asked, self.groups.first.rows
         order = [name for name in asked.names if name in found.arrays]
         arrays = {f"{DIM}{dim}": coords for dim, coords in self.design.coords.items()}
         own = [one for one in self.design.columns if one.numeric and one.kind in ("value", "start")]
@@ -299,4 +300,3 @@ def _labelled(inputs: Any) -> bool:
 
 def _plain(value: Any) -> Any:
     return value if value is None or isinstance(value, bool | int | float | str) else np.asarray(value, float).tolist()
-

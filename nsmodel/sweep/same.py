@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.sweep.design import REPLICATE, SAMPLE, SEED, Design
 from nsmodel.identity import digest_of
+from nsmodel.sweep.design import REPLICATE, SAMPLE, SEED, Design
 
 MORE = (SAMPLE, SEED, REPLICATE)  # Dimensions that may become longer: what is there keeps its place in them.
 
@@ -58,5 +58,3 @@ def difference(there: dict[str, Any], numbers: dict[str, np.ndarray], design: De
 
 def _texts(values: np.ndarray) -> list[str]:
     return [one if isinstance(one, str) else f"{one}"[:40] + digest_of([one]) for one in values.ravel().tolist()]
-
-

@@ -33,7 +33,9 @@ class Source:
             kinds = inspect.signature(given).parameters
             self._takes = None if any(p.kind is p.VAR_KEYWORD for p in kinds.values()) else tuple(kinds)
         else:
-            raise UsageError(f"expected a model, the path of a model file, or a function that returns a model, not {shown(given)}")
+            raise UsageError(
+                f"expected a model, the path of a model file, or a function that returns a model, not {shown(given)}"
+            )
 
     def takes(self, name: str) -> bool:
         """Whether its function has an argument of this name."""
@@ -60,8 +62,9 @@ class Source:
         value = getattr(module, name, None)
         if is_number(value):
             raise UsageError(
-                f"{self._given}: {name} = {value:g} is a number in this file and cannot be varied; declare it as a parameter, "
-                f"{name} = ca.SX.sym('{name}') with parameters={{{name}: {value:g}}}, or as an argument, def model({name}={value:g})"
+                f"{self._given}: {name} = {value:g} is a number in this file and cannot be varied; declare it as a "
+                f"parameter, {name} = ca.SX.sym('{name}') with parameters={{{name}: {value:g}}}, or as an argument, "
+                f"def model({name}={value:g})"
             )
         if isinstance(self._given, Path):
             load_with(self._given, {name: 0.0})

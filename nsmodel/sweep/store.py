@@ -1,8 +1,8 @@
 """A sweep on disk: what varies, parts as they come, and in the end one file.
 
 ``manifest.json`` says what sweep it is, ``design-N.npz`` holds what varies; ``part-N.npz`` are cells in the order in which they
-came, each whole or not there. Once all cells are there, ``sweep.npz`` holds them in their order, and nothing of who computed which
-when: equal sweeps are equal bytes. A part says of which shape the sweep was when it was written, so that points or seeds may be
+came, each whole or not there. Once all cells are there, ``sweep.npz`` holds them in their order, and nothing of who computed
+which when: equal sweeps are equal bytes. A part says of which shape the sweep was when it was written, so that points or seeds may be
 added later.
 """
 
@@ -125,7 +125,9 @@ class SweepStore:
             cells = np.arange(prod(shape)) if path.name == WHOLE else arrays.pop(CELL)
             if shape != self.shape:
                 cells = np.ravel_multi_index(np.unravel_index(cells, shape), self.shape)
-            own = {name: values for name, values in arrays.items() if ":" not in name and name != "t" and len(values) == len(cells)}
+            own = {
+                name: values for name, values in arrays.items() if ":" not in name and name != "t" and len(values) == len(cells)
+            }
             yield cells, own, {int(place): text for place, text in metadata["messages"].items()}
 
 

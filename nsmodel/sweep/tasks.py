@@ -62,7 +62,9 @@ class Groups:
     def _makes_models(self, column: Column) -> bool:
         if column.kind == SEED:
             return self.source.takes("seed")
-        return column.kind in (STEP, INPUTS) or (column.kind == "value" and (self.source.takes(column.name) or not column.numeric))
+        return column.kind in (STEP, INPUTS) or (
+            column.kind == "value" and (self.source.takes(column.name) or not column.numeric)
+        )
 
     @property
     def count(self) -> int:
@@ -72,14 +74,13 @@ class Groups:
 
     def _first(self) -> Group:
         """The first group that there is; what is wrong with the first cell's where there is none."""
-        error: NsmodelError | None = None
+        errors: list[NsmodelError] = []
         for cell in range(min(self.design.size, 1000)):
             try:
                 return self._made(self._keys(np.array([cell]))[0])
             except ModelError as refused:
-                error = error or refused
-        assert error is not None
-        raise error
+                errors.append(refused)
+        raise errors[0]
 
     def of(self, cell: int) -> tuple[Group, np.ndarray]:
         """The group of a cell, and the values of its parameters."""
@@ -150,8 +151,8 @@ class Groups:
             self.rows = rows
         elif self._asked.keep and not _same(rows.times, self.rows.times):
             raise OtherRows(
-                f"the rows of this model are at other times (0 to {rows.times[-1]:g} in {len(rows.times)} rows) than those of the "
-                f"first (0 to {self.rows.times[-1]:g} in {len(self.rows.times)}); keep numbers with outputs= in place of rows"
+                f"the rows of this model are at other times (0 to {rows.times[-1]:g} in {len(rows.times)} rows) than those of "
+                f"the first (0 to {self.rows.times[-1]:g} in {len(self.rows.times)}); keep numbers with outputs= in place of rows"
             )
         return Group(bound, tuple(bound.parameters), step, rows)
 
@@ -180,17 +181,20 @@ class Groups:
         if self._start is not None:
             drawn = [self._draw(int(cell)) for cell in cells]
             of |= {start_name(state): np.array([one[state] for one in drawn]) for state in self._drawn}
-        return np.column_stack([np.asarray(of[name], float) for name in group.names]) if group.names else np.zeros((len(cells), 0))
+        return (
+            np.column_stack([np.asarray(of[name], float) for name in group.names]) if group.names else np.zeros((len(cells), 0))
+        )
 
     def _draw(self, cell: int) -> dict[str, float]:
         """The starts of a cell that its random numbers give."""
-        assert self._start is not None
-        given = self._start(self.design.rng(cell))
+        given = {} if self._start is None else self._start(self.design.rng(cell))
         if not isinstance(given, Mapping):
             raise UsageError(f"start returned {given!r:.60}; expected {{state: value}}")
         found = {str(state): float(value) for state, value in given.items()}
         if cell and set(found) != set(self._drawn):
-            raise UsageError(f"start returned {', '.join(found)}, and {', '.join(self._drawn)} before; give the same states each time")
+            raise UsageError(
+                f"start returned {', '.join(found)}, and {', '.join(self._drawn)} before; give the same states each time"
+            )
         return found
 
 
@@ -206,7 +210,11 @@ def states_of(model: Model, column: Column) -> list[str]:
 def _refuse_shape(column: Column, names: list[str]) -> None:
     size = int(np.prod(column.values.shape[len(column.along) :], dtype=int))
     if size != len(names):
-        what = "one number" if len(names) == 1 else f"{len(names)} numbers ({', '.join(names[:4])}{', ...' if len(names) > 4 else ''})"
+        what = (
+            "one number"
+            if len(names) == 1
+            else f"{len(names)} numbers ({', '.join(names[:4])}{', ...' if len(names) > 4 else ''})"
+        )
         raise UsageError(f"'{column.name}' has {size} numbers in each cell; expected {what}")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import signal
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -108,7 +109,7 @@ def _result(future: Any, chunk: Chunk, again: list[Chunk], signals: Signals) -> 
         return future.result()
     except RunInterrupted as stop:
         signals.append(0.0)
-        signals.number = stop.signal
+        signals.number = signal.Signals(stop.signal)
     except BaseException as error:
         if not lost(error):
             raise
@@ -125,5 +126,3 @@ def _died(error: BaseException) -> Found:
     found["status"][:], found["way"][:] = FAILED, len(WAYS) - 1
     text = f"the process that ran it died {ATTEMPTS} times ({type(error).__name__}: {error}); out of memory, or killed"
     return Found(found, {0: text})
-
-
