@@ -148,7 +148,7 @@ class Batch:
             if stop():
                 work.forget(control.cell)
                 break
-        return work.cells(keep)
+        return work.cells()
 
     def _picked(self, keep: Sequence[str]) -> dict[str, int | list[int]]:
         unknown = [name for name in keep if name not in self._columns and name != "index_set"]
@@ -158,6 +158,8 @@ class Batch:
 
     def _begin(self, work: _Work, given: np.ndarray) -> None:
         """The rows that are known before a step; cells that a run refuses, and those whose problem has another form."""
+        if not len(given):
+            return
         rows, asked, assumed = (np.array(part).T.reshape(len(given), -1) for part in self._start(given.T))
         work.status[~(assumed > 0).all(axis=1)] = NOT_SOLVED
         work.status[~(np.isfinite(asked) & (asked >= 0)).all(axis=1)] = BAD_PARAMETER
@@ -220,9 +222,11 @@ class _Work:
         for total in (self.taken, self.worst, self.changes, self.newton):
             total[cell:] = 0
 
-    def cells(self, keep: Sequence[str]) -> Cells:
+    def cells(self) -> Cells:
         """What they found."""
-        arrays = {name: self.index if name == "index_set" else self.kept[:, :, self._at[name]] for name in keep}
+        arrays: dict[str, np.ndarray] = {name: self.kept[:, :, at] for name, at in self._at.items()}
+        if self.index is not None:
+            arrays["index_set"] = self.index
         whole = (part.astype(int) for part in (self.taken, self.changes, self.newton))
         steps, changes, newton = whole
         return Cells(arrays, self.status, steps, self.worst, changes, newton, self.failed_at)

@@ -1,9 +1,9 @@
 """A sweep on disk: what varies, parts as they come, and in the end one file.
 
-``manifest.json`` says what sweep it is, ``design-N.npz`` holds what varies; ``part-N.npz`` are cells in the order in which they
+``manifest.json`` says what sweep it is, ``design.npz`` holds what varies; ``part-N.npz`` are cells in the order in which they
 came, each whole or not there. Once all cells are there, ``sweep.npz`` holds them in their order, and nothing of who computed
-which when: equal sweeps are equal bytes. A part says of which shape the sweep was when it was written, so that points or seeds may be
-added later.
+which when: equal sweeps are equal bytes. A part says of which shape the sweep was when it was written, so that points or seeds
+may be added later.
 """
 
 from __future__ import annotations
