@@ -19,7 +19,7 @@ from nsmodel.sweep.variable import FAILED
 
 SECONDS = 0.3  # A chunk takes about so long: what it costs to send is little beside it, and so late comes Ctrl-C.
 BYTES = 16 << 20  # And holds at most so much.
-ATTEMPTS = 3  # So often a chunk is sent whose worker has died; then each of its cells alone.
+ATTEMPTS = 3  # So often a cell is sent whose worker dies: with others, with its chunk alone, by itself.
 LOOK = 0.2  # Seconds between two looks at signals.
 
 
@@ -76,12 +76,13 @@ def work(
     try:
         while (at < len(cells) or again or out) and not (signals and not out):
             while not signals and len(out) < engine.window and (again or at < len(cells)):
+                if again and out:
+                    break  # Who was lost goes alone: if it is lost again, it is its own doing.
                 if again:
                     send(again.pop())
-                    continue
-                step = min(size.cells, size.most)
-                send(Chunk(cells[at : at + step], 0))
-                at += step
+                    break
+                send(Chunk(cells[at : at + size.cells], 0))
+                at += size.cells
             try:
                 future = back.get(timeout=LOOK)
             except queue.Empty:
@@ -113,10 +114,10 @@ def _result(future: Any, chunk: Chunk, again: list[Chunk], signals: Signals) -> 
     except BaseException as error:
         if not lost(error):
             raise
-        if len(chunk.cells) == 1 and chunk.attempt + 1 >= ATTEMPTS:
+        if chunk.attempt + 1 >= ATTEMPTS:
             return _died(error), 0.0
-        parts = chunk.cells[:, None] if chunk.attempt + 2 >= ATTEMPTS else [chunk.cells]
-        again.extend(Chunk(np.asarray(part), chunk.attempt + 1) for part in parts)
+        parts = [chunk.cells] if chunk.attempt == 0 else chunk.cells[:, None]
+        again.extend(Chunk(part, chunk.attempt + 1) for part in parts)
     return None
 
 
