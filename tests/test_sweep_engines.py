@@ -174,7 +174,7 @@ def test_a_dask_cluster_and_a_worker_that_is_killed(tmp_path, alone):
         victim = next(iter(client.run(os.getpid).values()))
         kept, put = [], work.work
 
-        def killing(cells, first, tasks, engine, keep, signals, *, progress):
+        def killing(cells, first, tasks, engine, keep, signals, **options):
             def then(chunk, what):
                 keep(chunk, what)
                 kept.extend(chunk.tolist())
@@ -182,7 +182,7 @@ def test_a_dask_cluster_and_a_worker_that_is_killed(tmp_path, alone):
                     killed.append(os.kill(victim, signal.SIGKILL)) if not killed else None
 
             killed = []
-            put(cells, first, tasks, engine, then, signals, progress=progress)
+            put(cells, first, tasks, engine, then, signals, **options)
 
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(run_module, "work", killing)

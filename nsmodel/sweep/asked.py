@@ -80,6 +80,12 @@ class Asked:
         """Whether all outputs are of rows alone, not of whole runs."""
         return all(isinstance(one, Reduction) and one.needs_rows_alone for one in self.outputs.values())
 
+    def bytes_of(self, model: Model, step: float | None) -> int:
+        """About the memory of a cell's rows while it is run with others."""
+        whole = [one for one in self.outputs.values() if isinstance(one, Reduction) and one.needs is None]
+        rows = ABOUT if self.event_driven or not whole else self.grid(model, step).N
+        return 8 * rows * (len(whole) + len(self.keep) * len(model.names) + 1)
+
     def grid(self, model: Model, step: float | None) -> Grid:
         """The steps of a cell's run."""
         return make_grid(model, step, None, self.options.get("t_end"), driven=bool(model.inputs))

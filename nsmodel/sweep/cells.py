@@ -88,7 +88,7 @@ def _run(asked: Asked, task: Task, stop: Stop) -> Found:
     opened = _opened(asked, task.group)
     if opened.batch is None:
         return alone(asked, opened.group, task.values, stop)
-    found = opened.together(task.values, stop)
+    found = opened.together(asked, task.values, stop)
     unsolved = np.flatnonzero((found.arrays["status"] != DONE) & (found.arrays["status"] != NOT_RUN))
     if unsolved.size:
         again = alone(asked, opened.group, task.values[unsolved], stop)
@@ -102,25 +102,19 @@ class _Opened:
     """A group in this process, with its library where it has one."""
 
     def __init__(self, asked: Asked, group: Group) -> None:
-        self.asked, self.group, found = asked, group, library(asked, group)
+        self.group, found = group, library(asked, group)
         self.batch: Any = None if isinstance(found, str) else found
 
-    @property
-    def numbers(self) -> np.ndarray:
-        """The numbers of the rows that are kept."""
-        N = self.asked.grid(self.group.model, self.group.step).N
-        return np.append(np.arange(0, N, self.group.rows.every), N)
-
-    def together(self, values: np.ndarray, stop: Stop) -> Found:
+    def together(self, asked: Asked, values: np.ndarray, stop: Stop) -> Found:
         """Cells in C; what C does not go on with has the status FAILED."""
-        asked, rows, number = self.asked, self.group.rows, WAYS.index(self.asked.way)
+        rows, number = self.group.rows, WAYS.index(asked.way)
         reduced = {name: one for name, one in asked.outputs.items() if isinstance(one, Reduction)}
         all_rows = any(one.needs is None for one in reduced.values())
         names = list(dict.fromkeys([*asked.keep, *(one.name for one in reduced.values())]))
         if rows.every:
             every = 1 if all_rows else rows.every
             cells = self.batch.run(values, names, every, stop=stop)
-            kept = np.isin(self.batch.numbers_kept(every), self.numbers)
+            kept = np.isin(self.batch.rows_kept(every), rows.times)
         else:
             cells, kept = self.batch.run(values, names, stop=stop), slice(None)
         arrays = dict(cells.arrays)
@@ -161,7 +155,7 @@ _one_at_a_time = threading.RLock()
 
 def _opened(asked: Asked, packed: bytes) -> _Opened:
     """The group of these bytes, opened once in a process."""
-    key = f"{id(asked)} {asked.way}" + hashlib.sha256(packed).hexdigest()
+    key = hashlib.sha256(pickle.dumps((asked.way, dict(asked.options))) + packed).hexdigest()
     with _one_at_a_time:
         if key not in _models:
             _models[key] = _Opened(asked, pickle.loads(packed))  # Bytes of this sweep's own: no file is read so.

@@ -36,6 +36,7 @@ from nsmodel.sweep.variable import NOT_RUN
 from nsmodel.sweep.work import work
 
 DESIGN = "design.npz"
+WORKING = 64 << 20  # Bytes that the rows of a chunk take while its cells are run.
 EXPORTS = {".nc": dataset.to_netcdf, ".zarr": dataset.to_zarr}
 
 
@@ -212,7 +213,7 @@ class _Sweeping:
             try:
                 work(
                     cells, 64 if together else 1, self.groups.tasks, engine, held.put if store is None else store.put, signals,
-                    progress=progress,
+                    most=max(1, WORKING // asked.bytes_of(self.groups.first.model, self.groups.first.step)), progress=progress,
                 )  # fmt: skip
             finally:
                 engine.close(wait=not signals)

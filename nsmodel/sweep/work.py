@@ -47,7 +47,7 @@ class Chunk:
 
 def work(
     cells: np.ndarray, first: int, tasks: Callable[[np.ndarray], Sequence[Task]], engine: Engine,
-    keep: Callable[[np.ndarray, Found], None], signals: Signals, *, progress: bool,
+    keep: Callable[[np.ndarray, Found], None], signals: Signals, *, most: int, progress: bool,
 ) -> None:  # fmt: skip
     """Run cells (K,) until all are done, or a signal came; ``keep`` gets what each chunk found.
 
@@ -56,6 +56,7 @@ def work(
         tasks: makes what is sent; engine: who computes.
         keep: is called here, with one chunk after the other.
         signals: that came.
+        most: cells of a chunk, for what memory they take while they are run.
         progress: show a bar.
 
     Raises:
@@ -65,7 +66,8 @@ def work(
     back: queue.SimpleQueue[Any] = queue.SimpleQueue()
     again: list[Chunk] = []
     out: dict[Any, Chunk] = {}
-    size = Size(first, max(1, -(-len(cells) // (2 * engine.workers))))
+    most = max(1, min(most, -(-len(cells) // (2 * engine.workers))))
+    size = Size(min(first, most), most)
     at = 0
 
     def send(chunk: Chunk) -> None:
