@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test quick nightly lint bench bench-large bench-events study clean
+.PHONY: help demo test quick nightly lint bench bench-large bench-events bench-sweeps study clean
 
 # NSMODEL_SHORT=1 makes the long ones short: a scene or two, once. They write into results/ alone.
 PAGES := hypotheses events inputs $(if $(NSMODEL_SHORT),,codegen orders stability crowd study)
@@ -46,6 +46,9 @@ bench-large: $(STAMP) ## crowds of up to 20 000 and chains of up to 10 000 (with
 
 bench-events: $(STAMP) ## event-driven runs beside a prototype in C++, CVODE, LSODA and SciPy's events (where installed); an hour
 	$(BIN)/python tests/bench/event_driven.py
+
+bench-sweeps: $(STAMP) ## sweeps beside plain C, NumPy, LSODA (and diffrax, where installed), a million cells; five minutes
+	$(BIN)/python tests/bench/sweeps.py
 
 study: $(STAMP) ## make the figures and tables of docs/ anew (with the peers, where installed)
 	$(if $(NSMODEL_SHORT),mkdir -p results && rm -rf results/docs && cp -r docs results/docs)

@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from nsmodel.stepping import ModelStepper, stepper
     from nsmodel.stress import Stress, stress
     from nsmodel.study import Study, study
+    from nsmodel.sweep import Sweep, SweepInterrupted, share, statistics, sweep
     from nsmodel.trajectory import Trajectory
 
 __all__ = [
@@ -73,6 +74,8 @@ __all__ = [
     "StorageError",
     "Stress",
     "Study",
+    "Sweep",
+    "SweepInterrupted",
     "SweepingProcess",
     "Trajectory",
     "UsageError",
@@ -98,12 +101,15 @@ __all__ = [
     "relay",
     "sampled",
     "second_order_cone",
+    "share",
     "signal",
     "simulate",
+    "statistics",
     "stepper",
     "steps",
     "stress",
     "study",
+    "sweep",
     "table",
     "thyristor",
     "within",
@@ -127,6 +133,7 @@ _later(
         "nsmodel.stepping": ["ModelStepper", "stepper"],
         "nsmodel.stress": ["Stress", "stress"],
         "nsmodel.study": ["Study", "study"],
+        "nsmodel.sweep": ["Sweep", "SweepInterrupted", "share", "statistics", "sweep"],
         "nsmodel.trajectory": ["Trajectory"],
     },
 )

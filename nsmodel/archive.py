@@ -38,7 +38,7 @@ def write_npz(path: str | Path, arrays: Mapping[str, np.ndarray], metadata: Meta
 def read_npz(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Read (arrays, metadata) as ``write_npz`` wrote them."""
     with _ONE_AT_A_TIME, reading(Path(path)) as archive:
-        metadata = _metadata(archive, path)
+        metadata = metadata_of(archive, path)
         return {name: _whole_array(member) for name, member in members_in(archive)}, metadata
 
 
@@ -82,7 +82,7 @@ def _entry(name: str) -> zipfile.ZipInfo:
     return entry
 
 
-def _metadata(archive: zipfile.ZipFile, path: str | Path) -> dict[str, Any]:
+def metadata_of(archive: zipfile.ZipFile, path: str | Path) -> dict[str, Any]:
     """The metadata without the file's own entries; the archive must hold the arrays that these name, and nothing else."""
     files = archive.namelist()
     if _METADATA not in files:

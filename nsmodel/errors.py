@@ -37,6 +37,10 @@ class StepError(NsmodelError, RuntimeError):
         self.trajectory: Any = None
 
 
+class BlockError(StepError):
+    """A block sets what it must not: no other way of stepping helps."""
+
+
 class CodegenError(NsmodelError, RuntimeError):
     """A model has no C step function, or the one written could not be compiled or loaded."""
 

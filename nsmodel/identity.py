@@ -26,6 +26,7 @@ DESCRIPTIVE = frozenset("exact title units scene t_end step steps t p parameters
 LATER = frozenset({"blocks", "e", "force", "outputs"})
 WAY = "way of stepping"  # The setting that says whether steps are compiled, and by what: their last bits differ.
 INTERPRETED = "interpreted"
+FOR_ALL = "one library for all values"  # How the way of compiled steps ends whose parameters are set when they run.
 
 
 def settings(model: Model, grid: Grid, solver: str, tolerance: float, save_every: int, way: str) -> dict[str, Any]:

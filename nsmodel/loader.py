@@ -58,6 +58,12 @@ def load_with(path: str | Path, values: Mapping[str, Any]) -> tuple[Model, dict[
     return model, {name: value for name, value in values.items() if name in declared}
 
 
+def arguments_of(path: str | Path) -> tuple[str, ...] | None:
+    """Names that the file's ``model`` function takes, none where it is a model; None where it takes any. Errors as for `load`."""
+    found = _definition(Path(path))
+    return _arguments(found) if _is_function(found) else ()
+
+
 def _definition(path: Path) -> Any:
     """What the file calls ``model``."""
     spec = spec_of(path)

@@ -68,8 +68,10 @@ def simulate(
         progress: show a progress bar where standard error is a terminal.
         compiled: True: step in C, built once for this model and kept in the user's cache folder (a step that C cannot certify
             is taken by the interpreted solvers); False: never; "auto": where building, or finding what was built before, takes
-            less time than the interpreted steps, both estimated from the structure (see `solve.cost`). A run that is resumed
-            goes on as it began.
+            less time than the interpreted steps, both estimated from the structure (see `solve.cost`). Where parameters are
+            declared the library is that of all their values, and other values build nothing, but for runs so long that code of
+            the numbers alone pays: that is decided by the model and the number of steps, not by what was built before. A run
+            that is resumed goes on as it began.
         rtol: the error allowed of each state, beside its largest value so far, >= 1e-14. The run is event-driven where that
             applies: one smooth piece after another, switches found exactly (see `docs/events.md`); rows are the ends of pieces,
             ``run.at(t)`` gives any time, ``run.events`` the switches.
@@ -125,24 +127,24 @@ def explain(
     """What a run with these arguments would use and what it leaves out, and why, as text."""
     asked: dict[str, Any] = {"step": step, "t_end": t_end, "parameters": parameters, "solver": solver, "tolerance": tolerance}
     options = Options(**asked, compiled=compiled, rtol=rtol, method=method, certify=certify, inputs=inputs)
-    bound = _bound(model, options)
+    whole, bound = _bound(model, options)
     if rtol is not None:
-        controlled: Any = _with_rtol(bound, options, _free(model, options)).walk
+        controlled: Any = _with_rtol(bound, options, whole).walk
         return controlled.plan.text(controlled.problem)
-    walk = _over_grid(bound, options, _grid(bound, options), lambda: None)
+    walk = _over_grid(bound, options, _grid(bound, options), lambda: None, whole)
     return walk.plan.text(walk.problem)
 
 
 def arranged(model: Model, options: Options) -> Run:
     """Return the run that these options ask for; see ``simulate``."""
-    bound = _bound(model, options)
+    whole, bound = _bound(model, options)
     if options.rtol is not None:
-        return _with_rtol(bound, options, _free(model, options))
+        return _with_rtol(bound, options, whole)
     if options.atol is not None:
         return _controlled(bound, options)
     folder = _Folder(options)
     grid = _grid(bound, options)
-    return Run(_over_grid(bound, options, grid, folder.way), options, folder.store())
+    return Run(_over_grid(bound, options, grid, folder.way, whole), options, folder.store())
 
 
 class _Folder:
@@ -190,13 +192,8 @@ class _GoesOn(Run):
         return run
 
 
-def _free(model: Model, options: Options) -> Model | None:
-    """The model before it has values; None where it has no parameters."""
-    return driven_by(model, options.inputs) if model.p.numel() else None
-
-
-def _with_rtol(model: Model, options: Options, free: Model | None) -> Run:
-    """An event-driven run where it applies and ``method`` lets it."""
+def _with_rtol(model: Model, options: Options, whole: Model) -> Run:
+    """An event-driven run where it applies and ``method`` lets it; ``whole``: the model with its parameters as symbols."""
     if options.method == METHODS[2]:
         return _controlled(model, options)
     try:
@@ -204,7 +201,7 @@ def _with_rtol(model: Model, options: Options, free: Model | None) -> Run:
         _refuse_of_steps(options)
         folder = _Folder(options)
         resumed = options.resume and not options.certified
-        walk = EventDriven(model, options, problem, lambda: folder.way() if resumed else None, free)
+        walk = EventDriven(model, options, problem, lambda: folder.way() if resumed else None, whole)
     except (NotEventDriven, OpaqueExpression, StepError) as error:
         if options.method == METHODS[1] or options.times is not None or options.certified:
             raise error if isinstance(error, StepError) else UsageError(f"not event-driven: {error}") from error
@@ -251,19 +248,22 @@ def _controlled(model: Model, options: Options) -> Run:
     return Run(Controlled(model, options), options, None)
 
 
-def _bound(model: Any, options: Options) -> Model:
+def _bound(model: Any, options: Options) -> tuple[Model, Model]:
+    """The model as it is driven, and with numbers for its parameters."""
     if not isinstance(model, Model):
         raise UsageError(f"expected a model such as LureSystem(...), not {shown(model)}; a file is read with nsmodel.load(path)")
-    return driven_by(model, options.inputs).bind(options.parameters)
+    driven = driven_by(model, options.inputs)
+    return driven, driven.bind(options.parameters)
 
 
 def _grid(model: Model, options: Options) -> Grid:
     return make_grid(model, options.step, options.steps, options.t_end, driven=bool(model.inputs))
 
 
-def _over_grid(model: Model, options: Options, grid: Grid, there: There) -> Any:
-    """The walk over a grid."""
-    walk = _on_grid(model)(model, options, grid, there)
+def _over_grid(model: Model, options: Options, grid: Grid, there: There, whole: Model) -> Any:
+    """The walk over a grid; ``whole``: the model with its parameters as symbols."""
+    own: Any = _on_grid(model)
+    walk = own(model, options, grid, there, *([whole] if own is OnGrid and whole.p.numel() else []))
     walk.plan = noting_inputs(noting_known_times(walk.plan, model, ends=False), grid.drive)
     return walk
 

@@ -24,7 +24,7 @@ CASES = sorted((REPOSITORY / "cases").glob("*.py"))
 
 
 KINDS = {  # Marks of test files, by what their names begin with; what is in none of them is fast.
-    "c": ("test_codegen", "test_compiled", "test_bodies_in_c"),
+    "c": ("test_codegen", "test_compiled", "test_bodies_in_c", "test_batch"),
     "fuzz": ("test_fuzz", "test_codegen_fuzz"),
     "slow": (
         "test_adaptive", "test_agreement", "test_blocks", "test_cases", "test_certif", "test_check", "test_cli", "test_closed",

@@ -513,3 +513,19 @@ def test_a_start_with_a_step_behind_it():
     for k in range(1, 40):
         row = s.step()
         np.testing.assert_array_equal([*row.x, *row.inputs], [*run.x[k + 1], *run.inputs[k + 1]])
+
+
+def test_a_value_that_a_block_does_not_name_stops_the_run():
+    block = sampled("gear", period=0.5, memory={Z: -1}, update={Z: Z + 1}, outputs={Y: Z + 1}, values={Y: (0, 1, 2)})
+    model = plant(block, f=Y, step=0.1, t_end=1.4)
+    assert len(simulate(model)) == 14
+    for options in ({}, {"compiled": True}, {"rtol": 1e-6}):
+        with pytest.raises(StepError, match=r"w = 3 at t = 1\.5: its block has values=\(0\.0, 1\.0, 2\.0\)"):
+            simulate(model, t_end=2.0, **options)
+
+
+@pytest.mark.parametrize("options", [{}, {"compiled": True}, {"rtol": 1e-6}, {"rtol": 1e-6, "method": "event-driven"}])
+def test_a_value_that_is_none_stops_every_run_at_its_tick(options):
+    block = sampled("pole", period=0.5, memory={Z: -1}, update={Z: Z + 1}, outputs={Y: 1 / (2 - Z)})
+    with pytest.raises(StepError, match=r"block 'pole' sets w = inf at t = 1\.5"):
+        simulate(plant(block, f=Y, step=0.1, t_end=2.0), **options)

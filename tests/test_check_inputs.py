@@ -4,6 +4,7 @@ import casadi as ca
 import input_scenes as scenes
 import numpy as np
 import pytest
+from conftest import REPOSITORY
 
 from nsmodel import (
     FirstOrderSystem,
@@ -14,6 +15,7 @@ from nsmodel import (
     Within,
     check,
     complementarity,
+    load,
     pwm,
     relay,
     sampled,
@@ -505,3 +507,15 @@ def test_what_a_block_sets_needs_bounds_where_the_model_reads_it_and_nothing_is_
     made = [item for item in report.consequences if item.name in ("well posed", "contraction")]
     assert [item.verdict for item in made] == ["unknown"] * 2
     assert all("what holds between the ticks of 'pi' is not known across them" in item.statement for item in made)
+
+
+@pytest.mark.parametrize("case", ["thermostat", "schmitt_trigger", "thyristor"])
+def test_what_a_block_holds_is_bounded_by_the_values_that_it_names(case):
+    model = load(REPOSITORY / "cases" / f"{case}.py")
+    report = check(model, quick=True)
+    (line,) = [line for line in report.inputs if "block" in line]
+    low, high = {"schmitt_trigger": (-1, 1)}.get(case, (0, 1))
+    assert f"within [{low}, {high}], any measurable function (read off its block)" in line
+    name = line.split(":")[0]
+    wide = check(model, bounds={name: within(low, high)}, quick=True)
+    assert [(f.id, f.verdict) for f in report.findings] == [(f.id, f.verdict) for f in wide.findings]

@@ -20,6 +20,7 @@ SAYS = {
     "bench": "seconds of a whole check",
     "bench-large": "parts of an interpreted step",
     "bench-events": "SciPy, events by hand",
+    "bench-sweeps": "Random oscillators with friction",
     "study": "",
     "nightly": "lure",
 }

@@ -42,6 +42,7 @@ HEAVY = ["matplotlib", "sympy", "scipy", "tqdm", "xarray", "pandas", "nsmodel.pl
 HEAVY += [
     "nsmodel.stress",
     "nsmodel.study",
+    "nsmodel.sweep",
     "nsmodel.codegen",
     "nsmodel.hypotheses.along",
     "nsmodel.proof.interval",
@@ -166,7 +167,7 @@ LAYERS = (  # What stands in a line may import, at its top, what stands in it an
     "codegen hypotheses classes.hypotheses classes.equations",
     "run classes.walk classes.record",
     "simulate stepping",
-    "checking observed_order crowd",
+    "checking observed_order crowd sweep",
     "certificate classes.certificate study classes.study stress classes.units classes.judge plot classes.plots",
     "cli",
 )

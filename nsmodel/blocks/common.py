@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -22,7 +22,8 @@ def hysteresis(
         period: of its ticks; left out: each step.
     """
     u = _symbol(u)
-    return _remembering(f"hysteresis {u}", period, {u: start}, {u: ca.if_else(y <= low, below, ca.if_else(y >= high, above, u))})
+    update = {u: ca.if_else(y <= low, below, ca.if_else(y >= high, above, u))}
+    return _remembering(f"hysteresis {u}", period, {u: start}, update, {u: (start, below, above)})
 
 
 def latch(q: Any, set: Any, reset: Any, *, start: float = 0.0, period: float | None = None) -> Block:
@@ -33,7 +34,8 @@ def latch(q: Any, set: Any, reset: Any, *, start: float = 0.0, period: float | N
         period: of its ticks; left out: each step.
     """
     q = _symbol(q)
-    return _remembering(f"latch {q}", period, {q: start}, {q: ca.if_else(reset >= 0, 0, ca.if_else(set > 0, 1, q))})
+    update = {q: ca.if_else(reset >= 0, 0, ca.if_else(set > 0, 1, q))}
+    return _remembering(f"latch {q}", period, {q: start}, update, {q: (start, 0, 1)})
 
 
 def thyristor(q: Any, gate: Any, current: Any, *, period: float | None = None) -> Block:
@@ -47,7 +49,7 @@ def thyristor(q: Any, gate: Any, current: Any, *, period: float | None = None) -
     """
     q = _symbol(q)
     fired = ca.if_else(gate > 0, 1, ca.if_else(current <= 0, 0, q))
-    return _remembering(f"thyristor {q}", period, {q: 0.0}, {q: fired})
+    return _remembering(f"thyristor {q}", period, {q: 0.0}, {q: fired}, {q: (0, 1)})
 
 
 def delay(w: Any, y: Any, *, samples: int, period: float, start: float = 0.0) -> Block:
@@ -115,13 +117,17 @@ def dead_time(on: Any, off: Any, command: Any, t: Any, *, delay: float, period: 
     ready = t - begun >= delay * (1 - 1e-9)
     up, down = ca.if_else(ca.logic_and(now == 1, ready), 1, 0), ca.if_else(ca.logic_and(now == 0, ready), 1, 0)
     memory, update = {was: 0.0, since: -delay, on: 0.0, off: 1.0}, {was: now, since: begun, on: up, off: down}
-    return _remembering(f"dead time {on}", period, memory, update)
+    return _remembering(f"dead time {on}", period, memory, update, {on: (0, 1), off: (0, 1)})
 
 
-def _remembering(name: str, period: float | None, memory: Mapping[Any, Any], update: Mapping[Any, Any]) -> Block:
+def _remembering(
+    name: str, period: float | None, memory: Mapping[Any, Any], update: Mapping[Any, Any], values: Mapping[Any, Sequence[Any]]
+) -> Block:  # fmt: skip
+    """A block of memory alone; ``values``: those that its symbols take, left out where one is no number."""
+    few = {symbol: taken for symbol, taken in values.items() if all(isinstance(one, int | float) for one in taken)}
     if period is None:
-        return each_step(name, memory=memory, update=update)
-    return sampled(name, period=period, memory=memory, update=update)
+        return each_step(name, memory=memory, update=update, values=few)
+    return sampled(name, period=period, memory=memory, update=update, values=few)
 
 
 def _symbol(symbol: Any) -> ca.SX:

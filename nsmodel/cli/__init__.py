@@ -7,7 +7,7 @@ import io
 import sys
 from collections.abc import Sequence
 
-from nsmodel.cli import check, codegen, run, stress, study
+from nsmodel.cli import check, codegen, run, stress, study, sweep
 from nsmodel.cli.output import apart
 from nsmodel.cli.signals import by_signal, signals
 from nsmodel.cli.status import DONE, refused, silenced
@@ -45,12 +45,12 @@ def _parser() -> argparse.ArgumentParser:
         prog="nsmodel",
         description="Nonsmooth dynamics: run a model file, every step verified; check its hypotheses; write its step in C.",
         epilog="exit status: 0 done; 1 a hypothesis is violated (check --strict) or a cell is wrong (stress); "
-        "2 usage, missing file or wrong model; 3 a step failed, 130 interrupted by Ctrl-C, 143 by SIGTERM (what was computed is "
-        "saved); "
+        "2 usage, missing file or wrong model; 3 a step failed, or cells of a sweep, 130 interrupted by Ctrl-C, 143 by SIGTERM "
+        "(what was computed is saved); "
         "4 the model has no C counterpart",
     )  # fmt: skip
     parser.add_argument("--version", action="version", version=f"nsmodel {VERSION}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for command in (run, check, study, stress, codegen):
+    for command in (run, sweep, check, study, stress, codegen):
         command.add(commands)
     return parser

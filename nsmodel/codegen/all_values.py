@@ -16,11 +16,11 @@ from nsmodel.errors import CodegenError, NsmodelError
 from nsmodel.grid import Grid
 from nsmodel.hypotheses.quick import admitted, refuse_start
 from nsmodel.model.base import Model
-from nsmodel.model.ticks import ticks_of
 from nsmodel.scheme import one_step_problem
+from nsmodel.solve.choose import pays
 
-DRAWS = 2000  # Values that are tried, of any sign and size.
-TRIED = 20  # Of those that seem right, models that are made.
+DRAWS = 2000  # Values that are tried at a time, of any sign and size.
+TRIED = 3  # Of those that seem right at a time, models that are made.
 
 
 def all_values(model: Model, grid: Grid, tolerance: float) -> Scene:
@@ -38,6 +38,11 @@ def all_values(model: Model, grid: Grid, tolerance: float) -> Scene:
     if given is not None and given.tolerances is not None and ca.depends_on(ca.vertcat(given.c, model.start), model.p):
         raise CodegenError("the tolerances of projections rest on a point inside of the set, which parameters move")
     scene = make_scene(model, None, grid, tolerance, numbers=accepted(model))
+    if pays(scene.structure, scene.law):
+        raise CodegenError(
+            f"{scene.structure.n + scene.structure.m} unknowns and multipliers of a sparse, constant matrix: C keeps it sparse "
+            "where it is of numbers, for one value of the parameters"
+        )
     if scene.path == INCLUSION and callable(getattr(given, "tolerances", None)) and grid.step(grid.N - 1) != grid.h:
         raise CodegenError("the tolerance of projections is a function of the step, and the last step is shorter")
     return scene
@@ -70,18 +75,28 @@ def _seeming_right(model: Model) -> Iterator[np.ndarray]:
     own = [i for i in range(law.size) if ca.depends_on(ca.vertcat(lower[i], upper[i]), model.p)]
     asked = ca.vertcat(admitted(model), (upper - lower)[own])
     f = ca.Function("asked", [model.p], [asked, (upper - lower)[own]])
-    draws = _draws(model.p.numel())
-    rows, widths = (np.array(f(draws.T)[k]).T.reshape(len(draws), -1) for k in (0, 1))
-    right = (rows >= 0).all(axis=1) & (widths > 0).all(axis=1)
-    yield from draws[np.flatnonzero(right)[:TRIED]]
+
+    def wrong(draws: np.ndarray) -> np.ndarray:
+        """How many rows each of these values violates (K,)."""
+        rows, widths = (np.array(part).T.reshape(len(draws), -1) for part in f(draws.T))
+        return (~(rows >= 0)).sum(axis=1) + (~(widths > 0)).sum(axis=1)
+
+    rng = np.random.default_rng(0)
+    draws = _draws(rng, DRAWS, model.p.numel())
+    for _ in range(1 + model.p.numel()):
+        violated = wrong(draws)
+        yield from draws[np.flatnonzero(violated == 0)[:TRIED]]
+        best = np.tile(draws[np.argmin(violated)], (DRAWS, 1))  # go on from there, with another value of one parameter
+        at = np.arange(DRAWS), rng.integers(0, model.p.numel(), DRAWS)
+        best[at] = _draws(rng, DRAWS, 1)[:, 0]
+        draws = best
     declared = list(model.parameters.values())
     if None not in declared:
         yield np.array(declared, float)
 
 
-def _draws(count: int) -> np.ndarray:
-    """Positive numbers about 1, then numbers of any sign and size (DRAWS, count): always the same."""
-    rng = np.random.default_rng(0)
-    near = rng.uniform(0.5, 1.5, (DRAWS // 4, count))
-    far = rng.normal(size=(DRAWS - len(near), count)) * 10.0 ** rng.integers(-3, 4, (DRAWS - len(near), count))
-    return np.vstack([near, far])
+def _draws(rng: np.random.Generator, rows: int, columns: int) -> np.ndarray:
+    """Positive numbers about 1, then numbers of any sign and size (rows, columns)."""
+    near = rng.uniform(0.5, 1.5, (rows // 4, columns))
+    shape = rows - len(near), columns
+    return np.vstack([near, rng.normal(size=shape) * 10.0 ** rng.integers(-3, 4, shape)])

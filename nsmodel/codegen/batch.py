@@ -14,11 +14,12 @@ import numpy as np
 from nsmodel.codegen import inclusion, structs
 from nsmodel.codegen.all_values import all_values
 from nsmodel.codegen.rollout import SECONDS, library_for_all
-from nsmodel.codegen.statuses import BAD_ARITHMETIC, BAD_PARAMETER, STATUSES
+from nsmodel.codegen.statuses import BAD_ARITHMETIC, BAD_PARAMETER, NOT_SOLVED, STATUSES
 from nsmodel.errors import CodegenError, UsageError
 from nsmodel.grid import Grid
 from nsmodel.hypotheses.quick import admitted
 from nsmodel.model.base import Model
+from nsmodel.model.driven import inputs_at_start
 from nsmodel.record import INNER, UNSET, VECTORS
 from nsmodel.scheme import start_rows
 
@@ -69,17 +70,20 @@ class Batch:
         pointer = ctypes.c_void_p
         self._size = library.function("size", ctypes.c_long)() // 8 + 1
         self._run = library.function("run_cells", ctypes.c_int, pointer, ctypes.POINTER(_Cells), ctypes.c_double)
-        if library.function("init", ctypes.c_int, pointer)(np.zeros(self._size).ctypes.data) == BAD_ARITHMETIC:
+        memory = np.zeros(self._size)
+        if library.function("init", ctypes.c_int, pointer)(memory.ctypes.data) == BAD_ARITHMETIC:
             raise CodegenError(f"{self.way}: {STATUSES[BAD_ARITHMETIC].text}")
         rows = start_rows(model, self._scene.problem.h)
         self._known, row = len(rows), np.full((len(rows), self._layout.width), np.nan)
         start = ca.SX(row)
         for k, (state, records) in enumerate(rows):
             start[k, : state.numel()] = state
+            if self._scene.problem.inputs:
+                start[k, self._layout.inputs] = np.tile(inputs_at_start(model), 2)
             for name, value in records.items():
                 start[k, self._layout.slices[name]] = value
         start = ca.substitute(start, self._scene.problem.h, grid.step(0))
-        self._start = ca.Function("start", [model.p], [ca.vec(start.T), admitted(model)])
+        self._start = ca.Function("start", [model.p], [ca.vec(start.T), admitted(model), self._scene.problem.assumed])
 
     def numbers_kept(self, every: int) -> np.ndarray:
         """The numbers (R,) of the rows that are kept: those known before a step, every ``every``-th, the last."""
@@ -144,7 +148,7 @@ class Batch:
             if stop():
                 work.forget(control.cell)
                 break
-        return work.cells(keep)
+        return work.cells()
 
     def _picked(self, keep: Sequence[str]) -> dict[str, int | list[int]]:
         unknown = [name for name in keep if name not in self._columns and name != "index_set"]
@@ -153,10 +157,13 @@ class Batch:
         return {name: self._columns[name] for name in keep if name != "index_set"}
 
     def _begin(self, work: _Work, given: np.ndarray) -> None:
-        """The rows that are known before a step, and cells refused whose start or weights a run refuses."""
-        rows, asked = (np.array(part).T.reshape(len(given), -1) for part in self._start(given.T))
-        asked_right = (np.isfinite(asked) & (asked >= 0)).all(axis=1) | ~np.isfinite(given).all(axis=1)
-        work.status[~asked_right] = BAD_PARAMETER
+        """The rows that are known before a step; cells that a run refuses, and those whose problem has another form."""
+        if not len(given):
+            return
+        rows, asked, assumed = (np.array(part).T.reshape(len(given), -1) for part in self._start(given.T))
+        work.status[~(assumed > 0).all(axis=1)] = NOT_SOLVED
+        work.status[~(np.isfinite(asked) & (asked >= 0)).all(axis=1)] = BAD_PARAMETER
+        work.status[~np.isfinite(given).all(axis=1)] = TO_DO  # the library says what these are
         work.kept[:, : self._known] = rows.reshape(len(given), self._known, -1)[:, :, work.columns] + 0.0
 
     def _driven(self, inputs: np.ndarray | None) -> np.ndarray | None:
@@ -164,7 +171,9 @@ class Batch:
         if not nu:
             return None
         if inputs is None and self._grid.drive is not None:
-            inputs = self._grid.drive.limits(self._grid.between(0, N), 0)
+            inputs = self._grid.drive.limits(self._grid.between(0, N))
+        if inputs is None:
+            raise UsageError("inputs: nothing drives the grid; give u at both ends of each step, or a grid that is driven")
         found = np.ascontiguousarray(inputs, float)
         if found.shape != (N, 2 * nu):
             raise UsageError(f"inputs: shape {found.shape}; expected ({N}, {2 * nu}), both ends of each step")
@@ -213,9 +222,11 @@ class _Work:
         for total in (self.taken, self.worst, self.changes, self.newton):
             total[cell:] = 0
 
-    def cells(self, keep: Sequence[str]) -> Cells:
+    def cells(self) -> Cells:
         """What they found."""
-        arrays = {name: self.index if name == "index_set" else self.kept[:, :, self._at[name]] for name in keep}
+        arrays: dict[str, np.ndarray] = {name: self.kept[:, :, at] for name, at in self._at.items()}
+        if self.index is not None:
+            arrays["index_set"] = self.index
         whole = (part.astype(int) for part in (self.taken, self.changes, self.newton))
         steps, changes, newton = whole
         return Cells(arrays, self.status, steps, self.worst, changes, newton, self.failed_at)

@@ -96,6 +96,11 @@ def is_cached(model: Model, grid: Grid, tolerance: float, compiler: str) -> bool
     return is_kept(key_of(model, grid, tolerance, compiler))
 
 
+def is_cached_for_all(model: Model, grid: Grid, tolerance: float, compiler: str) -> bool:
+    """The same of ``cached_for_all``."""
+    return is_kept(key_for_all(model, grid, tolerance, compiler))
+
+
 def is_kept(key: str) -> bool:
     """Whether ``kept`` finds the library of a key, to the look of it."""
     try:

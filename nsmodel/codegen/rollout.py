@@ -3,24 +3,31 @@
 from __future__ import annotations
 
 import ctypes
+import threading
+import weakref
+from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
+import casadi as ca
 import numpy as np
 
 from nsmodel.codegen import structs
 from nsmodel.codegen.cache import NAME, cached, cached_for_all
 from nsmodel.codegen.library import Library, compiler, no_compiler
-from nsmodel.codegen.statuses import BAD_ARITHMETIC, SOLVERS, STATUSES
+from nsmodel.codegen.statuses import BAD_ARITHMETIC, NOT_SOLVED, SOLVERS, STATUSES
 from nsmodel.errors import CodegenError
 from nsmodel.grid import Grid
+from nsmodel.identity import FOR_ALL
 from nsmodel.model.base import Model
 from nsmodel.once import once
+from nsmodel.scheme import one_step_problem
 from nsmodel.solve.layout import Layout
 from nsmodel.solve.stepper import StepResult, Warm
 
 NOWHERE = slice(0, 0)
+MOST_LOADED = 32  # Libraries that are kept loaded while no run has them.
 SECONDS = 0.05  # A call takes about as long: so late comes Ctrl-C.
 
 _Totals = structs.TOTALS.in_python()
@@ -56,22 +63,20 @@ class StepBlock(NamedTuple):
 class Rollout:
     """The steps of one bound model on one grid, compiled; ``way``: by what.
 
+    ``whole``: the model with its parameters as symbols, whose library for all values is taken; left out: code of the numbers.
+
     Raises:
-        CodegenError: the model has no C counterpart, or there is no compiler, or it fails.
+        CodegenError: the model has no C counterpart, or none for all values, or there is no compiler, or it fails.
     """
 
-    def __init__(self, model: Model, grid: Grid, tolerance: float) -> None:
-        name = compiler()
-        if name is None:
-            raise no_compiler()
-        self.way, self.grid = f"compiled by {name}", grid
-        path, loaded = cached(model, grid, tolerance, name), _loaded(model)
-        library = loaded[path] = loaded.get(path) or Library(path, {"name": NAME})
-        pointer, number, whole = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
+    def __init__(self, model: Model, grid: Grid, tolerance: float, whole: Model | None = None) -> None:
+        self.grid = grid
+        library, self.way = _library(model, grid, tolerance, cached) if whole is None else library_for_all(whole, grid, tolerance)
+        pointer, number, count = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
         self._place = library.function("place", None, pointer, number, number, pointer, pointer, pointer)
         self._fetch = library.function("fetch", None, pointer, pointer, pointer, pointer)
         self._rollout = library.function(
-            "rollout", whole, pointer, number, whole, number, whole, number, pointer, pointer, pointer, pointer, pointer,
+            "rollout", count, pointer, number, count, number, count, number, pointer, pointer, pointer, pointer, pointer,
             ctypes.POINTER(_Totals),
         )  # fmt: skip
         self._single = library.function("single", ctypes.c_int, pointer, number, number, pointer, pointer)
@@ -79,14 +84,26 @@ class Rollout:
         self._steps = np.zeros(2)
         self._one: Alone | None = None
         self._adapt = _optional(
-            library, "adapt", whole, pointer, pointer, whole, number, number, pointer, pointer, pointer, pointer, pointer,
+            library, "adapt", count, pointer, pointer, count, number, number, pointer, pointer, pointer, pointer, pointer,
             ctypes.POINTER(_Totals),
         )  # fmt: skip
-        self._memory = np.zeros(library.function("size", whole)() // 8 + 1)
+        self._memory = np.zeros(library.function("size", count)() // 8 + 1)
         self._solver = self._memory.ctypes.data
         status = library.function("init", ctypes.c_int, pointer)(self._solver)
         if status == BAD_ARITHMETIC:
-            raise CodegenError(f"{name}: {STATUSES[status].text}")
+            raise CodegenError(f"{self.way}: {STATUSES[status].text}")
+        if whole is not None:
+            self._set(whole, model, library)
+
+    def _set(self, whole: Model, model: Model, library: Library) -> None:
+        """Set the parameters to the numbers that the bound model has."""
+        values = np.array([model.bound_parameters[name] for name in whole.parameters], float)
+        assumed = np.array(ca.Function("assumed", [whole.p], [one_step_problem(whole).assumed])(values))
+        status = library.function("set_parameters", ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)(
+            self._solver, values.ctypes.data
+        )
+        if status or not (assumed > 0).all():
+            raise CodegenError(f"the library for all values does not take these: {STATUSES[status or NOT_SOLVED].text}")
 
     def advance(
         self, k: int, steps: int, state: np.ndarray, warm: Warm, least: float, every: int, rows: np.ndarray, index: np.ndarray,
@@ -217,18 +234,41 @@ def library_for_all(model: Model, grid: Grid, tolerance: float) -> tuple[Library
     Raises:
         CodegenError: see `all_values`; there is no compiler, or it fails.
     """
+    library, way = _library(model, grid, tolerance, cached_for_all)
+    return library, f"{way}, {FOR_ALL}"
+
+
+def _library(model: Model, grid: Grid, tolerance: float, of: Callable[[Model, Grid, float, str], Path]) -> tuple[Library, str]:
     name = compiler()
     if name is None:
         raise no_compiler()
-    path, loaded = cached_for_all(model, grid, tolerance, name), _loaded(model)
-    library = loaded[path] = loaded.get(path) or Library(path, {"name": NAME})
-    return library, f"compiled by {name}, one library for all values"
+    path = of(model, grid, tolerance, name)
+    return _loaded(model).library(path), f"compiled by {name}"
+
+
+class _Libraries(dict[Path, Library]):
+    """Libraries by their paths, which name their content; the MOST_LOADED used last, of all models, are held on to."""
+
+    recent: ClassVar[OrderedDict[tuple[int, Path], weakref.ref[_Libraries]]] = OrderedDict()
+    lock: ClassVar[threading.RLock] = threading.RLock()
+
+    def library(self, path: Path) -> Library:
+        """The library of a path; what has not been used for long is unloaded, once no run has it."""
+        with self.lock:
+            found = self[path] = self.get(path) or Library(path, {"name": NAME})
+            self.recent.pop((id(self), path), None)
+            self.recent[id(self), path] = weakref.ref(self)
+            while len(self.recent) > MOST_LOADED:
+                (_, old), owner = self.recent.popitem(last=False)
+                if (libraries := owner()) is not None:
+                    libraries.pop(old, None)
+        return found
 
 
 @once
-def _loaded(model: Model) -> dict[Path, Library]:
-    """The libraries that runs of the model have loaded, by their paths, which name their content: they go with the model."""
-    return {}
+def _loaded(model: Model) -> _Libraries:
+    """The libraries that runs of the model have loaded: they go with the model."""
+    return _Libraries()
 
 
 def _block(done: int, totals: Any, state: np.ndarray, warm: Warm) -> StepBlock:

@@ -41,8 +41,9 @@ STATUSES = (
     ),
     Status("TOO_SHORT", "the equations are missed by more than rtol, however short a piece is"),
 )
-NO_ROOM, BAD_ARITHMETIC, BAD_PARAMETER, NO_MODE = (
-    [status.name for status in STATUSES].index(name) for name in ("NO_ROOM", "BAD_ARITHMETIC", "BAD_PARAMETER", "NO_MODE")
+NO_ROOM, BAD_ARITHMETIC, BAD_PARAMETER, NOT_SOLVED, NO_MODE = (
+    [status.name for status in STATUSES].index(name)
+    for name in ("NO_ROOM", "BAD_ARITHMETIC", "BAD_PARAMETER", "NOT_SOLVED", "NO_MODE")
 )
 
 READY = 0x6E736D64  # What marks a solver that was initialised.

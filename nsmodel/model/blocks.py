@@ -116,8 +116,7 @@ def kept_signals(blocks: Sequence[DeclaredBlock]) -> dict[str, Kept]:
             for name, own in _by_name(each.block.values, each, "values", label).items()
         }
         for symbol in each.symbols:
-            count = len(few[symbol.stem]) if symbol.stem in few else None
-            found[str(symbol.stem)] = Kept(np.zeros(len(symbol.names)), str(symbol.stem), each.block.name, count)
+            found[str(symbol.stem)] = Kept(np.zeros(len(symbol.names)), str(symbol.stem), each.block.name, few.get(symbol.stem))
     return found
 
 

@@ -14,6 +14,7 @@ from nsmodel.model.arguments import RESERVED
 from nsmodel.model.convert import Converter, Declared, declare
 from nsmodel.model.symbols import entries_of, is_casadi, is_sympy
 from nsmodel.signals.function import expression_of
+from nsmodel.signals.kept import Kept
 from nsmodel.signals.signal import Held, Signal, numbers
 
 Signals = Mapping[Any, Any]  # {symbol or name: signal, number, list of numbers, expression of t, or None}
@@ -71,6 +72,8 @@ def _signal(value: Any, label: str, size: int, converter: Converter, error: type
 
 def word_of(signal: Signal) -> str:
     """What messages call it."""
+    if isinstance(signal, Kept):
+        return "block"
     return "value" if isinstance(signal, Held) else type(signal).__name__.lower()
 
 

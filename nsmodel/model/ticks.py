@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.errors import StepError
+from nsmodel.errors import BlockError
 from nsmodel.model.blocks import ModelBlock
 from nsmodel.once import once
 from nsmodel.proof.buffered import attached
@@ -33,6 +33,8 @@ class Ticks:
         own = {name: slice(ends[i], ends[i + 1]) for i, name in enumerate(model.input_groups)}
         self._own = {name: at for name, at in own.items() if at.start in self.at}
         self._names = model.input_names
+        few = {name: getattr(signal, "few", None) for name, signal in model.inputs.items()}
+        self._few = [(self._own[name], values) for name, values in few.items() if values]
         l = getattr(model, "lam", ca.SX(0, 1))
         self._t, self._x, self._l, self._u = (np.zeros(size) for size in (1, model.state.numel(), l.numel(), model.u.numel()))
         given = [model.t, model.state, l, model.u]
@@ -64,6 +66,7 @@ class Ticks:
             for block, (_, call, out) in zip(self.blocks, self._start, strict=True):
                 call()
                 self._u[list(block.at)] = out
+        self._refuse_others(0.0, self._u)
         return self._u.copy()
 
     def start(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -75,7 +78,7 @@ class Ticks:
         """U (nu,) after the ticks of these blocks at t; latches follow the others.
 
         Raises:
-            StepError: a value that is not finite, by the names of block and symbol.
+            BlockError: a value that is not finite, or none of those that the block says it takes, by the name of the symbol.
         """
         for latches in (False, True):
             self._t[0], self._x[:], self._u[:] = t, x, u
@@ -87,13 +90,23 @@ class Ticks:
                     call()
                     u[list(block.at)] = out
                     self._refuse(block, t, out)
+        self._refuse_others(t, u)
         return u
 
     def _refuse(self, block: ModelBlock, t: float, values: np.ndarray) -> None:
         if np.isfinite(values).all():
             return
         i = int(np.flatnonzero(~np.isfinite(values))[0])
-        raise StepError(f"block '{block.name}' sets {self._names[block.at[i]]} = {values[i]:g} at t = {t:.10g}")
+        raise BlockError(f"block '{block.name}' sets {self._names[block.at[i]]} = {values[i]:g} at t = {t:.10g}")
+
+    def _refuse_others(self, t: float, u: np.ndarray) -> None:
+        """Refuse a value that is none of ``values=``: matrices are kept, and a model is checked, for those alone."""
+        for at, few in self._few:
+            for i in range(at.start, at.stop):
+                if u[i] not in few:
+                    raise BlockError(
+                        f"{self._names[i]} = {u[i]:g} at t = {t:.10g}: its block has values={few}; name all that it takes there"
+                    )
 
 
 @once

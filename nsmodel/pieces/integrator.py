@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.errors import StepError
+from nsmodel.errors import BlockError, StepError
 from nsmodel.pieces.accumulation import Accumulation
 from nsmodel.pieces.bernstein import value
 from nsmodel.pieces.defect import Equations
@@ -70,6 +70,7 @@ class Integrator:
         self._begun: tuple[float, ...] | None = None  # The event that the next piece begins with.
         self._left: Solve | None = None  # Of the mode just chosen, whose first orders stand.
         self.stopped: str | None = None  # Why no piece follows.
+        self.lost: BlockError | None = None  # Where steps cannot go on from here either.
         self.unique: Counter[str] = Counter()
         self.touches = self.redundant = 0
         with np.errstate(all="ignore"):
@@ -90,7 +91,7 @@ class Integrator:
             StepError: no mode is valid, or pieces become too short.
         """
         if self.stopped is not None:
-            raise StepError(self.stopped)
+            raise self.lost or StepError(self.stopped)
         system, place = self.system, self.place
         how = self._series()
         s = self._length(how)
@@ -127,7 +128,7 @@ class Integrator:
             else:
                 self._event(hit, known)
         except StepError as why:
-            self.stopped = str(why)
+            self.stopped, self.lost = str(why), why if isinstance(why, BlockError) else None
         off = STOPS * LOCAL if hit is not None and hit.stops else 0.0
         return piece.moved(place.t, place.x, max(error, off))
 

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from nsmodel.plot.stress import stress
     from nsmodel.plot.strip import index_strip
     from nsmodel.plot.study import work_precision
+    from nsmodel.plot.sweep import sweep_histogram, sweep_line, sweep_overview
+    from nsmodel.plot.sweep_map import sweep_map
     from nsmodel.plot.time import energy, inputs, multipliers, outputs, residual, states
 
 __all__ = [
@@ -33,6 +35,10 @@ __all__ = [
     "save_all",
     "states",
     "stress",
+    "sweep_histogram",
+    "sweep_line",
+    "sweep_map",
+    "sweep_overview",
     "work_precision",
 ]
 
@@ -45,6 +51,8 @@ _later(
         "nsmodel.plot.stress": ["stress"],
         "nsmodel.plot.strip": ["index_strip"],
         "nsmodel.plot.study": ["work_precision"],
+        "nsmodel.plot.sweep": ["sweep_histogram", "sweep_line", "sweep_overview"],
+        "nsmodel.plot.sweep_map": ["sweep_map"],
         "nsmodel.plot.time": ["energy", "inputs", "multipliers", "outputs", "residual", "states"],
     },
 )

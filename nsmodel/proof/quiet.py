@@ -5,14 +5,22 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+import threading
 from collections.abc import Iterator
+
+_ONE_AT_A_TIME = threading.RLock()  # The descriptors are the process's.
 
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Solvers print banners from C: send file descriptors 1 and 2 to nowhere while one runs."""
-    sys.stdout.flush()
-    sys.stderr.flush()
+    """Solvers print banners from C: send file descriptors 1 and 2 to nowhere while one runs; other threads wait to do so."""
+    with _ONE_AT_A_TIME:
+        yield from _quietly()
+
+
+def _quietly() -> Iterator[None]:
+    for stream in filter(None, (sys.stdout, sys.stderr)):
+        stream.flush()
     saved, null = [(fd, os.dup(fd)) for fd in (1, 2)], os.open(os.devnull, os.O_WRONLY)
     try:
         with contextlib.redirect_stdout(None), contextlib.redirect_stderr(None):

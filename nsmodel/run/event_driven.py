@@ -56,9 +56,9 @@ class EventDriven:
     N: int = MOST
 
     def __init__(
-        self, model: Model, options: Options, problem: ContinuousProblem, there: There, free: Model | None = None
+        self, model: Model, options: Options, problem: ContinuousProblem, there: There, whole: Model | None = None
     ) -> None:
-        """``free``: the model before it had values, where it has parameters."""
+        """``whole``: the model with its parameters as symbols."""
         check_times(t_end=options.t_end)
         self.model: Any = model
         self.options, self.problem = options, problem
@@ -74,7 +74,7 @@ class EventDriven:
         own = [*kinds(model), () if problem.held else known.times]  # What of the signals is in the C.
         mark = digest_of([same["model"], *own]) if model.inputs else same["model"]
         self._drive = driving(model, self.T) if model.inputs else None
-        chosen = chosen_maker(problem, options, there(), (rtol, atol), model, mark, known, free)
+        chosen = chosen_maker(problem, options, there(), (rtol, atol), model, mark, known, whole)
         self.maker, self.plan = chosen.maker, chosen.plan
         self.record, self.k = PieceRows(problem, self.maker.order, options.save_every, chosen.columns), 0
         self._outputs = Outputs.of(model, problem.rows if problem.multipliers is None else problem.declared)

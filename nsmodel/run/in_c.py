@@ -7,12 +7,13 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from nsmodel.errors import CodegenError, StorageError
-from nsmodel.identity import INTERPRETED
+from nsmodel.identity import FOR_ALL, INTERPRETED
 from nsmodel.run.options import Options
 from nsmodel.solve.choose import Plan
 from nsmodel.solve.cost import Cost
 
 IN_C = "steps in C, compiled for this model; a step that C cannot certify is taken as above"
+IN_C_FOR_ALL = "steps in C, compiled once for all values of the parameters; a step that C cannot certify is taken as above"
 
 
 class Chosen(NamedTuple):
@@ -59,4 +60,5 @@ def chosen(
         plan = replace(plan, left_out=(*plan.left_out, f"{what} in C: {error}"))
         asked = options.compiled is True
         return Chosen(None, plan, [f"not compiled, the {what} are interpreted: {error}"] if asked else [])
+    words = IN_C_FOR_ALL if steps.way.endswith(FOR_ALL) else words
     return Chosen(steps, replace(plan, used=(*plan.used, words)), [])

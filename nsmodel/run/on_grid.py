@@ -20,8 +20,8 @@ from nsmodel.scheme import shortened
 class OnGrid(OverGrid, OfScheme):
     """The walk over a grid; see `walk.Walk`."""
 
-    def __init__(self, model: Model, options: Options, grid: Grid, there: There) -> None:
-        super().__init__(model, options, grid, grid, there)
+    def __init__(self, model: Model, options: Options, grid: Grid, there: There, whole: Model | None = None) -> None:
+        super().__init__(model, options, grid, grid, there, whole)
         self.grid, self.N, self.every = grid, grid.N, options.save_every
         self.driven = None if grid.drive is None else OnSteps(grid, grid.drive, self.starter, ticks_of(model))
         row = 8 * (self.stepper.layout.width + 5) + self.warm.index.size

@@ -49,11 +49,11 @@ def chosen_maker(
     model: Model,
     mark: str,
     known: Known,
-    free: Model | None,
+    whole: Model | None,
 ) -> Chosen:
-    """In C where that is asked for, or pays, or the run that is resumed had it; ``free``: the model before it had values."""
+    """In C where that is asked for, or pays, or the run that is resumed had it; ``whole``: the model with its parameters as symbols."""
     made: list[Course] = []
-    of_all = None if free is None or options.compiled is False else _of_all_values(free, problem, model)
+    of_all = None if whole is None or options.compiled is False else _of_all_values(whole, problem, model)
     own, mark = mark, mark if of_all is None else of_all[1]
     plan = _plan(problem, options, tolerances[0], model)
 
@@ -91,19 +91,19 @@ def chosen_maker(
     return Chosen(maker, found.way, lambda rows: found.steps.columns(rows, size), found.plan, found.warnings)
 
 
-def _of_all_values(free: Model, problem: ContinuousProblem, model: Model) -> tuple[ContinuousProblem, str, list[float]] | None:
+def _of_all_values(whole: Model, problem: ContinuousProblem, model: Model) -> tuple[ContinuousProblem, str, list[float]] | None:
     """The model in continuous time with its parameters as symbols, the mark of its library, the values; None: it has none."""
     from nsmodel.codegen.piece_runs import mark_of_all
     from nsmodel.codegen.piece_scene import free_problem
     from nsmodel.codegen.piece_switches import has_switches_of
 
     try:
-        found = free_problem(free)
+        found = free_problem(whole)
     except CodegenError:
         return None
     if found.rows != problem.rows or found.names != problem.names:
         return None
-    values = [model.bound_parameters[name] for name in free.parameters]
+    values = [model.bound_parameters[name] for name in whole.parameters]
     if not has_switches_of(problem, found, values):
         return None
     return found, mark_of_all(found), values

@@ -11,12 +11,12 @@ import casadi as ca
 import numpy as np
 
 from nsmodel import cache_folder
-from nsmodel.errors import StepError, UsageError
+from nsmodel.errors import CodegenError, StepError, UsageError
 from nsmodel.grid import Grid
 from nsmodel.hypotheses import impacts
 from nsmodel.hypotheses.quick import UNIQUENESS, refuse_start, warnings_of
 from nsmodel.hypotheses.rest import finite_convergence
-from nsmodel.identity import settings
+from nsmodel.identity import FOR_ALL, INTERPRETED, settings
 from nsmodel.model.base import Model
 from nsmodel.quantities import Outputs
 from nsmodel.record import Record
@@ -28,7 +28,7 @@ from nsmodel.run.walk import There, check_exact, note_distance_to_exact, overrun
 from nsmodel.scheme import constraints, initial_rows, one_step_problem
 from nsmodel.solve.build import Starter, Stepper, start_state
 from nsmodel.solve.by_mode import ByMode, mode_places
-from nsmodel.solve.cost import REPEATED, Cost, building, interpreted
+from nsmodel.solve.cost import REPEATED, Cost, building, fixed_pays, interpreted
 from nsmodel.solve.projection import CatchingUp
 from nsmodel.solve.stepper import PackedStep, Warm
 from nsmodel.solve.structure import is_monotone
@@ -60,7 +60,9 @@ class OfScheme:
 
     record: Record
 
-    def __init__(self, model: Model, options: Options, grid: Grid, in_c: Grid, there: There) -> None:
+    def __init__(
+        self, model: Model, options: Options, grid: Grid, in_c: Grid, there: There, whole: Model | None = None
+    ) -> None:  # fmt: skip
         """Prepare steps.
 
         Args:
@@ -69,6 +71,7 @@ class OfScheme:
             grid: its first step is the one that is prepared.
             in_c: the grid that the C is written for: one step size, or any.
             there: tells how the run that is resumed was stepped; asked once the model is known to run.
+            whole: the model with its parameters as symbols, where its library for all values may be taken.
         """
         refuse_start(model)
         check_exact(model)
@@ -90,7 +93,9 @@ class OfScheme:
         self.totals: dict[str, Any] = {
             "worst_residual": 0.0, "worst_residual_t": None, "newton": 0.0, "newton_max": 0.0, "index_set_changes": 0, "steps": 0,
         }  # fmt: skip
-        steps = chosen(options, self.stepper.plan, there(), grid.N, self._cost, self._build)
+        way = there()
+        self.whole = whole if whole is not None and self._takes_all(way, grid.N) else None
+        steps = chosen(options, self.stepper.plan, way, grid.N, self._cost, self._build)
         self.rollout, self.plan = steps.steps, steps.plan
         self.warnings = [*warnings_of(model, self.stepper.plan), *steps.warnings]
         self.settings = settings(model, grid, options.solver, tolerance, options.save_every, steps.way)
@@ -118,10 +123,21 @@ class OfScheme:
         interpreted = Starter(start, self.stepper.tolerance, h=self._first, state=self.state)
         return interpreted if self.rollout is None else self.rollout.starter(interpreted)
 
+    def _takes_all(self, way: str | None, steps: int) -> bool:
+        """Whether compiled steps are those of all values of the parameters: as the run began, else by its model and length."""
+        if way not in (None, INTERPRETED):
+            return way.endswith(FOR_ALL)
+        structure = getattr(self.stepper, "structure", None)
+        return not fixed_pays(self.stepper.plan.path, structure, self.problem, steps)
+
     def _build(self) -> Any:
         """Compile the steps; CodegenError where that cannot be."""
         from nsmodel.codegen.rollout import Rollout
 
+        if self.whole is not None:
+            with contextlib.suppress(CodegenError):
+                return Rollout(self.model, self.in_c, self.stepper.tolerance, self.whole)
+            self.whole = None
         return Rollout(self.model, self.in_c, self.stepper.tolerance)
 
     def _cost(self) -> Cost:
@@ -139,7 +155,11 @@ class OfScheme:
         from nsmodel.codegen import cache, library
 
         name = library.compiler()
-        return name is not None and cache.is_cached(self.model, self.in_c, self.stepper.tolerance, name)
+        if name is None:
+            return False
+        if self.whole is not None:
+            return cache.is_cached_for_all(self.whole, self.in_c, self.stepper.tolerance, name)
+        return cache.is_cached(self.model, self.in_c, self.stepper.tolerance, name)
 
     @property
     def runaway(self) -> tuple[str, float] | None:

@@ -70,7 +70,7 @@ class Drive:
         return np.hstack([part for side in (0, 1) for part in (limits[side] for limits in both)])
 
     def turns(self, times: np.ndarray | None) -> list[int]:
-        """The numbers of the steps that begin with a jump, in order, on a grid of these times; None: it has none of their edges."""
+        """The numbers, in order, of the steps that begin with a jump, of a grid with these times; None: it ends at no edge."""
         at = np.zeros(0, int) if times is None else np.searchsorted(times, self.jumps)
         return np.unique(np.concatenate([at, *(signal.turns for signal in self.signals.values())])).tolist()
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nsmodel.signals.bounds import Within
 from nsmodel.signals.signal import Held, Signal
 
 
@@ -16,15 +17,16 @@ class Kept(Held):
 
     name: str
     by: str
-    few: int | None = None
+    few: tuple[float, ...] | None = None
 
     @property
     def values_taken(self) -> int | None:
-        """Those that the block names."""
-        return self.few
+        """How many values the block says that it takes."""
+        return None if self.few is None else len(self.few)
 
-    def within(self, t_end: float) -> None:
-        """Not known."""
+    def within(self, t_end: float) -> Within | None:
+        """Between the least and the largest of these, which ticks keep to; jumps are not known."""
+        return None if self.few is None else Within(np.full(1, min(self.few)), np.full(1, max(self.few)), None, None)
 
     def holding(self, kept: Mapping[str, np.ndarray]) -> Signal:
         """What is held now."""

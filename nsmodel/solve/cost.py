@@ -61,6 +61,18 @@ def building(path: str, structure: Structure | None, problem: OneStepProblem) ->
     return 0.45 + 1.0e-3 * size**2 + 8.5e-4 * nodes if path == "kernel" else 1.2 + 8e-4 * nodes
 
 
+def fixed_pays(path: str, structure: Structure | None, problem: OneStepProblem, steps: int) -> bool:
+    """Whether so many steps pay for code of the values at hand alone, where there may be one library for all of them.
+
+    That has the matrices of "kernel" as numbers: by what a step of it is faster was fitted to 1 + 1 to 25 + 20 unknowns and
+    multipliers, C against C. Other paths have the same code either way, but for large sparse matrices, which must be numbers.
+    """
+    if path != "kernel" or structure is None:
+        return path == "sparse"
+    size = structure.n + structure.m
+    return steps * (2e-8 + 5e-9 * size + 1.7e-9 * size**2) > building(path, structure, problem)
+
+
 def of_bodies(count: int, solver: Callable[[], bool], own: Callable[[], bool]) -> Cost:
     """The cost of many bodies; whether the solver, which all models share, and the model's own functions are built."""
     return Cost(1.4e-3 + 5e-6 * count, lambda: 4.5 * (not solver()) + 0.15 * (not own()))

@@ -371,6 +371,11 @@ static int affine_solve(model_solver *s, int m, const double *W, const double *b
     if (s->affine.residual < INFINITY) {
         COPY(l, s->affine.best, m);
         COPY(code, s->affine.best_code, m);
+        for (int i = 0; i < m; i++)
+            if (code[i] == 0 && lo[i] == up[i]) { /* no width: y is not held at 0 */
+                code[i] = dot(m, W + i*m, l) + b[i] < 0 ? 1 : -1;
+                l[i] = lo[i];
+            }
     }
     return solver;
 }

@@ -48,6 +48,7 @@ def one_step_problem(model: MonotoneInclusion) -> OneStepProblem:
         guess=model.x,
         next_state=z,
         records={"v": v, "selection": l / scale},
+        assumed=ca.vertcat(ca.SX(0, 1), *(own for own in ca.vertsplit(scale) if not own.is_constant())),
     )  # fmt: skip
     return carrying(problem, model.u, u_end)
 

@@ -1,0 +1,194 @@
+"""``nsmodel sweep``: a model run many times."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nsmodel.cli.inputs import add_input, inputs_of
+from nsmodel.cli.output import print_json
+from nsmodel.cli.settings import ACCEPTED, Commands, add_set, by_name, parsed, setting
+from nsmodel.cli.signals import no_more_signals
+from nsmodel.cli.status import DONE, FAILED_STEP
+from nsmodel.defaults import TOLERANCE
+from nsmodel.errors import UsageError
+from nsmodel.loader import load_with
+from nsmodel.run.options import METHODS
+from nsmodel.storage import refuse_unwritable
+from nsmodel.words import print_shown as print
+
+if TYPE_CHECKING:
+    from nsmodel.sweep.result import Sweep
+
+VALUES = "NAME=LOW:HIGH:COUNT or NAME=V1,V2,..."
+
+
+def add(commands: Commands) -> None:
+    """Add the command and its options."""
+    about = "Run a model for many values of its parameters, starts, seeds or steps, on all cores."
+    parser = commands.add_parser("sweep", help="run a model file many times", description=about)
+    parser.add_argument("file", metavar="FILE", help="a Python file that defines model = ... or def model(...)")
+    parser.add_argument(
+        "--grid", action="append", default=[], metavar=VALUES, help="values of a parameter, a dimension; repeatable"
+    )
+    parser.add_argument(
+        "--samples", metavar="TABLE.csv", help="points that belong together: a column for each name, a first row of names"
+    )
+    parser.add_argument("--start", action="append", default=[], metavar=VALUES, help="starts of a state; repeatable")
+    parser.add_argument("--seeds", type=int, metavar="N", help="seeds 0 ... N-1 for def model(seed=...)")
+    parser.add_argument("--step", metavar="H or H1,H2,...", help="time step; several are a dimension")
+    add_set(parser)
+    add_input(parser)
+    parser.add_argument("--keep", default="", metavar="A,B,...", help="columns of which rows are kept")
+    parser.add_argument("--every", type=int, metavar="N", help="keep every N-th row (default: about 200 rows)")
+    parser.add_argument(
+        "--output",
+        action="append",
+        default=[],
+        metavar="NAME=TEXT",
+        help="number of a run: x[-1], max(x), mean(x), ...; repeatable",
+    )
+    parser.add_argument("--t-end", type=float, metavar="T", help="end of the runs (default: the model's)")
+    parser.add_argument("--rtol", type=float, metavar="R", help="error allowed, relative: event-driven where that applies")
+    parser.add_argument("--atol", type=float, metavar="A", help="error allowed besides, absolute (default 0)")
+    parser.add_argument("--method", default="auto", choices=METHODS, help="with --rtol: as of nsmodel run")
+    parser.add_argument("--solver", default="auto", metavar="NAME", help="use this solver alone")
+    parser.add_argument("--compiled", action="store_true", help="run in C (left out: where it pays)")
+    parser.add_argument("--tolerance", type=float, default=TOLERANCE, metavar="TOL", help=ACCEPTED)
+    parser.add_argument("--workers", type=int, metavar="N", help="how many at once (default: the cores)")
+    parser.add_argument("--entropy", type=int, metavar="E", help="of random starts (default 0)")
+    parser.add_argument("--out", metavar="DIR", help="folder of the sweep; NAME.nc and NAME.zarr are written so when it is done")
+    parser.add_argument("--resume", action="store_true", help="go on with the sweep in --out")
+    parser.add_argument("--retry", action="store_true", help="with --resume: run failed cells again")
+    parser.add_argument("--csv", metavar="PATH", help="also write one row a cell as CSV")
+    parser.add_argument("--plot", action="store_true", help="write a picture of each quantity into --out (default: FILE-sweep)")
+    parser.add_argument("--json", action="store_true", help="print the summary as JSON")
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
+    parser.set_defaults(command=_sweep)
+
+
+def _sweep(arguments: argparse.Namespace) -> int:
+    """Sweep a file; what fails is a status of its cell, and 3 of the command."""
+    from nsmodel.sweep.run import SweepInterrupted, sweep
+
+    if arguments.resume and arguments.out is None:
+        raise UsageError("--resume needs --out DIR, the folder of the sweep to go on with")
+    if arguments.csv:
+        refuse_unwritable(arguments.csv)
+    fixed = by_name(map(setting, arguments.set), "--set")
+    grid, samples = _grid(arguments.grid, "--grid"), _table(arguments.samples)
+    first = fixed | {name: values.tolist()[0] for name, values in (grid or samples or {}).items()}
+    inputs = inputs_of(arguments.input, load_with(arguments.file, first)[0].input_groups) if arguments.input else None
+    steps: Any = [None] if arguments.step is None else _numbers(arguments.step, f"--step {arguments.step}").tolist()
+    try:
+        found = sweep(
+            arguments.file, grid=grid, samples=samples, start=_grid(arguments.start, "--start"), seeds=arguments.seeds,
+            step=steps[0] if len(steps) == 1 else steps, inputs=inputs, parameters=fixed,
+            keep=[name for name in map(str.strip, arguments.keep.split(",")) if name], every=arguments.every,
+            outputs=by_name((_named(text, "--output", "rest=x[-1]") for text in arguments.output), "--output"),
+            t_end=arguments.t_end, rtol=arguments.rtol, atol=arguments.atol, method=arguments.method, solver=arguments.solver,
+            tolerance=arguments.tolerance, compiled=True if arguments.compiled else "auto", workers=arguments.workers,
+            out=arguments.out, resume=arguments.resume, retry=arguments.retry, entropy=arguments.entropy,
+            progress=not (arguments.quiet or arguments.json),
+        )  # fmt: skip
+    except SweepInterrupted as stop:
+        no_more_signals()
+        return _interrupted(arguments, stop)
+    _report(arguments, found)
+    return FAILED_STEP if found.failures else DONE
+
+
+def _interrupted(arguments: argparse.Namespace, stop: Any) -> int:
+    """Keep what was run, and say where."""
+    where = arguments.out
+    if where is None:
+        where = _folder(arguments) / "sweep.npz"
+        stop.result.save(where)
+    how = "; go on with --resume" if arguments.out is not None else ""
+    print(f"nsmodel: {stop}; they are saved in {where}{how}", file=sys.stderr)
+    return 128 + stop.signal
+
+
+def _report(arguments: argparse.Namespace, found: Sweep) -> None:
+    """Print the summary, write what was asked for."""
+    if arguments.csv:
+        found.to_csv(arguments.csv)
+    pictures = _pictures(arguments, found) if arguments.plot else []
+    if arguments.json:
+        print_json(arguments, {"file": arguments.file, **found.summary(), "pictures": pictures})
+        return
+    if not arguments.quiet:
+        print(found.summary_text())
+        if arguments.out:
+            print(f"  saved           {arguments.out}")
+        for path in pictures:
+            print(f"  picture         {path}")
+    if found.failures:
+        print(f"nsmodel: {len(found.failures)} of {found.size} cells are not done; the others are", file=sys.stderr)
+
+
+def _pictures(arguments: argparse.Namespace, found: Sweep) -> list[str]:
+    from nsmodel.plot import save
+
+    paths = []
+    for name in (*found.metadata["keep"], *found.metadata["outputs"]):
+        path = _folder(arguments) / f"{name}.png"
+        save(found.plot(name).figure, path)
+        paths.append(str(path))
+    return paths
+
+
+def _folder(arguments: argparse.Namespace) -> Path:
+    """Where pictures go."""
+    if arguments.out is None:
+        return Path(f"{Path(arguments.file).stem}-sweep")
+    out = Path(arguments.out)
+    return out.with_name(f"{out.name}.parts") if out.suffix in (".nc", ".zarr") else out
+
+
+def _named(text: str, option: str, example: str) -> tuple[str, str]:
+    name, equals, rest = text.partition("=")
+    if not equals or not name.strip() or not rest.strip():
+        raise UsageError(f"{option} {text}: expected NAME=..., for example {option} {example}")
+    return name.strip(), rest.strip()
+
+
+def _grid(texts: Sequence[str], option: str) -> dict[str, Any] | None:
+    """{name: values} of LOW:HIGH:COUNT or numbers with commas between."""
+    pairs = (_named(text, option, "mu=0:1:11") for text in texts)
+    return by_name(((name, _numbers(values, f"{option} {name}={values}")) for name, values in pairs), option) or None
+
+
+def _numbers(text: str, label: str) -> np.ndarray:
+    """The numbers that a text lists, or spaces evenly."""
+    try:
+        if ":" in text:
+            low, high, count = text.split(":")
+            if int(count) < 1:
+                raise ValueError
+            return np.linspace(float(low), float(high), int(count))
+        return np.array([parsed(one) for one in text.split(",")])
+    except ValueError:
+        raise UsageError(f"{label}: expected LOW:HIGH:COUNT, such as 0:1:11, or numbers with commas between") from None
+
+
+def _table(path: str | None) -> dict[str, np.ndarray] | None:
+    """The columns of a table by the names in its first row."""
+    if path is None:
+        return None
+    try:
+        with Path(path).open(newline="", encoding="utf-8-sig") as file:
+            rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
+        names = [cell.strip() for cell in rows[0]]
+        values = np.array([[float(cell) for cell in row] for row in rows[1:]], float)
+        if len(values) == 0 or values.shape[1] != len(names) or len(set(names)) < len(names):
+            raise ValueError("rows of another length than the first, or names that come twice, or no rows")
+    except (OSError, UnicodeDecodeError, ValueError, IndexError) as error:
+        raise UsageError(f"--samples {path}: {error}; expected a first row of names, and a number of each below") from None
+    return dict(zip(names, values.T, strict=True))

@@ -1,0 +1,27 @@
+"""Sweeps: a model run many times (`run`), what becomes of its cells (`result`, `variable`), statistics over them."""
+
+from typing import TYPE_CHECKING
+
+from nsmodel.later import later as _later
+
+if TYPE_CHECKING:
+    from nsmodel.sweep.result import Sweep
+    from nsmodel.sweep.run import SweepInterrupted, sweep
+    from nsmodel.sweep.shares import Share, share
+    from nsmodel.sweep.statistics import Quantile, Statistics, difference, statistics
+    from nsmodel.sweep.variable import Variable
+
+__all__ = [
+    "Quantile", "Share", "Statistics", "Sweep", "SweepInterrupted", "Variable", "difference", "share", "statistics", "sweep",
+]  # fmt: skip
+
+_later(
+    __name__,
+    {
+        "nsmodel.sweep.result": ["Sweep"],
+        "nsmodel.sweep.run": ["SweepInterrupted", "sweep"],
+        "nsmodel.sweep.shares": ["Share", "share"],
+        "nsmodel.sweep.statistics": ["Quantile", "Statistics", "difference", "statistics"],
+        "nsmodel.sweep.variable": ["Variable"],
+    },
+)

@@ -1,0 +1,133 @@
+"""What a sweep keeps of its cells, and how each is run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nsmodel.errors import UsageError
+from nsmodel.grid import Grid, is_number, make_grid, written
+from nsmodel.model.base import Model
+from nsmodel.sweep.outputs import Reduction
+from nsmodel.sweep.variable import NOT_RUN
+
+ABOUT = 200  # Rows that are kept of a run, where nothing else is asked for.
+FACTS: Mapping[str, tuple[str, Any]] = {  # {name of what is kept of every cell: (data type, value of a cell that was not run)}
+    "status": ("i1", NOT_RUN),
+    "failed_at": ("f8", np.nan),
+    "steps": ("i8", 0),
+    "worst_residual": ("f8", np.nan),
+    "index_set_changes": ("i8", 0),
+    "way": ("i1", -1),
+}
+OF_PIECES: Mapping[str, tuple[str, Any]] = {"pieces": ("i8", 0), "estimate": ("f8", np.nan)}  # And of event-driven runs.
+BATCH, PIECES, ALONE = "batch", "pieces", "alone"
+WAYS = (BATCH, PIECES, ALONE)  # Of a cell, by their numbers in ``way``.
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is asked of every cell.
+
+    Attributes:
+        keep: columns of which rows are kept; every: each how many steps, None: so that there are about ABOUT.
+        outputs: numbers of a run by name.
+        options: of `simulate`: solver, tolerance, compiled, rtol, atol, method, t_end, times.
+        way: how cells are run: in C with others, by steps or by pieces, or each alone by `simulate`.
+    """
+
+    keep: tuple[str, ...]
+    every: int | None
+    outputs: Mapping[str, Callable[[Any], Any]]
+    options: Mapping[str, Any]
+    way: str = ALONE
+
+    def __post_init__(self) -> None:
+        """Refuse what no sweep has."""
+        if self.every is not None and not (is_number(self.every) and self.every >= 1 and float(self.every).is_integer()):
+            raise UsageError(f"every = {written(self.every)}; expected a whole number >= 1")
+        if not self.keep and not self.outputs:
+            raise UsageError(
+                "nothing is kept of the cells: give keep=['x1'], columns of which rows are kept, or outputs={'end': 'x1[-1]'}"
+            )
+        taken = {*self.facts, "message", "t"}
+        for name in (*self.keep, *self.outputs):
+            if name in taken:
+                raise UsageError(f"'{name}' has its own place in every sweep; leave it out, or call the output otherwise")
+            if name in self.keep and (self.keep.count(name) > 1 or name in self.outputs):
+                raise UsageError(f"'{name}' is kept twice; keep one")
+
+    @property
+    def facts(self) -> Mapping[str, tuple[str, Any]]:
+        """What is kept of every cell beside what is asked for: {name: (data type, value of a cell that was not run)}."""
+        return {**FACTS, **OF_PIECES} if self.event_driven else FACTS
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All quantities, in their order."""
+        return (*self.keep, *self.outputs, *self.facts)
+
+    @property
+    def event_driven(self) -> bool:
+        """Whether runs have a tolerance in place of steps."""
+        return self.options.get("rtol") is not None
+
+    @property
+    def reductions(self) -> bool:
+        """Whether all outputs are of rows alone, not of whole runs."""
+        return all(isinstance(one, Reduction) and one.needs_rows_alone for one in self.outputs.values())
+
+    def bytes_of(self, model: Model, step: float | None) -> int:
+        """About the memory of a cell's rows while it is run with others."""
+        whole = [one for one in self.outputs.values() if isinstance(one, Reduction) and one.needs is None]
+        rows = ABOUT if self.event_driven or not whole else self.grid(model, step).N
+        return 8 * rows * (len(whole) + len(self.keep) * len(model.names) + 1)
+
+    def grid(self, model: Model, step: float | None) -> Grid:
+        """The steps of a cell's run."""
+        return make_grid(model, step, None, self.options.get("t_end"), driven=bool(model.inputs))
+
+    def rows(self, model: Model, step: float | None, longest: float | None = None) -> Rows:
+        """The rows that are kept of a run; ``longest``: of the steps that the sweep has, whose rows all of them have."""
+        if self.event_driven:
+            T = float(self.options.get("t_end") or model.t_end)
+            times = self.options.get("times")
+            ends = not self.keep and all(isinstance(one, Reduction) and one.needs for one in self.outputs.values())
+            evenly = np.array([0.0, T]) if ends else np.linspace(0.0, T, ABOUT + 1)
+            return Rows(evenly if times is None else np.asarray(times, float), 0)
+        grid = self.grid(model, step)
+        first = grid if longest is None else self.grid(model, longest)
+        every = self.every or max(1, -(-first.N // ABOUT))
+        ratio = 1 if longest is None or step is None else longest / step
+        if abs(ratio - round(ratio)) > 1e-9 * ratio:
+            raise UsageError(
+                f"steps {longest:g} and {step:g} have no common rows, as one is no multiple of the other; give steps that are, "
+                "or outputs= in place of keep="
+            )
+        every *= round(ratio)
+        numbers = np.append(np.arange(0, grid.N, every), grid.N)
+        return Rows(np.array([grid.time(int(k)) for k in numbers]), every)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The rows that are kept of each run: their times; ``every`` how many steps, 0 where they are asked for by time."""
+
+    times: np.ndarray
+    every: int
+
+
+@dataclass(frozen=True)
+class Found:
+    """What cells gave: ``arrays`` {name: (K, ...)}, FACTS among them; ``messages`` of those that are not done."""
+
+    arrays: Mapping[str, np.ndarray]
+    messages: Mapping[int, str]
+
+    @property
+    def cells(self) -> int:
+        """How many there are."""
+        return len(self.arrays["status"])

@@ -1,0 +1,107 @@
+"""A sweep as other programs read it: npz, a table of its cells, xarray and what that writes."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nsmodel.archive import write_npz
+from nsmodel.errors import MissingExtraError
+from nsmodel.storage import dumps, replacing
+from nsmodel.sweep.variable import WORDS
+
+if TYPE_CHECKING:
+    from nsmodel.sweep.result import Sweep
+
+
+def design_arrays(sweep: Sweep) -> dict[str, np.ndarray]:
+    """What varies, and the times of the rows, as files have them."""
+    dims = {f"dim:{dim}": np.asarray(sweep.coords[dim]) for dim in sweep.dims}
+    return dims | {f"value:{name}": values for name, (values, _) in sweep.varied.items()} | {"t": sweep.t}
+
+
+def header(sweep: Sweep) -> dict[str, Any]:
+    """The metadata of its file."""
+    along = {name: list(axes) for name, (_, axes) in sweep.varied.items()}
+    return {**sweep.metadata, "dims": list(sweep.dims), "along": along, "shape": list(sweep.shape)}
+
+
+def write(sweep: Sweep, path: Path) -> None:
+    """One npz file."""
+    messages = {str(cell): sweep.messages[cell] for cell in sorted(sweep.messages)}
+    write_npz(path, {**design_arrays(sweep), **sweep.cells}, {**header(sweep), "messages": messages})
+
+
+def table(sweep: Sweep) -> dict[str, np.ndarray]:
+    """One row a cell: its number, what varies, outputs, facts, status in words and message."""
+    places = np.unravel_index(np.arange(sweep.size), sweep.shape) if sweep.dims else ()
+    found: dict[str, np.ndarray] = {"cell": np.arange(sweep.size)}
+    found |= {dim: np.asarray(sweep.coords[dim])[place] for dim, place in zip(sweep.dims, places, strict=True)}
+    for name, (values, axes) in sweep.varied.items():
+        own = values[tuple(places[axis] for axis in axes)].reshape(sweep.size, -1)
+        found |= {name if own.shape[1] == 1 else f"{name}_{i}": column for i, column in enumerate(own.T)}
+    for name in [name for name in sweep.cells if name not in sweep.metadata.get("keep", ())]:
+        values = sweep.cells[name].reshape(sweep.size, -1)
+        if name != "status":
+            found |= {name if values.shape[1] == 1 else f"{name}_{i}": column for i, column in enumerate(values.T)}
+    found["status"] = np.array([WORDS[code] for code in sweep.cells["status"].tolist()])
+    found["message"] = np.array([sweep.messages.get(cell, "") for cell in range(sweep.size)])
+    return found
+
+
+def of(sweep: Sweep) -> Any:
+    """An ``xarray.Dataset``: quantities along the sweep's dimensions and their own, what varies as coordinates."""
+    xarray = _extra("xarray", "xarray")
+    units = {name: {"units": unit} for name, unit in sweep.units.items()}
+    data = {}
+    for name in sweep.cells:
+        if name != "status":
+            variable = sweep[name]
+            data[name] = (variable.dims, variable.values, units.get(name))
+    coords: dict[str, Any] = {dim: (dim, np.asarray(sweep.coords[dim]), units.get(dim)) for dim in sweep.dims}
+    coords["status"] = (sweep.dims, sweep.status)
+    if sweep.metadata.get("keep"):
+        coords["t"] = ("t", sweep.t, units.get("t"))
+    for name, (values, axes) in sweep.varied.items():
+        if name not in coords and values.ndim == len(axes):
+            coords[name] = (tuple(sweep.dims[axis] for axis in axes), values, units.get(name))
+    data["message"] = (sweep.dims, np.array([sweep.messages.get(cell, "") for cell in range(sweep.size)]).reshape(sweep.shape))
+    plain = {key: value if type(value) in (str, int, float) else dumps(value) for key, value in sweep.metadata.items()}
+    found = xarray.Dataset(data, coords, plain)
+    if sweep.metadata.get("low_discrepancy"):
+        for name in data:
+            found[name].attrs["low_discrepancy"] = 1
+    return found
+
+
+def to_netcdf(sweep: Sweep, path: Path) -> None:
+    """A netCDF file."""
+    found = of(sweep)
+    if not any(map(_there, ("netCDF4", "h5netcdf"))):
+        raise MissingExtraError("netCDF files need netCDF4 or h5netcdf; pip install netCDF4, or keep the npz file")
+    with replacing(path) as part:
+        found.to_netcdf(part)
+
+
+def to_zarr(sweep: Sweep, path: Path) -> None:
+    """A zarr store."""
+    _extra("zarr", "zarr")
+    of(sweep).to_zarr(path, mode="w", zarr_format=2)
+
+
+def _there(package: str) -> bool:
+    try:
+        import_module(package)
+    except ImportError:
+        return False
+    return True
+
+
+def _extra(package: str, extra: str) -> Any:
+    try:
+        return import_module(package)
+    except ImportError as error:
+        raise MissingExtraError(f"{package} is not installed; pip install 'nsmodel[{extra}]'") from error

@@ -1,0 +1,315 @@
+"""The result of a sweep: every cell's rows and numbers, what failed and why; as variables, text, CSV, xarray, pictures."""
+
+from __future__ import annotations
+
+import textwrap
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nsmodel.errors import StepError, StorageError, UsageError
+from nsmodel.storage import write_csv
+from nsmodel.sweep import dataset
+from nsmodel.sweep.asked import ALONE, WAYS
+from nsmodel.sweep.binomial import wilson
+from nsmodel.sweep.mapped import mapped
+from nsmodel.sweep.store import WHOLE
+from nsmodel.sweep.variable import DONE, FAILED, NOT_RUN, WORDS, Variable
+
+DIM, VALUE = "dim:", "value:"  # What the arrays of the design are called in files.
+WIDTH, SHOWN = 100, 4
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Sweep:
+    """What became of the cells of a sweep, in the order of its dimensions.
+
+    A quantity is an item, or an attribute where its name allows it: ``result["x1"]``, ``result.x1`` is a `Variable`
+    (mu1, k, seed, t). Every sweep has ``status`` (0 done, 1 failed, 2 interrupted, 3 refused, -1 not run), ``failed_at``,
+    ``steps``, ``worst_residual``, ``index_set_changes`` and ``way``.
+
+    Attributes:
+        dims: names of the dimensions of its cells; coords: {dimension: its values}.
+        varied: {name: (values, numbers of the dimensions along which they vary)}, of parameters, starts and arguments.
+        t: times (R,) of the rows that are kept.
+        cells: {name: (size, ...)}, cell after cell; files hold these.
+        messages: {cell: why it is not done}.
+        metadata: title, units, settings, how it was run.
+        engine: who computed, where that is known.
+    """
+
+    dims: tuple[str, ...]
+    coords: Mapping[str, np.ndarray]
+    varied: Mapping[str, tuple[np.ndarray, tuple[int, ...]]]
+    t: np.ndarray
+    cells: Mapping[str, np.ndarray]
+    messages: Mapping[int, str]
+    metadata: Mapping[str, Any]
+    engine: str = ""
+    _again: Callable[..., Any] | None = field(default=None)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """How many cells there are along each dimension."""
+        return tuple(len(self.coords[dim]) for dim in self.dims)
+
+    @property
+    def size(self) -> int:
+        """How many cells there are."""
+        return int(np.prod(self.shape, dtype=int))
+
+    @property
+    def title(self) -> str:
+        """The model's title."""
+        return self.metadata.get("title") or "untitled"
+
+    @property
+    def status(self) -> np.ndarray:
+        """What came of each cell, int8 in the sweep's shape: 0 done, 1 failed, 2 interrupted, 3 refused, -1 not run."""
+        return self.cells["status"].reshape(self.shape)
+
+    @property
+    def plan(self) -> str:
+        """How the cells were run, in words."""
+        return self.metadata["plan"] + (f"; {self.engine}" if self.engine else "")
+
+    @property
+    def arrays(self) -> dict[str, np.ndarray]:
+        """{name: array} of all quantities, each in the sweep's shape with its own axes behind."""
+        return {name: values.reshape(*self.shape, *values.shape[1:]) for name, values in self.cells.items()}
+
+    @cached_property
+    def units(self) -> dict[str, str]:
+        """{name: unit}, as far as they are known."""
+        return dict(self.metadata.get("units", {}))
+
+    def __getitem__(self, name: str) -> Variable:
+        """Return a quantity as a variable; KeyError lists what there is."""
+        if name not in self.cells:
+            raise KeyError(f"this sweep has no '{name}'; it has {', '.join(self.cells)}")
+        values = self.cells[name]
+        own = self._own_axes(name)
+        coords = dict(self.coords) | {axis: at for axis, at in own.items()}
+        along = {key: self.dims[axes[0]] for key, (of, axes) in self.varied.items() if self._is_coordinate(key)}
+        coords |= {key: self.varied[key][0] for key in along}
+        return Variable(
+            name, values.reshape(*self.shape, *values.shape[1:]), (*self.dims, *own), coords, self.status, self.dims,
+            unit=self.units.get(name, ""), low_discrepancy=bool(self.metadata.get("low_discrepancy")), along=along,
+            units={key: self.units[key] for key in coords if key in self.units},
+        )  # fmt: skip
+
+    def __getattr__(self, name: str) -> Variable:
+        """Find a quantity by its name."""
+        if name.startswith("_") or "cells" not in vars(self) or name not in self.cells:
+            raise AttributeError(f"this sweep has no '{name}'; it has {', '.join(vars(self).get('cells', ()))}")
+        return self[name]
+
+    def __dir__(self) -> list[str]:
+        """List the quantities among the attributes."""
+        return sorted({*super().__dir__(), *self.cells})
+
+    def _is_coordinate(self, name: str) -> bool:
+        """Whether what varies is a coordinate along one dimension that is not its own."""
+        values, axes = self.varied[name]
+        return len(axes) == 1 and self.dims[axes[0]] != name and name not in self.dims and values.ndim == 1
+
+    def _own_axes(self, name: str) -> dict[str, np.ndarray]:
+        """The axes of a quantity behind those of the cells."""
+        shape = self.cells[name].shape[1:]
+        if not shape:
+            return {}
+        kept = name in self.metadata.get("keep", ())
+        axes = {"t": self.t} if kept else {}
+        rest = shape[1:] if kept else shape
+        return axes | {f"{name}_{i}" if len(rest) > 1 else f"{name}_entry": np.arange(size) for i, size in enumerate(rest)}
+
+    def at(self, cell: int) -> dict[str, Any]:
+        """Return what varies, by name, and its values at a cell: ``result.at(7)``.
+
+        UsageError where there is no such cell.
+        """
+        if not -self.size <= cell < self.size:
+            raise UsageError(f"cell {cell}: the sweep has the cells 0 to {self.size - 1}")
+        place = np.unravel_index(cell % self.size, self.shape) if self.dims else ()
+        found: dict[str, Any] = {dim: self.coords[dim][i] for dim, i in zip(self.dims, place, strict=True)}
+        found |= {name: values[tuple(place[axis] for axis in axes)] for name, (values, axes) in self.varied.items()}
+        return {name: value.item() if isinstance(value, np.generic) else value for name, value in found.items()}
+
+    def simulate(self, cell: int, **options: Any) -> Any:
+        """Run a cell once more, alone, and return its whole trajectory; ``options`` are those of `nsmodel.simulate`.
+
+        Raises:
+            UsageError: the sweep was read from a file, which holds no model; no such cell.
+            StepError: as the cell's message says.
+        """
+        self.at(cell)
+        if self._again is None:
+            raise UsageError(
+                "a sweep that was read from a file has no model; sweep again with resume=True, which runs nothing anew"
+            )
+        return self._again(cell % self.size, options)
+
+    @property
+    def failures(self) -> list[tuple[int, str]]:
+        """(cell, why) of those that were run and are not done."""
+        return [(cell, self.messages.get(cell, "")) for cell in np.flatnonzero(self.cells["status"] > DONE).tolist()]
+
+    def raise_failed(self) -> None:
+        """Raise StepError with the first failure where a cell has failed or was refused."""
+        if self.failures:
+            cell, why = self.failures[0]
+            raise StepError(f"{len(self.failures)} of {self.size} cells are not done; cell {cell} ({self._where(cell)}): {why}")
+
+    def save(self, path: str | Path) -> None:
+        """Write one npz file; ``Sweep.load`` reads it, and ``numpy.load``. StorageError where that fails."""
+        dataset.write(self, Path(path))
+
+    @classmethod
+    def load(cls, path: str | Path) -> Sweep:
+        """Read a file of ``save``, or the folder of a sweep that is done; arrays stay in the file until they are used.
+
+        Raises:
+            StorageError: missing, damaged, foreign, or a sweep that is not done: go on with it by ``resume=True``.
+        """
+        path = Path(path)
+        if path.is_dir():
+            if not (path / WHOLE).exists():
+                raise StorageError(
+                    f"{path} holds no {WHOLE}: no sweep, or one that is not done; go on with resume=True (--resume)"
+                )
+            path = path / WHOLE
+        arrays, metadata = mapped(path)
+        if "dims" not in metadata or "status" not in arrays:
+            raise StorageError(f"{path} holds no sweep; a run's file is read with Trajectory.load")
+        return made(arrays, metadata)
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write one row a cell: what varies, numbers of each run, how it went, why not; rows over time are left out."""
+        write_csv(path, dataset.table(self))
+
+    @property
+    def data(self) -> Any:
+        """The sweep as an ``xarray.Dataset``; MissingExtraError where xarray is not installed."""
+        return dataset.of(self)
+
+    def to_netcdf(self, path: str | Path) -> None:
+        """Write ``data`` as netCDF; MissingExtraError where xarray, or what it writes that with, is not installed."""
+        dataset.to_netcdf(self, Path(path))
+
+    def to_zarr(self, path: str | Path) -> None:
+        """Write ``data`` as a zarr store; MissingExtraError where xarray or zarr is not installed."""
+        dataset.to_zarr(self, Path(path))
+
+    def plot(self, name: str, **options: Any) -> Any:
+        """Draw a quantity over what varies; the options are those of ``nsmodel.plot.sweep.sweep_overview``."""
+        from nsmodel.plot.sweep import sweep_overview
+
+        return sweep_overview(self[name], **options)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the sweep in short, as numbers, strings, lists and dictionaries."""
+        status = Counter(self.cells["status"].tolist())
+        ran = self.cells["status"] != NOT_RUN
+        worst = self.cells["worst_residual"][self.cells["status"] == DONE]
+        pieces = self.cells.get("pieces")
+        estimates = self.cells["estimate"][np.isfinite(self.cells["estimate"])] if pieces is not None else np.zeros(0)
+        ways = Counter(self.cells["way"][ran].tolist())
+        return {
+            "title": self.title,
+            "model_class": self.metadata.get("model_class"),
+            "dims": dict(zip(self.dims, self.shape, strict=True)),
+            "cells": self.size,
+            "status": {word: status[code] for code, word in WORDS.items() if status[code]},
+            "failures": [{"cell": cell, "at": self.at(cell), "message": why} for cell, why in self.failures],
+            "keep": list(self.metadata.get("keep", ())),
+            "outputs": dict(self.metadata.get("outputs", {})),
+            "rows": len(self.t),
+            "t": {"start": float(self.t[0]), "end": float(self.t[-1]), "unit": self.units.get("t", "")},
+            "steps": int(self.cells["steps"].sum()),
+            "worst_residual": float(np.max(worst)) if worst.size else None,
+            "pieces": None if pieces is None else int(pieces.sum()),
+            "estimate": float(estimates.max()) if estimates.size else None,
+            "ways": {WAYS[way]: count for way, count in sorted(ways.items())},
+            "plan": self.plan,
+        }
+
+    def summary_text(self) -> str:
+        """Return the sweep in short as a table of at most 100 columns."""
+        s = self.summary()
+        of = " x ".join(f"{dim} {size}" for dim, size in s["dims"].items())
+        lines = [f"{s['title']}", _line("cells", f"{s['cells']}: {of}")]
+        done = s["status"].get(WORDS[DONE], 0)
+        lines.append(_line("done", f"{done} of {s['cells']}"))
+        for word, count in s["status"].items():
+            if word != WORDS[DONE]:
+                low, high = (float(end) for end in wilson(np.array(count), np.array(s["cells"]), 0.95))
+                share = (
+                    f" ({count / s['cells']:.2g} of all; 95 % interval {low:.2g} to {high:.2g})" if word == WORDS[FAILED] else ""
+                )
+                lines.append(_line(word, f"{count}{share}"))
+        shown = Counter(_kind(why) for _, why in self.failures).most_common(SHOWN)
+        for kind, count in shown:
+            cell, why = next((cell, why) for cell, why in self.failures if _kind(why) == kind)
+            lines.append(_line("", f"{count} times, the first at {self._where(cell)}: {why}"))
+        kept = ", ".join(s["keep"]) or "no rows"
+        unit = f" {s['t']['unit']}" if s["t"]["unit"] else ""
+        if s["keep"]:
+            lines.append(_line("kept", f"{kept}: {s['rows']} rows, t = {s['t']['start']:.6g} to {s['t']['end']:.6g}{unit}"))
+        lines += [_line("outputs" if i == 0 else "", f"{name}: {text}") for i, (name, text) in enumerate(s["outputs"].items())]
+        if s["pieces"] is not None:
+            lines.append(_line("pieces", f"{s['pieces']:,} in all"))
+            if s["estimate"] is not None:
+                lines.append(_line("worst estimate", f"{s['estimate']:.2g} of rtol, of the error of a piece"))
+        else:
+            lines.append(_line("steps", f"{s['steps']:,} in all, each verified"))
+            if s["worst_residual"] is not None:
+                lines.append(_line("worst residual", f"{s['worst_residual']:.2e}"))
+        lines.append(_line("way", self.plan))
+        alone = s["ways"].get(ALONE, 0)
+        if alone and len(s["ways"]) > 1:
+            lines.append(_line("", f"{alone} cells, which C did not go on with, by simulate"))
+        return "\n".join(lines)
+
+    def _where(self, cell: int) -> str:
+        """What varies at a cell, in words."""
+        at = self.at(cell)
+        numbers = {name: value for name, value in at.items() if isinstance(value, int | float | str)}
+        return ", ".join(
+            f"{name} = {value:.6g}" if isinstance(value, float) else f"{name} = {value}" for name, value in numbers.items()
+        )
+
+    def __len__(self) -> int:
+        """Return the number of cells."""
+        return self.size
+
+    def __repr__(self) -> str:
+        """Return one line: title, dimensions, what came of the cells."""
+        of = " x ".join(f"{dim} {size}" for dim, size in zip(self.dims, self.shape, strict=True))
+        status = Counter(self.cells["status"].tolist())
+        went = ", ".join(f"{status[code]} {word}" for code, word in WORDS.items() if status[code])
+        return f"Sweep({self.title!r}, {of}: {went})"
+
+
+def made(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any], again: Callable[..., Any] | None = None) -> Sweep:
+    """The sweep of arrays as files have them."""
+    dims, along = tuple(metadata["dims"]), metadata["along"]
+    about = {key: value for key, value in metadata.items() if key not in ("messages", "shape", "dims", "along")}
+    coords = {dim: np.asarray(arrays[f"{DIM}{dim}"]) for dim in dims}
+    varied = {name: (np.asarray(arrays[f"{VALUE}{name}"]), tuple(axes)) for name, axes in along.items()}
+    cells = {name: values for name, values in arrays.items() if not name.startswith((DIM, VALUE)) and name != "t"}
+    messages = {int(cell): text for cell, text in metadata.get("messages", {}).items()}
+    return Sweep(dims, coords, varied, np.asarray(arrays["t"]), cells, messages, about, _again=again)
+
+
+def _line(head: str, text: str) -> str:
+    return textwrap.fill(text, WIDTH, initial_indent=f"  {head:16}", subsequent_indent=" " * 18)
+
+
+def _kind(message: str) -> str:
+    """A message without its numbers: what failures have in common."""
+    return "".join(character for character in message if not character.isdigit() and character not in ".e+-")

@@ -1,0 +1,303 @@
+"""What users call to run a model many times."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nsmodel import lock
+from nsmodel.archive import read_npz, write_npz
+from nsmodel.defaults import TOLERANCE
+from nsmodel.errors import StorageError, UsageError
+from nsmodel.identity import digest_of, fingerprint, versions
+from nsmodel.model.parameters import Values
+from nsmodel.run.interrupt import deferred_signals
+from nsmodel.run.options import Options
+from nsmodel.run.told import of_model
+from nsmodel.simulate import simulate
+from nsmodel.solve.choose import SOLVERS
+from nsmodel.sweep import dataset, same
+from nsmodel.sweep.asked import ALONE, FACTS, WAYS, Asked, Found
+from nsmodel.sweep.cells import blank
+from nsmodel.sweep.choice import Choice, choose
+from nsmodel.sweep.design import Design, design_of
+from nsmodel.sweep.engine import engine_of, refuse_workers
+from nsmodel.sweep.outputs import Reduction, outputs_of
+from nsmodel.sweep.result import DIM, VALUE, Sweep, made
+from nsmodel.sweep.source import Source
+from nsmodel.sweep.store import SweepStore, manifest_of, missing
+from nsmodel.sweep.tasks import Groups
+from nsmodel.sweep.variable import NOT_RUN
+from nsmodel.sweep.work import work
+
+DESIGN = "design.npz"
+WORKING = 64 << 20  # Bytes that the rows of a chunk take while its cells are run.
+EXPORTS = {".nc": dataset.to_netcdf, ".zarr": dataset.to_zarr}
+
+
+class SweepInterrupted(KeyboardInterrupt):
+    """Ctrl-C or SIGTERM during a sweep; ``result`` holds the cells that were run, ``signal`` is which of them came."""
+
+    def __init__(self, result: Sweep, signal: int = signal.SIGINT) -> None:
+        ran = int((result.cells["status"] != NOT_RUN).sum())
+        super().__init__(f"interrupted after {ran} of {result.size} cells")
+        self.result, self.signal = result, signal
+
+
+def sweep(
+    model: Any,
+    *,
+    grid: Mapping[Any, Any] | None = None,
+    samples: Mapping[Any, Any] | None = None,
+    start: Mapping[Any, Any] | Callable[[np.random.Generator], Mapping[str, float]] | None = None,
+    seeds: Sequence[int] | int | None = None,
+    step: float | Sequence[float] | None = None,
+    inputs: Any = None,
+    parameters: Values | None = None,
+    keep: Sequence[str] | str = (),
+    every: int | None = None,
+    outputs: Mapping[str, Any] | None = None,
+    t_end: float | None = None,
+    rtol: float | None = None,
+    atol: float | Sequence[float] | None = None,
+    method: str = "auto",
+    times: Sequence[float] | None = None,
+    solver: str = "auto",
+    tolerance: float = TOLERANCE,
+    compiled: bool | str = "auto",
+    workers: Any = None,
+    out: str | Path | None = None,
+    resume: bool = False,
+    retry: bool = False,
+    entropy: int | None = None,
+    replicates: bool = False,
+    low_discrepancy: bool = False,
+    progress: bool = False,
+) -> Sweep:
+    """Run a model for many values of its parameters, starts, seeds, steps or inputs; each step of each run is verified.
+
+    A run that fails is data: its rows end there, its ``status`` is 1 and its message that of the StepError.
+
+    Args:
+        model: a model, the path of a model file, or a function that returns a model.
+        grid: {name: values}, a product: a dimension for each. A name is that of a parameter (then one library serves all
+            values) or of an argument of the model's function (then each value is another model).
+        samples: {name: array (N,)}, points that belong together, along the dimension "sample"; {(names): array (N, k)} as SALib
+            and scipy.stats.qmc make them.
+        start: {state: values}, where runs begin: along the samples, or a dimension of its own; or a function that gets a
+            ``numpy.random.Generator`` of each cell and returns {state: value}.
+        seeds: for ``def model(seed=...)``, or for the random numbers of ``start``; a number N stands for range(N).
+        step: the time step; several: a dimension. inputs: signals as in `simulate`; a list of such dictionaries, or
+            {label: dictionary}: a dimension.
+        parameters: values that all cells share, of parameters and arguments.
+        keep: columns of which rows are kept, by the names that a Trajectory has; every: each how many steps, and the last (left
+            out: about 200 rows); of event-driven runs the rows are at ``times``.
+        outputs: numbers of each run: texts such as "x1[-1]", "max(x1)", "mean(x1)", or functions of a Trajectory.
+        t_end, rtol, atol, method, times, solver, tolerance, compiled: as in `simulate`; compiled "auto": where a library for all
+            cells takes less time than the runs without.
+        workers: how many at once; left out: as many as there are cores, threads for C and processes else; or anything with
+            ``submit``: a Dask Client, a concurrent.futures Executor.
+        out: folder of the sweep, written as it goes; ".nc" or ".zarr" at the end of its name: written so when all is done.
+        resume: go on with the sweep in ``out``: cells that are there are not run again; samples and seeds may have been added.
+        retry: with ``resume``, run failed cells again.
+        entropy: of the random numbers of ``start`` (default 0), which depend on it and on a cell's place alone.
+        replicates: arrays of samples are (R, N) and (R, N, k): R sets of points, along the dimension "replicate".
+        low_discrepancy: samples are a net (Sobol, Halton, Latin hypercube): their means have no standard error.
+        progress: show a bar where standard error is a terminal.
+
+    Raises:
+        UsageError: a wrong argument, an unknown name, nothing to vary, a sweep that is there already.
+        ModelError: the first model cannot be made.
+        StorageError: ``resume`` without that sweep, or files that cannot be read or written.
+        SweepInterrupted: Ctrl-C or SIGTERM; ``error.result`` has what was run.
+    """
+    several = step is not None and np.ndim(step) > 0
+    many_inputs = isinstance(inputs, list | tuple) or _labelled(inputs)
+    design = design_of(
+        grid, samples, start, seeds, step if several else None, inputs if many_inputs else None, entropy, replicates
+    )  # fmt: skip
+    given: Any = step
+    one_step = None if several or step is None else float(given)
+    Options(
+        step=one_step, solver=solver, tolerance=tolerance, compiled=compiled, rtol=rtol, atol=atol, method=method,
+        times=times, out=out, resume=resume,
+    )  # fmt: skip
+    refuse_workers(workers)
+    if solver not in SOLVERS:
+        raise UsageError(f"solver '{solver}' is unknown; there are {', '.join(SOLVERS)}")
+    if retry and not resume:
+        raise UsageError("retry runs the failed cells of a sweep that is there again: give resume=True and out= with it")
+    options = {"solver": solver, "tolerance": float(tolerance), "compiled": compiled, "t_end": t_end, "rtol": rtol, "atol": atol,
+               "method": method, "times": times}  # fmt: skip
+    columns = (keep,) if isinstance(keep, str) else tuple(keep)
+    asked = Asked(columns, every, outputs_of(outputs), options)
+    fixed = {key if isinstance(key, str) else str(key): value for key, value in (parameters or {}).items()}
+    groups = Groups(
+        Source(model), design, asked, fixed, one_step, None if many_inputs else inputs, start if callable(start) else None
+    )  # fmt: skip
+    if out is None:
+        choice = choose(asked, groups.first, design.size, groups.count)
+        return _Sweeping(design, groups, choice, low_discrepancy).go(None, workers, progress=progress)
+    place = Path(out)
+    export = EXPORTS.get(place.suffix)
+    folder = place.with_name(f"{place.name}.parts") if export else place
+    there = manifest_of(folder)["settings"].get("way") if resume else None
+    of = _Sweeping(design, groups, choose(asked, groups.first, design.size, groups.count, there), low_discrepancy)
+    with lock.held(folder):
+        store = of.opened(folder, resume=resume)
+        found = of.go(store, workers, progress=progress, retry=retry)
+        if export:
+            export(found, place)
+    return found
+
+
+class _Sweeping:
+    """A sweep that is about to be made."""
+
+    def __init__(self, design: Design, groups: Groups, choice: Choice, low_discrepancy: bool) -> None:
+        self.design, self.groups, self.choice, self.low = design, groups, choice, low_discrepancy
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """All that its numbers depend on but what varies."""
+        first, asked = self.groups.first, self.choice.asked
+        grid = asked.grid(first.model, first.step)
+        return {
+            "model": fingerprint(first.model, grid),
+            "step": first.step if first.step is not None else grid.h,
+            "columns": list(asked.keep),
+            "rows": f"{len(first.rows.times)} rows, {digest_of([first.rows.times])}",
+            "outputs": {name: described(one) for name, one in asked.outputs.items()},
+            "inputs": digest_of([dict(first.model.inputs)]) if first.model.inputs else "",
+            **{name: _plain(value) for name, value in asked.options.items() if name not in ("compiled", "times")},
+            "way": self.choice.way,
+            "versions": versions(),
+        }
+
+    def opened(self, folder: Path, *, resume: bool) -> SweepStore:
+        """The folder of the sweep: a new one, or the same that is there.
+
+        Raises:
+            UsageError: a sweep is there, and resume was not asked for.
+            StorageError: none is there, or another.
+        """
+        store = SweepStore(folder, self.design.shape)
+        if not resume:
+            if store.exists:
+                raise UsageError(f"{folder} holds a sweep; go on with it by resume=True (--resume), or give another folder")
+        else:
+            manifest = manifest_of(folder)
+            for key, value in self.settings.items():
+                if manifest["settings"].get(key) != value:
+                    what = "model" if key == "model" else f"{key} ({manifest['settings'].get(key)} there, {value} now)"
+                    raise StorageError(f"{folder}: the sweep there has another {what}; give another folder")
+            other = same.difference(manifest["design"], read_npz(folder / DESIGN)[0], self.design)
+            if other is not None:
+                raise StorageError(f"{folder}: the sweep there has {other}; give another folder")
+        write_npz(folder / DESIGN, same.arrays(self.design), {})
+        store.begin({"settings": self.settings, "design": same.document(self.design)})
+        return store
+
+    def go(self, store: SweepStore | None, workers: Any, *, progress: bool, retry: bool = False) -> Sweep:
+        """Run the cells that are missing."""
+        asked, together = self.choice.asked, self.choice.asked.way != ALONE
+        held = _InMemory(self.design.size)
+        cells = np.arange(self.design.size) if store is None else missing(store.status(), retry=retry)
+        with deferred_signals() as signals:
+            engine = engine_of(workers, asked, lambda: bool(signals), threads=self.choice.threads, chunks=len(cells))
+            try:
+                work(
+                    cells, 64 if together else 1, self.groups.tasks, engine, held.put if store is None else store.put, signals,
+                    most=max(1, WORKING // asked.bytes_of(self.groups.first.model, self.groups.first.step)), progress=progress,
+                )  # fmt: skip
+            finally:
+                engine.close(wait=not signals)
+        if signals:
+            raise SweepInterrupted(self._result(held.found if store is None else store.read(), engine.words), signals.number)
+        if store is None:
+            return self._result(held.found, engine.words)
+        empty = self._result(_nothing(self.design.size), engine.words)
+        store.join(dataset.header(empty), dataset.design_arrays(empty), asked.names)
+        return replace(Sweep.load(store.folder), engine=engine.words, _again=self._simulate)
+
+    def _result(self, found: Found, engine: str) -> Sweep:
+        asked, rows = self.choice.asked, self.groups.first.rows
+        order = [name for name in asked.names if name in found.arrays]
+        arrays = {f"{DIM}{dim}": coords for dim, coords in self.design.coords.items()}
+        own = [one for one in self.design.columns if one.numeric and one.kind in ("value", "start")]
+        names = {one.name if one.kind == "value" else f"{one.name}(0)": one for one in own}
+        names = {name: one for name, one in names.items() if name not in self.design.dims or one.values.ndim > len(one.along)}
+        arrays |= {f"{VALUE}{name}": one.values for name, one in names.items()} | {"t": rows.times}
+        metadata = self._metadata() | {"dims": list(self.design.dims), "along": {n: list(one.along) for n, one in names.items()}}
+        metadata["messages"] = {str(cell): text for cell, text in sorted(found.messages.items())}
+        sweep = made(arrays | {name: found.arrays[name] for name in order}, metadata, self._simulate)
+        return replace(sweep, engine=engine)
+
+    def _metadata(self) -> dict[str, Any]:
+        asked, about = self.choice.asked, of_model(self.groups.first.model)
+        units = dict(about["units"])
+        for stem, at in about["stems"].items():
+            if stem in units:
+                units |= {about["state_names"][i]: units.get(about["state_names"][i], units[stem]) for i in at}
+        units |= {name: units[one.name] for name, one in asked.outputs.items() if isinstance(one, Reduction) and one.name in units
+                  and one.how in ("row", "max", "min", "mean", "rms")}  # fmt: skip
+        units |= {f"{name}(0)": unit for name, unit in units.items()}
+        return {
+            "title": about["title"], "model_class": about["model_class"], "units": units, "keep": list(asked.keep),
+            "outputs": {name: described(one) for name, one in asked.outputs.items()}, "settings": self.settings,
+            "plan": self.choice.words, "entropy": self.design.entropy, "low_discrepancy": self.low, "ways": list(WAYS),
+        }  # fmt: skip
+
+    def _simulate(self, cell: int, options: dict[str, Any]) -> Any:
+        """One cell alone, as a whole run."""
+        group, values = self.groups.of(cell)
+        asked = {name: value for name, value in self.choice.asked.options.items() if value is not None}
+        if self.choice.asked.event_driven and asked.get("times") is None:
+            asked.pop("times", None)
+        if group.step is not None:
+            asked["step"] = group.step
+        return simulate(group.model, parameters=dict(zip(group.names, values.tolist(), strict=True)) or None, **(asked | options))
+
+
+class _InMemory:
+    """What cells found, where nothing is written."""
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self.found = _nothing(size)
+
+    def put(self, cells: np.ndarray, found: Found) -> None:
+        """Take up what a chunk found."""
+        arrays, ran = dict(self.found.arrays), found.arrays["status"] != NOT_RUN
+        for name, values in found.arrays.items():
+            if name not in arrays:
+                arrays |= blank(self._size, {name: values})
+            arrays[name][cells[ran]] = values[ran]
+        messages = {int(cells[i]): text for i, text in found.messages.items()}
+        self.found = Found(arrays, {**self.found.messages, **messages})
+
+
+def described(output: Any) -> str:
+    """An output in words: its text; of a function its name and a hash of its code."""
+    if isinstance(output, Reduction):
+        return output.text
+    code = getattr(output, "__code__", None)
+    made_of = [] if code is None else [code.co_code.hex(), [repr(one) for one in code.co_consts if not hasattr(one, "co_code")]]
+    return f"{getattr(output, '__qualname__', type(output).__name__)} {digest_of([*made_of])}"
+
+
+def _nothing(size: int) -> Found:
+    return Found(blank(size, {name: np.zeros(1, kind) for name, (kind, _) in FACTS.items()}), {})
+
+
+def _labelled(inputs: Any) -> bool:
+    return isinstance(inputs, Mapping) and bool(inputs) and all(isinstance(one, Mapping) for one in inputs.values())
+
+
+def _plain(value: Any) -> Any:
+    return value if value is None or isinstance(value, bool | int | float | str) else np.asarray(value, float).tolist()

@@ -1,0 +1,72 @@
+"""Where the models of a sweep come from: one model, a file, or a function of what varies."""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from nsmodel.errors import ModelError, UsageError
+from nsmodel.grid import is_number
+from nsmodel.loader import arguments_of, load, load_with
+from nsmodel.model.arguments import shown
+from nsmodel.model.base import Model
+from nsmodel.model_files import PREFIX
+
+
+class Source:
+    """A model, the path of a model file, or a function that returns a model.
+
+    Raises:
+        UsageError: it is none of them, or a file that is not there.
+    """
+
+    def __init__(self, given: Any) -> None:
+        self._given = Path(given) if isinstance(given, str) else given
+        if isinstance(self._given, Model):
+            self._takes: tuple[str, ...] | None = ()
+        elif isinstance(self._given, Path):
+            self._takes = arguments_of(self._given)
+        elif callable(given) and not isinstance(given, type):
+            kinds = inspect.signature(given).parameters
+            self._takes = None if any(p.kind is p.VAR_KEYWORD for p in kinds.values()) else tuple(kinds)
+        else:
+            raise UsageError(
+                f"expected a model, the path of a model file, or a function that returns a model, not {shown(given)}"
+            )
+
+    def takes(self, name: str) -> bool:
+        """Whether its function has an argument of this name."""
+        return self._takes is None or name in self._takes
+
+    def model(self, arguments: Mapping[str, Any]) -> Model:
+        """The model for values of arguments.
+
+        Raises:
+            ModelError, UsageError: there is none for these.
+        """
+        if isinstance(self._given, Model):
+            return self._given
+        if isinstance(self._given, Path):
+            return load(self._given, **arguments)
+        found = self._given(**arguments)
+        if not isinstance(found, Model):
+            raise ModelError(f"{self._given.__name__}() returned {shown(found)}; expected one of nsmodel's models")
+        return found
+
+    def refuse(self, name: str, model: Model) -> None:
+        """Raise UsageError for a name that is neither an argument nor a parameter, and say how to make it one."""
+        module: Any = sys.modules.get(f"{PREFIX}{self._given.stem}") if isinstance(self._given, Path) else None
+        value = getattr(module, name, None)
+        if is_number(value):
+            raise UsageError(
+                f"{self._given}: {name} = {value:g} is a number in this file and cannot be varied; declare it as a "
+                f"parameter, {name} = ca.SX.sym('{name}') with parameters={{{name}: {value:g}}}, or as an argument, "
+                f"def model({name}={value:g})"
+            )
+        if isinstance(self._given, Path):
+            load_with(self._given, {name: 0.0})
+        model.values_of({name: 0.0})
+        raise UsageError(f"'{name}' cannot be varied")

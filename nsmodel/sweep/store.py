@@ -1,0 +1,162 @@
+"""A sweep on disk: what varies, parts as they come, and in the end one file.
+
+``manifest.json`` says what sweep it is, ``design.npz`` holds what varies; ``part-N.npz`` are cells in the order in which they
+came, each whole or not there. Once all cells are there, ``sweep.npz`` holds them in their order, and nothing of who computed
+which when: equal sweeps are equal bytes. A part says of which shape the sweep was when it was written, so that points or seeds
+may be added later.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Iterator, Mapping
+from math import prod
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.lib import format as npy
+
+from nsmodel.archive import Member, read_npz, write_archive, write_npz
+from nsmodel.errors import StorageError
+from nsmodel.storage import STAMP, read_json, stream_beside, write_json
+from nsmodel.sweep.asked import Found
+from nsmodel.sweep.cells import blank
+from nsmodel.sweep.mapped import mapped
+from nsmodel.sweep.variable import FAILED, NOT_RUN
+
+MANIFEST, WHOLE, CELL = "manifest.json", "sweep.npz", "cell"
+_PART = re.compile(r"part-(\d+)\.npz")
+_BLOCK = 1 << 22
+
+
+class SweepStore:
+    """The folder of a sweep of ``shape``."""
+
+    def __init__(self, folder: Path, shape: tuple[int, ...]) -> None:
+        self.folder, self.shape, self.size = folder, shape, prod(shape)
+        self._next = 1 + max((int(found[1]) for path in self._files() if (found := _PART.fullmatch(path.name))), default=0)
+
+    @property
+    def exists(self) -> bool:
+        """Whether a sweep is there."""
+        return (self.folder / MANIFEST).exists() or (self.folder / WHOLE).exists()
+
+    def begin(self, manifest: Mapping[str, Any]) -> None:
+        """Say what sweep it is, before any cell of it is there."""
+        write_json(self.folder / MANIFEST, {**STAMP, **manifest, "shape": list(self.shape)})
+
+    def put(self, cells: np.ndarray, found: Found) -> None:
+        """Write cells (K,) that have been run."""
+        ran = found.arrays["status"] != NOT_RUN
+        if not ran.any():
+            return
+        arrays = {CELL: cells[ran], **{name: values[ran] for name, values in found.arrays.items()}}
+        number = np.cumsum(ran) - 1
+        messages = {str(int(number[i])): text for i, text in found.messages.items()}
+        write_npz(self.folder / f"part-{self._next:06d}.npz", arrays, {"shape": list(self.shape), "messages": messages})
+        self._next += 1
+
+    def status(self) -> np.ndarray:
+        """The status (size,) of each cell, NOT_RUN where it is not there."""
+        status = np.full(self.size, NOT_RUN, np.int8)
+        for cells, arrays, _ in self._parts():
+            status[cells] = arrays["status"]
+        return status
+
+    def read(self) -> Found:
+        """All cells, in memory."""
+        found: dict[str, np.ndarray] = {}
+        messages: dict[int, str] = {}
+        for cells, arrays, own in self._parts():
+            found |= blank(self.size, {name: values for name, values in arrays.items() if name not in found})
+            for name, values in arrays.items():
+                found[name][cells] = values
+            _put_messages(messages, cells, own)
+        return Found(found, messages)
+
+    def join(self, metadata: Mapping[str, Any], design: Mapping[str, np.ndarray], order: tuple[str, ...]) -> None:
+        """Make one file of all cells, and remove the parts.
+
+        Args:
+            metadata: of the file; its messages are added.
+            design: arrays of what varies, which come first.
+            order: of the other arrays.
+        """
+        parts, messages, kinds = list(self._paths()), {}, {}
+        for cells, arrays, own in self._parts():
+            kinds |= {name: (values.dtype, values.shape[1:]) for name, values in arrays.items()}
+            _put_messages(messages, cells, own)
+        with tempfile.TemporaryDirectory(dir=self.folder, prefix="joining-") as place:
+            whole = {}
+            for i, name in enumerate(order):
+                if name in kinds:
+                    kind, shape = kinds[name]
+                    whole[name] = npy.open_memmap(Path(place) / f"{i}.npy", "w+", kind, (self.size, *shape))
+            for cells, arrays, _ in self._parts():
+                for name, values in arrays.items():
+                    if name in whole:
+                        whole[name][cells] = values
+            members = {name: _member(array) for name, array in design.items()}
+            members |= {name: _member(array) for name, array in whole.items()}
+            text = {str(cell): messages[cell] for cell in sorted(messages)}
+            with stream_beside(self.folder / WHOLE) as stream:
+                write_archive(stream, members, {**metadata, "shape": list(self.shape), "messages": text})
+            whole.clear()
+        for path in parts:
+            if path.name != WHOLE:
+                path.unlink(missing_ok=True)
+
+    def _files(self) -> list[Path]:
+        return sorted(path for path in self.folder.glob("part-*.npz") if _PART.fullmatch(path.name))
+
+    def _paths(self) -> Iterator[Path]:
+        """The files that hold cells, later ones last."""
+        if (self.folder / WHOLE).exists():
+            yield self.folder / WHOLE
+        yield from self._files()
+
+    def _parts(self) -> Iterator[tuple[np.ndarray, dict[str, np.ndarray], dict[int, str]]]:
+        """Cells by their numbers in this sweep, their arrays, and messages by places."""
+        for path in self._paths():
+            arrays, metadata = mapped(path) if path.name == WHOLE else read_npz(path)
+            shape = tuple(metadata["shape"])
+            cells = np.arange(prod(shape)) if path.name == WHOLE else arrays.pop(CELL)
+            if shape != self.shape:
+                cells = np.ravel_multi_index(np.unravel_index(cells, shape), self.shape)
+            own = {
+                name: values for name, values in arrays.items() if ":" not in name and name != "t" and len(values) == len(cells)
+            }
+            yield cells, own, {int(place): text for place, text in metadata["messages"].items()}
+
+
+def _put_messages(messages: dict[int, str], cells: np.ndarray, own: Mapping[int, str]) -> None:
+    """Take the messages of cells, in place of those that they had before."""
+    if messages:
+        for cell in cells.tolist():
+            messages.pop(cell, None)
+    messages |= {int(cells[place]): text for place, text in own.items()}
+
+
+def _member(array: np.ndarray) -> Member:
+    rows = max(1, _BLOCK // max(array[:1].nbytes, 1))
+    blocks = (np.ascontiguousarray(array[i : i + rows]).reshape(-1).view(np.uint8).data for i in range(0, len(array), rows))
+    return Member(array.dtype, array.shape, blocks)
+
+
+def missing(status: np.ndarray, *, retry: bool) -> np.ndarray:
+    """The cells that are to be run: those that were not, and with ``retry`` those that failed."""
+    return np.flatnonzero((status == NOT_RUN) | (retry & (status == FAILED)))
+
+
+def manifest_of(folder: Path) -> dict[str, Any]:
+    """What sweep is there.
+
+    Raises:
+        StorageError: none, or not to be read.
+    """
+    path = folder / MANIFEST
+    if not path.exists():
+        raise StorageError(f"{folder} holds no sweep: there is no {MANIFEST}; check the path, or leave resume out")
+    return read_json(path)

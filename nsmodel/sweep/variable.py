@@ -1,0 +1,280 @@
+"""One quantity over the cells of a sweep: its values, what its axes are, and what came of each cell."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from nsmodel.errors import UsageError
+
+NOT_RUN, DONE, FAILED, INTERRUPTED, NO_MODEL = -1, 0, 1, 2, 3
+WORDS = {DONE: "done", FAILED: "failed", INTERRUPTED: "interrupted", NO_MODEL: "no model", NOT_RUN: "not run"}
+DRAWN = ("seed", "sample", "replicate", "start")  # Dims along which cells are draws, not values that were laid out.
+TIME = "t"
+
+
+@dataclass(frozen=True, eq=False)
+class Variable:
+    """Values of one quantity over the cells of a sweep.
+
+    Comparisons with a number (`rest > 0.5`) give a variable of 1 and 0, and NaN where the value is: a condition for `share`.
+    `&`, `|` and `~` join them.
+
+    Attributes:
+        name: of the quantity, as the user wrote it.
+        values: array with an axis for each of `dims`.
+        dims: names of the axes, such as ("mu1", "k", "seed", "t").
+        coords: {name: values along its dim}; each of `dims` has one. Others, such as the parameters of samples, are in `along`.
+        status: int8, over `cell_dims`: 0 done, 1 failed, 2 interrupted, 3 no model, -1 not run.
+        cell_dims: those of `dims` that tell cells apart, in their order; the others ("t") are axes within a cell.
+        unit: of the values.
+        label: in words; empty: the name.
+        low_discrepancy: whether the samples are a Sobol, Halton or Latin hypercube net, whose points are not independent.
+        units: {name of a coordinate: its unit}.
+        along: {name of a coordinate that is no dim: its dim}.
+
+    Raises:
+        UsageError: shapes, dims and coordinates that do not belong together.
+    """
+
+    name: str
+    values: np.ndarray
+    dims: tuple[str, ...]
+    coords: Mapping[str, np.ndarray]
+    status: np.ndarray
+    cell_dims: tuple[str, ...]
+    unit: str = ""
+    label: str = ""
+    low_discrepancy: bool = False
+    units: Mapping[str, str] = field(default_factory=dict)
+    along: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        values = np.asarray(self.values)
+        if values.dtype.kind not in "biuf":
+            raise UsageError(f"{self.name}: values of type {values.dtype}; expected real numbers")
+        settled = {
+            "values": _read_only(values), "status": _read_only(np.asarray(self.status, dtype=np.int8)),
+            "dims": tuple(self.dims), "cell_dims": tuple(self.cell_dims),
+            "coords": {name: _read_only(np.asarray(of)) for name, of in self.coords.items()},
+            "units": dict(self.units), "along": dict(self.along),
+        }  # fmt: skip
+        for name, value in settled.items():
+            object.__setattr__(self, name, value)
+        _refuse_shapes(self)
+
+    @classmethod
+    def of(
+        cls, name: str, values: Any, dims: str | Sequence[str], coords: Mapping[str, Any] | None = None, *, status: Any = None,
+        cell_dims: Sequence[str] | None = None, **more: Any,
+    ) -> Variable:  # fmt: skip
+        """Make a variable, and fill in what is left out.
+
+        Args:
+            name: of the quantity.
+            values: array with an axis for each of `dims`.
+            dims: names of the axes; a single one may be a string.
+            coords: {name: values}; left out for a dim: 0, 1, ...
+            status: of the cells; left out: all are done.
+            cell_dims: left out: all dims but "t".
+            more: the other attributes.
+        """
+        dims = (dims,) if isinstance(dims, str) else tuple(dims)
+        cells = tuple(dim for dim in dims if dim != TIME) if cell_dims is None else tuple(cell_dims)
+        shape = dict(zip(dims, np.shape(values), strict=False))
+        known = {**{dim: np.arange(n) for dim, n in shape.items()}, **(coords or {})}
+        if status is None:
+            status = np.zeros([shape.get(dim, 0) for dim in cells], dtype=np.int8)
+        return cls(name, np.asarray(values), dims, known, status, cells, **more)
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """{dim: its length}."""
+        return dict(zip(self.dims, self.values.shape, strict=True))
+
+    @property
+    def everywhere(self) -> np.ndarray:
+        """The status of the cell of each of the values: their shape."""
+        within = tuple(k for k, dim in enumerate(self.dims) if dim not in self.cell_dims)
+        return np.broadcast_to(np.expand_dims(self.status, within), self.values.shape)
+
+    @property
+    def done(self) -> np.ndarray:
+        """Of each of the values whether its cell is done, bool."""
+        return self.everywhere == DONE
+
+    @property
+    def title(self) -> str:
+        """The label in words, or else the name."""
+        return self.label or self.name
+
+    @property
+    def causes(self) -> dict[str, int]:
+        """{"failed": 2, ...}: of the cells that have no result, how many came to what; empty where all are done."""
+        return causes_of(self.status)
+
+    def take(self, dim: str, index: int) -> Variable:
+        """Return the variable at one index of a dim, which is gone then."""
+        if dim not in self.dims:
+            raise UsageError(f"{self.name} has no dim {dim!r}; its dims are {', '.join(self.dims) or 'none'}")
+        axis, gone = self.dims.index(dim), {dim, *(name for name, of in self.along.items() if of == dim)}
+        status, cells = self.status, self.cell_dims
+        if dim in cells:
+            status = status.take(index, axis=cells.index(dim))
+        return replace(
+            self, values=self.values.take(index, axis=axis), dims=_without(self.dims, dim), status=status,
+            cell_dims=_without(cells, dim), coords={name: of for name, of in self.coords.items() if name not in gone},
+            along={name: of for name, of in self.along.items() if of != dim},
+        )  # fmt: skip
+
+    def at(self, **where: Any) -> Variable:
+        """Return the variable where dims have these coordinates: of numbers the nearest, `x.at(t=2.5, k=10)`."""
+        found = self
+        for dim, value in where.items():
+            if dim not in found.dims:
+                raise UsageError(f"{self.name} has no dim {dim!r}; its dims are {', '.join(found.dims) or 'none'}")
+            found = found.take(dim, _nearest(found.coords[dim], dim, value))
+        return found
+
+    def map(self, function: Callable[[np.ndarray], Any], label: str = "", unit: str = "") -> Variable:
+        """Return the variable whose values are function(values), an array of the same shape."""
+        values = np.asarray(function(self.values))
+        if values.shape != self.values.shape:
+            raise UsageError(f"map of {self.name}: the function returns shape {values.shape}; expected {self.values.shape}")
+        return replace(self, values=values, label=label, unit=unit)
+
+    def _holds(self, sign: str, compare: Callable[[Any, Any], Any], other: Any) -> Variable:
+        if np.ndim(other) or np.asarray(other).dtype.kind not in "biuf":
+            what = f"an array of shape {np.shape(other)}" if np.ndim(other) else repr(other)
+            raise UsageError(f"{self.name} {sign} {what}; expected a number")
+        holds = np.where(np.isnan(self.values), np.nan, compare(self.values, other))
+        return self.map(lambda _: holds, f"{self.title} {sign} {other:g}")
+
+    def __lt__(self, other: float) -> Variable:
+        return self._holds("<", np.less, other)
+
+    def __le__(self, other: float) -> Variable:
+        return self._holds("<=", np.less_equal, other)
+
+    def __gt__(self, other: float) -> Variable:
+        return self._holds(">", np.greater, other)
+
+    def __ge__(self, other: float) -> Variable:
+        return self._holds(">=", np.greater_equal, other)
+
+    def __and__(self, other: Variable) -> Variable:
+        return paired(self, other, np.minimum, "and")
+
+    def __or__(self, other: Variable) -> Variable:
+        return paired(self, other, np.maximum, "or")
+
+    def __invert__(self) -> Variable:
+        return self.map(lambda values: 1.0 - values, f"not ({self.title})")
+
+
+def paired(a: Variable, b: Variable, operation: Callable[[Any, Any], Any], word: str) -> Variable:
+    """Return operation(a, b), cell by cell; a cell is done where it is in both.
+
+    Raises:
+        UsageError: they have not the same dims and coordinates.
+    """
+    if not isinstance(b, Variable):
+        raise UsageError(f"{a.name} {word} {b!r}; expected another variable of the same cells")
+    same_cells(a, b)
+    status = np.where(a.status != DONE, a.status, b.status)
+    return replace(
+        a, name=f"{a.name} {word} {b.name}", label=f"{a.title} {word} {b.title}", values=operation(a.values, b.values),
+        status=status, unit=a.unit if a.unit == b.unit else "", low_discrepancy=a.low_discrepancy or b.low_discrepancy,
+    )  # fmt: skip
+
+
+def same_cells(a: Variable, b: Variable) -> None:
+    """Refuse two variables whose values do not belong to the same cells: UsageError names the first that differs."""
+    if a.dims != b.dims or a.cell_dims != b.cell_dims:
+        raise UsageError(f"{a.name} has the dims {a.dims}, {b.name} has {b.dims}; expected the same")
+    for name, here in a.coords.items():
+        there = b.coords.get(name, here[:0])
+        if here.shape != there.shape:
+            raise UsageError(f"{name} has {len(here)} values of {a.name} and {len(there)} of {b.name}; expected the same values")
+        differs = np.flatnonzero(here != there)
+        if differs.size:
+            k = differs[0]
+            raise UsageError(
+                f"{name}[{k}] is {here[k]} of {a.name} and {there[k]} of {b.name}; expected the same values in the same order"
+            )
+
+
+def as_variable(found: Any, what: str = "statistics") -> Variable:
+    """Return a variable as it is, an `xarray.DataArray` as one.
+
+    Of a DataArray the dims of its coordinate `status` are the cells; without one all dims but "t" are, and all cells are done.
+    Units are `attrs["units"]`, the label is `attrs["long_name"]`, samples of a net have `attrs["low_discrepancy"]`.
+    """
+    if isinstance(found, Variable):
+        return found
+    if not all(hasattr(found, part) for part in ("dims", "values", "coords")) or callable(found.values):
+        raise UsageError(f"{what}: expected a variable of a sweep or an xarray.DataArray, not {type(found).__name__}")
+    dims, attrs = tuple(map(str, found.dims)), getattr(found, "attrs", {})
+    coords = {str(name): of for name, of in found.coords.items() if np.ndim(of.values) == 1 and str(name) != "status"}
+    status = found.coords["status"] if "status" in found.coords else None
+    more: dict[str, Any] = {}
+    if status is not None:
+        cells = tuple(dim for dim in dims if dim in status.dims)
+        more = {"status": np.transpose(status.values, [status.dims.index(dim) for dim in cells]), "cell_dims": cells}
+    return Variable.of(
+        str(getattr(found, "name", None) or "value"), found.values, dims, {name: of.values for name, of in coords.items()},
+        unit=str(attrs.get("units", "")), label=str(attrs.get("long_name", "")),
+        low_discrepancy=bool(attrs.get("low_discrepancy", False)),
+        units={name: str(of.attrs["units"]) for name, of in coords.items() if getattr(of, "attrs", {}).get("units")},
+        along={name: str(of.dims[0]) for name, of in coords.items() if name not in dims}, **more,
+    )  # fmt: skip
+
+
+def causes_of(status: np.ndarray) -> dict[str, int]:
+    """{"failed": 2, ...} of the cells that are not done, by what came of them."""
+    counts = Counter(np.asarray(status).ravel().tolist())
+    return {WORDS[code]: counts[code] for code in WORDS if code != DONE and counts[code]}
+
+
+def _refuse_shapes(self: Variable) -> None:
+    if len(set(self.dims)) < len(self.dims) or len(self.dims) != self.values.ndim:
+        raise UsageError(f"{self.name}: values of shape {self.values.shape} with dims {self.dims}; expected a name for each axis")
+    if self.cell_dims != tuple(dim for dim in self.dims if dim in self.cell_dims):
+        raise UsageError(f"{self.name}: cell_dims {self.cell_dims}; expected some of {self.dims}, in that order")
+    sizes = self.sizes
+    cells = tuple(sizes[dim] for dim in self.cell_dims)
+    if self.status.shape != cells:
+        raise UsageError(f"{self.name}: status of shape {self.status.shape}; expected {cells}, over {self.cell_dims}")
+    unknown = np.setdiff1d(self.status, list(WORDS))
+    if unknown.size:
+        raise UsageError(f"{self.name}: status {unknown[0]}; expected one of {', '.join(map(str, WORDS))}")
+    for name in (*self.dims, *self.coords):
+        dim = name if name in sizes else self.along.get(name)
+        if dim not in sizes or name not in self.coords:
+            raise UsageError(f"{self.name}: {name} is no dim of {self.dims}; along={{{name!r}: DIM}} says whose coordinate it is")
+        if self.coords[name].shape != (sizes[dim],):
+            raise UsageError(f"{self.name}: {name} of shape {self.coords[name].shape}; expected ({sizes[dim]},), along {dim}")
+
+
+def _nearest(coordinate: np.ndarray, dim: str, value: Any) -> int:
+    if coordinate.dtype.kind in "biuf" and np.asarray(value).dtype.kind in "biuf":
+        return int(np.abs(coordinate - value).argmin())
+    equal = np.flatnonzero(coordinate == value)
+    if not equal.size:
+        few = f"{', '.join(map(str, coordinate[:8]))}{', ...' if len(coordinate) > 8 else ''}"
+        raise UsageError(f"{dim} is nowhere {value!r}; it is {few}")
+    return int(equal[0])
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
+
+def _without(dims: tuple[str, ...], dim: str) -> tuple[str, ...]:
+    return tuple(name for name in dims if name != dim)

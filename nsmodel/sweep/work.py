@@ -1,0 +1,131 @@
+"""The work of a sweep: chunks of cells go out, come back, and are kept; what is lost is done again."""
+
+from __future__ import annotations
+
+import queue
+import signal
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nsmodel.run.interrupt import Signals, progress_bar
+from nsmodel.run.loop import RunInterrupted
+from nsmodel.sweep.asked import FACTS, WAYS, Found
+from nsmodel.sweep.cells import Task, blank
+from nsmodel.sweep.engine import Engine, lost
+from nsmodel.sweep.variable import FAILED
+
+SECONDS = 0.3  # A chunk takes about so long: what it costs to send is little beside it, and so late comes Ctrl-C.
+BYTES = 16 << 20  # And holds at most so much.
+ATTEMPTS = 3  # So often a cell is sent whose worker dies: with others, with its chunk alone, by itself.
+LOOK = 0.2  # Seconds between two looks at signals.
+
+
+@dataclass
+class Size:
+    """How many cells the next chunk has."""
+
+    cells: int
+    most: int
+
+    def learn(self, found: Found, seconds: float) -> None:
+        """Take the time and memory of a chunk into account."""
+        bytes_each = sum(array.nbytes for array in found.arrays.values()) / max(found.cells, 1)
+        by_time = found.cells * SECONDS / max(seconds, 1e-6)
+        self.cells = int(np.clip(min(by_time, 4 * self.cells, BYTES / max(bytes_each, 1.0)), 1, self.most))
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Cells that are out, and how often they were."""
+
+    cells: np.ndarray
+    attempt: int
+
+
+def work(
+    cells: np.ndarray, first: int, tasks: Callable[[np.ndarray], Sequence[Task]], engine: Engine,
+    keep: Callable[[np.ndarray, Found], None], signals: Signals, *, most: int, progress: bool,
+) -> None:  # fmt: skip
+    """Run cells (K,) until all are done, or a signal came; ``keep`` gets what each chunk found.
+
+    Args:
+        cells: numbers of the cells; first: how many the first chunk has.
+        tasks: makes what is sent; engine: who computes.
+        keep: is called here, with one chunk after the other.
+        signals: that came.
+        most: cells of a chunk, for what memory they take while they are run.
+        progress: show a bar.
+
+    Raises:
+        Exception: what a function of the user's has raised; what was found before has been kept.
+    """
+    bar = progress_bar(total=len(cells), unit="cell") if progress else None
+    back: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    again: list[Chunk] = []
+    out: dict[Any, Chunk] = {}
+    most = max(1, min(most, -(-len(cells) // (2 * engine.workers))))
+    size = Size(min(first, most), most)
+    at = 0
+
+    def send(chunk: Chunk) -> None:
+        future = engine.submit(tasks(chunk.cells), chunk.attempt)
+        out[_key(future)] = chunk
+        future.add_done_callback(back.put)
+
+    try:
+        while (at < len(cells) or again or out) and not (signals and not out):
+            while not signals and len(out) < engine.window and (again or at < len(cells)):
+                if again and out:
+                    break  # Who was lost goes alone: if it is lost again, it is its own doing.
+                if again:
+                    send(again.pop())
+                    break
+                send(Chunk(cells[at : at + size.cells], 0))
+                at += size.cells
+            try:
+                future = back.get(timeout=LOOK)
+            except queue.Empty:
+                continue
+            chunk = out.pop(_key(future))
+            found = _result(future, chunk, again, signals)
+            if found is not None:
+                keep(chunk.cells, found[0])
+                size.learn(*found)
+                if bar is not None:
+                    bar.update(len(chunk.cells))
+    finally:
+        if bar is not None:
+            bar.close()
+
+
+def _key(future: Any) -> Any:
+    """What tells a future from others: those of some engines come back as other objects."""
+    return getattr(future, "key", None) or id(future)
+
+
+def _result(future: Any, chunk: Chunk, again: list[Chunk], signals: Signals) -> tuple[Found, float] | None:
+    """What a chunk found; None where it is to be done again, or was interrupted."""
+    try:
+        return future.result()
+    except RunInterrupted as stop:
+        signals.append(0.0)
+        signals.number = signal.Signals(stop.signal)
+    except BaseException as error:
+        if not lost(error):
+            raise
+        if chunk.attempt + 1 >= ATTEMPTS:
+            return _died(error), 0.0
+        parts = [chunk.cells] if chunk.attempt == 0 else chunk.cells[:, None]
+        again.extend(Chunk(part, chunk.attempt + 1) for part in parts)
+    return None
+
+
+def _died(error: BaseException) -> Found:
+    """A cell whose worker died each time."""
+    found = blank(1, {name: np.zeros(1, kind) for name, (kind, _) in FACTS.items()})
+    found["status"][:], found["way"][:] = FAILED, len(WAYS) - 1
+    text = f"the process that ran it died {ATTEMPTS} times ({type(error).__name__}: {error}); out of memory, or killed"
+    return Found(found, {0: text})
