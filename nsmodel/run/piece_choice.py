@@ -51,7 +51,10 @@ def chosen_maker(
     known: Known,
     whole: Model | None,
 ) -> Chosen:
-    """In C where that is asked for, or pays, or the run that is resumed had it; ``whole``: the model with its parameters as symbols."""
+    """In C where that is asked for, or pays, or the run that is resumed had it.
+
+    ``whole``: the model with its parameters as symbols.
+    """
     made: list[Course] = []
     of_all = None if whole is None or options.compiled is False else _of_all_values(whole, problem, model)
     own, mark = mark, mark if of_all is None else of_all[1]
