@@ -129,9 +129,9 @@ class Trajectory:
     def at(self, t: Any) -> dense.At:
         """Return the run at times t, a number or (k,) of them: states, velocities, multipliers and outputs, (k, ...) each.
 
-        Of an event-driven run to its tolerance, at an event as they are after it. Of a run by time stepping, and on
-        stretches of steps (``run.stepped``), the states are those of the rows on both sides, joined by straight lines,
-        multipliers and outputs those of the step that t lies in.
+        Of an event-driven run to its tolerance, at an event as they are after it. Of a run by time stepping the states are those
+        of the rows on both sides, joined by straight lines, multipliers and outputs those of the step that t lies in; so are
+        those of stretches of steps (``run.stepped``), but for a parabola through the rows of a step in which nothing switches.
 
         Raises:
             UsageError: a time that is no number or outside the run.

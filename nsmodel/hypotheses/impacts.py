@@ -72,6 +72,11 @@ class Watch:
         return len(self.names) > 1
 
     @property
+    def impulsive(self) -> bool:
+        """Whether it is a contact of one row, whose l may be as large as it must."""
+        return not self.relay and not self.cone
+
+    @property
     def acts(self) -> str:
         """What the multiplier acts on, in words."""
         least = "y" + "'" * self.degree if self.degree < 4 else f"the derivative {self.degree} of y"

@@ -12,7 +12,7 @@ class Piece(NamedTuple):
 
     ``last`` is x at the end, to rounding on what ends the piece; ``event`` is None where the mode goes on as before, else the
     impulse p of the jump that the piece begins after, 0 where there is none. ``residual`` is that of a verified time step where
-    the piece is one: x on a straight line, l and y constant; else None.
+    the piece is half of one: x on a straight line or a parabola, l and y constant; else None.
     """
 
     t: float

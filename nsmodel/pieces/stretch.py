@@ -33,6 +33,9 @@ STRICT, TENFOLD = 20_000, 5_000  # Steps from which on more error is allowed, an
 SMOOTH, SWITCH = 0.1, 0.1  # Of rtol: a smooth step may err by this share times h/t, one across a switch by this.
 GROW = 0.5  # A step is doubled where the error expected of it stays below this part of what is allowed.
 FIRST, LEAST, LARGEST = 20, 40, 6  # Steps in 2^-j of the time so far: the first, the least, the largest.
+# In place of LEAST where walls call for impulses: v behind one is known to eps |y|/h, its time to h. Steps cannot err by less.
+IMPACT, REACHED = 22, 5e-7
+ROUNDED = 64 * 2.0**-52  # There v differs from step to step by so much of t/h: that is no error of a step, and does not add up.
 NEGLIGIBLE = 1e-6  # A state below this part of the largest is measured beside that.
 FINEST = 1e-11  # Tolerance of a step's residual, at the least.
 PREPARED = 2.0**-10  # The step that the stepper is built for; it takes others all the same.
@@ -65,10 +68,11 @@ class Stand:
 
 
 class Trial(NamedTuple):
-    """A step both ways: where it ends, its error in units of rtol, whether it is smooth, d."""
+    """A step both ways: where it is in the middle and ends, its error in units of rtol, whether it is smooth, d."""
 
     half: StepResult
     fine: StepResult
+    middle: np.ndarray
     end: np.ndarray
     error: float
     smooth: bool
@@ -80,9 +84,15 @@ class Stretches:
 
     def __init__(
         self, problem: ContinuousProblem, rtol: float, atol: list[float], tolerance: float, known: Known,
-        sizes: list[float], width: int,
+        sizes: list[float], width: int, *, impulsive: bool,
     ) -> None:  # fmt: skip
-        """``sizes``: the largest of each x so far, brought up to date; ``width``: coefficients of a row of a piece."""
+        """``sizes``: the largest of each x so far, brought up to date; ``width``: coefficients of a row of a piece.
+
+        ``impulsive``: whether walls call for impulses.
+        """
+        self._least, self._more, self._rounded = LEAST, 1.0, 0.0
+        if impulsive:
+            self._least, self._more, self._rounded = IMPACT, max(1.0, REACHED / rtol), ROUNDED / rtol
         self.problem, self.rtol, self.atol, self.known = problem, rtol, np.array(atol), known
         self.tolerance = max(FINEST, min(tolerance, rtol / 10))
         self.sizes, self.width, self.steps = sizes, width, 0
@@ -121,19 +131,20 @@ class Stretches:
         self.stand = None if stand is None else Stand(**stand)
 
     def advance(self, at: Stand) -> list[Piece]:
-        """Take one step, as two pieces: straight lines of x, constant l and y.
+        """Take one step, as two pieces: a parabola of x where nothing switches, else straight lines; constant l and y.
 
         Raises:
             StepError: a step has no verified answer however short, or the budget is used up.
         """
         if self.steps >= BUDGET:
             raise StepError(f"t = {at.t:.10g}: the {BUDGET:,} time steps that a run may take where no mode goes on are used up")
-        coarse, more = None, looser(self.steps)
+        coarse, more = None, self._more * looser(self.steps)
         while True:
             h = min(at.h, math.ldexp(at.scale, -LARGEST), self._to_known(at))
-            least = h <= math.ldexp(at.scale, -LEAST)
+            least = h <= math.ldexp(at.scale, -self._least)
             trial = self._trial(at, h, coarse, least)
-            allowed = more * (SMOOTH * h / (at.t + h) if trial is not None and trial.smooth else SWITCH)
+            smooth = max(SMOOTH * h / (at.t + h), self._rounded * (at.t + h) / h)
+            allowed = more * (smooth if trial is not None and trial.smooth else SWITCH)
             if trial is not None and (trial.error <= allowed or least):
                 return self._accepted(at, h, trial, allowed)
             if least:
@@ -165,16 +176,17 @@ class Stretches:
                 d = self._a_step_later(at.t + h, h, coarse, fine)
         except StepError:
             return None
-        end, off = fine.row[state], np.abs(d)
+        middle, end, off = half.row[state], fine.row[state], np.abs(d)
         if smooth and (better := self._extrapolated(at.t + h, end + d, fine)) is not None:
-            end = better
+            end, midway = better, self._extrapolated(at.t + h / 2, middle + d / 2, half)
+            middle = middle if midway is None else midway
             if at.d is not None:
                 off = np.abs(d - np.array(at.d) * (h / at.of_h) ** 2)
         elif not least:
-            moved = half.row[state] - x
+            moved = middle - x
             before = moved if at.rate is None else h / 2 * np.array(at.rate)
             off = np.fmax(off, np.fmax(np.abs(end - x - 2 * moved), np.abs(moved - before)))
-        return Trial(half, fine, end, self._units(off, end), smooth, d)
+        return Trial(half, fine, middle, end, self._units(off, end), smooth, d)
 
     def _a_step_later(self, t: float, h: float, coarse: StepResult, fine: StepResult) -> np.ndarray:
         """X_fine - x_coarse after one more step."""
@@ -197,18 +209,18 @@ class Stretches:
 
     def _accepted(self, at: Stand, h: float, trial: Trial, allowed: float) -> list[Piece]:
         """Move on, and the two pieces."""
-        state = self._stepper.layout.state
-        middle, x = trial.half.row[state], np.array(at.x)
-        end = at.t + h
+        middle, x, end = trial.middle, np.array(at.x), at.t + h
         known = self.known.next(at.t, at.x)
         if h == known - at.t:
             end = known
+        bend = 2 * (trial.end + x - 2 * middle) if trial.smooth else np.zeros(x.size)  # Of the parabola through all three.
         pieces = [
-            self._piece(at.t, at.t + h / 2, x, middle, trial.half, 0.0),
-            self._piece(at.t + h / 2, end, middle, trial.end, trial.fine, trial.error),
+            self._piece(at.t, at.t + h / 2, x, middle, bend, trial.half, 0.0),
+            self._piece(at.t + h / 2, end, middle, trial.end, bend, trial.fine, trial.error),
         ]
         smooth = trial.smooth and end != known
-        at.rate, at.d, at.of_h = ((trial.end - middle) / (h / 2)).tolist(), trial.d.tolist() if smooth else None, h
+        raw = trial.fine.row[self._stepper.layout.state] - trial.half.row[self._stepper.layout.state]
+        at.rate, at.d, at.of_h = (raw / (h / 2)).tolist(), trial.d.tolist() if smooth else None, h
         at.t, at.x, at.l = end, self.known.after(end, trial.end.tolist()), trial.fine.row[self._stepper.layout.l].tolist()
         at.index, at.error, at.own = trial.fine.warm.index.tolist(), at.error + trial.error, at.own + 1
         self.sizes[:] = np.maximum(self.sizes, np.abs(trial.end)).tolist()
@@ -218,12 +230,16 @@ class Stretches:
             at.h = min(2 * at.h, math.ldexp(at.scale, -LARGEST))
         return pieces
 
-    def _piece(self, t: float, end: float, x: np.ndarray, z: np.ndarray, result: StepResult, error: float) -> Piece:
+    def _piece(
+        self, t: float, end: float, x: np.ndarray, z: np.ndarray, bend: np.ndarray, result: StepResult, error: float
+    ) -> Piece:  # fmt: skip
+        """Half a step: x + (z - x) u + bend (u^2 - u)/4 with u from 0 to 1."""
         layout, row = self._stepper.layout, result.row
         tau = unit(end - t)
         s = (end - t) / tau
         line, l, y = (np.zeros((count, self.width)) for count in (x.size, row[layout.l].size, row[layout.y].size))
-        line[:, 0], line[:, 1], l[:, 0], y[:, 0] = x, (z - x) / s, row[layout.l], row[layout.y]
+        line[:, 0], line[:, 1], line[:, 2] = x, (z - x - bend / 4) / s, bend / (4 * s * s)
+        l[:, 0], y[:, 0] = row[layout.l], row[layout.y]
         codes = tuple(result.warm.index.tolist())
         return Piece(t, tau, s, line, l, y, codes, error, z.tolist(), None, float(row[layout.residual]))
 

@@ -20,8 +20,10 @@ The rows of the run are the half steps. Each is verified; its multipliers and ou
 Steps are L/2^j, at most T/2^LARGEST, and start at multiples of themselves, L the length of the span between two known times
 (``switch_times``, points of inputs, the start, the end T): times are exact, the last step ends there, and the first half of a
 refused step is the next trial. At L/2^LEAST every verified step is accepted, and counted: at an accumulation of switches a run
-goes on. Where a state must jump at a cone it does not (`impacts.refusal`): y is certified beside |y|, which is not small on the
-surface of a cone, and what y may be off is any velocity over such a step.
+goes on; where walls call for impulses at L/2^IMPACT, as a velocity behind one is known to eps |y|/h alone: shorter steps would
+give a point at rest a speed that rtol sees, and follow its hops. Where a state must jump at a cone it does not go on
+(`impacts.refusal`): y is certified beside |y|, which is not small on the surface of a cone, and what y may be off is any velocity
+over such a step.
 """
 
 from __future__ import annotations
@@ -43,7 +45,7 @@ from nsmodel.model.base import Model
 from nsmodel.model.driven import at_start
 from nsmodel.model.ticks import ticks_of
 from nsmodel.pieces.asked import absolute
-from nsmodel.pieces.stretch import BUDGET, looser
+from nsmodel.pieces.stretch import BUDGET, IMPACT, REACHED, looser
 from nsmodel.run.driven import OverSpans
 from nsmodel.run.options import METHODS, Options
 from nsmodel.run.schemes import OfScheme
@@ -55,12 +57,11 @@ from nsmodel.solve.certificate import EPS, numeric_law
 from nsmodel.solve.stepper import StepResult, Warm
 
 LARGEST, LEAST = 4, 40  # Steps are L/2^j with j between these.
-WHOLE = 2 ** (LEAST + 1)  # A span, in its units of time.
 FIRST = 7  # j of the first step where none is given.
 SWITCH = 0.25  # Part of the allowed error that a step across a switch may use.
 GROW = 0.5  # A step is doubled where the error expected of it stays below this part of what is allowed.
 NEGLIGIBLE = 1e-6  # A state that stays below this part of the largest of its symbol is measured beside that.
-CONSTANTS = {"largest": LARGEST, "least": LEAST, "crossing": SWITCH, "grow": GROW, "negligible": NEGLIGIBLE}  # Of the C too.
+CONSTANTS = {"largest": LARGEST, "crossing": SWITCH, "grow": GROW, "negligible": NEGLIGIBLE}  # Of the C too.
 OPEN = -1  # The index of a cone whose l is 0: y is inside.
 UNSOLVED = 4  # How often a step without an answer is halved at once: to find that out takes every solver.
 MOST = 10_000_000  # Accepted steps after which a run stops: its tolerance is out of reach.
@@ -70,7 +71,7 @@ ROWS = 4096
 
 
 class Place(NamedTuple):
-    """Where a step starts: the time in units of L/2^(LEAST + 1), the step L/2^j, the state for it; and what came before.
+    """Where a step starts: the time in units of L/2^(least + 1), the step L/2^j, the state for it; and what came before.
 
     ``watched``: the x_i; ``rate``: their change per time in the last half step; ``index_set``: that of the half step; ``d`` and
     j of the last step, nan where it was not extrapolated.
@@ -84,12 +85,13 @@ class Place(NamedTuple):
     rate: np.ndarray
     index_set: np.ndarray | None
     d: np.ndarray
+    least: int
     of_j: int = 0
 
     @property
     def half(self) -> int:
         """Half a step in units of time."""
-        return 2 ** (LEAST - self.j)
+        return 2 ** (self.least - self.j)
 
 
 class Trial(NamedTuple):
@@ -131,12 +133,12 @@ class Controlled(OfScheme):
         drive = driving(model, T) if model.inputs else None
         self._spans = _spans(model, T, drive)
         self._start, self._length = self._spans.pop()
-        h = model.step if options.step is None else options.step
-        h = T / 2**FIRST if h is None else h
+        h = (model.step if options.step is None else options.step) or T / 2**FIRST
         make_grid(model, h, None, options.t_end)  # refuses a step far too small for the run
         self.rtol, self.atol = _tolerances(model, options.rtol, options.atol)
         self._limited = options.method == METHODS[0]
         _refuse_fixed(model)
+        self._finest = IMPACT if any(watch.impulsive for watch in impacts.watched(at_start(model))) else LEAST
         j = self._nearest(h)
         first, of_any_step = Grid(1, h := self._h(j), h), Grid(1, h, h, np.array([h]), np.array([0.0, h]), any_step=True)
         constant = replace(options, compiled=options.compiled is True)
@@ -155,9 +157,9 @@ class Controlled(OfScheme):
         self._watched = np.r_[0:n, velocity]
         self._groups = [np.array(at) + shift for shift in range(0, self._watched.size, n) for at in self.model.stems.values()]
         self.atol = np.resize(self.atol, self._watched.size)
-        watched = self.record.rows[0, self._watched]
-        unknown = np.full(watched.size, np.nan)
-        self._size, self.place = np.abs(watched), Place(0, j, self.state, self.warm, watched, unknown, None, unknown)
+        begin = self.record.rows[0, self._watched]
+        unknown = np.full(begin.size, np.nan)
+        self._size, self.place = np.abs(begin), Place(0, j, self.state, self.warm, begin, unknown, None, unknown, self._finest)
         self._c = _constraints(model)
         self._corrections = [0.0]
         self._law = numeric_law(self.problem.law)
@@ -166,12 +168,17 @@ class Controlled(OfScheme):
         self.warnings += self._relays()
         self.plan = noting_inputs(noting_known_times(self.plan, model, ends=True), drive)
 
+    @property
+    def _whole(self) -> int:
+        """A span in its units of time."""
+        return 2 ** (self._finest + 1)
+
     def _h(self, j: int) -> float:
         return math.ldexp(self._length, -j)
 
     def _nearest(self, h: float) -> int:
         """The j of the longest step that is not longer than h."""
-        return min(max(math.ceil(math.log2(self._length / h)), self._largest), LEAST)
+        return min(max(math.ceil(math.log2(self._length / h)), self._largest), self._finest)
 
     @property
     def _largest(self) -> int:
@@ -181,7 +188,7 @@ class Controlled(OfScheme):
     def _cross(self) -> None:
         """Begin the next span, where the place is at the end of one: with about the same step."""
         place = self.place
-        if place.t < WHOLE or not self._spans:
+        if place.t < self._whole or not self._spans:
             return
         h = self._h(place.j)
         self._start, self._length = self._spans.pop()
@@ -211,7 +218,7 @@ class Controlled(OfScheme):
     @property
     def ended(self) -> bool:
         """Whether the end of the time is reached."""
-        return self.place.t == WHOLE and not self._spans
+        return self.place.t == self._whole and not self._spans
 
     @property
     def time(self) -> float:
@@ -258,7 +265,7 @@ class Controlled(OfScheme):
                 self.place = accepted.end
             else:
                 self.totals["rejected"] += 1
-                shorter = 1 if trial is not None else min(UNSOLVED, LEAST - self.place.j)
+                shorter = 1 if trial is not None else min(UNSOLVED, self._finest - self.place.j)
                 after = shortened(self.model, self.place.state, 0.5**shorter)
                 self.place = self.place._replace(j=self.place.j + shorter, state=after)
                 first = None if trial is None else trial.half
@@ -294,7 +301,9 @@ class Controlled(OfScheme):
         warm = Warm(control["l"][:m].copy(), control["index"][:m].astype(np.int8))
         known = None if control["fresh"] else warm.index.astype(float)
         state, watched, rate, d = (control[name].copy() for name in ("x", "watched", "rate", "d"))
-        self.place = Place(int(control["t"]), int(control["j"]), state, warm, watched, rate, known, d, int(control["of_j"]))
+        self.place = Place(
+            int(control["t"]), int(control["j"]), state, warm, watched, rate, known, d, self._finest, int(control["of_j"])
+        )
         self._refuse_endless()
         return done.stuck
 
@@ -304,7 +313,7 @@ class Controlled(OfScheme):
         control = self.rollout.control(place.state.size, m, self._watched.size)
         given = {
             "T": self.T, "start": self._start, "length": self._length, "rtol": self.rtol, **CONSTANTS,
-            "largest": self._largest,
+            "largest": self._largest, "least": self._finest,
             "order": self.problem.order.most, "t": place.t, "j": place.j,
             "fresh": place.index_set is None, "x": place.state, "least_step": totals["least_step"] or np.inf, "atol": self.atol,
             "size": self._size, "watched": place.watched, "rate": place.rate, "d": place.d, "of_j": place.of_j,
@@ -331,7 +340,7 @@ class Controlled(OfScheme):
             half = self._step(t, h / 2, shortened(self.model, first, 0.5), at.warm)
             fine = self._step(middle, h / 2, second(half.row[self.stepper.layout.state]), half.warm)
         except StepError:
-            if at.j == LEAST:
+            if at.j == self._finest:
                 raise
             return None
         sets = [self._index(result) for result in (coarse, half, fine)]
@@ -366,7 +375,7 @@ class Controlled(OfScheme):
             raise unsolvable(f"no verified step from t = {t:.10g} to {t + h:.10g}", error) from error
 
     def _time(self, t: int) -> float:
-        return self._start + math.ldexp(t, -LEAST - 1) * self._length
+        return self._start + math.ldexp(t, -self._finest - 1) * self._length
 
     def _units(self, off: np.ndarray, x: np.ndarray) -> float:
         """The largest of the errors at x in units of what is allowed."""
@@ -388,7 +397,7 @@ class Controlled(OfScheme):
 
     def _accepted(self, at: Place, trial: Trial) -> Accepted | None:
         """The step as it is kept; None where its error is too large."""
-        error, least, h, more = trial.error, at.j == LEAST, self._h(at.j), self._looser
+        error, least, h, more = trial.error, at.j == self._finest, self._h(at.j), self._looser
         state = self._extrapolated(at, trial) if error <= more and trial.smooth else None
         allowed = more * (1.0 if state is not None else h / self.T if trial.smooth else SWITCH)
         if error > allowed:
@@ -405,7 +414,7 @@ class Controlled(OfScheme):
         after = shortened(self.model, row[self.stepper.layout.state], self._h(j) / (h / 2))
         rate = (trial.fine.row - trial.half.row)[self._watched] / (h / 2)
         d = trial.d if state is not None and at.index_set is not None else np.full(rate.size, np.nan)
-        end = Place(t, j, after, trial.fine.warm, row[self._watched], rate, self._index(trial.fine), d, at.j)
+        end = Place(t, j, after, trial.fine.warm, row[self._watched], rate, self._index(trial.fine), d, self._finest, at.j)
         estimate = 0.0 if least else error if state is None else self._of_better(at, trial)
         return Accepted(at, trial, row, correction, estimate, end)
 
@@ -443,7 +452,7 @@ class Controlled(OfScheme):
             return (state, None) if self._feasible(self._time(end), state) else None
         start = state if self._driven is None else self._driven.closing(state)
         try:
-            closing = self._step(self._time(end - 1), self._h(LEAST + 1), start, trial.fine.warm).row
+            closing = self._step(self._time(end - 1), self._h(self._finest + 1), start, trial.fine.warm).row
         except StepError:
             return None
         return closing[states], closing[self.stepper.layout.slices[self.problem.gap]]
@@ -472,7 +481,7 @@ class Controlled(OfScheme):
         self._size = np.maximum(self._size, np.abs(accepted.row[self._watched]))
         totals["accepted"] += 1
         totals["extrapolated"] += int(accepted.correction > 0)
-        totals["at_least_step"] += int(at.j == LEAST)
+        totals["at_least_step"] += int(at.j == self._finest)
         totals["estimate"] += accepted.estimate
         totals["least_step"] = min(totals["least_step"] or np.inf, h)
         self._refuse_endless()
@@ -480,7 +489,8 @@ class Controlled(OfScheme):
     @property
     def _looser(self) -> float:
         """How many times what is allowed a step may err by."""
-        return looser(self.totals["accepted"] // CHUNK * CHUNK) if self._limited else 1.0
+        reached = max(1.0, REACHED / self.rtol) if self._finest == IMPACT and self.rtol else 1.0
+        return reached * looser(self.totals["accepted"] // CHUNK * CHUNK) if self._limited else reached
 
     def _refuse_endless(self) -> None:
         most = BUDGET if self._limited else MOST

@@ -8,8 +8,10 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from nsmodel.errors import CodegenError, StepError
+from nsmodel.hypotheses import impacts
 from nsmodel.identity import INTERPRETED
 from nsmodel.model.base import Model
+from nsmodel.model.driven import at_start
 from nsmodel.pieces.course import Course
 from nsmodel.pieces.integrator import Integrator
 from nsmodel.pieces.known import Known
@@ -72,7 +74,7 @@ def chosen_maker(
         return PiecesInC(problem, own, *tolerances, fixed, held, residuals=options.certified)
 
     def course() -> Course:
-        made.extend([] if made else [_course(problem, options, *tolerances, known)])
+        made.extend([] if made else [_course(model, problem, options, *tolerances, known)])
         return made[0]
 
     def costs() -> Cost:
@@ -112,7 +114,9 @@ def _of_all_values(whole: Model, problem: ContinuousProblem, model: Model) -> tu
     return found, mark_of_all(found), values
 
 
-def _course(problem: ContinuousProblem, options: Options, rtol: float, atol: list[float], known: Known) -> Course:
+def _course(
+    model: Model, problem: ContinuousProblem, options: Options, rtol: float, atol: list[float], known: Known
+) -> Course:  # fmt: skip
     """What goes on, with stretches of steps where "auto" lets it; StepError where it cannot start."""
     integrator = Integrator(problem, rtol, atol, known, residuals=options.certified)
     if options.method == METHODS[1] or options.certified or problem.updaters:  # Steps do not see updates.
@@ -120,7 +124,9 @@ def _course(problem: ContinuousProblem, options: Options, rtol: float, atol: lis
             raise StepError(integrator.stopped)
         return Course(integrator, None)
     width = integrator.system.orders + 1
-    return Course(integrator, Stretches(problem, rtol, atol, options.tolerance, known, integrator.sizes.x, width))
+    impulsive = any(watch.impulsive for watch in impacts.watched(at_start(model)))
+    steps = Stretches(problem, rtol, atol, options.tolerance, known, integrator.sizes.x, width, impulsive=impulsive)
+    return Course(integrator, steps)
 
 
 def is_built(mark: str) -> bool:
