@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from sweep_models import K, friction, with_stop
 
-from nsmodel import LureSystem, StorageError, Sweep, UsageError, relay, simulate, sweep
+from nsmodel import LureSystem, StepError, StorageError, Sweep, UsageError, relay, simulate, sweep
 
 END = {"outputs": {"end": "x_1[-1]"}, "t_end": 0.1, "workers": 1}
 
@@ -64,6 +64,19 @@ def test_numbers_among_texts_stay_numbers():
 
     found = sweep(make, grid={"n": ["none", 2]}, outputs={"begin": "x_1[0]"}, t_end=0.1, workers=1)
     np.testing.assert_array_equal(found["begin"].values, [3, 5])
+
+
+def test_an_output_may_say_that_a_run_has_no_result():
+    def swing(run):
+        if run.x[-1, 0] > 3:
+            raise StepError(f"x = {run.x[-1, 0]:.2f}: not down yet")
+        return run.x[-1, 0]
+
+    found = sweep(friction(), grid={"x0": [3, 6]}, keep="x_1", outputs={"swing": swing}, t_end=1.0, workers=1)
+    assert found.status.tolist() == [0, 1]
+    assert found.messages[1].endswith(": not down yet")
+    assert np.isnan(found["swing"].values[1])
+    assert np.isfinite(found["x_1"].values).all()
 
 
 def both_ends(run):

@@ -194,7 +194,11 @@ def alone(asked: Asked, group: Group, values: np.ndarray, stop: Stop = never) ->
         if stop():
             break
         status, failed_at, message, run = _simulated(asked, group, dict(zip(group.names, own.tolist(), strict=True)))
-        row = _kept(asked, group.rows, run, done=status == DONE) if run is not None else {}
+        try:
+            row = _kept(asked, group.rows, run, done=status == DONE) if run is not None else {}
+        except StepError as error:  # An output says that this run has no result.
+            status, failed_at, message = FAILED, np.nan, str(error)
+            row = _kept(asked, group.rows, run, done=False) if run is not None else {}
         totals = {} if run is None else run.metadata.get("totals", {})
         row |= {
             "status": status, "failed_at": failed_at, "steps": totals.get("steps", 0), "way": WAYS.index(ALONE),
@@ -251,6 +255,8 @@ def _kept(asked: Asked, rows: Rows, run: Trajectory, *, done: bool) -> dict[str,
 def _output(name: str, function: Callable[[Any], Any], run: Trajectory) -> Any:
     try:
         value = np.asarray(function(run))
+    except StepError:
+        raise
     except UsageError as error:
         raise error if str(error).startswith("output") else UsageError(f"output '{name}': {error}") from error
     except Exception as error:

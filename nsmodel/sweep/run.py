@@ -97,7 +97,8 @@ def sweep(
         parameters: values that all cells share, of parameters and arguments.
         keep: columns of which rows are kept, by the names that a Trajectory has; every: each how many steps, and the last (left
             out: about 200 rows); of event-driven runs the rows are at ``times``.
-        outputs: numbers of each run: texts such as "x1[-1]", "max(x1)", "mean(x1)", or functions of a Trajectory.
+        outputs: numbers of each run: texts such as "x1[-1]", "max(x1)", "mean(x1)", or functions of a Trajectory, which
+            raise StepError where a run has no result: such a cell is a failed one.
         t_end, rtol, atol, method, times, solver, tolerance, compiled: as in `simulate`; compiled "auto": where a library for all
             cells takes less time than the runs without.
         workers: how many at once; left out: as many as there are cores, threads for C and processes else; or anything with
