@@ -11,6 +11,7 @@ import numpy as np
 from nsmodel.archive import write_npz
 from nsmodel.errors import MissingExtraError
 from nsmodel.storage import dumps, replacing
+from nsmodel.sweep.asked import WAYS
 from nsmodel.sweep.variable import WORDS
 
 if TYPE_CHECKING:
@@ -47,6 +48,7 @@ def table(sweep: Sweep) -> dict[str, np.ndarray]:
         values = sweep.cells[name].reshape(sweep.size, -1)
         if name != "status":
             found |= {name if values.shape[1] == 1 else f"{name}_{i}": column for i, column in enumerate(values.T)}
+    found["way"] = np.array([WAYS[way] if way >= 0 else "" for way in sweep.cells["way"].tolist()])
     found["status"] = np.array([WORDS[code] for code in sweep.cells["status"].tolist()])
     found["message"] = np.array([sweep.messages.get(cell, "") for cell in range(sweep.size)])
     return found

@@ -255,7 +255,7 @@ class Sweep:
         shown = Counter(_kind(why) for _, why in self.failures).most_common(SHOWN)
         for kind, count in shown:
             cell, why = next((cell, why) for cell, why in self.failures if _kind(why) == kind)
-            lines.append(_line("", f"{count} times, the first at {self._where(cell)}: {why}"))
+            lines.append(_line("", f"{f'{count} times, the first' if count > 1 else 'once,'} at {self._where(cell)}: {why}"))
         kept = ", ".join(s["keep"]) or "no rows"
         unit = f" {s['t']['unit']}" if s["t"]["unit"] else ""
         if s["keep"]:
