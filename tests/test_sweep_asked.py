@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from sweep_models import K, friction, with_stop
 
-from nsmodel import LureSystem, StepError, StorageError, Sweep, UsageError, relay, simulate, sweep
+from nsmodel import LureSystem, PlotError, StepError, StorageError, Sweep, UsageError, relay, simulate, sweep
 
 END = {"outputs": {"end": "x_1[-1]"}, "t_end": 0.1, "workers": 1}
 
@@ -130,6 +130,24 @@ def test_the_folder_of_a_run_is_no_sweep(tmp_path):
     for resume in (True, False):
         with pytest.raises(StorageError, match=r"holds no sweep: its manifest\.json is that of a run"):
             sweep(friction(), grid={"k": [1, 2]}, **END, out=tmp_path / "run", resume=resume)
+
+
+def test_pictures_over_what_is_asked_for(tmp_path):
+    found = sweep(
+        friction(), grid={"k": [0.9, 1.1], "a": [0.8, 1.0, 1.2]}, outputs={"end": "x_1[-1]"}, t_end=0.1, workers=1
+    )  # fmt: skip
+    assert found.plot("end").get_xlabel().startswith("a")
+    assert found.plot("end", x="k", y="a").get_xlabel().startswith("k")
+    ax = found.plot("end", x="a", hue="k")
+    drawn = {tuple(line.get_ydata()) for line in ax.get_lines()}
+    assert {tuple(values) for values in found["end"].values.tolist()} <= drawn
+    with pytest.raises(PlotError, match="'b'"):
+        found.plot("end", x="b")
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    pytest.importorskip("zarr")
+    with pytest.raises(StorageError, match="cannot write"):
+        found.to_zarr(blocked / "cells.zarr")
 
 
 def test_the_first_chunk_leaves_work_for_others():

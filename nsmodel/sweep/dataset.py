@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nsmodel.archive import write_npz
-from nsmodel.errors import MissingExtraError
+from nsmodel.errors import MissingExtraError, StorageError
 from nsmodel.storage import dumps, replacing
 from nsmodel.sweep.asked import WAYS
 from nsmodel.sweep.variable import WORDS
@@ -91,7 +91,10 @@ def to_netcdf(sweep: Sweep, path: Path) -> None:
 def to_zarr(sweep: Sweep, path: Path) -> None:
     """A zarr store."""
     _extra("zarr", "zarr")
-    of(sweep).to_zarr(path, mode="w", zarr_format=2)
+    try:
+        of(sweep).to_zarr(path, mode="w", zarr_format=2)
+    except OSError as error:
+        raise StorageError(f"cannot write {path}: {error}; take a folder that is writable and has room") from error
 
 
 def _there(package: str) -> bool:
