@@ -317,19 +317,19 @@ def test_another_sweep_is_refused_and_nothing_is_overwritten(tmp_path):
     refused = {
         r"k\[3\] = ": {"grid": {"k": [*np.linspace(0.8, 1.2, 12)[:3], 9, *np.linspace(0.8, 1.2, 12)[4:]]}},
         r"12 values of k, 13 now": {"grid": {"k": np.linspace(0.8, 1.2, 13)}},
-        r"another columns": {"keep": ["v_1"]},
-        r"another outputs": {"outputs": {"end": "v_1[-1]", "swing": "max(v_1)"}},
-        r"another step": {"step": 5e-3},
-        r"another tolerance": {"tolerance": 1e-8},
-        r"another way": {"compiled": False},
-        r"another model": {"start": None},
+        r"differs in columns": {"keep": ["v_1"]},
+        r"differs in outputs": {"outputs": {"end": "v_1[-1]", "swing": "max(v_1)"}},
+        r"differs in step": {"step": 5e-3},
+        r"differs in tolerance": {"tolerance": 1e-8},
+        r"differs in way": {"compiled": False},
+        r"differs in its model": {"start": None},
     }
     for message, options in refused.items():
         with pytest.raises(StorageError, match=message):
             swept(tmp_path / "a", resume=True, **options)
     with pytest.raises(UsageError, match="holds a sweep; go on with it by resume=True"):
         swept(tmp_path / "a")
-    with pytest.raises(StorageError, match="another model"):
+    with pytest.raises(StorageError, match="differs in its model"):
         swept(tmp_path / "a", model=friction(x0=[5, 0.1], t_end=6.0), resume=True)
     with pytest.raises(StorageError, match="holds no sweep"):
         swept(tmp_path / "none", resume=True)

@@ -213,8 +213,8 @@ class _Sweeping:
             manifest = manifest_of(folder)
             for key, value in self.settings.items():
                 if manifest["settings"].get(key) != value:
-                    what = "model" if key == "model" else f"{key} ({manifest['settings'].get(key)} there, {value} now)"
-                    raise StorageError(f"{folder}: the sweep there has another {what}; give another folder")
+                    what = "its model" if key == "model" else f"{key} ({manifest['settings'].get(key)} there, {value} now)"
+                    raise StorageError(f"{folder}: the sweep there differs in {what}; give another folder")
             other = same.difference(manifest["design"], read_npz(folder / DESIGN)[0], self.design)
             if other is not None:
                 raise StorageError(f"{folder}: the sweep there has {other}; give another folder")
