@@ -8,7 +8,7 @@ STAMP  := $(VENV)/.installed
 .PHONY: help demo test quick nightly lint bench bench-large bench-events bench-sweeps study clean
 
 # NSMODEL_SHORT=1 makes the long ones short: a scene or two, once. They write into results/ alone.
-PAGES := hypotheses events inputs $(if $(NSMODEL_SHORT),,codegen orders stability crowd study)
+PAGES := hypotheses events inputs $(if $(NSMODEL_SHORT),,codegen orders stability crowd study sweeps)
 SCENES := cases/diode_bridge.py $(if $(NSMODEL_SHORT),,cases/crowd_room.py cases/friction_oscillator.py)
 
 help: ## show this list

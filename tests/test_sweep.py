@@ -299,7 +299,7 @@ def test_more_samples_and_seeds_may_be_added(tmp_path):
     def more(n, seeds, folder, **options):
         return sweep(
             lambda seed: friction(x0=[3 + seed, 0], parameters={A: 1, K: 1}), samples={"k": np.linspace(0.8, 1.2, 7)[:n]},
-            seeds=seeds, outputs={"end": "x_1[-1]"}, t_end=1.0, workers=1, out=folder, **options,
+            seeds=seeds, outputs={"end": "x_1[-1]"}, t_end=0.2, workers=1, out=folder, **options,
         )  # fmt: skip
 
     more(3, 2, tmp_path / "a")
@@ -317,19 +317,19 @@ def test_another_sweep_is_refused_and_nothing_is_overwritten(tmp_path):
     refused = {
         r"k\[3\] = ": {"grid": {"k": [*np.linspace(0.8, 1.2, 12)[:3], 9, *np.linspace(0.8, 1.2, 12)[4:]]}},
         r"12 values of k, 13 now": {"grid": {"k": np.linspace(0.8, 1.2, 13)}},
-        r"another columns": {"keep": ["v_1"]},
-        r"another outputs": {"outputs": {"end": "v_1[-1]", "swing": "max(v_1)"}},
-        r"another step": {"step": 5e-3},
-        r"another tolerance": {"tolerance": 1e-8},
-        r"another way": {"compiled": False},
-        r"another model": {"start": None},
+        r"differs in columns": {"keep": ["v_1"]},
+        r"differs in outputs": {"outputs": {"end": "v_1[-1]", "swing": "max(v_1)"}},
+        r"differs in step": {"step": 5e-3},
+        r"differs in tolerance": {"tolerance": 1e-8},
+        r"differs in way": {"compiled": False},
+        r"differs in its model": {"start": None},
     }
     for message, options in refused.items():
         with pytest.raises(StorageError, match=message):
             swept(tmp_path / "a", resume=True, **options)
     with pytest.raises(UsageError, match="holds a sweep; go on with it by resume=True"):
         swept(tmp_path / "a")
-    with pytest.raises(StorageError, match="another model"):
+    with pytest.raises(StorageError, match="differs in its model"):
         swept(tmp_path / "a", model=friction(x0=[5, 0.1], t_end=6.0), resume=True)
     with pytest.raises(StorageError, match="holds no sweep"):
         swept(tmp_path / "none", resume=True)
@@ -376,7 +376,10 @@ def test_a_killed_sweep_goes_on(tmp_path):
             process.kill()
         return process.wait()
 
-    assert go(tmp_path / "a") == 0
+    sweep(
+        friction(t_end=1.0), grid={"k": np.linspace(0.8, 1.2, 60)}, outputs={"end": "x_1[-1]"}, compiled=False, workers=1,
+        out=tmp_path / "a",
+    )  # fmt: skip
     assert go(tmp_path / "b", after=3) == -signal.SIGKILL
     assert not (tmp_path / "b" / "sweep.npz").exists()
     assert go(tmp_path / "b", "--resume") == 0

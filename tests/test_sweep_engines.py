@@ -14,7 +14,6 @@ from conftest import REPOSITORY
 from sweep_models import friction, with_stop
 
 from nsmodel import UsageError, sweep
-from nsmodel.sweep import run as run_module
 from nsmodel.sweep import work
 
 GRID = {"k": np.linspace(0.8, 1.2, 24)}
@@ -132,7 +131,7 @@ class Lossy:
         if len(self.waiting) == 3:
             threading.Thread(target=self.give_back).start()
         else:
-            threading.Timer(0.5, self.give_back).start()
+            threading.Timer(0.1, self.give_back).start()
         return future
 
     def give_back(self):
@@ -156,7 +155,7 @@ def test_what_an_engine_loses_is_sent_again(alone):
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_a_dask_cluster_and_a_worker_that_is_killed(tmp_path, alone):
+def test_a_dask_cluster(tmp_path, alone):
     distributed = pytest.importorskip("distributed")
     monitored = distributed.LocalCluster(
         n_workers=2,
@@ -171,26 +170,6 @@ def test_a_dask_cluster_and_a_worker_that_is_killed(tmp_path, alone):
         found = swept(workers=client, outputs={"end": lambda run: run.x[-1, 0]}, out=tmp_path / "a")
         np.testing.assert_array_equal(found["end"].values, alone["end"].values)
         assert "distributed.Client, 2 at once" in found.plan
-        victim = next(iter(client.run(os.getpid).values()))
-        kept, put = [], work.work
-
-        def killing(cells, first, tasks, engine, keep, signals, **options):
-            def then(chunk, what):
-                keep(chunk, what)
-                kept.extend(chunk.tolist())
-                if len(kept) >= 3 and victim:
-                    killed.append(os.kill(victim, signal.SIGKILL)) if not killed else None
-
-            killed = []
-            put(cells, first, tasks, engine, then, signals, **options)
-
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(run_module, "work", killing)
-            found = swept(workers=client, out=tmp_path / "b", grid={"k": np.linspace(0.8, 1.2, 60)})
-    assert sorted(kept) == list(range(60))
-    assert (found.status == 0).all()
-    whole = swept(workers=1, grid={"k": np.linspace(0.8, 1.2, 60)})
-    np.testing.assert_array_equal(found["end"].values, whole["end"].values)
 
 
 def test_failures_come_home_from_processes():

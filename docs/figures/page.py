@@ -1,4 +1,4 @@
-"""Tables of a page, each between two marks: ``<!-- table: NAME -->`` and ``<!-- end -->``; pictures of few colours."""
+"""Tables of a page, each between marks: ``<!-- table: NAME -->``, ``<!-- end -->``; pictures of few colours; model files."""
 
 from __future__ import annotations
 
@@ -22,6 +22,15 @@ def put(page: str, name: str, text: str) -> None:
     if found != 1:
         raise SystemExit(f"{path}: expected one mark for the table {name}, found {found}")
     path.write_text(after, encoding="utf-8")
+
+
+def model_file(page: str, name: str) -> str:
+    """The text of a model file that stands on a page of docs/."""
+    text = (DOCS / page).read_text(encoding="utf-8")
+    found = re.search(rf"^```python model-file {re.escape(name)}.*\n((?:.*\n)*?)```$", text, re.MULTILINE)
+    if found is None:
+        raise SystemExit(f"{page} has no model file {name}")
+    return found[1]
 
 
 def save(figure: Figure, path: Path, colours: int, dpi: int = 110) -> None:

@@ -23,11 +23,16 @@ def operations(p: ContinuousProblem) -> int:
 
 def tolerances(problem: ContinuousProblem, rtol: Any, atol: Any) -> tuple[float, list[float]]:
     """Rtol, and atol of each state; UsageError for what is none."""
+    return relative(rtol), np.resize(absolute(atol, problem.names[: problem.states]), len(problem.names)).tolist()
+
+
+def relative(rtol: Any) -> float:
+    """Rtol; UsageError for what is none."""
     if not (is_number(rtol) and LEAST_RTOL <= rtol < 1):
         raise UsageError(
             f"rtol = {written(rtol)}; expected a number between {LEAST_RTOL:g} and 1: doubles hold no more than 16 digits"
         )
-    return float(rtol), np.resize(absolute(atol, problem.names[: problem.states]), len(problem.names)).tolist()
+    return float(rtol)
 
 
 def absolute(atol: Any, names: Sequence[str]) -> np.ndarray:

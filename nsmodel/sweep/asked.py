@@ -11,6 +11,7 @@ import numpy as np
 from nsmodel.errors import UsageError
 from nsmodel.grid import Grid, is_number, make_grid, written
 from nsmodel.model.base import Model
+from nsmodel.pieces import asked as pieces
 from nsmodel.sweep.outputs import Reduction
 from nsmodel.sweep.variable import NOT_RUN
 
@@ -25,6 +26,7 @@ FACTS: Mapping[str, tuple[str, Any]] = {  # {name of what is kept of every cell:
 }
 OF_PIECES: Mapping[str, tuple[str, Any]] = {"pieces": ("i8", 0), "estimate": ("f8", np.nan)}  # And of event-driven runs.
 BATCH, PIECES, ALONE = "batch", "pieces", "alone"
+_NOT_IN_NAMES = set("/\\:\n\r\0")  # They mean something to files.
 WAYS = (BATCH, PIECES, ALONE)  # Of a cell, by their numbers in ``way``.
 
 
@@ -49,12 +51,16 @@ class Asked:
         """Refuse what no sweep has."""
         if self.every is not None and not (is_number(self.every) and self.every >= 1 and float(self.every).is_integer()):
             raise UsageError(f"every = {written(self.every)}; expected a whole number >= 1")
+        if self.every is not None and self.event_driven:
+            raise UsageError("every counts steps, which runs with rtol do not have; give times=, those of the rows")
         if not self.keep and not self.outputs:
             raise UsageError(
                 "nothing is kept of the cells: give keep=['x1'], columns of which rows are kept, or outputs={'end': 'x1[-1]'}"
             )
         taken = {*self.facts, "message", "t"}
         for name in (*self.keep, *self.outputs):
+            if not isinstance(name, str) or not name.strip() or _NOT_IN_NAMES & set(name):
+                raise UsageError(f"'{name}' cannot be the name of a quantity; expected a text without / \\ : and line ends")
             if name in taken:
                 raise UsageError(f"'{name}' has its own place in every sweep; leave it out, or call the output otherwise")
             if name in self.keep and (self.keep.count(name) > 1 or name in self.outputs):
@@ -69,6 +75,11 @@ class Asked:
     def names(self) -> tuple[str, ...]:
         """All quantities, in their order."""
         return (*self.keep, *self.outputs, *self.facts)
+
+    def without(self, rows: int) -> dict[str, tuple[str, tuple[int, ...]]]:
+        """{name: (data type, shape of a cell)} of all quantities, where no cell says it by what it gave."""
+        kept = dict.fromkeys(self.keep, ("f8", (rows,)))
+        return {**kept, **dict.fromkeys(self.outputs, ("f8", ())), **{name: (kind, ()) for name, (kind, _) in self.facts.items()}}
 
     @property
     def event_driven(self) -> bool:
@@ -95,6 +106,10 @@ class Asked:
         if self.event_driven:
             T = float(self.options.get("t_end") or model.t_end)
             times = self.options.get("times")
+            pieces.relative(self.options["rtol"])
+            pieces.absolute(self.options.get("atol"), model.names)
+            if times is not None:
+                pieces.times(times, T)
             ends = not self.keep and all(isinstance(one, Reduction) and one.needs for one in self.outputs.values())
             evenly = np.array([0.0, T]) if ends else np.linspace(0.0, T, ABOUT + 1)
             return Rows(evenly if times is None else np.asarray(times, float), 0)

@@ -67,18 +67,31 @@ def run_chunk(asked: Asked, tasks: Sequence[Task], stop: Stop = never) -> Found:
         for name, values in found.arrays.items():
             if name not in arrays:
                 arrays |= blank(size, {name: values})
+            refuse_other_shape(name, values.shape[1:], arrays[name].shape[1:])
             arrays[name][at] = values
         messages |= {int(at[i]): text for i, text in found.messages.items()}
     return Found(arrays, messages)
+
+
+def refuse_other_shape(name: str, now: tuple[int, ...], before: tuple[int, ...]) -> None:
+    """Raise UsageError for a quantity that is of another shape in another cell."""
+    if now != before:
+        raise UsageError(f"'{name}' has shape {now} in one cell and {before} in another; give numbers, or arrays of one shape")
 
 
 def blank(size: int, like: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Arrays for so many cells that were not run."""
     made = {}
     for name, array in like.items():
-        kind, value = {**FACTS, **OF_PIECES}.get(name, (array.dtype, np.nan if array.dtype.kind == "f" else UNKNOWN))
-        made[name] = np.full((size, *array.shape[1:]), value, kind)
+        kind = {**FACTS, **OF_PIECES}.get(name, (array.dtype,))[0]
+        made[name] = np.full((size, *array.shape[1:]), nothing(name, np.dtype(kind)), kind)
     return made
+
+
+def nothing(name: str, kind: np.dtype) -> Any:
+    """The value of a quantity where a cell has none."""
+    facts = {**FACTS, **OF_PIECES}
+    return facts[name][1] if name in facts else np.nan if kind.kind == "f" else UNKNOWN
 
 
 def _run(asked: Asked, task: Task, stop: Stop) -> Found:
@@ -92,6 +105,8 @@ def _run(asked: Asked, task: Task, stop: Stop) -> Found:
     unsolved = np.flatnonzero((found.arrays["status"] != DONE) & (found.arrays["status"] != NOT_RUN))
     if unsolved.size:
         again = alone(asked, opened.group, task.values[unsolved], stop)
+        for name in asked.outputs:
+            found.arrays[name][unsolved] = np.nan
         for name, values in again.arrays.items():
             found.arrays[name][unsolved] = values
         found = Found(found.arrays, {int(unsolved[i]): text for i, text in again.messages.items()})
@@ -173,7 +188,11 @@ def alone(asked: Asked, group: Group, values: np.ndarray, stop: Stop = never) ->
         if stop():
             break
         status, failed_at, message, run = _simulated(asked, group, dict(zip(group.names, own.tolist(), strict=True)))
-        row = _kept(asked, group.rows, run, done=status == DONE) if run is not None else {}
+        try:
+            row = _kept(asked, group.rows, run, done=status == DONE) if run is not None else {}
+        except StepError as error:  # An output says that this run has no result.
+            status, failed_at, message = FAILED, np.nan, str(error)
+            row = _kept(asked, group.rows, run, done=False) if run is not None else {}
         totals = {} if run is None else run.metadata.get("totals", {})
         row |= {
             "status": status, "failed_at": failed_at, "steps": totals.get("steps", 0), "way": WAYS.index(ALONE),
@@ -188,6 +207,7 @@ def alone(asked: Asked, group: Group, values: np.ndarray, stop: Stop = never) ->
             array = np.asarray(value)
             if name not in found:
                 found |= blank(len(values), {name: array[None]})
+            refuse_other_shape(name, array.shape, found[name].shape[1:])
             found[name][i] = array
     return Found(found or blank(len(values), {name: np.zeros(1, kind) for name, (kind, _) in FACTS.items()}), messages)
 
@@ -223,12 +243,16 @@ def _ran(model: Model, values: dict[str, float], options: dict[str, Any]) -> Tra
 def _kept(asked: Asked, rows: Rows, run: Trajectory, *, done: bool) -> dict[str, Any]:
     """The rows that are kept, and the outputs; of a failed run the rows up to its end."""
     kept = {name: _at_rows(run, name, rows, done=done) for name in asked.keep}
-    return kept | {name: np.asarray(_output(name, one, run), float) if done else np.nan for name, one in asked.outputs.items()}
+    return kept | {name: np.asarray(_output(name, one, run), float) for name, one in asked.outputs.items() if done}
 
 
 def _output(name: str, function: Callable[[Any], Any], run: Trajectory) -> Any:
     try:
         value = np.asarray(function(run))
+    except StepError:
+        raise
+    except UsageError as error:
+        raise error if str(error).startswith("output") else UsageError(f"output '{name}': {error}") from error
     except Exception as error:
         raise UsageError(f"output '{name}': {type(error).__name__}: {error}") from error
     if value.dtype.kind not in "fiub":

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nsmodel.archive import write_npz
-from nsmodel.errors import MissingExtraError
+from nsmodel.errors import MissingExtraError, StorageError
 from nsmodel.storage import dumps, replacing
+from nsmodel.sweep.asked import WAYS
 from nsmodel.sweep.variable import WORDS
 
 if TYPE_CHECKING:
@@ -47,6 +48,7 @@ def table(sweep: Sweep) -> dict[str, np.ndarray]:
         values = sweep.cells[name].reshape(sweep.size, -1)
         if name != "status":
             found |= {name if values.shape[1] == 1 else f"{name}_{i}": column for i, column in enumerate(values.T)}
+    found["way"] = np.array([WAYS[way] if way >= 0 else "" for way in sweep.cells["way"].tolist()])
     found["status"] = np.array([WORDS[code] for code in sweep.cells["status"].tolist()])
     found["message"] = np.array([sweep.messages.get(cell, "") for cell in range(sweep.size)])
     return found
@@ -89,7 +91,10 @@ def to_netcdf(sweep: Sweep, path: Path) -> None:
 def to_zarr(sweep: Sweep, path: Path) -> None:
     """A zarr store."""
     _extra("zarr", "zarr")
-    of(sweep).to_zarr(path, mode="w", zarr_format=2)
+    try:
+        of(sweep).to_zarr(path, mode="w", zarr_format=2)
+    except OSError as error:
+        raise StorageError(f"cannot write {path}: {error}; take a folder that is writable and has room") from error
 
 
 def _there(package: str) -> bool:

@@ -251,6 +251,8 @@ def _values(values: Any, label: str) -> np.ndarray:
     try:
         listed = values if isinstance(values, np.ndarray) else list(values)
         array = np.asarray(listed)
+        if array.dtype.kind == "U" and not all(isinstance(one, str) for one in listed):
+            raise ValueError("numbers among texts stay numbers")
     except (TypeError, ValueError):
         try:
             array = np.empty(len(values), object)

@@ -37,18 +37,22 @@ class Reduction:
         return self.how not in WINDOWS
 
     def of_rows(self, values: np.ndarray) -> np.ndarray:
-        """Of columns (K, R): (K,); NaN where it is of rows that are not there."""
-        return values[:, self.row] if self.how == "row" else ALONG[self.how].reduce(values, axis=1)
+        """Of columns (K, R) or (K, R, n): (K,) or (K, n); NaN where a failed run has no such row."""
+        if self.how != "row":
+            found = ALONG[self.how].reduce(values, axis=1)
+        elif -values.shape[1] <= self.row < values.shape[1]:
+            found = values[:, self.row]
+        else:
+            raise UsageError(f"output '{self.text}': there is no row {self.row}; a run of this sweep has {values.shape[1]} rows")
+        return found[:, 0] if found.ndim == 2 and found.shape[1] == 1 else found
 
-    def __call__(self, run: Any) -> float:
+    def __call__(self, run: Any) -> np.ndarray:
         """Of a run."""
         if self.how in WINDOWS:
-            return float(getattr(run, self.how)(self.name))
-        values = column(run, self.name)
-        if values.ndim != 1:
-            raise UsageError(f"output '{self.text}': {self.name} has {values.shape[1]} columns; name one of them")
+            found = np.asarray(getattr(run, self.how)(self.name))
+            return found[0] if found.shape == (1,) else found
         with np.errstate(invalid="ignore"):
-            return float(self.of_rows(values[None])[0])
+            return self.of_rows(column(run, self.name)[None])[0]
 
 
 def column(run: Any, name: str) -> np.ndarray:

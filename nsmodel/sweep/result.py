@@ -206,10 +206,16 @@ class Sweep:
         dataset.to_zarr(self, Path(path))
 
     def plot(self, name: str, **options: Any) -> Any:
-        """Draw a quantity over what varies; the options are those of ``nsmodel.plot.sweep.sweep_overview``."""
-        from nsmodel.plot.sweep import sweep_overview
+        """Draw a quantity over what varies, and return the axes.
 
-        return sweep_overview(self[name], **options)
+        Without options it is the picture that fits; with ``x`` and ``y`` that of ``nsmodel.plot.sweep_map``, with other options
+        (x, hue, over, show, level) that of ``nsmodel.plot.sweep_line``; ``ax`` is where to draw.
+        """
+        from nsmodel.plot.sweep import sweep_line, sweep_overview
+        from nsmodel.plot.sweep_map import sweep_map
+
+        draw = sweep_map if "y" in options else sweep_line if options.keys() - {"ax"} else sweep_overview
+        return draw(self[name], **options)
 
     def summary(self) -> dict[str, Any]:
         """Return the sweep in short, as numbers, strings, lists and dictionaries."""
@@ -255,7 +261,7 @@ class Sweep:
         shown = Counter(_kind(why) for _, why in self.failures).most_common(SHOWN)
         for kind, count in shown:
             cell, why = next((cell, why) for cell, why in self.failures if _kind(why) == kind)
-            lines.append(_line("", f"{count} times, the first at {self._where(cell)}: {why}"))
+            lines.append(_line("", f"{f'{count} times, the first' if count > 1 else 'once,'} at {self._where(cell)}: {why}"))
         kept = ", ".join(s["keep"]) or "no rows"
         unit = f" {s['t']['unit']}" if s["t"]["unit"] else ""
         if s["keep"]:

@@ -14,6 +14,7 @@ from nsmodel import lock
 from nsmodel.archive import read_npz, write_npz
 from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import StorageError, UsageError
+from nsmodel.grid import check_times
 from nsmodel.identity import digest_of, fingerprint, versions
 from nsmodel.model.parameters import Values
 from nsmodel.run.interrupt import deferred_signals
@@ -23,7 +24,7 @@ from nsmodel.simulate import simulate
 from nsmodel.solve.choose import SOLVERS
 from nsmodel.sweep import dataset, same
 from nsmodel.sweep.asked import ALONE, FACTS, WAYS, Asked, Found
-from nsmodel.sweep.cells import blank
+from nsmodel.sweep.cells import blank, refuse_other_shape
 from nsmodel.sweep.choice import Choice, choose
 from nsmodel.sweep.design import Design, design_of
 from nsmodel.sweep.engine import engine_of, refuse_workers
@@ -97,7 +98,8 @@ def sweep(
         parameters: values that all cells share, of parameters and arguments.
         keep: columns of which rows are kept, by the names that a Trajectory has; every: each how many steps, and the last (left
             out: about 200 rows); of event-driven runs the rows are at ``times``.
-        outputs: numbers of each run: texts such as "x1[-1]", "max(x1)", "mean(x1)", or functions of a Trajectory.
+        outputs: numbers of each run: texts such as "x1[-1]", "max(x1)", "mean(x1)", or functions of a Trajectory, which
+            raise StepError where a run has no result: such a cell is a failed one.
         t_end, rtol, atol, method, times, solver, tolerance, compiled: as in `simulate`; compiled "auto": where a library for all
             cells takes less time than the runs without.
         workers: how many at once; left out: as many as there are cores, threads for C and processes else; or anything with
@@ -122,11 +124,12 @@ def sweep(
         grid, samples, start, seeds, step if several else None, inputs if many_inputs else None, entropy, replicates
     )  # fmt: skip
     given: Any = step
-    one_step = None if several or step is None else float(given)
     Options(
-        step=one_step, solver=solver, tolerance=tolerance, compiled=compiled, rtol=rtol, atol=atol, method=method,
-        times=times, out=out, resume=resume,
+        step=None if several else given, solver=solver, tolerance=tolerance, compiled=compiled, rtol=rtol, atol=atol,
+        method=method, times=times, out=out, resume=resume,
     )  # fmt: skip
+    check_times(step=None if several else step, t_end=t_end)
+    one_step = None if several or step is None else float(given)
     refuse_workers(workers)
     if solver not in SOLVERS:
         raise UsageError(f"solver '{solver}' is unknown; there are {', '.join(SOLVERS)}")
@@ -134,9 +137,9 @@ def sweep(
         raise UsageError("retry runs the failed cells of a sweep that is there again: give resume=True and out= with it")
     options = {"solver": solver, "tolerance": float(tolerance), "compiled": compiled, "t_end": t_end, "rtol": rtol, "atol": atol,
                "method": method, "times": times}  # fmt: skip
-    columns = (keep,) if isinstance(keep, str) else tuple(keep)
-    asked = Asked(columns, every, outputs_of(outputs), options)
+    asked = Asked(_columns(keep), every, outputs_of(outputs), options)
     fixed = {key if isinstance(key, str) else str(key): value for key, value in (parameters or {}).items()}
+    refuse_twice(design, asked, fixed)
     groups = Groups(
         Source(model), design, asked, fixed, one_step, None if many_inputs else inputs, start if callable(start) else None
     )  # fmt: skip
@@ -154,6 +157,22 @@ def sweep(
         if export:
             export(found, place)
     return found
+
+
+def _columns(keep: Any) -> tuple[str, ...]:
+    if not isinstance(keep, str | Sequence):
+        raise UsageError(f"keep = {keep!r:.60}; expected names of columns, such as ['x1']")
+    return (keep,) if isinstance(keep, str) else tuple(keep)
+
+
+def refuse_twice(design: Design, asked: Asked, fixed: Mapping[str, Any]) -> None:
+    """Raise UsageError for a name that is given two meanings."""
+    varied = {one.name for one in design.columns if one.kind == "value"}
+    for name in sorted(varied & fixed.keys()):
+        raise UsageError(f"'{name}' is varied, and parameters gives it {fixed[name]!r:.40}; keep one")
+    for name in (*asked.keep, *asked.outputs):
+        if name in {*varied, *design.dims}:
+            raise UsageError(f"'{name}' is what is varied, and known of each cell; leave it out, or call the output otherwise")
 
 
 class _Sweeping:
@@ -189,13 +208,14 @@ class _Sweeping:
         store = SweepStore(folder, self.design.shape)
         if not resume:
             if store.exists:
+                manifest_of(folder)
                 raise UsageError(f"{folder} holds a sweep; go on with it by resume=True (--resume), or give another folder")
         else:
             manifest = manifest_of(folder)
             for key, value in self.settings.items():
                 if manifest["settings"].get(key) != value:
-                    what = "model" if key == "model" else f"{key} ({manifest['settings'].get(key)} there, {value} now)"
-                    raise StorageError(f"{folder}: the sweep there has another {what}; give another folder")
+                    what = "its model" if key == "model" else f"{key} ({manifest['settings'].get(key)} there, {value} now)"
+                    raise StorageError(f"{folder}: the sweep there differs in {what}; give another folder")
             other = same.difference(manifest["design"], read_npz(folder / DESIGN)[0], self.design)
             if other is not None:
                 raise StorageError(f"{folder}: the sweep there has {other}; give another folder")
@@ -222,12 +242,13 @@ class _Sweeping:
         if store is None:
             return self._result(held.found, engine.words)
         empty = self._result(_nothing(self.design.size), engine.words)
-        store.join(dataset.header(empty), dataset.design_arrays(empty), asked.names)
+        store.join(dataset.header(empty), dataset.design_arrays(empty), asked.without(len(self.groups.first.rows.times)))
         return replace(Sweep.load(store.folder), engine=engine.words, _again=self._simulate)
 
     def _result(self, found: Found, engine: str) -> Sweep:
         asked, rows = self.choice.asked, self.groups.first.rows
-        order = [name for name in asked.names if name in found.arrays]
+        without = {name: np.zeros((0, *shape), kind) for name, (kind, shape) in asked.without(len(rows.times)).items()}
+        of = {**blank(self.design.size, without), **found.arrays}
         arrays = {f"{DIM}{dim}": coords for dim, coords in self.design.coords.items()}
         own = [one for one in self.design.columns if one.numeric and one.kind in ("value", "start")]
         names = {one.name if one.kind == "value" else f"{one.name}(0)": one for one in own}
@@ -235,7 +256,7 @@ class _Sweeping:
         arrays |= {f"{VALUE}{name}": one.values for name, one in names.items()} | {"t": rows.times}
         metadata = self._metadata() | {"dims": list(self.design.dims), "along": {n: list(one.along) for n, one in names.items()}}
         metadata["messages"] = {str(cell): text for cell, text in sorted(found.messages.items())}
-        sweep = made(arrays | {name: found.arrays[name] for name in order}, metadata, self._simulate)
+        sweep = made(arrays | {name: of[name] for name in asked.names}, metadata, self._simulate)
         return replace(sweep, engine=engine)
 
     def _metadata(self) -> dict[str, Any]:
@@ -277,6 +298,7 @@ class _InMemory:
         for name, values in found.arrays.items():
             if name not in arrays:
                 arrays |= blank(self._size, {name: values})
+            refuse_other_shape(name, values.shape[1:], arrays[name].shape[1:])
             arrays[name][cells[ran]] = values[ran]
         messages = {int(cells[i]): text for i, text in found.messages.items()}
         self.found = Found(arrays, {**self.found.messages, **messages})

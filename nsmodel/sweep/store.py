@@ -22,13 +22,14 @@ from nsmodel.archive import Member, read_npz, write_archive, write_npz
 from nsmodel.errors import StorageError
 from nsmodel.storage import STAMP, read_json, stream_beside, write_json
 from nsmodel.sweep.asked import Found
-from nsmodel.sweep.cells import blank
+from nsmodel.sweep.cells import blank, nothing, refuse_other_shape
 from nsmodel.sweep.mapped import mapped
 from nsmodel.sweep.variable import FAILED, NOT_RUN
 
 MANIFEST, WHOLE, CELL = "manifest.json", "sweep.npz", "cell"
 _PART = re.compile(r"part-(\d+)\.npz")
 _BLOCK = 1 << 22
+Kinds = Mapping[str, tuple[str, tuple[int, ...]]]
 
 
 class SweepStore:
@@ -72,28 +73,34 @@ class SweepStore:
         for cells, arrays, own in self._parts():
             found |= blank(self.size, {name: values for name, values in arrays.items() if name not in found})
             for name, values in arrays.items():
+                refuse_other_shape(name, values.shape[1:], found[name].shape[1:])
                 found[name][cells] = values
             _put_messages(messages, cells, own)
         return Found(found, messages)
 
-    def join(self, metadata: Mapping[str, Any], design: Mapping[str, np.ndarray], order: tuple[str, ...]) -> None:
+    def join(self, metadata: Mapping[str, Any], design: Mapping[str, np.ndarray], order: Kinds) -> None:
         """Make one file of all cells, and remove the parts.
 
         Args:
             metadata: of the file; its messages are added.
             design: arrays of what varies, which come first.
-            order: of the other arrays.
+            order: the other arrays: {name: (data type, shape of a cell)}, as they are where no cell has it.
+
+        Raises:
+            UsageError: a quantity has another shape in another cell.
         """
-        parts, messages, kinds = list(self._paths()), {}, {}
+        parts, messages, found = list(self._paths()), {}, {}
         for cells, arrays, own in self._parts():
-            kinds |= {name: (values.dtype, values.shape[1:]) for name, values in arrays.items()}
+            for name, values in arrays.items():
+                kind = found.setdefault(name, (values.dtype, values.shape[1:]))
+                refuse_other_shape(name, values.shape[1:], kind[1])
             _put_messages(messages, cells, own)
         with tempfile.TemporaryDirectory(dir=self.folder, prefix="joining-") as place:
             whole = {}
-            for i, name in enumerate(order):
-                if name in kinds:
-                    kind, shape = kinds[name]
-                    whole[name] = npy.open_memmap(Path(place) / f"{i}.npy", "w+", kind, (self.size, *shape))
+            for i, (name, blank_kind) in enumerate(order.items()):
+                kind, shape = found.get(name, blank_kind)
+                whole[name] = npy.open_memmap(Path(place) / f"{i}.npy", "w+", np.dtype(kind), (self.size, *shape))
+                whole[name][:] = nothing(name, np.dtype(kind))
             for cells, arrays, _ in self._parts():
                 for name, values in arrays.items():
                     if name in whole:
@@ -159,4 +166,7 @@ def manifest_of(folder: Path) -> dict[str, Any]:
     path = folder / MANIFEST
     if not path.exists():
         raise StorageError(f"{folder} holds no sweep: there is no {MANIFEST}; check the path, or leave resume out")
-    return read_json(path)
+    manifest = read_json(path)
+    if not {"settings", "design"} <= manifest.keys():
+        raise StorageError(f"{folder} holds no sweep: its {MANIFEST} is that of a run; give another folder")
+    return manifest

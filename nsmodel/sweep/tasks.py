@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from nsmodel.errors import ModelError, NsmodelError, UsageError
+from nsmodel.grid import is_number
 from nsmodel.model.base import Model
 from nsmodel.model.driven import driven_by
 from nsmodel.model.started import start_name, started, starts_of
@@ -62,9 +63,7 @@ class Groups:
     def _makes_models(self, column: Column) -> bool:
         if column.kind == SEED:
             return self.source.takes("seed")
-        return column.kind in (STEP, INPUTS) or (
-            column.kind == "value" and (self.source.takes(column.name) or not column.numeric)
-        )
+        return column.kind in (STEP, INPUTS) or (column.kind == "value" and self.source.takes(column.name))
 
     @property
     def count(self) -> int:
@@ -158,6 +157,9 @@ class Groups:
 
     def _names(self, model: Model, column: Column) -> list[str]:
         """The parameters that a column has the values of."""
+        if not column.numeric and column.name in (*model.vectors, *model.parameters):
+            wrong = next((one for one in column.values.ravel() if not is_number(one)), None)
+            raise UsageError(f"'{column.name}' is a parameter of the model, a number; {wrong!r} is none")
         if column.name in model.vectors:
             names = model.vectors[column.name].ravel().tolist()
         elif column.name in model.parameters:
@@ -187,9 +189,15 @@ class Groups:
 
     def _draw(self, cell: int) -> dict[str, float]:
         """The starts of a cell that its random numbers give."""
-        given = {} if self._start is None else self._start(self.design.rng(cell))
+        try:
+            given = {} if self._start is None else self._start(self.design.rng(cell))
+        except Exception as error:
+            raise UsageError(f"start, called with a random generator: {type(error).__name__}: {error}") from error
         if not isinstance(given, Mapping):
             raise UsageError(f"start returned {given!r:.60}; expected {{state: value}}")
+        for state, value in given.items():
+            if np.ndim(value) or not np.isfinite(value):
+                raise UsageError(f"start returned {state} = {value!r:.60}; expected a finite number for each state")
         found = {str(state): float(value) for state, value in given.items()}
         if cell and set(found) != set(self._drawn):
             raise UsageError(

@@ -17,7 +17,7 @@ DRAWN = ("seed", "sample", "replicate", "start")  # Dims along which cells are d
 TIME = "t"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Variable:
     """Values of one quantity over the cells of a sweep.
 
@@ -90,6 +90,14 @@ class Variable:
         if status is None:
             status = np.zeros([shape.get(dim, 0) for dim in cells], dtype=np.int8)
         return cls(name, np.asarray(values), dims, known, status, cells, **more)
+
+    def __repr__(self) -> str:
+        """Return one line: name, unit, dims with their lengths, range of the values, what came of the cells."""
+        of = " x ".join(f"{dim} {size}" for dim, size in self.sizes.items()) or "one value"
+        there = self.values[np.isfinite(self.values)]
+        span = f", {there.min():.6g} to {there.max():.6g}" if there.size else ""
+        missing = "".join(f", {count} {word}" for word, count in self.causes.items())
+        return f"Variable({self.name!r}, {of}{span}{f' {self.unit}' if self.unit else ''}{missing})"
 
     @property
     def sizes(self) -> dict[str, int]:

@@ -52,7 +52,7 @@ def work(
     """Run cells (K,) until all are done, or a signal came; ``keep`` gets what each chunk found.
 
     Args:
-        cells: numbers of the cells; first: how many the first chunk has.
+        cells: numbers of the cells; first: how many the first chunk has, at most.
         tasks: makes what is sent; engine: who computes.
         keep: is called here, with one chunk after the other.
         signals: that came.
