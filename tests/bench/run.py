@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import compiled
+import gpu
 import lanes
 import numpy as np
 from peers import programs
@@ -98,6 +99,7 @@ def main() -> None:
     compiled.main()
     print()
     lanes.main()
+    gpu.main()
     print()
     print("every case, us a step of the time loop (CPU, set-up excluded)")
     for path in FILES:
