@@ -1,5 +1,6 @@
 """Many runs in step: against the interpreted steps, the scalar ones in C, closed forms; and bits that depend on nothing else."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
@@ -144,7 +145,7 @@ def test_oscillators_rest_where_the_closed_form_says_and_stick_is_exact():
 
 
 def test_bits_of_a_cell_depend_on_nothing_but_its_parameters(monkeypatch):
-    """Not on who is beside it, on the order, on where a call ends, on the processor."""
+    """Not on who is beside it, on the order, on rows that are kept, on threads, on where a call ends, on the processor."""
     model = random_scene(3)
     values, own = draw(model, 40), made(model)
     found = own.run(values, KEPT, 9)
@@ -152,6 +153,13 @@ def test_bits_of_a_cell_depend_on_nothing_but_its_parameters(monkeypatch):
         order = np.random.default_rng(seed).permutation(40)[: 40 - 13 * seed]
         assert_same_bits(found, own.run(values[order], KEPT, 9), order)
     assert_same_bits(found, own.run(values[5:6], KEPT, 9), slice(5, 6))
+    parts = np.array_split(np.arange(40), 5)
+    with ThreadPoolExecutor(4) as pool:
+        for part, other in zip(parts, pool.map(lambda part: own.run(values[part], KEPT, 9), parts), strict=True):
+            assert_same_bits(found, other, part)
+    each = own.run(values, KEPT, 1)
+    np.testing.assert_array_equal(each.arrays["x"][:, own.numbers_kept(9)], found.arrays["x"])
+    np.testing.assert_array_equal(each.worst_residual, found.worst_residual)
     monkeypatch.setattr(batch, "SECONDS", 0.0)
     monkeypatch.setattr(own, "level", 0)
     assert_same_bits(found, own.run(values, KEPT, 9))
