@@ -249,6 +249,14 @@ def test_what_was_not_done_when_it_is_stopped_is_forgotten(monkeypatch):
     assert not found.steps[~done].any()
 
 
+def test_a_compiler_that_has_no_lanes_takes_cells_one_by_one(monkeypatch):
+    model = oscillator()
+    monkeypatch.setattr(cache, "IN_LANES", (*FLAGS, "-fno-such-option-at-all"))
+    own = made(model)
+    assert LANES not in own.way
+    assert (own.run(draw(model, 3), KEPT, 50).status == 0).all()
+
+
 def refusal(model):
     return lanes.refusal(all_values(model, make_grid(model, None, None, None), 1e-9))
 

@@ -75,7 +75,12 @@ class Batch:
         self._scene = all_values(model, grid, tolerance)
         self._layout = inclusion.layout(self._scene)
         in_lanes = in_lanes and grid.steps is None and not lanes.refusal(self._scene)
-        library, self.way = library_for_all(model, grid, tolerance, in_lanes=in_lanes)
+        try:
+            library, self.way = library_for_all(model, grid, tolerance, in_lanes=in_lanes)
+        except CodegenError:  # a compiler without what lanes ask for
+            if not in_lanes:
+                raise
+            in_lanes, (library, self.way) = False, library_for_all(model, grid, tolerance)
         pointer, seconds = ctypes.c_void_p, ctypes.c_double
         memory = np.zeros(library.function("size", ctypes.c_long)() // 8 + 1)
         if library.function("init", ctypes.c_int, pointer)(memory.ctypes.data) == BAD_ARITHMETIC:
