@@ -311,12 +311,13 @@ def _statements(own: _Lanes) -> dict[str, str]:
     sizes = {"z": own.n, "l": own.m, "E": own.n, "scale": own.n, "y": own.m, "size": own.m}
     store = [f"g->{name}[{i}][j] = {name}_{i};" for name, size in sizes.items() for i in range(size)]
     store += [f"g->wrong[{i}][j] = {own.wrong(i)};" for i in rows]
+    inside = [*own.inside(), *(f"r_{own.n + i} <= HOPELESS" for i in rows), "all - all == 0"]
     ahead = [f"next[{i}][j] = next_{i};" for i in range(own.rows["next"].numel())]
     return {
         "STEPS": _text([*own.body(loose), *ahead, *own.sound(loose), *own.residual(loose)]),
         "JUDGED": _text([*own.body(rows), *ahead, *store, *own.sound(rows), *own.residual(rows)]),
         "SETTLED": own.settled(),
-        "INSIDE": " & ".join(f"({test})" for test in [*own.inside(), "all - all == 0"]),
+        "INSIDE": " & ".join(f"({test})" for test in inside),
     }
 
 

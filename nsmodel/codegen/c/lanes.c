@@ -9,6 +9,7 @@
 #define BARE @BARE@ /* unknowns that are exact without the z where nothing moves */
 #define SHORT 1024 /* steps, and looks at lanes one by one, between two looks at the clock */
 #define LOOKS 16
+#define HOPELESS 1e-3 /* residual of the law from which on rounding is not asked: it is another index set */
 
 #if defined __clang__ || defined __GNUC__
 #define LANE_LOOP _Pragma("omp simd")
@@ -35,7 +36,7 @@ typedef struct {
     ALIGNED lane per[MODEL_M], reach[MODEL_M];   /* 1/sqrt(w_max) and what bounds the scale of y: see output_scale in affine.c */
     ALIGNED lane worst[2]; /* residual so far, before a step of even number, of odd number */
     ALIGNED lane z[MODEL_N], l[MODEL_M], y[MODEL_M], E[MODEL_N], scale[MODEL_N], size[MODEL_M], wrong[MODEL_M];
-    ALIGNED lane inside, residual; /* of the step that was looked at */
+    ALIGNED lane inside, residual; /* of the step that was looked at; inside: 0 where l is, and y nearly right, else infinite */
     ALIGNED long long on[MODEL_LANES];     /* -1, or 0 */
     double iterations[MODEL_LANES], alone[MODEL_LANES]; /* alone: steps by attempt() */
     long cell[MODEL_LANES], failed[MODEL_LANES];
@@ -97,7 +98,7 @@ IN_LINE long take_steps(model_lanes *g, const model_cells *b, long k, long to)
     return to;
 }
 
-/* Take step k in all lanes and judge it: the residual, infinite where l is outside of its box. */
+/* Take step k in all lanes and judge it: the residual, infinite where l is outside of its box, or y far from what it must be. */
 IN_LINE void look_at_step(model_lanes *g, const model_cells *b, long k)
 {
     set_inputs(g, b, k);
