@@ -84,6 +84,7 @@ def own_cache(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         patch.setattr(cache, "FLAGS", QUICK)
+        patch.setattr(cache, "IN_LANES", QUICK)
         yield
 
 
@@ -101,6 +102,7 @@ def quickly_built():
     with pytest.MonkeyPatch.context() as patch:
         if COUNT < FULL:
             patch.setattr(cache, "FLAGS", QUICK)
+            patch.setattr(cache, "IN_LANES", QUICK)
             patch.setattr(piece_runs, "FASTER", QUICK)
             patch.setattr(library.compile_library, "__defaults__", (QUICK,))
         yield

@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.codegen import inclusion, structs
+from nsmodel.codegen import inclusion, lanes, structs
 from nsmodel.codegen.all_values import all_values
 from nsmodel.codegen.rollout import SECONDS, library_for_all
 from nsmodel.codegen.statuses import BAD_ARITHMETIC, BAD_PARAMETER, NOT_SOLVED, STATUSES
@@ -24,6 +24,8 @@ from nsmodel.record import INNER, UNSET, VECTORS
 from nsmodel.scheme import start_rows
 
 TO_DO = -1  # The status of a cell that was not reached.
+ALIGNED = 64  # Bytes to which the memory of lanes is aligned.
+LANES = "in lanes, whose last bits are not those of a run alone"
 
 _Cells = structs.CELLS.in_python()
 
@@ -55,24 +57,39 @@ class Batch:
 
     Attributes:
         names: of the parameters, one a column of values.
-        way: by what it is compiled.
+        way: by what it is compiled, and whether many runs go in step (see `lanes`): then each is within rounding of the run
+            alone, and its bits depend on nothing but its own parameters.
+
+        level: of the processor that lanes make use of (see ``c/lanes.c``), -1: all of it; the bits are the same.
 
     Raises:
         CodegenError: the model has no C of this kind (no parameters, blocks, large sparse steps, many bodies, a set that a
             parameter moves under catching-up), or there is no compiler, or it fails.
     """
 
-    def __init__(self, model: Model, grid: Grid, tolerance: float) -> None:
+    level = -1
+
+    def __init__(self, model: Model, grid: Grid, tolerance: float, in_lanes: bool = True) -> None:
+        """Build or load the library; ``in_lanes``: many runs in step, where the model has that."""
         self.names, self._grid, self._model = tuple(model.parameters), grid, model
         self._scene = all_values(model, grid, tolerance)
         self._layout = inclusion.layout(self._scene)
-        library, self.way = library_for_all(model, grid, tolerance)
-        pointer = ctypes.c_void_p
-        self._size = library.function("size", ctypes.c_long)() // 8 + 1
-        self._run = library.function("run_cells", ctypes.c_int, pointer, ctypes.POINTER(_Cells), ctypes.c_double)
-        memory = np.zeros(self._size)
+        in_lanes = in_lanes and grid.steps is None and not lanes.refusal(self._scene)
+        try:
+            library, self.way = library_for_all(model, grid, tolerance, in_lanes=in_lanes)
+        except CodegenError:  # a compiler without what lanes ask for
+            if not in_lanes:
+                raise
+            in_lanes, (library, self.way) = False, library_for_all(model, grid, tolerance)
+        pointer, seconds = ctypes.c_void_p, ctypes.c_double
+        memory = np.zeros(library.function("size", ctypes.c_long)() // 8 + 1)
         if library.function("init", ctypes.c_int, pointer)(memory.ctypes.data) == BAD_ARITHMETIC:
             raise CodegenError(f"{self.way}: {STATUSES[BAD_ARITHMETIC].text}")
+        name, level = ("run_lanes", [ctypes.c_int]) if in_lanes else ("run_cells", [])
+        run = library.function(name, ctypes.c_int, pointer, ctypes.POINTER(_Cells), seconds, *level)
+        self._run = lambda *at: run(*at, SECONDS, *([self.level] if in_lanes else []))
+        self._size = library.function("lanes_size" if in_lanes else "size", ctypes.c_long)()
+        self.way += f", {LANES}" if in_lanes else ""
         rows = start_rows(model, self._scene.problem.h)
         self._known, row = len(rows), np.full((len(rows), self._layout.width), np.nan)
         start = ca.SX(row)
@@ -143,8 +160,9 @@ class Batch:
         work = _Work(self._picked(keep), len(given), self.numbers_kept(every), self._scene.structure.m, "index_set" in keep)
         self._begin(work, given)
         control = self._control(work, given, every, self._driven(inputs))
-        memory = np.zeros(self._size)
-        while not self._run(memory.ctypes.data, ctypes.byref(control), SECONDS):
+        memory = np.zeros(self._size // 8 + 1 + ALIGNED // 8)
+        at = memory.ctypes.data + -memory.ctypes.data % ALIGNED
+        while not self._run(at, ctypes.byref(control)):
             if stop():
                 work.forget(control.cell)
                 break

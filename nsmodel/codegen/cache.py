@@ -23,9 +23,9 @@ import casadi as ca
 
 from nsmodel.cache_folder import cache_folder
 from nsmodel.codegen.all_values import all_values
-from nsmodel.codegen.library import FLAGS, TIMEOUT, compile_library, in_use
+from nsmodel.codegen.library import FLAGS, IN_LANES, TIMEOUT, compile_library, in_use
 from nsmodel.codegen.scene import Scene, make_scene
-from nsmodel.codegen.source import write_source
+from nsmodel.codegen.source import Source, write_source
 from nsmodel.errors import CodegenError
 from nsmodel.grid import Grid
 from nsmodel.identity import fingerprint, versions
@@ -63,8 +63,24 @@ def cached_for_all(model: Model, grid: Grid, tolerance: float, compiler: str) ->
     return kept(key_for_all(model, grid, tolerance, compiler), files, FLAGS)
 
 
+def cached_in_lanes(model: Model, grid: Grid, tolerance: float, compiler: str) -> Path:
+    """The same with many runs in step (see `lanes`).
+
+    Raises:
+        CodegenError: as above; not asked for models that lanes refuse.
+    """
+
+    def files() -> dict[str, str]:
+        return _texts(write_source(all_values(model, grid, tolerance), NAME, "", in_lanes=True))
+
+    return kept(key_for([key_for_all(model, grid, tolerance, compiler), IN_LANES]), files, IN_LANES)
+
+
 def _files(scene: Scene) -> dict[str, str]:
-    source = write_source(scene, NAME, "")
+    return _texts(write_source(scene, NAME, ""))
+
+
+def _texts(source: Source) -> dict[str, str]:
     return {"rollout.c": source.rollout, f"{NAME}.h": source.header, f"{NAME}.c": source.code}
 
 

@@ -20,6 +20,7 @@ from nsmodel.codegen.solver import Solver
 from nsmodel.errors import CodegenError
 
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Werror=implicit-function-declaration", "-fPIC", "-shared")
+IN_LANES = (*FLAGS, "-ftree-vectorize", "-fopenmp-simd", "-fno-trapping-math")  # None of these changes a bit.
 COMPILERS = ("cc", "gcc", "clang")
 TIMEOUT = 600.0  # Seconds that a compiler may take.
 

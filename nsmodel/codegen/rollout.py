@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.codegen import structs
-from nsmodel.codegen.cache import NAME, cached, cached_for_all
+from nsmodel.codegen.cache import NAME, cached, cached_for_all, cached_in_lanes
 from nsmodel.codegen.library import Library, compiler, no_compiler
 from nsmodel.codegen.statuses import BAD_ARITHMETIC, NOT_SOLVED, SOLVERS, STATUSES
 from nsmodel.errors import CodegenError
@@ -228,13 +228,15 @@ def _optional(library: Library, name: str, *kinds: Any) -> Any:
         return None
 
 
-def library_for_all(model: Model, grid: Grid, tolerance: float) -> tuple[Library, str]:
+def library_for_all(model: Model, grid: Grid, tolerance: float, *, in_lanes: bool = False) -> tuple[Library, str]:
     """The steps of a model on a grid for all values of its parameters, and by what they are compiled.
+
+    ``in_lanes``: with many runs in step.
 
     Raises:
         CodegenError: see `all_values`; there is no compiler, or it fails.
     """
-    library, way = _library(model, grid, tolerance, cached_for_all)
+    library, way = _library(model, grid, tolerance, cached_in_lanes if in_lanes else cached_for_all)
     return library, f"{way}, {FOR_ALL}"
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from nsmodel.codegen import banded, blocks, constants, fixed, inclusion, newton, residual, sets, statuses, structs
+from nsmodel.codegen import banded, blocks, constants, fixed, inclusion, lanes, newton, residual, sets, statuses, structs
 from nsmodel.codegen.bounds import MOST_WORK, work_bound
 from nsmodel.codegen.expression import number
 from nsmodel.codegen.fragments import CONSTANT, FOLDER, FUNCTION, comment, fragment, guard, prefixed, pruned, resolved
@@ -38,8 +38,11 @@ class Source:
     bound: int
 
 
-def write_source(scene: Scene, name: str, fingerprint: str, most: int = MOST_WORK) -> Source:
-    """Return the C library of a scene under the prefix ``name``; no step does more work than ``most``."""
+def write_source(scene: Scene, name: str, fingerprint: str, most: int = MOST_WORK, *, in_lanes: bool = False) -> Source:
+    """Return the C library of a scene under the prefix ``name``; no step does more work than ``most``.
+
+    ``in_lanes``: whether its batches have many runs in step (see `lanes`).
+    """
     flags = flags_of(scene)
     sizes = sizes_of(scene, flags)
     bound = min(work_bound(scene.law, flags, sizes), most)
@@ -61,8 +64,13 @@ def write_source(scene: Scene, name: str, fingerprint: str, most: int = MOST_WOR
     ]
     code = pruned("\n".join(parts))
     run_flags = flags | _run_flags(scene, flags)
-    loops = ["rollout.c", *(["adaptive.c"] if "ADAPTIVE" in run_flags else []), *(["batch.c"] if scene.of_all else [])]
-    rollout = prefixed(_records(scene), name) + "\n" + "".join(fragment(file, run_flags, words) for file in loops)
+    functions = _records(scene)
+    has = {"batch": scene.of_all, "lanes": in_lanes, "adaptive": "ADAPTIVE" in run_flags and not in_lanes}
+    loops = ["rollout.c", *(f"{name}.c" for name in ("adaptive", "batch", "lanes") if has[name])]
+    if in_lanes:
+        own, more = lanes.text(scene)
+        functions, words = f"{functions}\n{own}", words | more
+    rollout = prefixed(functions, name) + "\n" + "".join(fragment(file, run_flags, words) for file in loops)
     rollout = f'#include "{name}.c"\n\n{_missing(rollout, code)}{rollout}'
     words["SIZES"] = _inner_sizes(name, sizes, part("header.h") + code + rollout)
     return Source(name, part("header.h"), code, rollout, flags, sizes, bound)

@@ -10,6 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import compiled
+import gpu
+import lanes
 import numpy as np
 from peers import programs
 
@@ -95,6 +97,9 @@ def main() -> None:
           f"  Siconos 4, its C++ step driven from Python     {peer:9.2f}          {peer / ours:6.2f}")  # fmt: skip
     print()
     compiled.main()
+    print()
+    lanes.main()
+    gpu.main()
     print()
     print("every case, us a step of the time loop (CPU, set-up excluded)")
     for path in FILES:

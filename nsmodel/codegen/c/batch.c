@@ -82,10 +82,10 @@ static int before_step(model_solver *s, model_cells *b, long k)
     return MODEL_OK;
 }
 
-/* Keep of the step that was attempted last what is asked for. */
-static void keep_row(const model_solver *s, model_cells *b)
+/* Keep of the step of a cell that was attempted last what is asked for. */
+static void keep_row(const model_solver *s, model_cells *b, long cell)
 {
-    const long row = b->rows*b->cell + b->row;
+    const long row = b->rows*cell + b->row;
     write_row(s, b->whole);
     for (long j = 0; j < b->width; j++)
         b->kept[b->width*row + j] = b->whole[b->columns[j]];
@@ -93,8 +93,6 @@ static void keep_row(const model_solver *s, model_cells *b)
     if (b->index != NULL)
         keep_index(b->index, row, s->work.code);
 #endif
-    b->row += 1;
-    b->next += b->every;
 }
 
 /* Take the steps of the cell at hand: its status, or PAUSED. */
@@ -110,8 +108,11 @@ static int run_cell(model_solver *s, model_cells *b, pace *p)
         if (status != MODEL_OK)
             return status;
         const long number = b->step + 1;
-        if (number == b->next || number == b->steps)
-            keep_row(s, b);
+        if (number == b->next || number == b->steps) {
+            keep_row(s, b, cell);
+            b->row += 1;
+            b->next += b->every;
+        }
         if (s->work.residual > b->worst[cell])
             b->worst[cell] = s->work.residual;
         b->newton[cell] += s->work.iterations;
