@@ -37,6 +37,10 @@ class StepError(NsmodelError, RuntimeError):
         self.trajectory: Any = None
 
 
+class EmptyLawError(StepError):
+    """The ends of a law that move leave it no value at a time: no step, however short, goes beyond."""
+
+
 class CodegenError(NsmodelError, RuntimeError):
     """A model has no C step function, or the one written could not be compiled or loaded."""
 

@@ -177,17 +177,18 @@ def scene_of(model: Model, values: Mapping[str, float]) -> PieceScene:
     Raises:
         CodegenError: the model has no event-driven form, or as above.
     """
-    names = model.input_names
-    module, u, model = class_of(model).optional("continuous"), inputs_at_start(model), as_parameters(model)
+    names, given, module = model.input_names, model, class_of(model).optional("continuous")
+    u, model = inputs_at_start(model), as_parameters(model)
     try:
         problem = None if module is None else with_modes(module.continuous_problem(model))
+        if problem is not None and (ends := sure(module).continuous_problem(given).ends):
+            raise CodegenError(f"event-driven libraries have laws that stay; that of '{ends[0].name}' moves: no --event-driven")
     except NotEventDriven as error:
         raise CodegenError(f"event-driven integration does not take this model: {error}") from error
     if problem is None:
         raise CodegenError("event-driven integration in C does not take many bodies, whose contacts change at nearly every step")
-    return replace(
-        piece_scene(problem, model.switch_times, {**values, **dict(zip(names, u.tolist(), strict=True))}), inputs=u.size
-    )
+    numbers = {**values, **dict(zip(names, u.tolist(), strict=True))}
+    return replace(piece_scene(problem, model.switch_times, numbers), inputs=u.size)
 
 
 def library_files(model: Model, values: Mapping[str, float], name: str) -> dict[str, str]:

@@ -40,6 +40,7 @@ NONE = Known()
 ROOM = 1.3  # By which the next piece may be longer than the last without another unit of time.
 UNITS, OCTAVES = 60, 6  # Units of time that are tried where a series overflows, and how much shorter each is.
 LONGER, STUMP = 8, 1e-6  # The unit of time after an event, in pieces; of the unit before: a piece too short to tell.
+AFTER = 2.0**-10  # Units of time after which a law without room is looked for.
 STARTS, TOO_SHORT = 8, 0.05  # First units of time that are tried; a piece that is shorter than this one asks for another.
 
 
@@ -90,7 +91,7 @@ class Integrator:
             StepError: no mode is valid, or pieces become too short.
         """
         if self.stopped is not None:
-            raise StepError(self.stopped)
+            raise self.empty or StepError(self.stopped)
         system, place = self.system, self.place
         how = self._series()
         s = self._length(how)
@@ -211,7 +212,7 @@ class Integrator:
             if all(math.isfinite(row[orders]) for row in system.x):
                 return how
             place.tau = math.ldexp(place.tau, -OCTAVES)
-        raise StepError(f"t = {place.t:.10g}: f, g or h has no number, or no Taylor series, here")
+        raise self.empty or StepError(f"t = {place.t:.10g}: f, g or h has no number, or no Taylor series, here")
 
     # -- events
 
@@ -299,8 +300,6 @@ class Integrator:
             self._expand(1)
             project(system, place, how.active)
 
-    # -- for files
-
     def standing(self) -> dict[str, Any]:
         """What the next pieces depend on, as lists and numbers."""
         place, system, sizes = self.place, self.system, self.sizes
@@ -329,8 +328,6 @@ class Integrator:
         self.stopped = saved["stopped"]
         self.stiff.stand(saved["stiff"])
 
-    # -- sizes, names
-
     def _refuse_rivals(self) -> None:
         verdict, words = uniqueness(self.system, self.place)
         self.unique[verdict] += 1
@@ -343,4 +340,10 @@ class Integrator:
         return few(self.place.open, self.problem.rows)
 
     def _stuck(self, when: str) -> StepError:
-        return StepError(f"t = {self.place.t:.10g}: no mode of {self._open()} is valid {when}: no smooth piece goes on from here")
+        why = f"t = {self.place.t:.10g}: no mode of {self._open()} is valid {when}: no smooth piece goes on from here"
+        return self.empty or StepError(why)
+
+    @property
+    def empty(self) -> StepError | None:
+        """That a law that moves holds no value from here on; None where each does."""
+        return self.problem.empty(self.place.t, self.place.x, self.place.tau * AFTER)

@@ -108,7 +108,7 @@ def _course(problem: ContinuousProblem, options: Options, rtol: float, atol: lis
     integrator = Integrator(problem, rtol, atol, known, residuals=options.certified)
     if options.method == METHODS[1] or options.certified or problem.updaters:  # Steps do not see updates.
         if integrator.stopped is not None:
-            raise StepError(integrator.stopped)
+            raise integrator.empty or StepError(integrator.stopped)
         return Course(integrator, None)
     width = integrator.system.orders + 1
     return Course(integrator, Stretches(problem, rtol, atol, options.tolerance, known, integrator.sizes.x, width))
