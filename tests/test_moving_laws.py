@@ -240,6 +240,27 @@ def test_the_same_law_written_as_u_l_has_the_same_runs(seed):
         np.testing.assert_allclose(run.x[-1], events[0].x[-1], rtol=1e-7, atol=1e-9)
 
 
+def test_levels_of_other_sizes_do_not_make_a_monotone_problem_another():
+    """Two rows that feel each other, whose levels differ by 1000: W has the sign of the declared law's, without a warning."""
+    B = np.array([[1.0, 0.9], [0.0, 0.44]])
+    law = product(relay(1, -u, u), relay(1, -1000 * u, 1000 * u))
+    pair = LureSystem(
+        A=-np.eye(2),
+        B=B,
+        C=B.T,
+        f=[9 * ca.sin(t), 99 * ca.cos(t)],
+        law=law,
+        x0=[1, 1],
+        t=t,
+        t_end=1,
+        step=0.01,
+        inputs={u: RAMPS},
+    )
+    run = simulate(pair)
+    assert run.metadata["warnings"] == []
+    np.testing.assert_allclose(simulate(pair, solver="lemke").x, run.x, rtol=1e-9, atol=1e-12)
+
+
 @pytest.mark.parametrize("signal", [None, pwm(1, 0.5), RAMPS])
 def test_an_oscillator_whose_friction_moves_is_that_lure_system(signal):
     level, inputs = (0.5 + 0.4 * ca.sin(3 * t), {}) if signal is None else (u, {u: signal})
