@@ -16,6 +16,7 @@ from nsmodel.hypotheses import impacts, uniform
 from nsmodel.hypotheses.along import along
 from nsmodel.hypotheses.findings import ALONG_A_RUN, HOLDS, VIOLATED, Consequence, Finding, Hypothesis, plain
 from nsmodel.hypotheses.inputs import Motion, between_ticks, beyond, motion_of, told, unsettled
+from nsmodel.hypotheses.moving_law import seen_so, standing, with_ends
 from nsmodel.hypotheses.region import Region, around, region_of
 from nsmodel.hypotheses.report.report import Report
 from nsmodel.hypotheses.scope import Box, Scope, meet
@@ -89,23 +90,28 @@ def check(
     parameters, boxes = split_boxes(parameters, model.parameters)
     values = {**model.parameters, **model.values_of(parameters)}
     t_end = max([float(model.t_end or 0.0), *(float(run.t[-1]) for run in runs or ())])
-    motion = motion_of(model, bounds, t_end)
+    looked_at = standing(model)
+    motion = motion_of(looked_at, bounds, t_end)
     if boxes or motion.names:
-        return _for_all(model, values, boxes, motion, runs, region, quick)
+        return _for_all(model, looked_at, values, boxes, motion, runs, region, quick)
     missing = tuple(name for name, value in values.items() if value is None)
     if missing and class_of(model).optional("hypotheses.symbolic"):
-        return _symbolic(_held(model.bind(values, partly=True), motion), values, missing)
-    driven = model.bind(values)
-    bound = _held(driven, motion)
+        return _symbolic(_held(looked_at.bind(values, partly=True), motion), values, missing)
+    driven, bound = model.bind(values), _held(looked_at.bind(values), motion)
     notes: list[str] = []
     given = runs is not None or quick
     own = list(runs or ()) if given else _runs(driven, notes)
     box = region_of(bound, own, region)
-    own = _stepped(own, notes)
+    own, part = _stepped(own, notes), _checker(type(bound))
+    seen_so_far = seen_so(driven, own)
+
+    def decide() -> tuple[list[Finding], list[Consequence]]:
+        found, made = part.check(bound, box, seen_so_far, quick)
+        made = clauses(bound, box, found, made)
+        return found if quick else _known_outside(bound, box, seen_so_far, found), list(made)
+
     try:
-        findings, consequences = _checker(type(bound)).check(bound, box, own, quick)
-        consequences = clauses(bound, box, findings, consequences)
-        findings = findings if quick else _known_outside(bound, box, own, findings)
+        findings, consequences = with_ends(_held(driven, motion), box, motion, quick, part.HYPOTHESES, decide)
     except OpaqueExpression as error:
         raise ModelError(str(error)) from None
     if effort := _effort(bound):
@@ -167,12 +173,13 @@ def modes_note(run: Trajectory) -> str:
 
 
 def _for_all(
-    model: Model, values: Mapping[str, float | None], boxes: Box, motion: Motion,
+    model: Model, looked_at: Model, values: Mapping[str, float | None], boxes: Box, motion: Motion,
     runs: Sequence[Trajectory] | None, region: Mapping[str, tuple[float, float]] | None, quick: bool,
 ) -> Report:  # fmt: skip
     """Decide the hypotheses for all values of parameters and inputs in boxes: proofs of the class, and values where one fails.
 
     Of each hypothesis without such a proof the reports at many values are joined, of which one may show that it fails.
+    ``looked_at``: the model in the form in which its hypotheses are looked at.
     """
     part = model.bind({**values, **dict.fromkeys(boxes)}, partly=True)
     if missing := set(part.parameters) - set(boxes):
@@ -180,16 +187,23 @@ def _for_all(
         raise UsageError(f"parameter '{min(missing)}' has no value; beside {beside}, give it a number or a box")
     boxes = {name: boxes[name] for name in part.parameters}
     driven = part.bind(uniform.middle_of(boxes)) if boxes else part
-    still, every = _held(part, motion), {**boxes, **motion.box}
+    still, every = _held(looked_at.bind({**values, **dict.fromkeys(boxes)}, partly=True), motion), {**boxes, **motion.box}
     notes: list[str] = []
     given = runs is not None or quick
     own = list(runs or ()) if given else _runs(driven, notes)
     proofs = _proofs_for_all(type(model))
-    looked_at = uniform.values_in(every, proofs.values(still, every) if proofs else ())
-    box = around([region_of(still.bind(one), own, region) for one in looked_at], every)
-    own = _stepped(own, notes)
+    some = uniform.values_in(every, proofs.values(still, every) if proofs else ())
+    box = around([region_of(still.bind(one), own, region) for one in some], every)
+    own, count = _stepped(own, notes), len(some)
+
+    def decide() -> tuple[list[Finding], list[Consequence]]:
+        nonlocal count
+        found, made, count = _decided(still, box, motion, seen_so(driven, own), quick)
+        return found, made
+
+    declared = still if looked_at.u.numel() > model.u.numel() else _held(part, motion)
     try:
-        findings, made, count = _decided(still, box, motion, own, quick)
+        findings, made = with_ends(declared, box, motion, quick, _checker(type(model)).HYPOTHESES, decide)
     except OpaqueExpression as error:
         raise ModelError(str(error)) from None
     if boxes:

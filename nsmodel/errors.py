@@ -37,8 +37,16 @@ class StepError(NsmodelError, RuntimeError):
         self.trajectory: Any = None
 
 
-class BlockError(StepError):
-    """A block sets what it must not: no other way of stepping helps."""
+class FinalError(StepError):
+    """What no other way of stepping, and no shorter step, goes beyond."""
+
+
+class BlockError(FinalError):
+    """A block sets what it must not."""
+
+
+class EmptyLawError(FinalError):
+    """The ends of a law that move leave it no value at a time."""
 
 
 class CodegenError(NsmodelError, RuntimeError):

@@ -12,7 +12,7 @@ from nsmodel import lock
 from nsmodel.chunks import ChunkStore
 from nsmodel.classes.registry import class_of
 from nsmodel.defaults import TOLERANCE
-from nsmodel.errors import StepError, UsageError
+from nsmodel.errors import FinalError, StepError, UsageError
 from nsmodel.grid import Grid, make_grid
 from nsmodel.identity import WAY
 from nsmodel.model.arguments import shown
@@ -177,7 +177,7 @@ class _GoesOn(Run):
         try:
             return super().go(progress)
         except StepError as error:
-            if self.options.times is not None:
+            if self.options.times is not None or isinstance(error, FinalError):
                 raise
             reason, stopped = f"it stopped: {error}", error
         try:

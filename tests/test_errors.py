@@ -168,8 +168,8 @@ SYMBOLS = [
     (lure, {"law": relay(1, -k, k)}, "law: lower uses the symbol 'k', which is not declared: add it to parameters={...}"),
     (
         lure,
-        {"t": t, "law": relay(1, -1, t)},
-        "law: upper depends on 't', but may depend only on numbers; move that term elsewhere",
+        {"t": t, "law": relay(1, -1, ca.SX.sym("x_0"))},
+        "law: upper depends on 'x_0', but may depend only on t; move that term elsewhere",
     ),
     (lure, {"t": t, "A": [[t, 0], [0, 1]]}, "A depends on 't', but may depend only on numbers"),
     (lure, {"t": t, "D": t}, "D depends on 't', but may depend only on numbers"),
@@ -838,14 +838,14 @@ def test_errors_of_a_trajectory(tmp_path, monkeypatch):
             lambda: oscillator(t=t, potential=ca.sumsqr(x) / 2 - ca.sin(t) * x[0]),
             "potential depends on 't', but may depend only on",
         ),
-        (lambda: oscillator(t=t, friction=(1 + t) * s), "friction 'friction' theta depends on 't'"),
+        (lambda: oscillator(t=t, friction={"rail": (ca.horzcat(t, 1), s)}), "friction 'rail' H depends on 't'"),
         (lambda: oscillator(t=t, constraints={"wall": x[0] - t}), "constraint 'wall' depends on 't'"),
     ],
 )
 def test_an_oscillator_says_where_time_may_stand(build, message):
     with pytest.raises(ModelError, match=re.escape(message)) as refused:
         build()
-    assert "time and inputs stand in force=, and there alone: section 2.2 of the guide" in str(refused.value)
+    assert "time and inputs stand in force= and friction=, and there alone: section 2.2 of the guide" in str(refused.value)
 
 
 def test_a_lure_system_is_the_oscillator():

@@ -172,7 +172,7 @@ def test_the_judge_and_other_units_know_it(own_cache):
 
 
 def test_time_stands_in_the_force_alone():
-    with pytest.raises(ModelError, match=r"potential depends on 't'.*force=, and there alone"):
+    with pytest.raises(ModelError, match=r"potential depends on 't'.*force= and friction=, and there alone"):
         FrictionOscillator(x=x, potential=t * x**2, t=t, x0=1, t_end=1)
     with pytest.raises(ModelError, match="force depends on 'x'"):
         swing(force=x)

@@ -15,6 +15,7 @@ from nsmodel.certificate.hints import ROOMS, TooManyParts, Unproved, covered, va
 from nsmodel.classes.registry import class_of
 from nsmodel.errors import UsageError
 from nsmodel.hypotheses.findings import ALONG_A_RUN, HOLDS, Finding
+from nsmodel.hypotheses.moving_law import standing
 from nsmodel.hypotheses.report.report import Report
 from nsmodel.hypotheses.scope import Scope
 from nsmodel.storage import replacing
@@ -29,9 +30,11 @@ def certificate_of(report: Report) -> dict[str, Any]:
     no statement.
 
     Raises:
-        UsageError: a model with inputs.
+        UsageError: a model with inputs, or with a law that moves.
     """
     report.model.refuse("certificate")
+    if standing(report.model) is not report.model:
+        raise UsageError("certificate: the law moves with time; a certificate says nothing of laws that move")
     found: dict[str, Any] = {"format": FORMAT, "title": report.title, "hash": "", "model": {}, "statements": []}
     findings = {finding.id: finding for finding in report.findings if finding.verdict == HOLDS}
     reason, subject = "", Subject(report.model, {})

@@ -59,9 +59,9 @@ def _signals(model: Model, tau: float) -> dict[ca.SX, Any]:
     return {symbols: signal.in_time(tau) for symbols, signal in zip(entries, model.inputs.values(), strict=True)}
 
 
-def scaled_law(law: Law, u: float) -> Law:
-    """The law of u l."""
-    return Law(tuple(block.scaled(u) for block in law.blocks))
+def scaled_law(law: Law, u: float, t: ca.SX, tau: float) -> Law:
+    """The law of u l at times that are tau times as large."""
+    return Law(tuple(block.scaled(u) for block in law.put(t, t / tau).blocks))
 
 
 def scaled_tolerances(given: Any, u: float, tau: float) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -213,6 +214,7 @@ def problem_for_all(model: Model) -> ContinuousProblem:
         raise CodegenError("event-driven integration in C does not take many bodies, whose contacts change at nearly every step")
     try:
         problem = driven(module.continuous_problem(model), model)
+        _refuse_moving(problem)
         if not np.isfinite(constants(ca.veccat(problem.f, problem.g, problem.h))).all():
             raise CodegenError("there is an infinite number in f, g or h beside a parameter; write the model without that row")
         if problem.growths:
@@ -227,13 +229,24 @@ def problem_for_all(model: Model) -> ContinuousProblem:
         raise CodegenError(f"event-driven integration does not take this model: {error}") from error
 
 
+def _refuse_moving(problem: ContinuousProblem) -> None:
+    """Refuse a law whose ends move: whether it is empty is looked at by runs of given values alone."""
+    if problem.ends:
+        raise CodegenError(
+            f"event-driven libraries have laws that stay; that of '{problem.ends[0].name}' moves: no --event-driven"
+        )
+
+
 def scene_of(model: Model, values: Mapping[str, float]) -> PieceScene:
     """The same of a model, whose parameters that stay symbols have ``values`` at first; its inputs are parameters too.
 
     Raises:
         CodegenError: the model has no event-driven form, or as above.
     """
-    names = model.input_names
+    names, module = model.input_names, class_of(model).optional("continuous")
+    if module is not None:
+        with suppress(NotEventDriven):
+            _refuse_moving(module.continuous_problem(model))
     u, model = inputs_at_start(model), as_parameters(model)
     values = {**values, **dict(zip(names, u.tolist(), strict=True))}
     return replace(piece_scene(problem_for_all(model), model.switch_times, values), inputs=u.size)

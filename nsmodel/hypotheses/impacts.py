@@ -119,6 +119,7 @@ class System(NamedTuple):
     untouched: str = "y'"  # What rows that are watched have no multiplier in.
     cones: tuple[slice, ...] = ()
     u: ca.SX = ca.SX(0, 1)
+    moving: frozenset[int] = frozenset()  # The rows whose ends move: those of a set of the same kind stand for them.
 
     @property
     def given(self) -> tuple[ca.SX, ...]:
@@ -147,7 +148,7 @@ def watched(model: Model) -> tuple[Watch, ...]:
     acted, acting = entries(system.F_l)
     found = []
     for rows in (*(slice(i, i + 1) for i in map(int, np.flatnonzero(~np.isnan(system.lower)))), *system.cones):
-        if not late[rows].all() or ca.depends_on(system.Y[rows], system.u):
+        if not late[rows].all() or rows.start in system.moving or ca.depends_on(system.Y[rows], system.u):
             continue  # of what an input moves y' holds u'
         Y, first, cone = system.Y[rows], rows.start, rows in system.cones
         rate = ca.jtimes(Y, system.s, system.F) + ca.jacobian(Y, system.t)
@@ -177,7 +178,9 @@ def _to_surface(y: ca.SX, rate: ca.SX) -> ca.SX:
 
 def system_of(model: Any, law: Law, l: ca.SX, F: ca.SX, Y: ca.SX, matrices: Sequence[ca.SX], untouched: str = "y'") -> System:
     """The system of a law on the states x; matrices are F_l, Y_x, Y_l."""
-    lower, upper = [np.empty(0)], [np.empty(0)]
+    lower, upper, driven = [np.empty(0)], [np.empty(0)], ca.vertcat(model.t, model.u)
+    moving = frozenset(i for i, moves in enumerate(law.moves(driven)) if moves)
+    law = law.at_rest(driven) if moving else law
     for block in law.blocks:
         low, high = block.hull() if block.separable else np.full((2, block.size), np.nan)
         lower.append(low)
@@ -187,7 +190,7 @@ def system_of(model: Any, law: Law, l: ca.SX, F: ca.SX, Y: ca.SX, matrices: Sequ
     F_l, Y_x, Y_l = matrices
     return System(
         model.t, model.x, l, F, Y, F_l, Y_x, Y_l, model.x0, *ends, model.names, model.multiplier_names, 0, untouched, cones,
-        model.u,
+        model.u, moving,
     )  # fmt: skip
 
 

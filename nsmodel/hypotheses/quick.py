@@ -5,6 +5,7 @@ What is looked at is the class's own: `refuse_start` and `warnings` of its modul
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Any
 
 import casadi as ca
@@ -30,7 +31,7 @@ def refuse_start(model: Model) -> None:
     Raises:
         UsageError: names the constraint, its value and the start; the friction element; the term; the law's component.
     """
-    class_of(model).part("hypotheses.quick").refuse_start(at_start(model))
+    class_of(model).part("hypotheses.quick").refuse_start(_at_rest(model))
 
 
 def admitted(model: Any) -> ca.SX:
@@ -58,7 +59,17 @@ def inside(g: ca.SX, model: Any, label: str) -> ca.SX:
 
 def warnings(model: Model) -> list[str]:
     """What the model itself gives the user to know before trusting uniqueness or convergence."""
-    return class_of(model).part("hypotheses.quick").warnings(at_start(model))
+    return class_of(model).part("hypotheses.quick").warnings(_at_rest(model))
+
+
+def _at_rest(model: Model) -> Model:
+    """The model at u(0+); a law that moves is looked at by the steps."""
+    law, other = getattr(model, "law", None), at_start(model)
+    if law is None or not any(law.moves(ca.vertcat(model.t, model.u))):
+        return other
+    other = copy(other)
+    other._set(law=law.at_rest(ca.vertcat(model.t, model.u)))
+    return other
 
 
 def warnings_of(model: Model, plan: Plan) -> list[str]:

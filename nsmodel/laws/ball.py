@@ -11,11 +11,12 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError
-from nsmodel.laws.block import UPPER, ZERO, Block, Round, Words, Writer, product_set
+from nsmodel.laws.block import UPPER, ZERO, Block, Rewritten, Round, Words, Writer, product_set
 from nsmodel.laws.box import boxes
 from nsmodel.laws.curved import Curved, norm
 from nsmodel.laws.given import column, count
 from nsmodel.laws.law import Law
+from nsmodel.laws.moving import Ends, width
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ class BallSet(Curved):
 
 @dataclass(frozen=True, eq=False)
 class Ball(Block):
-    """{|l| <= radius}; ``radius`` a number or an expression of parameters."""
+    """{|l| <= radius}; ``radius`` a number or an expression of parameters, t and inputs."""
 
     kind: ClassVar[str] = "ball"
     strict: ClassVar[bool] = True
@@ -84,12 +85,22 @@ class Ball(Block):
 
     def refusal(self, given: str) -> str:
         """A negative or infinite radius."""
+        if not self.radius.is_constant():
+            return ""
         r = float(self.radius)
         return "" if 0 <= r < np.inf else f"the ball has the radius {r:g}{given}; expected a finite number >= 0"
 
     def curved(self) -> BallSet:
         """With its number."""
         return BallSet(float(self.radius))
+
+    def rewritten(self, y: ca.SX, names: tuple[str, ...], moving: ca.SX, *, guarded: bool = True) -> Rewritten | None:
+        """A radius that moves by l = r l' with l' in the unit ball; y as it is."""
+        if not ca.depends_on(self.radius, moving):
+            return None
+        l, ends = ca.SX.sym("l", self.size), Ends(names[0], ca.SX(0), self.radius)
+        law, r = Law((replace(self, radius=ca.SX(1)),)), width(ends.lower, ends.upper, guarded=guarded)
+        return Rewritten(law, l, r * l, names, y, (ends,), ca.repmat(r, self.size, 1))
 
     def c_numbers(self) -> ca.SX:
         """The radius."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol, Self
 import casadi as ca
 import numpy as np
 
+from nsmodel.laws.moving import Ends
 from nsmodel.pickled import Pickled
 
 if TYPE_CHECKING:
@@ -52,13 +53,23 @@ Shape = Intervals | Round | SecondOrder | Halfspaces
 
 
 class Rewritten(NamedTuple):
-    """A set in terms of others: l = ``multipliers`` of the symbols ``l``, rows ``y`` of ``law`` with names."""
+    """A set in terms of others: l = ``multipliers`` of the symbols ``l``, rows ``y`` of ``law`` with names.
+
+    ``ends`` are those that move; ``scale`` (m, 1) is s of l = c + s l', None where no row has one.
+    """
 
     law: Law
     l: ca.SX
     multipliers: ca.SX
     rows: tuple[str, ...]
     y: ca.SX
+    ends: tuple[Ends, ...] = ()
+    scale: ca.SX | None = None
+
+    @property
+    def differs(self) -> bool:
+        """Whether the multipliers are others than l."""
+        return self.multipliers.shape != self.l.shape or not ca.is_equal(self.multipliers, self.l)
 
 
 class Writer(Protocol):
@@ -104,8 +115,12 @@ class Block(Pickled, ABC):
 
     @property
     def numbers(self) -> dict[str, ca.SX]:
-        """What may be an expression of parameters, by name."""
+        """What may be an expression of parameters, t and inputs, by name."""
         return {}
+
+    def moves(self, moving: ca.SX) -> list[bool]:
+        """Of each component whether its set depends on ``moving``."""
+        return [any(ca.depends_on(value, moving) for value in self.numbers.values())] * self.size
 
     def with_numbers(self, **numbers: ca.SX) -> Self:
         """The same with other numbers."""
@@ -121,7 +136,7 @@ class Block(Pickled, ABC):
         """{u l : l ∈ K}, u > 0."""
 
     def refusal(self, given: str) -> str:
-        """Why the numbers, all constants, make no set; else ''. ``given`` says of which parameters they are."""
+        """Why numbers that are constants make no set; else ''. ``given`` says of which parameters they are."""
         return ""
 
     # -- what solvers ask
@@ -130,8 +145,11 @@ class Block(Pickled, ABC):
         """The set with its numbers, constants; None where it is a box."""
         return None
 
-    def rewritten(self, y: ca.SX, names: tuple[str, ...]) -> Rewritten | None:
-        """The same law in terms of basic ones; None where it is one."""
+    def rewritten(self, y: ca.SX, names: tuple[str, ...], moving: ca.SX, *, guarded: bool = True) -> Rewritten | None:
+        """The same law in terms of basic ones, whose numbers do not depend on ``moving``; None where it is one.
+
+        ``guarded``: the multipliers are NaN where a set that moves is none.
+        """
         return None
 
     def c_numbers(self) -> ca.SX:

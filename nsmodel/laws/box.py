@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
 from nsmodel.errors import ModelError
-from nsmodel.laws.block import LOWER, NOTHING, UPPER, ZERO, Block, Intervals, Words, Writer
+from nsmodel.laws.block import LOWER, NOTHING, UPPER, ZERO, Block, Intervals, Rewritten, Words, Writer
 from nsmodel.laws.given import column, count, entries
 from nsmodel.laws.law import Law
+from nsmodel.laws.moving import Ends, fixed_ends
 
 
 @dataclass(frozen=True, eq=False)
 class Box(Block):
-    """{lower <= l <= upper}; ``lower`` and ``upper`` (m, 1), numbers or expressions of parameters."""
+    """{lower <= l <= upper}; ``lower`` and ``upper`` (m, 1), numbers or expressions of parameters, t and inputs."""
 
     kind: ClassVar[str] = "box"
     separable: ClassVar[bool] = True
@@ -40,6 +41,12 @@ class Box(Block):
         """As they are."""
         return self.lower, self.upper
 
+    def moves(self, moving: ca.SX) -> list[bool]:
+        """Row by row."""
+        if not ca.depends_on(ca.vertcat(*self.ends), moving):
+            return [False] * self.size
+        return [ca.depends_on(ca.vertcat(*ends), moving) for ends in zip(*map(ca.vertsplit, self.ends), strict=True)]
+
     def rows(self, own: Sequence[int]) -> Box:
         """Some of the rows."""
         return Box(self.label, len(own), self.lower[list(own)], self.upper[list(own)])
@@ -50,10 +57,23 @@ class Box(Block):
 
     def refusal(self, given: str) -> str:
         """An empty interval."""
-        for i, (low, high) in enumerate(zip(*self._ends(), strict=True)):
-            if not low <= high:
-                return f"{self.label} has lower[{i}] = {low:g} above upper[{i}] = {high:g}{given}"
+        for i, (a, b) in enumerate(zip(ca.vertsplit(self.lower), ca.vertsplit(self.upper), strict=True)):
+            if a.is_constant() and b.is_constant() and not float(a) <= float(b):
+                return f"{self.label} has lower[{i}] = {float(a):g} above upper[{i}] = {float(b):g}{given}"
         return ""
+
+    def rewritten(self, y: ca.SX, names: tuple[str, ...], moving: ca.SX, *, guarded: bool = True) -> Rewritten | None:
+        """Rows whose ends move by l = c + s l' with l' in an interval that stays; y as it is."""
+        own = [i for i, moves in enumerate(self.moves(moving)) if moves]
+        if not own:
+            return None
+        l, lower, upper = ca.SX.sym("l", self.size), ca.SX(self.lower), ca.SX(self.upper)
+        whole, scale, ends = ca.SX(l), ca.SX.ones(self.size), []
+        for i in own:
+            c, scale[i], lower[i], upper[i] = fixed_ends(self.lower[i], self.upper[i], moving, guarded=guarded)
+            whole[i] = c + scale[i] * l[i]
+            ends.append(Ends(names[i], self.lower[i], self.upper[i]))
+        return Rewritten(Law((replace(self, lower=lower, upper=upper),)), l, whole, names, y, tuple(ends), scale)
 
     def shape(self) -> Intervals:
         """Itself."""
@@ -129,13 +149,16 @@ def complementarity(m: int) -> Law:
 def relay(m: int, lower: Any = -1, upper: Any = 1) -> Law:
     """Relay: l = upper where y < 0, l = lower where y > 0, anything between where y = 0 (l ∈ -Sgn(y) for [-1, 1]).
 
-    ``lower`` and ``upper`` are scalars or m values, numbers or expressions of parameters.
+    ``lower`` and ``upper`` are scalars or m values, numbers or expressions of parameters, t and inputs.
     """
     return boxes("relay", m, lower, upper)
 
 
 def box(lower: Any, upper: Any) -> Law:
-    """-y ∈ N_[lower, upper](l); an infinite end is allowed on one or both sides. The longer argument gives m."""
+    """-y ∈ N_[lower, upper](l); an infinite end is allowed on one or both sides. The longer argument gives m.
+
+    Ends are numbers or expressions of parameters, t and inputs.
+    """
     ends = {"lower": lower, "upper": upper}
     m = max(entries("box", name, end).numel() for name, end in ends.items())
     return boxes("box", m, lower, upper)

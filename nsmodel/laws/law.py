@@ -8,6 +8,7 @@ import casadi as ca
 
 from nsmodel.errors import ModelError
 from nsmodel.laws.block import Block
+from nsmodel.laws.moving import Ends
 from nsmodel.pickled import Pickled
 
 
@@ -56,6 +57,36 @@ class Law(Pickled):
     def is_box(self) -> bool:
         """Whether each component is a law of its own."""
         return all(block.separable for block in self.blocks)
+
+    def put(self, symbols: ca.SX, values: ca.SX) -> Law:
+        """The law with values in place of symbols."""
+
+        def other(block: Block) -> Block:
+            if not any(block.moves(symbols)):
+                return block
+            return block.with_numbers(**{name: ca.substitute(value, symbols, values) for name, value in block.numbers.items()})
+
+        return Law(tuple(map(other, self.blocks)))
+
+    def moves(self, moving: ca.SX) -> list[bool]:
+        """Of each component (m entries) whether its set depends on ``moving``."""
+        return [row for block in self.blocks for row in block.moves(moving)]
+
+    def at_rest(self, moving: ca.SX) -> Law:
+        """The law with numbers of the same kind, bounded or not, in place of what depends on ``moving``."""
+        found = []
+        for block in self.blocks:
+            other = block.rewritten(ca.SX.sym("y", block.size), ("",) * block.size, moving) if any(block.moves(moving)) else None
+            found += (block,) if other is None else other.law.blocks
+        return Law(tuple(found))
+
+    def ends(self, names: tuple[str, ...], moving: ca.SX) -> tuple[Ends, ...]:
+        """The ends of each row that depend on ``moving``."""
+        found: list[Ends] = []
+        for rows, block in self.parts():
+            other = block.rewritten(ca.SX.sym("y", block.size), tuple(names[rows]), moving) if any(block.moves(moving)) else None
+            found += () if other is None else other.ends
+        return tuple(found)
 
     def parts(self) -> list[tuple[slice, Block]]:
         """The rows of each block."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from nsmodel.errors import BlockError, StepError
+from nsmodel.errors import FinalError, StepError
 from nsmodel.pieces.integrator import Integrator
 from nsmodel.pieces.piece import Piece
 from nsmodel.pieces.stretch import Stand, Stretches
@@ -52,11 +52,11 @@ class Course:
             StepError: the integrator has stopped and there are no steps, or these cannot go on either.
         """
         steps, integrator = self.stretches, self.integrator
-        if steps is None or (steps.stand is None and (integrator.stopped is None or integrator.lost is not None)):
+        if steps is None or (steps.stand is None and (integrator.stopped is None or integrator.final is not None)):
             try:
                 return [integrator.advance()]
             except StepError as error:
-                if steps is None or isinstance(error, BlockError):
+                if steps is None or isinstance(error, FinalError):
                     raise
                 integrator.stopped = str(error)
         at, begins = steps.stand, False

@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from nsmodel.errors import BlockError, StepError
+from nsmodel.errors import FinalError, StepError
 from nsmodel.pieces.accumulation import Accumulation
 from nsmodel.pieces.bernstein import value
 from nsmodel.pieces.defect import Equations
@@ -40,6 +40,7 @@ NONE = Known()
 ROOM = 1.3  # By which the next piece may be longer than the last without another unit of time.
 UNITS, OCTAVES = 60, 6  # Units of time that are tried where a series overflows, and how much shorter each is.
 LONGER, STUMP = 8, 1e-6  # The unit of time after an event, in pieces; of the unit before: a piece too short to tell.
+AFTER = 2.0**-10  # Units of time after which a law without room is looked for.
 STARTS, TOO_SHORT = 8, 0.05  # First units of time that are tried; a piece that is shorter than this one asks for another.
 
 
@@ -70,7 +71,7 @@ class Integrator:
         self._begun: tuple[float, ...] | None = None  # The event that the next piece begins with.
         self._left: Solve | None = None  # Of the mode just chosen, whose first orders stand.
         self.stopped: str | None = None  # Why no piece follows.
-        self.lost: BlockError | None = None  # Where steps cannot go on from here either.
+        self._final: FinalError | None = None  # Where steps cannot go on from here either.
         self.unique: Counter[str] = Counter()
         self.touches = self.redundant = 0
         with np.errstate(all="ignore"):
@@ -91,7 +92,7 @@ class Integrator:
             StepError: no mode is valid, or pieces become too short.
         """
         if self.stopped is not None:
-            raise self.lost or StepError(self.stopped)
+            raise self.final or StepError(self.stopped)
         system, place = self.system, self.place
         how = self._series()
         s = self._length(how)
@@ -128,7 +129,7 @@ class Integrator:
             else:
                 self._event(hit, known)
         except StepError as why:
-            self.stopped, self.lost = str(why), why if isinstance(why, BlockError) else None
+            self.stopped, self._final = str(why), why if isinstance(why, FinalError) else None
         off = STOPS * LOCAL if hit is not None and hit.stops else 0.0
         return piece.moved(place.t, place.x, max(error, off))
 
@@ -212,7 +213,7 @@ class Integrator:
             if all(math.isfinite(row[orders]) for row in system.x):
                 return how
             place.tau = math.ldexp(place.tau, -OCTAVES)
-        raise StepError(f"t = {place.t:.10g}: f, g or h has no number, or no Taylor series, here")
+        raise self.final or StepError(f"t = {place.t:.10g}: f, g or h has no number, or no Taylor series, here")
 
     # -- events
 
@@ -300,8 +301,6 @@ class Integrator:
             self._expand(1)
             project(system, place, how.active)
 
-    # -- for files
-
     def standing(self) -> dict[str, Any]:
         """What the next pieces depend on, as lists and numbers."""
         place, system, sizes = self.place, self.system, self.sizes
@@ -330,8 +329,6 @@ class Integrator:
         self.stopped = saved["stopped"]
         self.stiff.stand(saved["stiff"])
 
-    # -- sizes, names
-
     def _refuse_rivals(self) -> None:
         verdict, words = uniqueness(self.system, self.place)
         self.unique[verdict] += 1
@@ -344,4 +341,10 @@ class Integrator:
         return few(self.place.open, self.problem.rows)
 
     def _stuck(self, when: str) -> StepError:
-        return StepError(f"t = {self.place.t:.10g}: no mode of {self._open()} is valid {when}: no smooth piece goes on from here")
+        why = f"t = {self.place.t:.10g}: no mode of {self._open()} is valid {when}: no smooth piece goes on from here"
+        return self.final or StepError(why)
+
+    @property
+    def final(self) -> FinalError | None:
+        """Why steps cannot go on from here either: a block, or a law that moves and holds no value; None where they may."""
+        return self._final or self.problem.empty(self.place.t, self.place.x, self.place.tau * AFTER)

@@ -18,7 +18,8 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.errors import StepError
+from nsmodel.errors import FinalError, StepError
+from nsmodel.laws.moving import Ends
 from nsmodel.pieces.defect import Equations
 from nsmodel.pieces.known import Known
 from nsmodel.pieces.lengths import unit
@@ -159,6 +160,8 @@ class Stretches:
         with np.errstate(all="ignore"):
             try:
                 return self._stepper(t, h, x, warm)
+            except FinalError:
+                raise
             except (ArithmeticError, np.linalg.LinAlgError, RuntimeError) as error:
                 raise StepError(f"t = {t:.10g}: {error}") from error
 
@@ -174,7 +177,9 @@ class Stretches:
             d = fine.row[state] - coarse.row[state]
             if not smooth and least:
                 d = self._a_step_later(at.t + h, h, coarse, fine)
-        except StepError:
+        except StepError as error:
+            if least and isinstance(error, FinalError):
+                raise
             return None
         middle, end, off = half.row[state], fine.row[state], np.abs(d)
         if smooth and (better := self._extrapolated(at.t + h, end + d, fine)) is not None:
@@ -248,7 +253,8 @@ def backward_euler(p: ContinuousProblem) -> OneStepProblem:
     """One implicit step of the continuous problem."""
     h, state, x = ca.SX.sym("h"), ca.SX.sym("x_k", p.x.numel()), ca.SX.sym("x", p.x.numel())
     rate, y = ca.substitute([p.rate, p.h], [p.t, p.x], [p.t + h, x])
+    ends = tuple(Ends(end.name, *ca.substitute([end.lower, end.upper], [p.t, p.x], [p.t + h, x])) for end in p.ends)
     return OneStepProblem(
         scheme="backward Euler", t=p.t, h=h, state=state, p=p.p, z=x, l=p.l, y=ca.SX.sym("y", p.l.numel()),
-        E=x - state - h * rate, Y=y, law=p.law, rows=p.rows, guess=state, next_state=x,
+        E=x - state - h * rate, Y=y, law=p.law, rows=p.rows, guess=state, next_state=x, ends=ends,
     )  # fmt: skip

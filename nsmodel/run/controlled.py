@@ -38,7 +38,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from nsmodel.errors import StepError, UsageError
+from nsmodel.errors import FinalError, StepError, UsageError
 from nsmodel.grid import Grid, check_times, driving, is_number, make_grid, written
 from nsmodel.hypotheses import impacts
 from nsmodel.model.base import Model
@@ -339,8 +339,8 @@ class Controlled(OfScheme):
             coarse = self._step(t, h, whole, at.warm) if coarse is None else coarse
             half = self._step(t, h / 2, shortened(self.model, first, 0.5), at.warm)
             fine = self._step(middle, h / 2, second(half.row[self.stepper.layout.state]), half.warm)
-        except StepError:
-            if at.j == self._finest:
+        except StepError as error:
+            if at.j == self._finest or isinstance(error, FinalError):
                 raise
             return None
         sets = [self._index(result) for result in (coarse, half, fine)]

@@ -121,7 +121,7 @@ def _course(
     integrator = Integrator(problem, rtol, atol, known, residuals=options.certified)
     if options.method == METHODS[1] or options.certified or problem.updaters:  # Steps do not see updates.
         if integrator.stopped is not None:
-            raise StepError(integrator.stopped)
+            raise integrator.final or StepError(integrator.stopped)
         return Course(integrator, None)
     width = integrator.system.orders + 1
     impulsive = any(watch.impulsive for watch in impacts.watched(at_start(model)))

@@ -173,7 +173,9 @@ class OfScheme:
 
     def _least(self) -> float:
         """The least eigenvalue known of W + W'; -inf where none is looked for."""
-        return min(self.stepper.least_eigenvalue, self.totals.get("least_eigenvalue", np.inf)) if self.counting else -np.inf
+        if not self.counting or self.problem.scale is not None:
+            return -np.inf
+        return min(self.stepper.least_eigenvalue, self.totals.get("least_eigenvalue", np.inf))
 
     def _put(
         self, k: int, state: np.ndarray, warm: Warm, last: np.ndarray | None, worst: float, worst_t: float | None, newton: float,

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, NamedTuple
 
 import casadi as ca
+import numpy as np
 
-from nsmodel.errors import UsageError
+from nsmodel.errors import EmptyLawError, UsageError
 from nsmodel.laws import Law
+from nsmodel.laws.moving import Ends, no_set
 from nsmodel.model.expressions import derivatives
 
 TINY = 1e-150  # Beside a size, that its derivatives are numbers where it is 0.
@@ -41,6 +43,7 @@ class ContinuousProblem:
         states: number of the first entries of x that are the model's states; of an oscillator the others are velocities.
         multipliers, outputs: l and y as the user declared them, expressions of t, x and l, where they differ; else None.
         declared: the names of these multipliers.
+        ends: of the rows whose law moves, the set, expressions of t and x.
         records: further columns of a trajectory, expressions of t, x and l.
         growths: of the blocks whose l pushes with another force the faster they slip.
         held: number of the last entries of x that are inputs (see `driven`), set at known times; nothing acts on them.
@@ -65,6 +68,7 @@ class ContinuousProblem:
     multipliers: ca.SX | None = None
     outputs: ca.SX | None = None
     declared: tuple[str, ...] = ()
+    ends: tuple[Ends, ...] = ()
     records: Mapping[str, ca.SX] = field(default_factory=dict)
     growths: tuple[Growth, ...] = ()
     impulses: bool = False
@@ -97,6 +101,18 @@ class ContinuousProblem:
             size = ca.sqrt(ca.sumsqr(self.h[own]) + TINY**2)
             whole = ca.substitute(whole, l[own], ca.substitute(growth.factor, growth.s, size) * l[own])
         return whole
+
+    def empty(self, t: float, x: Sequence[float], after: float) -> EmptyLawError | None:
+        """That a law that moves is no set at t, or in a short time ``after``; None where each is one."""
+        if not self.ends:
+            return None
+        known, here = ca.vertcat(self.t, self.x), np.array([t, *x])
+        rate = ca.Function("rate", [known], [ca.vertcat(1, self.f)])  # of t and inputs, which alone move the ends
+        later = here + after * np.array(rate(here)).ravel()
+        for values in (here, later):
+            if (found := no_set(self.ends, known, values, float(values[0]))) is not None:
+                return EmptyLawError(found.text, component=found.name)
+        return None
 
     @property
     def columns(self) -> dict[str, ca.SX]:

@@ -15,6 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel.laws.moving import Ends
 from nsmodel.model.base import Model
 from nsmodel.model.driven import entries_of_blocks, inputs_at_start
 from nsmodel.model.quantity import Quantity
@@ -66,6 +67,7 @@ def driven(problem: ContinuousProblem, model: Model) -> ContinuousProblem:
     return replace(
         problem, **parts | {"f": f, "g": ca.densify(g)}, x=ca.vertcat(problem.x, held), held=held.numel(),
         names=(*problem.names, *names), x0=ca.vertcat(problem.x0, ca.DM(data(model, 0.0, None))),
+        ends=tuple(Ends(end.name, *ca.substitute([end.lower, end.upper], *([part] for part in put))) for end in problem.ends),
         records={name: ca.substitute(record, *put) for name, record in problem.records.items()},
         updates=ca.substitute(ca.vertcat(ca.SX(0, 1), *(block.next for block in updates)), *put),
         updated=tuple(first[model.input_names[place]] for block in updates for place in block.at),

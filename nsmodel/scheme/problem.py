@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -11,9 +12,10 @@ import numpy as np
 
 from nsmodel.laws import Law, ball, box, complementarity, equality, product, relay, second_order_cone
 from nsmodel.laws.block import Rewritten
+from nsmodel.laws.moving import Ends
 from nsmodel.model.convex import ConvexSplit
 from nsmodel.model.expressions import derivatives
-from nsmodel.proof.graph import operations
+from nsmodel.proof.graph import column, operations
 
 
 class SchemeOrder(NamedTuple):
@@ -80,6 +82,8 @@ class OneStepProblem:
         next_state: expression of z, l and k.
         multipliers, outputs: l and y as the user declared them, where they differ from l and y; else None.
         declared: the names of these multipliers.
+        ends: of the rows whose law moves, the set at the end of the step, expressions of k; scale: s of l = c + s l' of each
+            row, by which that of W is multiplied where its sign is looked at; None where nothing moves.
         records: further columns of the trajectory, expressions of z, l, y and k.
         overreach: of each row, how far Y is below the constraint that it linearises at z, beside what it changes by; else None.
         start: problem that turns (x0, 0) into the first state, where the scheme needs a multiplier at t = 0.
@@ -110,6 +114,8 @@ class OneStepProblem:
     multipliers: ca.SX | None = None
     outputs: ca.SX | None = None
     declared: tuple[str, ...] = ()
+    ends: tuple[Ends, ...] = ()
+    scale: ca.SX | None = None
     records: dict[str, ca.SX] = field(default_factory=dict)
     overreach: ca.SX | None = None
     start: OneStepProblem | None = None
@@ -165,21 +171,57 @@ def feedthrough(Y: ca.SX, l: ca.SX) -> tuple[int, ...]:
     return tuple(sorted(set(ca.jacobian_sparsity(Y, l).row())))
 
 
-def basic_law(law: Law, names: tuple[str, ...], y: ca.SX) -> Rewritten:
-    """Rewrite what is no basic law, such as a polyhedron, in terms of boxes and curved sets.
+def basic_law(
+    law: Law, names: tuple[str, ...], y: ca.SX, driven: ca.SX, at: ca.SX | None = None, *, guarded: bool = True
+) -> Rewritten:  # fmt: skip
+    """Rewrite what is no basic law, such as a polyhedron, or moves, in terms of boxes and curved sets with numbers.
 
-    ``y`` (m, 1) is the output that the user's law speaks of; it must not depend on the new symbols.
+    Args:
+        law, names: the law as declared, and the names of its rows.
+        y: the output (m, 1) that it speaks of; it must not depend on the new symbols.
+        driven: the symbols of time and inputs in the law; at: what stands in their place in the result, such as those of the
+            end of a step.
+        guarded: whether the multipliers are NaN where a set that moves is none.
     """
-    parts = []
+    parts, moving = [], driven
+    if at is not None and any(law.moves(driven)):
+        law, moving = law.put(driven, at), column(ca.symvar(at))
     for rows, block in law.parts():
         l = ca.SX.sym("l", block.size)
         own = y[rows.start : rows.stop], tuple(names[rows])
-        parts.append(block.rewritten(*own) or Rewritten(Law((block,)), l, l, own[1], own[0]))
+        parts.append(block.rewritten(*own, moving, guarded=guarded) or Rewritten(Law((block,)), l, l, own[1], own[0]))
     labels = tuple(name for part in parts for name in part.rows)
+    ends = tuple(end for part in parts for end in part.ends)
+    scale = _stack([ca.SX.ones(part.l.numel()) if part.scale is None else part.scale for part in parts]) if ends else None
     return Rewritten(
         product(*(part.law for part in parts)), _stack([part.l for part in parts]),
-        _stack([part.multipliers for part in parts]), labels, _stack([part.y for part in parts]),
+        _stack([part.multipliers for part in parts]), labels, _stack([part.y for part in parts]), ends, scale,
     )  # fmt: skip
+
+
+def shown(outputs: ca.SX, y: ca.SX, ends: tuple[Ends, ...]) -> ca.SX:
+    """The declared outputs of a law that moves: y itself, which is exactly 0 where it is, where each row has one."""
+    return y if ends and outputs.shape == y.shape else outputs
+
+
+class AtRest(NamedTuple):
+    """Parts of a problem in the symbols ``l`` of a law that stays; ``multipliers``: those declared, None where they are l."""
+
+    law: Law
+    l: ca.SX
+    multipliers: ca.SX | None
+    ends: tuple[Ends, ...]
+    scale: ca.SX | None
+    parts: list[ca.SX]
+
+
+def at_rest(law: Law, names: tuple[str, ...], l: ca.SX, driven: ca.SX, parts: Sequence[ca.SX]) -> AtRest:
+    """Write parts of a problem, expressions of the multipliers l of ``law``, in those of one that stays; see `basic_law`."""
+    if not any(law.moves(driven)):
+        return AtRest(law, l, None, (), None, list(parts))
+    basic = basic_law(law, names, ca.SX.sym("y", l.numel()), driven)
+    parts = ca.substitute(list(parts), [l], [basic.multipliers])
+    return AtRest(basic.law, basic.l, basic.multipliers, basic.ends, basic.scale, parts)
 
 
 ENDING = {ca.OP_LOG, ca.OP_LOG1P, ca.OP_ATANH}  # Their derivatives are numbers also where they are none.

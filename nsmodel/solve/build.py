@@ -67,6 +67,7 @@ class Stepper:
         else:
             zero = np.zeros(self.structure.m)
             start = self._newton.matrix_at(0.0, h, state, self._newton.guess(0.0, h, state, zero), zero)
+            start = self._newton.signed(start, 0.0, h, state)
         self.plan = choose(self.structure, self.law, start, solver, few_steps, order)
 
     @cached_property
@@ -94,6 +95,8 @@ class Stepper:
 
     def met(self, least_eigenvalue: float) -> None:
         """Note what steps met that were computed elsewhere."""
+        if self.problem.scale is not None:
+            return
         self._newton.least_eigenvalue = min(self._newton.least_eigenvalue, least_eigenvalue)
 
     def cold(self) -> Warm:
@@ -313,6 +316,8 @@ class Stepper:
 
     def _sparse_failure(self, t: float, h: float, state: np.ndarray, found: Iterate) -> StepError:
         size = self.structure.n + self.structure.m
+        if (empty := diagnose.empty(self.problem, t, h, state)) is not None:
+            return empty
         if not np.isfinite(state).all():
             reason = "the state is not finite"
         else:
@@ -330,6 +335,8 @@ class Stepper:
         )
 
     def _failure(self, t: float, h: float, state: np.ndarray, warm: Warm, best: Attempt | None) -> StepError:
+        if (empty := diagnose.empty(self.problem, t, h, state)) is not None:
+            return empty
         W, b = self._newton.affine_problem(t, h, state, warm.l)
         at = self._newton.linearise(t, h, state, self._newton.guess(t, h, state, warm.l), warm.l)
         finite = bool(np.isfinite(at.E).all())

@@ -11,6 +11,7 @@ import numpy as np
 
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve.build import Stepper
+from nsmodel.solve.diagnose import empty
 from nsmodel.solve.stepper import StepResult, Warm
 from nsmodel.solve.structure import read
 
@@ -43,7 +44,10 @@ class ByMode:
 
     def __call__(self, t: float, h: float, state: np.ndarray, warm: Warm, k: int = 0) -> StepResult:
         """Take the step of the mode that the state is in."""
-        return self._of(state)(t, h, state, warm, k)
+        try:
+            return self._of(state)(t, h, state, warm, k)
+        except np.linalg.LinAlgError as error:
+            raise empty(self.problem, t, h, state) or error from None
 
     def _of(self, state: np.ndarray) -> Stepper:
         key = state[self._at].tobytes()

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import casadi as ca
 import numpy as np
 
+from nsmodel.errors import EmptyLawError
+from nsmodel.laws.moving import no_set
 from nsmodel.scheme.problem import OneStepProblem
 from nsmodel.solve import mlcp
 from nsmodel.solve.active_set import index_sets
@@ -25,6 +28,15 @@ def out_of_reach(name: str, ratio: float) -> str:
         f"it leads where the linearisation of '{name}', by which it was taken, means nothing (off by {ratio:.2g} of the motion, "
         f"at most {REACH:.2g}); take smaller steps"
     )
+
+
+def empty(problem: OneStepProblem, t: float, h: float, state: np.ndarray) -> EmptyLawError | None:
+    """That a law that moves is no set at the end of the step, by the name of its row; None where each is one."""
+    if not problem.ends:
+        return None
+    known, values = ca.vertcat(problem.t, problem.h, problem.state), np.concatenate([[t, h], state])
+    found = no_set(problem.ends, known, values, t + h)
+    return None if found is None else EmptyLawError(found.text, component=found.name)
 
 
 def why(

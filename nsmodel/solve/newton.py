@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import casadi as ca
 import numpy as np
 
 from nsmodel.proof.sure import sure
@@ -45,9 +46,17 @@ class Newton(WholeSystem):
         W = None if eliminated is None else at.Y_l + at.Y_z @ eliminated[1]
         return W if W is not None and np.isfinite(W).all() else None
 
+    def signed(self, W: np.ndarray | None, t: float, h: float, state: np.ndarray) -> np.ndarray | None:
+        """W with its rows in the units in which it has the sign of the declared law's."""
+        p = self.problem
+        if W is None or p.scale is None:
+            return W
+        found = W * np.array(ca.Function("scale", [p.t, p.h, p.state], [ca.densify(p.scale)])(t, h, state))
+        return found if np.isfinite(found).all() else None
+
     def note_eigenvalue(self, W: np.ndarray | None) -> None:
-        """Note the least eigenvalue of W + W', where it has one."""
-        if W is not None:
+        """Note the least eigenvalue of W + W', where it has one; not of a law that moves, whose units of rows move."""
+        if W is not None and self.problem.scale is None:
             self.least_eigenvalue = min(self.least_eigenvalue, least_eigenvalue(W))
 
     def affine_problem(self, t: float, h: float, state: np.ndarray, l: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:

@@ -41,6 +41,7 @@ def part(problem: OneStepProblem, z: np.ndarray, l: np.ndarray) -> OneStepProble
         problem, z=problem.z[own], l=problem.l[rows], y=problem.y[rows], E=problem.E[own], Y=problem.Y[rows],
         law=_law(problem.law, rows), rows=tuple(problem.rows[i] for i in rows), guess=guess[own], next_state=problem.state,
         multipliers=None, outputs=None, records={"z": problem.z[own]}, overreach=None, start=None,
+        scale=None if problem.scale is None else problem.scale[rows],
         explicit=tuple(own.index(i) for i in problem.explicit if i in own),
     )  # fmt: skip
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from nsmodel.laws import Block, Law
 from nsmodel.proof.graph import applied, column, fold
+from nsmodel.stress.moving import BallAtRows, BoxAtRows
 from nsmodel.trajectory import Trajectory
 
 EQUATION = LAW = 1e-8
@@ -102,8 +103,26 @@ def outputs_misfit(model: Any, run: Trajectory, output: ca.SX, l: ca.SX, law: La
     y, s_y = output_of(model, run, output, l, sizes)
     given, worst = run.multipliers[1:], 0.0
     for rows, block in law.parts():
-        worst = max(worst, block_misfit(block, given[:, rows], y[:, rows], s_y[:, rows]))
+        own = at_rows(block, model, run) if any(block.moves(ca.vertcat(model.t, model.u))) else block
+        worst = max(worst, block_misfit(own, given[:, rows], y[:, rows], s_y[:, rows]))
     return {"law": worst}
+
+
+def ends_of(model: Any, run: Trajectory) -> np.ndarray:
+    """The largest end of each row of the law that moves, where each step ends (N + 1, m), the start first; 0 of the others."""
+    law, own = getattr(model, "law", None), np.zeros((len(run.t), run.multipliers.shape[1] if "multipliers" in run.arrays else 0))
+    if law is not None:
+        for rows, block in law.parts():
+            if any(moves := block.moves(ca.vertcat(model.t, model.u))):
+                own[1:, rows] = at_rows(block, model, run).extent[:, None] * np.array(moves)
+    return own
+
+
+def at_rows(block: Block, model: Any, run: Trajectory) -> BoxAtRows | BallAtRows:
+    """The set of each step's end, of a block whose numbers move."""
+    t, _, u = ends(run)
+    numbers = evaluated([model.t, model.u], list(block.numbers.values()), t, u)
+    return BoxAtRows(*(rows[:, :, 0] for rows in numbers)) if block.separable else BallAtRows(numbers[0][:, 0])
 
 
 def output_of(model: Any, run: Trajectory, output: ca.SX, l: ca.SX, sizes: Sizes) -> tuple[np.ndarray, np.ndarray]:
@@ -120,7 +139,7 @@ def output_of(model: Any, run: Trajectory, output: ca.SX, l: ca.SX, sizes: Sizes
     return y[:, :, 0], s_y + apply(np.abs(C), sizes.known) + known_to(size_y)
 
 
-def block_misfit(block: Block, l: np.ndarray, y: np.ndarray, s_y: np.ndarray) -> float:
+def block_misfit(block: Block | BoxAtRows | BallAtRows, l: np.ndarray, y: np.ndarray, s_y: np.ndarray) -> float:
     """How far rows are from l ∈ K with <l' - l, y> >= 0 for the l' ∈ K that the block samples, beside what both may be off by.
 
     Where K is strictly convex one l' has the least <l', y>: l is measured by its distance from that, unless y is 0.

@@ -15,6 +15,7 @@ from nsmodel.stress.measures import (
     apply,
     begins,
     ends,
+    ends_of,
     evaluated,
     inputs_of,
     known_to,
@@ -45,6 +46,7 @@ def theta_misfit(
     misfit = np.abs((new - x) @ M.T - weighed(f, f_end, r))
     size = np.abs(new - x) @ np.abs(M).T + weighed(np.abs(f), np.abs(f_end), np.abs(r) + apply(np.abs(push), np.abs(l)))
     response = np.abs(np.linalg.pinv(np.nan_to_num(M - h[:, :, None] * model.theta * slope_end)))
+    size_r = size_r + np.abs(push) @ ends_of(model, run)[:, :, None]  # An l between ends that move is known beside these.
     place = np.abs(x) + np.abs(new) + size @ np.abs(np.linalg.pinv(M)).T
     seen = place @ np.abs(M).T + h * (apply(np.abs(slope_end), place) + apply(np.abs(slope), place))
     allowed = EQUATION * size + ROUNDING * seen + weighed(known_to(size_f), known_to(size_end), known_to(size_r))

@@ -18,16 +18,16 @@ def continuous_problem(model: FirstOrderSystem) -> ContinuousProblem:
     Raises:
         NotEventDriven: M is singular: a row of it is an algebraic equation.
     """
-    basic = basic_law(model.law, model.multiplier_names, y := ca.SX.sym("y", model.law.size))
+    basic = basic_law(model.law, model.multiplier_names, y := ca.SX.sym("y", model.law.size), ca.vertcat(model.t, model.u))
     g, h = ca.substitute([model.g, model.h], [model.lam], [basic.multipliers]) if model.law.size else (model.g, model.h)
     at_rest = ca.substitute(g, basic.l, ca.SX.zeros(basic.l.numel()))
-    inverse, split = _inverse(model.M), basic.l.numel() != model.law.size
+    inverse, split = _inverse(model.M), basic.differs
     return ContinuousProblem(
         t=model.t, x=model.x, l=basic.l, p=model.p,
         f=inverse @ (model.f + at_rest), g=inverse @ ca.densify(g - at_rest), h=ca.substitute(basic.y, y, h),
         law=basic.law, rows=basic.rows, names=tuple(model.names), x0=model.x0,
         states=model.x.numel(), multipliers=basic.multipliers if split else None, outputs=h if split else None,
-        declared=model.multiplier_names,
+        declared=model.multiplier_names, ends=basic.ends,
     )  # fmt: skip
 
 

@@ -89,13 +89,13 @@ class FirstOrderSystem(Model):
 
 
 def checked_law(model: Model, converter: Converter, law: Any, label: str = "law") -> Law:
-    """Return ``law`` with its numbers in the symbols of the model's parameters; refuse what is no law, and other symbols."""
+    """Return ``law`` with its numbers in the symbols of the model's parameters, t and inputs; refuse no law, other symbols."""
     if not isinstance(law, Law):
         raise ModelError(f"{label}: expected a law such as complementarity(2) or relay(1, -1, 1), not {shown(law)}")
 
     def known(name: str, value: ca.SX) -> ca.SX:
         column = converter.convert(value, f"{label}: {name}")
-        model._only(column, f"{label}: {name}", [])
+        model._only(column, f"{label}: {name}", [model.t])
         return column
 
     return Law(tuple(b.with_numbers(**{name: known(name, value) for name, value in b.numbers.items()}) for b in law.blocks))

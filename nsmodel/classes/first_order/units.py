@@ -14,7 +14,8 @@ def in_units(model: FirstOrderSystem, u: float, tau: float, common: dict[str, An
     """States u times and times tau times as large."""
     t, x, l = (model.t, model.t / tau), (model.x, model.x / u), (model.lam, model.lam / u)
     law = {
-        "lam": model.lam, "h": u * at(model.h, t, x, l), "g": u / tau * at(model.g, t, x, l), "law": scaled_law(model.law, u),
+        "lam": model.lam, "h": u * at(model.h, t, x, l), "g": u / tau * at(model.g, t, x, l),
+        "law": scaled_law(model.law, u, model.t, tau),
         "lam0": u * ca.DM(model.lam0),
     } if model.law.size else {}  # fmt: skip
     return FirstOrderSystem(

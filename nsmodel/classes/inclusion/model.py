@@ -130,6 +130,11 @@ class MonotoneInclusion(Model):
         S, lower, upper = ca.SX.zeros(n), ca.SX(lower), ca.SX(upper)
         for i in range(n):
             lo, up = law.lower[i], law.upper[i]
+            if ca.depends_on(ca.vertcat(lo, up), ca.vertcat(self.t, self.u)):
+                raise ModelError(
+                    f"operator: the ends of component {i}, {lo} and {up}, move; a law here has numbers. Write the operator as an "
+                    "expression, -(lower + upper)/2 + (upper - lower)/2*sign(x), with lower <= upper at all times"
+                )
             no_lo, no_up = lo.is_constant() and np.isinf(float(lo)), up.is_constant() and np.isinf(float(up))
             if no_lo and no_up:
                 raise ModelError(f"operator: component {i} is an equality; C would have no interior. Eliminate that state")

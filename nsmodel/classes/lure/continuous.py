@@ -21,5 +21,5 @@ def continuous_problem(model: LureSystem) -> ContinuousProblem:
         f=model.A + model.f + at_rest, g=r - at_rest, h=ca.vertcat(law.Y, law.E),
         law=product(law.law, equality(law.z.numel())), rows=names, names=tuple(model.names), x0=model.x0,
         states=model.x.numel(), multipliers=law.multipliers if law.rewritten else None,
-        outputs=law.outputs if law.rewritten else None, declared=model.multiplier_names,
+        outputs=law.outputs if law.rewritten else None, declared=model.multiplier_names, ends=law.ends,
     )  # fmt: skip

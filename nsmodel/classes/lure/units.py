@@ -14,7 +14,7 @@ def in_units(model: LureSystem, u: float, tau: float, common: dict[str, Any]) ->
     """States u times and times tau times as large."""
     t, x = (model.t, model.t / tau), (model.x, model.x / u)
     law = (
-        {"law": scaled_law(model.law, u)}
+        {"law": scaled_law(model.law, u, model.t, tau)}
         if model.law is not None
         else {"y": model.y, "phi": u**2 * at(model.phi, (model.y, model.y / u))}
     )

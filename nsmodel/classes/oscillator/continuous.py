@@ -10,7 +10,7 @@ from nsmodel.classes.oscillator.schemes.inertial_proximal import rest, slope_at_
 from nsmodel.laws import ball, complementarity, product
 from nsmodel.model.arguments import rows_called
 from nsmodel.scheme.continuous import ContinuousProblem, Growth, NotEventDriven
-from nsmodel.scheme.problem import subdifferential
+from nsmodel.scheme.problem import at_rest, subdifferential
 
 SOME = 0.7  # A value of parameters like any other.
 
@@ -25,17 +25,9 @@ def continuous_problem(model: FrictionOscillator) -> ContinuousProblem:
         raise NotEventDriven(
             "x1 starts the recursion of the paper, a step after x0; without a step a start is x0 and v0: give v0"
         )
-    x, v = model.x, ca.SX.sym("v", model.x.numel())
+    x, v, driven = model.x, ca.SX.sym("v", model.x.numel()), ca.vertcat(model.t, model.u)
     xi = [ca.SX.sym(f"xi_{e.name}", e.H.shape[0]) for e in model.elements]
-    pushed = -model.damping @ v if model.damping is not None else ca.SX.zeros(x.numel())
-    growths, row = [], 0
-    for e in model.elements:
-        growth = _growth(e, model.s, row)
-        if growth is None:
-            pushed -= e.H.T @ rest(e, model.s, e.H @ v)
-        else:
-            growths.append(growth)
-        row += e.H.shape[0]
+    pushed, growths = _pushed(model, v, driven)
     potential = subdifferential(model.potential_split, x, "potential")
     c = ca.vertcat(ca.SX(0, 1), *model.constraints.values())
     n = ca.SX.sym("n", c.numel())
@@ -47,29 +39,48 @@ def continuous_problem(model: FrictionOscillator) -> ContinuousProblem:
         ca.vertcat(ca.SX(0, 1), *(e.H @ v for e in model.elements), potential.u, c),
     )
     names = tuple(name for e in model.elements for name in rows_called(e.name, e.H.shape[0]))
+    rows, g = names + potential.rows + model.constraint_names, ca.densify(ca.vertcat(ca.SX.zeros(x.numel()), rubbed + held))
+    balls = (ball(e.H.shape[0], slope_at_zero(e, model.s, driven)) for e in model.elements)
+    own = at_rest(product(*balls, potential.law, complementarity(n.numel())), rows, l, driven, [g, h])
+    g, h = own.parts
     return ContinuousProblem(
-        t=model.t, x=ca.vertcat(x, v), l=l, p=model.p,
-        f=ca.vertcat(v, pushed + smooth + model.force), g=ca.densify(ca.vertcat(ca.SX.zeros(x.numel()), rubbed + held)), h=h,
-        law=product(
-            *(ball(e.H.shape[0], slope_at_zero(e, model.s)) for e in model.elements), potential.law, complementarity(n.numel())
-        ),
-        rows=names + potential.rows + model.constraint_names,
+        t=model.t, x=ca.vertcat(x, v), l=own.l, p=model.p,
+        f=ca.vertcat(v, pushed + smooth + model.force), g=g, h=h, law=own.law, rows=rows,
+        multipliers=own.multipliers, outputs=None if own.multipliers is None else h, declared=rows, ends=own.ends,
         names=(*model.names, *(f"v of {name}" for name in model.names)),
         x0=ca.vertcat(model.x0, model.v0),
-        states=x.numel(), growths=tuple(growths), records={"v": v, "energy": ca.sumsqr(v) / 2 + model.potential},
+        states=x.numel(), growths=growths, records={"v": v, "energy": ca.sumsqr(v) / 2 + model.potential},
     )  # fmt: skip
 
 
-def _growth(element: Friction, s: ca.SX, first: int) -> Growth | None:
+def _pushed(model: FrictionOscillator, v: ca.SX, driven: ca.SX) -> tuple[ca.SX, tuple[Growth, ...]]:
+    """What damping and the smooth parts of friction push by, and the factors of the friction where these have no series."""
+    pushed = -model.damping @ v if model.damping is not None else ca.SX.zeros(v.numel())
+    growths, row = [], 0
+    for e in model.elements:
+        growth = _growth(e, model.s, row, driven)
+        if growth is None:
+            pushed -= e.H.T @ rest(e, model.s, e.H @ v)
+        else:
+            growths.append(growth)
+        row += e.H.shape[0]
+    return pushed, tuple(growths)
+
+
+def _growth(element: Friction, s: ca.SX, first: int, driven: ca.SX) -> Growth | None:
     """theta'(|Hv|)/theta'(0) as a factor of the friction at the threshold; None where the rest of it has a series at Hv = 0.
 
     Raises:
-        NotEventDriven: theta'(0) = 0, and the rest has none.
+        NotEventDriven: theta'(0) = 0, and the rest has none, or moves with time.
     """
     slope = ca.gradient(element.theta, s)
     curvature = ca.gradient(slope, s)
     if not ca.depends_on(curvature, s):
         return None
+    if ca.depends_on(element.theta, driven):
+        raise NotEventDriven(
+            f"friction '{element.name}' moves with time, and theta' is not linear in s: there is no factor of s alone"
+        )
     if element.H.shape[0] == 1 and np.isfinite(_at(ca.substitute(curvature, s, 0))):
         return None
     least = slope_at_zero(element, s)

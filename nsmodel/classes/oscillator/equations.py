@@ -21,7 +21,7 @@ def equations(model: FrictionOscillator) -> list[str]:
     """The model, one formula a line."""
     names = names_of(model)
     damping = r" + M \dot{x}" if model.damping is not None else ""
-    force = call("f", model.force, model, names) if model.is_forced else ""
+    force = call("f", model.force, model, names) if not model.force.is_zero() else ""
     dry = r" + \partial\Phi(\dot{x})" if model.elements else ""
     lines = [
         rf"\ddot{{x}}{dry}{damping} + \partial g(x) \ni {force or 0}",

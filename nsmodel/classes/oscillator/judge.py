@@ -25,12 +25,12 @@ def misfits(model: FrictionOscillator, run: Trajectory) -> Misfits:
     even, odd = (M + M.T) / 2, (M - M.T) / 2
     c = ca.vertcat(ca.SX(0, 1), *model.constraints.values())
 
-    sizes = majorant(model.potential)
+    sizes, (t, _, inputs) = majorant(model.potential), (column[first:] for column in ends(run))
     force = _force(model, run)[first:]
 
     def terms(V_: np.ndarray) -> np.ndarray:
         place = x + h[:, None] * V_
-        friction, g, rows = evaluated([V, model.x], [phi, model.potential, c], V_, place)
+        friction, g, rows = evaluated([V, model.x, model.t, model.u], [phi, model.potential, c], V_, place, t, inputs)
         friction = np.where((V_ == 0).all(axis=1), 0.0, friction[:, 0, 0]) - at_rest
         linear = h * (
             0.5 * np.einsum("ki,ij,kj->k", V_, even, V_) + np.einsum("ki,ij,kj->k", V_, odd, v) - (V_ * force).sum(axis=1)
@@ -38,7 +38,8 @@ def misfits(model: FrictionOscillator, run: Trajectory) -> Misfits:
         seen = np.where((rows[:, :, 0] < 0).any(axis=1), np.inf, g[:, 0, 0])
         return np.stack([0.5 * ((V_ - w) ** 2).sum(axis=1), h * friction, linear, seen])
 
-    at_rest = sum((float(ca.substitute(e.theta, model.s, 0)) for e in model.elements), 0.0)
+    still = sum((ca.substitute(e.theta, model.s, 0) for e in model.elements), ca.SX(0))
+    at_rest = evaluated([model.t, model.u], [still], t, inputs)[0][:, 0, 0]
     J = terms(v)
     J[3] = evaluated([model.x], [model.potential], x + h[:, None] * v)[0][:, 0, 0]  # constraints may be met up to rounding
     speed = np.maximum(np.linalg.norm(v, axis=1), np.linalg.norm(w, axis=1))[:, None]

@@ -16,7 +16,7 @@ from nsmodel.model.convex import ConvexSplit, split
 
 
 class Friction(NamedTuple):
-    """One friction element theta(|H v|): its name, H (m, n), theta(s) and the symbol s."""
+    """One friction element theta(|H v|): its name, H (m, n), and theta, an expression of s, t and inputs."""
 
     name: str
     H: ca.SX
@@ -30,7 +30,8 @@ class FrictionOscillator(Model):
     Attributes:
         x: the position symbols (n).
         potential: g(x), convex; fabs, fmax, norm_2 and if_else(condition, g, inf) are understood as what they are.
-        friction: theta(s) for isotropic friction theta(|v|), or {name: (H_j, theta_j(s))}.
+        friction: theta(s) for isotropic friction theta(|v|), or {name: (H_j, theta_j(s))}; t and inputs may stand in it, as in
+            mu N(t) s.
         s: the symbol of theta's argument.
         damping: M (n, n) with M + M' >= 0, a linear part of the friction operator; left out: none.
         force: f, n expressions of t; left out: 0, as in the paper. A constant one is made a part of g: g(x) - <f, x>.
@@ -66,8 +67,8 @@ class FrictionOscillator(Model):
         "ball": ("isotropic friction", {0: ("zero", "stick (y = 0)"), 1: ("upper", "slip (l on the sphere)")}),
     }
     of_time: ClassVar[str] = (
-        "time and inputs stand in force=, and there alone: section 2.2 of the guide. Where friction, a spring or a wall moves "
-        "with time, write a LureSystem or FirstOrderSystem of position and velocity"
+        "time and inputs stand in force= and friction=, and there alone: section 2.2 of the guide. Where a spring or a wall "
+        "moves with time, write a LureSystem or FirstOrderSystem of position and velocity"
     )
 
     def _declare(self) -> None:
@@ -98,8 +99,12 @@ class FrictionOscillator(Model):
 
     @property
     def is_forced(self) -> bool:
-        """Whether a force that moves with time acts: the theorems are about oscillators left to themselves."""
-        return not self.force.is_zero()
+        """Whether a force or a friction that moves with time acts: the theorems are about oscillators left to themselves."""
+        return not self.force.is_zero() or any(self.rubs_anew(element) for element in self.elements)
+
+    def rubs_anew(self, element: Friction) -> bool:
+        """Whether a friction element moves with time."""
+        return ca.depends_on(element.theta, ca.vertcat(self.t, self.u))
 
     @property
     def keeps_velocity(self) -> bool:
@@ -133,7 +138,7 @@ class FrictionOscillator(Model):
                 raise ModelError(f"{label}: H has shape {H.shape}; expected (m, {n}), one column for each state")
             self._only(H, f"{label} H", [])
             refuse_infinite(H, f"{label} H")
-            theta = self._vector(c, item[1], f"{label} theta", 1, [self.s])
+            theta = self._vector(c, item[1], f"{label} theta", 1, [self.s, self.t])
             if not ca.depends_on(theta, self.s):
                 raise ModelError(f"{label}: theta = {theta} does not depend on s = {self.s}; for Coulomb friction write mu*s")
             elements.append(Friction(str(name), H, theta))

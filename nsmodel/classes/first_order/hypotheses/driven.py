@@ -20,7 +20,7 @@ from nsmodel.hypotheses.scope import Box, Scope
 from nsmodel.proof import extremum, interval
 from nsmodel.trajectory import Trajectory
 
-PARTS = {"f": ("f",), "g": ("g",), "h": ("h",)}
+PARTS = {"f": ("f",), "g": ("g",), "h": ("h",), "law": ("law",)}
 DRIVEN = Hypothesis(
     "F-inputs", "h and g are Lipschitz in t along the inputs, at each x and l: no jump of one moves what a row holds",
     "definition of a solution: x is absolutely continuous",
@@ -30,6 +30,40 @@ SHORTER = "Steps that end at an edge of an input may be shorter than the one loo
 RANGE = 1.0  # Of multipliers that neither K nor a run bounds.
 UP = 1 + 1e-12
 POINTS = 64  # Where a jump of h or g is looked for.
+
+
+def standing(model: FirstOrderSystem) -> FirstOrderSystem:
+    """The system with what moves of its law in g and h: l = c + s l' with l' in a set that stays."""
+    l = _moved(model)
+    if l is None:
+        return model
+    g, h = ca.substitute([model.g, model.h], [model.lam], [l])
+    other = copy(model)
+    other._set(g=g, h=h, law=model.law.at_rest(ca.vertcat(model.t, model.u)), lam0=ca.SX.zeros(model.lam.numel()))
+    return other
+
+
+def seen_so(model: FirstOrderSystem, run: Trajectory) -> Trajectory:
+    """A run of the system with l' = (l - c)/s in place of its multipliers; 0 where s = 0."""
+    l = _moved(model)
+    if l is None or "multipliers" not in run.arrays:
+        return run
+    s, c = ca.diag(ca.jacobian(l, model.lam)), ca.substitute(l, model.lam, ca.SX.zeros(model.lam.numel()))
+    f = ca.Function("l", [model.t, model.u, model.lam], [ca.if_else(s == 0, 0, (model.lam - c) / s)])
+    inputs = run.arrays.get("inputs", np.zeros((len(run.t), 0)))
+    other = np.array(f.map(len(run.t))(run.t[None], inputs.T, run.multipliers.T)).T
+    return replace(run, arrays={**run.arrays, "multipliers": other})
+
+
+def _moved(model: FirstOrderSystem) -> ca.SX | None:
+    """c + s l' with the symbols of l for l'; None where the law stays."""
+    driven, parts = ca.vertcat(model.t, model.u), [ca.SX(0, 1)]
+    for rows, block in model.law.parts():
+        l = model.lam[rows.start : rows.stop]
+        names = model.multiplier_names[rows]
+        other = block.rewritten(ca.SX.sym("y", block.size), names, driven, guarded=False) if any(block.moves(driven)) else None
+        parts.append(l if other is None else ca.substitute(other.multipliers, other.l, l))
+    return ca.vertcat(*parts) if any(model.law.moves(driven)) else None
 
 
 def at_rest(

@@ -26,7 +26,7 @@ class Modes:
         model = at.model
         self.at, self.h, self.n = at, h, len(at.model.names)
         y_user = ca.SX.sym("y", model.law.size)
-        basic = basic_law(model.law, model.multiplier_names, y_user)
+        basic = basic_law(model.law, model.multiplier_names, y_user, ca.vertcat(model.t, model.u))
         law = numeric_law(basic.law)
         self.law, self.m, self.lower, self.upper = law, law.size, law.lower, law.upper
         self.blocks = list(_blocks(basic.law))

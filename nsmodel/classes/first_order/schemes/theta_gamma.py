@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.first_order.model import FirstOrderSystem
-from nsmodel.scheme.problem import OneStepProblem, SchemeOrder, basic_law, carrying
+from nsmodel.scheme.problem import OneStepProblem, SchemeOrder, basic_law, carrying, shown
 
 
 def one_step_problem(model: FirstOrderSystem) -> OneStepProblem:
@@ -35,7 +35,8 @@ def one_step_problem(model: FirstOrderSystem) -> OneStepProblem:
         return ca.substitute([expression], [t, x_k, model.u, model.lam], [t + h, x, u, l])[0]
 
     # A polyhedron's rewriting needs y as the user declared it, in terms of the new multipliers.
-    basic = basic_law(model.law, model.multiplier_names, y_user := ca.SX.sym("y", model.law.size))
+    y_user = ca.SX.sym("y", model.law.size)
+    basic = basic_law(model.law, model.multiplier_names, y_user, ca.vertcat(model.t, model.u), ca.vertcat(t + h, u))
     l = basic.multipliers
     hx, gx = end(model.h, l), end(model.g, l)
     f_k, f = model.f, end(model.f, l)
@@ -43,7 +44,6 @@ def one_step_problem(model: FirstOrderSystem) -> OneStepProblem:
     Y = ca.substitute(basic.y, y_user, hx)
     R = model.M @ (x - x_k) - h * th * f - h * (1 - th) * f_k - h * ga * r - h * (1 - ga) * (r_k if ga < 1 else 0)
     R_r = r - gx
-    split = basic.l.numel() != l.numel()
     problem = OneStepProblem(
         scheme=f"theta-gamma, theta = {th:g}, gamma = {ga:g}",
         t=t, h=h, state=ca.vertcat(x_k, r_k) if ga < 1 else x_k, p=model.p,
@@ -53,9 +53,10 @@ def one_step_problem(model: FirstOrderSystem) -> OneStepProblem:
         rows=basic.rows,
         guess=ca.vertcat(x_k, r_k if ga < 1 else ca.substitute([model.g], [model.lam], [l])[0]),
         next_state=ca.vertcat(x, r) if ga < 1 else x,
-        multipliers=l if split else None,
+        multipliers=l if basic.differs else None,
         declared=model.multiplier_names,
-        outputs=hx if split else None,
+        outputs=shown(hx, y, basic.ends) if basic.differs else None,
+        ends=basic.ends, scale=basic.scale,
         records={"residual_R": ca.norm_inf(R), "residual_Ry": ca.norm_inf(y - Y), "residual_Rr": ca.norm_inf(R_r)},
         start=_start(model, h, ca.vertcat(x_k, r_k)) if ga < 1 else None,
         order=SchemeOrder.of_weights(th, ga, gx, ca.vertcat(t, h, x, u), basic.law, Y, basic.l),
@@ -67,7 +68,7 @@ def one_step_problem(model: FirstOrderSystem) -> OneStepProblem:
 def _start(model: FirstOrderSystem, h: ca.SX, state: ca.SX) -> OneStepProblem:
     """l_0 solves the law at (t_0, x_0), and r_0 = g(t_0, x_0, l_0)."""
     y_user = ca.SX.sym("y", model.law.size)
-    basic = basic_law(model.law, model.multiplier_names, y_user)
+    basic = basic_law(model.law, model.multiplier_names, y_user, ca.vertcat(model.t, model.u))
     here = [ca.substitute([e], [model.lam], [basic.multipliers])[0] for e in (model.h, model.g)]
     return OneStepProblem(
         scheme="multiplier at the start",
@@ -78,6 +79,7 @@ def _start(model: FirstOrderSystem, h: ca.SX, state: ca.SX) -> OneStepProblem:
         rows=basic.rows,
         guess=ca.SX(0, 1),
         next_state=ca.vertcat(model.x, here[1]),
+        ends=basic.ends, scale=basic.scale,
     )  # fmt: skip
 
 

@@ -1,7 +1,11 @@
-"""Lur'e systems with inputs, which stand in f or in the offset e of y: the hypotheses do not ask for f, but for 7.1.
+"""Lur'e systems with inputs, which stand in f, in the offset e of y or in the ends of the law; none but 7.1 asks for f.
 
 x' + A(x) ∋ f(t) with A + omega maximal monotone has a solution for each integrable f, which in finite dimension is absolutely
 continuous; two solutions of one f part as those without f do. Of an e that moves the theorems say nothing.
+
+Where K(t) moves and stays bounded, B (D + N_K(t)^-1)^-1 is at each time maximal monotone (in the units of 5.1), defined
+everywhere and bounded: a solution exists for ends that are measurable in t (Filippov 1988, Section 7), and two part as those
+of one K do. An end of an interval [a(t), inf) adds B a to f and D a to e.
 """
 
 from __future__ import annotations
@@ -18,12 +22,14 @@ from nsmodel.classes.lure.hypotheses.range_condition import MOVING
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.hypotheses.findings import Consequence, Finding
 from nsmodel.hypotheses.inputs import Motion, unsettled
+from nsmodel.hypotheses.moving_law import timed_law
 from nsmodel.hypotheses.region import Region
 from nsmodel.proof import interval
 from nsmodel.trajectory import Trajectory
 
-PARTS = {"f": ("f",), "e": ("e",)}
+PARTS = {"f": ("f",), "e": ("e",), "law": ("law",)}
 INTEGRABLE = f"{PAPER}, Corollary 5.7; for integrable f Brezis 1973, Chapter III"
+BOUNDED = f"{PAPER}, Section 5, at each time; for K(t) bounded and measurable Filippov 1988, Section 7"
 AT_REST = ("Lyapunov stable", "globally asymptotically stable")
 WORDS = {
     "one and only one solution starts": "for each signal one and only one absolutely continuous solution starts",
@@ -48,9 +54,28 @@ def consequences(
     for few, whole in WORDS.items():
         made = [replace(item, statement=item.statement.replace(few, whole)) for item in made]
     made = [replace(item, source=INTEGRABLE) if item.name == "well posed" else item for item in made]
-    if motion.read_by(model.e):
+    if motion.read_by(model.e) or _moves_without_end(model, motion):
         return [unsettled(item, MOVING) for item in made]
+    if motion.read_by(model.law):
+        made = [replace(item, source=BOUNDED) if item.name == "well posed" else item for item in made]
     low, high = region.of_parameters()
     last = max(region.t1, float(model.t_end or 0.0))
     bounded = interval.enclose(model.f, ca.vertcat(model.t, model.p), np.append(region.t0, low), np.append(last, high))
     return made if np.isfinite(bounded).all() else [unsettled(item, "f is not seen to be bounded") for item in made]
+
+
+def standing(model: LureSystem) -> LureSystem:
+    """The system with time in its law as an input: at each time K has numbers."""
+    return timed_law(model)
+
+
+def _moves_without_end(model: LureSystem, motion: Motion) -> bool:
+    """Whether the finite end of an interval without end moves, and D hands it on to y."""
+    if model.law is None:
+        return False
+    moves = model.law.moves(motion.u)
+    ends = zip(ca.vertsplit(model.law.lower), ca.vertsplit(model.law.upper), strict=True)
+    endless = [any(side.is_constant() and not np.isfinite(float(side)) for side in pair) for pair in ends]
+    boxes = [block.separable for block in model.law.blocks for _ in range(block.size)]
+    rows = [i for i, both in enumerate(zip(moves, endless, boxes, strict=True)) if all(both)]
+    return any(not model.D[:, i].is_zero() for i in rows)

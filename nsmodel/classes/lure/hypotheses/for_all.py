@@ -17,16 +17,17 @@ from nsmodel.classes.lure.hypotheses import domains
 from nsmodel.classes.lure.hypotheses.check import check, consequences_of
 from nsmodel.classes.lure.hypotheses.dissipation import least_rate
 from nsmodel.classes.lure.hypotheses.hypomonotone import HYPOMONOTONE, NAME, Growth, is_continuous
+from nsmodel.classes.lure.hypotheses.interior import interior
 from nsmodel.classes.lure.hypotheses.jacobian_hull import Hull, bounded_hull
 from nsmodel.classes.lure.hypotheses.large import is_large
 from nsmodel.classes.lure.hypotheses.pairing import Pairing, condition, pairing_of, shown, well_conditioned
 from nsmodel.classes.lure.hypotheses.passivity import D_PSD, STORAGE, broken
-from nsmodel.classes.lure.hypotheses.range_condition import H_5X0, H_54A, H_54B, H_54C
+from nsmodel.classes.lure.hypotheses.range_condition import H_5X0, H_31, H_54A, H_54B, H_54C
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.hypotheses.findings import HOLDS, Consequence, Finding, found
 from nsmodel.hypotheses.region import Region
 from nsmodel.hypotheses.scope import Box
-from nsmodel.hypotheses.uniform import Values, for_the_box, reads, roots, untouched
+from nsmodel.hypotheses.uniform import Values, for_the_box, middle_of, reads, roots, untouched
 from nsmodel.proof import exact, extremum, polynomial
 from nsmodel.proof.jumps import jumps_in
 from nsmodel.proof.multiaffine import corners
@@ -62,7 +63,9 @@ def findings(model: LureSystem, region: Region, quick: bool) -> list[Finding]:
     drifts = reads(ca.substitute(model.A, model.x, ca.DM.zeros(len(model.names))), model.p)  # A(0) = 0 is a part of 7.1.
     same = [finding for finding in untouched(check, model, region, quick, READS) if not (drifts and finding.id == "7.1")]
     energy, stored = (Energy(), None) if is_large(model) else _storage(model, region)
-    own = [_input_output(model, region), stored, _growth(model, region, energy, quick), *_ranges(model, region)]
+    least = _least_width(model, region, quick)
+    own = [_interior(model, region, least), _input_output(model, region), stored, _growth(model, region, energy, quick)]
+    own += _ranges(model, region, least)
     return for_the_box(own, same, region)
 
 
@@ -77,6 +80,24 @@ def consequences(model: LureSystem, region: Region, own: Sequence[Finding]) -> l
 
 def _corners(matrices: Sequence[ca.SX], model: LureSystem, region: Region) -> list[list[np.ndarray]] | None:
     return corners(matrices, model.p, *region.of_parameters())
+
+
+def _least_width(model: LureSystem, region: Region, quick: bool) -> float:
+    """A lower bound of the widths of what of K depends on the parameters, for all values; inf where nothing does."""
+    ends, box = () if model.law is None else model.law.ends(model.multiplier_names, model.p), region.of_parameters()
+    gaps = (end.lower - end.upper for end in ends if not end.endless)
+    return min((-extremum.supremum(gap, model.p, *box, quick=quick, bound_to=0.0).bound for gap in gaps), default=np.inf)
+
+
+def _interior(model: LureSystem, region: Region, least: float) -> Finding | None:
+    """3.1 where K depends on the parameters: no width, of which ``least`` is a bound, is 0."""
+    if model.law is None or not reads(model.law, model.p) or not least > 0:
+        return None
+    still = interior(H_31, model.bind(middle_of(region.parameters)), None, "")
+    if still.verdict != HOLDS:
+        return None
+    width = min(least, still.value.get("width", np.inf))
+    return found(H_31, HOLDS, "K has an interior for all values: bounds of its widths", {"width": width})
 
 
 def _input_output(model: LureSystem, region: Region) -> Finding | None:
@@ -182,13 +203,16 @@ def _of_diagonal(model: LureSystem, region: Region, J: ca.SX, d: ca.SX) -> Findi
     return None
 
 
-def _ranges(model: LureSystem, region: Region) -> list[Finding]:
-    """5.4 and the start, where D + D' is definite for all values, or K bounded and D psd: the set is the whole space."""
+def _ranges(model: LureSystem, region: Region, least: float) -> list[Finding]:
+    """5.4 and the start, where D + D' is definite for all values, or K bounded and D psd: the set is the whole space.
+
+    ``least``: the least width of what of K depends on the parameters.
+    """
     at, law = _corners([model.D + model.D.T], model, region), model.law
     if at is None or law is None or not all(exact.is_psd(S) for (S,) in at):
         return []
     definite = all(exact.psd(S).definite for (S,) in at)
-    bounded = not reads(law, model.p) and bool(domains.of_law(law, np.zeros(model.D.shape)).loose.all())
+    bounded = least >= 0 and bool(domains.of_law(law.at_rest(model.p), np.zeros(model.D.shape)).loose.all())
     if not definite and not bounded:
         return []
     how = ("D + D' is definite for all values (exact)" if definite else "K is bounded") + ", so that the set is the whole space"

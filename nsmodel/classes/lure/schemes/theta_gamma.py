@@ -13,7 +13,8 @@ import numpy as np
 
 from nsmodel.classes.lure.model import LureSystem
 from nsmodel.laws import Law
-from nsmodel.scheme.problem import OneStepProblem, SchemeOrder, basic_law, carrying, subdifferential
+from nsmodel.laws.moving import Ends
+from nsmodel.scheme.problem import OneStepProblem, SchemeOrder, basic_law, carrying, shown, subdifferential
 
 
 def one_step_problem(model: LureSystem) -> OneStepProblem:
@@ -22,13 +23,13 @@ def one_step_problem(model: LureSystem) -> OneStepProblem:
     x_k, r_k, x, u = model.x, ca.SX.sym("r_k", n), ca.SX.sym("x_next", n), ca.SX.sym("u_next", model.u.numel())
     rate_k = model.A + model.f
     rate, e = ca.substitute([rate_k, model.e], [t, x_k, model.u], [t + h, x, u])
-    law = rows_of_law(model, x, e)
-    r = ca.densify(model.B @ law.multipliers)
+    law = rows_of_law(model, x, e, ca.vertcat(t + h, u))
+    r, y = ca.densify(model.B @ law.multipliers), ca.SX.sym("y", law.l.numel())
     E = x - x_k - h * th * rate - h * (1 - th) * rate_k - h * ga * r - h * (1 - ga) * (r_k if ga < 1 else 0)
     problem = OneStepProblem(
         scheme="implicit Euler" if th == ga == 1 else f"theta-gamma, theta = {th:g}, gamma = {ga:g}",
         t=t, h=h, state=ca.vertcat(x_k, r_k) if ga < 1 else x_k, p=model.p,
-        z=ca.vertcat(x, law.z), l=law.l, y=ca.SX.sym("y", law.l.numel()),
+        z=ca.vertcat(x, law.z), l=law.l, y=y,
         E=ca.vertcat(E, law.E), Y=law.Y,
         law=law.law,
         rows=law.rows,
@@ -36,7 +37,8 @@ def one_step_problem(model: LureSystem) -> OneStepProblem:
         next_state=ca.vertcat(x, r) if ga < 1 else x,
         multipliers=law.multipliers if law.rewritten else None,
         declared=model.multiplier_names,
-        outputs=law.outputs if law.rewritten else None,
+        outputs=shown(law.outputs, y, law.ends) if law.rewritten else None,
+        ends=law.ends, scale=law.scale,
         start=_start(model, h, ca.vertcat(x_k, r_k)) if ga < 1 else None,
         order=SchemeOrder.of_weights(th, ga, r, ca.vertcat(t, h, u, x, law.z), law.law, law.Y, ca.vertcat(law.l, law.z)),
     )  # fmt: skip
@@ -53,20 +55,24 @@ class _Rows(NamedTuple):
     multipliers: ca.SX
     outputs: ca.SX
     rewritten: bool
+    ends: tuple[Ends, ...] = ()
+    scale: ca.SX | None = None
     z: ca.SX = ca.SX(0, 1)
     E: ca.SX = ca.SX(0, 1)
     guess: ca.SX = ca.SX(0, 1)
 
 
-def rows_of_law(model: LureSystem, x: ca.SX, e: ca.SX) -> _Rows:
-    """y = C x + D l + e with the declared law, or l ∈ -dPhi(y): there y joins the unknowns unless D = 0."""
-    m = model.B.shape[1]
-    y = ca.SX.sym("y_next", m)
+def rows_of_law(model: LureSystem, x: ca.SX, e: ca.SX, at: ca.SX | None = None) -> _Rows:
+    """y = C x + D l + e with the declared law, or l ∈ -dPhi(y): there y joins the unknowns unless D = 0.
+
+    ``at``: what stands in place of the time and the inputs in the law.
+    """
+    y = ca.SX.sym("y_next", model.B.shape[1])
     if model.law is not None:
-        basic = basic_law(model.law, model.multiplier_names, y)
+        basic = basic_law(model.law, model.multiplier_names, y, ca.vertcat(model.t, model.u), at)
         output = ca.densify(model.C @ x + model.D @ basic.multipliers + e)
         Y = ca.substitute(basic.y, y, output)
-        return _Rows(basic.law, basic.l, basic.rows, Y, basic.multipliers, output, basic.l.numel() != m)
+        return _Rows(basic.law, basic.l, basic.rows, Y, basic.multipliers, output, basic.differs, basic.ends, basic.scale)
     part = subdifferential(model.phi_split, model.y, "phi")
     implicit, free = not model.D.is_zero(), ca.densify(model.C @ x + e)
     output = y if implicit else free
@@ -87,6 +93,7 @@ def _start(model: LureSystem, h: ca.SX, state: ca.SX) -> OneStepProblem:
         rows=law.rows,
         guess=law.guess,
         next_state=ca.vertcat(model.x, ca.densify(model.B @ law.multipliers)),
+        ends=law.ends, scale=law.scale,
     )  # fmt: skip
 
 

@@ -31,8 +31,10 @@ def along(
 ) -> list[Finding]:  # fmt: skip
     """dom g, and Proposition 4.1."""
     c = ca.vertcat(ca.SX(0, 1), *model.constraints.values())
-    energies = _energies(model, run, numbers) if has_every_row(run) else rows_missing(ENERGY, DISSIPATED)
-    energies = [found(hypothesis, UNKNOWN, FORCED) for hypothesis in HYPOTHESES] if model.is_forced else energies
+    if model.is_forced:
+        energies = [found(hypothesis, UNKNOWN, FORCED) for hypothesis in HYPOTHESES]
+    else:
+        energies = _energies(model, run, numbers) if has_every_row(run) else rows_missing(ENERGY, DISSIPATED)
     return [*feasible(model, run, c, model.constraint_names), *energies]
 
 

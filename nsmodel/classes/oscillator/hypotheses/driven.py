@@ -1,17 +1,28 @@
-"""Oscillators whose force has inputs: theta, g and the friction at rest do not contain it, and a step has one solution."""
+"""Oscillators whose force or friction has inputs: at each time theta is one function, and a step has one solution."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+import casadi as ca
+
 from nsmodel.classes.oscillator.hypotheses.check import FORCED, PAPER, STEPS, no_order, steps_of_forced
 from nsmodel.classes.oscillator.model import FrictionOscillator
+from nsmodel.classes.oscillator.schemes.inertial_proximal import at_end
 from nsmodel.hypotheses.findings import Consequence, Finding, follows
 from nsmodel.hypotheses.inputs import Motion, unsettled
+from nsmodel.hypotheses.moving_law import timed
 from nsmodel.hypotheses.region import Region
 from nsmodel.trajectory import Trajectory
 
-PARTS = {"force": ("force",)}
+PARTS = {"force": ("force",), "friction": ("elements",)}
+
+
+def standing(model: FrictionOscillator) -> FrictionOscillator:
+    """The oscillator with time in its friction as an input: at each time theta is one function."""
+    if not any(ca.depends_on(element.theta, model.t) for element in model.elements):
+        return model
+    return timed(model, lambda tau: {"elements": at_end(model, tau, model.u)})
 
 
 def findings(

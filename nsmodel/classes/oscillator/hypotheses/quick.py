@@ -5,8 +5,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from nsmodel.classes.oscillator.model import FrictionOscillator
-from nsmodel.classes.oscillator.schemes.inertial_proximal import slope_at_zero
+from nsmodel.classes.oscillator.model import Friction, FrictionOscillator
+from nsmodel.classes.oscillator.schemes.inertial_proximal import at_end, slope_at_zero
 from nsmodel.errors import UsageError
 from nsmodel.hypotheses.quick import concave, inside, not_psd, refuse_outside, refuse_weights, weights, with_values
 
@@ -15,7 +15,7 @@ SPEEDS = np.concatenate([[0.0], np.logspace(-6, 3, 60)])  # Where theta' and the
 
 def refuse_start(model: FrictionOscillator) -> None:
     """Refuse theta'(0) < 0, weights < 0, and positions outside dom g."""
-    for element in model.elements:
+    for element in _at_start(model):
         slope = float(ca.DM(slope_at_zero(element, model.s)))
         if not 0 <= slope < np.inf:
             raise UsageError(
@@ -48,7 +48,7 @@ def _starts(model: FrictionOscillator) -> tuple[str, ...]:
 def warnings(model: FrictionOscillator) -> list[str]:
     """Where theta, the damping or g is not what the theory asks for."""
     found = []
-    for element in model.elements:
+    for element in _at_start(model):
         slope = ca.gradient(element.theta, model.s)
         f = ca.Function("theta", [model.s], [slope, ca.gradient(slope, model.s)])
         first, second = (np.array(v).ravel() for v in f.map(SPEEDS.size)(SPEEDS[None, :]))
@@ -62,3 +62,7 @@ def warnings(model: FrictionOscillator) -> list[str]:
     if model.damping is not None:
         found += not_psd("damping", model.damping)
     return found + concave(model.potential_split.smooth, model.x, x0, "the potential is not convex at x0")
+
+
+def _at_start(model: FrictionOscillator) -> tuple[Friction, ...]:
+    return at_end(model, ca.SX(0), model.u)

@@ -26,7 +26,7 @@ from nsmodel.classes.oscillator.model import Friction, FrictionOscillator
 from nsmodel.laws import ball, complementarity, product
 from nsmodel.model.arguments import rows_called
 from nsmodel.once import once
-from nsmodel.scheme.problem import OneStepProblem, carrying, subdifferential
+from nsmodel.scheme.problem import OneStepProblem, at_rest, carrying, subdifferential
 
 LEAST = 1e-150
 
@@ -38,7 +38,7 @@ def one_step_problem(model: FrictionOscillator) -> OneStepProblem:
     old, d = ca.SX.sym("v_old" if keeps else "d_old", n), ca.SX.sym("d", n)
     v, x_next, d_old = d / h, x + d, h * old if keeps else old
 
-    elements, radii = model.elements, [slope_at_zero(e, model.s) for e in model.elements]
+    elements, moved = at_end(model, model.t + h, u), ca.vertcat(model.t, u)
     xi = [ca.SX.sym(f"xi_{e.name}", e.H.shape[0]) for e in elements]
     smooth = -ca.substitute([model.force], [model.t, model.u], [model.t + h, u])[0]
     smooth += 0 if model.damping is None else model.damping @ v
@@ -50,30 +50,43 @@ def one_step_problem(model: FrictionOscillator) -> OneStepProblem:
     n_c = ca.SX.sym("n", c.numel())
     force = at(g.force, x, x_next) + at(ca.jacobian(c, x), x, x_next).T @ n_c
 
-    law = product(*(ball(e.H.shape[0], r) for e, r in zip(elements, radii, strict=True)), g.law, complementarity(n_c.numel()))
+    balls = (ball(e.H.shape[0], slope_at_zero(e, model.s, moved)) for e in elements)
     l = ca.vertcat(ca.SX(0, 1), *xi, g.l, n_c)
+    rows = tuple(name for e in elements for name in rows_called(e.name, e.H.shape[0])) + g.rows + model.constraint_names
+    y, law = ca.SX.sym("y", l.numel()), product(*balls, g.law, complementarity(n_c.numel()))
+    Y = ca.vertcat(ca.SX(0, 1), *(e.H @ d for e in elements), at(g.u, x, x_next), at(c, x, x_next))
+    own = at_rest(law, rows, l, moved, [d - d_old + h**2 * (smooth - force), Y])
+    E, Y = own.parts
     problem = OneStepProblem(
         scheme="inertial proximal (A)",
         t=model.t, h=h, state=ca.vertcat(x, old), p=model.p,
-        z=d, l=l, y=ca.SX.sym("y", l.numel()),
-        E=d - d_old + h**2 * (smooth - force),
-        Y=ca.vertcat(ca.SX(0, 1), *(e.H @ d for e in elements), at(g.u, x, x_next), at(c, x, x_next)),
-        law=law,
-        rows=tuple(name for e in elements for name in rows_called(e.name, e.H.shape[0])) + g.rows + model.constraint_names,
+        z=d, l=own.l, y=y, E=E, Y=Y, law=own.law, rows=rows,
         guess=d_old,
         next_state=ca.vertcat(x_next, v if keeps else d),
+        multipliers=own.multipliers, outputs=None if own.multipliers is None else y, declared=rows,
+        ends=own.ends, scale=own.scale,
         records={"v": v},
         velocity="v", difference=not keeps,
     )  # fmt: skip
     return carrying(problem, model.u, u)
 
 
-def slope_at_zero(element: Friction, s: ca.SX) -> ca.SX:
-    """theta'(0), from the right: the radius of A(0) (Proposition 2.2).
+def at_end(model: FrictionOscillator, t: ca.SX, u: ca.SX) -> tuple[Friction, ...]:
+    """The friction elements at a time and inputs; those that stay as they are."""
+    old = ca.vertcat(model.t, model.u)
+    return tuple(
+        e._replace(theta=ca.substitute(e.theta, old, ca.vertcat(t, u))) if model.rubs_anew(e) else e for e in model.elements
+    )
+
+
+def slope_at_zero(element: Friction, s: ca.SX, moved: ca.SX | None = None) -> ca.SX:
+    """theta'(0), from the right: the radius of A(0) (Proposition 2.2); ``moved``: the symbols of time and inputs in theta.
 
     theta is given for s >= 0. Where it is written with a kink at 0 (fabs(s), fmax(s, 0)) the derivative there is taken for
     something else than the slope that it has just beside: equal slopes at two least sizes tell.
     """
+    if moved is not None and ca.depends_on(element.theta, moved) and not ca.depends_on(slope := ca.gradient(element.theta, s), s):
+        return slope
     at_zero, beside, further = (ca.substitute(ca.gradient(element.theta, s), s, value) for value in (0, LEAST, 1e10 * LEAST))
     return ca.if_else(ca.fabs(further - beside) <= 1e-9 * ca.fabs(beside), beside, at_zero)
 
