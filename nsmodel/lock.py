@@ -26,6 +26,19 @@ except ImportError:  # Windows
 
 LOCK = "run.lock"
 _held: set[tuple[str, int]] = set()  # Folders and the threads that hold them.
+_descriptors: set[int] = set()  # Of the lock files that this process holds.
+
+
+def _let_go() -> None:
+    """In a process that was forked: its parent holds the folders, and they are free when that ends."""
+    for descriptor in _descriptors:
+        os.close(descriptor)
+    _descriptors.clear()
+    _held.clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_let_go)
 
 
 @contextlib.contextmanager
@@ -48,10 +61,12 @@ def held(folder: Path) -> Iterator[None]:
     except OSError as error:
         raise StorageError(f"cannot write into {folder}: {error}; take a folder that is writable") from error
     _held.add(key)
+    _descriptors.add(descriptor)
     try:
         yield
     finally:
         _held.discard(key)
+        _descriptors.discard(descriptor)
         with contextlib.suppress(OSError):
             path.unlink()
         os.close(descriptor)

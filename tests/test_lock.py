@@ -6,11 +6,13 @@ import signal
 import socket
 import subprocess
 import sys
+import textwrap
 import threading
 
 import numpy as np
 import processes
 import pytest
+from conftest import REPOSITORY
 
 from nsmodel import LureSystem, StepError, StorageError, UsageError, lock, relay, simulate
 from nsmodel.archive import read_npz, write_npz
@@ -226,3 +228,28 @@ def test_many_write_one_file_and_it_is_always_whole(tmp_path):
         thread.join()
     assert not errors
     assert [file.name for file in tmp_path.iterdir()] == ["run.npz"]
+
+
+def test_a_process_that_was_forked_holds_nothing(tmp_path):
+    code = textwrap.dedent("""
+        import os, signal, sys, time
+        from pathlib import Path
+        from nsmodel import lock
+        with lock.held(Path(sys.argv[1])):
+            child = os.fork()
+            if child == 0:
+                time.sleep(60)
+                os._exit(0)
+            print(child, flush=True)
+            os.kill(os.getpid(), signal.SIGKILL)
+    """)
+    environment = os.environ | {"PYTHONPATH": str(REPOSITORY)}
+    done = subprocess.run(
+        [sys.executable, "-c", code, tmp_path / "a"], env=environment, stdout=subprocess.PIPE, text=True, check=False
+    )
+    child = int(done.stdout)
+    try:
+        with lock.held(tmp_path / "a"):
+            pass
+    finally:
+        os.kill(child, signal.SIGKILL)

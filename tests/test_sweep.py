@@ -492,3 +492,31 @@ def test_an_output_that_fails_names_itself_and_loses_nothing(tmp_path):
     assert list((tmp_path / "a").glob("part-*"))
     with pytest.raises(UsageError, match="is no number; a function of a run returns"):
         sweep(friction(), grid={"x0": [3, 4]}, outputs={"end": lambda run: "three"}, t_end=1.0, workers=1)
+
+
+def test_what_c_does_not_go_on_with_goes_to_processes_and_is_run_again_where_that_is_asked_for(tmp_path):
+    def go(workers, folder, **options):
+        return sweep(
+            with_stop(), grid={"a": [0.5, 0.6, 0.8, 0.9]}, outputs={"end": "q[-1]"}, compiled=True, workers=workers,
+            out=tmp_path / folder, **options,
+        )  # fmt: skip
+
+    go(1, "a")
+    found = go(2, "b")
+    assert bytes_of(tmp_path / "a") == bytes_of(tmp_path / "b")
+    np.testing.assert_array_equal(found["way"].values, [0, 0, 2, 2])
+    again = go(2, "b", resume=True, retry=True)
+    np.testing.assert_array_equal(again.status, [0, 0, 1, 1])
+    assert "leave no point" in again.messages[3]
+    assert bytes_of(tmp_path / "a") == bytes_of(tmp_path / "b")
+
+
+def test_a_function_that_fails_refuses_its_cells():
+    def make(n):
+        return crossing() if n != 2 else {}["none"]
+
+    found = sweep(make, grid={"n": [1, 2, 3]}, outputs={"end": "x_1[-1]"}, t_end=0.1, workers=1)
+    np.testing.assert_array_equal(found.status, [0, 3, 0])
+    assert found.messages == {1: "make() raised KeyError: 'none'"}
+    with pytest.raises(UsageError, match="out is empty"):
+        sweep(make, grid={"n": [1, 3]}, outputs={"end": "x_1[-1]"}, out="")

@@ -95,22 +95,15 @@ def nothing(name: str, kind: np.dtype) -> Any:
 
 
 def _run(asked: Asked, task: Task, stop: Stop) -> Found:
-    """The cells of one group, where they are run by the ways that it has."""
+    """The cells of one group; of those that are run together, what C does not go on with has the status NOT_RUN."""
     if isinstance(task.group, str):
         return _refused(len(task.at), task.group)
     opened = _opened(asked, task.group)
-    if opened.batch is None:
+    if asked.way == ALONE:
         return alone(asked, opened.group, task.values, stop)
-    found = opened.together(asked, task.values, stop)
-    unsolved = np.flatnonzero((found.arrays["status"] != DONE) & (found.arrays["status"] != NOT_RUN))
-    if unsolved.size:
-        again = alone(asked, opened.group, task.values[unsolved], stop)
-        for name in asked.outputs:
-            found.arrays[name][unsolved] = np.nan
-        for name, values in again.arrays.items():
-            found.arrays[name][unsolved] = values
-        found = Found(found.arrays, {int(unsolved[i]): text for i, text in again.messages.items()})
-    return found
+    if opened.batch is None:
+        return Found(blank(len(task.at), {name: np.zeros(1, kind) for name, (kind, _) in asked.facts.items()}), {})
+    return opened.together(asked, task.values, stop)
 
 
 class _Opened:
@@ -121,7 +114,7 @@ class _Opened:
         self.batch: Any = None if isinstance(found, str) else found
 
     def together(self, asked: Asked, values: np.ndarray, stop: Stop) -> Found:
-        """Cells in C; what C does not go on with has the status FAILED."""
+        """Cells in C; what C does not go on with has the status NOT_RUN."""
         rows, number = self.group.rows, WAYS.index(asked.way)
         reduced = {name: one for name, one in asked.outputs.items() if isinstance(one, Reduction)}
         all_rows = any(one.needs is None for one in reduced.values())
@@ -138,9 +131,9 @@ class _Opened:
             out |= {name: np.asarray(one.of_rows(arrays[one.name]), float) for name, one in reduced.items()}
         done = cells.status == 0
         facts = {
-            "status": np.where(done, DONE, np.where(cells.status < 0, NOT_RUN, FAILED)), "failed_at": cells.failed_at,
+            "status": np.where(done, DONE, NOT_RUN), "failed_at": cells.failed_at,
             "steps": cells.steps, "worst_residual": cells.worst_residual, "index_set_changes": cells.index_set_changes,
-            "way": np.where(cells.status < 0, -1, number),
+            "way": np.where(done, number, -1),
         }  # fmt: skip
         if asked.event_driven:
             facts |= {"pieces": cells.pieces, "estimate": cells.estimate}

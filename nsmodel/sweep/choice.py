@@ -19,12 +19,11 @@ BUILDING_PIECES, A_PIECE, PIECES_OF_A_RUN = 1.5, 1e-3, 20  # Seconds for buildin
 
 
 class Choice(NamedTuple):
-    """What is asked, with the way; how the cells are run, for settings and in words; whether threads can do it."""
+    """What is asked, with the way; how the cells are run, for settings and in words."""
 
     asked: Asked
     way: str
     words: str
-    threads: bool
 
 
 def choose(asked: Asked, group: Group, cells: int, models: int, there: str | None = None) -> Choice:
@@ -45,9 +44,9 @@ def choose(asked: Asked, group: Group, cells: int, models: int, there: str | Non
             unknown = [name for name in _names(asked) if name not in found.columns()]
             if not unknown:
                 each = ", for each model" if models > 1 else ""
-                return Choice(replace(asked, way=together), found.way, f"{found.way}{each}", True)
+                return Choice(replace(asked, way=together), found.way, f"{found.way}{each}")
             why = f"'{unknown[0]}' is a column of whole runs"
-    return Choice(replace(asked, way=ALONE), ALONE, f"each cell by simulate: {why}", False)
+    return Choice(replace(asked, way=ALONE), ALONE, f"each cell by simulate: {why}")
 
 
 def _names(asked: Asked) -> list[str]:

@@ -17,21 +17,21 @@ from nsmodel.errors import StorageError, UsageError
 from nsmodel.grid import check_times
 from nsmodel.identity import digest_of, fingerprint, versions
 from nsmodel.model.parameters import Values
-from nsmodel.run.interrupt import deferred_signals
+from nsmodel.run.interrupt import Signals, deferred_signals
 from nsmodel.run.options import Options
 from nsmodel.run.told import of_model
 from nsmodel.simulate import simulate
 from nsmodel.solve.choose import SOLVERS
 from nsmodel.sweep import dataset, same
-from nsmodel.sweep.asked import ALONE, FACTS, WAYS, Asked, Found
-from nsmodel.sweep.cells import blank, refuse_other_shape
+from nsmodel.sweep.asked import ALONE, WAYS, Asked, Found
+from nsmodel.sweep.cells import blank
 from nsmodel.sweep.choice import Choice, choose
 from nsmodel.sweep.design import Design, design_of
 from nsmodel.sweep.engine import engine_of, refuse_workers
 from nsmodel.sweep.outputs import Reduction, outputs_of
 from nsmodel.sweep.result import DIM, VALUE, Sweep, made
 from nsmodel.sweep.source import Source
-from nsmodel.sweep.store import SweepStore, manifest_of, missing
+from nsmodel.sweep.store import InMemory, SweepStore, manifest_of, missing, nothing_of
 from nsmodel.sweep.tasks import Groups
 from nsmodel.sweep.variable import NOT_RUN
 from nsmodel.sweep.work import work
@@ -131,10 +131,7 @@ def sweep(
     check_times(step=None if several else step, t_end=t_end)
     one_step = None if several or step is None else float(given)
     refuse_workers(workers)
-    if solver not in SOLVERS:
-        raise UsageError(f"solver '{solver}' is unknown; there are {', '.join(SOLVERS)}")
-    if retry and not resume:
-        raise UsageError("retry runs the failed cells of a sweep that is there again: give resume=True and out= with it")
+    _refuse(solver, out, resume=resume, retry=retry)
     options = {"solver": solver, "tolerance": float(tolerance), "compiled": compiled, "t_end": t_end, "rtol": rtol, "atol": atol,
                "method": method, "times": times}  # fmt: skip
     asked = Asked(_columns(keep), every, outputs_of(outputs), options)
@@ -157,6 +154,15 @@ def sweep(
         if export:
             export(found, place)
     return found
+
+
+def _refuse(solver: str, out: Any, *, resume: bool, retry: bool) -> None:
+    if solver not in SOLVERS:
+        raise UsageError(f"solver '{solver}' is unknown; there are {', '.join(SOLVERS)}")
+    if retry and not resume:
+        raise UsageError("retry runs the failed cells of a sweep that is there again: give resume=True and out= with it")
+    if out is not None and not str(out).strip():
+        raise UsageError("out is empty; give the name of a folder, or leave it out")
 
 
 def _columns(keep: Any) -> tuple[str, ...]:
@@ -225,25 +231,41 @@ class _Sweeping:
 
     def go(self, store: SweepStore | None, workers: Any, *, progress: bool, retry: bool = False) -> Sweep:
         """Run the cells that are missing."""
-        asked, together = self.choice.asked, self.choice.asked.way != ALONE
-        held = _InMemory(self.design.size)
-        cells = np.arange(self.design.size) if store is None else missing(store.status(), retry=retry)
+        kept = InMemory(self.design.size) if store is None else store
+        cells = missing(kept.status(), retry=retry)
         with deferred_signals() as signals:
-            engine = engine_of(workers, asked, lambda: bool(signals), threads=self.choice.threads, chunks=len(cells))
-            try:
-                work(
-                    cells, 64 if together else 1, self.groups.tasks, engine, held.put if store is None else store.put, signals,
-                    most=max(1, WORKING // asked.bytes_of(self.groups.first.model, self.groups.first.step)), progress=progress,
-                )  # fmt: skip
-            finally:
-                engine.close(wait=not signals)
+            words, left = self._work(self.choice.asked, cells, kept, workers, signals, progress=progress)
+            if left.size and not signals:  # What C did not go on with.
+                self._work(replace(self.choice.asked, way=ALONE), left, kept, workers, signals, progress=progress)
         if signals:
-            raise SweepInterrupted(self._result(held.found if store is None else store.read(), engine.words), signals.number)
+            raise SweepInterrupted(self._result(kept.read(), words), signals.number)
         if store is None:
-            return self._result(held.found, engine.words)
-        empty = self._result(_nothing(self.design.size), engine.words)
-        store.join(dataset.header(empty), dataset.design_arrays(empty), asked.without(len(self.groups.first.rows.times)))
-        return replace(Sweep.load(store.folder), engine=engine.words, _again=self._simulate)
+            return self._result(kept.read(), words)
+        empty = self._result(nothing_of(self.design.size), words)
+        store.join(
+            dataset.header(empty), dataset.design_arrays(empty), self.choice.asked.without(len(self.groups.first.rows.times))
+        )
+        return replace(Sweep.load(store.folder), engine=words, _again=self._simulate)
+
+    def _work(
+        self, asked: Asked, cells: np.ndarray, kept: SweepStore | InMemory, workers: Any, signals: Signals, *, progress: bool
+    ) -> tuple[str, np.ndarray]:  # fmt: skip
+        """Run cells, and return who did, in words, and those that are left."""
+        together, first, left = asked.way != ALONE, self.groups.first, []
+
+        def keep(chunk: np.ndarray, found: Found) -> None:
+            kept.put(chunk, found)
+            left.append(chunk[found.arrays["status"] == NOT_RUN])
+
+        engine = engine_of(workers, asked, lambda: bool(signals), threads=together, chunks=len(cells))
+        try:
+            work(
+                cells, 64 if together else 1, self.groups.tasks, engine, keep, signals,
+                most=max(1, WORKING // asked.bytes_of(first.model, first.step)), progress=progress,
+            )  # fmt: skip
+        finally:
+            engine.close(wait=not signals)
+        return engine.words, np.concatenate([*left, np.zeros(0, int)])
 
     def _result(self, found: Found, engine: str) -> Sweep:
         asked, rows = self.choice.asked, self.groups.first.rows
@@ -285,25 +307,6 @@ class _Sweeping:
         return simulate(group.model, parameters=dict(zip(group.names, values.tolist(), strict=True)) or None, **(asked | options))
 
 
-class _InMemory:
-    """What cells found, where nothing is written."""
-
-    def __init__(self, size: int) -> None:
-        self._size = size
-        self.found = _nothing(size)
-
-    def put(self, cells: np.ndarray, found: Found) -> None:
-        """Take up what a chunk found."""
-        arrays, ran = dict(self.found.arrays), found.arrays["status"] != NOT_RUN
-        for name, values in found.arrays.items():
-            if name not in arrays:
-                arrays |= blank(self._size, {name: values})
-            refuse_other_shape(name, values.shape[1:], arrays[name].shape[1:])
-            arrays[name][cells[ran]] = values[ran]
-        messages = {int(cells[i]): text for i, text in found.messages.items()}
-        self.found = Found(arrays, {**self.found.messages, **messages})
-
-
 def described(output: Any) -> str:
     """An output in words: its text; of a function its name and a hash of its code."""
     if isinstance(output, Reduction):
@@ -311,10 +314,6 @@ def described(output: Any) -> str:
     code = getattr(output, "__code__", None)
     made_of = [] if code is None else [code.co_code.hex(), [repr(one) for one in code.co_consts if not hasattr(one, "co_code")]]
     return f"{getattr(output, '__qualname__', type(output).__name__)} {digest_of([*made_of])}"
-
-
-def _nothing(size: int) -> Found:
-    return Found(blank(size, {name: np.zeros(1, kind) for name, (kind, _) in FACTS.items()}), {})
 
 
 def _labelled(inputs: Any) -> bool:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from nsmodel.errors import ModelError, UsageError
+from nsmodel.errors import ModelError, NsmodelError, UsageError
 from nsmodel.grid import is_number
 from nsmodel.loader import arguments_of, load, load_with
 from nsmodel.model.arguments import shown
@@ -51,9 +51,15 @@ class Source:
             return self._given
         if isinstance(self._given, Path):
             return load(self._given, **arguments)
-        found = self._given(**arguments)
+        name = getattr(self._given, "__name__", "model")
+        try:
+            found = self._given(**arguments)
+        except NsmodelError:
+            raise
+        except Exception as error:
+            raise ModelError(f"{name}() raised {type(error).__name__}: {error}") from error
         if not isinstance(found, Model):
-            raise ModelError(f"{self._given.__name__}() returned {shown(found)}; expected one of nsmodel's models")
+            raise ModelError(f"{name}() returned {shown(found)}; expected one of nsmodel's models")
         return found
 
     def refuse(self, name: str, model: Model) -> None:

@@ -21,7 +21,7 @@ from numpy.lib import format as npy
 from nsmodel.archive import Member, read_npz, write_archive, write_npz
 from nsmodel.errors import StorageError
 from nsmodel.storage import STAMP, read_json, stream_beside, write_json
-from nsmodel.sweep.asked import Found
+from nsmodel.sweep.asked import FACTS, Found
 from nsmodel.sweep.cells import blank, nothing, refuse_other_shape
 from nsmodel.sweep.mapped import mapped
 from nsmodel.sweep.variable import FAILED, NOT_RUN
@@ -136,6 +136,38 @@ class SweepStore:
                 name: values for name, values in arrays.items() if ":" not in name and name != "t" and len(values) == len(cells)
             }
             yield cells, own, {int(place): text for place, text in metadata["messages"].items()}
+
+
+class InMemory:
+    """What cells found, where nothing is written."""
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self.found = nothing_of(size)
+
+    def status(self) -> np.ndarray:
+        """The status (size,) of each cell."""
+        return self.found.arrays["status"]
+
+    def read(self) -> Found:
+        """All cells."""
+        return self.found
+
+    def put(self, cells: np.ndarray, found: Found) -> None:
+        """Take up what a chunk found."""
+        arrays, ran = dict(self.found.arrays), found.arrays["status"] != NOT_RUN
+        for name, values in found.arrays.items():
+            if name not in arrays:
+                arrays |= blank(self._size, {name: values})
+            refuse_other_shape(name, values.shape[1:], arrays[name].shape[1:])
+            arrays[name][cells[ran]] = values[ran]
+        messages = {int(cells[i]): text for i, text in found.messages.items()}
+        self.found = Found(arrays, {**self.found.messages, **messages})
+
+
+def nothing_of(size: int) -> Found:
+    """So many cells that were not run."""
+    return Found(blank(size, {name: np.zeros(1, kind) for name, (kind, _) in FACTS.items()}), {})
 
 
 def _put_messages(messages: dict[int, str], cells: np.ndarray, own: Mapping[int, str]) -> None:
