@@ -135,7 +135,7 @@ def grid_of(model, **options):
 
 
 def made(model, **options):
-    return Batch(model, grid_of(model, **options), 1e-9)
+    return Batch(model, grid_of(model, **options), 1e-9, in_lanes=False)
 
 
 def values_for(found, count=8):
