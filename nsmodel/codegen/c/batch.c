@@ -45,7 +45,7 @@ static int begin_cell(model_solver *s, model_cells *b)
 }
 
 /* Put the solver before step k, of its own length, with the inputs of the step. */
-static int before_step(model_solver *s, model_cells *b, long k)
+static int make_ready(model_solver *s, model_cells *b, long k)
 {
     double h = MODEL_STEP;
     if (b->times != NULL) {
@@ -102,7 +102,7 @@ static int run_cell(model_solver *s, model_cells *b, pace *p)
     for (; b->step < b->steps; b->step++) {
         if (is_late(p))
             return PAUSED;
-        int status = before_step(s, b, b->step);
+        int status = make_ready(s, b, b->step);
         if (status == MODEL_OK)
             status = attempt(s);
         if (status != MODEL_OK)

@@ -357,14 +357,14 @@ static void fill_lanes(model_lanes *g, model_cells *b)
 }
 
 /* The solver of lane j before step k. */
-static int before_lane_step(model_lanes *g, model_cells *b, int j, long k)
+static int make_lanes_ready(model_lanes *g, model_cells *b, int j, long k)
 {
     model_solver *s = &g->solver[j];
     for (int i = 0; i < MODEL_NSTATE; i++)
         s->x[i] = g->x[k & 1][i][j];
     s->t_0 = 0;
     s->steps = k;
-    return before_step(s, b, k);
+    return make_ready(s, b, k);
 }
 
 /* Take step k of lane j by attempt(), from what its map says. */
@@ -375,7 +375,7 @@ static void step_alone(model_lanes *g, model_cells *b, int j, long k, int kept)
         for (int i = 0; i < MODEL_M; i++)
             if (is_finite(g->l[i][j]))
                 s->l[i] = min_of(max_of(g->l[i][j], LOWER[i]), UPPER[i]);
-    int status = before_lane_step(g, b, j, k);
+    int status = make_lanes_ready(g, b, j, k);
     if (status == MODEL_OK)
         status = attempt(s);
     if (status != MODEL_OK) {
@@ -403,7 +403,7 @@ static void accept_lane(model_lanes *g, model_cells *b, int j, long k, int kept)
     g->worst[~k & 1][j] = larger(g->residual[j], g->worst[k & 1][j]);
     if (!kept)
         return;
-    before_lane_step(g, b, j, k);
+    make_lanes_ready(g, b, j, k);
     s->t = s->t_0 + s->steps*s->h;
     for (int i = 0; i < MODEL_N; i++)
         s->work.z[i] = g->z[i][j];
