@@ -24,7 +24,7 @@ from nsmodel.simulate import simulate
 from nsmodel.solve.choose import SOLVERS
 from nsmodel.sweep import dataset, same
 from nsmodel.sweep.asked import ALONE, WAYS, Asked, Found
-from nsmodel.sweep.cells import blank
+from nsmodel.sweep.cells import nothing
 from nsmodel.sweep.choice import Choice, choose
 from nsmodel.sweep.design import Design, design_of
 from nsmodel.sweep.engine import engine_of, refuse_workers
@@ -269,8 +269,10 @@ class _Sweeping:
 
     def _result(self, found: Found, engine: str) -> Sweep:
         asked, rows = self.choice.asked, self.groups.first.rows
-        without = {name: np.zeros((0, *shape), kind) for name, (kind, shape) in asked.without(len(rows.times)).items()}
-        of = {**blank(self.design.size, without), **found.arrays}
+        without = {name: (np.dtype(kind), shape) for name, (kind, shape) in asked.without(len(rows.times)).items()}
+        unknown = {name: np.asarray(nothing(name, kind), kind) for name, (kind, _) in without.items()}
+        of = {name: np.broadcast_to(unknown[name], (self.design.size, *shape)) for name, (_, shape) in without.items()}
+        of |= found.arrays
         arrays = {f"{DIM}{dim}": coords for dim, coords in self.design.coords.items()}
         own = [one for one in self.design.columns if one.numeric and one.kind in ("value", "start")]
         names = {one.name if one.kind == "value" else f"{one.name}(0)": one for one in own}

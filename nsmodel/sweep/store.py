@@ -11,12 +11,12 @@ from __future__ import annotations
 import re
 import tempfile
 from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from math import prod
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.lib import format as npy
 
 from nsmodel.archive import Member, read_npz, write_archive, write_npz
 from nsmodel.errors import StorageError
@@ -99,18 +99,16 @@ class SweepStore:
             whole = {}
             for i, (name, blank_kind) in enumerate(order.items()):
                 kind, shape = found.get(name, blank_kind)
-                whole[name] = npy.open_memmap(Path(place) / f"{i}.npy", "w+", np.dtype(kind), (self.size, *shape))
-                whole[name][:] = nothing(name, np.dtype(kind))
+                whole[name] = _OnDisk(Path(place) / str(i), name, np.dtype(kind), (self.size, *shape))
             for cells, arrays, _ in self._parts():
                 for name, values in arrays.items():
                     if name in whole:
-                        whole[name][cells] = values
+                        whole[name].put(cells, values)
             members = {name: _member(array) for name, array in design.items()}
-            members |= {name: _member(array) for name, array in whole.items()}
+            members |= {name: Member(array.kind, array.shape, array.blocks()) for name, array in whole.items()}
             text = {str(cell): messages[cell] for cell in sorted(messages)}
             with stream_beside(self.folder / WHOLE) as stream:
                 write_archive(stream, members, {**metadata, "shape": list(self.shape), "messages": text})
-            whole.clear()
         for path in parts:
             if path.name != WHOLE:
                 path.unlink(missing_ok=True)
@@ -176,6 +174,34 @@ def _put_messages(messages: dict[int, str], cells: np.ndarray, own: Mapping[int,
         for cell in cells.tolist():
             messages.pop(cell, None)
     messages |= {int(cells[place]): text for place, text in own.items()}
+
+
+class _OnDisk:
+    """An array of all cells in a file, of which no more is in memory than is written."""
+
+    def __init__(self, path: Path, name: str, kind: np.dtype, shape: tuple[int, ...]) -> None:
+        self._path, self.kind, self.shape = path, kind, shape
+        self._each = kind.itemsize * prod(shape[1:])
+        rows = max(1, _BLOCK // max(self._each, 1))
+        blank = np.full((rows, *shape[1:]), nothing(name, kind), kind).tobytes()
+        with path.open("wb") as file:
+            for at in range(0, shape[0], rows):
+                file.write(blank[: self._each * min(rows, shape[0] - at)])
+
+    def put(self, cells: np.ndarray, values: np.ndarray) -> None:
+        """Write the values (K, ...) of cells."""
+        ends = [0, *(np.flatnonzero(np.diff(cells) != 1) + 1).tolist(), len(cells)]
+        given = np.ascontiguousarray(values, self.kind)
+        with self._path.open("rb+") as file:
+            for first, last in pairwise(ends):
+                file.seek(int(cells[first]) * self._each)
+                file.write(given[first:last].tobytes())
+
+    def blocks(self) -> Iterator[bytes]:
+        """Its bytes."""
+        with self._path.open("rb") as file:
+            while block := file.read(_BLOCK):
+                yield block
 
 
 def _member(array: np.ndarray) -> Member:
