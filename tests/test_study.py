@@ -567,3 +567,28 @@ def test_reactions_of_a_circuit_are_unique_and_compared(load_case):
 def test_energy_of_an_oscillator_is_never_gained(load_case):
     found = study(load_case("friction_oscillator"), steps=[0.02, 0.01], solvers=[])
     assert all(point.energy <= 1e-13 for point in found.line("interpreted").points)
+
+
+def test_means_of_declared_outputs_are_compared_too():
+    p, v = ca.SX.sym("p_1"), ca.SX.sym("v_1")
+
+    def made(theta):
+        return LureSystem(
+            x=[p, v], A=[[0, 1], [-1, 0]], B=[[0], [1]], C=[[0, 1]], D=0, law=relay(1), x0=[5.3, 0], t_end=3, step=1e-2,
+            theta=theta, outputs={"speeds": ca.vertcat(v, v**2), "place": p},
+        )  # fmt: skip
+
+    found = study(made(0.5), steps=[0.1, 0.05, 0.025], solvers=[])
+    # x = 1 + 4.3 cos t until t = pi
+    means = {"v": 4.3 * (np.cos(3) - 1) / 3, "v^2": 4.3**2 * (3 - np.sin(6) / 2) / 6, "p": 1 + 4.3 * np.sin(3) / 3}
+    sizes = {"v": 4.3, "v^2": 4.3**2, "p": 5.3}
+    for line, order in ((found.lines[0], 2), (found.line("theta = 1, gamma = 1, interpreted"), 1)):
+        assert line.order("outputs").fit == pytest.approx(order, abs=0.15)
+        for point, h in zip(line.points, [0.1, 0.05, 0.025], strict=True):
+            run = nsmodel.simulate(made(0.5 if order == 2 else 1.0), step=point.step, compiled=False)
+            own = {"v": run.mean("speeds")[0], "v^2": run.mean("speeds")[1], "p": run.mean("place")}
+            expected = max(abs(own[key] - means[key]) / sizes[key] for key in means)
+            assert point.step == pytest.approx(h, rel=0.1)
+            assert point.errors["outputs"] == pytest.approx(expected, rel=1e-2, abs=1e-9)
+    assert "outputs: of their means" in " ".join(found.text().split())
+    assert max(map(len, found.text().splitlines())) <= 100

@@ -14,7 +14,7 @@ from nsmodel.proof.sure import sure
 
 DONE, FAILED, LEFT_OUT = "done", "failed", "left out"
 SCHEME, SOLVER, PEER = "scheme", "solver", "peer"
-ERRORS = ("max", "end", "l2", "multipliers")
+ERRORS = ("max", "end", "l2", "multipliers", "outputs")
 ROUND_OFF = 1e-13  # Relative errors below this are rounding and have no order.
 FURTHER = 100.0  # An error is extrapolated to this part of the least one.
 STALLED = 0.25  # An error that falls more slowly than h^STALLED from some step on has met its floor.
@@ -28,7 +28,8 @@ class Point:
         label: what tells it from the other points of its line: "h = 0.01", "rtol = 1e-3".
         seconds: CPU time of the steps alone; None where they were not timed.
         errors: {"max": largest over the grid, "end": at the end, "l2": root mean square in time, "multipliers": mean over
-            time}, without unit; what is not known is left out.
+            time, "outputs": of the mean over the run of each declared output, beside its largest value}, without unit; what is
+            not known is left out.
         step: the constant step, None where steps vary; steps: their number.
         setup: wall time of the preparation, in seconds.
         residual, violation, energy: worst residual of a step, deepest violated constraint, largest gain of energy.

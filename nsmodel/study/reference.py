@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from nsmodel.columns import output_names
 from nsmodel.errors import UsageError
 from nsmodel.model.base import Model
 from nsmodel.proof.sure import sure
@@ -31,11 +33,14 @@ INDEX_SETS = 60  # So many different index sets of a run are looked at.
 
 @dataclass(frozen=True)
 class Rows:
-    """What is compared of a run: times (N+1,), states (N+1, n), and multipliers (N+1, m) where they are unique."""
+    """What is compared of a run: times (N+1,), states (N+1, n), and multipliers (N+1, m) where they are unique; of declared
+    outputs the means over the run and the largest values.
+    """
 
     t: np.ndarray
     x: np.ndarray
     multipliers: np.ndarray | None = None
+    outputs: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, run: Trajectory) -> Rows:
@@ -45,11 +50,11 @@ class Rows:
         those that are compared are constant between rows.
         """
         if not run.is_event_driven:
-            return cls(run.t, run.x, run.arrays.get("reactions", run.arrays.get("multipliers")))
+            return cls(run.t, run.x, run.arrays.get("reactions", run.arrays.get("multipliers")), _means(run))
         inside = (run.t[:-1, None] + np.diff(run.t)[:, None] * np.arange(1, FINER) / FINER).ravel()
         t, x = np.concatenate([run.t, inside]), np.concatenate([run.x, run.at(inside).x])
         order = np.argsort(t, kind="stable")
-        return cls(t[order], x[order])
+        return cls(t[order], x[order], outputs=_means(run))
 
 
 @dataclass(frozen=True)
@@ -85,13 +90,15 @@ class Reference:
             error = _multiplier_error(rows, self.rows)
             if error is not None:
                 found["multipliers"] = error
+        if self.rows is not None and (shared := self.rows.outputs.keys() & rows.outputs.keys()):
+            found["outputs"] = max(_apart(rows.outputs[name], self.rows.outputs[name]) for name in shared)
         return found, more
 
     def point(self, label: str, rows: Rows, seconds: float | None, step: float | None = None) -> Point:
         """Return a run as a point, with its errors; those that are not clear of the reference's own are unresolved."""
         errors, more = self._measured(rows)
         known = {key: own + (more if key in BETWEEN else 0.0) for key, own in self.own.items()}
-        unresolved = tuple(key for key, error in errors.items() if error < CLEAR * known[key])
+        unresolved = tuple(key for key, error in errors.items() if error < CLEAR * known.get(key, 0.0))
         return Point(label, seconds, errors, step=step, steps=len(rows.t) - 1, unresolved=unresolved)
 
 
@@ -136,7 +143,7 @@ def closed_form(
     text = "the closed form that the model declares"
     if refined is None:
         return Reference(text, "", state, scale, None, own, without_multipliers or "there is no refined run")
-    own |= {key: value for key, value in refined.own.items() if key == "multipliers"}
+    own |= {key: value for key, value in refined.own.items() if key not in own}
     return Reference(text, refined.run, state, scale, refined.rows, own)
 
 
@@ -173,7 +180,10 @@ def polynomials(model: Model, rtol: float, rough: Trajectory, fine: Trajectory, 
     The multipliers are those of the refined run, which it must agree with to the errors of both.
     """
     scale = scale_of(model, fine.smooth().x)
-    new = replace(refined, text=f"an event-driven run, rtol = {rtol:g}", state=Polynomials(fine), scale=scale)
+    means, known = _means(fine), sure(refined.rows).outputs
+    outputs = {name: (means[name][0], size) for name, (_, size) in known.items() if name in means}
+    rows = replace(sure(refined.rows), outputs=outputs)
+    new = replace(refined, text=f"an event-driven run, rtol = {rtol:g}", state=Polynomials(fine), scale=scale, rows=rows)
     states = {measure: max(error, ROUNDING) for measure, error in new.errors(Rows.of(rough)).items()}
     apart = new.errors(sure(refined.rows))["max"]
     if apart > CLEAR * (refined.own["max"] + states["max"]):
@@ -189,6 +199,22 @@ def scale_of(model: Model, x: np.ndarray) -> np.ndarray:
         group = sizes[columns].max()
         scale[columns] = np.where(sizes[columns] > UNSEEN * group, sizes[columns], group if group > 0 else 1.0)
     return scale
+
+
+def _means(run: Trajectory) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """{name: (mean over the run, largest value)} of declared outputs, (k,) each; of those that have a mean."""
+    found = {}
+    for name in output_names(run):
+        with suppress(UsageError):
+            mean, size = np.atleast_1d(run.mean(name)), np.nanmax(np.abs(run.arrays[name]), axis=0)
+            found[name] = mean, np.atleast_1d(size)
+    return found
+
+
+def _apart(one: tuple[np.ndarray, np.ndarray], right: tuple[np.ndarray, np.ndarray]) -> float:
+    """How far a mean is from the right one, beside the largest value."""
+    size = np.where(right[1] > 0, right[1], 1.0)
+    return float((np.abs(one[0] - right[0]) / size).max())
 
 
 def _own(far: float, near: float) -> float:

@@ -14,9 +14,10 @@ if TYPE_CHECKING:
 
 WIDTH = 100
 COLUMNS = {
-    "max": "largest", "end": "at end", "l2": "rms", "multipliers": "multipl.", "seconds": "seconds", "setup": "set-up",
-    "residual": "residual", "violation": "violated", "energy": "energy",
+    "max": "largest", "end": "at end", "l2": "rms", "multipliers": "multipl.", "outputs": "outputs", "seconds": "seconds",
+    "setup": "set-up", "residual": "residual", "violation": "violated", "energy": "energy",
 }  # fmt: skip
+MOST_COLUMNS = 9  # Of a table, in WIDTH.
 ACROSS = 8  # Steps side by side in the table of solvers.
 SAME = 1e-6  # Errors that differ by less than this part are those of the same steps.
 
@@ -31,12 +32,14 @@ def study_text(study: Study) -> str:
         out += _entry("status", f"{study.status}: what follows was measured before")
     if study.reference is not None:
         out += _about(study.reference)
-    out += _entry("errors", "relative to each state's largest value: largest over the grid, at end, rms in time")
+    done = [point for line in study.lines for point in line.points if point.status == DONE]
+    keys = [key for key in COLUMNS if any(_value(point, key) is not None for point in done)]
+    keys = [key for key in keys if key != "setup"] if len(keys) > MOST_COLUMNS else keys
+    means = "; outputs: of their means over the run, beside their largest values" if "outputs" in keys else ""
+    out += _entry("errors", f"relative to each state's largest value: largest over the grid, at end, rms in time{means}")
     out += _entry("seconds", "CPU time of the steps, the least of several runs; set-up: wall time before them")
     for note in study.notes:
         out += _entry("note", note)
-    done = [point for line in study.lines for point in line.points if point.status == DONE]
-    keys = [key for key in COLUMNS if any(_value(point, key) is not None for point in done)]
     for line in study.lines:
         if line.kind != SOLVER:
             out += ["", *_table(line, keys)]
