@@ -24,7 +24,7 @@ CASES = sorted((REPOSITORY / "cases").glob("*.py"))
 
 
 KINDS = {  # Marks of test files, by what their names begin with; what is in none of them is fast.
-    "c": ("test_codegen", "test_compiled", "test_bodies_in_c", "test_batch"),
+    "c": ("test_codegen", "test_compiled", "test_bodies_in_c", "test_batch", "test_lanes"),
     "fuzz": ("test_fuzz", "test_codegen_fuzz"),
     "slow": (
         "test_adaptive", "test_agreement", "test_blocks", "test_cases", "test_certif", "test_check", "test_cli", "test_closed",
@@ -32,7 +32,7 @@ KINDS = {  # Marks of test files, by what their names begin with; what is in non
         "test_laws", "test_lure_offset", "test_makefile", "test_many", "test_moving", "test_one_variable", "test_orders",
         "test_outputs", "test_parameters", "test_piece_batch", "test_pieces_in_c", "test_plot", "test_repeated", "test_resume",
         "test_rounding", "test_schemes", "test_search", "test_solvers", "test_sparse", "test_stepping", "test_stress",
-        "test_stretches", "test_study", "test_sum_of_squares", "test_switch_times",
+        "test_stretches", "test_study", "test_sum_of_squares", "test_sweep", "test_switch_times",
     ),
 }  # fmt: skip
 

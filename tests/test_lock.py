@@ -238,6 +238,7 @@ def test_a_process_that_was_forked_holds_nothing(tmp_path):
         with lock.held(Path(sys.argv[1])):
             child = os.fork()
             if child == 0:
+                os.close(1)
                 time.sleep(60)
                 os._exit(0)
             print(child, flush=True)
