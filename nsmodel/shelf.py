@@ -1,0 +1,73 @@
+"""The cases that come with the package: model files to run, read and copy, each described by its own docstring."""
+
+from __future__ import annotations
+
+import ast
+import difflib
+from dataclasses import dataclass
+from pathlib import Path
+
+from nsmodel.errors import UsageError
+
+TOPICS = ("circuits", "control", "mechanics", "crowds", "biology", "mathematics")
+_PACKAGE = Path(__file__).parent
+_PLACES = (_PACKAGE / "cases", _PACKAGE.parent / "cases")  # as installed; in a checkout
+
+
+@dataclass(frozen=True)
+class Case:
+    """A case: its name, its file, and what the paragraphs of the file's docstring say.
+
+    ``title`` is the first line, ``story`` what stands between it and the paragraphs that begin with a label, which are ``see``
+    ("What to see:"), ``wrong`` ("A wrong answer:" and how it would show), ``source`` ("Source:") and ``topic``
+    ("Topic:", one of TOPICS). A paragraph that is not there is "".
+    """
+
+    name: str
+    path: Path
+    title: str
+    story: str
+    see: str
+    wrong: str
+    source: str
+    topic: str
+
+
+def cases() -> tuple[Case, ...]:
+    """All cases, by name.
+
+    Raises:
+        UsageError: this installation has none.
+    """
+    folder = next((place for place in _PLACES if place.is_dir()), None)
+    if folder is None:
+        raise UsageError(f"no cases beside the package: expected the folder {_PLACES[0]}; install nsmodel anew")
+    return tuple(read(path) for path in sorted(folder.glob("*.py")))
+
+
+def case(name: str) -> Case:
+    """The case of that name.
+
+    Raises:
+        UsageError: there is none; the message has the names that are nearest.
+    """
+    found = {case.name: case for case in cases()}
+    if name not in found:
+        near = difflib.get_close_matches(name, found, 3) or sorted(found)
+        raise UsageError(f"no case '{name}'; did you mean {', '.join(near)}?")
+    return found[name]
+
+
+def read(path: Path) -> Case:
+    """The case in a file, which is read and not run."""
+    title, *paragraphs = (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "").split("\n\n")
+    labels = {"What to see:": "", "A wrong answer:": "", "Source:": "", "Topic:": ""}
+    story = []
+    for paragraph in paragraphs:
+        label = next((label for label in labels if paragraph.startswith(label)), None)
+        if label is None:
+            story.append(paragraph)
+        else:
+            labels[label] = paragraph.removeprefix(label).strip()
+    see, wrong, source, topic = labels.values()
+    return Case(path.stem, path, " ".join(title.split()), "\n\n".join(story), see, wrong, source, topic.rstrip("."))

@@ -1,0 +1,43 @@
+"""The shelf of cases: found, described, and each of a topic."""
+
+from __future__ import annotations
+
+import pytest
+from conftest import CASES
+
+from nsmodel import shelf
+from nsmodel.errors import UsageError
+
+
+def test_a_case_is_what_its_docstring_says(tmp_path):
+    path = tmp_path / "belt.py"
+    path.write_text(
+        '"""A block on a belt:\na line more.\n\n    m x\'\' = f\n\nTold here.\n\nWhat to see: stick\nand slip.\n\n'
+        'A wrong answer: drift.\n\nSource: closed form.\n\nTopic: mechanics.\n"""\nraise SystemExit\n'
+    )
+    case = shelf.read(path)
+    assert (case.name, case.path, case.title) == ("belt", path, "A block on a belt: a line more.")
+    assert case.story == "    m x'' = f\n\nTold here."
+    assert (case.see, case.wrong, case.source, case.topic) == ("stick\nand slip.", "drift.", "closed form.", "mechanics")
+
+
+def test_paragraphs_that_are_not_there_are_empty(tmp_path):
+    (tmp_path / "bare.py").write_text("model = None\n")
+    case = shelf.read(tmp_path / "bare.py")
+    assert (case.title, case.story, case.see, case.wrong, case.source, case.topic) == ("",) * 6
+
+
+def test_all_cases_are_on_the_shelf():
+    assert [case.path for case in shelf.cases()] == CASES
+    assert shelf.case("diode_bridge").title.startswith("Diode bridge")
+
+
+def test_a_name_that_is_none_is_told_the_nearest():
+    with pytest.raises(UsageError, match="no case 'diode_brige'; did you mean diode_bridge"):
+        shelf.case("diode_brige")
+
+
+def test_an_installation_without_cases_says_so(monkeypatch, tmp_path):
+    monkeypatch.setattr(shelf, "_PLACES", (tmp_path / "cases",))
+    with pytest.raises(UsageError, match="no cases beside the package"):
+        shelf.cases()
