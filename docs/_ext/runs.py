@@ -139,8 +139,10 @@ def _thumbnail(run: Any, model: Any) -> Any:
             continue
         figure = ax.figure
         for other in figure.axes:
+            other.set_title("", loc="left")
             other.set(title="", xlabel="", ylabel="")
-            other.tick_params(labelbottom=False, labelleft=False, labelright=False)
+            other.tick_params(length=0, labelbottom=False, labelleft=False, labelright=False)
+            other.spines[:].set_visible(False)
             if legend := other.get_legend():
                 legend.remove()
         figure.set_size_inches(*THUMBNAIL)
