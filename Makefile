@@ -36,8 +36,8 @@ nightly: $(STAMP) ## set up and run the search for refused steps and wrong answe
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.oracle --models $(if $(NSMODEL_SHORT),1,300) --json results/oracle.json
 
 lint: $(STAMP) ## ruff and pyright
-	$(BIN)/ruff check nsmodel cases tests docs/figures
-	$(BIN)/ruff format --check nsmodel cases tests docs/figures
+	$(BIN)/ruff check nsmodel cases tests docs/conf.py docs/_ext docs/_inventories docs/figures
+	$(BIN)/ruff format --check nsmodel cases tests docs/conf.py docs/_ext docs/_inventories docs/figures
 	$(BIN)/pyright
 
 bench: $(STAMP) ## time the steppers beside a plain Python loop (and the peers, where installed)

@@ -1,4 +1,7 @@
-"""How the site is built: ``make docs``. NSMODEL_SHORT=1 builds a small one: two cases, pictures on one page, notebooks that were not run."""
+"""How the site is built: ``make docs``.
+
+NSMODEL_SHORT=1 builds a small one: two cases, pictures on one page, notebooks that were not run.
+"""
 
 import logging
 import os
@@ -44,6 +47,8 @@ nb_execution_timeout = 300
 nb_merge_streams = True
 nb_ipywidgets_js = {}
 nb_number_source_lines = False
+
+smartquotes = False  # x' is a derivative, --out an option
 
 # -- Markdown: as on a host of repositories, and nothing that a name in a model could turn into HTML
 

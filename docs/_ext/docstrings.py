@@ -1,4 +1,4 @@
-"""Docstrings are plain text: paragraphs, sections (Args:, Attributes:, Returns:, Raises:), `names` and ``code`` between backticks.
+"""Docstrings are plain text: paragraphs, sections (Args:, Attributes:, Raises:), `names` and ``code`` between backticks.
 
 Here they become reStructuredText that shows them so, names of the package being links. What annotations call by the module that
 defines it (nsmodel.trajectory.Trajectory) is found under its public name.

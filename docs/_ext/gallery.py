@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from markdown import fenced, plain, prose, relative, table
+from as_markdown import fenced, plain, prose, relative, table
 from runs import Job, Made, forget, made
 
 from nsmodel.shelf import TOPICS, Case, cases
@@ -14,8 +14,9 @@ from nsmodel.shelf import TOPICS, Case, cases
 OTHERS = "more"
 INTRODUCTION = """# Gallery
 
-Every case that comes with nsmodel: what it is, what to see, its picture, its numbers, and what the check of its hypotheses says.
-All of it was made by running the file when this site was built. A picture leads to its page, where the file can be read and taken.
+Every case that comes with nsmodel: what it is, what to see, its picture, its numbers, and what the check of its
+hypotheses says. All of it was made by running the file when this site was built. A picture leads to its page, where the file
+can be read and taken.
 """
 
 

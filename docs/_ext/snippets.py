@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from markdown import relative
+from as_markdown import relative
 from runs import Job, made
 
 BLOCK = re.compile(
