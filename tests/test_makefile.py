@@ -33,7 +33,7 @@ def tree(tmp_path_factory):
     for part in PARTS:
         path = REPOSITORY / part
         if path.is_dir():
-            shutil.copytree(path, folder / part, ignore=shutil.ignore_patterns("__pycache__"))
+            shutil.copytree(path, folder / part, ignore=shutil.ignore_patterns("__pycache__", "gallery"))
         else:
             shutil.copy(path, folder / part)
     return folder
