@@ -58,7 +58,7 @@ study: $(STAMP) ## make the figures and tables of docs/ anew (with the peers, wh
 
 docs: $(STAMP) ## make the site into site/: pages, the gallery of all cases, the reference; minutes the first time
 	$(if $(NSMODEL_SHORT),mkdir -p results && rm -rf results/docs && cp -r docs results/docs)
-	$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going --doctree-dir $(SITE)build/docs/doctrees $(SITE)docs $(SITE)site
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --doctree-dir $(SITE)build/docs/doctrees $(SITE)docs $(SITE)site
 
 clean: ## remove the environment, caches and results
 	rm -rf $(VENV) results site docs/gallery build dist .pytest_cache .ruff_cache *.egg-info

@@ -161,6 +161,24 @@ def test_what_users_write_is_shown_as_it_stands(pages, site):
     assert not any(link.startswith("https://example.org") for link in page.links)
 
 
+def test_what_is_made_is_known_by_file_and_package(tmp_path, monkeypatch):
+    runs = module(REPOSITORY / "docs" / "_ext", "runs")
+    monkeypatch.syspath_prepend(REPOSITORY / "docs" / "_ext")  # for processes
+    job = runs.Job("a.py", "model = 1")
+    others = [runs.Job("b.py", "model = 1"), runs.Job("a.py", "model = 2"), runs.Job("a.py", "model = 1", case=True)]
+    assert len({job.key, *(other.key for other in others)}) == 4
+    before = job.key
+    monkeypatch.setattr(runs, "package_hash", lambda: "another")
+    assert job.key != before
+    (tmp_path / job.key).mkdir()
+    (tmp_path / job.key / "facts.json").write_text('{"title": "kept"}')
+    assert [made.facts["title"] for made in runs.made([job], tmp_path)] == ["kept"]
+    with pytest.raises(RuntimeError, match=r"bad\.py: ModelError: "):
+        list(runs.made([job, runs.Job("bad.py", "model = 1")], tmp_path))
+    runs.forget(tmp_path, [others[0]])
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_the_search_knows_the_pages(site):
     index = (site / "searchindex.js").read_text(encoding="utf-8")
     assert all(f'"{name}"' in index for name in ("guide", "gallery/diode_bridge", "api/runs"))

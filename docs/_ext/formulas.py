@@ -1,4 +1,4 @@
-"""Formulas drawn by KaTeX, which lies beside the site, so that they are drawn without a network."""
+"""Formulas drawn by KaTeX (0.19.1, in _static/katex with its licence): a part of the site, so that no network is needed."""
 
 from __future__ import annotations
 

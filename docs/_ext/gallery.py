@@ -8,6 +8,7 @@ from typing import Any
 
 from as_markdown import fenced, plain, prose, relative, table
 from runs import Job, Made, forget, made
+from sphinx.util.display import status_iterator
 
 from nsmodel.shelf import TOPICS, Case, cases
 
@@ -33,7 +34,8 @@ def write_pages(app: Any) -> None:
     chosen = [case for case in cases() if not app.config.gallery_cases or case.name in app.config.gallery_cases]
     folder, kept = Path(app.srcdir) / "gallery", Path(app.config.made_in) / "cases"
     jobs = [Job(case.path.name, case.path.read_text(encoding="utf-8"), case=True) for case in chosen]
-    shelf = list(zip(chosen, made(jobs, kept), strict=True))
+    results = status_iterator(made(jobs, kept), "running cases... ", "brown", len(jobs), stringify_func=lambda one: one.file.stem)
+    shelf = list(zip(chosen, results, strict=True))
     forget(kept, jobs)
     pages = {case.name: page(case, found, folder) for case, found in shelf} | {"index": overview(shelf, folder)}
     folder.mkdir(exist_ok=True)

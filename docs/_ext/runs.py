@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import json
@@ -61,26 +62,26 @@ def package_hash() -> str:
 
 
 def made(jobs: Iterable[Job], folder: Path) -> Iterator[Made]:
-    """The results of the jobs in order; those that are not in the folder are run, in two processes.
+    """The results of the jobs in order, each as soon as it is there; those not in the folder are run, in two processes.
 
     Raises:
         RuntimeError: a job failed; its name, and what went wrong.
     """
     jobs = list(jobs)
     todo = {job.key: job for job in jobs if not (folder / job.key / "facts.json").is_file()}
-    if todo:
-        spawn = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(min(PROCESSES, len(todo)), mp_context=spawn) as pool:
-            for job, future in [(job, pool.submit(_make, job, folder)) for job in todo.values()]:
-                try:
-                    future.result()
-                except Exception as error:
-                    raise RuntimeError(f"{job.name}: {type(error).__name__}: {error}") from error
-    for job in jobs:
-        at = folder / job.key
-        stem = Path(job.name).stem
-        facts = json.loads((at / "facts.json").read_text(encoding="utf-8"))
-        yield Made(at / job.name, at / f"{stem}.png", at / f"{stem}-small.png", facts)
+    if not todo:
+        yield from (_kept(job, folder) for job in jobs)
+        return
+    with ProcessPoolExecutor(min(PROCESSES, len(todo)), mp_context=multiprocessing.get_context("spawn")) as pool:
+        running = {key: pool.submit(_make, job, folder) for key, job in todo.items()}
+        for job in jobs:
+            try:
+                if job.key in running:
+                    running[job.key].result()
+            except Exception as error:
+                pool.shutdown(cancel_futures=True)
+                raise RuntimeError(f"{job.name}: {type(error).__name__}: {error}") from error
+            yield _kept(job, folder)
 
 
 def forget(folder: Path, jobs: Iterable[Job]) -> None:
@@ -89,6 +90,13 @@ def forget(folder: Path, jobs: Iterable[Job]) -> None:
     for path in folder.iterdir() if folder.is_dir() else ():
         if path.name not in keys:
             shutil.rmtree(path)
+
+
+def _kept(job: Job, folder: Path) -> Made:
+    """The result of a job that was run."""
+    at, stem = folder / job.key, Path(job.name).stem
+    facts = json.loads((at / "facts.json").read_text(encoding="utf-8"))
+    return Made(at / job.name, at / f"{stem}.png", at / f"{stem}-small.png", facts)
 
 
 def _make(job: Job, folder: Path) -> None:
@@ -127,23 +135,23 @@ def _checked(model: Any) -> dict[str, Any]:
 
 
 def _thumbnail(run: Any, model: Any) -> Any:
-    """A run at a glance, without words: people in their room, discs in the plane, or the states."""
-    from nsmodel.errors import PlotError
+    """A run at a glance: people in their room, discs in the plane, or the states."""
     from nsmodel.plot import configuration, crowd, states
 
-    for draw in (lambda: crowd.frame(run), lambda: configuration(run, model), lambda: states(run)):
-        try:
-            ax = draw()
-        except PlotError:
-            continue
-        figure = ax.figure
-        for other in figure.axes:
-            other.set_title("", loc="left")
-            other.set(title="", xlabel="", ylabel="")
-            other.tick_params(length=0, labelbottom=False, labelleft=False, labelright=False)
-            other.spines[:].set_visible(False)
-            if legend := other.get_legend():
-                legend.remove()
-        figure.set_size_inches(*THUMBNAIL)
-        return figure
-    raise AssertionError("states are always drawn")
+    for draw in (lambda: crowd.frame(run), lambda: configuration(run, model)):
+        with contextlib.suppress(nsmodel.PlotError):
+            return _without_words(draw().figure)
+    return _without_words(states(run).figure)
+
+
+def _without_words(figure: Any) -> Any:
+    """The figure small, its lines alone."""
+    for ax in figure.axes:
+        ax.set_title("", loc="left")
+        ax.set(title="", xlabel="", ylabel="")
+        ax.tick_params(length=0, labelbottom=False, labelleft=False, labelright=False)
+        ax.spines[:].set_visible(False)
+        if legend := ax.get_legend():
+            legend.remove()
+    figure.set_size_inches(*THUMBNAIL)
+    return figure

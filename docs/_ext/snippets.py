@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from as_markdown import relative
-from runs import Job, made
+from runs import Job, made, package_hash
 
 BLOCK = re.compile(
     r"^```python model-file (?P<name>\S+)(?P<words>[^\n]*)\n(?P<code>.*?)^```$(?P<output>\n+```text\n.*?^```$)?", re.M | re.S
@@ -17,6 +17,7 @@ BLOCK = re.compile(
 def setup(app: Any) -> dict[str, bool]:
     """Put the pictures into pages as they are read."""
     app.add_config_value("snippet_pages", [], "env", list)  # those alone; none: all
+    app.add_config_value("package", package_hash(), "env", str)  # all pages are read anew where it changes
     app.connect("source-read", add_pictures)
     return {"parallel_read_safe": True}
 
