@@ -41,18 +41,19 @@ class Event(NamedTuple):
     impulse: np.ndarray
 
 
-def polynomials(coefficients: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """sum_k c_k s^k for each row: coefficients (k, n, p + 1), s (k,) -> (k, n)."""
-    total, s = coefficients[:, :, -1].copy(), s[:, None]
-    for k in range(coefficients.shape[2] - 2, -1, -1):
+def polynomials(coefficients: np.ndarray, number: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """sum_k c_k s^k for each row, of the piece of its number: coefficients (K, n, p + 1), number (k,), s (k,) -> (k, n)."""
+    orders = np.ascontiguousarray(coefficients.transpose(2, 1, 0)).take(number, axis=2)
+    total = orders[-1]
+    for k in range(len(orders) - 2, -1, -1):
         total *= s
-        total += coefficients[:, :, k]
-    return total
+        total += orders[k]
+    return total.T
 
 
-def integrals(coefficients: np.ndarray, s: np.ndarray) -> np.ndarray:
+def integrals(coefficients: np.ndarray, number: np.ndarray, s: np.ndarray) -> np.ndarray:
     """The integrals of the same from 0 to s."""
-    return s[:, None] * polynomials(coefficients / np.arange(1, coefficients.shape[2] + 1), s)
+    return s[:, None] * polynomials(coefficients / np.arange(1, coefficients.shape[2] + 1), number, s)
 
 
 def pieces_at(arrays: Arrays, t: np.ndarray) -> np.ndarray:
@@ -69,7 +70,7 @@ def at(arrays: Arrays, t: np.ndarray, number: np.ndarray | None = None) -> At:
     """The run at times t (k,), on the pieces of these numbers."""
     number = pieces_at(arrays, t) if number is None else number
     s = local(arrays, number, t)
-    x, l, y = (polynomials(arrays[f"piece_{name}"][number], s) for name in ("x", "multipliers", "y"))
+    x, l, y = (polynomials(arrays[f"piece_{name}"], number, s) for name in ("x", "multipliers", "y"))
     n, v = arrays["x"].shape[1], arrays["v"].shape[1] if "v" in arrays else 0
     return At(t, x[:, :n], x[:, n : n + v], l, y)
 
