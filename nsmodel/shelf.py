@@ -39,10 +39,16 @@ def cases() -> tuple[Case, ...]:
     Raises:
         UsageError: this installation has none.
     """
-    folder = next((place for place in _PLACES if place.is_dir()), None)
-    if folder is None:
+    found = files()
+    if not found:
         raise UsageError(f"no cases beside the package: expected the folder {_PLACES[0]}; install nsmodel anew")
-    return tuple(read(path) for path in sorted(folder.glob("*.py")))
+    return tuple(map(read, found.values()))
+
+
+def files() -> dict[str, Path]:
+    """The files of the cases by name; empty where this installation has none."""
+    folder = next((place for place in _PLACES if place.is_dir()), None)
+    return {} if folder is None else {path.stem: path for path in sorted(folder.glob("*.py"))}
 
 
 def case(name: str) -> Case:

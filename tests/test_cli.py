@@ -465,7 +465,7 @@ def test_a_signal_saves_what_was_computed(tmp_path, out, number, status):
         "Path('loaded').touch()\n"
     )
     environment = os.environ | {"PYTHONPATH": str(Path(nsmodel.__file__).parents[1]), "CC": "none"}  # nothing is built
-    command = [sys.executable, "-m", "nsmodel.cli", "run", "long.py", *(["--out", "results"] if out else [])]
+    command = [sys.executable, "-m", "nsmodel", "run", "long.py", *(["--out", "results"] if out else [])]
     process = subprocess.Popen(
         command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )  # fmt: skip

@@ -729,9 +729,7 @@ def test_the_cpp_example(tmp_path):
     lines = re.findall(r"^//     (.+)$", text, re.MULTILINE)
     assert lines[-1] == "./host"
     for line in lines[:-1]:
-        line = re.sub("^nsmodel", f"{sys.executable} -m nsmodel.cli", line).replace(
-            "-std=c++17", "-std=c++17 -Wall -Wextra -Werror"
-        )
+        line = re.sub("^nsmodel", f"{sys.executable} -m nsmodel", line).replace("-std=c++17", "-std=c++17 -Wall -Wextra -Werror")
         line = line.replace("cases/", f"{REPOSITORY}/cases/").replace("docs/", f"{REPOSITORY}/docs/")
         subprocess.run(line, shell=True, cwd=tmp_path, check=True, capture_output=True)
     done = subprocess.run(lines[-1], shell=True, cwd=tmp_path, check=True, capture_output=True, text=True)

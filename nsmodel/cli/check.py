@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from nsmodel.cli.output import print_json
-from nsmodel.cli.settings import Commands, add_set, by_name, load, setting
+from nsmodel.cli.settings import Commands, add_files, add_set, by_name, load, setting
 from nsmodel.cli.status import AT_FAULT, DONE, refused
 from nsmodel.errors import NsmodelError, UsageError
 from nsmodel.hypotheses.findings import VIOLATED
@@ -22,7 +22,7 @@ def add(commands: Commands) -> None:
     """Add the command and its options."""
     about = "Decide the hypotheses that the theory of the model's class rests on, and say what follows from them."
     parser = commands.add_parser("check", help="check the hypotheses behind a model file", description=about)
-    parser.add_argument("files", metavar="FILE", nargs="+", help="a Python file that defines model = ... or def model(...)")
+    add_files(parser)
     add_set(parser)
     parser.add_argument(
         "--parameters",

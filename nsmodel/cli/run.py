@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from nsmodel.cli.inputs import add_input, inputs_of
 from nsmodel.cli.output import print_json
-from nsmodel.cli.settings import ACCEPTED, Commands, add_set, load
+from nsmodel.cli.settings import ACCEPTED, Commands, add_files, add_set, load
 from nsmodel.cli.signals import INTERRUPTED, TERMINATED, no_more_signals
 from nsmodel.cli.status import DONE, FAILED_STEP, USAGE, refused, silenced
 from nsmodel.defaults import TOLERANCE
@@ -32,7 +32,7 @@ from nsmodel.words import print_shown as print
 def add(commands: Commands) -> None:
     """Add the command and its options."""
     parser = commands.add_parser("run", help="simulate a model file", description="Simulate a model file and print a summary.")
-    parser.add_argument("files", metavar="FILE", nargs="+", help="a Python file that defines model = ... or def model(...)")
+    add_files(parser)
     parser.add_argument("--step", type=float, metavar="H", help="time step (default: the model's)")
     parser.add_argument("--t-end", type=float, metavar="T", help="end of the run (default: the model's)")
     parser.add_argument("--rtol", type=float, metavar="R", help="error allowed, relative: event-driven where that applies")
