@@ -234,6 +234,16 @@ class Trajectory:
 
         return overview(self, **options)
 
+    def view(self, path: str | Path | None = None) -> Path:
+        """Write one HTML file that shows the run, and return its path; without a path a temporary file, opened in the browser.
+
+        Columns over time, index set, events, phase plane, the configuration of discs in the plane; zoomed and played in the
+        browser. The file needs nothing else, and loads nothing. StorageError where it cannot be written.
+        """
+        from nsmodel.view.run import view_run
+
+        return view_run(self, path)
+
     def summary(self) -> dict[str, Any]:
         """Return the run in short as numbers, strings, lists and dictionaries; None for what does not apply."""
         return summary.summary(self)

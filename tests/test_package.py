@@ -168,7 +168,7 @@ LAYERS = (  # What stands in a line may import, at its top, what stands in it an
     "run classes.walk classes.record",
     "simulate stepping",
     "checking observed_order crowd sweep",
-    "certificate classes.certificate study classes.study stress classes.units classes.judge plot classes.plots",
+    "certificate classes.certificate study classes.study stress classes.units classes.judge plot classes.plots view",
     "cli __main__",
 )
 RANK = {part: rank for rank, line in enumerate(LAYERS) for part in line.split()}
