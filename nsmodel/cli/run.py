@@ -57,6 +57,9 @@ def add(commands: Commands) -> None:
     parser.add_argument("--out", metavar="DIR", help="folder for trajectory.npz, summary.json and pictures")
     parser.add_argument("--csv", metavar="PATH", help="also write the trajectory as CSV")
     parser.add_argument("--plot", action="store_true", help="write pictures into --out (default: FILE-run)")
+    parser.add_argument(
+        "--window", metavar="T0:T1", help="with --plot: pictures from T0 to T1 alone; either may be left out, as in 0.9:"
+    )
     parser.add_argument("--film", metavar="PATH", help="write a film of bodies in the plane: .gif, or .mp4 with ffmpeg")
     parser.add_argument("--explain", action="store_true", help="say what is used and what is left out, and why; then run")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
@@ -77,6 +80,9 @@ def _run(arguments: argparse.Namespace) -> int:
         raise UsageError("--csv takes one model file; for several give --out DIR and read the trajectory.npz in it")
     if several and arguments.film:
         raise UsageError("--film takes one model file; run them one by one")
+    if arguments.window is not None and not arguments.plot:
+        raise UsageError("--window is a window of pictures: give --plot as well")
+    _window(arguments.window)
     if arguments.film:
         from nsmodel.plot.film import check_film
 
@@ -173,6 +179,20 @@ def _folder(arguments: argparse.Namespace, file: str) -> Path | None:
     return Path(arguments.out) / Path(file).stem if len(arguments.files) > 1 else Path(arguments.out)
 
 
+def _window(text: str | None) -> tuple[float | None, float | None] | None:
+    """What --window says."""
+    if text is None:
+        return None
+    ends = text.split(":")
+    try:
+        begin, end = (float(one) if one.strip() else None for one in ends)
+    except ValueError:
+        raise UsageError(f"--window {text}: expected T0:T1, two times, of which one may be left out") from None
+    if begin is not None and end is not None and not begin < end:
+        raise UsageError(f"--window {text}: expected T0 < T1")
+    return begin, end
+
+
 def _own_folder(file: str) -> Path:
     return Path(f"{Path(file).stem}-run")
 
@@ -187,7 +207,7 @@ def _report(
     if arguments.plot and folder is not None:
         from nsmodel.plot import save_all
 
-        pictures = [str(path) for path in save_all(run, model, folder)]
+        pictures = [str(path) for path in save_all(run, model, folder, t=_window(arguments.window))]
     if arguments.film:
         from nsmodel.plot import animate
 

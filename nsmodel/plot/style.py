@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from nsmodel.trajectory import Trajectory
 
 MAX_POINTS = 20_000
+STEADY = 1e-13  # The part of themselves by which values change that stand still.
 
 LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#5E4FA2", "#4D4D4D")
 LOWER, ZERO, UPPER, PALE = "#9CC9E3", "#2F5D8A", "#E3A857", "#DDE1E6"
@@ -54,6 +55,11 @@ def unit(run: Trajectory, name: str) -> str:
 def with_unit(name: str, unit: str) -> str:
     """Return "name [unit]"."""
     return f"{name} [{unit}]" if unit else name
+
+
+def zero(name: str, rounding: bool) -> str:
+    """Return the name, and of what is rounding that it is 0."""
+    return f"{name} = 0 to rounding" if rounding else name
 
 
 def label(run: Trajectory, name: str) -> str:
@@ -147,6 +153,15 @@ def over_time(ax: Axes, run: Trajectory, title: str, ylabel: str, *, grid: bool 
         ax.axvspan(one["start"], min(one["until"], run.t[-1]), color=FREE, alpha=0.15, linewidth=0.8, zorder=0)  # by time steps
     if run.t[-1] > run.t[0]:
         ax.set_xlim(run.t[0], run.t[-1])
+
+
+def steady(ax: Axes, values: np.ndarray, axis: str = "y") -> None:
+    """Give an axis on which nothing moves but by rounding limits that do not show it."""
+    known = values[np.isfinite(values)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    if high - low <= STEADY * max(abs(low), abs(high)):
+        far = 0.05 * abs(low) or 1.0
+        ax.set(**{f"{axis}lim": (low - far, high + far)})
 
 
 def inches(ax: Axes) -> tuple[float, float]:
