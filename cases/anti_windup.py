@@ -4,13 +4,14 @@
 
 The saturation is a box law: l in [-1, 1] with y = l - w is at its end where w is beyond it, and is w where y = 0.
 
-What to see: the drag from 6 s to 10 s is more than the motor can do: l = 1, and n falls to 0.234. When it is gone n comes back to 0.5
-and is never above 0.541.
+What to see: the drag from 6 s to 10 s is more than the motor can do: l = 1, and n falls to 0.234. When it is gone n comes
+back to 0.5 and is never above 0.541.
 
-A wrong answer: a limit that the integral does not know of, as with --set kb=0: it winds up all the while, and n swings over to 0.833
-and is back late. Without any limit l rises to 1.3, and the drag is hardly seen in n.
+A wrong answer: a limit that the integral does not know of, as with --set kb=0: it winds up all the while, and n swings
+over to 0.833 and is back late. Without any limit l rises to 1.3, and the drag is hardly seen in n.
 
-Source: Astrom and Hagglund, Advanced PID control (2006), back-calculation; exact by matrix exponentials, one for each mode.
+Source: Astrom and Hagglund, Advanced PID control (2006), back-calculation; exact by matrix exponentials, one for each
+mode.
 
 Topic: control.
 """

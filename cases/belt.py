@@ -1,12 +1,13 @@
-"""Stick-slip: a block on a moving belt, held by a spring. Friction falls with the speed of slip, so that steady slip is unstable.
+"""A block on a moving belt, held by a spring, sticks and slips, as friction falls with the speed of slip.
 
     p' = v,    v' = -p + d (v - V) - F Sgn(v - V)
 
-What to see: the block rides on the belt, v = V exactly, until the spring tears it off at p = F; it swings back and is caught
-again at p = 0.265. A limit cycle that is reached at once, for each slip begins in the same state: its period is 6.737 s, 5.267 s of it slip.
+What to see: the block rides on the belt, v = V exactly, until the spring tears it off at p = F; it swings back and is
+caught again at p = 0.265. A limit cycle that is reached at once, for each slip begins in the same state: its period is
+6.737 s, 5.267 s of it slip.
 
-A wrong answer: without stick each swing would be exp(pi d/w) = 1.88 times as large as the last, without bound; here all are the same.
-Where friction is smoothed the block slips back while it should ride: v is not V, and p = F comes late.
+A wrong answer: without stick each swing would be exp(pi d/w) = 1.88 times as large as the last, without bound; here all
+are the same. Where friction is smoothed the block slips back while it should ride: v is not V, and p = F comes late.
 
 Source: Popp and Stelter, Stick-slip vibrations and chaos (1990), here with a straight characteristic; closed form.
 

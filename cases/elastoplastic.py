@@ -2,9 +2,9 @@
 
     u' = rate(t),    s_i' in k_i rate(t) - N_[-r_i, r_i](s_i),    force = s_1 + ... + s_4
 
-What to see: force over u has corners, where one slider after the other yields. The small loop, u from 1 to 0.2 and back, is closed: the
-force is 5 N before and after it, and what follows does not know of it. The large one, between -2.5 and 2.5, is closed too, with the virgin
-curve twice as large in each half of it (Masing).
+What to see: force over u has corners, where one slider after the other yields. The small loop, u from 1 to 0.2 and back,
+is closed: the force is 5 N before and after it, and what follows does not know of it. The large one, between -2.5 and
+2.5, is closed too, with the virgin curve twice as large in each half of it (Masing).
 
 A wrong answer: sliders that creep or are smoothed leave the loops open: the force at u = 1 is not 5 N again. Without
 memory, a function of u alone, there is no loop. A yield limit that is overshot shows as more than 6 N at u = 2.5.

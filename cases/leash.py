@@ -1,15 +1,15 @@
-"""A stone on a leash is dragged along by a hand that goes right, up, back down and left.
+"""A stone on a leash is dragged by a hand that goes right, up, back down and left.
 
     q' in -N_C(t)(q),    C(t) the disc of radius 1 about the hand
 
-What to see: while the leash is taut the stone is drawn towards the hand, on a tractrix; while it is slack the stone rests. When the
-hand comes back down it waits from 5 s to 6.92 s, until the leash is taut on the other side.
+What to see: while the leash is taut the stone is drawn towards the hand, on a tractrix; while it is slack the stone
+rests. When the hand comes back down it waits from 5 s to 6.92 s, until the leash is taut on the other side.
 
-A wrong answer: a rod in place of the leash, |q - hand| = 1 at all times, pushes the stone ahead where it should wait. Steps that put the
-stone on the circle instead of into the disc do that too.
+A wrong answer: a rod in place of the leash, |q - hand| = 1 at all times, pushes the stone ahead where it should wait.
+Steps that put the stone on the circle instead of into the disc do that too.
 
-Source: Perrault's problem, a watch that is drawn over a table by its chain; as the play in a disc in Krejci, Hysteresis, convexity
-and dissipation in hyperbolic equations (1996); closed form.
+Source: Perrault's problem, a watch that is drawn over a table by its chain; as the play in a disc in Krejci, Hysteresis,
+convexity and dissipation in hyperbolic equations (1996); closed form.
 
 Topic: mathematics.
 """

@@ -3,12 +3,12 @@
     p' = v,                v' = -4 p - 0.2 v + 3 sin t + l,                  l in -1.5 Sgn(v)
     z' = u + 6 (p - z),    u' = -4 z - 0.2 u + 3 sin t + 8 (p - z) + k,      k in -1.5 Sgn(u)
 
-What to see: the observer (z, u) starts at 0, the mass at p = 2 with v = -3. At first it switches and turns by itself; from t = 4.57 on
-both turn, stick and slip within 3 us of each other. The error 12 (p - z)^2 + (v - u)^2 never rises: with P = diag(12, 1) the
-observer's field is dissipative, and P B = C' for both frictions.
+What to see: the observer (z, u) starts at 0, the mass at p = 2 with v = -3. At first it switches and turns by itself;
+from t = 4.57 on both turn, stick and slip within 3 us of each other. The error 12 (p - z)^2 + (v - u)^2 never rises: with
+P = diag(12, 1) the observer's field is dissipative, and P B = C' for both frictions.
 
-A wrong answer: without its own friction (--set friction=0) the observer does not find the speed: u is off by up to 0.69 m/s at each
-swing. A friction that is smoothed moves where it should stick, from 7.93 s to 8.83 s.
+A wrong answer: without its own friction (--set friction=0) the observer does not find the speed: u is off by up to 0.69
+m/s at each swing. A friction that is smoothed moves where it should stick, from 7.93 s to 8.83 s.
 
 Source: Brogliato and Heemels, Observer design for Lur'e systems with multivalued mappings: a passivity approach (2009).
 

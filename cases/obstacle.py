@@ -1,15 +1,17 @@
-"""A string in honey over a floor, with a weight that changes: the heat equation with an obstacle, on 15 nodes.
+"""A string in honey over a floor, with a weight that changes: the heat equation with an obstacle.
 
     u_t = u_xx - p(t) + l,    0 <= u ⟂ l >= 0,    u = a at both ends
 
-What to see: the middle lands first. The contact spreads as the weight grows from 8/9 to 8, and draws back when it is 2. At rest it is the
-nodes with |x - 1/2| <= 1/2 - s, s = sqrt(2 a/p) = 3/8, 1/8, 1/4; what hangs on each side is a parabola, p (s - x)^2/2, which meets the
-floor without a kink. On the floor l = p, and half of it at the edge of the contact.
+What to see: the middle lands first. The contact spreads as the weight grows from 8/9 to 8, and draws back when it is 2.
+At rest it is the nodes with |x - 1/2| <= 1/2 - s, s = sqrt(2 a/p) = 3/8, 1/8, 1/4; what hangs on each side is a parabola,
+p (s - x)^2/2, which meets the floor without a kink. On the floor l = p, and half of it at the edge of the contact.
 
-A wrong answer: the string without a floor, cut off at 0, has a kink there, and under p = 2 it lies on the floor from x = 0.067 to
-0.933, not from 1/4 to 3/4. A floor that is a stiff spring lets the string sink in, by the weight over the stiffness.
+A wrong answer: the string without a floor, cut off at 0, has a kink there, and under p = 2 it lies on the floor from x =
+0.067 to 0.933, not from 1/4 to 3/4. A floor that is a stiff spring lets the string sink in, by the weight over the
+stiffness.
 
-Source: Duvaut and Lions, Inequalities in mechanics and physics (1976); the states of rest in closed form, exact on the grid.
+Source: Duvaut and Lions, Inequalities in mechanics and physics (1976); the states of rest in closed form, exact on the
+grid.
 
 Topic: mathematics.
 """

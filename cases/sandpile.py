@@ -2,11 +2,12 @@
 
     h' = source(t) + sand that slides,    |h_{i+1} - h_i| <= 1
 
-What to see: a pile of k layers holds k^2 of sand and grows ever slower. From t = 16 on the source is over cell 10: a second pile grows,
-meets the first and climbs over its flank, but leaves its top at 4. Multipliers are the sand that slides over each edge between two cells.
+What to see: a pile of k layers holds k^2 of sand and grows ever slower. From t = 16 on the source is over cell 10: a
+second pile grows, meets the first and climbs over its flank, but leaves its top at 4. Multipliers are the sand that
+slides over each edge between two cells.
 
-A wrong answer: slopes that a stiff force holds let sand creep, and the top of the first pile, cell 3, sinks below 4. Slopes set right one after
-the other make sand, or lose it: all cells together hold t.
+A wrong answer: slopes that a stiff force holds let sand creep, and the top of the first pile, cell 3, sinks below 4.
+Slopes set right one after the other make sand, or lose it: all cells together hold t.
 
 Source: Prigozhin, Variational model of sandpile growth (1996); closed form on cells.
 

@@ -1,14 +1,16 @@
-"""A crumb in a square drum that turns: it sinks through honey, lies in the corner, is lifted with it, and slides down to the next.
+"""A crumb in a square drum that turns lies in a corner, is lifted with it, and slides down to the next.
 
     q' in (0, -c) - N_C(t)(q),    C(t) the square of half side a, turned by w t
 
-What to see: in the corner both walls hold the crumb. Once the one that is ahead has nothing to bear (0.533 s) the crumb slides down
-along the other to the next corner (1.545 s). Its loop at the bottom of the drum is the same in every quarter of a turn.
+What to see: in the corner both walls hold the crumb. Once the one that is ahead has nothing to bear (0.533 s) the crumb
+slides down along the other to the next corner (1.549 s). Its loop at the bottom of the drum is the same in every quarter
+of a turn.
 
-A wrong answer: walls treated one after the other let the crumb out through the corner, |q| > a sqrt(2). A corner that never lets go
-lifts it to the top; here it is never above -0.84 m.
+A wrong answer: walls treated one after the other let the crumb out through the corner, |q| > a sqrt(2). A corner that
+never lets go lifts it to the top; here it is never above -0.84 m.
 
-Source: Moreau, Evolution problem associated with a moving convex set in a Hilbert space (1977), swept by a polygon; closed form.
+Source: Moreau, Evolution problem associated with a moving convex set in a Hilbert space (1977), swept by a polygon;
+closed form.
 
 Topic: mechanics.
 """

@@ -2,15 +2,16 @@
 
     p' = v,    v' = -a Sgn(p) - b Sgn(v),    a > b > 0
 
-What to see: a spiral. At each passage of p = 0 the speed is half of what it was, r = sqrt((a - b)/(a + b)) = 1/2, and so is the time
-to the next one: the switches accumulate at t = 3 s, and the mass is at rest from there on. With --rtol 1e-8 the switches are followed
-down to rounding.
+What to see: a spiral. At each passage of p = 0 the speed is half of what it was, r = sqrt((a - b)/(a + b)) = 1/2, and so
+is the time to the next one: the switches accumulate at t = 3 s, and the mass is at rest from there on. With --rtol 1e-8
+the switches are followed down to rounding.
 
-A wrong answer: a mass that never stops. Relays computed from the last state chatter about 0, more widely the longer the step; where
-they are smoothed the mass creeps; with the relay on v left out, b = 0, each passage is as fast as the first, 4 m/s.
+A wrong answer: a mass that never stops. Relays computed from the last state chatter about 0, more widely the longer the
+step; where they are smoothed the mass creeps; with the relay on v left out, b = 0, each passage is as fast as the first,
+4 m/s.
 
-Source: Levant, Sliding order and sliding accuracy in sliding mode control (1993); closed form. The relay on p does not act on p',
-so no P > 0 has P B = C' (5.1 fails), and the theorem on well-posedness does not apply.
+Source: Levant, Sliding order and sliding accuracy in sliding mode control (1993); closed form. The relay on p does not
+act on p', so no P > 0 has P B = C' (5.1 fails), and the theorem on well-posedness does not apply.
 
 Topic: control.
 """

@@ -2,11 +2,11 @@
 
     x1' = 2 l1 + l2 + sin(t)/2,    x2' = l1 + 2 l2 + cos(t)/2,    l1 in -Sgn(x1),    l2 in -Sgn(x2)
 
-What to see: x2 is 0 from t = 0.398 on, x1 from 1.016 on. While x2 alone slides its relay gives way, and x1 falls at half its
-speed. On the intersection both relays are inside (-1, 1): together they are the equivalent control, l = -B^-1 d(t).
+What to see: x2 is 0 from t = 0.398 on, x1 from 1.016 on. While x2 alone slides its relay gives way, and x1 falls at half
+its speed. On the intersection both relays are inside (-1, 1): together they are the equivalent control, l = -B^-1 d(t).
 
-A wrong answer: each relay switched as if the other were not there. Then x1 goes on falling at 3/s when x2 has arrived, and
-reaches 0 at t = 0.707 already. Relays computed from the last state chatter between -1 and 1 at the intersection.
+A wrong answer: each relay switched as if the other were not there. Then x1 goes on falling at 3/s when x2 has arrived,
+and reaches 0 at t = 0.707 already. Relays computed from the last state chatter between -1 and 1 at the intersection.
 
 Source: Utkin, Sliding modes in control and optimization (1992); closed form.
 
