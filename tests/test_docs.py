@@ -22,7 +22,7 @@ from nsmodel.cli import main
 from nsmodel.codegen import library as codegen_library
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").glob("*.md"))]
+PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
 LARGEST_PICTURE = 150_000
 
 NUMBER = re.compile(r"\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
@@ -124,7 +124,7 @@ def test_python_block_runs_and_prints_what_the_page_shows(block, folder):
     if "compiler" in block.words and codegen_library.compiler() is None:
         pytest.skip("no C compiler")
     if block.is_model_file:
-        options = dict(word.split("=") for word in block.words[3:])
+        options = dict(word.split("=") for word in block.words[3:] if "=" in word)
         status, output = printed(main, ["run", block.words[2]])
         assert status == int(options.get("exit", 0)), output
     else:
