@@ -1,5 +1,9 @@
-"""How the site is built: ``make docs``. NSMODEL_SHORT=1 builds a small one: two cases, no notebooks."""
+"""How the site is built: ``make docs``.
 
+NSMODEL_SHORT=1 builds a small one: two cases, pictures on one page, notebooks that were not run.
+"""
+
+import logging
 import os
 import sys
 from pathlib import Path
@@ -26,14 +30,16 @@ extensions = [
     "docstrings",
     "formulas",
 ]
-exclude_patterns = ["_*", "figures", "examples", "images", *(["notebooks"] if SHORT else [])]
-suppress_warnings = ["toc.empty_glob", "toc.excluded", "misc.highlighting_failure"]  # Outputs have "..." where lines are left out.
+exclude_patterns = ["_*", "figures", "examples", "images"]
+suppress_warnings = ["misc.highlighting_failure"]  # Outputs have "..." where lines are left out.
+logging.getLogger("sphinx.sphinx.directives.other").addFilter(lambda record: "toctree glob" not in record.msg)  # no page yet
 nitpicky = True
 
 # -- what is made by running: kept beside the site, and made anew where the package changes
 
 made_in = str(HERE.parent / "build" / "docs")
 gallery_cases = ["diode_bridge", "moving_disc"] if SHORT else []
+snippet_pages = ["guide"] if SHORT else []
 nb_execution_mode = "off" if SHORT else "cache"
 nb_execution_cache_path = f"{made_in}/notebooks-{package_hash()}"
 nb_execution_raise_on_error = True
@@ -41,6 +47,8 @@ nb_execution_timeout = 300
 nb_merge_streams = True
 nb_ipywidgets_js = {}
 nb_number_source_lines = False
+
+smartquotes = False  # x' is a derivative, --out an option
 
 # -- Markdown: as on a host of repositories, and nothing that a name in a model could turn into HTML
 
@@ -54,7 +62,6 @@ myst_links_external_new_tab = False
 
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
-autodoc_default_options = {"members": True, "show-inheritance": False}
 default_role = "literal"
 maximum_signature_line_length = 80
 python_use_unqualified_type_names = True

@@ -1,4 +1,4 @@
-"""Docstrings are plain text: paragraphs, sections (Args:, Attributes:, Returns:, Raises:), `names` and ``code`` between backticks.
+"""Docstrings are plain text: paragraphs, sections (Args:, Attributes:, Raises:), `names` and ``code`` between backticks.
 
 Here they become reStructuredText that shows them so, names of the package being links. What annotations call by the module that
 defines it (nsmodel.trajectory.Trajectory) is found under its public name.
@@ -24,6 +24,7 @@ def setup(app: Any) -> dict[str, bool]:
     """Change docstrings and signatures as autodoc reads them; resolve references that were not found."""
     app.connect("autodoc-process-docstring", as_text)
     app.connect("autodoc-process-signature", without_factories)
+    app.connect("autodoc-skip-member", without_aliases)
     app.connect("missing-reference", public, priority=400)  # before other projects are asked
     return {"parallel_read_safe": True}
 
@@ -38,6 +39,11 @@ def without_factories(
 ) -> tuple[str | None, str | None]:
     """Defaults that are made anew for each object have no value to show."""
     return (FACTORY.sub("...", signature) if signature else signature), (None if returns == "None" else returns)
+
+
+def without_aliases(app: Any, what: str, name: str, value: Any, skip: bool, options: Any) -> bool | None:
+    """The fields of a named tuple are told in its own docstring."""
+    return True if str(getattr(value, "__doc__", "")).startswith("Alias for field number") else None
 
 
 ELSEWHERE = {  # What annotations say, and what it is called where it is described.

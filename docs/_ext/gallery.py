@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from markdown import fenced, plain, prose, relative, table
+from as_markdown import fenced, plain, prose, relative, table
 from runs import Job, Made, forget, made
 
 from nsmodel.shelf import TOPICS, Case, cases
@@ -14,8 +14,9 @@ from nsmodel.shelf import TOPICS, Case, cases
 OTHERS = "more"
 INTRODUCTION = """# Gallery
 
-Every case that comes with nsmodel: what it is, what to see, its picture, its numbers, and what the check of its hypotheses says.
-All of it was made by running the file when this site was built. A picture leads to its page, where the file can be read and taken.
+Every case that comes with nsmodel: what it is, what to see, its picture, its numbers, and what the check of its
+hypotheses says. All of it was made by running the file when this site was built. A picture leads to its page, where the file
+can be read and taken.
 """
 
 
@@ -51,12 +52,13 @@ def page(case: Case, found: Made, folder: Path) -> str:
     parts = [
         f"# {plain(facts['title'])}",
         plain(case.title),
-        f"```{{figure}} {picture}\n:alt: {' '.join(facts['title'].split())}: overview of the run\n:class: overview\n```",
+        f"```{{figure}} {picture}\n:alt: {' '.join(facts['title'].split())}: overview of the run\n:figclass: overview\n```",
         prose(case.story),
         labelled("What to see", case.see),
         labelled("A wrong answer", case.wrong),
         labelled("Source", case.source),
-        f"## The file\n\n{{download}}`{found.file.name} <{relative(found.file, folder)}>`",
+        f"## The file\n\nTake {{download}}`{found.file.name} <{relative(found.file, folder)}>`, "
+        f"or copy it with `nsmodel new NAME --like {case.name}`.",
         fenced(case.path.read_text(encoding="utf-8"), "python"),
         f"## Its numbers\n\nWhat `nsmodel run {found.file.name}` prints:\n\n{fenced(facts['summary'])}",
         f"## Its hypotheses\n\nWhat `nsmodel check {found.file.name}` decides: {plain(facts['verdict'])}.",
@@ -67,13 +69,16 @@ def page(case: Case, found: Made, folder: Path) -> str:
 
 def labelled(label: str, text: str) -> str:
     """A paragraph with its label; nothing where there is no text."""
-    return f"**{label}.** {prose(text)}" if text else ""
+    return f"**{label}:** {prose(text)}" if text else ""
 
 
 def verdicts(findings: Iterable[dict[str, str]]) -> str:
     """The findings as a table."""
-    rows = [[one["id"], one["verdict"], one["statement"], one["how"]] for one in findings]
-    return table(["", "verdict", "hypothesis", "how it was decided"], rows)
+    rows = [
+        [plain(one["id"]), f"[{one['verdict']}]{{.verdict .{one['verdict']}}}", plain(one["statement"]), plain(one["how"])]
+        for one in findings
+    ]
+    return table(["", "verdict", "hypothesis", "how it was decided"], rows) if rows else ""
 
 
 def overview(shelf: list[tuple[Case, Made]], folder: Path) -> str:

@@ -1,4 +1,4 @@
-"""What is made by running model files: a picture, numbers, verdicts. Each is kept under the hash of its file and of the package."""
+"""What is made by running model files: pictures, numbers, verdicts, kept under the hash of the file and of the package."""
 
 from __future__ import annotations
 
@@ -111,15 +111,15 @@ def _make(job: Job, folder: Path) -> None:
     facts = {"title": run.title, "status": run.status, "model_class": type(model).__name__, "summary": run.summary_text()}
     if job.case:
         save(_thumbnail(run, model), at / f"{file.stem}-small.png", dpi=150)
-        facts |= _checked(model, run)
+        facts |= _checked(model)
     (at / "facts.json").write_text(json.dumps(facts), encoding="utf-8")
     at.rename(folder / job.key)
 
 
-def _checked(model: Any, run: Any) -> dict[str, Any]:
+def _checked(model: Any) -> dict[str, Any]:
     """The verdicts on the hypotheses of a case; a check that asks for more than the file says tells what for."""
     try:
-        report = nsmodel.check(model, [run])
+        report = nsmodel.check(model)
     except nsmodel.UsageError as error:
         return {"verdict": str(error), "findings": []}
     findings = [{"id": one.id, "statement": one.statement, "verdict": one.verdict, "how": one.how} for one in report.findings]
@@ -128,9 +128,8 @@ def _checked(model: Any, run: Any) -> dict[str, Any]:
 
 def _thumbnail(run: Any, model: Any) -> Any:
     """A run at a glance, without words: people in their room, discs in the plane, or the states."""
-    from nsmodel.plot import configuration, crowd, states
-
     from nsmodel.errors import PlotError
+    from nsmodel.plot import configuration, crowd, states
 
     for draw in (lambda: crowd.frame(run), lambda: configuration(run, model), lambda: states(run)):
         try:
@@ -139,8 +138,10 @@ def _thumbnail(run: Any, model: Any) -> Any:
             continue
         figure = ax.figure
         for other in figure.axes:
+            other.set_title("", loc="left")
             other.set(title="", xlabel="", ylabel="")
-            other.tick_params(labelbottom=False, labelleft=False, labelright=False)
+            other.tick_params(length=0, labelbottom=False, labelleft=False, labelright=False)
+            other.spines[:].set_visible(False)
             if legend := other.get_legend():
                 legend.remove()
         figure.set_size_inches(*THUMBNAIL)

@@ -6,22 +6,26 @@ import re
 from pathlib import Path
 from typing import Any
 
-from markdown import relative
+from as_markdown import relative
 from runs import Job, made
 
-BLOCK = re.compile(r"^```python model-file (?P<name>\S+)(?P<words>[^\n]*)\n(?P<code>.*?)^```$(?P<output>\n+```text\n.*?^```$)?", re.M | re.S)
+BLOCK = re.compile(
+    r"^```python model-file (?P<name>\S+)(?P<words>[^\n]*)\n(?P<code>.*?)^```$(?P<output>\n+```text\n.*?^```$)?", re.M | re.S
+)
 
 
 def setup(app: Any) -> dict[str, bool]:
     """Put the pictures into pages as they are read."""
+    app.add_config_value("snippet_pages", [], "env", list)  # those alone; none: all
     app.connect("source-read", add_pictures)
     return {"parallel_read_safe": True}
 
 
 def add_pictures(app: Any, name: str, source: list[str]) -> None:
     """After each such block, and the output that follows it, the picture of its run."""
+    chosen = app.config.snippet_pages
     found = [match for match in BLOCK.finditer(source[0]) if "picture" in match["words"].split()]
-    if found:
+    if found and (not chosen or name in chosen):
         jobs = [Job(match["name"], match["code"]) for match in found]
         pictures = made(jobs, Path(app.config.made_in) / "snippets")
         folder = Path(app.env.doc2path(name)).parent
@@ -34,4 +38,4 @@ def add_pictures(app: Any, name: str, source: list[str]) -> None:
 
 def figure(picture: str, title: str) -> str:
     """The picture in Markdown."""
-    return f"\n\n```{{figure}} {picture}\n:alt: {' '.join(title.split())}: overview of the run\n:class: overview\n```\n"
+    return f"\n\n```{{figure}} {picture}\n:alt: {' '.join(title.split())}: overview of the run\n:figclass: overview\n```\n"

@@ -13,7 +13,7 @@ CODE = re.compile(r"``(.+?)``|`(.+?)`", re.DOTALL)
 
 def plain(text: str) -> str:
     """One line of text, in which nothing is a sign of Markdown."""
-    return PUNCTUATION.sub(r"\\\1", " ".join(text.split()))
+    return _kept(text.strip())
 
 
 def prose(text: str) -> str:
@@ -28,9 +28,8 @@ def fenced(code: str, language: str = "text") -> str:
 
 
 def table(head: list[str], rows: list[list[str]]) -> str:
-    """Rows of plain text."""
-    lines = [head, ["---"] * len(head), *([plain(cell) for cell in row] for row in rows)]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    """A table of cells in Markdown."""
+    return "\n".join("| " + " | ".join(line) + " |" for line in (head, ["---"] * len(head), *rows))
 
 
 def relative(path: Path, start: Path) -> str:
@@ -51,11 +50,11 @@ def _inline(text: str) -> str:
     """Text with code between backticks."""
     parts, at = [], 0
     for match in CODE.finditer(text):
-        parts += [plain_kept(text[at : match.start()]), f"``{match[1] or match[2]}``"]
+        parts += [_kept(text[at : match.start()]), f"``{match[1] or match[2]}``"]
         at = match.end()
-    return "".join([*parts, plain_kept(text[at:])])
+    return "".join([*parts, _kept(text[at:])])
 
 
-def plain_kept(text: str) -> str:
-    """Like ``plain``, with the spaces at both ends."""
+def _kept(text: str) -> str:
+    """The same with spaces at both ends where there are."""
     return PUNCTUATION.sub(r"\\\1", re.sub(r"\s+", " ", text))
