@@ -76,11 +76,11 @@ function reach(items, range, positive) {
   }
 }
 
-/** Draws items as a line, what is several rows wide as boxes; `place` is the pixel of a value. */
+/** Draws items as a line; tall bars and what is several rows wide are filled. `place` is the pixel of a value. */
 function drawLine(ctx, items, place, left) {
   const v = items.values;
   let down = false;
-  let last = 0;
+  let [lastX, lastTop, lastBottom, lastKind] = [0, 0, 0, BREAK];
   ctx.beginPath();
   for (let i = 0; i < items.count; i++) {
     const at = 5 * i;
@@ -90,18 +90,28 @@ function drawLine(ctx, items, place, left) {
       continue;
     }
     const x = left + v[at + 1];
-    const a = place(v[at + 3]);
-    const b = kind === VERTEX ? a : place(v[at + 4]);
-    const [from, to] = Math.abs(last - a) <= Math.abs(last - b) ? [a, b] : [b, a];
-    if (!down) ctx.moveTo(x, from);
-    else if (kind !== BOX || (last - a) * (last - b) > 0) ctx.lineTo(x, from);
-    else ctx.moveTo(x, from);
+    const one = place(v[at + 3]);
+    const other = kind === VERTEX ? one : place(v[at + 4]);
+    let top = Math.min(one, other);
+    let bottom = Math.max(one, other);
+    let end = x;
     if (kind === BOX) {
-      const end = left + v[at + 2];
-      ctx.fillRect(x, Math.min(a, b) - 0.75, end - x, Math.abs(a - b) + 1.5);
-      ctx.moveTo(end, to);
-    } else ctx.lineTo(x, kind === BAR && a === b ? a + 0.01 : to);
-    last = to;
+      end = left + v[at + 2];
+      ctx.fillRect(x, top - 0.75, end - x, bottom - top + 1.5);
+    }
+    const from = !down ? top : lastTop > bottom ? bottom : lastBottom < top ? top : Math.min(bottom, Math.max(top, lastTop));
+    if (kind === BAR && down && x - lastX < 2) {
+      if (lastBottom < top) top = lastBottom;
+      if (lastTop > bottom) bottom = lastTop;
+    }
+    if (kind === BAR && bottom - top > 3) ctx.fillRect(Math.floor(x), top - 0.5, 1.3, bottom - top + 1);
+    else if (kind !== BOX || (down && (lastTop > bottom || lastBottom < top))) {
+      if (!down) ctx.moveTo(x, from);
+      else if (lastKind !== VERTEX) ctx.moveTo(lastX, Math.min(lastBottom, Math.max(lastTop, from)));
+      ctx.lineTo(x, kind === BAR ? from + 0.01 : from);
+    }
+    // What a bar was widened by belongs to the line between bars, not to the values that the next one joins.
+    [lastX, lastTop, lastBottom, lastKind] = [end, Math.min(one, other), Math.max(one, other), kind];
     down = true;
   }
   ctx.stroke();

@@ -11,7 +11,13 @@ function element(tag, name = "", text = "", ...children) {
   return made;
 }
 
-const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+const palette = new Map();
+
+/** A colour of the style sheet; forgotten when the theme changes. */
+function colour(name) {
+  if (!palette.has(name)) palette.set(name, getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim());
+  return palette.get(name);
+}
 
 /** A button that is pressed or not. */
 function toggle(words, pressed, changed) {
@@ -39,8 +45,7 @@ function fitted(canvas) {
   ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
   ctx.clearRect(0, 0, width, height);
   ctx.font = "11px system-ui, sans-serif";
-  ctx.lineJoin = "round";
-  ctx.lineCap = "round";
+  ctx.lineJoin = "bevel";
   return { ctx, width, height };
 }
 

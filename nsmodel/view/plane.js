@@ -1,6 +1,6 @@
 // Pictures in the plane: one column over another, and discs in a room.
 
-const MANY = 20_000; // Points beyond which a path is painted pixel by pixel.
+const MANY = 20_000, BOXES = 1_000; // Points and boxes beyond which a path is painted pixel by pixel.
 const HEAT = ["#FFFFE5", "#FFF7BC", "#FEE391", "#FEC44F", "#FE9929", "#EC7014", "#CC4C02", "#993404", "#662506"];
 
 /** What a pointer does on a canvas: drag, pinch, wheel, double click; `on` says what comes of it. */
@@ -183,10 +183,10 @@ class Phase extends Plane {
     const { clock } = a;
     const ctx = this.frame([a.label, b.label]);
     const { t0, t1, t } = this.view;
-    const whole = t0 <= clock.T[0] && t1 >= clock.T[clock.n];
-    if (!whole) this.path(ctx, a, b, 0, clock.n, colour("pale"));
     const first = entryAt(clock, t0);
-    this.path(ctx, a, b, first, Math.min(clock.n, entryAt(clock, t1) + 1), colour("line-0"));
+    const last = Math.min(clock.n, entryAt(clock, t1) + 1);
+    if (first > 0 || last < clock.n) this.layer(ctx, "pale", a, b, 0, clock.n);
+    this.layer(ctx, "line-0", a, b, first, last);
     const known = (k) => Number.isFinite(a.low[0][k]) && Number.isFinite(b.low[0][k]);
     const dot = (k, paint) => known(k) && paint(this.px(a.row[k]), this.py(b.row[k]));
     let start = 0;
@@ -204,70 +204,73 @@ class Phase extends Plane {
     ctx.restore();
   }
 
-  /** The entries from..to as a line, or as the boxes that hold their rows; those that stay in a pixel are drawn once. */
-  path(ctx, a, b, from, to, paint) {
-    if (to - from > MANY) {
-      this.raster(ctx, a, b, from, to, paint);
-      return;
+  /** Puts a path on the canvas; it is painted anew only where it is another. */
+  layer(ctx, paint, a, b, from, to) {
+    const ratio = ctx.canvas.width / ctx.canvas.clientWidth;
+    const key = [this.chosen, from, to, this.x0, this.sx, this.y0, this.sy, ratio, colour(paint)].join();
+    const kept = (this.layers ??= {});
+    if (kept[paint]?.key !== key) {
+      const image = new OffscreenCanvas(Math.ceil(this.wide * ratio), Math.ceil(this.tall * ratio));
+      const own = image.getContext("2d");
+      const place = { x0: this.x0, sx: this.sx * ratio, y0: this.y0 + this.tall / this.sy, sy: -this.sy * ratio };
+      (to - from > (a.boxes ? BOXES : MANY) ? dotted : drawn)(own, place, a, b, from, to, colour(paint), ratio);
+      kept[paint] = { key, image };
     }
-    ctx.strokeStyle = ctx.fillStyle = paint;
-    ctx.lineWidth = 1.3;
-    ctx.beginPath();
-    let down = false;
-    for (let k = from; k < to; k++) {
-      const [u, v] = [a.low[0][k], b.low[0][k]];
-      if (!Number.isFinite(u) || !Number.isFinite(v)) down = false;
-      else if (a.boxes) {
-        const [x, y, end, top] = [this.px(u), this.py(v), this.px(a.high[0][k]), this.py(b.high[0][k])];
-        ctx.rect(x - 0.6, top - 0.6, end - x + 1.2, y - top + 1.2);
-      } else {
-        if (down) ctx.lineTo(this.px(a.row[k]), this.py(b.row[k]));
-        else ctx.moveTo(this.px(a.row[k]), this.py(b.row[k]));
-        down = true;
-      }
-    }
-    if (a.boxes) ctx.fill();
-    else ctx.stroke();
+    ctx.drawImage(kept[paint].image, LEFT, TOP, kept[paint].image.width / ratio, kept[paint].image.height / ratio);
   }
+}
 
-  /** The same for many entries, pixel by pixel. */
-  raster(ctx, a, b, from, to, paint) {
-    const [wide, tall] = [Math.ceil(this.wide), Math.ceil(this.tall)];
-    const image = new ImageData(wide, tall);
-    const pixels = new Uint32Array(image.data.buffer);
-    const [red, green, blue] = [1, 3, 5].map((i) => Number.parseInt(paint.slice(i, i + 2), 16));
-    const value = ((255 << 24) | (blue << 16) | (green << 8) | red) >>> 0;
-    const put = (x, y) => {
-      if (x >= 0 && x < wide && y >= 0 && y < tall) pixels[y * wide + x] = value;
-    };
-    const [lowA, highA, lowB, highB] = [a.low[0], a.high[0], b.low[0], b.high[0]];
-    let last = null;
-    for (let k = from; k < to; k++) {
-      const x = Math.round((lowA[k] - this.x0) * this.sx);
-      const y = Math.round(tall - (lowB[k] - this.y0) * this.sy);
-      if (!Number.isFinite(x + y)) {
-        last = null;
-        continue;
-      }
-      if (a.boxes) {
-        const end = Math.min(wide, Math.round((highA[k] - this.x0) * this.sx));
-        const bottom = Math.min(tall, y);
-        for (let v = Math.max(0, Math.round(tall - (highB[k] - this.y0) * this.sy)); v <= bottom; v++) {
-          for (let u = Math.max(0, x); u <= end; u++) put(u, v);
-        }
-      } else {
-        const steps = last ? Math.min(4000, Math.max(Math.abs(x - last[0]), Math.abs(y - last[1]))) : 0;
-        for (let i = 1; i < steps; i++) {
-          put(Math.round(last[0] + ((x - last[0]) * i) / steps), Math.round(last[1] + ((y - last[1]) * i) / steps));
-        }
-        put(x, y);
-        last = [x, y];
-      }
+/** The entries from..to as a line, or as the boxes that hold their rows. */
+function drawn(ctx, { x0, sx, y0, sy }, a, b, from, to, paint, ratio) {
+  ctx.strokeStyle = ctx.fillStyle = paint;
+  ctx.lineWidth = 1.3 * ratio;
+  ctx.beginPath();
+  let down = false;
+  for (let k = from; k < to; k++) {
+    const [x, y] = [(a.row[k] - x0) * sx, (b.row[k] - y0) * sy];
+    if (!Number.isFinite(x + y)) down = false;
+    else if (a.boxes) {
+      const [end, top] = [(a.high[0][k] - x0) * sx, (b.high[0][k] - y0) * sy];
+      ctx.rect(x - 0.6, top - 0.6, end - x + 1.2, y - top + 1.2);
+    } else {
+      if (down) ctx.lineTo(x, y);
+      else ctx.moveTo(x, y);
+      down = true;
     }
-    const layer = new OffscreenCanvas(wide, tall);
-    layer.getContext("2d").putImageData(image, 0, 0);
-    ctx.drawImage(layer, LEFT, TOP);
   }
+  if (a.boxes) ctx.fill();
+  else ctx.stroke();
+}
+
+/** The same for many entries, pixel by pixel. */
+function dotted(ctx, { x0, sx, y0, sy }, a, b, from, to, paint) {
+  const { width, height } = ctx.canvas;
+  const image = new ImageData(width, height);
+  const pixels = new Uint32Array(image.data.buffer);
+  const [red, green, blue] = [1, 3, 5].map((i) => Number.parseInt(paint.slice(i, i + 2), 16));
+  const value = ((255 << 24) | (blue << 16) | (green << 8) | red) >>> 0;
+  let [lastX, lastY] = [NaN, NaN];
+  const [across, up, farA, farB] = [a.row, b.row, a.high[0], b.high[0]];
+  for (let k = from; k < to; k++) {
+    const x = Math.round((across[k] - x0) * sx);
+    const y = Math.round((up[k] - y0) * sy);
+    if (a.boxes) {
+      const end = Math.min(width - 1, Math.round((farA[k] - x0) * sx));
+      const bottom = Math.min(height - 1, y);
+      for (let v = Math.max(0, Math.round((farB[k] - y0) * sy)); v <= bottom; v++) {
+        for (let u = Math.max(0, x); u <= end; u++) pixels[v * width + u] = value;
+      }
+      continue;
+    }
+    const steps = Math.min(4000, Math.max(Math.abs(x - lastX), Math.abs(y - lastY), 1)) || 1;
+    for (let i = 1; i <= steps; i++) {
+      const u = i === steps ? x : Math.round(lastX + ((x - lastX) * i) / steps);
+      const v = i === steps ? y : Math.round(lastY + ((y - lastY) * i) / steps);
+      if (u >= 0 && u < width && v >= 0 && v < height) pixels[v * width + u] = value;
+    }
+    [lastX, lastY] = [x, y];
+  }
+  ctx.putImageData(image, 0, 0);
 }
 
 /** Discs, walls and exits at the time of the cursor; discs in the colour of the pressure on them. */
