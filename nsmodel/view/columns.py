@@ -142,7 +142,7 @@ def _words(run: Trajectory, names: Sequence[str]) -> list[tuple[str, laws.Words]
 def _people(run: Trajectory) -> list[Panel]:
     """How many bodies are there, and the pressure on them."""
     there = present(run).sum(axis=1).astype(float)
-    found = [Panel("Bodies there", ["bodies"], [there], open=bool(np.ptp(there)))]
+    found = [Panel("Bodies there", ["bodies"], [there])] if np.ptp(there) else []
     pressure = run.arrays.get("pressure")
     if pressure is not None:
         total, count = np.nansum(pressure, axis=1), np.isfinite(pressure).sum(axis=1)

@@ -22,7 +22,8 @@ from nsmodel.trajectory import Trajectory
 ARGUMENTS = ("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking")
 FRAMES = """async ([count, code]) => {
   const move = {zoom: (k) => nsview.zoom(k < count / 2 ? 0.8 : 1.25, 0.3 * nsview.span[1]),
-    pan: (k) => nsview.show(0.2 + 0.01 * k, 0.3 + 0.01 * k), slider: (k) => nsview.select(Math.floor((nsview.clock.n * k) / count))}[code];
+    pan: (k) => nsview.show(0.2 + 0.01 * k, 0.3 + 0.01 * k),
+    slider: (k) => nsview.select(Math.floor((nsview.clock.n * k) / count))}[code];
   nsview.reset();
   await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
   nsview.frames.length = 0;
@@ -62,7 +63,7 @@ def main() -> None:
         path = run.view(Path(folder) / "long.html")
         found["write"], found["megabytes"] = time.perf_counter() - start, path.stat().st_size / 1e6
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=list(ARGUMENTS))
-        page = browser.new_page(viewport={"width": 1400, "height": 1000})
+        page = browser.new_page(viewport={"width": 1400, "height": 1600})
         page.goto(path.as_uri(), wait_until="commit")
         found["open"] = page.evaluate(
             """async () => {
@@ -74,7 +75,9 @@ def main() -> None:
             page.get_by_role("button", name=panel).click()
         for code in ("zoom", "pan", "slider"):
             times = page.evaluate(FRAMES, [60, code])
-            found[code] = {f"{key}_{word}": pick(times[key]) for key in times for word, pick in (("median", np.median), ("most", max))}
+            found[code] = {
+                f"{key}_{word}": pick(times[key]) for key in times for word, pick in (("median", np.median), ("most", max))
+            }
         browser.close()
     print(f"{arguments.rows:,} rows by 10 columns: written in {found['write']:.2f} s, {found['megabytes']:.1f} MB")
     print(f"opened, from navigation to the first picture: {found['open']:.2f} s")
