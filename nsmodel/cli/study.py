@@ -30,6 +30,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("--budget", type=float, default=60.0, metavar="SECONDS", help="wall time of the study (default 60)")
     parser.add_argument("--json", action="store_true", help="print the study as JSON")
     parser.add_argument("--csv", metavar="PATH", help="also write one row a point as CSV")
+    parser.add_argument("--html", metavar="FILE", help="also write the study as a page for a browser")
     parser.add_argument("--out", metavar="DIR", help="folder for study.txt, study.json, study.csv and study.png")
     parser.set_defaults(command=_study)
 
@@ -57,6 +58,8 @@ def _study(arguments: argparse.Namespace) -> int:
         print(found.text())
     if arguments.csv:
         found.to_csv(arguments.csv)
+    if arguments.html:
+        found.view(arguments.html)
     if arguments.out:
         folder = Path(arguments.out)
         write_text(folder / "study.txt", found.text())

@@ -142,7 +142,7 @@ def _words(run: Trajectory, names: Sequence[str]) -> list[tuple[str, laws.Words]
 def _people(run: Trajectory) -> list[Panel]:
     """How many bodies are there, and the pressure on them."""
     there = present(run).sum(axis=1).astype(float)
-    found = [Panel("Bodies there", ["bodies"], [there], open=bool(np.ptp(there)))]
+    found = [Panel("Bodies there", ["bodies"], [there])] if np.ptp(there) else []
     pressure = run.arrays.get("pressure")
     if pressure is not None:
         total, count = np.nansum(pressure, axis=1), np.isfinite(pressure).sum(axis=1)
@@ -208,14 +208,13 @@ def _apart(
         groups.setdefault((unit, bool(small)), []).append(k)
     found = []
     for (unit, small), members in groups.items():
-        picks = np.array(members)
-        if len(picks) > MOST and largest:
-            picks = np.sort(picks[np.argsort(-size[picks], kind="stable")[:MOST]])
-        picks = picks[style.spread(len(picks), MOST)]
+        best = np.sort(np.argsort(-size[members], kind="stable")[:MOST]) if largest else style.spread(len(members), MOST)
+        picks: list[int] = np.array(members)[best].tolist()
         note = style.of(len(picks), len(members), "the largest" if largest else "evenly spread").strip()
         name = f"{title}, the small ones" if small else title
+        labels: list[str] = [names[k] for k in picks]
         own = [begins[k] for k in picks] if begins else []
-        found.append(Panel(name, [names[k] for k in picks], [values[k] for k in picks], unit, own, look, open, note))
+        found.append(Panel(name, labels, [values[k] for k in picks], unit, own, look, open, note))
     return found
 
 

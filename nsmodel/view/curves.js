@@ -76,11 +76,16 @@ function reach(items, range, positive) {
   }
 }
 
-/** Draws items as a line, what is several rows wide as boxes; `place` is the pixel of a value. */
+/** Draws items as a line; tall bars and what is several rows wide are filled. `place` is the pixel of a value. */
 function drawLine(ctx, items, place, left) {
   const v = items.values;
   let down = false;
-  let last = 0;
+  let [lastX, lastTop, lastBottom, penX, penY] = [0, 0, 0, NaN, NaN];
+  const to = (x0, y0, x, y) => {
+    if (x0 !== penX || y0 !== penY) ctx.moveTo(x0, y0);
+    ctx.lineTo(x, y);
+    [penX, penY] = [x, y];
+  };
   ctx.beginPath();
   for (let i = 0; i < items.count; i++) {
     const at = 5 * i;
@@ -90,18 +95,21 @@ function drawLine(ctx, items, place, left) {
       continue;
     }
     const x = left + v[at + 1];
-    const a = place(v[at + 3]);
-    const b = kind === VERTEX ? a : place(v[at + 4]);
-    const [from, to] = Math.abs(last - a) <= Math.abs(last - b) ? [a, b] : [b, a];
-    if (!down) ctx.moveTo(x, from);
-    else if (kind !== BOX || (last - a) * (last - b) > 0) ctx.lineTo(x, from);
-    else ctx.moveTo(x, from);
-    if (kind === BOX) {
-      const end = left + v[at + 2];
-      ctx.fillRect(x, Math.min(a, b) - 0.75, end - x, Math.abs(a - b) + 1.5);
-      ctx.moveTo(end, to);
-    } else ctx.lineTo(x, kind === BAR && a === b ? a + 0.01 : to);
-    last = to;
+    const end = kind === BOX ? left + v[at + 2] : x;
+    const one = place(v[at + 3]);
+    const other = kind === VERTEX ? one : place(v[at + 4]);
+    const top = Math.min(one, other);
+    const bottom = Math.max(one, other);
+    const apart = lastTop > bottom || lastBottom < top;
+    if (down && (apart || kind !== BOX)) {
+      const from = apart ? (lastTop > bottom ? lastTop : lastBottom) : Math.min(bottom, Math.max(top, penY || lastTop));
+      const near = Math.min(bottom, Math.max(top, from));
+      to(lastX, Math.min(lastBottom, Math.max(lastTop, near)), x, near);
+    }
+    if (kind === BOX) ctx.fillRect(x, top - 0.75, end - x, bottom - top + 1.5);
+    else if (bottom - top > 3) ctx.fillRect(x - 0.65, top, 1.3, bottom - top);
+    else if (bottom > top || !down) to(x, penX === x && penY === bottom ? bottom : top, x, penX === x && penY === bottom ? top : bottom + 0.01);
+    [lastX, lastTop, lastBottom] = [end, top, bottom];
     down = true;
   }
   ctx.stroke();
@@ -138,14 +146,18 @@ function ticks(low, high, room) {
   return { values, words, more: times + (base ? ` + ${number(base, 12)}` : "") };
 }
 
-/** Ticks at powers of ten. */
-function powers(low, high) {
-  const a = Math.ceil(Math.log10(low) - 1e-9);
-  const b = Math.floor(Math.log10(high) + 1e-9);
-  const step = Math.max(1, Math.ceil((b - a) / 4));
+/** Ticks of a logarithmic axis between exponents a and b: exponents, and the words of the numbers. */
+function decades(a, b, room) {
   const values = [];
-  for (let k = a; k <= b; k += step) values.push(10 ** k);
-  return { values, words: values.map((value) => value.toExponential(0).replace("e+", "e")), more: "" };
+  if (b - a < 1.5) {
+    for (let k = Math.floor(a); k <= b; k++) for (const m of [1, 2, 3, 5]) values.push(k + Math.log10(m));
+  } else {
+    const step = Math.max(1, Math.ceil((b - a) / room));
+    for (let k = Math.ceil(a - 1e-9); k <= b + 1e-9; k += step) values.push(k);
+  }
+  const inside = values.filter((value) => value >= a - 1e-9 && value <= b + 1e-9);
+  const words = inside.map((value) => (Math.abs(value) < 4 ? String(number(10 ** value, 2)) : (10 ** value).toExponential(0).replace("e+", "e")));
+  return { values: inside, words, more: "" };
 }
 
 /** A number in so many digits, as short as it is. */

@@ -77,6 +77,23 @@ function entryAt(clock, t) {
   return low;
 }
 
+/** The first of increasing times that is not before t. */
+function firstFrom(times, t) {
+  let low = 0;
+  let high = times.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (times[middle] < t) low = middle + 1;
+    else high = middle;
+  }
+  return low;
+}
+
+/** The first entry that begins after t. */
+function firstBeyond(clock, t) {
+  return clock.T[0] > t ? 0 : entryAt(clock, t) + 1;
+}
+
 /** A column: levels `low` and `high`, of single rows with the values where steps begin in `begin`. */
 async function columnOf(data, look, clock) {
   const low = await unpack(data.low);

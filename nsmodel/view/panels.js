@@ -1,49 +1,5 @@
 // Panels over time: lines, dots on a logarithmic axis, and the bands of an index set.
 
-const LEFT = 72, RIGHT = 10, TOP = 8, BOTTOM = 22;
-
-/** An element with a class, text and children. */
-function element(tag, name = "", text = "", ...children) {
-  const made = document.createElement(tag);
-  if (name) made.className = name;
-  if (text) made.textContent = text;
-  made.append(...children);
-  return made;
-}
-
-const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
-
-/** A button that is pressed or not. */
-function toggle(words, pressed, changed) {
-  const made = element("button", "chip", words);
-  made.type = "button";
-  made.setAttribute("aria-pressed", String(pressed));
-  made.addEventListener("click", () => {
-    const now = made.getAttribute("aria-pressed") !== "true";
-    made.setAttribute("aria-pressed", String(now));
-    changed(now);
-  });
-  return made;
-}
-
-/** A canvas of the size of its element, in pixels of the device. */
-function fitted(canvas) {
-  const ratio = Math.min(2, window.devicePixelRatio || 1);
-  const width = canvas.clientWidth;
-  const height = canvas.clientHeight;
-  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
-    canvas.width = Math.round(width * ratio);
-    canvas.height = Math.round(height * ratio);
-  }
-  const ctx = canvas.getContext("2d");
-  ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
-  ctx.clearRect(0, 0, width, height);
-  ctx.font = "11px system-ui, sans-serif";
-  ctx.lineJoin = "round";
-  ctx.lineCap = "round";
-  return { ctx, width, height };
-}
-
 /** What all panels over time have: a heading, chips, a canvas, the line of the cursor, a note. */
 class TimePanel {
   constructor(data, view) {
@@ -128,25 +84,6 @@ class TimePanel {
     if (inside) this.cursor.style.transform = `translateX(${LEFT + share * (this.canvas.clientWidth - LEFT - RIGHT)}px)`;
     this.tell();
   }
-}
-
-function line(ctx, x0, y0, x1, y1) {
-  ctx.beginPath();
-  ctx.moveTo(x0, y0);
-  ctx.lineTo(x1, y1);
-  ctx.stroke();
-}
-
-/** The first of increasing times that is not before t. */
-function firstFrom(times, t) {
-  let low = 0;
-  let high = times.length;
-  while (low < high) {
-    const middle = (low + high) >> 1;
-    if (times[middle] < t) low = middle + 1;
-    else high = middle;
-  }
-  return low;
 }
 
 /** Columns as lines, or as dots on a logarithmic axis. */
@@ -235,13 +172,13 @@ class LinePanel extends TimePanel {
       const y = bottom - (((this.log ? Math.log10(value) : value) - a) / (b - a)) * area.height;
       return y < area.top ? area.top : y > bottom ? bottom : y;
     };
-    const { values, words, more } = this.log ? powers(low, high) : ticks(low, high, area.height / 32);
+    const { values, words, more } = this.log ? decades(a, b, 4) : ticks(low, high, area.height / 32);
     ctx.strokeStyle = colour("grid");
     ctx.fillStyle = colour("soft");
     ctx.textAlign = "right";
     ctx.textBaseline = "middle";
     values.forEach((value, i) => {
-      const y = Math.round(place(value)) + 0.5;
+      const y = Math.round(place(this.log ? 10 ** value : value)) + 0.5;
       line(ctx, area.left, y, area.left + area.width, y);
       ctx.fillText(words[i], area.left - 6, y);
     });
@@ -334,11 +271,6 @@ class BandPanel extends TimePanel {
   }
 
   tell() {}
-}
-
-/** The first entry that begins after t. */
-function firstBeyond(clock, t) {
-  return clock.T[0] > t ? 0 : entryAt(clock, t) + 1;
 }
 
 /** A name whose middle is cut out until it fits into a width. */

@@ -1,7 +1,4 @@
-// Pictures in the plane: one column over another, and discs in a room.
-
-const MANY = 20_000; // Points beyond which a path is painted pixel by pixel.
-const HEAT = ["#FFFFE5", "#FFF7BC", "#FEE391", "#FEC44F", "#FE9929", "#EC7014", "#CC4C02", "#993404", "#662506"];
+// A canvas with two axes, moved by pointer and wheel.
 
 /** What a pointer does on a canvas: drag, pinch, wheel, double click; `on` says what comes of it. */
 function gestures(canvas, on) {
@@ -106,8 +103,8 @@ class Plane {
       [y0, y1] = [(y0 + y1 - per * tall) / 2, (y0 + y1 + per * tall) / 2];
     }
     Object.assign(this, { x0, y0, sx: wide / (x1 - x0), sy: tall / (y1 - y0), tall, wide });
-    const across = ticks(x0, x1, wide / 80);
-    const up = ticks(y0, y1, tall / 40);
+    const across = this.ticks(x0, x1, wide / 80);
+    const up = this.ticks(y0, y1, tall / 40);
     ctx.strokeStyle = colour("grid");
     ctx.fillStyle = colour("soft");
     ctx.lineWidth = 1;
@@ -138,214 +135,15 @@ class Plane {
     return ctx;
   }
 
+  ticks(low, high, room) {
+    return ticks(low, high, room);
+  }
+
   px(x) {
     return LEFT + (x - this.x0) * this.sx;
   }
 
   py(y) {
     return TOP + this.tall - (y - this.y0) * this.sy;
-  }
-}
-
-/** One column over another: the whole run pale, the window of time in colour. */
-class Phase extends Plane {
-  constructor(view, columns, chosen) {
-    super(view, "Phase plane", false);
-    this.columns = columns;
-    this.chosen = chosen;
-    this.note.textContent = "Whole run pale, the time shown in colour; ○ start, ■ end, ● cursor.";
-    const choices = ["across", "up"].map((word, i) => {
-      const select = element("select");
-      select.setAttribute("aria-label", word);
-      columns.forEach((column, k) => select.append(new Option(column.label, k, false, k === chosen[i])));
-      select.addEventListener("change", () => {
-        this.chosen[i] = Number(select.value);
-        this.reset();
-      });
-      return element("label", "key", `${word} `, select);
-    });
-    this.controls.append(...choices);
-  }
-
-  get home() {
-    return this.chosen.flatMap((k) => {
-      const column = this.columns[k];
-      const ends = [column.low.at(-1)[0], column.high.at(-1)[0]].map((v) => (Number.isFinite(v) ? v : 0));
-      const middle = (ends[0] + ends[1]) / 2;
-      const flat = ends[1] - ends[0] <= 1e-9 * Math.max(...ends.map(Math.abs));
-      const half = flat ? 0.1 * Math.abs(middle) || 1 : 0.55 * (ends[1] - ends[0]);
-      return [middle - half, middle + half];
-    });
-  }
-
-  draw() {
-    const [a, b] = this.chosen.map((k) => this.columns[k]);
-    const { clock } = a;
-    const ctx = this.frame([a.label, b.label]);
-    const { t0, t1, t } = this.view;
-    const whole = t0 <= clock.T[0] && t1 >= clock.T[clock.n];
-    if (!whole) this.path(ctx, a, b, 0, clock.n, colour("pale"));
-    const first = entryAt(clock, t0);
-    this.path(ctx, a, b, first, Math.min(clock.n, entryAt(clock, t1) + 1), colour("line-0"));
-    const known = (k) => Number.isFinite(a.low[0][k]) && Number.isFinite(b.low[0][k]);
-    const dot = (k, paint) => known(k) && paint(this.px(a.row[k]), this.py(b.row[k]));
-    let start = 0;
-    while (start < clock.n - 1 && !known(start)) start++;
-    ctx.strokeStyle = ctx.fillStyle = colour("ink");
-    ctx.lineWidth = 1.5;
-    const round = (x, y, radius) => {
-      ctx.beginPath();
-      ctx.arc(x, y, radius, 0, 7);
-    };
-    dot(start, (x, y) => (round(x, y, 4), ctx.stroke()));
-    dot(clock.n - 1, (x, y) => ctx.fillRect(x - 3.5, y - 3.5, 7, 7));
-    ctx.fillStyle = colour("alert");
-    dot(entryAt(clock, t), (x, y) => (round(x, y, 5), ctx.fill()));
-    ctx.restore();
-  }
-
-  /** The entries from..to as a line, or as the boxes that hold their rows; those that stay in a pixel are drawn once. */
-  path(ctx, a, b, from, to, paint) {
-    if (to - from > MANY) {
-      this.raster(ctx, a, b, from, to, paint);
-      return;
-    }
-    ctx.strokeStyle = ctx.fillStyle = paint;
-    ctx.lineWidth = 1.3;
-    ctx.beginPath();
-    let down = false;
-    for (let k = from; k < to; k++) {
-      const [u, v] = [a.low[0][k], b.low[0][k]];
-      if (!Number.isFinite(u) || !Number.isFinite(v)) down = false;
-      else if (a.boxes) {
-        const [x, y, end, top] = [this.px(u), this.py(v), this.px(a.high[0][k]), this.py(b.high[0][k])];
-        ctx.rect(x - 0.6, top - 0.6, end - x + 1.2, y - top + 1.2);
-      } else {
-        if (down) ctx.lineTo(this.px(a.row[k]), this.py(b.row[k]));
-        else ctx.moveTo(this.px(a.row[k]), this.py(b.row[k]));
-        down = true;
-      }
-    }
-    if (a.boxes) ctx.fill();
-    else ctx.stroke();
-  }
-
-  /** The same for many entries, pixel by pixel. */
-  raster(ctx, a, b, from, to, paint) {
-    const [wide, tall] = [Math.ceil(this.wide), Math.ceil(this.tall)];
-    const image = new ImageData(wide, tall);
-    const pixels = new Uint32Array(image.data.buffer);
-    const [red, green, blue] = [1, 3, 5].map((i) => Number.parseInt(paint.slice(i, i + 2), 16));
-    const value = ((255 << 24) | (blue << 16) | (green << 8) | red) >>> 0;
-    const put = (x, y) => {
-      if (x >= 0 && x < wide && y >= 0 && y < tall) pixels[y * wide + x] = value;
-    };
-    const [lowA, highA, lowB, highB] = [a.low[0], a.high[0], b.low[0], b.high[0]];
-    let last = null;
-    for (let k = from; k < to; k++) {
-      const x = Math.round((lowA[k] - this.x0) * this.sx);
-      const y = Math.round(tall - (lowB[k] - this.y0) * this.sy);
-      if (!Number.isFinite(x + y)) {
-        last = null;
-        continue;
-      }
-      if (a.boxes) {
-        const end = Math.min(wide, Math.round((highA[k] - this.x0) * this.sx));
-        const bottom = Math.min(tall, y);
-        for (let v = Math.max(0, Math.round(tall - (highB[k] - this.y0) * this.sy)); v <= bottom; v++) {
-          for (let u = Math.max(0, x); u <= end; u++) put(u, v);
-        }
-      } else {
-        const steps = last ? Math.min(4000, Math.max(Math.abs(x - last[0]), Math.abs(y - last[1]))) : 0;
-        for (let i = 1; i < steps; i++) {
-          put(Math.round(last[0] + ((x - last[0]) * i) / steps), Math.round(last[1] + ((y - last[1]) * i) / steps));
-        }
-        put(x, y);
-        last = [x, y];
-      }
-    }
-    const layer = new OffscreenCanvas(wide, tall);
-    layer.getContext("2d").putImageData(image, 0, 0);
-    ctx.drawImage(layer, LEFT, TOP);
-  }
-}
-
-/** Discs, walls and exits at the time of the cursor; discs in the colour of the pressure on them. */
-class Configuration extends Plane {
-  constructor(view, data, arrays) {
-    super(view, "Configuration", true);
-    Object.assign(this, { data, ...arrays });
-    this.home = data.window;
-    this.frames = data.rows.length;
-    this.labels = [withUnit("x", data.unit), withUnit("y", data.unit)];
-    const words = data.rows.length < data.of ? [`${data.rows.length} of ${data.of} rows are drawn here, evenly spread.`] : [];
-    if (this.pressure) {
-      const unit = data.pressure_unit ? ` ${data.pressure_unit}` : "";
-      words.push(`Colour: sum of the reactions on a disc, 0 to ${number(data.top, 3)}${unit} and more.`);
-      this.controls.append(element("span", "key", "0"), element("span", "heat"), element("span", "key", `${number(data.top, 3)}${unit}`));
-    }
-    this.note.textContent = words.join(" ");
-  }
-
-  draw() {
-    const next = firstFrom(this.times, this.view.t);
-    const at = this.times[next] === this.view.t ? next : Math.max(0, next - 1);
-    const ctx = this.frame(this.labels);
-    const { radii, walls, exits, top } = this.data;
-    this.trails(ctx, at);
-    const rest = colour(this.pressure ? "rest" : "calm");
-    const groups = new Map();
-    for (let k = 0; k < radii.length; k++) {
-      const pressed = this.pressure ? this.pressure[k * this.frames + at] : 0;
-      const shade = pressed > 0 ? HEAT[Math.min(8, Math.round((8 * pressed) / top))] : rest;
-      if (!groups.has(shade)) groups.set(shade, []);
-      groups.get(shade).push(k);
-    }
-    ctx.strokeStyle = colour("disc");
-    ctx.lineWidth = Math.min(1, 0.06 * Math.min(...radii) * this.sx);
-    for (const [shade, members] of groups) {
-      ctx.fillStyle = shade;
-      ctx.beginPath();
-      for (const k of members) {
-        const x = this.px(this.places[2 * k * this.frames + at]);
-        const y = this.py(this.places[(2 * k + 1) * this.frames + at]);
-        const radius = radii[k] * this.sx;
-        if (!Number.isFinite(x + y)) continue;
-        ctx.moveTo(x + radius, y);
-        ctx.arc(x, y, radius, 0, 2 * Math.PI);
-      }
-      ctx.fill();
-      ctx.stroke();
-    }
-    for (const [lines, paint, width, dash] of [[walls, "ink", 3, []], [exits, "line-2", 2.5, [6, 5]]]) {
-      ctx.strokeStyle = colour(paint);
-      ctx.lineWidth = width;
-      ctx.setLineDash(dash);
-      for (const [x0, y0, x1, y1] of lines) line(ctx, this.px(x0), this.py(y0), this.px(x1), this.py(y1));
-    }
-    ctx.restore();
-    ctx.setLineDash([]);
-  }
-
-  /** The ways of few discs so far. */
-  trails(ctx, at) {
-    const count = this.data.radii.length;
-    if (count > 200) return;
-    const every = Math.max(1, Math.ceil((at * count) / 20_000));
-    ctx.strokeStyle = colour("pale");
-    ctx.lineWidth = 1;
-    ctx.beginPath();
-    for (let k = 0; k < count; k++) {
-      let down = false;
-      for (let i = at % every; i <= at; i += every) {
-        const x = this.px(this.places[2 * k * this.frames + i]);
-        const y = this.py(this.places[(2 * k + 1) * this.frames + i]);
-        if (!Number.isFinite(x + y)) down = false;
-        else if (down) ctx.lineTo(x, y);
-        else ctx.moveTo(x, y);
-        down = Number.isFinite(x + y);
-      }
-    }
-    ctx.stroke();
   }
 }

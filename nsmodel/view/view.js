@@ -104,7 +104,10 @@ class View {
     for (const panel of this.panels) this.point(panel);
     window.addEventListener("resize", () => this.redraw());
     window.addEventListener("scroll", () => this.redraw(), { passive: true });
-    window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.redraw());
+    window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+      palette.clear();
+      this.redraw();
+    });
     window.addEventListener("keydown", (event) => this.key(event));
   }
 
