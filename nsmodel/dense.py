@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nsmodel.brief import brief
+
 UNKNOWN = -2  # Code of a row before the first piece.
 Arrays = Mapping[str, np.ndarray]
 
@@ -19,6 +21,8 @@ class At(NamedTuple):
     v: np.ndarray
     multipliers: np.ndarray
     y: np.ndarray
+
+    __repr__ = brief
 
 
 class Event(NamedTuple):
@@ -39,6 +43,8 @@ class Event(NamedTuple):
     y_before: np.ndarray
     y_after: np.ndarray
     impulse: np.ndarray
+
+    __repr__ = brief
 
 
 def polynomials(coefficients: np.ndarray, s: np.ndarray) -> np.ndarray:

@@ -128,6 +128,18 @@ def _finite(array: np.ndarray) -> np.ndarray:
 
 def text(summary: dict[str, Any]) -> str:
     """What `summary` returned as a table of at most 100 columns."""
+    lines = rows(summary)
+    table = textwrap.wrap(summary["title"], _WIDTH)
+    width = max(map(len, lines)) + 4
+    for label, texts in lines.items():
+        for i, line in enumerate(texts):
+            first, rest = f"  {label if i == 0 else '':{width - 2}}", " " * (width + 2)
+            table += textwrap.wrap(line, _WIDTH, initial_indent=first, subsequent_indent=rest)
+    return "\n".join(table)
+
+
+def rows(summary: dict[str, Any]) -> dict[str, list[str]]:
+    """What `summary` returned in words: {label: lines}, empty ones too."""
     s, t, changes = summary, summary["t"], summary["index_set_changes"]
     unit = f" {t['unit']}" if t["unit"] else ""
     counts = sorted(s["solver_counts"].items(), key=lambda item: (-item[1], item[0]))
@@ -160,13 +172,7 @@ def text(summary: dict[str, Any]) -> str:
         "final state": _aligned(shown),
         "warnings": s["warnings"],
     }
-    table = textwrap.wrap(s["title"], _WIDTH)
-    width = max(map(len, lines)) + 4
-    for label, texts in lines.items():
-        for i, line in enumerate([texts] if isinstance(texts, str) else texts or []):
-            first, rest = f"  {label if i == 0 else '':{width - 2}}", " " * (width + 2)
-            table += textwrap.wrap(line, _WIDTH, initial_indent=first, subsequent_indent=rest)
-    return "\n".join(table)
+    return {label: [texts] if isinstance(texts, str) else texts or [] for label, texts in lines.items()}
 
 
 def _bodies_lines(bodies: dict[str, Any] | None, unit: str) -> dict[str, str | list[str]]:

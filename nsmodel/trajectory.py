@@ -13,6 +13,7 @@ from nsmodel import columns, dense, summary, windows
 from nsmodel.archive import read_npz, write_npz
 from nsmodel.contacts import Contacts
 from nsmodel.errors import StorageError, UsageError
+from nsmodel.notebook import shown_by
 from nsmodel.quantities import evaluated, of_outputs
 from nsmodel.storage import write_csv
 
@@ -34,6 +35,8 @@ class Trajectory:
 
     arrays: dict[str, np.ndarray]
     metadata: dict[str, Any]
+
+    _repr_html_ = shown_by("run")
 
     @property
     def t(self) -> np.ndarray:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from nsmodel.errors import StepError, StorageError, UsageError
+from nsmodel.notebook import shown_by
 from nsmodel.storage import write_csv
 from nsmodel.sweep import dataset
 from nsmodel.sweep.asked import ALONE, WAYS
@@ -52,6 +53,8 @@ class Sweep:
     metadata: Mapping[str, Any]
     engine: str = ""
     _again: Callable[..., Any] | None = field(default=None)
+
+    _repr_html_ = shown_by("sweep")
 
     @property
     def shape(self) -> tuple[int, ...]:
