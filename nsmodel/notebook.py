@@ -18,6 +18,11 @@ def shown_by(name: str) -> Callable[[Any], str]:
     return _repr_html_
 
 
+def watched() -> bool:
+    """Whether somebody sees what is written over itself on standard error: at a terminal, or in a notebook."""
+    return sys.stderr.isatty() or in_notebook()
+
+
 def in_notebook() -> bool:
     """Whether this process is the kernel of a notebook."""
     shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()

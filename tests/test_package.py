@@ -154,7 +154,7 @@ def test_every_module_says_what_it_is_for_and_its_examples_run(name):
 
 
 LAYERS = (  # What stands in a line may import, at its top, what stands in it and above.
-    "defaults errors later once version words brief notebook",
+    "defaults errors later once version words brief notebook extras",
     "proof",
     "model_files pickled",
     "laws signals blocks",

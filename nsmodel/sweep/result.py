@@ -195,10 +195,24 @@ class Sweep:
         """Write one row a cell: what varies, numbers of each run, how it went, why not; rows over time are left out."""
         write_csv(path, dataset.table(self))
 
+    def to_pandas(self) -> Any:
+        """Return the table of ``to_csv`` as a ``pandas.DataFrame`` by cell, units in its ``attrs``.
+
+        MissingExtraError where pandas is not installed.
+        """
+        return dataset.frame(self)
+
+    def to_xarray(self) -> Any:
+        """Return an ``xarray.Dataset``: quantities along what varies, which has its values as coordinates.
+
+        MissingExtraError where xarray is not installed.
+        """
+        return dataset.of(self)
+
     @property
     def data(self) -> Any:
-        """The sweep as an ``xarray.Dataset``; MissingExtraError where xarray is not installed."""
-        return dataset.of(self)
+        """The sweep as ``to_xarray`` returns it."""
+        return self.to_xarray()
 
     def to_netcdf(self, path: str | Path) -> None:
         """Write ``data`` as netCDF; MissingExtraError where xarray, or what it writes that with, is not installed."""
