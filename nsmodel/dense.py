@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nsmodel.brief import brief
 from nsmodel.errors import UsageError
 
 UNKNOWN = -2  # Code of a row before the first piece.
@@ -21,6 +22,8 @@ class At(NamedTuple):
     v: np.ndarray
     multipliers: np.ndarray
     y: np.ndarray
+
+    __repr__ = brief
 
 
 class Event(NamedTuple):
@@ -41,6 +44,8 @@ class Event(NamedTuple):
     y_before: np.ndarray
     y_after: np.ndarray
     impulse: np.ndarray
+
+    __repr__ = brief
 
 
 def times_of(given: Any) -> np.ndarray:

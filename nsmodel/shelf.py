@@ -7,6 +7,7 @@ import difflib
 from dataclasses import dataclass
 from pathlib import Path
 
+from nsmodel.brief import brief
 from nsmodel.errors import UsageError
 
 TOPICS = ("circuits", "control", "mechanics", "crowds", "biology", "mathematics")
@@ -31,6 +32,8 @@ class Case:
     wrong: str
     source: str
     topic: str
+
+    __repr__ = brief
 
 
 def cases() -> tuple[Case, ...]:

@@ -13,6 +13,7 @@ from nsmodel import columns, dense, summary, windows
 from nsmodel.archive import read_npz, write_npz
 from nsmodel.contacts import Contacts
 from nsmodel.errors import StorageError, UsageError
+from nsmodel.notebook import shown_by
 from nsmodel.quantities import evaluated, of_outputs
 from nsmodel.storage import write_csv
 
@@ -34,6 +35,8 @@ class Trajectory:
 
     arrays: dict[str, np.ndarray]
     metadata: dict[str, Any]
+
+    _repr_html_ = shown_by("run")
 
     @property
     def t(self) -> np.ndarray:
@@ -233,9 +236,17 @@ class Trajectory:
     def to_xarray(self) -> Any:
         """Return an ``xarray.Dataset`` along ``time``: a variable a state, other arrays whole, metadata as attributes.
 
+        Further dimensions are ``multiplier``, ``input`` and ``state`` with their names, and ``body``; units are attributes.
         MissingExtraError where xarray is not installed.
         """
         return columns.dataset(self)
+
+    def to_pandas(self) -> Any:
+        """Return the table of ``to_csv`` as a ``pandas.DataFrame``: a row a time, a column a quantity, units in its ``attrs``.
+
+        MissingExtraError where pandas is not installed.
+        """
+        return columns.frame(self)
 
     def plot(self, **options: Any) -> Any:
         """Draw an overview of the run; the options are those of ``nsmodel.plot.overview``."""

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from nsmodel import dense
+from nsmodel.brief import brief
 from nsmodel.errors import UsageError
 from nsmodel.model.quantity import Quantity
 from nsmodel.quantities import Names, limits, quantity_of, values
@@ -39,6 +40,8 @@ class Spectrum(NamedTuple):
 
     frequency: np.ndarray
     coefficient: np.ndarray
+
+    __repr__ = brief
 
 
 class Sums(NamedTuple):

@@ -154,7 +154,7 @@ def test_every_module_says_what_it_is_for_and_its_examples_run(name):
 
 
 LAYERS = (  # What stands in a line may import, at its top, what stands in it and above.
-    "defaults errors later once version words",
+    "defaults errors later once version words brief notebook extras",
     "proof",
     "model_files pickled",
     "laws signals blocks",
@@ -168,7 +168,7 @@ LAYERS = (  # What stands in a line may import, at its top, what stands in it an
     "run classes.walk classes.record",
     "simulate stepping",
     "checking observed_order crowd sweep",
-    "certificate classes.certificate study classes.study stress classes.units classes.judge plot classes.plots view",
+    "certificate classes.certificate study classes.study stress classes.units classes.judge plot classes.plots view rich",
     "cli __main__",
 )
 RANK = {part: rank for rank, line in enumerate(LAYERS) for part in line.split()}

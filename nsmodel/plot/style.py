@@ -123,7 +123,7 @@ def thin(*columns: np.ndarray, limit: int = MAX_POINTS) -> np.ndarray:
 
 def blank(width: float, height: float) -> Figure:
     """Return an empty figure that arranges its axes itself."""
-    from matplotlib.figure import Figure
+    from nsmodel.plot.shown import Figure
 
     figure = Figure(figsize=(width, height))
     figure.set_layout_engine("constrained", w_pad=0.1, h_pad=0.1, hspace=0.02, wspace=0.02)
@@ -131,8 +131,10 @@ def blank(width: float, height: float) -> Figure:
 
 
 def axes(ax: Axes | None, width: float = 8.0, height: float = 4.5) -> Axes:
-    """Return the axes given, or those of a new figure."""
-    return blank(width, height).add_subplot() if ax is None else ax
+    """Return the axes given, or those of a new figure, which show it in a notebook."""
+    from nsmodel.plot.shown import Axes
+
+    return blank(width, height).add_subplot(axes_class=Axes) if ax is None else ax
 
 
 def dress(ax: Axes, title: str, xlabel: str, ylabel: str, *, grid: bool = True) -> None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import signal
-import sys
 import threading
 import time
 from collections.abc import Iterator
+from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
+
+from nsmodel.notebook import in_notebook, watched
 
 
 class Signals(list[float]):
@@ -45,9 +48,12 @@ def deferred_signals() -> Iterator[Signals]:
 
 
 def progress_bar(**options: Any) -> Any:
-    """A bar on standard error that leaves nothing behind; None where that is no terminal."""
-    if not sys.stderr.isatty():
-        return None
-    from tqdm import tqdm
+    """A bar on standard error that leaves nothing behind; None where that is neither a terminal nor a notebook's.
 
+    In a notebook it is a widget where ipywidgets is installed, else text.
+    """
+    if not watched():
+        return None
+    widgets = in_notebook() and find_spec("ipywidgets") is not None
+    tqdm: Any = import_module("tqdm.notebook" if widgets else "tqdm").tqdm
     return tqdm(delay=1.0, leave=False, dynamic_ncols=True, **options)

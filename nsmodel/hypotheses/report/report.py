@@ -7,13 +7,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from nsmodel.brief import wrapped
 from nsmodel.hypotheses.findings import ALONG_A_RUN, Consequence, Finding
 from nsmodel.hypotheses.report import table
+from nsmodel.notebook import shown_by
 from nsmodel.pickled import Pickled
 from nsmodel.proof.verdict import HOLDS, VERDICTS
+from nsmodel.words import one_line
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Report(Pickled):
     """All findings about one model.
 
@@ -40,6 +43,12 @@ class Report(Pickled):
     notes: tuple[str, ...]
     model: Any = field(repr=False, compare=False)
     inputs: tuple[str, ...] = ()
+
+    _repr_html_ = shown_by("report")
+
+    def __repr__(self) -> str:
+        """Return a few lines: title, class, verdicts."""
+        return "\n".join(wrapped(f"Report({one_line(self.title)!r}, {self.model_class}: {self.verdict})"))
 
     def text(self) -> str:
         """The report as a table for a terminal, 100 columns wide."""
