@@ -356,7 +356,8 @@ def test_several_files_end_in_a_table(run, tmp_path):
     assert json.loads(out)[2] == {
         "file": "absent.py",
         "status": "refused",
-        "message": "model file 'absent.py' does not exist; give the path of a Python file that defines model = ...",
+        "message": "model file 'absent.py' does not exist; give the path of a Python file that defines model = ... "
+        "(nsmodel cases lists some)",
     }
     status, out, _ = run("a.py", None, "b.py", "--quiet")
     assert (status, out) == (0, "")

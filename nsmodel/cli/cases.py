@@ -56,17 +56,14 @@ def _listed(cases: Sequence[Case]) -> str:
         lines = [f"  {name}".ljust(width) + title for name, title in titles.items()]
         if lines:
             blocks.append("\n".join([topic or "others", *lines]))
-    return "\n\n".join([*blocks, "one of them:  nsmodel cases CASE | nsmodel run CASE | nsmodel new NAME --like CASE"])
+    return "\n\n".join([*blocks, "one of them: nsmodel cases CASE, nsmodel run CASE, nsmodel new NAME --like CASE"])
 
 
 def _described(case: Case) -> str:
     """The case's own words, its file, and what to type next."""
     labels = {"What to see": case.see, "A wrong answer": case.wrong, "Source": case.source, "Topic": case.topic}
-    parts = [
-        f"{case.name}: {case.title}",
-        *case.story.split("\n\n"),
-        *(f"{label}: {text}" for label, text in labels.items() if text),
-    ]
+    labelled = [f"{label}: {text}" for label, text in labels.items() if text]
+    parts = [f"{case.name}: {case.title}", *case.story.split("\n\n"), *labelled]
     parts.append(f"    {case.path}\n\n    nsmodel run {case.name} --plot\n    nsmodel new my_{case.name} --like {case.name}")
     return "\n\n".join(_filled(part) for part in parts if part)
 

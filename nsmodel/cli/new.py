@@ -64,8 +64,8 @@ def _new(arguments: argparse.Namespace) -> int:
     name = arguments.name.removesuffix(".py")
     if not re.fullmatch(r"[A-Za-z_][\w-]*", name, re.ASCII):
         raise UsageError(
-            f"'{arguments.name}' is no name for a model file: expected letters, digits, _ and -, a letter first, such as my_model; "
-            "the file is written into this folder"
+            f"'{arguments.name}' is no name for a model file: expected letters, digits, _ and -, a letter first, such as "
+            "my_model; the file is written into this folder"
         )
     if name in NOT_NAMES:
         raise UsageError(
