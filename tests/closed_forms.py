@@ -310,6 +310,22 @@ def rlc_diode(t, L=1e-2, C=1e-6, R=1e3, start=10.0):
     return out
 
 
+def zener_limited(t, Vm=12.0, f=50.0, tau=2e-3, low=-0.7, high=5.1):
+    """Return u (N, 1) of tau u' = Vm sin wt - u kept in [low, high], periodic: held, let go, met again, end by end."""
+    w, t = 2 * np.pi * f, np.asarray(t, float)
+    swing = Vm / (1 + 1j * w * tau)
+    first, second = (np.pi - np.arcsin(high / Vm)) / w, (2 * np.pi - np.arcsin(-low / Vm)) / w
+
+    def arc(s, begin, value):
+        return (swing * np.exp(1j * w * s)).imag + np.exp((begin - s) / tau) * (value - (swing * np.exp(1j * w * begin)).imag)
+
+    last = brentq(lambda s: arc(s, first, high) - low, first, second, xtol=1e-18)
+    again = brentq(lambda s: arc(s, second, low) - high, second, first + 1 / f, xtol=1e-18)
+    s = first + (t - first) % (1 / f)
+    parts = [arc(s, first, high), low + 0 * s, arc(s, second, low)]
+    return np.select([s < last, s < second, s < again], parts, high)[:, None]
+
+
 def diode_bridge(t, L=1e-2, C=1e-6, R=1e3, start=10.0):
     """Return (v, i) (N, 2) of the bridge: behind four ideal diodes the resistor takes v/R for either sign of v."""
     return _flow(np.array([[-1 / (R * C), -1 / C], [1 / L, 0]]), [start, 0], np.asarray(t, float))

@@ -66,13 +66,18 @@ MONOTONE = {
     "rlc_diode": Stretch(1e-5, 50),
     "sampled_pi": Stretch(0.05, 100),
     "sliding_relay": Stretch(1e-2, 60),
+    "three_pulse_rectifier": Stretch(2e-4, 60),
     "thyristor": Stretch(2e-4, 80),
     "two_discs": Stretch(0.02, 60),
     "two_masses": Stretch(1e-2, 80),
+    "voltage_doubler": Stretch(2e-5, 60),
+    "zener_limiter": Stretch(2e-4, 80),
 }
 NOT_MONOTONE = {
     "boost": Stretch(1e-6, 40),
     "gene_network": Stretch(1e-2, 40),
+    "repressilator": Stretch(1e-2, 70),
+    "toggle_switch": Stretch(1e-2, 180),
     "zhuravlev_ivanov": Stretch(1e-2, 60),
 }
 NO_LAW = {"schmitt_trigger", "sliding_mode", "thermostat"}

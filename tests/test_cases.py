@@ -63,6 +63,7 @@ EXACT = {
     "thermostat": lambda t: exact.to_and_fro(t, 15, 19, 21, 5, 35, 2),
     "thyristor": lambda t: exact.rectified(t, np.pi / 3),
     "two_discs": exact.two_discs,
+    "zener_limiter": exact.zener_limited,
     "zhuravlev_ivanov": exact.zhuravlev_ivanov,
 }
 

@@ -43,15 +43,20 @@ HOLDS = {
     "moving_half_line": "S-convex A0 A1 A2 A3 A4 A5 A5' S-f S-start",
     "point_past_disc": "S-convex A0 A1 A2 A3 A4 A5 A5' S-f S-start",
     "relay_oscillator": "3.1 4.1 5.4a 5.4b 5.4c 5.x0 7.1",
+    "repressilator": "F-jacobians F-W F-step",
     "rlc_diode": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0 7.1",
     "sampled_pi": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
     "schmitt_trigger": "F-jacobians F-W F-mlcp F-unique F-step",
     "sliding_mode": "F-jacobians F-W F-mlcp F-unique F-step",
     "sliding_relay": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
     "thermostat": "F-jacobians F-W F-mlcp F-unique F-step",
+    "three_pulse_rectifier": "F-jacobians F-W F-mlcp F-unique F-step",
     "thyristor": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c",
+    "toggle_switch": "F-jacobians F-W F-step",
     "two_discs": "S-convex A0 A1 A2 A3 A4 A5 A5' S-f S-start",
     "two_masses": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
+    "voltage_doubler": "F-jacobians F-W F-mlcp F-unique F-step",
+    "zener_limiter": "M-T M-C M-A1 M-A2 M-A3 M-24 M-H",
     "zhuravlev_ivanov": "F-jacobians F-W F-step",
 }
 # What really fails, and why: a report without these would be wrong.
@@ -67,9 +72,11 @@ VIOLATED = {
     "gene_network": {"F-mlcp": "the multipliers enter as a product: W_mlcp is indefinite"},
     "half_wave_rectifier": {"5.x0": "the current begins at 0, on the boundary of the set", "7.1": "it is forced"},
     "relay_oscillator": {"5.1": "C B = 0"},
+    "repressilator": {"F-mlcp": "the ring is not monotone"},
     "sampled_pi": {"7.1": "it is forced"},
     "sliding_relay": {"7.1": "it is forced"},
     "thyristor": {"5.x0": "the current begins at 0, on the boundary of the set", "7.1": "it is forced"},
+    "toggle_switch": {"F-mlcp": "it has two rests"},
     "two_masses": {"7.1": "it is forced"},
     "zhuravlev_ivanov": {"F-mlcp": "the multipliers enter as a product: W_mlcp is indefinite"},
 }
@@ -77,6 +84,7 @@ VIOLATED = {
 UNKNOWN = {
     "boost": {"F-unique": "index sets are not enumerated"},
     "relay_oscillator": {"5.2": "no P > 0 with P B = C' exists"},
+    "toggle_switch": {"F-unique": "index sets"},
 }
 # Between which values what blocks set stays.
 BOUNDS = {
