@@ -662,7 +662,7 @@ def leash(t, corners, start, r=1.0):
     return np.column_stack([rows.real, rows.imag])
 
 
-def sandpile(t, n=16, first=3, second=10, change=16.0):
+def sandpile(t, n=12, first=3, second=8, change=16.0):
     """Return the heights (N, n) of sand poured on one cell, then on another: cones of the volume t, by bisection."""
     cells, cone = np.arange(n), lambda top, place: np.maximum(top - np.abs(np.arange(n) - place), 0)
     old = cone(brentq(lambda top: cone(top, first).sum() - change, 0, n, xtol=1e-14), first)

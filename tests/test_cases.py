@@ -57,7 +57,7 @@ EXACT = {
     "half_wave_rectifier": exact.rectified,
     "inclusion_8_1": exact.inclusion_8_1,
     "inclusion_8_2": lambda t: exact.inclusion_8_2_diagonal(t, [1, 2, 4], [3, 0.5, -4], [1, 1, 1], -2, 1.5, [-1, 1.5, 1]),
-    "leash": lambda t: exact.leash(t, [(0, 0), (3, 0), (3, 2), (3, -1), (0, -1)], (-0.3, 0.6)),
+    "leash": lambda t: exact.leash(t, [(0, 0), (1.5, 0), (-2, 0), (1, 0)], (-0.3, 0.8)),
     "moving_disc": exact.moving_disc,
     "moving_half_line": exact.half_line,
     "point_past_disc": exact.point_past_disc,

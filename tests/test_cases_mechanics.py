@@ -69,23 +69,21 @@ def test_a_smoothed_slider_leaves_the_small_loop_open():
 # -- leash -------------------------------------------------------------------------------------------------------------
 
 
-def test_a_leash_is_no_rod(load_case, run_case):
+def test_a_slack_leash_does_not_move_the_stone(load_case, run_case):
     run = run_case("leash")
-    waits = (run.t > 5.01) & (run.t < 6.91)
-    assert (np.diff(run.x[waits], axis=0) == 0).all()
-    assert run.length.max() <= 1 + 1e-9
-    assert run.length.min() < 0.3
+    for begin, end in ((1.5, 3.411), (5, 6.996)):
+        waits = (run.t > begin + 0.01) & (run.t < end - 0.02)
+        assert (np.diff(run.x[waits], axis=0) == 0).all()
     exact = simulate(load_case("leash"), **EVENTS)
-    assert [e.t for e in exact.events if e.after[0] == 0] == pytest.approx([0.5, 3.10936, 6.91992, 8.19369], abs=1e-5)
+    assert [e.t for e in exact.events if e.after[0] == 0] == pytest.approx([0.3, 3.41129, 6.99622], abs=1e-5)
 
 
-def test_a_rod_would_push_the_stone(run_case):
-    """q' is the part of the hand's velocity along the rod, from where the hand turns round at t = 5."""
-    run = run_case("leash")
-    start = run.x[np.argmin(np.abs(run.t - 5))]
-    rod = lambda s, q: (e := q - [3, 2 - s]) * (e @ [0, -1]) / (e @ e)  # noqa: E731
+def test_a_rod_would_push_the_stone(load_case):
+    """q' is the part of the hand's velocity along the rod, from where the hand turns round at t = 1.5."""
+    start = load_case("leash").exact(np.array([1.5]))[0]
+    rod = lambda s, q: (e := q - [1.5 - s, 0]) * (e @ [-1, 0]) / (e @ e)  # noqa: E731
     pushed = solve_ivp(rod, (0, 1.5), start, rtol=1e-9, atol=1e-9).y[:, -1]
-    assert np.linalg.norm(pushed - [3, 0.5]) == pytest.approx(np.linalg.norm(start - [3, 2]), abs=1e-6)
+    assert np.linalg.norm(pushed) == pytest.approx(1, abs=1e-6)
     assert np.linalg.norm(pushed - start) > 0.5
 
 
@@ -175,11 +173,11 @@ def test_sand_is_kept_and_the_first_pile_stands(run_case):
 
 def test_sand_on_stiff_slopes_creeps():
     """Slopes above 1 are pushed back with a stiffness of 20: the first pile is not what it was at t = 16."""
-    h, dt, first = np.zeros(16), 1e-3, None
-    for k in range(30_000):
+    h, dt, first = np.zeros(12), 5e-3, None
+    for k in range(6_000):
         steep = np.diff(h)
         flow = 20 * np.sign(steep) * np.maximum(np.abs(steep) - 1, 0)
-        h = h + dt * (np.diff(flow, prepend=0, append=0) + np.eye(16)[3 if k * dt < 16 else 10])
+        h = h + dt * (np.diff(flow, prepend=0, append=0) + np.eye(12)[3 if k * dt < 16 else 8])
         first = h[3] if k * dt < 16 else first
     assert first - h[3] > 1e-2
 
