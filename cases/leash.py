@@ -50,5 +50,6 @@ model = MonotoneInclusion(
     step=1e-2,
     units={"t": "s", "q_0": "m", "q_1": "m", "hand": "m"},
     exact=exact,
+    scheme="implicit",
     title="A stone on a leash",
 )

@@ -93,7 +93,6 @@ VIOLATED = {
 # What is not decided, and the reason that the report gives.
 UNKNOWN = {
     "boost": {"F-unique": "index sets are not enumerated"},
-    "leash": {"run-bound": "C moves"},
     "relay_oscillator": {"5.2": "no P > 0 with P B = C' exists"},
     "twisting": {"5.2": "no P > 0 with P B = C' exists"},
 }
