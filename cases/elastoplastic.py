@@ -48,5 +48,6 @@ model = MonotoneInclusion(
     step=1e-2,
     units={"t": "s", "u": "m", "rate": "m/s", "force": "N", **{f"s_{i}": "N" for i in range(4)}},
     exact=exact,
+    scheme="implicit",
     title="Elastoplastic bar",
 )

@@ -2,7 +2,7 @@
 
     h' = source(t) + sand that slides,    |h_{i+1} - h_i| <= 1
 
-What to see: a pile of k layers holds k^2 of sand and grows ever slower. From t = 16 on the source is over cell 10: a
+What to see: a pile of k layers holds k^2 of sand and grows ever slower. From t = 16 on the source is over cell 8: a
 second pile grows, meets the first and climbs over its flank, but leaves its top at 4. Multipliers are the sand that
 slides over each edge between two cells.
 
@@ -19,8 +19,8 @@ import numpy as np
 
 from nsmodel import SweepingProcess, table
 
-n, first, second, change, end = 16, 3, 10, 16.0, 60.0
-cells, heights = np.arange(n), np.arange(20)
+n, first, second, change, end = 12, 3, 8, 16.0, 40.0
+cells, heights = np.arange(n), np.arange(12)
 old = np.maximum(4 - abs(cells - first), 0)  # the first pile: four layers
 new = np.maximum(heights[:, None] - abs(cells - second), old)  # with a second one of each whole height
 

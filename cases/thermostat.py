@@ -5,8 +5,8 @@
 What to see: from 15 degrees the room warms up, then swings between 19 and 21: 2 log(8/7) hours up, as many down. Steps see
 a threshold at most a step late; with --rtol 1e-8 the heating switches at it.
 
-A wrong answer: a switch without memory holds 20 degrees or chatters. Switching seen late lets the room go beyond 19 and
-21, and makes a period longer than 4 log(8/7) = 0.534 h; the error does not fall with that of the steps.
+A wrong answer: a switch without memory holds 20 degrees, or chatters. Where a threshold is seen late the room goes beyond
+19 and 21, and a period is longer than 4 log(8/7) = 0.534 h.
 
 Source: closed form.
 
