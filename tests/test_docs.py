@@ -3,6 +3,7 @@
 A ``python`` block runs as a script. ``python model-file NAME.py exit=3`` is a model file: it must run with this exit status
 (0 where none is given); ``picture`` asks the site for one of its run. One marked ``compiler`` is left out where there is none.
 The ``{code-cell}`` blocks of a page are a notebook: they run in order, and know what those before them did.
+``python peer PROGRAM`` is a script of another program: it runs where that is installed, and else is compiled only.
 A ``text`` block right after either is its output. In a ``console`` block each ``$ nsmodel ...`` line
 runs, and the lines after it are its output. Each block runs in a new folder with the page's model files and ``cases/`` in it.
 """
@@ -14,10 +15,12 @@ import difflib
 import io
 import re
 import shlex
+import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from bench.peers import programs
 
 from nsmodel.cli import main
 from nsmodel.codegen import library as codegen_library
@@ -94,6 +97,13 @@ def printed(function, *arguments):
     return result, stream.getvalue()
 
 
+def printed_by_peer(block):
+    """What a peer's script prints; None where the program is not installed. Its syntax is looked at in either case."""
+    compile(block.code, str(block), "exec")
+    python = {"siconos": programs.siconos, "nosnoc": programs.nosnoc, "cromosim": programs.cromosim}[block.words[2]]()
+    return python and subprocess.run([python, "-c", block.code], capture_output=True, text=True, check=True).stdout
+
+
 def assert_shown(expected, actual, where):
     """The page's ``expected`` output is ``actual``: numbers within 0.1 %, timings left aside, ``...`` for anything."""
     __tracebackhide__ = True
@@ -130,8 +140,12 @@ def settled(text):
 def test_python_block_runs_and_prints_what_the_page_shows(block, folder):
     if "compiler" in block.words and codegen_library.compiler() is None:
         pytest.skip("no C compiler")
-    if block.is_model_file:
-        options = dict(word.split("=") for word in block.words[3:] if word != "picture")
+    if "peer" in block.words:
+        output = printed_by_peer(block)
+        if output is None:
+            pytest.skip(f"no {block.words[2]}")
+    elif block.is_model_file:
+        options = dict(word.split("=") for word in block.words[3:] if "=" in word)
         status, output = printed(main, ["run", block.words[2]])
         assert status == int(options.get("exit", 0)), output
     else:
