@@ -15,6 +15,8 @@ import pytest
 from conftest import REPOSITORY
 
 import nsmodel
+import nsmodel.crowd
+import nsmodel.plot
 from nsmodel import shelf
 from nsmodel.cli import _parser
 
@@ -115,7 +117,8 @@ def test_nothing_is_loaded_from_elsewhere(site, pages):
 
 def test_every_public_name_is_described(pages, site):
     described = set().union(*(page.ids for page in pages.values() if page.path.parent == site / "api"))
-    assert {f"nsmodel.{name}" for name in nsmodel.__all__} <= described
+    for package in (nsmodel, nsmodel.crowd, nsmodel.plot):
+        assert {f"{package.__name__}.{name}" for name in package.__all__} <= described
 
 
 def test_every_option_of_every_command_is_described(pages, site):
