@@ -1,6 +1,7 @@
 // Pictures in the plane: one column over another, and discs in a room.
 
-const MANY = 20_000, BOXES = 1_000; // Points and boxes beyond which a path is painted pixel by pixel.
+const MANY = 20_000,
+  BOXES = 1_000; // Points and boxes beyond which a path is painted pixel by pixel.
 const HEAT = ["#FFFFE5", "#FFF7BC", "#FEE391", "#FEC44F", "#FE9929", "#EC7014", "#CC4C02", "#993404", "#662506"];
 
 /** One column over another: the whole run pale, the window of time in colour. */
@@ -137,11 +138,16 @@ class Configuration extends Plane {
     this.home = data.window;
     this.frames = data.rows.length;
     this.labels = [withUnit("x", data.unit), withUnit("y", data.unit)];
-    const words = data.rows.length < data.of ? [`${data.rows.length} of ${data.of} rows are drawn here, evenly spread.`] : [];
+    const words =
+      data.rows.length < data.of ? [`${data.rows.length} of ${data.of} rows are drawn here, evenly spread.`] : [];
     if (this.pressure) {
       const unit = data.pressure_unit ? ` ${data.pressure_unit}` : "";
       words.push(`Colour: sum of the reactions on a disc, 0 to ${number(data.top, 3)}${unit} and more.`);
-      this.controls.append(element("span", "key", "0"), element("span", "heat"), element("span", "key", `${number(data.top, 3)}${unit}`));
+      this.controls.append(
+        element("span", "key", "0"),
+        element("span", "heat"),
+        element("span", "key", `${number(data.top, 3)}${unit}`),
+      );
     }
     this.note.textContent = words.join(" ");
   }
@@ -176,7 +182,10 @@ class Configuration extends Plane {
       ctx.fill();
       ctx.stroke();
     }
-    for (const [lines, paint, width, dash] of [[walls, "ink", 3, []], [exits, "line-2", 2.5, [6, 5]]]) {
+    for (const [lines, paint, width, dash] of [
+      [walls, "ink", 3, []],
+      [exits, "line-2", 2.5, [6, 5]],
+    ]) {
       ctx.strokeStyle = colour(paint);
       ctx.lineWidth = width;
       ctx.setLineDash(dash);
@@ -199,10 +208,10 @@ class Configuration extends Plane {
       for (let i = at % every; i <= at; i += every) {
         const x = this.px(this.places[2 * k * this.frames + i]);
         const y = this.py(this.places[(2 * k + 1) * this.frames + i]);
-        if (!Number.isFinite(x + y)) down = false;
-        else if (down) ctx.lineTo(x, y);
-        else ctx.moveTo(x, y);
-        down = Number.isFinite(x + y);
+        const there = Number.isFinite(x + y);
+        if (there && down) ctx.lineTo(x, y);
+        else if (there) ctx.moveTo(x, y);
+        down = there;
       }
     }
     ctx.stroke();

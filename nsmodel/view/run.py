@@ -22,7 +22,7 @@ POINTS = 20_000  # Read off the polynomials of an event-driven run.
 EVENTS = 100_000  # The most that are marked,
 WORDS = 2_000  # and that say what changes.
 LAW = ("Multipliers", "Reactions")  # Before these stands the index set.
-SCRIPTS = ("data", "curves", "elements", "panels", "plane", "pictures", "view")
+SCRIPTS = ("data", "elements", "axes", "curves", "panels", "plane", "pictures", "view")
 
 
 def view_run(run: Trajectory, path: str | Path | None = None) -> Path:

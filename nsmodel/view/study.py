@@ -13,7 +13,7 @@ from nsmodel.words import shown
 if TYPE_CHECKING:
     from nsmodel.study.result import Study
 
-SCRIPTS = ("curves", "elements", "plane", "study")
+SCRIPTS = ("elements", "axes", "plane", "study")
 AXES = ("largest relative error over the grid", "CPU time of the steps [s]")
 LEGEND = (
     "Cheap and accurate is low and to the left. Dashed: other programs; dotted: one solver alone; pale marks: nearer to the "

@@ -25,14 +25,22 @@ class View {
     [this.t0, this.t1] = this.span;
     this.t = T[0];
     this.events = data.events && { ...data.events, times: await unpack(data.events.times) };
-    this.panels = await Promise.all(data.panels.map(async (panel) => {
-      const clock = this.clocks[panel.clock];
-      if (panel.look === "bands") return new BandPanel(panel, this, await Promise.all(panel.bands.map(stripOf)), clock);
-      return new LinePanel(panel, this, await Promise.all(panel.columns.map((column) => columnOf(column, panel.look, clock))));
-    }));
+    this.panels = await Promise.all(
+      data.panels.map(async (panel) => {
+        const clock = this.clocks[panel.clock];
+        if (panel.look === "bands")
+          return new BandPanel(panel, this, await Promise.all(panel.bands.map(stripOf)), clock);
+        return new LinePanel(
+          panel,
+          this,
+          await Promise.all(panel.columns.map((column) => columnOf(column, panel.look, clock))),
+        );
+      }),
+    );
     if (data.scene) {
       const [times, places, pressure] = await Promise.all(
-        [data.scene.times, data.scene.places, data.scene.pressure].map((block) => block && unpack(block)));
+        [data.scene.times, data.scene.places, data.scene.pressure].map((block) => block && unpack(block)),
+      );
       this.planes.push(new Configuration(this, data.scene, { times, places, pressure }));
     }
     if (data.phase) this.planes.push(this.phase());
@@ -46,12 +54,16 @@ class View {
     const columns = [];
     const chosen = this.data.phase;
     const places = chosen.map(() => 0);
-    this.panels.forEach((panel, p) => panel.data.clock === 0 && panel.columns?.forEach((column, c) => {
-      chosen.forEach(([p0, c0], i) => {
-        if (p0 === p && c0 === c) places[i] = columns.length;
-      });
-      columns.push({ ...column, label: withUnit(column.name, panel.data.unit) });
-    }));
+    this.panels.forEach(
+      (panel, p) =>
+        panel.data.clock === 0 &&
+        panel.columns?.forEach((column, c) => {
+          chosen.forEach(([p0, c0], i) => {
+            if (p0 === p && c0 === c) places[i] = columns.length;
+          });
+          columns.push({ ...column, label: withUnit(column.name, panel.data.unit) });
+        }),
+    );
     return new Phase(this, columns, places);
   }
 
@@ -65,7 +77,8 @@ class View {
       facts.append(element("dt", "", label), ...lines.map((words) => element("dd", "", words)));
     }
     const warned = data.facts.filter(([label]) => label === "warnings").flatMap(([, lines]) => lines);
-    const message = data.status === "done" ? [] : data.facts.filter(([label]) => label === "status").flatMap(([, lines]) => lines);
+    const message =
+      data.status === "done" ? [] : data.facts.filter(([label]) => label === "status").flatMap(([, lines]) => lines);
     page.append(
       element("h1", "", data.title, " ", badge),
       ...message.map((words) => element("p", "stopped", words)),
@@ -76,7 +89,8 @@ class View {
     const columns = element("div", "columns");
     const over = element("div", "over", "", ...this.panels.map((panel) => panel.root));
     columns.append(over);
-    if (this.planes.length) columns.append(element("aside", data.scene ? "first" : "", "", ...this.planes.map((plane) => plane.root)));
+    if (this.planes.length)
+      columns.append(element("aside", data.scene ? "first" : "", "", ...this.planes.map((plane) => plane.root)));
     page.append(columns, element("p", "note foot", data.note), element("p", "note", HELP));
   }
 
@@ -88,13 +102,21 @@ class View {
     this.slider.setAttribute("aria-label", "row");
     this.told = element("output", "told");
     this.whole = element("button", "", "Whole run");
-    const chips = this.panels.map((panel) => toggle(panel.title, panel.open, (now) => {
-      panel.open = now;
-      panel.root.hidden = !now;
-      this.redraw();
-    }));
-    return element("nav", "bar", "", element("div", "run", "", this.play, this.slider, this.whole), this.told,
-      element("div", "chips which", "", ...chips));
+    const chips = this.panels.map((panel) =>
+      toggle(panel.title, panel.open, (now) => {
+        panel.open = now;
+        panel.root.hidden = !now;
+        this.redraw();
+      }),
+    );
+    return element(
+      "nav",
+      "bar",
+      "",
+      element("div", "run", "", this.play, this.slider, this.whole),
+      this.told,
+      element("div", "chips which", "", ...chips),
+    );
   }
 
   listen() {
@@ -120,7 +142,8 @@ class View {
     const time = (x) => this.t0 + ((x - LEFT) / wide()) * (this.t1 - this.t0);
     gestures(panel.canvas, {
       hover: (x) => this.playing || this.select(this.nearest(time(x))),
-      pan: (dx) => this.show(this.t0 - (dx / wide()) * (this.t1 - this.t0), this.t1 - (dx / wide()) * (this.t1 - this.t0)),
+      pan: (dx) =>
+        this.show(this.t0 - (dx / wide()) * (this.t1 - this.t0), this.t1 - (dx / wide()) * (this.t1 - this.t0)),
       zoom: (factor, x) => this.zoom(factor, time(x)),
       reset: () => this.reset(),
       selects: (event) => event.pointerType === "mouse" && (event.shiftKey || this.isWhole),
@@ -244,7 +267,10 @@ class View {
     const { width, T, n } = this.clock;
     const unit = this.data.time.unit ? ` ${this.data.time.unit}` : "";
     const name = this.clocks.length > 1 ? "point" : "row";
-    const rows = width === 1 ? `${name} ${k} of ${n - 1}` : `rows ${k * width} to ${Math.min((k + 1) * width, this.data.rows) - 1}`;
+    const rows =
+      width === 1
+        ? `${name} ${k} of ${n - 1}`
+        : `rows ${k * width} to ${Math.min((k + 1) * width, this.data.rows) - 1}`;
     const event = this.events ? firstFrom(this.events.times, k ? T[k - 1] + 1e-12 * Math.abs(T[k]) : T[0]) : -1;
     const here = event >= 0 && this.events.times[event] <= T[k] ? `   event ${event + 1} of ${this.events.count}` : "";
     const words = here && this.events.words[event] ? ` (${this.events.words[event]})` : "";
@@ -252,8 +278,9 @@ class View {
   }
 }
 
-const HELP = "Wheel or pinch: zoom. Drag: choose a time when the whole run is shown (with Shift always), move it otherwise. "
-  + "Double click, 0: the whole run. Arrows: one row; with Shift a quarter of the time shown. + and −: zoom. Space: play.";
+const HELP =
+  "Wheel or pinch: zoom. Drag: choose a time when the whole run is shown (with Shift always), move it otherwise. " +
+  "Double click, 0: the whole run. Arrows: one row; with Shift a quarter of the time shown. + and −: zoom. Space: play.";
 
 /** The view, for whoever looks at the page by a program: `ready`, `show(a, b)`, `select(row)`, `reset()`, `frames` (ms each). */
 const view = new View(JSON.parse(document.getElementById("data").textContent));
