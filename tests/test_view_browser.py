@@ -15,16 +15,18 @@ ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"
 ROWS = 1_000_000
 SPIKE = 765_432
 PIXELS = """([title, name]) => {
-  const panel = nsview.panels.find((one) => one.data.title === title);
-  const { width, height } = panel.canvas;
-  const data = panel.canvas.getContext("2d").getImageData(0, 0, width, height).data;
+  const { canvas } = [...nsview.panels, ...nsview.planes].find((one) => (one.data?.title ?? one.heading.textContent) === title);
+  const { width, height } = canvas;
+  const copy = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true });
+  copy.drawImage(canvas, 0, 0);
+  const { data } = copy.getImageData(0, 0, width, height);
   const probe = document.createElement("canvas").getContext("2d");
   probe.fillStyle = getComputedStyle(document.documentElement).getPropertyValue(`--${name}`);
   probe.fillRect(0, 0, 1, 1);
   const own = probe.getImageData(0, 0, 1, 1).data;
   const found = [];
   for (let i = 0; i < width * height; i++) {
-    const near = [0, 1, 2].every((c) => Math.abs(data[4 * i + c] - own[c]) < 24);
+    const near = [0, 1, 2].every((c) => Math.abs(data[4 * i + c] - own[c]) < 5);
     if (near && data[4 * i + 3] > 100) found.push([i % width, Math.floor(i / width)]);
   }
   return found;
@@ -90,8 +92,8 @@ def wave(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def long(tmp_path_factory):
-    """A million rows of ten columns, all zeros but for single rows."""
-    columns = {f"x_{k}": np.zeros(ROWS) for k in range(10)}
+    """A million rows, all zeros but for one."""
+    columns = {f"x_{k}": np.zeros(ROWS) for k in range(4)}
     columns["x_0"][SPIKE], columns["x_1"][SPIKE] = 1.0, np.inf
     run = by_hand(columns, units={"x_0": "V", "x_1": "A"})
     return run, run.view(tmp_path_factory.mktemp("long") / "long.html")
@@ -104,7 +106,7 @@ def test_a_line_runs_from_row_to_row_and_a_gap_is_left_out(opened, wave):
     page = opened(wave[1])
     line = pixels(page, "States")
     left, right = line[:, 0].min(), line[:, 0].max()
-    assert right - left > 600
+    assert right - left > 500
     # "up" is t itself: a straight line from below on the left to above on the right.
     low, high = line[line[:, 0] < left + 5, 1].mean(), line[line[:, 0] > right - 5, 1].mean()
     middle = line[abs(line[:, 0] - (left + right) / 2) < 3, 1].mean()
@@ -192,7 +194,7 @@ def test_wheel_drag_and_double_click_move_the_window(opened, wave):
     page.mouse.move(x - 100, box["y"] + 60, steps=3)
     page.mouse.up()
     moved = state(page)
-    assert moved["t0"] - zoomed["t0"] == pytest.approx(100 / (box["width"] - 82) * (zoomed["t1"] - zoomed["t0"]), rel=1e-6)
+    assert moved["t0"] - zoomed["t0"] == pytest.approx(100 / (box["width"] - 82) * (zoomed["t1"] - zoomed["t0"]), rel=0.02)
     page.mouse.dblclick(x, box["y"] + 60)
     assert (state(page)["t0"], state(page)["t1"]) == (0, 1)
     page.mouse.down()
@@ -255,16 +257,12 @@ def test_columns_and_panels_are_chosen(opened, wave):
 
 def test_the_phase_plane_draws_the_columns_that_are_chosen(opened, wave):
     page = opened(wave[1])
-    count = """() => { const { canvas } = nsview.planes[0];
-      const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
-      const rows = new Set();
-      for (let i = 0; i < data.length; i += 4) if (data[i] < 60 && data[i + 2] > 140 && data[i + 3] > 100) rows.add(Math.floor(i / 4 / canvas.width));
-      return rows.size; }"""
-    assert page.evaluate(count) > 200
+    first = pixels(page, "Phase plane")
     page.locator(".plane select").last.select_option(label="up [V]")
     assert page.evaluate("nsview.planes[0].chosen") == [0, 0]
-    page.mouse.wheel(0, 0)
-    assert page.evaluate(count) > 200
+    state(page)
+    diagonal = pixels(page, "Phase plane")
+    assert np.corrcoef(diagonal.T)[0, 1] < -0.999 < np.corrcoef(first.T)[0, 1]
 
 
 def test_fingers_pinch(opened, wave):
@@ -288,17 +286,16 @@ def test_fingers_pinch(opened, wave):
 
 def test_discs_move_with_the_slider(opened, tmp_path):
     page = opened(discs().view(tmp_path / "discs.html"))
-    image = "() => nsview.planes[0].canvas.toDataURL()"
-    first = page.evaluate(image)
+    walls = pixels(page, "Configuration", "ink")
+    first = pixels(page, "Configuration", "rest")
     page.locator("input[type=range]").fill("49")
     state(page)
-    assert page.evaluate(image) != first
-    darkest = """() => { const { canvas } = nsview.planes[0]; const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
-      let n = 0; for (let i = 0; i < data.length; i += 4) n += data[i] === 0x66 && data[i + 1] === 0x25 && data[i + 2] === 6; return n; }"""
-    assert page.evaluate(darkest) > 100  # The disc under most pressure.
-    page.locator("input[type=range]").fill("0")
-    state(page)
-    assert page.evaluate(darkest) == 0
+    page.evaluate("document.documentElement.style.setProperty('--hot', '#662506')")
+    hot = pixels(page, "Configuration", "hot")
+    wide = np.ptp(walls[:, 0]) / 7  # Pixels of a unit.
+    assert len(first) > 8 * 3 * (0.4 * wide) ** 2
+    assert len(hot) == pytest.approx(np.pi * (0.4 * wide) ** 2, rel=0.1)  # The disc under most pressure, at (4, 2).
+    assert (hot[:, 0].mean() - walls[:, 0].min()) / wide == pytest.approx(1 + 4, abs=0.05)
 
 
 def test_events_are_marked_and_said(opened, tmp_path, load_case):

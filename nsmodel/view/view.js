@@ -271,10 +271,20 @@ class View {
       width === 1
         ? `${name} ${k} of ${n - 1}`
         : `rows ${k * width} to ${Math.min((k + 1) * width, this.data.rows) - 1}`;
-    const event = this.events ? firstFrom(this.events.times, k ? T[k - 1] + 1e-12 * Math.abs(T[k]) : T[0]) : -1;
-    const here = event >= 0 && this.events.times[event] <= T[k] ? `   event ${event + 1} of ${this.events.count}` : "";
-    const words = here && this.events.words[event] ? ` (${this.events.words[event]})` : "";
-    return `t = ${number(this.t, 8)}${unit}   ${rows}${here}${words}`;
+    return `t = ${number(this.t, 8)}${unit}   ${rows}${this.happens(k)}`;
+  }
+
+  /** The first event after the row before row k, and until row k. */
+  happens(k) {
+    if (!this.events) return "";
+    const { T } = this.clock;
+    const { times, count, words } = this.events;
+    let before = k;
+    while (before > 0 && T[before - 1] === T[k]) before--;
+    let event = before > 0 ? firstFrom(times, T[before - 1]) : 0;
+    while (before > 0 && times[event] === T[before - 1]) event++;
+    if (!(times[event] <= T[k])) return "";
+    return `   event ${event + 1} of ${count}${words[event] ? ` (${words[event]})` : ""}`;
   }
 }
 
