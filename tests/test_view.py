@@ -14,7 +14,7 @@ from view_pages import HOSTILE, by_hand, discs, parsed, unpacked
 
 import nsmodel
 from nsmodel.cli import main
-from nsmodel.errors import StorageError
+from nsmodel.errors import PlotError, StorageError
 from nsmodel.view import packed
 from nsmodel.view.page import FOLDER
 from nsmodel.view.run import document
@@ -323,6 +323,30 @@ def test_of_a_long_film_some_rows_are_drawn():
     assert scene["rows"][0] == 0
     assert scene["rows"][-1] == 59_999
     assert 4 * 18 * len(scene["rows"]) <= 4_000_000
+
+
+def test_the_forbidden_set_is_where_a_constraint_is_negative(load_case):
+    """A disc of radius 1 whose centre is carried along the first axis: as `cases/moving_disc.py` says."""
+    t, q = ca.SX.sym("t"), ca.SX.sym("q", 2)
+    disc = ca.norm_2(q - ca.vertcat(t, 0)) - 1
+    model = nsmodel.SweepingProcess(t=t, q=q, constraints={"disc": disc}, q0=[1.5, 0.3], t_end=2, step=0.1, title="Pushed")
+    run = nsmodel.simulate(model)
+    found = document(run, model)["forbidden"]
+    x0, x1, y0, y1 = found["window"]
+    times, size = unpacked(found["times"]), found["size"]
+    assert times.tolist() == run.t.tolist()
+    across, up = np.meshgrid(np.linspace(x0, x1, size), np.linspace(y0, y1, size))
+    inside = np.hypot(across - times[:, None, None], up) < 1
+    np.testing.assert_array_equal(unpacked(found["inside"]).reshape(len(times), size, size), inside)
+    assert 0.05 < inside.mean() < 0.95
+    assert document(run)["forbidden"] is None
+    one = load_case("moving_half_line")
+    with pytest.raises(PlotError, match="the model has 1 states and the run 2"):
+        run.view("never.html", one)
+    line = document(nsmodel.simulate(one), one)["forbidden"]
+    times, q = (np.linspace(*ends, size) for ends in (line["window"][:2], line["window"][2:]))
+    edge = np.sin(times)[None] > q[:, None] + 1e-9
+    assert (unpacked(line["inside"]).reshape(size, size) == edge).mean() > 0.999
 
 
 def test_a_run_that_failed_says_so():

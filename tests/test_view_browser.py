@@ -3,6 +3,7 @@
 import json
 import shutil
 
+import casadi as ca
 import numpy as np
 import pytest
 from test_view import a_study
@@ -296,6 +297,25 @@ def test_discs_move_with_the_slider(opened, tmp_path):
     assert len(first) > 8 * 3 * (0.4 * wide) ** 2
     assert len(hot) == pytest.approx(np.pi * (0.4 * wide) ** 2, rel=0.1)  # The disc under most pressure, at (4, 2).
     assert (hot[:, 0].mean() - walls[:, 0].min()) / wide == pytest.approx(1 + 4, abs=0.05)
+
+
+def test_the_forbidden_set_moves_with_the_cursor(opened, tmp_path):
+    t, q = ca.SX.sym("t"), ca.SX.sym("q", 2)
+    disc = ca.norm_2(q - ca.vertcat(t, 0)) - 1
+    model = nsmodel.SweepingProcess(t=t, q=q, constraints={"disc": disc}, q0=[1.5, 0.3], t_end=2, step=0.1, title="Pushed")
+    run = nsmodel.simulate(model)
+    page = opened(run.view(tmp_path / "pushed.html", model))
+    shares = []
+    for row in (0, len(run)):
+        page.evaluate("(row) => nsview.select(row)", row)
+        state(page)
+        area = page.evaluate("(nsview.planes[0].px(nsview.planes[0].x0 + 1) - nsview.planes[0].px(nsview.planes[0].x0)) ** 2")
+        shares.append(len(pixels(page, "Configuration", "forbidden")) / area)
+    x0, x1, y0, y1 = page.evaluate("nsview.planes[0].data.window")
+    across, up = np.meshgrid(np.linspace(x0, x1, 400), np.linspace(y0, y1, 400))
+    for time, share in zip((0, 2), shares, strict=True):
+        assert share == pytest.approx((np.hypot(across - time, up) < 1).mean() * (x1 - x0) * (y1 - y0), abs=0.05)
+    assert shares[1] > 0.3
 
 
 def test_events_are_marked_and_said(opened, tmp_path, load_case):

@@ -79,5 +79,3 @@ function number(value, digits = 6) {
   if (!Number.isFinite(value)) return Number.isNaN(value) ? "–" : value > 0 ? "inf" : "-inf";
   return String(Number(value.toPrecision(digits)));
 }
-
-const withUnit = (name, unit) => (unit ? `${name} [${unit}]` : name);

@@ -109,8 +109,11 @@ function drawLine(ctx, items, place, left) {
       const near = Math.min(bottom, Math.max(top, from));
       to(lastX, Math.min(lastBottom, Math.max(lastTop, near)), x, near);
     }
-    if (kind === BOX) ctx.fillRect(x, top - 0.75, end - x, bottom - top + 1.5);
-    else if (bottom - top > 3) ctx.fillRect(x - 0.65, top, 1.3, bottom - top);
+    if (kind === BOX) {
+      ctx.globalAlpha = 0.7;
+      ctx.fillRect(x, top - 0.75, end - x, bottom - top + 1.5);
+      ctx.globalAlpha = 1;
+    } else if (bottom - top > 3) ctx.fillRect(x - 0.65, top, 1.3, bottom - top);
     else if (bottom > top || !down) {
       const upwards = penX === x && penY === bottom;
       to(x, upwards ? bottom : top, x, upwards ? top : bottom + 0.01);
@@ -126,7 +129,7 @@ function drawDots(ctx, items, place, left) {
   const v = items.values;
   for (let i = 0; i < items.count; i++) {
     const at = 5 * i;
-    if (v[at] === BREAK || v[at + 1] < 0) continue;
+    if (v[at] === BREAK || v[at + 2] < 0) continue;
     const a = place(v[at + 3]);
     const b = v[at] === VERTEX ? a : place(v[at + 4]);
     const wide = v[at] === BOX ? Math.max(2, v[at + 2] - v[at + 1]) : 2;

@@ -1,5 +1,7 @@
 // Panels over time: lines, dots on a logarithmic axis, and the bands of an index set.
 
+const withUnit = (name, unit) => (unit ? `${name} [${unit}]` : name);
+
 /** What all panels over time have: a heading, chips, a canvas, the line of the cursor, a note. */
 class TimePanel {
   constructor(data, view) {

@@ -43,10 +43,26 @@ class View {
       );
       this.planes.push(new Configuration(this, data.scene, { times, places, pressure }));
     }
+    if (data.forbidden) this.planes.push(await this.forbidden(data.forbidden));
     if (data.phase) this.planes.push(this.phase());
     this.lay();
     this.listen();
     this.redraw();
+  }
+
+  /** The set that a state of one or two components may not enter. */
+  async forbidden(data) {
+    const [times, inside] = await Promise.all([data.times, data.inside].map(unpack));
+    const states = this.panels.filter((panel) => panel.data.title.startsWith("States"));
+    const columns = states.flatMap((panel) => panel.columns);
+    const labels = states.flatMap((panel) => panel.columns.map((one) => withUnit(one.name, panel.data.unit)));
+    return new Forbidden(
+      this,
+      data,
+      { times, inside },
+      columns,
+      columns.length === 2 ? labels : [this.timeLabel, labels[0]],
+    );
   }
 
   /** The phase plane over all columns of the first clock. */
@@ -83,6 +99,7 @@ class View {
       element("h1", "", data.title, " ", badge),
       ...message.map((words) => element("p", "stopped", words)),
       ...warned.map((words) => element("p", "warned", `Warning: ${words}`)),
+      element("p", "note", data.note),
       element("details", "facts", "", element("summary", "", "Summary of the run"), facts),
       this.bar(),
     );
@@ -90,8 +107,10 @@ class View {
     const over = element("div", "over", "", ...this.panels.map((panel) => panel.root));
     columns.append(over);
     if (this.planes.length)
-      columns.append(element("aside", data.scene ? "first" : "", "", ...this.planes.map((plane) => plane.root)));
-    page.append(columns, element("p", "note foot", data.note), element("p", "note", HELP));
+      columns.append(
+        element("aside", data.scene || data.forbidden ? "first" : "", "", ...this.planes.map((plane) => plane.root)),
+      );
+    page.append(columns, element("p", "note foot", HELP));
   }
 
   /** Play, slider, time, reset, and which panels are seen. */
@@ -201,11 +220,11 @@ class View {
     this.redraw();
   }
 
-  /** The row next to a time. */
+  /** The row next to a time; of rows that are held as one those that it is among. */
   nearest(t) {
     const k = entryAt(this.clock, t);
-    const { T, n } = this.clock;
-    return k + 1 < n && T[k + 1] - t < t - T[k] ? k + 1 : k;
+    const { T, n, width } = this.clock;
+    return width === 1 && k + 1 < n && T[k + 1] - t < t - T[k] ? k + 1 : k;
   }
 
   /** Puts the cursor at a row (of many rows: at the first of those that are held as one). */
@@ -264,7 +283,7 @@ class View {
 
   /** Where the cursor is: time, row or rows, the event in its step. */
   tell(k) {
-    const { width, T, n } = this.clock;
+    const { width, n } = this.clock;
     const unit = this.data.time.unit ? ` ${this.data.time.unit}` : "";
     const name = this.clocks.length > 1 ? "point" : "row";
     const rows =
