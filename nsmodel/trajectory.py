@@ -254,15 +254,23 @@ class Trajectory:
 
         return overview(self, **options)
 
-    def view(self, path: str | Path | None = None) -> Path:
+    def view(self, path: str | Path | None = None, model: Any = None) -> Path:
         """Write one HTML file that shows the run, and return its path; without a path a temporary file, opened in the browser.
 
-        Columns over time, index set, events, phase plane, the configuration of discs in the plane; zoomed and played in the
-        browser. The file needs nothing else, and loads nothing. StorageError where it cannot be written.
+        Columns over time, index set, events, phase plane, configuration; zoomed and played in the browser. The file needs
+        nothing else, and loads nothing.
+
+        Args:
+            path: of the file; its folder is made where it is missing.
+            model: that of a sweeping process of one or two states: then the page shows the set that they may not enter.
+
+        Raises:
+            StorageError: the file cannot be written.
+            PlotError: the model is not that of the run, or has parameters without a value.
         """
         from nsmodel.view.run import view_run
 
-        return view_run(self, path)
+        return view_run(self, path, model)
 
     def summary(self) -> dict[str, Any]:
         """Return the run in short as numbers, strings, lists and dictionaries; None for what does not apply."""
