@@ -36,7 +36,7 @@ def brief(self: Any) -> str:
 def in_short(value: Any) -> str:
     """A value in at most 60 characters."""
     if isinstance(value, str):
-        return cut(repr(one_line(value)))
+        return repr(cut(value, LONG - 2))
     if isinstance(value, bool | int) or value is None:
         return cut(str(value))
     if isinstance(value, float | np.number):
@@ -57,7 +57,7 @@ def in_short(value: Any) -> str:
 def cut(text: str, width: int = LONG) -> str:
     """The text on one line, its end left out where it is longer."""
     text = " ".join(one_line(text).split())
-    return text if len(text) <= width else f"{text[: width - 4]} ..."
+    return text if len(text) <= width else f"{text[: width - 4].rstrip()} ..."
 
 
 def listed(items: Iterable[str], width: int = WIDTH) -> str:
