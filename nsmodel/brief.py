@@ -72,7 +72,7 @@ def listed(items: Iterable[str], width: int = WIDTH) -> str:
         return ", ".join(items)
     while kept < len(items) and len(", ".join(items[: kept + 1])) <= room:
         kept += 1
-    return ", ".join([*items[:kept], f"... {len(items) - kept} more"]) if kept else cut(items[0], room)
+    return ", ".join([*items[:kept], f"... {len(items) - kept} more"]) if kept or len(items) > 1 else cut(items[0], width)
 
 
 def wrapped(text: str) -> list[str]:
