@@ -164,7 +164,8 @@ def test_a_name_that_would_hide_a_module_is_refused(here, capsys, name):
 
 
 def test_a_copy_of_what_is_no_case_is_refused(here, capsys):
-    assert "no case 'nothing_like_it'; did you mean" in refused(capsys, "new", "a", "--like", "nothing_like_it")
+    text = refused(capsys, "new", "a", "--like", "nothing_like_it")
+    assert text == f"no case 'nothing_like_it'; nsmodel cases lists the {len(shelf.files())} that there are"
     assert not list(here.iterdir())
 
 
