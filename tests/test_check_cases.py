@@ -18,6 +18,7 @@ from nsmodel.hypotheses.findings import VERDICTS
 
 # The hypotheses of each case that must be proved. "sampled" where a proof exists is a defect.
 HOLDS = {
+    "arch": "S-convex A0 A1 A2 A3 A4 S-start",
     "bang_bang": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
     "boost": "F-jacobians F-W F-step",
     "buck": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c",
@@ -25,6 +26,9 @@ HOLDS = {
     "cabot_4_1": "O-theta O-g O-dry O-steps",
     "cabot_4_2": "O-theta O-g O-dry O-steps",
     "cabot_4_3": "O-theta O-g O-dry O-steps",
+    "city_blocks": "S-convex A0 A1 A2 A3 A4 S-start",
+    "counterflow": "S-convex A0 A1 A2 A3 A4 S-start",
+    "crossing": "S-convex A0 A1 A2 A3 A4 S-start",
     "crowd": "S-convex A0 A1 A2 A3 A4 S-start",
     "crowd_room": "S-convex A0 A1 A2 A3 A4 S-start",
     "diode_bridge": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0 7.1",
@@ -45,10 +49,12 @@ HOLDS = {
     "relay_oscillator": "3.1 4.1 5.4a 5.4b 5.4c 5.x0 7.1",
     "repressilator": "F-jacobians F-W F-step",
     "rlc_diode": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0 7.1",
+    "running_track": "S-convex A0 A1 A2 A3 A4 S-start",
     "sampled_pi": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
     "schmitt_trigger": "F-jacobians F-W F-mlcp F-unique F-step",
     "sliding_mode": "F-jacobians F-W F-mlcp F-unique F-step",
     "sliding_relay": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
+    "stairs": "S-convex A0 A1 A2 A3 A4 S-start",
     "thermostat": "F-jacobians F-W F-mlcp F-unique F-step",
     "three_pulse_rectifier": "F-jacobians F-W F-mlcp F-unique F-step",
     "thyristor": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c",
