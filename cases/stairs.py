@@ -7,8 +7,8 @@ What to see: people queue before the stairs. Who is pushed from behind is down s
 Downstairs everyone walks freely, twice as far from the next one as before: as many a second leave the stairs, at twice the
 speed.
 
-A wrong answer: everybody takes 6.7 s for the stairs, and the push of the queue ends at the first step; or somebody who was near
-another on the stairs still is downstairs. At full speed on the stairs all would be out after 15 s, not 21.
+A wrong answer: everybody takes 6.7 s for the stairs: the push of the queue ends at the first step. Or all are out after 15 s, as
+if the stairs were level; it takes 21 s.
 
 Source: the stairs of cromosim, both floors in one plane; the model of Maury and Venel, A discrete contact model for crowd
 motion (2011).

@@ -24,9 +24,8 @@ def warnings(model: ManyBodies) -> list[str]:
         if not slope.any():
             found.append(f"{label} has a zero gradient at q0: near there it acts on nothing")
         away = np.linalg.norm([model.bodies.q0[k] for k in (i, j)[: len(family.moving)]])
-        size = max(
-            np.abs(H).max(), np.linalg.norm(slope) / away if away else 0.0
-        )  # 1e9 times as far, a radius is that of a plane.
+        # A radius of curvature of 1e9 times as far is round-off: a plane.
+        size = max(np.abs(H).max(), np.linalg.norm(slope) / away if away else 0.0)
         if np.isfinite(H).all() and (least := np.linalg.eigvalsh(H)[0]) < -1e-9 * size:
             found.append(f"{label} is not convex at q0 (least eigenvalue of its Hessian {least:.3g}): feasibility may be lost")
     return found
