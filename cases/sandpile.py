@@ -7,7 +7,7 @@ second pile grows, meets the first and climbs over its flank, but leaves its top
 slides over each edge between two cells.
 
 A wrong answer: slopes that a stiff force holds let sand creep, and the top of the first pile, cell 3, sinks below 4.
-Slopes set right one after the other make sand, or lose it: all cells together hold t.
+Slopes that are cut off where they are too steep lose sand: all cells together hold t.
 
 Source: Prigozhin, Variational model of sandpile growth (1996); closed form on cells.
 
