@@ -17,7 +17,7 @@ Topic: mathematics.
 import casadi as ca
 import numpy as np
 
-from nsmodel import SweepingProcess, table
+from nsmodel import SweepingProcess
 
 n, first, second, change, end = 12, 3, 8, 16.0, 40.0
 cells, heights = np.arange(n), np.arange(12)
@@ -33,14 +33,16 @@ def exact(t):
     return np.where(t <= change, np.maximum(alone, 0), np.maximum(top - abs(cells - second), old))
 
 
-h, left = ca.SX.sym("h", n), ca.SX.sym("left")
+t, h = ca.SX.sym("t"), ca.SX.sym("h", n)
+left = ca.if_else(t < change, 1, 0)
 slope = h[1:] - h[:-1]
 model = SweepingProcess(
+    t=t,
     q=h,
     f=ca.vertcat(*(left if i == first else 1 - left if i == second else 0 for i in range(n))),
     constraints={"up": 1 - slope, "down": 1 + slope},
     q0=np.zeros(n),
-    inputs={left: table([0, change], [1, 0])},
+    switch_times=[change],
     t_end=end,
     step=5e-2,
     exact=exact,
