@@ -10,6 +10,9 @@ from nsmodel import FirstOrderSystem, FrictionOscillator, SweepingProcess, cli, 
 from nsmodel.errors import PlotError, UsageError
 from nsmodel.plot.band import curve
 from nsmodel.plot.rounding import is_rounding, output_is_rounding
+from nsmodel.study.lines import Line, Point
+from nsmodel.study.result import Study
+from nsmodel.sweep import Variable
 from nsmodel.trajectory import Trajectory
 
 # ---------------------------------------------------------------- rounding
@@ -288,3 +291,22 @@ def test_a_run_of_one_row_is_known_there():
 def test_times_that_are_none(t, message):
     with pytest.raises(UsageError, match=message):
         oscillator().at(t)
+
+
+# ---------------------------------------------------------------- sweeps, studies
+
+
+def test_a_sweep_does_not_speak_of_an_only_entry():
+    coords = {"k": [1, 2, 3], "t": [0.0, 1.0], "x_entry": [0]}
+    x = Variable.of("x", np.arange(6.0).reshape(3, 2, 1), ("k", "t", "x_entry"), coords, cell_dims=("k",))
+    assert title(plot.sweep_line(x, x="t", hue="k")) == "x"
+    assert title(plot.sweep_line(x, x="k")) == "x at t = 1"
+
+
+def test_a_study_names_no_line_without_points():
+    lines = [
+        Line.measured("fast", [("h = 1", 1e-2, 1e-3)]),
+        *(Line(name, (Point("h = 1", status="left out"),)) for name in "abc"),
+    ]
+    study = Study("Some", "LureSystem", 1, 1.0, "s", tuple(lines), None)
+    assert legend(plot.work_precision(study)) == ["fast", "3 more without a point: left out or failed"]
