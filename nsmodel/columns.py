@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Container, Iterator, Sequence
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from nsmodel.archive import LIST
 from nsmodel.classes.registry import class_named
-from nsmodel.errors import MissingExtraError
+from nsmodel.extras import extra
 from nsmodel.model.base import Model
 from nsmodel.storage import dumps
 
@@ -18,7 +17,11 @@ if TYPE_CHECKING:
     from nsmodel.trajectory import Trajectory
 
 
-COORDINATES = ("time", "multiplier", "input")  # Of an xarray.Dataset.
+COORDINATES = ("time", "state", "multiplier", "input", "body")  # Of an xarray.Dataset.
+# What its arrays have beside time.
+ALONG = {name: "multiplier" for name in ("multipliers", "y", "reactions", "gap")}
+ALONG |= {name: "state" for name in ("v", "selection", "defect")}
+ALONG |= {"inputs": "input", "inputs_begin": "input", "pressure": "body"}
 
 
 def model_type(run: Trajectory) -> type[Model]:
@@ -97,29 +100,32 @@ def of_csv(run: Trajectory) -> Iterator[tuple[str, np.ndarray]]:
 
 def dataset(run: Trajectory) -> Any:
     """The run as an ``xarray.Dataset``; MissingExtraError where xarray is not installed."""
-    xarray = _extra("xarray")
-
+    xarray = extra("xarray")
     units = {name: {"units": unit} for name, unit in units_of(run).items()}
-    names, data = multiplier_names(run), {}
+    coords = {"state": state_names(run), "multiplier": multiplier_names(run), "input": input_names(run)}
+    sizes, data = {name: len(names) for name, names in coords.items()}, {}
     for name, column in zip(state_names(run), run.x.T, strict=True):
         data[_free(name, {*run.arrays, *COORDINATES}, "state")] = ("time", column, units.get(name))
     for name, array in run.arrays.items():
         if name not in ("t", "x"):
-            shared = name in ("multipliers", "y") and array.shape[1:] == (len(names),)
+            own = ALONG.get(name, "")
+            shared = array.ndim == 2 and bool(own) and array.shape[1] == sizes.get(own, array.shape[1])
             along = next((stem.rstrip("_") for stem in LIST if name.startswith(stem)), "time")
-            driven = name in ("inputs", "inputs_begin")
-            rest = ["multiplier"] if shared else ["input"] if driven else [f"{name}_dim_{axis}" for axis in range(1, array.ndim)]
+            rest = [own] if shared else [f"{name}_dim_{axis}" for axis in range(1, array.ndim)]
             data[_free(name, COORDINATES, "array")] = ((along, *rest), array, units.get(name))
-    coords = {"time": ("time", run.t, units.get("t")), **({"multiplier": names} if names else {})}
-    coords |= {"input": driven} if (driven := input_names(run)) else {}
+    used = {dim for dims, *_ in data.values() for dim in dims}
+    known = {"time": ("time", run.t, units.get("t"))} | {dim: names for dim, names in coords.items() if dim in used and names}
     # netCDF has no attribute that is true, None or nested.
     plain = {key: type(value) in (str, int, float) for key, value in run.metadata.items()}
     attrs = {key: value if plain[key] else dumps(value) for key, value in run.metadata.items()}
-    return xarray.Dataset(data, coords, attrs)
+    return xarray.Dataset(data, known, attrs)
 
 
-def _extra(package: str) -> Any:
-    try:
-        return import_module(package)
-    except ImportError as error:
-        raise MissingExtraError(f"{package} is not installed; pip install 'nsmodel[{package}]'") from error
+def frame(run: Trajectory) -> Any:
+    """The table of the CSV file as a ``pandas.DataFrame`` by time; MissingExtraError where pandas is not installed."""
+    pandas = extra("pandas")
+    columns, units = dict(of_csv(run)), units_of(run)
+    own = {name: units.get(name) or units.get(name.partition(":")[2]) for name in columns}
+    found = pandas.DataFrame(columns).set_index("t")
+    found.attrs = {"title": run.title, "units": {name: unit for name, unit in own.items() if unit}}
+    return found

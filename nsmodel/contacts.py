@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nsmodel.brief import brief
+
 
 class Contacts(NamedTuple):
     """Constraints with a reaction > 0: arrays (K,) of the family's number, the members (second: body or item, -1 none), m/h."""
@@ -14,6 +16,8 @@ class Contacts(NamedTuple):
     first: np.ndarray
     second: np.ndarray
     reaction: np.ndarray
+
+    __repr__ = brief
 
 
 def in_order(contacts: Contacts) -> Contacts:

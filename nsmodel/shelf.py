@@ -7,6 +7,7 @@ import difflib
 from dataclasses import dataclass
 from pathlib import Path
 
+from nsmodel.brief import brief
 from nsmodel.errors import UsageError
 
 TOPICS = ("circuits", "control", "mechanics", "crowds", "biology", "mathematics")
@@ -32,6 +33,8 @@ class Case:
     source: str
     topic: str
 
+    __repr__ = brief
+
 
 def cases() -> tuple[Case, ...]:
     """All cases, by name.
@@ -39,10 +42,16 @@ def cases() -> tuple[Case, ...]:
     Raises:
         UsageError: this installation has none.
     """
-    folder = next((place for place in _PLACES if place.is_dir()), None)
-    if folder is None:
+    found = files()
+    if not found:
         raise UsageError(f"no cases beside the package: expected the folder {_PLACES[0]}; install nsmodel anew")
-    return tuple(read(path) for path in sorted(folder.glob("*.py")))
+    return tuple(map(read, found.values()))
+
+
+def files() -> dict[str, Path]:
+    """The files of the cases by name; empty where this installation has none."""
+    folder = next((place for place in _PLACES if place.is_dir()), None)
+    return {} if folder is None else {path.stem: path for path in sorted(folder.glob("*.py"))}
 
 
 def case(name: str) -> Case:

@@ -65,7 +65,7 @@ def simulate(
         out: folder for numbered chunks (constant memory while it runs), checkpoints and ``trajectory.npz``; for one run at a
             time.
         resume: continue the run found in ``out``.
-        progress: show a progress bar where standard error is a terminal.
+        progress: show a progress bar at a terminal, or in a notebook.
         compiled: True: step in C, built once for this model and kept in the user's cache folder (a step that C cannot certify
             is taken by the interpreted solvers); False: never; "auto": where building, or finding what was built before, takes
             less time than the interpreted steps, both estimated from the structure (see `solve.cost`). Where parameters are

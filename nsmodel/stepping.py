@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nsmodel.brief import in_short, number
 from nsmodel.classes.registry import class_of
 from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import StepError, UsageError
@@ -70,6 +71,11 @@ class ModelStepper:
         one = own.u.numel() == self._inputs.at.size == 1 and start is None and not (self._inputs.driven or record)
         self._alone = self._in_c.alone(self._step.layout, self._step.cold().index.size) if one else None
         self.reset()
+
+    def __repr__(self) -> str:
+        """Return one line: title, time, steps, states."""
+        title = self._model.title or "untitled"
+        return f"ModelStepper({title!r}, t = {number(self.t)}, {self.k} steps of {number(self.h)}, x = {in_short(self.x)})"
 
     # -- where it is
 

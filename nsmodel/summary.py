@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from nsmodel.trajectory import Trajectory
 
 _WIDTH = 100
+_LABEL = 18  # The column of labels.
 _STATES_SHOWN = 8
 _ARCH_SHOWN = 8
 _SPANS_SHOWN = 4
@@ -126,8 +127,8 @@ def _finite(array: np.ndarray) -> np.ndarray:
     return array[np.isfinite(array)]
 
 
-def text(summary: dict[str, Any]) -> str:
-    """What `summary` returned as a table of at most 100 columns."""
+def lines(summary: dict[str, Any]) -> dict[str, list[str]]:
+    """What `summary` returned in words: {label: lines}."""
     s, t, changes = summary, summary["t"], summary["index_set_changes"]
     unit = f" {t['unit']}" if t["unit"] else ""
     counts = sorted(s["solver_counts"].items(), key=lambda item: (-item[1], item[0]))
@@ -136,7 +137,7 @@ def text(summary: dict[str, Any]) -> str:
     if len(shown) > _STATES_SHOWN:
         shown = [*shown[: _STATES_SHOWN - 2], (f"... {len(shown) - _STATES_SHOWN + 1} more", ""), shown[-1]]
     sample = "" if s["save_every"] == 1 else f" (1 row saved of {s['save_every']})"
-    lines: dict[str, str | list[str] | None] = {
+    found: dict[str, str | list[str] | None] = {
         "model class": s["model_class"],
         "scheme": s["scheme"] and str(s["scheme"]),
         "status": s["message"] if s["message"].startswith(s["status"]) else ": ".join(filter(None, (s["status"], s["message"]))),
@@ -160,11 +161,15 @@ def text(summary: dict[str, Any]) -> str:
         "final state": _aligned(shown),
         "warnings": s["warnings"],
     }
-    table = textwrap.wrap(s["title"], _WIDTH)
-    width = max(map(len, lines)) + 4
-    for label, texts in lines.items():
-        for i, line in enumerate([texts] if isinstance(texts, str) else texts or []):
-            first, rest = f"  {label if i == 0 else '':{width - 2}}", " " * (width + 2)
+    return {label: [words] if isinstance(words, str) else words for label, words in found.items() if words}
+
+
+def text(summary: dict[str, Any]) -> str:
+    """What `summary` returned as a table of at most 100 columns."""
+    table = textwrap.wrap(summary["title"], _WIDTH)
+    for label, texts in lines(summary).items():
+        for i, line in enumerate(texts):
+            first, rest = f"  {label if i == 0 else '':{_LABEL - 2}}", " " * (_LABEL + 2)
             table += textwrap.wrap(line, _WIDTH, initial_indent=first, subsequent_indent=rest)
     return "\n".join(table)
 

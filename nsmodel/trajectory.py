@@ -13,6 +13,7 @@ from nsmodel import columns, dense, summary, windows
 from nsmodel.archive import read_npz, write_npz
 from nsmodel.contacts import Contacts
 from nsmodel.errors import StorageError, UsageError
+from nsmodel.notebook import shown_by
 from nsmodel.quantities import evaluated, of_outputs
 from nsmodel.storage import write_csv
 
@@ -34,6 +35,8 @@ class Trajectory:
 
     arrays: dict[str, np.ndarray]
     metadata: dict[str, Any]
+
+    _repr_html_ = shown_by("run")
 
     @property
     def t(self) -> np.ndarray:
@@ -129,18 +132,24 @@ class Trajectory:
     def at(self, t: Any) -> dense.At:
         """Return the run at times t, a number or (k,) of them: states, velocities, multipliers and outputs, (k, ...) each.
 
-        Of an event-driven run to its tolerance, at an event as they are after it. Of a run by time stepping the states are those
-        of the rows on both sides, joined by straight lines, multipliers and outputs those of the step that t lies in; so are
-        those of stretches of steps (``run.stepped``), but for a parabola through the rows of a step in which nothing switches.
+        Of an event-driven run to its tolerance, at an event as they are after it. Of a run by time stepping a row is given as
+        it is. Between rows states are on the straight line from row to row; velocities of an oscillator, multipliers and outputs
+        are those of the step that t lies in, which are those of the row that ends it. At the start what no step has computed is
+        that of the first step. Of many bodies x is NaN where one of both rows has no such body, and multipliers are in
+        ``contacts``: they have no columns. Rows of ``save_every`` count as if they were steps.
+
+        On stretches of steps (``run.stepped``) of an event-driven run the same holds, but for a parabola through the rows of a
+        step in which nothing switches.
 
         Raises:
             UsageError: a time that is no number or outside the run.
         """
-        times = np.atleast_1d(np.asarray(t, float))
+        times = dense.times_of(t)
         outside = times[~((times >= self.t[0]) & (times <= self.t[-1]))]
         if outside.size:
             raise UsageError(f"t = {outside[0]:.10g}: the run goes from {self.t[0]:.10g} to {self.t[-1]:.10g}")
-        return dense.at(self.arrays, times) if self.is_event_driven else dense.between(self.arrays, times)
+        whole = self.is_event_driven and len(self.arrays["piece_start"]) > 0
+        return dense.at(self.arrays, times) if whole else dense.between(self.arrays, times)
 
     def evaluate(self, given: Any, units: Mapping[str, str] | None = None) -> Any:
         """Return the values of an expression at the rows, (N+1,) or (N+1, k); or the run with further columns.
@@ -190,11 +199,14 @@ class Trajectory:
         """
         return windows.spectrum(self, what, t0, t1, harmonics)
 
-    def smooth(self, points: int = 2000) -> Trajectory:
-        """Return an event-driven run with about so many rows read off its polynomials, two at each jump; others as they are."""
+    def smooth(self, points: int = 2000, t0: float | None = None, t1: float | None = None) -> Trajectory:
+        """Return an event-driven run with about so many rows read off its polynomials, two at each jump; others as they are.
+
+        ``t0``, ``t1``: of an event-driven run these times alone; left out they are its ends. UsageError for a window outside.
+        """
         if "piece_x" not in self.arrays or not len(self.arrays["piece_start"]):
             return self
-        drawn = replace(self, arrays=dense.drawn(self.arrays, points))
+        drawn = replace(self, arrays=dense.drawn(self.arrays, points, *windows.window(self, t0, t1)))
         return replace(drawn, arrays=drawn.arrays | of_outputs(drawn, self.arrays))
 
     @property
@@ -224,15 +236,33 @@ class Trajectory:
     def to_xarray(self) -> Any:
         """Return an ``xarray.Dataset`` along ``time``: a variable a state, other arrays whole, metadata as attributes.
 
+        Further dimensions are ``multiplier``, ``input`` and ``state`` with their names, and ``body``; units are attributes.
         MissingExtraError where xarray is not installed.
         """
         return columns.dataset(self)
+
+    def to_pandas(self) -> Any:
+        """Return the table of ``to_csv`` as a ``pandas.DataFrame``: a row a time, a column a quantity, units in its ``attrs``.
+
+        MissingExtraError where pandas is not installed.
+        """
+        return columns.frame(self)
 
     def plot(self, **options: Any) -> Any:
         """Draw an overview of the run; the options are those of ``nsmodel.plot.overview``."""
         from nsmodel.plot.figures import overview
 
         return overview(self, **options)
+
+    def view(self, path: str | Path | None = None) -> Path:
+        """Write one HTML file that shows the run, and return its path; without a path a temporary file, opened in the browser.
+
+        Columns over time, index set, events, phase plane, the configuration of discs in the plane; zoomed and played in the
+        browser. The file needs nothing else, and loads nothing. StorageError where it cannot be written.
+        """
+        from nsmodel.view.run import view_run
+
+        return view_run(self, path)
 
     def summary(self) -> dict[str, Any]:
         """Return the run in short as numbers, strings, lists and dictionaries; None for what does not apply."""

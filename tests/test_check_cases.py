@@ -18,7 +18,9 @@ from nsmodel.hypotheses.findings import VERDICTS
 
 # The hypotheses of each case that must be proved. "sampled" where a proof exists is a defect.
 HOLDS = {
+    "anti_windup": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
     "bang_bang": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
+    "belt": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
     "boost": "F-jacobians F-W F-step",
     "buck": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c",
     "buck_light_load": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c",
@@ -29,6 +31,7 @@ HOLDS = {
     "crowd_room": "S-convex A0 A1 A2 A3 A4 S-start",
     "diode_bridge": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0 7.1",
     "drive_cycle": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
+    "elastoplastic": "M-T M-C M-A1 M-A2 M-A3 M-24 M-H",
     "evacuation": "S-convex A0 A1 A2 A3 A4 S-start",
     "friction_chain": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
     "friction_oscillator": "O-theta O-g O-dry O-steps",
@@ -39,24 +42,39 @@ HOLDS = {
     "inclusion_8_1": "M-T M-C M-A1 M-A2 M-A3 M-24",
     "inclusion_8_2": "M-T M-C M-A1 M-A2 M-A3 M-24",
     "inclusion_8_2_full": "M-T M-C M-A1 M-A2 M-A3 M-24",
+    "leash": "M-T M-C M-A1 M-A2 M-A3 M-24 M-H",
     "moving_disc": "S-convex A0 A1 A2 A3 A4 A5 A5' S-f S-start",
     "moving_half_line": "S-convex A0 A1 A2 A3 A4 A5 A5' S-f S-start",
+    "observer": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
+    "obstacle": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
     "point_past_disc": "S-convex A0 A1 A2 A3 A4 A5 A5' S-f S-start",
     "relay_oscillator": "3.1 4.1 5.4a 5.4b 5.4c 5.x0 7.1",
+    "repressilator": "F-jacobians F-W F-step",
     "rlc_diode": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0 7.1",
     "sampled_pi": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
+    "sandpile": "S-convex A0 A1 A2 A3 A4 S-f S-start",
     "schmitt_trigger": "F-jacobians F-W F-mlcp F-unique F-step",
     "sliding_mode": "F-jacobians F-W F-mlcp F-unique F-step",
     "sliding_relay": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
     "thermostat": "F-jacobians F-W F-mlcp F-unique F-step",
+    "three_pulse_rectifier": "F-jacobians F-W F-mlcp F-unique F-step",
     "thyristor": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c",
+    "toggle_switch": "F-jacobians F-W F-step",
+    "total_variation": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0 7.1",
+    "tumbler": "S-convex A0 A1 A2 A3 A4 A5 A5' S-f",
+    "twisting": "3.1 4.1 5.4a 5.4b 5.4c 5.x0 7.1",
     "two_discs": "S-convex A0 A1 A2 A3 A4 A5 A5' S-f S-start",
     "two_masses": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
+    "two_surfaces": "3.1 4.1 5.1 5.2 5.4a 5.4b 5.4c 5.x0",
+    "voltage_doubler": "F-jacobians F-W F-mlcp F-unique F-step",
+    "zener_limiter": "M-T M-C M-A1 M-A2 M-A3 M-24 M-H",
     "zhuravlev_ivanov": "F-jacobians F-W F-step",
 }
 # What really fails, and why: a report without these would be wrong.
 VIOLATED = {
+    "anti_windup": {"7.1": "it is forced"},
     "bang_bang": {"7.1": "it is forced"},
+    "belt": {"7.1": "it is forced"},
     "boost": {"F-mlcp": "an input multiplies the multipliers: W_mlcp is indefinite", "F-inputs": "h jumps at an edge"},
     "buck": {"5.x0": "the current begins at 0, on the boundary of the set", "7.1": "it is forced"},
     "buck_light_load": {"5.x0": "the current begins at 0, on the boundary of the set", "7.1": "it is forced"},
@@ -66,17 +84,25 @@ VIOLATED = {
     "friction_chain": {"7.1": "it is forced"},
     "gene_network": {"F-mlcp": "the multipliers enter as a product: W_mlcp is indefinite"},
     "half_wave_rectifier": {"5.x0": "the current begins at 0, on the boundary of the set", "7.1": "it is forced"},
+    "observer": {"7.1": "it is forced"},
+    "obstacle": {"7.1": "it is forced"},
     "relay_oscillator": {"5.1": "C B = 0"},
+    "repressilator": {"F-mlcp": "the ring is not monotone"},
     "sampled_pi": {"7.1": "it is forced"},
     "sliding_relay": {"7.1": "it is forced"},
     "thyristor": {"5.x0": "the current begins at 0, on the boundary of the set", "7.1": "it is forced"},
+    "toggle_switch": {"F-mlcp": "it has two rests"},
+    "twisting": {"5.1": "the relay on p does not act on p'"},
     "two_masses": {"7.1": "it is forced"},
+    "two_surfaces": {"7.1": "it is forced"},
     "zhuravlev_ivanov": {"F-mlcp": "the multipliers enter as a product: W_mlcp is indefinite"},
 }
 # What is not decided, and the reason that the report gives.
 UNKNOWN = {
     "boost": {"F-unique": "index sets are not enumerated"},
     "relay_oscillator": {"5.2": "no P > 0 with P B = C' exists"},
+    "toggle_switch": {"F-unique": "index sets"},
+    "twisting": {"5.2": "no P > 0 with P B = C' exists"},
 }
 # Between which values what blocks set stays.
 BOUNDS = {

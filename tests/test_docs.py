@@ -1,7 +1,8 @@
 """Every code block of the documentation runs, and prints what the page shows.
 
 A ``python`` block runs as a script. ``python model-file NAME.py exit=3`` is a model file: it must run with this exit status
-(0 where none is given); ``picture`` is a word to the site. One marked ``compiler`` is left out where there is none.
+(0 where none is given); ``picture`` asks the site for one of its run. One marked ``compiler`` is left out where there is none.
+The ``{code-cell}`` blocks of a page are a notebook: they run in order, and know what those before them did.
 ``python peer PROGRAM`` is a script of another program: it runs where that is installed, and else is compiled only.
 A ``text`` block right after either is its output. In a ``console`` block each ``$ nsmodel ...`` line
 runs, and the lines after it are its output. Each block runs in a new folder with the page's model files and ``cases/`` in it.
@@ -25,7 +26,8 @@ from nsmodel.cli import main
 from nsmodel.codegen import library as codegen_library
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").rglob("*.md"))]
+DOCS = REPOSITORY / "docs"
+PAGES = [REPOSITORY / "README.md", *sorted(page for page in DOCS.rglob("*.md") if page.relative_to(DOCS).parts[0] != "gallery")]
 LARGEST_PICTURE = 150_000
 
 NUMBER = re.compile(r"\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
@@ -47,7 +49,12 @@ class Block:
         return self.words[:2] == ("python", "model-file")
 
     def __str__(self) -> str:
-        return f"{self.page.name}:{self.line}"
+        return f"{named(self.page)}:{self.line}"
+
+
+def named(page):
+    """The page, from docs/ on."""
+    return page.relative_to(DOCS).as_posix() if page.is_relative_to(DOCS) else page.name
 
 
 def blocks_of(page):
@@ -148,6 +155,18 @@ def test_python_block_runs_and_prints_what_the_page_shows(block, folder):
         assert_shown(block.output, output, block)
 
 
+@pytest.mark.parametrize("page", sorted({block.page for block in BLOCKS if block.words[:1] == ("{code-cell}",)}), ids=named)
+def test_the_cells_of_a_notebook_run_in_order(page, tmp_path, monkeypatch):
+    (tmp_path / "cases").symlink_to(REPOSITORY / "cases")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    names = {"__name__": "__main__"}
+    for block in blocks_of(page):
+        if block.words[:1] == ("{code-cell}",):
+            text = re.sub(r"^:.*", "", block.code, flags=re.MULTILINE)  # options of the cell
+            printed(exec, compile("\n" * (block.line - 1) + text, str(page), "exec"), names)
+
+
 @blocks("console")
 def test_console_block_prints_what_the_page_shows(block, folder):
     commands = re.split(r"^\$ ", block.code, flags=re.MULTILINE)
@@ -159,13 +178,13 @@ def test_console_block_prints_what_the_page_shows(block, folder):
         assert_shown(expected, printed(main, arguments)[1], f"{block}: $ {line}")
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=named)
 def test_links_of_a_page_lead_somewhere_and_pictures_are_small(page):
     text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
     for target in re.findall(r"\]\(([^)#\s]+)", text):
         if "://" not in target:
             path = page.parent / target
-            assert path.exists(), f"{page.name} refers to {target}"
+            assert path.exists(), f"{named(page)} refers to {target}"
             assert path.suffix != ".png" or path.stat().st_size < LARGEST_PICTURE
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from nsmodel.brief import brief
 from nsmodel.errors import ModelError
 from nsmodel.pickled import Pickled
 
@@ -32,6 +33,8 @@ class Block(Pickled):
     update: Mapping[Any, Any]
     start: Mapping[Any, Any]
     values: Mapping[Any, Sequence[float]]
+
+    __repr__ = brief
 
 
 def sampled(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nsmodel.brief import brief
 from nsmodel.crowd.geometry import LEAF, cross, crossed
 from nsmodel.crowd.given import number, numbers
 from nsmodel.crowd.room import Room
@@ -58,6 +59,8 @@ class Flow:
     time: np.ndarray
     person: np.ndarray
     forward: np.ndarray
+
+    __repr__ = brief
 
     @property
     def width(self) -> float:
@@ -162,6 +165,8 @@ class Maps:
     velocity: np.ndarray
     pressure: np.ndarray | None
     rows: np.ndarray
+
+    __repr__ = brief
 
 
 def maps(

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nsmodel.brief import brief
 from nsmodel.crowd.given import number
 from nsmodel.crowd.paths import DesiredVelocity
 from nsmodel.errors import ModelError
@@ -56,6 +57,8 @@ class Wavering:
 
     desired: DesiredVelocity
     noise: Noise
+
+    __repr__ = brief
 
     def __call__(self, t: float, q: np.ndarray) -> np.ndarray:
         """The velocity (N, 2) of people at q (N, 2)."""

@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from nsmodel.brief import brief
 from nsmodel.crowd.geometry import CHUNK, distances, nearest_points, sight
 from nsmodel.crowd.given import number, numbers, of_each
 from nsmodel.crowd.room import Grid, Room
@@ -52,6 +53,8 @@ class DesiredVelocity:
     clearance: float
 
     autonomous: ClassVar[bool] = True  # It does not depend on t.
+
+    __repr__ = brief
 
     def __call__(self, t: float, q: np.ndarray) -> np.ndarray:
         """The velocities (N, 2) of people at q (N, 2); rows of absent people are any finite numbers."""

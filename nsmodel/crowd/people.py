@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel.brief import brief
 from nsmodel.classes.bodies.groups import Bodies, Family, Items
 from nsmodel.classes.bodies.model import ManyBodies
 from nsmodel.crowd.geometry import LEAF, closed, contains, crosses_any, nearest_points
@@ -35,6 +36,8 @@ class People:
     to: Any = None
     speed: Any = 1.0
     enter: Any = 0.0
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         places = numbers(self.places, "places", "(N, 2), in metres")

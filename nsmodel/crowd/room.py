@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nsmodel.brief import brief
 from nsmodel.crowd import picture
 from nsmodel.crowd.geometry import closed, contains, distances, nearest_points
 from nsmodel.crowd.given import number, numbers
@@ -41,6 +42,8 @@ class Room:
     walls: Any = ()
     exits: Any = ()
     obstacles: Any = ()
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         if not isinstance(self.exits, Mapping) or not self.exits:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from nsmodel.brief import brief
 from nsmodel.hypotheses.scope import Scope, meet
 from nsmodel.pickled import Pickled
 from nsmodel.proof.verdict import HOLDS, SAMPLED, UNKNOWN, VERDICTS, VIOLATED
@@ -51,6 +52,8 @@ class Finding(Pickled):
     how: str
     scope: Scope | None = None
     outside: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+
+    __repr__ = brief
 
 
 def found(
@@ -115,6 +118,8 @@ class Consequence(Pickled):
     scope: Scope | None = None
     clause: str = ""
     until: float | None = None
+
+    __repr__ = brief
 
 
 def measured(name: str, statement: str, value: Mapping[str, float]) -> Consequence:

@@ -10,6 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel.brief import brief
 from nsmodel.errors import UsageError
 from nsmodel.hypotheses.scope import Box, Scope
 from nsmodel.model.base import Model
@@ -33,6 +34,8 @@ class Region(Pickled):
     names: tuple[str, ...]
     origin: str
     parameters: Box = field(default_factory=lambda: MappingProxyType({}))
+
+    __repr__ = brief
 
     def with_time(self) -> tuple[np.ndarray, np.ndarray]:
         """Bounds (n + 1,) of (t, x)."""

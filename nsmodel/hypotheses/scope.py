@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
+from nsmodel.brief import brief
 from nsmodel.pickled import Pickled
 
 Box = Mapping[str, tuple[float, float]]
@@ -25,6 +26,8 @@ class Scope(Pickled):
     states: Box = field(default_factory=lambda: MappingProxyType({}))
     time: tuple[float, float] | None = None
     parameters: Box = field(default_factory=lambda: MappingProxyType({}))
+
+    __repr__ = brief
 
     @property
     def text(self) -> str:

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
+from nsmodel.brief import brief
 from nsmodel.errors import ModelError
 from nsmodel.laws.block import UPPER, ZERO, Block, Rewritten, Round, Words, Writer, product_set
 from nsmodel.laws.box import boxes
@@ -73,6 +74,8 @@ class Ball(Block):
     strict: ClassVar[bool] = True
     WORDS: ClassVar[Mapping[str, Words]] = {"ball": {0: (ZERO, "l inside the ball (y = 0)"), 1: (UPPER, "l on the sphere")}}
     radius: ca.SX
+
+    __repr__ = brief
 
     @property
     def numbers(self) -> dict[str, ca.SX]:

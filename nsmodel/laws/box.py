@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
+from nsmodel.brief import brief
 from nsmodel.errors import ModelError
 from nsmodel.laws.block import LOWER, NOTHING, UPPER, ZERO, Block, Intervals, Rewritten, Words, Writer
 from nsmodel.laws.given import column, count, entries
@@ -30,6 +31,8 @@ class Box(Block):
     }
     lower: ca.SX
     upper: ca.SX
+
+    __repr__ = brief
 
     @property
     def numbers(self) -> dict[str, ca.SX]:

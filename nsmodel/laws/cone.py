@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
+from nsmodel.brief import brief
 from nsmodel.laws.block import NOTHING, UPPER, ZERO, Block, SecondOrder, Words, Writer, product_set
 from nsmodel.laws.box import complementarity
 from nsmodel.laws.curved import Curved, norm
@@ -78,6 +79,8 @@ class Cone(Block):
             -1: (NOTHING, "open (l = 0)"), 0: (ZERO, "l inside the cone (y = 0)"), 1: (UPPER, "l on the cone"),
         }
     }  # fmt: skip
+
+    __repr__ = brief
 
     def scaled(self, u: float) -> Cone:
         """Itself."""

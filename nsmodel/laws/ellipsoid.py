@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
+from nsmodel.brief import brief
 from nsmodel.errors import ModelError
 from nsmodel.laws.block import UPPER, ZERO, Block, Round, Words, Writer, product_set
 from nsmodel.laws.box import boxes
@@ -112,6 +113,8 @@ class Ellipsoid(Block):
         "ellipsoid": {0: (ZERO, "l inside the ellipsoid (y = 0)"), 1: (UPPER, "l on the ellipsoid")}
     }
     Q: np.ndarray
+
+    __repr__ = brief
 
     @cached_property
     def _axes(self) -> EllipsoidSet:

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from nsmodel.brief import listed
 from nsmodel.errors import ModelError
 from nsmodel.laws.block import Block
 from nsmodel.laws.moving import Ends
 from nsmodel.pickled import Pickled
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Law(Pickled):
     """A product of blocks: l and y are stacked in their order. Build it with the functions of this package."""
 
@@ -27,6 +28,19 @@ class Law(Pickled):
         for block in self.blocks:
             if not isinstance(block, Block):
                 raise ModelError(f"law: {block!r} is no set of a known kind")
+
+    @property
+    def in_words(self) -> str:
+        """The kinds of its blocks with their sizes: "relay 2, ball 3"."""
+        runs: list[tuple[str, int]] = []
+        for block in self.blocks:
+            before = runs.pop()[1] if runs and runs[-1][0] == block.label else 0
+            runs.append((block.label, before + block.size))
+        return listed([f"{label} {size}" for label, size in runs], 80)
+
+    def __repr__(self) -> str:
+        """Return one line: the kinds of its blocks with their sizes."""
+        return f"Law({self.in_words})"
 
     @property
     def size(self) -> int:

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
+from nsmodel.brief import brief
 from nsmodel.errors import ModelError
 from nsmodel.laws.block import Block, Halfspaces, Rewritten, Words, Writer, product_set
 from nsmodel.laws.box import complementarity, equality
@@ -24,6 +25,8 @@ class Polyhedron(Block):
     WORDS: ClassVar[Mapping[str, Words]] = {}
     H: np.ndarray
     K: np.ndarray
+
+    __repr__ = brief
 
     def scaled(self, u: float) -> Polyhedron:
         """K times u."""

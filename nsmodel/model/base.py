@@ -11,18 +11,21 @@ from typing import Any, ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from nsmodel.errors import ModelError, NsmodelError, UsageError
+from nsmodel.errors import ModelError, UsageError
 from nsmodel.laws import Words
 from nsmodel.model.arguments import RESERVED, grid_given, known_times, names_of_states, rows_called, units_given
 from nsmodel.model.convert import Converter, declare
 from nsmodel.model.driving import Driving
 from nsmodel.model.exact import Sampled
+from nsmodel.model.expressions import refuse_infinite
+from nsmodel.model.facts import model_in_short
 from nsmodel.model.inputs import Signals
 from nsmodel.model.outputs import declared_outputs
 from nsmodel.model.parameters import Values, declared, scalars
 from nsmodel.model.replaced import replaced
+from nsmodel.notebook import shown_by
 from nsmodel.pickled import Pickled
-from nsmodel.proof.graph import COMPARISONS, column, entries
+from nsmodel.proof.graph import COMPARISONS
 from nsmodel.words import one_line
 
 ARRAYS = frozenset("x gap_min pressure contact_reaction".split())  # Further arrays that may have a unit.
@@ -32,7 +35,7 @@ NO_INPUTS = frozenset({"certificate", "--certificate"})  # What models with inpu
 LEFT_OUT: Any = None  # A field that may be left out, and has its type once the model is declared.
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Model(Pickled):
     """Arguments of all classes.
 
@@ -99,6 +102,9 @@ class Model(Pickled):
     unblocked: ClassVar[str] = ""  # Why models of the class take no blocks, and what to do instead.
     outputless: ClassVar[str] = ""  # Why models of the class declare no outputs, and what to do instead.
     of_time: ClassVar[str] = MOVE  # What to do with time where it may not stand.
+
+    __repr__ = model_in_short
+    _repr_html_ = shown_by("model")
 
     def __post_init__(self) -> None:
         """Check and convert what was given."""
@@ -335,15 +341,3 @@ class Model(Pickled):
         for name, value in vars(self).items():
             if isinstance(value, ca.SX) and name not in ("lower", "upper"):
                 refuse_infinite(value, f"with {given}, {name}", UsageError)
-
-
-def refuse_infinite(matrix: ca.SX, label: str, error: type[NsmodelError] = ModelError) -> None:
-    """Refuse a constant entry that is not finite."""
-    stored, symbols = column(entries(matrix)), column(ca.symvar(matrix))
-    values = np.array(ca.Function("values", [symbols], [stored])(np.full(symbols.numel(), 0.7))).ravel()
-    where = np.column_stack(matrix.sparsity().get_triplet())
-    for k in np.flatnonzero(~np.isfinite(values)):
-        entry, (i, j) = stored[int(k)], where[k]
-        if entry.is_constant():
-            index = "" if matrix.numel() == 1 else f"[{i}]" if matrix.shape[1] == 1 else f"[{i}, {j}]"
-            raise error(f"{label}{index} = {float(entry)}; expected a finite number")

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.blocks.block import Block
+from nsmodel.brief import brief
 from nsmodel.errors import ModelError
 from nsmodel.model.convert import Converter, Declared, declare
 from nsmodel.pickled import Pickled
@@ -39,6 +40,8 @@ class ModelBlock(Pickled):
     start: ca.SX
     memory: int = 0
     latch: bool = False
+
+    __repr__ = brief
 
     def in_units(self, tau: float, put: Callable[[ca.SX], ca.SX]) -> ModelBlock:
         """The block where times are tau times as large; ``put`` writes what it reads in those units."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from nsmodel.proof.graph import column, keys
+from nsmodel.errors import ModelError, NsmodelError
+from nsmodel.proof.graph import column, entries, keys
 
 
 def derivatives(expr: ca.SX, symbols: ca.SX) -> ca.SX:
@@ -60,3 +61,15 @@ def evaluate(expr: ca.SX, z: ca.SX, samples: np.ndarray) -> np.ndarray:
     numbers = np.random.default_rng(0).uniform(0.5, 2, others.numel())
     function = ca.Function("values", [z, others], [ca.densify(ca.vec(expr))])
     return np.array(function(samples.T, numbers)).T
+
+
+def refuse_infinite(matrix: ca.SX, label: str, error: type[NsmodelError] = ModelError) -> None:
+    """Refuse a constant entry that is not finite."""
+    stored, symbols = column(entries(matrix)), column(ca.symvar(matrix))
+    values = np.array(ca.Function("values", [symbols], [stored])(np.full(symbols.numel(), 0.7))).ravel()
+    where = np.column_stack(matrix.sparsity().get_triplet())
+    for k in np.flatnonzero(~np.isfinite(values)):
+        entry, (i, j) = stored[int(k)], where[k]
+        if entry.is_constant():
+            index = "" if matrix.numel() == 1 else f"[{i}]" if matrix.shape[1] == 1 else f"[{i}, {j}]"
+            raise error(f"{label}{index} = {float(entry)}; expected a finite number")

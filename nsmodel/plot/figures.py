@@ -11,9 +11,11 @@ import numpy as np
 
 from nsmodel.columns import model_type, output_names
 from nsmodel.plot import crowd, style
+from nsmodel.plot.chain import chains, of_family, of_states
 from nsmodel.plot.plane import phase, plots_of
-from nsmodel.plot.strip import MAX_ROWS, index_strip
+from nsmodel.plot.strip import MAX_ROWS, index_map, index_strip
 from nsmodel.plot.time import MAX_LINES, energy, inputs, multipliers, outputs, residual, states
+from nsmodel.plot.window import Window, window
 from nsmodel.storage import replacing
 
 if TYPE_CHECKING:
@@ -42,18 +44,30 @@ SHEETS = {
 }
 
 
-def overview(run: Trajectory, model: Any = None) -> Figure:
+def overview(run: Trajectory, model: Any = None, *, t: Window | None = None) -> Figure:
     """One figure of the whole run, 1400 x 900 pixels, composed of what the run holds.
 
     On the left, over a shared time axis: states, index set, multipliers, reactions. On the right: the configuration of
     a planar sweeping process (or else the phase portrait), the energy and the residual. Of many bodies in the plane: the moment
     of most pressure, how many are there, maps of density and pressure.
+
+    Args:
+        run: the run.
+        model: its model, or None: then no configuration of one or two states.
+        t: a window of time (t0, t1), None for an end of the run; left out: the whole run. See `window`.
+
+    Raises:
+        PlotError, UsageError: no such window.
     """
+    run = window(run, t)
     figure, run = _titled(run), run.smooth()
     panels = _panels(run, model, lines=8, rows=12)
     if "frame" in panels:
         return _of_crowd(figure, panels)
-    plane = [panels[name] for name in ("configuration", "phase") if name in panels][:1]
+    along = [name for name in panels if name.startswith("chain")]
+    plane = [panels[name] for name in ("configuration", *reversed(along), "phase") if name in panels][:1]
+    if len(along) > 1:
+        panels["states"] = panels[along[0]]
     left = [panels[name] for name in TIME if name in panels]
     checks = [panels[name] for name in ("energy", "residual") if name in panels]
     if plane:
@@ -65,20 +79,34 @@ def overview(run: Trajectory, model: Any = None) -> Figure:
     return figure
 
 
-def save_all(run: Trajectory, model: Any, directory: str | Path, prefix: str = "") -> list[Path]:
+def small(run: Trajectory) -> Figure:
+    """A figure of few lines: the states and the index set, or the moment of most pressure of many bodies."""
+    panels = _panels(run.smooth(), None, lines=6, rows=4)
+    names = ["frame"] if "frame" in panels else [name for name in ("states", "index_strip") if name in panels]
+    figure = style.blank(5, 4.2) if "frame" in panels else style.blank(7, 2.4 + 0.6 * (len(names) - 1))
+    _stack(figure, figure.add_gridspec(1, 1)[0], [panels[name] for name in names], shared=True)
+    return figure
+
+
+def save_all(
+    run: Trajectory, model: Any, directory: str | Path, prefix: str = "", *, t: Window | None = None
+) -> list[Path]:  # fmt: skip
     """Write all pictures the run can give, each beside its place and then renamed; returns their paths.
 
     `states.png` (with the index set), `outputs.png`, `inputs.png`, `phase.png`, `multipliers.png`, `energy.png`,
-    `configuration.png` (a planar sweeping process) and `overview.png`, each with `prefix` before its name. Of many bodies in
-    the plane `frame.png`, `evacuation.png`, `maps.png`, `paths.png` and `overview.png`.
+    `configuration.png` (a planar sweeping process) and `overview.png`, each with `prefix` before its name; in place of
+    `phase.png` it is `space_time.png` where so many states stand in a row that they are a chain. Of many bodies in the plane
+    `frame.png`, `evacuation.png`, `maps.png`, `paths.png` and `overview.png`.
 
     Args:
         run: the run.
         model: its model, or None: then no configuration of one or two states.
         directory: made where missing.
         prefix: put before each file name.
+        t: a window of time, as in `overview`.
 
     """
+    run = window(run, t)
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     smooth = run.smooth()
@@ -88,6 +116,8 @@ def save_all(run: Trajectory, model: Any, directory: str | Path, prefix: str = "
         for name, (parts, width, scale) in SHEETS.items()
         if parts[0] in panels or (name in TIME and parts[-1] in panels)
     }
+    if along := [panel for name, panel in panels.items() if name.startswith("chain")]:
+        draws["space_time"] = partial(_sheet, smooth, along, 9, 1.5)
     draws["overview"] = partial(overview, run, model)
     if "frame" in panels:  # Its maps are made but once.
         draws["overview"] = lambda: _of_crowd(_titled(run), panels)
@@ -110,7 +140,7 @@ def _panels(run: Trajectory, model: Any, *, lines: int, rows: int) -> dict[str, 
     own = {} if plots is None else plots.panels(run, model)
     if "frame" in own:
         return own
-    panels: dict[str, Panel] = {"states": (2.6, partial(states, run, limit=lines)), **own}
+    panels: dict[str, Panel] = {"states": (2.6, partial(states, run, limit=lines, model=model)), **own}
     if "inputs" in run.arrays:
         panels["inputs"] = (1.4, partial(inputs, run, limit=lines))
     if output_names(run):
@@ -119,11 +149,17 @@ def _panels(run: Trajectory, model: Any, *, lines: int, rows: int) -> dict[str, 
         panels["index_strip"] = (0.5 + 0.16 * bands, partial(index_strip, run, limit=rows))
         for name in ("reactions",) if run.is_event_driven and "reactions" in run.arrays else ("multipliers", "reactions"):
             if name in run.arrays:
-                panels[name] = (2, partial(multipliers, run, which=name, limit=lines))
+                panels[name] = (2, partial(multipliers, run, which=name, limit=lines, model=model))
+                if found := chains(run, name):
+                    panels["index_strip"] = (2, partial(index_map, run))
+                    panels[name] = (2, partial(of_family, run, found[0], heading=found[0].stem.capitalize()))
     if "pressure" in run.arrays:
         panels["pressures"] = (2, partial(crowd.pressures, run))
     if run.x.shape[1] > 1 or (model_type(run).second_order and "v" in run.arrays):
-        panels["phase"] = (2.6, partial(phase, run))
+        panels["phase"] = (2.6, partial(phase, run, model=model))
+    if found := of_states(run):
+        del panels["phase"]
+        panels |= {f"chain {k}": (2.2, partial(of_family, run, one)) for k, one in enumerate(found)}
     for name, draw in (("energy", energy), ("residual", residual)):
         if name in run.arrays:
             panels[name] = (1.6, partial(draw, run))

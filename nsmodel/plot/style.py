@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from nsmodel.trajectory import Trajectory
 
 MAX_POINTS = 20_000
+STEADY = 1e-13  # The part of themselves by which values change that stand still.
 
 LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#5E4FA2", "#4D4D4D")
 LOWER, ZERO, UPPER, PALE = "#9CC9E3", "#2F5D8A", "#E3A857", "#DDE1E6"
@@ -54,6 +55,11 @@ def unit(run: Trajectory, name: str) -> str:
 def with_unit(name: str, unit: str) -> str:
     """Return "name [unit]"."""
     return f"{name} [{unit}]" if unit else name
+
+
+def zero(name: str, rounding: bool) -> str:
+    """Return the name, and of what is rounding that it is 0."""
+    return f"{name} = 0 to rounding" if rounding else name
 
 
 def label(run: Trajectory, name: str) -> str:
@@ -117,7 +123,7 @@ def thin(*columns: np.ndarray, limit: int = MAX_POINTS) -> np.ndarray:
 
 def blank(width: float, height: float) -> Figure:
     """Return an empty figure that arranges its axes itself."""
-    from matplotlib.figure import Figure
+    from nsmodel.plot.shown import Figure
 
     figure = Figure(figsize=(width, height))
     figure.set_layout_engine("constrained", w_pad=0.1, h_pad=0.1, hspace=0.02, wspace=0.02)
@@ -125,8 +131,10 @@ def blank(width: float, height: float) -> Figure:
 
 
 def axes(ax: Axes | None, width: float = 8.0, height: float = 4.5) -> Axes:
-    """Return the axes given, or those of a new figure."""
-    return blank(width, height).add_subplot() if ax is None else ax
+    """Return the axes given, or those of a new figure, which show it in a notebook."""
+    from nsmodel.plot.shown import Axes
+
+    return blank(width, height).add_subplot(axes_class=Axes) if ax is None else ax
 
 
 def dress(ax: Axes, title: str, xlabel: str, ylabel: str, *, grid: bool = True) -> None:
@@ -147,6 +155,15 @@ def over_time(ax: Axes, run: Trajectory, title: str, ylabel: str, *, grid: bool 
         ax.axvspan(one["start"], min(one["until"], run.t[-1]), color=FREE, alpha=0.15, linewidth=0.8, zorder=0)  # by time steps
     if run.t[-1] > run.t[0]:
         ax.set_xlim(run.t[0], run.t[-1])
+
+
+def steady(ax: Axes, values: np.ndarray, axis: str = "y") -> None:
+    """Give an axis on which nothing moves but by rounding limits that do not show it."""
+    known = values[np.isfinite(values)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    if high - low <= STEADY * max(abs(low), abs(high)):
+        far = 0.05 * abs(low) or 1.0
+        ax.set(**{f"{axis}lim": (low - far, high + far)})
 
 
 def inches(ax: Axes) -> tuple[float, float]:

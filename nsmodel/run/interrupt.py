@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import signal
-import sys
 import threading
 import time
 from collections.abc import Iterator
+from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
+
+from nsmodel.notebook import in_notebook, watched
 
 
 class Signals(list[float]):
@@ -35,11 +38,8 @@ def deferred_signals() -> Iterator[Signals]:
         if signals[-1] - signals[0] > 1 and not signals.patient:
             raise KeyboardInterrupt
 
-    usual = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    if usual[signal.SIGTERM] is signal.SIG_IGN:
-        del usual[signal.SIGTERM]
-    for number in usual:
-        signal.signal(number, note)
+    taken = [signal.SIGINT] if signal.getsignal(signal.SIGTERM) is signal.SIG_IGN else [signal.SIGINT, signal.SIGTERM]
+    usual = {number: signal.signal(number, note) for number in taken}
     try:
         yield signals
     finally:
@@ -48,9 +48,12 @@ def deferred_signals() -> Iterator[Signals]:
 
 
 def progress_bar(**options: Any) -> Any:
-    """A bar on standard error that leaves nothing behind; None where that is no terminal."""
-    if not sys.stderr.isatty():
-        return None
-    from tqdm import tqdm
+    """A bar on standard error that leaves nothing behind; None where that is neither a terminal nor a notebook's.
 
+    In a notebook it is a widget where ipywidgets is installed, else text.
+    """
+    if not watched():
+        return None
+    widgets = in_notebook() and find_spec("ipywidgets") is not None
+    tqdm: Any = import_module("tqdm.notebook" if widgets else "tqdm").tqdm
     return tqdm(delay=1.0, leave=False, dynamic_ncols=True, **options)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nsmodel.brief import brief
 from nsmodel.pickled import Pickled
 
 
@@ -18,6 +19,8 @@ class Within(Pickled):
     high: np.ndarray
     rate: np.ndarray | None
     start: np.ndarray | None
+
+    __repr__ = brief
 
     @property
     def sizes(self) -> set[int]:

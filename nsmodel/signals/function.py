@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel.brief import brief
 from nsmodel.errors import ModelError
 from nsmodel.once import once
 from nsmodel.signals.bounds import Jump, Within
@@ -71,6 +72,8 @@ class Function(Declared):
     function: Callable[[Any], Any]
     width: int
 
+    __repr__ = brief
+
     @property
     def size(self) -> int:
         """That of its value at t = 0."""
@@ -97,6 +100,8 @@ class Expression(Declared):
 
     time: ca.SX
     column: ca.SX
+
+    __repr__ = brief
 
     @property
     def size(self) -> int:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nsmodel.brief import brief
 from nsmodel.signals.bounds import Within
 from nsmodel.signals.signal import Held, Signal
 
@@ -18,6 +19,8 @@ class Kept(Held):
     name: str
     by: str
     few: tuple[float, ...] | None = None
+
+    __repr__ = brief
 
     @property
     def values_taken(self) -> int | None:

@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel.brief import brief
 from nsmodel.errors import ModelError
 from nsmodel.signals.bounds import Within
 from nsmodel.signals.kept import Kept
@@ -27,6 +28,8 @@ class Pwm(Signal):
     low: float
     high: float
     kind: str
+
+    __repr__ = brief
 
     @property
     def flat(self) -> bool:

@@ -8,6 +8,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from nsmodel.brief import brief
 from nsmodel.errors import ModelError
 from nsmodel.pickled import Pickled
 from nsmodel.signals.bounds import Jump, Within
@@ -115,6 +116,8 @@ class Held(Signal):
     """The same values (nu,) for ever."""
 
     values: np.ndarray
+
+    __repr__ = brief
 
     @property
     def size(self) -> int:

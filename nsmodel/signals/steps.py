@@ -7,6 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from nsmodel.brief import brief
 from nsmodel.signals.bounds import Jump, Within
 from nsmodel.signals.signal import Signal, constant, numbers
 
@@ -16,6 +17,8 @@ class Steps(Signal):
     """Values (N, nu), a row a step; see `steps`."""
 
     values: np.ndarray
+
+    __repr__ = brief
 
     @property
     def size(self) -> int:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from nsmodel.brief import brief
 from nsmodel.errors import ModelError
 from nsmodel.once import once
 from nsmodel.signals.bounds import Within
@@ -26,6 +27,8 @@ class Table(Signal):
     kind: str
     must_reach: bool
     period: float | None
+
+    __repr__ = brief
 
     @property
     def size(self) -> int:

@@ -14,6 +14,7 @@ from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
+from nsmodel.brief import brief
 from nsmodel.solve.layout import Layout
 
 
@@ -23,6 +24,8 @@ class Warm:
 
     l: np.ndarray
     index: np.ndarray
+
+    __repr__ = brief
 
 
 class StepResult(NamedTuple):
@@ -37,6 +40,8 @@ class StepResult(NamedTuple):
     row: np.ndarray
     warm: Warm
     solver: str
+
+    __repr__ = brief
 
 
 State = TypeVar("State", contravariant=True)

@@ -65,7 +65,7 @@ def stress(
         steps: steps of each run.
         budget: wall time in seconds; cells that would exceed it are left out, and counted: first those of the steps that are
             farthest from the model's own. Left out: no limit.
-        progress: show a progress bar where standard error is a terminal.
+        progress: show a progress bar at a terminal, or in a notebook.
 
     Raises:
         UsageError: no model, a model of many bodies, no step, an unknown parameter, a value that is no number, an input that

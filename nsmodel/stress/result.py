@@ -9,6 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from nsmodel.brief import brief, wrapped
+from nsmodel.notebook import shown_by
+from nsmodel.words import one_line
+
 RIGHT, STOPPED, WRONG, LEFT_OUT = "right", "stopped", "wrong", "left out"
 _WIDTH = 100
 _SHOWN = 12
@@ -40,6 +44,8 @@ class Cell:
     message: str
     steps: int
 
+    __repr__ = brief
+
     @property
     def worst(self) -> tuple[str, float]:
         """The check that came nearest to what is allowed, or passed it most, and its ratio; ("", 0) without checks."""
@@ -53,7 +59,7 @@ class Cell:
         return ", ".join([*values, *(units or ["own units"])])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Stress:
     """All cells of a model.
 
@@ -70,6 +76,18 @@ class Stress:
     time_unit: str
     step: float
     cells: tuple[Cell, ...]
+
+    _repr_html_ = shown_by("stress")
+
+    def __repr__(self) -> str:
+        """Return a few lines: title, class, what came of the cells."""
+        counts = f"{len(self.cells)} cells, {', '.join(f'{self.count(one)} {one}' for one in self.verdicts)}"
+        return "\n".join(wrapped(f"Stress({one_line(self.title)!r}, {self.model_class}: {counts})"))
+
+    @property
+    def verdicts(self) -> tuple[str, ...]:
+        """The verdicts that are counted: of cells left out only where there are some."""
+        return (RIGHT, STOPPED, WRONG, *([LEFT_OUT] if self.count(LEFT_OUT) else []))
 
     def count(self, verdict: str) -> int:
         """How many cells are "right", "stopped", "wrong" or "left out"."""
@@ -93,8 +111,7 @@ class Stress:
     def text(self) -> str:
         """Return the table, the reasons of the cells that stopped, and what is wrong."""
         unit = f" {self.time_unit}" if self.time_unit else ""
-        verdicts = (RIGHT, STOPPED, WRONG, *([LEFT_OUT] if self.count(LEFT_OUT) else []))
-        counts = ", ".join(f"{self.count(verdict)} {verdict}" for verdict in verdicts)
+        counts = ", ".join(f"{self.count(verdict)} {verdict}" for verdict in self.verdicts)
         lines = [self.title, f"  model class  {self.model_class}", f"  cells        {len(self.cells)}: {counts}"]
         lines += _wrapped("  judged by    ", ", ".join(_kinds(self.cells)))
         lines += ["", *self._table(f"step, in units of {self.step:g}{unit}"), ""]

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from nsmodel.brief import brief
 from nsmodel.errors import UsageError
 from nsmodel.proof.sure import sure
 
@@ -49,6 +50,8 @@ class Point:
     status: str = DONE
     message: str = ""
     unresolved: tuple[str, ...] = ()
+
+    __repr__ = brief
 
     @property
     def resolved(self) -> bool:
@@ -114,6 +117,8 @@ class Line:
     points: tuple[Point, ...]
     note: str = ""
     kind: str = SCHEME
+
+    __repr__ = brief
 
     @classmethod
     def measured(cls, name: str, points: Sequence[Point | tuple[str, float, float]], note: str = "") -> Line:

@@ -25,6 +25,7 @@ from nsmodel.model.base import Model
 from nsmodel.model.driven import at_any_step
 from nsmodel.model.inputs import Signals
 from nsmodel.model.parameters import Values
+from nsmodel.notebook import watched
 from nsmodel.proof.sure import sure
 from nsmodel.study import methods
 from nsmodel.study.lines import DONE, LEFT_OUT, SCHEME, SOLVER, Line, Point
@@ -129,7 +130,7 @@ class _Session:
 
     def __init__(self, model: Model, T: float, exact: Any, tolerance: float, budget: float, progress: bool) -> None:
         self.model, self.T, self.exact, self.tolerance, self.budget = model, T, exact, tolerance, budget
-        self.said = progress and sys.stderr.isatty()
+        self.said = progress and watched()
         self.begin, self.until = time.perf_counter(), budget
         self.reference: Reference | None = None
         self.lines: dict[str, Line] = {}

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from nsmodel.brief import brief
 from nsmodel.columns import output_names
 from nsmodel.errors import UsageError
 from nsmodel.model.base import Model
@@ -41,6 +42,8 @@ class Rows:
     x: np.ndarray
     multipliers: np.ndarray | None = None
     outputs: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+
+    __repr__ = brief
 
     @classmethod
     def of(cls, run: Trajectory) -> Rows:
@@ -77,6 +80,8 @@ class Reference:
     rows: Rows | None
     own: Mapping[str, float]
     without_multipliers: str = ""
+
+    __repr__ = brief
 
     def errors(self, rows: Rows) -> dict[str, float]:
         """Return the errors of a run: "max", "end", "l2", and "multipliers" where both have them."""

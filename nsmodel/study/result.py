@@ -9,17 +9,20 @@ from typing import Any
 
 import numpy as np
 
+from nsmodel.brief import wrapped
 from nsmodel.errors import UsageError
+from nsmodel.notebook import shown_by
 from nsmodel.pickled import Pickled
 from nsmodel.storage import write_csv
 from nsmodel.study.lines import DONE, ERRORS, Cost, Line, Point, quickest
 from nsmodel.study.reference import Reference, Rows
 from nsmodel.study.text import price, study_text
+from nsmodel.words import one_line
 
 NUMBERS = ("seconds", "setup", "residual", "violation", "energy")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Study(Pickled):
     """What was measured of one model.
 
@@ -44,6 +47,15 @@ class Study(Pickled):
     status: str = DONE
     notes: tuple[str, ...] = ()
     seconds: float = 0.0
+
+    _repr_html_ = shown_by("study")
+
+    def __repr__(self) -> str:
+        """Return a few lines: title, class, how much was measured, against what."""
+        points = sum(len(line.points) for line in self.lines)
+        against = "" if self.reference is None else f", against {self.reference.text}"
+        measured = f"{len(self.lines)} lines, {points} points{against}, {self.status}"
+        return "\n".join(wrapped(f"Study({one_line(self.title)!r}, {self.model_class}: {measured})"))
 
     def line(self, name: str) -> Line:
         """Return the line of that name; else UsageError."""
@@ -111,6 +123,15 @@ class Study(Pickled):
         from nsmodel.plot.study import work_precision
 
         return work_precision(self, ax=ax)
+
+    def view(self, path: str | Path | None = None) -> Path:
+        """Write the study as one HTML file, and return its path; without a path a temporary file, opened in the browser.
+
+        StorageError where it cannot be written.
+        """
+        from nsmodel.view.study import view_study
+
+        return view_study(self, path)
 
 
 class StudyInterrupted(KeyboardInterrupt):

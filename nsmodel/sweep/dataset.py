@@ -10,6 +10,7 @@ import numpy as np
 
 from nsmodel.archive import write_npz
 from nsmodel.errors import MissingExtraError, StorageError
+from nsmodel.extras import extra
 from nsmodel.storage import dumps, replacing
 from nsmodel.sweep.asked import WAYS
 from nsmodel.sweep.variable import WORDS
@@ -56,7 +57,7 @@ def table(sweep: Sweep) -> dict[str, np.ndarray]:
 
 def of(sweep: Sweep) -> Any:
     """An ``xarray.Dataset``: quantities along the sweep's dimensions and their own, what varies as coordinates."""
-    xarray = _extra("xarray", "xarray")
+    xarray = extra("xarray")
     units = {name: {"units": unit} for name, unit in sweep.units.items()}
     data = {}
     for name in sweep.cells:
@@ -90,7 +91,7 @@ def to_netcdf(sweep: Sweep, path: Path) -> None:
 
 def to_zarr(sweep: Sweep, path: Path) -> None:
     """A zarr store."""
-    _extra("zarr", "zarr")
+    extra("zarr")
     try:
         of(sweep).to_zarr(path, mode="w", zarr_format=2)
     except OSError as error:
@@ -105,8 +106,8 @@ def _there(package: str) -> bool:
     return True
 
 
-def _extra(package: str, extra: str) -> Any:
-    try:
-        return import_module(package)
-    except ImportError as error:
-        raise MissingExtraError(f"{package} is not installed; pip install 'nsmodel[{extra}]'") from error
+def frame(sweep: Sweep) -> Any:
+    """`table` as a ``pandas.DataFrame`` by cell; MissingExtraError where pandas is not installed."""
+    found = extra("pandas").DataFrame(table(sweep)).set_index("cell")
+    found.attrs = {"title": sweep.title, "units": {name: unit for name, unit in sweep.units.items() if name in found}}
+    return found

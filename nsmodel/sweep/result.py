@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from nsmodel.errors import StepError, StorageError, UsageError
+from nsmodel.notebook import shown_by
 from nsmodel.storage import write_csv
 from nsmodel.sweep import dataset
 from nsmodel.sweep.asked import ALONE, WAYS
@@ -52,6 +53,8 @@ class Sweep:
     metadata: Mapping[str, Any]
     engine: str = ""
     _again: Callable[..., Any] | None = field(default=None)
+
+    _repr_html_ = shown_by("sweep")
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -192,10 +195,24 @@ class Sweep:
         """Write one row a cell: what varies, numbers of each run, how it went, why not; rows over time are left out."""
         write_csv(path, dataset.table(self))
 
+    def to_pandas(self) -> Any:
+        """Return the table of ``to_csv`` as a ``pandas.DataFrame`` by cell, units in its ``attrs``.
+
+        MissingExtraError where pandas is not installed.
+        """
+        return dataset.frame(self)
+
+    def to_xarray(self) -> Any:
+        """Return an ``xarray.Dataset``: quantities along what varies, which has its values as coordinates.
+
+        MissingExtraError where xarray is not installed.
+        """
+        return dataset.of(self)
+
     @property
     def data(self) -> Any:
-        """The sweep as an ``xarray.Dataset``; MissingExtraError where xarray is not installed."""
-        return dataset.of(self)
+        """The sweep as ``to_xarray`` returns it."""
+        return self.to_xarray()
 
     def to_netcdf(self, path: str | Path) -> None:
         """Write ``data`` as netCDF; MissingExtraError where xarray, or what it writes that with, is not installed."""

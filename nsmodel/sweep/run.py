@@ -110,7 +110,7 @@ def sweep(
         entropy: of the random numbers of ``start`` (default 0), which depend on it and on a cell's place alone.
         replicates: arrays of samples are (R, N) and (R, N, k): R sets of points, along the dimension "replicate".
         low_discrepancy: samples are a net (Sobol, Halton, Latin hypercube): their means have no standard error.
-        progress: show a bar where standard error is a terminal.
+        progress: show a bar at a terminal, or in a notebook.
 
     Raises:
         UsageError: a wrong argument, an unknown name, nothing to vary, a sweep that is there already.

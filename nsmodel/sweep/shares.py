@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
+from nsmodel.brief import brief
 from nsmodel.errors import UsageError
 from nsmodel.sweep.binomial import wilson
 from nsmodel.sweep.groups import Groups, Over, by_replicate, checked_level, grouped, refuse_dependent
@@ -55,6 +56,8 @@ class Share:
     level: float
     causes: Mapping[str, int]
     replicates: str | None = None
+
+    __repr__ = brief
 
     @property
     def text(self) -> str:

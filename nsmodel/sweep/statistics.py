@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
+from nsmodel.brief import brief
 from nsmodel.errors import UsageError
 from nsmodel.sweep.binomial import middle, ranks
 from nsmodel.sweep.groups import Over, by_replicate, checked_level, evenly_laid_out, grouped, refuse_dependent
@@ -32,6 +33,8 @@ class Quantile:
     low: np.ndarray
     high: np.ndarray
     reached: np.ndarray
+
+    __repr__ = brief
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +88,8 @@ class Statistics:
     causes: Mapping[str, int]
     replicates: str | None = None
     even: tuple[str, ...] = ()
+
+    __repr__ = brief
 
     def quantile(self, q: float) -> Quantile:
         """Return the quantile that was asked for with this q; UsageError where it was not."""

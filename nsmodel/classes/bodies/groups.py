@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from nsmodel.brief import brief
 from nsmodel.errors import ModelError
 from nsmodel.model.arguments import shown
 from nsmodel.pickled import Pickled
@@ -67,6 +68,8 @@ class Items(Pickled):
     Raises:
         ModelError: arrays of different lengths, entries that are no finite numbers.
     """
+
+    __repr__ = brief
 
     def __init__(self, **numbers: Any) -> None:
         if not numbers:
@@ -133,6 +136,8 @@ class Family(Pickled):
     first: Member
     second: Member | None = None
     over: Any = None
+
+    __repr__ = brief
 
     @property
     def of_pairs(self) -> bool:

@@ -22,7 +22,7 @@ NONE = ca.SX(0, 1)
 WRITTEN_OUT_UP_TO = 20_000  # Constraints that `written_out` puts into one model.
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class ManyBodies(Model):
     """q_i'(t) + N(Q(t), q)_i ∋ f(t, q_i) for many bodies i, Q(t) = {q : all constraints of all families >= 0}.
 

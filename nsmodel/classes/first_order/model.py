@@ -15,7 +15,7 @@ from nsmodel.model.base import LEFT_OUT, Model
 from nsmodel.model.convert import Converter
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class FirstOrderSystem(Model):
     """M x' = f(t, x) + r,   y = h(t, x, l),   r = g(t, x, l),   -y ∈ N_K(l),   x(0) = x0.
 

@@ -20,7 +20,7 @@ from nsmodel.model.convex import ConvexSplit, split, split_discontinuities
 from nsmodel.pickled import Pickled
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class MonotoneInclusion(Model):
     """x'(t) ∈ F(t, x(t)) - T(t, x(t)),   T = S + N_C, C(t) closed convex with interior,   x(0) = x0 in C(0).
 

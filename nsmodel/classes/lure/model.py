@@ -19,7 +19,7 @@ from nsmodel.model.convex import ConvexSplit, split
 from nsmodel.model.parameters import declared
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class LureSystem(Model):
     """x' = A(x) + B l + f(t),   y = C x + D l + e(t),   -y ∈ N_K(l) or l ∈ -dPhi(y),   x(0) = x0.
 

@@ -11,8 +11,9 @@ import casadi as ca
 from nsmodel.errors import ModelError
 from nsmodel.laws import Words
 from nsmodel.model.arguments import shown
-from nsmodel.model.base import Model, refuse_infinite
+from nsmodel.model.base import Model
 from nsmodel.model.convex import ConvexSplit, split
+from nsmodel.model.expressions import refuse_infinite
 
 
 class Friction(NamedTuple):
@@ -23,7 +24,7 @@ class Friction(NamedTuple):
     theta: ca.SX
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class FrictionOscillator(Model):
     """x'' + dPhi(x') + M x' + dg(x) ∋ f(t) with Phi(v) = sum_j theta_j(|H_j v|), unit mass.
 

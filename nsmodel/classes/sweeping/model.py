@@ -14,7 +14,7 @@ from nsmodel.model.arguments import shown
 from nsmodel.model.base import Model
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SweepingProcess(Model):
     """q'(t) + N(Q(t), q(t)) ∋ f(t, q(t)), Q(t) = {q : g_i(t, q) >= 0 for all i}, q(0) = q0 in Q(0).
 

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
+from nsmodel.brief import wrapped
 from nsmodel.hypotheses.findings import ALONG_A_RUN, Consequence, Finding
 from nsmodel.hypotheses.report import table
+from nsmodel.notebook import shown_by
 from nsmodel.pickled import Pickled
 from nsmodel.proof.verdict import HOLDS, VERDICTS
+from nsmodel.words import one_line
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Report(Pickled):
     """All findings about one model.
 
@@ -40,6 +44,12 @@ class Report(Pickled):
     model: Any = field(repr=False, compare=False)
     inputs: tuple[str, ...] = ()
 
+    _repr_html_ = shown_by("report")
+
+    def __repr__(self) -> str:
+        """Return a few lines: title, class, verdicts."""
+        return "\n".join(wrapped(f"Report({one_line(self.title)!r}, {self.model_class}: {self.verdict})"))
+
     def text(self) -> str:
         """The report as a table for a terminal, 100 columns wide."""
         return table.text(self)
@@ -53,6 +63,15 @@ class Report(Pickled):
         from nsmodel.hypotheses.report.markdown import markdown
 
         return markdown(self, self.model)
+
+    def view(self, path: str | Path | None = None) -> Path:
+        """Write the report as one HTML file, and return its path; without a path a temporary file, opened in the browser.
+
+        StorageError where it cannot be written.
+        """
+        from nsmodel.view.report import view_report
+
+        return view_report(self, path)
 
     def __getitem__(self, id: str) -> Finding:
         """Return the finding of a hypothesis: ``report["A5"]``."""

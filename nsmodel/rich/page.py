@@ -1,0 +1,142 @@
+"""The few elements of which the HTML of all results is made. Text goes in, and is escaped here and nowhere else.
+
+Verdicts are told by a colour, a mark and a word. Colours are of the result's own where they carry a meaning, and else those of
+the page around it, light or dark. Formulas are MathML, which browsers show without a script.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
+
+from nsmodel.brief import cut
+from nsmodel.rich.mathml import mathml
+from nsmodel.words import one_line
+
+NAME = 200  # Characters of one text.
+GOOD, FAIR, BAD, OPEN = "good", "fair", "bad", "open"
+MARKS = {GOOD: "✓", FAIR: "≈", BAD: "✗", OPEN: "?"}
+LEVELS = {
+    "holds": GOOD, "done": GOOD, "right": GOOD, "finished": GOOD,
+    "sampled": FAIR, "stopped": FAIR, "interrupted": FAIR,
+    "violated": BAD, "wrong": BAD, "failed": BAD,
+}  # fmt: skip
+# Blue, amber, vermilion and grey: told apart by who sees no red, no green or no blue, and by their lightness.
+STYLE = """
+.nsm{font-size:13px;line-height:1.45;max-width:64em;text-align:left}
+.nsm h4{margin:.2em 0 .5em;font-size:1.15em}.nsm p{margin:.4em 0}
+.nsm table{border-collapse:collapse;border:0;margin:.4em 0;font-size:1em;width:auto;display:table;color:inherit}
+.nsm table td,.nsm table th{border:0;border-top:1px solid rgba(128,128,128,.35);padding:.2em .7em .2em 0;text-align:left;
+vertical-align:top;background:none;color:inherit;white-space:normal;max-width:34em}
+.nsm table th{font-weight:600}.nsm table th,.nsm table td:first-child{white-space:nowrap}
+.nsm table td.num{text-align:right;font-variant-numeric:tabular-nums}
+.nsm .kind,.nsm .aside{opacity:.75;font-weight:400}
+.nsm .st{display:inline-block;border-radius:.7em;padding:0 .6em;white-space:nowrap;font-weight:600}
+.nsm .good{background:#0060a0;color:#fff}.nsm .fair{background:#f0b429;color:#000}
+.nsm .bad{background:#a83200;color:#fff}.nsm .open{background:#6b7280;color:#fff}
+.nsm .eq{overflow-x:auto;overflow-y:hidden;padding:.25em 0}.nsm math{font-size:1.15em}
+.nsm math{font-family:"Latin Modern Math","STIX Two Math","Cambria Math","DejaVu Math TeX Gyre",math}
+.nsm mtable{padding:0 .3em}.nsm mtable.pmatrix{border:solid;border-width:0 1px;border-radius:.7em}
+.nsm mtable.cases{border-left:1px solid;text-align:left}.nsm mtable.cases mtd{text-align:left}
+.nsm summary{cursor:pointer;margin:.3em 0}.nsm .wide{overflow-x:auto}
+.nsm img{max-width:100%;height:auto;background:#fff;border-radius:4px;margin:.3em 0}
+"""
+
+
+class Html(str):
+    """What stands in a page as it is."""
+
+
+def escaped(text: str, width: int = NAME) -> Html:
+    """Text on one line, cut where it is too long; what would be markup, or a formula, is neither."""
+    safe = html.escape(cut(one_line(str(text)), width))
+    return Html(re.sub(r"([$\\`])", r"<span>\1</span>", safe))
+
+
+def cell(content: str, width: int = NAME) -> Html:
+    """What is text, escaped; what is an element already, as it is."""
+    return content if isinstance(content, Html) else escaped(content, width)
+
+
+def element(name: str, *content: str, cls: str = "") -> Html:
+    """An element around others; text in it is escaped."""
+    attribute = f' class="{cls}"' if cls else ""
+    return Html(f"<{name}{attribute}>{''.join(map(cell, content))}</{name}>")
+
+
+def page(title: str, kind: str, *parts: str) -> str:
+    """The whole: a title, and behind it what it is."""
+    head = element("h4", title, Html(" "), element("span", kind, cls="kind"))
+    body = "".join([head, *map(cell, (part for part in parts if part))])
+    return f'<div class="nsm tex2jax_ignore mathjax_ignore"><style>{STYLE}</style>{body}</div>'
+
+
+def status(word: str, level: str | None = None) -> Html:
+    """A word with the mark and the colour of its level."""
+    level = level or LEVELS.get(word, OPEN)
+    return element("span", f"{MARKS[level]} {word}", cls=f"st {level}")
+
+
+def counted(counts: Mapping[str, int], words: Mapping[str, str] = MappingProxyType({})) -> Html:
+    """How many have which verdict; of what there is none without a colour. ``words``: what stands for a verdict."""
+    shown = [(f"{count} {words.get(verdict, verdict)}", verdict if count else "") for verdict, count in counts.items()]
+    return joined([status(text, LEVELS.get(verdict, OPEN)) if verdict else text for text, verdict in shown], " ")
+
+
+def facts(rows: Iterable[tuple[str, str | Sequence[str]]]) -> Html:
+    """A row for each label that has something to say; several entries stand below each other."""
+    found = [(label, [content] if isinstance(content, str) else list(content)) for label, content in rows if content]
+    lines = [element("tr", element("th", label), element("td", *_stacked(entries))) for label, entries in found]
+    return element("table", element("tbody", *lines)) if lines else Html("")
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[str]], numbers: Sequence[int] = ()) -> Html:
+    """A table; ``numbers`` are the columns that stand at the right."""
+    head = element("thead", element("tr", *(element("th", one) for one in header)))
+    body = [element("tr", *(element("td", one, cls="num" if k in numbers else "") for k, one in enumerate(row))) for row in rows]
+    return element("div", element("table", head, element("tbody", *body)), cls="wide")
+
+
+def formula(latex: str) -> Html:
+    """A line of LaTeX as MathML."""
+    return element("div", Html(mathml(latex)), cls="eq")
+
+
+def folded(summary: str, *content: str) -> Html:
+    """What opens at a click."""
+    return element("details", element("summary", summary), *content)
+
+
+def first(rows: Sequence[Sequence[str]], count: int, what: str, header: Sequence[str], numbers: Sequence[int] = ()) -> Html:
+    """A table of the first rows; the others behind a click."""
+    shown = table(header, rows[:count], numbers)
+    if len(rows) <= count:
+        return shown
+    return joined([shown, folded(f"{len(rows) - count} more {what}", table(header, rows[count:], numbers))], "")
+
+
+def aside(text: str) -> Html:
+    """A paragraph that is less than the others."""
+    return element("p", text, cls="aside")
+
+
+def joined(items: Iterable[str], between: str = ", ") -> Html:
+    """Elements and texts side by side."""
+    return Html(between.join(map(cell, items)))
+
+
+def picture(draw: Callable[[], bytes], alt: str) -> Html:
+    """A PNG picture in the page itself; where it cannot be drawn, a line that says why."""
+    try:
+        data = base64.b64encode(draw()).decode()
+    except Exception as error:
+        return aside(f"no picture: {type(error).__name__}: {error}")
+    return Html(f'<img alt="{html.escape(cut(alt), quote=True)}" src="data:image/png;base64,{data}">')
+
+
+def _stacked(entries: Sequence[str]) -> list[str]:
+    between = Html("<br>")
+    return [part for k, entry in enumerate(entries) for part in ([between, entry] if k else [entry])]

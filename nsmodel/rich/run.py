@@ -1,0 +1,30 @@
+"""A run: how it ended, its summary, a small picture."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from nsmodel import summary
+from nsmodel.plot.figures import small
+from nsmodel.rich import page
+
+if TYPE_CHECKING:
+    from nsmodel.trajectory import Trajectory
+
+DPI = 90
+WARNINGS = 4  # More are folded.
+
+
+def html(run: Trajectory) -> str:
+    """The run as HTML."""
+    from nsmodel.plot.shown import png
+
+    lines = summary.lines(run.summary())
+    (ended,), warnings = lines.pop("status"), lines.pop("warnings", [])
+    word, _, why = ended.partition(": ") if ended.startswith(run.status) else (run.status, "", ended)
+    level = page.FAIR if word == "done" and warnings else None
+    told = page.joined([page.status(word, level), why or f"{len(warnings)} warnings" * bool(warnings)], " ")
+    rows = [("status", told), *lines.items(), ("warnings", warnings[:WARNINGS])]
+    more = page.folded(f"{len(warnings) - WARNINGS} more warnings", page.facts([("", warnings[WARNINGS:])]))
+    drawn = page.picture(lambda: png(small(run), DPI), f"states of {run.title} over time")
+    return page.page(run.title, f"run, {len(run)} steps", page.facts(rows), more if warnings[WARNINGS:] else "", drawn)

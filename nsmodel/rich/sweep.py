@@ -1,0 +1,63 @@
+"""A sweep: what was varied, what came of the cells, why some failed, the picture of one quantity."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from nsmodel.brief import in_short, listed
+from nsmodel.rich import page
+
+if TYPE_CHECKING:
+    from nsmodel.sweep.result import Sweep
+
+FAILURES = 5  # More are folded, and of very many not all are there.
+MOST = 40
+DPI = 75
+
+
+def html(sweep: Sweep) -> str:
+    """The sweep as HTML."""
+    found = sweep.summary()
+    along = [f"{dim}: {_values(sweep, dim)}" for dim in sweep.dims]
+    worst = found["worst_residual"]
+    rows = [
+        ("cells", page.joined([f"{found['cells']}:", page.counted(found["status"])], " ")),
+        ("along", along),
+        ("kept", listed(found["keep"]) + f", {found['rows']} rows" if found["keep"] else ""),
+        ("outputs", [f"{name}: {text}" for name, text in found["outputs"].items()]),
+        ("steps", f"{found['steps']:,} in all" if found["pieces"] is None else f"{found['pieces']:,} pieces in all"),
+        ("worst residual", "" if worst is None or found["pieces"] is not None else f"{worst:.2e}"),
+        ("way", found["plan"]),
+    ]
+    parts: list[str] = [page.facts(rows)]
+    if failures := found["failures"]:
+        told = [[str(one["cell"]), _where(one["at"]), one["message"]] for one in failures[:MOST]]
+        parts.append(page.first(told, FAILURES, "of those that are not done", ("cell", "where", "why")))
+        if len(failures) > MOST:
+            parts.append(page.aside(f"and {len(failures) - MOST} more: sweep.failures has them all"))
+    if (name := _drawn(sweep)) is not None:
+        parts.append(page.picture(lambda: _png(sweep, name), f"{name} of {sweep.title}"))
+    return page.page(sweep.title, f"sweep of a {found['model_class']}", *parts)
+
+
+def _png(sweep: Sweep, name: str) -> bytes:
+    from nsmodel.plot.shown import png
+
+    return png(sweep.plot(name), DPI)
+
+
+def _drawn(sweep: Sweep) -> str | None:
+    """The quantity that is shown: the first output, or else the first that is kept."""
+    named = (*sweep.metadata.get("outputs", {}), *sweep.metadata.get("keep", ()))
+    return next((name for name in named if name in sweep.cells), None) if sweep.dims else None
+
+
+def _values(sweep: Sweep, dim: str) -> str:
+    """How many values, and from where to where."""
+    values = sweep.coords[dim]
+    ends = [in_short(values[k].item() if hasattr(values[k], "item") else values[k]) for k in (0, -1)] if len(values) else []
+    return f"{len(values)}, {' to '.join(ends)}" if len(values) > 1 else ", ".join(ends[:1])
+
+
+def _where(at: dict[str, Any]) -> str:
+    return ", ".join(f"{name} = {in_short(value)}" for name, value in at.items())
