@@ -83,7 +83,8 @@ def _floors(run: Trajectory, model: Model) -> Floors | None:
     from nsmodel.run.event_driven import problem_of
 
     with contextlib.suppress(NsmodelError):
-        problem = problem_of(model)
+        used = run.metadata.get("parameters", {})
+        problem = problem_of(model.bind({name: used[name] for name in model.parameters if name in used}))
         n, m, given = problem.states, problem.l.numel(), _columns(run, problem)
         if given is None or max(n, m) > LARGE:
             return None
