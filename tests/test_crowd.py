@@ -574,6 +574,15 @@ def test_maps_agree_with_looking_at_each_cell():
     assert total == 4
 
 
+def test_the_room_of_a_run_has_the_names_of_its_exits():
+    room = Room(walls=two_doors().walls, exits={"sides": two_doors().doors})
+    for given in (two_doors(), room):
+        run = simulate(crowd(given, People([[6, 2]], 0.2), t_end=0.02))
+        found = measure.room_of(run)
+        assert list(found.exits) == list(given.exits)
+        assert np.array_equal(found.doors, given.doors)
+
+
 def test_what_cannot_be_measured_is_said():
     run = hand_made([[(1, 1)], [(2, 2)]])
     with pytest.raises(UsageError, match=r"segments: shape \(1, 2\)"):

@@ -14,9 +14,9 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from nsmodel import laws, plot
+from nsmodel import LureSystem, laws, plot, simulate
 from nsmodel.errors import PlotError
-from nsmodel.plot import strip, style
+from nsmodel.plot import rounding, strip, style
 from nsmodel.trajectory import Trajectory
 
 
@@ -663,6 +663,17 @@ def test_save_all_writes_what_the_run_can_give(case, tmp_path):
         assert image.std() > 0.02
         assert min(image.shape[:2]) >= 400
         assert np.all(image[:3] == 1), "something touches the upper edge"
+
+
+@pytest.mark.parametrize("value", [None, 2.0])
+def test_a_picture_knows_the_parameters_of_its_run(value):
+    k = ca.SX.sym("k")
+    A, B = ca.vertcat(ca.horzcat(0, 1), ca.horzcat(-k, 0)), ca.vertcat(0, 1 / k)
+    model = LureSystem(A=A, B=B, C=[0, 1], law=laws.relay(1), x0=[1, 0], parameters={k: value}, t_end=1, step=0.1)
+    run = simulate(model, parameters={"k": 3.0})
+    known, bound = rounding._floors(run, model), rounding._floors(run, model.bind({"k": 3.0}))
+    assert known is not None
+    assert all(np.array_equal(one, other) for one, other in zip(known, bound, strict=True))
 
 
 def test_save_all_without_the_model(tmp_path):

@@ -263,8 +263,10 @@ def _just_outside(room: Room, places: np.ndarray, depth: float) -> np.ndarray:
 
 
 def room_of(run: Trajectory) -> Room:
-    """The room that a run knows from its model's scene; UsageError where it knows no exits."""
+    """The room that a run knows from its model's scene, obstacles as walls; UsageError where it knows no exits."""
     scene = run.metadata.get("scene") or {}
     if not len(scene.get("exits", ())):
         raise UsageError("the run knows no exits: give the room")
-    return Room(walls=scene.get("walls", ()), exits={f"exit {k}": segment for k, segment in enumerate(scene["exits"])})
+    names = scene.get("exit_names", [f"exit {k}" for k in range(len(scene["exits"]))])
+    exits = {name: [door for door, its in zip(scene["exits"], names, strict=True) if its == name] for name in names}
+    return Room(walls=scene.get("walls", ()), exits=exits)

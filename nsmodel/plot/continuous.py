@@ -18,14 +18,16 @@ if TYPE_CHECKING:
     from nsmodel.trajectory import Trajectory
 
 
-def continuous(model: Model | None) -> ContinuousProblem | None:
-    """The model in continuous time; None where it has no such form or parameters without numbers, or there is no model."""
+def continuous(run: Trajectory, model: Model | None) -> ContinuousProblem | None:
+    """The model of a run in continuous time; None where it has no such form, or there is no model."""
+    from nsmodel.model.base import Model
     from nsmodel.run.event_driven import problem_of
 
-    if model is None:
+    if not isinstance(model, Model):
         return None
     with contextlib.suppress(NsmodelError):
-        found = problem_of(model)
+        used = run.metadata.get("parameters", {})
+        found = problem_of(model.bind({name: used[name] for name in model.parameters if name in used}))
         rows = ca.Function("rows", [found.t, found.x, found.l], [found.rate, found.h], {"allow_free": True})
         return None if rows.get_free() else found
     return None
@@ -43,7 +45,7 @@ def state(run: Trajectory, problem: ContinuousProblem) -> np.ndarray | None:
 
 def energy(run: Trajectory, model: Model | None) -> np.ndarray | None:
     """The energy at all rows (N+1,), from the states there; None where it is not known."""
-    problem = continuous(model)
+    problem = continuous(run, model)
     if problem is None or "energy" not in problem.records or (x := state(run, problem)) is None:
         return None
     function = ca.Function("energy", [problem.t, problem.x], [problem.records["energy"]], {"allow_free": True})

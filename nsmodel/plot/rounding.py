@@ -3,9 +3,8 @@
 A value is rounding where it is below what the arithmetic that made it can see. Of an output this is the running error bound of
 its expression. With the model at hand a state is compared with what its rate errs by in all N steps, which add up like a random
 walk, h sqrt(N) |err(f + g)|, and a multiplier with what the rows that it enters err by: it is 0 where all it moves is below.
-Both hold in any units. Without
-the model a state or multiplier is compared with the largest of the run, and called rounding only if it is also as restless
-as rounding is: a small charge beside volts that moves smoothly is shown.
+Both hold in any units. Without the model a state or multiplier is compared with the largest of the run, and called rounding only
+if it is also as restless as rounding is: a small charge beside volts that moves smoothly is shown.
 """
 
 from __future__ import annotations
@@ -79,7 +78,7 @@ def _restless(values: np.ndarray) -> bool:
 
 def _floors(run: Trajectory, model: Model) -> Floors | None:
     """From the model in continuous time; None where it has none, where the run has other columns, or where it is large."""
-    problem = continuous(model)
+    problem = continuous(run, model)
     if problem is None or max(problem.states, problem.l.numel()) > LARGE or (given := _columns(run, problem)) is None:
         return None
     state, moved = _evaluated(problem)(*given)
