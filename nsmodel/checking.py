@@ -210,7 +210,7 @@ def _for_all(
     if boxes:
         text = f"{', '.join(boxes)}: all values between the ends; looked at {count} of them, the run is that of the middle"
     else:
-        text = f"{', '.join(motion.names)}: looked at {count} constant values between the ends"
+        text = f"{', '.join(motion.names)}: looked at {count} constant value{'s' * (count > 1)} between the ends"
     shown_values: dict[str, Any] = {**part.bound_parameters, **boxes}
     seen = ([], []) if boxes else _seen(driven, motion, own, findings, notes, given, quick)
     findings, made, notes = [*findings, *seen[0]], [*between_ticks(model, made), *seen[1]], [*notes, text]
@@ -225,9 +225,12 @@ def _decided(
     at_rest = getattr(driven, "at_rest", None)
     still, box = at_rest(model, region, runs) if at_rest else (model, region)
     special = proofs.values(still, box.parameters) if proofs else ()
-    at = [(one, still.bind(one)) for one in uniform.values_in(box.parameters, special)]
-    reports = [(one, *_quickly(bound, replace(box, parameters={}), runs)) for one, bound in at]
     proved = {finding.id: finding for finding in (proofs.findings(still, box, quick) if proofs else ())}
+    ids = [hypothesis.id for hypothesis in _checker(type(model)).HYPOTHESES]
+    alike = bool(driven or not motion.names) and all(id in proved and uniform.is_alike(proved[id]) for id in ids)
+    values = uniform.values_in(box.parameters, special)[: 1 if alike else None]
+    at = [(one, still.bind(one)) for one in values]
+    reports = [(one, *_quickly(bound, replace(box, parameters={}), runs)) for one, bound in at]
     seen = [(one, {item.id: item for item in found}) for one, found, _ in reports]
     findings = uniform.joined(box.parameters, seen, proved)
     if driven:

@@ -122,6 +122,11 @@ def joined(box: Box, at: Sequence[tuple[Values, Mapping[str, Finding]]], proofs:
     return [_joined(box, [(values, found[id]) for values, found in at], proofs.get(id)) for id in at[0][1]]
 
 
+def is_alike(proof: Finding) -> bool:
+    """Whether all values give what one of them gives: it holds for all, or does not depend on them."""
+    return proof.verdict == HOLDS or not (proof.scope is not None and proof.scope.parameters)
+
+
 def _joined(box: Box, at: Sequence[tuple[Values, Finding]], proof: Finding | None) -> Finding:
     scope = Scope(parameters=box)
     if proof is not None and proof.verdict == VIOLATED and not (proof.scope is not None and proof.scope.parameters):
