@@ -187,6 +187,34 @@ def test_the_window_of_an_event_driven_run_is_read_off_its_pieces():
     assert title(plot.energy(run)) == "Energy (on lines between the ends of pieces)"
 
 
+def test_the_window_of_a_crowd_counts_those_who_were_there():
+    model = discs([[0, 0], [3, 0], [6, 0]], [0.4, 0.4, 0.4], lambda i: ca.vertcat(1, 0), t_end=1, step=0.1)
+    run = simulate(model)
+    x = run.x.copy()
+    x[3:, 4:] = np.nan
+    x[8:, 2:4] = np.nan
+    run = altered(run, {"x": x}, scene={"radii": [0.4] * 3})
+    assert title(plot.crowd.evacuation(run)) == "2 of 3 bodies left, the last at 0.8"
+    assert title(plot.crowd.evacuation(plot.window(run, (0.5, 1)))) == "1 of 2 bodies left after t = 0.5, the last at 0.8"
+
+
+def test_the_contacts_of_a_window_are_those_of_its_rows():
+    model = discs([[0, 0], [1, 0]], [0.4, 0.4], lambda i: -i.q, t_end=1, step=0.1)
+    run = simulate(model)
+    part = plot.window(run, (0.5, 1))
+    assert len(run.contacts(9).first) == 1
+    for one, other in zip(run.contacts(9), part.contacts(4), strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(part.arrays["pressure"], run.arrays["pressure"][5:])
+
+
+def test_discs_know_their_pressure_in_event_driven_runs_too(load_case):
+    model = load_case("two_discs")
+    run, exact = simulate(model), simulate(model, rtol=1e-6)
+    assert exact.metadata["constraint_bodies"] == run.metadata["constraint_bodies"] == [[0, 1]]
+    assert len(plot.configuration(exact).figure.axes) == 2
+
+
 @pytest.mark.parametrize(
     ("t", "error", "message"),
     [
