@@ -76,6 +76,13 @@ def test_what_stands_still_to_rounding_is_flat():
     assert plot.states(run).get_ylim() == pytest.approx((4.75, 5.25))
 
 
+def test_residuals_that_say_no_more_do_not_stretch_the_axis():
+    values = np.r_[np.nan, 0.0, 1e-12, 1e-40, 1e-13]
+    ax = plot.residual(Trajectory({"t": np.arange(5.0), "x": np.zeros((5, 1)), "residual": values}, {"tolerance": 1e-9}))
+    assert legend(ax) == ["steps", "below 1e-20: 2 of 4, at the bottom", "tolerance 1e-09"]
+    assert ax.get_ylim()[0] > 1e-18
+
+
 # ---------------------------------------------------------------- what switches often
 
 

@@ -71,7 +71,7 @@ class People:
         if self.pressure is not None:
             self.discs.set(cmap=PRESSURE, clim=(0, self.scale))
             bar = ax.figure.colorbar(self.discs, ax=ax, shrink=0.75, pad=0.02, extend="max")
-            bar.set_label(style.with_unit("pressure: sum of reactions", _pressure_unit(run)), fontsize=9)
+            bar.set_label(style.with_unit("pressure", _pressure_unit(run)), fontsize=9)
             bar.ax.tick_params(labelsize=8)
         ax.add_collection(self.discs)
         ax.add_collection(self.lines)
