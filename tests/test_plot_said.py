@@ -76,6 +76,13 @@ def test_what_stands_still_to_rounding_is_flat():
     assert plot.states(run).get_ylim() == pytest.approx((4.75, 5.25))
 
 
+def test_residuals_that_say_no_more_do_not_stretch_the_axis():
+    values = np.r_[np.nan, 0.0, 1e-12, 1e-40, 1e-13]
+    ax = plot.residual(Trajectory({"t": np.arange(5.0), "x": np.zeros((5, 1)), "residual": values}, {"tolerance": 1e-9}))
+    assert legend(ax) == ["steps", "below 1e-20: 2 of 4, at the bottom", "tolerance 1e-09"]
+    assert ax.get_ylim()[0] > 1e-18
+
+
 # ---------------------------------------------------------------- what switches often
 
 
@@ -185,6 +192,34 @@ def test_the_window_of_an_event_driven_run_is_read_off_its_pieces():
     first = t < 3
     assert energy[first] == pytest.approx((4.3 * np.sin(t[first])) ** 2 / 2 + (1 + 4.3 * np.cos(t[first])) ** 2 / 2, abs=1e-6)
     assert title(plot.energy(run)) == "Energy (on lines between the ends of pieces)"
+
+
+def test_the_window_of_a_crowd_counts_those_who_were_there():
+    model = discs([[0, 0], [3, 0], [6, 0]], [0.4, 0.4, 0.4], lambda i: ca.vertcat(1, 0), t_end=1, step=0.1)
+    run = simulate(model)
+    x = run.x.copy()
+    x[3:, 4:] = np.nan
+    x[8:, 2:4] = np.nan
+    run = altered(run, {"x": x}, scene={"radii": [0.4] * 3})
+    assert title(plot.crowd.evacuation(run)) == "2 of 3 bodies left, the last at 0.8"
+    assert title(plot.crowd.evacuation(plot.window(run, (0.5, 1)))) == "1 of 2 bodies left after t = 0.5, the last at 0.8"
+
+
+def test_the_contacts_of_a_window_are_those_of_its_rows():
+    model = discs([[0, 0], [1, 0]], [0.4, 0.4], lambda i: -i.q, t_end=1, step=0.1)
+    run = simulate(model)
+    part = plot.window(run, (0.5, 1))
+    assert len(run.contacts(9).first) == 1
+    for one, other in zip(run.contacts(9), part.contacts(4), strict=True):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(part.arrays["pressure"], run.arrays["pressure"][5:])
+
+
+def test_discs_know_their_pressure_in_event_driven_runs_too(load_case):
+    model = load_case("two_discs")
+    run, exact = simulate(model), simulate(model, rtol=1e-6)
+    assert exact.metadata["constraint_bodies"] == run.metadata["constraint_bodies"] == [[0, 1]]
+    assert len(plot.configuration(exact).figure.axes) == 2
 
 
 @pytest.mark.parametrize(

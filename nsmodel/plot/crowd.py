@@ -71,7 +71,7 @@ class People:
         if self.pressure is not None:
             self.discs.set(cmap=PRESSURE, clim=(0, self.scale))
             bar = ax.figure.colorbar(self.discs, ax=ax, shrink=0.75, pad=0.02, extend="max")
-            bar.set_label(style.with_unit("pressure: sum of reactions", _pressure_unit(run)), fontsize=9)
+            bar.set_label(style.with_unit("pressure", _pressure_unit(run)), fontsize=9)
             bar.ax.tick_params(labelsize=8)
         ax.add_collection(self.discs)
         ax.add_collection(self.lines)
@@ -147,6 +147,8 @@ def evacuation(run: Trajectory, *, ax: Axes | None = None) -> Axes:
     count = np.concatenate([[0], np.arange(1, len(gone) + 1), [len(gone)]])
     lines += ax.step(times, count, where="post", color=style.LINES[1], linewidth=1.6, label="left")
     words = f"{len(gone)} of {here.shape[1]} {_word(run)} left"
+    if "window" in run.metadata:  # Who left before is of no interest.
+        words = f"{len(gone)} of {int(here.any(axis=0).sum())} {_word(run)} left after t = {run.t[0]:.4g}"
     words += f", the last at {gone[-1]:.4g} {style.unit(run, 't')}".rstrip() if len(gone) else ""
     style.over_time(ax, run, words, _word(run))
     ax.set_ylim(bottom=0)

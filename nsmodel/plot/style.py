@@ -150,7 +150,7 @@ def dress(ax: Axes, title: str, xlabel: str, ylabel: str, *, grid: bool = True) 
     """Give the axes their words and the look of all pictures."""
     ax.set_title(text(title), **TITLE)
     ax.set_xlabel(text(xlabel), fontsize=9)
-    ax.set_ylabel(text(short(ylabel, max(16, int(inches(ax)[1] / 0.065)))), fontsize=9)
+    ax.set_ylabel(text(short(ylabel, max(20, int(inches(ax)[1] / 0.065)))), fontsize=9)
     ax.tick_params(labelsize=8)
     ax.grid(grid, **({"color": "#E6E8EB", "linewidth": 0.6} if grid else {}))
     ax.set_axisbelow(True)

@@ -26,6 +26,7 @@ from nsmodel.run.options import METHODS, Options
 from nsmodel.run.piece_choice import MOST, chosen_maker
 from nsmodel.run.piece_rows import Block, PieceRows
 from nsmodel.run.row_facts import facts
+from nsmodel.run.told import of_scene
 from nsmodel.run.walk import PER_CENT, There, check_exact, note_distance_to_exact, runaway
 from nsmodel.scheme.continuous import ContinuousProblem, NotEventDriven
 from nsmodel.scheme.driven import between_rows, driven, kinds, set_by_blocks
@@ -244,6 +245,7 @@ class EventDriven:
             "tolerance": self.options.tolerance,
             "warnings": [*self.warnings, *_of_stretches(self.totals["stretches"])],
             **({"between_rows": between_rows(p, self.model)} if self.model.inputs else {}),
+            **of_scene(self.model),
         } | ({} if self.certified is None else {"certificate": self.certified.metadata(p.names)})
 
 

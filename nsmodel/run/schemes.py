@@ -23,7 +23,7 @@ from nsmodel.record import Record
 from nsmodel.run import driven
 from nsmodel.run.in_c import chosen
 from nsmodel.run.options import Options
-from nsmodel.run.told import of_scheme
+from nsmodel.run.told import of_scene, of_scheme
 from nsmodel.run.walk import There, check_exact, note_distance_to_exact, overrun, runaway
 from nsmodel.scheme import constraints, initial_rows, one_step_problem
 from nsmodel.solve.build import Starter, Stepper, start_state
@@ -265,14 +265,4 @@ class OfScheme:
         if "last_v" in self.totals:
             x, v = (np.array(self.totals[key]) for key in ("last_x", "last_v"))
             data["convergence"] = finite_convergence(model, x, v, self.totals["rest_from"])
-        if getattr(model, "scene", None):
-            data["constraint_bodies"] = _bodies(model)
-        return data
-
-
-def _bodies(model: Any) -> list[list[int]]:
-    """For each constraint of a planar scene, the discs whose coordinates it contains."""
-    bodies: list[set[int]] = [set() for _ in range(model.g.numel())]
-    for row, column in zip(*ca.jacobian(model.g, model.q).sparsity().get_triplet(), strict=True):
-        bodies[row].add(column // 2)
-    return [sorted(found) for found in bodies]
+        return data | of_scene(model)

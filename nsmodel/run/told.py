@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import casadi as ca
+
 from nsmodel.identity import versions
 from nsmodel.model.base import Model
 from nsmodel.model.quantity import Quantity
@@ -42,3 +44,13 @@ def of_scheme(problem: OneStepProblem, tolerance: float) -> dict[str, Any]:
         "law_kinds": problem.law.labels,
         "tolerance": tolerance,
     }
+
+
+def of_scene(model: Any) -> dict[str, Any]:
+    """Of a planar scene of discs: for each constraint those whose coordinates it contains; nothing of other models."""
+    if not getattr(model, "scene", None):
+        return {}
+    bodies: list[set[int]] = [set() for _ in range(model.g.numel())]
+    for row, column in zip(*ca.jacobian(model.g, model.q).sparsity().get_triplet(), strict=True):
+        bodies[row].add(column // 2)
+    return {"constraint_bodies": [sorted(found) for found in bodies]}
