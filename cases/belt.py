@@ -7,7 +7,8 @@ caught again at p = 0.265. A limit cycle that is reached at once, for each slip 
 6.737 s, 5.267 s of it slip.
 
 A wrong answer: without stick each swing would be exp(pi d/w) = 1.88 times as large as the last, without bound; here all
-are the same. Where friction is smoothed the block slips back while it should ride: v is not V, and p = F comes late.
+are the same. Where friction is smoothed the block slips back while it should ride: v is below V, the more the nearer p is
+to F.
 
 Source: Popp and Stelter, Stick-slip vibrations and chaos (1990), here with a straight characteristic; closed form.
 

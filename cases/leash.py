@@ -26,7 +26,7 @@ times = np.concatenate([[0], np.cumsum(abs(np.diff(turns)))])
 
 
 def exact(t):
-    """Return the position (N, 2): on each way of the hand rest, then a tractrix, tan(a/2) ~ exp(-s/r) for the angle a of the leash."""
+    """Return the position (N, 2): on each way of the hand rest, then a tractrix: tan(angle/2) falls like exp(-s/r)."""
     rows, q = np.empty((np.size(t), 2)), np.array(start)
     for begin, end, hand, goal in zip(times[:-1], times[1:], turns[:-1], turns[1:], strict=True):
         now, way, (x, y) = np.asarray(t) >= begin, np.sign(goal - hand), q

@@ -7,7 +7,7 @@ second pile grows, meets the first and climbs over its flank, but leaves its top
 slides over each edge between two cells.
 
 A wrong answer: slopes that a stiff force holds let sand creep, and the top of the first pile, cell 3, sinks below 4.
-Slopes set right one after the other make sand, or lose it: all cells together hold t.
+Slopes that are cut off where they are too steep lose sand: all cells together hold t.
 
 Source: Prigozhin, Variational model of sandpile growth (1996); closed form on cells.
 
@@ -17,7 +17,7 @@ Topic: mathematics.
 import casadi as ca
 import numpy as np
 
-from nsmodel import SweepingProcess, table
+from nsmodel import SweepingProcess
 
 n, first, second, change, end = 12, 3, 8, 16.0, 40.0
 cells, heights = np.arange(n), np.arange(12)
@@ -33,14 +33,16 @@ def exact(t):
     return np.where(t <= change, np.maximum(alone, 0), np.maximum(top - abs(cells - second), old))
 
 
-h, left = ca.SX.sym("h", n), ca.SX.sym("left")
+t, h = ca.SX.sym("t"), ca.SX.sym("h", n)
+left = ca.if_else(t < change, 1, 0)
 slope = h[1:] - h[:-1]
 model = SweepingProcess(
+    t=t,
     q=h,
     f=ca.vertcat(*(left if i == first else 1 - left if i == second else 0 for i in range(n))),
     constraints={"up": 1 - slope, "down": 1 + slope},
     q0=np.zeros(n),
-    inputs={left: table([0, change], [1, 0])},
+    switch_times=[change],
     t_end=end,
     step=5e-2,
     exact=exact,

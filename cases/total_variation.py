@@ -7,7 +7,7 @@ middle plateau, of eight, falls at 1/4. Cell 8, noise on the edge, is on the way
 0.4 until 2.9. At t = 5 all is flat at the mean, 0.6625, exactly.
 
 A wrong answer: diffusion, u_i' = u_{i+1} - 2 u_i + u_{i-1}, blurs the edges with the noise: at t = 0.55 no two cells are
-equal, and it is never flat. Where the sign is smoothed cells that met part again.
+equal, and it is never flat. Where the sign is smoothed cells never quite meet.
 
 Source: Andreu, Ballester, Caselles and Mazon, Minimizing total variation flow (2001). It is flat at max |sum_{j <= i}
 (u_j - mean)| of the start.

@@ -7,7 +7,7 @@ slides down along the other to the next corner (1.549 s). Its loop at the bottom
 of a turn.
 
 A wrong answer: walls treated one after the other let the crumb out through the corner, |q| > a sqrt(2). A corner that
-never lets go lifts it to the top; here it is never above -0.84 m.
+never lets go lifts it to the top; here it is never above -0.838 m.
 
 Source: Moreau, Evolution problem associated with a moving convex set in a Hilbert space (1977), swept by a polygon;
 closed form.

@@ -36,7 +36,7 @@ def brief(self: Any) -> str:
 def in_short(value: Any) -> str:
     """A value in at most 60 characters."""
     if isinstance(value, str):
-        return cut(repr(one_line(value)))
+        return repr(cut(value, LONG - 2))
     if isinstance(value, bool | int) or value is None:
         return cut(str(value))
     if isinstance(value, float | np.number):
@@ -57,7 +57,7 @@ def in_short(value: Any) -> str:
 def cut(text: str, width: int = LONG) -> str:
     """The text on one line, its end left out where it is longer."""
     text = " ".join(one_line(text).split())
-    return text if len(text) <= width else f"{text[: width - 4]} ..."
+    return text if len(text) <= width else f"{text[: width - 4].rstrip()} ..."
 
 
 def listed(items: Iterable[str], width: int = WIDTH) -> str:
@@ -72,7 +72,7 @@ def listed(items: Iterable[str], width: int = WIDTH) -> str:
         return ", ".join(items)
     while kept < len(items) and len(", ".join(items[: kept + 1])) <= room:
         kept += 1
-    return ", ".join([*items[:kept], f"... {len(items) - kept} more"]) if kept else cut(items[0], room)
+    return ", ".join([*items[:kept], f"... {len(items) - kept} more"]) if kept or len(items) > 1 else cut(items[0], width)
 
 
 def wrapped(text: str) -> list[str]:

@@ -78,6 +78,7 @@ def check(
     Raises:
         UsageError: no model, an unknown parameter, state or input, a parameter without value where numbers are needed, an input
             of which neither signal nor bounds tell its values.
+        ModelError: the model calls a Function that cannot be looked into.
 
     >>> from nsmodel import LureSystem, check, relay
     >>> report = check(LureSystem(A=[[0, 1], [-1, 0]], B=[0, 1], C=[0, 1], law=relay(1), x0=[1, 0], t_end=1, step=0.1))

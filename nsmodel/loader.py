@@ -16,7 +16,7 @@ from nsmodel.model_files import beside, executed, spec_of
 
 
 def load(path: str | Path, **parameters: Any) -> Model:
-    """Return the model that a file defines; ``parameters`` go to its ``model`` function where it is one.
+    """Return the model that the file at ``path`` defines; ``parameters`` go to its ``model`` function where it is one.
 
     Raises:
         UsageError: the file is missing, or a parameter that its function does not take, or lacks.

@@ -58,12 +58,13 @@ def case(name: str) -> Case:
     """The case of that name.
 
     Raises:
-        UsageError: there is none; the message has the names that are nearest.
+        UsageError: there is none; the message has the names that are near.
     """
     found = {case.name: case for case in cases()}
     if name not in found:
-        near = difflib.get_close_matches(name, found, 3) or sorted(found)
-        raise UsageError(f"no case '{name}'; did you mean {', '.join(near)}?")
+        near = difflib.get_close_matches(name, found, 3)
+        what = f"did you mean {', '.join(near)}?" if near else f"nsmodel cases lists the {len(found)} that there are"
+        raise UsageError(f"no case '{name}'; {what}")
     return found[name]
 
 

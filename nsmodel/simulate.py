@@ -124,7 +124,14 @@ def explain(
     method: str = "auto",
     certify: str = "estimate",
 ) -> str:
-    """What a run with these arguments would use and what it leaves out, and why, as text."""
+    """What a run would use and what it leaves out, and why, as text.
+
+    The arguments are those of `simulate`, with the same meaning: model, step, t_end, parameters, inputs, solver, tolerance,
+    compiled, rtol, method, certify.
+
+    Raises:
+        UsageError: as in `simulate`.
+    """
     asked: dict[str, Any] = {"step": step, "t_end": t_end, "parameters": parameters, "solver": solver, "tolerance": tolerance}
     options = Options(**asked, compiled=compiled, rtol=rtol, method=method, certify=certify, inputs=inputs)
     whole, bound = _bound(model, options)

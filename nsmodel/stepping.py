@@ -39,7 +39,9 @@ INF = np.inf
 
 
 class ModelStepper:
-    """A model at a time; see `stepper`. A step that fails, or is refused, leaves it as it was.
+    """A model at a time, made by `stepper` of the ``model``, its ``options`` and whether it keeps a ``record``.
+
+    A step that fails, or is refused, leaves it as it was.
 
     Attributes:
         h: the time step; k: steps taken since the start or the last reset.
@@ -136,7 +138,7 @@ class ModelStepper:
         }  # fmt: skip
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Take up what ``checkpoint`` gave; the rows recorded after it are forgotten."""
+        """Take up what ``checkpoint`` gave, ``saved``; the rows recorded after it are forgotten."""
         self._base, self._since, self._last, self.k = saved["base"], saved["since"], saved["last"], saved["k"]
         self._state = np.array(saved["state"], float)
         self._warm = Warm(np.array(saved["l"], float), np.array(saved["index"], np.int8))

@@ -184,23 +184,24 @@ class Trajectory:
         return windows.integral(windows.sums(self, what, t0, t1))
 
     def mean(self, what: Any, t0: float | None = None, t1: float | None = None) -> Any:
-        """Return the mean of a quantity from t0 to t1: ``integral`` over the length."""
+        """Return the mean of ``what``, a quantity, from t0 to t1: its ``integral`` over the length."""
         return windows.mean(windows.sums(self, what, t0, t1))
 
     def rms(self, what: Any, t0: float | None = None, t1: float | None = None) -> Any:
-        """Return the root of the mean of the square from t0 to t1; see ``integral``."""
+        """Return the root of the mean of the square of ``what``, a quantity, from t0 to t1; see ``integral``."""
         return windows.rms(windows.sums(self, what, t0, t1))
 
     def spectrum(self, what: Any, t0: float | None = None, t1: float | None = None, *, harmonics: int = 50) -> windows.Spectrum:
-        """Return Fourier coefficients of a quantity over a window: ``frequency`` (K+1,), ``coefficient`` (K+1,) or (K+1, k).
+        """Return Fourier coefficients of ``what`` from t0 to t1: ``frequency`` (K+1,), ``coefficient`` (K+1,) or (K+1, k).
 
-        q(t) ~ sum_k Re(c_k exp(2 pi i f_k (t - t0))), f_k = k/(t1 - t0): take whole periods. They are integrals over the window,
-        of straight lines over each step, and no sum over samples: steps may differ, and edges of inputs are as they are.
+        q(t) ~ sum_k Re(c_k exp(2 pi i f_k (t - t0))), f_k = k/(t1 - t0), k up to ``harmonics``: take whole periods. They
+        are integrals over the window, of straight lines over each step, and no sum over samples: steps may differ, and edges of
+        inputs are as they are.
         """
         return windows.spectrum(self, what, t0, t1, harmonics)
 
     def smooth(self, points: int = 2000, t0: float | None = None, t1: float | None = None) -> Trajectory:
-        """Return an event-driven run with about so many rows read off its polynomials, two at each jump; others as they are.
+        """Return an event-driven run with about ``points`` rows read off its polynomials, two at each jump; others as they are.
 
         ``t0``, ``t1``: of an event-driven run these times alone; left out they are its ends. UsageError for a window outside.
         """
@@ -217,12 +218,12 @@ class Trajectory:
         return dense.events(self.arrays)
 
     def save(self, path: str | Path) -> None:
-        """Write one npz file with all arrays and the metadata; StorageError where that fails."""
+        """Write one npz file at ``path`` with all arrays and the metadata; StorageError where that fails."""
         write_npz(path, self.arrays, self.metadata)
 
     @classmethod
     def load(cls, path: str | Path) -> Trajectory:
-        """Read what ``save`` wrote; StorageError for a missing, damaged or foreign file."""
+        """Read what ``save`` wrote at ``path``; StorageError for a missing, damaged or foreign file."""
         arrays, metadata = read_npz(path)
         missing = [name for name in ("t", "x") if name not in arrays]
         if missing:
@@ -230,7 +231,7 @@ class Trajectory:
         return cls(arrays, metadata)
 
     def to_csv(self, path: str | Path) -> None:
-        """Write columns t, states, ``multiplier:NAME``, ``y:NAME``, ``input:NAME``, residual, the other arrays but lists."""
+        """Write to ``path`` t, states, ``multiplier:NAME``, ``y:NAME``, ``input:NAME``, residual, the other arrays but lists."""
         write_csv(path, dict(columns.of_csv(self)))
 
     def to_xarray(self) -> Any:
@@ -254,15 +255,23 @@ class Trajectory:
 
         return overview(self, **options)
 
-    def view(self, path: str | Path | None = None) -> Path:
+    def view(self, path: str | Path | None = None, model: Any = None) -> Path:
         """Write one HTML file that shows the run, and return its path; without a path a temporary file, opened in the browser.
 
-        Columns over time, index set, events, phase plane, the configuration of discs in the plane; zoomed and played in the
-        browser. The file needs nothing else, and loads nothing. StorageError where it cannot be written.
+        Columns over time, index set, events, phase plane, configuration; zoomed and played in the browser. The file needs
+        nothing else, and loads nothing.
+
+        Args:
+            path: of the file; its folder is made where it is missing.
+            model: that of a sweeping process of one or two states: then the page shows the set that they may not enter.
+
+        Raises:
+            StorageError: the file cannot be written.
+            PlotError: the model is not that of the run, or has parameters without a value.
         """
         from nsmodel.view.run import view_run
 
-        return view_run(self, path)
+        return view_run(self, path, model)
 
     def summary(self) -> dict[str, Any]:
         """Return the run in short as numbers, strings, lists and dictionaries; None for what does not apply."""

@@ -225,6 +225,18 @@ def test_a_leash_is_not_convex_and_the_pair_is_named():
     assert any("not convex" in warning for warning in simulate(model, t_end=0.1).metadata["warnings"])
 
 
+def test_a_wall_that_rounding_bends_is_a_plane():
+    """The Hessian of its distance, 0, has an eigenvalue of -1e-32 here."""
+    body, wall = Bodies([[4.6, 2.22]], r=[0.2]), Items(a=[[3.6, 1.8]], b=[[3.6, 4.4]])
+    i, w = body.member("i"), wall.member("w")
+    along = w.b - w.a
+    part = ca.fmin(ca.fmax(ca.dot(i.q - w.a, along) / ca.sumsqr(along), 0), 1)
+    model = ManyBodies(
+        bodies=body, constraints={"wall": Family(ca.norm_2(i.q - w.a - part * along) - i.r, i, w)}, t_end=1, step=0.1
+    )
+    assert simulate(model, t_end=0.1).metadata["warnings"] == []
+
+
 def test_an_overlap_at_the_start_names_the_bodies():
     finding = check(discs([[9, 9], [0, 0], [0.4, 0]], [0.2, 0.2, 0.3]), (), quick=True)["S-start"]
     assert finding.value["min g"] == pytest.approx(-0.1)

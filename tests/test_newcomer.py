@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 import subprocess
+import sys
 import tomllib
 
 import pytest
@@ -16,6 +17,7 @@ from test_package import in_a_fresh_process
 from nsmodel import load, shelf
 from nsmodel.cli import main
 from nsmodel.cli.completion import HOW
+from nsmodel.version import VERSION
 
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
 
@@ -107,6 +109,9 @@ def test_cases_as_json(capsys):
 
 def test_a_case_runs_by_its_name_unless_a_file_has_it(here, capsys):
     assert "Diode bridge rectifier" in said(capsys, "run", "diode_bridge", "--t-end", "1e-4")
+    (here / "diode_bridge").mkdir()  # such as nsmodel codegen makes
+    said(capsys, "run", "diode_bridge", "--t-end", "1e-5", "--quiet")
+    (here / "diode_bridge").rmdir()
     (here / "diode_bridge").write_text("")
     assert "'diode_bridge' is not a Python file" in refused(capsys, "run", "diode_bridge")
     assert "'diode_brige' does not exist; give the path of a Python file that defines model = ... (nsmodel cases" in refused(
@@ -159,7 +164,8 @@ def test_a_name_that_would_hide_a_module_is_refused(here, capsys, name):
 
 
 def test_a_copy_of_what_is_no_case_is_refused(here, capsys):
-    assert "no case 'nothing_like_it'; did you mean" in refused(capsys, "new", "a", "--like", "nothing_like_it")
+    text = refused(capsys, "new", "a", "--like", "nothing_like_it")
+    assert text == f"no case 'nothing_like_it'; nsmodel cases lists the {len(shelf.files())} that there are"
     assert not list(here.iterdir())
 
 
@@ -180,7 +186,7 @@ LINES = {
 }
 
 
-@pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
+@pytest.mark.skipif(shutil.which("bash") is None or sys.platform == "win32", reason="no bash")
 def test_a_real_bash_completes(here, capsys):
     (here / "my model.py").write_text("")
     (here / "my notes.txt").write_text("")
@@ -227,6 +233,11 @@ def test_a_wheel_holds_the_package_and_the_cases(tmp_path):
     expected = {name for name in package if "__pycache__" not in name} | cases
     assert {name for name in held if name.startswith("nsmodel/")} == {name.replace("\\", "/") for name in expected}
     assert {"nsmodel/py.typed", "nsmodel/cases/diode_bridge.py", "nsmodel/codegen/c/fixed.c", "nsmodel/laws/ball.c"} <= held
+
+
+def test_the_version_to_cite_is_this_one():
+    text = (REPOSITORY / "CITATION.cff").read_text(encoding="utf-8")
+    assert re.search(r"^version: (.+)$", text, re.M)[1] == VERSION
 
 
 def test_what_is_built_is_said():

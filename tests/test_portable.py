@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import errno
-import fcntl as posix
 import functools
 import multiprocessing
 import os
@@ -26,6 +25,8 @@ from nsmodel.cache_folder import cache_folder
 from nsmodel.cli import status
 from nsmodel.codegen import cache, library
 from nsmodel.sweep import engine, mapped
+
+posix = pytest.importorskip("fcntl")
 
 
 @functools.cache
@@ -80,9 +81,7 @@ ELSEWHERE = {  # What Windows lacks and is used all the same: where it is asked 
     "setpgrp": {"nsmodel/sweep/engine.py"}, "sched_getaffinity": {"nsmodel/sweep/engine.py"}, "flock": {"nsmodel/lock.py"},
     "register_at_fork": {"nsmodel/lock.py"},
 }  # fmt: skip
-NOWHERE = (
-    "fork getpgid pread pwrite setsid symlink symlink_to hardlink_to mkfifo rename SIGALRM O_NOFOLLOW uname getloadavg".split()
-)
+NOWHERE = "fork getpgid pread pwrite setsid symlink symlink_to hardlink_to mkfifo rename SIGALRM O_NOFOLLOW getloadavg".split()
 
 
 def test_what_other_systems_lack_is_used_in_one_place_each():

@@ -83,12 +83,8 @@ def _check(arguments: argparse.Namespace) -> int:
         documents.append({"file": file, **report.document()} if arguments.json else {})
         if not arguments.json:
             print(report.text(), end="\n\n" if several else "\n")
-    if arguments.markdown and reports[0][1] is not None:
-        write_text(Path(arguments.markdown), reports[0][1].markdown())
-    if arguments.html and reports[0][1] is not None:
-        reports[0][1].view(arguments.html)
-    if arguments.certificate and reports[0][1] is not None:
-        _certify(reports[0][1], arguments.certificate, quiet=arguments.json)
+    if reports[0][1] is not None:
+        _write(reports[0][1], arguments)
     if arguments.json:
         print_json(arguments, documents if several else documents[0])
     elif several:
@@ -96,6 +92,16 @@ def _check(arguments: argparse.Namespace) -> int:
         for file, report, _ in reports:
             print(f"{Path(file).stem:{width}}  {'refused' if report is None else report.verdict}")
     return max(status for *_, status in reports)
+
+
+def _write(report: Report, arguments: argparse.Namespace) -> None:
+    """Write what was asked for of a report."""
+    if arguments.markdown:
+        write_text(Path(arguments.markdown), report.markdown())
+    if arguments.html:
+        report.view(arguments.html)
+    if arguments.certificate:
+        _certify(report, arguments.certificate, quiet=arguments.json)
 
 
 def _interval(option: str, setting: str, example: str) -> tuple[str, tuple[float, float]]:

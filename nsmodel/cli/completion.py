@@ -12,8 +12,10 @@ from nsmodel.cli.status import DONE
 
 HOW = """Print a script for a shell. Written once, and again after an upgrade:
 
-  bash: nsmodel completion bash > ~/.local/share/bash-completion/completions/nsmodel
-  zsh:  nsmodel completion zsh > ~/.nsmodel.zsh, and in ~/.zshrc after compinit: source ~/.nsmodel.zsh
+  bash: mkdir -p ~/.local/share/bash-completion/completions
+        nsmodel completion bash > ~/.local/share/bash-completion/completions/nsmodel
+  zsh:  nsmodel completion zsh > ~/.nsmodel.zsh
+        and in ~/.zshrc, after compinit: source ~/.nsmodel.zsh
   fish: nsmodel completion fish > ~/.config/fish/completions/nsmodel.fish"""
 
 BASH = """# Completes nsmodel; written by: nsmodel completion {shell}

@@ -60,6 +60,7 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--window", metavar="T0:T1", help="with --plot: pictures from T0 to T1 alone; either may be left out, as in 0.9:"
     )
+    parser.add_argument("--html", metavar="FILE", help="also write a page on which the run is looked at in a browser")
     parser.add_argument("--film", metavar="PATH", help="write a film of bodies in the plane: .gif, or .mp4 with ffmpeg")
     parser.add_argument("--explain", action="store_true", help="say what is used and what is left out, and why; then run")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
@@ -78,6 +79,8 @@ def _run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"two files are called '{twice}': their results would go to one folder; run them one by one")
     if several and arguments.csv:
         raise UsageError("--csv takes one model file; for several give --out DIR and read the trajectory.npz in it")
+    if several and arguments.html:
+        raise UsageError("--html takes one model file; for several give --out DIR and look at each with 'nsmodel view'")
     if several and arguments.film:
         raise UsageError("--film takes one model file; run them one by one")
     if arguments.window is not None and not arguments.plot:
@@ -87,8 +90,8 @@ def _run(arguments: argparse.Namespace) -> int:
         from nsmodel.plot.film import check_film
 
         check_film(arguments.film)
-    if arguments.csv:
-        refuse_unwritable(arguments.csv)
+    for path in filter(None, (arguments.csv, arguments.html)):
+        refuse_unwritable(path)
     results: list[Result] = []
     for file in arguments.files:
         results.append(_run_file(arguments, file, _folder(arguments, file)))
@@ -212,6 +215,8 @@ def _report(
         from nsmodel.plot import animate
 
         pictures.append(str(animate(run, arguments.film)))
+    if arguments.html:
+        pictures.append(str(run.view(arguments.html, model)))
     printed = not (arguments.json or arguments.quiet or len(arguments.files) > 1)
     document = _document(file, run, seconds, folder, pictures)
     if printed or arguments.json or folder is not None:

@@ -31,8 +31,8 @@ def add_files(parser: argparse.ArgumentParser) -> None:
 
 
 def _model_file(text: str) -> str:
-    """The file as it was given; that of a case where a case's name was given, and nothing of that name is here."""
-    return text if Path(text).exists() else str(shelf.files().get(text, text))
+    """The file as it was given; that of a case where a case's name was given, and no file of that name is here."""
+    return text if Path(text).is_file() else str(shelf.files().get(text, text))
 
 
 def add_set(parser: argparse.ArgumentParser) -> None:

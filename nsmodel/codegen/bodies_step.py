@@ -22,7 +22,7 @@ from nsmodel.errors import CodegenError, StepError
 from nsmodel.solve.many_bodies import COLD, BodiesStep, BodiesWarm, Contacts
 from nsmodel.solve.near import least_gap
 
-FLAGS = (*("-O3" if flag == "-O2" else flag for flag in PORTABLE), NATIVE)
+FLAGS = (*("-O3" if flag == "-O2" else flag for flag in PORTABLE), *NATIVE)
 
 
 def library(text: str, name: str) -> Mapped:

@@ -24,7 +24,8 @@ from nsmodel.errors import CodegenError
 
 SHARED = ("-shared", "-static-libgcc") if SUFFIX == ".dll" else ("-fPIC", "-shared")  # MinGW's code can lie anywhere.
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Werror=implicit-function-declaration", *SHARED)
-NATIVE = "-mcpu=native" if platform.machine() in ("arm64", "aarch64") else "-march=native"  # For this processor alone.
+# For this processor alone; not on Windows, where gcc does not align the stack for its longest vectors.
+NATIVE = () if SUFFIX == ".dll" else ("-mcpu=native" if platform.machine() in ("arm64", "aarch64") else "-march=native",)
 MATHS = () if SUFFIX == ".dll" else ("-lm",)  # Where functions like exp are.
 QUICKLY = ("-fno-gcse", "-fno-inline-functions", "-fno-partial-inlining", "-fno-schedule-insns2")  # Slow to build.
 IN_LANES = (*FLAGS, "-ftree-vectorize", "-fopenmp-simd", "-fno-trapping-math", *QUICKLY)  # None of these changes a bit.

@@ -146,7 +146,11 @@ class Ball(Block):
 
 
 def ball(m: int, radius: Any = 1) -> Law:
-    """-y ∈ N(l) for {|l| <= radius} in R^m: isotropic Coulomb friction; l = -radius y/|y| where y != 0."""
+    """-y ∈ N(l) for {|l| <= radius} in R^m: isotropic Coulomb friction; l = -radius y/|y| where y != 0.
+
+    Raises:
+        ModelError: m < 1, a radius that is negative or not finite.
+    """
     m, r = count("ball", m), column("ball", "radius", radius, 1)
     if r.is_constant() and not 0 <= float(r) < np.inf:
         raise ModelError(f"ball: radius = {float(r):g} must be finite and not negative")

@@ -95,7 +95,7 @@ class Law(Pickled):
         return Law(tuple(found))
 
     def ends(self, names: tuple[str, ...], moving: ca.SX) -> tuple[Ends, ...]:
-        """The ends of each row that depend on ``moving``."""
+        """The ends of each row, one of ``names`` each, that depend on ``moving``."""
         found: list[Ends] = []
         for rows, block in self.parts():
             other = block.rewritten(ca.SX.sym("y", block.size), tuple(names[rows]), moving) if any(block.moves(moving)) else None
@@ -112,7 +112,14 @@ class Law(Pickled):
 
 
 def product(*laws: Law) -> Law:
-    """Several laws side by side: l and y are stacked in the order given."""
+    """Several laws side by side: l and y are stacked in the order given.
+
+    Args:
+        laws: what is stacked, `Law` each.
+
+    Raises:
+        ModelError: something that is no law.
+    """
     for position, law in enumerate(laws):
         if not isinstance(law, Law):
             raise ModelError(f"product: argument {position} is a {type(law).__name__}; expected a law such as relay(2)")

@@ -79,7 +79,11 @@ class Polyhedron(Block):
 
 
 def polyhedron(H: Any, K: Any) -> Law:
-    """-y ∈ N(l) for {l : H l >= K}; H (r, m), K (r,), numbers."""
+    """-y ∈ N(l) for {l : H l >= K}; H (r, m), K (r,), numbers.
+
+    Raises:
+        ModelError: no numbers, other shapes.
+    """
     try:
         h, k = np.atleast_2d(array("polyhedron", "H", H)), np.ravel(array("polyhedron", "K", K))
     except ModelError:

@@ -15,6 +15,7 @@ from nsmodel.errors import ModelError, UsageError
 from nsmodel.laws import Words
 from nsmodel.model.arguments import RESERVED, grid_given, known_times, names_of_states, rows_called, units_given
 from nsmodel.model.convert import Converter, declare
+from nsmodel.model.documented import OwnFirst, with_common
 from nsmodel.model.driving import Driving
 from nsmodel.model.exact import Sampled
 from nsmodel.model.expressions import refuse_infinite
@@ -103,6 +104,11 @@ class Model(Pickled):
     outputless: ClassVar[str] = ""  # Why models of the class declare no outputs, and what to do instead.
     of_time: ClassVar[str] = MOVE  # What to do with time where it may not stand.
 
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        cls.__doc__ = with_common(cls.__doc__, Model.__doc__)
+
+    __signature__ = OwnFirst()
     __repr__ = model_in_short
     _repr_html_ = shown_by("model")
 

@@ -22,8 +22,8 @@ def facts(model: Any) -> dict[str, list[str]]:
         "blocks": [f"{block.name}, {_when(block)}" for block in model.blocks],
         "outputs": [_with_unit(model, name) for name in model.outputs],
     }
-    if (law := getattr(model, "law", None)) is not None:
-        found["law"] = [law.in_words]
+    if words := getattr(getattr(model, "law", None), "in_words", ""):
+        found["law"] = [words]
     found["time"] = [", ".join(_time(model))]
     return {label: entries for label, entries in found.items() if entries}
 

@@ -107,12 +107,12 @@ def of_family(run: Trajectory, family: Family, *, heading: str = "", ax: Axes | 
     ax = style.axes(ax)
     shown = style.spread(len(family.numbers), PLACES)
     values, edges = _cells(run.t, family.values[:, shown])
-    low, high = (float(one(values, initial=0.0)) for one in (np.min, np.max))
+    low, high = style.extent(values)
     signed = low < 0
-    far = max(-low, high) or 1.0
+    far = max(-low, high, 0.0) or 1.0
     look: dict[str, Any] = {"cmap": SIGNED if signed else POSITIVE, "norm": Normalize(-far if signed else 0, far)}
     places = _edges(np.array(family.numbers)[shown])
-    mesh = ax.pcolormesh(edges, places, values.T, rasterized=True, **look)
+    mesh = ax.pcolormesh(edges, places, np.ma.masked_invalid(values.T), rasterized=True, **look)
     stuck = _stuck(run, family)
     if stuck is not None:
         _overlay(ax, edges, places, stuck[:, shown])
@@ -129,11 +129,11 @@ def of_family(run: Trajectory, family: Family, *, heading: str = "", ax: Axes | 
 
 def _cells(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(cells, K) the value farthest from 0 of the rows of each cell, and the edges in time (cells + 1,)."""
-    known = np.nan_to_num(values)
     if len(t) < 2:
-        return known, np.array([t[0], t[0] + 1.0])
+        return values, np.array([t[0], t[0] + 1.0])
     starts = buckets(len(t) - 1)
-    low, high = np.minimum.reduceat(known, starts, axis=0), np.maximum.reduceat(known, starts, axis=0)
+    low = np.fmin.reduceat(values, starts, axis=0)
+    high = np.fmax.reduceat(values, starts, axis=0)
     return np.where(-low > high, low, high), np.append(t[starts - 1], t[-1])
 
 

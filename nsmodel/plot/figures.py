@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -160,7 +161,7 @@ def _panels(run: Trajectory, model: Any, *, lines: int, rows: int) -> dict[str, 
     if found := of_states(run):
         del panels["phase"]
         panels |= {f"chain {k}": (2.2, partial(of_family, run, one)) for k, one in enumerate(found)}
-    for name, draw in (("energy", energy), ("residual", residual)):
+    for name, draw in (("energy", partial(energy, model=model)), ("residual", residual)):
         if name in run.arrays:
             panels[name] = (1.6, partial(draw, run))
     return panels
@@ -169,7 +170,7 @@ def _panels(run: Trajectory, model: Any, *, lines: int, rows: int) -> dict[str, 
 def _titled(run: Trajectory) -> Figure:
     """An empty overview."""
     figure = style.blank(14, 9)
-    figure.suptitle(_title(run), fontsize=13, fontweight="bold", color=style.INK)
+    figure.suptitle(_title(run, 110), fontsize=13, fontweight="bold", color=style.INK)
     figure.supxlabel(style.text(_subtitle(run)), fontsize=9, color="#5B6570")
     return figure
 
@@ -185,7 +186,7 @@ def _of_crowd(figure: Figure, panels: dict[str, Panel]) -> Figure:
 def _sheet(run: Trajectory, panels: Sequence[Panel], width: float, scale: float) -> Figure:
     """Build a titled figure of one column."""
     figure = style.blank(width, 1.5 + scale * sum(height for height, _ in panels))
-    figure.suptitle(_title(run), fontsize=12, fontweight="bold", color=style.INK)
+    figure.suptitle(_title(run, int(8 * width)), fontsize=12, fontweight="bold", color=style.INK)
     _stack(figure, figure.add_gridspec(1, 1)[0], panels, shared=True)
     return figure
 
@@ -202,20 +203,27 @@ def _stack(figure: Figure, spec: Any, panels: Sequence[Panel], *, shared: bool) 
             ax.tick_params(labelbottom=False)
 
 
-def _title(run: Trajectory) -> str:
-    return style.text(run.metadata.get("title") or run.metadata.get("model_class") or run.title)
+def _title(run: Trajectory, width: int) -> str:
+    """The title in at most two lines of so many letters."""
+    words = str(run.metadata.get("title") or run.metadata.get("model_class") or run.title)
+    return "\n".join(style.text(line) for line in textwrap.wrap(words, width, max_lines=2, placeholder=" …"))
 
 
 def _subtitle(run: Trajectory) -> str:
-    """One line: the class, the number of steps, the step and how the run ended."""
-    steps = run.arrays.get("step", np.diff(run.t, prepend=np.nan))
+    """One line: the class, the number of steps or pieces, their lengths and how the run ended."""
+    noun = "piece" if run.is_event_driven else "step"
+    steps = run.arrays.get("step", np.zeros(0) if run.is_event_driven else np.diff(run.t, prepend=np.nan))
     steps, unit, size = steps[np.isfinite(steps)], style.unit(run, "t"), ""
     if len(steps):
         low, high = steps.min(), steps.max()
-        size = f"{high:.4g}" if high - low <= 1e-6 * high else f"{low:.3g} to {high:.4g}"
-        size = f"step {size} {unit}".rstrip()
+        ends = f"{low:.3g}", f"{high:.3g}"
+        size = f"{high:.4g}" if high - low <= 1e-6 * high else "about " + ends[1] if ends[0] == ends[1] else " to ".join(ends)
+        size = f"{noun} {size} {unit}".rstrip()
     status = f"status: {run.status}" if "status" in run.metadata else ""
     every = run.metadata.get("save_every", 1)
     kept = f"rows kept: one in {every}" if every > 1 else ""
-    parts = [run.metadata.get("model_class"), f"{run.metadata.get('steps', len(run))} steps", size, kept, status]
+    window = "t = {:.6g} to {:.6g}".format(*run.metadata["window"]) if "window" in run.metadata else ""
+    shown = f"shown: {window} {unit}".rstrip() if window else ""
+    count = run.metadata.get("steps", len(run))
+    parts = [run.metadata.get("model_class"), f"{count} {noun}{'s' * (count != 1)}", size, kept, shown, status]
     return ", ".join(str(part) for part in parts if part)

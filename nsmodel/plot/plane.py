@@ -53,6 +53,9 @@ def phase(
         y, up = 0 * y, style.zero(up, True)
     ax = style.axes(ax, 6, 5)
     known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))  # a velocity may start a row later
+    if not known.size:
+        style.dress(ax, "Phase portrait: no row has finite values", across, up)
+        return ax
     kept = known[style.thin(x[known], y[known])]
     crowded = max(swings(x), swings(y)) > MOST_SWINGS
     ax.plot(x[kept], y[kept], color=style.LINES[0], linewidth=0.4 if crowded else 1.2)

@@ -10,17 +10,16 @@ as rounding is: a small charge beside volts that moves smoothly is shown.
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from nsmodel.columns import multiplier_names, state_names
-from nsmodel.errors import NsmodelError
+from nsmodel.columns import multiplier_names
 from nsmodel.model.quantity import Quantity
 from nsmodel.plot import style
+from nsmodel.plot.continuous import continuous, state
 from nsmodel.proof.graph import column
 from nsmodel.quantities import Names, quantity_of, values
 from nsmodel.solve.rounding import UNIT, error_bound
@@ -47,13 +46,13 @@ class Floors(NamedTuple):
 def is_rounding(run: Trajectory, table: str, model: Model | None = None) -> np.ndarray:
     """Which columns (k,) of "x", "v", "multipliers" or "reactions" are not 0, and rounding in all rows."""
     found = style.table(run, "reactions" if table == "multipliers" and "reactions" in run.arrays else table)
-    size = style.sizes(found) if len(found) else np.zeros(found.shape[1])
+    size = style.sizes(found)
     floors = None if model is None else _floors(run, model)
     if floors is not None:
         floor = {"x": floors.states, "v": floors.velocities}.get(table, floors.multipliers)
         if floor.shape == size.shape:
             return (size > 0) & (size <= floor)
-    largest = max(style.sizes(style.table(run, one)).max(initial=0.0) for one in ("x", "v", "multipliers", "inputs"))
+    largest = max(abs(end) for one in ("x", "v", "multipliers", "inputs") for end in style.extent(style.table(run, one)))
     small = (size > 0) & (size <= BESIDE * UNIT * largest)
     return np.array([own and _restless(column) for own, column in zip(small, found.T, strict=True)], bool)
 
@@ -80,43 +79,28 @@ def _restless(values: np.ndarray) -> bool:
 
 def _floors(run: Trajectory, model: Model) -> Floors | None:
     """From the model in continuous time; None where it has none, where the run has other columns, or where it is large."""
-    from nsmodel.run.event_driven import problem_of
-
-    with contextlib.suppress(NsmodelError):
-        problem = problem_of(model)
-        n, m, given = problem.states, problem.l.numel(), _columns(run, problem)
-        if given is None or max(n, m) > LARGE:
-            return None
-        state, moved = _evaluated(run, problem)(*given)
-        span = float(run.t[-1] - run.t[0]) / len(run) ** 0.5
-        free = problem.x.numel() - problem.held
-        rate, rows = state[:, :free].max(axis=0), state.max(axis=0)
-        bound = BESIDE * UNIT * rows
-        own = np.divide(bound[:, None], moved.max(axis=0), out=np.full(moved.shape[1:], np.inf), where=moved.max(axis=0) > 0)
-        least = own.min(axis=0, initial=np.inf)
-        floor = BESIDE * UNIT * span * rate
-        return Floors(floor[:n], floor[n:free], np.where(np.isfinite(least), least, 0.0))
-    return None
+    problem = continuous(model)
+    if problem is None or max(problem.states, problem.l.numel()) > LARGE or (given := _columns(run, problem)) is None:
+        return None
+    state, moved = _evaluated(problem)(*given)
+    n, free = problem.states, problem.x.numel() - problem.held
+    felt, moved = BESIDE * UNIT * state.max(axis=0), moved.max(axis=0)
+    own = np.divide(felt[:, None], moved, out=np.full(moved.shape, np.inf), where=moved > 0).min(axis=0, initial=np.inf)
+    added = float(run.t[-1] - run.t[0]) / len(run) ** 0.5 * felt[:free]
+    return Floors(added[:n], added[n:], np.where(np.isfinite(own), own, 0.0))
 
 
 def _columns(run: Trajectory, problem: ContinuousProblem) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """t, x and l of the problem at some rows; None where the run does not have them."""
-    n, m = len(state_names(run)), len(multiplier_names(run))
-    if problem.states != n or problem.multipliers is not None or problem.l.numel() != m or len(run.t) < 2:
-        return None
-    parts = [run.x]
-    if problem.x.numel() - problem.held > n:
-        parts.append(style.table(run, "v"))
-    if problem.held:
-        parts.append(style.table(run, "inputs"))
-    if sum(part.shape[1] for part in parts) != problem.x.numel():
+    m = len(multiplier_names(run))
+    if problem.multipliers is not None or problem.l.numel() != m or len(run.t) < 2 or (x := state(run, problem)) is None:
         return None
     rows = 1 + style.spread(len(run.t) - 1, SAMPLES)
     l = style.table(run, "reactions" if problem.impulses else "multipliers")
-    return run.t[rows], *(np.nan_to_num(part[rows]) for part in (np.hstack(parts), l))  # type: ignore[return-value]
+    return run.t[rows], x[rows], np.nan_to_num(l[rows])
 
 
-def _evaluated(run: Trajectory, problem: ContinuousProblem) -> Callable[..., tuple[np.ndarray, np.ndarray]]:
+def _evaluated(problem: ContinuousProblem) -> Callable[..., tuple[np.ndarray, np.ndarray]]:
     """(t, x, l) -> what the rows of f + g and h err by (K, n + m), in units of u; how multipliers move them (K, n + m, m)."""
     rows, unknown = ca.vertcat(problem.rate, problem.h), ca.vertcat(problem.x, problem.l)
     own = (problem.t, problem.x, problem.l)

@@ -54,7 +54,7 @@ def unit(run: Trajectory, name: str) -> str:
 
 def with_unit(name: str, unit: str) -> str:
     """Return "name [unit]"."""
-    return f"{name} [{unit}]" if unit else name
+    return f"{name} [{short(unit)}]" if unit else name
 
 
 def zero(name: str, rounding: bool) -> str:
@@ -93,8 +93,17 @@ def needed(run: Trajectory, name: str) -> np.ndarray:
 
 
 def sizes(values: np.ndarray) -> np.ndarray:
-    """Return the largest absolute value of each column, NaN left out."""
-    return np.abs(np.nan_to_num(values)).max(axis=0)
+    """Return the largest absolute value of each column, what is not finite left out; 0 of no rows."""
+    if not np.isfinite(values).all():
+        values = np.where(np.isfinite(values), values, 0)
+    return np.maximum(values.max(axis=0, initial=0), -values.min(axis=0, initial=0))
+
+
+def extent(values: np.ndarray) -> tuple[float, float]:
+    """Return the smallest and the largest value, what is not finite left out; 0, 0 of none."""
+    finite = np.isfinite(values)
+    known = values if finite.all() else values[finite]
+    return (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
 
 
 def spread(count: int, limit: int) -> np.ndarray:
@@ -141,7 +150,7 @@ def dress(ax: Axes, title: str, xlabel: str, ylabel: str, *, grid: bool = True) 
     """Give the axes their words and the look of all pictures."""
     ax.set_title(text(title), **TITLE)
     ax.set_xlabel(text(xlabel), fontsize=9)
-    ax.set_ylabel(text(ylabel), fontsize=9)
+    ax.set_ylabel(text(short(ylabel, max(16, int(inches(ax)[1] / 0.065)))), fontsize=9)
     ax.tick_params(labelsize=8)
     ax.grid(grid, **({"color": "#E6E8EB", "linewidth": 0.6} if grid else {}))
     ax.set_axisbelow(True)
@@ -159,8 +168,7 @@ def over_time(ax: Axes, run: Trajectory, title: str, ylabel: str, *, grid: bool 
 
 def steady(ax: Axes, values: np.ndarray, axis: str = "y") -> None:
     """Give an axis on which nothing moves but by rounding limits that do not show it."""
-    known = values[np.isfinite(values)]
-    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    low, high = extent(values)
     if high - low <= STEADY * max(abs(low), abs(high)):
         far = 0.05 * abs(low) or 1.0
         ax.set(**{f"{axis}lim": (low - far, high + far)})
@@ -197,7 +205,15 @@ def legend(ax: Axes, handles: Sequence[Any], *, column: bool = False) -> None:
         ax.set_title(title, pad=7 + 13 * -(-count // columns), **TITLE)
         # The raised title already holds the room; a legend wider than the axes must not shrink them.
         style |= {"ncols": columns, "columnspacing": 1.2}
-        ax.legend(loc="lower left", bbox_to_anchor=(0, 1), **style).set_in_layout(False)
+        beside = 0.4 / width if _has_exponent(ax) else 0  # which stands above the axis
+        ax.legend(loc="lower left", bbox_to_anchor=(beside, 1), **style).set_in_layout(False)
+
+
+def _has_exponent(ax: Axes) -> bool:
+    """Whether ticks upwards have a factor of their own, such as 1e-9."""
+    low, high = ax.get_ylim()
+    largest = max(abs(low), abs(high))
+    return ax.get_yscale() == "linear" and not 1e-4 < largest < 1e6
 
 
 def colours(count: int) -> list[Any]:

@@ -11,7 +11,7 @@ import numpy as np
 from nsmodel.columns import input_names, multiplier_names, output_names, state_names
 from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import PlotError
-from nsmodel.plot import band, style
+from nsmodel.plot import band, continuous, style
 from nsmodel.plot.rounding import is_rounding, output_is_rounding
 from nsmodel.quantities import limits, quantity_of
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from nsmodel.trajectory import Trajectory
 
 MAX_LINES = 12
+LEAST = 1e-20  # Residuals below are as good as 0.
 # Each dash over the one before: lines that coincide stay visible.
 DASHES: tuple[tuple[float, Any], ...] = ((2.4, "-"), (1.6, (0, (7, 3))), (1.6, (0, (3.5, 3.5))), (1.4, (0, (1.5, 1.5))))
 
@@ -193,7 +194,8 @@ class _Columns(NamedTuple):
 
 def _series(ax: Axes, run: Trajectory, title: str, word: str, columns: _Columns, looks: Sequence[dict[str, Any]]) -> None:
     """Draw columns over time, with units, with a second axis on the right where two units or sizes are mixed."""
-    names, units, values = columns.names, columns.units, np.where(columns.still, 0 * columns.values, columns.values)
+    names, units, values = columns.names, columns.units, columns.values
+    values = np.where(columns.still, 0 * values, values) if columns.still.any() else values
     labels = [style.zero(style.short(name), own) for name, own in zip(names, columns.still, strict=True)]
     second = _second_axis(values, units, columns.still)
     first, right = [k for k in range(len(names)) if k not in second], ax.twinx() if second else ax
@@ -211,7 +213,7 @@ def _series(ax: Axes, run: Trajectory, title: str, word: str, columns: _Columns,
         few = f"{word} of {few}" if len(names) == 1 and word not in ("state", "input", "output") else few
         unit = ", ".join(dict.fromkeys(units[k] for k in group if units[k]))
         style.over_time(side, run, heading, style.with_unit(few, unit), grid=group is first)
-        style.steady(side, values[:, group])
+        style.steady(side, values if len(group) == len(names) else values[:, group])
         if second and len(group) == 1:
             side.yaxis.label.set_color(lines[group[0]].get_color())
     if second:
@@ -241,18 +243,19 @@ def _second_axis(values: np.ndarray, units: Sequence[str], still: np.ndarray) ->
 def residual(run: Trajectory, *, ax: Axes | None = None) -> Axes:
     """Draw the residual of each step on a logarithmic scale, with the tolerance it was accepted at.
 
-    A residual of exactly 0 has no place on this scale: it is drawn at the bottom, and an unknown one (inf) at the top;
-    the legend counts them.
+    A residual of exactly 0 has no place on this scale, and one below 1e-20 says no more: they are drawn at the bottom, and an
+    unknown one (inf) at the top; the legend counts them.
     """
     ax = style.axes(ax)
     t, values, tolerance = run.t[1:], style.needed(run, "residual")[1:], run.metadata.get("tolerance")
-    usual = np.isfinite(values) & (values > 0)
+    usual = np.isfinite(values) & (values > LEAST)
+    none = f"below {LEAST:g}" if ((values > 0) & (values <= LEAST)).any() else "exactly 0"
     marks = np.append(values[usual], tolerance or TOLERANCE)
     low, high = min(marks.min(), 1e-15) / 30, marks.max() * 10
     handles = []
     for mask, shown, marker, colour, words in (
         (usual, values, ".", style.LINES[0], "steps"),
-        (values == 0, np.full(len(t), low * 1.6), "v", style.FREE, "exactly 0: {}, at the bottom"),
+        (values <= LEAST, np.full(len(t), low * 1.6), "v", style.FREE, none + ": {}, at the bottom"),
         (np.isposinf(values), np.full(len(t), high / 1.6), "^", style.ALERT, "unknown: {}, at the top"),
     ):
         if mask.any():
@@ -268,15 +271,21 @@ def residual(run: Trajectory, *, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def energy(run: Trajectory, *, ax: Axes | None = None) -> Axes:
-    """Draw the energy over time.
+def energy(run: Trajectory, *, model: Model | None = None, ax: Axes | None = None) -> Axes:
+    """Draw the energy over time; of an event-driven run, with its ``model``, also between its rows, else on lines.
 
     Raises:
         PlotError: the run holds no energy.
 
     """
-    values = style.needed(run, "energy")
+    style.needed(run, "energy")
+    run = run.smooth()
+    values = continuous.energy(run, model) if run.is_event_driven else None
+    lines = " (on lines between the ends of pieces)" if run.is_event_driven and values is None else ""
+    values = run.arrays["energy"] if values is None else values
     ax = style.axes(ax)
     _, width = band.curve(ax, run.t, values, color=style.LINES[0], linewidth=1.6)
-    style.over_time(ax, run, "Energy" + band.words([width], style.unit(run, "t")), style.label(run, "energy"))
+    title = "Energy" + lines + band.words([width], style.unit(run, "t"))
+    style.over_time(ax, run, title, style.label(run, "energy"))
+    style.steady(ax, values)
     return ax

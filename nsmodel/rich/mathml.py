@@ -13,6 +13,8 @@ import html
 import re
 from collections.abc import Iterable
 
+from nsmodel.words import one_line
+
 TOKEN = re.compile(r"\\begin\{[a-z]+\}|\\end\{[a-z]+\}|\\[A-Za-z]+|\\.|\d+(?:\.\d+)?|\s+|.", re.DOTALL)
 LETTERS = {
     "alpha": "α", "beta": "β", "gamma": "γ", "delta": "δ", "epsilon": "ϵ", "zeta": "ζ", "eta": "η", "theta": "θ", "iota": "ι",
@@ -36,7 +38,7 @@ NOT_LETTERS = "0123456789.,;:+-=<>()[]/|!'*"
 
 def mathml(latex: str) -> str:
     """Return a line of LaTeX as an element of MathML; a command that is not known stands there by its name."""
-    return f'<math displaystyle="true"><mrow>{_Reader(latex).row()}</mrow></math>'
+    return f'<math displaystyle="true"><mrow>{_Reader(one_line(latex)).row()}</mrow></math>'
 
 
 class _Reader:

@@ -13,7 +13,13 @@ from nsmodel.pickled import Pickled
 
 @dataclass(frozen=True, eq=False)
 class Within(Pickled):
-    """See `within`; each entry is a number for all values of an input, or one for each (nu,)."""
+    """What `within` makes: bounds of an input, each a number for all of its values, or one for each (nu,).
+
+    Attributes:
+        low, high: between which its values stay.
+        rate: of which its slope is at most; None: not known, it may jump.
+        start: its values at t = 0; None: not known.
+    """
 
     low: np.ndarray
     high: np.ndarray

@@ -51,7 +51,7 @@ class Signal(Pickled):
         return np.zeros(0, int)
 
     def holding(self, kept: Mapping[str, np.ndarray]) -> Signal:
-        """The signal with what blocks of a model hold now, by name."""
+        """The signal with what blocks of a model hold now: ``kept``, by name."""
         del kept
         return self
 
@@ -106,7 +106,7 @@ class Signal(Pickled):
         return Jump(float(at[k]), before[k], after[k]) if k >= 0 and size[k] > 0 else None
 
     def limits(self, t: np.ndarray, number: int) -> tuple[np.ndarray, np.ndarray]:
-        """u(a+) and u(b-) of the steps between times (K + 1,), the first of which has this number: (K, size) each."""
+        """u(a+) and u(b-) of the steps between times t (K + 1,), the first of which has this number: (K, size) each."""
         del number
         return self.after(t[:-1]), self.before(t[1:])
 

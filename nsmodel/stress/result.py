@@ -90,7 +90,7 @@ class Stress:
         return (RIGHT, STOPPED, WRONG, *([LEFT_OUT] if self.count(LEFT_OUT) else []))
 
     def count(self, verdict: str) -> int:
-        """How many cells are "right", "stopped", "wrong" or "left out"."""
+        """How many cells have a verdict: "right", "stopped", "wrong" or "left out"."""
         return sum(cell.verdict == verdict for cell in self.cells)
 
     @property
@@ -151,7 +151,7 @@ class Stress:
         }  # fmt: skip
 
     def plot(self, ax: Any = None) -> Any:
-        """Draw the table as a heat map: `nsmodel.plot.stress`."""
+        """Draw the table as a heat map, on ``ax`` or a new figure; return the axes (see `nsmodel.plot.stress`)."""
         from nsmodel.plot.stress import stress
 
         return stress(self, ax=ax)

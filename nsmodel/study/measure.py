@@ -70,7 +70,7 @@ def study(
         tolerance: largest accepted residual of a step.
         budget: wall time in seconds that the study may take, a third of it for the reference; runs that would exceed it are
             left out, and named.
-        progress: say on standard error what is measured, where that is a terminal.
+        progress: say on standard error what is measured, at a terminal or in a notebook.
 
     Raises:
         UsageError: a wrong argument; a solver that is unknown; a model of many bodies; an input that is `steps`.

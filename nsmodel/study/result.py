@@ -99,7 +99,10 @@ class Study(Pickled):
         return self.reference.point(label, Rows(times, states, l), seconds, step)
 
     def cost(self, target: float) -> Cost | None:
-        """Return what the relative error ``target`` costs with the quickest method; None where none would reach it."""
+        """Return what the relative error ``target`` costs with the quickest method; None where none would reach it.
+
+        UsageError where the target is no finite number > 0.
+        """
         if not (np.isfinite(target) and target > 0):
             raise UsageError(f"target = {target}; expected a finite number > 0")
         return quickest(self.lines, target, 0.0 if self.reference is None else self.reference.own["max"])
@@ -113,13 +116,13 @@ class Study(Pickled):
         return _document(self)
 
     def to_csv(self, path: str | Path) -> None:
-        """Write one row a point; empty cells are "nan"."""
+        """Write one row a point to ``path``; empty cells are "nan". StorageError where that fails."""
         rows = [_row(line, point) for line in self.lines for point in line.points]
         names = list(_row(Line("", ()), Point("")))
         write_csv(path, {name: np.array([row[name] for row in rows]) for name in names})
 
     def plot(self, ax: Any = None) -> Any:
-        """Draw errors and times; see `nsmodel.plot.study`."""
+        """Draw errors and times on ``ax`` or a new figure; return the axes (see `nsmodel.plot.work_precision`)."""
         from nsmodel.plot.study import work_precision
 
         return work_precision(self, ax=ax)

@@ -169,12 +169,12 @@ class Sweep:
             raise StepError(f"{len(self.failures)} of {self.size} cells are not done; cell {cell} ({self._where(cell)}): {why}")
 
     def save(self, path: str | Path) -> None:
-        """Write one npz file; ``Sweep.load`` reads it, and ``numpy.load``. StorageError where that fails."""
+        """Write one npz file at ``path``; ``Sweep.load`` reads it, and ``numpy.load``. StorageError where that fails."""
         dataset.write(self, Path(path))
 
     @classmethod
     def load(cls, path: str | Path) -> Sweep:
-        """Read a file of ``save``, or the folder of a sweep that is done; arrays stay in the file until they are used.
+        """Read at ``path`` a file of ``save``, or the folder of a sweep that is done; arrays stay there until they are used.
 
         Raises:
             StorageError: missing, damaged, foreign, or a sweep that is not done: go on with it by ``resume=True``.
@@ -192,7 +192,7 @@ class Sweep:
         return made(arrays, metadata)
 
     def to_csv(self, path: str | Path) -> None:
-        """Write one row a cell: what varies, numbers of each run, how it went, why not; rows over time are left out."""
+        """Write to ``path`` a row a cell: what varies, numbers of each run, how it went, why not; no rows over time."""
         write_csv(path, dataset.table(self))
 
     def to_pandas(self) -> Any:
@@ -215,15 +215,15 @@ class Sweep:
         return self.to_xarray()
 
     def to_netcdf(self, path: str | Path) -> None:
-        """Write ``data`` as netCDF; MissingExtraError where xarray, or what it writes that with, is not installed."""
+        """Write ``data`` to ``path`` as netCDF; MissingExtraError where xarray, or what it writes that with, is not installed."""
         dataset.to_netcdf(self, Path(path))
 
     def to_zarr(self, path: str | Path) -> None:
-        """Write ``data`` as a zarr store; MissingExtraError where xarray or zarr is not installed."""
+        """Write ``data`` to ``path`` as a zarr store; MissingExtraError where xarray or zarr is not installed."""
         dataset.to_zarr(self, Path(path))
 
     def plot(self, name: str, **options: Any) -> Any:
-        """Draw a quantity over what varies, and return the axes.
+        """Draw the quantity ``name`` over what varies, and return the axes.
 
         Without options it is the picture that fits; with ``x`` and ``y`` that of ``nsmodel.plot.sweep_map``, with other options
         (x, hue, over, show, level) that of ``nsmodel.plot.sweep_line``; ``ax`` is where to draw.

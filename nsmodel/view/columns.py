@@ -199,8 +199,8 @@ def _apart(
     begins: Sequence[np.ndarray] = (), open: bool = True, largest: bool = False,
 ) -> list[Panel]:  # fmt: skip
     """A panel for each unit; without any, one for each of two very different sizes. Of many columns some, and a note."""
-    size = np.array([_size(one) for one in values])
     given = [units.get(name, "") for name in names]
+    size = np.array([_size(one) for one in values] if largest or len(names) <= FEW else np.ones(len(names)))
     groups: dict[tuple[str, bool], list[int]] = {}
     top = size.max(initial=0.0)
     for k, unit in enumerate(given):

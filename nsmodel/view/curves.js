@@ -1,6 +1,9 @@
-// What of a column is drawn in a window of time, axes, and numbers as text.
+// What of a column is drawn in a window of time.
 
-const BREAK = 0, VERTEX = 1, BAR = 2, BOX = 3;
+const BREAK = 0,
+  VERTEX = 1,
+  BAR = 2,
+  BOX = 3;
 
 /** Items to draw, (kind, x, x of the end, low, high) each; grown as needed and used again. */
 class Items {
@@ -106,9 +109,15 @@ function drawLine(ctx, items, place, left) {
       const near = Math.min(bottom, Math.max(top, from));
       to(lastX, Math.min(lastBottom, Math.max(lastTop, near)), x, near);
     }
-    if (kind === BOX) ctx.fillRect(x, top - 0.75, end - x, bottom - top + 1.5);
-    else if (bottom - top > 3) ctx.fillRect(x - 0.65, top, 1.3, bottom - top);
-    else if (bottom > top || !down) to(x, penX === x && penY === bottom ? bottom : top, x, penX === x && penY === bottom ? top : bottom + 0.01);
+    if (kind === BOX) {
+      ctx.globalAlpha = 0.7;
+      ctx.fillRect(x, top - 0.75, end - x, bottom - top + 1.5);
+      ctx.globalAlpha = 1;
+    } else if (bottom - top > 3) ctx.fillRect(x - 0.65, top, 1.3, bottom - top);
+    else if (bottom > top || !down) {
+      const upwards = penX === x && penY === bottom;
+      to(x, upwards ? bottom : top, x, upwards ? top : bottom + 0.01);
+    }
     [lastX, lastTop, lastBottom] = [end, top, bottom];
     down = true;
   }
@@ -120,50 +129,10 @@ function drawDots(ctx, items, place, left) {
   const v = items.values;
   for (let i = 0; i < items.count; i++) {
     const at = 5 * i;
-    if (v[at] === BREAK || v[at + 1] < 0) continue;
+    if (v[at] === BREAK || v[at + 2] < 0) continue;
     const a = place(v[at + 3]);
     const b = v[at] === VERTEX ? a : place(v[at + 4]);
     const wide = v[at] === BOX ? Math.max(2, v[at + 2] - v[at + 1]) : 2;
     ctx.fillRect(left + v[at + 1] - 1, Math.min(a, b) - 1, wide, Math.abs(a - b) + 2);
   }
 }
-
-/** Ticks of an axis: values, their words, and what to add to all of them. */
-function ticks(low, high, room) {
-  const raw = (high - low) / Math.max(1, room);
-  const power = 10 ** Math.floor(Math.log10(raw));
-  const step = power * [1, 2, 5, 10].find((m) => m * power >= raw * 0.999);
-  const values = [];
-  for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) values.push(k * step);
-  const largest = Math.max(Math.abs(low), Math.abs(high));
-  let base = 0;
-  if (largest > 2e5 * step && values.length) base = values[0];
-  const size = Math.floor(Math.log10(Math.max(largest - Math.abs(base), step, 1e-300)));
-  const exponent = size >= 4 || size < -2 ? 3 * Math.floor(size / 3) : 0;
-  const digits = Math.max(0, Math.min(12, exponent - Math.floor(Math.log10(step * 1.001))));
-  const words = values.map((value) => ((value - base) / 10 ** exponent).toFixed(digits).replace(/^-(0\.?0*)$/, "$1"));
-  const times = exponent ? ` ×10${String(exponent).replace(/[-\d]/g, (c) => "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"["-0123456789".indexOf(c)])}` : "";
-  return { values, words, more: times + (base ? ` + ${number(base, 12)}` : "") };
-}
-
-/** Ticks of a logarithmic axis between exponents a and b: exponents, and the words of the numbers. */
-function decades(a, b, room) {
-  const values = [];
-  if (b - a < 1.5) {
-    for (let k = Math.floor(a); k <= b; k++) for (const m of [1, 2, 3, 5]) values.push(k + Math.log10(m));
-  } else {
-    const step = Math.max(1, Math.ceil((b - a) / room));
-    for (let k = Math.ceil(a - 1e-9); k <= b + 1e-9; k += step) values.push(k);
-  }
-  const inside = values.filter((value) => value >= a - 1e-9 && value <= b + 1e-9);
-  const words = inside.map((value) => (Math.abs(value) < 4 ? String(number(10 ** value, 2)) : (10 ** value).toExponential(0).replace("e+", "e")));
-  return { values: inside, words, more: "" };
-}
-
-/** A number in so many digits, as short as it is. */
-function number(value, digits = 6) {
-  if (!Number.isFinite(value)) return Number.isNaN(value) ? "–" : value > 0 ? "inf" : "-inf";
-  return String(Number(value.toPrecision(digits)));
-}
-
-const withUnit = (name, unit) => (unit ? `${name} [${unit}]` : name);

@@ -105,9 +105,16 @@ async function columnOf(data, look, clock) {
     high = low.map((value, i) => (begin[i] > value ? begin[i] : value));
   }
   return {
-    name: data.name, shown: data.shown, missing: data.missing, clock, begin,
-    row: low, boxes: Boolean(data.high), held: look === "step",
-    low: pyramid(least, Math.min), high: high === low && !begin ? pyramid(low, Math.max) : pyramid(high, Math.max),
+    name: data.name,
+    shown: data.shown,
+    missing: data.missing,
+    clock,
+    begin,
+    row: low,
+    boxes: Boolean(data.high),
+    held: look === "step",
+    low: pyramid(least, Math.min),
+    high: high === low && !begin ? pyramid(low, Math.max) : pyramid(high, Math.max),
   };
 }
 

@@ -1,5 +1,7 @@
 // Panels over time: lines, dots on a logarithmic axis, and the bands of an index set.
 
+const withUnit = (name, unit) => (unit ? `${name} [${unit}]` : name);
+
 /** What all panels over time have: a heading, chips, a canvas, the line of the cursor, a note. */
 class TimePanel {
   constructor(data, view) {
@@ -14,7 +16,13 @@ class TimePanel {
     this.canvas.setAttribute("aria-label", `${this.title} over time`);
     this.cursor = element("div", "cursor");
     this.plot = element("div", "plot", "", this.canvas, this.cursor);
-    this.root = element("section", "panel", "", element("header", "", "", element("h2", "", this.title), this.chips), this.plot);
+    this.root = element(
+      "section",
+      "panel",
+      "",
+      element("header", "", "", element("h2", "", this.title), this.chips),
+      this.plot,
+    );
     if (data.note) this.root.append(element("p", "note", data.note));
     this.root.hidden = !this.open;
   }
@@ -81,7 +89,8 @@ class TimePanel {
     const share = (t - t0) / (t1 - t0);
     const inside = share >= 0 && share <= 1;
     this.cursor.hidden = !inside;
-    if (inside) this.cursor.style.transform = `translateX(${LEFT + share * (this.canvas.clientWidth - LEFT - RIGHT)}px)`;
+    if (inside)
+      this.cursor.style.transform = `translateX(${LEFT + share * (this.canvas.clientWidth - LEFT - RIGHT)}px)`;
     this.tell();
   }
 }
@@ -254,10 +263,11 @@ class BandPanel extends TimePanel {
           ctx.fillRect(area.left + from, top + (i * (tall - 3)) / own.length, to - from, (tall - 3) / own.length);
         });
       };
-      for (let k = first; k < last; ) {
+      for (let k = first; k < last;) {
         const pixel = Math.floor(x(k));
         let next = k + 1;
-        if (x(next) < pixel + 1) next = Math.max(next, Math.min(last, firstBeyond(this.clock, t0 + (pixel + 1) / scale) + 1));
+        if (x(next) < pixel + 1)
+          next = Math.max(next, Math.min(last, firstBeyond(this.clock, t0 + (pixel + 1) / scale) + 1));
         const now = seenOf(strip.levels, k, next);
         if (now !== bits) {
           if (bits > 0) paint(x(k));

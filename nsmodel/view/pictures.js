@@ -1,6 +1,7 @@
 // Pictures in the plane: one column over another, and discs in a room.
 
-const MANY = 20_000, BOXES = 1_000; // Points and boxes beyond which a path is painted pixel by pixel.
+const MANY = 20_000,
+  BOXES = 1_000; // Points and boxes beyond which a path is painted pixel by pixel.
 const HEAT = ["#FFFFE5", "#FFF7BC", "#FEE391", "#FEC44F", "#FE9929", "#EC7014", "#CC4C02", "#993404", "#662506"];
 
 /** One column over another: the whole run pale, the window of time in colour. */
@@ -9,7 +10,8 @@ class Phase extends Plane {
     super(view, "Phase plane", false);
     this.columns = columns;
     this.chosen = chosen;
-    this.note.textContent = "Whole run pale, the time shown in colour; ○ start, ■ end, ● cursor.";
+    const boxes = view.clock.width > 1 ? ` Each ${view.clock.width} rows are a box that holds them.` : "";
+    this.note.textContent = `Whole run pale, the time shown in colour; ○ start, ■ end, ● cursor.${boxes}`;
     const choices = ["across", "up"].map((word, i) => {
       const select = element("select");
       select.setAttribute("aria-label", word);
@@ -137,11 +139,16 @@ class Configuration extends Plane {
     this.home = data.window;
     this.frames = data.rows.length;
     this.labels = [withUnit("x", data.unit), withUnit("y", data.unit)];
-    const words = data.rows.length < data.of ? [`${data.rows.length} of ${data.of} rows are drawn here, evenly spread.`] : [];
+    const words =
+      data.rows.length < data.of ? [`${data.rows.length} of ${data.of} rows are drawn here, evenly spread.`] : [];
     if (this.pressure) {
       const unit = data.pressure_unit ? ` ${data.pressure_unit}` : "";
       words.push(`Colour: sum of the reactions on a disc, 0 to ${number(data.top, 3)}${unit} and more.`);
-      this.controls.append(element("span", "key", "0"), element("span", "heat"), element("span", "key", `${number(data.top, 3)}${unit}`));
+      this.controls.append(
+        element("span", "key", "0"),
+        element("span", "heat"),
+        element("span", "key", `${number(data.top, 3)}${unit}`),
+      );
     }
     this.note.textContent = words.join(" ");
   }
@@ -176,7 +183,10 @@ class Configuration extends Plane {
       ctx.fill();
       ctx.stroke();
     }
-    for (const [lines, paint, width, dash] of [[walls, "ink", 3, []], [exits, "line-2", 2.5, [6, 5]]]) {
+    for (const [lines, paint, width, dash] of [
+      [walls, "ink", 3, []],
+      [exits, "line-2", 2.5, [6, 5]],
+    ]) {
       ctx.strokeStyle = colour(paint);
       ctx.lineWidth = width;
       ctx.setLineDash(dash);
@@ -199,12 +209,65 @@ class Configuration extends Plane {
       for (let i = at % every; i <= at; i += every) {
         const x = this.px(this.places[2 * k * this.frames + i]);
         const y = this.py(this.places[(2 * k + 1) * this.frames + i]);
-        if (!Number.isFinite(x + y)) down = false;
-        else if (down) ctx.lineTo(x, y);
-        else ctx.moveTo(x, y);
-        down = Number.isFinite(x + y);
+        const there = Number.isFinite(x + y);
+        if (there && down) ctx.lineTo(x, y);
+        else if (there) ctx.moveTo(x, y);
+        down = there;
       }
     }
     ctx.stroke();
+  }
+}
+
+/** Where a state may not be at the time of the cursor, the way so far, and where it is. */
+class Forbidden extends Plane {
+  constructor(view, data, arrays, columns, labels) {
+    super(view, "Configuration", columns.length === 2);
+    Object.assign(this, { data, ...arrays, columns, labels });
+    this.home = data.window;
+    this.note.textContent = `Shaded: where some constraint is negative. ● cursor, line: the way so far. ${data.note}`;
+    this.image = new OffscreenCanvas(data.size, data.size);
+  }
+
+  draw() {
+    const { clock } = this.columns[0];
+    const { t } = this.view;
+    const next = firstFrom(this.times, t);
+    const at = Math.min(this.times.length - 1, this.times[next] === t ? next : Math.max(0, next - 1));
+    const ctx = this.frame(this.labels);
+    this.shade(at);
+    const [x0, x1, y0, y1] = this.data.window;
+    // Points of the grid are the middles of the image's pixels.
+    const [u, v] = [(x1 - x0) / (this.data.size - 1), (y1 - y0) / (this.data.size - 1)];
+    const [wide, tall] = [u * this.data.size * this.sx, v * this.data.size * this.sy];
+    ctx.drawImage(this.image, this.px(x0 - u / 2), this.py(y1 + v / 2), wide, tall);
+    const row = entryAt(clock, t);
+    const [across, up] =
+      this.columns.length === 2 ? this.columns.map((column) => column.row) : [clock.T, this.columns[0].row];
+    ctx.strokeStyle = colour("line-0");
+    ctx.fillStyle = colour("alert");
+    ctx.lineWidth = 1.4;
+    ctx.beginPath();
+    const every = Math.max(1, Math.ceil(row / 20_000));
+    for (let k = row % every; k <= row; k += every) ctx.lineTo(this.px(across[k]), this.py(up[k]));
+    ctx.stroke();
+    ctx.beginPath();
+    ctx.arc(this.px(across[row]), this.py(up[row]), 5, 0, 7);
+    ctx.fill();
+    ctx.restore();
+  }
+
+  /** Paints the set at one of its times; rows of the grid go upwards. */
+  shade(at) {
+    const { size } = this.data;
+    const key = `${at} ${colour("forbidden")}`;
+    if (key === this.key) return;
+    this.key = key;
+    const own = this.image.getContext("2d");
+    own.clearRect(0, 0, size, size);
+    own.fillStyle = colour("forbidden");
+    for (let y = 0; y < size; y++) {
+      for (let x = 0; x < size; x++) if (this.inside[(at * size + y) * size + x]) own.fillRect(x, size - 1 - y, 1, 1);
+    }
   }
 }

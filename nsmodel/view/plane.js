@@ -41,14 +41,18 @@ function gestures(canvas, on) {
   canvas.addEventListener("pointerup", released);
   canvas.addEventListener("pointercancel", released);
   canvas.addEventListener("dblclick", () => on.reset());
-  canvas.addEventListener("wheel", (event) => {
-    const unit = event.deltaMode ? 16 : 1;
-    const sideways = Math.abs(event.deltaX) > Math.abs(event.deltaY);
-    const done = sideways
-      ? on.pan(-event.deltaX * unit, 0)
-      : on.zoom((event.ctrlKey ? 1.01 : 1.0016) ** (event.deltaY * unit), event.offsetX, event.offsetY);
-    if (done) event.preventDefault();
-  }, { passive: false });
+  canvas.addEventListener(
+    "wheel",
+    (event) => {
+      const unit = event.deltaMode ? 16 : 1;
+      const sideways = Math.abs(event.deltaX) > Math.abs(event.deltaY);
+      const done = sideways
+        ? on.pan(-event.deltaX * unit, 0)
+        : on.zoom((event.ctrlKey ? 1.01 : 1.0016) ** (event.deltaY * unit), event.offsetX, event.offsetY);
+      if (done) event.preventDefault();
+    },
+    { passive: false },
+  );
 }
 
 /** A canvas with two axes of its own, which pointer and wheel move. */
@@ -63,8 +67,14 @@ class Plane {
     this.controls = element("div", "chips");
     this.heading = element("h2", "", title);
     this.note = element("p", "note");
-    this.root = element("section", "panel plane", "", element("header", "", "", this.heading, this.controls),
-      element("div", "plot", "", this.canvas), this.note);
+    this.root = element(
+      "section",
+      "panel plane",
+      "",
+      element("header", "", "", this.heading, this.controls),
+      element("div", "plot", "", this.canvas),
+      this.note,
+    );
     this.box = null;
     gestures(this.canvas, {
       hover: () => {},
@@ -82,7 +92,12 @@ class Plane {
   move(dx, dy, factor, x, y) {
     const [x0, x1, y0, y1] = this.box ?? this.home;
     const [u, v] = [this.x0 + (x - LEFT) / this.sx, this.y0 - (y - TOP - this.tall) / this.sy];
-    this.box = [u + (x0 - u) * factor + dx, u + (x1 - u) * factor + dx, v + (y0 - v) * factor + dy, v + (y1 - v) * factor + dy];
+    this.box = [
+      u + (x0 - u) * factor + dx,
+      u + (x1 - u) * factor + dx,
+      v + (y0 - v) * factor + dy,
+      v + (y1 - v) * factor + dy,
+    ];
     this.draw();
     return true;
   }

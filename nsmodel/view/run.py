@@ -12,7 +12,7 @@ from nsmodel.columns import model_type, units_of
 from nsmodel.view.columns import Panel, bands, further, panels
 from nsmodel.view.packed import numbers, rows_for
 from nsmodel.view.page import page, written
-from nsmodel.view.scene import scene
+from nsmodel.view.scene import forbidden, scene
 from nsmodel.words import shown
 
 if TYPE_CHECKING:
@@ -22,15 +22,15 @@ POINTS = 20_000  # Read off the polynomials of an event-driven run.
 EVENTS = 100_000  # The most that are marked,
 WORDS = 2_000  # and that say what changes.
 LAW = ("Multipliers", "Reactions")  # Before these stands the index set.
-SCRIPTS = ("data", "curves", "elements", "panels", "plane", "pictures", "view")
+SCRIPTS = ("data", "elements", "axes", "curves", "panels", "plane", "pictures", "view")
 
 
-def view_run(run: Trajectory, path: str | Path | None = None) -> Path:
+def view_run(run: Trajectory, path: str | Path | None = None, model: Any = None) -> Path:
     """Write the page of a run, and return its path; see `Trajectory.view`."""
-    return written(page(run.title, document(run), SCRIPTS), path, run.title)
+    return written(page(run.title, document(run, model), SCRIPTS), path, run.title)
 
 
-def document(run: Trajectory) -> dict[str, Any]:
+def document(run: Trajectory, model: Any = None) -> dict[str, Any]:
     """All that the page shows of a run, as plain data.
 
     Panels name one of the ``clocks``, the times that their rows have. An event-driven run has two: points that are read off its
@@ -58,6 +58,7 @@ def document(run: Trajectory) -> dict[str, Any]:
         ],
         "phase": _phase(run, own),
         "scene": scene(run),
+        "forbidden": forbidden(run, model),
     }
 
 

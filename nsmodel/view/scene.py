@@ -1,4 +1,4 @@
-"""Discs in the plane over time, as a page draws them: places, pressures, walls, exits, the window."""
+"""Configurations over time, as a page draws them: discs in the plane with walls and exits; the set that a state may not enter."""
 
 from __future__ import annotations
 
@@ -9,13 +9,16 @@ import numpy as np
 from nsmodel.columns import state_names, units_of
 from nsmodel.crowd.measure import positions, present
 from nsmodel.plot import style
-from nsmodel.view.packed import numbers
+from nsmodel.plot.plane import plots_of
+from nsmodel.view.packed import codes, numbers
 from nsmodel.words import shown
 
 if TYPE_CHECKING:
     from nsmodel.trajectory import Trajectory
 
 ROOM = 4_000_000  # Bytes for the places; of a longer run some rows are drawn.
+GRID = 120  # Points of the forbidden set along each axis,
+MOMENTS = 120  # at so many times at most.
 TOP = 99.5  # The colour scale of pressure ends at this percentile of those pressed.
 
 
@@ -64,6 +67,32 @@ def _window(run: Trajectory, about: dict[str, Any]) -> list[float]:
     own = q[here.argmax(axis=0), np.arange(q.shape[1])] if any(map(len, fixed)) else q.reshape(-1, 2)
     points = np.concatenate([*fixed, own])
     points = points[np.isfinite(points).all(axis=1)]
-    margin = 0.03 * float(np.ptp(points, axis=0).max(initial=0.0)) + 1.5 * max(about["radii"])
-    low, high = (points.min(axis=0) - margin, points.max(axis=0) + margin) if len(points) else (np.zeros(2), np.ones(2))
+    points = points if len(points) else np.array([[0.0, 0.0], [1.0, 1.0]])
+    margin = 0.03 * float(np.ptp(points, axis=0).max()) + 1.5 * max(about["radii"])
+    low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
     return [float(low[0]), float(high[0]), float(low[1]), float(high[1])]
+
+
+def forbidden(run: Trajectory, model: Any) -> dict[str, Any] | None:
+    """Where a state of one or two components may not be, on a grid and at some times; None where the class knows no such set.
+
+    Of one component over the plane (t, q), of two over their plane. ``inside`` is 1 where some constraint is negative.
+    """
+    own, n = plots_of(run), run.x.shape[1]
+    if model is None or not hasattr(own, "gap") or run.metadata.get("scene") or n > 2 or len(run.t) < 2:
+        return None
+    gap, moving = own.gap(model, run)
+    low, high = np.nanmin(run.x, axis=0), np.nanmax(run.x, axis=0)
+    reach = np.maximum(high - low, 0.6 * ((high - low).max() or 1.0)) * 0.8
+    limits = [(run.t[0], run.t[-1])] if n == 1 else []
+    limits += [(c - r, c + r) for c, r in zip((low + high) / 2, reach, strict=True)]
+    across, up = np.meshgrid(*(np.linspace(*limit, GRID) for limit in limits))
+    rows = style.spread(len(run.t), MOMENTS) if moving and n == 2 else np.zeros(1, int)
+    inside = [gap(across, up) if n == 1 else gap(run.t[row], across, up) for row in rows]
+    return {
+        "size": GRID,
+        "window": [float(end) for limit in limits for end in limit],
+        "times": numbers(run.t[rows]),
+        "inside": codes(np.ravel([np.ma.filled(one < 0, False) for one in inside])),
+        "note": f"The set forbidden is drawn at {len(rows)} of {len(run.t)} rows." if 1 < len(rows) < len(run.t) else "",
+    }

@@ -19,7 +19,8 @@ class Prices extends Plane {
       chip.append(swatch, element("span", "name", `${MARKS[k % 5]} ${one.name}`));
       if (one.aside) chip.append(element("output", "", one.aside));
       this.controls.append(chip);
-      const points = one.points.filter((point) => point.drawn)
+      const points = one.points
+        .filter((point) => point.drawn)
         .map((point) => ({ ...point, x: Math.log10(point.error), y: Math.log10(point.seconds), line: one.name }));
       return { ...one, points, shown: true };
     });
@@ -84,13 +85,17 @@ class Prices extends Plane {
 const told = element("output", "told", " ");
 const page = document.getElementById("page");
 const facts = element("dl");
-for (const [label, lines] of data.facts) facts.append(element("dt", "", label), ...lines.map((words) => element("dd", "", words)));
+for (const [label, lines] of data.facts)
+  facts.append(element("dt", "", label), ...lines.map((words) => element("dd", "", words)));
 const row = (tag, cells) => element("tr", "", "", ...cells.map((words) => element(tag, "", words)));
 const table = element("table", "", "", row("th", data.head), ...data.rows.map((cells) => row("td", cells)));
 page.append(element("h1", "", data.title), facts);
 const prices = data.lines.some((one) => one.points.some((point) => point.drawn)) ? new Prices() : null;
 if (prices) page.append(prices.root, told);
-page.append(element("div", "wide", "", table), element("details", "", "", element("summary", "", "As text"), element("pre", "wide", data.text)));
+page.append(
+  element("div", "wide", "", table),
+  element("details", "", "", element("summary", "", "As text"), element("pre", "wide", data.text)),
+);
 if (prices) {
   prices.draw();
   window.addEventListener("resize", () => prices.draw());

@@ -13,8 +13,8 @@ from nsmodel.words import shown
 if TYPE_CHECKING:
     from nsmodel.study.result import Study
 
-SCRIPTS = ("curves", "elements", "plane", "study")
-AXES = ("largest relative error over the grid", "CPU time of the steps [s]")
+SCRIPTS = ("elements", "axes", "plane", "study")
+AXES = ("largest relative error", "CPU time of the steps [s]")
 LEGEND = (
     "Cheap and accurate is low and to the left. Dashed: other programs; dotted: one solver alone; pale marks: nearer to the "
     "reference than it is known. Failed runs have no mark: they stand in the table."
@@ -35,6 +35,7 @@ def document(study: Study) -> dict[str, Any]:
         "reference": [] if study.reference is None else [study.reference.text],
         "target": [] if study.target is None else [price(study, study.target)],
         "status": [f"{study.status}, {study.seconds:.3g} s in all"],
+        "no point": ["; ".join(line.name for line in study.lines if not _has_points(line))],
         "notes": study.notes,
     }
     return {
@@ -43,12 +44,16 @@ def document(study: Study) -> dict[str, Any]:
         "heading": "Error against run time",
         "axes": AXES,
         "legend": LEGEND,
-        "facts": [[label, [shown(line) for line in lines]] for label, lines in facts.items() if lines],
-        "lines": [_line(line) for line in study.lines],
+        "facts": [[label, [shown(line) for line in lines]] for label, lines in facts.items() if any(lines)],
+        "lines": [_line(line) for line in study.lines if _has_points(line)],
         "head": HEAD,
         "rows": [_row(line, point) for line in study.lines for point in line.points if point.status != LEFT_OUT],
         "text": shown(study.text()),
     }
+
+
+def _has_points(line: Line) -> bool:
+    return any(point.drawn for point in line.points)
 
 
 def _line(line: Line) -> dict[str, Any]:

@@ -25,20 +25,44 @@ class View {
     [this.t0, this.t1] = this.span;
     this.t = T[0];
     this.events = data.events && { ...data.events, times: await unpack(data.events.times) };
-    this.panels = await Promise.all(data.panels.map(async (panel) => {
-      const clock = this.clocks[panel.clock];
-      if (panel.look === "bands") return new BandPanel(panel, this, await Promise.all(panel.bands.map(stripOf)), clock);
-      return new LinePanel(panel, this, await Promise.all(panel.columns.map((column) => columnOf(column, panel.look, clock))));
-    }));
+    this.panels = await Promise.all(
+      data.panels.map(async (panel) => {
+        const clock = this.clocks[panel.clock];
+        if (panel.look === "bands")
+          return new BandPanel(panel, this, await Promise.all(panel.bands.map(stripOf)), clock);
+        return new LinePanel(
+          panel,
+          this,
+          await Promise.all(panel.columns.map((column) => columnOf(column, panel.look, clock))),
+        );
+      }),
+    );
     if (data.scene) {
       const [times, places, pressure] = await Promise.all(
-        [data.scene.times, data.scene.places, data.scene.pressure].map((block) => block && unpack(block)));
+        [data.scene.times, data.scene.places, data.scene.pressure].map((block) => block && unpack(block)),
+      );
       this.planes.push(new Configuration(this, data.scene, { times, places, pressure }));
     }
+    if (data.forbidden) this.planes.push(await this.forbidden(data.forbidden));
     if (data.phase) this.planes.push(this.phase());
     this.lay();
     this.listen();
     this.redraw();
+  }
+
+  /** The set that a state of one or two components may not enter. */
+  async forbidden(data) {
+    const [times, inside] = await Promise.all([data.times, data.inside].map(unpack));
+    const states = this.panels.filter((panel) => panel.data.title.startsWith("States"));
+    const columns = states.flatMap((panel) => panel.columns);
+    const labels = states.flatMap((panel) => panel.columns.map((one) => withUnit(one.name, panel.data.unit)));
+    return new Forbidden(
+      this,
+      data,
+      { times, inside },
+      columns,
+      columns.length === 2 ? labels : [this.timeLabel, labels[0]],
+    );
   }
 
   /** The phase plane over all columns of the first clock. */
@@ -46,12 +70,16 @@ class View {
     const columns = [];
     const chosen = this.data.phase;
     const places = chosen.map(() => 0);
-    this.panels.forEach((panel, p) => panel.data.clock === 0 && panel.columns?.forEach((column, c) => {
-      chosen.forEach(([p0, c0], i) => {
-        if (p0 === p && c0 === c) places[i] = columns.length;
-      });
-      columns.push({ ...column, label: withUnit(column.name, panel.data.unit) });
-    }));
+    this.panels.forEach(
+      (panel, p) =>
+        panel.data.clock === 0 &&
+        panel.columns?.forEach((column, c) => {
+          chosen.forEach(([p0, c0], i) => {
+            if (p0 === p && c0 === c) places[i] = columns.length;
+          });
+          columns.push({ ...column, label: withUnit(column.name, panel.data.unit) });
+        }),
+    );
     return new Phase(this, columns, places);
   }
 
@@ -65,19 +93,24 @@ class View {
       facts.append(element("dt", "", label), ...lines.map((words) => element("dd", "", words)));
     }
     const warned = data.facts.filter(([label]) => label === "warnings").flatMap(([, lines]) => lines);
-    const message = data.status === "done" ? [] : data.facts.filter(([label]) => label === "status").flatMap(([, lines]) => lines);
+    const message =
+      data.status === "done" ? [] : data.facts.filter(([label]) => label === "status").flatMap(([, lines]) => lines);
     page.append(
       element("h1", "", data.title, " ", badge),
       ...message.map((words) => element("p", "stopped", words)),
       ...warned.map((words) => element("p", "warned", `Warning: ${words}`)),
+      element("p", "note", data.note),
       element("details", "facts", "", element("summary", "", "Summary of the run"), facts),
       this.bar(),
     );
     const columns = element("div", "columns");
     const over = element("div", "over", "", ...this.panels.map((panel) => panel.root));
     columns.append(over);
-    if (this.planes.length) columns.append(element("aside", data.scene ? "first" : "", "", ...this.planes.map((plane) => plane.root)));
-    page.append(columns, element("p", "note foot", data.note), element("p", "note", HELP));
+    if (this.planes.length)
+      columns.append(
+        element("aside", data.scene || data.forbidden ? "first" : "", "", ...this.planes.map((plane) => plane.root)),
+      );
+    page.append(columns, element("p", "note foot", HELP));
   }
 
   /** Play, slider, time, reset, and which panels are seen. */
@@ -88,13 +121,21 @@ class View {
     this.slider.setAttribute("aria-label", "row");
     this.told = element("output", "told");
     this.whole = element("button", "", "Whole run");
-    const chips = this.panels.map((panel) => toggle(panel.title, panel.open, (now) => {
-      panel.open = now;
-      panel.root.hidden = !now;
-      this.redraw();
-    }));
-    return element("nav", "bar", "", element("div", "run", "", this.play, this.slider, this.whole), this.told,
-      element("div", "chips which", "", ...chips));
+    const chips = this.panels.map((panel) =>
+      toggle(panel.title, panel.open, (now) => {
+        panel.open = now;
+        panel.root.hidden = !now;
+        this.redraw();
+      }),
+    );
+    return element(
+      "nav",
+      "bar",
+      "",
+      element("div", "run", "", this.play, this.slider, this.whole),
+      this.told,
+      element("div", "chips which", "", ...chips),
+    );
   }
 
   listen() {
@@ -120,7 +161,8 @@ class View {
     const time = (x) => this.t0 + ((x - LEFT) / wide()) * (this.t1 - this.t0);
     gestures(panel.canvas, {
       hover: (x) => this.playing || this.select(this.nearest(time(x))),
-      pan: (dx) => this.show(this.t0 - (dx / wide()) * (this.t1 - this.t0), this.t1 - (dx / wide()) * (this.t1 - this.t0)),
+      pan: (dx) =>
+        this.show(this.t0 - (dx / wide()) * (this.t1 - this.t0), this.t1 - (dx / wide()) * (this.t1 - this.t0)),
       zoom: (factor, x) => this.zoom(factor, time(x)),
       reset: () => this.reset(),
       selects: (event) => event.pointerType === "mouse" && (event.shiftKey || this.isWhole),
@@ -178,11 +220,11 @@ class View {
     this.redraw();
   }
 
-  /** The row next to a time. */
+  /** The row next to a time; of rows that are held as one those that it is among. */
   nearest(t) {
     const k = entryAt(this.clock, t);
-    const { T, n } = this.clock;
-    return k + 1 < n && T[k + 1] - t < t - T[k] ? k + 1 : k;
+    const { T, n, width } = this.clock;
+    return width === 1 && k + 1 < n && T[k + 1] - t < t - T[k] ? k + 1 : k;
   }
 
   /** Puts the cursor at a row (of many rows: at the first of those that are held as one). */
@@ -241,19 +283,33 @@ class View {
 
   /** Where the cursor is: time, row or rows, the event in its step. */
   tell(k) {
-    const { width, T, n } = this.clock;
+    const { width, n } = this.clock;
     const unit = this.data.time.unit ? ` ${this.data.time.unit}` : "";
     const name = this.clocks.length > 1 ? "point" : "row";
-    const rows = width === 1 ? `${name} ${k} of ${n - 1}` : `rows ${k * width} to ${Math.min((k + 1) * width, this.data.rows) - 1}`;
-    const event = this.events ? firstFrom(this.events.times, k ? T[k - 1] + 1e-12 * Math.abs(T[k]) : T[0]) : -1;
-    const here = event >= 0 && this.events.times[event] <= T[k] ? `   event ${event + 1} of ${this.events.count}` : "";
-    const words = here && this.events.words[event] ? ` (${this.events.words[event]})` : "";
-    return `t = ${number(this.t, 8)}${unit}   ${rows}${here}${words}`;
+    const rows =
+      width === 1
+        ? `${name} ${k} of ${n - 1}`
+        : `rows ${k * width} to ${Math.min((k + 1) * width, this.data.rows) - 1}`;
+    return `t = ${number(this.t, 8)}${unit}   ${rows}${this.happens(k)}`;
+  }
+
+  /** The first event after the row before row k, and until row k. */
+  happens(k) {
+    if (!this.events) return "";
+    const { T } = this.clock;
+    const { times, count, words } = this.events;
+    let before = k;
+    while (before > 0 && T[before - 1] === T[k]) before--;
+    let event = before > 0 ? firstFrom(times, T[before - 1]) : 0;
+    while (before > 0 && times[event] === T[before - 1]) event++;
+    if (!(times[event] <= T[k])) return "";
+    return `   event ${event + 1} of ${count}${words[event] ? ` (${words[event]})` : ""}`;
   }
 }
 
-const HELP = "Wheel or pinch: zoom. Drag: choose a time when the whole run is shown (with Shift always), move it otherwise. "
-  + "Double click, 0: the whole run. Arrows: one row; with Shift a quarter of the time shown. + and −: zoom. Space: play.";
+const HELP =
+  "Wheel or pinch: zoom. Drag: choose a time when the whole run is shown (with Shift always), move it otherwise. " +
+  "Double click, 0: the whole run. Arrows: one row; with Shift a quarter of the time shown. + and −: zoom. Space: play.";
 
 /** The view, for whoever looks at the page by a program: `ready`, `show(a, b)`, `select(row)`, `reset()`, `frames` (ms each). */
 const view = new View(JSON.parse(document.getElementById("data").textContent));

@@ -2,14 +2,17 @@
 
     python tests/bench/view.py [--rows N] [--json FILE]
 
-Needs the Python package playwright and Chromium. Each time is that of a frame as the browser shows them (from one animation frame
-to the next while every frame asks for another picture), and of the script alone in brackets.
+Needs the Python package playwright and Chromium. Each time is that of a frame as the browser shows them, from one animation frame to
+the next while every frame asks for another picture, and of the script alone in brackets. A busy machine makes them longer: beside
+them stands the processor's time of all processes of the browser, for a frame (Linux).
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
+import os
 import shutil
 import tempfile
 import time
@@ -49,6 +52,21 @@ def long_run(rows: int) -> Trajectory:
     return Trajectory(arrays, {"title": "A million rows", "model_class": "LureSystem", "tolerance": 1e-9, "status": "done"})
 
 
+def processor_seconds() -> float:
+    """Of all processes that this one has started, and of those that they have; NaN where there is no /proc."""
+    parents, used, found = {}, {}, 0.0
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            fields = stat.read_text().rpartition(")")[2].split()
+            parents[int(stat.parent.name)], used[int(stat.parent.name)] = int(fields[1]), int(fields[11]) + int(fields[12])
+    for process in used:
+        above = parents[process]
+        while above > 1 and above != os.getpid():
+            above = parents.get(above, 0)
+        found += used[process] if above == os.getpid() else 0
+    return found / os.sysconf("SC_CLK_TCK") if used else float("nan")
+
+
 def main() -> None:
     """Print the table."""
     from playwright.sync_api import sync_playwright
@@ -64,6 +82,7 @@ def main() -> None:
         found["write"], found["megabytes"] = time.perf_counter() - start, path.stat().st_size / 1e6
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=list(ARGUMENTS))
         page = browser.new_page(viewport={"width": 1400, "height": 1600})
+        before = processor_seconds()
         page.goto(path.as_uri(), wait_until="commit")
         found["open"] = page.evaluate(
             """async () => {
@@ -71,21 +90,23 @@ def main() -> None:
               return performance.now() / 1000;
             }"""
         )
-        for panel in ("y of the law",):
-            page.get_by_role("button", name=panel).click()
+        found["open_processor"] = processor_seconds() - before
+        page.get_by_role("button", name="y of the law").click()
         for code in ("zoom", "pan", "slider"):
+            before = processor_seconds()
             times = page.evaluate(FRAMES, [60, code])
-            found[code] = {
-                f"{key}_{word}": pick(times[key]) for key in times for word, pick in (("median", np.median), ("most", max))
-            }
+            busy = 1e3 * (processor_seconds() - before) / 60
+            picks = {"median": np.median, "most": max}
+            found[code] = {f"{key}_{word}": pick(times[key]) for key in times for word, pick in picks.items()}
+            found[code]["processor"] = busy
         browser.close()
     print(f"{arguments.rows:,} rows by 10 columns: written in {found['write']:.2f} s, {found['megabytes']:.1f} MB")
-    print(f"opened, from navigation to the first picture: {found['open']:.2f} s")
+    print(f"opened, from navigation to the first picture: {found['open']:.2f} s (processor {found['open_processor']:.2f} s)")
     for code in ("zoom", "pan", "slider"):
         f = found[code]
         print(
             f"{code:7} a frame takes {f['shown_median']:.0f} ms, at most {f['shown_most']:.0f} ms "
-            f"(script {f['script_median']:.0f}, at most {f['script_most']:.0f})"
+            f"(script {f['script_median']:.0f}, at most {f['script_most']:.0f}; processor {f['processor']:.0f} ms)"
         )
     if arguments.json:
         arguments.json.write_text(json.dumps(found, default=float, indent=1))

@@ -98,7 +98,7 @@ class ManyBodies(Model):
         return tuple(symbol.name() for symbol in ca.vertsplit(self.me.q)), {f"{self.me.name}.q": range(self.bodies.d)}
 
     def points(self, rows: np.ndarray) -> np.ndarray:
-        """A point for each body in each row."""
+        """A point for each body in each of the ``rows`` of states (k, n)."""
         return rows.reshape(-1, self.bodies.d)
 
     @property
