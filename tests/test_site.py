@@ -189,7 +189,7 @@ def test_the_search_knows_the_pages(site):
 
 def test_formulas_are_between_what_katex_looks_for(pages, site):
     page = pages[site / "notebooks" / "a_model_in_a_notebook.html"]
-    shown = page.of("div") + page.of("span")
+    shown = [text.strip() for text in page.of("div") + page.of("span")]
     assert any(text.startswith(r"\[\dot x = v") and text.endswith(r"\]") for text in shown)
     assert r"\(v = 0\)" in shown
     assert any(load.endswith("katex.min.js") or "katex.min.js?" in load for load in page.loads)
