@@ -185,3 +185,11 @@ def test_what_is_made_is_known_by_file_and_package(tmp_path, monkeypatch):
 def test_the_search_knows_the_pages(site):
     index = (site / "searchindex.js").read_text(encoding="utf-8")
     assert all(f'"{name}"' in index for name in ("guide", "gallery/diode_bridge", "api/runs"))
+
+
+def test_formulas_are_between_what_katex_looks_for(pages, site):
+    page = pages[site / "notebooks" / "a_model_in_a_notebook.html"]
+    shown = [text.strip() for text in page.of("div") + page.of("span")]
+    assert any(text.startswith(r"\[\dot x = v") and text.endswith(r"\]") for text in shown)
+    assert r"\(v = 0\)" in shown
+    assert any(load.endswith("katex.min.js") or "katex.min.js?" in load for load in page.loads)

@@ -6,7 +6,7 @@ from html import escape
 from typing import Any
 
 from docutils import nodes
-from sphinx.util.math import get_node_equation_number, wrap_displaymath
+from sphinx.util.math import get_node_equation_number
 
 SCRIPTS = ("katex/katex.min.js", "katex/auto-render.min.js", "katex/draw.js")
 
@@ -31,6 +31,8 @@ def block(writer: Any, node: nodes.math_block) -> None:
     writer.body.append(writer.starttag(node, "div", CLASS="math notranslate"))
     if node["number"]:
         writer.body.append(f'<span class="eqno">({get_node_equation_number(writer, node)})</span>')
-    text = node.astext() if node.get("no-wrap", node.get("nowrap")) else wrap_displaymath(node.astext(), None, False).strip()
-    writer.body.append(f"{escape(text)}</div>\n")
+    text = node.astext().strip()
+    if "\\\\" in text and "\\begin" not in text:
+        text = f"\\begin{{aligned}}{text}\\end{{aligned}}"
+    writer.body.append(f"\\[{escape(text)}\\]</div>\n")
     raise nodes.SkipNode
