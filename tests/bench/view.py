@@ -2,9 +2,9 @@
 
     python tests/bench/view.py [--rows N] [--json FILE]
 
-Needs the Python package playwright and Chromium. Each time is that of a frame as the browser shows them, from one animation frame to
-the next while every frame asks for another picture, and of the script alone in brackets. A busy machine makes them longer: beside
-them stands the processor's time of all processes of the browser, for a frame (Linux).
+Needs the Python package playwright and Chromium. Each time is that of a frame as the browser shows them, from one to the next
+while every frame asks for another picture, and of the script alone in brackets. A busy machine makes them longer: beside them
+stands the processor's time of all processes of the browser, for a frame (Linux).
 """
 
 from __future__ import annotations
