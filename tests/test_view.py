@@ -220,6 +220,12 @@ def test_the_index_set_says_which_codes_were_seen(bridge):
     assert strip["words"] == {"complementarity": [[2, "nothing", "open (l = 0)"], [4, "zero", "contact (y = 0)"]]}
 
 
+def test_kinds_of_laws_that_are_not_those_of_the_rows():
+    run = by_hand({"a": np.ones(3)}, arrays={"index_set": np.zeros((3, 2), np.int8)}, law_kinds=["relay"])
+    with pytest.raises(PlotError, match="law_kinds must name the kind of each of 2 rows"):
+        document(run)
+
+
 def test_of_a_long_run_no_code_and_no_extreme_is_lost():
     rng = np.random.default_rng(2)
     codes = rng.integers(-1, 2, (1_100_000, 1)).astype(np.int8)

@@ -12,6 +12,7 @@ from nsmodel import laws
 from nsmodel.archive import LIST
 from nsmodel.columns import input_names, model_type, multiplier_names, output_names, state_names, units_of
 from nsmodel.crowd.measure import present
+from nsmodel.errors import PlotError
 from nsmodel.plot import style
 from nsmodel.quantities import limits, quantity_of
 from nsmodel.view.packed import Rows, codes, column
@@ -133,6 +134,8 @@ def _words(run: Trajectory, names: Sequence[str]) -> list[tuple[str, laws.Words]
     """Kind and words of each row of the index set."""
     kinds = run.metadata.get("law_kinds") or ["complementarity"] * len(names)
     own, found = model_type(run).words, []
+    if len(kinds) != len(names) or not all(isinstance(kind, str) for kind in kinds):
+        raise PlotError(f"law_kinds must name the kind of each of {len(names)} rows, and is {kinds[:8]}")
     for kind, name in zip(kinds, names, strict=True):
         usual = (kind, laws.WORDS.get(kind, {}))
         found.append(own.get(kind, usual) if not name.startswith("potential ") else usual)
@@ -202,9 +205,9 @@ def _apart(
     given = [units.get(name, "") for name in names]
     size = np.array([_size(one) for one in values] if largest or len(names) <= FEW else np.ones(len(names)))
     groups: dict[tuple[str, bool], list[int]] = {}
-    top = size.max(initial=0.0)
+    top, told_apart = size.max(initial=0.0), not any(given) and len(names) <= FEW
     for k, unit in enumerate(given):
-        small = not any(given) and len(names) <= FEW and NOISE * top < size[k] <= top / APART
+        small = told_apart and NOISE * top < size[k] <= top / APART
         groups.setdefault((unit, bool(small)), []).append(k)
     found = []
     for (unit, small), members in groups.items():

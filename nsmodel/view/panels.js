@@ -168,7 +168,7 @@ class LinePanel extends TimePanel {
   axis(ctx, area, range) {
     let { low, high } = range;
     if (low > high) [low, high] = this.log ? [1e-16, 1] : [-1, 1];
-    if (this.log) [low, high] = [low / 5, high * 5];
+    if (this.log) [low, high] = [Math.min(low / 5, high / 1e3), high * 5];
     else {
       const least = Math.max(1e-9 * Math.max(Math.abs(low), Math.abs(high), this.largest), 1e-300);
       const middle = (low + high) / 2;

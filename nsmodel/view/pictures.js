@@ -167,6 +167,7 @@ class Configuration extends Plane {
       if (!groups.has(shade)) groups.set(shade, []);
       groups.get(shade).push(k);
     }
+    const tiny = Math.max(...radii) * this.sx < 2; // Of so few pixels a disc is a square.
     ctx.strokeStyle = colour("disc");
     ctx.lineWidth = Math.min(1, 0.06 * Math.min(...radii) * this.sx);
     for (const [shade, members] of groups) {
@@ -177,11 +178,14 @@ class Configuration extends Plane {
         const y = this.py(this.places[(2 * k + 1) * this.frames + at]);
         const radius = radii[k] * this.sx;
         if (!Number.isFinite(x + y)) continue;
-        ctx.moveTo(x + radius, y);
-        ctx.arc(x, y, radius, 0, 2 * Math.PI);
+        if (tiny) ctx.rect(x - radius, y - radius, 2 * radius, 2 * radius);
+        else {
+          ctx.moveTo(x + radius, y);
+          ctx.arc(x, y, radius, 0, 2 * Math.PI);
+        }
       }
       ctx.fill();
-      ctx.stroke();
+      if (!tiny) ctx.stroke();
     }
     for (const [lines, paint, width, dash] of [
       [walls, "ink", 3, []],

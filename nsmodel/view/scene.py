@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from nsmodel.trajectory import Trajectory
 
 ROOM = 4_000_000  # Bytes for the places; of a longer run some rows are drawn.
-GRID = 120  # Points of the forbidden set along each axis,
-MOMENTS = 120  # at so many times at most.
+GRID = 100  # Points of the forbidden set along each axis,
+MOMENTS = 60  # at so many times at most.
 TOP = 99.5  # The colour scale of pressure ends at this percentile of those pressed.
 
 
@@ -88,11 +88,13 @@ def forbidden(run: Trajectory, model: Any) -> dict[str, Any] | None:
     limits += [(c - r, c + r) for c, r in zip((low + high) / 2, reach, strict=True)]
     across, up = np.meshgrid(*(np.linspace(*limit, GRID) for limit in limits))
     rows = style.spread(len(run.t), MOMENTS) if moving and n == 2 else np.zeros(1, int)
-    inside = [gap(across, up) if n == 1 else gap(run.t[row], across, up) for row in rows]
+    shape = (len(rows), *up.shape)
+    points = [np.broadcast_to(one, shape) for one in ((up,) if n == 1 else (across, up))]
+    least = gap(across if n == 1 else run.t[rows][:, None, None], *points)
     return {
         "size": GRID,
         "window": [float(end) for limit in limits for end in limit],
         "times": numbers(run.t[rows]),
-        "inside": codes(np.ravel([np.ma.filled(one < 0, False) for one in inside])),
+        "inside": codes(np.ma.filled(least < 0, False).ravel()),
         "note": f"The set forbidden is drawn at {len(rows)} of {len(run.t)} rows." if 1 < len(rows) < len(run.t) else "",
     }
