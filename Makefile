@@ -5,11 +5,13 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test quick nightly lint bench bench-large bench-events bench-sweeps study clean
+.PHONY: help demo test quick nightly lint bench bench-large bench-events bench-sweeps study docs clean
 
 # NSMODEL_SHORT=1 makes the long ones short: a scene or two, once. They write into results/ alone.
 PAGES := hypotheses events inputs $(if $(NSMODEL_SHORT),,codegen orders stability crowd study sweeps)
 SCENES := cases/diode_bridge.py $(if $(NSMODEL_SHORT),,cases/crowd_room.py cases/friction_oscillator.py)
+
+SITE := $(if $(NSMODEL_SHORT),results/)
 
 help: ## show this list
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1|/' | column -t -s '|'
@@ -34,8 +36,8 @@ nightly: $(STAMP) ## set up and run the search for refused steps and wrong answe
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.oracle --models $(if $(NSMODEL_SHORT),1,300) --json results/oracle.json
 
 lint: $(STAMP) ## ruff and pyright
-	$(BIN)/ruff check nsmodel cases tests docs/figures
-	$(BIN)/ruff format --check nsmodel cases tests docs/figures
+	$(BIN)/ruff check nsmodel cases tests docs/conf.py docs/_ext docs/_inventories docs/figures
+	$(BIN)/ruff format --check nsmodel cases tests docs/conf.py docs/_ext docs/_inventories docs/figures
 	$(BIN)/pyright
 
 bench: $(STAMP) ## time the steppers beside a plain Python loop (and the peers, where installed)
@@ -54,6 +56,10 @@ study: $(STAMP) ## make the figures and tables of docs/ anew (with the peers, wh
 	$(if $(NSMODEL_SHORT),mkdir -p results && rm -rf results/docs && cp -r docs results/docs)
 	for page in $(PAGES); do $(BIN)/python $(if $(NSMODEL_SHORT),results/)docs/figures/$$page.py || exit 1; done
 
+docs: $(STAMP) ## make the site into site/: pages, the gallery of all cases, the reference; minutes the first time
+	$(if $(NSMODEL_SHORT),mkdir -p results && rm -rf results/docs && cp -r docs results/docs)
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --doctree-dir $(SITE)build/docs/doctrees $(SITE)docs $(SITE)site
+
 clean: ## remove the environment, caches and results
-	rm -rf $(VENV) results build dist .pytest_cache .ruff_cache *.egg-info
+	rm -rf $(VENV) results site docs/gallery build dist .pytest_cache .ruff_cache *.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

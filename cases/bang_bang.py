@@ -4,7 +4,12 @@
 
 What to see: a triangle of v, and rest at p = 1, exactly: steps end at the edges of u, and friction holds the mass.
 
+A wrong answer: friction that is smoothed lets the mass roll on after the stop, ever more slowly. Where u is switched a
+step late, because a step went over its edge, the mass arrives with 0.04 m/s and stops beyond p = 1.
+
 Source: closed form: the peak of v is sqrt(2 a b/(a + b)), a and b the accelerations there and back.
+
+Topic: mechanics.
 """
 
 import casadi as ca

@@ -7,7 +7,12 @@ s is the voltage of the node between coil, switch and diode, l the current of th
 What to see: closed (u = 1) the switch holds s at 0 and the current of the coil rises; open, it flows through the diode, s = v.
 The capacitor is fed in these half periods alone. With --t-end 0.02 v settles at Vin/(1 - D) = 24 V, after an overshoot.
 
+A wrong answer: v rises while the switch is closed. The diode blocks then, and the load alone acts: in each of these half
+periods v falls by 0.5 %, to exp(-T/(2 R C)) of what it was.
+
 Source: exact by matrix exponentials, one for each position of the switch and the diode.
+
+Topic: circuits.
 """
 
 import casadi as ca

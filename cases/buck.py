@@ -6,7 +6,12 @@ What to see: the current rises while the switch is closed and falls while the di
 blocks at the end of some periods (i = 0 exactly, l > 0). With --t-end 2e-3 the current never ends any more, and the mean of v
 is then D Vin = 9.6 V.
 
+A wrong answer: a current below 0 after the first surge. With a second switch in the diode's place it falls to -1.6 A there; the
+mean of v would still be 9.6 V in the end.
+
 Source: exact by matrix exponentials, one for each position of the switch.
+
+Topic: circuits.
 """
 
 import casadi as ca

@@ -5,7 +5,11 @@
 What to see: three intervals a period: the switch conducts, the diode conducts, neither does (i = 0 exactly). Above 33.3 ohm
 the mean of v is 2 Vin/(1 + sqrt(1 + 8 L/(R T D^2))), here 13.9 V, not D Vin = 9.6 V. The run starts there.
 
+A wrong answer: 9.6 V. That is the mean if the current may fall below 0, as with a second switch in the diode's place.
+
 Source: the textbook formula, whose ripple is neglected; exact by matrix exponentials.
+
+Topic: circuits.
 """
 
 import casadi as ca

@@ -2,7 +2,12 @@
 
 What to see: the sequence swings, and stops inside the dead zone [-alpha/beta, alpha/beta]: x_n = 0.1766 from n = 32 on.
 
+A wrong answer: a sequence that tends to 0, the minimum of the potential, in ever smaller swings: friction that is
+smoothed, or is taken from the last velocity, has no dead zone. Here x_n stays at 0.1766, exactly.
+
 Source: Cabot, Discretization of a nonlinear oscillator under dry friction (2004), Example 4.1.
+
+Topic: mathematics.
 """
 
 import casadi as ca

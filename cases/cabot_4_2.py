@@ -3,7 +3,12 @@
 What to see: for beta > alpha the only equilibrium is 0, and it is reached in finitely many steps: x_n = 0 from
 n = 20 on. With beta < alpha every point is an equilibrium: with --set beta=0.02 the sequence stays where it starts.
 
+A wrong answer: a sequence that hops to and fro about 0 for ever, as it does where the slope of beta |x| is taken at the
+last position; and, with beta=0.02, one that slides down to 0.
+
 Source: Cabot, Discretization of a nonlinear oscillator under dry friction (2004), Example 4.2.
+
+Topic: mathematics.
 """
 
 import casadi as ca

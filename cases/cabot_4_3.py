@@ -3,7 +3,12 @@
 What to see: x_n = 1 + (1 + n)/2^n converges to 1, and never gets there: 0 lies on the boundary of A(0) + B(1) = [0, 2],
 so the theorem on finite convergence does not apply. (In double precision the velocity rounds to 0 near n = 60.)
 
+A wrong answer: rest that is reported in finite time: x_n - 1 is below any tolerance soon, and 0 never. A theorem whose
+margin is not looked at says that the sequence stops.
+
 Source: Cabot, Discretization of a nonlinear oscillator under dry friction (2004), Example 4.3.
+
+Topic: mathematics.
 """
 
 import casadi as ca

@@ -6,8 +6,13 @@ metre outside is gone.
 What to see: people close up in front of the door, the pressure grows from the back to the front, one after the other gets
 through. Nobody overlaps. Only pairs that can meet in a step are looked at, so thousands of people can be run.
 
+A wrong answer: discs that overlap. As if nobody were in anybody's way 56 people would be gone after 4 s; 18 are. Speeds of more
+than 1 m/s at the door are right: people are pushed through it.
+
 Source: the model of Maury and Venel, stepped as in Bernicot and Venel, Convergence order of a numerical scheme for
 sweeping process (2010).
+
+Topic: crowds.
 """
 
 import casadi as ca

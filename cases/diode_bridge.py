@@ -3,7 +3,12 @@
 What to see: the current through the resistor is the full-wave rectified current of the source, and the oscillation dies
 out in a few milliseconds. Two diodes conduct at a time; D is positive semidefinite but not symmetric.
 
+A wrong answer: half waves that are not damped. Behind one diode (cases/rlc_diode.py) negative ones are not, and the last period
+swings to 3.1 V; behind the bridge it swings to 1.1 V. Energy never rises.
+
 Source: the electronics example DiodeBridge of Siconos.
+
+Topic: circuits.
 """
 
 from nsmodel import LureSystem, complementarity

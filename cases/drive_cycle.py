@@ -5,7 +5,12 @@
 What to see: the mass starts when |u| exceeds F, coasts, reverses and sticks. Between switches v is a parabola; it stops
 at t = 6.31 s (and turns), 9.29 s and 15.33 s, and starts at 0.67, 10.5 and 16.45 s.
 
+A wrong answer: a mass that moves before 0.67 s or between 9.29 s and 10.5 s, where |u| < F: friction that is smoothed
+lets it creep. Where a stop is stepped over friction has the wrong sign, and s at the end is not 8.4467 m.
+
 Source: exact, quadratic pieces of v.
+
+Topic: mechanics.
 """
 
 import casadi as ca

@@ -4,6 +4,13 @@
 
 What to see: waves of slip run through the chain, masses stick for a while and are torn off again. The matrices are
 sparse, and a step costs what they hold: try n = 200, or 10000.
+
+A wrong answer: speeds that are small where they should be 0: a mass that sticks has v_i = 0 exactly, and its friction is
+what the springs and the force ask for, strictly between -1 and 1.
+
+Source: made for this package: the two masses of Brogliato and Goeleven (2013), Example 6.2, as a chain of any length.
+
+Topic: mechanics.
 """
 
 import casadi as ca

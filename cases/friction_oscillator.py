@@ -3,7 +3,12 @@
 What to see: half swings of equal length pi/w, each shorter by 2a/w^2, and a stop in finite time, not at x = 0: here at
 t = 3 pi and x = 0.7. The velocity is then exactly 0.
 
+A wrong answer: a mass that ends at x = 0: friction that is smoothed lets the spring pull it there, slowly, from 0.7.
+Viscous damping shortens swings by a factor instead of by 2, and never stops.
+
 Source: Cabot, Discretization of a nonlinear oscillator under dry friction (2004), Example 4.1; closed form.
+
+Topic: mechanics.
 """
 
 import casadi as ca

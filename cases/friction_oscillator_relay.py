@@ -4,7 +4,12 @@ What to see: the amplitude falls by 2 in each half swing until the mass stays wh
 |x| <= 1; from then on the multiplier lies inside (-1, 1). See friction_oscillator for the same physics stepped by
 the inertial proximal method.
 
+A wrong answer: a multiplier that chatters between -1 and 1 where the mass sticks, from 22.42 s on, or a position that
+creeps from 0.682 to 0. Swings that shrink by a factor are those of viscous damping.
+
 Source: the FrictionOscillator example of Siconos.
+
+Topic: mechanics.
 """
 
 from nsmodel import LureSystem, relay

@@ -8,7 +8,12 @@ relation bilinear in l: Newton's method solves each step.
 What to see: the concentrations slide along thresholds and reach the equilibrium (8, 8) in finite time, with the
 switches l3 = 0.1 and l4 = 0.7 strictly inside (0, 1).
 
+A wrong answer: xa and xb go on to 8.9 and 26.7, where decay alone balances production, or they swing about 8. The thresholds
+hold them: l3 and l4 are found, not switched.
+
 Source: the biology example StepSystem of Siconos.
+
+Topic: biology.
 """
 
 import casadi as ca

@@ -3,7 +3,12 @@
 What to see: inside, x' = b - (1 + a) x. With b < 0 the state reaches 0 in finite time and stays; with b > 0 (try
 --set b=1) it goes to b/(1 + a).
 
+A wrong answer: a state below 0: without the projection x goes on from 0, where it is at t = log(5)/2 = 0.805, to b/(1 +
+a) = -0.5. A penalty stops it a little below 0.
+
 Source: Convergence and stability of a catching-up algorithm with maximal monotone operators (2026), Example 8.1.
+
+Topic: mathematics.
 """
 
 import casadi as ca

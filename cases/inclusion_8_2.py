@@ -5,7 +5,12 @@
 What to see: the first state crosses 0 and ends at its upper bound, the second sticks at 0 (|b_1| <= mu_1; the scheme is
 explicit in the friction and stays within a step's motion of 0), the third crosses 0 and goes to (b_2 + mu_2)/K_22.
 
+A wrong answer: a second state that swings about 0 by as much for smaller steps, a third one at b_2/K_22 = -1 instead of
+-0.75 (no friction), or a first one on its way to 2 (no bound).
+
 Source: Convergence and stability of a catching-up algorithm with maximal monotone operators (2026), Example 8.2.
+
+Topic: mathematics.
 """
 
 import casadi as ca

@@ -5,7 +5,12 @@
 What to see: the second state sticks at 0 from t = 0.20 until the others tear it off at 0.73; the first stops at its
 upper bound at 1.09. The equilibrium (1.5, 23/60, 17/30) minimises x'Kx/2 - b'x + sum mu_i |x_i| over the box.
 
+A wrong answer: (1.5, 1.5, 1.5), which is the solution of K x = b, (4.9, 4.05, 3.5), moved into the box afterwards: a
+bound that acts changes what the others settle at.
+
 Source: Convergence and stability of a catching-up algorithm with maximal monotone operators (2026), Example 8.2.
+
+Topic: mathematics.
 """
 
 import casadi as ca

@@ -3,7 +3,12 @@
 What to see: the point rests until the disc touches it, is pushed ahead and aside, and rests again at the height of the
 disc's top. There is no velocity field at all: f = 0, only the set moves.
 
+A wrong answer: a point inside the disc, or one that sticks to it and is carried on; here it slides along the disc to its
+top, is left behind at t = 2.42, and rests at (2.42, 1).
+
 Source: Bernicot and Venel, Convergence order of a numerical scheme for sweeping process (2010); closed form.
+
+Topic: mathematics.
 """
 
 import casadi as ca

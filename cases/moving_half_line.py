@@ -3,7 +3,12 @@
 What to see: the point follows the wall until 3 pi/4, later than the wall turns back (pi/2), because the point's own
 velocity -q presses it against the wall; then it lets go and decays. The reaction is cos t + sin t.
 
+A wrong answer: a point that lets go at pi/2, where the wall turns back. That is what comes out where contact is judged by
+the wall's velocity alone, without that of the point.
+
 Source: Bernicot and Venel, Convergence order of a numerical scheme for sweeping process (2010); closed form.
+
+Topic: mathematics.
 """
 
 import numpy as np

@@ -3,7 +3,12 @@
 What to see: the point touches the disc, is turned round it while the reaction fades as it nears the top, leaves at the
 top and goes on straight. The admissible set is not convex. Start it at height 0 and it stays in front of the disc.
 
+A wrong answer: a point that leaves the disc before its top, and goes on below 1; one that is slowed down by the contact,
+which has no friction; one inside the disc, as with a penalty.
+
 Source: Bernicot and Venel, Convergence order of a numerical scheme for sweeping process (2010); closed form.
+
+Topic: mathematics.
 """
 
 import casadi as ca

@@ -1,9 +1,15 @@
 """Third-order plant under relay feedback, u = -Sgn(x_0).
 
-What to see: the loop settles on an oscillation of amplitude 0.21 and period 3.63 s, as the describing function predicts
-(2/(3 pi) and 2 pi/sqrt 3). C B = 0, so that no P > 0 has P B = C': the theorem on well-posedness does not apply.
+What to see: the loop settles on an oscillation of amplitude 0.215 and period 3.66 s; the describing function predicts
+0.212, 2/(3 pi), and 3.63, 2 pi/sqrt 3. C B = 0, so that no P > 0 has P B = C': the theorem on well-posedness does not
+apply.
+
+A wrong answer: an oscillation that dies out, or whose amplitude is that of the step: long steps damp it, to 0.14 at a
+step of 0.2. Rest at 0 with the relay between its ends: a solution, but an unstable one.
 
 Source: the control example RelayOscillator of Siconos.
+
+Topic: control.
 """
 
 import math

@@ -3,7 +3,12 @@
 What to see: the diode conducts (l_0 > 0) only while the capacitor's voltage is positive; the negative half waves are
 not damped at all, the positive ones lose energy in the resistor.
 
+A wrong answer: both half waves are damped alike, as behind a bridge (cases/diode_bridge.py): after 5 ms v_C would be 0.79 V,
+not 2.74 V.
+
 Source: the electronics example CircuitRLCD of Siconos.
+
+Topic: circuits.
 """
 
 from nsmodel import LureSystem, complementarity

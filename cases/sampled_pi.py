@@ -5,7 +5,12 @@
 What to see: the speed follows r = 1, then 0, then -0.5. At r = 0 the mass sticks, v = 0 exactly, and the controller is
 content; at the next change it must first work its way through the friction.
 
+A wrong answer: a speed that hunts about 0 between 4.5 s and 6 s instead of being 0; an overshoot other than 1.031; a
+controller that is computed in every step of the solver, not every 50 ms.
+
 Source: exact by a recursion, in which the mass stops within a sample at most once.
+
+Topic: control.
 """
 
 import casadi as ca

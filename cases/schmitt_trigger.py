@@ -5,7 +5,12 @@
 What to see: a square wave s and arcs of exponentials v between the thresholds. The period is 2 R C log 3 = 22.0 ms. Steps
 see a threshold at most a step late; with --rtol 1e-8 the comparator switches at it.
 
+A wrong answer: v comes to rest at 0. That is what a comparator without memory does. Steps of 1 ms make the half period 12 ms,
+not 11.0: a threshold is passed before it is seen.
+
 Source: closed form.
+
+Topic: circuits.
 """
 
 import casadi as ca

@@ -3,7 +3,12 @@
 What to see: implicitly, w = -sat(x/h), the control reaches 0 in a second and then follows -0.5 sin t smoothly, a sample late;
 |x| stays below h/2. Explicitly (--set implicit=0), w = -sgn(x), it chatters between -1 and 1 for ever, and |x| comes near 3h/2.
 
+A wrong answer: chattering of the implicit control, which the model does not have, or |x| above h/2. Explicitly it is the
+model that chatters: a smooth w is wrong there.
+
 Source: exact, as the plant between two samples is an integral.
+
+Topic: control.
 """
 
 import casadi as ca

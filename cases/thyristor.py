@@ -7,7 +7,12 @@ The latch q is 1 once there is a pulse at the gate, and 0 once the pulse is over
 What to see: nothing flows until the pulse; then the current is that of a diode which begins later and ends earlier. The
 later the pulse, the less: the mean voltage is Vm (cos alpha - cos beta)/(2 pi), beta the angle at which i ends.
 
+A wrong answer: the current begins at 0 degrees and ends at 240.8, as that of a diode, or it stays on into the next period. The
+latch keeps it on after the pulse is over at 67.2 degrees, and ends it at 237.2.
+
 Source: closed form.
+
+Topic: circuits.
 """
 
 import casadi as ca

@@ -3,7 +3,12 @@
 What to see: after the contact both move with the mean velocity (u1 - u2)/2, and the reaction is (u1 + u2)/2: here 0.7.
 The scheme is exact to rounding on this scene.
 
+A wrong answer: discs that overlap, by as much as their penalty allows; that stop, as if the contact took all velocity; or
+that part again, as if it were elastic: there are no impacts in a first-order motion.
+
 Source: Maury and Venel's model of crowds, the smallest scene; closed form.
+
+Topic: crowds.
 """
 
 import casadi as ca

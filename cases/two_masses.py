@@ -5,8 +5,13 @@
 What to see: stick and slip of each mass, together and apart. P = diag(p1, m1/mu1, p3, m2/mu2) solves P B = C'. Try
 other masses and friction forces: every symbol below is a parameter of the command line.
 
+A wrong answer: speeds that jump to and fro about 0 where a mass sticks: both are 0 from 9.42 s to the end, exactly.
+Forces taken for coefficients of friction: mu is in newton.
+
 Source: Brogliato and Goeleven, Existence, uniqueness of solutions and stability of nonsmooth multivalued Lur'e
 dynamical systems (2013), Example 6.2; here mu is the friction force in newton (the paper's m g mu).
+
+Topic: mechanics.
 """
 
 import casadi as ca

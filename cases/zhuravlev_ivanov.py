@@ -7,7 +7,12 @@
 What to see: x0 crosses 0 at each impact and its velocity stays bounded; the impacts pile up and the ball lies still
 from t = 1.87 s on. The one-step problem is nonlinear and not monotone: uniqueness is not guaranteed.
 
+A wrong answer: tops other than 2.274 m and then 1/9 of the one before; an |x0| that hops on after 1.87 s, because steps
+cannot follow impacts that accumulate; an x0 that turns back at 0 instead of crossing it.
+
 Source: the Zhuravlev-Ivanov example of Siconos.
+
+Topic: mechanics.
 """
 
 import casadi as ca

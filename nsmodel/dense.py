@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from nsmodel.brief import brief
+from nsmodel.errors import UsageError
 
 UNKNOWN = -2  # Code of a row before the first piece.
 Arrays = Mapping[str, np.ndarray]
@@ -47,18 +48,30 @@ class Event(NamedTuple):
     __repr__ = brief
 
 
-def polynomials(coefficients: np.ndarray, s: np.ndarray) -> np.ndarray:
-    """sum_k c_k s^k for each row: coefficients (k, n, p + 1), s (k,) -> (k, n)."""
-    total, s = coefficients[:, :, -1].copy(), s[:, None]
-    for k in range(coefficients.shape[2] - 2, -1, -1):
+def times_of(given: Any) -> np.ndarray:
+    """Times (k,) from a number or k of them; UsageError for what is neither."""
+    try:
+        times = np.asarray(given, float)
+    except (TypeError, ValueError):
+        raise UsageError(f"t = {given!r}; expected a number, or a list of numbers") from None
+    if times.ndim > 1:
+        raise UsageError(f"t has shape {times.shape}; expected a number, or a list of numbers")
+    return np.atleast_1d(times)
+
+
+def polynomials(coefficients: np.ndarray, number: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """sum_k c_k s^k for each row, of the piece of its number: coefficients (K, n, p + 1), number (k,), s (k,) -> (k, n)."""
+    orders = np.ascontiguousarray(coefficients.transpose(2, 1, 0)).take(number, axis=2)
+    total = orders[-1]
+    for k in range(len(orders) - 2, -1, -1):
         total *= s
-        total += coefficients[:, :, k]
-    return total
+        total += orders[k]
+    return total.T
 
 
-def integrals(coefficients: np.ndarray, s: np.ndarray) -> np.ndarray:
+def integrals(coefficients: np.ndarray, number: np.ndarray, s: np.ndarray) -> np.ndarray:
     """The integrals of the same from 0 to s."""
-    return s[:, None] * polynomials(coefficients / np.arange(1, coefficients.shape[2] + 1), s)
+    return s[:, None] * polynomials(coefficients / np.arange(1, coefficients.shape[2] + 1), number, s)
 
 
 def pieces_at(arrays: Arrays, t: np.ndarray) -> np.ndarray:
@@ -75,18 +88,28 @@ def at(arrays: Arrays, t: np.ndarray, number: np.ndarray | None = None) -> At:
     """The run at times t (k,), on the pieces of these numbers."""
     number = pieces_at(arrays, t) if number is None else number
     s = local(arrays, number, t)
-    x, l, y = (polynomials(arrays[f"piece_{name}"][number], s) for name in ("x", "multipliers", "y"))
+    x, l, y = (polynomials(arrays[f"piece_{name}"], number, s) for name in ("x", "multipliers", "y"))
     n, v = arrays["x"].shape[1], arrays["v"].shape[1] if "v" in arrays else 0
     return At(t, x[:, :n], x[:, n : n + v], l, y)
 
 
 def between(arrays: Arrays, t: np.ndarray) -> At:
-    """A run by time stepping at times t (k,): x on straight lines between rows, the others those of the step."""
+    """A run by time stepping at times t (k,): x on straight lines between rows, the others those of the step.
+
+    At a row it is that row, bit for bit; what the row of the start does not know (NaN) is that of the first step.
+    """
     rows, x = arrays["t"], arrays["x"]
-    k = np.clip(np.searchsorted(rows, t, side="left"), 1, max(len(rows) - 1, 1)) if len(rows) > 1 else np.zeros(len(t), int)
-    share = ((t - rows[k - 1]) / (rows[k] - rows[k - 1]))[:, None] if len(rows) > 1 else np.zeros((len(t), 1))
-    v, l, y = (arrays[name][k] if name in arrays else np.zeros((len(t), 0)) for name in ("v", "multipliers", "y"))
-    return At(t, x[k - 1] + share * (x[k] - x[k - 1]), v, l, y)
+    k = np.searchsorted(rows, t, side="left")
+    left, right = np.maximum(k - 1, 0), k
+    share = np.divide(t - rows[left], rows[right] - rows[left], out=np.ones_like(t), where=right > left)[:, None]
+    line = np.where(share == 1, x[right], x[left] + share * (x[right] - x[left]))
+    first = min(1, len(rows) - 1)
+
+    def of_step(array: np.ndarray) -> np.ndarray:
+        return np.where((k == 0)[:, None] & np.isnan(array[k]), array[first], array[k])
+
+    v, l, y = (of_step(arrays[name]) if name in arrays else np.zeros((len(t), 0)) for name in ("v", "multipliers", "y"))
+    return At(t, line, v, l, y)
 
 
 def inputs_at(arrays: Arrays, t: np.ndarray, *, after: bool = False) -> np.ndarray:
@@ -115,13 +138,17 @@ def events(arrays: Arrays) -> tuple[Event, ...]:
     return tuple(found)
 
 
-def drawn(arrays: Arrays, points: int) -> dict[str, np.ndarray]:
-    """About so many rows for a picture: each piece from end to end, so that what jumps is there twice; the energy on lines."""
-    starts, end = arrays["piece_start"], arrays["t"][-1]
-    inside = np.flatnonzero(starts < end)
-    stops = np.minimum(np.append(starts[1:], end), end)[inside]
-    counts = np.maximum(2, np.ceil(points * (stops - starts[inside]) / (end - starts[0]))).astype(int)
-    t = np.concatenate([np.linspace(a, b, n) for a, b, n in zip(starts[inside], stops, counts, strict=True)])
+def drawn(arrays: Arrays, points: int, begin: float, end: float) -> dict[str, np.ndarray]:
+    """About so many rows from ``begin`` to ``end`` for a picture: each piece from end to end, so that what jumps is there twice.
+
+    The energy is on lines between its rows.
+    """
+    starts = arrays["piece_start"]
+    stops = np.append(starts[1:], np.inf)
+    inside = np.flatnonzero((starts < end) & (stops > begin))
+    left, right = np.maximum(starts[inside], begin), np.minimum(stops[inside], end)
+    counts = np.maximum(2, np.ceil(points * (right - left) / (end - begin))).astype(int)
+    t = np.concatenate([np.linspace(a, b, n) for a, b, n in zip(left, right, counts, strict=True)])
     number = np.repeat(inside, counts)
     found = at(arrays, t, number)
     own = {"piece_start": starts, "t": t, "x": found.x, "y": found.y, "index_set": arrays["piece_codes"][number]}

@@ -24,6 +24,7 @@ DESCRIPTIVE = frozenset("exact title units scene t_end step steps t p parameters
 
 # Models have not always had these: where they are 0 or empty the hash is what it was.
 LATER = frozenset({"blocks", "e", "force", "outputs"})
+PYTHON = platform.python_version()
 WAY = "way of stepping"  # The setting that says whether steps are compiled, and by what: their last bits differ.
 INTERPRETED = "interpreted"
 FOR_ALL = "one library for all values"  # How the way of compiled steps ends whose parameters are set when they run.
@@ -78,7 +79,7 @@ def _is_nothing(value: Any) -> bool:
 def versions() -> dict[str, str]:
     """Versions of what the numbers depend on."""
     casadi = ca.__version__  # pyright: ignore[reportAttributeAccessIssue]
-    return {"nsmodel": VERSION, "casadi": casadi, "numpy": np.__version__, "python": platform.python_version()}
+    return {"nsmodel": VERSION, "casadi": casadi, "numpy": np.__version__, "python": PYTHON}
 
 
 def digest_of(items: list[Any]) -> str:

@@ -1,8 +1,9 @@
 """One run at a time in a folder: a lock file that names its holder.
 
-The file is locked for as long as its holder lives (``flock``): the system frees it when that ends, however it ends. So on one
-machine a file that can be locked was left behind, and is taken over, whatever number its holder had. Of a holder on another
-machine nothing is known: that is for the user to judge. Where the file system knows no such locks, every holder is one of those.
+The file is locked for as long as its holder lives (``flock``, on Windows ``locking``): the system frees it when that ends,
+however it ends. So on one machine a file that can be locked was left behind, and is taken over, whatever number its holder had.
+Of a holder on another machine nothing is known: that is for the user to judge. Where the file system knows no such locks, every
+holder is one of those.
 """
 
 from __future__ import annotations
@@ -23,8 +24,13 @@ try:
     import fcntl
 except ImportError:  # Windows
     fcntl = None
+try:
+    import msvcrt
+except ImportError:  # all others
+    msvcrt = None
 
 LOCK = "run.lock"
+BEYOND = 1 << 30  # The byte of the file that is locked on Windows: nobody else may read it, and what is written lies before it.
 _held: set[tuple[str, int]] = set()  # Folders and the threads that hold them.
 _descriptors: set[int] = set()  # Of the lock files that this process holds.
 
@@ -67,12 +73,20 @@ def held(folder: Path) -> Iterator[None]:
     finally:
         _held.discard(key)
         _descriptors.discard(descriptor)
-        with contextlib.suppress(OSError):
-            path.unlink()
-        os.close(descriptor)
+        _free(path, descriptor)
         if new:
             with contextlib.suppress(OSError):  # it holds something
                 folder.rmdir()
+
+
+def _free(path: Path, descriptor: int) -> None:
+    """Remove the lock file and let it go; where files that are open cannot be removed, nobody removes another's."""
+    if fcntl is None:
+        os.close(descriptor)
+    with contextlib.suppress(OSError):
+        path.unlink()
+    if fcntl is not None:
+        os.close(descriptor)
 
 
 def _locked(path: Path) -> int:
@@ -94,7 +108,8 @@ def _locked(path: Path) -> int:
                 if not new:
                     _clear(path.parent)
                 os.truncate(descriptor, 0)
-                os.pwrite(descriptor, json.dumps(_self()).encode(), 0)
+                os.lseek(descriptor, 0, os.SEEK_SET)
+                os.write(descriptor, json.dumps(_self()).encode())
                 return descriptor
         except BaseException:
             os.close(descriptor)
@@ -106,11 +121,15 @@ def _locked(path: Path) -> int:
 
 def _lock(descriptor: int) -> bool | None:
     """Lock a file: False where another holds it, None where the file system cannot."""
-    if fcntl is None:
-        return None
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
+        if fcntl is not None:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        elif msvcrt is not None:
+            os.lseek(descriptor, BEYOND, os.SEEK_SET)
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # pyright: ignore[reportAttributeAccessIssue]
+        else:
+            return None
+    except (BlockingIOError, PermissionError):
         return False
     except OSError:
         return None
@@ -124,7 +143,7 @@ def _self() -> dict[str, Any]:
 def _boot() -> str:
     """What names the running system: containers on one machine have names of their own, and share this. "" where unknown."""
     try:
-        return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     except OSError:
         return ""
 
@@ -132,7 +151,8 @@ def _boot() -> str:
 def _holder(descriptor: int) -> dict[str, Any] | None:
     """Who wrote the file; None where it is new, or was cut short."""
     try:
-        found = json.loads(os.pread(descriptor, 4096, 0))
+        os.lseek(descriptor, 0, os.SEEK_SET)
+        found = json.loads(os.read(descriptor, 4096))
     except ValueError:
         return None
     return found if isinstance(found, dict) else None
@@ -145,6 +165,9 @@ def _elsewhere(holder: dict[str, Any] | None) -> bool:
 
 
 def _is(path: Path, descriptor: int) -> bool:
+    """Whether the open file is still the one at the path; where files that are open cannot be removed, it is."""
+    if fcntl is None:
+        return True
     try:
         return os.path.samestat(os.stat(path), os.fstat(descriptor))
     except FileNotFoundError:

@@ -23,7 +23,9 @@ def spec_of(path: Path) -> ModuleSpec:
     """Where and under what name the file is run; UsageError where it is no Python file."""
     if not path.is_file():
         what = "is a folder" if path.is_dir() else "does not exist"
-        raise UsageError(f"model file '{path}' {what}; give the path of a Python file that defines model = ...")
+        raise UsageError(
+            f"model file '{path}' {what}; give the path of a Python file that defines model = ... (nsmodel cases lists some)"
+        )
     spec = importlib.util.spec_from_file_location(f"{PREFIX}{path.stem}", path.absolute())
     if spec is None or spec.loader is None:
         raise UsageError(f"'{path}' is not a Python file (.py)")

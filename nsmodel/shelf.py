@@ -42,22 +42,29 @@ def cases() -> tuple[Case, ...]:
     Raises:
         UsageError: this installation has none.
     """
-    folder = next((place for place in _PLACES if place.is_dir()), None)
-    if folder is None:
+    found = files()
+    if not found:
         raise UsageError(f"no cases beside the package: expected the folder {_PLACES[0]}; install nsmodel anew")
-    return tuple(read(path) for path in sorted(folder.glob("*.py")))
+    return tuple(map(read, found.values()))
+
+
+def files() -> dict[str, Path]:
+    """The files of the cases by name; empty where this installation has none."""
+    folder = next((place for place in _PLACES if place.is_dir()), None)
+    return {} if folder is None else {path.stem: path for path in sorted(folder.glob("*.py"))}
 
 
 def case(name: str) -> Case:
     """The case of that name.
 
     Raises:
-        UsageError: there is none; the message has the names that are nearest.
+        UsageError: there is none; the message has the names that are near.
     """
     found = {case.name: case for case in cases()}
     if name not in found:
-        near = difflib.get_close_matches(name, found, 3) or sorted(found)
-        raise UsageError(f"no case '{name}'; did you mean {', '.join(near)}?")
+        near = difflib.get_close_matches(name, found, 3)
+        what = f"did you mean {', '.join(near)}?" if near else f"nsmodel cases lists the {len(found)} that there are"
+        raise UsageError(f"no case '{name}'; {what}")
     return found[name]
 
 

@@ -15,6 +15,8 @@ import math
 import os
 import re
 import secrets
+import sys
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -29,6 +31,7 @@ Metadata = Mapping[str, Any]
 
 FORMAT = 2  # Rises with every change of what files hold.
 STAMP = {"format": FORMAT, "version": VERSION}
+READERS = 50  # So often a file is given its name while somebody reads the one that had it.
 PART = ".part-"  # Names of files not yet whole begin so.
 _NON_FINITE = re.compile(r"\\*(nan|inf|-inf)")
 
@@ -124,7 +127,7 @@ def replacing(path: Path) -> Iterator[Path]:
             return
         try:
             yield part
-            part.replace(path)
+            _named(part, path)
         except BaseException:
             part.unlink(missing_ok=True)
             raise
@@ -132,6 +135,17 @@ def replacing(path: Path) -> Iterator[Path]:
         raise
     except OSError as error:
         raise StorageError(f"cannot write {path}: {error}; take a folder that is writable and has room") from error
+
+
+def _named(part: Path, path: Path) -> None:
+    """Give the whole file its name; where files that are open keep theirs (Windows), wait a moment for who reads the old one."""
+    for _ in range(READERS if sys.platform == "win32" else 0):
+        try:
+            part.replace(path)
+            return
+        except PermissionError:
+            time.sleep(0.02)
+    part.replace(path)
 
 
 @contextmanager

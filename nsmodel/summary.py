@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from nsmodel.trajectory import Trajectory
 
 _WIDTH = 100
+_LABEL = 18  # The column of labels.
 _STATES_SHOWN = 8
 _ARCH_SHOWN = 8
 _SPANS_SHOWN = 4
@@ -126,20 +127,8 @@ def _finite(array: np.ndarray) -> np.ndarray:
     return array[np.isfinite(array)]
 
 
-def text(summary: dict[str, Any]) -> str:
-    """What `summary` returned as a table of at most 100 columns."""
-    lines = rows(summary)
-    table = textwrap.wrap(summary["title"], _WIDTH)
-    width = max(map(len, lines)) + 4
-    for label, texts in lines.items():
-        for i, line in enumerate(texts):
-            first, rest = f"  {label if i == 0 else '':{width - 2}}", " " * (width + 2)
-            table += textwrap.wrap(line, _WIDTH, initial_indent=first, subsequent_indent=rest)
-    return "\n".join(table)
-
-
-def rows(summary: dict[str, Any]) -> dict[str, list[str]]:
-    """What `summary` returned in words: {label: lines}, empty ones too."""
+def lines(summary: dict[str, Any]) -> dict[str, list[str]]:
+    """What `summary` returned in words: {label: lines}."""
     s, t, changes = summary, summary["t"], summary["index_set_changes"]
     unit = f" {t['unit']}" if t["unit"] else ""
     counts = sorted(s["solver_counts"].items(), key=lambda item: (-item[1], item[0]))
@@ -148,7 +137,7 @@ def rows(summary: dict[str, Any]) -> dict[str, list[str]]:
     if len(shown) > _STATES_SHOWN:
         shown = [*shown[: _STATES_SHOWN - 2], (f"... {len(shown) - _STATES_SHOWN + 1} more", ""), shown[-1]]
     sample = "" if s["save_every"] == 1 else f" (1 row saved of {s['save_every']})"
-    lines: dict[str, str | list[str] | None] = {
+    found: dict[str, str | list[str] | None] = {
         "model class": s["model_class"],
         "scheme": s["scheme"] and str(s["scheme"]),
         "status": s["message"] if s["message"].startswith(s["status"]) else ": ".join(filter(None, (s["status"], s["message"]))),
@@ -172,7 +161,17 @@ def rows(summary: dict[str, Any]) -> dict[str, list[str]]:
         "final state": _aligned(shown),
         "warnings": s["warnings"],
     }
-    return {label: [texts] if isinstance(texts, str) else texts or [] for label, texts in lines.items()}
+    return {label: [words] if isinstance(words, str) else words for label, words in found.items() if words}
+
+
+def text(summary: dict[str, Any]) -> str:
+    """What `summary` returned as a table of at most 100 columns."""
+    table = textwrap.wrap(summary["title"], _WIDTH)
+    for label, texts in lines(summary).items():
+        for i, line in enumerate(texts):
+            first, rest = f"  {label if i == 0 else '':{_LABEL - 2}}", " " * (_LABEL + 2)
+            table += textwrap.wrap(line, _WIDTH, initial_indent=first, subsequent_indent=rest)
+    return "\n".join(table)
 
 
 def _bodies_lines(bodies: dict[str, Any] | None, unit: str) -> dict[str, str | list[str]]:

@@ -132,18 +132,24 @@ class Trajectory:
     def at(self, t: Any) -> dense.At:
         """Return the run at times t, a number or (k,) of them: states, velocities, multipliers and outputs, (k, ...) each.
 
-        Of an event-driven run to its tolerance, at an event as they are after it. Of a run by time stepping the states are those
-        of the rows on both sides, joined by straight lines, multipliers and outputs those of the step that t lies in; so are
-        those of stretches of steps (``run.stepped``), but for a parabola through the rows of a step in which nothing switches.
+        Of an event-driven run to its tolerance, at an event as they are after it. Of a run by time stepping a row is given as
+        it is. Between rows states are on the straight line from row to row; velocities of an oscillator, multipliers and outputs
+        are those of the step that t lies in, which are those of the row that ends it. At the start what no step has computed is
+        that of the first step. Of many bodies x is NaN where one of both rows has no such body, and multipliers are in
+        ``contacts``: they have no columns. Rows of ``save_every`` count as if they were steps.
+
+        On stretches of steps (``run.stepped``) of an event-driven run the same holds, but for a parabola through the rows of a
+        step in which nothing switches.
 
         Raises:
             UsageError: a time that is no number or outside the run.
         """
-        times = np.atleast_1d(np.asarray(t, float))
+        times = dense.times_of(t)
         outside = times[~((times >= self.t[0]) & (times <= self.t[-1]))]
         if outside.size:
             raise UsageError(f"t = {outside[0]:.10g}: the run goes from {self.t[0]:.10g} to {self.t[-1]:.10g}")
-        return dense.at(self.arrays, times) if self.is_event_driven else dense.between(self.arrays, times)
+        whole = self.is_event_driven and len(self.arrays["piece_start"]) > 0
+        return dense.at(self.arrays, times) if whole else dense.between(self.arrays, times)
 
     def evaluate(self, given: Any, units: Mapping[str, str] | None = None) -> Any:
         """Return the values of an expression at the rows, (N+1,) or (N+1, k); or the run with further columns.
@@ -194,11 +200,14 @@ class Trajectory:
         """
         return windows.spectrum(self, what, t0, t1, harmonics)
 
-    def smooth(self, points: int = 2000) -> Trajectory:
-        """Return an event-driven run with about ``points`` rows read off its polynomials, two at a jump; others as they are."""
+    def smooth(self, points: int = 2000, t0: float | None = None, t1: float | None = None) -> Trajectory:
+        """Return an event-driven run with about ``points`` rows read off its polynomials, two at each jump; others as they are.
+
+        ``t0``, ``t1``: of an event-driven run these times alone; left out they are its ends. UsageError for a window outside.
+        """
         if "piece_x" not in self.arrays or not len(self.arrays["piece_start"]):
             return self
-        drawn = replace(self, arrays=dense.drawn(self.arrays, points))
+        drawn = replace(self, arrays=dense.drawn(self.arrays, points, *windows.window(self, t0, t1)))
         return replace(drawn, arrays=drawn.arrays | of_outputs(drawn, self.arrays))
 
     @property
@@ -245,6 +254,24 @@ class Trajectory:
         from nsmodel.plot.figures import overview
 
         return overview(self, **options)
+
+    def view(self, path: str | Path | None = None, model: Any = None) -> Path:
+        """Write one HTML file that shows the run, and return its path; without a path a temporary file, opened in the browser.
+
+        Columns over time, index set, events, phase plane, configuration; zoomed and played in the browser. The file needs
+        nothing else, and loads nothing.
+
+        Args:
+            path: of the file; its folder is made where it is missing.
+            model: that of a sweeping process of one or two states: then the page shows the set that they may not enter.
+
+        Raises:
+            StorageError: the file cannot be written.
+            PlotError: the model is not that of the run, or has parameters without a value.
+        """
+        from nsmodel.view.run import view_run
+
+        return view_run(self, path, model)
 
     def summary(self) -> dict[str, Any]:
         """Return the run in short as numbers, strings, lists and dictionaries; None for what does not apply."""

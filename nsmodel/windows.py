@@ -159,7 +159,7 @@ def _within(run: Trajectory, quantity: Quantity, label: str, t: np.ndarray, numb
         _refuse_impulses(run, label, t)
     if (between := run.metadata.get("between_rows")) is not None:
         s = dense.local(run.arrays, number, t)
-        x = dense.polynomials(run.arrays["piece_x"][number], s)
+        x = dense.polynomials(run.arrays["piece_x"], number, s)
         inputs = (between[name] for name in names.inputs)
         columns = [x[:, own] if isinstance(own, int) else _of_time(Quantity.of_text(own), t) for own in inputs]
         arrays["inputs"] = np.stack(columns, axis=1)

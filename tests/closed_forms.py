@@ -310,6 +310,22 @@ def rlc_diode(t, L=1e-2, C=1e-6, R=1e3, start=10.0):
     return out
 
 
+def zener_limited(t, Vm=12.0, f=50.0, tau=2e-3, low=-0.7, high=5.1):
+    """Return u (N, 1) of tau u' = Vm sin wt - u kept in [low, high], periodic: held, let go, met again, end by end."""
+    w, t = 2 * np.pi * f, np.asarray(t, float)
+    swing = Vm / (1 + 1j * w * tau)
+    first, second = (np.pi - np.arcsin(high / Vm)) / w, (2 * np.pi - np.arcsin(-low / Vm)) / w
+
+    def arc(s, begin, value):
+        return (swing * np.exp(1j * w * s)).imag + np.exp((begin - s) / tau) * (value - (swing * np.exp(1j * w * begin)).imag)
+
+    last = brentq(lambda s: arc(s, first, high) - low, first, second, xtol=1e-18)
+    again = brentq(lambda s: arc(s, second, low) - high, second, first + 1 / f, xtol=1e-18)
+    s = first + (t - first) % (1 / f)
+    parts = [arc(s, first, high), low + 0 * s, arc(s, second, low)]
+    return np.select([s < last, s < second, s < again], parts, high)[:, None]
+
+
 def diode_bridge(t, L=1e-2, C=1e-6, R=1e3, start=10.0):
     """Return (v, i) (N, 2) of the bridge: behind four ideal diodes the resistor takes v/R for either sign of v."""
     return _flow(np.array([[-1 / (R * C), -1 / C], [1 / L, 0]]), [start, 0], np.asarray(t, float))
@@ -585,3 +601,108 @@ def bang_bang(t, force=2.0, F=0.5):
     v = np.interp(t, knots, speeds)
     p = [np.trapezoid(np.r_[speeds[knots < s], w], np.r_[knots[knots < s], s]) for s, w in zip(t, v, strict=True)]
     return np.column_stack([v, p])
+
+
+# ---------------------------------------------------------------------------------------------- control, friction, hysteresis
+
+
+def twisting(t, a=5.0, b=3.0, v=4.0):
+    """Return p and v (N, 2) of p'' = -a Sgn(p) - b Sgn(p'), from p = 0: parabolas, one quarter of the plane after the other."""
+    t, rows, begin, p = np.asarray(t, float), np.zeros((np.size(t), 2)), 0.0, 0.0
+    while abs(v) > 1e-300:
+        for force in (-(a + b) * np.sign(v), -(a - b) * np.sign(v)):
+            now = np.maximum(t - begin, 0)
+            rows[t >= begin] = np.column_stack([p + v * now + force * now**2 / 2, v + force * now])[t >= begin]
+            lasts = -v / force if p == 0 else np.sqrt(-2 * p / force)
+            p, v, begin = (p + v * lasts / 2, 0.0, begin + lasts) if p == 0 else (0.0, force * lasts, begin + lasts)
+    rows[t >= begin] = 0
+    return rows
+
+
+def two_surfaces(t, start=(2.0, 1.0)):
+    """Return x (N, 2) of x' = B l + (sin t, cos t)/2, l in -Sgn(x), B = [[2, 1], [1, 2]]; x_2 is 0 first."""
+    t = np.asarray(t, float)
+    first = brentq(lambda s: start[1] - 3 * s + np.sin(s) / 2, 0, 1, xtol=1e-15)
+    falls = lambda s: start[0] - 3 * s + (1 - np.cos(s)) / 2  # noqa: E731
+    slides = lambda s: falls(first) - 1.5 * (s - first) - (np.cos(s) - np.cos(first)) / 2 - (np.sin(s) - np.sin(first)) / 4  # noqa: E731
+    second = brentq(slides, first, 2, xtol=1e-15)
+    x1 = np.where(t < first, falls(t), np.where(t < second, slides(t), 0))
+    return np.column_stack([x1, np.where(t < first, start[1] - 3 * t + np.sin(t) / 2, 0)])
+
+
+def belt(t, F=1.0, d=0.2, V=0.5):
+    """Return p and v (N, 2) of p'' + p = d (p' - V) - F Sgn(p' - V), from p = 0 on the belt: ride and slip in turn."""
+    t, rows, begin, p = np.asarray(t, float), np.empty((np.size(t), 2)), 0.0, 0.0
+    middle = F - d * V
+    speed = lambda tau: _swing(tau, F - middle, V, 1.0, -d / 2)[1]  # noqa: E731
+    slips = brentq(lambda tau: speed(tau) - V, np.pi, 2 * np.pi, xtol=1e-15)
+    while begin <= t.max():
+        torn = begin + (F - p) / V
+        rows[t >= begin] = np.column_stack([p + V * (t - begin), np.full(t.size, V)])[t >= begin]
+        x, v = _swing(t - torn, F - middle, V, 1.0, -d / 2)
+        rows[t >= torn] = np.column_stack([x + middle, v])[t >= torn]
+        begin, p = torn + slips, _swing(slips, F - middle, V, 1.0, -d / 2)[0] + middle
+    return rows
+
+
+def stop_operators(t, turns, stiffness, limits):
+    """Return u and the force of each spring with a slider (N, 1 + n): k (u - play of u), the sliders moved from turn to turn."""
+    at = np.concatenate([[0], np.cumsum(np.abs(np.diff(turns)))])
+    rows = []
+    for now in np.asarray(t, float):
+        u, plays = np.interp(now, at, turns), np.zeros(len(limits))
+        for place in [*np.array(turns)[at < now], u]:
+            plays = np.maximum(np.minimum(plays, place + np.divide(limits, stiffness)), place - np.divide(limits, stiffness))
+        rows.append([u, *np.multiply(stiffness, u - plays)])
+    return np.array(rows)
+
+
+def leash(t, corners, start, r=1.0):
+    """Return q (N, 2) dragged behind a hand that goes along straight lines at speed 1: tractrices in tanh and sech."""
+    t, z, begin = np.asarray(t, float), complex(*start), 0.0
+    rows, places = np.empty(t.size, complex), [complex(*place) for place in corners]
+    for hand, goal in itertools.pairwise(places):
+        length = abs(goal - hand)
+        ahead = (goal - hand) / length
+        d = (z - hand) / ahead  # seen by who walks
+        taut = max(d.real + np.sqrt(max(r**2 - d.imag**2, 0)), 0)
+        behind = np.arctanh(min((taut - d.real) / r, 1 - 1e-16))
+
+        def place(s, hand=hand, ahead=ahead, d=d, taut=taut, behind=behind):
+            sigma = behind + np.maximum(s - taut, 0) / r
+            pulled = s - r * np.tanh(sigma) + 1j * np.sign(d.imag) * r / np.cosh(sigma)
+            return hand + ahead * np.where(s <= taut, d, pulled)
+
+        rows[t >= begin] = place(t[t >= begin] - begin)
+        z, begin = complex(place(np.array(length))), begin + length
+    return np.column_stack([rows.real, rows.imag])
+
+
+def sandpile(t, n=12, first=3, second=8, change=16.0):
+    """Return the heights (N, n) of sand poured on one cell, then on another: cones of the volume t, by bisection."""
+    cells, cone = np.arange(n), lambda top, place: np.maximum(top - np.abs(np.arange(n) - place), 0)
+    old = cone(brentq(lambda top: cone(top, first).sum() - change, 0, n, xtol=1e-14), first)
+    rows = np.empty((np.size(t), cells.size))
+    for row, now in zip(rows, t, strict=True):
+        under, place = (0 * old, first) if now <= change else (old, second)
+        height = lambda top, under=under, place=place: np.maximum(cone(top, place), under)  # noqa: E731
+        row[:] = height(brentq(lambda top, height=height, now=now: height(top).sum() - now, 0, 3 * n, xtol=1e-14))
+    return rows
+
+
+def tumbler(t, a=1.0, c=4.0, w=1.0):
+    """Return q (N, 2) of what sinks at c in a square drum that turns at w, from the corner at the bottom, seen from the drum."""
+    t, rows, begin, wall, turned = np.asarray(t, float), np.empty(np.size(t), complex), 0.0, 0, -3 * np.pi / 4
+    force = lambda s, wall: -1j * c * np.exp(-1j * (turned + wall * np.pi / 2 + w * s))  # out of the wall + 1j along it  # noqa: E731
+    while begin <= t.max():
+        bears = lambda s, wall=wall: (force(s, wall + 1) - 1j * w * (a - 1j * a)).real  # the wall ahead  # noqa: E731
+        leaves = brentq(bears, begin, begin + 1, xtol=1e-15)
+        rows[t >= begin] = (a * (1 + 1j) * np.exp(1j * (turned + wall * np.pi / 2 + w * t)))[t >= begin]
+
+        def along(s, leaves=leaves, wall=wall):
+            return a - w * a * (s - leaves) + ((force(s, wall) - force(leaves, wall)) / (-1j * w)).imag
+
+        arrives = brentq(lambda s, along=along: along(s) + a, leaves + 0.1, leaves + 2, xtol=1e-15)
+        rows[t >= leaves] = ((a + 1j * along(t)) * np.exp(1j * (turned + wall * np.pi / 2 + w * t)))[t >= leaves]
+        begin, wall = arrives, wall - 1
+    return np.column_stack([rows.real, rows.imag])

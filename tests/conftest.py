@@ -6,6 +6,7 @@ import functools
 import os
 import shutil
 import signal
+import sys
 from collections import defaultdict
 from pathlib import Path
 
@@ -31,8 +32,8 @@ KINDS = {  # Marks of test files, by what their names begin with; what is in non
         "test_convex", "test_crowd", "test_docs", "test_events", "test_extreme", "test_forced", "test_input", "test_kinds",
         "test_laws", "test_lure_offset", "test_makefile", "test_many", "test_moving", "test_one_variable", "test_orders",
         "test_outputs", "test_parameters", "test_piece_batch", "test_pieces_in_c", "test_plot", "test_repeated", "test_resume",
-        "test_rounding", "test_schemes", "test_search", "test_solvers", "test_sparse", "test_stepping", "test_stress",
-        "test_stretches", "test_study", "test_sum_of_squares", "test_sweep", "test_switch_times", "test_notebooks", "test_rich",
+        "test_notebooks", "test_rich", "test_rounding", "test_schemes", "test_search", "test_site", "test_solvers", "test_sparse", "test_stepping",
+        "test_stress", "test_stretches", "test_study", "test_sum_of_squares", "test_sweep", "test_switch_times", "test_view",
     ),
 }  # fmt: skip
 
@@ -46,8 +47,9 @@ def kinds_of(path):
 
 
 def pytest_ignore_collect(collection_path, config):
-    """Files that are not fast are not even read where fast tests are asked for."""
-    return (config.option.markexpr == "fast" and bool(kinds_of(collection_path))) or None
+    """Files that are not fast are not even read where fast tests are asked for; nor on Windows those that send signals."""
+    signals = sys.platform == "win32" and collection_path.stem in ("test_lock", "test_lost")  # which end a process there
+    return signals or (config.option.markexpr == "fast" and bool(kinds_of(collection_path))) or None
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m chooses

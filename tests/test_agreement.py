@@ -42,7 +42,9 @@ class Stretch(NamedTuple):
 
 
 MONOTONE = {
+    "anti_windup": Stretch(0.05, 150),
     "bang_bang": Stretch(0.02, 90),
+    "belt": Stretch(0.1, 60),
     "buck": Stretch(2e-6, 150),
     "buck_light_load": Stretch(1e-6, 30),
     "cabot_4_1": Stretch(1, 40),
@@ -51,6 +53,7 @@ MONOTONE = {
     "crowd_room": Stretch(0.02, 14, {"n": 12}),
     "diode_bridge": Stretch(1e-5, 60),
     "drive_cycle": Stretch(0.1, 70),
+    "elastoplastic": Stretch(0.05, 60),
     "friction_chain": Stretch(1e-2, 60, {"n": 10}),
     "friction_oscillator": Stretch(0.05, 70),
     "friction_oscillator_relay": Stretch(1e-2, 50),
@@ -59,20 +62,33 @@ MONOTONE = {
     "inclusion_8_1": Stretch(0.02, 50),
     "inclusion_8_2": Stretch(0.02, 90),
     "inclusion_8_2_full": Stretch(0.02, 70),
+    "leash": Stretch(0.05, 80),
     "moving_disc": Stretch(0.02, 40),
     "moving_half_line": Stretch(0.02, 130),
+    "observer": Stretch(0.05, 60),
+    "obstacle": Stretch(5e-3, 40),
     "point_past_disc": Stretch(0.02, 40),
     "relay_oscillator": Stretch(0.02, 130),
     "rlc_diode": Stretch(1e-5, 50),
     "sampled_pi": Stretch(0.05, 100),
+    "sandpile": Stretch(0.35, 40),
     "sliding_relay": Stretch(1e-2, 60),
+    "three_pulse_rectifier": Stretch(2e-4, 60),
     "thyristor": Stretch(2e-4, 80),
+    "total_variation": Stretch(0.02, 30),
+    "tumbler": Stretch(0.02, 60),
     "two_discs": Stretch(0.02, 60),
     "two_masses": Stretch(1e-2, 80),
+    "two_surfaces": Stretch(0.05, 40),
+    "voltage_doubler": Stretch(2e-5, 60),
+    "zener_limiter": Stretch(2e-4, 80),
 }
 NOT_MONOTONE = {
     "boost": Stretch(1e-6, 40),
     "gene_network": Stretch(1e-2, 40),
+    "repressilator": Stretch(1e-2, 70),
+    "toggle_switch": Stretch(1e-2, 180),
+    "twisting": Stretch(1e-2, 200),
     "zhuravlev_ivanov": Stretch(1e-2, 60),
 }
 NO_LAW = {"schmitt_trigger", "sliding_mode", "thermostat"}

@@ -51,18 +51,26 @@ def test_case_file_is_described_runs_and_is_verified(case_file, load_case, run_c
 
 EXACT = {
     "bang_bang": exact.bang_bang,
+    "belt": exact.belt,
+    "elastoplastic": lambda t: exact.stop_operators(t, [0, 1, 0.2, 1, 2.5, -2.5, 2.5], [4, 2, 2, 1], [1, 1, 2, 2]),
     "friction_oscillator": lambda t: exact.friction_free(t, 5.3)[:, :1],
     "half_wave_rectifier": exact.rectified,
     "inclusion_8_1": exact.inclusion_8_1,
     "inclusion_8_2": lambda t: exact.inclusion_8_2_diagonal(t, [1, 2, 4], [3, 0.5, -4], [1, 1, 1], -2, 1.5, [-1, 1.5, 1]),
+    "leash": lambda t: exact.leash(t, [(0, 0), (1.5, 0), (-2, 0), (1, 0)], (-0.3, 0.8)),
     "moving_disc": exact.moving_disc,
     "moving_half_line": exact.half_line,
     "point_past_disc": exact.point_past_disc,
+    "sandpile": exact.sandpile,
     "schmitt_trigger": lambda t: exact.to_and_fro(t, 0, -2.5, 2.5, -5, 5, 1e-2),
     "sliding_relay": exact.sliding_relay,
     "thermostat": lambda t: exact.to_and_fro(t, 15, 19, 21, 5, 35, 2),
     "thyristor": lambda t: exact.rectified(t, np.pi / 3),
+    "tumbler": exact.tumbler,
+    "twisting": exact.twisting,
     "two_discs": exact.two_discs,
+    "two_surfaces": exact.two_surfaces,
+    "zener_limiter": exact.zener_limited,
     "zhuravlev_ivanov": exact.zhuravlev_ivanov,
 }
 
@@ -147,11 +155,17 @@ def _crowd(run):
     return np.hstack([pairs, *(_segment_distances(places, *wall) - radii for wall in walls)])
 
 
+def _drum(t):
+    return [t + (2 * k + 1) * np.pi / 4 for k in range(4)]
+
+
 GAPS = {
     "crowd_room": _crowd,
     "moving_disc": lambda run: np.linalg.norm(run.x - np.column_stack([run.t, 0 * run.t]), axis=1) - 1,
     "moving_half_line": lambda run: run.x[:, 0] - np.sin(run.t),
     "point_past_disc": lambda run: np.linalg.norm(run.x, axis=1) - 1,
+    "sandpile": lambda run: np.hstack([1 - np.diff(run.x), 1 + np.diff(run.x)]),
+    "tumbler": lambda run: 1 - np.column_stack([np.cos(b) * run.x[:, 0] + np.sin(b) * run.x[:, 1] for b in _drum(run.t)]),
     "two_discs": lambda run: np.linalg.norm(run.x[:, 2:] - run.x[:, :2], axis=1) - 0.6,
 }
 

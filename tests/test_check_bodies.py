@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from nsmodel import Bodies, Family, Items, ManyBodies, UsageError, check, neighbours, simulate
+from nsmodel import Bodies, Family, Items, ManyBodies, UsageError, check, neighbours, pwm, simulate, table, within
 from nsmodel.classes.bodies.hypotheses import check as deciding
 from nsmodel.classes.bodies.hypotheses import families, network
 from nsmodel.classes.sweeping.hypotheses.check import HYPOTHESES
 from nsmodel.classes.sweeping.hypotheses.geometry import discs_in_a_row
+from nsmodel.crowd import Room, crowd, place
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
 from nsmodel.storage import dumps
 from nsmodel.stress import stress
@@ -222,6 +223,18 @@ def test_a_leash_is_not_convex_and_the_pair_is_named():
     assert report["S-convex"].witness["constraint"] == "leash 1-2"
     assert [item.verdict for item in report.consequences if "S-convex" in item.rests_on] == [UNKNOWN] * 7
     assert any("not convex" in warning for warning in simulate(model, t_end=0.1).metadata["warnings"])
+
+
+def test_a_wall_that_rounding_bends_is_a_plane():
+    """The Hessian of its distance, 0, has an eigenvalue of -1e-32 here."""
+    body, wall = Bodies([[4.6, 2.22]], r=[0.2]), Items(a=[[3.6, 1.8]], b=[[3.6, 4.4]])
+    i, w = body.member("i"), wall.member("w")
+    along = w.b - w.a
+    part = ca.fmin(ca.fmax(ca.dot(i.q - w.a, along) / ca.sumsqr(along), 0), 1)
+    model = ManyBodies(
+        bodies=body, constraints={"wall": Family(ca.norm_2(i.q - w.a - part * along) - i.r, i, w)}, t_end=1, step=0.1
+    )
+    assert simulate(model, t_end=0.1).metadata["warnings"] == []
 
 
 def test_an_overlap_at_the_start_names_the_bodies():
@@ -660,3 +673,64 @@ def test_the_region_is_that_of_one_body():
 def test_tools_for_small_models_say_how_to_use_them(tool):
     with pytest.raises(UsageError, match=r"written_out\(\)"):
         tool(passing())
+
+
+@pytest.mark.parametrize("seed", [3, 9])  # rounding bends a wall by 1e-33 there
+def test_a_wall_bent_by_rounding_is_no_obstacle_to_warn_of(seed):
+    walls = [[(0, 0), (5, 0)], [(5, 0), (5, 1.9)], [(5, 3.1), (5, 5)], [(5, 5), (0, 5)], [(0, 5), (0, 0)]]
+    room = Room(walls=walls, exits={"door": [(5, 1.9), (5, 3.1)]})
+    assert not simulate(crowd(room, place(room, 25, seed=seed), t_end=0.04, step=0.04)).metadata["warnings"]
+
+
+# ---------------------------------------------------------------------------------------------- inputs and boxes of parameters
+
+u, w, k = (ca.SX.sym(name) for name in "uwk")
+
+
+def blown(f=lambda q, c: [u - q[0], c * w], **options):
+    """Three discs that a wind u and a wave w, stronger for some, move."""
+    bodies = Bodies([[0, 0], [1, 0.3], [2, 0.0]], r=[0.3] * 3, c=[0.1, 0.2, 0.3])
+    i, j = bodies.member("i"), bodies.member("j")
+    given = {"inputs": {u: pwm(0.1, 0.5), w: table([0, 1], [0, 1], "linear")}, "t_end": 1, "step": 0.01} | options
+    pairs = {"pair": Family(ca.norm_2(i.q - j.q) - i.r - j.r, i, j)}
+    return ManyBodies(bodies=bodies, f=ca.vertcat(*f(i.q, i.c)), constraints=pairs, **given)
+
+
+def test_what_moves_one_body_by_any_measurable_signal_is_well_posed_for_all():
+    model = blown()
+    many, one = (check(m, (), quick=True) for m in (model, model.written_out()))
+    assert {f.id: f.verdict for f in many.findings} == dict.fromkeys((f.id for f in many.findings), "holds")
+    assert many["S-f"].value["K_f"] == pytest.approx(one["S-f"].value["K_f"], rel=1e-12)
+    assert "L_t" not in many["S-f"].value
+    followed = {item.name: item for item in many.consequences}
+    assert followed["well posed"].verdict == "holds"
+    assert followed["well posed"].statement.startswith("for each signal ")
+    assert followed["order 1/2"].verdict == "unknown"
+
+
+def test_rates_of_inputs_bound_how_fast_the_velocity_of_many_bodies_changes():
+    report = check(blown(), (), bounds={u: within(-1, 1, rate=5), w: within(-1, 1, rate=2)}, quick=True)
+    largest = np.sqrt(3 * 5**2 + (0.1**2 + 0.2**2 + 0.3**2) * 2**2)  # |f_u u' + f_w w'| over all bodies
+    assert largest <= report["S-f"].value["L_t"] <= np.sqrt(3 * (5**2 + 0.6**2)) * (1 + 1e-9)  # the worst body for each
+    assert {item.name: item.verdict for item in report.consequences}["order 1/2"] == "holds"
+
+
+@pytest.mark.parametrize("f", [lambda q, c: [u * ca.sign(q[0] - 0.5), w], lambda q, c: [u * ca.sqrt(ca.fabs(q[0])), w]])
+def test_a_velocity_that_jumps_or_is_steep_where_it_is_multiplied_by_an_input_is_not_proved(f):
+    report = check(blown(f), (), bounds={u: within(1, 2)}, quick=True)
+    assert report["S-f"].verdict != "holds"
+    assert report["A5"].verdict == "holds"
+    assert {item.name: item.verdict for item in report.consequences}["well posed"] != "holds"
+
+
+def test_a_box_of_parameters_is_decided_as_on_the_model_written_out():
+    model = blown(lambda q, c: [k * ca.sin(q[0]), c], inputs={}, parameters={k: 1.0})
+    many, one = (check(m, (), parameters={k: (0.5, 3)}, quick=True) for m in (model, model.written_out()))
+    assert many["S-f"].verdict == one["S-f"].verdict == "holds"
+    assert 3 <= many["S-f"].value["K_f"] <= 3 * (1 + 1e-6)
+    assert many["A5"].value["gamma"] == pytest.approx(one["A5"].value["gamma"])
+    grown = blown(inputs={}, parameters={k: 1.0}, f=lambda q, c: [0, 0])
+    pairs = {"pair": Family(grown.constraints["pair"].g - k, grown.constraints["pair"].first, grown.constraints["pair"].second)}
+    wide = ManyBodies(bodies=grown.bodies, constraints=pairs, parameters={k: 0.1}, t_end=1, step=0.1)
+    assert check(wide, (), parameters={k: (0.0, 0.1)}, quick=True)["A0"].verdict != "holds"  # looked at, not proved
+    assert check(wide, (), parameters={k: (0.0, 0.9)}, quick=True)["S-start"].verdict == "violated"

@@ -356,7 +356,8 @@ def test_several_files_end_in_a_table(run, tmp_path):
     assert json.loads(out)[2] == {
         "file": "absent.py",
         "status": "refused",
-        "message": "model file 'absent.py' does not exist; give the path of a Python file that defines model = ...",
+        "message": "model file 'absent.py' does not exist; give the path of a Python file that defines model = ... "
+        "(nsmodel cases lists some)",
     }
     status, out, _ = run("a.py", None, "b.py", "--quiet")
     assert (status, out) == (0, "")
@@ -465,7 +466,7 @@ def test_a_signal_saves_what_was_computed(tmp_path, out, number, status):
         "Path('loaded').touch()\n"
     )
     environment = os.environ | {"PYTHONPATH": str(Path(nsmodel.__file__).parents[1]), "CC": "none"}  # nothing is built
-    command = [sys.executable, "-m", "nsmodel.cli", "run", "long.py", *(["--out", "results"] if out else [])]
+    command = [sys.executable, "-m", "nsmodel", "run", "long.py", *(["--out", "results"] if out else [])]
     process = subprocess.Popen(
         command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )  # fmt: skip

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import gc
 import json
 import os
 import re
@@ -19,6 +21,7 @@ import pytest
 
 import nsmodel
 from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, MonotoneInclusion, codegen
+from nsmodel.cache_folder import SUFFIX
 from nsmodel.cli import main
 from nsmodel.errors import CodegenError, NsmodelError, StorageError, UsageError
 from nsmodel.laws import complementarity, product, relay
@@ -729,9 +732,7 @@ def test_the_cpp_example(tmp_path):
     lines = re.findall(r"^//     (.+)$", text, re.MULTILINE)
     assert lines[-1] == "./host"
     for line in lines[:-1]:
-        line = re.sub("^nsmodel", f"{sys.executable} -m nsmodel.cli", line).replace(
-            "-std=c++17", "-std=c++17 -Wall -Wextra -Werror"
-        )
+        line = re.sub("^nsmodel", f"{sys.executable} -m nsmodel", line).replace("-std=c++17", "-std=c++17 -Wall -Wextra -Werror")
         line = line.replace("cases/", f"{REPOSITORY}/cases/").replace("docs/", f"{REPOSITORY}/docs/")
         subprocess.run(line, shell=True, cwd=tmp_path, check=True, capture_output=True)
     done = subprocess.run(lines[-1], shell=True, cwd=tmp_path, check=True, capture_output=True, text=True)
@@ -1030,9 +1031,9 @@ def test_built_once(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CC", raising=False)
     other = codegen.load(tmp_path).solver()
-    assert solver.library.path == other.library.path == tmp_path / "libonce.so"
+    assert solver.library.path == other.library.path == next(tmp_path.glob(f"libonce-*{SUFFIX}"))
     assert (solver.step(), other.step()) == (0, 0)
-    os.utime(tmp_path / "once.h", ns=(2**62, 2**62))  # a header that is newer than the library
+    (tmp_path / "once.h").write_text((tmp_path / "once.h").read_text() + "/* another header */\n")
     with pytest.raises(CodegenError, match=r"no C compiler was found .*install one"):
         codegen.load(tmp_path)
 
@@ -1068,18 +1069,40 @@ def test_damaged_code(tmp_path, monkeypatch):
     with pytest.raises(CodegenError, match=r"could not compile x\.c: .*x\.c:\d+.*error") as caught:
         codegen.load(tmp_path)
     assert "\n" not in str(caught.value)
-    assert not list(tmp_path.glob("*.so"))
+    assert not list(tmp_path.glob(f"*{SUFFIX}"))
     monkeypatch.setenv("CC", "false")
     with pytest.raises(CodegenError, match=r"false could not compile x\.c: exit status 1"):
         codegen.load(tmp_path)
     monkeypatch.delenv("CC")
     (tmp_path / "x.c").write_text(good)
-    (tmp_path / "libx.so").write_text("no library")
-    os.utime(tmp_path / "libx.so", ns=(2**62, 2**62))
-    with pytest.raises(CodegenError, match=r"libx\.so could not be loaded .*remove it"):
-        codegen.load(tmp_path)
-    (tmp_path / "libx.so").unlink()
     assert codegen.load(tmp_path).solver().step() == 0
+    gc.collect()
+    (built,) = tmp_path.glob(f"libx-*{SUFFIX}")
+    built.unlink()
+    built.write_text("no library")
+    with pytest.raises(CodegenError, match=r"libx-\w+\.\w+ could not be loaded .*remove it"):
+        codegen.load(tmp_path)
+    built.unlink()
+    assert codegen.load(tmp_path).solver().step() == 0
+
+
+@needs_cc
+def test_code_that_was_changed_is_built_beside_what_is_loaded(tmp_path):
+    """A file that is loaded is neither replaced nor removed: what was built from older code goes with the next build."""
+    codegen.write(smooth(), tmp_path, name="x")
+    good, held, names = (tmp_path / "x.c").read_text(), [], []
+    for k in range(3):
+        (tmp_path / "x.c").write_text(f"{good}int x_number(void) {{ return {k}; }}\n")
+        held.append(codegen.load(tmp_path))
+        names.append(held[-1].path)
+        assert [library.function("number", ctypes.c_int)() for library in held] == [*range(k + 1)]
+    assert len(set(names)) == 3
+    assert set(tmp_path.glob(f"libx-*{SUFFIX}")) == set(names)
+    held.clear()
+    gc.collect()
+    (tmp_path / "x.c").write_text(good)
+    last = codegen.load(tmp_path).path
+    assert set(tmp_path.glob(f"libx-*{SUFFIX}")) == {last}
 
 
 @needs_cc

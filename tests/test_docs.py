@@ -1,7 +1,9 @@
 """Every code block of the documentation runs, and prints what the page shows.
 
 A ``python`` block runs as a script. ``python model-file NAME.py exit=3`` is a model file: it must run with this exit status
-(0 where none is given). One marked ``compiler`` is left out where there is none.
+(0 where none is given); ``picture`` asks the site for one of its run. One marked ``compiler`` is left out where there is none.
+The ``{code-cell}`` blocks of a page are a notebook: they run in order, and know what those before them did.
+``python peer PROGRAM`` is a script of another program: it runs where that is installed, and else is compiled only.
 A ``text`` block right after either is its output. In a ``console`` block each ``$ nsmodel ...`` line
 runs, and the lines after it are its output. Each block runs in a new folder with the page's model files and ``cases/`` in it.
 """
@@ -13,16 +15,19 @@ import difflib
 import io
 import re
 import shlex
+import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from bench.peers import programs
 
 from nsmodel.cli import main
 from nsmodel.codegen import library as codegen_library
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-PAGES = [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").glob("*.md"))]
+DOCS = REPOSITORY / "docs"
+PAGES = [REPOSITORY / "README.md", *sorted(page for page in DOCS.rglob("*.md") if page.relative_to(DOCS).parts[0] != "gallery")]
 LARGEST_PICTURE = 150_000
 
 NUMBER = re.compile(r"\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
@@ -44,7 +49,12 @@ class Block:
         return self.words[:2] == ("python", "model-file")
 
     def __str__(self) -> str:
-        return f"{self.page.name}:{self.line}"
+        return f"{named(self.page)}:{self.line}"
+
+
+def named(page):
+    """The page, from docs/ on."""
+    return page.relative_to(DOCS).as_posix() if page.is_relative_to(DOCS) else page.name
 
 
 def blocks_of(page):
@@ -87,6 +97,13 @@ def printed(function, *arguments):
     return result, stream.getvalue()
 
 
+def printed_by_peer(block):
+    """What a peer's script prints; None where the program is not installed. Its syntax is looked at in either case."""
+    compile(block.code, str(block), "exec")
+    python = {"siconos": programs.siconos, "nosnoc": programs.nosnoc, "cromosim": programs.cromosim}[block.words[2]]()
+    return python and subprocess.run([python, "-c", block.code], capture_output=True, text=True, check=True).stdout
+
+
 def assert_shown(expected, actual, where):
     """The page's ``expected`` output is ``actual``: numbers within 0.1 %, timings left aside, ``...`` for anything."""
     __tracebackhide__ = True
@@ -123,8 +140,12 @@ def settled(text):
 def test_python_block_runs_and_prints_what_the_page_shows(block, folder):
     if "compiler" in block.words and codegen_library.compiler() is None:
         pytest.skip("no C compiler")
-    if block.is_model_file:
-        options = dict(word.split("=") for word in block.words[3:])
+    if "peer" in block.words:
+        output = printed_by_peer(block)
+        if output is None:
+            pytest.skip(f"no {block.words[2]}")
+    elif block.is_model_file:
+        options = dict(word.split("=") for word in block.words[3:] if "=" in word)
         status, output = printed(main, ["run", block.words[2]])
         assert status == int(options.get("exit", 0)), output
     else:
@@ -132,6 +153,18 @@ def test_python_block_runs_and_prints_what_the_page_shows(block, folder):
         _, output = printed(exec, code, {"__name__": "__main__"})
     if block.output is not None:
         assert_shown(block.output, output, block)
+
+
+@pytest.mark.parametrize("page", sorted({block.page for block in BLOCKS if block.words[:1] == ("{code-cell}",)}), ids=named)
+def test_the_cells_of_a_notebook_run_in_order(page, tmp_path, monkeypatch):
+    (tmp_path / "cases").symlink_to(REPOSITORY / "cases")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    names = {"__name__": "__main__"}
+    for block in blocks_of(page):
+        if block.words[:1] == ("{code-cell}",):
+            text = re.sub(r"^:.*", "", block.code, flags=re.MULTILINE)  # options of the cell
+            printed(exec, compile("\n" * (block.line - 1) + text, str(page), "exec"), names)
 
 
 @blocks("console")
@@ -145,13 +178,13 @@ def test_console_block_prints_what_the_page_shows(block, folder):
         assert_shown(expected, printed(main, arguments)[1], f"{block}: $ {line}")
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=named)
 def test_links_of_a_page_lead_somewhere_and_pictures_are_small(page):
     text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
     for target in re.findall(r"\]\(([^)#\s]+)", text):
         if "://" not in target:
             path = page.parent / target
-            assert path.exists(), f"{page.name} refers to {target}"
+            assert path.exists(), f"{named(page)} refers to {target}"
             assert path.suffix != ".png" or path.stat().st_size < LARGEST_PICTURE
 
 

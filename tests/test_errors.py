@@ -776,6 +776,13 @@ def test_a_model_that_keeps_to_its_hypotheses_has_no_warning(build):
             "step 3: C is empty at t = 0.4: lower[0] = 0.05 > upper[0] = 0",
         ),
         (lambda: first_order(M=np.zeros((2, 2)), f=[0, 0]), "step 0: the step's matrix is singular at h = 0.1"),
+        (
+            lambda: LureSystem(
+                x=x[0], t=t, A=ca.if_else(x[0] > 1, 0, 2), B=[0], C=[0], law=relay(1), x0=[0.9], t_end=1, step=0.1
+            ),
+            "step 0: no verified step from t = 0 to 0.1: no solver reached the tolerance; a jump in the model (sign, floor, "
+            "if_else) must be written as a law, such as relay or complementarity",
+        ),
     ],
 )
 def test_a_step_that_fails_says_why(model, message):

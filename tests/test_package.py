@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 
 import nsmodel
+from nsmodel import shelf
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 CASES = sorted((REPOSITORY / "cases").glob("*.py"))
@@ -168,8 +169,8 @@ LAYERS = (  # What stands in a line may import, at its top, what stands in it an
     "run classes.walk classes.record",
     "simulate stepping",
     "checking observed_order crowd sweep",
-    "certificate classes.certificate study classes.study stress classes.units classes.judge plot classes.plots rich",
-    "cli",
+    "certificate classes.certificate study classes.study stress classes.units classes.judge plot classes.plots view rich",
+    "cli __main__",
 )
 RANK = {part: rank for rank, line in enumerate(LAYERS) for part in line.split()}
 
@@ -226,7 +227,11 @@ def test_every_case_explains_itself(path):
     text = path.read_text()
     doc = ast.get_docstring(ast.parse(text))
     assert doc.splitlines()[0].endswith(".")
-    assert "What to see:" in doc
+    case = shelf.read(path)
+    assert case.see
+    assert case.wrong
+    assert case.source
+    assert case.topic in shelf.TOPICS
     assert not re.search(r"\b(assert|pytest|unittest)\b", text)
     model = nsmodel.load(path)
     assert model.title

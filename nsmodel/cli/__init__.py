@@ -1,4 +1,4 @@
-"""The command line: ``nsmodel run FILE``, and ``check``, ``study``, ``stress``, ``codegen``."""
+"""The command line: ``nsmodel run FILE``, and ``view``, ``check``, ``study``, ``stress``, ``codegen``; ``cases``, ``new``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import io
 import sys
 from collections.abc import Sequence
 
-from nsmodel.cli import check, codegen, run, stress, study, sweep
+from nsmodel.cli import cases, check, codegen, completion, new, run, stress, study, sweep, view
 from nsmodel.cli.output import apart
 from nsmodel.cli.signals import by_signal, signals
 from nsmodel.cli.status import DONE, refused, silenced
@@ -51,6 +51,6 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     parser.add_argument("--version", action="version", version=f"nsmodel {VERSION}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for command in (run, sweep, check, study, stress, codegen):
+    for command in (cases, new, run, view, sweep, check, study, stress, codegen, completion):
         command.add(commands)
     return parser

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from nsmodel.cli.output import print_json
-from nsmodel.cli.settings import Commands, add_set, by_name, load, setting
+from nsmodel.cli.settings import Commands, add_files, add_set, by_name, load, setting
 from nsmodel.cli.status import AT_FAULT, DONE, refused
 from nsmodel.errors import NsmodelError, UsageError
 from nsmodel.hypotheses.findings import VIOLATED
@@ -22,7 +22,7 @@ def add(commands: Commands) -> None:
     """Add the command and its options."""
     about = "Decide the hypotheses that the theory of the model's class rests on, and say what follows from them."
     parser = commands.add_parser("check", help="check the hypotheses behind a model file", description=about)
-    parser.add_argument("files", metavar="FILE", nargs="+", help="a Python file that defines model = ... or def model(...)")
+    add_files(parser)
     add_set(parser)
     parser.add_argument(
         "--parameters",
@@ -44,6 +44,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("--strict", action="store_true", help="exit with status 1 where a hypothesis is violated")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
     parser.add_argument("--markdown", metavar="PATH", help="also write the report as Markdown, with the equations")
+    parser.add_argument("--html", metavar="FILE", help="also write the report as a page for a browser")
     parser.add_argument(
         "--certificate", metavar="DIR", help="also write what proves each hypothesis that holds, and a program that verifies it"
     )
@@ -55,7 +56,7 @@ def _check(arguments: argparse.Namespace) -> int:
     from nsmodel.checking import check
 
     several = len(arguments.files) > 1
-    for option in ("markdown", "certificate"):
+    for option in ("markdown", "html", "certificate"):
         if several and getattr(arguments, option):
             raise UsageError(f"--{option} takes one model file; check them one by one")
     region = by_name((_interval("--region", one, "q_0=-2:2") for one in arguments.region), "--region")
@@ -82,10 +83,8 @@ def _check(arguments: argparse.Namespace) -> int:
         documents.append({"file": file, **report.document()} if arguments.json else {})
         if not arguments.json:
             print(report.text(), end="\n\n" if several else "\n")
-    if arguments.markdown and reports[0][1] is not None:
-        write_text(Path(arguments.markdown), reports[0][1].markdown())
-    if arguments.certificate and reports[0][1] is not None:
-        _certify(reports[0][1], arguments.certificate, quiet=arguments.json)
+    if reports[0][1] is not None:
+        _write(reports[0][1], arguments)
     if arguments.json:
         print_json(arguments, documents if several else documents[0])
     elif several:
@@ -93,6 +92,16 @@ def _check(arguments: argparse.Namespace) -> int:
         for file, report, _ in reports:
             print(f"{Path(file).stem:{width}}  {'refused' if report is None else report.verdict}")
     return max(status for *_, status in reports)
+
+
+def _write(report: Report, arguments: argparse.Namespace) -> None:
+    """Write what was asked for of a report."""
+    if arguments.markdown:
+        write_text(Path(arguments.markdown), report.markdown())
+    if arguments.html:
+        report.view(arguments.html)
+    if arguments.certificate:
+        _certify(report, arguments.certificate, quiet=arguments.json)
 
 
 def _interval(option: str, setting: str, example: str) -> tuple[str, tuple[float, float]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from nsmodel.cli.settings import ACCEPTED, Commands, add_set, load
+from nsmodel.cli.settings import ACCEPTED, Commands, add_file, add_set, load
 from nsmodel.cli.status import DONE
 from nsmodel.defaults import TOLERANCE
 from nsmodel.words import print_shown as print
@@ -15,7 +15,7 @@ def add(commands: Commands) -> None:
     """Add the command and its options."""
     about = "Write the model's verified step as a C99 library: header, source, Makefile, example, description, README."
     parser = commands.add_parser("codegen", help="write a model's step as a C library", description=about)
-    parser.add_argument("file", metavar="FILE", help="a Python file that defines model = ... or def model(...)")
+    add_file(parser)
     parser.add_argument("--out", metavar="DIR", help="folder of the library (default: FILE-c)")
     parser.add_argument("--name", metavar="NAME", help="prefix of all names in C (default: the file's name)")
     parser.add_argument(

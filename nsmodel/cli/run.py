@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from nsmodel.cli.inputs import add_input, inputs_of
 from nsmodel.cli.output import print_json
-from nsmodel.cli.settings import ACCEPTED, Commands, add_set, load
+from nsmodel.cli.settings import ACCEPTED, Commands, add_files, add_set, load
 from nsmodel.cli.signals import INTERRUPTED, TERMINATED, no_more_signals
 from nsmodel.cli.status import DONE, FAILED_STEP, USAGE, refused, silenced
 from nsmodel.defaults import TOLERANCE
@@ -32,7 +32,7 @@ from nsmodel.words import print_shown as print
 def add(commands: Commands) -> None:
     """Add the command and its options."""
     parser = commands.add_parser("run", help="simulate a model file", description="Simulate a model file and print a summary.")
-    parser.add_argument("files", metavar="FILE", nargs="+", help="a Python file that defines model = ... or def model(...)")
+    add_files(parser)
     parser.add_argument("--step", type=float, metavar="H", help="time step (default: the model's)")
     parser.add_argument("--t-end", type=float, metavar="T", help="end of the run (default: the model's)")
     parser.add_argument("--rtol", type=float, metavar="R", help="error allowed, relative: event-driven where that applies")
@@ -57,6 +57,10 @@ def add(commands: Commands) -> None:
     parser.add_argument("--out", metavar="DIR", help="folder for trajectory.npz, summary.json and pictures")
     parser.add_argument("--csv", metavar="PATH", help="also write the trajectory as CSV")
     parser.add_argument("--plot", action="store_true", help="write pictures into --out (default: FILE-run)")
+    parser.add_argument(
+        "--window", metavar="T0:T1", help="with --plot: pictures from T0 to T1 alone; either may be left out, as in 0.9:"
+    )
+    parser.add_argument("--html", metavar="FILE", help="also write a page on which the run is looked at in a browser")
     parser.add_argument("--film", metavar="PATH", help="write a film of bodies in the plane: .gif, or .mp4 with ffmpeg")
     parser.add_argument("--explain", action="store_true", help="say what is used and what is left out, and why; then run")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
@@ -75,14 +79,19 @@ def _run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"two files are called '{twice}': their results would go to one folder; run them one by one")
     if several and arguments.csv:
         raise UsageError("--csv takes one model file; for several give --out DIR and read the trajectory.npz in it")
+    if several and arguments.html:
+        raise UsageError("--html takes one model file; for several give --out DIR and look at each with 'nsmodel view'")
     if several and arguments.film:
         raise UsageError("--film takes one model file; run them one by one")
+    if arguments.window is not None and not arguments.plot:
+        raise UsageError("--window is a window of pictures: give --plot as well")
+    _window(arguments.window)
     if arguments.film:
         from nsmodel.plot.film import check_film
 
         check_film(arguments.film)
-    if arguments.csv:
-        refuse_unwritable(arguments.csv)
+    for path in filter(None, (arguments.csv, arguments.html)):
+        refuse_unwritable(path)
     results: list[Result] = []
     for file in arguments.files:
         results.append(_run_file(arguments, file, _folder(arguments, file)))
@@ -173,6 +182,20 @@ def _folder(arguments: argparse.Namespace, file: str) -> Path | None:
     return Path(arguments.out) / Path(file).stem if len(arguments.files) > 1 else Path(arguments.out)
 
 
+def _window(text: str | None) -> tuple[float | None, float | None] | None:
+    """What --window says."""
+    if text is None:
+        return None
+    ends = text.split(":")
+    try:
+        begin, end = (float(one) if one.strip() else None for one in ends)
+    except ValueError:
+        raise UsageError(f"--window {text}: expected T0:T1, two times, of which one may be left out") from None
+    if begin is not None and end is not None and not begin < end:
+        raise UsageError(f"--window {text}: expected T0 < T1")
+    return begin, end
+
+
 def _own_folder(file: str) -> Path:
     return Path(f"{Path(file).stem}-run")
 
@@ -187,11 +210,13 @@ def _report(
     if arguments.plot and folder is not None:
         from nsmodel.plot import save_all
 
-        pictures = [str(path) for path in save_all(run, model, folder)]
+        pictures = [str(path) for path in save_all(run, model, folder, t=_window(arguments.window))]
     if arguments.film:
         from nsmodel.plot import animate
 
         pictures.append(str(animate(run, arguments.film)))
+    if arguments.html:
+        pictures.append(str(run.view(arguments.html, model)))
     printed = not (arguments.json or arguments.quiet or len(arguments.files) > 1)
     document = _document(file, run, seconds, folder, pictures)
     if printed or arguments.json or folder is not None:

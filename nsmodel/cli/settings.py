@@ -1,11 +1,13 @@
-"""Arguments that several commands read: NAME=VALUE, the model of a file, the tolerance."""
+"""Arguments that several commands read: the model file, NAME=VALUE, the tolerance."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
+from nsmodel import shelf
 from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import UsageError
 from nsmodel.loader import load_with
@@ -14,7 +16,23 @@ from nsmodel.model.base import Model
 T = TypeVar("T")
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
+FILE = "a Python file that defines model = ... or def model(...), or the name of a case (see nsmodel cases)"
 ACCEPTED = f"largest accepted residual (default {TOLERANCE:g})".replace("e-0", "e-")
+
+
+def add_file(parser: argparse.ArgumentParser) -> None:
+    """Add the model file."""
+    parser.add_argument("file", metavar="FILE", type=_model_file, help=FILE)
+
+
+def add_files(parser: argparse.ArgumentParser) -> None:
+    """Add the model files, one at least."""
+    parser.add_argument("files", metavar="FILE", nargs="+", type=_model_file, help=FILE)
+
+
+def _model_file(text: str) -> str:
+    """The file as it was given; that of a case where a case's name was given, and no file of that name is here."""
+    return text if Path(text).is_file() else str(shelf.files().get(text, text))
 
 
 def add_set(parser: argparse.ArgumentParser) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 
@@ -21,7 +22,7 @@ def refused(error: NsmodelError) -> int:
 def silenced(error: OSError) -> int:
     """Give up standard output; no fault where its reader (head, less) has gone."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    if isinstance(error, BrokenPipeError):
+    if isinstance(error, BrokenPipeError) or (sys.platform == "win32" and error.errno == errno.EINVAL):
         return DONE
     print(f"nsmodel: error: cannot write the output: {error}", file=sys.stderr)
     return USAGE

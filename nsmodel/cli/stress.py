@@ -8,7 +8,7 @@ from pathlib import Path
 
 from nsmodel.cli.inputs import add_input, inputs_of
 from nsmodel.cli.output import print_json
-from nsmodel.cli.settings import Commands, add_set, by_name, parsed, setting
+from nsmodel.cli.settings import Commands, add_file, add_set, by_name, parsed, setting
 from nsmodel.cli.status import AT_FAULT, DONE
 from nsmodel.errors import UsageError
 from nsmodel.loader import load_with
@@ -21,7 +21,7 @@ def add(commands: Commands) -> None:
     """Add the command and its options."""
     about = "Push a model: its step, its units, its parameters; say of each short run whether it is right, stopped or wrong."
     parser = commands.add_parser("stress", help="push a model's step, units and parameters", description=about)
-    parser.add_argument("file", metavar="FILE", help="a Python file that defines model = ... or def model(...)")
+    add_file(parser)
     add_set(parser)
     add_input(parser)
     parser.add_argument(

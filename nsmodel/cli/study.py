@@ -8,7 +8,7 @@ from pathlib import Path
 
 from nsmodel.cli.inputs import add_input, inputs_of
 from nsmodel.cli.output import print_json
-from nsmodel.cli.settings import Commands, add_set, load
+from nsmodel.cli.settings import Commands, add_file, add_set, load
 from nsmodel.cli.signals import by_signal, no_more_signals
 from nsmodel.cli.status import DONE
 from nsmodel.errors import UsageError
@@ -20,7 +20,7 @@ def add(commands: Commands) -> None:
     """Add the command and its options."""
     about = "Measure how accurate the schemes and solvers that apply to a model are for what they cost."
     parser = commands.add_parser("study", help="measure errors and times: a work-precision study", description=about)
-    parser.add_argument("file", metavar="FILE", help="a Python file that defines model = ... or def model(...)")
+    add_file(parser)
     parser.add_argument("--steps", metavar="H1,H2,...", help="time steps (default: 16 h, 8 h, ... h/8 around the model's own)")
     parser.add_argument("--target", type=float, metavar="ERROR", help="say what this relative error costs")
     parser.add_argument("--t-end", type=float, metavar="T", help="end of the runs (default: the model's)")
@@ -30,6 +30,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("--budget", type=float, default=60.0, metavar="SECONDS", help="wall time of the study (default 60)")
     parser.add_argument("--json", action="store_true", help="print the study as JSON")
     parser.add_argument("--csv", metavar="PATH", help="also write one row a point as CSV")
+    parser.add_argument("--html", metavar="FILE", help="also write the study as a page for a browser")
     parser.add_argument("--out", metavar="DIR", help="folder for study.txt, study.json, study.csv and study.png")
     parser.set_defaults(command=_study)
 
@@ -57,6 +58,8 @@ def _study(arguments: argparse.Namespace) -> int:
         print(found.text())
     if arguments.csv:
         found.to_csv(arguments.csv)
+    if arguments.html:
+        found.view(arguments.html)
     if arguments.out:
         folder = Path(arguments.out)
         write_text(folder / "study.txt", found.text())

@@ -13,7 +13,7 @@ import numpy as np
 
 from nsmodel.cli.inputs import add_input, inputs_of
 from nsmodel.cli.output import print_json
-from nsmodel.cli.settings import ACCEPTED, Commands, add_set, by_name, parsed, setting
+from nsmodel.cli.settings import ACCEPTED, Commands, add_file, add_set, by_name, parsed, setting
 from nsmodel.cli.signals import no_more_signals
 from nsmodel.cli.status import DONE, FAILED_STEP
 from nsmodel.defaults import TOLERANCE
@@ -33,7 +33,7 @@ def add(commands: Commands) -> None:
     """Add the command and its options."""
     about = "Run a model for many values of its parameters, starts, seeds or steps, on all cores."
     parser = commands.add_parser("sweep", help="run a model file many times", description=about)
-    parser.add_argument("file", metavar="FILE", help="a Python file that defines model = ... or def model(...)")
+    add_file(parser)
     parser.add_argument(
         "--grid", action="append", default=[], metavar=VALUES, help="values of a parameter, a dimension; repeatable"
     )

@@ -15,13 +15,14 @@ from nsmodel.codegen import cache, structs
 from nsmodel.codegen.bodies import item_size, model_source, solver_source
 from nsmodel.codegen.bounds import MOST_WORK
 from nsmodel.codegen.cache import kept, key_for
-from nsmodel.codegen.library import Mapped, compiler, no_compiler
+from nsmodel.codegen.library import FLAGS as PORTABLE
+from nsmodel.codegen.library import NATIVE, Mapped, compiler, no_compiler
 from nsmodel.codegen.statuses import BAD_ARITHMETIC, NO_ROOM, STATUSES
 from nsmodel.errors import CodegenError, StepError
 from nsmodel.solve.many_bodies import COLD, BodiesStep, BodiesWarm, Contacts
 from nsmodel.solve.near import least_gap
 
-FLAGS = ("-std=c99", "-O3", "-march=native", "-ffp-contract=off", "-Werror=implicit-function-declaration", "-fPIC", "-shared")
+FLAGS = (*("-O3" if flag == "-O2" else flag for flag in PORTABLE), *NATIVE)
 
 
 def library(text: str, name: str) -> Mapped:

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import casadi as ca
 
-from nsmodel.cache_folder import cache_folder
+from nsmodel.cache_folder import SUFFIX, cache_folder
 from nsmodel.codegen.all_values import all_values
 from nsmodel.codegen.library import FLAGS, IN_LANES, TIMEOUT, compile_library, in_use
 from nsmodel.codegen.scene import Scene, make_scene
@@ -94,7 +94,7 @@ def kept(key: str, files: Callable[[], Mapping[str, str]], flags: tuple[str, ...
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         _refuse_untrusted(folder)
-        for path in sorted(folder.glob(f"{key}-*.so")):
+        for path in sorted(folder.glob(f"{key}-*{SUFFIX}")):
             with contextlib.suppress(FileNotFoundError):  # another process has just removed it
                 if _own_file(path) and path.name == _name(key, path):
                     os.utime(path)  # used last
@@ -120,7 +120,7 @@ def is_cached_for_all(model: Model, grid: Grid, tolerance: float, compiler: str)
 def is_kept(key: str) -> bool:
     """Whether ``kept`` finds the library of a key, to the look of it."""
     try:
-        return any(map(_own_file, cache_folder().glob(f"{key}-*.so")))
+        return any(map(_own_file, cache_folder().glob(f"{key}-*{SUFFIX}")))
     except (OSError, CodegenError):
         return False
 
@@ -151,8 +151,8 @@ def _refuse_untrusted(folder: Path) -> None:
 def _own_file(path: Path) -> bool:
     """Whether a library is a file of this user that nobody else may write, and no link."""
     found = path.lstat()
-    own = not hasattr(os, "geteuid") or found.st_uid == os.geteuid()
-    return stat.S_ISREG(found.st_mode) and own and not found.st_mode & OTHERS
+    own = not hasattr(os, "geteuid") or (found.st_uid == os.geteuid() and not found.st_mode & OTHERS)
+    return stat.S_ISREG(found.st_mode) and own
 
 
 def _tidy(folder: Path) -> None:
@@ -162,9 +162,10 @@ def _tidy(folder: Path) -> None:
         for path in folder.glob(f"{BUILDING}*"):
             if time.time() - path.lstat().st_mtime > 2 * TIMEOUT:
                 shutil.rmtree(path, ignore_errors=True)
-        libraries = sorted(folder.glob("*.so"), key=lambda path: path.lstat().st_mtime_ns, reverse=True)
+        libraries = sorted(folder.glob(f"*{SUFFIX}"), key=lambda path: path.lstat().st_mtime_ns, reverse=True)
         for path in [path for path in libraries if path not in loaded][MOST - 1 :]:
-            path.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # another process has removed it, or has it loaded
+                path.unlink()
 
 
 def key_of(model: Model, grid: Grid, tolerance: float, compiler: str) -> str:
@@ -192,14 +193,20 @@ def _built(place: Path, files: Mapping[str, str], folder: Path, key: str, flags:
     """Compile in ``place``; the library appears in ``folder`` whole, whoever else builds the same one."""
     for name, text in files.items():
         (place / name).write_text(text, encoding="utf-8")
-    library = place / "library.so"
+    library = place / f"library{SUFFIX}"
     compile_library(place / next(iter(files)), library, flags)
     library.chmod(0o700)
-    return library.replace(folder / _name(key, library))
+    named = folder / _name(key, library)
+    try:
+        return library.replace(named)
+    except PermissionError:
+        if not named.exists():
+            raise
+        return named  # the same, built by another process, which has it loaded
 
 
 def _name(key: str, path: Path) -> str:
-    return f"{key}-{_hash(path.read_bytes())}.so"
+    return f"{key}-{_hash(path.read_bytes())}{SUFFIX}"
 
 
 @cache

@@ -5,8 +5,10 @@ from __future__ import annotations
 import _ctypes
 import contextlib
 import ctypes
+import hashlib
 import json
 import os
+import platform
 import shutil
 import signal
 import subprocess
@@ -16,10 +18,15 @@ import weakref
 from pathlib import Path
 from typing import Any
 
+from nsmodel.cache_folder import SUFFIX
 from nsmodel.codegen.solver import Solver
 from nsmodel.errors import CodegenError
 
-FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Werror=implicit-function-declaration", "-fPIC", "-shared")
+SHARED = ("-shared", "-static-libgcc") if SUFFIX == ".dll" else ("-fPIC", "-shared")  # MinGW's code can lie anywhere.
+FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-Werror=implicit-function-declaration", *SHARED)
+# For this processor alone; not on Windows, where gcc does not align the stack for its longest vectors.
+NATIVE = () if SUFFIX == ".dll" else ("-mcpu=native" if platform.machine() in ("arm64", "aarch64") else "-march=native",)
+MATHS = () if SUFFIX == ".dll" else ("-lm",)  # Where functions like exp are.
 QUICKLY = ("-fno-gcse", "-fno-inline-functions", "-fno-partial-inlining", "-fno-schedule-insns2")  # Slow to build.
 IN_LANES = (*FLAGS, "-ftree-vectorize", "-fopenmp-simd", "-fno-trapping-math", *QUICKLY)  # None of these changes a bit.
 COMPILERS = ("cc", "gcc", "clang")
@@ -39,7 +46,9 @@ def no_compiler() -> CodegenError:
     """The error where ``compiler`` gives None."""
     named = os.environ.get("CC", "").strip()
     missing = f"CC names {named}, which is not there" if named else f"none of {', '.join(COMPILERS)}"
-    return CodegenError(f"no C compiler was found ({missing}); install one (apt install gcc, xcode-select --install)")
+    return CodegenError(
+        f"no C compiler was found ({missing}); install one (apt install gcc; xcode-select --install; on Windows MinGW-w64)"
+    )
 
 
 def compile_library(source: Path, target: Path, flags: tuple[str, ...] = FLAGS) -> None:
@@ -54,7 +63,7 @@ def compile_library(source: Path, target: Path, flags: tuple[str, ...] = FLAGS) 
     try:
         with tempfile.TemporaryDirectory(dir=target.parent) as folder:
             built = Path(folder) / target.name
-            command = [*name.split(), *flags, "-o", str(built), str(source), "-lm"]
+            command = [*name.split(), *flags, "-o", str(built), str(source), *MATHS]
             status, errors = _called(command)
             if status:
                 raise CodegenError(f"{name} could not compile {source.name}: {_first_error(status, errors)}")
@@ -94,22 +103,21 @@ def _first_error(status: int, errors: str) -> str:
 
 
 class Mapped(ctypes.CDLL):
-    """A library in memory, which goes when nothing refers to it; each of its functions, asked for by ``[name]``, does."""
+    """A library in memory, which goes when nothing refers to it; each of its functions, asked for by ``[name]``, does.
+
+    Systems know libraries by their paths, and some let no file be changed that is loaded: the path must name the content.
+    """
 
     def __init__(self, path: Path) -> None:
         """Load the library at ``path``; OSError where that fails."""
         self.path, self.closed = path, True
-        with tempfile.TemporaryDirectory() as folder:
-            # Libraries are known by their paths: under one that is new, a file built again is not taken for the old one.
-            link = Path(folder) / path.name
-            link.symlink_to(path.resolve())
-            super().__init__(str(link))
+        super().__init__(str(path.resolve()))
         self.closed = False
         _MAPPED.add(self)
 
     def __del__(self) -> None:
         """Unload it, but not while Python ends and others may still call it."""
-        close = getattr(_ctypes, "dlclose", None)
+        close = getattr(_ctypes, "dlclose", None) or getattr(_ctypes, "FreeLibrary", None)
         if not self.closed and close is not None and not sys.is_finalizing():
             self.closed = True
             close(self._handle)
@@ -126,6 +134,8 @@ def in_use() -> set[Path]:
 def load(folder: str | Path) -> Library:
     """Build (where it is not built yet) and load the library that ``nsmodel codegen`` wrote into ``folder``.
 
+    It is built there, under a name that has a hash of its code; what was built from other code goes, unless it is loaded.
+
     Raises:
         CodegenError: no library there, no compiler, or it fails.
     """
@@ -136,10 +146,14 @@ def load(folder: str | Path) -> Library:
             f"{folder} has {len(found) or 'no'} libraries; expected one NAME.json beside NAME.c, as nsmodel codegen writes them"
         )
     about = json.loads(found[0].read_bytes())
-    source, built = found[0].with_suffix(".c"), folder / f"lib{about['name']}.so"
-    newest = max(path.stat().st_mtime_ns for path in folder.glob(f"{about['name']}.[ch]"))
-    if not built.exists() or built.stat().st_mtime_ns <= newest:
+    name, source = about["name"], found[0].with_suffix(".c")
+    code = b"\0".join(path.read_bytes() for path in sorted(folder.glob(f"{name}.[ch]")))
+    built = folder / f"lib{name}-{hashlib.sha256(code).hexdigest()[:24]}{SUFFIX}"
+    if not built.exists():
         compile_library(source, built)
+        for old in set(folder.glob(f"lib{name}-*{SUFFIX}")) - {built} - in_use():
+            with contextlib.suppress(OSError):
+                old.unlink()
     return Library(built, about)
 
 

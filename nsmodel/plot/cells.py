@@ -95,7 +95,7 @@ def last_rows(variable: Variable, kept: Sequence[str]) -> tuple[Variable, str]:
     words = []
     for dim in variable.dims:
         if dim not in variable.cell_dims and dim not in kept:
-            words.append(value_of(variable, dim, -1))
+            words += [value_of(variable, dim, -1)] if variable.sizes[dim] > 1 else []
             variable = variable.take(dim, -1)
     return variable, f" at {', '.join(words)}" if words else ""
 

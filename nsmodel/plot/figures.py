@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -11,9 +12,11 @@ import numpy as np
 
 from nsmodel.columns import model_type, output_names
 from nsmodel.plot import crowd, style
+from nsmodel.plot.chain import chains, of_family, of_states
 from nsmodel.plot.plane import phase, plots_of
-from nsmodel.plot.strip import MAX_ROWS, index_strip
+from nsmodel.plot.strip import MAX_ROWS, index_map, index_strip
 from nsmodel.plot.time import MAX_LINES, energy, inputs, multipliers, outputs, residual, states
+from nsmodel.plot.window import Window, window
 from nsmodel.storage import replacing
 
 if TYPE_CHECKING:
@@ -42,18 +45,30 @@ SHEETS = {
 }
 
 
-def overview(run: Trajectory, model: Any = None) -> Figure:
+def overview(run: Trajectory, model: Any = None, *, t: Window | None = None) -> Figure:
     """One figure of the whole run, 1400 x 900 pixels, composed of what the run holds.
 
     On the left, over a shared time axis: states, index set, multipliers, reactions. On the right: the configuration of
     a planar sweeping process (or else the phase portrait), the energy and the residual. Of many bodies in the plane: the moment
     of most pressure, how many are there, maps of density and pressure.
+
+    Args:
+        run: the run.
+        model: its model, or None: then no configuration of one or two states.
+        t: a window of time (t0, t1), None for an end of the run; left out: the whole run. See `window`.
+
+    Raises:
+        PlotError, UsageError: no such window.
     """
+    run = window(run, t)
     figure, run = _titled(run), run.smooth()
     panels = _panels(run, model, lines=8, rows=12)
     if "frame" in panels:
         return _of_crowd(figure, panels)
-    plane = [panels[name] for name in ("configuration", "phase") if name in panels][:1]
+    along = [name for name in panels if name.startswith("chain")]
+    plane = [panels[name] for name in ("configuration", *reversed(along), "phase") if name in panels][:1]
+    if len(along) > 1:
+        panels["states"] = panels[along[0]]
     left = [panels[name] for name in TIME if name in panels]
     checks = [panels[name] for name in ("energy", "residual") if name in panels]
     if plane:
@@ -74,20 +89,25 @@ def small(run: Trajectory) -> Figure:
     return figure
 
 
-def save_all(run: Trajectory, model: Any, directory: str | Path, prefix: str = "") -> list[Path]:
+def save_all(
+    run: Trajectory, model: Any, directory: str | Path, prefix: str = "", *, t: Window | None = None
+) -> list[Path]:  # fmt: skip
     """Write all pictures the run can give, each beside its place and then renamed; returns their paths.
 
     `states.png` (with the index set), `outputs.png`, `inputs.png`, `phase.png`, `multipliers.png`, `energy.png`,
-    `configuration.png` (a planar sweeping process) and `overview.png`, each with `prefix` before its name. Of many bodies in
-    the plane `frame.png`, `evacuation.png`, `maps.png`, `paths.png` and `overview.png`.
+    `configuration.png` (a planar sweeping process) and `overview.png`, each with `prefix` before its name; in place of
+    `phase.png` it is `space_time.png` where so many states stand in a row that they are a chain. Of many bodies in the plane
+    `frame.png`, `evacuation.png`, `maps.png`, `paths.png` and `overview.png`.
 
     Args:
         run: the run.
         model: its model, or None: then no configuration of one or two states.
         directory: made where missing.
         prefix: put before each file name.
+        t: a window of time, as in `overview`.
 
     """
+    run = window(run, t)
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     smooth = run.smooth()
@@ -97,6 +117,8 @@ def save_all(run: Trajectory, model: Any, directory: str | Path, prefix: str = "
         for name, (parts, width, scale) in SHEETS.items()
         if parts[0] in panels or (name in TIME and parts[-1] in panels)
     }
+    if along := [panel for name, panel in panels.items() if name.startswith("chain")]:
+        draws["space_time"] = partial(_sheet, smooth, along, 9, 1.5)
     draws["overview"] = partial(overview, run, model)
     if "frame" in panels:  # Its maps are made but once.
         draws["overview"] = lambda: _of_crowd(_titled(run), panels)
@@ -119,7 +141,7 @@ def _panels(run: Trajectory, model: Any, *, lines: int, rows: int) -> dict[str, 
     own = {} if plots is None else plots.panels(run, model)
     if "frame" in own:
         return own
-    panels: dict[str, Panel] = {"states": (2.6, partial(states, run, limit=lines)), **own}
+    panels: dict[str, Panel] = {"states": (2.6, partial(states, run, limit=lines, model=model)), **own}
     if "inputs" in run.arrays:
         panels["inputs"] = (1.4, partial(inputs, run, limit=lines))
     if output_names(run):
@@ -128,12 +150,18 @@ def _panels(run: Trajectory, model: Any, *, lines: int, rows: int) -> dict[str, 
         panels["index_strip"] = (0.5 + 0.16 * bands, partial(index_strip, run, limit=rows))
         for name in ("reactions",) if run.is_event_driven and "reactions" in run.arrays else ("multipliers", "reactions"):
             if name in run.arrays:
-                panels[name] = (2, partial(multipliers, run, which=name, limit=lines))
+                panels[name] = (2, partial(multipliers, run, which=name, limit=lines, model=model))
+                if found := chains(run, name):
+                    panels["index_strip"] = (2, partial(index_map, run))
+                    panels[name] = (2, partial(of_family, run, found[0], heading=found[0].stem.capitalize()))
     if "pressure" in run.arrays:
         panels["pressures"] = (2, partial(crowd.pressures, run))
     if run.x.shape[1] > 1 or (model_type(run).second_order and "v" in run.arrays):
-        panels["phase"] = (2.6, partial(phase, run))
-    for name, draw in (("energy", energy), ("residual", residual)):
+        panels["phase"] = (2.6, partial(phase, run, model=model))
+    if found := of_states(run):
+        del panels["phase"]
+        panels |= {f"chain {k}": (2.2, partial(of_family, run, one)) for k, one in enumerate(found)}
+    for name, draw in (("energy", partial(energy, model=model)), ("residual", residual)):
         if name in run.arrays:
             panels[name] = (1.6, partial(draw, run))
     return panels
@@ -142,7 +170,7 @@ def _panels(run: Trajectory, model: Any, *, lines: int, rows: int) -> dict[str, 
 def _titled(run: Trajectory) -> Figure:
     """An empty overview."""
     figure = style.blank(14, 9)
-    figure.suptitle(_title(run), fontsize=13, fontweight="bold", color=style.INK)
+    figure.suptitle(_title(run, 110), fontsize=13, fontweight="bold", color=style.INK)
     figure.supxlabel(style.text(_subtitle(run)), fontsize=9, color="#5B6570")
     return figure
 
@@ -158,7 +186,7 @@ def _of_crowd(figure: Figure, panels: dict[str, Panel]) -> Figure:
 def _sheet(run: Trajectory, panels: Sequence[Panel], width: float, scale: float) -> Figure:
     """Build a titled figure of one column."""
     figure = style.blank(width, 1.5 + scale * sum(height for height, _ in panels))
-    figure.suptitle(_title(run), fontsize=12, fontweight="bold", color=style.INK)
+    figure.suptitle(_title(run, int(8 * width)), fontsize=12, fontweight="bold", color=style.INK)
     _stack(figure, figure.add_gridspec(1, 1)[0], panels, shared=True)
     return figure
 
@@ -175,20 +203,27 @@ def _stack(figure: Figure, spec: Any, panels: Sequence[Panel], *, shared: bool) 
             ax.tick_params(labelbottom=False)
 
 
-def _title(run: Trajectory) -> str:
-    return style.text(run.metadata.get("title") or run.metadata.get("model_class") or run.title)
+def _title(run: Trajectory, width: int) -> str:
+    """The title in at most two lines of so many letters."""
+    words = str(run.metadata.get("title") or run.metadata.get("model_class") or run.title)
+    return "\n".join(style.text(line) for line in textwrap.wrap(words, width, max_lines=2, placeholder=" …"))
 
 
 def _subtitle(run: Trajectory) -> str:
-    """One line: the class, the number of steps, the step and how the run ended."""
-    steps = run.arrays.get("step", np.diff(run.t, prepend=np.nan))
+    """One line: the class, the number of steps or pieces, their lengths and how the run ended."""
+    noun = "piece" if run.is_event_driven else "step"
+    steps = run.arrays.get("step", np.zeros(0) if run.is_event_driven else np.diff(run.t, prepend=np.nan))
     steps, unit, size = steps[np.isfinite(steps)], style.unit(run, "t"), ""
     if len(steps):
         low, high = steps.min(), steps.max()
-        size = f"{high:.4g}" if high - low <= 1e-6 * high else f"{low:.3g} to {high:.4g}"
-        size = f"step {size} {unit}".rstrip()
+        ends = f"{low:.3g}", f"{high:.3g}"
+        size = f"{high:.4g}" if high - low <= 1e-6 * high else "about " + ends[1] if ends[0] == ends[1] else " to ".join(ends)
+        size = f"{noun} {size} {unit}".rstrip()
     status = f"status: {run.status}" if "status" in run.metadata else ""
     every = run.metadata.get("save_every", 1)
     kept = f"rows kept: one in {every}" if every > 1 else ""
-    parts = [run.metadata.get("model_class"), f"{run.metadata.get('steps', len(run))} steps", size, kept, status]
+    window = "t = {:.6g} to {:.6g}".format(*run.metadata["window"]) if "window" in run.metadata else ""
+    shown = f"shown: {window} {unit}".rstrip() if window else ""
+    count = run.metadata.get("steps", len(run))
+    parts = [run.metadata.get("model_class"), f"{count} {noun}{'s' * (count != 1)}", size, kept, shown, status]
     return ", ".join(str(part) for part in parts if part)

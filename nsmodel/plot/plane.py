@@ -11,10 +11,13 @@ from nsmodel.classes.registry import class_named
 from nsmodel.columns import model_type, state_names
 from nsmodel.errors import PlotError
 from nsmodel.plot import style
+from nsmodel.plot.band import MOST_SWINGS, swings
+from nsmodel.plot.rounding import is_rounding
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from nsmodel.model.base import Model
     from nsmodel.trajectory import Trajectory
 
     Gap = Callable[..., np.ndarray]
@@ -25,7 +28,9 @@ GRID = 240
 # -- phase portrait ----------------------------------------------------------------------------------------------------
 
 
-def phase(run: Trajectory, i: int = 0, j: int | None = None, *, ax: Axes | None = None) -> Axes:
+def phase(
+    run: Trajectory, i: int = 0, j: int | None = None, *, model: Model | None = None, ax: Axes | None = None
+) -> Axes:  # fmt: skip
     """Draw the phase portrait of states i and j, with its start and its end.
 
     Args:
@@ -33,6 +38,7 @@ def phase(run: Trajectory, i: int = 0, j: int | None = None, *, ax: Axes | None 
         i: the state across.
         j: the state up; by default the velocity of i for an oscillator, else the next state that has another unit
             than i, or the next one.
+        model: the run's, or None; with it what is 0 to rounding is told in any units (see `plot.rounding`).
         ax: where to draw; a new figure by default.
 
     Raises:
@@ -40,25 +46,35 @@ def phase(run: Trajectory, i: int = 0, j: int | None = None, *, ax: Axes | None 
 
     """
     run = run.smooth()
-    x, y, up = run.x[:, _checked(run, i)], *_second_column(run, i, j)
+    x, (y, up, own) = run.x[:, _checked(run, i)], _second_column(run, i, j)
+    across, still = style.label(run, state_names(run)[i]), is_rounding(run, "x", model)[i]
+    x, across = (0 * x, style.zero(across, True)) if still else (x, across)
+    if is_rounding(run, own[0], model)[own[1]]:
+        y, up = 0 * y, style.zero(up, True)
     ax = style.axes(ax, 6, 5)
     known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))  # a velocity may start a row later
+    if not known.size:
+        style.dress(ax, "Phase portrait: no row has finite values", across, up)
+        return ax
     kept = known[style.thin(x[known], y[known])]
-    ax.plot(x[kept], y[kept], color=style.LINES[0], linewidth=1.2)
-    style.dress(ax, "Phase portrait", style.label(run, state_names(run)[i]), up)
+    crowded = max(swings(x), swings(y)) > MOST_SWINGS
+    ax.plot(x[kept], y[kept], color=style.LINES[0], linewidth=0.4 if crowded else 1.2)
+    style.dress(ax, "Phase portrait", across, up)
+    style.steady(ax, y[kept])
+    style.steady(ax, x[kept], axis="x")
     if y[kept].min() < 0 < y[kept].max():
         ax.axhline(0, color="#C4C9D0", linewidth=0.8, zorder=1)
     style.legend(ax, _ends(ax, run, x, y, kept[0], kept[-1]))
     return ax
 
 
-def _second_column(run: Trajectory, i: int, j: int | None) -> tuple[np.ndarray, str]:
-    """What a phase portrait has upwards, and its label."""
+def _second_column(run: Trajectory, i: int, j: int | None) -> tuple[np.ndarray, str, tuple[str, int]]:
+    """What a phase portrait has upwards, its label, and which column of which array it is."""
     n, names = run.x.shape[1], state_names(run)
     if j is None and model_type(run).second_order and "v" in run.arrays:
         length, time = style.unit(run, names[i]), style.unit(run, "t")
         unit = f"{length}/{time}" if length and time else ""
-        return run.arrays["v"][:, i], style.with_unit(f"velocity of {style.short(names[i])}", unit)
+        return run.arrays["v"][:, i], style.with_unit(f"velocity of {style.short(names[i])}", unit), ("v", i)
     if n < 2:
         raise PlotError(f"a phase portrait needs two states, or a velocity; this run has the state {names[0]} alone")
     if j is None:
@@ -66,7 +82,7 @@ def _second_column(run: Trajectory, i: int, j: int | None) -> tuple[np.ndarray, 
         chosen = next((k for k in others if style.unit(run, names[k]) != style.unit(run, names[i])), others[0])
     else:
         chosen = _checked(run, j)
-    return run.x[:, chosen], style.label(run, names[chosen])
+    return run.x[:, chosen], style.label(run, names[chosen]), ("x", chosen)
 
 
 def _checked(run: Trajectory, state: int) -> int:

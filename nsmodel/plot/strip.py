@@ -21,7 +21,8 @@ if TYPE_CHECKING:
     Words = dict[int, tuple[str, str]]  # index-set code: (colour, words)
 
 MAX_ROWS = 30
-COLUMNS = 800  # about a pixel each
+COLUMNS, PLACES = 800, 600  # about a pixel each
+UNSEEN = 127  # No code of an index set.
 CHATTER = "split band: changes within a pixel"
 
 COLOURS = {"lower": LOWER, "zero": ZERO, "upper": UPPER, "nothing": PALE}
@@ -47,12 +48,8 @@ def index_strip(run: Trajectory, *, limit: int = MAX_ROWS, ax: Axes | None = Non
 
     """
     run = run.smooth()
-    codes = style.table(run, "index_set")
+    names, laws, codes = _rows(run)
     count = codes.shape[1]
-    if not count:
-        raise PlotError("this run has no index set: its model has no multipliers")
-    names = run.metadata.get("index_names") or [f"row {k}" for k in range(count)]
-    laws = _laws(run, names)
     changes = np.count_nonzero(np.diff(codes[1:], axis=0), axis=0)
     shown = np.sort(np.argsort(-changes, kind="stable")[:limit])
     ax = style.axes(ax, 8, 1.3 + 0.22 * len(shown))
@@ -64,6 +61,57 @@ def index_strip(run: Trajectory, *, limit: int = MAX_ROWS, ax: Axes | None = Non
     ax.tick_params(axis="y", length=0)
     _legend(ax, dict(laws[k] for k in shown), chatter=max(split) > 0.05)
     return ax
+
+
+def index_map(run: Trajectory, *, ax: Axes | None = None) -> Axes:
+    """Draw the whole index set as a map: a line of pixels a row, a colour for each of the law's states.
+
+    Of many rows of a run in a pixel that state is shown which is there the longest.
+
+    Args:
+        run: the run.
+        ax: where to draw; a new figure by default.
+
+    Raises:
+        PlotError: as of `index_strip`.
+    """
+    from matplotlib.colors import ListedColormap
+
+    run = run.smooth()
+    names, laws, codes = _rows(run)
+    shown = style.spread(len(names), PLACES)
+    codes = codes[:, shown]
+    kinds = dict(laws[k] for k in shown)
+    colours = dict.fromkeys(colour for words in kinds.values() for colour, _ in words.values())
+    ax = style.axes(ax)
+    if len(run.t) > 1:
+        starts = buckets(len(run.t) - 1)
+        counts = np.zeros((len(colours), len(starts), len(shown)))
+        for number, colour in enumerate(colours):
+            own = np.array([[code for code, (one, _) in laws[k][1].items() if one == colour][:1] or [UNSEEN] for k in shown])
+            counts[number] = np.add.reduceat(codes == own.T, starts, axis=0, dtype=float)
+        edges, places = np.append(run.t[starts - 1], run.t[-1]), np.linspace(-0.5, len(names) - 0.5, len(shown) + 1)
+        look: dict[str, Any] = {"cmap": ListedColormap(list(colours)), "vmin": -0.5, "vmax": len(colours) - 0.5}
+        ax.pcolormesh(edges, places, counts.argmax(axis=0).T, rasterized=True, **look)
+    ends = f"rows {style.short(names[0], 16)} to {style.short(names[-1], 16)}"
+    style.over_time(ax, run, "Index set" + style.of(len(shown), len(names), "evenly spread"), ends, grid=False)
+    ax.set_ylim(-0.5, len(names) - 0.5)
+    _legend(ax, kinds, chatter=False)
+    return ax
+
+
+def buckets(n: int) -> np.ndarray:
+    """The first row of each bucket of n steps."""
+    return 1 + np.arange(min(n, COLUMNS)) * n // max(1, min(n, COLUMNS))
+
+
+def _rows(run: Trajectory) -> tuple[list[str], list[tuple[str, Words]], np.ndarray]:
+    """Names, laws and codes of the rows of the index set; PlotError where there are none."""
+    codes = style.table(run, "index_set")
+    if not codes.shape[1]:
+        raise PlotError("this run has no index set: its model has no multipliers")
+    names: list[str] = run.metadata.get("index_names") or [f"row {k}" for k in range(codes.shape[1])]
+    return names, _laws(run, names), codes
 
 
 def _laws(run: Trajectory, names: Sequence[str]) -> list[tuple[str, Words]]:
@@ -103,7 +151,7 @@ def _shares(column: np.ndarray, codes: Sequence[int]) -> tuple[np.ndarray, np.nd
     between, so that no event is lost; with more changes each code that occurs has a fourth of it at least.
     """
     n = len(column) - 1
-    starts = 1 + np.arange(min(n, COLUMNS)) * n // max(1, min(n, COLUMNS))
+    starts = buckets(n)
     ends = np.append(starts, n + 1)[1:]
     border = np.flatnonzero(np.r_[True, column[2:] != column[1:-1], True]) + 1  # rows where another code begins
     first, after = np.searchsorted(border, starts), np.searchsorted(border, ends, side="right")

@@ -58,7 +58,10 @@ def work_precision(study: Study, *, ax: Axes | None = None) -> Axes:
             words, place = f"{line.name}: {count} failed ×", (0.995, 0.985 - 0.045 * failures)
             ax.text(*place, style.text(words), color=look["color"], fontsize=8, ha="right", va="top", transform=ax.transAxes)
             failures += 1
-        handles.append(Line2D([], [], **look, **mark, label=style.text(_words(line))))
+        if any(point.drawn for point in line.points):
+            handles.append(Line2D([], [], **look, **mark, label=style.text(_words(line))))
+    if missing := len(study.lines) - len(handles):
+        handles.append(Line2D([], [], linestyle="", label=f"{missing} more without a point: left out or failed"))
     ax.set_xscale("log")
     ax.set_yscale("log")
     ax.margins(0.08)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from nsmodel.trajectory import Trajectory
 
 MAX_POINTS = 20_000
+STEADY = 1e-13  # The part of themselves by which values change that stand still.
 
 LINES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#5E4FA2", "#4D4D4D")
 LOWER, ZERO, UPPER, PALE = "#9CC9E3", "#2F5D8A", "#E3A857", "#DDE1E6"
@@ -53,7 +54,12 @@ def unit(run: Trajectory, name: str) -> str:
 
 def with_unit(name: str, unit: str) -> str:
     """Return "name [unit]"."""
-    return f"{name} [{unit}]" if unit else name
+    return f"{name} [{short(unit)}]" if unit else name
+
+
+def zero(name: str, rounding: bool) -> str:
+    """Return the name, and of what is rounding that it is 0."""
+    return f"{name} = 0 to rounding" if rounding else name
 
 
 def label(run: Trajectory, name: str) -> str:
@@ -87,8 +93,17 @@ def needed(run: Trajectory, name: str) -> np.ndarray:
 
 
 def sizes(values: np.ndarray) -> np.ndarray:
-    """Return the largest absolute value of each column, NaN left out."""
-    return np.abs(np.nan_to_num(values)).max(axis=0)
+    """Return the largest absolute value of each column, what is not finite left out; 0 of no rows."""
+    if not np.isfinite(values).all():
+        values = np.where(np.isfinite(values), values, 0)
+    return np.maximum(values.max(axis=0, initial=0), -values.min(axis=0, initial=0))
+
+
+def extent(values: np.ndarray) -> tuple[float, float]:
+    """Return the smallest and the largest value, what is not finite left out; 0, 0 of none."""
+    finite = np.isfinite(values)
+    known = values if finite.all() else values[finite]
+    return (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
 
 
 def spread(count: int, limit: int) -> np.ndarray:
@@ -135,7 +150,7 @@ def dress(ax: Axes, title: str, xlabel: str, ylabel: str, *, grid: bool = True) 
     """Give the axes their words and the look of all pictures."""
     ax.set_title(text(title), **TITLE)
     ax.set_xlabel(text(xlabel), fontsize=9)
-    ax.set_ylabel(text(ylabel), fontsize=9)
+    ax.set_ylabel(text(short(ylabel, max(16, int(inches(ax)[1] / 0.065)))), fontsize=9)
     ax.tick_params(labelsize=8)
     ax.grid(grid, **({"color": "#E6E8EB", "linewidth": 0.6} if grid else {}))
     ax.set_axisbelow(True)
@@ -149,6 +164,14 @@ def over_time(ax: Axes, run: Trajectory, title: str, ylabel: str, *, grid: bool 
         ax.axvspan(one["start"], min(one["until"], run.t[-1]), color=FREE, alpha=0.15, linewidth=0.8, zorder=0)  # by time steps
     if run.t[-1] > run.t[0]:
         ax.set_xlim(run.t[0], run.t[-1])
+
+
+def steady(ax: Axes, values: np.ndarray, axis: str = "y") -> None:
+    """Give an axis on which nothing moves but by rounding limits that do not show it."""
+    low, high = extent(values)
+    if high - low <= STEADY * max(abs(low), abs(high)):
+        far = 0.05 * abs(low) or 1.0
+        ax.set(**{f"{axis}lim": (low - far, high + far)})
 
 
 def inches(ax: Axes) -> tuple[float, float]:
@@ -182,7 +205,15 @@ def legend(ax: Axes, handles: Sequence[Any], *, column: bool = False) -> None:
         ax.set_title(title, pad=7 + 13 * -(-count // columns), **TITLE)
         # The raised title already holds the room; a legend wider than the axes must not shrink them.
         style |= {"ncols": columns, "columnspacing": 1.2}
-        ax.legend(loc="lower left", bbox_to_anchor=(0, 1), **style).set_in_layout(False)
+        beside = 0.4 / width if _has_exponent(ax) else 0  # which stands above the axis
+        ax.legend(loc="lower left", bbox_to_anchor=(beside, 1), **style).set_in_layout(False)
+
+
+def _has_exponent(ax: Axes) -> bool:
+    """Whether ticks upwards have a factor of their own, such as 1e-9."""
+    low, high = ax.get_ylim()
+    largest = max(abs(low), abs(high))
+    return ax.get_yscale() == "linear" and not 1e-4 < largest < 1e6
 
 
 def colours(count: int) -> list[Any]:

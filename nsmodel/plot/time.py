@@ -4,36 +4,44 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from nsmodel.columns import input_names, multiplier_names, output_names, state_names
 from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import PlotError
-from nsmodel.plot import style
+from nsmodel.plot import band, continuous, style
+from nsmodel.plot.rounding import is_rounding, output_is_rounding
 from nsmodel.quantities import limits, quantity_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from nsmodel.model.base import Model
     from nsmodel.trajectory import Trajectory
 
 MAX_LINES = 12
+LEAST = 1e-20  # Residuals below are as good as 0.
 # Each dash over the one before: lines that coincide stay visible.
 DASHES: tuple[tuple[float, Any], ...] = ((2.4, "-"), (1.6, (0, (7, 3))), (1.6, (0, (3.5, 3.5))), (1.4, (0, (1.5, 1.5))))
 
 
-def states(run: Trajectory, names: Sequence[str] | None = None, *, limit: int = MAX_LINES, ax: Axes | None = None) -> Axes:
+def states(
+    run: Trajectory, names: Sequence[str] | None = None, *, limit: int = MAX_LINES, model: Model | None = None,
+    ax: Axes | None = None,
+) -> Axes:  # fmt: skip
     """Draw the states over time.
 
     A run with more than `limit` states shows some, evenly spread, and the title says so; `names` may ask for more.
-    Where two units are mixed (or, no units given, two very different sizes), the second has its axis on the right.
+    Where two units are mixed (or, no units given, two very different sizes), the second has its axis on the right. What is 0
+    to rounding is drawn as 0, and named so.
 
     Args:
         run: the run.
         names: names of states (`"q_0"`) or stems (`"q"`).
         limit: at most so many lines where `names` is left out.
+        model: the run's, or None; with it what is rounding is told in any units (see `plot.rounding`).
         ax: where to draw; a new figure by default.
 
     Raises:
@@ -55,7 +63,8 @@ def states(run: Trajectory, names: Sequence[str] | None = None, *, limit: int = 
     paint = [colour for colour in style.colours(len(picks) // 2) for _ in "xy"] if discs else style.colours(len(picks))
     looks = [{"color": c, "linewidth": 1.5, "linestyle": "--" if discs and k % 2 else "-"} for k, c in enumerate(paint)]
     ax, chosen = style.axes(ax), [known[k] for k in picks]
-    _series(ax, run, f"States{note}", "state", run.x[:, picks], chosen, [style.unit(run, name) for name in chosen], looks)
+    drawn = _Columns(run.x[:, picks], chosen, [style.unit(run, name) for name in chosen], is_rounding(run, "x", model)[picks])
+    _series(ax, run, f"States{note}", "state", drawn, looks)
     return ax
 
 
@@ -73,13 +82,16 @@ def _named(run: Trajectory, wanted: Sequence[str]) -> list[int]:
     return picks
 
 
-def multipliers(run: Trajectory, *, which: str = "multipliers", limit: int = MAX_LINES, ax: Axes | None = None) -> Axes:
+def multipliers(
+    run: Trajectory, *, which: str = "multipliers", limit: int = MAX_LINES, model: Model | None = None, ax: Axes | None = None
+) -> Axes:  # fmt: skip
     """Draw the multipliers over time, each over the step it belongs to.
 
     Args:
         run: the run.
         which: "multipliers", or "reactions" (multipliers divided by the step).
         limit: at most so many lines; beyond, those that reach the most are shown and the title says so.
+        model: the run's, or None; with it what is rounding is told in any units (see `plot.rounding`).
         ax: where to draw; a new figure by default.
 
     Raises:
@@ -101,7 +113,8 @@ def multipliers(run: Trajectory, *, which: str = "multipliers", limit: int = MAX
     title += style.of(len(picks), values.shape[1], "the largest")
     ax, names = style.axes(ax), [multiplier_names(run)[k] for k in picks]
     units = [style.unit(run, which if which == "reactions" else name) for name in names]
-    _series(ax, run, title, which[:-1], values[:, picks], names, units, looks)
+    drawn = _Columns(values[:, picks], names, units, is_rounding(run, which, model)[picks])
+    _series(ax, run, title, which[:-1], drawn, looks)
     return ax
 
 
@@ -121,7 +134,8 @@ def inputs(run: Trajectory, *, limit: int = MAX_LINES, ax: Axes | None = None) -
     drawn = replace(run, arrays={**run.arrays, "t": t})
     ax, names = style.axes(ax), [known[k] for k in picks]
     title = f"Inputs{style.of(len(picks), len(known), 'evenly spread')}"
-    _series(ax, drawn, title, "input", values, names, [style.unit(run, name) for name in names], looks)
+    units = [style.unit(run, name) for name in names]
+    _series(ax, drawn, title, "input", _Columns(values, names, units, np.zeros(len(names), bool)), looks)
     return ax
 
 
@@ -143,7 +157,7 @@ def outputs(run: Trajectory, names: Sequence[str] | None = None, *, limit: int =
     if unknown := [name for name in wanted if name not in known] or not wanted:
         what = f"no output is called {unknown[0]!r}" if isinstance(unknown, list) else "this run has no outputs"
         raise PlotError(f"{what}; give outputs={{name: expression}} to the model, or run.evaluate({{name: expression}})")
-    entries = [(name, entry) for name in wanted for entry in known[name]]
+    entries, whole = [(name, entry) for name in wanted for entry in known[name]], run
     if run.is_event_driven or not len(run):
         run = run.smooth()
         values = np.column_stack([run.arrays[name].reshape(len(run.t), -1) for name in wanted])
@@ -156,7 +170,9 @@ def outputs(run: Trajectory, names: Sequence[str] | None = None, *, limit: int =
     units = [style.unit(run, entries[k][0]) for k in picks]
     title = f"Outputs{style.of(len(picks), len(entries), 'the largest')}"
     ax = style.axes(ax)
-    _series(ax, run, title, "output", values[:, picks], [entries[k][1] for k in picks], units, looks)
+    tables = [(name, whole.arrays[name].reshape(len(whole.t), -1)) for name in wanted]
+    still = np.concatenate([output_is_rounding(whole, name, table) for name, table in tables])
+    _series(ax, run, title, "output", _Columns(values[:, picks], [entries[k][1] for k in picks], units, still[picks]), looks)
     return ax
 
 
@@ -167,25 +183,37 @@ def _largest(size: np.ndarray, limit: int) -> np.ndarray:
     return np.sort(np.concatenate([above, ties[style.spread(len(ties), limit - len(above))]]))
 
 
-def _series(
-    ax: Axes, run: Trajectory, title: str, word: str, values: np.ndarray, names: Sequence[str], units: Sequence[str],
-    looks: Sequence[dict[str, Any]],
-) -> None:  # fmt: skip
+class _Columns(NamedTuple):
+    """Columns (K, k) over time, their names and units, and which of them are rounding."""
+
+    values: np.ndarray
+    names: Sequence[str]
+    units: Sequence[str]
+    still: np.ndarray
+
+
+def _series(ax: Axes, run: Trajectory, title: str, word: str, columns: _Columns, looks: Sequence[dict[str, Any]]) -> None:
     """Draw columns over time, with units, with a second axis on the right where two units or sizes are mixed."""
-    labels, second = [style.short(name) for name in names], _second_axis(values, units)
+    names, units, values = columns.names, columns.units, columns.values
+    values = np.where(columns.still, 0 * values, values) if columns.still.any() else values
+    labels = [style.zero(style.short(name), own) for name, own in zip(names, columns.still, strict=True)]
+    second = _second_axis(values, units, columns.still)
     first, right = [k for k in range(len(names)) if k not in second], ax.twinx() if second else ax
-    lines = []
+    lines, widths = [], []
     for k, label in enumerate(labels):
         side, where = (right, " (right axis)") if k in second else (ax, "")
         label = style.with_unit(label, units[k]) if second or len(set(units)) > 1 else label
-        kept = style.thin(values[:, k])
-        lines += side.plot(run.t[kept], values[kept, k], label=style.text(label + where), **looks[k])
+        line, width = band.curve(side, run.t, values[:, k], label=style.text(label + where), **looks[k])
+        lines.append(line)
+        widths.append(width)
+    title += band.words(widths, style.unit(run, "t"))
     for side, group, heading in ((ax, first, title), (right, second, ""))[: 2 if second else 1]:
         few = ", ".join(labels[k] for k in group)
         few = few if len(few) <= 30 else f"{word}s"
         few = f"{word} of {few}" if len(names) == 1 and word not in ("state", "input", "output") else few
         unit = ", ".join(dict.fromkeys(units[k] for k in group if units[k]))
         style.over_time(side, run, heading, style.with_unit(few, unit), grid=group is first)
+        style.steady(side, values if len(group) == len(names) else values[:, group])
         if second and len(group) == 1:
             side.yaxis.label.set_color(lines[group[0]].get_color())
     if second:
@@ -194,35 +222,40 @@ def _series(
         style.legend(ax, lines, column=len(names) > 6)
 
 
-def _second_axis(values: np.ndarray, units: Sequence[str]) -> list[int]:
-    """Columns for an axis of their own: those in the second of two units; or, no units given, of a size 20 apart."""
-    kinds = list(dict.fromkeys(units))
-    if not 2 <= len(units) <= 6 or len(kinds) > 2:
+def _second_axis(values: np.ndarray, units: Sequence[str], still: np.ndarray) -> list[int]:
+    """Columns for an axis of their own: those in the second of two units; or, no units given, of a size 20 apart.
+
+    What is ``still`` has none: it is 0 on any.
+    """
+    moving = np.flatnonzero(~still).tolist()
+    kinds = list(dict.fromkeys(units[k] for k in moving))
+    if not 2 <= len(moving) <= len(units) <= 6 or len(kinds) > 2:
         return []
     if len(kinds) == 2:
-        return [k for k, unit in enumerate(units) if unit == kinds[1]]
+        return [k for k in moving if units[k] == kinds[1]]
     if kinds != [""]:
         return []
-    size = style.sizes(values)
+    size = style.sizes(values[:, moving])
     small = (0 < size) & (20 * size <= size.max())
-    return np.flatnonzero(small != small[0]).tolist()
+    return [k for k, other in zip(moving, small != small[0], strict=True) if other]
 
 
 def residual(run: Trajectory, *, ax: Axes | None = None) -> Axes:
     """Draw the residual of each step on a logarithmic scale, with the tolerance it was accepted at.
 
-    A residual of exactly 0 has no place on this scale: it is drawn at the bottom, and an unknown one (inf) at the top;
-    the legend counts them.
+    A residual of exactly 0 has no place on this scale, and one below 1e-20 says no more: they are drawn at the bottom, and an
+    unknown one (inf) at the top; the legend counts them.
     """
     ax = style.axes(ax)
     t, values, tolerance = run.t[1:], style.needed(run, "residual")[1:], run.metadata.get("tolerance")
-    usual = np.isfinite(values) & (values > 0)
+    usual = np.isfinite(values) & (values > LEAST)
+    none = f"below {LEAST:g}" if ((values > 0) & (values <= LEAST)).any() else "exactly 0"
     marks = np.append(values[usual], tolerance or TOLERANCE)
     low, high = min(marks.min(), 1e-15) / 30, marks.max() * 10
     handles = []
     for mask, shown, marker, colour, words in (
         (usual, values, ".", style.LINES[0], "steps"),
-        (values == 0, np.full(len(t), low * 1.6), "v", style.FREE, "exactly 0: {}, at the bottom"),
+        (values <= LEAST, np.full(len(t), low * 1.6), "v", style.FREE, none + ": {}, at the bottom"),
         (np.isposinf(values), np.full(len(t), high / 1.6), "^", style.ALERT, "unknown: {}, at the top"),
     ):
         if mask.any():
@@ -238,15 +271,21 @@ def residual(run: Trajectory, *, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def energy(run: Trajectory, *, ax: Axes | None = None) -> Axes:
-    """Draw the energy over time.
+def energy(run: Trajectory, *, model: Model | None = None, ax: Axes | None = None) -> Axes:
+    """Draw the energy over time; of an event-driven run, with its ``model``, also between its rows, else on lines.
 
     Raises:
         PlotError: the run holds no energy.
 
     """
-    values = style.needed(run, "energy")
-    ax, kept = style.axes(ax), style.thin(values)
-    ax.plot(run.t[kept], values[kept], color=style.LINES[0], linewidth=1.6)
-    style.over_time(ax, run, "Energy", style.label(run, "energy"))
+    style.needed(run, "energy")
+    run = run.smooth()
+    values = continuous.energy(run, model) if run.is_event_driven else None
+    lines = " (on lines between the ends of pieces)" if run.is_event_driven and values is None else ""
+    values = run.arrays["energy"] if values is None else values
+    ax = style.axes(ax)
+    _, width = band.curve(ax, run.t, values, color=style.LINES[0], linewidth=1.6)
+    title = "Energy" + lines + band.words([width], style.unit(run, "t"))
+    style.over_time(ax, run, title, style.label(run, "energy"))
+    style.steady(ax, values)
     return ax

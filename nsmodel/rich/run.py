@@ -19,8 +19,8 @@ def html(run: Trajectory) -> str:
     """The run as HTML."""
     from nsmodel.plot.shown import png
 
-    lines = summary.rows(run.summary())
-    (ended,), warnings = lines.pop("status"), lines.pop("warnings")
+    lines = summary.lines(run.summary())
+    (ended,), warnings = lines.pop("status"), lines.pop("warnings", [])
     word, _, why = ended.partition(": ") if ended.startswith(run.status) else (run.status, "", ended)
     warned = f"{len(warnings)} warning{'s' if len(warnings) > 1 else ''}" if warnings else ""
     told = page.joined([page.status(word, "warned" if word == "done" and warnings else word), why or warned], " ")

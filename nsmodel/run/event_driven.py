@@ -173,7 +173,8 @@ class EventDriven:
 
     def _note(self, totals: dict[str, Any], rows: int) -> None:
         if rows:
-            t, x, residual = (self.columns()[name][:rows] for name in ("t", "x", "residual"))
+            arrays = self.columns()
+            t, x, residual = (arrays[name][:rows] for name in ("t", "x", "residual"))
             note_distance_to_exact(self.model, totals, t, x)
             larger = residual > totals["worst_residual"]
             if larger.any():

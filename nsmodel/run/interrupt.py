@@ -38,11 +38,8 @@ def deferred_signals() -> Iterator[Signals]:
         if signals[-1] - signals[0] > 1 and not signals.patient:
             raise KeyboardInterrupt
 
-    usual = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    if usual[signal.SIGTERM] is signal.SIG_IGN:
-        del usual[signal.SIGTERM]
-    for number in usual:
-        signal.signal(number, note)
+    taken = [signal.SIGINT] if signal.getsignal(signal.SIGTERM) is signal.SIG_IGN else [signal.SIGINT, signal.SIGTERM]
+    usual = {number: signal.signal(number, note) for number in taken}
     try:
         yield signals
     finally:

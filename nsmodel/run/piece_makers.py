@@ -195,7 +195,7 @@ class InC:
         """As many pieces as there is room for; what C cannot make is interpreted, and all from a stop until pieces go on."""
         self.behind, self._behind = 1, None
         if self._stopped is None and self._step is None:
-            rows, stuck = self._c.many(until, max(1, min(16 * room, MOST, BYTES // (8 * self._c.width))))
+            rows, stuck = self._c.many(until, max(1, min(64 * room, MOST, BYTES // (8 * self._c.width))))
             if len(rows) or not stuck:
                 return self._block(rows)
         own = self._interpreted

@@ -185,9 +185,9 @@ class PieceRows:
 
     def _integrals(self, block: Block, l: np.ndarray, t: np.ndarray, piece: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The integral of the multipliers up to the end of the pieces, and up to times (k,) in them."""
-        whole = block.impulse + block.tau[:, None] * dense.integrals(l, (block.end - block.t) / block.tau)
+        whole = block.impulse + block.tau[:, None] * dense.integrals(l, np.arange(len(l)), (block.end - block.t) / block.tau)
         until = np.cumsum(np.vstack([self.carried.until[None], whole]), axis=0)
-        part = block.tau[piece, None] * dense.integrals(l[piece], (t - block.t[piece]) / block.tau[piece])
+        part = block.tau[piece, None] * dense.integrals(l, piece, (t - block.t[piece]) / block.tau[piece])
         return until[-1], until[piece] + (block.impulse[piece] + part)
 
     # -- columns
@@ -206,9 +206,9 @@ class PieceRows:
         lists = self._lists(block)
         t, number = np.concatenate([np.zeros(first), rows.t]), np.concatenate([np.zeros(first, int), rows.piece])
         s = dense.local(lists, number, t)
-        both = dense.polynomials(np.concatenate([block.x, block.l], axis=1)[number], s)
+        both = dense.polynomials(np.concatenate([block.x, block.l], axis=1), number, s)
         full, l = both[:, : own.n], both[:, own.n :]
-        multipliers = l.copy() if self._out is None else dense.polynomials(lists["piece_multipliers"][number], s)
+        multipliers = l.copy() if self._out is None else dense.polynomials(lists["piece_multipliers"], number, s)
         full[:first] = own.x0
         ends = np.flatnonzero(rows.t == block.end[rows.piece])
         full[ends + first] = block.last[rows.piece[ends]]
@@ -307,15 +307,15 @@ def _columns_of(p: ContinuousProblem) -> Columns:
 
 def _worst(before: float, defects: np.ndarray, piece: np.ndarray) -> tuple[np.ndarray, float]:
     """The largest estimate from the piece of the row before to that of each row; and since the last row."""
-    all_of = np.concatenate([[before], defects])
+    all_of = np.zeros(len(defects) + 2)
+    all_of[0], all_of[1:-1] = before, defects
     if len(piece) == len(defects) and (piece == np.arange(len(piece))).all():  # the rows are the ends of the pieces
-        return np.maximum(all_of[:-1], all_of[1:]), float(all_of[-1])
-    starts, ends = np.concatenate([[0], piece[:-1] + 1])[: len(piece)], piece + 1
-    rest = float(all_of[ends[-1] if len(piece) else 0 :].max())
+        return np.maximum(all_of[:-2], all_of[1:-1]), float(all_of[-2])
     if not len(piece):
-        return np.zeros(0), rest
-    pairs = np.stack([starts, ends + 1], axis=1).ravel()
-    return np.maximum.reduceat(np.append(all_of, 0.0), pairs)[::2], rest
+        return np.zeros(0), float(all_of.max())
+    pairs = np.zeros((len(piece), 2), int)
+    pairs[1:, 0], pairs[:, 1] = piece[:-1] + 1, piece + 2
+    return np.maximum.reduceat(all_of, pairs.ravel())[::2], float(all_of[piece[-1] + 1 :].max())
 
 
 def _nothing(p: ContinuousProblem, orders: int) -> Block:

@@ -17,8 +17,12 @@ from nsmodel.solve.choose import Plan
 from nsmodel.solve.rounding import equilibrated
 from nsmodel.solve.structure import Structure, is_monotone, least_eigenvalue
 
+JUMP = "a jump in the model (sign, floor, if_else) must be written as a law, such as relay or complementarity"
 OPPOSITE = 1e-7  # 1/gamma below which W holds too little of the angle between opposing rows.
 DEPENDENT = 1e-12  # Least singular value of W, beside its largest, below which doubles do not tell the multipliers apart.
+JUMPS = frozenset({  # Operations with derivative 0 whose value changes.
+    ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_IF_ELSE_ZERO,
+})  # fmt: skip
 PROOF = 1e-14  # Largest positive entry of W'u, beside W's, in a proof that is believed.
 
 
@@ -107,10 +111,9 @@ def _not_found(problem: OneStepProblem, structure: Structure, law: NumericLaw, p
     if not plan.use_last and plan.chain:
         return "the forced solver did not find it"
     if not (structure.affine and law.size):
-        return (
-            "Newton's method did not converge; a jump in the model (sign, floor, if_else) must be written as a law, such as "
-            "relay or complementarity"
-        )
+        return f"Newton's method did not converge; {JUMP}"
+    if _jumps(problem):
+        return f"no solver reached the tolerance; {JUMP}"
     part, dependent = dependent_rows(W)
     if part < DEPENDENT and len(dependent) > 1:
         return (
@@ -118,6 +121,14 @@ def _not_found(problem: OneStepProblem, structure: Structure, law: NumericLaw, p
             f"{part:.1g}: where they are held together, double precision does not tell their multipliers"
         )
     return "no solver reached the tolerance"
+
+
+def _jumps(problem: OneStepProblem) -> bool:
+    """Whether equations that are affine by their derivatives jump where the unknowns do."""
+    unknown, equations = ca.vertcat(problem.z, problem.l), ca.vertcat(problem.E, problem.Y)
+    known = ca.vertcat(*(symbol for symbol in ca.symvar(equations) if not ca.depends_on(unknown, symbol)))
+    f = ca.Function("equations", [unknown], [ca.substitute(equations, known, 0.5)])
+    return any(f.instruction_id(k) in JUMPS for k in range(f.n_instructions()))
 
 
 def _weighted(problem: OneStepProblem, rows: Sequence[tuple[int, float]]) -> list[str]:

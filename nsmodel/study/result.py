@@ -127,6 +127,15 @@ class Study(Pickled):
 
         return work_precision(self, ax=ax)
 
+    def view(self, path: str | Path | None = None) -> Path:
+        """Write the study as one HTML file, and return its path; without a path a temporary file, opened in the browser.
+
+        StorageError where it cannot be written.
+        """
+        from nsmodel.view.study import view_study
+
+        return view_study(self, path)
+
 
 class StudyInterrupted(KeyboardInterrupt):
     """Ctrl-C during a study; ``study`` holds what was measured."""

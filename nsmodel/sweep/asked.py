@@ -86,11 +86,6 @@ class Asked:
         """Whether runs have a tolerance in place of steps."""
         return self.options.get("rtol") is not None
 
-    @property
-    def reductions(self) -> bool:
-        """Whether all outputs are of rows alone, not of whole runs."""
-        return all(isinstance(one, Reduction) and one.needs_rows_alone for one in self.outputs.values())
-
     def bytes_of(self, model: Model, step: float | None) -> int:
         """About the memory of a cell's rows while it is run with others."""
         whole = [one for one in self.outputs.values() if isinstance(one, Reduction) and one.needs is None]

@@ -14,6 +14,7 @@ import numpy as np
 
 from nsmodel.errors import CodegenError, ModelError, StepError, UsageError
 from nsmodel.model.base import Model
+from nsmodel.proof.graph import OpaqueExpression
 from nsmodel.scheme.continuous import NotEventDriven
 from nsmodel.simulate import simulate
 from nsmodel.sweep.asked import ALONE, BATCH, FACTS, OF_PIECES, PIECES, WAYS, Asked, Found, Rows
@@ -88,6 +89,11 @@ def blank(size: int, like: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     return made
 
 
+def not_run(size: int, facts: Mapping[str, tuple[str, Any]] = FACTS) -> dict[str, np.ndarray]:
+    """What is kept of every cell, of so many that were not run."""
+    return blank(size, {name: np.zeros(1, kind) for name, (kind, _) in facts.items()})
+
+
 def nothing(name: str, kind: np.dtype) -> Any:
     """The value of a quantity where a cell has none."""
     facts = {**FACTS, **OF_PIECES}
@@ -98,20 +104,21 @@ def _run(asked: Asked, task: Task, stop: Stop) -> Found:
     """The cells of one group; of those that are run together, what C does not go on with has the status NOT_RUN."""
     if isinstance(task.group, str):
         return _refused(len(task.at), task.group)
-    opened = _opened(asked, task.group)
+    group = opened(asked, task.group)
     if asked.way == ALONE:
-        return alone(asked, opened.group, task.values, stop)
-    if opened.batch is None:
-        return Found(blank(len(task.at), {name: np.zeros(1, kind) for name, (kind, _) in asked.facts.items()}), {})
-    return opened.together(asked, task.values, stop)
+        return alone(asked, group.group, task.values, stop)
+    if group.batch is None:
+        return Found(not_run(len(task.at), asked.facts), {})
+    return group.together(asked, task.values, stop)
 
 
-class _Opened:
-    """A group in this process, with its library where it has one."""
+class Opened:
+    """A group in this process, with its library, or why it has none."""
 
     def __init__(self, asked: Asked, group: Group) -> None:
-        self.group, found = group, library(asked, group)
+        self.group, found = group, _library(asked, group)
         self.batch: Any = None if isinstance(found, str) else found
+        self.why = found if isinstance(found, str) else ""
 
     def together(self, asked: Asked, values: np.ndarray, stop: Stop) -> Found:
         """Cells in C; what C does not go on with has the status NOT_RUN."""
@@ -140,7 +147,7 @@ class _Opened:
         return Found(out | {name: np.asarray(values, asked.facts[name][0]) for name, values in facts.items()}, {})
 
 
-def library(asked: Asked, group: Group) -> Any:
+def _library(asked: Asked, group: Group) -> Any:
     """The library of a group's cells; why there is none."""
     try:
         if asked.way == BATCH:
@@ -157,16 +164,16 @@ def library(asked: Asked, group: Group) -> Any:
     return "each is run alone"
 
 
-_models: OrderedDict[str, _Opened] = OrderedDict()
+_models: OrderedDict[str, Opened] = OrderedDict()
 _one_at_a_time = threading.RLock()
 
 
-def _opened(asked: Asked, packed: bytes) -> _Opened:
+def opened(asked: Asked, packed: bytes) -> Opened:
     """The group of these bytes, opened once in a process."""
     key = hashlib.sha256(pickle.dumps((asked.way, dict(asked.options))) + packed).hexdigest()
     with _one_at_a_time:
         if key not in _models:
-            _models[key] = _Opened(asked, pickle.loads(packed))  # Bytes of this sweep's own: no file is read so.
+            _models[key] = Opened(asked, pickle.loads(packed))  # Bytes of this sweep's own: no file is read so.
             while len(_models) > KEPT_MODELS:
                 _models.popitem(last=False)
         _models.move_to_end(key)
@@ -202,7 +209,7 @@ def alone(asked: Asked, group: Group, values: np.ndarray, stop: Stop = never) ->
                 found |= blank(len(values), {name: array[None]})
             refuse_other_shape(name, array.shape, found[name].shape[1:])
             found[name][i] = array
-    return Found(found or blank(len(values), {name: np.zeros(1, kind) for name, (kind, _) in FACTS.items()}), messages)
+    return Found(found or not_run(len(values)), messages)
 
 
 def _simulated(asked: Asked, group: Group, values: dict[str, float]) -> tuple[int, float, str, Trajectory | None]:
@@ -227,7 +234,8 @@ def _ran(model: Model, values: dict[str, float], options: dict[str, Any]) -> Tra
     try:
         return simulate(model, parameters=values or None, **options)
     except UsageError as error:
-        if options.get("times") is None or options.get("method", "auto") != "auto" or not isinstance(error.__cause__, Exception):
+        no_pieces = isinstance(error.__cause__, NotEventDriven | OpaqueExpression)
+        if options.get("times") is None or options.get("method", "auto") != "auto" or not no_pieces:
             raise
     options = {name: value for name, value in options.items() if name != "times"}
     return simulate(model, parameters=values or None, **options)
@@ -276,6 +284,6 @@ def _between(run: Trajectory, name: str, times: np.ndarray) -> np.ndarray:
 
 
 def _refused(cells: int, why: str) -> Found:
-    found = blank(cells, {name: np.zeros(1, kind) for name, (kind, _) in FACTS.items()})
+    found = not_run(cells)
     found["status"][:], found["way"][:] = NO_MODEL, WAYS.index(ALONE)
     return Found(found, dict.fromkeys(range(cells), why))

@@ -11,7 +11,7 @@ from nsmodel.scheme import one_step_problem
 from nsmodel.solve.cost import building, interpreted
 from nsmodel.solve.structure import read
 from nsmodel.sweep.asked import ALONE, BATCH, PIECES, Asked
-from nsmodel.sweep.cells import Group, library
+from nsmodel.sweep.cells import Group, opened
 from nsmodel.sweep.outputs import Reduction
 
 SET_UP = 5e-3  # Seconds that a run takes beside its steps.
@@ -37,14 +37,14 @@ def choose(asked: Asked, group: Group, cells: int, models: int, there: str | Non
         why = why or "as it began"
     together = PIECES if asked.event_driven else BATCH
     if why is None:
-        found = library(replace(asked, way=together), group)
-        if isinstance(found, str):
-            why = found
+        own = opened(replace(asked, way=together), group.packed())
+        if own.batch is None:
+            why = own.why
         else:
-            unknown = [name for name in _names(asked) if name not in found.columns()]
+            unknown = [name for name in _names(asked) if name not in own.batch.columns()]
             if not unknown:
                 each = ", for each model" if models > 1 else ""
-                return Choice(replace(asked, way=together), found.way, f"{found.way}{each}")
+                return Choice(replace(asked, way=together), own.batch.way, f"{own.batch.way}{each}")
             why = f"'{unknown[0]}' is a column of whole runs"
     return Choice(replace(asked, way=ALONE), ALONE, f"each cell by simulate: {why}")
 

@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import pickle
 import signal
+import sys
 import threading
 import time
 from collections.abc import Sequence
@@ -17,6 +18,7 @@ from nsmodel.grid import is_number, written
 from nsmodel.sweep.asked import Asked, Found
 from nsmodel.sweep.cells import Stop, Task, run_chunk
 
+MOST = 61 if sys.platform == "win32" else 1 << 20  # Processes in a pool: Windows waits for no more at once.
 WATCH = 1.0  # Seconds between two looks of a worker at whether its parent is alive.
 _inherited: dict[int, Asked] = {}  # What sweeps ask for, for workers that are forked: functions without names go no other way.
 
@@ -92,11 +94,12 @@ class Processes:
     """Processes of this machine. Ctrl-C is this process's own: they end what they do, and go when it is gone."""
 
     def __init__(self, asked: Asked, workers: int) -> None:
+        workers = min(workers, MOST)
         self.workers, self.window, self.words, self._asked = workers, workers + 1, f"{workers} processes", asked
-        forks = "fork" in multiprocessing.get_all_start_methods()
-        self._context = multiprocessing.get_context("fork" if forks else "spawn")
+        self._forks = forks()
+        self._context = multiprocessing.get_context("fork" if self._forks else "spawn")
         self._given: Asked | int = asked
-        if forks:
+        if self._forks:
             self._given = id(asked)
             _inherited[id(asked)] = asked
         else:
@@ -104,7 +107,7 @@ class Processes:
         self._pool = self._made()
 
     def _made(self) -> ProcessPoolExecutor:
-        return ProcessPoolExecutor(self.workers, self._context, initializer=_begin, initargs=(os.getpid(),))
+        return ProcessPoolExecutor(self.workers, self._context, initializer=_begin, initargs=(os.getpid(), self._forks))
 
     def submit(self, tasks: Sequence[Task], attempt: int) -> Any:
         """Begin a chunk; in new processes where one of the old has died."""
@@ -166,6 +169,11 @@ def refuse_workers(workers: Any) -> None:
         )
 
 
+def forks() -> bool:
+    """Whether workers are copies of this process: not on Windows, nor on macOS, whose libraries do not survive it."""
+    return sys.platform != "darwin" and "fork" in multiprocessing.get_all_start_methods()
+
+
 def cores() -> int:
     """The cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -201,7 +209,7 @@ def _size(engine: Any) -> int:
     return cores()
 
 
-def _begin(parent: int) -> None:
+def _begin(parent: int, forked: bool) -> None:
     """In a new worker: signals of the terminal are for its parent, with which it ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -209,7 +217,8 @@ def _begin(parent: int) -> None:
         os.setpgrp()
 
     def watch() -> None:
-        while os.getppid() == parent:
+        above = multiprocessing.parent_process()
+        while os.getppid() == parent and (forked or above is None or above.is_alive()):  # Windows keeps the number of the dead.
             time.sleep(WATCH)
         os._exit(1)
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import struct
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.lib import format as npy
 
-from nsmodel.archive import members_in, metadata_of, reading
+from nsmodel.archive import members_in, metadata_of, read_npz, reading
 
 _LOCAL = struct.Struct("<26xHH")  # Of a local header of a zip file: the lengths of the name and of what is beside it.
 
@@ -17,9 +18,13 @@ _LOCAL = struct.Struct("<26xHH")  # Of a local header of a zip file: the lengths
 def mapped(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """(arrays, metadata) as ``archive.read_npz`` has them, the arrays read when they are used; they are not to be changed.
 
+    On Windows they are read now: a file that is mapped could not be written again.
+
     Raises:
         StorageError: it is missing, damaged or foreign.
     """
+    if sys.platform == "win32":
+        return read_npz(path)
     arrays: dict[str, np.ndarray] = {}
     with reading(path) as archive, path.open("rb") as file:
         metadata = metadata_of(archive, path)

@@ -21,8 +21,8 @@ import numpy as np
 from nsmodel.archive import Member, read_npz, write_archive, write_npz
 from nsmodel.errors import StorageError
 from nsmodel.storage import STAMP, read_json, stream_beside, write_json
-from nsmodel.sweep.asked import FACTS, Found
-from nsmodel.sweep.cells import blank, nothing, refuse_other_shape
+from nsmodel.sweep.asked import Found
+from nsmodel.sweep.cells import blank, not_run, nothing, refuse_other_shape
 from nsmodel.sweep.mapped import mapped
 from nsmodel.sweep.variable import FAILED, NOT_RUN
 
@@ -165,7 +165,7 @@ class InMemory:
 
 def nothing_of(size: int) -> Found:
     """So many cells that were not run."""
-    return Found(blank(size, {name: np.zeros(1, kind) for name, (kind, _) in FACTS.items()}), {})
+    return Found(not_run(size), {})
 
 
 def _put_messages(messages: dict[int, str], cells: np.ndarray, own: Mapping[int, str]) -> None:

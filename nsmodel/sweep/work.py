@@ -12,8 +12,8 @@ import numpy as np
 
 from nsmodel.run.interrupt import Signals, progress_bar
 from nsmodel.run.loop import RunInterrupted
-from nsmodel.sweep.asked import FACTS, WAYS, Found
-from nsmodel.sweep.cells import Task, blank
+from nsmodel.sweep.asked import WAYS, Found
+from nsmodel.sweep.cells import Task, not_run
 from nsmodel.sweep.engine import Engine, lost
 from nsmodel.sweep.variable import FAILED
 
@@ -125,7 +125,7 @@ def _result(future: Any, chunk: Chunk, again: list[Chunk], signals: Signals) -> 
 
 def _died(error: BaseException) -> Found:
     """A cell whose worker died each time."""
-    found = blank(1, {name: np.zeros(1, kind) for name, (kind, _) in FACTS.items()})
+    found = not_run(1)
     found["status"][:], found["way"][:] = FAILED, len(WAYS) - 1
     text = f"the process that ran it died {ATTEMPTS} times ({type(error).__name__}: {error}); out of memory, or killed"
     return Found(found, {0: text})

@@ -37,15 +37,15 @@ def configuration(run: Trajectory, model: Any, row: int, ax: Axes | None) -> Axe
     row %= rows
     if scene:
         return discs(style.axes(ax, 7, 6.5), run, scene, row)
-    gap, moving = _gap(model, run, n)
+    least, moving = gap(model, run)
     if n == 1:
-        return plane.half_plane(style.axes(ax, 8, 5), run, gap, row)
-    return plane.whole_plane(style.axes(ax, 7, 6.5), run, gap, row, moving=moving)
+        return plane.half_plane(style.axes(ax, 8, 5), run, least, row)
+    return plane.whole_plane(style.axes(ax, 7, 6.5), run, least, row, moving=moving)
 
 
-def _gap(model: Any, run: Trajectory, n: int) -> tuple[plane.Gap, bool]:
+def gap(model: Any, run: Trajectory) -> tuple[plane.Gap, bool]:
     """min_i g_i(t, q, u(t)) on many points at once, negative where q is forbidden; and whether it moves with t."""
-    stack = ca.vertcat(ca.SX.inf(1), *model.constraints.values())
+    n, stack = run.x.shape[1], ca.vertcat(ca.SX.inf(1), *model.constraints.values())
     if model.q.numel() != n:
         raise PlotError(f"the model has {model.q.numel()} states and the run {n}: they do not belong together")
     free = [s.name() for s in ca.symvar(stack) if not ca.depends_on(ca.vertcat(model.t, model.u, ca.vec(model.q)), s)]
@@ -53,10 +53,10 @@ def _gap(model: Any, run: Trajectory, n: int) -> tuple[plane.Gap, bool]:
         raise PlotError(f"the constraints still hold {', '.join(free)}: bind the parameters to numbers first")
     function = ca.Function("g", [model.t, model.q, model.u], [ca.mmin(stack)])
 
-    def gap(t: np.ndarray | float, *q: np.ndarray) -> np.ndarray:
+    def least(t: np.ndarray | float, *q: np.ndarray) -> np.ndarray:
         times = np.broadcast_to(t, q[0].shape).reshape(1, -1)
         u = dense.inputs_at(run.arrays, times[0]).T if model.u.numel() else np.zeros((0, times.size))
         values = function.map(times.size)(times, np.stack([part.ravel() for part in q]), u)
         return np.ma.masked_invalid(np.array(values).reshape(q[0].shape))
 
-    return gap, ca.depends_on(stack, ca.vertcat(model.t, model.u))
+    return least, ca.depends_on(stack, ca.vertcat(model.t, model.u))

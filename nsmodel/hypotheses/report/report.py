@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from nsmodel.brief import wrapped
@@ -62,6 +63,15 @@ class Report(Pickled):
         from nsmodel.hypotheses.report.markdown import markdown
 
         return markdown(self, self.model)
+
+    def view(self, path: str | Path | None = None) -> Path:
+        """Write the report as one HTML file, and return its path; without a path a temporary file, opened in the browser.
+
+        StorageError where it cannot be written.
+        """
+        from nsmodel.view.report import view_report
+
+        return view_report(self, path)
 
     def __getitem__(self, id: str) -> Finding:
         """Return the finding of a hypothesis: ``report["A5"]``."""

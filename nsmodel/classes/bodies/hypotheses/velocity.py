@@ -21,6 +21,7 @@ from nsmodel.classes.sweeping.hypotheses.velocity_blocks import FieldBlock
 from nsmodel.classes.sweeping.hypotheses.velocity_jumps import differ, jumps, steep
 from nsmodel.errors import StepError
 from nsmodel.hypotheses.findings import HOLDS, SAMPLED, UNKNOWN, VIOLATED
+from nsmodel.hypotheses.inputs import STILL, Motion, unbounded
 from nsmodel.hypotheses.region import Region
 from nsmodel.proof import extremum, interval
 from nsmodel.proof.defined import in_time
@@ -82,6 +83,25 @@ def velocity(problem: BodiesProblem, region: Region, points: Sequence[Point], qu
     return Answer(SAMPLED, {"K_f": K, "L_f": L_f} | rate, ON_THE_BOX, how + remark)
 
 
+def velocity_of(model: ManyBodies, region: Region, motion: Motion) -> Answer | None:
+    """K_f, L_f and, where it is bounded, L_t for all values of the parameters in the box of ``region``, inputs among them.
+
+    None where they are not proved.
+    """
+    if not isinstance(model.f, ca.SX):
+        return None
+    block = _block(model, region, model.bodies.table[:, model.bodies.d :])
+    verdict, K, where, _ = lipschitz(block, False)
+    if verdict != HOLDS:
+        return None
+    L_f = _growth(model, block, K, where)
+    if not np.isfinite(L_f):
+        return None
+    rate, remark = _in_time(model, block, True, motion)
+    value = {"K_f": K, "L_f": L_f} | {name: number for name, number in rate.items() if np.isfinite(number)}
+    return Answer(HOLDS, value, where, f"bounds of f and of its derivative, for one body and for all{remark}")
+
+
 def _used(model: ManyBodies) -> list[int]:
     """Which of the numbers of a body its velocity depends on."""
     d, symbols = model.bodies.d, model.me.symbols
@@ -91,12 +111,12 @@ def _used(model: ManyBodies) -> list[int]:
 def _block(model: ManyBodies, region: Region, table: np.ndarray) -> FieldBlock:
     """The velocity of one of the bodies with the numbers ``table`` (k, K).
 
-    The numbers, and switches that depend on them and on time alone, are symbols within bounds.
+    The numbers, parameters without value, and switches that depend on these and on time alone are symbols within bounds.
     """
     d, nodes = model.bodies.d, []
     used, numbers = _used(model), model.me.symbols[d:]
     plain = ca.SX.sym("q", d)
-    chosen = column(numbers[k] for k in used)
+    chosen = ca.vertcat(column(numbers[k] for k in used), model.p)
     z = ca.vertcat(model.t, chosen)
 
     def switch(op: int, args: list[ca.SX], old: ca.SX) -> ca.SX | None:
@@ -106,8 +126,10 @@ def _block(model: ManyBodies, region: Region, table: np.ndarray) -> FieldBlock:
         return nodes[-1][0]
 
     f = replay(ca.substitute(model.f, model.me.q, plain), switch, SWITCHES, z, "f")
-    lower, upper = (np.concatenate([[time], end(table[:, used], axis=0)])
-                    for time, end in ((region.t0, np.min), (region.t1, np.max)))  # fmt: skip
+    lower, upper = (
+        np.concatenate([[time], end(table[:, used], axis=0), p])
+        for time, end, p in zip((region.t0, region.t1), (np.min, np.max), region.of_parameters(), strict=True)
+    )
     bounds = interval.enclose(column(old for _, old in nodes), z, lower, upper) if nodes else (np.zeros(0),) * 2
     s = ca.vertcat(chosen, column(symbol for symbol, _ in nodes))
     s_lower, s_upper = (np.concatenate([end[1:], np.ravel(more)]) for end, more in zip((lower, upper), bounds, strict=True))
@@ -128,16 +150,20 @@ def _growth(model: ManyBodies, block: FieldBlock, K: float, where: str) -> float
     return float(np.sqrt(total) / (1 + np.sqrt(n) * np.linalg.norm(nearest)))
 
 
-def _in_time(model: ManyBodies, block: FieldBlock, quick: bool) -> tuple[dict[str, float], str]:
+def _in_time(model: ManyBodies, block: FieldBlock, quick: bool, motion: Motion = STILL) -> tuple[dict[str, float], str]:
     """L_t where it is bounded, and a remark where it is not."""
-    if not ca.depends_on(model.f, model.t):
+    change = motion.velocity(model.f, model.t)
+    if not ca.depends_on(model.f, ca.vertcat(model.t, motion.u)):
         return {"L_t": 0.0}, ""
+    if loose := motion.may_jump(model.f):
+        return {"L_t": np.inf}, f"; {unbounded(motion, loose)}: no L_t, and no order is proved"
     one = block.box(False)
-    z = ca.vertcat(model.t, model.me.q, *(model.me.symbols[model.bodies.d + k] for k in _used(model)))
+    z = ca.vertcat(model.t, model.me.q, *(model.me.symbols[model.bodies.d + k] for k in _used(model)), model.p)
     lower, upper = (end[: z.numel()] for end in one)
     if not interval.is_continuous(model.f, z, lower, upper):
         return {"L_t": np.inf}, "; f was not proved continuous in t: no L_t, and no order is proved"
-    top = extremum.supremum(ca.norm_2(ca.jacobian(model.f, model.t)), z, lower, upper, quick=quick)
+    lower, upper = (np.concatenate(ends) for ends in zip((lower, upper), motion.rates, strict=True))
+    top = extremum.supremum(ca.norm_2(change), ca.vertcat(z, motion.v), lower, upper, quick=quick)
     if np.isfinite(top.bound):
         return {"L_t": float(np.sqrt(model.bodies.count) * top.bound)}, ""
     return {"L_t": np.inf, "largest |f_t| seen": float(top.value)}, "; |f_t| was not bounded: no L_t, and no order is proved"

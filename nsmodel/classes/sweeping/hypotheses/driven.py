@@ -48,7 +48,11 @@ def consequences(
 ) -> list[Consequence]:  # fmt: skip
     """What follows for each signal: of the set at each time, of solutions, and of the scheme where speeds are known."""
     del motion, runs
-    made = for_all.consequences(model, region, own)
+    return for_each_signal(for_all.consequences(model, region, own))
+
+
+def for_each_signal(made: Sequence[Consequence]) -> list[Consequence]:
+    """The consequences, that on solutions in the words of a model with inputs."""
     words = {item.name: f"for each signal {item.statement}" for item in made if item.name == "well posed"}
     return [replace(item, statement=words.get(item.name, item.statement)) for item in made]
 

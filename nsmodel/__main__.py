@@ -1,4 +1,4 @@
-"""``python -m nsmodel.cli``."""
+"""``python -m nsmodel``."""
 
 import sys
 

@@ -1,0 +1,84 @@
+"""``nsmodel new``: a model file to start from."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+from pathlib import Path
+
+from nsmodel import shelf
+from nsmodel.cli.settings import Commands
+from nsmodel.cli.status import DONE
+from nsmodel.errors import UsageError
+from nsmodel.storage import write_text
+from nsmodel.words import print_shown as print
+
+TEMPLATE = '''
+"""A mass on a spring with dry friction: one line that says what the model is.
+
+What to see: what a reader should look at in the pictures. Here the mass swings a few
+times, stops away from x = 0, and stays there.
+
+A wrong answer: how it would show. Here the mass would creep back to x = 0, or its
+velocity would tremble around 0 instead of being 0.
+"""
+
+from nsmodel import LureSystem, relay
+
+
+def model(mu=0.1):
+    """The model; nsmodel run NAME.py --set mu=0.2 gives it another mu."""
+    m, k, g = 1.0, 4.0, 9.81  # kg, N/m, m/s^2
+    return LureSystem(
+        # x' = A x + B l: the states are position and velocity, l is the friction force
+        A=[[0, 1], [-k / m, 0]],
+        B=[0, 1 / m],
+        # y = C x, the velocity: l = -mu m g where y > 0, mu m g where y < 0,
+        # and what is needed between them where y = 0
+        C=[0, 1],
+        law=relay(1, -mu * m * g, mu * m * g),
+        x0=[1, 0],
+        t_end=10,
+        step=1e-3,
+        names=["position", "velocity"],
+        units={"t": "s", "position": "m", "velocity": "m/s", "l_0": "N"},
+        title="A mass on a spring with dry friction",
+    )
+'''.lstrip()
+NOT_NAMES = sys.stdlib_module_names | {"nsmodel", "casadi", "numpy", "scipy", "sympy", "matplotlib"}
+
+
+def add(commands: Commands) -> None:
+    """Add the command and its options."""
+    about = "Write NAME.py: a model that runs, to start from; with --like a copy of a case."
+    parser = commands.add_parser("new", help="write a model file to start from", description=about)
+    parser.add_argument("name", metavar="NAME", help="name of the file, which is NAME.py in this folder")
+    parser.add_argument("--like", metavar="CASE", help="the case to copy (see nsmodel cases)")
+    parser.add_argument("--force", action="store_true", help="replace NAME.py where it is there already")
+    parser.set_defaults(command=_new)
+
+
+def _new(arguments: argparse.Namespace) -> int:
+    """Write the file and say what to do with it."""
+    name = arguments.name.removesuffix(".py")
+    if not re.fullmatch(r"[A-Za-z_][\w-]*", name, re.ASCII):
+        raise UsageError(
+            f"'{arguments.name}' is no name for a model file: expected letters, digits, _ and -, a letter first, such as "
+            "my_model; the file is written into this folder"
+        )
+    if name in NOT_NAMES:
+        raise UsageError(
+            f"{name}.py would hide the Python module {name} from its neighbours; take another name, such as my_{name}"
+        )
+    path = Path(f"{name}.py")
+    if path.exists() and not arguments.force:
+        raise UsageError(f"{path} is there already; take another name, or --force to replace it")
+    if arguments.like is None:
+        text, what = TEMPLATE.replace("NAME", name), "a mass on a spring with dry friction"
+    else:
+        case = shelf.case(arguments.like)
+        text, what = case.path.read_text(encoding="utf-8"), f"a copy of {case.name}"
+    write_text(path, text.rstrip("\n"))
+    print(f"{path}: {what}\n\n    nsmodel run {path} --plot\n    nsmodel check {path}")
+    return DONE

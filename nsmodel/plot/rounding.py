@@ -1,0 +1,114 @@
+"""Columns of a run that are 0 to rounding: their values say nothing, and get no axis of their own.
+
+A value is rounding where it is below what the arithmetic that made it can see. Of an output this is the running error bound of
+its expression. With the model at hand a state is compared with what its rate errs by in all N steps, which add up like a random
+walk, h sqrt(N) |err(f + g)|, and a multiplier with what the rows that it enters err by: it is 0 where all it moves is below.
+Both hold in any units. Without
+the model a state or multiplier is compared with the largest of the run, and called rounding only if it is also as restless
+as rounding is: a small charge beside volts that moves smoothly is shown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from nsmodel.columns import multiplier_names
+from nsmodel.model.quantity import Quantity
+from nsmodel.plot import style
+from nsmodel.plot.continuous import continuous, state
+from nsmodel.proof.graph import column
+from nsmodel.quantities import Names, quantity_of, values
+from nsmodel.solve.rounding import UNIT, error_bound
+
+if TYPE_CHECKING:
+    from nsmodel.model.base import Model
+    from nsmodel.scheme.continuous import ContinuousProblem
+    from nsmodel.trajectory import Trajectory
+
+BESIDE = 64  # Times UNIT: rounding, and what a run makes of it.
+SAMPLES = 200  # Rows at which rows are evaluated.
+LARGE = 200  # States or multipliers up to which the model is asked.
+RESTLESS, CHANGES = 0.2, 8  # Share of the changes that turn back, of so many at least.
+
+
+class Floors(NamedTuple):
+    """What is rounding of each state (n,), velocity (n,) or (0,), and multiplier (m,)."""
+
+    states: np.ndarray
+    velocities: np.ndarray
+    multipliers: np.ndarray
+
+
+def is_rounding(run: Trajectory, table: str, model: Model | None = None) -> np.ndarray:
+    """Which columns (k,) of "x", "v", "multipliers" or "reactions" are not 0, and rounding in all rows."""
+    found = style.table(run, "reactions" if table == "multipliers" and "reactions" in run.arrays else table)
+    size = style.sizes(found)
+    floors = None if model is None else _floors(run, model)
+    if floors is not None:
+        floor = {"x": floors.states, "v": floors.velocities}.get(table, floors.multipliers)
+        if floor.shape == size.shape:
+            return (size > 0) & (size <= floor)
+    largest = max(abs(end) for one in ("x", "v", "multipliers", "inputs") for end in style.extent(style.table(run, one)))
+    small = (size > 0) & (size <= BESIDE * UNIT * largest)
+    return np.array([own and _restless(column) for own, column in zip(small, found.T, strict=True)], bool)
+
+
+def output_is_rounding(run: Trajectory, name: str, found: np.ndarray) -> np.ndarray:
+    """Which entries (k,) of an output, whose values are (K, k), are not 0, and rounding in all rows."""
+    own, label = quantity_of(run, name)
+    symbols = [ca.SX.sym(one) for one in own.of]
+    expression: Any = ca.Function.deserialize(own.code)(column(symbols))
+    bound = Quantity.made(error_bound(expression, column(symbols)))
+    rows = style.spread(len(run.t), SAMPLES)
+    arrays = {key: array[rows] for key, array in run.arrays.items() if len(array) == len(run.t)}
+    size = style.sizes(found)
+    floor = style.sizes(values(bound, Names.of_run(run), arrays, label).reshape(len(rows), -1))
+    return (size > 0) & (size <= BESIDE * UNIT * floor)
+
+
+def _restless(values: np.ndarray) -> bool:
+    """Whether values go up and down from row to row, as rounding does."""
+    changes = np.diff(values[np.isfinite(values)])
+    changes = changes[changes != 0]
+    return len(changes) >= CHANGES and float((changes[1:] * np.sign(changes[:-1]) < 0).mean()) >= RESTLESS
+
+
+def _floors(run: Trajectory, model: Model) -> Floors | None:
+    """From the model in continuous time; None where it has none, where the run has other columns, or where it is large."""
+    problem = continuous(model)
+    if problem is None or max(problem.states, problem.l.numel()) > LARGE or (given := _columns(run, problem)) is None:
+        return None
+    state, moved = _evaluated(problem)(*given)
+    n, free = problem.states, problem.x.numel() - problem.held
+    felt, moved = BESIDE * UNIT * state.max(axis=0), moved.max(axis=0)
+    own = np.divide(felt[:, None], moved, out=np.full(moved.shape, np.inf), where=moved > 0).min(axis=0, initial=np.inf)
+    added = float(run.t[-1] - run.t[0]) / len(run) ** 0.5 * felt[:free]
+    return Floors(added[:n], added[n:], np.where(np.isfinite(own), own, 0.0))
+
+
+def _columns(run: Trajectory, problem: ContinuousProblem) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """t, x and l of the problem at some rows; None where the run does not have them."""
+    m = len(multiplier_names(run))
+    if problem.multipliers is not None or problem.l.numel() != m or len(run.t) < 2 or (x := state(run, problem)) is None:
+        return None
+    rows = 1 + style.spread(len(run.t) - 1, SAMPLES)
+    l = style.table(run, "reactions" if problem.impulses else "multipliers")
+    return run.t[rows], x[rows], np.nan_to_num(l[rows])
+
+
+def _evaluated(problem: ContinuousProblem) -> Callable[..., tuple[np.ndarray, np.ndarray]]:
+    """(t, x, l) -> what the rows of f + g and h err by (K, n + m), in units of u; how multipliers move them (K, n + m, m)."""
+    rows, unknown = ca.vertcat(problem.rate, problem.h), ca.vertcat(problem.x, problem.l)
+    own = (problem.t, problem.x, problem.l)
+    function = ca.Function("floors", own, [error_bound(rows, unknown), ca.densify(ca.fabs(ca.jacobian(rows, problem.l)))])
+
+    def evaluated(t: np.ndarray, x: np.ndarray, l: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        bound, moved = function.map(len(t))(t[None], x.T, l.T)
+        shape = len(t), problem.l.numel(), rows.numel()
+        return np.nan_to_num(np.array(bound).T), np.nan_to_num(np.array(moved).T.reshape(shape).transpose(0, 2, 1))
+
+    return evaluated

@@ -1,0 +1,119 @@
+"""A run as a page: its facts, panels over time, index set, events, phase plane and configuration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nsmodel import summary
+from nsmodel.columns import model_type, units_of
+from nsmodel.view.columns import Panel, bands, further, panels
+from nsmodel.view.packed import numbers, rows_for
+from nsmodel.view.page import page, written
+from nsmodel.view.scene import forbidden, scene
+from nsmodel.words import shown
+
+if TYPE_CHECKING:
+    from nsmodel.trajectory import Trajectory
+
+POINTS = 20_000  # Read off the polynomials of an event-driven run.
+EVENTS = 100_000  # The most that are marked,
+WORDS = 2_000  # and that say what changes.
+LAW = ("Multipliers", "Reactions")  # Before these stands the index set.
+SCRIPTS = ("data", "elements", "axes", "curves", "panels", "plane", "pictures", "view")
+
+
+def view_run(run: Trajectory, path: str | Path | None = None, model: Any = None) -> Path:
+    """Write the page of a run, and return its path; see `Trajectory.view`."""
+    return written(page(run.title, document(run, model), SCRIPTS), path, run.title)
+
+
+def document(run: Trajectory, model: Any = None) -> dict[str, Any]:
+    """All that the page shows of a run, as plain data.
+
+    Panels name one of the ``clocks``, the times that their rows have. An event-driven run has two: points that are read off its
+    polynomials, and the rows that were saved.
+    """
+    drawn = run.smooth(POINTS)
+    own, rest = panels(drawn), further(run)
+    if drawn is run:
+        clocks = [_clock(run, [*own, *rest], run)]
+    else:
+        clocks = [_clock(drawn, own, drawn), _clock(run, rest, None)]
+    return {
+        "kind": "run",
+        "title": shown(run.title),
+        "status": shown(run.status),
+        "facts": _facts(run),
+        "time": {"unit": shown(units_of(run).get("t", ""))},
+        "rows": len(drawn.t),
+        "note": _note(run, drawn, clocks[0]["width"]),
+        "clocks": [{key: clock[key] for key in ("width", "times")} for clock in clocks],
+        "panels": [panel for clock in clocks for panel in clock["panels"]],
+        "events": _events(run),
+        "stretches": [
+            [one["start"], min(one["until"], float(run.t[-1]))] for one in (run.metadata.get("totals") or {}).get("stretches", ())
+        ],
+        "phase": _phase(run, own),
+        "scene": scene(run),
+        "forbidden": forbidden(run, model),
+    }
+
+
+def _clock(rows: Trajectory, own: list[Panel], strip: Trajectory | None) -> dict[str, Any]:
+    """Panels over the rows of one run, with their times: where the rows begin that are held as one, and the last."""
+    held = rows_for(len(rows.t), sum(len(panel.names) * (1 + bool(panel.begins)) for panel in own))
+    found = [panel.document(held, int(strip is None)) for panel in own]
+    if strip is not None and (codes := bands(rows, held, 0)) is not None:
+        found.insert(next((k for k, panel in enumerate(own) if panel.title.startswith(LAW)), len(own)), codes)
+    times = np.append(rows.t[:: held.width], rows.t[-1])
+    return {"width": held.width, "times": numbers(times), "panels": found}
+
+
+def _facts(run: Trajectory) -> list[list[Any]]:
+    """The summary as labels and lines."""
+    return [[label, [shown(line) for line in lines]] for label, lines in summary.lines(summary.summary(run)).items()]
+
+
+def _note(run: Trajectory, drawn: Trajectory, width: int) -> str:
+    """What the page does not have: rows."""
+    every = run.metadata.get("save_every", 1)
+    saved = f" (1 saved of {every})" if every > 1 else ""
+    if drawn is not run:
+        return f"{len(drawn.t):,} points read off the polynomials between events; {len(run.t):,} rows saved{saved}."
+    if width == 1:
+        return f"{len(run.t):,} rows{saved}, each of them on this page."
+    return (
+        f"{len(run.t):,} rows{saved}: too many for one page. It holds the least and the largest value of each {width} rows that "
+        "follow one another; zoomed in to these, boxes are drawn and no line. The rows are in the run's own file."
+    )
+
+
+def _events(run: Trajectory) -> dict[str, Any] | None:
+    """The switches of an event-driven run: when, and what changes; None of other runs."""
+    if not run.is_event_driven:
+        return None
+    starts, codes = run.arrays["piece_start"], run.arrays["piece_codes"]
+    at = np.flatnonzero(run.arrays["piece_event"] & (starts <= run.t[-1]))
+    names = run.metadata.get("index_names") or [f"row {k}" for k in range(codes.shape[1])]
+    words = []
+    for k in at[:WORDS]:
+        changed = np.flatnonzero(codes[k] != codes[k - 1])[:6] if k else []
+        words.append(", ".join(f"{shown(names[i])}: {codes[k - 1, i]} to {codes[k, i]}" for i in changed))
+    return {"count": len(at), "times": numbers(starts[at[:EVENTS]]), "words": words}
+
+
+def _phase(run: Trajectory, own: list[Panel]) -> list[list[int]] | None:
+    """Which columns the phase plane opens with, as (panel, column): a state over another, or a velocity over its state."""
+    states, fast = (
+        [[p, c] for p, panel in enumerate(own) if panel.title.startswith(title) for c in range(len(panel.names))]
+        for title in ("States", "Velocities")
+    )
+    if run.metadata.get("scene"):
+        return None
+    if model_type(run).second_order and fast:
+        return [states[0], fast[0]]
+    others = [place for place in states if place[0] != states[0][0]] or states[1:]
+    return [states[0], others[0]] if others else None

@@ -1,0 +1,248 @@
+"""What a newcomer types: cases listed, described and copied, a model to start from, completion in a shell; what is installed."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+
+import pytest
+from conftest import REPOSITORY
+from test_package import in_a_fresh_process
+
+from nsmodel import load, shelf
+from nsmodel.cli import main
+from nsmodel.cli.completion import HOW
+from nsmodel.version import VERSION
+
+PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch):
+    """An empty folder, and a terminal of 80 columns."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+    return tmp_path
+
+
+def said(capsys, *arguments):
+    """What a command that succeeds prints."""
+    assert main(list(arguments)) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    return printed.out
+
+
+def refused(capsys, *arguments):
+    """What a command says that is refused."""
+    assert main(list(arguments)) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith("nsmodel: error: ")
+    assert printed.err.count("\n") == 1
+    return printed.err.removeprefix("nsmodel: error: ").strip()
+
+
+# ---------------------------------------------------------------------------------------------- cases
+
+
+def shelf_of(folder, monkeypatch, **docstrings):
+    """A shelf of cases that say no more than their docstrings."""
+    place = folder / "cases"
+    place.mkdir()
+    for name, text in docstrings.items():
+        (place / f"{name}.py").write_text(f'"""{text}"""\n', encoding="utf-8")
+    monkeypatch.setattr(shelf, "_PLACES", (place,))
+
+
+def test_cases_are_listed_by_topic_a_line_each(here, monkeypatch, capsys):
+    shelf_of(
+        here, monkeypatch, a="Last.", zig="A switch.\n\nTopic: control.",
+        b="A bridge of four diodes, all ideal, feeds a resistor from a source.\n\nTopic: circuits.",
+        longer_name="A ladder.\n\nTopic: circuits.",
+    )  # fmt: skip
+    lines = said(capsys, "cases").splitlines()
+    assert lines[:10] == [
+        "circuits",
+        "  b            A bridge of four diodes, all ideal, feeds a resistor from a ...",
+        "  longer_name  A ladder.",
+        "",
+        "control",
+        "  zig          A switch.",
+        "",
+        "others",
+        "  a            Last.",
+        "",
+    ]
+    assert max(map(len, lines)) <= 80
+    monkeypatch.setenv("COLUMNS", "200")
+    assert "all ideal, feeds a resistor from a source.\n" in said(capsys, "cases")
+
+
+def test_a_case_is_described_in_its_own_words(here, monkeypatch, capsys):
+    story = "It is told here,\nat length.\n\n    m x'' = f    as it stands\n\nWhat to see: it\nstops.\n\nSource: closed form."
+    shelf_of(here, monkeypatch, belt=f"A block on a belt.\n\n{story}")
+    text = said(capsys, "cases", "belt")
+    assert text.startswith(
+        "belt: A block on a belt.\n\nIt is told here, at length.\n\n    m x'' = f    as it stands\n\nWhat to see: "
+    )
+    assert "it stops.\n\nSource: closed form.\n\n" in text
+    assert "A wrong answer" not in text
+    assert str(here / "cases" / "belt.py") in text
+    assert "nsmodel new my_belt --like belt" in text
+    assert "no case 'bel'; did you mean belt?" in refused(capsys, "cases", "bel")
+
+
+def test_cases_as_json(capsys):
+    listed = json.loads(said(capsys, "cases", "--json"))
+    assert [case["name"] for case in listed] == sorted(shelf.files())
+    one = json.loads(said(capsys, "cases", "diode_bridge", "--json"))
+    assert one in listed
+    assert one["path"].endswith("diode_bridge.py")
+    assert set(one) == {"name", "path", "title", "story", "see", "wrong", "source", "topic"}
+
+
+def test_a_case_runs_by_its_name_unless_a_file_has_it(here, capsys):
+    assert "Diode bridge rectifier" in said(capsys, "run", "diode_bridge", "--t-end", "1e-4")
+    (here / "diode_bridge").mkdir()  # such as nsmodel codegen makes
+    said(capsys, "run", "diode_bridge", "--t-end", "1e-5", "--quiet")
+    (here / "diode_bridge").rmdir()
+    (here / "diode_bridge").write_text("")
+    assert "'diode_bridge' is not a Python file" in refused(capsys, "run", "diode_bridge")
+    assert "'diode_brige' does not exist; give the path of a Python file that defines model = ... (nsmodel cases" in refused(
+        capsys, "run", "diode_brige"
+    )
+
+
+# ---------------------------------------------------------------------------------------------- new
+
+
+def test_the_template_runs_and_does_what_it_says(here, capsys):
+    assert said(capsys, "new", "first").startswith(
+        "first.py: a mass on a spring with dry friction\n\n    nsmodel run first.py --plot\n"
+    )
+    text = said(capsys, "run", "first.py")
+    # Half swings lose 2 mu m g/k = 0.4905: from 1 to -0.5095 to 0.0190, where k x < mu m g holds it.
+    assert 0 < float(re.search(r"position +(\S+) m", text)[1]) < 0.025
+    assert re.search(r"velocity +0 m/s", text)
+    doc = ast.get_docstring(ast.parse((here / "first.py").read_text(encoding="utf-8")))
+    assert "A wrong answer:" in doc
+    assert "nsmodel run first.py --set mu=0.2" in (here / "first.py").read_text(encoding="utf-8")
+    assert load(here / "first.py", mu=0.2).title == "A mass on a spring with dry friction"
+
+
+def test_a_copy_of_a_case_runs(here, capsys):
+    assert "relay.py: a copy of sliding_relay" in said(capsys, "new", "relay.py", "--like", "sliding_relay")
+    assert (here / "relay.py").read_bytes() == (REPOSITORY / "cases" / "sliding_relay.py").read_bytes()
+    said(capsys, "run", "relay.py", "--t-end", "0.1")
+
+
+def test_a_file_that_is_there_stays_unless_it_is_to_go(here, capsys):
+    (here / "mine.py").write_text("hours of work\n")
+    assert refused(capsys, "new", "mine") == "mine.py is there already; take another name, or --force to replace it"
+    assert (here / "mine.py").read_text() == "hours of work\n"
+    said(capsys, "new", "mine", "--force")
+    assert "hours of work" not in (here / "mine.py").read_text()
+
+
+@pytest.mark.parametrize("name", ["a/b", "../a", "9lives", "", "a b", ".py", "a.b", "ärger"])
+def test_what_is_no_name_is_refused(here, capsys, name):
+    assert f"'{name}' is no name for a model file: expected letters, digits, _ and -" in refused(capsys, "new", name)
+    assert not list(here.iterdir())
+
+
+@pytest.mark.parametrize("name", ["random", "numpy"])
+def test_a_name_that_would_hide_a_module_is_refused(here, capsys, name):
+    """Modules beside a model file come first while it runs."""
+    assert f"{name}.py would hide the Python module {name} from its neighbours" in refused(capsys, "new", name)
+    assert not list(here.iterdir())
+
+
+def test_a_copy_of_what_is_no_case_is_refused(here, capsys):
+    text = refused(capsys, "new", "a", "--like", "nothing_like_it")
+    assert text == f"no case 'nothing_like_it'; nsmodel cases lists the {len(shelf.files())} that there are"
+    assert not list(here.iterdir())
+
+
+# ---------------------------------------------------------------------------------------------- completion
+
+LINES = {
+    "nsmodel sw": ["sweep"],
+    "nsmodel --v": ["--version"],
+    "nsmodel run --me": ["--method"],
+    "nsmodel run x.py --method e": ["event-driven"],
+    "nsmodel new x --like diode": ["diode_bridge"],
+    "nsmodel cases crowd_": ["crowd_room"],
+    "nsmodel study moving_d": ["moving_disc"],
+    "nsmodel run my": ["my model.py", "my_folder"],
+    "nsmodel run --out my": [],  # the shell's own files
+    "nsmodel run --step 1": [],
+    "nsmodel completion f": ["fish"],
+}
+
+
+@pytest.mark.skipif(shutil.which("bash") is None or sys.platform == "win32", reason="no bash")
+def test_a_real_bash_completes(here, capsys):
+    (here / "my model.py").write_text("")
+    (here / "my notes.txt").write_text("")
+    (here / "my_folder").mkdir()
+    tries = "".join(
+        f"COMP_WORDS=({line}); COMP_CWORD={line.count(' ')}; _nsmodel; printf '%s|' \"${{COMPREPLY[@]}}\"; echo\n"
+        for line in LINES
+    )
+    script = said(capsys, "completion", "bash")
+    done = subprocess.run(["bash", "--norc", "-c", f"{script}\n{tries}"], capture_output=True, text=True, check=True)
+    assert done.stderr == ""
+    found = dict(zip(LINES, (sorted(filter(None, line.split("|"))) for line in done.stdout.splitlines()), strict=True))
+    assert found == LINES
+
+
+def test_scripts_of_other_shells(capsys):
+    bash, zsh, fish = (said(capsys, "completion", shell) for shell in ("bash", "zsh", "fish"))
+    assert zsh.splitlines()[1] == "autoload -U +X bashcompinit && bashcompinit"
+    assert zsh.splitlines()[2:] == bash.splitlines()[1:]
+    assert "complete -c nsmodel -n '__fish_seen_subcommand_from run' -l method -x -a \"auto event-driven time-stepping\"" in fish
+    assert "complete -c nsmodel -n __fish_use_subcommand -f -a stress -d 'push a model\\'s step, units and parameters'" in fish
+    with pytest.raises(SystemExit, match="0"):
+        main(["completion", "--help"])
+    assert HOW in capsys.readouterr().out
+
+
+# ---------------------------------------------------------------------------------------------- what is installed
+
+
+def test_the_package_is_a_program(here):
+    code = "import runpy, sys; sys.argv = ['nsmodel', '--version']\ntry: runpy.run_module('nsmodel', run_name='__main__')\n"
+    assert re.fullmatch(r"nsmodel \d+\.\d+\.\d+\n", in_a_fresh_process(f"{code}except SystemExit as end: assert not end.code"))
+
+
+def test_a_wheel_holds_the_package_and_the_cases(tmp_path):
+    """Built by hatchling where it is there; what lies in the tree and is no Python is easily forgotten."""
+    wheel = pytest.importorskip("hatchling.builders.wheel")
+    import zipfile
+
+    path = next(iter(wheel.WheelBuilder(str(REPOSITORY)).build(directory=str(tmp_path), versions=["standard"])))
+    held = set(zipfile.ZipFile(path).namelist())
+    package = {str(file.relative_to(REPOSITORY)) for file in (REPOSITORY / "nsmodel").rglob("*") if file.is_file()}
+    cases = {f"nsmodel/cases/{path.name}" for path in shelf.files().values()}
+    expected = {name for name in package if "__pycache__" not in name} | cases
+    assert {name for name in held if name.startswith("nsmodel/")} == {name.replace("\\", "/") for name in expected}
+    assert {"nsmodel/py.typed", "nsmodel/cases/diode_bridge.py", "nsmodel/codegen/c/fixed.c", "nsmodel/laws/ball.c"} <= held
+
+
+def test_the_version_to_cite_is_this_one():
+    text = (REPOSITORY / "CITATION.cff").read_text(encoding="utf-8")
+    assert re.search(r"^version: (.+)$", text, re.M)[1] == VERSION
+
+
+def test_what_is_built_is_said():
+    """The same where hatchling is not there: the package, with its cases inside, where the shelf looks first."""
+    targets = PROJECT["tool"]["hatch"]["build"]["targets"]
+    assert targets["wheel"] == {"packages": ["nsmodel"], "force-include": {"cases": "nsmodel/cases"}}
+    assert {"nsmodel", "cases", "README.md"} <= set(targets["sdist"]["include"])
+    assert shelf._PLACES[0] == REPOSITORY / "nsmodel" / "cases"
