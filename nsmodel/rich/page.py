@@ -44,7 +44,9 @@ padding:.2em .7em .2em 0!important;text-align:left!important;white-space:normal!
 .nsm math{font-family:"Latin Modern Math","STIX Two Math","Cambria Math","DejaVu Math TeX Gyre",math}
 .nsm mtable{padding:0 .3em}.nsm mtable.pmatrix{border:solid;border-width:0 1px;border-radius:.7em}
 .nsm mtable.cases{border-left:1px solid;text-align:left}.nsm mtable.cases mtd{text-align:left}
-.nsm summary{cursor:pointer;margin:.3em 0}.nsm .wide{overflow-x:auto}
+.nsm summary{cursor:pointer;margin:.3em 0}.nsm td details,.nsm td summary{margin:0}
+@media(max-width:600px){.nsm table td:first-child{white-space:normal!important}}
+.nsm .wide{overflow-x:auto}
 .nsm img{max-width:100%;height:auto;background:#fff;border-radius:4px;margin:.3em 0}
 """
 
