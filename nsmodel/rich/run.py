@@ -17,7 +17,7 @@ WARNINGS = 4  # More are folded.
 
 def html(run: Trajectory) -> str:
     """The run as HTML."""
-    from nsmodel.plot.shown import png
+    from nsmodel.plot.shown import light_png
 
     lines = summary.lines(run.summary())
     (ended,), warnings = lines.pop("status"), lines.pop("warnings", [])
@@ -26,5 +26,5 @@ def html(run: Trajectory) -> str:
     told = page.joined([page.status(word, "warned" if word == "done" and warnings else word), why or warned], " ")
     rows = [("status", told), *lines.items(), ("warnings", warnings[:WARNINGS])]
     more = page.folded(f"{len(warnings) - WARNINGS} more warnings", page.facts([("", warnings[WARNINGS:])]))
-    drawn = page.picture(lambda: png(small(run), DPI), f"states of {run.title} over time")
+    drawn = page.picture(lambda: light_png(small(run), DPI), f"states of {run.title} over time")
     return page.page(run.title, f"run, {len(run)} steps", page.facts(rows), more if warnings[WARNINGS:] else "", drawn)

@@ -19,7 +19,7 @@ DPI = 75
 
 def html(study: Study) -> str:
     """The study as HTML."""
-    from nsmodel.plot.shown import png
+    from nsmodel.plot.shown import light_png
 
     reference = None if study.reference is None else study.reference.text
     rows = [
@@ -33,7 +33,7 @@ def html(study: Study) -> str:
     parts = [page.facts(rows), page.first(lines, LINES, "methods", HEADER)]
     if alone:
         parts.append(page.folded(f"{len(alone)} solvers alone", page.table(HEADER, alone)))
-    drawn = page.picture(lambda: png(study.plot(), DPI), f"error against run time of {study.title}")
+    drawn = page.picture(lambda: light_png(study.plot(), DPI), f"error against run time of {study.title}")
     return page.page(study.title, f"study of a {study.model_class}", *parts, drawn)
 
 
