@@ -155,7 +155,13 @@ def test_python_block_runs_and_prints_what_the_page_shows(block, folder):
         assert_shown(block.output, output, block)
 
 
-@pytest.mark.parametrize("page", sorted({block.page for block in BLOCKS if block.words[:1] == ("{code-cell}",)}), ids=named)
+NOTEBOOKS = sorted({block.page for block in BLOCKS if block.words[:1] == ("{code-cell}",)})
+STUDIES = pytest.mark.long  # of notebooks that measure run times
+
+
+@pytest.mark.parametrize(
+    "page", [pytest.param(page, marks=STUDIES if page.stem == "accuracy" else ()) for page in NOTEBOOKS], ids=named
+)
 def test_the_cells_of_a_notebook_run_in_order(page, tmp_path, monkeypatch):
     (tmp_path / "cases").symlink_to(REPOSITORY / "cases")
     monkeypatch.chdir(tmp_path)

@@ -1,6 +1,9 @@
 """Notebooks: figures that show themselves once, bars, tables for pandas and xarray; a kernel where one is installed."""
 
+import ast
+import re
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import Mock
 
@@ -12,6 +15,7 @@ from nsmodel import MissingExtraError, plot
 from nsmodel.notebook import in_notebook
 from nsmodel.run import interrupt
 
+NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "docs" / "notebooks").glob("*.md"))
 PNG = b"\x89PNG"
 
 
@@ -153,3 +157,27 @@ def test_pandas_missing(run_case, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(MissingExtraError, match=r"pandas is not installed; pip install 'nsmodel\[pandas\]'"):
         run_case("two_discs").to_pandas()
+
+
+# -- pages -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_the_notebooks_of_the_site_are_notebooks(path):
+    """Front matter for jupytext, cells of Python without outputs; the site runs them."""
+    text = path.read_text(encoding="utf-8")
+    head, title = re.match(r"---\n((?:.+\n)*?)---\n\n# (.+)\n", text).groups()
+    assert "format_name: myst" in head
+    assert "kernelspec:" in head
+    assert len(title) < 60
+    fences = re.findall(r"^```.*$", text, re.MULTILINE)
+    assert fences == ["```{code-cell} ipython3", "```"] * (len(fences) // 2)
+    cells = re.findall(r"^```\{code-cell\} ipython3\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    assert cells
+    for cell in cells:
+        ast.parse(cell)
+        assert max(map(len, cell.splitlines())) <= 100
+
+
+def test_there_are_four_of_them():
+    assert {path.stem for path in NOTEBOOKS} >= {"accuracy", "first_model", "hypotheses", "sweep"}

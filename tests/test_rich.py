@@ -78,7 +78,7 @@ def test_text_is_escaped_in_one_place():
     assert page.escaped("</script><b>") == "&lt;/script&gt;&lt;b&gt;"
     assert page.escaped("$x$") == "<span>$</span>x<span>$</span>"
     shown = Reader(page.page(EVIL, EVIL, EVIL, page.facts([(EVIL, [EVIL])]), page.folded(EVIL, EVIL), page.status(EVIL)))
-    assert shown.seen == {"div", "style", "h4", "span", "table", "tbody", "tr", "th", "td", "details", "summary"}
+    assert shown.seen == {"div", "style", "span", "table", "tbody", "tr", "th", "td", "details", "summary"}
     assert shown.text.count('</script><b>$x$ & "') == 8
     assert "\u202e" not in shown.text
 
@@ -223,7 +223,8 @@ def test_studies_sweeps_and_stress(run):
     points = (Point("h = 0.1", 1e-3, {"max": 0.25}, step=0.1), Point("h = 0.05", 2e-3, {"max": 0.125}, step=0.05))
     lines = (Line("implicit", (*points, Point.failed("h = 0.01", EVIL))), Line("lemke", points, kind="solver"))
     found = safe(Study(EVIL, "LureSystem", 2, 1.0, "s", lines, None, notes=(EVIL,)))
-    assert "order 1.00" in found.text
+    assert "2 of 3" in found.text
+    assert "1.00" in found.text
     assert "0.12 to 0.25" in found.text
     assert "1 solvers alone" in found.text
     assert "img" in found.seen
@@ -239,6 +240,8 @@ def test_studies_sweeps_and_stress(run):
     assert "✓ 3 done" in found.text
     assert "k: 3, 1 to 4" in found.text
     assert "img" in found.seen
+    for one in (nsmodel.statistics(sweep.last), nsmodel.share(sweep.last > 0)):
+        assert one.text.partition("\n")[2] in safe(one).text
     sweep.cells["status"][1] = 1
     sweep.messages[1] = EVIL
     assert "✗ 1 failed" in safe(sweep).text

@@ -84,7 +84,7 @@ def small(run: Trajectory) -> Figure:
     """A figure of few lines: the states and the index set, or the moment of most pressure of many bodies."""
     panels = _panels(run.smooth(), None, lines=6, rows=4)
     names = ["frame"] if "frame" in panels else [name for name in ("states", "index_strip") if name in panels]
-    figure = style.blank(5, 4.2) if "frame" in panels else style.blank(7, 2.4 + 0.6 * (len(names) - 1))
+    figure = style.blank(5, 4.2) if "frame" in panels else style.blank(7, 2.4 + 0.8 * (len(names) - 1))
     _stack(figure, figure.add_gridspec(1, 1)[0], [panels[name] for name in names], shared=True)
     return figure
 

@@ -28,6 +28,16 @@ class Axes(axes.Axes):
         return png(self.get_figure(root=True))
 
 
+def light_png(drawn: Any, dpi: int) -> bytes:
+    """The same in 64 colours, a fourth of the bytes: for pages that hold many."""
+    from PIL import Image
+
+    stream = io.BytesIO()
+    whole = Image.open(io.BytesIO(png(drawn, dpi))).convert("RGB")
+    whole.quantize(64, dither=Image.Dither.NONE).save(stream, "png", optimize=True)
+    return stream.getvalue()
+
+
 def png(drawn: Any, dpi: int = DPI) -> bytes:
     """A figure, or that of axes, as a PNG file."""
     stream = io.BytesIO()

@@ -14,34 +14,39 @@ from types import MappingProxyType
 
 from nsmodel.brief import cut
 from nsmodel.rich.mathml import mathml
-from nsmodel.words import one_line
+from nsmodel.words import one_line, shown
 
 NAME = 200  # Characters of one text.
 GOOD, FAIR, BAD, OPEN = "good", "fair", "bad", "open"
-MARKS = {GOOD: "✓", FAIR: "≈", BAD: "✗", OPEN: "?"}
 LEVELS = {
     "holds": GOOD, "done": GOOD, "right": GOOD, "finished": GOOD,
-    "sampled": FAIR, "stopped": FAIR, "interrupted": FAIR,
+    "sampled": FAIR, "stopped": FAIR, "interrupted": FAIR, "warned": FAIR,
     "violated": BAD, "wrong": BAD, "failed": BAD,
 }  # fmt: skip
+MARKS = {GOOD: "✓", FAIR: "!", BAD: "✗", OPEN: "?", "sampled": "≈"}
 # Blue, amber, vermilion and grey: told apart by who sees no red, no green or no blue, and by their lightness.
+# What notebooks say of all tables is overruled.
 STYLE = """
 .nsm{font-size:13px;line-height:1.45;max-width:64em;text-align:left}
-.nsm h4{margin:.2em 0 .5em;font-size:1.15em}.nsm p{margin:.4em 0}
-.nsm table{border-collapse:collapse;border:0;margin:.4em 0;font-size:1em;width:auto;display:table;color:inherit}
-.nsm table td,.nsm table th{border:0;border-top:1px solid rgba(128,128,128,.35);padding:.2em .7em .2em 0;text-align:left;
-vertical-align:top;background:none;color:inherit;white-space:normal;max-width:34em}
-.nsm table th{font-weight:600}.nsm table th,.nsm table td:first-child{white-space:nowrap}
-.nsm table td.num{text-align:right;font-variant-numeric:tabular-nums}
+.nsm .head{margin:.2em 0 .5em;font-size:1.15em;font-weight:600}.nsm p{margin:.4em 0}
+.nsm table{border-collapse:collapse;border:0!important;margin:.4em 0!important;font-size:1em!important;width:auto!important;
+display:table!important;table-layout:auto!important;color:inherit}
+.nsm table tr,.nsm table td,.nsm table th{background:none!important;color:inherit!important}
+.nsm table td,.nsm table th{border:0!important;border-top:1px solid rgba(128,128,128,.35)!important;vertical-align:top!important;
+padding:.2em .7em .2em 0!important;text-align:left!important;white-space:normal!important;max-width:34em!important}
+.nsm table th{font-weight:600}.nsm table th,.nsm table td:first-child{white-space:nowrap!important}
+.nsm pre{background:none;color:inherit;overflow-x:auto;white-space:pre;margin:.4em 0}
 .nsm .kind,.nsm .aside{opacity:.75;font-weight:400}
 .nsm .st{display:inline-block;border-radius:.7em;padding:0 .6em;white-space:nowrap;font-weight:600}
 .nsm .good{background:#0060a0;color:#fff}.nsm .fair{background:#f0b429;color:#000}
 .nsm .bad{background:#a83200;color:#fff}.nsm .open{background:#6b7280;color:#fff}
-.nsm .eq{overflow-x:auto;overflow-y:hidden;padding:.25em 0}.nsm math{font-size:1.15em}
+.nsm .eq{overflow-x:auto;overflow-y:hidden;padding:.25em 0 .25em .1em}.nsm math{font-size:1.15em}
 .nsm math{font-family:"Latin Modern Math","STIX Two Math","Cambria Math","DejaVu Math TeX Gyre",math}
 .nsm mtable{padding:0 .3em}.nsm mtable.pmatrix{border:solid;border-width:0 1px;border-radius:.7em}
 .nsm mtable.cases{border-left:1px solid;text-align:left}.nsm mtable.cases mtd{text-align:left}
-.nsm summary{cursor:pointer;margin:.3em 0}.nsm .wide{overflow-x:auto}
+.nsm summary{cursor:pointer;margin:.3em 0}.nsm td details,.nsm td summary{margin:0}
+@media(max-width:600px){.nsm table td:first-child{white-space:normal!important}}
+.nsm .wide{overflow-x:auto}
 .nsm img{max-width:100%;height:auto;background:#fff;border-radius:4px;margin:.3em 0}
 """
 
@@ -69,21 +74,22 @@ def element(name: str, *content: str, cls: str = "") -> Html:
 
 def page(title: str, kind: str, *parts: str) -> str:
     """The whole: a title, and behind it what it is."""
-    head = element("h4", title, Html(" "), element("span", kind, cls="kind"))
+    head = element("div", title, Html(" "), element("span", kind, cls="kind"), cls="head")
     body = "".join([head, *map(cell, (part for part in parts if part))])
     return f'<div class="nsm tex2jax_ignore mathjax_ignore"><style>{STYLE}</style>{body}</div>'
 
 
-def status(word: str, level: str | None = None) -> Html:
-    """A word with the mark and the colour of its level."""
-    level = level or LEVELS.get(word, OPEN)
-    return element("span", f"{MARKS[level]} {word}", cls=f"st {level}")
+def status(text: str, verdict: str | None = None) -> Html:
+    """Text with the mark and the colour of a verdict; left out, the text is one."""
+    verdict = verdict or text
+    level = LEVELS.get(verdict, OPEN)
+    return element("span", f"{MARKS.get(verdict, MARKS[level])} {text}", cls=f"st {level}")
 
 
 def counted(counts: Mapping[str, int], words: Mapping[str, str] = MappingProxyType({})) -> Html:
     """How many have which verdict; of what there is none without a colour. ``words``: what stands for a verdict."""
     shown = [(f"{count} {words.get(verdict, verdict)}", verdict if count else "") for verdict, count in counts.items()]
-    return joined([status(text, LEVELS.get(verdict, OPEN)) if verdict else text for text, verdict in shown], " ")
+    return joined([status(text, verdict) if verdict else text for text, verdict in shown], " ")
 
 
 def facts(rows: Iterable[tuple[str, str | Sequence[str]]]) -> Html:
@@ -93,10 +99,10 @@ def facts(rows: Iterable[tuple[str, str | Sequence[str]]]) -> Html:
     return element("table", element("tbody", *lines)) if lines else Html("")
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[str]], numbers: Sequence[int] = ()) -> Html:
-    """A table; ``numbers`` are the columns that stand at the right."""
+def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> Html:
+    """A table."""
     head = element("thead", element("tr", *(element("th", one) for one in header)))
-    body = [element("tr", *(element("td", one, cls="num" if k in numbers else "") for k, one in enumerate(row))) for row in rows]
+    body = [element("tr", *(element("td", one) for one in row)) for row in rows]
     return element("div", element("table", head, element("tbody", *body)), cls="wide")
 
 
@@ -110,17 +116,22 @@ def folded(summary: str, *content: str) -> Html:
     return element("details", element("summary", summary), *content)
 
 
-def first(rows: Sequence[Sequence[str]], count: int, what: str, header: Sequence[str], numbers: Sequence[int] = ()) -> Html:
+def first(rows: Sequence[Sequence[str]], count: int, what: str, header: Sequence[str]) -> Html:
     """A table of the first rows; the others behind a click."""
-    shown = table(header, rows[:count], numbers)
+    shown = table(header, rows[:count])
     if len(rows) <= count:
         return shown
-    return joined([shown, folded(f"{len(rows) - count} more {what}", table(header, rows[count:], numbers))], "")
+    return joined([shown, folded(f"{len(rows) - count} more {what}", table(header, rows[count:]))], "")
 
 
 def aside(text: str) -> Html:
     """A paragraph that is less than the others."""
     return element("p", text, cls="aside")
+
+
+def verbatim(text: str) -> Html:
+    """Lines as they stand."""
+    return Html(f"<pre>{html.escape(shown(text))}</pre>")
 
 
 def joined(items: Iterable[str], between: str = ", ") -> Html:

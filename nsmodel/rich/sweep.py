@@ -41,9 +41,9 @@ def html(sweep: Sweep) -> str:
 
 
 def _png(sweep: Sweep, name: str) -> bytes:
-    from nsmodel.plot.shown import png
+    from nsmodel.plot.shown import light_png
 
-    return png(sweep.plot(name), DPI)
+    return light_png(sweep.plot(name), DPI)
 
 
 def _drawn(sweep: Sweep) -> str | None:

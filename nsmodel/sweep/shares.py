@@ -11,6 +11,7 @@ from scipy.special import stdtrit
 
 from nsmodel.brief import brief
 from nsmodel.errors import UsageError
+from nsmodel.notebook import shown_by
 from nsmodel.sweep.binomial import wilson
 from nsmodel.sweep.groups import Groups, Over, by_replicate, checked_level, grouped, refuse_dependent
 from nsmodel.sweep.variable import as_variable
@@ -58,6 +59,7 @@ class Share:
     replicates: str | None = None
 
     __repr__ = brief
+    _repr_html_ = shown_by("statistics")
 
     @property
     def text(self) -> str:

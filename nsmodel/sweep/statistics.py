@@ -11,6 +11,7 @@ from scipy.special import stdtrit
 
 from nsmodel.brief import brief
 from nsmodel.errors import UsageError
+from nsmodel.notebook import shown_by
 from nsmodel.sweep.binomial import middle, ranks
 from nsmodel.sweep.groups import Over, by_replicate, checked_level, evenly_laid_out, grouped, refuse_dependent
 from nsmodel.sweep.shares import Share, failures, interval_of_means
@@ -90,6 +91,7 @@ class Statistics:
     even: tuple[str, ...] = ()
 
     __repr__ = brief
+    _repr_html_ = shown_by("statistics")
 
     def quantile(self, q: float) -> Quantile:
         """Return the quantile that was asked for with this q; UsageError where it was not."""
