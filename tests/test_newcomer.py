@@ -243,6 +243,7 @@ def test_the_version_to_cite_is_this_one():
 def test_what_is_built_is_said():
     """The same where hatchling is not there: the package, with its cases inside, where the shelf looks first."""
     targets = PROJECT["tool"]["hatch"]["build"]["targets"]
-    assert targets["wheel"] == {"packages": ["nsmodel"], "force-include": {"cases": "nsmodel/cases"}}
+    assert targets["wheel"]["only-include"] == ["nsmodel", "cases"]
+    assert targets["wheel"]["sources"] == {"cases": "nsmodel/cases"}
     assert {"nsmodel", "cases", "README.md"} <= set(targets["sdist"]["include"])
     assert shelf._PLACES[0] == REPOSITORY / "nsmodel" / "cases"

@@ -89,7 +89,7 @@ def test_names_that_wait_are_listed_imported_and_documented():
         "import nsmodel, pydoc\n"
         "print(set(nsmodel.__all__) <= set(dir(nsmodel)), nsmodel.__version__ == nsmodel.version.VERSION)\n"
         "text = pydoc.render_doc(nsmodel, renderer=pydoc.plaintext)\n"
-        "print('simulate(model' in text, 'Decide each hypothesis' in text)\n"
+        "print('simulate(model' in ''.join(text.split()), 'Decide each hypothesis' in text)\n"
         "from nsmodel import *\n"
         "print(check.__name__, Study.__name__)\n"
         "print(hasattr(nsmodel, 'simulat'))\n"

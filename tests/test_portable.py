@@ -50,7 +50,8 @@ def names_no_encoding(call):
     if name == "open":
         owner = getattr(getattr(call.func, "value", None), "id", "")
         modes = [arg.value for arg in call.args if isinstance(arg, ast.Constant) and isinstance(arg.value, str)]
-        other = owner in ("os", "Image", "archive", "ChunkStore") or any("b" in mode and len(mode) < 5 for mode in modes)
+        opened = owner in ("os", "Image", "archive", "ChunkStore", "webbrowser")  # which have an open of their own
+        other = opened or any("b" in mode and len(mode) < 5 for mode in modes)
         return not (other or "encoding" in given or any(isinstance(arg, ast.IfExp) for arg in call.args))
     return (name == "read_text" or (name == "write_text" and isinstance(call.func, ast.Attribute))) and "encoding" not in given
 
