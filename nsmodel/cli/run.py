@@ -135,6 +135,7 @@ def _run_here(arguments: argparse.Namespace, file: str, folder: Path | None) -> 
     start, compiled = time.perf_counter(), True if arguments.compiled else "auto"
     try:
         model, values = load(file, arguments.set)
+        _refuse_late(arguments.window, arguments.t_end or model.t_end)
         inputs = inputs_of(arguments.input, model.input_groups)
         if arguments.explain and not arguments.json:
             how = explain(
@@ -194,6 +195,13 @@ def _window(text: str | None) -> tuple[float | None, float | None] | None:
     if begin is not None and end is not None and not begin < end:
         raise UsageError(f"--window {text}: expected T0 < T1")
     return begin, end
+
+
+def _refuse_late(text: str | None, t_end: float | None) -> None:
+    """Refuse a window that begins where the run is over, before it is run."""
+    window = _window(text)
+    if window is not None and window[0] is not None and t_end is not None and window[0] >= t_end:
+        raise UsageError(f"--window {text} begins after the run, which ends at t = {t_end:g}")
 
 
 def _own_folder(file: str) -> Path:
