@@ -254,6 +254,14 @@ def test_sizes_far_apart_are_drawn_apart_but_rounding_is_not():
     assert [one["name"] for one in panels["States, the small ones"]["columns"]] == ["b"]
 
 
+def test_a_single_state_has_a_phase_plane_with_what_else_there_is(run_case, load_case):
+    oscillator = nsmodel.simulate(load_case("friction_oscillator"), t_end=0.1)
+    for run, up in ((run_case("moving_half_line"), "Multipliers"), (oscillator, "Velocities")):
+        found = document(run)
+        assert [found["panels"][p]["title"] for p, _ in found["phase"]] == ["States", up]
+    assert document(by_hand({"a": np.ones(3)}))["phase"] is None
+
+
 def test_many_columns_are_some_and_the_page_says_so():
     run = by_hand({f"x_{k}": np.arange(5.0) + k for k in range(100)})
     (panel,) = (one for one in document(run)["panels"] if one["title"] == "States")
