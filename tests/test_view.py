@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from conftest import REPOSITORY
-from view_pages import HOSTILE, by_hand, discs, parsed, unpacked
+from view_pages import HOSTILE, a_study, by_hand, discs, parsed, unpacked
 
 import nsmodel
 from nsmodel.cli import main
@@ -111,17 +111,6 @@ def pages(folder, bridge):
     """A page of each kind."""
     report = nsmodel.check(nsmodel.load(REPOSITORY / "cases" / "sliding_relay.py"), quick=True)
     return [bridge.view(folder / "run.html"), report.view(folder / "report.html"), a_study().view(folder / "study.html")]
-
-
-def a_study():
-    """Measured elsewhere: two methods, one of which failed once."""
-    from nsmodel.study import Study
-    from nsmodel.study.lines import Line, Point
-
-    points = [Point("h = 0.1", 1e-3, {"max": 1e-2}, 0.1), Point("h = 0.01", 1e-2, {"max": 1e-4}, 0.01)]
-    other = [Point.failed("h = 0.1", HOSTILE), Point.left_out("h = 0.01", "budget"), Point("h = 0.001", 0.2, {"max": 1e-5})]
-    lines = (Line(HOSTILE, tuple(points)), Line("other", tuple(other), kind="peer"))
-    return Study(HOSTILE, "LureSystem", 2, 1.0, "s", lines, None, notes=(HOSTILE,))
 
 
 def test_a_page_allows_itself_alone(tmp_path, bridge):
@@ -252,6 +241,14 @@ def test_sizes_far_apart_are_drawn_apart_but_rounding_is_not():
     panels = {panel["title"]: panel for panel in document(by_hand({"a": wave, "b": 0.01 * wave, "c": 1e-16 * wave}))["panels"]}
     assert [one["name"] for one in panels["States"]["columns"]] == ["a", "c"]
     assert [one["name"] for one in panels["States, the small ones"]["columns"]] == ["b"]
+
+
+def test_a_single_state_has_a_phase_plane_with_what_else_there_is(run_case, load_case):
+    oscillator = nsmodel.simulate(load_case("friction_oscillator"), t_end=0.1)
+    for run, up in ((run_case("moving_half_line"), "Multipliers"), (oscillator, "Velocities")):
+        found = document(run)
+        assert [found["panels"][p]["title"] for p, _ in found["phase"]] == ["States", up]
+    assert document(by_hand({"a": np.ones(3)}))["phase"] is None
 
 
 def test_many_columns_are_some_and_the_page_says_so():

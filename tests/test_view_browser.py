@@ -6,8 +6,7 @@ import shutil
 import casadi as ca
 import numpy as np
 import pytest
-from test_view import a_study
-from view_pages import HOSTILE, by_hand, discs
+from view_pages import HOSTILE, a_study, by_hand, discs
 
 import nsmodel
 

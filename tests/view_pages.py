@@ -10,6 +10,8 @@ from html.parser import HTMLParser
 
 import numpy as np
 
+from nsmodel.study import Study
+from nsmodel.study.lines import Line, Point
 from nsmodel.trajectory import Trajectory
 
 HOSTILE = 'a</script><b>bold</b><!--<img src=x onerror="alert(1)">&amp;\u202e\x1b'
@@ -83,3 +85,11 @@ def discs(rows=50, bodies=9):
     return Trajectory(
         arrays, {"title": "Discs", "model_class": "ManyBodies", "scene": scene, "status": "done", "units": {"t": "s"}}
     )
+
+
+def a_study():
+    """Measured elsewhere: two methods, one of which failed once."""
+    points = [Point("h = 0.1", 1e-3, {"max": 1e-2}, 0.1), Point("h = 0.01", 1e-2, {"max": 1e-4}, 0.01)]
+    other = [Point.failed("h = 0.1", HOSTILE), Point.left_out("h = 0.01", "budget"), Point("h = 0.001", 0.2, {"max": 1e-5})]
+    lines = (Line(HOSTILE, tuple(points)), Line("other", tuple(other), kind="peer"))
+    return Study(HOSTILE, "LureSystem", 2, 1.0, "s", lines, None, notes=(HOSTILE,))

@@ -56,7 +56,7 @@ def document(run: Trajectory, model: Any = None) -> dict[str, Any]:
         "stretches": [
             [one["start"], min(one["until"], float(run.t[-1]))] for one in (run.metadata.get("totals") or {}).get("stretches", ())
         ],
-        "phase": _phase(run, own),
+        "phase": _phase(run, clocks[0]["panels"]),
         "scene": scene(run),
         "forbidden": forbidden(run, model),
     }
@@ -105,15 +105,13 @@ def _events(run: Trajectory) -> dict[str, Any] | None:
     return {"count": len(at), "times": numbers(starts[at[:EVENTS]]), "words": words}
 
 
-def _phase(run: Trajectory, own: list[Panel]) -> list[list[int]] | None:
-    """Which columns the phase plane opens with, as (panel, column): a state over another, or a velocity over its state."""
-    states, fast = (
-        [[p, c] for p, panel in enumerate(own) if panel.title.startswith(title) for c in range(len(panel.names))]
-        for title in ("States", "Velocities")
-    )
-    if run.metadata.get("scene"):
+def _phase(run: Trajectory, found: list[dict[str, Any]]) -> list[list[int]] | None:
+    """Which columns the phase plane opens with, as (panel, column): over a state a velocity, another state, or what there is."""
+    places = [(panel["title"], [p, c]) for p, panel in enumerate(found) for c in range(len(panel.get("columns", ())))]
+    states, fast = ([place for title, place in places if title.startswith(kind)] for kind in ("States", "Velocities"))
+    if run.metadata.get("scene") or len(places) < 2:
         return None
     if model_type(run).second_order and fast:
         return [states[0], fast[0]]
     others = [place for place in states if place[0] != states[0][0]] or states[1:]
-    return [states[0], others[0]] if others else None
+    return [states[0], (others or [place for _, place in places[1:]])[0]]
