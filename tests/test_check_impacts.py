@@ -95,7 +95,7 @@ def test_an_impact_is_told_with_its_time_and_rate(model, moved, t, rate):
     (text,) = told(model)
     assert moved in text
     assert "an impact. This scheme's answer is the inelastic one" in text
-    assert "the impulse / h, and grows as h shrinks" in text
+    assert "are impulses / h, and grow as h shrinks" in text
     told_t, told_rate = (float(text.partition(word)[2].split()[0].rstrip(":")) for word in (" at t = ", " with y' = "))
     assert told_t == pytest.approx(t, abs=2 * model.step)
     assert told_rate == pytest.approx(rate, rel=2e-2)

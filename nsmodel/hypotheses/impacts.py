@@ -297,7 +297,7 @@ def _told(watch: Watch, found: Mapping[str, Any], model: Model) -> str:
         )
     return (
         f"{why}: where y closes {watch.jumps} must jump, here {times} at t = {found['t']:.6g} with {of} = {found['rate']:.4g}: "
-        f"an impact. {answer} The multiplier of that step is the impulse / h, and grows as h shrinks; "
+        f"an impact. {answer} The multipliers of the steps there are impulses / h, and grow as h shrinks; "
         f"there is no restitution: see {GUIDE}"
     )
 
