@@ -17,12 +17,12 @@ from nsmodel import FirstOrderSystem, LureSystem, SweepingProcess, UsageError, c
 from nsmodel.cli import main
 from nsmodel.plot import work_precision
 from nsmodel.scheme import one_step_problem
-from nsmodel.simulate import prepare
+from nsmodel.simulate import prepare, simulate
 from nsmodel.storage import dumps
 from nsmodel.study import Line, Point, Study, StudyInterrupted, measure, methods, study
 from nsmodel.study.between import Between, steps_from
 from nsmodel.study.lines import LEFT_OUT, PEER, observed_order, quickest
-from nsmodel.study.reference import Reference, Rows, closed_form, refined_run, scale_of, why_not_unique
+from nsmodel.study.reference import Reference, Rows, closed_form, polynomials, refined_run, scale_of, why_not_unique
 
 H = 0.1 / 2.0 ** np.arange(8)
 FILE = """
@@ -592,3 +592,35 @@ def test_means_of_declared_outputs_are_compared_too():
             assert point.errors["outputs"] == pytest.approx(expected, rel=1e-2, abs=1e-9)
     assert "outputs: of their means" in " ".join(found.text().split())
     assert max(map(len, found.text().splitlines())) <= 100
+
+
+# ---------------------------------------------------------------- steps and pieces that are to agree
+
+
+def swinging(**options):
+    """A mass on a spring with dry friction that stops at t = 3 pi; not the scheme of the best states has the best multipliers."""
+    given = {"names": ["s", "v"], "A": [[0, 1], [-1, 0]], "B": [0, 1], "C": [0, 1], "law": relay(1), "x0": [5.3, 0], "t_end": 12}
+    return LureSystem(**given, step=0.1, **options)
+
+
+@pytest.mark.parametrize("steps", [[0.4, 0.2], [0.1, 0.05]])
+def test_an_event_driven_run_is_the_reference_of_few_steps_too(steps):
+    found = study(swinging(), steps=steps, solvers=[], budget=20)
+    assert found.reference.text == "an event-driven run, rtol = 1e-11"
+    assert not [note for note in found.notes if "differ by" in note]
+
+
+def test_what_steps_and_pieces_differ_by_counts_as_the_error_of_the_steps():
+    model = swinging()
+    rough, fine = (simulate(model, rtol=rtol) for rtol in (1e-9, 1e-11))
+    run = simulate(model, step=0.01)
+    rows = Rows(run.t, run.x + np.array([0.1, 0.0]))
+    one = np.ones(2)
+    own = {"max": 1e-4, "end": 1e-4}
+    refined = Reference("a run of 1200 steps", "", Between(run.t, rows.x, None, one, np.inf), one, rows, own)
+    found, doubt = polynomials(model, 1e-11, rough, fine, refined)
+    assert found.text == refined.text
+    assert "an event-driven run and a run of 1200 steps differ by" in doubt
+    errors = np.abs(rows.x - fine.at(run.t).x) / [5.3, 4.3]  # the mass starts 5.3 away, and is at most 4.3 fast
+    assert found.own["max"] == pytest.approx(errors.max(), rel=1e-2)
+    assert found.own["end"] == pytest.approx(errors[-1].max(), rel=1e-2)

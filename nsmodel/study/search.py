@@ -9,6 +9,7 @@ from typing import Any
 
 from nsmodel.errors import NsmodelError, StepError
 from nsmodel.model.base import Model
+from nsmodel.proof.sure import sure
 from nsmodel.scheme import one_step_problem
 from nsmodel.simulate import prepare
 from nsmodel.study.between import steps_from
@@ -127,10 +128,10 @@ class Search:
                 runs.append(run.go(progress=False))
             except NsmodelError:
                 return refined
-        found = polynomials(self.model, EVENT_DRIVEN[1], runs[0], runs[1], refined)
-        if isinstance(found, str):
-            self.notes.append(found)
-            return refined
+        found, doubt = polynomials(self.model, EVENT_DRIVEN[1], runs[0], runs[1], refined)
+        if doubt:
+            self.notes.append(doubt)
+            return found
         return found if found.own["max"] < refined.own["max"] else refined
 
     def _most(self, probe: Probe, candidates: int) -> float:
@@ -163,4 +164,5 @@ class Search:
             return best
         # theta = gamma = 1/2 may have the better states, and multipliers that swing from step to step.
         calm = min(found, key=lambda reference: reference.own["multipliers"])
-        return replace(best, run=calm.run, rows=calm.rows, own={**best.own, "multipliers": calm.own["multipliers"]})
+        rows = replace(sure(best.rows), multipliers=sure(calm.rows).multipliers)  # Both have the same times.
+        return replace(best, run=calm.run, rows=rows, own={**best.own, "multipliers": calm.own["multipliers"]})

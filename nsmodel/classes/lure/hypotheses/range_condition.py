@@ -90,7 +90,7 @@ def _literal(at: Setting) -> str:
 def _prepared(at: Setting, hypothesis: Hypothesis) -> Finding | Domains:
     """A finding where no system has to be solved."""
     if at.everything:
-        return found(hypothesis, HOLDS, f"Everywhere: {at.everything}.{_literal(at)}", {"restricting rows": 0})
+        return found(hypothesis, HOLDS, f"{at.everything}.{_literal(at)}", {"restricting rows": 0})
     if at.domains is None or at.broken:
         return found(hypothesis, UNKNOWN, at.reason)
     return found(hypothesis, UNKNOWN, MOVING) if at.e is None else at.domains
