@@ -3,7 +3,6 @@
 NSMODEL_SHORT=1 builds a small one: two cases, pictures on one page, notebooks that were not run.
 """
 
-import logging
 import os
 import sys
 from pathlib import Path
@@ -32,7 +31,6 @@ extensions = [
 ]
 exclude_patterns = ["_*", "figures", "examples", "images"]
 suppress_warnings = ["misc.highlighting_failure"]  # Outputs have "..." where lines are left out.
-logging.getLogger("sphinx.sphinx.directives.other").addFilter(lambda record: "toctree glob" not in record.msg)  # no page yet
 nitpicky = True
 
 # -- what is made by running: kept beside the site, and made anew where the package changes
