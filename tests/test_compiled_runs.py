@@ -573,7 +573,7 @@ def test_a_run_goes_on_as_it_began(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("environment", "message"),
     [
-        ({"PATH": "", "CC": ""}, r"no C compiler was found \(none of cc, gcc, clang\); install one \(apt install gcc, .*\)$"),
+        ({"PATH": "", "CC": ""}, r"no C compiler was found \(none of cc, gcc, clang\); install one \(apt install gcc; .*\)$"),
         (
             {"CC": "no-such-compiler"},
             r"no C compiler was found \(CC names no-such-compiler, which is not there\); install one .*",
@@ -608,13 +608,10 @@ def assert_equal_runs_but(one, two, *keys):
 
 @compiles
 def test_without_home_a_run_is_interpreted_with_a_message(monkeypatch):
-    def no_home():
-        raise RuntimeError("Could not determine home directory.")
-
     monkeypatch.setenv("XDG_CACHE_HOME", "relative/is/ignored")
-    monkeypatch.setattr(Path, "home", no_home)
+    monkeypatch.setattr(os.path, "expanduser", lambda path: path)
     [warning] = simulate(lure(), compiled=True).metadata["warnings"]
-    assert "no folder to keep compiled steps in (Could not determine home directory.); name one with XDG_CACHE_HOME" in warning
+    assert re.search(r"no folder to keep compiled steps in \(could not determine .*home.*\); name one with XDG_CACHE_HOME", warning, re.I)
 
 
 @compiles
@@ -858,7 +855,7 @@ def test_a_signal_on_the_command_line(tmp_path, number, status):
     command = [
         sys.executable,
         "-m",
-        "nsmodel.cli",
+        "nsmodel",
         "run",
         BRIDGE,
         "--compiled",

@@ -338,7 +338,7 @@ def test_pictures_and_the_box_of_check_see_the_polynomials():
     (line,) = (line for line in plot.states(run, ["x_0"]).lines if len(line.get_xdata()) > 2)
     assert np.abs(line.get_ydata()).max() > 0.99999
     np.testing.assert_allclose(line.get_ydata(), np.sin(line.get_xdata()), atol=1e-7)
-    assert f"step {run.step[1:].min():.3g} to {run.step[1:].max():.4g}" in plot.overview(run).get_supxlabel()
+    assert f"piece {run.step[1:].min():.3g} to {run.step[1:].max():.3g}" in plot.overview(run).get_supxlabel()
     low, high = (np.array(ends) for ends in (region_of(model, [run]).lower, region_of(model, [run]).upper))
     assert np.minimum(high, -low).min() >= 1.24
 
