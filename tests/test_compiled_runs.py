@@ -611,7 +611,9 @@ def test_without_home_a_run_is_interpreted_with_a_message(monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", "relative/is/ignored")
     monkeypatch.setattr(os.path, "expanduser", lambda path: path)
     [warning] = simulate(lure(), compiled=True).metadata["warnings"]
-    assert re.search(r"no folder to keep compiled steps in \(could not determine .*home.*\); name one with XDG_CACHE_HOME", warning, re.I)
+    assert re.search(
+        r"no folder to keep compiled steps in \(could not determine .*home.*\); name one with XDG_CACHE_HOME", warning, re.I
+    )
 
 
 @compiles

@@ -1,4 +1,7 @@
-"""How far a series goes: the length of a piece from the last two coefficients of x, y and l (Jorba and Zou 2005)."""
+"""How far a series goes: the length of a piece from the last two coefficients (Jorba and Zou 2005).
+
+Of x, y and l, and of what switches look at: x may be a line where that turns.
+"""
 
 from __future__ import annotations
 
@@ -39,6 +42,9 @@ def length(system: System, codes: list[int], how: Solve, p: int, rtol: float, at
                 rows.append(_Row.of(row, orders, MULTIPLIERS * rtol, size))
             row, orders, size = system.y[i], p, max(sizes.y[i], y_floor)
         rows.append(_Row.of(row, orders, MULTIPLIERS * rtol, size))
+    for (name, i), size in zip(system.branches, sizes.switches, strict=True):
+        part = system.parts[name]
+        rows.append(_Row.of(part.rows[part.jets.branches[i].row], p - 1, MULTIPLIERS * rtol, size))
     s = 0.0
     for _ in range(PASSES):
         before, s = s, _shortest(rows, s)

@@ -95,17 +95,17 @@ static double shortest(const double *least, int first, double s)
 }
 
 /*
- * The length of the piece in units of time: the last two terms of x, l and y are what is asked for. The size of a row is not less
+ * The length of the piece in units of time: the last two terms of x, l, y and what switches look at are what is asked for. The size of a row is not less
  * than so far, so that only a row that would be the shortest with that needs its size on the piece.
  */
 static double length_of(model_pieces *s)
 {
-    measured rows[N + M];
+    measured rows[N + M + CHOICES];
     const int p = s->order;
     int which[EXPONENTS] = {0};
-    double ratio[N + M][2], least[EXPONENTS] = {INFINITY, INFINITY, INFINITY}; /* of goal/|c_k|, by k = p - 2, p - 1, p */
+    double ratio[N + M + CHOICES][2], least[EXPONENTS] = {INFINITY, INFINITY, INFINITY}; /* of goal/|c_k|, by k = p - 2, p - 1, p */
     double length = LONGEST, longest = LONGEST;
-    signed char early[N + M] = {0}; /* rows of size 0 so far that the piece gives a size */
+    signed char early[N + M + CHOICES] = {0}; /* rows of size 0 so far that the piece gives a size */
     int begins = 0;
     pushes(s, s->pushed);
     for (int i = 0; i < N; i++)
@@ -121,7 +121,11 @@ static double length_of(model_pieces *s)
         rows[N + i] = s->at.codes[i] ? (measured){Y + i, p, max_of(s->at.size_y[i], y_floor), MULTIPLIERS*s->rtol, 0, 0}
                                      : (measured){L + i, known, max_of(s->at.size_l[i], l_floor), MULTIPLIERS*s->rtol, 0, 0};
 #endif
-    for (int i = 0; i < N + M; i++) {
+#if SWITCHED
+    for (int b = 0; b < CHOICES; b++)
+        rows[N + M + b] = (measured){branch_column[b], p - 1, s->at.size_switches[b], MULTIPLIERS*s->rtol, 0, 0};
+#endif
+    for (int i = 0; i < N + M + CHOICES; i++) {
         measured *row = &rows[i];
         const double first = fabs(s->c[0][row->column]);
         row->size = first > row->size ? first : row->size;
@@ -152,7 +156,7 @@ static double length_of(model_pieces *s)
             now[e] = least[e] < INFINITY ? ratio_on(s, &rows[which[e]], p - 2 + e, length) : INFINITY;
         if (!begins && memcmp(now, least, sizeof now) == 0)
             break;
-        for (int i = 0; i < N + M; i++)
+        for (int i = 0; i < N + M + CHOICES; i++)
             for (int e = 0; e < 2; e++) {
                 const int k = rows[i].known - e;
                 const int asked = early[i] ? s->c[k][rows[i].column] != 0 : ratio[i][e] < now[k - p + 2];
