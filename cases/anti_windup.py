@@ -8,7 +8,8 @@ What to see: the drag from 6 s to 10 s is more than the motor can do: l = 1, and
 back to 0.5 and is never above 0.541.
 
 A wrong answer: a limit that the integral does not know of, as with --set kb=0: it winds up all the while, and n swings
-over to 0.833 and is back late. Without any limit l rises to 1.36, and n is back at 0.5 before the drag ends.
+over to 0.833 and is back late. Without any limit l starts at 2 and rises to 1.36 under the drag,
+and n is nearly back at 0.5 before the drag ends.
 
 Source: Astrom and Hagglund, Advanced PID control (2006), back-calculation; exact by matrix exponentials, one for each
 mode.

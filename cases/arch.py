@@ -5,8 +5,8 @@ The room is 6 m by 6 m, the pillar has a radius of 0.3 m. Everyone wants to walk
 What to see: eight get out. From 6 s on 22 people stand still, behind arches from the jambs to the pillar: what all want is
 balanced by what all push, and the run ends, for nothing will ever change. With --set angle=1 all waver, and get out.
 
-A wrong answer: the room empties. So it does for discs that may overlap a little: with radii 2 cm smaller the same people are
-all out 6 s later.
+A wrong answer: the room empties. So it does for discs that may overlap a little: were the 22 to shrink by 2 cm once the arch
+stands, all would be out within 6 s.
 
 Source: the room with a pillar of cromosim; the model of Maury and Venel, A discrete contact model for crowd motion (2011).
 

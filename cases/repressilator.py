@@ -4,9 +4,9 @@
 
 The unit of time is the lifetime of a protein. The ring is not monotone, and the check says so: F-mlcp is violated.
 
-What to see: the three come one after the other. The cycle is reached after some five turns: each swings between
-1 - 1/phi and 1 + 1/phi, phi = (1 + sqrt 5)/2 the golden ratio, and the period is 6 log phi = 2.887. Steps see a
-threshold up to a step late, six times a turn; with --rtol 1e-8 the switches are exact.
+What to see: the three come one after the other. The cycle is all but reached after three turns (1.615 of 1.618): each
+swings between 1 - 1/phi and 1 + 1/phi, phi = (1 + sqrt 5)/2 the golden ratio, and the period is 6 log phi = 2.887. Steps
+switch up to a step early, six times a turn; with --rtol 1e-8 the switches are exact.
 
 A wrong answer: all three come to rest at 1, where they balance. So they do if the switches are softened to Hill functions
 1/(1 + x^n) with n < 4.

@@ -2,12 +2,12 @@
 
 Each wants to run at his own speed, 2.5 to 4 m/s, along the track and a little to the inside, where the field is in the way.
 
-What to see: trains form. A train runs at the mean speed of its runners, for who is pushed is faster than he wants, and who
-pushes is slower. The track is all that bends: along it, places are at each moment the isotonic regression of where all would be
-alone, a diameter apart.
+What to see: trains form. A train runs at the mean speed of its runners, times cos of the lean, for who is pushed is faster than
+he wants, and who pushes is slower. The track is all that bends: along it, places are to a centimetre the isotonic regression of
+where all would be alone, a diameter apart.
 
-A wrong answer: a train at the speed of its slowest, as cars would drive; or a runner who passes another. With places of their
-own all would run on, up to 13 m apart from here after 24 s.
+A wrong answer: a train at the speed of its slowest, as cars would drive; or a runner who passes another. Without the
+others each would be up to 13 m from where he is here after 24 s.
 
 Source: the stadium of cromosim, in single file; sticky particles as in Natile and Savare, A Wasserstein approach to the
 one-dimensional sticky particle system (2009).

@@ -4,7 +4,7 @@
 
 What to see: a pile of k layers holds k^2 of sand and grows ever slower. From t = 16 on the source is over cell 8: a
 second pile grows, meets the first and climbs over its flank, but leaves its top at 4. Multipliers are the sand that
-slides over each edge between two cells.
+slides over each edge between two cells in a step, reactions that in a unit of time.
 
 A wrong answer: slopes that a stiff force holds let sand creep, and the top of the first pile, cell 3, sinks below 4.
 Slopes that are cut off where they are too steep lose sand: all cells together hold t.

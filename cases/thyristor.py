@@ -2,7 +2,8 @@
 
     L i' = q Vm sin wt - R i + l,    0 <= l ⟂ i >= 0
 
-The latch q is 1 once there is a pulse at the gate, and 0 once the pulse is over and i <= 0.
+The latch q is 1 once there is a pulse at the gate, and 0 once the pulse is over and i <= 0. While q = 0 the source is out of
+the equation and l = 0: the voltage across the thyristor is (1 - q) Vm sin wt - l.
 
 What to see: nothing flows until the pulse; then the current is that of a diode which begins later and ends earlier. The
 later the pulse, the less: the mean voltage is Vm (cos alpha - cos beta)/(2 pi), beta the angle at which i ends.

@@ -9,7 +9,8 @@ What to see: the first pulse lifts b above the threshold, so that a falls, but b
 second pulse, a tenth longer, is remembered for ever. From rest a pulse must be longer than log 3 = 1.0986.
 
 A wrong answer: both pulses flip the switch, or none does; or both genes come to rest at 1, on the edge between their two rests.
-Steps that see thresholds late do that: with --step 0.2 both pulses flip it, with --step 0.05 it stands on the edge until t = 6.
+Steps that are too long for the tenth do that: with --step 0.2 both pulses flip it, with --step 0.05 it stands on the edge until
+t = 6.
 
 Source: Gardner, Cantor and Collins, Construction of a genetic toggle switch in Escherichia coli (2000), with switches;
 times by hand.

@@ -1,6 +1,6 @@
 """Total variation flow: each cell of a noisy signal rubs against its neighbours; noise goes, edges stay.
 
-    u_i' = l_i - l_{i-1},    l_i in Sgn(u_{i+1} - u_i),    l_0 = l_24 = 0
+    u_i' = l_i - l_{i-1},    l_i in Sgn(u_{i+1} - u_i),    l_0 = l_24 = 0;    the run's multipliers are -l_i
 
 What to see: a cell above both neighbours falls at 2, a plateau of k cells at 2/k: the noise is gone by t = 0.55, and the
 middle plateau, of eight, falls at 1/4. Cell 8, noise on the edge, is on the way from one plateau to the next and rests at

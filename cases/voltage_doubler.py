@@ -6,7 +6,7 @@
 a is the voltage of the node between the diodes, d1 their current from the ground, d2 that to the load.
 
 What to see: in each negative half wave d1 charges the first capacitor, in each positive one d2 hands its charge on: v2 climbs
-to 20 V in steps that halve. The diodes never conduct together.
+to 19.8 V, from the third period on in steps that halve. The diodes never conduct together.
 
 A wrong answer: 20 V at the load, or 10 V. Each period carries the charge I/f of the load's current I through both capacitors:
 the mean of v2 is about 2 Vm - I/(f C1) - I/(2 f C2), here 19.70 V, and the resistance takes a little more.

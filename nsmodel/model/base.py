@@ -1,4 +1,4 @@
-"""What the five model classes share: time, parameters, names, the conversion of what the user wrote, and its checks."""
+"""What the six model classes share: time, parameters, names, the conversion of what the user wrote, and its checks."""
 
 from __future__ import annotations
 
