@@ -57,7 +57,8 @@ def pytest_ignore_collect(collection_path, config):
 def pytest_collection_modifyitems(config, items):
     """Mark each test by its file; those of tests/search/ are for the night.
 
-    Where few random models are tried, long tests are left out, and few of the many parameters of others are taken.
+    Where few random models are tried, long tests are left out, and few of the many parameters of others are taken; all of cases
+    and pages.
     """
     many, left = defaultdict(list), set()
     for item in items:
@@ -66,7 +67,7 @@ def pytest_collection_modifyitems(config, items):
             item.add_marker(kind)
         if COUNT < FULL and item.get_closest_marker("long"):
             left.add(item)
-        elif COUNT < FULL and kinds and "case_file" not in getattr(item, "fixturenames", ()):
+        elif COUNT < FULL and kinds and not {"case_file", "block"} & set(getattr(item, "fixturenames", ())):
             many[item.nodeid.partition("[")[0]].append(item)
     for one in many.values():
         left |= set(one).difference(spread(one, FEW))
