@@ -406,7 +406,7 @@ def test_the_command_writes_a_page_beside_the_run(tmp_path, capsys, monkeypatch)
 def test_the_command_refuses_what_is_no_run(tmp_path, capsys, name):
     (tmp_path / "text").write_text("no run")
     assert main(["view", str(tmp_path / name)]) == 2
-    assert re.search("storage error: .*(does not exist|is not a whole npz)", capsys.readouterr().err)
+    assert re.search("error: (there is no run in|.*is not a whole npz)", capsys.readouterr().err)
 
 
 def test_checks_and_studies_write_pages(tmp_path, capsys):

@@ -61,7 +61,7 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--window", metavar="T0:T1", help="with --plot: pictures from T0 to T1 alone; either may be left out, as in 0.9:"
     )
-    parser.add_argument("--html", metavar="FILE", help="also write a page on which the run is looked at in a browser")
+    parser.add_argument("--html", metavar="PAGE", help="also write a page on which the run is looked at in a browser")
     parser.add_argument("--film", metavar="PATH", help="write a film of bodies in the plane: .gif, or .mp4 with ffmpeg")
     parser.add_argument("--explain", action="store_true", help="say what is used and what is left out, and why; then run")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
