@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import inspect
 import os
+import sys
 import warnings
 from collections.abc import Callable, Mapping
 from copy import copy
@@ -14,7 +15,7 @@ from typing import Any
 from nsmodel import shelf
 from nsmodel.errors import ModelError, NsmodelError, UsageError
 from nsmodel.model.base import Model
-from nsmodel.model_files import beside, executed, spec_of
+from nsmodel.model_files import PREFIX, beside, executed, spec_of
 
 
 def load(path: str | Path, **parameters: Any) -> Model:
@@ -56,12 +57,23 @@ def load_with(path: str | Path, values: Mapping[str, Any]) -> tuple[Model, dict[
     declared = model.parameter_names
     for name in values:
         if name not in own and name not in declared:
+            _refuse_number(name, path)
             hint = difflib.get_close_matches(name, [*(taken or ()), *declared], 1)
             raise UsageError(
                 f"{path} takes no '{name}': arguments of model() are {', '.join(taken or ()) or 'none'}, parameters of the model "
                 f"{', '.join(declared) or 'none'}" + (f". Did you mean '{hint[0]}'?" if hint else "")
             )
     return model, {name: value for name, value in values.items() if name in declared}
+
+
+def _refuse_number(name: str, path: Path) -> None:
+    """Raise UsageError for the name of a number that the file, which was just run, writes down."""
+    value = getattr(sys.modules.get(f"{PREFIX}{path.stem}"), name, None)
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        raise UsageError(
+            f"{path}: {name} = {value:g} is a number in this file, and no parameter; declare it as a parameter, "
+            f"{name} = ca.SX.sym('{name}') with parameters={{{name}: {value:g}}}, or as an argument, def model({name}={value:g})"
+        )
 
 
 def arguments_of(path: str | Path) -> tuple[str, ...] | None:

@@ -98,6 +98,28 @@ def test_a_case_is_described_in_its_own_words(here, monkeypatch, capsys):
     assert "no case 'bel'; did you mean belt?" in refused(capsys, "cases", "bel")
 
 
+def test_a_topic_lists_its_cases(here, monkeypatch, capsys):
+    shelf_of(here, monkeypatch, zig="A switch.\n\nTopic: control.", b="A bridge.\n\nTopic: circuits.")
+    assert said(capsys, "cases", "control").startswith("control\n  zig  A switch.\n\none of them")
+
+
+@pytest.mark.parametrize(
+    ("words", "usage", "near"),
+    [
+        (["run", "x.py", "--plto"], "usage: nsmodel run ", r"unrecognized arguments: --plto; did you mean --plot\?"),
+        (["run", "x.py", "--tend=3"], "usage: nsmodel run ", r"--tend=3; did you mean --t-end\?"),
+        (["chek", "x.py"], "usage: nsmodel ", r"invalid choice: 'chek' .*; did you mean check\?"),
+        (["run", "x.py", "--method", "qqq"], "usage: nsmodel run ", r"invalid choice: 'qqq' \(choose from .*\)$"),
+    ],
+)
+def test_what_is_misspelt_is_answered_by_what_is_near(capsys, words, usage, near):
+    with pytest.raises(SystemExit, match="2"):
+        main(words)
+    printed = capsys.readouterr().err
+    assert printed.startswith(usage)
+    assert re.search(near, printed)
+
+
 def test_cases_as_json(capsys):
     listed = json.loads(said(capsys, "cases", "--json"))
     assert [case["name"] for case in listed] == sorted(shelf.files())
@@ -202,6 +224,9 @@ LINES = {
     "nsmodel study moving_d": ["moving_disc"],
     "nsmodel run my": ["my model.py", "my_folder"],
     "nsmodel run --out my": [],  # the shell's own files
+    "nsmodel run --html my": [],
+    "nsmodel view --out my": [],
+    "nsmodel run --solver le": ["lemke"],
     "nsmodel run --step 1": [],
     "nsmodel completion f": ["fish"],
 }

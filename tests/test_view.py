@@ -412,9 +412,11 @@ def test_the_command_refuses_what_is_no_run(tmp_path, capsys, name):
 def test_checks_and_studies_write_pages(tmp_path, capsys):
     case = str(REPOSITORY / "cases" / "sliding_relay.py")
     assert main(["check", case, "--quick", "--html", str(tmp_path / "check.html")]) == 0
+    assert capsys.readouterr().out.endswith(f"\n\npage  {tmp_path / 'check.html'}\n")
     assert parsed(tmp_path / "check.html").data["kind"] == "report"
     command = ["study", case, "--t-end", "0.02", "--steps", "2e-3,1e-3", "--solvers", "", "--budget", "1"]
     assert main([*command, "--html", str(tmp_path / "study.html")]) == 0
+    assert capsys.readouterr().out.endswith(f"\n\npage  {tmp_path / 'study.html'}\n")
     assert parsed(tmp_path / "study.html").data["kind"] == "study"
     assert main(["check", case, case, "--html", str(tmp_path / "both.html")]) == 2
     assert "--html takes one model file" in capsys.readouterr().err

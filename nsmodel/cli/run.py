@@ -47,7 +47,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("--atol", type=float, metavar="A", help="error allowed besides, absolute (default 0)")
     add_set(parser)
     add_input(parser)
-    parser.add_argument("--solver", default="auto", metavar="NAME", help=f"use this solver alone: {', '.join(SOLVERS[1:])}")
+    parser.add_argument("--solver", default="auto", metavar="SOLVER", help=f"use this solver alone: {', '.join(SOLVERS[1:])}")
     parser.add_argument(
         "--compiled", action="store_true",
         help="step in C, built once for this model (left out: only where the run is long enough to pay for it)",
