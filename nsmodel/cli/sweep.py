@@ -164,9 +164,8 @@ def _cells(found: Sweep) -> str:
     if not found.metadata["outputs"] or any(found.cells[name].ndim > 1 for name in found.metadata["outputs"]):
         return ""
     hidden = {"cell", "message", "way", *FACTS, *OF_PIECES} - ({"status"} if found.failures else set())
-    columns = {
-        name: [_word(one) for one in values[:FIRST]] for name, values in dataset.table(found).items() if name not in hidden
-    }
+    table = dataset.table(found).items()
+    columns = {name: [_word(one) for one in values[:FIRST]] for name, values in table if name not in hidden}
     widths = {name: max(len(name), *map(len, words)) for name, words in columns.items()}
     rows = zip(*([name, *words] for name, words in columns.items()), strict=True)
     lines = ["  ".join(word.rjust(width) for word, width in zip(row, widths.values(), strict=True)) for row in rows]
