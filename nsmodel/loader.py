@@ -71,7 +71,7 @@ def _refuse_number(name: str, path: Path) -> None:
     value = getattr(sys.modules.get(f"{PREFIX}{path.stem}"), name, None)
     if isinstance(value, int | float) and not isinstance(value, bool):
         raise UsageError(
-            f"{path}: {name} = {value:g} is a number in this file, and no parameter; declare it as a parameter, "
+            f"{path}: {name} = {value:g} is a number in this file and no parameter; declare it as a parameter, "
             f"{name} = ca.SX.sym('{name}') with parameters={{{name}: {value:g}}}, or as an argument, def model({name}={value:g})"
         )
 

@@ -625,7 +625,10 @@ def test_a_run_that_cannot_start_is_refused(model, message):
         ({"save_every": True}, "save_every = True; expected a whole number >= 1"),
         ({"resume": True}, "resume needs out=, the folder of the run to continue"),
         ({"parameters": {"kk": 1}}, "parameter 'kk' is not declared; the model has k. Did you mean 'k'?"),
-        ({"parameters": {"other": 1}}, "parameter 'other' is not declared; the model has k"),
+        (
+            {"parameters": {"other": 1}},
+            "parameter 'other' is not declared; the model has k; an argument of a file's model() goes to load(FILE, other=...)",
+        ),
         ({"parameters": [1]}, "parameters: expected a dictionary {name: value}, not a list"),
         ({"solver": "simplex"}, "solver 'simplex' is unknown; choose one of auto, qpoases"),
     ],

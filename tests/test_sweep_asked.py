@@ -204,7 +204,7 @@ def test_the_command_prints_the_first_numbers_where_none_are_kept(belt):
     [
         ("--grid mu=1,2", 'nothing is kept of the cells: give --keep x1, columns .*, or --output "end=x1[-1]"'),
         ("--grid m=1,2", "belt.py takes no 'm': .*Did you mean 'mu'?"),
-        ("--grid F=1,2", "belt.py: F = 3 is a number in this file, and no parameter; .*def model(F=3)"),
+        ("--grid F=1,2", "belt.py: F = 3 is a number in this file and no parameter; .*def model(F=3)"),
         ("--grid mu=1 --set mu=2 --keep position", "'mu' is varied, and --set gives it 2"),
         ("--keep position", "nothing varies: give --grid NAME=LOW:HIGH:COUNT, --samples TABLE.csv, --start STATE=V1,V2, --seeds"),
     ],
@@ -217,4 +217,4 @@ def test_the_command_speaks_of_its_options(belt, words, message):
 
 def test_a_number_of_the_file_is_no_parameter_of_a_run(belt, capsys):
     assert main(["run", "belt.py", "--set", "F=3"]) == 2
-    assert "belt.py: F = 3 is a number in this file, and no parameter; declare it as a parameter" in capsys.readouterr().err
+    assert "belt.py: F = 3 is a number in this file and no parameter; declare it as a parameter" in capsys.readouterr().err
