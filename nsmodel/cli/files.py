@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from nsmodel.errors import NsmodelError, UsageError
+from nsmodel.errors import UsageError
 from nsmodel.model.base import Model
 from nsmodel.trajectory import Trajectory
 from nsmodel.words import print_shown as print
@@ -75,6 +75,6 @@ def of_stopped(arguments: argparse.Namespace, run: Trajectory, model: Model | No
         if model is not None and len(run):
             return written(arguments, run, model, folder), ""
         reason = ""
-    except (NsmodelError, OSError) as error:
+    except Exception as error:  # Where a run fails there may be numbers that no picture shows; it is told in any case.
         reason = f" ({error})"
     return [], f"{', '.join(asked)}: not all was written{reason}"
