@@ -189,7 +189,7 @@ model = FirstOrderSystem(x=[s, w], f=[w, -400 * s - 4 * ca.sign(w)], x0=[0.053, 
 def test_a_film_of_no_discs_is_refused_before_the_run(run):
     status, out, err = run("relay.py", RELAY, "--film", "f.gif", "--out", "results")
     assert (status, out) == (2, "")
-    assert "people are drawn as discs in the plane" in err
+    assert "--film shows bodies in the plane, and this model has no scene of discs; --plot writes pictures" in err
     assert not Path("results/trajectory.npz").exists()
 
 

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from nsmodel.errors import UsageError
+from nsmodel.errors import PlotError, UsageError
 from nsmodel.model.base import Model
 from nsmodel.trajectory import Trajectory
 from nsmodel.words import print_shown as print
@@ -38,7 +38,13 @@ def refuse_film(path: str | None, model: Model) -> None:
     if path:
         from nsmodel.plot.crowd import scene_of
 
-        scene_of(getattr(model, "scene", None), len(model.names))
+        try:
+            scene_of(getattr(model, "scene", None), len(model.names))
+        except PlotError:
+            raise UsageError(
+                "--film shows bodies in the plane, and this model has no scene of discs; --plot writes pictures, --html a page "
+                "on which the run is played"
+            ) from None
 
 
 def written(arguments: argparse.Namespace, run: Trajectory, model: Model, folder: Path | None) -> list[str]:
