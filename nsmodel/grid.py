@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from nsmodel.defaults import LEAST_TOLERANCE
 from nsmodel.errors import UsageError
 from nsmodel.model.arguments import step_array
 from nsmodel.model.base import Model
@@ -163,6 +164,15 @@ def check_times(**times: Any) -> None:
     for name, value in times.items():
         if value is not None and not (is_number(value) and 0 < value < np.inf):
             raise UsageError(f"{name} = {written(value)}; expected a finite number > 0")
+
+
+def refuse_tolerance(tolerance: Any) -> None:
+    """Refuse what is no largest accepted residual."""
+    if not (is_number(tolerance) and LEAST_TOLERANCE <= tolerance < 1):
+        raise UsageError(
+            f"tolerance = {written(tolerance)}; expected a number between {LEAST_TOLERANCE:g} and 1: "
+            "doubles hold no more than 16 digits"
+        )
 
 
 def is_number(value: Any) -> bool:

@@ -5,24 +5,31 @@ from __future__ import annotations
 import difflib
 import inspect
 import os
+import sys
+import warnings
 from collections.abc import Callable, Mapping
 from copy import copy
 from pathlib import Path
 from typing import Any
 
+from nsmodel import shelf
 from nsmodel.errors import ModelError, NsmodelError, UsageError
 from nsmodel.model.base import Model
-from nsmodel.model_files import beside, executed, spec_of
+from nsmodel.model_files import PREFIX, beside, executed, spec_of
 
 
 def load(path: str | Path, **parameters: Any) -> Model:
     """Return the model that the file at ``path`` defines; ``parameters`` go to its ``model`` function where it is one.
 
+    ``path`` may be the name of a case (`nsmodel cases` lists them) where there is no file of that name.
+
     Raises:
         UsageError: the file is missing, or a parameter that its function does not take, or lacks.
         ModelError: the file fails, defines no ``model``, or something that is not one.
     """
-    path = Path(path)
+    if note := shelf.beside(path):
+        warnings.warn(note, stacklevel=2)
+    path = shelf.path_of(path)
     found = _definition(path)
     if _is_function(found):
         taken = _arguments(found)
@@ -42,7 +49,7 @@ def load_with(path: str | Path, values: Mapping[str, Any]) -> tuple[Model, dict[
         UsageError: a name that is neither; and as for `load`.
         ModelError: as for `load`.
     """
-    path = Path(path)
+    path = shelf.path_of(path)
     found = _definition(path)
     taken = _arguments(found) if _is_function(found) else ()
     own = {name: value for name, value in values.items() if taken is None or name in taken}
@@ -50,6 +57,7 @@ def load_with(path: str | Path, values: Mapping[str, Any]) -> tuple[Model, dict[
     declared = model.parameter_names
     for name in values:
         if name not in own and name not in declared:
+            _refuse_number(name, path)
             hint = difflib.get_close_matches(name, [*(taken or ()), *declared], 1)
             raise UsageError(
                 f"{path} takes no '{name}': arguments of model() are {', '.join(taken or ()) or 'none'}, parameters of the model "
@@ -58,15 +66,25 @@ def load_with(path: str | Path, values: Mapping[str, Any]) -> tuple[Model, dict[
     return model, {name: value for name, value in values.items() if name in declared}
 
 
+def _refuse_number(name: str, path: Path) -> None:
+    """Raise UsageError for the name of a number that the file, which was just run, writes down."""
+    value = getattr(sys.modules.get(f"{PREFIX}{path.stem}"), name, None)
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        raise UsageError(
+            f"{path}: {name} = {value:g} is a number in this file and no parameter; declare it as a parameter, "
+            f"{name} = ca.SX.sym('{name}') with parameters={{{name}: {value:g}}}, or as an argument, def model({name}={value:g})"
+        )
+
+
 def arguments_of(path: str | Path) -> tuple[str, ...] | None:
     """Names that the file's ``model`` function takes, none where it is a model; None where it takes any. Errors as for `load`."""
-    found = _definition(Path(path))
+    found = _definition(shelf.path_of(path))
     return _arguments(found) if _is_function(found) else ()
 
 
 def _definition(path: Path) -> Any:
     """What the file calls ``model``."""
-    spec = spec_of(path)
+    spec = spec_of(path, "" if path.is_file() else shelf.meant(path))
     module = _run(lambda: executed(spec), path)
     if not hasattr(module, "model"):
         raise ModelError(f"{path} defines no 'model'; end the file with model = LureSystem(...) or def model(): ...")

@@ -19,13 +19,12 @@ if TYPE_CHECKING:
 PREFIX = "nsmodel_file_"
 
 
-def spec_of(path: Path) -> ModuleSpec:
-    """Where and under what name the file is run; UsageError where it is no Python file."""
+def spec_of(path: Path, meant: str = "") -> ModuleSpec:
+    """Where and under what name the file is run; UsageError where it is no Python file, which says what may be ``meant``."""
     if not path.is_file():
         what = "is a folder" if path.is_dir() else "does not exist"
-        raise UsageError(
-            f"model file '{path}' {what}; give the path of a Python file that defines model = ... (nsmodel cases lists some)"
-        )
+        expected = meant or "give the path of a Python file that defines model = ... (nsmodel cases lists some)"
+        raise UsageError(f"model file '{path}' {what}; {expected}")
     spec = importlib.util.spec_from_file_location(f"{PREFIX}{path.stem}", path.absolute())
     if spec is None or spec.loader is None:
         raise UsageError(f"'{path}' is not a Python file (.py)")

@@ -54,6 +54,28 @@ def files() -> dict[str, Path]:
     return {} if folder is None else {path.stem: path for path in sorted(folder.glob("*.py"))}
 
 
+def path_of(given: str | Path) -> Path:
+    """The file that is given; that of the case of this name where there is no such file."""
+    path = Path(given)
+    return path if path.is_file() else files().get(str(given), path)
+
+
+def beside(given: str | Path) -> str:
+    """What to know where a name is that of a case, and of a file NAME.py too; "" elsewhere."""
+    path = Path(given)
+    other = path.is_file() or str(given) not in files() or not Path(f"{given}.py").is_file()
+    return "" if other else f"{given} is the case that comes with nsmodel; {given}.py here is another file"
+
+
+def meant(path: Path) -> str:
+    """What a path that is no file may be meant for, as a question; "" where nothing is near."""
+    if (own := path.with_name(f"{path.name}.py")).is_file():
+        return f"did you mean {own}?"
+    here = {str(path.with_name(one.name)) for one in path.parent.glob("*.py")}
+    near = difflib.get_close_matches(str(path), [*files(), *sorted(here)], 3, 0.7)
+    return f"did you mean {' or '.join(near)}?" if near else ""
+
+
 def case(name: str) -> Case:
     """The case of that name.
 

@@ -271,6 +271,8 @@ def _over_grid(model: Model, options: Options, grid: Grid, there: There, whole: 
     """The walk over a grid; ``whole``: the model with its parameters as symbols."""
     own: Any = _on_grid(model)
     walk = own(model, options, grid, there, *([whole] if own is OnGrid and whole.p.numel() else []))
+    if options.step is not None and options.step > (end := grid.time(grid.N)):
+        walk.warnings.append(f"step = {options.step:g} is longer than the whole run, {end:g}: no step has that length")
     walk.plan = noting_inputs(noting_known_times(walk.plan, model, ends=False), grid.drive)
     return walk
 

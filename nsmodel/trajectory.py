@@ -30,7 +30,8 @@ class Trajectory:
     ``contact_family``, ``contact_first``, ``contact_second``, ``contact_reaction``; ``contacts`` gives those of a row.
 
     The state is also an attribute under the user's own symbols (``run.q``, (N+1, k); (N+1,) for a scalar symbol), each
-    state under its name, and each further array under its own (``run.energy``); AttributeError lists what there is.
+    state under its name, each further array under its own (``run.energy``), and each multiplier that the model names
+    (``run.friction``); AttributeError lists what there is.
     """
 
     arrays: dict[str, np.ndarray]
@@ -289,10 +290,12 @@ class Trajectory:
 
     def _found(self) -> list[str]:
         stems, names = self.metadata.get("stems", ()), self.metadata.get("state_names", ())
-        return list(dict.fromkeys([*stems, *names, *self.metadata.get("input_groups", ()), *self.arrays]))
+        known = columns.multiplier_names(self) if "multipliers" in self.arrays else ()
+        multipliers = [name.partition("[")[0] for i, name in enumerate(known) if name != f"l_{i}"]
+        return list(dict.fromkeys([*stems, *names, *self.metadata.get("input_groups", ()), *self.arrays, *multipliers]))
 
     def __getattr__(self, name: str) -> np.ndarray:
-        """Find a state by its symbol or name, or an array by its own."""
+        """Find a state by its symbol or name, an array by its own, or a multiplier."""
         # copy and pickle ask an empty instance for dunder names before it has arrays.
         if name.startswith("__") or name in ("arrays", "metadata"):
             raise AttributeError(name)
@@ -305,6 +308,8 @@ class Trajectory:
         if name in (groups := self.metadata.get("input_groups", {})):
             at = [list(columns.input_names(self)).index(one) for one in groups[name]]
             return self.inputs[:, at[0]] if len(at) == 1 else self.inputs[:, at]
+        if name not in self.arrays and name in self._found():
+            return self.multiplier(name)
         return self._array(name)
 
     def __dir__(self) -> list[str]:

@@ -138,15 +138,59 @@ def test_quiet_prints_nothing(run):
     assert Path("results/trajectory.npz").is_file()
 
 
+def test_a_step_longer_than_the_run_is_told(run):
+    status, _, err = run("relay.py", RELAY, "--step", "100")
+    assert (status, err) == (0, "nsmodel: warning: step = 100 is longer than the whole run, 2: no step has that length\n")
+    assert run("relay.py", None, "--step", "2")[2] == ""
+
+
 def test_explain_says_what_is_left_out_then_runs(run):
     status, out, err = run("relay.py", RELAY, "--explain")
     assert (status, err) == (0, "")
     plan, summary = out.split("\n\n")
-    assert plan.startswith("scheme    implicit Euler\nused      2 unknowns, 1 multipliers")
+    assert plan.startswith("scheme    implicit Euler\nused      2 unknowns, 1 multiplier, ")
+    assert "W psd: a gap QP" in plan
     assert "left out  Newton iterations" in plan
     assert summary.startswith("Relay\n")
     _, out, _ = run("relay.py", None, "--explain", "--json")
     assert "left_out" in json.loads(out)["plan"]
+    two = RELAY.replace("B=[0, 1], C=[0, 1], law=relay(1)", "B=[[1, 0], [0, 1]], C=[[1, 0], [0, 1]], law=relay(2)")
+    _, out, _ = run("two.py", two, "--explain")
+    assert "2 multipliers, 8 nonzeros of 16\n" in out
+    assert "W psd, not known to be symmetric: a gap QP" in out
+
+
+def test_codegen_counts_no_more_inverses_than_index_sets(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("relay.py").write_text(RELAY)
+    assert main(["codegen", "relay.py"]) == 0
+    assert "the inverses of 3 index sets are kept\n" in capsys.readouterr().out
+
+
+def test_a_failed_run_writes_what_was_asked_for(run):
+    """A jump that is no law: the steps stop where it is met; no page, no picture of less than two rows."""
+    text = """
+import casadi as ca
+from nsmodel import FirstOrderSystem
+s, w = ca.SX.sym("s"), ca.SX.sym("w")
+model = FirstOrderSystem(x=[s, w], f=[w, -400 * s - 4 * ca.sign(w)], x0=[0.053, 0], t_end=0.6, step=5e-4)
+"""
+    status, out, err = run("fail.py", text, "--html", "fail.html", "--csv", "fail.csv")
+    assert status == 3
+    assert "  page            fail.html\n" in out
+    assert "</html>" in Path("fail.html").read_text(encoding="utf-8")
+    assert len(Path("fail.csv").read_text().splitlines()) == 2 + int(re.search(r"(\d+) verified steps are saved", err)[1])
+    status, out, err = run("fail.py", None, "--plot", "--window", "0.5:")
+    assert status == 3
+    assert "picture" not in out
+    assert re.search(r"--plot: not all was written \(.*0\.5.*\); nsmodel view fail-run shows what there is\n$", err)
+
+
+def test_a_film_of_no_discs_is_refused_before_the_run(run):
+    status, out, err = run("relay.py", RELAY, "--film", "f.gif", "--out", "results")
+    assert (status, out) == (2, "")
+    assert "--film shows bodies in the plane, and this model has no scene of discs; --plot writes pictures" in err
+    assert not Path("results/trajectory.npz").exists()
 
 
 def test_plot_writes_pictures_beside_the_run(run):
@@ -252,8 +296,8 @@ def test_a_wrong_model_file_is_named_with_its_line(run, text, message):
     [
         (["--step", "-1"], "step = -1; expected a finite number > 0"),
         (["--t-end", "0"], "t_end = 0; expected a finite number > 0"),
-        (["--tolerance", "2"], "tolerance = 2; expected a number between 0 and 1"),
-        (["--tolerance", "nan"], "tolerance = nan; expected a number between 0 and 1"),
+        (["--tolerance", "2"], "tolerance = 2; expected a number between 1e-14 and 1"),
+        (["--tolerance", "nan"], "tolerance = nan; expected a number between 1e-14 and 1"),
         (["--save-every", "0"], "save_every = 0; expected a whole number >= 1"),
         (["--solver", "simplex"], "solver 'simplex' is unknown; choose one of auto, qpoases, qrqp"),
         (["--resume"], "--resume needs --out DIR, the folder of the run to continue"),

@@ -14,7 +14,7 @@ import pytest
 from conftest import REPOSITORY
 from test_package import in_a_fresh_process
 
-from nsmodel import load, shelf
+from nsmodel import UsageError, load, shelf
 from nsmodel.cli import main
 from nsmodel.cli.completion import HOW
 from nsmodel.version import VERSION
@@ -98,6 +98,28 @@ def test_a_case_is_described_in_its_own_words(here, monkeypatch, capsys):
     assert "no case 'bel'; did you mean belt?" in refused(capsys, "cases", "bel")
 
 
+def test_a_topic_lists_its_cases(here, monkeypatch, capsys):
+    shelf_of(here, monkeypatch, zig="A switch.\n\nTopic: control.", b="A bridge.\n\nTopic: circuits.")
+    assert said(capsys, "cases", "control").startswith("control\n  zig  A switch.\n\none of them")
+
+
+@pytest.mark.parametrize(
+    ("words", "usage", "near"),
+    [
+        (["run", "x.py", "--plto"], "usage: nsmodel run ", r"unrecognized arguments: --plto; did you mean --plot\?"),
+        (["run", "x.py", "--tend=3"], "usage: nsmodel run ", r"--tend=3; did you mean --t-end\?"),
+        (["chek", "x.py"], "usage: nsmodel ", r"invalid choice: 'chek' .*; did you mean check\?"),
+        (["run", "x.py", "--method", "qqq"], "usage: nsmodel run ", r"invalid choice: 'qqq' \(choose from .*\)$"),
+    ],
+)
+def test_what_is_misspelt_is_answered_by_what_is_near(capsys, words, usage, near):
+    with pytest.raises(SystemExit, match="2"):
+        main(words)
+    printed = capsys.readouterr().err
+    assert printed.startswith(usage)
+    assert re.search(near, printed)
+
+
 def test_cases_as_json(capsys):
     listed = json.loads(said(capsys, "cases", "--json"))
     assert [case["name"] for case in listed] == sorted(shelf.files())
@@ -114,9 +136,30 @@ def test_a_case_runs_by_its_name_unless_a_file_has_it(here, capsys):
     (here / "diode_bridge").rmdir()
     (here / "diode_bridge").write_text("")
     assert "'diode_bridge' is not a Python file" in refused(capsys, "run", "diode_bridge")
-    assert "'diode_brige' does not exist; give the path of a Python file that defines model = ... (nsmodel cases" in refused(
-        capsys, "run", "diode_brige"
-    )
+    assert refused(capsys, "run", "diode_brige") == "model file 'diode_brige' does not exist; did you mean diode_bridge?"
+
+
+def test_a_case_is_loaded_by_its_name_in_python_too(here, capsys):
+    assert load("diode_bridge").title == "Diode bridge rectifier"
+    with pytest.raises(UsageError, match=r"'diode_brige' does not exist; did you mean diode_bridge\?"):
+        load("diode_brige")
+    (here / "mine.py").write_text("")
+    for name in ("mine", "mne.py"):
+        with pytest.raises(UsageError, match=r"did you mean mine\.py\?"):
+            load(name)
+    (here / "diode_bridge.py").write_text("")
+    note = "diode_bridge is the case that comes with nsmodel; diode_bridge.py here is another file"
+    with pytest.warns(UserWarning, match=note):
+        load("diode_bridge")
+    assert main(["run", "diode_bridge", "--t-end", "1e-5", "--quiet"]) == 0
+    assert capsys.readouterr().err == f"nsmodel: note: {note}\n"
+
+
+def test_view_of_no_run_says_how_runs_are_kept(here, capsys):
+    (here / "mine.py").write_text("")
+    assert "there is no run in 'belt-run': runs are kept by nsmodel run FILE --out DIR" in refused(capsys, "view", "belt-run")
+    assert refused(capsys, "view", "mine.py").startswith("mine.py is a model file: run it first, nsmodel run mine.py --out DIR")
+    assert refused(capsys, "view", "diode_bridge").startswith("diode_bridge is a model file")
 
 
 # ---------------------------------------------------------------------------------------------- new
@@ -181,6 +224,9 @@ LINES = {
     "nsmodel study moving_d": ["moving_disc"],
     "nsmodel run my": ["my model.py", "my_folder"],
     "nsmodel run --out my": [],  # the shell's own files
+    "nsmodel run --html my": [],
+    "nsmodel view --out my": [],
+    "nsmodel run --solver le": ["lemke"],
     "nsmodel run --step 1": [],
     "nsmodel completion f": ["fish"],
 }

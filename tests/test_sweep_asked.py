@@ -1,11 +1,14 @@
 """What is asked of a sweep wrongly is refused before it runs, and cells that fail take nothing from the others."""
 
+import re
+
 import casadi as ca
 import numpy as np
 import pytest
 from sweep_models import K, friction, with_stop
 
 from nsmodel import LureSystem, PlotError, StepError, StorageError, Sweep, UsageError, relay, simulate, sweep
+from nsmodel.cli import main
 
 END = {"outputs": {"end": "x_1[-1]"}, "t_end": 0.1, "workers": 1}
 
@@ -159,3 +162,59 @@ def test_what_is_shown_of_a_quantity_is_short():
     found = sweep(with_stop(), grid={"a": [0.4, 0.8]}, keep="q", step=0.01, workers=1)
     assert repr(found["q"]).startswith("Variable('q', a 2 x t 201, 0 to 0.6")
     assert repr(found["q"]).endswith(", 1 failed)")
+
+
+BELT = """
+from nsmodel import LureSystem, relay
+F = 3
+def model(mu=0.1):
+    return LureSystem(A=[[-1]], B=1, C=1, law=relay(1, -mu, mu), x0=1, t_end=0.1, step=0.1, names=["position"])
+"""
+
+
+@pytest.fixture(name="belt")
+def make_belt(tmp_path, monkeypatch, capsys):
+    """belt(*words) -> what the command says of a file: (status, out, err)."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "belt.py").write_text(BELT)
+
+    def belt(*words):
+        status = main(["sweep", "belt.py", *words])
+        return status, *capsys.readouterr()
+
+    return belt
+
+
+def test_the_command_prints_the_first_numbers_where_none_are_kept(belt):
+    """Implicit Euler: x1 = (1 - 0.1 mu)/1.1."""
+    words = ["--grid", "mu=0:1:13", "--output", "end=position[-1]", "--workers", "1"]
+    status, out, err = belt(*words)
+    assert (status, err) == (0, "")
+    lines = out.partition("\n\n")[2].splitlines()
+    assert lines[0].split() == ["mu", "end"]
+    table = np.array([line.split() for line in lines[1:13]], float)
+    np.testing.assert_allclose(table[:, 1], (1 - 0.1 * np.arange(12) / 12) / 1.1, rtol=1e-5)
+    assert lines[13:] == ["... 1 more; --out DIR or --csv FILE keeps them all"]
+    assert "0.9" not in belt(*words, "--csv", "belt.csv")[1]
+    assert "\n\n" not in belt("--grid", "mu=0,1", "--keep", "position", "--workers", "1")[1]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--grid mu=1,2", 'nothing is kept of the cells: give --keep x1, columns .*, or --output "end=x1[-1]"'),
+        ("--grid m=1,2", "belt.py takes no 'm': .*Did you mean 'mu'?"),
+        ("--grid F=1,2", "belt.py: F = 3 is a number in this file and no parameter; .*def model(F=3)"),
+        ("--grid mu=1 --set mu=2 --keep position", "'mu' is varied, and --set gives it 2"),
+        ("--keep position", "nothing varies: give --grid NAME=LOW:HIGH:COUNT, --samples TABLE.csv, --start STATE=V1,V2, --seeds"),
+    ],
+)
+def test_the_command_speaks_of_its_options(belt, words, message):
+    status, out, err = belt(*words.split())
+    assert (status, out) == (2, "")
+    assert re.search(re.escape(message).replace(r"\.\*", ".*"), err)
+
+
+def test_a_number_of_the_file_is_no_parameter_of_a_run(belt, capsys):
+    assert main(["run", "belt.py", "--set", "F=3"]) == 2
+    assert "belt.py: F = 3 is a number in this file and no parameter; declare it as a parameter" in capsys.readouterr().err

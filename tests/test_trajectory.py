@@ -122,6 +122,11 @@ def test_multiplier_by_name(run):
     np.testing.assert_array_equal(run.multiplier("wall"), run.multipliers[:, 1:])
     with pytest.raises(UsageError, match=r"no multiplier is called 'wal'; this run has disc, wall\[0\], wall\[1\]"):
         run.multiplier("wal")
+    np.testing.assert_array_equal(run.disc, run.multipliers[:, 0])
+    np.testing.assert_array_equal(run.wall, run.multipliers[:, 1:])
+    assert {"disc", "wall"} <= set(dir(run))
+    with pytest.raises(AttributeError, match=r"has no 'wal'; it has .*, disc, wall$"):
+        run.wal  # noqa: B018
     with pytest.raises(UsageError, match=r"no multiplier is called 'l_0'; this run has none"):
         make_bare().multiplier("l_0")
 

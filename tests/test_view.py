@@ -406,15 +406,17 @@ def test_the_command_writes_a_page_beside_the_run(tmp_path, capsys, monkeypatch)
 def test_the_command_refuses_what_is_no_run(tmp_path, capsys, name):
     (tmp_path / "text").write_text("no run")
     assert main(["view", str(tmp_path / name)]) == 2
-    assert re.search("storage error: .*(does not exist|is not a whole npz)", capsys.readouterr().err)
+    assert re.search("error: (there is no run in|.*is not a whole npz)", capsys.readouterr().err)
 
 
 def test_checks_and_studies_write_pages(tmp_path, capsys):
     case = str(REPOSITORY / "cases" / "sliding_relay.py")
     assert main(["check", case, "--quick", "--html", str(tmp_path / "check.html")]) == 0
+    assert capsys.readouterr().out.endswith(f"\n\npage  {tmp_path / 'check.html'}\n")
     assert parsed(tmp_path / "check.html").data["kind"] == "report"
     command = ["study", case, "--t-end", "0.02", "--steps", "2e-3,1e-3", "--solvers", "", "--budget", "1"]
     assert main([*command, "--html", str(tmp_path / "study.html")]) == 0
+    assert capsys.readouterr().out.endswith(f"\n\npage  {tmp_path / 'study.html'}\n")
     assert parsed(tmp_path / "study.html").data["kind"] == "study"
     assert main(["check", case, case, "--html", str(tmp_path / "both.html")]) == 2
     assert "--html takes one model file" in capsys.readouterr().err

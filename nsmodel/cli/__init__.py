@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 from nsmodel.cli import cases, check, codegen, completion, new, run, stress, study, sweep, view
 from nsmodel.cli.output import apart
+from nsmodel.cli.parser import Parser
 from nsmodel.cli.signals import by_signal, signals
 from nsmodel.cli.status import DONE, refused, silenced
 from nsmodel.errors import NsmodelError
@@ -41,7 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="nsmodel",
         description="Nonsmooth dynamics: run a model file, every step verified; check its hypotheses; write its step in C.",
         epilog="exit status: 0 done; 1 a hypothesis is violated (check --strict) or a cell is wrong (stress); "

@@ -21,15 +21,15 @@ def add(commands: Commands) -> None:
     """Add the command and its options."""
     about = "List the cases that come with nsmodel, by topic; of one, say what it shows and where it lies."
     parser = commands.add_parser("cases", help="list the cases that come with nsmodel", description=about)
-    parser.add_argument("name", metavar="CASE", nargs="?", help="the case to describe (default: list all)")
+    parser.add_argument("name", metavar="CASE", nargs="?", help="the case to describe, or a topic to list (default: list all)")
     parser.add_argument("--json", action="store_true", help="print as JSON")
     parser.set_defaults(command=_cases)
 
 
 def _cases(arguments: argparse.Namespace) -> int:
     """Print all cases, or one."""
-    if arguments.name is None:
-        found = shelf.cases()
+    if arguments.name is None or arguments.name in TOPICS:
+        found = [case for case in shelf.cases() if arguments.name in (None, case.topic)]
         document: Any = [_document(case) for case in found]
         text = _listed(found)
     else:

@@ -44,7 +44,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("--strict", action="store_true", help="exit with status 1 where a hypothesis is violated")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
     parser.add_argument("--markdown", metavar="PATH", help="also write the report as Markdown, with the equations")
-    parser.add_argument("--html", metavar="FILE", help="also write the report as a page for a browser")
+    parser.add_argument("--html", metavar="PAGE", help="also write the report as a page for a browser")
     parser.add_argument(
         "--certificate", metavar="DIR", help="also write what proves each hypothesis that holds, and a program that verifies it"
     )
@@ -102,6 +102,8 @@ def _write(report: Report, arguments: argparse.Namespace) -> None:
         report.view(arguments.html)
     if arguments.certificate:
         _certify(report, arguments.certificate, quiet=arguments.json)
+    if arguments.html and not arguments.json:
+        print(f"\npage  {arguments.html}")
 
 
 def _interval(option: str, setting: str, example: str) -> tuple[str, tuple[float, float]]:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 from nsmodel import shelf
 from nsmodel.cli.settings import Commands
 from nsmodel.cli.status import DONE
+from nsmodel.solve.choose import SOLVERS
 
 HOW = """Print a script for a shell. Written once, and again after an upgrade:
 
@@ -107,7 +108,7 @@ def _pattern(command: str, names: list[str]) -> str:
 
 def _words(one: Argument) -> str:
     """What there is to choose from; the shell's variable ``cases`` where cases are."""
-    return "$cases" if one.value in ("FILE", "CASE") else " ".join(one.words)
+    return "$cases" if one.value in ("FILE", "CASE") else " ".join(SOLVERS if one.value == "SOLVER" else one.words)
 
 
 def _fish(known: dict[str, list[Argument]], about: dict[str, str]) -> str:

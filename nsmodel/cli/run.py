@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from nsmodel.cli.files import of_stopped, print_paths, refuse_film, refuse_late, window_of, written
 from nsmodel.cli.inputs import add_input, inputs_of
 from nsmodel.cli.output import print_json
 from nsmodel.cli.settings import ACCEPTED, Commands, add_files, add_set, load
@@ -46,7 +47,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("--atol", type=float, metavar="A", help="error allowed besides, absolute (default 0)")
     add_set(parser)
     add_input(parser)
-    parser.add_argument("--solver", default="auto", metavar="NAME", help=f"use this solver alone: {', '.join(SOLVERS[1:])}")
+    parser.add_argument("--solver", default="auto", metavar="SOLVER", help=f"use this solver alone: {', '.join(SOLVERS[1:])}")
     parser.add_argument(
         "--compiled", action="store_true",
         help="step in C, built once for this model (left out: only where the run is long enough to pay for it)",
@@ -60,7 +61,7 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--window", metavar="T0:T1", help="with --plot: pictures from T0 to T1 alone; either may be left out, as in 0.9:"
     )
-    parser.add_argument("--html", metavar="FILE", help="also write a page on which the run is looked at in a browser")
+    parser.add_argument("--html", metavar="PAGE", help="also write a page on which the run is looked at in a browser")
     parser.add_argument("--film", metavar="PATH", help="write a film of bodies in the plane: .gif, or .mp4 with ffmpeg")
     parser.add_argument("--explain", action="store_true", help="say what is used and what is left out, and why; then run")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
@@ -85,7 +86,7 @@ def _run(arguments: argparse.Namespace) -> int:
         raise UsageError("--film takes one model file; run them one by one")
     if arguments.window is not None and not arguments.plot:
         raise UsageError("--window is a window of pictures: give --plot as well")
-    _window(arguments.window)
+    window_of(arguments.window)
     if arguments.film:
         from nsmodel.plot.film import check_film
 
@@ -133,9 +134,12 @@ def _run_file(arguments: argparse.Namespace, file: str, folder: Path | None) -> 
 
 def _run_here(arguments: argparse.Namespace, file: str, folder: Path | None) -> Result:
     start, compiled = time.perf_counter(), True if arguments.compiled else "auto"
+    bound: Model | None = None
     try:
         model, values = load(file, arguments.set)
-        _refuse_late(arguments.window, arguments.t_end or model.t_end)
+        bound = model.bind(values)
+        refuse_film(arguments.film, model)
+        refuse_late(arguments.window, arguments.t_end or model.t_end)
         inputs = inputs_of(arguments.input, model.input_groups)
         if arguments.explain and not arguments.json:
             how = explain(
@@ -151,7 +155,7 @@ def _run_here(arguments: argparse.Namespace, file: str, folder: Path | None) -> 
             method=arguments.method, certify=arguments.certify, inputs=inputs,
         )  # fmt: skip
     except StepError as error:
-        return _stopped(arguments, file, folder, error.trajectory, f"error: {error}", FAILED_STEP, start)
+        return _stopped(arguments, file, folder, error.trajectory, f"error: {error}", FAILED_STEP, start, bound)
     except RunInterrupted as stop:
         return _stopped(arguments, file, folder, stop.trajectory, str(stop), 128 + stop.signal, start)
     except StorageError as error:
@@ -159,7 +163,7 @@ def _run_here(arguments: argparse.Namespace, file: str, folder: Path | None) -> 
             raise
         return _stopped(arguments, file, None, error.trajectory, f"storage error: {error}", USAGE, start)
     with contextlib.nullcontext() if folder is not None else _kept(file, run):
-        return _report(arguments, file, run, time.perf_counter() - start, model.bind(values), folder)
+        return _report(arguments, file, run, time.perf_counter() - start, bound, folder)
 
 
 @contextlib.contextmanager
@@ -183,27 +187,6 @@ def _folder(arguments: argparse.Namespace, file: str) -> Path | None:
     return Path(arguments.out) / Path(file).stem if len(arguments.files) > 1 else Path(arguments.out)
 
 
-def _window(text: str | None) -> tuple[float | None, float | None] | None:
-    """What --window says."""
-    if text is None:
-        return None
-    ends = text.split(":")
-    try:
-        begin, end = (float(one) if one.strip() else None for one in ends)
-    except ValueError:
-        raise UsageError(f"--window {text}: expected T0:T1, two times, of which one may be left out") from None
-    if begin is not None and end is not None and not begin < end:
-        raise UsageError(f"--window {text}: expected T0 < T1")
-    return begin, end
-
-
-def _refuse_late(text: str | None, t_end: float | None) -> None:
-    """Refuse a window that begins where the run is over, before it is run."""
-    window = _window(text)
-    if window is not None and window[0] is not None and t_end is not None and window[0] >= t_end:
-        raise UsageError(f"--window {text} begins after the run, which ends at t = {t_end:g}")
-
-
 def _own_folder(file: str) -> Path:
     return Path(f"{Path(file).stem}-run")
 
@@ -212,19 +195,7 @@ def _report(
     arguments: argparse.Namespace, file: str, run: Trajectory, seconds: float, model: Model, folder: Path | None
 ) -> Result:
     """Write what was asked for; print the summary of a single run."""
-    pictures = []
-    if arguments.csv:
-        run.to_csv(arguments.csv)
-    if arguments.plot and folder is not None:
-        from nsmodel.plot import save_all
-
-        pictures = [str(path) for path in save_all(run, model, folder, t=_window(arguments.window))]
-    if arguments.film:
-        from nsmodel.plot import animate
-
-        pictures.append(str(animate(run, arguments.film)))
-    if arguments.html:
-        pictures.append(str(run.view(arguments.html, model)))
+    pictures = written(arguments, run, model, folder)
     printed = not (arguments.json or arguments.quiet or len(arguments.files) > 1)
     document = _document(file, run, seconds, folder, pictures)
     if printed or arguments.json or folder is not None:
@@ -239,8 +210,7 @@ def _report(
         print(textwrap.fill(document["hypotheses"], 100, initial_indent="  hypotheses      ", subsequent_indent=" " * 18))
         if folder is not None:
             print(f"  saved           {folder / 'trajectory.npz'}")
-        for path in pictures:
-            print(f"  picture         {path}")
+        print_paths(arguments, pictures)
         sys.stdout.flush()
     return Result(DONE, file, run, seconds, folder, document)
 
@@ -256,9 +226,10 @@ def _verdict(model: Model, run: Trajectory) -> str:
 
 
 def _stopped(
-    arguments: argparse.Namespace, file: str, folder: Path | None, run: Trajectory | None, message: str, status: int, start: float
-) -> Result:
-    """Save what a stopped run has computed, and say where."""
+    arguments: argparse.Namespace, file: str, folder: Path | None, run: Trajectory | None, message: str, status: int,
+    start: float, model: Model | None = None,
+) -> Result:  # fmt: skip
+    """Save what a stopped run has computed, and say where; ``model``: of a run that failed, whose files are written as well."""
     seconds = time.perf_counter() - start
     where = f"{file}: " if len(arguments.files) > 1 else ""
     if run is None:
@@ -273,11 +244,13 @@ def _stopped(
         except StorageError:
             print(f"nsmodel: {where}{message}", file=sys.stderr)
             raise
-    document = _document(file, run, seconds, folder, [])
+    pictures, why = of_stopped(arguments, run, model, folder)
+    document = _document(file, run, seconds, folder, pictures)
     write_json(folder / "summary.json", document)
     if not (arguments.json or arguments.quiet or len(arguments.files) > 1):
         try:
             _print_summary(run, seconds)
+            print_paths(arguments, pictures)
             sys.stdout.flush()
         except OSError as error:
             silenced(error)
@@ -285,6 +258,8 @@ def _stopped(
     how = "; go on with --resume" if resumable and status in (INTERRUPTED, TERMINATED) else ""
     print(f"nsmodel: {where}{message}", file=sys.stderr)
     print(f"nsmodel: {where}{steps} verified steps are saved in {folder / 'trajectory.npz'}{how}", file=sys.stderr)
+    if why:
+        print(f"nsmodel: {where}{why}; nsmodel view {folder} shows what there is", file=sys.stderr)
     return Result(status, file, run, seconds, folder, document)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
@@ -12,6 +13,7 @@ from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import UsageError
 from nsmodel.loader import load_with
 from nsmodel.model.base import Model
+from nsmodel.words import print_shown as print
 
 T = TypeVar("T")
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
@@ -32,7 +34,9 @@ def add_files(parser: argparse.ArgumentParser) -> None:
 
 def _model_file(text: str) -> str:
     """The file as it was given; that of a case where a case's name was given, and no file of that name is here."""
-    return text if Path(text).is_file() else str(shelf.files().get(text, text))
+    if note := shelf.beside(text):
+        print(f"nsmodel: note: {note}", file=sys.stderr)
+    return text if (path := shelf.path_of(text)) == Path(text) else str(path)
 
 
 def add_set(parser: argparse.ArgumentParser) -> None:

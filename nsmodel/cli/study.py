@@ -30,7 +30,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("--budget", type=float, default=60.0, metavar="SECONDS", help="wall time of the study (default 60)")
     parser.add_argument("--json", action="store_true", help="print the study as JSON")
     parser.add_argument("--csv", metavar="PATH", help="also write one row a point as CSV")
-    parser.add_argument("--html", metavar="FILE", help="also write the study as a page for a browser")
+    parser.add_argument("--html", metavar="PAGE", help="also write the study as a page for a browser")
     parser.add_argument("--out", metavar="DIR", help="folder for study.txt, study.json, study.csv and study.png")
     parser.set_defaults(command=_study)
 
@@ -73,6 +73,8 @@ def _study(arguments: argparse.Namespace) -> int:
             names.append("study.png")
         if not arguments.json:
             print(f"\nsaved in {folder}: {', '.join(names)}")
+    if arguments.html and not arguments.json:
+        print(f"\npage  {arguments.html}")
     if status != DONE:
         print("nsmodel: interrupted; what was measured before is above", file=sys.stderr)
     return status

@@ -26,6 +26,20 @@ from nsmodel.words import print_shown as print
 if TYPE_CHECKING:
     from nsmodel.sweep.result import Sweep
 
+FIRST = 12  # Cells whose numbers are printed where they are kept nowhere.
+IN_PYTHON = {  # What messages say of arguments, and the options for it.
+    "keep=['x1']": "--keep x1",
+    "outputs={'end': 'x1[-1]'}": '--output "end=x1[-1]"',
+    "outputs= in place of keep=": "--output in place of --keep",
+    "grid={name: values}": "--grid NAME=LOW:HIGH:COUNT",
+    "samples={name: array}": "--samples TABLE.csv",
+    "start={state: values}": "--start STATE=V1,V2",
+    "seeds=range(20)": "--seeds 20",
+    "several steps or inputs": "--step H1,H2",
+    "nsmodel.simulate": "nsmodel run",
+    "is varied, and parameters gives": "is varied, and --set gives",
+    "give times=, those of the rows": "leave --every out",
+}
 VALUES = "NAME=LOW:HIGH:COUNT or NAME=V1,V2,..."
 
 
@@ -58,7 +72,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("--rtol", type=float, metavar="R", help="error allowed, relative: event-driven where that applies")
     parser.add_argument("--atol", type=float, metavar="A", help="error allowed besides, absolute (default 0)")
     parser.add_argument("--method", default="auto", choices=METHODS, help="with --rtol: as of nsmodel run")
-    parser.add_argument("--solver", default="auto", metavar="NAME", help="use this solver alone")
+    parser.add_argument("--solver", default="auto", metavar="SOLVER", help="use this solver alone")
     parser.add_argument("--compiled", action="store_true", help="run in C (left out: where it pays)")
     parser.add_argument("--tolerance", type=float, default=TOLERANCE, metavar="TOL", help=ACCEPTED)
     parser.add_argument("--workers", type=int, metavar="N", help="how many at once (default: the cores)")
@@ -84,7 +98,9 @@ def _sweep(arguments: argparse.Namespace) -> int:
     fixed = by_name(map(setting, arguments.set), "--set")
     grid, samples = _grid(arguments.grid, "--grid"), _table(arguments.samples)
     first = fixed | {name: values.tolist()[0] for name, values in (grid or samples or {}).items()}
-    inputs = inputs_of(arguments.input, load_with(arguments.file, first)[0].input_groups) if arguments.input else None
+    nothing_kept = not (arguments.keep or arguments.output) and arguments.seeds is None
+    model = load_with(arguments.file, first)[0] if arguments.input or nothing_kept else None  # A wrong name is told first.
+    inputs = inputs_of(arguments.input, model.input_groups) if arguments.input and model else None
     steps: Any = [None] if arguments.step is None else _numbers(arguments.step, f"--step {arguments.step}").tolist()
     try:
         found = sweep(
@@ -100,6 +116,11 @@ def _sweep(arguments: argparse.Namespace) -> int:
     except SweepInterrupted as stop:
         no_more_signals()
         return _interrupted(arguments, stop)
+    except UsageError as error:
+        text = str(error)
+        for python, option in IN_PYTHON.items():
+            text = text.replace(python, option)
+        raise UsageError(text) from error
     _report(arguments, found)
     return FAILED_STEP if found.failures else DONE
 
@@ -125,12 +146,36 @@ def _report(arguments: argparse.Namespace, found: Sweep) -> None:
         return
     if not arguments.quiet:
         print(found.summary_text())
+        if not (arguments.out or arguments.csv):
+            print(_cells(found), end="")
         if arguments.out:
             print(f"  saved           {arguments.out}")
         for path in pictures:
             print(f"  picture         {path}")
     if found.failures:
         print(f"nsmodel: {len(found.failures)} of {found.size} cells are not done; the others are", file=sys.stderr)
+
+
+def _cells(found: Sweep) -> str:
+    """What varies and the outputs of the first cells, a row each; "" where an output is no number."""
+    from nsmodel.sweep import dataset
+    from nsmodel.sweep.asked import FACTS, OF_PIECES
+
+    if not found.metadata["outputs"] or any(found.cells[name].ndim > 1 for name in found.metadata["outputs"]):
+        return ""
+    hidden = {"cell", "message", "way", *FACTS, *OF_PIECES} - ({"status"} if found.failures else set())
+    table = dataset.table(found).items()
+    columns = {name: [_word(one) for one in values[:FIRST]] for name, values in table if name not in hidden}
+    widths = {name: max(len(name), *map(len, words)) for name, words in columns.items()}
+    rows = zip(*([name, *words] for name, words in columns.items()), strict=True)
+    lines = ["  ".join(word.rjust(width) for word, width in zip(row, widths.values(), strict=True)) for row in rows]
+    if (more := found.size - FIRST) > 0:
+        lines.append(f"... {more} more; --out DIR or --csv FILE keeps them all")
+    return "\n" + "\n".join(lines) + "\n"
+
+
+def _word(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float | np.floating) else str(value)
 
 
 def _pictures(arguments: argparse.Namespace, found: Sweep) -> list[str]:

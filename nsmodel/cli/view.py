@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from nsmodel import shelf
 from nsmodel.cli.settings import Commands
 from nsmodel.cli.status import DONE
+from nsmodel.errors import UsageError
 from nsmodel.trajectory import Trajectory
 from nsmodel.words import print_shown as print
 
@@ -18,15 +20,24 @@ def add(commands: Commands) -> None:
     about = "Write one HTML file in which a saved run can be looked at: zoomed, played, column by column; no network, no server."
     parser = commands.add_parser("view", help="look at a saved run in a browser", description=about)
     parser.add_argument("run", metavar="RUN", help=f"a folder that 'nsmodel run --out' wrote, or the {SAVED} in it")
-    parser.add_argument("--out", metavar="FILE", help="the HTML file (default: view.html beside the run's file)")
+    parser.add_argument("--out", metavar="PAGE", help="the HTML file (default: view.html beside the run's file)")
     parser.add_argument("--open", action="store_true", help="show it in the browser")
     parser.set_defaults(command=_view)
+
+
+def _no_run(given: Path) -> str:
+    """What to do where no run was kept."""
+    if shelf.path_of(given).suffix == ".py":
+        return f"{given} is a model file: run it first, nsmodel run {given} --out DIR, and then nsmodel view DIR"
+    return f"there is no run in '{given}': runs are kept by nsmodel run FILE --out DIR, or with --plot in FILE-run"
 
 
 def _view(arguments: argparse.Namespace) -> int:
     """Write the page of a saved run, and say where it is."""
     given = Path(arguments.run)
     file = given / SAVED if given.is_dir() else given
+    if not file.is_file() or given.suffix == ".py":
+        raise UsageError(_no_run(given))
     path = Trajectory.load(file).view(arguments.out or file.parent / "view.html")
     print(f"page  {path}")
     if arguments.open:

@@ -22,7 +22,7 @@ from nsmodel.codegen.solver import Solver
 from nsmodel.codegen.source import Source, write_source
 from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import CodegenError, UsageError
-from nsmodel.grid import Grid, check_times, is_number, make_grid, written
+from nsmodel.grid import Grid, check_times, make_grid, refuse_tolerance, written
 from nsmodel.identity import fingerprint
 from nsmodel.model.base import Model
 from nsmodel.model.driven import driven_by
@@ -153,8 +153,7 @@ def write(
 
 def _most_work(model: Model, tolerance: float, max_work: int | None, *, event_driven: bool) -> int:
     """The most work of a step; what does not go together is refused."""
-    if not (is_number(tolerance) and 0 < tolerance < 1):
-        raise UsageError(f"tolerance = {written(tolerance)}; expected a number between 0 and 1")
+    refuse_tolerance(tolerance)
     if not (max_work is None or (isinstance(max_work, int) and not isinstance(max_work, bool) and 1 <= max_work <= MOST_WORK)):
         raise UsageError(f"max_work = {written(max_work)}; expected a whole number from 1 to {MOST_WORK}")
     if model.blocks and event_driven:

@@ -27,7 +27,8 @@ def used(flags: Set[str], sizes: dict[str, int]) -> list[str]:
         lines.append("Newton's method with exact Jacobians")
     if "FIXED_MAPS" in flags:
         kept = "formed when a solver is initialised" if "WORST_CASE" in flags else "kept"
-        lines.append(f"the last index set first; the inverses of {sizes['MAPS']} index sets are {kept}")
+        few = sizes["MAPS"] if "LENGTHS" in flags else min(sizes["MAPS"], sizes["SETS"])
+        lines.append(f"the last index set first; the inverses of {few} index sets are {kept}")
     if "WORST_CASE" in flags:
         lines.append(f"then that of {sizes['SETS']} index sets which is least violated")
     elif "ENUMERATED" in flags:

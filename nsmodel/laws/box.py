@@ -177,7 +177,12 @@ def boxes(label: str, m: int, lower: Any, upper: Any) -> Law:
             continue
         a, b = float(a), float(b)
         if a > b:
-            raise ModelError(f"{label}: lower[{i}] = {a:g} is above upper[{i}] = {b:g}; exchange them")
+            raise ModelError(f"{label}: lower[{i}] = {a:g} is above upper[{i}] = {b:g}; {_mended(label, m, a, b)}")
         if a == np.inf or b == -np.inf:
             raise ModelError(f"{label}: component {i} has the empty interval [{a:g}, {b:g}]; give lower < inf, upper > -inf")
     return Law((Box(label, m, lo, up),)) if m else Law(())
+
+
+def _mended(label: str, m: int, lower: float, upper: float) -> str:
+    """What was meant: of a relay the one number F that was given, ``relay(m, F)``, is F to both sides."""
+    return f"for -F <= l <= F write relay({m}, {-lower:g}, {lower:g})" if label == "relay" and upper == 1 else "exchange them"

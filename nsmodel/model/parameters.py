@@ -71,7 +71,11 @@ def scalars(values: Any, known: Mapping[str, Any], vectors: Mapping[str, np.ndar
                 hint = difflib.get_close_matches(name, [*vectors, *known], 1)
                 raise UsageError(
                     f"parameter '{name}' is not declared; the model has {', '.join(gathered(known, vectors)) or 'none'}"
-                    + (f". Did you mean '{hint[0]}'?" if hint else "")
+                    + (
+                        f". Did you mean '{hint[0]}'?"
+                        if hint
+                        else f"; an argument of a file's model() goes to load(FILE, {name}=...)"
+                    )
                 )
             if name in found:
                 raise UsageError(f"parameter '{name}' is given twice; keep one")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -257,10 +258,14 @@ def _map(found: Maps, values: np.ndarray, title: str, label: str, colours: str, 
 
 
 def _scene(run: Trajectory) -> dict[str, Any]:
-    scene = run.metadata.get("scene") or {}
-    if "radii" not in scene or run.x.shape[1] != 2 * len(scene["radii"]):
+    return scene_of(run.metadata.get("scene"), run.x.shape[1])
+
+
+def scene_of(scene: Mapping[str, Any] | None, states: int) -> dict[str, Any]:
+    """The scene of discs in the plane; PlotError where it is none, or has not two states for each."""
+    if not scene or "radii" not in scene or states != 2 * len(scene["radii"]):
         raise PlotError("people are drawn as discs in the plane: give the model scene={'radii': ..., 'walls': ..., 'exits': ...}")
-    return scene
+    return dict(scene)
 
 
 def _fit(ax: Axes, run: Trajectory) -> None:

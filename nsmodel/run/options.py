@@ -9,7 +9,7 @@ from typing import Any
 
 from nsmodel.defaults import TOLERANCE
 from nsmodel.errors import UsageError
-from nsmodel.grid import is_number, written
+from nsmodel.grid import is_number, refuse_tolerance, written
 from nsmodel.model.inputs import Signals
 from nsmodel.model.parameters import Values
 
@@ -44,8 +44,7 @@ class Options:
 
     def __post_init__(self) -> None:
         """Refuse what does not depend on the model; numbers become a float and an int."""
-        if not (is_number(self.tolerance) and 0 < self.tolerance < 1):
-            raise UsageError(f"tolerance = {written(self.tolerance)}; expected a number between 0 and 1")
+        refuse_tolerance(self.tolerance)
         if not (isinstance(self.compiled, bool) or (isinstance(self.compiled, str) and self.compiled == "auto")):
             raise UsageError(f"compiled = {self.compiled!r}; expected True, False or 'auto'")
         if self.compiled is True and self.solver != "auto":

@@ -141,7 +141,8 @@ def _check_applies(solver: str, structure: Structure, law: NumericLaw, monotone:
 
 def _lines(path: str, structure: Structure, law: NumericLaw, monotone: bool, least: float) -> tuple[list[str], list[str]]:
     n, m = structure.n, structure.m
-    used, left_out = [f"{n} unknowns, {m} multipliers, {structure.nonzeros} nonzeros of {(n + m) ** 2}"], []
+    size = f"{n} unknown{'s' * (n != 1)}, {m} multiplier{'s' * (m != 1)}"
+    used, left_out = [f"{size}, {structure.nonzeros} nonzeros of {(n + m) ** 2}"], []
     if not m:
         left_out.append("multipliers and every solver: the model has no law")
     if path == "sparse":
@@ -160,7 +161,7 @@ def _lines(path: str, structure: Structure, law: NumericLaw, monotone: bool, lea
         if monotone and structure.symmetric:
             used.append("W symmetric psd: a box QP")
         elif monotone:
-            used.append("W psd, not symmetric: a gap QP")
+            used.append("W psd: a gap QP" if m == 1 else "W psd, not known to be symmetric: a gap QP")
         else:
             used.append(f"W not psd (least eigenvalue {least:.3g}): complementarity conditions; uniqueness is not guaranteed")
             left_out.append("quadratic programmes: not convex here")

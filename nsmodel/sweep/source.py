@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import inspect
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from nsmodel.errors import ModelError, NsmodelError, UsageError
-from nsmodel.grid import is_number
 from nsmodel.loader import arguments_of, load, load_with
 from nsmodel.model.arguments import shown
 from nsmodel.model.base import Model
-from nsmodel.model_files import PREFIX
 
 
 class Source:
@@ -64,14 +61,6 @@ class Source:
 
     def refuse(self, name: str, model: Model) -> None:
         """Raise UsageError for a name that is neither an argument nor a parameter, and say how to make it one."""
-        module: Any = sys.modules.get(f"{PREFIX}{self._given.stem}") if isinstance(self._given, Path) else None
-        value = getattr(module, name, None)
-        if is_number(value):
-            raise UsageError(
-                f"{self._given}: {name} = {value:g} is a number in this file and cannot be varied; declare it as a "
-                f"parameter, {name} = ca.SX.sym('{name}') with parameters={{{name}: {value:g}}}, or as an argument, "
-                f"def model({name}={value:g})"
-            )
         if isinstance(self._given, Path):
             load_with(self._given, {name: 0.0})
         model.values_of({name: 0.0})
