@@ -51,7 +51,8 @@ def as_first_order(model):
     l = ca.SX.sym("l", model.law.size)
     return FirstOrderSystem(
         t=model.t, x=model.x, lam=l, f=model.A + model.f, h=model.C @ model.x + model.D @ l + model.e, g=model.B @ l,
-        law=model.law, x0=model.x0, theta=model.theta, gamma=model.gamma, t_end=model.t_end, step=model.step, inputs=inputs_of(model),
+        law=model.law, x0=model.x0, theta=model.theta, gamma=model.gamma, t_end=model.t_end, step=model.step,
+        inputs=inputs_of(model),
     )  # fmt: skip
 
 
