@@ -158,7 +158,7 @@ def test_a_run_of_another_process_is_not_disturbed(tmp_path, monkeypatch, capfd)
     process = processes.start(SLOW, tmp_path)
     try:
         assert process.stdout.readline() == "ready\n"
-        while not (tmp_path / "run" / lock.LOCK).exists():
+        while not ((tmp_path / "run" / lock.LOCK).exists() and (tmp_path / "run" / lock.LOCK).stat().st_size):
             assert process.poll() is None
         assert main(["run", "m.py", "--out", "run"]) == 2
         captured = capfd.readouterr()
