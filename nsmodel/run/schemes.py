@@ -143,7 +143,8 @@ class OfScheme:
     def _cost(self) -> Cost:
         """What an interpreted step takes, and building the compiled one."""
         path, structure = self.stepper.plan.path, getattr(self.stepper, "structure", None)
-        own = REPEATED if getattr(self.stepper, "repeats", False) else path
+        moving = self.in_c.drive is not None and self.in_c.drive.moving  # Each period has lengths of its own: few steps repeat.
+        own = REPEATED if getattr(self.stepper, "repeats", False) and not moving else path
         if path == "sparse" and self.in_c.steps is not None:  # C has it for one time step
             return Cost(interpreted(own, structure), lambda: np.inf)
         return Cost(interpreted(own, structure), lambda: 0.0 if self._is_built() else building(path, structure, self.problem))
