@@ -144,7 +144,8 @@ def _joined(box: Box, at: Sequence[tuple[Values, Finding]], proof: Finding | Non
     if worst is not None:
         return replace(worst, how=worst.how if proof is None else proof.how, value=plain({}), scope=scope)
     seen = sum(finding.verdict == SAMPLED for _, finding in at)
-    how = f"no violation at {len(at)} values of {', '.join(box)}" + (f" (at {seen} of them by samples)" if seen else "")
+    looked = f"{len(at)} value{'s' * (len(at) > 1)} of {', '.join(box)}"
+    how = f"no violation at {looked}" + (f" (at {seen} of them by samples)" if seen else "")
     how += "; between them it is not proved" + ("" if proof is None else f": {proof.how}")
     return replace(at[0][1], verdict=SAMPLED, how=how, value=plain(count), witness=plain({}), scope=states)
 
