@@ -1,14 +1,17 @@
 """What is asked of a sweep wrongly is refused before it runs, and cells that fail take nothing from the others."""
 
+import ast
 import re
 
 import casadi as ca
 import numpy as np
 import pytest
+from conftest import REPOSITORY
 from sweep_models import K, friction, with_stop
 
 from nsmodel import LureSystem, PlotError, StepError, StorageError, Sweep, UsageError, relay, simulate, sweep
 from nsmodel.cli import main
+from nsmodel.cli.sweep import IN_PYTHON
 
 END = {"outputs": {"end": "x_1[-1]"}, "t_end": 0.1, "workers": 1}
 
@@ -218,3 +221,12 @@ def test_the_command_speaks_of_its_options(belt, words, message):
 def test_a_number_of_the_file_is_no_parameter_of_a_run(belt, capsys):
     assert main(["run", "belt.py", "--set", "F=3"]) == 2
     assert "belt.py: F = 3 is a number in this file and no parameter; declare it as a parameter" in capsys.readouterr().err
+
+
+def test_what_the_command_says_otherwise_stands_in_messages():
+    """A message that is changed takes its line of the table with it."""
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in (REPOSITORY / "nsmodel" / "sweep").glob("*.py")]
+    texts = [
+        node.value for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    ]
+    assert [words for words in IN_PYTHON if not any(words in text for text in texts)] == []
