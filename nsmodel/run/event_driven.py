@@ -24,7 +24,8 @@ from nsmodel.pieces.sliding import with_modes
 from nsmodel.quantities import Outputs
 from nsmodel.run.options import METHODS, Options
 from nsmodel.run.piece_choice import MOST, chosen_maker
-from nsmodel.run.piece_rows import Block, PieceRows
+from nsmodel.run.piece_block import Block
+from nsmodel.run.piece_rows import PieceRows
 from nsmodel.run.row_facts import facts
 from nsmodel.run.told import of_scene
 from nsmodel.run.walk import PER_CENT, There, check_exact, note_distance_to_exact, runaway
@@ -77,7 +78,9 @@ class EventDriven:
         self._drive = driving(model, self.T) if model.inputs else None
         chosen = chosen_maker(problem, options, there(), (rtol, atol), model, mark, known, whole)
         self.maker, self.plan = chosen.maker, chosen.plan
-        self.record, self.k = PieceRows(problem, self.maker.order, options.save_every, chosen.columns), 0
+        self.record = PieceRows(problem, self.maker.order, options.save_every, self.T, self.times, chosen.columns)
+        self.k = self._made = 0  # Rows, and pieces.
+        self._new: list[Block] = []  # Pieces that are not counted yet.
         self._outputs = Outputs.of(model, problem.rows if problem.multipliers is None else problem.declared)
         self._outputs(self._start())  # An unknown name is refused before the first piece.
         self._cut: dict[str, Any] | None = None  # The checkpoint before a piece that goes beyond the end.
@@ -129,41 +132,51 @@ class EventDriven:
 
     def advance(self, steps: int, stop: Sequence[float]) -> None:
         """Integrate so many pieces."""
-        left = steps
+        try:
+            self._advance(steps, stop)
+        except StepError:
+            self._count(self.maker.counts())
+            raise
+
+    def _advance(self, left: int, stop: Sequence[float]) -> None:
         while left > 0 and not (self.ended or stop or self.record.full):
             block = self.maker.make(self.T, left)
-            left -= len(block.t)
+            left -= block.count
             behind = self.maker.behind
             cut = self.options.folder is not None and self.time > self.T
-            if cut and len(block.t) > behind:
-                self._take(block.cut(slice(-behind)), self.maker.counts(before=True))
+            if cut and block.count > behind:
+                self._take(block.cut(slice(-behind)))
             if cut:
+                self._count(self.maker.counts(before=True))
                 self._cut = self._checkpoint(before=True) | {"cut": {"rows": self.record.filled, "listed": behind}}
                 block = block.cut(slice(-behind, None))
-            self._take(block, self.maker.counts())
+            self._take(block)
             if self._cut is not None:
                 self._cut["cut"]["rows"] = self.record.filled - self._cut["cut"]["rows"]
-            if self.totals["pieces"] > MOST:
-                raise StepError(f"{MOST:,} pieces, and more are needed: ask for less accuracy (rtol)")
 
-    def _take(self, block: Block, counts: dict[str, Any]) -> None:
-        totals, end, last = self.totals, np.minimum(block.end, self.T), bool(block.end[-1] >= self.T)
-        times = end
-        if self.times is not None:
-            stop = bisect_right(self.times, end[-1])
-            times, last = np.array(self.times[self.record.carried.rows : stop]), stop == len(self.times)
-        self.record.take(block, times, last)
-        self.k = self.record.carried.rows
-        estimates = np.where(block.stepped, 0.0, block.defect)
-        worst = int(estimates.argmax())
-        if estimates[worst] > totals["worst_estimate"]:
-            totals["worst_estimate"], totals["worst_estimate_t"] = float(estimates[worst]), float(block.t[worst])
-        totals["events"] += int(block.event.sum())
-        totals |= {"steps": self.k, "pieces": totals["pieces"] + len(block.t), **counts}
-        totals["index_set_changes"] = totals["events"]
+    def _take(self, block: Block) -> None:
+        self.record.take(block)
+        self._new.append(block)
+        self._made += block.count
+        if self._made > MOST:
+            raise StepError(f"{MOST:,} pieces, and more are needed: ask for less accuracy (rtol)")
+
+    def _count(self, counts: dict[str, Any]) -> None:
+        """Bring the totals to the pieces that were taken."""
+        totals, self.k = self.totals, self.record.carried.rows
+        if self._new:
+            block, self._new = Block.joined(self._new), []
+            estimates = np.where(block.stepped, 0.0, block.defect)
+            worst = int(estimates.argmax())
+            if estimates[worst] > totals["worst_estimate"]:
+                totals["worst_estimate"], totals["worst_estimate_t"] = float(estimates[worst]), float(block.t[worst])
+            totals["events"] += int(block.event.sum())
+            totals |= {"steps": self.k, "pieces": totals["pieces"] + block.count, **counts}
+            totals["index_set_changes"] = totals["events"]
 
     def note(self) -> None:
-        """The distance to the exact state, the worst residual, and the certificate that was asked for."""
+        """The totals: counts, the distance to the exact state, the worst residual; the certificate that was asked for."""
+        self._count(self.maker.counts())
         if self.options.certified and self.record.pieces:
             from nsmodel.run.certified import certified
 
@@ -229,6 +242,7 @@ class EventDriven:
         """Take up what ``standing`` gave."""
         self.maker.stand(saved["course"])
         self.record.stand(saved["rows"])
+        self._made = self.totals["pieces"]
         if self.time > self.T:
             raise StorageError(f"the run there has reached t = {self.time:.10g}, past this run's end; give a later end")
         if self.times is not None and saved["rows"]["t"] not in [0.0, *self.times[: self.k]]:

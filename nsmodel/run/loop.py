@@ -93,7 +93,7 @@ class Run:
             walk.advance(steps, signals)
             now = time.monotonic()
             steps = min(2 * steps, MOST_AT_ONCE) if now - began < QUICKLY else max(steps // 2, 1)
-            if self.store is not None and (walk.record.full or (walk.record.filled and now - self._flushed >= CHUNK_SECONDS)):
+            if self.store is not None and (walk.record.full or (now - self._flushed >= CHUNK_SECONDS and walk.record.filled)):
                 self._flush(self.store, "running", "")
             if bar is not None:
                 bar.update(walk.passed - passed)

@@ -15,7 +15,7 @@ from nsmodel.pieces.course import NEW, Course
 from nsmodel.pieces.integrator import Integrator
 from nsmodel.pieces.modes import AGREE, PROVED, UNDECIDED
 from nsmodel.pieces.piece import Piece
-from nsmodel.run.piece_rows import Block
+from nsmodel.run.piece_block import Block, Layout
 from nsmodel.scheme.continuous import ContinuousProblem
 
 VERDICTS = (PROVED, AGREE, UNDECIDED)  # In the order of `unique` in C.
@@ -110,7 +110,7 @@ class Interpreted:
                 self._error = error
                 break
             for piece in made:
-                if piece.end > piece.t and not (blocks and blocks[-1].end[-1] >= until):
+                if piece.end > piece.t and not (blocks and blocks[-1].until >= until):
                     blocks.append(self._block(piece))
         self.behind = len(blocks)
         return Block.joined(blocks)
@@ -149,6 +149,7 @@ class InC:
     def __init__(self, problem: ContinuousProblem, course: Callable[[], Course], steps: Any) -> None:
         """``steps``: `codegen.piece_runs.PiecesInC`."""
         self.problem, self._course, self._c = problem, course, steps
+        self._layout = Layout(problem.x.numel(), problem.l.numel(), steps.order + 1)
         self._stopped: str | None = None  # Of the integrator.
         self._stretches = NEW  # Of the course.
         self._behind: tuple[dict[str, Any], dict[str, Any]] | None = None  # Before a piece that was interpreted.
@@ -197,26 +198,13 @@ class InC:
         if self._stopped is None and self._step is None:
             rows, stuck = self._c.many(until, max(1, min(64 * room, MOST, BYTES // (8 * self._c.width))))
             if len(rows) or not stuck:
-                return self._block(rows)
+                return Block(rows, self._layout)
         own = self._interpreted
         own.stand(self.standing())
         block = own.make(until, 1)
         self.behind, self._behind = own.behind, (own.standing(before=True), own.counts(before=True))
         self.stand(own.standing())
         return block
-
-    def _block(self, rows: np.ndarray) -> Block:
-        """Records of C as pieces; see `c/pieces.c`."""
-        n, m, order, count = self.problem.x.numel(), self.problem.l.numel(), self.order, len(rows)
-        t, tau, s, defect, event = rows[:, :5].T
-        impulse, codes, size_y, size_l = (rows[:, 5 + k * m : 5 + (k + 1) * m] for k in range(4))
-        last = rows[:, 5 + 4 * m : 5 + 4 * m + n]
-        c = rows[:, 5 + 4 * m + n :].reshape(count, order + 1, n + 2 * m).transpose(0, 2, 1)
-        l, y = (np.ascontiguousarray(c[:, start : start + m]) for start in (n, n + m))
-        return Block(
-            t, tau, s, c[:, :n], l, y, codes.astype(np.int8), defect, last, event != 0, impulse, size_y, size_l,
-            np.full(count, np.nan),
-        )  # fmt: skip
 
     def counts(self, *, before: bool = False) -> dict[str, Any]:
         """Touches, verdicts about modes, pieces with redundant rows or by collocation; stretches."""

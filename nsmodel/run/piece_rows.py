@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -14,71 +15,12 @@ from nsmodel import dense, laws
 from nsmodel.pieces.expansion import Expansion
 from nsmodel.pieces.jets import jets_of
 from nsmodel.pieces.piece import Piece
+from nsmodel.run.piece_block import Block, Layout
 from nsmodel.run.row_facts import facts
 from nsmodel.run.walk import CHUNK_BYTES
 from nsmodel.scheme.continuous import ContinuousProblem
 
 Columns = Callable[[np.ndarray], np.ndarray]
-
-
-class Block(NamedTuple):
-    """Pieces (K), see `pieces.piece`, as arrays; and what residuals of y and l are measured beside (K, m) at their ends.
-
-    ``residual``: of time steps, else NaN.
-    """
-
-    t: np.ndarray
-    tau: np.ndarray
-    s: np.ndarray
-    x: np.ndarray
-    l: np.ndarray
-    y: np.ndarray
-    codes: np.ndarray
-    defect: np.ndarray
-    last: np.ndarray
-    event: np.ndarray
-    impulse: np.ndarray
-    size_y: np.ndarray
-    size_l: np.ndarray
-    residual: np.ndarray
-
-    @property
-    def stepped(self) -> np.ndarray:
-        """Which are by time steps (K)."""
-        return ~np.isnan(self.residual)
-
-    @property
-    def end(self) -> np.ndarray:
-        """The last times."""
-        return self.t + self.tau * self.s
-
-    @classmethod
-    def of(cls, piece: Piece, size_y: list[float], size_l: list[float]) -> Block:
-        """One piece."""
-        impulse = (0.0,) * len(piece.codes) if piece.event is None else piece.event
-        residual = math.nan if piece.residual is None else piece.residual
-        given = (*piece[:8], piece.last, piece.event is not None, impulse, size_y, size_l, residual)
-        kinds = [float] * 6 + [np.int8, float, float, bool, float, float, float, float]
-        return cls(*(np.array([value], kind) for value, kind in zip(given, kinds, strict=True)))
-
-    @classmethod
-    def joined(cls, blocks: Sequence[Block]) -> Block:
-        """One after the other."""
-        return blocks[0] if len(blocks) == 1 else cls(*(np.concatenate(arrays) for arrays in zip(*blocks, strict=True)))
-
-    def cut(self, part: slice) -> Block:
-        """Some of them."""
-        return Block(*(array[part] for array in self))
-
-    def pieces(self) -> list[Piece]:
-        """One by one."""
-        found = []
-        for k in range(len(self.t)):
-            codes, last, event = tuple(self.codes[k].tolist()), self.last[k].tolist(), tuple(self.impulse[k].tolist())
-            series = self.x[k], self.l[k], self.y[k], codes, float(self.defect[k]), last, event if self.event[k] else None
-            residual = float(self.residual[k]) if self.stepped[k] else None
-            found.append(Piece(float(self.t[k]), float(self.tau[k]), float(self.s[k]), *series, residual))
-        return found
 
 
 @dataclass(frozen=True)
@@ -116,17 +58,23 @@ class _Rows(NamedTuple):
 class PieceRows:
     """Rows in memory: every n-th of those that ``take`` is given, of pieces that are all kept; see `walk.RowBuffer`."""
 
-    def __init__(self, problem: ContinuousProblem, orders: int, every: int, columns: Columns | None = None) -> None:
-        """``columns``: (h, y, records) side by side of rows (t, x, l), where these are computed elsewhere."""
-        self.problem, self.orders, self.every = problem, orders, every
+    def __init__(
+        self, problem: ContinuousProblem, orders: int, every: int, until: float, times: list[float] | None, columns: Columns | None
+    ) -> None:
+        """``until``: the end of the run, and the last of the ``times`` of its rows; None: the ends of pieces.
+
+        ``columns``: (h, y, records) side by side of rows (t, x, l), where these are computed elsewhere.
+        """
+        self.problem, self.orders, self.every, self.until, self.times = problem, orders, every, until, times
         self._out = _outputs(problem, orders)
         self._facts = facts(problem)
         self._curved = [(at, part) for at, part in problem.law.parts() if part.curved() is not None]
         self._tell = columns or _columns_of(problem)
         nothing = np.zeros(self._facts.shown)
-        self.carried = Carried(0, 0.0, nothing, nothing)
+        self._carried = Carried(0, 0.0, nothing, nothing)
         self.starts = True  # Whether the row of the start is among those in memory.
         self._blocks: list[Block] = []
+        self._new: list[Block] = []  # Of which the rows are not known yet.
         self.clear()
 
     def clear(self) -> None:
@@ -134,23 +82,32 @@ class PieceRows:
         if self._blocks:
             self.starts = False
         self._blocks, self._rows, self._shown = [], [], []
-        self.count = self._count_rows = 0
-        self._before = self.carried
+        self.count = self._settled = self._count_rows = 0
+        self._before = self._carried
         self._columns: dict[str, np.ndarray] | None = None
+
+    @property
+    def carried(self) -> Carried:
+        """What the rows so far leave for the next."""
+        self._settle()
+        return self._carried
 
     @property
     def pieces(self) -> list[Piece]:
         """The pieces in memory, one by one."""
+        self._settle()
         return [piece for block in self._blocks for piece in block.pieces()]
 
     @property
     def filled(self) -> int:
         """Rows in memory."""
+        self._settle()
         return self._count_rows + self.starts
 
     @property
     def numbers(self) -> np.ndarray:
         """The piece of each row, among those in memory."""
+        self._settle()
         return np.concatenate([np.zeros(int(self.starts), int), *(rows.piece for rows in self._rows)])
 
     @property
@@ -159,13 +116,21 @@ class PieceRows:
         n, m = self._facts.n, self._facts.m
         return self.count * (n + 2 * m) * 8 * (self.orders + 1) > CHUNK_BYTES
 
-    def take(self, block: Block, times: np.ndarray, last: bool) -> None:
-        """Keep pieces, and of the rows at these times in them every n-th, and the ``last`` one."""
-        before, end = self.carried, block.end
+    def take(self, block: Block) -> None:
+        """Keep pieces, and of the rows in them every n-th, and the last one of the run."""
+        self._new.append(block)
+        self.count += block.count
+
+    def _settle(self) -> None:
+        """Find the rows of the pieces that were taken."""
+        if not self._new:
+            return
+        block, before = Block.joined(self._new), self._carried
+        self._new, end = [], block.end
         self._columns = None
         self._blocks.append(block)
-        l, y = (block.l, block.y) if self._out is None else _expanded(self._out, block, self._facts.shown)
-        self._shown.append((l, y))
+        self._shown.append(_shown(block) if self._out is None else _expanded(self._out, block, self._facts.shown))
+        times, last = self._times(end)
         t = times
         if self.every > 1:
             keep = (before.rows + np.arange(1, len(times) + 1)) % self.every == 0
@@ -173,27 +138,36 @@ class PieceRows:
                 keep[-1] = True
             t = times[keep]
         piece = np.minimum(np.searchsorted(end, t, side="left"), len(end) - 1)
-        until, integral = self._integrals(block, l, t, piece) if self.problem.impulses else (before.until, None)
+        until, integral = self._integrals(block, t, piece) if self.problem.impulses else (before.until, None)
         worst, rest = _worst(before.worst, block.defect, piece)
-        self._rows.append(_Rows(t, piece + self.count, worst, integral))
+        self._rows.append(_Rows(t, piece + self._settled, worst, integral))
         now = float(t[-1]) if len(t) else before.t
-        self.carried = Carried(
+        self._carried = Carried(
             before.rows + len(times), now, integral[-1] if integral is not None and len(t) else before.integral, until, rest
         )
-        self.count += len(block.t)
+        self._settled += block.count
         self._count_rows += len(t)
 
-    def _integrals(self, block: Block, l: np.ndarray, t: np.ndarray, piece: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _times(self, end: np.ndarray) -> tuple[np.ndarray, bool]:
+        """The rows of pieces with these ends, and whether the last one of the run is among them."""
+        if self.times is None:
+            return np.minimum(end, self.until), bool(end[-1] >= self.until)
+        stop = bisect_right(self.times, end[-1])
+        return np.array(self.times[self._carried.rows : stop]), stop == len(self.times)
+
+    def _integrals(self, block: Block, t: np.ndarray, piece: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The integral of the multipliers up to the end of the pieces, and up to times (k,) in them."""
-        whole = block.impulse + block.tau[:, None] * dense.integrals(l, np.arange(len(l)), (block.end - block.t) / block.tau)
-        until = np.cumsum(np.vstack([self.carried.until[None], whole]), axis=0)
-        part = block.tau[piece, None] * dense.integrals(l, piece, (t - block.t[piece]) / block.tau[piece])
+        l, tau = self._shown[-1][0], block.tau
+        whole = block.impulse + tau[:, None] * dense.integrals(l, np.arange(len(l)), (block.end - block.t) / tau)
+        until = np.cumsum(np.vstack([self._carried.until[None], whole]), axis=0)
+        part = tau[piece, None] * dense.integrals(l, piece, (t - block.t[piece]) / tau[piece])
         return until[-1], until[piece] + (block.impulse[piece] + part)
 
     # -- columns
 
     def columns(self) -> dict[str, np.ndarray]:
         """The rows as the arrays of a trajectory, and the pieces as lists."""
+        self._settle()
         if self._columns is None:
             self._columns = self._read()
         return dict(self._columns)
@@ -206,7 +180,7 @@ class PieceRows:
         lists = self._lists(block)
         t, number = np.concatenate([np.zeros(first), rows.t]), np.concatenate([np.zeros(first, int), rows.piece])
         s = dense.local(lists, number, t)
-        both = dense.polynomials(np.concatenate([block.x, block.l], axis=1), number, s)
+        both = dense.polynomials(block.series[:, : own.n + own.m], number, s)
         full, l = both[:, : own.n], both[:, own.n :]
         multipliers = l.copy() if self._out is None else dense.polynomials(lists["piece_multipliers"], number, s)
         full[:first] = own.x0
@@ -245,7 +219,7 @@ class PieceRows:
         none = (np.zeros((0, self._facts.shown, self.orders + 1)),) * 2
         l, y = self._shown[0] if len(self._shown) == 1 else map(np.concatenate, zip(*(self._shown or [none]), strict=True))
         return {
-            "piece_start": block.t, "piece_unit": block.tau, "piece_x": np.ascontiguousarray(block.x), "piece_multipliers": l,
+            "piece_start": block.t, "piece_unit": block.tau, "piece_x": np.ascontiguousarray(block.series[:, : self._facts.n]), "piece_multipliers": l,
             "piece_y": y, "piece_codes": block.codes, "piece_event": block.event, "piece_impulse": block.impulse,
             "piece_stepped": block.stepped,
         }  # fmt: skip
@@ -283,7 +257,7 @@ class PieceRows:
     def stand(self, saved: dict[str, Any]) -> None:
         """Take up what ``standing`` gave."""
         integral, until = (np.array(saved[name], float) for name in ("integral", "until"))
-        self.carried = self._before = Carried(saved["rows"], saved["t"], integral, until, saved["worst"])
+        self._carried = self._before = Carried(saved["rows"], saved["t"], integral, until, saved["worst"])
         self.starts = False
 
 
@@ -319,10 +293,15 @@ def _worst(before: float, defects: np.ndarray, piece: np.ndarray) -> tuple[np.nd
 
 
 def _nothing(p: ContinuousProblem, orders: int) -> Block:
-    n, m = p.x.numel(), p.l.numel()
-    none, rows, series = np.zeros(0), np.zeros((0, m)), np.zeros((0, m, orders + 1))
-    x, codes, event = np.zeros((0, n, orders + 1)), np.zeros((0, m), np.int8), np.zeros(0, bool)
-    return Block(none, none, none, x, series, series, codes, none, np.zeros((0, n)), event, rows, rows, rows, none)
+    layout = Layout(p.x.numel(), p.l.numel(), orders + 1)
+    return Block(np.zeros((0, layout.width)), layout)
+
+
+def _shown(block: Block) -> tuple[np.ndarray, np.ndarray]:
+    """The series of l and y."""
+    n, m, _ = block.layout
+    series = block.series
+    return np.ascontiguousarray(series[:, n : n + m]), np.ascontiguousarray(series[:, n + m :])
 
 
 def _outputs(p: ContinuousProblem, orders: int) -> Expansion | None:
@@ -334,16 +313,17 @@ def _outputs(p: ContinuousProblem, orders: int) -> Expansion | None:
 
 
 def _expanded(out: Expansion, block: Block, count: int) -> tuple[np.ndarray, np.ndarray]:
-    rows = np.stack([_series(out, *block.cut(slice(k, k + 1))[:5]) for k in range(len(block.t))])
+    rows = np.stack([_series(out, piece) for piece in block.pieces()])
     return rows[:, :count], rows[:, count:]
 
 
-def _series(out: Expansion, t: np.ndarray, tau: np.ndarray, _: np.ndarray, x: np.ndarray, l: np.ndarray) -> np.ndarray:
-    given = {(0, 0): [float(t[0]), float(tau[0]), *[0.0] * (x.shape[2] - 2)]}
-    given |= {(1, i): row for i, row in enumerate(x[0].tolist())} | {(2, i): row for i, row in enumerate(l[0].tolist())}
+def _series(out: Expansion, piece: Piece) -> np.ndarray:
+    count = piece.x.shape[1]
+    given = {(0, 0): [piece.t, piece.tau, *[0.0] * (count - 2)]}
+    given |= {(1, i): row for i, row in enumerate(piece.x.tolist())} | {(2, i): row for i, row in enumerate(piece.l.tolist())}
     for place, row in out.jets.inputs.items():
         out.rows[row][:] = given[place]
     out.choice[:] = [math.nan] * len(out.choice)
-    for k in range(x.shape[2]):
+    for k in range(count):
         out.order(k)
     return np.array(out.outputs)

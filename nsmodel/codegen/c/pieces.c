@@ -2,7 +2,7 @@
 
 /* What a piece is, as numbers: the last state; an event with its jump; the sizes that rows are measured beside; coefficients. */
 enum {
-    AT_T, AT_TAU, AT_S, AT_DEFECT, AT_EVENT, AT_IMPULSE, AT_CODES = AT_IMPULSE + M, AT_SIZE_Y = AT_CODES + M,
+    AT_T, AT_TAU, AT_S, AT_DEFECT, AT_EVENT, AT_RESIDUAL, AT_IMPULSE, AT_CODES = AT_IMPULSE + M, AT_SIZE_Y = AT_CODES + M,
     AT_SIZE_L = AT_SIZE_Y + M, AT_LAST = AT_SIZE_L + M, AT_C = AT_LAST + N
 };
 
@@ -684,6 +684,7 @@ static void record_piece(model_pieces *s, double length, double error)
     piece[AT_S] = length;
     piece[AT_DEFECT] = error;
     piece[AT_EVENT] = s->at.begun;
+    piece[AT_RESIDUAL] = NAN; /* that of steps */
 #if LAW
     for (int i = 0; i < M; i++) {
         piece[AT_IMPULSE + i] = s->at.begun != 0 ? s->at.impulse[i] : 0;

@@ -39,7 +39,7 @@ extern "C" {
 #define MODEL_PIECES_SIDES (MODEL_PIECES_ROWS + MODEL_PIECES_CHOICES) /* x, l, y and what branches look at */
 #endif
 #define MODEL_PIECES_VERDICTS 3
-#define MODEL_PIECES_RECORD (5 + 4*MODEL_PIECES_M + MODEL_PIECES_N + (MODEL_PIECES_ORDERS + 1)*MODEL_PIECES_ROWS)
+#define MODEL_PIECES_RECORD (6 + 4*MODEL_PIECES_M + MODEL_PIECES_N + (MODEL_PIECES_ORDERS + 1)*MODEL_PIECES_ROWS)
 
 @STRUCT@
 int model_pieces_init(model_pieces *s, double rtol); /* first: the start of the model; the error allowed, 1e-14 or more */

@@ -1,0 +1,156 @@
+"""Pieces of an event-driven run as rows of numbers: the record that C writes and the course is written in."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from nsmodel.pieces.piece import Piece
+
+HEAD = 6  # t, tau, s, defect, whether an event begins it, residual.
+
+
+class Layout(NamedTuple):
+    """Where a record, of n + 2m polynomials with so many coefficients, has what: as in `c/pieces.c`."""
+
+    n: int
+    m: int
+    coefficients: int
+
+    @property
+    def width(self) -> int:
+        """Numbers of a record."""
+        return HEAD + 4 * self.m + self.n + self.coefficients * (self.n + 2 * self.m)
+
+    def of(self, k: int) -> slice:
+        """The k-th list of m numbers: impulse, codes, sizes of y and of l."""
+        return slice(HEAD + k * self.m, HEAD + (k + 1) * self.m)
+
+    @property
+    def last(self) -> slice:
+        """The state at the end."""
+        return slice(HEAD + 4 * self.m, HEAD + 4 * self.m + self.n)
+
+
+class Block(NamedTuple):
+    """Pieces (K), see `pieces.piece`, one record (K, width) each; and what residuals of y and l are measured beside."""
+
+    rows: np.ndarray
+    layout: Layout
+
+    @classmethod
+    def of(cls, piece: Piece, size_y: list[float], size_l: list[float]) -> Self:
+        """One piece, and the sizes at its end."""
+        n, m = piece.x.shape[0], len(piece.codes)
+        impulse = (0.0,) * m if piece.event is None else piece.event
+        residual = math.nan if piece.residual is None else piece.residual
+        head = piece.t, piece.tau, piece.s, piece.defect, float(piece.event is not None), residual
+        series = np.concatenate([piece.x, piece.l, piece.y]).T.ravel()
+        row = np.concatenate([(*head, *impulse, *piece.codes, *size_y, *size_l, *piece.last), series])
+        return cls(row[None], Layout(n, m, piece.x.shape[1]))
+
+    @classmethod
+    def joined(cls, blocks: Sequence[Self]) -> Self:
+        """One after the other."""
+        first = blocks[0]
+        return first if len(blocks) == 1 else cls(np.concatenate([block.rows for block in blocks]), first.layout)
+
+    def cut(self, part: slice) -> Self:
+        """Some of them."""
+        return type(self)(self.rows[part], self.layout)
+
+    @property
+    def count(self) -> int:
+        """K."""
+        return len(self.rows)
+
+    @property
+    def t(self) -> np.ndarray:
+        """Where they begin."""
+        return self.rows[:, 0]
+
+    @property
+    def tau(self) -> np.ndarray:
+        """Their units of time."""
+        return self.rows[:, 1]
+
+    @property
+    def end(self) -> np.ndarray:
+        """The last times."""
+        return self.rows[:, 0] + self.rows[:, 1] * self.rows[:, 2]
+
+    @property
+    def until(self) -> float:
+        """The end of the last one."""
+        t, tau, s = self.rows[-1, :3].tolist()
+        return t + tau * s
+
+    @property
+    def defect(self) -> np.ndarray:
+        """The estimates, in units of rtol."""
+        return self.rows[:, 3]
+
+    @property
+    def event(self) -> np.ndarray:
+        """Which begin with an event."""
+        return self.rows[:, 4] != 0
+
+    @property
+    def residual(self) -> np.ndarray:
+        """Of time steps, else NaN."""
+        return self.rows[:, 5]
+
+    @property
+    def stepped(self) -> np.ndarray:
+        """Which are by time steps."""
+        return ~np.isnan(self.residual)
+
+    @property
+    def impulse(self) -> np.ndarray:
+        """Of the jump that each begins after (K, m)."""
+        return self.rows[:, self.layout.of(0)]
+
+    @property
+    def codes(self) -> np.ndarray:
+        """The modes (K, m)."""
+        return self.rows[:, self.layout.of(1)].astype(np.int8)
+
+    @property
+    def size_y(self) -> np.ndarray:
+        """What y is measured beside at the end (K, m)."""
+        return self.rows[:, self.layout.of(2)]
+
+    @property
+    def size_l(self) -> np.ndarray:
+        """What l is measured beside at the end (K, m)."""
+        return self.rows[:, self.layout.of(3)]
+
+    @property
+    def last(self) -> np.ndarray:
+        """x at the end (K, n)."""
+        return self.rows[:, self.layout.last]
+
+    @property
+    def series(self) -> np.ndarray:
+        """The polynomials of x, l and y (K, n + 2m, p + 1)."""
+        n, m, coefficients = self.layout
+        return self.rows[:, self.layout.last.stop :].reshape(self.count, coefficients, n + 2 * m).transpose(0, 2, 1)
+
+    def pieces(self) -> list[Piece]:
+        """One by one."""
+        n, m, _ = self.layout
+        found = []
+        for row, codes, last, impulse, c in zip(
+            self.rows, self.codes.tolist(), self.last.tolist(), self.impulse.tolist(), self.series, strict=True
+        ):
+            t, tau, s, defect, event, residual = row[:HEAD].tolist()
+            found.append(
+                Piece(
+                    t, tau, s, c[:n], c[n : n + m], c[n + m :], tuple(codes), defect, last, tuple(impulse) if event else None,
+                    None if math.isnan(residual) else residual,
+                )  # fmt: skip
+            )
+        return found
