@@ -103,6 +103,8 @@ def tables(scene: PieceScene) -> Tables:
         made.add(name, ends if isinstance(ends, ca.SX) else ends.ravel(), "M", "ends of the law" if name == "lower" else "")
     feeds = set(scene.slopes[1].sparsity().row())
     made.text += table("feeds", [i in feeds for i in range(m)], "M", "whether y_i depends on l directly", "int")
+    if "LINEAR" not in flags:
+        made.text += table("coupled", scene.problem.coupled.ravel(), "M*M", "whether g or h has a product of l_i and l_j", "int")
     if B is not None:
         made.sparse("B", B.T, "row")
     if D is not None and "FEED" in flags:

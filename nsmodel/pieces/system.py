@@ -65,7 +65,7 @@ class System:
         )
         p, inputs = problem, [problem.t, problem.x, problem.l]
         B, D, C = p.slopes
-        self.linear_in_l = not ca.depends_on(ca.veccat(B, D), p.l)
+        self.linear_in_l, self.coupled = not ca.depends_on(ca.veccat(B, D), p.l), p.coupled
         self.B, self.D, self.C = (numbers(matrix, ca.veccat(*inputs)) for matrix in (B, D, C))
         h = p.h if self.D is None else ca.substitute(p.h, p.l, ca.SX.zeros(self.m)) if self.m else p.h
         self.jets = {"f": jets_of(p.f, inputs, "f"), "h": jets_of(h, inputs, "h")}
@@ -248,9 +248,12 @@ class System:
     def is_p_matrix(self, opened: list[int], codes: list[int]) -> bool:
         """Whether the rows ``opened`` have a P-matrix, D with W where D is nothing, the other rows with code 0 held.
 
-        Where some are those of a curved block: whether it is definite.
+        Where some are those of a curved block: whether it is definite. Not where g or h has a product of two of these l.
         """
         key = (tuple(opened), tuple(i for i, code in enumerate(codes) if code == 0 and i not in opened))
+        both = [*key[0], *key[1]]
+        if self.coupled[np.ix_(both, both)].any():
+            return False
         if key not in self._p or self.B is None or self.D is None or self.C is None:
             B, D, C = self.slopes()
             self._p[key] = is_p(D, C @ B, *map(list, key), definite=any(len(self.blocks.rows_of(i)) > 1 for i in opened))

@@ -20,7 +20,7 @@ from nsmodel.scheme.continuous import ContinuousProblem
 
 VERDICTS = (PROVED, AGREE, UNDECIDED)  # In the order of `unique` in C.
 STIFF = ("length", "failed", "wait", "pieces")  # Of `stiff.Stiff`, as C has it.
-MOST, BYTES = 1024, 8 << 20  # Pieces of a call, and the memory that they may take.
+AT_ONCE, MOST, BYTES = 256, 1024, 8 << 20  # Pieces of a call, for each asked for and at most, and the memory that they may take.
 
 
 class Maker(Protocol):
@@ -196,7 +196,7 @@ class InC:
         """As many pieces as there is room for; what C cannot make is interpreted, and all from a stop until pieces go on."""
         self.behind, self._behind = 1, None
         if self._stopped is None and self._step is None:
-            rows, stuck = self._c.many(until, max(1, min(64 * room, MOST, BYTES // (8 * self._c.width))))
+            rows, stuck = self._c.many(until, max(1, min(AT_ONCE * room, MOST, BYTES // (8 * self._c.width))))
             if len(rows) or not stuck:
                 return Block(rows, self._layout)
         own = self._interpreted

@@ -92,6 +92,16 @@ class ContinuousProblem:
         return derivatives(self.g, self.l), derivatives(self.h, self.l), C
 
     @property
+    def coupled(self) -> np.ndarray:
+        """Which pairs of multipliers are coupled (m, m): g and h are affine in those together of which no two are."""
+        B, D, _ = self.slopes
+        by_l, m = ca.vertcat(B, D), self.l.numel()
+        if not m or not ca.depends_on(by_l, self.l):
+            return np.zeros((m, m), bool)
+        found = np.array([ca.which_depends(by_l[:, i], self.l, 1, False) for i in range(m)], bool)
+        return found | found.T
+
+    @property
     def rate(self) -> ca.SX:
         """F + g as expressions of t, x and l, with the factors of `growths` in."""
         whole, l = self.f + self.g, self.l

@@ -52,18 +52,13 @@ LOOP = """
 #include <time.h>
 
 static NAME_pieces s;
-static double out[ROWS][NAME_PIECES_N];
+static double out[ROWS][NAME_PIECES_N], times[ROWS];
 
 static int run(double rtol, int estimated)
 {
     NAME_pieces_init(&s, rtol);
     s.estimated = estimated;
-    for (int row = 0; row < ROWS; row++) {
-        if (NAME_advance(&s, row*(T_END/(ROWS - 1))) != 0)
-            return 1;
-        NAME_pieces_get_state(&s, out[row]);
-    }
-    return 0;
+    return NAME_advance_through(&s, ROWS, times, out[0]);
 }
 
 int main(int argc, char **argv)
@@ -72,6 +67,8 @@ int main(int argc, char **argv)
     sscanf(argv[1], "%lf", &rtol);
     const int estimated = argv[2][0] == '1';
     long repeat = 1;
+    for (int row = 0; row < ROWS; row++)
+        times[row] = row*(T_END/(ROWS - 1));
     for (int k = 0; k < 5;) {
         const clock_t start = clock();
         for (long i = 0; i < repeat; i++)

@@ -29,7 +29,7 @@ static int expand_piece(model_pieces *s)
         if (all_finite(N, s->c[s->order]))
             return MODEL_OK;
     }
-#else
+#else /* the series of a run that goes on from here is expanded from l as it is now */
     UNUSED(known);
 #endif
     return expand_finite(s, s->order);
@@ -492,12 +492,10 @@ static int hold(model_pieces *s)
 static int judge_uniqueness(model_pieces *s)
 {
 #if LAW
-#if LINEAR
     if (!count_open(s, M, M + CHOICES) && is_p_matrix(s)) {
         s->at.unique[0] += 1;
         return MODEL_OK;
     }
-#endif
 #else
     if (!count_open(s, 0, CHOICES)) {
         s->at.unique[0] += 1;

@@ -154,6 +154,45 @@ void model_pieces_get_state(const model_pieces *s, double *x)
         read_piece(s, 0, N, x);
 }
 
+/* The states at the times that the piece at hand has, but its end; how many. */
+static long rows_here(model_pieces *s, long count, const double *times, double *x)
+{
+    const double begin = s->piece[AT_T], per_unit = s->per_unit, end = s->at.t;
+    const double *c = s->piece + AT_C;
+    double t = s->t;
+    long n = 0, r = 0;
+    if (!s->live)
+        return 0;
+    while (n < count && t <= times[n] && times[n] < end)
+        t = times[n++];
+    for (; r + 4 <= n; r += 4) {
+        const double at[] = {
+            (times[r] - begin)*per_unit, (times[r + 1] - begin)*per_unit, (times[r + 2] - begin)*per_unit, (times[r + 3] - begin)*per_unit
+        };
+        for (int i = 0; i < N; i++)
+            values_at_four(c + i, ROWS, s->order, at, N, x + r*N + i);
+    }
+    for (; r < n; r++)
+        values_at(c, ROWS, s->order, (times[r] - begin)*per_unit, N, x + r*N);
+    s->t = t;
+    return n;
+}
+
+/*
+ * Integrate through count times, none before the last: x[count*MODEL_PIECES_N], the states there, each as get_state has it. Where a
+ * piece fails those before it are there.
+ */
+int model_advance_through(model_pieces *s, long count, const double *times, double *x)
+{
+    int status = MODEL_OK;
+    for (long k = 0; k < count && status == MODEL_OK;) {
+        k += rows_here(s, count - k, times + k, x + k*N);
+        if (k < count && (status = model_advance(s, times[k])) == MODEL_OK)
+            model_pieces_get_state(s, x + k++*N);
+    }
+    return status;
+}
+
 #if LAW
 void model_pieces_get_multipliers(const model_pieces *s, double *l)
 {

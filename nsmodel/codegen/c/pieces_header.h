@@ -54,6 +54,7 @@ int model_pieces_set_inputs(model_pieces *s, const double *u); /* u[MODEL_PIECES
 void model_pieces_set_most(model_pieces *s, long pieces); /* in a call of model_advance, at most */
 
 int model_advance(model_pieces *s, double t_end); /* integrate to t_end, which is not before the last time */
+int model_advance_through(model_pieces *s, long count, const double *times, double *x); /* ... through times: states x[count*MODEL_PIECES_N] */
 
 /* At the time reached. */
 double model_pieces_get_time(const model_pieces *s);

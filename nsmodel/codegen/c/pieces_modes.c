@@ -388,7 +388,10 @@ static int is_always_p(model_pieces *s)
 }
 #endif
 
-/* Whether the open rows have a P-matrix, D + a little W, those with code 0 that are not open held; or x is unique in all modes. */
+/*
+ * Whether the open rows have a P-matrix, D + a little W, those with code 0 that are not open held, and no two of their l are coupled;
+ * or x is unique in all modes.
+ */
 static int is_p_matrix(model_pieces *s)
 {
 #if UNIQUE
@@ -417,6 +420,12 @@ static int is_p_matrix(model_pieces *s)
             o[n++] = i;
         else if (s->at.codes[i] == 0)
             h[q++] = i;
+#if !LINEAR
+    for (int i = 0; i < M; i++)
+        for (int j = 0; j < M; j++)
+            if (coupled[i*M + j] && (s->at.open[i] || s->at.codes[i] == 0) && (s->at.open[j] || s->at.codes[j] == 0))
+                return 0;
+#endif
 #define K_AT(i, j) (D_AT(i, j) + W_AT(i, j)*little)
     for (int i = 0; i < q; i++)
         for (int j = 0; j < q; j++)
