@@ -177,6 +177,22 @@ def test_no_uniqueness():
     assert any("not unique" in text for text in run.metadata["warnings"])
 
 
+@pytest.mark.parametrize("compiled", [False, True])
+def test_no_uniqueness_where_the_law_is_not_affine_in_its_multiplier(compiled):
+    """x' = l^3/2 - l rises with l at both ends, and yet is 1/2 above and -1/2 below: three solutions from 0."""
+    x, l = ca.SX.sym("x"), ca.SX.sym("l")
+    model = FirstOrderSystem(x=x, lam=l, f=[0 * x], g=[l**3 / 2 - l], h=[x], law=relay(1), x0=[0], t_end=1)
+    with pytest.raises(StepError, match="not unique"):
+        simulate(model, rtol=1e-6, method="event-driven", compiled=compiled)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_modes_of_a_bilinear_model_are_proved_unique_where_their_rows_are_not_coupled(compiled):
+    """Genes, of which l1 and l4, l2 and l3 are coupled: at (8, 8) l3 and l4 are held, which are not; at the start all are open."""
+    run = simulate(nsmodel.load(CASES / "gene_network.py"), rtol=1e-6, method="event-driven", compiled=compiled)
+    assert run.metadata["totals"]["unique"] == {"proved": 2, "all valid modes agree": 2}
+
+
 def test_jump_at_the_start():
     """From the jump on the digits of a run that starts after it; x+ by hand: C and C_f share the charge."""
     model = scenes.capacitor_filter()

@@ -217,11 +217,37 @@ MAIN = """
 #include "thing_pieces.h"
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 #include <math.h>
+
+/* Whether one call through many times has the bits of as many calls, and stops at what is no time. */
+static int goes_through(thing_pieces *s, double rtol, double end)
+{
+    static double times[1000], x[1000*THING_PIECES_N];
+    double one[THING_PIECES_N];
+    const double none[] = {0.1*end, 0.2*end, NAN, end}, back[] = {0.3*end, 0.25*end};
+    int same = 1;
+    for (int k = 0; k < 1000; k++)
+        times[k] = k < 990 ? end*k/990 : end;
+    if (thing_pieces_init(s, rtol) || thing_advance_through(s, 1000, times, x) || thing_pieces_init(s, rtol))
+        return 0;
+    for (int k = 0; k < 1000; k++) {
+        same &= thing_advance(s, times[k]) == THING_OK;
+        thing_pieces_get_state(s, one);
+        same &= memcmp(one, x + k*THING_PIECES_N, sizeof one) == 0;
+    }
+    thing_pieces_init(s, rtol);
+    same &= thing_advance_through(s, 4, none, x) == THING_NOT_FINITE && thing_pieces_get_time(s) == none[1];
+    same &= thing_advance_through(s, 2, back, x) == THING_BAD_STEP && thing_pieces_get_time(s) == back[0];
+    return same && thing_advance_through(s, 0, back, x) == THING_OK;
+}
+
 int main(int argc, char **argv)
 {
     static thing_pieces s;
     double x[THING_PIECES_N], end = atof(argv[2]);
+    if (argc == 3 && !goes_through(&s, atof(argv[1]), end))
+        return 51;
     int status = thing_pieces_init(&s, atof(argv[1]));
     for (int k = 0; status == THING_OK && k <= 40; k++) {
         status = thing_advance(&s, end*k/40);

@@ -23,7 +23,8 @@ from nsmodel.once import once
 from nsmodel.pieces.lengths import order_of
 from nsmodel.scheme.continuous import ContinuousProblem
 
-FASTER = tuple("-O3" if flag == "-O2" else flag for flag in FLAGS)  # Loops over few rows are unrolled.
+# Loops over few rows are unrolled; in vectors these short ones would wait for the numbers that they have just written.
+FASTER = (*("-O3" if flag == "-O2" else flag for flag in FLAGS), "-fno-tree-vectorize")
 _Asked = ASKED.in_python()
 _POINTER, _NUMBER, _WHOLE = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
 

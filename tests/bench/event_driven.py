@@ -32,7 +32,9 @@ from events.smooth import smoothed
 from peers import in_scipy
 
 from nsmodel import UsageError, codegen
+from nsmodel.codegen.library import MATHS, SHARED
 from nsmodel.codegen.library import compiler as c_compiler
+from nsmodel.codegen.piece_runs import FASTER
 from nsmodel.run.event_driven import problem_of
 from nsmodel.simulate import prepare
 
@@ -251,7 +253,8 @@ def generated(bench: Bench) -> Path | None:
         text = LOOP.replace("NAME_PIECES", f"{name}_PIECES".upper()).replace("NAME", name)
         text = text.replace("ROWS", str(ROWS)).replace("T_END", repr(bench.t_end))
         (folder / "loop.c").write_text(text)
-        command = [*str(c_compiler()).split(), "-std=c99", "-O2", "-o", "loop", "loop.c", f"{name}_pieces.c", "-lm"]
+        flags = [flag for flag in FASTER if flag not in SHARED]
+        command = [*str(c_compiler()).split(), *flags, "-o", "loop", "loop.c", f"{name}_pieces.c", *MATHS]
         if not (folder / f"{name}_pieces.c").exists():
             return None
         subprocess.run(command, cwd=folder, check=True)
