@@ -179,9 +179,9 @@ def test_no_uniqueness():
 
 @pytest.mark.parametrize("compiled", [False, True])
 def test_no_uniqueness_where_the_law_is_not_affine_in_its_multiplier(compiled):
-    """x' = l^3/2 - l rises with l at both ends, and yet is 1/2 above and -1/2 below: three solutions from 0."""
+    """x' = g(l) rises with l at 0 and at both ends, and yet is 0.3 at the lower and -0.3 at the upper: three solutions from 0."""
     x, l = ca.SX.sym("x"), ca.SX.sym("l")
-    model = FirstOrderSystem(x=x, lam=l, f=[0 * x], g=[l**3 / 2 - l], h=[x], law=relay(1), x0=[0], t_end=1)
+    model = FirstOrderSystem(x=x, lam=l, f=[0 * x], g=[1.5 * l**5 - 2 * l**3 + 0.2 * l], h=[x], law=relay(1), x0=[0], t_end=1)
     with pytest.raises(StepError, match="not unique"):
         simulate(model, rtol=1e-6, method="event-driven", compiled=compiled)
 
