@@ -188,7 +188,7 @@ def test_no_uniqueness_where_the_law_is_not_affine_in_its_multiplier(compiled):
 
 @pytest.mark.parametrize("compiled", [False, True])
 def test_modes_of_a_bilinear_model_are_proved_unique_where_their_rows_are_not_coupled(compiled):
-    """Genes, of which l1 and l4, l2 and l3 are coupled: at (8, 8) l3 and l4 are held, which are not; at the start all are open."""
+    """Genes, of which l1 and l4, l2 and l3 are coupled: at (8, 8) l3 and l4 are held, which are not; at first all are open."""
     run = simulate(nsmodel.load(CASES / "gene_network.py"), rtol=1e-6, method="event-driven", compiled=compiled)
     assert run.metadata["totals"]["unique"] == {"proved": 2, "all valid modes agree": 2}
 

@@ -111,9 +111,9 @@ def uniqueness(system: System, place: Place) -> tuple[str, str]:
     """(PROVED, AGREE, UNDECIDED or SPLIT, words for two valid modes that go apart).
 
     It is proved where the open rows' matrix, the others held or let go as they are, is a P-matrix (Cottle, Pang and Stone 1992,
-    Theorem 3.3.7), of curved blocks a definite one, and g and h are affine in these multipliers together, or the model is monotone
-    (`multipliers.is_monotone`), and nothing but rows is open; else all modes of the open switches are tried, where these are few. Their x is known to rounding of its size so far, and
-    of what l pushes it by: in stick f takes that back.
+    Theorem 3.3.7), of curved blocks a definite one, and g and h are affine in these multipliers together, or the model is
+    monotone (`multipliers.is_monotone`), and nothing but rows is open; else all modes of the open switches are tried, where these
+    are few. Their x is known to rounding of its size so far, and of what l pushes it by: in stick f takes that back.
     """
     opened = [i for kind, i in sorted(place.open) if kind == ROW]
     rows = [row for i in opened for row in system.blocks.rows_of(i)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,8 +22,8 @@ from nsmodel.pieces.known_of import known_of
 from nsmodel.pieces.sliding import with_modes
 from nsmodel.quantities import Outputs
 from nsmodel.run.options import METHODS, Options
-from nsmodel.run.piece_choice import MOST, chosen_maker
 from nsmodel.run.piece_block import Block
+from nsmodel.run.piece_choice import MOST, chosen_maker
 from nsmodel.run.piece_rows import PieceRows
 from nsmodel.run.row_facts import facts
 from nsmodel.run.told import of_scene

@@ -147,10 +147,6 @@ class Block(NamedTuple):
             self.rows, self.codes.tolist(), self.last.tolist(), self.impulse.tolist(), self.series, strict=True
         ):
             t, tau, s, defect, event, residual = row[:HEAD].tolist()
-            found.append(
-                Piece(
-                    t, tau, s, c[:n], c[n : n + m], c[n + m :], tuple(codes), defect, last, tuple(impulse) if event else None,
-                    None if math.isnan(residual) else residual,
-                )  # fmt: skip
-            )
+            series, of = (c[:n], c[n : n + m], c[n + m :], tuple(codes)), tuple(impulse) if event else None
+            found.append(Piece(t, tau, s, *series, defect, last, of, None if math.isnan(residual) else residual))
         return found

@@ -59,8 +59,9 @@ class PieceRows:
     """Rows in memory: every n-th of those that ``take`` is given, of pieces that are all kept; see `walk.RowBuffer`."""
 
     def __init__(
-        self, problem: ContinuousProblem, orders: int, every: int, until: float, times: list[float] | None, columns: Columns | None
-    ) -> None:
+        self, problem: ContinuousProblem, orders: int, every: int, until: float, times: list[float] | None,
+        columns: Columns | None,
+    ) -> None:  # fmt: skip
         """``until``: the end of the run, and the last of the ``times`` of its rows; None: the ends of pieces.
 
         ``columns``: (h, y, records) side by side of rows (t, x, l), where these are computed elsewhere.
@@ -219,9 +220,9 @@ class PieceRows:
         none = (np.zeros((0, self._facts.shown, self.orders + 1)),) * 2
         l, y = self._shown[0] if len(self._shown) == 1 else map(np.concatenate, zip(*(self._shown or [none]), strict=True))
         return {
-            "piece_start": block.t, "piece_unit": block.tau, "piece_x": np.ascontiguousarray(block.series[:, : self._facts.n]), "piece_multipliers": l,
-            "piece_y": y, "piece_codes": block.codes, "piece_event": block.event, "piece_impulse": block.impulse,
-            "piece_stepped": block.stepped,
+            "piece_start": block.t, "piece_unit": block.tau, "piece_x": np.ascontiguousarray(block.series[:, : self._facts.n]),
+            "piece_multipliers": l, "piece_y": y, "piece_codes": block.codes, "piece_event": block.event,
+            "piece_impulse": block.impulse, "piece_stepped": block.stepped,
         }  # fmt: skip
 
     def _residuals(self, l: np.ndarray, y: np.ndarray, block: Block, number: np.ndarray) -> np.ndarray:
