@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -35,7 +36,8 @@ class Layout(NamedTuple):
         return slice(HEAD + 4 * self.m, HEAD + 4 * self.m + self.n)
 
 
-class Block(NamedTuple):
+@dataclass(frozen=True)
+class Block:
     """Pieces (K), see `pieces.piece`, one record (K, width) each; and what residuals of y and l are measured beside."""
 
     rows: np.ndarray
