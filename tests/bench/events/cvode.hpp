@@ -56,9 +56,9 @@ struct Cvode : Modes {
             if (flag < 0)
                 return 100 - flag;
             if (flag == CV_ROOT_RETURN) {
-                if (events < room)
-                    times[events] = time;
-                events++;
+                if (events >= room) /* it switches to and fro */
+                    return 5;
+                times[events++] = time;
                 if (!turn(time))
                     return 4;
                 count_steps();
