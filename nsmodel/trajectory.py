@@ -264,7 +264,8 @@ class Trajectory:
 
         Args:
             path: of the file; its folder is made where it is missing.
-            model: that of a sweeping process of one or two states: then the page shows the set that they may not enter.
+            model: the run's. Of a sweeping process of one or two states the page shows the set that they may not enter; of
+                an event-driven run the energy between its rows.
 
         Raises:
             StorageError: the file cannot be written.

@@ -7,7 +7,7 @@ from closed_forms import turning_on_a_cone
 from fuzz_models import some
 from scipy.integrate import solve_ivp
 
-from nsmodel import FirstOrderSystem, LureSystem, second_order_cone, simulate
+from nsmodel import FirstOrderSystem, LureSystem, StepError, second_order_cone, simulate
 
 T, X, L = ca.SX.sym("t"), ca.SX.sym("x", 3), ca.SX.sym("l", 3)
 DRIFT = 0.2
@@ -132,3 +132,122 @@ def test_a_run_on_a_cone_in_c_is_the_same_run(model):
     np.testing.assert_array_equal(plain.t, compiled.t)
     np.testing.assert_array_equal(plain.index_set, compiled.index_set)
     np.testing.assert_allclose(plain.x, compiled.x, rtol=1e-11, atol=1e-12)
+
+
+# -- positions that slide along a cone: l acts on accelerations alone ----------------------------------------------------------
+
+
+def in_a_ball(start, speed, force, t_end=1, units=1.0):
+    """A point of mass 1 in the unit ball of R^n, (1, q) in a cone; its velocities in ``units``, each with a name of its own."""
+    n = len(start)
+    q, v, l, units = ca.SX.sym("q", n), [ca.SX.sym(f"v{i}") for i in range(n)], ca.SX.sym("l", n + 1), np.resize(units, n)
+    moved = [vi * u for vi, u in zip(v, units, strict=True)]
+    return FirstOrderSystem(
+        x=ca.vertcat(q, *v), lam=l, f=[*moved, *(np.array(force) / units)], h=ca.vertcat(1, q), law=second_order_cone(n + 1),
+        g=[*[0] * n, *(l[i + 1] / units[i] for i in range(n))], x0=[*start, *(np.array(speed) / units)], t_end=t_end,
+    )  # fmt: skip
+
+
+def on_a_sphere(start, speed, force):
+    """(N, 2 n) by DOP853: q'' = a - (a.q + |v|^2) q, which keeps |q| = 1 while the reaction a.q + |v|^2 is not negative."""
+    n = len(start)
+
+    def rate(_, s):
+        q, v = s[:n], s[n:]
+        return np.r_[v, force - (force @ q + v @ v) * q]
+
+    force = np.array(force)
+    sol = solve_ivp(rate, (0, 1), [*start, *speed], method="DOP853", rtol=1e-12, atol=1e-13, dense_output=True).sol
+    q, v = np.split(sol(np.linspace(0, 1, 1001)), 2)
+    assert (force @ q + (v * v).sum(axis=0)).min() > 0.01
+    return lambda t: sol(t).T
+
+
+DOWN, DEEP = (0.0, -9.81), (0.0, 0.0, -9.81)
+SLIDES = [
+    ((0, -1), (0.5, 0), DOWN),
+    ((0, -1), (-3, 0), DOWN),
+    ((0, -1), (1, 0), (0.0, 0.0)),
+    ((np.sin(0.3), -np.cos(0.3)), (2 * np.cos(0.3), 2 * np.sin(0.3)), DOWN),
+    ((0, 0, -1), (1, 0, 0), DEEP),
+    ((0, 0.6, -0.8), (1, 0, 0), DEEP),
+    ((0, 0.6, -0.8), (1, -0.4, -0.3), DEEP),
+]
+
+
+@pytest.mark.c
+@pytest.mark.parametrize("rtol", [1e-2, 1e-3, 1e-4])
+@pytest.mark.parametrize(("start", "speed", "force"), SLIDES)
+def test_what_starts_along_a_surface_slides(start, speed, force, rtol):
+    """Velocities that begin at 0 are off by all that they are, in however short a first step: that was refused as an impact."""
+    run = run_of(in_a_ball(start, speed, force), rtol)
+    exact = on_a_sphere(start, speed, force)(run.t)
+    assert (np.abs(run.x - exact) <= 10 * rtol * np.abs(exact).max(axis=0) + 1e-15).all()
+    assert control(run)["at_least_step"] == 0
+    assert not run.metadata["warnings"]
+
+
+@pytest.mark.c
+@pytest.mark.parametrize("rtol", [1e-2, 1e-3])
+@pytest.mark.parametrize("speed", [1.0, -4.0])
+def test_a_free_point_on_a_cone_follows_a_straight_line_of_its_development(speed, rtol):
+    """|(q_2, q_3)| <= q_1, no force: in the plane a cone of 45 degrees is a sector, of angle 2 pi / sqrt(2)."""
+    q, v, l = ca.SX.sym("q", 3), ca.SX.sym("v", 3), ca.SX.sym("l", 3)
+    model = FirstOrderSystem(
+        x=ca.vertcat(q, v), lam=l, f=ca.vertcat(v, 0, 0, 0), g=ca.vertcat(0, 0, 0, l), h=q, law=second_order_cone(3),
+        x0=[1, 1, 0, 0, 0, speed], t_end=1,
+    )  # fmt: skip
+    run = run_of(model, rtol)
+    way = speed * run.t
+    radius, angle = np.sqrt(1 + way**2 / 2), np.sqrt(2) * np.arctan(way / np.sqrt(2))
+    exact = np.column_stack([radius, radius * np.cos(angle), radius * np.sin(angle)])
+    assert (np.abs(run.x[:, :3] - exact) <= 10 * rtol * np.abs(exact).max(axis=0)).all()
+    assert (np.abs(np.linalg.norm(run.x[:, 3:], axis=1) - abs(speed)) <= 10 * rtol * abs(speed)).all()
+    assert control(run)["at_least_step"] == 0
+
+
+@pytest.mark.c
+def test_units_of_velocities_behind_a_cone_say_nothing():
+    units = np.array([2.0**9, 2.0**-7, 2.0**4])
+    plain, other = (run_of(in_a_ball((0, 0, -1), (1, 0, 0), DEEP, 0.2, of), 1e-3) for of in (1.0, units))
+    assert np.allclose(plain.t, other.t, rtol=1e-12, atol=0)
+    assert np.allclose(plain.x[:, 3:], other.x[:, 3:] * units, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.c
+def test_a_slide_in_c_is_the_same_slide():
+    """To what a step is verified to: velocities are the positions' differences over half a step."""
+    plain, compiled = (run_of(in_a_ball((0, -1), (0.5, 0), DOWN, 0.02), 1e-2, how) for how in (False, True))
+    np.testing.assert_array_equal(plain.t, compiled.t)
+    assert np.abs(plain.x - compiled.x).max() <= plain.metadata["tolerance"]
+
+
+@pytest.mark.c
+@pytest.mark.long
+def test_what_starts_inward_is_right_to_its_impact_which_stops_the_run():
+    """A chord of the circle: |q + v t| = 1 at t = 2 inward / (1 + inward^2)."""
+    inward = 0.2
+    with pytest.raises(StepError, match="must jump, an impact") as stop:
+        run_of(in_a_ball((0, -1), (1, inward), (0, 0)), 1e-4)
+    run = stop.value.trajectory
+    assert run.t[-1] == pytest.approx(2 * inward / (1 + inward**2), abs=1e-4)
+    chord = np.column_stack([run.t, inward * run.t - 1, 1 + 0 * run.t, inward + 0 * run.t])
+    assert np.abs(run.x - chord).max() <= 1e-4
+
+
+@pytest.mark.parametrize("options", [{"rtol": 1e-3}, {"step": 1e-3}])
+@pytest.mark.parametrize(("outward", "told"), [(0.2, True), (1e-6, True), (0.0, False), (1e-12, False)])
+def test_a_start_along_a_surface_is_told_as_an_impact_beyond_rounding_alone(outward, told, options):
+    """What points outwards at the start is taken away at once, as of walls; of others rounding leaves 1e-17 of the speed."""
+    for angle in np.linspace(-0.9, 0.9, 5):
+        q, e = np.array([np.sin(angle), -np.cos(angle)]), np.array([np.cos(angle), np.sin(angle)])
+        run = simulate(in_a_ball(q, 2 * e + outward * q, DOWN, 0.02), compiled=False, **options)
+        assert any("an impact" in text for text in run.metadata["warnings"]) == told
+        assert np.abs(run.x[-1] - on_a_sphere(q, 2 * e, DOWN)(run.t[-1:])[0]).max() <= 2e-2
+
+
+@pytest.mark.c
+def test_what_a_cone_cannot_hold_as_exactly_ends_by_name():
+    """Steps do not let more pass after a time: velocities behind a cone were any then."""
+    with pytest.raises(StepError, match="ask for less accuracy"):
+        simulate(in_a_ball((np.sin(0.5), -np.cos(0.5)), (0, 0), DOWN, 10), rtol=1e-5, compiled=True)

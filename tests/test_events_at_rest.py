@@ -98,23 +98,52 @@ def test_a_function_that_saturates_is_not_taken_for_a_motion_that_grows():
         assert np.abs(run.x - fine.x).max() <= 10 * rtol
 
 
-@pytest.mark.parametrize("compiled", compilers)
-def test_what_sticks_behind_stiff_filters_hinders_no_long_piece(compiled):
-    """Its state and position are of the size of rounding: the stages are right once their second iteration has mended that."""
-    n, k, t = 4, 1e4, ca.SX.sym("t")
-    rates = k * np.arange(1, n + 1)
+def filtered(rates, gain, damping, push):
+    """Stiff filters that drive a mass on a spring with dry friction, from START on."""
+    n, k, t = len(rates), rates[0], ca.SX.sym("t")
     A = np.zeros((n + 2, n + 2))
     A[:n, :n] = np.diag(rates[1:], -1) - np.diag(rates)
-    A[n, n - 1 :] = [3, -0.1, -1]
+    A[n, n - 1 :] = [gain, -damping, -1]
     A[n + 1, n] = 1
     B, C = np.zeros((n + 2, 1)), np.eye(n + 2)[[n]]
     B[n] = 0.5
-    f = ca.vertcat(k * ca.if_else(t < START, 0, ca.sin(6 * t)), ca.SX.zeros(n + 1))
-    model = LureSystem(t=t, A=A, B=B, C=C, f=f, law=relay(1), x0=[0] * (n + 2), t_end=6, step=1e-3, switch_times=[START])
-    at = np.linspace(0, 6, 201)
+    f = ca.vertcat(k * ca.if_else(t < START, 0, ca.sin(push * t)), ca.SX.zeros(n + 1))
+    return LureSystem(t=t, A=A, B=B, C=C, f=f, law=relay(1), x0=[0] * (n + 2), t_end=6, step=1e-3, switch_times=[START])
+
+
+@pytest.mark.parametrize("compiled", compilers)
+def test_what_sticks_behind_stiff_filters_hinders_no_long_piece(compiled):
+    """Its state and position are of the size of rounding: the stages are right once their second iteration has mended that."""
+    model, at = filtered(1e4 * np.arange(1, 5), 3, 0.1, 6), np.linspace(0, 6, 201)
     fine = simulate(model, rtol=1e-11, times=at, method="event-driven", compiled=False)
     for rtol in (1e-1, 1e-3, 1e-6):
         run = simulate(model, rtol=rtol, times=at, method="event-driven", compiled=compiled)
         assert len(run.events) == len(fine.events) == 12
         assert (np.abs(run.x - fine.x) <= rtol * np.abs(fine.x).max(axis=0)).all()
         assert len(run.piece_start) <= 200
+
+
+def first_filter(k, push, t):
+    """x' = k (sin(push t) - x) from x = 0 at START."""
+
+    def steady(t):
+        return k * (k * np.sin(push * t) - push * np.cos(push * t)) / (k**2 + push**2)
+
+    return np.where(t < START, 0, steady(t) - steady(START) * np.exp(-k * np.maximum(t - START, 0)))
+
+
+@pytest.mark.c
+@pytest.mark.parametrize("seed", [None, *range(3)])
+def test_rounding_of_what_sticks_is_no_error_of_a_fit(seed):
+    """It is that of the filters by the inverse, many times the own of what is stuck; the inverse in C has another."""
+    r = np.random.default_rng(seed)
+    drawn = (1e4 * np.sort(r.uniform(1, 4, 4)), r.uniform(2, 4), r.uniform(0.05, 0.5), r.uniform(4, 8))
+    rates, gain, damping, push = (1e4 * np.arange(1, 5), 3, 0.1, 6) if seed is None else drawn
+    model, at, pieces = filtered(rates, gain, damping, push), np.linspace(0, 6, 201), []
+    for compiled in (False, True):
+        run = simulate(model, rtol=1e-9, times=at, method="event-driven", compiled=compiled)
+        exact = first_filter(rates[0], push, at)
+        assert np.abs(run.x[:, 0] - exact).max() <= 1e-8 * np.abs(exact).max()
+        pieces.append(len(run.piece_start))
+    assert max(pieces) <= 200
+    assert abs(pieces[0] - pieces[1]) <= 0.05 * pieces[0]

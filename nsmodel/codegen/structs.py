@@ -61,7 +61,7 @@ TOTALS = Struct(
 CONTROL = Struct(
     "model_control",
     (
-        Members("double", "T start length rtol largest least crossing grow negligible",
+        Members("double", "T start length rtol largest least crossing grow",
              "the end of the run, a span between known times, the constants of controlled.py; j between largest and least"),
         Members("double", "order", "of the scheme on one index set, but for rows that are held and lower it to 1"),
         Members("double", "t j fresh", "time in length/2^(least + 1), the step length/2^j; fresh: no step has been taken"),
@@ -69,7 +69,8 @@ CONTROL = Struct(
         Members("double", "accepted rejected extrapolated at_least_step least_step"),
         Members("double", "estimate of_j", "the sum of errors; j of the last d"),
         Members("double", "x[STATES] l[ROWS] index[ROWS] lowering[ROWS] wall[ROWS]"),
-        Members("double", "atol[WATCHED] size[WATCHED] group[WATCHED] watched[WATCHED] rate[WATCHED] d[WATCHED]"),
+        Members("double", "atol[WATCHED] size[WATCHED] group[WATCHED] part[WATCHED] unit[WATCHED]"),
+        Members("double", "watched[WATCHED] rate[WATCHED] d[WATCHED]"),
     ),
 )  # fmt: skip
 CELLS = Struct(

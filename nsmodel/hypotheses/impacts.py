@@ -27,7 +27,7 @@ from nsmodel.model.base import Model
 from nsmodel.once import once
 
 ROUNDING = 1e-12  # A sum is 0 below this part of its terms.
-UNSEEN = 1e-9  # A rate is 0 below this part of the largest one.
+UNSEEN = 1e-9  # A rate is 0 below this part of the largest |y'|.
 EXPLAINED = 2.0  # A rate below so many times its change in a step is none of an impact.
 GUIDE = "docs/guide.md, 2.7"
 PLACES = 4  # States where rows are looked at: the start, and others around it.
@@ -40,9 +40,9 @@ class Watch:
     Attributes:
         names: of its multipliers; column: where the first, of a cone its axis, is in a run; lower, upper: its ends.
         degree: of the least derivative of y that it enters: 2, 3, ...; 0: none.
-        moved: the states that it acts on.
-        rate: (t, s, l, u) -> y', of a cone (y_1 - |(y_2, ...)|)'; s the states, of an oscillator also its velocities, l the
-            columns ``inputs`` of a run.
+        moved: the states that it acts on; pushed: how strongly on each of s at the start, |row of F_l|.
+        rate: (t, s, l, u) -> y', of a cone (y_1 - |(y_2, ...)|)'; and y' of all its rows. s: the states, of an oscillator also
+            its velocities; l: the columns ``inputs`` of a run.
         untouched: what no such multiplier enters, in words.
     """
 
@@ -52,6 +52,7 @@ class Watch:
     upper: float
     degree: int
     moved: tuple[str, ...]
+    pushed: np.ndarray
     rate: ca.Function
     inputs: slice
     untouched: str
@@ -146,7 +147,7 @@ def watched(model: Model) -> tuple[Watch, ...]:
 
     late = ~entered(*entries(system.Y_l), bounded) & ~entered(*entries(system.Y_s, system.F_l), bounded)
     acted, acting = entries(system.F_l)
-    found = []
+    pushes, found = np.array(ca.Function("pushes", list(system.given), [ca.densify(system.F_l)])(*_places(system)[0])), []
     for rows in (*(slice(i, i + 1) for i in map(int, np.flatnonzero(~np.isnan(system.lower)))), *system.cones):
         if not late[rows].all() or rows.start in system.moving or ca.depends_on(system.Y[rows], system.u):
             continue  # of what an input moves y' holds u'
@@ -164,7 +165,8 @@ def watched(model: Model) -> tuple[Watch, ...]:
         found.append(Watch(
             names=tuple(system.multipliers[rows]), column=system.first + first, lower=0.0 if cone else float(system.lower[first]),
             upper=np.inf if cone else float(system.upper[first]), degree=degree, moved=tuple(system.states[j] for j in own),
-            rate=ca.Function("rate", list(system.given), [ca.densify(_to_surface(Y, rate) if cone else rate)]),
+            pushed=np.linalg.norm(pushes[:, rows], axis=1),
+            rate=ca.Function("rate", list(system.given), [ca.densify(_to_surface(Y, rate) if cone else rate), ca.densify(rate)]),
             inputs=slice(system.first, system.first + system.l.numel() or None), untouched=system.untouched,
         ))  # fmt: skip
     return tuple(found)
@@ -249,11 +251,12 @@ def _met(watch: Watch, columns: Mapping[str, np.ndarray], known: Mapping[str, An
     t, l = columns["t"], columns["multipliers"]
     s = np.hstack([columns["x"], columns["v"]]) if "v" in columns else columns["x"]
     u = columns.get("inputs", np.zeros((len(t), 0)))
-    rate = np.array(watch.rate.map(len(t))(t[None, :], s.T, np.nan_to_num(l[:, watch.inputs]).T, u.T)).ravel()
+    (rate,), velocity = map(np.array, watch.rate.map(len(t))(t[None, :], s.T, np.nan_to_num(l[:, watch.inputs]).T, u.T))
     old = len(known["rates"])  # of rows that were there before: what follows is found in the new ones
     times, rates = np.concatenate([known["times"], t]), np.concatenate([known["rates"], np.nan_to_num(rate)])
     free = np.concatenate([known["free"], watch.free(l[:, watch.column])]).astype(bool)
-    size = np.maximum(np.maximum.accumulate(np.abs(rates)), known["size"])
+    speed = np.append(np.zeros(old), np.linalg.norm(np.nan_to_num(velocity), axis=0))
+    size = np.maximum(np.maximum.accumulate(speed), known["size"])
     if watch.relay:
         sets_in = free[:-2] & ~free[1:-1] & ~free[2:]
         sets_in[: 1 if known["rows"] == 0 else 0] = False  # what slides from the start on did not come to it

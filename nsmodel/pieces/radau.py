@@ -15,8 +15,10 @@ about 1/|z| times that: a stiff component forgets. 1/(1/kappa + |z|) is between 
 
     (1/kappa - h f_x) e - h g_l dl = -h d,    h_x e + h_l dl = -y_a,
 
-solved for d and y_a at 0 and between each two nodes, there with the weight |M(0)/M|. y, and what branches look at, are held
-against the polynomials through their values at the nodes. It is an estimate, to a factor of a few.
+solved for d and y_a at 0 and between each two nodes, there with the weight |M(0)/M|. What that solution P^-1 (-h d, -y_a) has of
+rounding is, as that of the stages, of the size |P^-1| |P| (x, l) (Skeel 1979), which of what rests beside others that move is
+many times its own: it is no error. y, and what branches look at, are held against the polynomials through their values at the
+nodes. It is an estimate, to a factor of a few.
 """
 
 from __future__ import annotations
@@ -39,7 +41,7 @@ STAGE_ITERATIONS, STAGE_SETTLED = 20, 1e-15  # Of Newton's method for the stages
 ORDERS_OF_TWO = 4  # Of a series, for each two stages beyond the first.
 SLOW = 0.5  # By how much each of them has to come nearer.
 STAGE_NEAR = 0.1  # Of what is allowed: what is as near as rounding lets iterations come has to be nearer.
-STAGE_ROUNDING = 1e-14  # Of a size: an error below it is none.
+STAGE_ROUNDING = 1e-14  # Of a size, or of what the terms of a solution add up to: an error below it is none.
 
 
 class Fit(NamedTuple):
@@ -175,20 +177,26 @@ class Radau:
         )
         rate, h, looked = self._at(start, start.t + fit.h * of.between, x, l)
         missed = np.hstack([fit.h * rate - of.slopes @ (fit.x - start.x), -h[:, held]])
-        off = np.linalg.solve(_matrices(start, fit.h, np.array([1 / of.share]))[0], missed.T).T
+        matrix = _matrices(start, fit.h, np.array([1 / of.share]))[0]
+        inverse = np.linalg.inv(matrix)
         free = [i for i in range(len(start.l)) if i not in held]
-        size = np.maximum(sizes.x, np.abs(fit.x).max(axis=0, initial=0.0))
-        errors = [_beside(np.abs(off[:, :n]) * of.weights[:, None], size, rtol * size + atol)]
+        size, size_l, size_y, size_w = (
+            np.maximum(so_far, np.abs(values).max(axis=0, initial=0.0))
+            for values, so_far in zip(fit[1:5], (sizes.x, sizes.l, sizes.y, np.zeros(watched.shape[1])), strict=True)
+        )
+        rounding = STAGE_ROUNDING * np.abs(inverse) @ (np.abs(matrix) @ np.append(size, size_l[held]))
+        off = np.maximum(np.abs(missed @ inverse.T) - rounding, 0.0)
+        errors = [_beside(off[:, :n] * of.weights[:, None], rtol * size + atol)]
         if self.residuals:
-            errors.append(_beside(np.abs(missed[:, :n]) * of.weights[:, None], size, rtol * size + atol))
-        for e, values, so_far in (
-            (off[:, n:], fit.l[:, held], np.array(sizes.l)[held]),
-            ((y - h)[:, free], fit.y[:, free], np.array(sizes.y)[free]),
-            (watched - looked, fit.watched, np.zeros(watched.shape[1])),
+            seen = np.abs(missed[:, :n]) * of.weights[:, None] - STAGE_ROUNDING * size
+            errors.append(_beside(seen, rtol * size + atol))
+        for e, own, least in (
+            (off[:, n:], size_l[held], 0.0),
+            (np.abs(y - h)[:, free], size_y[free], STAGE_ROUNDING),
+            (np.abs(watched - looked), size_w, STAGE_ROUNDING),
         ):
-            size = np.maximum(so_far, np.abs(values).max(axis=0, initial=0.0))
-            size = np.maximum(size, SMALL * size.max(initial=0.0))
-            errors.append(_beside(np.abs(e), size, MULTIPLIERS * rtol * size))
+            own = np.maximum(own, SMALL * own.max(initial=0.0))
+            errors.append(_beside(e - least * own, MULTIPLIERS * rtol * own))
         return max(errors)
 
 
@@ -217,9 +225,8 @@ def _matrices(start: Start, h: float, rates: np.ndarray) -> np.ndarray:
     return out
 
 
-def _beside(e: np.ndarray, size: np.ndarray, goal: np.ndarray) -> float:
-    """The largest error in units of what is allowed, but for rounding; inf where it is no number."""
-    seen = np.maximum(e - STAGE_ROUNDING * size, 0.0)
+def _beside(seen: np.ndarray, goal: np.ndarray) -> float:
+    """The largest of errors, 0 or less where they are rounding, in units of what is allowed; inf where it is no number."""
     with np.errstate(all="ignore"):
-        ratio = np.where(seen == 0, 0.0, seen / goal)
+        ratio = np.where(seen <= 0, 0.0, seen / goal)
     return float(np.where(np.isnan(ratio), np.inf, ratio).max(initial=0.0))

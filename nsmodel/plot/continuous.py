@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
     from nsmodel.model.base import Model
     from nsmodel.scheme.continuous import ContinuousProblem
     from nsmodel.trajectory import Trajectory
+
+
+LINES = "on lines between the ends of pieces"  # Of an energy between them, where the model is not at hand.
 
 
 def continuous(run: Trajectory, model: Model | None) -> ContinuousProblem | None:
@@ -43,7 +47,16 @@ def state(run: Trajectory, problem: ContinuousProblem) -> np.ndarray | None:
     return np.nan_to_num(np.hstack(parts))
 
 
-def energy(run: Trajectory, model: Model | None) -> np.ndarray | None:
+def smooth(run: Trajectory, model: Model | None, points: int = 2000) -> tuple[Trajectory, bool]:
+    """The run read off its polynomials, see `Trajectory.smooth`; whether its energy is on lines, for want of the ``model``."""
+    run = run.smooth(points)
+    if not run.is_event_driven or "energy" not in run.arrays:
+        return run, False
+    values = _energy(run, model)
+    return (run, True) if values is None else (replace(run, arrays=run.arrays | {"energy": values}), False)
+
+
+def _energy(run: Trajectory, model: Model | None) -> np.ndarray | None:
     """The energy at all rows (N+1,), from the states there; None where it is not known."""
     problem = continuous(run, model)
     if problem is None or "energy" not in problem.records or (x := state(run, problem)) is None:

@@ -279,13 +279,10 @@ def energy(run: Trajectory, *, model: Model | None = None, ax: Axes | None = Non
 
     """
     style.needed(run, "energy")
-    run = run.smooth()
-    values = continuous.energy(run, model) if run.is_event_driven else None
-    lines = " (on lines between the ends of pieces)" if run.is_event_driven and values is None else ""
-    values = run.arrays["energy"] if values is None else values
-    ax = style.axes(ax)
+    run, lines = continuous.smooth(run, model)
+    values, ax = run.arrays["energy"], style.axes(ax)
     _, width = band.curve(ax, run.t, values, color=style.LINES[0], linewidth=1.6)
-    title = "Energy" + lines + band.words([width], style.unit(run, "t"))
+    title = "Energy" + (f" ({continuous.LINES})" if lines else "") + band.words([width], style.unit(run, "t"))
     style.over_time(ax, run, title, style.label(run, "energy"))
     style.steady(ax, values)
     return ax

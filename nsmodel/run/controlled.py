@@ -46,6 +46,7 @@ from nsmodel.model.driven import at_start
 from nsmodel.model.ticks import ticks_of
 from nsmodel.pieces.asked import absolute
 from nsmodel.pieces.stretch import BUDGET, IMPACT, REACHED, looser
+from nsmodel.run.beside import groups
 from nsmodel.run.driven import OverSpans
 from nsmodel.run.options import METHODS, Options
 from nsmodel.run.schemes import OfScheme
@@ -60,8 +61,7 @@ LARGEST, LEAST = 4, 40  # Steps are L/2^j with j between these.
 FIRST = 7  # j of the first step where none is given.
 SWITCH = 0.25  # Part of the allowed error that a step across a switch may use.
 GROW = 0.5  # A step is doubled where the error expected of it stays below this part of what is allowed.
-NEGLIGIBLE = 1e-6  # A state that stays below this part of the largest of its symbol is measured beside that.
-CONSTANTS = {"largest": LARGEST, "crossing": SWITCH, "grow": GROW, "negligible": NEGLIGIBLE}  # Of the C too.
+CONSTANTS = {"largest": LARGEST, "crossing": SWITCH, "grow": GROW}  # Of the C too.
 OPEN = -1  # The index of a cone whose l is 0: y is inside.
 UNSOLVED = 4  # How often a step without an answer is halved at once: to find that out takes every solver.
 MOST = 10_000_000  # Accepted steps after which a run stops: its tolerance is out of reach.
@@ -155,7 +155,9 @@ class Controlled(OfScheme):
         n, slices = len(self.model.names), self.stepper.layout.slices
         velocity = slices[self.problem.velocity] if self.problem.velocity else slice(0, 0)
         self._watched = np.r_[0:n, velocity]
-        self._groups = [np.array(at) + shift for shift in range(0, self._watched.size, n) for at in self.model.stems.values()]
+        symbols = [np.array(at) + shift for shift in range(0, self._watched.size, n) for at in self.model.stems.values()]
+        self._cones = [watch for watch in impacts.watched(at_start(model)) if watch.cone]
+        self._groups = groups(symbols, self._cones, options.tolerance, self.rtol)
         self.atol = np.resize(self.atol, self._watched.size)
         begin = self.record.rows[0, self._watched]
         unknown = np.full(begin.size, np.nan)
@@ -164,7 +166,6 @@ class Controlled(OfScheme):
         self._corrections = [0.0]
         self._law = numeric_law(self.problem.law)
         self._walls = self._rows_of_walls()
-        self._cones = [watch for watch in impacts.watched(at_start(model)) if watch.cone]
         self.warnings += self._relays()
         self.plan = noting_inputs(noting_known_times(self.plan, model, ends=True), drive)
 
@@ -325,7 +326,7 @@ class Controlled(OfScheme):
         control["lowering"][list(self.problem.order.lowered_by)] = 1
         control["wall"][:m] = self._walls
         for number, group in enumerate(self._groups):
-            control["group"][group] = number
+            control["group"][group.at], control["part"][group.at], control["unit"][group.at] = number, group.part, group.unit
         return control
 
     def _trial(self, at: Place, coarse: StepResult | None) -> Trial | None:
@@ -387,7 +388,7 @@ class Controlled(OfScheme):
         """The error allowed of each x_i, where ``size`` (..., n) holds the largest |x_i| so far."""
         size = size.copy()
         for group in self._groups:
-            size[..., group] = np.maximum(size[..., group], NEGLIGIBLE * size[..., group].max(axis=-1, keepdims=True))
+            size[..., group.at] = group.raised(size[..., group.at])
         return self.atol + self.rtol * size
 
     def _index(self, result: StepResult) -> np.ndarray:
@@ -490,7 +491,8 @@ class Controlled(OfScheme):
     def _looser(self) -> float:
         """How many times what is allowed a step may err by."""
         reached = max(1.0, REACHED / self.rtol) if self._finest == IMPACT and self.rtol else 1.0
-        return reached * looser(self.totals["accepted"] // CHUNK * CHUNK) if self._limited else reached
+        grows = self._limited and not self._cones
+        return reached * looser(self.totals["accepted"] // CHUNK * CHUNK) if grows else reached
 
     def _refuse_endless(self) -> None:
         most = BUDGET if self._limited else MOST

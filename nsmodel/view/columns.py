@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -69,8 +70,8 @@ class Panel:
         return kept | {"note": self.note, "level": self.level, "clock": clock, "columns": columns}
 
 
-def panels(run: Trajectory) -> list[Panel]:
-    """The panels of the rows of a run, those first that say most."""
+def panels(run: Trajectory, notes: Mapping[str, str] = MappingProxyType({})) -> list[Panel]:
+    """The panels of the rows of a run, those first that say most; ``notes``: on columns by name."""
     scene, found = bool(run.metadata.get("scene")), []
     units = units_of(run)
     if scene and run.x.shape[1] % 2 == 0:
@@ -84,7 +85,7 @@ def panels(run: Trajectory) -> list[Panel]:
         found += _apart("Inputs", "step", input_names(run), units, list(run.inputs.T), begins=list(begin.T))
     found += _of_the_law(run, units)
     if "energy" in run.arrays:
-        found.append(Panel("Energy", ["energy"], [run.arrays["energy"]], units.get("energy", "")))
+        found.append(Panel("Energy", ["energy"], [run.arrays["energy"]], units.get("energy", ""), note=notes.get("energy", "")))
     return found
 
 

@@ -75,7 +75,8 @@ def _text(values: np.ndarray) -> str:
     """Bytes of an array: words of 32 bits as differences, words and bytes of one place together, deflated, in base64."""
     raw = values.view(np.uint8)
     if values.itemsize > 1:
-        words = np.ascontiguousarray(values.astype(values.dtype.newbyteorder("<")).view("<u4").reshape(len(values), -1).T)
+        whole = values.astype(values.dtype.newbyteorder("<")).view("<u4").reshape(len(values), values.itemsize // 4)
+        words = np.ascontiguousarray(whole.T)
         words[:, 1:] = np.diff(words, axis=1)
         raw = words.view(np.uint8).reshape(*words.shape, 4).transpose(0, 2, 1)
     packer = zlib.compressobj(LEVEL, zlib.DEFLATED, -15)

@@ -9,6 +9,7 @@ import numpy as np
 
 from nsmodel import summary
 from nsmodel.columns import model_type, units_of
+from nsmodel.plot import continuous
 from nsmodel.view.columns import Panel, bands, further, panels
 from nsmodel.view.packed import numbers, rows_for
 from nsmodel.view.page import page, written
@@ -36,8 +37,8 @@ def document(run: Trajectory, model: Any = None) -> dict[str, Any]:
     Panels name one of the ``clocks``, the times that their rows have. An event-driven run has two: points that are read off its
     polynomials, and the rows that were saved.
     """
-    drawn = run.smooth(POINTS)
-    own, rest = panels(drawn), further(run)
+    drawn, lines = continuous.smooth(run, model, POINTS)
+    own, rest = panels(drawn, {"energy": continuous.LINES} if lines else {}), further(run)
     if drawn is run:
         clocks = [_clock(run, [*own, *rest], run)]
     else:

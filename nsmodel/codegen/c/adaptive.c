@@ -91,8 +91,8 @@ static double units_of(const model_control *c, const double *off, const model_re
         double floor = 0;
         for (int k = 0; k < WATCHED; k++)
             if (c->group[k] == c->group[i])
-                floor = max_of(floor, c->negligible*size[k]);
-        const double allowed = c->atol[i] + c->rtol*max_of(size[i], floor);
+                floor = max_of(floor, size[k]/c->unit[k]);
+        const double allowed = c->atol[i] + c->rtol*max_of(size[i], c->part[i]*c->unit[i]*floor);
         const double units = allowed > 0 ? off[i]/allowed : off[i] > 0 ? INFINITY : 0.0;
         if (!(units <= worst))
             worst = units < INFINITY ? units : INFINITY;

@@ -179,20 +179,42 @@ static void miss(model_pieces *s, const collocation *of, double h, const double 
 }
 
 /* The larger of worst and the error beside what is allowed, but for rounding; infinite where it is no number. */
-static double beside(double worst, double e, double size, double allowed)
+static double beside(double worst, double e, double rounding, double weight, double allowed)
 {
-    double seen = fabs(e) - STAGE_ROUNDING*size;
+    double seen = (fabs(e) - rounding)*weight;
     if (seen <= 0)
         return worst;
     seen /= allowed;
     return seen == seen ? max_of(worst, seen) : INFINITY;
 }
 
+/* The rounding of a solution by the inverse, of x and l of held rows of these sizes: of |inverse| |matrix| times these. */
+static void round_off(const model_pieces *s, double h, double share, const double *inverse, const double *size, double *out)
+{
+    const int q = N + count_held(s);
+    memset(out, 0, q*sizeof *out);
+    for (int k = 0; k < q; k++) {
+        double terms = 0;
+        for (int i = 0; i < q; i++) {
+            double entry = (k < N ? -h : 1)*s->jacobian[k*q + i];
+            if (i == k && k < N)
+                entry += 1/share;
+#if LAW
+            terms += fabs(entry)*size[i < N ? i : L + HOW.active[i - N]];
+#else
+            terms += fabs(entry)*size[i];
+#endif
+        }
+        for (int i = 0; i < q; i++)
+            out[i] += STAGE_ROUNDING*fabs(inverse[k*q + i])*terms;
+    }
+}
+
 /* What the polynomials err by, in units of rtol. */
 static double error_of_fit(model_pieces *s, const collocation *of, double h, double rtol, const double *inverse)
 {
     const int stages = of->stages, q = N + count_held(s);
-    double size[SIDES], worst = 0, *off = s->moved;
+    double size[SIDES], rounding[UNKNOWN], worst = 0, *off = s->moved;
     memcpy(size, s->at.size_x, N*sizeof *size);
     memset(size + N, 0, (SIDES - N)*sizeof *size);
 #if LAW
@@ -212,12 +234,13 @@ static double error_of_fit(model_pieces *s, const collocation *of, double h, dou
     memcpy(s->work_stages, s->between, stages*SIDES*sizeof *s->between);
     miss(s, of, h, of->between, of->slopes, s->work_stages);
     multiply(stages, q, q, s->missed, inverse, q, off);
+    round_off(s, h, of->share, inverse, size, rounding);
     for (int j = 0; j < stages; j++)
         for (int i = 0; i < N; i++) {
             const double allowed = rtol*size[i] + INSIDE*s->atol[i];
-            worst = beside(worst, off[j*q + i]*of->weights[j], size[i], allowed);
+            worst = beside(worst, off[j*q + i], rounding[i], of->weights[j], allowed);
             if (s->residuals)
-                worst = beside(worst, s->missed[j*q + i]*of->weights[j], size[i], allowed);
+                worst = beside(worst, s->missed[j*q + i]*of->weights[j], STAGE_ROUNDING*size[i], 1, allowed);
         }
 #if LAW
     double y_floor = 0, l_floor = 0;
@@ -229,12 +252,13 @@ static double error_of_fit(model_pieces *s, const collocation *of, double h, dou
     for (int a = 0; a < HOW.n; a++) {
         const double of_l = max_of(size[L + HOW.active[a]], l_floor);
         for (int j = 0; j < stages; j++)
-            worst = beside(worst, off[j*q + N + a], of_l, MULTIPLIERS*rtol*of_l);
+            worst = beside(worst, off[j*q + N + a], rounding[N + a], 1, MULTIPLIERS*rtol*of_l);
     }
     for (int i = 0; i < M; i++) {
         const double of_y = max_of(size[Y + i], y_floor);
         for (int j = 0; j < stages && s->at.codes[i]; j++)
-            worst = beside(worst, s->between[j*SIDES + Y + i] - s->work_stages[j*SIDES + Y + i], of_y, MULTIPLIERS*rtol*of_y);
+            worst = beside(worst, s->between[j*SIDES + Y + i] - s->work_stages[j*SIDES + Y + i], STAGE_ROUNDING*of_y, 1,
+                           MULTIPLIERS*rtol*of_y);
     }
 #endif
 #if SWITCHED
@@ -244,7 +268,7 @@ static double error_of_fit(model_pieces *s, const collocation *of, double h, dou
     for (int b = 0; b < CHOICES; b++) {
         const double own = max_of(size[ROWS + b], floor_of);
         for (int j = 0, i = ROWS + b; j < stages; j++, i += SIDES)
-            worst = beside(worst, s->between[i] - s->work_stages[i], own, MULTIPLIERS*rtol*own);
+            worst = beside(worst, s->between[i] - s->work_stages[i], STAGE_ROUNDING*own, 1, MULTIPLIERS*rtol*own);
     }
 #endif
     return worst;
