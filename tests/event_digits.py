@@ -248,15 +248,18 @@ def length(series: list[Series]) -> Decimal:
     return exact(exp(most))
 
 
-def judged(scene: Scene, t_end: float, seconds: float = 60.0) -> Judged:
-    """The solution of a scene from its start to a time, in so many seconds at most; NotJudged where there is none, or not one."""
+def judged(scene: Scene, t_end: float, seconds: float = 60.0, x0: Column | None = None) -> Judged:
+    """The solution of a scene from its start, or from x0, to a time, in so many seconds at most.
+
+    Raises:
+        NotJudged: there is none, or more than one, or it takes too long.
+    """
     with decimal.localcontext(CONTEXT):
-        return _judged(scene, exact(t_end), time.process_time() + seconds)
+        return _judged(Modes(scene), exact(t_end), time.process_time() + seconds, x0)
 
 
-def _judged(scene: Scene, end: Decimal, limit: float) -> Judged:
-    modes, found = Modes(scene), Judged()
-    t, x = ZERO, modes.jumped(start(scene))
+def _judged(modes: Modes, end: Decimal, limit: float, x0: Column | None) -> Judged:
+    found, t, x = Judged(), ZERO, x0 or modes.jumped(start(modes.scene))
     piece = modes.chosen(t, x, end)
     while True:
         conditions = [deflated(c, piece.h) for c in piece.conditions]
@@ -271,9 +274,13 @@ def _judged(scene: Scene, end: Decimal, limit: float) -> Judged:
             raise NotJudged("too long" if len(found.events) <= EVENTS else "too many events")
         if event:
             piece = modes.chosen(t, x, end - t)
-            found.events.append(Change(t, mode, piece.mode))
+            if mode != piece.mode:
+                found.events.append(Change(t, mode, piece.mode))
         else:
-            piece = Piece(**(vars(modes.piece(mode, t, x, ORDER, end - t)) | {"alone": piece.alone}))
+            goes_on = modes.piece(mode, t, x, ORDER, end - t)
+            if goes_on is None:
+                raise NotJudged("a mode that ends without an event")
+            piece = Piece(**(vars(goes_on) | {"alone": piece.alone}))
 
 
 def deflated(c: Series, h: Decimal) -> Series | None:

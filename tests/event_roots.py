@@ -49,9 +49,21 @@ def first_root(p: Series, h: Decimal) -> Decimal | None:
                 return m + _root(q, -r, r)
             continue
         if r < NARROW * h:
-            return m
+            return m + _middle(q, h)
         left += [(m, b), (a, m)]
     return None
+
+
+def _middle(q: Series, h: Decimal) -> Decimal:
+    """Of a polynomial that is near 0 about 0 where its root of order k is, as a root of its derivative of order k - 1."""
+    sizes = [abs(c) * h**k for k, c in enumerate(q)]
+    order = next(k for k, size in enumerate(sizes) if size > Decimal("1e-12") * max(sizes))
+    for _ in range(order - 1):
+        q = [k * c for k, c in enumerate(q)][1:]
+    slope, s = [k * c for k, c in enumerate(q)][1:], Decimal(0)
+    for _ in range(8):
+        s -= value(q, s) / value(slope, s)
+    return s
 
 
 def _root(q: Series, low: Decimal, high: Decimal) -> Decimal:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from decimal import Decimal
+from functools import lru_cache
 from operator import mul
 from typing import Any
 
@@ -14,7 +15,7 @@ from tests.search.digits import by_mpmath, exact
 Series = list[Decimal]
 Rule = Callable[[int], Decimal]
 ZERO, ONE = Decimal(0), Decimal(1)
-STARTS = {name: by_mpmath(name) for name in ("sin", "cos", "tanh", "atan")}
+STARTS = {name: lru_cache(10000)(by_mpmath(name)) for name in ("sin", "cos", "tanh", "atan")}
 
 
 def product(a: Series, b: Series) -> Rule:
@@ -34,19 +35,14 @@ def quotient(a: Series, b: Series, q: Series) -> Rule:
     return lambda k: (a[k] - (sum(map(mul, q[:k], b[1 : k + 1][::-1]), ZERO) if k else 0)) / b[0]
 
 
-def slopes(a: Series, k: int) -> Series:
-    """j a_j for j = 1 ... k."""
-    return [j * v for j, v in enumerate(a[1 : k + 1], 1)]
-
-
-def exponential(a: Series, e: Series) -> Rule:
-    """e' = a' e."""
-    return lambda k: sum(map(mul, slopes(a, k), e[:k][::-1]), ZERO) / k if k else a[0].exp()
+def exponential(a: Series, slope: Series, e: Series) -> Rule:
+    """e' = a' e, with ``slope`` k a_k."""
+    return lambda k: sum(map(mul, slope[1 : k + 1], e[k - 1 :: -1]), ZERO) / k if k else a[0].exp()
 
 
 def logarithm(a: Series, v: Series) -> Rule:
     """a v' = a'."""
-    return lambda k: (a[k] - sum(map(mul, slopes(v, k - 1), a[1:k][::-1]), ZERO) / k) / a[0] if k else a[0].ln()
+    return lambda k: (a[k] - convolved(v, a, k)) / a[0] if k else a[0].ln()
 
 
 def root(a: Series, r: Series) -> Rule:
@@ -54,14 +50,24 @@ def root(a: Series, r: Series) -> Rule:
     return lambda k: (a[k] - sum(map(mul, r[1:k], r[1:k][::-1]), ZERO)) / (2 * r[0]) if k else a[0].sqrt()
 
 
-def along(a: Series, d: Series, start: str) -> Rule:
+def along(a: Series, slope: Series, d: Series, start: str) -> Rule:
     """v' = a' d, with v = start(a) at first."""
-    return lambda k: sum(map(mul, slopes(a, k), d[:k][::-1]), ZERO) / k if k else STARTS[start](a[0])
+    return lambda k: sum(map(mul, slope[1 : k + 1], d[k - 1 :: -1]), ZERO) / k if k else STARTS[start](a[0])
+
+
+def along_line(a: Series, d: Series, start: str) -> Rule:
+    """The same where a' is a number."""
+    return lambda k: a[1] * d[k - 1] / k if k else STARTS[start](a[0])
 
 
 def against(a: Series, q: Series, v: Series) -> Rule:
     """q v' = a', with v = atan(a) at first."""
-    return lambda k: (a[k] - sum(map(mul, slopes(v, k - 1), q[1:k][::-1]), ZERO) / k) / q[0] if k else STARTS["atan"](a[0])
+    return lambda k: (a[k] - convolved(v, q, k)) / q[0] if k else STARTS["atan"](a[0])
+
+
+def convolved(v: Series, q: Series, k: int) -> Decimal:
+    """The sum of j v_j q_{k - j}/k over 0 < j < k."""
+    return sum(map(mul, [j * c for j, c in enumerate(v[1:k], 1)], q[1:k][::-1]), ZERO) / k
 
 
 class Tape:
@@ -78,6 +84,8 @@ class Tape:
         self.inputs: list[list[Series]] = [[[] for _ in range(e.numel())] for e in inputs]
         numbers = [number for _, number in given]
         self._parts: list[tuple[Series, Rule, tuple[int, ...]]] = []  # Of each operation its series, rule and arguments.
+        self._lines = {id(self.inputs[0][0])} if len(inputs) > 1 else set()  # Of the first input what is affine in it.
+        self._slopes: dict[int, Series] = {}  # Of a series k times its coefficients.
         self._waves: dict[int, tuple[Series, Series]] = {}  # The sine and the cosine of a series.
         self.outputs: list[list[Any]] = [[ZERO] * e.numel() for e in outputs]
         work: dict[int, Any] = {}
@@ -132,9 +140,9 @@ class Tape:
             sign = ONE if op == ca.OP_ADD else -ONE
             if isinstance(b, Decimal):
                 b = sign * b
-                return a if b == 0 else self._add(lambda _: lambda k: a[k] + b if k == 0 else a[k], a)
+                return a if b == 0 else self._shifted(b, a)
             if isinstance(a, Decimal):
-                return self._add(lambda _: lambda k: sign * b[k] + a if k == 0 else sign * b[k], b)
+                return self._shifted(a, self._scaled(sign, b))
             if op == ca.OP_ADD:
                 return self._add(lambda _: lambda k: a[k] + b[k], a, b)
             return self._add(lambda _: lambda k: a[k] - b[k], a, b)
@@ -160,15 +168,21 @@ class Tape:
         if op == ca.OP_SQ:
             return self._square(a)
         if op in (ca.OP_EXP, ca.OP_LOG, ca.OP_SQRT):
-            make = {ca.OP_EXP: exponential, ca.OP_LOG: logarithm, ca.OP_SQRT: root}[op]
-            return self._add(lambda v: make(a, v), a)
+            slope = self._slope(a) if op == ca.OP_EXP else a
+            make = {ca.OP_EXP: lambda v: exponential(a, slope, v), ca.OP_LOG: lambda v: logarithm(a, v)}
+            return self._add(make.get(op, lambda v: root(a, v)), a, slope)
         if op in (ca.OP_SIN, ca.OP_COS):
             if id(a) not in self._waves:
                 s: Series = []
                 c: Series = []
                 minus: Series = []
-                arguments = (id(a), id(s), id(c), id(minus))
-                rules = along(a, c, "sin"), along(a, minus, "cos"), lambda k: -s[k]
+                minus_s = lambda k: -s[k]  # noqa: E731
+                if id(a) in self._lines:
+                    arguments, rules = (id(a),), (along_line(a, c, "sin"), along_line(a, minus, "cos"), minus_s)
+                else:
+                    slope = self._slope(a)
+                    arguments, rules = (id(a), id(slope)), (along(a, slope, c, "sin"), along(a, slope, minus, "cos"), minus_s)
+                arguments += (id(s), id(c), id(minus))
                 self._parts += [(v, rule, arguments) for v, rule in zip((s, c, minus), rules, strict=True)]
                 self._waves[id(a)] = s, c
             return self._waves[id(a)][op == ca.OP_COS]
@@ -178,11 +192,17 @@ class Tape:
         if op == ca.OP_TANH:
             v: Series = []
             q: Series = []
-            arguments = (id(a), id(v), id(q))
+            slope = self._slope(a)
+            arguments = (id(a), id(slope), id(v), id(q))
             squares = square(v)
-            self._parts += [(v, along(a, q, "tanh"), arguments), (q, lambda k: (k == 0) - squares(k), arguments)]
+            self._parts += [(v, along(a, slope, q, "tanh"), arguments), (q, lambda k: (k == 0) - squares(k), arguments)]
             return v
         return self._missing(op)
+
+    def _slope(self, a: Series) -> Series:
+        if id(a) not in self._slopes:
+            self._slopes[id(a)] = self._add(lambda _: lambda k: k * a[k], a)
+        return self._slopes[id(a)]
 
     def _missing(self, op: int) -> Any:
         raise NotImplementedError(f"CasADi operation {op}")
@@ -191,12 +211,17 @@ class Tape:
         return self._add(lambda _: lambda k: value if k == 0 else ZERO)
 
     def _shifted(self, value: Decimal, a: Series) -> Series:
-        return self._add(lambda _: lambda k: a[k] + value if k == 0 else a[k], a)
+        return self._line(a, self._add(lambda _: lambda k: a[k] + value if k == 0 else a[k], a))
+
+    def _line(self, a: Series, of: Series) -> Series:
+        if id(a) in self._lines:
+            self._lines.add(id(of))
+        return of
 
     def _scaled(self, number: Decimal, a: Series) -> Any:
         if number == 0:
             return ZERO
-        return a if number == 1 else self._add(lambda _: lambda k: number * a[k], a)
+        return a if number == 1 else self._line(a, self._add(lambda _: lambda k: number * a[k], a))
 
     def _square(self, a: Series) -> Series:
         return self._add(lambda _: square(a), a)

@@ -23,14 +23,16 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from nsmodel import StepError, Trajectory, simulate
+from tests import event_models, event_ties
 from tests.event_digits import Judged, NotJudged, judged
-from tests.event_models import CLASSES, Scene
+from tests.event_models import Scene
 
 EPS, POINTS = float(np.finfo(float).eps), 240
+CLASSES = event_models.CLASSES | event_ties.CLASSES
 RTOLS = (1e-2, 1e-4, 1e-8, 1e-10)
 
 
-def apart(scene: Scene, right: Judged, run: Trajectory, rtol: float) -> dict[str, float]:
+def apart(scene: Scene, right: Judged, run: Trajectory, rtol: float, together: float = 0.0) -> dict[str, float]:
     """How far a run is from the solution, each in units of what it may be: 10 rtol of states and of the time, 100 rtol of l.
 
     States are asked to so much of their sizes, and to what rounding leaves where all that pushes a state keeps it at rest. Of l
@@ -41,24 +43,20 @@ def apart(scene: Scene, right: Judged, run: Trajectory, rtol: float) -> dict[str
     x, l, y = right.at(t)
     found = run.at(t)
     size = np.maximum(np.abs(x).max(axis=0), 1e-3 * np.abs(x).max())
-    rounding = 4 * EPS * t[-1] * _pushes(scene, t, x)
+    rounding = 4 * EPS * T * _pushes(scene, t, x)
     missed = {"x": _largest(np.abs(np.hstack([found.x, found.v]) - x) / (10 * rtol * size + rounding))}
     if not right.alone:
         return missed
     near = 10 * rtol * T
-    mine = [event for event in run.events if near < event.t < T - near]
-    other = [event for event in right.events if near < event.t < T - near]
+    mine, other = (_merged(events, together, near, T - near) for events in (run.events, right.events))
     missed["events"] = float(abs(len(mine) - len(other)))
     if missed["events"]:
         return missed
-    order = _order(found.y, y)
-    times = np.array([float(event.t) for event in other])
-    missed["times"] = _largest(np.abs(np.array([event.t for event in mine]) - times) / near)
+    order = _order(np.hstack([found.y.T, found.multipliers.T]), np.hstack([y.T, l.T]))
+    times = np.array([event[0] for event in other])
+    missed["times"] = _largest(np.abs(np.array([event[0] for event in mine]) - times) / near)
     missed["modes"] = float(
-        sum(
-            tuple(a.before[order]) != b.before.codes or tuple(a.after[order]) != b.after.codes
-            for a, b in zip(mine, other, strict=True)
-        )
+        sum((a[order] != b).any() for one, two in zip(mine, other, strict=True) for a, b in zip(one[1:], two[1:], strict=True))
     )
     away = np.array([np.abs(times - moment).min(initial=np.inf) > near for moment in t])
     scale = 100 * rtol * np.maximum(1, np.abs(l).max(axis=0, initial=0))
@@ -66,18 +64,30 @@ def apart(scene: Scene, right: Judged, run: Trajectory, rtol: float) -> dict[str
     return missed
 
 
+def _merged(events: Any, together: float, first: float, last: float) -> list[tuple[float, np.ndarray, np.ndarray]]:
+    """Times and both modes of events between two times, those that are together as one."""
+    found: list[tuple[float, np.ndarray, np.ndarray]] = []
+    for event in events:
+        at, before, after = float(event.t), *(np.array(getattr(mode, "codes", mode)) for mode in (event.before, event.after))
+        if found and at - found[-1][0] <= together:
+            found[-1] = (found[-1][0], found[-1][1], after)
+        else:
+            found.append((at, before, after))
+    return [event for event in found if first < event[0] < last]
+
+
 def _largest(values: np.ndarray) -> float:
     return float(np.max(values, initial=0.0)) if not np.isnan(values).any() else np.inf
 
 
-def _pushes(scene: Scene, t: np.ndarray, x: np.ndarray) -> np.ndarray:
+def _pushes(scene: Scene, t: np.ndarray, x: np.ndarray) -> float:
     f = ca.Function("f", [scene.t, scene.x], [ca.densify(ca.substitute(scene.rate, scene.l, 0))])
-    return np.abs(np.array(f.map(t.size)(t[None], x.T))).max(axis=1)
+    return float(np.abs(np.array(f.map(t.size)(t[None], x.T))).max()) + EPS
 
 
 def _order(mine: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Which of the run's rows each row is: of an inclusion they may have another order."""
-    return linear_sum_assignment(np.abs(other[:, :, None] - mine[:, None, :]).max(axis=0))[1]
+    """Which of the run's rows (m, k) each row is: of an inclusion they may have another order."""
+    return linear_sum_assignment(np.abs(other[:, None] - mine[None]).max(axis=2))[1]
 
 
 def row(
@@ -90,7 +100,11 @@ def row(
     try:
         right = judged(scene, T)
     except NotJudged as reason:
-        return line | {"not judged": str(reason), "seconds": time.process_time() - begin}
+        line |= {"not judged": str(reason), "seconds": time.process_time() - begin}
+        try:
+            return line | {"events of the run": len(simulate(scene.model, rtol=1e-8, method="event-driven", t_end=T).events)}
+        except StepError as error:
+            return line | {"refused": str(error)[:300]}
     line |= {"seconds": time.process_time() - begin, "events": len(right.events), "alone": right.alone, "apart": {}}
     for rtol, in_c in [*((rtol, False) for rtol in rtols), *((rtol, True) for rtol in compiled)]:
         key = f"{rtol:g}{' C' * in_c}"
@@ -99,7 +113,7 @@ def row(
         except StepError as error:
             line["apart"][key] = {"refused": str(error)[:300]}
             continue
-        line["apart"][key] = apart(scene, right, run, rtol)
+        line["apart"][key] = apart(scene, right, run, rtol, 10 * rtol * T if name in event_ties.CLASSES else 0.0)
     return line
 
 
