@@ -23,9 +23,10 @@ from tests.event_held import TINY, Column, expand, set_start
 from tests.event_models import Scene
 from tests.event_roots import first_root, value
 from tests.event_series import ONE, ZERO, Series, Tape
-from tests.search.digits import CONTEXT, Exact, exact, solve
+from tests.search.digits import CONTEXT, exact, solve
 
 ORDER, NEAR = 56, 1e-50  # Of the series, and what its last terms come to.
+ROUNDING = Decimal("1e-12")  # A condition that stays below may be 0 in doubles: rows that are parallel up to rounding.
 EVENTS = 300
 
 
@@ -43,7 +44,7 @@ class Mode:
 
 @dataclass(frozen=True)
 class Piece:
-    """Series about t of states, multipliers and outputs, right for a time h; whether l is the only one, too."""
+    """Series about t of states, multipliers and outputs, right for a time h; whether l is the only one, in doubles too."""
 
     mode: Mode
     t: Decimal
@@ -167,18 +168,21 @@ class Modes:
 
     def pushes(self, x: Column, rows: list[int]) -> tuple[dict[int, Column], dict[int, Column]]:
         """g_l and h_x g_l at the start, columns of rows, both constant."""
-        scene = self.scene
-        g = Exact([scene.t, scene.x, scene.l], [scene.rate])
-        rest = g([ZERO], x, [ZERO] * self.rows)[0]
-        push = {
-            j: [a - b for a, b in zip(g([ZERO], x, [Decimal(i == j) for i in range(self.rows)])[0], rest, strict=True)]
-            for j in rows
-        }
-        y = self.values(ZERO, x)[0]
-        moved = {
-            j: [a - b for a, b in zip(self.values(ZERO, [u + v for u, v in zip(x, push[j], strict=True)])[0], y, strict=True)]
-            for j in rows
-        }
+        y, watched = self.values(ZERO, x)
+        tape = self.tape(Mode((0,) * self.rows, tuple(1 if w >= 0 else -1 for w in watched)))
+        set_start(tape, ZERO, x, 1)
+
+        def rate(one: int | None) -> Column:
+            for i, series in enumerate(tape.inputs[2]):
+                series[:] = [Decimal(i == one)]
+            tape.run(0)
+            return tape.order(0, 0)
+
+        rest, push, moved = rate(None), {}, {}
+        for j in rows:
+            push[j] = [a - b for a, b in zip(rate(j), rest, strict=True)]
+            there = self.values(ZERO, [u + v for u, v in zip(x, push[j], strict=True)])[0]
+            moved[j] = [a - b for a, b in zip(there, y, strict=True)]
         return push, moved
 
     def piece(self, mode: Mode, t: Decimal, x: Column, order: int, longest: Decimal) -> Piece | None:
@@ -215,7 +219,8 @@ class Modes:
                 valid.append(piece)
         if not valid:
             raise NotJudged("no mode is valid")
-        one, alone = valid[0], len(valid) == 1
+        one = valid[0]
+        alone = len(valid) == 1 and not any(germ(c, one.h, ROUNDING) == 0 != germ(c, one.h) for c in one.conditions)
         for other in valid[1:]:
             h = min(one.h, other.h)
             if any(germ([a - b for a, b in zip(c, d, strict=True)], h) for c, d in zip(one.x, other.x, strict=True)):
@@ -227,11 +232,11 @@ def _padded(series: Series | Decimal, order: int) -> Series:
     return series[: order + 1] if isinstance(series, list) else [series, *[ZERO] * order]
 
 
-def germ(series: Series, h: Decimal) -> int:
+def germ(series: Series, h: Decimal, zero: Decimal = TINY) -> int:
     """The sign of the first coefficient that is not 0 in a time of h."""
     power = ONE
     for c in series:
-        if abs(c) * power > TINY:
+        if abs(c) * power > zero:
             return 1 if c > 0 else -1
         power *= h
     return 0

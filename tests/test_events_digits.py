@@ -148,7 +148,7 @@ def test_the_mode_before_an_event_is_not_valid_after_it():
 
 
 def test_a_judge_that_asks_no_germ_is_wrong(monkeypatch):
-    monkeypatch.setattr(digits, "germ", lambda series, h: 0)
+    monkeypatch.setattr(digits, "germ", lambda series, h, zero=0: 0)
     for make, end in ((friction, 8), (release, 2)):
         own, closed, _ = make()
         found = digits.judged(own, end)

@@ -159,13 +159,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--models", type=int, default=100, help="models of each class")
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--t-end", type=float, default=np.inf, help="no longer than this")
+    parser.add_argument("--rtol", type=float, nargs="*", default=RTOLS)
     parser.add_argument("--compiled", type=int, default=10, help="each so many-th model in C, too")
     parser.add_argument("--json", type=Path, help="where everything goes")
     given = parser.parse_args(arguments)
     warnings.simplefilter("ignore")
     rows = []
     for seed, name in product(range(given.first, given.first + given.models), given.classes or CLASSES):
-        rows.append(row(name, seed, given.t_end, RTOLS, (1e-8,) if seed % given.compiled == 0 else ()))
+        rows.append(row(name, seed, given.t_end, given.rtol, (1e-8,) if seed % given.compiled == 0 else ()))
         if given.json:
             with given.json.open("a") as out:
                 out.write(json.dumps(rows[-1]) + "\n")
