@@ -27,6 +27,7 @@ from tests.search.digits import CONTEXT, exact, solve
 
 ORDER, NEAR = 56, 1e-50  # Of the series, and what its last terms come to.
 ROUNDING = Decimal("1e-12")  # A condition that stays below may be 0 in doubles: rows that are parallel up to rounding.
+SMALL = Decimal("1e-20")  # Of a difference that stands for a derivative.
 EVENTS = 300
 
 
@@ -150,10 +151,16 @@ class Modes:
         found: list[Column] = []
         push, moved = self.pushes(x, rows)
         for held in itertools.chain.from_iterable(itertools.combinations(rows, k) for k in range(1, len(rows) + 1)):
-            p = solve([[moved[j][i] for j in held] for i in held], [-y[i] for i in held])
-            if p is None or any(code * v > 0 for i, v in zip(held, p, strict=True) for code in wanted[i]):
+            matrix, p, to = [[moved[j][i] for j in held] for i in held], [ZERO] * len(held), x
+            for _ in range(4):  # A start that misses a curved row by rounding is moved onto it.
+                missed = self.values(ZERO, to)[0]
+                step = solve(matrix, [-missed[i] for i in held])
+                if step is None:
+                    break
+                p = [a + b for a, b in zip(p, step, strict=True)]
+                to = [v + sum((a * push[j][k] for a, j in zip(p, held, strict=True)), ZERO) for k, v in enumerate(x)]
+            if any(code * v > 0 for i, v in zip(held, p, strict=True) for code in wanted[i]):
                 continue
-            to = [v + sum((a * push[j][k] for a, j in zip(p, held, strict=True)), ZERO) for k, v in enumerate(x)]
             if inside(self.values(ZERO, to)[0]):
                 found.append(to)
         if not found or any(abs(a - b) > TINY for other in found for a, b in zip(found[0], other, strict=True)):
@@ -167,7 +174,7 @@ class Modes:
         return self.signs.order(0, 0), self.signs.order(1, 0)
 
     def pushes(self, x: Column, rows: list[int]) -> tuple[dict[int, Column], dict[int, Column]]:
-        """g_l and h_x g_l at the start, columns of rows, both constant."""
+        """g_l and h_x g_l at the start, columns of rows."""
         y, watched = self.values(ZERO, x)
         tape = self.tape(Mode((0,) * self.rows, tuple(1 if w >= 0 else -1 for w in watched)))
         set_start(tape, ZERO, x, 1)
@@ -181,8 +188,8 @@ class Modes:
         rest, push, moved = rate(None), {}, {}
         for j in rows:
             push[j] = [a - b for a, b in zip(rate(j), rest, strict=True)]
-            there = self.values(ZERO, [u + v for u, v in zip(x, push[j], strict=True)])[0]
-            moved[j] = [a - b for a, b in zip(there, y, strict=True)]
+            there = self.values(ZERO, [u + SMALL * v for u, v in zip(x, push[j], strict=True)])[0]
+            moved[j] = [(a - b) / SMALL for a, b in zip(there, y, strict=True)]
         return push, moved
 
     def piece(self, mode: Mode, t: Decimal, x: Column, order: int, longest: Decimal) -> Piece | None:

@@ -101,7 +101,8 @@ def expand(tape: Tape, rows: list[int], t: Decimal, x: Column, order: int) -> bo
         for series, v in zip(l, found, strict=True):
             series[k:] = [v]
         tape.run(k, "moving")
-        assert all(abs(tape.order(1, k)[rows[i]]) <= TINY * (1 + abs(now[rows[i]])) for i in held.own)
+        size = 1 + max(map(abs, [*now, *found]))
+        assert all(abs(tape.order(1, k)[rows[i]]) <= TINY * size for i in held.own)
     return True
 
 

@@ -135,4 +135,21 @@ def masses(seed: int) -> Scene:
     return Scene(model, t, ca.vertcat(x, v), l, rate, ca.DM(H) @ v, -mu, mu, rate, Sides())
 
 
-CLASSES = {"loops": loops, "corners": corners, "masses": masses}
+def cascades(seed: int) -> Scene:
+    """Rows that drive those after them alone: one solution, though not monotone; an l that jumps makes y of others jump."""
+    d = Draw(seed)
+    n = d.count(2, 4)
+    t, x, l, sides = ca.SX.sym("t"), ca.SX.sym("x", n), ca.SX.sym("l", n), Sides()
+    law, lower, upper = boxes(d, n)
+    direct = d.rng.integers(0, 3, n).astype(float)
+    D = (np.tril(whole(d, n, n), -1)) * (direct > 0)[:, None] + np.diag(direct)
+    B = np.tril(whole(d, n, n, most=1), -1) + np.eye(n)
+    A, e = whole(d, n, n, most=1), whole(d, n, most=1) / 2 * (direct > 0)
+    real, fixed = drives(d, t, n, sides)
+    x0 = np.abs(whole(d, n))
+    push, y, rate = ca.DM(B) @ l, x + ca.DM(e) + ca.DM(D) @ l, ca.DM(A) @ x
+    model = FirstOrderSystem(t=t, x=x, lam=l, f=rate + real, g=push, h=y, law=law, x0=x0, t_end=2)
+    return Scene(model, t, x, l, rate + real + push, y, lower, upper, rate + fixed + push, sides)
+
+
+CLASSES = {"loops": loops, "corners": corners, "masses": masses, "cascades": cascades}
