@@ -19,6 +19,7 @@ from nsmodel import (
     ball,
     complementarity,
     plot,
+    product,
     relay,
     simulate,
 )
@@ -216,6 +217,19 @@ def test_known_discontinuities_of_time_and_branches():
     )
     # from 0.7 on x' = 1 - x: x = 1 - 0.3 exp(-(t - 0.7))
     assert abs(steps.x[-1, 0] - (1 - 0.3 * math.exp(-0.3))) <= 1e-10
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize(("rest", "end"), [(0.5, 1.0), (1.0, 2 / 3), (2.0, 2 / 3)])
+def test_a_row_that_the_multiplier_of_another_makes_jump(rest, end, compiled):
+    """A relay turns at t = 1/3 and y_1 falls by 2 with it: below 0, onto 0, or not as far; l_1 holds it at 0 from then on."""
+    x, l = ca.SX.sym("x"), ca.SX.sym("l", 2)
+    model = FirstOrderSystem(
+        x=x, lam=l, f=[2], g=[l[0] + l[1]], h=[x, rest + l[0] + l[1]], law=product(relay(1), complementarity(1)), x0=[-1], t_end=1
+    )
+    run = simulate(model, rtol=1e-8, method="event-driven", compiled=compiled)
+    assert abs(run.x[-1, 0] - end) <= 1e-8
+    assert (run.at(np.linspace(0.34, 1, 20)).y[:, 1] >= -1e-12).all()
 
 
 def test_mass_matrix_and_redundant_rows():

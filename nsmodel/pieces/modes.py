@@ -212,16 +212,16 @@ def _expand(system: System, place: Place) -> Solve | None:
 def _wrong(system: System, place: Place, how: Solve) -> Iterator[Condition]:
     """The conditions that do not hold just after the start: of those that are open or whose multipliers may have moved.
 
-    Where branches are open, what they jump with may jump too: of the others those that are clearly broken.
+    Where l or what a branch chooses jumps, y and arguments may jump too: of the others those that are clearly broken.
     """
-    share, jumps = pace(system), any(kind != ROW for kind, _ in place.open)
+    share = pace(system)
     for condition in conditions(system, place.codes, how, ORDERS):
         if condition.of in place.open or condition.acts in ("l", "inside"):
             c = condition.coefficients()
             first = leading(c, TIE * size(system, condition), share)
             if first is not None and c[first] < 0:
                 yield condition
-        elif jumps and condition.sign * condition.row[0] + condition.shift < -TIE * size(system, condition):
+        elif condition.sign * condition.row[0] + condition.shift < -TIE * size(system, condition):
             yield condition
 
 

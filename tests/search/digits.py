@@ -16,7 +16,7 @@ CONTEXT = decimal.Context(prec=DIGITS, Emin=-999999, Emax=999999, traps=[decimal
 mpmath.mp.dps = DIGITS + 6
 
 
-def _by_mpmath(name: str):
+def by_mpmath(name: str):
     function = getattr(mpmath, name)
     return lambda a: Decimal(mpmath.nstr(function(mpmath.mpf(str(a))), DIGITS))
 
@@ -49,7 +49,7 @@ _UNARY = {
     ca.OP_EXPM1: "({0}.exp()-1)", ca.OP_ATAN: "_atan({0})",
 }  # fmt: skip
 _NAMES = {
-    "D": Decimal, "_sin": _by_mpmath("sin"), "_cos": _by_mpmath("cos"), "_atan": _by_mpmath("atan"), "_tanh": _tanh,
+    "D": Decimal, "_sin": by_mpmath("sin"), "_cos": by_mpmath("cos"), "_atan": by_mpmath("atan"), "_tanh": _tanh,
     "_sign": _sign, "_power": _power, "min": min, "max": max, "abs": abs, "bool": bool,
 }  # fmt: skip
 

@@ -464,27 +464,18 @@ static unsigned long long mark_of(const model_pieces *s)
     return mark;
 }
 
-/* Whether a condition does not hold just after the start; asked of switches that are open, and of multipliers, which may have moved. */
-static int is_wrong(const model_pieces *s, const condition *of, double share, int jumps)
+/*
+ * Whether a condition does not hold just after the start: of those that are open or whose multipliers may have moved. Where l or
+ * what a branch chooses jumps, y and arguments may jump too: of the others those that are clearly broken.
+ */
+static int is_wrong(const model_pieces *s, const condition *of, double share)
 {
     double c[MOST_ORDERS + 1];
-    const int open = s->at.open[of->of] || of->acts == OF_L;
-    if (!open && !jumps)
-        return 0;
     coefficients(s, of, c);
-    if (!open)
+    if (!s->at.open[of->of] && of->acts != OF_L)
         return c[0] < -TIE*size_of(s, of);
     const int first = leading(of->orders + 1, c, TIE*size_of(s, of), share);
     return first >= 0 && c[first] < 0;
-}
-
-/* Whether branches are open: what they jump with may jump too. */
-static int may_jump(const model_pieces *s)
-{
-    int any = 0;
-    for (int i = M; i < M + CHOICES; i++)
-        any |= s->at.open[i];
-    return any;
 }
 
 /* The mode in which all germs are valid, by principal pivoting; 0 where it does not settle. */
@@ -515,10 +506,9 @@ static int pivot(model_pieces *s)
             known |= seen[i] == mark;
         one |= known;
         const double share = pace(s);
-        const int jumps = may_jump(s);
         for (int of = 0; of < M + CHOICES; of++)
             for (int n = conditions_of(s, of, ORDERS, all), i = 0; i < n; i++) {
-                if ((any && one) || !is_wrong(s, &all[i], share, jumps))
+                if ((any && one) || !is_wrong(s, &all[i], share))
                     continue;
                 any = 1;
                 s->at.open[of] = 2; /* to be turned when all are known */
@@ -548,10 +538,9 @@ static int is_valid(model_pieces *s)
             return 0;
 #endif
     const double share = pace(s);
-    const int jumps = may_jump(s);
     for (int of = 0; of < M + CHOICES; of++)
         for (int n = conditions_of(s, of, ORDERS, all), i = 0; i < n; i++)
-            if (is_wrong(s, &all[i], share, jumps))
+            if (is_wrong(s, &all[i], share))
                 return 0;
     return 1;
 }
