@@ -34,11 +34,11 @@ class Equations:
         self._found = np.zeros(n), np.zeros(m)
         self._buffer, self._call = attached(function, self._given, list(self._found))
 
-    def __call__(self, time: float, state: Sequence[float], multipliers: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-        """The two; what they returned before is overwritten."""
+    def __call__(self, time: float, state: Sequence[float], multipliers: Sequence[float]) -> tuple[list[float], list[float]]:
+        """The two."""
         self._given[0][0], self._given[1][:], self._given[2][:] = time, state, multipliers
         self._call()
-        return self._found
+        return self._found[0].tolist(), self._found[1].tolist()
 
     @cached_property
     def _bound(self) -> ca.Function:
@@ -58,8 +58,7 @@ def coming(system: System, place: Place, of: Equations, s: float) -> list[float]
     """
     x, l = ([value(row, s) for row in rows] for rows in (system.x, system.push))
     velocity, _ = of(place.t + place.tau * s, x, l)
-    both = zip(system.x, x, place.tau * s * np.abs(velocity), strict=True)
-    return [0.0 if row[0] else max(abs(v), float(w)) for row, v, w in both]
+    return [0.0 if row[0] else max(abs(v), abs(place.tau * s * w)) for row, v, w in zip(system.x, x, velocity, strict=True)]
 
 
 def defect(
@@ -75,20 +74,20 @@ def defect(
     slipping = system.blocks.slipping(place.codes)
     for share in POINTS:
         at = share * s
-        rows = [row[: p + 1] for row in system.x]
-        x, rate = [value(row, at) for row in rows], [slope(row, at) for row in rows]
+        x, rate = [value(row, at) for row in system.x], [slope(row, at) for row in system.x]
         l = [value(row, at) for row in system.push]
         for block in slipping:
             l[block.at[0] : block.at[-1] + 1] = block.pushing(at)
         velocity, y = of(place.t + tau * at, x, l)
-        largest = [max(*of_i, abs(v * s)) for *of_i, v in zip(sizes.x, later, map(abs, x), rate, strict=True)]
-        goals = [rtol * size + more + NOTHING for size, more in zip(largest, atol, strict=True)]
-        most = [share**p * (p + 1) / s * goal / LOCAL if s else math.inf for goal in goals]
-        off = np.array(rate) - tau * velocity
-        missed = math.inf if system.blocks.all else _missed(off, most, rows, at, tau, of, np.abs(velocity))
+        largest = map(max, sizes.x, later, map(abs, x), [abs(v * s) for v in rate])
+        factor = share**p * (p + 1) / s if s else math.inf
+        most = [factor * (rtol * size + more + NOTHING) / LOCAL for size, more in zip(largest, atol, strict=True)]
+        off = [moved - tau * v for moved, v in zip(rate, velocity, strict=True)]
+        missed = math.inf if system.blocks.all else _missed(system, off, most, at, tau, of, velocity)
         if not missed <= 1:
             off, of_l = _split(system, place, off)
-            missed = _missed(off, most, rows, at, tau, of, np.abs(velocity) + _pushed(system, l))
+            sizes_of = np.abs(velocity) + _pushed(system, l)
+            missed = _missed(system, off, most, at, tau, of, sizes_of)
             for i, d in of_l:
                 if size := max(system.size_l(i), abs(l[i])):
                     worst = max(worst, (abs(d) / tau - SEEN_ROW * size) / (MULTIPLIERS * rtol * size))
@@ -110,14 +109,14 @@ def defect(
 
 
 def _missed(
-    off: np.ndarray, most: list[float], rows: list[list[float]], at: float, tau: float, of: Equations, rates: np.ndarray
+    system: System, off: Sequence[float], most: list[float], at: float, tau: float, of: Equations, rates: Sequence[float]
 ) -> float:
     """The largest share that ``off`` is of what it may be at ``most``, beyond rounding; ``rates``: what x' is the sum of."""
     worst = 0.0
     for i, (missed, least) in enumerate(zip(off, most, strict=True)):
         seen = abs(missed)
         if not seen <= LOCAL * least:
-            seen -= SEEN * (slope([abs(c) for c in rows[i]], at) + tau * rates[i])
+            seen -= SEEN * (slope([abs(c) for c in system.x[i]], at) + tau * abs(rates[i]))
         if not seen <= least:
             seen -= tau * of.rounding()[i]
         if not seen <= 0:
@@ -130,7 +129,7 @@ def _pushed(system: System, l: list[float]) -> np.ndarray:
     return np.abs(system.slopes()[0]) @ np.abs(l)
 
 
-def _split(system: System, place: Place, off: np.ndarray) -> tuple[np.ndarray, list[tuple[int, float]]]:
+def _split(system: System, place: Place, off: list[float]) -> tuple[list[float], list[tuple[int, float]]]:
     """What x' - f - g is beside the part along g_l of held rows; that part, of each l."""
     how = system.solve(place.codes)
     B, _, C = system.slopes()
@@ -138,4 +137,4 @@ def _split(system: System, place: Place, off: np.ndarray) -> tuple[np.ndarray, l
         return off, []
     rows = list(how.active)
     moved = np.array(how.through) @ (C[rows] @ off)
-    return off - B[:, rows] @ moved, list(zip(rows, moved.tolist(), strict=True))
+    return (off - B[:, rows] @ moved).tolist(), list(zip(rows, moved.tolist(), strict=True))

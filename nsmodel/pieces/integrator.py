@@ -108,8 +108,8 @@ class Integrator:
         else:
             place.tau = unit(ROOM * s * place.tau)  # That of series, and of germs, stays what a series takes.
             tau, s, error, last, hit = found
-        x, l, y = (np.array(rows).reshape(len(rows), system.orders + 1) for rows in (system.x, system.l, system.y))
-        piece = Piece(place.t, tau, s, x, l, y, tuple(place.codes), error, last, self._begun)
+        series, n, m = np.array([*system.x, *system.l, *system.y]), system.n, system.n + system.m
+        piece = Piece(place.t, tau, s, series[:n], series[n:m], series[m:], tuple(place.codes), error, last, self._begun)
         self._begun = self._begun if s == 0 else None
         self.redundant += how.null is not None and how.null.shape[1] > 0
         grow(system, s, min(longest, tau * s))
@@ -166,7 +166,8 @@ class Integrator:
         forget_branches(system)
         if (how := select(system, self.place)) is None:
             raise self._stuck("here")
-        project(system, self.place, how.active)
+        if project(system, self.place, how.active):
+            self._expand(ORDERS)
         self._refuse_rivals()
 
     def _start(self) -> None:
@@ -220,14 +221,16 @@ class Integrator:
     def _event(self, hit: Condition, known: float) -> None:
         """Go to the event to round-off, but not beyond a known time, and choose the mode after it."""
         system, place = self.system, self.place
-        project(system, place, self._expand(AROUND).active)  # Afterwards it would move the root that is polished.
+        how = self._expand(AROUND)
+        if project(system, place, how.active):  # Afterwards it would move the root that is polished.
+            how = self._expand(AROUND)
         left, tau = 0.0, place.tau
         if hit.stops:  # No matter of digits; in a longer unit of time coefficients are beyond measure.
             self._expand(1)
             place.tau = unit(min(left := system.blocks.of[hit.of[1]].left, 1.0) * tau)
             how, own = self._expand(AROUND), None
         else:
-            how, own = polish(system, place, hit, AROUND, self._expand)
+            how, own = polish(system, place, hit, AROUND, how, self._expand)
         past = None if own is None else beyond_touch(system, own)
         self.touches += past is not None
         to_known = (known - place.t) / place.tau

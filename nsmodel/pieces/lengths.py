@@ -34,17 +34,17 @@ def length(system: System, codes: list[int], how: Solve, p: int, rtol: float, at
     sizes, known = system.sizes, p if how.index == 1 else p - 1
     y_floor, l_floor = (SMALL * max(of, default=0.0) for of in (sizes.y, sizes.l))
     pushed = (ROUNDING * system.pushed() + NOTHING).tolist()
-    rows = [_Row.of(row, p, rtol, *more) for row, *more in zip(system.x, sizes.x, atol, pushed, strict=True)]
+    rows = [_row(row, p, rtol, *more) for row, *more in zip(system.x, sizes.x, atol, pushed, strict=True)]
     for i, code in enumerate(codes):
         row, orders, size = system.l[i], known, max(sizes.l[i], l_floor)
         if code:
             if i in system.blocks.of:
-                rows.append(_Row.of(row, orders, MULTIPLIERS * rtol, size))
+                rows.append(_row(row, orders, MULTIPLIERS * rtol, size))
             row, orders, size = system.y[i], p, max(sizes.y[i], y_floor)
-        rows.append(_Row.of(row, orders, MULTIPLIERS * rtol, size))
+        rows.append(_row(row, orders, MULTIPLIERS * rtol, size))
     for (name, i), size in zip(system.branches, sizes.switches, strict=True):
         part = system.parts[name]
-        rows.append(_Row.of(part.rows[part.jets.branches[i].row], p - 1, MULTIPLIERS * rtol, size))
+        rows.append(_row(part.rows[part.jets.branches[i].row], p - 1, MULTIPLIERS * rtol, size))
     s = 0.0
     for _ in range(PASSES):
         before, s = s, _shortest(rows, s)
@@ -79,9 +79,9 @@ class _Row(NamedTuple):
     rounding: float
     first: list[float]
 
-    @classmethod
-    def of(cls, c: list[float], known: int, rtol: float, so_far: float, more: float = 0.0, rounding: float = 0.0) -> _Row:
-        return cls(c, known, rtol, so_far, more, rounding, list(map(abs, c[: known // 2])))
+
+def _row(c: list[float], known: int, rtol: float, so_far: float, more: float = 0.0, rounding: float = 0.0) -> _Row:
+    return _Row(c, known, rtol, so_far, more, rounding, list(map(abs, c[: known // 2])))
 
 
 def _shortest(rows: list[_Row], s: float) -> float:
@@ -93,9 +93,12 @@ def _shortest(rows: list[_Row], s: float) -> float:
     powers = list(accumulate([s] * (max((row.known for row in rows), default=0) // 2), mul, initial=1.0))
     least: dict[int, float] = {}  # {order: the least of what s to this power may be}
     for c, p, rtol, so_far, more, rounding, beginning in rows:
-        size = max(so_far, max(map(mul, beginning, powers), default=0.0))
-        first = next((k for k in range(p) if c[k]), p) if size + more == 0 else 0
-        goal = max((rtol if first < p // 2 else 1.0) * abs(c[first]) if first else rtol * size + more, rounding)
+        size, first = max(so_far, *map(mul, beginning, powers)), 0
+        if size + more:
+            goal = max(rtol * size + more, rounding)
+        else:
+            first = next((k for k in range(p) if c[k]), p)
+            goal = max((rtol if first < p // 2 else 1.0) * abs(c[first]) if first else 0.0, rounding)
         for k in (p, p - 1):
             a = abs(c[k])
             if a and k > first and goal / a < least.get(k - first, math.inf):

@@ -61,12 +61,16 @@ def take_sides(system: System, place: Place) -> None:
         place.codes[i] = int(codes[0]) if len(codes) == 1 and i not in system.blocks.of else 0
 
 
-def valid(system: System, place: Place, before: tuple) -> Iterator[tuple[Solve, list[list[float]], np.ndarray, float]]:
-    """All modes of the open switches, where these are few, in which all germs are valid: x, how l pushes it, `pace`."""
+def valid(
+    system: System, place: Place, before: tuple, own: list[float] | None = None
+) -> Iterator[tuple[Solve, list[list[float]], np.ndarray, float]]:
+    """All modes of the open switches but ``own``, where these are few, in which all germs are valid: x, how l pushes it, `pace`."""
     opened = sorted(before[2])
     if len(opened) > FEW:
         return
     for codes in itertools.product(*[_possible(system, switch) for switch in opened]):
+        if list(codes) == own:
+            continue
         _restore(system, place, before)
         for switch, code in zip(opened, codes, strict=True):
             turn(system, place, switch, code)
@@ -113,7 +117,7 @@ def uniqueness(system: System, place: Place) -> tuple[str, str]:
     It is proved where the open rows' matrix, the others held or let go as they are, is a P-matrix (Cottle, Pang and Stone 1992,
     Theorem 3.3.7), of curved blocks a definite one, or the model is monotone (`multipliers.is_monotone`), and nothing but rows is
     open; else all modes of the open switches are tried, where these are few. Their x is known to rounding of its size so far, and
-    of what l pushes it by: in stick f takes that back.
+    of what l pushes it by: in stick f takes that back. The first orders of the mode at the place stand, before and after.
     """
     opened = [i for kind, i in sorted(place.open) if kind == ROW]
     rows = [row for i in opened for row in system.blocks.rows_of(i)]
@@ -122,10 +126,9 @@ def uniqueness(system: System, place: Place) -> tuple[str, str]:
             return PROVED, ""
     if len(place.open) > FEW:
         return UNDECIDED, ""
-    before = _state(system, place)
-    _expand(system, place)
+    before, codes = _state(system, place), [_code(system, place, switch) for switch in sorted(place.open)]
     own, pushed, share, split = [row[: ORDERS + 1] for row in system.x], system.pushed(), pace(system), ""
-    for _, x, push, its in valid(system, place, before):
+    for _, x, push, its in valid(system, place, before, codes):
         rounding = TIE * (np.maximum(pushed, push) + system.sizes.x)
         if any(_apart(a, b, min(share, its), least) for a, b, least in zip(own, x, rounding, strict=True)):
             split = f"{before[0]} and {place.codes}"
@@ -263,6 +266,11 @@ def turn(system: System, place: Place, switch: Switch, code: float) -> None:
             place.codes[row] = int(code)
     else:
         system.parts[kind].choice[i] = code
+
+
+def _code(system: System, place: Place, switch: Switch) -> float:
+    kind, i = switch
+    return place.codes[i] if kind == ROW else system.parts[kind].choice[i]
 
 
 def _state(system: System, place: Place) -> tuple:

@@ -7,13 +7,13 @@ is not. A row i of a box has -1 or +1 with l_i at its end and y_i of a sign, or 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from nsmodel.pieces.bernstein import value
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.sliding import Block
-from nsmodel.pieces.system import RESTS, System
+from nsmodel.pieces.system import KEPT, RESTS, System
 
 ROW = "row"
 Switch = tuple[str, int]  # (ROW, i), or (part, its branch)
@@ -104,8 +104,20 @@ RANGES = {
 }
 
 
-def conditions(system: System, codes: list[int], how: Solve, orders: int) -> Iterator[Condition]:
-    """All conditions of a mode, of rows first."""
+def conditions(system: System, codes: list[int], how: Solve, orders: int) -> Sequence[Condition]:
+    """All conditions of a mode, of rows first: those of one without blocks are made once."""
+    if system.blocks.all:
+        return list(_conditions(system, codes, how, orders))
+    mode = (orders, how.index, how.feeds, *codes, *(side for part in system.parts.values() for side in part.choice))
+    found = system.conditions.get(mode)
+    if found is None:
+        if len(system.conditions) >= KEPT:
+            system.conditions.clear()
+        found = system.conditions[mode] = list(_conditions(system, codes, how, orders))
+    return found
+
+
+def _conditions(system: System, codes: list[int], how: Solve, orders: int) -> Iterator[Condition]:
     known = orders if how.index == 1 else orders - 1
     for block in system.blocks.all:
         yield from _of_block(system, block, codes[block.first], known)

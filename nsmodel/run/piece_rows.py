@@ -53,13 +53,14 @@ class Block(NamedTuple):
         return self.t + self.tau * self.s
 
     @classmethod
-    def of(cls, piece: Piece, size_y: list[float], size_l: list[float]) -> Block:
-        """One piece."""
-        impulse = (0.0,) * len(piece.codes) if piece.event is None else piece.event
-        residual = math.nan if piece.residual is None else piece.residual
-        given = (*piece[:8], piece.last, piece.event is not None, impulse, size_y, size_l, residual)
-        kinds = [float] * 6 + [np.int8, float, float, bool, float, float, float, float]
-        return cls(*(np.array([value], kind) for value, kind in zip(given, kinds, strict=True)))
+    def of(cls, pieces: Sequence[Piece], size_y: Sequence[list[float]], size_l: Sequence[list[float]]) -> Block:
+        """Some pieces (K), and the sizes at their ends (K, m)."""
+        t, tau, s, x, l, y, codes, defect, last, event, residual = zip(*pieces, strict=True)
+        impulse = [one or (0.0,) * len(codes[0]) for one in event]
+        given = (t, tau, s, x, l, y, codes, defect, last, [one is not None for one in event], impulse, size_y, size_l)
+        kinds = [float] * 6 + [np.int8, float, float, bool, float, float, float]
+        arrays = (np.array(value, kind) for value, kind in zip(given, kinds, strict=True))
+        return cls(*arrays, np.array([math.nan if one is None else one for one in residual]))
 
     @classmethod
     def joined(cls, blocks: Sequence[Block]) -> Block:
