@@ -6,10 +6,10 @@ sign, less an even number (Farouki and Rajan, Computer Aided Geometric Design 4,
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from itertools import pairwise
 from math import comb
-from operator import mul
 
 NONE = 2.0  # Of a root, where there is none.
 NARROW = 1e-13  # Two roots that are as near as this are one.
@@ -37,14 +37,17 @@ def first_root(c: list[float]) -> float:
     if c[0] > sum(map(abs, c[1:])):
         return NONE
     n = len(c) - 1
-    b = [sum(map(mul, row, c)) for row in _to_bernstein(n)]
-    return _first(c, b, 0.0, 1.0)
+    b = _to_bernstein(n)(c)
+    return NONE if min(b) > 0 else _first(c, b, 0.0, 1.0)
 
 
 @cache
-def _to_bernstein(n: int) -> tuple[tuple[float, ...], ...]:
-    """b_j = sum_k comb(j, k)/comb(n, k) c_k."""
-    return tuple(tuple(comb(j, k) / comb(n, k) for k in range(j + 1)) for j in range(n + 1))
+def _to_bernstein(n: int) -> Callable[[list[float]], list[float]]:
+    """b_j = sum_k comb(j, k)/comb(n, k) c_k, written out."""
+    sums = (" + ".join(f"{comb(j, k) / comb(n, k)!r}*c{k}" for k in range(j + 1)) for j in range(n + 1))
+    names, made = "".join(f"c{k}, " for k in range(n + 1)), {}
+    exec(f"def of(c):\n    {names}= c\n    return [{', '.join(sums)}]", made)
+    return made["of"]
 
 
 def _first(c: list[float], b: list[float], low: float, width: float) -> float:

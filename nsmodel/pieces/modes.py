@@ -63,7 +63,7 @@ def take_sides(system: System, place: Place) -> None:
 
 def valid(
     system: System, place: Place, before: tuple, own: list[float] | None = None
-) -> Iterator[tuple[Solve, list[list[float]], np.ndarray, float]]:
+) -> Iterator[tuple[Solve, list[list[float]], list[float], float]]:
     """All modes of the open switches but ``own``, where these are few, in which all germs are valid: x, how l pushes it, `pace`."""
     opened = sorted(before[2])
     if len(opened) > FEW:
@@ -88,7 +88,7 @@ def jump(system: System, place: Place) -> np.ndarray | None:
     if B is None or D is None or C is None:
         return None
     system.expand(place.t, place.x, place.codes, place.tau, 1)
-    y = np.array([part[0] for part in system.parts["h"].outputs])
+    y = np.array(system.parts["h"].order(0))
     law = numeric_law(system.problem.law)
     box = np.array([not system.blocks.is_curved(i) for i in range(system.m)], bool)
     lower, upper = (np.where(np.isinf(end) & box, end, 0.0) for end in (law.lower, law.upper))
@@ -129,7 +129,7 @@ def uniqueness(system: System, place: Place) -> tuple[str, str]:
     before, codes = _state(system, place), [_code(system, place, switch) for switch in sorted(place.open)]
     own, pushed, share, split = [row[: ORDERS + 1] for row in system.x], system.pushed(), pace(system), ""
     for _, x, push, its in valid(system, place, before, codes):
-        rounding = TIE * (np.maximum(pushed, push) + system.sizes.x)
+        rounding = [TIE * (max(both) + size) for *both, size in zip(pushed, push, system.sizes.x, strict=True)]
         if any(_apart(a, b, min(share, its), least) for a, b, least in zip(own, x, rounding, strict=True)):
             split = f"{before[0]} and {place.codes}"
             break

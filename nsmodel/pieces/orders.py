@@ -63,6 +63,15 @@ class Orders:
             self._rate(0)
         return direct, through
 
+    def start(self, how: Solve, codes: list[int], *, linear: bool) -> None:
+        """Orders 0 of y and l, and 1 of x, in one step; where that is none, l is there."""
+        self._put_y(0)
+        self.parts["f"].compute(0)
+        if linear:
+            self.begin(how, codes)
+        else:
+            self._rate(0)
+
     def go_on(self, how: Solve, codes: list[int], known: int, orders: int) -> None:
         """Compute orders ``known``, ..., ``orders`` in the same mode."""
         for k in range(known, orders + 1):

@@ -72,7 +72,8 @@ def _size_of_switch(system: System, switch: Switch) -> float:
 
 def _terms_of_switches(system: System) -> list[float]:
     """What the arguments of switches are the sums of, with the largest states and multipliers so far."""
-    both = ((1, system.sizes.x + RESTS * system.pushed()), (2, system.sizes.l))
+    states = [size + RESTS * push for size, push in zip(system.sizes.x, system.pushed(), strict=True)]
+    both = ((1, states), (2, system.sizes.l))
     given = {(0, 0): abs(system.t[0])} | {(which, i): size for which, sizes in both for i, size in enumerate(sizes)}
     return [size for part in system.parts.values() for size in part.terms(given)]
 

@@ -13,7 +13,7 @@ coefficients are those of s = (t - t_0)/tau, so that they are of one size where 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -29,6 +29,7 @@ from nsmodel.pieces.settled import moved_share, stays
 from nsmodel.pieces.sizes import Negligible, Sizes
 from nsmodel.pieces.slopes import at_points, numbers
 from nsmodel.pieces.straight import Terms, terms_of
+from nsmodel.pieces.unrolled import Unrolled
 from nsmodel.scheme.continuous import ContinuousProblem
 
 NEWTON = 30  # Iterations of l at order 0, where f, g or h are not linear in it.
@@ -67,6 +68,8 @@ class System(Orders):
         self._absolute: dict[int, Terms] = {}
         self._pushing: dict[int, Terms] = {}
         self._from_rest: Release | None = None
+        self._whole = False  # Whether all orders stand, whatever was asked for.
+        self._unrolled = None if self.blocks.all or self.updates else Unrolled(self)
 
     @cached_property
     def middle(self) -> list[float]:
@@ -106,7 +109,8 @@ class System(Orders):
         if key not in self._known:
             if len(self._known) >= KEPT:
                 self._known.clear()
-            self._known[key] = solve_of(active, *slopes, lifts=bool(self.blocks.all))
+            found = solve_of(active, *slopes, lifts=bool(self.blocks.all))
+            self._known[key] = replace(found, entries=self._unrolled.entries(found)) if self._unrolled else found
         return self._known[key]
 
     def expand(self, t: float, x: list[float], codes: list[int], tau: float, orders: int) -> Solve | None:
@@ -117,23 +121,52 @@ class System(Orders):
         self.t[0], self.t[1] = t, tau
         for row, start in zip(self.x, x, strict=True):
             row[0] = start
-        for i, code in enumerate(codes):
-            row = self.l[i]
-            row[:] = [0.0 if not code and self.linear_in_l else row[0], *[0.0] * self.orders]
-            if code and math.isfinite(end := self.upper[i] if code > 0 else self.lower[i]):
+        for row, code, lower, upper in zip(self.l, codes, self.lower, self.upper, strict=True):
+            if code and math.isfinite(end := upper if code > 0 else lower):
                 row[0] = end
+            elif not code and self.linear_in_l:
+                row[0] = 0.0
+        if self.linear_in_l and self._is_whole(how := self.solve(codes)):
+            return how if self._rests(how, range(1, min(orders, HELD_ORDERS) + 1)) else None
+        for row in self.l:
+            row[1:] = [0.0] * self.orders
         if (how := self._solved(codes)) is None or (self.blocks.released and (how := self._release(how)) is None):
             return None
+        if not self.linear_in_l and self._is_whole(how):
+            return how if self._rests(how, range(2, min(orders, HELD_ORDERS) + 1)) else None
         return how if self.extend(how, codes, 0, orders) else None
 
-    def extend(self, how: Solve, codes: list[int], known: int, orders: int) -> bool:
-        """Compute orders ``known``, ..., ``orders`` in the same mode; whether it has them all."""
-        self.go_on(how, codes, known, orders)
-        if how.through is not None and not known and not stays(self, how, range(2, min(orders, HELD_ORDERS) + 1)):
+    def _is_whole(self, how: Solve) -> bool:
+        """Whether all orders could be computed at once: where no rows are held that nothing acts on, nor sides to be chosen."""
+        self._whole = False
+        if self._unrolled is None or (how.direct is not None and how.null is not None and how.null.size):
+            return False
+        if self.branches and any(side != side for part in self.parts.values() for side in part.choice):
+            return False
+        start = [row[0] for row in self.l]
+        if not (self._unrolled.run(how) and math.isfinite(sum([row[-1] for rows in (self.x, self.l) for row in rows]))):
+            for row, l in zip(self.l, start, strict=True):
+                row[:] = [l, *[0.0] * self.orders]
+            return False
+        self._whole = True
+        return True
+
+    def _rests(self, how: Solve, orders: Iterable[int]) -> bool:
+        """Whether held rows stay at 0; their y is put to 0 then: all orders but the first of one that only y' holds."""
+        if not stays(self, how, orders):
             return False
         first = 1 if how.through is not None else 0
         for i in how.active:
             self.y[i][first:] = [0.0] * (self.orders + 1 - first)
+        return True
+
+    def extend(self, how: Solve, codes: list[int], known: int, orders: int) -> bool:
+        """Compute orders ``known``, ..., ``orders`` in the same mode; whether it has them all."""
+        if known and self._whole:
+            return True
+        self.go_on(how, codes, known, orders)
+        if not self._rests(how, () if known else range(2, min(orders, HELD_ORDERS) + 1)):
+            return False
         self.blocks.watch(codes, orders if how.index == 1 else orders - 1)
         return True
 
@@ -178,9 +211,16 @@ class System(Orders):
             self._pushing[i] = terms_of(np.abs(C[i : i + 1]) @ np.abs(B), 1)
         return sum(a * abs(self.push[j][0]) for j, a in self._pushing[i][0])
 
-    def pushed(self) -> np.ndarray:
-        """By what multipliers push each x (n,) in the unit of time, in size: in stick f takes that back."""
-        return abs(self.t[1]) * np.abs(self.slopes()[0]) @ [abs(row[0]) + abs(row[1]) for row in self.push]
+    def pushed(self) -> list[float]:
+        """By what multipliers push each x in the unit of time, in size: in stick f takes that back."""
+        l, tau = [abs(row[0]) + abs(row[1]) for row in self.push], abs(self.t[1])
+        of_x = self._pushes if self.B is not None else terms_of(np.abs(self.slopes()[0]), self.n)
+        return [tau * sum([a * l[j] for j, a in own]) for own in of_x]
+
+    @cached_property
+    def _pushes(self) -> Terms:
+        """What is not 0 of |B|, where that is constant."""
+        return terms_of(None if self.B is None else np.abs(self.B), self.n)
 
     def size_l(self, i: int) -> float:
         """What l_i is measured beside: the largest so far, and a part of the largest of all."""

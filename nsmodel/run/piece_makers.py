@@ -20,6 +20,7 @@ from nsmodel.scheme.continuous import ContinuousProblem
 
 VERDICTS = (PROVED, AGREE, UNDECIDED)  # In the order of `unique` in C.
 STIFF = ("length", "failed", "wait", "pieces")  # Of `stiff.Stiff`, as C has it.
+TOGETHER = 8  # Pieces that are interpreted before rows are read off them.
 MOST, BYTES = 1024, 8 << 20  # Pieces of a call, and the memory that they may take.
 
 
@@ -100,7 +101,7 @@ class Interpreted:
             raise self._error
         pieces: list[Piece] = []
         sizes: list[tuple[list[float], list[float]]] = []
-        while not pieces or (len(pieces) < room and not self._kept and self.t < until):
+        while not pieces or (len(pieces) < TOGETHER * room and not self._kept and self.t < until):
             if self._kept:
                 self._before = self.standing(), self.counts()
             try:
