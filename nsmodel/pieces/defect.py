@@ -9,7 +9,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from nsmodel.pieces.bernstein import slope, value
+from nsmodel.pieces.bernstein import slope, slopes, values
 from nsmodel.pieces.lengths import LOCAL, MULTIPLIERS
 from nsmodel.pieces.modes import Place
 from nsmodel.pieces.multipliers import NOTHING
@@ -29,26 +29,26 @@ class Equations:
     def __init__(self, problem: ContinuousProblem) -> None:
         self._problem, (n, m) = problem, (problem.x.numel(), problem.l.numel())
         out = [ca.densify(problem.f + problem.g), ca.densify(problem.h)]
-        function = ca.Function("equations", [problem.t, problem.x, problem.l], out)
-        self._given = [np.zeros(1), np.zeros(n), np.zeros(m)]
-        self._found = np.zeros(n), np.zeros(m)
-        self._buffer, self._call = attached(function, self._given, list(self._found))
+        self._symbols = ca.vertcat(problem.t, problem.x, problem.l)
+        self._n, self._given, self._found = n, np.zeros(1 + n + m), np.zeros(n + m)
+        function = ca.Function("equations", [self._symbols], [ca.vertcat(*out)])
+        self._buffer, self._call = attached(function, [self._given], [self._found])
 
     def __call__(self, time: float, state: Sequence[float], multipliers: Sequence[float]) -> tuple[list[float], list[float]]:
         """The two."""
-        self._given[0][0], self._given[1][:], self._given[2][:] = time, state, multipliers
+        self._given[:] = [time, *state, *multipliers]
         self._call()
-        return self._found[0].tolist(), self._found[1].tolist()
+        found = self._found.tolist()
+        return found[: self._n], found[self._n :]
 
     @cached_property
     def _bound(self) -> ca.Function:
-        p = self._problem
-        given = [p.t, p.x, p.l]
-        return ca.Function("bound", given, [error_bound(ca.densify(p.f + p.g), ca.veccat(*given))])
+        rate = ca.densify(self._problem.f + self._problem.g)
+        return ca.Function("bound", [self._symbols], [error_bound(rate, self._symbols)])
 
     def rounding(self) -> np.ndarray:
         """What f + g may err by (n,) where it was evaluated last, its arguments known to the nearest double."""
-        return ROUNDING * np.array(self._bound(*self._given)).ravel()
+        return ROUNDING * np.array(self._bound(self._given)).ravel()
 
 
 def coming(system: System, place: Place, of: Equations, s: float) -> list[float]:
@@ -56,7 +56,7 @@ def coming(system: System, place: Place, of: Equations, s: float) -> list[float]
 
     A motion that begins beyond the order is nothing on the piece, which says nothing of how large it is to be.
     """
-    x, l = ([value(row, s) for row in rows] for rows in (system.x, system.push))
+    x, l = values(system.x, s), values(system.push, s)
     velocity, _ = of(place.t + place.tau * s, x, l)
     return [0.0 if row[0] else max(abs(v), abs(place.tau * s * w)) for row, v, w in zip(system.x, x, velocity, strict=True)]
 
@@ -74,8 +74,7 @@ def defect(
     slipping = system.blocks.slipping(place.codes)
     for share in POINTS:
         at = share * s
-        x, rate = [value(row, at) for row in system.x], [slope(row, at) for row in system.x]
-        l = [value(row, at) for row in system.push]
+        x, rate, l = values(system.x, at), slopes(system.x, at), values(system.push, at)
         for block in slipping:
             l[block.at[0] : block.at[-1] + 1] = block.pushing(at)
         velocity, y = of(place.t + tau * at, x, l)
@@ -83,17 +82,20 @@ def defect(
         factor = share**p * (p + 1) / s if s else math.inf
         most = [factor * (rtol * size + more + NOTHING) / LOCAL for size, more in zip(largest, atol, strict=True)]
         off = [moved - tau * v for moved, v in zip(rate, velocity, strict=True)]
-        missed = math.inf if system.blocks.all else _missed(system, off, most, at, tau, of, velocity)
+        shares = [abs(d) / least for d, least in zip(off, most, strict=True)]
+        if system.blocks.all:
+            missed = math.inf
+        else:
+            missed = max(shares) if sum(shares) <= LOCAL else _missed(system, off, most, at, tau, of, velocity)
         if not missed <= 1:
             off, of_l = _split(system, place, off)
-            sizes_of = np.abs(velocity) + _pushed(system, l)
-            missed = _missed(system, off, most, at, tau, of, sizes_of)
+            missed = _missed(system, off, most, at, tau, of, np.abs(velocity) + _pushed(system, l))
             for i, d in of_l:
                 if size := max(system.size_l(i), abs(l[i])):
                     worst = max(worst, (abs(d) / tau - SEEN_ROW * size) / (MULTIPLIERS * rtol * size))
         worst = max(worst, missed / LOCAL)
         for i in held:
-            if y[i]:
+            if abs(y[i]) > SEEN_ROW * sizes.y[i]:
                 size = max(sizes.y[i], system.terms(i, x, l))
                 beyond, goal = abs(y[i]) - SEEN_ROW * size, MULTIPLIERS * rtol * size
                 if beyond > goal / LOCAL:

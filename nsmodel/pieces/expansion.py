@@ -30,7 +30,7 @@ class Expansion:
         self, jets: Jets, orders: int, inputs: Mapping[tuple[int, int], list[Any]] | None = None, language: Dialect = PYTHON,
         known: Mapping[str, Any] = KNOWN,
     ) -> None:  # fmt: skip
-        """``inputs``: lists that stand for rows of inputs, by (which input, its entry); ``language``, ``known``: see `compiled`."""
+        """``inputs``: lists that stand for rows of inputs, by (which input, its entry); for the others see `compiled`."""
         self.jets = jets
         self.rows = [[0.0] * (orders + 1) for _ in range(jets.count)]
         for place, row in jets.inputs.items():

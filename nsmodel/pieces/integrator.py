@@ -15,7 +15,7 @@ import numpy as np
 
 from nsmodel.errors import FinalError, StepError
 from nsmodel.pieces.accumulation import Accumulation
-from nsmodel.pieces.bernstein import value
+from nsmodel.pieces.bernstein import value, values
 from nsmodel.pieces.defect import Equations
 from nsmodel.pieces.ending import ending
 from nsmodel.pieces.expansion import scale
@@ -104,7 +104,7 @@ class Integrator:
             hit, s, error = ending(
                 system, place, how, self._equations, self.order, min(s, (known - place.t) / place.tau), self.rtol, self.atol
             )
-            tau, last = place.tau, [value(row, s) for row in system.x]
+            tau, last = place.tau, values(system.x, s)
         else:
             place.tau = unit(ROOM * s * place.tau)  # That of series, and of germs, stays what a series takes.
             tau, s, error, last, hit = found

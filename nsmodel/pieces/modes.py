@@ -64,7 +64,7 @@ def take_sides(system: System, place: Place) -> None:
 def valid(
     system: System, place: Place, before: tuple, own: list[float] | None = None
 ) -> Iterator[tuple[Solve, list[list[float]], list[float], float]]:
-    """All modes of the open switches but ``own``, where these are few, in which all germs are valid: x, how l pushes it, `pace`."""
+    """All modes of the open switches but ``own``, where these are few, that all germs allow: x, how l pushes it, `pace`."""
     opened = sorted(before[2])
     if len(opened) > FEW:
         return

@@ -29,10 +29,11 @@ def first_event(system: System, place: Place, how: Solve, orders: int, s: float)
     """
     hit, share, powers = None, None, _powers(s, orders)
     for condition in conditions(system, place.codes, how, orders):
+        row, known = condition.row, condition.orders + 1
+        if condition.sign * row[0] + condition.shift > sum(map(abs, map(mul, row[1:known], powers[1:]))):
+            continue
         germ = condition.coefficients()
         c = list(map(mul, germ, powers))
-        if c[0] > sum(map(abs, c[1:])):
-            continue
         least, opened = TIE * size(system, condition), condition.of in place.open
         if max(map(abs, c)) <= least:
             continue

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from nsmodel.pieces.bernstein import value
+from nsmodel.pieces.bernstein import values
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.sliding import Block
 from nsmodel.pieces.system import KEPT, RESTS, System
@@ -82,10 +82,9 @@ def grow(system: System, s: float, length: float) -> None:
     """Note what the rows come to at s of a piece, and what moves x in the time ``length`` of a series."""
     sizes = system.sizes
     for rows, largest in ((system.x, sizes.x), (system.y, sizes.y), (system.l, sizes.l)):
-        for i, row in enumerate(rows):
-            largest[i] = max(largest[i], abs(value(row, s)), abs(row[0]))
+        largest[:] = [max(so_far, abs(v), abs(row[0])) for so_far, v, row in zip(largest, values(rows, s), rows, strict=True)]
     least = system.negligible(system.t[0], [row[0] for row in system.x], [row[0] for row in system.push], sizes, length)
-    sizes.x[:] = [max(both) for both in zip(sizes.x, least, strict=True)]
+    sizes.x[:] = map(max, sizes.x, least)
     if system.branches:
         sizes.switches[:] = [max(both) for both in zip(sizes.switches, _terms_of_switches(system), strict=True)]
 
