@@ -15,17 +15,15 @@ def numbers(matrix: ca.SX, moving: ca.SX) -> np.ndarray | None:
     return None if ca.depends_on(matrix, moving) else np.array(ca.DM(ca.densify(ca.cse(matrix)))).reshape(matrix.shape)
 
 
-def at_points(slopes: ca.Function) -> Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """``at(t, x, l)`` of a function with three outputs: arrays that the next call overwrites."""
-    arrays = [np.zeros(slopes.numel_in(i)) for i in range(3)]
+def at_points(slopes: ca.Function) -> Callable[[Sequence[float]], None]:
+    """``at(point)`` of a function with three outputs, which are the arrays ``at.out``: the next call overwrites them."""
+    given = np.zeros(slopes.numel_in(0))
     out = [np.zeros(slopes.size_out(i), order="F") for i in range(3)]
-    buffer, call = attached(slopes, arrays, out)
+    buffer, call = attached(slopes, [given], out)
 
-    def at(*values: Sequence[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        for array, given in zip(arrays, values, strict=True):
-            array[:] = given
+    def at(point: Sequence[float]) -> None:
+        given[:] = point
         call()
-        return out[0], out[1], out[2]
 
-    at.buffer = buffer  # pyright: ignore[reportFunctionMemberAccess]
+    at.buffer, at.out = buffer, tuple(out)  # pyright: ignore[reportFunctionMemberAccess]
     return at

@@ -13,7 +13,7 @@ coefficients are those of s = (t - t_0)/tau, so that they are of one size where 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -50,6 +50,7 @@ class System(Orders):
         B, D, C = p.slopes
         self.linear_in_l = not ca.depends_on(ca.veccat(B, D), p.l)
         self.B, of_l, self.C = (numbers(matrix, ca.veccat(*inputs)) for matrix in (B, D, C))
+        self.constant = None if self.B is None or of_l is None or self.C is None else (self.B, of_l, self.C)
         h = p.h if of_l is None else ca.substitute(p.h, p.l, ca.SX.zeros(p.l.shape)) if p.l.numel() else p.h
         self.jets = {"f": jets_of(p.f, inputs, "f"), "h": jets_of(h, inputs, "h")}
         self.jets |= {"g": jets_of(p.g, inputs, "g")} if self.B is None else {}
@@ -61,12 +62,12 @@ class System(Orders):
         widths = [b - a if np.isfinite(b - a) else 0.0 for a, b in zip(self.lower, self.upper, strict=True)]
         self.sizes = Sizes([0.0] * self.n, [0.0] * self.m, widths, [0.0] * len(self.branches))
         self.negligible = Negligible(problem)
-        self._slopes = ca.Function("slopes", inputs, [ca.densify(e) for e in (B, D, C)])
+        self._slopes = ca.Function("slopes", [ca.vertcat(p.t, p.x, p.l)], [ca.densify(e) for e in (B, D, C)])
         self.conditions: dict[tuple, list[Any]] = {}  # Of modes; see `switches.conditions`.
         self._known: dict[tuple, Solve] = {}
         self._p: dict[tuple, bool] = {}
-        self._absolute: dict[int, Terms] = {}
-        self._pushing: dict[int, Terms] = {}
+        self._point: list[float] | None = None  # Where the slopes were computed last, and what was made of them there.
+        self._here: dict[tuple, Any] = {}
         self._from_rest: Release | None = None
         self._whole = False  # Whether all orders stand, whatever was asked for.
         self._unrolled = None if self.blocks.all or self.updates else Unrolled(self)
@@ -92,20 +93,35 @@ class System(Orders):
 
     def slopes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(B, D, C) at order 0."""
-        if self.B is not None and self.D is not None and self.C is not None:
-            return self.B, self.D, self.C
-        return self._slopes_at([self.t[0]], [row[0] for row in self.x], [row[0] for row in self.push])
+        if self.constant is not None:
+            return self.constant
+        point = [self.t[0], *[row[0] for row in self.x], *[row[0] for row in self.push]]
+        if point != self._point:
+            self._point = point
+            self._here.clear()
+            self._slopes_at(point)
+        return self._slopes_at.out
 
     @cached_property
     def _slopes_at(self):
         return at_points(self._slopes)
 
+    def of_slopes(self, what: tuple, make: Callable[..., Any]) -> Any:
+        """What ``make`` makes of (B, D, C) at order 0; kept while these stay what they are."""
+        slopes = self.slopes()
+        if what not in self._here:
+            if len(self._here) >= KEPT:
+                self._here.clear()
+            self._here[what] = make(*slopes)
+        return self._here[what]
+
     def solve(self, codes: list[int]) -> Solve:
         """What finds the multipliers of a mode, at the point that order 0 is."""
-        active = tuple(i for i, code in enumerate(codes) if code == 0)
-        slopes = self.slopes()
-        constant = self.B is not None and self.D is not None and self.C is not None
-        key = (active, *(() if constant else (a.tobytes() for a in slopes)))
+        active = tuple([i for i, code in enumerate(codes) if code == 0])
+        return self.of_slopes(active, lambda *slopes: self._solve_of(active, slopes))
+
+    def _solve_of(self, active: tuple[int, ...], slopes: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Solve:
+        key = (active, *(() if self.constant else (a.tobytes() for a in slopes)))
         if key not in self._known:
             if len(self._known) >= KEPT:
                 self._known.clear()
@@ -206,21 +222,14 @@ class System(Orders):
 
     def _push_of(self, i: int) -> float:
         """|C_i| |B| |l|."""
-        if self.B is None or self.C is None or i not in self._pushing:
-            B, _, C = self.slopes()
-            self._pushing[i] = terms_of(np.abs(C[i : i + 1]) @ np.abs(B), 1)
-        return sum(a * abs(self.push[j][0]) for j, a in self._pushing[i][0])
+        own = self.of_slopes(("push", i), lambda B, _, C: terms_of(np.abs(C[i : i + 1]) @ np.abs(B), 1))
+        return sum([a * abs(self.push[j][0]) for j, a in own[0]])
 
     def pushed(self) -> list[float]:
         """By what multipliers push each x in the unit of time, in size: in stick f takes that back."""
         l, tau = [abs(row[0]) + abs(row[1]) for row in self.push], abs(self.t[1])
-        of_x = self._pushes if self.B is not None else terms_of(np.abs(self.slopes()[0]), self.n)
+        of_x = self.of_slopes(("pushed",), lambda B, _, __: terms_of(np.abs(B), self.n))
         return [tau * sum([a * l[j] for j, a in own]) for own in of_x]
-
-    @cached_property
-    def _pushes(self) -> Terms:
-        """What is not 0 of |B|, where that is constant."""
-        return terms_of(None if self.B is None else np.abs(self.B), self.n)
 
     def size_l(self, i: int) -> float:
         """What l_i is measured beside: the largest so far, and a part of the largest of all."""
@@ -233,10 +242,7 @@ class System(Orders):
 
     def _sizes_of(self, i: int) -> Terms:
         """What is not 0 of |C_i| and |D_i|."""
-        if self.C is None or self.D is None or i not in self._absolute:
-            _, D, C = self.slopes()
-            self._absolute[i] = terms_of(np.abs(C[i : i + 1]), 1) + terms_of(np.abs(D[i : i + 1]), 1)
-        return self._absolute[i]
+        return self.of_slopes(("sizes", i), lambda _, D, C: [*terms_of(np.abs(C[i : i + 1]), 1), *terms_of(np.abs(D[i : i + 1]), 1)])
 
     @cached_property
     def is_monotone(self) -> bool:
@@ -249,7 +255,7 @@ class System(Orders):
         Where some are those of a curved block: whether it is definite.
         """
         key = (tuple(opened), tuple(i for i, code in enumerate(codes) if code == 0 and i not in opened))
-        if key not in self._p or self.B is None or self.D is None or self.C is None:
+        if key not in self._p or self.constant is None:
             B, D, C = self.slopes()
             self._p[key] = is_p(D, C @ B, *map(list, key), definite=any(len(self.blocks.rows_of(i)) > 1 for i in opened))
         return self._p[key]
