@@ -18,7 +18,6 @@ from nsmodel.pieces.accumulation import Accumulation
 from nsmodel.pieces.bernstein import value, values
 from nsmodel.pieces.defect import Equations
 from nsmodel.pieces.ending import ending
-from nsmodel.pieces.expansion import scale
 from nsmodel.pieces.known import Known, reaches
 from nsmodel.pieces.lengths import LOCAL, ROUGHEST, first_unit, length, order_of, unit
 from nsmodel.pieces.modes import ORDERS, Place, jump, select, take_sides, turn, uniqueness
@@ -148,8 +147,7 @@ class Integrator:
         if system.blocks.all:
             how = self._expand(self.order)
             return how, min(self._length(how), 1.0)
-        parts = (row for part in system.parts.values() for row in part.rows)
-        scale([system.t, *system.x, *system.l, *system.y, *parts], times)
+        system.scale(times)
         return how, min(s / times, 1.0)
 
     def _length(self, how: Solve) -> float:

@@ -79,17 +79,16 @@ class _Row(NamedTuple):
         Of size 0 it is its first term, and where that is none of the first half later terms are at most that.
         """
         c, p, rtol, _, more, rounding = self
-        first = 0
+        first, s = 0, LONGEST
         if size + more:
             goal = max(rtol * size + more, rounding)
         else:
             first = next((k for k in range(p) if c[k]), p)
             goal = max((rtol if first < p // 2 else 1.0) * abs(c[first]) if first else 0.0, rounding)
-        s = LONGEST
-        for k in (p, p - 1):
-            a = abs(c[k])
-            if a and k > first:
-                s = min(s, (goal / a) ** (1 / (k - first)))
+        if c[p] and p > first:
+            s = min(s, (goal / abs(c[p])) ** (1 / (p - first)))
+        if c[p - 1] and p - 1 > first:
+            s = min(s, (goal / abs(c[p - 1])) ** (1 / (p - 1 - first)))
         return s
 
 

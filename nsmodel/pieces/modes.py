@@ -7,6 +7,7 @@ Appl. Math. 60, 2000: the rational complementarity problem). A mode is taken onl
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -153,6 +154,8 @@ def pace(system: System) -> float:
     inner = [block.inner for block in watched], [block.quadric[1] for block in watched]
     for rows, sizes in ((system.x, system.sizes.x), (system.l, system.sizes.l), inner):
         for row, so_far in zip(rows, sizes, strict=True):
+            if share == 1 and max(map(abs, row[HALF + 1 : ORDERS + 1])) <= so_far:
+                continue
             own = list(map(abs, row[1 : ORDERS + 1]))
             if share == 1 and max(own[HALF:]) <= max(so_far, *own[:HALF]):
                 continue
@@ -171,7 +174,7 @@ def leading(c: list[float], least: float, share: float) -> int | None:
 
     ``share``: of the unit of time, see `pace`.
     """
-    decide = [a * share**k for k, a in enumerate(c[: ORDERS + 1])]
+    decide = c[: ORDERS + 1] if share == 1 else [a * share**k for k, a in enumerate(c[: ORDERS + 1])]
     least = max(least, GERM * max(map(abs, decide)))
     return next((k for k, a in enumerate(decide) if abs(a) > least), None)
 
@@ -210,7 +213,7 @@ def _pivot(system: System, place: Place) -> Solve | None:
 
 def _expand(system: System, place: Place) -> Solve | None:
     how = system.expand(place.t, place.x, place.codes, place.tau, ORDERS)
-    return how if how is not None and all(row[k] == row[k] for row in system.x for k in range(ORDERS + 1)) else None
+    return None if how is None or any(any(map(math.isnan, row[: ORDERS + 1])) for row in system.x) else how
 
 
 def _wrong(system: System, place: Place, how: Solve) -> Iterator[Condition]:

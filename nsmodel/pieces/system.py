@@ -21,6 +21,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel.pieces.expansion import scale
 from nsmodel.pieces.jets import jets_of
 from nsmodel.pieces.multipliers import Solve, is_monotone, is_p, solve_of
 from nsmodel.pieces.orders import Orders
@@ -28,7 +29,7 @@ from nsmodel.pieces.release import Release
 from nsmodel.pieces.settled import moved_share, stays
 from nsmodel.pieces.sizes import Negligible, Sizes
 from nsmodel.pieces.slopes import at_points, numbers
-from nsmodel.pieces.straight import Terms, terms_of
+from nsmodel.pieces.straight import terms_of
 from nsmodel.pieces.unrolled import Unrolled
 from nsmodel.scheme.continuous import ContinuousProblem
 
@@ -67,7 +68,8 @@ class System(Orders):
         self._known: dict[tuple, Solve] = {}
         self._p: dict[tuple, bool] = {}
         self._point: list[float] | None = None  # Where the slopes were computed last, and what was made of them there.
-        self._here: dict[tuple, Any] = {}
+        self._here: dict[Any, Any] = {}
+        self._always: dict[Any, Any] = {}  # What was made of those that are constant.
         self._from_rest: Release | None = None
         self._whole = False  # Whether all orders stand, whatever was asked for.
         self._unrolled = None if self.blocks.all or self.updates else Unrolled(self)
@@ -106,14 +108,15 @@ class System(Orders):
     def _slopes_at(self):
         return at_points(self._slopes)
 
-    def of_slopes(self, what: tuple, make: Callable[..., Any]) -> Any:
-        """What ``make`` makes of (B, D, C) at order 0; kept while these stay what they are."""
+    def of_slopes(self, what: Any, make: Callable[..., Any], *needed: np.ndarray | None) -> Any:
+        """What ``make`` makes of (B, D, C) at order 0; kept while these stay what they are, or those of them that it needs."""
         slopes = self.slopes()
-        if what not in self._here:
-            if len(self._here) >= KEPT:
-                self._here.clear()
-            self._here[what] = make(*slopes)
-        return self._here[what]
+        kept = self._always if needed and all(matrix is not None for matrix in needed) else self._here
+        if what not in kept:
+            if len(kept) >= KEPT:
+                kept.clear()
+            kept[what] = make(*slopes)
+        return kept[what]
 
     def solve(self, codes: list[int]) -> Solve:
         """What finds the multipliers of a mode, at the point that order 0 is."""
@@ -142,15 +145,21 @@ class System(Orders):
                 row[0] = end
             elif not code and self.linear_in_l:
                 row[0] = 0.0
-        if self.linear_in_l and self._is_whole(how := self.solve(codes)):
+        linear = self.linear_in_l or 0 not in codes
+        if linear and self._is_whole(how := self.solve(codes)):
             return how if self._rests(how, range(1, min(orders, HELD_ORDERS) + 1)) else None
         for row in self.l:
             row[1:] = [0.0] * self.orders
         if (how := self._solved(codes)) is None or (self.blocks.released and (how := self._release(how)) is None):
             return None
-        if not self.linear_in_l and self._is_whole(how):
+        if not linear and self._is_whole(how):
             return how if self._rests(how, range(2, min(orders, HELD_ORDERS) + 1)) else None
         return how if self.extend(how, codes, 0, orders) else None
+
+    def scale(self, times: float) -> None:
+        """Let the unit of time be so many times as long, a power of two, in all rows that stand."""
+        parts = (part for part in self.parts.values() if part.jets.branches or not self._whole)
+        scale([self.t, *self.x, *self.l, *self.y, *(row for part in parts for row in part.rows)], times)
 
     def _is_whole(self, how: Solve) -> bool:
         """Whether all orders could be computed at once: where no rows are held that nothing acts on, nor sides to be chosen."""
@@ -222,13 +231,13 @@ class System(Orders):
 
     def _push_of(self, i: int) -> float:
         """|C_i| |B| |l|."""
-        own = self.of_slopes(("push", i), lambda B, _, C: terms_of(np.abs(C[i : i + 1]) @ np.abs(B), 1))
-        return sum([a * abs(self.push[j][0]) for j, a in own[0]])
+        rows = self.of_slopes("push of y", lambda B, _, C: terms_of(np.abs(C) @ np.abs(B), self.m))
+        return sum([a * abs(self.push[j][0]) for j, a in rows[i]])
 
     def pushed(self) -> list[float]:
         """By what multipliers push each x in the unit of time, in size: in stick f takes that back."""
         l, tau = [abs(row[0]) + abs(row[1]) for row in self.push], abs(self.t[1])
-        of_x = self.of_slopes(("pushed",), lambda B, _, __: terms_of(np.abs(B), self.n))
+        of_x = self.of_slopes("push of x", lambda B, _, __: terms_of(np.abs(B), self.n), self.B)
         return [tau * sum([a * l[j] for j, a in own]) for own in of_x]
 
     def size_l(self, i: int) -> float:
@@ -237,12 +246,12 @@ class System(Orders):
 
     def terms(self, i: int, x: Sequence[float] = (), l: Sequence[float] = ()) -> float:
         """The size of what y_i is the sum of, with the largest states and multipliers so far, and these."""
-        both = zip(self._sizes_of(i), (self.sizes.x, self.sizes.l), (x, l), strict=True)
-        return sum(a * (max(of[j], abs(now[j])) if now else of[j]) for entries, of, now in both for j, a in entries)
-
-    def _sizes_of(self, i: int) -> Terms:
-        """What is not 0 of |C_i| and |D_i|."""
-        return self.of_slopes(("sizes", i), lambda _, D, C: [*terms_of(np.abs(C[i : i + 1]), 1), *terms_of(np.abs(D[i : i + 1]), 1)])
+        of_x, of_l = self.sizes.x, self.sizes.l
+        if x or l:
+            of_x, of_l = (list(map(max, of, map(abs, now))) for of, now in ((of_x, x), (of_l, l)))
+        by_x = self.of_slopes("y of x", lambda _, __, C: terms_of(np.abs(C), self.m), self.C)
+        by_l = self.of_slopes("y of l", lambda _, D, __: terms_of(np.abs(D), self.m), self.D)
+        return sum([a * of_x[j] for j, a in by_x[i]] + [a * of_l[j] for j, a in by_l[i]])
 
     @cached_property
     def is_monotone(self) -> bool:
