@@ -50,7 +50,7 @@ def first_root(c: list[float]) -> float:
 
 @cache
 def _of(count: int, what: str) -> Callable[..., Any]:
-    """Of so many coefficients, written out: the value and the slope at s by Horner's rule; b_j = sum_k comb(j, k)/comb(n, k) c_k."""
+    """Of so many coefficients, written out: value and slope at s by Horner's rule; b_j = sum_k comb(j, k)/comb(n, k) c_k."""
     n = count - 1
     if what == "bernstein":
         sums = (" + ".join(f"{comb(j, k) / comb(n, k)!r}*c{k}" for k in range(j + 1)) for j in range(count))

@@ -209,7 +209,7 @@ class Integrator:
             how = system.expand(place.t, place.x, place.codes, place.tau, orders)
             if how is None:
                 raise self._stuck("any more")
-            if all(math.isfinite(row[orders]) for row in system.x):
+            if all(map(math.isfinite, [row[orders] for row in system.x])):
                 return how
             place.tau = math.ldexp(place.tau, -OCTAVES)
         raise self.final or StepError(f"t = {place.t:.10g}: f, g or h has no number, or no Taylor series, here")

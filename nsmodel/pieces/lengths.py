@@ -79,16 +79,15 @@ class _Row(NamedTuple):
         Of size 0 it is its first term, and where that is none of the first half later terms are at most that.
         """
         c, p, rtol, _, more, rounding = self
-        first, s = 0, LONGEST
-        if size + more:
-            goal = max(rtol * size + more, rounding)
-        else:
+        first, s, goal = 0, LONGEST, rtol * size + more
+        if not goal:
             first = next((k for k in range(p) if c[k]), p)
-            goal = max((rtol if first < p // 2 else 1.0) * abs(c[first]) if first else 0.0, rounding)
-        if c[p] and p > first:
-            s = min(s, (goal / abs(c[p])) ** (1 / (p - first)))
-        if c[p - 1] and p - 1 > first:
-            s = min(s, (goal / abs(c[p - 1])) ** (1 / (p - 1 - first)))
+            goal = (rtol if first < p // 2 else 1.0) * abs(c[first]) if first else 0.0
+        if goal < rounding:
+            goal = rounding
+        for k in (p, p - 1):
+            if (a := abs(c[k])) and k > first and (most := (goal / a) ** (1 / (k - first))) < s:
+                s = most
         return s
 
 
@@ -99,10 +98,11 @@ def _shortest(rows: list[_Row]) -> float:
     """
     least, given = [], LONGEST
     for number, row in enumerate(rows):
-        size = max(row.so_far, abs(row.c[0]))
-        s = row.longest(size)
-        least.append((s if size + row.more else 0.0, number))
-        given = min(given, s)
+        size, start = row.so_far, abs(row.c[0])
+        s = row.longest(size if size > start else start)
+        least.append((s if size or start or row.more else 0.0, number))
+        if s < given:
+            given = s
     least.sort()
     half = max((row.known for row in rows), default=0) // 2
     for _ in range(PASSES - 1):

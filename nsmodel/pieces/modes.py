@@ -154,7 +154,8 @@ def pace(system: System) -> float:
     inner = [block.inner for block in watched], [block.quadric[1] for block in watched]
     for rows, sizes in ((system.x, system.sizes.x), (system.l, system.sizes.l), inner):
         for row, so_far in zip(rows, sizes, strict=True):
-            if share == 1 and max(map(abs, row[HALF + 1 : ORDERS + 1])) <= so_far:
+            last = row[HALF + 1 : ORDERS + 1]
+            if share == 1 and max(last) <= so_far and min(last) >= -so_far:
                 continue
             own = list(map(abs, row[1 : ORDERS + 1]))
             if share == 1 and max(own[HALF:]) <= max(so_far, *own[:HALF]):

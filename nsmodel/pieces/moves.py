@@ -26,7 +26,7 @@ def project(system: System, place: Place, rows: tuple[int, ...]) -> bool:
         y = [system.y[i][0] for i in a]
         if not any(y):
             return iteration > 0
-        free, slope, terms = system.of_slopes(("held", rows), lambda _, D, C: _held(a, D, C), system.C, system.D)
+        free, slope, terms = system.of_slopes(("held", rows), lambda _, D, C: _held(a, D, C), "DC")
         held = free @ y
         if not held.any():
             return iteration > 0

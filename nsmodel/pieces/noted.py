@@ -116,7 +116,7 @@ class Tape:
         return of
 
     def written(self, names: Sequence[str], parameters: str, outputs: Sequence[tuple[str, Any]]) -> CodeType:
-        """``make(names)``, which returns ``of(parameters)`` that computes what it puts to ``outputs``: (where, symbol or list)."""
+        """``make(names)``, which returns ``of(parameters)``: it computes what it puts to ``outputs``, (where, symbol or list)."""
         uses = [0] * len(self._ops)
         flat = [one for _, value in outputs for one in (value if isinstance(value, list) else [value])]
         for one in flat:

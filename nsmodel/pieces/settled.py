@@ -17,13 +17,13 @@ STAYS = 1e-9  # Of what moves: a row that nothing acts on moves by less.
 
 def moved_share(system: System, how: Solve, direct: list[float], through: list[float]) -> float:
     """The largest share by which l moved of what it is the sum of: of itself, and of the inverse times the terms of h."""
-    _, D, C = system.slopes()
-    C, of_l = np.abs(C), np.abs(D) @ [abs(row[0]) for row in system.l]
-    moved = 0.0
+    l, moved = [abs(row[0]) for row in system.l], 0.0
     for inverse, step, k, time in ((how.direct, direct, 0, 1.0), (how.through, through, 1, system.t[1])):
         if inverse is not None:
-            terms = np.abs(inverse) @ (C @ [abs(row[k]) / time for row in system.x] + of_l)[list(how.active)]
-            shares = (abs(d) / (NOTHING + abs(system.l[i][0]) + v) for i, d, v in zip(how.active, step, terms, strict=True))
+            x = [abs(row[k]) / time for row in system.x]
+            sizes = [system.sum_y(i, x, l) for i in how.active]
+            terms = (sum([abs(a) * size for a, size in zip(row, sizes, strict=True)]) for row in inverse)
+            shares = (abs(d) / (NOTHING + l[i] + v) for i, d, v in zip(how.active, step, terms, strict=True))
             moved = max([moved, *shares])
     return moved
 

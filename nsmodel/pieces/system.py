@@ -69,7 +69,9 @@ class System(Orders):
         self._p: dict[tuple, bool] = {}
         self._point: list[float] | None = None  # Where the slopes were computed last, and what was made of them there.
         self._here: dict[Any, Any] = {}
-        self._always: dict[Any, Any] = {}  # What was made of those that are constant.
+        always: dict[Any, Any] = {}  # What was made of those that are constant.
+        moves = {"B": self.B is None, "D": of_l is None, "C": self.C is None}
+        self._kept = {of: self._here if any(moves[name] for name in of) else always for of in ("BDC", "DC", "B", "D", "C")}
         self._from_rest: Release | None = None
         self._whole = False  # Whether all orders stand, whatever was asked for.
         self._unrolled = None if self.blocks.all or self.updates else Unrolled(self)
@@ -108,14 +110,15 @@ class System(Orders):
     def _slopes_at(self):
         return at_points(self._slopes)
 
-    def of_slopes(self, what: Any, make: Callable[..., Any], *needed: np.ndarray | None) -> Any:
-        """What ``make`` makes of (B, D, C) at order 0; kept while these stay what they are, or those of them that it needs."""
-        slopes = self.slopes()
-        kept = self._always if needed and all(matrix is not None for matrix in needed) else self._here
+    def of_slopes(self, what: Any, make: Callable[..., Any], of: str = "BDC") -> Any:
+        """What ``make`` makes of (B, D, C) at order 0, or ``of`` some of them: kept while these stay what they are."""
+        kept = self._kept[of]
+        if kept is self._here:
+            self.slopes()
         if what not in kept:
             if len(kept) >= KEPT:
                 kept.clear()
-            kept[what] = make(*slopes)
+            kept[what] = make(*self.slopes())
         return kept[what]
 
     def solve(self, codes: list[int]) -> Solve:
@@ -237,7 +240,7 @@ class System(Orders):
     def pushed(self) -> list[float]:
         """By what multipliers push each x in the unit of time, in size: in stick f takes that back."""
         l, tau = [abs(row[0]) + abs(row[1]) for row in self.push], abs(self.t[1])
-        of_x = self.of_slopes("push of x", lambda B, _, __: terms_of(np.abs(B), self.n), self.B)
+        of_x = self.of_slopes("push of x", lambda B, _, __: terms_of(np.abs(B), self.n), "B")
         return [tau * sum([a * l[j] for j, a in own]) for own in of_x]
 
     def size_l(self, i: int) -> float:
@@ -249,9 +252,13 @@ class System(Orders):
         of_x, of_l = self.sizes.x, self.sizes.l
         if x or l:
             of_x, of_l = (list(map(max, of, map(abs, now))) for of, now in ((of_x, x), (of_l, l)))
-        by_x = self.of_slopes("y of x", lambda _, __, C: terms_of(np.abs(C), self.m), self.C)
-        by_l = self.of_slopes("y of l", lambda _, D, __: terms_of(np.abs(D), self.m), self.D)
-        return sum([a * of_x[j] for j, a in by_x[i]] + [a * of_l[j] for j, a in by_l[i]])
+        return self.sum_y(i, of_x, of_l)
+
+    def sum_y(self, i: int, x: Sequence[float], l: Sequence[float]) -> float:
+        """|C_i| x + |D_i| l."""
+        by_x = self.of_slopes("y of x", lambda _, __, C: terms_of(np.abs(C), self.m), "C")
+        by_l = self.of_slopes("y of l", lambda _, D, __: terms_of(np.abs(D), self.m), "D")
+        return sum([a * x[j] for j, a in by_x[i]] + [a * l[j] for j, a in by_l[i]])
 
     @cached_property
     def is_monotone(self) -> bool:

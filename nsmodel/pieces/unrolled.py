@@ -95,10 +95,9 @@ class Unrolled:
         for name, part in own.parts.items():
             part.choice[:] = [tape.note(f"{name}_choice[{i}]") for i in range(len(part.choice))]
         numbers = iter([tape.note(f"d[{k}]") for k in range(len(self._direct) * kind[0] + len(self._through) * kind[1])])
-        matrices = [
-            _filled(places, own.m, numbers) if there else None for places, there in zip((self._direct, self._through), kind)
-        ]
-        how, codes = Solve(tuple(range(own.m)), *matrices, None, kind[2]), [0] * own.m
+        direct = _filled(self._direct, own.m, numbers) if kind[0] else None
+        through = _filled(self._through, own.m, numbers) if kind[1] else None
+        how, codes = Solve(tuple(range(own.m)), direct, through, None, kind[2]), [0] * own.m
         own.start(how, codes, linear=system.linear_in_l)
         own.go_on(how, codes, 0, own.orders)
         found = _rows(own)

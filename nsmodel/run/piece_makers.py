@@ -120,8 +120,9 @@ class Interpreted:
 
     def _sizes(self) -> tuple[list[float], list[float]]:
         """What y and l are measured beside at the end of a piece that was just made."""
-        system = self.integrator.system
-        return tuple([of(i) if feeds else 1.0 for i, feeds in enumerate(self._feeds)] for of in (system.size_y, system.size_l))
+        system, feeds = self.integrator.system, self._feeds
+        of_y = [system.size_y(i) if feeds[i] else 1.0 for i in range(system.m)]
+        return of_y, [system.size_l(i) if feeds[i] else 1.0 for i in range(system.m)]
 
     def counts(self, *, before: bool = False) -> dict[str, Any]:
         """Touches, verdicts about modes, pieces with redundant rows or by collocation; stretches."""
