@@ -89,7 +89,7 @@ def defect(
             missed = max(shares) if sum(shares) <= LOCAL else _missed(system, off, most, at, tau, of, velocity)
         if not missed <= 1:
             off, of_l = _split(system, place, off)
-            missed = _missed(system, off, most, at, tau, of, np.abs(velocity) + _pushed(system, l))
+            missed = _missed(system, off, most, at, tau, of, (np.abs(velocity) + _pushed(system, l)).tolist())
             for i, d in of_l:
                 if size := max(system.size_l(i), abs(l[i])):
                     worst = max(worst, (abs(d) / tau - SEEN_ROW * size) / (MULTIPLIERS * rtol * size))

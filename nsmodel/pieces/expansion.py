@@ -32,13 +32,13 @@ class Expansion:
     ) -> None:  # fmt: skip
         """``inputs``: lists that stand for rows of inputs, by (which input, its entry); for the others see `compiled`."""
         self.jets = jets
-        self.rows = [[0.0] * (orders + 1) for _ in range(jets.count)]
+        self.rows: list[list[Any]] = [[0.0] * (orders + 1) for _ in range(jets.count)]
         for place, row in jets.inputs.items():
             if inputs is not None:
                 self.rows[row] = inputs[place]
         for row, value in jets.numbers.items():
             self.rows[row][0] = value
-        self.choice = [math.nan] * len(jets.branches)
+        self.choice: list[Any] = [math.nan] * len(jets.branches)
         self.outputs = [self.rows[row] for row in jets.outputs]
         self._first, self._later = compiled(jets, self.rows, self.choice, language, known)
         self._summed = _summed(jets)

@@ -62,8 +62,7 @@ class Integrator:
         self.system = System(problem, self.order, self.rtol)
         self.atol = [0.0] * self.system.n if atol is None else atol
         system, x0 = self.system, [float(v) for v in np.array(ca.DM(problem.x0)).ravel()]
-        self.place = Place(0.0, x0, 1.0, [0] * system.m)
-        self.sizes = system.sizes
+        self.place, self.sizes = Place(0.0, x0, 1.0, [0] * system.m), system.sizes
         self._equations = Equations(problem)
         self.stiff = Stiff(system, self.order, min(rtol, ROUGHEST), self.atol, residuals=residuals)
         self.accumulation = Accumulation()
@@ -219,10 +218,9 @@ class Integrator:
     def _event(self, hit: Condition, known: float) -> None:
         """Go to the event to round-off, but not beyond a known time, and choose the mode after it."""
         system, place = self.system, self.place
-        how = self._expand(AROUND)
+        how, left, tau = self._expand(AROUND), 0.0, place.tau
         if project(system, place, how.active):  # Afterwards it would move the root that is polished.
-            how = self._expand(AROUND)
-        left, tau = 0.0, place.tau
+            how, tau = self._expand(AROUND), place.tau
         if hit.stops:  # No matter of digits; in a longer unit of time coefficients are beyond measure.
             self._expand(1)
             place.tau = unit(min(left := system.blocks.of[hit.of[1]].left, 1.0) * tau)
@@ -298,7 +296,8 @@ class Integrator:
         if how.through is None:
             return
         _, y = self._equations(place.t, place.x, [row[0] for row in system.l])
-        if any(abs(y[i]) > self.rtol * system.size_y(i) for i in how.active if not system.feedthrough[i]):
+        off = [i for i in how.active if abs(y[i]) > self.rtol * self.sizes.y[i] and not system.feedthrough[i]]
+        if any(abs(y[i]) > self.rtol * system.size_y(i) for i in off):
             self._expand(1)
             project(system, place, how.active)
 

@@ -33,7 +33,8 @@ class Orders:
         self.n, self.m, self.orders, self.D = problem.x.numel(), problem.l.numel(), orders, D
         width = orders + 1
         self.t: list[Any] = [0.0] * width
-        self.x, self.l, self.y = ([[0.0] * width for _ in range(size)] for size in (self.n, self.m, self.m))
+        rows: list[list[list[Any]]] = [[[0.0] * width for _ in range(size)] for size in (self.n, self.m, self.m)]
+        self.x, self.l, self.y = rows
         self.blocks = Blocks(problem, self.l, self.y)
         self.push = self.blocks.push
         given = {(0, 0): self.t} | {(1, i): row for i, row in enumerate(self.x)}

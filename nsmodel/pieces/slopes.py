@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import casadi as ca
 import numpy as np
@@ -15,15 +15,15 @@ def numbers(matrix: ca.SX, moving: ca.SX) -> np.ndarray | None:
     return None if ca.depends_on(matrix, moving) else np.array(ca.DM(ca.densify(ca.cse(matrix)))).reshape(matrix.shape)
 
 
-def at_points(slopes: ca.Function) -> Callable[[Sequence[float]], None]:
-    """``at(point)`` of a function with three outputs, which are the arrays ``at.out``: the next call overwrites them."""
-    given = np.zeros(slopes.numel_in(0))
-    out = [np.zeros(slopes.size_out(i), order="F") for i in range(3)]
-    buffer, call = attached(slopes, [given], out)
+class AtPoints:
+    """A function of a point with three outputs, the arrays ``out``: the next call overwrites them."""
 
-    def at(point: Sequence[float]) -> None:
-        given[:] = point
-        call()
+    def __init__(self, slopes: ca.Function) -> None:
+        self._given = np.zeros(slopes.numel_in(0))
+        self.out = tuple(np.zeros(slopes.size_out(i), order="F") for i in range(3))
+        self._buffer, self._call = attached(slopes, [self._given], self.out)
 
-    at.buffer, at.out = buffer, tuple(out)  # pyright: ignore[reportFunctionMemberAccess]
-    return at
+    def __call__(self, point: Sequence[float]) -> None:
+        """Put them to ``out``."""
+        self._given[:] = point
+        self._call()

@@ -28,7 +28,7 @@ from nsmodel.pieces.orders import Orders
 from nsmodel.pieces.release import Release
 from nsmodel.pieces.settled import moved_share, stays
 from nsmodel.pieces.sizes import Negligible, Sizes
-from nsmodel.pieces.slopes import at_points, numbers
+from nsmodel.pieces.slopes import AtPoints, numbers
 from nsmodel.pieces.straight import terms_of
 from nsmodel.pieces.unrolled import Unrolled
 from nsmodel.scheme.continuous import ContinuousProblem
@@ -104,11 +104,12 @@ class System(Orders):
             self._point = point
             self._here.clear()
             self._slopes_at(point)
-        return self._slopes_at.out
+        B, D, C = self._slopes_at.out
+        return B, D, C
 
     @cached_property
-    def _slopes_at(self):
-        return at_points(self._slopes)
+    def _slopes_at(self) -> AtPoints:
+        return AtPoints(self._slopes)
 
     def of_slopes(self, what: Any, make: Callable[..., Any], of: str = "BDC") -> Any:
         """What ``make`` makes of (B, D, C) at order 0, or ``of`` some of them: kept while these stay what they are."""

@@ -14,7 +14,7 @@ from nsmodel import dense, laws
 from nsmodel.pieces.expansion import Expansion
 from nsmodel.pieces.jets import jets_of
 from nsmodel.pieces.piece import Piece
-from nsmodel.run.row_facts import facts
+from nsmodel.run.row_facts import columns_of, facts
 from nsmodel.run.walk import CHUNK_BYTES
 from nsmodel.scheme.continuous import ContinuousProblem
 
@@ -59,8 +59,8 @@ class Block(NamedTuple):
         impulse = [one or (0.0,) * len(codes[0]) for one in event]
         given = (t, tau, s, x, l, y, codes, defect, last, [one is not None for one in event], impulse, size_y, size_l)
         kinds = [float] * 6 + [np.int8, float, float, bool, float, float, float]
-        arrays = (np.array(value, kind) for value, kind in zip(given, kinds, strict=True))
-        return cls(*arrays, np.array([math.nan if one is None else one for one in residual]))
+        arrays = [np.array(value, kind) for value, kind in zip(given, kinds, strict=True)]
+        return cls(*[*arrays, np.array([math.nan if one is None else one for one in residual])])
 
     @classmethod
     def joined(cls, blocks: Sequence[Block]) -> Block:
@@ -123,7 +123,7 @@ class PieceRows:
         self._out = _outputs(problem, orders)
         self._facts = facts(problem)
         self._curved = [(at, part) for at, part in problem.law.parts() if part.curved() is not None]
-        self._tell = columns or _columns_of(problem)
+        self._tell = columns or columns_of(problem)
         nothing = np.zeros(self._facts.shown)
         self.carried = Carried(0, 0.0, nothing, nothing)
         self.starts = True  # Whether the row of the start is among those in memory.
@@ -293,17 +293,6 @@ def _missed(part: laws.Block, l: np.ndarray, y: np.ndarray, size: np.ndarray) ->
     outside = part.excess(l).max(axis=1) / part.extent
     least = np.einsum("kni,ni->kn", part.rivals(l, y), y).min(axis=0)
     return np.maximum(outside, ((l * y).sum(axis=1) - least) / (part.extent * np.maximum(size.max(axis=1), 1e-300)))
-
-
-def _columns_of(p: ContinuousProblem) -> Columns:
-    """(h, y, records) of rows (t, x, l), evaluated by CasADi."""
-    given = ca.vertcat(p.t, p.x, p.l)
-    function = ca.Function("records", [given], [ca.densify(ca.veccat(p.h, *p.columns.values()))])
-
-    def at(rows: np.ndarray) -> np.ndarray:
-        return np.array(function.map(len(rows))(rows.T)).T
-
-    return at
 
 
 def _worst(before: float, defects: np.ndarray, piece: np.ndarray) -> tuple[np.ndarray, float]:
