@@ -63,8 +63,8 @@ def columns_of(p: ContinuousProblem) -> Callable[[np.ndarray], np.ndarray]:
         if count not in of_many:
             of_many.clear()
             of_many[count] = function.map(count)
-        found = np.zeros((function.numel_out(), count), order="F")
-        _buffer, call = attached(of_many[count], [np.asfortranarray(rows.T, float)], [found])
+        given, found = np.asfortranarray(rows.T, float), np.zeros((function.numel_out(), count), order="F")
+        _buffer, call = attached(of_many[count], [given], [found])  # as long as these three live
         call()
         return found.T
 
