@@ -6,10 +6,11 @@ sign, less an even number (Farouki and Rajan, Computer Aided Geometric Design 4,
 
 from __future__ import annotations
 
-from functools import cache
+from collections.abc import Callable, Sequence
+from functools import cache, reduce
 from itertools import pairwise
 from math import comb
-from operator import mul
+from typing import Any
 
 NONE = 2.0  # Of a root, where there is none.
 NARROW = 1e-13  # Two roots that are as near as this are one.
@@ -18,18 +19,24 @@ ITERATIONS, EXACT = 80, 1e-9  # Of Newton's method, and the step after which the
 
 def value(c: list[float], s: float) -> float:
     """c(s) by Horner's rule."""
-    total = 0.0
-    for a in reversed(c):
-        total = total * s + a
-    return total
+    return _of(len(c), "value")(c, s)
 
 
 def slope(c: list[float], s: float) -> float:
     """c'(s)."""
-    total = 0.0
-    for k in range(len(c) - 1, 0, -1):
-        total = total * s + k * c[k]
-    return total
+    return _of(len(c), "slope")(c, s)
+
+
+def values(rows: Sequence[list[float]], s: float) -> list[float]:
+    """``value`` of each of rows of one length."""
+    of = _of(len(rows[0]), "value") if rows else value
+    return [of(c, s) for c in rows]
+
+
+def slopes(rows: Sequence[list[float]], s: float) -> list[float]:
+    """``slope`` of each of rows of one length."""
+    of = _of(len(rows[0]), "slope") if rows else slope
+    return [of(c, s) for c in rows]
 
 
 def first_root(c: list[float]) -> float:
@@ -37,14 +44,23 @@ def first_root(c: list[float]) -> float:
     if c[0] > sum(map(abs, c[1:])):
         return NONE
     n = len(c) - 1
-    b = [sum(map(mul, row, c)) for row in _to_bernstein(n)]
-    return _first(c, b, 0.0, 1.0)
+    b = _of(n + 1, "bernstein")(c)
+    return NONE if min(b) > 0 else _first(c, b, 0.0, 1.0)
 
 
 @cache
-def _to_bernstein(n: int) -> tuple[tuple[float, ...], ...]:
-    """b_j = sum_k comb(j, k)/comb(n, k) c_k."""
-    return tuple(tuple(comb(j, k) / comb(n, k) for k in range(j + 1)) for j in range(n + 1))
+def _of(count: int, what: str) -> Callable[..., Any]:
+    """Of so many coefficients, written out: value and slope at s by Horner's rule; b_j = sum_k comb(j, k)/comb(n, k) c_k."""
+    n = count - 1
+    if what == "bernstein":
+        sums = (" + ".join(f"{comb(j, k) / comb(n, k)!r}*c{k}" for k in range(j + 1)) for j in range(count))
+        text = f"[{', '.join(sums)}]"
+    else:
+        terms = [f"c{k}" for k in range(count)] if what == "value" else [f"{k}*c{k}" for k in range(1, count)]
+        text = reduce(lambda total, term: f"({total})*s + {term}", reversed(terms or ["0.0"]))
+    made: dict[str, Any] = {}
+    exec(f"def of(c, s=0.0):\n    [{', '.join(f'c{k}' for k in range(count))}] = c\n    return {text}", made)
+    return made["of"]
 
 
 def _first(c: list[float], b: list[float], low: float, width: float) -> float:

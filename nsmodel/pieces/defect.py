@@ -9,7 +9,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from nsmodel.pieces.bernstein import slope, value
+from nsmodel.pieces.bernstein import slope, slopes, values
 from nsmodel.pieces.lengths import LOCAL, MULTIPLIERS
 from nsmodel.pieces.modes import Place
 from nsmodel.pieces.multipliers import NOTHING
@@ -29,26 +29,26 @@ class Equations:
     def __init__(self, problem: ContinuousProblem) -> None:
         self._problem, (n, m) = problem, (problem.x.numel(), problem.l.numel())
         out = [ca.densify(problem.f + problem.g), ca.densify(problem.h)]
-        function = ca.Function("equations", [problem.t, problem.x, problem.l], out)
-        self._given = [np.zeros(1), np.zeros(n), np.zeros(m)]
-        self._found = np.zeros(n), np.zeros(m)
-        self._buffer, self._call = attached(function, self._given, list(self._found))
+        self._symbols = ca.vertcat(problem.t, problem.x, problem.l)
+        self._n, self._given, self._found = n, np.zeros(1 + n + m), np.zeros(n + m)
+        function = ca.Function("equations", [self._symbols], [ca.vertcat(*out)])
+        self._buffer, self._call = attached(function, [self._given], [self._found])
 
-    def __call__(self, time: float, state: Sequence[float], multipliers: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
-        """The two; what they returned before is overwritten."""
-        self._given[0][0], self._given[1][:], self._given[2][:] = time, state, multipliers
+    def __call__(self, time: float, state: Sequence[float], multipliers: Sequence[float]) -> tuple[list[float], list[float]]:
+        """The two."""
+        self._given[:] = [time, *state, *multipliers]
         self._call()
-        return self._found
+        found = self._found.tolist()
+        return found[: self._n], found[self._n :]
 
     @cached_property
     def _bound(self) -> ca.Function:
-        p = self._problem
-        given = [p.t, p.x, p.l]
-        return ca.Function("bound", given, [error_bound(ca.densify(p.f + p.g), ca.veccat(*given))])
+        rate = ca.densify(self._problem.f + self._problem.g)
+        return ca.Function("bound", [self._symbols], [error_bound(rate, self._symbols)])
 
     def rounding(self) -> np.ndarray:
         """What f + g may err by (n,) where it was evaluated last, its arguments known to the nearest double."""
-        return ROUNDING * np.array(self._bound(*self._given)).ravel()
+        return ROUNDING * np.array(self._bound(self._given)).ravel()
 
 
 def coming(system: System, place: Place, of: Equations, s: float) -> list[float]:
@@ -56,10 +56,9 @@ def coming(system: System, place: Place, of: Equations, s: float) -> list[float]
 
     A motion that begins beyond the order is nothing on the piece, which says nothing of how large it is to be.
     """
-    x, l = ([value(row, s) for row in rows] for rows in (system.x, system.push))
+    x, l = values(system.x, s), values(system.push, s)
     velocity, _ = of(place.t + place.tau * s, x, l)
-    both = zip(system.x, x, place.tau * s * np.abs(velocity), strict=True)
-    return [0.0 if row[0] else max(abs(v), float(w)) for row, v, w in both]
+    return [0.0 if row[0] else max(abs(v), abs(place.tau * s * w)) for row, v, w in zip(system.x, x, velocity, strict=True)]
 
 
 def defect(
@@ -75,26 +74,28 @@ def defect(
     slipping = system.blocks.slipping(place.codes)
     for share in POINTS:
         at = share * s
-        rows = [row[: p + 1] for row in system.x]
-        x, rate = [value(row, at) for row in rows], [slope(row, at) for row in rows]
-        l = [value(row, at) for row in system.push]
+        x, rate, l = values(system.x, at), slopes(system.x, at), values(system.push, at)
         for block in slipping:
             l[block.at[0] : block.at[-1] + 1] = block.pushing(at)
         velocity, y = of(place.t + tau * at, x, l)
-        largest = [max(*of_i, abs(v * s)) for *of_i, v in zip(sizes.x, later, map(abs, x), rate, strict=True)]
-        goals = [rtol * size + more + NOTHING for size, more in zip(largest, atol, strict=True)]
-        most = [share**p * (p + 1) / s * goal / LOCAL if s else math.inf for goal in goals]
-        off = np.array(rate) - tau * velocity
-        missed = math.inf if system.blocks.all else _missed(off, most, rows, at, tau, of, np.abs(velocity))
+        largest = map(max, sizes.x, later, map(abs, x), [abs(v * s) for v in rate])
+        factor = share**p * (p + 1) / s if s else math.inf
+        most = [factor * (rtol * size + more + NOTHING) / LOCAL for size, more in zip(largest, atol, strict=True)]
+        off = [moved - tau * v for moved, v in zip(rate, velocity, strict=True)]
+        shares = [abs(d) / least for d, least in zip(off, most, strict=True)]
+        if system.blocks.all:
+            missed = math.inf
+        else:
+            missed = max(shares) if sum(shares) <= LOCAL else _missed(system, off, most, at, tau, of, velocity)
         if not missed <= 1:
             off, of_l = _split(system, place, off)
-            missed = _missed(off, most, rows, at, tau, of, np.abs(velocity) + _pushed(system, l))
+            missed = _missed(system, off, most, at, tau, of, (np.abs(velocity) + _pushed(system, l)).tolist())
             for i, d in of_l:
                 if size := max(system.size_l(i), abs(l[i])):
                     worst = max(worst, (abs(d) / tau - SEEN_ROW * size) / (MULTIPLIERS * rtol * size))
         worst = max(worst, missed / LOCAL)
         for i in held:
-            if y[i]:
+            if abs(y[i]) > SEEN_ROW * sizes.y[i]:
                 size = max(sizes.y[i], system.terms(i, x, l))
                 beyond, goal = abs(y[i]) - SEEN_ROW * size, MULTIPLIERS * rtol * size
                 if beyond > goal / LOCAL:
@@ -110,14 +111,14 @@ def defect(
 
 
 def _missed(
-    off: np.ndarray, most: list[float], rows: list[list[float]], at: float, tau: float, of: Equations, rates: np.ndarray
+    system: System, off: Sequence[float], most: list[float], at: float, tau: float, of: Equations, rates: Sequence[float]
 ) -> float:
     """The largest share that ``off`` is of what it may be at ``most``, beyond rounding; ``rates``: what x' is the sum of."""
     worst = 0.0
     for i, (missed, least) in enumerate(zip(off, most, strict=True)):
         seen = abs(missed)
         if not seen <= LOCAL * least:
-            seen -= SEEN * (slope([abs(c) for c in rows[i]], at) + tau * rates[i])
+            seen -= SEEN * (slope([abs(c) for c in system.x[i]], at) + tau * abs(rates[i]))
         if not seen <= least:
             seen -= tau * of.rounding()[i]
         if not seen <= 0:
@@ -130,7 +131,7 @@ def _pushed(system: System, l: list[float]) -> np.ndarray:
     return np.abs(system.slopes()[0]) @ np.abs(l)
 
 
-def _split(system: System, place: Place, off: np.ndarray) -> tuple[np.ndarray, list[tuple[int, float]]]:
+def _split(system: System, place: Place, off: list[float]) -> tuple[list[float], list[tuple[int, float]]]:
     """What x' - f - g is beside the part along g_l of held rows; that part, of each l."""
     how = system.solve(place.codes)
     B, _, C = system.slopes()
@@ -138,4 +139,4 @@ def _split(system: System, place: Place, off: np.ndarray) -> tuple[np.ndarray, l
         return off, []
     rows = list(how.active)
     moved = np.array(how.through) @ (C[rows] @ off)
-    return off - B[:, rows] @ moved, list(zip(rows, moved.tolist(), strict=True))
+    return (off - B[:, rows] @ moved).tolist(), list(zip(rows, moved.tolist(), strict=True))

@@ -14,7 +14,7 @@ from nsmodel.pieces import series
 from nsmodel.pieces.jets import Jets
 from nsmodel.pieces.printed import PYTHON, Dialect, first, later, summed
 
-_KNOWN = series.RECURRENCES | series.STARTS | {name: getattr(np, name) for name in ("floor", "ceil", "trunc", "rint")}
+KNOWN = series.RECURRENCES | series.STARTS | {name: getattr(np, name) for name in ("floor", "ceil", "trunc", "rint")}
 
 
 class Expansion:
@@ -26,18 +26,21 @@ class Expansion:
         outputs: the rows of the expression's entries.
     """
 
-    def __init__(self, jets: Jets, orders: int, inputs: Mapping[tuple[int, int], list[float]] | None = None) -> None:
-        """``inputs``: lists that stand for rows of inputs, by (which input, its entry)."""
+    def __init__(
+        self, jets: Jets, orders: int, inputs: Mapping[tuple[int, int], list[Any]] | None = None, language: Dialect = PYTHON,
+        known: Mapping[str, Any] = KNOWN,
+    ) -> None:  # fmt: skip
+        """``inputs``: lists that stand for rows of inputs, by (which input, its entry); for the others see `compiled`."""
         self.jets = jets
-        self.rows = [[0.0] * (orders + 1) for _ in range(jets.count)]
+        self.rows: list[list[Any]] = [[0.0] * (orders + 1) for _ in range(jets.count)]
         for place, row in jets.inputs.items():
             if inputs is not None:
                 self.rows[row] = inputs[place]
         for row, value in jets.numbers.items():
             self.rows[row][0] = value
-        self.choice = [math.nan] * len(jets.branches)
+        self.choice: list[Any] = [math.nan] * len(jets.branches)
         self.outputs = [self.rows[row] for row in jets.outputs]
-        self._first, self._later = compiled(jets, self.rows, self.choice, PYTHON, _KNOWN)
+        self._first, self._later = compiled(jets, self.rows, self.choice, language, known)
         self._summed = _summed(jets)
 
     def compute(self, k: int) -> None:

@@ -15,10 +15,9 @@ import numpy as np
 
 from nsmodel.errors import FinalError, StepError
 from nsmodel.pieces.accumulation import Accumulation
-from nsmodel.pieces.bernstein import value
+from nsmodel.pieces.bernstein import value, values
 from nsmodel.pieces.defect import Equations
 from nsmodel.pieces.ending import ending
-from nsmodel.pieces.expansion import scale
 from nsmodel.pieces.known import Known, reaches
 from nsmodel.pieces.lengths import LOCAL, ROUGHEST, first_unit, length, order_of, unit
 from nsmodel.pieces.modes import ORDERS, Place, jump, select, take_sides, turn, uniqueness
@@ -63,8 +62,7 @@ class Integrator:
         self.system = System(problem, self.order, self.rtol)
         self.atol = [0.0] * self.system.n if atol is None else atol
         system, x0 = self.system, [float(v) for v in np.array(ca.DM(problem.x0)).ravel()]
-        self.place = Place(0.0, x0, 1.0, [0] * system.m)
-        self.sizes = system.sizes
+        self.place, self.sizes = Place(0.0, x0, 1.0, [0] * system.m), system.sizes
         self._equations = Equations(problem)
         self.stiff = Stiff(system, self.order, min(rtol, ROUGHEST), self.atol, residuals=residuals)
         self.accumulation = Accumulation()
@@ -104,12 +102,12 @@ class Integrator:
             hit, s, error = ending(
                 system, place, how, self._equations, self.order, min(s, (known - place.t) / place.tau), self.rtol, self.atol
             )
-            tau, last = place.tau, [value(row, s) for row in system.x]
+            tau, last = place.tau, values(system.x, s)
         else:
             place.tau = unit(ROOM * s * place.tau)  # That of series, and of germs, stays what a series takes.
             tau, s, error, last, hit = found
-        x, l, y = (np.array(rows).reshape(len(rows), system.orders + 1) for rows in (system.x, system.l, system.y))
-        piece = Piece(place.t, tau, s, x, l, y, tuple(place.codes), error, last, self._begun)
+        series, n, m = np.array([*system.x, *system.l, *system.y]), system.n, system.n + system.m
+        piece = Piece(place.t, tau, s, series[:n], series[n:m], series[m:], tuple(place.codes), error, last, self._begun)
         self._begun = self._begun if s == 0 else None
         self.redundant += how.null is not None and how.null.shape[1] > 0
         grow(system, s, min(longest, tau * s))
@@ -148,8 +146,7 @@ class Integrator:
         if system.blocks.all:
             how = self._expand(self.order)
             return how, min(self._length(how), 1.0)
-        parts = (row for part in system.parts.values() for row in part.rows)
-        scale([system.t, *system.x, *system.l, *system.y, *parts], times)
+        system.scale(times)
         return how, min(s / times, 1.0)
 
     def _length(self, how: Solve) -> float:
@@ -166,7 +163,8 @@ class Integrator:
         forget_branches(system)
         if (how := select(system, self.place)) is None:
             raise self._stuck("here")
-        project(system, self.place, how.active)
+        if project(system, self.place, how.active):
+            self._expand(ORDERS)
         self._refuse_rivals()
 
     def _start(self) -> None:
@@ -210,7 +208,7 @@ class Integrator:
             how = system.expand(place.t, place.x, place.codes, place.tau, orders)
             if how is None:
                 raise self._stuck("any more")
-            if all(math.isfinite(row[orders]) for row in system.x):
+            if all(map(math.isfinite, [row[orders] for row in system.x])):
                 return how
             place.tau = math.ldexp(place.tau, -OCTAVES)
         raise self.final or StepError(f"t = {place.t:.10g}: f, g or h has no number, or no Taylor series, here")
@@ -220,14 +218,15 @@ class Integrator:
     def _event(self, hit: Condition, known: float) -> None:
         """Go to the event to round-off, but not beyond a known time, and choose the mode after it."""
         system, place = self.system, self.place
-        project(system, place, self._expand(AROUND).active)  # Afterwards it would move the root that is polished.
-        left, tau = 0.0, place.tau
+        how, left, tau = self._expand(AROUND), 0.0, place.tau
+        if project(system, place, how.active):  # Afterwards it would move the root that is polished.
+            how, tau = self._expand(AROUND), place.tau
         if hit.stops:  # No matter of digits; in a longer unit of time coefficients are beyond measure.
             self._expand(1)
             place.tau = unit(min(left := system.blocks.of[hit.of[1]].left, 1.0) * tau)
             how, own = self._expand(AROUND), None
         else:
-            how, own = polish(system, place, hit, AROUND, self._expand)
+            how, own = polish(system, place, hit, AROUND, how, self._expand)
         past = None if own is None else beyond_touch(system, own)
         self.touches += past is not None
         to_known = (known - place.t) / place.tau
@@ -297,7 +296,8 @@ class Integrator:
         if how.through is None:
             return
         _, y = self._equations(place.t, place.x, [row[0] for row in system.l])
-        if any(abs(y[i]) > self.rtol * system.size_y(i) for i in how.active if not system.feedthrough[i]):
+        off = [i for i in how.active if abs(y[i]) > self.rtol * self.sizes.y[i] and not system.feedthrough[i]]
+        if any(abs(y[i]) > self.rtol * system.size_y(i) for i in off):
             self._expand(1)
             project(system, place, how.active)
 

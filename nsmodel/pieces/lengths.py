@@ -6,7 +6,7 @@ Of x, y and l, and of what switches look at: x may be a line where that turns.
 from __future__ import annotations
 
 import math
-from itertools import accumulate
+from itertools import accumulate, repeat
 from operator import mul
 from typing import NamedTuple
 
@@ -33,24 +33,19 @@ def length(system: System, codes: list[int], how: Solve, p: int, rtol: float, at
     """The length of the piece in tau; a row's size is that on the piece too."""
     sizes, known = system.sizes, p if how.index == 1 else p - 1
     y_floor, l_floor = (SMALL * max(of, default=0.0) for of in (sizes.y, sizes.l))
-    pushed = (ROUNDING * system.pushed() + NOTHING).tolist()
-    rows = [_Row.of(row, p, rtol, *more) for row, *more in zip(system.x, sizes.x, atol, pushed, strict=True)]
+    pushed = (ROUNDING * v + NOTHING for v in system.pushed())
+    rows = [_Row(*given) for given in zip(system.x, repeat(p), repeat(rtol), sizes.x, atol, pushed)]
     for i, code in enumerate(codes):
         row, orders, size = system.l[i], known, max(sizes.l[i], l_floor)
         if code:
             if i in system.blocks.of:
-                rows.append(_Row.of(row, orders, MULTIPLIERS * rtol, size))
+                rows.append(_Row(row, orders, MULTIPLIERS * rtol, size))
             row, orders, size = system.y[i], p, max(sizes.y[i], y_floor)
-        rows.append(_Row.of(row, orders, MULTIPLIERS * rtol, size))
+        rows.append(_Row(row, orders, MULTIPLIERS * rtol, size))
     for (name, i), size in zip(system.branches, sizes.switches, strict=True):
         part = system.parts[name]
-        rows.append(_Row.of(part.rows[part.jets.branches[i].row], p - 1, MULTIPLIERS * rtol, size))
-    s = 0.0
-    for _ in range(PASSES):
-        before, s = s, _shortest(rows, s)
-        if s == before:
-            break
-    return s
+        rows.append(_Row(part.rows[part.jets.branches[i].row], p - 1, MULTIPLIERS * rtol, size))
+    return _shortest(rows)
 
 
 def first_unit(system: System, t: float, x: list[float], tau: float) -> float:
@@ -69,35 +64,55 @@ def unit(tau: float) -> float:
 
 
 class _Row(NamedTuple):
-    """A row's coefficients, how many are known, what it is asked for, its size so far, rounding; the sizes of its first ones."""
+    """A row's coefficients, how many are known, what it is asked for, its size so far, and rounding."""
 
     c: list[float]
     known: int
     rtol: float
     so_far: float
-    more: float
-    rounding: float
-    first: list[float]
+    more: float = 0.0
+    rounding: float = 0.0
 
-    @classmethod
-    def of(cls, c: list[float], known: int, rtol: float, so_far: float, more: float = 0.0, rounding: float = 0.0) -> _Row:
-        return cls(c, known, rtol, so_far, more, rounding, list(map(abs, c[: known // 2])))
+    def longest(self, size: float) -> float:
+        """How far it goes with this size: |c_p| s^p and |c_(p-1)| s^(p-1) are at most rtol of it.
 
-
-def _shortest(rows: list[_Row], s: float) -> float:
-    """The longest s with |c_p| s^p and |c_(p-1)| s^(p-1) at most rtol of the size, in all rows.
-
-    A row's size is its largest so far, and on a piece of length ``s``; of one of size 0 it is its first
-    term, and where that is none of the first half later terms are at most that.
-    """
-    powers = list(accumulate([s] * (max((row.known for row in rows), default=0) // 2), mul, initial=1.0))
-    least: dict[int, float] = {}  # {order: the least of what s to this power may be}
-    for c, p, rtol, so_far, more, rounding, beginning in rows:
-        size = max(so_far, max(map(mul, beginning, powers), default=0.0))
-        first = next((k for k in range(p) if c[k]), p) if size + more == 0 else 0
-        goal = max((rtol if first < p // 2 else 1.0) * abs(c[first]) if first else rtol * size + more, rounding)
+        Of size 0 it is its first term, and where that is none of the first half later terms are at most that.
+        """
+        c, p, rtol, _, more, rounding = self
+        first, s, goal = 0, LONGEST, rtol * size + more
+        if not goal:
+            first = next((k for k in range(p) if c[k]), p)
+            goal = (rtol if first < p // 2 else 1.0) * abs(c[first]) if first else 0.0
+        if goal < rounding:
+            goal = rounding
         for k in (p, p - 1):
-            a = abs(c[k])
-            if a and k > first and goal / a < least.get(k - first, math.inf):
-                least[k - first] = goal / a
-    return min([LONGEST, *(ratio ** (1 / k) for k, ratio in least.items())])
+            if (a := abs(c[k])) and k > first and (most := (goal / a) ** (1 / (k - first))) < s:
+                s = most
+        return s
+
+
+def _shortest(rows: list[_Row]) -> float:
+    """The longest s that all rows let, with the sizes that they have on it.
+
+    With its size so far and at the start a row goes no further than with that on the piece: most need no look at the latter.
+    """
+    least, given = [], LONGEST
+    for number, row in enumerate(rows):
+        size, start = row.so_far, abs(row.c[0])
+        s = row.longest(size if size > start else start)
+        least.append((s if size or start or row.more else 0.0, number))
+        if s < given:
+            given = s
+    least.sort()
+    half = max((row.known for row in rows), default=0) // 2
+    for _ in range(PASSES - 1):
+        powers, before, given = list(accumulate([given] * half, mul, initial=1.0)), given, LONGEST
+        for s, number in least:
+            if s >= given:
+                break
+            row = rows[number]
+            size = max(row.so_far, *map(mul, map(abs, row.c[: row.known // 2]), powers))
+            given = min(given, row.longest(size))
+        if given == before:
+            break
+    return given

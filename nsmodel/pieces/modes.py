@@ -7,6 +7,7 @@ Appl. Math. 60, 2000: the rational complementarity problem). A mode is taken onl
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -61,12 +62,16 @@ def take_sides(system: System, place: Place) -> None:
         place.codes[i] = int(codes[0]) if len(codes) == 1 and i not in system.blocks.of else 0
 
 
-def valid(system: System, place: Place, before: tuple) -> Iterator[tuple[Solve, list[list[float]], np.ndarray, float]]:
-    """All modes of the open switches, where these are few, in which all germs are valid: x, how l pushes it, `pace`."""
+def valid(
+    system: System, place: Place, before: tuple, own: list[float] | None = None
+) -> Iterator[tuple[Solve, list[list[float]], list[float], float]]:
+    """All modes of the open switches but ``own``, where these are few, that all germs allow: x, how l pushes it, `pace`."""
     opened = sorted(before[2])
     if len(opened) > FEW:
         return
     for codes in itertools.product(*[_possible(system, switch) for switch in opened]):
+        if list(codes) == own:
+            continue
         _restore(system, place, before)
         for switch, code in zip(opened, codes, strict=True):
             turn(system, place, switch, code)
@@ -84,7 +89,7 @@ def jump(system: System, place: Place) -> np.ndarray | None:
     if B is None or D is None or C is None:
         return None
     system.expand(place.t, place.x, place.codes, place.tau, 1)
-    y = np.array([part[0] for part in system.parts["h"].outputs])
+    y = np.array(system.parts["h"].order(0))
     law = numeric_law(system.problem.law)
     box = np.array([not system.blocks.is_curved(i) for i in range(system.m)], bool)
     lower, upper = (np.where(np.isinf(end) & box, end, 0.0) for end in (law.lower, law.upper))
@@ -114,6 +119,7 @@ def uniqueness(system: System, place: Place) -> tuple[str, str]:
     Theorem 3.3.7), of curved blocks a definite one, and g and h are affine in these multipliers together, or the model is
     monotone (`multipliers.is_monotone`), and nothing but rows is open; else all modes of the open switches are tried, where these
     are few. Their x is known to rounding of its size so far, and of what l pushes it by: in stick f takes that back.
+    The first orders of the mode at the place stand, before and after.
     """
     opened = [i for kind, i in sorted(place.open) if kind == ROW]
     rows = [row for i in opened for row in system.blocks.rows_of(i)]
@@ -121,11 +127,10 @@ def uniqueness(system: System, place: Place) -> tuple[str, str]:
         return PROVED, ""
     if len(place.open) > FEW:
         return UNDECIDED, ""
-    before = _state(system, place)
-    _expand(system, place)
+    before, codes = _state(system, place), [_code(system, place, switch) for switch in sorted(place.open)]
     own, pushed, share, split = [row[: ORDERS + 1] for row in system.x], system.pushed(), pace(system), ""
-    for _, x, push, its in valid(system, place, before):
-        rounding = TIE * (np.maximum(pushed, push) + system.sizes.x)
+    for _, x, push, its in valid(system, place, before, codes):
+        rounding = [TIE * (max(both) + size) for *both, size in zip(pushed, push, system.sizes.x, strict=True)]
         if any(_apart(a, b, min(share, its), least) for a, b, least in zip(own, x, rounding, strict=True)):
             split = f"{before[0]} and {place.codes}"
             break
@@ -149,6 +154,9 @@ def pace(system: System) -> float:
     inner = [block.inner for block in watched], [block.quadric[1] for block in watched]
     for rows, sizes in ((system.x, system.sizes.x), (system.l, system.sizes.l), inner):
         for row, so_far in zip(rows, sizes, strict=True):
+            last = row[HALF + 1 : ORDERS + 1]
+            if share == 1 and max(last) <= so_far and min(last) >= -so_far:
+                continue
             own = list(map(abs, row[1 : ORDERS + 1]))
             if share == 1 and max(own[HALF:]) <= max(so_far, *own[:HALF]):
                 continue
@@ -167,7 +175,7 @@ def leading(c: list[float], least: float, share: float) -> int | None:
 
     ``share``: of the unit of time, see `pace`.
     """
-    decide = [a * share**k for k, a in enumerate(c[: ORDERS + 1])]
+    decide = c[: ORDERS + 1] if share == 1 else [a * share**k for k, a in enumerate(c[: ORDERS + 1])]
     least = max(least, GERM * max(map(abs, decide)))
     return next((k for k, a in enumerate(decide) if abs(a) > least), None)
 
@@ -206,7 +214,7 @@ def _pivot(system: System, place: Place) -> Solve | None:
 
 def _expand(system: System, place: Place) -> Solve | None:
     how = system.expand(place.t, place.x, place.codes, place.tau, ORDERS)
-    return how if how is not None and all(row[k] == row[k] for row in system.x for k in range(ORDERS + 1)) else None
+    return None if how is None or any(any(map(math.isnan, row[: ORDERS + 1])) for row in system.x) else how
 
 
 def _wrong(system: System, place: Place, how: Solve) -> Iterator[Condition]:
@@ -262,6 +270,11 @@ def turn(system: System, place: Place, switch: Switch, code: float) -> None:
             place.codes[row] = int(code)
     else:
         system.parts[kind].choice[i] = code
+
+
+def _code(system: System, place: Place, switch: Switch) -> float:
+    kind, i = switch
+    return place.codes[i] if kind == ROW else system.parts[kind].choice[i]
 
 
 def _state(system: System, place: Place) -> tuple:

@@ -15,25 +15,29 @@ from nsmodel.pieces.system import System
 PROJECTIONS = 3  # Iterations.
 
 
-def project(system: System, place: Place, rows: tuple[int, ...]) -> None:
-    """Move x so that what no l acts on directly is 0 in ``rows``, by Newton's method along the least motion.
+def project(system: System, place: Place, rows: tuple[int, ...]) -> bool:
+    """Move x so that what no l acts on directly is 0 in ``rows``, by Newton's method along the least motion; whether it moved.
 
-    Where y is rounding x moves by no more: rows that are nearly parallel would move it by many times that.
+    Where y is rounding x moves by no more: rows that are nearly parallel would move it by many times that. What stands then is
+    order 1 of the expansion there.
     """
     a = list(rows)
-    for _ in range(PROJECTIONS):
-        _, D, C = system.slopes()
-        U, y = _free(D[np.ix_(a, a)].tobytes(), len(a)), np.array([system.y[i][0] for i in a])
-        held = U.T @ y
+    for iteration in range(PROJECTIONS):
+        y = [system.y[i][0] for i in a]
+        if not any(y):
+            return iteration > 0
+        free, slope, terms = system.of_slopes(("held", rows), lambda _, D, C: _held(a, D, C), "DC")
+        held = free @ y
         if not held.any():
-            return
-        motion = least_motion(U.T @ C[a], held)
-        x, l = (np.abs([row[0] for row in of]) for of in (system.x, system.push))
-        terms = np.abs(C[a]) @ x + np.abs(D[a]) @ l
-        if (np.abs(y) <= ROUNDING * terms).all() and (np.abs(motion) > TIE * np.maximum(x, system.sizes.x)).any():
-            return
-        place.x = [float(x - d) for x, d in zip(place.x, motion, strict=True)]
+            return iteration > 0
+        motion = least_motion(slope, held)
+        at = [abs(row[0]) for rows_of in (system.x, system.push) for row in rows_of]
+        if (np.abs(y) <= ROUNDING * (terms @ at)).all():
+            if any(abs(d) > TIE * max(both) for d, *both in zip(motion.tolist(), at, system.sizes.x, strict=False)):
+                return iteration > 0
+        place.x = [x - d for x, d in zip(place.x, motion.tolist(), strict=True)]
         system.expand(place.t, place.x, place.codes, place.tau, 1)
+    return True
 
 
 def coast(system: System, place: Place, time: float) -> None:
@@ -48,6 +52,12 @@ def stick(system: System, place: Place) -> None:
     for block in system.blocks.released:
         place.open.add((ROW, block.first))
         turn(system, place, (ROW, block.first), 0)
+
+
+def _held(a: list[int], D: np.ndarray, C: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of rows a: what takes of y what no l acts on directly, by what x moves that, and the sizes that y is the sum of."""
+    free = _free(D[np.ix_(a, a)].tobytes(), len(a)).T
+    return free, free @ C[a], np.abs(np.hstack([C[a], D[a]]))
 
 
 @lru_cache(maxsize=64)

@@ -30,6 +30,7 @@ class Solve:
     null: np.ndarray | None
     feeds: bool = False  # Whether some y depends directly on an l that ``through`` finds.
     lift: Rows | None = None
+    entries: tuple[float, ...] = ()  # Of both matrices, as `unrolled` takes them.
 
     @property
     def index(self) -> int:
@@ -41,6 +42,8 @@ def solve_of(active: tuple[int, ...], B: np.ndarray, D: np.ndarray, C: np.ndarra
     """The matrices of the rows ``active``; ``lifts``: with ``lift``."""
     if not active:
         return Solve(active, None, None, None)
+    if len(active) == 1 and not lifts:
+        return _solve_of_one(active[0], B, D, C)
     a = list(active)
     D_aa, W_aa = D[np.ix_(a, a)], C[a] @ B[:, a]
     plus, U, V = generalised_inverse(D_aa)
@@ -53,6 +56,14 @@ def solve_of(active: tuple[int, ...], B: np.ndarray, D: np.ndarray, C: np.ndarra
         active, plus.tolist() if D_aa.any() else None, through.tolist(), U @ left, bool(D[:, a].any()),
         None if lift is None else lift.tolist(),
     )  # fmt: skip
+
+
+def _solve_of_one(i: int, B: np.ndarray, D: np.ndarray, C: np.ndarray) -> Solve:
+    if d := float(D[i, i]):
+        return Solve((i,), [[1 / d]], None, None)
+    w = float(C[i] @ B[:, i])
+    null = np.zeros((1, 0)) if w else np.eye(1)
+    return Solve((i,), None, [[1 / w if w else 0.0]], null, bool(D[:, i].any()))
 
 
 def clear(how: Solve, x: Rows, y: Rows, k: int) -> None:

@@ -43,6 +43,14 @@ PYTHON = Dialect(
         "nearest": "rint({0})",
     },
 )
+# Of symbols: what they are is known later, and the sides of branches are given.
+SYMBOLS = PYTHON._replace(
+    either="where({0}, {1}, {2})".format,
+    both="both({0} != 0.0, {1} != 0.0)",
+    one="one({0} != 0.0, {1} != 0.0)",
+    ratio="{0} / {1}",
+    choose="pass",
+)
 _LINEAR = {"sum": "{0} + {1}", "difference": "{0} - {1}", "minus": "-{0}", "scaled": "{number}*{0}", "over": "{0}/{number}"}
 # What a row is the sum of, in size, where its arguments may cancel.
 _SUMMED = {

@@ -29,10 +29,11 @@ def first_event(system: System, place: Place, how: Solve, orders: int, s: float)
     """
     hit, share, powers = None, None, _powers(s, orders)
     for condition in conditions(system, place.codes, how, orders):
+        row, known = condition.row, condition.orders + 1
+        if condition.sign * row[0] + condition.shift > sum(map(abs, map(mul, row[1:known], powers[1:]))):
+            continue
         germ = condition.coefficients()
         c = list(map(mul, germ, powers))
-        if c[0] > sum(map(abs, c[1:])):
-            continue
         least, opened = TIE * size(system, condition), condition.of in place.open
         if max(map(abs, c)) <= least:
             continue
@@ -57,14 +58,13 @@ def _powers(s: float, orders: int) -> list[float]:
 
 
 def polish(
-    system: System, place: Place, hit: Condition, orders: int, expand: Callable[[int], Solve]
+    system: System, place: Place, hit: Condition, orders: int, how: Solve, expand: Callable[[int], Solve]
 ) -> tuple[Solve, Condition | None]:
-    """Move the place to where the condition is 0 to rounding, on expansions there; and the condition there.
+    """Move the place, whose expansion stands, to where the condition is 0 to rounding, on expansions there; and that there.
 
     On the piece's own expansion the derivatives at the event would have the sign of what it was cut by.
     """
     for _ in range(POLISHING):
-        how = expand(orders)
         own = next((c for c in conditions(system, place.codes, how, orders) if same(c, hit)), None)
         if own is None:
             return how, None
@@ -73,19 +73,16 @@ def polish(
         d = _threefold(c, TIE * scale)
         if d is not None and abs(d) < SETTLED:
             return how, own
-        if d is not None:
-            place.x = [value(row[: orders + 1], d) for row in system.x]
-            place.t += d * place.tau
-            continue
-        if abs(c[0]) <= POLISHED * TIE * scale or c[1] == 0 or not abs(c[0] / c[1]) < NEAR:
-            return how, own
-        d = -c[0] / c[1]
-        for _ in range(ON_ONE):
-            e = slope(c, d)
-            d -= value(c, d) / e if e and abs(value(c, d) / e) < NEAR else 0.0
+        if d is None:
+            if abs(c[0]) <= POLISHED * TIE * scale or c[1] == 0 or not abs(c[0] / c[1]) < NEAR:
+                return how, own
+            d = -c[0] / c[1]
+            for _ in range(ON_ONE):
+                e = slope(c, d)
+                d -= value(c, d) / e if e and abs(value(c, d) / e) < NEAR else 0.0
         place.x = [value(row[: orders + 1], d) for row in system.x]
         place.t += d * place.tau
-    how = expand(orders)
+        how = expand(orders)
     return how, next((c for c in conditions(system, place.codes, how, orders) if same(c, hit)), None)
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nsmodel.pieces.multipliers import NOTHING, Rows, Solve
+from nsmodel.pieces.multipliers import NOTHING, Solve
 
 if TYPE_CHECKING:
     from nsmodel.pieces.system import System
@@ -15,12 +15,17 @@ if TYPE_CHECKING:
 STAYS = 1e-9  # Of what moves: a row that nothing acts on moves by less.
 
 
-def moved_share(system: System, how: Solve, inverse: Rows, step: list[float], x: list[float]) -> float:
-    """The largest share by which l moved of what it is the sum of: of itself, and of ``inverse`` times the terms of h."""
-    _, D, C = system.slopes()
-    terms = np.abs(inverse) @ (np.abs(C) @ x + np.abs(D) @ [abs(row[0]) for row in system.l])[list(how.active)]
-    shares = (abs(d) / (NOTHING + abs(system.l[i][0]) + v) for i, d, v in zip(how.active, step, terms, strict=True))
-    return max(shares)
+def moved_share(system: System, how: Solve, direct: list[float], through: list[float]) -> float:
+    """The largest share by which l moved of what it is the sum of: of itself, and of the inverse times the terms of h."""
+    l, moved = [abs(row[0]) for row in system.l], 0.0
+    for inverse, step, k, time in ((how.direct, direct, 0, 1.0), (how.through, through, 1, system.t[1])):
+        if inverse is not None:
+            x = [abs(row[k]) / time for row in system.x]
+            sizes = [system.sum_y(i, x, l) for i in how.active]
+            terms = (sum([abs(a) * size for a, size in zip(row, sizes, strict=True)]) for row in inverse)
+            shares = (abs(d) / (NOTHING + l[i] + v) for i, d, v in zip(how.active, step, terms, strict=True))
+            moved = max([moved, *shares])
+    return moved
 
 
 def stays(system: System, how: Solve, orders: Iterable[int]) -> bool:

@@ -1,6 +1,6 @@
 """A problem on one side of each of its switches, as graphs again: f + g, h and what the switches look at, analytic everywhere.
 
-The fourth dialect of `printed`: order 0 of the recurrences over CasADi's symbols, with the choices of the branches as inputs.
+In the dialect `printed.SYMBOLS`: order 0 of the recurrences over CasADi's symbols, with the choices of the branches as inputs.
 """
 
 from __future__ import annotations
@@ -14,17 +14,10 @@ import numpy as np
 from nsmodel.pieces import series
 from nsmodel.pieces.expansion import compiled
 from nsmodel.pieces.jets import Jets
-from nsmodel.pieces.printed import PYTHON
+from nsmodel.pieces.printed import SYMBOLS
 from nsmodel.pieces.system import System
 from nsmodel.scheme.continuous import ContinuousProblem
 
-_GRAPH = PYTHON._replace(
-    either="where({0}, {1}, {2})".format,
-    both="both({0} != 0.0, {1} != 0.0)",
-    one="one({0} != 0.0, {1} != 0.0)",
-    ratio="{0} / {1}",
-    choose="pass",
-)
 _KNOWN = {name: getattr(ca, name if name != "pow" else "power") for name in series.STARTS} | {
     "where": ca.if_else, "both": ca.logic_and, "one": ca.logic_or
 }  # fmt: skip
@@ -77,6 +70,6 @@ def _replayed(jets: Jets, given: dict[tuple[int, int], ca.SX], choices: list[ca.
         rows[row] = [given[place]]
     for row, number in jets.numbers.items():
         rows[row] = [ca.SX(number)]
-    start, _ = compiled(jets, rows, choices, _GRAPH, _KNOWN)
+    start, _ = compiled(jets, rows, choices, SYMBOLS, _KNOWN)
     start()
     return ca.vertcat(ca.SX(0, 1), *(rows[row][0] for row in jets.outputs)), [rows[b.row][0] for b in jets.branches]

@@ -40,19 +40,19 @@ class Negligible:
         self._problem = problem
 
     @cached_property
-    def _moves(self) -> tuple[list[np.ndarray], np.ndarray, Any, Callable[[], None]]:
-        given, moved = moves(self._problem)
-        arrays, found = [np.zeros(of.numel()) for of in given.values()], np.zeros(moved.numel())
-        function = ca.Function("moves", list(given.values()), [ca.densify(moved)])
-        return arrays, found, *attached(function, arrays, [found])
+    def _moves(self) -> tuple[np.ndarray, np.ndarray, Any, Callable[[], None]]:
+        symbols, moved = moves(self._problem)
+        given = ca.vertcat(*symbols.values())
+        array, found = np.zeros(given.numel()), np.zeros(moved.numel())
+        return array, found, *attached(ca.Function("moves", [given], [ca.densify(moved)]), [array], [found])
 
     def __call__(self, t: float, x: list[float], l: list[float], sizes: Sizes, time: float) -> list[float]:
         """0 where there is no number."""
         given, found, _, call = self._moves
-        for array, value in zip(given, (t, x, l, sizes.x), strict=True):
-            array[:] = value
+        given[:] = [t, *x, *l, *sizes.x]
         call()
-        return [NEGLIGIBLE * time * v if math.isfinite(v) else 0.0 for v in found.tolist()]
+        part = NEGLIGIBLE * time
+        return [part * v if math.isfinite(v) else 0.0 for v in found.tolist()]
 
 
 def moves(problem: ContinuousProblem) -> tuple[dict[str, ca.SX], ca.SX]:

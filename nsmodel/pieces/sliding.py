@@ -137,14 +137,15 @@ class Block:
     def _factor(self) -> ca.Function:
         return ca.Function("factor", [self.growth.s], [self.growth.factor]) if self.growth else ca.Function()
 
-    def missed(self, s: float, y: np.ndarray, rounding: float) -> float:
+    def missed(self, s: float, y: Sequence[float], rounding: float) -> float:
         """How far l in slip is from the law at a point of the piece where the model's y (all rows) are these, beside the set.
 
         Less what a ``rounding`` of y moves l by, |dl| <= 2 sqrt(c) |S^-1 dy|/size.
         """
-        if self.curved is None or not y[list(self.at)].any():
+        own = np.array([y[i] for i in self.at])
+        if self.curved is None or not own.any():
             return 0.0
-        off = np.array([value(row, s) for row in self.l]) - self.curved.selected(y[list(self.at)])
+        off = np.array([value(row, s) for row in self.l]) - self.curved.selected(own)
         return float(np.abs(off).max() / self.curved.radius) - 2 * self.unit * rounding / abs(value(self.size, s))
 
     def watch(self, orders: int) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import casadi as ca
 import numpy as np
@@ -15,17 +15,15 @@ def numbers(matrix: ca.SX, moving: ca.SX) -> np.ndarray | None:
     return None if ca.depends_on(matrix, moving) else np.array(ca.DM(ca.densify(ca.cse(matrix)))).reshape(matrix.shape)
 
 
-def at_points(slopes: ca.Function) -> Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """``at(t, x, l)`` of a function with three outputs: arrays that the next call overwrites."""
-    arrays = [np.zeros(slopes.numel_in(i)) for i in range(3)]
-    out = [np.zeros(slopes.size_out(i), order="F") for i in range(3)]
-    buffer, call = attached(slopes, arrays, out)
+class AtPoints:
+    """A function of a point with three outputs, the arrays ``out``: the next call overwrites them."""
 
-    def at(*values: Sequence[float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        for array, given in zip(arrays, values, strict=True):
-            array[:] = given
-        call()
-        return out[0], out[1], out[2]
+    def __init__(self, slopes: ca.Function) -> None:
+        self._given = np.zeros(slopes.numel_in(0))
+        self.out = tuple(np.zeros(slopes.size_out(i), order="F") for i in range(3))
+        self._buffer, self._call = attached(slopes, [self._given], self.out)
 
-    at.buffer = buffer  # pyright: ignore[reportFunctionMemberAccess]
-    return at
+    def __call__(self, point: Sequence[float]) -> None:
+        """Put them to ``out``."""
+        self._given[:] = point
+        self._call()

@@ -35,7 +35,7 @@ def sums(out: Rows, parts: Sequence[Rows], terms: Terms, inner: Rows, scaled: bo
 
 def terms_of(matrix: np.ndarray | None, rows: int) -> list[list[tuple[int, float]]]:
     """Of each row of a matrix, what is not 0; of none nothing."""
-    return [[]] * rows if matrix is None else [[(int(j), float(row[j])) for j in np.flatnonzero(row)] for row in matrix]
+    return [[]] * rows if matrix is None else [[(j, a) for j, a in enumerate(row) if a] for row in matrix.tolist()]
 
 
 def _loops(out: Rows, parts: Sequence[Rows], terms: Terms, inner: Rows, scaled: bool) -> Callable[..., None]:

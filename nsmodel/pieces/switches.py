@@ -7,13 +7,13 @@ is not. A row i of a box has -1 or +1 with l_i at its end and y_i of a sign, or 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from nsmodel.pieces.bernstein import value
+from nsmodel.pieces.bernstein import values
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.sliding import Block
-from nsmodel.pieces.system import RESTS, System
+from nsmodel.pieces.system import KEPT, RESTS, System
 
 ROW = "row"
 Switch = tuple[str, int]  # (ROW, i), or (part, its branch)
@@ -72,7 +72,8 @@ def _size_of_switch(system: System, switch: Switch) -> float:
 
 def _terms_of_switches(system: System) -> list[float]:
     """What the arguments of switches are the sums of, with the largest states and multipliers so far."""
-    both = ((1, system.sizes.x + RESTS * system.pushed()), (2, system.sizes.l))
+    states = [size + RESTS * push for size, push in zip(system.sizes.x, system.pushed(), strict=True)]
+    both = ((1, states), (2, system.sizes.l))
     given = {(0, 0): abs(system.t[0])} | {(which, i): size for which, sizes in both for i, size in enumerate(sizes)}
     return [size for part in system.parts.values() for size in part.terms(given)]
 
@@ -81,10 +82,9 @@ def grow(system: System, s: float, length: float) -> None:
     """Note what the rows come to at s of a piece, and what moves x in the time ``length`` of a series."""
     sizes = system.sizes
     for rows, largest in ((system.x, sizes.x), (system.y, sizes.y), (system.l, sizes.l)):
-        for i, row in enumerate(rows):
-            largest[i] = max(largest[i], abs(value(row, s)), abs(row[0]))
+        largest[:] = [max(so_far, abs(v), abs(row[0])) for so_far, v, row in zip(largest, values(rows, s), rows, strict=True)]
     least = system.negligible(system.t[0], [row[0] for row in system.x], [row[0] for row in system.push], sizes, length)
-    sizes.x[:] = [max(both) for both in zip(sizes.x, least, strict=True)]
+    sizes.x[:] = map(max, sizes.x, least)
     if system.branches:
         sizes.switches[:] = [max(both) for both in zip(sizes.switches, _terms_of_switches(system), strict=True)]
 
@@ -104,8 +104,20 @@ RANGES = {
 }
 
 
-def conditions(system: System, codes: list[int], how: Solve, orders: int) -> Iterator[Condition]:
-    """All conditions of a mode, of rows first."""
+def conditions(system: System, codes: list[int], how: Solve, orders: int) -> Sequence[Condition]:
+    """All conditions of a mode, of rows first: those of one without blocks are made once."""
+    if system.blocks.all:
+        return list(_conditions(system, codes, how, orders))
+    mode = (orders, how.index, how.feeds, *codes, *(side for part in system.parts.values() for side in part.choice))
+    found = system.conditions.get(mode)
+    if found is None:
+        if len(system.conditions) >= KEPT:
+            system.conditions.clear()
+        found = system.conditions[mode] = list(_conditions(system, codes, how, orders))
+    return found
+
+
+def _conditions(system: System, codes: list[int], how: Solve, orders: int) -> Iterator[Condition]:
     known = orders if how.index == 1 else orders - 1
     for block in system.blocks.all:
         yield from _of_block(system, block, codes[block.first], known)

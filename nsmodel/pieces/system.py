@@ -13,22 +13,24 @@ coefficients are those of s = (t - t_0)/tau, so that they are of one size where 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from nsmodel.pieces.expansion import Expansion
+from nsmodel.pieces.expansion import scale
 from nsmodel.pieces.jets import jets_of
-from nsmodel.pieces.multipliers import Solve, clear, is_monotone, is_p, solve_of, times
+from nsmodel.pieces.multipliers import Solve, is_monotone, is_p, solve_of
+from nsmodel.pieces.orders import Orders
 from nsmodel.pieces.release import Release
 from nsmodel.pieces.settled import moved_share, stays
 from nsmodel.pieces.sizes import Negligible, Sizes
-from nsmodel.pieces.sliding import Blocks
-from nsmodel.pieces.slopes import at_points, numbers
-from nsmodel.pieces.straight import Terms, sums, terms_of
+from nsmodel.pieces.slopes import AtPoints, numbers
+from nsmodel.pieces.straight import terms_of
+from nsmodel.pieces.unrolled import Unrolled
 from nsmodel.scheme.continuous import ContinuousProblem
 
 NEWTON = 30  # Iterations of l at order 0, where f, g or h are not linear in it.
@@ -40,49 +42,39 @@ RESTS = 1e-3  # Of what l pushes by in the unit of time: where x rests all the s
 AT_ZERO = 1e-9  # Of the terms of y_i: a row that is held is not further from 0.
 
 
-class System:
-    """The rows of coefficients ``t``, ``x``, ``l``, ``y`` with what computes them; ``orders``: the highest.
-
-    ``push`` is what stands for l in f, g and h: l itself but where a block grows; ``rtol``: see `sliding.Block.threshold`.
-    """
+class System(Orders):
+    """A problem with its numbers; ``rtol``: see `sliding.Block.threshold`."""
 
     def __init__(self, problem: ContinuousProblem, orders: int, rtol: float = 0.0) -> None:
-        self.problem, self.orders, self.rtol = problem, orders, rtol
-        self.n, self.m = problem.x.numel(), problem.l.numel()
-        self.lower, self.upper = (
-            [float(v) for v in np.array(ca.DM(end)).ravel()] for end in (problem.law.lower, problem.law.upper)
-        )
-        ends = zip(self.lower, self.upper, strict=True)
-        self.sizes = Sizes([0.0] * self.n, [0.0] * self.m, [b - a if np.isfinite(b - a) else 0.0 for a, b in ends], [])
-        width = orders + 1
-        self.t = [0.0] * width
-        self.x, self.l, self.y = ([[0.0] * width for _ in range(size)] for size in (self.n, self.m, self.m))
-        self.negligible = Negligible(problem)
-        self.blocks = Blocks(problem, self.l, self.y)
-        self.push = self.blocks.push
-        self.inputs = given = (
-            {(0, 0): self.t} | {(1, i): row for i, row in enumerate(self.x)} | {(2, i): row for i, row in enumerate(self.push)}
-        )
+        self.problem, self.rtol = problem, rtol
         p, inputs = problem, [problem.t, problem.x, problem.l]
         B, D, C = p.slopes
         self.linear_in_l, self.coupled = not ca.depends_on(ca.veccat(B, D), p.l), p.coupled
-        self.B, self.D, self.C = (numbers(matrix, ca.veccat(*inputs)) for matrix in (B, D, C))
-        h = p.h if self.D is None else ca.substitute(p.h, p.l, ca.SX.zeros(self.m)) if self.m else p.h
+        self.B, of_l, self.C = (numbers(matrix, ca.veccat(*inputs)) for matrix in (B, D, C))
+        self.constant = None if self.B is None or of_l is None or self.C is None else (self.B, of_l, self.C)
+        h = p.h if of_l is None else ca.substitute(p.h, p.l, ca.SX.zeros(p.l.shape)) if p.l.numel() else p.h
         self.jets = {"f": jets_of(p.f, inputs, "f"), "h": jets_of(h, inputs, "h")}
         self.jets |= {"g": jets_of(p.g, inputs, "g")} if self.B is None else {}
         self.jets |= {"blocks": jets_of(p.updates, inputs, "the update of a block")} if p.updated else {}
-        self.parts = {name: Expansion(jets, orders, given) for name, jets in self.jets.items()}
-        self.updates = [part for name, part in self.parts.items() if name == "blocks"]
-        self.sizes.switches = [0.0] * len(self.branches)
-        self._slopes = ca.Function("slopes", inputs, [ca.densify(e) for e in (B, D, C)])
-        self._sum_y = sums(self.y, [self.parts["h"].outputs], terms_of(self.D, self.m), self.l, scaled=False)
-        rates = [self.parts[name].outputs for name in ("f", "g") if name in self.parts]
-        self._sum_rate = sums(self.x, rates, terms_of(self.B, self.n), self.push, scaled=True)
-        self._from_rest: Release | None = None
+        super().__init__(problem, self.jets, self.B, of_l, orders)
+        self.lower, self.upper = (
+            [float(v) for v in np.array(ca.DM(end)).ravel()] for end in (problem.law.lower, problem.law.upper)
+        )
+        widths = [b - a if np.isfinite(b - a) else 0.0 for a, b in zip(self.lower, self.upper, strict=True)]
+        self.sizes = Sizes([0.0] * self.n, [0.0] * self.m, widths, [0.0] * len(self.branches))
+        self.negligible = Negligible(problem)
+        self._slopes = ca.Function("slopes", [ca.vertcat(p.t, p.x, p.l)], [ca.densify(e) for e in (B, D, C)])
+        self.conditions: dict[tuple, list[Any]] = {}  # Of modes; see `switches.conditions`.
         self._known: dict[tuple, Solve] = {}
         self._p: dict[tuple, bool] = {}
-        self._absolute: dict[int, Terms] = {}
-        self._pushing: dict[int, Terms] = {}
+        self._point: list[float] | None = None  # Where the slopes were computed last, and what was made of them there.
+        self._here: dict[Any, Any] = {}
+        always: dict[Any, Any] = {}  # What was made of those that are constant.
+        moves = {"B": self.B is None, "D": of_l is None, "C": self.C is None}
+        self._kept = {of: self._here if any(moves[name] for name in of) else always for of in ("BDC", "DC", "B", "D", "C")}
+        self._from_rest: Release | None = None
+        self._whole = False  # Whether all orders stand, whatever was asked for.
+        self._unrolled = None if self.blocks.all or self.updates else Unrolled(self)
 
     @cached_property
     def middle(self) -> list[float]:
@@ -105,24 +97,43 @@ class System:
 
     def slopes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(B, D, C) at order 0."""
-        if self.B is not None and self.D is not None and self.C is not None:
-            return self.B, self.D, self.C
-        return self._slopes_at([self.t[0]], [row[0] for row in self.x], [row[0] for row in self.push])
+        if self.constant is not None:
+            return self.constant
+        point = [self.t[0], *[row[0] for row in self.x], *[row[0] for row in self.push]]
+        if point != self._point:
+            self._point = point
+            self._here.clear()
+            self._slopes_at(point)
+        B, D, C = self._slopes_at.out
+        return B, D, C
 
     @cached_property
-    def _slopes_at(self):
-        return at_points(self._slopes)
+    def _slopes_at(self) -> AtPoints:
+        return AtPoints(self._slopes)
+
+    def of_slopes(self, what: Any, make: Callable[..., Any], of: str = "BDC") -> Any:
+        """What ``make`` makes of (B, D, C) at order 0, or ``of`` some of them: kept while these stay what they are."""
+        kept = self._kept[of]
+        if kept is self._here:
+            self.slopes()
+        if what not in kept:
+            if len(kept) >= KEPT:
+                kept.clear()
+            kept[what] = make(*self.slopes())
+        return kept[what]
 
     def solve(self, codes: list[int]) -> Solve:
         """What finds the multipliers of a mode, at the point that order 0 is."""
-        active = tuple(i for i, code in enumerate(codes) if code == 0)
-        slopes = self.slopes()
-        constant = self.B is not None and self.D is not None and self.C is not None
-        key = (active, *(() if constant else (a.tobytes() for a in slopes)))
+        active = tuple([i for i, code in enumerate(codes) if code == 0])
+        return self.of_slopes(active, lambda *slopes: self._solve_of(active, slopes))
+
+    def _solve_of(self, active: tuple[int, ...], slopes: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Solve:
+        key = (active, *(() if self.constant else (a.tobytes() for a in slopes)))
         if key not in self._known:
             if len(self._known) >= KEPT:
                 self._known.clear()
-            self._known[key] = solve_of(active, *slopes, lifts=bool(self.blocks.all))
+            found = solve_of(active, *slopes, lifts=bool(self.blocks.all))
+            self._known[key] = replace(found, entries=self._unrolled.entries(found)) if self._unrolled else found
         return self._known[key]
 
     def expand(self, t: float, x: list[float], codes: list[int], tau: float, orders: int) -> Solve | None:
@@ -133,49 +144,58 @@ class System:
         self.t[0], self.t[1] = t, tau
         for row, start in zip(self.x, x, strict=True):
             row[0] = start
-        for i, code in enumerate(codes):
-            row = self.l[i]
-            row[:] = [0.0 if not code and self.linear_in_l else row[0], *[0.0] * self.orders]
-            if code and math.isfinite(end := self.upper[i] if code > 0 else self.lower[i]):
+        for row, code, lower, upper in zip(self.l, codes, self.lower, self.upper, strict=True):
+            if code and math.isfinite(end := upper if code > 0 else lower):
                 row[0] = end
+            elif not code and self.linear_in_l:
+                row[0] = 0.0
+        linear = self.linear_in_l or 0 not in codes
+        if linear and self._is_whole(how := self.solve(codes)):
+            return how if self._rests(how, range(1, min(orders, HELD_ORDERS) + 1)) else None
+        for row in self.l:
+            row[1:] = [0.0] * self.orders
         if (how := self._solved(codes)) is None or (self.blocks.released and (how := self._release(how)) is None):
             return None
+        if not linear and self._is_whole(how):
+            return how if self._rests(how, range(2, min(orders, HELD_ORDERS) + 1)) else None
         return how if self.extend(how, codes, 0, orders) else None
+
+    def scale(self, times: float) -> None:
+        """Let the unit of time be so many times as long, a power of two, in all rows that stand."""
+        parts = (part for part in self.parts.values() if part.jets.branches or not self._whole)
+        scale([self.t, *self.x, *self.l, *self.y, *(row for part in parts for row in part.rows)], times)
+
+    def _is_whole(self, how: Solve) -> bool:
+        """Whether all orders could be computed at once: where no rows are held that nothing acts on, nor sides to be chosen."""
+        self._whole = False
+        if self._unrolled is None or (how.direct is not None and how.null is not None and how.null.size):
+            return False
+        if self.branches and any(side != side for part in self.parts.values() for side in part.choice):
+            return False
+        start = [row[0] for row in self.l]
+        if not (self._unrolled.run(how) and math.isfinite(sum([row[-1] for rows in (self.x, self.l) for row in rows]))):
+            for row, l in zip(self.l, start, strict=True):
+                row[:] = [l, *[0.0] * self.orders]
+            return False
+        self._whole = True
+        return True
+
+    def _rests(self, how: Solve, orders: Iterable[int]) -> bool:
+        """Whether held rows stay at 0; their y is put to 0 then: all orders but the first of one that only y' holds."""
+        if not stays(self, how, orders):
+            return False
+        first = 1 if how.through is not None else 0
+        for i in how.active:
+            self.y[i][first:] = [0.0] * (self.orders + 1 - first)
+        return True
 
     def extend(self, how: Solve, codes: list[int], known: int, orders: int) -> bool:
         """Compute orders ``known``, ..., ``orders`` in the same mode; whether it has them all."""
-        F, G, H, tau = self.parts["f"], self.parts.get("g"), self.parts["h"], self.t[1]
-        for k in range(known, orders + 1):
-            for part in self.updates:
-                part.compute(k)
-            if k:
-                self._direct(how, k)
-                self.blocks.slide(codes, k)
-            if k == orders:
-                break
-            if k:
-                for part in (F, G) if G else (F,):
-                    part.compute(k)
-                self._sum_rate(k, tau / (k + 1))
-            H.compute(k + 1)
-            self._sum_y(k + 1)
-            if k == 0 or how.through is None:
-                continue
-            for i, d in self._found(how, k):
-                self.l[i][k] += d
-            self.blocks.pushed(codes, k)
-            self._feed(how, k)
-            if G:
-                G.compute(k)
-            self._sum_rate(k, tau / (k + 1))
-            H.compute(k + 1)
-            self._sum_y(k + 1)
-            clear(how, self.x, self.y, k + 1)
-        if how.through is not None:
-            if not known and not stays(self, how, range(2, min(orders, HELD_ORDERS) + 1)):
-                return False
-            for i in how.active:
-                self.y[i][1:] = [0.0] * self.orders
+        if known and self._whole:
+            return True
+        self.go_on(how, codes, known, orders)
+        if not self._rests(how, () if known else range(2, min(orders, HELD_ORDERS) + 1)):
+            return False
         self.blocks.watch(codes, orders if how.index == 1 else orders - 1)
         return True
 
@@ -184,7 +204,7 @@ class System:
         self.t[0] = t
         for row, start in zip(self.x, x, strict=True):
             row[0] = start
-        self._put_y(self.parts["h"].compute(0), 0)
+        self._put_y(0)
 
     def _solved(self, codes: list[int]) -> Solve | None:
         """What solves order 0, once l has it: from the guess that l is, then from the middle of K; None: l is the guess again."""
@@ -193,11 +213,11 @@ class System:
         for start in (guess,) if self.linear_in_l else (guess, middle):
             for row, l in zip(self.l, start, strict=True):
                 row[0] = l
-            self._put_y(self.parts["h"].compute(0), 0)
+            self._put_y(0)
             how, self._from_rest = self.solve(codes), None
             self.blocks.begin(codes, self.size_y)
-            if self._settle(how, codes):
-                return how if self.linear_in_l else self.solve(codes)
+            if (settled := self._settle(how, codes)) is not None:
+                return settled
         for row, l in zip(self.l, guess, strict=True):
             row[0] = l
         return None
@@ -215,14 +235,14 @@ class System:
 
     def _push_of(self, i: int) -> float:
         """|C_i| |B| |l|."""
-        if self.B is None or self.C is None or i not in self._pushing:
-            B, _, C = self.slopes()
-            self._pushing[i] = terms_of(np.abs(C[i : i + 1]) @ np.abs(B), 1)
-        return sum(a * abs(self.push[j][0]) for j, a in self._pushing[i][0])
+        rows = self.of_slopes("push of y", lambda B, _, C: terms_of(np.abs(C) @ np.abs(B), self.m))
+        return sum([a * abs(self.push[j][0]) for j, a in rows[i]])
 
-    def pushed(self) -> np.ndarray:
-        """By what multipliers push each x (n,) in the unit of time, in size: in stick f takes that back."""
-        return abs(self.t[1]) * np.abs(self.slopes()[0]) @ [abs(row[0]) + abs(row[1]) for row in self.push]
+    def pushed(self) -> list[float]:
+        """By what multipliers push each x in the unit of time, in size: in stick f takes that back."""
+        l, tau = [abs(row[0]) + abs(row[1]) for row in self.push], abs(self.t[1])
+        of_x = self.of_slopes("push of x", lambda B, _, __: terms_of(np.abs(B), self.n), "B")
+        return [tau * sum([a * l[j] for j, a in own]) for own in of_x]
 
     def size_l(self, i: int) -> float:
         """What l_i is measured beside: the largest so far, and a part of the largest of all."""
@@ -230,15 +250,16 @@ class System:
 
     def terms(self, i: int, x: Sequence[float] = (), l: Sequence[float] = ()) -> float:
         """The size of what y_i is the sum of, with the largest states and multipliers so far, and these."""
-        both = zip(self._sizes_of(i), (self.sizes.x, self.sizes.l), (x, l), strict=True)
-        return sum(a * (max(of[j], abs(now[j])) if now else of[j]) for entries, of, now in both for j, a in entries)
+        of_x, of_l = self.sizes.x, self.sizes.l
+        if x or l:
+            of_x, of_l = (list(map(max, of, map(abs, now))) for of, now in ((of_x, x), (of_l, l)))
+        return self.sum_y(i, of_x, of_l)
 
-    def _sizes_of(self, i: int) -> Terms:
-        """What is not 0 of |C_i| and |D_i|."""
-        if self.C is None or self.D is None or i not in self._absolute:
-            _, D, C = self.slopes()
-            self._absolute[i] = terms_of(np.abs(C[i : i + 1]), 1) + terms_of(np.abs(D[i : i + 1]), 1)
-        return self._absolute[i]
+    def sum_y(self, i: int, x: Sequence[float], l: Sequence[float]) -> float:
+        """|C_i| x + |D_i| l."""
+        by_x = self.of_slopes("y of x", lambda _, __, C: terms_of(np.abs(C), self.m), "C")
+        by_l = self.of_slopes("y of l", lambda _, D, __: terms_of(np.abs(D), self.m), "D")
+        return sum([a * x[j] for j, a in by_x[i]] + [a * l[j] for j, a in by_l[i]])
 
     @cached_property
     def is_monotone(self) -> bool:
@@ -251,10 +272,7 @@ class System:
         Where some are those of a curved block: whether it is definite. Not where g or h has a product of two of these l.
         """
         key = (tuple(opened), tuple(i for i, code in enumerate(codes) if code == 0 and i not in opened))
-        both = [*key[0], *key[1]]
-        if self.coupled[np.ix_(both, both)].any():
-            return False
-        if key not in self._p or self.B is None or self.D is None or self.C is None:
+        if key not in self._p or self.constant is None:
             B, D, C = self.slopes()
             self._p[key] = is_p(D, C @ B, *map(list, key), definite=any(len(self.blocks.rows_of(i)) > 1 for i in opened))
         return self._p[key]
@@ -263,7 +281,7 @@ class System:
         """Order 0 of l, and order 1 of x, where blocks begin to slip."""
         tau, active = self.t[1], how.active if how.through is not None else ()
         self._from_rest = release = Release(active, self.blocks.released, self.slopes(), tau)
-        self._put_y(self.parts["h"].compute(1), 1)
+        self._put_y(1)
         rate, l = (np.array([row[k] for row in (rows[i] for i in release.rows)]) for rows, k in ((self.y, 1), (self.l, 0)))
         found = release.begin(rate / tau, l)
         if found is None:
@@ -271,83 +289,38 @@ class System:
         for i, v in zip(release.rows, found, strict=True):
             self.l[i][0] = float(v)
         self.blocks.pushed([0] * self.m, 0)
-        F, G = self.parts["f"], self.parts.get("g")
-        self._feed(how, 0)
-        self._rate(F.compute(0), G.compute(0) if G else None, 0)
+        if how.feeds:
+            self._again(0)
+        self.parts["f"].compute(0)
+        self._rate(0)
         return how if how.through is not None else replace(how, through=[])
 
     def _found(self, how: Solve, k: int) -> Iterator[tuple[int, float]]:
-        """What order k of the multipliers of held rows is to be moved by, (row, motion)."""
-        if self._from_rest is not None:
-            rows = self._from_rest.rows
-            return zip(rows, self._from_rest.step(k, np.array([self.y[i][k + 1] for i in rows])).tolist(), strict=True)
-        step = [-(k + 1) / self.t[1] * v for v in times(how.through or [], [self.y[i][k + 1] for i in how.active])]
-        return zip(how.active, step, strict=True)
+        if self._from_rest is None:
+            return super()._found(how, k)
+        rows = self._from_rest.rows
+        return zip(rows, self._from_rest.step(k, np.array([self.y[i][k + 1] for i in rows])).tolist(), strict=True)
 
-    def _settle(self, how: Solve, codes: list[int]) -> bool:
+    def _settle(self, how: Solve, codes: list[int]) -> Solve | None:
         """Order 0 of l, and order 1 of x; Newton's method where f, g or h are not linear in l."""
-        F, G, H, tau = self.parts["f"], self.parts.get("g"), self.parts["h"], self.t[1]
-        rate = F.compute(0)
+        self.parts["f"].compute(0)
         for iteration in range(NEWTON):
-            moved = self._direct(how, 0)
-            self._rate(rate, G.compute(0) if G else None, 0)
-            if how.through is None and self.linear_in_l:
-                return True
-            self._put_y(H.compute(1), 1)
-            if how.through is not None:
-                slope = [self.y[i][1] / tau for i in how.active]
-                step = [-v for v in times(how.through, slope)]
-                for i, d in zip(how.active, step, strict=True):
-                    self.l[i][0] += d
-                self.blocks.pushed(codes, 0)
-                if self.linear_in_l:
-                    moved = sum(step)
-                else:
-                    moved = max(moved, moved_share(self, how, how.through, step, [abs(row[1]) / tau for row in self.x]))
-                if how.feeds:
-                    self._put_y(self.parts["h"].compute(0) if self.D is None else None, 0)
-                self._rate(rate, G.compute(0) if G else None, 0)
-            if not math.isfinite(moved):
-                return False
+            direct, through = self.begin(how, codes)
             if self.linear_in_l:
-                return self._stays(how)
+                return how if self._is_solved(how, sum(through)) else None
+            moved = moved_share(self, how, direct, through)
+            if not math.isfinite(moved):
+                return None
             if iteration and moved <= SETTLED * NEWTON:
-                return self._stays(how)
+                return self.solve(codes) if self._is_solved(how, moved) else None
             how = self.solve(codes)
-            self._put_y(H.compute(0), 0)
-        return False
+            self._put_y(0)
+        return None
 
-    def _stays(self, how: Solve) -> bool:
+    def _is_solved(self, how: Solve, moved: float) -> bool:
+        if how.through is not None and not math.isfinite(moved):
+            return False
         if how.null is None or not how.null.size:
             return True
-        self._put_y(self.parts["h"].compute(1), 1)
+        self._put_y(1)
         return stays(self, how, (1,))
-
-    def _direct(self, how: Solve, k: int) -> float:
-        """l_k from y_k, of index 1; y_k with it. Returns the share by which order 0 moved, of what is not linear in l."""
-        if how.direct is None:
-            return 0.0
-        step = times(how.direct, [self.y[i][k] for i in how.active])
-        for i, d in zip(how.active, step, strict=True):
-            self.l[i][k] -= d
-        moved = 0.0 if k or self.linear_in_l else moved_share(self, how, how.direct, step, [abs(row[0]) for row in self.x])
-        self._put_y(self.parts["h"].compute(k), k) if self.D is None else self._put_y(None, k)
-        if how.through is None:
-            for i in how.active:
-                self.y[i][k] = 0.0
-        return moved
-
-    def _feed(self, how: Solve, k: int) -> None:
-        """Order k of y anew, where it depends on l directly."""
-        if how.feeds:
-            self._put_y(self.parts["h"].compute(k) if self.D is None else None, k)
-            for i in how.active:
-                self.y[i][k] = 0.0
-
-    def _put_y(self, computed: object, k: int) -> None:
-        """Order k of y, once that of h is ``computed``."""
-        self._sum_y(k)
-
-    def _rate(self, computed: object, and_computed: object, k: int) -> None:
-        """Order k + 1 of x, once order k of f, g and l is ``computed``."""
-        self._sum_rate(k, self.t[1] / (k + 1))

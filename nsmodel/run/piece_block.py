@@ -44,15 +44,17 @@ class Block:
     layout: Layout
 
     @classmethod
-    def of(cls, piece: Piece, size_y: list[float], size_l: list[float]) -> Self:
-        """One piece, and the sizes at its end."""
-        n, m = piece.x.shape[0], len(piece.codes)
-        impulse = (0.0,) * m if piece.event is None else piece.event
-        residual = math.nan if piece.residual is None else piece.residual
-        head = piece.t, piece.tau, piece.s, piece.defect, float(piece.event is not None), residual
-        series = np.concatenate([piece.x, piece.l, piece.y]).T.ravel()
-        row = np.concatenate([(*head, *impulse, *piece.codes, *size_y, *size_l, *piece.last), series])
-        return cls(row[None], Layout(n, m, piece.x.shape[1]))
+    def of(cls, pieces: Sequence[Piece], size_y: Sequence[list[float]], size_l: Sequence[list[float]]) -> Self:
+        """Some pieces, and the sizes at their ends."""
+        count, (n, coefficients), m = len(pieces), np.shape(pieces[0].x), len(pieces[0].codes)
+        t, tau, s, x, l, y, codes, defect, last, event, residual = zip(*pieces, strict=True)
+        impulse = [one or (0.0,) * m for one in event]
+        begins, of_steps = [one is not None for one in event], [math.nan if one is None else one for one in residual]
+        head = np.array([t, tau, s, defect, begins, of_steps], float).T
+        lists = [np.array(part, float).reshape(count, m) for part in (impulse, codes, size_y, size_l)]
+        series = [np.array(part, float).reshape(count, k, coefficients) for part, k in ((x, n), (l, m), (y, m))]
+        whole = np.concatenate(series, axis=1).transpose(0, 2, 1).reshape(count, -1)
+        return cls(np.concatenate([head, *lists, np.array(last, float), whole], axis=1), Layout(n, m, coefficients))
 
     @classmethod
     def joined(cls, blocks: Sequence[Self]) -> Self:

@@ -98,28 +98,30 @@ class Interpreted:
         """So many pieces, one where places are kept; of a step those that begin before ``until``."""
         if self._error is not None:
             raise self._error
-        blocks: list[Block] = []
-        while not blocks or (len(blocks) < room and not self._kept and self.t < until):
+        pieces: list[Piece] = []
+        sizes: list[tuple[list[float], list[float]]] = []
+        while not pieces or (len(pieces) < room and not self._kept and self.t < until):
             if self._kept:
                 self._before = self.standing(), self.counts()
             try:
                 made = self.course.advance()
             except StepError as error:
-                if not blocks:
+                if not pieces:
                     raise
                 self._error = error
                 break
             for piece in made:
-                if piece.end > piece.t and not (blocks and blocks[-1].until >= until):
-                    blocks.append(self._block(piece))
-        self.behind = len(blocks)
-        return Block.joined(blocks)
+                if piece.end > piece.t and not (pieces and pieces[-1].end >= until):
+                    pieces.append(piece)
+                    sizes.append(self._sizes())
+        self.behind = len(pieces)
+        return Block.of(pieces, *zip(*sizes, strict=True))
 
-    def _block(self, piece: Piece) -> Block:
-        """A piece that was just made, with the sizes at its end."""
+    def _sizes(self) -> tuple[list[float], list[float]]:
+        """What y and l are measured beside at the end of a piece that was just made."""
         system, feeds = self.integrator.system, self._feeds
         of_y = [system.size_y(i) if feeds[i] else 1.0 for i in range(system.m)]
-        return Block.of(piece, of_y, [system.size_l(i) if feeds[i] else 1.0 for i in range(system.m)])
+        return of_y, [system.size_l(i) if feeds[i] else 1.0 for i in range(system.m)]
 
     def counts(self, *, before: bool = False) -> dict[str, Any]:
         """Touches, verdicts about modes, pieces with redundant rows or by collocation; stretches."""

@@ -16,7 +16,7 @@ from nsmodel.pieces.expansion import Expansion
 from nsmodel.pieces.jets import jets_of
 from nsmodel.pieces.piece import Piece
 from nsmodel.run.piece_block import Block, Layout
-from nsmodel.run.row_facts import facts
+from nsmodel.run.row_facts import columns_of, facts
 from nsmodel.run.walk import CHUNK_BYTES
 from nsmodel.scheme.continuous import ContinuousProblem
 
@@ -70,7 +70,7 @@ class PieceRows:
         self._out = _outputs(problem, orders)
         self._facts = facts(problem)
         self._curved = [(at, part) for at, part in problem.law.parts() if part.curved() is not None]
-        self._tell = columns or _columns_of(problem)
+        self._tell = columns or columns_of(problem)
         nothing = np.zeros(self._facts.shown)
         self._carried = Carried(0, 0.0, nothing, nothing)
         self.starts = True  # Whether the row of the start is among those in memory.
@@ -267,17 +267,6 @@ def _missed(part: laws.Block, l: np.ndarray, y: np.ndarray, size: np.ndarray) ->
     outside = part.excess(l).max(axis=1) / part.extent
     least = np.einsum("kni,ni->kn", part.rivals(l, y), y).min(axis=0)
     return np.maximum(outside, ((l * y).sum(axis=1) - least) / (part.extent * np.maximum(size.max(axis=1), 1e-300)))
-
-
-def _columns_of(p: ContinuousProblem) -> Columns:
-    """(h, y, records) of rows (t, x, l), evaluated by CasADi."""
-    given = ca.vertcat(p.t, p.x, p.l)
-    function = ca.Function("records", [given], [ca.densify(ca.veccat(p.h, *p.columns.values()))])
-
-    def at(rows: np.ndarray) -> np.ndarray:
-        return np.array(function.map(len(rows))(rows.T)).T
-
-    return at
 
 
 def _worst(before: float, defects: np.ndarray, piece: np.ndarray) -> tuple[np.ndarray, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
@@ -10,6 +11,7 @@ import numpy as np
 from nsmodel.once import once
 from nsmodel.pieces.asked import operations
 from nsmodel.pieces.jets import is_switched
+from nsmodel.proof.buffered import attached
 from nsmodel.scheme.continuous import ContinuousProblem
 
 
@@ -50,3 +52,26 @@ def facts(p: ContinuousProblem) -> Facts:
         np.array([i in direct for i in range(m)], bool), {name: e.numel() for name, e in p.columns.items()},
         operations(p), is_switched(ca.veccat(p.f, p.g, p.h)),
     )  # fmt: skip
+
+
+def columns_of(p: ContinuousProblem) -> Callable[[np.ndarray], np.ndarray]:
+    """(h, y, records) of rows (t, x, l), evaluated by CasADi."""
+    function, of_many = _records_of(p)
+
+    def at(rows: np.ndarray) -> np.ndarray:
+        count = len(rows)
+        if count not in of_many:
+            of_many.clear()
+            of_many[count] = function.map(count)
+        given, found = np.asfortranarray(rows.T, float), np.zeros((function.numel_out(), count), order="F")
+        _buffer, call = attached(of_many[count], [given], [found])  # as long as these three live
+        call()
+        return found.T
+
+    return at
+
+
+@once
+def _records_of(p: ContinuousProblem) -> tuple[ca.Function, dict[int, ca.Function]]:
+    """The function of (t, x, l), and the same of the last number of rows."""
+    return ca.Function("records", [ca.vertcat(p.t, p.x, p.l)], [ca.densify(ca.veccat(p.h, *p.columns.values()))]), {}

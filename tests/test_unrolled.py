@@ -1,0 +1,78 @@
+"""All orders of a mode as one text: the same bits as order by order, and nothing else where it has none."""
+
+import math
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import nsmodel
+from nsmodel.pieces.integrator import Integrator
+from nsmodel.pieces.noted import Tape, TooLong
+from nsmodel.run.event_driven import problem_of
+
+CASES = Path(__file__).resolve().parents[1] / "cases"
+NAMES = (
+    "friction_oscillator", "sliding_relay", "relay_oscillator", "diode_bridge", "gene_network", "point_past_disc", "obstacle",
+    "repressilator", "full_wave_rectifier", "boost", "tumbler", "toggle_switch", "zhuravlev_ivanov",
+)  # fmt: skip
+
+
+def rows(system, orders: int, how) -> list[list[float]]:
+    """What is known of x, l and y, and of what branches look at."""
+    watched = [part.rows[b.row] for part in system.parts.values() for b in part.jets.branches]
+    known = orders if how.through is None else orders - 1
+    return [row[: orders + 1] for row in (*system.x, *watched)] + [row[: known + 1] for row in (*system.l, *system.y)]
+
+
+@pytest.mark.parametrize("name", NAMES)
+@np.errstate(all="ignore")  # as in a run
+def test_the_same_bits_as_order_by_order(name):
+    made = Integrator(problem_of(nsmodel.load(CASES / f"{name}.py")), 1e-6)
+    system, place = made.system, made.place
+    written = system._unrolled
+    compared = 0
+    for _ in range(12):
+        if made.stopped is not None:
+            break
+        start = [row[0] for row in system.l]
+        found = []
+        for unrolled in (written, None):
+            for row, l in zip(system.l, start, strict=True):
+                row[0] = l
+            system._unrolled = unrolled
+            how = system.expand(place.t, place.x, place.codes, place.tau, made.order)
+            assert how is not None
+            compared += system._whole
+            found.append(rows(system, made.order, how))
+        assert found[0] == found[1]
+        system._unrolled = written
+        made._left = None
+        made.advance()
+    assert compared
+
+
+def test_what_has_no_number_is_left_to_the_recurrences():
+    x, l = ca.SX.sym("x"), ca.SX.sym("l")
+    side = ca.if_else(x > 0, ca.sqrt(x), 1 / x)
+    model = nsmodel.FirstOrderSystem(
+        x=[x], lam=[l], f=[-1 - 0 * side], h=[x + 1], g=[l], law=nsmodel.complementarity(1), x0=[0.5], t_end=2, step=1e-2
+    )
+    run = nsmodel.simulate(model, rtol=1e-9, compiled=False, method="event-driven")
+    assert abs(run.x[:, 0] - np.maximum(0.5 - run.t, -1)).max() < 1e-12
+
+
+def test_operations_are_noted_once_and_in_their_order():
+    tape = Tape(20)
+    known = tape.known({"sin": math.sin})
+    a, b = tape.note("a[0]"), tape.note("b[0]")
+    both = (a + 0.0) * 1.0 - b / 3
+    assert (0.0 * a, both.place) == (0.0, (a - b / 3).place)
+    c = known["where"](a > 2.0, known["sin"](both), -known["sin"](both)) + known["sin"](0.5)
+    given, made = {"a": [0.3], "b": [0.7], "out": [0.0, 0.0]}, {"sin": math.sin}
+    exec(tape.written(list(given), "", [("out[:]", [c, 1.5])]), made)
+    made["make"](**given)()
+    assert given["out"] == [-math.sin(0.3 - 0.7 / 3) + math.sin(0.5), 1.5]
+    with pytest.raises(TooLong):
+        _ = [tape.note("a[{}]", k) for k in range(30)]
