@@ -34,6 +34,7 @@ nightly: $(STAMP) ## set up and run the search for refused steps and wrong answe
 	mkdir -p results
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search --models $(if $(NSMODEL_SHORT),1,2000) --compiled 10 --json results/search.json
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.oracle --models $(if $(NSMODEL_SHORT),1,300) --json results/oracle.json
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.events --models $(if $(NSMODEL_SHORT),1 --t-end 1,300) --json results/events.jsonl
 
 lint: $(STAMP) ## ruff and pyright
 	$(BIN)/ruff check nsmodel cases tests docs/conf.py docs/_ext docs/_inventories docs/figures
