@@ -24,6 +24,7 @@ from nsmodel import (
     simulate,
 )
 from nsmodel.hypotheses.region import region_of
+from nsmodel.pieces import modes
 from tests import event_scenes as scenes
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "event_driven"
@@ -230,6 +231,35 @@ def test_a_row_that_the_multiplier_of_another_makes_jump(rest, end, compiled):
     run = simulate(model, rtol=1e-8, method="event-driven", compiled=compiled)
     assert abs(run.x[-1, 0] - end) <= 1e-8
     assert (run.at(np.linspace(0.34, 1, 20)).y[:, 1] >= -1e-12).all()
+
+
+def test_a_wrong_mode_is_told_by_the_residual(monkeypatch):
+    """The same where closed rows are not asked: y_1 = -1/2 from 1/3 on, and the run says so."""
+    asked = modes._wrong
+
+    def of_open(system, place, how):
+        return (one for one in asked(system, place, how) if one.of in place.open or one.acts == "l")
+
+    x, l = ca.SX.sym("x"), ca.SX.sym("l", 2)
+    model = FirstOrderSystem(
+        x=x, lam=l, f=[2], g=[l[0] + l[1]], h=[x, 0.5 + l[0] + l[1]], law=product(relay(1), complementarity(1)), x0=[-1], t_end=1
+    )
+    run = simulate(model, rtol=1e-8, method="event-driven", compiled=False)
+    assert not [text for text in run.metadata["warnings"] if "the law is missed" in text]
+    monkeypatch.setattr(modes, "_wrong", of_open)
+    run = simulate(model, rtol=1e-8, method="event-driven", compiled=False)
+    assert abs(run.x[-1, 0] - 2 / 3) <= 1e-8
+    assert any("the law is missed by 0.2" in text and "the run is no solution there" in text for text in run.metadata["warnings"])
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("rtol", [1e-2, 1e-6])
+def test_rows_at_edges_have_the_values_before_them(rtol, compiled):
+    """A diode behind a switch whose edges are rows: on the one side of each it blocks, on the other it leads."""
+    run = simulate(nsmodel.load(CASES / "boost.py"), rtol=rtol, method="event-driven", compiled=compiled)
+    assert run.metadata["totals"]["worst_residual"] <= 1e-12
+    held = np.nan_to_num(run.arrays["y"])[run.arrays["index_set"] == 0]
+    assert np.abs(held).max() <= 1e-12 * 20
 
 
 def test_mass_matrix_and_redundant_rows():

@@ -19,6 +19,7 @@ from nsmodel.once import once
 from nsmodel.pieces.asked import LARGE, times, tolerances
 from nsmodel.pieces.course import time_of
 from nsmodel.pieces.known_of import known_of
+from nsmodel.pieces.lengths import MULTIPLIERS
 from nsmodel.pieces.sliding import with_modes
 from nsmodel.quantities import Outputs
 from nsmodel.run.options import METHODS, Options
@@ -256,10 +257,18 @@ class EventDriven:
             "index_names": list(p.rows),
             "law_kinds": p.law.labels,
             "tolerance": self.options.tolerance,
-            "warnings": [*self.warnings, *_of_stretches(self.totals["stretches"])],
+            "warnings": [*self.warnings, *_of_stretches(self.totals["stretches"]), *self._missed()],
             **({"between_rows": between_rows(p, self.model)} if self.model.inputs else {}),
             **of_scene(self.model),
         } | ({} if self.certified is None else {"certificate": self.certified.metadata(p.names)})
+
+    def _missed(self) -> list[str]:
+        """That rows are further from the law than a run of this rtol can be, where they are."""
+        worst, rtol = self.totals["worst_residual"], self.totals["rtol"]
+        if worst <= max(MULTIPLIERS * rtol, self.options.tolerance):
+            return []
+        at = f"t = {self.totals['worst_residual_t']:.10g}"
+        return [f"the law is missed by {worst:.2g} of its size at {at}, {worst / rtol:.2g} rtol: the run is no solution there"]
 
 
 def _of_stretches(stretches: list[dict[str, Any]]) -> list[str]:

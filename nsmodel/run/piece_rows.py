@@ -14,6 +14,7 @@ import numpy as np
 from nsmodel import dense, laws
 from nsmodel.pieces.expansion import Expansion
 from nsmodel.pieces.jets import jets_of
+from nsmodel.pieces.known import SAME_TIME
 from nsmodel.pieces.piece import Piece
 from nsmodel.run.piece_block import Block, Layout
 from nsmodel.run.row_facts import columns_of, facts
@@ -186,7 +187,8 @@ class PieceRows:
         multipliers = l.copy() if self._out is None else dense.polynomials(lists["piece_multipliers"], number, s)
         full[:first] = own.x0
         ends = np.flatnonzero(rows.t == block.end[rows.piece])
-        full[ends + first] = block.last[rows.piece[ends]]
+        free = own.n - self.problem.held  # What is held has jumped at an edge.
+        full[ends + first, :free] = block.last[rows.piece[ends], :free]
         arrays: dict[str, np.ndarray] = {
             "t": t, "x": full[:, :states], "multipliers": multipliers, "index_set": lists["piece_codes"][number],
             "step": t - np.concatenate([[math.nan if first else self._before.t], t[:-1]]),
@@ -242,7 +244,8 @@ class PieceRows:
 
     def _records(self, t: np.ndarray, both: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Rows of h, and the columns that are expressions of t, x and l: y, and those of the class; ``both``: x and l."""
-        values, at, found = self._tell(np.column_stack([t, both])), self._facts.m, {}
+        before = t * (1 - SAME_TIME)  # At an edge a row has the values before it.
+        values, at, found = self._tell(np.column_stack([before, both])), self._facts.m, {}
         for name, size in self._facts.columns.items():
             found[name] = values[:, at] if name == "energy" else values[:, at : at + size]
             at += size

@@ -4,6 +4,12 @@
 #define LOOK 32 /* pieces between two looks at the clock */
 #define WIDEST 1e100 /* a state beyond this has diverged */
 
+#if HELD
+#define FREE (N - MODEL_PIECES_HELD)
+#else
+#define FREE N
+#endif
+
 /* What a row has: x, l, columns of a trajectory, multipliers of the user's law, their integrals since the row before, two numbers. */
 enum {
     ROW_X, ROW_L = ROW_X + N, ROW_MORE = ROW_L + M, ROW_OWN = ROW_MORE + RECORDS, ROW_STEP = ROW_OWN + SHOWN,
@@ -67,8 +73,8 @@ static void write_row(model_pieces *s, model_piece_cells *at, double t, double *
     const double here = (t - begin)/s->piece[AT_TAU];
     for (int j = 0; j < N + M; j++)
         row[j] = term_by_term(c + j, s->order, here);
-    if (t == end)
-        memcpy(row, s->piece + AT_LAST, N*sizeof *row);
+    if (t == end) /* what is held has jumped at an edge */
+        memcpy(row, s->piece + AT_LAST, FREE*sizeof *row);
     if (t == 0) {
         start(s, row);
 #if HELD
@@ -76,7 +82,8 @@ static void write_row(model_pieces *s, model_piece_cells *at, double t, double *
 #endif
     }
     if (at->more || FEEDS) {
-        records(s, &t, row, row + ROW_L, row + ROW_MORE);
+        const double before = t*(1 - SAME_TIME); /* at an edge a row has the values before it */
+        records(s, &before, row, row + ROW_L, row + ROW_MORE);
 #if REWRITTEN
         own_multipliers(s, &t, row, row + ROW_L, row + ROW_OWN);
 #endif
