@@ -238,9 +238,8 @@ class Integrator:
             return
         turned: list[Condition] = []
         for condition in conditions(system, place.codes, how, AROUND):
-            c = condition.coefficients()
+            c, ends = condition.coefficients(), same(condition, hit)
             moves, least = max(map(abs, c[1:]), default=0.0), TIE * size(system, condition)
-            ends = same(condition, hit)
             if condition.of not in place.open and (ends or abs(c[0]) <= max(least, TIE * moves)):
                 place.open.add(condition.of)
                 turned += [condition] if ends or moves > least else []

@@ -162,8 +162,7 @@ class Controlled(OfScheme):
         begin = self.record.rows[0, self._watched]
         unknown = np.full(begin.size, np.nan)
         self._size, self.place = np.abs(begin), Place(0, j, self.state, self.warm, begin, unknown, None, unknown, self._finest)
-        self._c = _constraints(model)
-        self._corrections = [0.0]
+        self._c, self._corrections = _constraints(model), [0.0]
         self._law = numeric_law(self.problem.law)
         self._walls = self._rows_of_walls()
         self.warnings += self._relays()
