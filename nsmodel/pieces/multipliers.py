@@ -120,6 +120,8 @@ def is_p(D: np.ndarray, W: np.ndarray, opened: list[int], held: list[int], *, de
         if U.shape[1]:
             return False
         S = S - K[np.ix_(opened, held)] @ plus @ K[np.ix_(held, opened)]
+    if S.size == 1:
+        return bool(S[0, 0] > 0)
     if np.linalg.eigvalsh(S + S.T).min(initial=1.0) > SINGULAR * np.abs(S).max(initial=0.0):
         return True
     if definite or len(opened) > MOST_MINORS:

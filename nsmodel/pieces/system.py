@@ -272,8 +272,7 @@ class System(Orders):
         Where some are those of a curved block: whether it is definite. Not where g or h has a product of two of these l.
         """
         key = (tuple(opened), tuple(i for i, code in enumerate(codes) if code == 0 and i not in opened))
-        both = [*key[0], *key[1]]
-        if self.coupled[np.ix_(both, both)].any():
+        if not self.linear_in_l and any(self.coupled[i, j] for i in key[0] + key[1] for j in key[0] + key[1]):
             return False
         if key not in self._p or self.constant is None:
             B, D, C = self.slopes()
