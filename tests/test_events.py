@@ -25,6 +25,10 @@ from nsmodel import (
 )
 from nsmodel.hypotheses.region import region_of
 from nsmodel.pieces import modes
+from nsmodel.pieces.course import Course
+from nsmodel.run import piece_rows
+from nsmodel.run.options import Options
+from nsmodel.simulate import arranged
 from tests import event_scenes as scenes
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "event_driven"
@@ -195,6 +199,17 @@ def test_modes_of_a_bilinear_model_are_proved_unique_where_their_rows_are_not_co
     assert run.metadata["totals"]["unique"] == {"proved": 2, "all valid modes agree": 2}
 
 
+@pytest.mark.parametrize("compiled", [False, True])
+def test_no_mode_is_proved_unique_where_d_moves_and_is_nothing(compiled):
+    """y = x1 + x2 l, x2 = -2t: l = 0 with x1 = t, and l = 1 with x1 = 2t, although C g_l = 1."""
+    x, l = ca.SX.sym("x", 2), ca.SX.sym("l")
+    model = FirstOrderSystem(
+        x=x, lam=l, f=[1, -2], g=[l, 0], h=[x[0] + x[1] * l], law=complementarity(1), x0=[0, 0], t_end=1
+    )  # fmt: skip
+    run = simulate(model, rtol=1e-6, method="event-driven", compiled=compiled)
+    assert "proved" not in run.metadata["totals"]["unique"]
+
+
 def test_jump_at_the_start():
     """From the jump on the digits of a run that starts after it; x+ by hand: C and C_f share the charge."""
     model = scenes.capacitor_filter()
@@ -321,6 +336,45 @@ def test_rows_dense_output_and_files(tmp_path):
     np.testing.assert_array_equal(third.t, run.t[np.unique([*range(0, len(run.t), 3), len(run.t) - 1])])
     run.to_csv(tmp_path / "run.csv")
     assert "piece" not in (tmp_path / "run.csv").read_text().splitlines()[0]
+
+
+def test_runs_in_memory_are_not_in_chunks(monkeypatch):
+    model = nsmodel.load(CASES / "relay_oscillator.py")
+    whole = simulate(model, rtol=1e-6, method="event-driven", compiled=False)
+    monkeypatch.setattr(piece_rows, "CHUNK_BYTES", 1)
+    walk = arranged(model, Options(rtol=1e-6, method="event-driven", compiled=False)).walk
+    for _ in range(100):
+        walk.advance(64, [])
+    assert walk.ended
+    assert walk.record.filled == len(whole.t)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_chunks_without_rows(tmp_path, monkeypatch, compiled):
+    model = nsmodel.load(CASES / "relay_oscillator.py")
+    given = {"rtol": 1e-6, "method": "event-driven", "compiled": compiled, "times": [0.9 * model.t_end, model.t_end]}
+    whole = simulate(model, **given)
+    monkeypatch.setattr(piece_rows, "CHUNK_BYTES", 1)
+    run = simulate(model, out=tmp_path / "run", **given)
+    for name, array in whole.arrays.items():
+        np.testing.assert_array_equal(array, run.arrays[name], err_msg=name)
+
+
+def test_what_fails_between_rows_says_how_many_there_are(monkeypatch):
+    made = []
+
+    def advance(self):
+        made.append(self)
+        if len(made) > 20:
+            raise MemoryError("Unable to allocate 1 TiB")
+        return usual(self)
+
+    usual = Course.advance
+    monkeypatch.setattr(Course, "advance", advance)
+    model = nsmodel.load(CASES / "relay_oscillator.py")
+    with pytest.raises(StepError, match=r"^step \d+: no verified step .* not enough memory") as caught:
+        simulate(model, rtol=1e-6, method="event-driven", compiled=False)
+    assert caught.value.step == len(caught.value.trajectory) == caught.value.trajectory.metadata["totals"]["pieces"] > 0
 
 
 def test_events_tell_both_sides():

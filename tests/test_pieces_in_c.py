@@ -226,7 +226,7 @@ static int goes_through(thing_pieces *s, double rtol, double end)
     static double times[1000], x[1000*THING_PIECES_N];
     double one[THING_PIECES_N];
     const double none[] = {0.1*end, 0.2*end, NAN, end}, back[] = {0.3*end, 0.25*end};
-    int same = 1;
+    int same = thing_advance_through(s, 0, times, x) == THING_NOT_INITIALISED;
     for (int k = 0; k < 1000; k++)
         times[k] = k < 990 ? end*k/990 : end;
     if (thing_pieces_init(s, rtol) || thing_advance_through(s, 1000, times, x) || thing_pieces_init(s, rtol))

@@ -35,7 +35,7 @@ class Line(NamedTuple):
 
 
 class Branch(NamedTuple):
-    """A switch: how its side is chosen (see `expansion.CHOICES`), and the row that it looks at."""
+    """A switch: how its side is chosen (see `printed.PYTHON`), and the row that it looks at."""
 
     kind: str
     row: int

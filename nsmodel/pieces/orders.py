@@ -1,6 +1,6 @@
 """Taylor coefficients of x, l and y in a mode, order by order: the recurrences of f, g and h with the multipliers of held rows.
 
-The rows hold numbers, or what stands for numbers where the orders of all modes are written out (`written`).
+The rows hold numbers, or what stands for numbers where the orders of all modes are written out (`unrolled`).
 """
 
 from __future__ import annotations

@@ -269,14 +269,16 @@ class System(Orders):
     def is_p_matrix(self, opened: list[int], codes: list[int]) -> bool:
         """Whether the rows ``opened`` have a P-matrix, D with W where D is nothing, the other rows with code 0 held.
 
-        Where some are those of a curved block: whether it is definite. Not where g or h has a product of two of these l.
+        Where some are those of a curved block: whether it is definite. Not where g or h has a product of two of these l. Of a D
+        that moves it is that of D alone: nothing at a point, it is something after it, and y' has l by more than W.
         """
         key = (tuple(opened), tuple(i for i, code in enumerate(codes) if code == 0 and i not in opened))
         if not self.linear_in_l and any(self.coupled[i, j] for i in key[0] + key[1] for j in key[0] + key[1]):
             return False
         if key not in self._p or self.constant is None:
             B, D, C = self.slopes()
-            self._p[key] = is_p(D, C @ B, *map(list, key), definite=any(len(self.blocks.rows_of(i)) > 1 for i in opened))
+            W = np.zeros_like(D) if self.D is None else C @ B
+            self._p[key] = is_p(D, W, *map(list, key), definite=any(len(self.blocks.rows_of(i)) > 1 for i in opened))
         return self._p[key]
 
     def _release(self, how: Solve) -> Solve | None:

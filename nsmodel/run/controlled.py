@@ -240,12 +240,7 @@ class Controlled(OfScheme):
         for _ in range(steps):
             if self.ended or stop:
                 return
-            if (
-                self.rollout is None
-                or not self.rollout.adaptive
-                or not (self._driven is None or self._driven.flat)
-                or self._in_c()
-            ):
+            if not self._whole_in_c or self._in_c():
                 self._one()
             self._cross()
 

@@ -79,6 +79,7 @@ class EventDriven:
         chosen = chosen_maker(problem, options, there(), (rtol, atol), model, mark, known, whole)
         self.maker, self.plan = chosen.maker, chosen.plan
         self.record = PieceRows(problem, self.maker.order, options.save_every, self.T, self.times, chosen.columns)
+        self._in_chunks = options.folder is not None and not options.certified
         self.k = self._made = 0  # Rows, and pieces.
         self._new: list[Block] = []  # Pieces that are not counted yet.
         self._outputs = Outputs.of(model, problem.rows if problem.multipliers is None else problem.declared)
@@ -134,12 +135,12 @@ class EventDriven:
         """Integrate so many pieces."""
         try:
             self._advance(steps, stop)
-        except StepError:
+        except Exception:
             self._count(self.maker.counts())
             raise
 
     def _advance(self, left: int, stop: Sequence[float]) -> None:
-        while left > 0 and not (self.ended or stop or self.record.full):
+        while left > 0 and not (self.ended or stop or (self._in_chunks and self.record.full)):
             block = self.maker.make(self.T, left)
             left -= block.count
             behind = self.maker.behind

@@ -128,10 +128,7 @@ class PieceRows:
         if not self._new:
             return
         block, before = Block.joined(self._new), self._carried
-        self._new, end = [], block.end
-        self._columns = None
-        self._blocks.append(block)
-        self._shown.append(_shown(block) if self._out is None else _expanded(self._out, block, self._facts.shown))
+        end, shown = block.end, _shown(block) if self._out is None else _expanded(self._out, block, self._facts.shown)
         times, last = self._times(end)
         t = times
         if self.every > 1:
@@ -140,13 +137,15 @@ class PieceRows:
                 keep[-1] = True
             t = times[keep]
         piece = np.minimum(np.searchsorted(end, t, side="left"), len(end) - 1)
-        until, integral = self._integrals(block, t, piece) if self.problem.impulses else (before.until, None)
+        until, integral = self._integrals(block, shown[0], t, piece) if self.problem.impulses else (before.until, None)
         worst, rest = _worst(before.worst, block.defect, piece)
-        self._rows.append(_Rows(t, piece + self._settled, worst, integral))
-        now = float(t[-1]) if len(t) else before.t
-        self._carried = Carried(
-            before.rows + len(times), now, integral[-1] if integral is not None and len(t) else before.integral, until, rest
-        )
+        rows, now = _Rows(t, piece + self._settled, worst, integral), float(t[-1]) if len(t) else before.t
+        own = integral[-1] if integral is not None and len(t) else before.integral
+        self._carried = Carried(before.rows + len(times), now, own, until, rest)
+        self._new, self._columns = [], None
+        self._blocks.append(block)
+        self._shown.append(shown)
+        self._rows.append(rows)
         self._settled += block.count
         self._count_rows += len(t)
 
@@ -157,9 +156,9 @@ class PieceRows:
         stop = bisect_right(self.times, end[-1])
         return np.array(self.times[self._carried.rows : stop]), stop == len(self.times)
 
-    def _integrals(self, block: Block, t: np.ndarray, piece: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _integrals(self, block: Block, l: np.ndarray, t: np.ndarray, piece: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The integral of the multipliers up to the end of the pieces, and up to times (k,) in them."""
-        l, tau = self._shown[-1][0], block.tau
+        tau = block.tau
         whole = block.impulse + tau[:, None] * dense.integrals(l, np.arange(len(l)), (block.end - block.t) / tau)
         until = np.cumsum(np.vstack([self._carried.until[None], whole]), axis=0)
         part = tau[piece, None] * dense.integrals(l, piece, (t - block.t[piece]) / tau[piece])

@@ -59,7 +59,8 @@ def columns_of(p: ContinuousProblem) -> Callable[[np.ndarray], np.ndarray]:
     function, of_many = _records_of(p)
 
     def at(rows: np.ndarray) -> np.ndarray:
-        count = len(rows)
+        if not (count := len(rows)):
+            return np.zeros((0, function.numel_out()))
         if count not in of_many:
             of_many.clear()
             of_many[count] = function.map(count)

@@ -184,7 +184,7 @@ static long rows_here(model_pieces *s, long count, const double *times, double *
  */
 int model_advance_through(model_pieces *s, long count, const double *times, double *x)
 {
-    int status = MODEL_OK;
+    int status = is_ready(s) ? MODEL_OK : MODEL_NOT_INITIALISED;
     for (long k = 0; k < count && status == MODEL_OK;) {
         k += rows_here(s, count - k, times + k, x + k*N);
         if (k < count && (status = model_advance(s, times[k])) == MODEL_OK)

@@ -389,8 +389,8 @@ static int is_always_p(model_pieces *s)
 #endif
 
 /*
- * Whether the open rows have a P-matrix, D + a little W, those with code 0 that are not open held, and no two of their l are coupled;
- * or x is unique in all modes.
+ * Whether the open rows have a P-matrix, D + a little W, or D alone where it moves, those with code 0 that are not open held, and no
+ * two of their l are coupled; or x is unique in all modes.
  */
 static int is_p_matrix(model_pieces *s)
 {
@@ -408,6 +408,7 @@ static int is_p_matrix(model_pieces *s)
 #else
     int o[M], h[M], n = 0, q = 0, r = 0;
     double *S = s->work_a, *among = s->work_b, *plus = s->work_u, largest = 0;
+#if D_NUMBERS
     double d = 0, w = 0;
     for (int i = 0; i < M; i++)
         for (int j = 0; j < M; j++) {
@@ -415,6 +416,10 @@ static int is_p_matrix(model_pieces *s)
             w = max_of(w, fabs(W_AT(i, j)));
         }
     const double little = d != 0 && w != 0 ? SHORT*d/w : 1;
+#define K_AT(i, j) (D_AT(i, j) + W_AT(i, j)*little)
+#else
+#define K_AT(i, j) D_AT(i, j)
+#endif
     for (int i = 0; i < M; i++)
         if (s->at.open[i])
             o[n++] = i;
@@ -426,7 +431,6 @@ static int is_p_matrix(model_pieces *s)
             if (coupled[i*M + j] && (s->at.open[i] || s->at.codes[i] == 0) && (s->at.open[j] || s->at.codes[j] == 0))
                 return 0;
 #endif
-#define K_AT(i, j) (D_AT(i, j) + W_AT(i, j)*little)
     for (int i = 0; i < q; i++)
         for (int j = 0; j < q; j++)
             among[i*q + j] = K_AT(h[i], h[j]);
