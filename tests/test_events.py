@@ -279,7 +279,7 @@ def test_mass_matrix_and_redundant_rows():
 
 
 @pytest.mark.parametrize("compiled", [False, True])
-@pytest.mark.parametrize("power", [2, 3])
+@pytest.mark.parametrize("power", [2, 3, 4])
 @pytest.mark.parametrize("a", [1.0, 1e-6, 1e-12])
 def test_rows_that_part_at_a_higher_order(a, power, compiled):
     """y = (x_0, x_0 + a x_1^power): at x = 0 nothing tells them apart, but x_1 moves: x_0 = 0 by l = (7/10, -1)."""
