@@ -1,5 +1,6 @@
 """Event-driven integration: errors within rtol, no switch missed, and clear words where it does not apply."""
 
+import itertools
 import math
 import os
 import shutil
@@ -291,6 +292,21 @@ def test_mass_matrix_and_redundant_rows():
     a, b = (simulate(model, rtol=1e-9, times=at, method="event-driven") for model in (twice, once))
     np.testing.assert_allclose(a.x, b.x, atol=1e-8)
     np.testing.assert_allclose(a.multipliers.sum(axis=1)[1:], b.multipliers[1:, 0], atol=1e-7)
+
+
+@pytest.mark.parametrize("power", [2, 3, 4])
+def test_rows_that_part_at_a_higher_order(power):
+    """y = (x_0, x_0 + a x_1^power): at x = 0 nothing tells them apart, but x_1 moves: x_0 = 0 by l = (7/10, -1)."""
+    x, l = ca.SX.sym("x", 2), ca.SX.sym("l", 2)
+    for a, compiled in itertools.product((1, 1e-12), (False, True)):
+        h = ca.vertcat(x[0], x[0] + a * x[1] ** power)
+        model = FirstOrderSystem(
+            t=scenes.t, x=x, lam=l, f=[0.3, 1], g=ca.jtimes(h, x, l, True), h=h, law=relay(2), x0=[0, 0], t_end=1
+        )
+        run = simulate(model, rtol=1e-8, method="event-driven", compiled=compiled)
+        assert (run.index_set[1:] == [0, -1]).all()
+        np.testing.assert_allclose(run.multipliers[1:], np.tile([0.7, -1], (len(run.t) - 1, 1)), atol=1e-12)
+        assert np.abs(run.x[:, 0]).max() <= 1e-15
 
 
 # -- random models against time stepping -------------------------------------------------------------------------------

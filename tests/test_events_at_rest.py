@@ -147,3 +147,34 @@ def test_rounding_of_what_sticks_is_no_error_of_a_fit(seed):
         pieces.append(len(run.piece_start))
     assert max(pieces) <= 200
     assert abs(pieces[0] - pieces[1]) <= 0.05 * pieces[0]
+
+
+def held_by_curved_rows(bend, seed):
+    """x' = waves + a rotation of x + g l, two states and three rows bend(C x), each pushed along its gradient, from near 0."""
+    r = np.random.default_rng(seed)
+    x, l, t = ca.SX.sym("x", 2), ca.SX.sym("l", 3), ca.SX.sym("t")
+    waves = sum(r.normal(size=2) * ca.sin(r.uniform(1, 4) * t + r.uniform(0, 6)) for _ in range(2))
+    h, turn = bend(r.normal(size=(3, 2)) @ x), ca.DM([[0, 1], [-1, 0]])
+    return FirstOrderSystem(
+        t=t, x=x, lam=l, f=waves + turn @ x, g=ca.jtimes(h, x, l, True), h=h, law=relay(3, [-10] * 3, [10] * 3),
+        x0=0.1 * r.normal(size=2), t_end=12,
+    )  # fmt: skip
+
+
+BENDS = {"exp": lambda z: ca.exp(z) - 1, "atan": lambda z: z + ca.atan(z) / 2}
+
+
+@pytest.mark.parametrize("compiled", compilers)
+@pytest.mark.parametrize("bend", BENDS)
+def test_curved_rows_beyond_the_states_that_they_hold_at_rest(bend, compiled):
+    """The coefficients of x are rounding, or exactly 0: y is what their products are. No mode is to be refused for that."""
+    model, at = held_by_curved_rows(BENDS[bend], 1), np.linspace(6, 12, 61)
+    f = ca.Function("f", [model.t], [ca.substitute(model.f, model.x, 0)])
+    g = ca.Function("g", [model.lam], [ca.substitute(model.g, model.x, 0)])
+    for rtol in 10.0 ** -np.arange(2, 11):
+        run = simulate(model, rtol=rtol, method="event-driven", compiled=compiled)
+        found = run.at(at)
+        assert not run.index_set[-1].any()
+        assert np.abs(found.x).max() <= 1e-13
+        pushed, held = (np.array(of.map(at.size)(given)).T for of, given in ((f, at[None]), (g, found.multipliers.T)))
+        assert np.abs(pushed + held).max() <= 10 * rtol * np.abs(pushed).max()

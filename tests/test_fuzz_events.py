@@ -104,6 +104,13 @@ def test_rows_that_a_guess_of_the_mode_turns_are_asked_too():
     assert max(found) <= 100 * FINE
 
 
+@pytest.mark.parametrize("rtol", [1e-3, 1e-7, 1e-10])
+def test_an_equality_and_relays_with_curved_rows_hold_two_states_at_0(rtol):
+    scene = models.first_order(63)
+    found = missed(scene, simulate(scene.model, rtol=rtol, method="event-driven", compiled=False), np.random.default_rng(63))
+    assert max(found) <= 100 * rtol
+
+
 @pytest.mark.parametrize("rtol", [FINE, ROUGH])
 def test_what_holds_a_state_at_0_is_known_to_rtol(rtol):
     """y = c x = 0 holds x at 0, so l = -f(t, 0)/c: what x' misses by the end of the series is an error of l, and none of x."""

@@ -47,7 +47,7 @@ OF_PIECES: Mapping[str, str] = {
     "pieces.defect": "SEEN SEEN_ROW",
     "pieces.sizes": "ROUNDING NEGLIGIBLE",
     "pieces.multipliers": "SINGULAR MOST_MINORS BALANCING NOTHING SHORT",
-    "pieces.system": "NEWTON SETTLED LITTLE RESTS AT_ZERO",
+    "pieces.system": "NEWTON SETTLED HELD_ORDERS LITTLE RESTS AT_ZERO",
     "pieces.settled": "STAYS",
     "pieces.stiff": "WORTH STAY SMOOTH INSIDE OCTAVES_MORE SAFE ENDINGS ENDED MOVED MOST_WAIT",
     "pieces.radau": "STAGE_ITERATIONS STAGE_SETTLED SLOW STAGE_NEAR STAGE_ROUNDING ORDERS_OF_TWO",

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from nsmodel.pieces.multipliers import Solve, solve_of
+from nsmodel.pieces.sizes import ROUNDING
 from nsmodel.pieces.switches import ROW, TIE, Condition, Switch, conditions, size
 from nsmodel.pieces.system import System
 from nsmodel.solve import mlcp
@@ -148,17 +149,19 @@ def _apart(a: list[float], b: list[float], share: float, least: float) -> bool:
 def pace(system: System) -> float:
     """The share of the unit of time in which coefficients of x, l and l'S l do not grow from order to order: that of germs.
 
-    In a unit that is longer than a mode's own time the first coefficients would seem rounding beside the last.
+    In a unit that is longer than a mode's own time the first coefficients would seem rounding beside the last. Where these are
+    rounding of what multipliers push x by, x begins beyond them, and tells no time.
     """
     share, watched = 1.0, [block for block in system.blocks.all if block.curved is not None]
     inner = [block.inner for block in watched], [block.quadric[1] for block in watched]
     for rows, sizes in ((system.x, system.sizes.x), (system.l, system.sizes.l), inner):
-        for row, so_far in zip(rows, sizes, strict=True):
+        for i, (row, so_far) in enumerate(zip(rows, sizes, strict=True)):
             last = row[HALF + 1 : ORDERS + 1]
             if share == 1 and max(last) <= so_far and min(last) >= -so_far:
                 continue
             own = list(map(abs, row[1 : ORDERS + 1]))
-            if share == 1 and max(own[HALF:]) <= max(so_far, *own[:HALF]):
+            first = max(so_far, *own[:HALF])
+            if (share == 1 and max(own[HALF:]) <= first) or (rows is system.x and first <= ROUNDING * system.pushed()[i]):
                 continue
             for _ in range(PACES):
                 own = [abs(a) * share**k for k, a in enumerate(row[1 : ORDERS + 1], 1)]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nsmodel.pieces.multipliers import NOTHING, Solve
+from nsmodel.pieces.sizes import ROUNDING
 
 if TYPE_CHECKING:
     from nsmodel.pieces.system import System
@@ -29,12 +30,18 @@ def moved_share(system: System, how: Solve, direct: list[float], through: list[f
 
 
 def stays(system: System, how: Solve, orders: Iterable[int]) -> bool:
-    """Whether the rows that no multiplier acts on stay at 0 by themselves, as redundant ones do; 1: once x has its rate."""
+    """Whether the rows that no multiplier acts on stay at 0 by themselves, as redundant ones do; 1: once x has its rate.
+
+    Where x rests its coefficients are rounding of what multipliers push it by, or exactly 0, and y of curved rows is what their
+    products are: what is below that rounding in the unit of time is no motion.
+    """
     if how.null is None or not how.null.size:
         return True
+    pushed, none = system.pushed(), [0.0] * system.m
+    rounding = ROUNDING * np.abs(how.null.T) @ [system.sum_y(i, pushed, none) for i in how.active]
     for k in orders:
         y = np.array([system.y[i][k] for i in how.active])
         size = max([float(np.abs(y).max()), *(abs(row[k]) for row in system.x)])
-        if not np.abs(how.null.T @ y).max() <= STAYS * size:
+        if not (np.abs(how.null.T @ y) <= np.maximum(STAYS * size, rounding)).all():
             return False
     return True

@@ -89,8 +89,8 @@ static double largest_of(int n, const double *c)
     return most;
 }
 
-/* By how much the unit of time is to shrink for a column not to grow from order to order. */
-static double pace_of(const model_pieces *s, int column, double size, double share)
+/* By how much the unit of time is to shrink for a column not to grow from order to order; one that begins beyond HALF does not. */
+static double pace_of(const model_pieces *s, int column, double size, double rounding, double share)
 {
     double first = size, later = 0;
     if (share == 1) {
@@ -100,12 +100,12 @@ static double pace_of(const model_pieces *s, int column, double size, double sha
         if (below)
             return share;
     }
-    for (int k = 1; k <= ORDERS && share == 1; k++)
+    for (int k = 1; k <= ORDERS; k++)
         if (k <= HALF)
             first = max_of(first, fabs(s->c[k][column]));
         else
             later = max_of(later, fabs(s->c[k][column]));
-    if (share == 1 && later <= first)
+    if ((share == 1 && later <= first) || first <= rounding)
         return share;
     for (int pass = 0; pass < PACES; pass++) {
         double largest = size, factor = 1, raised = share, own[ORDERS + 1];
@@ -128,12 +128,13 @@ static double pace_of(const model_pieces *s, int column, double size, double sha
 /* The share of the unit of time in which coefficients of x and l do not grow from order to order: germs are looked at in it. */
 static double pace(const model_pieces *s)
 {
-    double share = 1;
+    double share = 1, pushed[N];
+    pushes(s, pushed);
     for (int i = 0; i < N; i++)
-        share = pace_of(s, i, s->at.size_x[i], share);
+        share = pace_of(s, i, s->at.size_x[i], ROUNDING*pushed[i], share);
 #if LAW
     for (int i = 0; i < M; i++)
-        share = pace_of(s, L + i, s->at.size_l[i], share);
+        share = pace_of(s, L + i, s->at.size_l[i], -1, share);
 #endif
     return share;
 }

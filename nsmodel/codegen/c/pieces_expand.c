@@ -157,6 +157,37 @@ static void rate(model_pieces *s, int k)
 }
 
 #if LAW
+/* size += |g_l| |l|. */
+static void add_pushed(const model_pieces *s, double *size, const double *l)
+{
+#if SLOPES
+    for (int i = 0; i < N; i++)
+        for (int j = 0; j < M; j++)
+            size[i] += fabs(B_AT(i, j)*l[j]);
+#else
+    UNUSED(s);
+    for (int j = 0; j < M; j++)
+        for (int e = B_start[j]; e < B_start[j + 1]; e++)
+            size[B_row[e]] += fabs(B_value[e]*l[j]);
+#endif
+}
+#endif
+
+/* By what multipliers push each state in the unit of time, in size. */
+static void pushes(const model_pieces *s, double *out)
+{
+    memset(out, 0, N*sizeof *out);
+#if LAW
+    double l[M];
+    for (int j = 0; j < M; j++)
+        l[j] = s->c[1][T]*(fabs(s->c[0][L + j]) + fabs(s->c[1][L + j]));
+    add_pushed(s, out, l);
+#else
+    UNUSED(s);
+#endif
+}
+
+#if LAW
 /* |h_x| of row i times these sizes of states. */
 static double terms_of_x(const model_pieces *s, int i, const double *of_x)
 {
@@ -283,30 +314,40 @@ static double direct(model_pieces *s, int k)
     return moved;
 }
 
-/* Whether the rows that nothing acts on stay at 0 by themselves. */
-static int stays(model_pieces *s)
+/*
+ * Whether order k > 0 lets the rows that nothing acts on stay at 0 by themselves. Where x rests its coefficients are rounding of what
+ * multipliers push it by, or exactly 0, and y of curved rows is what their products are.
+ */
+static int stays(const model_pieces *s, int k)
 {
 #if MATRICES
     const int n = HOW.n;
-    double size = 0, worst = 0;
+    const double *y = s->c[k] + Y;
+    double size = 0, pushed[N], rounding[M];
     if (!HOW.null)
         return 1;
-    outputs(s, 1);
+    pushes(s, pushed);
     for (int i = 0; i < N; i++)
-        size = max_of(size, fabs(s->c[1][i]));
-    for (int a = 0; a < n; a++)
-        size = max_of(size, fabs(s->c[1][Y + HOW.active[a]]));
-    for (int z = 0; z < HOW.null; z++) {
-        double sum = 0;
-        for (int a = 0; a < n; a++)
-            sum += HOW.rest[a*HOW.null + z]*s->c[1][Y + HOW.active[a]];
-        worst = worse_of(worst, fabs(sum));
+        size = max_of(size, fabs(s->c[k][i]));
+    for (int a = 0; a < n; a++) {
+        size = max_of(size, fabs(y[HOW.active[a]]));
+        rounding[a] = ROUNDING*terms_of_x(s, HOW.active[a], pushed);
     }
-    return worst <= STAYS*size;
+    for (int z = 0; z < HOW.null; z++) {
+        double sum = 0, least = 0;
+        for (int a = 0; a < n; a++) {
+            const double share = HOW.rest[a*HOW.null + z];
+            sum += share*y[HOW.active[a]];
+            least += fabs(share)*rounding[a];
+        }
+        if (!(fabs(sum) <= max_of(STAYS*size, least)))
+            return 0;
+    }
 #else
     UNUSED(s);
-    return 1;
+    UNUSED(k);
 #endif
+    return 1;
 }
 
 /* Order 0 of l and order 1 of x; 0 where the mode has none. */
@@ -342,10 +383,10 @@ static int settle(model_pieces *s)
         if (!is_finite(moved))
             return 0;
 #if LINEAR
-        return stays(s);
+        return 1;
 #else
         if (iteration && moved <= SETTLED*NEWTON)
-            return stays(s);
+            return 1;
         solve_mode(s);
         outputs(s, 0);
 #endif
@@ -354,8 +395,8 @@ static int settle(model_pieces *s)
 }
 #endif
 
-/* Orders beyond those that are known, see expand. */
-static void extend(model_pieces *s, int known, int orders)
+/* Orders beyond those that are known, see expand; 0: rows that nothing acts on do not stay at 0. */
+static int extend(model_pieces *s, int known, int orders)
 {
 #if LAW
     double d[M];
@@ -389,6 +430,8 @@ static void extend(model_pieces *s, int known, int orders)
 #if !STILL
         outputs(s, k + 1);
 #endif
+        if (known == 0 && k < HELD_ORDERS && !stays(s, k + 1))
+            return 0;
 #endif
     }
 #if LAW
@@ -397,6 +440,7 @@ static void extend(model_pieces *s, int known, int orders)
             for (int a = 0; a < HOW.n; a++)
                 s->c[k][Y + HOW.active[a]] = 0;
 #endif
+    return 1;
 }
 
 /* Orders 0, ..., orders of x and y, and of l as far as its index lets; 0: the mode has no solution. */
@@ -430,7 +474,8 @@ static int expand(model_pieces *s, int orders)
 #else
     rate(s, 0);
 #endif
-    extend(s, 0, orders);
+    if (!extend(s, 0, orders))
+        return 0;
 #if LAW
 #if SLOPES
     slopes_here(s);
@@ -476,21 +521,6 @@ static void add_push(const model_pieces *s, double *rate, const double *l)
 #endif
 }
 
-/* size += |g_l| |l|. */
-static void add_pushed(const model_pieces *s, double *size, const double *l)
-{
-#if SLOPES
-    for (int i = 0; i < N; i++)
-        for (int j = 0; j < M; j++)
-            size[i] += fabs(B_AT(i, j)*l[j]);
-#else
-    UNUSED(s);
-    for (int j = 0; j < M; j++)
-        for (int e = B_start[j]; e < B_start[j + 1]; e++)
-            size[B_row[e]] += fabs(B_value[e]*l[j]);
-#endif
-}
-
 /* What y_i is measured beside. */
 static double size_y(const model_pieces *s, int i)
 {
@@ -515,17 +545,3 @@ static double size_l(const model_pieces *s, int i)
     return max_of(s->at.size_l[i], LITTLE*largest);
 }
 #endif
-
-/* By what multipliers push each state in the unit of time, in size. */
-static void pushes(const model_pieces *s, double *out)
-{
-    memset(out, 0, N*sizeof *out);
-#if LAW
-    double l[M];
-    for (int j = 0; j < M; j++)
-        l[j] = s->c[1][T]*(fabs(s->c[0][L + j]) + fabs(s->c[1][L + j]));
-    add_pushed(s, out, l);
-#else
-    UNUSED(s);
-#endif
-}
