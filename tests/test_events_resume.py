@@ -11,8 +11,9 @@ import pytest
 from fuzz_models import COUNT, FULL
 
 import nsmodel
-from nsmodel import StorageError, UsageError, simulate
-from nsmodel.run import loop
+from nsmodel import RunInterrupted, StorageError, UsageError, simulate
+from nsmodel.codegen.piece_runs import PiecesInC
+from nsmodel.run import loop, piece_makers
 
 CASES = Path(__file__).parents[1] / "cases"
 NAMES = ("diode_bridge", "inclusion_8_1", "relay_oscillator", "friction_oscillator", "two_discs", "gene_network")
@@ -109,3 +110,34 @@ def test_what_does_not_fit_is_refused(tmp_path):
 @pytest.mark.parametrize("name", NAMES)
 def test_residuals_are_rounding_in_every_row(name):
     assert np.nanmax(run(nsmodel.load(CASES / f"{name}.py"), None).residual) <= 1e-12
+
+
+@pytest.mark.parametrize("flushed", [False, True])
+def test_a_signal_between_pieces_and_their_rows_leaves_no_gap(flushed, tmp_path, monkeypatch):
+    """Pieces that C has made, and nobody has taken: what is written goes on from before them, or not at all."""
+    model = nsmodel.load(CASES / "relay_oscillator.py")
+    given = {"rtol": 1e-6, "method": "event-driven", "compiled": True}
+    simulate(model, out=tmp_path / "whole", **given)
+    usual, calls = PiecesInC.many, []
+
+    def interrupted(self, *args):
+        calls.append(usual(self, *args))
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+        return calls[-1]
+
+    monkeypatch.setattr(piece_makers, "AT_ONCE", 1)
+    monkeypatch.setattr(loop, "CHUNK_SECONDS", 0.0 if flushed else 1e9)
+    monkeypatch.setattr(PiecesInC, "many", interrupted)
+    with pytest.raises(RunInterrupted) as stopped:
+        simulate(model, out=tmp_path / "part", **given)
+    monkeypatch.setattr(PiecesInC, "many", usual)
+    assert 0 < stopped.value.trajectory.t[-1] < 100
+    if flushed:
+        simulate(model, out=tmp_path / "part", resume=True, **given)
+        assert files(tmp_path / "part") == files(tmp_path / "whole")
+        return
+    kept = nsmodel.Trajectory.load(tmp_path / "part" / "trajectory.npz")
+    np.testing.assert_array_equal(kept.x, stopped.value.trajectory.x)
+    with pytest.raises(StorageError, match="nothing to resume"):
+        simulate(model, out=tmp_path / "part", resume=True, **given)

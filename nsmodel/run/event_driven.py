@@ -56,6 +56,7 @@ class EventDriven:
     """The walk of event-driven integration; see `walk.Walk`. Rows and pieces stay in memory."""
 
     N: int = MOST
+    torn: bool = False
 
     def __init__(
         self, model: Model, options: Options, problem: ContinuousProblem, there: There, whole: Model | None = None
@@ -135,12 +136,14 @@ class EventDriven:
         """Integrate so many pieces."""
         try:
             self._advance(steps, stop)
-        except Exception:
+        except Exception as error:
+            self.torn = self.torn and not isinstance(error, StepError)
             self._count(self.maker.counts())
             raise
 
     def _advance(self, left: int, stop: Sequence[float]) -> None:
         while left > 0 and not (self.ended or stop or (self._in_chunks and self.record.full)):
+            self.torn = True
             block = self.maker.make(self.T, left)
             left -= block.count
             behind = self.maker.behind
@@ -154,6 +157,7 @@ class EventDriven:
             self._take(block)
             if self._cut is not None:
                 self._cut["cut"]["rows"] = self.record.filled - self._cut["cut"]["rows"]
+            self.torn = False
 
     def _take(self, block: Block) -> None:
         self.record.take(block)

@@ -153,6 +153,10 @@ class Run:
             if folder is not None:
                 _save(run, folder / "trajectory.npz")
             return run
+        if walk.torn and (run := self._in_memory(status, message)) is not None:
+            if not store.manifest["chunks"]:
+                _save(run, store.directory / "trajectory.npz")
+            return run  # What goes on goes on from where the folder was last written.
         try:
             if walk.record.filled:
                 self._flush(store, status, message)

@@ -59,6 +59,7 @@ class OfScheme:
     """
 
     record: Record
+    torn: bool = False
 
     def __init__(
         self, model: Model, options: Options, grid: Grid, in_c: Grid, there: There, whole: Model | None = None

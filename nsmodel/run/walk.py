@@ -49,6 +49,7 @@ class Walk(Protocol):
         bar: options of a progress bar; passed: how far the run is, in its unit.
         ended: whether nothing is left to do; time, h: where the next step starts, and its length.
         runaway: name and value of the largest state, where that has left the range of numbers to compute with.
+        torn: whether it stands behind rows that it has not: no place to go on from.
     """
 
     model: Any
@@ -56,6 +57,7 @@ class Walk(Protocol):
     settings: dict[str, Any]
     N: int
     k: int
+    torn: bool
     record: Any  # Rows
     counts: Counter[str]
     totals: dict[str, Any]
@@ -110,6 +112,7 @@ class Walk(Protocol):
 class OverGrid:
     """Where a walk over a grid stands: at row k of N."""
 
+    torn: bool = False
     grid: Grid
     N: int
     k: int
