@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import hashlib
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,24 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.archive import LIST, Layout, Member, blocks, digest_of_stream, header_of, members_of, read_npz, write_archive
-from nsmodel.errors import StorageError
-from nsmodel.storage import (
-    FORMAT,
-    STAMP,
-    Metadata,
-    dumps,
-    loads,
-    make_folder,
-    read_json,
-    refuse_later,
-    stream_beside,
-    utf8,
-    write_json,
-)
-from nsmodel.version import VERSION
+from nsmodel.archive import LIST, Member, digest_of_stream, members_of, write_archive
+from nsmodel.errors import LaterFormatError, StorageError
+from nsmodel.fields import MANIFEST as FIELDS
+from nsmodel.fields import UNFINISHED, refuse_other_types
+from nsmodel.manifest import MANIFEST, bound_to, is_signed, read_manifest, signed
+from nsmodel.storage import STAMP, Metadata, dumps, inside, loads, make_folder, read_json, stream_beside, write_json
+from nsmodel.stored import Layout, blocks, opened, read_npz
 
-MANIFEST = "manifest.json"
+WHOLE = "trajectory.npz"
 _AFRESH = "remove the folder, or give another, to start afresh"
 _CHUNK = re.compile(r"chunk-\d{6,}\.npz")
 
@@ -38,8 +28,9 @@ class ChunkStore:
 
     ``ChunkStore(directory)`` starts afresh: its first ``append`` replaces the run found there. ``ChunkStore.open``
     goes on with that run. The manifest is written last: killed at any moment, the directory holds the state after some
-    whole ``append`` or ``join``. Chunks that the manifest does not list are ignored, and overwritten. It has a hash of each:
-    what was changed or exchanged since is found before anything is added.
+    whole ``append`` or ``join``. Chunks that the manifest does not list are ignored, and overwritten. It has a hash of each,
+    and each has the digest of its run (see `manifest.bound_to`): what was changed or exchanged since, or belongs to another run,
+    is found before anything is added. No file is read, written or removed but in the folder, by its own name.
 
     A store is for one program at a time (see `lock`).
     """
@@ -56,28 +47,20 @@ class ChunkStore:
     @classmethod
     def open(cls, directory: str | Path) -> ChunkStore:
         """Open the run in ``directory``, and check that each chunk is the one its manifest lists, byte for byte."""
-        path = Path(directory) / MANIFEST
-        if not path.exists():
+        folder = Path(directory)
+        if not (folder / MANIFEST).exists():
             raise StorageError(f"nothing to resume in {directory}: no {MANIFEST}; start the run without resuming")
+        manifest = read_manifest(folder, FIELDS, what="run", afresh=_AFRESH)
         store = cls(directory)
-        manifest = read_json(path)
-        if not (isinstance(manifest, dict) and isinstance(manifest.get("format"), int) and manifest.get("chunks")):
-            raise StorageError(f"{path} is not a manifest; {_AFRESH}")
-        if manifest.pop("checksum", None) != _checksum(manifest):
-            raise StorageError(f"{path} was changed after it was written; {_AFRESH}")
-        if manifest["format"] < FORMAT:
-            by = manifest["metadata"]["versions"]["nsmodel"]
-            raise StorageError(
-                f"{path} is of format {manifest['format']}, written by nsmodel {by}: its files can be read, but nsmodel "
-                f"{VERSION} does not continue the run; go on with nsmodel {by}, or {_AFRESH}"
-            )
+        if not manifest["chunks"]:
+            raise StorageError(f"{folder / MANIFEST} lists no chunk; {_AFRESH}")
         store._manifest = manifest
         store._verify()
         return store
 
     @property
     def manifest(self) -> dict[str, Any]:
-        """A copy of {format, version, chunks: [{file, rows, sha256}], rows, checkpoint, metadata, status}, as it is on disk.
+        """A copy of {format, version, run, chunks: [{file, rows, sha256}], rows, checkpoint, metadata, status}, as on disk.
 
         Where there are lists (see LIST), each chunk and the whole have ``listed``, their length. While chunks are being joined,
         ``joined`` is what the one chunk will be.
@@ -99,14 +82,14 @@ class ChunkStore:
             # An older run's manifest must not describe the chunks that are overwritten from here on.
             (self.directory / MANIFEST).unlink(missing_ok=True)
         chunks = self._manifest["chunks"]
-        path = self.directory / f"chunk-{len(chunks) + 1:06d}.npz"
-        self._commit([*chunks, self._written(path, data)], checkpoint, metadata)
+        self._commit([*chunks, self._written(len(chunks) + 1, data, _run_of(checkpoint))], checkpoint, metadata)
 
-    def _written(self, path: Path, data: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    def _written(self, number: int, data: Mapping[str, np.ndarray], run: str) -> dict[str, Any]:
         """Write a chunk; and what the manifest says of it."""
+        path = inside(self.directory, f"chunk-{number:06d}.npz", "nsmodel")
         members = members_of(data, path)
         with stream_beside(path) as stream:
-            write_archive(stream, members, {})
+            write_archive(stream, members, {"run": run})
             return {"file": path.name, **(_lengths(_layout(data)) or {}), "sha256": digest_of_stream(stream)}
 
     def read(self) -> dict[str, np.ndarray]:
@@ -114,20 +97,17 @@ class ChunkStore:
         parts = [read_npz(file)[0] for file in self._files()]
         return {name: np.concatenate([part[name] for part in parts]) for name in (parts[0] if parts else ())}
 
-    def join(self, path: str | Path, metadata: Metadata) -> None:
-        """Make one file of all chunks at ``path``, with the bytes that ``write_npz`` would give; then it is chunk one.
+    def join(self, metadata: Metadata) -> None:
+        """Make one file of all chunks, trajectory.npz, with the bytes that ``write_npz`` would give; then it is chunk one.
 
         Memory does not depend on the length of the run, and ``append`` and ``join`` may follow.
         """
-        path = Path(path)
-        if _CHUNK.fullmatch(path.name):
-            raise StorageError(f"cannot join into {path}: names like this are the chunks' own; take trajectory.npz")
         if not self._manifest["chunks"]:
             raise StorageError(f"nothing to join in {self.directory}: no chunk was appended")
+        path = inside(self.directory, WHOLE, "nsmodel")
         layout, files, total = self._layout(), self._files(), _total(self._manifest["chunks"])
         members = {name: Member(dtype, shape, blocks(files, name)) for name, (dtype, shape) in layout.items()}
-        inside = path.resolve().parent == self.directory.resolve()
-        whole = {"file": path.name if inside else str(path.resolve()), **total}
+        whole: dict[str, Any] = {"file": WHOLE, **total}
         with stream_beside(path) as stream:
             write_archive(stream, members, metadata)
             whole["sha256"] = digest_of_stream(stream)
@@ -142,12 +122,12 @@ class ChunkStore:
     def shorten(self, rows: int, listed: int) -> None:
         """Take the last rows of the whole run away, and the last of its lists: what was cut off at its end is made anew."""
         if len(self._manifest["chunks"]) > 1 or _CHUNK.fullmatch(self._manifest["chunks"][0]["file"]):
-            self.join(self.directory / "trajectory.npz", self._manifest["metadata"])
+            self.join(self._manifest["metadata"])
         away = {"rows": rows, "listed": listed}
         arrays = {name: array[: len(array) - away[_length(name)]] for name, array in self.read().items()}
         metadata = {**self._manifest["metadata"], "status": "running", "message": ""}
-        path = self.directory / "chunk-000001.npz"
-        self._commit([self._written(path, arrays)], {**self._manifest["checkpoint"], "cut": None}, metadata)
+        checkpoint = {**self._manifest["checkpoint"], "cut": None}
+        self._commit([self._written(1, arrays, _run_of(checkpoint))], checkpoint, metadata)
 
     def discard(self) -> None:
         """Forget the run: its manifest and its chunks are removed."""
@@ -157,27 +137,47 @@ class ChunkStore:
         self._manifest = _manifest([], {}, {})
 
     def _files(self) -> list[Path]:
-        return [self.directory / chunk["file"] for chunk in self._manifest["chunks"]]
+        return [self._file(chunk) for chunk in self._manifest["chunks"]]
+
+    def _file(self, chunk: Mapping[str, Any]) -> Path:
+        """A chunk's file, by a name that chunks have."""
+        if chunk["file"] != WHOLE and not _CHUNK.fullmatch(chunk["file"]):
+            by = self.directory / MANIFEST
+            raise StorageError(
+                f"{by} lists the file {chunk['file']!r:.80}, which is no chunk of a run: it was changed; {_AFRESH}"
+            )
+        return inside(self.directory, chunk["file"], str(self.directory / MANIFEST))
 
     def _commit(
         self, chunks: list[dict[str, Any]], checkpoint: Metadata, metadata: Metadata, joined: Metadata | None = None
     ) -> None:  # fmt: skip
         manifest = loads(dumps(_manifest(chunks, checkpoint, metadata) | ({} if joined is None else {"joined": joined})))
-        write_json(self.directory / MANIFEST, manifest | {"checksum": _checksum(manifest)})
+        write_json(inside(self.directory, MANIFEST, "nsmodel"), signed(manifest))
         self._manifest = manifest
 
     def _verify(self) -> None:
-        """Compare each chunk with its hash; where a join was cut off after its file took its place, finish it."""
+        """Compare each chunk with its hash and its run; where a join was cut off after its file took its place, finish it."""
         whole = self._manifest.pop("joined", None)
-        if whole is not None and (file := self.directory / whole["file"]).is_file() and _digest_of(file) == whole["sha256"]:
+        if whole is not None and (file := self._file(whole)).is_file() and _digest_of(file) == whole["sha256"]:
             self._manifest["chunks"] = [whole]
-            return
+        run = _run_of(self._manifest["checkpoint"])
+        if self._manifest["run"] != run:
+            raise StorageError(f"{self.directory / MANIFEST} and its checkpoint belong to two runs; {_AFRESH}")
         for file, chunk in zip(self._files(), self._manifest["chunks"], strict=True):
             if _digest_of(file) != chunk["sha256"]:
+                other = _belongs_to(file)
+                what = "it belongs to another run" if other not in (None, run) else "it was changed, or exchanged for another,"
                 raise StorageError(
-                    f"{file} is not the file that {MANIFEST} lists: it was changed, or exchanged for another, after it was "
+                    f"{file} is not the file that {MANIFEST} lists: {what} after it was "
                     f"written; put it back from a copy, or {_AFRESH}"
                 )
+            found = opened(file)
+            if _lengths(found.layout) != {key: chunk[key] for key in ("rows", "listed") if key in chunk}:
+                raise StorageError(f"{file} has other numbers of rows than {MANIFEST} says; {_AFRESH}")
+        if self._manifest["rows"] != _total(self._manifest["chunks"])["rows"]:
+            raise StorageError(
+                f"{self.directory / MANIFEST} counts {self._manifest['rows']} rows, its chunks have others; {_AFRESH}"
+            )
 
     def _layout(self) -> Layout:
         """Data type and shape of each array of the whole run."""
@@ -185,23 +185,47 @@ class ChunkStore:
         return {name: (dtype, (total[_length(name)], *shape[1:])) for name, (dtype, shape) in self._first().items()}
 
     def _first(self) -> Layout:
-        """Read the header of the first chunk."""
-        return header_of(self._files()[0])
+        """Of the first chunk."""
+        return opened(self._files()[0]).layout
 
 
 def unfinished(directory: str | Path) -> dict[str, Any] | None:
     """The manifest in ``directory`` if it is that of a run that can be continued, by this version or the one that wrote it.
 
-    None where there is none, or it is damaged; StorageError where a later version wrote it.
+    None where there is none.
+
+    Raises:
+        StorageError: a later version wrote it, it is damaged beside chunks that nothing else lists, or it is that of a sweep.
     """
-    path = Path(directory) / MANIFEST
-    try:
-        manifest = loads(path.read_text(encoding="utf-8"))
-        whole = manifest.pop("checksum") == _checksum(manifest)
-    except (OSError, ValueError, RecursionError, AttributeError, LookupError, StorageError):
+    folder = Path(directory)
+    if not (folder / MANIFEST).exists():
         return None
-    refuse_later(manifest, path)
-    return manifest if whole and manifest["status"] in ("running", "interrupted") else None
+    path = inside(folder, MANIFEST, "nsmodel")
+    try:
+        manifest = read_json(path)
+        if not (isinstance(manifest, dict) and is_signed(manifest)):
+            raise StorageError(f"{path} was changed after it was written; {_AFRESH}")
+    except StorageError as error:
+        if isinstance(error, LaterFormatError) or any(_CHUNK.fullmatch(file.name) for file in folder.iterdir()):
+            raise
+        return None
+    if "design" in manifest:
+        raise StorageError(f"{folder} holds a sweep; give another folder")
+    refuse_other_types(manifest, UNFINISHED, path)
+    return manifest if manifest["status"] in ("running", "interrupted") else None
+
+
+def _run_of(checkpoint: Metadata) -> str:
+    """The digest of the run whose checkpoint this is."""
+    return bound_to(checkpoint.get("settings"))
+
+
+def _belongs_to(path: Path) -> Any:
+    """The digest of the run that a file says it belongs to; None where it says none."""
+    try:
+        return opened(path).metadata.get("run")
+    except StorageError:
+        return None
 
 
 def _layout(data: Mapping[str, np.ndarray]) -> Layout:
@@ -247,10 +271,6 @@ def _same_layout(first: Layout, other: Layout, where: Path) -> None:
             raise StorageError(f"array '{name}' in {where} differs from chunk one: expected {expected}, got {got}")
 
 
-def _checksum(manifest: Metadata) -> str:
-    return hashlib.sha256(utf8(dumps(manifest))).hexdigest()[:16]
-
-
 def _manifest(chunks: list[dict[str, Any]], checkpoint: Metadata, metadata: Metadata) -> dict[str, Any]:
     state = {"checkpoint": checkpoint, "metadata": metadata, "status": metadata.get("status", "running")}
-    return {**STAMP, "chunks": chunks, **({"rows": 0} | _total(chunks)), **state}
+    return {**STAMP, "run": _run_of(checkpoint), "chunks": chunks, **({"rows": 0} | _total(chunks)), **state}

@@ -63,6 +63,10 @@ class StorageError(NsmodelError, OSError):
     trajectory: Any = None
 
 
+class LaterFormatError(StorageError):
+    """A file of a format that only a later version knows."""
+
+
 class PlotError(NsmodelError, ValueError):
     """A picture was asked for that this run cannot give."""
 

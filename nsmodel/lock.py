@@ -12,6 +12,7 @@ import contextlib
 import json
 import os
 import socket
+import stat
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -31,6 +32,7 @@ except ImportError:  # all others
 
 LOCK = "run.lock"
 BEYOND = 1 << 30  # The byte of the file that is locked on Windows: nobody else may read it, and what is written lies before it.
+_NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)  # Nor waited for, where it is a pipe.
 _held: set[tuple[str, int]] = set()  # Folders and the threads that hold them.
 _descriptors: set[int] = set()  # Of the lock files that this process holds.
 
@@ -96,9 +98,16 @@ def _locked(path: Path) -> int:
             descriptor, new = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666), True
         except FileExistsError:
             try:
-                descriptor, new = os.open(path, os.O_RDWR), False
+                descriptor, new = os.open(path, os.O_RDWR | _NO_LINK), False
             except FileNotFoundError:
                 continue
+            except OSError as error:
+                if path.is_symlink():
+                    raise _no_lock(path) from error
+                raise
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            os.close(descriptor)
+            raise _no_lock(path)
         free = None
         try:
             free, holder = _lock(descriptor), _holder(descriptor)
@@ -117,6 +126,10 @@ def _locked(path: Path) -> int:
                 path.unlink(missing_ok=True)
             raise
         os.close(descriptor)
+
+
+def _no_lock(path: Path) -> StorageError:
+    return StorageError(f"{path} is a link, or no file, and so not the lock of a run: remove it")
 
 
 def _lock(descriptor: int) -> bool | None:

@@ -3,7 +3,8 @@
 Every file is written beside its target, synced and renamed: a reader finds the old file or the new one, never half a
 file. Equal content gives equal bytes. Each reader and writer raises StorageError, naming the file and what to do.
 
-Files carry STAMP. One without it is of format 1 (nsmodel 0.1); one of a later format is refused.
+Files carry STAMP. One without it is of format 1 (nsmodel 0.1); one of a later format is refused. Of format 3 on they carry
+digests of all that they hold, see `archive` and `manifest`.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import math
 import os
 import re
 import secrets
+import stat
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping
@@ -24,12 +26,12 @@ from typing import IO, Any
 
 import numpy as np
 
-from nsmodel.errors import StorageError
+from nsmodel.errors import LaterFormatError, StorageError
 from nsmodel.version import VERSION
 
 Metadata = Mapping[str, Any]
 
-FORMAT = 2  # Rises with every change of what files hold.
+FORMAT = 3  # Rises with every change of what files hold.
 STAMP = {"format": FORMAT, "version": VERSION}
 READERS = 50  # So often a file is given its name while somebody reads the one that had it.
 PART = ".part-"  # Names of files not yet whole begin so.
@@ -47,7 +49,11 @@ def dumps(data: Any, indent: int | None = None) -> str:
 
 def loads(text: str) -> Any:
     """Inverse of ``dumps``; ValueError where ``text`` is not JSON."""
-    return _decode(json.loads(text))
+    return _decode(json.loads(text, parse_constant=_no_constant))
+
+
+def _no_constant(name: str) -> Any:
+    raise ValueError(f"{name} is no number of JSON")
 
 
 def write_json(path: str | Path, data: Any) -> None:
@@ -64,13 +70,14 @@ def write_text(path: str | Path, text: str) -> None:
 def read_json(path: str | Path) -> Any:
     """Read what ``write_json`` wrote."""
     try:
+        refuse_special(Path(path))
         data = loads(Path(path).read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise StorageError(f"{path} does not exist; check the path") from error
     except (OSError, ValueError, RecursionError) as error:
         raise StorageError(f"{path} is not a readable JSON file ({error}); write it again") from error
     if isinstance(data, dict):
-        refuse_later(data, path)
+        format_of(data, path)
     return data
 
 
@@ -103,14 +110,33 @@ def make_folder(folder: Path, what: Any) -> None:
         raise StorageError(f"cannot write {what}: no permission; take a folder that is writable")
 
 
-def refuse_later(data: Metadata, path: str | Path) -> None:
-    """Refuse a file of a format that this version does not know."""
+def format_of(data: Metadata, path: str | Path) -> int:
+    """The format of a file, 1 to FORMAT; StorageError where it is none, or one that this version does not know."""
     number = data.get("format", 1)
-    if isinstance(number, int | float) and number > FORMAT:
+    if type(number) is not int or number < 1:
+        raise StorageError(f"{path}: format is {number!r:.40}; expected a whole number, 1 to {FORMAT}: it was changed")
+    if number > FORMAT:
         by = f"nsmodel {data['version']}" if "version" in data else "a later nsmodel"
-        raise StorageError(
+        raise LaterFormatError(
             f"{path} is of format {number}, written by {by}; nsmodel {VERSION} knows formats up to {FORMAT}: read it with {by}"
         )
+    return number
+
+
+def refuse_special(path: Path) -> None:
+    """Raise OSError for a pipe, a socket or a device, which would be waited for."""
+    if stat.S_IFMT(path.stat().st_mode) not in (stat.S_IFREG, stat.S_IFDIR):
+        raise OSError("it is no file")
+
+
+def inside(folder: Path, name: str, by: str) -> Path:
+    """The path of a file that is named ``by`` a file in a folder; StorageError unless it is a plain name, and no link."""
+    if name in ("", ".", "..") or Path(name).name != name or set(name) & set("/\\:\0"):
+        raise StorageError(f"{by} names the file {name!r:.80}; expected a plain name, of a file in {folder}: it was changed")
+    path = folder / name
+    if path.is_symlink():
+        raise StorageError(f"{path} is a link, and what is in a folder of results is not: put the file itself in its place")
+    return path
 
 
 @contextmanager

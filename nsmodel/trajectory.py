@@ -10,12 +10,15 @@ from typing import Any
 import numpy as np
 
 from nsmodel import columns, dense, summary, windows
-from nsmodel.archive import read_npz, write_npz
+from nsmodel.archive import LIST, write_npz
 from nsmodel.contacts import Contacts
 from nsmodel.errors import StorageError, UsageError
+from nsmodel.fields import RUN, refuse_other_types
 from nsmodel.notebook import shown_by
 from nsmodel.quantities import evaluated, of_outputs
 from nsmodel.storage import write_csv
+from nsmodel.stored import read_archive
+from nsmodel.words import shown
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -224,12 +227,19 @@ class Trajectory:
 
     @classmethod
     def load(cls, path: str | Path) -> Trajectory:
-        """Read what ``save`` wrote at ``path``; StorageError for a missing, damaged or foreign file."""
-        arrays, metadata = read_npz(path)
-        missing = [name for name in ("t", "x") if name not in arrays]
-        if missing:
-            raise StorageError(f"{path} holds no array '{missing[0]}': it is no trajectory; give a run's own npz file")
-        return cls(arrays, metadata)
+        """Read what ``save`` wrote at ``path``.
+
+        Every array and number is compared with its digest. Of a file of an older version, which has none, an
+        ``UnverifiedWarning`` says so.
+
+        Raises:
+            StorageError: a missing, damaged or foreign file.
+        """
+        archive, arrays = read_archive(path)
+        refuse_other_types(archive.metadata, RUN, path)
+        _refuse_no_run(arrays, archive.metadata, path)
+        archive.warn(stacklevel=2)
+        return cls(arrays, archive.metadata)
 
     def to_csv(self, path: str | Path) -> None:
         """Write to ``path`` t, states, ``multiplier:NAME``, ``y:NAME``, ``input:NAME``, residual, the other arrays but lists."""
@@ -282,7 +292,7 @@ class Trajectory:
     def summary_text(self, *, messages: bool = True) -> str:
         """Return the run in short as a table of at most 100 columns; ``messages=False`` leaves out warnings and errors."""
         found = summary.summary(self)
-        return summary.text(found if messages else found | {"warnings": [], "message": ""})
+        return shown(summary.text(found if messages else found | {"warnings": [], "message": ""}))
 
     def _array(self, name: str) -> np.ndarray:
         if name not in self.arrays:
@@ -325,3 +335,41 @@ class Trajectory:
         """Return one line: title, class, steps, times, status."""
         kind, span = self.metadata.get("model_class", "model"), f"t = {self.t[0]:.6g} to {self.t[-1]:.6g}"
         return f"Trajectory({self.title!r}, {kind}, {len(self)} steps, {span}, {self.status})"
+
+
+_AXES = {
+    **dict.fromkeys("t residual step newton energy gap_min".split(), 1),
+    **dict.fromkeys("x multipliers y index_set v gap reactions selection defect inputs inputs_begin pressure".split(), 2),
+    **dict.fromkeys("piece_start piece_unit piece_event contact_row contact_family contact_first contact_second".split(), 1),
+    **dict.fromkeys("piece_codes piece_impulse piece_defect".split(), 2),
+    **dict.fromkeys("piece_x piece_multipliers piece_y".split(), 3),
+}
+_TOGETHER = (
+    "piece_start piece_unit piece_x piece_multipliers piece_y piece_codes piece_event piece_impulse".split(),
+    [f"contact_{name}" for name in Contacts._fields],
+)
+
+
+def _refuse_no_run(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any], path: str | Path) -> None:
+    """Raise StorageError for arrays that are not those of one run, of one number of rows."""
+    for name in ("t", "x", *(name for group in _TOGETHER if group[0] in arrays for name in group)):
+        if name not in arrays:
+            raise StorageError(f"{path} holds no array '{name}': it is no trajectory; give a run's own npz file")
+    t = arrays["t"]
+    if t.ndim != 1 or not len(t) or t.dtype.kind == "b" or not np.isfinite(t).all() or (np.diff(t) < 0).any():
+        raise StorageError(f"{path}: array 't' is no list of finite times, one after the other: it is no trajectory")
+    lengths = {"": len(t)}
+    for name, array in arrays.items():
+        kind = next((start for start in LIST if name.startswith(start)), "")
+        axes = _AXES.get(name, max(array.ndim, 1))
+        if array.ndim != axes or len(array) != lengths.setdefault(kind, len(array)):
+            expected = f"{axes} axes, the first of {lengths.get(kind, len(array))} {'entries' if kind else 'rows'}"
+            raise StorageError(f"{path}: array '{name}' has shape {array.shape}; expected {expected}: it is no trajectory")
+    columns = {"x": max((i for stem in metadata.get("stems", {}).values() for i in stem), default=-1) + 1}
+    columns["inputs"] = len(metadata.get("input_names", ()))
+    for name, members in metadata.get("input_groups", {}).items():
+        if set(members) - set(metadata.get("input_names", ())):
+            raise StorageError(f"{path}: input_groups['{name}'] is {members}; expected some of {metadata.get('input_names', [])}")
+    for name, least in columns.items():
+        if name in arrays and arrays[name].shape[1] < least:
+            raise StorageError(f"{path}: array '{name}' has shape {arrays[name].shape}; its names ask for {least} columns")

@@ -1,3 +1,3 @@
 """The version of this code, also where another copy is installed."""
 
-VERSION = "0.2.0"
+VERSION = "0.3.0"

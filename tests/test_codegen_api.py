@@ -23,7 +23,7 @@ import nsmodel
 from nsmodel import FirstOrderSystem, FrictionOscillator, LureSystem, MonotoneInclusion, codegen
 from nsmodel.cache_folder import SUFFIX
 from nsmodel.cli import main
-from nsmodel.errors import CodegenError, NsmodelError, StorageError, UsageError
+from nsmodel.errors import CodegenError, NsmodelError, StepError, StorageError, UsageError
 from nsmodel.laws import complementarity, product, relay
 from nsmodel.scheme import initial_rows, one_step_problem
 from nsmodel.solve.build import start_state
@@ -309,6 +309,11 @@ static int failed(void)
         const int status = thing_step(&s);
         CHECK(status == thing_step(&other) && same(&s, &other));
     }
+    CHECK(thing_set_time(&s, -0.0) == THING_OK); /* A step that fails leaves the sign of 0. */
+    s.x[0] = NAN;
+    before = s;
+    CHECK(thing_step(&s) == THING_NOT_FINITE && same(&s, &before) && signbit(thing_get_time(&s)));
+    s.x[0] = other.x[0];
     /* A time that the step would leave double precision with. */
 #ifdef ANY_STEP
     CHECK(thing_set_step(&s, 1e308) == THING_OK && thing_set_time(&s, 1.7e308) == THING_OK);
@@ -949,6 +954,22 @@ def test_a_state_and_a_time_of_ones_own(solver):
     assert (s.x == x).all()
     assert s.t == 0
     agree(run_of(s, 50), nsmodel.simulate(replace(model, x0=x), t_end=0.05, compiled=False))
+
+
+def test_a_velocity_that_overflows_is_not_finite(tmp_path):
+    """Where the state holds the difference of two positions, which is finite itself."""
+    x, s = ca.SX.sym("x"), ca.SX.sym("s")
+    model = FrictionOscillator(x=x, s=s, potential=-1.7e308 * x, friction=1e-3 * s, x0=0, v0=0, step=0.5, t_end=10)
+    thing = codegen.load(codegen.write(model, tmp_path, name="thing").folder).solver()
+    assert [thing.step() for _ in range(3)] == [0, 0, 2]
+    assert np.isfinite(thing.v).all()
+    for compiled in (True, False):
+        with pytest.raises(StepError, match=r"step 2: .*the velocity overflows; take a longer step") as stop:
+            nsmodel.simulate(model, compiled=compiled)
+        assert np.isfinite(stop.value.trajectory.v).all()
+    fast = nsmodel.load(REPOSITORY / "cases" / "cabot_4_1.py")
+    with pytest.raises(UsageError, match=r"the velocity \(x1 - x0\)/h overflows at h = 2e-16"):
+        nsmodel.simulate(replace(fast, x1=2e303), step=2e-16, t_end=2e-15)
 
 
 def test_a_reaction_of_ones_own(solver):

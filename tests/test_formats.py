@@ -11,15 +11,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sweep_models import friction
 
 import nsmodel
-from nsmodel import StorageError, Trajectory, UsageError, simulate, storage
-from nsmodel.archive import read_npz, write_npz
+from nsmodel import StorageError, Sweep, Trajectory, UsageError, simulate, storage
+from nsmodel.archive import write_npz
 from nsmodel.chunks import ChunkStore
 from nsmodel.cli import main
 from nsmodel.storage import read_json, write_json
+from nsmodel.stored import UnverifiedWarning, read_npz
 
-FORMAT_1 = Path(__file__).parent / "fixtures" / "format-1"
+FIXTURES = Path(__file__).parent / "fixtures"
+FORMAT_1 = FIXTURES / "format-1"
 RELAY = """
 from nsmodel import LureSystem, relay
 model = LureSystem(
@@ -41,29 +44,94 @@ def write_relay(tmp_path, monkeypatch):
     return "relay.py"
 
 
-def test_an_old_trajectory_is_read():
-    run = Trajectory.load(FORMAT_1 / "done" / "trajectory.npz")
+def unverified(number):
+    return pytest.warns(
+        UnverifiedWarning, match=rf"is of format {number}, which has no digests: what it holds is read, not verified"
+    )
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_an_old_trajectory_is_read(number):
+    with unverified(number) as told:
+        run = Trajectory.load(FIXTURES / f"format-{number}" / "done" / "trajectory.npz")
+    assert [Path(one.filename).name for one in told] == ["test_formats.py"]
     assert str(run) == "Trajectory('Relay', LureSystem, 20 steps, t = 0 to 2, done)"
     assert run.x[-1].tolist() == [0.25746214083761365, -1.6513071819197416]
     assert list(run.arrays) == ["t", "x", "multipliers", "y", "index_set", "residual", "step"]
-    assert run.metadata["versions"]["nsmodel"] == "0.1.0"
+    assert run.metadata["versions"]["nsmodel"] == f"0.{number}.0"
     assert not {"format", "version", "arrays"} & run.metadata.keys()
     assert "steps           20, t = 0 to 2 s" in run.summary_text()
 
 
-def test_an_old_run_of_many_bodies_is_read():
-    run = Trajectory.load(FORMAT_1 / "bodies" / "trajectory.npz")
-    assert run.x[-1].tolist() == [-0.5496946988385348, -0.012954447507951161, 0.5496946988385348, 0.023691865747951162]
-    assert [tuple(map(int, row)) for row in zip(*run.contacts(-1)[:3], strict=True)] == [(0, 0, 1)]
+@pytest.mark.parametrize("number", [1, 2])
+def test_an_old_run_of_many_bodies_is_read(number):
+    with unverified(number):
+        run = Trajectory.load(FIXTURES / f"format-{number}" / "bodies" / "trajectory.npz")
+    if number == 1:
+        assert run.x[-1].tolist() == [-0.5496946988385348, -0.012954447507951161, 0.5496946988385348, 0.023691865747951162]
+        assert [tuple(map(int, row)) for row in zip(*run.contacts(-1)[:3], strict=True)] == [(0, 0, 1)]
+    assert run.summary()["bodies"]["count"] == 2
 
 
-def test_chunks_of_an_old_run_are_read():
-    parts = [Trajectory.load(path) for path in sorted((FORMAT_1 / "killed").glob("chunk-*.npz"))]
+def test_an_old_event_driven_run_is_read():
+    with unverified(2):
+        run = Trajectory.load(FIXTURES / "format-2" / "events" / "trajectory.npz")
+    assert run.x[-1].tolist() == [0.1677063270481729, -1.8185948538315986]
+    assert run.at(2.0).x[0].tolist() == pytest.approx(run.x[-1].tolist(), rel=1e-6)
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_chunks_of_an_old_run_are_read(number):
+    folder = FIXTURES / f"format-{number}"
+    with unverified(number):
+        parts = [Trajectory.load(path) for path in sorted((folder / "killed").glob("chunk-*.npz"))]
+        whole = Trajectory.load(folder / "done" / "trajectory.npz")
     t, x = (np.concatenate([getattr(part, name) for part in parts]) for name in ("t", "x"))
-    whole = Trajectory.load(FORMAT_1 / "done" / "trajectory.npz")
     np.testing.assert_array_equal(t, whole.t[: len(t)])
     np.testing.assert_array_equal(x, whole.x[: len(t)])
-    assert len(t) == read_json(FORMAT_1 / "killed" / "manifest.json")["rows"] == 12
+    assert len(t) == read_json(folder / "killed" / "manifest.json")["rows"]
+
+
+def test_an_old_sweep_is_read_and_what_was_changed_in_it_is_found(tmp_path):
+    with unverified(2) as told:
+        found = Sweep.load(FIXTURES / "format-2" / "sweep")
+    assert [Path(one.filename).name for one in told] == ["test_formats.py"]
+    assert found["end"].values.tolist() == [-1.0673216542901893, 0.39118575477714207, 1.023067721466388, 0.9363319606207207]
+    assert found["x_1"].values[:, -1].tolist() == found["end"].values.tolist()
+    assert found.at(1) == {"sample": 1, "a": 0.4, "k": 0.9}
+    bytes_of = (FIXTURES / "format-2" / "sweep" / "sweep.npz").read_bytes()
+    at = bytes_of.index(np.float64(-1.0673216542901893).tobytes())
+    (tmp_path / "sweep.npz").write_bytes(bytes_of[:at] + b"\xff" + bytes_of[at + 1 :])
+    with unverified(2):
+        changed = Sweep.load(tmp_path)
+    with pytest.raises(StorageError, match=r"array 'x_1' was changed after it was written"):
+        changed["x_1"].values  # noqa: B018
+    assert changed["k"].values.tolist() == [0.8, 0.9, 1.0, 1.1] if "k" in changed.cells else True
+
+
+@pytest.mark.parametrize("folder", ["sweep", "parts"])
+def test_an_old_sweep_is_not_gone_on_with(tmp_path, folder):
+    shutil.copytree(FIXTURES / "format-2" / folder, tmp_path / "old")
+    before = {path: path.read_bytes() for path in (tmp_path / "old").iterdir()}
+    with pytest.raises(
+        StorageError, match=r"manifest\.json is of format 2, written by nsmodel 0\.2\.0: .* go on with nsmodel 0\.2\.0, or"
+    ):
+        nsmodel.sweep(
+            friction(), samples={"a": [0.3, 0.4, 0.5, 0.6], "k": [0.8, 0.9, 1.0, 1.1]}, keep="x_1", every=100,
+            outputs={"end": "x_1[-1]"}, compiled=False, workers=1, out=tmp_path / "old", resume=True,
+        )  # fmt: skip
+    assert {path: path.read_bytes() for path in (tmp_path / "old").iterdir()} == before
+
+
+def test_parts_of_an_old_sweep_are_not_taken(tmp_path):
+    given = {
+        "samples": {"a": [0.3, 0.4, 0.5, 0.6], "k": [0.8, 0.9, 1.0, 1.1]}, "keep": "x_1", "every": 100,
+        "outputs": {"end": "x_1[-1]"}, "compiled": False, "workers": 1, "out": tmp_path / "new",
+    }  # fmt: skip
+    nsmodel.sweep(friction(), **given)
+    shutil.copy(FIXTURES / "format-2" / "parts" / "part-000001.npz", tmp_path / "new")
+    with pytest.raises(StorageError, match=r"part-000001\.npz is of format 2, .* not gone on with; take it out of the folder"):
+        nsmodel.sweep(friction(), **given, resume=True)
 
 
 def test_an_old_summary_is_read():
@@ -87,9 +155,9 @@ def test_an_old_unfinished_run_is_not_overwritten_and_a_finished_one_is(old, rel
     with pytest.raises(UsageError, match=r"killed holds an unfinished run of nsmodel 0\.1\.0, up to t = 1\.1; go on with"):
         simulate(model, out=old / "killed")
     assert simulate(model, out=old / "done").status == "done"
-    np.testing.assert_array_equal(
-        Trajectory.load(old / "done" / "trajectory.npz").x, Trajectory.load(FORMAT_1 / "done" / "trajectory.npz").x
-    )
+    with unverified(1):
+        was = Trajectory.load(FORMAT_1 / "done" / "trajectory.npz")
+    np.testing.assert_array_equal(Trajectory.load(old / "done" / "trajectory.npz").x, was.x)
 
 
 def test_every_file_says_its_format(tmp_path, relay_file):
@@ -100,11 +168,11 @@ def test_every_file_says_its_format(tmp_path, relay_file):
     with zipfile.ZipFile(tmp_path / "run" / "trajectory.npz") as archive:
         document = json.loads(archive.read("metadata.json"))
     assert (document["format"], document["version"]) == (storage.FORMAT, nsmodel.__version__)
-    assert document["arrays"] == list(Trajectory.load(tmp_path / "run" / "trajectory.npz").arrays)
+    assert [one["name"] for one in document["arrays"]] == list(Trajectory.load(tmp_path / "run" / "trajectory.npz").arrays)
 
 
 def of_a_later_version(patch):
-    for module in ("storage", "archive", "chunks"):
+    for module in ("archive", "chunks"):
         patch.setattr(f"nsmodel.{module}.STAMP", {"format": 9, "version": "7.1.0"})
 
 
@@ -121,7 +189,7 @@ def test_a_later_format_is_refused_by_the_version_that_wrote_it(tmp_path, monkey
         (read_json, tmp_path / "summary.json"),
         (lambda path: ChunkStore.open(path.parent), tmp_path / "run" / "manifest.json"),
     ):
-        words = "is of format 9, written by nsmodel 7.1.0; nsmodel {} knows formats up to 2: read it with nsmodel 7.1.0"
+        words = "is of format 9, written by nsmodel 7.1.0; nsmodel {} knows formats up to 3: read it with nsmodel 7.1.0"
         with pytest.raises(StorageError, match="^" + re.escape(f"{path} {words.format(nsmodel.__version__)}")):
             read(path)
 

@@ -15,8 +15,9 @@ import pytest
 from conftest import REPOSITORY
 
 from nsmodel import LureSystem, StepError, StorageError, UsageError, lock, relay, simulate
-from nsmodel.archive import read_npz, write_npz
+from nsmodel.archive import write_npz
 from nsmodel.cli import main
+from nsmodel.stored import read_npz
 
 HOST = socket.gethostname()
 SLOW = """

@@ -31,9 +31,9 @@ from nsmodel import (
     relay,
     simulate,
 )
-from nsmodel.archive import read_npz
 from nsmodel.cli import main
 from nsmodel.storage import read_json
+from nsmodel.stored import read_npz
 
 loop, walk = (importlib.import_module(f"nsmodel.run.{name}") for name in ("loop", "walk"))
 RELAY = """

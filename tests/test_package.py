@@ -162,7 +162,7 @@ LAYERS = (  # What stands in a line may import, at its top, what stands in it an
     "model",
     "classes classes.registry classes.model",
     "scheme classes.schemes classes.set_valued classes.continuous",
-    "shelf loader storage archive chunks contacts columns summary dense quantities windows",
+    "shelf loader storage fields archive stored manifest chunks contacts columns summary dense quantities windows",
     "trajectory grid identity classes.identity cache_folder lock",
     "pieces solve standstill record",
     "codegen hypotheses classes.hypotheses classes.equations",

@@ -24,7 +24,8 @@ from nsmodel.archive import write_npz
 from nsmodel.cache_folder import cache_folder
 from nsmodel.cli import status
 from nsmodel.codegen import cache, library
-from nsmodel.sweep import engine, mapped
+from nsmodel.stored import mapped
+from nsmodel.sweep import engine
 
 posix = pytest.importorskip("fcntl")
 
@@ -205,12 +206,12 @@ def test_a_file_that_is_being_read_is_replaced_when_it_is_free(tmp_path, monkeyp
 
 def test_arrays_are_read_where_a_mapped_file_could_not_be_replaced(tmp_path, monkeypatch):
     write_npz(tmp_path / "a.npz", {"x": np.arange(3.0)}, {"k": 1})
-    assert isinstance(mapped.mapped(tmp_path / "a.npz")[0]["x"], np.memmap)
+    assert isinstance(mapped(tmp_path / "a.npz")[1]["x"], np.memmap)
     monkeypatch.setattr(sys, "platform", "win32")
-    arrays, metadata = mapped.mapped(tmp_path / "a.npz")
+    archive, arrays = mapped(tmp_path / "a.npz")
     assert not isinstance(arrays["x"], np.memmap)
     assert arrays["x"].tolist() == [0, 1, 2]
-    assert metadata["k"] == 1
+    assert archive.metadata["k"] == 1
 
 
 def test_a_reader_that_has_gone_is_no_fault_on_windows_either(monkeypatch, capsys):

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from nsmodel.cli.output import print_json
-from nsmodel.cli.settings import Commands, add_files, add_set, by_name, load, setting
+from nsmodel.cli.settings import Commands, add_files, add_set, by_name, load, place, setting
 from nsmodel.cli.status import AT_FAULT, DONE, refused
 from nsmodel.errors import NsmodelError, UsageError
 from nsmodel.hypotheses.findings import VIOLATED
@@ -43,10 +43,13 @@ def add(commands: Commands) -> None:
     parser.add_argument("--quick", action="store_true", help="skip runs and global searches")
     parser.add_argument("--strict", action="store_true", help="exit with status 1 where a hypothesis is violated")
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
-    parser.add_argument("--markdown", metavar="PATH", help="also write the report as Markdown, with the equations")
-    parser.add_argument("--html", metavar="PAGE", help="also write the report as a page for a browser")
+    parser.add_argument("--markdown", type=place, metavar="PATH", help="also write the report as Markdown, with the equations")
+    parser.add_argument("--html", type=place, metavar="PAGE", help="also write the report as a page for a browser")
     parser.add_argument(
-        "--certificate", metavar="DIR", help="also write what proves each hypothesis that holds, and a program that verifies it"
+        "--certificate",
+        type=place,
+        metavar="DIR",
+        help="also write what proves each hypothesis that holds, and a program that verifies it",
     )
     parser.set_defaults(command=_check)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from nsmodel.cli.settings import ACCEPTED, Commands, add_file, add_set, load
+from nsmodel.cli.settings import ACCEPTED, Commands, add_file, add_set, load, place
 from nsmodel.cli.status import DONE
 from nsmodel.defaults import TOLERANCE
 from nsmodel.words import print_shown as print
@@ -16,7 +16,7 @@ def add(commands: Commands) -> None:
     about = "Write the model's verified step as a C99 library: header, source, Makefile, example, description, README."
     parser = commands.add_parser("codegen", help="write a model's step as a C library", description=about)
     add_file(parser)
-    parser.add_argument("--out", metavar="DIR", help="folder of the library (default: FILE-c)")
+    parser.add_argument("--out", type=place, metavar="DIR", help="folder of the library (default: FILE-c)")
     parser.add_argument("--name", metavar="NAME", help="prefix of all names in C (default: the file's name)")
     parser.add_argument(
         "--step",

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from nsmodel.cli.files import of_stopped, print_paths, refuse_film, refuse_late, window_of, written
 from nsmodel.cli.inputs import add_input, inputs_of
 from nsmodel.cli.output import print_json
-from nsmodel.cli.settings import ACCEPTED, Commands, add_files, add_set, load
+from nsmodel.cli.settings import ACCEPTED, Commands, add_files, add_set, load, place
 from nsmodel.cli.signals import INTERRUPTED, TERMINATED, no_more_signals
 from nsmodel.cli.status import DONE, FAILED_STEP, USAGE, refused, silenced
 from nsmodel.defaults import TOLERANCE
@@ -55,14 +55,16 @@ def add(commands: Commands) -> None:
     parser.add_argument("--tolerance", type=float, default=TOLERANCE, metavar="TOL", help=ACCEPTED)
     parser.add_argument("--save-every", type=int, default=1, metavar="N", help="keep every N-th row")
     parser.add_argument("--resume", action="store_true", help="continue the run found in --out")
-    parser.add_argument("--out", metavar="DIR", help="folder for trajectory.npz, summary.json and pictures")
-    parser.add_argument("--csv", metavar="PATH", help="also write the trajectory as CSV")
+    parser.add_argument("--out", type=place, metavar="DIR", help="folder for trajectory.npz, summary.json and pictures")
+    parser.add_argument("--csv", type=place, metavar="PATH", help="also write the trajectory as CSV")
     parser.add_argument("--plot", action="store_true", help="write pictures into --out (default: FILE-run)")
     parser.add_argument(
         "--window", metavar="T0:T1", help="with --plot: pictures from T0 to T1 alone; either may be left out, as in 0.9:"
     )
-    parser.add_argument("--html", metavar="PAGE", help="also write a page on which the run is looked at in a browser")
-    parser.add_argument("--film", metavar="PATH", help="write a film of bodies in the plane: .gif, or .mp4 with ffmpeg")
+    parser.add_argument("--html", type=place, metavar="PAGE", help="also write a page on which the run is looked at in a browser")
+    parser.add_argument(
+        "--film", type=place, metavar="PATH", help="write a film of bodies in the plane: .gif, or .mp4 with ffmpeg"
+    )
     parser.add_argument("--explain", action="store_true", help="say what is used and what is left out, and why; then run")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
     parser.add_argument("--quiet", action="store_true", help="print warnings and errors only")

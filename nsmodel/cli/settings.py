@@ -27,6 +27,13 @@ def add_file(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", type=_model_file, help=FILE)
 
 
+def place(text: str) -> str:
+    """A path to write to, which is some text."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError("it is empty; give a path, or leave the option out")
+    return text
+
+
 def add_files(parser: argparse.ArgumentParser) -> None:
     """Add the model files, one at least."""
     parser.add_argument("files", metavar="FILE", nargs="+", type=_model_file, help=FILE)

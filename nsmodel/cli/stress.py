@@ -8,7 +8,7 @@ from pathlib import Path
 
 from nsmodel.cli.inputs import add_input, inputs_of
 from nsmodel.cli.output import print_json
-from nsmodel.cli.settings import Commands, add_file, add_set, by_name, parsed, setting
+from nsmodel.cli.settings import Commands, add_file, add_set, by_name, parsed, place, setting
 from nsmodel.cli.status import AT_FAULT, DONE
 from nsmodel.errors import UsageError
 from nsmodel.loader import load_with
@@ -33,7 +33,7 @@ def add(commands: Commands) -> None:
         "--budget", type=float, metavar="SECONDS", help="wall time; cells beyond it are left out (default: none is)"
     )
     parser.add_argument("--json", action="store_true", help="print all cells as JSON")
-    parser.add_argument("--out", metavar="DIR", help="folder for stress.txt, stress.json and stress.png")
+    parser.add_argument("--out", type=place, metavar="DIR", help="folder for stress.txt, stress.json and stress.png")
     parser.set_defaults(command=_stress)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from nsmodel.cli.inputs import add_input, inputs_of
 from nsmodel.cli.output import print_json
-from nsmodel.cli.settings import Commands, add_file, add_set, load
+from nsmodel.cli.settings import Commands, add_file, add_set, load, place
 from nsmodel.cli.signals import by_signal, no_more_signals
 from nsmodel.cli.status import DONE
 from nsmodel.errors import UsageError
@@ -29,9 +29,9 @@ def add(commands: Commands) -> None:
     parser.add_argument("--solvers", metavar="A,B,...", help="solvers to time alone (default: all that apply; '' for none)")
     parser.add_argument("--budget", type=float, default=60.0, metavar="SECONDS", help="wall time of the study (default 60)")
     parser.add_argument("--json", action="store_true", help="print the study as JSON")
-    parser.add_argument("--csv", metavar="PATH", help="also write one row a point as CSV")
-    parser.add_argument("--html", metavar="PAGE", help="also write the study as a page for a browser")
-    parser.add_argument("--out", metavar="DIR", help="folder for study.txt, study.json, study.csv and study.png")
+    parser.add_argument("--csv", type=place, metavar="PATH", help="also write one row a point as CSV")
+    parser.add_argument("--html", type=place, metavar="PAGE", help="also write the study as a page for a browser")
+    parser.add_argument("--out", type=place, metavar="DIR", help="folder for study.txt, study.json, study.csv and study.png")
     parser.set_defaults(command=_study)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from nsmodel.cli.inputs import add_input, inputs_of
 from nsmodel.cli.output import print_json
-from nsmodel.cli.settings import ACCEPTED, Commands, add_file, add_set, by_name, parsed, setting
+from nsmodel.cli.settings import ACCEPTED, Commands, add_file, add_set, by_name, parsed, place, setting
 from nsmodel.cli.signals import no_more_signals
 from nsmodel.cli.status import DONE, FAILED_STEP
 from nsmodel.defaults import TOLERANCE
@@ -21,6 +21,7 @@ from nsmodel.errors import UsageError
 from nsmodel.loader import load_with
 from nsmodel.run.options import METHODS
 from nsmodel.storage import refuse_unwritable
+from nsmodel.sweep.design import LEAST, refuse_more_than_memory
 from nsmodel.words import print_shown as print
 
 if TYPE_CHECKING:
@@ -77,10 +78,12 @@ def add(commands: Commands) -> None:
     parser.add_argument("--tolerance", type=float, default=TOLERANCE, metavar="TOL", help=ACCEPTED)
     parser.add_argument("--workers", type=int, metavar="N", help="how many at once (default: the cores)")
     parser.add_argument("--entropy", type=int, metavar="E", help="of random starts (default 0)")
-    parser.add_argument("--out", metavar="DIR", help="folder of the sweep; NAME.nc and NAME.zarr are written so when it is done")
+    parser.add_argument(
+        "--out", type=place, metavar="DIR", help="folder of the sweep; NAME.nc and NAME.zarr are written so when it is done"
+    )
     parser.add_argument("--resume", action="store_true", help="go on with the sweep in --out")
     parser.add_argument("--retry", action="store_true", help="with --resume: run failed cells again")
-    parser.add_argument("--csv", metavar="PATH", help="also write one row a cell as CSV")
+    parser.add_argument("--csv", type=place, metavar="PATH", help="also write one row a cell as CSV")
     parser.add_argument("--plot", action="store_true", help="write a picture of each quantity into --out (default: FILE-sweep)")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON")
     parser.add_argument("--quiet", action="store_true", help="print errors only")
@@ -213,14 +216,16 @@ def _grid(texts: Sequence[str], option: str) -> dict[str, Any] | None:
 def _numbers(text: str, label: str) -> np.ndarray:
     """The numbers that a text lists, or spaces evenly."""
     try:
-        if ":" in text:
-            low, high, count = text.split(":")
-            if int(count) < 1:
-                raise ValueError
-            return np.linspace(float(low), float(high), int(count))
-        return np.array([parsed(one) for one in text.split(",")])
+        if ":" not in text:
+            return np.array([parsed(one) for one in text.split(",")])
+        begin, end, number = text.split(":")
+        low, high, count = float(begin), float(end), int(number)
+        if count < 1:
+            raise ValueError
     except ValueError:
         raise UsageError(f"{label}: expected LOW:HIGH:COUNT, such as 0:1:11, or numbers with commas between") from None
+    refuse_more_than_memory([label.partition("=")[0]], [count], LEAST)
+    return np.linspace(low, high, count)
 
 
 def _table(path: str | None) -> dict[str, np.ndarray] | None:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from nsmodel import shelf
-from nsmodel.cli.settings import Commands
+from nsmodel.cli.settings import Commands, place
 from nsmodel.cli.status import DONE
 from nsmodel.errors import UsageError
 from nsmodel.trajectory import Trajectory
@@ -20,7 +20,7 @@ def add(commands: Commands) -> None:
     about = "Write one HTML file in which a saved run can be looked at: zoomed, played, column by column; no network, no server."
     parser = commands.add_parser("view", help="look at a saved run in a browser", description=about)
     parser.add_argument("run", metavar="RUN", help=f"a folder that 'nsmodel run --out' wrote, or the {SAVED} in it")
-    parser.add_argument("--out", metavar="PAGE", help="the HTML file (default: view.html beside the run's file)")
+    parser.add_argument("--out", type=place, metavar="PAGE", help="the HTML file (default: view.html beside the run's file)")
     parser.add_argument("--open", action="store_true", help="show it in the browser")
     parser.set_defaults(command=_view)
 

@@ -12,9 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.chunks import ChunkStore, unfinished
+from nsmodel.chunks import WHOLE, ChunkStore, unfinished
 from nsmodel.errors import StepError, StorageError, UsageError
+from nsmodel.fields import CHECKPOINT, refuse_other_types
 from nsmodel.identity import WAY, difference
+from nsmodel.manifest import bound_to
 from nsmodel.run import told
 from nsmodel.run.interrupt import deferred_signals, progress_bar
 from nsmodel.run.options import Options
@@ -128,6 +130,7 @@ class Run:
     def _restore(self, store: ChunkStore) -> None:
         """Take up the checkpoint of the run in ``out``; refuse another model, other settings, other versions, another grid."""
         walk, saved, out = self.walk, store.manifest["checkpoint"], self.options.folder
+        refuse_other_types(saved, CHECKPOINT, f"{out}: checkpoint")
         other = difference(saved["settings"], walk.settings)
         if other is not None:
             same_way = "leave compiled (--compiled) out to go on as it began, or " if WAY in other else ""
@@ -135,7 +138,11 @@ class Run:
         if saved["k"] > walk.N:
             raise StorageError(f"{out}: the run there has reached t = {saved['t']:g}, past this run's end; give a later end")
         walk.k, walk.counts, walk.totals = saved["k"], Counter(saved["counts"]), dict(saved["totals"])
-        walk.stand(saved)
+        try:
+            walk.stand(saved)
+        except (LookupError, TypeError, ValueError, AttributeError) as error:
+            fault = f"{type(error).__name__}: {error}"
+            raise StorageError(f"{out}: the checkpoint there cannot be gone on from ({fault}): it was changed") from error
         if abs(walk.time - saved["t"]) > 1e-9 * saved["t"]:
             raise StorageError(
                 f"{out}: the run there ended at t = {saved['t']:g} with a shortened step, which is no time of this run's "
@@ -151,21 +158,20 @@ class Run:
             walk.note()
             run = Trajectory(walk.columns(), self._metadata(status, message))
             if folder is not None:
-                _save(run, folder / "trajectory.npz")
+                _save(run, folder / WHOLE)
             return run
         if walk.torn and (run := self._in_memory(status, message)) is not None:
             if not store.manifest["chunks"]:
-                _save(run, store.directory / "trajectory.npz")
+                _save(run, store.directory / WHOLE)
             return run  # What goes on goes on from where the folder was last written.
         try:
             if walk.record.filled:
                 self._flush(store, status, message)
-            path = store.directory / "trajectory.npz"
-            store.join(path, self._metadata(status, message))
+            store.join(self._metadata(status, message))
         except StorageError as error:
             error.trajectory = self._in_memory(status, message)
             raise
-        return Trajectory.load(path)
+        return Trajectory.load(store.directory / WHOLE)
 
     def _in_memory(self, status: str, message: str) -> Trajectory | None:
         """The run so far without writing: what is in the folder, if it can be read, and the rows not yet written."""
@@ -192,6 +198,7 @@ class Run:
             "status": status,
             "message": message,
             "model_hash": walk.settings["model"],
+            "run": bound_to(walk.settings),
         }
         return told.of_model(walk.model) | data | walk.metadata()
 

@@ -68,6 +68,8 @@ class Options:
             )
         if self.certified and self.resume:
             raise UsageError("certify='interval' and resume are both given: whole runs are proved; leave one of them out")
+        if self.out is not None and not str(self.out).strip():
+            raise UsageError("out is empty; give the name of a folder, or leave it out")
         if self.resume and self.out is None:
             raise UsageError("resume needs out=, the folder of the run to continue")
         object.__setattr__(self, "tolerance", float(self.tolerance))

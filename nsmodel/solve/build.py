@@ -53,6 +53,7 @@ class Stepper:
         self.problem, self.structure = problem, read(problem)
         self.law, self.layout, self.tolerance = numeric_law(problem.law), Layout.of(problem), tolerance
         self.rows = problem.rows
+        self._velocity = self.layout.slices[problem.velocity] if problem.velocity and problem.difference else None
         self._kernels: dict[float, Kernel] = {}
         self._programme: Programme | None = None
         self._built_at = h, state
@@ -108,8 +109,14 @@ class Stepper:
         """Advance ``state`` (packed) from t to t + h; the step's number ``k`` changes nothing.
 
         Raises:
-            StepError: no solver reached the tolerance.
+            StepError: no solver reached the tolerance, or the velocity overflows.
         """
+        found = self._step(t, h, state, warm)
+        if self._velocity is not None and h < 1 and not np.isfinite(found.row[self._velocity]).all():
+            raise StepError(f"no verified step from t = {t:.10g} to {t + h:.10g}: the velocity overflows; take a longer step")
+        return found
+
+    def _step(self, t: float, h: float, state: np.ndarray, warm: Warm) -> StepResult:
         if self._sparse is not None:
             return self._sparse_step(self._sparse, t, h, state, warm)
         kernel = self._kernels.get(h) or self._kernel(t, h)

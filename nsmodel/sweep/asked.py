@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -80,6 +81,10 @@ class Asked:
         """{name: (data type, shape of a cell)} of all quantities, where no cell says it by what it gave."""
         kept = dict.fromkeys(self.keep, ("f8", (rows,)))
         return {**kept, **dict.fromkeys(self.outputs, ("f8", ())), **{name: (kind, ()) for name, (kind, _) in self.facts.items()}}
+
+    def bytes_kept(self, rows: int) -> int:
+        """At least the memory of what is kept of a cell."""
+        return sum(np.dtype(kind).itemsize * prod(shape) for kind, shape in self.without(rows).values())
 
     @property
     def event_driven(self) -> bool:

@@ -20,15 +20,17 @@ if TYPE_CHECKING:
 
 
 def design_arrays(sweep: Sweep) -> dict[str, np.ndarray]:
-    """What varies, and the times of the rows, as files have them."""
-    dims = {f"dim:{dim}": np.asarray(sweep.coords[dim]) for dim in sweep.dims}
+    """What varies, and the times of the rows, as files have them; texts are in the ``header``."""
+    dims = {f"dim:{dim}": sweep.coords[dim] for dim in sweep.dims if sweep.coords[dim].dtype.kind != "U"}
     return dims | {f"value:{name}": values for name, (values, _) in sweep.varied.items()} | {"t": sweep.t}
 
 
 def header(sweep: Sweep) -> dict[str, Any]:
     """The metadata of its file."""
     along = {name: list(axes) for name, (_, axes) in sweep.varied.items()}
-    return {**sweep.metadata, "dims": list(sweep.dims), "along": along, "shape": list(sweep.shape)}
+    labels = {dim: sweep.coords[dim].tolist() for dim in sweep.dims if sweep.coords[dim].dtype.kind == "U"}
+    texts = {"labels": labels} if labels else {}
+    return {**sweep.metadata, "dims": list(sweep.dims), "along": along, "shape": list(sweep.shape), **texts}
 
 
 def write(sweep: Sweep, path: Path) -> None:

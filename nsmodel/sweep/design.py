@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from nsmodel import memory
 from nsmodel.errors import UsageError
 from nsmodel.grid import is_number
 from nsmodel.model.parameters import _names_of
 
 SAMPLE, REPLICATE, SEED, STEP, INPUTS = "sample", "replicate", "seed", "step", "inputs"
+LEAST = 32  # Bytes that a cell takes while a sweep is made, whatever is kept of it: its number, its places, its status.
 RESERVED = (SAMPLE, REPLICATE, SEED, STEP, INPUTS, "t", "cell")
 
 
@@ -128,7 +130,20 @@ def design_of(
             "nothing varies: give grid={name: values}, samples={name: array}, start={state: values}, seeds=range(20), or several "
             "steps or inputs; for one run there is nsmodel.simulate"
         )
-    return Design(tuple(made.dims), made.coords, tuple(made.columns), _entropy(entropy))
+    design = Design(tuple(made.dims), made.coords, tuple(made.columns), _entropy(entropy))
+    refuse_more_than_memory(design.dims, design.shape, LEAST)
+    return design
+
+
+def refuse_more_than_memory(dims: Sequence[str], shape: Sequence[int], each: float) -> None:
+    """Raise UsageError for so many cells that their numbers, of ``each`` bytes a cell, are more than this machine has memory."""
+    size, most = prod(shape), memory.available()
+    if most is not None and size * each > most:
+        of = " x ".join(f"{dim} {count:,}" for dim, count in zip(dims, shape, strict=True))
+        raise UsageError(
+            f"{size:,} cells ({of}) take {memory.in_words(size * each)} of memory, and there are {memory.in_words(most)}; give "
+            "fewer values, or sweep them in parts"
+        )
 
 
 class _Maker:

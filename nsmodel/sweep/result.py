@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import textwrap
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +15,14 @@ import numpy as np
 from nsmodel.errors import StepError, StorageError, UsageError
 from nsmodel.notebook import shown_by
 from nsmodel.storage import write_csv
+from nsmodel.stored import StoredArrays, mapped
 from nsmodel.sweep import dataset
 from nsmodel.sweep.asked import ALONE, WAYS
 from nsmodel.sweep.binomial import wilson
-from nsmodel.sweep.mapped import mapped
-from nsmodel.sweep.store import WHOLE
+from nsmodel.sweep.files import CODES, DIM, LABELS, OF_THE_FILE, VALUE, WHOLE, refuse_no_sweep
 from nsmodel.sweep.variable import DONE, FAILED, NOT_RUN, WORDS, Variable
+from nsmodel.words import shown
 
-DIM, VALUE = "dim:", "value:"  # What the arrays of the design are called in files.
 WIDTH, SHOWN = 100, 4
 
 
@@ -95,8 +95,8 @@ class Sweep:
         """Return a quantity as a variable; KeyError lists what there is."""
         if name not in self.cells:
             raise KeyError(f"this sweep has no '{name}'; it has {', '.join(self.cells)}")
-        values = self.cells[name]
-        own = self._own_axes(name)
+        values: Any = self.cells.part(name) if isinstance(self.cells, StoredArrays) else self.cells[name]
+        own = self._own_axes(name, values.shape[1:])
         coords = dict(self.coords) | {axis: at for axis, at in own.items()}
         along = {key: self.dims[axes[0]] for key, (of, axes) in self.varied.items() if self._is_coordinate(key)}
         coords |= {key: self.varied[key][0] for key in along}
@@ -121,9 +121,8 @@ class Sweep:
         values, axes = self.varied[name]
         return len(axes) == 1 and self.dims[axes[0]] != name and name not in self.dims and values.ndim == 1
 
-    def _own_axes(self, name: str) -> dict[str, np.ndarray]:
+    def _own_axes(self, name: str, shape: tuple[int, ...]) -> dict[str, np.ndarray]:
         """The axes of a quantity behind those of the cells."""
-        shape = self.cells[name].shape[1:]
         if not shape:
             return {}
         kept = name in self.metadata.get("keep", ())
@@ -176,6 +175,9 @@ class Sweep:
     def load(cls, path: str | Path) -> Sweep:
         """Read at ``path`` a file of ``save``, or the folder of a sweep that is done; arrays stay there until they are used.
 
+        What is used is compared with its digest then: a StorageError where it was changed. Of a file of an older version, which
+        has no digests, an ``UnverifiedWarning`` says so.
+
         Raises:
             StorageError: missing, damaged, foreign, or a sweep that is not done: go on with it by ``resume=True``.
         """
@@ -186,10 +188,10 @@ class Sweep:
                     f"{path} holds no {WHOLE}: no sweep, or one that is not done; go on with resume=True (--resume)"
                 )
             path = path / WHOLE
-        arrays, metadata = mapped(path)
-        if "dims" not in metadata or "status" not in arrays:
-            raise StorageError(f"{path} holds no sweep; a run's file is read with Trajectory.load")
-        return made(arrays, metadata)
+        archive, arrays = mapped(path)
+        refuse_no_sweep(archive, arrays)
+        archive.warn(stacklevel=2)
+        return made(arrays, archive.metadata)
 
     def to_csv(self, path: str | Path) -> None:
         """Write to ``path`` a row a cell: what varies, numbers of each run, how it went, why not; no rows over time."""
@@ -275,8 +277,7 @@ class Sweep:
                     f" ({count / s['cells']:.2g} of all; 95 % interval {low:.2g} to {high:.2g})" if word == WORDS[FAILED] else ""
                 )
                 lines.append(_line(word, f"{count}{share}"))
-        shown = Counter(_kind(why) for _, why in self.failures).most_common(SHOWN)
-        for kind, count in shown:
+        for kind, count in Counter(_kind(why) for _, why in self.failures).most_common(SHOWN):
             cell, why = next((cell, why) for cell, why in self.failures if _kind(why) == kind)
             lines.append(_line("", f"{f'{count} times, the first' if count > 1 else 'once,'} at {self._where(cell)}: {why}"))
         kept = ", ".join(s["keep"]) or "no rows"
@@ -296,7 +297,7 @@ class Sweep:
         alone = s["ways"].get(ALONE, 0)
         if alone and len(s["ways"]) > 1:
             lines.append(_line("", f"{alone} cells, which C did not go on with, by simulate"))
-        return "\n".join(lines)
+        return shown("\n".join(lines))
 
     def _where(self, cell: int) -> str:
         """What varies at a cell, in words."""
@@ -319,14 +320,40 @@ class Sweep:
 
 
 def made(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any], again: Callable[..., Any] | None = None) -> Sweep:
-    """The sweep of arrays as files have them."""
+    """The sweep of arrays as files have them, which are not read before they are used where they lie in one."""
     dims, along = tuple(metadata["dims"]), metadata["along"]
-    about = {key: value for key, value in metadata.items() if key not in ("messages", "shape", "dims", "along")}
-    coords = {dim: np.asarray(arrays[f"{DIM}{dim}"]) for dim in dims}
-    varied = {name: (np.asarray(arrays[f"{VALUE}{name}"]), tuple(axes)) for name, axes in along.items()}
-    cells = {name: values for name, values in arrays.items() if not name.startswith((DIM, VALUE)) and name != "t"}
+    about = {key: value for key, value in metadata.items() if key not in OF_THE_FILE}
+    labels = {dim: np.array(texts) for dim, texts in metadata.get(LABELS, {}).items()}
+    coords = Lazily({dim: partial(_coordinate, arrays, labels, dim) for dim in dims})
+    varied = Lazily({name: partial(_varied, arrays, name, tuple(axes)) for name, axes in along.items()})
+    names = [name for name in arrays if not name.startswith((DIM, VALUE)) and name != "t"]
+    cells = arrays.only(names, CODES) if isinstance(arrays, StoredArrays) else {name: arrays[name] for name in names}
     messages = {int(cell): text for cell, text in metadata.get("messages", {}).items()}
     return Sweep(dims, coords, varied, np.asarray(arrays["t"]), cells, messages, about, _again=again)
+
+
+def _coordinate(arrays: Mapping[str, np.ndarray], labels: Mapping[str, np.ndarray], dim: str) -> np.ndarray:
+    return labels[dim] if dim in labels else np.asarray(arrays[f"{DIM}{dim}"])
+
+
+def _varied(arrays: Mapping[str, np.ndarray], name: str, axes: tuple[int, ...]) -> tuple[np.ndarray, tuple[int, ...]]:
+    return np.asarray(arrays[f"{VALUE}{name}"]), axes
+
+
+class Lazily(Mapping[str, Any]):
+    """Values that are computed when they are asked for."""
+
+    def __init__(self, make: Mapping[str, Callable[[], Any]]) -> None:
+        self._make = make
+
+    def __getitem__(self, name: str) -> Any:
+        return self._make[name]()
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._make)
+
+    def __len__(self) -> int:
+        return len(self._make)
 
 
 def _line(head: str, text: str) -> str:

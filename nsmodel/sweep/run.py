@@ -5,15 +5,15 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from nsmodel import lock
-from nsmodel.archive import read_npz, write_npz
 from nsmodel.defaults import TOLERANCE
-from nsmodel.errors import StorageError, UsageError
+from nsmodel.errors import UsageError
 from nsmodel.grid import check_times
 from nsmodel.identity import digest_of, fingerprint, versions
 from nsmodel.model.parameters import Values
@@ -26,17 +26,17 @@ from nsmodel.sweep import dataset, same
 from nsmodel.sweep.asked import ALONE, WAYS, Asked, Found
 from nsmodel.sweep.cells import nothing
 from nsmodel.sweep.choice import Choice, choose
-from nsmodel.sweep.design import Design, design_of
+from nsmodel.sweep.design import Design, design_of, refuse_more_than_memory
 from nsmodel.sweep.engine import engine_of, refuse_workers
+from nsmodel.sweep.files import DIM, VALUE
 from nsmodel.sweep.outputs import Reduction, outputs_of
-from nsmodel.sweep.result import DIM, VALUE, Sweep, made
+from nsmodel.sweep.result import Sweep, made
 from nsmodel.sweep.source import Source
 from nsmodel.sweep.store import InMemory, SweepStore, manifest_of, missing, nothing_of
 from nsmodel.sweep.tasks import Groups
 from nsmodel.sweep.variable import NOT_RUN
 from nsmodel.sweep.work import work
 
-DESIGN = "design.npz"
 WORKING = 64 << 20  # Bytes that the rows of a chunk take while its cells are run.
 EXPORTS = {".nc": dataset.to_netcdf, ".zarr": dataset.to_zarr}
 
@@ -131,7 +131,7 @@ def sweep(
     check_times(step=None if several else step, t_end=t_end)
     one_step = None if several or step is None else float(given)
     refuse_workers(workers)
-    _refuse(solver, out, resume=resume, retry=retry)
+    _refuse(solver, resume=resume, retry=retry)
     options = {"solver": solver, "tolerance": float(tolerance), "compiled": compiled, "t_end": t_end, "rtol": rtol, "atol": atol,
                "method": method, "times": times}  # fmt: skip
     asked = Asked(_columns(keep), every, outputs_of(outputs), options)
@@ -141,6 +141,7 @@ def sweep(
         Source(model), design, asked, fixed, one_step, None if many_inputs else inputs, start if callable(start) else None
     )  # fmt: skip
     if out is None:
+        refuse_more_than_memory(design.dims, design.shape, asked.bytes_kept(len(groups.first.rows.times)))
         choice = choose(asked, groups.first, design.size, groups.count)
         return _Sweeping(design, groups, choice, low_discrepancy).go(None, workers, progress=progress)
     place = Path(out)
@@ -156,13 +157,11 @@ def sweep(
     return found
 
 
-def _refuse(solver: str, out: Any, *, resume: bool, retry: bool) -> None:
+def _refuse(solver: str, *, resume: bool, retry: bool) -> None:
     if solver not in SOLVERS:
         raise UsageError(f"solver '{solver}' is unknown; there are {', '.join(SOLVERS)}")
     if retry and not resume:
         raise UsageError("retry runs the failed cells of a sweep that is there again: give resume=True and out= with it")
-    if out is not None and not str(out).strip():
-        raise UsageError("out is empty; give the name of a folder, or leave it out")
 
 
 def _columns(keep: Any) -> tuple[str, ...]:
@@ -187,7 +186,15 @@ class _Sweeping:
     def __init__(self, design: Design, groups: Groups, choice: Choice, low_discrepancy: bool) -> None:
         self.design, self.groups, self.choice, self.low = design, groups, choice, low_discrepancy
 
-    @property
+    @cached_property
+    def _binding(self) -> same.Binding:
+        return same.Binding(self.settings, self.design)
+
+    @cached_property
+    def _bound(self) -> dict[str, Any]:
+        return self._binding.of(np.arange(self.design.size), self.design.shape)
+
+    @cached_property
     def settings(self) -> dict[str, Any]:
         """All that its numbers depend on but what varies."""
         first, asked = self.groups.first, self.choice.asked
@@ -211,22 +218,13 @@ class _Sweeping:
             UsageError: a sweep is there, and resume was not asked for.
             StorageError: none is there, or another.
         """
-        store = SweepStore(folder, self.design.shape)
-        if not resume:
-            if store.exists:
-                manifest_of(folder)
-                raise UsageError(f"{folder} holds a sweep; go on with it by resume=True (--resume), or give another folder")
-        else:
-            manifest = manifest_of(folder)
-            for key, value in self.settings.items():
-                if manifest["settings"].get(key) != value:
-                    what = "its model" if key == "model" else f"{key} ({manifest['settings'].get(key)} there, {value} now)"
-                    raise StorageError(f"{folder}: the sweep there differs in {what}; give another folder")
-            other = same.difference(manifest["design"], read_npz(folder / DESIGN)[0], self.design)
-            if other is not None:
-                raise StorageError(f"{folder}: the sweep there has {other}; give another folder")
-        write_npz(folder / DESIGN, same.arrays(self.design), {})
-        store.begin({"settings": self.settings, "design": same.document(self.design)})
+        store = SweepStore(folder, self.design, self.settings, self._binding)
+        if resume:
+            store.refuse_other()
+        elif store.exists:
+            manifest_of(folder)
+            raise UsageError(f"{folder} holds a sweep; go on with it by resume=True (--resume), or give another folder")
+        store.begin()
         return store
 
     def go(self, store: SweepStore | None, workers: Any, *, progress: bool, retry: bool = False) -> Sweep:
@@ -279,6 +277,7 @@ class _Sweeping:
         names = {name: one for name, one in names.items() if name not in self.design.dims or one.values.ndim > len(one.along)}
         arrays |= {f"{VALUE}{name}": one.values for name, one in names.items()} | {"t": rows.times}
         metadata = self._metadata() | {"dims": list(self.design.dims), "along": {n: list(one.along) for n, one in names.items()}}
+        metadata |= self._bound
         metadata["messages"] = {str(cell): text for cell, text in sorted(found.messages.items())}
         sweep = made(arrays | {name: of[name] for name in asked.names}, metadata, self._simulate)
         return replace(sweep, engine=engine)

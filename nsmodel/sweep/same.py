@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from nsmodel.archive import DIGITS
+from nsmodel.archive import digest_of as digest_of_bytes
 from nsmodel.identity import digest_of
+from nsmodel.manifest import bound_to
 from nsmodel.sweep.design import REPLICATE, SAMPLE, SEED, Design
 
 MORE = (SAMPLE, SEED, REPLICATE)  # Dimensions that may become longer: what is there keeps its place in them.
@@ -26,6 +32,41 @@ def document(design: Design) -> dict[str, Any]:
 def arrays(design: Design) -> dict[str, np.ndarray]:
     """What varies as numbers."""
     return {f"{one.kind}:{one.name}": one.values for one in design.columns if one.numeric}
+
+
+class Binding:
+    """What binds files to a sweep, whose cells may become more.
+
+    Attributes:
+        sweep: the digest of all that its numbers depend on but the values of cells.
+    """
+
+    def __init__(self, settings: Mapping[str, Any], design: Design) -> None:
+        about = document(design)
+        self.sweep = bound_to(settings, about["dims"], about["columns"], about["entropy"])
+        self._design = design
+
+    @cached_property
+    def _numbers(self) -> list[tuple[tuple[int, ...], np.ndarray]]:
+        """What varies as bytes: the dimensions of each column, and its values, or digests of what is no number."""
+        return [
+            (one.along, one.values.astype(one.values.dtype.newbyteorder("<")) if one.numeric else _digests(one.values))
+            for one in self._design.columns
+        ]
+
+    def of(self, cells: np.ndarray, shape: tuple[int, ...]) -> dict[str, Any]:
+        """What binds numbers to cells (K,) of the sweep, counted in a shape that it had: metadata of a file."""
+        places, found = np.unravel_index(cells, shape), hashlib.sha256()
+        for place in places:
+            found.update(np.ascontiguousarray(place, "<i8").data)
+        for along, values in self._numbers:
+            found.update(np.ascontiguousarray(values[tuple(places[axis] for axis in along)]).data)
+        return {"sweep": self.sweep, "values": found.hexdigest()[:DIGITS], "shape": list(shape)}
+
+
+def _digests(values: np.ndarray) -> np.ndarray:
+    texts = [digest_of_bytes(text.encode(errors="backslashreplace")) for text in _texts(values)]
+    return np.array(texts, f"S{DIGITS}").reshape(values.shape)
 
 
 def difference(there: dict[str, Any], numbers: dict[str, np.ndarray], design: Design) -> str | None:

@@ -15,6 +15,7 @@ from nsmodel.notebook import shown_by
 from nsmodel.sweep.binomial import wilson
 from nsmodel.sweep.groups import Groups, Over, by_replicate, checked_level, grouped, refuse_dependent
 from nsmodel.sweep.variable import as_variable
+from nsmodel.words import shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +67,7 @@ class Share:
         """A table with a row for each group, and what of it is to be known."""
         from nsmodel.sweep.table import share_text
 
-        return share_text(self)
+        return shown(share_text(self))
 
     def __str__(self) -> str:
         return self.text

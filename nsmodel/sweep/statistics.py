@@ -16,6 +16,7 @@ from nsmodel.sweep.binomial import middle, ranks
 from nsmodel.sweep.groups import Over, by_replicate, checked_level, evenly_laid_out, grouped, refuse_dependent
 from nsmodel.sweep.shares import Share, failures, interval_of_means
 from nsmodel.sweep.variable import as_variable, paired
+from nsmodel.words import shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +107,7 @@ class Statistics:
         """A table with a row for each group, and what of it is to be known."""
         from nsmodel.sweep.table import statistics_text
 
-        return statistics_text(self)
+        return shown(statistics_text(self))
 
     def __str__(self) -> str:
         return self.text

@@ -3,7 +3,7 @@
 ``manifest.json`` says what sweep it is, ``design.npz`` holds what varies; ``part-N.npz`` are cells in the order in which they
 came, each whole or not there. Once all cells are there, ``sweep.npz`` holds them in their order, and nothing of who computed
 which when: equal sweeps are equal bytes. A part says of which shape the sweep was when it was written, so that points or seeds
-may be added later.
+may be added later; it has the digest of its sweep and of what varies at its cells, and is taken by no other sweep.
 """
 
 from __future__ import annotations
@@ -18,25 +18,31 @@ from typing import Any
 
 import numpy as np
 
-from nsmodel.archive import Member, read_npz, write_archive, write_npz
+from nsmodel.archive import Member, write_archive, write_npz
 from nsmodel.errors import StorageError
-from nsmodel.storage import STAMP, read_json, stream_beside, write_json
+from nsmodel.fields import SWEEP_MANIFEST
+from nsmodel.manifest import MANIFEST, read_manifest, signed
+from nsmodel.storage import STAMP, inside, read_json, stream_beside, write_json
+from nsmodel.stored import Archive, mapped, read_archive
+from nsmodel.sweep import same
 from nsmodel.sweep.asked import Found
 from nsmodel.sweep.cells import blank, not_run, nothing, refuse_other_shape
-from nsmodel.sweep.mapped import mapped
+from nsmodel.sweep.design import Design
+from nsmodel.sweep.files import CELL, DESIGN, DIM, VALUE, WHOLE, refuse_no_part, refuse_no_sweep
 from nsmodel.sweep.variable import FAILED, NOT_RUN
 
-MANIFEST, WHOLE, CELL = "manifest.json", "sweep.npz", "cell"
 _PART = re.compile(r"part-(\d+)\.npz")
 _BLOCK = 1 << 22
+_AWAY = "take it out of the folder, or give another folder"
 Kinds = Mapping[str, tuple[str, tuple[int, ...]]]
 
 
 class SweepStore:
-    """The folder of a sweep of ``shape``."""
+    """The folder of a sweep of this design; no file is read, written or removed but in it, by its own name."""
 
-    def __init__(self, folder: Path, shape: tuple[int, ...]) -> None:
-        self.folder, self.shape, self.size = folder, shape, prod(shape)
+    def __init__(self, folder: Path, design: Design, settings: Mapping[str, Any], binding: same.Binding) -> None:
+        self.folder, self.design, self.shape, self.size = folder, design, design.shape, design.size
+        self._settings, self._binding = settings, binding
         self._next = 1 + max((int(found[1]) for path in self._files() if (found := _PART.fullmatch(path.name))), default=0)
 
     @property
@@ -44,9 +50,28 @@ class SweepStore:
         """Whether a sweep is there."""
         return (self.folder / MANIFEST).exists() or (self.folder / WHOLE).exists()
 
-    def begin(self, manifest: Mapping[str, Any]) -> None:
+    def begin(self) -> None:
         """Say what sweep it is, before any cell of it is there."""
-        write_json(self.folder / MANIFEST, {**STAMP, **manifest, "shape": list(self.shape)})
+        write_npz(self._file(DESIGN), same.arrays(self.design), {"sweep": self._binding.sweep})
+        about = {"sweep": self._binding.sweep, "settings": self._settings, "design": same.document(self.design)}
+        write_json(self._file(MANIFEST), signed({**STAMP, **about, "shape": list(self.shape)}))
+
+    def refuse_other(self) -> None:
+        """Raise StorageError where another sweep is there, or files that belong to another; nothing is written."""
+        manifest = manifest_of(self.folder)
+        for key, value in self._settings.items():
+            if manifest["settings"].get(key) != value:
+                what = "its model" if key == "model" else f"{key} ({manifest['settings'].get(key)} there, {value} now)"
+                raise StorageError(f"{self.folder}: the sweep there differs in {what}; give another folder")
+        archive, numbers = read_archive(self._file(DESIGN))
+        if archive.metadata.get("sweep") != manifest["sweep"]:
+            raise StorageError(
+                f"{archive.path} belongs to another sweep than {MANIFEST}; put it back from a copy, or give another folder"
+            )
+        other = same.difference(manifest["design"], numbers, self.design)
+        if other is not None:
+            raise StorageError(f"{self.folder}: the sweep there has {other}; give another folder")
+        self.status()
 
     def put(self, cells: np.ndarray, found: Found) -> None:
         """Write cells (K,) that have been run."""
@@ -56,8 +81,12 @@ class SweepStore:
         arrays = {CELL: cells[ran], **{name: values[ran] for name, values in found.arrays.items()}}
         number = np.cumsum(ran) - 1
         messages = {str(int(number[i])): text for i, text in found.messages.items()}
-        write_npz(self.folder / f"part-{self._next:06d}.npz", arrays, {"shape": list(self.shape), "messages": messages})
+        about = {"messages": messages, **self._binding.of(cells[ran], self.shape)}
+        write_npz(self._file(f"part-{self._next:06d}.npz"), arrays, about)
         self._next += 1
+
+    def _file(self, name: str) -> Path:
+        return inside(self.folder, name, "nsmodel")
 
     def status(self) -> np.ndarray:
         """The status (size,) of each cell, NOT_RUN where it is not there."""
@@ -107,33 +136,51 @@ class SweepStore:
             members = {name: _member(array) for name, array in design.items()}
             members |= {name: Member(array.kind, array.shape, array.blocks()) for name, array in whole.items()}
             text = {str(cell): messages[cell] for cell in sorted(messages)}
-            with stream_beside(self.folder / WHOLE) as stream:
-                write_archive(stream, members, {**metadata, "shape": list(self.shape), "messages": text})
+            bound = self._binding.of(np.arange(self.size), self.shape)
+            with stream_beside(self._file(WHOLE)) as stream:
+                write_archive(stream, members, {**metadata, **bound, "messages": text})
         for path in parts:
             if path.name != WHOLE:
                 path.unlink(missing_ok=True)
 
     def _files(self) -> list[Path]:
-        return sorted(path for path in self.folder.glob("part-*.npz") if _PART.fullmatch(path.name))
+        return sorted(self._file(path.name) for path in self.folder.glob("part-*.npz") if _PART.fullmatch(path.name))
 
     def _paths(self) -> Iterator[Path]:
         """The files that hold cells, later ones last."""
-        if (self.folder / WHOLE).exists():
-            yield self.folder / WHOLE
+        if self._file(WHOLE).exists():
+            yield self._file(WHOLE)
         yield from self._files()
 
     def _parts(self) -> Iterator[tuple[np.ndarray, dict[str, np.ndarray], dict[int, str]]]:
         """Cells by their numbers in this sweep, their arrays, and messages by places."""
         for path in self._paths():
-            arrays, metadata = mapped(path) if path.name == WHOLE else read_npz(path)
-            shape = tuple(metadata["shape"])
-            cells = np.arange(prod(shape)) if path.name == WHOLE else arrays.pop(CELL)
+            whole = path.name == WHOLE
+            archive, arrays = mapped(path) if whole else read_archive(path)
+            if not archive.verified:
+                raise StorageError(f"{path} is of format {archive.format}, and not gone on with; {_AWAY}")
+            (refuse_no_sweep if whole else refuse_no_part)(archive, arrays)
+            shape = tuple(archive.metadata["shape"])
+            cells = np.arange(prod(shape)) if whole else arrays[CELL]
+            self._refuse_foreign(archive, cells, shape)
+            names = [name for name in arrays if name not in (CELL, "t") and not (whole and name.startswith((DIM, VALUE)))]
+            own = {name: arrays[name] for name in names}
             if shape != self.shape:
                 cells = np.ravel_multi_index(np.unravel_index(cells, shape), self.shape)
-            own = {
-                name: values for name, values in arrays.items() if ":" not in name and name != "t" and len(values) == len(cells)
-            }
-            yield cells, own, {int(place): text for place, text in metadata["messages"].items()}
+            yield cells, own, {int(place): text for place, text in archive.metadata["messages"].items()}
+
+    def _refuse_foreign(self, archive: Archive, cells: np.ndarray, shape: tuple[int, ...]) -> None:
+        """Raise StorageError for cells of another sweep."""
+        about, path = archive.metadata, archive.path
+        what = None
+        if about.get("sweep") != self._binding.sweep:
+            what = "belongs to another sweep, of another model or other settings"
+        elif len(shape) != len(self.shape) or any(there > now for there, now in zip(shape, self.shape, strict=True)):
+            what = f"belongs to another sweep, of shape {shape}"
+        elif about != {**about, **self._binding.of(cells, shape)}:
+            what = "belongs to another sweep, of other values"
+        if what is not None:
+            raise StorageError(f"{path} {what}; {_AWAY}")
 
 
 class InMemory:
@@ -221,10 +268,9 @@ def manifest_of(folder: Path) -> dict[str, Any]:
     Raises:
         StorageError: none, or not to be read.
     """
-    path = folder / MANIFEST
+    path = inside(folder, MANIFEST, "nsmodel")
     if not path.exists():
         raise StorageError(f"{folder} holds no sweep: there is no {MANIFEST}; check the path, or leave resume out")
-    manifest = read_json(path)
-    if not {"settings", "design"} <= manifest.keys():
+    if "chunks" in read_json(path):
         raise StorageError(f"{folder} holds no sweep: its {MANIFEST} is that of a run; give another folder")
-    return manifest
+    return read_manifest(folder, SWEEP_MANIFEST, what="sweep", afresh="give another folder")

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from nsmodel.errors import UsageError
+from nsmodel.stored import OnDisk
+from nsmodel.words import one_line
 
 NOT_RUN, DONE, FAILED, INTERRUPTED, NO_MODEL = -1, 0, 1, 2, 3
 WORDS = {DONE: "done", FAILED: "failed", INTERRUPTED: "interrupted", NO_MODEL: "no model", NOT_RUN: "not run"}
@@ -26,7 +28,7 @@ class Variable:
 
     Attributes:
         name: of the quantity, as the user wrote it.
-        values: array with an axis for each of `dims`.
+        values: array with an axis for each of `dims`; those of a file are read, and verified, when they are asked for.
         dims: names of the axes, such as ("mu1", "k", "seed", "t").
         coords: {name: values along its dim}; each of `dims` has one. Others, such as the parameters of samples, are in `along`.
         status: int8, over `cell_dims`: 0 done, 1 failed, 2 interrupted, 3 no model, -1 not run.
@@ -54,11 +56,15 @@ class Variable:
     along: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        values = np.asarray(self.values)
+        values = self.values if isinstance(self.values, OnDisk) else _read_only(np.asarray(self.values))
         if values.dtype.kind not in "biuf":
             raise UsageError(f"{self.name}: values of type {values.dtype}; expected real numbers")
+        object.__setattr__(self, "_given", values)
+        if isinstance(values, OnDisk):
+            object.__delattr__(self, "values")
         settled = {
-            "values": _read_only(values), "status": _read_only(np.asarray(self.status, dtype=np.int8)),
+            **({} if isinstance(values, OnDisk) else {"values": values}),
+            "status": _read_only(np.asarray(self.status, dtype=np.int8)),
             "dims": tuple(self.dims), "cell_dims": tuple(self.cell_dims),
             "coords": {name: _read_only(np.asarray(of)) for name, of in self.coords.items()},
             "units": dict(self.units), "along": dict(self.along),
@@ -66,6 +72,19 @@ class Variable:
         for name, value in settled.items():
             object.__setattr__(self, name, value)
         _refuse_shapes(self)
+
+    def __getattr__(self, name: str) -> Any:
+        """Read the values of a file when they are first asked for."""
+        if name != "values" or "_given" not in vars(self):
+            raise AttributeError(f"a variable has no '{name}'")
+        given = vars(self)["_given"]
+        values = _read_only(given.values if isinstance(given, OnDisk) else given)
+        object.__setattr__(self, "values", values)
+        return values
+
+    @property
+    def _shape(self) -> tuple[int, ...]:
+        return vars(self)["_given"].shape
 
     @classmethod
     def of(
@@ -97,18 +116,18 @@ class Variable:
         there = self.values[np.isfinite(self.values)]
         span = f", {there.min():.6g} to {there.max():.6g}" if there.size else ""
         missing = "".join(f", {count} {word}" for word, count in self.causes.items())
-        return f"Variable({self.name!r}, {of}{span}{f' {self.unit}' if self.unit else ''}{missing})"
+        return one_line(f"Variable({self.name!r}, {of}{span}{f' {self.unit}' if self.unit else ''}{missing})")
 
     @property
     def sizes(self) -> dict[str, int]:
         """{dim: its length}."""
-        return dict(zip(self.dims, self.values.shape, strict=True))
+        return dict(zip(self.dims, self._shape, strict=True))
 
     @property
     def everywhere(self) -> np.ndarray:
         """The status of the cell of each of the values: their shape."""
         within = tuple(k for k, dim in enumerate(self.dims) if dim not in self.cell_dims)
-        return np.broadcast_to(np.expand_dims(self.status, within), self.values.shape)
+        return np.broadcast_to(np.expand_dims(self.status, within), self._shape)
 
     @property
     def done(self) -> np.ndarray:
@@ -134,7 +153,7 @@ class Variable:
         if dim in cells:
             status = status.take(index, axis=cells.index(dim))
         return replace(
-            self, values=self.values.take(index, axis=axis), dims=_without(self.dims, dim), status=status,
+            self, values=vars(self)["_given"].take(index, axis=axis), dims=_without(self.dims, dim), status=status,
             cell_dims=_without(cells, dim), coords={name: of for name, of in self.coords.items() if name not in gone},
             along={name: of for name, of in self.along.items() if of != dim},
         )  # fmt: skip
@@ -249,8 +268,8 @@ def causes_of(status: np.ndarray) -> dict[str, int]:
 
 
 def _refuse_shapes(self: Variable) -> None:
-    if len(set(self.dims)) < len(self.dims) or len(self.dims) != self.values.ndim:
-        raise UsageError(f"{self.name}: values of shape {self.values.shape} with dims {self.dims}; expected a name for each axis")
+    if len(set(self.dims)) < len(self.dims) or len(self.dims) != len(self._shape):
+        raise UsageError(f"{self.name}: values of shape {self._shape} with dims {self.dims}; expected a name for each axis")
     if self.cell_dims != tuple(dim for dim in self.dims if dim in self.cell_dims):
         raise UsageError(f"{self.name}: cell_dims {self.cell_dims}; expected some of {self.dims}, in that order")
     sizes = self.sizes

@@ -1,6 +1,19 @@
 /* The interface. */
 
 
+/* Whether a state is finite, and the velocity that it stands for. */
+static int is_finite_state(const model_solver *s, const double *x)
+{
+#if DIFFERENCE
+    for (int i = 0; i < MODEL_NX; i++)
+        if (s->h > 0 && !is_finite(x[MODEL_NX + i]/s->h))
+            return 0;
+#else
+    (void)s;
+#endif
+    return all_finite(MODEL_NSTATE, x);
+}
+
 /* Compute the step of length h from the time and the state at hand in s->work; they stay. */
 static int next_state(model_solver *s)
 {
@@ -44,7 +57,7 @@ static int next_state(model_solver *s)
     if (!all_finite(MODEL_NL, s->work.multipliers) || !all_finite(MODEL_NL, s->work.outputs))
         return MODEL_NOT_FINITE;
 #endif
-    return all_finite(MODEL_NSTATE, s->work.x_next) ? MODEL_OK : MODEL_NOT_FINITE;
+    return is_finite_state(s, s->work.x_next) ? MODEL_OK : MODEL_NOT_FINITE;
 }
 
 #if RENEWED
@@ -86,11 +99,11 @@ static int renew_reaction(model_solver *s)
 static int attempt(model_solver *s)
 {
     const double next = s->t_0 + (s->steps + 1)*s->h;
-    s->t = s->t_0 + s->steps*s->h;
+    s->t = s->steps != 0 ? s->t_0 + s->steps*s->h : s->t_0; /* -0 stays */
     s->spent = 0;
     s->work.residual = INFINITY;
     s->work.iterations = 0;
-    if (!is_finite(next) || !all_finite(MODEL_NSTATE, s->x))
+    if (!is_finite(next) || !is_finite_state(s, s->x))
         return MODEL_NOT_FINITE;
     if (!(next > s->t))
         return MODEL_BAD_STEP;

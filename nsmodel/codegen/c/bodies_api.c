@@ -26,7 +26,7 @@ static int attempt(model_solver *s, model_motion *now, model_report *report)
     const double next = s->t_0 + (s->steps + 1)*s->h;
     size_t missing = 0;
     int status;
-    s->t = s->t_0 + s->steps*s->h;
+    s->t = s->steps != 0 ? s->t_0 + s->steps*s->h : s->t_0; /* -0 stays */
     if (!isfinite(s->t) || !isfinite(next) || !finite_there(s, s->x)) return MODEL_NOT_FINITE;
     if (!(next > s->t)) return MODEL_BAD_STEP;
     now->model = &own_functions;

@@ -13,7 +13,7 @@ from nsmodel.hypotheses.report import table
 from nsmodel.notebook import shown_by
 from nsmodel.pickled import Pickled
 from nsmodel.proof.verdict import HOLDS, VERDICTS
-from nsmodel.words import one_line
+from nsmodel.words import one_line, shown
 
 
 @dataclass(frozen=True, repr=False)
@@ -52,7 +52,7 @@ class Report(Pickled):
 
     def text(self) -> str:
         """The report as a table for a terminal, 100 columns wide."""
-        return table.text(self)
+        return shown(table.text(self))
 
     def document(self) -> dict[str, Any]:
         """The report as a dictionary that JSON can hold."""
@@ -62,7 +62,7 @@ class Report(Pickled):
         """The report as a Markdown page, with the model's equations in LaTeX."""
         from nsmodel.hypotheses.report.markdown import markdown
 
-        return markdown(self, self.model)
+        return shown(markdown(self, self.model))
 
     def view(self, path: str | Path | None = None) -> Path:
         """Write the report as one HTML file, and return its path; without a path a temporary file, opened in the browser.

@@ -23,6 +23,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.classes.oscillator.model import Friction, FrictionOscillator
+from nsmodel.errors import UsageError
 from nsmodel.laws import ball, complementarity, product
 from nsmodel.model.arguments import rows_called
 from nsmodel.once import once
@@ -133,7 +134,12 @@ def initial_rows(model: FrictionOscillator, h: float) -> list[tuple[np.ndarray, 
         v0 = np.array(ca.DM(model.v0)).ravel()
         return [(np.concatenate([x0, v0 if model.keeps_velocity else h * v0]), {"v": v0})]
     x1 = np.array(ca.DM(model.x1)).ravel()
-    d, v = x1 - x0, (x1 - x0) / h
+    with np.errstate(over="ignore"):
+        d, v = x1 - x0, (x1 - x0) / h
+    if not np.isfinite(v).all():
+        raise UsageError(
+            f"x0 = {x0}, x1 = {x1}: the velocity (x1 - x0)/h overflows at h = {h:g}; take a longer step, or other units"
+        )
     return [
         (np.concatenate([x0, np.full(x0.size, np.nan)]), {}),
         (np.concatenate([x1, v if model.keeps_velocity else d]), {"v": v}),

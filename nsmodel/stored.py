@@ -1,0 +1,386 @@
+"""Arrays that come from a disk: the one reader of archives, which trusts nothing that it reads.
+
+Before a value is used the reader has seen that the archive is as `archive` writes it (members one behind the other, none
+compressed, none twice), that each array is of numbers or booleans, in little-endian and C order, and fills its member, and that
+its bytes have the digests that the metadata lists, which has a digest of its own. Arrays that are mapped are compared chunk by
+chunk, when their values are asked for. Files of formats 1 and 2 have no digests: of them the checksums of the zip file are
+compared, and a warning says that they are not verified.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+import sys
+import warnings
+import zipfile
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from math import prod
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from nsmodel.archive import CHUNK, KINDS, METADATA, digest_of, digest_of_document
+from nsmodel.errors import StorageError
+from nsmodel.storage import STAMP, format_of, loads, refuse_special
+
+DIGESTS_SINCE = 3  # The first format with digests.
+AGAIN = "run the model again, or put back a copy"
+Layout = dict[str, tuple[np.dtype, tuple[int, ...]]]
+_LOCAL = struct.Struct("<4s22xHH")  # Of a local header of a zip file: its mark, the lengths of the name and of what is beside it.
+_MAGIC = b"\x93NUMPY\x01\x00"
+_HEADER = re.compile(
+    rb"\{'descr': '([<|>=]?)([a-zA-Z])(\d{1,9})', 'fortran_order': (True|False), "
+    rb"'shape': \(((?:\d{1,18}, ?)*(?:\d{1,18})?)\), \} *\n"
+)
+_MOST_AXES = 32  # Of an array, in any NumPy.
+
+
+class UnverifiedWarning(UserWarning):
+    """A file of an older format, which has no digests: its numbers are read, not verified."""
+
+
+@dataclass(frozen=True)
+class Stored:
+    """An array in a file.
+
+    Attributes:
+        path: of the file; name: of the array.
+        dtype, shape: as its header and the metadata say.
+        begin: its first byte.
+        digests: of its chunks; None in files of older formats.
+        crc: of its header, and of header and bytes, as the zip file has it.
+    """
+
+    path: Path
+    name: str
+    dtype: np.dtype
+    shape: tuple[int, ...]
+    begin: int
+    digests: tuple[str, ...] | None
+    crc: tuple[int, int]
+
+    @property
+    def size(self) -> int:
+        """Its bytes."""
+        return prod(self.shape) * self.dtype.itemsize
+
+    def blocks(self, stream: IO[bytes]) -> Iterator[bytes]:
+        """Its bytes, chunk after chunk, each verified; of older formats verified at the end."""
+        stream.seek(self.begin)
+        found = self.crc[0]
+        for k, at in enumerate(range(0, self.size, CHUNK)):
+            block = stream.read(min(CHUNK, self.size - at))
+            if self.digests is None:
+                found = zlib.crc32(block, found)
+            else:
+                self.refuse_other(k, block)
+            yield block
+        if self.digests is None and found != self.crc[1]:
+            raise self._changed("")
+
+    def refuse_other(self, k: int, block: Any) -> None:
+        """Raise StorageError unless this is chunk k."""
+        if self.digests is not None and digest_of(block) != self.digests[k]:
+            raise self._changed(f", bytes {k * CHUNK} to {k * CHUNK + len(block)}")
+
+    def refuse_other_whole(self, raw: Any) -> None:
+        """Raise StorageError unless these are its bytes, of a file that has no digests."""
+        if zlib.crc32(raw, self.crc[0]) != self.crc[1]:
+            raise self._changed("")
+
+    def read(self, stream: IO[bytes]) -> np.ndarray:
+        """The array, in memory."""
+        raw, at = np.empty(self.size, np.uint8), 0
+        for block in self.blocks(stream):
+            raw[at : at + len(block)] = np.frombuffer(block, np.uint8)
+            at += len(block)
+        return self.made_of(raw)
+
+    def made_of(self, raw: np.ndarray) -> np.ndarray:
+        """The array that has these bytes."""
+        array = raw.view(self.dtype).reshape(self.shape) if raw.size else np.zeros(self.shape, self.dtype)
+        if self.dtype.kind == "U" and (raw.view("<u4") > sys.maxunicode).any():
+            raise self._changed(", which holds no text,")
+        return array
+
+    def _changed(self, where: str) -> StorageError:
+        return StorageError(f"{self.path}: array '{self.name}'{where} was changed after it was written; {AGAIN}")
+
+
+@dataclass(frozen=True)
+class Archive:
+    """What a file says of itself: its format, its metadata without the file's own entries, its arrays where they lie."""
+
+    path: Path
+    format: int
+    metadata: dict[str, Any]
+    arrays: dict[str, Stored]
+
+    @property
+    def layout(self) -> Layout:
+        """Data type and shape of each array."""
+        return {name: (one.dtype, one.shape) for name, one in self.arrays.items()}
+
+    @property
+    def verified(self) -> bool:
+        """Whether it has digests."""
+        return self.format >= DIGESTS_SINCE
+
+    def warn(self, stacklevel: int) -> None:
+        """Say where it cannot be verified."""
+        if not self.verified:
+            text = f"{self.path} is of format {self.format}, which has no digests: what it holds is read, not verified"
+            warnings.warn(text, UnverifiedWarning, stacklevel + 1)
+
+
+def opened(path: str | Path) -> Archive:
+    """Read what an archive says of itself, and no array.
+
+    Raises:
+        StorageError: it is missing, damaged, foreign, or of a later format.
+    """
+    with _reading(Path(path)) as stream:
+        return _archive(Path(path), stream)
+
+
+def read_npz(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Read (arrays, metadata) as ``archive.write_npz`` wrote them; StorageError as of ``opened``."""
+    archive, arrays = read_archive(path)
+    return arrays, archive.metadata
+
+
+def read_archive(path: str | Path) -> tuple[Archive, dict[str, np.ndarray]]:
+    """Read an archive, and its arrays into memory; StorageError as of ``opened``."""
+    with _reading(Path(path)) as stream:
+        archive = _archive(Path(path), stream)
+        return archive, {name: one.read(stream) for name, one in archive.arrays.items()}
+
+
+def blocks(files: list[Path], name: str) -> Iterator[bytes]:
+    """Yield the bytes of array ``name``, verified, file after file."""
+    for path in files:
+        with _reading(path) as stream:
+            yield from _archive(path, stream).arrays[name].blocks(stream)
+
+
+class OnDisk:
+    """A part of an array in a file: compared with its digests, and read, when its values are asked for."""
+
+    def __init__(self, view: np.ndarray, refuse: Callable[[int, int], None], begin: int) -> None:
+        self._view, self._refuse, self._begin = view, refuse, begin
+        self.shape, self.dtype, self.ndim = view.shape, view.dtype, view.ndim
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the values, not where they lie."""
+        return np.array, (np.array(self.values),)
+
+    def reshape(self, *shape: Any) -> OnDisk:
+        """The same in another shape."""
+        return OnDisk(self._view.reshape(*shape), self._refuse, self._begin)
+
+    def take(self, index: int, axis: int) -> OnDisk:
+        """The part at one index of an axis."""
+        return OnDisk(self._view[(*(slice(None),) * axis, index, ...)], self._refuse, self._begin)
+
+    @property
+    def values(self) -> np.ndarray:
+        """The values, verified; not to be written to. StorageError where they were changed."""
+        for low, high in _spans(self._view):
+            self._refuse(low - self._begin, high - self._begin)
+        return self._view
+
+
+def _spans(view: np.ndarray) -> Iterator[tuple[int, int]]:
+    """The addresses between which a view lies, in parts where it leaves out whole chunks."""
+    if not view.size:
+        return
+    axis = max(range(view.ndim), key=lambda k: view.strides[k] if view.shape[k] > 1 else 0, default=None)
+    if axis is None or view.strides[axis] <= CHUNK or view.shape[axis] == 1:
+        yield np.lib.array_utils.byte_bounds(view)
+        return
+    for k in range(view.shape[axis]):
+        yield from _spans(view[(*(slice(None),) * axis, slice(k, k + 1))])
+
+
+class StoredArrays(Mapping[str, np.ndarray]):
+    """The arrays of a file, mapped: an array is verified when it is asked for, a part of one (see `part`) when its values are."""
+
+    def __init__(self, parts: Mapping[str, OnDisk], refuse: Mapping[str, Callable[[np.ndarray], None]]) -> None:
+        """``refuse``: {name: what raises StorageError for values that its array cannot have}."""
+        self._parts, self._refuse = parts, dict(refuse)
+
+    @classmethod
+    def of(cls, archive: Archive, stream: IO[bytes]) -> StoredArrays:
+        """Those of an archive that is open."""
+        raw = np.memmap(stream, np.uint8, "r")  # pyright: ignore[reportArgumentType]
+        parts = {name: _on_disk(one, raw[one.begin : one.begin + one.size]) for name, one in archive.arrays.items()}
+        return cls(parts, {})
+
+    def only(self, names: Iterable[str], refuse: Mapping[str, Callable[[np.ndarray], None]]) -> StoredArrays:
+        """Some of them."""
+        return StoredArrays({name: self._parts[name] for name in names}, refuse)
+
+    def part(self, name: str) -> OnDisk:
+        """An array of which parts may be taken before values are asked for."""
+        return self._parts[name]
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Return an array, verified; StorageError where it was changed."""
+        values = self._parts[name].values
+        if name in self._refuse:
+            self._refuse[name](values)
+            self._refuse.pop(name, None)
+        return values
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the values, not where they lie."""
+        return dict, ({name: np.array(values) for name, values in self.items()},)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._parts)
+
+    def __len__(self) -> int:
+        return len(self._parts)
+
+
+def _on_disk(one: Stored, raw: np.ndarray) -> OnDisk:
+    known = bytearray(len(one.digests) if one.digests is not None else 1)
+
+    def refuse(low: int, high: int) -> None:
+        if one.digests is None:
+            if not known[0]:
+                one.refuse_other_whole(raw)
+                known[0] = 1
+            return
+        for k in range(low // CHUNK, -(-high // CHUNK)):
+            if not known[k]:
+                one.refuse_other(k, raw[k * CHUNK : (k + 1) * CHUNK])
+                known[k] = 1
+
+    return OnDisk(one.made_of(raw), refuse, np.lib.array_utils.byte_bounds(raw)[0])
+
+
+def mapped(path: Path) -> tuple[Archive, Mapping[str, np.ndarray]]:
+    """An archive and its arrays, which are read when they are used and are not to be changed; StorageError as of ``opened``.
+
+    On Windows they are read now: a file that is mapped could not be written again.
+    """
+    if sys.platform == "win32":
+        return read_archive(path)
+    with _reading(path) as stream:
+        archive = _archive(path, stream)
+        return archive, StoredArrays.of(archive, stream)
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[IO[bytes]]:
+    """A file that is being read; StorageError where that fails."""
+    try:
+        if path.is_dir():
+            raise IsADirectoryError
+        refuse_special(path)
+        with path.open("rb") as stream:
+            yield stream
+    except StorageError:
+        raise
+    except FileNotFoundError as error:
+        raise StorageError(f"{path} does not exist; check the path, or run the model again") from error
+    except IsADirectoryError as error:
+        raise StorageError(f"{path} is a folder; give the file in it, {path / 'trajectory.npz'}") from error
+    except MemoryError as error:
+        raise StorageError(f"{path} does not fit in memory ({error}); read it with numpy.load, array by array") from error
+    except Exception as error:  # damaged bytes make zipfile and json raise nearly anything
+        fault = f"{path} is not a whole npz file ({error or type(error).__name__})"
+        raise StorageError(f"{fault}: it was cut short, changed, or another program wrote it; {AGAIN}") from error
+
+
+def _archive(path: Path, stream: IO[bytes]) -> Archive:
+    """What an archive says of itself, as far as it is true."""
+    places = _places(stream)
+    if METADATA not in places:
+        raise StorageError(f"{path} has no {METADATA}: nsmodel did not write it; read it with numpy.load")
+    document = _document(stream, *places.pop(METADATA))
+    number = format_of(document, path)
+    if number >= DIGESTS_SINCE:
+        _refuse_other_digest(path, document)
+    listed: Any = document.pop("arrays", None) if "format" in document else [name.removesuffix(".npy") for name in places]
+    described = listed if number >= DIGESTS_SINCE else [{"name": name} for name in listed]
+    if list(places) != [f"{one['name']}.npy" for one in described]:
+        raise ValueError(f"it holds {', '.join([*places, METADATA])}, not what was written")
+    arrays = {one["name"]: _stored(path, stream, one, *place) for one, place in zip(described, places.values(), strict=True)}
+    return Archive(path, number, {key: value for key, value in document.items() if key not in STAMP}, arrays)
+
+
+def _places(stream: IO[bytes]) -> dict[str, tuple[int, int, int]]:
+    """{name of a member: (its first byte, its length, its checksum)}, of members that lie one behind the other, as they are."""
+    found: dict[str, tuple[int, int, int]] = {}
+    with zipfile.ZipFile(stream) as archive:
+        free = 0
+        for entry in archive.infolist():
+            if entry.filename in found:
+                raise ValueError(f"it holds {entry.filename} twice")
+            if entry.compress_type != zipfile.ZIP_STORED or entry.flag_bits & 1 or entry.file_size != entry.compress_size:
+                raise ValueError(f"its member {entry.filename} is compressed or encrypted")
+            stream.seek(entry.header_offset)
+            mark, *lengths = _LOCAL.unpack(stream.read(_LOCAL.size))
+            begin = entry.header_offset + _LOCAL.size + sum(lengths)
+            if mark != b"PK\3\4" or entry.header_offset < free or begin + entry.file_size > archive.start_dir:
+                raise ValueError(f"its member {entry.filename} is not where it says")
+            free = begin + entry.file_size
+            found[entry.filename] = begin, entry.file_size, entry.CRC
+    return found
+
+
+def _document(stream: IO[bytes], begin: int, size: int, crc: int) -> dict[str, Any]:
+    """The metadata."""
+    stream.seek(begin)
+    text = stream.read(size)
+    if zlib.crc32(text) != crc:
+        raise ValueError(f"{METADATA} was changed")
+    document = loads(text.decode())
+    if not isinstance(document, dict):
+        raise ValueError(f"{METADATA} is no dictionary")
+    return document
+
+
+def _refuse_other_digest(path: Path, document: dict[str, Any]) -> None:
+    digest = document.pop("digest", None)
+    if digest != digest_of_document(document):
+        what = "has no digest, as files of its format have" if digest is None else "has not the digest that it says"
+        raise StorageError(f"{path}: {METADATA} {what}: it was changed after it was written; {AGAIN}")
+
+
+def _stored(path: Path, stream: IO[bytes], one: dict[str, Any], begin: int, size: int, crc: int) -> Stored:
+    """An array: its header, which must say what the metadata say, and which leaves the bytes that type and shape take."""
+    name = one["name"]
+    stream.seek(begin)
+    head = stream.read(len(_MAGIC) + 2)
+    head += stream.read(int.from_bytes(head[len(_MAGIC) :], "little"))
+    said = _HEADER.fullmatch(head[len(_MAGIC) + 2 :])
+    if not head.startswith(_MAGIC) or said is None:
+        raise ValueError(f"array '{name}' has no header of one type and one shape")
+    order, kind, bytes_each, fortran, sizes = (part.decode() for part in said.groups())
+    texts = kind == "U" and one.keys() == {"name"}  # Labels of older sweeps.
+    if int(bytes_each) not in KINDS.get(kind, ()) and not (texts and 0 < int(bytes_each) < size):
+        raise ValueError(f"array '{name}' is of type {order}{kind}{bytes_each}; files hold numbers and booleans")
+    if order != ("|" if (kind, bytes_each) in (("b", "1"), ("i", "1"), ("u", "1")) else "<"):
+        raise ValueError(f"array '{name}' is of type {order}{kind}{bytes_each}, in another byte order; expected <")
+    if fortran == "True":
+        raise ValueError(f"array '{name}' is in Fortran order; expected C order")
+    dtype, shape = np.dtype(f"{order}{kind}{bytes_each}"), tuple(int(one) for one in sizes.replace(",", " ").split())
+    if len(shape) > _MOST_AXES or prod(max(one, 1) for one in shape) * dtype.itemsize >= 1 << 62:
+        raise ValueError(f"array '{name}' has shape {shape}")
+    if prod(shape) * dtype.itemsize != size - len(head):
+        raise ValueError(f"array '{name}' of type {dtype} and shape {shape} has {size - len(head)} bytes")
+    digests = None if one.keys() == {"name"} else tuple(map(str, one["sha256"]))
+    if digests is not None:
+        if (one["type"], one["shape"]) != (dtype.str, list(shape)):
+            raise ValueError(f"array '{name}' is of type {dtype.str} and shape {shape}, not {one['type']} and {one['shape']}")
+        if len(digests) != -(-(size - len(head)) // CHUNK):
+            raise ValueError(f"array '{name}' has {len(digests)} digests")
+    return Stored(path, name, dtype, shape, begin + len(head), digests, (zlib.crc32(head), crc))
