@@ -3,9 +3,11 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
+RUNS   := $(VENV)/.runs
+PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check --editable
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test quick nightly lint bench bench-large bench-events bench-sweeps study docs clean
+.PHONY: help demo test test-long quick nightly lint bench bench-large bench-events bench-sweeps study docs clean
 
 # NSMODEL_SHORT=1 makes the long ones short: a scene or two, once. They write into results/ alone.
 PAGES := hypotheses events inputs $(if $(NSMODEL_SHORT),,codegen orders stability crowd study sweeps)
@@ -16,24 +18,32 @@ SITE := $(if $(NSMODEL_SHORT),results/)
 help: ## show this list
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1|/' | column -t -s '|'
 
-$(STAMP): pyproject.toml
+$(RUNS): pyproject.toml # What runs models need.
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(PIP) .
 	touch $@
 
-demo: $(STAMP) ## set up, run a rectifier, a crowd and a friction oscillator, draw pictures into results/
+$(STAMP): $(RUNS) # And what tests, linters and pages need.
+	$(PIP) '.[dev]'
+	touch $@
+
+demo: $(RUNS) ## set up what runs need, run a rectifier, a crowd and a friction oscillator, pictures into results/: a minute
 	$(BIN)/nsmodel run $(SCENES) --plot --out results
 
-test: $(STAMP) ## set up and run the tests
+test: $(STAMP) ## set up and run the tests, of random models a sixteenth: eleven minutes on two cores
 	$(BIN)/python -m pytest -n auto --dist worksteal
 
+test-long: $(STAMP) ## set up and run all tests, long ones and all random models: two hours on two cores
+	NSMODEL_FUZZ=400 $(BIN)/python -m pytest -n auto --dist worksteal
+
 quick: $(STAMP) ## set up and run the tests that take seconds: under a minute on two cores
-	NSMODEL_FUZZ=25 $(BIN)/python -m pytest -n auto --dist worksteal -m fast
+	$(BIN)/python -m pytest -n auto --dist worksteal -m fast
 
 nightly: $(STAMP) ## set up and run the search for refused steps and wrong answers: 2000 random models a class, hours
 	mkdir -p results
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search --models $(if $(NSMODEL_SHORT),1,2000) --compiled 10 --json results/search.json
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.oracle --models $(if $(NSMODEL_SHORT),1,300) --json results/oracle.json
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.files --count $(if $(NSMODEL_SHORT),2,2000) --json results/files.json
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.search.events --models $(if $(NSMODEL_SHORT),1 --t-end 1,300) --json results/events.jsonl
 
 lint: $(STAMP) ## ruff and pyright

@@ -10,6 +10,7 @@ from nsmodel.errors import (
     PlotError,
     StepError,
     StorageError,
+    UnverifiedWarning,
     UsageError,
 )
 from nsmodel.later import later as _later
@@ -78,6 +79,7 @@ __all__ = [
     "SweepInterrupted",
     "SweepingProcess",
     "Trajectory",
+    "UnverifiedWarning",
     "UsageError",
     "Within",
     "ball",

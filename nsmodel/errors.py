@@ -67,6 +67,10 @@ class LaterFormatError(StorageError):
     """A file of a format that only a later version knows."""
 
 
+class UnverifiedWarning(UserWarning):
+    """A file of an older version has no digests: what it holds is read, not verified."""
+
+
 class PlotError(NsmodelError, ValueError):
     """A picture was asked for that this run cannot give."""
 

@@ -51,6 +51,8 @@ FLAG = Kind("true or false", lambda value: isinstance(value, bool))
 ANY = Kind("anything", lambda value: True)
 _QUANTITY = All({"of": [TEXT], "size": POSITIVE, "code": TEXT})
 _LINES = [[[NUMBER]]]
+_ARCH = All({"bodies": [COUNT], "at": [[NUMBER]], "exit": (TEXT, None), "pressed": COUNT, "ends": [TEXT]})
+_STANDSTILL = All({"since": NUMBER, "bodies": COUNT, "for_good": (TEXT, None), "arches": [_ARCH]})
 
 TOTALS = {
     **dict.fromkeys(
@@ -61,10 +63,12 @@ TOTALS = {
         "worst_residual worst_residual_t newton newton_max largest_error least_step estimate worst_estimate worst_estimate_t "
         "rtol least_gap least_gap_t largest_pressure largest_pressure_t least_eigenvalue".split(), (NUMBER, None),
     ),
-    "largest_pressure_body": (COUNT, None), "unique": Each(COUNT), "stretches": [All({"start": NUMBER, "until": NUMBER})],
+    "largest_pressure_body": (COUNT, None), "unique": Each(COUNT), "impacts": Each(Each(ANY)), "ended": TEXT,
+    "last_x": [NUMBER], "last_v": [[NUMBER]], "rest_from": ([NUMBER], None), "overrun": (None, All({"gap": NUMBER, "t": NUMBER})),
+    "stretches": [All({"start": NUMBER, "until": NUMBER})],
 }  # fmt: skip
 RUN = {
-    **dict.fromkeys("title model_class paper scheme status message model_hash run".split(), (TEXT, None)),
+    "status": TEXT, "message": TEXT, **dict.fromkeys("title model_class paper scheme model_hash run".split(), (TEXT, None)),
     **{
         name: [TEXT]
         for name in "state_names multiplier_names index_names input_names law_kinds used left_out warnings families".split()
@@ -75,7 +79,7 @@ RUN = {
     "of_pairs": [FLAG], "constraint_bodies": [[COUNT]], "body_numbers": Each([ANY]),
     "scene": (None, {"radii": [FINITE], "walls": _LINES, "exits": _LINES, "exit_names": [TEXT]}),
     "bodies": {"count": COUNT, "d": COUNT, "there": COUNT, "waiting": COUNT, "left": COUNT, "empty_at": (NUMBER, None),
-               "standstill": (Each(ANY), None)},
+               "standstill": (_STANDSTILL, None)},
     "convergence": (None, {"element": TEXT, "finite": (FLAG, None), "reason": (TEXT, None), "margin": (NUMBER, None),
                            "distance": (NUMBER, None), "n_0": (COUNT, None), "t_0": (NUMBER, None)}),
     "certificate": (None, {"kind": TEXT, "pieces": COUNT, "proved": COUNT, "not_proved": COUNT, "conditions": [TEXT],
@@ -95,7 +99,10 @@ _CHUNK = All({"file": TEXT, "rows": COUNT, "sha256": TEXT}, {"listed": COUNT})
 MANIFEST = All({
     "version": TEXT, "chunks": [_CHUNK], "rows": COUNT, "checkpoint": Each(ANY), "metadata": RUN, "status": TEXT, "run": TEXT,
 })  # fmt: skip
-CHECKPOINT = All({"k": COUNT, "t": NUMBER, "totals": TOTALS, "counts": Each(COUNT), "settings": Each(ANY)})
+CHECKPOINT = All(
+    {"k": COUNT, "t": NUMBER, "totals": TOTALS, "counts": Each(COUNT), "settings": Each(ANY)},
+    {"cut": (None, All({"rows": COUNT, "listed": COUNT}))},
+)
 UNFINISHED = All({"checkpoint": All({"t": NUMBER}), "metadata": All({"versions": All({"nsmodel": TEXT})}), "status": TEXT})
 SWEEP_MANIFEST = All({
     "version": TEXT, "shape": [POSITIVE], "settings": Each(ANY), "sweep": TEXT,

@@ -25,7 +25,7 @@ from typing import IO, Any
 import numpy as np
 
 from nsmodel.archive import CHUNK, KINDS, METADATA, digest_of, digest_of_document
-from nsmodel.errors import StorageError
+from nsmodel.errors import StorageError, UnverifiedWarning
 from nsmodel.storage import STAMP, format_of, loads, refuse_special
 
 DIGESTS_SINCE = 3  # The first format with digests.
@@ -38,10 +38,6 @@ _HEADER = re.compile(
     rb"'shape': \(((?:\d{1,18}, ?)*(?:\d{1,18})?)\), \} *\n"
 )
 _MOST_AXES = 32  # Of an array, in any NumPy.
-
-
-class UnverifiedWarning(UserWarning):
-    """A file of an older format, which has no digests: its numbers are read, not verified."""
 
 
 @dataclass(frozen=True)
@@ -240,6 +236,10 @@ class StoredArrays(Mapping[str, np.ndarray]):
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the values, not where they lie."""
         return dict, ({name: np.array(values) for name, values in self.items()},)
+
+    def __contains__(self, name: object) -> bool:
+        """Whether there is such an array; it is not read."""
+        return name in self._parts
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._parts)

@@ -337,22 +337,29 @@ class Trajectory:
         return f"Trajectory({self.title!r}, {kind}, {len(self)} steps, {span}, {self.status})"
 
 
-_AXES = {
-    **dict.fromkeys("t residual step newton energy gap_min".split(), 1),
-    **dict.fromkeys("x multipliers y index_set v gap reactions selection defect inputs inputs_begin pressure".split(), 2),
-    **dict.fromkeys("piece_start piece_unit piece_event contact_row contact_family contact_first contact_second".split(), 1),
-    **dict.fromkeys("piece_codes piece_impulse piece_defect".split(), 2),
-    **dict.fromkeys("piece_x piece_multipliers piece_y".split(), 3),
+# What the arrays of a run must be: {name: (kinds of number, axes)}.
+_ARRAYS = {
+    **dict.fromkeys(("t",), ("if", 1)),
+    **dict.fromkeys(("x",), ("if", 2)),
+    **dict.fromkeys("residual step newton energy gap_min predictor_distance correction error tolerance".split(), ("f", 1)),
+    **dict.fromkeys("multipliers y v gap reactions selection defect inputs inputs_begin pressure".split(), ("f", 2)),
+    **dict.fromkeys("piece_start piece_unit contact_reaction".split(), ("f", 1)),
+    **dict.fromkeys("piece_impulse piece_jump piece_defect".split(), ("f", 2)),
+    **dict.fromkeys("piece_x piece_multipliers piece_y".split(), ("f", 3)),
+    **dict.fromkeys("contact_row contact_family contact_first contact_second".split(), ("i", 1)),
+    **dict.fromkeys("index_set piece_codes".split(), ("i", 2)),
+    **dict.fromkeys("piece_event piece_stepped piece_proved stepped".split(), ("b", 1)),
 }
+_KINDS = {"if": "numbers", "bif": "numbers", "f": "floating-point numbers", "i": "whole numbers", "b": "booleans"}
 _TOGETHER = (
     "piece_start piece_unit piece_x piece_multipliers piece_y piece_codes piece_event piece_impulse".split(),
-    [f"contact_{name}" for name in Contacts._fields],
+    ["contact_row", *(f"contact_{name}" for name in Contacts._fields)],
 )
 
 
 def _refuse_no_run(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any], path: str | Path) -> None:
     """Raise StorageError for arrays that are not those of one run, of one number of rows."""
-    for name in ("t", "x", *(name for group in _TOGETHER if group[0] in arrays for name in group)):
+    for name in ("t", "x", *(name for group in _TOGETHER if arrays.keys() & {*group} for name in group)):
         if name not in arrays:
             raise StorageError(f"{path} holds no array '{name}': it is no trajectory; give a run's own npz file")
     t = arrays["t"]
@@ -361,10 +368,18 @@ def _refuse_no_run(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any]
     lengths = {"": len(t)}
     for name, array in arrays.items():
         kind = next((start for start in LIST if name.startswith(start)), "")
-        axes = _AXES.get(name, max(array.ndim, 1))
-        if array.ndim != axes or len(array) != lengths.setdefault(kind, len(array)):
-            expected = f"{axes} axes, the first of {lengths.get(kind, len(array))} {'entries' if kind else 'rows'}"
-            raise StorageError(f"{path}: array '{name}' has shape {array.shape}; expected {expected}: it is no trajectory")
+        length, (kinds, axes) = len(array) if array.ndim else -1, _ARRAYS.get(name, ("bif", max(array.ndim, 1)))
+        expected = lengths.setdefault(kind, length)
+        if array.dtype.kind not in kinds:
+            raise StorageError(f"{path}: array '{name}' is of type {array.dtype}; expected {_KINDS[kinds]}: it is no trajectory")
+        if array.ndim != axes or length != expected:
+            of = f"{axes} axes, the first of {expected} {'entries' if kind else 'rows'}"
+            raise StorageError(f"{path}: array '{name}' has shape {array.shape}; expected {of}: it is no trajectory")
+    for name, first, last in (("piece_start", -np.inf, t[0]), ("contact_row", 0, len(t) - 1)):
+        values = arrays.get(name, np.zeros(0))
+        ends = (values[:1] >= first).all() and (values[:1] <= last).all() and (values[-1:] <= max(last, t[-1])).all()
+        if not (ends and np.isfinite(values).all() and (np.diff(values) >= 0).all()):
+            raise StorageError(f"{path}: array '{name}' is not of this run, or not in order: it is no trajectory")
     columns = {"x": max((i for stem in metadata.get("stems", {}).values() for i in stem), default=-1) + 1}
     columns["inputs"] = len(metadata.get("input_names", ()))
     for name, members in metadata.get("input_groups", {}).items():

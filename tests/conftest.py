@@ -39,6 +39,7 @@ KINDS = {  # Marks of test files, by what their names begin with; what is in non
 }  # fmt: skip
 
 
+LEFT_OUT = pytest.StashKey[int]()
 FEW = 4  # Of the parameters of a test that is not fast, where few random models are tried.
 
 
@@ -74,6 +75,26 @@ def pytest_collection_modifyitems(config, items):
     if left:
         config.hook.pytest_deselected(items=list(left))
         items[:] = [item for item in items if item not in left]
+    config.stash[LEFT_OUT] = len(left)
+
+
+def pytest_sessionfinish(session):
+    """A worker says how many tests it has left out: all of them the same."""
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["left out"] = session.config.stash.get(LEFT_OUT, 0)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node, error):
+    """Take up what a worker has said."""
+    node.config.stash[LEFT_OUT] = getattr(node, "workeroutput", {}).get("left out", 0)
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    """Say, before the closing line, what was left out, and how it is run."""
+    if left := config.stash.get(LEFT_OUT, 0):
+        share = f"{left} long tests and further parameters of others, and {FULL - COUNT} of {FULL} random models of each class"
+        terminalreporter.write_line(f"left out: {share}; `make test-long` runs them all")
 
 
 def pytest_generate_tests(metafunc):

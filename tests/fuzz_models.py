@@ -33,8 +33,8 @@ from nsmodel import (
     second_order_cone,
 )
 
-FULL = 400  # Models of each class.
-COUNT = int(os.environ.get("NSMODEL_FUZZ", FULL))  # Those of this run; other tests of many random models take the same part.
+FULL = 400  # Models of each class: `make test-long`.
+COUNT = int(os.environ.get("NSMODEL_FUZZ", FULL // 16))  # Those of this run; other tests take the same part.
 
 
 def share(number: int, least: int = 1) -> int:

@@ -2,13 +2,13 @@
 
 import itertools
 import math
-import os
 import shutil
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
+from fuzz_models import COUNT
 
 import nsmodel
 from nsmodel import (
@@ -35,7 +35,7 @@ from tests import event_scenes as scenes
 DATA = Path(__file__).parents[2] / "shared" / "data" / "event_driven"
 CASES = Path(__file__).parents[1] / "cases"
 RTOLS = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
-MANY = int(os.environ.get("NSMODEL_FUZZ", "400"))
+MANY = COUNT
 HAS_CC = any(map(shutil.which, ("gcc", "cc", "clang")))
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="the references are not here")
 

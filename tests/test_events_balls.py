@@ -1,10 +1,9 @@
 """Balls and ellipsoids in event-driven runs: stick, slip, stops, releases and turns, against closed forms and other means."""
 
-import os
-
 import casadi as ca
 import numpy as np
 import pytest
+from fuzz_models import COUNT
 
 from nsmodel import (
     FirstOrderSystem,
@@ -28,7 +27,7 @@ from tests.ball_models import random_model
 from tests.slip_references import Slides
 
 RTOLS = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
-MANY = int(os.environ.get("NSMODEL_FUZZ", "400"))
+MANY = COUNT
 t, s = ca.SX.sym("t"), ca.SX.sym("s")
 
 

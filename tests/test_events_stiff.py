@@ -1,11 +1,11 @@
 """Stiff modes: few pieces, errors within rtol, events at the end of a piece; and modes that are not stiff do not notice."""
 
 import math
-import os
 
 import casadi as ca
 import numpy as np
 import pytest
+from fuzz_models import COUNT
 from scipy.integrate import solve_ivp
 from scipy.special import roots_jacobi
 
@@ -14,7 +14,7 @@ from nsmodel.pieces.collocation import collocation
 from tests import event_scenes, stiff_scenes
 from tests.test_events import DATA, HAS_CC, RTOLS, judged, needs_data
 
-MANY = int(os.environ.get("NSMODEL_FUZZ", "400"))
+MANY = COUNT
 t = ca.SX.sym("t")
 
 

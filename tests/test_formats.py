@@ -14,12 +14,12 @@ import pytest
 from sweep_models import friction
 
 import nsmodel
-from nsmodel import StorageError, Sweep, Trajectory, UsageError, simulate, storage
+from nsmodel import StorageError, Sweep, Trajectory, UnverifiedWarning, UsageError, simulate, storage
 from nsmodel.archive import write_npz
 from nsmodel.chunks import ChunkStore
 from nsmodel.cli import main
 from nsmodel.storage import read_json, write_json
-from nsmodel.stored import UnverifiedWarning, read_npz
+from nsmodel.stored import read_npz
 
 FIXTURES = Path(__file__).parent / "fixtures"
 FORMAT_1 = FIXTURES / "format-1"

@@ -10,7 +10,7 @@ from typing import Any, Self
 import casadi as ca
 import numpy as np
 
-from nsmodel.errors import ModelError, NsmodelError
+from nsmodel.errors import ModelError, NsmodelError, StorageError
 from nsmodel.model.convert import to_sx
 from nsmodel.proof.graph import column
 
@@ -43,6 +43,16 @@ def read(value: Any, label: str, symbols: ByName, error: type[NsmodelError] = Mo
     return ca.vec(expression)
 
 
+def _serialized(word: str) -> str:
+    """A word as CasADi writes it: two letters from a to p a byte, the lower half first."""
+    return "".join(chr(97 + half) for byte in word.encode() for half in (byte & 15, byte >> 4))
+
+
+_HEAD = 128  # Letters within which the kind of a function stands.
+_EXPRESSION = _serialized("SXFunction")
+_FROM_ELSEWHERE = tuple(map(_serialized, ("External", "Importer", "Library")))  # Kinds that load code from a path.
+
+
 @dataclass(frozen=True)
 class Quantity:
     """A function of the columns ``of`` (their names), of ``size`` entries; ``code``: it as text, which files hold."""
@@ -65,8 +75,13 @@ class Quantity:
 
     @classmethod
     def of_text(cls, text: Mapping[str, Any]) -> Self:
-        """What ``text`` gave."""
-        return cls(tuple(text["of"]), int(text["size"]), text["code"])
+        """What ``text`` gave; StorageError where it is no expression, but code that CasADi would load from elsewhere."""
+        code = text["code"]
+        if _EXPRESSION not in code[:_HEAD] or any(word in code for word in _FROM_ELSEWHERE):
+            raise StorageError(
+                f"the quantity of {', '.join(text['of']) or 'no column'} is no expression of CasADi: it was changed"
+            )
+        return cls(tuple(text["of"]), int(text["size"]), code)
 
     @property
     def text(self) -> dict[str, Any]:
@@ -78,8 +93,11 @@ class Quantity:
         count = len(values)
         found = np.empty((count, self.size))
         if count:
-            function = ca.Function.deserialize(self.code)
-            found[:] = np.array(function.map(count)(values.T)).T
+            try:
+                function = ca.Function.deserialize(self.code)
+                found[:] = np.array(function.map(count)(values.T)).T
+            except (RuntimeError, ValueError) as error:
+                raise StorageError(f"the quantity of {', '.join(self.of)} cannot be evaluated: it was changed") from error
         return found[:, 0] if self.size == 1 else found
 
 

@@ -20,7 +20,7 @@ def html(run: Trajectory) -> str:
     from nsmodel.plot.shown import light_png
 
     lines = summary.lines(run.summary())
-    (ended,), warnings = lines.pop("status"), lines.pop("warnings", [])
+    (ended,), warnings = lines.pop("status", [run.status]), lines.pop("warnings", [])
     word, _, why = ended.partition(": ") if ended.startswith(run.status) else (run.status, "", ended)
     warned = f"{len(warnings)} warning{'s' if len(warnings) > 1 else ''}" if warnings else ""
     told = page.joined([page.status(word, "warned" if word == "done" and warnings else word), why or warned], " ")

@@ -6,7 +6,7 @@ import contextlib
 import signal
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +45,7 @@ class Run:
     def __init__(self, walk: Walk, options: Options, store: ChunkStore | None) -> None:
         self.walk, self.options, self.store = walk, options, store
         self.cpu_seconds = 0.0
-        self._flushed = time.monotonic()
+        self._flushed, self._resumed = time.monotonic(), False
         if options.resume and store is not None:
             self._restore(store)
 
@@ -92,7 +92,9 @@ class Run:
         walk, steps = self.walk, 1
         while not (walk.ended or signals):
             began, passed = time.monotonic(), walk.passed
-            walk.advance(steps, signals)
+            with self._from_checkpoint() if self._resumed else contextlib.nullcontext():
+                walk.advance(steps, signals)
+            self._resumed = False
             now = time.monotonic()
             steps = min(2 * steps, MOST_AT_ONCE) if now - began < QUICKLY else max(steps // 2, 1)
             if self.store is not None and (walk.record.full or (now - self._flushed >= CHUNK_SECONDS and walk.record.filled)):
@@ -137,12 +139,12 @@ class Run:
             raise StorageError(f"{out}: the run there was made with {other}; {same_way}start afresh without resuming")
         if saved["k"] > walk.N:
             raise StorageError(f"{out}: the run there has reached t = {saved['t']:g}, past this run's end; give a later end")
+        missing = sorted(walk.totals.keys() - saved["totals"].keys())
+        if missing:
+            raise StorageError(f"{out}: the checkpoint there has no totals['{missing[0]}']: it was changed")
         walk.k, walk.counts, walk.totals = saved["k"], Counter(saved["counts"]), dict(saved["totals"])
-        try:
+        with self._from_checkpoint():
             walk.stand(saved)
-        except (LookupError, TypeError, ValueError, AttributeError) as error:
-            fault = f"{type(error).__name__}: {error}"
-            raise StorageError(f"{out}: the checkpoint there cannot be gone on from ({fault}): it was changed") from error
         if abs(walk.time - saved["t"]) > 1e-9 * saved["t"]:
             raise StorageError(
                 f"{out}: the run there ended at t = {saved['t']:g} with a shortened step, which is no time of this run's "
@@ -150,6 +152,19 @@ class Run:
             )
         if saved.get("cut"):
             store.shorten(**saved["cut"])
+        self._resumed = True
+
+    @contextlib.contextmanager
+    def _from_checkpoint(self) -> Iterator[None]:
+        """Whatever fails in here does so because a checkpoint is not what a walk of this kind has written."""
+        try:
+            yield
+        except StorageError:
+            raise
+        except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+            fault = f"{type(error).__name__}: {error}"
+            where = self.options.folder
+            raise StorageError(f"{where}: the checkpoint there cannot be gone on from ({fault}): it was changed") from error
 
     def _finish(self, status: str, message: str) -> Trajectory:
         """The run so far, in the folder where there is one; where that cannot be written, the StorageError has it."""

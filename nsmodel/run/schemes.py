@@ -254,8 +254,9 @@ class OfScheme:
 
     def stand(self, saved: dict[str, Any]) -> None:
         """Take up what ``standing`` gave."""
-        self.state = np.array(saved["state"], float)
-        self.warm = Warm(np.array(saved["l"], float), np.array(saved["index"], np.int8))
+        self.state = np.array(saved["state"], float).reshape(self.state.shape)
+        l, index = np.array(saved["l"], float), np.array(saved["index"], np.int8)
+        self.warm = Warm(l.reshape(self.warm.l.shape), index.reshape(self.warm.index.shape))
         self.last_index = None if saved["last_index"] is None else np.array(saved["last_index"], np.int8)
 
     def metadata(self) -> dict[str, Any]:

@@ -50,6 +50,8 @@ def refuse_no_sweep(archive: Archive, arrays: Mapping[str, np.ndarray]) -> None:
     for name, (dtype, found) in layout.items():
         if name == "t":
             continue
+        if dtype.kind not in ("iu" if name.startswith(DIM) else "") + "if":
+            raise StorageError(f"{path}: array '{name}' is of type {dtype}; expected numbers")
         lead = expected.get(name, (size,) + ((len(t),) if name in about["keep"] else ()))
         if found[: len(lead)] != lead or (name.startswith(DIM) and len(found) > 1):
             raise StorageError(f"{path}: array '{name}' has shape {found}; expected {lead}, and what a cell has behind it")
@@ -89,7 +91,7 @@ def refuse_no_part(archive: Archive, arrays: Mapping[str, np.ndarray]) -> None:
         raise StorageError(f"{path}: array '{CELL}' is no list of different cells, 0 to {size - 1}")
     for name, values in arrays.items():
         kind = {**FACTS, **OF_PIECES}.get(name, (values.dtype.str[1:],))[0]
-        if values.shape[:1] != cells.shape or values.dtype.str[1:] != kind:
+        if values.shape[:1] != cells.shape or (name != CELL and values.dtype.kind not in "if") or values.dtype.str[1:] != kind:
             raise StorageError(
                 f"{path}: array '{name}' is of type {values.dtype} and shape {values.shape}; expected {len(cells)} cells"
             )

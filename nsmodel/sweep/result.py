@@ -349,6 +349,9 @@ class Lazily(Mapping[str, Any]):
     def __getitem__(self, name: str) -> Any:
         return self._make[name]()
 
+    def __contains__(self, name: object) -> bool:
+        return name in self._make
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._make)
 

@@ -84,10 +84,10 @@ def difference(there: dict[str, Any], numbers: dict[str, np.ndarray], design: De
         lead = tuple(there["sizes"][axis] for axis in column.along)
         part = tuple(slice(0, size) for size in lead)
         if not column.numeric:
-            if there["items"][column.name] != _texts(column.values[part]):
+            if there["items"].get(column.name) != _texts(column.values[part]):
                 return f"other values of {column.name}"
             continue
-        old, new = numbers[f"{column.kind}:{column.name}"], names[f"{column.kind}:{column.name}"][part]
+        old, new = numbers.get(f"{column.kind}:{column.name}", np.zeros(())), names[f"{column.kind}:{column.name}"][part]
         if old.shape != new.shape:
             return f"values of {column.name} of shape {old.shape}, {new.shape} now"
         where = np.argwhere(old != new)
