@@ -306,6 +306,8 @@ def _archive(path: Path, stream: IO[bytes]) -> Archive:
         raise StorageError(f"{path} has no {METADATA}: nsmodel did not write it; read it with numpy.load")
     document = _document(stream, *places.pop(METADATA))
     number = format_of(document, path)
+    if number == 1 and {"version", "arrays", "digest"} & document.keys():
+        raise ValueError(f"{METADATA} has lost its format")
     if number >= DIGESTS_SINCE:
         _refuse_other_digest(path, document)
     listed: Any = document.pop("arrays", None) if "format" in document else [name.removesuffix(".npy") for name in places]

@@ -44,8 +44,8 @@ def summary(run: Trajectory) -> dict[str, Any]:
         "save_every": about.get("save_every", 1),
         "t": {"start": float(run.t[0]), "end": float(run.t[-1]), "unit": units.get("t", "")},
         "step": {"min": float(steps[computed].min()), "max": float(steps[computed].max())} if computed.size else None,
-        "error_control": {key: totals.get(key) for key in CONTROL} if "accepted" in totals else None,
-        "event_driven": {key: totals[key] for key in PIECES} if "pieces" in totals else None,
+        "error_control": {key: totals[key] for key in CONTROL} if totals.keys() >= {*CONTROL} else None,
+        "event_driven": {key: totals[key] for key in PIECES} if totals.keys() >= {*PIECES} else None,
         "stretches": list(totals.get("stretches", [])),
         "certificate": about.get("certificate"),
         "residual": _worst(run, totals, computed),
@@ -114,13 +114,13 @@ def _smallest_gap(run: Trajectory) -> dict[str, Any]:
 
 def _bodies(run: Trajectory, totals: dict[str, Any]) -> dict[str, Any] | None:
     """Many bodies in short: who is there, what touches at the end, the least gap and the largest pressure of all steps."""
-    if "contact_row" not in run.arrays:
+    if "contact_row" not in run.arrays or "bodies" not in run.metadata:
         return None
     keys = ("least_gap", "least_gap_t", "largest_pressure", "largest_pressure_t", "largest_pressure_body", "most_contacts")
     touching = run.contacts(-1)
     pressed = int(np.count_nonzero(np.nan_to_num(run.arrays["pressure"][-1]) > 0))
     found = {"contacts": len(touching.first), "in_contact": pressed, **{key: totals.get(key) for key in keys}}
-    return {**run.metadata.get("bodies", {}), **found}
+    return {**run.metadata["bodies"], **found}
 
 
 def _finite(array: np.ndarray) -> np.ndarray:

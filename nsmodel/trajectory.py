@@ -341,7 +341,7 @@ class Trajectory:
 _ARRAYS = {
     **dict.fromkeys(("t",), ("if", 1)),
     **dict.fromkeys(("x",), ("if", 2)),
-    **dict.fromkeys("residual step newton energy gap_min predictor_distance correction error tolerance".split(), ("f", 1)),
+    **dict.fromkeys("residual step newton energy gap_min predictor_distance correction error tolerance".split(), ("if", 1)),
     **dict.fromkeys("multipliers y v gap reactions selection defect inputs inputs_begin pressure".split(), ("f", 2)),
     **dict.fromkeys("piece_start piece_unit contact_reaction".split(), ("f", 1)),
     **dict.fromkeys("piece_impulse piece_jump piece_defect".split(), ("f", 2)),
@@ -351,15 +351,18 @@ _ARRAYS = {
     **dict.fromkeys("piece_event piece_stepped piece_proved stepped".split(), ("b", 1)),
 }
 _KINDS = {"if": "numbers", "bif": "numbers", "f": "floating-point numbers", "i": "whole numbers", "b": "booleans"}
-_TOGETHER = (
-    "piece_start piece_unit piece_x piece_multipliers piece_y piece_codes piece_event piece_impulse".split(),
-    ["contact_row", *(f"contact_{name}" for name in Contacts._fields)],
-)
+_TOGETHER = {  # And which go with lists of each kind, see LIST.
+    "piece_": "piece_start piece_unit piece_x piece_multipliers piece_y piece_codes piece_event piece_impulse".split(),
+    "contact_": ["contact_row", "pressure", "gap_min", *(f"contact_{name}" for name in Contacts._fields)],
+}
 
 
 def _refuse_no_run(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, Any], path: str | Path) -> None:
     """Raise StorageError for arrays that are not those of one run, of one number of rows."""
-    for name in ("t", "x", *(name for group in _TOGETHER if arrays.keys() & {*group} for name in group)):
+    needed = ["t", "x"]
+    for kind, names in _TOGETHER.items():
+        needed += names if any(name.startswith(kind) for name in arrays) else []
+    for name in needed:
         if name not in arrays:
             raise StorageError(f"{path} holds no array '{name}': it is no trajectory; give a run's own npz file")
     t = arrays["t"]
