@@ -89,12 +89,13 @@ def refuse_no_part(archive: Archive, arrays: Mapping[str, np.ndarray]) -> None:
     inside = cells.ndim == 1 and len(cells) > 0 and cells.dtype.kind in "iu" and cells.min() >= 0 and cells.max() < size
     if not inside or len(np.unique(cells)) < len(cells):
         raise StorageError(f"{path}: array '{CELL}' is no list of different cells, 0 to {size - 1}")
+    facts = {**FACTS, **OF_PIECES}
     for name, values in arrays.items():
-        kind = {**FACTS, **OF_PIECES}.get(name, (values.dtype.str[1:],))[0]
-        if values.shape[:1] != cells.shape or (name != CELL and values.dtype.kind not in "if") or values.dtype.str[1:] != kind:
-            raise StorageError(
-                f"{path}: array '{name}' is of type {values.dtype} and shape {values.shape}; expected {len(cells)} cells"
-            )
+        kind = facts.get(name, (values.dtype.str[1:],))[0]
+        shape = cells.shape if name in facts else (len(cells), *values.shape[1:])
+        numbers = name == CELL or values.dtype.kind in "if"
+        if values.shape != shape or values.dtype.str[1:] != kind or not numbers:
+            raise StorageError(f"{path}: array '{name}' is {values.dtype}, {values.shape}; expected {kind}, {shape}")
     refuse_other_cells(about, len(cells), path)
     for name, refuse in CODES.items():
         refuse(arrays[name])
