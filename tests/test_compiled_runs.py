@@ -146,7 +146,7 @@ def assert_same(compiled, interpreted, unique=True):
             assert np.nanmax((np.abs(other - array) - felt) / size, initial=0) <= 1e-10, name
     one, two = compiled.metadata, interpreted.metadata
     assert one.keys() == two.keys()
-    apart = {"used", "solver_counts", "totals", "convergence", *(["message"] if one["status"] == "failed" else [])}
+    apart = {"used", "run", "solver_counts", "totals", "convergence", *(["message"] if one["status"] == "failed" else [])}
     assert one.get("convergence", {}) == pytest.approx(two.get("convergence", {}))
     assert {key: one[key] for key in one.keys() - apart} == {key: two[key] for key in two.keys() - apart}
     assert sorted(one["used"]) == sorted([*two["used"], IN_C_FOR_ALL if IN_C_FOR_ALL in one["used"] else IN_C])
