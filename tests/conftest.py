@@ -93,7 +93,7 @@ def pytest_testnodedown(node, error):
 def pytest_terminal_summary(terminalreporter, config):
     """Say, before the closing line, what was left out, and how it is run."""
     if left := config.stash.get(LEFT_OUT, 0):
-        share = f"{left} long tests and further parameters of others, and {FULL - COUNT} of {FULL} random models of each class"
+        share = f"{left} tests (long ones, further parameters of others), {FULL - COUNT} of {FULL} random models of each class"
         terminalreporter.write_line(f"left out: {share}; `make test-long` runs them all")
 
 
