@@ -76,6 +76,7 @@ def test_other_shapes_are_looked_at_at_values():
     assert found["S-convex"].verdict in ("sampled", "holds")
 
 
+@pytest.mark.long
 def test_random_scenes_are_bounded_at_dense_values():
     rng = np.random.default_rng(2)
     proved = tried = 0

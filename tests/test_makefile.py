@@ -52,7 +52,10 @@ def make(tree, *arguments, **variables):
     return subprocess.run(command, cwd=tree, env=environment | variables, capture_output=True, text=True, check=False)
 
 
-@pytest.mark.parametrize("target", [pytest.param(name, marks=[pytest.mark.long] * (name == "bench")) for name in SAYS])
+LONG = {"bench", "bench-large", "bench-sweeps", "nightly"}  # Tens of seconds: `make test-long` runs them.
+
+
+@pytest.mark.parametrize("target", [pytest.param(name, marks=[pytest.mark.long] * (name in LONG)) for name in SAYS])
 def test_a_command_runs_and_changes_nothing_that_is_committed(tree, target, quick_programs):
     before = files_of(tree)
     done = make(tree, target, **quick_programs)

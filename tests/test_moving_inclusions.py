@@ -205,6 +205,7 @@ def test_the_resolvent_sticks_exactly_on_example_8_2(seed, compiled):
             assert (run.x[-100:] == 0).all()
 
 
+@pytest.mark.long
 def test_both_schemes_agree_to_first_order_and_pass_the_judge_of_stress():
     x = ca.SX.sym("x", 2)
     given = {
