@@ -134,6 +134,15 @@ def test_parts_of_an_old_sweep_are_not_taken(tmp_path):
         nsmodel.sweep(friction(), **given, resume=True)
 
 
+def test_a_page_of_an_old_run_is_written_and_a_line_says_that_it_is_not_verified(tmp_path, capsys):
+    assert main(["view", str(FIXTURES / "format-2" / "done"), "--out", str(tmp_path / "page.html")]) == 0
+    told = capsys.readouterr()
+    assert told.err.count("\n") == 1
+    assert "nsmodel: note: " in told.err
+    assert "is of format 2, which has no digests: what it holds is read, not verified" in told.err
+    assert (tmp_path / "page.html").stat().st_size > 10_000
+
+
 def test_an_old_summary_is_read():
     summary = read_json(FORMAT_1 / "done" / "summary.json")
     assert (summary["steps"], summary["status"]) == (20, "done")

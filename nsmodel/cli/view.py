@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import sys
+import warnings
 from pathlib import Path
 
 from nsmodel import shelf
 from nsmodel.cli.settings import Commands, place
 from nsmodel.cli.status import DONE
-from nsmodel.errors import UsageError
+from nsmodel.errors import UnverifiedWarning, UsageError
 from nsmodel.trajectory import Trajectory
 from nsmodel.words import print_shown as print
 
@@ -32,13 +34,23 @@ def _no_run(given: Path) -> str:
     return f"there is no run in '{given}': runs are kept by nsmodel run FILE --out DIR, or with --plot in FILE-run"
 
 
+def _loaded(file: Path) -> Trajectory:
+    """The run; that it could not be verified is said in a line."""
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always", UnverifiedWarning)
+        run = Trajectory.load(file)
+    for one in told:
+        print(f"nsmodel: note: {one.message}", file=sys.stderr)
+    return run
+
+
 def _view(arguments: argparse.Namespace) -> int:
     """Write the page of a saved run, and say where it is."""
     given = Path(arguments.run)
     file = given / SAVED if given.is_dir() else given
     if not file.is_file() or given.suffix == ".py":
         raise UsageError(_no_run(given))
-    path = Trajectory.load(file).view(arguments.out or file.parent / "view.html")
+    path = _loaded(file).view(arguments.out or file.parent / "view.html")
     print(f"page  {path}")
     if arguments.open:
         from nsmodel.view.page import opened
