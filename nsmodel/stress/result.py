@@ -11,7 +11,7 @@ import numpy as np
 
 from nsmodel.brief import brief, wrapped
 from nsmodel.notebook import shown_by
-from nsmodel.words import one_line
+from nsmodel.words import one_line, shown
 
 RIGHT, STOPPED, WRONG, LEFT_OUT = "right", "stopped", "wrong", "left out"
 _WIDTH = 100
@@ -130,7 +130,7 @@ class Stress:
             for cell in stopped[:_SHOWN]:
                 lines += _wrapped("  ", f"{cell.row}, step x {cell.factor:g}, after {cell.steps} steps: {cell.message}")
             lines += [f"  ... {len(stopped) - _SHOWN} more"] * (len(stopped) > _SHOWN) + [""]
-        return "\n".join(lines).rstrip()
+        return shown("\n".join(lines).rstrip())
 
     def _table(self, head: str) -> list[str]:
         rows, factors = self.rows, self.factors

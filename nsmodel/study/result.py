@@ -17,7 +17,7 @@ from nsmodel.storage import write_csv
 from nsmodel.study.lines import DONE, ERRORS, Cost, Line, Point, quickest
 from nsmodel.study.reference import Reference, Rows
 from nsmodel.study.text import price, study_text
-from nsmodel.words import one_line
+from nsmodel.words import one_line, shown
 
 NUMBERS = ("seconds", "setup", "residual", "violation", "energy")
 
@@ -109,7 +109,7 @@ class Study(Pickled):
 
     def text(self) -> str:
         """The study for a person, at most 100 columns wide."""
-        return study_text(self)
+        return shown(study_text(self))
 
     def document(self) -> dict[str, Any]:
         """The study as dictionaries and lists that JSON can hold."""
