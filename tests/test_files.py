@@ -23,6 +23,7 @@ from nsmodel.codegen import library
 from nsmodel.manifest import signed
 from nsmodel.storage import dumps, loads
 from nsmodel.stored import mapped, opened, read_npz
+from nsmodel.sweep.store import manifest_of
 
 SMALL = 30  # Attempts on each kind of file.
 
@@ -208,6 +209,14 @@ def test_a_file_of_todays_format_that_lost_its_digest_is_refused(tmp_path, name)
         (tmp_path / name).write_bytes(files.zipped([*list(parts.items())[:-1], ("metadata.json", dumps(document).encode())]))
         with pytest.raises(StorageError, match=r"json has no digest|json has not the digest"):
             (Trajectory if name == "trajectory.npz" else Sweep).load(tmp_path / name)
+
+
+@pytest.mark.parametrize("text", ["3", "null", "true", "[]", '["chunks"]', '"chunks"', "1.5", '""'])
+def test_a_manifest_that_is_no_table_is_refused_by_runs_and_sweeps(tmp_path, text):
+    (tmp_path / "manifest.json").write_text(text, encoding="utf-8")
+    for ask in (manifest_of, ChunkStore.open):
+        with pytest.raises(StorageError, match="manifest"):
+            ask(tmp_path)
 
 
 # ---------------------------------------------------------------------------------------------- names

@@ -271,6 +271,7 @@ def manifest_of(folder: Path) -> dict[str, Any]:
     path = inside(folder, MANIFEST, "nsmodel")
     if not path.exists():
         raise StorageError(f"{folder} holds no sweep: there is no {MANIFEST}; check the path, or leave resume out")
-    if "chunks" in read_json(path):
+    there = read_json(path)
+    if isinstance(there, dict) and "chunks" in there:
         raise StorageError(f"{folder} holds no sweep: its {MANIFEST} is that of a run; give another folder")
     return read_manifest(folder, SWEEP_MANIFEST, what="sweep", afresh="give another folder")
