@@ -219,6 +219,12 @@ def test_a_manifest_that_is_no_table_is_refused_by_runs_and_sweeps(tmp_path, tex
             ask(tmp_path)
 
 
+def test_samples_of_an_unsigned_type_are_read_again(tmp_path):
+    values = np.array([1, 2], np.uint8)
+    sweep(friction(), samples={"k": values}, keep="x_1", every=600, compiled=False, workers=1, out=tmp_path / "out")
+    assert Sweep.load(tmp_path / "out" / "sweep.npz").shape == (2,)
+
+
 # ---------------------------------------------------------------------------------------------- names
 
 

@@ -50,7 +50,7 @@ def refuse_no_sweep(archive: Archive, arrays: Mapping[str, np.ndarray]) -> None:
     for name, (dtype, found) in layout.items():
         if name == "t":
             continue
-        if dtype.kind not in ("iu" if name.startswith(DIM) else "") + "if":
+        if dtype.kind not in ("iuf" if name.startswith((DIM, VALUE)) else "if"):
             raise StorageError(f"{path}: array '{name}' is of type {dtype}; expected numbers")
         lead = expected.get(name, (size,) + ((len(t),) if name in about["keep"] else ()))
         if found[: len(lead)] != lead or (name.startswith(DIM) and len(found) > 1):
