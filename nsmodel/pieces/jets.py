@@ -6,6 +6,7 @@ on which side a piece is by its ``choice``, and what it watches stays >= 0 as lo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -219,6 +220,15 @@ class _Tape:
         """``one`` where a >= 0, else ``other``."""
         return self.line("chosen", one, other, branch=self.branch("side", a))
 
+    def angle(self, a: int, b: int) -> int:
+        """atan2(a, b), and where b < 0 pi or -pi, by the side of a, + atan2(-a, -b): its cut, a = 0 where b < 0, is a switch."""
+        behind = self.branch("side", b)
+        u = self.line("chosen", a, self.minus(a), branch=behind)
+        v = self.line("chosen", b, self.minus(b), branch=behind)
+        half = self.side(a, self.constant(math.pi), self.constant(-math.pi))
+        turned = self.line("chosen", self.constant(0.0), half, branch=behind)
+        return self.sum(turned, self.line("angle", u, v, self.sum(self.square(a), self.square(b)), start="atan2", of=(u, v)))
+
     def absolute(self, a: int) -> int:
         return self.side(a, a, self.minus(a))
 
@@ -294,7 +304,7 @@ BINARY: dict[int, Callable[[_Tape, int, int], int]] = {
     ca.OP_POW: _Tape.power,
     ca.OP_CONSTPOW: _Tape.power,
     ca.OP_HYPOT: lambda t, a, b: t.line("root", t.sum(t.square(a), t.square(b)), start="hypot", of=(a, b)),
-    ca.OP_ATAN2: lambda t, a, b: t.line("angle", a, b, t.sum(t.square(a), t.square(b)), start="atan2", of=(a, b)),
+    ca.OP_ATAN2: _Tape.angle,
     ca.OP_FMAX: lambda t, a, b: t.side(t.difference(a, b), a, b),
     ca.OP_FMIN: lambda t, a, b: t.side(t.difference(b, a), a, b),
     ca.OP_COPYSIGN: lambda t, a, b: t.side(b, t.absolute(a), t.minus(t.absolute(a))),
@@ -310,7 +320,7 @@ BINARY: dict[int, Callable[[_Tape, int, int], int]] = {
 }
 SWITCHING = frozenset(
     getattr(ca, f"OP_{name}")
-    for name in "FABS SIGN FLOOR CEIL NOT FMAX FMIN COPYSIGN FMOD REMAINDER LT LE EQ NE AND OR IF_ELSE_ZERO".split()
+    for name in "ATAN2 FABS SIGN FLOOR CEIL NOT FMAX FMIN COPYSIGN FMOD REMAINDER LT LE EQ NE AND OR IF_ELSE_ZERO".split()
 )
 
 
