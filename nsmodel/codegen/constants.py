@@ -9,7 +9,6 @@ from functools import cache
 from importlib import import_module
 
 from nsmodel.codegen.expression import number
-from nsmodel.pieces.defect import POINTS
 
 OF_STEPS: Mapping[str, str] = {
     "grid": "SAME",
@@ -44,7 +43,12 @@ OF_PIECES: Mapping[str, str] = {
     "pieces.bernstein": "NONE NARROW ITERATIONS EXACT",
     "pieces.roots": "POLISHING POLISHED ON_ONE NEAR TOUCH PAST TAIL LOST",
     "pieces.lengths": "BEYOND LOCAL ROUGHEST LONGEST MULTIPLIERS PASSES FIRST SMALL",
-    "pieces.defect": "SEEN SEEN_ROW",
+    "pieces.defect": "POINT SEEN SEEN_ROW",
+    "pieces.discs": "MOST_EXPONENT PRODUCT_ROUNDINGS FUNCTION_ROUNDINGS",
+    "pieces.series": "TWO_OVER_ROOT_PI",
+    "pieces.schwarz": "RADIUS_OF_BALL WIDE_RADIUS CLOSE_RADIUS PROVED NEARLY SHRINKINGS SLOWLY QUICKLY AT_REST "
+    "CANCELLED AS_NOW CAPS CAP_OCTAVES",
+    "pieces.cover": "SMALLEST COVER_RADIUS COVER_DEGREE",
     "pieces.sizes": "ROUNDING NEGLIGIBLE",
     "pieces.multipliers": "SINGULAR MOST_MINORS BALANCING NOTHING SHORT",
     "pieces.system": "NEWTON SETTLED HELD_ORDERS LITTLE RESTS AT_ZERO",
@@ -67,8 +71,7 @@ def of_bodies() -> str:
 
 def of_pieces() -> str:
     """What event-driven integration uses."""
-    points = "".join(f"#define POINT_{i} {_float(point)}\n" for i, point in enumerate(POINTS, 1))
-    return _all(OF_PIECES) + points
+    return _all(OF_PIECES)
 
 
 def _all(table: Mapping[str, str]) -> str:

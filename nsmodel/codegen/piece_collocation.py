@@ -70,7 +70,7 @@ def _parts(of: Collocation) -> list[np.ndarray | float]:
     return [
         of.share, of.nodes, of.between, of.weights,
         np.concatenate([np.real(rates[:1]), *([[z.real, z.imag] for z in rates[1:]])]),
-        of.inverse, of.powers, of.values, of.slopes,
+        of.inverse, of.powers, of.middle, of.values, of.slopes,
         np.vstack([np.real(left[:1]), *(part for row in left[1:] for part in (np.real(row), np.imag(row)))]),
         np.column_stack([np.real(right[:, :1]), *(part for c in right[:, 1:].T for part in (np.real(c), -np.imag(c)))]),
     ]  # fmt: skip

@@ -144,6 +144,7 @@ class PieceScene:
         kept = 1 if not {"MATRICES"} <= self.flags or "SLOPES" in self.flags else kept_in(24 * m * m, 2, 16)
         return {
             "N": n, "M": m, "NP": len(self.values), "NU": self.inputs, "NOWN": len(self.values) - self.inputs,
+            "DISCS": 1 + 3 * n + 2 * m + columns.choices + max(printer.jets.count for printer in self.printers.values()),
             "CHOICES": columns.choices, "ORDERS": LARGEST_ORDER, "KEPT": kept, "GERM": ORDERS + 1, "TIMES": TIMES,
             "COLUMNS": columns.count + outputs, "T": n + 2 * m, "HELD": self.problem.held,
             "H": columns.count if outputs else n + m,

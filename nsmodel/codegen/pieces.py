@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from nsmodel.codegen import constants, statuses
+from nsmodel.codegen import constants, piece_discs, statuses
 from nsmodel.codegen.expression import c_function
 from nsmodel.codegen.fragments import FOLDER, comment, fragment, guard, prefixed, pruned
 from nsmodel.codegen.jets import kernels
@@ -20,7 +20,10 @@ from nsmodel.model.base import Model
 from nsmodel.pieces.sizes import moves
 from nsmodel.solve.rounding import error_bound
 
-PARTS = ("common", "pieces_modes", "pieces_expand", "pieces_events", "pieces_radau", "pieces_stiff", "pieces")
+PARTS = (
+    "common", "pieces_modes", "pieces_expand", "pieces_events", "pieces_discs", "pieces_schwarz", "pieces_cover", "pieces_radau",
+    "pieces_stiff", "pieces",
+)  # fmt: skip
 
 
 def library_files(model: Model, values: Mapping[str, float], name: str) -> dict[str, str]:
@@ -39,11 +42,13 @@ def code(scene: PieceScene, name: str, title: str, *, runs: bool) -> str:
     words = _words(scene, name, title, None)
     own = prefixed(_own(scene), name)
     parts = [fragment(f"{part}.c", scene.flags, words) for part in PARTS]
+    printers = [printer for name, printer in scene.printers.items() if scene.sizes["M"] or name == "f"]
     more = ["pieces_api", *(["pieces_rollout", "pieces_batch"] if runs else [])]
     own += prefixed(_records(scene), name) if runs else ""
     text = "\n".join(
         [
-            fragment("pieces_prelude.c", scene.flags, words), parts[0], own, *parts[1:],
+            fragment("pieces_prelude.c", scene.flags, words), parts[0], own, *parts[1:4], piece_discs.kinds(), parts[4],
+            "\n".join(map(piece_discs.graph, printers)), *parts[5:],
             *(fragment(f"{part}.c", scene.flags, words) for part in more),
         ]
     )  # fmt: skip

@@ -27,6 +27,7 @@ class Collocation:
         rates: (r,) the eigenvalues of A^-1 that are real, and one of each pair.
         left, right: (r, s), (s, r): A^-1 Z = Re(right rates left Z), and Z = Re(right left Z).
         powers: (s, s) coefficients 1, ..., s from values at the nodes.
+        middle: (s + 1, s) coefficients 0, ..., s about 1/2.
         between: (s,) 0 and, between each two nodes, the place where M(c) = (c - c_1) ... (c - c_s) is largest.
         values, slopes: (s, s) of z there, from values at the nodes.
         weights: (s,) |M(0)/M| there.
@@ -39,6 +40,7 @@ class Collocation:
     left: np.ndarray
     right: np.ndarray
     powers: np.ndarray
+    middle: np.ndarray
     between: np.ndarray
     values: np.ndarray
     slopes: np.ndarray
@@ -59,6 +61,14 @@ class Collocation:
         c = self.powers @ Z
         c += self.powers @ (Z - V @ c)
         return np.vstack([start, c]).T
+
+    def about_middle(self, values: np.ndarray, start: np.ndarray) -> np.ndarray:
+        """(s + 1, q) of the same about 1/2, where they are far smaller, and rounding with them."""
+        Z, V = values - start, (self.nodes[:, None] - 0.5) ** np.arange(self.stages + 1)
+        c = self.middle @ Z
+        c += self.middle @ (Z - V @ c)
+        c[0] += start
+        return c
 
 
 @cache
@@ -81,7 +91,8 @@ def collocation(s: int) -> Collocation:
     twice = np.where(np.imag(rates[kept]) > 0, 2.0, 1.0)
     return Collocation(
         np.array([float(c) for c in nodes]), inverse, rates[kept], left[kept], right[:, kept] * twice,
-        np.array([[float(p[k]) for p in basis] for k in range(1, s + 1)]), np.array([float(v) for v in between]),
+        np.array([[float(p[k]) for p in basis] for k in range(1, s + 1)]), _about(Fraction(1, 2), basis),
+        np.array([float(v) for v in between]),
         table(basis, between), table(slopes, between), sizes[0] / sizes,
         float(np.abs(table([integral], nodes)).max() / sizes[0]),
     )  # fmt: skip
@@ -108,6 +119,16 @@ def _lagrange(nodes: list[Fraction], i: int) -> Polynomial:
     """1 at node i, 0 at the others and at 0."""
     p = _product([Fraction(0), *nodes[:i], *nodes[i + 1 :]])
     return [a / _value(p, nodes[i]) for a in p]
+
+
+def _about(centre: Fraction, of: list[Polynomial]) -> np.ndarray:
+    """A column a polynomial: its coefficients about another centre."""
+    return np.array(
+        [
+            [float(sum((comb(m, k) * centre ** (m - k) * p[m] for m in range(k, len(p))), Fraction(0))) for p in of]
+            for k in range(len(of[0]))
+        ]
+    )
 
 
 def _derivative(p: Polynomial) -> Polynomial:

@@ -1,4 +1,4 @@
-"""The defect of a piece: its polynomials put into the model's own equations, at points inside it. An estimate."""
+"""The defect of a piece: its polynomials put into the model's own equations, at a point inside it. An estimate."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from nsmodel.proof.buffered import attached
 from nsmodel.scheme.continuous import ContinuousProblem
 from nsmodel.solve.rounding import error_bound
 
-POINTS = (0.6, 0.95)  # Of a piece.
+POINT = 0.95  # Of a piece.
 SEEN, SEEN_ROW = 1e-14, 1e-12  # Shares of what a residual is made of that are rounding.
 
 
@@ -54,17 +54,19 @@ class Equations:
 def coming(system: System, place: Place, of: Equations, s: float) -> list[float]:
     """What states that begin at 0 come to at s of their series, and what f moves them by there: others 0.
 
-    A motion that begins beyond the order is nothing on the piece, which says nothing of how large it is to be.
+    A motion that begins beyond the order is nothing on the piece, which says nothing of how large it is to be: of a state that
+    has none of the first half of the orders nothing is asked here: `schwarz` bounds it.
     """
     x, l = values(system.x, s), values(system.push, s)
     velocity, _ = of(place.t + place.tau * s, x, l)
-    return [0.0 if row[0] else max(abs(v), abs(place.tau * s * w)) for row, v, w in zip(system.x, x, velocity, strict=True)]
+    moved = [max(abs(v), abs(place.tau * s * w)) for v, w in zip(x, velocity, strict=True)]
+    return [0.0 if row[0] else v if any(row[: len(row) // 2]) else math.inf for row, v in zip(system.x, moved, strict=True)]
 
 
 def defect(
     system: System, place: Place, of: Equations, s: float, p: int, rtol: float, atol: list[float], later: list[float]
 ) -> float:
-    """An estimate of the local error in units of rtol, from |x' - f - g|, |y_a| and l at points of the piece.
+    """An estimate of the local error in units of rtol, from |x' - f - g|, |y_a| and l at a point of the piece.
 
     A series cut after order p has the defect r s^p, which integrates to r(s) s/(p + 1). What lies along g_l of held rows is an
     error of l: where x rests it is all that the end of a series of l leaves. ``later``: see `coming`.
@@ -72,41 +74,40 @@ def defect(
     tau, sizes, worst = place.tau, system.sizes, 0.0
     held = [i for i, code in enumerate(place.codes) if code == 0]
     slipping = system.blocks.slipping(place.codes)
-    for share in POINTS:
-        at = share * s
-        x, rate, l = values(system.x, at), slopes(system.x, at), values(system.push, at)
-        for block in slipping:
-            l[block.at[0] : block.at[-1] + 1] = block.pushing(at)
-        velocity, y = of(place.t + tau * at, x, l)
-        largest = map(max, sizes.x, later, map(abs, x), [abs(v * s) for v in rate])
-        factor = share**p * (p + 1) / s if s else math.inf
-        most = [factor * (rtol * size + more + NOTHING) / LOCAL for size, more in zip(largest, atol, strict=True)]
-        off = [moved - tau * v for moved, v in zip(rate, velocity, strict=True)]
-        shares = [abs(d) / least for d, least in zip(off, most, strict=True)]
-        if system.blocks.all:
-            missed = math.inf
-        else:
-            missed = max(shares) if sum(shares) <= LOCAL else _missed(system, off, most, at, tau, of, velocity)
-        if not missed <= 1:
-            off, of_l = _split(system, place, off)
-            missed = _missed(system, off, most, at, tau, of, (np.abs(velocity) + _pushed(system, l)).tolist())
-            for i, d in of_l:
-                if size := max(system.size_l(i), abs(l[i])):
-                    worst = max(worst, (abs(d) / tau - SEEN_ROW * size) / (MULTIPLIERS * rtol * size))
-        worst = max(worst, missed / LOCAL)
-        for i in held:
-            if abs(y[i]) > SEEN_ROW * sizes.y[i]:
-                size = max(sizes.y[i], system.terms(i, x, l))
-                beyond, goal = abs(y[i]) - SEEN_ROW * size, MULTIPLIERS * rtol * size
-                if beyond > goal / LOCAL:
-                    moved = tau * at * np.abs(system.slopes()[2][i])
-                    size = max(size, float(moved @ _pushed(system, l)))
-                    beyond = abs(y[i]) - SEEN_ROW * size - float(moved @ of.rounding())
-                    goal = MULTIPLIERS * rtol * size
-                worst = max(worst, beyond / (goal + NOTHING))
-        for block in slipping:
-            rounding = ROUNDING * max(map(system.size_y, block.at))
-            worst = max(worst, block.missed(at, y, rounding) / (MULTIPLIERS * rtol))
+    at = POINT * s
+    x, rate, l = values(system.x, at), slopes(system.x, at), values(system.push, at)
+    for block in slipping:
+        l[block.at[0] : block.at[-1] + 1] = block.pushing(at)
+    velocity, y = of(place.t + tau * at, x, l)
+    largest = map(max, sizes.x, later, map(abs, x), [abs(v * s) for v in rate])
+    factor = POINT**p * (p + 1) / s if s else math.inf
+    most = [factor * (rtol * size + more + NOTHING) / LOCAL for size, more in zip(largest, atol, strict=True)]
+    off = [moved - tau * v for moved, v in zip(rate, velocity, strict=True)]
+    shares = [abs(d) / least for d, least in zip(off, most, strict=True)]
+    if system.blocks.all:
+        missed = math.inf
+    else:
+        missed = max(shares) if sum(shares) <= LOCAL else _missed(system, off, most, at, tau, of, velocity)
+    if not missed <= 1:
+        off, of_l = _split(system, place, off)
+        missed = _missed(system, off, most, at, tau, of, (np.abs(velocity) + _pushed(system, l)).tolist())
+        for i, d in of_l:
+            if size := max(system.size_l(i), abs(l[i])):
+                worst = max(worst, (abs(d) / tau - SEEN_ROW * size) / (MULTIPLIERS * rtol * size))
+    worst = max(worst, missed / LOCAL)
+    for i in held:
+        if abs(y[i]) > SEEN_ROW * sizes.y[i]:
+            size = max(sizes.y[i], system.terms(i, x, l))
+            beyond, goal = abs(y[i]) - SEEN_ROW * size, MULTIPLIERS * rtol * size
+            if beyond > goal / LOCAL:
+                moved = tau * at * np.abs(system.slopes()[2][i])
+                size = max(size, float(moved @ _pushed(system, l)))
+                beyond = abs(y[i]) - SEEN_ROW * size - float(moved @ of.rounding())
+                goal = MULTIPLIERS * rtol * size
+            worst = max(worst, beyond / (goal + NOTHING))
+    for block in slipping:
+        rounding = ROUNDING * max(map(system.size_y, block.at))
+        worst = max(worst, block.missed(at, y, rounding) / (MULTIPLIERS * rtol))
     return float(worst)
 
 

@@ -1,4 +1,4 @@
-"""How far a piece goes: to its first event, and no further than its defect allows."""
+"""How far a piece goes: to its first event, and no further than is proved of it."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from nsmodel.pieces.lengths import LOCAL
 from nsmodel.pieces.modes import Place
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.roots import first_event
+from nsmodel.pieces.schwarz import AS_NOW, Schwarz
 from nsmodel.pieces.switches import Condition
 from nsmodel.pieces.system import System
 
@@ -17,23 +18,29 @@ SHORTENINGS, CAUTION = 30, 0.9  # Of a piece, and the share of the length that i
 
 
 def ending(
-    system: System, place: Place, how: Solve, of: Equations, p: int, s: float, rtol: float, atol: list[float]
+    system: System, place: Place, how: Solve, of: Equations, bound: Schwarz, p: int, s: float, rtol: float, atol: list[float]
 ) -> tuple[Condition | None, float, float]:
-    """What ends a piece of order p and length s at most, where, and its local error in units of rtol, at most 1.
+    """What ends a piece of order p and length s at most, where, and the bound of its local error in units of rtol, at most 1.
+
+    The bound is of the polynomials as they should be; what rounding, or a fault, has made of them the residual at a point says.
 
     Raises:
         StepError: its error is above 1, however short it is.
     """
-    error, later = math.inf, [0.0] * system.n
+    s, proved = bound.proved(place, how, p, s, rtol / LOCAL, [a / LOCAL for a in atol])
+    whole = s
+    error, later, now = math.inf, [0.0] * system.n, AS_NOW * abs(place.t) / place.tau
     for shortened in range(SHORTENINGS):
         hit, end = first_event(system, place, how, p, s)
         error = LOCAL * defect(system, place, of, end, p, rtol, atol, later)
         if not shortened and not error <= 1:
             later = coming(system, place, of, end)
             error = LOCAL * defect(system, place, of, end, p, rtol, atol, later)
-        if error <= 1:
-            return hit, end, error
-        s = end * min(0.5, CAUTION * error ** (-1 / p))
+        if error <= 1 or end <= now:  # In which nothing moves: time is not known better.
+            return hit, end, max(min(error, 1.0), proved * (end / whole) ** p if whole else 0.0)
+        s = max(end * min(0.5, CAUTION * error ** (-1 / p)), now)
         if place.t + place.tau * s == place.t:
             break
-    raise StepError(f"t = {place.t:.10g}: x' = f + g, y = 0 is missed by {error:.3g} times rtol, however short the piece")
+    raise bound.pole(place) or StepError(
+        f"t = {place.t:.10g}: x' = f + g, y = 0 is missed by {error:.3g} times rtol, however short the piece"
+    )

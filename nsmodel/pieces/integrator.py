@@ -26,6 +26,7 @@ from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.names import few, name
 from nsmodel.pieces.piece import Piece
 from nsmodel.pieces.roots import NEAR, beyond_touch, polish, same
+from nsmodel.pieces.schwarz import Schwarz
 from nsmodel.pieces.sliding import STOPS
 from nsmodel.pieces.stiff import Stiff
 from nsmodel.pieces.switches import ROW, TIE, Condition, conditions, grow, size, switches
@@ -64,7 +65,8 @@ class Integrator:
         system, x0 = self.system, [float(v) for v in np.array(ca.DM(problem.x0)).ravel()]
         self.place, self.sizes = Place(0.0, x0, 1.0, [0] * system.m), system.sizes
         self._equations = Equations(problem)
-        self.stiff = Stiff(system, self.order, min(rtol, ROUGHEST), self.atol, residuals=residuals)
+        self.bound = Schwarz(system, self._equations)
+        self.stiff = Stiff(system, self.bound.on, self.order, min(rtol, ROUGHEST), self.atol, residuals=residuals)
         self.accumulation = Accumulation()
         self._begun: tuple[float, ...] | None = None  # The event that the next piece begins with.
         self._left: Solve | None = None  # Of the mode just chosen, whose first orders stand.
@@ -100,7 +102,15 @@ class Integrator:
         found = self.stiff.piece(place, how, s, known - place.t)
         if found is None:
             hit, s, error = ending(
-                system, place, how, self._equations, self.order, min(s, (known - place.t) / place.tau), self.rtol, self.atol
+                system,
+                place,
+                how,
+                self._equations,
+                self.bound,
+                self.order,
+                min(s, (known - place.t) / place.tau),
+                self.rtol,
+                self.atol,
             )
             tau, last = place.tau, values(system.x, s)
         else:
@@ -173,6 +183,7 @@ class Integrator:
         for row, middle in zip(system.l, system.middle, strict=True):
             row[0] = middle
         place.tau = first_unit(system, place.t, place.x, place.tau)
+        place.tau = self.bound.unit(place.t, place.x, [row[0] for row in system.parts["f"].outputs], place.tau)
         for _ in range(STARTS):
             place.open = switches(system)
             take_sides(system, place)
@@ -211,7 +222,11 @@ class Integrator:
             if all(map(math.isfinite, [row[orders] for row in system.x])):
                 return how
             place.tau = math.ldexp(place.tau, -OCTAVES)
-        raise self.final or StepError(f"t = {place.t:.10g}: f, g or h has no number, or no Taylor series, here")
+        raise (
+            self.final
+            or self.bound.pole(place)
+            or StepError(f"t = {place.t:.10g}: f, g or h has no number, or no Taylor series, here")
+        )
 
     # -- events
 
@@ -341,6 +356,8 @@ class Integrator:
 
     def _stuck(self, when: str) -> StepError:
         why = f"t = {self.place.t:.10g}: no mode of {self._open()} is valid {when}: no smooth piece goes on from here"
+        if not self.system.m and not self.system.branches:
+            why = f"t = {self.place.t:.10g}: f has no number, or no Taylor series, {when}: no smooth piece goes on from here"
         return self.final or StepError(why)
 
     @property

@@ -30,6 +30,8 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.pieces.collocation import Collocation, collocation
+from nsmodel.pieces.cover import Scales, bound, polynomials
+from nsmodel.pieces.disc_equations import EquationsOnDisc
 from nsmodel.pieces.lengths import MULTIPLIERS, SMALL, unit
 from nsmodel.pieces.modes import Place
 from nsmodel.pieces.multipliers import NOTHING, Solve
@@ -47,7 +49,8 @@ STAGE_ROUNDING = 1e-14  # Of a size, or of what the terms of a solution add up t
 class Fit(NamedTuple):
     """The polynomials on t + h [0, 1], by their values at 0 and at the nodes, (s, q) and (q,), and what they err by.
 
-    ``error``: the largest of what x errs by beside rtol of its size, and of what l and y do beside 100 rtol.
+    ``estimate``: of the largest of what x errs by beside rtol of its size, and of what l and y do beside 100 rtol; ``error``: a
+    bound of it, where the estimate is at most 1.
     """
 
     h: float
@@ -55,7 +58,8 @@ class Fit(NamedTuple):
     l: np.ndarray
     y: np.ndarray
     watched: np.ndarray
-    error: float
+    estimate: float = 0.0
+    error: float = 0.0
 
     @property
     def last(self) -> list[float]:
@@ -82,13 +86,13 @@ def stages_of(order: int) -> int:
 
 
 class Radau:
-    """Pieces of a system by Radau IIA.
+    """Pieces of a system by Radau IIA; ``on``: its equations on discs.
 
     ``residuals``: whether x' - f - g itself is to be within what is allowed, and not only what it does to the state.
     """
 
-    def __init__(self, system: System, order: int, *, residuals: bool) -> None:
-        self.system, self.stages, self.residuals = system, stages_of(order), residuals
+    def __init__(self, system: System, on: EquationsOnDisc, order: int, *, residuals: bool) -> None:
+        self.system, self._on, self.stages, self.residuals = system, on, stages_of(order), residuals
 
     @cached_property
     def table(self) -> Collocation:
@@ -145,8 +149,7 @@ class Radau:
             return None
         _, y, watched = (a.copy() for a in self._at(start, start.t + h * of.nodes, start.x + Z, L))
         y[:, held] = 0.0
-        found = Fit(h, start.x + Z, L, y, watched, 0.0)
-        return found._replace(error=self._error(start, found, rtol, atol))
+        return self._measured(start, Fit(h, start.x + Z, L, y, watched), rtol, atol)
 
     def write(self, start: Start, fit: Fit) -> tuple[float, float]:
         """Put the polynomials into the rows of the system, and return (tau, s): the unit of time and their length in it."""
@@ -169,34 +172,50 @@ class Radau:
         size = np.maximum(self.system.sizes.x, np.abs(start.x)) + atol
         return np.maximum(size, NOTHING)
 
-    def _error(self, start: Start, fit: Fit, rtol: float, atol: list[float]) -> float:
-        of, held, n, sizes = self.table, start.held, len(start.x), self.system.sizes
+    def _measured(self, start: Start, fit: Fit, rtol: float, atol: list[float]) -> Fit:
+        scales = self._scales(start, fit, rtol, atol)
+        estimate = error = self._estimate(start, fit, scales)
+        if estimate <= 1:
+            at_0, values = (start.x, start.l, start.y, start.watched), fit[1:5]
+            of = polynomials(self.table, start.t, fit.h, start.held, at_0, values)
+            error = max(estimate, bound(self._on, of, scales))
+        return fit._replace(estimate=estimate, error=error)
+
+    def _scales(self, start: Start, fit: Fit, rtol: float, atol: list[float]) -> Scales:
+        """Of y, and of what branches look at, not by what they come to on the piece: that may be beyond where they are 0."""
+        sizes, held = self.system.sizes, start.held
+        matrix = _matrices(start, fit.h, np.array([1 / self.table.share]))[0]
+        inverse = np.linalg.inv(matrix)
+        size, size_l = (
+            np.maximum(so_far, np.abs(values).max(axis=0, initial=0.0)) for so_far, values in ((sizes.x, fit.x), (sizes.l, fit.l))
+        )
+        terms = [self.system.terms(i, size.tolist(), size_l.tolist()) for i in range(len(start.l))]
+        size_y = np.maximum(np.maximum(sizes.y, np.abs(start.y)), terms)
+        size_w = np.maximum(sizes.switches, np.abs(start.watched))
+        rounding = STAGE_ROUNDING * np.abs(inverse) @ (np.abs(matrix) @ np.append(size, size_l[held]))
+        free = [i for i in range(len(start.l)) if i not in held]
+        for own, of in ((size_l, held), (size_y, free), (size_w, slice(None))):
+            own[:] = np.maximum(own, SMALL * own[of].max(initial=0.0))
+        allowed = [MULTIPLIERS * rtol * own for own in (size_l, size_y, size_w)]
+        of_y, of_watched = STAGE_ROUNDING * size_y, STAGE_ROUNDING * size_w
+        return Scales(inverse, rounding, rtol * size + atol, size, allowed[0], allowed[1], of_y, allowed[2], of_watched)
+
+    def _estimate(self, start: Start, fit: Fit, scales: Scales) -> float:
+        """From what is missed at 0 and between the nodes."""
+        of, held, n = self.table, start.held, len(start.x)
         x, l, y, watched = (
             at_0 + of.values @ (values - at_0)
             for values, at_0 in zip(fit[1:5], (start.x, start.l, start.y, start.watched), strict=True)
         )
         rate, h, looked = self._at(start, start.t + fit.h * of.between, x, l)
         missed = np.hstack([fit.h * rate - of.slopes @ (fit.x - start.x), -h[:, held]])
-        matrix = _matrices(start, fit.h, np.array([1 / of.share]))[0]
-        inverse = np.linalg.inv(matrix)
-        free = [i for i in range(len(start.l)) if i not in held]
-        size, size_l, size_y, size_w = (
-            np.maximum(so_far, np.abs(values).max(axis=0, initial=0.0))
-            for values, so_far in zip(fit[1:5], (sizes.x, sizes.l, sizes.y, np.zeros(watched.shape[1])), strict=True)
-        )
-        rounding = STAGE_ROUNDING * np.abs(inverse) @ (np.abs(matrix) @ np.append(size, size_l[held]))
-        off = np.maximum(np.abs(missed @ inverse.T) - rounding, 0.0)
-        errors = [_beside(off[:, :n] * of.weights[:, None], rtol * size + atol)]
+        off = np.maximum(np.abs(missed @ scales.inverse.T) - scales.rounding, 0.0)
+        errors = [_beside(off[:, :n] * of.weights[:, None], scales.x), _beside(off[:, n:], scales.l[held])]
         if self.residuals:
-            seen = np.abs(missed[:, :n]) * of.weights[:, None] - STAGE_ROUNDING * size
-            errors.append(_beside(seen, rtol * size + atol))
-        for e, own, least in (
-            (off[:, n:], size_l[held], 0.0),
-            (np.abs(y - h)[:, free], size_y[free], STAGE_ROUNDING),
-            (np.abs(watched - looked), size_w, STAGE_ROUNDING),
-        ):
-            own = np.maximum(own, SMALL * own.max(initial=0.0))
-            errors.append(_beside(e - least * own, MULTIPLIERS * rtol * own))
+            errors.append(_beside(np.abs(missed[:, :n]) * of.weights[:, None] - STAGE_ROUNDING * scales.size, scales.x))
+        free = [i for i in range(len(start.l)) if i not in held]
+        errors.append(_beside(np.abs(y - h)[:, free] - scales.rounding_y[free], scales.y[free]))
+        errors.append(_beside(np.abs(watched - looked) - scales.rounding_watched, scales.watched))
         return max(errors)
 
 

@@ -13,6 +13,7 @@ import math
 from typing import Any, NamedTuple
 
 from nsmodel.pieces.bernstein import slope, value
+from nsmodel.pieces.disc_equations import EquationsOnDisc
 from nsmodel.pieces.lengths import unit
 from nsmodel.pieces.modes import Place
 from nsmodel.pieces.multipliers import NOTHING, Solve
@@ -49,9 +50,11 @@ class Stiff:
     ``rtol``, ``atol``: what a run may err by; ``residuals``: see `Radau`.
     """
 
-    def __init__(self, system: System, order: int, rtol: float, atol: list[float], *, residuals: bool) -> None:
+    def __init__(
+        self, system: System, on: EquationsOnDisc, order: int, rtol: float, atol: list[float], *, residuals: bool
+    ) -> None:  # fmt: skip
         self.system, self.order, self.rtol, self.atol = system, order, INSIDE * rtol, [INSIDE * a for a in atol]
-        self.radau = Radau(system, order, residuals=residuals)
+        self.radau = Radau(system, on, order, residuals=residuals)
         self.pieces = 0
         self.restart()
 
@@ -71,14 +74,16 @@ class Stiff:
             self._fail(failed=not first)
             return None
         start = self.radau.start(place, how)
-        fit = self.radau.fit(start, length, self.rtol, self.atol)
+        fit, longest = self.radau.fit(start, length, self.rtol, self.atol), OCTAVES_MORE
         while fit is None or not fit.error <= 1:
+            if fit is not None and fit.estimate <= 1:
+                longest = 0  # What bounds a longer one is too large, whatever its estimate says.
             length = math.ldexp(length, min(-1 if fit is None else self._octaves(fit.error), -1))
             if length < least or place.t + length == place.t:
                 self._fail(failed=True)
                 return None
             fit = self.radau.fit(start, length, self.rtol, self.atol)
-        self.length = math.ldexp(length, OCTAVES_MORE if first else min(self._octaves(fit.error), OCTAVES_MORE))
+        self.length = math.ldexp(length, longest if first else min(self._octaves(fit.estimate), longest))
         self.failed = self.wait = 0
         self.pieces += 1
         return self._ended(place, how, start, fit, most)

@@ -171,18 +171,6 @@ static double length_of(model_pieces *s)
     return length;
 }
 
-/* What f + g may err by at the values, evaluated where it is not known yet. */
-static const double *bound_of(model_pieces *s, int *known)
-{
-    if (!*known) {
-        rounding(s, s->now, s->value, s->value + N, s->bound);
-        for (int i = 0; i < N; i++)
-            s->bound[i] *= ROUNDING*s->at.tau;
-        *known = 1;
-    }
-    return s->bound;
-}
-
 /* What the slope of state i is the sum of. */
 static double size_of_slope(const model_pieces *s, int i, double at)
 {
@@ -231,74 +219,71 @@ static double split(const model_pieces *s, double *off, const double *l)
 }
 #endif
 
-/* An estimate of the local error in units of rtol, from |x' - f - g|, |y| of held rows and l at two points of a piece of length s. */
+/* An estimate of the local error in units of rtol, from |x' - f - g|, |y| of held rows and l at a point of a piece of this length. */
 static double defect_of(model_pieces *s, double length)
 {
-    static const double points[] = {POINT_1, POINT_2};
     const int p = s->order;
     double worst = 0, y[M + 1], off[N], most[N], rates[N];
-    for (int point = 0; point < 2; point++) {
-        const double at = points[point]*length;
-        int known = 0;
-        double *value = s->value, *slope = s->slope;
-        for (int i = 0; i < N; i++) {
-            double v = s->c[p][i], d = p*v;
-            for (int k = p - 1; k >= 1; k--) {
-                const double c = s->c[k][i];
-                v = v*at + c;
-                d = d*at + k*c;
-            }
-            value[i] = v*at + s->c[0][i];
-            slope[i] = d;
+    const double at = POINT*length;
+    int known = 0;
+    double *value = s->value, *slope = s->slope;
+    for (int i = 0; i < N; i++) {
+        double v = s->c[p][i], d = p*v;
+        for (int k = p - 1; k >= 1; k--) {
+            const double c = s->c[k][i];
+            v = v*at + c;
+            d = d*at + k*c;
         }
-#if LAW
-        values_at(s->c[0] + L, COLUMNS, p, at, M, value + L);
-        for (int i = 0; i < M; i++)
-            if (s->at.codes[i])
-                value[L + i] = s->c[0][L + i];
-#endif
-        s->now[0] = s->at.t + s->at.tau*at;
-        equations(s, s->now, value, value + N, s->f, y);
-        for (int i = 0; i < N; i++) {
-            const double largest = max_of(max_of(s->at.size_x[i], s->later[i]), max_of(fabs(value[i]), fabs(slope[i]*length)));
-            most[i] = s->shares[point]*(p + 1)/length*(s->rtol*largest + s->atol[i] + NOTHING)/LOCAL;
-            off[i] = slope[i] - s->at.tau*s->f[i];
-            rates[i] = fabs(s->f[i]);
-        }
-        double missed = missed_of(s, off, most, at, rates, &known);
-#if LAW
-        if (!(missed <= 1)) { /* where x rests, that may be an error of l alone */
-            worst = max_of(worst, split(s, off, value + L));
-            add_pushed(s, rates, value + L);
-            missed = missed_of(s, off, most, at, rates, &known);
-        }
-#endif
-        worst = max_of(worst, missed/LOCAL);
-#if LAW
-        double of_x[N], of_l[M];
-        int any = 0;
-        for (int i = 0; i < M; i++)
-            any |= s->at.codes[i] == 0 && y[i] != 0;
-        if (!any)
-            continue;
-        for (int i = 0; i < N; i++)
-            of_x[i] = max_of(s->at.size_x[i], fabs(value[i]));
-        for (int i = 0; i < M; i++)
-            of_l[i] = max_of(s->at.size_l[i], fabs(value[L + i]));
-        for (int i = 0; i < M; i++)
-            if (s->at.codes[i] == 0 && y[i] != 0) {
-                double of = max_of(s->at.size_y[i], terms_of(s, i, of_x, of_l));
-                double beyond = fabs(y[i]) - SEEN_ROW*of;
-                if (beyond > MULTIPLIERS*s->rtol*of/LOCAL) {
-                    memset(rates, 0, sizeof rates);
-                    add_pushed(s, rates, value + L);
-                    of = max_of(of, s->at.tau*at*terms_of_x(s, i, rates));
-                    beyond = fabs(y[i]) - SEEN_ROW*of - at*terms_of_x(s, i, bound_of(s, &known));
-                }
-                worst = max_of(worst, beyond/(MULTIPLIERS*s->rtol*of + NOTHING));
-            }
-#endif
+        value[i] = v*at + s->c[0][i];
+        slope[i] = d;
     }
+#if LAW
+    values_at(s->c[0] + L, COLUMNS, p, at, M, value + L);
+    for (int i = 0; i < M; i++)
+        if (s->at.codes[i])
+            value[L + i] = s->c[0][L + i];
+#endif
+    s->now[0] = s->at.t + s->at.tau*at;
+    equations(s, s->now, value, value + N, s->f, y);
+    for (int i = 0; i < N; i++) {
+        const double largest = max_of(max_of(s->at.size_x[i], s->later[i]), max_of(fabs(value[i]), fabs(slope[i]*length)));
+        most[i] = s->share*(p + 1)/length*(s->rtol*largest + s->atol[i] + NOTHING)/LOCAL;
+        off[i] = slope[i] - s->at.tau*s->f[i];
+        rates[i] = fabs(s->f[i]);
+    }
+    double missed = missed_of(s, off, most, at, rates, &known);
+#if LAW
+    if (!(missed <= 1)) { /* where x rests, that may be an error of l alone */
+        worst = max_of(worst, split(s, off, value + L));
+        add_pushed(s, rates, value + L);
+        missed = missed_of(s, off, most, at, rates, &known);
+    }
+#endif
+    worst = max_of(worst, missed/LOCAL);
+#if LAW
+    double of_x[N], of_l[M];
+    int any = 0;
+    for (int i = 0; i < M; i++)
+        any |= s->at.codes[i] == 0 && y[i] != 0;
+    if (!any)
+        return worst;
+    for (int i = 0; i < N; i++)
+        of_x[i] = max_of(s->at.size_x[i], fabs(value[i]));
+    for (int i = 0; i < M; i++)
+        of_l[i] = max_of(s->at.size_l[i], fabs(value[L + i]));
+    for (int i = 0; i < M; i++)
+        if (s->at.codes[i] == 0 && y[i] != 0) {
+            double of = max_of(s->at.size_y[i], terms_of(s, i, of_x, of_l));
+            double beyond = fabs(y[i]) - SEEN_ROW*of;
+            if (beyond > MULTIPLIERS*s->rtol*of/LOCAL) {
+                memset(rates, 0, sizeof rates);
+                add_pushed(s, rates, value + L);
+                of = max_of(of, s->at.tau*at*terms_of_x(s, i, rates));
+                beyond = fabs(y[i]) - SEEN_ROW*of - at*terms_of_x(s, i, bound_of(s, &known));
+            }
+            worst = max_of(worst, beyond/(MULTIPLIERS*s->rtol*of + NOTHING));
+        }
+#endif
     return worst;
 }
 
@@ -315,13 +300,24 @@ static void coming(model_pieces *s, double length)
 #endif
     s->now[0] = s->at.t + s->at.tau*length;
     equations(s, s->now, s->value, s->value + N, s->f, y);
-    for (int i = 0; i < N; i++)
-        s->later[i] = s->c[0][i] != 0 ? 0 : max_of(fabs(s->value[i]), s->at.tau*length*fabs(s->f[i]));
+    for (int i = 0; i < N; i++) {
+        int moves = 0;
+        for (int k = 0; k < (s->order + 1)/2; k++)
+            moves |= s->c[k][i] != 0;
+        s->later[i] = s->c[0][i] != 0 ? 0 : moves ? max_of(fabs(s->value[i]), s->at.tau*length*fabs(s->f[i])) : INFINITY;
+    }
 }
 
 /* What ends a piece of this length at most: *found and hit; its error in units of rtol. */
 static int accept(model_pieces *s, double *length, condition *hit, int *found, double *error)
 {
+    double proved = 0;
+    if (s->estimated) {
+        const int status = prove(s, length, &proved);
+        if (status)
+            return status;
+    }
+    const double whole = *length, now = AS_NOW*fabs(s->at.t)/s->at.tau; /* in which nothing moves: time is not known better */
     memset(s->later, 0, sizeof s->later);
     for (int pass = 0; pass < SHORTENINGS; pass++) {
         *found = first_event(s, length, hit);
@@ -330,9 +326,11 @@ static int accept(model_pieces *s, double *length, condition *hit, int *found, d
             coming(s, *length);
             *error = LOCAL*defect_of(s, *length);
         }
-        if (*error <= 1)
+        if (*error <= 1 || *length <= now) {
+            *error = max_of(min_of(*error, 1), whole > 0 ? *length == whole ? proved : proved*pow(*length/whole, s->order) : 0);
             return MODEL_OK;
-        *length *= min_of(0.5, CAUTION*pow(*error, -1.0/s->order));
+        }
+        *length = max_of(*length*min_of(0.5, CAUTION*pow(*error, -1.0/s->order)), now);
         if (s->at.t + s->at.tau**length == s->at.t)
             break;
     }
@@ -824,6 +822,9 @@ static void choose_unit(model_pieces *s)
             most = max_of(most, fabs(f[i])/fabs(s->at.x[i]));
     if (most > 0)
         s->at.tau = unit_of(FIRST/most);
+    double rates[N];
+    memcpy(rates, f, sizeof rates);
+    cap_unit(s, rates);
 }
 
 #if LAW
@@ -901,13 +902,11 @@ static int begin(model_pieces *s, double t, const double *x)
 /* Orders and tolerances; numbers that series are made of. */
 static void prepare_pieces(model_pieces *s, double rtol)
 {
-    static const double points[] = {POINT_1, POINT_2};
     s->rtol = LOCAL*min_of(rtol, ROUGHEST);
     s->order = (int)ceil(-log(s->rtol)/2) + BEYOND;
     if (s->order > MOST_ORDERS)
         s->order = MOST_ORDERS;
-    for (int i = 0; i < 2; i++)
-        s->shares[i] = pow(points[i], s->order);
+    s->share = pow(POINT, s->order);
 }
 
 /* What follows from the parameters; NO_MODE where the code, which is that of all values, is not for these. */

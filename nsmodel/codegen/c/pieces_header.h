@@ -21,6 +21,7 @@ extern "C" {
 #else
 #define MODEL_PIECES_NP @NP@ /* parameters */
 #endif
+#define MODEL_PIECES_DISCS @DISCS@ /* rows of the graphs, and what goes in and out */
 #define MODEL_PIECES_CHOICES @CHOICES@ /* operations that are not analytic */
 #if HELD
 #define MODEL_PIECES_HELD @HELD@ /* states at the end that are set at known times */

@@ -1,7 +1,6 @@
 #if STIFF
 /* One piece of a stiff mode: pieces/radau.py. */
 
-#define SIDES MODEL_PIECES_SIDES
 #define UNKNOWN MODEL_PIECES_UNKNOWN
 #define STAGES MODEL_PIECES_STAGES
 #define OCTAVES_KEPT MODEL_PIECES_OCTAVES
@@ -13,7 +12,7 @@ typedef struct {
     double share;
     const double *nodes, *between, *weights; /* (s) */
     const double *rates; /* a real one, and real and imaginary parts of pairs */
-    const double *inverse, *powers, *values, *slopes; /* (s, s) */
+    const double *inverse, *powers, *middle, *values, *slopes; /* (s, s), the third (s + 1, s) */
     const double *left, *right; /* inverse = right rates left, in real blocks */
 } collocation;
 
@@ -23,13 +22,14 @@ static collocation collocation_of(int order)
 {
     const int s = stages_of(order);
     const double *a = radau_tables[(s - FEWEST_STAGES)/2];
-    collocation of = {s, a[0], a + 1, 0, 0, 0, 0, 0, 0, 0, 0, 0};
+    collocation of = {s, a[0], a + 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0};
     of.between = of.nodes + s;
     of.weights = of.between + s;
     of.rates = of.weights + s;
     of.inverse = of.rates + s;
     of.powers = of.inverse + s*s;
-    of.values = of.powers + s*s;
+    of.middle = of.powers + s*s;
+    of.values = of.middle + (s + 1)*s;
     of.slopes = of.values + s*s;
     of.left = of.slopes + s*s;
     of.right = of.left + s*s;
@@ -210,8 +210,31 @@ static void round_off(const model_pieces *s, double h, double share, const doubl
     }
 }
 
-/* What the polynomials err by, in units of rtol. */
-static double error_of_fit(model_pieces *s, const collocation *of, double h, double rtol, const double *inverse)
+/* The polynomials of the values at the nodes about the middle of the piece, in its own length. */
+static void about_middle(model_pieces *s, const collocation *of, double *c)
+{
+    const int stages = of->stages;
+    double *Z = s->between, more[(STAGES + 1)*SIDES];
+    for (int j = 0; j < stages; j++)
+        for (int i = 0; i < SIDES; i++)
+            Z[j*SIDES + i] = s->nodal[j*SIDES + i] - s->first[i];
+    multiply(stages + 1, stages, SIDES, of->middle, Z, SIDES, c);
+    for (int j = 0; j < stages; j++) /* what that misses at the nodes is put right */
+        for (int i = 0; i < SIDES; i++) {
+            double v = 0;
+            for (int k = stages; k >= 0; k--)
+                v = v*(of->nodes[j] - 0.5) + c[k*SIDES + i];
+            Z[j*SIDES + i] -= v;
+        }
+    multiply(stages + 1, stages, SIDES, of->middle, Z, SIDES, more);
+    for (int i = 0; i < (stages + 1)*SIDES; i++)
+        c[i] += more[i];
+    for (int i = 0; i < SIDES; i++)
+        c[i] += s->first[i];
+}
+
+/* An estimate of what the polynomials err by, in units of rtol, and where it is at most 1 a bound of it. */
+static double error_of_fit(model_pieces *s, const collocation *of, double h, double rtol, const double *inverse, double *estimate)
 {
     const int stages = of->stages, q = N + count_held(s);
     double size[SIDES], rounding[UNKNOWN], worst = 0, *off = s->moved;
@@ -222,8 +245,18 @@ static double error_of_fit(model_pieces *s, const collocation *of, double h, dou
     memcpy(size + Y, s->at.size_y, M*sizeof *size);
 #endif
     for (int j = 0; j < stages; j++)
-        for (int i = 0; i < SIDES; i++)
-            size[i] = max_of(size[i], fabs(s->nodal[j*SIDES + i]));
+        for (int i = 0; i < N + M; i++) {
+            const int at = i < N ? i : L + i - N;
+            size[at] = max_of(size[at], fabs(s->nodal[j*SIDES + at]));
+        }
+#if LAW /* of y, and of what branches look at, not by what they come to: that may be beyond where they are 0 */
+    for (int i = 0; i < M; i++)
+        size[Y + i] = max_of(max_of(size[Y + i], fabs(s->first[Y + i])), terms_of(s, i, size, size + L));
+#endif
+#if SWITCHED
+    for (int b = 0; b < CHOICES; b++)
+        size[ROWS + b] = max_of(s->at.size_switches[b], fabs(s->first[ROWS + b]));
+#endif
     for (int j = 0; j < stages; j++)
         for (int i = 0; i < SIDES; i++)
             s->work_stages[j*SIDES + i] = s->nodal[j*SIDES + i] - s->first[i];
@@ -249,28 +282,33 @@ static double error_of_fit(model_pieces *s, const collocation *of, double h, dou
             y_floor = max_of(y_floor, SMALL*size[Y + i]);
         else
             l_floor = max_of(l_floor, SMALL*size[L + i]);
-    for (int a = 0; a < HOW.n; a++) {
-        const double of_l = max_of(size[L + HOW.active[a]], l_floor);
-        for (int j = 0; j < stages; j++)
-            worst = beside(worst, off[j*q + N + a], rounding[N + a], 1, MULTIPLIERS*rtol*of_l);
-    }
     for (int i = 0; i < M; i++) {
-        const double of_y = max_of(size[Y + i], y_floor);
-        for (int j = 0; j < stages && s->at.codes[i]; j++)
-            worst = beside(worst, s->between[j*SIDES + Y + i] - s->work_stages[j*SIDES + Y + i], STAGE_ROUNDING*of_y, 1,
-                           MULTIPLIERS*rtol*of_y);
+        size[Y + i] = max_of(size[Y + i], y_floor);
+        size[L + i] = max_of(size[L + i], l_floor);
     }
+    for (int a = 0; a < HOW.n; a++)
+        for (int j = 0; j < stages; j++)
+            worst = beside(worst, off[j*q + N + a], rounding[N + a], 1, MULTIPLIERS*rtol*size[L + HOW.active[a]]);
+    for (int i = 0; i < M; i++)
+        for (int j = 0, y = Y + i; j < stages && s->at.codes[i]; j++, y += SIDES)
+            worst = beside(worst, s->between[y] - s->work_stages[y], STAGE_ROUNDING*size[Y + i], 1, MULTIPLIERS*rtol*size[Y + i]);
 #endif
 #if SWITCHED
     double floor_of = 0;
     for (int b = 0; b < CHOICES; b++)
         floor_of = max_of(floor_of, SMALL*size[ROWS + b]);
     for (int b = 0; b < CHOICES; b++) {
-        const double own = max_of(size[ROWS + b], floor_of);
+        const double own = size[ROWS + b] = max_of(size[ROWS + b], floor_of);
         for (int j = 0, i = ROWS + b; j < stages; j++, i += SIDES)
             worst = beside(worst, s->between[i] - s->work_stages[i], STAGE_ROUNDING*own, 1, MULTIPLIERS*rtol*own);
     }
 #endif
+    *estimate = worst;
+    if (worst <= 1) {
+        double c[(STAGES + 1)*SIDES];
+        about_middle(s, of, c);
+        worst = max_of(worst, cover(s, c, stages + 1, h, rtol, inverse, q, size, rounding));
+    }
     return worst;
 }
 
@@ -306,13 +344,14 @@ static void iterate(model_pieces *s, const collocation *of, double h, const doub
 }
 
 /* The piece of length h from where it stands, at the nodes: its error in units of rtol; NAN where Newton's method does not settle. */
-static double fit(model_pieces *s, double h)
+static double fit(model_pieces *s, double h, double *estimate)
 {
     const collocation of = collocation_of(s->order);
     const int stages = of.stages, q = N + count_held(s);
     const double rtol = INSIDE*(s->rtol/LOCAL);
     const double *inverses = inverses_for(s, &of, h);
     double moved[2] = {INFINITY, INFINITY};
+    *estimate = INFINITY;
     spend_on(s);
     if (inverses == NULL)
         return NAN;
@@ -342,7 +381,7 @@ static double fit(model_pieces *s, double h)
             row[Y + HOW.active[a]] = 0;
 #endif
     }
-    return error_of_fit(s, &of, h, rtol, inverses);
+    return error_of_fit(s, &of, h, rtol, inverses, estimate);
 }
 
 /* Put the polynomials into the columns, in the unit of time of the length h, and what is at the end; their length in it. */

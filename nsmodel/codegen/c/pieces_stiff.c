@@ -65,7 +65,8 @@ static double ended(model_pieces *s, double h, double most, condition *hit, int 
     double length = write_fit(s, h), end = length;
     *found = first_event(s, &end, hit);
     for (int pass = 0; pass < ENDINGS && *found; pass++) {
-        const double shorter = min_of(s->at.tau*end, most), missed = end > 0 ? fit(s, shorter) : NAN;
+        double estimate;
+        const double shorter = min_of(s->at.tau*end, most), missed = end > 0 ? fit(s, shorter, &estimate) : NAN;
         condition again;
         if (missed != missed)
             break;
@@ -98,7 +99,11 @@ static int collocate(model_pieces *s, double *length, double most, condition *hi
         return 0;
     }
     stand(s);
-    while (!((*error = fit(s, h)) <= 1)) {
+    int longest = OCTAVES_MORE;
+    double estimate;
+    while (!((*error = fit(s, h, &estimate)) <= 1)) {
+        if (estimate <= 1)
+            longest = 0; /* what bounds a longer one is too large, whatever its estimate says */
         const int octaves = *error == *error ? octaves_of(s, *error) : -1;
         h = ldexp(h, octaves < -1 ? octaves : -1);
         if (h < least || s->at.t + h == s->at.t) {
@@ -106,8 +111,8 @@ static int collocate(model_pieces *s, double *length, double most, condition *hi
             return 0;
         }
     }
-    const int octaves = first ? OCTAVES_MORE : octaves_of(s, *error);
-    of[NEXT_LENGTH] = ldexp(h, octaves < OCTAVES_MORE ? octaves : OCTAVES_MORE);
+    const int octaves = first ? longest : octaves_of(s, estimate);
+    of[NEXT_LENGTH] = ldexp(h, octaves < longest ? octaves : longest);
     of[FAILED] = of[WAIT] = 0;
     of[COLLOCATED] += 1;
     *length = ended(s, h, most, hit, found, error);

@@ -34,7 +34,7 @@ typedef struct {
     model_place at, before; /* before: where the last piece began */
     double times[MODEL_PIECES_TIMES]; /* of events 1, 2, 4, 8, ... */
     double t; /* the time reached */
-    double rtol, atol[MODEL_PIECES_N], shares[2];
+    double rtol, atol[MODEL_PIECES_N], share; /* of what is allowed at its end, at POINT of a piece */
     int order; /* of the series */
     int estimated; /* whether the defect of each piece is estimated */
 #if STIFF
@@ -92,4 +92,5 @@ typedef struct {
     double work_stages[MODEL_PIECES_STAGES*MODEL_PIECES_SIDES];
     double missed[MODEL_PIECES_STAGES*MODEL_PIECES_UNKNOWN], moved[MODEL_PIECES_STAGES*MODEL_PIECES_UNKNOWN];
 #endif
+    double discs[MODEL_PIECES_DISCS*(MODEL_PIECES_ORDERS + 2)]; /* the graphs on a disc: set before they are read */
 } model_pieces;

@@ -1,0 +1,124 @@
+/* What a piece of collocation errs by inside: pieces/cover.py. */
+
+#if STIFF
+#define SIDES MODEL_PIECES_SIDES
+
+/* A polynomial of n coefficients about another centre. */
+static void shift(double *c, int n, double by)
+{
+    for (int first = 0; first < n - 1; first++)
+        for (int k = n - 2; k >= first; k--)
+            c[k] += c[k + 1]*by;
+}
+
+/* The largest value on the real part of a disc. */
+static double on_real(const double *y, int m)
+{
+    double sum = 0, power = 1;
+    for (int k = 0; k <= m; k++, power /= COVER_RADIUS)
+        sum += fabs(y[k])*power;
+    return sum + (y[m + 1] != 0 ? y[m + 1]*power : 0);
+}
+
+/* A polynomial about the middle of a piece, a column of SIDES, about another centre. */
+static void about(const double *coefficients, int n, double centre, double *c)
+{
+    for (int k = 0; k < n; k++)
+        c[k] = coefficients[k*SIDES];
+    shift(c, n, centre - 0.5);
+}
+
+/* What a disc is beside such a polynomial, beside 100 rtol of its size. */
+static double beside_polynomial(const double *coefficients, int n, double centre, double R, const double *of, double size,
+                                double rtol)
+{
+    double c[STRIDE_OF_DISC], form[STRIDE_OF_DISC];
+    about(coefficients, n, centre, c);
+    fill_disc(form, c, n, R, COVER_DEGREE);
+    disc_sum(form, form, -1, of, COVER_DEGREE);
+    const double off = max_of(on_real(form, COVER_DEGREE) - STAGE_ROUNDING*size, 0);
+    return share_of(off, MULTIPLIERS*rtol*size);
+}
+
+/* What a piece of collocation errs by on one disc; see cover(). */
+static double on_part(model_pieces *s, const double *coefficients, int n, double h, double centre, double half, double rtol,
+                      const double *inverse, int q, const double *size, const double *rounding)
+{
+    const int m = COVER_DEGREE;
+    const double R = COVER_RADIUS*half, t[] = {s->at.t + h*centre, h};
+    double c[STRIDE_OF_DISC], form[STRIDE_OF_DISC], worst = 0;
+    fill_disc(DISC_T, t, 2, R, m);
+    for (int i = 0; i < N + M; i++) {
+        about(coefficients + (i < N ? i : L + i - N), n, centre, c);
+        fill_disc(DISC_X(i), c, n, R, m);
+    }
+    on_disc(s, m);
+    for (int i = 0; i < N; i++) {
+        about(coefficients + i, n, centre, c);
+        for (int k = 1; k < n; k++)
+            c[k - 1] = k*c[k];
+        fill_disc(form, c, n - 1, R, m);
+        disc_scaled(DISC_F(i), DISC_F(i), h, m);
+        disc_sum(DISC_F(i), DISC_F(i), -1, form, m);
+        if (!(DISC_F(i)[m + 1] < INFINITY))
+            return INFINITY;
+    }
+#if LAW
+    for (int a = 0; a < HOW.n; a++) {
+        disc_scaled(DISC_H(HOW.active[a]), DISC_H(HOW.active[a]), -1, m);
+        if (!(DISC_H(HOW.active[a])[m + 1] < INFINITY))
+            return INFINITY;
+    }
+#endif
+    for (int j = 0; j < q; j++) {
+        double sum[STRIDE_OF_DISC] = {0}, allowed;
+        for (int k = 0; k < q; k++) {
+#if LAW
+            const double *missed = k < N ? DISC_F(k) : DISC_H(HOW.active[k - N]);
+#else
+            const double *missed = DISC_F(k);
+#endif
+            const double factor = inverse[k*q + j];
+            if (factor != 0)
+                disc_sum(sum, sum, factor, missed, m);
+        }
+#if LAW
+        allowed = j < N ? rtol*size[j] + INSIDE*s->atol[j] : MULTIPLIERS*rtol*size[L + HOW.active[j - N]];
+#else
+        allowed = rtol*size[j] + INSIDE*s->atol[j];
+#endif
+        worst = max_of(worst, share_of(max_of(on_real(sum, m) - rounding[j], 0), allowed));
+    }
+#if LAW
+    for (int i = 0; i < M; i++)
+        if (s->at.codes[i])
+            worst = max_of(worst, beside_polynomial(coefficients + Y + i, n, centre, R, DISC_H(i), size[Y + i], rtol));
+#endif
+#if SWITCHED
+    for (int b = 0; b < CHOICES; b++)
+        worst = max_of(worst, beside_polynomial(coefficients + ROWS + b, n, centre, R, DISC_W(b), size[ROWS + b], rtol));
+#endif
+    return worst;
+}
+
+/* The largest bound of what a piece of collocation errs by inside: by forms on discs that cover it, smaller ones where that is too
+   large; its polynomials, of n coefficients, about its middle, in its own length. */
+static double cover(model_pieces *s, const double *coefficients, int n, double h, double rtol, const double *inverse, int q,
+                    const double *size, const double *rounding)
+{
+    double worst = 0, at = 0, width = 1;
+    while (at < 1) {
+        const double here = on_part(s, coefficients, n, h, at + width/2, width/2, rtol, inverse, q, size, rounding);
+        if (here <= 1) {
+            worst = max_of(worst, here);
+            at += width;
+            while (width < 1 && fmod(at, 2*width) == 0) /* the other half of the next wider one is done */
+                width *= 2;
+        } else if (width > SMALLEST)
+            width /= 2;
+        else
+            return here;
+    }
+    return worst;
+}
+#endif

@@ -1,0 +1,454 @@
+/* Analytic functions on a disc, as in pieces/discs.py: c[0] + ... + c[m] w^m + rest, |w| <= 1; of degree 0 a ball. */
+
+typedef struct {
+    unsigned char kind; /* see codegen/piece_discs.py */
+    short choice; /* of its branch */
+    int y, a, b; /* rows */
+    double number;
+} disc_line;
+
+typedef struct {
+    const disc_line *lines;
+    const int *inputs; /* row, which input, its entry, ... */
+    const int *outputs, *looked; /* rows of the expression; those that branches look at */
+    const int *number_rows;
+    const double *numbers;
+    int count, given, outs, branches, constants, choices;
+} disc_graph;
+
+#define REST (m + 1) /* of a row: its place behind the coefficients */
+#define ROW(i) (rows + (size_t)(i)*(MOST_ORDERS + 2))
+#define DEGREES (MOST_ORDERS + 2)
+
+static double moves_of(const double *u, int m)
+{
+    double sum = u[REST];
+    for (int k = 1; k <= m; k++)
+        sum += fabs(u[k]);
+    return sum;
+}
+
+static void lose(double *y, int m)
+{
+    memset(y, 0, (m + 1)*sizeof *y);
+    y[REST] = INFINITY;
+}
+
+/* The rest: the majorant at the rim less what of it is kept. */
+static void close_form(double *y, const double *majorant, double whole, int m)
+{
+    double kept = 0;
+    for (int k = 0; k <= m; k++)
+        kept += majorant[k];
+    y[REST] = whole < INFINITY ? max_of(whole - kept, 0) + (m ? (m + 1 + FUNCTION_ROUNDINGS)*EPS*whole : 0) : INFINITY;
+}
+
+static void disc_product(double *y, const double *a, const double *b, int m)
+{
+    double A = fabs(a[0]) + moves_of(a, m), B = fabs(b[0]) + moves_of(b, m), kept = 0, out[DEGREES];
+    if (A == 0 || B == 0) {
+        memset(y, 0, (m + 2)*sizeof *y);
+        return;
+    }
+    if (m == 0) {
+        out[0] = a[0]*b[0];
+        out[1] = (a[0] != 0 ? fabs(a[0])*b[1] : 0) + (a[1] != 0 ? a[1]*B : 0);
+        memcpy(y, out, 2*sizeof *y);
+        return;
+    }
+    for (int k = 0; k <= m; k++) {
+        double sum = 0, size = 0;
+        for (int j = 0; j <= k; j++) {
+            const double v = a[j]*b[k - j];
+            sum += v;
+            size += fabs(v);
+        }
+        out[k] = sum;
+        kept += size;
+    }
+    A *= B;
+    out[REST] = A < INFINITY ? max_of(A - kept, 0) + (m + 1 + PRODUCT_ROUNDINGS)*EPS*A : INFINITY;
+    memcpy(y, out, (m + 2)*sizeof *y);
+}
+
+static void disc_scaled(double *y, const double *a, double factor, int m)
+{
+    for (int k = 0; k <= m; k++)
+        y[k] = factor*a[k];
+    y[REST] = factor != 0 ? fabs(factor)*a[REST] : 0;
+}
+
+static void disc_quotient(double *y, const double *n, const double *a, int m)
+{
+    const double size = fabs(a[0]), v = moves_of(a, m);
+    double Q[DEGREES], out[DEGREES];
+    if (!(v < size)) {
+        lose(y, m);
+        return;
+    }
+    for (int k = 0; k <= m; k++) {
+        double sum = n[k], most = fabs(n[k]);
+        for (int j = 0; j < k; j++) {
+            sum -= out[j]*a[k - j];
+            most += Q[j]*fabs(a[k - j]);
+        }
+        out[k] = sum/a[0];
+        Q[k] = most/size;
+    }
+    close_form(out, Q, (fabs(n[0]) + moves_of(n, m))/(size - v), m);
+    memcpy(y, out, (m + 2)*sizeof *y);
+}
+
+static void disc_exp(double *y, const double *a, int m)
+{
+    const double e = exp(a[0]), whole = exp(a[0] + moves_of(a, m));
+    double Q[DEGREES], out[DEGREES];
+    if (!(whole < INFINITY)) {
+        lose(y, m);
+        return;
+    }
+    out[0] = Q[0] = e;
+    for (int k = 1; k <= m; k++) {
+        double sum = 0, most = 0;
+        for (int j = 1; j <= k; j++) {
+            sum += j*a[j]*out[k - j];
+            most += j*fabs(a[j])*Q[k - j];
+        }
+        out[k] = sum/k;
+        Q[k] = most/k;
+    }
+    close_form(out, Q, whole, m);
+    if (m == 0)
+        out[1] = -whole*expm1(-a[1]);
+    memcpy(y, out, (m + 2)*sizeof *y);
+}
+
+static void disc_wave(double *y, const double *a, int m, int cosine)
+{
+    const double s = sin(a[0]), c = cos(a[0]), v = moves_of(a, m), one = fabs(cosine ? c : s), two = fabs(cosine ? s : c);
+    double of_sin[DEGREES], of_cos[DEGREES], up[DEGREES], over[DEGREES], Q[DEGREES];
+    if (!(v < MOST_EXPONENT)) {
+        lose(y, m);
+        return;
+    }
+    of_sin[0] = s; of_cos[0] = c; up[0] = 0; over[0] = 1; Q[0] = one;
+    for (int k = 1; k <= m; k++) {
+        double p = 0, q = 0, h = 0, g = 0;
+        for (int j = 1; j <= k; j++) {
+            const double w = j*a[j];
+            p += w*of_cos[k - j];
+            q -= w*of_sin[k - j];
+            h += fabs(w)*over[k - j];
+            g += fabs(w)*up[k - j];
+        }
+        of_sin[k] = p/k; of_cos[k] = q/k; up[k] = h/k; over[k] = g/k;
+        Q[k] = one*over[k] + two*up[k];
+    }
+    double out[DEGREES];
+    memcpy(out, cosine ? of_cos : of_sin, (m + 1)*sizeof *out);
+    close_form(out, Q, one*cosh(v) + two*sinh(v), m);
+    if (m == 0)
+        out[1] = two*sinh(v) + one*(cosh(v) - 1);
+    memcpy(y, out, (m + 2)*sizeof *y);
+}
+
+static void disc_root(double *y, const double *u, int m)
+{
+    const double a = u[0], v = moves_of(u, m);
+    double Q[DEGREES], S[DEGREES], out[DEGREES];
+    if (!(v < a)) {
+        const int still = v == 0 && a == 0;
+        lose(y, m);
+        y[REST] = still ? 0 : INFINITY;
+        return;
+    }
+    out[0] = S[0] = Q[0] = sqrt(a);
+    for (int k = 1; k <= m; k++) {
+        double sum = u[k], most = -fabs(u[k]);
+        for (int j = 1; j < k; j++) {
+            sum -= out[j]*out[k - j];
+            most -= S[j]*S[k - j];
+        }
+        out[k] = sum/(2*out[0]);
+        S[k] = most/(2*S[0]);
+        Q[k] = -S[k];
+    }
+    close_form(out, Q, 2*sqrt(a) - sqrt(a - v), m);
+    if (m == 0)
+        out[1] = v/(sqrt(a) + sqrt(a - v));
+    memcpy(y, out, (m + 2)*sizeof *y);
+}
+
+/* phi(u), by its coefficients at the centre and a majorant's; whole: the majorant at the rim. */
+static void compose(double *y, const double *u, const double *phi, const double *majorant, double whole, int m)
+{
+    double out[DEGREES] = {0}, Q[DEGREES] = {0}, next[DEGREES], most[DEGREES];
+    for (int j = m; j >= 0; j--) {
+        for (int k = 0; k <= m; k++) {
+            next[k] = most[k] = 0;
+            for (int i = 1; i <= k; i++) {
+                next[k] += u[i]*out[k - i];
+                most[k] += fabs(u[i])*Q[k - i];
+            }
+        }
+        memcpy(out, next, (m + 1)*sizeof *out);
+        memcpy(Q, most, (m + 1)*sizeof *Q);
+        out[0] += phi[j];
+        Q[0] += majorant[j];
+    }
+    close_form(out, Q, whole, m);
+    memcpy(y, out, (m + 2)*sizeof *y);
+}
+
+static void disc_power(double *y, const double *u, double p, int m)
+{
+    const double a = u[0], v = moves_of(u, m), x = v/fabs(a);
+    double phi[DEGREES], Q[DEGREES];
+    if (!(v < fabs(a)) || (a < 0 && p != floor(p)) || (m && !(a > 0))) {
+        lose(y, m);
+        return;
+    }
+    phi[0] = pow(a, p);
+    Q[0] = fabs(phi[0]);
+    for (int j = 0; j < m; j++) {
+        phi[j + 1] = phi[j]*(p - j)/(j + 1)/a;
+        Q[j + 1] = Q[j]*(fabs(p) + j)/(j + 1)/a;
+    }
+    if (m == 0) {
+        y[0] = phi[0];
+        y[1] = v > 0 ? fabs(p)*v*pow(fabs(a) + (p >= 1 ? v : -v), p - 1) : 0;
+        if (!(y[1] < INFINITY))
+            lose(y, m);
+        return;
+    }
+    compose(y, u, phi, Q, Q[0]*pow(1 - x, -fabs(p)), m);
+}
+
+static void disc_log(double *y, const double *u, int m)
+{
+    const double a = u[0], v = moves_of(u, m);
+    double phi[DEGREES], Q[DEGREES], power = 1;
+    if (!(v < a)) {
+        lose(y, m);
+        return;
+    }
+    phi[0] = log(a);
+    Q[0] = fabs(phi[0]);
+    for (int j = 1; j <= m; j++) {
+        power /= a;
+        phi[j] = (j % 2 ? power : -power)/j;
+        Q[j] = power/j;
+    }
+    compose(y, u, phi, Q, Q[0] - log1p(-v/a), m);
+}
+
+static void disc_atan(double *y, const double *u, int m)
+{
+    const double a = u[0], v = moves_of(u, m), radius = sqrt(1 + a*a);
+    double d[DEGREES], phi[DEGREES], Q[DEGREES], power = 1;
+    if (!(v < radius)) {
+        lose(y, m);
+        return;
+    }
+    phi[0] = atan(a);
+    Q[0] = fabs(phi[0]);
+    for (int k = 0; k <= m; k++)
+        d[k] = ((k == 0) - (k > 0 ? 2*a*d[k - 1] : 0) - (k > 1 ? d[k - 2] : 0))/(1 + a*a);
+    for (int j = 1; j <= m; j++) {
+        power /= radius;
+        phi[j] = d[j - 1]/j;
+        Q[j] = power/j;
+    }
+    compose(y, u, phi, Q, Q[0] - log1p(-v/radius), m);
+}
+
+static void disc_asin(double *y, const double *u, int m)
+{
+    const double a = u[0], v = moves_of(u, m), g = 1 - a*a;
+    double d[DEGREES], phi[DEGREES], Q[DEGREES];
+    if (!(fabs(a) + v < 1)) {
+        lose(y, m);
+        return;
+    }
+    d[0] = 1/sqrt(g);
+    for (int k = 1; k <= m; k++)
+        d[k] = ((-0.5 - (k - 1))*-2*a*d[k - 1] + (k > 1 ? (-1.0 - (k - 2))*-1*d[k - 2] : 0))/(k*g);
+    phi[0] = asin(a);
+    Q[0] = fabs(phi[0]);
+    for (int j = 1; j <= m; j++) {
+        phi[j] = d[j - 1]/j;
+        Q[j] = fabs(phi[j]);
+    }
+    compose(y, u, phi, Q, asin(fabs(a) + v), m);
+}
+
+static void disc_erf(double *y, const double *u, int m)
+{
+    const double a = u[0], v = moves_of(u, m), slope = TWO_OVER_ROOT_PI*exp(-a*a), rise = exp(2*fabs(a)*v + v*v);
+    double d[DEGREES], D[DEGREES], phi[DEGREES], Q[DEGREES];
+    d[0] = D[0] = slope;
+    for (int j = 1; j <= m; j++) {
+        d[j] = (-2*a*d[j - 1] - (j > 1 ? 2*d[j - 2] : 0))/j;
+        D[j] = (2*fabs(a)*D[j - 1] + (j > 1 ? 2*D[j - 2] : 0))/j;
+    }
+    phi[0] = erf(a);
+    Q[0] = fabs(phi[0]);
+    for (int j = 1; j <= m; j++) {
+        phi[j] = d[j - 1]/j;
+        Q[j] = D[j - 1]/j;
+    }
+    compose(y, u, phi, Q, v > 0 ? Q[0] + v*slope*rise : Q[0], m);
+}
+
+static void disc_sum(double *y, const double *a, double factor, const double *b, int m)
+{
+    for (int k = 0; k <= m; k++)
+        y[k] = a[k] + factor*b[k];
+    y[REST] = a[REST] + (factor != 0 ? fabs(factor)*b[REST] : 0);
+}
+
+static void disc_shifted(double *y, const double *a, double number, int m)
+{
+    memmove(y, a, (m + 2)*sizeof *y);
+    y[0] += number;
+}
+
+static void disc_tanh(double *y, const double *a, int m)
+{
+    const double sign = a[0] > 0 ? -1 : 1;
+    double e[DEGREES], below[DEGREES];
+    disc_scaled(e, a, 2*sign, m);
+    disc_exp(e, e, m);
+    disc_shifted(below, e, 1, m);
+    disc_quotient(y, e, below, m);
+    disc_scaled(y, y, 2*sign, m);
+    y[0] -= sign;
+}
+
+static void disc_hypot(double *y, const double *a, const double *b, int m)
+{
+    double one[DEGREES], two[DEGREES];
+    disc_product(one, a, a, m);
+    disc_product(two, b, b, m);
+    disc_sum(one, one, 1, two, m);
+    disc_root(y, one, m);
+}
+
+/* atan2: turned to its centre, where the disc does not meet the cut. */
+static void disc_angle(double *y, const double *a, const double *b, int m)
+{
+    const double a0 = a[0], b0 = b[0];
+    double above[DEGREES], below[DEGREES];
+    if (!(fabs(a0) > moves_of(a, m) || b0 > moves_of(b, m))) {
+        lose(y, m);
+        return;
+    }
+    disc_scaled(above, a, b0, m);
+    disc_sum(above, above, -a0, b, m);
+    disc_scaled(below, a, a0, m);
+    disc_sum(below, below, b0, b, m);
+    disc_quotient(above, above, below, m);
+    disc_atan(y, above, m);
+    y[0] += atan2(a0, b0);
+}
+
+/* Half the difference (sign -1) or the sum of exp(u) and exp(-u). */
+static void disc_hyperbola(double *y, const double *a, double sign, int m)
+{
+    double up[DEGREES], down[DEGREES];
+    disc_exp(up, a, m);
+    disc_scaled(down, a, -1, m);
+    disc_exp(down, down, m);
+    disc_sum(y, up, sign, down, m);
+    disc_scaled(y, y, 0.5, m);
+}
+
+/* log(u + sqrt(u^2 + constant)): asinh and acosh. */
+static void disc_area(double *y, const double *a, double constant, int m)
+{
+    double root[DEGREES];
+    disc_product(root, a, a, m);
+    disc_shifted(root, root, constant, m);
+    disc_root(root, root, m);
+    disc_sum(root, root, 1, a, m);
+    disc_log(y, root, m);
+}
+
+static void disc_of(double *y, int kind, const double *a, const double *b, double number, int m)
+{
+    double one[DEGREES], two[DEGREES];
+    switch (kind) {
+    case OF_SUM: disc_sum(y, a, 1, b, m); break;
+    case OF_DIFFERENCE: disc_sum(y, a, -1, b, m); break;
+    case OF_SCALED: disc_scaled(y, a, number, m); break;
+    case OF_SHIFTED: disc_shifted(y, a, number, m); break;
+    case OF_PRODUCT: disc_product(y, a, b, m); break;
+    case OF_QUOTIENT: disc_quotient(y, a, b, m); break;
+    case OF_EXP: disc_exp(y, a, m); break;
+    case OF_EXPM1: disc_exp(y, a, m); y[0] -= 1; break;
+    case OF_SIN: disc_wave(y, a, m, 0); break;
+    case OF_COS: disc_wave(y, a, m, 1); break;
+    case OF_TAN: disc_wave(one, a, m, 0); disc_wave(two, a, m, 1); disc_quotient(y, one, two, m); break;
+    case OF_SINH: disc_hyperbola(y, a, -1, m); break;
+    case OF_COSH: disc_hyperbola(y, a, 1, m); break;
+    case OF_TANH: disc_tanh(y, a, m); break;
+    case OF_SQRT: disc_root(y, a, m); break;
+    case OF_HYPOT: disc_hypot(y, a, b, m); break;
+    case OF_LOG: disc_log(y, a, m); break;
+    case OF_LOG1P: disc_shifted(one, a, 1, m); disc_log(y, one, m); break;
+    case OF_POWER: disc_power(y, a, number, m); break;
+    case OF_POW: disc_log(one, a, m); disc_product(one, b, one, m); disc_exp(y, one, m); break;
+    case OF_ATAN: disc_atan(y, a, m); break;
+    case OF_ASIN: disc_asin(y, a, m); break;
+    case OF_ACOS: disc_asin(y, a, m); disc_scaled(y, y, -1, m); y[0] += acos(0.0); break;
+    case OF_ASINH: disc_area(y, a, 1, m); break;
+    case OF_ACOSH: disc_area(y, a, -1, m); break;
+    case OF_ATANH:
+        disc_shifted(one, a, 1, m);
+        disc_scaled(two, a, -1, m);
+        disc_shifted(two, two, 1, m);
+        disc_quotient(one, one, two, m);
+        disc_log(y, one, m);
+        disc_scaled(y, y, 0.5, m);
+        break;
+    case OF_ERF: disc_erf(y, a, m); break;
+    case OF_ATAN2: disc_angle(y, a, b, m); break;
+    default: lose(y, m);
+    }
+}
+
+/* All rows of a graph; those of its inputs are there. */
+static void run_graph(const model_pieces *s, const disc_graph *graph, double *rows, int m)
+{
+    for (int i = 0; i < graph->constants; i++) {
+        double *y = ROW(graph->number_rows[i]);
+        memset(y, 0, (m + 2)*sizeof *y);
+        y[0] = graph->numbers[i];
+    }
+    for (int i = 0; i < graph->count; i++) {
+        const disc_line *line = &graph->lines[i];
+        const double *a = ROW(line->a), *b = ROW(line->b);
+        const double side = line->choice >= 0 ? s->at.choice[graph->choices + line->choice] : 0;
+        double *y = ROW(line->y);
+        switch (line->kind) {
+        case OF_CHOSEN: memcpy(y, side > 0 ? a : b, (m + 2)*sizeof *y); break;
+        case OF_EQUAL: memcpy(y, side == 0 ? a : b, (m + 2)*sizeof *y); break;
+        case OF_GUARDED:
+            if (a[0] != 0)
+                memcpy(y, b, (m + 2)*sizeof *y);
+            else
+                memset(y, 0, (m + 2)*sizeof *y);
+            break;
+        case OF_WHOLE: case OF_NOT: case OF_BOTH: case OF_EITHER: {
+            const double value = line->kind == OF_WHOLE ? side : line->kind == OF_NOT ? a[0] == 0
+                                 : line->kind == OF_BOTH ? a[0] != 0 && b[0] != 0 : a[0] != 0 || b[0] != 0;
+            memset(y, 0, (m + 2)*sizeof *y);
+            y[0] = value;
+            break;
+        }
+        default: disc_of(y, line->kind, a, b, line->number, m);
+        }
+        if (!(y[REST] < INFINITY)) /* NaN too */
+            y[REST] = INFINITY;
+    }
+}

@@ -1,0 +1,138 @@
+"""What a piece of collocation errs by inside: bounded by forms on discs that cover it.
+
+Its defect is that of no series: it has zeros at the nodes, of which a bound on one disc around all of it knows nothing. So the
+piece is halved, and its halves, until on a disc around each, COVER_RADIUS times as wide, the bound is small enough. There the
+polynomials are forms about the centre, F of them is one (see `discs`), and so is the defect D = h (f + g) - x~'. What a stiff
+mode leaves of it is P^-1 (D, -y_a), P = (1/kappa - h J) of the start (see `radau`): combined coefficient by coefficient, so that
+what the equations cancel stays cancelled, and |P^-1| times what is no coefficient. Values count on the real part of the disc,
+|w| <= 1/COVER_RADIUS.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from nsmodel.pieces.collocation import Collocation
+from nsmodel.pieces.disc_equations import EquationsOnDisc
+from nsmodel.pieces.discs import Form
+
+SMALLEST, COVER_RADIUS, COVER_DEGREE = 2.0**-6, 1.5, 10
+
+
+class Scales(NamedTuple):
+    """What a piece may err by, and what of it is rounding.
+
+    ``size``: of x; ``x``, ``l``, ``y``, ``watched``: what is allowed, of held rows l, of the others y. ``rounding``: that of
+    (x, l of held rows) after ``inverse``, (q, q); ``rounding_y`` and ``rounding_watched``: that of these.
+    """
+
+    inverse: np.ndarray
+    rounding: np.ndarray
+    x: np.ndarray
+    size: np.ndarray
+    l: np.ndarray
+    y: np.ndarray
+    rounding_y: np.ndarray
+    watched: np.ndarray
+    rounding_watched: np.ndarray
+
+
+class Polynomials(NamedTuple):
+    """Those of a piece about its middle, (s + 1, q), in its own length; where it begins, its length, and the rows it holds."""
+
+    t: float
+    h: float
+    held: list[int]
+    x: np.ndarray
+    l: np.ndarray
+    y: np.ndarray
+    watched: np.ndarray
+
+
+def bound(on: EquationsOnDisc, of: Polynomials, scales: Scales) -> float:
+    """The largest bound in units of what is allowed; more than 1 where discs as small as SMALLEST of the piece prove no less."""
+    worst, at, width = 0.0, 0.0, 1.0
+    while at < 1:
+        here = _on_part(on, of, scales, at + width / 2, width / 2)
+        if here <= 1:
+            worst, at = max(worst, here), at + width
+            while width < 1 and at % (2 * width) == 0:  # The other half of the next wider one is done.
+                width *= 2
+        elif width > SMALLEST:
+            width /= 2
+        else:
+            return here
+    return worst
+
+
+def _on_part(on: EquationsOnDisc, of: Polynomials, scales: Scales, centre: float, half: float) -> float:
+    about, R = _about(len(of.x) - 1, centre, COVER_RADIUS * half), COVER_RADIUS * half
+    x, l, y, watched = (about @ c for c in (of.x, of.l, of.y, of.watched))
+    t = np.zeros(COVER_DEGREE + 1)
+    t[:2] = of.t + of.h * centre, of.h * R
+    found = on(Form(t), _forms(x), _forms(l))
+    orders = np.arange(1, COVER_DEGREE + 1)[:, None] / R
+    moved = np.vstack([x[1:] * orders, np.zeros((1, x.shape[1]))])
+    missed = [_less(one * of.h, c) for one, c in zip(found.rate, moved.T, strict=True)]
+    missed += [_less(found.y[i] * -1.0, np.zeros(COVER_DEGREE + 1)) for i in of.held]
+    coefficients, rests = np.array([c for c, _ in missed]), np.array([r for _, r in missed])
+    if not np.isfinite(rests).all():
+        return math.inf
+    off = np.abs(scales.inverse @ coefficients) @ _POWERS[:-1] + np.abs(scales.inverse) @ rests * _POWERS[-1] - scales.rounding
+    n = len(found.rate)
+    worst = max(_worst(off[:n], scales.x), _worst(off[n:], scales.l[of.held]))
+    free = [i for i in range(len(found.y)) if i not in of.held]
+    off_y = np.array([_on_piece(*_less(found.y[i], y[:, i])) for i in free])
+    looked = [i for i, one in enumerate(found.looked) if one is not None]
+    off_watched = np.array([_on_piece(*_less(found.looked[i], watched[:, i])) for i in looked])
+    worst = max(worst, _worst(off_y - scales.rounding_y[free], scales.y[free]))
+    return max(worst, _worst(off_watched - scales.rounding_watched[looked], scales.watched[looked]))
+
+
+_POWERS = COVER_RADIUS ** -np.arange(COVER_DEGREE + 2.0)
+
+
+@cache
+def _about(degree: int, centre: float, R: float) -> np.ndarray:
+    """(COVER_DEGREE + 1, degree + 1) coefficients of (z - centre)/R from those about 1/2."""
+    out, by = np.zeros((COVER_DEGREE + 1, degree + 1)), centre - 0.5
+    for m in range(degree + 1):
+        for k in range(m + 1):
+            out[k, m] = math.comb(m, k) * by ** (m - k) * R**k
+    return out
+
+
+def _forms(c: np.ndarray) -> list[Form]:
+    return [Form(column) for column in c.T]
+
+
+def _less(of: Form | float, c: np.ndarray) -> tuple[np.ndarray, float]:
+    """Coefficients and rest of what it is beside a polynomial."""
+    if isinstance(of, Form):
+        return of.c - c, of.r
+    out = -c
+    out[0] += of
+    return out, 0.0 if of == of else math.inf
+
+
+def _on_piece(c: np.ndarray, r: float) -> float:
+    """The largest value on the real part of the disc."""
+    return float(np.abs(c) @ _POWERS[:-1] + r * _POWERS[-1])
+
+
+def _worst(off: np.ndarray, most: np.ndarray) -> float:
+    with np.errstate(all="ignore"):
+        shares = np.where(off <= 0, 0.0, off / most)
+    return float(np.where(np.isnan(shares), np.inf, shares).max(initial=0.0))
+
+
+def polynomials(
+    table: Collocation, t: float, h: float, held: list[int], start: Sequence[np.ndarray], values: Sequence[np.ndarray]
+) -> Polynomials:
+    """Of x, l, y and what is watched: values at 0 and at the nodes."""
+    return Polynomials(t, h, held, *(table.about_middle(v, at_0) for v, at_0 in zip(values, start, strict=True)))

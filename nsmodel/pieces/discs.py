@@ -1,0 +1,414 @@
+"""Analytic functions on a disc |z| <= R: a bound of their values that ends at poles, branch points and overflow.
+
+A **form** of degree m says that u(z) = sum_(k <= m) c_k (z/R)^k + e(z), |e| <= rest on the disc, with real c_k; of degree 0 it is
+a **ball**, c_0 and a radius. An expression of forms is a form if every one of its operations is analytic on the disc; else its
+rest is infinite. Products bound what is cut off by the product of the sums of sizes less the coefficients that are kept; a
+function phi(c_0 + v) by a majorant Phi, |phi_j| <= Phi_j: the rest is Phi(|v|) less what [Phi o |v|] keeps (Taylor models with
+real coefficients, on a disc: Neumaier, Taylor forms, 2003). `jets` run on them at order 0 (see `evaluated`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from nsmodel.pieces import series
+from nsmodel.pieces.expansion import compiled
+from nsmodel.pieces.jets import Jets
+from nsmodel.pieces.printed import PYTHON
+
+EPS = 2.0**-52
+INF = math.inf
+_DIALECT = PYTHON._replace(choose="pass")  # The sides of branches are given.
+PRODUCT_ROUNDINGS, FUNCTION_ROUNDINGS = 3, 8  # Roundings of a coefficient beside one for each coefficient.
+MOST_EXPONENT = 700.0  # Exp of less is a double.
+
+
+class Ball:
+    """|u - c| <= r on the disc: a form of degree 0. Rounding is not counted: what is bounded by it is cut off, and small."""
+
+    __slots__ = ("c", "r")
+
+    def __init__(self, c: float, r: float = 0.0) -> None:
+        self.c, self.r = c, r if r == r else INF
+
+    @property
+    def moves(self) -> float:
+        """How far it is from its centre at most."""
+        return self.r
+
+    def __add__(self, other: Any) -> Ball:
+        return Ball(self.c + other.c, self.r + other.r) if type(other) is Ball else Ball(self.c + other, self.r)
+
+    __radd__ = __add__
+
+    def __sub__(self, other: Any) -> Ball:
+        return Ball(self.c - other.c, self.r + other.r) if type(other) is Ball else Ball(self.c - other, self.r)
+
+    def __rsub__(self, other: float) -> Ball:
+        return Ball(other - self.c, self.r)
+
+    def __neg__(self) -> Ball:
+        return Ball(-self.c, self.r)
+
+    def __mul__(self, other: Any) -> Ball:
+        if type(other) is not Ball:
+            return Ball(self.c * other, self.r * abs(other) if other else 0.0)
+        a, b, r, q = self.c, other.c, self.r, other.r
+        if self is other:
+            return Ball(a * a, (2 * abs(a) + r) * r if r else 0.0)
+        return Ball(a * b, (abs(a) * q if a else 0.0) + (r * (abs(b) + q) if r else 0.0))
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Any) -> Ball:
+        return self * other.inverse() if type(other) is Ball else Ball(self.c / other, self.r / abs(other))
+
+    def __rtruediv__(self, other: float) -> Ball:
+        return self.inverse() * other
+
+    def inverse(self) -> Ball:
+        """1/u."""
+        a, r = abs(self.c), self.r
+        return Ball(1 / self.c, r / (a * (a - r))) if r < a else Ball(0.0, INF)
+
+
+def _ball(of: Callable[[float, float], tuple[float, float]]) -> Callable[[Ball], Ball]:
+    """A function of balls by (c, r) -> (its value at c, how far it is from that)."""
+
+    def at(u: Ball) -> Ball:
+        try:
+            return Ball(*of(u.c, u.r))
+        except (ValueError, OverflowError, ZeroDivisionError):
+            return Ball(0.0, INF)
+
+    return at
+
+
+def _exp(c: float, r: float) -> tuple[float, float]:
+    return math.exp(c), -math.exp(c + r) * math.expm1(-r)
+
+
+def _sine(c: float, r: float) -> tuple[float, float]:
+    return math.sin(c), abs(math.cos(c)) * math.sinh(r) + abs(math.sin(c)) * (math.cosh(r) - 1)
+
+
+def _cosine(c: float, r: float) -> tuple[float, float]:
+    return math.cos(c), abs(math.sin(c)) * math.sinh(r) + abs(math.cos(c)) * (math.cosh(r) - 1)
+
+
+def _root(c: float, r: float) -> tuple[float, float]:
+    y = math.sqrt(c)
+    return y, (r / (y + math.sqrt(c - r)) if r < c else 0.0 if r == 0 else INF)
+
+
+def _log(c: float, r: float) -> tuple[float, float]:
+    return math.log(c), -math.log1p(-r / c) if r < c else INF
+
+
+def _log1p(c: float, r: float) -> tuple[float, float]:
+    return math.log1p(c), -math.log1p(-r / (1 + c)) if r < 1 + c else INF
+
+
+def _erf(c: float, r: float) -> tuple[float, float]:
+    return math.erf(c), r * series.TWO_OVER_ROOT_PI * math.exp(2 * abs(c) * r + r * r - c * c) if r else 0.0
+
+
+def _by_slope(function: Callable[[float], float], slope: Callable[[float, float], float]) -> Callable[[Ball], Ball]:
+    """``slope(c, r)``: the largest slope on the disc; 0 or less where it has none."""
+
+    def of(c: float, r: float) -> tuple[float, float]:
+        steepest = slope(c, r) if r else 0.0
+        return function(c), r * steepest if steepest >= 0 else INF
+
+    return _ball(of)
+
+
+def _over(distance: float) -> float:
+    return 1 / distance if distance > 0 else -1.0
+
+
+def _tanh(u: Any) -> Any:
+    """By exp(2 u) where u <= 0: where tanh is saturated, so is what it is bounded by."""
+    if _centre(u) > 0:
+        return -_tanh(-u)
+    e = _KNOWN["exp"](2.0 * u)
+    return 2.0 * (e / (e + 1.0)) - 1.0
+
+
+def _power(u: Any, p: Any) -> Any:
+    if isinstance(p, Ball | Form):
+        return _KNOWN["exp"](p * _KNOWN["log"](u))
+    if not isinstance(u, Ball | Form):
+        return series.STARTS["pow"](u, p)
+    return _ball_power(u, p) if isinstance(u, Ball) else _form_power(u, p)
+
+
+def _ball_power(u: Ball, p: float) -> Ball:
+    c, r = u.c, u.r
+    if not 0 <= r < abs(c) or (c < 0 and p != int(p)):
+        return Ball(0.0, INF)
+    try:
+        return Ball(c**p, abs(p) * r * (abs(c) + (r if p >= 1 else -r)) ** (p - 1))
+    except OverflowError:
+        return Ball(0.0, INF)
+
+
+def _angle(a: Any, b: Any) -> Any:
+    """atan2: turned to its centre, where the real piece, and with it the disc, does not meet the cut."""
+    a, b = _form_like(a, b), _form_like(b, a)
+    a0, b0 = _centre(a), _centre(b)
+    if not (abs(a0) > a.moves or b0 > b.moves):
+        return _lost(a)
+    return _KNOWN["atan"]((a * b0 - b * a0) / (a * a0 + b * b0)) + math.atan2(a0, b0)
+
+
+# ---------------------------------------------------------------------------------------------- forms
+
+
+class Form:
+    """Coefficients c_0, ..., c_m and the rest, of z/R."""
+
+    __slots__ = ("c", "r")
+
+    def __init__(self, c: np.ndarray, r: float = 0.0) -> None:
+        self.c, self.r = c, r if r == r else INF
+
+    @property
+    def sum(self) -> float:
+        """The largest value."""
+        return float(np.abs(self.c).sum()) + self.r
+
+    @property
+    def moves(self) -> float:
+        """How far it is from its centre at most."""
+        return float(np.abs(self.c[1:]).sum()) + self.r
+
+    def __add__(self, other: Any) -> Form:
+        if type(other) is Form:
+            return Form(self.c + other.c, self.r + other.r)
+        c = self.c.copy()
+        c[0] += other
+        return Form(c, self.r)
+
+    __radd__ = __add__
+
+    def __sub__(self, other: Any) -> Form:
+        return Form(self.c - other.c, self.r + other.r) if type(other) is Form else self + -other
+
+    def __rsub__(self, other: float) -> Form:
+        return -self + other
+
+    def __neg__(self) -> Form:
+        return Form(-self.c, self.r)
+
+    def __mul__(self, other: Any) -> Form:
+        if type(other) is not Form:
+            return Form(self.c * other, self.r * abs(other) if other else 0.0)
+        n, whole = len(self.c), self.sum * other.sum
+        product = np.convolve(self.c, other.c)[:n]
+        if not whole < INF:
+            return Form(product, INF if whole else 0.0)
+        kept = float(np.convolve(np.abs(self.c), np.abs(other.c))[:n].sum())
+        return Form(product, max(whole - kept, 0.0) + (n + PRODUCT_ROUNDINGS) * EPS * whole)
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Any) -> Form:
+        return self * other.inverse() if type(other) is Form else Form(self.c / other, self.r / abs(other))
+
+    def __rtruediv__(self, other: float) -> Form:
+        return self.inverse() * other
+
+    def inverse(self) -> Form:
+        """1/u."""
+        a, v = float(self.c[0]), self.moves
+        if not v < abs(a):
+            return _lost(self)
+        j = np.arange(len(self.c))
+        phi = (-1.0) ** j / a ** (j + 1)
+        return _composed(self, phi, np.abs(phi), 1 / (abs(a) - v))
+
+
+def _lost(u: Any) -> Any:
+    return Ball(0.0, INF) if type(u) is Ball else Form(np.zeros(len(u.c)), INF)
+
+
+def _centre(u: Any) -> float:
+    return u if isinstance(u, float) else u.c if type(u) is Ball else float(u.c[0])
+
+
+def _form_like(u: Any, other: Any) -> Any:
+    """A number as what the other one is."""
+    if isinstance(u, Ball | Form):
+        return u
+    if type(other) is Form:
+        c = np.zeros(len(other.c))
+        c[0] = u
+        return Form(c)
+    return Ball(float(u))
+
+
+def _composed(u: Form, phi: np.ndarray, majorant: np.ndarray, whole: float) -> Form:
+    """phi(u) by its coefficients at the centre and those of the majorant; ``whole``: the majorant itself of ``u.moves``."""
+    n, v = len(u.c), u.c.copy()
+    v[0] = 0
+    size, y, Y = np.abs(v), np.zeros(n), np.zeros(n)
+    for j in range(n - 1, -1, -1):
+        y, Y = np.convolve(y, v)[:n], np.convolve(Y, size)[:n]
+        y[0] += phi[j]
+        Y[0] += majorant[j]
+    rest = max(whole - float(Y.sum()), 0.0) + (n + FUNCTION_ROUNDINGS) * EPS * whole if whole < INF else INF
+    return Form(y, rest)
+
+
+def _form(of: Callable[[Form, float, float, int], Form]) -> Callable[[Form], Form]:
+    """A function of forms by (u, its centre, how far it moves, how many coefficients)."""
+
+    def at(u: Form) -> Form:
+        try:
+            return of(u, float(u.c[0]), u.moves, len(u.c))
+        except (ValueError, OverflowError, ZeroDivisionError):
+            return _lost(u)
+
+    return at
+
+
+def _form_exp(u: Form, a: float, v: float, n: int) -> Form:
+    phi = math.exp(a) / np.array([float(math.factorial(j)) for j in range(n)])
+    return _composed(u, phi, phi, math.exp(a + v))
+
+
+def _wave(first: int) -> Callable[[Form, float, float, int], Form]:
+    """Sin (0) and cos (1): derivatives in a circle of four."""
+
+    def of(u: Form, a: float, v: float, n: int) -> Form:
+        circle = [math.sin(a), math.cos(a), -math.sin(a), -math.cos(a)]
+        phi = np.array([circle[(first + j) % 4] / math.factorial(j) for j in range(n)])
+        whole = abs(circle[first]) * math.cosh(v) + abs(circle[first + 1]) * math.sinh(v)
+        return _composed(u, phi, np.abs(phi), whole)
+
+    return of
+
+
+def _form_power(u: Form, p: float) -> Form:
+    a, n, v = float(u.c[0]), len(u.c), u.moves
+    if not (a > 0 and v < a):
+        return _lost(u)
+    phi, majorant, x = [a**p], [a**p], v / a
+    for j in range(n - 1):
+        phi.append(phi[-1] * (p - j) / (j + 1) / a)
+        majorant.append(majorant[-1] * (abs(p) + j) / (j + 1) / a)
+    if p == 0.5:
+        return _composed(u, np.array(phi), np.abs(phi), math.sqrt(a) * (2 - math.sqrt(1 - x)))
+    return _composed(u, np.array(phi), np.array(majorant), a**p * (1 - x) ** -abs(p))
+
+
+def _form_log(u: Form, a: float, v: float, n: int) -> Form:
+    if not (a > 0 and v < a):
+        return _lost(u)
+    phi = np.array([math.log(a), *((-1.0) ** (j + 1) / j / a**j for j in range(1, n))])
+    return _composed(u, phi, np.abs(phi), abs(phi[0]) - math.log1p(-v / a))
+
+
+def _integral(start: float, slope: Sequence[float]) -> np.ndarray:
+    return np.array([start, *(d / (j + 1) for j, d in enumerate(slope[:-1]))])
+
+
+def _form_atan(u: Form, a: float, v: float, n: int) -> Form:
+    radius = math.sqrt(1 + a * a)
+    if not v < radius:
+        return _lost(u)
+    d: list[float] = []
+    for k in range(n):  # 1 / (1 + (a + w)^2)
+        d.append(((k == 0) - (2 * a * d[k - 1] if k else 0.0) - (d[k - 2] if k > 1 else 0.0)) / (1 + a * a))
+    majorant = np.array([abs(math.atan(a)), *(1 / j / radius**j for j in range(1, n))])
+    return _composed(u, _integral(math.atan(a), d), majorant, abs(math.atan(a)) - math.log1p(-v / radius))
+
+
+def _form_asin(u: Form, a: float, v: float, n: int) -> Form:
+    if not abs(a) + v < 1:
+        return _lost(u)
+    g, d = [1 - a * a, -2 * a, -1.0], [(1 - a * a) ** -0.5]
+    for k in range(1, n):  # g^(-1/2)
+        d.append(sum((-0.5 * j - (k - j)) * g[j] * d[k - j] for j in range(1, min(k, 2) + 1)) / (k * g[0]))
+    phi = _integral(math.asin(a), d)
+    return _composed(u, phi, np.abs(phi), math.asin(abs(a) + v))
+
+
+def _form_erf(u: Form, a: float, v: float, n: int) -> Form:
+    slope = series.TWO_OVER_ROOT_PI * math.exp(-a * a)
+
+    def density(one: float, two: float) -> list[float]:
+        y = [slope]
+        for j in range(1, n):
+            y.append((one * y[j - 1] + (2 * two * y[j - 2] if j > 1 else 0.0)) / j)
+        return y
+
+    majorant = _integral(abs(math.erf(a)), density(2 * abs(a), 1.0))
+    whole = abs(math.erf(a)) + v * slope * math.exp(2 * abs(a) * v + v * v)
+    return _composed(u, _integral(math.erf(a), density(-2 * a, -1.0)), majorant, whole)
+
+
+def _either(of_ball: Callable[[Ball], Ball], of_form: Callable[[Any], Any], name: str) -> Callable[[Any], Any]:
+    number = series.STARTS[name]
+
+    def at(u: Any) -> Any:
+        return of_ball(u) if type(u) is Ball else of_form(u) if type(u) is Form else number(u)
+
+    return at
+
+
+def _divided(a: Any, b: Any) -> Any:
+    return a / b if isinstance(a, Ball | Form) or isinstance(b, Ball | Form) else series.RECURRENCES["divided"](a, b)
+
+
+_KNOWN: dict[str, Callable[..., Any]] = {"divided": _divided, "pow": _power, "atan2": _angle, "tanh": _tanh}
+_KNOWN |= {
+    name: _either(_ball(ball), _form(form), name)
+    for name, ball, form in (
+        ("exp", _exp, _form_exp), ("sin", _sine, _wave(0)), ("cos", _cosine, _wave(1)), ("log", _log, _form_log),
+        ("sqrt", _root, lambda u, a, v, n: _form_power(u, 0.5)), ("erf", _erf, _form_erf),
+    )
+}  # fmt: skip
+_KNOWN |= {
+    "atan": _either(_by_slope(math.atan, lambda c, r: _over((math.sqrt(1 + c * c) - r) * abs(math.sqrt(1 + c * c) - r))),
+                    _form(_form_atan), "atan"),
+    "asin": _either(_ball(lambda c, r: (math.asin(c), max(math.asin(abs(c) + r) - math.asin(abs(c)), 0.0))),
+                    _form(_form_asin), "asin"),
+    "asinh": _either(_by_slope(math.asinh, lambda c, r: _over(math.sqrt(1 + c * c) - r)),
+                     lambda u: _KNOWN["log"](u + _KNOWN["sqrt"](u * u + 1.0)), "asinh"),
+    "acosh": _either(_by_slope(math.acosh, lambda c, r: math.sqrt(_over((c - 1 - r) * (c + 1 - r))) if c - 1 > r else -1.0),
+                     lambda u: _KNOWN["log"](u + _KNOWN["sqrt"](u * u - 1.0)), "acosh"),
+    "atanh": _either(_by_slope(math.atanh, lambda c, r: _over((1 - abs(c) - r) * (1 + abs(c) + r)) if abs(c) + r < 1 else -1.0),
+                     lambda u: 0.5 * _KNOWN["log"]((1.0 + u) / (1.0 - u)), "atanh"),
+    "log1p": _either(_ball(_log1p), lambda u: _KNOWN["log"](u + 1.0), "log1p"),
+    "expm1": lambda u: _KNOWN["exp"](u) - 1.0,
+    "acos": lambda u: math.pi / 2 - _KNOWN["asin"](u),
+    "sinh": lambda u: 0.5 * (_KNOWN["exp"](u) - _KNOWN["exp"](-u)),
+    "cosh": lambda u: 0.5 * (_KNOWN["exp"](u) + _KNOWN["exp"](-u)),
+    "tan": lambda u: _divided(_KNOWN["sin"](u), _KNOWN["cos"](u)),
+    "hypot": lambda a, b: _KNOWN["sqrt"](a * a + b * b),
+}  # fmt: skip
+
+
+class OnDisc:
+    """Some jets, of which order 0 is computed with balls or forms in place of numbers."""
+
+    def __init__(self, jets: Jets, choice: list[float]) -> None:
+        """``choice``: the sides of branches, as they are when it is computed."""
+        self._jets, self._rows = jets, [[0.0] for _ in range(jets.count)]
+        for row, value in jets.numbers.items():
+            self._rows[row][0] = value
+        self._first, _ = compiled(jets, self._rows, choice, _DIALECT, _KNOWN)
+
+    def __call__(self, inputs: dict[tuple[int, int], Any]) -> tuple[list[Any], list[Any]]:
+        """The outputs and what branches look at; numbers where they do not depend on the inputs."""
+        rows = self._rows
+        for place, row in self._jets.inputs.items():
+            rows[row][0] = inputs[place]
+        self._first()
+        return [rows[row][0] for row in self._jets.outputs], [rows[branch.row][0] for branch in self._jets.branches]

@@ -1,0 +1,215 @@
+"""How far a series piece goes: as far as its polynomials are proved to solve the equations, by Schwarz' lemma on a disc.
+
+With z = (t - t0)/tau, the polynomials x~, l~ of order p and F = (f + g)(t0 + tau z, x~, l~), the defect D = x~' - tau F has the
+coefficients 0 up to order p - 1, but for rounding. Where every operation of F is analytic on |z| <= R, so is D, and D/z^p is
+largest on the rim: |D(z)| <= (|z|/R)^p max_R |D| (Schwarz). One evaluation of the graph, with balls or with forms (see `discs`),
+gives max_R |D|; as R stays, the bound falls like s^p, and the length that is proved is known at once. Rows of h and what switches
+look at likewise. A pole, a branch point or an overflow on the disc is an infinite bound: R is halved; the piece ends before it.
+
+What is proved is |D|, |y~ - h| and the arguments of switches on the whole piece, up to rounding of the coefficients. What is not:
+the state itself, uniqueness, dips of a condition that are smaller than these bounds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from nsmodel.errors import FinalError, StepError
+from nsmodel.pieces.bernstein import slopes, value, values
+from nsmodel.pieces.defect import Equations
+from nsmodel.pieces.disc_equations import EquationsOnDisc, combined, rest, share
+from nsmodel.pieces.discs import Ball, Form
+from nsmodel.pieces.lengths import MULTIPLIERS, SMALL
+from nsmodel.pieces.modes import Place
+from nsmodel.pieces.multipliers import Solve
+from nsmodel.pieces.system import System
+
+RADIUS_OF_BALL, WIDE_RADIUS, CLOSE_RADIUS = 6.0, 2.0, 1.25  # Of the disc, in lengths of the piece: of a ball, of two forms.
+PROVED = 0.45  # Of the length that was asked for: with less a smaller disc may prove more.
+NEARLY = 0.97  # Of the length that a bound lets be.
+SHRINKINGS, SLOWLY, QUICKLY = 200, 8, 64.0  # Of the disc: so many by half, then by so much at a time.
+CAPS, CAP_OCTAVES = 120, 4  # First units of time that are tried, each by so many octaves shorter.
+POLE = 1e6  # How much more than its size a state would move at its rate in the time so far, near a pole.
+AS_NOW = 2.0**-51  # Of the time, and of the length of a piece: what a state does in it is rounding.
+CANCELLED = 2.0**-50  # Of an entry of P: rounding.
+AT_REST = 1e-290  # What a state that is exactly 0 may err by.
+
+
+TIERS = ((False, RADIUS_OF_BALL), (True, WIDE_RADIUS), (True, CLOSE_RADIUS))
+
+
+class Schwarz:
+    """The bound of the pieces of a system."""
+
+    def __init__(self, system: System, of: Equations) -> None:
+        self.system, self._equations = system, of
+        self._rounding: list[float] | None = None  # Of tau (f + g), where the piece begins.
+        self.on = EquationsOnDisc(system)
+
+    def proved(self, place: Place, how: Solve, p: int, s: float, rtol: float, atol: list[float]) -> tuple[float, float]:
+        """The length <= s that is proved, and the bound of the local error there in units of rtol, at most 1.
+
+        Raises:
+            StepError: no piece is proved, however short.
+        """
+        if s <= 0:
+            return s, 0.0
+        disc, best, bound, still = s, 0.0, 0.0, AS_NOW * abs(place.t) / place.tau
+        self._rounding = None
+        for k in range(SHRINKINGS):
+            for of_forms, radius in TIERS:
+                w = self.worst(place, how, p, radius * disc, disc, rtol, atol, of_forms=of_forms)
+                length = disc if w <= 1 else disc * NEARLY * w ** (-1 / p) if w < math.inf else 0.0
+                if length > best:
+                    best, bound = length, w * (length / disc) ** p
+                if best >= PROVED * disc:
+                    return min(best, s), min(bound, 1.0)
+            if disc <= still:
+                break
+            disc = max(disc / 2 if k < SLOWLY or best > disc / QUICKLY else max(disc / QUICKLY, 2 * best), still)
+        if best > 0:
+            return min(best, s), min(bound, 1.0)
+        if self._rests(still, rtol, atol):
+            return min(still, s), 1.0
+        raise self.refused(place)
+
+    def _rests(self, still: float, rtol: float, atol: list[float]) -> bool:
+        """Whether no state moves by more than rtol while time stands still: so far a singularity of f is stepped over."""
+        rows = zip(self.system.x, self.system.sizes.x, atol, strict=True)
+        return still > 0 and all(abs(row[1]) * still <= rtol * max(size, abs(row[0])) + a + AT_REST for row, size, a in rows)
+
+    def refused(self, place: Place) -> StepError:
+        """Why no piece goes on from here."""
+        where = "a root or a logarithm at 0, a corner, or an overflow"
+        return self.pole(place) or StepError(f"t = {place.t:.10g}: f, g or h is not analytic here: {where}")
+
+    def pole(self, place: Place) -> FinalError | None:
+        """That no solution goes on, where a state moves by many times its size in the time so far."""
+        system = self.system
+        at_pole, _ = self._equations(place.t, [row[0] for row in system.x], [row[0] for row in system.push])
+        for name, row, size, rate in zip(system.problem.names, system.x, system.sizes.x, at_pole, strict=True):
+            if abs(rate * place.t) > POLE * max(size, abs(row[0])):
+                return FinalError(f"t = {place.t:.10g}: {name}' = {rate:.3g}, and grows without bound: f has a pole near here")
+        return None
+
+    def unit(self, t: float, x: list[float], rates: list[float], tau: float) -> float:
+        """The unit of time, shorter where f has no bound on the disc that x, on its tangent, and t come to in it."""
+        for k in range(CAPS):
+            shorter = math.ldexp(tau, -CAP_OCTAVES * k)
+            moving = [Ball(v, abs(rate) * shorter) for v, rate in zip(x, rates, strict=True)]
+            if all(
+                rest(one) < math.inf for one in self.on.f(Ball(t, shorter), moving, [Ball(row[0]) for row in self.system.push])
+            ):
+                return shorter
+        return tau
+
+    def worst(
+        self, place: Place, how: Solve, p: int, R: float, s: float, rtol: float, atol: list[float], *, of_forms: bool
+    ) -> float:  # fmt: skip
+        """The largest bound on a piece of length s, in units of what it may be; inf where the disc holds a singularity."""
+        system, tau, q = self.system, place.tau, s / R
+        form = partial(_form, R=R, m=p - 1) if of_forms else partial(_ball, R=R)
+        x, l = [form(row) for row in system.x], [form(row) for row in system.push]
+        found = self.on(form([place.t, tau]), x, l)
+        moved = [form([k * c for k, c in enumerate(row[: p + 1])][1:]) for row in system.x]
+        end, moves = values(system.x, s), slopes(system.x, s)
+        size = [max(a, abs(b), abs(c * s)) for a, b, c in zip(system.sizes.x, end, moves, strict=True)]
+        D = [a - tau * b for a, b in zip(moved, found.rate, strict=True)]
+        still = AS_NOW * max(abs(place.t) / tau, s)  # In which nothing moves: time is not known better.
+        now = min(still / R, 1.0)
+        most = [
+            ((p + 1) * (rtol * a + b + AT_REST) + now**p * still * rest(d)) / s if rest(d) < math.inf else 0.0
+            for a, b, d in zip(size, atol, D, strict=True)
+        ]
+        shares = [share(rest(d) * q**p, least) for d, least in zip(D, most, strict=True)]
+        worst = max(shares, default=0.0)
+        if not worst <= 1:
+            most = [a + b for a, b in zip(most, self._noise(place), strict=True)]
+            worst = max((share(rest(d) * q**p, least) for d, least in zip(D, most, strict=True)), default=0.0)
+        if not worst <= 1 and how.through is not None:
+            worst = self._beside_multipliers(place, how, D, moved, found.free, most, q, now, p, s, rtol)
+        if not worst < math.inf:
+            return worst
+        of_rows = self._rows(place, how, p, found.y, form, end, s, q, now, rtol)
+        return max(worst, of_rows, self._switches(found.looked, p, form, q, now, rtol))
+
+    def _noise(self, place: Place) -> list[float]:
+        """What rounding does to tau (f + g) where the piece begins: no piece is to be better."""
+        found = self._rounding
+        if found is None:
+            self._equations(place.t, [row[0] for row in self.system.x], [row[0] for row in self.system.push])
+            found = self._rounding = [place.tau * v for v in self._equations.rounding().tolist()]
+        return found
+
+    def _beside_multipliers(
+        self, place: Place, how: Solve, D: list[Any], moved: list[Any], free: list[Any], most: list[float], q: float,
+        now: float, p: int, s: float, rtol: float,
+    ) -> float:  # fmt: skip
+        """The same with what lies along g_l of held rows as an error of l: the rest of D is P D, P = I - B N C.
+
+        Where g = B l, P B = 0: l is not in it.
+        """
+        system = self.system
+        B, _, C = system.slopes()
+        rows = list(how.active)
+        NC = np.array(how.through) @ C[rows]
+        P = np.eye(system.n) - B[:, rows] @ NC
+        P[np.abs(P) <= CANCELLED] = 0.0
+        apart = [a - place.tau * b for a, b in zip(moved, free, strict=True)]
+        worst = max(share(rest(combined(row, apart)) * q**p, least) for row, least in zip(P, most, strict=True))
+        for i, row in zip(rows, NC, strict=True):
+            size = max(system.size_l(i), abs(system.l[i][0]), abs(value(system.l[i], s)))
+            worst = max(worst, _share(rest(combined(row, D)) / place.tau, p, q, now, rtol * size))
+        return worst
+
+    def _rows(
+        self, place: Place, how: Solve, p: int, h: list[Any], form: Any, end: list[float], s: float, q: float,
+        now: float, rtol: float,
+    ) -> float:  # fmt: skip
+        """Rows of h: y~ - h, of held ones h itself."""
+        system, worst = self.system, 0.0
+        if not system.m:
+            return worst
+        of_l = values(system.push, s)
+        largest = max(system.sizes.y)
+        known = (p if how.index == 1 else p - 1) + 1 if how.feeds else p
+        for i, one in enumerate(h):
+            off = one if place.codes[i] == 0 else form(system.y[i]) - one
+            size = max(system.sizes.y[i], system.terms(i, end, of_l), SMALL * largest)
+            worst = max(worst, _share(rest(off), known, q, now, rtol * size))
+        return worst
+
+    def _switches(self, looked: list[Any], p: int, form: Any, q: float, now: float, rtol: float) -> float:
+        """What switches look at, beside its polynomial."""
+        worst = 0.0
+        for size, one, row in zip(self.system.sizes.switches, looked, self.on.watched(), strict=True):
+            if row is not None:
+                off = one - form(row[:p])
+                worst = max(worst, _share(rest(off), p, q, now, rtol * max(size, abs(row[0]))))
+        return worst
+
+
+def _share(bound: float, order: int, q: float, now: float, goal: float) -> float:
+    """How much of MULTIPLIERS times ``goal``, or of what it does while time stands still, a row that begins at an order is."""
+    if not bound < math.inf:
+        return math.inf
+    return share(bound * q**order, MULTIPLIERS * goal + AT_REST + bound * now**order)
+
+
+def _ball(row: Sequence[float], R: float) -> Ball:
+    r = 0.0
+    for c in reversed(row[1:]):
+        r = (r + abs(c)) * R
+    return Ball(row[0], r)
+
+
+def _form(row: Sequence[float], R: float, m: int) -> Form:
+    c = np.zeros(max(m + 1, len(row)))
+    c[: len(row)] = row
+    c *= R ** np.arange(len(c))
+    return Form(c[: m + 1].copy(), float(np.abs(c[m + 1 :]).sum()))

@@ -1,0 +1,227 @@
+"""Event-driven runs of random models made to hide something from the coefficients of a series: none is silently wrong.
+
+    python -m tests.search.hidden --count 2000 --json FILE   random scenes, each interpreted or in C
+
+Pulses (Gauss, rational, compact C^infinity, a narrow tanh) on states that rest or move, in f, in h, in walls, under dry friction
+and under stiff modes; powers; conditions that are flat where a run begins; poles. Truth is a closed form, or SciPy's quadrature
+with points placed by hand at what is hidden. An error above 10 rtol of the largest value, times what the scene magnifies errors
+by, without a word is WRONG.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import math
+import random
+import sys
+import time
+import warnings
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import casadi as ca
+from scipy.integrate import quad
+from scipy.optimize import root_scalar
+
+from nsmodel import FirstOrderSystem, LureSystem, SweepingProcess, relay, simulate
+from nsmodel.codegen import library
+from nsmodel.errors import NsmodelError
+from nsmodel.model.base import Model
+
+RIGHT, SAID, WRONG, SLOW = "right", "said", "WRONG", "slow"
+MOST_SECONDS = 60.0
+t, x, l, q = (ca.SX.sym(name) for name in "txlq")
+X = ca.SX.sym("x", 2)
+
+
+class Scene(NamedTuple):
+    """A model; its last state, None where it has none and the run must stop; the largest value; what it magnifies errors by."""
+
+    model: Model
+    exact: float | None
+    size: float
+    condition: float = 1.0
+
+
+class Pulse(NamedTuple):
+    """``of``: as an expression of t; ``at``: as a number; beyond ``reach`` of its centre it is at most 1e-20."""
+
+    of: ca.SX
+    at: Callable[[float], float]
+    centre: float
+    reach: float
+
+    def integral(self, a: float, b: float) -> float:
+        """From a to b."""
+        ends = [min(max(self.centre + k * self.reach / 4, a), b) for k in range(-4, 5)]
+        ends = sorted({a, *ends, b})
+        return sum(quad(self.at, u, v, epsabs=1e-15, epsrel=1e-13, limit=400)[0] for u, v in itertools.pairwise(ends))
+
+
+def pulse(r: random.Random, t_end: float) -> Pulse:
+    """One of four kinds, somewhere inside."""
+    c, w = r.uniform(0.3, 0.8) * t_end, t_end * 10 ** r.uniform(-3, -1)
+    u = (t - c) / w
+    kind = r.choice(["Gauss", "rational", "compact", "tanh"])
+    if kind == "Gauss":
+        return Pulse(ca.exp(-(u**2)), lambda s: math.exp(-(((s - c) / w) ** 2)), c, 7 * w)
+    if kind == "rational":
+        return Pulse(1 / (1 + u**2) ** 4, lambda s: (1 + ((s - c) / w) ** 2) ** -4.0, c, 300 * w)
+    if kind == "tanh":
+        of = 0.5 * (ca.tanh(u + 1) - ca.tanh(u - 1))
+        return Pulse(of, lambda s: 0.5 * (math.tanh((s - c) / w + 1) - math.tanh((s - c) / w - 1)), c, 24 * w)
+    inside = 1 - u**2
+    of = ca.if_else(inside > 0, ca.exp(1 - 1 / inside), 0)
+
+    def compact(s: float) -> float:
+        v = 1 - ((s - c) / w) ** 2
+        return math.exp(1 - 1 / v) if v > 1e-3 else 0.0
+
+    return Pulse(of, compact, c, w)
+
+
+def first_order(f: Any, x0: Any, t_end: float, state: ca.SX = x, **more: Any) -> Model:
+    """X' = f."""
+    return FirstOrderSystem(t=t, x=state, f=f, x0=x0, t_end=t_end, step=t_end / 1000, **more)
+
+
+def of_a_pulse(r: random.Random) -> Scene:
+    """x' = a pulse, from rest."""
+    t_end = r.uniform(1, 20)
+    p, a = pulse(r, t_end), 10 ** r.uniform(-2, 2)
+    exact = a * p.integral(0, t_end)
+    return Scene(first_order([a * p.of], [0], t_end), exact, exact)
+
+
+def of_a_pulse_on_decay(r: random.Random) -> Scene:
+    """x' = -k x + a pulse: moving, or at rest; k may be stiff: then the integral of x tells."""
+    t_end, k = r.uniform(1, 20), 10 ** r.uniform(-1, 5)
+    p, start = pulse(r, t_end), r.choice([0.0, 1.0])
+    model = first_order([-k * (X[0] - p.of), X[0]], [start, 0], t_end, X)
+    x_end = start * math.exp(-k * t_end) if k * t_end < 700 else 0.0
+    c, reach = p.centre, p.reach
+    ends = sorted({0.0, *(min(max(c + j * reach / 4, 0.0), t_end) for j in range(-4, 5)), t_end, max(t_end - 40 / k, 0.0)})
+    for a, b in itertools.pairwise(ends):
+        x_end += quad(lambda s: k * math.exp(-k * (t_end - s)) * p.at(s), a, b, epsabs=1e-16, epsrel=1e-12, limit=400)[0]
+    exact = p.integral(0, t_end) + (start - x_end) / k
+    return Scene(model, exact, exact)
+
+
+def of_a_power(r: random.Random) -> Scene:
+    """x' = (k + 1) (t/a)^k."""
+    k, a = r.randint(3, 60), r.uniform(0.5, 3)
+    t_end = a * r.uniform(0.8, 1.4)
+    exact = a * (t_end / a) ** (k + 1)
+    return Scene(first_order([(k + 1) * (t / a) ** k], [0], t_end), exact, exact)
+
+
+def of_a_flat_condition(r: random.Random) -> Scene:
+    """x' = l in -Sgn((t/a)^k - 1): up to a, then down."""
+    k, a = r.randint(2, 60), r.uniform(0.5, 6)
+    t_end = a * r.uniform(1.1, 1.9)
+    model = first_order([0], [0], t_end, lam=l, g=[l], h=[(t / a) ** k - 1], law=relay(1))
+    return Scene(model, a - (t_end - a), a)
+
+
+def of_a_pulse_in_a_condition(r: random.Random) -> Scene:
+    """x' = l in -Sgn(level - pulse): down while the pulse is above the level."""
+    t_end = r.uniform(5, 20)
+    c, w, level = r.uniform(0.3, 0.7) * t_end, t_end * 10 ** r.uniform(-2.5, -1), r.uniform(0.1, 0.9)
+    half = w * math.sqrt(-math.log(level))
+    model = first_order([0], [0], t_end, lam=l, g=[l], h=[level - ca.exp(-(((t - c) / w) ** 2))], law=relay(1))
+    return Scene(model, -(t_end - 2 * half) + 2 * half, t_end)
+
+
+def of_a_pulse_on_friction(r: random.Random) -> Scene:
+    """x' = a pulse - Sgn x from 0: it leaves 0 where the pulse is 1, and comes back where the integral is 0 again."""
+    t_end = r.uniform(5, 20)
+    c, w, a = r.uniform(0.3, 0.5) * t_end, t_end * 10 ** r.uniform(-2.5, -1.3), r.uniform(1.5, 20)
+    half = w * math.sqrt(math.log(a))
+
+    def moved(s: float) -> float:
+        root = math.sqrt(math.pi) / 2 * w * a
+        return root * (math.erf((s - c) / w) + math.erf(half / w)) - (s - c + half)
+
+    top = moved(c + half)
+    f = [a * ca.exp(-(((t - c) / w) ** 2))]
+    back = root_scalar(moved, bracket=(c + half, c + half + top + 1)).root if moved(c + half + top + 1) < 0 else t_end
+    stop = min(c + half + r.uniform(0.1, 2) * max(back - c - half, 0), t_end)
+    model = LureSystem(t=t, A=[[0]], B=[1], C=[1], f=f, law=relay(1), x0=[0], t_end=stop, step=stop / 1000)
+    return Scene(model, moved(stop) if stop < back else 0.0, top, 1 + a)
+
+
+def of_a_wall(r: random.Random) -> Scene:
+    """q >= a pulse, from where that begins: it ends at its top."""
+    t_end = r.uniform(5, 20)
+    c, w, a = r.uniform(0.3, 0.8) * t_end, t_end * 10 ** r.uniform(-2.5, -1), r.uniform(0.2, 5)
+    k = r.randint(2, 6)
+    wall, start = q - a / (1 + ((t - c) / w) ** 2) ** k, a / (1 + (c / w) ** 2) ** k
+    model = SweepingProcess(t=t, q=q, constraints={"wall": wall}, q0=[start], t_end=t_end, step=t_end / 1000)
+    return Scene(model, a, a)
+
+
+def of_a_pole(r: random.Random) -> Scene:
+    """A run that has no end."""
+    t_end, where = 2.0, r.uniform(0.3, 1.8)
+    f, x0 = r.choice([
+        (ca.tan(math.pi / 2 * t / where), 0.0), (x * x / where, 1.0), (1 / (where - t), 0.0), (1 / (where - t) ** 2, 0.0),
+        ((1 + x * x) * math.pi / 2 / where, 0.0),
+    ])  # fmt: skip
+    return Scene(first_order([f], [x0], t_end), None, 1)
+
+
+KINDS: dict[str, Callable[[random.Random], Scene]] = {
+    "pulse": of_a_pulse, "decay": of_a_pulse_on_decay, "power": of_a_power, "flat condition": of_a_flat_condition,
+    "pulse in a condition": of_a_pulse_in_a_condition, "friction": of_a_pulse_on_friction, "wall": of_a_wall, "pole": of_a_pole,
+}  # fmt: skip
+
+
+def trial(seed: int) -> dict[str, Any]:
+    """One scene, at one rtol."""
+    r = random.Random(seed)
+    kind = r.choice(list(KINDS))
+    scene, rtol = KINDS[kind](r), 10.0 ** -r.uniform(2, 11)
+    compiled = r.random() < 0.5 and library.compiler() is not None
+    about: dict[str, Any] = {"seed": seed, "kind": kind, "rtol": rtol, "compiled": compiled}
+    start = time.monotonic()
+    try:
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            run = simulate(scene.model, rtol=rtol, method="event-driven", compiled=compiled)
+    except NsmodelError as error:
+        return about | {"verdict": SAID if scene.exact is not None else RIGHT, "words": str(error)}
+    found = float(run.x[-1, -1])
+    about |= {"found": found, "exact": scene.exact, "pieces": len(run.piece_start), "seconds": time.monotonic() - start}
+    if scene.exact is None:
+        return about | {"verdict": WRONG}
+    about["error"] = abs(found - scene.exact) / (rtol * scene.size * scene.condition)
+    if about["error"] > 10:
+        return about | {"verdict": SAID if told else WRONG}
+    return about | {"verdict": RIGHT if about["seconds"] < MOST_SECONDS else SLOW}
+
+
+def main() -> int:
+    """See the text of the module; 1 where a run was silently wrong."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--json", type=Path)
+    given = parser.parse_args()
+    found = []
+    for seed in range(given.seed, given.seed + given.count):
+        found.append(trial(seed))
+        if found[-1]["verdict"] != RIGHT:
+            print(json.dumps(found[-1]), flush=True)
+    print("; ".join(f"{kind}: {dict(Counter(one['verdict'] for one in found if one['kind'] == kind))}" for kind in KINDS))
+    if given.json:
+        given.json.parent.mkdir(parents=True, exist_ok=True)
+        given.json.write_text(json.dumps(found, indent=1))
+    return int(any(one["verdict"] == WRONG for one in found))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
