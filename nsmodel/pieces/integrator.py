@@ -26,7 +26,7 @@ from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.names import few, name
 from nsmodel.pieces.piece import Piece
 from nsmodel.pieces.roots import NEAR, beyond_touch, polish, same
-from nsmodel.pieces.schwarz import Schwarz
+from nsmodel.pieces.schwarz import MOST_STILL, Schwarz
 from nsmodel.pieces.sliding import STOPS
 from nsmodel.pieces.stiff import Stiff
 from nsmodel.pieces.switches import ROW, TIE, Condition, conditions, grow, size, switches
@@ -68,6 +68,7 @@ class Integrator:
         self.bound = Schwarz(system, self._equations)
         self.stiff = Stiff(system, self.bound.on, self.order, min(rtol, ROUGHEST), self.atol, residuals=residuals)
         self.accumulation = Accumulation()
+        self._still = 0  # Pieces, one after the other, in which time stood still.
         self._begun: tuple[float, ...] | None = None  # The event that the next piece begins with.
         self._left: Solve | None = None  # Of the mode just chosen, whose first orders stand.
         self.stopped: str | None = None  # Why no piece follows.
@@ -93,6 +94,8 @@ class Integrator:
         """
         if self.stopped is not None:
             raise self.final or StepError(self.stopped)
+        if self._still >= MOST_STILL:
+            raise self.bound.refused(self.place)
         system, place = self.system, self.place
         how = self._series()
         s = self._length(how)
@@ -121,6 +124,7 @@ class Integrator:
         self._begun = self._begun if s == 0 else None
         self.redundant += how.null is not None and how.null.shape[1] > 0
         grow(system, s, min(longest, tau * s))
+        self._still = self._still + 1 if s > 0 and place.t + tau * s == place.t else 0
         place.t, place.x, place.open = place.t + tau * s, last, set()
         if hit is None and not reaches(place.t, known):
             self._hold(how)

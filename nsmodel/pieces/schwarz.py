@@ -36,6 +36,9 @@ SHRINKINGS, SLOWLY, QUICKLY = 200, 8, 64.0  # Of the disc: so many by half, then
 CAPS, CAP_OCTAVES = 120, 4  # First units of time that are tried, each by so many octaves shorter.
 POLE = 1e6  # How much more than its size a state would move at its rate in the time so far, near a pole.
 AS_NOW = 2.0**-51  # Of the time, and of the length of a piece: what a state does in it is rounding.
+MOST_STILL = (
+    2000  # Pieces, one after the other, in which time stands still: states from rest need some hundred, poles any number.
+)
 CANCELLED = 2.0**-50  # Of an entry of P: rounding.
 AT_REST = 1e-290  # What a state that is exactly 0 may err by.
 

@@ -718,6 +718,8 @@ static int next_piece(model_pieces *s)
     s->before = s->at;
     s->before.known = 0;
     s->work = 0;
+    if (s->still >= MOST_STILL)
+        return MODEL_TOO_SHORT;
     if ((status = expand_piece(s)))
         return status;
     length = length_of(s);
@@ -761,6 +763,7 @@ static int next_piece(model_pieces *s)
 #endif
     memcpy(s->at.x, s->value, sizeof s->at.x);
     s->at.t += s->at.tau*length;
+    s->still = length > 0 && s->at.t == s->before.t ? s->still + 1 : 0;
     memset(s->at.open, 0, sizeof s->at.open);
     const double start = s->piece[AT_T], unit = s->at.tau, tau = unit*length;
     s->at.tau = collocated ? unit_of(ROOM*longest) : unit; /* that of series, and of germs, stays what a series takes */
@@ -863,6 +866,7 @@ static void keep_sizes(model_pieces *s)
 static int begin(model_pieces *s, double t, const double *x)
 {
     memset(&s->at, 0, sizeof s->at);
+    s->still = 0;
     s->at.t = t;
     s->at.tau = 1;
     for (int i = 0; i < N; i++) {

@@ -66,6 +66,7 @@ typedef struct {
     double turns[MODEL_PIECES_M + MODEL_PIECES_CHOICES + 1]; /* codes that wrong conditions ask for */
     double germs[MODEL_PIECES_GERM][MODEL_PIECES_N]; /* of x */
     double value[MODEL_PIECES_ROWS], slope[MODEL_PIECES_N], bound[MODEL_PIECES_N], pushed[MODEL_PIECES_N];
+    int still; /* pieces, one after the other, in which time stood still */
     double later[MODEL_PIECES_N]; /* what states that begin at 0 come to */
 #if SLOPES
     model_slopes slopes, solved; /* here; those of the matrices that are kept */
