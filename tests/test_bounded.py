@@ -82,7 +82,7 @@ def at_end(model, rtol, compiled, **options):
 
 
 @pytest.mark.parametrize("compiled", compilers)
-@pytest.mark.parametrize("k", [3, 9, 12, 20, 49])
+@pytest.mark.parametrize("k", [9, 12, 49])
 def test_powers_of_time_from_rest(k, compiled):
     """x' = (k + 1) t^k from 0: a motion that begins beyond the order of the series."""
     model = FirstOrderSystem(t=t, x=x, f=[(k + 1) * t**k], x0=[0], t_end=1.5, step=1e-2)
@@ -165,7 +165,7 @@ def test_no_word_of_rows_where_a_model_has_none():
     assert "row" not in str(stop.value)
 
 
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", range(12))
 def test_a_random_run_made_to_hide_something_is_not_silently_wrong(seed):
     """`tests.search.hidden` tries more of them."""
     assert hidden.trial(seed)["verdict"] != hidden.WRONG
