@@ -11,6 +11,7 @@ import pytest
 
 from nsmodel import FirstOrderSystem, LureSystem, StepError, SweepingProcess, relay, simulate
 from nsmodel.codegen import library
+from nsmodel.pieces.cover import largest_share
 from nsmodel.pieces.discs import Ball, Form, OnDisc
 from nsmodel.pieces.expansion import Expansion
 from nsmodel.pieces.jets import jets_of
@@ -217,3 +218,14 @@ def test_atan2_on_all_sides():
         value, rate = (expansion.rows[jets.outputs[0]][k] for k in (0, 1))
         assert value == math.atan2(a, b)
         assert rate == pytest.approx(b / (a * a + b * b))
+
+
+@pytest.mark.parametrize("kind", hidden.KINDS)
+def test_a_run_of_each_kind_that_hides_something_is_not_silently_wrong(kind):
+    assert hidden.trial(3, kind)["verdict"] != hidden.WRONG
+
+
+def test_what_is_no_number_is_no_small_error():
+    """A NaN among errors that are rounding."""
+    assert largest_share(np.array([-1.0, math.nan]), np.ones(2)) == math.inf
+    assert largest_share(np.array([-1.0, 0.5]), np.ones(2)) == 0.5

@@ -85,13 +85,12 @@ def _on_part(on: EquationsOnDisc, of: Polynomials, scales: Scales, centre: float
         return math.inf
     off = np.abs(scales.inverse @ coefficients) @ _POWERS[:-1] + np.abs(scales.inverse) @ rests * _POWERS[-1] - scales.rounding
     n = len(found.rate)
-    worst = max(_worst(off[:n], scales.x), _worst(off[n:], scales.l[of.held]))
+    worst = max(largest_share(off[:n], scales.x), largest_share(off[n:], scales.l[of.held]))
     free = [i for i in range(len(found.y)) if i not in of.held]
     off_y = np.array([_on_piece(*_less(found.y[i], y[:, i])) for i in free])
-    looked = [i for i, one in enumerate(found.looked) if one is not None]
-    off_watched = np.array([_on_piece(*_less(found.looked[i], watched[:, i])) for i in looked])
-    worst = max(worst, _worst(off_y - scales.rounding_y[free], scales.y[free]))
-    return max(worst, _worst(off_watched - scales.rounding_watched[looked], scales.watched[looked]))
+    off_watched = np.array([_on_piece(*_less(one, c)) for one, c in zip(found.looked, watched.T, strict=True)])
+    worst = max(worst, largest_share(off_y - scales.rounding_y[free], scales.y[free]))
+    return max(worst, largest_share(off_watched - scales.rounding_watched, scales.watched))
 
 
 _POWERS = COVER_RADIUS ** -np.arange(COVER_DEGREE + 2.0)
@@ -125,9 +124,10 @@ def _on_piece(c: np.ndarray, r: float) -> float:
     return float(np.abs(c) @ _POWERS[:-1] + r * _POWERS[-1])
 
 
-def _worst(off: np.ndarray, most: np.ndarray) -> float:
+def largest_share(off: np.ndarray, allowed: np.ndarray) -> float:
+    """The largest of errors, 0 or less where they are rounding, in units of what is allowed; inf where it is no number."""
     with np.errstate(all="ignore"):
-        shares = np.where(off <= 0, 0.0, off / most)
+        shares = np.where(off <= 0, 0.0, off / allowed)
     return float(np.where(np.isnan(shares), np.inf, shares).max(initial=0.0))
 
 

@@ -26,7 +26,7 @@ class EquationsOnDisc:
 
     def __init__(self, system: System) -> None:
         self._system = system
-        self._parts = {name: OnDisc(system.jets[name], part.choice) for name, part in system.parts.items() if name != "blocks"}
+        self._parts = {name: OnDisc(system.jets[name], part.choice) for name, part in system.parts.items()}
 
     def __call__(self, t: Any, x: Sequence[Any], l: Sequence[Any]) -> Found:
         """All of them."""
@@ -35,20 +35,17 @@ class EquationsOnDisc:
         free = found["f"][0]
         rate = [a + b for a, b in zip(free, found["g"][0], strict=True)] if "g" in found else pushed(free, system.B, l)
         y = found["h"][0] if system.D is None else pushed(found["h"][0], system.D, l)
-        looked = [found[name][1][i] if name in found else None for name, i in system.branches]
+        looked = [found[name][1][i] for name, i in system.branches]
         return Found(rate, rate if "g" in found else free, y, looked)
 
     def f(self, t: Any, x: Sequence[Any], l: Sequence[Any]) -> list[Any]:
         """F alone."""
         return self._parts["f"](_given(t, x, l))[0]
 
-    def watched(self) -> list[list[float] | None]:
-        """The rows of the system that branches look at; None where a bound is not asked for."""
+    def watched(self) -> list[list[float]]:
+        """The rows of the system that branches look at."""
         system = self._system
-        return [
-            system.parts[name].rows[system.jets[name].branches[i].row] if name in self._parts else None
-            for name, i in system.branches
-        ]
+        return [system.parts[name].rows[system.jets[name].branches[i].row] for name, i in system.branches]
 
 
 def _given(t: Any, x: Sequence[Any], l: Sequence[Any]) -> dict[tuple[int, int], Any]:

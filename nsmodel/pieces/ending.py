@@ -5,20 +5,19 @@ from __future__ import annotations
 import math
 
 from nsmodel.errors import StepError
-from nsmodel.pieces.defect import Equations, coming, defect
+from nsmodel.pieces.defect import coming, defect
 from nsmodel.pieces.lengths import LOCAL
 from nsmodel.pieces.modes import Place
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.roots import first_event
 from nsmodel.pieces.schwarz import AS_NOW, Schwarz
 from nsmodel.pieces.switches import Condition
-from nsmodel.pieces.system import System
 
 SHORTENINGS, CAUTION = 30, 0.9  # Of a piece, and the share of the length that its error allows.
 
 
 def ending(
-    system: System, place: Place, how: Solve, of: Equations, bound: Schwarz, p: int, s: float, rtol: float, atol: list[float]
+    bound: Schwarz, place: Place, how: Solve, p: int, s: float, rtol: float, atol: list[float]
 ) -> tuple[Condition | None, float, float]:
     """What ends a piece of order p and length s at most, where, and the bound of its local error in units of rtol, at most 1.
 
@@ -27,6 +26,7 @@ def ending(
     Raises:
         StepError: its error is above 1, however short it is.
     """
+    system, of = bound.system, bound.equations
     s, proved = bound.proved(place, how, p, s, rtol / LOCAL, [a / LOCAL for a in atol])
     whole = s
     error, later, now = math.inf, [0.0] * system.n, AS_NOW * abs(place.t) / place.tau
@@ -36,7 +36,7 @@ def ending(
         if not shortened and not error <= 1:
             later = coming(system, place, of, end)
             error = LOCAL * defect(system, place, of, end, p, rtol, atol, later)
-        if error <= 1 or end <= now:  # In which nothing moves: time is not known better.
+        if error <= 1 or (end <= now and error < math.inf):  # In which nothing moves: time is not known better.
             return hit, end, max(min(error, 1.0), proved * (end / whole) ** p if whole else 0.0)
         s = max(end * min(0.5, CAUTION * error ** (-1 / p)), now)
         if place.t + place.tau * s == place.t:

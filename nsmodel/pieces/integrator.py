@@ -64,8 +64,7 @@ class Integrator:
         self.atol = [0.0] * self.system.n if atol is None else atol
         system, x0 = self.system, [float(v) for v in np.array(ca.DM(problem.x0)).ravel()]
         self.place, self.sizes = Place(0.0, x0, 1.0, [0] * system.m), system.sizes
-        self._equations = Equations(problem)
-        self.bound = Schwarz(system, self._equations)
+        self.bound = Schwarz(system, Equations(problem))
         self.stiff = Stiff(system, self.bound.on, self.order, min(rtol, ROUGHEST), self.atol, residuals=residuals)
         self.accumulation = Accumulation()
         self._still = 0  # Pieces, one after the other, in which time stood still.
@@ -104,17 +103,8 @@ class Integrator:
         longest, known = s * place.tau, self.known.next(place.t, place.x)
         found = self.stiff.piece(place, how, s, known - place.t)
         if found is None:
-            hit, s, error = ending(
-                system,
-                place,
-                how,
-                self._equations,
-                self.bound,
-                self.order,
-                min(s, (known - place.t) / place.tau),
-                self.rtol,
-                self.atol,
-            )
+            s = min(s, (known - place.t) / place.tau)
+            hit, s, error = ending(self.bound, place, how, self.order, s, self.rtol, self.atol)
             tau, last = place.tau, values(system.x, s)
         else:
             place.tau = unit(ROOM * s * place.tau)  # That of series, and of germs, stays what a series takes.
@@ -313,7 +303,7 @@ class Integrator:
         system, place = self.system, self.place
         if how.through is None:
             return
-        _, y = self._equations(place.t, place.x, [row[0] for row in system.l])
+        _, y = self.bound.equations(place.t, place.x, [row[0] for row in system.l])
         off = [i for i in how.active if abs(y[i]) > self.rtol * self.sizes.y[i] and not system.feedthrough[i]]
         if any(abs(y[i]) > self.rtol * system.size_y(i) for i in off):
             self._expand(1)

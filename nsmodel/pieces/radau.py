@@ -30,7 +30,7 @@ import casadi as ca
 import numpy as np
 
 from nsmodel.pieces.collocation import Collocation, collocation
-from nsmodel.pieces.cover import Scales, bound, polynomials
+from nsmodel.pieces.cover import Scales, bound, largest_share, polynomials
 from nsmodel.pieces.disc_equations import EquationsOnDisc
 from nsmodel.pieces.lengths import MULTIPLIERS, SMALL, unit
 from nsmodel.pieces.modes import Place
@@ -210,12 +210,12 @@ class Radau:
         rate, h, looked = self._at(start, start.t + fit.h * of.between, x, l)
         missed = np.hstack([fit.h * rate - of.slopes @ (fit.x - start.x), -h[:, held]])
         off = np.maximum(np.abs(missed @ scales.inverse.T) - scales.rounding, 0.0)
-        errors = [_beside(off[:, :n] * of.weights[:, None], scales.x), _beside(off[:, n:], scales.l[held])]
+        errors = [largest_share(off[:, :n] * of.weights[:, None], scales.x), largest_share(off[:, n:], scales.l[held])]
         if self.residuals:
-            errors.append(_beside(np.abs(missed[:, :n]) * of.weights[:, None] - STAGE_ROUNDING * scales.size, scales.x))
+            errors.append(largest_share(np.abs(missed[:, :n]) * of.weights[:, None] - STAGE_ROUNDING * scales.size, scales.x))
         free = [i for i in range(len(start.l)) if i not in held]
-        errors.append(_beside(np.abs(y - h)[:, free] - scales.rounding_y[free], scales.y[free]))
-        errors.append(_beside(np.abs(watched - looked) - scales.rounding_watched, scales.watched))
+        errors.append(largest_share(np.abs(y - h)[:, free] - scales.rounding_y[free], scales.y[free]))
+        errors.append(largest_share(np.abs(watched - looked) - scales.rounding_watched, scales.watched))
         return max(errors)
 
 
@@ -242,10 +242,3 @@ def _matrices(start: Start, h: float, rates: np.ndarray) -> np.ndarray:
     out = np.repeat(matrix[None].astype(rates.dtype), len(rates), axis=0)
     out[:, np.arange(n), np.arange(n)] += rates[:, None]
     return out
-
-
-def _beside(seen: np.ndarray, goal: np.ndarray) -> float:
-    """The largest of errors, 0 or less where they are rounding, in units of what is allowed; inf where it is no number."""
-    with np.errstate(all="ignore"):
-        ratio = np.where(seen <= 0, 0.0, seen / goal)
-    return float(np.where(np.isnan(ratio), np.inf, ratio).max(initial=0.0))

@@ -36,9 +36,7 @@ SHRINKINGS, SLOWLY, QUICKLY = 200, 8, 64.0  # Of the disc: so many by half, then
 CAPS, CAP_OCTAVES = 120, 4  # First units of time that are tried, each by so many octaves shorter.
 POLE = 1e6  # How much more than its size a state would move at its rate in the time so far, near a pole.
 AS_NOW = 2.0**-51  # Of the time, and of the length of a piece: what a state does in it is rounding.
-MOST_STILL = (
-    2000  # Pieces, one after the other, in which time stands still: states from rest need some hundred, poles any number.
-)
+MOST_STILL = 2000  # Pieces, one after the other, in which time stands still: from rest some hundred are needed.
 CANCELLED = 2.0**-50  # Of an entry of P: rounding.
 AT_REST = 1e-290  # What a state that is exactly 0 may err by.
 
@@ -50,7 +48,7 @@ class Schwarz:
     """The bound of the pieces of a system."""
 
     def __init__(self, system: System, of: Equations) -> None:
-        self.system, self._equations = system, of
+        self.system, self.equations = system, of
         self._rounding: list[float] | None = None  # Of tau (f + g), where the piece begins.
         self.on = EquationsOnDisc(system)
 
@@ -94,7 +92,7 @@ class Schwarz:
     def pole(self, place: Place) -> FinalError | None:
         """That no solution goes on, where a state moves by many times its size in the time so far."""
         system = self.system
-        at_pole, _ = self._equations(place.t, [row[0] for row in system.x], [row[0] for row in system.push])
+        at_pole, _ = self.equations(place.t, [row[0] for row in system.x], [row[0] for row in system.push])
         for name, row, size, rate in zip(system.problem.names, system.x, system.sizes.x, at_pole, strict=True):
             if abs(rate * place.t) > POLE * max(size, abs(row[0])):
                 return FinalError(f"t = {place.t:.10g}: {name}' = {rate:.3g}, and grows without bound: f has a pole near here")
@@ -129,12 +127,11 @@ class Schwarz:
             ((p + 1) * (rtol * a + b + AT_REST) + now**p * still * rest(d)) / s if rest(d) < math.inf else 0.0
             for a, b, d in zip(size, atol, D, strict=True)
         ]
-        shares = [share(rest(d) * q**p, least) for d, least in zip(D, most, strict=True)]
-        worst = max(shares, default=0.0)
+        worst = _largest(D, q**p, most)
         if not worst <= 1:
             most = [a + b for a, b in zip(most, self._noise(place), strict=True)]
-            worst = max((share(rest(d) * q**p, least) for d, least in zip(D, most, strict=True)), default=0.0)
-        if not worst <= 1 and how.through is not None:
+            worst = _largest(D, q**p, most)
+        if not worst <= 1 and how.through:
             worst = self._beside_multipliers(place, how, D, moved, found.free, most, q, now, p, s, rtol)
         if not worst < math.inf:
             return worst
@@ -145,8 +142,8 @@ class Schwarz:
         """What rounding does to tau (f + g) where the piece begins: no piece is to be better."""
         found = self._rounding
         if found is None:
-            self._equations(place.t, [row[0] for row in self.system.x], [row[0] for row in self.system.push])
-            found = self._rounding = [place.tau * v for v in self._equations.rounding().tolist()]
+            self.equations(place.t, [row[0] for row in self.system.x], [row[0] for row in self.system.push])
+            found = self._rounding = [place.tau * v for v in self.equations.rounding().tolist()]
         return found
 
     def _beside_multipliers(
@@ -158,14 +155,10 @@ class Schwarz:
         Where g = B l, P B = 0: l is not in it.
         """
         system = self.system
-        B, _, C = system.slopes()
-        rows = list(how.active)
-        NC = np.array(how.through) @ C[rows]
-        P = np.eye(system.n) - B[:, rows] @ NC
-        P[np.abs(P) <= CANCELLED] = 0.0
+        P, NC = system.of_slopes(("apart", how.active), partial(_apart, how))
         apart = [a - place.tau * b for a, b in zip(moved, free, strict=True)]
-        worst = max(share(rest(combined(row, apart)) * q**p, least) for row, least in zip(P, most, strict=True))
-        for i, row in zip(rows, NC, strict=True):
+        worst = _largest([combined(row, apart) for row in P], q**p, most)
+        for i, row in zip(how.active, NC, strict=True):
             size = max(system.size_l(i), abs(system.l[i][0]), abs(value(system.l[i], s)))
             worst = max(worst, _share(rest(combined(row, D)) / place.tau, p, q, now, rtol * size))
         return worst
@@ -191,10 +184,23 @@ class Schwarz:
         """What switches look at, beside its polynomial."""
         worst = 0.0
         for size, one, row in zip(self.system.sizes.switches, looked, self.on.watched(), strict=True):
-            if row is not None:
-                off = one - form(row[:p])
-                worst = max(worst, _share(rest(off), p, q, now, rtol * max(size, abs(row[0]))))
+            off = one - form(row[:p])
+            worst = max(worst, _share(rest(off), p, q, now, rtol * max(size, abs(row[0]))))
         return worst
+
+
+def _apart(how: Solve, B: np.ndarray, _: np.ndarray, C: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """P = I - B N C and N C of held rows."""
+    rows = list(how.active)
+    NC = np.array(how.through) @ C[rows]
+    P = np.eye(len(B)) - B[:, rows] @ NC
+    P[np.abs(P) <= CANCELLED] = 0.0
+    return P, NC
+
+
+def _largest(of: Sequence[Any], share_at_end: float, most: Sequence[float]) -> float:
+    """The largest of what is no coefficient, so much of it, beside what it may be."""
+    return max((share(rest(one) * share_at_end, least) for one, least in zip(of, most, strict=True)), default=0.0)
 
 
 def _share(bound: float, order: int, q: float, now: float, goal: float) -> float:

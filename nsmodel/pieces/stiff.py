@@ -120,7 +120,7 @@ class Stiff:
             if hit is None:
                 break
             shorter = self.radau.fit(start, min(tau * end, most), self.rtol, self.atol) if end > 0 else None
-            if shorter is None:
+            if shorter is None or not shorter.error <= 1:
                 break
             fit = shorter
             tau, s = self.radau.write(start, fit)

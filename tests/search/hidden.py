@@ -2,10 +2,10 @@
 
     python -m tests.search.hidden --count 2000 --json FILE   random scenes, each interpreted or in C
 
-Pulses (Gauss, rational, compact C^infinity, a narrow tanh) on states that rest or move, in f, in h, in walls, under dry friction
-and under stiff modes; powers; conditions that are flat where a run begins; poles. Truth is a closed form, or SciPy's quadrature
-with points placed by hand at what is hidden. An error above 10 rtol of the largest value, times what the scene magnifies errors
-by, without a word is WRONG.
+Pulses (Gauss, rational, compact C^infinity, a narrow tanh) on states that rest or move, in f, g, h, in walls, in blocks with
+memory, under dry friction and under stiff modes; powers; conditions that are flat where a run begins; poles. Truth is a closed
+form, or SciPy's quadrature with points placed by hand at what is hidden. An error above 10 rtol of the largest value, times what
+the scene magnifies errors by, without a word is WRONG.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ import casadi as ca
 from scipy.integrate import quad
 from scipy.optimize import root_scalar
 
-from nsmodel import FirstOrderSystem, LureSystem, SweepingProcess, relay, simulate
+from nsmodel import FirstOrderSystem, LureSystem, SweepingProcess, each_step, relay, simulate
 from nsmodel.codegen import library
 from nsmodel.errors import NsmodelError
 from nsmodel.model.base import Model
@@ -164,6 +164,27 @@ def of_a_wall(r: random.Random) -> Scene:
     return Scene(model, a, a)
 
 
+def of_a_pulse_in_g(r: random.Random) -> Scene:
+    """x' = l times a pulse, l = -1 throughout."""
+    t_end = r.uniform(1, 20)
+    p, a = pulse(r, t_end), 10 ** r.uniform(-2, 2)
+    model = first_order([0], [0], t_end, lam=l, g=[a * p.of * l], h=[1 + x * x], law=relay(1))
+    exact = a * p.integral(0, t_end)
+    return Scene(model, -exact, exact)
+
+
+def of_a_pulse_that_a_block_counts(r: random.Random) -> Scene:
+    """x' = n, how often a pulse has come above a level: 1 from then on."""
+    t_end = r.uniform(5, 20)
+    c, w, level = r.uniform(0.3, 0.7) * t_end, t_end * 10 ** r.uniform(-2.5, -1), r.uniform(0.1, 0.9)
+    above = ca.exp(-(((t - c) / w) ** 2)) > level
+    n, was = ca.SX.sym("n"), ca.SX.sym("was")
+    update = {n: n + ca.if_else(ca.logic_and(above, was < 0.5), 1, 0), was: ca.if_else(above, 1, 0)}
+    block = each_step("counter", memory={n: 0.0, was: 0.0}, update=update)
+    exact = t_end - (c - w * math.sqrt(-math.log(level)))
+    return Scene(first_order([n], [0], t_end, blocks=[block]), exact, exact)
+
+
 def of_a_pole(r: random.Random) -> Scene:
     """A run that has no end."""
     t_end, where = 2.0, r.uniform(0.3, 1.8)
@@ -177,15 +198,16 @@ def of_a_pole(r: random.Random) -> Scene:
 KINDS: dict[str, Callable[[random.Random], Scene]] = {
     "pulse": of_a_pulse, "decay": of_a_pulse_on_decay, "power": of_a_power, "flat condition": of_a_flat_condition,
     "pulse in a condition": of_a_pulse_in_a_condition, "friction": of_a_pulse_on_friction, "wall": of_a_wall, "pole": of_a_pole,
+    "pulse in g": of_a_pulse_in_g, "block": of_a_pulse_that_a_block_counts,
 }  # fmt: skip
 
 
-def trial(seed: int) -> dict[str, Any]:
-    """One scene, at one rtol."""
+def trial(seed: int, kind: str | None = None) -> dict[str, Any]:
+    """One scene, of a kind or of any, at one rtol."""
     r = random.Random(seed)
-    kind = r.choice(list(KINDS))
+    kind = kind or r.choice(list(KINDS))
     scene, rtol = KINDS[kind](r), 10.0 ** -r.uniform(2, 11)
-    compiled = r.random() < 0.5 and library.compiler() is not None
+    compiled = r.random() < 0.5 and library.compiler() is not None and not scene.model.blocks
     about: dict[str, Any] = {"seed": seed, "kind": kind, "rtol": rtol, "compiled": compiled}
     start = time.monotonic()
     try:

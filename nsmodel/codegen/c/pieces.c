@@ -326,7 +326,7 @@ static int accept(model_pieces *s, double *length, condition *hit, int *found, d
             coming(s, *length);
             *error = LOCAL*defect_of(s, *length);
         }
-        if (*error <= 1 || *length <= now) {
+        if (*error <= 1 || (*length <= now && *error < INFINITY)) {
             *error = max_of(min_of(*error, 1), whole > 0 ? *length == whole ? proved : proved*pow(*length/whole, s->order) : 0);
             return MODEL_OK;
         }

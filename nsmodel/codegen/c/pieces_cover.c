@@ -28,16 +28,25 @@ static void about(const double *coefficients, int n, double centre, double *c)
     shift(c, n, centre - 0.5);
 }
 
-/* What a disc is beside such a polynomial, beside 100 rtol of its size. */
-static double beside_polynomial(const double *coefficients, int n, double centre, double R, const double *of, double size,
-                                double rtol)
+/* The larger of worst and the error beside what is allowed, but for rounding; infinite where it is no number. */
+static double beside(double worst, double e, double rounding, double weight, double allowed)
+{
+    double seen = (fabs(e) - rounding)*weight;
+    if (seen <= 0)
+        return worst;
+    seen /= allowed;
+    return seen == seen ? max_of(worst, seen) : INFINITY;
+}
+
+/* The larger of worst and what a disc is beside such a polynomial, beside 100 rtol of its size. */
+static double beside_polynomial(double worst, const double *coefficients, int n, double centre, double R, const double *of,
+                                double size, double rtol)
 {
     double c[STRIDE_OF_DISC], form[STRIDE_OF_DISC];
     about(coefficients, n, centre, c);
     fill_disc(form, c, n, R, COVER_DEGREE);
     disc_sum(form, form, -1, of, COVER_DEGREE);
-    const double off = max_of(on_real(form, COVER_DEGREE) - STAGE_ROUNDING*size, 0);
-    return share_of(off, MULTIPLIERS*rtol*size);
+    return beside(worst, on_real(form, COVER_DEGREE), STAGE_ROUNDING*size, 1, MULTIPLIERS*rtol*size);
 }
 
 /* What a piece of collocation errs by on one disc; see cover(). */
@@ -87,16 +96,16 @@ static double on_part(model_pieces *s, const double *coefficients, int n, double
 #else
         allowed = rtol*size[j] + INSIDE*s->atol[j];
 #endif
-        worst = max_of(worst, share_of(max_of(on_real(sum, m) - rounding[j], 0), allowed));
+        worst = beside(worst, on_real(sum, m), rounding[j], 1, allowed);
     }
 #if LAW
     for (int i = 0; i < M; i++)
         if (s->at.codes[i])
-            worst = max_of(worst, beside_polynomial(coefficients + Y + i, n, centre, R, DISC_H(i), size[Y + i], rtol));
+            worst = beside_polynomial(worst, coefficients + Y + i, n, centre, R, DISC_H(i), size[Y + i], rtol);
 #endif
 #if SWITCHED
     for (int b = 0; b < CHOICES; b++)
-        worst = max_of(worst, beside_polynomial(coefficients + ROWS + b, n, centre, R, DISC_W(b), size[ROWS + b], rtol));
+        worst = beside_polynomial(worst, coefficients + ROWS + b, n, centre, R, DISC_W(b), size[ROWS + b], rtol);
 #endif
     return worst;
 }

@@ -178,16 +178,6 @@ static void miss(model_pieces *s, const collocation *of, double h, const double 
     }
 }
 
-/* The larger of worst and the error beside what is allowed, but for rounding; infinite where it is no number. */
-static double beside(double worst, double e, double rounding, double weight, double allowed)
-{
-    double seen = (fabs(e) - rounding)*weight;
-    if (seen <= 0)
-        return worst;
-    seen /= allowed;
-    return seen == seen ? max_of(worst, seen) : INFINITY;
-}
-
 /* The rounding of a solution by the inverse, of x and l of held rows of these sizes: of |inverse| |matrix| times these. */
 static void round_off(const model_pieces *s, double h, double share, const double *inverse, const double *size, double *out)
 {

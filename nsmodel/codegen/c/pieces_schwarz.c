@@ -249,6 +249,11 @@ static double worst_on_disc(model_pieces *s, double R, double length, int m, int
         most[i] = ((p + 1)*(rtol*size + s->atol[i]/LOCAL + AT_REST) + (with_l[i] < INFINITY ? now*still*with_l[i] : 0))/length;
         worst = max_of(worst, share_of(with_l[i]*share, most[i]));
     }
+#if LAW
+    double of_x[N];
+    for (int i = 0; i < N; i++)
+        of_x[i] = max_of(s->at.size_x[i], fabs(s->value[i]));
+#endif
     if (!(worst <= 1)) {
         worst = 0;
         for (int i = 0; i < N; i++) {
@@ -262,11 +267,8 @@ static double worst_on_disc(model_pieces *s, double R, double length, int m, int
         worst = beside_multipliers(s, with_l, without, most, share, now, length, rtol);
     if (!(worst < INFINITY))
         return worst;
-    double of_x[N], of_l[M], largest = 0, of_rows = share;
+    double of_l[M], largest = 0, of_rows = share;
     values_at(s->c[0] + L, COLUMNS, p, length, M, s->value + L);
-    values_at(s->c[0], COLUMNS, p, length, N, s->value);
-    for (int i = 0; i < N; i++)
-        of_x[i] = max_of(s->at.size_x[i], fabs(s->value[i]));
     for (int i = 0; i < M; i++) {
         of_l[i] = max_of(s->at.size_l[i], fabs(s->at.codes[i] ? s->c[0][L + i] : s->value[L + i]));
         largest = max_of(largest, s->at.size_y[i]);

@@ -68,7 +68,7 @@ static double ended(model_pieces *s, double h, double most, condition *hit, int 
         double estimate;
         const double shorter = min_of(s->at.tau*end, most), missed = end > 0 ? fit(s, shorter, &estimate) : NAN;
         condition again;
-        if (missed != missed)
+        if (!(missed <= 1))
             break;
         *error = missed;
         end = length = write_fit(s, shorter);
