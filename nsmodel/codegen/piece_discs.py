@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from nsmodel.codegen.expression import number
@@ -20,6 +21,12 @@ KINDS = (
 def kinds() -> str:
     """The operations, as an enum of C."""
     return f"enum {{ {', '.join(f'OF_{name.upper()}' for name in KINDS)} }};\n"
+
+
+def interpreter(text: str, printers: Iterable[Printer]) -> str:
+    """The interpreter without the operations that no graph has: a line of its switch each."""
+    used = {_operation(printer.jets, line)[0].upper() for printer in printers for line in printer.jets.lines}
+    return re.sub(r"^    case OF_(\w+): .*\n", lambda case: case[0] if case[1] in used else "", text, flags=re.MULTILINE)
 
 
 def graph(printer: Printer) -> str:
@@ -42,6 +49,12 @@ def _table(name: str, values: Sequence[Any], kind: str = "int") -> str:
 
 
 def _line(jets: Jets, line: Line) -> str:
+    kind, (a, b), value = _operation(jets, line)
+    return f"{{OF_{kind.upper()}, {line.branch}, {line.y}, {a}, {b}, {number(value).text}}}"
+
+
+def _operation(jets: Jets, line: Line) -> tuple[str, list[int], float]:
+    """Its name among KINDS, two rows, a number."""
     kind, rows, value = line.start or line.kind, list(line.of if line.start else line.args), line.number
     match kind:
         case "minus":
@@ -52,5 +65,4 @@ def _line(jets: Jets, line: Line) -> str:
             kind, rows = "product", [rows[0], rows[0]]
         case "pow" if rows[1] in jets.numbers:
             kind, value = "power", jets.numbers[rows[1]]
-    rows = [*rows, 0, 0][:2]
-    return f"{{OF_{kind.upper()}, {line.branch}, {line.y}, {rows[0]}, {rows[1]}, {number(value).text}}}"
+    return kind, [*rows, 0, 0][:2], value

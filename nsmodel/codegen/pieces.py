@@ -47,8 +47,8 @@ def code(scene: PieceScene, name: str, title: str, *, runs: bool) -> str:
     own += prefixed(_records(scene), name) if runs else ""
     text = "\n".join(
         [
-            fragment("pieces_prelude.c", scene.flags, words), parts[0], own, *parts[1:4], piece_discs.kinds(), parts[4],
-            "\n".join(map(piece_discs.graph, printers)), *parts[5:],
+            fragment("pieces_prelude.c", scene.flags, words), parts[0], own, *parts[1:4], piece_discs.kinds(),
+            piece_discs.interpreter(parts[4], printers), "\n".join(map(piece_discs.graph, printers)), *parts[5:],
             *(fragment(f"{part}.c", scene.flags, words) for part in more),
         ]
     )  # fmt: skip

@@ -374,9 +374,45 @@ static void disc_area(double *y, const double *a, double constant, int m)
     disc_log(y, root, m);
 }
 
+static void disc_atanh(double *y, const double *a, int m)
+{
+    double above[DEGREES], below[DEGREES];
+    disc_shifted(above, a, 1, m);
+    disc_scaled(below, a, -1, m);
+    disc_shifted(below, below, 1, m);
+    disc_quotient(above, above, below, m);
+    disc_log(y, above, m);
+    disc_scaled(y, y, 0.5, m);
+}
+
+static void disc_tan(double *y, const double *a, int m)
+{
+    double above[DEGREES], below[DEGREES];
+    disc_wave(above, a, m, 0);
+    disc_wave(below, a, m, 1);
+    disc_quotient(y, above, below, m);
+}
+
+static void disc_log1p(double *y, const double *a, int m)
+{
+    double shifted[DEGREES];
+    disc_shifted(shifted, a, 1, m);
+    disc_log(y, shifted, m);
+}
+
+static void disc_pow(double *y, const double *a, const double *b, int m)
+{
+    double exponent[DEGREES];
+    disc_log(exponent, a, m);
+    disc_product(exponent, b, exponent, m);
+    disc_exp(y, exponent, m);
+}
+
+/* The operations that the graphs here have: others are left out. */
 static void disc_of(double *y, int kind, const double *a, const double *b, double number, int m)
 {
-    double one[DEGREES], two[DEGREES];
+    UNUSED(b);
+    UNUSED(number);
     switch (kind) {
     case OF_SUM: disc_sum(y, a, 1, b, m); break;
     case OF_DIFFERENCE: disc_sum(y, a, -1, b, m); break;
@@ -388,29 +424,22 @@ static void disc_of(double *y, int kind, const double *a, const double *b, doubl
     case OF_EXPM1: disc_exp(y, a, m); y[0] -= 1; break;
     case OF_SIN: disc_wave(y, a, m, 0); break;
     case OF_COS: disc_wave(y, a, m, 1); break;
-    case OF_TAN: disc_wave(one, a, m, 0); disc_wave(two, a, m, 1); disc_quotient(y, one, two, m); break;
+    case OF_TAN: disc_tan(y, a, m); break;
     case OF_SINH: disc_hyperbola(y, a, -1, m); break;
     case OF_COSH: disc_hyperbola(y, a, 1, m); break;
     case OF_TANH: disc_tanh(y, a, m); break;
     case OF_SQRT: disc_root(y, a, m); break;
     case OF_HYPOT: disc_hypot(y, a, b, m); break;
     case OF_LOG: disc_log(y, a, m); break;
-    case OF_LOG1P: disc_shifted(one, a, 1, m); disc_log(y, one, m); break;
+    case OF_LOG1P: disc_log1p(y, a, m); break;
     case OF_POWER: disc_power(y, a, number, m); break;
-    case OF_POW: disc_log(one, a, m); disc_product(one, b, one, m); disc_exp(y, one, m); break;
+    case OF_POW: disc_pow(y, a, b, m); break;
     case OF_ATAN: disc_atan(y, a, m); break;
     case OF_ASIN: disc_asin(y, a, m); break;
     case OF_ACOS: disc_asin(y, a, m); disc_scaled(y, y, -1, m); y[0] += acos(0.0); break;
     case OF_ASINH: disc_area(y, a, 1, m); break;
     case OF_ACOSH: disc_area(y, a, -1, m); break;
-    case OF_ATANH:
-        disc_shifted(one, a, 1, m);
-        disc_scaled(two, a, -1, m);
-        disc_shifted(two, two, 1, m);
-        disc_quotient(one, one, two, m);
-        disc_log(y, one, m);
-        disc_scaled(y, y, 0.5, m);
-        break;
+    case OF_ATANH: disc_atanh(y, a, m); break;
     case OF_ERF: disc_erf(y, a, m); break;
     case OF_ATAN2: disc_angle(y, a, b, m); break;
     default: lose(y, m);
