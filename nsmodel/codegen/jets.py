@@ -15,6 +15,7 @@ C = Dialect(
     either="{0} ? {1} : {2}".format,
     both="{0} != 0 && {1} != 0",
     one="{0} != 0 || {1} != 0",
+    positive="{0} > 0",
     ratio="{0}/{1}",
     end=";",
     choose="if (choice[{i}] != choice[{i}]) choice[{i}] = {value};",

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 KINDS = (
     "sum difference scaled shifted product quotient exp expm1 sin cos tan sinh cosh tanh sqrt hypot log log1p power pow atan "
-    "asin acos asinh acosh atanh erf atan2 chosen equal guarded whole not both either"
+    "asin acos asinh acosh atanh erf atan2 chosen equal guarded whole not positive both either"
 ).split()  # fmt: skip
 
 

@@ -16,7 +16,7 @@ from nsmodel.pieces.printed import first_value, summed
 
 LINEAR = frozenset("sum difference minus scaled over shifted".split())
 CHOSEN = frozenset("guarded chosen equal".split())
-FIXED = frozenset("both either not whole".split())  # At order 0 alone.
+FIXED = frozenset("both either not positive whole".split())  # At order 0 alone.
 CURVED = 99  # The degree in t of what has terms of all orders.
 ZERO = "0.0"
 

@@ -18,6 +18,7 @@ from nsmodel.errors import CodegenError
 from nsmodel.model.base import Model
 from nsmodel.model.driven import as_parameters, inputs_at_start
 from nsmodel.once import once
+from nsmodel.pieces.exponentials import without_overflow
 from nsmodel.pieces.jets import jets_of
 from nsmodel.pieces.lengths import LARGEST_ORDER
 from nsmodel.pieces.modes import ORDERS
@@ -225,7 +226,7 @@ def problem_for_all(model: Model) -> ContinuousProblem:
                 raise CodegenError(
                     f"the law '{block.label}' is curved, and of a size that depends on parameters; give these values"
                 )
-        return with_modes(problem)
+        return with_modes(without_overflow(problem))
     except NotEventDriven as error:
         raise CodegenError(f"event-driven integration does not take this model: {error}") from error
 

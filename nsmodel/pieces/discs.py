@@ -51,6 +51,10 @@ class Ball:
     def __rsub__(self, other: float) -> Ball:
         return Ball(other - self.c, self.r)
 
+    def __gt__(self, other: float) -> bool:
+        """Of the centre."""
+        return self.c > other
+
     def __neg__(self) -> Ball:
         return Ball(-self.c, self.r)
 
@@ -114,7 +118,7 @@ def _log1p(c: float, r: float) -> tuple[float, float]:
 
 
 def _erf(c: float, r: float) -> tuple[float, float]:
-    return math.erf(c), r * series.TWO_OVER_ROOT_PI * math.exp(2 * abs(c) * r + r * r - c * c) if r else 0.0
+    return math.erf(c), r * series.TWO_OVER_ROOT_PI * math.exp((2 * abs(c) + r) * r - c * c) if r else 0.0
 
 
 def _by_slope(function: Callable[[float], float], slope: Callable[[float, float], float]) -> Callable[[Ball], Ball]:
@@ -201,6 +205,10 @@ class Form:
 
     def __rsub__(self, other: float) -> Form:
         return -self + other
+
+    def __gt__(self, other: float) -> bool:
+        """Of the centre."""
+        return bool(self.c[0] > other)
 
     def __neg__(self) -> Form:
         return Form(-self.c, self.r)
@@ -349,7 +357,7 @@ def _form_erf(u: Form, a: float, v: float, n: int) -> Form:
         return y
 
     majorant = _integral(abs(math.erf(a)), density(2 * abs(a), 1.0))
-    whole = abs(math.erf(a)) + v * slope * math.exp(2 * abs(a) * v + v * v)
+    whole = abs(math.erf(a)) + v * series.TWO_OVER_ROOT_PI * math.exp((2 * abs(a) + v) * v - a * a)
     return _composed(u, _integral(math.erf(a), density(-2 * a, -1.0)), majorant, whole)
 
 

@@ -64,12 +64,14 @@ _CHOOSE = {
     "equal": lambda row: np.where(of(row) == 0, 0.0, np.where(of(row).middle < 0, -1.0, 1.0)),
     **{f"whole_{name}": _whole(rounding) for name, rounding in _WHOLE.items()},
 }  # fmt: skip
-_KNOWN = series.RECURRENCES | {name: function(name) for name in series.STARTS} | _CHOOSE | {"number": number, "where": where}
+_KNOWN = series.RECURRENCES | {name: function(name) for name in series.STARTS} | _CHOOSE
+_KNOWN |= {"number": number, "where": where, "of": of}
 INTERVALS = PYTHON._replace(
     number=lambda value: f"number(float('{value!r}'))",
     either="where({0}, {1}, {2})".format,
     both="({0} != 0.0) & ({1} != 0.0)",
     one="({0} != 0.0) | ({1} != 0.0)",
+    positive="of({0}).middle > 0",
     choose="if choice[{i}] is None: choice[{i}] = {value}",
     choices={
         "side": "side({0})", "equal": "equal({0})", "floor": "whole_floor({0})", "ceil": "whole_ceil({0})",

@@ -17,6 +17,7 @@ import numpy as np
 from nsmodel.pieces import series
 from nsmodel.proof.graph import OpaqueExpression, applied, fold, operations
 
+LEAST = math.ulp(0.0)  # The least positive double.
 INTEGER_POWERS = 16  # Larger whole exponents are powers of a base that is not 0.
 
 
@@ -233,7 +234,9 @@ class _Tape:
         return self.side(a, a, self.minus(a))
 
     def is_at_most(self, a: int, b: int) -> int:
-        """1 where a <= b, else 0."""
+        """1 where a <= b, else 0; LEAST <= b is what is written, and no switch (see `exponentials`)."""
+        if self.numbers.get(a) == LEAST:
+            return self.true(self.line("positive", b))
         return self.true(self.side(self.difference(b, a), self.constant(1.0), self.constant(0.0)))
 
     def is_equal(self, a: int, b: int) -> int:
@@ -325,5 +328,10 @@ SWITCHING = frozenset(
 
 
 def is_switched(expr: ca.SX) -> bool:
-    """Whether an expression holds operations that are not analytic."""
-    return bool(operations(expr) & SWITCHING)
+    """Whether an expression holds operations that are not analytic, or what no Taylor series is known of."""
+    if not operations(expr) & SWITCHING:
+        return False
+    try:
+        return bool(jets_of(expr, ca.symvar(expr), "").branches)
+    except OpaqueExpression:
+        return True

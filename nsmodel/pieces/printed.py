@@ -19,6 +19,7 @@ class Dialect(NamedTuple):
     either: Callable[[str, str, str], str]
     both: str
     one: str
+    positive: str
     ratio: str
     end: str
     choose: str
@@ -31,6 +32,7 @@ PYTHON = Dialect(
     either="({1} if {0} else {2})".format,
     both="{0} != 0.0 and {1} != 0.0",
     one="{0} != 0.0 or {1} != 0.0",
+    positive="{0} > 0",
     ratio="divided({0}, {1})",
     end="",
     choose="if choice[{i}] != choice[{i}]: choice[{i}] = {value}",
@@ -102,6 +104,8 @@ def first_value(line: Line, value: Callable[[int], str], choice: str, language: 
             return language.either((language.both if line.kind == "both" else language.one).format(*at), "1.0", "0.0")
         case "not":
             return language.either(f"{at[0]} == 0", "1.0", "0.0")
+        case "positive":
+            return language.either(language.positive.format(*at), "1.0", "0.0")
         case "whole":
             return choice
         case "shifted":
@@ -116,7 +120,7 @@ def first_value(line: Line, value: Callable[[int], str], choice: str, language: 
 
 
 def _later(line: Line, language: Dialect) -> str | None:
-    if line.kind in ("both", "either", "not", "whole"):
+    if line.kind in ("both", "either", "not", "positive", "whole"):
         return None  # They stay 0.
     rows = [language.row(row) for row in line.args]
     at_k, at_0 = ([f"{row}[{order}]" for row in rows] for order in ("k", "0"))

@@ -18,6 +18,7 @@ from nsmodel.model.base import Model
 from nsmodel.once import once
 from nsmodel.pieces.asked import LARGE, times, tolerances
 from nsmodel.pieces.course import time_of
+from nsmodel.pieces.exponentials import without_overflow
 from nsmodel.pieces.known_of import known_of
 from nsmodel.pieces.lengths import MULTIPLIERS
 from nsmodel.pieces.sliding import with_modes
@@ -49,7 +50,7 @@ def problem_of(model: Model) -> ContinuousProblem:
     module = class_of(model).optional("continuous")
     if module is None:
         raise NotEventDriven("many bodies change their contacts at nearly every step; they are for time stepping")
-    return with_modes(driven(module.continuous_problem(model), model))
+    return with_modes(without_overflow(driven(module.continuous_problem(model), model)))
 
 
 class EventDriven:

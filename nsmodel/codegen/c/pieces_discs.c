@@ -284,7 +284,8 @@ static void disc_asin(double *y, const double *u, int m)
 
 static void disc_erf(double *y, const double *u, int m)
 {
-    const double a = u[0], v = moves_of(u, m), slope = TWO_OVER_ROOT_PI*exp(-a*a), rise = exp(2*fabs(a)*v + v*v);
+    const double a = u[0], v = moves_of(u, m), slope = TWO_OVER_ROOT_PI*exp(-a*a);
+    const double steepest = TWO_OVER_ROOT_PI*exp((2*fabs(a) + v)*v - a*a);
     double d[DEGREES], D[DEGREES], phi[DEGREES], Q[DEGREES];
     d[0] = D[0] = slope;
     for (int j = 1; j <= m; j++) {
@@ -297,7 +298,7 @@ static void disc_erf(double *y, const double *u, int m)
         phi[j] = d[j - 1]/j;
         Q[j] = D[j - 1]/j;
     }
-    compose(y, u, phi, Q, v > 0 ? Q[0] + v*slope*rise : Q[0], m);
+    compose(y, u, phi, Q, v > 0 ? Q[0] + v*steepest : Q[0], m);
 }
 
 static void disc_sum(double *y, const double *a, double factor, const double *b, int m)
@@ -468,8 +469,9 @@ static void run_graph(const model_pieces *s, const disc_graph *graph, double *ro
             else
                 memset(y, 0, (m + 2)*sizeof *y);
             break;
-        case OF_WHOLE: case OF_NOT: case OF_BOTH: case OF_EITHER: {
+        case OF_WHOLE: case OF_NOT: case OF_POSITIVE: case OF_BOTH: case OF_EITHER: {
             const double value = line->kind == OF_WHOLE ? side : line->kind == OF_NOT ? a[0] == 0
+                                 : line->kind == OF_POSITIVE ? a[0] > 0
                                  : line->kind == OF_BOTH ? a[0] != 0 && b[0] != 0 : a[0] != 0 || b[0] != 0;
             memset(y, 0, (m + 2)*sizeof *y);
             y[0] = value;

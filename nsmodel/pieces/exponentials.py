@@ -1,0 +1,308 @@
+"""Quotients, roots and logarithms of sums of exponentials, written so that no exponential overflows.
+
+exp(u)/(1 + exp(u)) is 1 for large u, and inf/inf in doubles. A sum D = sum_i r_i exp(s_i) is divided by its largest exponential,
+exp(s_p): N/D = sum_j n_j exp(s_j - s_p) / sum_i r_i exp(s_i - s_p), and log D = s_p + log sum_i r_i exp(s_i - s_p). These are the
+same function whichever p is: the values at a point choose it, and no switch of the model is there (see `is_positive`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import casadi as ca
+
+from nsmodel.pieces.jets import LEAST
+from nsmodel.proof.graph import applied, fold, operations
+from nsmodel.scheme.continuous import ContinuousProblem
+
+MOST_TERMS = 4  # Of a sum; a longer one stays as it is written.
+GROWING = {ca.OP_EXP, ca.OP_EXPM1, ca.OP_SINH, ca.OP_COSH, ca.OP_POW}
+DIVIDING = {ca.OP_DIV, ca.OP_INV, ca.OP_LOG, ca.OP_LOG1P, ca.OP_ATAN, ca.OP_POW, ca.OP_CONSTPOW}
+PARTS = ("f", "g", "h", "updates")
+
+Exponent = tuple[tuple[int, float], ...]  # The sum of factor * base, bases by their numbers; () is 0.
+
+
+def is_positive(u: ca.SX) -> ca.SX:
+    """Whether u > 0 at the point that a piece is expanded about: which of two forms of one function is written, and no switch."""
+    return LEAST <= u
+
+
+def without_overflow(problem: ContinuousProblem) -> ContinuousProblem:
+    """The same problem, f, g, h and updates as `stable` writes them."""
+    return replace(problem, **{part: stable(getattr(problem, part)) for part in PARTS})
+
+
+def stable(expr: ca.SX) -> ca.SX:
+    """The same function (n, m), where no exponential overflows in a quotient whose value is a number; or ``expr`` itself."""
+    there = operations(expr)
+    if not (there & GROWING and there & DIVIDING) or ca.OP_CALL in there:
+        return expr
+    writer = _Writer()
+    nodes = fold(expr, writer.symbol, writer.number, writer.operation)
+    return ca.reshape(ca.vertcat(*(node.new for node in nodes)), *expr.shape) if writer.changed else expr
+
+
+class Term(NamedTuple):
+    """r exp(s)."""
+
+    r: ca.SX
+    s: Exponent
+
+
+@dataclass(frozen=True)
+class Node:
+    """An operation of the graph, as it is written now.
+
+    Attributes:
+        new: its expression.
+        key: the same for the same expressions.
+        value: the number that it is; None of others.
+        base, factor: it is factor times the base, which is given by its number.
+        terms, power: it is the sum of the terms to the power; no terms where it holds no exponential.
+    """
+
+    new: ca.SX
+    key: int
+    value: float | None = None
+    base: int = 0
+    factor: float = 1.0
+    terms: tuple[Term, ...] = ()
+    power: float = 1.0
+
+    @property
+    def sum(self) -> tuple[Term, ...]:
+        """Its terms; itself as one where it is no sum of exponentials."""
+        return self.terms if self.terms and self.power == 1 else (Term(self.new, ()),)
+
+
+class _Writer:
+    """Writes a graph anew, node by node."""
+
+    def __init__(self) -> None:
+        self.changed = False
+        self._keys: dict[tuple, int] = {}
+        self._bases: dict[int, ca.SX] = {}
+
+    def symbol(self, symbol: ca.SX) -> Node:
+        return self._node(symbol, ("symbol", symbol.element_hash()))
+
+    def number(self, value: float) -> Node:
+        return self._node(ca.SX(value), ("number", value), value=value)
+
+    def operation(self, op: int, args: list[Node]) -> Node:
+        node = self._node(applied(op, [arg.new for arg in args]), (op, *(arg.key for arg in args)))
+        if all(arg.value is not None for arg in args):
+            return replace(node, value=float(ca.DM(node.new)))
+        node = self._as_multiple(node, op, args)
+        rule = RULES.get(op)
+        found = None if rule is None else rule(self, node, *args)
+        return node if found is None else found
+
+    def _node(self, new: ca.SX, made: tuple, **known: float) -> Node:
+        key = self._keys.setdefault(made, len(self._keys))
+        self._bases.setdefault(key, new)
+        return Node(new, key, base=key, **known)
+
+    def _as_multiple(self, node: Node, op: int, args: Sequence[Node]) -> Node:
+        """-u, 2 u, a u, u/a and v - u as multiples of u and of u - v: exponents that are multiples of each other are told so."""
+        match op, *args:
+            case ca.OP_NEG, u:
+                return replace(node, base=u.base, factor=-u.factor)
+            case ca.OP_TWICE, u:
+                return replace(node, base=u.base, factor=2 * u.factor)
+            case ca.OP_DIV, u, a if a.value:
+                return replace(node, base=u.base, factor=u.factor / a.value)
+            case ca.OP_MUL, u, v:
+                for a, b in ((u, v), (v, u)):
+                    if a.value is not None:
+                        return replace(node, base=b.base, factor=a.value * b.factor)
+                if u.factor * v.factor != 1:
+                    base = self._node(self._bases[u.base] * self._bases[v.base], (op, u.base, v.base))
+                    return replace(node, base=base.key, factor=u.factor * v.factor)
+            case ca.OP_SUB, u, v if (op, v.key, u.key) in self._keys:
+                return replace(node, base=self._keys[op, v.key, u.key], factor=-1.0)
+        return node
+
+    # Sums of exponentials.
+
+    def exp(self, node: Node, u: Node) -> Node:
+        """Of a sum of exponents with numbers, too."""
+        return replace(node, terms=(Term(ca.SX(1), ((u.base, u.factor),)),))
+
+    def exp_of_number(self, node: Node, a: Node, u: Node) -> Node | None:
+        """a^u and u^a."""
+        if u.value is not None:
+            return self.power(node, a, u.value)
+        if a.value is None or a.value <= 0 or a.value == 1:
+            return None
+        return replace(node, terms=(Term(ca.SX(1), ((u.base, u.factor * math.log(a.value)),)),))
+
+    def expm1(self, node: Node, u: Node) -> Node:
+        return self.sum(node, self.exp(node, u), self.number(-1.0))
+
+    def hyperbolic(self, node: Node, u: Node, sign: float) -> Node:
+        """Sinh and cosh."""
+        terms = (Term(ca.SX(0.5), ((u.base, u.factor),)), Term(ca.SX(sign / 2), ((u.base, -u.factor),)))
+        return replace(node, terms=terms)
+
+    def sum(self, node: Node, a: Node, b: Node, sign: float = 1.0) -> Node | None:
+        if not (_is_sum(a) or _is_sum(b)):
+            return None
+        return _of_terms(node, [*a.sum, *((Term(sign * r, s) for r, s in b.sum) if sign != 1 else b.sum)])
+
+    def product(self, node: Node, a: Node, b: Node) -> Node | None:
+        if not (_is_sum(a) or _is_sum(b)):
+            return None
+        return _of_terms(node, [Term(p.r * q.r, _plus(p.s, q.s)) for p in a.sum for q in b.sum])
+
+    def minus(self, node: Node, a: Node) -> Node | None:
+        return _of_terms(node, [Term(-r, s) for r, s in a.terms]) if _is_sum(a) else None
+
+    def power(self, node: Node, a: Node, p: float) -> Node | None:
+        """Of a sum; of one term as one term."""
+        if not a.terms:
+            return None
+        if p < 0:
+            return self.quotient(node, self.number(1.0), self.power(node, a, -p))
+        if len(a.terms) == 1 and a.power == 1:
+            return _of_terms(node, [Term(a.terms[0].r ** p, _times(a.terms[0].s, p))])
+        return replace(node, terms=a.terms, power=a.power * p)
+
+    # What is written anew.
+
+    def quotient(self, node: Node, a: Node, b: Node | None) -> Node | None:
+        """a/b by the largest exponential of b; one exponential below stays as it is but below others."""
+        if b is None or not b.terms:
+            if b is not None and _is_sum(a):
+                return _of_terms(node, [Term(r / b.new, s) for r, s in a.terms])
+            return None
+        if len(b.terms) == 1:
+            (r, s), q = b.terms[0], b.power
+            if not _is_sum(a):
+                return _of_terms(node, [Term(a.new / r**q, _times(s, -q))])
+            made = _of_terms(node, [Term(n / r**q, _plus(e, s, -q)) for n, e in a.terms])
+            return None if made is None else replace(made, new=self._written(made.terms, (), None))
+
+        def side(p: int, here: ca.SX) -> ca.SX:
+            largest = b.terms[p].s
+            above = self._written(a.sum, _times(largest, b.power), here)
+            return above / self._written(b.terms, largest, here) ** b.power
+
+        return replace(node, new=self._by_largest(b.terms, side))
+
+    def log(self, node: Node, a: Node) -> Node | None:
+        """The exponent of the largest exponential, and the logarithm of what it leaves."""
+        if not a.terms:
+            return None
+
+        def side(p: int, here: ca.SX) -> ca.SX:
+            r, largest = a.terms[p]
+            rest = self._written([term for i, term in enumerate(a.terms) if i != p], largest, here)
+            least = ca.log(r) + ca.log1p(rest / r) if r.is_constant() and float(r) > 0 else ca.log(r + rest)
+            return a.power * (self._exponent(largest) + least)
+
+        return replace(node, new=self._by_largest(a.terms, side), terms=())
+
+    def log1p(self, node: Node, a: Node) -> Node | None:
+        one = self.sum(node, self.number(1.0), a)
+        return None if one is None else self.log(node, one)
+
+    def atan(self, node: Node, a: Node) -> Node | None:
+        """Of one exponential, r > 0: where it is large pi/2 less the same of 1 over it."""
+        if len(a.terms) != 1 or a.power != 1 or not a.terms[0].r.is_constant() or not float(a.terms[0].r) > 0:
+            return None
+        both = (Term(ca.SX(1), ()), a.terms[0])
+
+        def side(p: int, here: ca.SX) -> ca.SX:
+            small = self._written((both[1 - p],), both[p].s, here) / both[p].r
+            return math.pi / 2 - ca.atan(small) if p else ca.atan(small)
+
+        return replace(node, new=self._by_largest(both, side), terms=())
+
+    def _by_largest(self, terms: Sequence[Term], side: Callable[[int, ca.SX], ca.SX]) -> ca.SX:
+        """The ``side`` of the largest exponential, of those that can be it; each is 0 where it is not taken.
+
+        Where all exponents are multiples of one base, the largest has the largest or the least factor.
+        """
+        self.changed = True
+        first, *others = _extremes(terms)
+        taken: dict[int, ca.SX] = {first: ca.SX(1)}
+        for p in others:
+            larger = {q: is_positive(self._exponent(_plus(terms[p].s, terms[q].s, -1.0))) for q in taken}
+            won = [ca.logic_and(here, larger[q]) for q, here in taken.items()]
+            taken = {q: ca.logic_and(here, ca.logic_not(larger[q])) for q, here in taken.items()}
+            taken[p] = ca.SX(0)
+            for one in won:
+                taken[p] = ca.logic_or(taken[p], one)
+        return sum((ca.if_else(here, side(p, here), 0) for p, here in taken.items()), ca.SX(0))
+
+    def _written(self, terms: Sequence[Term], largest: Exponent, here: ca.SX | None) -> ca.SX:
+        """The sum of the terms over exp(largest); exponents are 0 where another side is taken, that nothing overflows there."""
+        total = ca.SX(0)
+        for r, s in terms:
+            exponent = self._exponent(_plus(s, largest, -1.0))
+            total += r * ca.exp(exponent if here is None else ca.if_else(here, exponent, 0))
+        return total
+
+    def _exponent(self, s: Exponent) -> ca.SX:
+        return sum((factor * self._bases[base] for base, factor in s), ca.SX(0))
+
+
+def _is_sum(a: Node) -> bool:
+    return bool(a.terms) and a.power == 1
+
+
+def _of_terms(node: Node, terms: Sequence[Term]) -> Node | None:
+    """A sum, terms of the same exponent together; None where it has too many, or no exponential is left."""
+    found: dict[Exponent, ca.SX] = {}
+    for r, s in terms:
+        found[s] = found[s] + r if s in found else r
+    if len(found) > MOST_TERMS or not any(found):
+        return None
+    return replace(node, terms=tuple(Term(r, s) for s, r in found.items()), power=1.0)
+
+
+def _plus(a: Exponent, b: Exponent, times: float = 1.0) -> Exponent:
+    """A + times b."""
+    total = dict(a)
+    for base, factor in b:
+        total[base] = total.get(base, 0.0) + times * factor
+    return tuple(sorted((base, factor) for base, factor in total.items() if factor))
+
+
+def _times(s: Exponent, factor: float) -> Exponent:
+    return tuple((base, factor * own) for base, own in s)
+
+
+def _extremes(terms: Sequence[Term]) -> list[int]:
+    bases = {base for _, s in terms for base, _ in s}
+    if len(bases) > 1:
+        return list(range(len(terms)))
+    factors = [sum(factor for _, factor in s) for _, s in terms]
+    return [factors.index(min(factors)), factors.index(max(factors))]
+
+
+RULES: dict[int, Callable[..., Node | None]] = {
+    ca.OP_EXP: _Writer.exp,
+    ca.OP_EXPM1: _Writer.expm1,
+    ca.OP_SINH: lambda w, node, u: w.hyperbolic(node, u, -1.0),
+    ca.OP_COSH: lambda w, node, u: w.hyperbolic(node, u, 1.0),
+    ca.OP_ADD: _Writer.sum,
+    ca.OP_SUB: lambda w, node, a, b: w.sum(node, a, b, -1.0),
+    ca.OP_NEG: _Writer.minus,
+    ca.OP_TWICE: lambda w, node, a: w.sum(node, a, a),
+    ca.OP_MUL: _Writer.product,
+    ca.OP_SQ: lambda w, node, a: w.product(node, a, a) or w.power(node, a, 2.0),
+    ca.OP_POW: _Writer.exp_of_number,
+    ca.OP_CONSTPOW: _Writer.exp_of_number,
+    ca.OP_SQRT: lambda w, node, a: w.power(node, a, 0.5),
+    ca.OP_DIV: _Writer.quotient,
+    ca.OP_INV: lambda w, node, a: w.quotient(node, w.number(1.0), a),
+    ca.OP_LOG: _Writer.log,
+    ca.OP_LOG1P: _Writer.log1p,
+    ca.OP_ATAN: _Writer.atan,
+}

@@ -1,0 +1,138 @@
+"""Saturating functions have values, however they are spelt by exponentials: `pieces.exponentials`, and runs with them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import mpmath
+import numpy as np
+import pytest
+
+from nsmodel import FirstOrderSystem, relay, simulate
+from nsmodel.pieces.exponentials import stable
+from nsmodel.pieces.jets import is_switched
+
+t, x, l = (ca.SX.sym(name) for name in "txl")
+exp = ca.exp
+
+
+def logistic(u: Any) -> Any:
+    return 1 / (1 + mpmath.exp(-u))
+
+
+def softplus(u: Any) -> Any:
+    return mpmath.log1p(mpmath.exp(u))
+
+
+# Each tends to 0 for small u; its values.
+SPELLINGS: dict[str, tuple[Callable[[ca.SX], ca.SX], Callable]] = {
+    "1/(1 + e^-u)": (lambda u: 1 / (1 + exp(-u)), logistic),
+    "1 - 1/(1 + e^u)": (lambda u: 1 - 1 / (1 + exp(u)), logistic),
+    "e^u/(1 + e^u)": (lambda u: exp(u) / (1 + exp(u)), logistic),
+    "e^-u below": (lambda u: exp(u / 2) / (exp(u / 2) + exp(-u / 2)), logistic),
+    "tanh, two exponentials": (lambda u: 0.5 + 0.5 * (exp(u / 2) - exp(-u / 2)) / (exp(u / 2) + exp(-u / 2)), logistic),
+    "tanh, one exponential": (lambda u: 0.5 + 0.5 * (exp(u) - 1) / (exp(u) + 1), logistic),
+    "expm1": (lambda u: 0.5 + 0.5 * ca.expm1(u) / (exp(u) + 1), logistic),
+    "sinh/cosh": (lambda u: 0.5 + 0.5 * ca.sinh(u / 2) / ca.cosh(u / 2), logistic),
+    "tanh": (lambda u: 0.5 + 0.5 * ca.tanh(u / 2), logistic),
+    "a power of e": (lambda u: 1 / (1 + math.e ** (-u)), logistic),
+    "a power of a sum": (lambda u: (1 + exp(-2 * u)) ** -0.5, lambda u: (1 + mpmath.exp(-2 * u)) ** -0.5),
+    "e^u/sqrt(1 + e^2u)": (lambda u: exp(u) / ca.sqrt(1 + exp(2 * u)), lambda u: (1 + mpmath.exp(-2 * u)) ** -0.5),
+    "e^u/(1 + e^u)^2": (lambda u: exp(u) / (1 + exp(u)) ** 2, lambda u: logistic(u) * logistic(-u)),
+    "1/cosh^2": (lambda u: 0.25 / ca.cosh(u / 2) ** 2, lambda u: logistic(u) * logistic(-u)),
+    "log(1 + e^u)": (lambda u: ca.log(1 + exp(u)), softplus),
+    "log1p(e^u)": (lambda u: ca.log1p(exp(u)), softplus),
+    "log cosh": (lambda u: ca.log(2 * ca.cosh(u / 2)) + u / 2, softplus),
+    "atan(e^u)": (lambda u: ca.atan(exp(u)), lambda u: mpmath.atan(mpmath.exp(u))),
+}  # fmt: skip
+ACCURATE = 1e-11  # Beside the largest value; near the middle (e^u - 1)/(e^u + 1) cancels, in every spelling.
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize("name", SPELLINGS)
+def test_values_and_slopes_are_those_of_the_function(name: str) -> None:
+    spelling, of = SPELLINGS[name]
+    for k in (1.0, 1e3, 1e6):
+        at = ca.Function("at", [x], [(written := stable(spelling(k * (x - 5)))), ca.jacobian(written, x)])
+        for v in (-1e3, 0.0, 4.9, 4.999999, 5.0, 5.000001, 5.1, 1e4):
+            value, slope = (float(a) for a in at(v))
+            with mpmath.workdps(60):
+                u = k * (mpmath.mpf(v) - 5)
+                exact, h = of(u), mpmath.mpf("1e-20")
+                steep = k * (of(u + h) - of(u - h)) / (2 * h)
+            assert abs(value - float(exact)) <= ACCURATE * max(abs(float(exact)), 1), (k, v)
+            assert abs(slope - float(steep)) <= ACCURATE * max(abs(float(steep)), k), (k, v)
+
+
+@pytest.mark.fast
+def test_expressions_without_such_quotients_stay_what_they_are() -> None:
+    for expr in (exp(x), exp(x) - 1, x / (1 + x**2), 1 / (1 + x**4), ca.log(1 + x**2), exp(-x) * ca.sin(x), ca.tanh(1e6 * x)):
+        assert ca.is_equal(stable(expr), expr, 30)
+
+
+@pytest.mark.fast
+def test_sums_of_three_exponentials_with_different_exponents() -> None:
+    y = ca.SX.sym("y", 2)
+    terms = [exp(1e3 * y[0]), exp(2e3 * y[1]), exp(-(y[0] ** 2))]
+    shares = [one / (terms[0] + terms[1] + terms[2]) for one in terms]
+    at = ca.Function("at", [y], [stable(ca.vertcat(*shares)), ca.log(1)])
+    for point in ([1.0, 0.2], [1.0, 0.9], [-2.0, -3.0], [0.0, 0.0], [2.0, 1.0]):
+        with mpmath.workdps(40):
+            a, b = map(mpmath.mpf, point)
+            exact = [mpmath.exp(1000 * a), mpmath.exp(2000 * b), mpmath.exp(-a * a)]
+            exact = [float(one / sum(exact)) for one in exact]
+        assert np.allclose(np.array(at(point)[0]).ravel(), exact, rtol=1e-12, atol=0)
+
+
+@pytest.mark.fast
+def test_what_is_written_is_no_switch() -> None:
+    assert not is_switched(stable(ca.log(1 + exp(x))))
+    assert is_switched(stable(1 / (1 + exp(ca.fabs(x)))))
+
+
+def integral(of: Callable, k: float, end: float) -> float:
+    """Of ``of(k (s - 5))`` from 0 to ``end``."""
+    with mpmath.workdps(30):
+        inner = [u for u in (-60, -6, 0, 6, 60) if -5 * k < u < (end - 5) * k]
+        found: Any = mpmath.quad(of, [-5 * k, *inner, (end - 5) * k])
+        return float(found / k)
+
+
+@pytest.mark.parametrize("compiled", [False, True], ids=["interpreted", "C"])
+@pytest.mark.parametrize("k", [1e3, 1e6])
+@pytest.mark.parametrize(
+    "name", ["1/(1 + e^-u)", "e^u/(1 + e^u)", "e^u/sqrt(1 + e^2u)", "log(1 + e^u)", "atan(e^u)", "e^u/(1 + e^u)^2"]
+)
+def test_steep_ones_are_integrated(name: str, k: float, compiled: bool) -> None:
+    spelling, of = SPELLINGS[name]
+    model = FirstOrderSystem(t=t, x=x, f=[spelling(k * (t - 5))], x0=[0], t_end=8, step=1e-2)
+    exact = integral(of, k, 8)
+    for rtol in (1e-3, 1e-8):
+        run = simulate(model, rtol=rtol, method="event-driven", compiled=compiled)
+        assert abs(run.x[-1, 0] - exact) <= rtol * exact
+        assert len(run.piece_start) < 1000
+        assert not run.events
+
+
+@pytest.mark.parametrize("name", [name for name in SPELLINGS if SPELLINGS[name][1] is logistic])
+def test_all_spellings_have_one_solution(name: str) -> None:
+    """x' = 1/(1 + e^u), u = k (x - 1), from 0: x + e^u/k = t, but for e^-k."""
+    k, end = 1e4, 2.0
+    model = FirstOrderSystem(x=x, f=[1 - SPELLINGS[name][0](k * (x - 1))], x0=[0], t_end=end, step=1e-2)
+    run = simulate(model, rtol=1e-6, method="event-driven")
+    with mpmath.workdps(30):
+        exact = float(mpmath.findroot(lambda y: y + mpmath.exp(k * (y - 1)) / k - end, (1, 1.01), solver="bisect", maxsteps=200))
+    assert abs(run.x[-1, 0] - exact) <= 1e-6 * exact
+
+
+@pytest.mark.parametrize("compiled", [False, True], ids=["interpreted", "C"])
+def test_in_conditions_and_in_output_rows(compiled: bool) -> None:
+    """x' = l in -Sgn(s(1e4 (t - 3)) - 1/2): up until 3, then down."""
+    h = 1 / (1 + exp(-1e4 * (t - 3))) - 0.5
+    model = FirstOrderSystem(t=t, x=x, lam=l, f=[0], g=[l], h=[h], law=relay(1), x0=[0], t_end=5, step=1e-2)
+    run = simulate(model, rtol=1e-8, method="event-driven", compiled=compiled)
+    assert [event.t for event in run.events] == pytest.approx([3.0], abs=1e-9)
+    assert run.x[-1, 0] == pytest.approx(1.0, abs=1e-7)
