@@ -66,6 +66,7 @@ TOTALS = {
     "largest_pressure_body": (COUNT, None), "unique": Each(COUNT), "impacts": Each(Each(ANY)), "ended": TEXT,
     "last_x": [NUMBER], "last_v": [[NUMBER]], "rest_from": ([NUMBER], None), "overrun": (None, All({"gap": NUMBER, "t": NUMBER})),
     "stretches": [All({"start": NUMBER, "until": NUMBER})],
+    "undecided": All({"count": COUNT, "t": NUMBER, "width": NUMBER, "of": TEXT, "crosses": FLAG}),
 }  # fmt: skip
 RUN = {
     "status": TEXT, "message": TEXT, **dict.fromkeys("title model_class paper scheme model_hash run".split(), (TEXT, None)),

@@ -33,15 +33,16 @@ OF_STEPS: Mapping[str, str] = {
 }
 OF_BODIES: Mapping[str, str] = {"solve.certificate": "REACH", "solve.near": "FARTHER", "codegen.statuses": "READY"}
 OF_PIECES: Mapping[str, str] = {
-    "pieces.integrator": "LEAST_RTOL ROOM UNITS OCTAVES LONGER STUMP AROUND STARTS TOO_SHORT",
+    "pieces.integrator": "LEAST_RTOL ROOM UNITS OCTAVES LONGER STUMP AROUND STARTS TOO_SHORT TOLD BEFORE",
     "pieces.ending": "SHORTENINGS CAUTION",
     "pieces.known": "SAME_TIME",
     "pieces.accumulation": "TINY_PIECES TINY MANY FASTER SPACINGS",
-    "pieces.modes": "GERM ORDERS CLEAR HALF PACES HALVED PIVOTS TOGETHER FEW APART",
+    "pieces.modes": "GERM ORDERS CLEAR HALF PACES HALVED PIVOTS TOGETHER LATER FEW APART",
     "pieces.moves": "PROJECTIONS",
     "pieces.switches": "TIE",
     "pieces.bernstein": "NONE NARROW ITERATIONS EXACT",
-    "pieces.roots": "POLISHING POLISHED ON_ONE NEAR TOUCH PAST TAIL LOST",
+    "pieces.roots": "POLISHING POLISHED ON_ONE TAIL LOST DIP STEEP INSTANT LEAST_PART",
+    "pieces.isolation": "ALMOST CLOSER WIDER MOST_DISCS DEGREE NEAR ULP",
     "pieces.lengths": "BEYOND LOCAL ROUGHEST LONGEST MULTIPLIERS PASSES FIRST SMALL",
     "pieces.defect": "POINT SEEN SEEN_ROW",
     "pieces.discs": "MOST_EXPONENT PRODUCT_ROUNDINGS FUNCTION_ROUNDINGS",

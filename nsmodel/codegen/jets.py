@@ -18,6 +18,7 @@ C = Dialect(
     positive="{0} > 0",
     ratio="{0}/{1}",
     end=";",
+    kept="{0}",
     choose="if (choice[{i}] != choice[{i}]) choice[{i}] = {value};",
     choices={
         "side": "{0} < 0 ? -1 : 1",

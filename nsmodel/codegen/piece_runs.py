@@ -21,6 +21,7 @@ from nsmodel.errors import CodegenError
 from nsmodel.identity import digest_of
 from nsmodel.once import once
 from nsmodel.pieces.lengths import order_of
+from nsmodel.pieces.names import UNDECIDED
 from nsmodel.scheme.continuous import ContinuousProblem
 
 # Loops over few rows are unrolled; in vectors these short ones would wait for the numbers that they have just written.
@@ -198,7 +199,7 @@ def _place(sizes: dict[str, int]) -> np.dtype:
     fields: list[Any] = [("t", float), ("tau", float), *((name, float, (size,)) for name, size in lists.items())]
     fields += [("begun", float), ("impulse", float, (m + 1,))]
     fields += [(name, float) for name in ("events", "touches", "redundant", "tiny")]
-    fields += [("known", np.int32)]
+    fields += [("undecided", float, (len(UNDECIDED),)), ("known", np.int32)]
     fields += [("stiff", float, (4,)), ("unique", float, (3,))]
     fields += [("codes", np.int8, (m + 1,)), ("open", np.int8, (m + choices + 1,))]
     return np.dtype(fields, align=True)

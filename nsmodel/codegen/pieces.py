@@ -21,8 +21,8 @@ from nsmodel.pieces.sizes import moves
 from nsmodel.solve.rounding import error_bound
 
 PARTS = (
-    "common", "pieces_modes", "pieces_expand", "pieces_events", "pieces_discs", "pieces_schwarz", "pieces_cover", "pieces_radau",
-    "pieces_stiff", "pieces",
+    "common", "pieces_modes", "pieces_expand", "pieces_events", "pieces_discs", "pieces_schwarz", "pieces_roots", "pieces_cover",
+    "pieces_radau", "pieces_stiff", "pieces",
 )  # fmt: skip
 
 

@@ -39,6 +39,15 @@ def slopes(rows: Sequence[list[float]], s: float) -> list[float]:
     return [of(c, s) for c in rows]
 
 
+def about(c: Sequence[float], s: float) -> list[float]:
+    """The coefficients about s (Ruffini and Horner)."""
+    c = list(c)
+    for first in range(len(c) - 1):
+        for k in range(len(c) - 2, first - 1, -1):
+            c[k] += s * c[k + 1]
+    return c
+
+
 def first_root(c: list[float]) -> float:
     """Return the first root in (0, 1] of sum c_k s^k, c_0 >= 0; NONE where it is positive on (0, 1]."""
     if c[0] > sum(map(abs, c[1:])):

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from nsmodel.pieces.discs import Ball, Form, OnDisc
-from nsmodel.pieces.system import System
+
+if TYPE_CHECKING:
+    from nsmodel.pieces.system import System
 
 
 class Found(NamedTuple):
@@ -24,9 +26,10 @@ class Found(NamedTuple):
 class EquationsOnDisc:
     """The equations of a system, on the sides of its branches that it stands on."""
 
-    def __init__(self, system: System) -> None:
+    def __init__(self, system: System, *, rounded: bool = False) -> None:
+        """``rounded``: see `OnDisc`."""
         self._system = system
-        self._parts = {name: OnDisc(system.jets[name], part.choice) for name, part in system.parts.items()}
+        self._parts = {name: OnDisc(system.jets[name], part.choice, rounded=rounded) for name, part in system.parts.items()}
 
     def __call__(self, t: Any, x: Sequence[Any], l: Sequence[Any]) -> Found:
         """All of them."""

@@ -23,6 +23,7 @@ from nsmodel.pieces.printed import PYTHON
 EPS = 2.0**-52
 INF = math.inf
 _DIALECT = PYTHON._replace(choose="pass")  # The sides of branches are given.
+_ROUNDED = _DIALECT._replace(kept="rounded({0})")
 PRODUCT_ROUNDINGS, FUNCTION_ROUNDINGS = 3, 8  # Roundings of a coefficient beside one for each coefficient.
 MOST_EXPONENT = 700.0  # Exp of less is a double.
 
@@ -241,6 +242,22 @@ class Form:
         return _composed(self, phi, np.abs(phi), 1 / (abs(a) - v))
 
 
+def ball_of(row: Sequence[float], R: float) -> Ball:
+    """A polynomial on the disc |z| <= R."""
+    r = 0.0
+    for c in reversed(row[1:]):
+        r = (r + abs(c)) * R
+    return Ball(row[0], r)
+
+
+def form_of(row: Sequence[float], R: float, m: int) -> Form:
+    """The same as a form of degree m."""
+    c = np.zeros(max(m + 1, len(row)))
+    c[: len(row)] = row
+    c *= R ** np.arange(len(c))
+    return Form(c[: m + 1].copy(), float(np.abs(c[m + 1 :]).sum()))
+
+
 def _lost(u: Any) -> Any:
     return Ball(0.0, INF) if type(u) is Ball else Form(np.zeros(len(u.c)), INF)
 
@@ -403,15 +420,22 @@ _KNOWN |= {
 }  # fmt: skip
 
 
+def _rounded(u: Any) -> Any:
+    return Ball(u.c, u.r + EPS * abs(u.c)) if type(u) is Ball else u
+
+
+_KNOWN["rounded"] = _rounded
+
+
 class OnDisc:
     """Some jets, of which order 0 is computed with balls or forms in place of numbers."""
 
-    def __init__(self, jets: Jets, choice: list[float]) -> None:
-        """``choice``: the sides of branches, as they are when it is computed."""
+    def __init__(self, jets: Jets, choice: list[float], *, rounded: bool = False) -> None:
+        """``choice``: the sides of branches, as they are when it is computed; ``rounded``: balls grow by the rounding of each."""
         self._jets, self._rows = jets, [[0.0] for _ in range(jets.count)]
         for row, value in jets.numbers.items():
             self._rows[row][0] = value
-        self._first, _ = compiled(jets, self._rows, choice, _DIALECT, _KNOWN)
+        self._first, _ = compiled(jets, self._rows, choice, _ROUNDED if rounded else _DIALECT, _KNOWN)
 
     def __call__(self, inputs: dict[tuple[int, int], Any]) -> tuple[list[Any], list[Any]]:
         """The outputs and what branches look at; numbers where they do not depend on the inputs."""

@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from nsmodel.errors import StepError
 from nsmodel.pieces.defect import coming, defect
 from nsmodel.pieces.lengths import LOCAL
 from nsmodel.pieces.modes import Place
 from nsmodel.pieces.multipliers import Solve
-from nsmodel.pieces.roots import first_event
+from nsmodel.pieces.roots import Roots
 from nsmodel.pieces.schwarz import AS_NOW, Schwarz
 from nsmodel.pieces.switches import Condition
 
 SHORTENINGS, CAUTION = 30, 0.9  # Of a piece, and the share of the length that its error allows.
 
 
-def ending(
-    bound: Schwarz, place: Place, how: Solve, p: int, s: float, rtol: float, atol: list[float]
-) -> tuple[Condition | None, float, float]:
-    """What ends a piece of order p and length s at most, where, and the bound of its local error in units of rtol, at most 1.
+class Ending(NamedTuple):
+    """What ends a piece, where; the bound of its local error in units of rtol, at most 1; up to where that holds."""
+
+    hit: Condition | None
+    s: float
+    error: float
+    proved: float
+
+
+def ending(bound: Schwarz, roots: Roots, place: Place, how: Solve, p: int, s: float, rtol: float, atol: list[float]) -> Ending:
+    """The end of a piece of order p and length s at most.
 
     The bound is of the polynomials as they should be; what rounding, or a fault, has made of them the residual at a point says.
 
@@ -31,13 +39,13 @@ def ending(
     whole = s
     error, later, now = math.inf, [0.0] * system.n, AS_NOW * abs(place.t) / place.tau
     for shortened in range(SHORTENINGS):
-        hit, end = first_event(system, place, how, p, s)
+        hit, end = roots.first(place, how, p, s, bound.margins)
         error = LOCAL * defect(system, place, of, end, p, rtol, atol, later)
         if not shortened and not error <= 1:
             later = coming(system, place, of, end)
             error = LOCAL * defect(system, place, of, end, p, rtol, atol, later)
         if error <= 1 or (end <= now and error < math.inf):  # In which nothing moves: time is not known better.
-            return hit, end, max(min(error, 1.0), proved * (end / whole) ** p if whole else 0.0)
+            return Ending(hit, end, max(min(error, 1.0), proved * (end / whole) ** p if whole else 0.0), s)
         s = max(end * min(0.5, CAUTION * error ** (-1 / p)), now)
         if place.t + place.tau * s == place.t:
             break

@@ -102,10 +102,10 @@ class _Writer:
         found = None if rule is None else rule(self, node, *args)
         return node if found is None else found
 
-    def _node(self, new: ca.SX, made: tuple, **known: float) -> Node:
+    def _node(self, new: ca.SX, made: tuple, value: float | None = None) -> Node:
         key = self._keys.setdefault(made, len(self._keys))
         self._bases.setdefault(key, new)
-        return Node(new, key, base=key, **known)
+        return Node(new, key, value, base=key)
 
     def _as_multiple(self, node: Node, op: int, args: Sequence[Node]) -> Node:
         """-u, 2 u, a u, u/a and v - u as multiples of u and of u - v: exponents that are multiples of each other are told so."""
@@ -141,7 +141,7 @@ class _Writer:
             return None
         return replace(node, terms=(Term(ca.SX(1), ((u.base, u.factor * math.log(a.value)),)),))
 
-    def expm1(self, node: Node, u: Node) -> Node:
+    def expm1(self, node: Node, u: Node) -> Node | None:
         return self.sum(node, self.exp(node, u), self.number(-1.0))
 
     def hyperbolic(self, node: Node, u: Node, sign: float) -> Node:

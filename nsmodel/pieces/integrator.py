@@ -23,13 +23,13 @@ from nsmodel.pieces.lengths import LOCAL, ROUGHEST, first_unit, length, order_of
 from nsmodel.pieces.modes import ORDERS, Place, jump, select, take_sides, turn, uniqueness
 from nsmodel.pieces.moves import coast, project, stick
 from nsmodel.pieces.multipliers import Solve
-from nsmodel.pieces.names import few, name
+from nsmodel.pieces.names import UNDECIDED, few, name
 from nsmodel.pieces.piece import Piece
-from nsmodel.pieces.roots import NEAR, beyond_touch, polish, same
+from nsmodel.pieces.roots import NEAR, Isolated, Roots
 from nsmodel.pieces.schwarz import MOST_STILL, Schwarz
 from nsmodel.pieces.sliding import STOPS
 from nsmodel.pieces.stiff import Stiff
-from nsmodel.pieces.switches import ROW, TIE, Condition, conditions, grow, size, switches
+from nsmodel.pieces.switches import ROW, TIE, Condition, Switch, conditions, grow, same, size, switches
 from nsmodel.pieces.system import System
 from nsmodel.pieces.updates import AROUND, begin_anew, forget_branches, update
 from nsmodel.proof.sure import sure
@@ -37,10 +37,12 @@ from nsmodel.scheme.continuous import ContinuousProblem
 
 LEAST_RTOL, JUMPS, UPDATES = 1e-14, 2, 8  # Jumps at one time, and changes of what blocks hold.
 NONE = Known()
+BEFORE = 4  # Doubles before an event, at which the mode before it may have a number.
 ROOM = 1.3  # By which the next piece may be longer than the last without another unit of time.
 UNITS, OCTAVES = 60, 6  # Units of time that are tried where a series overflows, and how much shorter each is.
 LONGER, STUMP = 8, 1e-6  # The unit of time after an event, in pieces; of the unit before: a piece too short to tell.
 AFTER = 2.0**-10  # Units of time after which a law without room is looked for.
+TOLD = 10.0  # In rtol: by how much an event whose time is not known may move a state.
 STARTS, TOO_SHORT = 8, 0.05  # First units of time that are tried; a piece that is shorter than this one asks for another.
 
 
@@ -50,7 +52,8 @@ class Integrator:
     ``known``: times, each of which ends a piece, and the mode is decided anew for the data after it; ``residuals``: whether
     x' - f - g of stiff pieces is itself to be within rtol, as a proof of the pieces asks.
     ``unique``: how often the mode was shown to be the only one, by verdict; ``touches``: conditions that came to 0 and went back;
-    ``redundant``: pieces whose l is one of several.
+    ``redundant``: pieces whose l is one of several; ``undecided``: events and dips that are not known to rtol, see
+    `names.undecided`.
     """
 
     def __init__(
@@ -65,7 +68,8 @@ class Integrator:
         system, x0 = self.system, [float(v) for v in np.array(ca.DM(problem.x0)).ravel()]
         self.place, self.sizes = Place(0.0, x0, 1.0, [0] * system.m), system.sizes
         self.bound = Schwarz(system, Equations(problem))
-        self.stiff = Stiff(system, self.bound.on, self.order, min(rtol, ROUGHEST), self.atol, residuals=residuals)
+        self.roots = Roots(system, self.bound.on)
+        self.stiff = Stiff(system, self.bound.on, self.roots, self.order, min(rtol, ROUGHEST), self.atol, residuals=residuals)
         self.accumulation = Accumulation()
         self._still = 0  # Pieces, one after the other, in which time stood still.
         self._begun: tuple[float, ...] | None = None  # The event that the next piece begins with.
@@ -74,6 +78,7 @@ class Integrator:
         self._final: FinalError | None = None  # Where steps cannot go on from here either.
         self.unique: Counter[str] = Counter()
         self.touches = self.redundant = 0
+        self.undecided = [0.0] * len(UNDECIDED)
         with np.errstate(all="ignore"):
             try:
                 self._start()
@@ -104,9 +109,10 @@ class Integrator:
         found = self.stiff.piece(place, how, s, known - place.t)
         if found is None:
             s = min(s, (known - place.t) / place.tau)
-            hit, s, error = ending(self.bound, place, how, self.order, s, self.rtol, self.atol)
-            tau, last = place.tau, values(system.x, s)
+            hit, s, error, proved = ending(self.bound, self.roots, place, how, self.order, s, self.rtol, self.atol)
+            tau, last, until = place.tau, values(system.x, s), min(place.t + place.tau * proved, known)
         else:
+            until = known
             place.tau = unit(ROOM * s * place.tau)  # That of series, and of germs, stays what a series takes.
             tau, s, error, last, hit = found
         series, n, m = np.array([*system.x, *system.l, *system.y]), system.n, system.n + system.m
@@ -115,7 +121,7 @@ class Integrator:
         self.redundant += how.null is not None and how.null.shape[1] > 0
         grow(system, s, min(longest, tau * s))
         self._still = self._still + 1 if s > 0 and place.t + tau * s == place.t else 0
-        place.t, place.x, place.open = place.t + tau * s, last, set()
+        place.t, place.x, place.open, place.crossed = place.t + tau * s, last, set(), set()
         if hit is None and not reaches(place.t, known):
             self._hold(how)
             place.tau = place.tau if found else unit(ROOM * (tau * s))
@@ -129,7 +135,7 @@ class Integrator:
             elif self.accumulation.shrinks(tau * s, place.t, place.tau):
                 raise self._accumulates(hit)
             else:
-                self._event(hit, known)
+                self._event(hit, known, until)
         except StepError as why:
             self.stopped, self._final = str(why), why if isinstance(why, FinalError) else None
         off = STOPS * LOCAL if hit is not None and hit.stops else 0.0
@@ -224,27 +230,43 @@ class Integrator:
 
     # -- events
 
-    def _event(self, hit: Condition, known: float) -> None:
-        """Go to the event to round-off, but not beyond a known time, and choose the mode after it."""
+    def _arrive(self) -> Solve:
+        """The expansion at an event; where the mode before has no number there, as near before it as time is known."""
+        place, tau = self.place, self.place.tau
+        for _ in range(BEFORE):
+            try:
+                return self._expand(AROUND)
+            except StepError:
+                place.t, place.tau = math.nextafter(place.t, -math.inf), tau
+        return self._expand(AROUND)
+
+    def _event(self, hit: Condition, known: float, until: float) -> None:
+        """Go to the event to round-off, but not beyond a known time, and choose the mode after it; or over what is none.
+
+        ``until``: the time up to which the piece that has ended goes on.
+        """
         system, place = self.system, self.place
-        how, left, tau = self._expand(AROUND), 0.0, place.tau
+        before, how, left, tau = place.t, self._arrive(), 0.0, place.tau
         if project(system, place, how.active):  # Afterwards it would move the root that is polished.
             how, tau = self._expand(AROUND), place.tau
         if hit.stops:  # No matter of digits; in a longer unit of time coefficients are beyond measure.
             self._expand(1)
             place.tau = unit(min(left := system.blocks.of[hit.of[1]].left, 1.0) * tau)
-            how, own = self._expand(AROUND), None
+            found = Isolated(self._expand(AROUND), None, 0.0, 0, True, place.t)
         else:
-            how, own = polish(system, place, hit, AROUND, how, self._expand)
-        past = None if own is None else beyond_touch(system, own)
-        self.touches += past is not None
-        to_known = (known - place.t) / place.tau
-        if past is not None or reaches(place.t, known):
-            d = to_known if past is None else min(past, to_known)
-            place.x, place.t = [value(row[: AROUND + 1], d) for row in system.x], place.t + d * place.tau
-            if d == to_known:
-                self._cross(known)
+            found = self.roots.polish(place, hit, AROUND, how, self._expand, self.order, until, self.rtol / LOCAL)
+        how, self.touches = found.how, self.touches + found.touches
+        rates = [row[1] / place.tau for row in system.x]
+        if reaches(place.t, known):
+            to_known = (known - place.t) / place.tau
+            place.x = [value(row[: AROUND + 1], to_known) for row in system.x]
+            self._cross(known)
+        if not found.crosses or reaches(place.t, known):
+            self._begun = None if not found.crosses and place.t > before else self._begun
+            self._note(hit, found, [])
             return
+        if self._is_free(hit.of):
+            place.crossed.add(hit.of)
         turned: list[Condition] = []
         for condition in conditions(system, place.codes, how, AROUND):
             c, ends = condition.coefficients(), same(condition, hit)
@@ -259,13 +281,39 @@ class Integrator:
         project(system, place, tuple(sorted({*how.active, *opened})))
         stick(system, place)
         for condition in turned:  # On another branch y may be another.
-            turn(system, place, condition.of, condition.after)
+            crossed = condition.of in place.crossed and condition.of[0] == ROW
+            turn(system, place, condition.of, -place.codes[hit.of[1]] if crossed else condition.after)
         if reaches(place.t, known):
             self._cross(known)
             return
         self._go_on("after " + name(hit.of, self.problem.rows))
+        self._note(hit, found, rates)
         if self.accumulation.grows(place.t):
             raise self._accumulates(hit)
+
+    def _is_free(self, switch: Switch) -> bool:
+        """Whether no l acts on what a switch looks at, nor on the rate of a row, whose l has two ends."""
+        kind, i = switch
+        if kind != ROW:
+            return kind == "f"
+        B, D, C = self.system.slopes()
+        return math.isfinite(self.system.lower[i] + self.system.upper[i]) and not (D[i].any() or (C[i] @ B).any())
+
+    def _note(self, hit: Condition, found: Isolated, before: list[float]) -> None:
+        """Keep what is not decided, where it matters at rtol: by the rates ``before``; of a dip by its length alone."""
+        place, rtol = self.place, self.rtol / LOCAL
+        rows = zip(before, self.system.x, self.sizes.x, strict=False)
+        moved = [abs(row[1] / place.tau - rate) * found.width / size for rate, row, size in rows if size]
+        if found.crosses:
+            matters = max(moved, default=0.0) > TOLD * rtol
+        else:
+            matters = found.touches > 0 and found.width > TOLD * rtol * abs(place.t)
+        if matters and not self.undecided[0]:
+            system = self.system
+            of = hit.of[1] if hit.of[0] == ROW else system.m + system.branches.index(hit.of)
+            self.undecided = [1.0, found.at, found.width, float(of), float(found.crosses)]
+        else:
+            self.undecided[0] += matters
 
     def _cross(self, known: float) -> None:
         """Stand at a known time, with the branches of the data after it, and choose the mode."""
@@ -318,6 +366,7 @@ class Integrator:
             "sizes": {name: list(size) for name, size in vars(sizes).items()}, "begun": self._begun,
             "accumulation": self.accumulation.standing(), "unique": dict(self.unique), "touches": self.touches,
             "redundant": self.redundant, "stopped": self.stopped, "stiff": self.stiff.standing(),
+            "undecided": list(self.undecided),
         }  # fmt: skip
 
     def stand(self, saved: dict[str, Any]) -> None:
@@ -334,7 +383,7 @@ class Integrator:
         self._begun = None if saved["begun"] is None else tuple(saved["begun"])
         self.accumulation.stand(saved["accumulation"])
         self.unique, self.touches, self.redundant = Counter(saved["unique"]), saved["touches"], saved["redundant"]
-        self.stopped = saved["stopped"]
+        self.stopped, self.undecided = saved["stopped"], list(saved["undecided"])
         self.stiff.stand(saved["stiff"])
 
     def _refuse_rivals(self) -> None:

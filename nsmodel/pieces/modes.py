@@ -15,7 +15,7 @@ import numpy as np
 
 from nsmodel.pieces.multipliers import Solve, solve_of
 from nsmodel.pieces.sizes import ROUNDING
-from nsmodel.pieces.switches import ROW, TIE, Condition, Switch, conditions, size
+from nsmodel.pieces.switches import ROW, TIE, Condition, Switch, conditions, size, tie
 from nsmodel.pieces.system import System
 from nsmodel.solve import mlcp
 from nsmodel.solve.certificate import NumericLaw, numeric_law
@@ -28,22 +28,44 @@ PROVED, AGREE, UNDECIDED, SPLIT = "proved", "all valid modes agree", "not decide
 APART = 1e-7  # Of their size: coefficients of two modes that differ.
 INSTANT, AWAY = 1e-6, 1e-9  # A step that is next to none; of an impulse: rounding.
 CLEAR = 1e-4  # Of its size: a y that is 0 in no mode.
+LATER = 4  # Doubles, at which a mode is looked for.
 FEW = 9  # Rows whose modes are all tried.
 
 
 @dataclass
 class Place:
-    """Where a piece starts: time, state, unit of time, mode; ``open``: the switches that germs decide."""
+    """Where a piece starts: time, state, unit of time, mode; ``open``: the switches that germs decide.
+
+    ``crossed``: switches on which no l acts, and that are proved to be on another side, whatever their first coefficients are.
+    """
 
     t: float
     x: list[float]
     tau: float
     codes: list[int]
     open: set[Switch] = field(default_factory=set)
+    crossed: set[Switch] = field(default_factory=set)
 
 
 def select(system: System, place: Place) -> Solve | None:
-    """Bring ``place.codes`` and the choices of branches to a mode in which all germs are valid; None: there is none."""
+    """Bring ``place.codes`` and the choices of branches to a mode in which all germs are valid; None: there is none.
+
+    Where the mode that is taken up has no number at the place (exp(-1/u), where rounding has left u < 0), it is looked for a
+    little later, as well as time is known.
+    """
+    before, t = _state(system, place), place.t
+    for _ in range(LATER):
+        if (how := _selected(system, place)) is not None:
+            return how
+        _restore(system, place, before)
+        if not system.branches or _expand(system, place) is not None:
+            break
+        place.t = math.nextafter(place.t, math.inf)
+    place.t = t
+    return None
+
+
+def _selected(system: System, place: Place) -> Solve | None:
     before = _state(system, place)
     for begin in itertools.chain([None], _guesses(system, place)):
         _restore(system, place, before)
@@ -70,7 +92,8 @@ def valid(
     opened = sorted(before[2])
     if len(opened) > FEW:
         return
-    for codes in itertools.product(*[_possible(system, switch) for switch in opened]):
+    possible = [[_code(system, place, one)] if one in place.crossed else _possible(system, one) for one in opened]
+    for codes in itertools.product(*possible):
         if list(codes) == own:
             continue
         _restore(system, place, before)
@@ -163,21 +186,31 @@ def pace(system: System) -> float:
             first = max(so_far, *own[:HALF])
             if (share == 1 and max(own[HALF:]) <= first) or (rows is system.x and first <= ROUNDING * system.pushed()[i]):
                 continue
-            for _ in range(PACES):
-                own = [abs(a) * share**k for k, a in enumerate(row[1 : ORDERS + 1], 1)]
-                largest = max(so_far, *own[:HALF])
-                factor = min([(largest / a) ** (1 / k) for k, a in enumerate(own[HALF:], HALF + 1) if a > largest > 0], default=1)
-                share *= factor
-                if factor > HALVED:
-                    break
+            share = _shrunk(row, so_far, share)
+    return share
+
+
+def _shrunk(c: list[float], so_far: float, share: float) -> float:
+    """A share of the unit of time in which the later half of orders is not larger than the first, or than ``so_far``."""
+    for _ in range(PACES):
+        own = [abs(a) * share**k for k, a in enumerate(c[1 : ORDERS + 1], 1)]
+        largest = max(so_far, *own[:HALF])
+        factor = min([(largest / a) ** (1 / k) for k, a in enumerate(own[HALF:], HALF + 1) if a > largest > 0], default=1)
+        share *= factor
+        if factor > HALVED:
+            break
     return share
 
 
 def leading(c: list[float], least: float, share: float) -> int | None:
     """The order of the first coefficient that is not rounding, of those that decide a germ; None where all of them are.
 
-    ``share``: of the unit of time, see `pace`.
+    ``share``: of the unit of time, see `pace`; where the condition itself needs a shorter one, and is no rounding in it, that.
     """
+    if len(c) > HALF + 1 and max(map(abs, c[HALF + 1 : ORDERS + 1])) > max(map(abs, c[: HALF + 1])):
+        own = _shrunk(c, abs(c[0]), share)
+        if max(abs(a) * own**k for k, a in enumerate(c[: HALF + 1])) > least:
+            share = own
     decide = c[: ORDERS + 1] if share == 1 else [a * share**k for k, a in enumerate(c[: ORDERS + 1])]
     least = max(least, GERM * max(map(abs, decide)))
     return next((k for k, a in enumerate(decide) if abs(a) > least), None)
@@ -227,9 +260,13 @@ def _wrong(system: System, place: Place, how: Solve) -> Iterator[Condition]:
     """
     share = pace(system)
     for condition in conditions(system, place.codes, how, ORDERS):
+        if condition.of in place.crossed:
+            continue
         if condition.of in place.open or condition.acts in ("l", "inside"):
             c = condition.coefficients()
             first = leading(c, TIE * size(system, condition), share)
+            if first != 1 and condition.acts not in ("l", "inside"):
+                first = leading(c, tie(system, condition), share)
             if first is not None and c[first] < 0:
                 yield condition
         elif condition.sign * condition.row[0] + condition.shift < -TIE * size(system, condition):

@@ -11,7 +11,8 @@ from nsmodel.pieces.jets import Branch, Jets, Line
 class Dialect(NamedTuple):
     """How a language writes a row by its number, a number, a choice, and what its operators are called.
 
-    ``either(condition, a, b)`` is a if the condition holds, else b; ``choose`` is a statement that makes choice i by ``choices``.
+    ``kept`` is what is stored of a value at order 0; ``either(condition, a, b)`` is a if the condition holds, else b; ``choose`` is
+    a statement that makes choice i by ``choices``.
     """
 
     row: Callable[[int], str]
@@ -22,6 +23,7 @@ class Dialect(NamedTuple):
     positive: str
     ratio: str
     end: str
+    kept: str
     choose: str
     choices: dict[str, str]
 
@@ -35,6 +37,7 @@ PYTHON = Dialect(
     positive="{0} > 0",
     ratio="divided({0}, {1})",
     end="",
+    kept="{0}",
     choose="if choice[{i}] != choice[{i}]: choice[{i}] = {value}",
     choices={
         "side": "-1.0 if {0} < 0 else 1.0",
@@ -76,7 +79,7 @@ def first(jets: Jets, language: Dialect) -> list[str]:
             lines.append(_choice(line.branch, jets.branches[line.branch], language))
         at_0 = f"{language.row(line.y)}[0]"
         value = first_value(line, lambda row: f"{language.row(row)}[0]", f"choice[{line.branch}]", language)
-        lines.append(f"{at_0} = {value}{language.end}")
+        lines.append(f"{at_0} = {language.kept.format(value)}{language.end}")
     return lines
 
 

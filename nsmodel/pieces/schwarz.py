@@ -23,10 +23,11 @@ from nsmodel.errors import FinalError, StepError
 from nsmodel.pieces.bernstein import slopes, value, values
 from nsmodel.pieces.defect import Equations
 from nsmodel.pieces.disc_equations import EquationsOnDisc, combined, rest, share
-from nsmodel.pieces.discs import Ball, Form
+from nsmodel.pieces.discs import Ball, ball_of, form_of
 from nsmodel.pieces.lengths import MULTIPLIERS, SMALL
 from nsmodel.pieces.modes import Place
 from nsmodel.pieces.multipliers import Solve
+from nsmodel.pieces.roots import NO_MARGINS, Margins
 from nsmodel.pieces.system import System
 
 RADIUS_OF_BALL, WIDE_RADIUS, CLOSE_RADIUS = 6.0, 2.0, 1.25  # Of the disc, in lengths of the piece: of a ball, of two forms.
@@ -50,6 +51,7 @@ class Schwarz:
     def __init__(self, system: System, of: Equations) -> None:
         self.system, self.equations = system, of
         self._rounding: list[float] | None = None  # Of tau (f + g), where the piece begins.
+        self.margins = self._found = NO_MARGINS  # Of the piece that is proved; of the disc that was evaluated last.
         self.on = EquationsOnDisc(system)
 
     def proved(self, place: Place, how: Solve, p: int, s: float, rtol: float, atol: list[float]) -> tuple[float, float]:
@@ -61,13 +63,13 @@ class Schwarz:
         if s <= 0:
             return s, 0.0
         disc, best, bound, still = s, 0.0, 0.0, AS_NOW * abs(place.t) / place.tau
-        self._rounding = None
+        self._rounding, self.margins = None, NO_MARGINS
         for k in range(SHRINKINGS):
             for of_forms, radius in TIERS:
                 w = self.worst(place, how, p, radius * disc, disc, rtol, atol, of_forms=of_forms)
                 length = disc if w <= 1 else disc * NEARLY * w ** (-1 / p) if w < math.inf else 0.0
                 if length > best:
-                    best, bound = length, w * (length / disc) ** p
+                    best, bound, self.margins = length, w * (length / disc) ** p, self._found
                 if best >= PROVED * disc:
                     return min(best, s), min(bound, 1.0)
             if disc <= still:
@@ -114,7 +116,7 @@ class Schwarz:
     ) -> float:  # fmt: skip
         """The largest bound on a piece of length s, in units of what it may be; inf where the disc holds a singularity."""
         system, tau, q = self.system, place.tau, s / R
-        form = partial(_form, R=R, m=p - 1) if of_forms else partial(_ball, R=R)
+        form = partial(form_of, R=R, m=p - 1) if of_forms else partial(ball_of, R=R)
         x, l = [form(row) for row in system.x], [form(row) for row in system.push]
         found = self.on(form([place.t, tau]), x, l)
         moved = [form([k * c for k, c in enumerate(row[: p + 1])][1:]) for row in system.x]
@@ -135,8 +137,10 @@ class Schwarz:
             worst = self._beside_multipliers(place, how, D, moved, found.free, most, q, now, p, s, rtol)
         if not worst < math.inf:
             return worst
-        of_rows = self._rows(place, how, p, found.y, form, end, s, q, now, rtol)
-        return max(worst, of_rows, self._switches(found.looked, p, form, q, now, rtol))
+        of_rows, y = self._rows(place, how, p, found.y, form, end, s, q, now, rtol)
+        of_switches, switches = self._switches(found.looked, p, form, q, now, rtol)
+        self._found = Margins(y, switches)
+        return max(worst, of_rows, of_switches)
 
     def _noise(self, place: Place) -> list[float]:
         """What rounding does to tau (f + g) where the piece begins: no piece is to be better."""
@@ -166,11 +170,11 @@ class Schwarz:
     def _rows(
         self, place: Place, how: Solve, p: int, h: list[Any], form: Any, end: list[float], s: float, q: float,
         now: float, rtol: float,
-    ) -> float:  # fmt: skip
-        """Rows of h: y~ - h, of held ones h itself."""
-        system, worst = self.system, 0.0
+    ) -> tuple[float, list[float]]:  # fmt: skip
+        """Rows of h: y~ - h, of held ones h itself; the worst, and the bounds."""
+        system, worst, bounds = self.system, 0.0, []
         if not system.m:
-            return worst
+            return worst, bounds
         of_l = values(system.push, s)
         largest = max(system.sizes.y)
         known = (p if how.index == 1 else p - 1) + 1 if how.feeds else p
@@ -178,15 +182,19 @@ class Schwarz:
             off = one if place.codes[i] == 0 else form(system.y[i]) - one
             size = max(system.sizes.y[i], system.terms(i, end, of_l), SMALL * largest)
             worst = max(worst, _share(rest(off), known, q, now, rtol * size))
-        return worst
+            bounds.append(rest(off) * q**known)
+        return worst, bounds
 
-    def _switches(self, looked: list[Any], p: int, form: Any, q: float, now: float, rtol: float) -> float:
-        """What switches look at, beside its polynomial."""
-        worst = 0.0
+    def _switches(
+        self, looked: list[Any], p: int, form: Any, q: float, now: float, rtol: float
+    ) -> tuple[float, list[float]]:  # fmt: skip
+        """What switches look at, beside its polynomial: the worst, and the bounds."""
+        worst, bounds = 0.0, []
         for size, one, row in zip(self.system.sizes.switches, looked, self.on.watched(), strict=True):
             off = one - form(row[:p])
             worst = max(worst, _share(rest(off), p, q, now, rtol * max(size, abs(row[0]))))
-        return worst
+            bounds.append(rest(off) * q**p)
+        return worst, bounds
 
 
 def _apart(how: Solve, B: np.ndarray, _: np.ndarray, C: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -208,17 +216,3 @@ def _share(bound: float, order: int, q: float, now: float, goal: float) -> float
     if not bound < math.inf:
         return math.inf
     return share(bound * q**order, MULTIPLIERS * goal + AT_REST + bound * now**order)
-
-
-def _ball(row: Sequence[float], R: float) -> Ball:
-    r = 0.0
-    for c in reversed(row[1:]):
-        r = (r + abs(c)) * R
-    return Ball(row[0], r)
-
-
-def _form(row: Sequence[float], R: float, m: int) -> Form:
-    c = np.zeros(max(m + 1, len(row)))
-    c[: len(row)] = row
-    c *= R ** np.arange(len(c))
-    return Form(c[: m + 1].copy(), float(np.abs(c[m + 1 :]).sum()))

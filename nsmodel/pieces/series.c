@@ -45,6 +45,12 @@ static double along(const double *factor, const double *a, int k)
     double sum = 0;
     for (int j = 1; j <= k; j++)
         sum += j*a[j*STRIDE]*factor[(k - j)*STRIDE];
+    if (sum != sum) { /* A factor that is 0 in doubles makes 0 of what overflows. */
+        sum = 0;
+        for (int j = 1; j <= k; j++)
+            if (factor[(k - j)*STRIDE] != 0)
+                sum += j*a[j*STRIDE]*factor[(k - j)*STRIDE];
+    }
     return sum/k;
 }
 

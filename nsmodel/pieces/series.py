@@ -41,10 +41,17 @@ def power(y: Row, a: Row, p: float, k: int) -> float:
 
 
 def along(factor: Row, a: Row, k: int) -> float:
-    """D y = factor D a: exp, sin and cos, sinh and cosh, tan, tanh, erf with their own factors; y_0 is given."""
+    """D y = factor D a: exp, sin and cos, sinh and cosh, tan, tanh, erf with their own factors; y_0 is given.
+
+    A factor that is 0 in doubles (exp(-1/u) near u = 0) makes 0 of what overflows.
+    """
     if k > 1 and not a[2] and not any(a[3 : k + 1]):  # a is linear in time
-        return a[1] * factor[k - 1] / k
-    return sum(map(mul, map(mul, range(1, k + 1), a[1 : k + 1]), factor[k - 1 :: -1])) / k
+        total = a[1] * factor[k - 1]
+    else:
+        total = sum(map(mul, map(mul, range(1, k + 1), a[1 : k + 1]), factor[k - 1 :: -1]))
+    if total != total:
+        total = sum(j * a[j] * factor[k - j] for j in range(1, k + 1) if factor[k - j])
+    return total / k
 
 
 def against(y: Row, divisor: Row, sign: float, a: Row, k: int) -> float:
@@ -59,8 +66,8 @@ def angle(y: Row, a: Row, b: Row, size: Row, k: int) -> float:
 
 
 def divided(a: float, b: float) -> float:
-    """a / b."""
-    return a / b
+    """a / b, infinite where b = 0 alone."""
+    return a / b if b or not a else math.copysign(math.inf, a) * math.copysign(1.0, b)
 
 
 def _number(function: Callable[..., float]) -> Callable[..., float]:

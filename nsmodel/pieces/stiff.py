@@ -18,8 +18,8 @@ from nsmodel.pieces.lengths import unit
 from nsmodel.pieces.modes import Place
 from nsmodel.pieces.multipliers import NOTHING, Solve
 from nsmodel.pieces.radau import Fit, Radau, Start
-from nsmodel.pieces.roots import first_event, same
-from nsmodel.pieces.switches import TIE, Condition, conditions, size
+from nsmodel.pieces.roots import Roots, own_condition
+from nsmodel.pieces.switches import TIE, Condition, size
 from nsmodel.pieces.system import System
 
 WORTH = 8.0  # Series that a first piece of collocation has to be worth.
@@ -51,9 +51,15 @@ class Stiff:
     """
 
     def __init__(
-        self, system: System, on: EquationsOnDisc, order: int, rtol: float, atol: list[float], *, residuals: bool
+        self, system: System, on: EquationsOnDisc, roots: Roots, order: int, rtol: float, atol: list[float], *, residuals: bool
     ) -> None:  # fmt: skip
-        self.system, self.order, self.rtol, self.atol = system, order, INSIDE * rtol, [INSIDE * a for a in atol]
+        self.system, self.roots, self.order, self.rtol, self.atol = (
+            system,
+            roots,
+            order,
+            INSIDE * rtol,
+            [INSIDE * a for a in atol],
+        )
         self.radau = Radau(system, on, order, residuals=residuals)
         self.pieces = 0
         self.restart()
@@ -115,7 +121,7 @@ class Stiff:
     def _ended(self, place: Place, how: Solve, start: Start, fit: Fit, most: float) -> Found:
         """The piece up to its first event, made anew to end near it: inside it has the order s + 1, at its end 2 s - 1."""
         tau, s = self.radau.write(start, fit)
-        hit, end = first_event(self.system, place, how, self.order, s)
+        hit, end = self.roots.first(place, how, self.order, s)
         for _ in range(ENDINGS):
             if hit is None:
                 break
@@ -124,7 +130,7 @@ class Stiff:
                 break
             fit = shorter
             tau, s = self.radau.write(start, fit)
-            again, end = first_event(self.system, place, how, self.order, s)
+            again, end = self.roots.first(place, how, self.order, s)
             hit, end = (again, end) if again else self._beyond(place, how, hit, s)
             if abs(end - s) <= ENDED * s and tau * end <= most:
                 break
@@ -136,7 +142,7 @@ class Stiff:
 
     def _beyond(self, place: Place, how: Solve, hit: Condition, s: float) -> tuple[Condition | None, float]:
         """The condition that was 0 before, and where it is now, just beyond the end; None where it is no more."""
-        own = next((c for c in conditions(self.system, place.codes, how, self.order) if same(c, hit)), hit)
+        own = own_condition(self.system, place, how, hit, self.order) or hit
         c = own.coefficients()
         v, rate = value(c, s), slope(c, s)
         if v <= TIE * size(self.system, own):

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from nsmodel.pieces.bernstein import values
+from nsmodel.pieces.disc_equations import Found
+from nsmodel.pieces.discs import EPS, Ball
 from nsmodel.pieces.multipliers import Solve
 from nsmodel.pieces.sliding import Block
 from nsmodel.pieces.system import KEPT, RESTS, System
@@ -46,12 +48,37 @@ class Condition(NamedTuple):
         return c
 
 
-TIE = 1e-12  # A condition below this share of its size is 0: rounding.
+TIE = 1e-12  # What rounding has left in a state, of its size so far; a condition below this share of its own is 0.
+
+
+def same(one: Condition, other: Condition) -> bool:
+    """Whether two conditions watch the same end of the same switch."""
+    return one.of == other.of and one.after == other.after
 
 
 def switches(system: System) -> set[Switch]:
     """All of them."""
     return {(ROW, system.blocks.rows_of(i)[0]) for i in range(system.m)} | set(system.branches)
+
+
+def looked_at(system: System, condition: Condition, found: Found) -> Any:
+    """What a condition of a row of h, or of a branch, looks at on a disc."""
+    kind, i = condition.of
+    return found.y[i] if kind == ROW else found.looked[system.branches.index((kind, i))]
+
+
+def tie(system: System, condition: Condition, share: float = TIE) -> float:
+    """What a condition is known to where its rows begin, if states are known to this share of their size so far.
+
+    With TIE it is rounding: that of its own operations, of the time, and what has been left in states.
+    """
+    largest = share * size(system, condition)
+    if condition.acts in ("l", "inside") or (condition.of[0] == ROW and condition.of[1] in system.blocks.of):
+        return largest
+    x = [Ball(row[0], share * so_far) for row, so_far in zip(system.x, system.sizes.x, strict=True)]
+    l = [Ball(row[0], share * so_far) for row, so_far in zip(system.push, system.sizes.l, strict=True)]
+    found = looked_at(system, condition, system.rounded(Ball(system.t[0], EPS * abs(system.t[0])), x, l))
+    return min(found.r if isinstance(found, Ball) else 0.0, largest)
 
 
 def size(system: System, condition: Condition) -> float:

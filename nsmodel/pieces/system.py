@@ -21,6 +21,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from nsmodel.pieces.disc_equations import EquationsOnDisc
 from nsmodel.pieces.expansion import scale
 from nsmodel.pieces.jets import jets_of
 from nsmodel.pieces.multipliers import Solve, is_monotone, is_p, solve_of
@@ -83,6 +84,11 @@ class System(Orders):
             (a + b) / 2 if math.isfinite(a + b) else a if math.isfinite(a) else b if math.isfinite(b) else 0.0
             for a, b in zip(self.lower, self.upper, strict=True)
         ]
+
+    @cached_property
+    def rounded(self) -> EquationsOnDisc:
+        """F, g, h and branches with balls, which grow by the rounding of each operation."""
+        return EquationsOnDisc(self, rounded=True)
 
     @cached_property
     def branches(self) -> list[tuple[str, int]]:

@@ -263,10 +263,19 @@ class EventDriven:
             "index_names": list(p.rows),
             "law_kinds": p.law.labels,
             "tolerance": self.options.tolerance,
-            "warnings": [*self.warnings, *_of_stretches(self.totals["stretches"]), *self._missed()],
+            "warnings": [*self.warnings, *_of_stretches(self.totals["stretches"]), *self._missed(), *self._unclear()],
             **({"between_rows": between_rows(p, self.model)} if self.model.inputs else {}),
             **of_scene(self.model),
         } | ({} if self.certified is None else {"certificate": self.certified.metadata(p.names)})
+
+    def _unclear(self) -> list[str]:
+        """The events whose time is not known well enough for rtol, and the dips that are not decided."""
+        one = self.totals.get("undecided")
+        if not one or not one["count"]:
+            return []
+        what = "when it switches" if one["crosses"] else "whether it comes to 0 and goes back, or switches twice,"
+        more = f"; {one['count'] - 1} more" if one["count"] > 1 else ""
+        return [f"{one['of']}: {what} at t = {one['t']:.10g} is not known, within {one['width']:.2g} of time{more}"]
 
     def _missed(self) -> list[str]:
         """That rows are further from the law than a run of this rtol can be, where they are."""

@@ -14,6 +14,7 @@ from nsmodel.errors import StepError
 from nsmodel.pieces.course import NEW, Course
 from nsmodel.pieces.integrator import Integrator
 from nsmodel.pieces.modes import AGREE, PROVED, UNDECIDED
+from nsmodel.pieces.names import undecided
 from nsmodel.pieces.piece import Piece
 from nsmodel.run.piece_block import Block, Layout
 from nsmodel.scheme.continuous import ContinuousProblem
@@ -130,6 +131,7 @@ class Interpreted:
         made = self.integrator
         return {
             "touches": made.touches, "unique": dict(made.unique), "redundant": made.redundant,
+            "undecided": undecided(made.undecided, made.problem.rows, [part for part, _ in made.system.branches]),
             "collocated": made.stiff.pieces, "stretches": [dict(one) for one in self.course.past],
         }  # fmt: skip
 
@@ -216,6 +218,8 @@ class InC:
         unique = {verdict: int(count) for verdict, count in zip(VERDICTS, place["unique"], strict=True) if count}
         notes = {"touches": int(place["touches"]), "unique": unique, "redundant": int(place["redundant"])}
         past = [dict(one) for one in self._stretches["past"]]
+        parts = [part for part in self._parts for _ in range(self._of(part).start, self._of(part).stop)]
+        notes["undecided"] = undecided(place["undecided"].tolist(), self.problem.rows, parts)
         return notes | {"collocated": int(place["stiff"][-1]), "stretches": past}
 
     def standing(self, *, before: bool = False) -> dict[str, Any]:
@@ -237,6 +241,7 @@ class InC:
             "begun": tuple(place["impulse"][:m].tolist()) if place["begun"] else None,
             "accumulation": {"events": int(place["events"]), "times": self._c.times[:n].tolist(), "tiny": int(place["tiny"])},
             "unique": counts["unique"], "touches": counts["touches"], "redundant": counts["redundant"], "stopped": self._stopped,
+            "undecided": place["undecided"].tolist(),
             "stiff": dict(zip(STIFF, place["stiff"].tolist(), strict=True)),
         }  # fmt: skip
         return {"integrator": integrator, **deepcopy(self._stretches)}
@@ -260,7 +265,7 @@ class InC:
         self._c.times[: len(counted["times"])] = counted["times"]
         place["events"], place["tiny"] = counted["events"], counted["tiny"]
         place["stiff"] = [saved["stiff"][name] for name in STIFF]
-        self._stopped = saved["stopped"]
+        self._stopped, place["undecided"] = saved["stopped"], saved["undecided"]
         unique = Counter(saved["unique"])
         place["unique"] = [unique[verdict] for verdict in VERDICTS]
         place["touches"], place["redundant"], place["known"] = saved["touches"], saved["redundant"], 0

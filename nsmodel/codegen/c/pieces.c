@@ -309,7 +309,7 @@ static void coming(model_pieces *s, double length)
 }
 
 /* What ends a piece of this length at most: *found and hit; its error in units of rtol. */
-static int accept(model_pieces *s, double *length, condition *hit, int *found, double *error)
+static int accept(model_pieces *s, double *length, double *tried, condition *hit, int *found, double *error)
 {
     double proved = 0;
     if (s->estimated) {
@@ -320,7 +320,8 @@ static int accept(model_pieces *s, double *length, condition *hit, int *found, d
     const double whole = *length, now = AS_NOW*fabs(s->at.t)/s->at.tau; /* in which nothing moves: time is not known better */
     memset(s->later, 0, sizeof s->later);
     for (int pass = 0; pass < SHORTENINGS; pass++) {
-        *found = first_event(s, length, hit);
+        *tried = *length;
+        *found = first_event(s, length, hit, s->margins, -1);
         *error = s->estimated ? LOCAL*defect_of(s, *length) : 0;
         if (pass == 0 && !(*error <= 1)) {
             coming(s, *length);
@@ -618,12 +619,58 @@ static int cross(model_pieces *s, double known)
     return go_on(s);
 }
 
-/* Go to the event to rounding, but not beyond a known time, and choose the mode after it. */
-static int pass_event(model_pieces *s, const condition *hit, double known)
+/* Count an event or a dip that matters at rtol, and keep the first. */
+static void note_undecided(model_pieces *s, const condition *hit, const isolated *way, int matters)
 {
-    condition own, all[2];
-    int there = 0, status;
-    double c[MOST_ORDERS + 1], after[M + CHOICES + 1];
+    const double first[] = {1, way->at, way->width, hit->of, way->crosses};
+    if (matters && s->at.undecided[0] == 0)
+        memcpy(s->at.undecided, first, sizeof first);
+    else
+        s->at.undecided[0] += matters;
+}
+
+/* The largest change of a state's rate at an event, beside its size. */
+static double moves_of_event(const model_pieces *s, const double *before)
+{
+    const double *now = s->at.known ? s->c[1] : s->germs[1];
+    double most = 0;
+    for (int i = 0; i < N; i++)
+        if (s->at.size_x[i] > 0)
+            most = max_of(most, fabs(now[i]/s->at.tau - before[i])/s->at.size_x[i]);
+    return most;
+}
+
+/* Whether no l acts on what a switch looks at, nor on the rate of a row, whose l has two ends. */
+static int is_free(const model_pieces *s, int i)
+{
+    if (i >= M)
+        return i - M < f_graph.choices + f_graph.branches;
+#if LAW
+    double moved[N], unit[M];
+    if (!is_finite(lower[i]) || !is_finite(upper[i]))
+        return 0;
+    for (int j = 0; j < M; j++) {
+        memset(moved, 0, sizeof moved);
+        memset(unit, 0, sizeof unit);
+        unit[j] = 1;
+        add_push(s, moved, unit);
+        if (feeds[i] || slope_along(s, i, moved) != 0)
+            return 0;
+    }
+#else
+    UNUSED(s);
+#endif
+    return 1;
+}
+
+/* Go to the event to rounding, but not beyond a known time, and choose the mode after it. */
+static int pass_event(model_pieces *s, const condition *hit, double known, double end)
+{
+    const double before = s->at.t;
+    condition all[2];
+    isolated way;
+    int status;
+    double c[MOST_ORDERS + 1], after[M + CHOICES + 1], rates[N];
     signed char turned[M + CHOICES + 1] = {0};
 #if LAW
     signed char rows[M]; /* those that were held, and then the open ones */
@@ -631,20 +678,25 @@ static int pass_event(model_pieces *s, const condition *hit, double known)
     for (int i = 0; i < M; i++)
         any |= rows[i] = s->at.codes[i] == 0;
 #if !ORTHOGONAL
-    if (any && (status = expand_finite(s, AROUND)))
+    if (any && (status = arrive(s)))
         return status;
 #endif
     if (any)
         project(s, rows);
 #endif
-    if ((status = polish(s, hit, &own, &there)))
+    if ((status = polish(s, hit, end, &way)))
         return status;
-    const double past = there ? beyond_touch(s, &own) : 0, to_known = (known - s->at.t)/s->at.tau;
-    s->at.touches += past > 0;
-    if (past > 0 || reaches(s->at.t, known)) {
-        const double d = past > 0 ? min_of(past, to_known) : to_known;
-        go_along(s, d);
-        return d == to_known ? cross(s, known) : MODEL_OK;
+    s->at.touches += way.touches;
+    for (int i = 0; i < N; i++)
+        rates[i] = s->c[1][i]/s->at.tau;
+    if (reaches(s->at.t, known)) {
+        go_along(s, (known - s->at.t)/s->at.tau, AROUND);
+        return cross(s, known);
+    }
+    if (!way.crosses) {
+        s->at.begun = s->at.t > before ? 0 : s->at.begun;
+        note_undecided(s, hit, &way, way.touches > 0 && way.width > TOLD*s->rtol/LOCAL*fabs(s->at.t));
+        return MODEL_OK;
     }
     for (int of = 0; of < M + CHOICES; of++)
         for (int n = conditions_of(s, of, AROUND, all), i = 0; i < n; i++) {
@@ -653,10 +705,14 @@ static int pass_event(model_pieces *s, const condition *hit, double known)
             const int ends = is_same(&all[i], hit);
             if (s->at.open[of] || !(ends || fabs(c[0]) <= max_of(least, TIE*moves)))
                 continue;
-            s->at.open[of] = 1;
+            s->at.open[of] = OPEN;
             turned[of] = ends || moves > least;
             after[of] = all[i].after;
         }
+    if (is_free(s, hit->of)) {
+        s->at.open[hit->of] = CROSSED;
+        after[hit->of] = hit->of < M ? -s->at.codes[hit->of] : after[hit->of];
+    }
 #if LAW
     for (int i = 0; i < M; i++)
         rows[i] = rows[i] || s->at.open[i];
@@ -667,6 +723,8 @@ static int pass_event(model_pieces *s, const condition *hit, double known)
             turn(s, of, after[of]);
     if ((status = go_on(s)))
         return status;
+    if (way.width > 0)
+        note_undecided(s, hit, &way, moves_of_event(s, rates)*way.width > TOLD*s->rtol/LOCAL);
     return accumulates(s) ? MODEL_NO_MODE : MODEL_OK;
 }
 
@@ -714,7 +772,7 @@ static int next_piece(model_pieces *s)
 {
     condition hit;
     int found = 0, status;
-    double error = 0, length;
+    double error = 0, length, tried = INFINITY;
     s->before = s->at;
     s->before.known = 0;
     s->work = 0;
@@ -747,7 +805,7 @@ static int next_piece(model_pieces *s)
 #endif
     if (!collocated) {
         length = min_of(length, (known - s->at.t)/s->at.tau);
-        if ((status = accept(s, &length, &hit, &found, &error)))
+        if ((status = accept(s, &length, &tried, &hit, &found, &error)))
             return status;
     }
     grow(s, length, min_of(longest, s->at.tau*length));
@@ -765,7 +823,7 @@ static int next_piece(model_pieces *s)
     s->at.t += s->at.tau*length;
     s->still = length > 0 && s->at.t == s->before.t ? s->still + 1 : 0;
     memset(s->at.open, 0, sizeof s->at.open);
-    const double start = s->piece[AT_T], unit = s->at.tau, tau = unit*length;
+    const double start = s->piece[AT_T], unit = s->at.tau, tau = unit*length, end = min_of(start + unit*tried, known);
     s->at.tau = collocated ? unit_of(ROOM*longest) : unit; /* that of series, and of germs, stays what a series takes */
     if (!found && !reaches(s->at.t, known)) {
 #if LAW
@@ -784,7 +842,7 @@ static int next_piece(model_pieces *s)
             if (s->at.tiny > TINY_PIECES)
                 return MODEL_NO_MODE;
         }
-        if ((status = found ? pass_event(s, &hit, known) : cross(s, known)))
+        if ((status = found ? pass_event(s, &hit, known, end) : cross(s, known)))
             return status;
         if (s->at.t > start) {
             s->piece[AT_S] = (s->at.t - start)/unit;

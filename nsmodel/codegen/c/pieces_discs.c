@@ -479,6 +479,8 @@ static void run_graph(const model_pieces *s, const disc_graph *graph, double *ro
         }
         default: disc_of(y, line->kind, a, b, line->number, m);
         }
+        if (s->rounded && m == 0)
+            y[REST] += EPS*fabs(y[0]);
         if (!(y[REST] < INFINITY)) /* NaN too */
             y[REST] = INFINITY;
     }

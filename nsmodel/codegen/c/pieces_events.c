@@ -1,6 +1,7 @@
 /* Conditions of a mode, their first roots, and the mode after an event: pieces/switches.py, bernstein.py, roots.py, modes.py. */
 
 enum { NOBODY, OF_Y, OF_L };
+enum { OPEN = 1, TURNS, CROSSED }; /* of a switch: to be turned when all are known; no l acts on it, and its side is proved */
 enum { SIDE, EQUAL, FLOOR, CEIL, TOWARD_ZERO, NEAREST };
 
 /* sign * column + shift >= 0 for switch of: a row, or M + a branch; its code is after beyond. */
@@ -89,6 +90,28 @@ static double largest_of(int n, const double *c)
     return most;
 }
 
+/* A share of the unit of time in which the later half of orders is not larger than the first, or than a size. */
+static double shrunk(int n, const double *c, double size, double share)
+{
+    const int last = n < ORDERS + 1 ? n : ORDERS + 1;
+    for (int pass = 0; pass < PACES; pass++) {
+        double largest = size, factor = 1, raised = share, own[ORDERS + 1];
+        for (int k = 1; k < last; k++) {
+            own[k] = fabs(c[k])*raised;
+            raised *= share;
+        }
+        for (int k = 1; k <= HALF && k < last; k++)
+            largest = max_of(largest, own[k]);
+        for (int k = HALF + 1; k < last; k++)
+            if (own[k] > largest && largest > 0)
+                factor = min_of(factor, pow(largest/own[k], 1.0/k));
+        share *= factor;
+        if (factor > HALVED)
+            break;
+    }
+    return share;
+}
+
 /* By how much the unit of time is to shrink for a column not to grow from order to order; one that begins beyond HALF does not. */
 static double pace_of(const model_pieces *s, int column, double size, double rounding, double share)
 {
@@ -107,22 +130,10 @@ static double pace_of(const model_pieces *s, int column, double size, double rou
             later = max_of(later, fabs(s->c[k][column]));
     if ((share == 1 && later <= first) || first <= rounding)
         return share;
-    for (int pass = 0; pass < PACES; pass++) {
-        double largest = size, factor = 1, raised = share, own[ORDERS + 1];
-        for (int k = 1; k <= ORDERS; k++) {
-            own[k] = fabs(s->c[k][column])*raised;
-            raised *= share;
-        }
-        for (int k = 1; k <= HALF; k++)
-            largest = max_of(largest, own[k]);
-        for (int k = HALF + 1; k <= ORDERS; k++)
-            if (own[k] > largest && largest > 0)
-                factor = min_of(factor, pow(largest/own[k], 1.0/k));
-        share *= factor;
-        if (factor > HALVED)
-            break;
-    }
-    return share;
+    double own[ORDERS + 1];
+    for (int k = 0; k <= ORDERS; k++)
+        own[k] = s->c[k][column];
+    return shrunk(ORDERS + 1, own, size, share);
 }
 
 /* The share of the unit of time in which coefficients of x and l do not grow from order to order: germs are looked at in it. */
@@ -142,8 +153,16 @@ static double pace(const model_pieces *s)
 /* The order of the first coefficient that is not rounding, of those that decide a germ; -1 where all of them are. */
 static int leading(int n, const double *c, double least, double share)
 {
-    const int decide = n < ORDERS + 1 ? n : ORDERS + 1;
+    const int decide = n < ORDERS + 1 ? n : ORDERS + 1, half = decide < HALF + 1 ? decide : HALF + 1;
     double own[ORDERS + 1], raised = 1, largest = 0;
+    if (largest_of(decide - half, c + half) > largest_of(half, c)) { /* the condition itself needs a shorter one */
+        const double shorter = shrunk(n, c, fabs(c[0]), share);
+        double most = 0;
+        for (int k = 0; k < half; k++, raised *= shorter)
+            most = max_of(most, fabs(c[k])*raised);
+        share = most > least ? shorter : share;
+        raised = 1;
+    }
     for (int k = 0; k < decide; k++) {
         own[k] = fabs(c[k])*raised;
         largest = max_of(largest, own[k]);
@@ -251,134 +270,8 @@ static double first_root(model_pieces *s, int n, const double *c)
     return first_in(s, n, c, b, 0, 1);
 }
 
-/* A condition is at least this on a piece of this length. */
-static double least_on(const model_pieces *s, const condition *of, double length)
-{
-    double least = 0;
-    for (int k = of->orders; k > 0; k--) {
-        least = of->sign*s->c[k][of->column] + least;
-        least = least < 0 ? least*length : 0;
-    }
-    return of->sign*s->c[0][of->column] + of->shift + least;
-}
-
-/* The condition that ends first, put into hit, and where; *length where none ends before: then 0 is returned. */
-static int first_event(model_pieces *s, double *length, condition *hit)
-{
-    const int p = s->order;
-    double raised = 1, share = 0, c[MOST_ORDERS + 1], germ[MOST_ORDERS + 1];
-    int found = 0;
-    condition all[2];
-    for (int of = 0; of < M + CHOICES; of++)
-        for (int count = conditions_of(s, of, p, all), i = 0; i < count; i++) {
-            const condition *one = &all[i];
-            if (!s->at.open[of] && least_on(s, one, *length) > 0)
-                continue;
-            const int n = one->orders + 1;
-            const double *d = c;
-            int left = n;
-            coefficients(s, one, germ);
-            raised = 1;
-            double sum = 0;
-            for (int k = 0; k < n; k++) {
-                c[k] = germ[k]*raised;
-                raised *= *length;
-                sum += k ? fabs(c[k]) : 0;
-            }
-            if (c[0] > sum)
-                continue;
-            const double least = TIE*size_of(s, one);
-            if (largest_of(n, c) <= least)
-                continue;
-            if (s->at.open[of] || c[0] <= 0) {
-                share = share > 0 ? share : pace(s);
-                int first = leading(n, germ, s->at.open[of] ? least : 0, share);
-                first = first < 0 ? ORDERS + 1 : first;
-                if (first >= n)
-                    continue;
-                d += first;
-                left -= first;
-                if (largest_of(left, d) <= least)
-                    continue;
-                c[first] = max_of(c[first], 0.0);
-            }
-            const double at = first_root(s, left, d);
-            if (at <= 1) {
-                *length *= at;
-                *hit = *one;
-                const int tail = left < TAIL ? left : TAIL;
-                found = !(at > 0 && largest_of(tail, d + left - tail) > LOST*largest_of(left, d));
-                *length *= found ? 1 : 0.5; /* a root of what was cut off */
-            }
-        }
-    return found;
-}
-
 static int expand_finite(model_pieces *s, int orders);
-
-/* The condition that watches the same end as hit, as it stands now; 0 where there is none. */
-static int own_condition(const model_pieces *s, const condition *hit, int orders, condition *own)
-{
-    condition all[2];
-    for (int count = conditions_of(s, hit->of, orders, all), i = 0; i < count; i++)
-        if (is_same(&all[i], hit)) {
-            *own = all[i];
-            return 1;
-        }
-    return 0;
-}
-
-/* Move the place along an expansion at an event, by d in its unit of time. */
-static void go_along(model_pieces *s, double d)
-{
-    for (int i = 0; i < N; i++) {
-        double v = 0;
-        for (int k = AROUND; k >= 0; k--)
-            v = v*d + s->c[k][i];
-        s->at.x[i] = v;
-    }
-    s->at.t += d*s->at.tau;
-}
-
-/* Move the place to where the condition is 0 to rounding, on expansions there; *there: whether it is still watched. */
-static int polish(model_pieces *s, const condition *hit, condition *own, int *there)
-{
-    double c[MOST_ORDERS + 1];
-    for (int pass = 0; pass < POLISHING; pass++) {
-        const int status = expand_finite(s, AROUND);
-        if (status)
-            return status;
-        if (!(*there = own_condition(s, hit, AROUND, own)))
-            return 0;
-        const int n = own->orders + 1;
-        coefficients(s, own, c);
-        const double scale = max_of(size_of(s, own), largest_of(n, c));
-        if (fabs(c[0]) <= POLISHED*TIE*scale || c[1] == 0 || !(fabs(c[0]/c[1]) < NEAR))
-            return 0;
-        double d = -c[0]/c[1];
-        for (int i = 0; i < ON_ONE; i++) {
-            const double e = slope_of(n, c, d), v = value_of(n, c, d);
-            d -= e != 0 && fabs(v/e) < NEAR ? v/e : 0;
-        }
-        go_along(s, d);
-    }
-    const int status = expand_finite(s, AROUND);
-    *there = !status && own_condition(s, hit, AROUND, own);
-    return status;
-}
-
-/* Where a condition that comes to 0 and goes back, not deeper than rounding, is past that; 0 where it does not go back, or not soon. */
-static double beyond_touch(const model_pieces *s, const condition *of)
-{
-    double c[MOST_ORDERS + 1];
-    const int n = of->orders + 1;
-    coefficients(s, of, c);
-    const double tie = TIE*max_of(size_of(s, of), largest_of(n, c));
-    if (n <= 2 || !(c[2] > 0) || fabs(c[0]) > tie || c[1]*c[1] > TOUCH*c[2]*tie)
-        return 0;
-    const double past = PAST*sqrt(tie/c[2]) + fabs(c[1])/c[2];
-    return past < NEAR ? past : 0;
-}
+static double tie_of(model_pieces *s, const condition *of, double share);
 
 /* Give a switch another code. */
 static void turn(model_pieces *s, int of, double code)
@@ -469,13 +362,17 @@ static unsigned long long mark_of(const model_pieces *s)
  * Whether a condition does not hold just after the start: of those that are open or whose multipliers may have moved. Where l or
  * what a branch chooses jumps, y and arguments may jump too: of the others those that are clearly broken.
  */
-static int is_wrong(const model_pieces *s, const condition *of, double share)
+static int is_wrong(model_pieces *s, const condition *of, double share)
 {
     double c[MOST_ORDERS + 1];
+    if (s->at.open[of->of] == CROSSED)
+        return 0;
     coefficients(s, of, c);
     if (!s->at.open[of->of] && of->acts != OF_L)
         return c[0] < -TIE*size_of(s, of);
-    const int first = leading(of->orders + 1, c, TIE*size_of(s, of), share);
+    int first = leading(of->orders + 1, c, TIE*size_of(s, of), share);
+    if (first != 1 && of->acts != OF_L)
+        first = leading(of->orders + 1, c, tie_of(s, of, TIE), share);
     return first >= 0 && c[first] < 0;
 }
 
@@ -512,14 +409,14 @@ static int pivot(model_pieces *s)
                 if ((any && one) || !is_wrong(s, &all[i], share))
                     continue;
                 any = 1;
-                s->at.open[of] = 2; /* to be turned when all are known */
+                s->at.open[of] = TURNS;
                 s->turns[of] = all[i].after;
             }
         if (!any)
             return 1;
         for (int of = 0; of < M + CHOICES; of++)
-            if (s->at.open[of] == 2) {
-                s->at.open[of] = 1;
+            if (s->at.open[of] == TURNS) {
+                s->at.open[of] = OPEN;
                 turn(s, of, s->turns[of]);
             }
         seen[count++] = mark;
@@ -550,6 +447,10 @@ static int is_valid(model_pieces *s)
 static int codes_of(const model_pieces *s, int of, double *codes)
 {
     int count = 0;
+    if (s->at.open[of] == CROSSED) {
+        codes[0] = of < M ? s->at.codes[of] : s->at.choice[of - M];
+        return 1;
+    }
 #if LAW
     if (of < M) {
         const double y = s->c[0][Y + of];
@@ -680,8 +581,8 @@ static int is_agreed(model_pieces *s)
     return agreed;
 }
 
-/* The mode that the place goes on in; 0 where none is found. */
-static int choose_mode(model_pieces *s)
+/* The mode that the place goes on in, by pivoting, else of all; 0 where none is found. */
+static int settle_mode(model_pieces *s)
 {
     modes all;
     const model_place begun = s->at;
@@ -697,5 +598,25 @@ static int choose_mode(model_pieces *s)
         if (is_valid(s))
             return 1;
     } while (next_mode(&all));
+    return 0;
+}
+
+/* The same; where the mode that is taken up has no number at the place, a little later, as well as time is known. */
+static int choose_mode(model_pieces *s)
+{
+    if (!CHOICES)
+        return settle_mode(s);
+    const model_place begun = s->at;
+    double t = begun.t;
+    for (int i = 0; i < LATER; i++) {
+        if (settle_mode(s))
+            return 1;
+        s->at = begun;
+        s->at.t = t;
+        if (expand(s, ORDERS) && has_numbers(s))
+            break;
+        s->at.t = t = nextafter(t, INFINITY);
+    }
+    s->at = begun;
     return 0;
 }

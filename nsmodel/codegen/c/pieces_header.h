@@ -33,6 +33,7 @@ extern "C" {
 #define MODEL_PIECES_GERM @GERM@ /* coefficients that decide a germ */
 #define MODEL_PIECES_TIMES @TIMES@
 #define MODEL_PIECES_STIFF 4
+#define MODEL_PIECES_UNDECIDED 5
 #if STIFF
 #define MODEL_PIECES_STAGES @STAGES@ /* of a piece by collocation, at most */
 #define MODEL_PIECES_OCTAVES @OCTAVES@ /* of lengths whose matrices are kept */

@@ -282,6 +282,7 @@ static double worst_on_disc(model_pieces *s, double R, double length, int m, int
         const double off = DISC_H(i)[m + 1] + (s->at.codes[i] ? beyond[Y + i] : 0);
         const double size = max_of(max_of(s->at.size_y[i], terms_of(s, i, of_x, of_l)), SMALL*largest);
         worst = max_of(worst, share_at(off, of_rows, of_now, rtol*size));
+        s->margins_now[i] = off*of_rows;
     }
 #endif
 #if SWITCHED
@@ -291,6 +292,7 @@ static double worst_on_disc(model_pieces *s, double R, double length, int m, int
             of += fabs(s->c[k][branch_column[b]])*power[k];
         const double size = max_of(s->at.size_switches[b], fabs(s->c[0][branch_column[b]]));
         worst = max_of(worst, share_at(DISC_W(b)[m + 1] + of, share, now, rtol*size));
+        s->margins_now[M + b] = (DISC_W(b)[m + 1] + of)*share;
     }
 #endif
     return worst;
@@ -315,6 +317,7 @@ static int prove(model_pieces *s, double *length, double *error)
     const double still = AS_NOW*fabs(s->at.t)/s->at.tau;
     double disc = *length, best = 0, bound = 0;
     int known = 0;
+    memset(s->margins, 0, sizeof s->margins);
     if (!(*length > 0))
         return MODEL_OK;
     for (int k = 0; k < SHRINKINGS; k++) {
@@ -326,6 +329,7 @@ static int prove(model_pieces *s, double *length, double *error)
             if (proved > best) {
                 best = proved;
                 bound = proved == disc ? w : w*pow(proved/disc, p);
+                memcpy(s->margins, s->margins_now, sizeof s->margins);
             }
         }
         if (best >= PROVED*disc)

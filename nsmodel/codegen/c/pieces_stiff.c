@@ -63,7 +63,7 @@ static int beyond_end(const model_pieces *s, double length, condition *hit, doub
 static double ended(model_pieces *s, double h, double most, condition *hit, int *found, double *error)
 {
     double length = write_fit(s, h), end = length;
-    *found = first_event(s, &end, hit);
+    *found = first_event(s, &end, hit, 0, -1);
     for (int pass = 0; pass < ENDINGS && *found; pass++) {
         double estimate;
         const double shorter = min_of(s->at.tau*end, most), missed = end > 0 ? fit(s, shorter, &estimate) : NAN;
@@ -72,7 +72,7 @@ static double ended(model_pieces *s, double h, double most, condition *hit, int 
             break;
         *error = missed;
         end = length = write_fit(s, shorter);
-        if (first_event(s, &end, &again))
+        if (first_event(s, &end, &again, 0, -1))
             *hit = again;
         else
             *found = beyond_end(s, length, hit, &end);

@@ -1,0 +1,149 @@
+"""Roots that Newton's method does not settle: of high multiplicity, in clusters, and dips that may or may not come to 0.
+
+A condition c >= 0 is known about a place as a form (see `discs`), |c(s) - sum c_k s^k| <= e on [0, R]: e holds what is cut off, the
+rounding of its operations, and what rounding has left in the states. Up to the first s with c(s) - e = 0 it is proved positive;
+expanded anew from there, on a shorter disc, it is the sum of less, and e is smaller. Where that stands still, the other side is
+looked for: the first R with c(R) + e < 0 is beyond a crossing, one with c(R) - e > 0 beyond a touch, or a dip that is not decided.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from nsmodel.pieces.bernstein import first_root, value, values
+from nsmodel.pieces.disc_equations import EquationsOnDisc
+from nsmodel.pieces.discs import EPS, Form, form_of
+from nsmodel.pieces.modes import Place
+from nsmodel.pieces.multipliers import Solve
+from nsmodel.pieces.switches import Condition, conditions, looked_at, same, tie
+from nsmodel.pieces.system import System
+
+ALMOST = 0.999  # Of the way to where a sign is no longer proved.
+CLOSER, WIDER = 8.0, 1.5  # By which discs shrink towards a root, and grow beyond it.
+MOST_DISCS = 400
+DEGREE = 16  # Of forms at least: a root of high order in t alone is seen so at coarse tolerances, too.
+NEAR = 0.1  # In units of time: an event is not sought further from where the piece's polynomials have it.
+ULP = 2.0**-52  # Of the time: shorter than this no disc is.
+
+
+class Isolated(NamedTuple):
+    """Where the place stands now, how it is expanded there, and the condition; whether that ends there, or is positive up to there.
+
+    ``width``: of the time in which its sign is not known, at the crossing or in the longest dip, which is ``at`` that time;
+    ``touches``: dips that were passed.
+    """
+
+    how: Solve
+    own: Condition | None
+    width: float
+    touches: int
+    crosses: bool
+    at: float
+
+
+class Isolation:
+    """Of the conditions of a system."""
+
+    def __init__(self, system: System, on: EquationsOnDisc) -> None:
+        self._system, self._on = system, on
+
+    def width(self, place: Place, own: Condition, share: float) -> float:
+        """The time about a crossing, whose expansion stands, in which the sign is not known where states are known to a share."""
+        system = self._system
+        c, e = own.coefficients(), tie(system, own, share)
+        before = [-a if k % 2 else a for k, a in enumerate(c)]
+        return (_until([-a for a in c], e) + _until(before, e)) * place.tau
+
+    def isolate(
+        self, place: Place, hit: Condition, orders: int, expand: Callable[[int], Solve], end: float,
+        others: Callable[[Solve, float], float],
+    ) -> Isolated:  # fmt: skip
+        """Move the place over what is proved to be positive, and over dips, to the first crossing, or to the time ``end``.
+
+        ``others(how, s)``: where another condition ends, in s from the place and not beyond s; there the way ends too.
+        """
+        system, R, width, touches, at = self._system, end - place.t, 0.0, 0, place.t
+        how = expand(orders)
+        for _ in range(MOST_DISCS):
+            R = min(R, end - place.t)
+            own = own_condition(system, place, how, hit, orders)
+            if own is None or not R > 0:
+                break
+            c, e = self._about(place, own, orders, R)
+            s = _positive_until(c, e)
+            if s is not None and (s == 0 or place.t + ALMOST * s * R == place.t):
+                if R > ULP * abs(place.t):
+                    R /= CLOSER
+                    continue
+                found = self._beyond(place, own, orders, end)
+                wide = end - place.t if found is None else found[0]
+                width, at = max((width, at), (wide, place.t))
+                R, root = (end - place.t, None) if found is None else found
+                touches += root is None
+                step = R if root is None else root
+            else:
+                root, step = None, R if s is None else ALMOST * s * R
+                R = 2 * R if s is None else max(R / 4, 2 * step) if s < 0.5 else R / 2
+            clear = others(how, step / place.tau) * place.tau
+            how = self._move(place, min(step, clear), orders, expand)
+            if clear < step:
+                break
+            if root is not None:
+                return Isolated(how, own_condition(system, place, how, hit, orders), R, touches, True, place.t)
+        return Isolated(how, None, width, touches, False, at)
+
+    def _beyond(self, place: Place, own: Condition, orders: int, end: float) -> tuple[float, float | None] | None:
+        """How far on the sign is known again, and where on the way it changes, None where it does not; None: not up to the end."""
+        R = ULP * abs(place.t) or ULP * place.tau
+        while R < end - place.t:
+            c, e = self._about(place, own, orders, R)
+            if abs(v := float(c.sum())) > e:
+                return R, None if v > 0 else R * min(first_root(c.tolist()), 1.0) if c[0] > 0 else 0.0
+            R *= WIDER
+        return None
+
+    def _move(self, place: Place, time: float, orders: int, expand: Callable[[int], Solve]) -> Solve:
+        s = time / place.tau
+        place.x = values([row[: orders + 1] for row in self._system.x], s)
+        place.t += time
+        return expand(orders)
+
+    def _about(self, place: Place, own: Condition, orders: int, R: float) -> tuple[np.ndarray, float]:
+        """The coefficients on the disc |s| <= R, R a time, of the condition, in s/R, and e."""
+        system, R, degree = self._system, R / place.tau, max(orders, DEGREE)
+        if own.acts in ("l", "inside"):
+            f = form_of(own.row[: own.orders + 1], R, own.orders)
+        else:
+            x, l = ([form_of(row[: orders + 1], R, degree) for row in rows] for rows in (system.x, system.push))
+            f = looked_at(system, own, self._on(form_of([place.t, place.tau], R, degree), x, l))
+        if not isinstance(f, Form):
+            f = form_of([float(f)], R, orders)
+        c = own.sign * f.c
+        c[0] += own.shift
+        return c, f.r + tie(system, own) + EPS * float(np.abs(c).sum())
+
+
+def own_condition(system: System, place: Place, how: Solve, hit: Condition, orders: int) -> Condition | None:
+    """The condition that watches the same end as ``hit``, as it stands now."""
+    return next((c for c in conditions(system, place.codes, how, orders) if same(c, hit)), None)
+
+
+def _until(c: list[float], level: float) -> float:
+    """How far c goes until it is above a level, in doubling steps; NEAR where that is further."""
+    s = ULP
+    while s < NEAR and value(c, s) <= level:
+        s *= 2
+    return min(s, NEAR)
+
+
+def _positive_until(c: np.ndarray, e: float) -> float | None:
+    """The first s in [0, 1] with sum c_k s^k = e; None where it is more on all of it."""
+    row = c.tolist()
+    row[0] -= e
+    if not row[0] > 0:
+        return 0.0
+    s = first_root(row)
+    return s if s <= 1 else None
