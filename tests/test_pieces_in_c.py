@@ -15,6 +15,7 @@ from conftest import optimised
 
 import nsmodel
 from nsmodel import FirstOrderSystem, LureSystem, SweepingProcess, codegen, complementarity, relay, simulate
+from nsmodel.codegen.piece_scene import scene_of
 from nsmodel.errors import CodegenError
 from nsmodel.run.event_driven import EventDriven, problem_of
 from nsmodel.run.options import Options
@@ -329,6 +330,14 @@ def test_the_library_keeps_its_budget_and_says_what_it_cannot(name, tmp_path):
     np.testing.assert_allclose(list(x), run.x[-1], rtol=1e-10)
     assert lib.thing_pieces_set_state(s, number(0.0), (number * n)(np.nan)) == names.index("NOT_FINITE")
     assert lib.thing_advance(s, number(0.5 * model.t_end)) == names.index("BAD_STEP")
+
+
+def test_what_runs_on_discs_is_there_once_and_needed():
+    kinds = [key[0] for key in scene_of(case("point_past_disc"), {}).discs.lines]
+    assert kinds.count("sqrt") == 1  # Of h and of g.
+    kinds = [key[0] for key in scene_of(case("two_masses"), {}).discs.lines]
+    assert "sin" in kinds
+    assert "cos" not in kinds  # The recurrence of sin needs it, its value does not.
 
 
 def test_what_has_no_pieces_in_c_is_named(tmp_path):

@@ -1,4 +1,4 @@
-"""The graphs of f, g and h as tables, which C runs on balls and on forms: `pieces.discs`, `c/pieces_discs.c`."""
+"""The graphs of f, g and h as one table, which C runs on balls and on forms: `pieces.discs`, `c/pieces_discs.c`."""
 
 from __future__ import annotations
 
@@ -16,45 +16,92 @@ KINDS = (
     "sum difference scaled shifted product quotient exp expm1 sin cos tan sinh cosh tanh sqrt hypot log log1p power pow atan "
     "asin acos asinh acosh atanh erf atan2 chosen equal guarded whole not positive both either"
 ).split()  # fmt: skip
+GIVEN = 3  # Which input numbers are that stay on a piece.
 
 
-def kinds() -> str:
-    """The operations, as an enum of C."""
-    return f"enum {{ {', '.join(f'OF_{name.upper()}' for name in KINDS)} }};\n"
+class Discs:
+    """The table: rows of t, x and l first; what parts have alike, and what no output needs, is left out."""
 
+    def __init__(self, printers: Iterable[Printer], n: int, m: int) -> None:
+        """``printers``: f first."""
+        self.row = {(0, 0): 0} | {(1, i): 1 + i for i in range(n)} | {(2, i): 1 + n + i for i in range(m)}
+        self.numbers: dict[float, int] = {}
+        self.lines: dict[tuple[Any, ...], int] = {}  # {operation, choice, rows, number: row}
+        self.looked: dict[int, int] = {}
+        self.outputs: dict[str, list[int]] = {}
+        self.counts: dict[str, int] = {}
+        self.switches: dict[str, int] = {}
+        for printer in printers:
+            self._add(printer)
 
-def interpreter(text: str, printers: Iterable[Printer]) -> str:
-    """The interpreter without the operations that no graph has: a line of its switch each."""
-    used = {_operation(printer.jets, line)[0].upper() for printer in printers for line in printer.jets.lines}
-    return re.sub(r"^    case OF_(\w+): .*\n", lambda case: case[0] if case[1] in used else "", text, flags=re.MULTILINE)
+    @property
+    def rows(self) -> int:
+        """How many."""
+        return len(self.row) + len(self.numbers) + len(self.lines)
 
+    def _add(self, printer: Printer) -> None:
+        jets, here = printer.jets, {}
+        needed = _needed(jets)
+        for place, old in jets.inputs.items():
+            here[old] = self.row.setdefault(place, self.rows)
+        for old, value in jets.numbers.items():
+            if old in needed:
+                here[old] = self.numbers.setdefault(value, self.rows)
+        for line in jets.lines:
+            if line.y in needed:
+                kind, of, value = _operation(jets, line)
+                choice = line.branch + printer.offset if line.branch >= 0 else -1
+                key = (kind, choice, *(here[row] for row in of), value)
+                here[line.y] = self.lines.setdefault(key, self.rows)
+        self.looked |= {i: here[branch.row] for i, branch in enumerate(jets.branches, printer.offset)}
+        self.outputs[printer.part] = [here[row] for row in jets.outputs]
+        self.counts[printer.part], self.switches[printer.part] = len(self.lines), len(jets.branches)
 
-def graph(printer: Printer) -> str:
-    """``PART_graph``, of one part."""
-    jets, name = printer.jets, printer.part
-    lines = ", ".join(_line(jets, line) for line in jets.lines)
-    given = [value for (which, entry), row in jets.inputs.items() for value in (row, which, entry)]
-    text = f"static const disc_line {name}_lines[] = {{{lines or '{0, -1, 0, 0, 0, 0}'}}};\n"
-    text += _table(f"{name}_inputs", given) + _table(f"{name}_outputs", jets.outputs)
-    text += _table(f"{name}_looked", [branch.row for branch in jets.branches])
-    text += _table(f"{name}_number_rows", list(jets.numbers))
-    text += _table(f"{name}_disc_numbers", [number(value).text for value in jets.numbers.values()], "double")
-    counts = (len(jets.lines), len(jets.inputs), len(jets.outputs), len(jets.branches), len(jets.numbers), printer.offset)
-    tables = ", ".join(f"{name}_{of}" for of in ("lines", "inputs", "outputs", "looked", "number_rows", "disc_numbers"))
-    return text + f"static const disc_graph {name}_graph = {{{tables}, {', '.join(map(str, counts))}}};\n"
+    def kinds(self) -> str:
+        """The operations, as an enum of C."""
+        return f"enum {{ {', '.join(f'OF_{name.upper()}' for name in KINDS)} }};\n"
+
+    def interpreter(self, text: str) -> str:
+        """The interpreter without the operations that no line has: a line of its switches each."""
+        used = {key[0].upper() for key in self.lines}
+        return re.sub(r"^    case OF_(\w+): .*\n", lambda case: case[0] if case[1] in used else "", text, flags=re.MULTILINE)
+
+    def table(self) -> str:
+        """The lines, numbers and rows of interest, in C."""
+        given = [value for (which, entry), row in self.row.items() if which == GIVEN for value in (row, entry)]
+        sizes = {
+            "DISC_LINES": len(self.lines), "LINES_OF_F": self.counts["f"], "DISC_ROWS": self.rows,
+            "SWITCHES_OF_F": self.switches["f"], "NUMBERS_ON_DISC": len(self.numbers), "GIVEN_ON_DISC": len(given) // 2,
+        }  # fmt: skip
+        text = f"enum {{ {', '.join(f'{name} = {value}' for name, value in sizes.items())} }};\n"
+        text += _table("lines", [_line(key, row) for key, row in self.lines.items()] or ["{0, -1, 0, 0, 0, 0}"], "disc_line")
+        text += _table("number_rows", list(self.numbers.values())) + _table("given", given)
+        text += _table("numbers", [number(value).text for value in self.numbers], "double")
+        text += "".join(_table(name, rows) for name, rows in self.outputs.items())
+        return text + (_table("looked", [self.looked[i] for i in range(len(self.looked))]) if self.looked else "")
 
 
 def _table(name: str, values: Sequence[Any], kind: str = "int") -> str:
-    return f"static const {kind} {name}[] = {{{', '.join(map(str, values)) or '0'}}};\n"
+    return f"static const {kind} disc_{name}[] = {{{', '.join(map(str, values)) or '0'}}};\n"
 
 
-def _line(jets: Jets, line: Line) -> str:
-    kind, (a, b), value = _operation(jets, line)
-    return f"{{OF_{kind.upper()}, {line.branch}, {line.y}, {a}, {b}, {number(value).text}}}"
+def _line(key: tuple[Any, ...], row: int) -> str:
+    kind, choice, *of, value = key
+    a, b = [*of, 0, 0][:2]
+    return f"{{OF_{kind.upper()}, {choice}, {row}, {a}, {b}, {number(value).text}}}"
+
+
+def _needed(jets: Jets) -> set[int]:
+    """The rows that outputs and switches are made of."""
+    needed = {*jets.outputs, *(branch.row for branch in jets.branches)}
+    for line in reversed(jets.lines):
+        if line.y in needed:
+            needed.update(_operation(jets, line)[1])
+    return needed
 
 
 def _operation(jets: Jets, line: Line) -> tuple[str, list[int], float]:
-    """Its name among KINDS, two rows, a number."""
+    """Its name among KINDS, two rows at most, a number."""
     kind, rows, value = line.start or line.kind, list(line.of if line.start else line.args), line.number
     match kind:
         case "minus":
@@ -64,5 +111,5 @@ def _operation(jets: Jets, line: Line) -> tuple[str, list[int], float]:
         case "square":
             kind, rows = "product", [rows[0], rows[0]]
         case "pow" if rows[1] in jets.numbers:
-            kind, value = "power", jets.numbers[rows[1]]
-    return kind, [*rows, 0, 0][:2], value
+            kind, rows, value = "power", rows[:1], jets.numbers[rows[1]]
+    return kind, rows[:2], value

@@ -12,6 +12,7 @@ import numpy as np
 
 from nsmodel.classes.registry import class_of
 from nsmodel.codegen.piece_collocation import MOST_UNKNOWN, kept_in, memory
+from nsmodel.codegen.piece_discs import Discs
 from nsmodel.codegen.piece_jets import CURVED, Columns, Printer, scaled_by
 from nsmodel.codegen.piece_parameters import Derived, derived
 from nsmodel.errors import CodegenError
@@ -131,6 +132,12 @@ class PieceScene:
         h = p.h if D is None or not m else ca.substitute(p.h, p.l, ca.SX.zeros(m))
         return derived({"f": p.f, "h": h} if B is not None else {"f": p.f, "h": h, "g": p.g}, p.p)
 
+    @cached_property
+    def discs(self) -> Discs:
+        """The table of the parts that there are."""
+        n, m = self.problem.x.numel(), self.problem.l.numel()
+        return Discs((printer for name, printer in self.printers.items() if m or name == "f"), n, m)
+
     @property
     def branches(self) -> dict[str, slice]:
         """The choices of f, g and h."""
@@ -145,7 +152,7 @@ class PieceScene:
         kept = 1 if not {"MATRICES"} <= self.flags or "SLOPES" in self.flags else kept_in(24 * m * m, 2, 16)
         return {
             "N": n, "M": m, "NP": len(self.values), "NU": self.inputs, "NOWN": len(self.values) - self.inputs,
-            "DISCS": 1 + 3 * n + 2 * m + columns.choices + max(printer.jets.count for printer in self.printers.values()),
+            "DISCS": self.discs.rows + n + m,
             "CHOICES": columns.choices, "ORDERS": LARGEST_ORDER, "KEPT": kept, "GERM": ORDERS + 1, "TIMES": TIMES,
             "COLUMNS": columns.count + outputs, "T": n + 2 * m, "HELD": self.problem.held,
             "H": columns.count if outputs else n + m,

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from nsmodel.codegen import constants, piece_discs, statuses
+from nsmodel.codegen import constants, statuses
 from nsmodel.codegen.expression import c_function
 from nsmodel.codegen.fragments import FOLDER, comment, fragment, guard, prefixed, pruned
 from nsmodel.codegen.jets import kernels
@@ -39,16 +39,15 @@ def header(scene: PieceScene, name: str, title: str, shared: str | None) -> str:
 
 def code(scene: PieceScene, name: str, title: str, *, runs: bool) -> str:
     """NAME_pieces.c; ``runs``: with what whole runs need."""
-    words = _words(scene, name, title, None)
+    words = _words(scene, name, title, None) | {"KINDS": scene.discs.kinds(), "TABLE": scene.discs.table()}
     own = prefixed(_own(scene), name)
     parts = [fragment(f"{part}.c", scene.flags, words) for part in PARTS]
-    printers = [printer for name, printer in scene.printers.items() if scene.sizes["M"] or name == "f"]
     more = ["pieces_api", *(["pieces_rollout", "pieces_batch"] if runs else [])]
     own += prefixed(_records(scene), name) if runs else ""
     text = "\n".join(
         [
-            fragment("pieces_prelude.c", scene.flags, words), parts[0], own, *parts[1:4], piece_discs.kinds(),
-            piece_discs.interpreter(parts[4], printers), "\n".join(map(piece_discs.graph, printers)), *parts[5:],
+            fragment("pieces_prelude.c", scene.flags, words), parts[0], own, *parts[1:4],
+            scene.discs.interpreter(parts[4]), *parts[5:],
             *(fragment(f"{part}.c", scene.flags, words) for part in more),
         ]
     )  # fmt: skip

@@ -41,17 +41,6 @@ typedef struct {
     double size, rtol, more, rounding;
 } measured;
 
-/* s^k. */
-static double raised_to(double s, int k)
-{
-    double raised = 1;
-    for (; k; k >>= 1) {
-        raised *= k & 1 ? s : 1;
-        s *= s;
-    }
-    return raised;
-}
-
 /* The length that a row of size 0, measured beside its first term, lets a piece have; *late: that is none of the first half. */
 static double length_from_0(const model_pieces *s, const measured *row, int *late)
 {
@@ -644,7 +633,7 @@ static double moves_of_event(const model_pieces *s, const double *before)
 static int is_free(const model_pieces *s, int i)
 {
     if (i >= M)
-        return i - M < f_graph.choices + f_graph.branches;
+        return i - M < SWITCHES_OF_F;
 #if LAW
     double moved[N], unit[M];
     if (!is_finite(lower[i]) || !is_finite(upper[i]))
@@ -969,6 +958,7 @@ static void prepare_pieces(model_pieces *s, double rtol)
     if (s->order > MOST_ORDERS)
         s->order = MOST_ORDERS;
     s->share = pow(POINT, s->order);
+    numbers_on_disc(s);
 }
 
 /* What follows from the parameters; NO_MODE where the code, which is that of all values, is not for these. */

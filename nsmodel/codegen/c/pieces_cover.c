@@ -28,6 +28,51 @@ static void about(const double *coefficients, int n, double centre, double *c)
     shift(c, n, centre - 0.5);
 }
 
+#define DISC_F(i) ROW(DISC_ROWS + (i))
+#define DISC_H(i) DISC_F(N + (i))
+
+/* A polynomial of n coefficients as a form of degree m on the disc of radius R. */
+static void fill_disc(double *y, const double *c, int n, double R, int m)
+{
+    double power = 1, rest = 0;
+    for (int k = 0; k < n; k++) {
+        if (k <= m)
+            y[k] = c[k]*power;
+        else
+            rest += fabs(c[k])*power;
+        power *= R;
+    }
+    for (int k = n; k <= m; k++)
+        y[k] = 0;
+    y[m + 1] = rest;
+}
+
+/* f + g and h on the disc. */
+static void sums_on_disc(model_pieces *s, int m)
+{
+    for (int i = 0; i < N; i++)
+        copied(DISC_F(i), ROW(disc_f[i]), m);
+#if LAW
+#if B_NUMBERS
+    for (int j = 0; j < M; j++)
+        for (int e = B_start[j]; e < B_start[j + 1]; e++)
+            disc_sum(DISC_F(B_row[e]), DISC_F(B_row[e]), B_value[e], DISC_L(j), m);
+#else
+    for (int i = 0; i < N; i++)
+        disc_sum(DISC_F(i), DISC_F(i), 1, ROW(disc_g[i]), m);
+#endif
+    for (int i = 0; i < M; i++)
+        copied(DISC_H(i), ROW(disc_h[i]), m);
+#if FEED
+#if D_NUMBERS
+    for (int i = 0; i < M; i++)
+        for (int e = D_start[i]; e < D_start[i + 1]; e++)
+            disc_sum(DISC_H(i), DISC_H(i), D_value[e], DISC_L(D_column[e]), m);
+#endif
+#endif
+#endif
+}
+
 /* The larger of worst and the error beside what is allowed, but for rounding; infinite where it is no number. */
 static double beside(double worst, double e, double rounding, double weight, double allowed)
 {
@@ -42,7 +87,7 @@ static double beside(double worst, double e, double rounding, double weight, dou
 static double beside_polynomial(double worst, const double *coefficients, int n, double centre, double R, const double *of,
                                 double size, double rtol)
 {
-    double c[STRIDE_OF_DISC], form[STRIDE_OF_DISC];
+    double c[DEGREES], form[DEGREES];
     about(coefficients, n, centre, c);
     fill_disc(form, c, n, R, COVER_DEGREE);
     disc_sum(form, form, -1, of, COVER_DEGREE);
@@ -55,13 +100,14 @@ static double on_part(model_pieces *s, const double *coefficients, int n, double
 {
     const int m = COVER_DEGREE;
     const double R = COVER_RADIUS*half, t[] = {s->at.t + h*centre, h};
-    double c[STRIDE_OF_DISC], form[STRIDE_OF_DISC], worst = 0;
+    double c[DEGREES], form[DEGREES], worst = 0;
     fill_disc(DISC_T, t, 2, R, m);
     for (int i = 0; i < N + M; i++) {
         about(coefficients + (i < N ? i : L + i - N), n, centre, c);
         fill_disc(DISC_X(i), c, n, R, m);
     }
-    on_disc(s, m);
+    run_lines(s, DISC_LINES, m);
+    sums_on_disc(s, m);
     for (int i = 0; i < N; i++) {
         about(coefficients + i, n, centre, c);
         for (int k = 1; k < n; k++)
@@ -80,7 +126,7 @@ static double on_part(model_pieces *s, const double *coefficients, int n, double
     }
 #endif
     for (int j = 0; j < q; j++) {
-        double sum[STRIDE_OF_DISC] = {0}, allowed;
+        double sum[DEGREES] = {0}, allowed;
         for (int k = 0; k < q; k++) {
 #if LAW
             const double *missed = k < N ? DISC_F(k) : DISC_H(HOW.active[k - N]);
@@ -105,7 +151,7 @@ static double on_part(model_pieces *s, const double *coefficients, int n, double
 #endif
 #if SWITCHED
     for (int b = 0; b < CHOICES; b++)
-        worst = beside_polynomial(worst, coefficients + ROWS + b, n, centre, R, DISC_W(b), size[ROWS + b], rtol);
+        worst = beside_polynomial(worst, coefficients + ROWS + b, n, centre, R, ROW(disc_looked[b]), size[ROWS + b], rtol);
 #endif
     return worst;
 }

@@ -1,5 +1,6 @@
 /* Analytic functions on a disc, as in pieces/discs.py: c[0] + ... + c[m] w^m + rest, |w| <= 1; of degree 0 a ball. */
 
+@KINDS@
 typedef struct {
     unsigned char kind; /* see codegen/piece_discs.py */
     short choice; /* of its branch */
@@ -7,18 +8,10 @@ typedef struct {
     double number;
 } disc_line;
 
-typedef struct {
-    const disc_line *lines;
-    const int *inputs; /* row, which input, its entry, ... */
-    const int *outputs, *looked; /* rows of the expression; those that branches look at */
-    const int *number_rows;
-    const double *numbers;
-    int count, given, outs, branches, constants, choices;
-} disc_graph;
-
+@TABLE@
 #define REST (m + 1) /* of a row: its place behind the coefficients */
-#define ROW(i) (rows + (size_t)(i)*(MOST_ORDERS + 2))
 #define DEGREES (MOST_ORDERS + 2)
+#define ROW(i) (s->discs + (size_t)(i)*DEGREES) /* t, x and l first; then those of codegen/piece_discs.py */
 
 static double moves_of(const double *u, int m)
 {
@@ -45,29 +38,30 @@ static void close_form(double *y, const double *majorant, double whole, int m)
 
 static void disc_product(double *y, const double *a, const double *b, int m)
 {
-    double A = fabs(a[0]) + moves_of(a, m), B = fabs(b[0]) + moves_of(b, m), kept = 0, out[DEGREES];
+    if (m == 0) {
+        const double size = fabs(b[0]) + b[1], r = (a[0] != 0 ? fabs(a[0])*b[1] : 0) + (a[1] != 0 && size != 0 ? a[1]*size : 0);
+        y[0] = a[0]*b[0];
+        y[1] = r;
+        return;
+    }
+    double tail[DEGREES], out[DEGREES]; /* tail: of |b|, from an order on */
+    tail[m + 1] = b[REST];
+    for (int k = m; k > 0; k--)
+        tail[k] = tail[k + 1] + fabs(b[k]);
+    const double A = fabs(a[0]) + moves_of(a, m), B = fabs(b[0]) + tail[1], whole = A*B;
     if (A == 0 || B == 0) {
         memset(y, 0, (m + 2)*sizeof *y);
         return;
     }
-    if (m == 0) {
-        out[0] = a[0]*b[0];
-        out[1] = (a[0] != 0 ? fabs(a[0])*b[1] : 0) + (a[1] != 0 ? a[1]*B : 0);
-        memcpy(y, out, 2*sizeof *y);
-        return;
-    }
+    double rest = a[REST]*B;
     for (int k = 0; k <= m; k++) {
-        double sum = 0, size = 0;
-        for (int j = 0; j <= k; j++) {
-            const double v = a[j]*b[k - j];
-            sum += v;
-            size += fabs(v);
-        }
+        double sum = 0;
+        for (int j = 0; j <= k; j++)
+            sum += a[j]*b[k - j];
         out[k] = sum;
-        kept += size;
+        rest += fabs(a[k])*tail[m + 1 - k];
     }
-    A *= B;
-    out[REST] = A < INFINITY ? max_of(A - kept, 0) + (m + 1 + PRODUCT_ROUNDINGS)*EPS*A : INFINITY;
+    out[REST] = whole < INFINITY ? rest + (m + 1 + PRODUCT_ROUNDINGS)*EPS*whole : INFINITY;
     memcpy(y, out, (m + 2)*sizeof *y);
 }
 
@@ -84,6 +78,12 @@ static void disc_quotient(double *y, const double *n, const double *a, int m)
     double Q[DEGREES], out[DEGREES];
     if (!(v < size)) {
         lose(y, m);
+        return;
+    }
+    if (m == 0) {
+        const double r = (n[1] + fabs(n[0])*v/size)/(size - v);
+        y[0] = n[0]/a[0];
+        y[1] = r;
         return;
     }
     for (int k = 0; k <= m; k++) {
@@ -131,6 +131,12 @@ static void disc_wave(double *y, const double *a, int m, int cosine)
         lose(y, m);
         return;
     }
+    const double e = expm1(v), sinh_v = 0.5*(e + e/(1 + e)), cosh_less_1 = 0.5*e*(e/(1 + e));
+    if (m == 0) {
+        y[0] = cosine ? c : s;
+        y[1] = two*sinh_v + one*cosh_less_1;
+        return;
+    }
     of_sin[0] = s; of_cos[0] = c; up[0] = 0; over[0] = 1; Q[0] = one;
     for (int k = 1; k <= m; k++) {
         double p = 0, q = 0, h = 0, g = 0;
@@ -146,9 +152,7 @@ static void disc_wave(double *y, const double *a, int m, int cosine)
     }
     double out[DEGREES];
     memcpy(out, cosine ? of_cos : of_sin, (m + 1)*sizeof *out);
-    close_form(out, Q, one*cosh(v) + two*sinh(v), m);
-    if (m == 0)
-        out[1] = two*sinh(v) + one*(cosh(v) - 1);
+    close_form(out, Q, one*(1 + cosh_less_1) + two*sinh_v, m);
     memcpy(y, out, (m + 2)*sizeof *y);
 }
 
@@ -447,37 +451,62 @@ static void disc_of(double *y, int kind, const double *a, const double *b, doubl
     }
 }
 
-/* All rows of a graph; those of its inputs are there. */
-static void run_graph(const model_pieces *s, const disc_graph *graph, double *rows, int m)
+/* The same on balls, the frequent ones at once. */
+static void ball_of(double *y, int kind, const double *a, const double *b, double number)
 {
-    for (int i = 0; i < graph->constants; i++) {
-        double *y = ROW(graph->number_rows[i]);
-        memset(y, 0, (m + 2)*sizeof *y);
-        y[0] = graph->numbers[i];
+    switch (kind) {
+    case OF_SUM: y[0] = a[0] + b[0]; y[1] = a[1] + b[1]; break;
+    case OF_DIFFERENCE: y[0] = a[0] - b[0]; y[1] = a[1] + b[1]; break;
+    case OF_SCALED: y[0] = number*a[0]; y[1] = number != 0 ? fabs(number)*a[1] : 0; break;
+    default: disc_of(y, kind, a, b, number, 0);
     }
-    for (int i = 0; i < graph->count; i++) {
-        const disc_line *line = &graph->lines[i];
+}
+
+static void copied(double *y, const double *a, int m) { memmove(y, a, (m + 2)*sizeof *y); }
+
+static void number_on_disc(double *y, double value, int m)
+{
+    memset(y, 0, (m + 2)*sizeof *y);
+    y[0] = value;
+}
+
+/* Numbers have their rows, at every degree. */
+static void numbers_on_disc(model_pieces *s)
+{
+    for (int i = 0; i < NUMBERS_ON_DISC; i++)
+        number_on_disc(ROW(disc_number_rows[i]), disc_numbers[i], MOST_ORDERS);
+    for (int i = 0; i < GIVEN_ON_DISC; i++)
+        number_on_disc(ROW(disc_given[2*i]), 0, MOST_ORDERS);
+}
+
+/* The first lines: rows of t, x and l are there. */
+static void run_lines(model_pieces *s, int count, int m)
+{
+    for (int i = 0; i < GIVEN_ON_DISC; i++)
+        ROW(disc_given[2*i])[0] = s->c[0][T + 1 + disc_given[2*i + 1]];
+    for (int i = 0; i < count; i++) {
+        const disc_line *line = &disc_lines[i];
         const double *a = ROW(line->a), *b = ROW(line->b);
-        const double side = line->choice >= 0 ? s->at.choice[graph->choices + line->choice] : 0;
         double *y = ROW(line->y);
         switch (line->kind) {
-        case OF_CHOSEN: memcpy(y, side > 0 ? a : b, (m + 2)*sizeof *y); break;
-        case OF_EQUAL: memcpy(y, side == 0 ? a : b, (m + 2)*sizeof *y); break;
+        case OF_CHOSEN: copied(y, s->at.choice[line->choice] > 0 ? a : b, m); break;
+        case OF_EQUAL: copied(y, s->at.choice[line->choice] == 0 ? a : b, m); break;
         case OF_GUARDED:
             if (a[0] != 0)
-                memcpy(y, b, (m + 2)*sizeof *y);
+                copied(y, b, m);
             else
-                memset(y, 0, (m + 2)*sizeof *y);
+                number_on_disc(y, 0, m);
             break;
-        case OF_WHOLE: case OF_NOT: case OF_POSITIVE: case OF_BOTH: case OF_EITHER: {
-            const double value = line->kind == OF_WHOLE ? side : line->kind == OF_NOT ? a[0] == 0
-                                 : line->kind == OF_POSITIVE ? a[0] > 0
-                                 : line->kind == OF_BOTH ? a[0] != 0 && b[0] != 0 : a[0] != 0 || b[0] != 0;
-            memset(y, 0, (m + 2)*sizeof *y);
-            y[0] = value;
-            break;
-        }
-        default: disc_of(y, line->kind, a, b, line->number, m);
+        case OF_WHOLE: number_on_disc(y, s->at.choice[line->choice], m); break;
+        case OF_NOT: number_on_disc(y, a[0] == 0, m); break;
+        case OF_POSITIVE: number_on_disc(y, a[0] > 0, m); break;
+        case OF_BOTH: number_on_disc(y, a[0] != 0 && b[0] != 0, m); break;
+        case OF_EITHER: number_on_disc(y, a[0] != 0 || b[0] != 0, m); break;
+        default:
+            if (m)
+                disc_of(y, line->kind, a, b, line->number, m);
+            else
+                ball_of(y, line->kind, a, b, line->number);
         }
         if (s->rounded && m == 0)
             y[REST] += EPS*fabs(y[0]);

@@ -69,6 +69,17 @@ static inline void values_at_four(const double *c, int stride, int order, const 
     }
 }
 
+/* s^k. */
+static double raised_to(double s, int k)
+{
+    double raised = 1;
+    for (; k; k >>= 1) {
+        raised *= k & 1 ? s : 1;
+        s *= s;
+    }
+    return raised;
+}
+
 static int all_finite(int n, const double *x)
 {
     for (int i = 0; i < n; i++)

@@ -12,35 +12,23 @@ static double least_on(const model_pieces *s, const condition *of, double length
 }
 
 /* The row that a condition looks at, on the disc: x, l and t are there. */
-static const double *look_on_disc(model_pieces *s, const condition *of, int m)
+static void look_on_disc(model_pieces *s, const condition *of, int m, double *y)
 {
-    double *rows = DISC_ROWS;
+    run_lines(s, DISC_LINES, m);
+#if SWITCHED
+    if (of->acts == NOBODY)
+        copied(y, ROW(disc_looked[of->of - M]), m);
+#endif
 #if LAW
-    if (of->acts == OF_Y) {
-        double *y = DISC_H(of->of);
-        run_part(s, &h_graph, m);
-        memcpy(y, ROW(h_graph.outputs[of->of]), (m + 2)*sizeof *y);
+    if (of->acts == OF_Y)
+        copied(y, ROW(disc_h[of->of]), m);
 #if FEED
 #if D_NUMBERS
-        for (int e = D_start[of->of]; e < D_start[of->of + 1]; e++)
-            disc_sum(y, y, D_value[e], DISC_L(D_column[e]), m);
+    for (int e = of->acts == OF_Y ? D_start[of->of] : 0; of->acts == OF_Y && e < D_start[of->of + 1]; e++)
+        disc_sum(y, y, D_value[e], DISC_L(D_column[e]), m);
 #endif
 #endif
-        return y;
-    }
 #endif
-    const disc_graph *graph = &f_graph;
-    const int b = of->of - M;
-#if LAW
-    if (b >= h_graph.choices && b < h_graph.choices + h_graph.branches)
-        graph = &h_graph;
-#if !B_NUMBERS
-    if (b >= g_graph.choices && b < g_graph.choices + g_graph.branches)
-        graph = &g_graph;
-#endif
-#endif
-    run_part(s, graph, m);
-    return ROW(graph->looked[b - graph->choices]);
 }
 
 /* What a condition at the place is known to, where states are known to this share of their size so far: TIE is rounding. */
@@ -49,6 +37,7 @@ static double tie_of(model_pieces *s, const condition *of, double share)
     const double largest = share*size_of(s, of);
     if (of->acts == OF_L)
         return largest;
+    double y[2] = {0};
     DISC_T[0] = s->at.t;
     DISC_T[1] = EPS*fabs(s->at.t);
     for (int i = 0; i < N; i++) {
@@ -60,7 +49,7 @@ static double tie_of(model_pieces *s, const condition *of, double share)
         DISC_L(i)[1] = share*s->at.size_l[i];
     }
     s->rounded = 1;
-    const double *y = look_on_disc(s, of, 0);
+    look_on_disc(s, of, 0, y);
     s->rounded = 0;
     return min_of(y[1], largest);
 }
@@ -212,7 +201,7 @@ typedef struct {
 static int about_place(model_pieces *s, const condition *of, double R, double *c, double *e)
 {
     const int p = of->acts == OF_L ? of->orders : s->order > DEGREE ? s->order : DEGREE;
-    double power[DEGREES], beyond[N + 2*M], sum = 0;
+    double power[DEGREES], sum = 0, y[DEGREES];
     power[0] = 1;
     for (int k = 0; k < p; k++)
         power[k + 1] = power[k]*R;
@@ -222,11 +211,15 @@ static int about_place(model_pieces *s, const condition *of, double R, double *c
             c[k] *= power[k];
         *e = 0;
     } else {
-        memset(beyond, 0, sizeof beyond);
-        for (int k = s->order + 1; k <= p; k++)
-            memset(s->c[k], 0, (N + 2*M)*sizeof *s->c[k]);
-        series_on_disc(s, power, p, beyond);
-        const double *y = look_on_disc(s, of, p);
+        number_on_disc(DISC_T, s->at.t, p);
+        DISC_T[1] = s->at.tau*R;
+        for (int i = 0; i < N + M; i++) {
+            double *x = DISC_X(i);
+            number_on_disc(x, s->c[0][i], p);
+            for (int k = 1; k <= s->order; k++)
+                x[k] = s->c[k][i]*power[k];
+        }
+        look_on_disc(s, of, p, y);
         for (int k = 0; k <= p; k++)
             c[k] = of->sign*y[k];
         c[0] += of->shift;

@@ -1,53 +1,67 @@
 /* How far a piece is proved: pieces/schwarz.py. */
 
 #define TIERS 3
-#define STRIDE_OF_DISC (MOST_ORDERS + 2)
-#define DISC_T (s->discs)
-#define DISC_X(i) (s->discs + (size_t)(1 + (i))*STRIDE_OF_DISC)
+#define DISC_T ROW(0)
+#define DISC_X(i) ROW(1 + (i))
 #define DISC_L(i) DISC_X(N + (i))
-#define DISC_F(i) DISC_X(N + M + (i))
-#define DISC_H(i) DISC_X(2*N + M + (i))
-#define DISC_G(i) DISC_X(2*N + 2*M + (i)) /* f alone, where g = B l */
-#define DISC_W(b) DISC_X(3*N + 2*M + (b)) /* what branches look at */
-#define DISC_ROWS DISC_X(3*N + 2*M + CHOICES)
 
-/* A polynomial of n coefficients as a form of degree m on the disc of radius R. */
-static void fill_disc(double *y, const double *c, int n, double R, int m)
+/* What of a column is of an order beyond m, up to p: at most this on the disc of radius R; raised: R^(m + 1). */
+static double beyond(const double *c, int p, double R, int m, double raised)
 {
-    double power = 1, rest = 0;
-    for (int k = 0; k < n; k++) {
-        if (k <= m)
-            y[k] = c[k]*power;
-        else
-            rest += fabs(c[k])*power;
-        power *= R;
-    }
-    for (int k = n; k <= m; k++)
-        y[k] = 0;
-    y[m + 1] = rest;
+    double sum = 0;
+    for (int k = p; k > m; k--)
+        sum = sum*R + fabs(c[(size_t)k*COLUMNS]);
+    return sum*raised;
 }
 
-/* f, g and h, and what branches look at, on the disc: x, l and t are there. */
-static void run_part(model_pieces *s, const disc_graph *graph, int m)
+/* A column as a ball; what of its slope is of an order beyond 0. */
+static double ball_on_disc(double *y, const double *c, int p, double R)
 {
-    double *rows = DISC_ROWS;
-    for (int i = 0; i < graph->given; i++) {
-        const int *at = graph->inputs + 3*i;
-        double *y = ROW(at[0]);
-        if (at[1] == 3) {
-            memset(y, 0, (m + 2)*sizeof *y);
-            y[0] = s->c[0][T + 1 + at[2]];
-        } else
-            memcpy(y, at[1] == 0 ? DISC_T : at[1] == 1 ? DISC_X(at[2]) : DISC_L(at[2]), (m + 2)*sizeof *y);
+    double sum = 0, slope = 0;
+    for (int k = p; k > 1; k--) {
+        slope = slope*R + sum;
+        sum = sum*R + fabs(c[(size_t)k*COLUMNS]);
     }
-    run_graph(s, graph, rows, m);
+    y[0] = c[0];
+    y[1] = (sum*R + fabs(c[COLUMNS]))*R;
+    return (slope*R + 2*sum)*R;
+}
+
+/* A column as a form of degree p - 1; nothing of its slope is of an order beyond that. */
+static double form_on_disc(double *y, const double *c, int p, double R)
+{
+    double power = 1;
+    for (int k = 0; k < p; k++) {
+        y[k] = c[(size_t)k*COLUMNS]*power;
+        power *= R;
+    }
+    y[p] = fabs(c[(size_t)p*COLUMNS])*power;
+    return 0;
+}
+
+/* x, l and t of a series on the disc; what of the slopes of x is of an order beyond m. */
+static void series_on_disc(model_pieces *s, double R, int m, double *of_slope)
+{
+    const int p = s->order;
+    number_on_disc(DISC_T, s->at.t, m);
+    DISC_T[1] = s->at.tau*R;
+    for (int i = 0; i < N; i++)
+        of_slope[i] = m ? form_on_disc(DISC_X(i), s->c[0] + i, p, R) : ball_on_disc(DISC_X(i), s->c[0] + i, p, R);
+#if LAW
+    for (int i = 0; i < M; i++)
+        if (s->at.codes[i])
+            number_on_disc(DISC_L(i), s->c[0][L + i], m);
+        else if (m)
+            form_on_disc(DISC_L(i), s->c[0] + L + i, p, R);
+        else
+            ball_on_disc(DISC_L(i), s->c[0] + L + i, p, R);
+#endif
 }
 
 /* Let the unit of time be shorter where f has no bound on the disc that x, on its tangent, and t come to in it. */
 static void cap_unit(model_pieces *s, const double *rates)
 {
     const double tau = s->at.tau;
-    double *rows = DISC_ROWS;
     for (int k = 0; k < CAPS; k++, s->at.tau = ldexp(s->at.tau, -CAP_OCTAVES)) {
         int bounded = 1;
         DISC_T[0] = s->at.t;
@@ -60,9 +74,9 @@ static void cap_unit(model_pieces *s, const double *rates)
             DISC_L(i)[0] = s->c[0][L + i];
             DISC_L(i)[1] = 0;
         }
-        run_part(s, &f_graph, 0);
+        run_lines(s, LINES_OF_F, 0);
         for (int i = 0; i < N; i++)
-            bounded &= ROW(f_graph.outputs[i])[1] < INFINITY;
+            bounded &= ROW(disc_f[i])[1] < INFINITY;
         if (bounded)
             return;
     }
@@ -80,93 +94,82 @@ static double share_at(double bound, double to_order, double now, double goal)
     return bound < INFINITY ? share_of(bound*to_order, MULTIPLIERS*goal + AT_REST + bound*now) : INFINITY;
 }
 
-/* Keep what the branches of a part look at. */
-static void keep_looked(model_pieces *s, const disc_graph *graph, int m)
+/* The rests of f + g. */
+static void rests_of_rate(const model_pieces *s, int m, double *rest)
 {
-    double *rows = DISC_ROWS;
-    for (int b = 0; b < graph->branches; b++)
-        memcpy(DISC_W(graph->choices + b), ROW(graph->looked[b]), (m + 2)*sizeof(double));
-}
-
-/* f + g, h and what branches look at on the disc, of which x, l and t are there. */
-static void on_disc(model_pieces *s, int m)
-{
-    double *rows = DISC_ROWS;
-    run_part(s, &f_graph, m);
-    keep_looked(s, &f_graph, m);
-    for (int i = 0; i < N; i++) {
-        memcpy(DISC_F(i), ROW(f_graph.outputs[i]), (m + 2)*sizeof(double));
-        memcpy(DISC_G(i), DISC_F(i), (m + 2)*sizeof(double));
-    }
+    for (int i = 0; i < N; i++)
+        rest[i] = ROW(disc_f[i])[m + 1];
 #if LAW
 #if B_NUMBERS
     for (int j = 0; j < M; j++)
         for (int e = B_start[j]; e < B_start[j + 1]; e++)
-            disc_sum(DISC_F(B_row[e]), DISC_F(B_row[e]), B_value[e], DISC_L(j), m);
+            rest[B_row[e]] += B_value[e] != 0 ? fabs(B_value[e])*DISC_L(j)[m + 1] : 0;
 #else
-    run_part(s, &g_graph, m);
-    keep_looked(s, &g_graph, m);
     for (int i = 0; i < N; i++)
-        disc_sum(DISC_F(i), DISC_F(i), 1, ROW(g_graph.outputs[i]), m);
+        rest[i] += ROW(disc_g[i])[m + 1];
 #endif
-    run_part(s, &h_graph, m);
-    keep_looked(s, &h_graph, m);
-    for (int i = 0; i < M; i++)
-        memcpy(DISC_H(i), ROW(h_graph.outputs[i]), (m + 2)*sizeof(double));
+#endif
+}
+
+#if LAW
+/* The rest of row i of h. */
+static double rest_of_row(const model_pieces *s, int i, int m)
+{
+    double rest = ROW(disc_h[i])[m + 1];
 #if FEED
 #if D_NUMBERS
-    for (int i = 0; i < M; i++)
-        for (int e = D_start[i]; e < D_start[i + 1]; e++)
-            disc_sum(DISC_H(i), DISC_H(i), D_value[e], DISC_L(D_column[e]), m);
+    for (int e = D_start[i]; e < D_start[i + 1]; e++)
+        rest += D_value[e] != 0 ? fabs(D_value[e])*DISC_L(D_column[e])[m + 1] : 0;
 #endif
 #endif
-#endif
+    return rest;
 }
-
-/* Where x, l and y begin, what of them is of an order beyond m, and of the slopes of x: at most this on the disc. */
-static void beyond_order(const model_pieces *s, int p, const double *power, int m, double *of, double *of_slope)
-{
-    const int count = N + 2*M;
-    memset(of, 0, count*sizeof *of);
-    memset(of_slope, 0, N*sizeof *of_slope);
-    for (int k = m + 1; k <= p; k++)
-        for (int i = 0; i < count; i++)
-            of[i] += fabs(s->c[k][i])*power[k];
-    for (int k = m + 2; k <= p; k++)
-        for (int i = 0; i < N; i++)
-            of_slope[i] += k*fabs(s->c[k][i])*power[k - 1];
-#if LAW
-    for (int i = 0; i < M; i++)
-        if (s->at.codes[i])
-            of[L + i] = 0;
 #endif
-}
 
-/* x, l and t of a series on the disc. */
-static void series_on_disc(model_pieces *s, const double *power, int m, const double *beyond)
+/* Sizes at the end of a piece: of x with its motion, of x and l. */
+typedef struct {
+    double moving[N], x[N], l[M + 1];
+} sizes_at_end;
+
+static void find_sizes(const model_pieces *s, double length, sizes_at_end *of)
 {
-    const double t[] = {s->at.t, s->at.tau};
-    fill_disc(DISC_T, t, 2, power[1], m);
-    for (int i = 0; i < N + M; i++) {
-        double *y = DISC_X(i);
-        const int orders = i >= N && s->at.codes[i - N] ? 0 : m;
-        for (int k = 0; k <= orders; k++)
-            y[k] = s->c[k][i]*power[k];
-        for (int k = orders + 1; k <= m; k++)
-            y[k] = 0;
-        y[m + 1] = beyond[i];
+    const int p = s->order;
+    for (int i = 0; i < N; i++) {
+        double v = 0, d = 0;
+        for (int k = p; k > 0; k--) {
+            d = d*length + v;
+            v = v*length + s->c[k][i];
+        }
+        d = d*length + v;
+        of->x[i] = max_of(s->at.size_x[i], fabs(v*length + s->c[0][i]));
+        of->moving[i] = max_of(of->x[i], fabs(d*length));
     }
+#if LAW
+    for (int i = 0; i < M; i++) {
+        double v = s->c[0][L + i];
+        if (!s->at.codes[i])
+            values_at(s->c[0] + L + i, COLUMNS, p, length, 1, &v);
+        of->l[i] = max_of(s->at.size_l[i], fabs(v));
+    }
+#endif
 }
 
 #if LAW
 /* The worst of x with what lies along g_l of held rows as an error of l: of P D, P = 1 - B N C, and of N C D. */
-static double beside_multipliers(model_pieces *s, const double *with_l, const double *without, const double *most, double share,
-                                 double now, double length, double rtol)
+static double beside_multipliers(model_pieces *s, const sizes_at_end *of, const double *with_l, const double *of_slope,
+                                 const double *most, int m, double share, double now, double rtol)
 {
-    double moved[N] , left[M + 1], unit[N], of_y[M], d[M], along[M], worst = 0;
+    double moved[N], without[N], left[M + 1], unit[N], of_y[M], d[M], along[M], worst = 0;
+    UNUSED(of_slope);
+    UNUSED(m);
     memset(moved, 0, sizeof moved);
     memset(left, 0, sizeof left);
     for (int j = 0; j < N; j++) {
+#if B_NUMBERS
+        without[j] = of_slope[j] + s->at.tau*ROW(disc_f[j])[m + 1];
+#else
+        without[j] = with_l[j];
+#endif
         if (with_l[j] == 0 && without[j] == 0)
             continue;
         memset(unit, 0, sizeof unit);
@@ -188,9 +191,7 @@ static double beside_multipliers(model_pieces *s, const double *with_l, const do
         worst = max_of(worst, share_of(moved[i]*share, most[i]));
     for (int a = 0; a < HOW.n; a++) {
         const int i = HOW.active[a];
-        double at_end;
-        values_at(s->c[0] + L + i, COLUMNS, s->order, length, 1, &at_end);
-        const double size = max_of(size_l(s, i), max_of(fabs(s->c[0][L + i]), fabs(at_end)));
+        const double size = max_of(size_l(s, i), max_of(fabs(s->c[0][L + i]), of->l[i]));
         worst = max_of(worst, share_at(left[a]/s->at.tau, share, now, rtol*size));
     }
     return worst;
@@ -220,40 +221,23 @@ static const double *noise_of(model_pieces *s, int *known)
 }
 
 /* The largest bound on a piece of this length, in units of what it may be; infinite where the disc holds a singularity. */
-static double worst_on_disc(model_pieces *s, double R, double length, int m, int *known)
+static double worst_on_disc(model_pieces *s, const sizes_at_end *of, double R, double length, int m, int *known)
 {
     const int p = s->order;
-    const double q = length/R, rtol = s->rtol/LOCAL;
+    const double q = length/R, rtol = s->rtol/LOCAL, share = raised_to(q, p), raised = m ? raised_to(R, p) : R;
     const double still = AS_NOW*max_of(fabs(s->at.t)/s->at.tau, length); /* in which nothing moves: time is not known better */
-    double share = 1, now = 1, power[DEGREES], beyond[N + 2*M], of_slope[N], most[N], with_l[N], without[N], worst = 0;
-    power[0] = 1;
-    for (int k = 0; k < p; k++) {
-        share *= q;
-        now *= min_of(still/R, 1);
-        power[k + 1] = power[k]*R;
-    }
-    beyond_order(s, p, power, m, beyond, of_slope);
-    series_on_disc(s, power, m, beyond);
-    on_disc(s, m);
-    values_at(s->c[0], COLUMNS, p, length, N, s->value);
+    const double now = raised_to(min_of(still/R, 1), p);
+    double of_slope[N], most[N], with_l[N], worst = 0;
+    UNUSED(raised);
+    series_on_disc(s, R, m, of_slope);
+    run_lines(s, DISC_LINES, m);
+    rests_of_rate(s, m, with_l);
     for (int i = 0; i < N; i++) {
-        double rate = 0;
-        for (int k = p; k >= 1; k--)
-            rate = rate*length + k*s->c[k][i];
-        const double size = max_of(max_of(s->at.size_x[i], fabs(s->value[i])), fabs(rate*length));
-        with_l[i] = of_slope[i] + s->at.tau*DISC_F(i)[m + 1];
-        without[i] = with_l[i];
-#if B_NUMBERS
-        without[i] = of_slope[i] + s->at.tau*DISC_G(i)[m + 1];
-#endif
-        most[i] = ((p + 1)*(rtol*size + s->atol[i]/LOCAL + AT_REST) + (with_l[i] < INFINITY ? now*still*with_l[i] : 0))/length;
+        with_l[i] = of_slope[i] + s->at.tau*with_l[i];
+        const double least = (p + 1)*(rtol*of->moving[i] + s->atol[i]/LOCAL + AT_REST);
+        most[i] = (least + (with_l[i] < INFINITY ? now*still*with_l[i] : 0))/length;
         worst = max_of(worst, share_of(with_l[i]*share, most[i]));
     }
-#if LAW
-    double of_x[N];
-    for (int i = 0; i < N; i++)
-        of_x[i] = max_of(s->at.size_x[i], fabs(s->value[i]));
-#endif
     if (!(worst <= 1)) {
         worst = 0;
         for (int i = 0; i < N; i++) {
@@ -261,38 +245,31 @@ static double worst_on_disc(model_pieces *s, double R, double length, int m, int
             worst = max_of(worst, share_of(with_l[i]*share, most[i]));
         }
     }
-    UNUSED(without);
 #if LAW
     if (!(worst <= 1) && HOW.through)
-        worst = beside_multipliers(s, with_l, without, most, share, now, length, rtol);
+        worst = beside_multipliers(s, of, with_l, of_slope, most, m, share, now, rtol);
     if (!(worst < INFINITY))
         return worst;
-    double of_l[M], largest = 0, of_rows = share;
-    values_at(s->c[0] + L, COLUMNS, p, length, M, s->value + L);
-    for (int i = 0; i < M; i++) {
-        of_l[i] = max_of(s->at.size_l[i], fabs(s->at.codes[i] ? s->c[0][L + i] : s->value[L + i]));
+    double largest = 0, of_rows = share, of_now = now;
+    for (int i = 0; i < M; i++)
         largest = max_of(largest, s->at.size_y[i]);
-    }
-    double of_now = now;
     if (HOW.feeds && !HOW.through) {
         of_rows *= q;
         of_now *= min_of(still/R, 1);
     }
     for (int i = 0; i < M; i++) {
-        const double off = DISC_H(i)[m + 1] + (s->at.codes[i] ? beyond[Y + i] : 0);
-        const double size = max_of(max_of(s->at.size_y[i], terms_of(s, i, of_x, of_l)), SMALL*largest);
+        const double off = rest_of_row(s, i, m) + (s->at.codes[i] ? beyond(s->c[0] + Y + i, p, R, m, raised) : 0);
+        const double size = max_of(max_of(s->at.size_y[i], terms_of(s, i, of->x, of->l)), SMALL*largest);
         worst = max_of(worst, share_at(off, of_rows, of_now, rtol*size));
         s->margins_now[i] = off*of_rows;
     }
 #endif
 #if SWITCHED
     for (int b = 0; b < CHOICES; b++) {
-        double of = 0;
-        for (int k = m + 1; k < p; k++)
-            of += fabs(s->c[k][branch_column[b]])*power[k];
+        const double off = ROW(disc_looked[b])[m + 1] + beyond(s->c[0] + branch_column[b], p - 1, R, m, raised);
         const double size = max_of(s->at.size_switches[b], fabs(s->c[0][branch_column[b]]));
-        worst = max_of(worst, share_at(DISC_W(b)[m + 1] + of, share, now, rtol*size));
-        s->margins_now[M + b] = (DISC_W(b)[m + 1] + of)*share;
+        worst = max_of(worst, share_at(off, share, now, rtol*size));
+        s->margins_now[M + b] = off*share;
     }
 #endif
     return worst;
@@ -321,8 +298,10 @@ static int prove(model_pieces *s, double *length, double *error)
     if (!(*length > 0))
         return MODEL_OK;
     for (int k = 0; k < SHRINKINGS; k++) {
+        sizes_at_end of;
+        find_sizes(s, disc, &of);
         for (int tier = 0; tier < TIERS && best < PROVED*disc; tier++) {
-            const double w = worst_on_disc(s, radius[tier]*disc, disc, tier ? p - 1 : 0, &known);
+            const double w = worst_on_disc(s, &of, radius[tier]*disc, disc, tier ? p - 1 : 0, &known);
             const double proved = w <= 1 ? disc : w < INFINITY ? disc*NEARLY*pow(w, -1.0/p) : 0;
             if (!spend_on(s))
                 return MODEL_NOT_SOLVED;
