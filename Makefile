@@ -10,7 +10,7 @@ PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check --edi
 .PHONY: help demo test test-long quick nightly lint bench bench-large bench-events bench-sweeps study docs clean
 
 # NSMODEL_SHORT=1 makes the long ones short: a scene or two, once. They write into results/ alone.
-PAGES := hypotheses events inputs $(if $(NSMODEL_SHORT),,codegen orders stability crowd study sweeps)
+PAGES := hypotheses events hidden inputs $(if $(NSMODEL_SHORT),,codegen orders stability crowd study sweeps)
 SCENES := cases/diode_bridge.py $(if $(NSMODEL_SHORT),,cases/crowd_room.py cases/friction_oscillator.py)
 
 SITE := $(if $(NSMODEL_SHORT),results/)
@@ -58,8 +58,9 @@ bench: $(STAMP) ## time the steppers beside a plain Python loop (and the peers, 
 bench-large: $(STAMP) ## crowds of up to 20 000 and chains of up to 10 000 (with the peers, where installed); a quarter of an hour
 	$(BIN)/python tests/bench/large.py
 
-bench-events: $(STAMP) ## event-driven runs beside a prototype in C++, CVODE, LSODA and SciPy's events (where installed); an hour
+bench-events: $(STAMP) ## event-driven runs beside a prototype in C++, CVODE, heyoka and SciPy (where installed); an hour and a half
 	$(BIN)/python tests/bench/event_driven.py
+	$(BIN)/python tests/bench/hidden.py
 
 bench-sweeps: $(STAMP) ## sweeps beside plain C, NumPy, LSODA (and diffrax, where installed), a million cells; five minutes
 	$(BIN)/python tests/bench/sweeps.py
