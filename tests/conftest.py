@@ -40,7 +40,7 @@ KINDS = {  # Marks of test files, by what their names begin with; what is in non
 
 
 LEFT_OUT = pytest.StashKey[int]()
-FEW = 4  # Of the parameters of a test that is not fast, where few random models are tried.
+FEW, MANY = 3, 4  # So few of more than so many parameters of a test that is not fast, where few random models are tried.
 
 
 def kinds_of(path):
@@ -71,7 +71,8 @@ def pytest_collection_modifyitems(config, items):
         elif COUNT < FULL and kinds and not {"case_file", "block"} & set(getattr(item, "fixturenames", ())):
             many[item.nodeid.partition("[")[0]].append(item)
     for one in many.values():
-        left |= set(one).difference(spread(one, FEW))
+        if len(one) > MANY:
+            left |= set(one).difference(spread(one, FEW))
     if left:
         config.hook.pytest_deselected(items=list(left))
         items[:] = [item for item in items if item not in left]
@@ -98,9 +99,12 @@ def pytest_terminal_summary(terminalreporter, config):
 
 
 def pytest_generate_tests(metafunc):
-    """A test with the argument ``case_file`` runs for every case file."""
+    """A test with the argument ``case_file`` runs for every case file; those of a file for one case run one after the other.
+
+    Then one process makes what they share of it, its run and its report, and another need not make it again.
+    """
     if "case_file" in metafunc.fixturenames:
-        metafunc.parametrize("case_file", CASES, ids=[path.stem for path in CASES])
+        metafunc.parametrize("case_file", CASES, ids=[path.stem for path in CASES], scope="module")
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,7 @@ says so beforehand, with the words that its message must hold; every other cell 
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
@@ -91,15 +92,15 @@ def outcome(cell: Cell) -> Outcome:
 
 
 def against(
-    truth: Sequence[Sequence[Any]], more: float = 0.0, of: str = "x", columns: Sequence[int] | None = None
+    truth: Callable[[], Sequence[Sequence[Any]]], more: float = 0.0, of: str = "x", columns: Sequence[int] | None = None
 ) -> Callable[[Any], float]:
     """Judge some columns of an array of a run by rows of the truth (numbers of mpmath); ``more``: what else is allowed."""
-    exact = np.array([[float(value) for value in row] for row in truth])
-    motion = np.maximum.accumulate(np.abs(exact - exact[0]).max(axis=1))
-    size = np.maximum.accumulate(np.abs(exact).max(axis=1))
-    allowed = RELATIVE * motion + ROUNDING * size + more
 
     def judge(run: Any) -> float:
+        exact = np.array([[float(value) for value in row] for row in truth()])
+        motion = np.maximum.accumulate(np.abs(exact - exact[0]).max(axis=1))
+        size = np.maximum.accumulate(np.abs(exact).max(axis=1))
+        allowed = RELATIVE * motion + ROUNDING * size + more
         got = getattr(run, of).reshape(len(run.t), -1)
         got = got if columns is None else got[:, columns]
         rows = len(got)
@@ -115,11 +116,16 @@ def soft(u, a):
     return u - a if u > a else u + a if u < -a else mpf(0)
 
 
-def rows_of(start: Sequence[float], step: Callable[..., Any], **numbers: float) -> list[Any]:
-    """Start, step(0, start, **numbers), ... : STEPS + 1 rows, all numbers of mpmath."""
-    rows, exact = [tuple(map(mpf, start))], {name: mpf(float(number)) for name, number in numbers.items()}
-    for k in range(STEPS):
-        rows.append(step(k, rows[-1], **exact))
+def rows_of(start: Sequence[float], step: Callable[..., Any], **numbers: float) -> Callable[[], list[Any]]:
+    """Start, step(0, start, **numbers), ... : STEPS + 1 rows, all numbers of mpmath, once they are asked for."""
+
+    @functools.cache
+    def rows() -> list[Any]:
+        found, exact = [tuple(map(mpf, start))], {name: mpf(float(number)) for name, number in numbers.items()}
+        for k in range(STEPS):
+            found.append(step(k, found[-1], **exact))
+        return found
+
     return rows
 
 
@@ -239,7 +245,8 @@ def polygon() -> Iterator[Cell]:
                 q = p if np.all(n @ p <= 1) else feet[np.argmin(np.linalg.norm(feet - p, axis=1))]
                 truth.append(q)
             at = {"constraints": float(sides * copies), "step": s, "unit": u}
-            yield Cell("polygon", "sweeping", at, model, s, {"u": u}, against(u * np.array(truth)), steps=6)
+            judge = against(lambda u=u, truth=truth: u * np.array(truth))
+            yield Cell("polygon", "sweeping", at, model, s, {"u": u}, judge, steps=6)
 
 
 WALLS = SweepingProcess(
@@ -255,7 +262,7 @@ def closing() -> Iterator[Cell]:
         truth = [(u * max(min(mpf(start), max(wk, 0)), -max(wk, 0)),) for wk in w]
         yield Cell(
             "closing walls", "sweeping", {"start": start, "step": h, "unit": u}, WALLS, h, {"a": start, "u": u},
-            against(truth), ("'left'", "'right'", "oppose each other"),
+            against(lambda truth=truth: truth), ("'left'", "'right'", "oppose each other"),
         )  # fmt: skip
 
 
@@ -313,7 +320,8 @@ def spring() -> Iterator[Cell]:
             return x + h * v, v
 
         rows = rows_of((u, v0), step, k=k, h=h, a=a)
-        place, speed = against([row[:1] for row in rows]), against([row[1:] for row in rows], of="v")
+        place = against(lambda rows=rows: [row[:1] for row in rows()])
+        speed = against(lambda rows=rows: [row[1:] for row in rows()], of="v")
 
         def judge(run, place=place, speed=speed, k=k):
             x, v = run.x[:, 0], run.v[:, 0]
@@ -339,7 +347,7 @@ def plane() -> Iterator[Cell]:
             return row[0] + h * v[0], row[1] + h * v[1], *v
 
         rows = rows_of((1, -2, v0, 0), step, k=k, h=h, a=a)
-        judge = against([row[:2] for row in rows])
+        judge = against(lambda rows=rows: [row[:2] for row in rows()])
         at = {"stiffness": k, "step": s, "friction": level}
         yield Cell("friction in the plane", "oscillator", at, PLANE, h, {"k": k, "a": a, "u": 1.0, "b": v0}, judge)
 
@@ -490,11 +498,11 @@ def masses() -> Iterator[Cell]:
 
         rows = rows_of((1, 0, -1, 0), step, r=r, k=k, h=h)
         conditioning = h**2 * k / (1 + float(r))
-        more = STEPS * ROUNDING * conditioning * float(max(abs(value) for row in rows for value in row[::2]))
-        place = against([row[::2] for row in rows], more, columns=(0, 2))
-        speed = against([row[1::2] for row in rows], more / h, columns=(1, 3))
 
-        def judge(run, place=place, speed=speed):
+        def judge(run, rows=rows, conditioning=conditioning, h=h):
+            more = STEPS * ROUNDING * conditioning * float(max(abs(value) for row in rows() for value in row[::2]))
+            place = against(lambda: [row[::2] for row in rows()], more, columns=(0, 2))
+            speed = against(lambda: [row[1::2] for row in rows()], more / h, columns=(1, 3))
             return max(place(run), speed(run))
 
         at = {"mass ratio": float(r), "stiffness": k, "step": h}

@@ -24,6 +24,7 @@ from bench.peers import programs
 
 from nsmodel.cli import main
 from nsmodel.codegen import library as codegen_library
+from nsmodel.study import methods
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 DOCS = REPOSITORY / "docs"
@@ -86,6 +87,7 @@ def folder(tmp_path, monkeypatch, request):
     (tmp_path / "cases").symlink_to(REPOSITORY / "cases")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "Agg")
+    monkeypatch.setattr(methods, "LONG", 0.0)  # Each run of a study is made once: no page is held to its seconds.
     return tmp_path
 
 

@@ -634,11 +634,11 @@ def test_overview_of_the_barest_run():
     assert pixels(figure).std() > 5
 
 
-def test_overview_of_a_run_without_a_step():
-    for case in CASES.values():
-        run, model = case()
-        start = Trajectory({name: array[:1] for name, array in run.arrays.items()}, run.metadata)
-        assert pixels(plot.overview(start, model)).std() > 5
+@pytest.mark.parametrize("case", CASES)
+def test_overview_of_a_run_without_a_step(case):
+    run, model = CASES[case]()
+    start = Trajectory({name: array[:1] for name, array in run.arrays.items()}, run.metadata)
+    assert pixels(plot.overview(start, model)).std() > 5
 
 
 FILES = {

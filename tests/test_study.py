@@ -34,8 +34,7 @@ model = LureSystem(A=[[0, 1], [-1, 0]], B=[0, 1], C=[0, 1], law=relay(1), x0=[3,
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
     """One run a point, and nothing is compiled: what is measured is not looked at."""
-    monkeypatch.setattr(methods, "REPEATS", 1)
-    monkeypatch.setattr(methods, "ENOUGH", 0.0)
+    monkeypatch.setattr(methods, "LONG", 0.0)
     monkeypatch.setattr(methods, "TOLERANCES", (1e-2, 1e-3))
     words = ("interpreted", "compiled")
     monkeypatch.setattr(methods, "ways", lambda scheme: [scheme.but(word, compiled=False) for word in words])
@@ -335,7 +334,10 @@ def test_variable_steps_over_a_jump_are_within_what_they_ask(monkeypatch):
 
 @pytest.fixture(scope="module")
 def half_line(load_case):
-    return study(load_case("moving_half_line"), steps=[0.06, 0.03, 0.015], solvers=["lemke"], target=5e-3, budget=600)
+    """With all tolerances, and really compiled; each run is made once."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(methods, "LONG", 0.0)
+        return study(load_case("moving_half_line"), steps=[0.06, 0.03, 0.015], solvers=["lemke"], target=5e-3, budget=600)
 
 
 @pytest.mark.long
